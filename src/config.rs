@@ -1,0 +1,336 @@
+//! `viewrank.toml`: every setting of the method with its unit and default, and where each value came from.
+//!
+//! The structs are the one definition: defaults, the file's grammar, `viewrank config`, the manifest's `settings` and the JSON
+//! Schema all come from them. `None` means "chosen from the data or by the backend"; the manifest says what was chosen.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::scene::Units;
+
+/// All settings in force, nested as in `viewrank.toml`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct Settings {
+    /// Is a scene unit a metre? Unset: as the project proves, else "relative".
+    pub units: Option<Units>,
+    /// Size of the matched images over the model's images.
+    pub image_scale: f64,
+    /// Seed of all random choices.
+    pub seed: u64,
+    /// Backends to write files for; the plan is made for the first. Empty: the one that the project is set up for, else "sure".
+    pub backends: Vec<String>,
+    pub target: TargetSettings,
+    pub coverage: CoverageSettings,
+    pub fulfilment: FulfilmentSettings,
+    pub surface: SurfaceSettings,
+    pub visibility: VisibilitySettings,
+    pub partners: PartnerSettings,
+    pub confidence: ConfidenceSettings,
+    pub ranking: RankingSettings,
+    pub cut: CutSettings,
+    pub forecast: ForecastSettings,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Self {
+            units: None,
+            image_scale: 1.0,
+            seed: 0,
+            backends: Vec::new(),
+            target: TargetSettings::default(),
+            coverage: CoverageSettings::default(),
+            fulfilment: FulfilmentSettings::default(),
+            surface: SurfaceSettings::default(),
+            visibility: VisibilitySettings::default(),
+            partners: PartnerSettings::default(),
+            confidence: ConfidenceSettings::default(),
+            ranking: RankingSettings::default(),
+            cut: CutSettings::default(),
+            forecast: ForecastSettings::default(),
+        }
+    }
+}
+
+/// What is wanted on the surface.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct TargetSettings {
+    /// Wanted ground sampling distance g_d, scene units per pixel (metres if units = "metric"). Unset: 1.25 x the model's median.
+    pub gsd: Option<f64>,
+    /// Wanted accuracy a_d, standard deviation of a point, scene units. Unset: as `gsd`.
+    pub accuracy: Option<f64>,
+    /// One target for all ("absolute") or the best that any view has at the place ("best", method 3.6).
+    pub mode: TargetMode,
+}
+
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum TargetMode {
+    /// `best` where no `gsd` is given, else `absolute`.
+    #[default]
+    Auto,
+    Absolute,
+    Best,
+}
+
+/// Method 3.1.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct CoverageSettings {
+    /// Cameras that must see a triangle, the key view included (x).
+    pub min_cameras: u32,
+}
+
+impl Default for CoverageSettings {
+    fn default() -> Self {
+        Self { min_cameras: 3 }
+    }
+}
+
+/// Method 3.2 to 3.5.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct FulfilmentSettings {
+    /// Weight of resolution against uncertainty, 0 to 1 (alpha).
+    pub alpha: f64,
+    /// Standard deviation of a match, pixels of the matched image (sigma_px).
+    pub sigma_px: f64,
+}
+
+impl Default for FulfilmentSettings {
+    fn default() -> Self {
+        Self { alpha: 0.5, sigma_px: 0.5 }
+    }
+}
+
+/// Which surface is built.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum SurfaceChoice {
+    #[default]
+    Auto,
+    #[serde(rename = "3d")]
+    Carved,
+    Terrain,
+}
+
+/// Method 1.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct SurfaceSettings {
+    pub kind: SurfaceChoice,
+    /// Simplification: 95 % of the edges above `edge_factor` x g_d (r).
+    pub edge_factor: f64,
+    /// Refinement: every edge below `max_edge_factor` x g_d (e).
+    pub max_edge_factor: f64,
+    /// Weight of one ray in the cut (alpha_vis).
+    pub ray_weight: f64,
+    /// Soft visibility: sigma over the median depth uncertainty of the points.
+    pub sigma_factor: f64,
+    /// Distance behind a point, in sigma, at which the inside begins (k).
+    pub behind_sigma: f64,
+    /// Weight of the facets' quality in the cut (lambda).
+    pub quality_weight: f64,
+    /// Most rays per point that the cut uses; the angular extremes are kept.
+    pub rays_per_point: u32,
+    /// Up direction of the terrain surface, world coordinates. Unset: from the cameras and the points.
+    pub up: Option<[f64; 3]>,
+}
+
+impl Default for SurfaceSettings {
+    fn default() -> Self {
+        Self {
+            kind: SurfaceChoice::Auto,
+            edge_factor: 20.0,
+            max_edge_factor: 100.0,
+            ray_weight: 1.0,
+            sigma_factor: 1.0,
+            behind_sigma: 3.0,
+            quality_weight: 0.5,
+            rays_per_point: 8,
+            up: None,
+        }
+    }
+}
+
+/// Method 2.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct VisibilitySettings {
+    /// Largest angle between a triangle's normal and the direction to the camera, degrees.
+    pub max_incidence_deg: f64,
+    /// Share of the samples of a triangle that must be free.
+    pub min_free_share: f64,
+    /// Tolerance in front of a triangle, in units of `surface.edge_factor` x g_d.
+    pub tolerance_edges: f64,
+    /// Tolerance in front of a triangle, share of the depth; the larger of the two counts.
+    pub tolerance_depth: f64,
+    /// Long side of the id buffer, pixels.
+    pub buffer_px: u32,
+}
+
+impl Default for VisibilitySettings {
+    fn default() -> Self {
+        Self {
+            max_incidence_deg: 85.0,
+            min_free_share: 0.5,
+            tolerance_edges: 0.5,
+            tolerance_depth: 0.01,
+            buffer_px: 1000,
+        }
+    }
+}
+
+/// A fixed number of partners, or as many as pay.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(untagged)]
+pub enum PartnerCount {
+    Fixed(u32),
+    Auto(AutoWord),
+}
+
+/// The word `auto`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum AutoWord {
+    Auto,
+}
+
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum PartnerMethod {
+    /// The paper's drawn combinations.
+    Sampled,
+    /// Exchange from the best of `sampled` and greedy addition.
+    #[default]
+    Search,
+}
+
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum PartnerObjective {
+    /// The sum of f over the whole view.
+    #[default]
+    View,
+    /// What the cluster adds when its turn comes (method 4.1).
+    Gain,
+}
+
+/// Method 4.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct PartnerSettings {
+    /// Partners per key view (k), or "auto".
+    pub k: PartnerCount,
+    /// Most partners when k = "auto".
+    pub k_max: u32,
+    /// Candidates per key view, by shared points (n).
+    pub candidates: u32,
+    /// Combinations drawn (y).
+    pub draws: u32,
+    /// One of so many triangles judges the draws (z).
+    pub triangle_fraction: u32,
+    pub method: PartnerMethod,
+    pub objective: PartnerObjective,
+}
+
+impl Default for PartnerSettings {
+    fn default() -> Self {
+        Self {
+            k: PartnerCount::Fixed(5),
+            k_max: 11,
+            candidates: 22,
+            draws: 100,
+            triangle_fraction: 10,
+            method: PartnerMethod::Search,
+            objective: PartnerObjective::View,
+        }
+    }
+}
+
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum ConfidenceForm {
+    /// Probability of each pair (method 7.2 and the trained constellation).
+    #[default]
+    Pair,
+    /// Mean of the two unary confidences (method 3.4).
+    Paper,
+}
+
+/// Method 7. Unset numbers are the backend's.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct ConfidenceSettings {
+    /// "none", "geometric", "proxy", "auto" or a model file.
+    pub source: String,
+    pub form: ConfidenceForm,
+    /// Chance of a match in the best constellation.
+    pub p0: Option<f64>,
+    /// Power of the cosine of incidence (gamma).
+    pub cosine_power: Option<f64>,
+    /// Standard deviation of the scale ratio, octaves (s); 0: scale does no harm.
+    pub scale_octaves: Option<f64>,
+    /// Triangulation angle from which a match is as good as any, degrees (a); 0: none.
+    pub full_angle: Option<f64>,
+    /// Matches that must succeed for a pixel, 1 to 3.
+    pub min_matches: Option<u32>,
+}
+
+impl Default for ConfidenceSettings {
+    fn default() -> Self {
+        Self {
+            source: "auto".into(),
+            form: ConfidenceForm::Pair,
+            p0: None,
+            cosine_power: None,
+            scale_octaves: None,
+            full_angle: None,
+            min_matches: None,
+        }
+    }
+}
+
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum TriangleWeight {
+    #[default]
+    Count,
+    Area,
+}
+
+/// Method 5.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct RankingSettings {
+    /// Depth maps that must see a triangle (m, method 5.2). Unset: the backend's.
+    pub support: Option<u32>,
+    /// What a triangle counts.
+    pub weight: TriangleWeight,
+}
+
+/// Method 5.3; the first that is reached cuts. All unset: a target of 90 %.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct CutSettings {
+    /// Clusters ("40"), or a share of the registered views ("5%").
+    pub budget: Option<String>,
+    /// Share of what all clusters together reach ("80%").
+    pub target: Option<String>,
+    /// Forecast time ("2h", "90min", "1d6h").
+    pub time: Option<String>,
+    /// Forecast points ("50M").
+    pub points: Option<String>,
+}
+
+/// What the forecast of time and points is made from; unset where unknown.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct ForecastSettings {
+    /// Seconds of matching per (key view, partner) pair.
+    pub seconds_per_pair: Option<f64>,
+    /// Seconds of matching per depth map beside its pairs.
+    pub seconds_per_map: Option<f64>,
+}

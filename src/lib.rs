@@ -1,0 +1,28 @@
+//! viewrank ranks multi-view stereo view clusters before any depth map is computed.
+//!
+//! The map, in the order of the flow:
+//!
+//! - [`formats`] bytes of sparse models <-> [`scene::Scene`]; [`camera`] the camera models
+//! - [`project`] what kind of project is this folder
+//! - [`surface`] method 1: the surface; [`visibility`] method 2: which view sees which triangle
+//! - [`confidence`] method 7: where will the backend succeed
+//! - [`fulfilment`] method 3; [`partners`] method 4; [`ranking`] method 5
+//! - [`backends`] what each MVS program can match and the files it reads
+//! - [`plan`] runs the stages; [`output`] makes files appear whole or not at all
+//! - [`config`] every setting; [`progress`] progress and cancellation
+
+pub mod backends;
+pub mod camera;
+pub mod confidence;
+pub mod config;
+pub mod formats;
+pub mod fulfilment;
+pub mod output;
+pub mod partners;
+pub mod plan;
+pub mod progress;
+pub mod project;
+pub mod ranking;
+pub mod scene;
+pub mod surface;
+pub mod visibility;

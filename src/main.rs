@@ -1,0 +1,3 @@
+//! Parses arguments, prints errors, sets the exit code; nothing else.
+
+fn main() {}
