@@ -1,6 +1,7 @@
 //! The one function that runs the stages of the method, and what comes out of it.
 
 use crate::{
+    confidence::Unary,
     config::Settings,
     fulfilment::FulfilmentTable,
     partners::{Candidates, ViewCluster},
@@ -54,7 +55,7 @@ pub struct Plan {
     pub surface: Surface,
     pub visibility: Visibility,
     /// Unary confidence of each row of `visibility`.
-    pub unary: Vec<f32>,
+    pub unary: Unary,
     /// g_d of each triangle, scene units per pixel (method 3.6); a_d is `accuracy_over_gsd` times it.
     pub triangle_gsd: Vec<f32>,
     pub candidates: Candidates,

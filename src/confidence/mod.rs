@@ -3,7 +3,10 @@
 //! Two kinds of knowledge meet in p_i(t), the chance that the pair (key view, partner i) measures triangle t: the picture (unary
 //! confidence per view and triangle, from a [`Predictor`]) and the constellation ([`PairConfidence`], which needs no image).
 
-use crate::scene::ViewIndex;
+use crate::{
+    config::{ConfidenceForm, ConfidenceSettings},
+    scene::ViewIndex,
+};
 
 /// A reduced picture: RGB, 8 bit, row-major.
 #[derive(Clone, Debug)]
@@ -46,4 +49,95 @@ pub struct PairConfidence {
     pub scale_octaves: Option<f64>,
     /// Triangulation angle from which a match is as good as any, degrees (a); `None`: any angle.
     pub full_angle_deg: Option<f64>,
+}
+
+impl PairConfidence {
+    /// These numbers with those that the user set in their place.
+    pub fn with(&self, settings: &ConfidenceSettings) -> Self {
+        let unless_zero = |set: Option<f64>, own: Option<f64>| match set {
+            Some(0.0) => None,
+            Some(value) => Some(value),
+            None => own,
+        };
+        Self {
+            min_matches: settings.min_matches.unwrap_or(self.min_matches),
+            p0: settings.p0.unwrap_or(self.p0),
+            cosine_power: settings.cosine_power.unwrap_or(self.cosine_power),
+            scale_octaves: unless_zero(settings.scale_octaves, self.scale_octaves),
+            full_angle_deg: unless_zero(settings.full_angle, self.full_angle_deg),
+        }
+    }
+}
+
+/// Where confidence comes from (`confidence.source`).
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Source {
+    /// f_conf = 1: the paper's NoCP.
+    None,
+    /// The constellation alone (method 7.2).
+    Geometric,
+    /// The constellation and a training-free look at the picture (method 7.3).
+    Proxy,
+    /// A trained model file.
+    Model(std::path::PathBuf),
+}
+
+impl Source {
+    /// `auto` is `geometric`.
+    pub fn new(source: &str) -> Self {
+        match source {
+            "none" => Self::None,
+            "geometric" | "auto" => Self::Geometric,
+            "proxy" => Self::Proxy,
+            file => Self::Model(file.into()),
+        }
+    }
+
+    /// Does it look at pictures?
+    pub fn needs_images(&self) -> bool {
+        matches!(self, Self::Proxy | Self::Model(_))
+    }
+}
+
+/// What p_i of method 3.4 is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Confidence {
+    /// f_conf = 1 wherever f_cov = 1.
+    None,
+    /// Method 7.2 times the mean of the two unary confidences.
+    Pair(PairConfidence),
+    /// The mean of the two unary confidences.
+    Paper { min_matches: u32 },
+}
+
+impl Confidence {
+    /// `numbers`: the backend's.
+    pub fn new(source: &Source, settings: &ConfidenceSettings, numbers: &PairConfidence) -> Self {
+        let numbers = numbers.with(settings);
+        match (source, settings.form) {
+            (Source::None, _) => Self::None,
+            (Source::Proxy | Source::Model(_), ConfidenceForm::Paper) => {
+                Self::Paper { min_matches: numbers.min_matches }
+            }
+            _ => Self::Pair(numbers),
+        }
+    }
+}
+
+/// Unary confidence of each row of the visibility table.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Unary {
+    /// 0 to 1; empty: 1 everywhere.
+    pub values: Vec<f32>,
+}
+
+impl Unary {
+    /// 1 everywhere: no picture was looked at.
+    pub fn certain() -> Self {
+        Self::default()
+    }
+
+    pub fn at(&self, row: usize) -> f32 {
+        if self.values.is_empty() { 1.0 } else { self.values[row] }
+    }
 }
