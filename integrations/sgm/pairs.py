@@ -1,0 +1,140 @@
+"""Depth by one partner, kept in a cache: a file per pair, so that many partner choices are judged at the price of one."""
+
+import contextlib
+import hashlib
+import os
+import time
+import zipfile
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+import matching
+import rectify
+from rectify import Parallax, Refused
+
+VERSION = 1  # raised when the same input gives other maps
+
+
+@dataclass
+class PairMap:
+    """Inverse z-depth of a key view by one partner, or why there is none."""
+
+    refused: str = ""
+    inverse: np.ndarray = field(default=None, repr=False)  # h x w float32, nan unknown
+    parallax: Parallax = None
+    angle: float = float("nan")  # median triangulation angle of the shared points, degrees
+    octaves: float = float("nan")  # log2 of how much finer the key view shows them
+    seconds: float = 0.0  # wall time of matching
+    cached: bool = False
+
+    @property
+    def share(self):
+        """Share of the key view's pixels that were matched."""
+        return 0.0 if self.inverse is None else float(np.isfinite(self.inverse).mean())
+
+
+class Pairs:
+    """Matches pairs of a workspace; with a cache folder, only those that are not in it."""
+
+    def __init__(self, workspace, cache=None):
+        self.workspace, self.cache, self.images = workspace, cache and Path(cache), {}
+
+    def get(self, key, partner):
+        a, b = self.workspace.views[key], self.workspace.views[partner]
+        shared = self.workspace.xyz[np.intersect1d(a.points, b.points, assume_unique=True)]
+        mark = fingerprint(self.workspace, a, b, shared)
+        path = self.cache and self.cache / key / (partner + ".npz")
+        found = path and load(path, mark)
+        if found:
+            return found
+        start = time.perf_counter()
+        result = self.match(a, b, shared)
+        result.seconds = time.perf_counter() - start
+        if path:
+            save(path, result, mark)
+        return result
+
+    def match(self, a, b, shared):
+        if len(shared) < rectify.MIN_SHARED:
+            return PairMap(f"only {len(shared)} shared sparse points, fewer than {rectify.MIN_SHARED}")
+        angle, octaves = rectify.geometry(a, b, shared)
+        try:
+            around = self.workspace.xyz[np.union1d(a.points, b.points)]
+            pair = rectify.rectify(a, b, shared, around)
+        except Refused as reason:
+            return PairMap(str(reason), angle=angle, octaves=octaves)
+        inverse = matching.match(pair, self.image(a.name), self.image(b.name))
+        return PairMap("", inverse, pair.parallax, angle, octaves)
+
+    def image(self, name):
+        """The grey image; the last 40 are kept."""
+        if name not in self.images:
+            if len(self.images) >= 40:
+                self.images.pop(next(iter(self.images)))
+            self.images[name] = self.workspace.grey(name)
+        return self.images[name]
+
+
+def fingerprint(workspace, a, b, shared):
+    """Of all that the pair's map depends on."""
+    parts = [str(VERSION).encode(), shared.tobytes()]
+    for v in (a, b):
+        parts += [v.K.tobytes(), v.R.tobytes(), v.t.tobytes(), str(v.size).encode()]
+        with contextlib.suppress(OSError):
+            parts.append(str((workspace.images / v.name).stat().st_size).encode())
+    return hashlib.sha256(b"|".join(parts)).hexdigest()
+
+
+def save(path, result, mark):
+    """Inverse depths are kept as 65535 steps between the map's extremes, far finer than the match; 0 = none."""
+    arrays = {"fingerprint": mark, "refused": result.refused, "angle": result.angle, "octaves": result.octaves, "seconds": result.seconds}
+    if result.inverse is not None:
+        known = np.isfinite(result.inverse)
+        low, high = (np.nanmin(result.inverse), np.nanmax(result.inverse)) if known.any() else (0, 1)
+        step = max(float(high - low) / 65534, 1e-30)
+        code = np.zeros(result.inverse.shape, np.uint16)
+        code[known] = 1 + np.rint((result.inverse[known] - low) / step).clip(0, 65534).astype(np.uint16)
+        p = result.parallax
+        arrays |= {"code": code, "low": float(low), "step": step, "plane": p.plane, "epipole": p.epipole, "gain": p.gain, "coarse": p.coarse}
+    write_whole(path, lambda file: write_npz(file, arrays))
+
+
+def load(path, mark):
+    """The pair at `path` if it is whole and has this fingerprint, else None."""
+    try:
+        with np.load(path) as file:
+            if str(file["fingerprint"]) != mark:
+                return None
+            number = lambda name: float(file[name])
+            result = PairMap(str(file["refused"]), angle=number("angle"), octaves=number("octaves"), seconds=number("seconds"), cached=True)
+            if "code" in file:
+                code = file["code"]
+                result.inverse = np.where(code > 0, number("low") + (code - 1.0) * number("step"), np.nan).astype(np.float32)
+                result.parallax = Parallax(file["plane"], file["epipole"], number("gain"), number("coarse"))
+            return result
+    except (OSError, KeyError, ValueError, EOFError, zipfile.BadZipFile, zipfile.LargeZipFile):
+        return None
+
+
+def write_npz(file, arrays):
+    """As numpy.savez_compressed, at the fastest level."""
+    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+        for name, value in arrays.items():
+            with archive.open(name + ".npy", "w", force_zip64=True) as entry:
+                np.lib.format.write_array(entry, np.asanyarray(value), allow_pickle=False)
+
+
+def write_whole(path, write):
+    """Writes a file under a temporary name, then renames it: it is there whole or not at all."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        with open(temporary, "wb") as file:
+            write(file)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)

@@ -1,0 +1,309 @@
+#!/usr/bin/env python3
+"""Depth maps of the view clusters that viewrank chose, by semi-global matching on one CPU. README.md says what is read and written.
+
+    sgm.py match WORKSPACE --out DIR                       the clusters of WORKSPACE/viewrank/clusters.txt, in rank order
+    sgm.py match WORKSPACE --out DIR --clusters manifest.json --stop-at 2h
+    sgm.py match WORKSPACE --out DIR --connected 22        every view with the 22 views that share most sparse points
+    sgm.py pairs WORKSPACE --cache DIR --connected 22      only fill the cache of pairs
+"""
+
+import argparse
+import concurrent.futures
+import json
+import re
+import sys
+import time
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from merge import MIN_AGREE, SIGMA_PX, merge
+from pairs import VERSION, Pairs, write_whole
+from workspace import InputError, Workspace
+
+MAX_PARTNERS = 255  # counts are 8 bit
+
+
+# ------------------------------------------------------------------------------------------------------------ clusters
+
+
+def read_clusters(path, workspace):
+    """[(key view, partners)] in rank order from clusters.txt, or from a manifest up to its cut."""
+    try:
+        text = path.read_text(encoding="utf-8", errors="surrogateescape")
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror}. Write it with: viewrank plan {workspace.folder}") from error
+    rows = manifest_rows(path, text) if path.suffix == ".json" else tabbed_rows(text)
+    clusters, places = [], {}
+    for place, (key, *partners) in rows:
+        check_cluster(f"{path}, {place}", key, partners, workspace)
+        if key in places:
+            raise InputError(f"{path}, {place}: key view {key} is already in {places[key]}")
+        places[key] = place
+        clusters.append((key, partners))
+    if not clusters:
+        raise InputError(f"{path}: no view cluster in it")
+    return clusters
+
+
+def tabbed_rows(text):
+    for number, line in enumerate(text.split("\n"), 1):
+        line = line.rstrip("\r")
+        if line.strip() and not line.startswith("#"):
+            yield f"line {number}", line.split("\t")
+
+
+def manifest_rows(path, text):
+    try:
+        manifest = json.loads(text)
+        clusters = manifest["clusters"][: manifest["cut"]["clusters"]]
+        return [(f"rank {c['rank']}", [c["key"], *c["partners"]]) for c in clusters]
+    except (ValueError, KeyError, TypeError) as error:
+        raise InputError(f"{path}: not a manifest of viewrank ({error!r})") from error
+
+
+def check_cluster(where, key, partners, workspace):
+    for name in (key, *partners):
+        if name not in workspace.views:
+            raise InputError(f"{where}: view {name} is not in {workspace.folder}. Were the clusters planned for another model?")
+    if key in partners or len(set(partners)) < len(partners):
+        raise InputError(f"{where}: {key} has a partner twice, or is its own partner")
+    if len(partners) > MAX_PARTNERS:
+        raise InputError(f"{where}: {len(partners)} partners, more than {MAX_PARTNERS}")
+
+
+def wanted(args, workspace):
+    if args.connected:
+        return [(key, [name for name, _ in workspace.connected(key)[: args.connected]]) for key in workspace.views]
+    return read_clusters(args.clusters or workspace.folder / "viewrank" / "clusters.txt", workspace)
+
+
+# ---------------------------------------------------------------------------------------------------------- one cluster
+
+
+def compute(pairs, key, partners, out):
+    """Matches and merges one view cluster, writes its maps if `out` is given, and returns its row of the report."""
+    start = time.perf_counter()
+    found = [pairs.get(key, partner) for partner in partners]
+    usable = [pair for pair in found if pair.inverse is not None]
+    width, height = pairs.workspace.views[key].size
+    row = {"key": key, "width": width, "height": height, "partners": [partner_row(*p) for p in zip(partners, found, strict=True)]}
+    if out:
+        depth, count = np.zeros((height, width), np.float32), np.zeros((height, width), np.uint8)
+        if len(usable) >= MIN_AGREE:
+            depth, count = merge([p.inverse for p in usable], [p.parallax.deviation(p.inverse) for p in usable])
+        for folder, array in (("counts", count), ("depth_maps", depth)):
+            write_whole(out / folder / (key + ".npy"), lambda file, array=array: np.save(file, array))
+        row["measured"] = round(float((depth > 0).mean()), 4)
+    row["seconds"] = round(time.perf_counter() - start, 3)
+    return row
+
+
+def partner_row(name, pair):
+    row = {"name": name, "matched": pair.inverse is not None}
+    row |= {"share": round(pair.share, 4)} if row["matched"] else {"refused": pair.refused}
+    if np.isfinite(pair.angle):
+        row |= {"angle": round(pair.angle, 2), "octaves": round(pair.octaves, 2)}
+    return row | {"seconds": round(pair.seconds, 3), "cached": pair.cached}
+
+
+# --------------------------------------------------------------------------------------------------------------- report
+
+
+class Report:
+    """OUT/report.json, written anew after each key view. A key view is in it only while its maps are whole and belong to its row."""
+
+    def __init__(self, out, settings):
+        self.path, self.out, self.settings, self.rows, self.stopped = out / "report.json", out, settings, {}, ""
+        try:
+            old = json.loads(self.path.read_text(encoding="utf-8"))
+            if old["settings"] == settings:
+                self.rows = {row["key"]: row for row in old["clusters"]}
+        except (OSError, ValueError, KeyError, TypeError):
+            pass
+
+    def finished(self, key, partners):
+        row = self.rows.get(key)
+        there = all((self.out / folder / (key + ".npy")).is_file() for folder in ("depth_maps", "counts"))
+        return there and row is not None and [p["name"] for p in row["partners"]] == partners
+
+    def begin(self, keys):
+        """Forgets the rows of key views whose maps are about to be replaced."""
+        for key in keys:
+            self.rows.pop(key, None)
+        self.write()
+
+    def add(self, row):
+        self.rows[row["key"]] = row
+        self.write()
+
+    def write(self):
+        content = {"version": 1, "tool": "viewrank integrations/sgm", "settings": self.settings, "stopped": self.stopped, "clusters": list(self.rows.values())}
+        write_whole(self.path, lambda file: file.write(json.dumps(content, indent=1).encode("utf-8", "surrogateescape")))
+
+
+# ------------------------------------------------------------------------------------------------------------- the loop
+
+
+class Stop:
+    """When to end before all clusters are done: after a number of them, after a time, or when the target is reached."""
+
+    def __init__(self, limit, progress):
+        self.progress, self.begin = progress, time.time()
+        self.clusters, self.seconds = parse_limit(limit)
+
+    def reason(self, started):
+        if self.clusters is not None and started >= self.clusters:
+            return f"{self.clusters} clusters done"
+        if self.seconds is not None and time.time() - self.begin >= self.seconds:
+            return f"{self.seconds:g} s are over"
+        if self.progress and target_reached(self.progress):
+            return f"{self.progress} says that the target is reached"
+        return ""
+
+
+def parse_limit(text):
+    """(clusters, seconds) of "20", "90s", "30m", "2h"; one of them is None."""
+    if text is None:
+        return None, None
+    found = re.fullmatch(r"(\d+(?:\.\d+)?)([smh]?)", text)
+    if not found or (not found[2] and "." in found[1]):
+        raise InputError(f"--stop-at {text}: neither a number of clusters (20) nor a time (90s, 30m, 2h)")
+    return (None, float(found[1]) * {"s": 1, "m": 60, "h": 3600}[found[2]]) if found[2] else (int(found[1]), None)
+
+
+def target_reached(path):
+    try:
+        return json.loads(path.read_text(encoding="utf-8")).get("target_reached") is True
+    except (OSError, ValueError, AttributeError):
+        return False
+
+
+STATE = {}  # of a worker process
+
+
+def start_worker(folder, scale, cache, out):
+    cv2.setNumThreads(1)
+    STATE.update(pairs=Pairs(Workspace(folder, scale), cache), out=out)
+
+
+def work(cluster):
+    return compute(STATE["pairs"], *cluster, STATE["out"])
+
+
+def run(clusters, args, out, stop, done):
+    """Computes clusters in order on `args.jobs` processes until `stop` says so; `done` gets each row. Returns why it stopped."""
+    with concurrent.futures.ProcessPoolExecutor(args.jobs, initializer=start_worker, initargs=(args.workspace, args.image_scale, args.cache, out)) as pool:
+        waiting, running, started, reason = iter(clusters), set(), 0, ""
+        while True:
+            while len(running) < args.jobs and not reason:
+                reason = stop.reason(started)
+                cluster = None if reason else next(waiting, None)
+                if cluster is None:
+                    reason = reason or "all clusters done"
+                    break
+                running.add(pool.submit(work, cluster))
+                started += 1
+            if not running:
+                return reason
+            ready, running = concurrent.futures.wait(running, return_when=concurrent.futures.FIRST_COMPLETED)
+            for future in ready:
+                done(future.result())
+
+
+def match(args):
+    workspace = Workspace(args.workspace, args.image_scale)
+    clusters = wanted(args, workspace)
+    stop = Stop(args.stop_at, args.progress)
+    report = Report(args.out, {"version": VERSION, "image_scale": args.image_scale, "sigma_px": SIGMA_PX, "min_agree": MIN_AGREE})
+    if stop.clusters is not None:
+        clusters, stop.clusters = clusters[: stop.clusters], None
+    todo = [c for c in clusters if not report.finished(*c)]
+    report.begin(key for key, _ in todo)
+    print(f"{len(clusters)} key views, {len(clusters) - len(todo)} finished before; {sum(len(p) for _, p in todo)} pairs to do", file=sys.stderr)
+    line = Line(len(todo))
+
+    def done(row):
+        report.add(row)
+        line.step(row)
+
+    report.stopped = run(todo, args, args.out, stop, done)
+    report.write()
+    print(summary(report, [key for key, _ in clusters]), file=sys.stderr)
+
+
+def fill(args):
+    workspace = Workspace(args.workspace, args.image_scale)
+    clusters = wanted(args, workspace)
+    line = Line(len(clusters))
+    run(clusters, args, None, Stop(None, None), line.step)
+
+
+class Line:
+    """A line of progress every ten seconds, and at the end."""
+
+    def __init__(self, total):
+        self.total, self.count, self.begin, self.last = total, 0, time.time(), 0.0
+
+    def step(self, row):
+        self.count += 1
+        now = time.time()
+        if now - self.last > 10 or self.count == self.total:
+            self.last = now
+            left = (now - self.begin) / self.count * (self.total - self.count)
+            print(f"{self.count}/{self.total} key views, {now - self.begin:.0f} s, {left:.0f} s left; last: {row['key']}", file=sys.stderr, flush=True)
+
+
+def summary(report, keys):
+    rows = [report.rows[key] for key in keys if key in report.rows]
+    partners = [p for row in rows for p in row["partners"]]
+    matched = [p for p in partners if p["matched"]]
+    text = f"{len(rows)} of {len(keys)} maps are there ({report.stopped}); {len(matched)} of {len(partners)} pairs matched"
+    if matched:
+        text += f", {np.mean([p['seconds'] for p in matched]):.2f} s each; {100 * np.mean([row['measured'] for row in rows]):.0f} % of the pixels have a depth"
+    reasons = {}
+    for p in partners:
+        if not p["matched"]:
+            kind = re.sub(r"\d+(\.\d+)?", "N", p["refused"])
+            reasons[kind] = reasons.get(kind, 0) + 1
+    return "\n".join([text] + [f"  refused {count} x: {kind}" for kind, count in sorted(reasons.items(), key=lambda r: (-r[1], r[0]))])
+
+
+# ----------------------------------------------------------------------------------------------------------------- main
+
+
+def arguments(argv):
+    parser = argparse.ArgumentParser(prog="sgm.py", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    commands = parser.add_subparsers(dest="command", required=True)
+    for name, about in (("match", "depth maps of view clusters"), ("pairs", "only fill the cache of pairs")):
+        p = commands.add_parser(name, help=about)
+        p.add_argument("workspace", type=Path, help="undistorted COLMAP workspace: images/ and sparse/ or sparse/0/")
+        which = p.add_mutually_exclusive_group()
+        which.add_argument("--clusters", type=Path, metavar="FILE", help="clusters.txt or manifest.json (default WORKSPACE/viewrank/clusters.txt)")
+        which.add_argument("--connected", type=int, metavar="N", help="every view with the N views that share most sparse points")
+        p.add_argument("--cache", type=Path, metavar="DIR", required=name == "pairs", help="keep the maps of single pairs here, and reuse them")
+        p.add_argument("--image-scale", type=float, default=1.0, metavar="S", help="size of the matched images over the model's (default 1)")
+        p.add_argument("--jobs", type=int, default=1, metavar="N", help="processes (default 1)")
+        if name == "match":
+            p.add_argument("--out", type=Path, metavar="DIR", required=True)
+            p.add_argument("--stop-at", metavar="N|TIME", help="end after the first N clusters, or start none after a time (90s, 30m, 2h)")
+            p.add_argument("--progress", type=Path, metavar="FILE", help="end when this JSON file says \"target_reached\": true")
+    args = parser.parse_args(argv)
+    if not 0 < args.image_scale <= 1 or args.jobs < 1 or (args.connected is not None and not 1 <= args.connected <= MAX_PARTNERS):
+        parser.error(f"--image-scale is above 0 and up to 1, --jobs at least 1, --connected 1 to {MAX_PARTNERS}")
+    return args
+
+
+def main(argv=None):
+    args = arguments(argv)
+    try:
+        match(args) if args.command == "match" else fill(args)
+    except InputError as error:
+        sys.exit(f"error: {error}")
+    except KeyboardInterrupt:
+        sys.exit("interrupted; finished maps stay, run again to go on")
+
+
+if __name__ == "__main__":
+    main()

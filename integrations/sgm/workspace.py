@@ -1,0 +1,210 @@
+"""Reads an undistorted COLMAP workspace: cameras, poses, sparse points and images.
+
+Pixel coordinates here are OpenCV's: the centre of the first pixel is (0, 0). COLMAP's files put it at (0.5, 0.5).
+"""
+
+import struct
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+PINHOLE_PARAMETERS = {"SIMPLE_PINHOLE": 3, "PINHOLE": 4}
+PINHOLE_IDS = {0: "SIMPLE_PINHOLE", 1: "PINHOLE"}
+UNDISTORT = "undistort first: colmap image_undistorter --image_path IMAGES --input_path MODEL --output_path WORKSPACE"
+
+
+class InputError(Exception):
+    """Input that can't be used; the message says where and what to do."""
+
+
+@dataclass
+class View:
+    """A registered image as it is matched: reduced, with x_pixel ~ K (R X + t)."""
+
+    name: str
+    K: np.ndarray
+    R: np.ndarray
+    t: np.ndarray
+    size: tuple  # width, height in matched pixels
+    full_size: tuple  # width, height of the image file
+    points: np.ndarray = field(repr=False)  # rows of Workspace.xyz that it observes, sorted
+
+    @property
+    def centre(self):
+        return -self.R.T @ self.t
+
+    def project(self, xyz):
+        """Pixels (n x 2) and z-depths (n) of points."""
+        p = (xyz @ self.R.T + self.t) @ self.K.T
+        return p[:, :2] / p[:, 2:], p[:, 2]
+
+
+class Workspace:
+    """The views of `folder` by name, the sparse points (`xyz`, n x 3), and the images at `image_scale` times their size."""
+
+    def __init__(self, folder, image_scale=1.0):
+        self.folder = Path(folder)
+        self.images = self.folder / "images"
+        if not self.images.is_dir():
+            raise InputError(f"{self.images}: no such folder. An undistorted COLMAP workspace has images/ and sparse/; {UNDISTORT}")
+        cameras, images, (ids, self.xyz) = read_model(model_folder(self.folder))
+        rows = dict(zip(ids.tolist(), range(len(ids)), strict=True))
+        self.views = {}
+        for name, camera, quaternion, t, observed in sorted(images, key=lambda image: image[0]):
+            if camera not in cameras:
+                raise InputError(f"{folder}: {name} refers to camera {camera}, which the model does not have")
+            check_name(name)
+            points = np.array(sorted({rows[i] for i in observed.tolist() if i in rows}), dtype=np.int64)
+            self.views[name] = reduced_view(name, cameras[camera], rotation(quaternion, name), t, points, image_scale)
+
+    def grey(self, name):
+        """The image as it is matched: grey, 8 bit, reduced."""
+        path, view = self.images / name, self.views[name]
+        image = cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_GRAYSCALE) if path.is_file() else None
+        if image is None:
+            raise InputError(f"{path}: no image that OpenCV can read")
+        if image.shape[::-1] != view.full_size:
+            raise InputError(f"{path} is {image.shape[1]} x {image.shape[0]}, but the model says {view.full_size[0]} x {view.full_size[1]}: are these the images that were undistorted with this model?")
+        return image if view.size == view.full_size else cv2.resize(image, view.size, interpolation=cv2.INTER_AREA)
+
+    def connected(self, key):
+        """All views that share sparse points with `key`, most first, ties by name, as (name, shared points)."""
+        seen = np.zeros(len(self.xyz), bool)
+        seen[self.views[key].points] = True
+        shared = [(name, int(seen[view.points].sum())) for name, view in self.views.items() if name != key]
+        return sorted((s for s in shared if s[1]), key=lambda s: (-s[1], s[0]))
+
+    def gsd(self):
+        """Median over the views of (median depth of the view's points) / (focal length), in scene units per matched pixel."""
+        each = [np.median(v.project(self.xyz[v.points])[1]) * 2 / (v.K[0, 0] + v.K[1, 1]) for v in self.views.values() if len(v.points)]
+        return float(np.median(each))
+
+
+def reduced_view(name, camera, R, t, points, scale):
+    width, height, fx, fy, cx, cy = camera
+    size = max(1, round(width * scale)), max(1, round(height * scale))
+    sx, sy = size[0] / width, size[1] / height
+    K = np.array([[fx * sx, 0, cx * sx - 0.5], [0, fy * sy, cy * sy - 0.5], [0, 0, 1]])
+    return View(name, K, R, np.array(t, float), size, (width, height), points)
+
+
+def check_name(name):
+    """Output files are named after views, so a name must not lead out of the output folder."""
+    if not name or name.startswith(("/", "\\")) or ".." in Path(name).parts or "\0" in name:
+        raise InputError(f"view name {name!r} is not a path below images/: rename the image in the model")
+
+
+def rotation(quaternion, name):
+    q = np.array(quaternion, float)
+    length = np.linalg.norm(q)
+    if not np.isfinite(length) or length < 1e-12:
+        raise InputError(f"view {name}: its rotation is no quaternion: {quaternion}")
+    w, x, y, z = q / length
+    return np.array([
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ])
+
+
+def model_folder(workspace):
+    for folder in (workspace / "sparse", workspace / "sparse" / "0"):
+        if (folder / "images.bin").is_file() or (folder / "images.txt").is_file():
+            return folder
+    raise InputError(f"{workspace}: no sparse/images.bin, sparse/0/images.bin or the same as .txt")
+
+
+def read_model(folder):
+    """cameras {id: (width, height, fx, fy, cx, cy)}, images [(name, camera, quaternion, t, point ids)], points (ids, n x 3).
+
+    Binary wins over text, as in COLMAP.
+    """
+    binary = (folder / "images.bin").is_file()
+    readers = (read_cameras_bin, read_images_bin, read_points_bin) if binary else (read_cameras_txt, read_images_txt, read_points_txt)
+    result = []
+    for name, reader in zip(("cameras", "images", "points3D"), readers, strict=True):
+        path = folder / (name + (".bin" if binary else ".txt"))
+        try:
+            result.append(reader(path))
+        except OSError as error:
+            raise InputError(f"{path}: {error.strerror}") from error
+        except (struct.error, ValueError, IndexError) as error:
+            raise InputError(f"{path}: not a complete COLMAP file ({error})") from error
+    return result
+
+
+def pinhole(path, camera, model, width, height, parameters):
+    if model not in PINHOLE_PARAMETERS:
+        raise InputError(f"{path}: camera {camera} is {model}; only PINHOLE and SIMPLE_PINHOLE can be matched; {UNDISTORT}")
+    f, *rest = parameters[: PINHOLE_PARAMETERS[model]]
+    return (width, height, f, *([f] if model == "SIMPLE_PINHOLE" else []), *rest)
+
+
+def read_cameras_bin(path):
+    data, at, cameras = path.read_bytes(), 8, {}
+    for _ in range(struct.unpack_from("<Q", data)[0]):
+        camera, model, width, height = struct.unpack_from("<IiQQ", data, at)
+        model = PINHOLE_IDS.get(model, f"COLMAP model {model}")
+        count = PINHOLE_PARAMETERS.get(model, 0)
+        cameras[camera] = pinhole(path, camera, model, width, height, struct.unpack_from(f"<{count}d", data, at + 24))
+        at += 24 + 8 * count
+    return cameras
+
+
+def read_images_bin(path):
+    data, at, images = path.read_bytes(), 8, []
+    observation = np.dtype([("x", "<f8"), ("y", "<f8"), ("point", "<i8")])
+    for _ in range(struct.unpack_from("<Q", data)[0]):
+        _, *pose, camera = struct.unpack_from("<I7dI", data, at)
+        end = data.index(b"\0", at + 64)
+        name = data[at + 64 : end].decode("utf-8", "surrogateescape")
+        (count,) = struct.unpack_from("<Q", data, end + 1)
+        points = np.frombuffer(data, observation, count, end + 9)["point"]
+        images.append((name, camera, pose[:4], pose[4:], points))
+        at = end + 9 + count * observation.itemsize
+    return images
+
+
+def read_points_bin(path):
+    data, at = path.read_bytes(), 8
+    (count,) = struct.unpack_from("<Q", data)
+    if count * 51 > len(data):
+        raise ValueError(f"{count} points do not fit into {len(data)} bytes")
+    ids, xyz = np.empty(count, np.int64), np.empty((count, 3))
+    for i in range(count):
+        ids[i], *xyz[i] = struct.unpack_from("<Q3d", data, at)
+        at += 51 + 8 * struct.unpack_from("<Q", data, at + 43)[0]
+    return ids, xyz
+
+
+def text_lines(path):
+    """Lines without comments; empty ones stay (an image without points has an empty second line)."""
+    with open(path, encoding="utf-8", errors="surrogateescape") as file:
+        return [line.rstrip("\r\n") for line in file if not line.startswith("#")]
+
+
+def read_cameras_txt(path):
+    cameras = {}
+    for line in filter(str.strip, text_lines(path)):
+        camera, model, width, height, *parameters = line.split()
+        cameras[int(camera)] = pinhole(path, camera, model, int(width), int(height), [float(p) for p in parameters])
+    return cameras
+
+
+def read_images_txt(path):
+    lines, images = text_lines(path), []
+    while lines and not lines[-1].strip():
+        lines.pop()
+    for head, body in zip(lines[::2], [*lines[1::2], ""], strict=False):
+        _, *pose, camera, name = head.split(maxsplit=9)
+        points = np.array(body.split()[2::3], dtype=np.int64)
+        pose = [float(p) for p in pose]
+        images.append((name, int(camera), pose[:4], pose[4:], points))
+    return images
+
+
+def read_points_txt(path):
+    rows = [line.split(maxsplit=4)[:4] for line in text_lines(path) if line.strip()]
+    return np.array([int(r[0]) for r in rows], np.int64), np.array([r[1:] for r in rows], float).reshape(-1, 3)
