@@ -9,12 +9,13 @@
 //! - [`fulfilment`] method 3; [`partners`] method 4; [`ranking`] method 5
 //! - [`backends`] what each MVS program can match and the files it reads
 //! - [`plan`] runs the stages; [`output`] makes files appear whole or not at all
-//! - [`config`] every setting; [`progress`] progress and cancellation
+//! - [`config`] every setting; [`progress`] progress and cancellation; [`error`] what errors say beside their message
 
 pub mod backends;
 pub mod camera;
 pub mod confidence;
 pub mod config;
+pub mod error;
 pub mod formats;
 pub mod fulfilment;
 pub mod output;

@@ -1,0 +1,59 @@
+//! `viewrank completions` and `viewrank man`: both come from the definitions that parse the command line.
+
+use clap::{Args, Command, CommandFactory};
+use clap_complete::Shell;
+
+use super::{Failure, print};
+
+/// Print the completion script of a shell.
+///
+/// For bash: viewrank completions bash > ~/.local/share/bash-completion/completions/viewrank
+#[derive(Args)]
+pub struct Arguments {
+    shell: Shell,
+}
+
+/// Print the manual page, of the program or of one subcommand.
+///
+/// To read it: viewrank man plan | man -l -
+#[derive(Args)]
+pub struct ManArguments {
+    /// Subcommand; without it the page of the program.
+    subcommand: Option<String>,
+}
+
+pub fn run(arguments: &Arguments) -> Result<(), Failure> {
+    let mut script = Vec::new();
+    clap_complete::generate(arguments.shell, &mut super::Arguments::command(), "viewrank", &mut script);
+    print(&String::from_utf8_lossy(&script))
+}
+
+pub fn man(arguments: &ManArguments) -> Result<(), Failure> {
+    let definition = definition(arguments.subcommand.as_deref())?;
+    let title = definition.get_display_name().unwrap_or("viewrank").to_owned();
+    let mut page = Vec::new();
+    let rendered = clap_mangen::Man::new(definition).title(title).render(&mut page);
+    rendered.expect("writing to memory does not fail");
+    print(&String::from_utf8_lossy(&page))
+}
+
+/// The definition of the program, or of a subcommand under its full name (`viewrank-plan`, as manual pages are called).
+fn definition(subcommand: Option<&str>) -> Result<Command, Failure> {
+    let mut program = super::Arguments::command();
+    program.build();
+    let Some(name) = subcommand else { return Ok(program) };
+    match program.find_subcommand(name) {
+        Some(found) => Ok(found.clone()),
+        None => Err(Failure::usage(UnknownSubcommand(name.into()))),
+    }
+}
+
+#[derive(Debug, thiserror::Error)]
+#[error("there is no subcommand \"{0}\"")]
+struct UnknownSubcommand(String);
+
+impl viewrank::error::Hint for UnknownSubcommand {
+    fn hint(&self) -> Option<String> {
+        Some("type viewrank --help for the list".into())
+    }
+}

@@ -1,0 +1,91 @@
+//! The command line: one file per subcommand; arguments and printing, no method.
+//!
+//! Data goes to stdout, everything for people to stderr. A subcommand returns `Result<(), Failure>`; each error of the
+//! library becomes a [`Failure`] by `?`, which `main` prints as `error: ...` and `hint: ...`.
+
+mod completions;
+
+use std::{
+    io::{ErrorKind, Write},
+    process::ExitCode,
+};
+
+use clap::{Parser, Subcommand};
+use viewrank::error::Hint;
+
+/// How the program ends.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Exit {
+    Success = 0,
+    /// The input, the disk or the run: what was asked for could not be done.
+    Failed = 1,
+    /// Arguments or settings are wrong; nothing was tried.
+    Usage = 2,
+}
+
+impl From<Exit> for ExitCode {
+    fn from(exit: Exit) -> Self {
+        Self::from(exit as u8)
+    }
+}
+
+/// Why the program ends without success, as it is printed.
+#[derive(Debug)]
+pub struct Failure {
+    pub exit: Exit,
+    message: String,
+    hint: Option<String>,
+}
+
+impl Failure {
+    /// The failure that `error` is, with another exit code than [`Exit::Failed`].
+    pub fn usage(error: impl Hint) -> Self {
+        Self { exit: Exit::Usage, ..error.into() }
+    }
+
+    pub fn print(&self) {
+        eprintln!("error: {}", self.message);
+        if let Some(hint) = &self.hint {
+            eprintln!("hint: {hint}");
+        }
+    }
+}
+
+impl<E: Hint> From<E> for Failure {
+    fn from(error: E) -> Self {
+        Self { exit: Exit::Failed, message: error.to_string(), hint: error.hint() }
+    }
+}
+
+/// Writes data to stdout; a reader that closes the pipe early (`| head`) has had enough, which is no failure.
+fn print(text: &str) -> Result<(), Failure> {
+    let mut stdout = std::io::stdout().lock();
+    match stdout.write_all(text.as_bytes()).and_then(|()| stdout.flush()) {
+        Err(error) if error.kind() != ErrorKind::BrokenPipe => {
+            Err(Failure { exit: Exit::Failed, message: format!("cannot write to stdout: {error}"), hint: None })
+        }
+        _ => Ok(()),
+    }
+}
+
+/// Ranks multi-view stereo view clusters before matching: which key views, with which partners, in which order.
+#[derive(Parser)]
+#[command(name = "viewrank", version, arg_required_else_help = true, max_term_width = 100)]
+struct Arguments {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    Completions(completions::Arguments),
+    Man(completions::ManArguments),
+}
+
+/// Runs the subcommand that was typed. Wrong arguments, `--help` and `--version` end the program inside clap (exit codes 2, 0, 0).
+pub fn run() -> Result<(), Failure> {
+    match Arguments::parse().command {
+        Command::Completions(arguments) => completions::run(&arguments),
+        Command::Man(arguments) => completions::man(&arguments),
+    }
+}
