@@ -148,10 +148,35 @@ impl Scene {
         &self.track_views[self.track(point)]
     }
 
+    /// The median over views of (median depth of the points that the view observes) / (mean focal length in pixels): scene
+    /// units per pixel. Without any view that observes a point in front of it, `None`.
+    pub fn median_gsd(&self) -> Option<f64> {
+        let view_points = self.view_points();
+        let gsds = self.view_indices().filter_map(|view| {
+            let pose = &self.view(view).cam_from_world;
+            let depths = view_points.of(view).iter().map(|&p| pose.camera_from_world(&self.points[p.at()]).z);
+            let depth = median(depths.filter(|&z| z > 0.0).collect())?;
+            Some(depth / self.camera_of(view).mean_focal_length())
+        });
+        median(gsds.collect())
+    }
+
     /// The transpose of the tracks: for each view the points that it observes, ascending, each once.
     pub fn view_points(&self) -> ViewPoints {
         ViewPoints::new(self)
     }
+}
+
+/// The middle of the values, for an even number the mean of the two in the middle.
+fn median(mut values: Vec<f64>) -> Option<f64> {
+    let middle = values.len() / 2;
+    if values.is_empty() {
+        return None;
+    }
+    let even = values.len() % 2 == 0;
+    let (below, &mut high, _) = values.select_nth_unstable_by(middle, f64::total_cmp);
+    let low = below.iter().copied().max_by(f64::total_cmp).filter(|_| even).unwrap_or(high);
+    Some(0.5 * (low + high))
 }
 
 /// Which points each view observes (CSR by view).
@@ -188,5 +213,39 @@ impl ViewPoints {
     /// The points that the view observes, ascending.
     pub fn of(&self, view: ViewIndex) -> &[PointIndex] {
         &self.points[self.offsets[view.at()]..self.offsets[view.at() + 1]]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::camera::CameraModel;
+
+    #[test]
+    fn median_gsd_is_depth_over_focal_length() {
+        let camera = Camera::new(1, CameraModel::Pinhole, 100, 100, vec![90.0, 110.0, 50.0, 50.0]).unwrap();
+        let pose = Pose { rotation: Rotation3::identity(), translation: Vector3::zeros() };
+        let view = |name: &str| View {
+            name: name.into(),
+            image_id: 0,
+            file_position: 0,
+            camera: CameraIndex(0),
+            cam_from_world: pose,
+        };
+        // The point behind both cameras does not count, nor does the view that observes nothing.
+        let scene = Scene {
+            cameras: vec![camera],
+            views: vec![view("a"), view("b"), view("c")],
+            points: [-5.0, 1.0, 2.0, 4.0].map(|z| Point3::new(0.0, 0.0, z)).to_vec(),
+            point_ids: vec![1, 2, 3, 4],
+            colours: vec![[0; 3]; 4],
+            track_offsets: vec![0, 2, 3, 5, 6],
+            track_views: [0, 1, 0, 0, 1, 1].map(ViewIndex).to_vec(),
+            track_pixels: vec![[0.0; 2]; 6],
+            unregistered: Vec::new(),
+        };
+        // View a: depths 1 and 2; view b: 2 and 4.
+        assert_eq!(scene.median_gsd(), Some(0.5 * (1.5 + 3.0) / 100.0));
+        assert_eq!(Scene::default().median_gsd(), None);
     }
 }
