@@ -4,6 +4,16 @@
 //! from outside, `clean` keeps an oriented manifold that views see, `simplify` and `refine` bring its edges to the wanted length;
 //! `terrain` is the 2.5D way for nadir flights, `ply` reads and writes meshes.
 
+pub mod clean;
+pub mod corners;
+pub mod manifold;
+pub mod ply;
+mod quadric;
+pub mod refine;
+#[cfg(test)]
+pub(crate) mod shapes;
+pub mod simplify;
+
 use nalgebra::{Point3, Vector3};
 
 /// How the surface was made.
@@ -44,5 +54,14 @@ impl Surface {
 
     pub fn area(&self, triangle: u32) -> f64 {
         0.5 * self.area_normal(triangle).norm()
+    }
+
+    /// The surface of the triangles to keep, in their order. Vertices that nothing uses go, and a vertex at which only the dropped
+    /// triangles held two fans together is split, so that the result is a manifold again.
+    pub fn keep(&self, keep: &[bool]) -> Surface {
+        let kept = self.triangles.iter().zip(keep).filter_map(|(&t, &k)| k.then_some(t));
+        let rest = Surface { kind: self.kind, vertices: self.vertices.clone(), triangles: kept.collect() };
+        let opposite = corners::opposites(&rest);
+        corners::split_fans(rest, &opposite)
     }
 }

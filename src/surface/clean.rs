@@ -1,0 +1,103 @@
+//! Method 1.4: what is kept of the raw surface, and its repair to an oriented manifold with borders.
+
+use super::{
+    Surface,
+    corners::{BORDER, opposites, split_fans},
+};
+
+/// Edges longer than this many times the 95th percentile of the edges do not belong to the surface.
+const LONG_EDGE_FACTOR: f64 = 25.0;
+/// Components with less than this share of the area and fewer than [`SMALL_COMPONENT_TRIANGLES`] go.
+const SMALL_COMPONENT_AREA: f64 = 0.001;
+const SMALL_COMPONENT_TRIANGLES: usize = 100;
+
+/// Drops facets that are not `seen` or over-long, makes the rest an oriented manifold and drops its small components.
+pub fn clean(surface: &Surface, seen: &[bool]) -> Surface {
+    let limit = edge_percentile(surface, seen, 0.95).map_or(0.0, |p| LONG_EDGE_FACTOR * p);
+    let is_kept = |t: usize| seen[t] && longest_edge(surface, t as u32) <= limit;
+    let keep: Vec<bool> = (0..seen.len()).map(is_kept).collect();
+    drop_small_components(&surface.keep(&keep))
+}
+
+/// The same facets as an oriented manifold with borders: facets that repeat a vertex or a facet go, edges of more than two
+/// facets and vertices of more than one fan are split.
+pub fn make_manifold(mut surface: Surface) -> Surface {
+    surface.triangles.retain(|&[a, b, c]| a != b && b != c && c != a);
+    drop_repeated(&mut surface.triangles);
+    let opposite = opposites(&surface);
+    split_fans(surface, &opposite)
+}
+
+/// Drops triangles that have the same three vertices as an earlier one, whatever their direction.
+fn drop_repeated(triangles: &mut Vec<[u32; 3]>) {
+    let sorted = |t: [u32; 3]| {
+        let mut t = t;
+        t.sort_unstable();
+        t
+    };
+    let mut order: Vec<([u32; 3], u32)> = triangles.iter().enumerate().map(|(i, &t)| (sorted(t), i as u32)).collect();
+    order.sort_unstable();
+    let repeated: Vec<u32> = order.windows(2).filter(|w| w[0].0 == w[1].0).map(|w| w[1].1).collect();
+    if repeated.is_empty() {
+        return;
+    }
+    let mut keep = vec![true; triangles.len()];
+    repeated.iter().for_each(|&t| keep[t as usize] = false);
+    let mut kept = keep.iter();
+    triangles.retain(|_| *kept.next().expect("one flag per triangle"));
+}
+
+fn longest_edge(surface: &Surface, triangle: u32) -> f64 {
+    let [a, b, c] = surface.corners(triangle);
+    (b - a).norm().max((c - b).norm()).max((a - c).norm())
+}
+
+/// That percentile (0 to 1) of the sides of the triangles for which `counts`; `None` without triangles.
+fn edge_percentile(surface: &Surface, counts: &[bool], share: f64) -> Option<f64> {
+    let sides = |t: usize| {
+        let [a, b, c] = surface.corners(t as u32);
+        [(b - a).norm(), (c - b).norm(), (a - c).norm()]
+    };
+    let mut lengths: Vec<f64> = (0..counts.len()).filter(|&t| counts[t]).flat_map(sides).collect();
+    let rank = ((lengths.len() as f64 * share) as usize).min(lengths.len().checked_sub(1)?);
+    Some(*lengths.select_nth_unstable_by(rank, f64::total_cmp).1)
+}
+
+/// Drops components with under 0.1 % of the area and fewer than 100 triangles. The surface must be manifold.
+fn drop_small_components(surface: &Surface) -> Surface {
+    let component = components(surface);
+    let count = component.iter().max().map_or(0, |&c| c as usize + 1);
+    let (mut areas, mut sizes) = (vec![0.0; count], vec![0usize; count]);
+    for (t, &c) in component.iter().enumerate() {
+        areas[c as usize] += surface.area(t as u32);
+        sizes[c as usize] += 1;
+    }
+    let least = SMALL_COMPONENT_AREA * areas.iter().sum::<f64>();
+    let is_kept = |&c: &u32| areas[c as usize] >= least || sizes[c as usize] >= SMALL_COMPONENT_TRIANGLES;
+    let keep: Vec<bool> = component.iter().map(is_kept).collect();
+    surface.keep(&keep)
+}
+
+/// The component (triangles joined by edges) of each triangle, numbered by first triangle.
+fn components(surface: &Surface) -> Vec<u32> {
+    let opposite = opposites(surface);
+    let mut component = vec![BORDER; surface.triangles.len()];
+    let (mut count, mut open) = (0, Vec::new());
+    for t in 0..component.len() {
+        if component[t] != BORDER {
+            continue;
+        }
+        component[t] = count;
+        open.push(t);
+        while let Some(t) = open.pop() {
+            for &across in &opposite[3 * t..3 * t + 3] {
+                if across != BORDER && component[across as usize / 3] == BORDER {
+                    component[across as usize / 3] = count;
+                    open.push(across as usize / 3);
+                }
+            }
+        }
+        count += 1;
+    }
+    component
+}
