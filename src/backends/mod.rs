@@ -1,15 +1,43 @@
 //! The MVS programs that viewrank writes for: one file per backend, everything that is known about it in that file.
+//!
+//! A backend says which pairs it can match and how its confidence runs (what a plan is made for), and turns a [`Selection`] into
+//! the files that make the program compute the chosen view clusters. It returns what is to be written; [`crate::output`] writes.
+
+use std::path::PathBuf;
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
 
 use crate::{
-    confidence::PairConfidence,
-    output::FileSet,
-    partners::PairGeometry,
-    plan::{Plan, Reason},
-    project::Project,
+    confidence::PairConfidence, output::FileSet, partners::PairGeometry, plan::Reason, project::Project,
+    scene::ViewIndex,
 };
 
+mod colmap;
+mod selection;
+mod sgm;
+mod sure;
+
+pub use selection::{RankedCluster, Selection};
+pub use sure::pair_files;
+
+/// Every backend, in the order in which `viewrank backends` lists them.
+pub fn all() -> &'static [&'static dyn Backend] {
+    &[&sure::Sure, &sgm::Sgm, &colmap::Colmap]
+}
+
+/// The backend of that name, as typed behind `--backend`.
+pub fn by_name(name: &str) -> Result<&'static dyn Backend, BackendError> {
+    all().iter().copied().find(|b| b.name() == name).ok_or_else(|| BackendError::Unknown { name: name.into() })
+}
+
+/// The backend that the project is set up for, else SURE.
+pub fn for_project(project: &Project) -> &'static dyn Backend {
+    all().iter().copied().find(|b| b.serves(project)).unwrap_or(&sure::Sure)
+}
+
 /// How far a backend does what the plan says.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Honours {
     Yes,
@@ -19,7 +47,7 @@ pub enum Honours {
 }
 
 /// What a backend honours of a plan.
-#[derive(Clone, Copy, Debug, serde::Serialize)]
+#[derive(Clone, Copy, Debug, Serialize)]
 pub struct Capabilities {
     /// Exactly the given matching partners.
     pub partners: Honours,
@@ -33,9 +61,41 @@ pub struct Capabilities {
     pub notes: &'static str,
 }
 
+/// Which pairs a backend can match at all (method 7.1).
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct Gate {
+    /// Median triangulation angle at the shared points, degrees.
+    pub min_angle_deg: f64,
+    pub max_angle_deg: f64,
+    /// Largest scale ratio of the two images, octaves.
+    pub max_scale_octaves: f64,
+    /// May the centre of one camera be seen in the image of the other?
+    pub epipole_inside: bool,
+}
+
+impl Gate {
+    /// Lets every pair pass that shares points.
+    pub const OPEN: Gate =
+        Gate { min_angle_deg: 0.0, max_angle_deg: 180.0, max_scale_octaves: f64::INFINITY, epipole_inside: true };
+
+    /// Why the pair cannot be matched; `None`: it can.
+    pub fn refusal(&self, pair: &PairGeometry) -> Option<Reason> {
+        let matchable = (self.min_angle_deg..=self.max_angle_deg).contains(&pair.angle_deg)
+            && pair.scale_octaves.abs() <= self.max_scale_octaves
+            && (self.epipole_inside || !pair.epipole_inside);
+        match pair.shared_points {
+            0 => Some(Reason::NoSharedPoints),
+            _ if !matchable => Some(Reason::NotMatchable),
+            _ => None,
+        }
+    }
+}
+
 /// What a backend contributes to planning, each with where it was measured.
-#[derive(Clone, Copy, Debug, serde::Serialize)]
+#[derive(Clone, Copy, Debug, Serialize)]
 pub struct PlanningNumbers {
+    /// Method 7.1.
+    pub gate: Gate,
     /// Method 7.2.
     pub confidence: PairConfidence,
     /// Depth maps that must see a triangle (m, method 5.2).
@@ -54,7 +114,9 @@ pub trait Backend: Sync {
     fn planning(&self) -> PlanningNumbers;
 
     /// Why the backend cannot match the pair; `None`: it can (method 7.1).
-    fn refusal(&self, pair: &PairGeometry) -> Option<Reason>;
+    fn refusal(&self, pair: &PairGeometry) -> Option<Reason> {
+        self.planning().gate.refusal(pair)
+    }
 
     /// The same for all pairs of one key view that share points, most shared points first, where one pair decides about another.
     fn refusals(&self, pairs: &[PairGeometry]) -> Vec<Option<Reason>> {
@@ -67,24 +129,184 @@ pub trait Backend: Sync {
         false
     }
 
-    /// What is to be written; writes nothing.
-    fn files(&self, plan: &Plan, project: &Project, options: &ExportOptions) -> Result<FileSet, BackendError>;
+    /// What is to be written for the selection; writes nothing.
+    fn export(&self, selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError>;
+}
+
+/// Which views COLMAP makes depth maps for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema, clap::ValueEnum)]
+pub enum References {
+    /// The key views.
+    #[serde(rename = "keys")]
+    #[value(name = "keys")]
+    Keys,
+    /// The key views and, photometric only, their partners: what geometric consistency needs.
+    #[serde(rename = "keys+partners")]
+    #[value(name = "keys+partners")]
+    KeysAndPartners,
+    /// Every view of the model, key views first.
+    #[serde(rename = "all")]
+    #[value(name = "all")]
+    All,
 }
 
 /// What a user can choose about an export.
 #[derive(Clone, Debug, Default)]
 pub struct ExportOptions {
     /// Where the files go; `None`: the backend's own place in the project.
-    pub out: Option<std::path::PathBuf>,
+    pub out: Option<PathBuf>,
+    /// COLMAP; unset: `keys+partners` with geometric consistency, else `keys`.
+    pub refs: Option<References>,
+    /// COLMAP: depth maps checked against those of their partners. Unset: off, unless `refs` asks for partners' maps.
+    pub geometric: Option<bool>,
+}
+
+/// What is to be written for a backend, and what is to be known about it.
+#[derive(Clone, Debug)]
+pub struct Export {
+    pub files: FileSet,
+    /// Also in `files`, as `export.json`.
+    pub record: ExportRecord,
+}
+
+/// What an export promises and what it doesn't: written beside the files and into the manifest.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct ExportRecord {
+    pub backend: String,
+    /// Programs and versions that the files were made for.
+    pub made_for: String,
+    /// Which of several ways was taken.
+    pub way: String,
+    /// Commands to type, in order, relative to the folder of the files.
+    pub commands: Vec<String>,
+    /// What of the plan the backend will not do.
+    pub not_honoured: Vec<String>,
+    /// What should be known before running it.
+    pub warnings: Vec<String>,
+    /// Depth maps of key views that will be computed.
+    pub key_maps: usize,
+    /// Depth maps of other views that the way needs.
+    pub other_maps: usize,
+    /// Factor from scene units to the units of the files.
+    pub scale: f64,
+    /// Added to COLMAP's pixel coordinates (centre of the first pixel 0.5, 0.5) in the files.
+    pub pixel_shift: f64,
+    /// Options of the step that joins the depth maps, and why.
+    pub fusion: String,
+    /// The clusters in rank order, as the backend knows them.
+    pub clusters: Vec<ExportedCluster>,
+}
+
+/// A view cluster in an export.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct ExportedCluster {
+    /// From 1.
+    pub rank: usize,
+    pub key: ExportedView,
+    /// Best first.
+    pub partners: Vec<ExportedView>,
+}
+
+/// A view as the model and as the backend know it.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct ExportedView {
+    pub name: String,
+    pub image_id: u32,
+    /// Index or name in the backend's files.
+    pub target: String,
+}
+
+impl ExportRecord {
+    /// A record for the selection, views known to the backend as `target` says.
+    fn new(backend: &dyn Backend, selection: &Selection, target: impl Fn(ViewIndex) -> String) -> Self {
+        let view = |v: ViewIndex| ExportedView {
+            name: selection.scene.name(v).into(),
+            image_id: selection.scene.view(v).image_id,
+            target: target(v),
+        };
+        let cluster = |(i, c): (usize, &RankedCluster)| ExportedCluster {
+            rank: i + 1,
+            key: view(c.key),
+            partners: c.partners.iter().map(|&p| view(p)).collect(),
+        };
+        Self {
+            backend: backend.name().into(),
+            key_maps: selection.clusters.len(),
+            scale: 1.0,
+            clusters: selection.clusters.iter().enumerate().map(cluster).collect(),
+            ..Self::default()
+        }
+    }
+
+    /// The contents of `export.json`.
+    fn to_json(&self) -> String {
+        serde_json::to_string_pretty(self).expect("a record has string keys and finite numbers") + "\n"
+    }
 }
 
 /// Why a backend's files cannot be made.
 #[derive(Debug, thiserror::Error)]
 pub enum BackendError {
+    #[error("no backend \"{name}\"")]
+    Unknown { name: String },
     #[error("{backend} cannot take the image name \"{name}\": {why}")]
-    Name { backend: &'static str, name: String, why: String, hint: String },
+    Name { backend: &'static str, name: String, why: String },
     #[error("{backend} needs {what}")]
     Needs { backend: &'static str, what: String, hint: String },
     #[error("{path}: {source}")]
-    Io { path: std::path::PathBuf, source: std::io::Error },
+    Io { path: PathBuf, source: std::io::Error },
+}
+
+impl BackendError {
+    /// What to do about it.
+    pub fn hint(&self) -> String {
+        match self {
+            Self::Unknown { .. } => {
+                format!("take one of {}", all().iter().map(|b| b.name()).collect::<Vec<_>>().join(", "))
+            }
+            Self::Name { .. } => "rename the image file and its entry in the model, then plan again".into(),
+            Self::Needs { hint, .. } => hint.clone(),
+            Self::Io { .. } => "check that the file is there and readable".into(),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_are_unique_and_found() {
+        for backend in all() {
+            assert_eq!(by_name(backend.name()).unwrap().name(), backend.name());
+            assert_eq!(all().iter().filter(|b| b.name() == backend.name()).count(), 1);
+        }
+        assert!(by_name("nothing").is_err_and(|e| e.hint().contains("sure")));
+    }
+
+    #[test]
+    fn a_gate_refuses_what_is_outside_of_it() {
+        let gate = Gate { min_angle_deg: 1.0, max_angle_deg: 60.0, max_scale_octaves: 0.5, epipole_inside: false };
+        let good = PairGeometry {
+            key: ViewIndex(0),
+            partner: ViewIndex(1),
+            shared_points: 20,
+            angle_deg: 10.0,
+            still_share: 0.0,
+            scale_octaves: -0.4,
+            epipole_inside: false,
+        };
+        assert_eq!(gate.refusal(&good), None);
+        assert_eq!(gate.refusal(&PairGeometry { shared_points: 0, ..good }), Some(Reason::NoSharedPoints));
+        for bad in [
+            PairGeometry { angle_deg: 0.9, ..good },
+            PairGeometry { angle_deg: 61.0, ..good },
+            PairGeometry { angle_deg: f64::NAN, ..good },
+            PairGeometry { scale_octaves: -0.6, ..good },
+            PairGeometry { epipole_inside: true, ..good },
+        ] {
+            assert_eq!(gate.refusal(&bad), Some(Reason::NotMatchable), "{bad:?}");
+            assert_eq!(Gate::OPEN.refusal(&bad).is_none(), !bad.angle_deg.is_nan());
+        }
+    }
 }

@@ -1,0 +1,112 @@
+//! Grammar of `patch-match.cfg` and `fusion.cfg`, as COLMAP 3.8 to 4.x read them (mvs/patch_match.cc, mvs/fusion.cc).
+//!
+//! `patch-match.cfg`: lines, trimmed; empty ones and those that begin with `#` vanish; what remains are pairs of a reference image
+//! and its sources, `,` or `;` between. There is no escape, and an empty list of sources would shift all later pairs by a line.
+
+use crate::backends::BackendError;
+
+/// One problem of patch match: the reference image and its sources, never empty.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Problem {
+    pub reference: String,
+    pub sources: Vec<String>,
+}
+
+/// The text of a `patch-match.cfg`; `heading` becomes comment lines.
+pub fn write_patch_match(heading: &[String], problems: &[Problem]) -> String {
+    let mut text: String = heading.iter().map(|line| format!("# {line}\n")).collect();
+    for problem in problems {
+        debug_assert!(!problem.sources.is_empty());
+        text += &format!("{}\n{}\n", problem.reference, problem.sources.join(", "));
+    }
+    text
+}
+
+/// What COLMAP understands of a `patch-match.cfg`. A last reference without a line of sources is dropped, as there.
+pub fn read_patch_match(text: &str) -> Vec<Problem> {
+    let lines: Vec<&str> = text.lines().map(trim).filter(|l| !l.is_empty() && !l.starts_with('#')).collect();
+    let problem = |pair: &[&str]| Problem {
+        reference: pair[0].into(),
+        sources: pair[1].split([',', ';']).map(trim).filter(|s| !s.is_empty()).map(Into::into).collect(),
+    };
+    lines.chunks_exact(2).map(problem).collect()
+}
+
+/// Can the name stand in both files, as a reference and as a source?
+pub fn check_name(backend: &'static str, name: &str) -> Result<(), BackendError> {
+    let why = if name.contains([',', ';']) {
+        "`,` and `;` separate names in patch-match.cfg and cannot be escaped"
+    } else if name.starts_with('#') {
+        "a line that begins with `#` is a comment in patch-match.cfg"
+    } else if name.contains(['\n', '\r']) {
+        "a line break ends an entry of patch-match.cfg"
+    } else if trim(name) != name {
+        "blanks at the ends of a name are cut off in patch-match.cfg"
+    } else if name == "__all__" || name == "__auto__" {
+        "it is a keyword of patch-match.cfg"
+    } else {
+        return Ok(());
+    };
+    Err(BackendError::Name { backend, name: name.into(), why: why.into() })
+}
+
+/// COLMAP's `StringTrim` removes ASCII white space only.
+fn trim(text: &str) -> &str {
+    text.trim_matches(|c: char| c.is_ascii_whitespace() || c == '\x0b')
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    proptest! {
+        /// Whatever is written is read back as it was meant.
+        #[test]
+        fn colmap_empty_source_line_shifts_pairs(
+            problems in prop::collection::vec(("[^,;\r\n]{1,8}", prop::collection::vec("[^,;\r\n]{1,8}", 1..5)), 0..6),
+        ) {
+            let problems: Vec<_> = problems.into_iter().map(|(reference, sources)| Problem { reference, sources }).collect();
+            let names = problems.iter().flat_map(|p| std::iter::once(&p.reference).chain(&p.sources));
+            prop_assume!(names.into_iter().all(|n| check_name("colmap", n).is_ok()));
+            let text = write_patch_match(&["ranked".into()], &problems);
+            prop_assert_eq!(read_patch_match(&text), problems);
+        }
+    }
+
+    #[test]
+    fn reads_like_colmap() {
+        let text = "# comment\n\n  a b.jpg \r\n c.jpg,d.jpg ; e.jpg,\n\nc.jpg\n__auto__, 20\nlast.jpg\n";
+        let read = read_patch_match(text);
+        assert_eq!(read.len(), 2);
+        assert_eq!(read[0].reference, "a b.jpg");
+        assert_eq!(read[0].sources, ["c.jpg", "d.jpg", "e.jpg"]);
+        assert_eq!(read[1].sources, ["__auto__", "20"]);
+    }
+
+    fn refused(name: &str) -> bool {
+        check_name("colmap", name).is_err_and(|e| e.to_string().contains(name.trim()) && !e.hint().is_empty())
+    }
+
+    #[test]
+    fn colmap_comma_in_name() {
+        assert!(refused("a,b.jpg"));
+    }
+
+    #[test]
+    fn colmap_semicolon_in_name() {
+        assert!(refused("a;b.jpg"));
+    }
+
+    #[test]
+    fn colmap_hash_name() {
+        assert!(refused("#a.jpg"));
+    }
+
+    #[test]
+    fn colmap_blank_edge_name() {
+        assert!(refused(" a.jpg") && refused("a.jpg\t"));
+        assert!(check_name("colmap", "flight 1/a b.jpg").is_ok());
+    }
+}

@@ -1,0 +1,336 @@
+//! COLMAP's dense stereo, 3.8 to 4.x: `backends.md` 1.
+//!
+//! `stereo/patch-match.cfg` always runs through with the options at its head, `stereo/viewrank/run.sh` runs all steps. What makes this hard is
+//! geometric consistency: it needs the photometric depth maps of every partner, and a partner that isn't a reference image never gets one.
+//! Four ways, by [`ExportOptions::refs`] and [`ExportOptions::geometric`]:
+//!
+//! | refs | geometric | depth maps |
+//! | --- | --- | --- |
+//! | keys | off | photometric of the key views, with exactly their partners |
+//! | keys+partners | on | photometric of key views and partners, then geometric of the key views, with exactly their partners |
+//! | keys | on | photometric of the key views, then geometric with those partners that are key views |
+//! | all | on or off | every view: key views first, with exactly their partners |
+//!
+//! With geometric consistency the ranked list is cut into batches, so that a run that is stopped leaves whole results of the best clusters.
+
+use std::collections::HashSet;
+
+use self::{
+    cfg::Problem,
+    finished::{Lists, Made, map_name},
+};
+use super::{
+    Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Gate, Honours, PlanningNumbers,
+    References, Selection, selection,
+};
+use crate::{
+    confidence::PairConfidence,
+    output::{Contents, FileSet},
+    project::Project,
+    scene::ViewIndex,
+};
+
+mod cfg;
+mod finished;
+
+pub struct Colmap;
+
+/// Key views per batch of a run with geometric consistency.
+const BATCH: usize = 10;
+
+impl Backend for Colmap {
+    fn name(&self) -> &'static str {
+        "colmap"
+    }
+
+    fn capabilities(&self) -> Capabilities {
+        Capabilities {
+            partners: Honours::Yes,
+            key_subset: Honours::Yes,
+            order: Honours::Yes,
+            fusion: "stereo_fusion of the key views' maps, by stereo/fusion.cfg",
+            notes: "partners are a set, their order is lost; the order of key views is exact with one GPU; geometric consistency \
+                    needs photometric maps of the partners too (--refs keys+partners)",
+        }
+    }
+
+    fn planning(&self) -> PlanningNumbers {
+        PlanningNumbers {
+            gate: Gate { min_angle_deg: 3.0, max_angle_deg: 60.0, max_scale_octaves: 1.68, epipole_inside: true },
+            confidence: PairConfidence {
+                min_matches: 1,
+                p0: 0.6,
+                cosine_power: 0.5,
+                scale_octaves: None,
+                full_angle_deg: Some(8.0),
+            },
+            support: 2,
+            source: "3 degrees is COLMAP's filter_min_triangulation_angle; the rest was measured with OpenMVS, the other PatchMatch \
+                     (method 7.1, 7.2), not with COLMAP; support 2: stereo_fusion joins what at least min_num_pixels maps see, \
+                     which the runner sets to 2 to 5",
+        }
+    }
+
+    fn serves(&self, project: &Project) -> bool {
+        project.dense_workspace.is_some()
+    }
+
+    fn export(&self, selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {
+        for view in selection.views() {
+            cfg::check_name(self.name(), selection.scene.name(view))?;
+        }
+        let passes = Passes::new(selection, options);
+        let mut record = ExportRecord::new(self, selection, |v| selection.scene.name(v).into());
+        passes.describe(selection, &mut record);
+        let root = options.out.clone().or_else(|| selection.project.dense_workspace.clone());
+        let mut files =
+            FileSet::new(root.unwrap_or_else(|| selection.project.output_folder().join("colmap")), "colmap");
+        passes.add_files(selection, &mut files, &mut record);
+        add_lists(passes.lists(), &mut files, &mut record);
+        files.add_text("stereo/viewrank/export.json", record.to_json());
+        Ok(Export { files, record })
+    }
+}
+
+/// What patch match is to compute: each list in the order of computation.
+struct Passes {
+    refs: References,
+    geometric: bool,
+    /// The first, photometric pass where a geometric one follows.
+    first: Vec<Problem>,
+    /// The last pass: what is fused.
+    last: Vec<Problem>,
+}
+
+impl Passes {
+    fn new(selection: &Selection, options: &ExportOptions) -> Self {
+        let geometric = options.geometric.unwrap_or(options.refs == Some(References::KeysAndPartners));
+        let refs = options.refs.unwrap_or(if geometric { References::KeysAndPartners } else { References::Keys });
+        let with_points = views_with_points(selection);
+        let keys = key_problems(selection, &with_points);
+        let all = [keys.clone(), other_problems(selection, refs, &with_points)].concat();
+        let (first, last) = match (geometric, refs) {
+            (false, _) => (Vec::new(), all),
+            (true, References::Keys) => {
+                let last = with_sources_among(&keys, &keys);
+                (keys, last)
+            }
+            (true, References::KeysAndPartners) => (all, keys),
+            (true, References::All) => (all.clone(), all),
+        };
+        Self { refs, geometric, first, last }
+    }
+
+    /// The list that runs through with COLMAP's default options, or with `geom_consistency 0` where not geometric.
+    fn main_list(&self) -> &[Problem] {
+        if self.geometric && self.refs != References::Keys { &self.first } else { &self.last }
+    }
+
+    fn describe(&self, selection: &Selection, record: &mut ExportRecord) {
+        let last: HashSet<&str> = self.last.iter().map(|p| p.reference.as_str()).collect();
+        let maps = self.first.len().max(self.last.len());
+        record.made_for = "COLMAP 3.8 to 4.x".into();
+        record.way = format!(
+            "refs {}, geometric {}",
+            serde_json::to_value(self.refs).expect("a plain enum").as_str().unwrap_or_default(),
+            if self.geometric { "on" } else { "off" }
+        );
+        record.not_honoured.push("the order of the partners of a key view".into());
+        record.key_maps = selection.clusters.iter().filter(|c| last.contains(selection.scene.name(c.key))).count();
+        record.other_maps = maps - record.key_maps.min(maps);
+        for cluster in selection.clusters {
+            let key = selection.scene.name(cluster.key);
+            if !last.contains(key) {
+                record
+                    .not_honoured
+                    .push(format!("{key}: none of its partners is a key view, so no geometric depth map"));
+            }
+            let width = |v: &ViewIndex| selection.scene.camera_of(*v).width;
+            if cluster.partners.iter().any(|p| width(p) != width(&cluster.partners[0])) {
+                record.warnings.push(format!(
+                    "{key}: its partners differ in width; COLMAP 4.0 and later may copy the narrower ones wrongly to the GPU"
+                ));
+            }
+        }
+        if self.geometric && self.refs == References::Keys {
+            record.not_honoured.push("partners that are no key views take part in the photometric pass only".into());
+        }
+    }
+
+    fn add_files(&self, selection: &Selection, files: &mut FileSet, record: &mut ExportRecord) {
+        let geometric = |on: bool| format!("--PatchMatchStereo.geom_consistency {} ", u8::from(on));
+        let heading = [
+            format!("viewrank, {}: references in rank order, each followed by its partners", record.way),
+            format!("patch_match_stereo {}", geometric(self.geometric).trim()),
+        ];
+        files.add_text("stereo/patch-match.cfg", cfg::write_patch_match(&heading, self.main_list()));
+        let fused: String = self.last.iter().map(|p| p.reference.clone() + "\n").collect();
+        files.add_text("stereo/fusion.cfg", fused);
+        let mut patch_match = |config: &str, options: &str| {
+            let size = max_image_size(selection);
+            record
+                .commands
+                .push(format!("colmap patch_match_stereo --workspace_path . --config_path {config} {options}{size}"));
+        };
+        if self.geometric {
+            for (i, (first, last)) in self.batches().iter().enumerate() {
+                let name = |pass| format!("stereo/viewrank/{:04}-{pass}.cfg", i + 1);
+                if !first.is_empty() {
+                    files.add_text(name("photometric"), cfg::write_patch_match(&[], first));
+                    patch_match(&name("photometric"), &(geometric(false) + "--PatchMatchStereo.filter 0"));
+                }
+                files.add_text(name("geometric"), cfg::write_patch_match(&[], last));
+                patch_match(&name("geometric"), geometric(true).trim());
+            }
+        } else {
+            patch_match("stereo/patch-match.cfg", &(geometric(false) + "--PatchMatchStereo.filter 1"));
+        }
+        self.add_fusion(selection, record);
+        for folder in map_folders(self.main_list()) {
+            files.add(folder, Contents::Folder);
+        }
+        files.add("stereo/viewrank/run.sh", Contents::Script(runner(record).into_bytes()));
+    }
+
+    /// The depth maps that will be made, and how.
+    fn lists(&self) -> Lists {
+        let maps = |problems: &[Problem], kind: &str, filtered: bool| -> Vec<_> {
+            problems.iter().map(|p| (map_name(&p.reference, kind), Made::new(p, filtered))).collect()
+        };
+        let first = maps(&self.first, "photometric", false);
+        let last = maps(&self.last, if self.geometric { "geometric" } else { "photometric" }, !self.geometric);
+        Lists::new(first.into_iter().chain(last).collect())
+    }
+
+    /// The last pass in pieces of [`BATCH`], each with the photometric maps that it needs and that no earlier piece made.
+    fn batches(&self) -> Vec<(Vec<Problem>, Vec<Problem>)> {
+        let mut made = HashSet::new();
+        let batch = |last: &[Problem]| {
+            let needed: HashSet<&str> =
+                last.iter().flat_map(|p| std::iter::once(&p.reference).chain(&p.sources)).map(String::as_str).collect();
+            let wanted = |p: &&Problem| needed.contains(p.reference.as_str()) && made.insert(p.reference.clone());
+            (self.first.iter().filter(wanted).cloned().collect(), last.to_vec())
+        };
+        self.last.chunks(BATCH).map(batch).collect()
+    }
+
+    fn add_fusion(&self, selection: &Selection, record: &mut ExportRecord) {
+        let typical = if self.refs == References::All { 5 } else { selection.typical_key_views_per_point() };
+        let min_pixels = typical.clamp(2, 5);
+        let kind = if self.geometric { "geometric" } else { "photometric" };
+        record.commands.push(format!(
+            "colmap stereo_fusion --workspace_path . --input_type {kind} --StereoFusion.min_num_pixels {min_pixels} \
+             --StereoFusion.check_num_images {} --output_path fused.ply",
+            selection.scene.views.len()
+        ));
+        record.fusion = format!(
+            "min_num_pixels {min_pixels}: a sparse point is typically seen by {typical} key views (COLMAP's default of 5 leaves nothing \
+             where fewer see it); check_num_images: key views are joined although other views overlap them more"
+        );
+    }
+}
+
+/// Notes the lists and reports the finished maps that don't fit them.
+fn add_lists(mut lists: Lists, files: &mut FileSet, record: &mut ExportRecord) {
+    let stale = lists.follow(&files.root);
+    if !stale.is_empty() {
+        record.warnings.push(format!(
+            "{} finished depth maps were made with other partners or options, or nobody knows how, and COLMAP would keep them ({}{}): \
+             `stereo/viewrank/run.sh --replace` makes them anew",
+            stale.len(),
+            stale[0],
+            if stale.len() > 1 { ", ..." } else { "" }
+        ));
+    }
+    files.add_text("stereo/viewrank/replace.txt", stale.iter().map(|map| map.clone() + "\n").collect::<String>());
+    files.add_text(finished::NOTE, lists.to_json());
+}
+
+/// For each view: does it observe a sparse point? COLMAP takes the depth range from them and ends the whole run at a view without any.
+fn views_with_points(selection: &Selection) -> Vec<bool> {
+    let points = selection.scene.view_points();
+    selection.scene.view_indices().map(|v| !selection::depths(selection.scene, &points, v).is_empty()).collect()
+}
+
+/// The chosen clusters as problems, in rank order.
+fn key_problems(selection: &Selection, with_points: &[bool]) -> Vec<Problem> {
+    let name = |v: ViewIndex| selection.scene.name(v).to_owned();
+    let problem = |c: &super::RankedCluster| Problem {
+        reference: name(c.key),
+        sources: c.partners.iter().map(|&p| name(p)).collect(),
+    };
+    selection.clusters.iter().filter(|c| with_points[c.key.at()] && !c.partners.is_empty()).map(problem).collect()
+}
+
+/// Views that aren't key views but need a depth map, by name; their sources are those with most shared points that have maps too.
+fn other_problems(selection: &Selection, refs: References, with_points: &[bool]) -> Vec<Problem> {
+    let scene = selection.scene;
+    let views = match refs {
+        References::Keys => return Vec::new(),
+        References::KeysAndPartners => selection.views(),
+        References::All => scene.view_indices().collect(),
+    };
+    let is_key = selection.is_key();
+    let points = scene.view_points();
+    let count = selection.most_partners().max(1);
+    let problem = |&v: &ViewIndex| {
+        let shared = selection::shared_points(scene, &points, v);
+        let mut sources: Vec<_> = views.iter().copied().filter(|s| shared[s.at()] > 0 && with_points[s.at()]).collect();
+        sources.sort_by_key(|s| std::cmp::Reverse(shared[s.at()]));
+        sources.truncate(count);
+        Problem {
+            reference: scene.name(v).into(),
+            sources: sources.into_iter().map(|s| scene.name(s).to_owned()).collect(),
+        }
+    };
+    let others = views.iter().filter(|v| !is_key[v.at()] && with_points[v.at()]);
+    others.map(problem).filter(|p| !p.sources.is_empty()).collect()
+}
+
+/// The problems with only those sources that are references of `among`; problems without any are left out.
+fn with_sources_among(problems: &[Problem], among: &[Problem]) -> Vec<Problem> {
+    let references: HashSet<&str> = among.iter().map(|p| p.reference.as_str()).collect();
+    let reduced = |p: &Problem| Problem {
+        reference: p.reference.clone(),
+        sources: p.sources.iter().filter(|s| references.contains(s.as_str())).cloned().collect(),
+    };
+    problems.iter().map(reduced).filter(|p| !p.sources.is_empty()).collect()
+}
+
+/// The option that makes COLMAP match at the planned size.
+fn max_image_size(selection: &Selection) -> String {
+    if selection.image_scale >= 1.0 {
+        return String::new();
+    }
+    let long_side = selection.scene.cameras.iter().map(|c| c.width.max(c.height)).max().unwrap_or(0);
+    format!(" --PatchMatchStereo.max_image_size {}", (f64::from(long_side) * selection.image_scale).ceil())
+}
+
+/// Patch match makes no folders: one for each sub-folder of a name, under each kind of map.
+fn map_folders(problems: &[Problem]) -> Vec<String> {
+    let mut subfolders: Vec<&str> =
+        problems.iter().map(|p| p.reference.rsplit_once('/').map_or("", |(folder, _)| folder)).collect();
+    subfolders.sort_unstable();
+    subfolders.dedup();
+    let kinds = ["depth_maps", "normal_maps", "consistency_graphs"];
+    let folder = |sub: &&str| kinds.map(|kind| format!("stereo/{kind}/{sub}").trim_end_matches('/').to_owned());
+    subfolders.iter().flat_map(folder).collect()
+}
+
+/// `run.sh`: the commands of the record, from the workspace.
+fn runner(record: &ExportRecord) -> String {
+    let commands = record.commands.iter().map(|c| c.replacen("colmap", "\"${COLMAP:-colmap}\"", 1) + "\n");
+    format!("{RUNNER_HEAD}# {}\n{}", record.way, commands.collect::<String>())
+}
+
+const RUNNER_HEAD: &str = r#"#!/bin/sh
+# Computes and fuses the depth maps of viewrank's plan. Maps that are there already are kept; with --replace, those that were made
+# with other partners are removed first. COLMAP=/path/to/colmap run.sh takes another program.
+set -eu
+cd "$(dirname "$0")/../.."
+if [ "${1:-}" = --replace ]; then
+    while IFS= read -r map; do
+        rm -f -- "stereo/depth_maps/$map" "stereo/normal_maps/$map" "stereo/consistency_graphs/$map"
+    done < stereo/viewrank/replace.txt
+fi
+"#;

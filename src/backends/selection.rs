@@ -1,0 +1,87 @@
+//! What a backend is handed: the scene and the chosen view clusters in rank order.
+
+use crate::{
+    project::Project,
+    scene::{Scene, ViewIndex, ViewPoints},
+};
+
+/// A view cluster with its place in the ranking.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RankedCluster {
+    pub key: ViewIndex,
+    /// Best first.
+    pub partners: Vec<ViewIndex>,
+    /// Share of what all clusters together reach, after this one.
+    pub share: f64,
+}
+
+/// The chosen view clusters of a scene.
+#[derive(Clone, Copy, Debug)]
+pub struct Selection<'a> {
+    pub project: &'a Project,
+    pub scene: &'a Scene,
+    /// In rank order, up to the cut; each view is the key view of at most one.
+    pub clusters: &'a [RankedCluster],
+    /// Size of the matched images over the model's images.
+    pub image_scale: f64,
+}
+
+impl Selection<'_> {
+    /// Every view that takes part, ascending by name.
+    pub fn views(&self) -> Vec<ViewIndex> {
+        let mut views: Vec<_> =
+            self.clusters.iter().flat_map(|c| std::iter::once(c.key).chain(c.partners.iter().copied())).collect();
+        views.sort_unstable();
+        views.dedup();
+        views
+    }
+
+    /// For each view of the scene: is it a key view?
+    pub fn is_key(&self) -> Vec<bool> {
+        let mut is_key = vec![false; self.scene.views.len()];
+        self.clusters.iter().for_each(|c| is_key[c.key.at()] = true);
+        is_key
+    }
+
+    /// The most partners that a cluster has.
+    pub fn most_partners(&self) -> usize {
+        self.clusters.iter().map(|c| c.partners.len()).max().unwrap_or(0)
+    }
+
+    /// Median, over the sparse points that a key view observes, of the number of key views that observe the point.
+    pub fn typical_key_views_per_point(&self) -> usize {
+        let is_key = self.is_key();
+        let mut counts: Vec<usize> = (0..self.scene.points.len() as u32)
+            .map(|p| {
+                let mut views: Vec<_> = self.scene.track_views(crate::scene::PointIndex(p)).to_vec();
+                views.dedup();
+                views.iter().filter(|v| is_key[v.at()]).count()
+            })
+            .filter(|&n| n > 0)
+            .collect();
+        let middle = counts.len() / 2;
+        if counts.is_empty() { 0 } else { *counts.select_nth_unstable(middle).1 }
+    }
+}
+
+/// Depths of the points that the view observes, in front of it, ascending, scene units.
+pub fn depths(scene: &Scene, points: &ViewPoints, view: ViewIndex) -> Vec<f64> {
+    let pose = &scene.view(view).cam_from_world;
+    let depth = |&p: &crate::scene::PointIndex| pose.camera_from_world(&scene.points[p.at()]).z;
+    let mut depths: Vec<f64> = points.of(view).iter().map(depth).filter(|z| *z > 0.0).collect();
+    depths.sort_unstable_by(f64::total_cmp);
+    depths
+}
+
+/// How many sparse points each view of the scene shares with `view`; 0 for itself.
+pub fn shared_points(scene: &Scene, points: &ViewPoints, view: ViewIndex) -> Vec<u32> {
+    let mut shared = vec![0; scene.views.len()];
+    for &p in points.of(view) {
+        let track = scene.track_views(p);
+        for (i, v) in track.iter().enumerate() {
+            shared[v.at()] += u32::from(i == 0 || track[i - 1] != *v);
+        }
+    }
+    shared[view.at()] = 0;
+    shared
+}
