@@ -9,7 +9,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::{
-    confidence::PairConfidence, output::FileSet, partners::PairGeometry, plan::Reason, project::Project,
+    confidence::PairConfidence, error::Hint, output::FileSet, partners::PairGeometry, plan::Reason, project::Project,
     scene::ViewIndex,
 };
 
@@ -83,7 +83,7 @@ impl Gate {
         let matchable = (self.min_angle_deg..=self.max_angle_deg).contains(&pair.angle_deg)
             && pair.scale_octaves.abs() <= self.max_scale_octaves
             && (self.epipole_inside || !pair.epipole_inside);
-        match pair.shared_points {
+        match pair.shared.len() {
             0 => Some(Reason::NoSharedPoints),
             _ if !matchable => Some(Reason::NotMatchable),
             _ => None,
@@ -257,23 +257,23 @@ pub enum BackendError {
     Io { path: PathBuf, source: std::io::Error },
 }
 
-impl BackendError {
-    /// What to do about it.
-    pub fn hint(&self) -> String {
-        match self {
+impl Hint for BackendError {
+    fn hint(&self) -> Option<String> {
+        Some(match self {
             Self::Unknown { .. } => {
                 format!("take one of {}", all().iter().map(|b| b.name()).collect::<Vec<_>>().join(", "))
             }
             Self::Name { .. } => "rename the image file and its entry in the model, then plan again".into(),
             Self::Needs { hint, .. } => hint.clone(),
             Self::Io { .. } => "check that the file is there and readable".into(),
-        }
+        })
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::scene::{PointIndex, Scene};
 
     #[test]
     fn names_are_unique_and_found() {
@@ -281,23 +281,25 @@ mod tests {
             assert_eq!(by_name(backend.name()).unwrap().name(), backend.name());
             assert_eq!(all().iter().filter(|b| b.name() == backend.name()).count(), 1);
         }
-        assert!(by_name("nothing").is_err_and(|e| e.hint().contains("sure")));
+        assert!(by_name("nothing").is_err_and(|e| e.hint().unwrap().contains("sure")));
     }
 
     #[test]
     fn a_gate_refuses_what_is_outside_of_it() {
         let gate = Gate { min_angle_deg: 1.0, max_angle_deg: 60.0, max_scale_octaves: 0.5, epipole_inside: false };
+        let scene = Scene::default();
         let good = PairGeometry {
+            scene: &scene,
             key: ViewIndex(0),
             partner: ViewIndex(1),
-            shared_points: 20,
+            shared: &[PointIndex(3)],
             angle_deg: 10.0,
             still_share: 0.0,
             scale_octaves: -0.4,
             epipole_inside: false,
         };
         assert_eq!(gate.refusal(&good), None);
-        assert_eq!(gate.refusal(&PairGeometry { shared_points: 0, ..good }), Some(Reason::NoSharedPoints));
+        assert_eq!(gate.refusal(&PairGeometry { shared: &[], ..good }), Some(Reason::NoSharedPoints));
         for bad in [
             PairGeometry { angle_deg: 0.9, ..good },
             PairGeometry { angle_deg: 61.0, ..good },
@@ -305,7 +307,7 @@ mod tests {
             PairGeometry { scale_octaves: -0.6, ..good },
             PairGeometry { epipole_inside: true, ..good },
         ] {
-            assert_eq!(gate.refusal(&bad), Some(Reason::NotMatchable), "{bad:?}");
+            assert_eq!(gate.refusal(&bad), Some(Reason::NotMatchable));
             assert_eq!(Gate::OPEN.refusal(&bad).is_none(), !bad.angle_deg.is_nan());
         }
     }

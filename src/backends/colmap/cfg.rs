@@ -60,6 +60,7 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
+    use crate::error::Hint;
 
     proptest! {
         /// Whatever is written is read back as it was meant.
@@ -86,7 +87,7 @@ mod tests {
     }
 
     fn refused(name: &str) -> bool {
-        check_name("colmap", name).is_err_and(|e| e.to_string().contains(name.trim()) && !e.hint().is_empty())
+        check_name("colmap", name).is_err_and(|e| e.to_string().contains(name.trim()) && e.hint().is_some())
     }
 
     #[test]
