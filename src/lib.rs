@@ -15,6 +15,7 @@ pub mod backends;
 pub mod camera;
 pub mod confidence;
 pub mod config;
+pub mod daemon;
 pub mod error;
 pub mod formats;
 pub mod fulfilment;

@@ -1,0 +1,325 @@
+//! What the daemon knows of one project, as a state machine without a file system or a clock of its own, and the status file
+//! that `viewrank status` reads.
+
+use std::{
+    fmt,
+    path::PathBuf,
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
+    time::{Duration, Instant},
+};
+
+use serde::{Deserialize, Serialize};
+
+use super::settle::{Fingerprint, Stamp, Stillness};
+
+/// First pause after a failure; doubled with each further one.
+const FIRST_RETRY: Duration = Duration::from_secs(10);
+/// Longest pause after a failure.
+const LONGEST_RETRY: Duration = Duration::from_secs(3600);
+
+/// Where a project stands, as it is shown.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "state", rename_all = "lowercase")]
+pub enum Phase {
+    /// The input isn't complete or not still yet.
+    Waiting {
+        reason: String,
+    },
+    /// Complete; waits for a free job or for memory.
+    Queued {
+        reason: String,
+    },
+    Planning {
+        stage: String,
+        percent: u8,
+    },
+    Planned {
+        clusters: usize,
+        share: f64,
+    },
+    /// The backend writes depth maps.
+    Computing {
+        done: usize,
+        clusters: usize,
+        share: f64,
+    },
+    /// The target is reached in reality.
+    Reached {
+        done: usize,
+        clusters: usize,
+        share: f64,
+    },
+    Failed {
+        reason: String,
+        hint: Option<String>,
+        retry_in_s: u64,
+    },
+}
+
+impl fmt::Display for Phase {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Waiting { reason } => write!(f, "waiting: {reason}"),
+            Self::Queued { reason } => write!(f, "queued: {reason}"),
+            Self::Planning { stage, percent } => write!(f, "planning: {stage} {percent} %"),
+            Self::Planned { clusters, share } => write!(f, "planned: {clusters} key views for {:.0} %", share * 100.0),
+            Self::Computing { done, clusters, share } => {
+                write!(f, "computing: {done} of {clusters} depth maps, {:.0} % reached", share * 100.0)
+            }
+            Self::Reached { done, share, .. } => write!(f, "reached: {:.0} % with {done} depth maps", share * 100.0),
+            Self::Failed { reason, retry_in_s, .. } => write!(f, "failed: {reason} (again in {retry_in_s} s)"),
+        }
+    }
+}
+
+/// How a job on a project ended.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Outcome {
+    /// A new plan was written, or the one that is there is still right.
+    Planned {
+        fingerprint: Fingerprint,
+        clusters: usize,
+        share: f64,
+    },
+    /// The model doesn't parse or its files don't fit together: it isn't there whole yet.
+    Incomplete {
+        reason: String,
+    },
+    /// The input changed meanwhile, or the job was cancelled; nothing was written.
+    Abandoned,
+    Failed {
+        reason: String,
+        hint: Option<String>,
+    },
+}
+
+/// What to do when the input changes while a plan is made.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
+pub enum OnBusy {
+    /// Cancel it and start again when the input is still.
+    #[default]
+    Restart,
+    /// Finish it, then plan once more.
+    Queue,
+}
+
+/// One project.
+#[derive(Debug)]
+pub struct Tracked {
+    pub root: PathBuf,
+    pub phase: Phase,
+    still: Stillness,
+    /// The stamp that the last job came to a conclusion about.
+    concluded: Option<Stamp>,
+    /// What the plan that is there was made from.
+    pub planned: Option<Fingerprint>,
+    job: Option<Arc<AtomicBool>>,
+    failures: u32,
+    retry_at: Option<Instant>,
+}
+
+impl Tracked {
+    pub fn new(root: PathBuf, stamp: Stamp, now: Instant) -> Self {
+        let phase = Phase::Waiting { reason: "its files to be still".into() };
+        let still = Stillness::new(stamp, now);
+        Self { root, phase, still, concluded: None, planned: None, job: None, failures: 0, retry_at: None }
+    }
+
+    /// Takes a look at the input. A change makes the project wait, and cancels its job where `on_busy` says so.
+    pub fn observe(&mut self, stamp: Stamp, now: Instant, on_busy: OnBusy) {
+        if !self.still.observe(stamp, now) {
+            return;
+        }
+        self.retry_at = None;
+        match &self.job {
+            Some(cancel) if on_busy == OnBusy::Restart => cancel.store(true, Ordering::Relaxed),
+            Some(_) => {}
+            None => self.phase = Phase::Waiting { reason: "its files to be still".into() },
+        }
+    }
+
+    /// When this project next wants a job; `None` while one runs or there is nothing to do.
+    pub fn due(&self, settle: Duration) -> Option<Instant> {
+        if self.job.is_some() || self.still.stamp().is_empty() {
+            return None;
+        }
+        if self.concluded.as_ref() == Some(self.still.stamp()) {
+            return self.retry_at;
+        }
+        Some(self.still.settled_at(settle))
+    }
+
+    /// The input as last seen.
+    pub fn stamp(&self) -> &Stamp {
+        self.still.stamp()
+    }
+
+    pub fn is_busy(&self) -> bool {
+        self.job.is_some()
+    }
+
+    /// A job on the input as last seen begins; the flag cancels it.
+    pub fn start(&mut self) -> Arc<AtomicBool> {
+        let cancel = Arc::new(AtomicBool::new(false));
+        self.job = Some(cancel.clone());
+        self.phase = Phase::Planning { stage: "read".into(), percent: 0 };
+        cancel
+    }
+
+    pub fn cancel(&self) {
+        if let Some(cancel) = &self.job {
+            cancel.store(true, Ordering::Relaxed);
+        }
+    }
+
+    /// The job that looked at `stamp` ended.
+    pub fn finish(&mut self, stamp: Stamp, outcome: Outcome, now: Instant) {
+        self.job = None;
+        if outcome != Outcome::Abandoned {
+            self.concluded = Some(stamp);
+        }
+        let failures = self.failures + 1;
+        (self.failures, self.retry_at) = (0, None);
+        self.phase = match outcome {
+            Outcome::Planned { fingerprint, clusters, share } => {
+                self.planned = Some(fingerprint);
+                Phase::Planned { clusters, share }
+            }
+            Outcome::Incomplete { reason } => Phase::Waiting { reason },
+            Outcome::Abandoned => Phase::Waiting { reason: "its files to be still".into() },
+            Outcome::Failed { reason, hint } => {
+                let pause = retry_after(failures);
+                (self.failures, self.retry_at) = (failures, Some(now + pause));
+                Phase::Failed { reason, hint, retry_in_s: pause.as_secs() }
+            }
+        };
+    }
+
+    /// Forgets what was concluded, so that the input is looked at again.
+    pub fn look_again(&mut self) {
+        self.concluded = None;
+        self.retry_at = None;
+    }
+}
+
+fn retry_after(failures: u32) -> Duration {
+    FIRST_RETRY.saturating_mul(1 << (failures - 1).min(16)).min(LONGEST_RETRY)
+}
+
+/// `ROOT/.viewrank/status.json`: all projects of a root, for `viewrank status`.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Status {
+    pub version: u32,
+    /// Process and host of the daemon that wrote it.
+    pub pid: u32,
+    pub host: String,
+    /// Sentences that concern the whole root: lost events, folders that can't be read.
+    pub notices: Vec<String>,
+    pub projects: Vec<ProjectStatus>,
+}
+
+/// A line of the status.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ProjectStatus {
+    /// Relative to the root, `/` between folders; "." for the root itself.
+    pub project: String,
+    #[serde(flatten)]
+    pub phase: Phase,
+    /// Seconds since 1970 at which the phase began.
+    pub since: u64,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SETTLE: Duration = Duration::from_secs(2);
+
+    fn stamped(bytes: usize) -> (tempfile::TempDir, Stamp) {
+        let root = tempfile::tempdir().expect("a temporary folder");
+        std::fs::create_dir_all(root.path().join("sparse/0")).expect("a folder");
+        std::fs::write(root.path().join("sparse/0/images.bin"), vec![0; bytes]).expect("a file");
+        let stamp = Stamp::of(root.path());
+        (root, stamp)
+    }
+
+    fn planned(text: &str) -> Outcome {
+        let fingerprint = serde_json::from_value(text.into()).expect("a string");
+        Outcome::Planned { fingerprint, clusters: 3, share: 0.9 }
+    }
+
+    #[test]
+    fn a_still_project_is_planned_once() {
+        let (root, stamp) = stamped(5);
+        let start = Instant::now();
+        let mut project = Tracked::new(root.path().into(), stamp.clone(), start);
+        assert_eq!(project.due(SETTLE), Some(start + SETTLE));
+        project.start();
+        assert_eq!(project.due(SETTLE), None);
+        project.finish(stamp.clone(), planned("a"), start + SETTLE);
+        assert_eq!(project.due(SETTLE), None);
+        project.observe(stamp, start + SETTLE * 9, OnBusy::Restart);
+        assert_eq!(project.due(SETTLE), None);
+        assert_eq!(project.phase, Phase::Planned { clusters: 3, share: 0.9 });
+    }
+
+    #[test]
+    fn a_change_while_planning_cancels_and_plans_again() {
+        let ((root, stamp), (_other, changed)) = (stamped(5), stamped(6));
+        let start = Instant::now();
+        let mut project = Tracked::new(root.path().into(), stamp.clone(), start);
+        let cancel = project.start();
+        project.observe(changed, start + SETTLE, OnBusy::Restart);
+        assert!(cancel.load(Ordering::Relaxed));
+        project.finish(stamp, Outcome::Abandoned, start + SETTLE);
+        assert_eq!(project.due(SETTLE), Some(start + SETTLE * 2));
+    }
+
+    #[test]
+    fn with_queue_the_plan_is_finished_and_made_once_more() {
+        let ((root, stamp), (_other, changed)) = (stamped(5), stamped(6));
+        let start = Instant::now();
+        let mut project = Tracked::new(root.path().into(), stamp.clone(), start);
+        let cancel = project.start();
+        project.observe(changed, start + SETTLE, OnBusy::Queue);
+        assert!(!cancel.load(Ordering::Relaxed));
+        project.finish(stamp, planned("a"), start + SETTLE);
+        assert_eq!(project.due(SETTLE), Some(start + SETTLE * 2));
+    }
+
+    #[test]
+    fn an_incomplete_model_waits_for_a_change_without_an_error() {
+        let (root, stamp) = stamped(5);
+        let start = Instant::now();
+        let mut project = Tracked::new(root.path().into(), stamp.clone(), start);
+        project.start();
+        project.finish(stamp, Outcome::Incomplete { reason: "images.bin ends at byte 5".into() }, start);
+        assert_eq!(project.due(SETTLE), None);
+        assert_eq!(project.phase, Phase::Waiting { reason: "images.bin ends at byte 5".into() });
+        project.observe(stamped(7).1, start + SETTLE, OnBusy::Restart);
+        assert_eq!(project.due(SETTLE), Some(start + SETTLE * 2));
+    }
+
+    #[test]
+    fn failures_back_off_and_a_success_forgets_them() {
+        let (root, stamp) = stamped(5);
+        let now = Instant::now();
+        let mut project = Tracked::new(root.path().into(), stamp.clone(), now);
+        let mut pauses = Vec::new();
+        for _ in 0..12 {
+            project.start();
+            project.finish(stamp.clone(), Outcome::Failed { reason: "disk full".into(), hint: None }, now);
+            pauses.push(project.due(SETTLE).expect("a retry") - now);
+        }
+        assert!(pauses.windows(2).all(|w| w[1] == (w[0] * 2).min(LONGEST_RETRY)));
+        project.start();
+        project.finish(stamp.clone(), planned("a"), now);
+        project.look_again();
+        project.start();
+        project.finish(stamp, Outcome::Failed { reason: "disk full".into(), hint: None }, now);
+        assert_eq!(project.due(SETTLE), Some(now + FIRST_RETRY));
+    }
+}
