@@ -1,0 +1,157 @@
+//! Whole-or-nothing sets of files: everything that viewrank writes goes through here.
+//!
+//! A set may have many files in many folders. It is staged in `viewrank/.staging` (`staging.rs`), synced, announced by a journal, moved into
+//! place by renames, and the journal removed (`transaction.rs`). Killed before the journal stands, nothing has happened; killed
+//! after, the next [`FileSet::write`] or [`recover`] finishes the work; a change that fails is undone. A record of each set
+//! (`record.rs`) says which files are ours, by path and content hash: what a later set of the same name no longer has is
+//! removed, a file of somebody else's that stands in the way is kept beside as `NAME.before-viewrank`, and nothing else is
+//! touched. No name and no symbolic link leads out of the set's root.
+
+mod disk;
+mod record;
+mod staging;
+mod transaction;
+
+use std::{
+    collections::BTreeMap,
+    io,
+    path::{Component, Path, PathBuf},
+};
+
+pub use disk::{Disk, Operation};
+
+use crate::error::Hint;
+
+/// What a file is made of.
+#[derive(Clone, Debug)]
+pub enum Contents {
+    Bytes(Vec<u8>),
+    /// As `Bytes`, with the executable bit (runner scripts).
+    Script(Vec<u8>),
+    /// A copy of that file.
+    Copy(PathBuf),
+    /// A symbolic link to that file (relative where both lie under the root); a copy where links are not to be had.
+    Link(PathBuf),
+    /// An empty folder.
+    Folder,
+}
+
+/// Files that appear together or not at all. Paths are relative to `root`, `/` between folders, never absolute, never with `..`.
+#[derive(Clone, Debug)]
+pub struct FileSet {
+    pub root: PathBuf,
+    /// Name of the set; an earlier set of the same name under the same root is replaced and its stale files removed.
+    pub name: String,
+    pub files: BTreeMap<String, Contents>,
+}
+
+/// What writing a set did; paths relative to the root.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Written {
+    /// New or with other contents than before.
+    pub changed: Vec<String>,
+    /// Files of an earlier set that are gone.
+    pub removed: Vec<String>,
+    /// Files of somebody else's that were in the way, under the names that they have now.
+    pub kept: Vec<String>,
+}
+
+impl FileSet {
+    pub fn new(root: impl Into<PathBuf>, name: &str) -> Self {
+        Self { root: root.into(), name: name.into(), files: BTreeMap::new() }
+    }
+
+    pub fn add(&mut self, path: impl Into<String>, contents: Contents) {
+        self.files.insert(path.into(), contents);
+    }
+
+    pub fn add_text(&mut self, path: impl Into<String>, text: impl Into<String>) {
+        self.add(path, Contents::Bytes(text.into().into_bytes()));
+    }
+
+    /// Takes the files of a set whose root lies in this one's, so that both appear together; gives it back where it doesn't.
+    pub fn absorb(&mut self, other: FileSet) -> Option<FileSet> {
+        let Some(inner) = inside(&self.root, &other.root) else { return Some(other) };
+        let files = other.files.into_iter().map(|(path, contents)| (format!("{inner}{path}"), contents));
+        self.files.extend(files);
+        None
+    }
+
+    /// Makes the set appear, whole or not at all. Files that are there with the same contents are left as they are.
+    pub fn write(&self, disk: &Disk) -> Result<Written, OutputError> {
+        self.files.keys().try_for_each(|path| check_name(path))?;
+        transaction::write(self, disk)
+    }
+}
+
+/// Finishes or undoes the set that a killed run left half in place under `root`; for those who read what was written.
+pub fn recover(root: &Path, disk: &Disk) -> Result<(), OutputError> {
+    transaction::recover(root, disk)
+}
+
+/// `inner` relative to `outer`, with a `/` behind it where it isn't empty.
+fn inside(outer: &Path, inner: &Path) -> Option<String> {
+    let relative = inner.strip_prefix(outer).ok()?.to_str()?;
+    Some(if relative.is_empty() { String::new() } else { format!("{relative}/") })
+}
+
+/// A name is a path of plain components below the root, written the one way that there is.
+fn check_name(name: &str) -> Result<(), OutputError> {
+    let plain = Path::new(name).components().all(|part| matches!(part, Component::Normal(_)));
+    let canonical = name.split('/').all(|part| !part.is_empty() && part != "." && !part.contains('\0'));
+    if plain && canonical { Ok(()) } else { Err(OutputError::Name { name: name.into() }) }
+}
+
+/// Why a set could not be written; the files of before are in place unless it is [`OutputError::Interrupted`].
+#[derive(Debug, thiserror::Error)]
+pub enum OutputError {
+    #[error("\"{name}\" is no name for a file below the output folder")]
+    Name { name: String },
+    #[error("{}: a symbolic link leads out of {}", path.display(), root.display())]
+    Escapes { path: PathBuf, root: PathBuf },
+    #[error("{}: {} is in the way", path.display(), if *folder { "a folder" } else { "a file" })]
+    InTheWay { path: PathBuf, folder: bool },
+    #[error("{}: not on the same file system as {}", path.display(), staging.display())]
+    OtherFileSystem { path: PathBuf, staging: PathBuf },
+    #[error("{}: no space left", path.display())]
+    Full { path: PathBuf },
+    #[error("{}: not permitted ({source})", path.display())]
+    Denied { path: PathBuf, source: io::Error },
+    #[error("{}: {source}", path.display())]
+    Io { path: PathBuf, source: io::Error },
+    #[error("{}: {why}", path.display())]
+    Journal { path: PathBuf, why: String },
+    #[error("{failure}; putting the earlier files back failed as well: {undoing}")]
+    Interrupted { failure: Box<OutputError>, undoing: Box<OutputError> },
+}
+
+impl OutputError {
+    fn new(path: &Path, source: io::Error) -> Self {
+        let path = path.to_path_buf();
+        match source.kind() {
+            io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => Self::Full { path },
+            io::ErrorKind::PermissionDenied | io::ErrorKind::ReadOnlyFilesystem => Self::Denied { path, source },
+            _ => Self::Io { path, source },
+        }
+    }
+}
+
+impl Hint for OutputError {
+    fn hint(&self) -> Option<String> {
+        Some(match self {
+            Self::Name { .. } => {
+                "rename the image in the model: names are relative, without \"..\" and empty parts".into()
+            }
+            Self::Escapes { .. } => "replace the link by a folder, or write elsewhere with --out".into(),
+            Self::InTheWay { .. } => "move it away, or write elsewhere with --out".into(),
+            Self::OtherFileSystem { .. } => "write to a folder of one file system with --out".into(),
+            Self::Full { .. } => "make room on that disk, or write elsewhere with --out; nothing was changed".into(),
+            Self::Denied { .. } => {
+                "get write permission there, or write elsewhere with --out; nothing was changed".into()
+            }
+            Self::Io { .. } => "see that the disk is there and in order; nothing was changed".into(),
+            Self::Journal { .. } => "remove that file and the folder .staging beside it, then plan again".into(),
+            Self::Interrupted { .. } => "mend the cause and run again: that puts a whole set in place".into(),
+        })
+    }
+}

@@ -1,0 +1,276 @@
+//! What has to change so that a set stands as wanted: its new files, staged; what they replace; what is stale.
+
+use std::{
+    collections::BTreeSet,
+    fs::{self, File, Metadata},
+    io,
+    path::{Path, PathBuf},
+};
+
+use super::{
+    Contents, FileSet, OutputError, Written,
+    record::{self, Record, Records},
+    transaction::{Change, Root, Step},
+};
+
+/// Stages what differs from what is there.
+pub(super) fn stage(root: &Root, set: &FileSet) -> Result<(Change, Written), OutputError> {
+    let records = Records::read(&root.path);
+    let earlier = records.of(&set.name);
+    let mut staging = Staging {
+        root,
+        records: &records,
+        record: Record::default(),
+        change: Change::default(),
+        written: Written::default(),
+    };
+    for (path, contents) in &set.files {
+        staging.file(path, contents)?;
+    }
+    staging.stale_files(&set.name, &earlier)?;
+    staging.folders(set, &earlier);
+    staging.record_itself(&set.name, &earlier)?;
+    Ok((staging.change, staging.written))
+}
+
+struct Staging<'a> {
+    root: &'a Root<'a>,
+    records: &'a Records,
+    /// What will be ours.
+    record: Record,
+    change: Change,
+    written: Written,
+}
+
+impl Staging<'_> {
+    fn file(&mut self, path: &str, contents: &Contents) -> Result<(), OutputError> {
+        let target = self.root.locate(path)?;
+        let found = fs::symlink_metadata(&target).ok();
+        if let Contents::Folder = contents {
+            return self.empty_folder(path, &target, found);
+        }
+        self.missing_folders(path)?;
+        let Some(found) = found else { return self.replace(path, contents, false) };
+        if found.is_dir() {
+            return Err(OutputError::InTheWay { path: target, folder: true });
+        }
+        let ours = self.records.hash_if_ours(&self.root.path, path)?;
+        if is_same(&target, &found, contents, &self.root.path).map_err(|error| OutputError::new(&target, error))? {
+            self.record.files.extend(ours.map(|hash| (path.to_owned(), hash)));
+            return Ok(());
+        }
+        if ours.is_none() {
+            self.keep_beside(path, &target)?;
+        }
+        self.replace(path, contents, true)
+    }
+
+    fn empty_folder(&mut self, path: &str, target: &Path, found: Option<Metadata>) -> Result<(), OutputError> {
+        if found.is_some() && !target.is_dir() {
+            return Err(OutputError::InTheWay { path: target.to_path_buf(), folder: false });
+        }
+        self.missing_folders(&format!("{path}/"))
+    }
+
+    /// The new file, and a second name of what stands there now.
+    fn replace(&mut self, path: &str, contents: &Contents, has_old: bool) -> Result<(), OutputError> {
+        let target = self.root.locate(path)?;
+        let step = self.change.steps.len();
+        let new = self.root.staged(step, "new");
+        self.make(&new, &target, contents)?;
+        if has_old {
+            self.second_name(&target, &self.root.staged(step, "old"))?;
+        }
+        let hash = record::hash(&new).map_err(|error| OutputError::new(&new, error))?;
+        self.record.files.extend(hash.map(|hash| (path.to_owned(), hash)));
+        self.written.changed.push(path.into());
+        self.change.steps.push(Step { path: path.into(), has_new: true, has_old });
+        Ok(())
+    }
+
+    fn make(&self, at: &Path, target: &Path, contents: &Contents) -> Result<(), OutputError> {
+        let disk = self.root.disk;
+        match contents {
+            Contents::Bytes(bytes) => disk.write_new(at, bytes.as_slice(), false),
+            Contents::Script(bytes) => disk.write_new(at, bytes.as_slice(), true),
+            Contents::Copy(from) => self.copy(from, at),
+            Contents::Link(to) => {
+                let link = link_target(to, target, &self.root.path);
+                disk.symbolic_link(&link, at).or_else(|_| self.copy(to, at))
+            }
+            Contents::Folder => Ok(()),
+        }
+    }
+
+    fn copy(&self, from: &Path, to: &Path) -> Result<(), OutputError> {
+        let source = File::open(from).map_err(|error| OutputError::new(from, error))?;
+        let executable = source.metadata().is_ok_and(|found| is_executable(&found));
+        self.root.disk.write_new(to, source, executable)
+    }
+
+    /// A hard link, or a copy where the file system has none or forbids it.
+    fn second_name(&self, of: &Path, at: &Path) -> Result<(), OutputError> {
+        self.root.disk.hard_link(of, at).or_else(|_| match fs::read_link(of) {
+            Ok(target) => self.root.disk.symbolic_link(&target, at),
+            Err(_) => self.copy(of, at),
+        })
+    }
+
+    /// Somebody else's file gets a second name that stays, unless it has one already.
+    fn keep_beside(&mut self, path: &str, target: &Path) -> Result<(), OutputError> {
+        let failed = |error| OutputError::new(target, error);
+        let original = record::hash(target).map_err(failed)?;
+        let names = std::iter::once(format!("{path}.before-viewrank"))
+            .chain((2..).map(|n| format!("{path}.before-viewrank-{n}")));
+        for name in names {
+            let beside = self.root.locate(&name)?;
+            if fs::symlink_metadata(&beside).is_err() {
+                self.second_name(target, &self.root.staged(self.change.steps.len(), "new"))?;
+                self.change.steps.push(Step { path: name.clone(), has_new: true, has_old: false });
+                self.written.kept.push(name);
+                break;
+            }
+            if record::hash(&beside).map_err(failed)? == original {
+                break;
+            }
+        }
+        Ok(())
+    }
+
+    /// Notes the folders above `path` that have to be made. All must lie on the file system of the staging folder, for a
+    /// rename does not cross its border.
+    fn missing_folders(&mut self, path: &str) -> Result<(), OutputError> {
+        for folder in folders_above(path) {
+            let at = self.root.locate(folder)?;
+            match fs::metadata(&at) {
+                Ok(found) => self.check_file_system(&at, &found)?,
+                Err(_) if self.change.new_folders.iter().any(|known| known == folder) => {}
+                Err(_) => self.change.new_folders.push(folder.into()),
+            }
+        }
+        Ok(())
+    }
+
+    fn check_file_system(&self, folder: &Path, found: &Metadata) -> Result<(), OutputError> {
+        let staging = self.root.staging();
+        let home = fs::metadata(&staging).map_err(|error| OutputError::new(&staging, error))?;
+        if file_system(found) == file_system(&home) {
+            return Ok(());
+        }
+        Err(OutputError::OtherFileSystem { path: folder.to_path_buf(), staging })
+    }
+
+    /// What the earlier set of this name had and this one has not, as long as it is as we wrote it and no other set has it.
+    fn stale_files(&mut self, set: &str, earlier: &Record) -> Result<(), OutputError> {
+        let wanted: BTreeSet<&String> = self.record.files.keys().collect();
+        let stale: Vec<String> = earlier.files.keys().filter(|path| !wanted.contains(path)).cloned().collect();
+        for path in stale {
+            let target = self.root.locate(&path)?;
+            if self.records.hash_if_ours(&self.root.path, &path)?.is_none()
+                || self.records.belongs_to_other(set, &self.root.path, &path)?
+            {
+                continue;
+            }
+            self.second_name(&target, &self.root.staged(self.change.steps.len(), "old"))?;
+            self.change.steps.push(Step { path: path.clone(), has_new: false, has_old: true });
+            self.written.removed.push(path);
+        }
+        Ok(())
+    }
+
+    /// Which folders are ours, and which of ours nothing of the set needs any more.
+    fn folders(&mut self, set: &FileSet, earlier: &Record) {
+        let ends = set.files.iter().map(|(path, contents)| match contents {
+            Contents::Folder => format!("{path}/"),
+            _ => path.clone(),
+        });
+        let needed: BTreeSet<String> =
+            ends.flat_map(|p| folders_above(&p).map(String::from).collect::<Vec<_>>()).collect();
+        let made = self.change.new_folders.iter().cloned();
+        self.record.folders = earlier.folders.intersection(&needed).cloned().chain(made).collect();
+        let gone = earlier
+            .folders
+            .difference(&needed)
+            .filter(|folder| !self.records.other_has_folder(&set.name, folder) && self.root.path.join(folder).is_dir());
+        self.change.old_folders = gone.cloned().collect();
+        self.change.old_folders.reverse();
+    }
+
+    /// The record changes together with what it records.
+    fn record_itself(&mut self, set: &str, earlier: &Record) -> Result<(), OutputError> {
+        if self.record == *earlier {
+            return Ok(());
+        }
+        let path = format!("{}/{set}.json", record::FOLDER);
+        let target = self.root.locate(&path)?;
+        self.missing_folders(&path)?;
+        let step = self.change.steps.len();
+        let mut text = serde_json::to_vec_pretty(&self.record).expect("strings are JSON");
+        text.push(b'\n');
+        self.root.disk.write_new(&self.root.staged(step, "new"), text.as_slice(), false)?;
+        let has_old = fs::symlink_metadata(&target).is_ok();
+        if has_old {
+            self.second_name(&target, &self.root.staged(step, "old"))?;
+        }
+        self.change.steps.push(Step { path, has_new: true, has_old });
+        Ok(())
+    }
+}
+
+/// `a` and `a/b` for `a/b/c`; `a/b/c` as well for `a/b/c/`.
+fn folders_above(path: &str) -> impl Iterator<Item = &str> {
+    path.match_indices('/').map(|(end, _)| &path[..end])
+}
+
+/// Is what is there what is wanted?
+fn is_same(target: &Path, found: &Metadata, contents: &Contents, root: &Path) -> io::Result<bool> {
+    match contents {
+        Contents::Link(to) if found.is_symlink() => Ok(fs::read_link(target)? == link_target(to, target, root)),
+        _ if found.is_symlink() => Ok(false),
+        Contents::Link(from) | Contents::Copy(from) => {
+            let source = File::open(from)?;
+            Ok(source.metadata()?.len() == found.len() && record::same_contents(source, File::open(target)?)?)
+        }
+        Contents::Bytes(bytes) => is_bytes(target, found, bytes),
+        Contents::Script(bytes) => Ok(is_executable(found) && is_bytes(target, found, bytes)?),
+        Contents::Folder => Ok(found.is_dir()),
+    }
+}
+
+fn is_bytes(target: &Path, found: &Metadata, bytes: &[u8]) -> io::Result<bool> {
+    Ok(found.len() == bytes.len() as u64 && record::same_contents(bytes, File::open(target)?)?)
+}
+
+/// Relative where both lie under the root, so that the project can be moved; else absolute.
+fn link_target(to: &Path, from: &Path, root: &Path) -> PathBuf {
+    let absolute = std::path::absolute(to).unwrap_or_else(|_| to.to_path_buf());
+    let real = match (absolute.parent().and_then(|folder| folder.canonicalize().ok()), absolute.file_name()) {
+        (Some(folder), Some(name)) => folder.join(name),
+        _ => absolute,
+    };
+    let (Ok(to), Ok(from)) = (real.strip_prefix(root), from.strip_prefix(root)) else { return real };
+    let up = from.components().count() - 1;
+    (0..up).map(|_| Path::new("..")).chain([to]).collect()
+}
+
+#[cfg(unix)]
+fn is_executable(found: &Metadata) -> bool {
+    use std::os::unix::fs::PermissionsExt;
+    found.permissions().mode() & 0o100 != 0
+}
+
+#[cfg(not(unix))]
+fn is_executable(_: &Metadata) -> bool {
+    true
+}
+
+#[cfg(unix)]
+fn file_system(found: &Metadata) -> u64 {
+    use std::os::unix::fs::MetadataExt;
+    found.dev()
+}
+
+#[cfg(not(unix))]
+fn file_system(_: &Metadata) -> u64 {
+    0
+}

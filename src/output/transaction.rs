@@ -1,0 +1,241 @@
+//! The journalled change: staged, announced, moved into place; finished or undone after a crash, undone after a failure.
+//!
+//! Step `i` of the journal has its new file in `.staging/i.new` (none: the path goes) and a second name of what stood there
+//! before in `.staging/i.old` (none: nothing did). Every step may be repeated, so that a crash while finishing or undoing
+//! does no harm; the journal says which of the two is under way.
+
+use std::{
+    collections::BTreeSet,
+    fs::{self, File},
+    path::{Path, PathBuf},
+};
+
+use serde::{Deserialize, Serialize};
+
+use super::{Disk, FileSet, OutputError, Written, check_name, staging};
+
+const FOLDER: &str = "viewrank";
+const STAGING: &str = "viewrank/.staging";
+const JOURNAL: &str = "viewrank/.journal.json";
+const LOCK: &str = "viewrank/.lock";
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+enum Direction {
+    Finish,
+    Undo,
+}
+
+/// A change of a set of files; paths relative to the root.
+#[derive(Debug, Default, Serialize, Deserialize)]
+pub(super) struct Change {
+    /// Folders that are missing, outer before inner.
+    pub new_folders: Vec<String>,
+    pub steps: Vec<Step>,
+    /// Folders that go if they are empty then, inner before outer.
+    pub old_folders: Vec<String>,
+}
+
+/// What happens at one path.
+#[derive(Debug, Serialize, Deserialize)]
+pub(super) struct Step {
+    pub path: String,
+    pub has_new: bool,
+    pub has_old: bool,
+}
+
+#[derive(Serialize, Deserialize)]
+struct Journal {
+    direction: Direction,
+    change: Change,
+}
+
+/// A root folder whose lock this process holds.
+pub(super) struct Root<'a> {
+    /// Without symbolic links.
+    pub path: PathBuf,
+    pub disk: &'a Disk<'a>,
+    _lock: File,
+}
+
+pub(super) fn write(set: &FileSet, disk: &Disk) -> Result<Written, OutputError> {
+    let root = Root::open(&set.root, disk)?;
+    root.settle()?;
+    let staged = root.make_staging().and_then(|()| staging::stage(&root, set));
+    let (change, written) = staged.inspect_err(|_| root.clear_staging())?;
+    if change.steps.is_empty() && change.new_folders.is_empty() && change.old_folders.is_empty() {
+        root.clear_staging();
+    } else {
+        root.carry_out(change)?;
+    }
+    Ok(written)
+}
+
+pub(super) fn recover(root: &Path, disk: &Disk) -> Result<(), OutputError> {
+    if root.join(JOURNAL).exists() { Root::open(root, disk)?.settle() } else { Ok(()) }
+}
+
+impl<'a> Root<'a> {
+    /// Makes the folder if need be and waits until no other process writes below it.
+    fn open(path: &Path, disk: &'a Disk<'a>) -> Result<Self, OutputError> {
+        let failed = |error| OutputError::new(path, error);
+        make_folders(&std::path::absolute(path).map_err(failed)?, disk)?;
+        let path = path.canonicalize().map_err(failed)?;
+        check_links(&path, LOCK)?;
+        disk.make_folder(&path.join(FOLDER))?;
+        let lock = disk.lock(&path.join(LOCK))?;
+        Ok(Self { path, disk, _lock: lock })
+    }
+
+    /// Where a path of the set lies, after a look at the folders that lead there.
+    pub fn locate(&self, path: &str) -> Result<PathBuf, OutputError> {
+        check_links(&self.path, path)
+    }
+
+    pub fn staging(&self) -> PathBuf {
+        self.path.join(STAGING)
+    }
+
+    pub fn staged(&self, step: usize, which: &str) -> PathBuf {
+        self.staging().join(format!("{step}.{which}"))
+    }
+
+    fn make_staging(&self) -> Result<(), OutputError> {
+        self.disk.make_folder(&self.staging())
+    }
+
+    /// What stays behind if this fails is cleared by the next run; the set itself is whole.
+    fn clear_staging(&self) {
+        let _ = self.disk.remove_folder(&self.staging());
+    }
+
+    /// Finishes or undoes what an earlier process left.
+    fn settle(&self) -> Result<(), OutputError> {
+        let path = self.path.join(JOURNAL);
+        if path.exists() {
+            let journal = read_journal(&path)?;
+            match journal.direction {
+                Direction::Finish => self.finish(&journal.change)?,
+                Direction::Undo => self.undo(&journal.change)?,
+            }
+        }
+        self.disk.remove_folder(&self.staging())
+    }
+
+    fn carry_out(&self, change: Change) -> Result<(), OutputError> {
+        let mut journal = Journal { direction: Direction::Finish, change };
+        if let Err(failure) = self.announce(&journal)
+            && !self.path.join(JOURNAL).exists()
+        {
+            self.clear_staging();
+            return Err(failure);
+        }
+        let done = self.finish(&journal.change).or_else(|failure| {
+            journal.direction = Direction::Undo;
+            match self.announce(&journal).and_then(|()| self.undo(&journal.change)) {
+                Ok(()) => Err(failure),
+                Err(undoing) => Err(OutputError::Interrupted { failure: failure.into(), undoing: undoing.into() }),
+            }
+        });
+        if !matches!(done, Err(OutputError::Interrupted { .. })) {
+            self.clear_staging();
+        }
+        done
+    }
+
+    /// From here on the change will be carried out, or undone, whatever happens to this process.
+    fn announce(&self, journal: &Journal) -> Result<(), OutputError> {
+        let draft = self.staging().join(match journal.direction {
+            Direction::Finish => "finish",
+            Direction::Undo => "undo",
+        });
+        let text = serde_json::to_vec(journal).expect("strings and booleans are JSON");
+        self.disk.write_new(&draft, text.as_slice(), false)?;
+        self.disk.sync_folder(&self.staging())?;
+        self.disk.rename(&draft, &self.path.join(JOURNAL))?;
+        self.disk.sync_folder(&self.path.join(FOLDER))
+    }
+
+    fn finish(&self, change: &Change) -> Result<(), OutputError> {
+        for folder in &change.new_folders {
+            self.disk.make_folder(&self.locate(folder)?)?;
+        }
+        for (i, step) in change.steps.iter().enumerate() {
+            let target = self.locate(&step.path)?;
+            if step.has_new {
+                self.disk.rename(&self.staged(i, "new"), &target)?;
+            } else {
+                self.disk.remove(&target)?;
+            }
+        }
+        for folder in &change.old_folders {
+            self.disk.remove_empty_folder(&self.locate(folder)?)?;
+        }
+        self.close(change)
+    }
+
+    fn undo(&self, change: &Change) -> Result<(), OutputError> {
+        for folder in change.old_folders.iter().rev() {
+            self.disk.make_folder(&self.locate(folder)?)?;
+        }
+        for (i, step) in change.steps.iter().enumerate().rev() {
+            let target = self.locate(&step.path)?;
+            if step.has_old {
+                self.disk.rename(&self.staged(i, "old"), &target)?;
+            } else if step.has_new && !self.staged(i, "new").exists() {
+                self.disk.remove(&target)?;
+            }
+        }
+        for folder in change.new_folders.iter().rev() {
+            self.disk.remove_empty_folder(&self.locate(folder)?)?;
+        }
+        self.close(change)
+    }
+
+    /// Makes the change durable, then forgets it.
+    fn close(&self, change: &Change) -> Result<(), OutputError> {
+        let paths = change.steps.iter().map(|s| &s.path).chain(&change.new_folders).chain(&change.old_folders);
+        let parents: BTreeSet<PathBuf> =
+            paths.filter_map(|p| Some(self.path.join(p).parent()?.to_path_buf())).collect();
+        for folder in parents.iter().filter(|folder| folder.is_dir()) {
+            self.disk.sync_folder(folder)?;
+        }
+        self.disk.remove(&self.path.join(JOURNAL))?;
+        self.disk.sync_folder(&self.path.join(FOLDER))
+    }
+}
+
+fn make_folders(path: &Path, disk: &Disk) -> Result<(), OutputError> {
+    if let Some(parent) = path.parent().filter(|_| !path.is_dir()) {
+        make_folders(parent, disk)?;
+    }
+    disk.make_folder(path)
+}
+
+/// The journal is believed no more than any other file in the user's folder.
+fn read_journal(path: &Path) -> Result<Journal, OutputError> {
+    let bytes = fs::read(path).map_err(|error| OutputError::new(path, error))?;
+    let broken = |why: String| OutputError::Journal { path: path.to_path_buf(), why };
+    let journal: Journal = serde_json::from_slice(&bytes).map_err(|error| broken(format!("no journal: {error}")))?;
+    let change = &journal.change;
+    let mut names = change.steps.iter().map(|s| &s.path).chain(&change.new_folders).chain(&change.old_folders);
+    names.try_for_each(|name| check_name(name))?;
+    Ok(journal)
+}
+
+/// `root/path`, if no folder on the way is a symbolic link out of the root or a file.
+fn check_links(root: &Path, path: &str) -> Result<PathBuf, OutputError> {
+    let mut at = root.to_path_buf();
+    let mut parts = path.split('/').peekable();
+    while let Some(part) = parts.next() {
+        at.push(part);
+        let (Some(_), Ok(found)) = (parts.peek(), fs::symlink_metadata(&at)) else { continue };
+        if found.is_symlink() && !at.canonicalize().is_ok_and(|target| target.starts_with(root)) {
+            return Err(OutputError::Escapes { path: at, root: root.to_path_buf() });
+        }
+        if !at.is_dir() {
+            return Err(OutputError::InTheWay { path: at, folder: false });
+        }
+    }
+    Ok(at)
+}
