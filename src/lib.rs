@@ -8,6 +8,7 @@
 //! - [`confidence`] method 7: where will the backend succeed
 //! - [`fulfilment`] method 3; [`partners`] method 4; [`ranking`] method 5
 //! - [`backends`] what each MVS program can match and the files it reads
+//! - [`depthmaps`] finished depth maps of the backends
 //! - [`plan`] runs the stages; [`output`] makes files appear whole or not at all
 //! - [`config`] every setting; [`progress`] progress and cancellation; [`error`] what errors say beside their message
 
@@ -16,6 +17,7 @@ pub mod camera;
 pub mod confidence;
 pub mod config;
 pub mod daemon;
+pub mod depthmaps;
 pub mod error;
 pub mod formats;
 pub mod fulfilment;

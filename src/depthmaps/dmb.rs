@@ -1,0 +1,17 @@
+//! The `.dmb` of ACMH, ACMM, ACMP, ACMMP and Gipuma: i32 type (1: float), height, width, channels, then float32, row-major.
+
+use super::{DepthMap, DepthMapFormat, Parsed, floats, u32_at};
+
+pub(super) fn parse(bytes: &[u8]) -> Parsed<DepthMap> {
+    let (kind, height, width, channels) = (u32_at(bytes, 0)?, u32_at(bytes, 4)?, u32_at(bytes, 8)?, u32_at(bytes, 12)?);
+    if kind != 1 || channels != 1 {
+        return Err((0, format!("type {kind} with {channels} channels; a depth map has type 1 and 1 channel")));
+    }
+    Ok(DepthMap {
+        format: DepthMapFormat::Dmb,
+        width,
+        height,
+        depth: floats(bytes, 16, width, height)?,
+        ids: Vec::new(),
+    })
+}

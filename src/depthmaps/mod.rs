@@ -1,0 +1,163 @@
+//! Finished depth maps of the backends, one file per format: bytes -> [`DepthMap`], and which file belongs to which view.
+
+mod colmap;
+mod dmb;
+mod find;
+mod npy;
+mod openmvs;
+mod pfm;
+#[cfg(test)]
+mod tests;
+
+use std::path::{Path, PathBuf};
+
+use nalgebra::Point2;
+
+use crate::{camera::Camera, error::Hint};
+
+pub use find::{DepthMapFile, DepthMapSet, find};
+
+/// Formats of depth maps.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum DepthMapFormat {
+    /// `NAME.geometric.bin` in `stereo/depth_maps`.
+    ColmapGeometric,
+    /// `NAME.photometric.bin` in `stereo/depth_maps`.
+    ColmapPhotometric,
+    /// `depthNNNN.dmap`.
+    OpenMvs,
+    /// `NNNNNNNN.pfm` (MVSNet, PatchmatchNet).
+    Pfm,
+    /// `2333_NNNNNNNN/depths.dmb` (ACMH, ACMM, ACMP, ACMMP).
+    Dmb,
+    /// `NAME.npy` (`integrations/sgm`).
+    Npy,
+}
+
+/// Depth along the optical axis for the pixels of a (reduced) image.
+#[derive(Clone, Debug, PartialEq)]
+pub struct DepthMap {
+    pub format: DepthMapFormat,
+    pub width: u32,
+    pub height: u32,
+    /// z in camera coordinates, scene units; 0 where there is none. Row-major, `width` x `height`, finite, not negative.
+    pub depth: Vec<f32>,
+    /// The key view and the partners that the file itself names, as ids of the backend; empty where the format has none.
+    pub ids: Vec<u32>,
+}
+
+impl DepthMap {
+    /// The depth of a map pixel; `None` where nothing was measured.
+    pub fn at(&self, column: u32, row: u32) -> Option<f64> {
+        let z = self.depth[row as usize * self.width as usize + column as usize];
+        (z > 0.0).then(|| f64::from(z))
+    }
+
+    /// Size of the map's pixels in pixels of the camera's image, along x and y.
+    pub fn pixel_size(&self, camera: &Camera) -> (f64, f64) {
+        (f64::from(camera.width) / f64::from(self.width), f64::from(camera.height) / f64::from(self.height))
+    }
+
+    /// The centre of a map pixel in pixels of the camera's image: what is matched there is the picture around that place, also
+    /// where a program (COLMAP, ACMM) back-projects the integer column and row.
+    pub fn image_position(&self, camera: &Camera, column: u32, row: u32) -> Point2<f64> {
+        let (sx, sy) = self.pixel_size(camera);
+        Point2::new((f64::from(column) + 0.5) * sx, (f64::from(row) + 0.5) * sy)
+    }
+
+    /// The map pixel that holds an image position; `None` outside.
+    pub fn pixel_at(&self, camera: &Camera, position: &Point2<f64>) -> Option<(u32, u32)> {
+        let (sx, sy) = self.pixel_size(camera);
+        let (x, y) = (position.x / sx, position.y / sy);
+        let inside = x >= 0.0 && y >= 0.0 && x < f64::from(self.width) && y < f64::from(self.height);
+        inside.then_some((x as u32, y as u32))
+    }
+
+    /// Share of the pixels that have a depth.
+    pub fn filled(&self) -> f64 {
+        let filled = self.depth.iter().filter(|&&z| z > 0.0).count();
+        filled as f64 / (self.depth.len().max(1)) as f64
+    }
+}
+
+/// Why a depth map can't be read.
+#[derive(Debug, thiserror::Error)]
+pub enum DepthMapError {
+    #[error("{path}: {source}")]
+    Io { path: PathBuf, source: std::io::Error },
+    #[error("{path}: byte {byte}: {what}")]
+    Format { path: PathBuf, byte: usize, what: String },
+    #[error("no depth maps of the plan's views in {0}")]
+    None(PathBuf),
+    #[error("{path}: {what}")]
+    Names { path: PathBuf, what: String },
+    #[error("two depth maps of view {view}: {first} and {second}")]
+    Twice { view: String, first: PathBuf, second: PathBuf },
+}
+
+impl Hint for DepthMapError {
+    fn hint(&self) -> Option<String> {
+        let hint = match self {
+            Self::Io { .. } => "check that the file is there and may be read",
+            Self::Format { .. } => "compute this depth map again or take it away: it is damaged or still being written",
+            Self::None(_) => {
+                "give the folder that holds COLMAP's stereo/depth_maps, OpenMVS's depthNNNN.dmap, MVSNet's NNNNNNNN.pfm, ACMM's \
+                 2333_NNNNNNNN/depths.dmb, or NAME.npy of integrations/sgm"
+            }
+            Self::Names { .. } => "give the view_names.txt that `viewrank export` writes beside pair.txt",
+            Self::Twice { .. } => "give a folder that holds the depth maps of one run",
+        };
+        Some(hint.into())
+    }
+}
+
+/// What is wrong at which byte; the path is added where the file is known.
+type Parsed<T> = Result<T, (usize, String)>;
+
+/// Reads one depth map.
+pub fn read(path: &Path, format: DepthMapFormat) -> Result<DepthMap, DepthMapError> {
+    let bytes = std::fs::read(path).map_err(|source| DepthMapError::Io { path: path.into(), source })?;
+    parse(&bytes, format).map_err(|(byte, what)| DepthMapError::Format { path: path.into(), byte, what })
+}
+
+/// Parses the bytes of one depth map; memory is bounded by the length of the bytes.
+pub fn parse(bytes: &[u8], format: DepthMapFormat) -> Parsed<DepthMap> {
+    let mut map = match format {
+        DepthMapFormat::ColmapGeometric | DepthMapFormat::ColmapPhotometric => colmap::parse(bytes, format),
+        DepthMapFormat::OpenMvs => openmvs::parse(bytes),
+        DepthMapFormat::Pfm => pfm::parse(bytes),
+        DepthMapFormat::Dmb => dmb::parse(bytes),
+        DepthMapFormat::Npy => npy::parse(bytes),
+    }?;
+    for z in &mut map.depth {
+        if !(z.is_finite() && *z > 0.0) {
+            *z = 0.0;
+        }
+    }
+    Ok(map)
+}
+
+/// `width` x `height` little-endian floats from `start`; wrong sizes are found before anything is allocated.
+fn floats(bytes: &[u8], start: usize, width: u32, height: u32) -> Parsed<Vec<f32>> {
+    let pixels = u64::from(width) * u64::from(height);
+    let left = bytes.len().saturating_sub(start) as u64;
+    if pixels == 0 {
+        return Err((0, "a map of no pixels".into()));
+    }
+    if left < pixels.saturating_mul(4) {
+        return Err((
+            start,
+            format!("{width} x {height} pixels need {} bytes, {left} are left", pixels.saturating_mul(4)),
+        ));
+    }
+    let data = &bytes[start..start + pixels as usize * 4];
+    Ok(data.chunks_exact(4).map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect())
+}
+
+/// The little-endian u32 at a byte.
+fn u32_at(bytes: &[u8], at: usize) -> Parsed<u32> {
+    let four = at.checked_add(4).and_then(|end| bytes.get(at..end));
+    let four = four.ok_or_else(|| (at, "the file ends here, 4 more bytes expected".to_string()))?;
+    Ok(u32::from_le_bytes([four[0], four[1], four[2], four[3]]))
+}

@@ -1,0 +1,34 @@
+//! Portable float map: `Pf`, width and height, scale (negative: little-endian), then rows from the bottom to the top.
+
+use super::{DepthMap, DepthMapFormat, Parsed, floats};
+
+pub(super) fn parse(bytes: &[u8]) -> Parsed<DepthMap> {
+    let (magic, at) = word(bytes, 0)?;
+    if magic != "Pf" {
+        return Err((0, "expected `Pf` (a map of one channel)".into()));
+    }
+    let (width, at) = number::<u32>(bytes, at)?;
+    let (height, at) = number::<u32>(bytes, at)?;
+    let (scale, at) = number::<f32>(bytes, at)?;
+    let mut depth = floats(bytes, at, width, height)?;
+    if scale > 0.0 {
+        depth.iter_mut().for_each(|z| *z = f32::from_bits(z.to_bits().swap_bytes()));
+    }
+    let depth = depth.chunks_exact(width as usize).rev().flatten().copied().collect();
+    Ok(DepthMap { format: DepthMapFormat::Pfm, width, height, depth, ids: Vec::new() })
+}
+
+fn number<T: std::str::FromStr>(bytes: &[u8], start: usize) -> Parsed<(T, usize)> {
+    let (text, next) = word(bytes, start)?;
+    let value = text.parse().map_err(|_| (start, format!("`{text}` is no number")))?;
+    Ok((value, next))
+}
+
+/// The next word, which ends at one white-space byte, and where the rest begins.
+fn word(bytes: &[u8], start: usize) -> Parsed<(&str, usize)> {
+    let rest = &bytes[start.min(bytes.len())..];
+    let end = rest.iter().take(40).position(u8::is_ascii_whitespace);
+    let end = end.ok_or_else(|| (start, "expected the header of a PFM file".to_string()))?;
+    let text = std::str::from_utf8(&rest[..end]).map_err(|_| (start, "the header isn't text".to_string()))?;
+    Ok((text, start + end + 1))
+}
