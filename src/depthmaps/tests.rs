@@ -144,7 +144,7 @@ proptest! {
 }
 
 fn camera() -> Camera {
-    Camera { id: 1, model: CameraModel::Pinhole, width: 12, height: 8, params: vec![10.0, 10.0, 6.0, 4.0] }
+    Camera::new(1, CameraModel::Pinhole, 12, 8, vec![10.0, 10.0, 6.0, 4.0]).unwrap()
 }
 
 fn scene(names: &[&str]) -> Scene {
