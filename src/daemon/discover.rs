@@ -11,9 +11,7 @@ use std::{
 
 /// Names of the files of a COLMAP model, without their suffix.
 const MODEL_FILES: [&str; 5] = ["cameras", "images", "points3D", "rigs", "frames"];
-/// Where the daemon keeps its own files, under each root.
-pub const STATE_FOLDER: &str = ".viewrank";
-/// Where a project's outputs go; never looked at as input.
+/// Where the outputs of a project and the daemon's own files of a root go; never looked at as input.
 pub const OUTPUT_FOLDER: &str = "viewrank";
 /// Deeper than this is a loop of mounts or links.
 const MAX_DEPTH: usize = 64;

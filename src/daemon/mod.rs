@@ -1,9 +1,63 @@
 //! `viewrank watch`: plans each project when its sparse model is complete, and follows the backend.
 //!
 //! [`discover`] finds projects, [`watch`] hints at changes, [`settle`] says whether the input is still and new, [`state`] is what is
-//! known of a project.
+//! known of a project, [`queue`] bounds the work, [`run`] is the loop, `job` plans one project with the same functions as `viewrank plan`.
 
 pub mod discover;
+mod job;
+pub mod queue;
+mod run;
 pub mod settle;
 pub mod state;
+mod status;
 pub mod watch;
+
+use std::{path::PathBuf, time::Duration};
+
+pub use job::{Job, Planner};
+pub use run::{Signal, Summary, watch_roots};
+pub use status::{Line, read_status};
+
+use crate::{error::Hint, output::OutputError};
+
+/// How `viewrank watch` works.
+#[derive(Clone, Debug)]
+pub struct Options {
+    pub roots: Vec<PathBuf>,
+    /// A model is complete when its files have been still for so long.
+    pub settle: Duration,
+    /// Look at all folders so often instead of waiting for events; `None`: only on network file systems.
+    pub poll: Option<Duration>,
+    /// A full look at everything, for what events lost.
+    pub rescan: Duration,
+    pub on_busy: state::OnBusy,
+    pub jobs: usize,
+    /// Bytes of memory that all plans together may need.
+    pub max_memory: u64,
+    pub follow_links: bool,
+    /// End when every project is planned or can't be.
+    pub once: bool,
+    /// Prometheus text file.
+    pub metrics: Option<PathBuf>,
+}
+
+/// What stops the daemon; everything else concerns one project and is told in the status.
+#[derive(Debug, thiserror::Error)]
+pub enum DaemonError {
+    #[error("{}: {source}", path.display())]
+    Root { path: PathBuf, source: std::io::Error },
+    #[error("{} is already watched by {holder}", path.display())]
+    Held { path: PathBuf, holder: String },
+    #[error(transparent)]
+    Output(#[from] OutputError),
+}
+
+impl Hint for DaemonError {
+    fn hint(&self) -> Option<String> {
+        match self {
+            Self::Root { .. } => Some("give a folder that may be read and written".into()),
+            Self::Held { .. } => Some("use that daemon (`viewrank status` shows it), or stop it first".into()),
+            Self::Output(error) => error.hint(),
+        }
+    }
+}

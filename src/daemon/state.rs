@@ -198,6 +198,10 @@ impl Tracked {
         };
     }
 
+    pub fn has_failed(&self) -> bool {
+        self.failures > 0
+    }
+
     /// Forgets what was concluded, so that the input is looked at again.
     pub fn look_again(&mut self) {
         self.concluded = None;

@@ -4,9 +4,9 @@
 //! watch a folder. Events are hints only: what decides is the comparison in `settle`.
 
 use std::{
-    collections::{BTreeSet, VecDeque},
+    collections::{BTreeMap, VecDeque},
     ffi::CString,
-    os::unix::ffi::OsStrExt,
+    os::unix::{ffi::OsStrExt, fs::MetadataExt},
     path::{Path, PathBuf},
     sync::mpsc::Sender,
 };
@@ -25,7 +25,8 @@ pub enum Hint {
 /// Watches folders.
 pub struct Watches {
     native: Option<notify::RecommendedWatcher>,
-    watched: BTreeSet<PathBuf>,
+    /// Folders by owner, with their inode.
+    watched: BTreeMap<PathBuf, BTreeMap<PathBuf, u64>>,
     /// Why some or all folders are looked at in turn instead of being watched; said once.
     notices: VecDeque<String>,
     exhausted: bool,
@@ -34,7 +35,7 @@ pub struct Watches {
 impl Watches {
     /// Sends hints to `hints`. With `poll` no native events are asked for.
     pub fn new<T: From<Hint> + Send + 'static>(hints: Sender<T>, poll: bool) -> Self {
-        let mut watches = Self { native: None, watched: BTreeSet::new(), notices: VecDeque::new(), exhausted: poll };
+        let mut watches = Self { native: None, watched: BTreeMap::new(), notices: VecDeque::new(), exhausted: poll };
         if !poll {
             match notify::recommended_watcher(move |event| send(&hints, event)) {
                 Ok(native) => watches.native = Some(native),
@@ -46,26 +47,44 @@ impl Watches {
         watches
     }
 
-    /// Watches exactly these folders: new ones are added, others are let go.
-    pub fn set(&mut self, folders: BTreeSet<PathBuf>) {
-        let Some(native) = &mut self.native else { return };
-        for gone in self.watched.difference(&folders) {
-            // A folder that was deleted took its watch along.
-            let _ = native.unwatch(gone);
-        }
-        let mut watched: BTreeSet<_> = self.watched.intersection(&folders).cloned().collect();
-        let mut failure = None;
-        for folder in folders.difference(&self.watched) {
-            match native.watch(folder, RecursiveMode::NonRecursive) {
-                Ok(()) => _ = watched.insert(folder.clone()),
+    /// Watches exactly these folders for `owner` (a project, or a folder outside projects); true when new ones came. A folder
+    /// that was deleted and made again is watched again.
+    pub fn update(&mut self, owner: &Path, folders: Vec<PathBuf>) -> bool {
+        let Some(native) = &mut self.native else { return false };
+        let before = self.watched.remove(owner).unwrap_or_default();
+        let (mut after, mut failure, mut new) = (BTreeMap::new(), None, false);
+        for folder in folders {
+            let Ok(inode) = std::fs::metadata(&folder).map(|m| m.ino()) else { continue };
+            if before.get(&folder) == Some(&inode) {
+                after.insert(folder, inode);
+                continue;
+            }
+            match native.watch(&folder, RecursiveMode::NonRecursive) {
+                Ok(()) => {
+                    new = true;
+                    after.insert(folder, inode);
+                }
                 Err(error) if matches!(error.kind, ErrorKind::PathNotFound) => {}
                 Err(error) => failure = Some(error),
             }
         }
-        self.watched = watched;
+        for gone in before.keys().filter(|folder| !after.contains_key(*folder)) {
+            // A folder that was deleted took its watch along.
+            let _ = native.unwatch(gone);
+        }
+        if !after.is_empty() {
+            self.watched.insert(owner.into(), after);
+        }
         if let Some(error) = failure {
             self.report(&error);
         }
+        new
+    }
+
+    /// Lets go of folders that are gone.
+    pub fn forget_missing(&mut self) {
+        let missing: Vec<_> = self.watched.keys().filter(|owner| !owner.is_dir()).cloned().collect();
+        missing.iter().for_each(|owner| _ = self.update(owner, Vec::new()));
     }
 
     /// Must some folders be looked at in turn?
@@ -80,7 +99,7 @@ impl Watches {
 
     /// Watches held, for measuring.
     pub fn count(&self) -> usize {
-        self.watched.len()
+        self.watched.values().map(BTreeMap::len).sum()
     }
 
     fn report(&mut self, error: &notify::Error) {
@@ -153,7 +172,8 @@ mod tests {
         std::fs::create_dir_all(&unseen).expect("a folder");
         let (sender, hints) = channel::<Hint>();
         let mut watches = Watches::new(sender, false);
-        watches.set([seen.clone()].into());
+        assert!(watches.update(root.path(), vec![seen.clone()]));
+        assert!(!watches.update(root.path(), vec![seen.clone()]));
         std::fs::write(unseen.join("manifest.json"), "{}").expect("a file");
         std::fs::write(seen.join("cameras.bin"), "x").expect("a file");
         let first = hints.recv_timeout(Duration::from_secs(10)).expect("a hint");

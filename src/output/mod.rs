@@ -89,6 +89,21 @@ pub fn recover(root: &Path, disk: &Disk) -> Result<(), OutputError> {
     transaction::recover(root, disk)
 }
 
+/// Puts one file in place of another in one step: for files that are ours alone and change often (a status, a log of progress).
+pub fn replace(path: &Path, bytes: &[u8], disk: &Disk) -> Result<(), OutputError> {
+    let name = path.file_name().ok_or_else(|| OutputError::Name { name: path.display().to_string() })?;
+    let draft = path.with_file_name(format!(".{}.new", name.to_string_lossy()));
+    // A killed run may have left its draft.
+    disk.remove(&draft)?;
+    let written = disk.write_new(&draft, bytes, false).and_then(|()| disk.rename(&draft, path));
+    written.map(|_| ()).inspect_err(|_| _ = disk.remove(&draft))
+}
+
+/// Makes a folder and those above it.
+pub fn make_folder(path: &Path, disk: &Disk) -> Result<(), OutputError> {
+    transaction::make_folders(path, disk)
+}
+
 /// `inner` relative to `outer`, with a `/` behind it where it isn't empty.
 fn inside(outer: &Path, inner: &Path) -> Option<String> {
     let relative = inner.strip_prefix(outer).ok()?.to_str()?;

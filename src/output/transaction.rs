@@ -205,7 +205,7 @@ impl<'a> Root<'a> {
     }
 }
 
-fn make_folders(path: &Path, disk: &Disk) -> Result<(), OutputError> {
+pub(super) fn make_folders(path: &Path, disk: &Disk) -> Result<(), OutputError> {
     if let Some(parent) = path.parent().filter(|_| !path.is_dir()) {
         make_folders(parent, disk)?;
     }

@@ -1,0 +1,93 @@
+//! How many projects are planned at once: by jobs and by memory; and at what priority.
+
+use std::path::{Path, PathBuf};
+
+/// Memory that planning needs beside what grows with the model.
+const BASE_BYTES: u64 = 100 << 20;
+/// Peak memory of a plan over the bytes of its model files (`benches/plan.py` prints both).
+const BYTES_PER_MODEL_BYTE: u64 = 10;
+
+/// Bytes of memory that planning a model of so many bytes needs at its peak.
+pub fn need(model_bytes: u64) -> u64 {
+    BASE_BYTES.saturating_add(model_bytes.saturating_mul(BYTES_PER_MODEL_BYTE))
+}
+
+/// The jobs that run.
+#[derive(Debug)]
+pub struct Queue {
+    jobs: usize,
+    max_memory: u64,
+    running: Vec<(PathBuf, u64)>,
+}
+
+/// Why a project can't start now.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Full {
+    /// As many run as may.
+    Jobs,
+    /// It would fit when others end.
+    Memory,
+    /// It would not fit alone: needed and allowed bytes.
+    Never { need: u64, max: u64 },
+}
+
+impl Queue {
+    pub fn new(jobs: usize, max_memory: u64) -> Self {
+        Self { jobs: jobs.max(1), max_memory, running: Vec::new() }
+    }
+
+    /// Lets a job begin, or says why not.
+    pub fn admit(&mut self, project: &Path, need: u64) -> Result<(), Full> {
+        let used: u64 = self.running.iter().map(|(_, need)| need).sum();
+        if need > self.max_memory {
+            return Err(Full::Never { need, max: self.max_memory });
+        }
+        if self.running.len() >= self.jobs {
+            return Err(Full::Jobs);
+        }
+        if used + need > self.max_memory {
+            return Err(Full::Memory);
+        }
+        self.running.push((project.into(), need));
+        Ok(())
+    }
+
+    pub fn release(&mut self, project: &Path) {
+        self.running.retain(|(running, _)| running != project);
+    }
+
+    pub fn is_idle(&self) -> bool {
+        self.running.is_empty()
+    }
+}
+
+/// `IOPRIO_WHO_PROCESS` and the idle-most level of the best-effort class (`ioprio_set(2)`).
+const IO_THIS_PROCESS: libc::c_int = 1;
+const IO_BEST_EFFORT_LOWEST: libc::c_int = (2 << 13) | 7;
+
+/// Lowers the CPU and I/O priority of this process and of the threads that it starts from now on. Where the system refuses,
+/// work goes on at the priority that there is.
+pub fn lower_priority() {
+    // SAFETY: both calls take plain numbers and change nothing but priorities.
+    unsafe {
+        libc::setpriority(libc::PRIO_PROCESS, 0, 10);
+        libc::syscall(libc::SYS_ioprio_set, IO_THIS_PROCESS, 0, IO_BEST_EFFORT_LOWEST);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn jobs_and_memory_bound_what_runs_at_once() {
+        let mut queue = Queue::new(2, 100);
+        assert_eq!(queue.admit(Path::new("a"), 60), Ok(()));
+        assert_eq!(queue.admit(Path::new("b"), 60), Err(Full::Memory));
+        assert_eq!(queue.admit(Path::new("c"), 40), Ok(()));
+        assert_eq!(queue.admit(Path::new("d"), 0), Err(Full::Jobs));
+        queue.release(Path::new("a"));
+        assert_eq!(queue.admit(Path::new("b"), 60), Ok(()));
+        assert_eq!(queue.admit(Path::new("e"), 101), Err(Full::Never { need: 101, max: 100 }));
+    }
+}

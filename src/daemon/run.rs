@@ -1,0 +1,377 @@
+//! The loop: hints and times in, looks at projects and jobs out.
+//!
+//! One thread owns all state; jobs run in threads of their own and tell it how they end. Every look at the file system compares
+//! stamps, so that a lost, late or doubled hint changes nothing but the time of the look.
+
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    panic::{AssertUnwindSafe, catch_unwind},
+    path::{Path, PathBuf},
+    sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel},
+    thread::{Scope, scope},
+    time::{Duration, Instant},
+};
+
+use tracing::{info, warn};
+
+use super::{
+    DaemonError, Job, Options, Planner, discover,
+    queue::{Full, Queue},
+    settle::Stamp,
+    state::{Outcome, Phase, Tracked},
+    status::{Holder, StatusFiles},
+    watch::{self, Hint, Watches},
+};
+use crate::output::Disk;
+
+/// Hints that come within this time of each other are one look.
+const GATHER: Duration = Duration::from_millis(50);
+/// Network file systems are looked at so often when nothing else is said.
+const NETWORK_POLL: Duration = Duration::from_secs(10);
+/// The loop turns at least so often, for a watchdog's sake.
+const LONGEST_SLEEP: Duration = Duration::from_secs(20);
+
+/// What the system asks of the daemon.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Signal {
+    Stop,
+    Rescan,
+}
+
+/// How the projects stood at the end.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Summary {
+    pub projects: usize,
+    pub planned: usize,
+    pub failed: usize,
+    pub waiting: usize,
+}
+
+enum Event {
+    Hint(Hint),
+    Progress { project: PathBuf, stage: String, percent: u8 },
+    Finished { project: PathBuf, stamp: Stamp, outcome: Outcome },
+    Signal(Signal),
+}
+
+impl From<Hint> for Event {
+    fn from(hint: Hint) -> Self {
+        Self::Hint(hint)
+    }
+}
+
+/// Watches the roots until stopped (or, with [`Options::once`], until nothing is left to plan). `signals` is handed a function
+/// that tells the daemon of signals, to be called from any thread.
+pub fn watch_roots(
+    options: &Options,
+    planner: &dyn Planner,
+    disk: &Disk,
+    signals: impl FnOnce(Box<dyn Fn(Signal) + Send>),
+) -> Result<Summary, DaemonError> {
+    let (sender, events) = channel();
+    let to_loop = sender.clone();
+    // The loop may have ended; then nobody waits for signals.
+    signals(Box::new(move |signal| _ = to_loop.send(Event::Signal(signal))));
+    let holders = options.roots.iter().map(|root| Holder::take(root, disk)).collect::<Result<Vec<_>, _>>()?;
+    let roots: Vec<_> = holders.iter().map(|holder| holder.root.clone()).collect();
+    let network = roots.iter().any(|root| watch::is_network(root));
+    let poll = options.poll.or(network.then_some(NETWORK_POLL));
+    let mut daemon = Daemon {
+        options,
+        roots,
+        planner,
+        status: StatusFiles::new(holders, options.metrics.clone()),
+        watches: Watches::new(sender.clone(), poll.is_some()),
+        poll,
+        sender,
+        projects: BTreeMap::new(),
+        queue: Queue::new(options.jobs, options.max_memory),
+        dirty: BTreeSet::new(),
+        gather_until: None,
+        look_at_all: true,
+        next_full_look: Instant::now(),
+        stopping: false,
+    };
+    if network && options.poll.is_none() {
+        daemon.status.notice("network file system: looking at the folders every 10 s (--poll)".into());
+    }
+    scope(|threads| daemon.run(threads, &events, disk))
+}
+
+struct Daemon<'a> {
+    options: &'a Options,
+    /// Without symbolic links.
+    roots: Vec<PathBuf>,
+    planner: &'a dyn Planner,
+    status: StatusFiles,
+    watches: Watches,
+    poll: Option<Duration>,
+    sender: Sender<Event>,
+    projects: BTreeMap<PathBuf, Tracked>,
+    queue: Queue,
+    /// Paths that something was hinted about.
+    dirty: BTreeSet<PathBuf>,
+    gather_until: Option<Instant>,
+    look_at_all: bool,
+    next_full_look: Instant,
+    stopping: bool,
+}
+
+impl<'a> Daemon<'a> {
+    fn run<'s>(
+        &mut self,
+        threads: &'s Scope<'s, '_>,
+        events: &Receiver<Event>,
+        disk: &Disk,
+    ) -> Result<Summary, DaemonError>
+    where
+        'a: 's,
+    {
+        let mut ready = false;
+        loop {
+            let now = Instant::now();
+            self.look(now);
+            self.start_jobs(threads, now);
+            self.status.publish(&self.projects, disk, now, false);
+            if !ready {
+                ready = true;
+                tell_supervisor(sd_notify::NotifyState::Ready);
+            }
+            tell_supervisor(sd_notify::NotifyState::Watchdog);
+            if self.is_done() {
+                self.status.publish(&self.projects, disk, now, true);
+                return Ok(self.summary());
+            }
+            match events.recv_timeout(self.sleep(now)) {
+                Ok(event) => self.handle(event),
+                Err(RecvTimeoutError::Timeout) => {}
+                Err(RecvTimeoutError::Disconnected) => self.stopping = true,
+            }
+            while let Ok(event) = events.try_recv() {
+                self.handle(event);
+            }
+        }
+    }
+
+    fn handle(&mut self, event: Event) {
+        let now = Instant::now();
+        match event {
+            Event::Hint(Hint::Changed(path)) => self.mark(path, now),
+            Event::Hint(Hint::Lost) => {
+                self.status.notice("file events were lost; looked at everything".into());
+                self.look_at_all = true;
+            }
+            Event::Progress { project, stage, percent } => {
+                if let Some(tracked) = self.projects.get_mut(&project).filter(|t| t.is_busy()) {
+                    tracked.phase = Phase::Planning { stage, percent };
+                }
+            }
+            Event::Finished { project, stamp, outcome } => self.finish(&project, stamp, outcome, now),
+            Event::Signal(Signal::Stop) => {
+                self.stopping = true;
+                self.projects.values().for_each(Tracked::cancel);
+                tell_supervisor(sd_notify::NotifyState::Stopping);
+            }
+            Event::Signal(Signal::Rescan) => {
+                self.look_at_all = true;
+                self.projects.values_mut().for_each(Tracked::look_again);
+            }
+        }
+    }
+
+    fn mark(&mut self, path: PathBuf, now: Instant) {
+        self.dirty.insert(path);
+        self.gather_until.get_or_insert(now + GATHER);
+    }
+
+    fn finish(&mut self, project: &Path, stamp: Stamp, outcome: Outcome, now: Instant) {
+        self.queue.release(project);
+        let Some(tracked) = self.projects.get_mut(project) else { return };
+        tracked.finish(stamp, outcome, now);
+        match &tracked.phase {
+            Phase::Failed { reason, .. } => warn!(project = %project.display(), %reason, "failed"),
+            phase => info!(project = %project.display(), "{phase}"),
+        }
+        // What changed while the job ran was seen; what changed after its last look may have raised no event yet.
+        self.mark(project.into(), now);
+    }
+
+    /// Looks at what was hinted at, or at everything when it is time.
+    fn look(&mut self, now: Instant) {
+        if self.look_at_all || now >= self.next_full_look {
+            self.look_at_everything(now);
+        } else if self.gather_until.is_some_and(|until| now >= until) {
+            self.gather_until = None;
+            for path in std::mem::take(&mut self.dirty) {
+                self.look_at(&path, now);
+            }
+        }
+        while let Some(notice) = self.watches.take_notice() {
+            warn!("{notice}");
+            self.status.notice(notice);
+        }
+    }
+
+    fn look_at_everything(&mut self, now: Instant) {
+        self.look_at_all = false;
+        self.dirty.clear();
+        self.gather_until = None;
+        self.watches.forget_missing();
+        for root in self.roots.clone() {
+            self.search(&root, now);
+        }
+        let known: Vec<_> = self.projects.keys().cloned().collect();
+        known.iter().for_each(|project| self.look_at_project(project, now));
+        let every = match self.poll {
+            Some(poll) => poll,
+            None if self.watches.exhausted() => NETWORK_POLL,
+            None => self.options.rescan,
+        };
+        self.next_full_look = now + every;
+    }
+
+    /// Searches a folder outside projects for projects, and watches the folders in which one may appear.
+    fn search(&mut self, folder: &Path, now: Instant) {
+        let found = discover::walk(folder, self.options.follow_links);
+        for folder in found.folders {
+            self.watches.update(&folder.clone(), vec![folder]);
+        }
+        for (folder, reason) in found.unreadable {
+            self.status.notice(format!("cannot look into {}: {reason}", folder.display()));
+        }
+        for project in found.projects {
+            if !self.projects.contains_key(&project) {
+                info!(project = %project.display(), "found");
+                self.watches.update(&project, discover::input_folders(&project));
+                let tracked = Tracked::new(project.clone(), Stamp::of(&project), now);
+                self.projects.insert(project.clone(), tracked);
+                // It may have been written to between the look and the watch.
+                self.mark(project, now);
+            }
+        }
+    }
+
+    fn look_at(&mut self, path: &Path, now: Instant) {
+        let owner = path.ancestors().find(|above| self.projects.contains_key(*above)).map(Path::to_path_buf);
+        match owner {
+            Some(project) => self.look_at_project(&project, now),
+            None => {
+                let folder = path.ancestors().find(|above| above.is_dir());
+                let inside = |f: &&Path| self.roots.iter().any(|root| f.starts_with(root));
+                let hidden = |f: &&Path| f.components().any(|c| c.as_os_str() == discover::OUTPUT_FOLDER);
+                if let Some(folder) = folder.filter(inside).filter(|f| !hidden(f)).map(Path::to_path_buf) {
+                    self.search(&folder, now);
+                }
+            }
+        }
+    }
+
+    fn look_at_project(&mut self, project: &Path, now: Instant) {
+        if !discover::is_project(project, self.options.follow_links) {
+            self.forget(project, now);
+            return;
+        }
+        let new_watches = self.watches.update(project, discover::input_folders(project));
+        let on_busy = self.options.on_busy;
+        if let Some(tracked) = self.projects.get_mut(project) {
+            tracked.observe(Stamp::of(project), now, on_busy);
+        }
+        if new_watches {
+            self.mark(project.into(), now);
+        }
+    }
+
+    /// The project is gone, or no project any more: its job ends, and its place is searched again.
+    fn forget(&mut self, project: &Path, now: Instant) {
+        info!(project = %project.display(), "gone");
+        if let Some(tracked) = self.projects.remove(project) {
+            tracked.cancel();
+        }
+        self.watches.update(project, Vec::new());
+        self.planner.forget(project);
+        if let Some(above) = project.parent().filter(|_| !self.roots.iter().any(|root| root == project)) {
+            self.mark(above.into(), now);
+        }
+    }
+
+    fn start_jobs<'s>(&mut self, threads: &'s Scope<'s, '_>, now: Instant)
+    where
+        'a: 's,
+    {
+        if self.stopping {
+            return;
+        }
+        let due = |t: &Tracked| t.due(self.options.settle).filter(|at| *at <= now);
+        let mut waiting: Vec<_> = self.projects.values().filter_map(|t| Some((due(t)?, t.root.clone()))).collect();
+        waiting.sort();
+        for (_, project) in waiting {
+            self.start_job(threads, &project, now);
+        }
+    }
+
+    fn start_job<'s>(&mut self, threads: &'s Scope<'s, '_>, project: &Path, now: Instant)
+    where
+        'a: 's,
+    {
+        let Some(tracked) = self.projects.get_mut(project) else { return };
+        let stamp = tracked.stamp().clone();
+        match self.queue.admit(project, self.planner.need(&stamp)) {
+            Ok(()) => {}
+            Err(Full::Jobs) => return tracked.phase = Phase::Queued { reason: "for a free job (--jobs)".into() },
+            Err(Full::Memory) => return tracked.phase = Phase::Queued { reason: "for memory (--max-memory)".into() },
+            Err(Full::Never { need, max }) => {
+                let mib = |bytes: u64| bytes.div_ceil(1 << 20);
+                let reason = format!("needs about {} MiB, --max-memory allows {}", mib(need), mib(max));
+                let hint = Some("raise --max-memory, or plan it by itself with `viewrank plan`".into());
+                return tracked.finish(stamp, Outcome::Failed { reason, hint }, now);
+            }
+        }
+        let cancel = tracked.start();
+        let (planner, sender, project) = (self.planner, self.sender.clone(), project.to_path_buf());
+        threads.spawn(move || {
+            let progress = |stage: &str, percent| {
+                let event = Event::Progress { project: project.clone(), stage: stage.into(), percent };
+                // Progress that nobody reads any more is no loss.
+                _ = sender.send(event);
+            };
+            let job = Job { project: &project, stamp: &stamp, cancel: &cancel, progress: &progress };
+            let outcome = catch_unwind(AssertUnwindSafe(|| planner.plan(&job))).unwrap_or_else(|_| Outcome::Failed {
+                reason: "an internal error; see the log".into(),
+                hint: Some("run `viewrank plan` on it and report what it prints".into()),
+            });
+            _ = sender.send(Event::Finished { project: project.clone(), stamp, outcome });
+        });
+    }
+
+    /// How long there is nothing to do.
+    fn sleep(&self, now: Instant) -> Duration {
+        let due = self.projects.values().filter(|t| !matches!(t.phase, Phase::Queued { .. }));
+        let due = due.filter_map(|t| t.due(self.options.settle)).min();
+        let times = [Some(self.next_full_look), self.gather_until, due, self.status.due()];
+        let next = times.into_iter().flatten().min();
+        next.map_or(LONGEST_SLEEP, |at| at.saturating_duration_since(now).min(LONGEST_SLEEP))
+    }
+
+    fn is_done(&self) -> bool {
+        let nothing_due = || self.projects.values().all(|t| t.due(self.options.settle).is_none() || t.has_failed());
+        let quiet = self.dirty.is_empty() && !self.look_at_all;
+        self.queue.is_idle() && (self.stopping || self.options.once && quiet && nothing_due())
+    }
+
+    fn summary(&self) -> Summary {
+        let count = |wanted: fn(&Phase) -> bool| self.projects.values().filter(|t| wanted(&t.phase)).count();
+        let planned = |p: &Phase| matches!(p, Phase::Planned { .. } | Phase::Computing { .. } | Phase::Reached { .. });
+        Summary {
+            projects: self.projects.len(),
+            planned: count(planned),
+            failed: count(|p| matches!(p, Phase::Failed { .. })),
+            waiting: count(|p| matches!(p, Phase::Waiting { .. })),
+        }
+    }
+}
+
+/// Tells systemd, where it asked to be told.
+fn tell_supervisor(state: sd_notify::NotifyState) {
+    // Without a supervisor there is nobody to tell.
+    let _ = sd_notify::notify(&[state]);
+}
