@@ -165,6 +165,17 @@ impl Camera {
         self.lens.project_beyond_field(x_cam).map(Point2::from)
     }
 
+    /// Distance in pixels between a measured pixel and the projection of a point, beyond the field too; `None` where there is
+    /// no projection. Equirectangular images, whose pixels have no common scale, take the angle times the pixels per
+    /// radian at the equator, as COLMAP does.
+    pub fn reprojection_error(&self, x_cam: &Point3<f64>, measured: &Point2<f64>) -> Option<f64> {
+        if self.model == CameraModel::Equirectangular {
+            let angle = self.ray(measured)?.angle(&x_cam.coords);
+            return Some(angle * f64::from(self.width) / std::f64::consts::TAU);
+        }
+        Some((self.project_beyond_field(x_cam)? - measured).norm())
+    }
+
     /// Direction in camera coordinates (unit length) of the ray through a pixel; `None` where there is none.
     /// The inverse of [`Camera::project`] within its field.
     pub fn ray(&self, pixel: &Point2<f64>) -> Option<Unit<Vector3<f64>>> {

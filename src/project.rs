@@ -1,6 +1,17 @@
 //! What kind of project a folder is, and where its model, images and depth maps are.
 
-use std::path::PathBuf;
+mod discover;
+mod files;
+mod images;
+
+use std::{
+    io,
+    path::{Path, PathBuf},
+};
+
+pub use files::ColmapFiles;
+
+use crate::{error::Hint, formats::Fault, scene::Scene};
 
 /// Formats of sparse models.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
@@ -17,12 +28,38 @@ pub enum ModelFormat {
     Sure,
 }
 
+impl ModelFormat {
+    /// As people write it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::ColmapBinary => "COLMAP binary",
+            Self::ColmapText => "COLMAP text",
+            Self::Bundler => "Bundler",
+            Self::Nvm => "NVM",
+            Self::OpenMvg => "OpenMVG",
+            Self::OpenSfm => "OpenSfM",
+            Self::AliceVision => "AliceVision",
+            Self::OpenMvs => "OpenMVS",
+            Self::Sure => "SURE",
+        }
+    }
+}
+
 /// Where a sparse model lies.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ModelLocation {
     pub format: ModelFormat,
     /// Folder of a COLMAP model; the file of other formats.
     pub path: PathBuf,
+    /// Registered images by a first look, without reading the model.
+    pub registered: u64,
+}
+
+impl ModelLocation {
+    /// What `--model` takes: the name of the folder or file.
+    pub fn name(&self) -> String {
+        self.path.file_name().unwrap_or(self.path.as_os_str()).to_string_lossy().into_owned()
+    }
 }
 
 /// What the folder is set up for.
@@ -50,13 +87,89 @@ pub struct Project {
     pub other_models: Vec<ModelLocation>,
     /// The image folder that names are relative to.
     pub images: Option<PathBuf>,
-    /// The COLMAP dense workspace: `root` itself or `root/dense`.
+    /// The COLMAP dense workspace: `root` itself, `root/dense` or `root/dense/N`.
     pub dense_workspace: Option<PathBuf>,
 }
 
 impl Project {
+    /// Finds out what lies at a path: a project folder, a model folder, or a model file. Of several sub-models the one with
+    /// most registered images is taken, ties by name, unless `model` names one. Nothing but counts is read.
+    pub fn open(path: &Path, model: Option<&str>) -> Result<Self, ProjectError> {
+        discover::open(path, model)
+    }
+
     /// Where viewrank writes: `root/viewrank`.
     pub fn output_folder(&self) -> PathBuf {
         self.root.join("viewrank")
+    }
+
+    /// Reads the model, and which images of the image folder it lacks.
+    pub fn read_scene(&self) -> Result<Scene, ProjectError> {
+        let mut scene = match self.model.format {
+            ModelFormat::ColmapBinary | ModelFormat::ColmapText => self.colmap_files()?.scene()?,
+            _ => {
+                return Err(ProjectError::NotReadable {
+                    path: self.model.path.clone(),
+                    format: self.model.format.name(),
+                });
+            }
+        };
+        scene.warnings.extend(self.sub_model_warning(scene.views.len()));
+        if let Some(images) = &self.images {
+            scene.unregistered = images::unregistered(images, &scene);
+        }
+        Ok(scene)
+    }
+
+    /// The files of a COLMAP model as they are, for writing a part of them.
+    pub fn colmap_files(&self) -> Result<ColmapFiles, ProjectError> {
+        ColmapFiles::open(&self.model)
+    }
+
+    fn sub_model_warning(&self, registered: usize) -> Option<String> {
+        let others = self.other_models.iter().map(|m| format!("{} ({} images)", m.name(), m.registered));
+        let others: Vec<String> = others.collect();
+        (!others.is_empty()).then(|| {
+            let used = self.model.name();
+            format!(
+                "of several sub-models {used} ({registered} images) is used; not used: {}; --model takes another",
+                others.join(", ")
+            )
+        })
+    }
+}
+
+/// Why a project cannot be opened or its model not be read.
+#[derive(Debug, thiserror::Error)]
+pub enum ProjectError {
+    #[error("{0}: no such file or folder")]
+    NotFound(PathBuf),
+    #[error("no sparse model under {path}; looked for {looked_for}")]
+    NoModel { path: PathBuf, looked_for: String },
+    #[error("{folder} holds part of a COLMAP model, but not {missing}")]
+    IncompleteModel { folder: PathBuf, missing: String },
+    #[error("there is no sub-model {wanted:?} in {path}; there are {present}")]
+    NoSuchModel { path: PathBuf, wanted: String, present: String },
+    #[error("{path}: {source}")]
+    Io { path: PathBuf, source: io::Error },
+    #[error("{path}, {fault}")]
+    Fault { path: PathBuf, fault: Fault },
+    #[error("{path}: {format} models cannot be read")]
+    NotReadable { path: PathBuf, format: &'static str },
+}
+
+impl Hint for ProjectError {
+    fn hint(&self) -> Option<String> {
+        Some(match self {
+            Self::NotFound(_) => "Give the folder of the project, the one that holds `sparse` and `images`.".into(),
+            Self::NoModel { .. } => "Give a folder that holds `sparse`, or the folder of the model itself.".into(),
+            Self::IncompleteModel { .. } => {
+                "Export the model again, with all of cameras, images and points3D in one format, binary or text.".into()
+            }
+            Self::NoSuchModel { .. } => "Give one of these names to --model.".into(),
+            Self::Io { .. } => "Check that the file is there and may be read.".into(),
+            Self::Fault { fault, .. } => fault.problem.hint().into(),
+            Self::NotReadable { .. } => "Convert it to a COLMAP model.".into(),
+        })
     }
 }

@@ -109,6 +109,8 @@ pub struct Scene {
     pub track_pixels: Vec<[f64; 2]>,
     /// Images of the model or the image folder that have no pose, sorted by name.
     pub unregistered: Vec<String>,
+    /// What the reader found odd, in sentences for the user.
+    pub warnings: Vec<String>,
 }
 
 impl Scene {
@@ -148,6 +150,24 @@ impl Scene {
         &self.track_views[self.track(point)]
     }
 
+    /// Distance in pixels between an observation (a position in `track_pixels`) and the projection of the point that it
+    /// belongs to; `None` where the camera does not project it (a point behind it).
+    pub fn reprojection_error(&self, point: PointIndex, observation: usize) -> Option<f64> {
+        let view = self.track_views[observation];
+        let x_cam = self.view(view).cam_from_world.camera_from_world(&self.points[point.at()]);
+        self.camera_of(view).reprojection_error(&x_cam, &self.track_pixels[observation].into())
+    }
+
+    /// The mean over points of the mean over their observations, pixels, as COLMAP states it; observations without
+    /// projection do not count. `None` without any.
+    pub fn mean_reprojection_error(&self) -> Option<f64> {
+        let means = (0..self.points.len()).filter_map(|p| {
+            let point = PointIndex(p as u32);
+            mean(self.track(point).filter_map(|o| self.reprojection_error(point, o)))
+        });
+        mean(means)
+    }
+
     /// The median over views of (median depth of the points that the view observes) / (mean focal length in pixels): scene
     /// units per pixel. Without any view that observes a point in front of it, `None`.
     pub fn median_gsd(&self) -> Option<f64> {
@@ -165,6 +185,11 @@ impl Scene {
     pub fn view_points(&self) -> ViewPoints {
         ViewPoints::new(self)
     }
+}
+
+fn mean(values: impl Iterator<Item = f64>) -> Option<f64> {
+    let (n, sum) = values.fold((0u64, 0.0), |(n, sum), value| (n + 1, sum + value));
+    (n > 0).then(|| sum / n as f64)
 }
 
 /// The middle of the values, for an even number the mean of the two in the middle.
@@ -243,6 +268,7 @@ mod tests {
             track_views: [0, 1, 0, 0, 1, 1].map(ViewIndex).to_vec(),
             track_pixels: vec![[0.0; 2]; 6],
             unregistered: Vec::new(),
+            warnings: Vec::new(),
         };
         // View a: depths 1 and 2; view b: 2 and 4.
         assert_eq!(scene.median_gsd(), Some(0.5 * (1.5 + 3.0) / 100.0));

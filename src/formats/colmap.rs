@@ -1,0 +1,501 @@
+//! A COLMAP model as its files hold it, whether binary or text, and the [`Scene`] made from it.
+//!
+//! Cross-references are checked here: COLMAP's own rules (`reconstruction.cc`), with two differences. Quaternions are
+//! normalised. And where a track names another 2D point than the image's own list does, the list decides: OpenMVG and
+//! AliceVision write the number of the *feature* into the tracks.
+
+use std::{
+    borrow::Cow,
+    collections::HashMap,
+    sync::{
+        OnceLock,
+        atomic::{AtomicUsize, Ordering},
+    },
+};
+
+use nalgebra::{Point3, Quaternion, UnitQuaternion, Vector3};
+use rayon::prelude::*;
+
+use super::{Fault, Place, Problem, check_name};
+use crate::{
+    camera::Camera,
+    scene::{CameraIndex, Pose, Scene, View, ViewIndex},
+};
+
+/// All files of a model, in file order, nothing dropped. Lists of 2D points and tracks may point into the files' bytes.
+#[derive(Clone, Debug, Default)]
+pub struct ColmapModel<'a> {
+    pub cameras: Vec<Camera>,
+    pub images: Vec<ColmapImage<'a>>,
+    pub points: Vec<ColmapPoint<'a>>,
+    /// `None` where there is no such file (before COLMAP 4.0).
+    pub rigs: Option<Vec<Rig>>,
+    pub frames: Option<Vec<Frame>>,
+    /// What was odd, but readable.
+    pub warnings: Vec<String>,
+}
+
+#[derive(Clone, Debug)]
+pub struct ColmapImage<'a> {
+    pub id: u32,
+    pub cam_from_world: StoredPose,
+    pub camera_id: u32,
+    pub name: Cow<'a, str>,
+    pub points2d: Cow<'a, [Point2d]>,
+    /// Where its record is.
+    pub at: Place,
+}
+
+#[derive(Clone, Debug)]
+pub struct ColmapPoint<'a> {
+    pub id: u64,
+    pub xyz: [f64; 3],
+    /// R G B
+    pub colour: [u8; 3],
+    /// Mean reprojection error in pixels as stored; -1 where unknown.
+    pub error: f64,
+    pub track: Cow<'a, [TrackElement]>,
+    /// Where its record is.
+    pub at: Place,
+}
+
+/// A rigid motion as the files hold it: w x y z, not necessarily of length one, and a translation.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct StoredPose {
+    pub quaternion: [f64; 4],
+    pub translation: [f64; 3],
+}
+
+impl StoredPose {
+    pub const IDENTITY: Self = Self { quaternion: [1.0, 0.0, 0.0, 0.0], translation: [0.0; 3] };
+
+    /// With the quaternion normalised.
+    pub fn pose(&self) -> Result<Pose, Problem> {
+        if !self.translation.iter().chain(&self.quaternion).all(|v| v.is_finite()) {
+            return Err(Problem::NotFinite("the pose"));
+        }
+        // The largest component first: the squares of tiny or huge ones leave the range of numbers.
+        let scale = self.quaternion.iter().fold(0.0f64, |max, q| max.max(q.abs()));
+        if scale == 0.0 {
+            return Err(Problem::ZeroQuaternion);
+        }
+        let [w, x, y, z] = self.quaternion.map(|q| q / scale);
+        let rotation = UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z)).to_rotation_matrix();
+        Ok(Pose { rotation, translation: Vector3::from(self.translation) })
+    }
+}
+
+/// An entry of an image's list of 2D points, as the 24 bytes of the binary file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, bytemuck::Pod, bytemuck::Zeroable)]
+#[repr(C)]
+pub struct Point2d {
+    x: [u8; 8],
+    y: [u8; 8],
+    point: [u8; 8],
+}
+
+impl Point2d {
+    /// COLMAP's number for "no point".
+    const NO_POINT: u64 = u64::MAX;
+
+    pub fn new(pixel: [f64; 2], point: Option<u64>) -> Self {
+        let point = point.unwrap_or(Self::NO_POINT).to_le_bytes();
+        Self { x: pixel[0].to_le_bytes(), y: pixel[1].to_le_bytes(), point }
+    }
+
+    pub fn pixel(&self) -> [f64; 2] {
+        [f64::from_le_bytes(self.x), f64::from_le_bytes(self.y)]
+    }
+
+    /// Id of the sparse point that it observes.
+    pub fn point(&self) -> Option<u64> {
+        Some(u64::from_le_bytes(self.point)).filter(|&id| id != Self::NO_POINT)
+    }
+}
+
+/// An entry of a track, as the 8 bytes of the binary file: an image id and a position in that image's list of 2D points.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, bytemuck::Pod, bytemuck::Zeroable)]
+#[repr(C)]
+pub struct TrackElement {
+    image: [u8; 4],
+    index: [u8; 4],
+}
+
+impl TrackElement {
+    pub fn new(image: u32, index: u32) -> Self {
+        Self { image: image.to_le_bytes(), index: index.to_le_bytes() }
+    }
+
+    pub fn image(&self) -> u32 {
+        u32::from_le_bytes(self.image)
+    }
+
+    pub fn index(&self) -> u32 {
+        u32::from_le_bytes(self.index)
+    }
+}
+
+/// A camera or another instrument of a rig.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct Sensor {
+    /// [`Sensor::CAMERA`], 1 for an IMU.
+    pub kind: i32,
+    /// The camera id.
+    pub id: u32,
+}
+
+impl Sensor {
+    pub const CAMERA: i32 = 0;
+    pub const IMU: i32 = 1;
+}
+
+#[derive(Clone, Debug, PartialEq)]
+pub struct Rig {
+    pub id: u32,
+    /// The reference sensor first; `sensor_from_rig` of the others where it is known.
+    pub sensors: Vec<(Sensor, Option<StoredPose>)>,
+    pub at: Place,
+}
+
+#[derive(Clone, Debug, PartialEq)]
+pub struct Frame {
+    pub id: u32,
+    pub rig_id: u32,
+    pub rig_from_world: StoredPose,
+    pub data: Vec<FrameData>,
+    pub at: Place,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct FrameData {
+    pub sensor: Sensor,
+    /// The image id, for a camera.
+    pub id: u64,
+}
+
+/// Rotation (radians) and position (relative to the size of the translation) by which a rig's pose may differ from the image's.
+const RIG_TOLERANCE: f64 = 1e-6;
+/// Points per piece of work.
+const CHUNK: usize = 4096;
+
+impl ColmapModel<'_> {
+    /// The scene, with all references checked.
+    pub fn scene(&self) -> Result<Scene, Fault> {
+        let mut warnings = self.warnings.clone();
+        let cameras = self.cameras_by_id()?;
+        let (views, view_of_image) = self.views(&cameras)?;
+        self.check_rigs(&views, &view_of_image, &cameras, &mut warnings)?;
+        self.check_point_ids()?;
+        let tracks = self.tracks(&view_of_image)?;
+        warnings.extend(tracks.warning());
+        Ok(Scene {
+            cameras: self.cameras.clone(),
+            views,
+            points: self.points.iter().map(|p| Point3::from(p.xyz)).collect(),
+            point_ids: self.points.iter().map(|p| p.id).collect(),
+            colours: self.points.iter().map(|p| p.colour).collect(),
+            track_offsets: tracks.offsets,
+            track_views: tracks.views,
+            track_pixels: tracks.pixels,
+            unregistered: Vec::new(),
+            warnings,
+        })
+    }
+
+    fn cameras_by_id(&self) -> Result<HashMap<u32, CameraIndex>, Fault> {
+        let mut by_id = HashMap::with_capacity(self.cameras.len());
+        for (index, camera) in self.cameras.iter().enumerate() {
+            if by_id.insert(camera.id, CameraIndex(index as u32)).is_some() {
+                let problem = Problem::Duplicate { what: "camera", id: camera.id.to_string() };
+                return Err(Fault::new("cameras", Place::File, problem));
+            }
+        }
+        Ok(by_id)
+    }
+
+    /// The views sorted by name, and for each image id the position of the image in the file and its view.
+    fn views(&self, cameras: &HashMap<u32, CameraIndex>) -> Result<(Vec<View>, HashMap<u32, ImageView>), Fault> {
+        let mut views = Vec::with_capacity(self.images.len());
+        for (position, image) in self.images.iter().enumerate() {
+            let view = image.view(position as u32, cameras);
+            views.push(view.map_err(|problem| image.fault(problem))?);
+        }
+        views.sort_by(|a, b| a.name.cmp(&b.name));
+        if let Some(same) = views.windows(2).find(|pair| pair[0].name == pair[1].name) {
+            let problem = Problem::Duplicate { what: "image name", id: same[1].name.clone() };
+            return Err(self.images[same[1].file_position as usize].fault(problem));
+        }
+        let mut by_id = HashMap::with_capacity(views.len());
+        for (index, view) in views.iter().enumerate() {
+            let image_view = ImageView { position: view.file_position, view: ViewIndex(index as u32) };
+            if by_id.insert(view.image_id, image_view).is_some() {
+                let problem = Problem::Duplicate { what: "image", id: view.image_id.to_string() };
+                return Err(self.images[view.file_position as usize].fault(problem));
+            }
+        }
+        Ok((views, by_id))
+    }
+
+    /// Compares rigs and frames, where there are both, with the poses of the images, which decide.
+    fn check_rigs(
+        &self,
+        views: &[View],
+        view_of_image: &HashMap<u32, ImageView>,
+        cameras: &HashMap<u32, CameraIndex>,
+        warnings: &mut Vec<String>,
+    ) -> Result<(), Fault> {
+        let (rigs, frames) = match (&self.rigs, &self.frames) {
+            (Some(rigs), Some(frames)) => (rigs, frames),
+            (None, None) => return Ok(()),
+            _ => {
+                warnings.push("only one of the rigs and the frames file is there; it is ignored".into());
+                return Ok(());
+            }
+        };
+        if rigs.is_empty() && frames.is_empty() {
+            return Ok(());
+        }
+        let mut by_id = HashMap::with_capacity(rigs.len());
+        for rig in rigs {
+            let fault = |problem| Fault::new("rigs", rig.at, problem).in_record(|| format!("rig {}", rig.id));
+            let cameras_of_rig = rig.sensors.iter().filter(|(s, _)| s.kind == Sensor::CAMERA);
+            if let Some((absent, _)) = cameras_of_rig.into_iter().find(|(s, _)| !cameras.contains_key(&s.id)) {
+                return Err(fault(Problem::Absent { what: "camera", id: absent.id.into() }));
+            }
+            if by_id.insert(rig.id, rig).is_some() {
+                return Err(fault(Problem::Duplicate { what: "rig", id: rig.id.to_string() }));
+            }
+        }
+        let mut seen = vec![false; views.len()];
+        for frame in frames {
+            let check = frame.check(&by_id, views, view_of_image, &self.cameras, &mut seen);
+            check.map_err(|p| Fault::new("frames", frame.at, p).in_record(|| format!("frame {}", frame.id)))?;
+        }
+        match seen.iter().position(|&seen| !seen) {
+            None => Ok(()),
+            Some(view) => {
+                let image = &self.images[views[view].file_position as usize];
+                Err(image.fault(Problem::Contradiction("no frame of the frames file holds this image".into())))
+            }
+        }
+    }
+
+    fn check_point_ids(&self) -> Result<(), Fault> {
+        if self.points.is_sorted_by(|a, b| a.id < b.id) {
+            return Ok(());
+        }
+        let mut order: Vec<usize> = (0..self.points.len()).collect();
+        order.par_sort_unstable_by_key(|&p| (self.points[p].id, p));
+        let twice = order.windows(2).filter(|w| self.points[w[0]].id == self.points[w[1]].id).map(|w| w[1]).min();
+        twice.map_or(Ok(()), |p| {
+            let point = &self.points[p];
+            Err(point.fault(Problem::Duplicate { what: "point", id: point.id.to_string() }))
+        })
+    }
+
+    /// Views and pixels of all observations; pieces of the arrays are filled in parallel.
+    fn tracks(&self, view_of_image: &HashMap<u32, ImageView>) -> Result<Tracks, Fault> {
+        let mut offsets = Vec::with_capacity(self.points.len() + 1);
+        offsets.push(0);
+        for point in &self.points {
+            offsets.push(offsets[offsets.len() - 1] + point.track.len());
+        }
+        let total = offsets[self.points.len()];
+        let (mut views, mut pixels) = (vec![ViewIndex(0); total], vec![[0.0; 2]; total]);
+        let lists: Vec<Links> = self.images.iter().map(|image| Links { image, by_point: OnceLock::new() }).collect();
+        let rebuilt = AtomicUsize::new(0);
+
+        let mut pieces = Vec::with_capacity(self.points.len() / CHUNK + 1);
+        let (mut views_left, mut pixels_left) = (&mut views[..], &mut pixels[..]);
+        for points in self.points.chunks(CHUNK) {
+            let n = points.iter().map(|p| p.track.len()).sum();
+            let (piece_views, piece_pixels);
+            (piece_views, views_left) = views_left.split_at_mut(n);
+            (piece_pixels, pixels_left) = pixels_left.split_at_mut(n);
+            pieces.push((points, piece_views, piece_pixels));
+        }
+        let results: Vec<Result<(), Fault>> = pieces
+            .into_par_iter()
+            .map(|(points, views, pixels)| {
+                let mut observations = Vec::new();
+                let mut next = 0;
+                for point in points {
+                    point.observations(view_of_image, &lists, &rebuilt, &mut observations)?;
+                    for &(view, pixel) in &observations {
+                        (views[next], pixels[next]) = (view, pixel);
+                        next += 1;
+                    }
+                }
+                Ok(())
+            })
+            .collect();
+        // The first fault of the file, whichever thread was first.
+        results.into_iter().collect::<Result<(), Fault>>()?;
+        Ok(Tracks { offsets, views, pixels, rebuilt: rebuilt.into_inner() })
+    }
+}
+
+/// Where an image id leads to.
+#[derive(Clone, Copy, Debug)]
+struct ImageView {
+    /// In the file.
+    position: u32,
+    view: ViewIndex,
+}
+
+/// Tracks of a scene, and how many of their elements the images' own lists have set right.
+struct Tracks {
+    offsets: Vec<usize>,
+    views: Vec<ViewIndex>,
+    pixels: Vec<[f64; 2]>,
+    rebuilt: usize,
+}
+
+impl Tracks {
+    fn warning(&self) -> Option<String> {
+        let (rebuilt, all) = (self.rebuilt, self.views.len());
+        (rebuilt > 0).then(|| {
+            format!(
+                "{rebuilt} of {all} track elements name another 2D point than the images' own lists (OpenMVG and AliceVision write \
+                 the number of the feature there); the lists were followed"
+            )
+        })
+    }
+}
+
+/// An image's 2D points by the sparse point that they observe, sorted when first asked for.
+struct Links<'a> {
+    image: &'a ColmapImage<'a>,
+    by_point: OnceLock<Vec<(u64, u32)>>,
+}
+
+impl Links<'_> {
+    /// The n-th 2D point of the image that observes the point.
+    fn nth(&self, point: u64, n: usize) -> Option<&Point2d> {
+        let by_point = self.by_point.get_or_init(|| {
+            let linked = self.image.points2d.iter().enumerate();
+            let mut linked: Vec<_> = linked.filter_map(|(i, p)| p.point().map(|id| (id, i as u32))).collect();
+            linked.sort_unstable();
+            linked
+        });
+        let first = by_point.partition_point(|&(id, _)| id < point);
+        let &(id, index) = by_point.get(first + n)?;
+        (id == point).then(|| &self.image.points2d[index as usize])
+    }
+}
+
+impl ColmapImage<'_> {
+    fn fault(&self, problem: Problem) -> Fault {
+        Fault::new("images", self.at, problem).in_record(|| format!("image {}, {:?}", self.id, self.name))
+    }
+
+    fn view(&self, position: u32, cameras: &HashMap<u32, CameraIndex>) -> Result<View, Problem> {
+        check_name(&self.name)?;
+        let absent = Problem::Absent { what: "camera", id: self.camera_id.into() };
+        Ok(View {
+            name: self.name.clone().into_owned(),
+            image_id: self.id,
+            file_position: position,
+            camera: *cameras.get(&self.camera_id).ok_or(absent)?,
+            cam_from_world: self.cam_from_world.pose()?,
+        })
+    }
+}
+
+impl ColmapPoint<'_> {
+    fn fault(&self, problem: Problem) -> Fault {
+        Fault::new("points3D", self.at, problem).in_record(|| format!("point {}", self.id))
+    }
+
+    /// View and pixel of each element of the track, sorted by view.
+    fn observations(
+        &self,
+        view_of_image: &HashMap<u32, ImageView>,
+        lists: &[Links],
+        rebuilt: &AtomicUsize,
+        observations: &mut Vec<(ViewIndex, [f64; 2])>,
+    ) -> Result<(), Fault> {
+        observations.clear();
+        if !self.xyz.iter().all(|v| v.is_finite()) {
+            return Err(self.fault(Problem::NotFinite("the position")));
+        }
+        for (n, element) in self.track.iter().enumerate() {
+            let absent = || self.fault(Problem::Absent { what: "image", id: element.image().into() });
+            let image_view = view_of_image.get(&element.image()).ok_or_else(absent)?;
+            let links = &lists[image_view.position as usize];
+            let named = links.image.points2d.get(element.index() as usize);
+            let point2d = match named {
+                Some(p) if p.point().is_none_or(|id| id == self.id) => p,
+                _ => {
+                    let before = self.track[..n].iter().filter(|e| e.image() == element.image()).count();
+                    rebuilt.fetch_add(1, Ordering::Relaxed);
+                    links.nth(self.id, before).ok_or_else(|| self.wrong_index(element, named))?
+                }
+            };
+            let pixel = point2d.pixel();
+            if !pixel.iter().all(|v| v.is_finite()) {
+                return Err(links.image.fault(Problem::NotFinite("a 2D point")));
+            }
+            observations.push((image_view.view, pixel));
+        }
+        observations.sort_by_key(|o| o.0);
+        Ok(())
+    }
+
+    fn wrong_index(&self, element: &TrackElement, named: Option<&Point2d>) -> Fault {
+        let why = match named.and_then(Point2d::point) {
+            Some(other) => format!("which observes point {other}"),
+            None => "which has no such 2D point".into(),
+        };
+        self.fault(Problem::TrackIndex { image: element.image(), index: element.index(), why })
+    }
+}
+
+impl Frame {
+    /// Compares the frame's pose with those of its images, and marks them as seen.
+    fn check(
+        &self,
+        rigs: &HashMap<u32, &Rig>,
+        views: &[View],
+        view_of_image: &HashMap<u32, ImageView>,
+        cameras: &[Camera],
+        seen: &mut [bool],
+    ) -> Result<(), Problem> {
+        let rig = rigs.get(&self.rig_id).ok_or(Problem::Absent { what: "rig", id: self.rig_id.into() })?;
+        let rig_from_world = self.rig_from_world.pose()?;
+        for datum in self.data.iter().filter(|d| d.sensor.kind == Sensor::CAMERA) {
+            let absent = Problem::Absent { what: "image", id: datum.id };
+            let image_id = u32::try_from(datum.id).map_err(|_| absent.clone())?;
+            let view = view_of_image.get(&image_id).ok_or(absent)?.view;
+            if std::mem::replace(&mut seen[view.at()], true) {
+                return Err(Problem::Duplicate { what: "image", id: datum.id.to_string() });
+            }
+            let view = &views[view.at()];
+            let sensor = rig.sensors.iter().find(|(s, _)| *s == datum.sensor);
+            let (_, sensor_from_rig) =
+                sensor.ok_or(Problem::Absent { what: "camera of the rig", id: datum.sensor.id.into() })?;
+            if cameras[view.camera.at()].id != datum.sensor.id {
+                let message = format!("the frame takes image {image_id} with camera {}", datum.sensor.id);
+                return Err(Problem::Contradiction(format!("{message}, the images file with another")));
+            }
+            let Some(sensor_from_rig) = sensor_from_rig else { continue };
+            let composed = compose(&sensor_from_rig.pose()?, &rig_from_world);
+            if !nearly_equal(&composed, &view.cam_from_world) {
+                let message = format!("the pose of image {image_id} by rig and frame is not that of the images file");
+                return Err(Problem::Contradiction(message));
+            }
+        }
+        Ok(())
+    }
+}
+
+/// a ∘ b
+fn compose(a: &Pose, b: &Pose) -> Pose {
+    Pose { rotation: a.rotation * b.rotation, translation: a.rotation * b.translation + a.translation }
+}
+
+fn nearly_equal(a: &Pose, b: &Pose) -> bool {
+    let size = 1.0 + a.translation.norm().max(b.translation.norm());
+    let apart = (a.rotation.matrix() - b.rotation.matrix()).norm();
+    apart < RIG_TOLERANCE && (a.translation - b.translation).norm() < RIG_TOLERANCE * size
+}

@@ -1,0 +1,135 @@
+//! Finding out what lies at a path.
+
+use std::{
+    cmp::Reverse,
+    fs,
+    io::Read,
+    path::{Path, PathBuf},
+};
+
+use super::{
+    ModelFormat, ModelLocation, Project, ProjectError, ProjectKind,
+    files::{REQUIRED, colmap_file},
+    images,
+};
+
+pub(super) fn open(path: &Path, wanted: Option<&str>) -> Result<Project, ProjectError> {
+    let root = if path.is_file() { path.parent().unwrap_or(Path::new(".")) } else { path };
+    if !root.is_dir() {
+        return Err(ProjectError::NotFound(path.into()));
+    }
+    let models = colmap_models(root)?;
+    let (model, other_models) = choose(path, models, wanted)?;
+    let dense_workspace = dense_workspace(root, &model);
+    let kind = if model.path == root {
+        ProjectKind::BareModel
+    } else if dense_workspace.as_deref() == Some(root) {
+        ProjectKind::ColmapDense
+    } else {
+        ProjectKind::Colmap
+    };
+    let images = images::find(root, &model.path);
+    Ok(Project { root: root.into(), kind, model, other_models, images, dense_workspace })
+}
+
+/// The COLMAP models of a folder: itself, `sparse`, the folders in `sparse`, or, without all these, its own sub-folders and
+/// the models of the dense workspace. A folder with a part of a model only counts when there is no other.
+fn colmap_models(root: &Path) -> Result<Vec<ModelLocation>, ProjectError> {
+    let first = [vec![root.into()], with_sub_folders(&root.join("sparse"))].concat();
+    let second = [sub_folders(root), with_sub_folders(&root.join("dense/sparse"))].concat();
+    let mut incomplete = None;
+    for folders in [first, second] {
+        let mut models = Vec::new();
+        for folder in &folders {
+            match colmap_model(folder) {
+                Ok(model) => models.extend(model),
+                Err(error) => _ = incomplete.get_or_insert(error),
+            }
+        }
+        if !models.is_empty() {
+            return Ok(models);
+        }
+    }
+    incomplete.map_or(Ok(Vec::new()), Err)
+}
+
+fn with_sub_folders(folder: &Path) -> Vec<PathBuf> {
+    [vec![folder.into()], sub_folders(folder)].concat()
+}
+
+fn sub_folders(folder: &Path) -> Vec<PathBuf> {
+    let entries = fs::read_dir(folder).into_iter().flatten().filter_map(Result::ok);
+    let mut folders: Vec<_> = entries.map(|entry| entry.path()).filter(|path| path.is_dir()).collect();
+    folders.sort();
+    folders
+}
+
+/// The model of a folder; binary wins over text, as in COLMAP.
+fn colmap_model(folder: &Path) -> Result<Option<ModelLocation>, ProjectError> {
+    let mut incomplete = None;
+    for format in [ModelFormat::ColmapBinary, ModelFormat::ColmapText] {
+        let missing: Vec<PathBuf> =
+            REQUIRED.map(|stem| colmap_file(folder, stem, format)).into_iter().filter(|path| !path.is_file()).collect();
+        if missing.is_empty() {
+            let registered = registered(&colmap_file(folder, "images", format), format);
+            return Ok(Some(ModelLocation { format, path: folder.into(), registered }));
+        }
+        if missing.len() < REQUIRED.len() {
+            incomplete.get_or_insert(missing);
+        }
+    }
+    match incomplete {
+        None => Ok(None),
+        Some(missing) => {
+            let names: Vec<_> =
+                missing.iter().filter_map(|path| path.file_name()).map(|n| n.to_string_lossy()).collect();
+            Err(ProjectError::IncompleteModel { folder: folder.into(), missing: names.join(", ") })
+        }
+    }
+}
+
+/// Number of registered images by the head of the file, or 0 where it cannot be read: reading will tell why.
+fn registered(images: &Path, format: ModelFormat) -> u64 {
+    if format == ModelFormat::ColmapText {
+        return 0;
+    }
+    let mut head = [0; 8];
+    let file = fs::File::open(images).and_then(|mut file| file.read_exact(&mut head).and(file.metadata()));
+    // Not more than the file has room for: a damaged count must not win.
+    file.map_or(0, |metadata| u64::from_le_bytes(head).min(metadata.len() / 73))
+}
+
+/// The model to take and the others.
+fn choose(
+    path: &Path,
+    mut models: Vec<ModelLocation>,
+    wanted: Option<&str>,
+) -> Result<(ModelLocation, Vec<ModelLocation>), ProjectError> {
+    models.sort_by_cached_key(|model| (Reverse(model.registered), by_number(&model.name())));
+    let position = match wanted {
+        None => 0,
+        Some(wanted) => models.iter().position(|model| model.name() == wanted).unwrap_or(models.len()),
+    };
+    if models.is_empty() {
+        let looked_for = "cameras, images and points3D (.bin or .txt) here, in sparse, sparse/*, */ and dense/sparse";
+        return Err(ProjectError::NoModel { path: path.into(), looked_for: looked_for.into() });
+    }
+    if position == models.len() {
+        let present = models.iter().map(ModelLocation::name).collect::<Vec<_>>().join(", ");
+        let wanted = wanted.unwrap_or_default().into();
+        return Err(ProjectError::NoSuchModel { path: path.into(), wanted, present });
+    }
+    let model = models.remove(position);
+    Ok((model, models))
+}
+
+/// Sorts 2 before 10, and numbers before words.
+fn by_number(name: &str) -> (u64, String) {
+    (name.parse().unwrap_or(u64::MAX), name.into())
+}
+
+fn dense_workspace(root: &Path, model: &ModelLocation) -> Option<PathBuf> {
+    let dense = root.join("dense");
+    let candidates = [root.into(), dense.join(model.name()), dense.join("0"), dense];
+    candidates.into_iter().find(|folder| folder.join("stereo").is_dir())
+}
