@@ -6,6 +6,8 @@
 
 pub mod clean;
 pub mod corners;
+pub mod cut;
+pub mod delaunay;
 pub mod manifold;
 pub mod ply;
 mod quadric;

@@ -1,0 +1,143 @@
+//! Exact signs of determinants of grid coordinates.
+//!
+//! Coordinates have 24 bits and a sign, so differences stay below 2^24, 2 x 2 minors below 2^49 and squared lengths below
+//! 2^49.6: all exact in f64 and i64. Beyond that f64 decides where the determinant is larger than its error bound, and i128
+//! where it is not: `orient` needs 75 bits, `in_sphere` 127.
+
+use super::grid::Site;
+use std::cmp::Ordering;
+
+/// Bound of the rounding error of [`orient`] in f64: three products below 2^73 and two sums below 2^75 round by at most
+/// 3 · 2^20 + 2^21 + 2^22.
+const ORIENT_ERROR: f64 = (1u64 << 24) as f64;
+
+/// Square of the relative error bound of [`in_sphere`]: with M the largest distance to the query the rounding error stays below
+/// 45 · 2^-53 · M^5 (8 units for each 3 x 3 minor, 1 for each product, 9 for the sum), and 2^-47 is above that.
+const IN_SPHERE_ERROR_SQUARED: f64 = 1.0 / (1u128 << 94) as f64;
+
+type Vector = [f64; 3];
+
+#[inline(always)]
+pub(super) fn difference(a: &Site, b: &Site) -> Vector {
+    [f64::from(a.x - b.x), f64::from(a.y - b.y), f64::from(a.z - b.z)]
+}
+
+#[inline(always)]
+fn integer_difference(a: &Site, b: &Site) -> [i64; 3] {
+    [i64::from(a.x - b.x), i64::from(a.y - b.y), i64::from(a.z - b.z)]
+}
+
+#[inline(always)]
+pub(super) fn cross(a: &[i64; 3], b: &[i64; 3]) -> [i64; 3] {
+    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+}
+
+#[inline(always)]
+pub(super) fn wide_dot(a: &[i64; 3], b: &[i64; 3]) -> i128 {
+    i128::from(a[0]) * i128::from(b[0]) + i128::from(a[1]) * i128::from(b[1]) + i128::from(a[2]) * i128::from(b[2])
+}
+
+#[inline(always)]
+fn sign(value: i128) -> i32 {
+    value.signum() as i32
+}
+
+/// Sign of det(b − a, c − a, d − a): positive where d is on the side to which the normal of the counter-clockwise triangle abc points.
+#[inline(always)]
+pub(super) fn orient(a: &Site, b: &Site, c: &Site, d: &Site) -> i32 {
+    let [ax, ay, az] = difference(a, d);
+    let [bx, by, bz] = difference(b, d);
+    let [cx, cy, cz] = difference(c, d);
+    let det = ax * (cy * bz - by * cz) + ay * (bx * cz - cx * bz) + az * (cx * by - bx * cy);
+    if det > ORIENT_ERROR {
+        1
+    } else if det < -ORIENT_ERROR {
+        -1
+    } else {
+        orient_exact(a, b, c, d)
+    }
+}
+
+#[cold]
+#[inline(never)]
+fn orient_exact(a: &Site, b: &Site, c: &Site, d: &Site) -> i32 {
+    let (b, c, d) = (integer_difference(b, a), integer_difference(c, a), integer_difference(d, a));
+    sign(wide_dot(&d, &cross(&b, &c)))
+}
+
+/// Does p lie inside the circumsphere of the positively oriented cell? On the sphere the answer is that of points whose squared
+/// norms are raised by infinitesimals, the larger the later the point comes in lexicographic order: the answers for all cells
+/// fit together, and they do not depend on the order of insertion (Devillers, Teillaud 2003).
+#[inline(always)]
+pub(super) fn in_sphere(cell: [&Site; 4], p: &Site) -> bool {
+    let [a, b, c, d] = cell;
+    let [ax, ay, az] = difference(a, p);
+    let [bx, by, bz] = difference(b, p);
+    let [cx, cy, cz] = difference(c, p);
+    let [dx, dy, dz] = difference(d, p);
+    let ab = ax * by - bx * ay;
+    let bc = bx * cy - cx * by;
+    let cd = cx * dy - dx * cy;
+    let da = dx * ay - ax * dy;
+    let ac = ax * cy - cx * ay;
+    let bd = bx * dy - dx * by;
+    let abc = az * bc - bz * ac + cz * ab;
+    let bcd = bz * cd - cz * bd + dz * bc;
+    let cda = cz * da + dz * ac + az * cd;
+    let dab = dz * ab + az * bd + bz * da;
+    let a2 = ax * ax + ay * ay + az * az;
+    let b2 = bx * bx + by * by + bz * bz;
+    let c2 = cx * cx + cy * cy + cz * cz;
+    let d2 = dx * dx + dy * dy + dz * dz;
+    let det = (a2 * bcd - b2 * cda) + (c2 * dab - d2 * abc);
+    let reach = a2.max(b2).max(c2.max(d2));
+    if det * det > IN_SPHERE_ERROR_SQUARED * (reach * reach) * (reach * reach) * reach {
+        det > 0.0
+    } else {
+        in_sphere_exact(cell, p)
+    }
+}
+
+#[cold]
+#[inline(never)]
+fn in_sphere_exact(cell: [&Site; 4], p: &Site) -> bool {
+    let [a, b, c, d] = cell.map(|v| integer_difference(v, p));
+    let (ab, cd) = (cross(&a, &b), cross(&c, &d));
+    let squared = |v: &[i64; 3]| i128::from(v[0] * v[0] + v[1] * v[1] + v[2] * v[2]);
+    let det = squared(&a) * wide_dot(&b, &cd) - squared(&b) * wide_dot(&a, &cd) + squared(&c) * wide_dot(&d, &ab)
+        - squared(&d) * wide_dot(&c, &ab);
+    match sign(det) {
+        0 => in_perturbed_sphere(cell, p),
+        sign => sign > 0,
+    }
+}
+
+/// Cospherical case: the point with the largest rank decides. Raising p takes it out of the sphere; raising a vertex lifts the
+/// sphere over p when p's barycentric coordinate for that vertex is positive, and lowers it when it is negative.
+fn in_perturbed_sphere(cell: [&Site; 4], p: &Site) -> bool {
+    let mut by_rank: [usize; 4] = [0, 1, 2, 3];
+    by_rank.sort_unstable_by(|&i, &j| rank(cell[j], cell[i]));
+    for i in by_rank {
+        if rank(cell[i], p) == Ordering::Less {
+            return false;
+        }
+        let mut replaced = cell;
+        replaced[i] = p;
+        let [a, b, c, d] = replaced;
+        match orient(a, b, c, d) {
+            0 => {}
+            sign => return sign > 0,
+        }
+    }
+    // All four barycentric coordinates zero: cannot be, their sum is 1.
+    false
+}
+
+fn rank(a: &Site, b: &Site) -> Ordering {
+    a.coordinates().cmp(&b.coordinates())
+}
+
+/// Do three sites lie on a line?
+pub(super) fn collinear(a: &Site, b: &Site, c: &Site) -> bool {
+    cross(&integer_difference(b, a), &integer_difference(c, a)) == [0; 3]
+}

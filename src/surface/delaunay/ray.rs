@@ -1,0 +1,226 @@
+//! Rays from a vertex through the cells (method 1.2).
+//!
+//! The target is rounded to the same grid, carried on beyond its range, and each choice of the next facet is the exact sign of
+//! a 3 x 3 determinant. A ray through a vertex or along an edge or facet is decided as if its target were moved by
+//! (ε, ε², ε³): such a ray meets the inside of triangles only, so it always goes on, and never twice through a cell.
+
+use super::grid::Site;
+use super::{Delaunay, FACET_VERTICES, Facet};
+use nalgebra::Point3;
+
+/// The ray leaves a cell.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Crossing {
+    /// The triangle as the cell that is left has it.
+    pub facet: Facet,
+    /// Position on the ray: 0 at the vertex, 1 at the target; never decreasing.
+    pub t: f64,
+}
+
+/// Walks from a vertex to a target, one crossing per step; ends in the cell that holds the target or in an infinite cell.
+#[derive(Clone, Debug)]
+pub struct Ray<'a> {
+    delaunay: &'a Delaunay,
+    vertex: u32,
+    /// The cell next to the vertex that the ray runs through.
+    first: u32,
+    cell: u32,
+    direction: Direction,
+    ended: bool,
+    t: f64,
+    /// The triangle that the ray crosses next, counter-clockwise seen along the ray.
+    exit: Exit,
+}
+
+/// Direction of a ray in grid units.
+#[derive(Clone, Copy, Debug)]
+struct Direction {
+    exact: [i64; 3],
+    rounded: [f64; 3],
+    /// Bound of the rounding error of [`Direction::side`] in f64.
+    error: f64,
+    /// 1 / (squared length up to the target): turns a dot product with the direction into a position on the ray.
+    scale: f64,
+}
+
+/// A corner of a triangle as seen from the ray's vertex.
+#[derive(Clone, Copy, Debug, Default)]
+struct Corner {
+    vertex: u32,
+    offset: [i64; 3],
+    /// offset × direction.
+    moment: [f64; 3],
+    /// offset · direction.
+    along: f64,
+}
+
+/// Triangle with `sides[i]` = side of the ray relative to the edge opposite to corner i, all positive.
+#[derive(Clone, Copy, Debug, Default)]
+struct Exit {
+    index: usize,
+    corners: [Corner; 3],
+    sides: [f64; 3],
+}
+
+impl Delaunay {
+    /// The ray from a vertex towards a world point; the target may lie anywhere.
+    ///
+    /// # Panics
+    /// Below three dimensions, and for a vertex that is not one.
+    pub fn ray(&self, vertex: u32, target: &Point3<f64>) -> Ray<'_> {
+        let cell = self.cell_of_vertex[vertex as usize];
+        let direction = Direction { exact: [0; 3], rounded: [0.0; 3], error: 0.0, scale: 0.0 };
+        let exit = Exit::default();
+        let mut ray = Ray { delaunay: self, vertex, first: cell, cell, direction, ended: true, t: 0.0, exit };
+        ray.aim(target);
+        ray
+    }
+}
+
+impl Ray<'_> {
+    /// Starts again from the same vertex towards another target; quicker than a new ray when the directions are similar.
+    pub fn aim(&mut self, target: &Point3<f64>) {
+        let delaunay = self.delaunay;
+        let origin = &delaunay.sites[self.vertex as usize];
+        let (direction, stretch) = delaunay.grid.vector(origin, target);
+        self.direction = Direction::new(direction, stretch);
+        self.t = 0.0;
+        self.ended = direction == [0; 3];
+        self.cell = self.first;
+        if !self.ended {
+            self.turn(origin);
+        }
+    }
+
+    /// The current cell: next to the vertex before the first step, with the target or infinite after the last.
+    pub fn cell(&self) -> u32 {
+        self.cell
+    }
+
+    /// Turns about the vertex to the cell that the ray starts in. The link of a vertex is a regular triangulation, so
+    /// that crossing any facet that has the ray beyond it leads there.
+    fn turn(&mut self, origin: &Site) {
+        loop {
+            let vertices = self.delaunay.cells[self.first as usize].vertices;
+            let index = index_of(&vertices, self.vertex);
+            let corners = FACET_VERTICES[index].map(|i| self.corner(origin, vertices[i]));
+            let sides = [1, 2, 0].map(|i| self.direction.side(&corners[i], &corners[(i + 1) % 3]));
+            let Some(beyond) = sides.iter().position(|&side| side < 0.0) else {
+                self.cell = self.first;
+                self.exit = Exit { index, corners, sides };
+                return;
+            };
+            let towards = index_of(&vertices, corners[beyond].vertex);
+            let next = self.delaunay.neighbour(Facet::new(self.first, towards)).cell();
+            if self.delaunay.is_infinite(next) {
+                self.cell = next;
+                self.ended = true;
+                return;
+            }
+            self.first = next;
+        }
+    }
+
+    fn corner(&self, origin: &Site, vertex: u32) -> Corner {
+        let site = &self.delaunay.sites[vertex as usize];
+        let offset = [i64::from(site.x - origin.x), i64::from(site.y - origin.y), i64::from(site.z - origin.z)];
+        let [x, y, z] = offset.map(|v| v as f64);
+        let [dx, dy, dz] = self.direction.rounded;
+        Corner {
+            vertex,
+            offset,
+            moment: [y * dz - z * dy, z * dx - x * dz, x * dy - y * dx],
+            along: x * dx + y * dy + z * dz,
+        }
+    }
+
+    /// In the cell entered through a triangle with corners a, b, c: which of the three triangles at the fourth corner d is next.
+    fn find_exit(&mut self, entered: Facet) {
+        let cell = &self.delaunay.cells[entered.cell() as usize];
+        let origin = &self.delaunay.sites[self.vertex as usize];
+        let [a, b, c] = self.exit.corners;
+        let [bc, ca, ab] = self.exit.sides;
+        let d = self.corner(origin, cell.vertices[entered.index()]);
+        let da = self.direction.side(&d, &a);
+        let db = self.direction.side(&d, &b);
+        // The side can be 0 in spite of perturbation where d, a and the ray's vertex are on one line. No triangle with both is
+        // crossed then, which the order of the tests respects.
+        let (left, corners, sides) = if da > 0.0 && db < 0.0 {
+            (c, [a, b, d], [-db, da, ab])
+        } else {
+            let dc = self.direction.side(&d, &c);
+            if da < 0.0 && dc > 0.0 { (b, [c, a, d], [-da, dc, ca]) } else { (a, [b, c, d], [-dc, db, bc]) }
+        };
+        self.exit = Exit { index: index_of(&cell.vertices, left.vertex), corners, sides };
+    }
+}
+
+impl Iterator for Ray<'_> {
+    type Item = Crossing;
+
+    fn next(&mut self) -> Option<Crossing> {
+        if self.ended {
+            return None;
+        }
+        let t = self.t.max(self.exit.position(&self.direction).unwrap_or(self.t));
+        if t >= 1.0 {
+            self.ended = true;
+            return None;
+        }
+        self.t = t;
+        let facet = Facet::new(self.cell, self.exit.index);
+        let entered = self.delaunay.neighbour(facet);
+        self.cell = entered.cell();
+        if self.delaunay.is_infinite(self.cell) {
+            self.ended = true;
+        } else {
+            self.find_exit(entered);
+        }
+        Some(Crossing { facet, t })
+    }
+}
+
+impl std::iter::FusedIterator for Ray<'_> {}
+
+impl Exit {
+    /// Where the ray crosses the triangle's plane; `None` where it runs within it.
+    fn position(&self, direction: &Direction) -> Option<f64> {
+        let [a, b, c] = &self.corners;
+        let [bc, ca, ab] = self.sides;
+        let sum = bc + ca + ab;
+        // Sides are whole numbers but for the perturbed ones, which are next to nothing.
+        (sum > 0.5).then(|| (bc * a.along + ca * b.along + ab * c.along) / sum * direction.scale)
+    }
+}
+
+impl Direction {
+    fn new(exact: [i64; 3], stretch: f64) -> Self {
+        let rounded = exact.map(|v| v as f64);
+        let length = rounded.iter().fold(0.0, |length: f64, v| length.max(v.abs()));
+        let squared: f64 = rounded.iter().map(|v| v * v).sum();
+        // With offsets below 2^24: 28 roundings of 2^-53 · 2^48 · length at most, under 2^0 · length.
+        Direction { exact, rounded, error: length, scale: 1.0 / (squared * stretch) }
+    }
+
+    /// direction · (a × b) with the exact sign, perturbed where it is 0; 0 only where a, b and the ray's vertex are on one line.
+    #[inline]
+    fn side(&self, a: &Corner, b: &Corner) -> f64 {
+        let [x, y, z] = a.offset.map(|v| v as f64);
+        let side = x * b.moment[0] + y * b.moment[1] + z * b.moment[2];
+        if side.abs() > self.error { side } else { self.exact_side(a, b) }
+    }
+
+    #[cold]
+    #[inline(never)]
+    fn exact_side(&self, a: &Corner, b: &Corner) -> f64 {
+        let normal = super::predicates::cross(&a.offset, &b.offset);
+        match super::predicates::wide_dot(&self.exact, &normal) {
+            0 => normal.iter().find(|&&n| n != 0).map_or(0.0, |n| n.signum() as f64 * f64::MIN_POSITIVE),
+            side => side as f64,
+        }
+    }
+}
+
+fn index_of(vertices: &[u32; 4], vertex: u32) -> usize {
+    usize::from(vertices[1] == vertex) + 2 * usize::from(vertices[2] == vertex) + 3 * usize::from(vertices[3] == vertex)
+}
