@@ -3,6 +3,8 @@
 //! Two kinds of knowledge meet in p_i(t), the chance that the pair (key view, partner i) measures triangle t: the picture (unary
 //! confidence per view and triangle, from a [`Predictor`]) and the constellation ([`PairConfidence`], which needs no image).
 
+pub mod trees;
+
 use crate::{
     config::{ConfidenceForm, ConfidenceSettings},
     scene::ViewIndex,

@@ -75,6 +75,15 @@ pub fn lower_priority() {
     }
 }
 
+/// Bytes of memory of this machine (or of the control group that it runs in, where that is less).
+pub fn machine_memory() -> u64 {
+    // SAFETY: `sysconf` takes and gives plain numbers.
+    let (pages, size) = unsafe { (libc::sysconf(libc::_SC_PHYS_PAGES), libc::sysconf(libc::_SC_PAGE_SIZE)) };
+    let machine = u64::try_from(pages).unwrap_or(0).saturating_mul(u64::try_from(size).unwrap_or(0));
+    let group = std::fs::read_to_string("/sys/fs/cgroup/memory.max").ok().and_then(|text| text.trim().parse().ok());
+    group.map_or(machine, |group: u64| group.min(machine))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -1,0 +1,260 @@
+//! Growing trees from histograms.
+
+use rand_core::{Rng, SeedableRng};
+use rand_pcg::Pcg64Mcg;
+use rayon::prelude::*;
+
+use super::{BINS, Classifier, Ensemble, Table, Tree, logistic};
+
+/// How one tree grows.
+#[derive(Clone, Copy, Debug)]
+struct Growth {
+    max_depth: u32,
+    /// Least sum of h in a leaf.
+    min_weight: f64,
+    /// Features tried at each split.
+    tried_features: usize,
+    /// λ: pulls the values of small leaves to 0.
+    shrinkage: f64,
+}
+
+/// A random forest: each tree sees a bootstrap sample of the rows and, at each split, some of the features.
+#[derive(Clone, Copy, Debug)]
+pub struct Forest {
+    pub trees: usize,
+    pub max_depth: u32,
+    /// Least weight of the rows in a leaf.
+    pub min_leaf: f64,
+    /// Features tried at each split; 0: the square root of their number.
+    pub tried_features: usize,
+}
+
+impl Default for Forest {
+    fn default() -> Self {
+        Self { trees: 64, max_depth: 14, min_leaf: 8.0, tried_features: 0 }
+    }
+}
+
+impl Forest {
+    /// Learns the labels of the rows. `weights` are not negative.
+    pub fn train(&self, table: &Table, labels: &[bool], weights: &[f32], seed: u64) -> Classifier {
+        let features = table.binning.features();
+        let tried = if self.tried_features == 0 { features.isqrt().max(1) } else { self.tried_features };
+        let growth = Growth {
+            max_depth: self.max_depth,
+            min_weight: self.min_leaf,
+            tried_features: tried.min(features),
+            shrinkage: 0.0,
+        };
+        let grow = |tree: usize| {
+            let mut random = Pcg64Mcg::seed_from_u64(seed ^ (tree as u64 + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15));
+            let drawn = (0..table.rows()).map(|_| below(&mut random, table.rows()) as u32);
+            let mut rows: Vec<u32> = drawn.filter(|&row| weights[row as usize] > 0.0).collect();
+            let gradients = |row: u32| {
+                let weight = weights[row as usize];
+                (if labels[row as usize] { weight } else { 0.0 }, weight)
+            };
+            growth.grow(table, &mut rows, &gradients, &mut random)
+        };
+        let trees = (0..self.trees).into_par_iter().map(grow).collect();
+        Classifier { ensemble: Ensemble::Forest, binning: table.binning.clone(), start: 0.0, trees }
+    }
+}
+
+/// Gradient boosting on the logistic loss: each tree mends what the earlier ones left.
+#[derive(Clone, Copy, Debug)]
+pub struct Boosting {
+    pub trees: usize,
+    pub max_depth: u32,
+    /// Share of each tree's values that is taken.
+    pub learning_rate: f64,
+    /// Share of the rows that each tree sees.
+    pub row_share: f64,
+    /// Least sum of p (1 − p) in a leaf.
+    pub min_leaf: f64,
+}
+
+impl Default for Boosting {
+    fn default() -> Self {
+        Self { trees: 100, max_depth: 5, learning_rate: 0.12, row_share: 0.6, min_leaf: 8.0 }
+    }
+}
+
+impl Boosting {
+    /// Learns the labels of the rows. `weights` are not negative.
+    pub fn train(&self, table: &Table, labels: &[bool], weights: &[f32], seed: u64) -> Classifier {
+        let features = table.binning.features();
+        let growth =
+            Growth { max_depth: self.max_depth, min_weight: self.min_leaf, tried_features: features, shrinkage: 1.0 };
+        let start = log_odds(labels, weights);
+        let mut odds = vec![start; table.rows()];
+        let mut random = Pcg64Mcg::seed_from_u64(seed);
+        let chosen_below = (self.row_share.clamp(0.0, 1.0) * f64::from(u32::MAX)) as u32;
+        let mut trees = Vec::with_capacity(self.trees);
+        for _ in 0..self.trees {
+            let mut rows: Vec<u32> = (0..table.rows() as u32).filter(|_| random.next_u32() <= chosen_below).collect();
+            let gradients = |row: u32| {
+                let (row, p) = (row as usize, logistic(odds[row as usize]));
+                let label = f32::from(u8::from(labels[row]));
+                (weights[row] * (label - p), weights[row] * (p * (1.0 - p)))
+            };
+            let mut tree = growth.grow(table, &mut rows, &gradients, &mut random);
+            tree.value.iter_mut().for_each(|value| *value *= self.learning_rate as f32);
+            odds.par_iter_mut().enumerate().for_each(|(row, odds)| *odds += tree.value(&table.row(row)));
+            trees.push(tree);
+        }
+        Classifier { ensemble: Ensemble::Boosted, binning: table.binning.clone(), start, trees }
+    }
+}
+
+fn log_odds(labels: &[bool], weights: &[f32]) -> f32 {
+    let sum = |wanted: bool| -> f64 {
+        labels.iter().zip(weights).filter(|(label, _)| **label == wanted).map(|(_, weight)| f64::from(*weight)).sum()
+    };
+    // One row of each class keeps the odds finite where there is only one.
+    ((sum(true) + 1.0) / (sum(false) + 1.0)).ln() as f32
+}
+
+/// A number below `bound`, without the bias that matters for some thousand rows.
+fn below(random: &mut Pcg64Mcg, bound: usize) -> usize {
+    ((u64::from(random.next_u32()) * bound as u64) >> 32) as usize
+}
+
+/// Σg and Σh of a bin or a node.
+#[derive(Clone, Copy, Debug, Default)]
+struct Sums {
+    g: f64,
+    h: f64,
+}
+
+impl Sums {
+    fn score(self, shrinkage: f64) -> f64 {
+        if self.h > 0.0 { self.g * self.g / (self.h + shrinkage) } else { 0.0 }
+    }
+
+    fn value(self, shrinkage: f64) -> f32 {
+        if self.h > 0.0 { (self.g / (self.h + shrinkage)) as f32 } else { 0.0 }
+    }
+}
+
+/// The best way to divide a node.
+#[derive(Clone, Copy)]
+struct Split {
+    gain: f64,
+    feature: usize,
+    bin: u8,
+}
+
+impl Growth {
+    fn grow(
+        &self,
+        table: &Table,
+        rows: &mut [u32],
+        gradients: &(dyn Fn(u32) -> (f32, f32) + Sync),
+        random: &mut Pcg64Mcg,
+    ) -> Tree {
+        let mut tree = Tree::default();
+        tree.leaf(0.0);
+        let mut features: Vec<usize> = (0..table.binning.features()).collect();
+        let mut open = vec![(0, 0, rows.len(), 0)];
+        while let Some((node, from, to, depth)) = open.pop() {
+            let rows = &mut rows[from..to];
+            let total = total(rows, gradients);
+            tree.value[node] = total.value(self.shrinkage);
+            draw_first(&mut features, self.tried_features, random);
+            let split = (depth < self.max_depth)
+                .then(|| self.best_split(table, rows, gradients, total, &features[..self.tried_features]))
+                .flatten();
+            let Some(split) = split else { continue };
+            let column = table.column(split.feature);
+            let left = partition(rows, |row| column[row as usize] <= split.bin);
+            tree.feature[node] = split.feature as u16;
+            tree.bin[node] = split.bin;
+            let child = tree.leaf(0.0);
+            tree.leaf(0.0);
+            tree.child[node] = child as u32;
+            open.push((child, from, from + left, depth + 1));
+            open.push((child + 1, from + left, to, depth + 1));
+        }
+        tree
+    }
+
+    /// The split that gains most; ties go to the feature that was drawn first and the lowest bin.
+    fn best_split(
+        &self,
+        table: &Table,
+        rows: &[u32],
+        gradients: &(dyn Fn(u32) -> (f32, f32) + Sync),
+        total: Sums,
+        features: &[usize],
+    ) -> Option<Split> {
+        if total.h < 2.0 * self.min_weight {
+            return None;
+        }
+        let row_gradients: Vec<(f32, f32)> = rows.iter().map(|&row| gradients(row)).collect();
+        let best_of = |&feature: &usize| self.best_bin(table.column(feature), rows, &row_gradients, total, feature);
+        let splits: Vec<Option<Split>> = features.par_iter().map(best_of).collect();
+        splits.into_iter().flatten().reduce(|best, split| if split.gain > best.gain { split } else { best })
+    }
+
+    fn best_bin(
+        &self,
+        column: &[u8],
+        rows: &[u32],
+        gradients: &[(f32, f32)],
+        total: Sums,
+        feature: usize,
+    ) -> Option<Split> {
+        let mut bins = [Sums::default(); BINS];
+        for (&row, &(g, h)) in rows.iter().zip(gradients) {
+            let sums = &mut bins[usize::from(column[row as usize])];
+            sums.g += f64::from(g);
+            sums.h += f64::from(h);
+        }
+        let whole = total.score(self.shrinkage);
+        let (mut left, mut best): (Sums, Option<Split>) = (Sums::default(), None);
+        for (bin, sums) in bins[..BINS - 1].iter().enumerate() {
+            left = Sums { g: left.g + sums.g, h: left.h + sums.h };
+            let right = Sums { g: total.g - left.g, h: total.h - left.h };
+            if left.h < self.min_weight || right.h < self.min_weight {
+                continue;
+            }
+            let gain = left.score(self.shrinkage) + right.score(self.shrinkage) - whole;
+            if gain > 1e-9 * whole.abs().max(1e-9) && best.is_none_or(|b| gain > b.gain) {
+                best = Some(Split { gain, feature, bin: bin as u8 });
+            }
+        }
+        best
+    }
+}
+
+fn total(rows: &[u32], gradients: &(dyn Fn(u32) -> (f32, f32) + Sync)) -> Sums {
+    rows.iter().fold(Sums::default(), |sums, &row| {
+        let (g, h) = gradients(row);
+        Sums { g: sums.g + f64::from(g), h: sums.h + f64::from(h) }
+    })
+}
+
+/// Puts a random choice of the features first (Fisher and Yates' shuffle, stopped early).
+fn draw_first(features: &mut [usize], count: usize, random: &mut Pcg64Mcg) {
+    if count < features.len() {
+        for i in 0..count {
+            let j = i + below(random, features.len() - i);
+            features.swap(i, j);
+        }
+    }
+}
+
+/// Moves the rows that go left to the front, each side in its order; returns how many they are.
+fn partition(rows: &mut [u32], goes_left: impl Fn(u32) -> bool) -> usize {
+    let right: Vec<u32> = rows.iter().copied().filter(|&row| !goes_left(row)).collect();
+    let mut left = 0;
+    for i in 0..rows.len() {
+        if goes_left(rows[i]) {
+            rows[left] = rows[i];
+            left += 1;
+        }
+    }
+    rows[left..].copy_from_slice(&right);
+    left
+}
