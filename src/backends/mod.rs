@@ -14,6 +14,7 @@ use crate::{
 };
 
 mod colmap;
+mod openmvs;
 mod selection;
 mod sgm;
 mod sure;
@@ -23,7 +24,7 @@ pub use sure::pair_files;
 
 /// Every backend, in the order in which `viewrank backends` lists them.
 pub fn all() -> &'static [&'static dyn Backend] {
-    &[&sure::Sure, &sgm::Sgm, &colmap::Colmap]
+    &[&sure::Sure, &sgm::Sgm, &colmap::Colmap, &openmvs::OpenMvs]
 }
 
 /// The backend of that name, as typed behind `--backend`.
@@ -64,6 +65,8 @@ pub struct Capabilities {
 /// Which pairs a backend can match at all (method 7.1).
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct Gate {
+    /// Sparse points that both views observe.
+    pub min_shared_points: usize,
     /// Median triangulation angle at the shared points, degrees.
     pub min_angle_deg: f64,
     pub max_angle_deg: f64,
@@ -75,8 +78,13 @@ pub struct Gate {
 
 impl Gate {
     /// Lets every pair pass that shares points.
-    pub const OPEN: Gate =
-        Gate { min_angle_deg: 0.0, max_angle_deg: 180.0, max_scale_octaves: f64::INFINITY, epipole_inside: true };
+    pub const OPEN: Gate = Gate {
+        min_shared_points: 1,
+        min_angle_deg: 0.0,
+        max_angle_deg: 180.0,
+        max_scale_octaves: f64::INFINITY,
+        epipole_inside: true,
+    };
 
     /// Why the pair cannot be matched; `None`: it can.
     pub fn refusal(&self, pair: &PairGeometry) -> Option<Reason> {
@@ -85,7 +93,7 @@ impl Gate {
             && (self.epipole_inside || !pair.epipole_inside);
         match pair.shared.len() {
             0 => Some(Reason::NoSharedPoints),
-            _ if !matchable => Some(Reason::NotMatchable),
+            n if n < self.min_shared_points || !matchable => Some(Reason::NotMatchable),
             _ => None,
         }
     }
@@ -191,6 +199,8 @@ pub struct ExportRecord {
     pub scale: f64,
     /// Added to COLMAP's pixel coordinates (centre of the first pixel 0.5, 0.5) in the files.
     pub pixel_shift: f64,
+    /// World coordinates of the origin of the files, scene units (coordinates in f32 lose the decimals of map coordinates).
+    pub origin: [f64; 3],
     /// Options of the step that joins the depth maps, and why.
     pub fusion: String,
     /// The clusters in rank order, as the backend knows them.
@@ -286,7 +296,13 @@ mod tests {
 
     #[test]
     fn a_gate_refuses_what_is_outside_of_it() {
-        let gate = Gate { min_angle_deg: 1.0, max_angle_deg: 60.0, max_scale_octaves: 0.5, epipole_inside: false };
+        let gate = Gate {
+            min_shared_points: 1,
+            min_angle_deg: 1.0,
+            max_angle_deg: 60.0,
+            max_scale_octaves: 0.5,
+            epipole_inside: false,
+        };
         let scene = Scene::default();
         let good = PairGeometry {
             scene: &scene,

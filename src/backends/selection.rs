@@ -1,5 +1,8 @@
 //! What a backend is handed: the scene and the chosen view clusters in rank order.
 
+use std::path::Path;
+
+use super::BackendError;
 use crate::{
     project::Project,
     scene::{Scene, ViewIndex, ViewPoints},
@@ -34,6 +37,23 @@ impl Selection<'_> {
         views.sort_unstable();
         views.dedup();
         views
+    }
+
+    /// The folder of the images, where these are undistorted; else what to do.
+    pub fn undistorted_images(&self, backend: &'static str) -> Result<&Path, BackendError> {
+        let project = self.project.root.display();
+        if let Some(view) = self.views().into_iter().find(|v| !self.scene.camera_of(*v).is_pinhole()) {
+            return Err(BackendError::Needs {
+                backend,
+                what: format!("undistorted images, and {} has a distorted camera", self.scene.name(view)),
+                hint: format!("make them with: viewrank undistort {project}"),
+            });
+        }
+        self.project.images.as_deref().ok_or_else(|| BackendError::Needs {
+            backend,
+            what: "the images, and there is no image folder".into(),
+            hint: format!("put the images into {project}/images"),
+        })
     }
 
     /// For each view of the scene: is it a key view?

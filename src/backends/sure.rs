@@ -14,7 +14,13 @@ pub struct Sure;
 /// The numbers of a matcher of rectified pairs (method 7.1 and 7.2).
 pub(super) const RECTIFYING: PlanningNumbers = PlanningNumbers {
     // Scale ratio 1.7.
-    gate: Gate { min_angle_deg: 1.0, max_angle_deg: 60.0, max_scale_octaves: 0.7655, epipole_inside: false },
+    gate: Gate {
+        min_shared_points: 1,
+        min_angle_deg: 1.0,
+        max_angle_deg: 60.0,
+        max_scale_octaves: 0.7655,
+        epipole_inside: false,
+    },
     confidence: PairConfidence {
         min_matches: 2,
         p0: 0.8,

@@ -3,6 +3,7 @@
 
 pub mod colmap;
 pub mod colmap_bin;
+pub mod openmvs;
 
 use std::fmt;
 
@@ -80,6 +81,8 @@ pub enum Problem {
     TrackIndex { image: u32, index: u32, why: String },
     #[error("{0}")]
     Contradiction(String),
+    #[error("{what}")]
+    Unsupported { what: String, hint: &'static str },
 }
 
 impl Problem {
@@ -103,6 +106,7 @@ impl Problem {
             Self::TrackIndex { .. } | Self::Contradiction(_) => {
                 "Export all files of the model at the same time; delete rigs and frames files left by another model."
             }
+            Self::Unsupported { hint, .. } => hint,
         }
     }
 }

@@ -56,7 +56,13 @@ impl Backend for Colmap {
 
     fn planning(&self) -> PlanningNumbers {
         PlanningNumbers {
-            gate: Gate { min_angle_deg: 3.0, max_angle_deg: 60.0, max_scale_octaves: 1.68, epipole_inside: true },
+            gate: Gate {
+                min_shared_points: 1,
+                min_angle_deg: 3.0,
+                max_angle_deg: 60.0,
+                max_scale_octaves: 1.68,
+                epipole_inside: true,
+            },
             confidence: PairConfidence {
                 min_matches: 1,
                 p0: 0.6,

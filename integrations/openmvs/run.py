@@ -1,0 +1,274 @@
+#!/usr/bin/env python3
+"""Computes the depth maps of viewrank's plan with OpenMVS's DensifyPointCloud, checks each of them, and fuses them.
+
+    python3 run.py                                       all clusters, in rank order, then the fusion
+    python3 run.py --stop-at 20                          the first 20 clusters
+    python3 run.py --stop-at 80%                         as many as the plan foretells for 80 % of what all would give
+    python3 run.py --stop-at 2h                          start no cluster after two hours
+    python3 run.py --progress ../progress.json           end when that file says "target_reached": true
+    python3 run.py --no-fusion                           only the depth maps
+    python3 run.py -- --geometric-iters 2                options for DensifyPointCloud behind two dashes
+
+Runs resume: a map that is there and whose row in report.json fits its scene and options is kept. report.json says for each key view what came
+out: DensifyPointCloud ends with success whatever it did, so that maps, partners and depth ranges are read from the .dmap files.
+Exit code 1: something is not as planned. Needs Python 3.8 and nothing else.
+"""
+
+import argparse
+import contextlib
+import hashlib
+import json
+import os
+import re
+import shutil
+import struct
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+HERE = Path(__file__).resolve().parent
+FILLED_LEAST = 0.01  # share of pixels with a depth below which a map counts as empty
+
+
+def main():
+    args = arguments()
+    run = json.loads((HERE / "run.json").read_text(encoding="utf-8"))
+    program = Densify(args.densify, run, args.threads, args.options)
+    report = Report(program.options)
+    clusters_until = stop_rule(args)
+    for row in run["clusters"]:
+        if clusters_until(row):
+            break
+        compute(row, program, report)
+    failed = report.finish(run["clusters"])
+    if not args.no_fusion:
+        failed |= not fuse(run, program, report)
+    sys.exit(1 if failed else 0)
+
+
+def arguments():
+    own, _, foreign = partition(sys.argv[1:], "--")
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--densify", default=os.environ.get("DENSIFY", "DensifyPointCloud"), metavar="PROGRAM", help="the program (default: DensifyPointCloud, or $DENSIFY)")
+    parser.add_argument("--stop-at", metavar="N|P%|TIME", help="clusters, foretold share, or time (90s, 30m, 2h)")
+    parser.add_argument("--progress", type=Path, metavar="FILE", help="JSON file whose target_reached ends the run")
+    parser.add_argument("--threads", type=int, default=0, metavar="N", help="threads of each run (default: all)")
+    parser.add_argument("--no-fusion", action="store_true")
+    args = parser.parse_args(own)
+    args.options = foreign
+    return args
+
+
+def partition(words, separator):
+    at = words.index(separator) if separator in words else len(words)
+    return words[:at], separator, words[at + 1 :]
+
+
+def stop_rule(args):
+    """A function that says, before each cluster, whether to stop."""
+    started, text = time.monotonic(), args.stop_at or ""
+    match = re.fullmatch(r"(\d+(?:\.\d+)?)([%smh]?)", text) if text else None
+    if text and not match:
+        sys.exit(f"error: --stop-at {text}: not a number of clusters, a share such as 80%, or a time such as 2h")
+    amount, unit = (float(match[1]), match[2]) if match else (None, None)
+    last_share = [0.0]
+
+    def stop(row):
+        before, last_share[0] = last_share[0], row["share"]
+        if args.progress and target_reached(args.progress):
+            return True
+        if amount is None:
+            return False
+        if unit == "%":
+            return before >= amount / 100
+        if unit == "":
+            return row["rank"] > amount
+        return time.monotonic() - started > amount * {"s": 1, "m": 60, "h": 3600}[unit]
+
+    return stop
+
+
+def target_reached(path):
+    try:
+        return json.loads(path.read_text(encoding="utf-8")).get("target_reached") is True
+    except (OSError, ValueError, AttributeError):
+        return False
+
+
+class Densify:
+    """The program with the options that every run shares."""
+
+    def __init__(self, program, run, threads, foreign):
+        self.program = shutil.which(program)
+        if not self.program:
+            sys.exit(f"error: no program {program}\nhint: name it with --densify or the variable DENSIFY")
+        answer = subprocess.run([self.program, "--help"], cwd=HERE, capture_output=True, text=True, errors="replace", check=False)
+        self.known = answer.stdout + answer.stderr
+        self.folder = HERE / "work"
+        wanted = ["--resolution-level", "0", "--min-resolution", "16", "--max-resolution", str(run["resolution"])]
+        # Nothing is to be cut off or made up around the sparse points.
+        for option in ("--estimate-roi", "--crop-to-roi", "--tower-mode"):
+            wanted += [option, "0"] if option in self.known else []
+        self.options = wanted + foreign
+        self.threads = ["--max-threads", str(threads)] if threads else []
+
+    def run(self, scene, output, *options):
+        # All in one folder: image names and maps are resolved against it, and logs are written into it.
+        command = [self.program, "-w", str(HERE), "-i", str(scene), "-o", str(output), "--dense-config-file", "dense.cfg", "-v", "1"]
+        command += [*self.options, *self.threads, *options]
+        done = subprocess.run(command, cwd=HERE, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="replace", check=False)
+        for log in HERE.glob("DensifyPointCloud-*.log"):
+            log.unlink()
+        return done
+
+
+def map_of(row):
+    return HERE / f"depth{row['id']:04d}.dmap"
+
+
+def compute(row, program, report):
+    digest = hashlib.sha256((HERE / row["scene"]).read_bytes() + repr(program.options).encode()).hexdigest()
+    if report.has(row, digest) and map_of(row).exists():
+        return
+    report.drop(row)
+    with contextlib.suppress(FileNotFoundError):
+        map_of(row).unlink()
+    started = time.monotonic()
+    # No geometric passes: the partners have no maps. Filter 3: speckles and gaps, without the one that needs partners' maps.
+    scratch = HERE / "scratch.mvs"
+    done = program.run(row["scene"], scratch, "--number-views", "0", "--geometric-iters", "0", "--postprocess-dmaps", "3", "--fusion-mode", "1")
+    for left in HERE.glob("scratch*"):
+        left.unlink()
+    result = {"rank": row["rank"], "key": row["key"], "digest": digest, "seconds": round(time.monotonic() - started, 2), **check(row)}
+    if not map_of(row).exists() and done.returncode != 0:
+        last = done.stdout.strip().splitlines()[-3:]
+        result["problems"].append(f"DensifyPointCloud ended with {done.returncode}: {' | '.join(last)}")
+    report.add(result)
+
+
+def check(row):
+    """What came out for a key view."""
+    path = map_of(row)
+    if not path.exists():
+        return {"problems": ["no depth map"], "partner_ids": [], "filled": 0.0}
+    try:
+        found = read_map(path)
+    except (OSError, struct.error, ValueError) as error:
+        return {"problems": [f"unreadable depth map: {error}"], "partner_ids": [], "filled": 0.0}
+    problems = []
+    key, *partners = found["ids"] or [None]
+    if key != row["id"]:
+        problems.append(f"the map is of image {key}, not of {row['id']}")
+    if sorted(partners) != sorted(row["partner_ids"]):
+        problems.append(f"partners {sorted(partners)} instead of {sorted(row['partner_ids'])}")
+    least, greatest = row["depths"]
+    if not (0.8 * least <= found["range"][0] <= least * 1.001 and greatest * 0.999 <= found["range"][1] <= 1.25 * greatest):
+        problems.append(f"depth range {found['range'][0]:g} to {found['range'][1]:g}, but the sparse points have {least:g} to {greatest:g}")
+    if found["filled"] < FILLED_LEAST:
+        problems.append(f"only {100 * found['filled']:.1f} % of the pixels have a depth")
+    return {"problems": problems, "partner_ids": partners, "filled": round(found["filled"], 4), "range": found["range"], "size": found["size"]}
+
+
+def read_map(path):
+    """Head of a .dmap and the share of its pixels that have a depth."""
+    with open(path, "rb") as file:
+        head = file.read(28)
+        if head[:2] != b"DR":
+            raise ValueError("it does not begin with DR")
+        width, height, least, greatest = struct.unpack_from("<2I2f", head, 12)
+        (length,) = struct.unpack("<H", file.read(2))
+        file.read(length)
+        (count,) = struct.unpack("<I", file.read(4))
+        if count > 1 << 16:
+            raise ValueError(f"{count} images")
+        ids = struct.unpack(f"<{count}I", file.read(4 * count))
+        file.read(21 * 8)
+        filled = 0
+        for _ in range(height):
+            line = file.read(4 * width)
+            if len(line) < 4 * width:
+                raise ValueError("cut off")
+            filled += sum(1 for depth in memoryview(line).cast("f") if depth > 0)
+    return {"ids": list(ids), "range": [round(least, 6), round(greatest, 6)], "size": [width, height], "filled": filled / max(1, width * height)}
+
+
+class Report:
+    """report.json: a row per key view that was tried, and the fusion."""
+
+    def __init__(self, options):
+        self.path = HERE / "report.json"
+        self.rows = {}
+        with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
+            self.rows = {row["key"]: row for row in json.loads(self.path.read_text(encoding="utf-8"))["clusters"]}
+        self.options = options
+        self.fusion = None
+
+    def has(self, row, digest):
+        return self.rows.get(row["key"], {}).get("digest") == digest
+
+    def drop(self, row):
+        if self.rows.pop(row["key"], None):
+            self.write()
+
+    def add(self, result):
+        self.rows[result["key"]] = result
+        self.write()
+        state = "; ".join(result["problems"]) or f"{100 * result['filled']:.0f} % filled, partners as planned"
+        print(f"{result['rank']:4d} {result['key']}: {state} ({result['seconds']:.0f} s)", flush=True)
+
+    def write(self):
+        rows = sorted(self.rows.values(), key=lambda row: row["rank"])
+        text = json.dumps({"options": self.options, "clusters": rows, "fusion": self.fusion}, indent=1)
+        whole = self.path.with_suffix(".tmp")
+        whole.write_text(text + "\n", encoding="utf-8")
+        whole.replace(self.path)
+
+    def finish(self, clusters):
+        """Rows of the plan only; says how many are as planned; True where one isn't."""
+        names = {row["key"]: row["rank"] for row in clusters}
+        self.rows = {key: {**row, "rank": names[key]} for key, row in self.rows.items() if key in names}
+        self.write()
+        wrong = [row for row in self.rows.values() if row["problems"]]
+        print(f"{len(self.rows)} of {len(clusters)} key views tried, {len(self.rows) - len(wrong)} as planned", flush=True)
+        return bool(wrong)
+
+
+def fuse(run, program, report):
+    """Joins the maps that are there; each is compared with those of the key views that overlap it."""
+    rows = run["clusters"]
+    there = {i for i, row in enumerate(rows) if row["key"] in report.rows and map_of(row).exists()}
+    if not there:
+        print("nothing to fuse")
+        return False
+    lines = []
+    for i in sorted(there):
+        others = [o for o in run["overlaps"][i] if o in there] or [o for o in range(len(run["overlaps"])) if o != i][:1]
+        lines.append(" ".join(map(str, [i, *others])))
+    (HERE / "fuse.txt").write_text("\n".join(lines) + "\n")
+    agree = min(run["maps_per_point"], len(there))
+    options = ["--view-neighbors-file", "fuse.txt", "--number-views", "0", "--geometric-iters", "0", "--postprocess-dmaps", "0", "--number-views-fuse", str(agree)]
+    # Branch develop keeps only what five maps agree on unless told otherwise.
+    options += ["--fusion-filter", "1" if agree > 1 else "0"] if "--fusion-filter" in program.known else []
+    cloud = HERE / "fused.ply"
+    with contextlib.suppress(FileNotFoundError):
+        cloud.unlink()
+    program.run("fuse.mvs", "fused.mvs", *options)
+    points = ply_points(cloud)
+    report.fusion = {"maps": len(there), "agreeing": agree, "points": points}
+    report.write()
+    print(f"{len(there)} maps fused: {points} points in {cloud}", flush=True)
+    return points > 0
+
+
+def ply_points(path):
+    try:
+        with open(path, "rb") as file:
+            match = re.search(rb"element vertex (\d+)", file.read(2000))
+    except OSError:
+        return 0
+    return int(match[1]) if match else 0
+
+
+if __name__ == "__main__":
+    main()

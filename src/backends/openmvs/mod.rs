@@ -1,0 +1,181 @@
+//! OpenMVS's DensifyPointCloud, v2.0 to v2.3 and branch develop: `backends.md` 2, `openmvs.md`.
+//!
+//! There is no list of key views, and a list of neighbours makes the search range 0.1 to 100 units whatever the scene. So each cluster
+//! becomes a scene of its own, in which only the key view can be computed and the depth range comes from its sparse points. The scenes share a
+//! folder and the ids of the images, which name the depth maps; a last run joins these in a scene of the key views. `run.py` does all
+//! that and checks each map, since DensifyPointCloud ends with success whatever came out.
+
+use serde::Serialize;
+
+use self::scene::Builder;
+use super::{
+    Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Gate, Honours, PlanningNumbers,
+    Selection, selection,
+};
+use crate::{
+    confidence::PairConfidence,
+    output::{Contents, FileSet},
+    project::{Project, ProjectKind},
+    scene::ViewIndex,
+};
+
+mod scene;
+
+pub struct OpenMvs;
+
+/// Depth maps that must agree on a point of the fused cloud.
+const MAPS_PER_POINT: usize = 2;
+/// Most key views that a key view is compared with in the fusion.
+const FUSED_WITH: usize = 24;
+
+impl Backend for OpenMvs {
+    fn name(&self) -> &'static str {
+        "openmvs"
+    }
+
+    fn capabilities(&self) -> Capabilities {
+        Capabilities {
+            partners: Honours::Yes,
+            key_subset: Honours::Yes,
+            order: Honours::Yes,
+            fusion: "run.py fuses the key views' maps where at least two agree",
+            notes: "one small scene per cluster; the order of partners is OpenMVS's own, all of them are used",
+        }
+    }
+
+    fn planning(&self) -> PlanningNumbers {
+        PlanningNumbers {
+            gate: Gate {
+                min_shared_points: 4,
+                min_angle_deg: 5.0,
+                max_angle_deg: 60.0,
+                max_scale_octaves: 1.68,
+                epipole_inside: true,
+            },
+            confidence: PairConfidence {
+                min_matches: 1,
+                p0: 0.6,
+                cosine_power: 0.5,
+                scale_octaves: None,
+                full_angle_deg: Some(8.0),
+            },
+            support: MAPS_PER_POINT as u32,
+            source: "success of v2.3.0 (CPU) on valley: below 5 degrees 0.09 to 0.36, from 8 to 60 degrees flat, no harm by scale up to \
+                     1.2 octaves (method 7.1, 7.2); scale 3.2 is OpenMVS's own limit; at least 3 shared points make a neighbour; its rule \
+                     that drops neighbours of a low score is switched off in dense.cfg; support 2: the runner fuses with \
+                     --number-views-fuse 2",
+        }
+    }
+
+    fn serves(&self, project: &Project) -> bool {
+        project.kind == ProjectKind::OpenMvs
+    }
+
+    fn export(&self, selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {
+        let images = selection.undistorted_images(self.name())?;
+        let builder = Builder::new(selection)?;
+        let root = options.out.clone().unwrap_or_else(|| selection.project.output_folder().join("openmvs"));
+        let mut files = FileSet::new(root, "openmvs");
+        let mut rows = Vec::new();
+        for (i, cluster) in selection.clusters.iter().enumerate() {
+            let path = format!("clusters/{:04}.mvs", i + 1);
+            let (mvs, range) = builder.cluster(cluster);
+            rows.push(Row {
+                rank: i + 1,
+                scene: path.clone(),
+                key: selection.scene.name(cluster.key).into(),
+                id: selection.scene.view(cluster.key).image_id,
+                partner_ids: cluster.partners.iter().map(|&p| selection.scene.view(p).image_id).collect(),
+                share: cluster.share,
+                depths: [range.least, range.greatest],
+            });
+            files.add(path, Contents::Bytes(mvs.write()));
+        }
+        for view in selection.views() {
+            let name = selection.scene.name(view);
+            files.add(format!("images/{name}"), Contents::Link(images.join(name)));
+        }
+        let (common, overlaps) = common_project(selection);
+        files.add("fuse.mvs", Contents::Bytes(builder.images(&common).write()));
+        let run = Run { clusters: rows, overlaps, maps_per_point: MAPS_PER_POINT, resolution: resolution(selection) };
+        files.add_text("run.json", serde_json::to_string_pretty(&run).expect("string keys and finite numbers") + "\n");
+        files.add_text("dense.cfg", dense_config(selection));
+        files.add("run.py", Contents::Script(include_bytes!("../../../integrations/openmvs/run.py").to_vec()));
+        let record = self.record(selection, &builder);
+        files.add_text("export.json", record.to_json());
+        Ok(Export { files, record })
+    }
+}
+
+impl OpenMvs {
+    fn record(&self, selection: &Selection, builder: &Builder) -> ExportRecord {
+        let mut record =
+            ExportRecord::new(self, selection, |v| format!("depth{:04}.dmap", selection.scene.view(v).image_id));
+        record.made_for = "OpenMVS v2.0 to v2.3 and develop (run with v2.3.0)".into();
+        record.way = "one scene per cluster".into();
+        record.commands = vec!["python3 run.py".into()];
+        record.not_honoured = vec!["the order of the partners of a key view (all of them are used)".into()];
+        record.pixel_shift = -0.5;
+        record.origin = builder.origin.into();
+        record.fusion = format!("number-views-fuse {MAPS_PER_POINT}: that many key views must agree on a point");
+        record
+    }
+}
+
+/// A row of `run.json`.
+#[derive(Serialize)]
+struct Row {
+    rank: usize,
+    scene: String,
+    key: String,
+    id: u32,
+    partner_ids: Vec<u32>,
+    share: f64,
+    /// Least and greatest depth of the sparse points; OpenMVS searches 0.9 and 1.1 times that.
+    depths: [f64; 2],
+}
+
+/// What `run.py` needs to know.
+#[derive(Serialize)]
+struct Run {
+    clusters: Vec<Row>,
+    /// For each image of `fuse.mvs`, the indices there of the key views that overlap it, best first; empty: no key view.
+    overlaps: Vec<Vec<usize>>,
+    maps_per_point: usize,
+    /// Long side of the matched images, pixels.
+    resolution: u32,
+}
+
+/// The images of the last run: the key views in rank order, and a partner where there is only one; and who overlaps whom.
+fn common_project(selection: &Selection) -> (Vec<ViewIndex>, Vec<Vec<usize>>) {
+    let mut views: Vec<_> = selection.clusters.iter().map(|c| c.key).collect();
+    let keys = views.len();
+    if let [only] = selection.clusters {
+        views.extend(only.partners.first());
+    }
+    let points = selection.scene.view_points();
+    let overlaps = |i: usize| {
+        let shared = selection::shared_points(selection.scene, &points, views[i]);
+        let mut others: Vec<_> = (0..views.len()).filter(|&o| o != i).collect();
+        others.sort_by_key(|&o| std::cmp::Reverse(shared[views[o].at()]));
+        // A list must not be empty; a view that overlaps nothing is compared with any other.
+        let overlapping = others.iter().filter(|&&o| shared[views[o].at()] > 0).count().max(1);
+        others.truncate(overlapping.min(FUSED_WITH));
+        others
+    };
+    let overlaps = (0..views.len()).map(|i| if i < keys { overlaps(i) } else { Vec::new() }).collect();
+    (views, overlaps)
+}
+
+/// Every partner is used whatever OpenMVS's own score says of it, and no limit cuts a list.
+fn dense_config(selection: &Selection) -> String {
+    // Neighbours beyond three quarters of the limit would be filtered by angle and scale.
+    let views = (selection.most_partners() * 4).div_ceil(3).max(FUSED_WITH * 4 / 3);
+    format!("View Min Score = 0\nView Min Score Ratio = 0\nMax Views = {views}\n")
+}
+
+/// Long side of the matched images.
+fn resolution(selection: &Selection) -> u32 {
+    let long_side = selection.scene.cameras.iter().map(|c| c.width.max(c.height)).max().unwrap_or(0);
+    (f64::from(long_side) * selection.image_scale).round() as u32
+}

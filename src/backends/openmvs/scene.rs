@@ -1,0 +1,126 @@
+//! Scenes of OpenMVS made of views of ours.
+
+use nalgebra::{Point3, Vector3};
+
+use crate::{
+    backends::{BackendError, RankedCluster, Selection},
+    formats::openmvs::{Camera, Image, Mvs, Platform, Pose, Vertex, VertexView, ViewScore},
+    scene::{Scene, ViewIndex, ViewPoints},
+};
+
+/// A partner needs three shared points to be a neighbour at all, the key view more than three points in total.
+const LEAST_SHARED: usize = 4;
+
+/// What all scenes of an export have in common.
+pub struct Builder<'a> {
+    scene: &'a Scene,
+    points: ViewPoints,
+    /// World coordinates of the origin of the files.
+    pub origin: Vector3<f64>,
+}
+
+/// Depths that a cluster's sparse points have in the key view, scene units.
+pub struct DepthRange {
+    pub least: f64,
+    pub greatest: f64,
+}
+
+impl<'a> Builder<'a> {
+    pub fn new(selection: &Selection<'a>) -> Result<Self, BackendError> {
+        let scene = selection.scene;
+        Ok(Self { scene, points: scene.view_points(), origin: origin(scene) })
+    }
+
+    /// Images in the order given, without points: what a list of neighbours refers to.
+    pub fn images(&self, views: &[ViewIndex]) -> Mvs {
+        let mut mvs = Mvs { version: 6, ..Mvs::default() };
+        for &view in views {
+            let index = self.scene.view(view).camera.0;
+            let platform = mvs.platforms.iter().position(|p| p.name == index.to_string().as_bytes());
+            let platform = platform.unwrap_or_else(|| {
+                mvs.platforms.push(platform_of(self.scene, view));
+                mvs.platforms.len() - 1
+            });
+            let poses = &mut mvs.platforms[platform].poses;
+            poses.push(self.pose(view));
+            let pose = poses.len() as u32 - 1;
+            mvs.images.push(Image {
+                name: format!("images/{}", self.scene.name(view)).into_bytes(),
+                mask: Vec::new(),
+                platform: platform as u32,
+                camera: 0,
+                pose,
+                id: self.scene.view(view).image_id,
+                depths: [0.0; 3],
+                view_scores: Vec::new(),
+            });
+        }
+        mvs
+    }
+
+    /// A scene in which OpenMVS computes the key view, with all partners, and nothing else: each shared point becomes a vertex per partner
+    /// that only the key view and that partner see, so that a partner has a single neighbour, one less than OpenMVS asks for.
+    pub fn cluster(&self, cluster: &RankedCluster) -> (Mvs, DepthRange) {
+        let views: Vec<_> = std::iter::once(cluster.key).chain(cluster.partners.iter().copied()).collect();
+        let mut mvs = self.images(&views);
+        let mut range = DepthRange { least: f64::INFINITY, greatest: 0.0 };
+        for (image, &partner) in (1..).zip(&cluster.partners) {
+            let shared = self.shared(cluster.key, partner);
+            let times = LEAST_SHARED.div_ceil(shared.len().max(1));
+            for (x, depth) in shared.iter().cycle().take(shared.len() * times) {
+                range = DepthRange { least: range.least.min(*depth), greatest: range.greatest.max(*depth) };
+                let views = [0, image].map(|image| VertexView { image, confidence: 1.0 }).to_vec();
+                mvs.vertices.push(Vertex { x: self.local(x).cast::<f32>().into(), views });
+            }
+        }
+        if cluster.partners.len() == 1 {
+            // With two images in the scene one neighbour is enough, for the partner too: a neighbour below any score leaves it out.
+            mvs.version = 7;
+            mvs.images[1].view_scores =
+                vec![ViewScore { index: 0, points: 9, scale: 1.0, angle: 0.2, area: 0.5, score: -1.0 }];
+        }
+        (mvs, range)
+    }
+
+    /// Points in front of both that both observe, with their depths in the first.
+    fn shared(&self, key: ViewIndex, partner: ViewIndex) -> Vec<(Point3<f64>, f64)> {
+        let depth = |view: ViewIndex, x: &Point3<f64>| self.scene.view(view).cam_from_world.camera_from_world(x).z;
+        let other = self.points.of(partner);
+        let both = self.points.of(key).iter().filter(|p| other.binary_search(p).is_ok());
+        let points = both.map(|p| self.scene.points[p.at()]).filter(|x| depth(partner, x) > 0.0);
+        points.map(|x| (x, depth(key, &x))).filter(|(_, z)| *z > 0.0).collect()
+    }
+
+    fn pose(&self, view: ViewIndex) -> Pose {
+        let pose = &self.scene.view(view).cam_from_world;
+        let r = pose.rotation.matrix().transpose();
+        Pose { r: r.as_slice().try_into().expect("nine numbers"), c: self.local(&pose.centre()).into() }
+    }
+
+    fn local(&self, x: &Point3<f64>) -> Point3<f64> {
+        x - self.origin
+    }
+}
+
+/// Vertices are f32: whole coordinates near the cameras, where the steps of f32 would be coarser than a tenth of a pixel on the ground.
+fn origin(scene: &Scene) -> Vector3<f64> {
+    let centres: Vec<Point3<f64>> = scene.views.iter().map(|v| v.cam_from_world.centre()).collect();
+    let largest = centres.iter().flat_map(|c| c.iter().map(|x| x.abs())).fold(0.0, f64::max);
+    let step = largest * f64::from(f32::EPSILON);
+    if centres.is_empty() || step < 0.1 * scene.median_gsd().unwrap_or(f64::INFINITY) {
+        return Vector3::zeros();
+    }
+    let sum = centres.iter().fold(Vector3::zeros(), |sum, c| sum + c.coords);
+    (sum / centres.len() as f64).map(f64::round)
+}
+
+/// A platform with the one camera of the view; pixel centres are integers in OpenMVS.
+fn platform_of(scene: &Scene, view: ViewIndex) -> Platform {
+    let camera = scene.camera_of(view);
+    let (f, c) = camera.pinhole_part();
+    let k = [f.x, 0.0, c.x - 0.5, 0.0, f.y, c.y - 0.5, 0.0, 0.0, 1.0];
+    let (width, height) = (camera.width, camera.height);
+    let identity = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
+    let camera = Camera { name: Vec::new(), band: Vec::new(), width, height, k, r: identity, c: [0.0; 3] };
+    Platform { name: scene.view(view).camera.0.to_string().into_bytes(), cameras: vec![camera], poses: Vec::new() }
+}
