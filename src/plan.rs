@@ -3,7 +3,7 @@
 use crate::{
     confidence::Unary,
     config::Settings,
-    fulfilment::FulfilmentTable,
+    fulfilment::{FulfilmentTable, Target},
     partners::{Candidates, ViewCluster},
     ranking::Ranking,
     scene::Scene,
@@ -56,8 +56,8 @@ pub struct Plan {
     pub visibility: Visibility,
     /// Unary confidence of each row of `visibility`.
     pub unary: Unary,
-    /// g_d of each triangle, scene units per pixel (method 3.6); a_d is `accuracy_over_gsd` times it.
-    pub triangle_gsd: Vec<f32>,
+    /// g_d and a_d of each triangle (method 3.6).
+    pub target: Target,
     pub candidates: Candidates,
     /// One per view that can be a key view, in the order of views.
     pub clusters: Vec<ViewCluster>,

@@ -1,0 +1,96 @@
+//! `surface.ply`: the surface with scalar fields per triangle that CloudCompare and MeshLab show.
+
+use crate::{
+    plan::{Plan, Reason},
+    surface::ply::{self, FaceField},
+};
+
+/// What the chosen clusters do for a triangle.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct TriangleState {
+    /// Best fulfilment by the chosen clusters.
+    pub fulfilment: f32,
+    /// Best fulfilment by any cluster.
+    pub reachable: f32,
+    /// Chosen key views that fulfil it at all.
+    pub chosen_views: u16,
+}
+
+impl TriangleState {
+    /// How much of what can be reached is reached, 0 to 1; 0 where nothing can be.
+    pub fn share(&self) -> f32 {
+        if self.reachable > 0.0 { self.fulfilment / self.reachable } else { 0.0 }
+    }
+}
+
+/// The state of every triangle when the first `clusters` of the ranking are computed.
+pub fn triangle_states(plan: &Plan, clusters: usize) -> Vec<TriangleState> {
+    let mut states = vec![TriangleState::default(); plan.surface.triangles.len()];
+    for (rank, &cluster) in plan.ranking.order.iter().enumerate() {
+        let (triangles, values) = plan.fulfilment.of(cluster as usize);
+        for (&t, &f) in triangles.iter().zip(values) {
+            let state = &mut states[t as usize];
+            state.reachable = state.reachable.max(f);
+            if rank < clusters {
+                state.fulfilment = state.fulfilment.max(f);
+                state.chosen_views = state.chosen_views.saturating_add(1);
+            }
+        }
+    }
+    states
+}
+
+/// The reasons in the order of their numbers in the field `reason`; 0 is "fulfilled by some cluster".
+pub const REASON_NUMBERS: [Reason; 9] = [
+    Reason::NoSharedPoints,
+    Reason::RotationOnly,
+    Reason::DuplicateOfBetterView,
+    Reason::TooFewCameras,
+    Reason::Hidden,
+    Reason::TooCoarse,
+    Reason::TooInaccurate,
+    Reason::NotMatchable,
+    Reason::NoGainLeft,
+];
+
+/// The surface at the plan's cut: `quality` (share reached), `chosen_views`, `reason`, and colours from red (nothing) over yellow to
+/// green (all that can be reached); grey where no view can do anything.
+pub fn surface_ply(plan: &Plan) -> Vec<u8> {
+    let states = triangle_states(plan, plan.cut.clusters);
+    let share: Vec<f32> = states.iter().map(TriangleState::share).collect();
+    let chosen: Vec<f32> = states.iter().map(|s| f32::from(s.chosen_views)).collect();
+    let number = |reason: &Reason| REASON_NUMBERS.iter().position(|r| r == reason).map_or(0, |i| i as u8 + 1);
+    let reasons: Vec<u8> = plan.triangle_reasons.iter().map(|r| r.as_ref().map_or(0, number)).collect();
+    let colours: Vec<[u8; 3]> = states.iter().map(colour).collect();
+    let fields = [
+        FaceField::Colour(&colours),
+        FaceField::Float("quality", &share),
+        FaceField::Float("chosen_views", &chosen),
+        FaceField::Byte("reason", &reasons),
+    ];
+    let mut comments = vec![
+        "quality: share of the reachable fulfilment that is reached at the cut".to_string(),
+        "chosen_views: chosen key views that fulfil the triangle".to_string(),
+        "reason: why no cluster fulfils the triangle; 0: one does".to_string(),
+    ];
+    comments.extend(REASON_NUMBERS.iter().enumerate().map(|(i, r)| format!("reason {}: {}", i + 1, word(*r))));
+    ply::write(&plan.surface, &fields, &comments)
+}
+
+/// The reason as it is written in the manifest.
+fn word(reason: Reason) -> String {
+    serde_json::to_value(reason).ok().and_then(|v| v.as_str().map(str::to_owned)).unwrap_or_default()
+}
+
+/// Red 0, yellow 0.5, green 1, of even lightness; grey where nothing can be reached.
+fn colour(state: &TriangleState) -> [u8; 3] {
+    const RED: [f32; 3] = [200.0, 60.0, 50.0];
+    const YELLOW: [f32; 3] = [230.0, 200.0, 70.0];
+    const GREEN: [f32; 3] = [60.0, 150.0, 90.0];
+    if state.reachable <= 0.0 {
+        return [150; 3];
+    }
+    let share = state.share().clamp(0.0, 1.0) * 2.0;
+    let (from, to, t) = if share < 1.0 { (RED, YELLOW, share) } else { (YELLOW, GREEN, share - 1.0) };
+    std::array::from_fn(|i| (from[i] + t * (to[i] - from[i])).round() as u8)
+}
