@@ -130,11 +130,11 @@ impl<'a> Root<'a> {
             self.clear_staging();
             return Err(failure);
         }
-        let done = self.finish(&journal.change).or_else(|failure| {
+        let done = self.finish(&journal.change).map_err(|failure| {
             journal.direction = Direction::Undo;
             match self.announce(&journal).and_then(|()| self.undo(&journal.change)) {
-                Ok(()) => Err(failure),
-                Err(undoing) => Err(OutputError::Interrupted { failure: failure.into(), undoing: undoing.into() }),
+                Ok(()) => failure,
+                Err(undoing) => OutputError::Interrupted { failure: failure.into(), undoing: undoing.into() },
             }
         });
         if !matches!(done, Err(OutputError::Interrupted { .. })) {
