@@ -4,6 +4,7 @@
 //! library becomes a [`Failure`] by `?`, which `main` prints as `error: ...` and `hint: ...`.
 
 mod completions;
+mod config;
 
 use std::{
     io::{ErrorKind, Write},
@@ -68,6 +69,21 @@ fn print(text: &str) -> Result<(), Failure> {
     }
 }
 
+/// How results are printed on stdout.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
+enum Format {
+    /// For people.
+    #[default]
+    Text,
+    /// For programs.
+    Json,
+}
+
+/// A value as the JSON text that is printed.
+fn json(value: &impl serde::Serialize) -> String {
+    serde_json::to_string_pretty(value).expect("what is printed is JSON") + "\n"
+}
+
 /// Ranks multi-view stereo view clusters before matching: which key views, with which partners, in which order.
 #[derive(Parser)]
 #[command(name = "viewrank", version, arg_required_else_help = true, max_term_width = 100)]
@@ -78,6 +94,7 @@ struct Arguments {
 
 #[derive(Subcommand)]
 enum Command {
+    Config(config::Arguments),
     Completions(completions::Arguments),
     Man(completions::ManArguments),
 }
@@ -85,6 +102,7 @@ enum Command {
 /// Runs the subcommand that was typed. Wrong arguments, `--help` and `--version` end the program inside clap (exit codes 2, 0, 0).
 pub fn run() -> Result<(), Failure> {
     match Arguments::parse().command {
+        Command::Config(arguments) => config::run(&arguments),
         Command::Completions(arguments) => completions::run(&arguments),
         Command::Man(arguments) => completions::man(&arguments),
     }

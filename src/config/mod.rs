@@ -1,10 +1,20 @@
-//! `viewrank.toml`: every setting of the method with its unit and default, and where each value came from.
+//! `viewrank.toml`: every setting of the method with its unit, range and default, and where each value came from.
 //!
-//! The structs are the one definition: defaults, the file's grammar, `viewrank config`, the manifest's `settings` and the JSON
-//! Schema all come from them. `None` means "chosen from the data or by the backend"; the manifest says what was chosen.
+//! The structs are the one definition: defaults, the file's grammar, the checks, `viewrank config`, the manifest's `settings` and
+//! the JSON Schema all come from them. `None` means "chosen from the data or by the backend"; the manifest says what was chosen.
+//! `catalogue.rs` reads the definition as a list of keys, `layers.rs` puts the files and the command line over the defaults,
+//! `amounts.rs` has the values that people write as "5%" or "2h".
+
+mod amounts;
+mod catalogue;
+mod layers;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+
+pub use amounts::{Amount, AmountError, Budget, Count, Duration, Share};
+pub use catalogue::{Key, keys};
+pub use layers::{ConfigError, Configuration, Files, Place, Source, Typed, user_file};
 
 use crate::scene::Units;
 
@@ -15,6 +25,7 @@ pub struct Settings {
     /// Is a scene unit a metre? Unset: as the project proves, else "relative".
     pub units: Option<Units>,
     /// Size of the matched images over the model's images.
+    #[schemars(range(max = 16), extend("unit" = "matched px per model px", "exclusiveMinimum" = 0))]
     pub image_scale: f64,
     /// Seed of all random choices.
     pub seed: u64,
@@ -57,9 +68,11 @@ impl Default for Settings {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct TargetSettings {
-    /// Wanted ground sampling distance g_d, scene units per pixel (metres if units = "metric"). Unset: 1.25 x the model's median.
+    /// Wanted ground sampling distance g_d. Unset: 1.25 x the model's median.
+    #[schemars(extend("unit" = "length/px", "exclusiveMinimum" = 0))]
     pub gsd: Option<f64>,
-    /// Wanted accuracy a_d, standard deviation of a point, scene units. Unset: as `gsd`.
+    /// Wanted accuracy a_d: standard deviation of a point. Unset: as `gsd`.
+    #[schemars(extend("unit" = "length", "exclusiveMinimum" = 0))]
     pub accuracy: Option<f64>,
     /// One target for all ("absolute") or the best that any view has at the place ("best", method 3.6).
     pub mode: TargetMode,
@@ -80,6 +93,7 @@ pub enum TargetMode {
 #[serde(default, deny_unknown_fields)]
 pub struct CoverageSettings {
     /// Cameras that must see a triangle, the key view included (x).
+    #[schemars(range(min = 2), extend("unit" = "cameras"))]
     pub min_cameras: u32,
 }
 
@@ -94,8 +108,10 @@ impl Default for CoverageSettings {
 #[serde(default, deny_unknown_fields)]
 pub struct FulfilmentSettings {
     /// Weight of resolution against uncertainty, 0 to 1 (alpha).
+    #[schemars(range(min = 0, max = 1))]
     pub alpha: f64,
     /// Standard deviation of a match, pixels of the matched image (sigma_px).
+    #[schemars(extend("unit" = "px", "exclusiveMinimum" = 0))]
     pub sigma_px: f64,
 }
 
@@ -120,20 +136,28 @@ pub enum SurfaceChoice {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct SurfaceSettings {
+    /// Carved from the 3D Delaunay triangulation of the points ("3d"), or 2.5D for nadir flights ("terrain").
     pub kind: SurfaceChoice,
     /// Simplification: 95 % of the edges above `edge_factor` x g_d (r).
+    #[schemars(extend("unit" = "g_d", "exclusiveMinimum" = 0))]
     pub edge_factor: f64,
     /// Refinement: every edge below `max_edge_factor` x g_d (e).
+    #[schemars(extend("unit" = "g_d", "exclusiveMinimum" = 0))]
     pub max_edge_factor: f64,
     /// Weight of one ray in the cut (alpha_vis).
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub ray_weight: f64,
     /// Soft visibility: sigma over the median depth uncertainty of the points.
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub sigma_factor: f64,
     /// Distance behind a point, in sigma, at which the inside begins (k).
+    #[schemars(extend("unit" = "sigma", "exclusiveMinimum" = 0))]
     pub behind_sigma: f64,
     /// Weight of the facets' quality in the cut (lambda).
+    #[schemars(range(min = 0))]
     pub quality_weight: f64,
     /// Most rays per point that the cut uses; the angular extremes are kept.
+    #[schemars(range(min = 1), extend("unit" = "rays"))]
     pub rays_per_point: u32,
     /// Up direction of the terrain surface, world coordinates. Unset: from the cameras and the points.
     pub up: Option<[f64; 3]>,
@@ -160,14 +184,19 @@ impl Default for SurfaceSettings {
 #[serde(default, deny_unknown_fields)]
 pub struct VisibilitySettings {
     /// Largest angle between a triangle's normal and the direction to the camera, degrees.
+    #[schemars(range(max = 90), extend("unit" = "degrees", "exclusiveMinimum" = 0))]
     pub max_incidence_deg: f64,
     /// Share of the samples of a triangle that must be free.
+    #[schemars(range(min = 0, max = 1))]
     pub min_free_share: f64,
     /// Tolerance in front of a triangle, in units of `surface.edge_factor` x g_d.
+    #[schemars(range(min = 0), extend("unit" = "edge_factor x g_d"))]
     pub tolerance_edges: f64,
     /// Tolerance in front of a triangle, share of the depth; the larger of the two counts.
+    #[schemars(range(min = 0), extend("unit" = "of the depth"))]
     pub tolerance_depth: f64,
     /// Long side of the id buffer, pixels.
+    #[schemars(range(min = 16, max = 16384), extend("unit" = "px"))]
     pub buffer_px: u32,
 }
 
@@ -223,16 +252,23 @@ pub enum PartnerObjective {
 #[serde(default, deny_unknown_fields)]
 pub struct PartnerSettings {
     /// Partners per key view (k), or "auto".
+    #[schemars(range(min = 1), extend("unit" = "partners"))]
     pub k: PartnerCount,
     /// Most partners when k = "auto".
+    #[schemars(range(min = 1), extend("unit" = "partners"))]
     pub k_max: u32,
     /// Candidates per key view, by shared points (n).
+    #[schemars(range(min = 1), extend("unit" = "views"))]
     pub candidates: u32,
     /// Combinations drawn (y).
+    #[schemars(range(min = 1), extend("unit" = "combinations"))]
     pub draws: u32,
     /// One of so many triangles judges the draws (z).
+    #[schemars(range(min = 1), extend("unit" = "triangles"))]
     pub triangle_fraction: u32,
+    /// How partners are chosen: the paper's drawn combinations, or search from the best of them on.
     pub method: PartnerMethod,
+    /// What partners are good for: the whole view, or what the cluster adds when its turn comes (method 4.1).
     pub objective: PartnerObjective,
 }
 
@@ -266,16 +302,22 @@ pub enum ConfidenceForm {
 pub struct ConfidenceSettings {
     /// "none", "geometric", "proxy", "auto" or a model file.
     pub source: String,
+    /// The chance of each pair, or the paper's mean of the two unary confidences.
     pub form: ConfidenceForm,
     /// Chance of a match in the best constellation.
+    #[schemars(range(max = 1), extend("exclusiveMinimum" = 0))]
     pub p0: Option<f64>,
     /// Power of the cosine of incidence (gamma).
+    #[schemars(range(min = 0))]
     pub cosine_power: Option<f64>,
     /// Standard deviation of the scale ratio, octaves (s); 0: scale does no harm.
+    #[schemars(range(min = 0), extend("unit" = "octaves"))]
     pub scale_octaves: Option<f64>,
     /// Triangulation angle from which a match is as good as any, degrees (a); 0: none.
+    #[schemars(range(min = 0, max = 180), extend("unit" = "degrees"))]
     pub full_angle: Option<f64>,
     /// Matches that must succeed for a pixel, 1 to 3.
+    #[schemars(range(min = 1, max = 3), extend("unit" = "matches"))]
     pub min_matches: Option<u32>,
 }
 
@@ -306,6 +348,7 @@ pub enum TriangleWeight {
 #[serde(default, deny_unknown_fields)]
 pub struct RankingSettings {
     /// Depth maps that must see a triangle (m, method 5.2). Unset: the backend's.
+    #[schemars(range(min = 1), extend("unit" = "depth maps"))]
     pub support: Option<u32>,
     /// What a triangle counts.
     pub weight: TriangleWeight,
@@ -316,13 +359,13 @@ pub struct RankingSettings {
 #[serde(default, deny_unknown_fields)]
 pub struct CutSettings {
     /// Clusters ("40"), or a share of the registered views ("5%").
-    pub budget: Option<String>,
+    pub budget: Option<Budget>,
     /// Share of what all clusters together reach ("80%").
-    pub target: Option<String>,
-    /// Forecast time ("2h", "90min", "1d6h").
-    pub time: Option<String>,
-    /// Forecast points ("50M").
-    pub points: Option<String>,
+    pub target: Option<Share>,
+    /// Forecast time of matching ("2h", "90min", "1d6h").
+    pub time: Option<Duration>,
+    /// Forecast points of all depth maps ("50M").
+    pub points: Option<Count>,
 }
 
 /// What the forecast of time and points is made from; unset where unknown.
@@ -330,7 +373,9 @@ pub struct CutSettings {
 #[serde(default, deny_unknown_fields)]
 pub struct ForecastSettings {
     /// Seconds of matching per (key view, partner) pair.
+    #[schemars(range(min = 0), extend("unit" = "s"))]
     pub seconds_per_pair: Option<f64>,
     /// Seconds of matching per depth map beside its pairs.
+    #[schemars(range(min = 0), extend("unit" = "s"))]
     pub seconds_per_map: Option<f64>,
 }

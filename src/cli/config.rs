@@ -1,0 +1,120 @@
+//! `viewrank config`: the settings in force, as a file that `viewrank.toml` may become.
+
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+use serde_json::{Value, json};
+use viewrank::{
+    config::{Configuration, Files, Key, Source, Typed, keys, user_file},
+    scene::Units,
+};
+
+use super::{Failure, Format, print};
+
+/// Width of the printed page.
+const COLUMNS: usize = 80;
+
+/// Print all settings in force: value, unit, default, and where each value comes from.
+///
+/// What is printed is a whole settings file: viewrank config > PROJECT/viewrank.toml
+#[derive(Args)]
+pub struct Arguments {
+    /// Project whose viewrank.toml counts; without it only the user's own settings do.
+    project: Option<PathBuf>,
+    #[arg(long, value_enum, default_value_t)]
+    format: Format,
+}
+
+pub fn run(arguments: &Arguments) -> Result<(), Failure> {
+    let configuration = load(arguments.project.as_deref(), Typed::default())?;
+    let values = serde_json::to_value(&configuration.settings).expect("settings are JSON");
+    match arguments.format {
+        Format::Text => print(&as_toml(&configuration, &values)),
+        Format::Json => print(&super::json(&as_json(&configuration, &values))),
+    }
+}
+
+/// Defaults, the user's file, the project's file, the command line: wrong settings are wrong usage.
+pub fn load(project: Option<&Path>, typed: Typed) -> Result<Configuration, Failure> {
+    let files = Files { user: user_file(), project: project.map(|folder| folder.join("viewrank.toml")) };
+    Configuration::load(&files, typed).map_err(Failure::usage)
+}
+
+fn value_of<'a>(values: &'a Value, key: &Key) -> &'a Value {
+    key.name.split('.').fold(values, |value, part| &value[part])
+}
+
+fn as_json(configuration: &Configuration, values: &Value) -> Value {
+    let units = configuration.settings.units;
+    let entry = |key: &Key| {
+        json!({
+            "key": key.name,
+            "value": value_of(values, key),
+            "default": key.default,
+            "unit": key.unit(units),
+            "range": key.range(),
+            "source": configuration.source(&key.name).to_string(),
+            "doc": key.doc,
+        })
+    };
+    keys().iter().map(entry).collect()
+}
+
+fn as_toml(configuration: &Configuration, values: &Value) -> String {
+    let mut text = String::new();
+    let mut section = "";
+    for key in keys() {
+        let (its_section, name) = key.name.rsplit_once('.').unwrap_or(("", &key.name));
+        if its_section != section {
+            section = its_section;
+            text += &format!("[{section}]\n");
+        }
+        comment(&mut text, &key.doc);
+        comment(&mut text, &facts(key, configuration.settings.units));
+        let value = value_of(values, key);
+        text += &match (value.is_null(), configuration.source(&key.name)) {
+            (true, _) => format!("# {name} =\n\n"),
+            (false, Source::Default) => format!("{name} = {value}\n\n"),
+            (false, Source::Written(place)) => format!("{name} = {value}  # {place}\n\n"),
+        };
+    }
+    text.truncate(text.trim_end().len());
+    text + "\n"
+}
+
+/// Unit, range and default in a line.
+fn facts(key: &Key, units: Option<Units>) -> String {
+    let unit = key.unit(units).map(|unit| format!("Unit: {unit}."));
+    let range = key.range().map(|range| format!("Range: {range}."));
+    let default = if key.default.is_null() { "Default: unset.".into() } else { format!("Default: {}.", key.default) };
+    [unit, range, Some(default)].into_iter().flatten().collect::<Vec<_>>().join(" ")
+}
+
+/// Appends words as comment lines of at most [`COLUMNS`].
+fn comment(text: &mut String, words: &str) {
+    let mut line = String::from("#");
+    for word in words.split_whitespace() {
+        if line.len() + 1 + word.len() > COLUMNS {
+            *text += &format!("{line}\n");
+            line = "#".into();
+        }
+        line += &format!(" {word}");
+    }
+    *text += &format!("{line}\n");
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use viewrank::config::Settings;
+
+    #[test]
+    fn what_is_printed_is_a_settings_file_that_says_the_same() {
+        let configuration = Configuration::default();
+        let values = serde_json::to_value(&configuration.settings).unwrap();
+        let text = as_toml(&configuration, &values);
+        assert_eq!(toml::from_str::<Settings>(&text).unwrap(), configuration.settings);
+        assert!(text.lines().all(|line| line.len() <= COLUMNS));
+        assert!(text.contains("# Unit: px. Range: above 0. Default: 0.5.\nsigma_px = 0.5\n"));
+    }
+}

@@ -1,0 +1,265 @@
+//! Values that people write with a unit: "5%", "2h", "50M".
+
+use std::{fmt, str::FromStr};
+
+use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
+use serde::{Deserialize, Serialize};
+
+/// How much of a ranking is taken: so many clusters, or a share of the registered views.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(try_from = "Written", into = "String")]
+pub enum Budget {
+    Clusters(u64),
+    Views(Share),
+}
+
+/// A share, 0 to 1; written in per cent.
+#[derive(Clone, Copy, Debug, PartialEq, PartialOrd, Serialize, Deserialize)]
+#[serde(try_from = "Written", into = "String")]
+pub struct Share(pub f64);
+
+/// A length of time in seconds; written in days, hours, minutes and seconds.
+#[derive(Clone, Copy, Debug, PartialEq, PartialOrd, Serialize, Deserialize)]
+#[serde(try_from = "Written", into = "String")]
+pub struct Duration(pub f64);
+
+/// A number of things; written with k, M or G for thousands, millions, milliards.
+#[derive(Clone, Copy, Debug, PartialEq, PartialOrd, Serialize, Deserialize)]
+#[serde(try_from = "Written", into = "String")]
+pub struct Count(pub f64);
+
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("\"{text}\" is not {wanted}")]
+pub struct AmountError {
+    text: String,
+    wanted: &'static str,
+}
+
+/// What all of them share: the texts that they are written as.
+pub trait Amount: FromStr<Err = AmountError> + fmt::Display {
+    const WANTED: &'static str;
+    /// The same in a schema.
+    const PATTERN: &'static str;
+
+    fn refuse(text: &str) -> AmountError {
+        AmountError { text: text.into(), wanted: Self::WANTED }
+    }
+}
+
+impl Amount for Budget {
+    const WANTED: &'static str = "a number of clusters such as 40, or a share of the views such as 5%";
+    const PATTERN: &'static str = r"^[0-9]+$|^[0-9.]+ ?%$";
+}
+
+impl Amount for Share {
+    const WANTED: &'static str = "a share from 0% to 100% such as 80%";
+    const PATTERN: &'static str = "^[0-9.]+ ?%$";
+}
+
+impl Amount for Duration {
+    const WANTED: &'static str = "a time such as 2h, 90min, 45s or 1d6h";
+    const PATTERN: &'static str = "^([0-9.]+ ?(d|h|min|m|s) ?)+$";
+}
+
+impl Amount for Count {
+    const WANTED: &'static str = "a number such as 800k, 50M or 1.5G";
+    const PATTERN: &'static str = "^[0-9.]+ ?[kMG]?$";
+}
+
+impl FromStr for Budget {
+    type Err = AmountError;
+
+    fn from_str(text: &str) -> Result<Self, AmountError> {
+        let share = || text.parse().map(Self::Views).map_err(|_| Self::refuse(text));
+        text.trim().parse().map(Self::Clusters).or_else(|_| share())
+    }
+}
+
+impl FromStr for Share {
+    type Err = AmountError;
+
+    fn from_str(text: &str) -> Result<Self, AmountError> {
+        let percent = text.trim().strip_suffix('%').and_then(|number| non_negative(number.trim()));
+        percent.filter(|&p| p <= 100.0).map(|p| Self(p / 100.0)).ok_or_else(|| Self::refuse(text))
+    }
+}
+
+impl FromStr for Duration {
+    type Err = AmountError;
+
+    fn from_str(text: &str) -> Result<Self, AmountError> {
+        let mut rest = text.trim();
+        let mut seconds = 0.0;
+        while !rest.is_empty() {
+            let (number, behind) = split(rest, |c| c.is_ascii_digit() || c == '.');
+            let (unit, behind) = split(behind.trim_start(), char::is_alphabetic);
+            let second = seconds_of(unit).ok_or_else(|| Self::refuse(text))?;
+            seconds += second * non_negative(number).ok_or_else(|| Self::refuse(text))?;
+            rest = behind.trim_start();
+        }
+        if text.trim().is_empty() { Err(Self::refuse(text)) } else { Ok(Self(seconds)) }
+    }
+}
+
+impl FromStr for Count {
+    type Err = AmountError;
+
+    fn from_str(text: &str) -> Result<Self, AmountError> {
+        let (number, unit) = split(text.trim(), |c| c.is_ascii_digit() || c == '.');
+        let factor = match unit.trim() {
+            "" => 1.0,
+            "k" => 1e3,
+            "M" => 1e6,
+            "G" => 1e9,
+            _ => return Err(Self::refuse(text)),
+        };
+        non_negative(number).map(|n| Self(n * factor)).ok_or_else(|| Self::refuse(text))
+    }
+}
+
+fn seconds_of(unit: &str) -> Option<f64> {
+    Some(match unit {
+        "d" => 86_400.0,
+        "h" => 3_600.0,
+        "min" | "m" => 60.0,
+        "s" => 1.0,
+        _ => return None,
+    })
+}
+
+fn non_negative(number: &str) -> Option<f64> {
+    let digits = number.bytes().all(|b| b.is_ascii_digit() || b == b'.');
+    number.parse().ok().filter(|n: &f64| digits && n.is_finite())
+}
+
+/// The longest beginning of such characters, and the rest.
+fn split(text: &str, of: impl Fn(char) -> bool) -> (&str, &str) {
+    text.split_at(text.find(|c| !of(c)).unwrap_or(text.len()))
+}
+
+impl fmt::Display for Budget {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        match self {
+            Self::Clusters(n) => write!(f, "{n}"),
+            Self::Views(share) => share.fmt(f),
+        }
+    }
+}
+
+impl fmt::Display for Share {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        // Per cent to nine places: 0.07 is 7.000000000000001 % in binary.
+        write!(f, "{}%", (self.0 * 1e11).round() / 1e9)
+    }
+}
+
+impl fmt::Display for Duration {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        let mut rest = self.0;
+        for unit in ["d", "h", "min"] {
+            let length = seconds_of(unit).unwrap_or(1.0);
+            let whole = (rest / length).floor();
+            if whole > 0.0 {
+                write!(f, "{whole}{unit}")?;
+                rest -= whole * length;
+            }
+        }
+        if rest > 0.0 || self.0 == 0.0 { write!(f, "{rest}s") } else { Ok(()) }
+    }
+}
+
+impl fmt::Display for Count {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        match self.0 {
+            n if n >= 1e9 => write!(f, "{}G", n / 1e9),
+            n if n >= 1e6 => write!(f, "{}M", n / 1e6),
+            n if n >= 1e3 => write!(f, "{}k", n / 1e3),
+            n => write!(f, "{n}"),
+        }
+    }
+}
+
+/// A TOML value that stands for an amount: "40" as well as 40.
+#[derive(Deserialize)]
+#[serde(untagged)]
+enum Written {
+    Text(String),
+    Whole(u64),
+}
+
+impl Written {
+    fn text(self) -> String {
+        match self {
+            Self::Text(text) => text,
+            Self::Whole(number) => number.to_string(),
+        }
+    }
+}
+
+macro_rules! written_as_text {
+    ($($amount:ident),*) => {$(
+        impl TryFrom<Written> for $amount {
+            type Error = AmountError;
+
+            fn try_from(written: Written) -> Result<Self, AmountError> {
+                written.text().parse()
+            }
+        }
+
+        impl From<$amount> for String {
+            fn from(amount: $amount) -> String {
+                amount.to_string()
+            }
+        }
+
+        impl JsonSchema for $amount {
+            fn schema_name() -> std::borrow::Cow<'static, str> {
+                stringify!($amount).into()
+            }
+
+            fn json_schema(_: &mut SchemaGenerator) -> Schema {
+                json_schema!({ "type": "string", "pattern": Self::PATTERN })
+            }
+        }
+    )*};
+}
+
+written_as_text!(Budget, Share, Duration, Count);
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn amounts_are_read_as_people_write_them() {
+        assert_eq!("40".parse(), Ok(Budget::Clusters(40)));
+        assert_eq!("5%".parse(), Ok(Budget::Views(Share(0.05))));
+        assert_eq!("12.5 %".parse(), Ok(Share(0.125)));
+        assert_eq!("2h".parse(), Ok(Duration(7200.0)));
+        assert_eq!("1d 6h".parse(), Ok(Duration(108_000.0)));
+        assert_eq!("1.5min".parse(), Ok(Duration(90.0)));
+        assert_eq!("50M".parse(), Ok(Count(50e6)));
+        assert_eq!("800 k".parse(), Ok(Count(8e5)));
+    }
+
+    #[test]
+    fn what_cannot_be_meant_is_refused() {
+        assert!(["", "-3", "4.5", "x", "101%"].iter().all(|text| text.parse::<Budget>().is_err()));
+        assert!(["", "0.8", "80", "1e1%", "-1%", "nan%"].iter().all(|text| text.parse::<Share>().is_err()));
+        assert!(["", "2", "h", "2 weeks", "inf h", "1h30"].iter().all(|text| text.parse::<Duration>().is_err()));
+        assert!(["", "M", "5m", "1e9"].iter().all(|text| text.parse::<Count>().is_err()));
+    }
+
+    #[test]
+    fn written_and_read_again() {
+        for text in ["40", "7%", "0.5%"] {
+            assert_eq!(text.parse::<Budget>().unwrap().to_string(), text);
+        }
+        for text in ["1d6h", "1min30s", "0s", "2h", "0.5s"] {
+            assert_eq!(text.parse::<Duration>().unwrap().to_string(), text);
+        }
+        for text in ["50M", "1.5G", "20k", "999"] {
+            assert_eq!(text.parse::<Count>().unwrap().to_string(), text);
+        }
+    }
+}

@@ -1,0 +1,174 @@
+//! The settings as a list of keys, read from the definition: what `viewrank config` prints and what values are checked against.
+
+use std::sync::LazyLock;
+
+use schemars::generate::SchemaSettings;
+use serde_json::{Map, Value};
+
+use super::Settings;
+use crate::scene::Units;
+
+/// A key of `viewrank.toml`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Key {
+    /// With its sections: `target.gsd`.
+    pub name: String,
+    pub doc: String,
+    unit: Option<String>,
+    /// `Null`: unset, chosen from the data or by the backend.
+    pub default: Value,
+    /// The values of a key that takes one of a few words.
+    pub words: Vec<String>,
+    above: Option<f64>,
+    min: Option<f64>,
+    max: Option<f64>,
+}
+
+/// All keys, in the order of the definition.
+pub fn keys() -> &'static [Key] {
+    static KEYS: LazyLock<Vec<Key>> = LazyLock::new(|| {
+        let mut keys = Vec::new();
+        collect(&definition(), &default(), "", &mut keys);
+        keys
+    });
+    &KEYS
+}
+
+impl Key {
+    /// Unit of the value. Lengths are metres only where the model is known to be metric.
+    pub fn unit(&self, units: Option<Units>) -> Option<String> {
+        let length = if units == Some(Units::Metric) { "m" } else { "scene units" };
+        self.unit.as_ref().map(|unit| unit.replace("length", length))
+    }
+
+    /// The values that make sense, in words; `None` where any does.
+    pub fn range(&self) -> Option<String> {
+        match (self.above, self.min, self.max) {
+            (Some(above), _, Some(max)) => Some(format!("above {above}, at most {max}")),
+            (Some(above), _, None) => Some(format!("above {above}")),
+            (None, Some(min), Some(max)) => Some(format!("{min} to {max}")),
+            (None, Some(min), None) => Some(format!("at least {min}")),
+            (None, None, Some(max)) => Some(format!("at most {max}")),
+            (None, None, None) if !self.words.is_empty() => Some(self.words.join(", ")),
+            (None, None, None) => None,
+        }
+    }
+
+    pub(super) fn allows(&self, number: f64) -> bool {
+        number.is_finite()
+            && self.above.is_none_or(|above| number > above)
+            && self.min.is_none_or(|min| number >= min)
+            && self.max.is_none_or(|max| number <= max)
+    }
+}
+
+fn definition() -> Value {
+    let settings = SchemaSettings::draft2020_12().with(|s| s.inline_subschemas = true);
+    settings.into_generator().into_root_schema_for::<Settings>().to_value()
+}
+
+fn default() -> Value {
+    serde_json::to_value(Settings::default()).expect("settings are JSON")
+}
+
+/// Appends the keys of a section, `path` in front of them.
+fn collect(section: &Value, defaults: &Value, path: &str, keys: &mut Vec<Key>) {
+    for (name, schema) in section["properties"].as_object().into_iter().flatten() {
+        let name = if path.is_empty() { name.clone() } else { format!("{path}.{name}") };
+        let default = &defaults[name.rsplit('.').next().unwrap_or(&name)];
+        match schema.as_object() {
+            Some(object) if !object.contains_key("properties") => keys.push(key(name, object, default)),
+            _ => collect(schema, default, &name, keys),
+        }
+    }
+}
+
+fn key(name: String, schema: &Map<String, Value>, default: &Value) -> Key {
+    let text = |attribute: &str| schema.get(attribute).and_then(Value::as_str).map(String::from);
+    let number = |attribute: &str| schema.get(attribute).and_then(Value::as_f64);
+    let max = number("maximum").filter(|&max| max != f64::from(u32::MAX));
+    Key {
+        name,
+        doc: text("description").unwrap_or_default().replace('\n', " "),
+        unit: text("unit"),
+        default: default.clone(),
+        words: words(schema),
+        above: number("exclusiveMinimum"),
+        min: number("minimum"),
+        max,
+    }
+}
+
+/// The constants of an enum, wherever schemars put them.
+fn words(schema: &Map<String, Value>) -> Vec<String> {
+    let mut words: Vec<String> = schema.get("const").and_then(Value::as_str).map(String::from).into_iter().collect();
+    words.extend(
+        schema.get("enum").and_then(Value::as_array).into_iter().flatten().filter_map(Value::as_str).map(String::from),
+    );
+    for alternatives in ["oneOf", "anyOf"] {
+        let members = schema.get(alternatives).and_then(Value::as_array).into_iter().flatten();
+        words.extend(members.filter_map(Value::as_object).flat_map(self::words));
+    }
+    words
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn find(name: &str) -> &'static Key {
+        keys().iter().find(|key| key.name == name).unwrap()
+    }
+
+    #[test]
+    fn every_number_of_the_method_has_its_key_and_default() {
+        let table = [
+            ("coverage.min_cameras", 3.0),
+            ("fulfilment.alpha", 0.5),
+            ("fulfilment.sigma_px", 0.5),
+            ("surface.edge_factor", 20.0),
+            ("surface.max_edge_factor", 100.0),
+            ("partners.candidates", 22.0),
+            ("partners.draws", 100.0),
+            ("partners.triangle_fraction", 10.0),
+            ("partners.k", 5.0),
+            ("image_scale", 1.0),
+            ("seed", 0.0),
+        ];
+        for (name, default) in table {
+            assert_eq!(find(name).default.as_f64(), Some(default), "{name}");
+        }
+        let by_data = ["target.gsd", "target.accuracy", "confidence.p0", "confidence.cosine_power"];
+        let by_backend = ["confidence.scale_octaves", "confidence.full_angle", "ranking.support"];
+        for name in by_data.iter().chain(&by_backend) {
+            assert!(find(name).default.is_null(), "{name}");
+        }
+        assert_eq!(find("partners.method").default, "search");
+        assert_eq!(find("confidence.source").default, "auto");
+    }
+
+    #[test]
+    fn every_key_says_what_it_is_and_every_number_has_a_range() {
+        for key in keys() {
+            assert!(!key.doc.is_empty(), "{}", key.name);
+            assert!(!key.default.is_number() || key.range().is_some() || key.name == "seed", "{}", key.name);
+        }
+    }
+
+    #[test]
+    fn lengths_are_metres_only_in_metric_models() {
+        assert_eq!(find("target.gsd").unit(Some(Units::Metric)).unwrap(), "m/px");
+        assert_eq!(find("target.gsd").unit(Some(Units::Relative)).unwrap(), "scene units/px");
+        assert_eq!(find("target.accuracy").unit(None).unwrap(), "scene units");
+    }
+
+    #[test]
+    fn words_and_ranges() {
+        assert_eq!(find("surface.kind").words, ["auto", "3d", "terrain"]);
+        assert_eq!(find("fulfilment.alpha").range().unwrap(), "0 to 1");
+        assert_eq!(find("target.gsd").range().unwrap(), "above 0");
+        assert!(
+            find("target.gsd").allows(0.1) && !find("target.gsd").allows(0.0) && !find("target.gsd").allows(f64::NAN)
+        );
+    }
+}

@@ -1,0 +1,350 @@
+//! Settings in force: defaults, over them the user's file, the project's `viewrank.toml`, and the command line.
+
+use std::{
+    collections::BTreeMap,
+    fmt, fs, io,
+    path::{Path, PathBuf},
+};
+
+use etcetera::BaseStrategy;
+use serde::Deserialize;
+use toml::{Table, Value, de::DeTable};
+
+use super::{Key, Settings, keys};
+use crate::error::Hint;
+
+/// Where settings are written down; files that are not there are passed over.
+#[derive(Clone, Debug, Default)]
+pub struct Files {
+    pub user: Option<PathBuf>,
+    pub project: Option<PathBuf>,
+}
+
+/// `viewrank/viewrank.toml` in the user's folder for configuration (`$XDG_CONFIG_HOME`, `~/.config`).
+pub fn user_file() -> Option<PathBuf> {
+    etcetera::choose_base_strategy().ok().map(|folders| folders.config_dir().join("viewrank/viewrank.toml"))
+}
+
+/// Settings that were typed: option, key, value.
+#[derive(Clone, Debug, Default)]
+pub struct Typed(Vec<Entry>);
+
+impl Typed {
+    /// Notes the value of an option, if it was given.
+    pub fn set(&mut self, option: &'static str, key: &str, value: Option<impl Into<Value>>) {
+        if let Some(value) = value {
+            self.0.push(Entry { key: key.into(), value: value.into(), place: Place::Option(option) });
+        }
+    }
+}
+
+/// Where a value was written.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Place {
+    File { path: PathBuf, line: usize },
+    Option(&'static str),
+}
+
+/// Where a value in force comes from.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Source {
+    Default,
+    Written(Place),
+}
+
+impl fmt::Display for Place {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        match self {
+            Self::File { path, line } => write!(f, "{}:{line}", path.display()),
+            Self::Option(option) => write!(f, "{option}"),
+        }
+    }
+}
+
+impl fmt::Display for Source {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        match self {
+            Self::Default => write!(f, "default"),
+            Self::Written(place) => place.fmt(f),
+        }
+    }
+}
+
+/// One value that somebody wrote.
+#[derive(Clone, Debug)]
+struct Entry {
+    key: String,
+    value: Value,
+    place: Place,
+}
+
+/// All settings in force and where each comes from.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Configuration {
+    pub settings: Settings,
+    places: BTreeMap<String, Place>,
+}
+
+impl Configuration {
+    pub fn load(files: &Files, typed: Typed) -> Result<Self, ConfigError> {
+        let mut entries = Vec::new();
+        for path in [&files.user, &files.project].into_iter().flatten() {
+            entries.extend(read(path)?);
+        }
+        entries.extend(typed.0);
+        Self::over_defaults(entries)
+    }
+
+    /// Later entries win.
+    fn over_defaults(entries: Vec<Entry>) -> Result<Self, ConfigError> {
+        let mut table = Table::new();
+        let mut places = BTreeMap::new();
+        for entry in entries {
+            check(&entry)?;
+            insert(&mut table, &entry.key, entry.value);
+            places.insert(entry.key, entry.place);
+        }
+        let settings = Settings::deserialize(table).expect("each entry was checked by itself");
+        let configuration = Self { settings, places };
+        configuration.check_together()?;
+        Ok(configuration)
+    }
+
+    pub fn source(&self, key: &str) -> Source {
+        self.places.get(key).cloned().map_or(Source::Default, Source::Written)
+    }
+
+    /// What no value by itself can say.
+    fn check_together(&self) -> Result<(), ConfigError> {
+        let surface = &self.settings.surface;
+        if surface.max_edge_factor < surface.edge_factor {
+            let why = format!("must not be below surface.edge_factor, which is {}", surface.edge_factor);
+            return Err(self.refuse("surface.max_edge_factor", surface.max_edge_factor, why));
+        }
+        if surface.up == Some([0.0; 3]) {
+            return Err(self.refuse("surface.up", "0,0,0", "must be a direction".into()));
+        }
+        Ok(())
+    }
+
+    fn refuse(&self, key: &str, value: impl fmt::Display, why: String) -> ConfigError {
+        ConfigError::Value { from: self.source(key), key: key.into(), value: value.to_string(), why }
+    }
+}
+
+/// The entries of a file; none where there is no file.
+fn read(path: &Path) -> Result<Vec<Entry>, ConfigError> {
+    let text = match fs::read_to_string(path) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),
+        Err(source) => return Err(ConfigError::Read { path: path.into(), source }),
+        Ok(text) => text,
+    };
+    let syntax = |error: toml::de::Error| {
+        let line = line_of(&text, error.span().map_or(0, |span| span.start));
+        let place = Place::File { path: path.into(), line };
+        ConfigError::Syntax { place, why: error.message().replace('\n', ", ") }
+    };
+    let values: Value = toml::from_str(&text).map_err(syntax)?;
+    let mut entries = Vec::new();
+    collect(DeTable::parse(&text).map_err(syntax)?.get_ref(), "", &mut |key, at| {
+        let place = Place::File { path: path.into(), line: line_of(&text, at) };
+        let value = key.split('.').try_fold(&values, |value, part| value.get(part));
+        entries.extend(value.map(|value| Entry { key: key.into(), value: value.clone(), place }));
+    });
+    Ok(entries)
+}
+
+/// Calls `found` with each key that is no section, and the byte at which it stands.
+fn collect(table: &DeTable, path: &str, found: &mut impl FnMut(&str, usize)) {
+    for (name, value) in table {
+        let key = if path.is_empty() { name.get_ref().to_string() } else { format!("{path}.{}", name.get_ref()) };
+        match value.get_ref().as_table() {
+            Some(section) if is_section(&key) => collect(section, &key, found),
+            _ => found(&key, name.span().start),
+        }
+    }
+}
+
+fn is_section(key: &str) -> bool {
+    keys().iter().any(|known| known.name.strip_prefix(key).is_some_and(|rest| rest.starts_with('.')))
+}
+
+fn line_of(text: &str, byte: usize) -> usize {
+    1 + text.bytes().take(byte).filter(|&b| b == b'\n').count()
+}
+
+/// Is the key known, and the value of its type and in its range?
+fn check(entry: &Entry) -> Result<(), ConfigError> {
+    let refuse = |why: String| ConfigError::Value {
+        from: Source::Written(entry.place.clone()),
+        key: entry.key.clone(),
+        value: entry.value.to_string(),
+        why,
+    };
+    let Some(key) = keys().iter().find(|key| key.name == entry.key) else {
+        return Err(match is_section(&entry.key) {
+            true => refuse(format!("is a section: write [{}] and its settings below", entry.key)),
+            false => ConfigError::UnknownKey { place: entry.place.clone(), key: entry.key.clone() },
+        });
+    };
+    let numbers = match &entry.value {
+        Value::Array(members) => members.as_slice(),
+        one => std::slice::from_ref(one),
+    };
+    let number = |value: &Value| value.as_float().or_else(|| value.as_integer().map(|n| n as f64));
+    if numbers.iter().filter_map(number).any(|n| !key.allows(n)) {
+        return Err(refuse(format!("must be {}", wanted(key))));
+    }
+    let mut alone = Table::new();
+    insert(&mut alone, &entry.key, entry.value.clone());
+    Settings::deserialize(alone).map(drop).map_err(|error| refuse(type_error(key, &error)))
+}
+
+/// What is wanted, in words: range and unit.
+fn wanted(key: &Key) -> String {
+    let range = key.range().unwrap_or_else(|| "a number".into());
+    key.unit(None).map_or(range.clone(), |unit| format!("{range} ({unit})"))
+}
+
+fn type_error(key: &Key, error: &toml::de::Error) -> String {
+    if key.words.is_empty() {
+        return error.message().lines().next().unwrap_or_default().to_owned();
+    }
+    format!("must be {}", key.words.join(", "))
+}
+
+fn insert(table: &mut Table, key: &str, value: Value) {
+    match key.split_once('.') {
+        None => drop(table.insert(key.into(), value)),
+        Some((section, rest)) => {
+            let inner = table.entry(section).or_insert_with(|| Table::new().into());
+            if let Value::Table(inner) = inner {
+                insert(inner, rest, value);
+            }
+        }
+    }
+}
+
+/// Why settings cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum ConfigError {
+    #[error("{}: {source}", path.display())]
+    Read { path: PathBuf, source: io::Error },
+    #[error("{place}: {why}")]
+    Syntax { place: Place, why: String },
+    #[error("{place}: there is no setting {key}")]
+    UnknownKey { place: Place, key: String },
+    #[error("{from}: {key} = {value}: {why}")]
+    Value { from: Source, key: String, value: String, why: String },
+}
+
+impl Hint for ConfigError {
+    fn hint(&self) -> Option<String> {
+        Some(match self {
+            Self::Read { .. } => "make the file readable, or move it away".into(),
+            Self::Syntax { .. } => "see https://toml.io for the grammar; texts stand in quotes".into(),
+            Self::UnknownKey { key, .. } => match nearest(key) {
+                Some(known) => format!("did you mean {known}?"),
+                None => "type viewrank config for the settings that there are".into(),
+            },
+            Self::Value { key, .. } => match keys().iter().find(|known| known.name == *key) {
+                Some(known) => format!("{key}: {}", known.doc),
+                None => "type viewrank config for the settings that there are".into(),
+            },
+        })
+    }
+}
+
+/// The known key that was probably meant: alike as a whole, or alike in its last part.
+fn nearest(key: &str) -> Option<&'static str> {
+    let last = |key: &'_ str| key.rsplit('.').next().unwrap_or_default().to_owned();
+    let likeness =
+        |known: &str| strsim::jaro_winkler(known, key).max(0.99 * strsim::jaro_winkler(&last(known), &last(key)));
+    let best = keys().iter().max_by(|a, b| likeness(&a.name).total_cmp(&likeness(&b.name)))?;
+    (likeness(&best.name) > 0.8).then_some(&best.name)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{config::PartnerCount, scene::Units};
+
+    /// The configuration of a user's and a project's file and typed options.
+    fn load(user: &str, project: &str, typed: Typed) -> Result<Configuration, ConfigError> {
+        let folder = tempfile::tempdir().unwrap();
+        let write = |name: &str, text: &str| {
+            let path = folder.path().join(name);
+            fs::write(&path, text).unwrap();
+            Some(path)
+        };
+        Configuration::load(&Files { user: write("user.toml", user), project: write("project.toml", project) }, typed)
+    }
+
+    fn refused(project: &str) -> (String, String) {
+        let error = load("", project, Typed::default()).unwrap_err();
+        let message = error.to_string();
+        (message[message.find("project.toml").unwrap()..].to_owned(), error.hint().unwrap())
+    }
+
+    #[test]
+    fn each_layer_covers_the_one_before_and_is_named() {
+        let mut typed = Typed::default();
+        typed.set("--gsd", "target.gsd", Some(0.01));
+        typed.set("-k", "partners.k", None::<i64>);
+        let user = "units = \"metric\"\n[target]\ngsd = 0.03\naccuracy = 0.05\n";
+        let project = "partners.k = 3\n[target]\n\ngsd = 0.02\n";
+        let both = load(user, project, typed).unwrap();
+        assert_eq!(both.settings.target.gsd, Some(0.01));
+        assert_eq!(both.settings.target.accuracy, Some(0.05));
+        assert_eq!(both.settings.partners.k, PartnerCount::Fixed(3));
+        assert_eq!(both.settings.units, Some(Units::Metric));
+        assert_eq!(both.source("target.gsd").to_string(), "--gsd");
+        assert!(both.source("target.accuracy").to_string().ends_with("user.toml:4"));
+        assert!(both.source("partners.k").to_string().ends_with("project.toml:1"));
+        assert_eq!(both.source("seed"), Source::Default);
+    }
+
+    #[test]
+    fn nothing_written_is_the_default() {
+        assert_eq!(load("", "", Typed::default()).unwrap(), Configuration::default());
+        let none = Files { user: Some("/nowhere/viewrank.toml".into()), project: None };
+        assert_eq!(Configuration::load(&none, Typed::default()).unwrap().settings, Settings::default());
+    }
+
+    #[test]
+    fn unknown_keys_name_the_line_and_the_nearest() {
+        for (text, message, hint) in [
+            ("\n[partner]\nk = 3\n", "project.toml:2: there is no setting partner", "did you mean partners.k?"),
+            ("gsd = 1\n", "project.toml:1: there is no setting gsd", "did you mean target.gsd?"),
+            ("[target]\ngds = 1\n", "project.toml:2: there is no setting target.gds", "did you mean target.gsd?"),
+            (
+                "xyzzy = 1\n",
+                "project.toml:1: there is no setting xyzzy",
+                "type viewrank config for the settings that there are",
+            ),
+        ] {
+            assert_eq!(refused(text), (message.to_owned(), hint.to_owned()));
+        }
+    }
+
+    #[test]
+    fn values_out_of_range_or_type_are_refused() {
+        let message = |text| refused(text).0;
+        assert_eq!(message("fulfilment.alpha = 1.5"), "project.toml:1: fulfilment.alpha = 1.5: must be 0 to 1");
+        assert_eq!(message("target.gsd = -1"), "project.toml:1: target.gsd = -1: must be above 0 (scene units/px)");
+        assert_eq!(message("target.gsd = nan"), "project.toml:1: target.gsd = nan: must be above 0 (scene units/px)");
+        assert!(message("target.gsd = \"1 cm\"").contains("invalid type: string \"1 cm\", expected f64"));
+        assert!(message("partners.method = \"best\"").contains("must be "));
+        assert!(message("cut.target = \"80\"").contains("\"80\" is not a share from 0% to 100%"));
+        assert!(message("surface.max_edge_factor = 10").contains("must not be below surface.edge_factor, which is 20"));
+        assert!(message("target = 3").contains("target = 3"));
+        assert!(message("[target\ngsd = 1").starts_with("project.toml:1: "));
+        assert!(message("seed = -1").contains("seed = -1"));
+    }
+
+    #[test]
+    fn amounts_may_be_numbers() {
+        let configuration = load("", "cut.budget = 40", Typed::default()).unwrap();
+        assert_eq!(configuration.settings.cut.budget, Some(crate::config::Budget::Clusters(40)));
+    }
+}
