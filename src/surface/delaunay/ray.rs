@@ -5,6 +5,7 @@
 //! (ε, ε², ε³): such a ray meets the inside of triangles only, so it always goes on, and never twice through a cell.
 
 use super::grid::Site;
+use super::predicates::{cross, difference, wide_dot};
 use super::{Delaunay, FACET_VERTICES, Facet};
 use nalgebra::Point3;
 
@@ -22,13 +23,14 @@ pub struct Crossing {
 pub struct Ray<'a> {
     delaunay: &'a Delaunay,
     vertex: u32,
+    origin: Site,
     /// The cell next to the vertex that the ray runs through.
     first: u32,
     cell: u32,
     direction: Direction,
     ended: bool,
     t: f64,
-    /// The triangle that the ray crosses next, counter-clockwise seen along the ray.
+    /// Where the ray leaves the current cell.
     exit: Exit,
 }
 
@@ -43,22 +45,25 @@ struct Direction {
     scale: f64,
 }
 
-/// A corner of a triangle as seen from the ray's vertex.
+/// A corner of a triangle as seen from the ray's vertex, grid units.
 #[derive(Clone, Copy, Debug, Default)]
 struct Corner {
-    vertex: u32,
-    offset: [i64; 3],
+    /// Whole numbers.
+    offset: [f64; 3],
     /// offset × direction.
     moment: [f64; 3],
     /// offset · direction.
     along: f64,
+    vertex: u32,
 }
 
-/// Triangle with `sides[i]` = side of the ray relative to the edge opposite to corner i, all positive.
+/// A triangle that the ray crosses, counter-clockwise seen along the ray.
 #[derive(Clone, Copy, Debug, Default)]
 struct Exit {
+    /// Of the facet in the cell that is left.
     index: usize,
     corners: [Corner; 3],
+    /// On which side of the edge opposite to each corner the ray runs; all positive.
     sides: [f64; 3],
 }
 
@@ -71,7 +76,8 @@ impl Delaunay {
         let cell = self.cell_of_vertex[vertex as usize];
         let direction = Direction { exact: [0; 3], rounded: [0.0; 3], error: 0.0, scale: 0.0 };
         let exit = Exit::default();
-        let mut ray = Ray { delaunay: self, vertex, first: cell, cell, direction, ended: true, t: 0.0, exit };
+        let origin = self.sites[vertex as usize];
+        let mut ray = Ray { delaunay: self, vertex, origin, first: cell, cell, direction, ended: true, t: 0.0, exit };
         ray.aim(target);
         ray
     }
@@ -80,15 +86,13 @@ impl Delaunay {
 impl Ray<'_> {
     /// Starts again from the same vertex towards another target; quicker than a new ray when the directions are similar.
     pub fn aim(&mut self, target: &Point3<f64>) {
-        let delaunay = self.delaunay;
-        let origin = &delaunay.sites[self.vertex as usize];
-        let (direction, stretch) = delaunay.grid.vector(origin, target);
+        let (direction, stretch) = self.delaunay.grid.vector(&self.origin, target);
         self.direction = Direction::new(direction, stretch);
         self.t = 0.0;
         self.ended = direction == [0; 3];
         self.cell = self.first;
         if !self.ended {
-            self.turn(origin);
+            self.turn();
         }
     }
 
@@ -99,11 +103,11 @@ impl Ray<'_> {
 
     /// Turns about the vertex to the cell that the ray starts in. The link of a vertex is a regular triangulation, so
     /// that crossing any facet that has the ray beyond it leads there.
-    fn turn(&mut self, origin: &Site) {
+    fn turn(&mut self) {
         loop {
             let vertices = self.delaunay.cells[self.first as usize].vertices;
             let index = index_of(&vertices, self.vertex);
-            let corners = FACET_VERTICES[index].map(|i| self.corner(origin, vertices[i]));
+            let corners = FACET_VERTICES[index].map(|i| self.corner(&self.origin, vertices[i]));
             let sides = [1, 2, 0].map(|i| self.direction.side(&corners[i], &corners[(i + 1) % 3]));
             let Some(beyond) = sides.iter().position(|&side| side < 0.0) else {
                 self.cell = self.first;
@@ -121,37 +125,40 @@ impl Ray<'_> {
         }
     }
 
+    #[inline]
     fn corner(&self, origin: &Site, vertex: u32) -> Corner {
-        let site = &self.delaunay.sites[vertex as usize];
-        let offset = [i64::from(site.x - origin.x), i64::from(site.y - origin.y), i64::from(site.z - origin.z)];
-        let [x, y, z] = offset.map(|v| v as f64);
+        let offset @ [x, y, z] = difference(&self.delaunay.sites[vertex as usize], origin);
         let [dx, dy, dz] = self.direction.rounded;
-        Corner {
-            vertex,
-            offset,
-            moment: [y * dz - z * dy, z * dx - x * dz, x * dy - y * dx],
-            along: x * dx + y * dy + z * dz,
-        }
+        let moment = [y * dz - z * dy, z * dx - x * dz, x * dy - y * dx];
+        Corner { offset, moment, along: x * dx + y * dy + z * dz, vertex }
     }
 
-    /// In the cell entered through a triangle with corners a, b, c: which of the three triangles at the fourth corner d is next.
+    /// In the cell entered through a triangle with corners a, b, c: the fourth corner d takes the place of one of them.
+    #[inline]
     fn find_exit(&mut self, entered: Facet) {
         let cell = &self.delaunay.cells[entered.cell() as usize];
-        let origin = &self.delaunay.sites[self.vertex as usize];
-        let [a, b, c] = self.exit.corners;
-        let [bc, ca, ab] = self.exit.sides;
-        let d = self.corner(origin, cell.vertices[entered.index()]);
-        let da = self.direction.side(&d, &a);
-        let db = self.direction.side(&d, &b);
-        // The side can be 0 in spite of perturbation where d, a and the ray's vertex are on one line. No triangle with both is
-        // crossed then, which the order of the tests respects.
-        let (left, corners, sides) = if da > 0.0 && db < 0.0 {
-            (c, [a, b, d], [-db, da, ab])
+        let d = self.corner(&self.origin, cell.vertices[entered.index()]);
+        let exit = &mut self.exit;
+        let [a, b, c] = &exit.corners;
+        let da = self.direction.side(&d, a);
+        let db = self.direction.side(&d, b);
+        // A side is 0 in spite of perturbation only where d and the corner are on one line with the ray's vertex. No triangle
+        // with both is crossed then, and with strict signs none is chosen.
+        let left = if da > 0.0 && db < 0.0 {
+            (exit.sides[0], exit.sides[1]) = (-db, da);
+            2
         } else {
-            let dc = self.direction.side(&d, &c);
-            if da < 0.0 && dc > 0.0 { (b, [c, a, d], [-da, dc, ca]) } else { (a, [b, c, d], [-dc, db, bc]) }
+            let dc = self.direction.side(&d, c);
+            if da < 0.0 && dc > 0.0 {
+                (exit.sides[0], exit.sides[2]) = (dc, -da);
+                1
+            } else {
+                (exit.sides[1], exit.sides[2]) = (-dc, db);
+                0
+            }
         };
-        self.exit = Exit { index: index_of(&cell.vertices, left.vertex), corners, sides };
+        exit.index = index_of(&cell.vertices, exit.corners[left].vertex);
+        exit.corners[left] = d;
     }
 }
 
@@ -205,7 +212,7 @@ impl Direction {
     /// direction · (a × b) with the exact sign, perturbed where it is 0; 0 only where a, b and the ray's vertex are on one line.
     #[inline]
     fn side(&self, a: &Corner, b: &Corner) -> f64 {
-        let [x, y, z] = a.offset.map(|v| v as f64);
+        let [x, y, z] = a.offset;
         let side = x * b.moment[0] + y * b.moment[1] + z * b.moment[2];
         if side.abs() > self.error { side } else { self.exact_side(a, b) }
     }
@@ -213,8 +220,8 @@ impl Direction {
     #[cold]
     #[inline(never)]
     fn exact_side(&self, a: &Corner, b: &Corner) -> f64 {
-        let normal = super::predicates::cross(&a.offset, &b.offset);
-        match super::predicates::wide_dot(&self.exact, &normal) {
+        let normal = cross(&a.offset.map(|v| v as i64), &b.offset.map(|v| v as i64));
+        match wide_dot(&self.exact, &normal) {
             0 => normal.iter().find(|&&n| n != 0).map_or(0.0, |n| n.signum() as f64 * f64::MIN_POSITIVE),
             side => side as f64,
         }
