@@ -2,7 +2,12 @@
 
 use std::path::{Path, PathBuf};
 
-use viewrank::{project::Project, scene::Scene};
+use viewrank::{
+    error::Hint,
+    formats::{Bytes, colmap::ColmapModel, colmap_bin, colmap_text},
+    project::{ModelFormat, Project, ProjectError, ProjectKind},
+    scene::Scene,
+};
 
 /// The shared data sets, or `None` with a note where they are not to be had.
 fn data() -> Option<PathBuf> {
@@ -15,21 +20,49 @@ fn data() -> Option<PathBuf> {
     Some(data)
 }
 
+/// The folders of `formats/` with what pycolmap says of them.
+fn expected(formats: &Path) -> serde_json::Map<String, serde_json::Value> {
+    serde_json::from_str(&std::fs::read_to_string(formats.join("expected.json")).unwrap()).unwrap()
+}
+
+fn open(path: &Path) -> Project {
+    Project::open(path, None).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
+}
+
 fn read(path: &Path) -> Scene {
-    let scene = Project::open(path, None).and_then(|project| project.read_scene());
-    scene.unwrap_or_else(|error| panic!("{}: {error}", path.display()))
+    open(path).read_scene().unwrap_or_else(|error| panic!("{}: {error}", path.display()))
+}
+
+/// The scene again from files as `write` makes them.
+fn reread(files: &[(&str, Vec<u8>)]) -> Scene {
+    let bytes = |stem: &str| files.iter().find(|f| f.0.starts_with(stem)).map(|f| &f.1[..]);
+    let parts = ["cameras", "images", "points3D"].map(|stem| bytes(stem).unwrap());
+    let [cameras, images, points3d] = parts;
+    let bytes = Bytes { cameras, images, points3d, rigs: bytes("rigs"), frames: bytes("frames") };
+    let text = files[0].0.ends_with(".txt");
+    let model = if text { colmap_text::read(&bytes) } else { colmap_bin::read(&bytes) };
+    model.and_then(|model| model.scene()).unwrap()
+}
+
+fn assert_same(a: &Scene, b: &Scene, what: &str) {
+    assert_eq!(a.cameras, b.cameras, "{what}");
+    let view = |s: &Scene, v: usize| {
+        let view = &s.views[v];
+        (view.name.clone(), view.image_id, view.camera, view.file_position, view.cam_from_world)
+    };
+    let views = |s: &Scene| (0..s.views.len()).map(|v| view(s, v)).collect::<Vec<_>>();
+    assert_eq!(views(a), views(b), "{what}");
+    assert_eq!((&a.points, &a.point_ids, &a.colours), (&b.points, &b.point_ids, &b.colours), "{what}");
+    assert_eq!((&a.track_offsets, &a.track_views), (&b.track_offsets, &b.track_views), "{what}");
+    assert_eq!(a.track_pixels, b.track_pixels, "{what}");
 }
 
 #[test]
 fn all_colmap_models_have_the_expected_counts() {
     let Some(formats) = data().map(|data| data.join("formats")) else { return };
-    let expected = std::fs::read_to_string(formats.join("expected.json")).unwrap();
-    let expected: serde_json::Map<String, serde_json::Value> = serde_json::from_str(&expected).unwrap();
+    let expected = expected(&formats);
     assert!(expected.len() > 50);
     for (folder, expected) in &expected {
-        if expected["format"] == "txt" {
-            continue;
-        }
         let scene = read(&formats.join(folder));
         let count = |key: &str| expected[key].as_u64().unwrap() as usize;
         assert_eq!(scene.cameras.len(), count("cameras"), "{folder}");
@@ -42,4 +75,192 @@ fn all_colmap_models_have_the_expected_counts() {
             assert!((found - error).abs() < 1e-5, "{folder}: {found} instead of {error}");
         }
     }
+}
+
+#[test]
+fn text_and_binary_are_the_same_model() {
+    let Some(formats) = data().map(|data| data.join("formats")) else { return };
+    let expected = expected(&formats);
+    let mut compared = 0;
+    for folder in expected.keys().filter(|folder| folder.ends_with("bin")) {
+        let text = format!("{}txt", folder.strip_suffix("bin").unwrap());
+        if folder.starts_with("names/") || !expected.contains_key(&text) {
+            continue;
+        }
+        let (a, b) = (read(&formats.join(folder)), read(&formats.join(&text)));
+        assert_eq!(a.track_views, b.track_views, "{folder}");
+        let pixels = a.track_pixels.iter().zip(&b.track_pixels);
+        assert!(pixels.flat_map(|(a, b)| [a[0] - b[0], a[1] - b[1]]).all(|d| d.abs() < 1e-9), "{folder}");
+        compared += 1;
+    }
+    assert!(compared > 20);
+}
+
+#[test]
+fn names_are_the_rest_of_the_line() {
+    let Some(formats) = data().map(|data| data.join("formats")) else { return };
+    let names =
+        |folder: &str| -> Vec<String> { read(&formats.join(folder)).views.iter().map(|v| v.name.clone()).collect() };
+    assert_eq!(names("names/txt"), names("names/bin"));
+    for name in ["flug 2/straße/Übersicht ö.jpg", "日本/写真 2.png", "quote'd \"name\".jpg", "back\\slash.jpg"] {
+        assert!(names("names/txt").contains(&name.to_string()), "{name}");
+    }
+}
+
+#[test]
+fn quaternions_are_normalised() {
+    let Some(formats) = data().map(|data| data.join("formats")) else { return };
+    let (a, b) = (read(&formats.join("txt_unnormalised_quaternion")), read(&formats.join("ids_unordered/txt")));
+    for (a, b) in a.views.iter().zip(&b.views) {
+        assert!((a.cam_from_world.rotation.matrix() - b.cam_from_world.rotation.matrix()).norm() < 1e-12, "{}", a.name);
+    }
+}
+
+#[test]
+fn what_is_written_is_what_was_read() {
+    let Some(formats) = data().map(|data| data.join("formats")) else { return };
+    for folder in expected(&formats).keys() {
+        let project = open(&formats.join(folder));
+        let files = project.colmap_files().unwrap();
+        let model = files.model().unwrap();
+        let scene = model.scene().unwrap();
+        let binary = colmap_bin::write(&model);
+        if project.model.format == ModelFormat::ColmapBinary {
+            for (name, bytes) in &binary {
+                assert_eq!(&std::fs::read(project.model.path.join(name)).unwrap(), bytes, "{folder}/{name}");
+            }
+        }
+        assert_same(&reread(&binary), &scene, folder);
+        if folder.starts_with("names/") {
+            assert!(colmap_text::write(&model).is_err());
+        } else {
+            assert_same(&reread(&colmap_text::write(&model).unwrap()), &scene, folder);
+        }
+        // By way of the scene alone.
+        let again = reread(&colmap_bin::write(&ColmapModel::from_scene(&scene)));
+        assert_eq!((&again.track_views, &again.track_pixels), (&scene.track_views, &scene.track_pixels), "{folder}");
+    }
+}
+
+#[test]
+fn reduced_models_are_consistent() {
+    let Some(formats) = data().map(|data| data.join("formats")) else { return };
+    for folder in ["base_colmap42_bin", "ids_unordered/bin", "many_cameras/txt", "rig_oblique5/bin"] {
+        let files = open(&formats.join(folder)).colmap_files().unwrap();
+        let model = files.model().unwrap();
+        let whole = model.scene().unwrap();
+        let kept: Vec<_> = whole.view_indices().filter(|v| v.0 % 3 != 0).collect();
+        let ids: Vec<u32> = kept.iter().map(|&v| whole.view(v).image_id).collect();
+        let reduced = model.reduced(|image| ids.contains(&image.id), 2).unwrap();
+        assert!(reduced.rigs.is_none() && reduced.frames.is_none());
+        let used: Vec<u32> = reduced.images.iter().map(|i| i.camera_id).collect();
+        assert!(reduced.cameras.iter().all(|c| used.contains(&c.id)), "{folder}");
+        // 2D points stay in place, linked only to points that are there.
+        for image in &reduced.images {
+            let before = model.images.iter().find(|i| i.id == image.id).unwrap();
+            assert_eq!(before.points2d.len(), image.points2d.len());
+            for (before, after) in before.points2d.iter().zip(image.points2d.iter()) {
+                assert_eq!(before.pixel(), after.pixel());
+                let id = before.point().filter(|id| reduced.points.iter().any(|p| p.id == *id));
+                assert_eq!(after.point(), id);
+            }
+        }
+        // Oracle: the tracks of the whole scene without the dropped views.
+        let mut expected = Vec::new();
+        for p in 0..whole.points.len() {
+            let track = whole.track(viewrank::scene::PointIndex(p as u32));
+            let names = track.filter(|&o| kept.contains(&whole.track_views[o]));
+            let names: Vec<_> = names.map(|o| (whole.name(whole.track_views[o]), whole.track_pixels[o])).collect();
+            let mut distinct: Vec<_> = names.iter().map(|n| n.0).collect();
+            distinct.dedup();
+            if distinct.len() >= 2 {
+                expected.push((whole.point_ids[p], names));
+            }
+        }
+        let scene = reread(&colmap_bin::write(&reduced));
+        assert_eq!(scene.points.len(), expected.len(), "{folder}");
+        for (p, (id, names)) in expected.iter().enumerate() {
+            let track = scene.track(viewrank::scene::PointIndex(p as u32));
+            let found: Vec<_> = track.map(|o| (scene.name(scene.track_views[o]), scene.track_pixels[o])).collect();
+            assert_eq!((scene.point_ids[p], &found), (*id, names), "{folder}");
+        }
+    }
+}
+
+#[test]
+fn the_sub_model_with_most_images_is_taken() {
+    let Some(formats) = data().map(|data| data.join("formats")) else { return };
+    let path = formats.join("project_two_models");
+    let project = open(&path);
+    assert_eq!((project.kind, project.model.name().as_str()), (ProjectKind::Colmap, "0"));
+    let scene = project.read_scene().unwrap();
+    assert_eq!(scene.views.len(), 7);
+    assert_eq!(scene.warnings.len(), 1);
+    assert!(scene.warnings[0].contains("1 (6 images)"), "{}", scene.warnings[0]);
+    let other = Project::open(&path, Some("1")).unwrap();
+    assert_eq!(other.read_scene().unwrap().views.len(), 6);
+    let error = Project::open(&path, Some("7")).unwrap_err();
+    assert!(error.to_string().contains("0, 1"), "{error}");
+    assert!(error.hint().is_some());
+}
+
+#[test]
+fn unregistered_images_are_those_of_the_folder() {
+    let Some(data) = data() else { return };
+    let scene = read(&data.join("valley"));
+    assert_eq!(scene.views.len(), 111);
+    assert_eq!(scene.unregistered.len(), 1);
+    assert!(scene.find(&scene.unregistered[0]).is_none());
+    assert!(data.join("valley/images").join(&scene.unregistered[0]).is_file());
+}
+
+#[test]
+fn a_project_is_recognised_by_what_lies_in_it() {
+    let Some(formats) = data().map(|data| data.join("formats")) else { return };
+    let base = formats.join("base_colmap311_bin");
+    let folder = tempfile::tempdir().unwrap();
+    let root = folder.path();
+    let copy = |to: &str| {
+        std::fs::create_dir_all(root.join(to)).unwrap();
+        for file in ["cameras.bin", "images.bin", "points3D.bin"] {
+            std::fs::copy(base.join(file), root.join(to).join(file)).unwrap();
+        }
+    };
+    let error = Project::open(root, None).unwrap_err();
+    assert!(matches!(error, ProjectError::NoModel { .. }), "{error}");
+    assert!(matches!(Project::open(&root.join("nowhere"), None).unwrap_err(), ProjectError::NotFound(_)));
+
+    copy("sparse/10");
+    copy("sparse/2");
+    std::fs::create_dir(root.join("images")).unwrap();
+    let project = open(root);
+    // As many images in both: the first by name, 2 before 10.
+    assert_eq!((project.kind, project.model.name().as_str()), (ProjectKind::Colmap, "2"));
+    assert_eq!(project.images, Some(root.join("images")));
+    assert_eq!(project.dense_workspace, None);
+
+    std::fs::create_dir_all(root.join("dense/2/stereo")).unwrap();
+    assert_eq!(open(root).dense_workspace, Some(root.join("dense/2")));
+    assert_eq!(open(&root.join("sparse/10")).kind, ProjectKind::BareModel);
+    assert_eq!(open(&root.join("sparse/10")).images, Some(root.join("images")));
+    assert_eq!(open(&root.join("sparse/10/cameras.bin")).model.path, root.join("sparse/10"));
+
+    std::fs::remove_dir_all(root.join("sparse")).unwrap();
+    copy("sparse");
+    std::fs::create_dir(root.join("stereo")).unwrap();
+    assert_eq!(open(root).kind, ProjectKind::ColmapDense);
+    assert_eq!(open(root).dense_workspace.as_deref(), Some(root));
+
+    std::fs::remove_file(root.join("sparse/points3D.bin")).unwrap();
+    let error = Project::open(root, None).unwrap_err();
+    assert!(error.to_string().contains("points3D.bin"), "{error}");
+    // Text is read where binary is not whole.
+    for file in ["cameras.txt", "images.txt", "points3D.txt"] {
+        std::fs::copy(formats.join("unregistered_colmap311/txt").join(file), root.join("sparse").join(file)).unwrap();
+    }
+    assert_eq!(open(root).model.format, ModelFormat::ColmapText);
+    assert_eq!(read(root).views.len(), 9);
+    // Binary wins over text.
+    std::fs::copy(base.join("points3D.bin"), root.join("sparse/points3D.bin")).unwrap();
+    assert_eq!(read(root).views.len(), 12);
 }

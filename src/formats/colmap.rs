@@ -6,7 +6,7 @@
 
 use std::{
     borrow::Cow,
-    collections::HashMap,
+    collections::{HashMap, HashSet},
     sync::{
         OnceLock,
         atomic::{AtomicUsize, Ordering},
@@ -19,7 +19,7 @@ use rayon::prelude::*;
 use super::{Fault, Place, Problem, check_name};
 use crate::{
     camera::Camera,
-    scene::{CameraIndex, Pose, Scene, View, ViewIndex},
+    scene::{CameraIndex, PointIndex, Pose, Scene, View, ViewIndex, mean},
 };
 
 /// All files of a model, in file order, nothing dropped. Lists of 2D points and tracks may point into the files' bytes.
@@ -82,6 +82,13 @@ impl StoredPose {
         let [w, x, y, z] = self.quaternion.map(|q| q / scale);
         let rotation = UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z)).to_rotation_matrix();
         Ok(Pose { rotation, translation: Vector3::from(self.translation) })
+    }
+}
+
+impl From<&Pose> for StoredPose {
+    fn from(pose: &Pose) -> Self {
+        let q = UnitQuaternion::from_rotation_matrix(&pose.rotation);
+        Self { quaternion: [q.w, q.i, q.j, q.k], translation: pose.translation.into() }
     }
 }
 
@@ -186,8 +193,9 @@ impl ColmapModel<'_> {
         let (views, view_of_image) = self.views(&cameras)?;
         self.check_rigs(&views, &view_of_image, &cameras, &mut warnings)?;
         self.check_point_ids()?;
-        let tracks = self.tracks(&view_of_image)?;
-        warnings.extend(tracks.warning());
+        let lists = ImageLists::new(&self.images, &view_of_image);
+        let tracks = self.tracks(&lists)?;
+        warnings.extend(lists.warning(tracks.views.len()));
         Ok(Scene {
             cameras: self.cameras.clone(),
             views,
@@ -294,7 +302,7 @@ impl ColmapModel<'_> {
     }
 
     /// Views and pixels of all observations; pieces of the arrays are filled in parallel.
-    fn tracks(&self, view_of_image: &HashMap<u32, ImageView>) -> Result<Tracks, Fault> {
+    fn tracks(&self, lists: &ImageLists) -> Result<Tracks, Fault> {
         let mut offsets = Vec::with_capacity(self.points.len() + 1);
         offsets.push(0);
         for point in &self.points {
@@ -302,9 +310,6 @@ impl ColmapModel<'_> {
         }
         let total = offsets[self.points.len()];
         let (mut views, mut pixels) = (vec![ViewIndex(0); total], vec![[0.0; 2]; total]);
-        let lists: Vec<Links> = self.images.iter().map(|image| Links { image, by_point: OnceLock::new() }).collect();
-        let rebuilt = AtomicUsize::new(0);
-
         let mut pieces = Vec::with_capacity(self.points.len() / CHUNK + 1);
         let (mut views_left, mut pixels_left) = (&mut views[..], &mut pixels[..]);
         for points in self.points.chunks(CHUNK) {
@@ -314,25 +319,88 @@ impl ColmapModel<'_> {
             (piece_pixels, pixels_left) = pixels_left.split_at_mut(n);
             pieces.push((points, piece_views, piece_pixels));
         }
-        let results: Vec<Result<(), Fault>> = pieces
-            .into_par_iter()
-            .map(|(points, views, pixels)| {
-                let mut observations = Vec::new();
-                let mut next = 0;
-                for point in points {
-                    point.observations(view_of_image, &lists, &rebuilt, &mut observations)?;
-                    for &(view, pixel) in &observations {
-                        (views[next], pixels[next]) = (view, pixel);
-                        next += 1;
-                    }
-                }
-                Ok(())
-            })
-            .collect();
+        let fill = |(points, views, pixels)| fill_piece(points, lists, views, pixels);
+        let results: Vec<Result<(), Fault>> = pieces.into_par_iter().map(fill).collect();
         // The first fault of the file, whichever thread was first.
         results.into_iter().collect::<Result<(), Fault>>()?;
-        Ok(Tracks { offsets, views, pixels, rebuilt: rebuilt.into_inner() })
+        Ok(Tracks { offsets, views, pixels })
     }
+
+    /// The model reduced to some of its images. Ids stay, and so do the kept images' lists of 2D points, in which dropped
+    /// points become "no point"; points keep the kept part of their tracks and go when fewer than `min_views` kept images
+    /// observe them; cameras that no image uses go. Rigs and frames are left out: those of the whole model would contradict.
+    pub fn reduced(&self, keep: impl Fn(&ColmapImage) -> bool, min_views: usize) -> Result<ColmapModel<'_>, Fault> {
+        let (_, view_of_image) = self.views(&self.cameras_by_id()?)?;
+        let lists = ImageLists::new(&self.images, &view_of_image);
+        let kept: Vec<bool> = self.images.iter().map(keep).collect();
+        let points = self.points.iter().map(|point| point.reduced(&lists, &kept, min_views));
+        let points: Vec<ColmapPoint> = points.filter_map(Result::transpose).collect::<Result<_, _>>()?;
+        let ids: HashSet<u64> = points.iter().map(|point| point.id).collect();
+        let images = self.images.iter().zip(&kept).filter(|(_, kept)| **kept).map(|(image, _)| image.reduced(&ids));
+        let images: Vec<ColmapImage> = images.collect();
+        let used: HashSet<u32> = images.iter().map(|image| image.camera_id).collect();
+        let cameras = self.cameras.iter().filter(|camera| used.contains(&camera.id)).cloned().collect();
+        Ok(ColmapModel { cameras, images, points, rigs: None, frames: None, warnings: self.warnings.clone() })
+    }
+
+    /// The model of a scene from elsewhere: image ids are those of the scene where they are above 0 and unique, else 1, 2, ...
+    /// in the order of names; the images' lists hold what the tracks observe.
+    pub fn from_scene(scene: &Scene) -> ColmapModel<'static> {
+        let given: HashSet<u32> = scene.views.iter().map(|view| view.image_id).collect();
+        let keep_ids = given.len() == scene.views.len() && !given.contains(&0);
+        let image_id = |v: usize| if keep_ids { scene.views[v].image_id } else { v as u32 + 1 };
+        let mut lists = vec![Vec::new(); scene.views.len()];
+        let mut points = Vec::with_capacity(scene.points.len());
+        for (p, position) in scene.points.iter().enumerate() {
+            let point = PointIndex(p as u32);
+            let id = scene.point_ids[p];
+            let track = scene.track(point).map(|o| {
+                let view = scene.track_views[o].at();
+                lists[view].push(Point2d::new(scene.track_pixels[o], Some(id)));
+                TrackElement::new(image_id(view), lists[view].len() as u32 - 1)
+            });
+            let track = Cow::Owned(track.collect());
+            let errors = scene.track(point).filter_map(|o| scene.reprojection_error(point, o));
+            let error = mean(errors).unwrap_or(-1.0);
+            points.push(ColmapPoint {
+                id,
+                xyz: (*position).into(),
+                colour: scene.colours[p],
+                error,
+                track,
+                at: Place::File,
+            });
+        }
+        let images = scene.views.iter().zip(lists).enumerate().map(|(v, (view, list))| ColmapImage {
+            id: image_id(v),
+            cam_from_world: (&view.cam_from_world).into(),
+            camera_id: scene.cameras[view.camera.at()].id,
+            name: Cow::Owned(view.name.clone()),
+            points2d: Cow::Owned(list),
+            at: Place::File,
+        });
+        let images = images.collect();
+        ColmapModel { cameras: scene.cameras.clone(), images, points, rigs: None, frames: None, warnings: Vec::new() }
+    }
+}
+
+/// Fills the views and pixels of some points, one after the other.
+fn fill_piece(
+    points: &[ColmapPoint],
+    lists: &ImageLists,
+    views: &mut [ViewIndex],
+    pixels: &mut [[f64; 2]],
+) -> Result<(), Fault> {
+    let mut observations = Vec::new();
+    let mut next = 0;
+    for point in points {
+        point.observations(lists, &mut observations)?;
+        for &(view, pixel) in &observations {
+            (views[next], pixels[next]) = (view, pixel);
+            next += 1;
+        }
+    }
+    Ok(())
 }
 
 /// Where an image id leads to.
@@ -343,35 +411,48 @@ struct ImageView {
     view: ViewIndex,
 }
 
-/// Tracks of a scene, and how many of their elements the images' own lists have set right.
+/// The tracks of a [`Scene`].
 struct Tracks {
     offsets: Vec<usize>,
     views: Vec<ViewIndex>,
     pixels: Vec<[f64; 2]>,
-    rebuilt: usize,
 }
 
-impl Tracks {
-    fn warning(&self) -> Option<String> {
-        let (rebuilt, all) = (self.rebuilt, self.views.len());
-        (rebuilt > 0).then(|| {
+/// The images' lists of 2D points, which the tracks refer to.
+struct ImageLists<'m> {
+    view_of_image: &'m HashMap<u32, ImageView>,
+    /// In file order.
+    links: Vec<Links<'m>>,
+    /// How many track elements named another 2D point than the lists did.
+    followed: AtomicUsize,
+}
+
+impl<'m> ImageLists<'m> {
+    fn new(images: &'m [ColmapImage<'m>], view_of_image: &'m HashMap<u32, ImageView>) -> Self {
+        let links = images.iter().map(|image| Links { image, by_point: OnceLock::new() }).collect();
+        Self { view_of_image, links, followed: AtomicUsize::new(0) }
+    }
+
+    fn warning(&self, elements: usize) -> Option<String> {
+        let followed = self.followed.load(Ordering::Relaxed);
+        (followed > 0).then(|| {
             format!(
-                "{rebuilt} of {all} track elements name another 2D point than the images' own lists (OpenMVG and AliceVision write \
-                 the number of the feature there); the lists were followed"
+                "{followed} of {elements} track elements name another 2D point than the images' own lists (OpenMVG and \
+                 AliceVision write the number of the feature there); the lists were followed"
             )
         })
     }
 }
 
 /// An image's 2D points by the sparse point that they observe, sorted when first asked for.
-struct Links<'a> {
-    image: &'a ColmapImage<'a>,
+struct Links<'m> {
+    image: &'m ColmapImage<'m>,
     by_point: OnceLock<Vec<(u64, u32)>>,
 }
 
-impl Links<'_> {
-    /// The n-th 2D point of the image that observes the point.
-    fn nth(&self, point: u64, n: usize) -> Option<&Point2d> {
+impl<'m> Links<'m> {
+    /// The n-th 2D point of the image that observes the point, and its position in the list.
+    fn nth(&self, point: u64, n: usize) -> Option<(u32, &'m Point2d)> {
         let by_point = self.by_point.get_or_init(|| {
             let linked = self.image.points2d.iter().enumerate();
             let mut linked: Vec<_> = linked.filter_map(|(i, p)| p.point().map(|id| (id, i as u32))).collect();
@@ -380,11 +461,18 @@ impl Links<'_> {
         });
         let first = by_point.partition_point(|&(id, _)| id < point);
         let &(id, index) = by_point.get(first + n)?;
-        (id == point).then(|| &self.image.points2d[index as usize])
+        (id == point).then(|| (index, &self.image.points2d[index as usize]))
     }
 }
 
 impl ColmapImage<'_> {
+    /// With only these points linked.
+    fn reduced(&self, points: &HashSet<u64>) -> ColmapImage<'_> {
+        let relink = |p: &Point2d| Point2d::new(p.pixel(), p.point().filter(|id| points.contains(id)));
+        let points2d = Cow::Owned(self.points2d.iter().map(relink).collect());
+        ColmapImage { name: Cow::Borrowed(&self.name), points2d, ..*self }
+    }
+
     fn fault(&self, problem: Problem) -> Fault {
         Fault::new("images", self.at, problem).in_record(|| format!("image {}, {:?}", self.id, self.name))
     }
@@ -403,41 +491,73 @@ impl ColmapImage<'_> {
 }
 
 impl ColmapPoint<'_> {
+    /// The part of the point that the kept images (in file order) observe.
+    fn reduced(
+        &self,
+        lists: &ImageLists,
+        kept: &[bool],
+        min_views: usize,
+    ) -> Result<Option<ColmapPoint<'static>>, Fault> {
+        let mut track = Vec::new();
+        self.resolve(lists, |image_view, index, _| {
+            if kept[image_view.position as usize] {
+                let image = lists.links[image_view.position as usize].image.id;
+                track.push(TrackElement::new(image, index));
+            }
+            Ok(())
+        })?;
+        let views: HashSet<u32> = track.iter().map(TrackElement::image).collect();
+        let Self { id, xyz, colour, error, at, .. } = *self;
+        let reduced = ColmapPoint { id, xyz, colour, error, track: Cow::Owned(track), at };
+        Ok((views.len() >= min_views).then_some(reduced))
+    }
+
     fn fault(&self, problem: Problem) -> Fault {
         Fault::new("points3D", self.at, problem).in_record(|| format!("point {}", self.id))
     }
 
-    /// View and pixel of each element of the track, sorted by view.
-    fn observations(
+    /// Finds the 2D point of each element of the track.
+    fn resolve<'m>(
         &self,
-        view_of_image: &HashMap<u32, ImageView>,
-        lists: &[Links],
-        rebuilt: &AtomicUsize,
-        observations: &mut Vec<(ViewIndex, [f64; 2])>,
+        lists: &ImageLists<'m>,
+        mut each: impl FnMut(ImageView, u32, &'m Point2d) -> Result<(), Fault>,
     ) -> Result<(), Fault> {
+        for (n, element) in self.track.iter().enumerate() {
+            let absent = || self.fault(Problem::Absent { what: "image", id: element.image().into() });
+            let image_view = *lists.view_of_image.get(&element.image()).ok_or_else(absent)?;
+            let links = &lists.links[image_view.position as usize];
+            let named = links.image.points2d.get(element.index() as usize);
+            match named {
+                Some(point2d) if point2d.point().is_none_or(|id| id == self.id) => {
+                    each(image_view, element.index(), point2d)?;
+                }
+                _ => {
+                    let before = self.track[..n].iter().filter(|e| e.image() == element.image()).count();
+                    let (index, point2d) =
+                        links.nth(self.id, before).ok_or_else(|| self.wrong_index(element, named))?;
+                    lists.followed.fetch_add(1, Ordering::Relaxed);
+                    each(image_view, index, point2d)?;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// View and pixel of each element of the track, sorted by view.
+    fn observations(&self, lists: &ImageLists, observations: &mut Vec<(ViewIndex, [f64; 2])>) -> Result<(), Fault> {
         observations.clear();
         if !self.xyz.iter().all(|v| v.is_finite()) {
             return Err(self.fault(Problem::NotFinite("the position")));
         }
-        for (n, element) in self.track.iter().enumerate() {
-            let absent = || self.fault(Problem::Absent { what: "image", id: element.image().into() });
-            let image_view = view_of_image.get(&element.image()).ok_or_else(absent)?;
-            let links = &lists[image_view.position as usize];
-            let named = links.image.points2d.get(element.index() as usize);
-            let point2d = match named {
-                Some(p) if p.point().is_none_or(|id| id == self.id) => p,
-                _ => {
-                    let before = self.track[..n].iter().filter(|e| e.image() == element.image()).count();
-                    rebuilt.fetch_add(1, Ordering::Relaxed);
-                    links.nth(self.id, before).ok_or_else(|| self.wrong_index(element, named))?
-                }
-            };
+        self.resolve(lists, |image_view, _, point2d| {
             let pixel = point2d.pixel();
             if !pixel.iter().all(|v| v.is_finite()) {
-                return Err(links.image.fault(Problem::NotFinite("a 2D point")));
+                let image = lists.links[image_view.position as usize].image;
+                return Err(image.fault(Problem::NotFinite("a 2D point")));
             }
             observations.push((image_view.view, pixel));
-        }
+            Ok(())
+        })?;
         observations.sort_by_key(|o| o.0);
         Ok(())
     }

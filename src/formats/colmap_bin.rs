@@ -14,20 +14,10 @@ use nom::{
 };
 
 use super::{
-    Fault, Place, Problem,
+    Bytes, Fault, Place, Problem,
     colmap::{ColmapImage, ColmapModel, ColmapPoint, Frame, FrameData, Point2d, Rig, Sensor, StoredPose, TrackElement},
 };
 use crate::camera::{Camera, CameraModel};
-
-/// The contents of the files of a model.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct Bytes<'a> {
-    pub cameras: &'a [u8],
-    pub images: &'a [u8],
-    pub points3d: &'a [u8],
-    pub rigs: Option<&'a [u8]>,
-    pub frames: Option<&'a [u8]>,
-}
 
 /// Reads a model; the cross-references are checked by [`ColmapModel::scene`].
 pub fn read<'a>(bytes: &Bytes<'a>) -> Result<ColmapModel<'a>, Fault> {
@@ -178,4 +168,80 @@ fn frame(reader: &mut Reader) -> Result<Frame, Fault> {
     let datum = (sensor, le_u64).map(|(sensor, id)| FrameData { sensor, id });
     let data = reader.take("the data ids", nom::multi::count(datum, count))?;
     Ok(Frame { id, rig_id, rig_from_world, data, at })
+}
+
+/// The files of a model, as COLMAP 3.x and 4.x read them.
+pub fn write(model: &ColmapModel) -> Vec<(&'static str, Vec<u8>)> {
+    let mut files = vec![
+        ("cameras.bin", file(&model.cameras, write_camera)),
+        ("images.bin", file(&model.images, write_image)),
+        ("points3D.bin", file(&model.points, write_point)),
+    ];
+    files.extend(model.rigs.as_ref().map(|rigs| ("rigs.bin", file(rigs, write_rig))));
+    files.extend(model.frames.as_ref().map(|frames| ("frames.bin", file(frames, write_frame))));
+    files
+}
+
+fn file<T>(records: &[T], write: impl Fn(&mut Vec<u8>, &T)) -> Vec<u8> {
+    let mut bytes = (records.len() as u64).to_le_bytes().to_vec();
+    records.iter().for_each(|record| write(&mut bytes, record));
+    bytes
+}
+
+fn write_camera(bytes: &mut Vec<u8>, camera: &Camera) {
+    bytes.extend(camera.id.to_le_bytes());
+    bytes.extend(camera.model().id().to_le_bytes());
+    bytes.extend(u64::from(camera.width).to_le_bytes());
+    bytes.extend(u64::from(camera.height).to_le_bytes());
+    camera.params().iter().for_each(|p| bytes.extend(p.to_le_bytes()));
+}
+
+fn write_pose(bytes: &mut Vec<u8>, pose: &StoredPose) {
+    pose.quaternion.iter().chain(&pose.translation).for_each(|v| bytes.extend(v.to_le_bytes()));
+}
+
+fn write_image(bytes: &mut Vec<u8>, image: &ColmapImage) {
+    bytes.extend(image.id.to_le_bytes());
+    write_pose(bytes, &image.cam_from_world);
+    bytes.extend(image.camera_id.to_le_bytes());
+    bytes.extend(image.name.bytes().chain([0]));
+    bytes.extend((image.points2d.len() as u64).to_le_bytes());
+    bytes.extend(bytemuck::cast_slice::<_, u8>(&image.points2d));
+}
+
+fn write_point(bytes: &mut Vec<u8>, point: &ColmapPoint) {
+    bytes.extend(point.id.to_le_bytes());
+    point.xyz.iter().for_each(|v| bytes.extend(v.to_le_bytes()));
+    bytes.extend(point.colour);
+    bytes.extend(point.error.to_le_bytes());
+    bytes.extend((point.track.len() as u64).to_le_bytes());
+    bytes.extend(bytemuck::cast_slice::<_, u8>(&point.track));
+}
+
+fn write_sensor(bytes: &mut Vec<u8>, sensor: &Sensor) {
+    bytes.extend(sensor.kind.to_le_bytes());
+    bytes.extend(sensor.id.to_le_bytes());
+}
+
+fn write_rig(bytes: &mut Vec<u8>, rig: &Rig) {
+    bytes.extend(rig.id.to_le_bytes());
+    bytes.extend((rig.sensors.len() as u32).to_le_bytes());
+    for (n, (sensor, pose)) in rig.sensors.iter().enumerate() {
+        write_sensor(bytes, sensor);
+        if n > 0 {
+            bytes.push(pose.is_some().into());
+            pose.iter().for_each(|pose| write_pose(bytes, pose));
+        }
+    }
+}
+
+fn write_frame(bytes: &mut Vec<u8>, frame: &Frame) {
+    bytes.extend(frame.id.to_le_bytes());
+    bytes.extend(frame.rig_id.to_le_bytes());
+    write_pose(bytes, &frame.rig_from_world);
+    bytes.extend((frame.data.len() as u32).to_le_bytes());
+    for datum in &frame.data {
+        write_sensor(bytes, &datum.sensor);
+        bytes.extend(datum.id.to_le_bytes());
+    }
 }

@@ -3,11 +3,22 @@
 
 pub mod colmap;
 pub mod colmap_bin;
+pub mod colmap_text;
 pub mod openmvs;
 
 use std::fmt;
 
 use crate::camera::CameraError;
+
+/// The contents of the files of a COLMAP model, binary or text.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Bytes<'a> {
+    pub cameras: &'a [u8],
+    pub images: &'a [u8],
+    pub points3d: &'a [u8],
+    pub rigs: Option<&'a [u8]>,
+    pub frames: Option<&'a [u8]>,
+}
 
 /// What is wrong in a file, and where.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]

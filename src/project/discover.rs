@@ -9,9 +9,10 @@ use std::{
 
 use super::{
     ModelFormat, ModelLocation, Project, ProjectError, ProjectKind,
-    files::{REQUIRED, colmap_file},
+    files::{REQUIRED, colmap_file, map},
     images,
 };
+use crate::formats::colmap_text;
 
 pub(super) fn open(path: &Path, wanted: Option<&str>) -> Result<Project, ProjectError> {
     let root = if path.is_file() { path.parent().unwrap_or(Path::new(".")) } else { path };
@@ -88,10 +89,10 @@ fn colmap_model(folder: &Path) -> Result<Option<ModelLocation>, ProjectError> {
     }
 }
 
-/// Number of registered images by the head of the file, or 0 where it cannot be read: reading will tell why.
+/// Number of registered images without reading the model, or 0 where that fails: reading will tell why.
 fn registered(images: &Path, format: ModelFormat) -> u64 {
     if format == ModelFormat::ColmapText {
-        return 0;
+        return map(images).map_or(0, |bytes| colmap_text::count_images(&bytes));
     }
     let mut head = [0; 8];
     let file = fs::File::open(images).and_then(|mut file| file.read_exact(&mut head).and(file.metadata()));

@@ -10,7 +10,7 @@ use memmap2::Mmap;
 
 use super::{ModelFormat, ModelLocation, ProjectError};
 use crate::{
-    formats::{Fault, colmap::ColmapModel, colmap_bin},
+    formats::{Bytes, Fault, colmap::ColmapModel, colmap_bin, colmap_text},
     scene::Scene,
 };
 
@@ -61,14 +61,16 @@ impl ColmapFiles {
 
     /// All that the files hold.
     pub fn model(&self) -> Result<ColmapModel<'_>, ProjectError> {
-        let bytes = colmap_bin::Bytes {
+        let bytes = Bytes {
             cameras: &self.cameras,
             images: &self.images,
             points3d: &self.points3d,
             rigs: self.rigs.as_deref(),
             frames: self.frames.as_deref(),
         };
-        colmap_bin::read(&bytes).map_err(|fault| self.locate(fault))
+        let model =
+            if self.format == ModelFormat::ColmapText { colmap_text::read(&bytes) } else { colmap_bin::read(&bytes) };
+        model.map_err(|fault| self.locate(fault))
     }
 
     pub(super) fn scene(&self) -> Result<Scene, ProjectError> {
