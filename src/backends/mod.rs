@@ -14,7 +14,11 @@ use crate::{
 };
 
 mod colmap;
+mod gipuma;
+mod images;
+mod mvsnet;
 mod openmvs;
+mod pmvs;
 mod selection;
 mod sgm;
 mod sure;
@@ -24,7 +28,18 @@ pub use sure::pair_files;
 
 /// Every backend, in the order in which `viewrank backends` lists them.
 pub fn all() -> &'static [&'static dyn Backend] {
-    &[&sure::Sure, &sgm::Sgm, &colmap::Colmap, &openmvs::OpenMvs]
+    &[
+        &sure::Sure,
+        &sgm::Sgm,
+        &colmap::Colmap,
+        &openmvs::OpenMvs,
+        &mvsnet::MVSNET,
+        &mvsnet::PATCHMATCHNET,
+        &mvsnet::ACMM,
+        &pmvs::Pmvs,
+        &gipuma::Gipuma,
+        &images::Images,
+    ]
 }
 
 /// The backend of that name, as typed behind `--backend`.
@@ -112,6 +127,26 @@ pub struct PlanningNumbers {
     pub source: &'static str,
 }
 
+/// The numbers of OpenMVS, for PatchMatch programs that nobody has measured; `support` 2, since they join depth maps that agree.
+const PATCH_MATCH: PlanningNumbers = PlanningNumbers {
+    gate: Gate {
+        min_shared_points: 1,
+        min_angle_deg: 3.0,
+        max_angle_deg: 60.0,
+        max_scale_octaves: 1.68,
+        epipole_inside: true,
+    },
+    confidence: PairConfidence {
+        min_matches: 1,
+        p0: 0.6,
+        cosine_power: 0.5,
+        scale_octaves: None,
+        full_angle_deg: Some(8.0),
+    },
+    support: 2,
+    source: "not measured: the numbers of OpenMVS, another PatchMatch (method 7.1, 7.2); support 2: depth maps are joined where they agree",
+};
+
 /// An MVS program.
 pub trait Backend: Sync {
     /// As typed behind `--backend`.
@@ -167,6 +202,14 @@ pub struct ExportOptions {
     pub refs: Option<References>,
     /// COLMAP: depth maps checked against those of their partners. Unset: off, unless `refs` asks for partners' maps.
     pub geometric: Option<bool>,
+}
+
+impl ExportOptions {
+    /// The files of a backend whose place is a folder of its own.
+    fn file_set(&self, backend: &dyn Backend, selection: &Selection) -> FileSet {
+        let own = || selection.project.output_folder().join(backend.name());
+        FileSet::new(self.out.clone().unwrap_or_else(own), backend.name())
+    }
 }
 
 /// What is to be written for a backend, and what is to be known about it.

@@ -56,6 +56,13 @@ impl Selection<'_> {
         })
     }
 
+    /// Every view that takes part: the key views in rank order, then the other partners by name.
+    pub fn keys_first(&self) -> Vec<ViewIndex> {
+        let is_key = self.is_key();
+        let partners = self.views().into_iter().filter(|v| !is_key[v.at()]);
+        self.clusters.iter().map(|c| c.key).chain(partners).collect()
+    }
+
     /// For each view of the scene: is it a key view?
     pub fn is_key(&self) -> Vec<bool> {
         let mut is_key = vec![false; self.scene.views.len()];
@@ -91,6 +98,18 @@ pub fn depths(scene: &Scene, points: &ViewPoints, view: ViewIndex) -> Vec<f64> {
     let mut depths: Vec<f64> = points.of(view).iter().map(depth).filter(|z| *z > 0.0).collect();
     depths.sort_unstable_by(f64::total_cmp);
     depths
+}
+
+/// Depths that the 1 % and 99 % quantiles of the view's sparse points have; where it observes none, those of all points in front of it.
+pub fn depth_range(scene: &Scene, points: &ViewPoints, view: ViewIndex) -> Option<[f64; 2]> {
+    let mut all = depths(scene, points, view);
+    if all.is_empty() {
+        let pose = &scene.view(view).cam_from_world;
+        all = scene.points.iter().map(|x| pose.camera_from_world(x).z).filter(|z| *z > 0.0).collect();
+        all.sort_unstable_by(f64::total_cmp);
+    }
+    let at = |share: f64| all.get(((all.len().checked_sub(1)? as f64) * share).round() as usize).copied();
+    Some([at(0.01)?, at(0.99)?])
 }
 
 /// How many sparse points each view of the scene shares with `view`; 0 for itself.

@@ -20,11 +20,10 @@ use self::{
     finished::{Lists, Made, map_name},
 };
 use super::{
-    Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Gate, Honours, PlanningNumbers,
+    Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, PATCH_MATCH, PlanningNumbers,
     References, Selection, selection,
 };
 use crate::{
-    confidence::PairConfidence,
     output::{Contents, FileSet},
     project::Project,
     scene::ViewIndex,
@@ -56,24 +55,10 @@ impl Backend for Colmap {
 
     fn planning(&self) -> PlanningNumbers {
         PlanningNumbers {
-            gate: Gate {
-                min_shared_points: 1,
-                min_angle_deg: 3.0,
-                max_angle_deg: 60.0,
-                max_scale_octaves: 1.68,
-                epipole_inside: true,
-            },
-            confidence: PairConfidence {
-                min_matches: 1,
-                p0: 0.6,
-                cosine_power: 0.5,
-                scale_octaves: None,
-                full_angle_deg: Some(8.0),
-            },
-            support: 2,
             source: "3 degrees is COLMAP's filter_min_triangulation_angle; the rest was measured with OpenMVS, the other PatchMatch \
                      (method 7.1, 7.2), not with COLMAP; support 2: stereo_fusion joins what at least min_num_pixels maps see, \
                      which the runner sets to 2 to 5",
+            ..PATCH_MATCH
         }
     }
 

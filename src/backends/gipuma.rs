@@ -1,0 +1,85 @@
+//! Gipuma: `backends.md` 6. One call per key view; the first image is the key view, the others its partners.
+
+use super::{
+    Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, PATCH_MATCH, PlanningNumbers,
+    RankedCluster, Selection, pmvs, selection,
+};
+use crate::{
+    output::Contents,
+    scene::{ViewIndex, ViewPoints},
+};
+
+pub struct Gipuma;
+
+impl Backend for Gipuma {
+    fn name(&self) -> &'static str {
+        "gipuma"
+    }
+
+    fn capabilities(&self) -> Capabilities {
+        Capabilities {
+            partners: Honours::Yes,
+            key_subset: Honours::Yes,
+            order: Honours::Yes,
+            fusion: "another program, fusibile, over all result folders",
+            notes: "one call per key view",
+        }
+    }
+
+    fn planning(&self) -> PlanningNumbers {
+        PATCH_MATCH
+    }
+
+    fn export(&self, selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {
+        let images = selection.undistorted_images(self.name())?;
+        let views = selection.keys_first();
+        let mut names = vec![String::new(); selection.scene.views.len()];
+        let mut files = options.file_set(self, selection);
+        for (i, &view) in views.iter().enumerate() {
+            // Result folders are named by the name less four characters: an extension of three letters.
+            let name = format!("{i:08}.jpg");
+            files.add_text(format!("p/{name}.P"), pmvs::projection(selection.scene, view));
+            files.add(format!("images/{name}"), Contents::Link(images.join(selection.scene.name(view))));
+            names[view.at()] = name;
+        }
+        let points = selection.scene.view_points();
+        let mut record = ExportRecord::new(self, selection, |v| names[v.at()].clone());
+        record.made_for = "Gipuma (f16dbfd) and fusibile".into();
+        record.way = "one call per key view".into();
+        for cluster in selection.clusters {
+            record.commands.push(command(selection, cluster, &points, &names)?);
+        }
+        record.fusion = "fusibile, over the folders under results/".into();
+        let script =
+            format!("#!/bin/sh\nset -eu\ncd \"$(dirname \"$0\")\"\nmkdir -p results\n{}\n", record.commands.join("\n"));
+        files.add("run.sh", Contents::Script(script.into_bytes()));
+        let table = views.iter().map(|v| format!("{}\t{}\n", names[v.at()], selection.scene.name(*v)));
+        files.add_text("view_names.txt", table.collect::<String>());
+        files.add_text("export.json", record.to_json());
+        Ok(Export { files, record })
+    }
+}
+
+/// Folders end with a slash, since they are put in front of names as they are. The depth range is given, since it would be guessed
+/// otherwise, and `-view_selection` is not, since it chooses at random.
+fn command(
+    selection: &Selection,
+    cluster: &RankedCluster,
+    points: &ViewPoints,
+    names: &[String],
+) -> Result<String, BackendError> {
+    let key = cluster.key;
+    let range = selection::depth_range(selection.scene, points, key).ok_or_else(|| BackendError::Needs {
+        backend: "gipuma",
+        what: format!("a depth range, and no sparse point lies in front of {}", selection.scene.name(key)),
+        hint: "leave the view out of the model".into(),
+    })?;
+    let images: Vec<&str> =
+        std::iter::once(&key).chain(&cluster.partners).map(|v: &ViewIndex| names[v.at()].as_str()).collect();
+    Ok(format!(
+        "gipuma {} -images_folder images/ -p_folder p/ -output_folder results/ --depth_min={} --depth_max={}",
+        images.join(" "),
+        0.9 * range[0],
+        1.1 * range[1]
+    ))
+}

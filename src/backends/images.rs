@@ -1,0 +1,69 @@
+//! A plain list of images, for any program that can be told which images to take.
+
+use super::{
+    Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Gate, Honours, PATCH_MATCH,
+    PlanningNumbers, References, Selection,
+};
+use crate::scene::ViewIndex;
+
+pub struct Images;
+
+impl Backend for Images {
+    fn name(&self) -> &'static str {
+        "images"
+    }
+
+    fn capabilities(&self) -> Capabilities {
+        Capabilities {
+            partners: Honours::No,
+            key_subset: Honours::Yes,
+            order: Honours::Yes,
+            fusion: "the program's own",
+            notes: "a list of names, best first; --refs keys+partners lists the partners too",
+        }
+    }
+
+    fn planning(&self) -> PlanningNumbers {
+        ANY_PROGRAM
+    }
+
+    fn export(&self, selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {
+        let views = listed_views(selection, options.refs);
+        let mut record = ExportRecord::new(self, selection, |v| selection.scene.name(v).into());
+        record.made_for = "any program".into();
+        record.way = format!("{} images, best first", views.len());
+        record.not_honoured = vec!["matching partners".into()];
+        let mut files = options.file_set(self, selection);
+        files.add_text("images.txt", name_lines(selection, &views));
+        files.add_text("export.json", record.to_json());
+        Ok(Export { files, record })
+    }
+}
+
+/// For programs that choose pairs themselves: every pair may be tried, and a place should be seen by more than one of the images.
+pub(super) const ANY_PROGRAM: PlanningNumbers = PlanningNumbers {
+    gate: Gate::OPEN,
+    support: 3,
+    source: "no gate, since the program pairs images itself; the confidence is that of OpenMVS, not measured here; support 3: the chosen \
+             images are all that it gets, so each place is to be seen by three",
+    ..PATCH_MATCH
+};
+
+/// The views that a program without partners gets, best first: the key views, and each one's partners after it where asked for.
+pub(super) fn listed_views(selection: &Selection, refs: Option<References>) -> Vec<ViewIndex> {
+    let mut listed = vec![false; selection.scene.views.len()];
+    let with_partners = refs.is_some_and(|r| r != References::Keys);
+    let clusters = selection.clusters.iter();
+    let mut views: Vec<_> = clusters
+        .flat_map(|c| std::iter::once(c.key).chain(c.partners.iter().copied().filter(move |_| with_partners)))
+        .filter(|v| !std::mem::replace(&mut listed[v.at()], true))
+        .collect();
+    if refs == Some(References::All) {
+        views.extend(selection.scene.view_indices().filter(|v| !listed[v.at()]));
+    }
+    views
+}
+
+pub(super) fn name_lines(selection: &Selection, views: &[ViewIndex]) -> String {
+    views.iter().map(|&v| selection.scene.name(v).to_owned() + "\n").collect()
+}

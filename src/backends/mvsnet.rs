@@ -1,0 +1,222 @@
+//! MVSNet and what reads its files: `backends.md` 3 and 14. `pair.txt` lists the key views with their partners, `cams/` holds the cameras;
+//! the readers differ in the depth line of a camera and in which views they expect.
+
+use super::{
+    Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, PATCH_MATCH, PlanningNumbers,
+    Selection, selection,
+};
+use crate::{
+    output::Contents,
+    scene::{ViewIndex, ViewPoints},
+};
+
+/// A dialect of the family.
+pub struct MvsNet {
+    name: &'static str,
+    made_for: &'static str,
+    depths: DepthLine,
+    /// ACMM and its like look partners up by position and fuse with the maps of all partners: every image is a problem.
+    all_are_problems: bool,
+    notes: &'static str,
+    command: &'static str,
+}
+
+/// Meaning of the last line of a camera file.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum DepthLine {
+    /// Least, interval, number, greatest.
+    Interval,
+    /// Least, greatest.
+    Range,
+}
+
+/// Planes between the least and the greatest depth.
+const PLANES: u32 = 192;
+/// Most partners of ACMH, ACMM, ACMP and ACMMP: a 32 bit mask.
+const ACM_PARTNERS: usize = 32;
+
+pub const MVSNET: MvsNet = MvsNet {
+    name: "mvsnet",
+    made_for: "MVSNet, CasMVSNet and readers of their four-number depth line",
+    depths: DepthLine::Interval,
+    all_are_problems: false,
+    notes: "takes the first view_num - 1 partners: call it with view_num = partners + 1; fusion needs pair_fuse.txt",
+    command: "python test.py --dense_folder . --view_num VIEWS --max_d 192",
+};
+
+pub const PATCHMATCHNET: MvsNet = MvsNet {
+    name: "patchmatchnet",
+    made_for: "PatchmatchNet and readers of its two-number depth line",
+    depths: DepthLine::Range,
+    all_are_problems: false,
+    notes: "its own filter opens the maps of all partners: swap in pair_fuse.txt for it",
+    command: "python eval.py --input_folder . --output_folder depths --num_views PARTNERS",
+};
+
+pub const ACMM: MvsNet = MvsNet {
+    name: "acmm",
+    made_for: "ACMH, ACMM, ACMP, ACMMP",
+    depths: DepthLine::Interval,
+    all_are_problems: true,
+    notes: "makes maps of the partners too, with partners of their own, in several passes over all; fuse the key views' maps \
+            elsewhere",
+    command: "ACMM .",
+};
+
+impl Backend for MvsNet {
+    fn name(&self) -> &'static str {
+        self.name
+    }
+
+    fn capabilities(&self) -> Capabilities {
+        Capabilities {
+            partners: Honours::Yes,
+            key_subset: if self.all_are_problems { Honours::No } else { Honours::Yes },
+            order: if self.all_are_problems { Honours::Partly } else { Honours::Yes },
+            fusion: if self.all_are_problems {
+                "built in, over all views"
+            } else {
+                "the reader's own filter, with pair_fuse.txt"
+            },
+            notes: self.notes,
+        }
+    }
+
+    fn planning(&self) -> PlanningNumbers {
+        PATCH_MATCH
+    }
+
+    fn export(&self, selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {
+        let images = selection.undistorted_images(self.name)?;
+        let views = selection.keys_first();
+        let lists = Lists::new(self, selection, &views);
+        let mut files = options.file_set(self, selection);
+        files.add_text("pair.txt", lists.text(|_| true));
+        files.add_text("pair_fuse.txt", lists.text(|partner| (partner as usize) < selection.clusters.len()));
+        let mut names = String::new();
+        for (i, &view) in views.iter().enumerate() {
+            files.add_text(format!("cams/{i:08}_cam.txt"), self.camera(selection, &lists.points, view)?);
+            files.add(format!("images/{i:08}.jpg"), Contents::Link(images.join(selection.scene.name(view))));
+            names += &format!("{i}\t{}\n", selection.scene.name(view));
+        }
+        files.add_text("view_names.txt", names);
+        let record = self.record(selection, &lists);
+        files.add_text("export.json", record.to_json());
+        Ok(Export { files, record })
+    }
+}
+
+impl MvsNet {
+    /// Line 0 `extrinsic`, 1-4 world to camera, 6 `intrinsic`, 7-9 K, 11 depths; lines 5 and 10 are empty.
+    fn camera(&self, selection: &Selection, points: &ViewPoints, view: ViewIndex) -> Result<String, BackendError> {
+        let scene = selection.scene;
+        let pose = &scene.view(view).cam_from_world;
+        let row = |i: usize| {
+            let r = pose.rotation.matrix().row(i);
+            format!("{} {} {} {}\n", r[0], r[1], r[2], pose.translation[i])
+        };
+        let (f, c) = scene.camera_of(view).pinhole_part();
+        let depths =
+            self.depth_line(selection::depth_range(scene, points, view).ok_or_else(|| BackendError::Needs {
+                backend: self.name,
+                what: format!("a depth range, and no sparse point lies in front of {}", scene.name(view)),
+                hint: "leave the view out of the model".into(),
+            })?);
+        Ok(format!(
+            "extrinsic\n{}{}{}0 0 0 1\n\nintrinsic\n{} 0 {}\n0 {} {}\n0 0 1\n\n{depths}\n",
+            row(0),
+            row(1),
+            row(2),
+            f.x,
+            c.x,
+            f.y,
+            c.y
+        ))
+    }
+
+    fn depth_line(&self, [least, greatest]: [f64; 2]) -> String {
+        // ACMM widens the range itself, to 0.6 and 1.2 times.
+        let margin = if self.all_are_problems { 0.0 } else { 0.1 };
+        let (least, greatest) = (least * (1.0 - margin), greatest * (1.0 + margin));
+        match self.depths {
+            DepthLine::Interval => {
+                format!("{least} {} {PLANES} {greatest}", (greatest - least) / f64::from(PLANES - 1))
+            }
+            DepthLine::Range => format!("{least} {greatest}"),
+        }
+    }
+
+    fn record(&self, selection: &Selection, lists: &Lists) -> ExportRecord {
+        let index: Vec<usize> = {
+            let mut index = vec![0; selection.scene.views.len()];
+            lists.views.iter().enumerate().for_each(|(i, v)| index[v.at()] = i);
+            index
+        };
+        let mut record = ExportRecord::new(self, selection, |v| index[v.at()].to_string());
+        let most = selection.most_partners();
+        record.made_for = self.made_for.into();
+        record.way = format!("dialect {}", self.name);
+        record.commands =
+            vec![self.command.replace("VIEWS", &(most + 1).to_string()).replace("PARTNERS", &most.to_string())];
+        record.other_maps = lists.rows.len() - selection.clusters.len();
+        record.fusion = "thresholds on agreeing partners (PatchmatchNet: geo_mask_thres, CasMVSNet: thres_view, 5 by default) must not \
+                         exceed the lengths of the lists in pair_fuse.txt"
+            .into();
+        if self.all_are_problems {
+            record.not_honoured.push("depth maps of key views only: every view of a cluster gets one".into());
+            let cut = selection.clusters.iter().filter(|c| c.partners.len() > ACM_PARTNERS);
+            record.not_honoured.extend(
+                cut.map(|c| format!("{}: partners beyond the first {ACM_PARTNERS}", selection.scene.name(c.key))),
+            );
+        }
+        record
+    }
+}
+
+/// Key views with their partners as indices, and how many points they share.
+struct Lists<'a> {
+    views: &'a [ViewIndex],
+    points: ViewPoints,
+    rows: Vec<Vec<(u32, u32)>>,
+}
+
+impl<'a> Lists<'a> {
+    fn new(dialect: &MvsNet, selection: &Selection, views: &'a [ViewIndex]) -> Self {
+        let scene = selection.scene;
+        let points = scene.view_points();
+        let mut index = vec![u32::MAX; scene.views.len()];
+        (0..).zip(views).for_each(|(i, v)| index[v.at()] = i);
+        // A score of 0 would drop the partner from ACMM's list.
+        let scored = |shared: &[u32], partners: &mut dyn Iterator<Item = ViewIndex>| {
+            partners.map(|p| (index[p.at()], shared[p.at()].max(1))).collect::<Vec<_>>()
+        };
+        let key_row = |c: &super::RankedCluster| {
+            let shared = selection::shared_points(scene, &points, c.key);
+            scored(&shared, &mut c.partners.iter().copied())
+        };
+        let other_row = |&view: &ViewIndex| {
+            let shared = selection::shared_points(scene, &points, view);
+            let mut partners: Vec<_> = views.iter().copied().filter(|v| shared[v.at()] > 0).collect();
+            partners.sort_by_key(|v| std::cmp::Reverse(shared[v.at()]));
+            scored(&shared, &mut partners.into_iter().take(selection.most_partners()))
+        };
+        let mut rows: Vec<_> = selection.clusters.iter().map(key_row).collect();
+        if dialect.all_are_problems {
+            rows.extend(views[rows.len()..].iter().map(other_row));
+            rows.iter_mut().for_each(|row| row.truncate(ACM_PARTNERS));
+        }
+        Self { views, points, rows }
+    }
+
+    /// `pair.txt` with those partners that are kept.
+    fn text(&self, keep: impl Fn(u32) -> bool) -> String {
+        let mut text = format!("{}\n", self.rows.len());
+        for (key, row) in self.rows.iter().enumerate() {
+            let kept: Vec<_> = row.iter().filter(|(partner, _)| keep(*partner)).collect();
+            text += &format!("{key}\n{} ", kept.len());
+            kept.iter().for_each(|(partner, score)| text += &format!("{partner} {score} "));
+            text.push('\n');
+        }
+        text
+    }
+}

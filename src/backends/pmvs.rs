@@ -1,0 +1,115 @@
+//! PMVS2: `backends.md` 4. Key views are `timages`, other partners `oimages`, the partner lists `vis.dat`.
+
+use std::path::Path;
+
+use super::{
+    Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, PATCH_MATCH, PlanningNumbers,
+    Selection,
+};
+use crate::{
+    output::Contents,
+    scene::{Scene, ViewIndex},
+};
+
+pub struct Pmvs;
+
+impl Backend for Pmvs {
+    fn name(&self) -> &'static str {
+        "pmvs"
+    }
+
+    fn capabilities(&self) -> Capabilities {
+        Capabilities {
+            partners: Honours::Yes,
+            key_subset: Honours::Yes,
+            order: Honours::No,
+            fusion: "none needed: it makes patches, not depth maps",
+            notes: "patches start in the key views and are matched in their partners; the order of key views is PMVS2's own",
+        }
+    }
+
+    fn planning(&self) -> PlanningNumbers {
+        PlanningNumbers {
+            support: 1,
+            source: "not measured: the numbers of OpenMVS, also a PatchMatch; support 1: patches are not checked against depth maps",
+            ..PATCH_MATCH
+        }
+    }
+
+    fn export(&self, selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {
+        let images = selection.undistorted_images(self.name())?;
+        let views = selection.keys_first();
+        let mut index = vec![0; selection.scene.views.len()];
+        views.iter().enumerate().for_each(|(i, v)| index[v.at()] = i);
+        let mut files = options.file_set(self, selection);
+        for (i, &view) in views.iter().enumerate() {
+            let name = selection.scene.name(view);
+            let extension = extension(name)?;
+            files.add_text(format!("txt/{i:08}.txt"), format!("CONTOUR\n{}", projection(selection.scene, view)));
+            files.add(format!("visualize/{i:08}.{extension}"), Contents::Link(images.join(name)));
+        }
+        files.add("models", Contents::Folder);
+        files.add_text("vis.dat", visibility(selection, &views, &index));
+        files.add_text("viewrank", option_file(selection, views.len()));
+        let mut record = ExportRecord::new(self, selection, |v| index[v.at()].to_string());
+        record.made_for = "PMVS2 (CMVS-PMVS)".into();
+        record.way = "timages, oimages, vis.dat".into();
+        // The folder is put in front of file names as it is: without the slash nothing is found.
+        record.commands = vec!["pmvs2 ./ viewrank".into()];
+        record.not_honoured = vec!["the rank order".into()];
+        record.fusion = "none; models/viewrank.ply".into();
+        files.add_text("export.json", record.to_json());
+        Ok(Export { files, record })
+    }
+}
+
+/// P = K [R | t], row by row, in COLMAP's pixel convention (as COLMAP's own export for PMVS).
+pub(super) fn projection(scene: &Scene, view: ViewIndex) -> String {
+    let pose = &scene.view(view).cam_from_world;
+    let (f, c) = scene.camera_of(view).pinhole_part();
+    let k = nalgebra::Matrix3::new(f.x, 0.0, c.x, 0.0, f.y, c.y, 0.0, 0.0, 1.0);
+    let (r, t) = (k * pose.rotation.matrix(), k * pose.translation);
+    (0..3).map(|i| format!("{} {} {} {}\n", r[(i, 0)], r[(i, 1)], r[(i, 2)], t[i])).collect()
+}
+
+/// PMVS2 chooses the decoder by the extension.
+fn extension(name: &str) -> Result<&'static str, BackendError> {
+    let given = Path::new(name).extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
+    match given.as_str() {
+        "jpg" | "jpeg" => Ok("jpg"),
+        "png" => Ok("png"),
+        "tif" | "tiff" => Ok("tiff"),
+        "ppm" => Ok("ppm"),
+        _ => Err(BackendError::Name {
+            backend: "pmvs",
+            name: name.into(),
+            why: "it reads jpg, png, tiff and ppm, by the extension".into(),
+        }),
+    }
+}
+
+/// Rows count by position: one for each image, also for those without partners of their own.
+fn visibility(selection: &Selection, views: &[ViewIndex], index: &[usize]) -> String {
+    let mut text = format!("VISDATA\n{}\n", views.len());
+    for i in 0..views.len() {
+        let partners = selection.clusters.get(i).map_or(&[][..], |c| &c.partners);
+        text += &format!("{i} {}", partners.len());
+        partners.iter().for_each(|p| text += &format!(" {}", index[p.at()]));
+        text.push('\n');
+    }
+    text
+}
+
+/// No comments: one inside a list would end the program.
+fn option_file(selection: &Selection, views: usize) -> String {
+    let keys = selection.clusters.len();
+    let list = |range: std::ops::Range<usize>| range.map(|i| format!(" {i}")).collect::<String>();
+    let level = (1.0 / selection.image_scale).log2().round().max(0.0);
+    let seen_by = (selection.most_partners() + 1).clamp(2, 3);
+    format!(
+        "timages {keys}{}\noimages {}{}\nuseVisData 1\nlevel {level}\ncsize 2\nthreshold 0.7\nwsize 7\nminImageNum {seen_by}\nCPU 4\n",
+        list(0..keys),
+        views - keys,
+        list(keys..views),
+    )
+}
