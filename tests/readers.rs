@@ -264,3 +264,32 @@ fn a_project_is_recognised_by_what_lies_in_it() {
     std::fs::copy(base.join("points3D.bin"), root.join("sparse/points3D.bin")).unwrap();
     assert_eq!(read(root).views.len(), 12);
 }
+
+#[test]
+fn inspect_prints_the_counts() {
+    let Some(formats) = data().map(|data| data.join("formats")) else { return };
+    let inspect = |folder: &str, format: &str| {
+        let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_viewrank"));
+        let output = command.arg("inspect").arg(formats.join(folder)).args(["--format", format]).output().unwrap();
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        String::from_utf8(output.stdout).unwrap()
+    };
+    for (folder, expected) in &expected(&formats) {
+        let found: serde_json::Value = serde_json::from_str(&inspect(folder, "json")).unwrap();
+        let format = if expected["format"] == "bin" { "colmap_binary" } else { "colmap_text" };
+        assert_eq!(found["format"], format, "{folder}");
+        for (key, expected_key) in [
+            ("registered", "registered"),
+            ("cameras", "cameras"),
+            ("points", "points3D"),
+            ("observations", "observations"),
+        ] {
+            assert_eq!(found[key], expected[expected_key], "{folder} {key}");
+        }
+        let (error, expected) = (found["mean_reprojection_error_px"].as_f64(), expected["error"].as_f64());
+        assert_eq!(error.is_some(), expected.is_some(), "{folder}");
+        assert!((error.unwrap_or(0.0) - expected.unwrap_or(0.0)).abs() < 1e-5, "{folder}: {error:?}");
+    }
+    let text = inspect("project_two_models", "text");
+    assert!(text.contains("7 registered") && text.contains("1 (6 images)"), "{text}");
+}

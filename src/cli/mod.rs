@@ -5,6 +5,7 @@
 
 mod completions;
 mod config;
+mod inspect;
 
 use std::{
     io::{ErrorKind, Write},
@@ -95,6 +96,7 @@ struct Arguments {
 #[derive(Subcommand)]
 enum Command {
     Config(config::Arguments),
+    Inspect(inspect::Arguments),
     Completions(completions::Arguments),
     Man(completions::ManArguments),
 }
@@ -103,6 +105,7 @@ enum Command {
 pub fn run() -> Result<(), Failure> {
     match Arguments::parse().command {
         Command::Config(arguments) => config::run(&arguments),
+        Command::Inspect(arguments) => inspect::run(&arguments),
         Command::Completions(arguments) => completions::run(&arguments),
         Command::Man(arguments) => completions::man(&arguments),
     }

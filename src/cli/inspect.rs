@@ -1,0 +1,143 @@
+//! `viewrank inspect`: what a sparse model holds, before anything is planned.
+
+use std::{collections::BTreeMap, path::PathBuf};
+
+use clap::Args;
+use serde::Serialize;
+use viewrank::{
+    project::{ModelFormat, ModelLocation, Project, ProjectKind},
+    scene::{Scene, Units},
+};
+
+use super::{Failure, Format, config, json, print};
+
+/// How many names are listed in the text before the rest is only counted.
+const LISTED: usize = 5;
+
+/// Print what a sparse model holds: views, cameras, points, observations, errors, units, sub-models.
+#[derive(Args)]
+pub struct Arguments {
+    /// Project folder, model folder or model file.
+    model: PathBuf,
+    /// Sub-model to look at, such as 1 for sparse/1; without it the one with most registered images.
+    #[arg(long = "model", value_name = "N")]
+    sub_model: Option<String>,
+    #[arg(long, value_enum, default_value_t)]
+    format: Format,
+}
+
+/// The model in numbers.
+#[derive(Serialize)]
+struct Inspection {
+    format: ModelFormat,
+    path: PathBuf,
+    kind: ProjectKind,
+    image_folder: Option<PathBuf>,
+    registered: usize,
+    /// Images of the image folder that the model has no pose of.
+    unregistered: Vec<String>,
+    cameras: usize,
+    /// Number of cameras of each model.
+    camera_models: BTreeMap<&'static str, usize>,
+    points: usize,
+    observations: usize,
+    mean_track_length: Option<f64>,
+    mean_reprojection_error_px: Option<f64>,
+    /// Scene units per pixel.
+    median_gsd: Option<f64>,
+    /// `metric`, `relative`, or null where nothing says.
+    units: Option<Units>,
+    sub_models: Vec<SubModel>,
+    warnings: Vec<String>,
+}
+
+#[derive(Serialize)]
+struct SubModel {
+    name: String,
+    path: PathBuf,
+    registered: u64,
+    used: bool,
+}
+
+pub fn run(arguments: &Arguments) -> Result<(), Failure> {
+    let project = Project::open(&arguments.model, arguments.sub_model.as_deref())?;
+    let settings = config::load(Some(&project.root), Default::default())?.settings;
+    let inspection = Inspection { units: settings.units, ..inspect(&project, &project.read_scene()?) };
+    match arguments.format {
+        Format::Text => print(&inspection.text()),
+        Format::Json => print(&json(&inspection)),
+    }
+}
+
+fn inspect(project: &Project, scene: &Scene) -> Inspection {
+    let mut camera_models = BTreeMap::new();
+    scene.cameras.iter().for_each(|camera| *camera_models.entry(camera.model().name()).or_insert(0) += 1);
+    let sub_model = |model: &ModelLocation, used| SubModel {
+        name: model.name(),
+        path: model.path.clone(),
+        registered: if used { scene.views.len() as u64 } else { model.registered },
+        used,
+    };
+    let others = project.other_models.iter().map(|model| sub_model(model, false));
+    let points = scene.points.len();
+    Inspection {
+        format: project.model.format,
+        path: project.model.path.clone(),
+        kind: project.kind,
+        image_folder: project.images.clone(),
+        registered: scene.views.len(),
+        unregistered: scene.unregistered.clone(),
+        cameras: scene.cameras.len(),
+        camera_models,
+        points,
+        observations: scene.observations(),
+        mean_track_length: (points > 0).then(|| scene.observations() as f64 / points as f64),
+        mean_reprojection_error_px: scene.mean_reprojection_error(),
+        median_gsd: scene.median_gsd(),
+        units: None,
+        sub_models: [sub_model(&project.model, true)].into_iter().chain(others).collect(),
+        warnings: scene.warnings.clone(),
+    }
+}
+
+impl Inspection {
+    fn text(&self) -> String {
+        let models = self.camera_models.iter().map(|(model, n)| format!("{n} {model}")).collect::<Vec<_>>().join(", ");
+        let number = |value: Option<f64>, digits| value.map_or("-".into(), |v| format!("{v:.digits$}"));
+        let units = match self.units {
+            Some(Units::Metric) => "metres (units = \"metric\" in the settings)",
+            Some(Units::Relative) => "relative: lengths are in units of the model",
+            None => "unknown: lengths are in units of the model; if these are metres, set units = \"metric\"",
+        };
+        let images = self.image_folder.as_ref().map_or("not found".into(), |folder| folder.display().to_string());
+        let mut rows = vec![
+            ("model", format!("{} ({})", self.path.display(), self.format.name())),
+            ("images", images),
+            ("views", format!("{} registered, {} not", self.registered, list(&self.unregistered))),
+            ("cameras", format!("{} ({models})", self.cameras)),
+            ("points", self.points.to_string()),
+            ("observations", self.observations.to_string()),
+            ("mean track length", number(self.mean_track_length, 2)),
+            ("mean reprojection error", format!("{} px", number(self.mean_reprojection_error_px, 4))),
+            ("median GSD", format!("{} units per pixel", number(self.median_gsd, 6))),
+            ("units", units.into()),
+        ];
+        let sub_models = self.sub_models.iter().filter(|_| self.sub_models.len() > 1);
+        rows.extend(sub_models.map(|m| {
+            ("sub-model", format!("{} ({} images){}", m.name, m.registered, if m.used { ", used" } else { "" }))
+        }));
+        rows.extend(self.warnings.iter().map(|warning| ("warning", warning.clone())));
+        rows.iter().map(|(name, value)| format!("{name:<25}{value}\n")).collect()
+    }
+}
+
+/// The number of names, and the first of them.
+fn list(names: &[String]) -> String {
+    match names {
+        [] => "0".into(),
+        _ => {
+            let more = if names.len() > LISTED { ", ..." } else { "" };
+            format!("{} ({}{more})", names.len(), names[..names.len().min(LISTED)].join(", "))
+        }
+    }
+}
