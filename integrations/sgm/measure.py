@@ -110,10 +110,10 @@ def pair_row(workspace, pair, key, partner, folder):
            "complete": 0.0, "wrong": 0.0, "error": 0.0}
     if common.sum() < 500:
         return None
-    if pair.matched:
+    if pair.inverse is not None:
         with np.errstate(invalid="ignore", divide="ignore"):
-            error = np.abs(pair.inverse() - 1 / here) / pair.deviation()
-        found = (pair.code > 0) & (here > 0)
+            error = np.abs(pair.inverse - 1 / here) / pair.parallax.deviation(pair.inverse)
+        found = np.isfinite(pair.inverse) & (here > 0)
         right = found & (error < RIGHT_PX)
         row |= {"complete": float(right[common].mean()), "wrong": float(1 - right.sum() / max(found.sum(), 1)), "error": float(np.median(error[right])) if right.any() else 0.0}
     return row

@@ -10,7 +10,6 @@
 import argparse
 import concurrent.futures
 import json
-import multiprocessing
 import re
 import sys
 import time
@@ -87,13 +86,13 @@ def compute(pairs, key, partners, out):
     """Matches and merges one view cluster, writes its maps if `out` is given, and returns its row of the report."""
     start = time.perf_counter()
     found = [pairs.get(key, partner) for partner in partners]
-    usable = [pair for pair in found if pair.matched]
+    usable = [pair for pair in found if pair.inverse is not None]
     width, height = pairs.workspace.views[key].size
     row = {"key": key, "width": width, "height": height, "partners": [partner_row(*p) for p in zip(partners, found, strict=True)]}
     if out:
         depth, count = np.zeros((height, width), np.float32), np.zeros((height, width), np.uint8)
         if len(usable) >= MIN_AGREE:
-            depth, count = merge([p.inverse() for p in usable], [p.deviation() for p in usable])
+            depth, count = merge([p.inverse for p in usable], [p.parallax.deviation(p.inverse) for p in usable])
         for folder, array in (("counts", count), ("depth_maps", depth)):
             write_whole(out / folder / (key + ".npy"), lambda file, array=array: np.save(file, array))
         row["measured"] = round(float((depth > 0).mean()), 4)
@@ -102,7 +101,7 @@ def compute(pairs, key, partners, out):
 
 
 def partner_row(name, pair):
-    row = {"name": name, "matched": pair.matched}
+    row = {"name": name, "matched": pair.inverse is not None}
     row |= {"share": round(pair.share, 4)} if row["matched"] else {"refused": pair.refused}
     if np.isfinite(pair.angle):
         row |= {"angle": round(pair.angle, 2), "octaves": round(pair.octaves, 2)}
@@ -195,8 +194,7 @@ def work(cluster):
 
 def run(clusters, args, out, stop, done):
     """Computes clusters in order on `args.jobs` processes until `stop` says so; `done` gets each row. Returns why it stopped."""
-    fresh = multiprocessing.get_context("spawn")  # a fork would inherit OpenCV's threads, and hang
-    with concurrent.futures.ProcessPoolExecutor(args.jobs, fresh, start_worker, (args.workspace, args.image_scale, args.cache, out)) as pool:
+    with concurrent.futures.ProcessPoolExecutor(args.jobs, initializer=start_worker, initargs=(args.workspace, args.image_scale, args.cache, out)) as pool:
         waiting, running, started, reason = iter(clusters), set(), 0, ""
         while True:
             while len(running) < args.jobs and not reason:

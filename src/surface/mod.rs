@@ -4,22 +4,45 @@
 //! from outside, `clean` keeps an oriented manifold that views see, `simplify` and `refine` bring its edges to the wanted length;
 //! `terrain` is the 2.5D way for nadir flights, `ply` reads and writes meshes.
 
+pub mod carve;
 pub mod clean;
 pub mod corners;
 pub mod cut;
 pub mod delaunay;
 pub mod manifold;
 pub mod ply;
+pub mod points;
 mod quadric;
 pub mod refine;
 #[cfg(test)]
 pub(crate) mod shapes;
 pub mod simplify;
+pub mod terrain;
+#[cfg(test)]
+mod tests;
+
+use std::path::PathBuf;
 
 use nalgebra::{Point3, Vector3};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::{
+    config::{SurfaceChoice, SurfaceSettings},
+    progress::{Cancelled, Stage, Watcher},
+    scene::{PointIndex, Scene},
+};
+use delaunay::{Delaunay, DelaunayError, Dimension};
+
+/// Fewer points than this make a terrain.
+const MIN_CARVED_POINTS: usize = 100;
+/// Points whose spread in one direction is below this share of that in another do not spread in it at all.
+const NO_SPREAD: f64 = 1e-6;
+/// Steps of [`build`] that are reported as progress.
+const STEPS: u64 = 6;
 
 /// How the surface was made.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize, schemars::JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum SurfaceKind {
     #[serde(rename = "3d")]
@@ -66,4 +89,200 @@ impl Surface {
         let opposite = corners::opposites(&rest);
         corners::split_fans(rest, &opposite)
     }
+}
+
+/// A mesh from elsewhere in place of a surface from the points.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct MeshFile {
+    /// A PLY file in the frame of the scene.
+    pub path: PathBuf,
+    /// Leave it as it is: neither simplified nor refined.
+    pub as_is: bool,
+}
+
+/// What the surface was made from and what became of it.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, JsonSchema)]
+pub struct SurfaceStats {
+    /// Sparse points that were used.
+    pub points: usize,
+    /// Sparse points that were not: fewer than two views, behind a camera, or a large reprojection error.
+    pub points_dropped: usize,
+    /// Distinct vertices of the tetrahedralisation.
+    pub vertices: usize,
+    pub cells: usize,
+    /// Rays that voted.
+    pub rays: usize,
+    /// Median depth uncertainty of the points, scene units.
+    pub sigma: f64,
+    /// Triangles of the cut, the terrain or the mesh file.
+    pub raw_triangles: usize,
+    pub cleaned_triangles: usize,
+    pub simplified_triangles: usize,
+    /// Triangles of the surface.
+    pub triangles: usize,
+}
+
+/// Why there is no surface.
+#[derive(Debug, thiserror::Error)]
+pub enum SurfaceError {
+    #[error(
+        "only {distinct} different sparse points can be used ({dropped} have fewer than two views, lie behind a camera or have a large \
+         reprojection error); a surface needs 4: check the model, or give a surface with --mesh"
+    )]
+    TooFewPoints { distinct: usize, dropped: usize },
+    #[error(
+        "the sparse points lie on one line, which makes no surface: check the model, or give a surface with --mesh"
+    )]
+    Linear,
+    #[error("the wanted ground sampling distance is {0}, but must be a positive number: set target.gsd or --gsd")]
+    Gsd(f64),
+    #[error("nothing is left of the surface: no view sees any of it; give a surface with --mesh")]
+    Empty,
+    #[error("{}: {source}", path.display())]
+    MeshFile { path: PathBuf, source: std::io::Error },
+    #[error("{}: {source}", path.display())]
+    Mesh { path: PathBuf, source: ply::PlyError },
+    #[error(transparent)]
+    Delaunay(DelaunayError),
+    #[error(transparent)]
+    Refine(refine::RefineError),
+    #[error(transparent)]
+    Cancelled(#[from] Cancelled),
+}
+
+impl From<DelaunayError> for SurfaceError {
+    fn from(error: DelaunayError) -> Self {
+        match error {
+            DelaunayError::Cancelled(cancelled) => Self::Cancelled(cancelled),
+            other => Self::Delaunay(other),
+        }
+    }
+}
+
+impl From<refine::RefineError> for SurfaceError {
+    fn from(error: refine::RefineError) -> Self {
+        match error {
+            refine::RefineError::Cancelled(cancelled) => Self::Cancelled(cancelled),
+            other => Self::Refine(other),
+        }
+    }
+}
+
+/// Builds the surface of the scene, or takes the mesh, with edges as `gsd` (g_d, scene units per pixel) and the settings want them. What
+/// no view sees is yet to be taken away by [`Surface::keep`].
+///
+/// # Errors
+/// Too few points, a mesh that cannot be read, a target far too fine, cancellation.
+pub fn build(
+    scene: &Scene,
+    gsd: f64,
+    settings: &SurfaceSettings,
+    mesh: Option<&MeshFile>,
+    watcher: &dyn Watcher,
+) -> Result<(Surface, SurfaceStats), SurfaceError> {
+    if !(gsd.is_finite() && gsd > 0.0) {
+        return Err(SurfaceError::Gsd(gsd));
+    }
+    let mut stats = SurfaceStats::default();
+    watcher.progress(Stage::Surface, 0, STEPS);
+    let mut surface = match mesh {
+        Some(file) => clean::make_manifold(read_mesh(file)?),
+        None => from_points(scene, gsd, settings, &mut stats, watcher)?,
+    };
+    stats.cleaned_triangles = surface.triangles.len();
+    watcher.progress(Stage::Surface, 4, STEPS);
+    if !mesh.is_some_and(|m| m.as_is) {
+        surface = simplify::simplify(surface, settings.edge_factor * gsd, watcher)?;
+        stats.simplified_triangles = surface.triangles.len();
+        watcher.progress(Stage::Surface, 5, STEPS);
+        surface = refine::refine(surface, settings.max_edge_factor * gsd, watcher)?;
+    }
+    stats.triangles = surface.triangles.len();
+    watcher.progress(Stage::Surface, STEPS, STEPS);
+    if surface.triangles.is_empty() { Err(SurfaceError::Empty) } else { Ok((surface, stats)) }
+}
+
+fn read_mesh(file: &MeshFile) -> Result<Surface, SurfaceError> {
+    let bytes =
+        std::fs::read(&file.path).map_err(|source| SurfaceError::MeshFile { path: file.path.clone(), source })?;
+    ply::read(&bytes).map_err(|source| SurfaceError::Mesh { path: file.path.clone(), source })
+}
+
+/// The cleaned surface of the sparse points, as method 1.7 and 1.8 choose it.
+fn from_points(
+    scene: &Scene,
+    gsd: f64,
+    settings: &SurfaceSettings,
+    stats: &mut SurfaceStats,
+    watcher: &dyn Watcher,
+) -> Result<Surface, SurfaceError> {
+    let points = points::usable_points(scene);
+    stats.points = points.len();
+    stats.points_dropped = scene.points.len() - points.len();
+    let positions: Vec<Point3<f64>> = points.iter().map(|p| scene.points[p.at()]).collect();
+    let distinct = distinct_up_to_four(&positions);
+    if distinct < 4 {
+        return Err(SurfaceError::TooFewPoints { distinct, dropped: stats.points_dropped });
+    }
+    let [thickness, width, length] = terrain::spread(&positions);
+    if width <= NO_SPREAD * length {
+        return Err(SurfaceError::Linear);
+    }
+    watcher.progress(Stage::Surface, 1, STEPS);
+    let is_flat = thickness <= NO_SPREAD * length;
+    let is_terrain = match settings.kind {
+        SurfaceChoice::Terrain => true,
+        SurfaceChoice::Carved => is_flat,
+        SurfaceChoice::Auto => is_flat || thickness < gsd || points.len() < MIN_CARVED_POINTS,
+    };
+    if is_terrain {
+        let frame = terrain::Frame::new(&positions, scene, settings.up);
+        let raw = terrain::triangulate(&positions, &frame, settings.edge_factor * gsd);
+        stats.raw_triangles = raw.triangles.len();
+        return if raw.triangles.is_empty() {
+            Err(SurfaceError::Linear)
+        } else {
+            Ok(clean::clean(&raw, &vec![true; raw.triangles.len()]))
+        };
+    }
+    carved(scene, &points, &positions, settings, stats, watcher)
+}
+
+fn carved(
+    scene: &Scene,
+    points: &[PointIndex],
+    positions: &[Point3<f64>],
+    settings: &SurfaceSettings,
+    stats: &mut SurfaceStats,
+    watcher: &dyn Watcher,
+) -> Result<Surface, SurfaceError> {
+    let delaunay = Delaunay::triangulate(positions, watcher)?;
+    if delaunay.dimension != Dimension::Three {
+        return Err(SurfaceError::Linear);
+    }
+    stats.vertices = delaunay.vertex_count();
+    stats.cells = delaunay.cells.len();
+    watcher.progress(Stage::Surface, 2, STEPS);
+    let rays = carve::Rays::choose(scene, &delaunay, points, settings.rays_per_point as usize);
+    stats.rays = rays.len();
+    stats.sigma = rays.sigma;
+    let raw = carve::carve(&delaunay, &rays, settings, watcher)?;
+    stats.raw_triangles = raw.surface.triangles.len();
+    drop((delaunay, rays));
+    watcher.progress(Stage::Surface, 3, STEPS);
+    Ok(clean::clean(&raw.surface, &raw.seen))
+}
+
+/// How many different points there are, counted no further than 4.
+fn distinct_up_to_four(points: &[Point3<f64>]) -> usize {
+    let mut distinct: Vec<&Point3<f64>> = Vec::new();
+    for point in points {
+        if !distinct.contains(&point) {
+            distinct.push(point);
+        }
+        if distinct.len() == 4 {
+            break;
+        }
+    }
+    distinct.len()
 }

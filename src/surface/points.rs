@@ -1,0 +1,100 @@
+//! Method 1.1: which sparse points make the surface, and how well each is known.
+
+use nalgebra::{Matrix3, Point3, Vector3};
+use rayon::prelude::*;
+
+use crate::scene::{PointIndex, Scene, ViewIndex};
+
+/// A point whose mean reprojection error is above this many pixels goes, unless the model's median is large.
+const MAX_ERROR_PX: f64 = 4.0;
+/// A point may have this many times the median error of the points in any case.
+const MAX_ERROR_MEDIANS: f64 = 3.0;
+/// Standard deviation of a measured pixel, as in method 3.3.
+const SIGMA_PX: f64 = 0.5;
+
+/// The sparse points that at least two views observe, that lie in front of all of these, and whose mean reprojection error is below the
+/// larger of 4 px and 3 times the median; ascending.
+pub fn usable_points(scene: &Scene) -> Vec<PointIndex> {
+    let errors: Vec<Option<f64>> =
+        (0..scene.points.len() as u32).into_par_iter().map(|p| mean_error_px(scene, PointIndex(p))).collect();
+    let mut known: Vec<f64> = errors.iter().flatten().copied().collect();
+    if known.is_empty() {
+        return Vec::new();
+    }
+    let middle = known.len() / 2;
+    let median = *known.select_nth_unstable_by(middle, f64::total_cmp).1;
+    let limit = MAX_ERROR_PX.max(MAX_ERROR_MEDIANS * median);
+    let is_usable = |p: &PointIndex| errors[p.at()].is_some_and(|e| e <= limit);
+    (0..scene.points.len() as u32).map(PointIndex).filter(is_usable).collect()
+}
+
+/// Mean reprojection error of a point over its observations with a known pixel; `None` with fewer than two views, or where a camera
+/// does not project it.
+fn mean_error_px(scene: &Scene, point: PointIndex) -> Option<f64> {
+    let track = scene.track(point);
+    let views = &scene.track_views[track.clone()];
+    if views.first() == views.last() {
+        return None;
+    }
+    let (mut sum, mut count) = (0.0, 0u32);
+    for (view, pixel) in views.iter().zip(&scene.track_pixels[track]) {
+        let x_cam = scene.view(*view).cam_from_world.camera_from_world(&scene.points[point.at()]);
+        let projected = scene.camera_of(*view).project(&x_cam)?;
+        let error = (projected.x - pixel[0]).hypot(projected.y - pixel[1]);
+        if error.is_finite() {
+            sum += error;
+            count += 1;
+        }
+    }
+    Some(sum / f64::from(count.max(1)))
+}
+
+/// Standard deviation of a point along the mean ray to the centres of the views that see it, scene units: method 3.3 with
+/// J = f / r across the ray. `None` where the rays are parallel.
+pub fn depth_sigma(point: &Point3<f64>, centres_and_focals: impl Iterator<Item = (Point3<f64>, f64)>) -> Option<f64> {
+    let mut information = Matrix3::zeros();
+    let mut mean = Vector3::zeros();
+    for (centre, focal) in centres_and_focals {
+        let ray = centre - point;
+        let distance = ray.norm();
+        let direction = ray / distance;
+        let weight = (focal / distance / SIGMA_PX).powi(2);
+        information += (Matrix3::identity() - direction * direction.transpose()) * weight;
+        mean += direction;
+    }
+    let mean = mean.try_normalize(1e-9)?;
+    let variance = mean.dot(&(information.try_inverse()? * mean));
+    (variance > 0.0 && variance.is_finite()).then(|| variance.sqrt())
+}
+
+/// The views of several points, each once, ascending.
+pub fn views_of(scene: &Scene, points: &[PointIndex], views: &mut Vec<ViewIndex>) {
+    views.clear();
+    points.iter().for_each(|&p| views.extend(scene.track_views(p)));
+    views.sort_unstable();
+    views.dedup();
+}
+
+/// Keeps at most `most` of the directions: the one farthest from their mean, then each time the one farthest from all that are kept.
+/// Returns their positions in `directions` (unit vectors), in that order.
+pub fn extremes(directions: &[Vector3<f64>], most: usize) -> Vec<usize> {
+    if directions.len() <= most {
+        return (0..directions.len()).collect();
+    }
+    let mean: Vector3<f64> = directions.iter().sum();
+    let mut kept = Vec::with_capacity(most);
+    // Cosine to the nearest direction that is kept.
+    let mut nearness: Vec<f64> = directions.iter().map(|d| d.dot(&mean)).collect();
+    while kept.len() < most {
+        let farthest = (0..directions.len()).min_by(|&a, &b| nearness[a].total_cmp(&nearness[b])).unwrap_or(0);
+        if kept.is_empty() {
+            nearness.fill(f64::NEG_INFINITY);
+        }
+        kept.push(farthest);
+        for (near, direction) in nearness.iter_mut().zip(directions) {
+            *near = near.max(direction.dot(&directions[farthest]));
+        }
+        nearness[farthest] = f64::INFINITY;
+    }
+    kept
+}
