@@ -7,6 +7,7 @@ pub mod trees;
 
 use crate::{
     config::{ConfidenceForm, ConfidenceSettings},
+    fulfilment::Look,
     scene::ViewIndex,
 };
 
@@ -71,6 +72,22 @@ impl PairConfidence {
     }
 }
 
+impl PairConfidence {
+    /// p₀ · min(cos θ_key, cos θ_i)^γ · exp(−½ (log2(l_i / l_key) / s)²) · min(angle / a, 1).
+    pub fn probability(&self, key: &Look, partner: &Look) -> f64 {
+        let incidence = key.cos_incidence.min(partner.cos_incidence).powf(self.cosine_power);
+        let scale = self.scale_octaves.map_or(1.0, |s| {
+            let octaves = (partner.distance / key.distance).log2() / s;
+            (-0.5 * octaves * octaves).exp()
+        });
+        let angle = self.full_angle_deg.map_or(1.0, |full| {
+            let degrees = key.direction.dot(&partner.direction).clamp(-1.0, 1.0).acos().to_degrees();
+            (degrees / full).min(1.0)
+        });
+        self.p0 * incidence * scale * angle
+    }
+}
+
 /// Where confidence comes from (`confidence.source`).
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Source {
@@ -122,6 +139,27 @@ impl Confidence {
                 Self::Paper { min_matches: numbers.min_matches }
             }
             _ => Self::Pair(numbers),
+        }
+    }
+}
+
+impl Confidence {
+    /// Matches that must succeed for a pixel; `None`: success is certain.
+    pub fn min_matches(&self) -> Option<u32> {
+        match self {
+            Self::None => None,
+            Self::Pair(numbers) => Some(numbers.min_matches),
+            Self::Paper { min_matches } => Some(*min_matches),
+        }
+    }
+
+    /// p_i(t): the chance that the key view and a partner that both see the triangle match there (method 3.4, 7.2).
+    pub fn pair(&self, key: &Look, partner: &Look) -> f64 {
+        let unary = 0.5 * (key.unary + partner.unary);
+        match self {
+            Self::None => 1.0,
+            Self::Pair(numbers) => numbers.probability(key, partner) * unary,
+            Self::Paper { .. } => unary,
         }
     }
 }
