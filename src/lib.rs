@@ -31,5 +31,6 @@ pub mod project;
 pub mod ranking;
 pub mod scene;
 pub mod surface;
+pub mod synthetic;
 pub mod tables;
 pub mod visibility;
