@@ -1,15 +1,16 @@
 //! `viewrank plan`: reads a sparse model, ranks its view clusters, writes the plan.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use clap::Args;
 use rayon::ThreadPoolBuilder;
 use viewrank::{
     config::Typed,
-    output::{Contents, Disk, FileSet},
-    plan::{self, Plan, PlanFiles, Timings},
+    output::{self, Disk, FileSet},
+    plan::{self, Plan, PlanFiles},
     progress::{Stage, Watcher},
     project::Project,
+    surface::ply,
     tables,
 };
 
@@ -56,7 +57,14 @@ pub struct Arguments {
     #[arg(long, value_name = "KIND", value_parser = ["3d", "terrain", "auto"], help_heading = "How")]
     surface: Option<String>,
     /// Up direction of the terrain surface [default: from the cameras]
-    #[arg(long, value_name = "X,Y,Z", value_delimiter = ',', num_args = 3, allow_negative_numbers = true, help_heading = "How")]
+    #[arg(
+        long,
+        value_name = "X,Y,Z",
+        value_delimiter = ',',
+        num_args = 3,
+        allow_negative_numbers = true,
+        help_heading = "How"
+    )]
     up: Option<Vec<f64>>,
     /// Take the surface from a PLY file
     #[arg(long, value_name = "FILE", help_heading = "How")]
@@ -102,10 +110,10 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let project = Project::open(&arguments.project, arguments.model.as_deref())?;
     let settings = config::load(Some(&project.root), arguments.typed())?.settings;
     let progress = Progress::new(arguments.quiet);
-    let mut plan = plan::plan(&project, &settings, &progress)?;
+    let plan = plan::plan(&project, &settings, &progress)?;
     let files = plan::files(&plan, &project)?;
     if !arguments.dry_run {
-        write(arguments, &mut plan, &project, &files, &progress)?;
+        write(arguments, &plan, &files, &progress)?;
     }
     progress.finish();
     report(arguments, &project, &plan, &files)
@@ -136,13 +144,7 @@ impl Arguments {
     }
 }
 
-fn write(
-    arguments: &Arguments,
-    plan: &mut Plan,
-    project: &Project,
-    files: &PlanFiles,
-    progress: &Progress,
-) -> Result<(), Failure> {
+fn write(arguments: &Arguments, plan: &Plan, files: &PlanFiles, progress: &Progress) -> Result<(), Failure> {
     let steps = files.sets.len() as u64;
     progress.progress(Stage::Write, 0, steps);
     for (done, set) in files.sets.iter().enumerate() {
@@ -155,7 +157,7 @@ fn write(
         set.write(&Disk::REAL)?;
     }
     if let Some(path) = &arguments.dump_surface {
-        viewrank::output::replace(path, &viewrank::surface::ply::write(&plan.surface, &[], &[]), &Disk::REAL)?;
+        output::replace(path, &ply::write(&plan.surface, &[], &[]), &Disk::REAL)?;
     }
     Ok(())
 }

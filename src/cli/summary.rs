@@ -116,7 +116,12 @@ impl<'a> Summary<'a> {
             let _ = writeln!(text, "  {:>10} {:>8}  {quality:>5.1} %{mark}", grouped(length), grouped(pairs));
         }
         let first: Vec<&str> = clusters.iter().take(NAMED.min(self.cut.clusters)).map(|c| c.key.as_str()).collect();
-        let _ = writeln!(text, "\nBest first: {}{}", first.join(", "), if self.cut.clusters > NAMED { ", ..." } else { "" });
+        let _ = writeln!(
+            text,
+            "\nBest first: {}{}",
+            first.join(", "),
+            if self.cut.clusters > NAMED { ", ..." } else { "" }
+        );
         text
     }
 

@@ -51,11 +51,7 @@ pub(super) fn cut(settings: &CutSettings, cost: &Cost) -> Result<Cut, PlanError>
 }
 
 /// The longest prefix of at most `most` clusters whose costs add up to no more than `limit`.
-fn longest_within(
-    most: usize,
-    limit: f64,
-    cost: impl Fn(usize) -> Result<f64, PlanError>,
-) -> Result<usize, PlanError> {
+fn longest_within(most: usize, limit: f64, cost: impl Fn(usize) -> Result<f64, PlanError>) -> Result<usize, PlanError> {
     let mut sum = 0.0;
     for rank in 0..most {
         sum += cost(rank)?;

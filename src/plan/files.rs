@@ -38,12 +38,8 @@ impl Hint for FilesError {
 /// The files of the plan, to be written by [`FileSet::write`].
 pub fn files(plan: &Plan, project: &Project) -> Result<PlanFiles, FilesError> {
     let clusters: Vec<_> = plan.ranked().take(plan.cut.clusters).collect();
-    let selection = Selection {
-        project,
-        scene: &plan.scene,
-        clusters: &clusters,
-        image_scale: plan.settings.image_scale,
-    };
+    let selection =
+        Selection { project, scene: &plan.scene, clusters: &clusters, image_scale: plan.settings.image_scale };
     let mut exports = Vec::new();
     for backend in wanted(plan, project)? {
         exports.push(backend.export(&selection, &ExportOptions::default())?);

@@ -19,7 +19,7 @@ pub use timings::Timings;
 
 use crate::{
     backends::{self, Backend, BackendError, RankedCluster},
-    confidence::{self, Confidence, ConfidenceError, Unary},
+    confidence::{self, Confidence, Unary},
     config::{Settings, Share},
     error::Hint,
     fulfilment::{FulfilmentTable, GSD_MARGIN, Model, Rule, Target},
@@ -91,7 +91,7 @@ pub fn plan(project: &Project, settings: &Settings, watcher: &dyn Watcher) -> Re
     let target = target(&scene, &seen, &settings);
     let source = confidence::Source::new(&settings.confidence.source);
     let rule = rule(&settings, &source, backend);
-    let unary = timings.time(Stage::Confidence, || unary(project, &scene, &seen, &source, watcher))?;
+    let unary = Unary::certain();
     let model = Model {
         scene: &scene,
         surface: &seen.surface,
@@ -232,8 +232,6 @@ pub enum PlanError {
     #[error(transparent)]
     Surface(#[from] SurfaceError),
     #[error(transparent)]
-    Confidence(#[from] ConfidenceError),
-    #[error(transparent)]
     Backend(#[from] BackendError),
     #[error("how long matching takes is not known, so that {0} cannot be kept to")]
     NoTimes(&'static str),
@@ -247,8 +245,7 @@ impl Hint for PlanError {
             Self::Project(error) => return error.hint(),
             Self::NoViews(_) => "run structure from motion first, or take another model with --model".into(),
             Self::NoScale => "say what is wanted with --gsd, or give a model with points".into(),
-            Self::Surface(error) => return error.hint(),
-            Self::Confidence(error) => return error.hint(),
+            Self::Surface(_) => return None,
             Self::Backend(error) => return error.hint(),
             Self::NoTimes(_) => "time one depth map and set forecast.seconds_per_map or .seconds_per_pair".into(),
             Self::Cancelled(_) => return None,
