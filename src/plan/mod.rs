@@ -27,7 +27,7 @@ use crate::{
     progress::{Cancelled, Stage, Watcher},
     project::{Project, ProjectError},
     ranking::{self, Ranking},
-    scene::{Scene, Units},
+    scene::{Scene, Units, ViewPoints},
     surface::{self, MeshFile, Surface, SurfaceError, SurfaceStats},
     visibility::{self, Visibility},
 };
@@ -87,7 +87,8 @@ pub fn plan(project: &Project, settings: &Settings, watcher: &dyn Watcher) -> Re
     watcher.progress(Stage::Read, 1, 1);
     watcher.check()?;
     let settings = in_force(project, settings, &scene, backend)?;
-    let seen = look(&scene, &settings, watcher, &mut timings)?;
+    let points = scene.view_points();
+    let seen = look(&scene, &points, &settings, watcher, &mut timings)?;
     let target = target(&scene, &seen, &settings);
     let source = confidence::Source::new(&settings.confidence.source);
     let rule = rule(&settings, &source, backend);
@@ -101,7 +102,7 @@ pub fn plan(project: &Project, settings: &Settings, watcher: &dyn Watcher) -> Re
         rule,
     };
     let (candidates, clusters, fulfilment) = timings.time(Stage::Partners, || {
-        let candidates = partners::candidates(&scene, &scene.view_points(), &settings.partners, backend, watcher)?;
+        let candidates = partners::candidates(&scene, &points, &settings.partners, backend, watcher)?;
         let (clusters, table) = partners::choose(&model, &candidates, &settings.partners, settings.seed, watcher)?;
         Ok::<_, Cancelled>((candidates, clusters, table))
     })?;
@@ -190,14 +191,20 @@ struct Seen {
     gsd: f64,
 }
 
-fn look(scene: &Scene, settings: &Settings, watcher: &dyn Watcher, timings: &mut Timings) -> Result<Seen, PlanError> {
+fn look(
+    scene: &Scene,
+    points: &ViewPoints,
+    settings: &Settings,
+    watcher: &dyn Watcher,
+    timings: &mut Timings,
+) -> Result<Seen, PlanError> {
     let gsd = settings.target.gsd.ok_or(PlanError::NoScale)?;
     let mesh = settings.surface.mesh.clone().map(|path| MeshFile { path, as_is: settings.surface.mesh_as_is });
     let (surface, stats) =
         timings.time(Stage::Surface, || surface::build(scene, gsd, &settings.surface, mesh.as_ref(), watcher))?;
     let edge_length = settings.surface.edge_factor * gsd;
     let visibility = timings.time(Stage::Visibility, || {
-        visibility::estimate(scene, &surface, &settings.visibility, edge_length, watcher)
+        visibility::estimate(scene, points, &surface, &settings.visibility, edge_length, watcher)
     })?;
     let seen = visibility.seen(surface.triangles.len());
     if !seen.contains(&true) {
