@@ -9,12 +9,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::{
-    confidence::PairConfidence,
-    error::Hint,
-    output::FileSet,
-    partners::PairGeometry,
-    plan::Reason,
-    project::{Project, ProjectError},
+    confidence::PairConfidence, error::Hint, output::FileSet, partners::PairGeometry, plan::Reason, project::Project,
     scene::ViewIndex,
 };
 
@@ -26,9 +21,7 @@ mod openmvs;
 mod pmvs;
 mod selection;
 mod sgm;
-mod splat;
 mod sure;
-mod workspace;
 
 pub use selection::{RankedCluster, Selection};
 pub use sure::pair_files;
@@ -45,7 +38,6 @@ pub fn all() -> &'static [&'static dyn Backend] {
         &mvsnet::ACMM,
         &pmvs::Pmvs,
         &gipuma::Gipuma,
-        &splat::Splat,
         &images::Images,
     ]
 }
@@ -314,14 +306,8 @@ pub enum BackendError {
     Name { backend: &'static str, name: String, why: String },
     #[error("{backend} needs {what}")]
     Needs { backend: &'static str, what: String, hint: String },
-    #[error(transparent)]
-    Model(Box<ProjectError>),
-}
-
-impl From<ProjectError> for BackendError {
-    fn from(error: ProjectError) -> Self {
-        Self::Model(Box::new(error))
-    }
+    #[error("{path}: {source}")]
+    Io { path: PathBuf, source: std::io::Error },
 }
 
 impl Hint for BackendError {
@@ -332,7 +318,7 @@ impl Hint for BackendError {
             }
             Self::Name { .. } => "rename the image file and its entry in the model, then plan again".into(),
             Self::Needs { hint, .. } => hint.clone(),
-            Self::Model(error) => return error.hint(),
+            Self::Io { .. } => "check that the file is there and readable".into(),
         })
     }
 }
