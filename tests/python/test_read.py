@@ -1,0 +1,89 @@
+"""Every model is read as pycolmap reads it: the same counts, poses and reprojections."""
+import json
+import os
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pycolmap
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+
+# pycolmap cuts names of text models at the first blank and takes quaternions as they are; both are tested in Rust.
+OTHERWISE = {"names/txt", "txt_unnormalised_quaternion"}
+
+
+@pytest.fixture(scope="session")
+def read(tmp_path_factory):
+    """Names, poses, observations and pixels of a model as viewrank sees them (see examples/scene.rs)."""
+    subprocess.run(["cargo", "build", "--locked", "--quiet", "--example", "scene"], cwd=ROOT, check=True)
+    target = Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target"))
+
+    def run(model):
+        out = tmp_path_factory.mktemp("scene")
+        subprocess.run([target / "debug/examples/scene", model, out], check=True, capture_output=True)
+        arrays = [np.load(out / f"{name}.npy") for name in ("poses", "observations", "pixels")]
+        return json.loads((out / "views.json").read_text()), *arrays
+
+    return run
+
+
+def models(data):
+    names = [f"formats/{name}" for name in json.loads((data / "formats/expected.json").read_text()) if name not in OTHERWISE]
+    sets = [name for name in ("valley", "caliterra", "lewis", "boruszyn") if (data / name).is_dir()]
+    return names + [f"{name}/sparse/0" for name in sets] + [f"{n}/distorted/sparse/0" for n in sets if (data / n / "distorted").is_dir()]
+
+
+def compare(read, folder):
+    theirs = pycolmap.Reconstruction(folder)
+    names, poses, observations, pixels = read(folder)
+    images = {image.name: image for image in theirs.images.values() if image.has_pose}
+    assert sorted(images, key=lambda name: name.encode()) == names
+    assert len(observations) == theirs.compute_num_observations()
+
+    for name, pose in zip(names, poses):
+        matrix = images[name].cam_from_world().matrix()
+        assert np.abs(pose[:9].reshape(3, 3) - matrix[:, :3]).max() < 1e-12
+        assert np.abs(pose[9:] - matrix[:, 3]).max() <= 1e-12 * (1 + np.abs(matrix[:, 3]).max())
+
+    # Observations in one order: by point, image, pixel.
+    found = {}
+    for (view, point), row in zip(observations, pixels):
+        found.setdefault((int(point), names[view]), []).append(tuple(row))
+    expected = {}
+    for point_id, point in theirs.points3D.items():
+        for element in point.track.elements:
+            image = theirs.images[element.image_id]
+            camera = theirs.cameras[image.camera_id]
+            projected = camera.img_from_cam(image.cam_from_world() * point.xyz)
+            projected = (np.nan, np.nan) if projected is None else projected
+            measured = image.points2D[element.point2D_idx].xy
+            undistorted = camera.model.name in ("PINHOLE", "SIMPLE_PINHOLE")
+            row = (*measured, *projected), 1e-9 if undistorted else 1e-6
+            expected.setdefault((point_id, image.name), []).append(row)
+    assert found.keys() == expected.keys()
+    for key, rows in expected.items():
+        for mine, (theirs_row, tolerance) in zip(sorted(found[key]), sorted(rows), strict=True):
+            assert mine[:2] == theirs_row[:2], key
+            assert np.allclose(mine[2:], theirs_row[2:], rtol=0, atol=tolerance, equal_nan=True), (key, mine, theirs_row)
+
+
+def test_poses_and_reprojections_are_those_of_pycolmap(read, data):
+    compared = [compare(read, data / model) for model in models(data)]
+    assert len(compared) > 50
+
+
+def test_fixture_is_read_as_pycolmap_reads_it(read, fixtures):
+    compare(read, fixtures / "valley/sparse/0")
+
+
+def test_inspect_counts_are_those_of_pycolmap(viewrank, data):
+    for model in models(data):
+        theirs = pycolmap.Reconstruction(data / model)
+        found = json.loads(viewrank("inspect", data / model, "--format", "json").stdout)
+        assert (found["registered"], found["cameras"]) == (theirs.num_reg_images(), theirs.num_cameras()), model
+        assert (found["points"], found["observations"]) == (theirs.num_points3D(), theirs.compute_num_observations()), model
+        if theirs.num_points3D():
+            theirs.update_point_3d_errors()
+            assert abs(found["mean_reprojection_error_px"] - theirs.compute_mean_reprojection_error()) < 1e-6, model
