@@ -6,11 +6,11 @@ import numpy as np
 from rectify import canvas_pixels, key_on_canvas
 
 BLOCK = 5
-SMALL_JUMP, LARGE_JUMP = 12, 48  # penalties of a disparity change by one and by more, times the area of the block
-UNIQUENESS = 5  # percent by which the best cost must beat the next
-WINDOW = 7  # of the least-squares step, pixels
+SMALL_JUMP, LARGE_JUMP = 6, 64  # penalties of a disparity change by one and by more, times the area of the block
+UNIQUENESS = 10  # percent by which the best cost must beat the next
+WINDOW = 9  # of the least-squares step, pixels
 MIN_CORRELATION = 0.4  # of the two windows; below it a match is dropped
-SPECKLE_PIXELS, SPECKLE_JUMP = 40, 1  # connected patches smaller than this are dropped; neighbours differ by at most this disparity
+SPECKLE_PIXELS, SPECKLE_JUMP = 60, 1  # connected patches smaller than this are dropped; neighbours differ by at most this disparity
 
 
 def match(pair, key_image, partner_image):

@@ -2,7 +2,8 @@
 """How good the maps of sgm.py are, and which pairs it can match.
 
     measure.py maps OUT --workspace WORKSPACE --reference ../shared/data/valley/truth/depth
-    measure.py pairs CACHE --workspace WORKSPACE --image-scale 0.5 --reference DIR
+    measure.py pairs CACHE --workspace WORKSPACE --image-scale 0.5 --reference DIR     which pairs can be matched
+    measure.py pixels CACHE --workspace WORKSPACE --image-scale 0.5 --reference DIR    where in a pair, and by how many partners
 
 A reference is a folder with exact depth as the rendered sets have it (NAME.npz with lo, hi, mask) or with maps of sgm.py (OUT).
 Errors are distances along the pixel's ray; an outlier is off by more than 3 g_d, g_d being 1.25 times the median GSD of the model in full
@@ -10,12 +11,15 @@ images, or --gsd.
 """
 
 import argparse
+import functools
+import itertools
 import json
 from pathlib import Path
 
 import cv2
 import numpy as np
 
+from merge import merge
 from pairs import Pairs
 from workspace import Workspace
 
@@ -85,9 +89,7 @@ def measure_pairs(args):
     workspace = Workspace(args.workspace, args.image_scale)
     pairs = Pairs(workspace, args.cache)
     rows = []
-    for key in workspace.views:
-        if args.every > 1 and len(rows) and list(workspace.views).index(key) % args.every:
-            continue
+    for key in list(workspace.views)[:: args.every]:
         for partner, _ in workspace.connected(key)[: args.connected]:
             rows.append(pair_row(workspace, pairs.get(key, partner), key, partner, args.reference))
     rows = [row for row in rows if row]
@@ -110,26 +112,38 @@ def pair_row(workspace, pair, key, partner, folder):
            "complete": 0.0, "wrong": 0.0, "error": 0.0}
     if common.sum() < 500:
         return None
-    if pair.inverse is not None:
+    if pair.matched:
         with np.errstate(invalid="ignore", divide="ignore"):
-            error = np.abs(pair.inverse - 1 / here) / pair.parallax.deviation(pair.inverse)
-        found = np.isfinite(pair.inverse) & (here > 0)
+            error = np.abs(pair.inverse() - 1 / here) / pair.deviation()
+        found = (pair.code > 0) & (here > 0)
         right = found & (error < RIGHT_PX)
         row |= {"complete": float(right[common].mean()), "wrong": float(1 - right.sum() / max(found.sum(), 1)), "error": float(np.median(error[right])) if right.any() else 0.0}
     return row
 
 
+def surface(view, depth):
+    """World points (h x w x 3) of a depth map, and their unit normals towards the camera (nan beside gaps and at depth edges)."""
+    w, h = view.size
+    u, v = np.meshgrid(np.arange(w), np.arange(h))
+    rays = np.stack([u, v, np.ones_like(u)], -1) @ np.linalg.inv(view.K).T
+    z = np.where(depth > 0, depth, np.nan)
+    xyz = (rays * z[..., None] - view.t) @ view.R
+    along, across = np.full_like(xyz, np.nan), np.full_like(xyz, np.nan)
+    along[:, 2:-2], across[2:-2] = xyz[:, 4:] - xyz[:, :-4], xyz[4:] - xyz[:-4]
+    normal = np.cross(across, along)
+    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+    jump = np.abs(cv2.Laplacian(z, cv2.CV_64F, ksize=5)) / 16 > 0.02 * z
+    normal[jump] = np.nan
+    return xyz, np.where(((view.centre - xyz) * normal).sum(-1, keepdims=True) < 0, -normal, normal)
+
+
 def seen_by_both(a, b, here, there):
     """Key pixels whose surface point the partner's reference shows too, within 2 % of its depth."""
-    w, h = a.size
-    u, v = np.meshgrid(np.arange(w), np.arange(h))
-    rays = np.stack([u, v, np.ones_like(u)], -1).reshape(-1, 3) @ np.linalg.inv(a.K).T
-    xyz = (rays * here.reshape(-1, 1) - a.t) @ a.R
-    pixels, depth = b.project(xyz)
+    pixels, depth = b.project(surface(a, here)[0].reshape(-1, 3))
     x, y = np.rint(np.nan_to_num(pixels, nan=-9, posinf=-9, neginf=-9)).clip(-9, 1e6).astype(int).T
-    ok = (here.ravel() > 0) & (depth > 0) & (x >= 0) & (y >= 0) & (x < b.size[0]) & (y < b.size[1])
+    ok = (depth > 0) & (x >= 0) & (y >= 0) & (x < b.size[0]) & (y < b.size[1])
     shown = there[y.clip(0, b.size[1] - 1), x.clip(0, b.size[0] - 1)]
-    return (ok & (np.abs(shown - depth) < 0.02 * depth)).reshape(h, w)
+    return (ok & (np.abs(shown - depth) < 0.02 * depth)).reshape(here.shape)
 
 
 def epipole_distance(a, b):
@@ -141,6 +155,97 @@ def epipole_distance(a, b):
         dx, dy = max(-x, x - v.size[0]), max(-y, y - v.size[1])
         distances.append((np.hypot(max(dx, 0), max(dy, 0)) if max(dx, dy) > 0 else max(dx, dy)) / v.size[0])
     return float(min(distances))
+
+
+# ------------------------------------------------------------------------------------------------------ within a pair
+
+
+def measure_pixels(args):
+    """Success of single matches by incidence, scale and angle at the pixel; of merged maps by partners that see it and by incidence."""
+    workspace = Workspace(args.workspace, args.image_scale)
+    pairs, limit = Pairs(workspace, args.cache), 3 * (args.gsd or 1.25 * Workspace(args.workspace).gsd())
+    rng, single, merged = np.random.default_rng(0), [], []
+    for key in list(workspace.views)[:: args.every]:
+        here = read_reference(args.reference, key)
+        if here is None:
+            continue
+        here = resized(here, workspace.views[key].size)
+        partners = [p for p, _ in workspace.connected(key)[: args.connected]]
+        chosen = [(p, pairs.get(key, p)) for p in partners]
+        sample = rng.choice(here.size, 3000, replace=False)
+        columns = [pixel_columns(workspace, pair, key, p, here, args.reference, sample) for p, pair in chosen]
+        single += [c[c[:, 0] > 0, 1:] for c in columns if c is not None]
+        merged += merged_rows(workspace.views[key], chosen, columns, here, sample, limit, rng)
+    single, merged = np.concatenate(single), np.concatenate(merged)
+    for name, column, edges in (("key incidence", 1, INCIDENCES), ("worse incidence", 2, INCIDENCES), ("octaves", 3, BINS["octaves"]), ("angle", 4, BINS["angle"])):
+        shares(f"single matches within {RIGHT_PX} px, by {name}", single[:, 0], single[:, column], edges)
+    shares(f"merged within {limit:.3g}, by partners that see the pixel", merged[:, 0], merged[:, 1], range(8))
+    shares("merged where 3 to 5 see it, by incidence in the key view", *merged[(merged[:, 1] >= 3) & (merged[:, 1] <= 5)][:, [0, 2]].T, INCIDENCES)
+    print(fitted(single))
+
+
+INCIDENCES = [0, 30, 45, 60, 75, 85]
+
+
+def pixel_columns(workspace, pair, key, partner, here, folder, sample):
+    """Of the sampled pixels: seen by the partner, right, incidence in the key view, the worse of both, octaves, triangulation angle."""
+    a, b = workspace.views[key], workspace.views[partner]
+    there = read_reference(folder, partner)
+    if there is None:
+        return None
+    seen = seen_by_both(a, b, here, resized(there, b.size)).ravel()[sample]
+    xyz, normal = (x.reshape(-1, 3)[sample] for x in surface(a, here))
+    to_a, to_b = a.centre - xyz, b.centre - xyz
+    length_a, length_b = np.linalg.norm(to_a, axis=1), np.linalg.norm(to_b, axis=1)
+    degrees = lambda cosine: np.degrees(np.arccos(np.clip(cosine, -1, 1)))
+    at_a, at_b = degrees((to_a * normal).sum(1) / length_a), degrees((to_b * normal).sum(1) / length_b)
+    right = np.zeros(len(sample))
+    if pair.matched:
+        with np.errstate(invalid="ignore", divide="ignore"):
+            right = np.abs(pair.inverse() - 1 / here).ravel()[sample] / pair.deviation().ravel()[sample] < RIGHT_PX
+    octaves = np.log2(length_b / length_a * a.K[0, 0] / b.K[0, 0])
+    columns = np.c_[seen & np.isfinite(at_a), right, at_a, np.maximum(at_a, at_b), octaves, degrees((to_a * to_b).sum(1) / (length_a * length_b))]
+    return np.nan_to_num(columns)
+
+
+def merged_rows(view, chosen, columns, here, sample, limit, rng):
+    """(right, partners that see the pixel, incidence in the key view) for three random choices of five partners."""
+    there = [i for i, c in enumerate(columns) if c is not None]
+    rows = []
+    for _ in range(3 if len(there) >= 5 else 0):
+        five = rng.choice(there, 5, replace=False)
+        usable = [chosen[i][1] for i in five if chosen[i][1].matched]
+        if len(usable) < 2:
+            continue
+        depth, _ = merge([p.inverse() for p in usable], [p.deviation() for p in usable])
+        right = ((depth > 0) & (np.abs(depth - here) * ray_lengths(view) <= limit)).ravel()[sample]
+        incidence = columns[five[0]][:, 2]
+        known = incidence > 0
+        rows.append(np.c_[right, sum(columns[i][:, 0] for i in five), incidence][known])
+    return rows
+
+
+def shares(title, right, value, edges):
+    edges = list(edges)
+    print(title)
+    for low, high in zip(edges, edges[1:], strict=False):
+        part = right[(value >= low) & (value < high)]
+        if len(part):
+            print(f"{low:>8g}..{high:<8g} {len(part):8} {part.mean():.3f}")
+
+
+def fitted(single):
+    """p0, cosine power, octaves s and angle w of p = p0 cos(worse incidence)^power exp(-(octaves / s)^2 / 2 - (angle / w)^2 / 2), by likelihood on a grid."""
+    right, _, worst, octaves, angle = single[np.random.default_rng(1).choice(len(single), min(len(single), 40000), replace=False)].T
+    cosine = np.maximum(np.cos(np.radians(worst)), 0.01)
+    likelihood = lambda p: np.mean(right * np.log(p) + (1 - right) * np.log(1 - p))
+    grid = itertools.product((0, 0.25, 0.5, 0.75, 1, 1.5), (0.7, 1, 1.5, 2, 3, np.inf), (30, 45, 60, 75, 100, np.inf), np.arange(0.7, 1, 0.025))
+    shape = functools.lru_cache(1)(lambda power, s, w: cosine**power * np.exp(-0.5 * (octaves / s) ** 2 - 0.5 * (angle / w) ** 2))
+    best = max((likelihood(np.clip(p0 * shape(power, s, w), 1e-3, 1 - 1e-3)), p0, power, s, w) for power, s, w, p0 in grid)
+    return f"fit: p0 {best[1]:.3f}, cosine power {best[2]:g}, octaves {best[3]:g}, angle {best[4]:g}; log likelihood {best[0]:.4f}, of a constant {likelihood(right.mean()):.4f}"
+
+
+# ------------------------------------------------------------------------------------------------------------- tables
 
 
 BINS = {
@@ -166,20 +271,22 @@ def main():
     commands = parser.add_subparsers(dest="command", required=True)
     maps = commands.add_parser("maps", help="completeness, outliers and RMSE of depth maps")
     maps.add_argument("out", type=Path)
-    maps.add_argument("--gsd", type=float, help="g_d in scene units")
     maps.add_argument("--each", action="store_true", help="a line per map")
     pairs = commands.add_parser("pairs", help="success of single pairs by angle, scale ratio and epipole")
-    pairs.add_argument("cache", type=Path)
-    pairs.add_argument("--image-scale", type=float, default=1.0)
-    pairs.add_argument("--connected", type=int, default=22)
-    pairs.add_argument("--every", type=int, default=1, help="only every N-th key view")
     pairs.add_argument("--json", type=Path, help="write the rows here")
-    for p in (maps, pairs):
+    pixels = commands.add_parser("pixels", help="success within pairs, and of merged maps by partners that see the pixel")
+    for p in (pairs, pixels):
+        p.add_argument("cache", type=Path)
+        p.add_argument("--image-scale", type=float, default=1.0)
+        p.add_argument("--connected", type=int, default=22, help="partners per key view (default 22)")
+        p.add_argument("--every", type=int, default=1, help="only every N-th key view")
+    for p in (maps, pairs, pixels):
         p.add_argument("--workspace", type=Path, required=True)
         p.add_argument("--reference", type=Path, required=True)
+        p.add_argument("--gsd", type=float, help="g_d in scene units")
     args = parser.parse_args()
     cv2.setNumThreads(1)
-    measure_maps(args) if args.command == "maps" else measure_pairs(args)
+    {"maps": measure_maps, "pairs": measure_pairs, "pixels": measure_pixels}[args.command](args)
 
 
 if __name__ == "__main__":

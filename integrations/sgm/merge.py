@@ -4,7 +4,7 @@ import numpy as np
 
 from matching import drop_patches
 
-SIGMA_PX = 0.5  # standard deviation of a disparity, pixels of the coarser image
+SIGMA_PX = 0.4  # standard deviation of a disparity, pixels of the coarser image
 MIN_AGREE = 2
 SPECKLE_PIXELS, SPECKLE_SIGMAS = 40, 6
 BLOCK_PIXELS = 60_000  # worked on at once, so that memory stays bounded

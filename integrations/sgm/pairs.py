@@ -13,6 +13,7 @@ import numpy as np
 import matching
 import rectify
 from rectify import Parallax, Refused
+from workspace import InputError
 
 VERSION = 1  # raised when the same input gives other maps
 
@@ -22,7 +23,9 @@ class PairMap:
     """Inverse z-depth of a key view by one partner, or why there is none."""
 
     refused: str = ""
-    inverse: np.ndarray = field(default=None, repr=False)  # h x w float32, nan unknown
+    code: np.ndarray = field(default=None, repr=False)  # h x w uint16: 0 unknown, else inverse depth = low + step (code - 1)
+    low: float = 0.0
+    step: float = 0.0
     parallax: Parallax = None
     angle: float = float("nan")  # median triangulation angle of the shared points, degrees
     octaves: float = float("nan")  # log2 of how much finer the key view shows them
@@ -30,9 +33,21 @@ class PairMap:
     cached: bool = False
 
     @property
+    def matched(self):
+        return self.code is not None
+
+    @property
     def share(self):
         """Share of the key view's pixels that were matched."""
-        return 0.0 if self.inverse is None else float(np.isfinite(self.inverse).mean())
+        return float((self.code > 0).mean()) if self.matched else 0.0
+
+    def inverse(self):
+        """h x w float32, nan unknown."""
+        return np.where(self.code > 0, self.low + self.step * (self.code - 1.0), np.nan).astype(np.float32)
+
+    def deviation(self):
+        """Standard deviation of `inverse` per pixel of matching error."""
+        return self.parallax.deviation(self.inverse())
 
 
 class Pairs:
@@ -63,10 +78,11 @@ class Pairs:
         try:
             around = self.workspace.xyz[np.union1d(a.points, b.points)]
             pair = rectify.rectify(a, b, shared, around)
-        except Refused as reason:
+            images = self.image(a.name), self.image(b.name)
+        except (Refused, InputError) as reason:
             return PairMap(str(reason), angle=angle, octaves=octaves)
-        inverse = matching.match(pair, self.image(a.name), self.image(b.name))
-        return PairMap("", inverse, pair.parallax, angle, octaves)
+        code, low, step = encode(matching.match(pair, *images))
+        return PairMap("", code, low, step, pair.parallax, angle, octaves)
 
     def image(self, name):
         """The grey image; the last 40 are kept."""
@@ -87,17 +103,20 @@ def fingerprint(workspace, a, b, shared):
     return hashlib.sha256(b"|".join(parts)).hexdigest()
 
 
-def save(path, result, mark):
-    """Inverse depths are kept as 65535 steps between the map's extremes, far finer than the match; 0 = none."""
-    arrays = {"fingerprint": mark, "refused": result.refused, "angle": result.angle, "octaves": result.octaves, "seconds": result.seconds}
-    if result.inverse is not None:
-        known = np.isfinite(result.inverse)
-        low, high = (np.nanmin(result.inverse), np.nanmax(result.inverse)) if known.any() else (0, 1)
-        step = max(float(high - low) / 65534, 1e-30)
-        code = np.zeros(result.inverse.shape, np.uint16)
-        code[known] = 1 + np.rint((result.inverse[known] - low) / step).clip(0, 65534).astype(np.uint16)
-        p = result.parallax
-        arrays |= {"code": code, "low": float(low), "step": step, "plane": p.plane, "epipole": p.epipole, "gain": p.gain, "coarse": p.coarse}
+def encode(inverse):
+    """Inverse depths as 65535 steps between their extremes, far finer than the match; 0 where unknown."""
+    known = np.isfinite(inverse)
+    low, high = (float(np.nanmin(inverse)), float(np.nanmax(inverse))) if known.any() else (0.0, 1.0)
+    step = max((high - low) / 65534, 1e-30)
+    code = np.zeros(inverse.shape, np.uint16)
+    code[known] = 1 + np.rint((inverse[known] - low) / step).clip(0, 65534).astype(np.uint16)
+    return code, low, step
+
+
+def save(path, pair, mark):
+    arrays = {"fingerprint": mark, "refused": pair.refused, "angle": pair.angle, "octaves": pair.octaves, "seconds": pair.seconds}
+    if pair.matched:
+        arrays |= {"code": pair.code, "low": pair.low, "step": pair.step} | vars(pair.parallax)
     write_whole(path, lambda file: write_npz(file, arrays))
 
 
@@ -108,13 +127,12 @@ def load(path, mark):
             if str(file["fingerprint"]) != mark:
                 return None
             number = lambda name: float(file[name])
-            result = PairMap(str(file["refused"]), angle=number("angle"), octaves=number("octaves"), seconds=number("seconds"), cached=True)
+            pair = PairMap(str(file["refused"]), angle=number("angle"), octaves=number("octaves"), seconds=number("seconds"), cached=True)
             if "code" in file:
-                code = file["code"]
-                result.inverse = np.where(code > 0, number("low") + (code - 1.0) * number("step"), np.nan).astype(np.float32)
-                result.parallax = Parallax(file["plane"], file["epipole"], number("gain"), number("coarse"))
-            return result
-    except (OSError, KeyError, ValueError, EOFError, zipfile.BadZipFile, zipfile.LargeZipFile):
+                pair.code, pair.low, pair.step = file["code"], number("low"), number("step")
+                pair.parallax = Parallax(file["plane"], file["epipole"], number("gain"), number("coarse"))
+            return pair
+    except (OSError, KeyError, ValueError, EOFError, zipfile.BadZipFile):
         return None
 
 

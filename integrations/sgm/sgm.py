@@ -10,7 +10,9 @@
 import argparse
 import concurrent.futures
 import json
+import multiprocessing
 import re
+import signal
 import sys
 import time
 from pathlib import Path
@@ -86,13 +88,13 @@ def compute(pairs, key, partners, out):
     """Matches and merges one view cluster, writes its maps if `out` is given, and returns its row of the report."""
     start = time.perf_counter()
     found = [pairs.get(key, partner) for partner in partners]
-    usable = [pair for pair in found if pair.inverse is not None]
+    usable = [pair for pair in found if pair.matched]
     width, height = pairs.workspace.views[key].size
     row = {"key": key, "width": width, "height": height, "partners": [partner_row(*p) for p in zip(partners, found, strict=True)]}
     if out:
         depth, count = np.zeros((height, width), np.float32), np.zeros((height, width), np.uint8)
         if len(usable) >= MIN_AGREE:
-            depth, count = merge([p.inverse for p in usable], [p.parallax.deviation(p.inverse) for p in usable])
+            depth, count = merge([p.inverse() for p in usable], [p.deviation() for p in usable])
         for folder, array in (("counts", count), ("depth_maps", depth)):
             write_whole(out / folder / (key + ".npy"), lambda file, array=array: np.save(file, array))
         row["measured"] = round(float((depth > 0).mean()), 4)
@@ -101,7 +103,7 @@ def compute(pairs, key, partners, out):
 
 
 def partner_row(name, pair):
-    row = {"name": name, "matched": pair.inverse is not None}
+    row = {"name": name, "matched": pair.matched}
     row |= {"share": round(pair.share, 4)} if row["matched"] else {"refused": pair.refused}
     if np.isfinite(pair.angle):
         row |= {"angle": round(pair.angle, 2), "octaves": round(pair.octaves, 2)}
@@ -112,7 +114,7 @@ def partner_row(name, pair):
 
 
 class Report:
-    """OUT/report.json, written anew after each key view. A key view is in it only while its maps are whole and belong to its row."""
+    """OUT/report.json, written anew every two seconds and at the end. A key view is in it only while its maps are whole and belong to its row."""
 
     def __init__(self, out, settings):
         self.path, self.out, self.settings, self.rows, self.stopped = out / "report.json", out, settings, {}, ""
@@ -136,9 +138,11 @@ class Report:
 
     def add(self, row):
         self.rows[row["key"]] = row
-        self.write()
+        if time.time() - self.written > 2:  # a row that a crash loses is made again from the cache
+            self.write()
 
     def write(self):
+        self.written = time.time()
         content = {"version": 1, "tool": "viewrank integrations/sgm", "settings": self.settings, "stopped": self.stopped, "clusters": list(self.rows.values())}
         write_whole(self.path, lambda file: file.write(json.dumps(content, indent=1).encode("utf-8", "surrogateescape")))
 
@@ -147,15 +151,12 @@ class Report:
 
 
 class Stop:
-    """When to end before all clusters are done: after a number of them, after a time, or when the target is reached."""
+    """When to end before all clusters are done: after a time, or when the target is reached."""
 
-    def __init__(self, limit, progress):
-        self.progress, self.begin = progress, time.time()
-        self.clusters, self.seconds = parse_limit(limit)
+    def __init__(self, seconds, progress):
+        self.seconds, self.progress, self.begin = seconds, progress, time.time()
 
-    def reason(self, started):
-        if self.clusters is not None and started >= self.clusters:
-            return f"{self.clusters} clusters done"
+    def reason(self):
         if self.seconds is not None and time.time() - self.begin >= self.seconds:
             return f"{self.seconds:g} s are over"
         if self.progress and target_reached(self.progress):
@@ -164,13 +165,13 @@ class Stop:
 
 
 def parse_limit(text):
-    """(clusters, seconds) of "20", "90s", "30m", "2h"; one of them is None."""
+    """(clusters, seconds) of "20", "90s", "30m", "2h"; one of them is None, both without a limit."""
     if text is None:
         return None, None
-    found = re.fullmatch(r"(\d+(?:\.\d+)?)([smh]?)", text)
-    if not found or (not found[2] and "." in found[1]):
+    found = re.fullmatch(r"(\d+)|(\d+(?:\.\d+)?)([smh])", text)
+    if not found:
         raise InputError(f"--stop-at {text}: neither a number of clusters (20) nor a time (90s, 30m, 2h)")
-    return (None, float(found[1]) * {"s": 1, "m": 60, "h": 3600}[found[2]]) if found[2] else (int(found[1]), None)
+    return (int(found[1]), None) if found[1] else (None, float(found[2]) * {"s": 1, "m": 60, "h": 3600}[found[3]])
 
 
 def target_reached(path):
@@ -184,6 +185,7 @@ STATE = {}  # of a worker process
 
 
 def start_worker(folder, scale, cache, out):
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides
     cv2.setNumThreads(1)
     STATE.update(pairs=Pairs(Workspace(folder, scale), cache), out=out)
 
@@ -194,17 +196,17 @@ def work(cluster):
 
 def run(clusters, args, out, stop, done):
     """Computes clusters in order on `args.jobs` processes until `stop` says so; `done` gets each row. Returns why it stopped."""
-    with concurrent.futures.ProcessPoolExecutor(args.jobs, initializer=start_worker, initargs=(args.workspace, args.image_scale, args.cache, out)) as pool:
-        waiting, running, started, reason = iter(clusters), set(), 0, ""
+    fresh = multiprocessing.get_context("spawn")  # a fork would inherit OpenCV's threads, and hang
+    with concurrent.futures.ProcessPoolExecutor(args.jobs, fresh, start_worker, (args.workspace, args.image_scale, args.cache, out)) as pool:
+        waiting, running, reason = iter(clusters), set(), ""
         while True:
             while len(running) < args.jobs and not reason:
-                reason = stop.reason(started)
+                reason = stop.reason()
                 cluster = None if reason else next(waiting, None)
                 if cluster is None:
                     reason = reason or "all clusters done"
                     break
                 running.add(pool.submit(work, cluster))
-                started += 1
             if not running:
                 return reason
             ready, running = concurrent.futures.wait(running, return_when=concurrent.futures.FIRST_COMPLETED)
@@ -214,11 +216,9 @@ def run(clusters, args, out, stop, done):
 
 def match(args):
     workspace = Workspace(args.workspace, args.image_scale)
-    clusters = wanted(args, workspace)
-    stop = Stop(args.stop_at, args.progress)
+    first, seconds = parse_limit(args.stop_at)
+    clusters = wanted(args, workspace)[:first]
     report = Report(args.out, {"version": VERSION, "image_scale": args.image_scale, "sigma_px": SIGMA_PX, "min_agree": MIN_AGREE})
-    if stop.clusters is not None:
-        clusters, stop.clusters = clusters[: stop.clusters], None
     todo = [c for c in clusters if not report.finished(*c)]
     report.begin(key for key, _ in todo)
     print(f"{len(clusters)} key views, {len(clusters) - len(todo)} finished before; {sum(len(p) for _, p in todo)} pairs to do", file=sys.stderr)
@@ -228,8 +228,11 @@ def match(args):
         report.add(row)
         line.step(row)
 
-    report.stopped = run(todo, args, args.out, stop, done)
-    report.write()
+    report.stopped = "interrupted"
+    try:
+        report.stopped = run(todo, args, args.out, Stop(seconds, args.progress), done)
+    finally:
+        report.write()
     print(summary(report, [key for key, _ in clusters]), file=sys.stderr)
 
 
@@ -238,6 +241,10 @@ def fill(args):
     clusters = wanted(args, workspace)
     line = Line(len(clusters))
     run(clusters, args, None, Stop(None, None), line.step)
+
+
+def interrupt(*_):
+    raise KeyboardInterrupt
 
 
 class Line:
@@ -297,6 +304,7 @@ def arguments(argv):
 
 def main(argv=None):
     args = arguments(argv)
+    signal.signal(signal.SIGTERM, interrupt)  # or the workers would outlive us
     try:
         match(args) if args.command == "match" else fill(args)
     except InputError as error:

@@ -12,6 +12,7 @@ import numpy as np
 
 PINHOLE_PARAMETERS = {"SIMPLE_PINHOLE": 3, "PINHOLE": 4}
 PINHOLE_IDS = {0: "SIMPLE_PINHOLE", 1: "PINHOLE"}
+GREY_AS_STORED = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION  # the model knows nothing of EXIF
 UNDISTORT = "undistort first: colmap image_undistorter --image_path IMAGES --input_path MODEL --output_path WORKSPACE"
 
 
@@ -50,19 +51,20 @@ class Workspace:
         if not self.images.is_dir():
             raise InputError(f"{self.images}: no such folder. An undistorted COLMAP workspace has images/ and sparse/; {UNDISTORT}")
         cameras, images, (ids, self.xyz) = read_model(model_folder(self.folder))
-        rows = dict(zip(ids.tolist(), range(len(ids)), strict=True))
+        order = np.argsort(ids)
         self.views = {}
         for name, camera, quaternion, t, observed in sorted(images, key=lambda image: image[0]):
             if camera not in cameras:
                 raise InputError(f"{folder}: {name} refers to camera {camera}, which the model does not have")
             check_name(name)
-            points = np.array(sorted({rows[i] for i in observed.tolist() if i in rows}), dtype=np.int64)
+            points = rows_of(np.unique(observed), ids, order)
             self.views[name] = reduced_view(name, cameras[camera], rotation(quaternion, name), t, points, image_scale)
 
     def grey(self, name):
         """The image as it is matched: grey, 8 bit, reduced."""
         path, view = self.images / name, self.views[name]
-        image = cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_GRAYSCALE) if path.is_file() else None
+        data = np.fromfile(path, np.uint8) if path.is_file() else np.empty(0, np.uint8)
+        image = cv2.imdecode(data, GREY_AS_STORED) if data.size else None
         if image is None:
             raise InputError(f"{path}: no image that OpenCV can read")
         if image.shape[::-1] != view.full_size:
@@ -80,6 +82,13 @@ class Workspace:
         """Median over the views of (median depth of the view's points) / (focal length), in scene units per matched pixel."""
         each = [np.median(v.project(self.xyz[v.points])[1]) * 2 / (v.K[0, 0] + v.K[1, 1]) for v in self.views.values() if len(v.points)]
         return float(np.median(each))
+
+
+def rows_of(wanted, ids, order):
+    """Rows of the points whose ids are wanted, sorted; ids that the model lacks (-1 for none) are left out."""
+    place = np.searchsorted(ids, wanted, sorter=order).clip(0, max(len(ids) - 1, 0))
+    rows = order[place] if len(ids) else np.empty(0, np.int64)
+    return np.sort(rows[ids[rows] == wanted]) if len(ids) else rows
 
 
 def reduced_view(name, camera, R, t, points, scale):

@@ -1,0 +1,345 @@
+"""Run with: python -m pytest integrations/sgm
+
+The scene is rendered here: textured planes seen by pinhole cameras, so that every depth is known in closed form.
+"""
+
+import json
+import shutil
+import struct
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+import rectify
+import sgm
+from merge import merge
+from pairs import Pairs
+from workspace import InputError, View, Workspace
+
+FIXTURE = Path(__file__).parents[2] / "fixtures" / "valley"
+WIDTH, HEIGHT, FOCAL = 320, 240, 280.0
+K = np.array([[FOCAL, 0, WIDTH / 2], [0, FOCAL, HEIGHT / 2], [0, 0, 1]])  # COLMAP's pixel convention
+PLANE = np.array([0.15, -0.1, 1.0]), 10.0  # n . X = c
+
+# name: (centre, rotation vector)
+CAMERAS = {
+    "key.png": ((0, 0, 0), (0, 0, 0)),
+    "sub folder/left.png": ((-1.5, 0.2, 0), (0, 0.05, 0.3)),
+    "sub folder/right ü.png": ((1.4, -0.3, 0.1), (0.03, -0.1, -0.2)),
+    "forward.png": ((0.3, 0.2, 3.0), (0, 0, 0.1)),
+}
+
+
+def pose(name):
+    centre, turn = CAMERAS[name]
+    R = cv2.Rodrigues(np.array(turn, float))[0]
+    return R, -R @ np.array(centre, float)
+
+
+def plane_depth(name):
+    """z-depth of the plane at every pixel centre."""
+    R, t = pose(name)
+    normal, c = R @ PLANE[0], PLANE[1] + (R @ PLANE[0]) @ t
+    u, v = np.meshgrid(np.arange(WIDTH) + 0.5, np.arange(HEIGHT) + 0.5)
+    rays = np.stack([(u - K[0, 2]) / FOCAL, (v - K[1, 2]) / FOCAL, np.ones_like(u)], -1)
+    return c / (rays @ normal)
+
+
+def texture(size=1500):
+    rng = np.random.default_rng(0)
+    image = sum(cv2.resize(rng.uniform(-1, 1, (size // s, size // s)).astype(np.float32), (size, size), interpolation=cv2.INTER_CUBIC) for s in (3, 6, 15, 50))
+    return np.clip(128 + 45 * image, 0, 255).astype(np.uint8)
+
+
+def render(name, image):
+    """The plane's texture, laid along x and y of the world at 100 px per unit."""
+    R, t = pose(name)
+    normal, c = PLANE
+    # (x, y) of the plane -> world: X = (x, y, (c - n_x x - n_y y) / n_z)
+    to_world = np.array([[1, 0, 0], [0, 1, 0], [-normal[0] / normal[2], -normal[1] / normal[2], c / normal[2]]])
+    metres = np.array([[0.01, 0, -7.5], [0, 0.01, -7.5], [0, 0, 1]])
+    corner = np.array([[1, 0, -0.5], [0, 1, -0.5], [0, 0, 1]])  # OpenCV's pixels
+    H = corner @ K @ (R @ to_world + np.outer(t, [0, 0, 1])) @ metres
+    return cv2.warpPerspective(image, H, (WIDTH, HEIGHT), flags=cv2.INTER_AREA)
+
+
+def write_workspace(folder, text=False):
+    (folder / "sparse").mkdir(parents=True)
+    image = texture()
+    for name in CAMERAS:
+        path = folder / "images" / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        cv2.imencode(".png", render(name, image))[1].tofile(path)
+    normal, c = PLANE
+    xy = np.random.default_rng(1).uniform(-4, 4, (300, 2))
+    xyz = np.c_[xy, (c - xy @ normal[:2]) / normal[2]]
+    tracks = {name: observed(name, xyz) for name in CAMERAS}
+    (write_text if text else write_binary)(folder / "sparse", xyz, tracks)
+    return folder
+
+
+def observed(name, xyz):
+    """[(x, y, point id)] of the points in the image."""
+    R, t = pose(name)
+    p = (xyz @ R.T + t) @ K.T
+    q = p[:, :2] / p[:, 2:]
+    ok = (p[:, 2] > 0) & (q > 0).all(1) & (q < (WIDTH, HEIGHT)).all(1)
+    return [(*q[i], i + 7) for i in np.flatnonzero(ok)]
+
+
+def quaternion(R):
+    w = np.sqrt(1 + np.trace(R)) / 2
+    return w, (R[2, 1] - R[1, 2]) / (4 * w), (R[0, 2] - R[2, 0]) / (4 * w), (R[1, 0] - R[0, 1]) / (4 * w)
+
+
+def write_binary(folder, xyz, tracks):
+    (folder / "cameras.bin").write_bytes(struct.pack("<QIiQQ4d", 1, 3, 1, WIDTH, HEIGHT, FOCAL, FOCAL, WIDTH / 2, HEIGHT / 2))
+    images = struct.pack("<Q", len(tracks))
+    for number, (name, points) in enumerate(tracks.items()):
+        R, t = pose(name)
+        images += struct.pack("<I7dI", 11 + number, *quaternion(R), *t, 3) + name.encode() + b"\0" + struct.pack("<Q", len(points))
+        images += b"".join(struct.pack("<ddq", *p) for p in points)
+    (folder / "images.bin").write_bytes(images)
+    points = b"".join(struct.pack("<Q3d3Bd", i + 7, *p, 0, 0, 0, 0.5) + struct.pack("<Q", 1) + struct.pack("<II", 11, 0) for i, p in enumerate(xyz))
+    (folder / "points3D.bin").write_bytes(struct.pack("<Q", len(xyz)) + points)
+
+
+def write_text(folder, xyz, tracks):
+    (folder / "cameras.txt").write_text(f"# comment\n3 SIMPLE_PINHOLE {WIDTH} {HEIGHT} {FOCAL} {WIDTH / 2} {HEIGHT / 2}\n")
+    lines = ["# comment"]
+    for number, (name, points) in enumerate(tracks.items()):
+        R, t = pose(name)
+        lines += [" ".join(map(str, (11 + number, *quaternion(R), *t, 3, name))), " ".join(f"{x} {y} {i}" for x, y, i in points)]
+    (folder / "images.txt").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    (folder / "points3D.txt").write_text("".join(f"{i + 7} {x} {y} {z} 0 0 0 0.5 11 0\n" for i, (x, y, z) in enumerate(xyz)))
+
+
+@pytest.fixture(scope="session")
+def planes(tmp_path_factory):
+    return write_workspace(tmp_path_factory.mktemp("planes") / "w")
+
+
+def write_clusters(path, *rows):
+    path.write_text("# comment\n" + "".join("\t".join(row) + "\n" for row in rows), encoding="utf-8")
+    return path
+
+
+SIDES = ("sub folder/left.png", "sub folder/right ü.png")
+
+
+def run(workspace, out, clusters, *more):
+    sgm.main(["match", str(workspace), "--out", str(out), "--clusters", str(clusters), *more])
+    return json.loads((out / "report.json").read_text())
+
+
+def test_parallax_is_the_inverse_of_projection():
+    """The disparity of a point is the one at which both canvases show it, wherever the epipole is."""
+    rng = np.random.default_rng(2)
+    for centre in ((2, 0.3, 0.1), (0.2, -0.1, 2.5), (-1, 1, -1.5), (1.5, 0, 0)):
+        R = cv2.Rodrigues(rng.normal(0, 0.05, 3))[0]
+        a = View("a", K, np.eye(3), np.zeros(3), (WIDTH, HEIGHT), (WIDTH, HEIGHT), None)
+        b = View("b", K, R, -R @ np.array(centre), (WIDTH, HEIGHT), (WIDTH, HEIGHT), None)
+        xyz = np.c_[rng.uniform(-3, 3, (200, 2)), rng.uniform(9, 11, 200)]
+        pair = rectify.rectify(a, b, xyz, xyz)
+        pixels, depth = a.project(xyz)
+        there, _ = b.project(xyz)
+        d = pair.parallax.disparity(*pixels.T, 1 / depth)
+        np.testing.assert_allclose(pair.parallax.inverse_depth(*pixels.T, d), 1 / depth, rtol=1e-9)
+        offset = pixels - pair.parallax.epipole
+        radius = np.hypot(*offset.T)
+        moved = np.c_[pair.parallax.epipole + offset * ((radius - d) / radius)[:, None], np.ones(200)] @ pair.homography.T
+        np.testing.assert_allclose(moved[:, :2] / moved[:, 2:], there, atol=1e-2)
+
+
+def test_a_pair_measures_a_slanted_plane(planes):
+    workspace = Workspace(planes)
+    exact = plane_depth("key.png")
+    for partner in SIDES:
+        pair = Pairs(workspace).get("key.png", partner)
+        assert not pair.refused
+        assert pair.share > 0.6
+        with np.errstate(invalid="ignore"):
+            error = np.abs(pair.inverse() - 1 / exact) / pair.deviation()
+        error = error[np.isfinite(error)]
+        assert np.median(error) < 0.15 and np.mean(error < 1) > 0.99
+
+
+def test_motion_along_the_viewing_direction_is_matched(planes):
+    pair = Pairs(Workspace(planes)).get("key.png", "forward.png")
+    assert not pair.refused
+    with np.errstate(invalid="ignore"):
+        error = np.abs(pair.inverse() - 1 / plane_depth("key.png")) / pair.deviation()
+    assert pair.share > 0.3 and np.mean(error[np.isfinite(error)] < 1) > 0.95
+
+
+def test_same_place_and_unconnected_views_are_refused(planes):
+    workspace = Workspace(planes)
+    twin = workspace.views["key.png"]
+    workspace.views["twin.png"] = View("twin.png", twin.K, twin.R, twin.t, twin.size, twin.full_size, twin.points)
+    workspace.views["stranger.png"] = View("stranger.png", twin.K, twin.R, twin.t + 1, twin.size, twin.full_size, twin.points[:3])
+    assert "same place" in Pairs(workspace).get("key.png", "twin.png").refused
+    assert "shared sparse points" in Pairs(workspace).get("key.png", "stranger.png").refused
+
+
+def test_merge_takes_what_two_agree_on():
+    shape = (40, 40)
+    good, other, wrong = (np.full(shape, w, np.float32) for w in (0.1, 0.1002, 0.2))
+    sigma = np.full(shape, 0.001, np.float32)
+    depth, count = merge([wrong, good, other], [sigma] * 3)
+    np.testing.assert_allclose(depth, 1 / 0.1001, rtol=1e-5)
+    assert (count == 2).all()
+    depth, count = merge([wrong, good], [sigma] * 2)
+    assert not depth.any() and not count.any()
+
+
+def test_maps_and_report(planes, tmp_path):
+    clusters = write_clusters(tmp_path / "clusters.txt", ("key.png", *SIDES), (SIDES[0], "key.png"))
+    report = run(planes, tmp_path / "out", clusters, "--image-scale", "0.75")
+    depth, count = (np.load(tmp_path / "out" / folder / "key.png.npy") for folder in ("depth_maps", "counts"))
+    assert depth.shape == count.shape == (180, 240) and depth.dtype == np.float32 and count.dtype == np.uint8
+    exact = cv2.resize(plane_depth("key.png"), (240, 180), interpolation=cv2.INTER_LINEAR)
+    assert (depth > 0).mean() > 0.5
+    assert np.median(np.abs(depth / exact - 1)[depth > 0]) < 0.005
+    assert (count[depth > 0] == 2).all() and not count[depth == 0].any()
+    first, second = report["clusters"]
+    assert first["key"] == "key.png" and [p["matched"] for p in first["partners"]] == [True, True]
+    assert second["measured"] == 0, "one partner is not enough for two to agree"
+    assert (tmp_path / "out/depth_maps" / (SIDES[0] + ".npy")).is_file()
+    assert not list((tmp_path / "out").rglob("*.part"))
+
+
+def test_text_model_gives_the_same_workspace(planes, tmp_path):
+    binary, text = Workspace(planes), Workspace(write_workspace(tmp_path / "t", text=True))
+    assert list(binary.views) == list(text.views) and np.allclose(binary.xyz, text.xyz)
+    for name, view in binary.views.items():
+        other = text.views[name]
+        assert np.allclose(view.K, other.K) and np.allclose(view.R, other.R) and np.allclose(view.t, other.t)
+        assert np.array_equal(view.points, other.points)
+
+
+def test_finished_maps_are_kept_and_changed_ones_made_anew(planes, tmp_path):
+    out, cache = tmp_path / "out", tmp_path / "cache"
+    clusters = write_clusters(tmp_path / "clusters.txt", ("key.png", *SIDES), (SIDES[0], "key.png", SIDES[1]))
+    first = run(planes, out, clusters, "--cache", str(cache))
+    kept, changed = (out / "depth_maps" / (name + ".npy") for name in ("key.png", SIDES[0]))
+    before = kept.stat().st_mtime_ns, changed.stat().st_mtime_ns
+    write_clusters(clusters, ("key.png", *SIDES), (SIDES[0], SIDES[1], "key.png"))
+    second = run(planes, out, clusters, "--cache", str(cache))
+    assert kept.stat().st_mtime_ns == before[0] and changed.stat().st_mtime_ns > before[1]
+    assert not any(p["cached"] for row in first["clusters"] for p in row["partners"])
+    assert all(p["cached"] for row in second["clusters"] if row["key"] == SIDES[0] for p in row["partners"])
+
+
+def test_a_lost_map_or_a_broken_cache_file_is_made_again(planes, tmp_path):
+    out, cache = tmp_path / "out", tmp_path / "cache"
+    clusters = write_clusters(tmp_path / "clusters.txt", ("key.png", *SIDES))
+    run(planes, out, clusters, "--cache", str(cache))
+    path = out / "depth_maps/key.png.npy"
+    whole = path.read_bytes()
+    path.unlink()
+    broken = cache / "key.png" / (SIDES[0] + ".npz")
+    broken.write_bytes(broken.read_bytes()[:500])
+    report = run(planes, out, clusters, "--cache", str(cache))
+    assert path.read_bytes() == whole
+    assert [p["cached"] for p in report["clusters"][0]["partners"]] == [False, True]
+
+
+def test_a_cached_pair_of_another_model_is_matched_again(planes, tmp_path):
+    workspace = Workspace(planes)
+    Pairs(workspace, tmp_path).get("key.png", SIDES[0])
+    assert Pairs(workspace, tmp_path).get("key.png", SIDES[0]).cached
+    workspace.views["key.png"].t += 0.01
+    assert not Pairs(workspace, tmp_path).get("key.png", SIDES[0]).cached
+
+
+def test_the_stored_steps_are_finer_than_the_match(planes):
+    pair = Pairs(Workspace(planes)).get("key.png", SIDES[0])
+    assert pair.step < 0.01 * np.nanmin(pair.deviation())
+
+
+def test_stops_at_a_number_a_time_or_the_target(planes, tmp_path):
+    clusters = write_clusters(tmp_path / "clusters.txt", ("key.png", *SIDES), (SIDES[0], "key.png", SIDES[1]))
+    assert len(run(planes, tmp_path / "a", clusters, "--stop-at", "1")["clusters"]) == 1
+    report = run(planes, tmp_path / "a", clusters, "--stop-at", "0s")
+    assert len(report["clusters"]) == 1 and "s are over" in report["stopped"]
+    progress = tmp_path / "progress.json"
+    progress.write_text('{"target_reached": true}')
+    report = run(planes, tmp_path / "b", clusters, "--progress", str(progress))
+    assert report["clusters"] == [] and "target" in report["stopped"]
+    progress.write_text('{"target_reached": false}')
+    assert len(run(planes, tmp_path / "b", clusters, "--progress", str(progress))["clusters"]) == 2
+
+
+def test_the_manifest_is_read_up_to_its_cut(planes, tmp_path):
+    clusters = [{"rank": 1, "key": "key.png", "partners": list(SIDES)}, {"rank": 2, "key": SIDES[0], "partners": ["key.png"]}]
+    path = tmp_path / "manifest.json"
+    path.write_text(json.dumps({"clusters": clusters, "cut": {"clusters": 1}}))
+    assert sgm.read_clusters(path, Workspace(planes)) == [("key.png", list(SIDES))]
+
+
+@pytest.mark.parametrize("text", ["", "x", "2 h", "1.5", "-1", "2d"])
+def test_a_limit_is_a_number_or_a_time(text):
+    assert sgm.parse_limit("20") == (20, None) and sgm.parse_limit("1.5h") == (None, 5400)
+    with pytest.raises(InputError, match="neither a number of clusters"):
+        sgm.parse_limit(text)
+
+
+@pytest.mark.parametrize("rows, words", [
+    ([("nobody.png", "key.png")], "line 2: view nobody.png is not in"),
+    ([("key.png", "nobody.png")], "view nobody.png is not in"),
+    ([("key.png", "key.png")], "its own partner"),
+    ([("key.png", SIDES[0]), ("key.png", SIDES[1])], "line 3: key view key.png is already in line 2"),
+    ([], "no view cluster"),
+])
+def test_clusters_that_do_not_fit_are_named(planes, tmp_path, rows, words):
+    path = write_clusters(tmp_path / "clusters.txt", *rows)
+    with pytest.raises(InputError, match=words):
+        sgm.read_clusters(path, Workspace(planes))
+
+
+def damaged(source, target, change):
+    shutil.copytree(source, target)
+    change(target)
+    return target
+
+
+@pytest.mark.parametrize("change, words", [
+    (lambda w: shutil.rmtree(w / "images"), "no such folder"),
+    (lambda w: shutil.rmtree(w / "sparse"), "no sparse/images.bin"),
+    (lambda w: (w / "sparse/images.bin").write_bytes((w / "sparse/images.bin").read_bytes()[:-5]), "not a complete COLMAP file"),
+    (lambda w: (w / "sparse/points3D.bin").write_bytes(struct.pack("<Q", 2**60)), "not a complete COLMAP file"),
+    (lambda w: (w / "sparse/cameras.bin").write_bytes(struct.pack("<QIiQQ4d", 1, 3, 2, 8, 8, 1, 1, 1, 0)), "undistort first"),
+    (lambda w: (w / "sparse/images.bin").write_bytes((w / "sparse/images.bin").read_bytes().replace(b"forward.png", b"../ward.png")), "not a path below images"),
+])
+def test_a_damaged_workspace_is_refused_with_a_reason(planes, tmp_path, change, words):
+    with pytest.raises(InputError, match=words):
+        Workspace(damaged(planes, tmp_path / "w", change))
+
+
+@pytest.mark.parametrize("change, words", [
+    (lambda path: cv2.imwrite(str(path), np.zeros((9, 9), np.uint8)), "9 x 9, but the model says 320 x 240"),
+    (lambda path: path.write_bytes(path.read_bytes()[:30]), "no image that OpenCV can read"),
+    (lambda path: path.write_bytes(b""), "no image that OpenCV can read"),
+    (lambda path: path.unlink(), "no image that OpenCV can read"),
+])
+def test_a_pair_with_a_bad_image_is_refused(planes, tmp_path, change, words):
+    workspace = Workspace(damaged(planes, tmp_path / "w", lambda w: change(w / "images/forward.png")))
+    pairs = Pairs(workspace)
+    assert words in pairs.get("key.png", "forward.png").refused
+    assert pairs.get("key.png", SIDES[0]).matched
+
+
+def test_the_fixture_is_measured(tmp_path):
+    """Two nadir views and a partner between them: most of the ground is found, at the height that the sparse points have."""
+    workspace = Workspace(FIXTURE, 0.5)
+    key = "grid_034.jpg"
+    clusters = write_clusters(tmp_path / "clusters.txt", (key, *(name for name, _ in workspace.connected(key)[:3])))
+    run(FIXTURE, tmp_path / "out", clusters, "--image-scale", "0.5")
+    depth = np.load(tmp_path / "out/depth_maps" / (key + ".npy"))
+    pixels, z = workspace.views[key].project(workspace.xyz[workspace.views[key].points])
+    x, y = np.rint(pixels).astype(int).clip(0, np.array(depth.shape[::-1]) - 1).T
+    found = depth[y, x] > 0
+    assert (depth > 0).mean() > 0.6 and found.mean() > 0.7
+    assert np.median(np.abs(depth[y, x] / z - 1)[found]) < 0.003
