@@ -22,6 +22,7 @@ pub mod depthmaps;
 pub mod error;
 pub mod formats;
 pub mod fulfilment;
+pub mod manifest;
 pub mod output;
 pub mod partners;
 pub mod pictures;

@@ -9,7 +9,12 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::{
-    confidence::PairConfidence, error::Hint, output::FileSet, partners::PairGeometry, plan::Reason, project::Project,
+    confidence::PairConfidence,
+    error::Hint,
+    output::FileSet,
+    partners::PairGeometry,
+    plan::Reason,
+    project::{Project, ProjectError},
     scene::ViewIndex,
 };
 
@@ -21,7 +26,9 @@ mod openmvs;
 mod pmvs;
 mod selection;
 mod sgm;
+mod splat;
 mod sure;
+mod workspace;
 
 pub use selection::{RankedCluster, Selection};
 pub use sure::pair_files;
@@ -38,6 +45,7 @@ pub fn all() -> &'static [&'static dyn Backend] {
         &mvsnet::ACMM,
         &pmvs::Pmvs,
         &gipuma::Gipuma,
+        &splat::Splat,
         &images::Images,
     ]
 }
@@ -306,8 +314,14 @@ pub enum BackendError {
     Name { backend: &'static str, name: String, why: String },
     #[error("{backend} needs {what}")]
     Needs { backend: &'static str, what: String, hint: String },
-    #[error("{path}: {source}")]
-    Io { path: PathBuf, source: std::io::Error },
+    #[error(transparent)]
+    Model(Box<ProjectError>),
+}
+
+impl From<ProjectError> for BackendError {
+    fn from(error: ProjectError) -> Self {
+        Self::Model(Box::new(error))
+    }
 }
 
 impl Hint for BackendError {
@@ -318,7 +332,7 @@ impl Hint for BackendError {
             }
             Self::Name { .. } => "rename the image file and its entry in the model, then plan again".into(),
             Self::Needs { hint, .. } => hint.clone(),
-            Self::Io { .. } => "check that the file is there and readable".into(),
+            Self::Model(error) => return error.hint(),
         })
     }
 }

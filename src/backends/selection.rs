@@ -39,20 +39,28 @@ impl Selection<'_> {
         views
     }
 
-    /// The folder of the images, where these are undistorted; else what to do.
-    pub fn undistorted_images(&self, backend: &'static str) -> Result<&Path, BackendError> {
-        let project = self.project.root.display();
-        if let Some(view) = self.views().into_iter().find(|v| !self.scene.camera_of(*v).is_pinhole()) {
-            return Err(BackendError::Needs {
-                backend,
-                what: format!("undistorted images, and {} has a distorted camera", self.scene.name(view)),
-                hint: format!("make them with: viewrank undistort {project}"),
-            });
-        }
+    /// The folder of the images.
+    pub fn images(&self, backend: &'static str) -> Result<&Path, BackendError> {
         self.project.images.as_deref().ok_or_else(|| BackendError::Needs {
             backend,
             what: "the images, and there is no image folder".into(),
-            hint: format!("put the images into {project}/images"),
+            hint: format!("put the images into {}", self.project.root.join("images").display()),
+        })
+    }
+
+    /// The folder of the images, where these are undistorted; else what to do.
+    pub fn undistorted_images(&self, backend: &'static str) -> Result<&Path, BackendError> {
+        let distorted = self.views().into_iter().find(|v| !self.scene.camera_of(*v).is_pinhole());
+        let Some(view) = distorted else { return self.images(backend) };
+        let camera = self.scene.camera_of(view).model().name();
+        let hint = match &self.project.dense_workspace {
+            Some(dense) => format!("plan and export the undistorted images instead, they are in {}", dense.display()),
+            None => format!("make them with: viewrank undistort {}", self.project.root.display()),
+        };
+        Err(BackendError::Needs {
+            backend,
+            what: format!("undistorted images, but the camera of {} is {camera}", self.scene.name(view)),
+            hint,
         })
     }
 

@@ -6,6 +6,9 @@
 mod completions;
 mod config;
 mod inspect;
+mod plan;
+mod progress;
+mod summary;
 
 use std::{
     io::{ErrorKind, Write},
@@ -95,6 +98,7 @@ struct Arguments {
 
 #[derive(Subcommand)]
 enum Command {
+    Plan(plan::Arguments),
     Config(config::Arguments),
     Inspect(inspect::Arguments),
     Completions(completions::Arguments),
@@ -104,6 +108,7 @@ enum Command {
 /// Runs the subcommand that was typed. Wrong arguments, `--help` and `--version` end the program inside clap (exit codes 2, 0, 0).
 pub fn run() -> Result<(), Failure> {
     match Arguments::parse().command {
+        Command::Plan(arguments) => plan::run(&arguments),
         Command::Config(arguments) => config::run(&arguments),
         Command::Inspect(arguments) => inspect::run(&arguments),
         Command::Completions(arguments) => completions::run(&arguments),

@@ -9,6 +9,8 @@ mod amounts;
 mod catalogue;
 mod layers;
 
+use std::path::PathBuf;
+
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -88,6 +90,17 @@ pub enum TargetMode {
     Best,
 }
 
+impl TargetMode {
+    /// What `auto` means where a ground sampling distance is given, or not.
+    pub fn in_force(self, gsd_is_given: bool) -> Self {
+        match self {
+            Self::Auto if gsd_is_given => Self::Absolute,
+            Self::Auto => Self::Best,
+            chosen => chosen,
+        }
+    }
+}
+
 /// Method 3.1.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
@@ -159,6 +172,10 @@ pub struct SurfaceSettings {
     /// Most rays per point that the cut uses; the angular extremes are kept.
     #[schemars(range(min = 1), extend("unit" = "rays"))]
     pub rays_per_point: u32,
+    /// A PLY file in the frame of the model that is taken instead of a surface from the points.
+    pub mesh: Option<PathBuf>,
+    /// Take the mesh as it is, neither simplified nor refined.
+    pub mesh_as_is: bool,
     /// Up direction of the terrain surface, world coordinates. Unset: from the cameras and the points.
     pub up: Option<[f64; 3]>,
 }
@@ -174,6 +191,8 @@ impl Default for SurfaceSettings {
             behind_sigma: 3.0,
             quality_weight: 0.5,
             rays_per_point: 8,
+            mesh: None,
+            mesh_as_is: false,
             up: None,
         }
     }
@@ -378,4 +397,7 @@ pub struct ForecastSettings {
     /// Seconds of matching per depth map beside its pairs.
     #[schemars(range(min = 0), extend("unit" = "s"))]
     pub seconds_per_map: Option<f64>,
+    /// Points that a depth map has before fusion. Unset: the pixels that are expected to be measured.
+    #[schemars(extend("unit" = "points", "exclusiveMinimum" = 0))]
+    pub points_per_map: Option<f64>,
 }

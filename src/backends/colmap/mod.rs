@@ -21,7 +21,7 @@ use self::{
 };
 use super::{
     Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, PATCH_MATCH, PlanningNumbers,
-    References, Selection, selection,
+    References, Selection, selection, workspace::add_workspace,
 };
 use crate::{
     output::{Contents, FileSet},
@@ -73,13 +73,34 @@ impl Backend for Colmap {
         let passes = Passes::new(selection, options);
         let mut record = ExportRecord::new(self, selection, |v| selection.scene.name(v).into());
         passes.describe(selection, &mut record);
-        let root = options.out.clone().or_else(|| selection.project.dense_workspace.clone());
-        let mut files =
-            FileSet::new(root.unwrap_or_else(|| selection.project.output_folder().join("colmap")), "colmap");
+        let mut files = match (&options.out, &selection.project.dense_workspace) {
+            (None, Some(workspace)) => FileSet::new(workspace, self.name()),
+            _ => self.workspace(selection, options, passes.refs)?,
+        };
         passes.add_files(selection, &mut files, &mut record);
         add_lists(passes.lists(), &mut files, &mut record);
         files.add_text("stereo/viewrank/export.json", record.to_json());
         Ok(Export { files, record })
+    }
+}
+
+impl Colmap {
+    /// A dense workspace of its own, with the images that take part.
+    fn workspace(
+        &self,
+        selection: &Selection,
+        options: &ExportOptions,
+        refs: References,
+    ) -> Result<FileSet, BackendError> {
+        selection.undistorted_images(self.name())?;
+        let views = match refs {
+            References::All => selection.scene.view_indices().collect(),
+            _ => selection.views(),
+        };
+        let mut files = options.file_set(self, selection);
+        // Points that a single view observes stay: COLMAP takes the depth range of a view from all of its points.
+        add_workspace(self.name(), &mut files, selection, &views, "sparse", 1)?;
+        Ok(files)
     }
 }
 

@@ -1,0 +1,158 @@
+//! Gaussian splatting and NeRF: `backends.md` 13. They know no partners, only which images train: a reduced COLMAP model with nothing
+//! else beside it, and the lists of those programs that read lists.
+
+use std::collections::HashMap;
+
+use nalgebra::{Matrix3, Matrix4};
+use serde_json::json;
+
+use super::{
+    Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, PlanningNumbers, Selection,
+    images::{ANY_PROGRAM, listed_views, name_lines},
+    workspace::add_workspace,
+};
+use crate::{
+    output::{Contents, FileSet},
+    scene::{PointIndex, ViewIndex},
+};
+
+pub struct Splat;
+
+/// Of so many images one is also looked at for judging.
+const JUDGED: usize = 8;
+
+impl Backend for Splat {
+    fn name(&self) -> &'static str {
+        "splat"
+    }
+
+    fn capabilities(&self) -> Capabilities {
+        Capabilities {
+            partners: Honours::No,
+            key_subset: Honours::Yes,
+            order: Honours::No,
+            fusion: "none: the images train one model",
+            notes: "key views train; --refs keys+partners adds their partners",
+        }
+    }
+
+    fn planning(&self) -> PlanningNumbers {
+        ANY_PROGRAM
+    }
+
+    fn export(&self, selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {
+        let views = listed_views(selection, options.refs);
+        let mut files = options.file_set(self, selection);
+        add_workspace(self.name(), &mut files, selection, &views, "sparse/0", 2)?;
+        files.add("sparse/0/points3D.ply", Contents::Bytes(seeds(selection, &views)));
+        add_lists(&mut files, selection, &views);
+        let mut record = ExportRecord::new(self, selection, |v| format!("images/{}", selection.scene.name(v)));
+        record.made_for = "gaussian-splatting, gsplat, brush, nerfstudio".into();
+        record.way = format!("reduced model of {} images", views.len());
+        record.commands = vec![
+            format!(
+                "python gsplat/examples/simple_trainer.py default --data_dir . --data_factor 1 --test_every {}",
+                views.len() + 1
+            ),
+            "python gaussian-splatting/train.py -s .".into(),
+            "brush .".into(),
+            "ns-train splatfacto --data . colmap --colmap-path sparse/0 --images-path images --downscale-factor 1"
+                .into(),
+        ];
+        record.not_honoured = vec!["matching partners".into(), "the rank order".into()];
+        record.fusion = "none".into();
+        record.warnings = warnings(selection, &views);
+        files.add_text("export.json", record.to_json());
+        Ok(Export { files, record })
+    }
+}
+
+/// nerfstudio's lists. It wants every split as soon as one is there, tests for `validation_list.txt` and opens `val_list.txt`.
+fn add_lists(files: &mut FileSet, selection: &Selection, views: &[ViewIndex]) {
+    let judged: Vec<ViewIndex> = views.iter().copied().step_by(JUDGED).collect();
+    files.add_text("train_list.txt", name_lines(selection, views));
+    for list in ["test_list.txt", "val_list.txt", "validation_list.txt"] {
+        files.add_text(list, name_lines(selection, &judged));
+    }
+    if views.iter().all(|&v| selection.scene.camera_of(v).is_pinhole()) {
+        let text = serde_json::to_string_pretty(&transforms(selection, views, &judged)).expect("string keys");
+        files.add_text("transforms.json", text + "\n");
+    }
+}
+
+/// nerfstudio's `transforms.json`: camera to world, with y up and z backward in the camera.
+fn transforms(selection: &Selection, views: &[ViewIndex], judged: &[ViewIndex]) -> serde_json::Value {
+    let path = |&v: &ViewIndex| format!("images/{}", selection.scene.name(v));
+    let frame = |v: &ViewIndex| {
+        let view = selection.scene.view(*v);
+        let camera = selection.scene.camera_of(*v);
+        let (f, c) = camera.pinhole_part();
+        json!({
+            "file_path": path(v),
+            "w": camera.width, "h": camera.height,
+            "fl_x": f.x, "fl_y": f.y, "cx": c.x, "cy": c.y,
+            "transform_matrix": world_from_nerf_camera(&view.cam_from_world),
+        })
+    };
+    let paths = |list: &[ViewIndex]| list.iter().map(path).collect::<Vec<_>>();
+    json!({
+        "camera_model": "OPENCV",
+        "ply_file_path": "sparse/0/points3D.ply",
+        "frames": views.iter().map(frame).collect::<Vec<_>>(),
+        "train_filenames": paths(views),
+        "val_filenames": paths(judged),
+        "test_filenames": paths(judged),
+    })
+}
+
+fn world_from_nerf_camera(pose: &crate::scene::Pose) -> [[f64; 4]; 4] {
+    let rotation =
+        pose.rotation.matrix().transpose() * Matrix3::from_diagonal(&nalgebra::Vector3::new(1.0, -1.0, -1.0));
+    let mut matrix = Matrix4::identity();
+    matrix.fixed_view_mut::<3, 3>(0, 0).copy_from(&rotation);
+    matrix.fixed_view_mut::<3, 1>(0, 3).copy_from(&pose.centre().coords);
+    std::array::from_fn(|i| std::array::from_fn(|j| matrix[(i, j)]))
+}
+
+/// The points that at least two of the views observe, as gaussian-splatting writes them once and then keeps: ours is always fresh.
+fn seeds(selection: &Selection, views: &[ViewIndex]) -> Vec<u8> {
+    let scene = selection.scene;
+    let mut chosen = vec![false; scene.views.len()];
+    views.iter().for_each(|v| chosen[v.at()] = true);
+    let seen = |p: &PointIndex| {
+        let mut track: Vec<_> = scene.track_views(*p).iter().filter(|v| chosen[v.at()]).collect();
+        track.dedup();
+        track.len() >= 2
+    };
+    let points: Vec<PointIndex> = (0..scene.points.len() as u32).map(PointIndex).filter(seen).collect();
+    let mut ply = format!("ply\nformat binary_little_endian 1.0\nelement vertex {}\n", points.len());
+    ["x", "y", "z", "nx", "ny", "nz"].iter().for_each(|name| ply += &format!("property float {name}\n"));
+    ["red", "green", "blue"].iter().for_each(|name| ply += &format!("property uchar {name}\n"));
+    let mut bytes = (ply + "end_header\n").into_bytes();
+    for p in points {
+        let x = scene.points[p.at()];
+        [x.x, x.y, x.z, 0.0, 0.0, 0.0].iter().for_each(|v| bytes.extend((*v as f32).to_le_bytes()));
+        bytes.extend(scene.colours[p.at()]);
+    }
+    bytes
+}
+
+fn warnings(selection: &Selection, views: &[ViewIndex]) -> Vec<String> {
+    let mut warnings = Vec::new();
+    if views.iter().any(|&v| !selection.scene.camera_of(v).is_pinhole()) {
+        warnings.push(format!(
+            "the cameras are distorted: gsplat and brush take that, gaussian-splatting stops, and transforms.json is left out; \
+             `viewrank undistort {}` makes undistorted images",
+            selection.project.root.display()
+        ));
+    }
+    let mut by_stem: HashMap<&str, &str> = HashMap::new();
+    for &view in views {
+        let name = selection.scene.name(view);
+        let file = name.rsplit('/').next().unwrap_or(name);
+        if let Some(other) = by_stem.insert(file.split('.').next().unwrap_or(file), name) {
+            warnings.push(format!("gaussian-splatting takes {other} and {name} for the same image: it cuts folders and what follows the first dot"));
+        }
+    }
+    warnings
+}

@@ -1,0 +1,54 @@
+//! A COLMAP project of some of the views: a reduced model in binary form and the images, as links.
+
+use std::collections::HashSet;
+
+use super::{BackendError, Selection};
+use crate::{
+    formats::{colmap::ColmapModel, colmap_bin},
+    output::{Contents, FileSet},
+    project::{ModelFormat, ProjectError},
+    scene::ViewIndex,
+};
+
+/// Adds `MODEL/{cameras,images,points3D}.bin` and `images/NAME` for the views. Points that fewer than `least_views` of them observe go.
+pub fn add_workspace(
+    backend: &'static str,
+    files: &mut FileSet,
+    selection: &Selection,
+    views: &[ViewIndex],
+    model_folder: &str,
+    least_views: usize,
+) -> Result<(), BackendError> {
+    let images = selection.images(backend)?;
+    for (name, bytes) in reduced_model(selection, views, least_views)? {
+        files.add(format!("{model_folder}/{name}"), Contents::Bytes(bytes));
+    }
+    for &view in views {
+        let name = selection.scene.name(view);
+        if name.split('/').any(|part| matches!(part, "" | "." | "..")) {
+            let why = "it leads out of the image folder".into();
+            return Err(BackendError::Name { backend, name: name.into(), why });
+        }
+        files.add(format!("images/{name}"), Contents::Link(images.join(name)));
+    }
+    Ok(())
+}
+
+/// The files of the model reduced to the views. Of a COLMAP model everything else stays as it is.
+fn reduced_model(
+    selection: &Selection,
+    views: &[ViewIndex],
+    least_views: usize,
+) -> Result<Vec<(&'static str, Vec<u8>)>, BackendError> {
+    let names: HashSet<&str> = views.iter().map(|&v| selection.scene.name(v)).collect();
+    let project = selection.project;
+    let write = |model: &ColmapModel| {
+        let reduced = model.reduced(|image| names.contains(&*image.name), least_views);
+        let fault = |fault| ProjectError::Fault { path: project.model.path.clone(), fault };
+        Ok(colmap_bin::write(&reduced.map_err(fault)?))
+    };
+    match project.model.format {
+        ModelFormat::ColmapBinary | ModelFormat::ColmapText => write(&project.colmap_files()?.model()?),
+        _ => write(&ColmapModel::from_scene(selection.scene)),
+    }
+}

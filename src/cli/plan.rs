@@ -1,0 +1,174 @@
+//! `viewrank plan`: reads a sparse model, ranks its view clusters, writes the plan.
+
+use std::path::PathBuf;
+
+use clap::Args;
+use rayon::ThreadPoolBuilder;
+use viewrank::{
+    config::Typed,
+    output::{self, Disk, FileSet},
+    plan::{self, Plan, PlanFiles},
+    progress::{Stage, Watcher},
+    project::Project,
+    surface::ply,
+    tables,
+};
+
+use super::{Failure, Format, config, json, print, progress::Progress, summary::Summary};
+
+/// Rank the view clusters of a project and write the plan to PROJECT/viewrank.
+///
+/// PROJECT is a COLMAP project (sparse/, images/), a dense workspace (sparse/, images/, stereo/), or the folder of a sparse
+/// model. Lengths are in units of the model; they are metres if it is metric (units = "metric" in viewrank.toml).
+#[derive(Args)]
+pub struct Arguments {
+    project: PathBuf,
+
+    /// Matching partners per key view: a number, or auto
+    #[arg(short, value_name = "N|auto", help_heading = "What is chosen")]
+    k: Option<String>,
+    /// Stop after N view clusters, or after P % of the registered views
+    #[arg(long, value_name = "N|P%", help_heading = "What is chosen")]
+    budget: Option<String>,
+    /// Stop at P % of what all view clusters together reach [default: 90%]
+    #[arg(long, value_name = "P%", help_heading = "What is chosen")]
+    target: Option<String>,
+    /// Stop before the forecast time of matching exceeds T, such as 2h or 90min
+    #[arg(long, value_name = "T", help_heading = "What is chosen")]
+    time: Option<String>,
+    /// Stop before the forecast number of points exceeds N, such as 50M
+    #[arg(long, value_name = "N", help_heading = "What is chosen")]
+    points: Option<String>,
+
+    /// Wanted ground sampling distance, units of the model per pixel [default: from the model]
+    #[arg(long, value_name = "L", help_heading = "What is wanted")]
+    gsd: Option<f64>,
+    /// Wanted accuracy of a point, units of the model [default: as --gsd]
+    #[arg(long, value_name = "L", help_heading = "What is wanted")]
+    accuracy: Option<f64>,
+
+    /// How partners are chosen: sampled (the paper) or search
+    #[arg(long, value_name = "METHOD", value_parser = ["sampled", "search"], help_heading = "How")]
+    partners: Option<String>,
+    /// What predicts success: none, geometric, proxy, auto or a model file
+    #[arg(long, value_name = "SOURCE|FILE", help_heading = "How")]
+    confidence: Option<String>,
+    /// Surface: 3d, terrain (nadir flights) or auto
+    #[arg(long, value_name = "KIND", value_parser = ["3d", "terrain", "auto"], help_heading = "How")]
+    surface: Option<String>,
+    /// Up direction of the terrain surface [default: from the cameras]
+    #[arg(
+        long,
+        value_name = "X,Y,Z",
+        value_delimiter = ',',
+        num_args = 3,
+        allow_negative_numbers = true,
+        help_heading = "How"
+    )]
+    up: Option<Vec<f64>>,
+    /// Take the surface from a PLY file
+    #[arg(long, value_name = "FILE", help_heading = "How")]
+    mesh: Option<PathBuf>,
+    /// Take the mesh as it is, neither simplified nor refined
+    #[arg(long, requires = "mesh", help_heading = "How")]
+    mesh_as_is: bool,
+    /// Write for these backends; the plan is made for the first [default: as the project is set up]
+    #[arg(long, value_name = "NAME,...", value_delimiter = ',', help_heading = "How")]
+    backend: Option<Vec<String>>,
+    /// Sub-model to plan for [default: the one with most images]
+    #[arg(long, value_name = "N", help_heading = "How")]
+    model: Option<String>,
+    /// Seed of all random choices
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(i64).range(0..), help_heading = "How")]
+    seed: Option<i64>,
+    /// Threads to use; the plan is the same for any number [default: all]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..), help_heading = "How")]
+    threads: Option<u16>,
+
+    /// Also write all tables of the plan as NumPy files
+    #[arg(long, value_name = "DIR", help_heading = "Output")]
+    dump_tables: Option<PathBuf>,
+    /// Also write the bare surface as a PLY file
+    #[arg(long, value_name = "FILE", help_heading = "Output")]
+    dump_surface: Option<PathBuf>,
+    /// Plan, but write nothing
+    #[arg(long, help_heading = "Output")]
+    dry_run: bool,
+    /// No progress and no summary; warnings and errors only
+    #[arg(long, short, help_heading = "Output")]
+    quiet: bool,
+    /// How the summary is printed on stdout
+    #[arg(long, value_enum, default_value_t, help_heading = "Output")]
+    format: Format,
+}
+
+pub fn run(arguments: &Arguments) -> Result<(), Failure> {
+    if let Some(threads) = arguments.threads {
+        let pool = ThreadPoolBuilder::new().num_threads(threads.into()).build_global();
+        pool.expect("no other pool was made before");
+    }
+    let project = Project::open(&arguments.project, arguments.model.as_deref())?;
+    let settings = config::load(Some(&project.root), arguments.typed())?.settings;
+    let progress = Progress::new(arguments.quiet);
+    let plan = plan::plan(&project, &settings, &progress)?;
+    let files = plan::files(&plan, &project)?;
+    if !arguments.dry_run {
+        write(arguments, &plan, &files, &progress)?;
+    }
+    progress.finish();
+    report(arguments, &project, &plan, &files)
+}
+
+impl Arguments {
+    /// What was typed, as settings.
+    fn typed(&self) -> Typed {
+        let mut typed = Typed::default();
+        let path = |path: &PathBuf| std::path::absolute(path).unwrap_or(path.clone()).to_string_lossy().into_owned();
+        let k = self.k.as_ref().map(|k| k.parse().map_or_else(|_| toml::Value::from(k.as_str()), toml::Value::Integer));
+        typed.set("-k", "partners.k", k);
+        typed.set("--budget", "cut.budget", self.budget.clone());
+        typed.set("--target", "cut.target", self.target.clone());
+        typed.set("--time", "cut.time", self.time.clone());
+        typed.set("--points", "cut.points", self.points.clone());
+        typed.set("--gsd", "target.gsd", self.gsd);
+        typed.set("--accuracy", "target.accuracy", self.accuracy);
+        typed.set("--partners", "partners.method", self.partners.clone());
+        typed.set("--confidence", "confidence.source", self.confidence.clone());
+        typed.set("--surface", "surface.kind", self.surface.clone());
+        typed.set("--up", "surface.up", self.up.clone());
+        typed.set("--mesh", "surface.mesh", self.mesh.as_ref().map(path));
+        typed.set("--mesh-as-is", "surface.mesh_as_is", self.mesh_as_is.then_some(true));
+        typed.set("--backend", "backends", self.backend.clone());
+        typed.set("--seed", "seed", self.seed);
+        typed
+    }
+}
+
+fn write(arguments: &Arguments, plan: &Plan, files: &PlanFiles, progress: &Progress) -> Result<(), Failure> {
+    let steps = files.sets.len() as u64;
+    progress.progress(Stage::Write, 0, steps);
+    for (done, set) in files.sets.iter().enumerate() {
+        set.write(&Disk::REAL)?;
+        progress.progress(Stage::Write, done as u64 + 1, steps);
+    }
+    if let Some(folder) = &arguments.dump_tables {
+        let mut set = FileSet::new(folder, "tables");
+        tables::add(plan, &mut set);
+        set.write(&Disk::REAL)?;
+    }
+    if let Some(path) = &arguments.dump_surface {
+        output::replace(path, &ply::write(&plan.surface, &[], &[]), &Disk::REAL)?;
+    }
+    Ok(())
+}
+
+fn report(arguments: &Arguments, project: &Project, plan: &Plan, files: &PlanFiles) -> Result<(), Failure> {
+    let summary = Summary::new(project, plan, files, arguments.dry_run);
+    match arguments.format {
+        Format::Json => return print(&json(&summary)),
+        Format::Text if !arguments.quiet => print(&summary.text())?,
+        Format::Text => {}
+    }
+    plan.warnings.iter().for_each(|warning| eprintln!("warning: {warning}"));
+    Ok(())
+}

@@ -1,0 +1,206 @@
+//! What a plan comes to, in words that need no knowledge of the method, at 80 columns; the same as JSON for programs.
+
+use std::fmt::Write;
+
+use serde::Serialize;
+use viewrank::{
+    manifest::Manifest,
+    plan::{Cut, Forecast, Plan, PlanFiles, Timings},
+    project::Project,
+    scene::Units,
+};
+
+/// Shares of the curve that are shown, beside the cut.
+const STEPS: [f64; 4] = [0.5, 0.7, 0.8, 0.9];
+/// Key views that are named.
+const NAMED: usize = 3;
+
+#[derive(Serialize)]
+pub struct Summary<'a> {
+    project: String,
+    backend: &'a str,
+    units: Units,
+    views: usize,
+    points: usize,
+    triangles: usize,
+    /// g_d, scene units per pixel.
+    gsd: f64,
+    cut: Cut,
+    forecast: Forecast,
+    /// How many times faster than computing everything, where the time of matching is known.
+    speed_up: Option<f64>,
+    warnings: &'a [String],
+    written: bool,
+    /// Relative to the folders that they are in.
+    files: Vec<String>,
+    /// The command to type next.
+    next: String,
+    timings: &'a Timings,
+    #[serde(skip)]
+    manifest: &'a Manifest,
+}
+
+impl<'a> Summary<'a> {
+    pub fn new(project: &Project, plan: &'a Plan, files: &'a PlanFiles, dry_run: bool) -> Self {
+        let manifest = &files.manifest;
+        Self {
+            project: project.root.display().to_string(),
+            backend: plan.backend,
+            units: manifest.units,
+            views: plan.scene.views.len(),
+            points: plan.scene.points.len(),
+            triangles: plan.surface.triangles.len(),
+            gsd: plan.settings.target.gsd.unwrap_or(f64::NAN),
+            cut: plan.cut,
+            forecast: plan.forecast,
+            speed_up: plan.forecast.speed_up(plan.timings.total()),
+            warnings: &plan.warnings,
+            written: !dry_run,
+            files: files.sets.iter().flat_map(|set| set.files.keys().cloned()).collect(),
+            next: next(project, manifest, dry_run),
+            timings: &plan.timings,
+            manifest,
+        }
+    }
+
+    pub fn text(&self) -> String {
+        let mut text = self.found();
+        if self.cut.clusters > 0 {
+            text += &self.advice();
+            text += &self.curve();
+        } else {
+            text += "\nNo view cluster is worth computing; the warnings and the reasons of the views in\n\
+                     viewrank/manifest.json say why.\n";
+        }
+        text += &self.worth();
+        text + &self.where_to_look()
+    }
+
+    fn found(&self) -> String {
+        let length = if self.units == Units::Metric { "m" } else { "units" };
+        format!(
+            "{} views, {} sparse points; a surface of {} triangles.\nWanted: {} {length} per pixel. For: {}.\n",
+            grouped(self.views),
+            grouped(self.points),
+            grouped(self.triangles),
+            rounded(self.gsd),
+            self.backend
+        )
+    }
+
+    fn advice(&self) -> String {
+        format!(
+            "\nCompute {} of {} depth maps, {} image pairs instead of {}:\n\
+             {:.1} % of the quality that all of them together would give (predicted).\n",
+            grouped(self.cut.clusters),
+            grouped(self.forecast.all_maps),
+            grouped(self.cut.pairs),
+            grouped(self.forecast.all_pairs),
+            self.cut.share * 100.0
+        )
+    }
+
+    /// A few points of the curve.
+    fn curve(&self) -> String {
+        let clusters = &self.manifest.clusters;
+        let length = |share: f64| clusters.iter().position(|c| c.share >= share).map(|i| i + 1);
+        let mut lengths: Vec<usize> = STEPS.iter().filter_map(|&share| length(share)).collect();
+        lengths.extend([self.cut.clusters, clusters.len()]);
+        lengths.sort_unstable();
+        lengths.dedup();
+        let mut text = String::from("\n  depth maps    pairs  quality\n");
+        for length in lengths {
+            let pairs: usize = clusters[..length].iter().map(|c| c.partners.len()).sum();
+            let quality = clusters[length - 1].share * 100.0;
+            let mark = if length == self.cut.clusters { "  <- the plan stops here" } else { "" };
+            let _ = writeln!(text, "  {:>10} {:>8}  {quality:>5.1} %{mark}", grouped(length), grouped(pairs));
+        }
+        let first: Vec<&str> = clusters.iter().take(NAMED.min(self.cut.clusters)).map(|c| c.key.as_str()).collect();
+        let _ = writeln!(
+            text,
+            "\nBest first: {}{}",
+            first.join(", "),
+            if self.cut.clusters > NAMED { ", ..." } else { "" }
+        );
+        text
+    }
+
+    /// Method 5.6.
+    fn worth(&self) -> String {
+        let planning = self.timings.total();
+        let time = match (self.speed_up, self.forecast.seconds) {
+            (Some(speed_up), Some(_)) if speed_up < 1.0 => {
+                "Computing all depth maps would be faster than planning and computing these.".into()
+            }
+            (Some(speed_up), Some(seconds)) => {
+                format!("Matching will take about {}: {speed_up:.1} times faster than everything.", duration(seconds))
+            }
+            _ => match self.forecast.break_even(planning) {
+                Some(seconds) => format!("It pays if a depth map takes more than {} s.", rounded(seconds)),
+                None => return format!("\nPlanning took {planning:.1} s.\n"),
+            },
+        };
+        format!("\nPlanning took {planning:.1} s. {time}\n")
+    }
+
+    fn where_to_look(&self) -> String {
+        let verb = if self.written { "Look at" } else { "Nothing was written (--dry-run). Would be written:" };
+        let folder = format!("{}/viewrank", self.project);
+        format!("\n{verb} {folder}/curve.svg and surface.ply.\nNext: {}\n", self.next)
+    }
+}
+
+/// The first command of a backend whose files were written, else the way to such files.
+fn next(project: &Project, manifest: &Manifest, dry_run: bool) -> String {
+    let root = project.root.display();
+    let command = manifest.exports.iter().find_map(|export| export.commands.first());
+    match command {
+        _ if dry_run => format!("viewrank plan {root}"),
+        Some(command) => command.clone(),
+        None => format!("viewrank export {root} --backend {}", manifest.backend),
+    }
+}
+
+/// 12,345.
+fn grouped(number: usize) -> String {
+    let digits = number.to_string();
+    let mut text = String::new();
+    for (i, digit) in digits.chars().enumerate() {
+        if i > 0 && (digits.len() - i) % 3 == 0 {
+            text.push(',');
+        }
+        text.push(digit);
+    }
+    text
+}
+
+/// Three significant digits.
+fn rounded(number: f64) -> String {
+    if number == 0.0 || !number.is_finite() {
+        return number.to_string();
+    }
+    let places = (2 - number.abs().log10().floor() as i32).max(0) as usize;
+    format!("{number:.places$}")
+}
+
+/// "3 h 20 min", "4 min", "12 s".
+fn duration(seconds: f64) -> String {
+    let minutes = (seconds / 60.0).round() as u64;
+    match minutes {
+        0..2 => format!("{seconds:.0} s"),
+        2..60 => format!("{minutes} min"),
+        _ => format!("{} h {} min", minutes / 60, minutes % 60),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_are_written_as_people_read_them() {
+        assert_eq!([0, 999, 1000, 1_234_567].map(grouped), ["0", "999", "1,000", "1,234,567"]);
+        assert_eq!([0.0123456, 1.0, 12345.6, 0.5].map(rounded), ["0.0123", "1.00", "12346", "0.500"]);
+        assert_eq!([12.4, 240.0, 12_000.0].map(duration), ["12 s", "4 min", "3 h 20 min"]);
+    }
+}

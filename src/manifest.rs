@@ -1,0 +1,211 @@
+//! `manifest.json`: the ranking and everything that is to be known about it (method 6), for other programs.
+//!
+//! The structs are the format: the JSON Schema under `schema/` is made from them and their comments. Same input, same bytes:
+//! nothing in it depends on the clock, the machine or the number of threads.
+
+mod fingerprint;
+
+use schemars::{JsonSchema, Schema, schema_for};
+use serde::Serialize;
+
+pub use fingerprint::{FingerprintError, fingerprint};
+
+use crate::{
+    backends::{ExportRecord, RankedCluster},
+    config::Settings,
+    plan::{Cut, Forecast, Plan, Reason, ViewStatus},
+    project::Project,
+    scene::{Units, ViewIndex},
+    surface::{SurfaceKind, SurfaceStats},
+};
+
+/// Version of the format; a reader of this version reads every manifest with the same number.
+const VERSION: u32 = 1;
+
+/// A ranking of view clusters: which key views get depth maps, with which matching partners, in which order.
+#[derive(Clone, Debug, Serialize, JsonSchema)]
+pub struct Manifest {
+    /// Version of this format.
+    pub version: u32,
+    /// Program and version that wrote it.
+    pub tool: String,
+    pub input: Input,
+    /// "metric": a scene unit is a metre. "relative": its length is not known.
+    pub units: Units,
+    /// Backend that the plan is made for: pairs that it cannot match are no candidates, and the numbers of its confidence and support are in `settings`.
+    pub backend: String,
+    /// All settings in force, nested as in viewrank.toml; what the data or the backend decided is filled in.
+    pub settings: Settings,
+    pub surface: SurfaceSummary,
+    /// The whole ranking, best first; those up to `cut` are to be computed.
+    pub clusters: Vec<Cluster>,
+    /// Where the ranking is cut.
+    pub cut: Cut,
+    /// Each registered view once, by name.
+    pub views: Vec<ViewEntry>,
+    /// Images without a pose, by name.
+    pub unregistered: Vec<String>,
+    pub forecast: Forecast,
+    /// What was written for each backend, and what it will not honour.
+    pub exports: Vec<ExportRecord>,
+    /// What should be known before relying on the plan, in sentences.
+    pub warnings: Vec<String>,
+}
+
+/// What was planned for.
+#[derive(Clone, Debug, Serialize, JsonSchema)]
+pub struct Input {
+    /// Format of the sparse model.
+    pub format: String,
+    /// The model, relative to the project folder; "." is the folder itself.
+    pub model: String,
+    /// BLAKE3 over the model's files and the names and sizes of the registered images: the same input has the same.
+    pub fingerprint: String,
+    /// Registered images.
+    pub views: usize,
+    /// Sparse points.
+    pub points: usize,
+    /// Observations of sparse points.
+    pub observations: usize,
+}
+
+/// The surface that was planned on.
+#[derive(Clone, Debug, Serialize, JsonSchema)]
+pub struct SurfaceSummary {
+    /// "3d": carved from the tetrahedra of the points. "terrain": 2.5D. "mesh": from a file.
+    pub kind: SurfaceKind,
+    pub vertices: usize,
+    /// Triangles that at least one view sees.
+    pub triangles: usize,
+    /// Square scene units.
+    pub area: f64,
+    /// Triangles that no cluster fulfils.
+    pub unfulfilled: usize,
+    pub made: SurfaceStats,
+}
+
+/// A view cluster in its place of the ranking.
+#[derive(Clone, Debug, Serialize, JsonSchema)]
+pub struct Cluster {
+    /// From 1.
+    pub rank: usize,
+    /// Name of the key view, which gets a depth map.
+    pub key: String,
+    /// Names of the views that it is matched against, best first.
+    pub partners: Vec<String>,
+    /// What it adds to the fulfilment.
+    pub gain: f64,
+    /// Fulfilment of the ranking up to here, 0 to 1.
+    pub fulfilment: f64,
+    /// The same as a share of what all clusters together reach.
+    pub share: f64,
+}
+
+/// What becomes of a registered view.
+#[derive(Clone, Debug, Serialize, JsonSchema)]
+pub struct ViewEntry {
+    pub name: String,
+    pub status: ViewStatus,
+    /// Why it is no key view, or a key view with fewer than k partners; null where there is nothing to explain.
+    pub reason: Option<Reason>,
+}
+
+impl Manifest {
+    /// `exports`: what is written for backends together with the plan.
+    pub fn new(plan: &Plan, project: &Project, exports: Vec<ExportRecord>) -> Result<Self, FingerprintError> {
+        Ok(Self {
+            version: VERSION,
+            tool: concat!("viewrank ", env!("CARGO_PKG_VERSION")).into(),
+            input: Input::new(plan, project)?,
+            units: plan.settings.units.unwrap_or(Units::Relative),
+            backend: plan.backend.into(),
+            settings: plan.settings.clone(),
+            surface: SurfaceSummary::new(plan),
+            clusters: clusters(plan),
+            cut: plan.cut,
+            views: plan.scene.view_indices().map(|view| ViewEntry::new(plan, view)).collect(),
+            unregistered: plan.scene.unregistered.clone(),
+            forecast: plan.forecast,
+            exports,
+            warnings: plan.warnings.clone(),
+        })
+    }
+
+    /// The contents of `manifest.json`.
+    pub fn to_json(&self) -> String {
+        serde_json::to_string_pretty(self).expect("a manifest has string keys and finite numbers") + "\n"
+    }
+
+    /// The contents of `manifest.csv`: a line per cluster, for spreadsheets.
+    pub fn to_csv(&self) -> String {
+        let most = self.clusters.iter().map(|cluster| cluster.partners.len()).max().unwrap_or(0);
+        let partners = (1..=most).map(|n| format!("partner_{n}"));
+        let fixed = ["rank", "chosen", "key", "gain", "fulfilment", "share"].map(String::from);
+        let mut lines = csv::WriterBuilder::new().from_writer(Vec::new());
+        let mut write = |line: Vec<String>| lines.write_record(line).expect("lines of equal length, to memory");
+        write(fixed.into_iter().chain(partners).collect());
+        for cluster in &self.clusters {
+            let chosen = if cluster.rank <= self.cut.clusters { "yes" } else { "no" };
+            let numbers = [cluster.gain, cluster.fulfilment, cluster.share].map(|number| number.to_string());
+            let start = [cluster.rank.to_string(), chosen.into(), cluster.key.clone()].into_iter().chain(numbers);
+            let empty = std::iter::repeat_n(String::new(), most - cluster.partners.len());
+            write(start.chain(cluster.partners.iter().cloned()).chain(empty).collect());
+        }
+        String::from_utf8(lines.into_inner().expect("written to memory")).expect("written from texts")
+    }
+
+    /// The JSON Schema of the format.
+    pub fn schema() -> Schema {
+        schema_for!(Self)
+    }
+}
+
+impl Input {
+    fn new(plan: &Plan, project: &Project) -> Result<Self, FingerprintError> {
+        let model = project.model.path.strip_prefix(&project.root).unwrap_or(&project.model.path);
+        let model = if model.as_os_str().is_empty() { ".".into() } else { model.to_string_lossy().replace('\\', "/") };
+        Ok(Self {
+            format: project.model.format.name().into(),
+            model,
+            fingerprint: fingerprint(project, &plan.scene)?,
+            views: plan.scene.views.len(),
+            points: plan.scene.points.len(),
+            observations: plan.scene.observations(),
+        })
+    }
+}
+
+impl SurfaceSummary {
+    fn new(plan: &Plan) -> Self {
+        let surface = &plan.surface;
+        Self {
+            kind: surface.kind,
+            vertices: surface.vertices.len(),
+            triangles: surface.triangles.len(),
+            area: (0..surface.triangles.len() as u32).map(|t| surface.area(t)).sum(),
+            unfulfilled: plan.triangle_reasons.iter().flatten().count(),
+            made: plan.surface_stats.clone(),
+        }
+    }
+}
+
+impl ViewEntry {
+    fn new(plan: &Plan, view: ViewIndex) -> Self {
+        let (status, reason) = plan.views[view.at()];
+        Self { name: plan.scene.name(view).into(), status, reason }
+    }
+}
+
+fn clusters(plan: &Plan) -> Vec<Cluster> {
+    let name = |view: ViewIndex| plan.scene.name(view).to_owned();
+    let ranked = plan.ranked().enumerate();
+    let entry = |(i, cluster): (usize, RankedCluster)| Cluster {
+        rank: i + 1,
+        key: name(cluster.key),
+        partners: cluster.partners.into_iter().map(name).collect(),
+        gain: plan.ranking.gains[i],
+        fulfilment: plan.ranking.fulfilment[i],
+        share: cluster.share,
+    };
+    ranked.map(entry).collect()
+}

@@ -1,0 +1,63 @@
+//! Method 5.3: how much of the ranking is to be computed.
+
+use schemars::JsonSchema;
+use serde::Serialize;
+
+use super::{PlanError, forecast::Cost};
+use crate::config::{Budget, CutSettings};
+
+/// Share of what all clusters together reach, where nothing else is wanted.
+pub(super) const DEFAULT_TARGET: f64 = 0.9;
+
+/// How much of the ranking is to be computed.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, JsonSchema)]
+pub struct Cut {
+    /// Clusters: so many from the start of the ranking.
+    pub clusters: usize,
+    /// Their (key view, partner) pairs.
+    pub pairs: usize,
+    /// Share of the fulfilment of all clusters together that they reach, 0 to 1.
+    pub share: f64,
+    /// Their fulfilment f_o, 0 to 1.
+    pub fulfilment: f64,
+}
+
+/// The shortest of the prefixes that the settings name.
+pub(super) fn cut(settings: &CutSettings, cost: &Cost) -> Result<Cut, PlanError> {
+    let ranking = cost.ranking;
+    let views = cost.model.scene.views.len() as f64;
+    let mut clusters = ranking.order.len();
+    match settings.budget {
+        Some(Budget::Clusters(n)) => clusters = clusters.min(usize::try_from(n).unwrap_or(usize::MAX)),
+        Some(Budget::Views(share)) => clusters = clusters.min((share.0 * views).ceil() as usize),
+        None => {}
+    }
+    if let Some(target) = settings.target {
+        clusters = clusters.min(ranking.length_for_share(target.0));
+    }
+    if let Some(time) = settings.time {
+        let seconds = |rank| cost.seconds(rank).ok_or(PlanError::NoTimes("the time limit"));
+        clusters = longest_within(clusters, time.0, seconds)?;
+    }
+    if let Some(points) = settings.points {
+        clusters = longest_within(clusters, points.0, |rank| Ok(cost.points(rank)))?;
+    }
+    Ok(Cut {
+        clusters,
+        pairs: cost.pairs(clusters),
+        share: ranking.share(clusters),
+        fulfilment: clusters.checked_sub(1).map_or(0.0, |last| ranking.fulfilment[last]),
+    })
+}
+
+/// The longest prefix of at most `most` clusters whose costs add up to no more than `limit`.
+fn longest_within(most: usize, limit: f64, cost: impl Fn(usize) -> Result<f64, PlanError>) -> Result<usize, PlanError> {
+    let mut sum = 0.0;
+    for rank in 0..most {
+        sum += cost(rank)?;
+        if sum > limit {
+            return Ok(rank);
+        }
+    }
+    Ok(most)
+}

@@ -1,0 +1,69 @@
+//! What is written for a plan: the manifest, its table, the pair files, the pictures, and the files of backends.
+
+use super::Plan;
+use crate::{
+    backends::{self, Backend, BackendError, ExportOptions, Selection},
+    error::Hint,
+    manifest::{FingerprintError, Manifest},
+    output::FileSet,
+    pictures::{Curve, curve_svg, surface_ply},
+    project::Project,
+};
+
+/// What is to be written for a plan.
+pub struct PlanFiles {
+    pub manifest: Manifest,
+    /// Nearly always one set under the project's folder; further sets where a backend's files go elsewhere.
+    pub sets: Vec<FileSet>,
+}
+
+/// Why a plan cannot be written down.
+#[derive(Debug, thiserror::Error)]
+pub enum FilesError {
+    #[error(transparent)]
+    Backend(#[from] BackendError),
+    #[error(transparent)]
+    Input(#[from] FingerprintError),
+}
+
+impl Hint for FilesError {
+    fn hint(&self) -> Option<String> {
+        match self {
+            Self::Backend(error) => error.hint(),
+            Self::Input(error) => error.hint(),
+        }
+    }
+}
+
+/// The files of the plan, to be written by [`FileSet::write`].
+pub fn files(plan: &Plan, project: &Project) -> Result<PlanFiles, FilesError> {
+    let clusters: Vec<_> = plan.ranked().take(plan.cut.clusters).collect();
+    let selection =
+        Selection { project, scene: &plan.scene, clusters: &clusters, image_scale: plan.settings.image_scale };
+    let mut exports = Vec::new();
+    for backend in wanted(plan, project)? {
+        exports.push(backend.export(&selection, &ExportOptions::default())?);
+    }
+    let records = exports.iter().map(|export| export.record.clone()).collect();
+    let manifest = Manifest::new(plan, project, records)?;
+    let mut own = FileSet::new(&project.root, "plan");
+    let mut add = |name: &str, text: String| own.add_text(format!("viewrank/{name}"), text);
+    add("manifest.json", manifest.to_json());
+    add("manifest.csv", manifest.to_csv());
+    for (name, text) in backends::pair_files("the list of view clusters", &selection)? {
+        add(name, text);
+    }
+    add("curve.svg", curve_svg(&Curve::predicted(plan)));
+    add("timings.json", serde_json::to_string_pretty(&plan.timings).expect("numbers by name are JSON") + "\n");
+    own.add("viewrank/surface.ply", crate::output::Contents::Bytes(surface_ply(plan)));
+    let elsewhere: Vec<FileSet> = exports.into_iter().filter_map(|export| own.absorb(export.files)).collect();
+    Ok(PlanFiles { manifest, sets: std::iter::once(own).chain(elsewhere).collect() })
+}
+
+/// The backends that were asked for, else those that the project is set up for.
+fn wanted(plan: &Plan, project: &Project) -> Result<Vec<&'static dyn Backend>, BackendError> {
+    if plan.settings.backends.is_empty() {
+        return Ok(backends::all().iter().copied().filter(|backend| backend.serves(project)).collect());
+    }
+    plan.settings.backends.iter().map(|name| backends::by_name(name)).collect()
+}

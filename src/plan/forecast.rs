@@ -1,0 +1,114 @@
+//! Methods 5.3 and 5.6: what the chosen clusters will cost, and what all would.
+
+use rayon::prelude::*;
+use schemars::JsonSchema;
+use serde::Serialize;
+
+use crate::{
+    config::ForecastSettings,
+    fulfilment::{self, Model},
+    partners::ViewCluster,
+    ranking::Ranking,
+    scene::ViewIndex,
+};
+
+/// What the backend will have to do, and how long it takes where that is known.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, JsonSchema)]
+pub struct Forecast {
+    /// Depth maps of the chosen clusters.
+    pub maps: usize,
+    /// Their (key view, partner) pairs.
+    pub pairs: usize,
+    /// Pixels that these maps will measure, before fusion.
+    pub points: u64,
+    /// Seconds of matching; absent where `forecast.seconds_per_pair` and `.seconds_per_map` are unset.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub seconds: Option<f64>,
+    /// Depth maps if every view that can be a key view gets one.
+    pub all_maps: usize,
+    /// Their pairs.
+    pub all_pairs: usize,
+    /// Seconds of matching for all of them.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub all_seconds: Option<f64>,
+}
+
+impl Forecast {
+    /// Method 5.6: how many times faster the chosen clusters are than all, when planning takes `planning` seconds.
+    pub fn speed_up(&self, planning: f64) -> Option<f64> {
+        Some(self.all_seconds? / (self.seconds? + planning))
+    }
+
+    /// Seconds that a depth map must take at least for the plan to save any time.
+    pub fn break_even(&self, planning: f64) -> Option<f64> {
+        let saved = self.all_maps.saturating_sub(self.maps);
+        (saved > 0).then(|| planning / saved as f64)
+    }
+}
+
+/// What a cluster costs, by its rank (from 0).
+pub(super) struct Cost<'a> {
+    pub model: &'a Model<'a>,
+    pub clusters: &'a [ViewCluster],
+    pub ranking: &'a Ranking,
+    pub settings: &'a ForecastSettings,
+}
+
+impl Cost<'_> {
+    fn cluster(&self, rank: usize) -> &ViewCluster {
+        &self.clusters[self.ranking.order[rank] as usize]
+    }
+
+    /// Pairs of the first `clusters` clusters.
+    pub fn pairs(&self, clusters: usize) -> usize {
+        (0..clusters).map(|rank| self.cluster(rank).partners.len()).sum()
+    }
+
+    /// Seconds of matching, where they are known.
+    pub fn seconds(&self, rank: usize) -> Option<f64> {
+        self.seconds_of(1, self.cluster(rank).partners.len())
+    }
+
+    fn seconds_of(&self, maps: usize, pairs: usize) -> Option<f64> {
+        let ForecastSettings { seconds_per_map, seconds_per_pair, .. } = *self.settings;
+        seconds_per_map.or(seconds_per_pair)?;
+        Some(seconds_per_map.unwrap_or(0.0) * maps as f64 + seconds_per_pair.unwrap_or(0.0) * pairs as f64)
+    }
+
+    /// Pixels that the depth map will measure.
+    pub fn points(&self, rank: usize) -> f64 {
+        self.settings.points_per_map.unwrap_or_else(|| expected_pixels(self.model, self.cluster(rank)))
+    }
+}
+
+pub(super) fn forecast(cost: &Cost, clusters: usize) -> Forecast {
+    let pairs = cost.pairs(clusters);
+    let all_pairs = cost.clusters.iter().map(|cluster| cluster.partners.len()).sum();
+    let points: Vec<f64> = (0..clusters).into_par_iter().map(|rank| cost.points(rank)).collect();
+    Forecast {
+        maps: clusters,
+        pairs,
+        points: points.iter().sum::<f64>().round() as u64,
+        seconds: cost.seconds_of(clusters, pairs),
+        all_maps: cost.clusters.len(),
+        all_pairs,
+        all_seconds: cost.seconds_of(cost.clusters.len(), all_pairs),
+    }
+}
+
+/// Pixels of the matched image on each triangle that is covered, times the chance that they are measured.
+fn expected_pixels(model: &Model, cluster: &ViewCluster) -> f64 {
+    let pixels = |&triangle: &u32| {
+        let fulfilment = fulfilment::value(model, cluster.key, &cluster.partners, triangle);
+        fulfilment.coverage * fulfilment.confidence * projected_area(model, cluster.key, triangle)
+    };
+    model.visibility.of(cluster.key).iter().map(pixels).sum()
+}
+
+/// Pixels of the matched image that the triangle covers.
+fn projected_area(model: &Model, view: ViewIndex, triangle: u32) -> f64 {
+    let (pose, camera) = (&model.scene.view(view).cam_from_world, model.scene.camera_of(view));
+    let [a, b, c] = model.surface.corners(triangle).map(|corner| camera.project(&pose.camera_from_world(&corner)));
+    let (Some(a), Some(b), Some(c)) = (a, b, c) else { return 0.0 };
+    0.5 * (b - a).perp(&(c - a)).abs() * model.rule.image_scale.powi(2)
+}

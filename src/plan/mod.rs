@@ -1,0 +1,261 @@
+//! The one function that runs the stages of the method, and what comes out of it.
+//!
+//! [`plan`] reads the model, builds the surface, sees which view sees what, and chooses and ranks view clusters; then it cuts the
+//! ranking (`cut.rs`), forecasts its cost (`forecast.rs`), says why the rest is not taken (`reasons.rs`) and what the user should
+//! know (`warnings.rs`). It writes nothing: [`files`] turns a plan into what is to be written.
+
+mod cut;
+mod files;
+mod forecast;
+mod reasons;
+mod timings;
+mod warnings;
+
+pub use cut::Cut;
+pub use files::{FilesError, PlanFiles, files};
+pub use forecast::Forecast;
+pub use reasons::{Reason, ViewStatus};
+pub use timings::Timings;
+
+use crate::{
+    backends::{self, Backend, BackendError, RankedCluster},
+    confidence::{self, Confidence, Unary},
+    config::{Settings, Share},
+    error::Hint,
+    fulfilment::{FulfilmentTable, GSD_MARGIN, Model, Rule, Target},
+    partners::{self, Candidates, ViewCluster},
+    progress::{Cancelled, Stage, Watcher},
+    project::{Project, ProjectError},
+    ranking::{self, Ranking},
+    scene::{Scene, Units, ViewPoints},
+    surface::{self, MeshFile, Surface, SurfaceError, SurfaceStats},
+    visibility::{self, Visibility},
+};
+
+/// Everything that a plan consists of: the value of each stage.
+#[derive(Clone, Debug)]
+pub struct Plan {
+    /// All settings in force; what was chosen from the data or by the backend is filled in.
+    pub settings: Settings,
+    /// Name of the backend that the plan is made for.
+    pub backend: &'static str,
+    pub scene: Scene,
+    pub surface: Surface,
+    pub surface_stats: SurfaceStats,
+    pub visibility: Visibility,
+    /// Unary confidence of each row of `visibility`.
+    pub unary: Unary,
+    /// g_d and a_d of each triangle (method 3.6).
+    pub target: Target,
+    pub candidates: Candidates,
+    /// One per view that can be a key view, in the order of views.
+    pub clusters: Vec<ViewCluster>,
+    pub fulfilment: FulfilmentTable,
+    pub ranking: Ranking,
+    pub cut: Cut,
+    pub forecast: Forecast,
+    /// Status and reason of each view.
+    pub views: Vec<(ViewStatus, Option<Reason>)>,
+    /// Reason of each triangle that no cluster fulfils.
+    pub triangle_reasons: Vec<Option<Reason>>,
+    pub warnings: Vec<String>,
+    /// Not part of what was planned: differs from run to run.
+    pub timings: Timings,
+}
+
+impl Plan {
+    /// The clusters to compute, best first.
+    pub fn chosen(&self) -> impl ExactSizeIterator<Item = &ViewCluster> {
+        self.ranking.order[..self.cut.clusters].iter().map(|&c| &self.clusters[c as usize])
+    }
+
+    /// The whole ranking, best first.
+    pub fn ranked(&self) -> impl ExactSizeIterator<Item = RankedCluster> {
+        self.ranking.order.iter().enumerate().map(|(i, &c)| {
+            let ViewCluster { key, partners } = self.clusters[c as usize].clone();
+            RankedCluster { key, partners, share: self.ranking.share(i + 1) }
+        })
+    }
+}
+
+/// Plans which views of the project become key views, with which partners, in which order.
+pub fn plan(project: &Project, settings: &Settings, watcher: &dyn Watcher) -> Result<Plan, PlanError> {
+    let mut timings = Timings::default();
+    let backend = planned_for(project, settings)?;
+    watcher.progress(Stage::Read, 0, 1);
+    let scene = timings.time(Stage::Read, || project.read_scene())?;
+    watcher.progress(Stage::Read, 1, 1);
+    watcher.check()?;
+    let settings = in_force(project, settings, &scene, backend)?;
+    let points = scene.view_points();
+    let seen = look(&scene, &points, &settings, watcher, &mut timings)?;
+    let target = target(&scene, &seen, &settings);
+    let source = confidence::Source::new(&settings.confidence.source);
+    let rule = rule(&settings, &source, backend);
+    let unary = Unary::certain();
+    let model = Model {
+        scene: &scene,
+        surface: &seen.surface,
+        visibility: &seen.visibility,
+        target: &target,
+        unary: &unary,
+        rule,
+    };
+    let (candidates, clusters, fulfilment) = timings.time(Stage::Partners, || {
+        let candidates = partners::candidates(&scene, &points, &settings.partners, backend, watcher)?;
+        let (clusters, table) = partners::choose(&model, &candidates, &settings.partners, settings.seed, watcher)?;
+        Ok::<_, Cancelled>((candidates, clusters, table))
+    })?;
+    let ranking = timings.time(Stage::Ranking, || {
+        let weights = ranking::weights(&seen.surface, settings.ranking.weight);
+        ranking::rank(&fulfilment, &weights, settings.ranking.support.unwrap_or(1), watcher)
+    })?;
+    let cost = forecast::Cost { model: &model, clusters: &clusters, ranking: &ranking, settings: &settings.forecast };
+    let cut = cut::cut(&settings.cut, &cost)?;
+    let forecast = forecast::forecast(&cost, cut.clusters);
+    let why = reasons::Why { model: &model, candidates: &candidates, clusters: &clusters, fulfilment: &fulfilment };
+    let views = why.views(&ranking.order[..cut.clusters], &settings.partners);
+    let triangle_reasons = why.triangles();
+    watcher.check()?;
+    let mut plan = Plan {
+        backend: backend.name(),
+        surface: seen.surface,
+        surface_stats: seen.stats,
+        visibility: seen.visibility,
+        warnings: Vec::new(),
+        settings,
+        scene,
+        unary,
+        target,
+        candidates,
+        clusters,
+        fulfilment,
+        ranking,
+        cut,
+        forecast,
+        views,
+        triangle_reasons,
+        timings,
+    };
+    plan.warnings = warnings::warnings(&plan);
+    Ok(plan)
+}
+
+/// The first of the backends that files are wanted for, else the one that the project is set up for.
+fn planned_for(project: &Project, settings: &Settings) -> Result<&'static dyn Backend, BackendError> {
+    match settings.backends.first() {
+        Some(name) => backends::by_name(name),
+        None => Ok(backends::for_project(project)),
+    }
+}
+
+/// The settings with what is left to the data and the backend filled in.
+fn in_force(
+    project: &Project,
+    settings: &Settings,
+    scene: &Scene,
+    backend: &dyn Backend,
+) -> Result<Settings, PlanError> {
+    if scene.views.is_empty() {
+        return Err(PlanError::NoViews(project.model.path.clone()));
+    }
+    let mut all = settings.clone();
+    all.units.get_or_insert(Units::Relative);
+    let gsd = match all.target.gsd {
+        Some(gsd) => gsd,
+        None => GSD_MARGIN * scene.median_gsd().ok_or(PlanError::NoScale)? / all.image_scale,
+    };
+    all.target.accuracy.get_or_insert(gsd);
+    all.target.mode = all.target.mode.in_force(settings.target.gsd.or(settings.target.accuracy).is_some());
+    all.target.gsd = Some(gsd);
+    let numbers = backend.planning();
+    all.ranking.support.get_or_insert(numbers.support);
+    let confidence = numbers.confidence.with(&all.confidence);
+    all.confidence.min_matches = Some(confidence.min_matches);
+    all.confidence.p0 = Some(confidence.p0);
+    all.confidence.cosine_power = Some(confidence.cosine_power);
+    all.confidence.scale_octaves = Some(confidence.scale_octaves.unwrap_or(0.0));
+    all.confidence.full_angle = Some(confidence.full_angle_deg.unwrap_or(0.0));
+    let cut = &mut all.cut;
+    if cut.budget.is_none() && cut.time.is_none() && cut.points.is_none() {
+        cut.target.get_or_insert(Share(cut::DEFAULT_TARGET));
+    }
+    Ok(all)
+}
+
+/// A surface of triangles that at least one view sees.
+struct Seen {
+    surface: Surface,
+    stats: SurfaceStats,
+    visibility: Visibility,
+    gsd: f64,
+}
+
+fn look(
+    scene: &Scene,
+    points: &ViewPoints,
+    settings: &Settings,
+    watcher: &dyn Watcher,
+    timings: &mut Timings,
+) -> Result<Seen, PlanError> {
+    let gsd = settings.target.gsd.ok_or(PlanError::NoScale)?;
+    let mesh = settings.surface.mesh.clone().map(|path| MeshFile { path, as_is: settings.surface.mesh_as_is });
+    let (surface, stats) =
+        timings.time(Stage::Surface, || surface::build(scene, gsd, &settings.surface, mesh.as_ref(), watcher))?;
+    let edge_length = settings.surface.edge_factor * gsd;
+    let visibility = timings.time(Stage::Visibility, || {
+        visibility::estimate(scene, points, &surface, &settings.visibility, edge_length, watcher)
+    })?;
+    let seen = visibility.seen(surface.triangles.len());
+    if !seen.contains(&true) {
+        return Err(SurfaceError::Empty.into());
+    }
+    Ok(Seen { surface: surface.keep(&seen), stats, visibility: visibility.keep(&seen), gsd })
+}
+
+fn target(scene: &Scene, seen: &Seen, settings: &Settings) -> Target {
+    Target::new(scene, &seen.surface, &seen.visibility, &settings.target, seen.gsd, settings.image_scale)
+}
+
+fn rule(settings: &Settings, source: &confidence::Source, backend: &dyn Backend) -> Rule {
+    Rule {
+        alpha: settings.fulfilment.alpha,
+        sigma_px: settings.fulfilment.sigma_px,
+        min_cameras: settings.coverage.min_cameras,
+        image_scale: settings.image_scale,
+        confidence: Confidence::new(source, &settings.confidence, &backend.planning().confidence),
+    }
+}
+
+/// Why there is no plan.
+#[derive(Debug, thiserror::Error)]
+pub enum PlanError {
+    #[error(transparent)]
+    Project(#[from] ProjectError),
+    #[error("{}: the model has no registered image", _0.display())]
+    NoViews(std::path::PathBuf),
+    #[error("no view observes a sparse point in front of it, so that no ground sampling distance is known")]
+    NoScale,
+    #[error(transparent)]
+    Surface(#[from] SurfaceError),
+    #[error(transparent)]
+    Backend(#[from] BackendError),
+    #[error("how long matching takes is not known, so that {0} cannot be kept to")]
+    NoTimes(&'static str),
+    #[error(transparent)]
+    Cancelled(#[from] Cancelled),
+}
+
+impl Hint for PlanError {
+    fn hint(&self) -> Option<String> {
+        Some(match self {
+            Self::Project(error) => return error.hint(),
+            Self::NoViews(_) => "run structure from motion first, or take another model with --model".into(),
+            Self::NoScale => "say what is wanted with --gsd, or give a model with points".into(),
+            Self::Surface(_) => return None,
+            Self::Backend(error) => return error.hint(),
+            Self::NoTimes(_) => "time one depth map and set forecast.seconds_per_map or .seconds_per_pair".into(),
+            Self::Cancelled(_) => return None,
+        })
+    }
+}

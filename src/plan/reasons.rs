@@ -1,0 +1,252 @@
+//! Method 5.5: why a view is not taken, a key view has few partners, or a triangle stays unfulfilled.
+
+use rayon::prelude::*;
+use schemars::JsonSchema;
+use serde::Serialize;
+
+use crate::{
+    config::{PartnerCount, PartnerSettings},
+    fulfilment::{self, Fulfilment, FulfilmentTable, Model},
+    partners::{Candidates, ViewCluster},
+    scene::ViewIndex,
+};
+
+/// One reason of a fixed list.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Reason {
+    /// Too few sparse points in common with any other view.
+    NoSharedPoints,
+    /// No baseline: the other views stand at the same place.
+    RotationOnly,
+    /// A chosen key view does nearly all that this one could.
+    DuplicateOfBetterView,
+    /// Not enough cameras of a cluster see it.
+    TooFewCameras,
+    /// The view sees nothing of the surface.
+    Hidden,
+    /// No view is near enough for the wanted resolution.
+    TooCoarse,
+    /// The rays meet at angles too small for the wanted accuracy.
+    TooInaccurate,
+    /// The backend cannot match the pairs that there are.
+    NotMatchable,
+    /// What it would add is nothing, or less than what was taken.
+    NoGainLeft,
+}
+
+/// What becomes of a registered view.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum ViewStatus {
+    /// Gets a depth map.
+    Key,
+    /// Gets none, but one or more key views are matched against it.
+    Partner,
+    /// Takes no part.
+    Unused,
+}
+
+/// A triangle with less than this is called unfulfilled.
+const FULFILLED: f64 = 0.1;
+/// A view is a duplicate where another does this share of what it could do.
+const DUPLICATE: f64 = 0.9;
+
+/// What the reasons are read from.
+pub(super) struct Why<'a> {
+    pub model: &'a Model<'a>,
+    pub candidates: &'a Candidates,
+    pub clusters: &'a [ViewCluster],
+    pub fulfilment: &'a FulfilmentTable,
+}
+
+impl Why<'_> {
+    /// Status of each view, and the reason of those that are no key view, or a key view with fewer than k partners.
+    pub fn views(&self, chosen: &[u32], settings: &PartnerSettings) -> Vec<(ViewStatus, Option<Reason>)> {
+        let views = self.model.scene.views.len();
+        let mut status = vec![ViewStatus::Unused; views];
+        let chosen_clusters = || chosen.iter().map(|&c| &self.clusters[c as usize]);
+        chosen_clusters().flat_map(|c| &c.partners).for_each(|p| status[p.at()] = ViewStatus::Partner);
+        chosen_clusters().for_each(|c| status[c.key.at()] = ViewStatus::Key);
+        let mut cluster_of = vec![None; views];
+        (0..self.clusters.len()).for_each(|c| cluster_of[self.clusters[c].key.at()] = Some(c));
+        let by_triangle = ChosenByTriangle::new(self.fulfilment, chosen, self.model.surface.triangles.len());
+        let reason = |view: ViewIndex| match (status[view.at()], cluster_of[view.at()]) {
+            (ViewStatus::Key, Some(cluster)) => self.few_partners(cluster, settings),
+            (_, Some(cluster)) => Some(self.not_taken(cluster, &by_triangle)),
+            (_, None) => Some(self.no_cluster(view)),
+        };
+        let reasons: Vec<Option<Reason>> = (0..views as u32).into_par_iter().map(|v| reason(ViewIndex(v))).collect();
+        status.into_iter().zip(reasons).collect()
+    }
+
+    fn few_partners(&self, cluster: usize, settings: &PartnerSettings) -> Option<Reason> {
+        let ViewCluster { key, partners } = &self.clusters[cluster];
+        match settings.k {
+            PartnerCount::Fixed(k) if partners.len() < k as usize => Some(self.refused(*key)),
+            _ => None,
+        }
+    }
+
+    /// What most of the pairs were refused for.
+    fn refused(&self, view: ViewIndex) -> Reason {
+        most_frequent(self.candidates.refused(view).iter().map(|refusal| refusal.reason))
+            .unwrap_or(Reason::NoSharedPoints)
+    }
+
+    fn no_cluster(&self, view: ViewIndex) -> Reason {
+        if self.model.visibility.of(view).is_empty() { Reason::Hidden } else { self.refused(view) }
+    }
+
+    /// Why a view with partners is no key view.
+    fn not_taken(&self, cluster: usize, chosen: &ChosenByTriangle) -> Reason {
+        let ViewCluster { key, partners } = &self.clusters[cluster];
+        let (triangles, values) = self.fulfilment.of(cluster);
+        if triangles.is_empty() {
+            let failures = self.model.visibility.of(*key).iter();
+            let failures = failures.map(|&t| failure(&fulfilment::value(self.model, *key, partners, t)));
+            return most_frequent(failures).unwrap_or(Reason::Hidden);
+        }
+        let own: f64 = values.iter().map(|&f| f64::from(f)).sum();
+        if chosen.most_by_one(triangles, values) >= DUPLICATE * own {
+            Reason::DuplicateOfBetterView
+        } else {
+            Reason::NoGainLeft
+        }
+    }
+
+    /// The reason of each triangle that no cluster fulfils.
+    pub fn triangles(&self) -> Vec<Option<Reason>> {
+        let triangles = self.model.surface.triangles.len();
+        let mut best = vec![0f32; triangles];
+        for (&t, &f) in self.fulfilment.triangles.iter().zip(&self.fulfilment.values) {
+            best[t as usize] = best[t as usize].max(f);
+        }
+        let mut viewers = vec![0u32; triangles];
+        self.model.visibility.triangles.iter().for_each(|&t| viewers[t as usize] += 1);
+        let nearest = self.nearest_to_success(&best);
+        let reason = |t: usize| match nearest[t] {
+            _ if f64::from(best[t]) >= FULFILLED => None,
+            _ if viewers[t] < self.model.rule.min_cameras => Some(Reason::TooFewCameras),
+            Some(fulfilment) => Some(failure(&fulfilment)),
+            None => Some(Reason::NotMatchable),
+        };
+        (0..triangles).map(reason).collect()
+    }
+
+    /// Of each unfulfilled triangle the factors of the cluster that comes nearest to fulfilling it, the first of equals.
+    fn nearest_to_success(&self, best: &[f32]) -> Vec<Option<Fulfilment>> {
+        let of_cluster = |cluster: &ViewCluster| -> Vec<(u32, Fulfilment)> {
+            let seen = self.model.visibility.of(cluster.key).iter().copied();
+            let unfulfilled = seen.filter(|&t| f64::from(best[t as usize]) < FULFILLED);
+            unfulfilled.map(|t| (t, fulfilment::value(self.model, cluster.key, &cluster.partners, t))).collect()
+        };
+        let found: Vec<Vec<(u32, Fulfilment)>> = self.clusters.par_iter().map(of_cluster).collect();
+        let mut nearest: Vec<Option<Fulfilment>> = vec![None; best.len()];
+        for (t, fulfilment) in found.into_iter().flatten() {
+            let nearness = |f: &Fulfilment| (f.coverage, f.value, f.confidence);
+            let held = &mut nearest[t as usize];
+            if held.as_ref().is_none_or(|held| nearness(&fulfilment) > nearness(held)) {
+                *held = Some(fulfilment);
+            }
+        }
+        nearest
+    }
+}
+
+/// The factor that a triangle fails by.
+fn failure(fulfilment: &Fulfilment) -> Reason {
+    let Fulfilment { coverage, resolution, uncertainty, confidence, .. } = *fulfilment;
+    if coverage == 0.0 {
+        Reason::TooFewCameras
+    } else if confidence <= resolution.min(uncertainty) {
+        Reason::NotMatchable
+    } else if resolution <= uncertainty {
+        Reason::TooCoarse
+    } else {
+        Reason::TooInaccurate
+    }
+}
+
+/// The reason that occurs most often; of equals the first of the list.
+fn most_frequent(reasons: impl Iterator<Item = Reason>) -> Option<Reason> {
+    let mut counts = std::collections::BTreeMap::new();
+    reasons.for_each(|reason| *counts.entry(reason).or_insert(0u32) += 1);
+    counts.into_iter().max_by_key(|&(reason, count)| (count, std::cmp::Reverse(reason))).map(|(reason, _)| reason)
+}
+
+/// Which chosen clusters fulfil each triangle (CSR by triangle).
+struct ChosenByTriangle {
+    offsets: Vec<usize>,
+    /// (place among the chosen, f).
+    entries: Vec<(u32, f32)>,
+    chosen: usize,
+}
+
+impl ChosenByTriangle {
+    fn new(table: &FulfilmentTable, chosen: &[u32], triangles: usize) -> Self {
+        let mut offsets = vec![0; triangles + 1];
+        for &cluster in chosen {
+            table.of(cluster as usize).0.iter().for_each(|&t| offsets[t as usize + 1] += 1);
+        }
+        (0..triangles).for_each(|t| offsets[t + 1] += offsets[t]);
+        let mut entries = vec![(0, 0.0); offsets[triangles]];
+        let mut next = offsets.clone();
+        for (place, &cluster) in chosen.iter().enumerate() {
+            let (of_cluster, values) = table.of(cluster as usize);
+            for (&t, &f) in of_cluster.iter().zip(values) {
+                entries[next[t as usize]] = (place as u32, f);
+                next[t as usize] += 1;
+            }
+        }
+        Self { offsets, entries, chosen: chosen.len() }
+    }
+
+    /// The most of these fulfilments that one single chosen cluster gives as well.
+    fn most_by_one(&self, triangles: &[u32], values: &[f32]) -> f64 {
+        let mut given = vec![0.0; self.chosen];
+        for (&t, &own) in triangles.iter().zip(values) {
+            for &(place, f) in &self.entries[self.offsets[t as usize]..self.offsets[t as usize + 1]] {
+                given[place as usize] += f64::from(f.min(own));
+            }
+        }
+        given.into_iter().fold(0.0, f64::max)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_triangle_fails_by_its_smallest_factor() {
+        let of = |coverage, resolution, uncertainty, confidence| {
+            failure(&Fulfilment { coverage, resolution, uncertainty, confidence, value: 0.0 })
+        };
+        assert_eq!(of(0.0, 1.0, 1.0, 1.0), Reason::TooFewCameras);
+        assert_eq!(of(1.0, 0.1, 0.5, 0.9), Reason::TooCoarse);
+        assert_eq!(of(1.0, 0.5, 0.1, 0.9), Reason::TooInaccurate);
+        assert_eq!(of(1.0, 0.5, 0.5, 0.0), Reason::NotMatchable);
+    }
+
+    #[test]
+    fn the_most_frequent_reason_and_the_first_of_equals() {
+        use Reason::{Hidden, NotMatchable, RotationOnly};
+        assert_eq!(most_frequent([Hidden, NotMatchable, Hidden].into_iter()), Some(Hidden));
+        assert_eq!(most_frequent([NotMatchable, RotationOnly].into_iter()), Some(RotationOnly));
+        assert_eq!(most_frequent([].into_iter()), None);
+    }
+
+    #[test]
+    fn a_duplicate_is_done_by_one_chosen_cluster() {
+        // Clusters 0 and 1 share the triangles of cluster 2; neither does all of them.
+        let table = FulfilmentTable {
+            offsets: vec![0, 2, 4, 6],
+            triangles: vec![0, 1, 1, 2, 1, 2],
+            values: vec![0.5, 0.5, 0.9, 0.2, 0.6, 0.6],
+        };
+        let chosen = ChosenByTriangle::new(&table, &[0, 1], 3);
+        let (triangles, values) = table.of(2);
+        assert!((chosen.most_by_one(triangles, values) - 0.8).abs() < 1e-6);
+    }
+}

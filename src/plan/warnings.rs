@@ -1,0 +1,58 @@
+//! What the user should know of a plan before relying on it.
+
+use super::Plan;
+use crate::config::PartnerCount;
+
+/// Share of the observations of a table that may contradict it.
+const CONTRADICTIONS: f64 = 0.05;
+
+pub(super) fn warnings(plan: &Plan) -> Vec<String> {
+    let mut warnings = plan.scene.warnings.clone();
+    warnings.extend(impossible_partners(plan));
+    warnings.extend(nothing_fulfilled(plan));
+    warnings.extend(nothing_chosen(plan));
+    warnings.extend(contradictions(plan));
+    warnings
+}
+
+/// k too small for what is asked of a cluster.
+fn impossible_partners(plan: &Plan) -> Option<String> {
+    let PartnerCount::Fixed(k) = plan.settings.partners.k else { return None };
+    let cameras = plan.settings.coverage.min_cameras;
+    let matches = plan.settings.confidence.min_matches.unwrap_or(1);
+    if k + 1 < cameras {
+        Some(format!(
+            "with k = {k} a cluster has {} cameras, but {cameras} must see a triangle: set coverage.min_cameras to {} or k to {}",
+            k + 1,
+            k + 1,
+            cameras - 1
+        ))
+    } else if k < matches && plan.settings.confidence.source != "none" {
+        Some(format!(
+            "with k = {k} there are fewer matches than the {matches} that must succeed: set confidence.min_matches to {k}"
+        ))
+    } else {
+        None
+    }
+}
+
+fn nothing_fulfilled(plan: &Plan) -> Option<String> {
+    let nothing = plan.ranking.order.is_empty();
+    nothing.then(|| "no view cluster fulfils anything: see the reasons of the views in the manifest".into())
+}
+
+fn nothing_chosen(plan: &Plan) -> Option<String> {
+    let none = plan.cut.clusters == 0 && !plan.ranking.order.is_empty();
+    none.then(|| "the budget is below the cost of a single view cluster: nothing is chosen".into())
+}
+
+fn contradictions(plan: &Plan) -> Option<String> {
+    let share = plan.visibility.contradictions as f64 / plan.scene.observations().max(1) as f64;
+    (share > CONTRADICTIONS).then(|| {
+        format!(
+            "{:.0} % of the observations contradict the surface: views observe points that it hides from them; \
+             a better surface can be given with --mesh",
+            share * 100.0
+        )
+    })
+}

@@ -1,0 +1,296 @@
+//! The program as its users meet it: `viewrank plan` on whole projects.
+
+use std::{
+    collections::BTreeMap,
+    fs,
+    path::{Path, PathBuf},
+    process::{Command, Output},
+};
+
+use serde_json::Value;
+use tempfile::TempDir;
+
+/// A project folder of its own with the fixture's model and images.
+fn project() -> TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    copy(&fixture().join("sparse"), &folder.path().join("sparse"));
+    copy(&fixture().join("images"), &folder.path().join("images"));
+    folder
+}
+
+fn fixture() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/valley")
+}
+
+fn copy(from: &Path, to: &Path) {
+    for entry in walkdir::WalkDir::new(from) {
+        let entry = entry.unwrap();
+        let target = to.join(entry.path().strip_prefix(from).unwrap());
+        if entry.file_type().is_dir() {
+            fs::create_dir_all(target).unwrap();
+        } else {
+            fs::copy(entry.path(), target).unwrap();
+        }
+    }
+}
+
+/// Runs the program with nobody's own settings.
+fn viewrank(arguments: &[&str]) -> Output {
+    let nowhere = Path::new(env!("CARGO_TARGET_TMPDIR"));
+    Command::new(env!("CARGO_BIN_EXE_viewrank")).args(arguments).env("XDG_CONFIG_HOME", nowhere).output().unwrap()
+}
+
+/// Plans, and returns what was printed on stdout.
+fn plan(project: &Path, options: &[&str]) -> String {
+    let output = viewrank(&[&["plan", project.to_str().unwrap()], options].concat());
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    String::from_utf8(output.stdout).unwrap()
+}
+
+/// Exit code and stderr of a call that must fail.
+fn failure(arguments: &[&str]) -> (i32, String) {
+    let output = viewrank(arguments);
+    assert!(output.stdout.is_empty(), "errors go to stderr");
+    (output.status.code().unwrap(), String::from_utf8(output.stderr).unwrap())
+}
+
+fn manifest(project: &Path) -> Value {
+    serde_json::from_slice(&fs::read(project.join("viewrank/manifest.json")).unwrap()).unwrap()
+}
+
+/// Path and contents of every file below a folder.
+fn files(root: &Path) -> BTreeMap<String, Vec<u8>> {
+    let entries = walkdir::WalkDir::new(root).into_iter().map(|entry| entry.unwrap());
+    let files = entries.filter(|entry| entry.file_type().is_file());
+    files
+        .map(|entry| {
+            let path = entry.path().strip_prefix(root).unwrap().to_str().unwrap().to_owned();
+            (path, fs::read(entry.path()).unwrap())
+        })
+        .collect()
+}
+
+fn lines(path: PathBuf) -> Vec<String> {
+    fs::read_to_string(path).unwrap().lines().map(String::from).collect()
+}
+
+fn names(list: &Value) -> Vec<&str> {
+    list.as_array().unwrap().iter().map(|name| name.as_str().unwrap()).collect()
+}
+
+#[test]
+fn the_files_of_a_plan_say_the_same() {
+    let project = project();
+    plan(project.path(), &["--backend", "sgm"]);
+    let (manifest, folder) = (manifest(project.path()), project.path().join("viewrank"));
+    let clusters = manifest["clusters"].as_array().unwrap();
+    let chosen = manifest["cut"]["clusters"].as_u64().unwrap() as usize;
+    assert!(0 < chosen && chosen < clusters.len(), "{chosen} of {}", clusters.len());
+
+    let expected: Vec<String> = clusters[..chosen]
+        .iter()
+        .map(|c| [vec![c["key"].as_str().unwrap()], names(&c["partners"])].concat().join("\t"))
+        .collect();
+    assert_eq!(lines(folder.join("clusters.txt")), expected);
+    let keys: Vec<&str> = clusters[..chosen].iter().map(|c| c["key"].as_str().unwrap()).collect();
+    assert_eq!(lines(folder.join("baseImages.txt")), keys);
+    assert_eq!(lines(folder.join("pairs.txt")).len() as u64, manifest["cut"]["pairs"].as_u64().unwrap());
+    assert_eq!(lines(folder.join("manifest.csv")).len(), clusters.len() + 1);
+    assert!(folder.join("curve.svg").is_file() && folder.join("surface.ply").is_file());
+    assert!(folder.join("timings.json").is_file());
+
+    let views = manifest["views"].as_array().unwrap();
+    let all: Vec<&str> = views.iter().map(|view| view["name"].as_str().unwrap()).collect();
+    assert!(all.is_sorted() && all.len() == 28);
+    let of_status = |status: &str| views.iter().filter(|view| view["status"] == status).count();
+    assert_eq!(of_status("key"), chosen);
+    assert_eq!(of_status("key") + of_status("partner") + of_status("unused"), all.len());
+    assert!(views.iter().all(|view| view["status"] == "key" || view["reason"].is_string()));
+
+    let mut fulfilment = 0.0;
+    for (i, cluster) in clusters.iter().enumerate() {
+        fulfilment += cluster["gain"].as_f64().unwrap();
+        assert_eq!(cluster["rank"].as_u64().unwrap() as usize, i + 1);
+        assert!((cluster["fulfilment"].as_f64().unwrap() - fulfilment).abs() < 1e-9);
+    }
+    let target = 0.9;
+    let share = |i: usize| clusters[i]["share"].as_f64().unwrap();
+    assert!(share(chosen - 1) >= target && (chosen == 1 || share(chosen - 2) < target));
+}
+
+#[test]
+fn the_same_bytes_on_one_thread_and_on_sixteen() {
+    let (one, sixteen) = (project(), project());
+    plan(one.path(), &["--threads", "1"]);
+    plan(sixteen.path(), &["--threads", "16"]);
+    let without_times = |root: &Path| {
+        let mut files = files(root);
+        files.retain(|path, _| !path.ends_with("timings.json") && !path.starts_with("viewrank/.sets"));
+        files
+    };
+    let (one, sixteen) = (without_times(one.path()), without_times(sixteen.path()));
+    assert_eq!(one.keys().collect::<Vec<_>>(), sixteen.keys().collect::<Vec<_>>());
+    for (path, bytes) in &one {
+        assert!(sixteen[path] == *bytes, "{path} differs");
+    }
+}
+
+#[test]
+fn a_dry_run_writes_nothing_and_says_the_same() {
+    let project = project();
+    let before = files(project.path());
+    let dry: Value = serde_json::from_str(&plan(project.path(), &["--dry-run", "--format", "json"])).unwrap();
+    assert_eq!(files(project.path()), before);
+    let wet: Value = serde_json::from_str(&plan(project.path(), &["--format", "json"])).unwrap();
+    assert_eq!(dry["cut"], wet["cut"]);
+    assert_eq!(dry["files"], wet["files"]);
+    for file in names(&wet["files"]) {
+        assert!(project.path().join(file).exists(), "{file}");
+    }
+    assert!((wet["written"] == true) && (dry["written"] == false));
+}
+
+#[test]
+fn the_summary_fits_a_terminal_and_names_the_next_command() {
+    let project = project();
+    let summary = plan(project.path(), &[]);
+    let long =
+        summary.lines().filter(|line| line.chars().count() > 80 && !line.contains(project.path().to_str().unwrap()));
+    assert_eq!(long.collect::<Vec<_>>(), Vec::<&str>::new());
+    assert!(summary.contains("<- the plan stops here"));
+    assert!(summary.contains("\nNext: viewrank "), "{summary}");
+    assert!(!summary.contains(" m per pixel"), "nobody said that the model is metric");
+}
+
+#[test]
+fn quiet_is_quiet() {
+    let project = project();
+    let output = viewrank(&["plan", project.path().to_str().unwrap(), "--quiet"]);
+    assert!(output.status.success() && output.stdout.is_empty());
+    assert_eq!(String::from_utf8(output.stderr).unwrap(), "");
+}
+
+#[test]
+fn settings_of_the_project_and_the_command_line_are_in_force() {
+    let project = project();
+    fs::write(project.path().join("viewrank.toml"), "units = \"metric\"\npartners.k = 3\n[target]\ngsd = 0.05\n")
+        .unwrap();
+    let summary = plan(project.path(), &["-k", "2", "--budget", "4"]);
+    assert!(summary.contains("0.0500 m per pixel"), "{summary}");
+    let manifest = manifest(project.path());
+    assert_eq!(manifest["units"], "metric");
+    assert_eq!(manifest["settings"]["partners"]["k"], 2);
+    assert_eq!(manifest["settings"]["target"]["gsd"], 0.05);
+    assert_eq!(manifest["settings"]["target"]["mode"], "absolute");
+    assert_eq!(manifest["cut"]["clusters"], 4);
+    assert!(manifest["clusters"].as_array().unwrap().iter().all(|c| names(&c["partners"]).len() <= 2));
+}
+
+#[test]
+fn budgets_and_targets_cut_where_they_say() {
+    let project = project();
+    let cut = |options: &[&str]| {
+        let summary: Value =
+            serde_json::from_str(&plan(project.path(), &[options, &["--dry-run", "--format", "json"]].concat()))
+                .unwrap();
+        summary["cut"]["clusters"].as_u64().unwrap()
+    };
+    assert_eq!(cut(&["--budget", "3"]), 3);
+    // 10 % of 28 views, and no fewer.
+    assert_eq!(cut(&["--budget", "10%"]), 3);
+    assert_eq!(cut(&["--budget", "2", "--target", "100%"]), 2);
+    assert_eq!(cut(&["--points", "0"]), 0);
+    assert!(cut(&["--target", "50%"]) < cut(&["--target", "95%"]));
+    let (code, stderr) = failure(&["plan", project.path().to_str().unwrap(), "--time", "2h", "-q"]);
+    assert_eq!(code, 1);
+    assert!(stderr.contains("the time limit") && stderr.contains("hint: time one depth map"), "{stderr}");
+    fs::write(project.path().join("viewrank.toml"), "[forecast]\nseconds_per_map = 10\nseconds_per_pair = 2\n")
+        .unwrap();
+    assert_eq!(cut(&["--time", "1min", "-k", "5", "--target", "100%"]), 3);
+}
+
+#[test]
+fn any_number_of_partners() {
+    let project = project();
+    for k in ["1", "2", "11", "auto"] {
+        plan(project.path(), &["-k", k, "--dry-run"]);
+    }
+}
+
+#[test]
+fn a_dense_workspace_gets_its_lists_and_keeps_the_originals() {
+    let project = project();
+    let root = project.path();
+    for file in ["cameras.bin", "images.bin", "points3D.bin"] {
+        fs::rename(root.join("sparse/0").join(file), root.join("sparse").join(file)).unwrap();
+    }
+    fs::remove_dir(root.join("sparse/0")).unwrap();
+    fs::create_dir(root.join("stereo")).unwrap();
+    fs::write(root.join("stereo/patch-match.cfg"), "grid_031.jpg\n__auto__, 20\n").unwrap();
+    plan(root, &[]);
+    let manifest = manifest(root);
+    assert_eq!(manifest["backend"], "colmap");
+    let list = fs::read_to_string(root.join("stereo/patch-match.cfg")).unwrap();
+    let keys: Vec<&str> = list.lines().filter(|line| !line.starts_with('#')).step_by(2).collect();
+    assert_eq!(keys.len() as u64, manifest["cut"]["clusters"].as_u64().unwrap());
+    assert!(root.join("stereo/fusion.cfg").is_file());
+    let original = fs::read_to_string(root.join("stereo/patch-match.cfg.before-viewrank")).unwrap();
+    assert_eq!(original, "grid_031.jpg\n__auto__, 20\n");
+}
+
+#[test]
+fn wrong_usage_is_2_and_failure_is_1_each_with_a_hint() {
+    let project = project();
+    let root = project.path().to_str().unwrap();
+    for (arguments, code, words) in [
+        (vec!["plan"], 2, "--help"),
+        (vec!["plan", root, "--gds", "1"], 2, "--gsd"),
+        (vec!["plan", root, "--gsd", "-1"], 2, "must be above 0"),
+        (vec!["plan", root, "-k", "0"], 2, "hint: "),
+        (vec!["plan", root, "--target", "80"], 2, "such as 80%"),
+        (vec!["plan", root, "--backend", "sgmm"], 1, "hint: take one of "),
+        (vec!["plan", root, "--model", "7"], 1, "hint: "),
+        (vec!["plan", "/nowhere/at/all"], 1, "hint: "),
+    ] {
+        let (found, stderr) = failure(&arguments);
+        assert_eq!(found, code, "{arguments:?}: {stderr}");
+        assert!(stderr.starts_with("error: ") && stderr.contains(words), "{arguments:?}: {stderr}");
+    }
+    fs::write(project.path().join("viewrank.toml"), "[target]\ngds = 1\n").unwrap();
+    let (code, stderr) = failure(&["plan", root]);
+    assert_eq!(code, 2);
+    assert!(
+        stderr.contains("viewrank.toml:2: there is no setting target.gds\nhint: did you mean target.gsd?"),
+        "{stderr}"
+    );
+}
+
+#[test]
+fn a_model_without_views_is_a_clear_error() {
+    let Some(data) = data() else { return };
+    let (code, stderr) = failure(&["plan", data.join("formats/empty/bin").to_str().unwrap(), "--dry-run"]);
+    assert_eq!(code, 1);
+    assert!(stderr.contains("hint: "), "{stderr}");
+}
+
+/// The large data sets, where they are.
+fn data() -> Option<PathBuf> {
+    let default = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data");
+    let folder = std::env::var_os("VIEWRANK_DATA").map_or(default, PathBuf::from);
+    if !folder.is_dir() {
+        eprintln!("skipped: no data sets in {} (set VIEWRANK_DATA)", folder.display());
+    }
+    folder.is_dir().then_some(folder)
+}
+
+#[test]
+fn the_manual_and_the_completions_know_every_option() {
+    let manual = String::from_utf8(viewrank(&["man", "plan"]).stdout).unwrap();
+    let completions = String::from_utf8(viewrank(&["completions", "bash"]).stdout).unwrap();
+    for option in
+        ["budget", "target", "gsd", "accuracy", "partners", "confidence", "surface", "mesh", "backend", "dry-run"]
+    {
+        assert!(manual.contains(&option.replace('-', "\\-")), "{option}");
+        assert!(completions.contains(&format!("--{option}")), "{option}");
+    }
+}

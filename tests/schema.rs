@@ -1,0 +1,37 @@
+//! The schemas in the repository are those of the program.
+//!
+//! After a change of the manifest or of a setting: `VIEWRANK_WRITE_SCHEMA=1 cargo test --test schema`.
+
+use std::{env, fs, path::Path};
+
+use schemars::{Schema, schema_for};
+use viewrank::{config::Settings, manifest::Manifest};
+
+fn compare(name: &str, schema: &Schema) {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("schema").join(name);
+    let text = serde_json::to_string_pretty(schema).unwrap() + "\n";
+    if env::var_os("VIEWRANK_WRITE_SCHEMA").is_some() {
+        fs::write(&path, &text).unwrap();
+    }
+    assert!(fs::read_to_string(&path).unwrap() == text, "{name} is out of date: see the head of this test");
+}
+
+#[test]
+fn schema_of_the_manifest() {
+    compare("manifest.schema.json", &Manifest::schema());
+}
+
+#[test]
+fn schema_of_the_settings() {
+    compare("viewrank.schema.json", &schema_for!(Settings));
+}
+
+#[test]
+fn every_field_of_the_manifest_is_documented() {
+    let schema = Manifest::schema();
+    let properties = schema.get("properties").and_then(|p| p.as_object()).unwrap();
+    for (name, property) in properties {
+        let documented = property.get("description").is_some() || property.get("$ref").is_some();
+        assert!(documented, "{name}");
+    }
+}
