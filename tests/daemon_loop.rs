@@ -44,7 +44,7 @@ impl Planner for Counter {
             Err(_) => return Outcome::Abandoned,
         };
         let text = serde_json::to_string(&fingerprint).expect("a string");
-        let done = Outcome::Planned { fingerprint, clusters: 1, share: 1.0 };
+        let done = Outcome::Planned { fingerprint, clusters: 1, share: 1.0, note: None };
         if self.plans.lock().expect("no panic").get(job.project).and_then(|p| p.last()) == Some(&text) {
             return done;
         }

@@ -8,7 +8,9 @@ mod config;
 mod inspect;
 mod plan;
 mod progress;
+mod status;
 mod summary;
+mod watch;
 
 use std::{
     io::{ErrorKind, Write},
@@ -101,6 +103,8 @@ enum Command {
     Plan(plan::Arguments),
     Config(config::Arguments),
     Inspect(inspect::Arguments),
+    Watch(watch::Arguments),
+    Status(status::Arguments),
     Completions(completions::Arguments),
     Man(completions::ManArguments),
 }
@@ -111,6 +115,8 @@ pub fn run() -> Result<(), Failure> {
         Command::Plan(arguments) => plan::run(&arguments),
         Command::Config(arguments) => config::run(&arguments),
         Command::Inspect(arguments) => inspect::run(&arguments),
+        Command::Watch(arguments) => watch::run(arguments),
+        Command::Status(arguments) => status::run(&arguments),
         Command::Completions(arguments) => completions::run(&arguments),
         Command::Man(arguments) => completions::man(&arguments),
     }

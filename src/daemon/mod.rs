@@ -14,7 +14,7 @@ pub mod watch;
 
 use std::{path::PathBuf, time::Duration};
 
-pub use job::{Job, Planner};
+pub use job::{Job, PlanJob, Planner};
 pub use run::{Signal, Summary, watch_roots};
 pub use status::{Line, read_status};
 

@@ -116,8 +116,7 @@ impl Stillness {
     }
 }
 
-/// Hash of a project's input: the content of the model files and of `viewrank.toml`, the names in the image folders, and the
-/// settings that the daemon adds.
+/// Hash of a project's input: the content of the model files, the names in the image folders, and the settings in force.
 #[derive(Clone, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(transparent)]
 pub struct Fingerprint(String);
@@ -131,7 +130,8 @@ impl HashCache {
     pub fn fingerprint(&mut self, project: &Path, stamp: &Stamp, settings: &[u8]) -> io::Result<Fingerprint> {
         let mut hasher = blake3::Hasher::new();
         hasher.update(env!("CARGO_PKG_VERSION").as_bytes()).update(blake3::hash(settings).as_bytes());
-        for (path, entry) in &stamp.files {
+        // What `viewrank.toml` says is in the settings; a broken one says nothing.
+        for (path, entry) in stamp.files.iter().filter(|(path, _)| !path.ends_with("viewrank.toml")) {
             let relative = path.strip_prefix(project).unwrap_or(path);
             hasher.update(relative.as_os_str().as_encoded_bytes()).update(&[0]);
             hasher.update(self.file(path, *entry)?.as_bytes());

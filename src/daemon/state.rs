@@ -39,6 +39,9 @@ pub enum Phase {
     Planned {
         clusters: usize,
         share: f64,
+        /// What should be known about it.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        note: Option<String>,
     },
     /// The backend writes depth maps.
     Computing {
@@ -65,7 +68,10 @@ impl fmt::Display for Phase {
             Self::Waiting { reason } => write!(f, "waiting: {reason}"),
             Self::Queued { reason } => write!(f, "queued: {reason}"),
             Self::Planning { stage, percent } => write!(f, "planning: {stage} {percent} %"),
-            Self::Planned { clusters, share } => write!(f, "planned: {clusters} key views for {:.0} %", share * 100.0),
+            Self::Planned { clusters, share, note } => {
+                write!(f, "planned: {clusters} key views for {:.0} %", share * 100.0)?;
+                note.iter().try_for_each(|note| write!(f, "; {note}"))
+            }
             Self::Computing { done, clusters, share } => {
                 write!(f, "computing: {done} of {clusters} depth maps, {:.0} % reached", share * 100.0)
             }
@@ -83,6 +89,7 @@ pub enum Outcome {
         fingerprint: Fingerprint,
         clusters: usize,
         share: f64,
+        note: Option<String>,
     },
     /// The model doesn't parse or its files don't fit together: it isn't there whole yet.
     Incomplete {
@@ -184,9 +191,9 @@ impl Tracked {
         let failures = self.failures + 1;
         (self.failures, self.retry_at) = (0, None);
         self.phase = match outcome {
-            Outcome::Planned { fingerprint, clusters, share } => {
+            Outcome::Planned { fingerprint, clusters, share, note } => {
                 self.planned = Some(fingerprint);
-                Phase::Planned { clusters, share }
+                Phase::Planned { clusters, share, note }
             }
             Outcome::Incomplete { reason } => Phase::Waiting { reason },
             Outcome::Abandoned => Phase::Waiting { reason: "its files to be still".into() },
@@ -252,7 +259,7 @@ mod tests {
 
     fn planned(text: &str) -> Outcome {
         let fingerprint = serde_json::from_value(text.into()).expect("a string");
-        Outcome::Planned { fingerprint, clusters: 3, share: 0.9 }
+        Outcome::Planned { fingerprint, clusters: 3, share: 0.9, note: None }
     }
 
     #[test]
@@ -267,7 +274,7 @@ mod tests {
         assert_eq!(project.due(SETTLE), None);
         project.observe(stamp, start + SETTLE * 9, OnBusy::Restart);
         assert_eq!(project.due(SETTLE), None);
-        assert_eq!(project.phase, Phase::Planned { clusters: 3, share: 0.9 });
+        assert_eq!(project.phase, Phase::Planned { clusters: 3, share: 0.9, note: None });
     }
 
     #[test]

@@ -1,0 +1,105 @@
+//! `viewrank status`: how the projects under a root stand, from the file that the daemon keeps.
+
+use std::{
+    path::{Path, PathBuf},
+    thread,
+    time::{Duration, SystemTime, UNIX_EPOCH},
+};
+
+use clap::Args;
+use viewrank::{
+    daemon::{Line, read_status, state::ProjectStatus},
+    error::Hint,
+};
+
+use super::{Failure, print};
+
+/// Show how the projects under a watched folder stand; works while the daemon is down, too.
+#[derive(Args)]
+pub struct Arguments {
+    /// The watched folder, or any folder below it.
+    #[arg(default_value = ".")]
+    root: PathBuf,
+    /// Print the status as JSON.
+    #[arg(long)]
+    json: bool,
+    /// Print again whenever something changes.
+    #[arg(long)]
+    follow: bool,
+}
+
+/// How often `--follow` looks.
+const FOLLOW: Duration = Duration::from_millis(500);
+
+pub fn run(arguments: &Arguments) -> Result<(), Failure> {
+    let root = watched_root(&arguments.root)?;
+    let mut last = String::new();
+    loop {
+        if let Some(line) = read_status(&root) {
+            let text = if arguments.json { as_json(&root, &line) } else { as_text(&root, &line) };
+            if text != last {
+                print(&text)?;
+                last = text;
+            }
+        }
+        if !arguments.follow {
+            return Ok(());
+        }
+        thread::sleep(FOLLOW);
+    }
+}
+
+/// The nearest folder, from here upwards, that a daemon watched.
+fn watched_root(from: &Path) -> Result<PathBuf, NotWatched> {
+    let absolute = from.canonicalize().unwrap_or_else(|_| from.into());
+    let found = absolute.ancestors().find(|folder| read_status(folder).is_some());
+    found.map(Path::to_path_buf).ok_or_else(|| NotWatched(from.into()))
+}
+
+#[derive(Debug, thiserror::Error)]
+#[error("no daemon has watched {} or a folder above it", .0.display())]
+struct NotWatched(PathBuf);
+
+impl Hint for NotWatched {
+    fn hint(&self) -> Option<String> {
+        Some(format!("start one: viewrank watch {}", self.0.display()))
+    }
+}
+
+fn as_json(root: &Path, line: &Line) -> String {
+    let mut value = serde_json::to_value(&line.status).expect("a status is JSON");
+    value["root"] = root.to_string_lossy().into();
+    value["running"] = line.running.into();
+    format!("{value:#}\n")
+}
+
+fn as_text(root: &Path, line: &Line) -> String {
+    let status = &line.status;
+    let daemon = match line.running {
+        true => format!("watched by process {} on {}", status.pid, status.host),
+        false => "no daemon is running; this is how things stood when it ended".into(),
+    };
+    let mut text = format!("{}: {daemon}\n", root.display());
+    for notice in &status.notices {
+        text += &format!("note: {notice}\n");
+    }
+    let width = status.projects.iter().map(|p| p.project.chars().count()).max().unwrap_or(0).min(32);
+    for project in &status.projects {
+        text += &format!("  {:width$}  {} ({})\n", project.project, project.phase, age(project));
+    }
+    if status.projects.is_empty() {
+        text += "  no projects yet\n";
+    }
+    text
+}
+
+/// For how long the project has been in its state.
+fn age(project: &ProjectStatus) -> String {
+    let now = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_secs());
+    match now.saturating_sub(project.since) {
+        s @ 0..=119 => format!("{s} s"),
+        s @ 120..=7199 => format!("{} min", s / 60),
+        s @ 7200..=172_799 => format!("{} h", s / 3600),
+        s => format!("{} days", s / 86_400),
+    }
+}

@@ -1,0 +1,152 @@
+//! `viewrank watch`: the daemon's arguments, signals and log.
+
+use std::{io::IsTerminal, path::PathBuf, thread, time::Duration};
+
+use clap::{Args, ValueEnum};
+use signal_hook::{
+    consts::{SIGHUP, SIGINT, SIGTERM},
+    iterator::Signals,
+};
+use viewrank::{
+    daemon::{Options, PlanJob, Signal, queue, state::OnBusy, watch_roots},
+    error::Hint,
+    output::Disk,
+};
+
+use super::Failure;
+
+/// Plan every project under some folders when its sparse model is complete, and follow the backend.
+///
+/// Runs until stopped (Ctrl-C or SIGTERM); SIGHUP looks at everything again. `viewrank status` shows how things stand.
+#[derive(Args)]
+pub struct Arguments {
+    /// Folders to watch, projects at any depth.
+    #[arg(required = true, value_name = "ROOT")]
+    roots: Vec<PathBuf>,
+    /// A model is complete when its files have been still for so long.
+    #[arg(long, default_value = "2s", value_parser = duration, value_name = "TIME")]
+    settle: Duration,
+    /// Look at all folders so often instead of waiting for file events [default: 10s on network file systems].
+    #[arg(long, value_parser = duration, value_name = "TIME")]
+    poll: Option<Duration>,
+    /// Look at everything so often, for events that were lost.
+    #[arg(long, default_value = "10min", value_parser = duration, value_name = "TIME")]
+    rescan: Duration,
+    /// What to do when a model changes while it is planned.
+    #[arg(long, default_value = "restart", value_name = "WHAT")]
+    on_busy: OnBusy,
+    /// Projects to plan at once.
+    #[arg(long, default_value_t = 1, value_name = "N")]
+    jobs: usize,
+    /// Memory that all plans together may take, as 4G or 800M [default: half of this machine's].
+    #[arg(long, value_parser = bytes, value_name = "SIZE")]
+    max_memory: Option<u64>,
+    /// Follow symbolic links that lead out of the roots.
+    #[arg(long)]
+    follow_links: bool,
+    /// End when every project is planned (for cron and CI); exit code 1 if one could not be.
+    #[arg(long)]
+    once: bool,
+    /// Write a Prometheus text file.
+    #[arg(long, value_name = "FILE")]
+    metrics: Option<PathBuf>,
+    #[arg(long, default_value = "text", value_name = "FORMAT")]
+    log_format: LogFormat,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum LogFormat {
+    Text,
+    Json,
+}
+
+pub fn run(arguments: Arguments) -> Result<(), Failure> {
+    start_log(arguments.log_format);
+    queue::lower_priority();
+    let once = arguments.once;
+    let options = arguments.options();
+    let planner = PlanJob::default();
+    let summary = watch_roots(&options, &planner, &Disk::REAL, forward_signals)?;
+    match summary.failed {
+        failed if failed > 0 && once => Err(Failed { failed, projects: summary.projects }.into()),
+        _ => Ok(()),
+    }
+}
+
+impl Arguments {
+    fn options(self) -> Options {
+        Options {
+            roots: self.roots,
+            settle: self.settle,
+            poll: self.poll,
+            rescan: self.rescan,
+            on_busy: self.on_busy,
+            jobs: self.jobs,
+            max_memory: self.max_memory.unwrap_or_else(|| queue::machine_memory() / 2),
+            follow_links: self.follow_links,
+            once: self.once,
+            metrics: self.metrics,
+        }
+    }
+}
+
+#[derive(Debug, thiserror::Error)]
+#[error("{failed} of {projects} projects could not be planned")]
+struct Failed {
+    failed: usize,
+    projects: usize,
+}
+
+impl Hint for Failed {
+    fn hint(&self) -> Option<String> {
+        Some("`viewrank status` says why".into())
+    }
+}
+
+/// The level is set by RUST_LOG; times are left to the journal where there is one.
+fn start_log(format: LogFormat) {
+    let filter = tracing_subscriber::EnvFilter::try_from_default_env().unwrap_or_else(|_| "viewrank=info".into());
+    let log = tracing_subscriber::fmt().with_env_filter(filter).with_target(false).with_writer(std::io::stderr);
+    match format {
+        LogFormat::Json => log.json().init(),
+        LogFormat::Text if std::env::var_os("JOURNAL_STREAM").is_some() => log.without_time().with_ansi(false).init(),
+        LogFormat::Text => log.with_ansi(std::io::stderr().is_terminal()).init(),
+    }
+}
+
+fn forward_signals(to_daemon: Box<dyn Fn(Signal) + Send>) {
+    let Ok(mut signals) = Signals::new([SIGTERM, SIGINT, SIGHUP]) else { return };
+    thread::spawn(move || {
+        for signal in signals.forever() {
+            to_daemon(if signal == SIGHUP { Signal::Rescan } else { Signal::Stop });
+        }
+    });
+}
+
+/// `2s`, `500ms`, `10min`, `1h`.
+fn duration(text: &str) -> Result<Duration, String> {
+    let split = text.find(|c: char| !c.is_ascii_digit() && c != '.').unwrap_or(text.len());
+    let (number, unit) = text.split_at(split);
+    let seconds = match unit {
+        "ms" => 0.001,
+        "s" => 1.0,
+        "m" | "min" => 60.0,
+        "h" => 3600.0,
+        _ => return Err("a number and ms, s, min or h, as in 2s".into()),
+    };
+    let number: f64 = number.parse().map_err(|_| "a number and ms, s, min or h, as in 2s".to_string())?;
+    Duration::try_from_secs_f64(number * seconds).map_err(|error| error.to_string())
+}
+
+/// `800M`, `4G`, or bytes.
+fn bytes(text: &str) -> Result<u64, String> {
+    let (number, shift) = match text.trim_end_matches("iB").trim_end_matches('B').char_indices().last() {
+        Some((at, 'K' | 'k')) => (&text[..at], 10),
+        Some((at, 'M')) => (&text[..at], 20),
+        Some((at, 'G')) => (&text[..at], 30),
+        Some((at, 'T')) => (&text[..at], 40),
+        _ => (text, 0),
+    };
+    let number: f64 = number.parse().map_err(|_| "a number and K, M, G or T, as in 4G".to_string())?;
+    Ok((number * (1u64 << shift) as f64) as u64)
+}
