@@ -10,7 +10,7 @@
 //! - [`backends`] what each MVS program can match and the files it reads
 //! - [`depthmaps`] finished depth maps of the backends
 //! - [`pictures`] what people look at; [`tables`] what programs check
-//! - [`plan`] runs the stages; [`output`] makes files appear whole or not at all
+//! - [`plan`] runs the stages; [`evaluate`] method 8: real fulfilment, baselines; [`output`] makes files appear whole or not at all
 //! - [`config`] every setting; [`progress`] progress and cancellation; [`error`] what errors say beside their message
 
 pub mod backends;
@@ -20,6 +20,7 @@ pub mod config;
 pub mod daemon;
 pub mod depthmaps;
 pub mod error;
+pub mod evaluate;
 pub mod formats;
 pub mod fulfilment;
 pub mod manifest;

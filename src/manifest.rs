@@ -20,7 +20,7 @@ use crate::{
 };
 
 /// Version of the format; a reader of this version reads every manifest with the same number.
-const VERSION: u32 = 1;
+pub(crate) const VERSION: u32 = 1;
 
 /// A ranking of view clusters: which key views get depth maps, with which matching partners, in which order.
 #[derive(Clone, Debug, Serialize, JsonSchema)]

@@ -10,6 +10,7 @@ pub enum Stage {
     Confidence,
     Partners,
     Ranking,
+    Evaluate,
     Write,
 }
 
@@ -33,6 +34,12 @@ pub trait Watcher: Sync {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("cancelled")]
 pub struct Cancelled;
+
+impl crate::error::Hint for Cancelled {
+    fn hint(&self) -> Option<String> {
+        None
+    }
+}
 
 /// Watches nothing and never cancels.
 pub struct Unwatched;

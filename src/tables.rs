@@ -11,7 +11,7 @@ use crate::{
 
 /// Adds the tables of method 6 to a set of files.
 pub fn add(plan: &Plan, files: &mut FileSet) {
-    let mut table = |name: &str, bytes: Vec<u8>| files.add(format!("{name}.npy"), Contents::Bytes(bytes));
+    let mut table = |name: &str, bytes: Vec<u8>| add_table(files, name, bytes);
     let vertices: Vec<f64> = plan.surface.vertices.iter().flat_map(|v| v.coords.iter().copied()).collect();
     table("vertices", array(&[plan.surface.vertices.len(), 3], vertices));
     table("triangles", array(&[plan.surface.triangles.len(), 3], plan.surface.triangles.iter().flatten().copied()));
@@ -60,23 +60,28 @@ fn add_json(plan: &Plan, files: &mut FileSet) {
     files.add_text("settings.json", format!("{settings:#}\n"));
 }
 
+/// Adds one table.
+pub(crate) fn add_table(files: &mut FileSet, name: &str, bytes: Vec<u8>) {
+    files.add(format!("{name}.npy"), Contents::Bytes(bytes));
+}
+
 /// (row, column) of every entry of a CSR table.
-fn rows<'a>(offsets: &'a [usize], columns: &'a [u32]) -> impl Iterator<Item = u32> + 'a {
+pub(crate) fn rows<'a>(offsets: &'a [usize], columns: &'a [u32]) -> impl Iterator<Item = u32> + 'a {
     let of_row =
         |row: usize| columns[offsets[row]..offsets[row + 1]].iter().flat_map(move |&column| [row as u32, column]);
     (0..offsets.len().saturating_sub(1)).flat_map(of_row)
 }
 
-fn indices(views: &[ViewIndex]) -> Vec<u8> {
+pub(crate) fn indices(views: &[ViewIndex]) -> Vec<u8> {
     array(&[views.len()], views.iter().map(|v| v.0))
 }
 
-fn offsets(offsets: &[usize]) -> Vec<u8> {
+pub(crate) fn offsets(offsets: &[usize]) -> Vec<u8> {
     array(&[offsets.len()], offsets.iter().map(|&o| o as u64))
 }
 
 /// The bytes of a `.npy`, row-major, little-endian.
-fn array<T: AutoSerialize>(shape: &[usize], values: impl IntoIterator<Item = T>) -> Vec<u8> {
+pub(crate) fn array<T: AutoSerialize>(shape: &[usize], values: impl IntoIterator<Item = T>) -> Vec<u8> {
     let shape: Vec<u64> = shape.iter().map(|&n| n as u64).collect();
     let mut bytes = Vec::new();
     let writer = npyz::WriteOptions::new().default_dtype().shape(&shape).writer(&mut bytes).begin_nd();

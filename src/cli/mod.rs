@@ -5,6 +5,7 @@
 
 mod completions;
 mod config;
+mod evaluate;
 mod inspect;
 mod plan;
 mod progress;
@@ -101,6 +102,7 @@ struct Arguments {
 #[derive(Subcommand)]
 enum Command {
     Plan(plan::Arguments),
+    Evaluate(evaluate::Arguments),
     Config(config::Arguments),
     Inspect(inspect::Arguments),
     Watch(watch::Arguments),
@@ -113,6 +115,7 @@ enum Command {
 pub fn run() -> Result<(), Failure> {
     match Arguments::parse().command {
         Command::Plan(arguments) => plan::run(&arguments),
+        Command::Evaluate(arguments) => evaluate::run(&arguments),
         Command::Config(arguments) => config::run(&arguments),
         Command::Inspect(arguments) => inspect::run(&arguments),
         Command::Watch(arguments) => watch::run(arguments),

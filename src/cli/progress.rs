@@ -89,6 +89,7 @@ fn words(stage: Stage) -> &'static str {
         Stage::Confidence => "looking at the images",
         Stage::Partners => "choosing matching partners",
         Stage::Ranking => "ranking view clusters",
+        Stage::Evaluate => "measuring depth maps",
         Stage::Write => "writing",
     }
 }

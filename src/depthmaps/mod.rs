@@ -74,6 +74,47 @@ impl DepthMap {
         inside.then_some((x as u32, y as u32))
     }
 
+    /// Depth at an image position: inverse depth between the four pixels around it where they lie on one surface (within
+    /// `same_surface`, a share of the depth), else that of the nearest pixel.
+    pub fn interpolated(&self, camera: &Camera, position: &Point2<f64>, same_surface: f64) -> Option<f64> {
+        let (column, row) = self.pixel_at(camera, position)?;
+        let nearest = self.at(column, row);
+        let (sx, sy) = self.pixel_size(camera);
+        let (x, y) = (position.x / sx - 0.5, position.y / sy - 0.5);
+        let (left, top) = (x.floor(), y.floor());
+        let (right, down) = (x - left, y - top);
+        let inverse = |dx: f64, dy: f64| {
+            let (column, row) = (left + dx, top + dy);
+            let inside = column >= 0.0 && row >= 0.0 && column < f64::from(self.width) && row < f64::from(self.height);
+            inside.then(|| self.at(column as u32, row as u32)).flatten().map(f64::recip)
+        };
+        let corners = [
+            (inverse(0.0, 0.0), (1.0 - right) * (1.0 - down)),
+            (inverse(1.0, 0.0), right * (1.0 - down)),
+            (inverse(0.0, 1.0), (1.0 - right) * down),
+            (inverse(1.0, 1.0), right * down),
+        ];
+        // At the centre of a pixel its neighbours have no weight and need no depth.
+        let used = corners.iter().filter(|(_, weight)| *weight > 1e-9);
+        let depth = used.map(|(inverse, weight)| inverse.map(|i| i * weight)).sum::<Option<f64>>().map(f64::recip);
+        match (depth, nearest) {
+            (Some(depth), Some(nearest)) if (depth - nearest).abs() <= same_surface * nearest => Some(depth),
+            _ => nearest,
+        }
+    }
+
+    /// Is the map a scaled image of the camera, to the rounding of its size?
+    pub fn fits(&self, camera: &Camera) -> bool {
+        let (sx, sy) = self.pixel_size(camera);
+        let rounding = 1.0 / f64::from(self.width) + 1.0 / f64::from(self.height);
+        (sx / sy - 1.0).abs() <= rounding
+    }
+
+    /// The same map without any depth.
+    pub fn emptied(&self) -> Self {
+        Self { depth: vec![0.0; self.depth.len()], ids: Vec::new(), ..*self }
+    }
+
     /// Share of the pixels that have a depth.
     pub fn filled(&self) -> f64 {
         let filled = self.depth.iter().filter(|&&z| z > 0.0).count();

@@ -4,6 +4,7 @@
 //! ranking (`cut.rs`), forecasts its cost (`forecast.rs`), says why the rest is not taken (`reasons.rs`) and what the user should
 //! know (`warnings.rs`). It writes nothing: [`files`] turns a plan into what is to be written.
 
+mod again;
 mod cut;
 mod files;
 mod forecast;
@@ -11,6 +12,7 @@ mod reasons;
 mod timings;
 mod warnings;
 
+pub use again::{AgainError, again};
 pub use cut::Cut;
 pub use files::{FilesError, PlanFiles, files};
 pub use forecast::Forecast;
@@ -67,6 +69,20 @@ impl Plan {
     /// The clusters to compute, best first.
     pub fn chosen(&self) -> impl ExactSizeIterator<Item = &ViewCluster> {
         self.ranking.order[..self.cut.clusters].iter().map(|&c| &self.clusters[c as usize])
+    }
+
+    /// What f depends on; with it any view clusters can be looked at.
+    pub fn model(&self) -> Model<'_> {
+        let source = confidence::Source::new(&self.settings.confidence.source);
+        let backend = backends::by_name(self.backend).expect("the plan was made for one of the backends");
+        Model {
+            scene: &self.scene,
+            surface: &self.surface,
+            visibility: &self.visibility,
+            target: &self.target,
+            unary: &self.unary,
+            rule: rule(&self.settings, &source, backend),
+        }
     }
 
     /// The whole ranking, best first.

@@ -15,8 +15,8 @@ const FIELD_SAMPLES: u32 = 33;
 #[derive(Clone, Debug)]
 pub struct Face {
     pub face_from_camera: Matrix3<f64>,
-    /// Pixels per unit of x/z.
-    focal: f64,
+    /// Pixels per unit of x/z and y/z.
+    focal: Vector2<f64>,
     /// Pixel of the axis.
     axis: Vector2<f64>,
     width: usize,
@@ -50,6 +50,15 @@ impl Face {
         vec![Self::window(focal, Matrix3::identity(), low - spare, high + spare)]
     }
 
+    /// Exactly the pixels of a pinhole camera's image, reduced or enlarged to `width` x `height`.
+    pub fn pinhole(camera: &Camera, width: u32, height: u32) -> Self {
+        let scale =
+            Vector2::new(f64::from(width) / f64::from(camera.width), f64::from(height) / f64::from(camera.height));
+        let (focal, axis) = camera.pinhole_part();
+        let (focal, axis) = (focal.component_mul(&scale), axis.coords.component_mul(&scale));
+        Self::new(Matrix3::identity(), focal, axis, width as usize, height as usize)
+    }
+
     fn cube(focal: f64, right: [i8; 3], down: [i8; 3], forward: [i8; 3]) -> Self {
         let row = |r: [i8; 3]| Vector3::from(r.map(f64::from)).transpose();
         let one = Vector2::new(1.0, 1.0);
@@ -61,7 +70,18 @@ impl Face {
         let axis = Vector2::from_element(MARGIN) - low * focal;
         let size = (high - low) * focal + Vector2::from_element(2.0 * MARGIN);
         let (width, height) = (size.x.ceil() as usize, size.y.ceil() as usize);
-        let (low, high) = (-axis / focal, (Vector2::new(width as f64, height as f64) - axis) / focal);
+        Self::new(face_from_camera, Vector2::from_element(focal), axis, width, height)
+    }
+
+    fn new(
+        face_from_camera: Matrix3<f64>,
+        focal: Vector2<f64>,
+        axis: Vector2<f64>,
+        width: usize,
+        height: usize,
+    ) -> Self {
+        let low = -axis.component_div(&focal);
+        let high = (Vector2::new(width as f64, height as f64) - axis).component_div(&focal);
         let sides = [
             Vector3::new(1.0, 0.0, -low.x),
             Vector3::new(-1.0, 0.0, high.x),
@@ -79,7 +99,7 @@ impl Face {
 
     /// Pixel of a point in face coordinates.
     fn pixel(&self, p: &Vector3<f64>) -> Point2<f64> {
-        Point2::from(p.xy() * (self.focal / p.z) + self.axis)
+        Point2::from(p.xy().component_mul(&self.focal) / p.z + self.axis)
     }
 }
 
@@ -142,6 +162,11 @@ impl Buffer {
             let code = u64::from(inverse_depth.to_bits()) << 32 | u64::from(triangle);
             pixels[at] = pixels[at].max(code);
         });
+    }
+
+    /// The triangle in front in each pixel, row by row; `nothing` where none was drawn.
+    pub fn triangles(&self, nothing: u32) -> impl Iterator<Item = u32> {
+        self.pixels.iter().map(move |&code| if code == 0 { nothing } else { code as u32 })
     }
 
     /// Pixels that the triangle covers, and how many of them are free.

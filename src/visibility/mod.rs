@@ -144,6 +144,26 @@ pub fn seen(
     Ok(seen.into_iter().map(AtomicBool::into_inner).collect())
 }
 
+/// No triangle, in a picture of triangles.
+pub const NOTHING: u32 = u32::MAX;
+/// Closer to a camera than this share of the surface's distance from it nothing is drawn by [`front`].
+const NEAR_SHARE: f64 = 1e-4;
+
+/// The triangle in front in each pixel of a pinhole view's image, reduced or enlarged to `width` x `height`; row by row, [`NOTHING`] where
+/// there is none. A pixel shows what is at its centre.
+pub fn front(scene: &Scene, surface: &Surface, view: ViewIndex, width: u32, height: u32) -> Vec<u32> {
+    let face = Face::pinhole(scene.camera_of(view), width, height);
+    let pose = &scene.view(view).cam_from_world;
+    let vertices: Vec<Point3<f64>> = surface.vertices.iter().map(|v| pose.camera_from_world(v)).collect();
+    let near = NEAR_SHARE * vertices.iter().map(|v| v.z.abs()).fold(f64::MIN_POSITIVE, f64::max);
+    let mut buffer = Buffer::default();
+    buffer.clear(&face);
+    for (t, corners) in surface.triangles.iter().enumerate() {
+        buffer.draw(&face, &corners.map(|v| vertices[v as usize]), near, t as u32);
+    }
+    buffer.triangles(NOTHING).collect()
+}
+
 /// What all views have in common.
 struct Looking<'a> {
     scene: &'a Scene,

@@ -1,0 +1,249 @@
+//! `viewrank evaluate`: measures finished depth maps against the plan, a reference, and other choices.
+
+use std::{
+    fmt::Write,
+    path::{Path, PathBuf},
+};
+
+use clap::Args;
+use rayon::ThreadPoolBuilder;
+use serde::Serialize;
+use viewrank::{
+    evaluate::{self, Compared, Evaluation, Measure, Reached, Run, Task, clusters, orders},
+    output::{Contents, Disk, FileSet},
+    partners::ViewCluster,
+    plan::{self, Plan},
+    project::Project,
+    ranking,
+};
+
+use super::{Failure, Format, json, print, progress::Progress};
+
+/// Measure finished depth maps: what was really reached, what is missing and why.
+///
+/// PROJECT has been planned with viewrank plan. The depth maps are those of COLMAP (stereo/depth_maps), OpenMVS, MVSNet, ACMM
+/// or integrations/sgm. Writes PROJECT/viewrank/evaluation/: evaluation.html, evaluation.json, evaluation.ply.
+#[derive(Args)]
+pub struct Arguments {
+    project: PathBuf,
+
+    /// Folder of the finished depth maps
+    #[arg(long, value_name = "DIR", required_unless_present_any = ["write_baselines", "compare"])]
+    depth_maps: Option<PathBuf>,
+    /// Folder of depth maps that count as true, such as those with all partners; without it every depth counts as right
+    #[arg(long, value_name = "DIR")]
+    reference: Option<PathBuf>,
+    /// The view clusters that the maps were made for, in their order [default: the plan's]
+    #[arg(long, value_name = "FILE", requires = "depth_maps")]
+    clusters: Option<PathBuf>,
+    /// Also compare the order with others: nocp, realupdate, maxpts, every n-th, random, optimum
+    #[arg(long, requires = "depth_maps")]
+    baselines: bool,
+
+    /// Write the view clusters of other partner rules to DIR/kK/RULE/clusters.txt, to be matched there
+    #[arg(long, value_name = "DIR", conflicts_with = "depth_maps")]
+    write_baselines: Option<PathBuf>,
+    /// Partners per key view of those clusters
+    #[arg(short, value_name = "K,...", value_delimiter = ',', default_values_t = [2, 3, 5, 11], requires = "write_baselines")]
+    k: Vec<u32>,
+    /// Compare the folders in DIR that hold a clusters.txt and its depth maps
+    #[arg(long, value_name = "DIR", conflicts_with_all = ["depth_maps", "write_baselines"])]
+    compare: Option<PathBuf>,
+
+    /// Also write the tables of the plan and of the real fulfilment as NumPy files
+    #[arg(long, value_name = "DIR", requires = "depth_maps")]
+    dump_tables: Option<PathBuf>,
+    /// Where the results go [default: PROJECT/viewrank/evaluation]
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+    /// Threads to use [default: all]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
+    threads: Option<u16>,
+    /// No progress and no summary
+    #[arg(long, short)]
+    quiet: bool,
+    /// How the results are printed on stdout
+    #[arg(long, value_enum, default_value_t)]
+    format: Format,
+}
+
+pub fn run(arguments: &Arguments) -> Result<(), Failure> {
+    if let Some(threads) = arguments.threads {
+        let pool = ThreadPoolBuilder::new().num_threads(threads.into()).build_global();
+        pool.expect("no other pool was made before");
+    }
+    let progress = Progress::new(arguments.quiet);
+    let (project, plan) = plan::again(&arguments.project, &progress)?;
+    match (&arguments.write_baselines, &arguments.compare, &arguments.depth_maps) {
+        (Some(folder), _, _) => write_baselines(arguments, &plan, folder, &progress),
+        (_, Some(folder), _) => compare(arguments, &plan, folder, &progress),
+        (_, _, Some(folder)) => measure(arguments, &project, &plan, folder, &progress),
+        (None, None, None) => unreachable!("clap asks for one of the three"),
+    }
+}
+
+fn measure(
+    arguments: &Arguments,
+    project: &Project,
+    plan: &Plan,
+    folder: &Path,
+    progress: &Progress,
+) -> Result<(), Failure> {
+    let clusters = match &arguments.clusters {
+        Some(file) => clusters::read(file, &plan.scene)?,
+        None => planned(plan),
+    };
+    let run = task(plan, &clusters, folder, arguments.reference.as_deref(), progress)?;
+    let model = plan.model();
+    let reached = Reached::new(&model, &run);
+    let weights = ranking::weights(&plan.surface, plan.settings.ranking.weight);
+    let how = Measure { weights: &weights, support: support(plan), baselines: arguments.baselines };
+    let evaluation = Evaluation::new(&model, &run, &reached, &how, progress)?;
+    let title = project.root.file_name().unwrap_or(project.root.as_os_str()).to_string_lossy();
+    let out = arguments.out.clone().unwrap_or_else(|| project.output_folder().join("evaluation"));
+    let mut files = FileSet::new(&out, "evaluation");
+    files.add_text("evaluation.json", json(&evaluation));
+    files.add_text("evaluation.html", evaluate::page(&evaluation, &title));
+    files.add("evaluation.ply", Contents::Bytes(reached.ply(&model)));
+    files.write(&Disk::REAL)?;
+    if let Some(folder) = &arguments.dump_tables {
+        let mut set = FileSet::new(folder, "tables");
+        evaluate::tables::add(plan, &run, &mut set);
+        set.write(&Disk::REAL)?;
+    }
+    progress.finish();
+    warn(&evaluation, &run);
+    output(arguments, &evaluation, || text(&evaluation, &out))
+}
+
+/// All clusters of the plan, those without predicted gain last.
+fn planned(plan: &Plan) -> Vec<ViewCluster> {
+    let order = orders::completed(plan.ranking.order.clone(), plan.clusters.len());
+    order.iter().map(|&c| plan.clusters[c as usize].clone()).collect()
+}
+
+fn support(plan: &Plan) -> u32 {
+    plan.settings.ranking.support.unwrap_or(1)
+}
+
+fn task(
+    plan: &Plan,
+    clusters: &[ViewCluster],
+    depth_maps: &Path,
+    reference: Option<&Path>,
+    progress: &Progress,
+) -> Result<Run, Failure> {
+    let model = plan.model();
+    let gsd = plan.settings.target.gsd.expect("a plan's settings are filled in");
+    let accuracy = model.target.accuracy_over_gsd * gsd;
+    Ok(Run::new(&Task { model, clusters, depth_maps, reference, accuracy }, progress)?)
+}
+
+fn write_baselines(arguments: &Arguments, plan: &Plan, folder: &Path, progress: &Progress) -> Result<(), Failure> {
+    let mut files = FileSet::new(folder, "baselines");
+    for &k in &arguments.k {
+        for choice in evaluate::choices(plan, k, progress)? {
+            files.add_text(format!("k{k}/{}/clusters.txt", choice.rule), choice.text(plan));
+        }
+    }
+    files.write(&Disk::REAL)?;
+    progress.finish();
+    let names: Vec<&String> = files.files.keys().collect();
+    output(arguments, &names, || {
+        let list: String = names.iter().map(|name| format!("  {name}\n")).collect();
+        format!(
+            "{}\n{list}Match each, maps beside its clusters.txt, then: viewrank evaluate PROJECT --compare DIR\n",
+            folder.display()
+        )
+    })
+}
+
+fn compare(arguments: &Arguments, plan: &Plan, folder: &Path, progress: &Progress) -> Result<(), Failure> {
+    let mut runs = Vec::new();
+    for path in evaluate::clusters::folders(folder)? {
+        let clusters = clusters::read(&path.join("clusters.txt"), &plan.scene)?;
+        let name = path.strip_prefix(folder).unwrap_or(&path).to_string_lossy().into_owned();
+        runs.push((name, task(plan, &clusters, &path, arguments.reference.as_deref(), progress)?));
+    }
+    let compared = evaluate::compare(plan, &runs, support(plan), progress)?;
+    progress.finish();
+    output(arguments, &compared, || compared_text(&compared))
+}
+
+fn output(arguments: &Arguments, value: &impl Serialize, text: impl Fn() -> String) -> Result<(), Failure> {
+    match arguments.format {
+        Format::Json => print(&json(value)),
+        Format::Text if arguments.quiet => Ok(()),
+        Format::Text => print(&text()),
+    }
+}
+
+fn warn(evaluation: &Evaluation, run: &Run) {
+    let missing = evaluation.without_map.len();
+    if missing > 0 {
+        eprintln!("warning: {missing} of the clusters have no depth map; shares are of what the others reach");
+    }
+    if let Some(view) = evaluation.other_partners.first() {
+        let count = evaluation.other_partners.len();
+        eprintln!("warning: {count} depth maps were made with other partners than planned, the first is {view}");
+    }
+    if let Some(file) = run.strangers.first() {
+        eprintln!("warning: {} files belong to no view, the first is {}", run.strangers.len(), file.display());
+    }
+}
+
+fn text(e: &Evaluation, out: &Path) -> String {
+    let mut text = String::new();
+    let truth = if e.reference { "against the reference" } else { "no reference: every depth counts as right" };
+    let _ = writeln!(text, "{} depth maps, {truth}", e.key_views.len());
+    let q = &e.quality;
+    let _ = writeln!(
+        text,
+        "  completeness {:.1} %, outliers {:.2} %, RMSE {:.4}",
+        100.0 * q.completeness,
+        100.0 * q.outliers,
+        q.rmse
+    );
+    let _ = writeln!(text, "  fulfilment of all: {:.3} predicted, {:.3} real\n", e.predicted, e.real);
+    let _ = writeln!(text, "predicted share   key views   pairs   real share");
+    for gap in &e.gap {
+        let (share, real) = (100.0 * gap.share, 100.0 * gap.real);
+        let _ = writeln!(text, "{share:13.0} % {:11} {:7} {real:10.1} %", gap.clusters, gap.pairs);
+    }
+    if !e.orders.is_empty() {
+        let _ = write!(text, "\nkey views for     ");
+        e.orders[0].needed.iter().for_each(|n| text += &format!("{:6.0} %", 100.0 * n.share));
+        for order in &e.orders {
+            let _ = write!(text, "\n  {:16}", order.name);
+            order.needed.iter().for_each(|n| text += &format!("{:8.1}", n.clusters));
+        }
+        text.push('\n');
+    }
+    let _ = writeln!(text, "\nmissing, of {} triangles", e.triangles);
+    for (missing, count) in &e.missing {
+        let _ = writeln!(text, "  {:6.1} % {}", 100.0 * *count as f64 / e.triangles.max(1) as f64, missing.words());
+    }
+    let _ = writeln!(text, "\nSee {}", out.join("evaluation.html").display());
+    text
+}
+
+fn compared_text(compared: &[Compared]) -> String {
+    let mut text = format!(
+        "{:24} {:>9} {:>7} {:>13} {:>9} {:>9} {:>10}\n",
+        "clusters of", "key views", "pairs", "completeness", "outliers", "RMSE", "real f_o"
+    );
+    for row in compared {
+        let _ = writeln!(
+            text,
+            "{:24} {:9} {:7} {:11.2} % {:7.2} % {:9.4} {:10.4}",
+            row.name,
+            row.clusters,
+            row.pairs,
+            100.0 * row.quality.completeness,
+            100.0 * row.quality.outliers,
+            row.quality.rmse,
+            row.real
+        );
+    }
+    text
+}

@@ -1,0 +1,111 @@
+//! With which partners a backend really matched each key view: `report.json` of `integrations/sgm`, or the ids in OpenMVS's maps.
+
+use std::{
+    collections::BTreeMap,
+    path::{Path, PathBuf},
+};
+
+use serde::Deserialize;
+
+use crate::{
+    partners::ViewCluster,
+    scene::{Scene, ViewIndex},
+};
+
+/// A key view's partners by the backend's own word.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ReportedPartners {
+    pub tried: Vec<ViewIndex>,
+    pub matched: Vec<ViewIndex>,
+}
+
+/// What `report.json` in a folder of depth maps says, by key view; empty where there is none.
+pub type Report = BTreeMap<ViewIndex, ReportedPartners>;
+
+#[derive(Deserialize)]
+struct File {
+    clusters: Vec<Row>,
+}
+
+#[derive(Deserialize)]
+struct Row {
+    key: String,
+    partners: Vec<Partner>,
+}
+
+#[derive(Deserialize)]
+struct Partner {
+    name: String,
+    matched: bool,
+}
+
+/// A report that can't be read.
+#[derive(Debug, thiserror::Error)]
+#[error("{path}: {what}")]
+pub struct ReportError {
+    pub path: PathBuf,
+    pub what: String,
+}
+
+/// Names that the scene does not have are left out.
+pub fn read_report(folder: &Path, scene: &Scene) -> Result<Report, ReportError> {
+    let path = folder.join("report.json");
+    let bytes = match std::fs::read(&path) {
+        Ok(bytes) => bytes,
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(Report::new()),
+        Err(error) => return Err(ReportError { path, what: error.to_string() }),
+    };
+    let file: File =
+        serde_json::from_slice(&bytes).map_err(|error| ReportError { path: path.clone(), what: error.to_string() })?;
+    let entry = |row: &Row| {
+        let partners = |wanted: fn(&&Partner) -> bool| {
+            row.partners.iter().filter(wanted).filter_map(|p| scene.find(&p.name)).collect()
+        };
+        let reported = ReportedPartners { tried: partners(|_| true), matched: partners(|p| p.matched) };
+        Some((scene.find(&row.key)?, reported))
+    };
+    Ok(file.clusters.iter().filter_map(entry).collect())
+}
+
+/// The cluster with the partners that were really matched: by the report, else by the ids of its depth map (OpenMVS names images by
+/// the model's image ids; key view first), else all.
+pub fn really_matched(cluster: &ViewCluster, report: &Report, ids: &[u32], scene: &Scene) -> ViewCluster {
+    let partners = match (report.get(&cluster.key), ids) {
+        (Some(reported), _) => reported.matched.clone(),
+        (None, [_, partners @ ..]) => {
+            scene.view_indices().filter(|&v| partners.contains(&scene.view(v).image_id)).collect()
+        }
+        (None, []) => cluster.partners.clone(),
+    };
+    ViewCluster { key: cluster.key, partners }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::project::Project;
+
+    #[test]
+    fn the_report_decides_then_the_ids_then_the_plan() {
+        let fixture = Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/valley");
+        let scene = Project::open(&fixture, None).and_then(|p| p.read_scene()).unwrap();
+        let view = |name: &str| scene.find(name).unwrap();
+        let (a, b, c) = (view("grid_028.jpg"), view("grid_029.jpg"), view("grid_030.jpg"));
+        let cluster = ViewCluster { key: a, partners: vec![b, c] };
+        let folder = tempfile::tempdir().unwrap();
+        assert!(read_report(folder.path(), &scene).unwrap().is_empty());
+        let text = r#"{"version": 1, "clusters": [{"key": "grid_028.jpg", "width": 1, "partners": [
+            {"name": "grid_029.jpg", "matched": false, "refused": "why"}, {"name": "grid_030.jpg", "matched": true}]},
+            {"key": "elsewhere.jpg", "partners": []}]}"#;
+        std::fs::write(folder.path().join("report.json"), text).unwrap();
+        let report = read_report(folder.path(), &scene).unwrap();
+        assert_eq!(report.len(), 1);
+        assert_eq!(report[&a].tried, [b, c]);
+        let ids = [scene.view(a).image_id, scene.view(b).image_id, 999_999];
+        assert_eq!(really_matched(&cluster, &report, &ids, &scene).partners, [c]);
+        assert_eq!(really_matched(&cluster, &Report::new(), &ids, &scene).partners, [b]);
+        assert_eq!(really_matched(&cluster, &Report::new(), &[], &scene).partners, [b, c]);
+        std::fs::write(folder.path().join("report.json"), "{").unwrap();
+        assert!(read_report(folder.path(), &scene).unwrap_err().to_string().contains("report.json"));
+    }
+}

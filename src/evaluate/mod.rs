@@ -1,0 +1,26 @@
+//! Method 8: what finished depth maps really reach, against what was predicted and against other choices.
+//!
+//! A [`Run`] is a folder of depth maps of some view clusters, measured: `measure` holds a map against its reference, `matched` says which
+//! partners were really used. [`orders`] and [`rules`] are the choices of others.
+
+mod baselines;
+pub mod clusters;
+mod compare;
+pub mod curve;
+mod evaluation;
+mod matched;
+mod measure;
+mod missing;
+pub mod orders;
+mod page;
+pub mod rules;
+mod run;
+pub mod tables;
+
+pub use compare::{Choice, Compared, choices, compare};
+pub use evaluation::{Evaluation, Measure};
+pub use matched::ReportError;
+pub use measure::Quality;
+pub use missing::{Missing, Reached};
+pub use page::page;
+pub use run::{EvaluateError, Run, Task};

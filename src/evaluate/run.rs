@@ -1,0 +1,240 @@
+//! A folder of finished depth maps of some view clusters, measured.
+
+use std::{
+    path::{Path, PathBuf},
+    sync::atomic::{AtomicU64, Ordering},
+};
+
+use rayon::prelude::*;
+
+use super::{
+    curve::Curve,
+    matched::{self, Report, ReportError},
+    measure::{Measured, Quality, measure},
+};
+use crate::{
+    confidence::Confidence,
+    depthmaps::{self, DepthMapError, DepthMapFile, DepthMapSet},
+    error::Hint,
+    fulfilment::{self, FulfilmentTable, Model},
+    partners::ViewCluster,
+    progress::{Cancelled, Stage, Watcher},
+    scene::ViewIndex,
+};
+
+/// Finished view clusters and what really came of them. All tables have a row per cluster.
+#[derive(Clone, Debug)]
+pub struct Run {
+    /// Those with a depth map, by name of the key view.
+    pub clusters: Vec<ViewCluster>,
+    /// The order in which they were to be computed, indices into `clusters`.
+    pub order: Vec<u32>,
+    /// The same clusters with the partners that were really matched.
+    pub matched: Vec<ViewCluster>,
+    pub quality: Vec<Quality>,
+    /// As the plan's model has it.
+    pub predicted: FulfilmentTable,
+    /// With f_conf = 1.
+    pub nocp: FulfilmentTable,
+    /// Method 8.
+    pub real: FulfilmentTable,
+    /// f of the really matched partners with f_conf = 1: what `real` would be if every pixel were right.
+    pub attainable: FulfilmentTable,
+    /// Were the maps held against references?
+    pub has_reference: bool,
+    /// Key views whose depth map isn't there.
+    pub without_map: Vec<ViewIndex>,
+    /// Key views whose depth map was made with other partners than the clusters have.
+    pub other_partners: Vec<ViewIndex>,
+    /// Files that look like depth maps and belong to no view.
+    pub strangers: Vec<PathBuf>,
+}
+
+/// What to measure, and against what.
+pub struct Task<'a> {
+    pub model: Model<'a>,
+    /// In the order in which they were to be computed.
+    pub clusters: &'a [ViewCluster],
+    pub depth_maps: &'a Path,
+    pub reference: Option<&'a Path>,
+    /// a_d where a pixel shows no triangle, scene units.
+    pub accuracy: f64,
+}
+
+impl Run {
+    pub fn new(task: &Task, watcher: &dyn Watcher) -> Result<Self, EvaluateError> {
+        let scene = task.model.scene;
+        let maps = depthmaps::find(task.depth_maps, scene)?;
+        let references = task.reference.map(|folder| depthmaps::find(folder, scene)).transpose()?;
+        let report = matched::read_report(task.depth_maps, scene)?;
+        let of = |set: &DepthMapSet, view| set.maps.iter().find(|m| m.view == view).cloned();
+        let mut found: Vec<(ViewCluster, DepthMapFile, u32)> = Vec::new();
+        let mut without_map = Vec::new();
+        for (rank, cluster) in task.clusters.iter().enumerate() {
+            match of(&maps, cluster.key) {
+                Some(map) => found.push((cluster.clone(), map, rank as u32)),
+                None => without_map.push(cluster.key),
+            }
+        }
+        if found.is_empty() {
+            return Err(EvaluateError::NoClusters(task.depth_maps.into()));
+        }
+        found.sort_by_key(|(cluster, _, _)| cluster.key);
+        let done = AtomicU64::new(0);
+        watcher.progress(Stage::Evaluate, 0, found.len() as u64);
+        let measured = found.par_iter().map(|(cluster, map, _)| {
+            watcher.check()?;
+            let reference = references.as_ref().map(|set| of(set, cluster.key));
+            let measured = task.measure(cluster.key, map, reference)?;
+            watcher.progress(Stage::Evaluate, 1 + done.fetch_add(1, Ordering::Relaxed), found.len() as u64);
+            Ok(measured)
+        });
+        let measured: Vec<Measured> = measured.collect::<Result<_, EvaluateError>>()?;
+        let mut order: Vec<u32> = (0..found.len() as u32).collect();
+        order.sort_by_key(|&c| found[c as usize].2);
+        let clusters: Vec<ViewCluster> = found.into_iter().map(|(cluster, _, _)| cluster).collect();
+        task.tables(clusters, order, &measured, &report, watcher).map(|run| Self {
+            without_map,
+            strangers: maps.strangers,
+            ..run
+        })
+    }
+
+    /// All clusters together.
+    pub fn pooled(&self) -> Quality {
+        let mut all = Quality::default();
+        self.quality.iter().for_each(|q| all.add(q));
+        all
+    }
+
+    /// The real curve of an order of the clusters.
+    pub fn real_curve(&self, weights: &[f64], support: u32, order: &[u32]) -> Curve {
+        Curve::new(&self.real, weights, support, &self.clusters, order)
+    }
+}
+
+impl Task<'_> {
+    /// `reference`: `Some(None)`: there are references, but none of this view; then nothing in the map is right.
+    fn measure(
+        &self,
+        key: ViewIndex,
+        map: &DepthMapFile,
+        reference: Option<Option<DepthMapFile>>,
+    ) -> Result<Measured, EvaluateError> {
+        let camera = self.model.scene.camera_of(key);
+        let name = || self.model.scene.name(key).to_string();
+        if !camera.is_pinhole() {
+            return Err(EvaluateError::Distorted { view: name(), model: camera.model().name() });
+        }
+        let read = |file: &DepthMapFile| {
+            let map = depthmaps::read(&file.path, file.format)?;
+            if map.fits(camera) {
+                return Ok(map);
+            }
+            let (map, image) = ([map.width, map.height], [camera.width, camera.height]);
+            Err(EvaluateError::Shape { path: file.path.clone(), map, view: name(), image })
+        };
+        let map = read(map)?;
+        let reference = match reference {
+            None => None,
+            Some(Some(file)) => Some(read(&file)?),
+            Some(None) => Some(map.emptied()),
+        };
+        Ok(measure(&self.model, key, map, reference.as_ref(), self.accuracy))
+    }
+
+    fn tables(
+        &self,
+        clusters: Vec<ViewCluster>,
+        order: Vec<u32>,
+        measured: &[Measured],
+        report: &Report,
+        watcher: &dyn Watcher,
+    ) -> Result<Run, EvaluateError> {
+        let scene = self.model.scene;
+        let matched = clusters.iter().zip(measured);
+        let matched: Vec<ViewCluster> =
+            matched.map(|(c, m)| matched::really_matched(c, report, &m.ids, scene)).collect();
+        let mut certain = self.model;
+        certain.rule.confidence = Confidence::None;
+        let attainable = fulfilment::table(&certain, &matched, watcher)?;
+        let other_partners = clusters.iter().filter(|c| {
+            let tried = report.get(&c.key).map(|r| sorted(&r.tried));
+            tried.is_some_and(|tried| tried != sorted(&c.partners))
+        });
+        Ok(Run {
+            has_reference: self.reference.is_some(),
+            other_partners: other_partners.map(|c| c.key).collect(),
+            quality: measured.iter().map(|m| m.quality).collect(),
+            predicted: fulfilment::table(&self.model, &clusters, watcher)?,
+            nocp: fulfilment::table(&certain, &clusters, watcher)?,
+            real: self.real(&matched, &attainable, measured),
+            attainable,
+            matched,
+            clusters,
+            order,
+            without_map: Vec::new(),
+            strangers: Vec::new(),
+        })
+    }
+
+    /// Attainable fulfilment times the measured share.
+    fn real(&self, clusters: &[ViewCluster], attainable: &FulfilmentTable, measured: &[Measured]) -> FulfilmentTable {
+        let mut real = FulfilmentTable { offsets: vec![0], ..Default::default() };
+        for (c, cluster) in clusters.iter().enumerate() {
+            let seen = self.model.visibility.of(cluster.key);
+            let (triangles, values) = attainable.of(c);
+            for (&t, &f) in triangles.iter().zip(values) {
+                let share = seen.binary_search(&t).map_or(0.0, |row| measured[c].shares[row]);
+                if f * share > 0.0 {
+                    real.triangles.push(t);
+                    real.values.push(f * share);
+                }
+            }
+            real.offsets.push(real.triangles.len());
+        }
+        real
+    }
+}
+
+fn sorted(views: &[ViewIndex]) -> Vec<ViewIndex> {
+    let mut views = views.to_vec();
+    views.sort_unstable();
+    views
+}
+
+/// Why depth maps can't be measured.
+#[derive(Debug, thiserror::Error)]
+pub enum EvaluateError {
+    #[error(transparent)]
+    DepthMap(#[from] DepthMapError),
+    #[error(transparent)]
+    Report(#[from] ReportError),
+    #[error("none of the view clusters has a depth map in {}", .0.display())]
+    NoClusters(PathBuf),
+    #[error("view {view} has a {model} camera, depth maps are of undistorted images")]
+    Distorted { view: String, model: &'static str },
+    #[error("{}: {} x {} pixels do not have the shape of {view}, {} x {}", .path.display(), .map[0], .map[1], .image[0], .image[1])]
+    Shape { path: PathBuf, map: [u32; 2], view: String, image: [u32; 2] },
+    #[error(transparent)]
+    Cancelled(#[from] Cancelled),
+}
+
+impl Hint for EvaluateError {
+    fn hint(&self) -> Option<String> {
+        Some(match self {
+            Self::DepthMap(error) => return error.hint(),
+            Self::Report(_) => {
+                "run the matcher again, or take the report away: all partners then count as matched".into()
+            }
+            Self::NoClusters(_) => {
+                "give the depth maps of this plan, or the clusters that they were made for with --clusters".into()
+            }
+            Self::Distorted { .. } => {
+                "plan and evaluate in the undistorted workspace that the depth maps were made in".into()
+            }
+            Self::Shape { .. } => "give depth maps of these images, whole and not cropped".into(),
+            Self::Cancelled(_) => return None,
+        })
+    }
+}
