@@ -1,0 +1,110 @@
+//! What the fuzzers do with bytes: they take the place of one file of a small valid model, and whatever is read must be whole and
+//! must be the same again after writing. Used by the targets of `cargo fuzz` and by `tests/fuzz_readers.rs`.
+
+use viewrank::{
+    formats::{Bytes, Fault, colmap::ColmapModel, colmap_bin, colmap_text},
+    scene::Scene,
+};
+
+/// The files of a model, by their names.
+pub type Files = Vec<(&'static str, Vec<u8>)>;
+
+/// Names of all targets: the file that is replaced.
+pub const TARGETS: [&str; 10] = [
+    "cameras.bin",
+    "images.bin",
+    "points3D.bin",
+    "rigs.bin",
+    "frames.bin",
+    "cameras.txt",
+    "images.txt",
+    "points3D.txt",
+    "rigs.txt",
+    "frames.txt",
+];
+
+/// Three images of a rig of two cameras, and a third camera; four points.
+pub fn model(text: bool) -> Files {
+    const CAMERAS: &[u8] =
+        b"1 OPENCV 100 80 90 91 50 40 0.01 0.02 0 0\n2 SIMPLE_RADIAL 100 80 90 50 40 0.1\n9 PINHOLE 10 8 9 9 5 4\n";
+    const IMAGES: &[u8] = b"1 1 0 0 0 0 0 0 1 a.jpg\n1 2 7 3 4 -1 5 6 9\n2 1 0 0 0 1 0 0 2 b.jpg\n1 2 7 3 4 8\n7 0 1 0 0 0 0 3 1 sub/c.jpg\n1 2 10 3 4 9\n";
+    const POINTS: &[u8] =
+        b"7 0 0 5 10 20 30 0.5 1 0 2 0\n8 1 0 5 10 20 30 -1 2 1\n9 1 1 5 1 2 3 0.5 1 2 7 1\n10 2 0 5 1 2 3 0.25 7 0\n";
+    const RIGS: &[u8] = b"1 2 CAMERA 1 CAMERA 2 1 1 0 0 0 1 0 0\n2 1 CAMERA 9\n";
+    const FRAMES: &[u8] = b"1 1 1 0 0 0 0 0 0 2 CAMERA 1 1 CAMERA 2 2\n2 1 0 1 0 0 0 0 3 1 CAMERA 1 7\n";
+    let bytes = Bytes { cameras: CAMERAS, images: IMAGES, points3d: POINTS, rigs: Some(RIGS), frames: Some(FRAMES) };
+    let model = colmap_text::read(&bytes).expect("the model is valid");
+    if text { colmap_text::write(&model).expect("no blanks in names") } else { colmap_bin::write(&model) }
+}
+
+/// Reads the model with one of its files replaced.
+pub fn replace(target: &str, data: &[u8], files: &Files) {
+    let file = |name: &str| {
+        let stem_matches = |f: &&(&str, Vec<u8>)| f.0.split('.').next() == Some(name);
+        let found = files.iter().find(stem_matches).expect("all files are there");
+        if found.0 == target { data } else { &found.1 }
+    };
+    let bytes = Bytes {
+        cameras: file("cameras"),
+        images: file("images"),
+        points3d: file("points3D"),
+        rigs: Some(file("rigs")),
+        frames: Some(file("frames")),
+    };
+    // Without rigs and frames nothing contradicts the images: more is read to the end.
+    for bytes in [bytes, Bytes { rigs: None, frames: None, ..bytes }] {
+        match read(&bytes, target.ends_with("txt")) {
+            Ok((model, scene)) => check(&model, &scene),
+            Err(fault) => assert!(!fault.to_string().is_empty() && !fault.problem.hint().is_empty()),
+        }
+    }
+}
+
+fn read<'a>(bytes: &Bytes<'a>, text: bool) -> Result<(ColmapModel<'a>, Scene), Fault> {
+    let model = if text { colmap_text::read(bytes)? } else { colmap_bin::read(bytes)? };
+    let scene = model.scene()?;
+    Ok((model, scene))
+}
+
+fn check(model: &ColmapModel, scene: &Scene) {
+    assert_eq!((scene.views.len(), scene.points.len()), (model.images.len(), model.points.len()));
+    assert!(scene.views.is_sorted_by(|a, b| a.name < b.name));
+    assert_eq!(scene.track_offsets.len(), scene.points.len() + 1);
+    assert!(scene.track_offsets.is_sorted());
+    assert_eq!(*scene.track_offsets.last().unwrap(), scene.track_views.len());
+    assert_eq!(scene.track_pixels.len(), scene.track_views.len());
+    assert!(scene.track_views.iter().all(|v| v.at() < scene.views.len()));
+    assert!(scene.track_pixels.iter().flatten().all(|c| c.is_finite()));
+    assert!(scene.points.iter().all(|p| p.iter().all(|c| c.is_finite())));
+    for view in &scene.views {
+        let rotation = view.cam_from_world.rotation.matrix();
+        assert!((rotation.determinant() - 1.0).abs() < 1e-9, "{rotation}");
+        assert!(view.camera.at() < scene.cameras.len());
+    }
+    let _ = (scene.median_gsd(), scene.mean_reprojection_error());
+    again(scene, &colmap_bin::write(model), false);
+    if let Ok(files) = colmap_text::write(model) {
+        again(scene, &files, true);
+    }
+    let reduced = model.reduced(|image| image.id % 2 == 1, 2).expect("what was read can be reduced");
+    reduced.scene().expect("a reduced model is consistent");
+}
+
+/// What is written gives the same scene.
+fn again(scene: &Scene, files: &Files, text: bool) {
+    let file = |name: &str| files.iter().find(|f| f.0.split('.').next() == Some(name)).map(|f| &f.1[..]);
+    let required = |name| file(name).expect("written");
+    let (rigs, frames) = (file("rigs"), file("frames"));
+    let bytes = Bytes {
+        cameras: required("cameras"),
+        images: required("images"),
+        points3d: required("points3D"),
+        rigs,
+        frames,
+    };
+    let (_, other) = read(&bytes, text).expect("what is written can be read");
+    assert_eq!((&other.cameras, &other.points, &other.point_ids), (&scene.cameras, &scene.points, &scene.point_ids));
+    assert_eq!((&other.track_views, &other.track_pixels), (&scene.track_views, &scene.track_pixels));
+    let views = |s: &Scene| s.views.iter().map(|v| (v.name.clone(), v.image_id, v.cam_from_world)).collect::<Vec<_>>();
+    assert_eq!(views(&other), views(scene));
+}

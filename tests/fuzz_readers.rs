@@ -1,0 +1,134 @@
+//! The fuzz targets of the readers on stable Rust: valid files, changed at random. A short run by default;
+//! VIEWRANK_FUZZ_SECONDS is the time per target, VIEWRANK_FUZZ_TARGET one of them.
+
+#[path = "../fuzz/readers.rs"]
+mod readers;
+
+use std::{
+    panic::catch_unwind,
+    time::{Duration, Instant},
+};
+
+use rand_core::{Rng, SeedableRng};
+use rand_pcg::Pcg64Mcg;
+
+/// Changes per target in a normal run.
+const CHANGES: u64 = 3000;
+
+/// Values that break things: counts, ids, floating-point numbers.
+const VALUES: [u64; 14] = [
+    0,
+    1,
+    2,
+    255,
+    1 << 31,
+    u32::MAX as u64,
+    1 << 32,
+    1 << 60,
+    u64::MAX - 1,
+    u64::MAX,
+    0x7ff0_0000_0000_0000,
+    0x7ff8_0000_0000_0000,
+    0x0000_0000_0000_0001,
+    0x7fef_ffff_ffff_ffff,
+];
+const TOKENS: [&str; 16] = [
+    "0",
+    "-1",
+    "-0",
+    "nan",
+    "inf",
+    "1e999",
+    "-1e308",
+    "5e-324",
+    "18446744073709551615",
+    "18446744073709551616",
+    "4294967295",
+    "#",
+    "CAMERA",
+    "IMU",
+    "../../x",
+    "\u{1F4A9}",
+];
+
+struct Chance(Pcg64Mcg);
+
+impl Chance {
+    fn below(&mut self, n: usize) -> usize {
+        (self.0.next_u64() % n.max(1) as u64) as usize
+    }
+}
+
+fn change(data: &mut Vec<u8>, text: bool, chance: &mut Chance) {
+    let at = chance.below(data.len() + 1);
+    let length = chance.below(64).min(data.len() - at);
+    match chance.below(if text { 9 } else { 7 }) {
+        0 => data.truncate(at),
+        1 if at < data.len() => data[at] ^= 1 << chance.below(8),
+        2 if at < data.len() => data[at] = chance.below(256) as u8,
+        3 => _ = data.drain(at..at + length),
+        4 => {
+            let piece = data[at..at + length].to_vec();
+            let to = chance.below(data.len() + 1);
+            data.splice(to..to, piece);
+        }
+        5 => {
+            let value = VALUES[chance.below(VALUES.len())].to_le_bytes();
+            let size = [1, 4, 8][chance.below(3)];
+            let end = (at + size).min(data.len());
+            data[at..end].copy_from_slice(&value[..end - at]);
+        }
+        6 => {
+            let bytes: Vec<u8> = (0..chance.below(16)).map(|_| chance.below(256) as u8).collect();
+            data.splice(at..at, bytes);
+        }
+        7 => {
+            // A whole token becomes another one.
+            let start = data[..at].iter().rposition(|b| b.is_ascii_whitespace()).map_or(0, |p| p + 1);
+            let end = data[at..].iter().position(|b| b.is_ascii_whitespace()).map_or(data.len(), |p| at + p);
+            data.splice(start..end, TOKENS[chance.below(TOKENS.len())].bytes());
+        }
+        _ => data.insert(at, b" \n\r\t"[chance.below(4)]),
+    }
+}
+
+fn fuzz(target: &str) {
+    let text = target.ends_with("txt");
+    let files = readers::model(text);
+    let valid = &files.iter().find(|f| f.0 == target).unwrap().1;
+    let seconds = std::env::var("VIEWRANK_FUZZ_SECONDS").ok().and_then(|s| s.parse().ok()).map(Duration::from_secs);
+    // The long runs differ from each other.
+    let seed = seconds.map_or(1, |_| std::process::id().into());
+    let mut chance = Chance(Pcg64Mcg::seed_from_u64(seed));
+    let start = Instant::now();
+    let mut done = 0u64;
+    while seconds.map_or(done < CHANGES, |seconds| start.elapsed() < seconds) {
+        let mut data = valid.clone();
+        for _ in 0..=chance.below(4) {
+            change(&mut data, text, &mut chance);
+        }
+        if catch_unwind(|| readers::replace(target, &data, &files)).is_err() {
+            panic!("{target}: fails with {}", data.escape_ascii());
+        }
+        done += 1;
+    }
+    eprintln!("{target}: {done} inputs in {:.0} s", start.elapsed().as_secs_f64());
+}
+
+#[test]
+fn changed_files_are_errors_or_models() {
+    let only = std::env::var("VIEWRANK_FUZZ_TARGET").ok();
+    for target in readers::TARGETS.into_iter().filter(|t| only.as_deref().is_none_or(|only| only == *t)) {
+        fuzz(target);
+    }
+}
+
+#[test]
+fn the_valid_model_is_read() {
+    for text in [false, true] {
+        let files = readers::model(text);
+        for (name, bytes) in &files {
+            readers::replace(name, bytes, &files);
+        }
+    }
+}
