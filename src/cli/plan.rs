@@ -169,6 +169,6 @@ fn report(arguments: &Arguments, project: &Project, plan: &Plan, files: &PlanFil
         Format::Text if !arguments.quiet => print(&summary.text())?,
         Format::Text => {}
     }
-    plan.warnings.iter().for_each(|warning| eprintln!("warning: {warning}"));
+    files.manifest.warnings.iter().for_each(|warning| eprintln!("warning: {warning}"));
     Ok(())
 }

@@ -54,7 +54,7 @@ impl<'a> Summary<'a> {
             cut: plan.cut,
             forecast: plan.forecast,
             speed_up: plan.forecast.speed_up(plan.timings.total()),
-            warnings: &plan.warnings,
+            warnings: &manifest.warnings,
             written: !dry_run,
             files: files.sets.iter().flat_map(|set| set.files.keys().cloned()).collect(),
             next: next(project, manifest, dry_run),

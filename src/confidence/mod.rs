@@ -118,6 +118,18 @@ impl Source {
     }
 }
 
+impl std::fmt::Display for Source {
+    /// As it is typed.
+    fn fmt(&self, f: &mut std::fmt::Formatter) -> std::fmt::Result {
+        match self {
+            Self::None => write!(f, "none"),
+            Self::Geometric => write!(f, "geometric"),
+            Self::Proxy => write!(f, "proxy"),
+            Self::Model(path) => write!(f, "{}", path.display()),
+        }
+    }
+}
+
 /// What p_i of method 3.4 is.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Confidence {

@@ -43,7 +43,7 @@ const WIDTH: f64 = 860.0;
 const HEIGHT: f64 = 380.0;
 const PANEL_WIDTH: f64 = 340.0;
 const PANEL_HEIGHT: f64 = 240.0;
-const TOP: f64 = 78.0;
+const TOP: f64 = 80.0;
 /// Points of a polyline beyond which none would be seen.
 const MOST_POINTS: usize = 600;
 
@@ -63,7 +63,7 @@ pub fn curve_svg(curve: &Curve) -> String {
         ),
         None => "No view cluster fulfils anything".into(),
     };
-    let _ = writeln!(svg, "<text x=\"60\" y=\"34\" font-size=\"17\" font-weight=\"600\">{title}</text>");
+    let _ = writeln!(svg, "<text x=\"18\" y=\"30\" font-size=\"16\" font-weight=\"600\">{title}</text>");
     let key_views: Vec<f64> = (1..=curve.share.len()).map(|n| n as f64).collect();
     let pairs: Vec<f64> = curve.pairs.iter().map(|&n| n as f64).collect();
     panel(&mut svg, 60.0, "key views", &key_views, curve);
@@ -102,6 +102,12 @@ fn panel(svg: &mut String, left: f64, label: &str, x: &[f64], curve: &Curve) {
         "<path d=\"M{left} {bottom}H{right}\" stroke=\"#888\"/>\n<text x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"middle\">{label}</text>",
         left + PANEL_WIDTH / 2.0,
         bottom + 42.0
+    );
+    let _ = writeln!(
+        svg,
+        "<text x=\"{:.1}\" y=\"{:.1}\" fill=\"#666\">share of the reachable fulfilment</text>",
+        left - 42.0,
+        TOP - 14.0
     );
     let points = thinned(x.len()).map(|i| format!("{:.1},{:.1}", at_x(x[i]), at_y(curve.share[i])));
     let points: Vec<String> = std::iter::once(format!("{left:.1},{bottom:.1}")).chain(points).collect();

@@ -8,9 +8,9 @@ use crate::{
 /// What the chosen clusters do for a triangle.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct TriangleState {
-    /// Best fulfilment by the chosen clusters.
+    /// Fulfilment by the chosen clusters (method 5, or 5.2 with its support).
     pub fulfilment: f32,
-    /// Best fulfilment by any cluster.
+    /// Fulfilment by all clusters together.
     pub reachable: f32,
     /// Chosen key views that fulfil it at all.
     pub chosen_views: u16,
@@ -25,14 +25,22 @@ impl TriangleState {
 
 /// The state of every triangle when the first `clusters` of the ranking are computed.
 pub fn triangle_states(plan: &Plan, clusters: usize) -> Vec<TriangleState> {
-    let mut states = vec![TriangleState::default(); plan.surface.triangles.len()];
+    let triangles = plan.surface.triangles.len();
+    let support = plan.settings.ranking.support.unwrap_or(1).max(1) as usize;
+    let mut states = vec![TriangleState::default(); triangles];
+    // The largest values of each triangle so far, in no order.
+    let mut largest = vec![0f32; triangles * support];
+    let mean = |largest: &[f32]| largest.iter().sum::<f32>() / support as f32;
     for (rank, &cluster) in plan.ranking.order.iter().enumerate() {
-        let (triangles, values) = plan.fulfilment.of(cluster as usize);
-        for (&t, &f) in triangles.iter().zip(values) {
-            let state = &mut states[t as usize];
-            state.reachable = state.reachable.max(f);
+        let (of_cluster, values) = plan.fulfilment.of(cluster as usize);
+        for (&t, &f) in of_cluster.iter().zip(values) {
+            let (state, largest) = (&mut states[t as usize], &mut largest[t as usize * support..][..support]);
+            if let Some(smallest) = largest.iter_mut().min_by(|a, b| a.total_cmp(b)) {
+                *smallest = smallest.max(f);
+            }
+            state.reachable = mean(largest);
             if rank < clusters {
-                state.fulfilment = state.fulfilment.max(f);
+                state.fulfilment = state.reachable;
                 state.chosen_views = state.chosen_views.saturating_add(1);
             }
         }

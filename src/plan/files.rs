@@ -2,7 +2,7 @@
 
 use super::Plan;
 use crate::{
-    backends::{self, Backend, BackendError, ExportOptions, Selection},
+    backends::{self, Backend, BackendError, Export, ExportOptions, Selection},
     error::Hint,
     manifest::{FingerprintError, Manifest},
     output::FileSet,
@@ -40,12 +40,10 @@ pub fn files(plan: &Plan, project: &Project) -> Result<PlanFiles, FilesError> {
     let clusters: Vec<_> = plan.ranked().take(plan.cut.clusters).collect();
     let selection =
         Selection { project, scene: &plan.scene, clusters: &clusters, image_scale: plan.settings.image_scale };
-    let mut exports = Vec::new();
-    for backend in wanted(plan, project)? {
-        exports.push(backend.export(&selection, &ExportOptions::default())?);
-    }
+    let (exports, missing) = exports(&selection, &wanted(plan, project)?)?;
     let records = exports.iter().map(|export| export.record.clone()).collect();
-    let manifest = Manifest::new(plan, project, records)?;
+    let mut manifest = Manifest::new(plan, project, records)?;
+    manifest.warnings.extend(missing);
     let mut own = FileSet::new(&project.root, "plan");
     let mut add = |name: &str, text: String| own.add_text(format!("viewrank/{name}"), text);
     add("manifest.json", manifest.to_json());
@@ -58,6 +56,24 @@ pub fn files(plan: &Plan, project: &Project) -> Result<PlanFiles, FilesError> {
     own.add("viewrank/surface.ply", crate::output::Contents::Bytes(surface_ply(plan)));
     let elsewhere: Vec<FileSet> = exports.into_iter().filter_map(|export| own.absorb(export.files)).collect();
     Ok(PlanFiles { manifest, sets: std::iter::once(own).chain(elsewhere).collect() })
+}
+
+/// The files of each backend. One that lacks something gets none, which a warning says: the plan is good without them.
+fn exports(
+    selection: &Selection,
+    backends: &[&'static dyn Backend],
+) -> Result<(Vec<Export>, Vec<String>), BackendError> {
+    let (mut exports, mut missing) = (Vec::new(), Vec::new());
+    for backend in backends {
+        match backend.export(selection, &ExportOptions::default()) {
+            Ok(export) => exports.push(export),
+            Err(BackendError::Needs { backend, what, hint }) => {
+                missing.push(format!("no files for {backend}, which needs {what}: {hint}"));
+            }
+            Err(error) => return Err(error),
+        }
+    }
+    Ok((exports, missing))
 }
 
 /// The backends that were asked for, else those that the project is set up for.

@@ -187,6 +187,7 @@ fn in_force(
     let numbers = backend.planning();
     all.ranking.support.get_or_insert(numbers.support);
     let confidence = numbers.confidence.with(&all.confidence);
+    all.confidence.source = confidence::Source::new(&all.confidence.source).to_string();
     all.confidence.min_matches = Some(confidence.min_matches);
     all.confidence.p0 = Some(confidence.p0);
     all.confidence.cosine_power = Some(confidence.cosine_power);
