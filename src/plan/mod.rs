@@ -108,6 +108,9 @@ pub fn plan(project: &Project, settings: &Settings, watcher: &dyn Watcher) -> Re
     let target = target(&scene, &seen, &settings);
     let source = confidence::Source::new(&settings.confidence.source);
     let rule = rule(&settings, &source, backend);
+    if source.needs_images() {
+        return Err(PlanError::NoPredictor(source.to_string()));
+    }
     let unary = Unary::certain();
     let model = Model {
         scene: &scene,
@@ -257,6 +260,8 @@ pub enum PlanError {
     Surface(#[from] SurfaceError),
     #[error(transparent)]
     Backend(#[from] BackendError),
+    #[error("confidence.source = {0}: this version has no confidence from images")]
+    NoPredictor(String),
     #[error("how long matching takes is not known, so that {0} cannot be kept to")]
     NoTimes(&'static str),
     #[error(transparent)]
@@ -269,8 +274,9 @@ impl Hint for PlanError {
             Self::Project(error) => return error.hint(),
             Self::NoViews(_) => "run structure from motion first, or take another model with --model".into(),
             Self::NoScale => "say what is wanted with --gsd, or give a model with points".into(),
-            Self::Surface(_) => return None,
+            Self::Surface(error) => return error.hint(),
             Self::Backend(error) => return error.hint(),
+            Self::NoPredictor(_) => "take --confidence geometric, or none".into(),
             Self::NoTimes(_) => "time one depth map and set forecast.seconds_per_map or .seconds_per_pair".into(),
             Self::Cancelled(_) => return None,
         })

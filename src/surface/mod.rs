@@ -29,6 +29,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::{
     config::{SurfaceChoice, SurfaceSettings},
+    error::Hint,
     progress::{Cancelled, Stage, Watcher},
     scene::{PointIndex, Scene},
 };
@@ -127,16 +128,14 @@ pub struct SurfaceStats {
 pub enum SurfaceError {
     #[error(
         "only {distinct} different sparse points can be used ({dropped} have fewer than two views, lie behind a camera or have a large \
-         reprojection error); a surface needs 4: check the model, or give a surface with --mesh"
+         reprojection error); a surface needs 4"
     )]
     TooFewPoints { distinct: usize, dropped: usize },
-    #[error(
-        "the sparse points lie on one line, which makes no surface: check the model, or give a surface with --mesh"
-    )]
+    #[error("the sparse points lie on one line, which makes no surface")]
     Linear,
-    #[error("the wanted ground sampling distance is {0}, but must be a positive number: set target.gsd or --gsd")]
+    #[error("the wanted ground sampling distance is {0}, but must be a positive number")]
     Gsd(f64),
-    #[error("nothing is left of the surface: no view sees any of it; give a surface with --mesh")]
+    #[error("nothing is left of the surface: no view sees any of it")]
     Empty,
     #[error("{}: {source}", path.display())]
     MeshFile { path: PathBuf, source: std::io::Error },
@@ -148,6 +147,22 @@ pub enum SurfaceError {
     Refine(refine::RefineError),
     #[error(transparent)]
     Cancelled(#[from] Cancelled),
+}
+
+impl Hint for SurfaceError {
+    fn hint(&self) -> Option<String> {
+        Some(match self {
+            Self::TooFewPoints { .. } | Self::Linear | Self::Empty => {
+                "check the model, or give a surface with --mesh".into()
+            }
+            Self::Gsd(_) => "set target.gsd, or type --gsd".into(),
+            Self::MeshFile { .. } => "check that the file is there and may be read".into(),
+            Self::Mesh { .. } => "give a PLY file of triangles in the frame of the model".into(),
+            Self::Delaunay(_) => "check the model: its points cannot be triangulated as they are".into(),
+            Self::Refine(_) => "ask for a coarser --gsd, or a larger surface.max_edge_factor".into(),
+            Self::Cancelled(_) => return None,
+        })
+    }
 }
 
 impl From<DelaunayError> for SurfaceError {
