@@ -12,7 +12,7 @@ use crate::{
 pub struct Sure;
 
 /// The numbers of a matcher of rectified pairs (method 7.1 and 7.2).
-pub(super) const RECTIFYING: PlanningNumbers = PlanningNumbers {
+const RECTIFYING: PlanningNumbers = PlanningNumbers {
     // Scale ratio 1.7.
     gate: Gate {
         min_shared_points: 1,
