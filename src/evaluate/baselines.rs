@@ -35,7 +35,7 @@ pub struct Order {
     pub pairs: Vec<f64>,
 }
 
-/// Ours first, the optimum last.
+/// Ours (greedy by the prediction) first, the optimum last.
 pub fn compare(
     run: &Run,
     scene: &Scene,
@@ -50,7 +50,7 @@ pub fn compare(
         .map(|seed| run.real_curve(weights, support, &orders::random(clusters, seed)))
         .collect();
     Ok(vec![
-        one("ours", run.order.clone()),
+        one("ours", orders::greedy(&run.predicted, weights, support, watcher)?),
         one("nocp", orders::greedy(&run.nocp, weights, support, watcher)?),
         one("realupdate", orders::real_update(&run.predicted, &run.real, weights, support)),
         one("maxpts", orders::max_points(scene, &run.clusters)),

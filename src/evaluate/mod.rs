@@ -17,6 +17,9 @@ pub mod rules;
 mod run;
 pub mod tables;
 
+#[cfg(test)]
+mod tests;
+
 pub use compare::{Choice, Compared, choices, compare};
 pub use evaluation::{Evaluation, Measure};
 pub use matched::ReportError;
