@@ -63,7 +63,10 @@ class Experiments:
             self.match(self.args.reference, "--connected", CONNECTED)
         self.viewrank("evaluate", self.project, "--quiet", "--write-baselines", self.rules, "-k", ",".join(map(str, self.args.k)))
         for clusters in sorted(self.rules.glob("k*/*/clusters.txt")):
-            self.match(clusters.parent, "--clusters", clusters)
+            if not self.args.rules or clusters.parent.name in self.args.rules:
+                self.match(clusters.parent, "--clusters", clusters)
+            else:
+                clusters.unlink()
 
     def run(self, reference, folder):
         """All three experiments against one reference."""
@@ -216,6 +219,7 @@ def main():
     parser.add_argument("--truth", type=Path, help="exact depth of a rendered set")
     parser.add_argument("--image-scale", type=float, default=0.5)
     parser.add_argument("-k", type=lambda text: [int(k) for k in text.split(",")], default=[2, 3, 5, 11], help="partners per key view (default 2,3,5,11; 5 is needed)")
+    parser.add_argument("--rules", type=lambda text: text.split(","), default=[], help="only these partner rules, ours and maxcon among them (default: all)")
     parser.add_argument("--settings", default="", help="more lines of viewrank.toml, separated by semicolons")
     parser.add_argument("--viewrank", default=os.environ.get("VIEWRANK", "viewrank"), help="the program (default: VIEWRANK, else on the path)")
     parser.add_argument("--jobs", type=int, default=1)
