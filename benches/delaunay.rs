@@ -1,5 +1,7 @@
-//! The Rust side of `benches/delaunay.py`: triangulates a file of little-endian f64 triples.
-//! Prints dimension, vertices, finite cells, all cells, seconds.
+//! Our side of `benches/delaunay.py` and `tests/python/test_delaunay.py`.
+//!
+//! Usage: delaunay POINTS [CELLS]. Reads little-endian f64 triples; prints dimension, vertices, finite cells, all cells, seconds;
+//! writes the finite cells as little-endian u32 quadruples of indices of points.
 
 use nalgebra::Point3;
 use std::time::Instant;
@@ -8,8 +10,9 @@ use viewrank::surface::delaunay::Delaunay;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     // `cargo bench` adds options of its own.
-    let Some(path) = std::env::args().skip(1).find(|argument| !argument.starts_with("--")) else {
-        eprintln!("usage: delaunay POINTS; benches/delaunay.py makes the points and compares with CGAL");
+    let mut arguments = std::env::args().skip(1).filter(|argument| !argument.starts_with("--"));
+    let Some(path) = arguments.next() else {
+        eprintln!("usage: delaunay POINTS [CELLS]; benches/delaunay.py makes the points and compares with CGAL");
         return Ok(());
     };
     let coordinates: Vec<f64> = bytemuck::pod_collect_to_vec(&std::fs::read(path)?);
@@ -18,9 +21,22 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let start = Instant::now();
     let delaunay = Delaunay::triangulate(&points, &Unwatched)?;
     let seconds = start.elapsed().as_secs_f64();
-    let all = delaunay.cells.len() as u32;
-    let finite = (0..all).filter(|&cell| !delaunay.is_infinite(cell)).count();
+    let finite = (0..delaunay.cells.len() as u32).filter(|&cell| !delaunay.is_infinite(cell));
     let dimension = delaunay.dimension as usize;
-    println!("{dimension} {} {finite} {all} {seconds:.3}", delaunay.vertex_count());
+    println!(
+        "{dimension} {} {} {} {seconds:.3}",
+        delaunay.vertex_count(),
+        finite.clone().count(),
+        delaunay.cells.len()
+    );
+    if let Some(path) = arguments.next() {
+        let mut point_of_vertex = vec![0u32; delaunay.vertex_count()];
+        for (point, &vertex) in delaunay.vertex_of_point.iter().enumerate() {
+            point_of_vertex[vertex as usize] = point as u32;
+        }
+        let corners = finite.flat_map(|cell| delaunay.cells[cell as usize].vertices);
+        let cells: Vec<u32> = corners.map(|vertex| point_of_vertex[vertex as usize]).collect();
+        std::fs::write(path, bytemuck::cast_slice(&cells))?;
+    }
     Ok(())
 }

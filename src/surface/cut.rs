@@ -8,14 +8,17 @@
 //! Capacities are integers; the result is exact and does not depend on the order of anything. Worst case: n² m; in practice a
 //! few scans per cell.
 
+#[cfg(test)]
+mod tests;
+
 use super::delaunay::{Cell, Facet};
 use crate::progress::{Cancelled, Watcher};
 
 /// Larger capacities of facets count as this much, so that the residual of two opposite arcs together fits 32 bits.
 pub const MAX_CAPACITY: u32 = u32::MAX / 2;
 
-/// Nodes scanned or adopted between two questions to the watcher: about a millisecond.
-const STEPS_PER_CHECK: u32 = 1 << 13;
+/// Nodes touched between two questions to the watcher: a few milliseconds.
+const STEPS_PER_CHECK: usize = 1 << 15;
 
 /// The cut of least capacity; among several the one with the fewest cells outside.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -46,9 +49,9 @@ pub struct Capacities {
 /// When the two slices differ in length.
 pub fn minimum_cut(cells: &[Cell], capacities: &[Capacities], watcher: &dyn Watcher) -> Result<Cut, Cancelled> {
     assert_eq!(cells.len(), capacities.len(), "one set of capacities per cell");
-    let mut search = Search::new(cells, capacities);
-    search.run(watcher)?;
-    Ok(Cut { flow: search.flow, outside: search.reachable() })
+    let mut search = Search::new(cells, capacities, watcher)?;
+    search.run()?;
+    Ok(Cut { flow: search.flow, outside: search.reachable()? })
 }
 
 /// The two trees; also the index of the residuals that the tree grows along.
@@ -87,7 +90,8 @@ struct Node {
     parent: u8,
 }
 
-struct Search {
+struct Search<'a> {
+    watcher: &'a dyn Watcher,
     nodes: Vec<Node>,
     flow: u64,
     /// Per tree: the nodes of the last complete level, and its number. Entries may be out of date.
@@ -100,15 +104,19 @@ struct Search {
     orphan_count: usize,
     /// The tree that is growing.
     growing: Tree,
-    steps: u32,
+    /// Nodes touched since the last question to the watcher.
+    steps: usize,
 }
 
-impl Search {
-    fn new(cells: &[Cell], capacities: &[Capacities]) -> Self {
+impl<'a> Search<'a> {
+    fn new(cells: &[Cell], capacities: &[Capacities], watcher: &'a dyn Watcher) -> Result<Self, Cancelled> {
         let mut flow = 0;
         let mut nodes = Vec::with_capacity(cells.len());
         let mut frontier = [Vec::new(), Vec::new()];
         for (index, (cell, own)) in cells.iter().zip(capacities).enumerate() {
+            if index % STEPS_PER_CHECK == 0 {
+                watcher.check()?;
+            }
             let back = cell.neighbours.map(|f| capacities[f.cell() as usize].facets[f.index()].min(MAX_CAPACITY));
             let excess = i64::from(own.source) - i64::from(own.sink);
             flow += u64::from(own.source.min(own.sink));
@@ -123,32 +131,40 @@ impl Search {
             let residual = [own.facets.map(|c| c.min(MAX_CAPACITY)), back];
             nodes.push(Node { residual, neighbours: cell.neighbours, excess, level: 1, tree, parent: ROOT });
         }
-        Search {
+        Ok(Search {
+            watcher,
             nodes,
             flow,
             frontier,
             level: [1, 1],
+            growing: Source,
             next: Vec::new(),
             orphans: Vec::new(),
             orphan_count: 0,
-            growing: Source,
             steps: 0,
+        })
+    }
+
+    /// Counts work; asks the watcher where there was enough of it.
+    fn step(&mut self) -> Result<(), Cancelled> {
+        self.steps += 1;
+        if self.steps < STEPS_PER_CHECK {
+            return Ok(());
         }
+        self.steps = 0;
+        self.watcher.check()
     }
 
     /// Grows the tree with the shorter frontier until one cannot grow.
-    fn run(&mut self, watcher: &dyn Watcher) -> Result<(), Cancelled> {
+    fn run(&mut self) -> Result<(), Cancelled> {
         while !self.frontier[0].is_empty() && !self.frontier[1].is_empty() {
             let tree = if self.frontier[0].len() <= self.frontier[1].len() { Source } else { Sink };
             self.growing = tree;
             let frontier = std::mem::take(&mut self.frontier[tree as usize]);
             self.level[tree as usize] += 1;
             for &node in &frontier {
-                self.scan(node, tree);
-                if self.steps > STEPS_PER_CHECK {
-                    self.steps = 0;
-                    watcher.check()?;
-                }
+                self.step()?;
+                self.scan(node, tree)?;
             }
             self.frontier[tree as usize] = std::mem::replace(&mut self.next, frontier);
             self.next.clear();
@@ -157,14 +173,13 @@ impl Search {
     }
 
     /// Takes the free neighbours of a frontier node into its tree and pushes flow over arcs that meet the other one.
-    fn scan(&mut self, index: u32, tree: Tree) {
-        self.steps += 1;
+    fn scan(&mut self, index: u32, tree: Tree) -> Result<(), Cancelled> {
         let level = self.level[tree as usize];
         let mut slot = 0;
         while slot < 4 {
             let node = &self.nodes[index as usize];
             if node.tree != tree || node.level + 1 != level {
-                return;
+                break;
             }
             let beyond = node.neighbours[slot];
             if node.residual[tree as usize][slot] == 0 {
@@ -173,7 +188,7 @@ impl Search {
             }
             let other = &mut self.nodes[beyond.cell() as usize];
             if other.tree == tree.other() {
-                self.augment(Facet::new(index, slot), tree);
+                self.augment(Facet::new(index, slot), tree)?;
                 continue;
             }
             if other.tree == Tree::None {
@@ -184,10 +199,11 @@ impl Search {
             }
             slot += 1;
         }
+        Ok(())
     }
 
     /// Pushes what the path through an arc between the trees can take; `arc` as seen from its end in `tree`.
-    fn augment(&mut self, arc: Facet, tree: Tree) {
+    fn augment(&mut self, arc: Facet, tree: Tree) -> Result<(), Cancelled> {
         let beyond = self.nodes[arc.cell() as usize].neighbours[arc.index()];
         let amount = self.nodes[arc.cell() as usize].residual[tree as usize][arc.index()]
             .min(self.bottleneck(arc.cell()))
@@ -195,9 +211,9 @@ impl Search {
         self.push(arc, tree, amount);
         self.flow += u64::from(amount);
         self.push_to_root(arc.cell(), tree, amount);
-        self.adopt(tree);
+        self.adopt(tree)?;
         self.push_to_root(beyond.cell(), tree.other(), amount);
-        self.adopt(tree.other());
+        self.adopt(tree.other())
     }
 
     /// The least residual between a node and its terminal.
@@ -229,6 +245,7 @@ impl Search {
     /// Moves flow over the tree's arcs between a node and the terminal; nodes cut off become orphans.
     fn push_to_root(&mut self, mut index: u32, tree: Tree, amount: u32) {
         loop {
+            self.steps += 1;
             let node = &mut self.nodes[index as usize];
             if node.parent == ROOT {
                 node.excess -= if tree == Source { i64::from(amount) } else { -i64::from(amount) };
@@ -260,16 +277,17 @@ impl Search {
     }
 
     /// Finds new places for all orphans, those nearest to the terminal first.
-    fn adopt(&mut self, tree: Tree) {
+    fn adopt(&mut self, tree: Tree) -> Result<(), Cancelled> {
         let mut level = 1;
         while self.orphan_count > 0 {
             while let Some(index) = self.orphans[level].pop() {
                 self.orphan_count -= 1;
-                self.steps += 1;
+                self.step()?;
                 self.find_parent(index, tree);
             }
             level += 1;
         }
+        Ok(())
     }
 
     fn find_parent(&mut self, index: u32, tree: Tree) {
@@ -314,10 +332,11 @@ impl Search {
     }
 
     /// The cells that the source can still reach.
-    fn reachable(&self) -> Vec<bool> {
+    fn reachable(&mut self) -> Result<Vec<bool>, Cancelled> {
         let mut outside: Vec<bool> = self.nodes.iter().map(|node| node.excess > 0).collect();
         let mut open: Vec<u32> = (0..self.nodes.len() as u32).filter(|&i| outside[i as usize]).collect();
         while let Some(index) = open.pop() {
+            self.step()?;
             let node = &self.nodes[index as usize];
             for (slot, beyond) in node.neighbours.into_iter().enumerate() {
                 let other = beyond.cell();
@@ -327,54 +346,6 @@ impl Search {
                 }
             }
         }
-        outside
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::progress::Unwatched;
-    use crate::surface::delaunay::Delaunay;
-    use nalgebra::Point3;
-
-    /// Random capacities on the cells of random points: the cut separates what it says at the price of the flow.
-    #[test]
-    fn the_cut_costs_as_much_as_the_flow() {
-        let mut state = 1u64;
-        let mut random = move |bound: u64| {
-            state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
-            (state >> 33) % bound
-        };
-        let points: Vec<_> = (0..500).map(|_| Point3::from([0; 3].map(|_| random(1 << 20) as f64))).collect();
-        let delaunay = Delaunay::triangulate(&points, &Unwatched).expect("random points");
-        for density in [1, 3, 20, 100] {
-            let capacities: Vec<_> = (0..delaunay.cells.len())
-                .map(|_| Capacities {
-                    facets: [0; 4].map(|_| random(50) as u32),
-                    source: if random(density) == 0 { random(1000) as u32 } else { 0 },
-                    sink: if random(density) == 0 { random(1000) as u32 } else { 0 },
-                })
-                .collect();
-            let cut = minimum_cut(&delaunay.cells, &capacities, &Unwatched).expect("not cancelled");
-            assert_eq!(capacity(&delaunay.cells, &capacities, &cut.outside), cut.flow);
-        }
-    }
-
-    fn capacity(cells: &[Cell], capacities: &[Capacities], outside: &[bool]) -> u64 {
-        let mut sum = 0;
-        for (index, own) in capacities.iter().enumerate() {
-            if !outside[index] {
-                sum += u64::from(own.source);
-                continue;
-            }
-            sum += u64::from(own.sink);
-            for (slot, beyond) in cells[index].neighbours.into_iter().enumerate() {
-                if !outside[beyond.cell() as usize] {
-                    sum += u64::from(own.facets[slot]);
-                }
-            }
-        }
-        sum
+        Ok(outside)
     }
 }

@@ -9,7 +9,7 @@ use super::grid::Site;
 use super::order::{round_from_last, rounds};
 use super::predicates::{collinear, in_sphere, orient};
 use super::{Cell, DelaunayError, Dimension, FACET_VERTICES, Facet};
-use crate::progress::Watcher;
+use crate::progress::{Cancelled, Watcher};
 
 /// Boundary facets up to which the cavity's edges are matched in a table: a closed surface of 2n − 4 triangles has n vertices.
 const TABLE_FACETS: usize = 2 * TABLE_VERTICES - 4;
@@ -24,7 +24,7 @@ const MAX_CELLS: usize = 1 << 30;
 /// Points of a surface or a volume have six to seven cells each; on pairs of skew curves it can be half their number.
 const MAX_CELLS_PER_VERTEX: usize = 64;
 /// Below this number of cells nothing is refused.
-const FREE_CELLS: usize = 1 << 22;
+const FREE_CELLS: usize = 1 << 20;
 
 /// What the search for the cavity knows about a cell; `Unseen` between two insertions.
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -140,7 +140,7 @@ impl<'a> Construction<'a> {
                 if round_from_last(vertex) != round || simplex.contains(&vertex) {
                     continue;
                 }
-                self.insert(vertex)?;
+                self.insert(vertex, watcher)?;
                 unchecked += self.boundary.len();
                 if unchecked > CELLS_PER_CHECK {
                     unchecked = 0;
@@ -151,10 +151,10 @@ impl<'a> Construction<'a> {
         Ok(())
     }
 
-    fn insert(&mut self, vertex: u32) -> Result<(), DelaunayError> {
+    fn insert(&mut self, vertex: u32, watcher: &dyn Watcher) -> Result<(), DelaunayError> {
         let site = self.sites[vertex as usize];
         let start = self.locate(&site);
-        self.find_cavity(start, &site);
+        self.find_cavity(start, &site, watcher)?;
         self.reserve()?;
         self.fill_cavity(vertex);
         if self.boundary.len() <= TABLE_FACETS {
@@ -189,7 +189,7 @@ impl<'a> Construction<'a> {
         }
     }
 
-    fn find_cavity(&mut self, start: u32, site: &Site) {
+    fn find_cavity(&mut self, start: u32, site: &Site, watcher: &dyn Watcher) -> Result<(), Cancelled> {
         self.removed.clear();
         self.boundary.clear();
         self.removed.push(start);
@@ -198,6 +198,9 @@ impl<'a> Construction<'a> {
         while next < self.removed.len() {
             let Cell { vertices, neighbours } = self.cells[self.removed[next] as usize];
             next += 1;
+            if next % CELLS_PER_CHECK == 0 {
+                watcher.check()?;
+            }
             for index in 0..4 {
                 let outer = neighbours[index];
                 let beyond = outer.cell();
@@ -214,6 +217,7 @@ impl<'a> Construction<'a> {
                 self.boundary.push(BoundaryFacet { vertices: FACET_VERTICES[index].map(|i| vertices[i]), outer });
             }
         }
+        Ok(())
     }
 
     fn in_conflict(&self, cell: u32, site: &Site) -> bool {

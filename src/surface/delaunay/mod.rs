@@ -111,12 +111,12 @@ impl Delaunay {
             return Err(DelaunayError::TooManyPoints { points: points.len() });
         }
         let grid = Grid::around(points);
-        let (mut sites, vertex_of_point) = order::sorted_sites(points, &grid);
-        watcher.check()?;
+        let (mut sites, vertex_of_point) = order::sorted_sites(points, &grid, watcher)?;
         sites.push(Site::default());
         let (dimension, cells, free) = insertion::triangulate(&mut sites, watcher)?;
         sites.pop();
         let cells = compact(cells, free, sites.len() as u32);
+        watcher.check()?;
         let cell_of_vertex = cells_of_vertices(&cells, sites.len());
         Ok(Delaunay { dimension, cells, vertex_of_point, sites, grid, cell_of_vertex })
     }

@@ -4,35 +4,88 @@
 //! of that number, so that neither numbers nor rounds depend on the order of the input.
 
 use super::grid::{Grid, HALF_RANGE, Site};
+use crate::progress::{Cancelled, Watcher};
 use nalgebra::Point3;
 
 /// Bits per axis of a grid coordinate once shifted to be non-negative.
 const LEVELS: u32 = 24;
-/// Levels whose digits go into the first word of the key.
-const HIGH_LEVELS: u32 = 21;
 
-/// Position of a point on the Hilbert curve (first 21 levels, then the rest) and its index.
-type Place = (u64, u16, u32);
+/// Position of a point on the Hilbert curve (72 bits), then its index (32 bits).
+type Place = u128;
+
+const INDEX_BITS: u32 = 32;
+const KEY_BITS: u32 = 3 * LEVELS;
+/// Bits by which one pass of sorting distributes.
+const DIGIT_BITS: u32 = 9;
+/// Places sorted by comparison, and places handled between two questions to the watcher: well under 10 ms.
+const CHUNK: usize = 1 << 15;
 
 /// The distinct grid points along the curve, and for each input point which of them it became.
-pub(super) fn sorted_sites(points: &[Point3<f64>], grid: &Grid) -> (Vec<Site>, Vec<u32>) {
+pub(super) fn sorted_sites(
+    points: &[Point3<f64>],
+    grid: &Grid,
+    watcher: &dyn Watcher,
+) -> Result<(Vec<Site>, Vec<u32>), Cancelled> {
     let mut places: Vec<Place> = Vec::with_capacity(points.len());
-    for (index, point) in points.iter().enumerate() {
-        let (high, low) = hilbert_key(&grid.snap(point));
-        places.push((high, low, index as u32));
+    for chunk in points.chunks(CHUNK) {
+        watcher.check()?;
+        for point in chunk {
+            places.push(hilbert_key(&grid.snap(point)) << INDEX_BITS | places.len() as Place);
+        }
     }
-    places.sort_unstable();
+    sort(&mut places, &mut vec![0; points.len()], KEY_BITS, watcher)?;
     let mut vertex_of_point = vec![0; points.len()];
     let mut sites: Vec<Site> = Vec::with_capacity(points.len());
     let mut last = None;
-    for &(high, low, index) in &places {
-        if last != Some((high, low)) {
-            sites.push(grid.snap(&points[index as usize]));
-            last = Some((high, low));
+    for chunk in places.chunks(CHUNK) {
+        watcher.check()?;
+        for place in chunk {
+            let index = *place as u32 as usize;
+            if last != Some(place >> INDEX_BITS) {
+                sites.push(grid.snap(&points[index]));
+                last = Some(place >> INDEX_BITS);
+            }
+            vertex_of_point[index] = sites.len() as u32 - 1;
         }
-        vertex_of_point[index as usize] = sites.len() as u32 - 1;
     }
-    (sites, vertex_of_point)
+    Ok((sites, vertex_of_point))
+}
+
+/// Sorts places that agree in all but the lowest `bits` of their keys: distributes by digits until the parts are small.
+fn sort(places: &mut [Place], buffer: &mut [Place], bits: u32, watcher: &dyn Watcher) -> Result<(), Cancelled> {
+    watcher.check()?;
+    if bits == 0 {
+        return Ok(());
+    }
+    if places.len() <= CHUNK {
+        places.sort_unstable();
+        return Ok(());
+    }
+    let bits = bits - DIGIT_BITS;
+    let digit = |place: &Place| (place >> (INDEX_BITS + bits)) as usize & ((1 << DIGIT_BITS) - 1);
+    let mut ends = [0; 1 << DIGIT_BITS];
+    for place in &*places {
+        ends[digit(place)] += 1;
+    }
+    let mut start = 0;
+    for end in &mut ends {
+        (*end, start) = (start, start + *end);
+    }
+    for chunk in places.chunks(CHUNK) {
+        watcher.check()?;
+        for place in chunk {
+            let end = &mut ends[digit(place)];
+            buffer[*end] = *place;
+            *end += 1;
+        }
+    }
+    places.copy_from_slice(buffer);
+    let mut start = 0;
+    for end in ends {
+        sort(&mut places[start..end], &mut buffer[start..end], bits, watcher)?;
+        start = end;
+    }
+    Ok(())
 }
 
 /// Round of a vertex, counted from the last: each round has about eight times as many vertices as the one before.
@@ -55,7 +108,7 @@ fn mix(mut v: u32) -> u32 {
 }
 
 /// Digits of the Hilbert curve through the cube of 2^24 steps, coarsest first; equal only for equal sites.
-fn hilbert_key(site: &Site) -> (u64, u16) {
+fn hilbert_key(site: &Site) -> Place {
     let [x, y, z] = site.coordinates().map(|v| (v + HALF_RANGE) as u32);
     let mut state = 0;
     let mut digits = |levels: std::ops::Range<u32>| {
@@ -66,8 +119,8 @@ fn hilbert_key(site: &Site) -> (u64, u16) {
             key << 3 | u64::from(step & 7)
         })
     };
-    let high = digits(LEVELS - HIGH_LEVELS..LEVELS);
-    (high, digits(0..LEVELS - HIGH_LEVELS) as u16)
+    let (high, low) = (digits(LEVELS / 2..LEVELS), digits(0..LEVELS / 2));
+    Place::from(high) << (KEY_BITS / 2) | Place::from(low)
 }
 
 /// Per state (entry corner + 8 · direction) and octant: digit on the curve + 8 · next state.

@@ -12,7 +12,8 @@ use std::cmp::Ordering;
 const ORIENT_ERROR: f64 = (1u64 << 24) as f64;
 
 /// Square of the relative error bound of [`in_sphere`]: with M the largest distance to the query the rounding error stays below
-/// 45 · 2^-53 · M^5 (8 units for each 3 x 3 minor, 1 for each product, 9 for the sum), and 2^-47 is above that.
+/// 45 · 2^-53 · M^5 (8 units for each 3 x 3 minor, 1 for each product, 9 for the sum), and 2^-47 is above that. The root of the
+/// sum of the squared distances stands for M.
 const IN_SPHERE_ERROR_SQUARED: f64 = 1.0 / (1u128 << 94) as f64;
 
 type Vector = [f64; 3];
@@ -90,7 +91,7 @@ pub(super) fn in_sphere(cell: [&Site; 4], p: &Site) -> bool {
     let c2 = cx * cx + cy * cy + cz * cz;
     let d2 = dx * dx + dy * dy + dz * dz;
     let det = (a2 * bcd - b2 * cda) + (c2 * dab - d2 * abc);
-    let reach = a2.max(b2).max(c2.max(d2));
+    let reach = (a2 + b2) + (c2 + d2);
     if det * det > IN_SPHERE_ERROR_SQUARED * (reach * reach) * (reach * reach) * reach {
         det > 0.0
     } else {

@@ -100,8 +100,8 @@ impl Delaunay {
 
     fn validate_vertices(&self) -> Result<(), Flaw> {
         for vertex in 0..self.sites.len() as u32 {
-            let cell = self.cell_of_vertex[vertex as usize];
-            if self.is_infinite(cell) || !self.cells[cell as usize].vertices.contains(&vertex) {
+            let cell = self.cell_of_vertex.get(vertex as usize).map(|&cell| &self.cells[cell as usize]);
+            if !cell.is_some_and(|cell| cell.vertices.contains(&vertex) && cell.vertices[3] != INFINITE) {
                 return Err(Flaw::Vertex { vertex });
             }
         }
