@@ -4,7 +4,7 @@ of the runs, which take turns), peak memory and numbers of cells.
 
 Needs numpy, g++ and CGAL's headers (Debian: apt-get install g++ libcgal-dev). Run from anywhere:
     benches/delaunay.py [--points 1000000] [--runs 3] [--inputs uniform,terrain,...] [--work DIR]
-Exits with 1 where a ratio of CPU times is above --limit, or cells are not as many as CGAL's on inputs that lie on the 24-bit
+Exits with 1 where a ratio of CPU times is above --limit, or cells are not as many as CGAL's on inputs that lie on the
 grid (uniform, terrain, lattice, duplicates; the others are rounded to it on our side).
 """
 import argparse

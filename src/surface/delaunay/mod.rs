@@ -1,4 +1,4 @@
-//! 3D Delaunay triangulation (method 1.1), exact on a 24-bit integer grid, and rays through it (method 1.2).
+//! 3D Delaunay triangulation (method 1.1), exact on a grid of 30 bits per axis, and rays through it (method 1.2).
 //!
 //! `grid` snaps the points, `order` sorts them, `predicates` decides signs exactly, `insertion` builds the cells, `ray` walks
 //! through them, `validate` checks all that a triangulation promises.

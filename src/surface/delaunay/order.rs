@@ -8,9 +8,9 @@ use crate::progress::{Cancelled, Watcher};
 use nalgebra::Point3;
 
 /// Bits per axis of a grid coordinate once shifted to be non-negative.
-const LEVELS: u32 = 24;
+const LEVELS: u32 = 30;
 
-/// Position of a point on the Hilbert curve (72 bits), then its index (32 bits).
+/// Position of a point on the Hilbert curve (90 bits), then its index (32 bits).
 type Place = u128;
 
 const INDEX_BITS: u32 = 32;
@@ -107,7 +107,7 @@ fn mix(mut v: u32) -> u32 {
     v ^ (v >> 16)
 }
 
-/// Digits of the Hilbert curve through the cube of 2^24 steps, coarsest first; equal only for equal sites.
+/// Digits of the Hilbert curve through the cube of 2^30 steps, coarsest first; equal only for equal sites.
 fn hilbert_key(site: &Site) -> Place {
     let [x, y, z] = site.coordinates().map(|v| (v + HALF_RANGE) as u32);
     let mut state = 0;

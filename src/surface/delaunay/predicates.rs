@@ -1,20 +1,20 @@
 //! Exact signs of determinants of grid coordinates.
 //!
-//! Coordinates have 24 bits and a sign, so differences stay below 2^24, 2 x 2 minors below 2^49 and squared lengths below
-//! 2^49.6: all exact in f64 and i64. Beyond that f64 decides where the determinant is larger than its error bound, and i128
-//! where it is not: `orient` needs 75 bits, `in_sphere` 127.
+//! Differences of coordinates stay below 2^30 (exact in f64), 2 x 2 minors and squared lengths below 2^62 (exact in i64), 3 x 3
+//! minors below 2^93 (exact in i128). f64 decides where the determinant is larger than its error bound, integers where it is not;
+//! the sphere's determinant, below 2^157, is the only one that does not fit a built-in type.
 
 use super::grid::Site;
 use std::cmp::Ordering;
 
-/// Bound of the rounding error of [`orient`] in f64: three products below 2^73 and two sums below 2^75 round by at most
-/// 3 · 2^20 + 2^21 + 2^22.
-const ORIENT_ERROR: f64 = (1u64 << 24) as f64;
+/// Bound of the rounding error of [`orient`] in f64: 2 x 2 minors below 2^61 are off by at most 2^9; that times 2^30, and the
+/// rounding of three products below 2^91 and of their sums, stays below 2^43.
+const ORIENT_ERROR: f64 = (1u64 << 43) as f64;
 
-/// Square of the relative error bound of [`in_sphere`]: with M the largest distance to the query the rounding error stays below
-/// 45 · 2^-53 · M^5 (8 units for each 3 x 3 minor, 1 for each product, 9 for the sum), and 2^-47 is above that. The root of the
-/// sum of the squared distances stands for M.
-const IN_SPHERE_ERROR_SQUARED: f64 = 1.0 / (1u128 << 94) as f64;
+/// Square of the relative error bound of [`in_sphere`]: with u = 2^-53 and M the largest distance to the query, 2 x 2 minors are
+/// off by 2 u M², 3 x 3 minors by 14 u M³, the four products by 18 u M⁵ each and their sum by 80 u M⁵; the bound is 128 u. The
+/// root of the sum of the squared distances stands for M.
+const IN_SPHERE_ERROR_SQUARED: f64 = 1.0 / (1u128 << 92) as f64;
 
 type Vector = [f64; 3];
 
@@ -104,12 +104,26 @@ pub(super) fn in_sphere(cell: [&Site; 4], p: &Site) -> bool {
 fn in_sphere_exact(cell: [&Site; 4], p: &Site) -> bool {
     let [a, b, c, d] = cell.map(|v| integer_difference(v, p));
     let (ab, cd) = (cross(&a, &b), cross(&c, &d));
-    let squared = |v: &[i64; 3]| i128::from(v[0] * v[0] + v[1] * v[1] + v[2] * v[2]);
-    let det = squared(&a) * wide_dot(&b, &cd) - squared(&b) * wide_dot(&a, &cd) + squared(&c) * wide_dot(&d, &ab)
-        - squared(&d) * wide_dot(&c, &ab);
-    match sign(det) {
+    let minors = [wide_dot(&b, &cd), -wide_dot(&a, &cd), wide_dot(&d, &ab), -wide_dot(&c, &ab)];
+    let squares = [a, b, c, d].map(|v| i128::from(v[0] * v[0] + v[1] * v[1] + v[2] * v[2]));
+    match sign_of_dot(&squares, &minors) {
         0 => in_perturbed_sphere(cell, p),
         sign => sign > 0,
+    }
+}
+
+/// Sign of Σ a b for 0 ≤ a < 2^62 and |b| < 2^93: with b = high · 2^64 + low both sums fit.
+fn sign_of_dot(a: &[i128; 4], b: &[i128; 4]) -> i32 {
+    const LOW: i128 = u64::MAX as i128;
+    let (mut high, mut low) = (0, 0);
+    for (a, b) in a.iter().zip(b) {
+        let lower = a * (b & LOW);
+        high += a * (b >> 64) + (lower >> 64);
+        low += lower & LOW;
+    }
+    match sign(high + (low >> 64)) {
+        0 => sign(low & LOW),
+        sign => sign,
     }
 }
 

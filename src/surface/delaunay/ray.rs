@@ -205,8 +205,8 @@ impl Direction {
         let rounded = exact.map(|v| v as f64);
         let length = rounded.iter().fold(0.0, |length: f64, v| length.max(v.abs()));
         let squared: f64 = rounded.iter().map(|v| v * v).sum();
-        // With offsets below 2^24: 28 roundings of 2^-53 · 2^48 · length at most, under 2^0 · length.
-        Direction { exact, rounded, error: length, scale: 1.0 / (squared * stretch) }
+        // Offsets stay below 2^30: at most 28 roundings of 2^-53 · 2^60 · length each.
+        Direction { exact, rounded, error: 4096.0 * length, scale: 1.0 / (squared * stretch) }
     }
 
     /// direction · (a × b) with the exact sign, perturbed where it is 0; 0 only where a, b and the ray's vertex are on one line.
