@@ -50,6 +50,9 @@ pub struct Arguments {
     /// Write a Prometheus text file.
     #[arg(long, value_name = "FILE")]
     metrics: Option<PathBuf>,
+    /// Run this by the shell when a project's target is reached by its depth maps; its folder is in VIEWRANK_PROJECT.
+    #[arg(long, value_name = "COMMAND")]
+    on_target: Option<String>,
     #[arg(long, default_value = "text", value_name = "FORMAT")]
     log_format: LogFormat,
 }
@@ -64,8 +67,8 @@ pub fn run(arguments: Arguments) -> Result<(), Failure> {
     start_log(arguments.log_format);
     queue::lower_priority();
     let once = arguments.once;
+    let planner = PlanJob::new(arguments.on_target.clone());
     let options = arguments.options();
-    let planner = PlanJob::default();
     let summary = watch_roots(&options, &planner, &Disk::REAL, forward_signals)?;
     match summary.failed {
         failed if failed > 0 && once => Err(Failed { failed, projects: summary.projects }.into()),

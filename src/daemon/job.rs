@@ -4,17 +4,20 @@ use std::{
     collections::BTreeMap,
     fs,
     path::{Path, PathBuf},
+    process::{Command, Stdio},
     sync::{
         Mutex, MutexGuard, PoisonError,
         atomic::{AtomicBool, AtomicU8, Ordering},
     },
+    thread,
 };
 
 use serde::{Deserialize, Serialize};
+use tracing::warn;
 
 use super::{
     discover::OUTPUT_FOLDER,
-    queue,
+    follow, queue,
     settle::{Fingerprint, HashCache, Stamp},
     state::Outcome,
 };
@@ -58,6 +61,14 @@ pub trait Planner: Sync {
     /// Plans the project and writes the plan, unless the one that is there is right already.
     fn plan(&self, job: &Job) -> Outcome;
 
+    /// Measures the finished depth maps of the project's plan.
+    fn follow(&self, job: &Job) -> Outcome;
+
+    /// The project's target is reached in reality.
+    fn target_reached(&self, project: &Path) {
+        let _ = project;
+    }
+
     /// The project is gone.
     fn forget(&self, project: &Path) {
         let _ = project;
@@ -78,6 +89,8 @@ struct PlannedFrom {
 /// The planner of `viewrank watch`: [`plan::plan`] and [`plan::files`].
 #[derive(Default)]
 pub struct PlanJob {
+    /// It comes from the user who started the daemon, never from a project.
+    on_target: Option<String>,
     hashes: Mutex<HashCache>,
     /// The last settings of each project that could be read.
     good_settings: Mutex<BTreeMap<PathBuf, Settings>>,
@@ -91,6 +104,18 @@ impl Planner for PlanJob {
         self.try_plan(job).unwrap_or_else(|ended| if job.is_cancelled() { Outcome::Abandoned } else { ended })
     }
 
+    fn follow(&self, job: &Job) -> Outcome {
+        follow::follow(job.project, &JobWatcher::new(job))
+    }
+
+    fn target_reached(&self, project: &Path) {
+        let Some(command) = &self.on_target else { return };
+        match Command::new("sh").arg("-c").arg(command).env("VIEWRANK_PROJECT", project).stdin(Stdio::null()).spawn() {
+            Ok(mut child) => _ = thread::spawn(move || child.wait()),
+            Err(error) => warn!(%error, "cannot run the command for a reached target"),
+        }
+    }
+
     fn forget(&self, project: &Path) {
         lock(&self.hashes).forget(project);
         lock(&self.good_settings).remove(project);
@@ -98,6 +123,11 @@ impl Planner for PlanJob {
 }
 
 impl PlanJob {
+    /// `on_target`: run by the shell when a project's target is reached, with the project's folder in VIEWRANK_PROJECT.
+    pub fn new(on_target: Option<String>) -> Self {
+        Self { on_target, ..Self::default() }
+    }
+
     fn try_plan(&self, job: &Job) -> Ended<Outcome> {
         output::recover(job.project, &Disk::REAL).map_err(failed)?;
         let (settings, note) = self.settings(job.project)?;

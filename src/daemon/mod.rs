@@ -1,9 +1,11 @@
 //! `viewrank watch`: plans each project when its sparse model is complete, and follows the backend.
 //!
 //! [`discover`] finds projects, [`watch`] hints at changes, [`settle`] says whether the input is still and new, [`state`] is what is
-//! known of a project, [`queue`] bounds the work, [`run`] is the loop, `job` plans one project with the same functions as `viewrank plan`.
+//! known of a project, [`queue`] bounds the work, [`run`] is the loop, `job` plans one project with the same
+//! functions as `viewrank plan`, [`follow`] measures its depth maps.
 
 pub mod discover;
+pub mod follow;
 mod job;
 pub mod queue;
 mod run;

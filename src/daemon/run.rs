@@ -16,9 +16,10 @@ use tracing::{info, warn};
 
 use super::{
     DaemonError, Job, Options, Planner, discover,
+    follow::{self, MapsStamp},
     queue::{Full, Queue},
     settle::Stamp,
-    state::{Outcome, Phase, Tracked},
+    state::{Looked, Outcome, Phase, Tracked, Work},
     status::{Holder, StatusFiles},
     watch::{self, Hint, Watches},
 };
@@ -50,7 +51,7 @@ pub struct Summary {
 enum Event {
     Hint(Hint),
     Progress { project: PathBuf, stage: String, percent: u8 },
-    Finished { project: PathBuf, stamp: Stamp, outcome: Outcome },
+    Finished { project: PathBuf, looked: Looked, outcome: Outcome },
     Signal(Signal),
 }
 
@@ -162,11 +163,12 @@ impl<'a> Daemon<'a> {
                 self.look_at_all = true;
             }
             Event::Progress { project, stage, percent } => {
-                if let Some(tracked) = self.projects.get_mut(&project).filter(|t| t.is_busy()) {
+                let planning = |t: &&mut Tracked| t.is_busy() && matches!(t.phase, Phase::Planning { .. });
+                if let Some(tracked) = self.projects.get_mut(&project).filter(planning) {
                     tracked.phase = Phase::Planning { stage, percent };
                 }
             }
-            Event::Finished { project, stamp, outcome } => self.finish(&project, stamp, outcome, now),
+            Event::Finished { project, looked, outcome } => self.finish(&project, looked, outcome, now),
             Event::Signal(Signal::Stop) => {
                 self.stopping = true;
                 self.projects.values().for_each(Tracked::cancel);
@@ -184,10 +186,14 @@ impl<'a> Daemon<'a> {
         self.gather_until.get_or_insert(now + GATHER);
     }
 
-    fn finish(&mut self, project: &Path, stamp: Stamp, outcome: Outcome, now: Instant) {
+    fn finish(&mut self, project: &Path, looked: Looked, outcome: Outcome, now: Instant) {
         self.queue.release(project);
         let Some(tracked) = self.projects.get_mut(project) else { return };
-        tracked.finish(stamp, outcome, now);
+        let reached_before = matches!(tracked.phase, Phase::Reached { .. });
+        tracked.finish(looked, outcome, now);
+        if matches!(tracked.phase, Phase::Reached { .. }) && !reached_before {
+            self.planner.target_reached(project);
+        }
         match &tracked.phase {
             Phase::Failed { reason, .. } => warn!(project = %project.display(), %reason, "failed"),
             phase => info!(project = %project.display(), "{phase}"),
@@ -242,7 +248,7 @@ impl<'a> Daemon<'a> {
         for project in found.projects {
             if !self.projects.contains_key(&project) {
                 info!(project = %project.display(), "found");
-                self.watches.update(&project, discover::input_folders(&project));
+                self.watches.update(&project, Self::folders_of(&project));
                 let tracked = Tracked::new(project.clone(), Stamp::of(&project), now);
                 self.projects.insert(project.clone(), tracked);
                 // It may have been written to between the look and the watch.
@@ -266,15 +272,26 @@ impl<'a> Daemon<'a> {
         }
     }
 
+    /// Folders whose changes concern the project.
+    fn folders_of(project: &Path) -> Vec<PathBuf> {
+        let mut folders = discover::input_folders(project);
+        for maps in follow::map_folders(project) {
+            let below = walkdir::WalkDir::new(maps).into_iter().filter_map(Result::ok);
+            folders.extend(below.filter(|e| e.file_type().is_dir()).map(walkdir::DirEntry::into_path));
+        }
+        folders
+    }
+
     fn look_at_project(&mut self, project: &Path, now: Instant) {
         if !discover::is_project(project, self.options.follow_links) {
             self.forget(project, now);
             return;
         }
-        let new_watches = self.watches.update(project, discover::input_folders(project));
+        let new_watches = self.watches.update(project, Self::folders_of(project));
         let on_busy = self.options.on_busy;
         if let Some(tracked) = self.projects.get_mut(project) {
             tracked.observe(Stamp::of(project), now, on_busy);
+            tracked.observe_maps(MapsStamp::of(project), now);
         }
         if new_watches {
             self.mark(project.into(), now);
@@ -301,21 +318,21 @@ impl<'a> Daemon<'a> {
         if self.stopping {
             return;
         }
-        let due = |t: &Tracked| t.due(self.options.settle).filter(|at| *at <= now);
-        let mut waiting: Vec<_> = self.projects.values().filter_map(|t| Some((due(t)?, t.root.clone()))).collect();
-        waiting.sort();
-        for (_, project) in waiting {
-            self.start_job(threads, &project, now);
+        let due = |t: &Tracked| t.due(self.options.settle).filter(|(at, _)| *at <= now);
+        let waiting = self.projects.values().filter_map(|t| due(t).map(|(at, work)| (at, t.root.clone(), work)));
+        let mut waiting: Vec<_> = waiting.collect();
+        waiting.sort_by(|a, b| (a.0, &a.1).cmp(&(b.0, &b.1)));
+        for (_, project, work) in waiting {
+            self.start_job(threads, &project, work, now);
         }
     }
 
-    fn start_job<'s>(&mut self, threads: &'s Scope<'s, '_>, project: &Path, now: Instant)
+    fn start_job<'s>(&mut self, threads: &'s Scope<'s, '_>, project: &Path, work: Work, now: Instant)
     where
         'a: 's,
     {
         let Some(tracked) = self.projects.get_mut(project) else { return };
-        let stamp = tracked.stamp().clone();
-        match self.queue.admit(project, self.planner.need(&stamp)) {
+        match self.queue.admit(project, self.planner.need(tracked.stamp())) {
             Ok(()) => {}
             Err(Full::Jobs) => return tracked.phase = Phase::Queued { reason: "for a free job (--jobs)".into() },
             Err(Full::Memory) => return tracked.phase = Phase::Queued { reason: "for memory (--max-memory)".into() },
@@ -323,10 +340,11 @@ impl<'a> Daemon<'a> {
                 let mib = |bytes: u64| bytes.div_ceil(1 << 20);
                 let reason = format!("needs about {} MiB, --max-memory allows {}", mib(need), mib(max));
                 let hint = Some("raise --max-memory, or plan it by itself with `viewrank plan`".into());
-                return tracked.finish(stamp, Outcome::Failed { reason, hint }, now);
+                let (looked, _) = tracked.start(work);
+                return tracked.finish(looked, Outcome::Failed { reason, hint }, now);
             }
         }
-        let cancel = tracked.start();
+        let (looked, cancel) = tracked.start(work);
         let (planner, sender, project) = (self.planner, self.sender.clone(), project.to_path_buf());
         threads.spawn(move || {
             let progress = |stage: &str, percent| {
@@ -334,19 +352,23 @@ impl<'a> Daemon<'a> {
                 // Progress that nobody reads any more is no loss.
                 _ = sender.send(event);
             };
-            let job = Job { project: &project, stamp: &stamp, cancel: &cancel, progress: &progress };
-            let outcome = catch_unwind(AssertUnwindSafe(|| planner.plan(&job))).unwrap_or_else(|_| Outcome::Failed {
+            let job = Job { project: &project, stamp: &looked.input, cancel: &cancel, progress: &progress };
+            let act = || match work {
+                Work::Plan => planner.plan(&job),
+                Work::Follow => planner.follow(&job),
+            };
+            let outcome = catch_unwind(AssertUnwindSafe(act)).unwrap_or_else(|_| Outcome::Failed {
                 reason: "an internal error; see the log".into(),
                 hint: Some("run `viewrank plan` on it and report what it prints".into()),
             });
-            _ = sender.send(Event::Finished { project: project.clone(), stamp, outcome });
+            _ = sender.send(Event::Finished { project: project.clone(), looked, outcome });
         });
     }
 
     /// How long there is nothing to do.
     fn sleep(&self, now: Instant) -> Duration {
         let due = self.projects.values().filter(|t| !matches!(t.phase, Phase::Queued { .. }));
-        let due = due.filter_map(|t| t.due(self.options.settle)).min();
+        let due = due.filter_map(|t| t.due(self.options.settle)).map(|(at, _)| at).min();
         let times = [Some(self.next_full_look), self.gather_until, due, self.status.due()];
         let next = times.into_iter().flatten().min();
         next.map_or(LONGEST_SLEEP, |at| at.saturating_duration_since(now).min(LONGEST_SLEEP))

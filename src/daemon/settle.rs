@@ -85,20 +85,20 @@ fn is_input_file(name: &str) -> bool {
     discover::is_model_file(name) || name == "viewrank.toml" || suffixes.iter().any(|suffix| name.ends_with(suffix))
 }
 
-/// A stamp and since when it has been the same.
+/// A stamp (of input or of depth maps) and since when it has been the same.
 #[derive(Clone, Debug)]
-pub struct Stillness {
-    stamp: Stamp,
+pub struct Stillness<S> {
+    stamp: S,
     since: Instant,
 }
 
-impl Stillness {
-    pub fn new(stamp: Stamp, now: Instant) -> Self {
+impl<S: PartialEq> Stillness<S> {
+    pub fn new(stamp: S, now: Instant) -> Self {
         Self { stamp, since: now }
     }
 
     /// Takes a new look; true when something changed.
-    pub fn observe(&mut self, stamp: Stamp, now: Instant) -> bool {
+    pub fn observe(&mut self, stamp: S, now: Instant) -> bool {
         let changed = stamp != self.stamp;
         if changed {
             *self = Self::new(stamp, now);
@@ -106,11 +106,11 @@ impl Stillness {
         changed
     }
 
-    pub fn stamp(&self) -> &Stamp {
+    pub fn stamp(&self) -> &S {
         &self.stamp
     }
 
-    /// When the input will have been still for `settle`.
+    /// When it will have been still for `settle`.
     pub fn settled_at(&self, settle: Duration) -> Instant {
         self.since + settle
     }

@@ -13,7 +13,10 @@ use std::{
 
 use serde::{Deserialize, Serialize};
 
-use super::settle::{Fingerprint, Stamp, Stillness};
+use super::{
+    follow::MapsStamp,
+    settle::{Fingerprint, Stamp, Stillness},
+};
 
 /// First pause after a failure; doubled with each further one.
 const FIRST_RETRY: Duration = Duration::from_secs(10);
@@ -91,6 +94,13 @@ pub enum Outcome {
         share: f64,
         note: Option<String>,
     },
+    /// The finished depth maps were measured.
+    Followed {
+        done: usize,
+        clusters: usize,
+        share: f64,
+        reached: bool,
+    },
     /// The model doesn't parse or its files don't fit together: it isn't there whole yet.
     Incomplete {
         reason: String,
@@ -101,6 +111,22 @@ pub enum Outcome {
         reason: String,
         hint: Option<String>,
     },
+}
+
+/// What a job does.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Work {
+    Plan,
+    /// Measure the finished depth maps of the plan.
+    Follow,
+}
+
+/// What a job looked at.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Looked {
+    pub work: Work,
+    pub input: Stamp,
+    pub maps: MapsStamp,
 }
 
 /// What to do when the input changes while a plan is made.
@@ -118,9 +144,12 @@ pub enum OnBusy {
 pub struct Tracked {
     pub root: PathBuf,
     pub phase: Phase,
-    still: Stillness,
-    /// The stamp that the last job came to a conclusion about.
+    still: Stillness<Stamp>,
+    maps: Stillness<MapsStamp>,
+    /// The stamp that the last plan came to a conclusion about.
     concluded: Option<Stamp>,
+    /// The depth maps that were measured last.
+    followed: MapsStamp,
     /// What the plan that is there was made from.
     pub planned: Option<Fingerprint>,
     job: Option<Arc<AtomicBool>>,
@@ -131,8 +160,18 @@ pub struct Tracked {
 impl Tracked {
     pub fn new(root: PathBuf, stamp: Stamp, now: Instant) -> Self {
         let phase = Phase::Waiting { reason: "its files to be still".into() };
-        let still = Stillness::new(stamp, now);
-        Self { root, phase, still, concluded: None, planned: None, job: None, failures: 0, retry_at: None }
+        Self {
+            root,
+            phase,
+            still: Stillness::new(stamp, now),
+            maps: Stillness::new(MapsStamp::default(), now),
+            concluded: None,
+            followed: MapsStamp::default(),
+            planned: None,
+            job: None,
+            failures: 0,
+            retry_at: None,
+        }
     }
 
     /// Takes a look at the input. A change makes the project wait, and cancels its job where `on_busy` says so.
@@ -148,15 +187,24 @@ impl Tracked {
         }
     }
 
-    /// When this project next wants a job; `None` while one runs or there is nothing to do.
-    pub fn due(&self, settle: Duration) -> Option<Instant> {
+    /// Takes a look at the depth maps.
+    pub fn observe_maps(&mut self, maps: MapsStamp, now: Instant) {
+        self.maps.observe(maps, now);
+    }
+
+    /// When this project next wants a job, and which; `None` while one runs or there is nothing to do.
+    pub fn due(&self, settle: Duration) -> Option<(Instant, Work)> {
         if self.job.is_some() || self.still.stamp().is_empty() {
             return None;
         }
-        if self.concluded.as_ref() == Some(self.still.stamp()) {
-            return self.retry_at;
+        if self.concluded.as_ref() != Some(self.still.stamp()) {
+            return Some((self.still.settled_at(settle), Work::Plan));
         }
-        Some(self.still.settled_at(settle))
+        if let Some(retry_at) = self.retry_at {
+            return Some((retry_at, Work::Plan));
+        }
+        let new_maps = *self.maps.stamp() != self.followed && !self.maps.stamp().is_empty() && self.planned.is_some();
+        new_maps.then(|| (self.maps.settled_at(settle), Work::Follow))
     }
 
     /// The input as last seen.
@@ -168,12 +216,14 @@ impl Tracked {
         self.job.is_some()
     }
 
-    /// A job on the input as last seen begins; the flag cancels it.
-    pub fn start(&mut self) -> Arc<AtomicBool> {
+    /// A job on what was last seen begins; the flag cancels it.
+    pub fn start(&mut self, work: Work) -> (Looked, Arc<AtomicBool>) {
         let cancel = Arc::new(AtomicBool::new(false));
         self.job = Some(cancel.clone());
-        self.phase = Phase::Planning { stage: "read".into(), percent: 0 };
-        cancel
+        if work == Work::Plan {
+            self.phase = Phase::Planning { stage: "read".into(), percent: 0 };
+        }
+        (Looked { work, input: self.still.stamp().clone(), maps: *self.maps.stamp() }, cancel)
     }
 
     pub fn cancel(&self) {
@@ -182,19 +232,29 @@ impl Tracked {
         }
     }
 
-    /// The job that looked at `stamp` ended.
-    pub fn finish(&mut self, stamp: Stamp, outcome: Outcome, now: Instant) {
+    /// The job that looked at this ended.
+    pub fn finish(&mut self, looked: Looked, outcome: Outcome, now: Instant) {
         self.job = None;
-        if outcome != Outcome::Abandoned {
-            self.concluded = Some(stamp);
+        match (looked.work, &outcome) {
+            (Work::Plan, Outcome::Abandoned) => {}
+            (Work::Plan, _) => self.concluded = Some(looked.input),
+            (Work::Follow, _) => self.followed = looked.maps,
+        }
+        if looked.work == Work::Follow && outcome == Outcome::Abandoned {
+            return;
         }
         let failures = self.failures + 1;
         (self.failures, self.retry_at) = (0, None);
         self.phase = match outcome {
             Outcome::Planned { fingerprint, clusters, share, note } => {
+                if self.planned.as_ref() != Some(&fingerprint) {
+                    self.followed = MapsStamp::default();
+                }
                 self.planned = Some(fingerprint);
                 Phase::Planned { clusters, share, note }
             }
+            Outcome::Followed { done, clusters, share, reached: true } => Phase::Reached { done, clusters, share },
+            Outcome::Followed { done, clusters, share, .. } => Phase::Computing { done, clusters, share },
             Outcome::Incomplete { reason } => Phase::Waiting { reason },
             Outcome::Abandoned => Phase::Waiting { reason: "its files to be still".into() },
             Outcome::Failed { reason, hint } => {
@@ -267,10 +327,10 @@ mod tests {
         let (root, stamp) = stamped(5);
         let start = Instant::now();
         let mut project = Tracked::new(root.path().into(), stamp.clone(), start);
-        assert_eq!(project.due(SETTLE), Some(start + SETTLE));
-        project.start();
+        assert_eq!(project.due(SETTLE), Some((start + SETTLE, Work::Plan)));
+        let looked = project.start(Work::Plan).0;
         assert_eq!(project.due(SETTLE), None);
-        project.finish(stamp.clone(), planned("a"), start + SETTLE);
+        project.finish(looked, planned("a"), start + SETTLE);
         assert_eq!(project.due(SETTLE), None);
         project.observe(stamp, start + SETTLE * 9, OnBusy::Restart);
         assert_eq!(project.due(SETTLE), None);
@@ -282,11 +342,11 @@ mod tests {
         let ((root, stamp), (_other, changed)) = (stamped(5), stamped(6));
         let start = Instant::now();
         let mut project = Tracked::new(root.path().into(), stamp.clone(), start);
-        let cancel = project.start();
+        let (looked, cancel) = project.start(Work::Plan);
         project.observe(changed, start + SETTLE, OnBusy::Restart);
         assert!(cancel.load(Ordering::Relaxed));
-        project.finish(stamp, Outcome::Abandoned, start + SETTLE);
-        assert_eq!(project.due(SETTLE), Some(start + SETTLE * 2));
+        project.finish(looked, Outcome::Abandoned, start + SETTLE);
+        assert_eq!(project.due(SETTLE), Some((start + SETTLE * 2, Work::Plan)));
     }
 
     #[test]
@@ -294,11 +354,11 @@ mod tests {
         let ((root, stamp), (_other, changed)) = (stamped(5), stamped(6));
         let start = Instant::now();
         let mut project = Tracked::new(root.path().into(), stamp.clone(), start);
-        let cancel = project.start();
+        let (looked, cancel) = project.start(Work::Plan);
         project.observe(changed, start + SETTLE, OnBusy::Queue);
         assert!(!cancel.load(Ordering::Relaxed));
-        project.finish(stamp, planned("a"), start + SETTLE);
-        assert_eq!(project.due(SETTLE), Some(start + SETTLE * 2));
+        project.finish(looked, planned("a"), start + SETTLE);
+        assert_eq!(project.due(SETTLE), Some((start + SETTLE * 2, Work::Plan)));
     }
 
     #[test]
@@ -306,12 +366,12 @@ mod tests {
         let (root, stamp) = stamped(5);
         let start = Instant::now();
         let mut project = Tracked::new(root.path().into(), stamp.clone(), start);
-        project.start();
-        project.finish(stamp, Outcome::Incomplete { reason: "images.bin ends at byte 5".into() }, start);
+        let looked = project.start(Work::Plan).0;
+        project.finish(looked, Outcome::Incomplete { reason: "images.bin ends at byte 5".into() }, start);
         assert_eq!(project.due(SETTLE), None);
         assert_eq!(project.phase, Phase::Waiting { reason: "images.bin ends at byte 5".into() });
         project.observe(stamped(7).1, start + SETTLE, OnBusy::Restart);
-        assert_eq!(project.due(SETTLE), Some(start + SETTLE * 2));
+        assert_eq!(project.due(SETTLE), Some((start + SETTLE * 2, Work::Plan)));
     }
 
     #[test]
@@ -321,16 +381,16 @@ mod tests {
         let mut project = Tracked::new(root.path().into(), stamp.clone(), now);
         let mut pauses = Vec::new();
         for _ in 0..12 {
-            project.start();
-            project.finish(stamp.clone(), Outcome::Failed { reason: "disk full".into(), hint: None }, now);
-            pauses.push(project.due(SETTLE).expect("a retry") - now);
+            let looked = project.start(Work::Plan).0;
+            project.finish(looked, Outcome::Failed { reason: "disk full".into(), hint: None }, now);
+            pauses.push(project.due(SETTLE).expect("a retry").0 - now);
         }
         assert!(pauses.windows(2).all(|w| w[1] == (w[0] * 2).min(LONGEST_RETRY)));
-        project.start();
-        project.finish(stamp.clone(), planned("a"), now);
+        let looked = project.start(Work::Plan).0;
+        project.finish(looked, planned("a"), now);
         project.look_again();
-        project.start();
-        project.finish(stamp, Outcome::Failed { reason: "disk full".into(), hint: None }, now);
-        assert_eq!(project.due(SETTLE), Some(now + FIRST_RETRY));
+        let looked = project.start(Work::Plan).0;
+        project.finish(looked, Outcome::Failed { reason: "disk full".into(), hint: None }, now);
+        assert_eq!(project.due(SETTLE), Some((now + FIRST_RETRY, Work::Plan)));
     }
 }

@@ -64,6 +64,11 @@ fn twice(scene: &Scene, view: ViewIndex, first: &Path, second: &Path) -> DepthMa
     DepthMapError::Twice { view: scene.name(view).into(), first: first.into(), second: second.into() }
 }
 
+/// Could the file be a depth map, by its name?
+pub fn looks_like_one(path: &Path) -> bool {
+    format_of(path).is_some()
+}
+
 /// The format by the file's path below the folder, and its rank among the maps of one view (0 is taken first).
 fn format_of(path: &Path) -> Option<(DepthMapFormat, u8)> {
     let name = path.file_name()?.to_str()?;
