@@ -57,7 +57,7 @@ impl<'a> Summary<'a> {
             warnings: &manifest.warnings,
             written: !dry_run,
             files: files.sets.iter().flat_map(|set| set.files.keys().cloned()).collect(),
-            next: next(project, manifest, dry_run),
+            next: next(project, files, dry_run),
             timings: &plan.timings,
             manifest,
         }
@@ -151,13 +151,12 @@ impl<'a> Summary<'a> {
 }
 
 /// The first command of a backend whose files were written, else the way to such files.
-fn next(project: &Project, manifest: &Manifest, dry_run: bool) -> String {
+fn next(project: &Project, files: &PlanFiles, dry_run: bool) -> String {
     let root = project.root.display();
-    let command = manifest.exports.iter().find_map(|export| export.commands.first());
-    match command {
+    match &files.command {
         _ if dry_run => format!("viewrank plan {root}"),
         Some(command) => command.clone(),
-        None => format!("viewrank export {root} --backend {}", manifest.backend),
+        None => format!("viewrank export {root} --backend {}", files.manifest.backend),
     }
 }
 

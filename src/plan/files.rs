@@ -15,6 +15,8 @@ pub struct PlanFiles {
     pub manifest: Manifest,
     /// Nearly always one set under the project's folder; further sets where a backend's files go elsewhere.
     pub sets: Vec<FileSet>,
+    /// What runs the first of the backends on its files, to be typed in a shell.
+    pub command: Option<String>,
 }
 
 /// Why a plan cannot be written down.
@@ -44,6 +46,7 @@ pub fn files(plan: &Plan, project: &Project) -> Result<PlanFiles, FilesError> {
     let records = exports.iter().map(|export| export.record.clone()).collect();
     let mut manifest = Manifest::new(plan, project, records)?;
     manifest.warnings.extend(missing);
+    let command = exports.first().and_then(command);
     let mut own = FileSet::new(&project.root, "plan");
     let mut add = |name: &str, text: String| own.add_text(format!("viewrank/{name}"), text);
     add("manifest.json", manifest.to_json());
@@ -55,7 +58,15 @@ pub fn files(plan: &Plan, project: &Project) -> Result<PlanFiles, FilesError> {
     add("timings.json", serde_json::to_string_pretty(&plan.timings).expect("numbers by name are JSON") + "\n");
     own.add("viewrank/surface.ply", crate::output::Contents::Bytes(surface_ply(plan)));
     let elsewhere: Vec<FileSet> = exports.into_iter().filter_map(|export| own.absorb(export.files)).collect();
-    Ok(PlanFiles { manifest, sets: std::iter::once(own).chain(elsewhere).collect() })
+    Ok(PlanFiles { manifest, sets: std::iter::once(own).chain(elsewhere).collect(), command })
+}
+
+/// The first command of an export, from its folder.
+fn command(export: &Export) -> Option<String> {
+    let folder = export.files.root.display().to_string();
+    let plain = folder.chars().all(|c| c.is_alphanumeric() || "/._-+".contains(c));
+    let folder = if plain { folder } else { format!("'{}'", folder.replace('\'', r"'\''")) };
+    Some(format!("cd {folder} && {}", export.record.commands.first()?))
 }
 
 /// The files of each backend. One that lacks something gets none, which a warning says: the plan is good without them.
