@@ -15,7 +15,7 @@ const NUMBERS: PlanningNumbers = PlanningNumbers {
         min_shared_points: 8,
         min_angle_deg: 1.0,
         max_angle_deg: 60.0,
-        max_scale_octaves: 2.0,
+        max_scale_octaves: 1.6,
         epipole_inside: true,
     },
     confidence: PairConfidence {
