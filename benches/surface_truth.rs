@@ -1,73 +1,92 @@
 //! How near is the surface from sparse points to an exact scene, and how right is what it says about visibility?
 //!
-//!     cargo bench --bench surface_truth -- [SETTINGS.toml] FOLDER...
+//!     cargo bench --bench surface_truth -- [SETTINGS.toml...] FOLDER...
 //!
-//! Settings hold for the folders after them. Each folder holds a COLMAP model and `truth/scene.ply`, as `../shared/data/valley` and the output of `render_valley.py` do. Printed:
+//! Each folder holds a COLMAP model and `truth/scene.ply`, as `../shared/data/valley` and the output of `render_valley.py` do; each is
+//! measured with each file of settings, or with the defaults. Printed:
 //! - near: share of the surface's area within 3 g_d of the exact scene, and the median distance in g_d;
-//! - covered: share of what the views see of the exact scene that lies within 3 g_d of the surface;
+//! - covered: share of what the views see of the exact scene that lies within 3 g_d of the surface, and the median distance;
 //! - precision and recall of (triangle, view) pairs, where a pair is right when the line of sight from the camera to the triangle's
-//!   centroid is free in the exact scene, up to the tolerance of method 2.
+//!   centroid is free in the exact scene, up to the tolerance of method 2; strict: and meets the exact scene at the triangle.
 
 use std::{path::Path, time::Instant};
 
-use nalgebra::{Point3, Vector3};
+use nalgebra::{Point2, Point3, Vector3};
+use rayon::prelude::*;
 use viewrank::{
     config::Settings,
     progress::Unwatched,
     project::Project,
     scene::{Scene, ViewIndex},
     surface::{self, Surface, ply},
-    visibility,
+    visibility::{self, Visibility},
 };
 
-fn main() -> Result<(), Box<dyn std::error::Error>> {
-    let mut settings = Settings::default();
-    for argument in std::env::args().skip(1).filter(|a| a != "--bench") {
-        if argument.ends_with(".toml") {
-            settings = toml::from_str(&std::fs::read_to_string(&argument)?)?;
-            println!("{argument}");
-        } else {
-            evaluate(Path::new(&argument), &settings)?;
+type Fallible<T> = Result<T, Box<dyn std::error::Error>>;
+
+fn main() -> Fallible<()> {
+    let arguments: Vec<String> = std::env::args().skip(1).filter(|a| a != "--bench").collect();
+    let (files, folders): (Vec<_>, Vec<_>) = arguments.iter().partition(|a| a.ends_with(".toml"));
+    let read =
+        |file: &&String| -> Fallible<_> { Ok((file.to_string(), toml::from_str(&std::fs::read_to_string(file)?)?)) };
+    let mut settings: Vec<(String, Settings)> = files.iter().map(read).collect::<Fallible<_>>()?;
+    if settings.is_empty() {
+        settings.push(("defaults".into(), Settings::default()));
+    }
+    for folder in folders {
+        let exact = Exact::read(Path::new(folder))?;
+        for (name, settings) in &settings {
+            println!("{folder}, {name}");
+            evaluate(&exact, settings)?;
         }
     }
     Ok(())
 }
 
-fn evaluate(folder: &Path, settings: &Settings) -> Result<(), Box<dyn std::error::Error>> {
-    let scene = Project::open(folder, None)?.read_scene()?;
-    let truth = Bvh::new(ply::read(&std::fs::read(folder.join("truth/scene.ply"))?)?);
+/// A scene and the mesh that it was rendered from.
+struct Exact {
+    scene: Scene,
+    mesh: Bvh,
+    /// Points of the mesh that the views see.
+    visible: Vec<Point3<f64>>,
+}
+
+impl Exact {
+    fn read(folder: &Path) -> Fallible<Self> {
+        let scene = Project::open(folder, None)?.read_scene()?;
+        let mesh = Bvh::new(ply::read(&std::fs::read(folder.join("truth/scene.ply"))?)?);
+        let visible = visible_points(&scene, &mesh);
+        Ok(Self { scene, mesh, visible })
+    }
+}
+
+fn evaluate(exact: &Exact, settings: &Settings) -> Fallible<()> {
+    let scene = &exact.scene;
     let gsd = 1.25 * scene.median_gsd().ok_or("the model has no points")?;
     let start = Instant::now();
-    let (surface, stats) = surface::build(&scene, gsd, &settings.surface, None, &Unwatched)?;
+    let (surface, stats) = surface::build(scene, gsd, &settings.surface, None, &Unwatched)?;
     let seconds = start.elapsed().as_secs_f64();
     let edge = settings.surface.edge_factor * gsd;
-    let table = own(&scene, &surface, settings, edge);
+    let table = visibility::estimate(scene, &scene.view_points(), &surface, &settings.visibility, edge, &Unwatched)?;
     let keep = table.seen(surface.triangles.len());
     let (surface, table) = (surface.keep(&keep), table.keep(&keep));
-    let distances = sorted(samples(&surface, 0.25 * edge).iter().map(|p| truth.distance(p) / gsd).collect());
-    let mine = Bvh::new(surface.clone());
-    let seen = sorted(visible_truth(&scene, &truth).iter().map(|p| mine.distance(p) / gsd).collect());
-    let (precision, recall) = pairs(&scene, &surface, &table, &truth, settings, edge);
-    println!(
-        "{}: {stats:?}\n  {} triangles in {seconds:.2} s; near {:.3} (median {:.2} g_d), covered {:.3} (median {:.2} g_d), \
-         pairs: precision {precision:.3}, recall {recall:.3}",
-        folder.display(),
-        surface.triangles.len(),
-        share_below(&distances, 3.0),
-        distances[distances.len() / 2],
-        share_below(&seen, 3.0),
-        seen[seen.len() / 2],
-    );
+    let near = distances(&samples(&surface, 0.5 * edge), &exact.mesh, gsd);
+    let covered = distances(&exact.visible, &Bvh::new(surface.clone()), gsd);
+    println!("  {stats:?}");
+    println!("  {} triangles in {seconds:.2} s", surface.triangles.len());
+    for (name, distances) in [("near", near), ("covered", covered)] {
+        let below = |limit: f64| distances.partition_point(|&d| d <= limit) as f64 / distances.len() as f64;
+        println!("  {name} {:.3}, median {:.2} g_d", below(3.0), distances[distances.len() / 2]);
+    }
+    println!("  pairs: {}", Pairs::count(exact, &surface, &table, settings, edge));
     Ok(())
 }
 
-fn sorted(mut values: Vec<f64>) -> Vec<f64> {
-    values.sort_by(f64::total_cmp);
-    values
-}
-
-fn share_below(sorted: &[f64], limit: f64) -> f64 {
-    sorted.partition_point(|&d| d <= limit) as f64 / sorted.len() as f64
+/// Distances of the points from the mesh in g_d, sorted.
+fn distances(points: &[Point3<f64>], mesh: &Bvh, gsd: f64) -> Vec<f64> {
+    let mut distances: Vec<f64> = points.par_iter().map(|p| mesh.distance(p) / gsd).collect();
+    distances.sort_by(f64::total_cmp);
+    distances
 }
 
 /// Points spread evenly over the surface, about one per `spacing`².
@@ -90,89 +109,90 @@ fn samples(surface: &Surface, spacing: f64) -> Vec<Point3<f64>> {
     points
 }
 
-/// Where the rays of a grid of pixels, every 25th along both axes, first meet the exact scene.
-fn visible_truth(scene: &Scene, truth: &Bvh) -> Vec<Point3<f64>> {
-    let mut points = Vec::new();
-    for view in scene.view_indices() {
-        let (camera, pose) = (scene.camera_of(view), &scene.view(view).cam_from_world);
-        for y in (12..camera.height).step_by(25) {
-            for x in (12..camera.width).step_by(25) {
-                let Some(ray) = camera.ray(&nalgebra::Point2::new(f64::from(x), f64::from(y))) else { continue };
+/// Where the rays of a grid of pixels, every 40th along both axes, first meet the exact scene.
+fn visible_points(scene: &Scene, mesh: &Bvh) -> Vec<Point3<f64>> {
+    let of_view = |view: u32| {
+        let (camera, pose) = (scene.camera_of(ViewIndex(view)), &scene.view(ViewIndex(view)).cam_from_world);
+        let mut points = Vec::new();
+        for y in (20..camera.height).step_by(40) {
+            for x in (20..camera.width).step_by(40) {
+                let Some(ray) = camera.ray(&Point2::new(f64::from(x), f64::from(y))) else { continue };
                 let direction = pose.rotation.inverse() * ray.into_inner();
-                points.extend(truth.first_hit(&pose.centre(), &direction).map(|t| pose.centre() + direction * t));
+                points.extend(mesh.first_hit(&pose.centre(), &direction).map(|t| pose.centre() + direction * t));
             }
         }
-    }
-    points
+        points
+    };
+    (0..scene.views.len() as u32).into_par_iter().flat_map_iter(of_view).collect()
 }
 
-/// Precision and recall of the table against lines of sight in the exact scene, over the pairs that satisfy the conditions of method 2
-/// other than occlusion.
-fn pairs(
-    scene: &Scene,
-    surface: &Surface,
-    table: &visibility::Visibility,
-    truth: &Bvh,
-    settings: &Settings,
-    edge: f64,
-) -> (f64, f64) {
-    let (mut said, mut right, mut free) = (0u64, 0u64, 0u64);
-    for view in scene.view_indices() {
-        let mut seen = vec![false; surface.triangles.len()];
-        table.of(view).iter().for_each(|&t| seen[t as usize] = true);
-        for t in 0..surface.triangles.len() as u32 {
-            let is_free = is_in_view(scene, surface, view, t, settings)
-                && is_free(scene, surface, view, t, truth, settings, edge);
-            said += u64::from(seen[t as usize]);
-            free += u64::from(is_free);
-            right += u64::from(seen[t as usize] && is_free);
-        }
-    }
-    (right as f64 / said as f64, right as f64 / free as f64)
+/// Counts of (triangle, view) pairs, of every fifth triangle, that satisfy the conditions of method 2 other than occlusion.
+#[derive(Default)]
+struct Pairs {
+    /// In the table.
+    said: u64,
+    /// With a free line of sight in the exact scene.
+    free: u64,
+    /// Both.
+    right: u64,
+    /// Both, and the line of sight ends at the triangle.
+    exact: u64,
 }
 
-fn own(scene: &Scene, surface: &Surface, settings: &Settings, edge: f64) -> visibility::Visibility {
-    let mine = Bvh::new(surface.clone());
-    let mut table = visibility::Visibility { offsets: vec![0], ..Default::default() };
-    for view in scene.view_indices() {
-        for t in 0..surface.triangles.len() as u32 {
-            if is_in_view(scene, surface, view, t, settings) && is_free(scene, surface, view, t, &mine, settings, edge)
-            {
-                table.triangles.push(t);
+impl Pairs {
+    fn count(exact: &Exact, surface: &Surface, table: &Visibility, settings: &Settings, edge: f64) -> Self {
+        let of_view = |view: u32| {
+            let view = ViewIndex(view);
+            let mut pairs = Self::default();
+            for t in (0..surface.triangles.len() as u32).step_by(5) {
+                let said = table.of(view).binary_search(&t).is_ok();
+                pairs.said += u64::from(said);
+                if !is_in_view(&exact.scene, surface, view, t, settings) {
+                    continue;
+                }
+                let clearance = clearance(exact, surface, view, t, settings, edge);
+                pairs.free += u64::from(clearance >= -1.0);
+                pairs.right += u64::from(said && clearance >= -1.0);
+                pairs.exact += u64::from(said && clearance.abs() <= 1.0);
             }
-        }
-        table.offsets.push(table.triangles.len());
+            pairs
+        };
+        let all: Vec<Self> = (0..exact.scene.views.len() as u32).into_par_iter().map(of_view).collect();
+        all.into_iter().fold(Self::default(), |a, b| Self {
+            said: a.said + b.said,
+            free: a.free + b.free,
+            right: a.right + b.right,
+            exact: a.exact + b.exact,
+        })
     }
-    table
+}
+
+impl std::fmt::Display for Pairs {
+    fn fmt(&self, f: &mut std::fmt::Formatter) -> std::fmt::Result {
+        let share = |part: u64, whole: u64| part as f64 / whole as f64;
+        let (precision, strict) = (share(self.right, self.said), share(self.exact, self.said));
+        write!(f, "precision {precision:.3} (strict {strict:.3}), recall {:.3}", share(self.right, self.free))
+    }
 }
 
 fn is_in_view(scene: &Scene, surface: &Surface, view: ViewIndex, triangle: u32, settings: &Settings) -> bool {
     let (camera, pose) = (scene.camera_of(view), &scene.view(view).cam_from_world);
     let projects = |p: &Point3<f64>| camera.project(&pose.camera_from_world(p));
-    let corners = surface.corners(triangle);
     let centroid = surface.centroid(triangle);
     let towards = pose.centre() - centroid;
     let facing = surface.area_normal(triangle).normalize().dot(&towards.normalize());
-    corners.iter().all(|p| projects(p).is_some())
+    surface.corners(triangle).iter().all(|p| projects(p).is_some())
         && projects(&centroid).is_some_and(|pixel| camera.contains(&pixel))
         && facing > settings.visibility.max_incidence_deg.to_radians().cos()
 }
 
-fn is_free(
-    scene: &Scene,
-    surface: &Surface,
-    view: ViewIndex,
-    triangle: u32,
-    truth: &Bvh,
-    settings: &Settings,
-    edge: f64,
-) -> bool {
-    let pose = &scene.view(view).cam_from_world;
+/// How far behind the triangle's centroid the line of sight first meets the exact scene, along the optical axis in tolerances of method 2.
+fn clearance(exact: &Exact, surface: &Surface, view: ViewIndex, triangle: u32, settings: &Settings, edge: f64) -> f64 {
+    let pose = &exact.scene.view(view).cam_from_world;
     let line = surface.centroid(triangle) - pose.centre();
     let depth = pose.camera_from_world(&surface.centroid(triangle)).z;
     let tolerance = (settings.visibility.tolerance_edges * edge).max(settings.visibility.tolerance_depth * depth);
-    // The tolerance is along the optical axis.
-    truth.first_hit(&pose.centre(), &line).is_none_or(|t| (1.0 - t) * depth <= tolerance)
+    exact.mesh.first_hit(&pose.centre(), &line).map_or(f64::INFINITY, |t| (t - 1.0) * depth / tolerance)
 }
 
 /// A hierarchy of boxes about the triangles of a mesh.
@@ -222,47 +242,41 @@ impl Bvh {
         }
     }
 
-    /// Visits the leaves' triangles whose boxes are not ruled out.
-    fn visit(&self, mut may_hold: impl FnMut(&Node) -> bool, mut visit: impl FnMut(u32)) {
-        let mut open = vec![0];
-        while let Some(i) = open.pop() {
-            let node = &self.boxes[i];
-            if !may_hold(node) {
+    /// The smallest value of any triangle; `bound` is no larger than that of any triangle in a box.
+    fn smallest(&self, bound: impl Fn(&Node) -> f64, value: impl Fn(u32) -> f64) -> f64 {
+        let mut best = f64::INFINITY;
+        let mut open = vec![(bound(&self.boxes[0]), 0)];
+        while let Some((least, i)) = open.pop() {
+            if least >= best {
                 continue;
             }
+            let node = &self.boxes[i];
             if node.second == 0 {
-                self.order[node.range.clone()].iter().for_each(|&t| visit(t));
+                best = self.order[node.range.clone()].iter().map(|&t| value(t)).fold(best, f64::min);
             } else {
-                open.extend([node.second, i + 1]);
+                let [a, b] = [i + 1, node.second].map(|child| (bound(&self.boxes[child]), child));
+                open.extend(if a.0 < b.0 { [b, a] } else { [a, b] });
             }
         }
+        best
     }
 
     fn distance(&self, point: &Point3<f64>) -> f64 {
-        let best = std::cell::Cell::new(f64::INFINITY);
-        let box_distance =
-            |n: &Node| (n.low - point.coords).sup(&(point.coords - n.high)).sup(&Vector3::zeros()).norm();
-        self.visit(
-            |n| box_distance(n) < best.get(),
-            |t| best.set(best.get().min(triangle_distance(point, self.mesh.corners(t)))),
-        );
-        best.get()
+        let outside = |n: &Node| (n.low - point.coords).sup(&(point.coords - n.high)).sup(&Vector3::zeros()).norm();
+        self.smallest(outside, |t| triangle_distance(point, self.mesh.corners(t)))
     }
 
     /// The smallest t > 0 for which `from + t direction` lies on a triangle.
     fn first_hit(&self, from: &Point3<f64>, direction: &Vector3<f64>) -> Option<f64> {
-        let best = std::cell::Cell::new(f64::INFINITY);
-        let meets = |n: &Node| {
+        let inverse = direction.map(|d| 1.0 / d);
+        let entry = |n: &Node| {
             let (a, b) =
-                ((n.low - from.coords).component_div(direction), (n.high - from.coords).component_div(direction));
-            a.inf(&b).max().max(0.0) <= a.sup(&b).min().min(best.get())
+                ((n.low - from.coords).component_mul(&inverse), (n.high - from.coords).component_mul(&inverse));
+            let (enters, leaves) = (a.inf(&b).max().max(0.0), a.sup(&b).min());
+            if enters <= leaves { enters } else { f64::INFINITY }
         };
-        self.visit(meets, |t| {
-            if let Some(hit) = ray_triangle(from, direction, self.mesh.corners(t)) {
-                best.set(best.get().min(hit));
-            }
-        });
-        best.get().is_finite().then(|| best.get())
+        let hit = |t| ray_triangle(from, direction, self.mesh.corners(t)).unwrap_or(f64::INFINITY);
+        Some(self.smallest(entry, hit)).filter(|t| t.is_finite())
     }
 }
 

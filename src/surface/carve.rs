@@ -81,7 +81,7 @@ impl Rays {
     }
 
     /// The camera centres that the vertex's rays come from.
-    fn of(&self, vertex: u32) -> impl Iterator<Item = &Point3<f64>> {
+    pub fn of(&self, vertex: u32) -> impl Iterator<Item = &Point3<f64>> {
         let range = self.offsets[vertex as usize] as usize..self.offsets[vertex as usize + 1] as usize;
         self.views[range].iter().map(|v| &self.centres[v.at()])
     }
@@ -256,8 +256,12 @@ pub fn carve(
 ) -> Result<Carved, Cancelled> {
     let capacities = capacities(delaunay, rays, settings, watcher)?;
     let outside = minimum_cut(&delaunay.cells, &capacities, watcher)?.outside;
+    Ok(surface(delaunay, rays, &outside))
+}
+
+/// The facets between cells that are outside and cells that are not.
+pub fn surface(delaunay: &Delaunay, rays: &Rays, outside: &[bool]) -> Carved {
     let facets_of = |cell: u32| {
-        let outside = &outside;
         let is_surface = move |f: &Facet| {
             !outside[cell as usize]
                 && outside[delaunay.neighbour(*f).cell() as usize]
@@ -268,7 +272,7 @@ pub fn carve(
     let triangles: Vec<[u32; 3]> = (0..delaunay.cells.len() as u32).flat_map(facets_of).collect();
     let seen = triangles.par_iter().map(|t| is_seen(delaunay, rays, t)).collect();
     let vertices = (0..delaunay.vertex_count() as u32).map(|v| delaunay.position(v)).collect();
-    Ok(Carved { surface: Surface { kind: SurfaceKind::Carved, vertices, triangles }, seen })
+    Carved { surface: Surface { kind: SurfaceKind::Carved, vertices, triangles }, seen }
 }
 
 /// Does a ray reach a corner of the facet from its outer side?
