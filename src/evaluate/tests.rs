@@ -75,6 +75,13 @@ impl Fixture {
         }
     }
 
+    /// Columns and rows of the pixels that show the surface.
+    fn surface_pixels(&self, view: ViewIndex) -> Vec<(u32, u32)> {
+        let picture = visibility::front(&self.scene, &self.surface, view, SIZE[0], SIZE[1]);
+        let shown = picture.iter().enumerate().filter(|(_, t)| **t != visibility::NOTHING);
+        shown.map(|(at, _)| (at as u32 % SIZE[0], at as u32 / SIZE[0])).collect()
+    }
+
     fn depth(&self, view: ViewIndex, column: u32, row: u32, triangle: u32) -> f64 {
         let camera = self.scene.camera_of(view);
         let scale = f64::from(camera.width) / f64::from(SIZE[0]);
@@ -117,7 +124,8 @@ fn exact_maps_reach_all_that_can_be_reached() {
     assert_eq!(run.real, run.attainable);
     assert!(run.real.triangles.len() > 500);
     let all = run.pooled();
-    assert_eq!((all.completeness(), all.outliers(), all.rmse()), (1.0, 0.0, 0.0));
+    assert_eq!((all.completeness(), all.outliers()), (1.0, 0.0));
+    assert!(all.rmse() < 1e-9);
     // Three views of three partners each: x = 3 holds nearly everywhere.
     assert_eq!(run.predicted, run.attainable);
 }
@@ -128,18 +136,19 @@ fn errors_along_the_ray_beyond_three_times_the_accuracy_are_outliers() {
     let (maps, truth) = folders();
     town.write_maps(truth.path(), 1, |_, _, exact| exact);
     // Left half off by 2.9 a_d along the z axis, which along slanted rays is more; right half by 2.5 a_d.
-    town.write_maps(maps.path(), 1, |column, _, exact| exact + GSD * if column < SIZE[0] / 2 { 2.9 } else { 2.5 });
+    let error = |column: u32| if column < SIZE[0] / 2 { 2.9 } else { 2.5 };
+    town.write_maps(maps.path(), 1, |column, _, exact| if exact > 0.0 { exact + GSD * error(column) } else { 0.0 });
     let run = town.run(&town.clusters(1), maps.path(), Some(truth.path())).unwrap();
     let camera = town.scene.camera_of(ViewIndex(0));
     let (fx, c) = (camera.params()[0], [camera.params()[2], camera.params()[3]]);
-    let right = (0..SIZE[0] * SIZE[1]).filter(|at| {
-        let (x, y) = (f64::from(at % SIZE[0]) * 1.5 + 0.75 - c[0], f64::from(at / SIZE[0]) * 1.5 + 0.75 - c[1]);
-        let error = if at % SIZE[0] < SIZE[0] / 2 { 2.9 } else { 2.5 };
-        error * (1.0 + (x * x + y * y) / (fx * fx)).sqrt() <= 3.0
+    let surface = town.surface_pixels(ViewIndex(0));
+    let right = surface.iter().filter(|(column, row)| {
+        let (x, y) = (f64::from(*column) * 1.5 + 0.75 - c[0], f64::from(*row) * 1.5 + 0.75 - c[1]);
+        error(*column) * (1.0 + (x * x + y * y) / (fx * fx)).sqrt() <= 3.0
     });
     let expected = right.count() as u64;
     let quality = run.quality[0];
-    assert_eq!(quality.both, u64::from(SIZE[0] * SIZE[1]));
+    assert_eq!(quality.both, surface.len() as u64);
     assert!(quality.right.abs_diff(expected) < 5, "{} {expected}", quality.right);
     assert!(quality.rmse() > 2.5 * GSD && quality.rmse() <= 3.0 * GSD);
 }
@@ -151,10 +160,13 @@ fn a_hole_takes_its_share_of_the_triangles_in_it() {
     town.write_maps(truth.path(), 2, |_, _, exact| exact);
     town.write_maps(maps.path(), 2, |_, row, exact| if row < SIZE[1] / 3 { 0.0 } else { exact });
     let run = town.run(&town.clusters(2), maps.path(), Some(truth.path())).unwrap();
-    assert!((run.pooled().completeness() - 2.0 / 3.0).abs() < 1e-9);
+    let pixels = |view| town.surface_pixels(ViewIndex(view));
+    let kept = |view| pixels(view).iter().filter(|(_, row)| *row >= SIZE[1] / 3).count();
+    let all = run.pooled();
+    assert_eq!((all.right as usize, all.reference as usize), (kept(0) + kept(1), pixels(0).len() + pixels(1).len()));
     let sum = |values: &[f32]| values.iter().map(|&f| f64::from(f)).sum::<f64>();
     let share = sum(&run.real.values) / sum(&run.attainable.values);
-    assert!((0.55..0.75).contains(&share), "{share}");
+    assert!((0.4..0.9).contains(&share), "{share}");
     let reached = Reached::new(&town.model(), &run);
     assert!(reached.counts()[&Missing::MatchingFailed] > 0);
     // Without a reference each depth counts, holes do not.
