@@ -2,6 +2,7 @@
 
 mod discover;
 mod files;
+mod foreign;
 mod images;
 
 use std::{
@@ -93,7 +94,7 @@ pub struct Project {
 
 impl Project {
     /// Finds out what lies at a path: a project folder, a model folder, or a model file. Of several sub-models the one with
-    /// most registered images is taken, ties by name, unless `model` names one. Nothing but counts is read.
+    /// most registered images is taken, ties by name, unless `model` names one.
     pub fn open(path: &Path, model: Option<&str>) -> Result<Self, ProjectError> {
         discover::open(path, model)
     }
@@ -108,15 +109,16 @@ impl Project {
         let mut scene = match self.model.format {
             ModelFormat::ColmapBinary | ModelFormat::ColmapText => self.colmap_files()?.scene()?,
             _ => {
-                return Err(ProjectError::NotReadable {
-                    path: self.model.path.clone(),
-                    format: self.model.format.name(),
-                });
+                let fault = |fault| ProjectError::Fault { path: self.model.path.clone(), fault };
+                foreign::read(&self.root, &self.model)?.scene().map_err(fault)?
             }
         };
         scene.warnings.extend(self.sub_model_warning(scene.views.len()));
-        if let Some(images) = &self.images {
-            scene.unregistered = images::unregistered(images, &scene);
+        // Where images lie beside everything else, not every picture belongs to the survey.
+        if let Some(images) = self.images.as_ref().filter(|images| **images != self.root) {
+            scene.unregistered.extend(images::unregistered(images, &scene));
+            scene.unregistered.sort_unstable();
+            scene.unregistered.dedup();
         }
         Ok(scene)
     }
@@ -124,6 +126,14 @@ impl Project {
     /// The files of a COLMAP model as they are, for writing a part of them.
     pub fn colmap_files(&self) -> Result<ColmapFiles, ProjectError> {
         ColmapFiles::open(&self.model)
+    }
+
+    /// All files that the model is read from, in a fixed order.
+    pub fn model_files(&self) -> Vec<PathBuf> {
+        match self.model.format {
+            ModelFormat::ColmapBinary | ModelFormat::ColmapText => files::all(&self.model),
+            _ => foreign::files(&self.root, &self.model),
+        }
     }
 
     fn sub_model_warning(&self, registered: usize) -> Option<String> {
@@ -154,8 +164,8 @@ pub enum ProjectError {
     Io { path: PathBuf, source: io::Error },
     #[error("{path}, {fault}")]
     Fault { path: PathBuf, fault: Fault },
-    #[error("{path}: {format} models cannot be read")]
-    NotReadable { path: PathBuf, format: &'static str },
+    #[error("{0}: there is no list of images (list.txt) beside it or one folder up")]
+    NoImageList(PathBuf),
 }
 
 impl Hint for ProjectError {
@@ -169,7 +179,9 @@ impl Hint for ProjectError {
             Self::NoSuchModel { .. } => "Give one of these names to --model.".into(),
             Self::Io { .. } => "Check that the file is there and may be read.".into(),
             Self::Fault { fault, .. } => fault.problem.hint().into(),
-            Self::NotReadable { .. } => "Convert it to a COLMAP model.".into(),
+            Self::NoImageList(_) => {
+                "Put the list that Bundler was given there: a line per camera, the image's name.".into()
+            }
         })
     }
 }

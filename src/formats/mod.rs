@@ -1,10 +1,18 @@
 //! File formats of sparse models, one file each: bytes <-> [`crate::scene::Scene`], no file system logic. Each format's
 //! conventions (axes, pixel centre, distortion) are known in its file and nowhere else.
 
+pub mod alicevision;
+pub mod bundler;
 pub mod colmap;
 pub mod colmap_bin;
 pub mod colmap_text;
+pub mod foreign;
+pub mod nvm;
+pub mod openmvg;
 pub mod openmvs;
+pub mod opensfm;
+pub mod sure;
+mod words;
 
 use std::fmt;
 
@@ -74,6 +82,8 @@ pub enum Problem {
     Count { what: &'static str, count: u64, room: u64 },
     #[error("expected {expected}, found {found:?}")]
     Syntax { expected: &'static str, found: String },
+    #[error("{0}")]
+    Json(String),
     #[error("there is no camera model {0}")]
     CameraModel(String),
     #[error(transparent)]
@@ -103,7 +113,7 @@ impl Problem {
             Self::Truncated(_) | Self::Count { .. } => {
                 "Copy the file again or export the model again: it is incomplete or damaged."
             }
-            Self::Syntax { .. } => "Export the model again, or mend the line by hand.",
+            Self::Syntax { .. } | Self::Json(_) => "Export the model again, or mend the line by hand.",
             Self::CameraModel(_) => {
                 "Convert the cameras to a model that COLMAP 4.2 knows, or check that the file is what its name says."
             }

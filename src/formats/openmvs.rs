@@ -19,6 +19,8 @@
 //! Pixel centres are integers: cx is COLMAP's minus 0.5. World to camera: `x = R (X - C)`; a camera's R and C are relative to its
 //! platform's pose. There are no measured pixels.
 
+mod scene;
+
 use nom::{
     IResult, Parser,
     bytes::complete::take,

@@ -6,11 +6,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use crate::{
-    error::Hint,
-    project::{ModelFormat, Project},
-    scene::Scene,
-};
+use crate::{error::Hint, project::Project, scene::Scene};
 
 /// The input could not be read a second time.
 #[derive(Debug, thiserror::Error)]
@@ -29,7 +25,7 @@ impl Hint for FingerprintError {
 /// BLAKE3, in hexadecimal, over the model's files and the name and size of each registered image.
 pub fn fingerprint(project: &Project, scene: &Scene) -> Result<String, FingerprintError> {
     let mut hasher = blake3::Hasher::new();
-    for path in model_files(project) {
+    for path in project.model_files() {
         let failed = |source| FingerprintError { path: path.clone(), source };
         // Lengths in front, so that no two lists of files give the same bytes.
         let length = fs::metadata(&path).map_err(failed)?.len();
@@ -42,18 +38,6 @@ pub fn fingerprint(project: &Project, scene: &Scene) -> Result<String, Fingerpri
         hasher.update(&size.unwrap_or(u64::MAX).to_le_bytes());
     }
     Ok(hasher.finalize().to_string())
-}
-
-/// The file itself, or the files of a COLMAP model that count, in a fixed order.
-fn model_files(project: &Project) -> Vec<PathBuf> {
-    let extension = match project.model.format {
-        ModelFormat::ColmapBinary => "bin",
-        ModelFormat::ColmapText => "txt",
-        _ => return vec![project.model.path.clone()],
-    };
-    let names = ["cameras", "images", "points3D", "rigs", "frames"];
-    let files = names.iter().map(|name| project.model.path.join(name).with_extension(extension));
-    files.filter(|path| path.is_file()).collect()
 }
 
 fn size(path: &Path) -> Option<u64> {

@@ -10,26 +10,37 @@ use std::{
 use super::{
     ModelFormat, ModelLocation, Project, ProjectError, ProjectKind,
     files::{REQUIRED, colmap_file, map},
-    images,
+    foreign, images,
 };
 use crate::formats::colmap_text;
 
 pub(super) fn open(path: &Path, wanted: Option<&str>) -> Result<Project, ProjectError> {
-    let root = if path.is_file() { path.parent().unwrap_or(Path::new(".")) } else { path };
+    let parent = path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let root = if path.is_file() { parent } else { path };
     if !root.is_dir() {
         return Err(ProjectError::NotFound(path.into()));
     }
-    let models = colmap_models(root)?;
-    let (model, other_models) = choose(path, models, wanted)?;
-    let dense_workspace = dense_workspace(root, &model);
-    let kind = if model.path == root {
-        ProjectKind::BareModel
-    } else if dense_workspace.as_deref() == Some(root) {
-        ProjectKind::ColmapDense
-    } else {
-        ProjectKind::Colmap
+    let named = path.is_file().then(|| foreign::model_file(path)).flatten();
+    let colmap = if named.is_some() { Ok(Vec::new()) } else { colmap_models(root) };
+    let found = match colmap {
+        Ok(models) if models.is_empty() => named.map_or_else(|| foreign::models(root), |model| vec![model]),
+        // Part of a COLMAP model is no reason to refuse another program's.
+        Err(error) => Some(foreign::models(root)).filter(|models| !models.is_empty()).ok_or(error)?,
+        Ok(models) => models,
     };
-    let images = images::find(root, &model.path);
+    let (model, other_models) = choose(path, found, wanted)?;
+    let dense_workspace = dense_workspace(root, &model);
+    let kind = match model.format {
+        ModelFormat::OpenMvs => ProjectKind::OpenMvs,
+        ModelFormat::Sure => ProjectKind::Sure,
+        _ if dense_workspace.as_deref() == Some(root) => ProjectKind::ColmapDense,
+        ModelFormat::ColmapBinary | ModelFormat::ColmapText if model.path != root => ProjectKind::Colmap,
+        _ => ProjectKind::BareModel,
+    };
+    let images = match model.format {
+        ModelFormat::ColmapBinary | ModelFormat::ColmapText => images::find(root, &model.path),
+        _ => foreign::read(root, &model).ok().and_then(|read| images::find_by_names(root, &model.path, &read)),
+    };
     Ok(Project { root: root.into(), kind, model, other_models, images, dense_workspace })
 }
 
@@ -112,8 +123,9 @@ fn choose(
         Some(wanted) => models.iter().position(|model| model.name() == wanted).unwrap_or(models.len()),
     };
     if models.is_empty() {
-        let looked_for = "cameras, images and points3D (.bin or .txt) here, in sparse, sparse/*, */ and dense/sparse";
-        return Err(ProjectError::NoModel { path: path.into(), looked_for: looked_for.into() });
+        let colmap = "cameras, images and points3D (.bin or .txt) here, in sparse, sparse/*, */ and dense/sparse";
+        let looked_for = format!("{colmap}; {}", foreign::LOOKED_FOR);
+        return Err(ProjectError::NoModel { path: path.into(), looked_for });
     }
     if position == models.len() {
         let present = models.iter().map(ModelLocation::name).collect::<Vec<_>>().join(", ");

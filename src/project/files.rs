@@ -82,6 +82,13 @@ impl ColmapFiles {
     }
 }
 
+/// The files of a COLMAP model that are there.
+pub(super) fn all(model: &ModelLocation) -> Vec<PathBuf> {
+    let files =
+        ["cameras", "images", "points3D", "rigs", "frames"].map(|stem| colmap_file(&model.path, stem, model.format));
+    files.into_iter().filter(|path| path.is_file()).collect()
+}
+
 /// Path of one file of a COLMAP model.
 pub(super) fn colmap_file(folder: &Path, stem: &str, format: ModelFormat) -> PathBuf {
     let extension = if format == ModelFormat::ColmapText { "txt" } else { "bin" };

@@ -7,16 +7,46 @@ use std::{
 
 use walkdir::WalkDir;
 
-use crate::scene::Scene;
+use crate::{formats::foreign::Foreign, scene::Scene};
 
 /// Extensions of images, lower case.
 const EXTENSIONS: [&str; 10] = ["jpg", "jpeg", "png", "tif", "tiff", "bmp", "ppm", "pgm", "webp", "jp2"];
 
-/// The folder that names of the model are relative to: what the model's own `project.ini` says, else the nearest `images`.
-pub(super) fn find(root: &Path, model: &Path) -> Option<PathBuf> {
+/// Names that are looked for when an image folder is chosen.
+const PROBED: usize = 20;
+
+/// The folders that names of a model may be relative to, best first: what the model's own `project.ini` says, the nearest
+/// `images`, and, for other programs' models, where the model and the project are.
+pub(super) fn candidates(root: &Path, model: &Path) -> Vec<PathBuf> {
     let up = |levels: usize| model.ancestors().nth(levels).map(|folder| folder.join("images"));
-    let candidates = [Some(root.join("images")), said_by_colmap(model), up(0), up(1), up(2)];
-    candidates.into_iter().flatten().find(|folder| folder.is_dir())
+    let named = [Some(root.join("images")), said_by_colmap(model), up(0), up(1), up(2)];
+    let bare = [Some(root.into()), model.parent().map(Path::to_path_buf)];
+    named.into_iter().chain(bare).flatten().filter(|folder| folder.is_dir()).collect()
+}
+
+/// The image folder of a COLMAP model.
+pub(super) fn find(root: &Path, model: &Path) -> Option<PathBuf> {
+    candidates(root, model).into_iter().find(|folder| folder.as_path() != root && !model.starts_with(folder))
+}
+
+/// The image folder of a model of another program: the first candidate that one of its images lies in.
+pub(super) fn find_by_names(root: &Path, model: &Path, foreign: &Foreign) -> Option<PathBuf> {
+    let named = foreign.image_folder.as_ref().map(|folder| root.join(folder)).filter(|folder| folder.is_dir());
+    let folders: Vec<PathBuf> = named.into_iter().chain(candidates(root, model)).collect();
+    let names = || foreign.model.images.iter().take(PROBED).map(|image| &*image.name);
+    let holds_one = |folder: &&PathBuf| names().any(|name| folder.join(name).is_file());
+    folders.iter().find(holds_one).or_else(|| folders.iter().find(|folder| folder.ends_with("images"))).cloned()
+}
+
+/// The name itself, or with the extension of an image that is there.
+pub(super) fn with_extension(folders: &[PathBuf], name: &str) -> String {
+    if folders.iter().any(|folder| folder.join(name).is_file()) {
+        return name.into();
+    }
+    let stem = name.rsplit_once('.').map_or(name, |(stem, _)| stem);
+    let spelled = EXTENSIONS.iter().flat_map(|e| [format!("{stem}.{e}"), format!("{stem}.{}", e.to_uppercase())]);
+    let mut there = spelled.filter(|name| folders.iter().any(|folder| folder.join(name).is_file()));
+    there.next().unwrap_or_else(|| name.into())
 }
 
 /// `image_path` of the settings that COLMAP leaves beside a model.

@@ -1,0 +1,118 @@
+//! Text files whose fields are separated by any white space, line ends included.
+
+use std::str::FromStr;
+
+use nom::{
+    IResult, Parser,
+    bytes::complete::{take_till, take_till1},
+    character::complete::multispace0,
+    combinator::map_res,
+    sequence::preceded,
+};
+
+use super::{Fault, Place, Problem};
+
+/// The part of a text file that is not read yet.
+pub(super) struct Words<'a> {
+    whole: &'a [u8],
+    rest: &'a [u8],
+}
+
+impl<'a> Words<'a> {
+    pub fn new(whole: &'a [u8]) -> Self {
+        Self { whole, rest: whole }
+    }
+
+    /// The next field.
+    pub fn number<T: FromStr>(&mut self, expected: &'static str) -> Result<T, Fault> {
+        match number(self.rest) {
+            Ok((rest, value)) => {
+                self.rest = rest;
+                Ok(value)
+            }
+            Err(_) => Err(self.unexpected(expected)),
+        }
+    }
+
+    pub fn numbers<const N: usize>(&mut self, expected: &'static str) -> Result<[f64; N], Fault> {
+        let mut values = [0.0; N];
+        for value in &mut values {
+            *value = self.number(expected)?;
+        }
+        Ok(values)
+    }
+
+    /// What is left of the line, without white space at its ends; `None` at the end of the file.
+    pub fn line(&mut self) -> Option<&'a [u8]> {
+        if self.rest.is_empty() {
+            return None;
+        }
+        let line: IResult<_, _> = take_till(|b| b == b'\n').parse(self.rest);
+        let (left, line): (&[u8], &[u8]) = line.unwrap_or((&[], self.rest));
+        self.rest = left.get(1..).unwrap_or(&[]);
+        Some(line.trim_ascii())
+    }
+
+    /// The next line that is not blank.
+    pub fn full_line(&mut self) -> Option<&'a [u8]> {
+        std::iter::from_fn(|| self.line()).find(|line| !line.is_empty())
+    }
+
+    /// A count of records that take at least `smallest` bytes each.
+    pub fn count(&mut self, what: &'static str, smallest: usize) -> Result<usize, Fault> {
+        let at = self.place();
+        let count: u64 = self.number(what)?;
+        // The last field of the file has no blank after it.
+        let room = (self.rest.len() + 1) / smallest;
+        let fits = usize::try_from(count).ok().filter(|&n| n <= room);
+        fits.ok_or(Fault::new("", at, Problem::Count { what, count, room: room as u64 }))
+    }
+
+    pub fn at_end(&self) -> bool {
+        self.rest.trim_ascii().is_empty()
+    }
+
+    /// The line of the next field.
+    pub fn place(&self) -> Place {
+        let rest = self.rest.trim_ascii_start();
+        let read = &self.whole[..self.whole.len() - rest.len()];
+        Place::Line(1 + read.iter().filter(|&&b| b == b'\n').count() as u64)
+    }
+
+    pub fn fault(&self, problem: Problem) -> Fault {
+        Fault::new("", self.place(), problem)
+    }
+
+    pub fn unexpected(&self, expected: &'static str) -> Fault {
+        let found = match token(self.rest) {
+            Ok((_, token)) => String::from_utf8_lossy(&token[..token.len().min(40)]).into_owned(),
+            Err(_) => "the end of the file".into(),
+        };
+        self.fault(Problem::Syntax { expected, found })
+    }
+}
+
+fn token(input: &[u8]) -> IResult<&[u8], &[u8]> {
+    preceded(multispace0, take_till1(|b: u8| b.is_ascii_whitespace())).parse(input)
+}
+
+fn number<T: FromStr>(input: &[u8]) -> IResult<&[u8], T> {
+    map_res(token, parse).parse(input)
+}
+
+/// A field as a number.
+pub(super) fn parse<T: FromStr>(field: &[u8]) -> Result<T, ()> {
+    std::str::from_utf8(field).map_err(drop).and_then(|text| text.parse().map_err(drop))
+}
+
+/// A line whose first field, a name that may hold blanks, is followed by `N` numbers.
+pub(super) fn name_and_numbers<const N: usize>(line: &[u8]) -> Option<(&[u8], [f64; N])> {
+    let mut numbers = [0.0; N];
+    let mut left = line.trim_ascii();
+    for number in numbers.iter_mut().rev() {
+        let start = left.iter().rposition(|b| b.is_ascii_whitespace())?;
+        *number = parse(&left[start + 1..]).ok()?;
+        left = left[..start].trim_ascii_end();
+    }
+    Some((left, numbers))
+}

@@ -1,0 +1,361 @@
+//! Models of programs other than COLMAP: exports of a scene that is also there as a COLMAP model, and files of the programs.
+
+use std::{
+    collections::BTreeSet,
+    path::{Path, PathBuf},
+};
+
+use nalgebra::{Matrix3, Point3};
+use viewrank::{
+    camera::{Camera, CameraModel},
+    formats::{Problem, alicevision, bundler, nvm, openmvg, openmvs, opensfm, sure},
+    project::{ModelFormat, Project, ProjectKind},
+    scene::{PointIndex, Scene, ViewIndex},
+};
+
+/// The shared data sets, or `None` with a note where they are not to be had.
+fn formats() -> Option<PathBuf> {
+    let there = std::env::var_os("VIEWRANK_DATA").map(PathBuf::from);
+    let data = there.unwrap_or_else(|| PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../shared/data"));
+    if !data.is_dir() {
+        eprintln!("skipped: no data at {}", data.display());
+        return None;
+    }
+    Some(data.join("formats"))
+}
+
+fn bytes(path: impl AsRef<Path>) -> Vec<u8> {
+    std::fs::read(path).unwrap()
+}
+
+fn read(path: impl AsRef<Path>) -> Scene {
+    let path = path.as_ref();
+    let scene = Project::open(path, None).and_then(|project| project.read_scene());
+    scene.unwrap_or_else(|error| panic!("{}: {error}", path.display()))
+}
+
+fn counts(scene: &Scene) -> [usize; 3] {
+    [scene.views.len(), scene.points.len(), scene.observations()]
+}
+
+/// Poses, points and tracks are those of the base model, up to what the format keeps. Exporters renumber points, and one
+/// observation per image is all that some formats hold.
+fn assert_is_base(scene: &Scene, base: &Scene, pixels: f64, shift: [f64; 2]) {
+    assert_eq!(scene.views.len(), base.views.len());
+    for (a, b) in scene.views.iter().zip(&base.views) {
+        assert_eq!(a.name, b.name);
+        let (a, b) = (a.cam_from_world, b.cam_from_world);
+        assert!((a.rotation.matrix() - b.rotation.matrix()).norm() < 1e-9);
+        assert!((a.centre() - b.centre()).norm() < 1e-7, "{} {}", a.centre(), b.centre());
+    }
+    assert_eq!(scene.points.len(), base.points.len());
+    let nearest = |x: &Point3<f64>| {
+        let distance = |p: &usize| (base.points[*p] - x).norm();
+        (0..base.points.len()).min_by(|a, b| distance(a).total_cmp(&distance(b))).unwrap()
+    };
+    for (p, x) in scene.points.iter().enumerate() {
+        let of_base = nearest(x);
+        assert!((base.points[of_base] - x).norm() < 1e-4, "{x}");
+        let track = |scene: &Scene, p: usize| -> Vec<(ViewIndex, [f64; 2])> {
+            scene.track(PointIndex(p as u32)).map(|o| (scene.track_views[o], scene.track_pixels[o])).collect()
+        };
+        let (a, b) = (track(scene, p), track(base, of_base));
+        let views = |track: &[(ViewIndex, [f64; 2])]| track.iter().map(|o| o.0).collect::<BTreeSet<_>>();
+        assert_eq!(views(&a), views(&b));
+        for (view, a) in a {
+            let off = |b: &[f64; 2]| (a[0] - b[0] - shift[0]).hypot(a[1] - b[1] - shift[1]);
+            assert!(b.iter().any(|(v, b)| *v == view && off(b) < pixels), "{a:?} {b:?}");
+        }
+    }
+}
+
+/// The distance between the projections of the points by two scenes with the same views, at most.
+fn projections_apart(a: &Scene, b: &Scene) -> f64 {
+    let mut apart = 0.0f64;
+    for v in a.view_indices() {
+        for x in &b.points {
+            let project = |s: &Scene| s.camera_of(v).project(&s.view(v).cam_from_world.camera_from_world(x));
+            if let Some((a, b)) = project(a).zip(project(b)) {
+                apart = apart.max((a - b).norm());
+            }
+        }
+    }
+    apart
+}
+
+#[test]
+fn bundler_export_is_the_same_scene() {
+    let Some(formats) = formats() else { return };
+    let (exports, base) = (formats.join("base_colmap38_exports"), read(formats.join("base_colmap311_bin")));
+    let (bundle, list) = (bytes(exports.join("model.bundle.out")), bytes(exports.join("model.list.txt")));
+    let scene = bundler::read(&bundle, &list, &|_| Some((1000, 750))).unwrap().scene().unwrap();
+    // Pixels and points are printed with six digits.
+    assert_is_base(&scene, &base, 1e-3, [0.0; 2]);
+    assert!(projections_apart(&scene, &base) < 1e-6);
+    assert!((scene.mean_reprojection_error().unwrap() - base.mean_reprojection_error().unwrap()).abs() < 1e-4);
+    assert_eq!(scene.colours.len(), base.colours.len());
+}
+
+#[test]
+fn nvm_export_is_the_same_scene() {
+    let Some(formats) = formats() else { return };
+    let (exports, base) = (formats.join("base_colmap38_exports"), read(formats.join("base_colmap311_bin")));
+    let nvm = nvm::read(&bytes(exports.join("model.nvm")), &|_| Some((1000, 750))).unwrap();
+    let scene = nvm.scene().unwrap();
+    // Pixels and points are printed with six digits.
+    assert_is_base(&scene, &base, 1e-3, [0.0; 2]);
+    assert!(projections_apart(&scene, &base) < 1e-6);
+}
+
+#[test]
+fn openmvg_export_is_the_same_scene() {
+    let Some(formats) = formats() else { return };
+    let (path, base) = (formats.join("others/openmvg/sfm_data.json"), read(formats.join("base_colmap311_bin")));
+    let scene = openmvg::read(&bytes(path)).unwrap().scene().unwrap();
+    // The script that wrote it left pixels as in COLMAP, where OpenMVG has integer centres: all is half a pixel off.
+    assert_is_base(&scene, &base, 1e-9, [0.5; 2]);
+    assert!((projections_apart(&scene, &base) - 0.5f64.hypot(0.5)).abs() < 1e-9);
+    assert!((scene.mean_reprojection_error().unwrap() - base.mean_reprojection_error().unwrap()).abs() < 1e-9);
+}
+
+#[test]
+fn folders_are_read_without_images() {
+    let Some(formats) = formats() else { return };
+    let open = |folder: &str| Project::open(&formats.join("others").join(folder), None).unwrap();
+    for (folder, format, expected) in [
+        ("bundler_kermit", ModelFormat::Bundler, [9, 634, 2039]),
+        ("openmvg", ModelFormat::OpenMvg, [12, 450, 2342]),
+        ("opensfm_berlin", ModelFormat::OpenSfm, [3, 1430, 3219]),
+        ("alicevision/small.sfm", ModelFormat::AliceVision, [0, 0, 0]),
+        ("alicevision/scene_v1.2.8_cut.sfm", ModelFormat::AliceVision, [54, 300, 0]),
+    ] {
+        let project = open(folder);
+        assert_eq!(project.model.format, format, "{folder}");
+        let scene = project.read_scene().unwrap_or_else(|error| panic!("{folder}: {error}"));
+        let found = counts(&scene);
+        // Not every row of tracks.csv belongs to a point of the reconstruction.
+        if folder == "opensfm_berlin" {
+            assert!(found[..2] == expected[..2] && found[2] > 2860 && found[2] <= expected[2], "{found:?}");
+        } else {
+            assert_eq!(found, expected, "{folder}");
+        }
+        if let Some(error) = scene.mean_reprojection_error() {
+            assert!(error < 3.0, "{folder}: {error} px");
+        }
+    }
+    assert_eq!(open("bundler_kermit").read_scene().unwrap().unregistered.len(), 2);
+    assert_eq!(open("alicevision/small.sfm").read_scene().unwrap().unregistered.len(), 30);
+    assert_eq!(open("openmvs").kind, ProjectKind::OpenMvs);
+    let scene = open("openmvs").read_scene().unwrap();
+    assert!(counts(&scene).iter().all(|&n| n > 0), "{:?}", counts(&scene));
+    assert!(scene.mean_reprojection_error().unwrap() < 1e-9);
+}
+
+#[test]
+fn alicevision_motions_of_one_pose_are_shared() {
+    let Some(formats) = formats() else { return };
+    let scene = read(formats.join("others/alicevision/scene_v1.2.8_cut.sfm"));
+    let centre = |v: usize| scene.views[v].cam_from_world.centre();
+    let distinct = (0..54).filter(|&v| (0..v).all(|w| (centre(v) - centre(w)).norm() > 1e-9)).count();
+    assert_eq!(distinct, 27);
+    assert!((centre(scene.find("view_0").unwrap().at()) - Point3::new(-1.0, -1.0, -1.0)).norm() < 1e-9);
+}
+
+#[test]
+fn alicevision_numbers_come_with_and_without_quotes() {
+    let sfm = |version: &str, intrinsic: &str| {
+        let text = format!(
+            r#"{{"version": {version}, "views": [{{"viewId": "7", "poseId": 3, "intrinsicId": "1", "path": "/data/set/a.jpg"}},
+               {{"viewId": "8", "intrinsicId": "1", "path": "/data/b.jpg"}}],
+               "intrinsics": [{{"intrinsicId": "1", "width": "1000", "height": 500, "serialNumber": "", {intrinsic}}}],
+               "poses": [{{"poseId": "3", "pose": {{"transform": {{"rotation": ["0","1","0","-1","0","0","0","0","1"],
+               "center": [1, 2, "3"]}}}}}}], "structure": [{{"landmarkId": "4", "color": ["1","2","3"], "X": ["0","0","5"],
+               "observations": [{{"observationId": "7", "featureId": "0", "x": ["10", "20"]}}]}}]}}"#
+        );
+        alicevision::read(text.as_bytes()).unwrap()
+    };
+    let old = sfm(
+        r#"["1","0","0"]"#,
+        r#""type": "radial3", "pxFocalLength": "900", "principalPoint": ["490", "260"],
+        "distortionParams": ["0.1", "0.2", "0.3"]"#,
+    );
+    let camera = &old.model.cameras[0];
+    assert_eq!(camera.model(), CameraModel::FullOpenCv);
+    assert_eq!(camera.params(), [900.0, 900.0, 490.5, 260.5, 0.1, 0.2, 0.0, 0.0, 0.3, 0.0, 0.0, 0.0]);
+    let new = sfm(
+        r#"[1, 2, 11]"#,
+        r#""type": "pinhole", "distortionType": "none", "undistortionType": "none", "sensorWidth": "20",
+        "focalLength": "18", "pixelRatio": "2", "principalPoint": ["-10", "10"], "distortionParams": """#,
+    );
+    assert_eq!(new.model.cameras[0].params(), [450.0, 900.0, 490.5, 260.5]);
+    let scene = new.scene().unwrap();
+    assert_eq!((scene.name(ViewIndex(0)), &scene.unregistered[0]), ("set/a.jpg", &"b.jpg".to_string()));
+    assert_eq!(new.image_folder.as_deref(), Some("/data/"));
+    // Columns first.
+    let rotation = Matrix3::new(0.0, -1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0);
+    assert!((scene.views[0].cam_from_world.rotation.matrix() - rotation).norm() < 1e-12);
+    assert!((scene.views[0].cam_from_world.centre() - Point3::new(1.0, 2.0, 3.0)).norm() < 1e-12);
+    assert_eq!(scene.track_pixels, [[10.5, 20.5]]);
+}
+
+#[test]
+fn opensfm_pixels_are_normalised_by_the_larger_side() {
+    let reconstruction =
+        br#"[{"cameras": {"c": {"projection_type": "brown", "width": 400, "height": 200, "focal_x": 0.5,
+        "focal_y": 0.6, "c_x": 0.01, "c_y": -0.02, "k1": 0.1, "k2": 0.2, "k3": 0.3, "p1": 0.4, "p2": 0.5}},
+        "shots": {"a.jpg": {"rotation": [0, 0, 1.5707963267948966], "translation": [1, 2, 3], "camera": "c"}},
+        "points": {"17": {"coordinates": [0, 0, 1], "color": [1, 2, 300]}}}]"#;
+    let tracks =
+        b"OPENSFM_TRACKS_VERSION_v2\na.jpg\t17\t3\t0.25\t-0.125\t0.001\t1\t2\t3\t-1\t-1\r\nother.jpg\t17\t3\t0\t0\n";
+    let scene = opensfm::read(reconstruction, Some(tracks)).unwrap().scene().unwrap();
+    let camera = &scene.cameras[0];
+    assert_eq!(camera.params(), [200.0, 240.0, 204.0, 92.0, 0.1, 0.2, 0.4, 0.5, 0.3, 0.0, 0.0, 0.0]);
+    assert_eq!((&scene.track_pixels[..], &scene.point_ids[..]), (&[[300.0, 50.0]][..], &[17][..]));
+    assert_eq!(scene.colours, [[1, 2, 255]]);
+    let x_cam = scene.views[0].cam_from_world.camera_from_world(&Point3::new(1.0, 0.0, 0.0));
+    assert!((x_cam - Point3::new(1.0, 3.0, 3.0)).norm() < 1e-12);
+    let fault = opensfm::read(reconstruction, Some(b"a.jpg\t17\t3\tx\t0\n")).unwrap_err();
+    assert!(matches!(fault.problem, Problem::Syntax { .. }) && fault.file == "tracks", "{fault}");
+}
+
+#[test]
+fn bundler_f_zero() {
+    let camera = "0 0 0\n0 0 0\n0 0 0\n0 0 0\n0 0 0\n";
+    let real = "100 0.1 0.2\n1 0 0\n0 1 0\n0 0 1\n0 0 -5\n";
+    let bundle = format!("# Bundle file v0.3\n2 1\n{camera}{real}1 2 3\n10 20 30\n2 0 0 1 1 1 0 -20 10\n");
+    let foreign = bundler::read(bundle.as_bytes(), b"./a b.jpg 0 123.4\nc.jpg\n", &|_| Some((200, 100))).unwrap();
+    let scene = foreign.scene().unwrap();
+    assert_eq!(scene.unregistered, ["a b.jpg"]);
+    assert_eq!(counts(&scene), [1, 1, 1]);
+    // y up and z backward.
+    assert_eq!(scene.track_pixels, [[80.0, 40.0]]);
+    let x_cam = scene.views[0].cam_from_world.camera_from_world(&Point3::new(1.0, 2.0, 0.0));
+    assert!((x_cam - Point3::new(1.0, -2.0, 5.0)).norm() < 1e-12, "{x_cam}");
+    let guessed = bundler::read(bundle.as_bytes(), b"a.jpg\nc.jpg\n", &|_| None).unwrap();
+    assert_eq!((guessed.model.cameras[0].width, guessed.model.warnings.len()), (40, 1));
+}
+
+#[test]
+fn nvm_measurements_from_the_centre() {
+    let nvm = |x: f64| {
+        let camera = "a b.jpg\t100 1 0 0 0 1 2 3 0.01 0\n";
+        let text =
+            format!("NVM_V3 \n\n2\n{camera}c.jpg 100 1 0 0 0 0 0 0 0 0\n\n1\n0 0 9 1 2 3 2 0 0 {x} 5 1 0 30 20\n\n0\n");
+        nvm::read(text.as_bytes(), &|_| Some((200, 100))).unwrap().scene().unwrap()
+    };
+    assert_eq!(nvm(10.0).track_pixels, [[10.0, 5.0], [30.0, 20.0]]);
+    assert_eq!(nvm(-10.0).track_pixels, [[90.0, 55.0], [130.0, 70.0]]);
+    let view = &nvm(10.0).views[0];
+    assert_eq!(view.name, "a b.jpg");
+    assert!((view.cam_from_world.centre() - Point3::new(1.0, 2.0, 3.0)).norm() < 1e-12);
+    assert_eq!(nvm(10.0).cameras[0].params()[3], -0.01);
+}
+
+#[test]
+fn openmvs_scene_of_a_scene_is_the_scene() {
+    let pose = |c: [f64; 3]| openmvs::Pose { r: [0.0, -1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0], c };
+    let image = |name: &str, id, pose| openmvs::Image {
+        name: name.into(),
+        mask: Vec::new(),
+        platform: 0,
+        camera: 0,
+        pose,
+        id,
+        depths: [0.0; 3],
+        view_scores: Vec::new(),
+    };
+    let camera = |width, height, k| openmvs::Camera {
+        width,
+        height,
+        k,
+        r: [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
+        ..openmvs::Camera::default()
+    };
+    let views = [0, 1, 2].map(|image| openmvs::VertexView { image, confidence: 1.0 }).to_vec();
+    let scene = |camera| openmvs::Mvs {
+        platforms: vec![openmvs::Platform {
+            name: Vec::new(),
+            cameras: vec![camera],
+            poses: vec![pose([1.0, 2.0, 0.0]), pose([0.0, 0.0, 0.5])],
+        }],
+        images: vec![image("b.jpg", 5, 1), image("none.jpg", 6, openmvs::NO_POSE), image("a.jpg", 9, 0)],
+        vertices: vec![openmvs::Vertex { x: [0.5, 0.25, 4.0], views: views.clone() }],
+        colours: vec![[1, 2, 3]],
+        ..openmvs::Mvs::default()
+    };
+    let mvs = scene(camera(400, 300, [200.0, 0.0, 199.5, 0.0, 210.0, 149.5, 0.0, 0.0, 1.0]));
+    let read = openmvs::Mvs::read(&mvs.write()).unwrap().model(&|_| None).unwrap().scene().unwrap();
+    assert_eq!((read.name(ViewIndex(0)), read.views[0].image_id), ("a.jpg", 9));
+    assert_eq!(read.unregistered, ["none.jpg"]);
+    assert_eq!(read.cameras[0].params(), [200.0, 210.0, 200.0, 150.0]);
+    assert_eq!(read.colours, [[3, 2, 1]]);
+    // x_cam = R (X - C) = (1.75, -0.5, 4)
+    let expected = [200.0 * 1.75 / 4.0 + 200.0, 210.0 * -0.5 / 4.0 + 150.0];
+    assert!((read.track_pixels[0][0] - expected[0]).hypot(read.track_pixels[0][1] - expected[1]) < 1e-9);
+    // Intrinsics in units of the larger side.
+    let normalised = scene(camera(0, 0, [0.5, 0.0, 0.5, 0.0, 0.5, 0.25, 0.0, 0.0, 1.0]));
+    let with_size = normalised.model(&|_| Some((400, 300))).unwrap();
+    assert_eq!(with_size.model.cameras[0].params(), [200.0, 200.0, 200.5, 100.5]);
+    assert!(normalised.model(&|_| None).is_err());
+}
+
+#[test]
+fn sure_orientations_round_trip() {
+    let Some(formats) = formats() else { return };
+    let base = read(formats.join("base_colmap311_bin"));
+    let camera = Camera::new(1, CameraModel::Pinhole, 1000, 750, vec![751.0, 752.0, 500.25, 374.0]).unwrap();
+    for view in &base.views {
+        let text = sure::write(&view.name, &camera, &view.cam_from_world).unwrap();
+        assert!(text.lines().filter(|line| line.starts_with('$')).all(|line| line.len() == 72), "{text}");
+        let read = sure::read(text.as_bytes(), 1).unwrap();
+        assert_eq!(read.image, view.name);
+        assert!(
+            (nalgebra::DVector::from_row_slice(read.camera.params())
+                - nalgebra::DVector::from_row_slice(camera.params()))
+            .norm()
+                < 1e-9
+        );
+        let pose = read.cam_from_world.pose().unwrap();
+        assert!((pose.rotation.matrix() - view.cam_from_world.rotation.matrix()).norm() < 1e-12);
+        assert!((pose.centre() - view.cam_from_world.centre()).norm() < 1e-9);
+    }
+    assert!(sure::write("a", &base.cameras[0], &base.views[0].cam_from_world).is_none());
+}
+
+#[test]
+fn sure_projects_have_orientations_and_a_cloud() {
+    let Some(formats) = formats() else { return };
+    let base = read(formats.join("base_colmap311_bin"));
+    let camera = Camera::new(1, CameraModel::Pinhole, 1000, 750, vec![751.0, 751.0, 500.0, 375.0]).unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let root = folder.path();
+    std::fs::create_dir(root.join("ori")).unwrap();
+    for view in &base.views {
+        let text = sure::write(&view.name, &camera, &view.cam_from_world).unwrap();
+        std::fs::write(root.join("ori").join(&view.name).with_extension("ori"), text).unwrap();
+    }
+    let project = Project::open(root, None).unwrap();
+    assert_eq!((project.kind, project.model.registered), (ProjectKind::Sure, 12));
+    assert_eq!(project.read_scene().unwrap().warnings.len(), 1);
+
+    std::fs::copy(formats.join("base_colmap38_exports/model.ply"), root.join("cloud.ply")).unwrap();
+    let scene = read(root);
+    assert_eq!(scene.points.len(), 450);
+    for p in 0..scene.points.len() {
+        let x = &scene.points[p];
+        let sees = |v: &ViewIndex| {
+            let pixel = scene.camera_of(*v).project(&scene.view(*v).cam_from_world.camera_from_world(x));
+            pixel.is_some_and(|pixel| scene.camera_of(*v).contains(&pixel))
+        };
+        let expected: Vec<ViewIndex> = scene.view_indices().filter(sees).collect();
+        assert_eq!(scene.track_views(PointIndex(p as u32)), expected);
+    }
+
+    std::fs::copy(formats.join("base_colmap38_exports/model.nvm"), root.join("cloud.nvm")).unwrap();
+    let scene = Project::open(&root.join("ori"), None).is_ok_and(|p| p.kind == ProjectKind::Sure);
+    assert!(scene);
+    let scene = read(root);
+    // NVM holds one observation per point and image.
+    let distinct = |p: usize| base.track_views(PointIndex(p as u32)).iter().collect::<BTreeSet<_>>().len();
+    assert_eq!(counts(&scene), [12, 450, (0..450).map(distinct).sum()]);
+}
