@@ -362,3 +362,6 @@ impl Observations {
         both.filter_map(|(on, hidden)| on.into_inner().then_some(u64::from(hidden.into_inner()))).sum()
     }
 }
+
+#[cfg(test)]
+mod tests;
