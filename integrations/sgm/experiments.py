@@ -149,7 +149,7 @@ def pairs_for(curve, fulfilment):
 def full_method(compared, counts, folder):
     """Experiment 3: pairs that ours and Max need for the same real fulfilment: shares of what all clusters of Max reach at its best k."""
     total = max(compared[k, "maxcon"]["real"] for k in counts)
-    names = [(k, rule) for rule in ("ours", "ours-nocp", "maxcon") for k in counts]
+    names = [(k, rule) for rule in ("ours", "ours-nocp", "maxcon") for k in counts if (k, rule) in compared]
     table = {f"{rule} k={k}": [pairs_for(compared[k, rule]["curve"], s * total) for s in SHARES] for k, rule in names}
     best = [min((row[i] for name, row in table.items() if name.startswith("maxcon") and row[i] is not None), default=None) for i in range(len(SHARES))]
     write_csv(folder / "full.csv", ["clusters", *(f"{s:.0%}" for s in SHARES)], [[name, *row] for name, row in table.items()])
