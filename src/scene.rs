@@ -199,7 +199,7 @@ fn median(mut values: Vec<f64>) -> Option<f64> {
     if values.is_empty() {
         return None;
     }
-    let even = values.len() % 2 == 0;
+    let even = values.len().is_multiple_of(2);
     let (below, &mut high, _) = values.select_nth_unstable_by(middle, f64::total_cmp);
     let low = below.iter().copied().max_by(f64::total_cmp).filter(|_| even).unwrap_or(high);
     Some(0.5 * (low + high))

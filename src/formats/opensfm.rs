@@ -72,6 +72,9 @@ struct Point {
     color: [f64; 3],
 }
 
+/// By track: position of the image, pixel.
+type Observations<'a> = HashMap<&'a [u8], Vec<(usize, [f64; 2])>>;
+
 /// Reads the reconstruction and, where they are there, the tracks; without them the points have no observations.
 pub fn read(reconstruction: &[u8], tracks: Option<&[u8]>) -> Result<Foreign, Fault> {
     let reconstructions: Vec<Reconstruction> = json(reconstruction)?;
@@ -111,7 +114,7 @@ pub fn read(reconstruction: &[u8], tracks: Option<&[u8]>) -> Result<Foreign, Fau
 }
 
 /// Points keep their ids where all are numbers.
-fn add_points(foreign: &mut Foreign, points: &Ordered<Point>, observations: &HashMap<&[u8], Vec<(usize, [f64; 2])>>) {
+fn add_points(foreign: &mut Foreign, points: &Ordered<Point>, observations: &Observations) {
     let ids: Option<Vec<u64>> = points.keys().map(|id| id.parse().ok()).collect();
     let mut order: Vec<_> = points
         .iter()
@@ -126,12 +129,12 @@ fn add_points(foreign: &mut Foreign, points: &Ordered<Point>, observations: &Has
     }
 }
 
-/// Rows `shot, track, feature, x, y, ...` separated by tabs; by track: position of the image, pixel.
+/// Rows `shot, track, feature, x, y, ...` separated by tabs.
 fn observations<'a>(
     tracks: &'a [u8],
     shots: &HashMap<&[u8], (usize, &OpenSfmCamera)>,
-) -> Result<HashMap<&'a [u8], Vec<(usize, [f64; 2])>>, Fault> {
-    let mut by_track: HashMap<&[u8], Vec<_>> = HashMap::new();
+) -> Result<Observations<'a>, Fault> {
+    let mut by_track = Observations::new();
     for (n, line) in tracks.split(|&b| b == b'\n').enumerate() {
         let line = line.strip_suffix(b"\r").unwrap_or(line);
         if line.is_empty() || line.starts_with(b"OPENSFM_TRACKS_VERSION") {
