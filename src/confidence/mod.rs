@@ -3,11 +3,13 @@
 //! Two kinds of knowledge meet in p_i(t), the chance that the pair (key view, partner i) measures triangle t: the picture (unary
 //! confidence per view and triangle, from a [`Predictor`]) and the constellation ([`PairConfidence`], which needs no image).
 
+mod geometric;
 pub mod trees;
+
+pub use geometric::{Constellation, PairConfidence};
 
 use crate::{
     config::{ConfidenceForm, ConfidenceSettings},
-    fulfilment::Look,
     scene::ViewIndex,
 };
 
@@ -38,54 +40,6 @@ pub trait Predictor: Sync {
 pub enum ConfidenceError {
     #[error("no confidence for view {0}: {1}")]
     Image(String, String),
-}
-
-/// The numbers of the geometric confidence (method 7.2); each backend has its own.
-#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
-pub struct PairConfidence {
-    /// Matches that must succeed for a pixel (method 3.4), 1 to 3.
-    pub min_matches: u32,
-    pub p0: f64,
-    /// Power of the smaller cosine of incidence (gamma).
-    pub cosine_power: f64,
-    /// Standard deviation of the scale ratio in octaves (s); `None`: scale does no harm.
-    pub scale_octaves: Option<f64>,
-    /// Triangulation angle from which a match is as good as any, degrees (a); `None`: any angle.
-    pub full_angle_deg: Option<f64>,
-}
-
-impl PairConfidence {
-    /// These numbers with those that the user set in their place.
-    pub fn with(&self, settings: &ConfidenceSettings) -> Self {
-        let unless_zero = |set: Option<f64>, own: Option<f64>| match set {
-            Some(0.0) => None,
-            Some(value) => Some(value),
-            None => own,
-        };
-        Self {
-            min_matches: settings.min_matches.unwrap_or(self.min_matches),
-            p0: settings.p0.unwrap_or(self.p0),
-            cosine_power: settings.cosine_power.unwrap_or(self.cosine_power),
-            scale_octaves: unless_zero(settings.scale_octaves, self.scale_octaves),
-            full_angle_deg: unless_zero(settings.full_angle, self.full_angle_deg),
-        }
-    }
-}
-
-impl PairConfidence {
-    /// p₀ · min(cos θ_key, cos θ_i)^γ · exp(−½ (log2(l_i / l_key) / s)²) · min(angle / a, 1).
-    pub fn probability(&self, key: &Look, partner: &Look) -> f64 {
-        let incidence = key.cos_incidence.min(partner.cos_incidence).powf(self.cosine_power);
-        let scale = self.scale_octaves.map_or(1.0, |s| {
-            let octaves = (partner.distance / key.distance).log2() / s;
-            (-0.5 * octaves * octaves).exp()
-        });
-        let angle = self.full_angle_deg.map_or(1.0, |full| {
-            let degrees = key.direction.dot(&partner.direction).clamp(-1.0, 1.0).acos().to_degrees();
-            (degrees / full).min(1.0)
-        });
-        self.p0 * incidence * scale * angle
-    }
 }
 
 /// Where confidence comes from (`confidence.source`).
@@ -156,23 +110,36 @@ impl Confidence {
 }
 
 impl Confidence {
-    /// Matches that must succeed for a pixel; `None`: success is certain.
-    pub fn min_matches(&self) -> Option<u32> {
+    /// Matches that must succeed; 0: none, f_conf is 1.
+    pub fn min_matches(&self) -> u32 {
         match self {
-            Self::None => None,
-            Self::Pair(numbers) => Some(numbers.min_matches),
-            Self::Paper { min_matches } => Some(*min_matches),
+            Self::None => 0,
+            Self::Pair(numbers) => numbers.min_matches,
+            Self::Paper { min_matches } => *min_matches,
         }
     }
 
-    /// p_i(t): the chance that the key view and a partner that both see the triangle match there (method 3.4, 7.2).
-    pub fn pair(&self, key: &Look, partner: &Look) -> f64 {
-        let unary = 0.5 * (key.unary + partner.unary);
+    /// p_i of a partner that sees the triangle, from its constellation with the key view and the mean of the two unary confidences.
+    pub fn pair(&self, constellation: &Constellation, unary: f64) -> f64 {
         match self {
             Self::None => 1.0,
-            Self::Pair(numbers) => numbers.probability(key, partner) * unary,
+            Self::Pair(numbers) => numbers.confidence(constellation) * unary,
             Self::Paper { .. } => unary,
         }
+    }
+
+    /// f_conf of method 3.4: the chance that at least [`Confidence::min_matches`] of independent matches succeed.
+    ///
+    /// `at_least[m]` is that chance for m among the matches so far. One more match of chance p turns "exactly m - 1" into m; adding
+    /// to the chance of at least m, never taking the difference from 1, keeps small chances exact.
+    pub fn at_least(&self, matches: impl Iterator<Item = f64>) -> f64 {
+        let mut at_least = [1.0, 0.0, 0.0, 0.0];
+        for p in matches {
+            for m in (1..4).rev() {
+                at_least[m] += p * (at_least[m - 1] - at_least[m]);
+            }
+        }
+        at_least[self.min_matches().min(3) as usize]
     }
 }
 
@@ -191,5 +158,53 @@ impl Unary {
 
     pub fn at(&self, row: usize) -> f32 {
         if self.values.is_empty() { 1.0 } else { self.values[row] }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    /// The paper's alternating sum over the elementary symmetric polynomials.
+    fn alternating_sum(p: &[f64]) -> f64 {
+        let mut e = vec![0.0; p.len() + 1];
+        e[0] = 1.0;
+        for &p in p {
+            for i in (1..e.len()).rev() {
+                e[i] += p * e[i - 1];
+            }
+        }
+        (2..e.len()).map(|i| (i as f64 - 1.0) * if i % 2 == 0 { e[i] } else { -e[i] }).sum()
+    }
+
+    /// By going through all outcomes.
+    fn by_outcomes(p: &[f64], least: u32) -> f64 {
+        let chance = |outcome: u32| {
+            let one = |(i, &p): (usize, &f64)| if outcome >> i & 1 == 1 { p } else { 1.0 - p };
+            p.iter().enumerate().map(one).product::<f64>()
+        };
+        (0..1u32 << p.len()).filter(|o| o.count_ones() >= least).map(chance).sum()
+    }
+
+    proptest! {
+        #[test]
+        fn two_matches_are_the_papers_sum(p in proptest::collection::vec(0.0..=1.0f64, 0..=12)) {
+            let ours = Confidence::Paper { min_matches: 2 }.at_least(p.iter().copied());
+            prop_assert!((ours - alternating_sum(&p)).abs() < 1e-9, "{} {}", ours, alternating_sum(&p));
+        }
+
+        #[test]
+        fn is_the_chance_of_enough_matches(p in proptest::collection::vec(0.0..=1.0f64, 0..=10), least in 1u32..=3) {
+            let ours = Confidence::Paper { min_matches: least }.at_least(p.iter().copied());
+            let expected = by_outcomes(&p, least);
+            prop_assert!((ours - expected).abs() <= 1e-12 + 1e-9 * expected, "{ours} {expected}");
+        }
+    }
+
+    #[test]
+    fn without_confidence_everything_succeeds() {
+        assert_eq!(Confidence::None.at_least([].into_iter()), 1.0);
     }
 }

@@ -1,28 +1,30 @@
 //! Method 3: how well a triangle meets the wanted completeness, resolution and accuracy.
 //!
 //! `f = (alpha f_res + (1 - alpha) f_unc) f_cov f_conf`, each factor in [0, 1]. [`Model`] is everything that f depends on, [`value`]
-//! its definition, one (cluster, triangle) at a time, [`table`] the same for all triangles of many clusters.
+//! its definition in f64, one (cluster, triangle) at a time.
 
-mod information;
-mod look;
-mod success;
+pub(crate) mod block;
+mod lanes;
 mod target;
 
+use nalgebra::{Matrix3, Point3, Vector2};
 use rayon::prelude::*;
 
-pub use information::Information;
-pub use look::{Eye, Look};
-pub use success::Successes;
-pub use target::{GSD_MARGIN, Target};
+use self::block::{Block, Places};
+pub use self::target::{GSD_MARGIN, Target};
 
 use crate::{
-    confidence::{Confidence, Unary},
+    camera::{Camera, CameraModel},
+    confidence::{Confidence, Constellation, Unary},
     partners::ViewCluster,
     progress::{Cancelled, Watcher},
     scene::{Scene, ViewIndex},
     surface::Surface,
     visibility::Visibility,
 };
+
+/// Clusters that are worked on before their rows are put together.
+pub(crate) const BATCH: usize = 64;
 
 /// The numbers of method 3.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -63,23 +65,6 @@ pub struct Fulfilment {
     pub value: f64,
 }
 
-impl Rule {
-    /// f from f_res, the key view's look, and the looks of the partners that see the triangle.
-    pub fn fulfilment(&self, resolution: f64, key: &Look, partners: impl IntoIterator<Item = Look>) -> Fulfilment {
-        let (mut information, mut successes, mut cameras) = (key.information, Successes::default(), 1);
-        for partner in partners {
-            information += partner.information;
-            successes = successes.with(self.confidence.pair(key, &partner));
-            cameras += 1;
-        }
-        let coverage = if cameras >= self.min_cameras { 1.0 } else { 0.0 };
-        let uncertainty = information.smallest_eigenvalue_to_one().sqrt();
-        let confidence = self.confidence.min_matches().map_or(1.0, |matches| successes.at_least(matches));
-        let quality = self.alpha * resolution + (1.0 - self.alpha) * uncertainty;
-        Fulfilment { coverage, resolution, uncertainty, confidence, value: quality * coverage * confidence }
-    }
-}
-
 /// f(t, cluster) of every cluster, CSR by cluster, triangles ascending, only f > 0.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct FulfilmentTable {
@@ -91,6 +76,18 @@ pub struct FulfilmentTable {
 }
 
 impl FulfilmentTable {
+    pub(crate) fn empty() -> Self {
+        Self { offsets: vec![0], ..Default::default() }
+    }
+
+    /// Adds a cluster with the f of each triangle that its key view sees.
+    pub(crate) fn push(&mut self, triangles: &[u32], values: &[f32]) {
+        let fulfilled = || triangles.iter().zip(values).filter(|(_, f)| **f > 0.0);
+        self.triangles.extend(fulfilled().map(|(t, _)| t));
+        self.values.extend(fulfilled().map(|(_, f)| f));
+        self.offsets.push(self.triangles.len());
+    }
+
     pub fn clusters(&self) -> usize {
         self.offsets.len().saturating_sub(1)
     }
@@ -100,95 +97,93 @@ impl FulfilmentTable {
         let rows = self.offsets[cluster]..self.offsets[cluster + 1];
         (&self.triangles[rows.clone()], &self.values[rows])
     }
-
-    /// Joins the rows of clusters, in their order.
-    pub fn from_rows(rows: Vec<FulfilmentRow>) -> Self {
-        let entries = rows.iter().map(|row| row.triangles.len()).sum();
-        let mut table =
-            Self { offsets: vec![0], triangles: Vec::with_capacity(entries), values: Vec::with_capacity(entries) };
-        for row in rows {
-            table.triangles.extend_from_slice(&row.triangles);
-            table.values.extend_from_slice(&row.values);
-            table.offsets.push(table.triangles.len());
-        }
-        table
-    }
-}
-
-/// f of one cluster: triangles ascending, only f > 0.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct FulfilmentRow {
-    pub triangles: Vec<u32>,
-    pub values: Vec<f32>,
-}
-
-impl FulfilmentRow {
-    /// Σ f over all triangles.
-    pub fn sum(&self) -> f64 {
-        self.values.iter().map(|&f| f64::from(f)).sum()
-    }
 }
 
 /// f of any clusters, in their order.
 pub fn table(model: &Model, clusters: &[ViewCluster], watcher: &dyn Watcher) -> Result<FulfilmentTable, Cancelled> {
-    let row_of = |cluster: &ViewCluster| watcher.check().map(|()| row(model, cluster.key, &cluster.partners));
-    let rows = clusters.par_iter().map(row_of).collect::<Result<Vec<_>, _>>()?;
-    Ok(FulfilmentTable::from_rows(rows))
-}
-
-/// f of one cluster for every triangle that its key view sees.
-pub fn row(model: &Model, key: ViewIndex, partners: &[ViewIndex]) -> FulfilmentRow {
-    let eye = Eye::new(model, key);
-    let first_row = model.visibility.rows(key).start;
-    let mut partners: Vec<Walker> = partners.iter().map(|&partner| Walker::new(model, partner)).collect();
-    let mut found = FulfilmentRow::default();
-    for (i, &triangle) in model.visibility.of(key).iter().enumerate() {
-        let seeing: Vec<(usize, usize)> =
-            partners.iter_mut().enumerate().filter_map(|(j, p)| Some((j, p.row_of(triangle)?))).collect();
-        if 1 + seeing.len() < model.rule.min_cameras as usize {
-            continue;
-        }
-        let Some(look) = eye.look(triangle, first_row + i) else { continue };
-        let looks = seeing.iter().filter_map(|&(j, row)| partners[j].eye.look(triangle, row));
-        let f = model.rule.fulfilment(eye.resolution(triangle), &look, looks).value as f32;
-        if f > 0.0 {
-            found.triangles.push(triangle);
-            found.values.push(f);
+    let mut table = FulfilmentTable::empty();
+    for batch in clusters.chunks(BATCH) {
+        let row = |places: &mut Places, cluster: &ViewCluster| {
+            watcher.check()?;
+            let mut block = Block::new(model, cluster.key, &cluster.partners, |_| false, places);
+            Ok(block.values(&(0..cluster.partners.len()).collect::<Vec<_>>()))
+        };
+        let rows = batch.par_iter().map_init(|| Places::new(model), row).collect::<Result<Vec<_>, _>>()?;
+        for (cluster, values) in batch.iter().zip(rows) {
+            table.push(model.visibility.of(cluster.key), &values);
         }
     }
-    found
-}
-
-/// Walks through a view's visible triangles beside ascending triangles of another view.
-struct Walker<'a> {
-    eye: Eye<'a>,
-    triangles: &'a [u32],
-    first_row: usize,
-    at: usize,
-}
-
-impl<'a> Walker<'a> {
-    fn new(model: &'a Model<'a>, view: ViewIndex) -> Self {
-        let (triangles, first_row) = (model.visibility.of(view), model.visibility.rows(view).start);
-        Self { eye: Eye::new(model, view), triangles, first_row, at: 0 }
-    }
-
-    /// The row of the visibility table for a triangle not below the last one asked for; `None`: not visible.
-    fn row_of(&mut self, triangle: u32) -> Option<usize> {
-        while self.triangles.get(self.at).is_some_and(|&t| t < triangle) {
-            self.at += 1;
-        }
-        (self.triangles.get(self.at) == Some(&triangle)).then_some(self.first_row + self.at)
-    }
+    Ok(table)
 }
 
 /// f of one triangle by one cluster, by the definition; 0 where the key view does not see the triangle.
 pub fn value(model: &Model, key: ViewIndex, partners: &[ViewIndex], triangle: u32) -> Fulfilment {
-    let look = |view: ViewIndex| {
-        let position = model.visibility.of(view).binary_search(&triangle).ok()?;
-        Eye::new(model, view).look(triangle, model.visibility.rows(view).start + position)
+    let Some(key_row) = model.visibility.row(key, triangle) else { return Fulfilment::default() };
+    let seeing: Vec<(ViewIndex, usize)> =
+        partners.iter().filter_map(|&p| Some((p, model.visibility.row(p, triangle)?))).collect();
+    let rule = &model.rule;
+    let coverage = if 1 + seeing.len() >= rule.min_cameras as usize { 1.0 } else { 0.0 };
+    let gsd = f64::from(model.target.gsd[triangle as usize]);
+    let resolution = (density(model, key, triangle) * gsd * gsd).min(1.0);
+    let views = seeing.iter().map(|s| s.0).chain([key]);
+    let information = views.map(|view| information(model, view, triangle)).sum::<Matrix3<f64>>();
+    // The largest eigenvalue of the inverse is one over the smallest of the matrix.
+    let smallest = information.symmetric_eigenvalues().min().max(0.0);
+    let uncertainty = (model.target.accuracy(triangle) * smallest.sqrt()).min(1.0);
+    let pair = |&(view, row): &(ViewIndex, usize)| {
+        let unary = 0.5 * (f64::from(model.unary.at(key_row)) + f64::from(model.unary.at(row)));
+        rule.confidence.pair(&Constellation::new(model, key, view, triangle), unary)
     };
-    let Some(key_look) = look(key) else { return Fulfilment::default() };
-    let resolution = Eye::new(model, key).resolution(triangle);
-    model.rule.fulfilment(resolution, &key_look, partners.iter().filter_map(|&partner| look(partner)))
+    let confidence = rule.confidence.at_least(seeing.iter().map(pair));
+    let weighted = rule.alpha * resolution + (1.0 - rule.alpha) * uncertainty;
+    Fulfilment { coverage, resolution, uncertainty, confidence, value: weighted * coverage * confidence }
 }
+
+/// rho of method 3.2: pixels of the matched image per squared scene unit. The projected area is that of the triangle between the
+/// projected corners; where a corner does not project, the density at the centroid. 0 for a triangle without area.
+fn density(model: &Model, key: ViewIndex, triangle: u32) -> f64 {
+    let (camera, pose) = (model.scene.camera_of(key), &model.scene.view(key).cam_from_world);
+    let corners = model.surface.corners(triangle).map(|v| pose.camera_from_world(&v));
+    let normal = (corners[1] - corners[0]).cross(&(corners[2] - corners[0]));
+    let projected = projected_area(camera, &corners);
+    let density = 2.0 * projected / normal.norm() * model.rule.image_scale.powi(2);
+    if density.is_finite() { density } else { 0.0 }
+}
+
+/// Area of the triangle between the projections of corners in camera coordinates, square pixels of the model's image; where one of them does
+/// not project, of the projection linearised at the centroid.
+pub(crate) fn projected_area(camera: &Camera, corners: &[Point3<f64>; 3]) -> f64 {
+    let pixels = corners.each_ref().map(|p| camera.project(p));
+    let edges = match pixels {
+        [Some(a), Some(b), Some(c)] => [b - a, c - a].map(|edge| unwrapped(camera, edge)),
+        _ => {
+            let [a, b, c] = corners.each_ref().map(|p| p.coords);
+            let Some((_, jacobian)) = camera.project_with_jacobian(&((a + b + c) / 3.0).into()) else { return 0.0 };
+            [jacobian * (b - a), jacobian * (c - a)]
+        }
+    };
+    0.5 * edges[0].perp(&edges[1]).abs()
+}
+
+/// An edge that crosses the seam of an equirectangular image, the short way round.
+fn unwrapped(camera: &Camera, edge: Vector2<f64>) -> Vector2<f64> {
+    if camera.model() != CameraModel::Equirectangular {
+        return edge;
+    }
+    let around = camera.pinhole_part().0.x * std::f64::consts::TAU;
+    Vector2::new(edge.x - around * (edge.x / around).round(), edge.y)
+}
+
+/// J^T J / sigma_px^2 of method 3.3 at the centroid, in the world frame, per squared scene unit.
+fn information(model: &Model, view: ViewIndex, triangle: u32) -> Matrix3<f64> {
+    let pose = &model.scene.view(view).cam_from_world;
+    let centroid = pose.camera_from_world(&model.surface.centroid(triangle));
+    let Some((_, jacobian)) = model.scene.camera_of(view).project_with_jacobian(&centroid) else {
+        return Matrix3::zeros();
+    };
+    let jacobian = jacobian * pose.rotation.matrix() * (model.rule.image_scale / model.rule.sigma_px);
+    jacobian.transpose() * jacobian
+}
+
+#[cfg(test)]
+mod tests;

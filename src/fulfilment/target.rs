@@ -1,13 +1,14 @@
 //! Method 3.6: what is wanted of each triangle.
 
 use crate::{
+    camera::CameraModel,
     config::{TargetMode, TargetSettings},
-    scene::Scene,
+    scene::{Scene, ViewIndex},
     surface::Surface,
     visibility::Visibility,
 };
 
-/// How much coarser than the best view the wanted resolution is, when the target comes from the data.
+/// How much coarser the wanted resolution is than the one at hand, where it comes from the data.
 pub const GSD_MARGIN: f64 = 1.25;
 
 /// Wanted ground sampling distance and accuracy of each triangle.
@@ -22,10 +23,11 @@ pub struct Target {
 }
 
 impl Target {
-    /// `gsd`: g_d of the whole scene (what the user typed, else [`GSD_MARGIN`] times the median of the model).
+    /// `gsd`: g_d of the whole scene (what the user typed, else [`GSD_MARGIN`] times the median of the model); it also holds for
+    /// triangles that no view sees.
     ///
-    /// With `best`, g_d of a triangle is [`GSD_MARGIN`] times the finest ground sampling distance of the views that see it: depth over
-    /// mean focal length in matched pixels. Where no view sees a triangle, that of the scene stands.
+    /// In mode `Best`, `g_d(t)` is [`GSD_MARGIN`] times the finest of the views that see t, the GSD of a view at t being the depth of the
+    /// centroid over the mean focal length (the distance where a camera has no depth: equirectangular), in pixels of the matched image.
     pub fn new(
         scene: &Scene,
         surface: &Surface,
@@ -34,31 +36,35 @@ impl Target {
         gsd: f64,
         image_scale: f64,
     ) -> Self {
-        let accuracy_over_gsd = settings.accuracy.unwrap_or(gsd) / gsd;
-        let best = match settings.mode {
-            TargetMode::Auto => settings.gsd.is_none(),
-            mode => mode == TargetMode::Best,
+        let mode = match settings.mode {
+            TargetMode::Auto if settings.gsd.is_some() => TargetMode::Absolute,
+            TargetMode::Auto => TargetMode::Best,
+            chosen => chosen,
         };
-        if !best {
-            let gsd = vec![gsd as f32; surface.triangles.len()];
-            return Self { mode: TargetMode::Absolute, gsd, accuracy_over_gsd };
-        }
-        let mut finest = vec![f32::INFINITY; surface.triangles.len()];
-        for view in scene.view_indices() {
-            let pose = &scene.view(view).cam_from_world;
-            let focal = scene.camera_of(view).mean_focal_length() * image_scale;
-            for &t in visibility.of(view) {
-                let depth = pose.camera_from_world(&surface.centroid(t)).z.abs();
-                let finest = &mut finest[t as usize];
-                *finest = finest.min((GSD_MARGIN * depth / focal) as f32);
+        let accuracy_over_gsd = settings.accuracy.map_or(1.0, |accuracy| accuracy / gsd);
+        let mut all = vec![f32::INFINITY; surface.triangles.len()];
+        if mode == TargetMode::Best {
+            for view in scene.view_indices() {
+                for &t in visibility.of(view) {
+                    let best = GSD_MARGIN * gsd_at(scene, surface, view, t) / image_scale;
+                    all[t as usize] = all[t as usize].min(best as f32);
+                }
             }
         }
-        finest.iter_mut().filter(|g| !(g.is_finite() && **g > 0.0)).for_each(|g| *g = gsd as f32);
-        Self { mode: TargetMode::Best, gsd: finest, accuracy_over_gsd }
+        let or_gsd = |g: f32| if g.is_finite() && g > 0.0 { g } else { gsd as f32 };
+        Self { mode, gsd: all.into_iter().map(or_gsd).collect(), accuracy_over_gsd }
     }
 
-    /// a_d of a triangle, scene units.
+    /// Wanted accuracy a_d of a triangle, scene units.
     pub fn accuracy(&self, triangle: u32) -> f64 {
         f64::from(self.gsd[triangle as usize]) * self.accuracy_over_gsd
     }
+}
+
+/// Scene units per pixel of the model's image at a triangle's centroid, across the viewing direction.
+fn gsd_at(scene: &Scene, surface: &Surface, view: ViewIndex, triangle: u32) -> f64 {
+    let camera = scene.camera_of(view);
+    let centroid = scene.view(view).cam_from_world.camera_from_world(&surface.centroid(triangle));
+    let depth = if camera.model() == CameraModel::Equirectangular { centroid.coords.norm() } else { centroid.z };
+    depth / camera.mean_focal_length()
 }

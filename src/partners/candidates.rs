@@ -1,8 +1,8 @@
 //! The candidates of each key view, and why the other views that share points with it are none.
 
-use std::cmp::Reverse;
+use std::{cmp::Reverse, ops::Range};
 
-use nalgebra::Point3;
+use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
 
 use crate::{
@@ -61,9 +61,7 @@ impl Candidates {
     }
 }
 
-/// Neighbours that are looked at together; in most scenes the candidates are among the first.
-const NEIGHBOURS_AT_ONCE: usize = 64;
-/// Below this angle two views see a point from the same place, degrees.
+/// Below this triangulation angle, degrees, two views stand still at a point.
 const STILL_DEG: f64 = 0.5;
 
 /// The n views with the most shared points of those that have a baseline and that the backend can match, ties by name.
@@ -74,96 +72,270 @@ pub fn candidates(
     backend: &dyn Backend,
     watcher: &dyn Watcher,
 ) -> Result<Candidates, Cancelled> {
-    let of_view = |view: u32| {
+    let of_view = |neighbours: &mut Neighbours, key: ViewIndex| {
         watcher.check()?;
-        Ok(Neighbourhood::new(scene, points, ViewIndex(view)).candidates(settings.candidates as usize, backend))
+        neighbours.collect(scene, points, key);
+        Ok(select(scene, neighbours, key, settings.candidates as usize, backend))
     };
-    let views: Vec<(Vec<ViewIndex>, Vec<Refusal>)> =
-        (0..scene.views.len() as u32).into_par_iter().map(of_view).collect::<Result<_, _>>()?;
-    let mut all = Candidates { offsets: vec![0], refusal_offsets: vec![0], ..Default::default() };
-    for (candidates, refusals) in views {
-        all.views.extend(candidates);
-        all.refusals.extend(refusals);
-        all.offsets.push(all.views.len());
-        all.refusal_offsets.push(all.refusals.len());
+    let views: Vec<ViewIndex> = scene.view_indices().collect();
+    let all = views
+        .par_iter()
+        .map_init(|| Neighbours::new(scene), |neighbours, &key| of_view(neighbours, key))
+        .collect::<Result<Vec<_>, _>>()?;
+    let mut table = Candidates { offsets: vec![0], refusal_offsets: vec![0], ..Default::default() };
+    for (chosen, refused) in all {
+        table.views.extend(chosen);
+        table.offsets.push(table.views.len());
+        table.refusals.extend(refused);
+        table.refusal_offsets.push(table.refusals.len());
     }
-    Ok(all)
+    Ok(table)
 }
 
-/// The views that share points with a key view, most shared points first, ties by name.
-struct Neighbourhood<'a> {
-    scene: &'a Scene,
+/// The candidates of one view and what was refused before there were `n` of them.
+fn select(
+    scene: &Scene,
+    neighbours: &Neighbours,
     key: ViewIndex,
-    neighbours: Vec<(ViewIndex, Vec<PointIndex>)>,
+    n: usize,
+    backend: &dyn Backend,
+) -> (Vec<ViewIndex>, Vec<Refusal>) {
+    let pairs: Vec<PairGeometry> =
+        neighbours.pairs().map(|(v, shared)| PairGeometry::new(scene, key, v, shared)).collect();
+    let (still, moving): (Vec<_>, Vec<_>) = pairs.into_iter().partition(|pair| pair.still_share > 0.5);
+    let verdicts = backend.refusals(&moving);
+    let still = still.iter().map(|pair| (pair, Some(Reason::RotationOnly)));
+    let mut judged: Vec<_> = moving.iter().zip(verdicts).chain(still).collect();
+    judged.sort_by_key(|(pair, _)| (Reverse(pair.shared.len()), pair.partner));
+    let (mut chosen, mut refused) = (Vec::new(), Vec::new());
+    for (pair, refusal) in judged {
+        match refusal {
+            Some(reason) => refused.push(Refusal { partner: pair.partner, reason }),
+            None if chosen.len() < n => chosen.push(pair.partner),
+            None => break,
+        }
+    }
+    (chosen, refused)
 }
 
-impl<'a> Neighbourhood<'a> {
-    fn new(scene: &'a Scene, points: &ViewPoints, key: ViewIndex) -> Self {
-        let mut pairs: Vec<(ViewIndex, PointIndex)> = Vec::new();
-        for &p in points.of(key) {
-            pairs.extend(scene.track_views(p).iter().filter(|v| **v != key).map(|&v| (v, p)));
+impl<'a> PairGeometry<'a> {
+    /// `shared`: the points that both views observe, at least one.
+    pub fn new(scene: &'a Scene, key: ViewIndex, partner: ViewIndex, shared: &'a [PointIndex]) -> Self {
+        let centres = [key, partner].map(|v| scene.view(v).cam_from_world.centre());
+        let focal = [key, partner].map(|v| scene.camera_of(v).mean_focal_length());
+        let (mut cosines, mut ratios) = (Vec::with_capacity(shared.len()), Vec::with_capacity(shared.len()));
+        for point in shared.iter().map(|p| scene.points[p.at()]) {
+            let [a, b] = centres.map(|c| c - point);
+            let (a2, b2) = (a.norm_squared(), b.norm_squared());
+            cosines.push(a.dot(&b) / (a2 * b2).sqrt());
+            ratios.push(a2 / b2);
         }
-        pairs.sort_unstable();
-        pairs.dedup();
-        let mut neighbours: Vec<(ViewIndex, Vec<PointIndex>)> =
-            pairs.chunk_by(|a, b| a.0 == b.0).map(|of| (of[0].0, of.iter().map(|pair| pair.1).collect())).collect();
-        neighbours.sort_by_key(|(view, shared)| (Reverse(shared.len()), *view));
-        Self { scene, key, neighbours }
-    }
-
-    /// The first `count` that can be matched, and why those before them can't.
-    fn candidates(&self, count: usize, backend: &dyn Backend) -> (Vec<ViewIndex>, Vec<Refusal>) {
-        let (mut candidates, mut refusals) = (Vec::new(), Vec::new());
-        for neighbours in self.neighbours.chunks(NEIGHBOURS_AT_ONCE) {
-            let pairs: Vec<PairGeometry> =
-                neighbours.iter().map(|(partner, shared)| self.pair(*partner, shared)).collect();
-            for (pair, refusal) in pairs.iter().zip(backend.refusals(&pairs)) {
-                if candidates.len() == count {
-                    return (candidates, refusals);
-                }
-                let still = (pair.still_share > 0.5).then_some(Reason::RotationOnly);
-                match still.or(refusal) {
-                    None => candidates.push(pair.partner),
-                    Some(reason) => refusals.push(Refusal { partner: pair.partner, reason }),
-                }
-            }
-        }
-        (candidates, refusals)
-    }
-
-    fn pair<'b>(&'b self, partner: ViewIndex, shared: &'b [PointIndex]) -> PairGeometry<'b> {
-        let centres = [self.key, partner].map(|v| self.scene.view(v).cam_from_world.centre());
-        let focals = [self.key, partner].map(|v| self.scene.camera_of(v).mean_focal_length());
-        let (mut angles, mut octaves) = (Vec::with_capacity(shared.len()), Vec::with_capacity(shared.len()));
-        for &p in shared {
-            let [to_key, to_partner] = centres.map(|centre| centre - self.scene.points[p.at()]);
-            angles.push(to_key.angle(&to_partner).to_degrees());
-            octaves.push((focals[1] * to_key.norm() / (focals[0] * to_partner.norm())).log2());
-        }
-        let still = angles.iter().filter(|angle| **angle < STILL_DEG).count();
-        PairGeometry {
-            scene: self.scene,
-            key: self.key,
+        let still = STILL_DEG.to_radians().cos();
+        let still_share = cosines.iter().filter(|&&c| c > still).count() as f64 / shared.len() as f64;
+        let octaves = |ratio: f64| 0.5 * ratio.log2() + (focal[1] / focal[0]).log2();
+        Self {
+            scene,
+            key,
             partner,
             shared,
-            angle_deg: median(&mut angles),
-            still_share: still as f64 / shared.len().max(1) as f64,
-            scale_octaves: median(&mut octaves),
-            epipole_inside: self.sees(self.key, &centres[1]) || self.sees(partner, &centres[0]),
+            angle_deg: median_of(&mut cosines, |c| c.clamp(-1.0, 1.0).acos().to_degrees()),
+            still_share,
+            scale_octaves: median_of(&mut ratios, octaves),
+            epipole_inside: meets_image(scene, key, &centres[1]) || meets_image(scene, partner, &centres[0]),
         }
-    }
-
-    /// Does the line through the view's centre and this point meet its image?
-    fn sees(&self, view: ViewIndex, centre: &Point3<f64>) -> bool {
-        let camera = self.scene.camera_of(view);
-        let ahead = self.scene.view(view).cam_from_world.camera_from_world(centre);
-        let meets = |x: &Point3<f64>| camera.project(x).is_some_and(|pixel| camera.contains(&pixel));
-        meets(&ahead) || meets(&-ahead)
     }
 }
 
-/// The upper median; 0 of nothing. NaN, which no reader lets pass, would count as the largest.
-fn median(values: &mut [f64]) -> f64 {
+/// The median of `f` over the values, `f` being monotone; 0 where it is not a number.
+fn median_of(values: &mut [f64], f: impl Fn(f64) -> f64) -> f64 {
     let middle = values.len() / 2;
-    if values.is_empty() { 0.0 } else { *values.select_nth_unstable_by(middle, f64::total_cmp).1 }
+    let (below, &mut upper, _) = values.select_nth_unstable_by(middle, f64::total_cmp);
+    let lower = below.iter().copied().max_by(f64::total_cmp);
+    let median = match lower {
+        Some(lower) if values.len().is_multiple_of(2) => 0.5 * (f(lower) + f(upper)),
+        _ => f(upper),
+    };
+    if median.is_nan() { 0.0 } else { median }
+}
+
+/// Does the line from the view's centre through a point meet its image, before or behind the camera?
+fn meets_image(scene: &Scene, view: ViewIndex, point: &Point3<f64>) -> bool {
+    let camera = scene.camera_of(view);
+    let direction = scene.view(view).cam_from_world.camera_from_world(point).coords;
+    let inside = |d: Vector3<f64>| camera.project(&d.into()).is_some_and(|pixel| camera.contains(&pixel));
+    inside(direction) || inside(-direction)
+}
+
+/// The views that share points with a key view, with those points; one per thread, used again.
+struct Neighbours {
+    /// Most shared points first, ties by name.
+    views: Vec<ViewIndex>,
+    /// Range of each of `views` in `points`.
+    ranges: Vec<Range<usize>>,
+    points: Vec<PointIndex>,
+    /// By view: shared points while counting, then where the next one goes.
+    counts: Vec<usize>,
+}
+
+impl Neighbours {
+    fn new(scene: &Scene) -> Self {
+        Self { views: Vec::new(), ranges: Vec::new(), points: Vec::new(), counts: vec![0; scene.views.len()] }
+    }
+
+    fn pairs(&self) -> impl Iterator<Item = (ViewIndex, &[PointIndex])> {
+        self.views.iter().zip(&self.ranges).map(|(&v, range)| (v, &self.points[range.clone()]))
+    }
+
+    fn collect(&mut self, scene: &Scene, points: &ViewPoints, key: ViewIndex) {
+        self.views.clear();
+        let others = |&p: &PointIndex| {
+            let track = scene.track_views(p);
+            let first = |&i: &usize| track[i] != key && (i == 0 || track[i] != track[i - 1]);
+            (0..track.len()).filter(first).map(move |i| (p, track[i]))
+        };
+        for (_, view) in points.of(key).iter().flat_map(others) {
+            if self.counts[view.at()] == 0 {
+                self.views.push(view);
+            }
+            self.counts[view.at()] += 1;
+        }
+        self.views.sort_unstable_by_key(|v| (Reverse(self.counts[v.at()]), *v));
+        let mut end = 0;
+        self.ranges.clear();
+        for view in &self.views {
+            let count = std::mem::replace(&mut self.counts[view.at()], end);
+            self.ranges.push(end..end + count);
+            end += count;
+        }
+        self.points.resize(end, PointIndex(0));
+        for (point, view) in points.of(key).iter().flat_map(others) {
+            self.points[self.counts[view.at()]] = point;
+            self.counts[view.at()] += 1;
+        }
+        self.views.iter().for_each(|v| self.counts[v.at()] = 0);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::HashSet;
+
+    use super::*;
+    use crate::{
+        backends::{self, BackendError, Capabilities, Export, ExportOptions, PlanningNumbers, Selection},
+        camera::{Camera, CameraModel},
+        progress::Unwatched,
+        synthetic::Town,
+    };
+
+    /// Refuses what its function says; for the rest it is the plain list of images.
+    struct Picky(fn(&PairGeometry) -> bool);
+
+    impl Backend for Picky {
+        fn name(&self) -> &'static str {
+            "picky"
+        }
+
+        fn capabilities(&self) -> Capabilities {
+            backends::all()[0].capabilities()
+        }
+
+        fn planning(&self) -> PlanningNumbers {
+            backends::all()[0].planning()
+        }
+
+        fn refusal(&self, pair: &PairGeometry) -> Option<Reason> {
+            self.0(pair).then_some(Reason::NotMatchable)
+        }
+
+        fn export(&self, _: &Selection, _: &ExportOptions) -> Result<Export, BackendError> {
+            unreachable!("not asked for in these tests")
+        }
+    }
+
+    fn scene() -> Scene {
+        let camera = Camera::new(1, CameraModel::Pinhole, 1000, 750, vec![850.0, 850.0, 500.0, 375.0]).unwrap();
+        Town { points: 300, ..Town::new(camera) }.scene()
+    }
+
+    fn select_all(scene: &Scene, n: u32, backend: &dyn Backend) -> Candidates {
+        let settings = PartnerSettings { candidates: n, ..Default::default() };
+        candidates(scene, &scene.view_points(), &settings, backend, &Unwatched).unwrap()
+    }
+
+    fn shared(scene: &Scene, a: ViewIndex, b: ViewIndex) -> usize {
+        let points = scene.view_points();
+        let other: HashSet<_> = points.of(b).iter().collect();
+        points.of(a).iter().filter(|p| other.contains(p)).count()
+    }
+
+    #[test]
+    fn candidates_are_the_most_connected_ties_by_name() {
+        let scene = scene();
+        let table = select_all(&scene, 22, &Picky(|_| false));
+        for key in scene.view_indices().step_by(5) {
+            let mut all: Vec<_> =
+                scene.view_indices().filter(|&v| v != key).map(|v| (shared(&scene, key, v), v)).collect();
+            all.retain(|s| s.0 > 0);
+            all.sort_by_key(|s| (Reverse(s.0), s.1));
+            let expected: Vec<_> = all.iter().take(22).map(|s| s.1).collect();
+            assert_eq!(table.of(key), expected);
+        }
+    }
+
+    #[test]
+    fn refused_pairs_make_room_for_others() {
+        let scene = scene();
+        let odd = Picky(|pair| pair.partner.0 % 2 == 1);
+        let (all, table) = (select_all(&scene, 60, &Picky(|_| false)), select_all(&scene, 5, &odd));
+        for key in scene.view_indices() {
+            let even: Vec<_> = all.of(key).iter().copied().filter(|v| v.0 % 2 == 0).take(5).collect();
+            assert_eq!(table.of(key), even);
+            assert!(table.refused(key).iter().all(|r| r.partner.0 % 2 == 1 && r.reason == Reason::NotMatchable));
+        }
+    }
+
+    #[test]
+    fn views_at_one_position_are_no_candidates() {
+        let mut scene = scene();
+        scene.views[1].cam_from_world = scene.views[0].cam_from_world;
+        let table = select_all(&scene, 60, &Picky(|_| false));
+        assert!(!table.of(ViewIndex(0)).contains(&ViewIndex(1)));
+        let still = Refusal { partner: ViewIndex(1), reason: Reason::RotationOnly };
+        assert!(table.refused(ViewIndex(0)).contains(&still));
+    }
+
+    #[test]
+    fn geometry_of_a_pair_is_antisymmetric() {
+        let scene = scene();
+        let (a, b) = (ViewIndex(6), ViewIndex(32));
+        let other: HashSet<_> = scene.view_points().of(b).iter().copied().collect();
+        let both: Vec<_> = scene.view_points().of(a).iter().copied().filter(|p| other.contains(p)).collect();
+        let (ab, ba) = (PairGeometry::new(&scene, a, b, &both), PairGeometry::new(&scene, b, a, &both));
+        assert!((ab.angle_deg - ba.angle_deg).abs() < 1e-9 && (ab.scale_octaves + ba.scale_octaves).abs() < 1e-9);
+        assert!(ab.angle_deg > 1.0 && ab.still_share == 0.0);
+        assert_eq!(ab.epipole_inside, ba.epipole_inside);
+    }
+
+    /// Flying straight ahead, looking ahead: the epipole is the middle of both images.
+    #[test]
+    fn forward_motion_has_its_epipole_inside() {
+        let mut scene = scene();
+        let ahead = scene.views[0].cam_from_world.viewing_direction() * 2.0;
+        let rotation = scene.views[0].cam_from_world.rotation;
+        scene.views[1].cam_from_world = scene.views[0].cam_from_world;
+        scene.views[1].cam_from_world.translation -= rotation * ahead;
+        let points = [PointIndex(0)];
+        assert!(PairGeometry::new(&scene, ViewIndex(0), ViewIndex(1), &points).epipole_inside);
+        let aside = Vector3::new(2.0, 0.0, 0.0);
+        scene.views[1].cam_from_world.translation = scene.views[0].cam_from_world.translation - aside;
+        assert!(!PairGeometry::new(&scene, ViewIndex(0), ViewIndex(1), &points).epipole_inside);
+    }
+
+    #[test]
+    fn the_median_of_an_even_number_is_between_the_middle_two() {
+        assert_eq!(median_of(&mut [4.0, 1.0, 3.0, 2.0], |x| 10.0 * x), 25.0);
+        assert_eq!(median_of(&mut [4.0, 1.0, 3.0], |x| -x), -3.0);
+        assert_eq!(median_of(&mut [f64::NAN], |x| x), 0.0);
+    }
 }

@@ -1,22 +1,23 @@
 //! Method 4: which matching partners each key view gets.
 //!
 //! [`candidates`] are the views with the most shared sparse points that the backend can match; [`choose`] picks k of them for each
-//! key view: the best of drawn combinations (`sampled.rs`), improved by exchanges (`search.rs`), judged on a part of the key view's
-//! triangles (`block.rs`).
+//! key view, as the paper does ([`sampled`]) or by searching on from there ([`search`]).
 
-mod block;
 mod candidates;
 mod sampled;
 mod search;
 
 use rayon::prelude::*;
+use std::sync::atomic::{AtomicU64, Ordering};
 
-pub use candidates::{Candidates, PairGeometry, Refusal, candidates};
-
+pub use self::candidates::{Candidates, PairGeometry, Refusal, candidates};
+use self::search::Choice;
 use crate::{
     config::{PartnerCount, PartnerMethod, PartnerSettings},
-    fulfilment::{self, FulfilmentRow, FulfilmentTable, Model},
-    partners::block::Block,
+    fulfilment::{
+        BATCH, FulfilmentTable, Model,
+        block::{Block, Places},
+    },
     progress::{Cancelled, Stage, Watcher},
     scene::ViewIndex,
 };
@@ -28,10 +29,9 @@ pub struct ViewCluster {
     pub partners: Vec<ViewIndex>,
 }
 
-/// With fewer judging triangles than this chance decides; then all visible triangles judge.
-const FEWEST_JUDGES: usize = 50;
-
 /// A view cluster for each view that has candidates, in the order of views, and its fulfilment.
+///
+/// Where a view has no more than k candidates it gets all of them.
 pub fn choose(
     model: &Model,
     candidates: &Candidates,
@@ -39,72 +39,57 @@ pub fn choose(
     seed: u64,
     watcher: &dyn Watcher,
 ) -> Result<(Vec<ViewCluster>, FulfilmentTable), Cancelled> {
+    let judges = sampled::judging_triangles(model.surface.triangles.len(), settings.triangle_fraction, seed);
     let keys: Vec<ViewIndex> = model.scene.view_indices().filter(|&v| !candidates.of(v).is_empty()).collect();
-    let done = std::sync::atomic::AtomicU64::new(0);
-    let total = keys.len() as u64;
+    let (done, total) = (AtomicU64::new(0), keys.len() as u64);
     watcher.progress(Stage::Partners, 0, total);
-    let choose_one = |&key: &ViewIndex| {
-        watcher.check()?;
-        let chosen = choose_for(model, key, candidates.of(key), settings, seed);
-        let done = done.fetch_add(1, std::sync::atomic::Ordering::Relaxed) + 1;
-        watcher.progress(Stage::Partners, done, total);
-        Ok(chosen)
-    };
-    let chosen = keys.par_iter().map(choose_one).collect::<Result<Vec<_>, Cancelled>>()?;
-    let (clusters, rows) = chosen.into_iter().unzip();
-    Ok((clusters, FulfilmentTable::from_rows(rows)))
+    let (mut clusters, mut table) = (Vec::with_capacity(keys.len()), FulfilmentTable::empty());
+    for batch in keys.chunks(BATCH) {
+        let choose_one = |places: &mut Places, &key: &ViewIndex| {
+            watcher.check()?;
+            let is_judge = |t: u32| judges[t as usize];
+            let mut block = Block::new(model, key, candidates.of(key), is_judge, places);
+            let choice = choose_for(&mut block, model, key, candidates.of(key), settings, seed);
+            watcher.progress(Stage::Partners, 1 + done.fetch_add(1, Ordering::Relaxed), total);
+            Ok(choice)
+        };
+        let chosen = batch.par_iter().map_init(|| Places::new(model), choose_one).collect::<Result<Vec<_>, _>>()?;
+        for (&key, (partners, values)) in batch.iter().zip(chosen) {
+            table.push(model.visibility.of(key), &values);
+            clusters.push(ViewCluster { key, partners });
+        }
+    }
+    Ok((clusters, table))
 }
 
-/// The partners of one key view, and its fulfilment with them.
+/// Partners of one key view, best first, and f of its triangles.
 fn choose_for(
+    block: &mut Block,
     model: &Model,
     key: ViewIndex,
     candidates: &[ViewIndex],
     settings: &PartnerSettings,
     seed: u64,
-) -> (ViewCluster, FulfilmentRow) {
-    let k = match settings.k {
-        PartnerCount::Fixed(k) => k,
-        PartnerCount::Auto(_) => settings.k_max,
+) -> (Vec<ViewIndex>, Vec<f32>) {
+    let n = candidates.len();
+    let choice = match settings.k {
+        PartnerCount::Fixed(k) => {
+            let k = n.min(k as usize);
+            let drawn = sampled::combinations(model.scene, key, n, k, settings.draws as usize, seed);
+            let start = sampled::best(block, &drawn);
+            match settings.method {
+                PartnerMethod::Sampled => Choice::new(block, start),
+                PartnerMethod::Search => search::search(block, start, n),
+            }
+        }
+        PartnerCount::Auto(_) => {
+            let least = model.rule.min_cameras.saturating_sub(1).max(1);
+            search::by_gain_per_pair(block, n, least as usize, settings.k_max as usize)
+        }
     };
-    let k = (k as usize).min(candidates.len());
-    let block = Block::gather(model, key, candidates, &judging(model, key, settings.triangle_fraction, seed));
-    let drawn = sampled::combinations(candidates.len(), k, settings.draws as usize, seed, model.scene.name(key));
-    let Some(sampled) = sampled::best(&block, &drawn) else {
-        return (ViewCluster { key, partners: Vec::new() }, FulfilmentRow::default());
-    };
-    let cluster = |members| {
-        let members = search::best_first(&block, members);
-        let partners: Vec<_> = members.into_iter().map(|m| candidates[usize::from(m)]).collect();
-        let row = fulfilment::row(model, key, &partners);
-        (ViewCluster { key, partners }, row)
-    };
-    if settings.method == PartnerMethod::Sampled {
-        return cluster(sampled.0);
-    }
-    let mut found = search::search(&block, k, sampled.clone());
-    found.sort_unstable();
-    let searched = cluster(found.clone());
-    if found == sampled.0 {
-        return searched;
-    }
-    // The judges are a part of the triangles; all of them have the last word.
-    let sampled = cluster(sampled.0);
-    if sampled.1.sum() > searched.1.sum() { sampled } else { searched }
+    let ordered = search::best_first(block, choice.partners);
+    (ordered.into_iter().map(|p| candidates[p]).collect(), choice.values)
 }
 
-/// Positions, among the key view's visible triangles, of those in T_z: a fixed pseudo-random 1/z of all triangles.
-fn judging(model: &Model, key: ViewIndex, z: u32, seed: u64) -> Vec<u32> {
-    let visible = model.visibility.of(key);
-    let judges = |t: u32| mix(seed ^ u64::from(t)).is_multiple_of(u64::from(z.max(1)));
-    let chosen: Vec<u32> = (0..visible.len() as u32).filter(|&i| judges(visible[i as usize])).collect();
-    if chosen.len() >= FEWEST_JUDGES { chosen } else { (0..visible.len() as u32).collect() }
-}
-
-/// SplitMix64's finaliser: spreads consecutive numbers over all of u64.
-fn mix(mut x: u64) -> u64 {
-    x = x.wrapping_add(0x9e37_79b9_7f4a_7c15);
-    x = (x ^ (x >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-    x = (x ^ (x >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-    x ^ (x >> 31)
-}
+#[cfg(test)]
+mod tests;

@@ -1,27 +1,43 @@
-//! `sampled` (method 4, the paper to the letter): the best of y drawn combinations of k candidates.
+//! The paper's choice: some combinations of candidates, judged by a part of the triangles.
 
-use std::collections::BTreeSet;
+use std::collections::HashSet;
 
 use rand_core::{Rng, SeedableRng};
 use rand_pcg::Pcg64;
 
-use super::block::{Block, PartnerSet};
+use crate::{fulfilment::block::Block, scene::Scene, scene::ViewIndex};
 
-/// A set of candidates, by their numbers, ascending.
-pub type Combination = Vec<u8>;
-
-/// The combinations to judge: all if there are at most `draws`; else all of the q most connected candidates, q the largest with at
-/// most a quarter of `draws` of them, and the rest at random without repetition. Candidates are numbered most connected first.
-pub fn combinations(candidates: usize, k: usize, draws: usize, seed: u64, view: &str) -> Vec<Combination> {
-    if binomial(candidates, k) <= draws as u64 {
-        return all_of(candidates, k);
+/// T_z: a fixed random `1 / fraction` of all triangles, rounded up; drawn by PCG64 from the seed.
+pub fn judging_triangles(triangles: usize, fraction: u32, seed: u64) -> Vec<bool> {
+    let mut random = Pcg64::seed_from_u64(seed);
+    let mut wanted = triangles.div_ceil(fraction.max(1) as usize);
+    let mut chosen = vec![false; triangles];
+    // Each triangle is taken with the chance that makes every choice of so many equally likely (Knuth, TAOCP 2, 3.4.2, S).
+    for (i, chosen) in chosen.iter_mut().enumerate() {
+        if below(&mut random, triangles - i) < wanted {
+            *chosen = true;
+            wanted -= 1;
+        }
     }
-    let q = (k..=candidates).take_while(|&q| 4 * binomial(q, k) <= draws as u64).last();
-    let mut drawn = q.map_or_else(Vec::new, |q| all_of(q, k));
-    let mut known: BTreeSet<Combination> = drawn.iter().cloned().collect();
-    let mut random = generator(seed, view);
+    chosen
+}
+
+/// The combinations of `k` of `n` candidates that are judged for a view, in the order in which they are drawn; candidates within one ascending.
+///
+/// All if there are no more than `draws`; else all of the q most connected, q the largest with C(q, k) at most a quarter of `draws`, and
+/// the rest at random from all n, none twice. The generator is PCG64 seeded by the first 32 bytes of BLAKE3(seed as 8 bytes little-endian, name of the view),
+/// so that one view's draws do not depend on another's.
+pub fn combinations(scene: &Scene, key: ViewIndex, n: usize, k: usize, draws: usize, seed: u64) -> Vec<Vec<usize>> {
+    if count(n, k) <= draws as u128 {
+        return all_combinations(n, k);
+    }
+    let quarter = draws as u128 / 4;
+    let q = (k..n).take_while(|&q| count(q, k) <= quarter).last().unwrap_or(0);
+    let mut drawn = if q == 0 { Vec::new() } else { all_combinations(q, k) };
+    let mut known: HashSet<Vec<usize>> = drawn.iter().cloned().collect();
+    let mut random = generator(seed, scene.name(key));
     while drawn.len() < draws {
-        let combination = draw(&mut random, candidates, k);
+        let combination = draw(&mut random, n, k);
         if known.insert(combination.clone()) {
             drawn.push(combination);
         }
@@ -29,108 +45,111 @@ pub fn combinations(candidates: usize, k: usize, draws: usize, seed: u64, view: 
     drawn
 }
 
-/// The generator of a view's draws: PCG 64 seeded by the settings' seed and the view's name, so that no view's draws depend on another's.
-fn generator(seed: u64, view: &str) -> Pcg64 {
-    let mut hasher = blake3::Hasher::new();
-    hasher.update(&seed.to_le_bytes()).update(view.as_bytes());
-    Pcg64::from_seed(*hasher.finalize().as_bytes())
+/// The combination with the largest sum over the judging triangles, ties by the first drawn.
+pub fn best(block: &mut Block, combinations: &[Vec<usize>]) -> Vec<usize> {
+    let sums = block.sums(combinations, block.first());
+    let first_best = sums.iter().enumerate().fold(0, |best, (i, sum)| if *sum > sums[best] { i } else { best });
+    combinations.get(first_best).cloned().unwrap_or_default()
 }
 
-/// k of n, each combination equally likely (Floyd's method).
-fn draw(random: &mut Pcg64, n: usize, k: usize) -> Combination {
-    let mut chosen = BTreeSet::new();
-    for i in n - k..n {
-        let j = ((u64::from(random.next_u32()) * (i as u64 + 1)) >> 32) as u8;
-        if !chosen.insert(j) {
-            chosen.insert(i as u8);
-        }
+fn generator(seed: u64, name: &str) -> Pcg64 {
+    let mut hash = blake3::Hasher::new();
+    hash.update(&seed.to_le_bytes()).update(name.as_bytes());
+    Pcg64::from_seed(*hash.finalize().as_bytes())
+}
+
+/// A number below `bound`, evenly distributed up to 2^-64.
+fn below(random: &mut Pcg64, bound: usize) -> usize {
+    ((u128::from(random.next_u64()) * bound as u128) >> 64) as usize
+}
+
+/// k different numbers below n, ascending, every set equally likely (Floyd).
+fn draw(random: &mut Pcg64, n: usize, k: usize) -> Vec<usize> {
+    let mut chosen = Vec::with_capacity(k);
+    for last in n - k..n {
+        let number = below(random, last + 1);
+        chosen.push(if chosen.contains(&number) { last } else { number });
     }
-    chosen.into_iter().collect()
+    chosen.sort_unstable();
+    chosen
 }
 
-/// All combinations of k of the first n, in lexicographic order.
-fn all_of(n: usize, k: usize) -> Vec<Combination> {
-    let mut combination: Combination = (0..k as u8).collect();
-    let mut all = vec![combination.clone()];
-    while let Some(i) = (0..k).rev().find(|&i| usize::from(combination[i]) < n - k + i) {
-        combination[i] += 1;
-        for j in i + 1..k {
-            combination[j] = combination[j - 1] + 1;
-        }
-        all.push(combination.clone());
+/// C(n, k), no more than u128 holds.
+fn count(n: usize, k: usize) -> u128 {
+    (0..k.min(n)).fold(u128::from(k <= n), |count, i| count.saturating_mul((n - i) as u128) / (i as u128 + 1))
+}
+
+/// In lexicographic order.
+fn all_combinations(n: usize, k: usize) -> Vec<Vec<usize>> {
+    let mut all = vec![(0..k).collect::<Vec<usize>>()];
+    while let Some(next) = all.last().and_then(|last| {
+        let i = (0..k).rfind(|&i| last[i] < n - k + i)?;
+        let mut next = last.clone();
+        next[i] += 1;
+        (i + 1..k).for_each(|j| next[j] = next[j - 1] + 1);
+        Some(next)
+    }) {
+        all.push(next);
     }
     all
-}
-
-/// n over k, saturating.
-fn binomial(n: usize, k: usize) -> u64 {
-    if k > n {
-        return 0;
-    }
-    (0..k.min(n - k) as u64).fold(1u64, |b, i| b.saturating_mul(n as u64 - i) / (i + 1))
-}
-
-/// The combination with the largest sum, and the sum; ties by the first drawn. Judged in lexicographic order, so that
-/// combinations share the sums of their common beginnings.
-pub fn best(block: &Block, combinations: &[Combination]) -> Option<(Combination, f64)> {
-    let mut order: Vec<usize> = (0..combinations.len()).collect();
-    order.sort_by_key(|&i| &combinations[i]);
-    let mut prefixes: Vec<(u8, PartnerSet)> = Vec::new();
-    let mut best: Option<(usize, f64)> = None;
-    for i in order {
-        let (&last, beginning) = combinations[i].split_last()?;
-        let common = prefixes.iter().zip(beginning).take_while(|(prefix, member)| prefix.0 == **member).count();
-        prefixes.truncate(common);
-        for &member in &beginning[common..] {
-            let mut set = prefixes.last().map_or_else(|| block.empty_set(), |(_, set)| set.clone());
-            block.add(&mut set, member);
-            prefixes.push((member, set));
-        }
-        let sum = match prefixes.last() {
-            Some((_, set)) => block.sum_with(set, last),
-            None => block.sum_with(&block.empty_set(), last),
-        };
-        if best.is_none_or(|(b, most)| sum > most || sum == most && i < b) {
-            best = Some((i, sum));
-        }
-    }
-    best.map(|(i, sum)| (combinations[i].clone(), sum))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::{
+        camera::{Camera, CameraModel},
+        synthetic::Town,
+    };
+
+    fn scene() -> Scene {
+        let camera = Camera::new(1, CameraModel::Pinhole, 1000, 750, vec![850.0, 850.0, 500.0, 375.0]).unwrap();
+        Town { points: 1, ..Town::new(camera) }.scene()
+    }
 
     #[test]
-    fn few_combinations_are_taken_whole() {
-        let all = combinations(6, 3, 100, 0, "a");
+    fn few_combinations_are_all_taken() {
+        let scene = scene();
+        let all = combinations(&scene, ViewIndex(0), 6, 3, 20, 0);
         assert_eq!(all.len(), 20);
-        assert!(all.windows(2).all(|w| w[0] < w[1]));
+        assert_eq!(
+            (all[0].as_slice(), all[1].as_slice(), all[19].as_slice()),
+            (&[0, 1, 2][..], &[0, 1, 3][..], &[3, 4, 5][..])
+        );
+        assert_eq!(combinations(&scene, ViewIndex(0), 3, 3, 100, 0), [[0, 1, 2]]);
     }
 
     #[test]
-    fn the_most_connected_come_first_and_nothing_is_drawn_twice() {
-        let drawn = combinations(22, 5, 100, 0, "a");
-        // C(6, 5) = 6 and C(7, 5) = 21 fit a quarter of 100, C(8, 5) = 56 does not.
-        assert_eq!(drawn[..21], all_of(7, 5)[..]);
-        let distinct: BTreeSet<_> = drawn.iter().collect();
-        assert_eq!((drawn.len(), distinct.len()), (100, 100));
-        assert!(drawn.iter().all(|c| c.len() == 5 && c.windows(2).all(|w| w[0] < w[1]) && c[4] < 22));
+    fn many_are_the_most_connected_and_random_ones() {
+        let scene = scene();
+        // C(6, 5) = 6, C(7, 5) = 21, C(8, 5) = 56: q is 7 for a quarter of 100.
+        let drawn = combinations(&scene, ViewIndex(0), 22, 5, 100, 0);
+        assert_eq!(drawn.len(), 100);
+        assert_eq!(drawn[..21], all_combinations(7, 5));
+        let distinct: HashSet<_> = drawn.iter().collect();
+        assert_eq!(distinct.len(), 100);
+        assert!(drawn.iter().all(|c| c.windows(2).all(|w| w[0] < w[1]) && c[4] < 22));
+        assert!((0..22).all(|v| drawn[21..].iter().any(|c| c.contains(&v))));
+        assert_eq!(drawn, combinations(&scene, ViewIndex(0), 22, 5, 100, 0));
+        assert_ne!(drawn[21..], combinations(&scene, ViewIndex(1), 22, 5, 100, 0)[21..]);
+        assert_ne!(drawn[21..], combinations(&scene, ViewIndex(0), 22, 5, 100, 1)[21..]);
+        // Not even C(k, k) fits a quarter of three.
+        assert_eq!(combinations(&scene, ViewIndex(0), 22, 11, 3, 0).len(), 3);
     }
 
     #[test]
-    fn one_view_s_draws_depend_on_its_name_and_the_seed_only() {
-        assert_eq!(combinations(22, 5, 100, 3, "a"), combinations(22, 5, 100, 3, "a"));
-        assert_ne!(combinations(22, 5, 100, 3, "a"), combinations(22, 5, 100, 3, "b"));
-        assert_ne!(combinations(22, 5, 100, 3, "a"), combinations(22, 5, 100, 4, "a"));
+    fn counts_are_binomial() {
+        assert_eq!((count(22, 5), count(22, 11), count(5, 0), count(3, 5)), (26334, 705432, 1, 0));
+        assert_eq!(all_combinations(8, 3).len() as u128, count(8, 3));
+        assert!(count(1000, 500) > 1 << 100);
     }
 
     #[test]
-    fn every_candidate_is_drawn_about_equally_often() {
-        let mut random = generator(1, "x");
-        let mut counts = [0; 22];
-        (0..22_000).for_each(|_| draw(&mut random, 22, 5).iter().for_each(|&c| counts[usize::from(c)] += 1));
-        // 5000 expected, standard deviation 62.
-        assert!(counts.iter().all(|&n| (4700..5300).contains(&n)), "{counts:?}");
+    fn a_fixed_part_of_the_triangles_judges() {
+        let chosen = judging_triangles(1234, 10, 5);
+        assert_eq!(chosen.iter().filter(|c| **c).count(), 124);
+        assert_eq!(chosen, judging_triangles(1234, 10, 5));
+        assert_ne!(chosen, judging_triangles(1234, 10, 6));
+        assert!(judging_triangles(7, 1, 0).iter().all(|c| *c));
     }
 }

@@ -1,69 +1,111 @@
-//! `search` (method 4, beyond the paper): from the best drawn combination and from greedy addition, exchange partners one by one
-//! while the sum grows.
+//! Beyond the paper: greedy addition and exchange, judged by a part of the triangles and accepted by all of them.
 
-use super::{
-    block::{Block, PartnerSet},
-    sampled::Combination,
-};
+use crate::fulfilment::block::Block;
 
-/// Passes over all partners after which the search stops; two or three are usual.
-const MOST_PASSES: usize = 10;
-/// A sum grows when it grows by more than its rounding.
-const GROWTH: f64 = 1e-7;
+/// With fewer judging triangles than that all triangles of the view judge.
+const ENOUGH_TO_JUDGE: usize = 512;
+/// Exchanges that are tried on all triangles before the search gives up.
+const TRIES: usize = 3;
 
-/// The better of `start` (with its sum) and greedy addition, improved by exchanges.
-pub fn search(block: &Block, k: usize, start: (Combination, f64)) -> Combination {
-    let greedy = greedy(block, k);
-    let (mut members, mut sum) = if greedy.1 > start.1 { greedy } else { start };
-    for _ in 0..MOST_PASSES {
-        let mut grown = false;
-        for place in 0..members.len() {
-            let mut others = members.clone();
-            let leaving = others.remove(place);
-            let (joining, with) = best_addition(block, &block.set_of(&others), &members).unwrap_or((leaving, sum));
-            if with > sum * (1.0 + GROWTH) {
-                members[place] = joining;
-                (sum, grown) = (with, true);
-            }
-        }
-        if !grown {
-            break;
+/// A set of partners and its f, triangle by triangle.
+pub struct Choice {
+    pub partners: Vec<usize>,
+    /// In the order of the key view's rows.
+    pub values: Vec<f32>,
+    pub sum: f64,
+}
+
+impl Choice {
+    pub fn new(block: &mut Block, partners: Vec<usize>) -> Self {
+        let values = block.values(&partners);
+        let sum = values.iter().map(|&f| f64::from(f)).sum();
+        Self { partners, values, sum }
+    }
+}
+
+/// The best that greedy addition and exchange find, starting from the better of `start` and the greedy set; never below `start` on the
+/// sum over all triangles.
+pub fn search(block: &mut Block, start: Vec<usize>, n: usize) -> Choice {
+    let k = start.len();
+    let groups = judging_groups(block);
+    let greedy = greedy(block, n, k, groups);
+    let mut best = Choice::new(block, start);
+    if sorted(&greedy) != sorted(&best.partners) {
+        let other = Choice::new(block, greedy);
+        if other.sum > best.sum {
+            best = other;
         }
     }
-    members
-}
-
-/// Adds the candidate that adds most, k times; the most connected one where none adds anything yet.
-fn greedy(block: &Block, k: usize) -> (Combination, f64) {
-    let (mut set, mut members, mut sum) = (block.empty_set(), Combination::new(), 0.0);
-    for _ in 0..k {
-        let Some((joining, with)) = best_addition(block, &set, &members) else { break };
-        block.add(&mut set, joining);
-        members.push(joining);
-        sum = with;
+    while let Some(better) = exchange(block, &best, n, groups) {
+        best = better;
     }
-    (members, sum)
+    best
 }
 
-/// The candidate outside `members` that makes the sum of the set largest, ties by the most connected; and that sum.
-fn best_addition(block: &Block, set: &PartnerSet, members: &[u8]) -> Option<(u8, f64)> {
-    let outside = (0..block.candidates() as u8).filter(|c| !members.contains(c));
-    let sums = outside.map(|c| (c, block.sum_with(set, c)));
-    sums.reduce(|best, next| if next.1 > best.1 { next } else { best })
+/// How many groups of lanes judge.
+pub fn judging_groups(block: &Block) -> usize {
+    if block.first() * crate::fulfilment::block::LANES < ENOUGH_TO_JUDGE { block.len() } else { block.first() }
 }
 
-/// Puts the partner first whose loss would cost most, ties by the most connected.
-pub fn best_first(block: &Block, mut members: Combination) -> Combination {
-    members.sort_unstable();
-    let without = |member: u8| {
-        let mut others = members.clone();
-        others.retain(|&m| m != member);
-        match others.pop() {
-            Some(last) => block.sum_with(&block.set_of(&others), last),
-            None => 0.0,
-        }
-    };
-    let mut order: Vec<(f64, u8)> = members.iter().map(|&member| (without(member), member)).collect();
-    order.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-    order.into_iter().map(|(_, member)| member).collect()
+/// Partners added one by one, each time the one that adds most, ties by shared points.
+pub fn greedy(block: &mut Block, n: usize, k: usize, groups: usize) -> Vec<usize> {
+    let mut chosen = Vec::with_capacity(k);
+    while chosen.len() < k {
+        let left: Vec<usize> = (0..n).filter(|p| !chosen.contains(p)).collect();
+        let sums = block.sums_with(&chosen, &left, groups);
+        let best = (0..left.len()).fold(0, |best, i| if sums[i] > sums[best] { i } else { best });
+        let Some(&partner) = left.get(best) else { break };
+        chosen.push(partner);
+    }
+    chosen
+}
+
+/// The best exchange of one partner by the judging triangles that all triangles confirm.
+fn exchange(block: &mut Block, best: &Choice, n: usize, groups: usize) -> Option<Choice> {
+    let now = block.sums(std::slice::from_ref(&best.partners), groups)[0];
+    let left: Vec<usize> = (0..n).filter(|p| !best.partners.contains(p)).collect();
+    let mut moves = Vec::new();
+    for out in 0..best.partners.len() {
+        let rest: Vec<usize> = best.partners.iter().enumerate().filter(|(i, _)| *i != out).map(|(_, &p)| p).collect();
+        let sums = block.sums_with(&rest, &left, groups);
+        moves.extend(sums.into_iter().zip(&left).filter(|(sum, _)| *sum > now).map(|(sum, &p)| (sum, out, p)));
+    }
+    moves.sort_by(|a, b| b.0.total_cmp(&a.0).then((a.1, a.2).cmp(&(b.1, b.2))));
+    moves.into_iter().take(TRIES).find_map(|(_, out, p)| {
+        let mut partners = best.partners.clone();
+        partners[out] = p;
+        let other = Choice::new(block, partners);
+        (other.sum > best.sum).then_some(other)
+    })
+}
+
+/// The number of partners, from `least` to `most`, and the greedy set of so many with the largest sum per pair; the smaller on ties.
+pub fn by_gain_per_pair(block: &mut Block, n: usize, least: usize, most: usize) -> Choice {
+    let groups = judging_groups(block);
+    let greedy = greedy(block, n, n.min(most.max(least)), groups);
+    let prefixes: Vec<Vec<usize>> = (n.min(least)..=greedy.len()).map(|k| greedy[..k].to_vec()).collect();
+    let sums = block.sums(&prefixes, groups);
+    let per_pair = |i: usize| sums[i] / prefixes[i].len().max(1) as f64;
+    let best = (0..prefixes.len()).fold(0, |best, i| if per_pair(i) > per_pair(best) { i } else { best });
+    let start = prefixes.get(best).cloned().unwrap_or_default();
+    search(block, start, n)
+}
+
+/// The same partners in the order in which each adds most to those before it.
+pub fn best_first(block: &mut Block, mut partners: Vec<usize>) -> Vec<usize> {
+    partners.sort_unstable();
+    let groups = judging_groups(block);
+    let mut ordered = Vec::with_capacity(partners.len());
+    while !partners.is_empty() {
+        let sums = block.sums_with(&ordered, &partners, groups);
+        let best = (0..partners.len()).fold(0, |best, i| if sums[i] > sums[best] { i } else { best });
+        ordered.push(partners.remove(best));
+    }
+    ordered
+}
+
+fn sorted(partners: &[usize]) -> Vec<usize> {
+    let mut sorted = partners.to_vec();
+    sorted.sort_unstable();
+    sorted
 }

@@ -1,0 +1,295 @@
+//! f for several triangles at once: straight-line arithmetic over small arrays, which the compiler turns into vector instructions.
+//!
+//! The information matrices of a triangle stand in an orthonormal frame whose third axis points to the key view, divided by the
+//! squared length of the key view's Jacobian. There the key view measures nothing along the third axis, and what the partners add along
+//! it, which decides f_unc and is small where angles are small, keeps its relative precision in f32.
+
+use nalgebra::{RealField, convert};
+
+/// Triangles that are worked on together.
+pub const LANES: usize = 8;
+
+/// A number per triangle.
+pub type Lanes = [f32; LANES];
+
+/// What the key view alone says about its triangles.
+#[derive(Clone, Copy)]
+pub struct KeyLanes {
+    /// Information of the key view: xx, xy, yy. The trace is 1.
+    pub information: [Lanes; 3],
+    /// a_d over the standard deviation of the key view's best direction: f_unc = min(unit sqrt(smallest eigenvalue), 1).
+    pub unit: Lanes,
+    /// alpha f_res.
+    pub resolution: Lanes,
+}
+
+impl KeyLanes {
+    /// No triangles: f is 0.
+    pub const EMPTY: Self =
+        Self { information: [[0.5; LANES], [0.0; LANES], [0.5; LANES]], unit: [0.0; LANES], resolution: [0.0; LANES] };
+}
+
+/// What one partner adds; all 0 where it does not see the triangle.
+#[derive(Clone, Copy)]
+pub struct PartnerLanes {
+    /// xx, xy, yy, xz, yz, zz.
+    pub information: [Lanes; 6],
+    /// p_i.
+    pub confidence: Lanes,
+    /// 1 or 0.
+    pub sees: Lanes,
+}
+
+/// The sum over the key view and some partners.
+#[derive(Clone, Copy)]
+pub struct Together {
+    information: [Lanes; 6],
+    /// Chances that at least 1, 2 and 3 matches succeed.
+    at_least: [Lanes; 3],
+    /// Partners that see the triangle.
+    seeing: Lanes,
+}
+
+/// The numbers of f that are the same for all triangles.
+#[derive(Clone, Copy)]
+pub struct Weights {
+    /// 1 - alpha.
+    pub uncertainty: f32,
+    /// Partners that must see a triangle.
+    pub min_partners: f32,
+    /// Matches that must succeed; 0: f_conf is 1.
+    pub min_matches: u32,
+}
+
+impl Together {
+    #[inline(always)]
+    pub fn new(key: &KeyLanes) -> Self {
+        let [xx, xy, yy] = key.information;
+        let zero = [0.0; LANES];
+        Self { information: [xx, xy, yy, zero, zero, zero], at_least: [zero; 3], seeing: zero }
+    }
+
+    #[inline(always)]
+    pub fn with(mut self, partner: &PartnerLanes) -> Self {
+        for i in 0..LANES {
+            for c in 0..6 {
+                self.information[c][i] += partner.information[c][i];
+            }
+            let p = partner.confidence[i];
+            self.at_least[2][i] += p * (self.at_least[1][i] - self.at_least[2][i]);
+            self.at_least[1][i] += p * (self.at_least[0][i] - self.at_least[1][i]);
+            self.at_least[0][i] += p * (1.0 - self.at_least[0][i]);
+            self.seeing[i] += partner.sees[i];
+        }
+        self
+    }
+
+    /// f of each triangle; `T`: f32 to choose by, f64 for what is written.
+    #[inline(always)]
+    pub fn value<T: RealField + Copy>(&self, key: &KeyLanes, weights: &Weights) -> [T; LANES] {
+        let mut f = [T::zero(); LANES];
+        for i in 0..LANES {
+            let information = self.information.map(|c| convert::<f64, T>(f64::from(c[i])));
+            let smallest = smallest_eigenvalue(information);
+            let spread = convert::<f64, T>(f64::from(key.unit[i])) * smallest.sqrt();
+            let uncertainty = if spread < T::one() { spread } else { T::one() };
+            let confidence = match weights.min_matches {
+                0 => 1.0,
+                m => self.at_least[m as usize - 1][i],
+            };
+            let both = if self.seeing[i] >= weights.min_partners { confidence } else { 0.0 };
+            let resolution = convert::<f64, T>(f64::from(key.resolution[i]));
+            let weight = convert::<f64, T>(f64::from(weights.uncertainty));
+            f[i] = (resolution + weight * uncertainty) * convert::<f64, T>(f64::from(both));
+        }
+        f
+    }
+}
+
+/// cos((acos(r) + 2 pi) / 3) as a polynomial in sqrt(1 - r), in which it is smooth up to the double root at r = 1; error below 1e-10.
+const COSINE: [f64; 11] = [
+    -0.50000000008108,
+    -0.40824827654124,
+    0.055555154875615,
+    -0.018895817540484,
+    0.0082032578395988,
+    -0.0039456398769558,
+    0.0019099985782702,
+    -0.00082891753541475,
+    0.00028033094442683,
+    -6.1981782475631e-05,
+    6.4873863514301e-06,
+];
+
+/// Smallest eigenvalue, at least 0, of a positive semidefinite matrix given by xx, xy, yy, xz, yz, zz, with a trace of at least 1.
+///
+/// In closed form; where it is small against the others that form cancels, and one step of Newton's method from there finds the root of the
+/// characteristic polynomial, whose coefficients do not.
+#[inline(always)]
+pub fn smallest_eigenvalue<T: RealField + Copy>([xx, xy, yy, xz, yz, zz]: [T; 6]) -> T {
+    let c = convert::<f64, T>;
+    let trace = xx + yy + zz;
+    let mean = trace * c(1.0 / 3.0);
+    let (kx, ky, kz) = (xx - mean, yy - mean, zz - mean);
+    let spread = (kx * kx + ky * ky + kz * kz + (xy * xy + xz * xz + yz * yz) * c(2.0)) * c(1.0 / 6.0);
+    let p = (if spread > c(1e-20) { spread } else { c(1e-20) }).sqrt();
+    let determinant = kx * (ky * kz - yz * yz) - xy * (xy * kz - xz * yz) + xz * (xy * yz - ky * xz);
+    let r = determinant / (p * p * p * c(2.0));
+    let below = T::one() - r;
+    let below = if below < T::zero() { T::zero() } else { below };
+    let below = if below > c(2.0) { c(2.0) } else { below };
+    let s = below.sqrt();
+    let cosine = COSINE.iter().rev().fold(T::zero(), |sum, &k| sum * s + c(k));
+    let closed = mean + p * cosine * c(2.0);
+
+    let minor = xx * yy - xy * xy;
+    let determinant = zz * minor - (xz * xz * yy - xz * yz * xy * c(2.0) + yz * yz * xx);
+    let minors = minor + zz * (xx + yy) - xz * xz - yz * yz;
+    let value = ((closed - trace) * closed + minors) * closed - determinant;
+    let slope = (closed * c(3.0) - trace * c(2.0)) * closed + minors;
+    let polished = closed - value / slope;
+    let best = if closed < mean * c(0.05) { polished } else { closed };
+    if best > T::zero() { best } else { T::zero() }
+}
+
+/// log2 of a positive, normal number; absolute error below 1e-7.
+#[inline(always)]
+pub fn log2(x: f32) -> f32 {
+    const SERIES: [f32; 9] =
+        [1.442695, -0.7213475, 0.48091075, -0.36069327, 0.28790326, -0.23916988, 0.21607823, -0.20586188, 0.12310968];
+    // The exponent such that the mantissa lies between sqrt(1/2) and sqrt(2).
+    let exponent = (x.to_bits() as i32 - 0x3f35_04f3) >> 23;
+    let m = f32::from_bits((x.to_bits() as i32 - (exponent << 23)) as u32) - 1.0;
+    exponent as f32 + m * SERIES.iter().rev().fold(0.0, |sum, k| sum * m + k)
+}
+
+/// 2^x for x up to 100; relative error below 1e-7, 0 far below.
+#[inline(always)]
+pub fn exp2(x: f32) -> f32 {
+    const SERIES: [f32; 7] = [1.0, 0.6931472, 0.24022651, 0.055503272, 0.009618057, 0.0013400428, 0.00015461445];
+    /// Adding it rounds to a whole number, which then stands in the lowest bits.
+    const ROUND: f32 = 12_582_912.0;
+    let x = if x > -125.0 { x } else { -125.0 };
+    let whole = x + ROUND;
+    let rest = x - (whole - ROUND);
+    let power = f32::from_bits((whole.to_bits() as i32 - ROUND.to_bits() as i32 + 127 << 23) as u32);
+    power * SERIES.iter().rev().fold(0.0, |sum, k| sum * rest + k)
+}
+
+/// The angle, radians, whose chord on the unit circle has that squared length; relative error below 1e-6.
+#[inline(always)]
+pub fn angle_of_chord(squared: f32) -> f32 {
+    const SERIES: [f32; 6] = [1.0, 0.16666782, 0.07494697, 0.045520636, 0.02399400, 0.042417374];
+    // sin^2 of half the angle; beyond 60 degrees through the complement.
+    let sin2 = 0.25 * squared;
+    let sin2 = if sin2 < 1.0 { sin2 } else { 1.0 };
+    let small = sin2 <= 0.25;
+    let t = if small { sin2 } else { 0.5 * (1.0 - sin2.sqrt()) };
+    let asin = t.sqrt() * SERIES.iter().rev().fold(0.0, |sum, k| sum * t + k);
+    2.0 * if small { asin } else { std::f32::consts::FRAC_PI_2 - 2.0 * asin }
+}
+
+/// Runs `work` compiled for AVX2 where the processor has it. Lanes are independent and nothing is contracted, so the result is the
+/// same to the bit.
+#[inline(always)]
+pub fn vectorised<R>(work: impl Work<Output = R>) -> R {
+    #[cfg(target_arch = "x86_64")]
+    {
+        #[target_feature(enable = "avx2")]
+        fn wide<R>(work: impl Work<Output = R>) -> R {
+            work.run()
+        }
+        if std::arch::is_x86_feature_detected!("avx2") {
+            // SAFETY: the processor has what the function was compiled for.
+            return unsafe { wide(work) };
+        }
+    }
+    work.run()
+}
+
+/// Something to be run by [`vectorised`]; `run` is to be inlined.
+pub trait Work {
+    type Output;
+
+    fn run(self) -> Self::Output;
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::{Matrix3, Vector3};
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn components(m: &Matrix3<f64>) -> [f64; 6] {
+        [m.m11, m.m12, m.m22, m.m13, m.m23, m.m33]
+    }
+
+    /// Information of views in directions that lie `spread` around the third axis, at scales of 1/8 to 8, the first along the axis.
+    fn information(views: &[(f64, f64, f64)], spread: f64) -> Matrix3<f64> {
+        let of_view = |&(x, y, scale): &(f64, f64, f64)| {
+            let d = Vector3::new(spread * x, spread * y, 1.0).normalize();
+            (Matrix3::identity() - d * d.transpose()) * 64f64.powf(scale)
+        };
+        Matrix3::from_diagonal(&Vector3::new(0.5, 0.5, 0.0)) + views.iter().map(of_view).sum::<Matrix3<f64>>()
+    }
+
+    proptest! {
+        #[test]
+        fn smallest_eigenvalue_is_exact_for_views(
+            views in proptest::collection::vec((-1.0..1.0, -1.0..1.0, -1.0..1.0), 1..6),
+            spread in -7.0..2.0f64,
+        ) {
+            let matrix = information(&views, spread.exp2());
+            let expected = matrix.symmetric_eigenvalues().min();
+            prop_assume!(expected > 1e-9 * matrix.trace());
+            let exact = smallest_eigenvalue(components(&matrix));
+            prop_assert!((exact / expected - 1.0).abs() < 1e-6, "{exact} {expected}");
+            // Rounded as the columns are: what is written.
+            let rounded = components(&matrix).map(|c| f64::from(c as f32));
+            let written = smallest_eigenvalue(rounded).sqrt();
+            let scale_apart = views.iter().map(|v| v.2).fold(0.0, f64::max) > 0.5;
+            let tolerance = if scale_apart { 1e-4 } else { 5e-6 };
+            prop_assert!((written / expected.sqrt() - 1.0).abs() < tolerance, "{written} {}", expected.sqrt());
+            let quick = f64::from(smallest_eigenvalue(components(&matrix).map(|c| c as f32))).sqrt();
+            prop_assert!((quick / expected.sqrt() - 1.0).abs() < 2e-3, "{quick} {}", expected.sqrt());
+        }
+
+        #[test]
+        fn smallest_eigenvalue_is_a_number(c in proptest::array::uniform6(-3.0..3.0f32)) {
+            // A sum of squares, perhaps singular.
+            let rows = [[c[0], c[1], c[2]], [c[3], c[4], c[5]]];
+            let product = |a: usize, b: usize| rows[0][a] * rows[0][b] + rows[1][a] * rows[1][b];
+            let matrix = [product(0, 0) + 1.0, product(0, 1), product(1, 1), product(0, 2), product(1, 2), product(2, 2)];
+            prop_assert!(smallest_eigenvalue(matrix) >= 0.0);
+        }
+
+        #[test]
+        fn quick_functions_are_exact_enough(x in 1e-6..1e6f32, y in -20.0..20.0f32, angle in 1e-4..3.14f64) {
+            prop_assert!((f64::from(log2(x)) - f64::from(x).log2()).abs() < 1e-6 * f64::from(x).log2().abs().max(1.0));
+            prop_assert!((f64::from(exp2(y)) / f64::from(y).exp2() - 1.0).abs() < 3e-7);
+            let chord = (2.0 * (angle / 2.0).sin()).powi(2);
+            prop_assert!((f64::from(angle_of_chord(chord as f32)) / angle - 1.0).abs() < 1e-6 / (3.15 - angle));
+        }
+    }
+
+    #[test]
+    fn degenerate_matrices_have_their_eigenvalues() {
+        for (matrix, smallest) in [
+            ([1.0, 0.0, 1.0, 0.0, 0.0, 1.0], 1.0),
+            ([1.0, 0.0, 1.0, 0.0, 0.0, 3.0], 1.0),
+            ([2.0, 0.0, 2.0, 0.0, 0.0, 1.0], 1.0),
+            ([0.5, 0.0, 0.5, 0.0, 0.0, 0.0], 0.0),
+        ] {
+            assert!((smallest_eigenvalue::<f64>(matrix) - smallest).abs() < 1e-7);
+            assert!((smallest_eigenvalue(matrix.map(|c| c as f32)) - smallest as f32).abs() < 1e-3);
+        }
+    }
+
+    #[test]
+    fn no_triangle_fulfils_nothing() {
+        let weights = Weights { uncertainty: 0.5, min_partners: 0.0, min_matches: 0 };
+        assert_eq!(Together::new(&KeyLanes::EMPTY).value::<f32>(&KeyLanes::EMPTY, &weights), [0.0; LANES]);
+        assert_eq!(Together::new(&KeyLanes::EMPTY).value::<f64>(&KeyLanes::EMPTY, &weights), [0.0; LANES]);
+    }
+}

@@ -1,0 +1,137 @@
+//! The choice of partners on the synthetic town.
+
+use super::*;
+use crate::{
+    camera::{Camera, CameraModel},
+    confidence::{Confidence, PairConfidence, Unary},
+    config::{AutoWord, TargetSettings, VisibilitySettings},
+    fulfilment::{self, Rule, Target},
+    progress::Unwatched,
+    scene::Scene,
+    surface::Surface,
+    synthetic::Town,
+    visibility::{self, Visibility},
+};
+
+struct Setting {
+    scene: Scene,
+    surface: Surface,
+    visibility: Visibility,
+    target: Target,
+    unary: Unary,
+    candidates: Candidates,
+}
+
+impl Setting {
+    fn new() -> Self {
+        let camera = Camera::new(1, CameraModel::Pinhole, 1000, 750, vec![850.0, 850.0, 500.0, 375.0]).unwrap();
+        let town = Town { edge: 3.0, points: 300, ..Town::new(camera) };
+        let (scene, surface) = (town.scene(), town.surface());
+        let points = scene.view_points();
+        let settings = VisibilitySettings::default();
+        let visibility = visibility::estimate(&scene, &points, &surface, &settings, 3.0, &Unwatched).unwrap();
+        let mut target = Target::new(&scene, &surface, &visibility, &TargetSettings::default(), 0.05, 1.0);
+        target.accuracy_over_gsd = 0.4;
+        let backend = crate::backends::by_name("sure").unwrap();
+        let candidates = candidates(&scene, &points, &PartnerSettings::default(), backend, &Unwatched).unwrap();
+        Self { scene, surface, visibility, target, unary: Unary::certain(), candidates }
+    }
+
+    fn model(&self) -> Model<'_> {
+        let numbers = PairConfidence {
+            min_matches: 2,
+            p0: 0.8,
+            cosine_power: 1.0,
+            scale_octaves: Some(0.7),
+            full_angle_deg: None,
+        };
+        let confidence = Confidence::Pair(numbers);
+        let rule = Rule { alpha: 0.5, sigma_px: 0.5, min_cameras: 3, image_scale: 1.0, confidence };
+        let Self { scene, surface, visibility, target, unary, .. } = self;
+        Model { scene, surface, visibility, target, unary, rule }
+    }
+
+    fn choose(&self, settings: &PartnerSettings) -> (Vec<ViewCluster>, FulfilmentTable) {
+        choose(&self.model(), &self.candidates, settings, 0, &Unwatched).unwrap()
+    }
+}
+
+fn settings(k: u32, method: PartnerMethod) -> PartnerSettings {
+    PartnerSettings { k: PartnerCount::Fixed(k), method, ..Default::default() }
+}
+
+fn sum(table: &FulfilmentTable, cluster: usize) -> f64 {
+    table.of(cluster).1.iter().map(|&f| f64::from(f)).sum()
+}
+
+#[test]
+fn search_is_never_below_sampled() {
+    let setting = Setting::new();
+    let mut better = 0;
+    for k in [1, 2, 3, 5, 11] {
+        let (clusters, sampled) = setting.choose(&settings(k, PartnerMethod::Sampled));
+        let (_, searched) = setting.choose(&settings(k, PartnerMethod::Search));
+        for c in 0..clusters.len() {
+            assert!(sum(&searched, c) >= sum(&sampled, c), "{:?}", clusters[c]);
+            better += u32::from(sum(&searched, c) > sum(&sampled, c));
+        }
+    }
+    assert!(better > 0);
+}
+
+/// With few candidates `sampled` goes through all sets: nothing is better, and `search` stays there.
+#[test]
+fn sampled_is_the_optimum_where_it_takes_all() {
+    let mut setting = Setting::new();
+    let few = PartnerSettings { candidates: 6, ..Default::default() };
+    let backend = crate::backends::by_name("sure").unwrap();
+    setting.candidates = candidates(&setting.scene, &setting.scene.view_points(), &few, backend, &Unwatched).unwrap();
+    let all_judge = PartnerSettings { triangle_fraction: 1, ..settings(3, PartnerMethod::Sampled) };
+    let (clusters, table) = setting.choose(&all_judge);
+    let (_, searched) = setting.choose(&PartnerSettings { method: PartnerMethod::Search, ..all_judge });
+    for (c, cluster) in clusters.iter().enumerate().step_by(7) {
+        let of = setting.candidates.of(cluster.key);
+        let sets = (0..64u32).filter(|s| s.count_ones() == 3);
+        let every: Vec<ViewCluster> = sets
+            .map(|s| ViewCluster {
+                key: cluster.key,
+                partners: (0..6).filter(|i| s >> i & 1 == 1).map(|i| of[i]).collect(),
+            })
+            .collect();
+        let exhaustive = fulfilment::table(&setting.model(), &every, &Unwatched).unwrap();
+        let optimum = (0..every.len()).map(|e| sum(&exhaustive, e)).fold(0.0, f64::max);
+        assert!((sum(&table, c) - optimum).abs() <= 1e-6 * optimum);
+        assert!((sum(&searched, c) - optimum).abs() <= 1e-6 * optimum);
+    }
+}
+
+#[test]
+fn the_table_is_that_of_the_clusters() {
+    let setting = Setting::new();
+    for method in [PartnerMethod::Sampled, PartnerMethod::Search] {
+        let (clusters, table) = setting.choose(&settings(4, method));
+        assert!(clusters.iter().all(|c| c.partners.len() == 4.min(setting.candidates.of(c.key).len())));
+        let again = fulfilment::table(&setting.model(), &clusters, &Unwatched).unwrap();
+        assert_eq!((&table.offsets, &table.triangles), (&again.offsets, &again.triangles));
+        // Partners are added up in another order.
+        assert!(table.values.iter().zip(&again.values).all(|(a, b)| (a - b).abs() <= 1e-6 * b));
+    }
+}
+
+#[test]
+fn threads_do_not_matter() {
+    let setting = Setting::new();
+    let with = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| setting.choose(&settings(3, PartnerMethod::Search)))
+    };
+    assert_eq!(with(1), with(16));
+}
+
+#[test]
+fn automatic_k_stays_in_its_bounds() {
+    let setting = Setting::new();
+    let auto = PartnerSettings { k: PartnerCount::Auto(AutoWord::Auto), k_max: 6, ..Default::default() };
+    let (clusters, _) = setting.choose(&auto);
+    assert!(clusters.iter().all(|c| (2..=6).contains(&c.partners.len()) || setting.candidates.of(c.key).len() < 2));
+}
