@@ -94,7 +94,7 @@ pub(super) fn shuffle<T>(values: &mut [T], seed: u64) {
     let mut generator = Pcg64::seed_from_u64(seed);
     for i in (1..values.len()).rev() {
         let below = i as u128 + 1;
-        values.swap(i, (u128::from(generator.next_u64()) * below >> 64) as usize);
+        values.swap(i, ((u128::from(generator.next_u64()) * below) >> 64) as usize);
     }
 }
 

@@ -410,9 +410,9 @@ fn geometric(numbers: &PairConfidence, triangles: &TriangleLanes, rays: &[[f64; 
         let (key, own) = (squared(&triangles.ray, i), squared(rays, i));
         let (to_key, to_own) = (1.0 / key.sqrt(), 1.0 / own.sqrt());
         let (mut dot, mut chord) = (0.0, 0.0);
-        for axis in 0..3 {
-            dot -= f64::from(triangles.normal[axis][i]) * rays[axis][i];
-            let apart = triangles.ray[axis][i] * to_key - rays[axis][i] * to_own;
+        for ((normal, key_ray), ray) in triangles.normal.iter().zip(&triangles.ray).zip(rays) {
+            dot -= f64::from(normal[i]) * ray[i];
+            let apart = key_ray[i] * to_key - ray[i] * to_own;
             chord += apart * apart;
         }
         let cosine = (dot * to_own) as f32;
