@@ -244,7 +244,7 @@ fn wrong_usage_is_2_and_failure_is_1_each_with_a_hint() {
     let root = project.path().to_str().unwrap();
     for (arguments, code, words) in [
         (vec!["plan"], 2, "--help"),
-        (vec!["plan", root, "--gds", "1"], 2, "--gsd"),
+        (vec!["plan", root, "--buget", "1"], 2, "--budget"),
         (vec!["plan", root, "--gsd", "-1"], 2, "must be above 0"),
         (vec!["plan", root, "-k", "0"], 2, "hint: "),
         (vec!["plan", root, "--target", "80"], 2, "such as 80%"),

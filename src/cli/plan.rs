@@ -41,10 +41,10 @@ pub struct Arguments {
     points: Option<String>,
 
     /// Wanted ground sampling distance, units of the model per pixel [default: from the model]
-    #[arg(long, value_name = "L", help_heading = "What is wanted")]
+    #[arg(long, value_name = "L", allow_negative_numbers = true, help_heading = "What is wanted")]
     gsd: Option<f64>,
     /// Wanted accuracy of a point, units of the model [default: as --gsd]
-    #[arg(long, value_name = "L", help_heading = "What is wanted")]
+    #[arg(long, value_name = "L", allow_negative_numbers = true, help_heading = "What is wanted")]
     accuracy: Option<f64>,
 
     /// How partners are chosen: sampled (the paper) or search

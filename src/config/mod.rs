@@ -271,7 +271,7 @@ pub enum PartnerObjective {
 #[serde(default, deny_unknown_fields)]
 pub struct PartnerSettings {
     /// Partners per key view (k), or "auto".
-    #[schemars(range(min = 1), extend("unit" = "partners"))]
+    #[schemars(extend("unit" = "partners", "minimum" = 1))]
     pub k: PartnerCount,
     /// Most partners when k = "auto".
     #[schemars(range(min = 1), extend("unit" = "partners"))]
