@@ -71,8 +71,8 @@ fn search_is_never_below_sampled() {
     for k in [1, 2, 3, 5, 11] {
         let (clusters, sampled) = setting.choose(&settings(k, PartnerMethod::Sampled));
         let (_, searched) = setting.choose(&settings(k, PartnerMethod::Search));
-        for c in 0..clusters.len() {
-            assert!(sum(&searched, c) >= sum(&sampled, c), "{:?}", clusters[c]);
+        for (c, cluster) in clusters.iter().enumerate() {
+            assert!(sum(&searched, c) >= sum(&sampled, c), "{cluster:?}");
             better += u32::from(sum(&searched, c) > sum(&sampled, c));
         }
     }
