@@ -3,6 +3,7 @@
 use std::{
     collections::BTreeMap,
     fs,
+    panic::{AssertUnwindSafe, catch_unwind, resume_unwind},
     path::{Path, PathBuf},
     sync::{
         Mutex,
@@ -92,8 +93,11 @@ fn with_daemon(options: &Options, planner: &Counter, script: impl FnOnce()) -> S
         let (sender, receiver) = channel::<Box<dyn Fn(Signal) + Send>>();
         let daemon = threads.spawn(move || watch_roots(options, planner, &Disk::REAL, |signal| hand(&sender, signal)));
         let signal = receiver.recv().expect("the daemon starts");
-        script();
+        let done = catch_unwind(AssertUnwindSafe(script));
         signal(Signal::Stop);
+        if let Err(failure) = done {
+            resume_unwind(failure);
+        }
         daemon.join().expect("no panic").expect("the root can be watched")
     })
 }
@@ -145,7 +149,9 @@ fn projects_there_at_the_start_and_later_ones_are_planned_once_each() {
 fn a_slow_writer_is_waited_for() {
     let (_guard, root) = root();
     let planner = Counter::default();
-    with_daemon(&options(&root), &planner, || {
+    // Long against the pauses of the writer, however busy the machine is.
+    let options = Options { settle: Duration::from_secs(3), ..options(&root) };
+    with_daemon(&options, &planner, || {
         for length in 1..12 {
             write_model(&root.join("slow"), &"x".repeat(length));
             assert_eq!(planner.plans_of(&root.join("slow")), 0);
