@@ -71,7 +71,9 @@ def build(work):
                    check=True)
     messages = subprocess.run(["cargo", "bench", "-q", "--no-run", "--bench", "delaunay", "--message-format", "json"],
                               cwd=REPOSITORY, check=True, stdout=subprocess.PIPE, text=True).stdout
-    return yardstick, next(path for path in (json.loads(line).get("executable") for line in messages.splitlines()) if path)
+    built = [json.loads(line) for line in messages.splitlines()]
+    # The program itself is built, too.
+    return yardstick, next(unit["executable"] for unit in built if unit.get("target", {}).get("kind") == ["bench"])
 
 
 def run(program, points):

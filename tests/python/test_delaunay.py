@@ -15,7 +15,8 @@ ROOT = Path(__file__).resolve().parents[2]
 def ours():
     command = ["cargo", "build", "--quiet", "--locked", "--bench", "delaunay", "--message-format", "json"]
     messages = subprocess.run(command, cwd=ROOT, check=True, stdout=subprocess.PIPE, text=True).stdout
-    return next(path for path in (json.loads(line).get("executable") for line in messages.splitlines()) if path)
+    built = [json.loads(line) for line in messages.splitlines()]
+    return next(unit["executable"] for unit in built if unit.get("target", {}).get("kind") == ["bench"])
 
 
 @pytest.fixture(scope="module")
