@@ -2,7 +2,10 @@
 //! must be the same again after writing. Used by the targets of `cargo fuzz` and by `tests/fuzz_readers.rs`.
 
 use viewrank::{
-    formats::{Bytes, Fault, colmap::ColmapModel, colmap_bin, colmap_text},
+    formats::{
+        Bytes, Fault, alicevision, bundler, colmap::ColmapModel, colmap_bin, colmap_text, nvm, openmvg, openmvs,
+        opensfm, sure,
+    },
     scene::Scene,
 };
 
@@ -22,6 +25,82 @@ pub const TARGETS: [&str; 10] = [
     "rigs.txt",
     "frames.txt",
 ];
+
+/// Files of other programs, each the whole model.
+pub const FOREIGN: [&str; 7] =
+    ["bundle.out", "model.nvm", "sfm_data.json", "reconstruction.json", "scene.sfm", "scene.mvs", "image.ori"];
+
+/// A small valid file of another program.
+pub fn foreign_model(name: &str) -> Vec<u8> {
+    let text: &str = match name {
+        "bundle.out" => {
+            "# Bundle file v0.3\n2 1\n0 0 0\n0 0 0\n0 0 0\n0 0 0\n0 0 0\n100 0.1 0.2\n1 0 0\n0 1 0\n0 0 1\n0 0 -5\n1 2 3\n10 20 30\n2 0 0 1 1 1 0 -20 10\n"
+        }
+        "model.nvm" => {
+            "NVM_V3 \n\n2\na.jpg 100 1 0 0 0 1 2 3 0.01 0\nc.jpg 100 1 0 0 0 0 0 0 0 0\n\n1\n0 0 9 1 2 3 2 0 0 -5 5 1 0 30 20\n\n0\n"
+        }
+        "sfm_data.json" => {
+            r#"{"sfm_data_version":"0.3","root_path":"/x","views":[{"key":0,"value":{"polymorphic_id":1073741824,"ptr_wrapper":{"id":1,"data":{"local_path":"","filename":"a.jpg","width":10,"height":8,"id_view":0,"id_intrinsic":0,"id_pose":0}}}}],"intrinsics":[{"key":0,"value":{"polymorphic_id":2147483649,"polymorphic_name":"pinhole_radial_k1","ptr_wrapper":{"id":2,"data":{"width":10,"height":8,"focal_length":9.5,"principal_point":[5.0,4.0],"disto_k1":[-0.01]}}}}],"extrinsics":[{"key":0,"value":{"rotation":[[1,0,0],[0,1,0],[0,0,1]],"center":[0,0,0]}}],"structure":[{"key":7,"value":{"X":[0,0,5],"observations":[{"key":0,"value":{"id_feat":1,"x":[5,4]}}]}}]}"#
+        }
+        "reconstruction.json" => {
+            r#"[{"cameras":{"c":{"projection_type":"perspective","width":40,"height":20,"focal":0.9,"k1":0.1,"k2":0.2}},"shots":{"a.jpg":{"rotation":[0,0,1.5],"translation":[1,2,3],"camera":"c"}},"points":{"17":{"coordinates":[0,0,1],"color":[1,2,3]}}}]"#
+        }
+        "scene.sfm" => {
+            r#"{"version":["1","2","8"],"views":[{"viewId":"7","poseId":"3","intrinsicId":"1","path":"/d/a.jpg"}],"intrinsics":[{"intrinsicId":"1","width":"100","height":"50","type":"pinhole","distortionType":"radialk3","undistortionType":"none","sensorWidth":"20","focalLength":"18","principalPoint":["-1","1"],"distortionParams":["0.1","0.2","0.3"]}],"poses":[{"poseId":"3","pose":{"transform":{"rotation":["0","1","0","-1","0","0","0","0","1"],"center":["1","2","3"]}}}],"structure":[{"landmarkId":"4","color":["1","2","3"],"X":["0","0","5"],"observations":[{"observationId":"7","x":["10","20"]}]}]}"#
+        }
+        "image.ori" => {
+            "$ImageID____(ORI_Ver_1.0)\n\ta.jpg\n$IntOri_SensorSize_____(x|y)____[pixel]\n\t100\t80\n$IntOri_CameraMatrix____(ImageCoordinateSystem)\n\t90 0 49.5\n\t0 90 39.5\n\t0 0 1\n$ExtOri_RotationMatrix____(World->ImageCoordinateSystem)\n\t1 0 0\n\t0 1 0\n\t0 0 1\n$ExtOri_TranslationVector____(WorldCoordinateSystem)\n\t1 2 3\n$IntOri_Distortion_____(Model|ParameterCount|(Parameters))____\n\tNONE 0\n"
+        }
+        _ => return mvs().write(),
+    };
+    text.as_bytes().to_vec()
+}
+
+/// A scene of OpenMVS with two images, one of them calibrated, and a point.
+fn mvs() -> openmvs::Mvs {
+    let unit = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
+    let image = |name: &str, id, pose| openmvs::Image {
+        name: name.into(),
+        mask: Vec::new(),
+        platform: 0,
+        camera: 0,
+        pose,
+        id,
+        depths: [1.0; 3],
+        view_scores: Vec::new(),
+    };
+    let k = [90.0, 0.0, 49.5, 0.0, 90.0, 39.5, 0.0, 0.0, 1.0];
+    let camera = openmvs::Camera { width: 100, height: 80, k, r: unit, ..openmvs::Camera::default() };
+    let poses = vec![openmvs::Pose { r: unit, c: [1.0, 2.0, 3.0] }];
+    openmvs::Mvs {
+        platforms: vec![openmvs::Platform { name: b"p".to_vec(), cameras: vec![camera], poses }],
+        images: vec![image("a.jpg", 3, 0), image("b.jpg", 4, openmvs::NO_POSE)],
+        vertices: vec![openmvs::Vertex {
+            x: [1.0, 2.0, 9.0],
+            views: vec![openmvs::VertexView { image: 0, confidence: 1.0 }],
+        }],
+        colours: vec![[1, 2, 3]],
+        ..openmvs::Mvs::default()
+    }
+}
+
+/// Reads a file of another program.
+pub fn read_foreign(name: &str, data: &[u8]) {
+    let size = |_: &str| Some((100, 80));
+    let found = match name {
+        "bundle.out" => bundler::read(data, b"a.jpg\nb.jpg\n", &size),
+        "model.nvm" => nvm::read(data, &|_| None),
+        "sfm_data.json" => openmvg::read(data),
+        "reconstruction.json" => opensfm::read(data, Some(b"a.jpg\t17\t0\t0.1\t0.1\n")),
+        "scene.sfm" => alicevision::read(data),
+        "image.ori" => sure::read(data, 1).map(|orientation| sure::model(vec![orientation], str::to_owned)),
+        _ => openmvs::Mvs::read(data).and_then(|mvs| mvs.model(&size)),
+    };
+    match found.and_then(|foreign| Ok((foreign.scene()?, foreign))) {
+        Ok((scene, foreign)) => check(&foreign.model, &scene),
+        Err(fault) => assert!(!fault.to_string().is_empty() && !fault.problem.hint().is_empty()),
+    }
+}
 
 /// Three images of a rig of two cameras, and a third camera; four points.
 pub fn model(text: bool) -> Files {

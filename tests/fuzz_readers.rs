@@ -92,10 +92,8 @@ fn change(data: &mut Vec<u8>, text: bool, chance: &mut Chance) {
     }
 }
 
-fn fuzz(target: &str) {
-    let text = target.ends_with("txt");
-    let files = readers::model(text);
-    let valid = &files.iter().find(|f| f.0 == target).unwrap().1;
+/// Changes a valid file again and again and has each change read.
+fn fuzz(target: &str, valid: &[u8], text: bool, read: impl Fn(&[u8]) + std::panic::RefUnwindSafe) {
     let seconds = std::env::var("VIEWRANK_FUZZ_SECONDS").ok().and_then(|s| s.parse().ok()).map(Duration::from_secs);
     // The long runs differ from each other.
     let seed = seconds.map_or(1, |_| std::process::id().into());
@@ -103,11 +101,11 @@ fn fuzz(target: &str) {
     let start = Instant::now();
     let mut done = 0u64;
     while seconds.map_or(done < CHANGES, |seconds| start.elapsed() < seconds) {
-        let mut data = valid.clone();
+        let mut data = valid.to_vec();
         for _ in 0..=chance.below(4) {
             change(&mut data, text, &mut chance);
         }
-        if catch_unwind(|| readers::replace(target, &data, &files)).is_err() {
+        if catch_unwind(|| read(&data)).is_err() {
             panic!("{target}: fails with {}", data.escape_ascii());
         }
         done += 1;
@@ -115,11 +113,25 @@ fn fuzz(target: &str) {
     eprintln!("{target}: {done} inputs in {:.0} s", start.elapsed().as_secs_f64());
 }
 
+fn wanted(target: &str) -> bool {
+    std::env::var("VIEWRANK_FUZZ_TARGET").ok().is_none_or(|only| only == target)
+}
+
 #[test]
 fn changed_files_are_errors_or_models() {
-    let only = std::env::var("VIEWRANK_FUZZ_TARGET").ok();
-    for target in readers::TARGETS.into_iter().filter(|t| only.as_deref().is_none_or(|only| only == *t)) {
-        fuzz(target);
+    for target in readers::TARGETS.into_iter().filter(|target| wanted(target)) {
+        let text = target.ends_with("txt");
+        let files = readers::model(text);
+        let valid = &files.iter().find(|f| f.0 == target).unwrap().1;
+        fuzz(target, valid, text, |data| readers::replace(target, data, &files));
+    }
+}
+
+#[test]
+fn changed_files_of_other_programs_are_errors_or_models() {
+    for target in readers::FOREIGN.into_iter().filter(|target| wanted(target)) {
+        let text = target != "scene.mvs";
+        fuzz(target, &readers::foreign_model(target), text, |data| readers::read_foreign(target, data));
     }
 }
 
@@ -131,4 +143,5 @@ fn the_valid_model_is_read() {
             readers::replace(name, bytes, &files);
         }
     }
+    readers::FOREIGN.into_iter().for_each(|name| readers::read_foreign(name, &readers::foreign_model(name)));
 }

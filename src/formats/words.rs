@@ -1,6 +1,6 @@
 //! Text files whose fields are separated by any white space, line ends included.
 
-use std::str::FromStr;
+use std::{cell::Cell, str::FromStr};
 
 use nom::{
     IResult, Parser,
@@ -16,11 +16,13 @@ use super::{Fault, Place, Problem};
 pub(super) struct Words<'a> {
     whole: &'a [u8],
     rest: &'a [u8],
+    /// An offset and the line that it lies in: lines are counted on from there.
+    counted: Cell<(usize, u64)>,
 }
 
 impl<'a> Words<'a> {
     pub fn new(whole: &'a [u8]) -> Self {
-        Self { whole, rest: whole }
+        Self { whole, rest: whole, counted: Cell::new((0, 1)) }
     }
 
     /// The next field.
@@ -74,9 +76,12 @@ impl<'a> Words<'a> {
 
     /// The line of the next field.
     pub fn place(&self) -> Place {
-        let rest = self.rest.trim_ascii_start();
-        let read = &self.whole[..self.whole.len() - rest.len()];
-        Place::Line(1 + read.iter().filter(|&&b| b == b'\n').count() as u64)
+        let (from, line) = self.counted.get();
+        let to = self.whole.len() - self.rest.trim_ascii_start().len();
+        let between = self.whole.get(from..to).unwrap_or_default();
+        let line = line + between.iter().filter(|&&b| b == b'\n').count() as u64;
+        self.counted.set((to, line));
+        Place::Line(line)
     }
 
     pub fn fault(&self, problem: Problem) -> Fault {
