@@ -4,11 +4,13 @@
 //! nothing in it depends on the clock, the machine or the number of threads.
 
 mod fingerprint;
+mod written;
 
 use schemars::{JsonSchema, Schema, schema_for};
 use serde::Serialize;
 
 pub use fingerprint::{FingerprintError, fingerprint};
+pub use written::{WrittenPlan, WrittenPlanError};
 
 use crate::{
     backends::{ExportRecord, RankedCluster},

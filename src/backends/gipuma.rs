@@ -44,6 +44,7 @@ impl Backend for Gipuma {
         }
         let points = selection.scene.view_points();
         let mut record = ExportRecord::new(self, selection, |v| names[v.at()].clone());
+        record.runner = Some("run.sh".into());
         record.made_for = "Gipuma (f16dbfd) and fusibile".into();
         record.way = "one call per key view".into();
         for cluster in selection.clusters {

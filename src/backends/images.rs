@@ -27,12 +27,17 @@ impl Backend for Images {
         ANY_PROGRAM
     }
 
+    fn options(&self) -> &'static [&'static str] {
+        &["--refs"]
+    }
+
     fn export(&self, selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {
         let views = listed_views(selection, options.refs);
         let mut record = ExportRecord::new(self, selection, |v| selection.scene.name(v).into());
         record.made_for = "any program".into();
         record.way = format!("{} images, best first", views.len());
         record.not_honoured = vec!["matching partners".into()];
+        record.fusion = "the program's own".into();
         let mut files = options.file_set(self, selection);
         files.add_text("images.txt", name_lines(selection, &views));
         files.add_text("export.json", record.to_json());

@@ -18,12 +18,18 @@ use crate::{
     scene::ViewIndex,
 };
 
+mod alicevision;
 mod colmap;
 mod gipuma;
 mod images;
+mod metashape;
+mod micmac;
+mod mve;
 mod mvsnet;
+mod odm;
 mod openmvs;
 mod pmvs;
+mod realityscan;
 mod selection;
 mod sgm;
 mod splat;
@@ -45,6 +51,12 @@ pub fn all() -> &'static [&'static dyn Backend] {
         &mvsnet::ACMM,
         &pmvs::Pmvs,
         &gipuma::Gipuma,
+        &mve::Mve,
+        &micmac::MicMac,
+        &alicevision::AliceVision,
+        &metashape::Metashape,
+        &realityscan::RealityScan,
+        &odm::Odm,
         &splat::Splat,
         &images::Images,
     ]
@@ -86,7 +98,7 @@ pub struct Capabilities {
 }
 
 /// Which pairs a backend can match at all (method 7.1).
-#[derive(Clone, Copy, Debug, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Gate {
     /// Sparse points that both views observe.
     pub min_shared_points: usize,
@@ -180,6 +192,11 @@ pub trait Backend: Sync {
         false
     }
 
+    /// Options of `viewrank export` that it heeds beside `--out`, as they are typed.
+    fn options(&self) -> &'static [&'static str] {
+        &[]
+    }
+
     /// What is to be written for the selection; writes nothing.
     fn export(&self, selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError>;
 }
@@ -210,6 +227,10 @@ pub struct ExportOptions {
     pub refs: Option<References>,
     /// COLMAP: depth maps checked against those of their partners. Unset: off, unless `refs` asks for partners' maps.
     pub geometric: Option<bool>,
+    /// OpenMVS: a list of neighbours for this scene instead of a scene per cluster.
+    pub scene: Option<PathBuf>,
+    /// OpenMVS with `scene`: a copy of the scene, scaled so that OpenMVS's depth range fits.
+    pub scale: bool,
 }
 
 impl ExportOptions {
@@ -236,7 +257,9 @@ pub struct ExportRecord {
     pub made_for: String,
     /// Which of several ways was taken.
     pub way: String,
-    /// Commands to type, in order, relative to the folder of the files.
+    /// Script among the files that runs all of `commands`.
+    pub runner: Option<String>,
+    /// Commands, in order, to be typed in the folder of the files.
     pub commands: Vec<String>,
     /// What of the plan the backend will not do.
     pub not_honoured: Vec<String>,
@@ -295,6 +318,7 @@ impl ExportRecord {
             key_maps: selection.clusters.len(),
             scale: 1.0,
             clusters: selection.clusters.iter().enumerate().map(cluster).collect(),
+            warnings: other_kind(backend, selection).into_iter().collect(),
             ..Self::default()
         }
     }
@@ -305,6 +329,22 @@ impl ExportRecord {
     }
 }
 
+/// A warning where the plan was made for a backend that matches otherwise.
+fn other_kind(backend: &dyn Backend, selection: &Selection) -> Option<String> {
+    let planned_for = by_name(selection.planned_for).ok()?;
+    let (is, was) = (backend.planning(), planned_for.planning());
+    let differs = is.gate != was.gate || is.confidence != was.confidence || is.support != was.support;
+    differs.then(|| {
+        format!(
+            "the plan was made for {}, which matches other pairs or needs other support; one made for this program: viewrank plan {} \
+             --backend {}",
+            planned_for.name(),
+            selection.project.root.display(),
+            backend.name()
+        )
+    })
+}
+
 /// Why a backend's files cannot be made.
 #[derive(Debug, thiserror::Error)]
 pub enum BackendError {
@@ -312,6 +352,8 @@ pub enum BackendError {
     Unknown { name: String },
     #[error("{backend} cannot take the image name \"{name}\": {why}")]
     Name { backend: &'static str, name: String, why: String },
+    #[error("{option} is none of the options of {backends}")]
+    Option { option: &'static str, backends: String },
     #[error("{backend} needs {what}")]
     Needs { backend: &'static str, what: String, hint: String },
     #[error(transparent)]
@@ -331,6 +373,10 @@ impl Hint for BackendError {
                 format!("take one of {}", all().iter().map(|b| b.name()).collect::<Vec<_>>().join(", "))
             }
             Self::Name { .. } => "rename the image file and its entry in the model, then plan again".into(),
+            Self::Option { option, .. } => {
+                let heed = all().iter().filter(|b| b.options().contains(option)).map(|b| b.name());
+                format!("leave it out; it is for {}", heed.collect::<Vec<_>>().join(", "))
+            }
             Self::Needs { hint, .. } => hint.clone(),
             Self::Model(error) => return error.hint(),
         })

@@ -27,6 +27,8 @@ pub struct Selection<'a> {
     pub clusters: &'a [RankedCluster],
     /// Size of the matched images over the model's images.
     pub image_scale: f64,
+    /// Name of the backend that the plan was made for.
+    pub planned_for: &'a str,
 }
 
 impl Selection<'_> {
@@ -55,7 +57,12 @@ impl Selection<'_> {
         let camera = self.scene.camera_of(view).model().name();
         let hint = match &self.project.dense_workspace {
             Some(dense) => format!("plan and export the undistorted images instead, they are in {}", dense.display()),
-            None => format!("make them with: viewrank undistort {}", self.project.root.display()),
+            None => {
+                let (root, model) = (self.project.root.display(), self.project.model.path.display());
+                format!(
+                    "make them with: colmap image_undistorter --image_path {root}/images --input_path {model} --output_path {root}/dense"
+                )
+            }
         };
         Err(BackendError::Needs {
             backend,

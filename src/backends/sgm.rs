@@ -4,7 +4,7 @@ use super::{
     Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Gate, Honours, PlanningNumbers,
     Selection, sure,
 };
-use crate::{confidence::PairConfidence, output::FileSet};
+use crate::confidence::PairConfidence;
 
 pub struct Sgm;
 
@@ -53,10 +53,12 @@ impl Backend for Sgm {
         let mut record = ExportRecord::new(self, selection, |v| selection.scene.name(v).into());
         record.made_for = "integrations/sgm".into();
         record.way = "pair files".into();
-        record.commands = vec!["see integrations/sgm/README.md".into()];
+        let scale = selection.image_scale;
+        record.commands = vec![format!(
+            "python3 integrations/sgm/sgm.py match PROJECT --clusters clusters.txt --out depth_maps --image-scale {scale}"
+        )];
         record.fusion = "none needed".into();
-        let root = options.out.clone().unwrap_or_else(|| selection.project.output_folder().join("sgm"));
-        let mut files = FileSet::new(root, "sgm");
+        let mut files = options.file_set(self, selection);
         for (name, text) in sure::pair_files(self.name(), selection)? {
             files.add_text(name, text);
         }

@@ -40,6 +40,10 @@ impl Backend for Splat {
         ANY_PROGRAM
     }
 
+    fn options(&self) -> &'static [&'static str] {
+        &["--refs"]
+    }
+
     fn export(&self, selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {
         let views = listed_views(selection, options.refs);
         let mut files = options.file_set(self, selection);
@@ -61,7 +65,7 @@ impl Backend for Splat {
         ];
         record.not_honoured = vec!["matching partners".into(), "the rank order".into()];
         record.fusion = "none".into();
-        record.warnings = warnings(selection, &views);
+        record.warnings.extend(warnings(selection, &views));
         files.add_text("export.json", record.to_json());
         Ok(Export { files, record })
     }
@@ -142,7 +146,7 @@ fn warnings(selection: &Selection, views: &[ViewIndex]) -> Vec<String> {
     if views.iter().any(|&v| !selection.scene.camera_of(v).is_pinhole()) {
         warnings.push(format!(
             "the cameras are distorted: gsplat and brush take that, gaussian-splatting stops, and transforms.json is left out; \
-             `viewrank undistort {}` makes undistorted images",
+             `colmap image_undistorter` makes undistorted images of {}",
             selection.project.root.display()
         ));
     }

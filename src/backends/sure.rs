@@ -3,10 +3,14 @@
 use super::{
     Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Gate, Honours, PlanningNumbers, Selection,
 };
+use std::collections::HashMap;
+
 use crate::{
     confidence::PairConfidence,
-    output::FileSet,
+    formats::sure,
+    output::{Contents, FileSet},
     project::{Project, ProjectKind},
+    scene::ViewIndex,
 };
 
 pub struct Sure;
@@ -57,27 +61,127 @@ impl Backend for Sure {
     }
 
     fn export(&self, selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {
-        let mut record = ExportRecord::new(self, selection, |v| selection.scene.name(v).into());
-        record.made_for = "SURE".into();
-        record.way = "pair files".into();
-        let root = options.out.clone().unwrap_or_else(|| selection.project.output_folder().join("sure"));
-        let mut files = FileSet::new(root, "sure");
-        for (name, text) in pair_files(self.name(), selection)? {
+        let images = selection.undistorted_images(self.name())?;
+        let names = flat_names(selection)?;
+        let mut files = options.file_set(self, selection);
+        for view in selection.views() {
+            let name = &names[view.at()];
+            files.add(format!("images/{name}"), Contents::Link(images.join(selection.scene.name(view))));
+            files.add_text(format!("ori/{}.ori", stem(name)), orientation(selection, view, name));
+        }
+        for (name, text) in lists_of_pairs(selection, |v| Ok(names[v.at()].as_str()))? {
             files.add_text(name, text);
         }
+        add_lists(
+            &mut files,
+            "",
+            &names,
+            &selection.views(),
+            &selection.clusters.iter().map(|c| c.key).collect::<Vec<_>>(),
+        );
+        for (i, cluster) in selection.clusters.iter().enumerate() {
+            let views: Vec<_> = std::iter::once(cluster.key).chain(cluster.partners.iter().copied()).collect();
+            add_lists(&mut files, &format!("clusters/{:04}/", i + 1), &names, &views, &[cluster.key]);
+        }
+        let record = self.record(selection, &names);
+        let script = |head: &str, line: fn(&str) -> String| {
+            format!("{head}{}", record.commands.iter().map(|c| line(c)).collect::<String>())
+        };
+        let shell = script("#!/bin/sh\nset -eu\ncd \"$(dirname \"$0\")\"\n", |c| {
+            c.replacen("sure", "\"${SURE:-sure}\"", 1) + "\n"
+        });
+        files.add("run.sh", Contents::Script(shell.into_bytes()));
+        files.add_text(
+            "run.bat",
+            script("cd /d %~dp0\r\n", |c| c.replacen("sure", "sure.exe", 1).replace('/', "\\") + "\r\n"),
+        );
         files.add_text("export.json", record.to_json());
         Ok(Export { files, record })
     }
 }
 
+impl Sure {
+    fn record(&self, selection: &Selection, names: &[String]) -> ExportRecord {
+        let level = (1.0 / selection.image_scale).log2().round().max(0.0);
+        let mut record = ExportRecord::new(self, selection, |v| names[v.at()].clone());
+        record.runner = Some("run.sh".into());
+        record.made_for = "SURE (from the vendor's public pages and public scripts for SURE 1.2; not run)".into();
+        record.way = "one project per cluster; lists for a joint project beside".into();
+        for (i, cluster) in selection.clusters.iter().enumerate() {
+            let folder = format!("clusters/{:04}", i + 1);
+            let lists = format!("-img {folder}/images.txt -ori {folder}/ori.txt -select {folder}/baseImages.txt");
+            let partners = cluster.partners.len();
+            record.commands.push(format!(
+                "sure -basepath {folder} {lists} -fold {} -pyr {level} -maxmodels {partners} -prep",
+                partners.clamp(1, 2)
+            ));
+            record.commands.push(format!("sure -basepath {folder}"));
+        }
+        record.not_honoured = vec![
+            "partners in a joint project (images.txt, ori.txt, baseImages.txt): no public file names pairs".into(),
+            "partners that SURE itself rejects by angle or overlap".into(),
+        ];
+        record.warnings.extend([
+            "whether the releases of today keep -select and -maxmodels is not publicly documented".into(),
+            "pixels that are exactly black count as invalid".into(),
+        ]);
+        record.pixel_shift = -0.5;
+        record.fusion = "each project gives points of its key view; one DSM or mesh run joins them".into();
+        record
+    }
+}
+
+/// Names without folders. SURE ignores extensions, so that stems must differ.
+fn flat_names(selection: &Selection) -> Result<Vec<String>, BackendError> {
+    let mut by_stem: HashMap<String, ViewIndex> = HashMap::new();
+    let mut names = vec![String::new(); selection.scene.views.len()];
+    for view in selection.views() {
+        let name = selection.scene.name(view);
+        let flat = checked_name("sure", name)?.replace('/', "_");
+        if let Some(other) = by_stem.insert(stem(&flat).to_lowercase(), view) {
+            let why = format!("without folder and extension it is the same as {}", selection.scene.name(other));
+            return Err(BackendError::Name { backend: "sure", name: name.into(), why });
+        }
+        names[view.at()] = flat;
+    }
+    Ok(names)
+}
+
+fn stem(name: &str) -> &str {
+    name.rsplit_once('.').map_or(name, |(stem, _)| stem)
+}
+
+fn orientation(selection: &Selection, view: ViewIndex, name: &str) -> String {
+    let scene = selection.scene;
+    let text = sure::write(name, scene.camera_of(view), &scene.view(view).cam_from_world);
+    text.expect("`undistorted_images` refuses cameras with distortion")
+}
+
+/// Images and orientations in the same order, which is what makes them belong together; and the base images.
+fn add_lists(files: &mut FileSet, folder: &str, names: &[String], views: &[ViewIndex], keys: &[ViewIndex]) {
+    let list = |line: &dyn Fn(&str) -> String| views.iter().map(|v| line(&names[v.at()])).collect::<String>();
+    let up = "../".repeat(folder.matches('/').count());
+    files.add_text(format!("{folder}images.txt"), list(&|name| format!("{up}images/{name}\n")));
+    files.add_text(format!("{folder}ori.txt"), list(&|name| format!("{up}ori/{}.ori\n", stem(name))));
+    let keys = keys.iter().map(|k| format!("{}\n", stem(&names[k.at()])));
+    files.add_text(format!("{folder}baseImages.txt"), keys.collect::<String>());
+}
+
 /// `clusters.txt`, `pairs.txt` and `baseImages.txt` (method 6), for whoever reads them.
 pub fn pair_files(backend: &'static str, selection: &Selection) -> Result<[(&'static str, String); 3], BackendError> {
+    lists_of_pairs(selection, |view| checked_name(backend, selection.scene.name(view)))
+}
+
+fn lists_of_pairs<'a>(
+    selection: &Selection,
+    name: impl Fn(ViewIndex) -> Result<&'a str, BackendError>,
+) -> Result<[(&'static str, String); 3], BackendError> {
     let (mut clusters, mut pairs, mut keys) = (String::new(), String::new(), String::new());
     for cluster in selection.clusters {
-        let key = checked_name(backend, selection.scene.name(cluster.key))?;
+        let key = name(cluster.key)?;
         clusters += key;
         for &partner in &cluster.partners {
-            let partner = checked_name(backend, selection.scene.name(partner))?;
+            let partner = name(partner)?;
             clusters += &format!("\t{partner}");
             pairs += &format!("{key}\t{partner}\n");
         }

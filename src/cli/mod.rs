@@ -3,9 +3,11 @@
 //! Data goes to stdout, everything for people to stderr. A subcommand returns `Result<(), Failure>`; each error of the
 //! library becomes a [`Failure`] by `?`, which `main` prints as `error: ...` and `hint: ...`.
 
+mod backends;
 mod completions;
 mod config;
 mod evaluate;
+mod export;
 mod inspect;
 mod plan;
 mod progress;
@@ -103,6 +105,8 @@ struct Arguments {
 enum Command {
     Plan(plan::Arguments),
     Evaluate(evaluate::Arguments),
+    Export(export::Arguments),
+    Backends(backends::Arguments),
     Config(config::Arguments),
     Inspect(inspect::Arguments),
     Watch(watch::Arguments),
@@ -116,6 +120,8 @@ pub fn run() -> Result<(), Failure> {
     match Arguments::parse().command {
         Command::Plan(arguments) => plan::run(&arguments),
         Command::Evaluate(arguments) => evaluate::run(&arguments),
+        Command::Export(arguments) => export::run(&arguments),
+        Command::Backends(arguments) => backends::run(&arguments),
         Command::Config(arguments) => config::run(&arguments),
         Command::Inspect(arguments) => inspect::run(&arguments),
         Command::Watch(arguments) => watch::run(arguments),

@@ -46,7 +46,7 @@ pub struct FileSet {
 }
 
 /// What writing a set did; paths relative to the root.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, serde::Serialize)]
 pub struct Written {
     /// New or with other contents than before.
     pub changed: Vec<String>,

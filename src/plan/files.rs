@@ -40,8 +40,13 @@ impl Hint for FilesError {
 /// The files of the plan, to be written by [`FileSet::write`].
 pub fn files(plan: &Plan, project: &Project) -> Result<PlanFiles, FilesError> {
     let clusters: Vec<_> = plan.ranked().take(plan.cut.clusters).collect();
-    let selection =
-        Selection { project, scene: &plan.scene, clusters: &clusters, image_scale: plan.settings.image_scale };
+    let selection = Selection {
+        project,
+        scene: &plan.scene,
+        clusters: &clusters,
+        image_scale: plan.settings.image_scale,
+        planned_for: plan.backend,
+    };
     let (exports, missing) = exports(&selection, &wanted(plan, project)?)?;
     let records = exports.iter().map(|export| export.record.clone()).collect();
     let mut manifest = Manifest::new(plan, project, records)?;

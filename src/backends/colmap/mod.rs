@@ -66,6 +66,10 @@ impl Backend for Colmap {
         project.dense_workspace.is_some()
     }
 
+    fn options(&self) -> &'static [&'static str] {
+        &["--refs", "--geometric"]
+    }
+
     fn export(&self, selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {
         for view in selection.views() {
             cfg::check_name(self.name(), selection.scene.name(view))?;
@@ -140,7 +144,11 @@ impl Passes {
 
     fn describe(&self, selection: &Selection, record: &mut ExportRecord) {
         let last: HashSet<&str> = self.last.iter().map(|p| p.reference.as_str()).collect();
-        let maps = self.first.len().max(self.last.len());
+        let maps = match self.geometric {
+            true => self.batches().iter().map(|(first, _)| first.len()).sum(),
+            false => self.last.len(),
+        };
+        record.runner = Some("stereo/viewrank/run.sh".into());
         record.made_for = "COLMAP 3.8 to 4.x".into();
         record.way = format!(
             "refs {}, geometric {}",

@@ -14,11 +14,13 @@ use super::{
 };
 use crate::{
     confidence::PairConfidence,
-    output::{Contents, FileSet},
+    formats::openmvs::Mvs,
+    output::Contents,
     project::{Project, ProjectKind},
     scene::ViewIndex,
 };
 
+mod neighbours;
 mod scene;
 
 pub struct OpenMvs;
@@ -71,11 +73,17 @@ impl Backend for OpenMvs {
         project.kind == ProjectKind::OpenMvs
     }
 
+    fn options(&self) -> &'static [&'static str] {
+        &["--scene", "--scale"]
+    }
+
     fn export(&self, selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {
+        if let Some(scene) = &options.scene {
+            return neighbours::export(selection, options, scene);
+        }
         let images = selection.undistorted_images(self.name())?;
-        let builder = Builder::new(selection)?;
-        let root = options.out.clone().unwrap_or_else(|| selection.project.output_folder().join("openmvs"));
-        let mut files = FileSet::new(root, "openmvs");
+        let builder = Builder::new(selection);
+        let mut files = options.file_set(self, selection);
         let mut rows = Vec::new();
         for (i, cluster) in selection.clusters.iter().enumerate() {
             let path = format!("clusters/{:04}.mvs", i + 1);
@@ -120,6 +128,11 @@ impl OpenMvs {
         record.fusion = format!("number-views-fuse {MAPS_PER_POINT}: that many key views must agree on a point");
         record
     }
+}
+
+/// A scene of all clusters, with images under other paths: for programs that run OpenMVS themselves.
+pub(super) fn joint_scene(selection: &Selection, path: impl Fn(&str) -> String) -> Mvs {
+    Builder::in_place(selection).joint(selection, path)
 }
 
 /// A row of `run.json`.

@@ -3,7 +3,7 @@
 use nalgebra::{Point3, Vector3};
 
 use crate::{
-    backends::{BackendError, RankedCluster, Selection},
+    backends::{RankedCluster, Selection},
     formats::openmvs::{Camera, Image, Mvs, Platform, Pose, Vertex, VertexView, ViewScore},
     scene::{Scene, ViewIndex, ViewPoints},
 };
@@ -26,9 +26,15 @@ pub struct DepthRange {
 }
 
 impl<'a> Builder<'a> {
-    pub fn new(selection: &Selection<'a>) -> Result<Self, BackendError> {
+    pub fn new(selection: &Selection<'a>) -> Self {
         let scene = selection.scene;
-        Ok(Self { scene, points: scene.view_points(), origin: origin(scene) })
+        Self { scene, points: scene.view_points(), origin: origin(scene) }
+    }
+
+    /// Coordinates as they are.
+    pub fn in_place(selection: &Selection<'a>) -> Self {
+        let scene = selection.scene;
+        Self { scene, points: scene.view_points(), origin: Vector3::zeros() }
     }
 
     /// Images in the order given, without points: what a list of neighbours refers to.
@@ -69,17 +75,43 @@ impl<'a> Builder<'a> {
             let times = LEAST_SHARED.div_ceil(shared.len().max(1));
             for (x, depth) in shared.iter().cycle().take(shared.len() * times) {
                 range = DepthRange { least: range.least.min(*depth), greatest: range.greatest.max(*depth) };
-                let views = [0, image].map(|image| VertexView { image, confidence: 1.0 }).to_vec();
-                mvs.vertices.push(Vertex { x: self.local(x).cast::<f32>().into(), views });
+                let views = [0, image].map(|image| VertexView { image, confidence: 1.0 });
+                mvs.vertices.push(self.vertex(x, &views));
             }
         }
         if cluster.partners.len() == 1 {
             // With two images in the scene one neighbour is enough, for the partner too: a neighbour below any score leaves it out.
             mvs.version = 7;
-            mvs.images[1].view_scores =
-                vec![ViewScore { index: 0, points: 9, scale: 1.0, angle: 0.2, area: 0.5, score: -1.0 }];
+            mvs.images[1].view_scores = vec![dummy(-1.0)];
         }
         (mvs, range)
+    }
+
+    /// One scene for all: a vertex for each point that a key view shares with a partner, seen by these two; images that are no key views
+    /// get a neighbour of score 0, which leaves them out.
+    pub fn joint(&self, selection: &Selection, path: impl Fn(&str) -> String) -> Mvs {
+        let views = selection.keys_first();
+        let mut mvs = self.images(&views);
+        mvs.version = 7;
+        for (image, &view) in mvs.images.iter_mut().zip(&views) {
+            image.name = path(self.scene.name(view)).into_bytes();
+        }
+        mvs.images[selection.clusters.len()..].iter_mut().for_each(|image| image.view_scores = vec![dummy(0.0)]);
+        let index = |view: ViewIndex| views.iter().position(|v| *v == view).unwrap_or_default() as u32;
+        for (key, cluster) in (0..).zip(selection.clusters) {
+            for &partner in &cluster.partners {
+                let mut pair = [key, index(partner)];
+                pair.sort_unstable();
+                let views = pair.map(|image| VertexView { image, confidence: 1.0 });
+                let shared = self.shared(cluster.key, partner);
+                mvs.vertices.extend(shared.iter().map(|(x, _)| self.vertex(x, &views)));
+            }
+        }
+        mvs
+    }
+
+    fn vertex(&self, x: &Point3<f64>, views: &[VertexView]) -> Vertex {
+        Vertex { x: self.local(x).cast::<f32>().into(), views: views.to_vec() }
     }
 
     /// Points in front of both that both observe, with their depths in the first.
@@ -100,6 +132,11 @@ impl<'a> Builder<'a> {
     fn local(&self, x: &Point3<f64>) -> Point3<f64> {
         x - self.origin
     }
+}
+
+/// A neighbour of a score that OpenMVS passes over; the index must be one of the scene.
+fn dummy(score: f32) -> ViewScore {
+    ViewScore { index: 0, points: 9, scale: 1.0, angle: 0.2, area: 0.5, score }
 }
 
 /// Vertices are f32: whole coordinates near the cameras, where the steps of f32 would be coarser than a tenth of a pixel on the ground.

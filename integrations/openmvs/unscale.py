@@ -1,0 +1,72 @@
+#!/usr/bin/env python3
+"""Undoes the scale of a scaled scene in a point cloud or mesh: unscale.py IN.ply OUT.ply SCALE divides x, y, z of all vertices by SCALE.
+
+Binary little-endian PLY; everything else in the file stays as it is.
+"""
+
+import os
+import struct
+import sys
+
+SIZES = {"char": "b", "uchar": "B", "short": "h", "ushort": "H", "int": "i", "uint": "I", "float": "f", "double": "d"}
+SIZES |= {"int8": "b", "uint8": "B", "int16": "h", "uint16": "H", "int32": "i", "uint32": "I", "float32": "f", "float64": "d"}
+
+
+def main():
+    if len(sys.argv) != 4:
+        sys.exit(__doc__)
+    source, target, scale = sys.argv[1], sys.argv[2], float(sys.argv[3])
+    with open(source, "rb") as file:
+        data = bytearray(file.read())
+    end = data.index(b"end_header\n") + len(b"end_header\n")
+    at = end
+    for name, count, properties in elements(data[:end].decode("ascii", "replace")):
+        if name == "vertex":
+            divide(data, at, count, properties, scale)
+            break
+        at = skip(data, at, count, properties)
+    with open(target + ".tmp", "wb") as file:
+        file.write(data)
+    os.replace(target + ".tmp", target)
+
+
+def elements(header):
+    found = []
+    for line in header.splitlines():
+        words = line.split()
+        if words[:1] == ["format"] and words[1] != "binary_little_endian":
+            sys.exit(f"error: {words[1]}: only binary little-endian files can be unscaled")
+        if words[:1] == ["element"]:
+            found.append((words[1], int(words[2]), []))
+        if words[:1] == ["property"]:
+            found[-1][2].append(words[1:])
+    return found
+
+
+def divide(data, at, count, properties, scale):
+    for _ in range(count):
+        for kind, *rest in properties:
+            if kind == "list":
+                at = after_list(data, at, rest)
+                continue
+            code = "<" + SIZES[kind]
+            if rest[0] in ("x", "y", "z"):
+                struct.pack_into(code, data, at, struct.unpack_from(code, data, at)[0] / scale)
+            at += struct.calcsize(code)
+
+
+def skip(data, at, count, properties):
+    for _ in range(count):
+        for kind, *rest in properties:
+            at = after_list(data, at, rest) if kind == "list" else at + struct.calcsize("<" + SIZES[kind])
+    return at
+
+
+def after_list(data, at, kinds):
+    counter, member = "<" + SIZES[kinds[0]], "<" + SIZES[kinds[1]]
+    (length,) = struct.unpack_from(counter, data, at)
+    return at + struct.calcsize(counter) + length * struct.calcsize(member)
+
+
+if __name__ == "__main__":
+    main()

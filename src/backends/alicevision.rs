@@ -1,0 +1,220 @@
+//! AliceVision and Meshroom: `backends.md` 8. Read, not run. There is no list of views and none of partners: each cluster becomes a scene
+//! file in which the key view shares landmarks with its partners only, and the key view is named by its position.
+
+use std::path::Path;
+
+use serde_json::{Value, json};
+
+use super::{
+    Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, PATCH_MATCH, PlanningNumbers,
+    RankedCluster, Selection,
+};
+use crate::{
+    output::Contents,
+    scene::{PointIndex, Scene, ViewIndex, ViewPoints},
+};
+
+pub struct AliceVision;
+
+/// A view with fewer common landmarks is no neighbour: the count must exceed 20.
+const LEAST_LANDMARKS: usize = 21;
+/// Any sensor width does, as focal lengths are given in its units.
+const SENSOR_MM: f64 = 36.0;
+
+impl Backend for AliceVision {
+    fn name(&self) -> &'static str {
+        "alicevision"
+    }
+
+    fn capabilities(&self) -> Capabilities {
+        Capabilities {
+            partners: Honours::Yes,
+            key_subset: Honours::Yes,
+            order: Honours::Yes,
+            fusion: "depthMapFiltering and meshing",
+            notes: "one call per key view, partners by the landmarks of a scene file of its own; their order is that of common landmarks",
+        }
+    }
+
+    fn planning(&self) -> PlanningNumbers {
+        PATCH_MATCH
+    }
+
+    fn export(&self, selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {
+        let images = selection.undistorted_images(self.name())?;
+        let scene = selection.scene;
+        let mut files = options.file_set(self, selection);
+        for view in selection.views() {
+            files.add(image_path(scene, view), Contents::Link(images.join(scene.name(view))));
+        }
+        let points = scene.view_points();
+        let mut record = ExportRecord::new(self, selection, |v| scene.view(v).image_id.to_string());
+        for (i, cluster) in selection.clusters.iter().enumerate() {
+            let path = format!("clusters/{:04}.sfm", i + 1);
+            files.add_text(&*path, text(&cluster_file(scene, &points, cluster)));
+            record.commands.push(estimation(selection, cluster, &path));
+        }
+        let keys: Vec<_> = selection.clusters.iter().map(|c| c.key).collect();
+        files.add_text("keys.sfm", text(&scene_file(scene, &keys, &all_landmarks(scene, &keys))));
+        record.commands.push(
+            "aliceVision_depthMapFiltering -i keys.sfm --depthMapsFolder depthMaps -o filtered --minNumOfConsistentCams 1 \
+             --minNumOfConsistentCamsWithLowSimilarity 2"
+                .into(),
+        );
+        record.commands.push(
+            "aliceVision_meshing -i keys.sfm --depthMapsFolder filtered -o dense.abc --outputMesh mesh.obj".into(),
+        );
+        record.runner = Some("run.sh".into());
+        record.made_for = "AliceVision (ca8300f; read, not run)".into();
+        record.way = "one scene file and one call per cluster".into();
+        record.not_honoured = vec!["the order of the partners of a key view".into()];
+        record.fusion = "minNumOfConsistentCams 1: only key views have maps, 3 of them rarely agree".into();
+        let script = format!(
+            "#!/bin/sh\nset -eu\ncd \"$(dirname \"$0\")\"\nmkdir -p depthMaps filtered\n{}\n",
+            record.commands.join("\n")
+        );
+        files.add("run.sh", Contents::Script(script.into_bytes()));
+        files.add_text("export.json", record.to_json());
+        Ok(Export { files, record })
+    }
+}
+
+fn text(file: &Value) -> String {
+    serde_json::to_string_pretty(file).expect("string keys") + "\n"
+}
+
+/// The call for the key view, by its position among the views of the file, which count by ascending id.
+fn estimation(selection: &Selection, cluster: &RankedCluster, path: &str) -> String {
+    let id = |v: &ViewIndex| selection.scene.view(*v).image_id;
+    let position = cluster.partners.iter().filter(|p| id(p) < id(&cluster.key)).count();
+    let k = cluster.partners.len();
+    let downscale = (1.0 / selection.image_scale).round().max(1.0);
+    format!(
+        "aliceVision_depthMapEstimation -i {path} --imagesFolder images -o depthMaps --rangeStart {position} --rangeSize 1 \
+         --maxTCams {k} --sgmMaxTCamsPerTile {k} --refineMaxTCamsPerTile {k} --downscale {downscale}"
+    )
+}
+
+fn image_path(scene: &Scene, view: ViewIndex) -> String {
+    let extension =
+        Path::new(scene.name(view)).extension().map_or("jpg".into(), |e| e.to_string_lossy().to_ascii_lowercase());
+    format!("images/{}.{extension}", scene.view(view).image_id)
+}
+
+/// A landmark and who observes it.
+type Landmark = (PointIndex, Vec<ViewIndex>);
+
+/// Key view and partners; a landmark for each point that the key view shares with a partner, repeated where there are too few.
+fn cluster_file(scene: &Scene, points: &ViewPoints, cluster: &RankedCluster) -> Value {
+    let members: Vec<_> = std::iter::once(cluster.key).chain(cluster.partners.iter().copied()).collect();
+    let mut landmarks: Vec<Landmark> = points
+        .of(cluster.key)
+        .iter()
+        .map(|&p| (p, observers(scene, p, &members)))
+        .filter(|(_, v)| v.len() > 1)
+        .collect();
+    for &partner in &cluster.partners {
+        let shared: Vec<_> = landmarks.iter().filter(|(_, v)| v.contains(&partner)).map(|l| l.0).collect();
+        let missing = LEAST_LANDMARKS.saturating_sub(shared.len());
+        landmarks.extend(shared.iter().cycle().take(missing).map(|&p| (p, vec![cluster.key, partner])));
+    }
+    scene_file(scene, &members, &landmarks)
+}
+
+fn all_landmarks(scene: &Scene, views: &[ViewIndex]) -> Vec<Landmark> {
+    let points = (0..scene.points.len() as u32).map(PointIndex);
+    points.map(|p| (p, observers(scene, p, views))).filter(|(_, v)| v.len() > 1).collect()
+}
+
+fn observers(scene: &Scene, point: PointIndex, among: &[ViewIndex]) -> Vec<ViewIndex> {
+    let mut views: Vec<_> = scene.track_views(point).iter().copied().filter(|v| among.contains(v)).collect();
+    views.dedup();
+    views
+}
+
+/// A `.sfm` of version 1.2.6. Only listed views may occur in observations.
+fn scene_file(scene: &Scene, views: &[ViewIndex], landmarks: &[Landmark]) -> Value {
+    let mut views = views.to_vec();
+    views.sort_by_key(|&v| scene.view(v).image_id);
+    let mut cameras: Vec<u32> = views.iter().map(|&v| scene.view(v).camera.0).collect();
+    cameras.sort_unstable();
+    cameras.dedup();
+    json!({
+        "version": ["1", "2", "6"],
+        "views": views.iter().map(|&v| view_entry(scene, v)).collect::<Vec<_>>(),
+        "intrinsics": cameras.iter().map(|&c| intrinsic_entry(scene, c)).collect::<Vec<_>>(),
+        "poses": views.iter().map(|&v| pose_entry(scene, v)).collect::<Vec<_>>(),
+        "structure": landmarks.iter().enumerate().map(|(i, l)| landmark_entry(scene, i, l)).collect::<Vec<_>>(),
+    })
+}
+
+/// Numbers are strings, as in the files of AliceVision itself.
+fn numbers(values: &[f64]) -> Vec<String> {
+    values.iter().map(f64::to_string).collect()
+}
+
+fn view_entry(scene: &Scene, view: ViewIndex) -> Value {
+    let (entry, camera) = (scene.view(view), scene.camera_of(view));
+    json!({
+        "viewId": entry.image_id.to_string(),
+        "poseId": entry.image_id.to_string(),
+        "intrinsicId": (entry.camera.0 + 1).to_string(),
+        "path": image_path(scene, view),
+        "width": camera.width.to_string(),
+        "height": camera.height.to_string(),
+    })
+}
+
+/// Focal length in mm of the sensor; the principal point is an offset from the middle of the image.
+fn intrinsic_entry(scene: &Scene, camera: u32) -> Value {
+    let entry = &scene.cameras[camera as usize];
+    let (f, c) = entry.pinhole_part();
+    let (width, height) = (f64::from(entry.width), f64::from(entry.height));
+    json!({
+        "intrinsicId": (camera + 1).to_string(),
+        "width": entry.width.to_string(),
+        "height": entry.height.to_string(),
+        "sensorWidth": SENSOR_MM.to_string(),
+        "sensorHeight": (SENSOR_MM * height / width).to_string(),
+        "serialNumber": "",
+        "type": "pinhole",
+        "initializationMode": "calibrated",
+        "initialFocalLength": "-1",
+        "focalLength": (f.x / width * SENSOR_MM).to_string(),
+        "pixelRatio": (f.x / f.y).to_string(),
+        "pixelRatioLocked": "true",
+        "principalPoint": numbers(&[c.x - 0.5 * width, c.y - 0.5 * height]),
+        "distortionParams": "",
+        "locked": "true",
+    })
+}
+
+/// The rotation column by column.
+fn pose_entry(scene: &Scene, view: ViewIndex) -> Value {
+    let pose = &scene.view(view).cam_from_world;
+    json!({
+        "poseId": scene.view(view).image_id.to_string(),
+        "pose": {
+            "transform": {
+                "rotation": numbers(pose.rotation.matrix().as_slice()),
+                "center": numbers(pose.centre().coords.as_slice()),
+            },
+            "locked": "1",
+        },
+    })
+}
+
+fn landmark_entry(scene: &Scene, id: usize, (point, views): &Landmark) -> Value {
+    let track = scene.track(*point);
+    let pixel = |view: ViewIndex| {
+        track.clone().find(|&i| scene.track_views[i] == view).map_or([0.0; 2], |i| scene.track_pixels[i])
+    };
+    let observation = |&v: &ViewIndex| json!({ "observationId": scene.view(v).image_id.to_string(), "featureId": id.to_string(), "x": numbers(&pixel(v)) });
+    json!({
+        "landmarkId": id.to_string(),
+        "descType": "unknown",
+        "color": scene.colours[point.at()].map(|c| c.to_string()),
+        "X": numbers(scene.points[point.at()].coords.as_slice()),
+        "observations": views.iter().map(observation).collect::<Vec<_>>(),
+    })
+}

@@ -1,0 +1,58 @@
+//! Metashape: `backends.md` 9, from the vendor's reference; not run. A script that finds cameras by label and makes depth maps of the key
+//! views, with key views and partners enabled.
+
+use serde_json::json;
+
+use super::{
+    Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, PlanningNumbers, Selection,
+    images::ANY_PROGRAM,
+};
+use crate::output::Contents;
+
+pub struct Metashape;
+
+impl Backend for Metashape {
+    fn name(&self) -> &'static str {
+        "metashape"
+    }
+
+    fn capabilities(&self) -> Capabilities {
+        Capabilities {
+            partners: Honours::No,
+            key_subset: Honours::Yes,
+            order: Honours::No,
+            fusion: "buildPointCloud",
+            notes: "partners are Metashape's own choice among the enabled cameras: key views and chosen partners",
+        }
+    }
+
+    fn planning(&self) -> PlanningNumbers {
+        PlanningNumbers { support: 2, ..ANY_PROGRAM }
+    }
+
+    fn export(&self, selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {
+        let names = |views: &mut dyn Iterator<Item = crate::scene::ViewIndex>| {
+            views.map(|v| selection.scene.name(v).to_owned()).collect::<Vec<_>>()
+        };
+        let list = json!({
+            "keys": names(&mut selection.clusters.iter().map(|c| c.key)),
+            "enabled": names(&mut selection.views().into_iter()),
+            "max_neighbors": selection.most_partners(),
+            "downscale": (1.0 / selection.image_scale).log2().round().max(0.0).exp2(),
+        });
+        let mut files = options.file_set(self, selection);
+        files.add_text("clusters.json", serde_json::to_string_pretty(&list).expect("string keys") + "\n");
+        files.add(
+            "depth_maps.py",
+            Contents::Script(include_bytes!("../../integrations/metashape/depth_maps.py").to_vec()),
+        );
+        let mut record = ExportRecord::new(self, selection, |v| selection.scene.name(v).into());
+        record.made_for = "Metashape 1.6 to 2.x (from its reference; not run)".into();
+        record.way = "script, cameras by label".into();
+        record.commands = vec!["metashape.sh -r depth_maps.py PROJECT.psx".into()];
+        record.not_honoured = vec!["matching partners (only how many)".into(), "the rank order".into()];
+        record.fusion = "buildPointCloud (buildDenseCloud before 2.0)".into();
+        files.add_text("export.json", record.to_json());
+        Ok(Export { files, record })
+    }
+}

@@ -1,0 +1,122 @@
+//! MicMac: `backends.md` 7. Read, not run. `pairs.xml` is a pair file for C3DC, PIMs and MMByP; `ImSec/` names the secondary images of each
+//! master for Malt GeomImage, one call per key view. Orientations stay those of the user's own `Ori-` folder.
+
+use quick_xml::escape::escape;
+
+use super::{
+    Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, PATCH_MATCH, PlanningNumbers,
+    RankedCluster, Selection,
+};
+use crate::output::Contents;
+
+pub struct MicMac;
+
+impl Backend for MicMac {
+    fn name(&self) -> &'static str {
+        "micmac"
+    }
+
+    fn capabilities(&self) -> Capabilities {
+        Capabilities {
+            partners: Honours::Yes,
+            key_subset: Honours::Yes,
+            order: Honours::Yes,
+            fusion: "MicMac's own tools (MergeCloud)",
+            notes: "Malt GeomImage, one call per key view; with the pair file (C3DC, PIMs) pairs are undirected and the order is lost",
+        }
+    }
+
+    fn planning(&self) -> PlanningNumbers {
+        PATCH_MATCH
+    }
+
+    fn export(&self, selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {
+        for view in selection.views() {
+            check_name(selection.scene.name(view))?;
+        }
+        let images = selection.images(self.name())?;
+        let mut files = options.file_set(self, selection);
+        for view in selection.views() {
+            let name = selection.scene.name(view);
+            files.add(name, Contents::Link(images.join(name)));
+        }
+        files.add_text("pairs.xml", pair_file(selection));
+        for cluster in selection.clusters {
+            let name = selection.scene.name(cluster.key);
+            files.add_text(format!("ImSec/ImSec-{name}.xml"), secondary_images(selection, cluster));
+        }
+        files.add_text("ImSec/FileImSel.xml", masters(selection));
+        let mut record = ExportRecord::new(self, selection, |v| selection.scene.name(v).into());
+        record.made_for = "MicMac (f8fe432; read, not run)".into();
+        record.way = "ImSec files, one Malt call per master; pair file beside".into();
+        record.commands = vec!["./run.sh PATH/TO/Ori-NAME".into()];
+        record.warnings.extend([
+            "orientations are not written: run.sh takes the Ori- folder of the MicMac project that the model comes from".into(),
+        ]);
+        record.fusion = "MicMac's MergeCloud, by hand".into();
+        files.add("run.sh", Contents::Script(runner(selection).into_bytes()));
+        files.add_text("export.json", record.to_json());
+        Ok(Export { files, record })
+    }
+}
+
+/// Names are relative to the working folder and a blank separates two of them.
+fn check_name(name: &str) -> Result<(), BackendError> {
+    let why = if name.contains(char::is_whitespace) {
+        "a blank separates the two names of a pair"
+    } else if name.contains('/') {
+        "images lie in the working folder itself"
+    } else {
+        return Ok(());
+    };
+    Err(BackendError::Name { backend: "micmac", name: name.into(), why: why.into() })
+}
+
+fn pair_file(selection: &Selection) -> String {
+    let mut xml = String::from("<?xml version=\"1.0\" ?>\n<SauvegardeNamedRel>\n");
+    for cluster in selection.clusters {
+        for &partner in &cluster.partners {
+            let (key, partner) = (escape(selection.scene.name(cluster.key)), escape(selection.scene.name(partner)));
+            xml += &format!("  <Cple>{key} {partner}</Cple>\n");
+        }
+    }
+    xml + "</SauvegardeNamedRel>\n"
+}
+
+/// A single solution with a positive score: it is the one that is taken.
+fn secondary_images(selection: &Selection, cluster: &RankedCluster) -> String {
+    let name = |v| escape(selection.scene.name(v));
+    let images: String = cluster.partners.iter().map(|&p| format!("    <Images>{}</Images>\n", name(p))).collect();
+    format!(
+        "<?xml version=\"1.0\" ?>\n<ImSecOfMaster>\n  <Master>{}</Master>\n  <Sols>\n{images}    <Coverage>1</Coverage>\n    <Score>1</Score>\n  \
+         </Sols>\n</ImSecOfMaster>\n",
+        name(cluster.key)
+    )
+}
+
+fn masters(selection: &Selection) -> String {
+    let names = selection.clusters.iter().map(|c| format!("  <Name>{}</Name>\n", escape(selection.scene.name(c.key))));
+    format!("<?xml version=\"1.0\" ?>\n<ListOfName>\n{}</ListOfName>\n", names.collect::<String>())
+}
+
+/// A copy of the orientations takes our ImSec files, so that those of the project stay. Patterns are regular expressions.
+fn runner(selection: &Selection) -> String {
+    let mut script = String::from(
+        "#!/bin/sh\n# usage: run.sh PATH/TO/Ori-NAME\nset -eu\nori=$(cd \"${1:?usage: run.sh PATH/TO/Ori-NAME}\" && pwd)\ncd \"$(dirname \"$0\")\"\n\
+         rm -rf Ori-viewrank\ncp -r \"$ori\" Ori-viewrank\ncp ImSec/*.xml Ori-viewrank/\n",
+    );
+    for cluster in selection.clusters {
+        let pattern: String = selection.scene.name(cluster.key).chars().flat_map(escaped).collect();
+        script += &format!("mm3d Malt GeomImage '{pattern}' viewrank Master=AUTO\n");
+    }
+    script
+}
+
+/// The character in a regular expression between single quotes of the shell.
+fn escaped(c: char) -> Vec<char> {
+    match c {
+        '\'' => "'\\''".chars().collect(),
+        '.' | '+' | '*' | '?' | '(' | ')' | '[' | ']' | '{' | '}' | '^' | '$' | '|' | '\\' => vec!['\\', c],
+        _ => vec![c],
+    }
+}

@@ -1,0 +1,160 @@
+//! MVE's dmrecon: `backends.md` 5. It takes no partner lists but chooses by shared features, so each cluster gets a bundle in which only its
+//! partners share features with the key view. The views lie in one scene; `run.sh` puts one bundle after the other in place.
+
+use std::path::Path;
+
+use super::{
+    Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, PATCH_MATCH, PlanningNumbers,
+    RankedCluster, Selection,
+};
+use crate::{
+    output::Contents,
+    scene::{PointIndex, Scene, ViewIndex, ViewPoints},
+};
+
+pub struct Mve;
+
+/// Views that must agree on a patch, dmrecon's default. With fewer partners the map would come out empty, with success.
+const LOCAL_NEIGHBOURS: usize = 4;
+
+impl Backend for Mve {
+    fn name(&self) -> &'static str {
+        "mve"
+    }
+
+    fn capabilities(&self) -> Capabilities {
+        Capabilities {
+            partners: Honours::Partly,
+            key_subset: Honours::Yes,
+            order: Honours::Yes,
+            fusion: "scene2pset and fssrecon",
+            notes: "only the partners can be chosen, but dmrecon may leave some of them out",
+        }
+    }
+
+    fn planning(&self) -> PlanningNumbers {
+        PATCH_MATCH
+    }
+
+    fn export(&self, selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {
+        let images = selection.undistorted_images(self.name())?;
+        let views = selection.keys_first();
+        let mut ids = vec![None; selection.scene.views.len()];
+        views.iter().enumerate().for_each(|(i, v)| ids[v.at()] = Some(i));
+        let id = |v: ViewIndex| ids[v.at()].expect("every view of a cluster has an id");
+        let mut files = options.file_set(self, selection);
+        for (i, &view) in views.iter().enumerate() {
+            let name = selection.scene.name(view);
+            let folder = format!("views/view_{i:04}.mve");
+            files.add_text(format!("{folder}/meta.ini"), meta(selection.scene, view, i));
+            files.add(format!("{folder}/undistorted.{}", extension(name)?), Contents::Link(images.join(name)));
+        }
+        let points = selection.scene.view_points();
+        for (i, cluster) in selection.clusters.iter().enumerate() {
+            files.add_text(
+                format!("bundles/{:04}.out", i + 1),
+                bundle(selection.scene, &points, cluster, &ids, views.len()),
+            );
+        }
+        let scale = (1.0 / selection.image_scale).log2().round().max(0.0);
+        let mut record = ExportRecord::new(self, selection, |v| id(v).to_string());
+        record.runner = Some("run.sh".into());
+        record.made_for = "MVE (bf2279f)".into();
+        record.way = "one bundle per cluster in one scene".into();
+        for (i, cluster) in selection.clusters.iter().enumerate() {
+            let partners = cluster.partners.len();
+            record.commands.push(format!("cp bundles/{:04}.out synth_0.out", i + 1));
+            record.commands.push(format!(
+                "dmrecon -s{scale} -m{} --neighbors={partners} --local-neighbors={} .",
+                id(cluster.key),
+                partners.min(LOCAL_NEIGHBOURS)
+            ));
+        }
+        let keys: Vec<String> = (0..selection.clusters.len()).map(|i| i.to_string()).collect();
+        record.commands.push(format!("scene2pset -F{scale} -v{} . fused.ply", keys.join(",")));
+        record.not_honoured = vec!["that every partner is used: dmrecon chooses among them".into()];
+        record.fusion =
+            "depth-L maps hold the length of the ray, not z; scene2pset joins them with confidences and scales; fssrecon fused.ply surface.ply makes the surface"
+                .into();
+        let script = format!("#!/bin/sh\nset -eu\ncd \"$(dirname \"$0\")\"\n{}\n", record.commands.join("\n"));
+        files.add("run.sh", Contents::Script(script.into_bytes()));
+        files.add_text("export.json", record.to_json());
+        Ok(Export { files, record })
+    }
+}
+
+/// MVE finds the decoder by the extension.
+fn extension(name: &str) -> Result<&'static str, BackendError> {
+    let given = Path::new(name).extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
+    match given.as_str() {
+        "jpg" | "jpeg" => Ok("jpg"),
+        "png" => Ok("png"),
+        _ => {
+            let why = "it reads undistorted images as jpg and png, by the extension".into();
+            Err(BackendError::Name { backend: "mve", name: name.into(), why })
+        }
+    }
+}
+
+/// Focal length in units of the larger side and principal point in units of each side.
+fn meta(scene: &Scene, view: ViewIndex, id: usize) -> String {
+    let (camera, pose) = (scene.camera_of(view), &scene.view(view).cam_from_world);
+    let (f, c) = camera.pinhole_part();
+    let (width, height) = (f64::from(camera.width), f64::from(camera.height));
+    let r = pose.rotation.matrix().transpose();
+    let numbers = |values: &[f64]| values.iter().map(f64::to_string).collect::<Vec<_>>().join(" ");
+    format!(
+        "[camera]\nfocal_length = {}\npixel_aspect = {}\nprincipal_point = {} {}\nradial_distortion = 0 0\nrotation = {}\ntranslation = {}\n\n\
+         [view]\nid = {id}\nname = {}\n",
+        focal_length(f.x, f.y, width, height),
+        f.y / f.x,
+        c.x / width,
+        c.y / height,
+        numbers(r.as_slice()),
+        numbers(pose.translation.as_slice()),
+        scene.name(view).replace(['\n', '\r'], " "),
+    )
+}
+
+/// The larger side counts after the pixels' aspect.
+fn focal_length(fx: f64, fy: f64, width: f64, height: f64) -> f64 {
+    if width * fy / fx < height { fy / height } else { fx / width }
+}
+
+/// `synth_0.out` in which key view and partners refer to the points that the key view and a partner share; other cameras are zero.
+fn bundle(scene: &Scene, points: &ViewPoints, cluster: &RankedCluster, ids: &[Option<usize>], views: usize) -> String {
+    let members: Vec<ViewIndex> = std::iter::once(cluster.key).chain(cluster.partners.iter().copied()).collect();
+    let mut cameras = vec!["0 0 0\n".repeat(5); views];
+    for &view in &members {
+        if let Some(id) = ids[view.at()] {
+            cameras[id] = bundle_camera(scene, view);
+        }
+    }
+    let observers = |p: PointIndex| {
+        let mut track: Vec<_> = scene.track_views(p).iter().filter(|v| members.contains(v)).collect();
+        track.dedup();
+        track
+    };
+    let shared: Vec<_> =
+        points.of(cluster.key).iter().map(|&p| (p, observers(p))).filter(|(_, views)| views.len() > 1).collect();
+    let mut text = format!("drews 1.0\n{views} {}\n{}", shared.len(), cameras.concat());
+    for (i, (p, observers)) in shared.iter().enumerate() {
+        let (x, [r, g, b]) = (scene.points[p.at()], scene.colours[p.at()]);
+        text += &format!("{} {} {}\n{r} {g} {b}\n{}", x.x, x.y, x.z, observers.len());
+        observers.iter().filter_map(|v| ids[v.at()]).for_each(|id| text += &format!(" {id} {i} 0"));
+        text.push('\n');
+    }
+    text
+}
+
+fn bundle_camera(scene: &Scene, view: ViewIndex) -> String {
+    let (camera, pose) = (scene.camera_of(view), &scene.view(view).cam_from_world);
+    let (f, _) = camera.pinhole_part();
+    let length = focal_length(f.x, f.y, f64::from(camera.width), f64::from(camera.height));
+    let row = |i: usize| {
+        let r = pose.rotation.matrix().row(i);
+        format!("{} {} {}\n", r[0], r[1], r[2])
+    };
+    let t = pose.translation;
+    format!("{length} 0 0\n{}{}{}{} {} {}\n", row(0), row(1), row(2), t.x, t.y, t.z)
+}

@@ -1,0 +1,57 @@
+//! OpenDroneMap: `backends.md` 11. Read, not run. ODM keeps an `openmvs/scene.mvs` that is there; ours holds, for each key view, only the
+//! points that it shares with its partners, and leaves the other images out by a neighbour of score 0.
+
+use super::{
+    Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, PlanningNumbers, Selection,
+    openmvs::{self, OpenMvs},
+};
+use crate::output::Contents;
+
+pub struct Odm;
+
+impl Backend for Odm {
+    fn name(&self) -> &'static str {
+        "odm"
+    }
+
+    fn capabilities(&self) -> Capabilities {
+        Capabilities {
+            partners: Honours::Partly,
+            key_subset: Honours::Yes,
+            order: Honours::No,
+            fusion: "OpenMVS, as ODM calls it",
+            notes: "two key views that are partners of each other share them; more than 5 partners (8 with CUDA) are cut; ODM's own OpenMVS must \
+                    read interface version 7",
+        }
+    }
+
+    fn planning(&self) -> PlanningNumbers {
+        OpenMvs.planning()
+    }
+
+    fn export(&self, selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {
+        let images = selection.undistorted_images(self.name())?;
+        let images = std::path::absolute(images).unwrap_or_else(|_| images.into());
+        let mut files = options.file_set(self, selection);
+        let mvs = openmvs::joint_scene(selection, |name| images.join(name).to_string_lossy().into_owned());
+        files.add("openmvs/scene.mvs", Contents::Bytes(mvs.write()));
+        let mut record =
+            ExportRecord::new(self, selection, |v| format!("depth{:04}.dmap", selection.scene.view(v).image_id));
+        record.made_for = "OpenDroneMap (32cfaac; read, not run)".into();
+        record.way = "openmvs/scene.mvs in place of ODM's own".into();
+        record.commands = vec![
+            "run ODM with --end-with opensfm".into(),
+            "cp -r openmvs ODM_PROJECT/".into(),
+            "run ODM again, without any --rerun (that would delete the scene)".into(),
+        ];
+        record.not_honoured = vec!["the rank order".into(), "partners beyond the fifth (CUDA: eighth)".into()];
+        record.warnings.extend([
+            "ODM_PROJECT/openmvs must not hold a scene_dense.ply, else the stage is skipped".into(),
+            "whether ODM's OpenMVS reads interface version 7 was not tested".into(),
+        ]);
+        record.pixel_shift = -0.5;
+        record.fusion = "ODM's own options: number-views-fuse 2".into();
+        files.add_text("export.json", record.to_json());
+        Ok(Export { files, record })
+    }
+}

@@ -1,0 +1,80 @@
+//! RealityScan (RealityCapture): `backends.md` 10, from the vendor's pages; not run. Images can be kept out of meshing, by a side file in
+//! XMP beside the image; nothing else can be said.
+
+use std::collections::HashMap;
+
+use super::{
+    Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, PlanningNumbers, Selection,
+    images::{ANY_PROGRAM, name_lines},
+};
+
+pub struct RealityScan;
+
+impl Backend for RealityScan {
+    fn name(&self) -> &'static str {
+        "realityscan"
+    }
+
+    fn capabilities(&self) -> Capabilities {
+        Capabilities {
+            partners: Honours::No,
+            key_subset: Honours::Partly,
+            order: Honours::No,
+            fusion: "internal",
+            notes: "an image is either used for meshing or not: key views and partners together",
+        }
+    }
+
+    fn planning(&self) -> PlanningNumbers {
+        ANY_PROGRAM
+    }
+
+    fn export(&self, selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {
+        let (scene, used) = (selection.scene, selection.views());
+        let mut files = options.file_set(self, selection);
+        let mut by_stem: HashMap<&str, &str> = HashMap::new();
+        for view in scene.view_indices() {
+            let name = scene.name(view);
+            let stem = stem(name);
+            if let Some(other) = by_stem.insert(stem, name) {
+                let why = format!("its side file would be that of {other} too");
+                return Err(BackendError::Name { backend: self.name(), name: name.into(), why });
+            }
+            files.add_text(format!("xmp/{stem}.xmp"), side_file(used.binary_search(&view).is_ok()));
+        }
+        files.add_text("images.txt", name_lines(selection, &used));
+        let mut record = ExportRecord::new(self, selection, |v| format!("xmp/{}.xmp", stem(scene.name(v))));
+        record.made_for = "RealityScan, RealityCapture (from the vendor's pages; not run)".into();
+        record.way = "side files that switch meshing".into();
+        record.commands = vec!["copy the files of xmp/ beside the images, then add the images".into()];
+        record.not_honoured = vec![
+            "matching partners".into(),
+            "depth maps of key views only: partners take part in meshing as well".into(),
+            "the rank order".into(),
+        ];
+        record.warnings.extend([
+            "side files that are already beside the images hold poses: don't overwrite them, add the two switches"
+                .into(),
+        ]);
+        record.other_maps = used.len() - selection.clusters.len();
+        record.fusion = "internal".into();
+        files.add_text("export.json", record.to_json());
+        Ok(Export { files, record })
+    }
+}
+
+/// Path without the extension.
+fn stem(name: &str) -> &str {
+    let file = name.rfind('/').map_or(0, |slash| slash + 1);
+    name[file..].rfind('.').filter(|&dot| dot > 0).map_or(name, |dot| &name[..file + dot])
+}
+
+/// The switches alone: an attribute of a pose would be taken as one.
+fn side_file(used: bool) -> String {
+    let switch = u8::from(used);
+    format!(
+        "<x:xmpmeta xmlns:x=\"adobe:ns:meta/\">\n  <rdf:RDF xmlns:rdf=\"http://www.w3.org/1999/02/22-rdf-syntax-ns#\">\n    \
+         <rdf:Description xmlns:xcr=\"http://www.capturingreality.com/ns/xcr/1.1#\" xcr:InMeshing=\"{switch}\" xcr:InTexturing=\"{switch}\"/>\n  \
+         </rdf:RDF>\n</x:xmpmeta>\n"
+    )
+}

@@ -1,0 +1,257 @@
+//! COLMAP's dense workspace: what the programs would do with it, played through.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use viewrank::{
+    backends::{ExportOptions, References},
+    camera::{Camera, CameraModel},
+    scene::CameraIndex,
+};
+
+use crate::{Files, Fixture};
+
+/// The problems that patch match reads from a list: pairs of lines; `#` comments and empty lines vanish.
+fn problems(text: &str) -> Vec<(String, Vec<String>)> {
+    let lines: Vec<&str> = text.lines().map(str::trim).filter(|l| !l.is_empty() && !l.starts_with('#')).collect();
+    assert_eq!(lines.len() % 2, 0, "a reference without sources would be dropped silently");
+    let sources = |line: &str| line.split([',', ';']).map(|s| s.trim().to_owned()).filter(|s| !s.is_empty()).collect();
+    lines.chunks(2).map(|pair| (pair[0].to_owned(), sources(pair[1]))).collect()
+}
+
+/// What is in the workspace while COLMAP runs: photometric maps (filtered or not) and geometric ones.
+#[derive(Default)]
+struct Workspace {
+    photometric: BTreeMap<String, bool>,
+    geometric: BTreeSet<String>,
+}
+
+impl Workspace {
+    /// The commands of the runner, one after the other, as patch_match.cc works them off.
+    fn run(files: &Files) -> Self {
+        let mut workspace = Self::default();
+        for command in &files.0.record.commands {
+            let words: Vec<&str> = command.split_whitespace().collect();
+            let value = |option: &str| words.iter().position(|w| *w == option).map(|i| words[i + 1]);
+            match words[1] {
+                "patch_match_stereo" => {
+                    let list = problems(files.text(value("--config_path").unwrap()));
+                    let filtered = value("--PatchMatchStereo.filter") != Some("0");
+                    workspace.patch_match(&list, value("--PatchMatchStereo.geom_consistency") != Some("0"), filtered);
+                }
+                "stereo_fusion" => workspace.fuse(files, value("--input_type").unwrap()),
+                other => panic!("{other}"),
+            }
+        }
+        workspace
+    }
+
+    fn patch_match(&mut self, list: &[(String, Vec<String>)], geometric: bool, filtered: bool) {
+        for (reference, sources) in list {
+            assert!(!sources.is_empty(), "{reference}: COLMAP ends the run");
+            self.photometric.entry(reference.clone()).or_insert(filtered && !geometric);
+        }
+        if geometric {
+            for (reference, sources) in list {
+                for source in sources.iter().chain([reference]) {
+                    let filtered = self.photometric.get(source);
+                    assert_eq!(filtered, Some(&false), "{reference} needs the unfiltered photometric map of {source}");
+                }
+                self.geometric.insert(reference.clone());
+            }
+        }
+    }
+
+    fn fuse(&self, files: &Files, kind: &str) {
+        for name in files.lines("stereo/fusion.cfg") {
+            assert!(
+                if kind == "geometric" { self.geometric.contains(name) } else { self.photometric.contains_key(name) },
+                "{name}"
+            );
+        }
+    }
+}
+
+fn options(refs: Option<References>, geometric: Option<bool>) -> ExportOptions {
+    ExportOptions { refs, geometric, ..Default::default() }
+}
+
+fn policies() -> Vec<ExportOptions> {
+    let refs = [None, Some(References::Keys), Some(References::KeysAndPartners), Some(References::All)];
+    let geometric = [None, Some(false), Some(true)];
+    refs.into_iter().flat_map(|r| geometric.map(|g| options(r, g))).collect()
+}
+
+#[test]
+fn colmap_geometric_needs_partner_maps() {
+    let fixture = Fixture::new(4);
+    for policy in policies() {
+        let files = fixture.export_with("colmap", &policy);
+        let workspace = Workspace::run(&files);
+        let refs = policy.refs.unwrap_or(if policy.geometric == Some(true) {
+            References::KeysAndPartners
+        } else {
+            References::Keys
+        });
+        let partners =
+            fixture.named().iter().flat_map(|(k, p)| [vec![k.clone()], p.clone()].concat()).collect::<BTreeSet<_>>();
+        let maps = workspace.photometric.len();
+        match refs {
+            References::Keys if policy.geometric == Some(true) => assert!(maps <= 4),
+            References::Keys => assert_eq!(maps, 4),
+            References::KeysAndPartners => assert_eq!(maps, partners.len()),
+            References::All => assert_eq!(maps, fixture.scene.views.len()),
+        }
+        assert_eq!(files.0.record.key_maps + files.0.record.other_maps, maps, "{policy:?}");
+    }
+}
+
+/// Also without our runner: the list that lies where COLMAP looks for it, with the options at its head.
+#[test]
+fn the_list_in_place_runs_through() {
+    let mut fixture = Fixture::new(4);
+    fixture.choose(&[12, 13, 11, 3], 4);
+    for policy in policies() {
+        let files = fixture.export_with("colmap", &policy);
+        let text = files.text("stereo/patch-match.cfg");
+        let geometric = text.contains("geom_consistency 1");
+        let mut workspace = Workspace::default();
+        workspace.patch_match(&problems(text), geometric, true);
+    }
+}
+
+#[test]
+fn keys_are_first_in_rank_order_with_exactly_their_partners() {
+    let fixture = Fixture::new(4);
+    for refs in [References::Keys, References::KeysAndPartners, References::All] {
+        let files = fixture.export_with("colmap", &options(Some(refs), None));
+        assert_eq!(problems(files.text("stereo/patch-match.cfg"))[..4], fixture.named()[..], "{refs:?}");
+    }
+    assert_eq!(problems(fixture.export("colmap").text("stereo/patch-match.cfg")), fixture.named());
+}
+
+#[test]
+fn colmap_min_consistent_before_drop() {
+    let mut fixture = Fixture::new(4);
+    let neighbours: Vec<u32> = fixture.connected(viewrank::scene::ViewIndex(12)).iter().take(2).map(|v| v.0).collect();
+    fixture.choose(&[12, neighbours[0], neighbours[1], 49], 4);
+    let files = fixture.export_with("colmap", &options(Some(References::Keys), Some(true)));
+    // No source without a map, so that COLMAP drops none after it has bounded the number of consistent ones.
+    let last = problems(files.text("stereo/viewrank/0001-geometric.cfg"));
+    let keys: BTreeSet<String> = fixture.named().into_iter().map(|(key, _)| key).collect();
+    assert!(!last.is_empty() && last.iter().all(|(_, sources)| sources.iter().all(|s| keys.contains(s))));
+    let lonely = fixture.named().into_iter().find(|(_, p)| p.iter().all(|p| !keys.contains(p))).unwrap().0;
+    assert!(files.says(&lonely), "a key view without geometric map is named");
+}
+
+#[test]
+fn batches_leave_whole_results() {
+    let mut fixture = Fixture::new(3);
+    fixture.choose(&(0..25).collect::<Vec<_>>(), 3);
+    let files = fixture.export_with("colmap", &options(None, Some(true)));
+    let geometric: Vec<_> =
+        files.names().into_iter().filter(|n| n.ends_with("-geometric.cfg")).map(str::to_owned).collect();
+    assert_eq!(geometric.len(), 3);
+    let order: Vec<_> = geometric.iter().flat_map(|name| problems(files.text(name))).collect();
+    assert_eq!(order, fixture.named());
+    Workspace::run(&files);
+}
+
+#[test]
+fn colmap_fusion_min_pixels() {
+    let mut fixture = Fixture::new(3);
+    fixture.choose(&[12, 13, 11], 3);
+    let command = fixture.export("colmap").0.record.commands.pop().unwrap();
+    let words: Vec<&str> = command.split_whitespace().collect();
+    let at = words.iter().position(|w| *w == "--StereoFusion.min_num_pixels").unwrap();
+    assert!(
+        (2..=3).contains(&words[at + 1].parse::<u32>().unwrap()),
+        "three key views with COLMAP's 5 give an empty cloud"
+    );
+}
+
+#[test]
+fn colmap_check_num_images_before_filter() {
+    let fixture = Fixture::new(3);
+    let command = fixture.export("colmap").0.record.commands.pop().unwrap();
+    assert!(command.contains(&format!("--StereoFusion.check_num_images {}", fixture.scene.views.len())));
+}
+
+#[test]
+fn colmap_fusion_cfg_no_comments() {
+    let fixture = Fixture::new(3);
+    let names: Vec<String> = fixture.named().into_iter().map(|(key, _)| key).collect();
+    assert_eq!(fixture.export("colmap").lines("stereo/fusion.cfg"), names);
+}
+
+#[test]
+fn colmap_text_model_blank_name() {
+    let files = Fixture::new(3).export("colmap");
+    assert!(files.names().contains(&"sparse/images.bin"), "text models cut names at blanks");
+    let name = b"flight 0/img 012.jpg\0";
+    assert!(files.bytes("sparse/images.bin").windows(name.len()).any(|w| w == name));
+}
+
+#[test]
+fn colmap_bin_beats_txt() {
+    let files = Fixture::new(3).export("colmap");
+    assert!(!files.names().iter().any(|n| n.starts_with("sparse/") && n.ends_with(".txt")));
+}
+
+#[test]
+fn colmap_stale_rigs_frames() {
+    let files = Fixture::new(3).export("colmap");
+    let model: Vec<_> = files.names().into_iter().filter(|n| n.starts_with("sparse/")).map(str::to_owned).collect();
+    assert_eq!(model, ["sparse/cameras.bin", "sparse/images.bin", "sparse/points3D.bin"]);
+}
+
+#[test]
+fn colmap_key_view_without_points() {
+    let mut fixture = Fixture::new(3);
+    let blind = fixture.clusters[1].key;
+    let kept: Vec<bool> = fixture.scene.track_views.iter().map(|v| *v != blind).collect();
+    let before = |end: usize| kept[..end].iter().filter(|k| **k).count();
+    fixture.scene.track_offsets = fixture.scene.track_offsets.iter().map(|&o| before(o)).collect();
+    let mut keep = kept.iter();
+    fixture.scene.track_views.retain(|_| *keep.next().unwrap());
+    let mut keep = kept.iter();
+    fixture.scene.track_pixels.retain(|_| *keep.next().unwrap());
+    for policy in policies() {
+        let files = fixture.export_with("colmap", &policy);
+        let references: Vec<String> =
+            problems(files.text("stereo/patch-match.cfg")).into_iter().map(|(r, _)| r).collect();
+        assert!(!references.iter().any(|r| r == fixture.name(blind)), "it would end the whole run");
+        assert!(files.says(fixture.name(blind)));
+    }
+}
+
+#[test]
+fn colmap_4x_mixed_width_sources() {
+    let mut fixture = Fixture::new(3);
+    assert!(!fixture.export("colmap").says("differ in width"));
+    let wide = Camera::new(8, CameraModel::Pinhole, 800, 600, vec![600.0, 600.0, 400.0, 300.0]).unwrap();
+    fixture.scene.cameras.push(wide);
+    let partner = fixture.clusters[2].partners[1];
+    fixture.scene.views[partner.at()].camera = CameraIndex(1);
+    let files = fixture.export("colmap");
+    assert!(files.says("differ in width") && files.says(fixture.name(fixture.clusters[2].key)));
+}
+
+#[test]
+fn colmap_subfolder_dirs() {
+    let mut fixture = Fixture::new(3);
+    fixture.choose(&[12, 45], 3);
+    let files = fixture.export("colmap");
+    for kind in ["depth_maps", "normal_maps", "consistency_graphs"] {
+        for flight in ["flight 0", "flight 2"] {
+            assert!(files.is_folder(&format!("stereo/{kind}/{flight}")));
+        }
+    }
+}
+
+#[test]
+fn matched_size_is_that_of_the_plan() {
+    let mut fixture = Fixture::new(3);
+    assert!(!fixture.export("colmap").0.record.commands[0].contains("max_image_size"));
+    fixture.image_scale = 0.5;
+    assert!(fixture.export("colmap").0.record.commands[0].contains("--PatchMatchStereo.max_image_size 320"));
+}

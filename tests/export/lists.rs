@@ -1,0 +1,149 @@
+//! Gaussian splatting, NeRF, plain lists: which images train.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use viewrank::{
+    backends::{ExportOptions, References},
+    formats::colmap_bin,
+};
+
+use crate::Fixture;
+
+#[test]
+fn nerfstudio_all_splits_needed() {
+    let files = Fixture::new(3).export("splat");
+    let json = files.json("transforms.json");
+    let frames: BTreeSet<&str> =
+        json["frames"].as_array().unwrap().iter().map(|f| f["file_path"].as_str().unwrap()).collect();
+    for split in ["train_filenames", "val_filenames", "test_filenames"] {
+        let names = json[split].as_array().unwrap();
+        assert!(!names.is_empty() && names.iter().all(|n| frames.contains(n.as_str().unwrap())), "{split}");
+    }
+    assert_eq!(json["train_filenames"].as_array().unwrap().len(), 4);
+}
+
+#[test]
+fn nerfstudio_val_list_name() {
+    let fixture = Fixture::new(3);
+    let files = fixture.export("splat");
+    let train: Vec<String> = fixture.named().into_iter().map(|(key, _)| key).collect();
+    assert_eq!(files.lines("train_list.txt"), train);
+    for list in ["val_list.txt", "validation_list.txt", "test_list.txt"] {
+        let lines = files.lines(list);
+        assert!(
+            !lines.is_empty() && lines.iter().all(|name| train.iter().any(|t| t == name)),
+            "an empty line is an unknown name"
+        );
+    }
+}
+
+#[test]
+fn nerf_cameras_look_backward_along_z() {
+    let fixture = Fixture::new(3);
+    let json = fixture.export("splat").json("transforms.json");
+    let matrix = &json["frames"][0]["transform_matrix"];
+    let column = |j: usize| [0, 1, 2].map(|i: usize| matrix[i][j].as_f64().unwrap());
+    let pose = &fixture.scene.view(fixture.clusters[0].key).cam_from_world;
+    let direction = pose.viewing_direction();
+    assert!((0..3).all(|i| (column(2)[i] + direction[i]).abs() < 1e-12));
+    assert!((0..3).all(|i| (column(3)[i] - pose.centre()[i]).abs() < 1e-9));
+    assert_eq!(json["frames"][0]["cx"], 330.25);
+}
+
+#[test]
+fn gsplat_holdout_eats_key_views() {
+    let files = Fixture::new(3).export("splat");
+    let command = files.0.record.commands.iter().find(|c| c.contains("gsplat")).unwrap();
+    assert!(command.ends_with("--test_every 5"), "more than there are images: none is held out ({command})");
+}
+
+#[test]
+fn gsplat_images_n_by_position() {
+    let files = Fixture::new(3).export("splat");
+    assert!(!files.names().iter().any(|n| n.starts_with("images_")));
+    assert!(files.0.record.commands[0].contains("--data_factor 1"));
+}
+
+#[test]
+fn brush_picks_largest_model() {
+    let files = Fixture::new(3).export("splat");
+    let models: BTreeSet<&str> = files
+        .names()
+        .into_iter()
+        .filter(|n| n.ends_with("images.bin"))
+        .map(|n| n.rsplit_once('/').unwrap().0)
+        .collect();
+    assert_eq!(models, BTreeSet::from(["sparse/0"]), "the reduced model alone");
+}
+
+#[test]
+fn trap_3dgs_stale_points3d_ply() {
+    let files = Fixture::new(3).export("splat");
+    let ply = files.bytes("sparse/0/points3D.ply");
+    let head = std::str::from_utf8(&ply[..ply.windows(11).position(|w| w == b"end_header\n").unwrap()]).unwrap();
+    let count: usize = head.lines().find_map(|l| l.strip_prefix("element vertex ")).unwrap().parse().unwrap();
+    assert_eq!(count, model(&files).points.len(), "written anew with each export");
+    assert_eq!(ply.len(), head.len() + 11 + count * (6 * 4 + 3));
+}
+
+#[test]
+fn trap_3dgs_basename_collision() {
+    let mut fixture = Fixture::new(3);
+    fixture.scene.views[12].name = "flight 0/same.a.jpg".into();
+    fixture.scene.views[30].name = "flight 1/same.b.jpg".into();
+    assert!(fixture.export("splat").says("for the same image"));
+}
+
+fn model(files: &crate::Files) -> viewrank::formats::colmap::ColmapModel<'static> {
+    let leak = |name: &str| -> &'static [u8] { Vec::leak(files.bytes(name).to_vec()) };
+    let bytes = viewrank::formats::Bytes {
+        cameras: leak("sparse/0/cameras.bin"),
+        images: leak("sparse/0/images.bin"),
+        points3d: leak("sparse/0/points3D.bin"),
+        rigs: None,
+        frames: None,
+    };
+    colmap_bin::read(&bytes).unwrap()
+}
+
+#[test]
+fn model_dangling_track() {
+    let model = model(&Fixture::new(3).export("splat"));
+    let images: BTreeMap<u32, usize> = model.images.iter().map(|i| (i.id, i.points2d.len())).collect();
+    for element in model.points.iter().flat_map(|p| p.track.iter()) {
+        assert!((element.index() as usize) < images[&element.image()]);
+    }
+}
+
+#[test]
+fn model_renumbered_points2d() {
+    let fixture = Fixture::new(3);
+    let model = model(
+        &fixture.export_with("splat", &ExportOptions { refs: Some(References::KeysAndPartners), ..Default::default() }),
+    );
+    let scene = model.scene().unwrap();
+    for (p, id) in scene.point_ids.iter().enumerate() {
+        let original = fixture.scene.point_ids.iter().position(|o| o == id).unwrap();
+        assert_eq!(scene.points[p], fixture.scene.points[original]);
+        for i in scene.track_offsets[p]..scene.track_offsets[p + 1] {
+            let name = scene.name(scene.track_views[i]);
+            let there = fixture.scene.track_offsets[original]..fixture.scene.track_offsets[original + 1];
+            let same = there.into_iter().find(|&o| fixture.scene.name(fixture.scene.track_views[o]) == name).unwrap();
+            assert_eq!(scene.track_pixels[i], fixture.scene.track_pixels[same]);
+        }
+    }
+}
+
+#[test]
+fn images_are_listed_best_first() {
+    let fixture = Fixture::new(2);
+    let keys: Vec<String> = fixture.named().into_iter().map(|(key, _)| key).collect();
+    assert_eq!(fixture.export("images").lines("images.txt"), keys);
+    let refs = |refs| ExportOptions { refs: Some(refs), ..Default::default() };
+    let files = fixture.export_with("images", &refs(References::KeysAndPartners));
+    let with_partners = files.lines("images.txt");
+    let (key, partners) = &fixture.named()[0];
+    assert_eq!(with_partners[..3], [key, &partners[0], &partners[1]]);
+    let all = fixture.export_with("images", &refs(References::All));
+    assert_eq!(all.lines("images.txt").len(), fixture.scene.views.len());
+}

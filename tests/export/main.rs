@@ -1,0 +1,227 @@
+//! What is written for each backend, read back by small readers of the other side's grammars. Tests that guard against a trap of a
+//! backend are named after the trap.
+
+mod acm;
+mod colmap;
+mod lists;
+mod mve;
+mod mvsnet;
+mod openmvs;
+mod others;
+mod pmvs;
+mod sure;
+
+use std::{collections::BTreeMap, path::PathBuf, sync::OnceLock};
+
+use viewrank::{
+    backends::{BackendError, Export, ExportOptions, RankedCluster, Selection, by_name},
+    camera::{Camera, CameraModel},
+    output::Contents,
+    project::{ModelFormat, ModelLocation, Project, ProjectKind},
+    scene::{Scene, ViewIndex},
+    synthetic::Town,
+};
+
+/// A scene with chosen clusters, in a project that exists nowhere.
+pub struct Fixture {
+    pub scene: Scene,
+    pub clusters: Vec<RankedCluster>,
+    pub project: Project,
+    pub image_scale: f64,
+}
+
+/// Square pixels would hide a width taken for a height.
+pub fn pinhole() -> Camera {
+    Camera::new(7, CameraModel::Pinhole, 640, 480, vec![510.0, 500.0, 330.25, 229.5]).unwrap()
+}
+
+impl Fixture {
+    /// Four key views with the `k` views that share most points; ids with gaps and out of order, names with folders and blanks.
+    pub fn new(k: usize) -> Self {
+        static TOWN: OnceLock<Scene> = OnceLock::new();
+        let mut scene = TOWN.get_or_init(|| Town { points: 1500, ..Town::new(pinhole()) }.scene()).clone();
+        let count = scene.views.len() as u32;
+        for (i, view) in (0..count).zip(&mut scene.views) {
+            view.name = format!("flight {}/img {i:03}.jpg", i / 20);
+            view.image_id = 1000 + (i * 37) % count * 3;
+            view.file_position = (i * 37) % count;
+        }
+        let mut fixture = Self { scene, clusters: Vec::new(), project: project(), image_scale: 1.0 };
+        fixture.choose(&[12, 3, 30, 24], k);
+        fixture
+    }
+
+    /// Key views in rank order, each with the `k` views that share most points.
+    pub fn choose(&mut self, keys: &[u32], k: usize) {
+        let cluster = |(i, &key): (usize, &u32)| RankedCluster {
+            key: ViewIndex(key),
+            partners: self.connected(ViewIndex(key)).into_iter().take(k).collect(),
+            share: (i + 1) as f64 / 10.0,
+        };
+        self.clusters = keys.iter().enumerate().map(cluster).collect();
+    }
+
+    /// The views that share points with this one, most first.
+    pub fn connected(&self, key: ViewIndex) -> Vec<ViewIndex> {
+        let mut shared = vec![0; self.scene.views.len()];
+        for &p in self.scene.view_points().of(key) {
+            self.scene.track_views(p).iter().for_each(|v| shared[v.at()] += 1);
+        }
+        shared[key.at()] = 0;
+        let mut views: Vec<_> = self.scene.view_indices().filter(|v| shared[v.at()] > 0).collect();
+        views.sort_by_key(|v| std::cmp::Reverse(shared[v.at()]));
+        views
+    }
+
+    pub fn name(&self, view: ViewIndex) -> &str {
+        self.scene.name(view)
+    }
+
+    /// Names of key view and partners, in rank order.
+    pub fn named(&self) -> Vec<(String, Vec<String>)> {
+        let name = |v: &ViewIndex| self.name(*v).to_owned();
+        self.clusters.iter().map(|c| (name(&c.key), c.partners.iter().map(name).collect())).collect()
+    }
+
+    pub fn try_export(&self, backend: &str, options: &ExportOptions) -> Result<Export, BackendError> {
+        let backend = by_name(backend).unwrap();
+        let selection = Selection {
+            project: &self.project,
+            scene: &self.scene,
+            clusters: &self.clusters,
+            image_scale: self.image_scale,
+            planned_for: backend.name(),
+        };
+        backend.export(&selection, options)
+    }
+
+    pub fn export(&self, backend: &str) -> Files {
+        self.export_with(backend, &ExportOptions::default())
+    }
+
+    pub fn export_with(&self, backend: &str, options: &ExportOptions) -> Files {
+        Files(self.try_export(backend, options).unwrap())
+    }
+}
+
+/// A project whose model is not on the disk, so that reduced models are made from the scene.
+pub fn project() -> Project {
+    Project {
+        root: "/nowhere".into(),
+        kind: ProjectKind::BareModel,
+        model: ModelLocation { format: ModelFormat::OpenMvs, path: "/nowhere/scene.mvs".into(), registered: 0 },
+        other_models: Vec::new(),
+        images: Some("/nowhere/images".into()),
+        dense_workspace: None,
+    }
+}
+
+/// An export with its files at hand.
+pub struct Files(pub Export);
+
+impl Files {
+    pub fn names(&self) -> Vec<&str> {
+        self.0.files.files.keys().map(String::as_str).collect()
+    }
+
+    pub fn bytes(&self, path: &str) -> &[u8] {
+        match &self.0.files.files[path] {
+            Contents::Bytes(bytes) | Contents::Script(bytes) => bytes,
+            other => panic!("{path} is {other:?}"),
+        }
+    }
+
+    pub fn text(&self, path: &str) -> &str {
+        std::str::from_utf8(self.bytes(path)).unwrap()
+    }
+
+    pub fn lines(&self, path: &str) -> Vec<&str> {
+        self.text(path).lines().collect()
+    }
+
+    /// Where a link leads to.
+    pub fn link(&self, path: &str) -> PathBuf {
+        match &self.0.files.files[path] {
+            Contents::Link(target) => target.clone(),
+            other => panic!("{path} is {other:?}"),
+        }
+    }
+
+    pub fn is_folder(&self, path: &str) -> bool {
+        matches!(self.0.files.files.get(path), Some(Contents::Folder))
+    }
+
+    /// Is that one of the things that the export says it will not do?
+    pub fn says(&self, what: &str) -> bool {
+        let record = &self.0.record;
+        record.not_honoured.iter().chain(&record.warnings).any(|line| line.contains(what))
+    }
+
+    pub fn json(&self, path: &str) -> serde_json::Value {
+        serde_json::from_slice(self.bytes(path)).unwrap()
+    }
+}
+
+/// Words of the text as numbers.
+pub fn numbers(text: &str) -> Vec<f64> {
+    text.split_whitespace().map(|word| word.parse().unwrap()).collect()
+}
+
+#[test]
+fn every_backend_takes_the_fixture_and_says_what_it_wrote() {
+    let mut fixture = Fixture::new(3);
+    // MicMac knows neither folders nor blanks.
+    for (i, view) in fixture.scene.views.iter_mut().enumerate() {
+        view.name = format!("img{i:03}.jpg");
+    }
+    for backend in viewrank::backends::all() {
+        let files = fixture.export(backend.name());
+        let record = &files.0.record;
+        assert_eq!(record.backend, backend.name());
+        assert_eq!(record.clusters.len(), 4);
+        assert!(
+            !record.made_for.is_empty() && !record.way.is_empty() && !record.fusion.is_empty(),
+            "{}",
+            backend.name()
+        );
+        assert!(!record.commands.is_empty() || backend.name() == "images", "{}", backend.name());
+        let notes = files.names().into_iter().find(|n| n.ends_with("export.json")).unwrap().to_owned();
+        let read: viewrank::backends::ExportRecord = serde_json::from_slice(files.bytes(&notes)).unwrap();
+        assert_eq!(&read, record, "{}", backend.name());
+        let partly = [backend.capabilities().partners, backend.capabilities().key_subset, backend.capabilities().order];
+        if partly.contains(&viewrank::backends::Honours::No) {
+            assert!(!record.not_honoured.is_empty(), "{} says what it does not honour", backend.name());
+        }
+        let outside = files
+            .names()
+            .into_iter()
+            .find(|n| n.starts_with('/') || n.split('/').any(|p| p == ".."))
+            .map(str::to_owned);
+        assert_eq!(outside, None);
+        if let Some(runner) = &record.runner {
+            assert!(matches!(files.0.files.files[runner], Contents::Script(_)));
+        }
+    }
+}
+
+#[test]
+fn distorted_images_are_refused_with_the_command_that_makes_them() {
+    let mut fixture = Fixture::new(3);
+    fixture.scene.cameras =
+        vec![Camera::new(7, CameraModel::SimpleRadial, 640, 480, vec![500.0, 320.0, 240.0, 0.01]).unwrap()];
+    for backend in ["openmvs", "colmap", "mvsnet", "pmvs", "mve", "gipuma", "alicevision", "sure"] {
+        let error = fixture.try_export(backend, &ExportOptions::default()).unwrap_err();
+        let hint = viewrank::error::Hint::hint(&error).unwrap();
+        assert!(
+            error.to_string().contains("SIMPLE_RADIAL") && hint.contains("image_undistorter --image_path /nowhere"),
+            "{backend}: {error}"
+        );
+    }
+    assert!(fixture.export("splat").says("image_undistorter"));
+}
+
+/// Groups the names of a table file by index.
+pub fn table(text: &str) -> BTreeMap<usize, String> {
+    let row = |line: &str| line.split_once('\t').map(|(i, name)| (i.parse().unwrap(), name.to_owned())).unwrap();
+    text.lines().map(row).collect()
+}

@@ -1,0 +1,122 @@
+//! MVE's dmrecon: bundles that steer its choice of views.
+
+use std::collections::BTreeSet;
+
+use crate::{Files, Fixture, numbers};
+
+/// Cameras that are there and the references of each feature, as load_photosynther_bundle reads.
+fn bundle(text: &str) -> (Vec<bool>, Vec<Vec<usize>>) {
+    let (head, rest) = text.split_once('\n').unwrap();
+    assert_eq!(head, "drews 1.0");
+    let mut words = rest.split_whitespace().map(|w| w.parse::<f64>().unwrap());
+    let mut next = || words.next().unwrap();
+    let (cameras, features) = (next() as usize, next() as usize);
+    let valid = (0..cameras).map(|_| (0..15).map(|_| next()).collect::<Vec<_>>()[0] != 0.0).collect();
+    let references = (0..features).map(|_| {
+        (0..6).for_each(|_| _ = next());
+        let count = next() as usize;
+        let views = (0..count).map(|_| {
+            let view = next() as usize;
+            next();
+            next();
+            view
+        });
+        views.collect()
+    });
+    let references = references.collect();
+    assert_eq!(words.next(), None);
+    (valid, references)
+}
+
+fn members(files: &Files, cluster: usize) -> BTreeSet<usize> {
+    let cluster = &files.0.record.clusters[cluster];
+    std::iter::once(&cluster.key).chain(&cluster.partners).map(|v| v.target.parse().unwrap()).collect()
+}
+
+#[test]
+fn mve_bundle_mixes_clusters() {
+    let mut fixture = Fixture::new(3);
+    let neighbour = fixture.connected(viewrank::scene::ViewIndex(12))[0].0;
+    fixture.choose(&[12, neighbour], 3);
+    let files = fixture.export("mve");
+    for cluster in 0..2 {
+        let (valid, references) = bundle(files.text(&format!("bundles/{:04}.out", cluster + 1)));
+        let there: BTreeSet<usize> = (0..valid.len()).filter(|&i| valid[i]).collect();
+        assert_eq!(there, members(&files, cluster), "one bundle per key view");
+        let seen: BTreeSet<usize> = references.into_iter().flatten().collect();
+        assert_eq!(seen, there);
+    }
+}
+
+#[test]
+fn mve_partners_by_tracks_only() {
+    let fixture = Fixture::new(3);
+    let files = fixture.export("mve");
+    let key: usize = files.0.record.clusters[2].key.target.parse().unwrap();
+    let (_, references) = bundle(files.text("bundles/0003.out"));
+    assert!(references.iter().all(|views| views.contains(&key) && views.len() > 1));
+    assert!(files.says("dmrecon chooses among them"));
+}
+
+#[test]
+fn mve_local_neighbors_default_4() {
+    for (k, wanted) in [(1, 1), (3, 3), (4, 4), (6, 4)] {
+        let files = Fixture::new(k).export("mve");
+        let command = files.0.record.commands.iter().find(|c| c.starts_with("dmrecon")).unwrap();
+        assert!(command.contains(&format!("--neighbors={k} --local-neighbors={wanted}")), "{command}");
+    }
+}
+
+#[test]
+fn mve_view_id_not_index() {
+    let files = Fixture::new(3).export("mve");
+    for (i, name) in files.names().into_iter().filter(|n| n.ends_with("meta.ini")).enumerate() {
+        assert_eq!(name, format!("views/view_{i:04}.mve/meta.ini"));
+        assert!(files.text(name).contains(&format!("\nid = {i}\n")));
+    }
+}
+
+#[test]
+fn mve_existing_depth_skipped() {
+    let files = Fixture::new(3).export("mve");
+    let calls: Vec<_> = files.0.record.commands.iter().filter(|c| c.starts_with("dmrecon")).collect();
+    assert_eq!(calls.len(), 4);
+    assert!(calls.iter().all(|c| c.contains(" -m")), "-l would pass over views that have a map, -m does not");
+}
+
+#[test]
+fn mve_scale_in_name() {
+    let mut fixture = Fixture::new(3);
+    fixture.image_scale = 0.5;
+    let commands = fixture.export("mve").0.record.commands;
+    assert!(commands.iter().filter(|c| c.starts_with("dmrecon")).all(|c| c.contains(" -s1 ")));
+    assert!(commands.last().unwrap().contains("-F1 "));
+}
+
+#[test]
+fn mve_order_parallel() {
+    let files = Fixture::new(3).export("mve");
+    let masters: Vec<&str> =
+        files.0.record.commands.iter().filter_map(|c| c.split(" -m").nth(1)?.split(' ').next()).collect();
+    assert_eq!(masters, ["0", "1", "2", "3"], "one call per key view keeps the order");
+}
+
+#[test]
+fn mve_ray_length_depth() {
+    assert!(Fixture::new(3).export("mve").0.record.fusion.contains("length of the ray"));
+}
+
+/// Focal length in units of the larger side, the principal point in units of each side.
+#[test]
+fn views_have_the_model_s_cameras() {
+    let fixture = Fixture::new(3);
+    let files = fixture.export("mve");
+    let meta = files.text("views/view_0000.mve/meta.ini");
+    let value = |key: &str| meta.lines().find_map(|l| l.strip_prefix(&format!("{key} = "))).unwrap();
+    assert_eq!(numbers(value("focal_length"))[0] * 640.0, 510.0);
+    assert_eq!(numbers(value("focal_length"))[0] * 640.0 * numbers(value("pixel_aspect"))[0], 500.0);
+    assert_eq!(numbers(value("principal_point")), [330.25 / 640.0, 229.5 / 480.0]);
+    let r = numbers(value("rotation"));
+    let pose = &fixture.scene.view(fixture.clusters[0].key).cam_from_world;
+    assert_eq!(r[1], pose.rotation.matrix()[(0, 1)]);
+}

@@ -1,0 +1,171 @@
+//! MVSNet's family: small readers after the grammars of PatchmatchNet, cascade, MVSNet.
+
+use viewrank::scene::ViewIndex;
+
+use crate::{Files, Fixture, numbers, table};
+
+/// Key view, partners and scores, as PatchmatchNet and cascade read: line by line.
+fn pairs_by_line(text: &str) -> Vec<(usize, Vec<(usize, f64)>)> {
+    let mut lines = text.lines();
+    let count: usize = lines.next().unwrap().parse().unwrap();
+    let mut entry = || {
+        let key = lines.next().unwrap().trim_end().parse().unwrap();
+        let words = numbers(lines.next().unwrap());
+        assert_eq!(words.len(), 1 + 2 * words[0] as usize, "the count, then an index and a score for each");
+        (key, words[1..].chunks(2).map(|w| (w[0] as usize, w[1])).collect())
+    };
+    let entries = (0..count).map(|_| entry()).collect();
+    assert_eq!(lines.next(), None);
+    entries
+}
+
+/// The same by words, as MVSNet and the ACM programs read.
+pub fn pairs_by_word(text: &str) -> Vec<(usize, Vec<(usize, f64)>)> {
+    let mut words = text.split_whitespace().map(|w| w.parse::<f64>().unwrap());
+    let mut next = || words.next().unwrap();
+    let count = next() as usize;
+    let entries = (0..count).map(|_| {
+        let (key, partners) = (next() as usize, next() as usize);
+        (key, (0..partners).map(|_| (next() as usize, next())).collect())
+    });
+    entries.collect()
+}
+
+pub fn names_of(files: &Files, pairs: &[(usize, Vec<(usize, f64)>)]) -> Vec<(String, Vec<String>)> {
+    let names = table(files.text("view_names.txt"));
+    let name = |i: &usize| names[i].clone();
+    pairs.iter().map(|(key, partners)| (name(key), partners.iter().map(|(p, _)| name(p)).collect())).collect()
+}
+
+#[test]
+fn mvsnet_count_tokens() {
+    let fixture = Fixture::new(4);
+    for dialect in ["mvsnet", "patchmatchnet"] {
+        let files = fixture.export(dialect);
+        for list in ["pair.txt", "pair_fuse.txt"] {
+            let by_line = pairs_by_line(files.text(list));
+            assert_eq!(by_line, pairs_by_word(files.text(list)));
+            assert!(by_line.iter().flat_map(|(_, p)| p).all(|(_, score)| score.is_finite()));
+        }
+        assert_eq!(names_of(&files, &pairs_by_line(files.text("pair.txt"))), fixture.named());
+    }
+}
+
+#[test]
+fn mvsnet_key_only_fusion_missing_maps() {
+    let mut fixture = Fixture::new(4);
+    let neighbour = fixture.connected(ViewIndex(12))[0].0;
+    fixture.choose(&[12, neighbour, 49], 4);
+    let files = fixture.export("patchmatchnet");
+    let fuse = pairs_by_line(files.text("pair_fuse.txt"));
+    assert_eq!(fuse.len(), 3);
+    assert!(fuse.iter().flat_map(|(_, p)| p).all(|(partner, _)| *partner < 3), "only key views have maps");
+    assert_eq!(fuse[0].1.len(), 1);
+}
+
+#[test]
+fn mvsnet_self_pair() {
+    let files = Fixture::new(4).export("mvsnet");
+    assert!(pairs_by_word(files.text("pair.txt")).iter().all(|(key, p)| p.iter().all(|(partner, _)| partner != key)));
+}
+
+#[test]
+fn mvsnet_score_token_mandatory() {
+    let files = Fixture::new(2).export("mvsnet");
+    let lists: Vec<&str> = files.lines("pair.txt").into_iter().skip(2).step_by(2).collect();
+    assert!(lists.iter().all(|line| line.split_whitespace().count() == 5));
+}
+
+#[test]
+fn mvsnet_zero_score_dropped() {
+    let files = Fixture::new(4).export("mvsnet");
+    let scores = pairs_by_word(files.text("pair.txt")).into_iter().flat_map(|(_, p)| p);
+    assert!(scores.into_iter().all(|(_, score)| score >= 1.0), "also when written as integers");
+}
+
+#[test]
+fn mvsnet_index_mapping_differs() {
+    let fixture = Fixture::new(3);
+    let files = fixture.export("mvsnet");
+    let names = table(files.text("view_names.txt"));
+    for (i, name) in &names {
+        assert_eq!(files.link(&format!("images/{i:08}.jpg")), fixture.project.images.as_ref().unwrap().join(name));
+        let cluster = files.0.record.clusters.iter().flat_map(|c| std::iter::once(&c.key).chain(&c.partners));
+        assert!(cluster.into_iter().filter(|v| v.name == *name).all(|v| v.target == i.to_string()));
+    }
+}
+
+#[test]
+fn mvsnet_geo_threshold() {
+    assert!(Fixture::new(3).export("patchmatchnet").0.record.fusion.contains("must not exceed"));
+}
+
+/// Line 5 and 10 are empty, `extrinsic` is first, the matrices follow.
+fn camera(text: &str) -> (Vec<f64>, Vec<f64>, Vec<f64>) {
+    let lines: Vec<&str> = text.lines().collect();
+    assert_eq!(lines.len(), 12);
+    assert_eq!((lines[0], lines[5], lines[6], lines[10]), ("extrinsic", "", "intrinsic", ""));
+    (numbers(&lines[1..5].join(" ")), numbers(&lines[7..10].join(" ")), numbers(lines[11]))
+}
+
+#[test]
+fn mvsnet_cam_blank_lines() {
+    let fixture = Fixture::new(3);
+    let files = fixture.export("mvsnet");
+    let names = table(files.text("view_names.txt"));
+    for (i, name) in names {
+        let (extrinsic, intrinsic, _) = camera(files.text(&format!("cams/{i:08}_cam.txt")));
+        let view = fixture.scene.view(fixture.scene.find(&name).unwrap());
+        let (r, t) = (view.cam_from_world.rotation.matrix(), view.cam_from_world.translation);
+        for row in 0..3 {
+            assert_eq!(extrinsic[4 * row..4 * row + 4], [r[(row, 0)], r[(row, 1)], r[(row, 2)], t[row]]);
+        }
+        assert_eq!(extrinsic[12..], [0.0, 0.0, 0.0, 1.0]);
+        assert_eq!(intrinsic, [510.0, 0.0, 330.25, 0.0, 500.0, 229.5, 0.0, 0.0, 1.0]);
+    }
+}
+
+#[test]
+fn mvsnet_scaled_intrinsics() {
+    let mut fixture = Fixture::new(3);
+    fixture.image_scale = 0.25;
+    let files = fixture.export("mvsnet");
+    assert_eq!(camera(files.text("cams/00000000_cam.txt")).1[0], 510.0, "K belongs to the stored image");
+}
+
+#[test]
+fn mvsnet_cam_word_count() {
+    let fixture = Fixture::new(3);
+    let words = |dialect: &str| fixture.export(dialect).text("cams/00000002_cam.txt").split_whitespace().count();
+    assert_eq!((words("mvsnet"), words("acmm")), (31, 31), "MVSNet takes any other count for no depths at all");
+}
+
+#[test]
+fn mvsnet_depth_dialect() {
+    let fixture = Fixture::new(3);
+    let key = &fixture.scene.view(fixture.clusters[0].key).cam_from_world;
+    let points = fixture.scene.view_points();
+    let depths: Vec<f64> = points
+        .of(fixture.clusters[0].key)
+        .iter()
+        .map(|p| key.camera_from_world(&fixture.scene.points[p.at()]).z)
+        .collect();
+    let share_inside = |least: f64, greatest: f64| {
+        depths.iter().filter(|z| (least..=greatest).contains(*z)).count() as f64 / depths.len() as f64
+    };
+    let line = |dialect: &str| camera(fixture.export(dialect).text("cams/00000000_cam.txt")).2;
+
+    let [least, interval, number, greatest] = line("mvsnet")[..] else { panic!("four numbers") };
+    assert!(share_inside(least, greatest) > 0.97);
+    assert!((least + interval * (number - 1.0) - greatest).abs() < 1e-9);
+    let [least, greatest] = line("patchmatchnet")[..] else { panic!("least and greatest") };
+    assert!(share_inside(least, greatest) > 0.97 && greatest < 3.0 * least);
+}
+
+#[test]
+fn mvsnet_jpg_name() {
+    let mut fixture = Fixture::new(3);
+    fixture.scene.views.iter_mut().for_each(|v| v.name = v.name.replace(".jpg", ".png"));
+    let files = fixture.export("mvsnet");
+    assert!(files.link("images/00000000.jpg").to_str().unwrap().ends_with(".png"));
+}

@@ -1,0 +1,344 @@
+//! OpenMVS: scenes per cluster, the joint scene for OpenDroneMap, and lists of neighbours for a scene that is there.
+
+use nalgebra::{Matrix3, Vector3};
+use viewrank::{
+    backends::{BackendError, ExportOptions},
+    error::Hint,
+    formats::openmvs::{Mvs, Vertex, VertexView},
+    scene::ViewIndex,
+};
+
+use crate::{Files, Fixture};
+
+fn cluster(files: &Files, rank: usize) -> Mvs {
+    Mvs::read(files.bytes(&format!("clusters/{rank:04}.mvs"))).unwrap()
+}
+
+fn names(mvs: &Mvs) -> Vec<String> {
+    mvs.images.iter().map(|i| String::from_utf8(i.name.clone()).unwrap()).collect()
+}
+
+/// Images that OpenMVS would compute: two neighbours by shared vertices (one where there are but two images), unless a score below
+/// `View Min Score` (0 in dense.cfg, 2 without it) is given.
+fn computed(mvs: &Mvs, least_score: f32) -> Vec<usize> {
+    let wanted = 2.min(mvs.images.len() - 1);
+    let is = |&i: &usize| {
+        if let Some(first) = mvs.images[i].view_scores.first() {
+            return first.score >= least_score;
+        }
+        let others = (0..mvs.images.len()).filter(|&o| o != i);
+        let shared = |o: usize| {
+            let sees = |v: &&Vertex, i: usize| v.views.iter().any(|s| s.image as usize == i);
+            mvs.vertices.iter().filter(|v| sees(v, i) && sees(v, o)).count()
+        };
+        others.filter(|&o| shared(o) >= 3).count() >= wanted
+    };
+    (0..mvs.images.len()).filter(is).collect()
+}
+
+#[test]
+fn only_the_key_view_of_a_cluster_is_computed_with_all_its_partners() {
+    for k in [1, 2, 5, 14] {
+        let fixture = Fixture::new(k);
+        let files = fixture.export("openmvs");
+        for (i, (key, partners)) in fixture.named().iter().enumerate() {
+            let mvs = cluster(&files, i + 1);
+            let wanted: Vec<String> = std::iter::once(key).chain(partners).map(|n| format!("images/{n}")).collect();
+            assert_eq!(names(&mvs), wanted);
+            assert_eq!(computed(&mvs, 0.0), [0], "k = {k}");
+            for partner in 1..=k as u32 {
+                let shared = mvs.vertices.iter().filter(|v| v.views.iter().any(|s| s.image == partner)).count();
+                assert!(shared > 3, "a neighbour needs three shared points, the key view more than three");
+            }
+        }
+    }
+}
+
+#[test]
+fn openmvs_all_images_loaded() {
+    let files = Fixture::new(4).export("openmvs");
+    assert_eq!(cluster(&files, 1).images.len(), 5);
+    assert_eq!(Mvs::read(files.bytes("fuse.mvs")).unwrap().images.len(), 4, "key views only");
+}
+
+#[test]
+fn openmvs_single_view_vertex() {
+    let files = Fixture::new(4).export("openmvs");
+    let two = |v: &Vertex| v.views.len() == 2 && v.views[0].image < v.views[1].image;
+    assert!((1..=4).all(|rank| cluster(&files, rank).vertices.iter().all(two)));
+}
+
+#[test]
+fn openmvs_dummy_entry_must_exist() {
+    let mvs = cluster(&Fixture::new(1).export("openmvs"), 1);
+    assert_eq!(mvs.images[1].view_scores.len(), 1);
+    assert!(mvs.images[1].view_scores[0].index < 2 && mvs.images[1].view_scores[0].score < 0.0);
+}
+
+#[test]
+fn openmvs_version_too_new() {
+    assert_eq!(cluster(&Fixture::new(2).export("openmvs"), 1).version, 6, "readable by v2.0 and later");
+    assert_eq!(cluster(&Fixture::new(1).export("openmvs"), 1).version, 7, "scores exist in 7 only");
+}
+
+#[test]
+fn openmvs_pixel_centre() {
+    let files = Fixture::new(3).export("openmvs");
+    let camera = &cluster(&files, 1).platforms[0].cameras[0];
+    assert_eq!(camera.k, [510.0, 0.0, 329.75, 0.0, 500.0, 229.0, 0.0, 0.0, 1.0]);
+    assert_eq!((camera.width, camera.height, files.0.record.pixel_shift), (640, 480, -0.5));
+}
+
+#[test]
+fn a_vertex_projects_to_where_it_was_measured() {
+    let fixture = Fixture::new(3);
+    let mvs = cluster(&fixture.export("openmvs"), 1);
+    let (camera, pose) = (&mvs.platforms[0].cameras[0], &mvs.platforms[0].poses[0]);
+    let view = fixture.scene.view(fixture.clusters[0].key);
+    for vertex in &mvs.vertices {
+        let x = Vector3::from(vertex.x.map(f64::from));
+        let pixel =
+            Matrix3::from_row_slice(&camera.k) * (Matrix3::from_row_slice(&pose.r) * (x - Vector3::from(pose.c)));
+        let expected = fixture
+            .scene
+            .camera_of(fixture.clusters[0].key)
+            .project(&view.cam_from_world.camera_from_world(&x.into()))
+            .unwrap();
+        assert!(
+            (pixel.x / pixel.z + 0.5 - expected.x).abs() < 1e-6 && (pixel.y / pixel.z + 0.5 - expected.y).abs() < 1e-6
+        );
+    }
+}
+
+#[test]
+fn map_coordinates_get_an_origin_of_their_own() {
+    let mut fixture = Fixture::new(3);
+    let far = Vector3::new(431_234.0, 5_412_345.0, 210.0);
+    fixture.scene.points.iter_mut().for_each(|p| *p += far);
+    for view in &mut fixture.scene.views {
+        let pose = &mut view.cam_from_world;
+        pose.translation -= pose.rotation * far;
+    }
+    let files = fixture.export("openmvs");
+    let origin = Vector3::from(files.0.record.origin);
+    assert!((origin - far).norm() < 100.0 && origin.iter().all(|x| x.fract() == 0.0));
+    let mvs = cluster(&files, 1);
+    let x = Vector3::from(mvs.vertices[0].x.map(f64::from)) + origin;
+    let nearest = fixture.scene.points.iter().map(|p| (p.coords - x).norm()).fold(f64::MAX, f64::min);
+    assert!(nearest < 1e-4, "{nearest}: without it f32 would be off by up to 0.25");
+}
+
+#[test]
+fn openmvs_seed_dmap_size() {
+    let files = Fixture::new(3).export("openmvs");
+    assert!(!files.names().iter().any(|n| n.ends_with(".dmap")), "no seeds: none can have the wrong size");
+}
+
+#[test]
+fn openmvs_seed_for_every_key() {
+    let files = Fixture::new(3).export("openmvs");
+    let with_points = (1..=4).filter(|&rank| !cluster(&files, rank).vertices.is_empty()).count();
+    assert_eq!(with_points, 4, "each key view's range comes from its points, none from a seed");
+}
+
+#[test]
+fn openmvs_viewscore_below_minimum() {
+    let files = Fixture::new(3).export("openmvs");
+    assert!(
+        files.text("dense.cfg").contains("View Min Score = 0\nView Min Score Ratio = 0\n"),
+        "no partner is dropped by its score"
+    );
+}
+
+#[test]
+fn openmvs_number_views_cuts_partners() {
+    let files = Fixture::new(14).export("openmvs");
+    let limit: usize =
+        files.lines("dense.cfg").iter().find_map(|l| l.strip_prefix("Max Views = ")).unwrap().parse().unwrap();
+    assert!(limit * 3 / 4 >= 14, "above three quarters of the limit OpenMVS filters by angle and scale");
+    assert!(files.text("run.py").contains("\"--number-views\", \"0\""));
+}
+
+#[test]
+fn openmvs_interfacecolmap_drops_partners() {
+    let files = Fixture::new(3).export("openmvs");
+    assert!(!files.text("run.py").contains("InterfaceCOLMAP") && files.0.record.commands == ["python3 run.py"]);
+}
+
+#[test]
+fn openmvs_fuse_needs_key_partners() {
+    let mut fixture = Fixture::new(3);
+    let neighbours: Vec<u32> = fixture.connected(ViewIndex(12)).iter().take(3).map(|v| v.0).collect();
+    fixture.choose(&[12, neighbours[0], neighbours[1], 49], 3);
+    let run = fixture.export("openmvs").json("run.json");
+    let overlaps = run["overlaps"].as_array().unwrap();
+    assert_eq!(overlaps.len(), 4);
+    for (i, list) in overlaps.iter().enumerate() {
+        let list: Vec<usize> = list.as_array().unwrap().iter().map(|v| v.as_u64().unwrap() as usize).collect();
+        assert!(
+            !list.is_empty() && list.iter().all(|&o| o < 4 && o != i),
+            "other key views, whatever the partners were"
+        );
+    }
+    assert!(overlaps[0].as_array().unwrap().contains(&1.into()));
+}
+
+#[test]
+fn a_single_key_view_has_a_scene_to_be_fused_in() {
+    let mut fixture = Fixture::new(3);
+    fixture.choose(&[12], 3);
+    let files = fixture.export("openmvs");
+    assert_eq!(Mvs::read(files.bytes("fuse.mvs")).unwrap().images.len(), 2);
+    assert_eq!(files.json("run.json")["overlaps"], serde_json::json!([[1], []]));
+}
+
+/// A scene of all views, in the order of the file, under other folders, with ids that are no positions.
+fn existing_scene(fixture: &Fixture, scale: f64) -> Mvs {
+    let mut all = Fixture::new(1);
+    all.scene = fixture.scene.clone();
+    let mut order: Vec<ViewIndex> = all.scene.view_indices().collect();
+    order.sort_by_key(|&v| all.scene.view(v).file_position);
+    all.choose(&order.iter().map(|v| v.0).collect::<Vec<_>>(), 1);
+    let mut mvs = Mvs::read(all.export("odm").bytes("openmvs/scene.mvs")).unwrap();
+    for image in &mut mvs.images {
+        image.name = [b"undistorted/", &image.name["/nowhere/images/".len()..]].concat();
+        image.view_scores.clear();
+    }
+    mvs.platforms[0].poses.iter_mut().for_each(|p| p.c = p.c.map(|c| c * scale));
+    mvs.vertices.iter_mut().for_each(|v| v.x = v.x.map(|x| x * scale as f32));
+    mvs
+}
+
+struct Neighbours {
+    fixture: Fixture,
+    mvs: Mvs,
+    folder: tempfile::TempDir,
+}
+
+impl Neighbours {
+    fn new(scale: f64) -> Self {
+        let fixture = Fixture::new(3);
+        let mvs = existing_scene(&fixture, scale);
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::write(folder.path().join("scene.mvs"), mvs.write()).unwrap();
+        Self { fixture, mvs, folder }
+    }
+
+    fn export(&self, scale: bool) -> Result<Files, BackendError> {
+        let scene = Some(self.folder.path().join("scene.mvs"));
+        self.fixture.try_export("openmvs", &ExportOptions { scene, scale, ..Default::default() }).map(Files)
+    }
+}
+
+#[test]
+fn openmvs_index_not_id() {
+    let it = Neighbours::new(1.0);
+    let files = it.export(false).unwrap();
+    for (line, (key, partners)) in files.lines("neighbours.txt").iter().zip(it.fixture.named()) {
+        let named = |word: &str| String::from_utf8(it.mvs.images[word.parse::<usize>().unwrap()].name.clone()).unwrap();
+        let written: Vec<String> = line.split(' ').map(named).collect();
+        let wanted: Vec<String> = std::iter::once(key).chain(partners).map(|n| format!("undistorted/{n}")).collect();
+        assert_eq!(written, wanted, "positions in that scene, found by name");
+    }
+}
+
+#[test]
+fn openmvs_duplicate_neighbour_line() {
+    let files = Neighbours::new(1.0).export(false).unwrap();
+    let mut keys: Vec<&str> = files.lines("neighbours.txt").iter().map(|l| l.split(' ').next().unwrap()).collect();
+    keys.sort_unstable();
+    keys.dedup();
+    assert_eq!(keys.len(), 4);
+}
+
+#[test]
+fn openmvs_empty_line_is_auto() {
+    let files = Neighbours::new(1.0).export(false).unwrap();
+    assert!(files.lines("neighbours.txt").iter().all(|l| l.split(' ').count() >= 2));
+    assert!(files.says("images that are not listed get depth maps too"));
+}
+
+#[test]
+fn openmvs_sml_characters() {
+    let files = Neighbours::new(1.0).export(false).unwrap();
+    assert!(files.text("neighbours.txt").chars().all(|c| c.is_ascii_digit() || c == ' ' || c == '\n'));
+}
+
+#[test]
+fn openmvs_neighbors_fix_depth_range() {
+    let it = Neighbours::new(5.0);
+    let error = it.export(false).err().unwrap();
+    assert!(error.to_string().contains("0.1 to 100") && error.hint().unwrap().contains("--scale"), "{error}");
+
+    let files = it.export(true).unwrap();
+    let scaled = Mvs::read(files.bytes("scaled.mvs")).unwrap();
+    assert!(scaled.vertices.is_empty(), "without points only the listed images are computed");
+    let scale = files.0.record.scale;
+    let moved = scaled.platforms[0].poses.iter().zip(&it.mvs.platforms[0].poses);
+    assert!(moved.into_iter().all(|(s, p)| (0..3).all(|i| (s.c[i] - scale * p.c[i]).abs() < 1e-9)));
+    let depth = 40.0 * 5.0 * scale;
+    assert!((5.0..20.0).contains(&depth), "{depth}: well inside of the searched range");
+    assert!(
+        files.0.record.commands[1].starts_with("python3 unscale.py dense.ply") && files.names().contains(&"unscale.py")
+    );
+}
+
+#[test]
+fn an_image_that_the_scene_lacks_is_named() {
+    let it = Neighbours::new(1.0);
+    let mut mvs = it.mvs.clone();
+    let key = format!("undistorted/{}", it.fixture.name(it.fixture.clusters[0].key)).into_bytes();
+    mvs.images.iter_mut().filter(|i| i.name == key).for_each(|i| i.name = b"other.jpg".to_vec());
+    std::fs::write(it.folder.path().join("scene.mvs"), mvs.write()).unwrap();
+    let error = it.export(false).err().unwrap().to_string();
+    assert!(error.contains(it.fixture.name(it.fixture.clusters[0].key)) && error.contains("has 0"), "{error}");
+}
+
+#[test]
+fn openmvs_bgr_colours() {
+    let files = Fixture::new(3).export("openmvs");
+    assert!(cluster(&files, 1).colours.is_empty(), "none are written, so none are swapped");
+}
+
+#[test]
+fn odm_single_view_points() {
+    let mvs = Mvs::read(Fixture::new(3).export("odm").bytes("openmvs/scene.mvs")).unwrap();
+    assert!(mvs.vertices.iter().all(|v: &Vertex| v.views.len() == 2));
+}
+
+#[test]
+fn odm_computes_the_key_views_with_partners_by_points() {
+    let fixture = Fixture::new(3);
+    let mvs = Mvs::read(fixture.export("odm").bytes("openmvs/scene.mvs")).unwrap();
+    assert_eq!(computed(&mvs, 2.0), [0, 1, 2, 3], "ODM leaves View Min Score at 2");
+    let name = |i: usize| String::from_utf8(mvs.images[i].name.clone()).unwrap();
+    for (key, (_, partners)) in fixture.named().iter().enumerate() {
+        let sees = |v: &&Vertex| v.views.iter().any(|s: &VertexView| s.image as usize == key);
+        let others =
+            mvs.vertices.iter().filter(sees).flat_map(|v| &v.views).map(|s| s.image as usize).filter(|i| *i != key);
+        let others: std::collections::BTreeSet<String> = others.map(name).collect();
+        assert!(partners.iter().all(|p| others.contains(&format!("/nowhere/images/{p}"))));
+    }
+}
+
+#[test]
+fn odm_openmvs_fork_version() {
+    let files = Fixture::new(3).export("odm");
+    assert_eq!(Mvs::read(files.bytes("openmvs/scene.mvs")).unwrap().version, 7);
+    assert!(files.says("interface version 7"));
+}
+
+#[test]
+fn odm_rerun_deletes_scene() {
+    assert!(Fixture::new(3).export("odm").0.record.commands[2].contains("without any --rerun"));
+}
+
+#[test]
+fn odm_existing_model_skips_stage() {
+    assert!(Fixture::new(3).export("odm").says("must not hold a scene_dense.ply"));
+}
+
+#[test]
+fn odm_number_views_default() {
+    assert!(Fixture::new(3).export("odm").says("partners beyond the fifth"));
+}

@@ -1,0 +1,313 @@
+//! Gipuma, MicMac, AliceVision, Metashape, RealityScan.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use quick_xml::events::Event;
+use serde_json::Value;
+use viewrank::{backends::ExportOptions, scene::ViewIndex};
+
+use crate::{Fixture, numbers, table};
+
+// Gipuma
+
+#[test]
+fn gipuma_first_is_key() {
+    let fixture = Fixture::new(3);
+    let files = fixture.export("gipuma");
+    let names: BTreeMap<String, String> = files
+        .lines("view_names.txt")
+        .iter()
+        .map(|l| l.split_once('\t').unwrap())
+        .map(|(i, n)| (i.into(), n.into()))
+        .collect();
+    for (command, (key, partners)) in files.0.record.commands.iter().zip(fixture.named()) {
+        let images: Vec<&str> = command.split(' ').skip(1).take_while(|w| !w.starts_with('-')).collect();
+        let named: Vec<String> = images.iter().map(|i| names[*i].clone()).collect();
+        assert_eq!(named, [vec![key], partners].concat());
+    }
+}
+
+#[test]
+fn gipuma_no_view_selection() {
+    assert!(!Fixture::new(3).export("gipuma").text("run.sh").contains("view_selection"), "it would choose at random");
+}
+
+#[test]
+fn gipuma_depth_range_mandatory() {
+    for command in Fixture::new(3).export("gipuma").0.record.commands {
+        let value =
+            |key: &str| -> f64 { command.split(key).nth(1).unwrap().split(' ').next().unwrap().parse().unwrap() };
+        assert!(0.0 < value("--depth_min=") && value("--depth_min=") < value("--depth_max="));
+    }
+}
+
+#[test]
+fn gipuma_four_letter_extension() {
+    let mut fixture = Fixture::new(3);
+    fixture.scene.views.iter_mut().for_each(|v| v.name = v.name.replace(".jpg", ".jpeg"));
+    let files = fixture.export("gipuma");
+    let images: Vec<&str> = files.names().into_iter().filter(|n| n.starts_with("images/")).collect();
+    assert!(!images.is_empty() && images.iter().all(|n| n.len() == "images/00000000.jpg".len()));
+    assert_eq!(numbers(files.text("p/00000000.jpg.P")).len(), 12);
+}
+
+#[test]
+fn gipuma_timestamp_folder() {
+    let files = Fixture::new(3).export("gipuma");
+    assert!(
+        files.0.record.fusion.contains("the folders under results/"),
+        "their names hold a time and cannot be foretold"
+    );
+    assert!(files.0.record.commands.iter().all(|c| c.contains("-output_folder results/ ")), "with the slash");
+}
+
+// MicMac
+
+fn plain_names() -> Fixture {
+    let mut fixture = Fixture::new(3);
+    for (i, view) in fixture.scene.views.iter_mut().enumerate() {
+        view.name = format!("img&{i:03}.jpg");
+    }
+    fixture
+}
+
+/// Texts of the elements of that name, by a real XML parser.
+fn texts(xml: &str, element: &str) -> Vec<String> {
+    let mut reader = quick_xml::Reader::from_str(xml);
+    let (mut inside, mut found) = (false, Vec::new());
+    loop {
+        match reader.read_event().unwrap() {
+            Event::Start(start) if start.name().as_ref() == element => {
+                inside = true;
+                found.push(String::new());
+            }
+            Event::End(end) if end.name().as_ref() == element => inside = false,
+            Event::Text(text) if inside => found.last_mut().unwrap().push_str(&text),
+            Event::GeneralRef(entity) if inside => {
+                assert_eq!(&*entity, "amp");
+                found.last_mut().unwrap().push('&');
+            }
+            Event::Eof => return found,
+            _ => {}
+        }
+    }
+}
+
+#[test]
+fn micmac_blank_in_name() {
+    let fixture = Fixture::new(3);
+    let error = fixture.try_export("micmac", &ExportOptions::default()).err().unwrap();
+    assert!(error.to_string().contains("flight"), "{error}");
+}
+
+#[test]
+fn micmac_pairs_undirected() {
+    let fixture = plain_names();
+    let files = fixture.export("micmac");
+    let pairs: Vec<String> =
+        fixture.named().iter().flat_map(|(k, p)| p.iter().map(move |p| format!("{k} {p}"))).collect();
+    assert_eq!(texts(files.text("pairs.xml"), "Cple"), pairs);
+    assert!(viewrank::backends::by_name("micmac").unwrap().capabilities().notes.contains("undirected"));
+}
+
+#[test]
+fn micmac_imsec_negative_score() {
+    let fixture = plain_names();
+    let files = fixture.export("micmac");
+    for (key, partners) in fixture.named() {
+        let xml = files.text(&format!("ImSec/ImSec-{key}.xml"));
+        assert_eq!(texts(xml, "Master"), [key]);
+        assert_eq!(texts(xml, "Images"), partners, "one element per partner");
+        assert_eq!((texts(xml, "Score"), texts(xml, "Sols").len()), (vec!["1".into()], 1), "one solution above -1");
+    }
+}
+
+#[test]
+fn micmac_imsec_missing_is_silent() {
+    let fixture = plain_names();
+    let files = fixture.export("micmac");
+    let masters: BTreeSet<String> = texts(files.text("ImSec/FileImSel.xml"), "Name").into_iter().collect();
+    let there: BTreeSet<String> = files
+        .names()
+        .into_iter()
+        .filter_map(|n| Some(n.strip_prefix("ImSec/ImSec-")?.strip_suffix(".xml")?.to_owned()))
+        .collect();
+    assert_eq!(masters, there, "a file for each master: without one it would get no partners and no word");
+}
+
+#[test]
+fn micmac_imsec_overwritten() {
+    let files = plain_names().export("micmac");
+    let script = files.text("run.sh");
+    let (copied, first_call) = (script.find("cp ImSec/*.xml").unwrap(), script.find("mm3d Malt").unwrap());
+    assert!(
+        copied < first_call && script.contains("cp -r \"$ori\" Ori-viewrank"),
+        "ours, in a copy of the user's folder"
+    );
+    assert!(!script.contains("AperoChImSecMM") && !script.contains("C3DC"), "these would write them anew");
+}
+
+#[test]
+fn micmac_one_malt_call_per_master() {
+    let fixture = plain_names();
+    let files = fixture.export("micmac");
+    let calls: Vec<&str> = files.lines("run.sh").into_iter().filter(|l| l.starts_with("mm3d Malt GeomImage")).collect();
+    let wanted: Vec<String> = fixture
+        .named()
+        .iter()
+        .map(|(k, _)| format!("mm3d Malt GeomImage '{}' viewrank Master=AUTO", k.replace('.', "\\.")))
+        .collect();
+    assert_eq!(calls, wanted);
+}
+
+// AliceVision
+
+fn sfm(rank: usize) -> (Fixture, Value) {
+    let fixture = Fixture::new(3);
+    let json = fixture.export("alicevision").json(&format!("clusters/{rank:04}.sfm"));
+    (fixture, json)
+}
+
+fn floats(value: &Value) -> Vec<f64> {
+    value.as_array().unwrap().iter().map(|v| v.as_str().unwrap().parse().unwrap()).collect()
+}
+
+#[test]
+fn alicevision_range_is_position() {
+    let (fixture, json) = sfm(2);
+    let files = fixture.export("alicevision");
+    let command = &files.0.record.commands[1];
+    let position: usize = command.split("--rangeStart ").nth(1).unwrap().split(' ').next().unwrap().parse().unwrap();
+    let mut ids: Vec<u32> =
+        json["views"].as_array().unwrap().iter().map(|v| v["viewId"].as_str().unwrap().parse().unwrap()).collect();
+    ids.sort_unstable();
+    assert_eq!(ids[position], fixture.scene.view(fixture.clusters[1].key).image_id);
+    assert!(command.contains("--rangeSize 1 ") && command.contains("clusters/0002.sfm"));
+}
+
+#[test]
+fn alicevision_needs_21_common_landmarks() {
+    let mut fixture = Fixture::new(3);
+    // A partner at the edge of what the key view sees.
+    let last = fixture.connected(ViewIndex(12)).pop().unwrap();
+    fixture.clusters[0].partners.push(last);
+    let json = fixture.export("alicevision").json("clusters/0001.sfm");
+    let key = fixture.scene.view(ViewIndex(12)).image_id.to_string();
+    for partner in &fixture.clusters[0].partners {
+        let id = fixture.scene.view(*partner).image_id.to_string();
+        let sees = |l: &Value, id: &str| l["observations"].as_array().unwrap().iter().any(|o| o["observationId"] == id);
+        let common = json["structure"].as_array().unwrap().iter().filter(|l| sees(l, &id) && sees(l, &key)).count();
+        assert!(common > 20, "{common}");
+    }
+}
+
+#[test]
+fn alicevision_rotation_column_order() {
+    let (fixture, json) = sfm(1);
+    let id = fixture.scene.view(fixture.clusters[0].key).image_id.to_string();
+    let pose = json["poses"].as_array().unwrap().iter().find(|p| p["poseId"] == id).unwrap();
+    let r = fixture.scene.view(fixture.clusters[0].key).cam_from_world.rotation;
+    let written = floats(&pose["pose"]["transform"]["rotation"]);
+    assert_eq!(written[1], r.matrix()[(1, 0)], "column by column, world to camera");
+}
+
+#[test]
+fn alicevision_principal_point_offset() {
+    let (_, json) = sfm(1);
+    let intrinsic = &json["intrinsics"][0];
+    assert_eq!(floats(&intrinsic["principalPoint"]), [10.25, -10.5], "from the middle of the image");
+    let number = |key: &str| intrinsic[key].as_str().unwrap().parse::<f64>().unwrap();
+    assert!((number("focalLength") / number("sensorWidth") * 640.0 - 510.0).abs() < 1e-9);
+}
+
+#[test]
+fn alicevision_dangling_observation() {
+    let files = Fixture::new(3).export("alicevision");
+    for name in files.names().into_iter().filter(|n| n.ends_with(".sfm")) {
+        let json = files.json(name);
+        let views: BTreeSet<&str> =
+            json["views"].as_array().unwrap().iter().map(|v| v["viewId"].as_str().unwrap()).collect();
+        let observations =
+            json["structure"].as_array().unwrap().iter().flat_map(|l| l["observations"].as_array().unwrap());
+        assert!(observations.into_iter().all(|o| views.contains(o["observationId"].as_str().unwrap())), "{name}");
+    }
+}
+
+#[test]
+fn alicevision_partners_symmetric() {
+    let (fixture, json) = sfm(1);
+    let key = fixture.scene.view(fixture.clusters[0].key).image_id.to_string();
+    let landmarks = json["structure"].as_array().unwrap();
+    assert!(landmarks.iter().all(|l| l["observations"].as_array().unwrap().iter().any(|o| o["observationId"] == key)));
+    assert_eq!(json["views"].as_array().unwrap().len(), 4, "a file per key view, with its partners only");
+}
+
+#[test]
+fn alicevision_tile_cap_4() {
+    let fixture = Fixture::new(6);
+    let files = fixture.export("alicevision");
+    assert!(files.0.record.commands[0].contains("--maxTCams 6 --sgmMaxTCamsPerTile 6 --refineMaxTCamsPerTile 6 "));
+}
+
+// Metashape; what its script does is tested with a stand-in for Metashape in tests/python.
+
+#[test]
+fn metashape_no_partner_lists() {
+    let fixture = Fixture::new(3);
+    let files = fixture.export("metashape");
+    let keys: Vec<String> = fixture.named().into_iter().map(|(key, _)| key).collect();
+    assert_eq!(files.json("clusters.json")["keys"], serde_json::json!(keys));
+    assert_eq!(files.json("clusters.json")["max_neighbors"], 3);
+    assert!(files.says("matching partners"));
+}
+
+// RealityScan
+
+#[test]
+fn realityscan_union_only() {
+    let fixture = Fixture::new(3);
+    let files = fixture.export("realityscan");
+    let used: BTreeSet<String> = fixture.named().into_iter().flat_map(|(k, p)| [vec![k], p].concat()).collect();
+    assert_eq!(files.lines("images.txt").into_iter().map(str::to_owned).collect::<BTreeSet<_>>(), used);
+    for view in &fixture.scene.views {
+        let xmp = files.text(&format!("xmp/{}.xmp", view.name.trim_end_matches(".jpg")));
+        assert_eq!(xmp.contains("xcr:InMeshing=\"1\""), used.contains(&view.name));
+    }
+    assert!(files.says("partners take part in meshing as well"));
+}
+
+#[test]
+fn realityscan_xmp_same_stem() {
+    let mut fixture = Fixture::new(3);
+    fixture.scene.views[0].name = "flight 0/img 001.tif".into();
+    let error = fixture.try_export("realityscan", &ExportOptions::default()).err().unwrap();
+    assert!(error.to_string().contains("side file"), "{error}");
+}
+
+#[test]
+fn realityscan_existing_xmp_poses() {
+    let files = Fixture::new(3).export("realityscan");
+    for name in files.names().into_iter().filter(|n| n.ends_with(".xmp")) {
+        let mut reader = quick_xml::Reader::from_str(files.text(name));
+        let mut attributes = BTreeSet::new();
+        loop {
+            match reader.read_event().unwrap() {
+                Event::Empty(element) => {
+                    attributes.extend(element.attributes().map(|a| a.unwrap().key.as_ref().to_owned()));
+                }
+                Event::Eof => break,
+                _ => {}
+            }
+        }
+        let switches = ["xcr:InMeshing", "xcr:InTexturing", "xmlns:xcr"].map(String::from);
+        assert_eq!(attributes, BTreeSet::from(switches), "switches only, no pose");
+    }
+    assert!(files.says("don't overwrite"));
+}
+
+#[test]
+fn tables_name_every_image() {
+    let fixture = Fixture::new(3);
+    let names = table(fixture.export("mvsnet").text("view_names.txt"));
+    assert_eq!(names.keys().copied().collect::<Vec<_>>(), (0..names.len()).collect::<Vec<_>>());
+}

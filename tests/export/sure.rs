@@ -1,0 +1,102 @@
+//! SURE: oriented images, lists, one project per cluster.
+
+use viewrank::{backends::ExportOptions, error::Hint, formats::sure};
+
+use crate::Fixture;
+
+#[test]
+fn pair_files_are_those_of_the_method() {
+    let fixture = Fixture::new(3);
+    let files = fixture.export("sgm");
+    let clusters: Vec<String> = fixture.named().iter().map(|(k, p)| format!("{k}\t{}", p.join("\t"))).collect();
+    assert_eq!(files.lines("clusters.txt"), clusters);
+    let pairs: Vec<String> =
+        fixture.named().iter().flat_map(|(k, p)| p.iter().map(move |p| format!("{k}\t{p}"))).collect();
+    assert_eq!(files.lines("pairs.txt"), pairs);
+    let keys: Vec<String> = fixture.named().into_iter().map(|(k, _)| k).collect();
+    assert_eq!(files.lines("baseImages.txt"), keys);
+}
+
+#[test]
+fn names_that_the_pair_files_cannot_hold_are_refused() {
+    for name in ["a\tb.jpg", "a\nb.jpg", "#a.jpg"] {
+        let mut fixture = Fixture::new(3);
+        fixture.scene.views[12].name = name.into();
+        for backend in ["sgm", "sure"] {
+            let error = fixture.try_export(backend, &ExportOptions::default()).err().unwrap();
+            assert!(error.to_string().contains(name) && error.hint().is_some());
+        }
+    }
+}
+
+#[test]
+fn sure_ori_folder_exact_count() {
+    let files = Fixture::new(3).export("sure");
+    let stems = |folder: &str, extension: &str| {
+        let inside = files
+            .names()
+            .into_iter()
+            .filter_map(|n| n.strip_prefix(folder)?.strip_suffix(extension))
+            .map(str::to_owned);
+        inside.collect::<Vec<_>>()
+    };
+    assert_eq!(stems("ori/", ".ori"), stems("images/", ".jpg"));
+    assert!(files.names().iter().filter(|n| n.starts_with("ori/")).all(|n| n.ends_with(".ori")));
+}
+
+#[test]
+fn sure_list_order_is_correspondence() {
+    let files = Fixture::new(3).export("sure");
+    for folder in ["", "clusters/0002/"] {
+        let stem = |path: &&str| path.rsplit('/').next().unwrap().rsplit_once('.').unwrap().0.to_owned();
+        let images: Vec<String> = files.lines(&format!("{folder}images.txt")).iter().map(stem).collect();
+        let orientations: Vec<String> = files.lines(&format!("{folder}ori.txt")).iter().map(stem).collect();
+        assert_eq!(images, orientations);
+    }
+}
+
+#[test]
+fn one_project_per_cluster_has_its_images_and_its_base_image_only() {
+    let fixture = Fixture::new(3);
+    let files = fixture.export("sure");
+    for (i, (key, partners)) in fixture.named().iter().enumerate() {
+        let flat = |name: &String| name.replace('/', "_");
+        let folder = format!("clusters/{:04}", i + 1);
+        let wanted: Vec<String> =
+            std::iter::once(key).chain(partners).map(|n| format!("../../images/{}", flat(n))).collect();
+        assert_eq!(files.lines(&format!("{folder}/images.txt")), wanted);
+        assert_eq!(files.lines(&format!("{folder}/baseImages.txt")), [flat(key).replace(".jpg", "")]);
+        assert!(files.0.record.commands[2 * i].contains(&format!("-basepath {folder} ")));
+        assert!(files.0.record.commands[2 * i].contains("-maxmodels 3"));
+    }
+    let keys: Vec<String> = fixture.named().iter().map(|(k, _)| k.replace('/', "_").replace(".jpg", "")).collect();
+    assert_eq!(files.lines("baseImages.txt"), keys, "the joint project too, in rank order");
+}
+
+#[test]
+fn sure_stem_collision() {
+    let mut fixture = Fixture::new(3);
+    fixture.scene.views[12].name = "flight 0/img 012.jpg".into();
+    fixture.scene.views[3].name = "flight 0/img 012.tif".into();
+    let error = fixture.try_export("sure", &ExportOptions::default()).err().unwrap();
+    assert!(error.to_string().contains("img 012"), "{error}");
+}
+
+#[test]
+fn sure_black_pixels_invalid() {
+    assert!(Fixture::new(3).export("sure").says("black count as invalid"));
+}
+
+#[test]
+fn orientations_are_read_back() {
+    let fixture = Fixture::new(3);
+    let files = fixture.export("sure");
+    for view in fixture.scene.view_indices().filter(|v| fixture.clusters.iter().any(|c| c.key == *v)) {
+        let flat = fixture.name(view).replace('/', "_");
+        let read = sure::read(files.text(&format!("ori/{}", flat.replace(".jpg", ".ori"))).as_bytes(), 1).unwrap();
+        assert_eq!(read.image, flat);
+        assert_eq!(read.camera.params(), fixture.scene.camera_of(view).params());
+        let (a, b) = (read.cam_from_world.pose().unwrap().centre(), fixture.scene.view(view).cam_from_world.centre());
+        assert!((a - b).norm() < 1e-12);
+    }
+}

@@ -1,0 +1,118 @@
+"""integrations/openmvs/run.py with a stand-in for DensifyPointCloud that does what a file tells it to."""
+
+import json
+import shutil
+import struct
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+RUNNER = Path(__file__).resolve().parents[2] / "integrations/openmvs/run.py"
+
+STAND_IN = '''#!{python}
+import json, struct, sys
+from pathlib import Path
+if "--help" in sys.argv:
+    print("--tower-mode"); sys.exit(0)
+here = Path(sys.argv[sys.argv.index("-w") + 1])
+with open(here / "calls.jsonl", "a") as log:
+    log.write(json.dumps(sys.argv[1:]) + "\\n")
+scene = sys.argv[sys.argv.index("-i") + 1]
+if scene == "fuse.mvs":
+    (here / "fused.ply").write_bytes(b"ply\\nelement vertex 42\\nend_header\\n")
+for made in json.loads((here / "made.json").read_text()).get(scene, []):
+    ids, (least, greatest), depth = made["ids"], made["range"], made["depth"]
+    head = b"DR" + bytes([1, 0]) + struct.pack("<4I2f", 4, 4, 4, 4, least, greatest)
+    head += struct.pack("<H", 1) + b"a" + struct.pack(f"<I{{len(ids)}}I", len(ids), *ids) + bytes(21 * 8)
+    (here / f"depth{{ids[0]:04d}}.dmap").write_bytes(head + struct.pack("<16f", *[depth] * 16))
+'''
+
+
+@pytest.fixture
+def folder(tmp_path):
+    shutil.copy(RUNNER, tmp_path / "run.py")
+    rows = [dict(rank=i + 1, scene=f"clusters/{i}.mvs", key=f"k{i}", id=10 + i, partner_ids=[1, 2], share=(i + 1) / 3, depths=[100, 200]) for i in range(3)]
+    (tmp_path / "clusters").mkdir()
+    for row in rows:
+        (tmp_path / row["scene"]).write_text(row["key"])
+    run = dict(clusters=rows, overlaps=[[1, 2], [0, 2], [0, 1]], maps_per_point=2, resolution=400)
+    (tmp_path / "run.json").write_text(json.dumps(run))
+    make(tmp_path)
+    stand_in = tmp_path / "densify"
+    stand_in.write_text(STAND_IN.format(python=sys.executable))
+    stand_in.chmod(0o755)
+    return tmp_path
+
+
+def make(folder, **changes):
+    made = {f"clusters/{i}.mvs": [dict(ids=[10 + i, 2, 1], range=[90, 220], depth=150)] for i in range(3)}
+    made.update({f"clusters/{key[1:]}.mvs": value for key, value in changes.items()})
+    (folder / "made.json").write_text(json.dumps(made))
+
+
+def run(folder, *options):
+    (folder / "calls.jsonl").unlink(missing_ok=True)
+    done = subprocess.run([sys.executable, folder / "run.py", "--densify", folder / "densify", *options], capture_output=True, text=True)
+    calls = [json.loads(line) for line in (folder / "calls.jsonl").read_text().splitlines()] if (folder / "calls.jsonl").exists() else []
+    return done, calls, {row["key"]: row for row in json.loads((folder / "report.json").read_text())["clusters"]}
+
+
+def scenes(calls):
+    return [call[call.index("-i") + 1] for call in calls]
+
+
+def test_in_rank_order_then_fused_and_resumed(folder):
+    done, calls, report = run(folder)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert scenes(calls) == ["clusters/0.mvs", "clusters/1.mvs", "clusters/2.mvs", "fuse.mvs"]
+    assert all(not row["problems"] for row in report.values())
+    assert scenes(run(folder)[1]) == ["fuse.mvs"]
+
+
+def test_openmvs_silent_no_map(folder):
+    make(folder, k1=[])
+    done, _, report = run(folder)
+    assert done.returncode == 1 and report["k1"]["problems"] == ["no depth map"]
+    assert (folder / "fuse.txt").read_text() == "0 2\n2 0\n"
+
+
+def test_partners_ranges_and_empty_maps_are_checked(folder):
+    make(folder, k0=[dict(ids=[10, 1], range=[90, 220], depth=1)], k1=[dict(ids=[11, 1, 2], range=[0.1, 100], depth=1)], k2=[dict(ids=[12, 1, 2], range=[90, 220], depth=0)])
+    done, _, report = run(folder)
+    assert done.returncode == 1
+    assert "partners [1] instead of [1, 2]" in report["k0"]["problems"][0]
+    assert "depth range 0.1 to 100" in report["k1"]["problems"][0]
+    assert "0.0 % of the pixels" in report["k2"]["problems"][0]
+
+
+def test_openmvs_existing_dmap_kept(folder):
+    run(folder)
+    (folder / "clusters/1.mvs").write_text("other partners")
+    make(folder, k1=[])
+    done, calls, report = run(folder)
+    assert scenes(calls) == ["clusters/1.mvs", "fuse.mvs"]
+    assert not (folder / "depth0011.dmap").exists(), "the map of other partners must not stay"
+
+
+def test_openmvs_existing_dmap_header_rewritten(folder):
+    fusion = run(folder)[1][-1]
+    for option, value in (("--geometric-iters", "0"), ("--postprocess-dmaps", "0")):
+        assert fusion[fusion.index(option) + 1] == value, "maps stay as they are"
+
+
+@pytest.mark.parametrize("trap", ["openmvs_number_views_1_is_global", "openmvs_number_views_1_defeats_score_0"])
+def test_number_views(folder, trap):
+    assert all(call[call.index("--number-views") + 1] == "0" for call in run(folder)[1])
+
+
+@pytest.mark.parametrize("stop, count", [("2", 2), ("60%", 2), ("0s", 0)])
+def test_stops(folder, stop, count):
+    calls = run(folder, "--stop-at", stop, "--no-fusion")[1]
+    assert len(calls) == count
+
+
+def test_ends_when_the_target_is_reached(folder):
+    (folder / "progress.json").write_text('{"target_reached": true}')
+    assert run(folder, "--progress", folder / "progress.json", "--no-fusion")[1] == []
