@@ -4,22 +4,20 @@
 //! normalised. And where a track names another 2D point than the image's own list does, the list decides: OpenMVG and
 //! AliceVision write the number of the *feature* into the tracks.
 
-use std::{
-    borrow::Cow,
-    collections::{HashMap, HashSet},
-    sync::{
-        OnceLock,
-        atomic::{AtomicUsize, Ordering},
-    },
-};
+mod reduce;
+mod rigs;
+mod tracks;
+
+use std::{borrow::Cow, collections::HashMap};
 
 use nalgebra::{Point3, Quaternion, UnitQuaternion, Vector3};
 use rayon::prelude::*;
 
+use self::tracks::{ImageIds, ImageLists};
 use super::{Fault, Place, Problem, check_name};
 use crate::{
     camera::Camera,
-    scene::{CameraIndex, PointIndex, Pose, Scene, View, ViewIndex, mean},
+    scene::{CameraIndex, Pose, Scene, View},
 };
 
 /// All files of a model, in file order, nothing dropped. Lists of 2D points and tracks may point into the files' bytes.
@@ -180,13 +178,6 @@ pub struct FrameData {
     pub id: u64,
 }
 
-/// Rotation (radians) and position (relative to the size of the translation) by which a rig's pose may differ from the image's.
-const RIG_TOLERANCE: f64 = 1e-6;
-/// Points per piece of work.
-const CHUNK: usize = 4096;
-/// Points whose 2D points are brought into the processor's cache at a time: a few hundred kilobytes.
-const WARMED: usize = 256;
-
 impl ColmapModel<'_> {
     /// The scene, with all references checked.
     pub fn scene(&self) -> Result<Scene, Fault> {
@@ -243,50 +234,6 @@ impl ColmapModel<'_> {
         Ok((views, ids))
     }
 
-    /// Compares rigs and frames, where there are both, with the poses of the images, which decide.
-    fn check_rigs(
-        &self,
-        views: &[View],
-        view_of_image: &ImageIds,
-        cameras: &HashMap<u32, CameraIndex>,
-        warnings: &mut Vec<String>,
-    ) -> Result<(), Fault> {
-        let (rigs, frames) = match (&self.rigs, &self.frames) {
-            (Some(rigs), Some(frames)) => (rigs, frames),
-            (None, None) => return Ok(()),
-            _ => {
-                warnings.push("only one of the rigs and the frames file is there; it is ignored".into());
-                return Ok(());
-            }
-        };
-        if rigs.is_empty() && frames.is_empty() {
-            return Ok(());
-        }
-        let mut by_id = HashMap::with_capacity(rigs.len());
-        for rig in rigs {
-            let fault = |problem| Fault::new("rigs", rig.at, problem).in_record(|| format!("rig {}", rig.id));
-            let cameras_of_rig = rig.sensors.iter().filter(|(s, _)| s.kind == Sensor::CAMERA);
-            if let Some((absent, _)) = cameras_of_rig.into_iter().find(|(s, _)| !cameras.contains_key(&s.id)) {
-                return Err(fault(Problem::Absent { what: "camera", id: absent.id.into() }));
-            }
-            if by_id.insert(rig.id, rig).is_some() {
-                return Err(fault(Problem::Duplicate { what: "rig", id: rig.id.to_string() }));
-            }
-        }
-        let mut seen = vec![false; views.len()];
-        for frame in frames {
-            let check = frame.check(&by_id, views, view_of_image, &self.cameras, &mut seen);
-            check.map_err(|p| Fault::new("frames", frame.at, p).in_record(|| format!("frame {}", frame.id)))?;
-        }
-        match seen.iter().position(|&seen| !seen) {
-            None => Ok(()),
-            Some(view) => {
-                let image = &self.images[views[view].file_position as usize];
-                Err(image.fault(Problem::Contradiction("no frame of the frames file holds this image".into())))
-            }
-        }
-    }
-
     fn check_point_ids(&self) -> Result<(), Fault> {
         if self.points.is_sorted_by(|a, b| a.id < b.id) {
             return Ok(());
@@ -299,228 +246,9 @@ impl ColmapModel<'_> {
             Err(point.fault(Problem::Duplicate { what: "point", id: point.id.to_string() }))
         })
     }
-
-    /// Views and pixels of all observations; pieces of the arrays are filled in parallel.
-    fn tracks(&self, lists: &ImageLists) -> Result<Tracks, Fault> {
-        let mut offsets = Vec::with_capacity(self.points.len() + 1);
-        offsets.push(0);
-        for point in &self.points {
-            offsets.push(offsets[offsets.len() - 1] + point.track.len());
-        }
-        let total = offsets[self.points.len()];
-        let (mut views, mut pixels) = (vec![ViewIndex(0); total], vec![[0.0; 2]; total]);
-        let mut pieces = Vec::with_capacity(self.points.len() / CHUNK + 1);
-        let (mut views_left, mut pixels_left) = (&mut views[..], &mut pixels[..]);
-        for points in self.points.chunks(CHUNK) {
-            let n = points.iter().map(|p| p.track.len()).sum();
-            let (piece_views, piece_pixels);
-            (piece_views, views_left) = views_left.split_at_mut(n);
-            (piece_pixels, pixels_left) = pixels_left.split_at_mut(n);
-            pieces.push((points, piece_views, piece_pixels));
-        }
-        let fill = |(points, views, pixels)| fill_piece(points, lists, views, pixels);
-        let results: Vec<Result<(), Fault>> = pieces.into_par_iter().map(fill).collect();
-        // The first fault of the file, whichever thread was first.
-        results.into_iter().collect::<Result<(), Fault>>()?;
-        Ok(Tracks { offsets, views, pixels })
-    }
-
-    /// The model reduced to some of its images. Ids stay, and so do the kept images' lists of 2D points, in which dropped
-    /// points become "no point"; points keep the kept part of their tracks and go when fewer than `min_views` kept images
-    /// observe them; cameras that no image uses go. Rigs and frames are left out: those of the whole model would contradict.
-    pub fn reduced(&self, keep: impl Fn(&ColmapImage) -> bool, min_views: usize) -> Result<ColmapModel<'_>, Fault> {
-        let (_, view_of_image) = self.views(&self.cameras_by_id()?)?;
-        let lists = ImageLists::new(&self.images, &view_of_image);
-        let kept: Vec<bool> = self.images.iter().map(keep).collect();
-        let points = self.points.iter().map(|point| point.reduced(&lists, &kept, min_views));
-        let points: Vec<ColmapPoint> = points.filter_map(Result::transpose).collect::<Result<_, _>>()?;
-        let ids: HashSet<u64> = points.iter().map(|point| point.id).collect();
-        let images = self.images.iter().zip(&kept).filter(|(_, kept)| **kept).map(|(image, _)| image.reduced(&ids));
-        let images: Vec<ColmapImage> = images.collect();
-        let used: HashSet<u32> = images.iter().map(|image| image.camera_id).collect();
-        let cameras = self.cameras.iter().filter(|camera| used.contains(&camera.id)).cloned().collect();
-        Ok(ColmapModel { cameras, images, points, rigs: None, frames: None, warnings: self.warnings.clone() })
-    }
-
-    /// The model of a scene from elsewhere: image ids are those of the scene where they are above 0 and unique, else 1, 2, ...
-    /// in the order of names; the images' lists hold what the tracks observe.
-    pub fn from_scene(scene: &Scene) -> ColmapModel<'static> {
-        let given: HashSet<u32> = scene.views.iter().map(|view| view.image_id).collect();
-        let keep_ids = given.len() == scene.views.len() && !given.contains(&0);
-        let image_id = |v: usize| if keep_ids { scene.views[v].image_id } else { v as u32 + 1 };
-        let mut lists = vec![Vec::new(); scene.views.len()];
-        let mut points = Vec::with_capacity(scene.points.len());
-        for (p, position) in scene.points.iter().enumerate() {
-            let point = PointIndex(p as u32);
-            let id = scene.point_ids[p];
-            let track = scene.track(point).map(|o| {
-                let view = scene.track_views[o].at();
-                lists[view].push(Point2d::new(scene.track_pixels[o], Some(id)));
-                TrackElement::new(image_id(view), lists[view].len() as u32 - 1)
-            });
-            let track = Cow::Owned(track.collect());
-            let errors = scene.track(point).filter_map(|o| scene.reprojection_error(point, o));
-            let error = mean(errors).unwrap_or(-1.0);
-            points.push(ColmapPoint {
-                id,
-                xyz: (*position).into(),
-                colour: scene.colours[p],
-                error,
-                track,
-                at: Place::File,
-            });
-        }
-        let images = scene.views.iter().zip(lists).enumerate().map(|(v, (view, list))| ColmapImage {
-            id: image_id(v),
-            cam_from_world: (&view.cam_from_world).into(),
-            camera_id: scene.cameras[view.camera.at()].id,
-            name: Cow::Owned(view.name.clone()),
-            points2d: Cow::Owned(list),
-            at: Place::File,
-        });
-        let images = images.collect();
-        ColmapModel { cameras: scene.cameras.clone(), images, points, rigs: None, frames: None, warnings: Vec::new() }
-    }
-}
-
-/// Fills the views and pixels of some points, one after the other.
-fn fill_piece(
-    points: &[ColmapPoint],
-    lists: &ImageLists,
-    views: &mut [ViewIndex],
-    pixels: &mut [[f64; 2]],
-) -> Result<(), Fault> {
-    let mut observations = Vec::new();
-    let mut next = 0;
-    for points in points.chunks(WARMED) {
-        lists.warm(points);
-        for point in points {
-            point.observations(lists, &mut observations)?;
-            for &(view, pixel) in &observations {
-                (views[next], pixels[next]) = (view, pixel);
-                next += 1;
-            }
-        }
-    }
-    Ok(())
-}
-
-/// Where an image id leads to.
-#[derive(Clone, Copy, Debug)]
-struct ImageView {
-    /// In the file.
-    position: u32,
-    view: ViewIndex,
-}
-
-/// All image ids of a model.
-struct ImageIds {
-    /// By id, as far as the ids are dense: looked up for each track element.
-    dense: Vec<Option<ImageView>>,
-    sparse: HashMap<u32, ImageView>,
-}
-
-impl ImageIds {
-    /// The error is the position of the first view whose image id was there before.
-    fn new(views: &[View]) -> Result<Self, u32> {
-        let mut ids = Self { dense: vec![None; 1024 + 4 * views.len()], sparse: HashMap::new() };
-        for (index, view) in views.iter().enumerate() {
-            let image_view = ImageView { position: view.file_position, view: ViewIndex(index as u32) };
-            let before = match ids.dense.get_mut(view.image_id as usize) {
-                Some(slot) => slot.replace(image_view),
-                None => ids.sparse.insert(view.image_id, image_view),
-            };
-            if before.is_some() {
-                return Err(index as u32);
-            }
-        }
-        Ok(ids)
-    }
-
-    fn get(&self, id: u32) -> Option<ImageView> {
-        match self.dense.get(id as usize) {
-            Some(slot) => *slot,
-            None => self.sparse.get(&id).copied(),
-        }
-    }
-}
-
-/// The tracks of a [`Scene`].
-struct Tracks {
-    offsets: Vec<usize>,
-    views: Vec<ViewIndex>,
-    pixels: Vec<[f64; 2]>,
-}
-
-/// The images' lists of 2D points, which the tracks refer to.
-struct ImageLists<'m> {
-    view_of_image: &'m ImageIds,
-    /// In file order.
-    links: Vec<Links<'m>>,
-    /// How many track elements named another 2D point than the lists did.
-    followed: AtomicUsize,
-}
-
-impl<'m> ImageLists<'m> {
-    fn new(images: &'m [ColmapImage<'m>], view_of_image: &'m ImageIds) -> Self {
-        let links = images.iter().map(|image| Links { image, by_point: OnceLock::new() }).collect();
-        Self { view_of_image, links, followed: AtomicUsize::new(0) }
-    }
-
-    /// Touches the 2D points of some points, which lie all over the file: without anything else between, the processor waits
-    /// for many of them at the same time. That saves more than half of the time of reading.
-    fn warm(&self, points: &[ColmapPoint]) {
-        let mut seen = 0;
-        for element in points.iter().flat_map(|point| point.track.iter()) {
-            let Some(image_view) = self.view_of_image.get(element.image()) else { continue };
-            if let Some(point2d) = self.links[image_view.position as usize].image.points2d.get(element.index() as usize)
-            {
-                seen ^= point2d.x[0] ^ point2d.point[7];
-            }
-        }
-        std::hint::black_box(seen);
-    }
-
-    fn warning(&self, elements: usize) -> Option<String> {
-        let followed = self.followed.load(Ordering::Relaxed);
-        (followed > 0).then(|| {
-            format!(
-                "{followed} of {elements} track elements name another 2D point than the images' own lists (OpenMVG and \
-                 AliceVision write the number of the feature there); the lists were followed"
-            )
-        })
-    }
-}
-
-/// An image's 2D points by the sparse point that they observe, sorted when first asked for.
-struct Links<'m> {
-    image: &'m ColmapImage<'m>,
-    by_point: OnceLock<Vec<(u64, u32)>>,
-}
-
-impl<'m> Links<'m> {
-    /// The n-th 2D point of the image that observes the point, and its position in the list.
-    fn nth(&self, point: u64, n: usize) -> Option<(u32, &'m Point2d)> {
-        let by_point = self.by_point.get_or_init(|| {
-            let linked = self.image.points2d.iter().enumerate();
-            let mut linked: Vec<_> = linked.filter_map(|(i, p)| p.point().map(|id| (id, i as u32))).collect();
-            linked.sort_unstable();
-            linked
-        });
-        let first = by_point.partition_point(|&(id, _)| id < point);
-        let &(id, index) = by_point.get(first + n)?;
-        (id == point).then(|| (index, &self.image.points2d[index as usize]))
-    }
 }
 
 impl ColmapImage<'_> {
-    /// With only these points linked.
-    fn reduced(&self, points: &HashSet<u64>) -> ColmapImage<'_> {
-        let relink = |p: &Point2d| Point2d::new(p.pixel(), p.point().filter(|id| points.contains(id)));
-        let points2d = Cow::Owned(self.points2d.iter().map(relink).collect());
-        ColmapImage { name: Cow::Borrowed(&self.name), points2d, ..*self }
-    }
-
     fn fault(&self, problem: Problem) -> Fault {
         Fault::new("images", self.at, problem).in_record(|| format!("image {}, {:?}", self.id, self.name))
     }
@@ -539,131 +267,7 @@ impl ColmapImage<'_> {
 }
 
 impl ColmapPoint<'_> {
-    /// The part of the point that the kept images (in file order) observe.
-    fn reduced(
-        &self,
-        lists: &ImageLists,
-        kept: &[bool],
-        min_views: usize,
-    ) -> Result<Option<ColmapPoint<'static>>, Fault> {
-        let mut track = Vec::new();
-        self.resolve(lists, |image_view, index, _| {
-            if kept[image_view.position as usize] {
-                let image = lists.links[image_view.position as usize].image.id;
-                track.push(TrackElement::new(image, index));
-            }
-            Ok(())
-        })?;
-        let views: HashSet<u32> = track.iter().map(TrackElement::image).collect();
-        let Self { id, xyz, colour, error, at, .. } = *self;
-        let reduced = ColmapPoint { id, xyz, colour, error, track: Cow::Owned(track), at };
-        Ok((views.len() >= min_views).then_some(reduced))
-    }
-
     fn fault(&self, problem: Problem) -> Fault {
         Fault::new("points3D", self.at, problem).in_record(|| format!("point {}", self.id))
     }
-
-    /// Finds the 2D point of each element of the track.
-    fn resolve<'m>(
-        &self,
-        lists: &ImageLists<'m>,
-        mut each: impl FnMut(ImageView, u32, &'m Point2d) -> Result<(), Fault>,
-    ) -> Result<(), Fault> {
-        for (n, element) in self.track.iter().enumerate() {
-            let absent = || self.fault(Problem::Absent { what: "image", id: element.image().into() });
-            let image_view = lists.view_of_image.get(element.image()).ok_or_else(absent)?;
-            let links = &lists.links[image_view.position as usize];
-            let named = links.image.points2d.get(element.index() as usize);
-            match named {
-                Some(point2d) if point2d.point().is_none_or(|id| id == self.id) => {
-                    each(image_view, element.index(), point2d)?;
-                }
-                _ => {
-                    let before = self.track[..n].iter().filter(|e| e.image() == element.image()).count();
-                    let (index, point2d) =
-                        links.nth(self.id, before).ok_or_else(|| self.wrong_index(element, named))?;
-                    lists.followed.fetch_add(1, Ordering::Relaxed);
-                    each(image_view, index, point2d)?;
-                }
-            }
-        }
-        Ok(())
-    }
-
-    /// View and pixel of each element of the track, sorted by view.
-    fn observations(&self, lists: &ImageLists, observations: &mut Vec<(ViewIndex, [f64; 2])>) -> Result<(), Fault> {
-        observations.clear();
-        if !self.xyz.iter().all(|v| v.is_finite()) {
-            return Err(self.fault(Problem::NotFinite("the position")));
-        }
-        self.resolve(lists, |image_view, _, point2d| {
-            let pixel = point2d.pixel();
-            if !pixel.iter().all(|v| v.is_finite()) {
-                let image = lists.links[image_view.position as usize].image;
-                return Err(image.fault(Problem::NotFinite("a 2D point")));
-            }
-            observations.push((image_view.view, pixel));
-            Ok(())
-        })?;
-        observations.sort_by_key(|o| o.0);
-        Ok(())
-    }
-
-    fn wrong_index(&self, element: &TrackElement, named: Option<&Point2d>) -> Fault {
-        let why = match named.and_then(Point2d::point) {
-            Some(other) => format!("which observes point {other}"),
-            None => "which has no such 2D point".into(),
-        };
-        self.fault(Problem::TrackIndex { image: element.image(), index: element.index(), why })
-    }
-}
-
-impl Frame {
-    /// Compares the frame's pose with those of its images, and marks them as seen.
-    fn check(
-        &self,
-        rigs: &HashMap<u32, &Rig>,
-        views: &[View],
-        view_of_image: &ImageIds,
-        cameras: &[Camera],
-        seen: &mut [bool],
-    ) -> Result<(), Problem> {
-        let rig = rigs.get(&self.rig_id).ok_or(Problem::Absent { what: "rig", id: self.rig_id.into() })?;
-        let rig_from_world = self.rig_from_world.pose()?;
-        for datum in self.data.iter().filter(|d| d.sensor.kind == Sensor::CAMERA) {
-            let absent = Problem::Absent { what: "image", id: datum.id };
-            let image_id = u32::try_from(datum.id).map_err(|_| absent.clone())?;
-            let view = view_of_image.get(image_id).ok_or(absent)?.view;
-            if std::mem::replace(&mut seen[view.at()], true) {
-                return Err(Problem::Duplicate { what: "image", id: datum.id.to_string() });
-            }
-            let view = &views[view.at()];
-            let sensor = rig.sensors.iter().find(|(s, _)| *s == datum.sensor);
-            let (_, sensor_from_rig) =
-                sensor.ok_or(Problem::Absent { what: "camera of the rig", id: datum.sensor.id.into() })?;
-            if cameras[view.camera.at()].id != datum.sensor.id {
-                let message = format!("the frame takes image {image_id} with camera {}", datum.sensor.id);
-                return Err(Problem::Contradiction(format!("{message}, the images file with another")));
-            }
-            let Some(sensor_from_rig) = sensor_from_rig else { continue };
-            let composed = compose(&sensor_from_rig.pose()?, &rig_from_world);
-            if !nearly_equal(&composed, &view.cam_from_world) {
-                let message = format!("the pose of image {image_id} by rig and frame is not that of the images file");
-                return Err(Problem::Contradiction(message));
-            }
-        }
-        Ok(())
-    }
-}
-
-/// a ∘ b
-fn compose(a: &Pose, b: &Pose) -> Pose {
-    Pose { rotation: a.rotation * b.rotation, translation: a.rotation * b.translation + a.translation }
-}
-
-fn nearly_equal(a: &Pose, b: &Pose) -> bool {
-    let size = 1.0 + a.translation.norm().max(b.translation.norm());
-    let apart = (a.rotation.matrix() - b.rotation.matrix()).norm();
-    apart < RIG_TOLERANCE && (a.translation - b.translation).norm() < RIG_TOLERANCE * size
 }
