@@ -73,6 +73,11 @@ impl Fixture {
         views
     }
 
+    /// The views that share points with another one.
+    pub fn matchable(&self) -> Vec<ViewIndex> {
+        self.scene.view_indices().filter(|v| !self.connected(*v).is_empty()).collect()
+    }
+
     pub fn name(&self, view: ViewIndex) -> &str {
         self.scene.name(view)
     }
