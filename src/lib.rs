@@ -9,7 +9,7 @@
 //! - [`fulfilment`] method 3; [`partners`] method 4; [`ranking`] method 5
 //! - [`backends`] what each MVS program can match and the files it reads
 //! - [`depthmaps`] finished depth maps of the backends
-//! - [`pictures`] what people look at; [`tables`] what programs check
+//! - [`pictures`] and [`report`] what people look at; [`tables`] what programs check
 //! - [`plan`] runs the stages; [`evaluate`] method 8: real fulfilment, baselines; [`output`] makes files appear whole or not at all
 //! - [`config`] every setting; [`progress`] progress and cancellation; [`error`] what errors say beside their message
 
@@ -31,6 +31,7 @@ pub mod plan;
 pub mod progress;
 pub mod project;
 pub mod ranking;
+pub mod report;
 pub mod scene;
 pub mod surface;
 pub mod synthetic;

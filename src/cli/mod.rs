@@ -11,6 +11,7 @@ mod export;
 mod inspect;
 mod plan;
 mod progress;
+mod report;
 mod status;
 mod summary;
 mod watch;
@@ -106,6 +107,7 @@ enum Command {
     Plan(plan::Arguments),
     Evaluate(evaluate::Arguments),
     Export(export::Arguments),
+    Report(report::Arguments),
     Backends(backends::Arguments),
     Config(config::Arguments),
     Inspect(inspect::Arguments),
@@ -121,6 +123,7 @@ pub fn run() -> Result<(), Failure> {
         Command::Plan(arguments) => plan::run(&arguments),
         Command::Evaluate(arguments) => evaluate::run(&arguments),
         Command::Export(arguments) => export::run(&arguments),
+        Command::Report(arguments) => report::run(&arguments),
         Command::Backends(arguments) => backends::run(&arguments),
         Command::Config(arguments) => config::run(&arguments),
         Command::Inspect(arguments) => inspect::run(&arguments),

@@ -2,7 +2,7 @@
 
 use std::{
     fs,
-    path::{Path, PathBuf},
+    path::Path,
     time::{SystemTime, UNIX_EPOCH},
 };
 
@@ -21,17 +21,6 @@ use crate::{
     ranking,
 };
 
-/// Where backends write their depth maps, below a project.
-const MAP_FOLDERS: [&str; 8] = [
-    "stereo/depth_maps",
-    "dense/stereo/depth_maps",
-    "sgm",
-    "viewrank/openmvs",
-    "viewrank/mvsnet",
-    "viewrank/patchmatchnet",
-    "viewrank/acmm",
-    "depth_maps",
-];
 /// What is said of the progress, for queues: `integrations/sgm` ends when `target_reached` is true.
 const PROGRESS: &str = "progress.json";
 
@@ -47,7 +36,7 @@ impl MapsStamp {
     /// Counts what looks like a depth map.
     pub fn of(project: &Path) -> Self {
         let mut stamp = Self::default();
-        for folder in map_folders(project) {
+        for folder in depthmaps::folders(project) {
             let entries = WalkDir::new(folder).into_iter().filter_map(Result::ok);
             for entry in entries.filter(|e| depthmaps::looks_like_one(e.path())) {
                 let Ok(metadata) = entry.metadata() else { continue };
@@ -63,11 +52,6 @@ impl MapsStamp {
     pub fn is_empty(&self) -> bool {
         self.files == 0
     }
-}
-
-/// The folders of a project that may hold depth maps, as far as they are there.
-pub fn map_folders(project: &Path) -> Vec<PathBuf> {
-    MAP_FOLDERS.iter().map(|folder| project.join(folder)).filter(|folder| folder.is_dir()).collect()
 }
 
 /// `viewrank/progress.json`.
@@ -119,7 +103,7 @@ fn measure(root: &Path, watcher: &dyn Watcher) -> Result<Option<Progress>, Optio
     let chosen: Vec<ViewCluster> = plan.chosen().cloned().collect();
     let model = plan.model();
     let accuracy = model.target.accuracy_over_gsd * plan.settings.target.gsd.unwrap_or(1.0);
-    for folder in map_folders(root) {
+    for folder in depthmaps::folders(root) {
         if watcher.cancelled() {
             return Err(None);
         }

@@ -16,14 +16,14 @@ use tracing::{info, warn};
 
 use super::{
     DaemonError, Job, Options, Planner, discover,
-    follow::{self, MapsStamp},
+    follow::MapsStamp,
     queue::{Full, Queue},
     settle::Stamp,
     state::{Looked, Outcome, Phase, Tracked, Work},
     status::{Holder, StatusFiles},
     watch::{self, Hint, Watches},
 };
-use crate::output::Disk;
+use crate::{depthmaps, output::Disk};
 
 /// Hints that come within this time of each other are one look.
 const GATHER: Duration = Duration::from_millis(50);
@@ -275,7 +275,7 @@ impl<'a> Daemon<'a> {
     /// Folders whose changes concern the project.
     fn folders_of(project: &Path) -> Vec<PathBuf> {
         let mut folders = discover::input_folders(project);
-        for maps in follow::map_folders(project) {
+        for maps in depthmaps::folders(project) {
             let below = walkdir::WalkDir::new(maps).into_iter().filter_map(Result::ok);
             folders.extend(below.filter(|e| e.file_type().is_dir()).map(walkdir::DirEntry::into_path));
         }

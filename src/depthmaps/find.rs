@@ -15,6 +15,17 @@ use crate::scene::{Scene, ViewIndex};
 /// The bytes of a `.dmap` that hold its header.
 const DMAP_HEADER: u64 = 1 << 17;
 
+/// Where backends write their depth maps, below a project.
+const MAP_FOLDERS: [&str; 8] = [
+    "stereo/depth_maps",
+    "dense/stereo/depth_maps",
+    "sgm",
+    "viewrank/openmvs",
+    "viewrank/mvsnet",
+    "viewrank/patchmatchnet",
+    "viewrank/acmm",
+    "depth_maps",
+];
 /// A finished depth map of a view.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct DepthMapFile {
@@ -29,6 +40,11 @@ pub struct DepthMapSet {
     pub maps: Vec<DepthMapFile>,
     /// Files that look like depth maps but belong to no view, ascending.
     pub strangers: Vec<PathBuf>,
+}
+
+/// The folders of a project that may hold depth maps, as far as they are there.
+pub fn folders(project: &Path) -> Vec<PathBuf> {
+    MAP_FOLDERS.iter().map(|folder| project.join(folder)).filter(|folder| folder.is_dir()).collect()
 }
 
 /// Finds the depth maps under `folder`. Of a photometric and a geometric map (COLMAP, ACMM) the geometric one is taken.

@@ -25,27 +25,34 @@ impl TriangleState {
 
 /// The state of every triangle when the first `clusters` of the ranking are computed.
 pub fn triangle_states(plan: &Plan, clusters: usize) -> Vec<TriangleState> {
-    let triangles = plan.surface.triangles.len();
+    let mut states = vec![TriangleState::default(); plan.surface.triangles.len()];
+    follow(plan, |rank, triangle, fulfilment| {
+        let state = &mut states[triangle as usize];
+        state.reachable = fulfilment;
+        if rank < clusters {
+            state.fulfilment = fulfilment;
+            state.chosen_views = state.chosen_views.saturating_add(1);
+        }
+    });
+    states
+}
+
+/// Goes through the ranking and calls `visit` with the rank (from 0) of each cluster, each triangle that it fulfils at all, and the
+/// fulfilment of that triangle by the clusters up to this one (method 5, or 5.2 with its support).
+pub fn follow(plan: &Plan, mut visit: impl FnMut(usize, u32, f32)) {
     let support = plan.settings.ranking.support.unwrap_or(1).max(1) as usize;
-    let mut states = vec![TriangleState::default(); triangles];
     // The largest values of each triangle so far, in no order.
-    let mut largest = vec![0f32; triangles * support];
-    let mean = |largest: &[f32]| largest.iter().sum::<f32>() / support as f32;
+    let mut largest = vec![0f32; plan.surface.triangles.len() * support];
     for (rank, &cluster) in plan.ranking.order.iter().enumerate() {
         let (of_cluster, values) = plan.fulfilment.of(cluster as usize);
         for (&t, &f) in of_cluster.iter().zip(values) {
-            let (state, largest) = (&mut states[t as usize], &mut largest[t as usize * support..][..support]);
+            let largest = &mut largest[t as usize * support..][..support];
             if let Some(smallest) = largest.iter_mut().min_by(|a, b| a.total_cmp(b)) {
                 *smallest = smallest.max(f);
             }
-            state.reachable = mean(largest);
-            if rank < clusters {
-                state.fulfilment = state.reachable;
-                state.chosen_views = state.chosen_views.saturating_add(1);
-            }
+            visit(rank, t, largest.iter().sum::<f32>() / support as f32);
         }
     }
-    states
 }
 
 /// The reasons in the order of their numbers in the field `reason`; 0 is "fulfilled by some cluster".

@@ -6,11 +6,13 @@ use serde::Deserialize;
 
 use super::{Plan, PlanError, plan};
 use crate::{
+    backends::RankedCluster,
     config::Settings,
     error::Hint,
     manifest::{FingerprintError, fingerprint},
     progress::Watcher,
     project::Project,
+    scene::Scene,
 };
 
 /// The part of a manifest that a plan follows from.
@@ -20,12 +22,26 @@ struct Recorded {
     input: Input,
     backend: String,
     settings: Settings,
+    clusters: Vec<Cluster>,
 }
 
 #[derive(Deserialize)]
 struct Input {
     model: String,
     fingerprint: String,
+}
+
+#[derive(Deserialize)]
+struct Cluster {
+    key: String,
+    partners: Vec<String>,
+}
+
+impl Cluster {
+    fn is(&self, other: &RankedCluster, scene: &Scene) -> bool {
+        let partners = other.partners.iter().map(|&p| scene.name(p));
+        self.key == scene.name(other.key) && partners.eq(self.partners.iter().map(String::as_str))
+    }
 }
 
 /// Plans again what `viewrank/manifest.json` of the project says.
@@ -51,6 +67,11 @@ pub fn again(root: &Path, watcher: &dyn Watcher) -> Result<(Project, Plan), Agai
     if fingerprint(&project, &plan.scene)? != recorded.input.fingerprint {
         return Err(AgainError::OtherInput(path));
     }
+    let same = plan.ranked().len() == recorded.clusters.len()
+        && plan.ranked().zip(&recorded.clusters).all(|(ranked, recorded)| recorded.is(&ranked, &plan.scene));
+    if !same {
+        return Err(AgainError::OtherPlan(path));
+    }
     Ok((project, plan))
 }
 
@@ -65,6 +86,8 @@ pub enum AgainError {
     Version { path: PathBuf, version: u32 },
     #[error("{}: the model or the images have changed since this plan was made", .0.display())]
     OtherInput(PathBuf),
+    #[error("{}: another version of viewrank made this plan, and this one ranks otherwise", .0.display())]
+    OtherPlan(PathBuf),
     #[error(transparent)]
     Input(#[from] FingerprintError),
     #[error(transparent)]
@@ -77,7 +100,8 @@ impl Hint for AgainError {
             Self::Io { path, .. }
             | Self::Manifest { path, .. }
             | Self::Version { path, .. }
-            | Self::OtherInput(path) => {
+            | Self::OtherInput(path)
+            | Self::OtherPlan(path) => {
                 let root = path.parent().and_then(Path::parent).unwrap_or(Path::new("."));
                 Some(format!("make the plan first: viewrank plan {}", root.display()))
             }

@@ -84,7 +84,7 @@ impl Cost<'_> {
 pub(super) fn forecast(cost: &Cost, clusters: usize) -> Forecast {
     let pairs = cost.pairs(clusters);
     let all_pairs = cost.clusters.iter().map(|cluster| cluster.partners.len()).sum();
-    let points: Vec<f64> = (0..clusters).into_par_iter().map(|rank| cost.points(rank)).collect();
+    let points = points(cost, clusters);
     Forecast {
         maps: clusters,
         pairs,
@@ -94,6 +94,11 @@ pub(super) fn forecast(cost: &Cost, clusters: usize) -> Forecast {
         all_pairs,
         all_seconds: cost.seconds_of(cost.clusters.len(), all_pairs),
     }
+}
+
+/// Pixels that the depth map of each of the first clusters will measure.
+pub(super) fn points(cost: &Cost, clusters: usize) -> Vec<f64> {
+    (0..clusters).into_par_iter().map(|rank| cost.points(rank)).collect()
 }
 
 /// Pixels of the matched image on each triangle that is covered, times the chance that they are measured.

@@ -16,7 +16,7 @@ pub use again::{AgainError, again};
 pub use cut::Cut;
 pub use files::{FilesError, PlanFiles, files};
 pub use forecast::Forecast;
-pub use reasons::{Reason, ViewStatus};
+pub use reasons::{Likest, Reason, ViewStatus};
 pub use timings::Timings;
 
 use crate::{
@@ -83,6 +83,18 @@ impl Plan {
             unary: &self.unary,
             rule: rule(&self.settings, &source, backend),
         }
+    }
+
+    /// Pixels that the depth map of each cluster of the ranking will measure, before fusion.
+    pub fn points_by_rank(&self) -> Vec<f64> {
+        let (model, settings) = (&self.model(), &self.settings.forecast);
+        let cost = forecast::Cost { model, clusters: &self.clusters, ranking: &self.ranking, settings };
+        forecast::points(&cost, self.ranking.order.len())
+    }
+
+    /// Of each cluster the one ranked before it that does most of what it could by itself.
+    pub fn likest(&self) -> Vec<Option<Likest>> {
+        reasons::likest(&self.fulfilment, &self.ranking.order, self.surface.triangles.len())
     }
 
     /// The whole ranking, best first.

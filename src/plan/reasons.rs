@@ -35,6 +35,23 @@ pub enum Reason {
     NoGainLeft,
 }
 
+impl Reason {
+    /// In words that follow "because".
+    pub fn words(self) -> &'static str {
+        match self {
+            Self::NoSharedPoints => "it has too few sparse points in common with any other view",
+            Self::RotationOnly => "there is no baseline: the other views stand at the same place",
+            Self::DuplicateOfBetterView => "a chosen key view does nearly all that it could",
+            Self::TooFewCameras => "not enough cameras of a view cluster see the same places",
+            Self::Hidden => "it sees nothing of the surface",
+            Self::TooCoarse => "no view is near enough for the wanted resolution",
+            Self::TooInaccurate => "the rays meet at angles too small for the wanted accuracy",
+            Self::NotMatchable => "the backend cannot match the pairs that there are",
+            Self::NoGainLeft => "what it would add is nothing, or less than what was taken",
+        }
+    }
+}
+
 /// What becomes of a registered view.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
@@ -204,14 +221,44 @@ impl ChosenByTriangle {
 
     /// The most of these fulfilments that one single chosen cluster gives as well.
     fn most_by_one(&self, triangles: &[u32], values: &[f32]) -> f64 {
-        let mut given = vec![0.0; self.chosen];
+        self.most_by_one_before(triangles, values, self.chosen).map_or(0.0, |(_, given)| given)
+    }
+
+    /// The place, below `end`, of the chosen cluster that gives most of these fulfilments as well, the first of equals, and how much.
+    fn most_by_one_before(&self, triangles: &[u32], values: &[f32], end: usize) -> Option<(usize, f64)> {
+        let mut given = vec![0.0; end];
         for (&t, &own) in triangles.iter().zip(values) {
-            for &(place, f) in &self.entries[self.offsets[t as usize]..self.offsets[t as usize + 1]] {
+            let entries = &self.entries[self.offsets[t as usize]..self.offsets[t as usize + 1]];
+            for &(place, f) in entries.iter().take_while(|(place, _)| (*place as usize) < end) {
                 given[place as usize] += f64::from(f.min(own));
             }
         }
-        given.into_iter().fold(0.0, f64::max)
+        let most = given.into_iter().enumerate().reduce(|most, next| if next.1 > most.1 { next } else { most });
+        most.filter(|(_, given)| *given > 0.0)
     }
+}
+
+/// Of each cluster the one ranked before it that does most of what it could by itself.
+pub(super) fn likest(table: &FulfilmentTable, order: &[u32], triangles: usize) -> Vec<Option<Likest>> {
+    let by_triangle = ChosenByTriangle::new(table, order, triangles);
+    let mut end = vec![order.len(); table.clusters()];
+    order.iter().enumerate().for_each(|(rank, &cluster)| end[cluster as usize] = rank);
+    let of_cluster = |cluster: usize| {
+        let (triangles, values) = table.of(cluster);
+        let own: f64 = values.iter().map(|&f| f64::from(f)).sum();
+        let (rank, given) = by_triangle.most_by_one_before(triangles, values, end[cluster])?;
+        Some(Likest { rank, share: given / own })
+    };
+    (0..table.clusters()).into_par_iter().map(of_cluster).collect()
+}
+
+/// The cluster that is most like another one.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Likest {
+    /// From 0.
+    pub rank: usize,
+    /// Share of the other's own fulfilment that this one gives as well, 0 to 1.
+    pub share: f64,
 }
 
 #[cfg(test)]
@@ -248,5 +295,9 @@ mod tests {
         let chosen = ChosenByTriangle::new(&table, &[0, 1], 3);
         let (triangles, values) = table.of(2);
         assert!((chosen.most_by_one(triangles, values) - 0.8).abs() < 1e-6);
+        let likest = super::likest(&table, &[0, 1, 2], 3);
+        let of_last = likest[2].expect("it shares triangles");
+        assert_eq!((likest[0], likest[1].map(|l| l.rank), of_last.rank), (None, Some(0), 1));
+        assert!((of_last.share - 0.8 / 1.2).abs() < 1e-6);
     }
 }

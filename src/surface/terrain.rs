@@ -32,6 +32,16 @@ impl Frame {
         Self { origin, axes: [first, up.cross(&first), up] }
     }
 
+    /// Unit vector, world coordinates.
+    pub fn up(&self) -> Vector3<f64> {
+        self.axes[2]
+    }
+
+    /// Among the points, world coordinates.
+    pub fn origin(&self) -> Point3<f64> {
+        self.origin
+    }
+
     fn local(&self, point: &Point3<f64>) -> [f64; 3] {
         self.axes.map(|axis| axis.dot(&(point - self.origin)))
     }

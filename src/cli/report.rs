@@ -1,0 +1,89 @@
+//! `viewrank report`: the page that shows what a plan sees, what is missing and why.
+
+use std::{
+    path::{Path, PathBuf},
+    process::{Command, Stdio},
+};
+
+use clap::Args;
+use viewrank::{
+    output::{Disk, FileSet},
+    plan,
+    progress::{Stage, Watcher},
+    report::{self, Contents, Finished},
+};
+
+use super::{Failure, print, progress::Progress};
+
+/// Write a page on a plan to PROJECT/viewrank/report.html, to be looked at in any browser.
+///
+/// It shows the curve, a map, the surface, the ranked views with their reasons and where one must fly again, for any cut. It needs no network and
+/// can be sent to others. viewrank plan makes the plan first.
+#[derive(Args)]
+pub struct Arguments {
+    project: PathBuf,
+
+    /// Open the page in the browser
+    #[arg(long)]
+    open: bool,
+    /// Finished depth maps to show beside the prediction [default: where the backends write theirs]
+    #[arg(long, value_name = "DIR")]
+    depth_maps: Option<PathBuf>,
+    /// Exact or better depth maps, which say what is right
+    #[arg(long, value_name = "DIR")]
+    reference: Option<PathBuf>,
+    /// No progress, and no word about the page
+    #[arg(long, short)]
+    quiet: bool,
+}
+
+pub fn run(arguments: &Arguments) -> Result<(), Failure> {
+    let progress = Progress::new(arguments.quiet);
+    let (project, plan) = plan::again(&arguments.project, &progress)?;
+    let finished = Finished { depth_maps: arguments.depth_maps.clone(), reference: arguments.reference.clone() };
+    let seconds = planning_seconds(&project.output_folder());
+    let contents = Contents::new(&plan, &project, &finished, seconds, &progress)?;
+    progress.progress(Stage::Write, 0, 1);
+    let mut files = FileSet::new(&project.root, "report");
+    files.add_text("viewrank/report.html", report::page(&contents));
+    files.write(&Disk::REAL)?;
+    progress.progress(Stage::Write, 1, 1);
+    progress.finish();
+    let page = project.output_folder().join("report.html");
+    if arguments.open {
+        open(&page)?;
+    }
+    if arguments.quiet { Ok(()) } else { print(&format!("{}\n", page.display())) }
+}
+
+/// Seconds that planning took, as `viewrank plan` wrote them down.
+fn planning_seconds(folder: &Path) -> Option<f64> {
+    let timings = std::fs::read(folder.join("timings.json")).ok()?;
+    serde_json::from_slice::<serde_json::Value>(&timings).ok()?["total"].as_f64()
+}
+
+/// Hands the page to the program that the desktop has for it.
+fn open(page: &Path) -> Result<(), NotOpened> {
+    let opener = match std::env::consts::OS {
+        "macos" => "open",
+        "windows" => "explorer",
+        _ => "xdg-open",
+    };
+    let mut command = Command::new(opener);
+    let started = command.arg(page).stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null()).spawn();
+    started.map(|_| ()).map_err(|source| NotOpened { page: page.into(), opener, source })
+}
+
+#[derive(Debug, thiserror::Error)]
+#[error("{} is written, but {opener} does not start: {source}", page.display())]
+struct NotOpened {
+    page: PathBuf,
+    opener: &'static str,
+    source: std::io::Error,
+}
+
+impl viewrank::error::Hint for NotOpened {
+    fn hint(&self) -> Option<String> {
+        Some("open that file in a browser".into())
+    }
+}

@@ -1,0 +1,102 @@
+//! The surface and the views as seen on a map.
+
+use nalgebra::{Point3, Vector3};
+
+use crate::{
+    scene::{Scene, ViewIndex},
+    surface::{Surface, terrain::Frame},
+    visibility::Visibility,
+};
+
+/// Directions in which a footprint is sought to its end; it has at most as many corners.
+const DIRECTIONS: u32 = 32;
+/// Cosine of the angle within which the third axis of the model counts as up.
+const NEARLY_UP: f64 = 0.98;
+
+/// A right-handed frame for maps: the second axis of the model points up the sheet, the third towards the reader.
+#[derive(Clone, Copy, Debug)]
+pub struct MapFrame {
+    /// World coordinates, among the points.
+    pub origin: Point3<f64>,
+    /// Right, up the sheet, towards the reader; unit vectors in world coordinates.
+    pub axes: [Vector3<f64>; 3],
+}
+
+impl MapFrame {
+    /// Up is the model's third axis where that is nearly so, else as for a terrain surface (method 1.7).
+    pub fn new(scene: &Scene, up: Option<[f64; 3]>) -> Self {
+        let frame = Frame::new(&scene.points, scene, up);
+        let up = if frame.up().z > NEARLY_UP { Vector3::z() } else { frame.up() };
+        let forward = if up.y.abs() > NEARLY_UP { Vector3::z() } else { Vector3::y() };
+        let right = forward.cross(&up).normalize();
+        Self { origin: frame.origin(), axes: [right, up.cross(&right), up] }
+    }
+
+    /// The point in this frame, scene units.
+    pub fn local(&self, point: &Point3<f64>) -> [f64; 3] {
+        self.direction(&(point - self.origin))
+    }
+
+    /// The direction in this frame.
+    pub fn direction(&self, direction: &Vector3<f64>) -> [f64; 3] {
+        self.axes.map(|axis| axis.dot(direction))
+    }
+}
+
+/// What a view sees of the surface, from above: the convex hull, counter-clockwise and not closed, as surface points in world
+/// coordinates. Empty where it sees nothing.
+pub fn footprint(surface: &Surface, visibility: &Visibility, view: ViewIndex, frame: &MapFrame) -> Vec<Point3<f64>> {
+    let seen = visibility.of(view).iter().flat_map(|&t| surface.triangles[t as usize]);
+    let mut vertices: Vec<u32> = seen.collect();
+    vertices.sort_unstable();
+    vertices.dedup();
+    let flat: Vec<[f64; 3]> = vertices.iter().map(|&v| frame.local(&surface.vertices[v as usize])).collect();
+    let farthest = |i: u32| {
+        let (sin, cos) = (f64::from(i) * std::f64::consts::TAU / f64::from(DIRECTIONS)).sin_cos();
+        let along = |v: &usize| flat[*v][0] * cos + flat[*v][1] * sin;
+        (0..flat.len()).max_by(|a, b| along(a).total_cmp(&along(b)))
+    };
+    let mut corners: Vec<usize> = (0..DIRECTIONS).filter_map(farthest).collect();
+    corners.dedup();
+    if corners.len() > 1 && corners.first() == corners.last() {
+        corners.pop();
+    }
+    corners.into_iter().map(|v| surface.vertices[vertices[v] as usize]).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        camera::{Camera, CameraModel},
+        config::VisibilitySettings,
+        progress::Unwatched,
+        synthetic::Town,
+        visibility,
+    };
+
+    #[test]
+    fn the_footprint_of_a_nadir_view_is_the_image_on_the_ground() {
+        let camera = Camera::new(1, CameraModel::Pinhole, 1000, 750, vec![850.0, 850.0, 500.0, 375.0]).unwrap();
+        let town = Town { relief: 0.0, boxes: 0, tilt: None, edge: 0.5, ..Town::new(camera) };
+        let (scene, surface) = (town.scene(), town.surface());
+        let settings = VisibilitySettings::default();
+        let seen = visibility::estimate(&scene, &scene.view_points(), &surface, &settings, 0.5, &Unwatched).unwrap();
+        let frame = MapFrame::new(&scene, None);
+        assert_eq!(frame.axes, [Vector3::x(), Vector3::y(), Vector3::z()]);
+        let middle = ViewIndex(12);
+        let (centre, corners) =
+            (scene.view(middle).cam_from_world.centre(), footprint(&surface, &seen, middle, &frame));
+        let half = [500.0, 375.0].map(|px| px / 850.0 * centre.z);
+        for (axis, half) in half.into_iter().enumerate() {
+            let along = corners.iter().map(|c| c[axis] - centre[axis]);
+            let (low, high) = along.fold((f64::MAX, f64::MIN), |(l, h), x| (l.min(x), h.max(x)));
+            assert!((low + half).abs() < 0.75 && (high - half).abs() < 0.75, "{low} {high}, {half} expected");
+        }
+        let turn = |i: usize| {
+            let [a, b, c] = [0, 1, 2].map(|k| corners[(i + k) % corners.len()]);
+            (b - a).cross(&(c - b)).z
+        };
+        assert!((0..corners.len()).all(|i| turn(i) > 0.0), "counter-clockwise and convex");
+    }
+}

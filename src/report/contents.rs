@@ -1,0 +1,287 @@
+//! What the page knows.
+
+use std::{collections::BTreeMap, path::Path};
+
+use nalgebra::Point3;
+use serde::Serialize;
+
+use super::{
+    bytes,
+    history::History,
+    holes::{Hole, holes},
+    real::{Finished, Real},
+    shown::Shown,
+    thumbnails::thumbnails,
+};
+use crate::{
+    config::{ForecastSettings, PartnerCount},
+    error::Hint,
+    evaluate::EvaluateError,
+    pictures::{MapFrame, REASON_NUMBERS, footprint},
+    plan::{Plan, Reason},
+    progress::{Cancelled, Watcher},
+    project::Project,
+    scene::{Units, ViewIndex},
+};
+
+/// Holes that are listed.
+const HOLES: usize = 20;
+/// Names of images without a pose that are listed.
+const UNREGISTERED: usize = 200;
+
+/// Everything that the page shows, as its script reads it. Points are in the frame of the map: x to the right, y up the sheet, z
+/// up, scene units. Numbers of views are indices in the order of names; ranks are from 1.
+#[derive(Serialize)]
+pub struct Contents {
+    title: String,
+    tool: &'static str,
+    backend: &'static str,
+    metric: bool,
+    gsd: f64,
+    /// k; absent where it differs from cluster to cluster.
+    wanted_partners: Option<u32>,
+    points: usize,
+    triangles: usize,
+    area: f64,
+    cut: usize,
+    warnings: Vec<String>,
+    unregistered: Vec<String>,
+    unregistered_count: usize,
+    reasons: Vec<&'static str>,
+    forecast: ForecastSettings,
+    /// Seconds that planning took; absent where nobody wrote them down.
+    planning_seconds: Option<f64>,
+    clusters_total: usize,
+    pairs_total: usize,
+    views: Views,
+    ranking: Ranked,
+    surface: Drawn,
+    holes: Vec<ShownHole>,
+    holes_area: f64,
+    real: Option<Real>,
+    thumbnails: BTreeMap<u32, String>,
+}
+
+#[derive(Serialize)]
+struct Views {
+    names: Vec<String>,
+    /// f32, 3 per view.
+    centres: String,
+    /// Viewing directions, f32, 3 per view.
+    directions: String,
+    /// Corners of the footprints, f32, 3 per corner; CSR by view with u32 offsets.
+    footprints: String,
+    footprint_offsets: String,
+    /// Rank, u32; 0: not in the ranking.
+    rank: String,
+    /// Number of the reason + 1, u8; 0: none.
+    reason: String,
+    /// Rank of the earlier cluster that does most of what this view could (u32, 0: none) and its share of that, f32.
+    likest: String,
+    likest_share: String,
+    /// Triangles that the view sees, u32.
+    seen: String,
+}
+
+#[derive(Serialize)]
+struct Ranked {
+    /// u32.
+    keys: String,
+    /// CSR by rank.
+    partners: String,
+    partner_offsets: String,
+    /// f64 each.
+    gains: String,
+    shares: String,
+    points: String,
+}
+
+#[derive(Serialize)]
+struct Drawn {
+    /// f32, 3 per vertex.
+    vertices: String,
+    /// u32, 3 per triangle.
+    triangles: String,
+    offsets: String,
+    ranks: String,
+    shares: String,
+    first: String,
+    reachable: String,
+    /// Number of the reason + 1, u8; 0: some cluster fulfils it.
+    reason: String,
+    /// Is the surface drawn coarser than it was planned on?
+    coarser: bool,
+}
+
+#[derive(Serialize)]
+struct ShownHole {
+    area: f64,
+    triangles: usize,
+    reason: usize,
+    centre: [f64; 3],
+}
+
+impl Contents {
+    /// `planning_seconds`: what the plan took when it was made.
+    pub fn new(
+        plan: &Plan,
+        project: &Project,
+        finished: &Finished,
+        planning_seconds: Option<f64>,
+        watcher: &dyn Watcher,
+    ) -> Result<Self, ReportError> {
+        let frame = MapFrame::new(&plan.scene, plan.settings.surface.up);
+        let shown = Shown::new(&plan.surface);
+        let real = Real::new(plan, project, &shown, finished, watcher)?;
+        let thumbnails = match &project.images {
+            Some(images) => thumbnails(plan, images, watcher)?,
+            None => BTreeMap::new(),
+        };
+        let (holes, holes_area) = holes(plan, HOLES);
+        let wanted = match plan.settings.partners.k {
+            PartnerCount::Fixed(k) => Some(k),
+            PartnerCount::Auto(_) => None,
+        };
+        Ok(Self {
+            title: title(&project.root),
+            tool: concat!("viewrank ", env!("CARGO_PKG_VERSION")),
+            backend: plan.backend,
+            metric: plan.settings.units == Some(Units::Metric),
+            gsd: plan.settings.target.gsd.unwrap_or_default(),
+            wanted_partners: wanted,
+            points: plan.scene.points.len(),
+            triangles: plan.surface.triangles.len(),
+            area: (0..plan.surface.triangles.len() as u32).map(|t| plan.surface.area(t)).sum(),
+            cut: plan.cut.clusters,
+            warnings: plan.warnings.clone(),
+            unregistered: plan.scene.unregistered.iter().take(UNREGISTERED).cloned().collect(),
+            unregistered_count: plan.scene.unregistered.len(),
+            reasons: REASON_NUMBERS.iter().map(|r| r.words()).collect(),
+            forecast: plan.settings.forecast.clone(),
+            planning_seconds,
+            clusters_total: plan.forecast.all_maps,
+            pairs_total: plan.forecast.all_pairs,
+            views: Views::new(plan, &frame),
+            ranking: Ranked::new(plan),
+            surface: Drawn::new(plan, &shown, &frame),
+            holes: holes.iter().map(|hole| ShownHole::new(hole, &frame)).collect(),
+            holes_area,
+            real,
+            thumbnails,
+        })
+    }
+}
+
+/// The folder's name, also of `.`.
+fn title(root: &Path) -> String {
+    let whole = root.canonicalize().unwrap_or_else(|_| root.into());
+    whole.file_name().unwrap_or(whole.as_os_str()).to_string_lossy().into_owned()
+}
+
+/// Number of the reason in the page's list, from 1; 0: none.
+fn number(reason: Option<Reason>) -> u8 {
+    let position = reason.and_then(|reason| REASON_NUMBERS.iter().position(|&r| r == reason));
+    position.map_or(0, |i| i as u8 + 1)
+}
+
+fn in_frame<'a>(frame: &MapFrame, points: impl Iterator<Item = &'a Point3<f64>>) -> Vec<f32> {
+    points.flat_map(|point| frame.local(point)).map(|x| x as f32).collect()
+}
+
+impl Views {
+    fn new(plan: &Plan, frame: &MapFrame) -> Self {
+        let views = || plan.scene.view_indices();
+        let centres: Vec<Point3<f64>> = plan.scene.views.iter().map(|v| v.cam_from_world.centre()).collect();
+        let directions = plan.scene.views.iter().map(|v| v.cam_from_world.viewing_direction());
+        let directions: Vec<f32> = directions.flat_map(|d| frame.direction(&d)).map(|x| x as f32).collect();
+        let footprints: Vec<_> = views().map(|view| footprint(&plan.surface, &plan.visibility, view, frame)).collect();
+        let ends = footprints.iter().scan(0, |sum, footprint| {
+            *sum += footprint.len() as u32;
+            Some(*sum)
+        });
+        let offsets: Vec<u32> = std::iter::once(0).chain(ends).collect();
+        let mut rank = vec![0u32; plan.scene.views.len()];
+        plan.ranked().enumerate().for_each(|(i, cluster)| rank[cluster.key.at()] = i as u32 + 1);
+        let (mut likest, mut likest_share) = (vec![0u32; rank.len()], vec![0f32; rank.len()]);
+        for (cluster, found) in plan.clusters.iter().zip(plan.likest()) {
+            if let Some(found) = found {
+                likest[cluster.key.at()] = found.rank as u32 + 1;
+                likest_share[cluster.key.at()] = found.share as f32;
+            }
+        }
+        Self {
+            names: plan.scene.views.iter().map(|view| view.name.clone()).collect(),
+            centres: bytes(&in_frame(frame, centres.iter())),
+            directions: bytes(&directions),
+            footprints: bytes(&in_frame(frame, footprints.iter().flatten())),
+            footprint_offsets: bytes(&offsets),
+            rank: bytes(&rank),
+            reason: bytes(&plan.views.iter().map(|&(_, reason)| number(reason)).collect::<Vec<_>>()),
+            likest: bytes(&likest),
+            likest_share: bytes(&likest_share),
+            seen: bytes(&views().map(|view| plan.visibility.of(view).len() as u32).collect::<Vec<_>>()),
+        }
+    }
+}
+
+impl Ranked {
+    fn new(plan: &Plan) -> Self {
+        let numbers = |views: Vec<ViewIndex>| bytes(&views.iter().map(|v| v.0).collect::<Vec<_>>());
+        let ends = plan.ranked().scan(0, |sum, cluster| {
+            *sum += cluster.partners.len() as u32;
+            Some(*sum)
+        });
+        let shares: Vec<f64> = plan.ranked().map(|cluster| cluster.share).collect();
+        Self {
+            keys: numbers(plan.ranked().map(|cluster| cluster.key).collect()),
+            partner_offsets: bytes(&std::iter::once(0).chain(ends).collect::<Vec<u32>>()),
+            partners: numbers(plan.ranked().flat_map(|cluster| cluster.partners).collect()),
+            gains: bytes(&plan.ranking.gains),
+            shares: bytes(&shares),
+            points: bytes(&plan.points_by_rank()),
+        }
+    }
+}
+
+impl Drawn {
+    fn new(plan: &Plan, shown: &Shown, frame: &MapFrame) -> Self {
+        let history = History::new(plan, shown);
+        let reason = |&t: &u32| number(plan.triangle_reasons[t as usize]);
+        Self {
+            vertices: bytes(&in_frame(frame, shown.vertices.iter())),
+            triangles: bytes(&shown.triangles),
+            offsets: bytes(&history.offsets),
+            ranks: bytes(&history.ranks),
+            shares: bytes(&history.shares),
+            first: bytes(&history.first),
+            reachable: bytes(&history.reachable),
+            reason: bytes(&shown.original.iter().map(reason).collect::<Vec<_>>()),
+            coarser: shown.triangles.len() < plan.surface.triangles.len(),
+        }
+    }
+}
+
+impl ShownHole {
+    fn new(hole: &Hole, frame: &MapFrame) -> Self {
+        let Hole { area, triangles, reason, centre } = hole;
+        Self { area: *area, triangles: *triangles, reason: number(Some(*reason)).into(), centre: frame.local(centre) }
+    }
+}
+
+/// Why there is no page.
+#[derive(Debug, thiserror::Error)]
+pub enum ReportError {
+    #[error(transparent)]
+    DepthMaps(#[from] EvaluateError),
+    #[error(transparent)]
+    Cancelled(#[from] Cancelled),
+}
+
+impl Hint for ReportError {
+    fn hint(&self) -> Option<String> {
+        match self {
+            Self::DepthMaps(error) => error.hint(),
+            Self::Cancelled(error) => error.hint(),
+        }
+    }
+}

@@ -1,0 +1,71 @@
+//! Where one must fly again: regions of the surface that no view can fill.
+
+use std::cmp::Reverse;
+
+use nalgebra::{Point3, Vector3};
+
+use crate::{
+    plan::{Plan, Reason},
+    surface::corners::{BORDER, opposites},
+};
+
+/// A connected region of triangles that no cluster fulfils.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Hole {
+    /// Square scene units.
+    pub area: f64,
+    pub triangles: usize,
+    /// What fails on most of its area.
+    pub reason: Reason,
+    /// Mean of its triangles by area, world coordinates.
+    pub centre: Point3<f64>,
+}
+
+/// The `most` largest holes, largest first, and the area of all.
+pub fn holes(plan: &Plan, most: usize) -> (Vec<Hole>, f64) {
+    let mut holes = regions(plan).into_iter().map(|region| hole(plan, &region)).collect::<Vec<_>>();
+    let all = holes.iter().map(|hole| hole.area).sum();
+    holes.sort_by(|a, b| b.area.total_cmp(&a.area));
+    holes.truncate(most);
+    (holes, all)
+}
+
+/// Triangles with a reason, those with a common edge together; in the order of their first triangles.
+fn regions(plan: &Plan) -> Vec<Vec<u32>> {
+    let opposite = opposites(&plan.surface);
+    let mut open: Vec<bool> = plan.triangle_reasons.iter().map(Option::is_some).collect();
+    let mut regions = Vec::new();
+    for start in 0..open.len() {
+        if !std::mem::take(&mut open[start]) {
+            continue;
+        }
+        let (mut region, mut next) = (vec![start as u32], 0);
+        while let Some(&t) = region.get(next) {
+            next += 1;
+            let beside = opposite[3 * t as usize..][..3].iter().filter(|&&corner| corner != BORDER);
+            let fresh = beside.map(|corner| corner / 3).filter(|&n| std::mem::take(&mut open[n as usize]));
+            region.extend(fresh.collect::<Vec<_>>());
+        }
+        regions.push(region);
+    }
+    regions
+}
+
+fn hole(plan: &Plan, region: &[u32]) -> Hole {
+    let mut by_reason = std::collections::BTreeMap::new();
+    let (mut area, mut moment) = (0.0, Vector3::zeros());
+    let anchor = plan.surface.centroid(region[0]);
+    for &t in region {
+        let own = plan.surface.area(t);
+        area += own;
+        moment += (plan.surface.centroid(t) - anchor) * own;
+        plan.triangle_reasons[t as usize].iter().for_each(|r| *by_reason.entry(*r).or_insert(0.0) += own);
+    }
+    let most = by_reason.into_iter().max_by(|a, b| a.1.total_cmp(&b.1).then(Reverse(a.0).cmp(&Reverse(b.0))));
+    Hole {
+        area,
+        triangles: region.len(),
+        reason: most.map_or(Reason::NotMatchable, |(reason, _)| reason),
+        centre: if area > 0.0 { anchor + moment / area } else { anchor },
+    }
+}

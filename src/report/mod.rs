@@ -1,0 +1,54 @@
+//! `report.html`: the plan on one page that needs nothing else, for people who look before they believe.
+//!
+//! Everything on the page follows a slider for the cut, so the page holds the whole ranking and how each triangle's fulfilment grows along it
+//! (`history.rs`), on a surface that is made coarser where it would be too large (`shown.rs`); arrays travel as base64 of
+//! little-endian numbers. the files of `page/` draw it.
+
+mod contents;
+mod history;
+mod holes;
+mod real;
+mod shown;
+mod thumbnails;
+
+use base64::{Engine, prelude::BASE64_STANDARD};
+use bytemuck::NoUninit;
+
+pub use contents::Contents;
+pub use holes::{Hole, holes};
+pub use real::Finished;
+
+const PAGE: &str = include_str!("page/page.html");
+const STYLE: &str = include_str!("page/page.css");
+/// One script in the order in which its parts need each other.
+const SCRIPT: &str = concat!(
+    include_str!("page/data.js"),
+    include_str!("page/surface.js"),
+    include_str!("page/scene.js"),
+    include_str!("page/curve.js"),
+    include_str!("page/list.js"),
+    include_str!("page/why.js"),
+    include_str!("page/main.js"),
+);
+
+/// The whole page.
+pub fn page(contents: &Contents) -> String {
+    // In a script element "</" would end it, and JSON may write every "<" so.
+    let data =
+        serde_json::to_string(contents).expect("string keys and finite numbers are JSON").replace('<', "\\u003c");
+    let mut page = String::with_capacity(PAGE.len() + STYLE.len() + SCRIPT.len() + data.len());
+    let mut rest = PAGE;
+    for (mark, text) in [("/*STYLE*/", STYLE), ("/*DATA*/", &data), ("/*SCRIPT*/", SCRIPT)] {
+        let (before, after) = rest.split_once(mark).expect("page.html has its marks in this order");
+        page += before;
+        page += text;
+        rest = after;
+    }
+    page + rest
+}
+
+/// Numbers as base64 of their little-endian bytes.
+fn bytes<T: NoUninit>(values: &[T]) -> String {
+    const { assert!(cfg!(target_endian = "little"), "the page reads little-endian numbers") }
+    BASE64_STANDARD.encode(bytemuck::cast_slice(values))
+}

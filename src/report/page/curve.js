@@ -1,0 +1,100 @@
+// The curve of what is reached, predicted and, where there are depth maps, real.
+'use strict';
+
+const plot = { left: 48, right: 546, top: 14, bottom: 262 };
+
+// What the curve can run over, and the values after i clusters.
+const overs = {
+  maps: { label: 'depth maps', at: cut => cut },
+  pairs: { label: 'image pairs', at: cut => pairsUpTo[cut] },
+  time: { label: 'hours of matching', at: cut => secondsFor(cut, pairsUpTo[cut]) / 3600 },
+};
+
+function timesKnown() {
+  return state.perPair != null || state.perMap != null;
+}
+
+function secondsFor(maps, pairs) {
+  return (state.perMap || 0) * maps + (state.perPair || 0) * pairs;
+}
+
+function over() {
+  return overs[byId('over').value] || overs.maps;
+}
+
+function drawCurve() {
+  const at = over().at, most = at(clusters) || 1;
+  const top = Math.max(1, ...(data.real ? data.real.share : []));
+  const x = value => plot.left + (plot.right - plot.left) * value / most;
+  const y = share => plot.bottom - (plot.bottom - plot.top) * share / top;
+  const parts = [];
+  for (let tenth = 0; tenth <= 10 * top + 1e-9; tenth += 2) {
+    parts.push(`<path class="grid" d="M${plot.left} ${y(tenth / 10)}H${plot.right}"/>`,
+      `<text x="${plot.left - 7}" y="${y(tenth / 10) + 4}" text-anchor="end">${10 * tenth} %</text>`);
+  }
+  const step = tickStep(most);
+  for (let tick = 0; tick <= most * 1.0001; tick += step) {
+    parts.push(`<text x="${x(tick)}" y="${plot.bottom + 18}" text-anchor="middle">${rounded(tick)}</text>`);
+  }
+  parts.push(`<text x="${(plot.left + plot.right) / 2}" y="${plot.bottom + 35}" text-anchor="middle">${over().label}</text>`);
+  parts.push(`<polyline class="predicted" points="${line(clusters, i => [x(at(i)), y(shareAt(i))])}"/>`);
+  if (data.real) {
+    const { ranks, share } = data.real;
+    parts.push(`<polyline class="real" points="${x(0)},${y(0)} ${line(ranks.length - 1, i => [x(at(Math.min(ranks[i], clusters))), y(share[i])])}"/>`);
+  }
+  const [cx, cy] = [x(at(state.cut)), y(shareAt(state.cut))];
+  parts.push(`<path class="cut" d="M${cx} ${plot.bottom}V${cy}H${plot.left}"/><circle class="dot" cx="${cx}" cy="${cy}" r="5"/>`);
+  const left = cx > 380;
+  parts.push(`<text class="strong" x="${cx + (left ? -10 : 10)}" y="${Math.min(cy + 20, plot.bottom - 8)}" text-anchor="${left ? 'end' : 'start'}">`
+    + `${percent(shareAt(state.cut))} with ${rounded(at(state.cut))} ${over().label}</text>`);
+  byId('curve').innerHTML = parts.join('');
+}
+
+// At most some hundred points of a line, the last one among them.
+function line(last, point) {
+  const points = [], step = Math.max(1, Math.ceil(last / 500));
+  for (let i = 0; i <= last; i++) {
+    if (i % step === 0 || i === last) points.push(point(i).map(value => value.toFixed(1)).join(','));
+  }
+  return points.join(' ');
+}
+
+// 1, 2 or 5 times a power of ten, at most 7 of which fit.
+function tickStep(most) {
+  const power = 10 ** Math.floor(Math.log10(most / 7 || 1));
+  return [1, 2, 5, 10].map(m => m * power).find(step => most / step <= 7);
+}
+
+// The cut at a place of the drawing.
+function cutAt(event) {
+  const box = byId('curve').getBoundingClientRect(), inside = (event.clientX - box.left) / box.width * 560;
+  const wanted = over().at(clusters) * (inside - plot.left) / (plot.right - plot.left), at = over().at;
+  let low = 0, high = clusters;
+  while (low < high) {
+    const middle = (low + high) >> 1;
+    if (at(middle) < wanted) low = middle + 1; else high = middle;
+  }
+  return low > 0 && wanted - at(low - 1) < at(low) - wanted ? low - 1 : low;
+}
+
+function setUpCurve() {
+  const curve = byId('curve');
+  curve.addEventListener('pointerdown', event => {
+    change({ cut: cutAt(event) });
+    curve.setPointerCapture(event.pointerId);
+  });
+  curve.addEventListener('pointermove', event => { if (event.buttons & 1) change({ cut: cutAt(event) }); });
+  byId('over').addEventListener('change', drawCurve);
+  const note = data.real
+    ? `Dashed: what the ${data.real.maps} depth maps in ${data.real.folder} really reach${data.real.reference ? ', held against the reference'
+      : '; every depth on the surface counts as right'}, over what all view clusters together were predicted to reach.`
+    : 'Predicted, over what all view clusters together reach. Depth maps that are finished are shown beside it.';
+  byId('curve-note').textContent = note;
+}
+
+function fillOver() {
+  const chosen = byId('over').value || 'maps';
+  const known = Object.keys(overs).filter(key => key !== 'time' || timesKnown());
+  byId('over').replaceChildren(...known.map(key => make('option', { value: key }, overs[key].label)));
+  byId('over').value = known.includes(chosen) ? chosen : 'maps';
+}

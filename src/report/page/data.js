@@ -1,0 +1,143 @@
+// What the page holds: the JSON of src/report/contents.rs, its arrays decoded.
+'use strict';
+
+const data = JSON.parse(document.getElementById('data').textContent);
+
+function decode(text, Type) {
+  const binary = atob(text);
+  const bytes = new Uint8Array(binary.length);
+  for (let i = 0; i < bytes.length; i++) bytes[i] = binary.charCodeAt(i);
+  return new Type(bytes.buffer);
+}
+
+const names = data.views.names;
+const views = {
+  count: names.length,
+  centres: decode(data.views.centres, Float32Array),
+  directions: decode(data.views.directions, Float32Array),
+  footprints: decode(data.views.footprints, Float32Array),
+  footprintOffsets: decode(data.views.footprint_offsets, Uint32Array),
+  rank: decode(data.views.rank, Uint32Array),
+  reason: decode(data.views.reason, Uint8Array),
+  likest: decode(data.views.likest, Uint32Array),
+  likestShare: decode(data.views.likest_share, Float32Array),
+  seen: decode(data.views.seen, Uint32Array),
+};
+const ranking = {
+  keys: decode(data.ranking.keys, Uint32Array),
+  partners: decode(data.ranking.partners, Uint32Array),
+  partnerOffsets: decode(data.ranking.partner_offsets, Uint32Array),
+  gains: decode(data.ranking.gains, Float64Array),
+  shares: decode(data.ranking.shares, Float64Array),
+  points: decode(data.ranking.points, Float64Array),
+};
+const surface = {
+  vertices: decode(data.surface.vertices, Float32Array),
+  triangles: decode(data.surface.triangles, Uint32Array),
+  offsets: decode(data.surface.offsets, Uint32Array),
+  ranks: decode(data.surface.ranks, Uint16Array),
+  shares: decode(data.surface.shares, Uint8Array),
+  first: decode(data.surface.first, Uint16Array),
+  reachable: decode(data.surface.reachable, Uint8Array),
+  reason: decode(data.surface.reason, Uint8Array),
+  real: data.real ? decode(data.real.triangles, Uint8Array) : null,
+};
+surface.count = surface.triangles.length / 3;
+const COUNTED = surface.count ? surface.first.length / surface.count : 0;
+const clusters = ranking.keys.length;
+const total = clusters ? ranking.gains.reduce((sum, gain) => sum + gain, 0) : 0;
+
+// Rank (from 1) from which on a view is a partner of some key view.
+const partnerFrom = new Uint32Array(views.count).fill(0xffffffff);
+// Sums over the first i clusters.
+const pairsUpTo = new Float64Array(clusters + 1), pointsUpTo = new Float64Array(clusters + 1);
+for (let i = 0; i < clusters; i++) {
+  for (const view of partnersOf(i + 1)) partnerFrom[view] = Math.min(partnerFrom[view], i + 1);
+  pairsUpTo[i + 1] = pairsUpTo[i] + ranking.partnerOffsets[i + 1] - ranking.partnerOffsets[i];
+  pointsUpTo[i + 1] = pointsUpTo[i] + ranking.points[i];
+}
+
+function partnersOf(rank) {
+  return ranking.partners.subarray(ranking.partnerOffsets[rank - 1], ranking.partnerOffsets[rank]);
+}
+
+function shareAt(cut) {
+  return cut > 0 ? ranking.shares[cut - 1] : 0;
+}
+
+// The fewest depth maps that reach a share.
+function cutFor(share) {
+  let low = 0, high = clusters;
+  while (low < high) {
+    const middle = (low + high) >> 1;
+    if (shareAt(middle) < share - 1e-12) low = middle + 1; else high = middle;
+  }
+  return low;
+}
+
+function statusOf(view, cut) {
+  if (views.rank[view] && views.rank[view] <= cut) return 'key';
+  return partnerFrom[view] <= cut ? 'partner' : 'unused';
+}
+
+// What everything on the page follows.
+const state = { cut: data.cut, selected: -1, hovered: -1, colour: 'share', perPair: data.forecast.seconds_per_pair, perMap: data.forecast.seconds_per_map };
+const listeners = [];
+
+function change(what) {
+  Object.assign(state, what);
+  for (const listener of listeners) listener(what);
+}
+
+const grouped = new Intl.NumberFormat('en');
+
+function percent(share, digits = 1) {
+  return `${(100 * share).toFixed(digits)} %`;
+}
+
+// A gain, which may be very small.
+function gainText(rank) {
+  const share = total ? ranking.gains[rank - 1] / total : 0;
+  return `+${percent(share, share >= 0.001 ? 2 : 4)}`;
+}
+
+function short(number) {
+  if (number >= 1e9) return `${(number / 1e9).toPrecision(3)} G`;
+  if (number >= 1e6) return `${(number / 1e6).toPrecision(3)} M`;
+  if (number >= 1e4) return `${(number / 1e3).toPrecision(3)} k`;
+  return grouped.format(Math.round(number));
+}
+
+function duration(seconds) {
+  const minutes = Math.round(seconds / 60);
+  if (seconds < 120) return `${Number(seconds.toPrecision(3))} s`;
+  if (minutes < 120) return `${minutes} min`;
+  if (minutes < 48 * 60) return `${Math.floor(minutes / 60)} h ${minutes % 60} min`;
+  return `${(minutes / 1440).toFixed(1)} days`;
+}
+
+function rounded(number) {
+  if (!number) return '0';
+  const digits = Math.max(0, 2 - Math.floor(Math.log10(Math.abs(number))));
+  return digits > 8 ? number.toPrecision(3) : Number(number.toFixed(digits)).toLocaleString('en', { maximumFractionDigits: digits });
+}
+
+const unit = data.metric ? 'm' : 'units';
+
+// An element with attributes and children.
+function make(tag, attributes = {}, ...children) {
+  const element = document.createElement(tag);
+  for (const [name, value] of Object.entries(attributes)) {
+    if (name === 'onclick') element.addEventListener('click', value); else element.setAttribute(name, value);
+  }
+  element.append(...children);
+  return element;
+}
+
+function viewButton(view, text = names[view]) {
+  return make('button', { type: 'button', class: 'link', onclick: () => change({ selected: view }) }, text);
+}
+
+function byId(id) {
+  return document.getElementById(id);
+}

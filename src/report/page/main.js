@@ -1,0 +1,172 @@
+// Puts the page together: the cut, the costs, the holes, and who is told of what.
+'use strict';
+
+const map = new Scene(byId('map'), new Camera(0, 90), false);
+const turn = new Scene(byId('turn'), new Camera(25, 38), true);
+const scenes = [map, turn];
+const colours = { share: 'share reached', count: 'number of key views', reason: 'reason that nothing is reached', ...(data.real ? { real: 'really reached' } : {}) };
+
+function drawCut() {
+  const { cut } = state;
+  byId('slider').value = byId('number').value = cut;
+  byId('slider').setAttribute('aria-valuetext', `${cut} depth maps, ${percent(shareAt(cut))}`);
+  byId('verdict').replaceChildren(make('b', {}, `${grouped.format(cut)} of ${grouped.format(views.count)} views`), ' get a depth map, ',
+    make('b', {}, `${grouped.format(pairsUpTo[cut])} image pairs`), `: ${percent(shareAt(cut))} of what all together would give.`);
+  for (const button of byId('jumps').children) button.setAttribute('aria-pressed', Number(button.dataset.cut) === cut);
+}
+
+function setUpCut() {
+  for (const input of [byId('slider'), byId('number')]) {
+    input.max = clusters;
+    input.addEventListener('input', () => change({ cut: Math.round(Math.min(clusters, Math.max(0, Number(input.value) || 0))) }));
+  }
+  byId('cut').addEventListener('submit', event => event.preventDefault());
+  const jump = (cut, text) => {
+    const button = make('button', { type: 'button', 'data-cut': cut, onclick: () => change({ cut }) }, text);
+    byId('jumps').append(button);
+  };
+  jump(data.cut, `the plan (${grouped.format(data.cut)})`);
+  for (const share of [0.5, 0.7, 0.8, 0.9, 0.95, 1]) jump(cutFor(share), percent(share, 0));
+  byId('marks').append(make('option', { value: data.cut }));
+}
+
+function drawForecast() {
+  const { cut } = state, all = [data.clusters_total, data.pairs_total, pointsUpTo[clusters]];
+  const rows = [['depth maps', cut, all[0]], ['image pairs', pairsUpTo[cut], all[1]], ['points before fusion', pointsUpTo[cut], all[2]]];
+  const table = rows.map(([what, chosen, whole]) => [what, short(chosen), short(whole)]);
+  if (timesKnown()) table.push(['time of matching', ...[[cut, pairsUpTo[cut]], all].map(([maps, pairs]) => duration(secondsFor(maps, pairs)))]);
+  byId('forecast').replaceChildren(make('tr', {}, ...['', 'up to the cut', 'all views'].map(text => make('th', {}, text))),
+    ...table.map(row => make('tr', {}, ...row.map(text => make('td', {}, text)))));
+  byId('worth').textContent = worth(cut);
+}
+
+// Method 5.6.
+function worth(cut) {
+  const planning = data.planning_seconds, saved = data.clusters_total - cut;
+  if (planning == null || !clusters) return '';
+  if (!timesKnown()) {
+    return saved > 0 ? `Worth it? Planning took ${duration(planning)}: it pays if a depth map takes more than ${rounded(planning / saved)} s.` : '';
+  }
+  const chosen = secondsFor(cut, pairsUpTo[cut]) + planning, all = secondsFor(data.clusters_total, data.pairs_total);
+  return chosen < all ? `Worth it: ${(all / chosen).toFixed(1)} times faster than everything, the ${duration(planning)} of planning included.`
+    : 'Not worth it: computing everything is as fast as planning and computing these.';
+}
+
+function setUpForecast() {
+  for (const [id, key] of [['per-pair', 'perPair'], ['per-map', 'perMap']]) {
+    if (state[key] != null) byId(id).value = state[key];
+    byId(id).addEventListener('input', () => change({ [key]: byId(id).value === '' ? null : Math.max(0, Number(byId(id).value)) }));
+  }
+  byId('warnings').replaceChildren(...data.warnings.map(text => make('p', {}, text)));
+}
+
+function drawLegends() {
+  const swatch = (colour, text) => make('span', {}, Object.assign(make('i'), { style: `background: rgb(${colour})` }), text);
+  const lists = {
+    share: () => [rampSwatch('0', 'all that can be reached'), swatch(NOWHERE, 'no view can')],
+    real: () => [rampSwatch('0', '1, really'), swatch(NOWHERE, 'no view can')],
+    count: () => [...COUNT_COLOURS.map((colour, n) => swatch(colour, n === COUNTED ? `${n} or more` : n)), swatch(NOWHERE, 'no view can')],
+    reason: () => {
+      const used = new Set(surface.reason);
+      return [swatch(REASON_COLOURS[0], 'some view can'), ...data.reasons.flatMap((text, i) => used.has(i + 1) ? [swatch(REASON_COLOURS[i + 1], text)] : [])];
+    },
+  };
+  const cameras = [['key', 'key view'], ['partner', 'partner'], ['unused', 'unused']].map(([status, text]) =>
+    make('span', {}, make('i', { class: status === 'unused' ? 'ring' : '', style: `background: var(--${status}); color: var(--${status}); border-radius: 50%` }), text));
+  for (const legend of document.querySelectorAll('.legend')) legend.replaceChildren(...lists[state.colour](), ...cameras.map(c => c.cloneNode(true)));
+}
+
+function rampSwatch(from, to) {
+  const stops = [0, 0.25, 0.5, 0.75, 1].map(share => `rgb(${ramp(share).map(Math.round)})`);
+  return make('span', {}, `${from} `, make('i', { class: 'ramp', style: `background: linear-gradient(90deg, ${stops})` }), to);
+}
+
+function setUpColours() {
+  for (const select of document.querySelectorAll('select.colour')) {
+    select.append(...Object.entries(colours).map(([value, text]) => make('option', { value }, text)));
+    select.addEventListener('change', () => change({ colour: select.value }));
+  }
+}
+
+function drawHoles() {
+  const share = data.area > 0 ? data.holes_area / data.area : 0;
+  if (!data.holes.length) {
+    byId('holes').replaceChildren(make('p', {}, 'Nothing: wherever the sparse points make a surface, some view cluster can reconstruct it.'));
+    return;
+  }
+  const rows = data.holes.map((hole, i) => make('tr', {},
+    make('td', {}, make('button', { type: 'button', class: 'link', onclick: () => showHole(hole) }, `place ${i + 1}`)),
+    make('td', {}, `${rounded(hole.area)} ${unit}²`), make('td', { style: 'text-align: left' }, data.reasons[hole.reason - 1])));
+  byId('holes').replaceChildren(
+    make('p', {}, `${percent(share)} of the surface (${rounded(data.holes_area)} of ${rounded(data.area)} ${unit}²) cannot be filled by any of the images. The largest places:`),
+    make('table', {}, make('tr', {}, ...['where', 'area', 'because'].map((text, i) => make('th', i === 2 ? { style: 'text-align: left' } : {}, text))), ...rows),
+    make('p', { class: 'note' }, 'Where the sparse model has no points there is no surface, and nothing is known.'));
+}
+
+function showHole(hole) {
+  for (const scene of scenes) {
+    scene.hole = hole;
+    scene.camera.centre = hole.centre.slice();
+    scene.camera.scale = Math.min(scene.width, scene.height) / Math.max(12 * Math.sqrt(hole.area), 0.12 * scene.camera.depth);
+  }
+  change({ colour: 'reason', selected: -1 });
+  byId('map-box').scrollIntoView({ block: 'center' });
+  byId('map').focus({ preventScroll: true });
+}
+
+function drawPointer() {
+  const view = state.hovered >= 0 ? state.hovered : state.selected;
+  byId('under-pointer').textContent = view < 0 ? 'Point at a camera, or go from one to the next with the arrow keys.' : `${names[view]}: ${becauseShort(view)}`;
+}
+
+function drawFacts() {
+  document.title = `${data.title}: viewrank`;
+  byId('title').textContent = data.title;
+  const left = data.unregistered_count ? `, ${grouped.format(data.unregistered_count)} images without a pose` : '';
+  byId('facts').textContent = `${grouped.format(views.count)} views${left}, ${grouped.format(data.points)} sparse points, a surface of ${grouped.format(data.triangles)} triangles;`
+    + ` planned for ${data.backend}, ${rounded(data.gsd)} ${unit} per pixel wanted`;
+  byId('footer').textContent = `${data.tool}. ${data.surface.coarser ? 'The surface is drawn coarser than it was planned on. ' : ''}`
+    + 'Predicted before any depth map was computed; see viewrank/manifest.json for all of it.';
+}
+
+listeners.push(what => {
+  const any = (...keys) => keys.some(key => key in what);
+  if (any('cut')) drawCut();
+  if (any('cut', 'perPair', 'perMap')) { fillOver(); drawCurve(); drawForecast(); }
+  if (any('cut') && byId('which').value !== 'all') filterList();
+  if (any('selected')) { if (state.selected >= 0 && !listed.includes(state.selected)) clearFilter(); showInList(); }
+  if (any('cut', 'selected')) { drawList(); drawWhy(); }
+  if (any('colour')) {
+    for (const select of document.querySelectorAll('select.colour')) select.value = state.colour;
+    drawLegends();
+  }
+  for (const scene of scenes) {
+    if (any('selected') && state.selected >= 0) scene.hole = null;
+    scene.draw(any('cut', 'colour', 'selected'));
+  }
+  drawPointer();
+});
+
+function clearFilter() {
+  byId('search').value = '';
+  byId('which').value = 'all';
+  filterList();
+}
+
+function followTheme() {
+  readTheme();
+  for (const scene of scenes) scene.draw();
+}
+
+followTheme();
+matchMedia('(prefers-color-scheme: dark)').addEventListener('change', followTheme);
+drawFacts();
+setUpCut();
+setUpCurve();
+setUpForecast();
+setUpColours();
+setUpList();
+drawHoles();
+drawLegends();
+filterList();
+change({ cut: data.cut, selected: -1 });

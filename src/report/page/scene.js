@@ -1,0 +1,251 @@
+// The two drawings of the surface, with cameras, partners and footprints over it.
+'use strict';
+
+let theme = {};
+
+function readTheme() {
+  const style = getComputedStyle(document.documentElement);
+  for (const name of ['text', 'soft', 'key', 'partner', 'unused', 'hole', 'card', 'accent', 'line']) {
+    theme[name] = style.getPropertyValue(`--${name}`).trim();
+  }
+}
+
+class Scene {
+  constructor(element, camera, turns) {
+    Object.assign(this, { element, camera, turns, hole: null, dirty: true, repaint: true });
+    [this.canvas, this.marks] = element.querySelectorAll('canvas');
+    this.painter = painterFor(this.canvas);
+    this.context = this.marks.getContext('2d');
+    new ResizeObserver(() => this.resize()).observe(element);
+    this.listen();
+  }
+
+  resize() {
+    const { clientWidth: width, clientHeight: height } = this.element, ratio = Math.min(2, window.devicePixelRatio || 1);
+    if (!width || !height) return;
+    const first = !this.width;
+    const zoom = first ? 1 : Math.min(width / this.width, height / this.height);
+    [this.width, this.height] = [width, height];
+    for (const canvas of [this.canvas, this.marks]) [canvas.width, canvas.height] = [width * ratio, height * ratio];
+    this.context.setTransform(ratio, 0, 0, ratio, 0, 0);
+    if (first) this.camera.fit(width, height); else this.camera.scale *= zoom;
+    this.draw();
+  }
+
+  listen() {
+    const { element } = this;
+    let from = null, moved = false;
+    element.addEventListener('pointerdown', event => {
+      if (event.target.closest('button')) return;
+      [from, moved] = [[event.clientX, event.clientY], false];
+      element.setPointerCapture(event.pointerId);
+    });
+    element.addEventListener('pointermove', event => {
+      const box = element.getBoundingClientRect();
+      if (!from) {
+        const hovered = this.nearest(event.clientX - box.left, event.clientY - box.top);
+        if (hovered !== state.hovered) change({ hovered });
+        return;
+      }
+      const [dx, dy] = [event.clientX - from[0], event.clientY - from[1]];
+      if (!moved && Math.hypot(dx, dy) < 4) return;
+      [from, moved] = [[event.clientX, event.clientY], true];
+      if (this.turns && !event.shiftKey) this.camera.turn(-0.4 * dx, 0.4 * dy); else this.camera.pan(dx, dy);
+      this.draw();
+    });
+    element.addEventListener('pointerup', event => {
+      const box = element.getBoundingClientRect();
+      if (from && !moved) change({ selected: this.nearest(event.clientX - box.left, event.clientY - box.top) });
+      from = null;
+    });
+    element.addEventListener('pointercancel', () => { from = null; });
+    element.addEventListener('pointerleave', () => { if (state.hovered >= 0) change({ hovered: -1 }); });
+    element.addEventListener('wheel', event => {
+      // A page that is scrolled past must not get stuck here.
+      if (!event.ctrlKey && document.activeElement !== element) return;
+      event.preventDefault();
+      const box = element.getBoundingClientRect();
+      this.zoom(Math.exp(-0.0015 * event.deltaY), event.clientX - box.left, event.clientY - box.top);
+    }, { passive: false });
+    element.addEventListener('keydown', event => this.key(event));
+    for (const button of element.querySelectorAll('[data-zoom]')) {
+      button.addEventListener('click', () => { if (+button.dataset.zoom) this.zoom(+button.dataset.zoom); else this.home(); });
+    }
+  }
+
+  key(event) {
+    const arrows = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
+    const arrow = arrows[event.key];
+    if (arrow && this.turns) { this.camera.turn(8 * arrow[0], -6 * arrow[1]); this.draw(); }
+    else if (arrow) change({ selected: this.next(arrow) });
+    else if (event.key === '+' || event.key === '=') this.zoom(1.25);
+    else if (event.key === '-') this.zoom(0.8);
+    else if (event.key === 'Home') this.home();
+    else if (event.key === 'Escape') change({ selected: -1 });
+    else return;
+    event.preventDefault();
+  }
+
+  home() {
+    this.camera.fit(this.width, this.height);
+    this.draw();
+  }
+
+  zoom(factor, x = this.width / 2, y = this.height / 2) {
+    const [dx, dy] = [x - this.width / 2, y - this.height / 2];
+    this.camera.pan(-dx, -dy);
+    this.camera.scale *= factor;
+    this.camera.pan(dx, dy);
+    this.draw();
+  }
+
+  at(view) {
+    return this.camera.screen(views.centres, 3 * view, this.width, this.height);
+  }
+
+  // The camera at a pixel, -1 for none; of several the key view, then the better one.
+  nearest(x, y) {
+    let best = -1, least = 16;
+    for (let view = 0; view < views.count; view++) {
+      const [vx, vy] = this.at(view), distance = Math.hypot(vx - x, vy - y) - (statusOf(view, state.cut) === 'key' ? 4 : 0);
+      if (distance < least) [best, least] = [view, distance];
+    }
+    return best;
+  }
+
+  // The nearest camera in a direction of the screen.
+  next([dx, dy]) {
+    if (state.selected < 0) return ranking.keys.length ? ranking.keys[0] : 0;
+    const [x, y] = this.at(state.selected);
+    let best = state.selected, least = Infinity;
+    for (let view = 0; view < views.count; view++) {
+      const [vx, vy] = this.at(view), along = (vx - x) * dx + (vy - y) * dy, aside = Math.abs((vx - x) * dy) + Math.abs((vy - y) * dx);
+      if (along > 0.5 && along + 2.5 * aside < least && along >= 0.6 * aside) [best, least] = [view, along + 2.5 * aside];
+    }
+    return best;
+  }
+
+  // Draws with the next frame; `repaint`: the colours have changed too.
+  draw(repaint = false) {
+    this.repaint ||= repaint;
+    if (this.dirty && this.asked) return;
+    this.dirty = this.asked = true;
+    requestAnimationFrame(() => {
+      this.dirty = this.asked = false;
+      if (!this.width) return;
+      if (this.repaint) this.painter.paint(triangleColours());
+      this.repaint = false;
+      this.painter.draw(this.camera, this.width, this.height);
+      this.drawMarks();
+    });
+  }
+
+  drawMarks() {
+    const { context } = this;
+    context.clearRect(0, 0, this.width, this.height);
+    const shown = state.hovered >= 0 ? state.hovered : state.selected;
+    if (shown >= 0) this.drawFootprint(shown);
+    const size = Math.max(1.6, Math.min(4.5, 0.22 * Math.sqrt(this.width * this.height / Math.max(views.count, 1))));
+    for (const status of ['unused', 'partner', 'key']) this.drawCameras(status, size);
+    if (shown >= 0) this.drawCluster(shown, size);
+    if (this.hole) this.drawHole();
+    if (!this.turns) this.drawScale();
+  }
+
+  drawCameras(status, size) {
+    const { context } = this;
+    context.beginPath();
+    for (let view = 0; view < views.count; view++) {
+      if (statusOf(view, state.cut) !== status) continue;
+      const [x, y] = this.at(view), radius = status === 'key' ? size * 1.35 : size;
+      context.moveTo(x + radius, y);
+      context.arc(x, y, radius, 0, 7);
+    }
+    context.lineWidth = status === 'key' ? 1.5 : 1.2;
+    context.fillStyle = theme[status];
+    context.strokeStyle = status === 'key' ? '#fff' : theme[status];
+    if (status !== 'unused') context.fill();
+    context.stroke();
+  }
+
+  // A view with its partners, or with the key views that it is a partner of.
+  drawCluster(view, size) {
+    const { context } = this, rank = views.rank[view], [x, y] = this.at(view);
+    const others = rank && rank <= state.cut ? partnersOf(rank) : keysWith(view, state.cut);
+    context.strokeStyle = theme.partner;
+    context.lineWidth = 2;
+    for (const other of others) {
+      const [ox, oy] = this.at(other);
+      context.beginPath();
+      context.moveTo(x, y);
+      context.lineTo(ox, oy);
+      context.stroke();
+      context.beginPath();
+      context.arc(ox, oy, size + 3, 0, 7);
+      context.stroke();
+    }
+    context.beginPath();
+    context.arc(x, y, size + 4, 0, 7);
+    context.strokeStyle = theme.text;
+    context.lineWidth = 2.5;
+    context.stroke();
+    context.font = '600 13px system-ui, sans-serif';
+    const text = names[view], half = context.measureText(text).width / 2 + 4;
+    const left = Math.min(Math.max(x - half, 2), Math.max(2, this.width - 2 * half - 2)), top = y > 34 ? y - size - 26 : y + size + 8;
+    context.fillStyle = theme.card;
+    context.globalAlpha = 0.85;
+    context.fillRect(left, top, 2 * half, 18);
+    context.globalAlpha = 1;
+    context.fillStyle = theme.text;
+    context.fillText(text, left + 4, top + 13.5);
+  }
+
+  drawFootprint(view) {
+    const { context } = this, [from, to] = [views.footprintOffsets[view], views.footprintOffsets[view + 1]];
+    if (to - from < 3) return;
+    context.beginPath();
+    for (let corner = from; corner < to; corner++) {
+      const [x, y] = this.camera.screen(views.footprints, 3 * corner, this.width, this.height);
+      if (corner > from) context.lineTo(x, y); else context.moveTo(x, y);
+    }
+    context.closePath();
+    context.strokeStyle = theme.text;
+    context.lineWidth = 1.5;
+    context.setLineDash([6, 4]);
+    context.stroke();
+    context.setLineDash([]);
+  }
+
+  drawHole() {
+    const { context } = this, [x, y] = this.camera.screen(this.hole.centre, 0, this.width, this.height);
+    context.beginPath();
+    context.arc(x, y, Math.max(12, 0.8 * Math.sqrt(this.hole.area) * this.camera.scale), 0, 7);
+    context.strokeStyle = theme.hole;
+    context.lineWidth = 3;
+    context.stroke();
+  }
+
+  drawScale() {
+    const { context } = this, wanted = 110 / this.camera.scale, power = 10 ** Math.floor(Math.log10(wanted));
+    const length = [5, 2, 1].map(m => m * power).find(l => l <= wanted) || power, px = length * this.camera.scale;
+    context.strokeStyle = context.fillStyle = theme.text;
+    context.lineWidth = 2;
+    context.beginPath();
+    context.moveTo(12, this.height - 18);
+    context.lineTo(12, this.height - 12);
+    context.lineTo(12 + px, this.height - 12);
+    context.lineTo(12 + px, this.height - 18);
+    context.stroke();
+    context.font = '12px system-ui, sans-serif';
+    context.fillText(`${rounded(length)} ${unit}`, 18, this.height - 18);
+  }
+}
+
+// The chosen key views that a view is a partner of, best first.
+function keysWith(view, cut) {
+  const found = [];
+  for (let rank = partnerFrom[view]; rank <= cut; rank++) {
+    if (partnersOf(rank).includes(view)) found.push(ranking.keys[rank - 1]);
+  }
+  return found;
+}

@@ -1,0 +1,241 @@
+// Draws the surface, by WebGL or, where there is none, triangle by triangle on a plain canvas.
+'use strict';
+
+const RAMP = [[200, 72, 44], [236, 208, 108], [38, 122, 158]];
+const NOWHERE = [148, 148, 152];
+const COUNT_COLOURS = [[200, 72, 44], [222, 140, 70], [236, 208, 108], [140, 178, 130], [76, 148, 150], [38, 122, 158]];
+const REASON_COLOURS = [
+  [200, 205, 209], [120, 94, 160], [222, 120, 180], [150, 150, 150], [226, 140, 60], [110, 110, 118], [60, 110, 190], [236, 190, 70], [200, 60, 50],
+  [150, 150, 150],
+];
+const IMPROVED = [176, 58, 134];
+
+function ramp(share) {
+  const place = Math.min(Math.max(share, 0), 1) * 2;
+  const from = RAMP[place < 1 ? 0 : 1], to = RAMP[place < 1 ? 1 : 2], t = place < 1 ? place : place - 1;
+  return from.map((value, i) => value + t * (to[i] - value));
+}
+
+// Place in the triangle's steps after the first `cut` clusters; its first place where none of them helps.
+function stepsUpTo(triangle, cut) {
+  let end = surface.offsets[triangle];
+  const last = surface.offsets[triangle + 1];
+  while (end < last && surface.ranks[end] <= cut) end++;
+  return end;
+}
+
+function shareOf(triangle, cut) {
+  const end = stepsUpTo(triangle, cut);
+  return end > surface.offsets[triangle] ? surface.shares[end - 1] / 255 : 0;
+}
+
+function chosenViews(triangle, cut) {
+  let count = 0;
+  while (count < COUNTED && surface.first[triangle * COUNTED + count] <= cut) count++;
+  return count;
+}
+
+function improvedBy(triangle, rank) {
+  const end = stepsUpTo(triangle, rank);
+  return end > surface.offsets[triangle] && surface.ranks[end - 1] === rank;
+}
+
+// Colour of every triangle for the state of the page, 3 bytes each.
+function triangleColours() {
+  const colours = new Uint8Array(3 * surface.count);
+  const table = Array.from({ length: 256 }, (_, i) => ramp(i / 255));
+  const rank = state.selected >= 0 ? views.rank[state.selected] : 0;
+  for (let t = 0; t < surface.count; t++) {
+    let colour;
+    if (state.colour === 'reason') colour = REASON_COLOURS[surface.reason[t]];
+    else if (surface.reason[t] && !surface.reachable[t]) colour = NOWHERE;
+    else if (state.colour === 'count') colour = COUNT_COLOURS[chosenViews(t, state.cut)];
+    else if (state.colour === 'real') colour = table[surface.real[t]];
+    else colour = table[Math.round(255 * shareOf(t, state.cut))];
+    if (rank && improvedBy(t, rank)) colour = colour.map((value, i) => 0.35 * value + 0.65 * IMPROVED[i]);
+    colours.set(colour, 3 * t);
+  }
+  return colours;
+}
+
+// How bright each triangle is under a light from the upper left.
+const shading = (() => {
+  const light = [-0.35, 0.35, 0.87], shades = new Float32Array(surface.count), { vertices: p, triangles } = surface;
+  for (let t = 0; t < surface.count; t++) {
+    const [a, b, c] = [0, 1, 2].map(i => 3 * triangles[3 * t + i]);
+    const u = [0, 1, 2].map(i => p[b + i] - p[a + i]), v = [0, 1, 2].map(i => p[c + i] - p[a + i]);
+    const n = [u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]];
+    const length = Math.hypot(...n) || 1;
+    shades[t] = 0.62 + 0.38 * Math.max(0, (n[0] * light[0] + n[1] * light[1] + n[2] * light[2]) / length);
+  }
+  return shades;
+})();
+
+const bounds = (() => {
+  const low = [Infinity, Infinity, Infinity], high = [-Infinity, -Infinity, -Infinity];
+  for (const list of [surface.vertices, views.centres]) {
+    for (let i = 0; i < list.length; i++) {
+      low[i % 3] = Math.min(low[i % 3], list[i]);
+      high[i % 3] = Math.max(high[i % 3], list[i]);
+    }
+  }
+  return low[0] > high[0] ? { low: [0, 0, 0], high: [1, 1, 1] } : { low, high };
+})();
+
+const VERTEX = `
+  attribute vec3 place; attribute vec3 colour; uniform mat4 view; varying vec3 shade;
+  void main() { gl_Position = view * vec4(place, 1.0); shade = colour; }`;
+const FRAGMENT = 'precision mediump float; varying vec3 shade; void main() { gl_FragColor = vec4(shade, 1.0); }';
+
+// The surface on one canvas by WebGL.
+class GlPainter {
+  constructor(canvas) {
+    const gl = canvas.getContext('webgl', { alpha: true, antialias: true, preserveDrawingBuffer: true });
+    if (!gl) throw new Error('no WebGL');
+    this.gl = gl;
+    const program = gl.createProgram();
+    for (const [type, text] of [[gl.VERTEX_SHADER, VERTEX], [gl.FRAGMENT_SHADER, FRAGMENT]]) {
+      const shader = gl.createShader(type);
+      gl.shaderSource(shader, text);
+      gl.compileShader(shader);
+      gl.attachShader(program, shader);
+    }
+    gl.linkProgram(program);
+    gl.useProgram(program);
+    this.view = gl.getUniformLocation(program, 'view');
+    this.bind(program, 'place', this.places(), gl.FLOAT);
+    this.colours = this.bind(program, 'colour', new Uint8Array(9 * surface.count), gl.UNSIGNED_BYTE);
+    gl.enable(gl.DEPTH_TEST);
+  }
+
+  places() {
+    const places = new Float32Array(9 * surface.count);
+    for (let corner = 0; corner < 3 * surface.count; corner++) {
+      const from = 3 * surface.triangles[corner];
+      for (let i = 0; i < 3; i++) places[3 * corner + i] = surface.vertices[from + i];
+    }
+    return places;
+  }
+
+  bind(program, name, values, type) {
+    const { gl } = this, buffer = gl.createBuffer(), at = gl.getAttribLocation(program, name);
+    gl.bindBuffer(gl.ARRAY_BUFFER, buffer);
+    gl.bufferData(gl.ARRAY_BUFFER, values, gl.DYNAMIC_DRAW);
+    gl.enableVertexAttribArray(at);
+    gl.vertexAttribPointer(at, 3, type, type !== gl.FLOAT, 0, 0);
+    return buffer;
+  }
+
+  paint(colours) {
+    const shaded = new Uint8Array(9 * surface.count);
+    for (let t = 0; t < surface.count; t++) {
+      for (let i = 0; i < 9; i++) shaded[9 * t + i] = colours[3 * t + i % 3] * shading[t];
+    }
+    this.gl.bindBuffer(this.gl.ARRAY_BUFFER, this.colours);
+    this.gl.bufferSubData(this.gl.ARRAY_BUFFER, 0, shaded);
+  }
+
+  draw(camera, width, height) {
+    const { gl } = this, { right, up, towards, centre, scale } = camera;
+    const sx = 2 * scale / width, sy = 2 * scale / height, sz = -1 / camera.depth;
+    const rows = [right.map(v => v * sx), up.map(v => v * sy), towards.map(v => v * sz)];
+    const matrix = new Float32Array(16);
+    rows.forEach((row, r) => {
+      row.forEach((value, c) => { matrix[4 * c + r] = value; });
+      matrix[12 + r] = -(row[0] * centre[0] + row[1] * centre[1] + row[2] * centre[2]);
+    });
+    matrix[15] = 1;
+    gl.viewport(0, 0, gl.drawingBufferWidth, gl.drawingBufferHeight);
+    gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
+    gl.uniformMatrix4fv(this.view, false, matrix);
+    gl.drawArrays(gl.TRIANGLES, 0, 3 * surface.count);
+  }
+}
+
+// The same on a plain canvas, far triangles first.
+class PlainPainter {
+  constructor(canvas) {
+    this.context = canvas.getContext('2d');
+    this.colours = null;
+  }
+
+  paint(colours) {
+    this.colours = colours;
+  }
+
+  draw(camera, width, height) {
+    const { context } = this, ratio = context.canvas.width / width;
+    const at = new Float32Array(3 * surface.vertices.length / 3);
+    for (let v = 0; v < surface.vertices.length; v += 3) at.set(camera.screen(surface.vertices, v, width, height), v);
+    const depth = t => at[3 * surface.triangles[3 * t] + 2] + at[3 * surface.triangles[3 * t + 1] + 2] + at[3 * surface.triangles[3 * t + 2] + 2];
+    const order = Array.from({ length: surface.count }, (_, t) => t).sort((a, b) => depth(a) - depth(b));
+    context.setTransform(ratio, 0, 0, ratio, 0, 0);
+    context.clearRect(0, 0, width, height);
+    for (const t of order) {
+      const rgb = [0, 1, 2].map(i => Math.round(this.colours[3 * t + i] * shading[t]));
+      context.fillStyle = context.strokeStyle = `rgb(${rgb})`;
+      context.beginPath();
+      for (let i = 0; i < 3; i++) {
+        const v = 3 * surface.triangles[3 * t + i];
+        if (i) context.lineTo(at[v], at[v + 1]); else context.moveTo(at[v], at[v + 1]);
+      }
+      context.closePath();
+      context.fill();
+      context.stroke();
+    }
+  }
+}
+
+function painterFor(canvas) {
+  try {
+    return new GlPainter(canvas);
+  } catch {
+    return new PlainPainter(canvas);
+  }
+}
+
+// A parallel projection: `pitch` 90 degrees looks straight down with y up the screen.
+class Camera {
+  constructor(yaw, pitch) {
+    Object.assign(this, { yaw, pitch, scale: 1, centre: [0, 1, 2].map(i => 0.5 * (bounds.low[i] + bounds.high[i])) });
+    this.home = { yaw, pitch };
+    this.depth = Math.hypot(...bounds.high.map((high, i) => high - bounds.low[i])) || 1;
+    this.turn(0, 0);
+  }
+
+  turn(yaw, pitch) {
+    this.yaw += yaw;
+    this.pitch = Math.min(90, Math.max(5, this.pitch + pitch));
+    const [a, p] = [this.yaw, this.pitch].map(degrees => degrees * Math.PI / 180);
+    this.right = [Math.cos(a), Math.sin(a), 0];
+    this.up = [-Math.sin(a) * Math.sin(p), Math.cos(a) * Math.sin(p), Math.cos(p)];
+    this.towards = [Math.sin(a) * Math.cos(p), -Math.cos(a) * Math.cos(p), Math.sin(p)];
+  }
+
+  // Everything in sight.
+  fit(width, height) {
+    this.turn(this.home.yaw - this.yaw, this.home.pitch - this.pitch);
+    const spans = [this.right, this.up].map(axis => {
+      let low = Infinity, high = -Infinity;
+      for (let corner = 0; corner < 8; corner++) {
+        const along = [0, 1, 2].reduce((sum, i) => sum + axis[i] * (corner >> i & 1 ? bounds.high[i] : bounds.low[i]), 0);
+        low = Math.min(low, along);
+        high = Math.max(high, along);
+      }
+      return high - low || 1;
+    });
+    this.centre = [0, 1, 2].map(i => 0.5 * (bounds.low[i] + bounds.high[i]));
+    this.scale = 0.94 * Math.min(width / spans[0], height / spans[1]);
+  }
+
+  // Pixel and nearness of the point at `offset` of a list.
+  screen(points, offset, width, height) {
+    const d = [0, 1, 2].map(i => points[offset + i] - this.centre[i]);
+    const along = axis => axis[0] * d[0] + axis[1] * d[1] + axis[2] * d[2];
+    return [0.5 * width + this.scale * along(this.right), 0.5 * height - this.scale * along(this.up), along(this.towards)];
+  }
+
+  pan(dx, dy) {
+    this.centre = this.centre.map((c, i) => c - (this.right[i] * dx - this.up[i] * dy) / this.scale);
+  }
+}

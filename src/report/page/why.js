@@ -1,0 +1,86 @@
+// Why a view is in, or is not.
+'use strict';
+
+function reasonOf(view) {
+  return views.reason[view] ? data.reasons[views.reason[view] - 1] : '';
+}
+
+// In a few words, for the list.
+function becauseShort(view) {
+  const rank = views.rank[view];
+  if (rank && rank <= state.cut) return `reaches ${percent(shareAt(rank))} with those before it`;
+  const earlier = views.likest[view];
+  if (earlier && earlier <= state.cut && views.likestShare[view] >= 0.5) {
+    return `${names[ranking.keys[earlier - 1]]} does ${percent(views.likestShare[view], 0)} of what it could`;
+  }
+  if (rank) return `its turn comes after the cut, at ${rank}`;
+  return reasonOf(view) || 'it would add nothing to those before it';
+}
+
+function drawWhy() {
+  const view = state.selected, box = byId('why-box');
+  box.classList.toggle('chosen', view >= 0);
+  byId('why-name').textContent = view < 0 ? 'Why is a view in, or not?' : names[view];
+  if (view < 0) {
+    byId('why').replaceChildren(make('p', {}, 'Choose a view in the list or on the map, or search it by its name.'), summary());
+    return;
+  }
+  const parts = [];
+  if (data.thumbnails[view]) parts.push(make('img', { src: `data:image/jpeg;base64,${data.thumbnails[view]}`, alt: `Small picture of ${names[view]}` }));
+  const status = statusOf(view, state.cut);
+  parts.push(make('p', {}, make('span', { class: `tag ${status}` }, { key: 'key view', partner: 'partner only', unused: 'unused' }[status])));
+  parts.push(...(status === 'key' ? whyIn(view) : whyNot(view)));
+  const keys = keysWith(view, state.cut);
+  if (keys.length) parts.push(make('p', {}, `${keys.length} chosen key view${keys.length > 1 ? 's are' : ' is'} matched against it:`), viewList(keys));
+  parts.push(make('p', { class: 'note' }, `It sees ${grouped.format(views.seen[view])} of the ${grouped.format(data.triangles)} triangles; the dashed line on the map is round them.`));
+  byId('why').replaceChildren(...parts);
+}
+
+function whyIn(view) {
+  const rank = views.rank[view], partners = Array.from(partnersOf(rank));
+  const parts = [
+    make('p', { class: 'answer' }, `In: it is number ${rank} of ${state.cut} because at its turn no other view adds more. It brings ${gainText(rank)} of what all views`
+      + ` together give, from ${percent(shareAt(rank - 1))} to ${percent(shareAt(rank))}. On the map, what it improves is purple.`),
+    make('p', {}, `It is matched against ${partners.length} partner${partners.length === 1 ? '' : 's'}, best first:`), viewList(partners)];
+  if (data.wanted_partners && partners.length < data.wanted_partners) {
+    parts.push(make('p', {}, `That is fewer than the ${data.wanted_partners} that are wanted because ${reasonOf(view) || 'there are no others'}.`));
+  }
+  return parts;
+}
+
+function whyNot(view) {
+  const rank = views.rank[view], earlier = views.likest[view], reason = reasonOf(view), parts = [];
+  if (rank) {
+    parts.push(make('p', { class: 'answer' }, `Not in: its turn comes at ${rank}, and the cut is at ${state.cut}. There it would add ${gainText(rank)}.`),
+      make('button', { type: 'button', onclick: () => change({ cut: rank }) }, `Move the cut to ${rank}`));
+  } else {
+    parts.push(make('p', { class: 'answer' }, reason ? `Not in, because ${reason}.` : 'Not in: at any time others add more, and in the end it adds nothing.'));
+  }
+  if (earlier && earlier <= state.cut) {
+    parts.push(make('p', {}, viewButton(ranking.keys[earlier - 1]), ` (key view ${earlier}) does ${percent(views.likestShare[view], 0)} of what it could do by itself.`));
+  }
+  if (rank && reason && state.cut === data.cut) parts.push(make('p', {}, `At the plan's cut it is left out because ${reason}.`));
+  return parts;
+}
+
+function viewList(list) {
+  const button = view => make('li', {}, viewButton(view));
+  const rest = list.length > 12 ? [make('li', {}, `and ${list.length - 12} more`)] : [];
+  return make('ul', {}, ...list.slice(0, 12).map(button), ...rest);
+}
+
+// How many views are what, and for which reasons the rest is not taken.
+function summary() {
+  const counts = { key: 0, partner: 0, unused: 0 }, reasons = new Map();
+  for (let view = 0; view < views.count; view++) {
+    const status = statusOf(view, state.cut);
+    counts[status]++;
+    if (status !== 'key' && reasonOf(view)) reasons.set(reasonOf(view), (reasons.get(reasonOf(view)) || 0) + 1);
+  }
+  const rows = [['key views', counts.key], ['partners only', counts.partner], ['unused', counts.unused]];
+  if (data.unregistered_count) rows.push(['without a pose in the sparse model', data.unregistered_count]);
+  const table = make('table', {}, ...rows.map(([what, n]) => make('tr', {}, make('td', {}, what), make('td', {}, grouped.format(n)))));
+  if (state.cut !== data.cut || !reasons.size) return table;
+  const why = [...reasons].sort((a, b) => b[1] - a[1]).map(([reason, n]) => make('li', {}, `${grouped.format(n)}: ${reason}`));
+  return make('div', {}, table, make('p', {}, 'The views that get no depth map, by reason:'), make('ul', {}, ...why));
+}
