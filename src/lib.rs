@@ -9,7 +9,7 @@
 //! - [`fulfilment`] method 3; [`partners`] method 4; [`ranking`] method 5
 //! - [`backends`] what each MVS program can match and the files it reads
 //! - [`depthmaps`] finished depth maps of the backends
-//! - [`pictures`] and [`report`] what people look at; [`tables`] what programs check
+//! - [`pictures`] and [`report`] what people look at; [`tables`] what programs check; [`dispatch`] the clusters as tasks of a queue
 //! - [`plan`] runs the stages; [`evaluate`] method 8: real fulfilment, baselines; [`output`] makes files appear whole or not at all
 //! - [`config`] every setting; [`progress`] progress and cancellation; [`error`] what errors say beside their message
 
@@ -19,6 +19,7 @@ pub mod confidence;
 pub mod config;
 pub mod daemon;
 pub mod depthmaps;
+pub mod dispatch;
 pub mod error;
 pub mod evaluate;
 pub mod formats;

@@ -14,7 +14,7 @@ pub use written::{WrittenPlan, WrittenPlanError};
 
 use crate::{
     backends::{ExportRecord, RankedCluster},
-    config::Settings,
+    config::{DispatchSettings, Settings},
     plan::{Cut, Forecast, Plan, Reason, ViewStatus},
     project::Project,
     scene::{Units, ViewIndex},
@@ -121,7 +121,7 @@ impl Manifest {
             input: Input::new(plan, project)?,
             units: plan.settings.units.unwrap_or(Units::Relative),
             backend: plan.backend.into(),
-            settings: plan.settings.clone(),
+            settings: Settings { dispatch: DispatchSettings::default(), ..plan.settings.clone() },
             surface: SurfaceSummary::new(plan),
             clusters: clusters(plan),
             cut: plan.cut,

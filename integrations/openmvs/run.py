@@ -7,6 +7,8 @@
     python3 run.py --stop-at 2h                          start no cluster after two hours
     python3 run.py --progress ../progress.json           end when that file says "target_reached": true
     python3 run.py --no-fusion                           only the depth maps
+    python3 run.py --rank 7                              the seventh cluster alone; many such runs may go on side by side
+    python3 run.py --stop-at 0                           only the fusion
     python3 run.py -- --geometric-iters 2                options for DensifyPointCloud behind two dashes
 
 Runs resume: a map that is there and whose row in report.json fits its scene and options is kept. report.json says for each key view what came
@@ -36,6 +38,8 @@ def main():
     run = json.loads((HERE / "run.json").read_text(encoding="utf-8"))
     program = Densify(args.densify, run, args.threads, args.options)
     report = Report(program.options)
+    if args.rank is not None:
+        sys.exit(one(run["clusters"], args.rank, program, report))
     clusters_until = stop_rule(args)
     for row in run["clusters"]:
         if clusters_until(row):
@@ -47,10 +51,21 @@ def main():
     sys.exit(1 if failed else 0)
 
 
+def one(clusters, rank, program, report):
+    """Computes one cluster; 1 where it is not as planned."""
+    row = next((row for row in clusters if row["rank"] == rank), None)
+    if row is None:
+        sys.exit(f"error: --rank {rank}: the clusters have the ranks 1 to {len(clusters)}")
+    report.single = True
+    compute(row, program, report)
+    return 1 if report.rows[row["key"]]["problems"] else 0
+
+
 def arguments():
     own, _, foreign = partition(sys.argv[1:], "--")
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--densify", default=os.environ.get("DENSIFY", "DensifyPointCloud"), metavar="PROGRAM", help="the program (default: DensifyPointCloud, or $DENSIFY)")
+    parser.add_argument("--rank", type=int, metavar="N", help="the N-th cluster alone, without fusion (for queues)")
     parser.add_argument("--stop-at", metavar="N|P%|TIME", help="clusters, foretold share, or time (90s, 30m, 2h)")
     parser.add_argument("--progress", type=Path, metavar="FILE", help="JSON file whose target_reached ends the run")
     parser.add_argument("--threads", type=int, default=0, metavar="N", help="threads of each run (default: all)")
@@ -119,7 +134,8 @@ class Densify:
         command += [*self.options, *self.threads, *options]
         done = subprocess.run(command, cwd=HERE, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="replace", check=False)
         for log in HERE.glob("DensifyPointCloud-*.log"):
-            log.unlink()
+            with contextlib.suppress(FileNotFoundError):  # another run was faster
+                log.unlink()
         return done
 
 
@@ -136,15 +152,15 @@ def compute(row, program, report):
         map_of(row).unlink()
     started = time.monotonic()
     # No geometric passes: the partners have no maps. Filter 3: speckles and gaps, without the one that needs partners' maps.
-    scratch = HERE / "scratch.mvs"
+    scratch = HERE / f"scratch-{row['rank']:04d}.mvs"
     done = program.run(row["scene"], scratch, "--number-views", "0", "--geometric-iters", "0", "--postprocess-dmaps", "3", "--fusion-mode", "1")
-    for left in HERE.glob("scratch*"):
+    for left in HERE.glob(f"{scratch.stem}*"):
         left.unlink()
     result = {"rank": row["rank"], "key": row["key"], "digest": digest, "seconds": round(time.monotonic() - started, 2), **check(row)}
     if not map_of(row).exists() and done.returncode != 0:
         last = done.stdout.strip().splitlines()[-3:]
         result["problems"].append(f"DensifyPointCloud ended with {done.returncode}: {' | '.join(last)}")
-    report.add(result)
+    report.add(row, result)
 
 
 def check(row):
@@ -194,35 +210,53 @@ def read_map(path):
 
 
 class Report:
-    """report.json: a row per key view that was tried, and the fusion."""
+    """report.json: a row per key view that was tried, and the fusion.
+
+    Runs of single ranks go on side by side, on several machines: each writes its row into rows/, and the next whole run joins these."""
 
     def __init__(self, options):
         self.path = HERE / "report.json"
         self.rows = {}
-        with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
-            self.rows = {row["key"]: row for row in json.loads(self.path.read_text(encoding="utf-8"))["clusters"]}
+        for path in (self.path, *sorted((HERE / "rows").glob("*.json"))):
+            with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
+                self.rows.update({row["key"]: row for row in json.loads(path.read_text(encoding="utf-8"))["clusters"]})
         self.options = options
         self.fusion = None
+        self.single = False
 
     def has(self, row, digest):
         return self.rows.get(row["key"], {}).get("digest") == digest
 
     def drop(self, row):
+        if self.single:  # report.json is not ours alone; this row counts more than one there
+            self.write_rows(self.path_of(row), [{"rank": row["rank"], "key": row["key"], "digest": "", "problems": ["not finished"]}])
+            return
+        with contextlib.suppress(FileNotFoundError):
+            self.path_of(row).unlink()
         if self.rows.pop(row["key"], None):
             self.write()
 
-    def add(self, result):
+    def add(self, row, result):
         self.rows[result["key"]] = result
-        self.write()
+        if self.single:
+            self.write_rows(self.path_of(row), [result])
+        else:
+            self.write()
         state = "; ".join(result["problems"]) or f"{100 * result['filled']:.0f} % filled, partners as planned"
         print(f"{result['rank']:4d} {result['key']}: {state} ({result['seconds']:.0f} s)", flush=True)
 
     def write(self):
-        rows = sorted(self.rows.values(), key=lambda row: row["rank"])
+        self.write_rows(self.path, sorted(self.rows.values(), key=lambda row: row["rank"]))
+
+    def path_of(self, row):
+        return HERE / "rows" / f"{row['id']:04d}.json"
+
+    def write_rows(self, path, rows):
+        path.parent.mkdir(exist_ok=True)
         text = json.dumps({"options": self.options, "clusters": rows, "fusion": self.fusion}, indent=1)
-        whole = self.path.with_suffix(".tmp")
+        whole = path.with_suffix(".tmp")
         whole.write_text(text + "\n", encoding="utf-8")
-        whole.replace(self.path)
+        whole.replace(path)
 
     def finish(self, clusters):
         """Rows of the plan only; says how many are as planned; True where one isn't."""
@@ -237,7 +271,7 @@ class Report:
 def fuse(run, program, report):
     """Joins the maps that are there; each is compared with those of the key views that overlap it."""
     rows = run["clusters"]
-    there = {i for i, row in enumerate(rows) if row["key"] in report.rows and map_of(row).exists()}
+    there = {i for i, row in enumerate(rows) if report.rows.get(row["key"], {}).get("digest") and map_of(row).exists()}
     if not there:
         print("nothing to fuse")
         return False

@@ -3,6 +3,7 @@
 
     sgm.py match WORKSPACE --out DIR                       the clusters of WORKSPACE/viewrank/clusters.txt, in rank order
     sgm.py match WORKSPACE --out DIR --clusters manifest.json --stop-at 2h
+    sgm.py match WORKSPACE --out DIR --rank 7              the seventh cluster alone; many such runs may go on side by side
     sgm.py match WORKSPACE --out DIR --connected 22        every view with the 22 views that share most sparse points
     sgm.py pairs WORKSPACE --cache DIR --connected 22      only fill the cache of pairs
 """
@@ -114,16 +115,20 @@ def partner_row(name, pair):
 
 
 class Report:
-    """OUT/report.json, written anew every two seconds and at the end. A key view is in it only while its maps are whole and belong to its row."""
+    """OUT/report.json, written anew every two seconds and at the end. A key view is in it only while its maps are whole and belong to its row.
 
-    def __init__(self, out, settings):
-        self.path, self.out, self.settings, self.rows, self.stopped = out / "report.json", out, settings, {}, ""
-        try:
-            old = json.loads(self.path.read_text(encoding="utf-8"))
-            if old["settings"] == settings:
-                self.rows = {row["key"]: row for row in old["clusters"]}
-        except (OSError, ValueError, KeyError, TypeError):
-            pass
+    Runs of single ranks go on side by side, on several machines: each writes OUT/rows/KEY.json, and the next run of a list joins these."""
+
+    def __init__(self, out, settings, single=False):
+        self.path, self.out, self.settings, self.rows, self.stopped, self.single = out / "report.json", out, settings, {}, "", single
+        for path in (self.path, *sorted((out / "rows").rglob("*.json"))):
+            try:
+                old = json.loads(path.read_text(encoding="utf-8"))
+                if old["settings"] == settings:
+                    self.rows |= {row["key"]: row for row in old["clusters"]}
+                    self.rows = {key: row for key, row in self.rows.items() if "measured" in row}  # others are being computed
+            except (OSError, ValueError, KeyError, TypeError):
+                pass
 
     def finished(self, key, partners):
         row = self.rows.get(key)
@@ -134,17 +139,30 @@ class Report:
         """Forgets the rows of key views whose maps are about to be replaced."""
         for key in keys:
             self.rows.pop(key, None)
+            if self.single:  # report.json is not ours alone; this row counts more than one there
+                self.write_row({"key": key, "partners": []})
+            else:
+                (self.out / "rows" / (key + ".json")).unlink(missing_ok=True)
         self.write()
 
     def add(self, row):
         self.rows[row["key"]] = row
-        if time.time() - self.written > 2:  # a row that a crash loses is made again from the cache
+        if self.single:
+            self.write_row(row)
+        elif time.time() - self.written > 2:  # a row that a crash loses is made again from the cache
             self.write()
+
+    def write_row(self, row):
+        self.write_file(self.out / "rows" / (row["key"] + ".json"), [row])
 
     def write(self):
         self.written = time.time()
-        content = {"version": 1, "tool": "viewrank integrations/sgm", "settings": self.settings, "stopped": self.stopped, "clusters": list(self.rows.values())}
-        write_whole(self.path, lambda file: file.write(json.dumps(content, indent=1).encode("utf-8", "surrogateescape")))
+        if not self.single:
+            self.write_file(self.path, list(self.rows.values()))
+
+    def write_file(self, path, rows):
+        content = {"version": 1, "tool": "viewrank integrations/sgm", "settings": self.settings, "stopped": self.stopped, "clusters": rows}
+        write_whole(path, lambda file: file.write(json.dumps(content, indent=1).encode("utf-8", "surrogateescape")))
 
 
 # ------------------------------------------------------------------------------------------------------------- the loop
@@ -217,8 +235,10 @@ def run(clusters, args, out, stop, done):
 def match(args):
     workspace = Workspace(args.workspace, args.image_scale)
     first, seconds = parse_limit(args.stop_at)
-    clusters = wanted(args, workspace)[:first]
-    report = Report(args.out, {"version": VERSION, "image_scale": args.image_scale, "sigma_px": SIGMA_PX, "min_agree": MIN_AGREE})
+    all_clusters = wanted(args, workspace)
+    clusters = of_rank(all_clusters, args.rank) if args.rank is not None else all_clusters[:first]
+    settings = {"version": VERSION, "image_scale": args.image_scale, "sigma_px": SIGMA_PX, "min_agree": MIN_AGREE}
+    report = Report(args.out, settings, single=args.rank is not None)
     todo = [c for c in clusters if not report.finished(*c)]
     report.begin(key for key, _ in todo)
     print(f"{len(clusters)} key views, {len(clusters) - len(todo)} finished before; {sum(len(p) for _, p in todo)} pairs to do", file=sys.stderr)
@@ -233,7 +253,13 @@ def match(args):
         report.stopped = run(todo, args, args.out, Stop(seconds, args.progress), done)
     finally:
         report.write()
-    print(summary(report, [key for key, _ in clusters]), file=sys.stderr)
+    print(summary(report, [key for key, _ in all_clusters]), file=sys.stderr)
+
+
+def of_rank(clusters, rank):
+    if not 1 <= rank <= len(clusters):
+        raise InputError(f"--rank {rank}: the clusters have the ranks 1 to {len(clusters)}")
+    return clusters[rank - 1 : rank]
 
 
 def fill(args):
@@ -294,6 +320,7 @@ def arguments(argv):
         p.add_argument("--jobs", type=int, default=1, metavar="N", help="processes (default 1)")
         if name == "match":
             p.add_argument("--out", type=Path, metavar="DIR", required=True)
+            p.add_argument("--rank", type=int, metavar="N", help="the N-th cluster alone (for queues)")
             p.add_argument("--stop-at", metavar="N|TIME", help="end after the first N clusters, or start none after a time (90s, 30m, 2h)")
             p.add_argument("--progress", type=Path, metavar="FILE", help="end when this JSON file says \"target_reached\": true")
     args = parser.parse_args(argv)

@@ -272,6 +272,26 @@ def test_stops_at_a_number_a_time_or_the_target(planes, tmp_path):
     assert len(run(planes, tmp_path / "b", clusters, "--progress", str(progress))["clusters"]) == 2
 
 
+def test_single_ranks_side_by_side_become_one_report(planes, tmp_path):
+    out = tmp_path / "out"
+    clusters = write_clusters(tmp_path / "clusters.txt", ("key.png", *SIDES), (SIDES[0], "key.png", SIDES[1]))
+    base = ["match", str(planes), "--out", str(out), "--clusters", str(clusters)]
+    for rank in ("2", "1"):
+        sgm.main([*base, "--rank", rank])
+        assert not (out / "report.json").exists()
+    made = {path: path.stat().st_mtime_ns for path in (out / "depth_maps").rglob("*.npy")}
+    sgm.main([*base, "--rank", "1"])
+    report = run(planes, out, clusters, "--stop-at", "0")
+    assert {row["key"] for row in report["clusters"]} == {"key.png", SIDES[0]} and len(made) == 2
+    assert all(path.stat().st_mtime_ns == time for path, time in made.items()), "a finished rank is kept"
+    write_clusters(clusters, ("key.png", *SIDES), (SIDES[0], SIDES[1], "key.png"))
+    sgm.main([*base, "--rank", "2"])
+    rows = {row["key"]: row for row in run(planes, out, clusters, "--stop-at", "0")["clusters"]}
+    assert [p["name"] for p in rows[SIDES[0]]["partners"]] == [SIDES[1], "key.png"], "the newer row counts"
+    with pytest.raises(SystemExit, match="the ranks 1 to 2"):
+        sgm.main([*base, "--rank", "3"])
+
+
 def test_the_manifest_is_read_up_to_its_cut(planes, tmp_path):
     clusters = [{"rank": 1, "key": "key.png", "partners": list(SIDES)}, {"rank": 2, "key": SIDES[0], "partners": ["key.png"]}]
     path = tmp_path / "manifest.json"

@@ -197,6 +197,12 @@ pub trait Backend: Sync {
         &[]
     }
 
+    /// How tasks of a queue compute the clusters of an export with the default options; `None`: only its whole run can.
+    fn tasks(&self, selection: &Selection, export: &Export) -> Option<TaskRunner> {
+        let _ = (selection, export);
+        None
+    }
+
     /// What is to be written for the selection; writes nothing.
     fn export(&self, selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError>;
 }
@@ -343,6 +349,30 @@ fn other_kind(backend: &dyn Backend, selection: &Selection) -> Option<String> {
             backend.name()
         )
     })
+}
+
+/// How single tasks of a queue compute the clusters of an export: what `viewrank dispatch` needs to know of a backend.
+///
+/// `compute` and `fuse` are lines of sh that run in the folder of the export, where `$project`, `$rank` (from 1), `$threads`,
+/// `$program` and `$python` are set.
+#[derive(Clone, Debug)]
+pub struct TaskRunner {
+    /// The program that does the work, as it is found on the PATH.
+    pub program: &'static str,
+    /// Variable of the environment that says where else it is.
+    pub variable: &'static str,
+    /// Computes one cluster; fails unless a whole depth map came out. Tasks run it side by side.
+    pub compute: String,
+    /// Joins the depth maps that are there.
+    pub fuse: String,
+    /// Depth map of each cluster, in rank order; `None` where none can be made.
+    pub maps: Vec<Option<PathBuf>>,
+}
+
+/// A word for sh, quoted where it must be.
+pub fn shell_quoted(word: &str) -> String {
+    let plain = !word.is_empty() && word.chars().all(|c| c.is_alphanumeric() || "/._-+=:,%@".contains(c));
+    if plain { word.into() } else { format!("'{}'", word.replace('\'', r"'\''")) }
 }
 
 /// Why a backend's files cannot be made.

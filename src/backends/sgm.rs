@@ -2,7 +2,7 @@
 
 use super::{
     Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Gate, Honours, PlanningNumbers,
-    Selection, sure,
+    Selection, TaskRunner, shell_quoted, sure,
 };
 use crate::confidence::PairConfidence;
 
@@ -47,6 +47,24 @@ impl Backend for Sgm {
 
     fn planning(&self) -> PlanningNumbers {
         NUMBERS
+    }
+
+    fn tasks(&self, selection: &Selection, export: &Export) -> Option<TaskRunner> {
+        let out = selection.project.root.join("sgm");
+        let folder = shell_quoted(&out.display().to_string());
+        let command = format!(
+            "\"$python\" \"$program\" match \"$project\" --clusters {} --out {folder} --image-scale {}",
+            shell_quoted(&export.files.root.join("clusters.txt").display().to_string()),
+            selection.image_scale
+        );
+        let map = |c: &super::RankedCluster| Some(out.join(format!("depth_maps/{}.npy", selection.scene.name(c.key))));
+        Some(TaskRunner {
+            program: "sgm.py",
+            variable: "SGM",
+            compute: format!("{command} --cache {folder}/pairs --rank \"$rank\""),
+            fuse: format!("{command} --stop-at 0"),
+            maps: selection.clusters.iter().map(map).collect(),
+        })
     }
 
     fn export(&self, selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {

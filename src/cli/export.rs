@@ -64,7 +64,7 @@ fn switch(text: &str) -> Result<bool, String> {
 
 /// What an export did, for programs.
 #[derive(Serialize)]
-struct Report {
+pub struct Report {
     folder: PathBuf,
     files: usize,
     written: Written,
@@ -120,7 +120,7 @@ impl Arguments {
 }
 
 /// Files in the project belong to a set of the project, like those of `viewrank plan`: the one follows the other.
-fn write(export: Export, plan: &WrittenPlan, dry_run: bool) -> Result<Report, Failure> {
+pub fn write(export: Export, plan: &WrittenPlan, dry_run: bool) -> Result<Report, Failure> {
     let Export { files, record } = export;
     let folder = files.root.clone();
     let count = files.files.len();

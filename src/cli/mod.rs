@@ -6,6 +6,7 @@
 mod backends;
 mod completions;
 mod config;
+mod dispatch;
 mod evaluate;
 mod export;
 mod inspect;
@@ -110,6 +111,7 @@ enum Command {
     Report(report::Arguments),
     Backends(backends::Arguments),
     Config(config::Arguments),
+    Dispatch(dispatch::Arguments),
     Inspect(inspect::Arguments),
     Watch(watch::Arguments),
     Status(status::Arguments),
@@ -126,6 +128,7 @@ pub fn run() -> Result<(), Failure> {
         Command::Report(arguments) => report::run(&arguments),
         Command::Backends(arguments) => backends::run(&arguments),
         Command::Config(arguments) => config::run(&arguments),
+        Command::Dispatch(arguments) => dispatch::run(&arguments),
         Command::Inspect(arguments) => inspect::run(&arguments),
         Command::Watch(arguments) => watch::run(arguments),
         Command::Status(arguments) => status::run(&arguments),

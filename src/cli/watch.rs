@@ -8,6 +8,7 @@ use signal_hook::{
     iterator::Signals,
 };
 use viewrank::{
+    config::Bytes,
     daemon::{Options, PlanJob, Signal, queue, state::OnBusy, watch_roots},
     error::Hint,
     output::Disk,
@@ -39,8 +40,8 @@ pub struct Arguments {
     #[arg(long, default_value_t = 1, value_name = "N")]
     jobs: usize,
     /// Memory that all plans together may take, as 4G or 800M [default: half of this machine's].
-    #[arg(long, value_parser = bytes, value_name = "SIZE")]
-    max_memory: Option<u64>,
+    #[arg(long, value_name = "SIZE")]
+    max_memory: Option<Bytes>,
     /// Follow symbolic links that lead out of the roots.
     #[arg(long)]
     follow_links: bool,
@@ -85,7 +86,7 @@ impl Arguments {
             rescan: self.rescan,
             on_busy: self.on_busy,
             jobs: self.jobs,
-            max_memory: self.max_memory.unwrap_or_else(|| queue::machine_memory() / 2),
+            max_memory: self.max_memory.map_or_else(|| queue::machine_memory() / 2, |bytes| bytes.0),
             follow_links: self.follow_links,
             once: self.once,
             metrics: self.metrics,
@@ -139,17 +140,4 @@ fn duration(text: &str) -> Result<Duration, String> {
     };
     let number: f64 = number.parse().map_err(|_| "a number and ms, s, min or h, as in 2s".to_string())?;
     Duration::try_from_secs_f64(number * seconds).map_err(|error| error.to_string())
-}
-
-/// `800M`, `4G`, or bytes.
-fn bytes(text: &str) -> Result<u64, String> {
-    let (number, shift) = match text.trim_end_matches("iB").trim_end_matches('B').char_indices().last() {
-        Some((at, 'K' | 'k')) => (&text[..at], 10),
-        Some((at, 'M')) => (&text[..at], 20),
-        Some((at, 'G')) => (&text[..at], 30),
-        Some((at, 'T')) => (&text[..at], 40),
-        _ => (text, 0),
-    };
-    let number: f64 = number.parse().map_err(|_| "a number and K, M, G or T, as in 4G".to_string())?;
-    Ok((number * (1u64 << shift) as f64) as u64)
 }

@@ -28,6 +28,11 @@ pub struct Duration(pub f64);
 #[serde(try_from = "Written", into = "String")]
 pub struct Count(pub f64);
 
+/// A size of memory in bytes; written with K, M, G or T for powers of 1024.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Serialize, Deserialize)]
+#[serde(try_from = "Written", into = "String")]
+pub struct Bytes(pub u64);
+
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("\"{text}\" is not {wanted}")]
 pub struct AmountError {
@@ -64,6 +69,11 @@ impl Amount for Duration {
 impl Amount for Count {
     const WANTED: &'static str = "a number such as 800k, 50M or 1.5G";
     const PATTERN: &'static str = "^[0-9.]+ ?[kMG]?$";
+}
+
+impl Amount for Bytes {
+    const WANTED: &'static str = "a size such as 800M or 4G";
+    const PATTERN: &'static str = "^[0-9.]+ ?[KMGT]?(i?B)?$";
 }
 
 impl FromStr for Budget {
@@ -114,6 +124,21 @@ impl FromStr for Count {
             _ => return Err(Self::refuse(text)),
         };
         non_negative(number).map(|n| Self(n * factor)).ok_or_else(|| Self::refuse(text))
+    }
+}
+
+/// Units of [`Bytes`], smallest first, each 1024 times the one before.
+const BYTE_UNITS: [&str; 5] = ["", "K", "M", "G", "T"];
+
+impl FromStr for Bytes {
+    type Err = AmountError;
+
+    fn from_str(text: &str) -> Result<Self, AmountError> {
+        let (number, unit) = split(text.trim(), |c| c.is_ascii_digit() || c == '.');
+        let unit = unit.trim().trim_end_matches('B').trim_end_matches('i').to_uppercase();
+        let power = BYTE_UNITS.iter().position(|&known| known == unit).ok_or_else(|| Self::refuse(text))?;
+        let number = non_negative(number).ok_or_else(|| Self::refuse(text))?;
+        Ok(Self((number * 1024f64.powi(power as i32)).round() as u64))
     }
 }
 
@@ -179,6 +204,14 @@ impl fmt::Display for Count {
     }
 }
 
+impl fmt::Display for Bytes {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        let whole = |power: &usize| self.0 != 0 && self.0.trailing_zeros() as usize >= 10 * power;
+        let power = (0..BYTE_UNITS.len()).rev().find(whole).unwrap_or(0);
+        write!(f, "{}{}", self.0 >> (10 * power), BYTE_UNITS[power])
+    }
+}
+
 /// A TOML value that stands for an amount: "40" as well as 40.
 #[derive(Deserialize)]
 #[serde(untagged)]
@@ -224,7 +257,7 @@ macro_rules! written_as_text {
     )*};
 }
 
-written_as_text!(Budget, Share, Duration, Count);
+written_as_text!(Budget, Share, Duration, Count, Bytes);
 
 #[cfg(test)]
 mod tests {
@@ -240,6 +273,8 @@ mod tests {
         assert_eq!("1.5min".parse(), Ok(Duration(90.0)));
         assert_eq!("50M".parse(), Ok(Count(50e6)));
         assert_eq!("800 k".parse(), Ok(Count(8e5)));
+        assert_eq!("1.5G".parse(), Ok(Bytes(3 << 29)));
+        assert_eq!("800MiB".parse(), Ok(Bytes(800 << 20)));
     }
 
     #[test]
@@ -248,6 +283,7 @@ mod tests {
         assert!(["", "0.8", "80", "1e1%", "-1%", "nan%"].iter().all(|text| text.parse::<Share>().is_err()));
         assert!(["", "2", "h", "2 weeks", "inf h", "1h30"].iter().all(|text| text.parse::<Duration>().is_err()));
         assert!(["", "M", "5m", "1e9"].iter().all(|text| text.parse::<Count>().is_err()));
+        assert!(["", "G", "5X", "-1G", "5GG"].iter().all(|text| text.parse::<Bytes>().is_err()));
     }
 
     #[test]
@@ -260,6 +296,9 @@ mod tests {
         }
         for text in ["50M", "1.5G", "20k", "999"] {
             assert_eq!(text.parse::<Count>().unwrap().to_string(), text);
+        }
+        for text in ["4G", "800M", "1536M", "1T", "1000", "0"] {
+            assert_eq!(text.parse::<Bytes>().unwrap().to_string(), text);
         }
     }
 }

@@ -19,6 +19,8 @@ pub struct Key {
     pub default: Value,
     /// The values of a key that takes one of a few words.
     pub words: Vec<String>,
+    /// It has commands run: a project's file, which may come from anybody, must not set it.
+    pub user_only: bool,
     above: Option<f64>,
     min: Option<f64>,
     max: Option<f64>,
@@ -93,6 +95,7 @@ fn key(name: String, schema: &Map<String, Value>, default: &Value) -> Key {
         unit: text("unit"),
         default: default.clone(),
         words: words(schema),
+        user_only: schema.get("userOnly").and_then(Value::as_bool).unwrap_or(false),
         above: number("exclusiveMinimum"),
         min: number("minimum"),
         max,

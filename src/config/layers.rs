@@ -87,10 +87,10 @@ pub struct Configuration {
 
 impl Configuration {
     pub fn load(files: &Files, typed: Typed) -> Result<Self, ConfigError> {
-        let mut entries = Vec::new();
-        for path in [&files.user, &files.project].into_iter().flatten() {
-            entries.extend(read(path)?);
-        }
+        let mut entries = files.user.as_deref().map_or(Ok(Vec::new()), read)?;
+        let project = files.project.as_deref().map_or(Ok(Vec::new()), read)?;
+        project.iter().try_for_each(refuse_commands)?;
+        entries.extend(project);
         entries.extend(typed.0);
         Self::over_defaults(entries)
     }
@@ -169,6 +169,13 @@ fn is_section(key: &str) -> bool {
     keys().iter().any(|known| known.name.strip_prefix(key).is_some_and(|rest| rest.starts_with('.')))
 }
 
+/// A project's file may come from anybody: it must not have commands run.
+fn refuse_commands(entry: &Entry) -> Result<(), ConfigError> {
+    let user_only = keys().iter().any(|key| key.name == entry.key && key.user_only);
+    let refusal = || ConfigError::UserOnly { place: entry.place.clone(), key: entry.key.clone() };
+    if user_only { Err(refusal()) } else { Ok(()) }
+}
+
 fn line_of(text: &str, byte: usize) -> usize {
     1 + text.bytes().take(byte).filter(|&b| b == b'\n').count()
 }
@@ -234,6 +241,8 @@ pub enum ConfigError {
     Syntax { place: Place, why: String },
     #[error("{place}: there is no setting {key}")]
     UnknownKey { place: Place, key: String },
+    #[error("{place}: {key} has commands run, which a project's file must not")]
+    UserOnly { place: Place, key: String },
     #[error("{from}: {key} = {value}: {why}")]
     Value { from: Source, key: String, value: String, why: String },
 }
@@ -246,6 +255,10 @@ impl Hint for ConfigError {
             Self::UnknownKey { key, .. } => match nearest(key) {
                 Some(known) => format!("did you mean {known}?"),
                 None => "type viewrank config for the settings that there are".into(),
+            },
+            Self::UserOnly { .. } => match user_file() {
+                Some(path) => format!("write it into {}, or type it", path.display()),
+                None => "type it".into(),
             },
             Self::Value { key, .. } => match keys().iter().find(|known| known.name == *key) {
                 Some(known) => format!("{key}: {}", known.doc),
@@ -340,6 +353,16 @@ mod tests {
         assert!(message("target = 3").contains("target = 3"));
         assert!(message("[target\ngsd = 1").starts_with("project.toml:1: "));
         assert!(message("seed = -1").contains("seed = -1"));
+    }
+
+    #[test]
+    fn a_projects_file_names_no_commands() {
+        let user = "[dispatch]\nsetup = \"module load colmap\"\n";
+        let both = load(user, "dispatch.partition = \"mvs\"", Typed::default()).unwrap().settings.dispatch;
+        assert_eq!((both.setup.as_str(), both.partition.as_deref()), ("module load colmap", Some("mvs")));
+        let refusal = "project.toml:1: dispatch.setup has commands run, which a project's file must not";
+        assert_eq!(refused("dispatch.setup = \"rm -rf /\"").0, refusal);
+        assert!(load("", "[dispatch]\noptions = [\"--wrap=id\"]", Typed::default()).is_err());
     }
 
     #[test]

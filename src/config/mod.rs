@@ -14,7 +14,7 @@ use std::path::PathBuf;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-pub use amounts::{Amount, AmountError, Budget, Count, Duration, Share};
+pub use amounts::{Amount, AmountError, Budget, Bytes, Count, Duration, Share};
 pub use catalogue::{Key, keys};
 pub use layers::{ConfigError, Configuration, Files, Place, Source, Typed, user_file};
 
@@ -43,6 +43,7 @@ pub struct Settings {
     pub ranking: RankingSettings,
     pub cut: CutSettings,
     pub forecast: ForecastSettings,
+    pub dispatch: DispatchSettings,
 }
 
 impl Default for Settings {
@@ -62,6 +63,7 @@ impl Default for Settings {
             ranking: RankingSettings::default(),
             cut: CutSettings::default(),
             forecast: ForecastSettings::default(),
+            dispatch: DispatchSettings::default(),
         }
     }
 }
@@ -400,4 +402,52 @@ pub struct ForecastSettings {
     /// Points that a depth map has before fusion. Unset: the pixels that are expected to be measured.
     #[schemars(extend("unit" = "points", "exclusiveMinimum" = 0))]
     pub points_per_map: Option<f64>,
+}
+
+/// What `viewrank dispatch` asks of a queue for each view cluster. No part of a plan: manifests hold the defaults.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct DispatchSettings {
+    /// Partition of the queue. Unset: the queue's default.
+    pub partition: Option<String>,
+    /// Account that the work is charged to.
+    pub account: Option<String>,
+    /// Quality of service.
+    pub qos: Option<String>,
+    /// Longest time that a depth map may take ("2h").
+    pub time: Option<Duration>,
+    /// Memory of a task ("8G").
+    pub memory: Option<Bytes>,
+    /// CPUs of a task, and threads of the backend.
+    #[schemars(range(min = 1), extend("unit" = "CPUs"))]
+    pub cpus: u32,
+    /// GPUs of a task.
+    #[schemars(range(min = 1), extend("unit" = "GPUs"))]
+    pub gpus: Option<u32>,
+    /// Tasks that may run at once. Unset: as many as the queue lets.
+    #[schemars(range(min = 1), extend("unit" = "tasks"))]
+    pub at_once: Option<u32>,
+    /// Further options of `sbatch`. In the user's own file only.
+    #[schemars(extend("userOnly" = true))]
+    pub options: Vec<String>,
+    /// Lines of sh that each task begins with, such as "module load colmap". In the user's own file only.
+    #[schemars(extend("userOnly" = true))]
+    pub setup: String,
+}
+
+impl Default for DispatchSettings {
+    fn default() -> Self {
+        Self {
+            partition: None,
+            account: None,
+            qos: None,
+            time: None,
+            memory: None,
+            cpus: 1,
+            gpus: None,
+            at_once: None,
+            options: Vec::new(),
+            setup: String::new(),
+        }
+    }
 }

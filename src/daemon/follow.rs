@@ -73,6 +73,17 @@ struct Progress {
     seconds_left: Option<f64>,
 }
 
+/// Where the progress of a project is said.
+pub fn progress_file(root: &Path) -> PathBuf {
+    root.join(OUTPUT_FOLDER).join(PROGRESS)
+}
+
+/// Was the target reached when the depth maps were last measured?
+pub fn target_reached(root: &Path) -> bool {
+    let text = fs::read(progress_file(root)).unwrap_or_default();
+    serde_json::from_slice::<serde_json::Value>(&text).is_ok_and(|progress| progress["target_reached"] == true)
+}
+
 /// Measures the finished depth maps of a planned project and writes its `progress.json`.
 pub fn follow(root: &Path, watcher: &dyn Watcher) -> Outcome {
     match measure(root, watcher) {
@@ -84,7 +95,7 @@ pub fn follow(root: &Path, watcher: &dyn Watcher) -> Outcome {
 
 fn write(root: &Path, progress: &Progress) -> Outcome {
     let text = serde_json::to_string_pretty(progress).unwrap_or_default() + "\n";
-    match output::replace(&root.join(OUTPUT_FOLDER).join(PROGRESS), text.as_bytes(), &Disk::REAL) {
+    match output::replace(&progress_file(root), text.as_bytes(), &Disk::REAL) {
         Ok(()) => {
             let Progress { done, clusters, share, target_reached, .. } = *progress;
             Outcome::Followed { done, clusters, share, reached: target_reached }

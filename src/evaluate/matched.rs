@@ -1,4 +1,5 @@
-//! With which partners a backend really matched each key view: `report.json` of `integrations/sgm`, or the ids in OpenMVS's maps.
+//! With which partners a backend really matched each key view: `report.json` of `integrations/sgm` and what its single tasks noted in
+//! `rows/`, or the ids in OpenMVS's maps.
 
 use std::{
     collections::BTreeMap,
@@ -6,6 +7,7 @@ use std::{
 };
 
 use serde::Deserialize;
+use walkdir::WalkDir;
 
 use crate::{
     partners::ViewCluster,
@@ -19,7 +21,7 @@ pub struct ReportedPartners {
     pub matched: Vec<ViewIndex>,
 }
 
-/// What `report.json` in a folder of depth maps says, by key view; empty where there is none.
+/// What the reports in a folder of depth maps say, by key view; empty where there is none.
 pub type Report = BTreeMap<ViewIndex, ReportedPartners>;
 
 #[derive(Deserialize)]
@@ -30,7 +32,8 @@ struct File {
 #[derive(Deserialize)]
 struct Row {
     key: String,
-    partners: Vec<Partner>,
+    /// OpenMVS's runner says the partners by their ids, which its depth maps hold as well.
+    partners: Option<Vec<Partner>>,
 }
 
 #[derive(Deserialize)]
@@ -47,9 +50,17 @@ pub struct ReportError {
     pub what: String,
 }
 
-/// Names that the scene does not have are left out.
+/// Names that the scene does not have are left out. The rows of single tasks are newer than `report.json`.
 pub fn read_report(folder: &Path, scene: &Scene) -> Result<Report, ReportError> {
-    let path = folder.join("report.json");
+    let mut report = read_file(folder.join("report.json"), scene)?;
+    let rows = WalkDir::new(folder.join("rows")).sort_by_file_name().into_iter().filter_map(Result::ok);
+    for entry in rows.filter(|entry| entry.path().extension().is_some_and(|extension| extension == "json")) {
+        report.extend(read_file(entry.into_path(), scene)?);
+    }
+    Ok(report)
+}
+
+fn read_file(path: PathBuf, scene: &Scene) -> Result<Report, ReportError> {
     let bytes = match std::fs::read(&path) {
         Ok(bytes) => bytes,
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(Report::new()),
@@ -58,9 +69,9 @@ pub fn read_report(folder: &Path, scene: &Scene) -> Result<Report, ReportError> 
     let file: File =
         serde_json::from_slice(&bytes).map_err(|error| ReportError { path: path.clone(), what: error.to_string() })?;
     let entry = |row: &Row| {
-        let partners = |wanted: fn(&&Partner) -> bool| {
-            row.partners.iter().filter(wanted).filter_map(|p| scene.find(&p.name)).collect()
-        };
+        let all = row.partners.as_ref()?;
+        let partners =
+            |wanted: fn(&&Partner) -> bool| all.iter().filter(wanted).filter_map(|p| scene.find(&p.name)).collect();
         let reported = ReportedPartners { tried: partners(|_| true), matched: partners(|p| p.matched) };
         Some((scene.find(&row.key)?, reported))
     };
@@ -105,6 +116,12 @@ mod tests {
         assert_eq!(really_matched(&cluster, &report, &ids, &scene).partners, [c]);
         assert_eq!(really_matched(&cluster, &Report::new(), &ids, &scene).partners, [b]);
         assert_eq!(really_matched(&cluster, &Report::new(), &[], &scene).partners, [b, c]);
+        let row = r#"{"clusters": [{"key": "grid_028.jpg", "partners": [{"name": "grid_029.jpg", "matched": true}]},
+            {"key": "grid_029.jpg", "partner_ids": [1, 2]}]}"#;
+        std::fs::create_dir(folder.path().join("rows")).unwrap();
+        std::fs::write(folder.path().join("rows/grid_028.jpg.json"), row).unwrap();
+        let newer = read_report(folder.path(), &scene).unwrap();
+        assert_eq!((newer.len(), &newer[&a].matched), (1, &vec![b]));
         std::fs::write(folder.path().join("report.json"), "{").unwrap();
         assert!(read_report(folder.path(), &scene).unwrap_err().to_string().contains("report.json"));
     }

@@ -99,6 +99,11 @@ pub fn replace(path: &Path, bytes: &[u8], disk: &Disk) -> Result<(), OutputError
     written.map(|_| ()).inspect_err(|_| _ = disk.remove(&draft))
 }
 
+/// Takes one such file away; it may be gone already.
+pub fn remove(path: &Path, disk: &Disk) -> Result<(), OutputError> {
+    disk.remove(path)
+}
+
 /// Makes a folder and those above it.
 pub fn make_folder(path: &Path, disk: &Disk) -> Result<(), OutputError> {
     transaction::make_folders(path, disk)

@@ -68,9 +68,7 @@ pub fn files(plan: &Plan, project: &Project) -> Result<PlanFiles, FilesError> {
 
 /// The first command of an export, from its folder.
 fn command(export: &Export) -> Option<String> {
-    let folder = export.files.root.display().to_string();
-    let plain = folder.chars().all(|c| c.is_alphanumeric() || "/._-+".contains(c));
-    let folder = if plain { folder } else { format!("'{}'", folder.replace('\'', r"'\''")) };
+    let folder = backends::shell_quoted(&export.files.root.display().to_string());
     Some(format!("cd {folder} && {}", export.record.commands.first()?))
 }
 

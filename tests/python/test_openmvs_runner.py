@@ -116,3 +116,20 @@ def test_stops(folder, stop, count):
 def test_ends_when_the_target_is_reached(folder):
     (folder / "progress.json").write_text('{"target_reached": true}')
     assert run(folder, "--progress", folder / "progress.json", "--no-fusion")[1] == []
+
+
+def test_single_ranks_then_the_fusion(folder):
+    one = [sys.executable, folder / "run.py", "--densify", folder / "densify", "--rank"]
+    for rank in (2, 1, 2):
+        assert subprocess.run([*one, str(rank)], capture_output=True).returncode == 0
+    calls = [json.loads(line) for line in (folder / "calls.jsonl").read_text().splitlines()]
+    assert scenes(calls) == ["clusters/1.mvs", "clusters/0.mvs"] and not (folder / "report.json").exists()
+    _, calls, report = run(folder, "--stop-at", "0")
+    assert scenes(calls) == ["fuse.mvs"] and sorted(report) == ["k0", "k1"]
+    assert (folder / "fuse.txt").read_text() == "0 1\n1 0\n"
+
+
+def test_a_single_rank_that_is_not_as_planned_fails(folder):
+    make(folder, k1=[])
+    done = subprocess.run([sys.executable, folder / "run.py", "--densify", folder / "densify", "--rank", "2"], capture_output=True, text=True)
+    assert done.returncode == 1 and "no depth map" in done.stdout

@@ -21,7 +21,7 @@ use self::{
 };
 use super::{
     Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, PATCH_MATCH, PlanningNumbers,
-    References, Selection, selection, workspace::add_workspace,
+    References, Selection, TaskRunner, selection, workspace::add_workspace,
 };
 use crate::{
     output::{Contents, FileSet},
@@ -68,6 +68,23 @@ impl Backend for Colmap {
 
     fn options(&self) -> &'static [&'static str] {
         &["--refs", "--geometric"]
+    }
+
+    fn tasks(&self, selection: &Selection, export: &Export) -> Option<TaskRunner> {
+        let passes = Passes::new(selection, &ExportOptions::default());
+        let made: HashSet<&str> = passes.last.iter().map(|problem| &*problem.reference).collect();
+        let map = |c: &super::RankedCluster| {
+            let name = selection.scene.name(c.key);
+            let path = format!("stereo/depth_maps/{}", map_name(name, "photometric"));
+            made.contains(name).then(|| export.files.root.join(path))
+        };
+        Some(TaskRunner {
+            program: "colmap",
+            variable: "COLMAP",
+            compute: "COLMAP=$program stereo/viewrank/run.sh --rank \"$rank\"".into(),
+            fuse: "COLMAP=$program stereo/viewrank/run.sh --fuse".into(),
+            maps: selection.clusters.iter().map(map).collect(),
+        })
     }
 
     fn export(&self, selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {
@@ -206,10 +223,12 @@ impl Passes {
             patch_match("stereo/patch-match.cfg", &(geometric(false) + "--PatchMatchStereo.filter 1"));
         }
         self.add_fusion(selection, record);
+        let ranks: String = selection.clusters.iter().map(|c| format!("{}\n", selection.scene.name(c.key))).collect();
+        files.add_text("stereo/viewrank/ranks.txt", ranks);
         for folder in map_folders(self.main_list()) {
             files.add(folder, Contents::Folder);
         }
-        files.add("stereo/viewrank/run.sh", Contents::Script(runner(record).into_bytes()));
+        files.add("stereo/viewrank/run.sh", Contents::Script(runner(record, self.geometric).into_bytes()));
     }
 
     /// The depth maps that will be made, and how.
@@ -337,20 +356,19 @@ fn map_folders(problems: &[Problem]) -> Vec<String> {
     subfolders.iter().flat_map(folder).collect()
 }
 
-/// `run.sh`: the commands of the record, from the workspace.
-fn runner(record: &ExportRecord) -> String {
-    let commands = record.commands.iter().map(|c| c.replacen("colmap", "\"${COLMAP:-colmap}\"", 1) + "\n");
-    format!("{RUNNER_HEAD}# {}\n{}", record.way, commands.collect::<String>())
+/// `run.sh`: the commands of the record, from the workspace. A single rank can be computed where no map needs another.
+fn runner(record: &ExportRecord, geometric: bool) -> String {
+    let command = |c: &String| c.replacen("colmap", "\"${COLMAP:-colmap}\"", 1);
+    let (fusion, maps) = record.commands.split_last().expect("the maps are fused");
+    let mut script = format!("{RUNNER_HEAD}# {}\n", record.way);
+    if !geometric {
+        let single = command(&maps[0]).replacen("stereo/patch-match.cfg", "\"$list\"", 1);
+        script += &SINGLE_RANK.replace("@COMMAND@", &single);
+    }
+    script += "if [ \"${1:-}\" != --fuse ]; then\n";
+    maps.iter().for_each(|c| script += &format!("    {}\n", command(c)));
+    script + "fi\n" + &command(fusion) + "\n"
 }
 
-const RUNNER_HEAD: &str = r#"#!/bin/sh
-# Computes and fuses the depth maps of viewrank's plan. Maps that are there already are kept; with --replace, those that were made
-# with other partners are removed first. COLMAP=/path/to/colmap run.sh takes another program.
-set -eu
-cd "$(dirname "$0")/../.."
-if [ "${1:-}" = --replace ]; then
-    while IFS= read -r map; do
-        rm -f -- "stereo/depth_maps/$map" "stereo/normal_maps/$map" "stereo/consistency_graphs/$map"
-    done < stereo/viewrank/replace.txt
-fi
-"#;
+const RUNNER_HEAD: &str = include_str!("../../../integrations/colmap/run_head.sh");
+const SINGLE_RANK: &str = include_str!("../../../integrations/colmap/run_rank.sh");

@@ -10,7 +10,7 @@ use serde::Serialize;
 use self::scene::Builder;
 use super::{
     Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Gate, Honours, PlanningNumbers,
-    Selection, selection,
+    RankedCluster, Selection, TaskRunner, selection,
 };
 use crate::{
     confidence::PairConfidence,
@@ -75,6 +75,20 @@ impl Backend for OpenMvs {
 
     fn options(&self) -> &'static [&'static str] {
         &["--scene", "--scale"]
+    }
+
+    fn tasks(&self, selection: &Selection, export: &Export) -> Option<TaskRunner> {
+        let map = |c: &RankedCluster| {
+            Some(export.files.root.join(format!("depth{:04}.dmap", selection.scene.view(c.key).image_id)))
+        };
+        let command = "\"$python\" run.py --densify \"$program\" --threads \"$threads\"";
+        Some(TaskRunner {
+            program: "DensifyPointCloud",
+            variable: "DENSIFY",
+            compute: format!("{command} --rank \"$rank\""),
+            fuse: format!("{command} --stop-at 0"),
+            maps: selection.clusters.iter().map(map).collect(),
+        })
     }
 
     fn export(&self, selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {

@@ -1,0 +1,22 @@
+#!/bin/sh
+# Joins the depth maps of viewrank's plan that are there, unless the same ones were joined before.
+@HEAD@
+set -u
+tab=$(printf '\t')
+found=$folder/fused.$(uname -n).$$
+trap 'rm -f "$found"' EXIT
+missing=0
+while IFS=$tab read -r rank marker id map key; do
+    if [ -s "$map" ] && [ "$(cat "$folder/done/$marker" 2>/dev/null)" = "$id" ]; then
+        echo "$id"
+    else
+        missing=$((missing + 1))
+    fi
+done < "$list" > "$found"
+echo "$(wc -l < "$found") depth maps are there, $missing are not"
+if [ ! -s "$found" ] || cmp -s "$found" "$folder/fused"; then
+    echo 'nothing new to join'
+    exit 0
+fi
+fuse || exit 1
+mv "$found" "$folder/fused"

@@ -1,0 +1,57 @@
+#!/bin/sh
+# Computes the depth map of one view cluster of viewrank's plan: task.sh RANK, or in a job array: task.sh array OFFSET.
+# Leaves at once when the map is there or the target is reached, so that it may be started any number of times.
+@HEAD@
+set -u
+case ${1:-} in
+array) rank=$((${2:-0} + ${SLURM_ARRAY_TASK_ID:?is set by the queue})) ;;
+'' | *[!0-9]*)
+    echo 'usage: task.sh RANK' >&2
+    exit 2
+    ;;
+*) rank=$1 ;;
+esac
+
+reached() {
+    grep -Eq '"target_reached": *true' "$project/viewrank/progress.json" 2>/dev/null
+}
+# The tasks of this array that wait are not needed any more.
+stop() {
+    echo 'the target is reached'
+    [ -z "${SLURM_ARRAY_JOB_ID:-}" ] || scancel --state=PENDING "$SLURM_ARRAY_JOB_ID"
+}
+if reached; then
+    stop
+    exit 0
+fi
+
+if [ ! -r "$list" ]; then
+    echo "$list is gone: the plan has changed, dispatch it again" >&2
+    exit 1
+fi
+tab=$(printf '\t')
+IFS=$tab read -r _ marker id map key <<EOF
+$(awk -F '\t' -v rank="$rank" '$1 == rank' "$list")
+EOF
+if [ -z "$map" ]; then
+    echo "rank $rank: no depth map can be made"
+    exit 0
+fi
+marker=$folder/done/$marker
+if [ -s "$map" ] && [ "$(cat "$marker" 2>/dev/null)" = "$id" ]; then
+    echo "rank $rank: $key is there"
+    exit 0
+fi
+mkdir -p "$folder/done" || exit 1
+rm -f "$marker"
+echo "rank $rank: $key on $(uname -n)"
+if ! compute || [ ! -s "$map" ]; then
+    echo "rank $rank: $key failed" >&2
+    exit 1
+fi
+draft=$marker.$(uname -n).$$
+echo "$id" > "$draft" && mv "$draft" "$marker" || exit 1
+if reached; then
+    stop
+fi
+exit 0

@@ -1,0 +1,270 @@
+//! `viewrank dispatch`: hands the view clusters of a plan to a queue, in rank order.
+
+use std::{
+    fmt::Write,
+    path::{Path, PathBuf},
+};
+
+use clap::{Args, ValueEnum};
+use serde::Serialize;
+use viewrank::{
+    backends::{self, Selection},
+    config::{Budget, DispatchSettings, Share, Typed},
+    daemon::{follow, state::Outcome},
+    dispatch::{
+        Dispatch, DispatchError, Task, Tools,
+        slurm::{self, Queue, Submission},
+    },
+    manifest::WrittenPlan,
+    output::{self, Contents, Disk, FileSet},
+};
+
+use super::{Failure, Format, config, export, json, print, progress::Progress};
+
+/// Hand the view clusters of a plan to a queue: a task per depth map, best first, and a task that joins them.
+///
+/// Call it again at any time: what is finished or on its way stays, what is missing is submitted again, what waits is cancelled when the
+/// target is reached by the depth maps that are there. What a task asks for can stand in viewrank.toml, section dispatch.
+#[derive(Args)]
+pub struct Arguments {
+    project: PathBuf,
+
+    /// slurm: job arrays. shell: only the scripts, for GNU parallel or a plain loop
+    #[arg(long, value_enum)]
+    scheduler: Scheduler,
+    /// Program that computes the depth maps [default: the one that the plan was made for]
+    #[arg(long, value_name = "NAME")]
+    backend: Option<String>,
+    /// The first N view clusters, or as many as P % of the registered views [default: the plan's cut]
+    #[arg(long, value_name = "N|P%")]
+    budget: Option<Budget>,
+    /// The fewest view clusters that reach P % of what all together reach [default: the plan's cut]
+    #[arg(long, value_name = "P%")]
+    target: Option<Share>,
+    /// The backend's program: sgm.py, DensifyPointCloud, colmap [default: $SGM, $DENSIFY, $COLMAP, else from the PATH]
+    #[arg(long, value_name = "FILE")]
+    program: Option<PathBuf>,
+
+    /// Partition of the queue
+    #[arg(long, help_heading = "A task")]
+    partition: Option<String>,
+    /// Account that the work is charged to
+    #[arg(long, help_heading = "A task")]
+    account: Option<String>,
+    /// Quality of service
+    #[arg(long, help_heading = "A task")]
+    qos: Option<String>,
+    /// Longest time that a depth map may take, such as 2h
+    #[arg(long, value_name = "T", help_heading = "A task")]
+    time: Option<String>,
+    /// Memory, such as 8G
+    #[arg(long, value_name = "SIZE", help_heading = "A task")]
+    memory: Option<String>,
+    /// CPUs, and threads of the backend [default: 1]
+    #[arg(long, value_name = "N", help_heading = "A task")]
+    cpus: Option<i64>,
+    /// GPUs
+    #[arg(long, value_name = "N", help_heading = "A task")]
+    gpus: Option<i64>,
+    /// Tasks that may run at once [default: as many as the queue lets]
+    #[arg(long, value_name = "N", help_heading = "A task")]
+    at_once: Option<i64>,
+    /// A further option of sbatch; may be given several times
+    #[arg(long, value_name = "OPTION", allow_hyphen_values = true, help_heading = "A task")]
+    option: Vec<String>,
+    /// Lines of sh that each task begins with, such as "module load colmap"
+    #[arg(long, value_name = "LINES", help_heading = "A task")]
+    setup: Option<String>,
+
+    /// Print the scripts and the commands; write and submit nothing
+    #[arg(long, help_heading = "Output")]
+    dry_run: bool,
+    #[arg(long, value_enum, default_value_t, help_heading = "Output")]
+    format: Format,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Scheduler {
+    Slurm,
+    Shell,
+}
+
+/// What was done, for programs.
+#[derive(Serialize)]
+struct Report<'a> {
+    backend: &'a str,
+    folder: &'a Path,
+    tasks: usize,
+    done: usize,
+    target_reached: bool,
+    #[serde(flatten)]
+    submission: Submission,
+}
+
+pub fn run(arguments: &Arguments) -> Result<(), Failure> {
+    let plan = WrittenPlan::read(&arguments.project)?;
+    let backend = backends::by_name(arguments.backend.as_ref().unwrap_or(&plan.backend)).map_err(Failure::usage)?;
+    let settings = config::load(Some(&plan.project.root), arguments.typed())?.settings.dispatch;
+    let selection = Selection {
+        project: &plan.project,
+        scene: &plan.scene,
+        clusters: &plan.clusters[..plan.cut_at(arguments.budget, arguments.target)],
+        image_scale: plan.settings.image_scale,
+        planned_for: &plan.backend,
+    };
+    let exported = backend.export(&selection, &Default::default())?;
+    let dispatch = Dispatch::new(backend, &selection, &exported)?;
+    let tools = arguments.tools(&dispatch, &settings)?;
+    let reached = arguments.target_reached(&plan.project.root)?;
+    let mut exported = Some(exported);
+    let mut write = |queue: &Queue| -> Result<(), Failure> {
+        exported.take().map_or(Ok(()), |files| export::write(files, &plan, false).map(drop))?;
+        dispatch.files(&tools, &settings, &queue.lists()).write(&Disk::REAL)?;
+        Ok(())
+    };
+    let submission = match (arguments.scheduler, arguments.dry_run) {
+        (Scheduler::Slurm, true) => {
+            let missing: Vec<&Task> = dispatch.tasks.iter().filter(|task| !dispatch.is_done(task)).collect();
+            queue_or_empty(&dispatch).rehearse(&dispatch, &missing, &settings, reached)
+        }
+        (Scheduler::Slurm, false) => slurm::submit(&dispatch, &settings, reached, write)?,
+        (Scheduler::Shell, dry_run) => {
+            if !dry_run {
+                write(&Queue::empty(&dispatch))?;
+            }
+            Submission::default()
+        }
+    };
+    let done = dispatch.tasks.iter().filter(|task| dispatch.is_done(task)).count();
+    let report = Report {
+        backend: dispatch.backend,
+        folder: &dispatch.folder,
+        tasks: dispatch.tasks.len(),
+        done,
+        target_reached: reached,
+        submission,
+    };
+    match arguments.format {
+        Format::Json => print(&json(&report)),
+        Format::Text if arguments.dry_run => {
+            let files = dispatch.files(&tools, &settings, &Default::default());
+            print(&(scripts(&files) + &report.text(arguments, &dispatch)))
+        }
+        Format::Text => print(&report.text(arguments, &dispatch)),
+    }
+}
+
+/// The queue as it is; an empty one where it cannot be asked.
+fn queue_or_empty(dispatch: &Dispatch) -> Queue {
+    Queue::read(dispatch).unwrap_or_else(|error| {
+        eprintln!("warning: the queue is taken for empty: {error}");
+        Queue::empty(dispatch)
+    })
+}
+
+impl Arguments {
+    /// What was typed, as settings.
+    fn typed(&self) -> Typed {
+        let mut typed = Typed::default();
+        typed.set("--partition", "dispatch.partition", self.partition.clone());
+        typed.set("--account", "dispatch.account", self.account.clone());
+        typed.set("--qos", "dispatch.qos", self.qos.clone());
+        typed.set("--time", "dispatch.time", self.time.clone());
+        typed.set("--memory", "dispatch.memory", self.memory.clone());
+        typed.set("--cpus", "dispatch.cpus", self.cpus);
+        typed.set("--gpus", "dispatch.gpus", self.gpus);
+        typed.set("--at-once", "dispatch.at_once", self.at_once);
+        typed.set("--option", "dispatch.options", (!self.option.is_empty()).then(|| self.option.clone()));
+        typed.set("--setup", "dispatch.setup", self.setup.clone());
+        typed
+    }
+
+    /// The programs that tasks run; where a dry run or only the nodes can't see them, by their names.
+    fn tools(&self, dispatch: &Dispatch, settings: &DispatchSettings) -> Result<Tools, DispatchError> {
+        match Tools::find(dispatch.runner(), self.program.as_deref()) {
+            Err(_) if !settings.setup.is_empty() && self.program.is_none() => Ok(Tools::unseen(dispatch.runner())),
+            Err(error) if self.dry_run => {
+                eprintln!("warning: {error}");
+                Ok(Tools::unseen(dispatch.runner()))
+            }
+            found => found,
+        }
+    }
+
+    /// Do the depth maps that are there reach the target? Measured, so that tasks which start now find it in `progress.json`.
+    fn target_reached(&self, root: &Path) -> Result<bool, Failure> {
+        if self.dry_run {
+            return Ok(follow::target_reached(root));
+        }
+        let progress = Progress::new(self.format == Format::Json);
+        let outcome = follow::follow(root, &progress);
+        progress.finish();
+        match outcome {
+            Outcome::Followed { reached, .. } => Ok(reached),
+            Outcome::Failed { reason, .. } => {
+                eprintln!("warning: what is there could not be measured: {reason}");
+                Ok(false)
+            }
+            _ => {
+                // What it says is of depth maps that are gone.
+                output::remove(&follow::progress_file(root), &Disk::REAL)?;
+                Ok(false)
+            }
+        }
+    }
+}
+
+/// The scripts as they would be written.
+fn scripts(files: &FileSet) -> String {
+    let mut text = String::new();
+    for (path, contents) in &files.files {
+        if let Contents::Script(bytes) = contents {
+            let _ = writeln!(text, "--- {path}\n{}", String::from_utf8_lossy(bytes));
+        }
+    }
+    text
+}
+
+impl Report<'_> {
+    fn text(&self, arguments: &Arguments, dispatch: &Dispatch) -> String {
+        let (folder, all) = (self.folder.display(), self.tasks);
+        let mut text = format!("{}: {all} view clusters, {} finished; {folder}\n", self.backend, self.done);
+        if self.target_reached {
+            text += "  the target is reached by the depth maps that are there: nothing more is started\n";
+        }
+        match arguments.scheduler {
+            Scheduler::Shell => text + &by_hand(dispatch, arguments),
+            Scheduler::Slurm => {
+                let Submission { commands, ranks, queued, jobs } = &self.submission;
+                if !queued.is_empty() {
+                    let _ = writeln!(text, "  on their way  {} tasks", queued.len());
+                }
+                if !ranks.is_empty() {
+                    let (first, last) = (ranks[0], ranks[ranks.len() - 1]);
+                    let _ = writeln!(text, "  submitted     {} tasks, ranks {first} to {last}", ranks.len());
+                }
+                if !jobs.is_empty() {
+                    let _ = writeln!(text, "  jobs          {}", jobs.join(", "));
+                }
+                let commands = commands.iter().filter(|_| arguments.dry_run);
+                for command in commands {
+                    let words: Vec<String> = command.iter().map(|word| backends::shell_quoted(word)).collect();
+                    let _ = writeln!(text, "  would run     {}", words.join(" "));
+                }
+                text
+            }
+        }
+    }
+}
+
+/// How the scripts are started without a queue.
+fn by_hand(dispatch: &Dispatch, arguments: &Arguments) -> String {
+    let script = |name: &str| backends::shell_quoted(&dispatch.folder.join(name).display().to_string());
+    let (task, fuse) = (script("task.sh"), script("fuse.sh"));
+    let last = dispatch.tasks.last().map_or(0, |task| task.rank);
+    let jobs = arguments.at_once.unwrap_or(2);
+    format!(
+        "  one by one       for rank in $(seq {last}); do {task} $rank; done; {fuse}\n  \
+         with parallel    seq {last} | parallel -q -j {jobs} {task}; {fuse}\n"
+    )
+}

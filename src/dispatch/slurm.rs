@@ -1,0 +1,379 @@
+//! SLURM as the queue: which tasks are on their way, and what is to be cancelled and submitted.
+//!
+//! One job array whose indices are ranks; indices start in ascending order whatever the queue's priorities are. Beyond the
+//! largest index that the queue takes there are further arrays, each after the one before. Jobs are found again by their names, which
+//! hold the project, the list of the tasks and the array's first rank: nothing has to be remembered between calls.
+
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    process::Command,
+    thread,
+    time::Duration,
+};
+
+use super::{Dispatch, DispatchError, Task, hash};
+use crate::config::DispatchSettings;
+
+/// `MaxArraySize` where the queue cannot be asked: SLURM's default.
+const MAX_ARRAY_SIZE: usize = 1001;
+/// How long cancelled tasks may stay in the queue: so many looks, so long apart.
+const LOOKS: usize = 100;
+const BETWEEN_LOOKS: Duration = Duration::from_millis(100);
+
+/// A task that is in the queue.
+#[derive(Clone, Debug, PartialEq, Eq)]
+struct Queued {
+    /// Of the array.
+    job: String,
+    list: String,
+    rank: usize,
+    pending: bool,
+}
+
+/// What the queue holds of a project.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Queue {
+    /// Begins the names of the project's jobs.
+    prefix: String,
+    tasks: Vec<Queued>,
+    /// Jobs that join the depth maps, and whether they have yet to begin.
+    fusions: Vec<(String, bool)>,
+    /// Indices of an array go from 1 to this.
+    max_index: usize,
+}
+
+/// A job array: consecutive ranks from `offset` + 1 on, those in `indices` (from 1).
+#[derive(Clone, Debug, PartialEq, Eq)]
+struct Array {
+    offset: usize,
+    indices: Vec<usize>,
+}
+
+/// One command for the queue.
+#[derive(Clone, Debug, PartialEq, Eq)]
+enum Step {
+    /// Those tasks and jobs that have not begun.
+    Cancel(Vec<String>),
+    /// After the arrays that were submitted before it.
+    Array(Array),
+    /// After all arrays, and after these jobs.
+    Fusion(Vec<String>),
+}
+
+/// What was done, or would be.
+#[derive(Clone, Debug, Default, serde::Serialize)]
+pub struct Submission {
+    /// As typed in a shell.
+    pub commands: Vec<Vec<String>>,
+    /// Ranks that were submitted.
+    pub ranks: Vec<usize>,
+    /// Ranks that were on their way before.
+    pub queued: Vec<usize>,
+    /// The arrays and the fusion.
+    pub jobs: Vec<String>,
+}
+
+impl Queue {
+    /// A queue that holds nothing.
+    pub fn empty(dispatch: &Dispatch) -> Self {
+        let project = hash([&*dispatch.project.to_string_lossy()]);
+        let prefix = format!("viewrank-{}-{}-", dispatch.backend, &project[..8]);
+        Self { prefix, max_index: MAX_ARRAY_SIZE - 1, ..Self::default() }
+    }
+
+    /// Asks the queue.
+    pub fn read(dispatch: &Dispatch) -> Result<Self, DispatchError> {
+        let mut queue = Self::empty(dispatch);
+        // SAFETY: `getuid` takes nothing and cannot fail.
+        let user = unsafe { libc::getuid() }.to_string();
+        queue.add_jobs(&run(&["squeue", "-h", "-r", "-u", &user, "-o", "%i|%j|%T"].map(String::from))?);
+        let configuration = run(&["scontrol", "show", "config"].map(String::from))?;
+        let size = configuration.lines().find_map(|line| line.strip_prefix("MaxArraySize")?.split('=').nth(1));
+        queue.max_index = size.and_then(|n| n.trim().parse().ok()).unwrap_or(MAX_ARRAY_SIZE).max(2) - 1;
+        Ok(queue)
+    }
+
+    /// Lines `JOB_INDEX|NAME|STATE`.
+    fn add_jobs(&mut self, answer: &str) {
+        for line in answer.lines() {
+            let mut fields = line.trim().split('|');
+            let (Some(id), Some(name), Some(state)) = (fields.next(), fields.next(), fields.next()) else { continue };
+            match name.strip_prefix(&self.prefix).map(|rest| rest.split_once('-')) {
+                Some(None) => self.fusions.push((id.into(), state == "PENDING")),
+                Some(Some((list, offset))) => {
+                    let index = id.split_once('_').and_then(|(job, index)| Some((job, index.parse::<usize>().ok()?)));
+                    let (Some((job, index)), Ok(offset)) = (index, offset.parse::<usize>()) else { continue };
+                    let (job, list, pending) = (job.into(), list.into(), state == "PENDING");
+                    self.tasks.push(Queued { job, list, rank: offset + index, pending });
+                }
+                None => {}
+            }
+        }
+    }
+
+    /// The lists that tasks in the queue read.
+    pub fn lists(&self) -> BTreeSet<String> {
+        self.tasks.iter().map(|task| task.list.clone()).collect()
+    }
+
+    /// Jobs of which something has not begun, each once.
+    fn pending_jobs(&self) -> Vec<String> {
+        let tasks = self.tasks.iter().filter(|task| task.pending).map(|task| &task.job);
+        let fusions = self.fusions.iter().filter(|fusion| fusion.1).map(|fusion| &fusion.0);
+        tasks.chain(fusions).cloned().collect::<BTreeSet<_>>().into_iter().collect()
+    }
+
+    fn jobs(&self) -> Vec<String> {
+        self.tasks.iter().map(|task| task.job.clone()).collect::<BTreeSet<_>>().into_iter().collect()
+    }
+
+    /// Ranks of the current list that are on their way.
+    fn queued(&self, dispatch: &Dispatch) -> BTreeSet<usize> {
+        let list = dispatch.list_name();
+        self.tasks.iter().filter(|task| task.list == list).map(|task| task.rank).collect()
+    }
+
+    /// Key views of other lists that are being computed, by their markers.
+    fn busy(&self, dispatch: &Dispatch) -> BTreeSet<String> {
+        let current = dispatch.list_name();
+        let mut lists: BTreeMap<&str, BTreeSet<usize>> = BTreeMap::new();
+        for task in self.tasks.iter().filter(|task| !task.pending && task.list != current) {
+            lists.entry(&task.list).or_default().insert(task.rank);
+        }
+        let markers = |(list, ranks): (&str, BTreeSet<usize>)| {
+            dispatch
+                .old_markers(list)
+                .into_iter()
+                .filter(move |(rank, _)| ranks.contains(rank))
+                .map(|(_, marker)| marker)
+        };
+        lists.into_iter().flat_map(markers).collect()
+    }
+
+    /// The next commands. Where something has to be cancelled that comes first, alone: the queue is to be read again after it.
+    fn steps(&self, dispatch: &Dispatch, missing: &[&Task], reached: bool) -> Vec<Step> {
+        let (queued, busy) = (self.queued(dispatch), self.busy(dispatch));
+        let is_absent = |task: &&&Task| !queued.contains(&task.rank) && !busy.contains(&task.marker);
+        let absent: Vec<usize> = missing.iter().filter(is_absent).map(|task| task.rank).collect();
+        let outdated = self.tasks.iter().any(|task| task.pending && task.list != dispatch.list_name());
+        let waiting = self.tasks.iter().any(|task| task.pending);
+        let cancels = if reached { waiting } else { outdated || !absent.is_empty() && !self.pending_jobs().is_empty() };
+        if cancels {
+            return vec![Step::Cancel(self.pending_jobs())];
+        }
+        let ranks = if reached { Vec::new() } else { absent };
+        let mut steps: Vec<Step> = arrays(&ranks, self.max_index).into_iter().map(Step::Array).collect();
+        let more_comes = !steps.is_empty() || !self.tasks.is_empty();
+        let will_be_fused = self.fusions.iter().any(|&(_, pending)| pending || !more_comes);
+        if !will_be_fused && (more_comes || !dispatch.is_fused()) {
+            steps.push(Step::Fusion(self.jobs()));
+        }
+        steps
+    }
+
+    /// What [`submit`] would do now.
+    pub fn rehearse(
+        mut self,
+        dispatch: &Dispatch,
+        missing: &[&Task],
+        settings: &DispatchSettings,
+        reached: bool,
+    ) -> Submission {
+        let mut submission = Submission::default();
+        let mut steps = self.steps(dispatch, missing, reached);
+        if let [cancel @ Step::Cancel(_)] = &steps[..] {
+            submission.commands.push(self.command(dispatch, cancel, settings, &[]));
+            self.tasks.retain(|task| !task.pending);
+            self.fusions.retain(|&(_, pending)| !pending);
+            steps = self.steps(dispatch, missing, reached);
+        }
+        submission.queued = self.queued(dispatch).into_iter().collect();
+        for step in &steps {
+            submission.commands.push(self.command(dispatch, step, settings, &submission.jobs));
+            submission.ranks.extend(step.ranks());
+            submission.jobs.push(format!("JOB{}", submission.jobs.len() + 1));
+        }
+        submission
+    }
+
+    fn command(&self, dispatch: &Dispatch, step: &Step, settings: &DispatchSettings, before: &[String]) -> Vec<String> {
+        let folder = dispatch.folder.display();
+        let mut command: Vec<String> = vec!["sbatch".into(), "--parsable".into()];
+        let after = |jobs: &[String]| (!jobs.is_empty()).then(|| format!("--dependency=afterany:{}", jobs.join(":")));
+        match step {
+            Step::Cancel(jobs) => {
+                return ["scancel".into(), "--state=PENDING".into()].into_iter().chain(jobs.iter().cloned()).collect();
+            }
+            Step::Array(array) => {
+                command.push(format!("--job-name={}{}-{}", self.prefix, dispatch.list_name(), array.offset));
+                command.push(format!("--array={}", array.specification(settings.at_once)));
+                command.push(format!("--output={folder}/logs/%A_%a.log"));
+                // A node that is lost gives its tasks back to the queue.
+                command.extend(["--open-mode=append".into(), "--requeue".into()]);
+                command.extend(settings.time.map(|time| format!("--time={}", (time.0 / 60.0).ceil().max(1.0))));
+                command.extend(settings.gpus.map(|gpus| format!("--gres=gpu:{gpus}")));
+                command.extend(after(before));
+            }
+            Step::Fusion(jobs) => {
+                command.push(format!("--job-name={}fuse", self.prefix));
+                command.push(format!("--output={folder}/logs/fuse-%j.log"));
+                command.extend(after(&[jobs, before].concat()));
+            }
+        }
+        command.extend(resources(settings));
+        command.push(format!("--chdir={}", dispatch.project.display()));
+        command.extend(settings.options.iter().cloned());
+        match step {
+            Step::Array(array) => {
+                command.extend([format!("{folder}/task.sh"), "array".into(), array.offset.to_string()]);
+            }
+            _ => command.push(format!("{folder}/fuse.sh")),
+        }
+        command
+    }
+}
+
+impl Step {
+    fn ranks(&self) -> Vec<usize> {
+        match self {
+            Self::Array(array) => array.indices.iter().map(|index| array.offset + index).collect(),
+            _ => Vec::new(),
+        }
+    }
+}
+
+/// Submits what is missing and on nobody's way, in rank order, and the fusion after it. Where the target is reached, what waits is cancelled.
+///
+/// `before_submission` is called when the queue is cleared: it puts the files in place that the tasks read.
+pub fn submit<E: From<DispatchError>>(
+    dispatch: &Dispatch,
+    settings: &DispatchSettings,
+    reached: bool,
+    before_submission: impl FnOnce(&Queue) -> Result<(), E>,
+) -> Result<Submission, E> {
+    let mut submission = Submission::default();
+    for _ in 0..LOOKS {
+        let queue = Queue::read(dispatch)?;
+        // After the queue: what ends in between is then done, not missing.
+        let missing: Vec<&Task> = dispatch.tasks.iter().filter(|task| !dispatch.is_done(task)).collect();
+        let steps = queue.steps(dispatch, &missing, reached);
+        if let [cancel @ Step::Cancel(_)] = &steps[..] {
+            let command = queue.command(dispatch, cancel, settings, &[]);
+            run(&command)?;
+            submission.commands.push(command);
+            thread::sleep(BETWEEN_LOOKS);
+            continue;
+        }
+        before_submission(&queue)?;
+        submission.queued = queue.queued(dispatch).into_iter().collect();
+        for step in &steps {
+            let command = queue.command(dispatch, step, settings, &submission.jobs);
+            let answer = run(&command)?;
+            let job = answer.trim().split(';').next().unwrap_or_default().to_owned();
+            if job.is_empty() || !job.bytes().all(|b| b.is_ascii_digit()) {
+                return Err(DispatchError::Answer { command: command.join(" "), answer }.into());
+            }
+            submission.commands.push(command);
+            submission.ranks.extend(step.ranks());
+            submission.jobs.push(job);
+        }
+        return Ok(submission);
+    }
+    Err(DispatchError::Stuck.into())
+}
+
+/// Options for what a task needs that the user said.
+fn resources(settings: &DispatchSettings) -> impl Iterator<Item = String> {
+    let DispatchSettings { partition, account, qos, memory, cpus, .. } = settings;
+    let named = [("partition", partition), ("account", account), ("qos", qos)];
+    let named = named.map(|(option, value)| value.as_ref().map(|value| format!("--{option}={value}")));
+    let memory = memory.map(|memory| format!("--mem={}M", memory.0.div_ceil(1 << 20)));
+    named.into_iter().flatten().chain(memory).chain([format!("--cpus-per-task={cpus}")])
+}
+
+/// Ranks, ascending, as arrays whose indices the queue takes.
+fn arrays(ranks: &[usize], max_index: usize) -> Vec<Array> {
+    let mut arrays: Vec<Array> = Vec::new();
+    for rank in ranks {
+        let offset = (rank - 1) / max_index * max_index;
+        match arrays.last_mut().filter(|array| array.offset == offset) {
+            Some(array) => array.indices.push(rank - offset),
+            None => arrays.push(Array { offset, indices: vec![rank - offset] }),
+        }
+    }
+    arrays
+}
+
+impl Array {
+    /// `1-40,45%8`.
+    fn specification(&self, at_once: Option<u32>) -> String {
+        let runs = self.indices.chunk_by(|a, b| a + 1 == *b);
+        let run = |run: &[usize]| match run {
+            [one] => one.to_string(),
+            [first, .., last] => format!("{first}-{last}"),
+            [] => String::new(),
+        };
+        let limit = at_once.map_or(String::new(), |limit| format!("%{limit}"));
+        runs.map(run).collect::<Vec<_>>().join(",") + &limit
+    }
+}
+
+/// Runs a command of the queue and returns what it printed.
+fn run(command: &[String]) -> Result<String, DispatchError> {
+    let done = Command::new(&command[0]).args(&command[1..]).output();
+    let done = done.map_err(|source| DispatchError::Start { program: command[0].clone(), source })?;
+    if done.status.success() {
+        return Ok(String::from_utf8_lossy(&done.stdout).into_owned());
+    }
+    let message = String::from_utf8_lossy(&done.stderr).trim().replace('\n', "; ");
+    Err(DispatchError::Refused { command: command.join(" "), message })
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    proptest! {
+        #[test]
+        fn arrays_hold_each_rank_once_in_order(
+            ranks in proptest::collection::btree_set(1usize..3000, 0..300),
+            max_index in 1usize..1500,
+        ) {
+            let ranks: Vec<usize> = ranks.into_iter().collect();
+            let arrays = arrays(&ranks, max_index);
+            prop_assert!(arrays.iter().flat_map(|a| &a.indices).all(|i| (1..=max_index).contains(i)));
+            let again: Vec<usize> = arrays.into_iter().map(Step::Array).flat_map(|step| step.ranks()).collect();
+            prop_assert_eq!(again, ranks);
+        }
+
+        #[test]
+        fn a_specification_names_its_indices(indices in proptest::collection::btree_set(1usize..60, 1..40)) {
+            let array = Array { offset: 0, indices: indices.into_iter().collect() };
+            let text = array.specification(None);
+            let part = |part: &str| {
+                let (first, last) = part.split_once('-').unwrap_or((part, part));
+                first.parse::<usize>().unwrap()..=last.parse().unwrap()
+            };
+            prop_assert_eq!(text.split(',').flat_map(part).collect::<Vec<_>>(), array.indices);
+        }
+    }
+
+    #[test]
+    fn the_limit_stands_behind() {
+        let array = Array { offset: 0, indices: vec![1, 2, 3, 7] };
+        assert_eq!(array.specification(Some(4)), "1-3,7%4");
+    }
+
+    #[test]
+    fn only_own_jobs_are_found() {
+        let mut queue = Queue { prefix: "viewrank-sgm-12345678-".into(), ..Queue::default() };
+        queue.add_jobs(
+            "17_3|viewrank-sgm-12345678-abcd-1000|RUNNING\n18|viewrank-sgm-12345678-fuse|PENDING\n\
+             19_1|viewrank-sgm-87654321-abcd-0|PENDING\nnonsense\n20_[2-5]|viewrank-sgm-12345678-abcd-0|PENDING\n",
+        );
+        let found = Queued { job: "17".into(), list: "abcd".into(), rank: 1003, pending: false };
+        assert_eq!((queue.tasks.as_slice(), &queue.pending_jobs()[..]), (&[found][..], &["18".to_string()][..]));
+    }
+}

@@ -1,0 +1,398 @@
+"""viewrank dispatch: the clusters of the fixture, matched by integrations/sgm, in a shell and in a real SLURM.
+
+The SLURM is a controller and two nodes on the loopback device. It needs Debian's packages slurmctld, slurmd and slurm-client (nothing has
+to be set up or running); the tests that need it are skipped where they are not installed:
+
+    python -m pytest tests/python/test_dispatch.py
+"""
+import json
+import os
+import pwd
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+SGM = ROOT / "integrations/sgm/sgm.py"
+DAEMONS = [f"{folder}/{name}" for name in ("slurmctld", "slurmd") for folder in ("/usr/sbin", "/usr/local/sbin") if Path(folder, name).exists()]
+MAX_INDEX = 5  # of an array, so that eight ranks need two
+
+# Stands before sgm.py: notes each start, and waits while a file says so.
+FRONT = """
+import os, runpy, sys, time
+from pathlib import Path
+here, rank = Path(__file__).parent, None
+if __name__ == "__main__" and "--rank" in sys.argv:
+    rank = sys.argv[sys.argv.index("--rank") + 1]
+    with open(here / "calls", "a") as calls:
+        calls.write(f"{{rank}} {{os.getpid()}}\\n")
+    begin = time.time()
+    while (here / f"hold-{{rank}}").exists() and time.time() - begin < 120:
+        time.sleep(0.05)
+if __name__ == "__main__":
+    sys.path.insert(0, {folder!r})
+    sys.argv[0] = {program!r}
+    runpy.run_path({program!r}, run_name="__main__")
+"""
+
+
+class Work:
+    """A planned copy of the fixture and what its tasks noted."""
+
+    def __init__(self, folder, viewrank, fixtures, target):
+        self.folder, self.viewrank, self.project = folder, viewrank, folder / "my valley"
+        shutil.copytree(fixtures / "valley", self.project)
+        (self.project / "viewrank.toml").write_text("image_scale = 0.25\n")
+        viewrank("plan", self.project, "--backend", "sgm", "--target", target, "--quiet")
+        self.front = folder / "front.py"
+        self.front.write_text(FRONT.format(folder=str(SGM.parent), program=str(SGM)))
+
+    def dispatch(self, scheduler, *options):
+        done = self.viewrank("dispatch", self.project, "--scheduler", scheduler, "--backend", "sgm", "--program", self.front, "--budget", "8", "--format", "json", *options)
+        return json.loads(done.stdout)
+
+    def script(self, name):
+        return self.project / "viewrank/dispatch/sgm" / name
+
+    def calls(self):
+        """(rank, process) of each computation, in the order of their starts."""
+        text = (self.folder / "calls").read_text() if (self.folder / "calls").exists() else ""
+        return [tuple(map(int, line.split())) for line in text.splitlines()]
+
+    def ranks(self):
+        return [rank for rank, _ in self.calls()]
+
+    def process(self, rank):
+        return wait_for(lambda: next((p for r, p in reversed(self.calls()) if r == rank), None), f"rank {rank} to start")
+
+    def hold(self, *ranks):
+        for rank in ranks:
+            (self.folder / f"hold-{rank}").touch()
+
+    def release(self, *ranks):
+        for rank in ranks:
+            (self.folder / f"hold-{rank}").unlink()
+
+    def maps(self):
+        return sorted(path.name for path in (self.project / "sgm/depth_maps").rglob("*.npy"))
+
+    def keys(self, count):
+        return sorted(line.split("\t")[0] + ".npy" for line in (self.project / "viewrank/sgm/clusters.txt").read_text().splitlines()[:count])
+
+    def reported(self):
+        return sorted(row["key"] + ".npy" for row in json.loads((self.project / "sgm/report.json").read_text())["clusters"])
+
+
+def wait_for(condition, what, seconds=60):
+    begin = time.time()
+    while not (found := condition()):
+        assert time.time() - begin < seconds, f"waited for {what}"
+        time.sleep(0.1)
+    return found
+
+
+@pytest.fixture
+def work(tmp_path, viewrank, fixtures, monkeypatch):
+    monkeypatch.setenv("PYTHON", sys.executable)
+    return Work(tmp_path, viewrank, fixtures, "99%")
+
+
+def test_a_plain_loop_computes_each_rank_once(work):
+    report = work.dispatch("shell")
+    assert report["tasks"] == 8 and report["done"] == 0 and work.ranks() == []
+    task = work.script("task.sh")
+    for rank in range(1, 9):
+        subprocess.run([task, str(rank)], check=True, cwd="/")
+    assert work.ranks() == list(range(1, 9))
+    subprocess.run([work.script("fuse.sh")], check=True, cwd="/")
+    assert work.maps() == work.keys(8) == work.reported()
+    again = subprocess.run([task, "3"], check=True, capture_output=True, text=True)
+    assert "is there" in again.stdout and "nothing new" in subprocess.run([work.script("fuse.sh")], capture_output=True, text=True).stdout
+    (work.project / "sgm/depth_maps" / work.keys(8)[0]).unlink()
+    for rank in range(1, 10):
+        subprocess.run([task, str(rank)], check=True)
+    assert len(work.ranks()) == 9, "only the lost map is made again, and a rank too many does no harm"
+    assert work.dispatch("shell")["done"] == 8
+
+
+def test_a_killed_task_is_done_again_and_a_reached_target_ends(work):
+    work.dispatch("shell")
+    work.hold(1)
+    running = subprocess.Popen([work.script("task.sh"), "1"], start_new_session=True)
+    work.process(1)
+    os.killpg(running.pid, signal.SIGKILL)
+    running.wait()
+    work.release(1)
+    (work.project / "viewrank/progress.json").write_text('{\n  "target_reached": true\n}')
+    subprocess.run([work.script("task.sh"), "1"], check=True)
+    assert work.ranks() == [1]
+    (work.project / "viewrank/progress.json").unlink()
+    subprocess.run([work.script("task.sh"), "1"], check=True)
+    assert work.ranks() == [1, 1] and work.maps() == work.keys(1)
+
+
+def test_another_plan_makes_only_what_is_new(work):
+    work.dispatch("shell")
+    for rank in range(1, 9):
+        subprocess.run([work.script("task.sh"), str(rank)], check=True)
+    work.viewrank("plan", work.project, "--backend", "sgm", "-k", "3", "--target", "99%", "--quiet")
+    assert work.dispatch("shell")["done"] < 8
+    before = len(work.ranks())
+    for rank in range(1, 9):
+        subprocess.run([work.script("task.sh"), str(rank)], check=True)
+    assert work.dispatch("shell")["done"] == 8
+    assert set(work.ranks()[before:]) <= set(range(1, 9)) and len(work.ranks()) > before
+
+
+@pytest.mark.skipif(not shutil.which("parallel"), reason="GNU parallel is not installed")
+def test_gnu_parallel(work):
+    work.dispatch("shell")
+    subprocess.run(["parallel", "--will-cite", "-q", "-j", "2", work.script("task.sh")], input="\n".join(map(str, range(1, 9))), text=True, check=True)
+    assert sorted(work.ranks()) == list(range(1, 9))
+    assert work.maps() == work.keys(8)
+
+
+COLMAP = """#!/bin/sh
+# Writes the map that its list asks for, as many bytes of it as a file says.
+echo "$@" >> {folder}/colmap
+[ "$1" = patch_match_stereo ] || exit 0
+while [ $# -gt 0 ]; do [ "$1" = --config_path ] && list=$2; shift; done
+name=$(head -n 1 "$list")
+for kind in depth_maps normal_maps; do
+    [ -e "stereo/$kind/$name.photometric.bin" ] || head -c "$(cat {folder}/bytes)" {folder}/$kind > "stereo/$kind/$name.photometric.bin"
+done
+"""
+
+
+def test_colmap_maps_must_be_whole(work):
+    """patch_match_stereo keeps whatever file is there, and writes in place."""
+    (work.folder / "depth_maps").write_bytes(b"4&3&1&" + bytes(48))
+    (work.folder / "normal_maps").write_bytes(b"4&3&3&" + bytes(144))
+    program = work.folder / "colmap-program"
+    program.write_text(COLMAP.format(folder=work.folder))
+    program.chmod(0o755)
+    options = ("--scheduler", "shell", "--backend", "colmap", "--program", program, "--format", "json", "--budget", "8")
+    tasks = json.loads(work.viewrank("dispatch", work.project, *options).stdout)["tasks"]
+    task = work.project / "viewrank/dispatch/colmap/task.sh"
+    (work.folder / "bytes").write_text("30")
+    assert subprocess.run([task, "2"], capture_output=True).returncode == 1, "cut off"
+    (work.folder / "bytes").write_text("1000")
+    for _ in range(2):
+        for rank in range(1, tasks + 1):
+            subprocess.run([task, str(rank)], check=True)
+    subprocess.run([task.with_name("fuse.sh")], check=True)
+    calls = (work.folder / "colmap").read_text().splitlines()
+    assert len(calls) == tasks + 2 and "stereo_fusion" in calls[-1]
+    assert json.loads(work.viewrank("dispatch", work.project, *options).stdout)["done"] == tasks
+
+
+def test_dry_run_writes_nothing(work):
+    before = sorted(work.project.rglob("*"))
+    done = work.viewrank("dispatch", work.project, "--scheduler", "slurm", "--backend", "openmvs", "--dry-run", "--time", "90min", "--memory", "2G", "--gpus", "1", "--at-once", "3", "--partition", "night", "--option=--exclusive")
+    assert sorted(work.project.rglob("*")) == before
+    for word in ("--time=90", "--mem=2048M", "--gres=gpu:1", "%3", "--partition=night", "--exclusive", "--dependency=afterany:JOB1", "run.py --densify"):
+        assert word in done.stdout, word
+    scripts = done.stdout.split("--- viewrank/dispatch/openmvs/")[1:]
+    assert [script.split("\n")[0] for script in scripts] == ["fuse.sh", "task.sh"]
+    assert all("night" not in script.split("would run")[0] for script in scripts), "no cluster's names in the scripts"
+
+
+class Slurm:
+    """A controller and two nodes of this machine, in a folder."""
+
+    def __init__(self, folder):
+        self.folder, self.daemons, self.nodes = folder, [], {}
+        for name in ("log", "state", "spool-n1", "spool-n2"):
+            (folder / name).mkdir()
+        user = pwd.getpwuid(os.getuid()).pw_name
+        ports = free_ports(3)
+        (folder / "slurm.conf").write_text(CONFIGURATION.format(folder=folder, user=user, ports=ports, max_array=MAX_INDEX + 1))
+        self.environment = {**os.environ, "SLURM_CONF": str(folder / "slurm.conf"), "PATH": f"{os.environ['PATH']}:/usr/sbin"}
+        self.start("slurmctld", "-D")
+        for node in ("n1", "n2"):
+            self.nodes[node] = self.start("slurmd", "-D", "-N", node)
+        wait_for(lambda: self.ask("sinfo", "-h", "-o", "%T %D") == "idle 2", "two idle nodes", 30)
+
+    def start(self, *command):
+        with open(self.folder / "log" / f"{command[-1]}.out", "wb") as log:
+            daemon = subprocess.Popen(command, env=self.environment, stdin=subprocess.DEVNULL, stdout=log, stderr=log, start_new_session=True)
+        self.daemons.append(daemon)
+        return daemon
+
+    def ask(self, *command):
+        return subprocess.run(command, env=self.environment, capture_output=True, text=True, check=False).stdout.strip()
+
+    def queue(self, form="%i %T"):
+        return self.ask("squeue", "-h", "-r", "-o", form).splitlines()
+
+    def drained(self):
+        wait_for(lambda: not self.queue(), "the queue to drain", 120)
+
+    def stop(self):
+        subprocess.run(["scancel", "-u", str(os.getuid())], env=self.environment, check=False)
+        try:
+            wait_for(lambda: not self.queue(), "the queue to be empty", 10)
+        finally:
+            for daemon in self.daemons:
+                daemon.terminate()
+            for daemon in self.daemons:
+                try:
+                    daemon.wait(5)
+                except subprocess.TimeoutExpired:
+                    daemon.kill()
+
+
+CONFIGURATION = """ClusterName=ci
+SlurmctldHost=localhost(127.0.0.1)
+SlurmUser={user}
+SlurmdUser={user}
+AuthType=auth/none
+CredType=cred/none
+CommunicationParameters=NoCtldInAddrAny,NoInAddrAny
+SlurmctldPort={ports[0]}
+SlurmctldPidFile={folder}/slurmctld.pid
+SlurmctldLogFile={folder}/log/slurmctld.log
+StateSaveLocation={folder}/state
+SlurmdPidFile={folder}/slurmd-%n.pid
+SlurmdLogFile={folder}/log/slurmd-%n.log
+SlurmdSpoolDir={folder}/spool-%n
+SlurmdTimeout=5
+ProctrackType=proctrack/pgid
+TaskPlugin=task/none
+SelectType=select/cons_tres
+SelectTypeParameters=CR_CPU
+SchedulerType=sched/backfill
+PriorityType=priority/basic
+SchedulerParameters=batch_sched_delay=0,sched_interval=1,bf_interval=1
+ReturnToService=2
+SlurmdParameters=config_overrides
+KillWait=2
+MaxArraySize={max_array}
+NodeName=n1 NodeAddr=127.0.0.1 Port={ports[1]} CPUs=2 RealMemory=1000
+NodeName=n2 NodeAddr=127.0.0.1 Port={ports[2]} CPUs=2 RealMemory=1000
+PartitionName=mvs Nodes=n1,n2 Default=YES State=UP
+"""
+
+
+def free_ports(count):
+    sockets = [socket.socket() for _ in range(count)]
+    for opened in sockets:
+        opened.bind(("127.0.0.1", 0))
+    ports = [opened.getsockname()[1] for opened in sockets]
+    for opened in sockets:
+        opened.close()
+    return ports
+
+
+@pytest.fixture
+def slurm(tmp_path_factory, monkeypatch):
+    if len(DAEMONS) < 2 or not shutil.which("sbatch"):
+        pytest.skip("SLURM is not installed: apt-get install slurmctld slurmd slurm-client")
+    cluster = Slurm(tmp_path_factory.mktemp("slurm"))
+    monkeypatch.setenv("SLURM_CONF", cluster.environment["SLURM_CONF"])
+    yield cluster
+    cluster.stop()
+
+
+def test_slurm_in_rank_order_and_nothing_twice(work, slurm):
+    report = work.dispatch("slurm", "--at-once", "1", "--memory", "500M")
+    assert report["ranks"] == list(range(1, 9)) and len(report["jobs"]) == 3, "two arrays and the fusion"
+    work.process(1)
+    during = work.dispatch("slurm", "--at-once", "1", "--memory", "500M")
+    assert during["ranks"] == [] and during["jobs"] == [], "all are on their way"
+    slurm.drained()
+    assert work.ranks() == list(range(1, 9))
+    assert work.maps() == work.keys(8) == work.reported()
+    after = work.dispatch("slurm")
+    assert after["done"] == 8 and after["jobs"] == []
+    work.viewrank("evaluate", work.project, "--depth-maps", work.project / "sgm", "--quiet")
+
+
+def test_slurm_submits_a_killed_task_again(work, slurm):
+    work.hold(2)
+    work.dispatch("slurm", "--at-once", "2")
+    os.kill(work.process(2), signal.SIGKILL)
+    work.release(2)
+    slurm.drained()
+    assert sorted(work.ranks()) == list(range(1, 9)) and work.keys(8) != work.maps()
+    assert work.reported() == work.maps(), "what is there is joined"
+    again = work.dispatch("slurm")
+    assert again["ranks"] == [2]
+    slurm.drained()
+    assert sorted(work.ranks()) == sorted([2, *range(1, 9)]) and work.maps() == work.keys(8) == work.reported()
+
+
+def test_slurm_loses_a_node(work, slurm):
+    work.hold(1, 2)
+    work.dispatch("slurm", "--cpus", "2")
+    lost = work.process(1)
+    work.process(2)
+    running = (line.split() for line in slurm.queue("%i %A %T %N") if " RUNNING " in line)
+    task, job, _, node = next(line for line in running if line[0].endswith("_1"))
+    take_away(slurm.nodes[node], lost)
+    wait_for(lambda: f"{task} PENDING" in slurm.queue(), "the queue to see it")
+    assert work.dispatch("slurm", "--cpus", "2")["ranks"] == [], "it is on its way"
+    assert slurm.ask("scontrol", "update", f"JobId={job}", "StartTime=now") == ""
+    work.release(1, 2)
+    slurm.drained()
+    assert sorted(work.ranks()) == sorted([1, *range(1, 9)]), "only the lost one twice"
+    assert work.maps() == work.keys(8) == work.reported()
+
+
+def take_away(daemon, process):
+    """Ends a node as the loss of its power would: daemon, step and work."""
+    daemon.kill()
+    daemon.wait()
+    parents = [process]
+    while parents[-1] > 1:
+        if "slurmstepd" in Path(f"/proc/{parents[-1]}/cmdline").read_text():
+            break
+        parents.append(int(Path(f"/proc/{parents[-1]}/stat").read_text().rsplit(")", 1)[1].split()[1]))
+    assert parents[-1] > 1, "the step was found"
+    for pid in reversed(parents):
+        os.kill(pid, signal.SIGKILL)
+
+
+def test_slurm_ends_when_the_target_is_reached(tmp_path, viewrank, fixtures, slurm, monkeypatch):
+    monkeypatch.setenv("PYTHON", sys.executable)
+    work = Work(tmp_path, viewrank, fixtures, "20%")
+    work.hold(3)
+    work.dispatch("slurm", "--at-once", "1")
+    work.process(3)
+    report = work.dispatch("slurm", "--at-once", "1")
+    assert report["target_reached"] and report["ranks"] == []
+    assert len(slurm.queue()) == 2, "the running task and the fusion after it"
+    work.release(3)
+    slurm.drained()
+    assert work.ranks() == [1, 2, 3] and work.maps() == work.keys(3) == work.reported()
+    assert work.dispatch("slurm")["jobs"] == []
+
+
+def test_slurm_tasks_see_the_target_themselves(work, slurm):
+    work.hold(2)
+    work.dispatch("slurm", "--at-once", "1")
+    work.process(2)
+    (work.project / "viewrank/progress.json").write_text('{\n  "target_reached": true\n}')
+    work.release(2)
+    slurm.drained()
+    assert work.ranks() == [1, 2] and work.maps() == work.keys(2) == work.reported()
+
+
+def test_slurm_follows_a_new_plan(work, slurm):
+    work.hold(1)
+    work.dispatch("slurm", "--at-once", "1")
+    work.process(1)
+    work.viewrank("plan", work.project, "--backend", "sgm", "-k", "3", "--target", "99%", "--quiet")
+    report = work.dispatch("slurm", "--at-once", "1")
+    assert len(report["commands"][0]) >= 3 and report["commands"][0][0] == "scancel"
+    work.release(1)
+    slurm.drained()
+    work.dispatch("slurm")
+    slurm.drained()
+    assert work.dispatch("slurm")["done"] == 8 and set(work.keys(8)) <= set(work.maps())
