@@ -8,6 +8,7 @@
 //! - [`confidence`] method 7: where will the backend succeed
 //! - [`fulfilment`] method 3; [`partners`] method 4; [`ranking`] method 5
 //! - [`backends`] what each MVS program can match and the files it reads
+//! - [`undistort`] undistorted images for the backends that need them
 //! - [`depthmaps`] finished depth maps of the backends
 //! - [`pictures`] and [`report`] what people look at; [`tables`] what programs check; [`dispatch`] the clusters as tasks of a queue
 //! - [`plan`] runs the stages; [`evaluate`] method 8: real fulfilment, baselines; [`output`] makes files appear whole or not at all
@@ -37,4 +38,5 @@ pub mod scene;
 pub mod surface;
 pub mod synthetic;
 pub mod tables;
+pub mod undistort;
 pub mod visibility;

@@ -11,6 +11,7 @@ pub enum Stage {
     Partners,
     Ranking,
     Evaluate,
+    Undistort,
     Write,
 }
 

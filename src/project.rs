@@ -12,7 +12,11 @@ use std::{
 
 pub use files::ColmapFiles;
 
-use crate::{error::Hint, formats::Fault, scene::Scene};
+use crate::{
+    error::Hint,
+    formats::{Fault, colmap::ColmapModel},
+    scene::Scene,
+};
 
 /// Formats of sparse models.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
@@ -126,6 +130,18 @@ impl Project {
     /// The files of a COLMAP model as they are, for writing a part of them.
     pub fn colmap_files(&self) -> Result<ColmapFiles, ProjectError> {
         ColmapFiles::open(&self.model)
+    }
+
+    /// Hands the model on as COLMAP's files hold it: the project's own files, else the model of the scene.
+    pub fn with_colmap_model<T>(
+        &self,
+        scene: &Scene,
+        use_model: impl FnOnce(&ColmapModel) -> T,
+    ) -> Result<T, ProjectError> {
+        Ok(match self.model.format {
+            ModelFormat::ColmapBinary | ModelFormat::ColmapText => use_model(&self.colmap_files()?.model()?),
+            _ => use_model(&ColmapModel::from_scene(scene)),
+        })
     }
 
     /// All files that the model is read from, in a fixed order.

@@ -97,7 +97,7 @@ fn text_and_binary_are_the_same_model() {
 }
 
 #[test]
-fn names_are_the_rest_of_the_line() {
+fn colmap_text_name_cut() {
     let Some(formats) = data().map(|data| data.join("formats")) else { return };
     let names =
         |folder: &str| -> Vec<String> { read(&formats.join(folder)).views.iter().map(|v| v.name.clone()).collect() };

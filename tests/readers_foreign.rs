@@ -235,6 +235,74 @@ fn bundler_f_zero() {
     assert_eq!((guessed.model.cameras[0].width, guessed.model.warnings.len()), (40, 1));
 }
 
+/// `bundle.rd.out` belongs to the undistorted images that `list.rd.txt` names, `bundle.out` to the distorted ones of `list.txt`.
+#[test]
+fn bundler_rd_out_undistorted() {
+    let bundle = |k1: f64| {
+        format!("# Bundle file v0.3\n1 1\n100 {k1} 0\n1 0 0\n0 1 0\n0 0 1\n0 0 -5\n1 2 3\n10 20 30\n1 0 0 -20 10\n")
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    std::fs::write(at("bundle.rd.out"), bundle(0.0)).unwrap();
+    std::fs::write(at("list.txt"), "a.jpg\n").unwrap();
+    std::fs::write(at("list.rd.txt"), "a.rd.jpg\n").unwrap();
+    let undistorted = read(folder.path());
+    assert_eq!((undistorted.name(ViewIndex(0)), &undistorted.cameras[0].params()[3..]), ("a.rd.jpg", &[0.0, 0.0][..]));
+    std::fs::write(at("bundle.out"), bundle(0.1)).unwrap();
+    let (both, rd) = (read(folder.path()), read(at("bundle.rd.out")));
+    assert_eq!((both.name(ViewIndex(0)), both.cameras[0].params()[3]), ("a.jpg", 0.1), "each with its own list");
+    assert_eq!((rd.name(ViewIndex(0)), rd.cameras[0].params()[3]), ("a.rd.jpg", 0.0));
+}
+
+/// OpenMVG's own file has integer pixel centres; its export to COLMAP leaves out the half pixel, ours is there.
+#[test]
+fn openmvg_colmap_half_pixel() {
+    let Some(formats) = formats() else { return };
+    let sfm: serde_json::Value = serde_json::from_slice(&bytes(formats.join("others/openmvg/sfm_data.json"))).unwrap();
+    let observation = &sfm["structure"][0]["value"]["observations"][0]["value"]["x"];
+    let measured = [0, 1].map(|i: usize| observation[i].as_f64().unwrap());
+    let scene = openmvg::read(&bytes(formats.join("others/openmvg/sfm_data.json"))).unwrap().scene().unwrap();
+    assert!(scene.track_pixels.contains(&measured.map(|c| c + 0.5)) && !scene.track_pixels.contains(&measured));
+    let centre = sfm["intrinsics"][0]["value"]["ptr_wrapper"]["data"]["principal_point"][0].as_f64().unwrap();
+    assert_eq!(scene.cameras[0].pinhole_part().1.x, centre + 0.5);
+}
+
+/// The centre of the first pixel of an image is (0.5 - w/2, 0.5 - h/2) / max(w, h) in OpenSfM's tracks and (0.5, 0.5) in ours;
+/// its export to COLMAP writes (0, 0).
+#[test]
+fn opensfm_colmap_half_pixel() {
+    let reconstruction =
+        br#"[{"cameras": {"c": {"projection_type": "perspective", "width": 400, "height": 200, "focal": 0.5}},
+        "shots": {"a.jpg": {"rotation": [0, 0, 0], "translation": [0, 0, 0], "camera": "c"}},
+        "points": {"17": {"coordinates": [0, 0, 1], "color": [1, 2, 3]}}}]"#;
+    let tracks = format!("a.jpg\t17\t3\t{}\t{}\t0.001\t1\t2\t3\n", (0.5 - 200.0) / 400.0, (0.5 - 100.0) / 400.0);
+    let scene = opensfm::read(reconstruction, Some(tracks.as_bytes())).unwrap().scene().unwrap();
+    assert!((scene.track_pixels[0][0] - 0.5).abs() < 1e-12 && (scene.track_pixels[0][1] - 0.5).abs() < 1e-12);
+    let (_, centre) = scene.cameras[0].pinhole_part();
+    assert_eq!((centre.x, centre.y), (200.0, 100.0));
+}
+
+#[test]
+fn nvm_blank_in_name() {
+    let text = "NVM_V3\n\n2\nflight 1/a b.jpg 100 1 0 0 0 1 2 3 0 0\nc.jpg 100 1 0 0 0 0 0 0 0 0\n\n0\n\n0\n";
+    let scene = nvm::read(text.as_bytes(), &|_| Some((200, 100))).unwrap().scene().unwrap();
+    assert_eq!(scene.views.iter().map(|v| v.name.as_str()).collect::<Vec<_>>(), ["c.jpg", "flight 1/a b.jpg"]);
+    assert!((scene.views[1].cam_from_world.centre() - Point3::new(1.0, 2.0, 3.0)).norm() < 1e-12);
+}
+
+/// Two measurements of a point in one image are two observations by one view, not by two.
+#[test]
+fn nvm_repeated_observation() {
+    let text = "NVM_V3\n\n2\na.jpg 100 1 0 0 0 1 2 3 0 0\nc.jpg 100 1 0 0 0 0 0 0 0 0\n\n1\n\
+                0 0 9 1 2 3 3 0 0 10 5 0 1 12 6 1 0 30 20\n\n0\n";
+    let scene = nvm::read(text.as_bytes(), &|_| Some((200, 100))).unwrap().scene().unwrap();
+    let mut views = scene.track_views(PointIndex(0)).to_vec();
+    assert_eq!((views.len(), &scene.track_pixels[..2]), (3, &[[10.0, 5.0], [12.0, 6.0]][..]));
+    views.dedup();
+    assert_eq!(views.len(), 2);
+    assert_eq!(scene.view_points().of(ViewIndex(0)), [PointIndex(0)]);
+}
+
 #[test]
 fn nvm_measurements_from_the_centre() {
     let nvm = |x: f64| {

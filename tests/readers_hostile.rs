@@ -225,9 +225,8 @@ fn tracks_lead_to_2d_points_of_their_images() {
     assert_eq!(read(&files).unwrap().track_pixels, [[3.0, 4.0]; 2]);
 }
 
-#[test]
-fn openmvg_colmap_featid() {
-    // Numbers of features, far beyond the lists of 2D points, or at a wrong place in them.
+/// Numbers of features, far beyond the lists of 2D points, or at a wrong place in them.
+fn assert_lists_decide_over_tracks() {
     let mut files = valid();
     files.points3d =
         counted(&[point(7, [0.0, 0.0, 5.0], &[[1, 4711], [2, 815]]), point(9, [1.0, 0.0, 5.0], &[[2, 0], [1, 2]])]);
@@ -235,6 +234,16 @@ fn openmvg_colmap_featid() {
     assert_eq!(scene.track_pixels, read(&valid()).unwrap().track_pixels);
     assert_eq!(scene.warnings.len(), 1);
     assert!(scene.warnings[0].starts_with("3 of 4 track elements"), "{}", scene.warnings[0]);
+}
+
+#[test]
+fn openmvg_colmap_featid() {
+    assert_lists_decide_over_tracks();
+}
+
+#[test]
+fn alicevision_colmap_featid() {
+    assert_lists_decide_over_tracks();
 }
 
 #[test]

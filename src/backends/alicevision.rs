@@ -18,6 +18,8 @@ pub struct AliceVision;
 
 /// A view with fewer common landmarks is no neighbour: the count must exceed 20.
 const LEAST_LANDMARKS: usize = 21;
+/// From COLMAP's pixel coordinates to those of `formats::alicevision`.
+const PIXEL_SHIFT: f64 = -0.5;
 /// Any sensor width does, as focal lengths are given in its units.
 const SENSOR_MM: f64 = 36.0;
 
@@ -65,6 +67,7 @@ impl Backend for AliceVision {
             "aliceVision_meshing -i keys.sfm --depthMapsFolder filtered -o dense.abc --outputMesh mesh.obj".into(),
         );
         record.runner = Some("run.sh".into());
+        record.pixel_shift = PIXEL_SHIFT;
         record.made_for = "AliceVision (ca8300f; read, not run)".into();
         record.way = "one scene file and one call per cluster".into();
         record.not_honoured = vec!["the order of the partners of a key view".into()];
@@ -165,7 +168,7 @@ fn view_entry(scene: &Scene, view: ViewIndex) -> Value {
     })
 }
 
-/// Focal length in mm of the sensor; the principal point is an offset from the middle of the image.
+/// Focal length in mm of the sensor; the principal point is an offset from the middle of the image, pixel centres are integers.
 fn intrinsic_entry(scene: &Scene, camera: u32) -> Value {
     let entry = &scene.cameras[camera as usize];
     let (f, c) = entry.pinhole_part();
@@ -183,7 +186,7 @@ fn intrinsic_entry(scene: &Scene, camera: u32) -> Value {
         "focalLength": (f.x / width * SENSOR_MM).to_string(),
         "pixelRatio": (f.x / f.y).to_string(),
         "pixelRatioLocked": "true",
-        "principalPoint": numbers(&[c.x - 0.5 * width, c.y - 0.5 * height]),
+        "principalPoint": numbers(&[c.x - 0.5 * width + PIXEL_SHIFT, c.y - 0.5 * height + PIXEL_SHIFT]),
         "distortionParams": "",
         "locked": "true",
     })
@@ -207,7 +210,10 @@ fn pose_entry(scene: &Scene, view: ViewIndex) -> Value {
 fn landmark_entry(scene: &Scene, id: usize, (point, views): &Landmark) -> Value {
     let track = scene.track(*point);
     let pixel = |view: ViewIndex| {
-        track.clone().find(|&i| scene.track_views[i] == view).map_or([0.0; 2], |i| scene.track_pixels[i])
+        track
+            .clone()
+            .find(|&i| scene.track_views[i] == view)
+            .map_or([0.0; 2], |i| scene.track_pixels[i].map(|c| c + PIXEL_SHIFT))
     };
     let observation = |&v: &ViewIndex| json!({ "observationId": scene.view(v).image_id.to_string(), "featureId": id.to_string(), "x": numbers(&pixel(v)) });
     json!({

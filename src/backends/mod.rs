@@ -143,7 +143,9 @@ pub struct PlanningNumbers {
     pub confidence: PairConfidence,
     /// Depth maps that must see a triangle (m, method 5.2).
     pub support: u32,
-    /// Where the numbers and the gate come from.
+    /// The data sets that the numbers were measured on, or whose they are instead; a few words.
+    pub measured: &'static str,
+    /// Where the numbers and the gate come from, and why.
     pub source: &'static str,
 }
 
@@ -164,6 +166,7 @@ const PATCH_MATCH: PlanningNumbers = PlanningNumbers {
         full_angle_deg: Some(8.0),
     },
     support: 2,
+    measured: "no: openmvs's",
     source: "not measured: the numbers of OpenMVS, another PatchMatch (method 7.1, 7.2); support 2: depth maps are joined where they agree",
 };
 

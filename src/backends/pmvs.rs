@@ -13,6 +13,9 @@ use crate::{
 
 pub struct Pmvs;
 
+/// Name of the option file. The plain `viewrank` is the folder of our records, in a folder of one's own.
+const OPTIONS: &str = "option-viewrank";
+
 impl Backend for Pmvs {
     fn name(&self) -> &'static str {
         "pmvs"
@@ -50,14 +53,14 @@ impl Backend for Pmvs {
         }
         files.add("models", Contents::Folder);
         files.add_text("vis.dat", visibility(selection, &views, &index));
-        files.add_text("viewrank", option_file(selection, views.len()));
+        files.add_text(OPTIONS, option_file(selection, views.len()));
         let mut record = ExportRecord::new(self, selection, |v| index[v.at()].to_string());
         record.made_for = "PMVS2 (CMVS-PMVS)".into();
         record.way = "timages, oimages, vis.dat".into();
         // The folder is put in front of file names as it is: without the slash nothing is found.
-        record.commands = vec!["pmvs2 ./ viewrank".into()];
+        record.commands = vec![format!("pmvs2 ./ {OPTIONS}")];
         record.not_honoured = vec!["the rank order".into()];
-        record.fusion = "none; models/viewrank.ply".into();
+        record.fusion = format!("none; models/{OPTIONS}.ply");
         files.add_text("export.json", record.to_json());
         Ok(Export { files, record })
     }

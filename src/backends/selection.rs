@@ -60,7 +60,8 @@ impl Selection<'_> {
             None => {
                 let (root, model) = (self.project.root.display(), self.project.model.path.display());
                 format!(
-                    "make them with: colmap image_undistorter --image_path {root}/images --input_path {model} --output_path {root}/dense"
+                    "make them with `viewrank undistort {root}` (or `colmap image_undistorter --image_path {root}/images --input_path \
+                     {model} --output_path {root}/dense`), then plan for {root}/dense"
                 )
             }
         };

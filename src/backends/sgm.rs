@@ -26,6 +26,7 @@ const NUMBERS: PlanningNumbers = PlanningNumbers {
         full_angle_deg: None,
     },
     support: 1,
+    measured: "valley, 2 more",
     source: "measured with integrations/sgm/measure.py on valley against exact depth, on boruszyn and lewis against the \
              maps of 22 partners; support 1: a depth map is checked against its own pairs",
 };

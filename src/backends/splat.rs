@@ -64,6 +64,10 @@ impl Backend for Splat {
                 .into(),
         ];
         record.not_honoured = vec!["matching partners".into(), "the rank order".into()];
+        let first = views.iter().min().map(|&v| {
+            format!("{}: gsplat holds the first image by name out of training, always", selection.scene.name(v))
+        });
+        record.not_honoured.extend(first);
         record.fusion = "none".into();
         record.warnings.extend(warnings(selection, &views));
         files.add_text("export.json", record.to_json());
@@ -146,7 +150,7 @@ fn warnings(selection: &Selection, views: &[ViewIndex]) -> Vec<String> {
     if views.iter().any(|&v| !selection.scene.camera_of(v).is_pinhole()) {
         warnings.push(format!(
             "the cameras are distorted: gsplat and brush take that, gaussian-splatting stops, and transforms.json is left out; \
-             `colmap image_undistorter` makes undistorted images of {}",
+             `viewrank undistort {}` makes undistorted images, as does `colmap image_undistorter`",
             selection.project.root.display()
         ));
     }

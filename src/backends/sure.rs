@@ -33,6 +33,7 @@ const RECTIFYING: PlanningNumbers = PlanningNumbers {
         full_angle_deg: None,
     },
     support: 1,
+    measured: "valley (sgm)",
     source: "measured with integrations/sgm on valley against exact depth (method 7.1, 7.2); support 1: a depth map is \
              checked against its own pairs",
 };

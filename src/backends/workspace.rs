@@ -6,7 +6,7 @@ use super::{BackendError, Selection};
 use crate::{
     formats::{colmap::ColmapModel, colmap_bin},
     output::{Contents, FileSet},
-    project::{ModelFormat, ProjectError},
+    project::ProjectError,
     scene::ViewIndex,
 };
 
@@ -41,14 +41,8 @@ fn reduced_model(
     least_views: usize,
 ) -> Result<Vec<(&'static str, Vec<u8>)>, BackendError> {
     let names: HashSet<&str> = views.iter().map(|&v| selection.scene.name(v)).collect();
-    let project = selection.project;
-    let write = |model: &ColmapModel| {
-        let reduced = model.reduced(|image| names.contains(&*image.name), least_views);
-        let fault = |fault| ProjectError::Fault { path: project.model.path.clone(), fault };
-        Ok(colmap_bin::write(&reduced.map_err(fault)?))
-    };
-    match project.model.format {
-        ModelFormat::ColmapBinary | ModelFormat::ColmapText => write(&project.colmap_files()?.model()?),
-        _ => write(&ColmapModel::from_scene(selection.scene)),
-    }
+    let write =
+        |model: &ColmapModel| Ok(colmap_bin::write(&model.reduced(|image| names.contains(&*image.name), least_views)?));
+    let fault = |fault| ProjectError::Fault { path: selection.project.model.path.clone(), fault };
+    Ok(selection.project.with_colmap_model(selection.scene, write)?.map_err(fault)?)
 }

@@ -54,58 +54,116 @@ fn word(honours: Honours) -> &'static str {
     }
 }
 
+/// At most 80 columns.
 fn table(entries: &[Entry]) -> String {
-    let mut text = format!("{:<14}{:<10}{:<10}{:<8}{}\n", "name", "partners", "only keys", "order", "fusion");
+    let head = ["name", "partners", "only keys", "order", "angles", "scale", "maps", "measured on"];
+    let mut text = row(head.map(String::from));
     for entry in entries {
-        let c = &entry.capabilities;
-        text += &format!(
-            "{:<14}{:<10}{:<10}{:<8}{}\n",
-            entry.name,
-            word(c.partners),
-            word(c.key_subset),
-            word(c.order),
-            c.fusion
-        );
+        let (c, p) = (&entry.capabilities, &entry.planning);
+        text += &row([
+            entry.name.into(),
+            word(c.partners).into(),
+            word(c.key_subset).into(),
+            word(c.order).into(),
+            format!("{}-{}", p.gate.min_angle_deg, p.gate.max_angle_deg),
+            if p.gate.max_scale_octaves.is_finite() {
+                format!("{:.1}", p.gate.max_scale_octaves.exp2())
+            } else {
+                "any".into()
+            },
+            p.support.to_string(),
+            p.measured.into(),
+        ]);
     }
-    text + "\nviewrank backends NAME says what is not honoured, which pairs can be matched, and where the numbers come from.\n"
+    text + TABLE_NOTES
+}
+
+const TABLE_NOTES: &str = "
+partners   exactly the given partners are matched
+only keys  depth maps are made of the key views only
+order      in rank order
+angles     degrees between the views of a pair that can be matched
+scale      largest ratio of their scales
+maps       depth maps that must see a place, since fusion compares them
+
+viewrank backends NAME says what is not honoured, how depth maps are joined, and
+where each number comes from.
+";
+
+fn row(cells: [String; 8]) -> String {
+    let [name, partners, keys, order, angles, scale, maps, measured] = cells;
+    format!("{name:<15}{partners:<10}{keys:<11}{order:<8}{angles:<8}{scale:<7}{maps:<6}{measured}\n")
 }
 
 fn details(entry: &Entry) -> String {
     let (c, p) = (&entry.capabilities, &entry.planning);
     let number = |value: Option<f64>, unit: &str| value.map_or("none".into(), |v| format!("{v}{unit}"));
-    let mut text = format!(
-        "{}\n  exactly the given partners   {}\n  only the key views           {}\n  rank order                   {}\n  fusion                       {}\n  \
-         notes                        {}\n",
-        entry.name,
-        word(c.partners),
-        word(c.key_subset),
-        word(c.order),
-        c.fusion,
-        c.notes
-    );
-    let scale = if p.gate.max_scale_octaves.is_finite() {
-        format!(", scale ratio up to {:.2}", p.gate.max_scale_octaves.exp2())
-    } else {
-        String::new()
+    let mut text = format!("{}\n", entry.name);
+    let mut add = |what: &str, value: &str| text += &wrapped(what, value);
+    add("exactly the given partners", word(c.partners));
+    add("only the key views", word(c.key_subset));
+    add("rank order", word(c.order));
+    add("fusion", c.fusion);
+    add("notes", c.notes);
+    let scale = match p.gate.max_scale_octaves {
+        octaves if octaves.is_finite() => format!(", scale ratio up to {:.2}", octaves.exp2()),
+        _ => String::new(),
     };
     let epipole = if p.gate.epipole_inside { "" } else { ", epipole outside of both images" };
-    text += &format!(
-        "  pairs that can be matched    at least {} shared points, {} to {} degrees{scale}{epipole}\n",
-        p.gate.min_shared_points, p.gate.min_angle_deg, p.gate.max_angle_deg
-    );
-    text += &format!(
-        "  geometric confidence         min_matches {}, p0 {}, cosine_power {}, scale_octaves {}, full_angle {}\n  support                      {} depth maps\n  \
-         source                       {}\n",
+    let angles = format!("{} to {} degrees", p.gate.min_angle_deg, p.gate.max_angle_deg);
+    let pairs = format!("at least {} shared points, {angles}{scale}{epipole}", p.gate.min_shared_points);
+    add("pairs that can be matched", &pairs);
+    let confidence = format!(
+        "min_matches {}, p0 {}, cosine_power {}, scale_octaves {}, full_angle {}",
         p.confidence.min_matches,
         p.confidence.p0,
         p.confidence.cosine_power,
         number(p.confidence.scale_octaves, ""),
         number(p.confidence.full_angle_deg, " degrees"),
-        p.support,
-        p.source
     );
+    add("geometric confidence", &confidence);
+    add("support", &format!("{} depth maps", p.support));
+    add("source", p.source);
     if !entry.options.is_empty() {
-        text += &format!("  options of export            {}\n", entry.options.join(", "));
+        add("options of export", &entry.options.join(", "));
     }
     text
+}
+
+/// A line that goes on under its value after 80 columns.
+fn wrapped(what: &str, value: &str) -> String {
+    const LABEL: usize = 30;
+    let mut text = format!("  {what:<28}");
+    let mut column = LABEL;
+    for (i, word) in value.split_whitespace().enumerate() {
+        let length = word.chars().count() + usize::from(i > 0);
+        if column + length > 80 && column > LABEL {
+            text += &format!("\n{}{word}", " ".repeat(LABEL));
+            column = LABEL + length - 1;
+        } else {
+            text += &format!("{}{word}", if i > 0 { " " } else { "" });
+            column += length;
+        }
+    }
+    text + "\n"
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn everything_fits_into_80_columns() {
+        let entries: Vec<Entry> = backends::all().iter().map(|b| Entry::new(*b)).collect();
+        let long = |text: &str| text.lines().find(|line| line.chars().count() > 80).map(str::to_owned);
+        assert_eq!(long(&table(&entries)), None);
+        assert_eq!(entries.iter().find_map(|entry| long(&details(entry))), None);
+    }
+
+    #[test]
+    fn wrapping_loses_no_word() {
+        let value = "one two ".repeat(40);
+        let words: Vec<String> = wrapped("what", &value).split_whitespace().map(String::from).collect();
+        assert_eq!(words.len(), 81);
+    }
 }

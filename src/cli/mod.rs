@@ -15,6 +15,7 @@ mod progress;
 mod report;
 mod status;
 mod summary;
+mod undistort;
 mod watch;
 
 use std::{
@@ -110,6 +111,7 @@ enum Command {
     Export(export::Arguments),
     Report(report::Arguments),
     Backends(backends::Arguments),
+    Undistort(undistort::Arguments),
     Config(config::Arguments),
     Dispatch(dispatch::Arguments),
     Inspect(inspect::Arguments),
@@ -127,6 +129,7 @@ pub fn run() -> Result<(), Failure> {
         Command::Export(arguments) => export::run(&arguments),
         Command::Report(arguments) => report::run(&arguments),
         Command::Backends(arguments) => backends::run(&arguments),
+        Command::Undistort(arguments) => undistort::run(&arguments),
         Command::Config(arguments) => config::run(&arguments),
         Command::Dispatch(arguments) => dispatch::run(&arguments),
         Command::Inspect(arguments) => inspect::run(&arguments),

@@ -90,6 +90,7 @@ fn words(stage: Stage) -> &'static str {
         Stage::Partners => "choosing matching partners",
         Stage::Ranking => "ranking view clusters",
         Stage::Evaluate => "measuring depth maps",
+        Stage::Undistort => "undistorting images",
         Stage::Write => "writing",
     }
 }

@@ -166,7 +166,11 @@ fn read_sure(root: &Path, folder: &Path) -> Result<Foreign, ProjectError> {
     let mut foreign = sure::model(oriented, |name| images::with_extension(&candidates, name));
     match sure_cloud(root) {
         None => {
-            foreign.model.warnings.push("there is no sparse cloud (NVM, Bundler or PLY) beside the orientations".into())
+            foreign.model.warnings.push(
+                "there is no sparse cloud (NVM, Bundler or PLY) beside the orientations; the vertices of a mesh, or a grid of points at the \
+                 height of the ground, as PLY, will do"
+                    .into(),
+            )
         }
         Some((path, ModelFormat::Sure)) => {
             let surface = ply::read(&map(&path)?).map_err(|error| ProjectError::Fault {

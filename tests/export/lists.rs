@@ -54,7 +54,9 @@ fn nerf_cameras_look_backward_along_z() {
 fn gsplat_holdout_eats_key_views() {
     let files = Fixture::new(3).export("splat");
     let command = files.0.record.commands.iter().find(|c| c.contains("gsplat")).unwrap();
-    assert!(command.ends_with("--test_every 5"), "more than there are images: none is held out ({command})");
+    assert!(command.ends_with("--test_every 5"), "more than there are images: only the first is held out ({command})");
+    let first = files.lines("train_list.txt").into_iter().min().unwrap().to_owned();
+    assert!(files.says(&format!("{first}: gsplat holds the first image")));
 }
 
 #[test]

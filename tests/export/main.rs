@@ -218,7 +218,9 @@ fn distorted_images_are_refused_with_the_command_that_makes_them() {
         let error = fixture.try_export(backend, &ExportOptions::default()).unwrap_err();
         let hint = viewrank::error::Hint::hint(&error).unwrap();
         assert!(
-            error.to_string().contains("SIMPLE_RADIAL") && hint.contains("image_undistorter --image_path /nowhere"),
+            error.to_string().contains("SIMPLE_RADIAL")
+                && hint.contains("viewrank undistort /nowhere")
+                && hint.contains("image_undistorter --image_path /nowhere"),
             "{backend}: {error}"
         );
     }

@@ -215,7 +215,11 @@ fn alicevision_rotation_column_order() {
 fn alicevision_principal_point_offset() {
     let (_, json) = sfm(1);
     let intrinsic = &json["intrinsics"][0];
-    assert_eq!(floats(&intrinsic["principalPoint"]), [10.25, -10.5], "from the middle of the image");
+    assert_eq!(
+        floats(&intrinsic["principalPoint"]),
+        [9.75, -11.0],
+        "from the middle of the image, pixel centres at integers"
+    );
     let number = |key: &str| intrinsic[key].as_str().unwrap().parse::<f64>().unwrap();
     assert!((number("focalLength") / number("sensorWidth") * 640.0 - 510.0).abs() < 1e-9);
 }

@@ -63,7 +63,7 @@ fn pmvs_image_in_both_lists() {
     let mut fixture = Fixture::new(4);
     let neighbour = fixture.connected(viewrank::scene::ViewIndex(12))[0].0;
     fixture.choose(&[12, neighbour], 4);
-    let (timages, oimages, _) = options(fixture.export("pmvs").text("viewrank"));
+    let (timages, oimages, _) = options(fixture.export("pmvs").text("option-viewrank"));
     assert_eq!(timages, [0, 1]);
     assert!(oimages.iter().all(|i| !timages.contains(i)));
 }
@@ -71,24 +71,24 @@ fn pmvs_image_in_both_lists() {
 #[test]
 fn pmvs_timages_minus_one_range() {
     let files = Fixture::new(3).export("pmvs");
-    assert!(!files.text("viewrank").contains("-1"), "lists are written out: `-1 a b` excludes b");
+    assert!(!files.text("option-viewrank").contains("-1"), "lists are written out: `-1 a b` excludes b");
 }
 
 #[test]
 fn pmvs_no_comment_in_lists() {
-    assert!(!Fixture::new(3).export("pmvs").text("viewrank").contains('#'));
+    assert!(!Fixture::new(3).export("pmvs").text("option-viewrank").contains('#'));
 }
 
 #[test]
 fn pmvs_unknown_option_exits() {
     let known = "level csize threshold wsize minImageNum CPU setEdge useBound useVisData sequence timages oimages quad maxAngle";
-    let (_, _, names) = options(Fixture::new(3).export("pmvs").text("viewrank"));
+    let (_, _, names) = options(Fixture::new(3).export("pmvs").text("option-viewrank"));
     assert!(names.iter().all(|name| known.split(' ').any(|k| k == name)), "{names:?}");
 }
 
 #[test]
 fn pmvs_prefix_slash() {
-    assert_eq!(Fixture::new(3).export("pmvs").0.record.commands, ["pmvs2 ./ viewrank"]);
+    assert_eq!(Fixture::new(3).export("pmvs").0.record.commands, ["pmvs2 ./ option-viewrank"]);
 }
 
 #[test]

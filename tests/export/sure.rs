@@ -87,6 +87,48 @@ fn sure_black_pixels_invalid() {
     assert!(Fixture::new(3).export("sure").says("black count as invalid"));
 }
 
+/// The numbers behind a key of an `.ori` file.
+fn ori(text: &str, key: &str) -> Vec<f64> {
+    let after = text.lines().skip_while(|line| !line.starts_with(&format!("${key}_"))).skip(1);
+    after.take_while(|line| !line.starts_with('$')).flat_map(crate::numbers).collect()
+}
+
+fn first_ori(fixture: &Fixture) -> String {
+    let flat = fixture.name(fixture.clusters[0].key).replace('/', "_").replace(".jpg", ".ori");
+    fixture.export("sure").text(&format!("ori/{flat}")).to_owned()
+}
+
+#[test]
+fn sure_centre_not_translation() {
+    let fixture = Fixture::new(3);
+    let text = first_ori(&fixture);
+    let pose = &fixture.scene.view(fixture.clusters[0].key).cam_from_world;
+    let (written, centre) = (ori(&text, "ExtOri_TranslationVector"), pose.centre());
+    assert!((0..3).all(|i| (written[i] - centre[i]).abs() < 1e-9), "{written:?} {centre}");
+    let r = ori(&text, "ExtOri_RotationMatrix");
+    assert_eq!(r[1], pose.rotation.matrix()[(0, 1)], "world to image, row by row");
+}
+
+#[test]
+fn sure_pixel_centre_minus_half() {
+    let text = first_ori(&Fixture::new(3));
+    assert_eq!(ori(&text, "IntOri_PrincipalPoint"), [329.75, 229.0]);
+    assert_eq!(ori(&text, "IntOri_CameraMatrix"), [510.0, 0.0, 329.75, 0.0, 500.0, 229.0, 0.0, 0.0, 1.0]);
+}
+
+#[test]
+fn sure_precision() {
+    let mut fixture = Fixture::new(3);
+    let far = nalgebra::Vector3::new(431_234.0, 5_412_345.0, 210.0);
+    for view in &mut fixture.scene.views {
+        let pose = &mut view.cam_from_world;
+        pose.translation -= pose.rotation * far;
+    }
+    let centre = fixture.scene.view(fixture.clusters[0].key).cam_from_world.centre();
+    let written = ori(&first_ori(&fixture), "ExtOri_TranslationVector");
+    assert!((0..3).all(|i| written[i] == centre[i]), "every digit of map coordinates: {written:?}");
+}
+
 #[test]
 fn orientations_are_read_back() {
     let fixture = Fixture::new(3);

@@ -102,9 +102,17 @@ def test_openmvs_existing_dmap_header_rewritten(folder):
         assert fusion[fusion.index(option) + 1] == value, "maps stay as they are"
 
 
-@pytest.mark.parametrize("trap", ["openmvs_number_views_1_is_global", "openmvs_number_views_1_defeats_score_0"])
-def test_number_views(folder, trap):
+def test_openmvs_number_views_1_is_global(folder):
     assert all(call[call.index("--number-views") + 1] == "0" for call in run(folder)[1])
+
+
+def test_openmvs_number_views_1_defeats_score_0(folder):
+    """Also where a cluster has a single partner, whose scene keeps the partner out by a score."""
+    text = (folder / "run.json").read_text().replace("[1, 2]", "[1]")
+    (folder / "run.json").write_text(text)
+    make(folder, **{f"k{i}": [dict(ids=[10 + i, 1], range=[90, 220], depth=150)] for i in range(3)})
+    done, calls, _ = run(folder)
+    assert done.returncode == 0 and all(call[call.index("--number-views") + 1] == "0" for call in calls)
 
 
 @pytest.mark.parametrize("stop, count", [("2", 2), ("60%", 2), ("0s", 0)])

@@ -62,6 +62,7 @@ impl Backend for OpenMvs {
                 full_angle_deg: Some(8.0),
             },
             support: MAPS_PER_POINT as u32,
+            measured: "valley",
             source: "success of v2.3.0 (CPU) on valley: below 5 degrees 0.09 to 0.36, from 8 to 60 degrees flat, no harm by scale up to \
                      1.2 octaves (method 7.1, 7.2); scale 3.2 is OpenMVS's own limit; at least 3 shared points make a neighbour; its rule \
                      that drops neighbours of a low score is switched off in dense.cfg; support 2: the runner fuses with \

@@ -1,0 +1,106 @@
+//! `viewrank undistort`: undistorted images and their model, as a COLMAP dense workspace.
+
+use std::path::PathBuf;
+
+use clap::Args;
+use viewrank::{
+    output::Disk,
+    project::Project,
+    undistort::{self, Options, Undistorted},
+};
+
+use super::{Failure, Format, json, print, progress::Progress};
+
+/// Make the undistorted images that most MVS programs need, as a COLMAP dense workspace.
+///
+/// Cameras become PINHOLE, and pixels are those of COLMAP's image_undistorter with the same options. A run that was stopped goes on where it
+/// was. Then plan and export the workspace: viewrank plan PROJECT/dense.
+#[derive(Args)]
+pub struct Arguments {
+    project: PathBuf,
+    /// Sub-model, such as 1 for sparse/1; without it the one with most registered images
+    #[arg(long, value_name = "N")]
+    model: Option<String>,
+    /// Folder of the workspace [default: PROJECT/dense]
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+
+    /// 0: no blank pixels, 1: no pixel of the image is lost
+    #[arg(long, value_name = "SHARE", default_value_t = 0.0, value_parser = share, help_heading = "As in COLMAP")]
+    blank_pixels: f64,
+    /// Least size over that of the distorted image
+    #[arg(long, value_name = "FACTOR", default_value_t = 0.2, value_parser = factor, help_heading = "As in COLMAP")]
+    min_scale: f64,
+    /// Greatest size over that of the distorted image
+    #[arg(long, value_name = "FACTOR", default_value_t = 2.0, value_parser = factor, help_heading = "As in COLMAP")]
+    max_scale: f64,
+    /// Longest side of the undistorted images
+    #[arg(long, value_name = "PIXELS", value_parser = clap::value_parser!(u32).range(1..), help_heading = "As in COLMAP")]
+    max_image_size: Option<u32>,
+    /// Region of interest: left,top,right,bottom as shares of the sides
+    #[arg(long, value_name = "L,T,R,B", value_parser = region, help_heading = "As in COLMAP")]
+    roi: Option<Region>,
+
+    #[arg(long, value_enum, default_value_t, help_heading = "Output")]
+    format: Format,
+    /// Say nothing but errors
+    #[arg(short, long, help_heading = "Output")]
+    quiet: bool,
+}
+
+/// Left, top, right, bottom.
+#[derive(Clone, Copy)]
+struct Region([f64; 4]);
+
+pub fn run(arguments: &Arguments) -> Result<(), Failure> {
+    if arguments.min_scale > arguments.max_scale {
+        let message = format!("--min-scale {} is above --max-scale {}", arguments.min_scale, arguments.max_scale);
+        return Err(Failure { exit: super::Exit::Usage, message, hint: Some("leave one of them out".into()) });
+    }
+    let project = Project::open(&arguments.project, arguments.model.as_deref())?;
+    let out = arguments.out.clone().unwrap_or_else(|| project.root.join("dense"));
+    let progress = Progress::new(arguments.quiet);
+    let done = undistort::undistort(&project, &arguments.options(), &out, &Disk::REAL, &progress)?;
+    progress.finish();
+    match arguments.format {
+        Format::Json => print(&json(&done)),
+        Format::Text if arguments.quiet => Ok(()),
+        Format::Text => print(&text(&done)),
+    }
+}
+
+impl Arguments {
+    fn options(&self) -> Options {
+        let Self { blank_pixels, min_scale, max_scale, max_image_size, .. } = *self;
+        let roi = self.roi.map_or(Options::default().roi, |region| region.0);
+        Options { blank_pixels, min_scale, max_scale, max_image_size, roi }
+    }
+}
+
+fn text(done: &Undistorted) -> String {
+    let folder = done.folder.display();
+    let kept = done.kept.iter().map(|kept| format!("kept {kept}: a file that was not ours\n"));
+    format!(
+        "{} images in {folder}, {} of them computed now.\n{}Next: viewrank plan {folder}\n",
+        done.images,
+        done.computed,
+        kept.collect::<String>()
+    )
+}
+
+fn share(text: &str) -> Result<f64, String> {
+    let value: f64 = text.parse().map_err(|_| "a number from 0 to 1")?;
+    if (0.0..=1.0).contains(&value) { Ok(value) } else { Err("a number from 0 to 1".into()) }
+}
+
+fn factor(text: &str) -> Result<f64, String> {
+    let value: f64 = text.parse().map_err(|_| "a number above 0")?;
+    if value > 0.0 && value.is_finite() { Ok(value) } else { Err("a number above 0".into()) }
+}
+
+fn region(text: &str) -> Result<Region, String> {
+    let wrong = || "four numbers from 0 to 1 with commas between, left before right and top before bottom".to_owned();
+    let values: Vec<f64> = text.split(',').map(share).collect::<Result<_, _>>().map_err(|_| wrong())?;
+    let roi: [f64; 4] = values.try_into().map_err(|_| wrong())?;
+    if roi[0] < roi[2] && roi[1] < roi[3] { Ok(Region(roi)) } else { Err(wrong()) }
+}

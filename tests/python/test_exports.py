@@ -1,0 +1,411 @@
+"""What is written for the backends, read by the other side: COLMAP 3.8 and pycolmap, XML and JSON parsers, and small readers after the grammars
+of the programs that cannot be run here."""
+import json
+import shutil
+import struct
+import subprocess
+import xml.etree.ElementTree as ElementTree
+
+import numpy as np
+import pycolmap
+import pytest
+
+
+@pytest.fixture(scope="session")
+def planned(viewrank, fixtures, tmp_path_factory):
+    """The fixture's project with a plan, and the plan's clusters by name."""
+    project = tmp_path_factory.mktemp("exports") / "project"
+    shutil.copytree(fixtures / "valley", project)
+    viewrank("plan", project, "-k", "4", "--budget", "8", "--quiet")
+    manifest = json.loads((project / "viewrank/manifest.json").read_text())
+    clusters = [(cluster["key"], cluster["partners"]) for cluster in manifest["clusters"][:8]]
+    assert len(clusters) == 8
+    return project, clusters
+
+
+@pytest.fixture
+def export(viewrank, planned, tmp_path):
+    def run(backend, *options):
+        viewrank("export", planned[0], "--backend", backend, "--out", tmp_path / backend, *options)
+        return tmp_path / backend
+
+    return run
+
+
+def names_of(clusters):
+    return {name for key, partners in clusters for name in (key, *partners)}
+
+
+def colmap(*words):
+    done = subprocess.run(["colmap", *map(str, words)], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, f"{words}\n{done.stdout}\n{done.stderr}"
+    return done.stdout
+
+
+def test_every_backend_writes_where_it_is_told_to(viewrank, export):
+    for backend in json.loads(viewrank("backends", "--format", "json").stdout):
+        folder = export(backend["name"])
+        (record,) = folder.rglob("export.json")
+        assert json.loads(record.read_text())["backend"] == backend["name"]
+        before = {path: path.stat().st_mtime_ns for path in folder.rglob("*")}
+        export(backend["name"])
+        assert before == {path: path.stat().st_mtime_ns for path in before}, "the same once more changes nothing"
+
+
+# COLMAP
+
+
+def assert_loads(model, names, whole, tmp_path):
+    """Both generations read the model, and it is the part of the whole one that these images see."""
+    reduced = pycolmap.Reconstruction(model)
+    assert {image.name for image in reduced.images.values()} == names
+    for image in reduced.images.values():
+        original = whole.images[image.image_id]
+        assert original.name == image.name and np.array_equal(original.cam_from_world().matrix(), image.cam_from_world().matrix())
+        assert [p.xy.tolist() for p in image.points2D] == [p.xy.tolist() for p in original.points2D]
+    for point_id, point in reduced.points3D.items():
+        assert np.array_equal(point.xyz, whole.points3D[point_id].xyz)
+        for element in point.track.elements:
+            assert reduced.images[element.image_id].points2D[element.point2D_idx].point3D_id == point_id
+    said = colmap("model_analyzer", "--path", model)
+    assert f"Registered images: {len(names)}\n" in said and f"Points: {reduced.num_points3D()}\n" in said
+    (tmp_path / "text").mkdir()
+    colmap("model_converter", "--input_path", model, "--output_path", tmp_path / "text", "--output_type", "TXT")
+    again = pycolmap.Reconstruction(tmp_path / "text")
+    assert again.num_reg_images() == len(names) and again.num_points3D() == reduced.num_points3D()
+    shutil.rmtree(tmp_path / "text")
+
+
+@pytest.mark.parametrize("refs", ["keys", "keys+partners", "all"])
+def test_colmap_workspaces_load(export, planned, tmp_path, refs):
+    project, clusters = planned
+    folder = export("colmap", "--refs", refs)
+    whole = pycolmap.Reconstruction(project / "sparse/0")
+    names = {image.name for image in whole.images.values()} if refs == "all" else names_of(clusters)
+    assert_loads(folder / "sparse", names, whole, tmp_path)
+    assert all((folder / "images" / name).is_file() for name in names)
+
+
+@pytest.mark.parametrize("refs", ["keys", "keys+partners"])
+def test_splat_models_load(export, planned, tmp_path, refs):
+    project, clusters = planned
+    folder = export("splat", "--refs", refs)
+    names = {key for key, _ in clusters} if refs == "keys" else names_of(clusters)
+    assert_loads(folder / "sparse/0", names, pycolmap.Reconstruction(project / "sparse/0"), tmp_path)
+    colmap("image_undistorter", "--image_path", folder / "images", "--input_path", folder / "sparse/0", "--output_path", tmp_path)
+    assert {p.name for p in (tmp_path / "images").iterdir()} == names
+
+
+def write_plane_maps(folder, names, plane):
+    """Photometric maps of a horizontal plane, as patch match would leave them (mat.cc: width&height&channels&, plane by plane)."""
+    model = pycolmap.Reconstruction(folder / "sparse")
+    for image in model.images.values():
+        if image.name not in names:
+            continue
+        camera, pose = model.cameras[image.camera_id], image.cam_from_world()
+        fx, fy, cx, cy = camera.params
+        x, y = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
+        rotation = pose.rotation.matrix()
+        rays = np.stack([(x - cx) / fx, (y - cy) / fy, np.ones_like(x, float)], -1) @ rotation
+        centre = -rotation.T @ pose.translation
+        depth = (plane - centre[2]) / rays[..., 2]
+        depth[(depth < 0) | (depth > 200)] = 0
+        normal = np.broadcast_to((rotation @ [0, 0, 1.0])[:, None, None], (3, *depth.shape))
+        head = f"{camera.width}&{camera.height}&".encode()
+        for kind, planes in (("depth_maps", depth[None]), ("normal_maps", normal)):
+            data = head + f"{len(planes)}&".encode() + np.ascontiguousarray(planes, "<f4").tobytes()
+            (folder / "stereo" / kind / f"{image.name}.photometric.bin").write_bytes(data)
+
+
+def test_colmap_vis_index_not_id(export, planned):
+    """COLMAP fuses the key views with the options that are written, and its .vis counts by position in images.bin."""
+    clusters = planned[1]
+    folder = export("colmap")
+    plane = float(np.median([p.xyz[2] for p in pycolmap.Reconstruction(folder / "sparse").points3D.values()]))
+    keys = [key for key, _ in clusters]
+    write_plane_maps(folder, keys, plane)
+    command = json.loads((folder / "stereo/viewrank/export.json").read_text())["commands"][-1].split()
+    assert command[:2] == ["colmap", "stereo_fusion"]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+    head, _, body = (folder / "fused.ply").read_bytes().partition(b"end_header\n")
+    count = int(head.split(b"element vertex ")[1].split()[0])
+    assert count > 1000, "enough key views agree with the options of the runner"
+    points = np.frombuffer(body, np.dtype([("x", "<f4", 3), ("n", "<f4", 3), ("c", "u1", 3)]), count)["x"].astype(float)
+    assert np.abs(points[:, 2] - plane).max() < 0.01 * np.ptp(points[:, 0])
+    order = image_order(folder / "sparse/images.bin")
+    model = pycolmap.Reconstruction(folder / "sparse")
+    by_name = {image.name: image for image in model.images.values()}
+    vis = (folder / "fused.ply.vis").read_bytes()
+    at, seen, otherwise = 8, set(), 0
+
+    def shows(image, point):
+        camera = model.cameras[image.camera_id]
+        x, y = camera.img_from_cam(image.cam_from_world() * point)
+        return -10 < x < camera.width + 10 and -10 < y < camera.height + 10
+
+    assert struct.unpack_from("<Q", vis)[0] == count
+    for point in points:
+        (views,) = struct.unpack_from("<I", vis, at)
+        positions = struct.unpack_from(f"<{views}I", vis, at + 4)
+        at += 4 + 4 * views
+        for position in positions:
+            assert shows(by_name[order[position]], point)
+            otherwise += position + 1 in model.images and not shows(model.images[position + 1], point)
+            seen.add(order[position])
+    assert at == len(vis) and seen <= set(keys) and len(seen) > len(keys) / 2
+    assert otherwise > 0, "taken for ids the numbers name images that do not show the points"
+
+
+def image_order(path):
+    """Names in the order of images.bin."""
+    data, at, names = path.read_bytes(), 8, []
+    for _ in range(struct.unpack_from("<Q", data)[0]):
+        end = data.index(b"\0", at + 64)
+        names.append(data[at + 64 : end].decode())
+        at = end + 9 + 24 * struct.unpack_from("<Q", data, end + 1)[0]
+    return names
+
+
+# OpenMVS: an independent reader of the interface format.
+
+
+class Mvs:
+    def __init__(self, path):
+        self.data, self.at = path.read_bytes(), 4
+        assert self.data[:4] == b"MVSI"
+        self.version, zero = self.take("2I")
+        assert zero == 0
+        self.platforms = self.array(lambda: (self.string(), self.array(self.camera), self.array(lambda: self.take("12d"))))
+        self.images = self.array(self.image)
+        self.vertices = self.array(lambda: (self.take("3f"), self.array(lambda: self.take("If"))))
+        for entry in ("3f", "3B"):
+            self.array(lambda: self.take(entry))
+        self.array(lambda: (self.take("6f"), self.array(lambda: self.take("If"))))
+        for entry in ("3f", "3B"):
+            self.array(lambda: self.take(entry))
+        self.transform = self.take("16d")
+        self.region = self.take("15d") if self.version > 5 else None
+        assert self.at == len(self.data), "to the last byte"
+
+    def take(self, form):
+        values = struct.unpack_from("<" + form, self.data, self.at)
+        self.at += struct.calcsize("<" + form)
+        return values
+
+    def array(self, read):
+        return [read() for _ in range(self.take("Q")[0])]
+
+    def string(self):
+        (length,) = self.take("Q")
+        self.at += length
+        return self.data[self.at - length : self.at].decode()
+
+    def camera(self):
+        return (self.string(), self.string(), self.take("2I"), self.take("21d"))
+
+    def image(self):
+        names, indices = (self.string(), self.string()), self.take("4I")
+        scores = (self.take("3f"), self.array(lambda: self.take("2I4f"))) if self.version > 6 else ((), [])
+        return (*names, indices, *scores)
+
+
+def test_openmvs_scenes_are_read_by_an_independent_reader(export, planned):
+    project, clusters = planned
+    folder = export("openmvs")
+    whole = pycolmap.Reconstruction(project / "sparse/0")
+    by_name = {image.name: image for image in whole.images.values()}
+    for rank, (key, partners) in enumerate(clusters, 1):
+        scene = Mvs(folder / f"clusters/{rank:04}.mvs")
+        assert [image[0] for image in scene.images] == [f"images/{name}" for name in (key, *partners)]
+        for name, _, (platform, camera, pose, identifier), *_ in scene.images:
+            image = by_name[name.removeprefix("images/")]
+            _, _, size, numbers = scene.platforms[platform][1][camera]
+            k, own = np.reshape(numbers[:9], (3, 3)), whole.cameras[image.camera_id]
+            assert size == (own.width, own.height) and identifier == image.image_id
+            assert np.allclose([k[0, 0], k[1, 1], k[0, 2] + 0.5, k[1, 2] + 0.5], own.params)
+            placed = np.array(scene.platforms[platform][2][pose])
+            expected = image.cam_from_world()
+            assert np.allclose(placed[:9].reshape(3, 3), expected.rotation.matrix())
+            assert np.allclose(placed[9:], image.projection_center())
+        assert all(len(views) == 2 and views[0][0] == 0 and 0 < views[1][0] <= len(partners) for _, views in scene.vertices)
+        assert (folder / f"images/{key}").is_file()
+    assert [image[0] for image in Mvs(folder / "fuse.mvs").images] == [f"images/{key}" for key, _ in clusters]
+    Mvs(export("odm") / "openmvs/scene.mvs")
+
+
+# MVSNet's family
+
+
+def read_cam(path):
+    """The extrinsic, the intrinsic, the depths, as the readers of CasMVSNet and PatchmatchNet take them."""
+    lines = [line.rstrip() for line in path.read_text().splitlines()]
+    matrix = lambda a, b: np.array([[float(x) for x in line.split()] for line in lines[a:b]])
+    assert lines[0] == "extrinsic" and lines[6] == "intrinsic"
+    return matrix(1, 5).reshape(4, 4), matrix(7, 10).reshape(3, 3), [float(x) for x in lines[11].split()]
+
+
+def read_pairs(path):
+    """Line by line, the count ignored: every second word from the second on (data_io.py, general_eval.py)."""
+    lines = path.read_text().splitlines()
+    rows = range(1, 1 + 2 * int(lines[0]), 2)
+    return [(int(lines[i].rstrip()), [int(x) for x in lines[i + 1].rstrip().split()[1::2]]) for i in rows]
+
+
+@pytest.mark.parametrize("dialect", ["mvsnet", "patchmatchnet", "acmm"])
+def test_mvsnet_family_is_read(export, planned, dialect):
+    project, clusters = planned
+    folder = export(dialect)
+    names = dict(line.split("\t") for line in (folder / "view_names.txt").read_text().splitlines())
+    named = [(names[str(key)], [names[str(p)] for p in partners]) for key, partners in read_pairs(folder / "pair.txt")]
+    assert named[: len(clusters)] == clusters
+    assert len(named) == (len(names) if dialect == "acmm" else len(clusters))
+    whole = pycolmap.Reconstruction(project / "sparse/0")
+    images = {image.name: image for image in whole.images.values()}
+    for index, name in names.items():
+        extrinsic, intrinsic, depths = read_cam(folder / f"cams/{int(index):08}_cam.txt")
+        image = images[name]
+        assert np.allclose(extrinsic[:3], image.cam_from_world().matrix(), atol=1e-12)
+        assert np.allclose(intrinsic, whole.cameras[image.camera_id].calibration_matrix())
+        least, greatest = (depths[0], depths[1]) if dialect == "patchmatchnet" else (depths[0], depths[3])
+        own = [whole.points3D[p.point3D_id].xyz for p in image.points2D if p.has_point3D()]
+        z = np.array([(image.cam_from_world() * x)[2] for x in own])
+        assert np.mean((z >= least * 0.99) & (z <= greatest * 1.01)) > 0.9
+        assert (folder / f"images/{int(index):08}.jpg").read_bytes() == (project / "images" / name).read_bytes()
+
+
+# Lists of splats and NeRFs
+
+
+def test_nerfstudio_reads_its_splits(export, planned):
+    """transforms.json as nerfstudio_dataparser.py, the lists as colmap_dataparser.py takes them."""
+    folder = export("splat")
+    meta = json.loads((folder / "transforms.json").read_text())
+    frames = [frame["file_path"] for frame in meta["frames"]]
+    for split in ("train", "val", "test"):
+        listed = meta[f"{split}_filenames"]
+        assert set(listed) <= set(frames) and listed
+        names = (folder / f"{split}_list.txt").read_text().splitlines()
+        assert [f"images/{name}" for name in names] == listed
+    model = pycolmap.Reconstruction(folder / "sparse/0")
+    images = {f"images/{image.name}": image for image in model.images.values()}
+    assert set(images) == set(frames) and all((folder / frame).is_file() for frame in frames)
+    flip = np.diag([1.0, -1.0, -1.0, 1.0])
+    for frame in meta["frames"]:
+        world = np.eye(4)
+        world[:3] = images[frame["file_path"]].cam_from_world().inverse().matrix()
+        assert np.allclose(frame["transform_matrix"], world @ flip)
+    assert (folder / meta["ply_file_path"]).read_bytes().startswith(b"ply\n")
+
+
+def test_gsplat_and_brush_train_on_every_key_view(export, planned):
+    folder = export("splat")
+    names = sorted(image.name for image in pycolmap.Reconstruction(folder / "sparse/0").images.values())
+    command = next(c for c in json.loads((folder / "export.json").read_text())["commands"] if "gsplat" in c)
+    every = int(command.split("--test_every ")[1].split()[0])
+    held_out = [name for i, name in enumerate(names) if i % every == 0]
+    assert held_out == names[:1] and every > len(names), "examples/datasets/colmap.py: index 0 is always held out"
+    assert names == sorted(key for key, _ in planned[1])
+    assert [p.parent.name for p in folder.rglob("cameras.bin")] == ["0"], "brush takes the largest model that it finds"
+
+
+# XML by a real parser
+
+
+def test_micmac_files_are_xml(export, planned):
+    clusters = planned[1]
+    folder = export("micmac")
+    pairs = [element.text for element in ElementTree.parse(folder / "pairs.xml").getroot().findall("Cple")]
+    assert pairs == [f"{key} {partner}" for key, partners in clusters for partner in partners]
+    for key, partners in clusters:
+        root = ElementTree.parse(folder / f"ImSec/ImSec-{key}.xml").getroot()
+        assert (root.tag, root.findtext("Master")) == ("ImSecOfMaster", key)
+        (solution,) = root.findall("Sols")
+        assert [element.text for element in solution.findall("Images")] == partners and float(solution.findtext("Score")) > -1
+    masters = [element.text for element in ElementTree.parse(folder / "ImSec/FileImSel.xml").getroot().findall("Name")]
+    assert masters == [key for key, _ in clusters]
+
+
+def test_realityscan_side_files_are_xml(export, planned):
+    project, clusters = planned
+    folder = export("realityscan")
+    switch = "{http://www.capturingreality.com/ns/xcr/1.1#}"
+    used = names_of(clusters)
+    for image in pycolmap.Reconstruction(project / "sparse/0").images.values():
+        root = ElementTree.parse(folder / "xmp" / f"{image.name.removesuffix('.jpg')}.xmp").getroot()
+        (description,) = root.iter("{http://www.w3.org/1999/02/22-rdf-syntax-ns#}Description")
+        value = str(int(image.name in used))
+        assert description.attrib == {f"{switch}InMeshing": value, f"{switch}InTexturing": value}
+
+
+# AliceVision, PMVS, MVE, Gipuma
+
+
+def test_alicevision_files_are_consistent(export, planned):
+    project, clusters = planned
+    folder = export("alicevision")
+    whole = pycolmap.Reconstruction(project / "sparse/0")
+    ids = {image.name: image.image_id for image in whole.images.values()}
+    for rank, (key, partners) in enumerate(clusters, 1):
+        sfm = json.loads((folder / f"clusters/{rank:04}.sfm").read_text())
+        views = {int(view["viewId"]): view for view in sfm["views"]}
+        assert set(views) == {ids[name] for name in (key, *partners)}
+        for view in views.values():
+            assert (folder / view["path"]).is_file()
+        for pose in sfm["poses"]:
+            image = whole.images[int(pose["poseId"])]
+            transform = pose["pose"]["transform"]
+            rotation = np.array([float(x) for x in transform["rotation"]]).reshape(3, 3, order="F")
+            assert np.allclose(rotation, image.cam_from_world().rotation.matrix())
+            assert np.allclose([float(x) for x in transform["center"]], image.projection_center())
+        observers = [{int(o["observationId"]) for o in landmark["observations"]} for landmark in sfm["structure"]]
+        assert all(ids[key] in seen and seen <= set(views) for seen in observers)
+        for partner in partners:
+            assert sum(ids[partner] in seen for seen in observers) > 20
+
+
+def test_projection_matrices_of_pmvs_and_gipuma(export, planned):
+    project, _ = planned
+    whole = pycolmap.Reconstruction(project / "sparse/0")
+    images = {image.name: image for image in whole.images.values()}
+    pmvs, gipuma = export("pmvs"), export("gipuma")
+    record = json.loads((pmvs / "export.json").read_text())["clusters"]
+    keyed = {view["target"]: view["name"] for cluster in record for view in (cluster["key"], *cluster["partners"])}
+    matrices = {name: (pmvs / f"txt/{int(i):08}.txt").read_text() for i, name in keyed.items()}
+    table = dict(line.split("\t") for line in (gipuma / "view_names.txt").read_text().splitlines())
+    both = [(name, text.removeprefix("CONTOUR")) for name, text in matrices.items()]
+    both += [(name, (gipuma / f"p/{file}.P").read_text()) for file, name in table.items()]
+    assert len(both) == 2 * len(keyed)
+    for name, text in both:
+        p = np.array(text.split(), float).reshape(3, 4)
+        image = images[name]
+        expected = whole.cameras[image.camera_id].calibration_matrix() @ image.cam_from_world().matrix()
+        assert np.allclose(p / p[2, 3], expected / expected[2, 3])
+
+
+def test_mve_views_and_bundles(export, planned):
+    project, clusters = planned
+    folder = export("mve")
+    whole = pycolmap.Reconstruction(project / "sparse/0")
+    images = {image.name: image for image in whole.images.values()}
+    by_id = {}
+    for ini in sorted(folder.glob("views/*/meta.ini")):
+        values = dict(line.split(" = ") for line in ini.read_text().splitlines() if " = " in line)
+        by_id[int(values["id"])] = values["name"]
+        image = images[values["name"]]
+        camera = whole.cameras[image.camera_id]
+        assert np.isclose(float(values["focal_length"]) * max(camera.width, camera.height), camera.focal_length_x)
+        assert np.allclose(np.array(values["rotation"].split(), float).reshape(3, 3), image.cam_from_world().rotation.matrix())
+        assert np.allclose(np.array(values["translation"].split(), float), image.cam_from_world().translation)
+        assert (ini.parent / "undistorted.jpg").is_file()
+    for rank, (key, partners) in enumerate(clusters, 1):
+        lines = (folder / f"bundles/{rank:04}.out").read_text().splitlines()
+        cameras, points = map(int, lines[1].split())
+        assert lines[0] == "drews 1.0" and cameras == len(by_id)
+        there = {by_id[i] for i in range(cameras) if float(lines[2 + 5 * i].split()[0]) != 0}
+        assert there == {key, *partners}
+        rows = lines[2 + 5 * cameras :]
+        assert len(rows) == 3 * points
+        seen = [{by_id[int(i)] for i in row.split()[1::3]} for row in rows[2::3]]
+        assert all(key in views and views <= there for views in seen)
