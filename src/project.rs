@@ -34,6 +34,11 @@ pub enum ModelFormat {
 }
 
 impl ModelFormat {
+    /// Does COLMAP itself read it?
+    pub fn is_colmap(self) -> bool {
+        matches!(self, Self::ColmapBinary | Self::ColmapText)
+    }
+
     /// As people write it.
     pub fn name(self) -> &'static str {
         match self {

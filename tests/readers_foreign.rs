@@ -151,6 +151,29 @@ fn folders_are_read_without_images() {
     assert!(scene.mean_reprojection_error().unwrap() < 1e-9);
 }
 
+/// A dense workspace in the folder of another program's model was made from that model, and has images of its own.
+#[test]
+fn a_dense_workspace_does_not_hide_the_model_that_it_was_made_from() {
+    let Some(formats) = formats() else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let root = folder.path();
+    std::fs::create_dir_all(root.join("dense/sparse")).unwrap();
+    ["images", "dense/images"].iter().for_each(|images| std::fs::create_dir(root.join(images)).unwrap());
+    for name in ["cameras.bin", "images.bin", "points3D.bin"] {
+        std::fs::copy(formats.join("base_colmap311_bin").join(name), root.join("dense/sparse").join(name)).unwrap();
+    }
+    let dense = Project::open(root, None).unwrap();
+    assert_eq!((dense.model.format, dense.images.unwrap()), (ModelFormat::ColmapBinary, root.join("dense/images")));
+    std::fs::copy(formats.join("others/openmvg/sfm_data.json"), root.join("sfm_data.json")).unwrap();
+    let foreign = Project::open(root, None).unwrap();
+    assert_eq!((foreign.model.format, foreign.images.unwrap()), (ModelFormat::OpenMvg, root.join("images")));
+    let of_dense = Project::open(&root.join("dense"), None).unwrap();
+    assert_eq!(
+        (of_dense.model.format, of_dense.images.unwrap()),
+        (ModelFormat::ColmapBinary, root.join("dense/images"))
+    );
+}
+
 #[test]
 fn alicevision_motions_of_one_pose_are_shared() {
     let Some(formats) = formats() else { return };

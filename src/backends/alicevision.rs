@@ -83,7 +83,7 @@ impl Backend for AliceVision {
 }
 
 fn text(file: &Value) -> String {
-    serde_json::to_string_pretty(file).expect("string keys") + "\n"
+    serde_json::to_string(file).expect("string keys") + "\n"
 }
 
 /// The call for the key view, by its position among the views of the file, which count by ascending id.
@@ -168,7 +168,8 @@ fn view_entry(scene: &Scene, view: ViewIndex) -> Value {
     })
 }
 
-/// Focal length in mm of the sensor; the principal point is an offset from the middle of the image, pixel centres are integers.
+/// Focal length in mm of the sensor, and (since 1.2.5) the second one over it; the principal point is an offset from the middle of the
+/// image, pixel centres are integers.
 fn intrinsic_entry(scene: &Scene, camera: u32) -> Value {
     let entry = &scene.cameras[camera as usize];
     let (f, c) = entry.pinhole_part();
@@ -184,7 +185,7 @@ fn intrinsic_entry(scene: &Scene, camera: u32) -> Value {
         "initializationMode": "calibrated",
         "initialFocalLength": "-1",
         "focalLength": (f.x / width * SENSOR_MM).to_string(),
-        "pixelRatio": (f.x / f.y).to_string(),
+        "pixelRatio": (f.y / f.x).to_string(),
         "pixelRatioLocked": "true",
         "principalPoint": numbers(&[c.x - 0.5 * width + PIXEL_SHIFT, c.y - 0.5 * height + PIXEL_SHIFT]),
         "distortionParams": "",

@@ -327,7 +327,7 @@ impl ExportRecord {
             key_maps: selection.clusters.len(),
             scale: 1.0,
             clusters: selection.clusters.iter().enumerate().map(cluster).collect(),
-            warnings: other_kind(backend, selection).into_iter().collect(),
+            warnings: nothing_chosen(selection).into_iter().chain(other_kind(backend, selection)).collect(),
             ..Self::default()
         }
     }
@@ -336,6 +336,12 @@ impl ExportRecord {
     fn to_json(&self) -> String {
         serde_json::to_string_pretty(self).expect("a record has string keys and finite numbers") + "\n"
     }
+}
+
+/// A warning where there is no view cluster.
+fn nothing_chosen(selection: &Selection) -> Option<String> {
+    let why = || format!("{}/manifest.json says why", selection.project.output_folder().display());
+    selection.clusters.is_empty().then(|| format!("no view cluster is chosen, there is nothing to compute: {}", why()))
 }
 
 /// A warning where the plan was made for a backend that matches otherwise.

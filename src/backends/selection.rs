@@ -58,11 +58,15 @@ impl Selection<'_> {
         let hint = match &self.project.dense_workspace {
             Some(dense) => format!("plan and export the undistorted images instead, they are in {}", dense.display()),
             None => {
-                let (root, model) = (self.project.root.display(), self.project.model.path.display());
-                format!(
-                    "make them with `viewrank undistort {root}` (or `colmap image_undistorter --image_path {root}/images --input_path \
-                     {model} --output_path {root}/dense`), then plan for {root}/dense"
-                )
+                let (root, model) = (self.project.root.display(), &self.project.model);
+                let images = self.project.images.clone().unwrap_or_else(|| self.project.root.join("images"));
+                let colmap = format!(
+                    " (or `colmap image_undistorter --image_path {} --input_path {} --output_path {root}/dense`)",
+                    images.display(),
+                    model.path.display()
+                );
+                let colmap = if model.format.is_colmap() { colmap } else { String::new() };
+                format!("make them with `viewrank undistort {root}`{colmap}, then plan for {root}/dense")
             }
         };
         Err(BackendError::Needs {

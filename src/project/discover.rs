@@ -23,9 +23,12 @@ pub(super) fn open(path: &Path, wanted: Option<&str>) -> Result<Project, Project
     let named = path.is_file().then(|| foreign::model_file(path)).flatten();
     let colmap = if named.is_some() { Ok(Vec::new()) } else { colmap_models(root) };
     let found = match colmap {
-        Ok(models) if models.is_empty() => named.map_or_else(|| foreign::models(root), |model| vec![model]),
+        Ok(models) if models.is_empty() => match named {
+            Some(model) => vec![model],
+            None => foreign_or_dense(root)?,
+        },
         // Part of a COLMAP model is no reason to refuse another program's.
-        Err(error) => Some(foreign::models(root)).filter(|models| !models.is_empty()).ok_or(error)?,
+        Err(error) => foreign_or_dense(root).ok().filter(|models| !models.is_empty()).ok_or(error)?,
         Ok(models) => models,
     };
     let (model, other_models) = choose(path, found, wanted)?;
@@ -44,25 +47,33 @@ pub(super) fn open(path: &Path, wanted: Option<&str>) -> Result<Project, Project
     Ok(Project { root: root.into(), kind, model, other_models, images, dense_workspace })
 }
 
-/// The COLMAP models of a folder: itself, `sparse`, the folders in `sparse`, or, without all these, its own sub-folders and
-/// the models of the dense workspace. A folder with a part of a model only counts when there is no other.
+/// The COLMAP models of a folder: itself, `sparse`, the folders in `sparse`, or, without all these, its own sub-folders.
 fn colmap_models(root: &Path) -> Result<Vec<ModelLocation>, ProjectError> {
-    let first = [vec![root.into()], with_sub_folders(&root.join("sparse"))].concat();
-    let second = [sub_folders(root), with_sub_folders(&root.join("dense/sparse"))].concat();
-    let mut incomplete = None;
-    for folders in [first, second] {
-        let mut models = Vec::new();
-        for folder in &folders {
-            match colmap_model(folder) {
-                Ok(model) => models.extend(model),
-                Err(error) => _ = incomplete.get_or_insert(error),
-            }
-        }
-        if !models.is_empty() {
-            return Ok(models);
+    let first = colmap_models_among(&[vec![root.into()], with_sub_folders(&root.join("sparse"))].concat());
+    match (first, colmap_models_among(&sub_folders(root))) {
+        (Ok(models), second) if models.is_empty() => second,
+        (Err(error), Ok(models)) if models.is_empty() => Err(error),
+        (Err(_), Ok(models)) => Ok(models),
+        (first, _) => first,
+    }
+}
+
+/// The models of other programs, or, without all these, those of the dense workspace, which is made from the others.
+fn foreign_or_dense(root: &Path) -> Result<Vec<ModelLocation>, ProjectError> {
+    let models = foreign::models(root);
+    if models.is_empty() { colmap_models_among(&with_sub_folders(&root.join("dense/sparse"))) } else { Ok(models) }
+}
+
+/// A folder with a part of a model only counts when there is no other.
+fn colmap_models_among(folders: &[PathBuf]) -> Result<Vec<ModelLocation>, ProjectError> {
+    let (mut models, mut incomplete) = (Vec::new(), None);
+    for folder in folders {
+        match colmap_model(folder) {
+            Ok(model) => models.extend(model),
+            Err(error) => _ = incomplete.get_or_insert(error),
         }
     }
-    incomplete.map_or(Ok(Vec::new()), Err)
+    incomplete.filter(|_| models.is_empty()).map_or(Ok(models), Err)
 }
 
 fn with_sub_folders(folder: &Path) -> Vec<PathBuf> {

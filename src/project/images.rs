@@ -15,11 +15,11 @@ const EXTENSIONS: [&str; 10] = ["jpg", "jpeg", "png", "tif", "tiff", "bmp", "ppm
 /// Names that are looked for when an image folder is chosen.
 const PROBED: usize = 20;
 
-/// The folders that names of a model may be relative to, best first: what the model's own `project.ini` says, the nearest
-/// `images`, and, for other programs' models, where the model and the project are.
+/// The folders that names of a model may be relative to, best first: the nearest `images`, what the model's own `project.ini`
+/// says, and, for other programs' models, where the model and the project are.
 pub(super) fn candidates(root: &Path, model: &Path) -> Vec<PathBuf> {
     let up = |levels: usize| model.ancestors().nth(levels).map(|folder| folder.join("images"));
-    let named = [Some(root.join("images")), said_by_colmap(model), up(0), up(1), up(2)];
+    let named = [up(0), up(1), up(2), Some(root.join("images")), said_by_colmap(model)];
     let bare = [Some(root.into()), model.parent().map(Path::to_path_buf)];
     named.into_iter().chain(bare).flatten().filter(|folder| folder.is_dir()).collect()
 }

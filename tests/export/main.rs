@@ -214,6 +214,9 @@ fn distorted_images_are_refused_with_the_command_that_makes_them() {
     let mut fixture = Fixture::new(3);
     fixture.scene.cameras =
         vec![Camera::new(7, CameraModel::SimpleRadial, 640, 480, vec![500.0, 320.0, 240.0, 0.01]).unwrap()];
+    let foreign = fixture.try_export("openmvs", &ExportOptions::default()).unwrap_err();
+    assert!(!viewrank::error::Hint::hint(&foreign).unwrap().contains("colmap"), "COLMAP does not read that model");
+    fixture.project.model.format = ModelFormat::ColmapBinary;
     for backend in ["openmvs", "colmap", "mvsnet", "pmvs", "mve", "gipuma", "alicevision", "sure"] {
         let error = fixture.try_export(backend, &ExportOptions::default()).unwrap_err();
         let hint = viewrank::error::Hint::hint(&error).unwrap();
@@ -224,7 +227,17 @@ fn distorted_images_are_refused_with_the_command_that_makes_them() {
             "{backend}: {error}"
         );
     }
+    fixture.project.model.format = ModelFormat::OpenMvs;
     assert!(fixture.export("splat").says("image_undistorter"));
+}
+
+#[test]
+fn an_export_of_nothing_says_so() {
+    let mut fixture = Fixture::new(3);
+    fixture.clusters.clear();
+    for backend in viewrank::backends::all() {
+        assert!(fixture.export(backend.name()).says("nothing to compute"), "{}", backend.name());
+    }
 }
 
 /// Groups the names of a table file by index.

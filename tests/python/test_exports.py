@@ -168,6 +168,32 @@ def image_order(path):
     return names
 
 
+def test_finished_maps_of_other_partners_are_reported_and_replaced(viewrank, planned, tmp_path):
+    project, folder = tmp_path / "project", tmp_path / "workspace"
+    shutil.copytree(planned[0], project)
+
+    def export():
+        return viewrank("export", project, "--backend", "colmap", "--out", folder, "--budget", "8").stdout
+
+    assert "other partners" not in export()
+    lists = (folder / "stereo/patch-match.cfg").read_text().splitlines()
+    names = [line for line in lists if line.strip() and not line.startswith("#")][::2]
+    maps = [folder / f"stereo/depth_maps/{name}.photometric.bin" for name in names]
+    for path in maps:
+        path.write_bytes(b"")
+    assert "other partners" not in export(), "made by the lists in force"
+    viewrank("plan", project, "-k", "3", "--budget", "8", "--quiet")
+    said = export()
+    stale = (folder / "stereo/viewrank/replace.txt").read_text().split()
+    assert stale and f"{len(stale)} finished depth maps were made with other partners" in said and "--replace" in said
+    assert export() == said, "until they are gone"
+    environment = {"PATH": "/usr/bin:/bin", "COLMAP": "true"}
+    subprocess.run(["sh", folder / "stereo/viewrank/run.sh", "--replace"], env=environment, check=True)
+    assert not any((folder / "stereo/depth_maps" / name).exists() for name in stale)
+    assert sum(path.exists() for path in maps) == len(maps) - len(stale)
+    assert "other partners" not in export()
+
+
 # OpenMVS: an independent reader of the interface format.
 
 

@@ -8,7 +8,7 @@ use std::path::Path;
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::{OpenMvs, dense_config};
+use super::{OpenMvs, dense_config, resolution};
 use crate::{
     backends::{BackendError, Export, ExportOptions, ExportRecord, Selection},
     formats::openmvs::{Mvs, NO_POSE},
@@ -42,10 +42,12 @@ pub fn export(selection: &Selection, options: &ExportOptions, path: &Path) -> Re
     files.add_text("neighbours.txt", selection.clusters.iter().map(list).collect::<String>());
     files.add_text("dense.cfg", dense_config(selection));
     let folder = std::path::absolute(path).ok().and_then(|p| p.parent().map(Path::to_path_buf)).unwrap_or_default();
+    let size = resolution(selection);
     let densify = |scene: &str, fuse: usize| {
         format!(
             "DensifyPointCloud -w \"{}\" -i {scene} -o \"$PWD/dense.mvs\" --view-neighbors-file \"$PWD/neighbours.txt\" \
-             --dense-config-file \"$PWD/dense.cfg\" --number-views 0 --geometric-iters 0 --number-views-fuse {fuse}",
+             --dense-config-file \"$PWD/dense.cfg\" --resolution-level 0 --min-resolution 16 --max-resolution {size} --number-views 0 \
+             --geometric-iters 0 --number-views-fuse {fuse}",
             folder.display()
         )
     };
