@@ -219,15 +219,16 @@ fn base_and_warp(model: CameraModel, extra: &[f64]) -> (Base, Warp) {
 impl Base {
     /// The plane point of a point in camera coordinates, where there is one.
     fn to_plane(self, x: &Point3<f64>) -> Option<Vector2<f64>> {
-        let axis = x.x.hypot(x.y);
         let xy = Vector2::new(x.x, x.y);
         match self {
             Base::Perspective => (x.z >= MIN_DEPTH).then(|| xy / x.z),
             Base::Equidistant => (x.z >= MIN_DEPTH).then(|| {
+                let axis = x.x.hypot(x.y);
                 let t = axis / x.z;
                 if t > f64::EPSILON { xy * (t.atan() / axis) } else { xy / x.z }
             }),
             Base::Division { k } => {
+                let axis = x.x.hypot(x.y);
                 let root = (x.z * x.z - 4.0 * k * axis * axis).sqrt();
                 // Not true of NaN: no real solution. Zero and less: the other branch of the solution.
                 (x.z + root > 0.0).then(|| xy * (2.0 / (x.z + root)))

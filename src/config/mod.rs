@@ -226,9 +226,9 @@ impl Default for VisibilitySettings {
         Self {
             max_incidence_deg: 85.0,
             min_free_share: 0.5,
-            tolerance_edges: 0.5,
-            tolerance_depth: 0.01,
-            buffer_px: 1000,
+            tolerance_edges: 0.1,
+            tolerance_depth: 0.005,
+            buffer_px: 700,
         }
     }
 }

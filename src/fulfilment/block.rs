@@ -306,7 +306,7 @@ impl<'a> PartnerView<'a> {
 
     /// Rows of the Jacobian in the world frame, pixels of the model's image per scene unit, from the rays of the partner.
     #[inline(always)]
-    fn jacobians(&self, rays: &[[f64; LANES]; 3], sees: &[bool]) -> [[[f64; LANES]; 3]; 2] {
+    fn jacobians(&self, rays: &[[f64; LANES]; 3], sees: &[bool; LANES]) -> [[[f64; LANES]; 3]; 2] {
         if self.camera.is_pinhole() { self.pinhole_jacobians(rays) } else { self.any_jacobians(rays, sees) }
     }
 
@@ -328,7 +328,7 @@ impl<'a> PartnerView<'a> {
         rows
     }
 
-    fn any_jacobians(&self, rays: &[[f64; LANES]; 3], sees: &[bool]) -> [[[f64; LANES]; 3]; 2] {
+    fn any_jacobians(&self, rays: &[[f64; LANES]; 3], sees: &[bool; LANES]) -> [[[f64; LANES]; 3]; 2] {
         let mut rows = [[[0.0; LANES]; 3]; 2];
         for i in (0..LANES).filter(|&i| sees[i]) {
             let ray = self.rotation * Vector3::new(rays[0][i], rays[1][i], rays[2][i]);
@@ -356,9 +356,10 @@ impl Work for Columns<'_, '_> {
     fn run(self) -> Vec<PartnerLanes> {
         let (sees, unary) = (&self.block.sees[self.partner], &self.block.unary[self.partner]);
         let of_group = |group: usize| {
-            let places = group * LANES..(group + 1) * LANES;
-            let unary = unary.get(places.clone()).unwrap_or(&[1.0; LANES]);
-            self.group(&self.block.triangles[group], &sees[places], unary)
+            // Arrays of known length: no bounds are checked in the loops over lanes, so that they become vector instructions.
+            let sees = sees[group * LANES..].first_chunk().expect("padded to whole lanes");
+            let unary = unary.get(group * LANES..).and_then(|rest| rest.first_chunk()).unwrap_or(&[1.0; LANES]);
+            self.group(&self.block.triangles[group], sees, unary)
         };
         self.range.clone().map(of_group).collect()
     }
@@ -366,7 +367,7 @@ impl Work for Columns<'_, '_> {
 
 impl Columns<'_, '_> {
     #[inline(always)]
-    fn group(&self, triangles: &TriangleLanes, sees: &[bool], unary: &[f32]) -> PartnerLanes {
+    fn group(&self, triangles: &TriangleLanes, sees: &[bool; LANES], unary: &Lanes) -> PartnerLanes {
         let mut rays = triangles.ray;
         for (axis, shift) in rays.iter_mut().zip(self.view.baseline) {
             axis.iter_mut().for_each(|x| *x -= shift);

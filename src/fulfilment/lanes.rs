@@ -87,17 +87,20 @@ impl Together {
     /// f of each triangle; `T`: f32 to choose by, f64 for what is written.
     #[inline(always)]
     pub fn value<T: RealField + Copy>(&self, key: &KeyLanes, weights: &Weights) -> [T; LANES] {
+        let confidence = match weights.min_matches {
+            0 => [1.0; LANES],
+            1 => self.at_least[0],
+            2 => self.at_least[1],
+            _ => self.at_least[2],
+        };
         let mut f = [T::zero(); LANES];
         for i in 0..LANES {
-            let information = self.information.map(|c| convert::<f64, T>(f64::from(c[i])));
-            let smallest = smallest_eigenvalue(information);
+            let [xx, xy, yy, xz, yz, zz] = &self.information;
+            let component = |c: &Lanes| convert::<f64, T>(f64::from(c[i]));
+            let smallest = smallest_eigenvalue([xx, xy, yy, xz, yz, zz].map(component));
             let spread = convert::<f64, T>(f64::from(key.unit[i])) * smallest.sqrt();
             let uncertainty = if spread < T::one() { spread } else { T::one() };
-            let confidence = match weights.min_matches {
-                0 => 1.0,
-                m => self.at_least[m as usize - 1][i],
-            };
-            let both = if self.seeing[i] >= weights.min_partners { confidence } else { 0.0 };
+            let both = if self.seeing[i] >= weights.min_partners { confidence[i] } else { 0.0 };
             let resolution = convert::<f64, T>(f64::from(key.resolution[i]));
             let weight = convert::<f64, T>(f64::from(weights.uncertainty));
             f[i] = (resolution + weight * uncertainty) * convert::<f64, T>(f64::from(both));

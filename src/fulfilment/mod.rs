@@ -118,25 +118,46 @@ pub fn table(model: &Model, clusters: &[ViewCluster], watcher: &dyn Watcher) -> 
 
 /// f of one triangle by one cluster, by the definition; 0 where the key view does not see the triangle.
 pub fn value(model: &Model, key: ViewIndex, partners: &[ViewIndex], triangle: u32) -> Fulfilment {
-    let Some(key_row) = model.visibility.row(key, triangle) else { return Fulfilment::default() };
-    let seeing: Vec<(ViewIndex, usize)> =
-        partners.iter().filter_map(|&p| Some((p, model.visibility.row(p, triangle)?))).collect();
-    let rule = &model.rule;
-    let coverage = if 1 + seeing.len() >= rule.min_cameras as usize { 1.0 } else { 0.0 };
-    let gsd = f64::from(model.target.gsd[triangle as usize]);
+    let Some(success) = Success::new(model, key, partners, triangle) else { return Fulfilment::default() };
+    let (rule, gsd) = (&model.rule, f64::from(model.target.gsd[triangle as usize]));
     let resolution = (density(model, key, triangle) * gsd * gsd).min(1.0);
-    let views = seeing.iter().map(|s| s.0).chain([key]);
+    let views = success.seeing.iter().copied().chain([key]);
     let information = views.map(|view| information(model, view, triangle)).sum::<Matrix3<f64>>();
     // The largest eigenvalue of the inverse is one over the smallest of the matrix.
     let smallest = information.symmetric_eigenvalues().min().max(0.0);
     let uncertainty = (model.target.accuracy(triangle) * smallest.sqrt()).min(1.0);
-    let pair = |&(view, row): &(ViewIndex, usize)| {
-        let unary = 0.5 * (f64::from(model.unary.at(key_row)) + f64::from(model.unary.at(row)));
-        rule.confidence.pair(&Constellation::new(model, key, view, triangle), unary)
-    };
-    let confidence = rule.confidence.at_least(seeing.iter().map(pair));
+    let Success { coverage, confidence, .. } = success;
     let weighted = rule.alpha * resolution + (1.0 - rule.alpha) * uncertainty;
     Fulfilment { coverage, resolution, uncertainty, confidence, value: weighted * coverage * confidence }
+}
+
+/// f_cov f_conf: the chance that the cluster measures a triangle that its key view sees, however well; else 0.
+pub fn success(model: &Model, key: ViewIndex, partners: &[ViewIndex], triangle: u32) -> f64 {
+    Success::new(model, key, partners, triangle).map_or(0.0, |success| success.coverage * success.confidence)
+}
+
+/// Which partners see a triangle, and what follows from that.
+struct Success {
+    seeing: Vec<ViewIndex>,
+    coverage: f64,
+    confidence: f64,
+}
+
+impl Success {
+    /// `None` where the key view does not see the triangle.
+    fn new(model: &Model, key: ViewIndex, partners: &[ViewIndex], triangle: u32) -> Option<Self> {
+        let key_row = model.visibility.row(key, triangle)?;
+        let rows = partners.iter().filter_map(|&p| Some((p, model.visibility.row(p, triangle)?)));
+        let rule = &model.rule;
+        let (mut seeing, mut chances) = (Vec::with_capacity(partners.len()), Vec::with_capacity(partners.len()));
+        for (view, row) in rows {
+            let unary = 0.5 * (f64::from(model.unary.at(key_row)) + f64::from(model.unary.at(row)));
+            seeing.push(view);
+            chances.push(rule.confidence.pair(&Constellation::new(model, key, view, triangle), unary));
+        }
+        let coverage = if 1 + seeing.len() >= rule.min_cameras as usize { 1.0 } else { 0.0 };
+        Some(Self { seeing, coverage, confidence: rule.confidence.at_least(chances.into_iter()) })
+    }
 }
 
 /// rho of method 3.2: pixels of the matched image per squared scene unit. The projected area is that of the triangle between the

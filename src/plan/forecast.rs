@@ -9,7 +9,6 @@ use crate::{
     fulfilment::{self, Model},
     partners::ViewCluster,
     ranking::Ranking,
-    scene::ViewIndex,
 };
 
 /// What the backend will have to do, and how long it takes where that is known.
@@ -103,17 +102,12 @@ pub(super) fn points(cost: &Cost, clusters: usize) -> Vec<f64> {
 
 /// Pixels of the matched image on each triangle that is covered, times the chance that they are measured.
 fn expected_pixels(model: &Model, cluster: &ViewCluster) -> f64 {
+    let (pose, camera) = (&model.scene.view(cluster.key).cam_from_world, model.scene.camera_of(cluster.key));
     let pixels = |&triangle: &u32| {
-        let fulfilment = fulfilment::value(model, cluster.key, &cluster.partners, triangle);
-        fulfilment.coverage * fulfilment.confidence * projected_area(model, cluster.key, triangle)
+        let success = fulfilment::success(model, cluster.key, &cluster.partners, triangle);
+        let corners = model.surface.corners(triangle).map(|corner| pose.camera_from_world(&corner));
+        if success > 0.0 { success * fulfilment::projected_area(camera, &corners) } else { 0.0 }
     };
-    model.visibility.of(cluster.key).iter().map(pixels).sum()
-}
-
-/// Pixels of the matched image that the triangle covers.
-fn projected_area(model: &Model, view: ViewIndex, triangle: u32) -> f64 {
-    let (pose, camera) = (&model.scene.view(view).cam_from_world, model.scene.camera_of(view));
-    let [a, b, c] = model.surface.corners(triangle).map(|corner| camera.project(&pose.camera_from_world(&corner)));
-    let (Some(a), Some(b), Some(c)) = (a, b, c) else { return 0.0 };
-    0.5 * (b - a).perp(&(c - a)).abs() * model.rule.image_scale.powi(2)
+    let reduced = model.rule.image_scale.powi(2);
+    reduced * model.visibility.of(cluster.key).iter().map(pixels).sum::<f64>()
 }

@@ -108,7 +108,7 @@ impl Plan {
 
 /// Plans which views of the project become key views, with which partners, in which order.
 pub fn plan(project: &Project, settings: &Settings, watcher: &dyn Watcher) -> Result<Plan, PlanError> {
-    let mut timings = Timings::default();
+    let mut timings = Timings::start();
     let backend = planned_for(project, settings)?;
     watcher.progress(Stage::Read, 0, 1);
     let scene = timings.time(Stage::Read, || project.read_scene())?;
@@ -169,6 +169,7 @@ pub fn plan(project: &Project, settings: &Settings, watcher: &dyn Watcher) -> Re
         timings,
     };
     plan.warnings = warnings::warnings(&plan);
+    plan.timings.end();
     Ok(plan)
 }
 

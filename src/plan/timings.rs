@@ -6,29 +6,42 @@ use serde::{Serialize, Serializer, ser::SerializeMap};
 
 use crate::progress::Stage;
 
-/// Seconds of wall time per stage, in the order in which they ran.
-#[derive(Clone, Debug, Default)]
-pub struct Timings(Vec<(Stage, f64)>);
+/// Seconds of wall time per stage, in the order in which they ran, and from start to end.
+#[derive(Clone, Debug)]
+pub struct Timings {
+    start: Instant,
+    stages: Vec<(Stage, f64)>,
+    total: f64,
+}
 
 impl Timings {
+    pub fn start() -> Self {
+        Self { start: Instant::now(), stages: Vec::new(), total: 0.0 }
+    }
+
     /// Runs a stage and notes its time.
     pub fn time<T>(&mut self, stage: Stage, run: impl FnOnce() -> T) -> T {
         let start = Instant::now();
         let result = run();
-        self.0.push((stage, start.elapsed().as_secs_f64()));
+        self.stages.push((stage, start.elapsed().as_secs_f64()));
         result
     }
 
-    /// Of all stages so far, seconds.
+    /// Everything is done.
+    pub fn end(&mut self) {
+        self.total = self.start.elapsed().as_secs_f64();
+    }
+
+    /// From start to end, seconds; more than the stages together.
     pub fn total(&self) -> f64 {
-        self.0.iter().map(|(_, seconds)| seconds).sum()
+        self.total
     }
 }
 
 impl Serialize for Timings {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        let mut map = serializer.serialize_map(Some(self.0.len() + 1))?;
-        for (stage, seconds) in &self.0 {
+        let mut map = serializer.serialize_map(Some(self.stages.len() + 1))?;
+        for (stage, seconds) in &self.stages {
             map.serialize_entry(stage, seconds)?;
         }
         map.serialize_entry("total", &self.total())?;

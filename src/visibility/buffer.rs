@@ -155,13 +155,15 @@ impl Buffer {
         self.pixels.resize(face.width * face.height, 0);
     }
 
-    /// Draws a triangle given in camera coordinates; what is nearer than `near` is cut off.
-    pub fn draw(&mut self, face: &Face, corners: &[Point3<f64>; 3], near: f64, triangle: u32) {
-        let pixels = &mut self.pixels;
+    /// Draws a triangle given in camera coordinates; what is nearer than `near` is cut off. Returns how many pixels it covers.
+    pub fn draw(&mut self, face: &Face, corners: &[Point3<f64>; 3], near: f64, triangle: u32) -> u32 {
+        let (pixels, mut covered) = (&mut self.pixels, 0);
         for_each_pixel(face, corners, near, |at, inverse_depth| {
             let code = u64::from(inverse_depth.to_bits()) << 32 | u64::from(triangle);
             pixels[at] = pixels[at].max(code);
+            covered += 1;
         });
+        covered
     }
 
     /// The triangle in front in each pixel, row by row; `nothing` where none was drawn.
@@ -169,14 +171,13 @@ impl Buffer {
         self.pixels.iter().map(move |&code| if code == 0 { nothing } else { code as u32 })
     }
 
-    /// Pixels that the triangle covers, and how many of them are free.
-    pub fn count(&self, face: &Face, corners: &[Point3<f64>; 3], near: f64, tolerance: Tolerance) -> (u32, u32) {
-        let (mut covered, mut free) = (0, 0);
+    /// How many of the pixels that the triangle covers have nothing in front by more than the tolerance.
+    pub fn free(&self, face: &Face, corners: &[Point3<f64>; 3], near: f64, tolerance: Tolerance) -> u32 {
+        let mut free = 0;
         for_each_pixel(face, corners, near, |at, own| {
-            covered += 1;
             free += u32::from(!tolerance.hides(inverse_depth(self.pixels[at]).into(), own.into()));
         });
-        (covered, free)
+        free
     }
 
     /// Triangle and inverse depth in the pixel of a point in camera coordinates, and the point's own inverse depth; `None` outside

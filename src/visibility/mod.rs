@@ -185,6 +185,31 @@ struct Picture {
     candidates: Vec<Candidate>,
     /// Vertices of a patch in camera coordinates.
     vertices: Vec<Point3<f64>>,
+    /// For each triangle its place among the candidates, or [`NOTHING`].
+    places: Vec<u32>,
+}
+
+impl Picture {
+    /// Counts for each candidate the pixels where it is in front.
+    fn count_in_front(&mut self, triangles: usize) {
+        self.places.resize(triangles, NOTHING);
+        for (candidate, place) in self.candidates.iter().zip(0..) {
+            self.places[candidate.triangle as usize] = place;
+        }
+        for buffer in &self.buffers {
+            // Neighbouring pixels mostly show one triangle.
+            let (mut last, mut place) = (NOTHING, NOTHING);
+            for triangle in buffer.triangles(NOTHING).filter(|&t| t != NOTHING) {
+                if triangle != last {
+                    (last, place) = (triangle, self.places[triangle as usize]);
+                }
+                if place != NOTHING {
+                    self.candidates[place as usize].in_front += 1;
+                }
+            }
+        }
+        self.candidates.iter().for_each(|candidate| self.places[candidate.triangle as usize] = NOTHING);
+    }
 }
 
 /// A triangle that faces the camera and has its centroid in the image.
@@ -192,6 +217,10 @@ struct Candidate {
     triangle: u32,
     /// Camera coordinates.
     corners: [Point3<f64>; 3],
+    /// Pixels that it covers.
+    covered: u32,
+    /// Pixels where it is in front of everything.
+    in_front: u32,
 }
 
 impl<'a> Looking<'a> {
@@ -231,14 +260,14 @@ impl<'a> Looking<'a> {
             picture.vertices.extend(self.patches.vertices(patch).iter().map(|v| pose.camera_from_world(v)));
             for (triangle, corners) in self.patches.triangles(patch) {
                 let corners = corners.map(|c| picture.vertices[c]);
-                for (face, buffer) in faces.iter().zip(&mut picture.buffers) {
-                    buffer.draw(face, &corners, self.near, triangle);
-                }
+                let on_faces = faces.iter().zip(&mut picture.buffers);
+                let covered = on_faces.map(|(face, buffer)| buffer.draw(face, &corners, self.near, triangle)).sum();
                 if wanted(triangle) && self.may_be_visible(camera, &corners) {
-                    picture.candidates.push(Candidate { triangle, corners });
+                    picture.candidates.push(Candidate { triangle, corners, covered, in_front: 0 });
                 }
             }
         }
+        picture.count_in_front(self.surface.triangles.len());
     }
 
     /// Conditions 1 and 2 of method 2; corners in camera coordinates.
@@ -257,18 +286,28 @@ impl<'a> Looking<'a> {
     /// The candidates that are not occluded: condition 3.
     fn visible<'b>(&'b self, view: ViewIndex, picture: &'b Picture) -> impl Iterator<Item = u32> + 'b {
         let free = move |candidate: &&Candidate| {
-            let (covered, free) = self.free_pixels(view, picture, candidate);
-            let (covered, free) =
-                if covered < FEW_PIXELS { self.free_points(view, picture, candidate) } else { (covered, free) };
-            covered > 0 && f64::from(free) >= self.min_free_share * f64::from(covered)
+            let (samples, free) = if candidate.covered < FEW_PIXELS {
+                self.free_points(view, picture, candidate)
+            } else {
+                (candidate.covered, self.free_pixels(view, picture, candidate))
+            };
+            samples > 0 && self.are_enough(free, samples)
         };
         picture.candidates.iter().filter(free).map(|candidate| candidate.triangle)
     }
 
-    fn free_pixels(&self, view: ViewIndex, picture: &Picture, candidate: &Candidate) -> (u32, u32) {
+    fn are_enough(&self, free: u32, samples: u32) -> bool {
+        f64::from(free) >= self.min_free_share * f64::from(samples)
+    }
+
+    /// At least so many pixels of the candidate are free; exactly so many where that decides. Most triangles are in front in most of their
+    /// pixels, and need not be looked at again.
+    fn free_pixels(&self, view: ViewIndex, picture: &Picture, candidate: &Candidate) -> u32 {
+        if self.are_enough(candidate.in_front, candidate.covered) {
+            return candidate.in_front;
+        }
         let faces = self.camera(view).1.iter().zip(&picture.buffers);
-        let counts = faces.map(|(face, buffer)| buffer.count(face, &candidate.corners, self.near, self.tolerance));
-        counts.fold((0, 0), |sum, c| (sum.0 + c.0, sum.1 + c.1))
+        faces.map(|(face, buffer)| buffer.free(face, &candidate.corners, self.near, self.tolerance)).sum()
     }
 
     /// The centroid and the corners as samples, where they lie in the field.

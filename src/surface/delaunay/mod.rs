@@ -115,7 +115,7 @@ impl Delaunay {
         sites.push(Site::default());
         let (dimension, cells, free) = insertion::triangulate(&mut sites, watcher)?;
         sites.pop();
-        let cells = compact(cells, free, sites.len() as u32);
+        let cells = compact(&cells, &free, sites.len() as u32);
         watcher.check()?;
         let cell_of_vertex = cells_of_vertices(&cells, sites.len());
         Ok(Delaunay { dimension, cells, vertex_of_point, sites, grid, cell_of_vertex })
@@ -152,31 +152,37 @@ impl Delaunay {
     }
 }
 
-/// Closes the gaps that unused cells left, by moving cells from the end into them, and names the vertex at infinity.
-fn compact(mut cells: Vec<Cell>, mut free: Vec<u32>, infinite: u32) -> Vec<Cell> {
-    free.sort_unstable();
-    let kept = cells.len() - free.len();
-    let mut spare = free.clone();
-    let mut gaps = free.iter().copied().take_while(|&gap| (gap as usize) < kept);
-    for from in (kept as u32..cells.len() as u32).rev() {
-        if spare.last() == Some(&from) {
-            spare.pop();
-            continue;
-        }
-        let gap = gaps.next().expect("as many gaps below the new length as cells above it");
-        let moved = cells[from as usize];
-        cells[gap as usize] = moved;
-        for (index, beyond) in moved.neighbours.into_iter().enumerate() {
-            cells[beyond.cell() as usize].neighbours[beyond.index()] = Facet::new(gap, index);
-        }
+/// The used cells, numbered by their first vertex along the space-filling curve: rays that walk from cell to cell, and the cut, then
+/// find cells near in space near in memory. Names the vertex at infinity.
+fn compact(cells: &[Cell], free: &[u32], infinite: u32) -> Vec<Cell> {
+    const UNUSED: u32 = u32::MAX;
+    let first = |cell: &Cell| cell.vertices.into_iter().min().expect("a cell has four vertices") as usize;
+    let mut place = vec![0; cells.len()];
+    free.iter().for_each(|&gap| place[gap as usize] = UNUSED);
+    let mut next = vec![0; infinite as usize + 2];
+    for (cell, _) in cells.iter().zip(&place).filter(|&(_, &place)| place != UNUSED) {
+        next[first(cell) + 1] += 1;
     }
-    cells.truncate(kept);
-    for cell in &mut cells {
-        if cell.vertices[3] == infinite {
-            cell.vertices[3] = INFINITE;
-        }
+    for vertex in 1..next.len() {
+        next[vertex] += next[vertex - 1];
     }
-    cells
+    for (cell, place) in cells.iter().zip(&mut place).filter(|(_, place)| **place != UNUSED) {
+        let next = &mut next[first(cell)];
+        *place = *next;
+        *next += 1;
+    }
+    let mut order = vec![0; cells.len() - free.len()];
+    for (from, &to) in place.iter().enumerate().filter(|&(_, &place)| place != UNUSED) {
+        order[to as usize] = from;
+    }
+    let placed = |from: usize| {
+        let Cell { mut vertices, neighbours } = cells[from];
+        if vertices[3] == infinite {
+            vertices[3] = INFINITE;
+        }
+        Cell { vertices, neighbours: neighbours.map(|f| Facet::new(place[f.cell() as usize], f.index())) }
+    };
+    order.into_iter().map(placed).collect()
 }
 
 fn cells_of_vertices(cells: &[Cell], vertices: usize) -> Vec<u32> {
