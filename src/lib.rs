@@ -10,8 +10,7 @@
 //! - [`backends`] what each MVS program can match and the files it reads
 //! - [`undistort`] undistorted images for the backends that need them
 //! - [`depthmaps`] finished depth maps of the backends
-//! - [`pictures`] and [`report`] what people look at; [`tables`] what programs check; [`dispatch`] the clusters as tasks of a queue
-//! - [`plan`] runs the stages; [`evaluate`] method 8: real fulfilment, baselines; [`output`] makes files appear whole or not at all
+//! - [`plan`] runs the stages; [`evaluate`] method 8: real fulfilment, baselines; [`replan`] method 5.4; [`output`] makes files appear whole or not at all
 //! - [`config`] every setting; [`progress`] progress and cancellation; [`error`] what errors say beside their message
 
 pub mod backends;
@@ -33,6 +32,7 @@ pub mod plan;
 pub mod progress;
 pub mod project;
 pub mod ranking;
+pub mod replan;
 pub mod report;
 pub mod scene;
 pub mod surface;

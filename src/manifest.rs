@@ -10,12 +10,13 @@ use schemars::{JsonSchema, Schema, schema_for};
 use serde::Serialize;
 
 pub use fingerprint::{FingerprintError, fingerprint};
+pub(crate) use written::Recorded;
 pub use written::{WrittenPlan, WrittenPlanError};
 
 use crate::{
     backends::{ExportRecord, RankedCluster},
-    config::{DispatchSettings, Settings},
-    plan::{Cut, Forecast, Plan, Reason, ViewStatus},
+    config::Settings,
+    plan::{Cut, Forecast, Outdated, Plan, Reason, ViewStatus},
     project::Project,
     scene::{Units, ViewIndex},
     surface::{SurfaceKind, SurfaceStats},
@@ -47,6 +48,8 @@ pub struct Manifest {
     pub views: Vec<ViewEntry>,
     /// Images without a pose, by name.
     pub unregistered: Vec<String>,
+    /// Finished depth maps that no longer fit the model, by key view; they count for nothing and have to be made again.
+    pub outdated: Vec<Outdated>,
     pub forecast: Forecast,
     /// What was written for each backend, and what it will not honour.
     pub exports: Vec<ExportRecord>,
@@ -101,6 +104,8 @@ pub struct Cluster {
     pub fulfilment: f64,
     /// The same as a share of what all clusters together reach.
     pub share: f64,
+    /// It has its depth map, and gain and fulfilment are what that really reaches; all that is finished comes first.
+    pub finished: bool,
 }
 
 /// What becomes of a registered view.
@@ -121,12 +126,13 @@ impl Manifest {
             input: Input::new(plan, project)?,
             units: plan.settings.units.unwrap_or(Units::Relative),
             backend: plan.backend.into(),
-            settings: Settings { dispatch: DispatchSettings::default(), ..plan.settings.clone() },
+            settings: plan.settings.of_plan(),
             surface: SurfaceSummary::new(plan),
             clusters: clusters(plan),
             cut: plan.cut,
             views: plan.scene.view_indices().map(|view| ViewEntry::new(plan, view)).collect(),
             unregistered: plan.scene.unregistered.clone(),
+            outdated: plan.finished.outdated.clone(),
             forecast: plan.forecast,
             exports,
             warnings: plan.warnings.clone(),
@@ -208,6 +214,7 @@ fn clusters(plan: &Plan) -> Vec<Cluster> {
         gain: plan.ranking.gains[i],
         fulfilment: plan.ranking.fulfilment[i],
         share: cluster.share,
+        finished: i < plan.finished.clusters,
     };
     ranked.map(entry).collect()
 }

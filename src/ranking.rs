@@ -3,9 +3,13 @@
 //! `f_o(V) = sum over triangles of weight x (1/m) x (the sum of the m largest f(t, v), v in V)` is monotone and submodular, so the
 //! greedy order is within 1 - 1/e of the best set of each length. m is the `support`; m = 1 is the paper's maximum.
 
+mod belief;
+
 use std::{cmp::Ordering, collections::BinaryHeap};
 
 use rayon::prelude::*;
+
+pub use self::belief::{Attempt, Beliefs};
 
 use crate::{
     config::TriangleWeight,
@@ -17,7 +21,7 @@ use crate::{
 /// Greedy order of the clusters.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Ranking {
-    /// Cluster indices (into the plan's clusters), best first; only those with a gain above 0.
+    /// Cluster indices (into the plan's clusters), best first; only those with a gain above 0, or finished already.
     pub order: Vec<u32>,
     /// Gain of f_o of each, at its time.
     pub gains: Vec<f64>,
@@ -31,11 +35,18 @@ impl Ranking {
         self.fulfilment.last().copied().unwrap_or(0.0)
     }
 
+    fn push(&mut self, cluster: u32, gain: f64) {
+        let sum = self.total() + gain;
+        self.order.push(cluster);
+        self.gains.push(gain);
+        self.fulfilment.push(sum);
+    }
+
     /// f_o of the first `length` clusters over f_o of all; 0 where nothing can be reached.
     pub fn share(&self, length: usize) -> f64 {
         match length.min(self.fulfilment.len()) {
-            0 => 0.0,
-            n => self.fulfilment[n - 1] / self.total(),
+            n if n > 0 && self.total() > 0.0 => self.fulfilment[n - 1] / self.total(),
+            _ => 0.0,
         }
     }
 
@@ -67,14 +78,32 @@ pub fn rank(
     support: u32,
     watcher: &dyn Watcher,
 ) -> Result<Ranking, Cancelled> {
-    let clusters = table.clusters();
+    rank_after(&[], table, weights, support, watcher)
+}
+
+/// The same behind clusters that are finished: they come first, in their order, whatever they gain (method 5.4).
+pub fn rank_after(
+    finished: &[u32],
+    table: &FulfilmentTable,
+    weights: &[f64],
+    support: u32,
+    watcher: &dyn Watcher,
+) -> Result<Ranking, Cancelled> {
     let mut reached = Reached::new(weights, support);
-    let first: Vec<f64> = (0..clusters).into_par_iter().map(|c| reached.gain(table.of(c))).collect();
-    let stale = first.into_iter().enumerate().map(|(c, gain)| Entry { gain, cluster: c as u32, taken_then: 0 });
+    let mut ranking = Ranking::default();
+    let mut left = vec![true; table.clusters()];
+    for &cluster in finished {
+        let row = table.of(cluster as usize);
+        ranking.push(cluster, reached.gain(row));
+        reached.take(row);
+        left[cluster as usize] = false;
+    }
+    let gain = |c: usize| if left[c] { reached.gain(table.of(c)) } else { 0.0 };
+    let first: Vec<f64> = (0..table.clusters()).into_par_iter().map(gain).collect();
+    let taken_then = finished.len();
+    let stale = first.into_iter().enumerate().map(|(c, gain)| Entry { gain, cluster: c as u32, taken_then });
     let mut heap: BinaryHeap<Entry> = stale.filter(|e| e.gain > 0.0).collect();
     let total = heap.len() as u64;
-    let mut ranking = Ranking::default();
-    let mut sum = 0.0;
     watcher.progress(Stage::Ranking, 0, total);
     while let Some(top) = heap.pop() {
         watcher.check()?;
@@ -87,10 +116,7 @@ pub fn rank(
             continue;
         }
         reached.take(cluster);
-        sum += top.gain;
-        ranking.order.push(top.cluster);
-        ranking.gains.push(top.gain);
-        ranking.fulfilment.push(sum);
+        ranking.push(top.cluster, top.gain);
         watcher.progress(Stage::Ranking, total - heap.len() as u64, total);
     }
     watcher.progress(Stage::Ranking, total, total);
@@ -230,6 +256,22 @@ mod tests {
             }
             let all: Vec<usize> = (0..rows.len()).collect();
             prop_assert!((ranking.total() - fulfilment(&rows, &all, 12, support as usize)).abs() < 1e-6);
+        }
+
+        #[test]
+        fn what_is_finished_comes_first_and_the_rest_is_greedy_behind_it(rows in rows(), support in 1u32..4) {
+            let table = table(&rows);
+            let weights = vec![1.0 / 12.0; 12];
+            let whole = rank(&table, &weights, support, &Unwatched).unwrap();
+            for length in 0..=whole.order.len() {
+                prop_assert_eq!(&rank_after(&whole.order[..length], &table, &weights, support, &Unwatched).unwrap(), &whole);
+            }
+            let last: Vec<u32> = (0..rows.len() as u32).rev().take(2).collect();
+            let after = rank_after(&last, &table, &weights, support, &Unwatched).unwrap();
+            prop_assert_eq!(&after.order[..last.len()], &last[..]);
+            prop_assert!((after.total() - whole.total()).abs() < 1e-6);
+            let behind = after.gains[last.len()..].iter();
+            prop_assert!(behind.clone().zip(behind.skip(1)).all(|(a, b)| a >= b));
         }
 
         #[test]

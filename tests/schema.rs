@@ -5,7 +5,7 @@
 use std::{env, fs, path::Path};
 
 use schemars::{Schema, schema_for};
-use viewrank::{config::Settings, manifest::Manifest};
+use viewrank::{config::Settings, daemon::Progress, manifest::Manifest};
 
 fn compare(name: &str, schema: &Schema) {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("schema").join(name);
@@ -19,6 +19,11 @@ fn compare(name: &str, schema: &Schema) {
 #[test]
 fn schema_of_the_manifest() {
     compare("manifest.schema.json", &Manifest::schema());
+}
+
+#[test]
+fn schema_of_the_progress() {
+    compare("progress.schema.json", &schema_for!(Progress));
 }
 
 #[test]

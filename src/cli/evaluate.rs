@@ -36,7 +36,7 @@ pub struct Arguments {
     /// The view clusters that the maps were made for, in their order [default: the plan's]
     #[arg(long, value_name = "FILE", requires = "depth_maps")]
     clusters: Option<PathBuf>,
-    /// Also compare the order with others: nocp, realupdate, maxpts, every n-th, random, optimum
+    /// Also compare the order with others: nocp, realupdate, replan, maxpts, every n-th, random, optimum
     #[arg(long, requires = "depth_maps")]
     baselines: bool,
 

@@ -10,6 +10,7 @@ use viewrank::{
     plan::{self, Plan, PlanFiles},
     progress::{Stage, Watcher},
     project::Project,
+    replan::{Earlier, Maps, replan},
     surface::ply,
     tables,
 };
@@ -78,6 +79,10 @@ pub struct Arguments {
     /// Sub-model to plan for [default: the one with most images]
     #[arg(long, value_name = "N", help_heading = "How")]
     model: Option<String>,
+    /// Keep the finished depth maps in this folder, which were made for an earlier plan of PROJECT, and rank the rest again around what
+    /// they really reach
+    #[arg(long, value_name = "DIR", help_heading = "How")]
+    finished: Option<PathBuf>,
     /// Seed of all random choices
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(i64).range(0..), help_heading = "How")]
     seed: Option<i64>,
@@ -110,7 +115,12 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let project = Project::open(&arguments.project, arguments.model.as_deref())?;
     let settings = config::load(Some(&project.root), arguments.typed())?.settings;
     let progress = Progress::new(arguments.quiet);
-    let plan = plan::plan(&project, &settings, &progress)?;
+    let mut plan = plan::plan(&project, &settings, &progress)?;
+    if let Some(folder) = &arguments.finished {
+        output::recover(&project.root, &Disk::REAL)?;
+        let maps = Maps { folder, ready: &|_| true };
+        plan = replan(plan, &Earlier::read(&project)?, &maps, &progress)?.0;
+    }
     let files = plan::files(&plan, &project)?;
     if !arguments.dry_run {
         write(arguments, &plan, &files, &progress)?;

@@ -23,6 +23,8 @@ pub struct Summary<'a> {
     views: usize,
     points: usize,
     triangles: usize,
+    /// Depth maps that are there already and stay in the plan.
+    finished: usize,
     /// g_d, scene units per pixel.
     gsd: f64,
     cut: Cut,
@@ -50,6 +52,7 @@ impl<'a> Summary<'a> {
             views: plan.scene.views.len(),
             points: plan.scene.points.len(),
             triangles: plan.surface.triangles.len(),
+            finished: plan.finished.clusters,
             gsd: plan.settings.target.gsd.unwrap_or(f64::NAN),
             cut: plan.cut,
             forecast: plan.forecast,
@@ -91,13 +94,27 @@ impl<'a> Summary<'a> {
     fn advice(&self) -> String {
         format!(
             "\nCompute {} of {} depth maps, {} image pairs instead of {}:\n\
-             {:.1} % of the quality that all of them together would give (predicted).\n",
+             {:.1} % of the quality that all of them together would give (predicted).\n{}",
             grouped(self.cut.clusters),
             grouped(self.forecast.all_maps),
             grouped(self.cut.pairs),
             grouped(self.forecast.all_pairs),
-            self.cut.share * 100.0
+            self.cut.share * 100.0,
+            self.done()
         )
+    }
+
+    fn done(&self) -> String {
+        match self.finished {
+            0 => String::new(),
+            n => {
+                let reached = self.manifest.clusters[n - 1].share * 100.0;
+                format!(
+                    "{} of them are finished, the first of the list: they really reach {reached:.1} %.\n",
+                    grouped(n)
+                )
+            }
+        }
     }
 
     /// A few points of the curve.

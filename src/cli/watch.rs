@@ -9,7 +9,7 @@ use signal_hook::{
 };
 use viewrank::{
     config::Bytes,
-    daemon::{Options, PlanJob, Signal, queue, state::OnBusy, watch_roots},
+    daemon::{Options, PlanJob, PlanOptions, Signal, queue, state::OnBusy, watch_roots},
     error::Hint,
     output::Disk,
 };
@@ -51,9 +51,16 @@ pub struct Arguments {
     /// Write a Prometheus text file.
     #[arg(long, value_name = "FILE")]
     metrics: Option<PathBuf>,
-    /// Run this by the shell when a project's target is reached by its depth maps; its folder is in VIEWRANK_PROJECT.
+    /// Rank again what is left whenever depth maps have come, by what they really reach; what is finished stays first.
+    #[arg(long)]
+    replan: bool,
+    /// Run this by the shell once when a project's target is reached by its depth maps; its folder is in VIEWRANK_PROJECT [default:
+    /// on_target of your own viewrank.toml; that of a project is refused].
     #[arg(long, value_name = "COMMAND")]
     on_target: Option<String>,
+    /// Memory for plans whose depth maps are coming, so that they needn't be made again for each.
+    #[arg(long, default_value = "256M", value_name = "SIZE")]
+    cache: Bytes,
     #[arg(long, default_value = "text", value_name = "FORMAT")]
     log_format: LogFormat,
 }
@@ -68,7 +75,8 @@ pub fn run(arguments: Arguments) -> Result<(), Failure> {
     start_log(arguments.log_format);
     queue::lower_priority();
     let once = arguments.once;
-    let planner = PlanJob::new(arguments.on_target.clone());
+    let on_target = arguments.on_target.clone();
+    let planner = PlanJob::new(PlanOptions { on_target, replan: arguments.replan, cache: arguments.cache.0 });
     let options = arguments.options();
     let summary = watch_roots(&options, &planner, &Disk::REAL, forward_signals)?;
     match summary.failed {

@@ -357,12 +357,17 @@ mod tests {
 
     #[test]
     fn a_projects_file_names_no_commands() {
-        let user = "[dispatch]\nsetup = \"module load colmap\"\n";
-        let both = load(user, "dispatch.partition = \"mvs\"", Typed::default()).unwrap().settings.dispatch;
-        assert_eq!((both.setup.as_str(), both.partition.as_deref()), ("module load colmap", Some("mvs")));
+        let user = "on_target = \"touch stop\"\n[dispatch]\nsetup = \"module load colmap\"\n";
+        let both = load(user, "dispatch.partition = \"mvs\"", Typed::default()).unwrap().settings;
+        assert_eq!(both.on_target.as_deref(), Some("touch stop"));
+        assert_eq!(
+            (both.dispatch.setup.as_str(), both.dispatch.partition.as_deref()),
+            ("module load colmap", Some("mvs"))
+        );
         let refusal = "project.toml:1: dispatch.setup has commands run, which a project's file must not";
         assert_eq!(refused("dispatch.setup = \"rm -rf /\"").0, refusal);
         assert!(load("", "[dispatch]\noptions = [\"--wrap=id\"]", Typed::default()).is_err());
+        assert!(refused("\non_target = \"rm -r /\"").0.starts_with("project.toml:2: on_target has commands run"));
     }
 
     #[test]

@@ -44,6 +44,16 @@ pub struct Settings {
     pub cut: CutSettings,
     pub forecast: ForecastSettings,
     pub dispatch: DispatchSettings,
+    /// What `viewrank watch` has the shell run once when a project's target is reached by its depth maps. In the user's own file only.
+    #[schemars(extend("userOnly" = true))]
+    pub on_target: Option<String>,
+}
+
+impl Settings {
+    /// Those that a plan follows from; the others have their defaults.
+    pub fn of_plan(&self) -> Self {
+        Self { dispatch: DispatchSettings::default(), on_target: None, ..self.clone() }
+    }
 }
 
 impl Default for Settings {
@@ -64,6 +74,7 @@ impl Default for Settings {
             cut: CutSettings::default(),
             forecast: ForecastSettings::default(),
             dispatch: DispatchSettings::default(),
+            on_target: None,
         }
     }
 }
@@ -365,7 +376,7 @@ pub enum TriangleWeight {
 }
 
 /// Method 5.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct RankingSettings {
     /// Depth maps that must see a triangle (m, method 5.2). Unset: the backend's.
@@ -373,6 +384,16 @@ pub struct RankingSettings {
     pub support: Option<u32>,
     /// What a triangle counts.
     pub weight: TriangleWeight,
+    /// A finished depth map stays in the plan of a changed model while what it shows moved by no more than this in any image of its
+    /// cluster.
+    #[schemars(range(min = 0), extend("unit" = "px"))]
+    pub keep_px: f64,
+}
+
+impl Default for RankingSettings {
+    fn default() -> Self {
+        Self { support: None, weight: TriangleWeight::default(), keep_px: 1.0 }
+    }
 }
 
 /// Method 5.3; the first that is reached cuts. All unset: a target of 90 %.

@@ -1,76 +1,77 @@
-//! Follows the backend: counts the depth maps that appear, measures what they really reach, and says when it is enough.
+//! Follows the backend: measures what the finished depth maps really reach, and says when it is enough.
 
 use std::{
     fs,
     path::{Path, PathBuf},
-    time::{SystemTime, UNIX_EPOCH},
+    time::SystemTime,
 };
 
-use serde::Serialize;
-use walkdir::WalkDir;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
 
-use super::{discover::OUTPUT_FOLDER, state::Outcome};
+use super::{discover::OUTPUT_FOLDER, maps::MapFiles};
 use crate::{
     depthmaps,
-    error::Hint,
-    evaluate::{Run, Task, curve::Curve},
-    output::{self, Disk},
-    partners::ViewCluster,
-    plan::{self, Plan},
+    evaluate::{Run, curve::Curve},
+    output::{self, Disk, OutputError},
+    plan::{Outdated, Plan},
     progress::Watcher,
     ranking,
+    replan::{Earlier, Maps, ReplanError, replan},
+    scene::ViewIndex,
 };
 
-/// What is said of the progress, for queues: `integrations/sgm` ends when `target_reached` is true.
 const PROGRESS: &str = "progress.json";
+/// A pause so many times longer than the usual time between two maps is not counted as time of matching.
+const PAUSE: f64 = 20.0;
 
-/// How the depth maps of a project look from outside.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct MapsStamp {
-    files: u64,
-    bytes: u64,
-    newest_ns: u128,
+/// `viewrank/progress.json`: how far the backend is, for queues and people. Written by `viewrank watch` whenever depth maps have come.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct Progress {
+    /// Version of this format.
+    pub version: u32,
+    /// Is the share that is wanted reached in reality? Queues may stop then; `integrations/sgm` does.
+    pub target_reached: bool,
+    /// Key views that have their depth map, of those up to the plan's cut.
+    pub done: usize,
+    /// Key views up to the plan's cut.
+    pub clusters: usize,
+    /// Real fulfilment of all finished depth maps over what all view clusters of the ranking together are expected to reach, 0 to 1.
+    pub share: f64,
+    /// The share that is wanted, 0 to 1.
+    pub target: f64,
+    /// Fulfilment f_o that the finished depth maps really have, 0 to 1. Every depth on the surface counts as right.
+    pub fulfilment: f64,
+    /// Fulfilment f_o that all view clusters together are expected to have: real where finished, else predicted, with failures remembered.
+    pub reachable: f64,
+    /// Depth maps that have to be added along the list until the target is expected to be reached; null where the list is too short.
+    pub clusters_to_target: Option<usize>,
+    /// Seconds that a matching pair takes, by the times of the depth maps; null before the second map.
+    pub seconds_per_pair: Option<f64>,
+    /// Seconds until the target is expected to be reached; null where that is not known.
+    pub seconds_to_target: Option<f64>,
+    /// Seconds to the end of the list; null where that is not known.
+    pub seconds_left: Option<f64>,
+    /// Key views with a finished depth map that counts, in the order of the plan.
+    pub finished: Vec<String>,
+    /// Finished depth maps that no longer fit the model; they count for nothing.
+    pub outdated: Vec<Outdated>,
+    /// Why something was not measured; null where all was.
+    pub note: Option<String>,
+    /// Has the command for a reached target (`on_target`) been run?
+    pub announced: bool,
 }
 
-impl MapsStamp {
-    /// Counts what looks like a depth map.
-    pub fn of(project: &Path) -> Self {
-        let mut stamp = Self::default();
-        for folder in depthmaps::folders(project) {
-            let entries = WalkDir::new(folder).into_iter().filter_map(Result::ok);
-            for entry in entries.filter(|e| depthmaps::looks_like_one(e.path())) {
-                let Ok(metadata) = entry.metadata() else { continue };
-                let age = metadata.modified().ok().and_then(|at| at.duration_since(UNIX_EPOCH).ok());
-                stamp.files += 1;
-                stamp.bytes += metadata.len();
-                stamp.newest_ns = stamp.newest_ns.max(age.map_or(0, |age| age.as_nanos()));
-            }
-        }
-        stamp
+impl Progress {
+    /// What was said last of a project; `None` where nothing was.
+    pub fn read(root: &Path) -> Option<Self> {
+        serde_json::from_slice(&fs::read(progress_file(root)).ok()?).ok()
     }
 
-    pub fn is_empty(&self) -> bool {
-        self.files == 0
+    pub fn write(&self, root: &Path) -> Result<(), OutputError> {
+        let text = serde_json::to_string_pretty(self).unwrap_or_default() + "\n";
+        output::replace(&progress_file(root), text.as_bytes(), &Disk::REAL)
     }
-}
-
-/// `viewrank/progress.json`.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-struct Progress {
-    version: u32,
-    /// Key views of the plan, up to its cut, that have a depth map.
-    done: usize,
-    /// Key views up to the cut.
-    clusters: usize,
-    /// Real fulfilment over what all clusters together reach by prediction.
-    share: f64,
-    /// The share that is wanted.
-    target: f64,
-    target_reached: bool,
-    /// Seconds a matching pair took, by the times of the maps; null before the second map.
-    seconds_per_pair: Option<f64>,
-    /// Forecast seconds to the end of the list.
-    seconds_left: Option<f64>,
 }
 
 /// Where the progress of a project is said.
@@ -80,76 +81,108 @@ pub fn progress_file(root: &Path) -> PathBuf {
 
 /// Was the target reached when the depth maps were last measured?
 pub fn target_reached(root: &Path) -> bool {
-    let text = fs::read(progress_file(root)).unwrap_or_default();
-    serde_json::from_slice::<serde_json::Value>(&text).is_ok_and(|progress| progress["target_reached"] == true)
+    Progress::read(root).is_some_and(|progress| progress.target_reached)
 }
 
-/// Measures the finished depth maps of a planned project and writes its `progress.json`.
-pub fn follow(root: &Path, watcher: &dyn Watcher) -> Outcome {
-    match measure(root, watcher) {
-        Ok(Some(progress)) => write(root, &progress),
-        Ok(None) | Err(None) => Outcome::Abandoned,
-        Err(Some(failed)) => failed,
+/// The folder with most of these depth maps, the first of equals.
+pub(super) fn fullest_folder(root: &Path, files: &MapFiles) -> Option<PathBuf> {
+    let count = |folder: &PathBuf| files.keys().filter(|file| file.starts_with(folder)).count();
+    let counted = depthmaps::folders(root).into_iter().map(|folder| (count(&folder), folder)).filter(|(n, _)| *n > 0);
+    counted.reduce(|best, next| if next.0 > best.0 { next } else { best }).map(|(_, folder)| folder)
+}
+
+/// A plan and the depth maps that are there for it.
+pub(super) struct Following<'a> {
+    /// By the prediction alone.
+    pub plan: Plan,
+    pub earlier: &'a Earlier,
+    pub folder: &'a Path,
+    pub files: &'a MapFiles,
+    /// The rest of the list is to be ranked again.
+    pub replan: bool,
+}
+
+impl Following<'_> {
+    /// The plan around what is finished, and how far it is.
+    pub fn measure(self, watcher: &dyn Watcher) -> Result<(Plan, Progress), ReplanError> {
+        let predicted_cut = self.plan.cut;
+        let written: Vec<ViewIndex> = self.earlier.keys().filter_map(|key| self.plan.scene.find(key)).collect();
+        let target = self.plan.settings.cut.target.map_or(predicted_cut.share, |share| share.0);
+        let maps = Maps { folder: self.folder, ready: &|path| self.files.contains_key(path) };
+        let (plan, run) = replan(self.plan, self.earlier, &maps, watcher)?;
+        let order = if self.replan { plan.ranking.order.clone() } else { listed(&plan, &written) };
+        let cut = if self.replan { plan.cut.clusters } else { predicted_cut.clusters.max(plan.finished.clusters) };
+        let ahead = Ahead::new(&plan, &order, cut, target);
+        let seconds_per_pair = run.as_ref().and_then(|run| seconds_per_pair(&plan, run, self.folder));
+        let seconds = |pairs: usize| seconds_per_pair.map(|seconds| seconds * pairs as f64);
+        let name = |&c: &u32| plan.scene.name(plan.clusters[c as usize].key).to_owned();
+        let finished: Vec<String> = plan.ranking.order[..plan.finished.clusters].iter().map(name).collect();
+        let notes = &plan.finished.unreadable;
+        let progress = Progress {
+            version: 1,
+            target_reached: !finished.is_empty() && ahead.share >= target,
+            done: finished.len().min(cut),
+            clusters: cut,
+            share: ahead.share,
+            target,
+            fulfilment: ahead.fulfilment,
+            reachable: plan.ranking.total(),
+            clusters_to_target: ahead.to_target.map(|(clusters, _)| clusters),
+            seconds_per_pair,
+            seconds_to_target: ahead.to_target.and_then(|(_, pairs)| seconds(pairs)),
+            seconds_left: seconds(ahead.pairs_left),
+            finished,
+            outdated: plan.finished.outdated.clone(),
+            note: notes.first().map(|first| match notes.len() {
+                1 => first.clone(),
+                n => format!("{first}, and {} more", n - 1),
+            }),
+            announced: false,
+        };
+        Ok((plan, progress))
     }
 }
 
-fn write(root: &Path, progress: &Progress) -> Outcome {
-    let text = serde_json::to_string_pretty(progress).unwrap_or_default() + "\n";
-    match output::replace(&progress_file(root), text.as_bytes(), &Disk::REAL) {
-        Ok(()) => {
-            let Progress { done, clusters, share, target_reached, .. } = *progress;
-            Outcome::Followed { done, clusters, share, reached: target_reached }
+/// What is finished, then the rest of the list as it was written, then the rest of the ranking.
+fn listed(plan: &Plan, written: &[ViewIndex]) -> Vec<u32> {
+    let mut order = plan.ranking.order[..plan.finished.clusters].to_vec();
+    let place = |key: &ViewIndex| plan.clusters.binary_search_by_key(key, |cluster| cluster.key).ok();
+    let list = written.iter().filter_map(place).map(|c| c as u32);
+    let mut taken = vec![false; plan.clusters.len()];
+    order.iter().for_each(|&c| taken[c as usize] = true);
+    order.extend(
+        list.chain(plan.ranking.order.iter().copied()).filter(|&c| !std::mem::replace(&mut taken[c as usize], true)),
+    );
+    order
+}
+
+/// What lies ahead along a list whose first clusters are finished.
+struct Ahead {
+    fulfilment: f64,
+    share: f64,
+    /// Clusters and pairs to the target.
+    to_target: Option<(usize, usize)>,
+    pairs_left: usize,
+}
+
+impl Ahead {
+    fn new(plan: &Plan, order: &[u32], cut: usize, target: f64) -> Self {
+        let weights = ranking::weights(&plan.surface, plan.settings.ranking.weight);
+        let support = plan.settings.ranking.support.unwrap_or(1);
+        let curve = Curve::new(&plan.fulfilment, &weights, support, &plan.clusters, order);
+        let (done, total) = (plan.finished.clusters, plan.ranking.total());
+        let reached = curve.clusters_for(target * total).filter(|&n| n <= cut.max(done));
+        let pairs = |n: usize| curve.pairs[n].saturating_sub(curve.pairs[done]);
+        Self {
+            fulfilment: curve.fulfilment[done],
+            share: curve.share(done, total),
+            to_target: reached.map(|n| (n.saturating_sub(done), pairs(n))),
+            pairs_left: pairs(cut.min(order.len())),
         }
-        Err(error) => failure(error),
     }
 }
 
-fn failure(error: impl Hint) -> Outcome {
-    Outcome::Failed { reason: error.to_string(), hint: error.hint() }
-}
-
-/// `None` where no map belongs to a key view of the plan.
-fn measure(root: &Path, watcher: &dyn Watcher) -> Result<Option<Progress>, Option<Outcome>> {
-    let (_, plan) = plan::again(root, watcher).map_err(|error| Some(failure(error)))?;
-    let chosen: Vec<ViewCluster> = plan.chosen().cloned().collect();
-    let model = plan.model();
-    let accuracy = model.target.accuracy_over_gsd * plan.settings.target.gsd.unwrap_or(1.0);
-    for folder in depthmaps::folders(root) {
-        if watcher.cancelled() {
-            return Err(None);
-        }
-        let task = Task { model, clusters: &chosen, depth_maps: &folder, reference: None, accuracy };
-        // A folder without maps of this plan, or with one that is being written: the next one, or the next time.
-        let Ok(run) = Run::new(&task, watcher) else { continue };
-        if !run.clusters.is_empty() {
-            return Ok(Some(progress(&plan, &chosen, &run, &folder)));
-        }
-    }
-    Ok(None)
-}
-
-fn progress(plan: &Plan, chosen: &[ViewCluster], run: &Run, folder: &Path) -> Progress {
-    let weights = ranking::weights(&plan.surface, plan.settings.ranking.weight);
-    let support = plan.settings.ranking.support.unwrap_or(1);
-    let real = Curve::new(&run.real, &weights, support, &run.clusters, &run.order).total();
-    let share = if plan.ranking.total() > 0.0 { real / plan.ranking.total() } else { 0.0 };
-    let target = plan.settings.cut.target.map_or(plan.cut.share, |share| share.0);
-    let pairs = |clusters: &[ViewCluster]| clusters.iter().map(|c| c.partners.len()).sum::<usize>();
-    let seconds_per_pair = seconds_per_pair(plan, run, folder);
-    let left = pairs(chosen).saturating_sub(pairs(&run.clusters));
-    Progress {
-        version: 1,
-        done: run.clusters.len(),
-        clusters: chosen.len(),
-        share,
-        target,
-        target_reached: share >= target,
-        seconds_per_pair,
-        seconds_left: seconds_per_pair.map(|seconds| seconds * left as f64),
-    }
-}
-
-/// The time between the first and the last map, over the pairs of all but the first.
+/// The time between maps over their pairs, without pauses.
 fn seconds_per_pair(plan: &Plan, run: &Run, folder: &Path) -> Option<f64> {
     let maps = depthmaps::find(folder, &plan.scene).ok()?.maps;
     let time = |path: &Path| fs::metadata(path).and_then(|m| m.modified()).ok();
@@ -159,8 +192,11 @@ fn seconds_per_pair(plan: &Plan, run: &Run, folder: &Path) -> Option<f64> {
         times.push((time(&map.path)?, cluster.partners.len()));
     }
     times.sort_unstable();
-    let (first, rest) = times.split_first()?;
-    let pairs: usize = rest.iter().map(|(_, pairs)| pairs).sum();
-    let span = rest.last()?.0.duration_since(first.0).ok()?;
-    (pairs > 0).then(|| span.as_secs_f64() / pairs as f64)
+    let gap = |w: &[(SystemTime, usize)]| Some((w[1].0.duration_since(w[0].0).ok()?.as_secs_f64(), w[1].1));
+    let mut gaps: Vec<(f64, usize)> = times.windows(2).filter_map(gap).collect();
+    gaps.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let usual = gaps.get(gaps.len() / 2)?.0;
+    gaps.retain(|(seconds, _)| usual == 0.0 || *seconds <= PAUSE * usual);
+    let pairs: usize = gaps.iter().map(|(_, pairs)| pairs).sum();
+    (pairs > 0).then(|| gaps.iter().map(|(seconds, _)| seconds).sum::<f64>() / pairs as f64)
 }

@@ -17,17 +17,22 @@ use tracing::warn;
 
 use super::{
     discover::OUTPUT_FOLDER,
-    follow, queue,
+    follow::{Following, Progress, fullest_folder},
+    kept::KeptPlans,
+    maps::MapFiles,
+    queue,
     settle::{Fingerprint, HashCache, Stamp},
     state::Outcome,
 };
 use crate::{
     config::{Configuration, Files, Settings, Typed, user_file},
     error::Hint,
+    manifest::WrittenPlanError,
     output::{self, Disk},
-    plan::{self, PlanError},
+    plan::{self, AgainError, Plan, PlanError},
     progress::{Stage, Watcher},
     project::Project,
+    replan::{Earlier, Maps, ReplanError, replan},
 };
 
 /// A project to plan.
@@ -35,6 +40,8 @@ pub struct Job<'a> {
     pub project: &'a Path,
     /// The input that was still; a plan of anything else is not to be written.
     pub stamp: &'a Stamp,
+    /// Depth maps that are written to their end.
+    pub maps: &'a MapFiles,
     pub cancel: &'a AtomicBool,
     /// Stage and percent.
     pub progress: &'a (dyn Fn(&str, u8) + Sync),
@@ -64,11 +71,6 @@ pub trait Planner: Sync {
     /// Measures the finished depth maps of the project's plan.
     fn follow(&self, job: &Job) -> Outcome;
 
-    /// The project's target is reached in reality.
-    fn target_reached(&self, project: &Path) {
-        let _ = project;
-    }
-
     /// The project is gone.
     fn forget(&self, project: &Path) {
         let _ = project;
@@ -86,11 +88,22 @@ struct PlannedFrom {
     share: f64,
 }
 
-/// The planner of `viewrank watch`: [`plan::plan`] and [`plan::files`].
-#[derive(Default)]
+/// What the planner of `viewrank watch` is asked for.
+#[derive(Clone, Debug)]
+pub struct PlanOptions {
+    /// Run by the shell when a project's target is reached, with the project's folder in VIEWRANK_PROJECT. It comes from the user
+    /// who started the daemon, never from a project; `None`: the user's own `viewrank.toml` says it.
+    pub on_target: Option<String>,
+    /// Rank again what is left whenever depth maps have come (method 5.4).
+    pub replan: bool,
+    /// Bytes of the plans that are kept in memory while their depth maps come.
+    pub cache: u64,
+}
+
+/// The planner of `viewrank watch`: [`plan::plan`], [`replan()`] and [`plan::files`].
 pub struct PlanJob {
-    /// It comes from the user who started the daemon, never from a project.
-    on_target: Option<String>,
+    options: PlanOptions,
+    plans: Mutex<KeptPlans>,
     hashes: Mutex<HashCache>,
     /// The last settings of each project that could be read.
     good_settings: Mutex<BTreeMap<PathBuf, Settings>>,
@@ -105,33 +118,26 @@ impl Planner for PlanJob {
     }
 
     fn follow(&self, job: &Job) -> Outcome {
-        follow::follow(job.project, &JobWatcher::new(job))
-    }
-
-    fn target_reached(&self, project: &Path) {
-        let Some(command) = &self.on_target else { return };
-        match Command::new("sh").arg("-c").arg(command).env("VIEWRANK_PROJECT", project).stdin(Stdio::null()).spawn() {
-            Ok(mut child) => _ = thread::spawn(move || child.wait()),
-            Err(error) => warn!(%error, "cannot run the command for a reached target"),
-        }
+        self.try_follow(job).unwrap_or_else(|ended| if job.is_cancelled() { Outcome::Abandoned } else { ended })
     }
 
     fn forget(&self, project: &Path) {
         lock(&self.hashes).forget(project);
         lock(&self.good_settings).remove(project);
+        lock(&self.plans).forget(project);
     }
 }
 
 impl PlanJob {
-    /// `on_target`: run by the shell when a project's target is reached, with the project's folder in VIEWRANK_PROJECT.
-    pub fn new(on_target: Option<String>) -> Self {
-        Self { on_target, ..Self::default() }
+    pub fn new(options: PlanOptions) -> Self {
+        let plans = Mutex::new(KeptPlans::new(options.cache));
+        Self { options, plans, hashes: Mutex::default(), good_settings: Mutex::default() }
     }
 
     fn try_plan(&self, job: &Job) -> Ended<Outcome> {
         output::recover(job.project, &Disk::REAL).map_err(failed)?;
         let (settings, note) = self.settings(job.project)?;
-        let as_text = serde_json::to_vec(&settings).map_err(|_| Outcome::Abandoned)?;
+        let as_text = serde_json::to_vec(&settings.of_plan()).map_err(|_| Outcome::Abandoned)?;
         // A file that vanishes while it is hashed is a change, which raises its own event.
         let fingerprint = lock(&self.hashes).fingerprint(job.project, job.stamp, &as_text);
         let fingerprint = fingerprint.map_err(|_| Outcome::Abandoned)?;
@@ -140,22 +146,66 @@ impl PlanJob {
         }
         let project = Project::open(job.project, None).map_err(incomplete)?;
         let plan = plan::plan(&project, &settings, &JobWatcher::new(job)).map_err(sort_out)?;
-        let files = plan::files(&plan, &project).map_err(failed)?;
+        let plan = around_finished(plan, &project, job)?;
         let (clusters, share) = (plan.cut.clusters, plan.cut.share);
-        let record = PlannedFrom { fingerprint: fingerprint.clone(), clusters, share };
-        let record = serde_json::to_string(&record).map_err(|_| Outcome::Abandoned)?;
-        let mut sets = files.sets;
-        if let Some(own) = sets.first_mut() {
-            own.add_text(format!("{OUTPUT_FOLDER}/{RECORD}"), record + "\n");
+        write(&plan, &project, &fingerprint, job)?;
+        Ok(Outcome::Planned { fingerprint, clusters, share, note: note.or_else(|| outdated(&plan)) })
+    }
+
+    fn try_follow(&self, job: &Job) -> Ended<Outcome> {
+        output::recover(job.project, &Disk::REAL).map_err(failed)?;
+        let Some(folder) = fullest_folder(job.project, job.maps) else { return Err(Outcome::Abandoned) };
+        // Without a record or with another input the plan is made anew first.
+        let record = record_of(job.project).ok_or(Outcome::Abandoned)?;
+        let watcher = JobWatcher::new(job);
+        let (project, plan) = self.plan_again(job.project, &record.fingerprint, &watcher)?;
+        let earlier = Earlier::read(&project).map_err(failed)?;
+        let files = job.maps;
+        let following = Following { plan, earlier: &earlier, folder: &folder, files, replan: self.options.replan };
+        let (plan, mut progress) = following.measure(&watcher).map_err(failed)?;
+        if self.options.replan {
+            write(&plan, &project, &record.fingerprint, job)?;
         }
-        if !job.is_current() {
-            return Err(Outcome::Abandoned);
+        let before = Progress::read(job.project);
+        let same_target = |p: &Progress| p.announced && p.target_reached && p.target == progress.target;
+        progress.announced = progress.target_reached && before.as_ref().is_some_and(same_target);
+        progress.write(job.project).map_err(failed)?;
+        if progress.target_reached && !progress.announced {
+            self.announce(job.project);
+            progress.announced = true;
+            progress.write(job.project).map_err(failed)?;
         }
-        // The record comes last: without it the plan is made again.
-        for set in sets.iter().rev() {
-            set.write(&Disk::REAL).map_err(failed)?;
+        let Progress { done, clusters, share, target_reached: reached, note, .. } = progress;
+        Ok(Outcome::Followed { done, clusters, share, reached, note })
+    }
+
+    /// The plan by the prediction alone, from memory where it is kept.
+    fn plan_again(&self, root: &Path, fingerprint: &Fingerprint, watcher: &JobWatcher) -> Ended<(Project, Plan)> {
+        if let Some(plan) = lock(&self.plans).get(root, fingerprint) {
+            return Ok((Project::open(root, None).map_err(failed)?, plan));
         }
-        Ok(Outcome::Planned { fingerprint, clusters, share, note })
+        let (project, plan) = plan::again(root, watcher).map_err(|error| match error {
+            AgainError::Written(WrittenPlanError::OtherInput(_)) => Outcome::Abandoned,
+            error => failed(error),
+        })?;
+        lock(&self.plans).put(root, fingerprint.clone(), &plan);
+        Ok((project, plan))
+    }
+
+    /// Runs the user's command for a reached target, without waiting for its end.
+    fn announce(&self, project: &Path) {
+        let configured = || match Configuration::load(&Files { user: user_file(), project: None }, Typed::default()) {
+            Ok(configuration) => configuration.settings.on_target,
+            Err(error) => {
+                warn!(%error, "cannot read which command is to be run for a reached target");
+                None
+            }
+        };
+        let Some(command) = self.options.on_target.clone().or_else(configured) else { return };
+        match Command::new("sh").arg("-c").arg(command).env("VIEWRANK_PROJECT", project).stdin(Stdio::null()).spawn() {
+            Ok(mut child) => _ = thread::spawn(move || child.wait()),
+            Err(error) => warn!(%error, "cannot run the command for a reached target"),
+        }
     }
 
     /// The project's settings; the last good ones, and a word about it, where they can't be read now.
@@ -173,6 +223,45 @@ impl PlanJob {
             },
         }
     }
+}
+
+/// The plan around the finished depth maps of the plan before it (method 5.4), where there are any.
+fn around_finished(plan: Plan, project: &Project, job: &Job) -> Ended<Plan> {
+    let Some(folder) = fullest_folder(job.project, job.maps) else { return Ok(plan) };
+    // Without an earlier plan nothing is known of the partners that the maps were made with.
+    let Ok(earlier) = Earlier::read(project) else { return Ok(plan) };
+    let maps = Maps { folder: &folder, ready: &|path| job.maps.contains_key(path) };
+    let replanned = replan(plan.clone(), &earlier, &maps, &JobWatcher::new(job));
+    match replanned {
+        Ok((plan, _)) => Ok(plan),
+        Err(ReplanError::Plan(error)) => Err(sort_out(error)),
+        Err(error) => {
+            warn!(project = %job.project.display(), %error, "planned without the finished depth maps");
+            Ok(plan)
+        }
+    }
+}
+
+fn outdated(plan: &Plan) -> Option<String> {
+    match plan.finished.outdated.len() {
+        0 => None,
+        n => Some(format!("{n} finished depth maps no longer fit the model (outdated in manifest.json)")),
+    }
+}
+
+/// Writes the plan and the record of what it was made from, unless the input has changed meanwhile.
+fn write(plan: &Plan, project: &Project, fingerprint: &Fingerprint, job: &Job) -> Ended<()> {
+    let mut sets = plan::files(plan, project).map_err(failed)?.sets;
+    let record = PlannedFrom { fingerprint: fingerprint.clone(), clusters: plan.cut.clusters, share: plan.cut.share };
+    let record = serde_json::to_string(&record).map_err(|_| Outcome::Abandoned)?;
+    if let Some(own) = sets.first_mut() {
+        own.add_text(format!("{OUTPUT_FOLDER}/{RECORD}"), record + "\n");
+    }
+    if !job.is_current() {
+        return Err(Outcome::Abandoned);
+    }
+    // The record comes last: without it the plan is made again.
+    sets.iter().rev().try_for_each(|set| set.write(&Disk::REAL).map(drop)).map_err(failed)
 }
 
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {

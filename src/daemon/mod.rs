@@ -2,11 +2,13 @@
 //!
 //! [`discover`] finds projects, [`watch`] hints at changes, [`settle`] says whether the input is still and new, [`state`] is what is
 //! known of a project, [`queue`] bounds the work, [`run`] is the loop, `job` plans one project with the same
-//! functions as `viewrank plan`, [`follow`] measures its depth maps.
+//! functions as `viewrank plan`, `maps` says which depth maps are there, [`follow`] measures them.
 
 pub mod discover;
 pub mod follow;
 mod job;
+mod kept;
+mod maps;
 pub mod queue;
 mod run;
 pub mod settle;
@@ -16,7 +18,8 @@ pub mod watch;
 
 use std::{path::PathBuf, time::Duration};
 
-pub use job::{Job, PlanJob, Planner};
+pub use follow::Progress;
+pub use job::{Job, PlanJob, PlanOptions, Planner};
 pub use run::{Signal, Summary, watch_roots};
 pub use status::{Line, read_status};
 

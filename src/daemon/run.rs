@@ -15,15 +15,14 @@ use std::{
 use tracing::{info, warn};
 
 use super::{
-    DaemonError, Job, Options, Planner, discover,
-    follow::MapsStamp,
+    DaemonError, Job, Options, Planner, discover, maps,
     queue::{Full, Queue},
     settle::Stamp,
     state::{Looked, Outcome, Phase, Tracked, Work},
     status::{Holder, StatusFiles},
     watch::{self, Hint, Watches},
 };
-use crate::{depthmaps, output::Disk};
+use crate::output::Disk;
 
 /// Hints that come within this time of each other are one look.
 const GATHER: Duration = Duration::from_millis(50);
@@ -189,11 +188,7 @@ impl<'a> Daemon<'a> {
     fn finish(&mut self, project: &Path, looked: Looked, outcome: Outcome, now: Instant) {
         self.queue.release(project);
         let Some(tracked) = self.projects.get_mut(project) else { return };
-        let reached_before = matches!(tracked.phase, Phase::Reached { .. });
         tracked.finish(looked, outcome, now);
-        if matches!(tracked.phase, Phase::Reached { .. }) && !reached_before {
-            self.planner.target_reached(project);
-        }
         match &tracked.phase {
             Phase::Failed { reason, .. } => warn!(project = %project.display(), %reason, "failed"),
             phase => info!(project = %project.display(), "{phase}"),
@@ -260,7 +255,14 @@ impl<'a> Daemon<'a> {
     fn look_at(&mut self, path: &Path, now: Instant) {
         let owner = path.ancestors().find(|above| self.projects.contains_key(*above)).map(Path::to_path_buf);
         match owner {
-            Some(project) => self.look_at_project(&project, now),
+            Some(project) => {
+                if path.starts_with(project.join("images"))
+                    && let Some(tracked) = self.projects.get_mut(&project)
+                {
+                    tracked.disturb(now);
+                }
+                self.look_at_project(&project, now);
+            }
             None => {
                 let folder = path.ancestors().find(|above| above.is_dir());
                 let inside = |f: &&Path| self.roots.iter().any(|root| f.starts_with(root));
@@ -275,10 +277,7 @@ impl<'a> Daemon<'a> {
     /// Folders whose changes concern the project.
     fn folders_of(project: &Path) -> Vec<PathBuf> {
         let mut folders = discover::input_folders(project);
-        for maps in depthmaps::folders(project) {
-            let below = walkdir::WalkDir::new(maps).into_iter().filter_map(Result::ok);
-            folders.extend(below.filter(|e| e.file_type().is_dir()).map(walkdir::DirEntry::into_path));
-        }
+        folders.extend(maps::watched_folders(project));
         folders
     }
 
@@ -291,7 +290,7 @@ impl<'a> Daemon<'a> {
         let on_busy = self.options.on_busy;
         if let Some(tracked) = self.projects.get_mut(project) {
             tracked.observe(Stamp::of(project), now, on_busy);
-            tracked.observe_maps(MapsStamp::of(project), now);
+            tracked.observe_maps(maps::map_files(project), now);
         }
         if new_watches {
             self.mark(project.into(), now);
@@ -340,11 +339,14 @@ impl<'a> Daemon<'a> {
                 let mib = |bytes: u64| bytes.div_ceil(1 << 20);
                 let reason = format!("needs about {} MiB, --max-memory allows {}", mib(need), mib(max));
                 let hint = Some("raise --max-memory, or plan it by itself with `viewrank plan`".into());
-                let (looked, _) = tracked.start(work);
+                let (looked, _) = tracked.start(work, self.options.settle, now);
                 return tracked.finish(looked, Outcome::Failed { reason, hint }, now);
             }
         }
-        let (looked, cancel) = tracked.start(work);
+        if work == Work::Plan {
+            info!(project = %project.display(), "planning");
+        }
+        let (looked, cancel) = tracked.start(work, self.options.settle, now);
         let (planner, sender, project) = (self.planner, self.sender.clone(), project.to_path_buf());
         threads.spawn(move || {
             let progress = |stage: &str, percent| {
@@ -352,7 +354,13 @@ impl<'a> Daemon<'a> {
                 // Progress that nobody reads any more is no loss.
                 _ = sender.send(event);
             };
-            let job = Job { project: &project, stamp: &looked.input, cancel: &cancel, progress: &progress };
+            let job = Job {
+                project: &project,
+                stamp: &looked.input,
+                maps: &looked.maps,
+                cancel: &cancel,
+                progress: &progress,
+            };
             let act = || match work {
                 Work::Plan => planner.plan(&job),
                 Work::Follow => planner.follow(&job),

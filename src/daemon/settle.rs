@@ -16,14 +16,14 @@ use super::discover;
 
 /// What the file system says of one file or folder.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Entry {
+pub struct Entry {
     length: u64,
     modified_ns: u128,
     inode: u64,
 }
 
 impl Entry {
-    fn of(metadata: &fs::Metadata) -> Self {
+    pub(super) fn of(metadata: &fs::Metadata) -> Self {
         use std::os::unix::fs::MetadataExt;
         let modified = metadata.modified().unwrap_or(UNIX_EPOCH);
         let since = modified.duration_since(UNIX_EPOCH).unwrap_or_default();
@@ -104,6 +104,11 @@ impl<S: PartialEq> Stillness<S> {
             *self = Self::new(stamp, now);
         }
         changed
+    }
+
+    /// The same stamp, but not still until now.
+    pub fn restart(&mut self, now: Instant) {
+        self.since = now;
     }
 
     pub fn stamp(&self) -> &S {

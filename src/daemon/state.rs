@@ -14,7 +14,7 @@ use std::{
 use serde::{Deserialize, Serialize};
 
 use super::{
-    follow::MapsStamp,
+    maps::{MapFiles, Maps},
     settle::{Fingerprint, Stamp, Stillness},
 };
 
@@ -51,6 +51,8 @@ pub enum Phase {
         done: usize,
         clusters: usize,
         share: f64,
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        note: Option<String>,
     },
     /// The target is reached in reality.
     Reached {
@@ -75,8 +77,9 @@ impl fmt::Display for Phase {
                 write!(f, "planned: {clusters} key views for {:.0} %", share * 100.0)?;
                 note.iter().try_for_each(|note| write!(f, "; {note}"))
             }
-            Self::Computing { done, clusters, share } => {
-                write!(f, "computing: {done} of {clusters} depth maps, {:.0} % reached", share * 100.0)
+            Self::Computing { done, clusters, share, note } => {
+                write!(f, "computing: {done} of {clusters} depth maps, {:.0} % reached", share * 100.0)?;
+                note.iter().try_for_each(|note| write!(f, "; {note}"))
             }
             Self::Reached { done, share, .. } => write!(f, "reached: {:.0} % with {done} depth maps", share * 100.0),
             Self::Failed { reason, retry_in_s, .. } => write!(f, "failed: {reason} (again in {retry_in_s} s)"),
@@ -100,6 +103,7 @@ pub enum Outcome {
         clusters: usize,
         share: f64,
         reached: bool,
+        note: Option<String>,
     },
     /// The model doesn't parse or its files don't fit together: it isn't there whole yet.
     Incomplete {
@@ -126,7 +130,9 @@ pub enum Work {
 pub struct Looked {
     pub work: Work,
     pub input: Stamp,
-    pub maps: MapsStamp,
+    /// Depth maps that were written to their end.
+    pub maps: MapFiles,
+    started: Instant,
 }
 
 /// What to do when the input changes while a plan is made.
@@ -145,11 +151,9 @@ pub struct Tracked {
     pub root: PathBuf,
     pub phase: Phase,
     still: Stillness<Stamp>,
-    maps: Stillness<MapsStamp>,
+    maps: Maps,
     /// The stamp that the last plan came to a conclusion about.
     concluded: Option<Stamp>,
-    /// The depth maps that were measured last.
-    followed: MapsStamp,
     /// What the plan that is there was made from.
     pub planned: Option<Fingerprint>,
     job: Option<Arc<AtomicBool>>,
@@ -164,9 +168,8 @@ impl Tracked {
             root,
             phase,
             still: Stillness::new(stamp, now),
-            maps: Stillness::new(MapsStamp::default(), now),
+            maps: Maps::default(),
             concluded: None,
-            followed: MapsStamp::default(),
             planned: None,
             job: None,
             failures: 0,
@@ -187,8 +190,13 @@ impl Tracked {
         }
     }
 
+    /// An image is being written: the input is not still, though nothing that is looked at changed.
+    pub fn disturb(&mut self, now: Instant) {
+        self.still.restart(now);
+    }
+
     /// Takes a look at the depth maps.
-    pub fn observe_maps(&mut self, maps: MapsStamp, now: Instant) {
+    pub fn observe_maps(&mut self, maps: MapFiles, now: Instant) {
         self.maps.observe(maps, now);
     }
 
@@ -203,8 +211,8 @@ impl Tracked {
         if let Some(retry_at) = self.retry_at {
             return Some((retry_at, Work::Plan));
         }
-        let new_maps = *self.maps.stamp() != self.followed && !self.maps.stamp().is_empty() && self.planned.is_some();
-        new_maps.then(|| (self.maps.settled_at(settle), Work::Follow))
+        self.planned.as_ref()?;
+        self.maps.due(settle).map(|at| (at, Work::Follow))
     }
 
     /// The input as last seen.
@@ -217,13 +225,14 @@ impl Tracked {
     }
 
     /// A job on what was last seen begins; the flag cancels it.
-    pub fn start(&mut self, work: Work) -> (Looked, Arc<AtomicBool>) {
+    pub fn start(&mut self, work: Work, settle: Duration, now: Instant) -> (Looked, Arc<AtomicBool>) {
         let cancel = Arc::new(AtomicBool::new(false));
         self.job = Some(cancel.clone());
         if work == Work::Plan {
             self.phase = Phase::Planning { stage: "read".into(), percent: 0 };
         }
-        (Looked { work, input: self.still.stamp().clone(), maps: *self.maps.stamp() }, cancel)
+        let maps = self.maps.settled(settle, now);
+        (Looked { work, input: self.still.stamp().clone(), maps, started: now }, cancel)
     }
 
     pub fn cancel(&self) {
@@ -238,7 +247,7 @@ impl Tracked {
         match (looked.work, &outcome) {
             (Work::Plan, Outcome::Abandoned) => {}
             (Work::Plan, _) => self.concluded = Some(looked.input),
-            (Work::Follow, _) => self.followed = looked.maps,
+            (Work::Follow, _) => self.maps.measured(looked.maps, now - looked.started, now),
         }
         if looked.work == Work::Follow && outcome == Outcome::Abandoned {
             return;
@@ -248,13 +257,13 @@ impl Tracked {
         self.phase = match outcome {
             Outcome::Planned { fingerprint, clusters, share, note } => {
                 if self.planned.as_ref() != Some(&fingerprint) {
-                    self.followed = MapsStamp::default();
+                    self.maps.forget_measured();
                 }
                 self.planned = Some(fingerprint);
                 Phase::Planned { clusters, share, note }
             }
-            Outcome::Followed { done, clusters, share, reached: true } => Phase::Reached { done, clusters, share },
-            Outcome::Followed { done, clusters, share, .. } => Phase::Computing { done, clusters, share },
+            Outcome::Followed { done, clusters, share, reached: true, .. } => Phase::Reached { done, clusters, share },
+            Outcome::Followed { done, clusters, share, note, .. } => Phase::Computing { done, clusters, share, note },
             Outcome::Incomplete { reason } => Phase::Waiting { reason },
             Outcome::Abandoned => Phase::Waiting { reason: "its files to be still".into() },
             Outcome::Failed { reason, hint } => {
@@ -328,7 +337,7 @@ mod tests {
         let start = Instant::now();
         let mut project = Tracked::new(root.path().into(), stamp.clone(), start);
         assert_eq!(project.due(SETTLE), Some((start + SETTLE, Work::Plan)));
-        let looked = project.start(Work::Plan).0;
+        let looked = project.start(Work::Plan, SETTLE, start).0;
         assert_eq!(project.due(SETTLE), None);
         project.finish(looked, planned("a"), start + SETTLE);
         assert_eq!(project.due(SETTLE), None);
@@ -342,7 +351,7 @@ mod tests {
         let ((root, stamp), (_other, changed)) = (stamped(5), stamped(6));
         let start = Instant::now();
         let mut project = Tracked::new(root.path().into(), stamp.clone(), start);
-        let (looked, cancel) = project.start(Work::Plan);
+        let (looked, cancel) = project.start(Work::Plan, SETTLE, start);
         project.observe(changed, start + SETTLE, OnBusy::Restart);
         assert!(cancel.load(Ordering::Relaxed));
         project.finish(looked, Outcome::Abandoned, start + SETTLE);
@@ -350,11 +359,24 @@ mod tests {
     }
 
     #[test]
+    fn an_image_that_is_being_written_is_waited_for_and_plans_nothing_by_itself() {
+        let (root, stamp) = stamped(5);
+        let start = Instant::now();
+        let mut project = Tracked::new(root.path().into(), stamp, start);
+        project.disturb(start + SETTLE);
+        assert_eq!(project.due(SETTLE), Some((start + SETTLE * 2, Work::Plan)));
+        let looked = project.start(Work::Plan, SETTLE, start).0;
+        project.finish(looked, planned("a"), start + SETTLE * 2);
+        project.disturb(start + SETTLE * 3);
+        assert_eq!(project.due(SETTLE), None);
+    }
+
+    #[test]
     fn with_queue_the_plan_is_finished_and_made_once_more() {
         let ((root, stamp), (_other, changed)) = (stamped(5), stamped(6));
         let start = Instant::now();
         let mut project = Tracked::new(root.path().into(), stamp.clone(), start);
-        let (looked, cancel) = project.start(Work::Plan);
+        let (looked, cancel) = project.start(Work::Plan, SETTLE, start);
         project.observe(changed, start + SETTLE, OnBusy::Queue);
         assert!(!cancel.load(Ordering::Relaxed));
         project.finish(looked, planned("a"), start + SETTLE);
@@ -366,7 +388,7 @@ mod tests {
         let (root, stamp) = stamped(5);
         let start = Instant::now();
         let mut project = Tracked::new(root.path().into(), stamp.clone(), start);
-        let looked = project.start(Work::Plan).0;
+        let looked = project.start(Work::Plan, SETTLE, start).0;
         project.finish(looked, Outcome::Incomplete { reason: "images.bin ends at byte 5".into() }, start);
         assert_eq!(project.due(SETTLE), None);
         assert_eq!(project.phase, Phase::Waiting { reason: "images.bin ends at byte 5".into() });
@@ -381,15 +403,15 @@ mod tests {
         let mut project = Tracked::new(root.path().into(), stamp.clone(), now);
         let mut pauses = Vec::new();
         for _ in 0..12 {
-            let looked = project.start(Work::Plan).0;
+            let looked = project.start(Work::Plan, SETTLE, now).0;
             project.finish(looked, Outcome::Failed { reason: "disk full".into(), hint: None }, now);
             pauses.push(project.due(SETTLE).expect("a retry").0 - now);
         }
         assert!(pauses.windows(2).all(|w| w[1] == (w[0] * 2).min(LONGEST_RETRY)));
-        let looked = project.start(Work::Plan).0;
+        let looked = project.start(Work::Plan, SETTLE, now).0;
         project.finish(looked, planned("a"), now);
         project.look_again();
-        let looked = project.start(Work::Plan).0;
+        let looked = project.start(Work::Plan, SETTLE, now).0;
         project.finish(looked, Outcome::Failed { reason: "disk full".into(), hint: None }, now);
         assert_eq!(project.due(SETTLE), Some((now + FIRST_RETRY, Work::Plan)));
     }

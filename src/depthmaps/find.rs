@@ -16,16 +16,18 @@ use crate::scene::{Scene, ViewIndex};
 const DMAP_HEADER: u64 = 1 << 17;
 
 /// Where backends write their depth maps, below a project.
-const MAP_FOLDERS: [&str; 8] = [
+pub const FOLDERS: [&str; 9] = [
     "stereo/depth_maps",
     "dense/stereo/depth_maps",
     "sgm",
+    "viewrank/colmap/stereo/depth_maps",
     "viewrank/openmvs",
     "viewrank/mvsnet",
     "viewrank/patchmatchnet",
     "viewrank/acmm",
     "depth_maps",
 ];
+
 /// A finished depth map of a view.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct DepthMapFile {
@@ -44,7 +46,7 @@ pub struct DepthMapSet {
 
 /// The folders of a project that may hold depth maps, as far as they are there.
 pub fn folders(project: &Path) -> Vec<PathBuf> {
-    MAP_FOLDERS.iter().map(|folder| project.join(folder)).filter(|folder| folder.is_dir()).collect()
+    FOLDERS.iter().map(|folder| project.join(folder)).filter(|folder| folder.is_dir()).collect()
 }
 
 /// Finds the depth maps under `folder`. Of a photometric and a geometric map (COLMAP, ACMM) the geometric one is taken.

@@ -15,7 +15,7 @@ use nalgebra::Point2;
 
 use crate::{camera::Camera, error::Hint};
 
-pub use find::{DepthMapFile, DepthMapSet, find, folders, looks_like_one};
+pub use find::{DepthMapFile, DepthMapSet, FOLDERS, find, folders, looks_like_one};
 
 /// Formats of depth maps.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]

@@ -8,9 +8,9 @@ use super::{
     run::Run,
 };
 use crate::{
+    fulfilment::Model,
     progress::{Cancelled, Watcher},
-    ranking::Reached,
-    scene::Scene,
+    ranking::{Beliefs, Reached},
 };
 
 /// How many key views and pairs an order needs for a share of what all clusters together really reach.
@@ -38,11 +38,12 @@ pub struct Order {
 /// Ours (greedy by the prediction) first, the optimum last.
 pub fn compare(
     run: &Run,
-    scene: &Scene,
+    model: &Model,
     weights: &[f64],
     support: u32,
     watcher: &dyn Watcher,
 ) -> Result<Vec<Order>, Cancelled> {
+    let beliefs = Beliefs::new(model.scene, model.surface, &run.clusters, &run.predicted);
     let clusters = run.clusters.len();
     let total = run.real_curve(weights, support, &run.order).total();
     let one = |name, order: Vec<u32>| Order::new(name, &[run.real_curve(weights, support, &order)], total);
@@ -53,7 +54,8 @@ pub fn compare(
         one("ours", orders::greedy(&run.predicted, weights, support, watcher)?),
         one("nocp", orders::greedy(&run.nocp, weights, support, watcher)?),
         one("realupdate", orders::real_update(&run.predicted, &run.real, weights, support)),
-        one("maxpts", orders::max_points(scene, &run.clusters)),
+        one("replan", orders::replan(beliefs, run, weights, support)),
+        one("maxpts", orders::max_points(model.scene, &run.clusters)),
         Order::new("every n-th", &[every_nth(run, weights, support)], total),
         Order::new("random", &random, total),
         one("optimum", orders::greedy(&run.real, weights, support, watcher)?),

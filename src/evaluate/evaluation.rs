@@ -128,7 +128,7 @@ impl Evaluation {
         let real = run.real_curve(weights, support, &run.order);
         let names = |views: &[ViewIndex]| views.iter().map(|&v| model.scene.name(v).to_string()).collect();
         let orders = match baselines {
-            true => baselines::compare(run, model.scene, weights, support, watcher)?,
+            true => baselines::compare(run, model, weights, support, watcher)?,
             false => Vec::new(),
         };
         Ok(Self {

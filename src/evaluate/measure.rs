@@ -64,6 +64,8 @@ pub struct Measured {
     /// For each triangle that the key view sees, in the order of the visibility table: share of the pixels of its visible part with
     /// a right depth. A triangle that covers no centre of a pixel is judged by the pixel of its centroid.
     pub shares: Vec<f32>,
+    /// Pixels of the visible part of each.
+    pub pixels: Vec<u32>,
     /// Ids of the key view and the partners that the map's file names.
     pub ids: Vec<u32>,
 }
@@ -99,7 +101,7 @@ pub fn measure(model: &Model, key: ViewIndex, map: DepthMap, reference: Option<&
         n => right as f32 / n as f32,
     };
     let shares = seen.iter().zip(&counts).map(share).collect();
-    Measured { quality, shares, ids: map.ids }
+    Measured { quality, shares, pixels: counts.into_iter().map(|(pixels, _)| pixels).collect(), ids: map.ids }
 }
 
 /// A pixel of a depth map with its reference.

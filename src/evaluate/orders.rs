@@ -3,11 +3,12 @@
 use rand_core::{Rng, SeedableRng};
 use rand_pcg::Pcg64;
 
+use super::run::Run;
 use crate::{
     fulfilment::FulfilmentTable,
     partners::ViewCluster,
     progress::{Cancelled, Watcher},
-    ranking::{Reached, rank},
+    ranking::{Beliefs, Reached, rank},
     scene::Scene,
 };
 
@@ -41,6 +42,24 @@ pub fn real_update(predicted: &FulfilmentTable, real: &FulfilmentTable, weights:
         let best = first_largest(left.iter().map(|&c| reached.gain(predicted.of(c as usize))));
         let cluster = left.remove(best);
         reached.take(real.of(cluster as usize));
+        order.push(cluster);
+    }
+    order
+}
+
+/// `replan` (method 5.4): as `realupdate`, but what failed is remembered. `beliefs` are of the clusters of the run.
+pub fn replan(mut beliefs: Beliefs, run: &Run, weights: &[f64], support: u32) -> Vec<u32> {
+    let mut reached = Reached::new(weights, support);
+    let mut left: Vec<u32> = (0..run.clusters.len() as u32).collect();
+    let mut order = Vec::with_capacity(left.len());
+    while !left.is_empty() {
+        let gain = |&c: &u32| {
+            let (triangles, believed) = beliefs.row(c as usize);
+            reached.gain((triangles, &believed))
+        };
+        let cluster = left.remove(first_largest(left.iter().map(gain)));
+        reached.take(run.real.of(cluster as usize));
+        beliefs.learn(run.clusters[cluster as usize].key, &run.attempts[cluster as usize]);
         order.push(cluster);
     }
     order

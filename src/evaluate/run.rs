@@ -19,6 +19,7 @@ use crate::{
     fulfilment::{self, FulfilmentTable, Model},
     partners::ViewCluster,
     progress::{Cancelled, Stage, Watcher},
+    ranking::Attempt,
     scene::ViewIndex,
 };
 
@@ -40,6 +41,8 @@ pub struct Run {
     pub real: FulfilmentTable,
     /// f of the really matched partners with f_conf = 1: what `real` would be if every pixel were right.
     pub attainable: FulfilmentTable,
+    /// What was promised and kept at each triangle that the key view sees, for [`ranking::Beliefs`](crate::ranking::Beliefs).
+    pub attempts: Vec<Vec<Attempt>>,
     /// Were the maps held against references?
     pub has_reference: bool,
     /// Key views whose depth map isn't there.
@@ -158,6 +161,8 @@ impl Task<'_> {
         let mut certain = self.model;
         certain.rule.confidence = Confidence::None;
         let attainable = fulfilment::table(&certain, &matched, watcher)?;
+        let predicted = fulfilment::table(&self.model, &clusters, watcher)?;
+        let nocp = fulfilment::table(&certain, &clusters, watcher)?;
         let other_partners = clusters.iter().filter(|c| {
             let tried = report.get(&c.key).map(|r| sorted(&r.tried));
             tried.is_some_and(|tried| tried != sorted(&c.partners))
@@ -166,8 +171,9 @@ impl Task<'_> {
             has_reference: self.reference.is_some(),
             other_partners: other_partners.map(|c| c.key).collect(),
             quality: measured.iter().map(|m| m.quality).collect(),
-            predicted: fulfilment::table(&self.model, &clusters, watcher)?,
-            nocp: fulfilment::table(&certain, &clusters, watcher)?,
+            attempts: (0..clusters.len()).map(|c| self.attempts(c, &clusters, &predicted, &nocp, measured)).collect(),
+            predicted,
+            nocp,
             real: self.real(&matched, &attainable, measured),
             attainable,
             matched,
@@ -194,6 +200,27 @@ impl Task<'_> {
             real.offsets.push(real.triangles.len());
         }
         real
+    }
+
+    /// Where a cluster was predicted to fulfil something: the promise is f_conf, the prediction with it over that without.
+    fn attempts(
+        &self,
+        cluster: usize,
+        clusters: &[ViewCluster],
+        predicted: &FulfilmentTable,
+        nocp: &FulfilmentTable,
+        measured: &[Measured],
+    ) -> Vec<Attempt> {
+        let seen = self.model.visibility.of(clusters[cluster].key);
+        let (certain_triangles, certain) = nocp.of(cluster);
+        let (triangles, values) = predicted.of(cluster);
+        let attempt = |(&t, &f): (&u32, &f32)| {
+            let row = seen.binary_search(&t).ok()?;
+            let without = certain[certain_triangles.binary_search(&t).ok()?];
+            let measured = &measured[cluster];
+            Some(Attempt::new(t, measured.pixels[row], (f / without).min(1.0), measured.shares[row]))
+        };
+        triangles.iter().zip(values).filter_map(attempt).collect()
     }
 }
 

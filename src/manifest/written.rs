@@ -9,6 +9,7 @@ use crate::{
     backends::RankedCluster,
     config::{Budget, Settings, Share},
     error::Hint,
+    plan::{Outdated, Plan},
     project::{Project, ProjectError},
     scene::{Scene, ViewIndex},
 };
@@ -27,31 +28,44 @@ pub struct WrittenPlan {
     pub cut: usize,
 }
 
-/// The part of a manifest that is needed.
-#[derive(Deserialize)]
-struct Recorded {
+/// The part of a manifest that its readers need, by name.
+#[derive(Debug, Deserialize)]
+pub(crate) struct Recorded {
     version: u32,
     input: Input,
-    backend: String,
-    settings: Settings,
-    clusters: Vec<Cluster>,
+    pub backend: String,
+    pub settings: Settings,
+    /// The whole ranking, best first.
+    pub clusters: Vec<Cluster>,
+    pub outdated: Vec<Outdated>,
     cut: Cut,
+    /// Where it was read from.
+    #[serde(skip)]
+    path: PathBuf,
 }
 
-#[derive(Deserialize)]
+#[derive(Debug, Deserialize)]
 struct Input {
     model: String,
     fingerprint: String,
 }
 
-#[derive(Deserialize)]
-struct Cluster {
-    key: String,
-    partners: Vec<String>,
+#[derive(Debug, Deserialize)]
+pub(crate) struct Cluster {
+    pub key: String,
+    pub partners: Vec<String>,
     share: f64,
+    finished: bool,
 }
 
-#[derive(Deserialize)]
+impl Cluster {
+    fn is(&self, other: &RankedCluster, scene: &Scene) -> bool {
+        let partners = other.partners.iter().map(|&p| scene.name(p));
+        self.key == scene.name(other.key) && partners.eq(self.partners.iter().map(String::as_str))
+    }
+}
+
+#[derive(Debug, Deserialize)]
 struct Cut {
     clusters: usize,
 }
@@ -59,19 +73,10 @@ struct Cut {
 impl WrittenPlan {
     /// Reads `viewrank/manifest.json` of the project; an error where model or images have changed since.
     pub fn read(root: &Path) -> Result<Self, WrittenPlanError> {
-        let any_model = Project::open(root, None)?;
-        let path = any_model.output_folder().join("manifest.json");
-        let recorded = Recorded::read(&path)?;
-        let model = Path::new(&recorded.input.model).file_name().map(|name| name.to_string_lossy().into_owned());
-        let project = match model {
-            Some(name) if any_model.model.name() != name => Project::open(root, Some(&name))?,
-            _ => any_model,
-        };
+        let (project, recorded) = Recorded::open(root)?;
         let scene = project.read_scene()?;
-        if fingerprint(&project, &scene)? != recorded.input.fingerprint {
-            return Err(WrittenPlanError::OtherInput(path));
-        }
-        let view = |name: &String| scene.find(name).ok_or_else(|| WrittenPlanError::OtherInput(path.clone()));
+        recorded.check_input(&project, &scene)?;
+        let view = |name: &String| scene.find(name).ok_or_else(|| WrittenPlanError::OtherInput(recorded.path.clone()));
         let cluster = |c: &Cluster| {
             let partners: Result<Vec<ViewIndex>, _> = c.partners.iter().map(view).collect();
             Ok(RankedCluster { key: view(&c.key)?, partners: partners?, share: c.share })
@@ -95,14 +100,44 @@ impl WrittenPlan {
 }
 
 impl Recorded {
-    fn read(path: &Path) -> Result<Self, WrittenPlanError> {
-        let bytes = std::fs::read(path).map_err(|source| WrittenPlanError::Io { path: path.into(), source })?;
+    /// The project with the model that was planned for, and what was planned.
+    pub fn open(root: &Path) -> Result<(Project, Self), WrittenPlanError> {
+        let any_model = Project::open(root, None)?;
+        let recorded = Self::read(&any_model)?;
+        let model = Path::new(&recorded.input.model).file_name().map(|name| name.to_string_lossy().into_owned());
+        let project = match model {
+            Some(name) if any_model.model.name() != name => Project::open(root, Some(&name))?,
+            _ => any_model,
+        };
+        Ok((project, recorded))
+    }
+
+    /// What `viewrank/manifest.json` of the project says, whether or not the input has changed since.
+    pub fn read(project: &Project) -> Result<Self, WrittenPlanError> {
+        let path = project.output_folder().join("manifest.json");
+        let bytes = std::fs::read(&path).map_err(|source| WrittenPlanError::Io { path: path.clone(), source })?;
         let recorded: Self = serde_json::from_slice(&bytes)
-            .map_err(|error| WrittenPlanError::Manifest { path: path.into(), what: error.to_string() })?;
+            .map_err(|error| WrittenPlanError::Manifest { path: path.clone(), what: error.to_string() })?;
         match recorded.version {
-            VERSION => Ok(recorded),
-            version => Err(WrittenPlanError::Version { path: path.into(), version }),
+            VERSION => Ok(Self { path, ..recorded }),
+            version => Err(WrittenPlanError::Version { path, version }),
         }
+    }
+
+    /// Are model and images those that were planned for?
+    pub fn check_input(&self, project: &Project, scene: &Scene) -> Result<(), WrittenPlanError> {
+        let same = fingerprint(project, scene)? == self.input.fingerprint;
+        if same { Ok(()) } else { Err(WrittenPlanError::OtherInput(self.path.clone())) }
+    }
+}
+
+impl Recorded {
+    /// Is this the ranking that was written? One that was made around finished depth maps is taken for it.
+    pub fn check_ranking(&self, plan: &Plan) -> Result<(), WrittenPlanError> {
+        let around_finished = self.clusters.iter().any(|cluster| cluster.finished);
+        let as_long = plan.ranked().len() == self.clusters.len();
+        let same = as_long && plan.ranked().zip(&self.clusters).all(|(ranked, c)| c.is(&ranked, &plan.scene));
+        if around_finished || same { Ok(()) } else { Err(WrittenPlanError::OtherPlan(self.path.clone())) }
     }
 }
 
@@ -117,6 +152,8 @@ pub enum WrittenPlanError {
     Version { path: PathBuf, version: u32 },
     #[error("{}: the model or the images have changed since this plan was made", .0.display())]
     OtherInput(PathBuf),
+    #[error("{}: another version of viewrank made this plan, and this one ranks otherwise", .0.display())]
+    OtherPlan(PathBuf),
     #[error(transparent)]
     Input(#[from] FingerprintError),
     #[error(transparent)]
@@ -129,7 +166,8 @@ impl Hint for WrittenPlanError {
             Self::Io { path, .. }
             | Self::Manifest { path, .. }
             | Self::Version { path, .. }
-            | Self::OtherInput(path) => {
+            | Self::OtherInput(path)
+            | Self::OtherPlan(path) => {
                 let root = path.parent().and_then(Path::parent).unwrap_or(Path::new("."));
                 Some(format!("make the plan first: viewrank plan {}", root.display()))
             }

@@ -22,7 +22,7 @@ pub struct Cut {
     pub fulfilment: f64,
 }
 
-/// The shortest of the prefixes that the settings name.
+/// The shortest of the prefixes that the settings name, but all that is finished.
 pub(super) fn cut(settings: &CutSettings, cost: &Cost) -> Result<Cut, PlanError> {
     let ranking = cost.ranking;
     let views = cost.model.scene.views.len() as f64;
@@ -42,6 +42,7 @@ pub(super) fn cut(settings: &CutSettings, cost: &Cost) -> Result<Cut, PlanError>
     if let Some(points) = settings.points {
         clusters = longest_within(clusters, points.0, |rank| Ok(cost.points(rank)))?;
     }
+    let clusters = clusters.max(cost.finished);
     Ok(Cut {
         clusters,
         pairs: cost.pairs(clusters),

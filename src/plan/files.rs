@@ -1,6 +1,6 @@
 //! What is written for a plan: the manifest, its table, the pair files, the pictures, and the files of backends.
 
-use super::Plan;
+use super::{Plan, PlannedViews};
 use crate::{
     backends::{self, Backend, BackendError, Export, ExportOptions, Selection},
     error::Hint,
@@ -59,6 +59,8 @@ pub fn files(plan: &Plan, project: &Project) -> Result<PlanFiles, FilesError> {
     for (name, text) in backends::pair_files("the list of view clusters", &selection)? {
         add(name, text);
     }
+    let planned_views = PlannedViews::new(&plan.scene, &plan.finished);
+    add("planned_views.json", serde_json::to_string(&planned_views).expect("numbers and texts are JSON") + "\n");
     add("curve.svg", curve_svg(&Curve::predicted(plan)));
     add("timings.json", serde_json::to_string_pretty(&plan.timings).expect("numbers by name are JSON") + "\n");
     own.add("viewrank/surface.ply", crate::output::Contents::Bytes(surface_ply(plan)));

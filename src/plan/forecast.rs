@@ -50,6 +50,8 @@ pub(super) struct Cost<'a> {
     pub model: &'a Model<'a>,
     pub clusters: &'a [ViewCluster],
     pub ranking: &'a Ranking,
+    /// The first so many are done and take no more time.
+    pub finished: usize,
     pub settings: &'a ForecastSettings,
 }
 
@@ -63,9 +65,10 @@ impl Cost<'_> {
         (0..clusters).map(|rank| self.cluster(rank).partners.len()).sum()
     }
 
-    /// Seconds of matching, where they are known.
+    /// Seconds of matching, where they are known; none for what is finished.
     pub fn seconds(&self, rank: usize) -> Option<f64> {
-        self.seconds_of(1, self.cluster(rank).partners.len())
+        let one = self.seconds_of(1, self.cluster(rank).partners.len());
+        if rank < self.finished { one.map(|_| 0.0) } else { one }
     }
 
     fn seconds_of(&self, maps: usize, pairs: usize) -> Option<f64> {

@@ -7,6 +7,7 @@
 mod again;
 mod cut;
 mod files;
+mod finished;
 mod forecast;
 mod reasons;
 mod timings;
@@ -15,6 +16,7 @@ mod warnings;
 pub use again::{AgainError, again};
 pub use cut::Cut;
 pub use files::{FilesError, PlanFiles, files};
+pub use finished::{Finished, Outdated, PlannedView, PlannedViews};
 pub use forecast::Forecast;
 pub use reasons::{Likest, Reason, ViewStatus};
 pub use timings::Timings;
@@ -54,6 +56,8 @@ pub struct Plan {
     pub clusters: Vec<ViewCluster>,
     pub fulfilment: FulfilmentTable,
     pub ranking: Ranking,
+    /// What is done already, by [`replan`](crate::replan); nothing in a fresh plan.
+    pub finished: Finished,
     pub cut: Cut,
     pub forecast: Forecast,
     /// Status and reason of each view.
@@ -71,6 +75,14 @@ impl Plan {
         self.ranking.order[..self.cut.clusters].iter().map(|&c| &self.clusters[c as usize])
     }
 
+    /// Memory that its tables take, about.
+    pub fn bytes(&self) -> u64 {
+        let tables = 12 * self.visibility.triangles.len() + 8 * self.fulfilment.triangles.len();
+        let surface = 24 * self.surface.vertices.len() + 24 * self.surface.triangles.len();
+        let scene = 64 * self.scene.points.len() + 24 * self.scene.observations();
+        (tables + surface + scene) as u64
+    }
+
     /// What f depends on; with it any view clusters can be looked at.
     pub fn model(&self) -> Model<'_> {
         let source = confidence::Source::new(&self.settings.confidence.source);
@@ -85,11 +97,41 @@ impl Plan {
         }
     }
 
+    /// Ranks the clusters by their fulfilment, behind those that are finished; and what follows from the ranking.
+    pub(crate) fn rank(&mut self, finished: &[u32], watcher: &dyn Watcher) -> Result<(), PlanError> {
+        let weights = ranking::weights(&self.surface, self.settings.ranking.weight);
+        let support = self.settings.ranking.support.unwrap_or(1);
+        self.finished.clusters = finished.len();
+        self.ranking = self
+            .timings
+            .time(Stage::Ranking, || ranking::rank_after(finished, &self.fulfilment, &weights, support, watcher))?;
+        let model = self.model();
+        let cost = self.cost(&model);
+        let cut = cut::cut(&self.settings.cut, &cost)?;
+        let forecast = forecast::forecast(&cost, cut.clusters);
+        let why = reasons::Why {
+            model: &model,
+            candidates: &self.candidates,
+            clusters: &self.clusters,
+            fulfilment: &self.fulfilment,
+        };
+        let views = why.views(&self.ranking.order[..cut.clusters], &self.settings.partners);
+        let triangle_reasons = why.triangles();
+        (self.cut, self.forecast, self.views, self.triangle_reasons) = (cut, forecast, views, triangle_reasons);
+        self.warnings = warnings::warnings(self);
+        watcher.check()?;
+        Ok(())
+    }
+
+    fn cost<'a>(&'a self, model: &'a Model) -> forecast::Cost<'a> {
+        let finished = self.finished.clusters;
+        let settings = &self.settings.forecast;
+        forecast::Cost { model, clusters: &self.clusters, ranking: &self.ranking, finished, settings }
+    }
+
     /// Pixels that the depth map of each cluster of the ranking will measure, before fusion.
     pub fn points_by_rank(&self) -> Vec<f64> {
-        let (model, settings) = (&self.model(), &self.settings.forecast);
-        let cost = forecast::Cost { model, clusters: &self.clusters, ranking: &self.ranking, settings };
-        forecast::points(&cost, self.ranking.order.len())
+        forecast::points(&self.cost(&self.model()), self.ranking.order.len())
     }
 
     /// Of each cluster the one ranked before it that does most of what it could by itself.
@@ -137,23 +179,12 @@ pub fn plan(project: &Project, settings: &Settings, watcher: &dyn Watcher) -> Re
         let (clusters, table) = partners::choose(&model, &candidates, &settings.partners, settings.seed, watcher)?;
         Ok::<_, Cancelled>((candidates, clusters, table))
     })?;
-    let ranking = timings.time(Stage::Ranking, || {
-        let weights = ranking::weights(&seen.surface, settings.ranking.weight);
-        ranking::rank(&fulfilment, &weights, settings.ranking.support.unwrap_or(1), watcher)
-    })?;
-    let cost = forecast::Cost { model: &model, clusters: &clusters, ranking: &ranking, settings: &settings.forecast };
-    let cut = cut::cut(&settings.cut, &cost)?;
-    let forecast = forecast::forecast(&cost, cut.clusters);
-    let why = reasons::Why { model: &model, candidates: &candidates, clusters: &clusters, fulfilment: &fulfilment };
-    let views = why.views(&ranking.order[..cut.clusters], &settings.partners);
-    let triangle_reasons = why.triangles();
     watcher.check()?;
     let mut plan = Plan {
         backend: backend.name(),
         surface: seen.surface,
         surface_stats: seen.stats,
         visibility: seen.visibility,
-        warnings: Vec::new(),
         settings,
         scene,
         unary,
@@ -161,14 +192,16 @@ pub fn plan(project: &Project, settings: &Settings, watcher: &dyn Watcher) -> Re
         candidates,
         clusters,
         fulfilment,
-        ranking,
-        cut,
-        forecast,
-        views,
-        triangle_reasons,
+        ranking: Ranking::default(),
+        finished: Finished::default(),
+        cut: Cut::default(),
+        forecast: Forecast::default(),
+        views: Vec::new(),
+        triangle_reasons: Vec::new(),
+        warnings: Vec::new(),
         timings,
     };
-    plan.warnings = warnings::warnings(&plan);
+    plan.rank(&[], watcher)?;
     plan.timings.end();
     Ok(plan)
 }

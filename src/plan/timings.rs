@@ -19,11 +19,15 @@ impl Timings {
         Self { start: Instant::now(), stages: Vec::new(), total: 0.0 }
     }
 
-    /// Runs a stage and notes its time.
+    /// Runs a stage and notes its time; a stage that ran before took both times.
     pub fn time<T>(&mut self, stage: Stage, run: impl FnOnce() -> T) -> T {
         let start = Instant::now();
         let result = run();
-        self.stages.push((stage, start.elapsed().as_secs_f64()));
+        let seconds = start.elapsed().as_secs_f64();
+        match self.stages.iter_mut().find(|(known, _)| *known == stage) {
+            Some((_, before)) => *before += seconds,
+            None => self.stages.push((stage, seconds)),
+        }
         result
     }
 

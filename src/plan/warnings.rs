@@ -5,6 +5,8 @@ use crate::config::PartnerCount;
 
 /// Share of the observations of a table that may contradict it.
 const CONTRADICTIONS: f64 = 0.05;
+/// Depth maps that are named.
+const NAMED: usize = 3;
 
 pub(super) fn warnings(plan: &Plan) -> Vec<String> {
     let mut warnings = plan.scene.warnings.clone();
@@ -12,7 +14,25 @@ pub(super) fn warnings(plan: &Plan) -> Vec<String> {
     warnings.extend(nothing_fulfilled(plan));
     warnings.extend(nothing_chosen(plan));
     warnings.extend(contradictions(plan));
+    warnings.extend(outdated(plan));
+    warnings.extend(plan.finished.unreadable.iter().cloned());
     warnings
+}
+
+/// Finished depth maps that have to be made again.
+fn outdated(plan: &Plan) -> Option<String> {
+    let outdated = &plan.finished.outdated;
+    let names: Vec<&str> = outdated.iter().take(NAMED).map(|o| o.key.as_str()).collect();
+    let more = if outdated.len() > NAMED { ", ..." } else { "" };
+    (!outdated.is_empty()).then(|| {
+        format!(
+            "{} finished depth maps no longer fit the model, whose views moved by more than {} px: {}{more}; remove them so that \
+             the backend makes them again",
+            outdated.len(),
+            plan.settings.ranking.keep_px,
+            names.join(", ")
+        )
+    })
 }
 
 /// k too small for what is asked of a cluster.

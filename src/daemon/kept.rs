@@ -1,0 +1,87 @@
+//! Plans with all their tables, kept between two looks at the depth maps of a project, up to a size.
+
+use std::path::{Path, PathBuf};
+
+use super::settle::Fingerprint;
+use crate::plan::Plan;
+
+/// The plans that were used last.
+#[derive(Debug)]
+pub struct KeptPlans {
+    max_bytes: u64,
+    /// Least recently used first.
+    plans: Vec<Kept>,
+}
+
+#[derive(Debug)]
+struct Kept {
+    project: PathBuf,
+    fingerprint: Fingerprint,
+    plan: Plan,
+}
+
+impl KeptPlans {
+    pub fn new(max_bytes: u64) -> Self {
+        Self { max_bytes, plans: Vec::new() }
+    }
+
+    /// A copy of the plan that was made from this input.
+    pub fn get(&mut self, project: &Path, fingerprint: &Fingerprint) -> Option<Plan> {
+        let at = self.plans.iter().position(|kept| kept.project == project && kept.fingerprint == *fingerprint)?;
+        let kept = self.plans.remove(at);
+        let plan = kept.plan.clone();
+        self.plans.push(kept);
+        Some(plan)
+    }
+
+    /// Keeps a plan in the place of the project's last one; those that were not used for longest go.
+    pub fn put(&mut self, project: &Path, fingerprint: Fingerprint, plan: &Plan) {
+        self.forget(project);
+        self.plans.push(Kept { project: project.into(), fingerprint, plan: plan.clone() });
+        while self.plans.iter().map(|kept| kept.plan.bytes()).sum::<u64>() > self.max_bytes {
+            self.plans.remove(0);
+        }
+    }
+
+    pub fn forget(&mut self, project: &Path) {
+        self.plans.retain(|kept| kept.project != project);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        camera::{Camera, CameraModel},
+        config::Settings,
+        formats::{colmap::ColmapModel, colmap_bin},
+        plan,
+        progress::Unwatched,
+        project::Project,
+        synthetic::Town,
+    };
+
+    #[test]
+    fn the_plan_that_was_not_used_for_longest_goes_when_there_is_no_room() {
+        let camera =
+            Camera::new(1, CameraModel::Pinhole, 400, 300, vec![320.0, 320.0, 200.0, 150.0]).expect("a camera");
+        let town = Town { grid: 3, points: 300, tilt: None, side: 40.0, boxes: 1, ..Town::new(camera) };
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        for (name, bytes) in colmap_bin::write(&ColmapModel::from_scene(&town.scene())) {
+            std::fs::write(folder.path().join(name), bytes).expect("a file");
+        }
+        let project = Project::open(folder.path(), None).expect("a model");
+        let plan = plan::plan(&project, &Settings::default(), &Unwatched).expect("a plan");
+        let print = |text: &str| serde_json::from_value::<Fingerprint>(text.into()).expect("a string");
+        let [a, b, c] = ["a", "b", "c"].map(Path::new);
+        let mut kept = KeptPlans::new(2 * plan.bytes());
+        kept.put(a, print("1"), &plan);
+        kept.put(b, print("1"), &plan);
+        assert!(kept.get(a, &print("1")).is_some());
+        assert!(kept.get(a, &print("2")).is_none(), "another input");
+        kept.put(c, print("1"), &plan);
+        assert!(kept.get(b, &print("1")).is_none());
+        assert!(kept.get(a, &print("1")).is_some() && kept.get(c, &print("1")).is_some());
+        KeptPlans::new(0).put(a, print("1"), &plan);
+    }
+}

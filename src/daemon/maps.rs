@@ -1,0 +1,165 @@
+//! The depth maps of a project as the file system shows them: which are written to their end, and which have been measured.
+
+use std::{
+    collections::BTreeMap,
+    fs,
+    path::{Path, PathBuf},
+    time::{Duration, Instant},
+};
+
+use walkdir::WalkDir;
+
+use super::settle::Entry;
+use crate::depthmaps;
+
+/// Of one unit of time, at most this share goes into measuring the maps of a project.
+const REST: u32 = 9;
+
+/// Folders in which something must be noticed to know of depth maps: those that hold some, and those in which a folder of them may
+/// appear. Our own output folder is none.
+pub fn watched_folders(project: &Path) -> Vec<PathBuf> {
+    let below = |folder: PathBuf| WalkDir::new(folder).into_iter().filter_map(Result::ok);
+    let maps = depthmaps::folders(project).into_iter().flat_map(below);
+    let mut folders: Vec<PathBuf> = maps.filter(|e| e.file_type().is_dir()).map(walkdir::DirEntry::into_path).collect();
+    let places = depthmaps::FOLDERS.iter().filter(|place| !place.starts_with(super::discover::OUTPUT_FOLDER));
+    for place in places {
+        let above = Path::new(place).ancestors().skip(1).filter(|above| !above.as_os_str().is_empty());
+        folders.extend(above.map(|above| project.join(above)).filter(|folder| folder.is_dir()));
+    }
+    folders
+}
+
+/// Depth maps by path.
+pub type MapFiles = BTreeMap<PathBuf, Entry>;
+
+/// What looks like a depth map in the folders of the project.
+pub fn map_files(project: &Path) -> MapFiles {
+    let mut files = MapFiles::new();
+    for folder in depthmaps::folders(project) {
+        let entries = WalkDir::new(folder).into_iter().filter_map(Result::ok);
+        for entry in entries.filter(|e| depthmaps::looks_like_one(e.path())) {
+            let metadata = fs::metadata(entry.path()).ok().filter(fs::Metadata::is_file);
+            files.extend(metadata.map(|metadata| (entry.into_path(), Entry::of(&metadata))));
+        }
+    }
+    files
+}
+
+/// The depth maps of a project over time.
+#[derive(Debug, Default)]
+pub struct Maps {
+    /// Each map and since when it has been the same.
+    seen: BTreeMap<PathBuf, (Entry, Instant)>,
+    /// When a map last vanished.
+    vanished: Option<Instant>,
+    /// What was measured last.
+    followed: MapFiles,
+    /// Not before this they are measured again.
+    rest_until: Option<Instant>,
+}
+
+impl Maps {
+    /// Takes a look at them.
+    pub fn observe(&mut self, files: MapFiles, now: Instant) {
+        let vanished = self.seen.keys().any(|path| !files.contains_key(path));
+        self.vanished = if vanished { Some(now) } else { self.vanished };
+        let mut before = std::mem::take(&mut self.seen);
+        self.seen = files
+            .into_iter()
+            .map(|(path, entry)| {
+                let same = before.remove(&path).filter(|(known, _)| *known == entry);
+                (path, same.unwrap_or((entry, now)))
+            })
+            .collect();
+    }
+
+    /// When there is next something to measure.
+    pub fn due(&self, settle: Duration) -> Option<Instant> {
+        let new = |path: &PathBuf, entry: &Entry| self.followed.get(path) != Some(entry);
+        let settles = self.seen.iter().filter(|(path, (entry, _))| new(path, entry)).map(|(_, (_, since))| *since);
+        let first = settles.chain(self.vanished).min()?;
+        Some((first + settle).max(self.rest_until.unwrap_or(first)))
+    }
+
+    /// Those that have been the same for `settle`.
+    pub fn settled(&self, settle: Duration, now: Instant) -> MapFiles {
+        let settled = self.seen.iter().filter(|(_, (_, since))| *since + settle <= now);
+        settled.map(|(path, (entry, _))| (path.clone(), *entry)).collect()
+    }
+
+    /// These were measured, which took so long.
+    pub fn measured(&mut self, files: MapFiles, took: Duration, now: Instant) {
+        self.followed = files;
+        self.vanished = None;
+        self.rest_until = Some(now + took * REST);
+    }
+
+    /// All are to be measured again, for the plan is another one.
+    pub fn forget_measured(&mut self) {
+        self.followed.clear();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SETTLE: Duration = Duration::from_secs(2);
+    const SECOND: Duration = Duration::from_secs(1);
+
+    /// Maps by the length of their files.
+    fn files(lengths: &[(&str, usize)]) -> MapFiles {
+        let root = tempfile::tempdir().expect("a temporary folder");
+        let entry = |&(name, length): &(&str, usize)| {
+            let path = root.path().join("map");
+            fs::write(&path, vec![0; length]).expect("a file");
+            let file = fs::File::options().write(true).open(&path).expect("the file");
+            file.set_modified(std::time::UNIX_EPOCH).expect("a time");
+            (PathBuf::from(name), Entry::of(&fs::metadata(&path).expect("the file")))
+        };
+        // One file after the other has the same inode.
+        lengths.iter().map(entry).collect()
+    }
+
+    #[test]
+    fn each_map_settles_by_itself_while_others_are_written() {
+        let start = Instant::now();
+        let mut maps = Maps::default();
+        assert_eq!(maps.due(SETTLE), None);
+        maps.observe(files(&[("a", 1)]), start);
+        assert_eq!(maps.due(SETTLE), Some(start + SETTLE));
+        maps.observe(files(&[("a", 1), ("b", 1)]), start + SECOND);
+        maps.observe(files(&[("a", 1), ("b", 2)]), start + SETTLE);
+        let settled = maps.settled(SETTLE, start + SETTLE);
+        assert_eq!(settled, files(&[("a", 1)]));
+        maps.measured(settled, Duration::ZERO, start + SETTLE);
+        assert_eq!(maps.due(SETTLE), Some(start + SETTLE * 2));
+        maps.measured(files(&[("a", 1), ("b", 2)]), Duration::ZERO, start + SETTLE * 2);
+        assert_eq!(maps.due(SETTLE), None);
+        maps.observe(files(&[("b", 2)]), start + SETTLE * 3);
+        assert_eq!(maps.due(SETTLE), Some(start + SETTLE * 4), "a map that vanished counts no more");
+    }
+
+    #[test]
+    fn measuring_takes_at_most_a_tenth_of_the_time() {
+        let start = Instant::now();
+        let mut maps = Maps::default();
+        maps.measured(MapFiles::new(), SECOND, start);
+        maps.observe(files(&[("a", 1)]), start);
+        assert_eq!(maps.due(SETTLE), Some(start + SECOND * 9));
+    }
+
+    #[test]
+    fn folders_in_which_maps_may_appear_are_watched_and_our_own_are_not() {
+        let root = tempfile::tempdir().expect("a temporary folder");
+        for folder in ["dense/stereo", "viewrank/openmvs/x", "sgm/depth_maps"] {
+            fs::create_dir_all(root.path().join(folder)).expect("a folder");
+        }
+        let mut watched = watched_folders(root.path());
+        watched.sort();
+        watched.dedup();
+        let names: Vec<_> = watched.iter().map(|f| f.strip_prefix(root.path()).expect("below")).collect();
+        let expected = ["dense", "dense/stereo", "sgm", "sgm/depth_maps", "viewrank/openmvs", "viewrank/openmvs/x"];
+        assert_eq!(names, expected.map(Path::new));
+    }
+}

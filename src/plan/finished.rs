@@ -1,0 +1,108 @@
+//! What of a plan is done already, and where its views were when it was made.
+
+use std::collections::BTreeMap;
+
+use nalgebra::{Quaternion, UnitQuaternion, Vector3};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::{
+    camera::{Camera, CameraModel},
+    scene::{Pose, Scene, ViewIndex},
+};
+
+/// The part of a plan that is done.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Finished {
+    /// The first so many of the ranking have their depth map; their fulfilment is the real one (method 5.4).
+    pub clusters: usize,
+    /// Depth maps that no longer fit the model, by key view.
+    pub outdated: Vec<Outdated>,
+    /// Depth maps that cannot be read, in sentences.
+    pub unreadable: Vec<String>,
+    /// Of depth maps that were made with an earlier model: the views of their clusters as they were then, by key view and name.
+    pub made_with: BTreeMap<String, BTreeMap<String, PlannedView>>,
+    /// BLAKE3 of each outdated depth map, by key view: a new one of the same view is not outdated.
+    pub outdated_files: BTreeMap<String, String>,
+}
+
+/// A finished depth map whose views are not where they were when it was made.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct Outdated {
+    /// The key view.
+    pub key: String,
+    /// The view of its cluster that moved most.
+    pub view: String,
+    /// How far what the depth map shows moved in that view, px of the model's image; null where the view is no longer in the model.
+    pub moved_px: Option<f64>,
+}
+
+/// `viewrank/planned_views.json`: where the views were, so that a later plan can say which depth maps still fit.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct PlannedViews {
+    pub version: u32,
+    /// By name.
+    pub views: BTreeMap<String, PlannedView>,
+    /// [`Finished::made_with`].
+    pub made_with: BTreeMap<String, BTreeMap<String, PlannedView>>,
+    /// [`Finished::outdated_files`].
+    pub outdated_files: BTreeMap<String, String>,
+}
+
+/// Camera and pose of a view.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct PlannedView {
+    camera: PlannedCamera,
+    /// cam_from_world: w, x, y, z.
+    rotation: [f64; 4],
+    /// cam_from_world, scene units.
+    translation: [f64; 3],
+}
+
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+struct PlannedCamera {
+    /// COLMAP's name.
+    model: String,
+    width: u32,
+    height: u32,
+    params: Vec<f64>,
+}
+
+impl PlannedViews {
+    pub(super) fn new(scene: &Scene, finished: &Finished) -> Self {
+        let view = |view| (scene.name(view).to_owned(), PlannedView::new(scene, view));
+        Self {
+            version: 1,
+            views: scene.view_indices().map(view).collect(),
+            made_with: finished.made_with.clone(),
+            outdated_files: finished.outdated_files.clone(),
+        }
+    }
+}
+
+impl PlannedView {
+    pub fn new(scene: &Scene, view: ViewIndex) -> Self {
+        let (camera, pose) = (scene.camera_of(view), &scene.view(view).cam_from_world);
+        let q = UnitQuaternion::from_rotation_matrix(&pose.rotation);
+        Self {
+            camera: PlannedCamera {
+                model: camera.model().name().into(),
+                width: camera.width,
+                height: camera.height,
+                params: camera.params().to_vec(),
+            },
+            rotation: [q.w, q.i, q.j, q.k],
+            translation: pose.translation.into(),
+        }
+    }
+
+    /// `None` where the record is broken.
+    pub fn camera_and_pose(&self) -> Option<(Camera, Pose)> {
+        let PlannedCamera { model, width, height, params } = &self.camera;
+        let model = CameraModel::from_name(model)?;
+        let camera = Camera::new(1, model, (*width).into(), (*height).into(), params.clone()).ok()?;
+        let [w, x, y, z] = self.rotation;
+        let rotation = UnitQuaternion::try_new(Quaternion::new(w, x, y, z), f64::MIN_POSITIVE)?.to_rotation_matrix();
+        Some((camera, Pose { rotation, translation: Vector3::from(self.translation) }))
+    }
+}

@@ -1,0 +1,299 @@
+//! Plans around finished depth maps (method 5.4), on a town whose depths are known.
+
+use std::{
+    fs,
+    path::{Path, PathBuf},
+};
+
+use nalgebra::{Point2, Vector3};
+use npyz::WriterBuilder;
+use viewrank::{
+    camera::{Camera, CameraModel},
+    config::Settings,
+    formats::{colmap::ColmapModel, colmap_bin},
+    fulfilment::FulfilmentTable,
+    output::Disk,
+    plan::{self, Plan},
+    progress::Unwatched,
+    project::Project,
+    ranking,
+    replan::{Earlier, Maps, replan},
+    scene::{Scene, ViewIndex},
+    synthetic::Town,
+    visibility,
+};
+
+const FOCAL: f64 = 320.0;
+const ALTITUDE: f64 = 40.0;
+
+fn town() -> Scene {
+    let camera = Camera::new(1, CameraModel::Pinhole, 400, 300, vec![FOCAL, FOCAL, 200.0, 150.0]).unwrap();
+    let town = Town { grid: 4, points: 800, tilt: None, side: 40.0, altitude: ALTITUDE, boxes: 1, ..Town::new(camera) };
+    town.scene()
+}
+
+/// A project of the model, planned.
+struct Planned {
+    folder: tempfile::TempDir,
+    plan: Plan,
+}
+
+impl Planned {
+    fn new(scene: &Scene) -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        write_model(folder.path(), scene);
+        let plan = plan_of(folder.path());
+        write(&plan, folder.path());
+        Self { folder, plan }
+    }
+
+    fn maps(&self) -> PathBuf {
+        self.folder.path().join("sgm")
+    }
+
+    /// Depth maps of those clusters of the ranking; `keep` says which pixels have a depth.
+    fn write_maps(&self, ranks: std::ops::Range<usize>, keep: impl Fn(u32, u32) -> bool) {
+        fs::create_dir_all(self.maps()).unwrap();
+        for &cluster in &self.plan.ranking.order[ranks] {
+            let key = self.plan.clusters[cluster as usize].key;
+            let depths = depths(&self.plan, key, &keep);
+            write_map(&self.maps().join(format!("{}.npy", self.plan.scene.name(key))), depths);
+        }
+    }
+
+    /// The plan of the model that is there now, around the maps.
+    fn again(&self) -> Plan {
+        let project = Project::open(self.folder.path(), None).unwrap();
+        let maps = Maps { folder: &self.maps(), ready: &|_| true };
+        let plan = plan_of(self.folder.path());
+        replan(plan, &Earlier::read(&project).unwrap(), &maps, &Unwatched).unwrap().0
+    }
+
+    fn keys(&self, ranks: std::ops::Range<usize>) -> Vec<&str> {
+        let key = |&c: &u32| self.plan.scene.name(self.plan.clusters[c as usize].key);
+        self.plan.ranking.order[ranks].iter().map(key).collect()
+    }
+}
+
+fn write_model(project: &Path, scene: &Scene) {
+    let folder = project.join("sparse/0");
+    fs::create_dir_all(&folder).unwrap();
+    for (name, bytes) in colmap_bin::write(&ColmapModel::from_scene(scene)) {
+        fs::write(folder.join(name), bytes).unwrap();
+    }
+}
+
+fn plan_of(folder: &Path) -> Plan {
+    let settings = Settings { backends: vec!["sgm".into()], ..Settings::default() };
+    plan::plan(&Project::open(folder, None).unwrap(), &settings, &Unwatched).unwrap()
+}
+
+fn write(plan: &Plan, folder: &Path) {
+    let files = plan::files(plan, &Project::open(folder, None).unwrap()).unwrap();
+    files.sets.iter().for_each(|set| drop(set.write(&Disk::REAL).unwrap()));
+}
+
+/// Depth of the plan's surface in each pixel of the view.
+fn depths(plan: &Plan, view: ViewIndex, keep: impl Fn(u32, u32) -> bool) -> Vec<f32> {
+    let camera = plan.scene.camera_of(view);
+    let pose = &plan.scene.view(view).cam_from_world;
+    let front = visibility::front(&plan.scene, &plan.surface, view, camera.width, camera.height);
+    let depth = |(at, &t): (usize, &u32)| {
+        let (column, row) = (at as u32 % camera.width, at as u32 / camera.width);
+        if t == visibility::NOTHING || !keep(column, row) {
+            return 0.0;
+        }
+        let ray = camera.ray(&Point2::new(f64::from(column) + 0.5, f64::from(row) + 0.5)).unwrap();
+        let [a, b, c] = plan.surface.corners(t).map(|p| pose.camera_from_world(&p));
+        let normal = (b - a).cross(&(c - a));
+        (normal.dot(&a.coords) / normal.dot(&ray) * ray.z) as f32
+    };
+    front.iter().enumerate().map(depth).collect()
+}
+
+fn write_map(path: &Path, depths: Vec<f32>) {
+    let mut bytes = Vec::new();
+    let mut writer =
+        npyz::WriteOptions::new().default_dtype().shape(&[300, 400]).writer(&mut bytes).begin_nd().unwrap();
+    writer.extend(depths).unwrap();
+    writer.finish().unwrap();
+    fs::write(path, bytes).unwrap();
+}
+
+/// The predicted values of a cluster with those of the finished ones replaced, ranked plainly.
+#[test]
+fn without_failures_the_rest_is_ranked_as_by_prediction_behind_the_real_values() {
+    let planned = Planned::new(&town());
+    planned.write_maps(0..3, |_, _| true);
+    let again = planned.again();
+    assert_eq!(again.finished.clusters, 3);
+    let before = &planned.plan;
+    assert_eq!(again.clusters, before.clusters);
+    let finished = &before.ranking.order[..3];
+    let mut table = FulfilmentTable { offsets: vec![0], ..Default::default() };
+    for c in 0..before.clusters.len() {
+        let from = if finished.contains(&(c as u32)) { &again.fulfilment } else { &before.fulfilment };
+        table.triangles.extend(from.of(c).0);
+        table.values.extend(from.of(c).1);
+        table.offsets.push(table.triangles.len());
+    }
+    assert_eq!(again.fulfilment, table);
+    let weights = ranking::weights(&before.surface, before.settings.ranking.weight);
+    let expected = ranking::rank_after(finished, &table, &weights, 1, &Unwatched).unwrap();
+    assert_eq!(again.ranking, expected);
+}
+
+#[test]
+fn what_failed_lowers_what_is_expected_of_its_neighbours_and_of_nobody_else() {
+    let planned = Planned::new(&town());
+    planned.write_maps(0..1, |column, _| column >= 200);
+    let again = planned.again();
+    let first = planned.plan.ranking.order[0] as usize;
+    let mut lowered = 0;
+    for c in (0..again.clusters.len()).filter(|&c| c != first) {
+        let (before, after) = (planned.plan.fulfilment.of(c), again.fulfilment.of(c));
+        assert_eq!(before.0, after.0);
+        assert!(before.1.iter().zip(after.1).all(|(b, a)| a <= b));
+        lowered += before.1.iter().zip(after.1).filter(|(b, a)| a < b).count();
+    }
+    assert!(lowered > 0);
+    // Triangles that the failed half of the map does not show are expected as before.
+    let failed: Vec<u32> = {
+        let key = planned.plan.clusters[first].key;
+        let picture = visibility::front(&planned.plan.scene, &planned.plan.surface, key, 400, 300);
+        let left = |&(at, _): &(usize, &u32)| at % 400 < 200;
+        picture.iter().enumerate().filter(left).map(|(_, t)| *t).collect()
+    };
+    for c in (0..again.clusters.len()).filter(|&c| c != first) {
+        let (triangles, before) = planned.plan.fulfilment.of(c);
+        for ((t, b), a) in triangles.iter().zip(before).zip(again.fulfilment.of(c).1) {
+            assert!(a == b || failed.contains(t));
+        }
+    }
+}
+
+#[test]
+fn finished_clusters_stay_at_the_head_of_the_files_and_of_the_cut() {
+    let planned = Planned::new(&town());
+    // The last of the ranking, which no cut would take.
+    let all = planned.plan.ranking.order.len();
+    planned.write_maps(all - 2..all, |_, _| true);
+    let again = planned.again();
+    write(&again, planned.folder.path());
+    assert!(again.cut.clusters >= 2);
+    let text = fs::read_to_string(planned.folder.path().join("viewrank/clusters.txt")).unwrap();
+    let keys: Vec<&str> = text.lines().map(|line| line.split('\t').next().unwrap()).collect();
+    assert_eq!(keys[..2], planned.keys(all - 2..all));
+    let manifest = fs::read(planned.folder.path().join("viewrank/manifest.json")).unwrap();
+    let manifest: serde_json::Value = serde_json::from_slice(&manifest).unwrap();
+    let finished: Vec<bool> =
+        manifest["clusters"].as_array().unwrap().iter().map(|c| c["finished"].as_bool().unwrap()).collect();
+    assert!(finished[..2].iter().all(|&f| f) && finished[2..].iter().all(|&f| !f));
+    // Nothing new has come: the same bytes.
+    let once_more = planned.again();
+    assert_eq!(once_more.ranking, again.ranking);
+}
+
+/// The model with a view moved along its image by so many pixels at the ground.
+fn shifted(scene: &Scene, name: &str, pixels: f64) -> Scene {
+    let mut scene = scene.clone();
+    let view = scene.find(name).unwrap();
+    scene.views[view.at()].cam_from_world.translation += Vector3::new(pixels * ALTITUDE / FOCAL, 0.0, 0.0);
+    scene
+}
+
+#[test]
+fn maps_whose_views_moved_too_far_are_named_and_the_others_stay() {
+    let scene = town();
+    let planned = Planned::new(&scene);
+    planned.write_maps(0..4, |_, _| true);
+    let cluster = &planned.plan.clusters[planned.plan.ranking.order[0] as usize];
+    let moved = planned.plan.scene.name(cluster.partners[0]);
+    write_model(planned.folder.path(), &shifted(&scene, moved, 0.4));
+    let again = planned.again();
+    assert_eq!((again.finished.clusters, again.finished.outdated.len()), (4, 0), "within a pixel");
+    assert!(!again.finished.made_with.is_empty());
+    write(&again, planned.folder.path());
+
+    // 0.8 px more is 1.2 px from where the view was when the maps were made.
+    write_model(planned.folder.path(), &shifted(&scene, moved, 1.2));
+    let later = planned.again();
+    let with_moved: Vec<&str> = {
+        let uses = |&&c: &&u32| {
+            let cluster = &planned.plan.clusters[c as usize];
+            cluster.key == planned.plan.scene.find(moved).unwrap()
+                || cluster.partners.contains(&planned.plan.scene.find(moved).unwrap())
+        };
+        let order = &planned.plan.ranking.order[..4];
+        order.iter().filter(uses).map(|&c| planned.plan.scene.name(planned.plan.clusters[c as usize].key)).collect()
+    };
+    let named: Vec<&str> = later.finished.outdated.iter().map(|o| o.key.as_str()).collect();
+    assert_eq!(named, with_moved);
+    assert_eq!(later.finished.clusters, 4 - with_moved.len());
+    for outdated in &later.finished.outdated {
+        let pixels = outdated.moved_px.unwrap();
+        // The ground lies up to 3 m nearer or farther than the mean, a box 8 m nearer.
+        assert!((1.0..1.6).contains(&pixels), "{pixels}");
+    }
+    write(&later, planned.folder.path());
+
+    // The view goes back: the outdated maps are still the same files and stay outdated; one made anew is not.
+    let anew = with_moved[0];
+    let view = planned.plan.scene.find(anew).unwrap();
+    write_map(&planned.maps().join(format!("{anew}.npy")), depths(&planned.plan, view, |column, _| column > 5));
+    let last = planned.again();
+    let named: Vec<&str> = last.finished.outdated.iter().map(|o| o.key.as_str()).collect();
+    assert_eq!(named, with_moved[1..]);
+}
+
+#[test]
+fn new_views_and_another_frame_leave_finished_maps_valid_and_another_scale_does_not() {
+    let scene = town();
+    let mut fewer = scene.clone();
+    // The last view is not in the first model.
+    let gone = ViewIndex(fewer.views.len() as u32 - 1);
+    fewer = without(&fewer, gone);
+    let planned = Planned::new(&fewer);
+    planned.write_maps(0..3, |_, _| true);
+    write_model(planned.folder.path(), &transformed(&scene, 1.0));
+    let again = planned.again();
+    assert_eq!((again.finished.clusters, again.finished.outdated.len()), (3, 0));
+    assert!(again.scene.views.len() > planned.plan.scene.views.len());
+    write_model(planned.folder.path(), &transformed(&scene, 1.1));
+    let again = planned.again();
+    assert_eq!((again.finished.clusters, again.finished.outdated.len()), (0, 3));
+}
+
+/// The scene without a view.
+fn without(scene: &Scene, view: ViewIndex) -> Scene {
+    let mut fewer = scene.clone();
+    assert_eq!(view.at(), fewer.views.len() - 1, "indices stay");
+    fewer.views.pop();
+    let (mut views, mut pixels, mut offsets) = (Vec::new(), Vec::new(), vec![0]);
+    for track in scene.track_offsets.windows(2) {
+        for at in (track[0] as usize..track[1] as usize).filter(|&at| scene.track_views[at] != view) {
+            views.push(scene.track_views[at]);
+            pixels.push(scene.track_pixels[at]);
+        }
+        offsets.push(views.len() as _);
+    }
+    (fewer.track_views, fewer.track_pixels, fewer.track_offsets) = (views, pixels, offsets);
+    fewer
+}
+
+/// The same scene in another frame: turned, moved and scaled.
+fn transformed(scene: &Scene, scale: f64) -> Scene {
+    let turn = nalgebra::Rotation3::from_euler_angles(0.3, -0.2, 1.0);
+    let shift = Vector3::new(100.0, -20.0, 7.0);
+    let mut other = scene.clone();
+    for point in &mut other.points {
+        *point = (turn * point.coords * scale + shift).into();
+    }
+    for view in &mut other.views {
+        let pose = &mut view.cam_from_world;
+        let rotation = pose.rotation * turn.inverse();
+        pose.translation = pose.translation * scale - rotation * shift;
+        pose.rotation = rotation;
+    }
+    other
+}
