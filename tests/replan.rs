@@ -218,7 +218,7 @@ fn maps_whose_views_moved_too_far_are_named_and_the_others_stay() {
     // 0.8 px more is 1.2 px from where the view was when the maps were made.
     write_model(planned.folder.path(), &shifted(&scene, moved, 1.2));
     let later = planned.again();
-    let with_moved: Vec<&str> = {
+    let mut with_moved: Vec<&str> = {
         let uses = |&&c: &&u32| {
             let cluster = &planned.plan.clusters[c as usize];
             cluster.key == planned.plan.scene.find(moved).unwrap()
@@ -227,6 +227,7 @@ fn maps_whose_views_moved_too_far_are_named_and_the_others_stay() {
         let order = &planned.plan.ranking.order[..4];
         order.iter().filter(uses).map(|&c| planned.plan.scene.name(planned.plan.clusters[c as usize].key)).collect()
     };
+    with_moved.sort_unstable();
     let named: Vec<&str> = later.finished.outdated.iter().map(|o| o.key.as_str()).collect();
     assert_eq!(named, with_moved);
     assert_eq!(later.finished.clusters, 4 - with_moved.len());

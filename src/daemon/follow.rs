@@ -9,12 +9,17 @@ use std::{
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{discover::OUTPUT_FOLDER, maps::MapFiles};
+use super::{
+    discover::OUTPUT_FOLDER,
+    maps::{MapFiles, map_files},
+    state::Outcome,
+};
 use crate::{
     depthmaps,
+    error::Hint,
     evaluate::{Run, curve::Curve},
     output::{self, Disk, OutputError},
-    plan::{Outdated, Plan},
+    plan::{self, Outdated, Plan},
     progress::Watcher,
     ranking,
     replan::{Earlier, Maps, ReplanError, replan},
@@ -27,6 +32,7 @@ const PAUSE: f64 = 20.0;
 
 /// `viewrank/progress.json`: how far the backend is, for queues and people. Written by `viewrank watch` whenever depth maps have come.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default)]
 pub struct Progress {
     /// Version of this format.
     pub version: u32,
@@ -68,6 +74,17 @@ impl Progress {
         serde_json::from_slice(&fs::read(progress_file(root)).ok()?).ok()
     }
 
+    /// Takes over whether this target was announced before.
+    pub(super) fn remember_announced(&mut self, root: &Path) {
+        let same_target = |p: &Self| p.announced && p.target_reached && p.target == self.target;
+        self.announced = self.target_reached && Self::read(root).as_ref().is_some_and(same_target);
+    }
+
+    pub(super) fn outcome(self) -> Outcome {
+        let Self { done, clusters, share, target_reached: reached, note, .. } = self;
+        Outcome::Followed { done, clusters, share, reached, note }
+    }
+
     pub fn write(&self, root: &Path) -> Result<(), OutputError> {
         let text = serde_json::to_string_pretty(self).unwrap_or_default() + "\n";
         output::replace(&progress_file(root), text.as_bytes(), &Disk::REAL)
@@ -82,6 +99,31 @@ pub fn progress_file(root: &Path) -> PathBuf {
 /// Was the target reached when the depth maps were last measured?
 pub fn target_reached(root: &Path) -> bool {
     Progress::read(root).is_some_and(|progress| progress.target_reached)
+}
+
+/// Measures the depth maps that are there now and writes `progress.json`; [`Outcome::Abandoned`] where there are none.
+pub fn follow(root: &Path, watcher: &dyn Watcher) -> Outcome {
+    follow_now(root, watcher).unwrap_or_else(|ended| ended)
+}
+
+fn follow_now(root: &Path, watcher: &dyn Watcher) -> Result<Outcome, Outcome> {
+    output::recover(root, &Disk::REAL).map_err(failed)?;
+    let files = map_files(root);
+    let Some(folder) = fullest_folder(root, &files) else { return Ok(Outcome::Abandoned) };
+    let (project, plan) = plan::again(root, watcher).map_err(failed)?;
+    let earlier = Earlier::read(&project).map_err(failed)?;
+    let following = Following { plan, earlier: &earlier, folder: &folder, files: &files, replan: false };
+    let mut progress = following.measure(watcher).map_err(failed)?.1;
+    if progress.finished.is_empty() {
+        return Ok(Outcome::Abandoned);
+    }
+    progress.remember_announced(root);
+    progress.write(root).map_err(failed)?;
+    Ok(progress.outcome())
+}
+
+pub(super) fn failed(error: impl Hint) -> Outcome {
+    Outcome::Failed { reason: error.to_string(), hint: error.hint() }
 }
 
 /// The folder with most of these depth maps, the first of equals.

@@ -17,7 +17,7 @@ use tracing::warn;
 
 use super::{
     discover::OUTPUT_FOLDER,
-    follow::{Following, Progress, fullest_folder},
+    follow::{Following, failed, fullest_folder},
     kept::KeptPlans,
     maps::MapFiles,
     queue,
@@ -166,17 +166,14 @@ impl PlanJob {
         if self.options.replan {
             write(&plan, &project, &record.fingerprint, job)?;
         }
-        let before = Progress::read(job.project);
-        let same_target = |p: &Progress| p.announced && p.target_reached && p.target == progress.target;
-        progress.announced = progress.target_reached && before.as_ref().is_some_and(same_target);
+        progress.remember_announced(job.project);
         progress.write(job.project).map_err(failed)?;
         if progress.target_reached && !progress.announced {
             self.announce(job.project);
             progress.announced = true;
             progress.write(job.project).map_err(failed)?;
         }
-        let Progress { done, clusters, share, target_reached: reached, note, .. } = progress;
-        Ok(Outcome::Followed { done, clusters, share, reached, note })
+        Ok(progress.outcome())
     }
 
     /// The plan by the prediction alone, from memory where it is kept.
@@ -273,10 +270,6 @@ fn record_of(project: &Path) -> Option<PlannedFrom> {
     let folder = project.join(OUTPUT_FOLDER);
     let text = fs::read(folder.join(RECORD)).ok()?;
     serde_json::from_slice(&text).ok().filter(|_| folder.join("manifest.json").is_file())
-}
-
-fn failed(error: impl Hint) -> Outcome {
-    Outcome::Failed { reason: error.to_string(), hint: error.hint() }
 }
 
 /// A model that doesn't parse or fit together is taken for one that isn't there whole yet.

@@ -98,6 +98,7 @@ pub fn replan(
             Found::Unreadable(why) => plan.finished.unreadable.push(why),
         }
     }
+    plan.finished.outdated.sort_by(|a, b| a.key.cmp(&b.key));
     let run = match clusters.as_slice() {
         [] => None,
         clusters => Some(measure(&plan, clusters, maps.folder, watcher)?),
