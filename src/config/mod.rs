@@ -33,6 +33,9 @@ pub struct Settings {
     pub seed: u64,
     /// Backends to write files for; the plan is made for the first. Empty: the one that the project is set up for, else "sure".
     pub backends: Vec<String>,
+    /// What `viewrank watch` has the shell run once when a project's target is reached by its depth maps. In the user's own file only.
+    #[schemars(extend("userOnly" = true))]
+    pub on_target: Option<String>,
     pub target: TargetSettings,
     pub coverage: CoverageSettings,
     pub fulfilment: FulfilmentSettings,
@@ -44,9 +47,6 @@ pub struct Settings {
     pub cut: CutSettings,
     pub forecast: ForecastSettings,
     pub dispatch: DispatchSettings,
-    /// What `viewrank watch` has the shell run once when a project's target is reached by its depth maps. In the user's own file only.
-    #[schemars(extend("userOnly" = true))]
-    pub on_target: Option<String>,
 }
 
 impl Settings {
