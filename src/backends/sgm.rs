@@ -20,8 +20,8 @@ const NUMBERS: PlanningNumbers = PlanningNumbers {
     },
     confidence: PairConfidence {
         min_matches: 2,
-        p0: 0.95,
-        cosine_power: 0.25,
+        p0: 0.9,
+        cosine_power: 0.0,
         scale_octaves: Some(2.0),
         full_angle_deg: None,
     },

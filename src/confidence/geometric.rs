@@ -1,4 +1,5 @@
-//! Method 7.2: the chance of a match from the constellation of the two views and the triangle. Needs no image.
+//! Method 7.2: the chance of a match from the constellation of the two views and the triangle. Needs no image. What the sparse points
+//! around say is in [`nearby`](super::nearby()).
 
 use nalgebra::Point3;
 

@@ -4,9 +4,11 @@
 //! confidence per view and triangle, from a [`Predictor`]) and the constellation ([`PairConfidence`], which needs no image).
 
 mod geometric;
+mod nearby;
 pub mod trees;
 
 pub use geometric::{Constellation, PairConfidence};
+pub use nearby::nearby;
 
 use crate::{
     config::{ConfidenceForm, ConfidenceSettings},
@@ -47,7 +49,7 @@ pub enum ConfidenceError {
 pub enum Source {
     /// f_conf = 1: the paper's NoCP.
     None,
-    /// The constellation alone (method 7.2).
+    /// The constellation and the sparse points around (method 7.2).
     Geometric,
     /// The constellation and a training-free look at the picture (method 7.3).
     Proxy,

@@ -165,7 +165,12 @@ pub fn plan(project: &Project, settings: &Settings, watcher: &dyn Watcher) -> Re
     if source.needs_images() {
         return Err(PlanError::NoPredictor(source.to_string()));
     }
-    let unary = Unary::certain();
+    let unary = match source {
+        confidence::Source::None => Unary::certain(),
+        _ => timings.time(Stage::Visibility, || {
+            confidence::nearby(&scene, &points, &seen.surface, &seen.visibility, watcher)
+        })?,
+    };
     let model = Model {
         scene: &scene,
         surface: &seen.surface,

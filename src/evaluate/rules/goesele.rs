@@ -1,5 +1,6 @@
-//! Goesele, Snavely, Curless, Hoppe, Seitz, *Multi-View Stereo for Community Photo Collections* (ICCV 2007), section 4.1, in the
-//! form of MVE's `GlobalViewSelection`.
+//! Goesele, Snavely, Curless, Hoppe, Seitz, *Multi-View Stereo for Community Photo Collections* (ICCV 2007), section 4.1; the footprint
+//! is that of MVE's `GlobalViewSelection`, which multiplies the angle weights of all views taken, also of those that do not see the
+//! point; the paper's product, and this one, is over those that see it.
 //!
 //! Greedy. A view gains, for every shared point, `w_scale x product of w_angle with the key view and with every view taken before
 //! that sees the point`; `w_angle = (angle / 10 deg)^2` below 10 degrees, else 1; `w_scale` by r, the key view's footprint over the

@@ -33,7 +33,7 @@ pub const RULES: &[Rule] = &[
     Rule { name: "mindist", source: "k closest camera centres", choose: nearest::closest },
     Rule { name: "maxcon", source: "k most shared sparse points", choose: nearest::most_connected },
     Rule { name: "random", source: "k of the 22 most connected views", choose: nearest::random },
-    Rule { name: "goesele", source: "Goesele et al. 2007, as in MVE's dmrecon", choose: goesele::choose },
+    Rule { name: "goesele", source: "Goesele et al. 2007", choose: goesele::choose },
     Rule { name: "bailer", source: "Bailer, Finckh, Lensch 2012", choose: bailer::choose },
     Rule { name: "shen", source: "Shen 2013", choose: shen::choose },
     Rule { name: "colmap", source: "COLMAP's __auto__ in patch-match.cfg", choose: colmap::choose },
