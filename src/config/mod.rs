@@ -269,16 +269,6 @@ pub enum PartnerMethod {
     Search,
 }
 
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "lowercase")]
-pub enum PartnerObjective {
-    /// The sum of f over the whole view.
-    #[default]
-    View,
-    /// What the cluster adds when its turn comes (method 4.1).
-    Gain,
-}
-
 /// Method 4.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
@@ -300,8 +290,6 @@ pub struct PartnerSettings {
     pub triangle_fraction: u32,
     /// How partners are chosen: the paper's drawn combinations, or search from the best of them on.
     pub method: PartnerMethod,
-    /// What partners are good for: the whole view, or what the cluster adds when its turn comes (method 4.1).
-    pub objective: PartnerObjective,
 }
 
 impl Default for PartnerSettings {
@@ -313,7 +301,6 @@ impl Default for PartnerSettings {
             draws: 100,
             triangle_fraction: 10,
             method: PartnerMethod::Search,
-            objective: PartnerObjective::View,
         }
     }
 }
