@@ -25,8 +25,8 @@ use super::{Failure, Format, config, json, print, progress::Progress, summary::S
 pub struct Arguments {
     project: PathBuf,
 
-    /// Matching partners per key view: a number, or auto
-    #[arg(short, value_name = "N|auto", help_heading = "What is chosen")]
+    /// Matching partners per key view
+    #[arg(short, value_name = "N", help_heading = "What is chosen")]
     k: Option<String>,
     /// Stop after N view clusters, or after P % of the registered views
     #[arg(long, value_name = "N|P%", help_heading = "What is chosen")]

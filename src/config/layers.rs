@@ -280,7 +280,7 @@ fn nearest(key: &str) -> Option<&'static str> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{config::PartnerCount, scene::Units};
+    use crate::scene::Units;
 
     /// The configuration of a user's and a project's file and typed options.
     fn load(user: &str, project: &str, typed: Typed) -> Result<Configuration, ConfigError> {
@@ -309,7 +309,7 @@ mod tests {
         let both = load(user, project, typed).unwrap();
         assert_eq!(both.settings.target.gsd, Some(0.01));
         assert_eq!(both.settings.target.accuracy, Some(0.05));
-        assert_eq!(both.settings.partners.k, PartnerCount::Fixed(3));
+        assert_eq!(both.settings.partners.k, 3);
         assert_eq!(both.settings.units, Some(Units::Metric));
         assert_eq!(both.source("target.gsd").to_string(), "--gsd");
         assert!(both.source("target.accuracy").to_string().ends_with("user.toml:4"));

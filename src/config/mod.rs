@@ -244,21 +244,6 @@ impl Default for VisibilitySettings {
     }
 }
 
-/// A fixed number of partners, or as many as pay.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(untagged)]
-pub enum PartnerCount {
-    Fixed(u32),
-    Auto(AutoWord),
-}
-
-/// The word `auto`.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "lowercase")]
-pub enum AutoWord {
-    Auto,
-}
-
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum PartnerMethod {
@@ -273,12 +258,9 @@ pub enum PartnerMethod {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct PartnerSettings {
-    /// Partners per key view (k), or "auto".
-    #[schemars(extend("unit" = "partners", "minimum" = 1))]
-    pub k: PartnerCount,
-    /// Most partners when k = "auto".
+    /// Partners per key view (k).
     #[schemars(range(min = 1), extend("unit" = "partners"))]
-    pub k_max: u32,
+    pub k: u32,
     /// Candidates per key view, by shared points (n).
     #[schemars(range(min = 1), extend("unit" = "views"))]
     pub candidates: u32,
@@ -294,14 +276,7 @@ pub struct PartnerSettings {
 
 impl Default for PartnerSettings {
     fn default() -> Self {
-        Self {
-            k: PartnerCount::Fixed(5),
-            k_max: 11,
-            candidates: 22,
-            draws: 100,
-            triangle_fraction: 10,
-            method: PartnerMethod::Search,
-        }
+        Self { k: 5, candidates: 22, draws: 100, triangle_fraction: 10, method: PartnerMethod::Search }
     }
 }
 

@@ -5,7 +5,7 @@ use serde::Serialize;
 use super::{clusters, curve::Curve, evaluation::QualityRow, measure::Quality, orders, rules::RULES, run::Run};
 use crate::{
     confidence::Confidence,
-    config::{PartnerCount, PartnerSettings},
+    config::PartnerSettings,
     partners::{self, ViewCluster},
     plan::Plan,
     progress::{Cancelled, Watcher},
@@ -25,7 +25,7 @@ pub fn choices(plan: &Plan, k: u32, watcher: &dyn Watcher) -> Result<Vec<Choice>
     let model = plan.model();
     let mut certain = model;
     certain.rule.confidence = Confidence::None;
-    let settings = PartnerSettings { k: PartnerCount::Fixed(k), ..plan.settings.partners.clone() };
+    let settings = PartnerSettings { k, ..plan.settings.partners.clone() };
     let weights = ranking::weights(&plan.surface, plan.settings.ranking.weight);
     let support = plan.settings.ranking.support.unwrap_or(1);
     let mut choices = Vec::new();

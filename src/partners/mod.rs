@@ -13,7 +13,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 pub use self::candidates::{Candidates, PairGeometry, Refusal, candidates};
 use self::search::Choice;
 use crate::{
-    config::{PartnerCount, PartnerMethod, PartnerSettings},
+    config::{PartnerMethod, PartnerSettings},
     fulfilment::{
         BATCH, FulfilmentTable, Model,
         block::{Block, Places},
@@ -72,20 +72,12 @@ fn choose_for(
     seed: u64,
 ) -> (Vec<ViewIndex>, Vec<f32>) {
     let n = candidates.len();
-    let choice = match settings.k {
-        PartnerCount::Fixed(k) => {
-            let k = n.min(k as usize);
-            let drawn = sampled::combinations(model.scene, key, n, k, settings.draws as usize, seed);
-            let start = sampled::best(block, &drawn);
-            match settings.method {
-                PartnerMethod::Sampled => Choice::new(block, start),
-                PartnerMethod::Search => search::search(block, start, n),
-            }
-        }
-        PartnerCount::Auto(_) => {
-            let least = model.rule.min_cameras.saturating_sub(1).max(1);
-            search::by_gain_per_pair(block, n, least as usize, settings.k_max as usize)
-        }
+    let k = n.min(settings.k as usize);
+    let drawn = sampled::combinations(model.scene, key, n, k, settings.draws as usize, seed);
+    let start = sampled::best(block, &drawn);
+    let choice = match settings.method {
+        PartnerMethod::Sampled => Choice::new(block, start),
+        PartnerMethod::Search => search::search(block, start, n),
     };
     let ordered = search::best_first(block, choice.partners);
     (ordered.into_iter().map(|p| candidates[p]).collect(), choice.values)

@@ -79,18 +79,6 @@ fn exchange(block: &mut Block, best: &Choice, n: usize, groups: usize) -> Option
     })
 }
 
-/// The number of partners, from `least` to `most`, and the greedy set of so many with the largest sum per pair; the smaller on ties.
-pub fn by_gain_per_pair(block: &mut Block, n: usize, least: usize, most: usize) -> Choice {
-    let groups = judging_groups(block);
-    let greedy = greedy(block, n, n.min(most.max(least)), groups);
-    let prefixes: Vec<Vec<usize>> = (n.min(least)..=greedy.len()).map(|k| greedy[..k].to_vec()).collect();
-    let sums = block.sums(&prefixes, groups);
-    let per_pair = |i: usize| sums[i] / prefixes[i].len().max(1) as f64;
-    let best = (0..prefixes.len()).fold(0, |best, i| if per_pair(i) > per_pair(best) { i } else { best });
-    let start = prefixes.get(best).cloned().unwrap_or_default();
-    search(block, start, n)
-}
-
 /// The same partners in the order in which each adds most to those before it.
 pub fn best_first(block: &mut Block, mut partners: Vec<usize>) -> Vec<usize> {
     partners.sort_unstable();

@@ -4,7 +4,7 @@ use super::*;
 use crate::{
     camera::{Camera, CameraModel},
     confidence::{Confidence, PairConfidence, Unary},
-    config::{AutoWord, TargetSettings, VisibilitySettings},
+    config::{TargetSettings, VisibilitySettings},
     fulfilment::{self, Rule, Target},
     progress::Unwatched,
     scene::Scene,
@@ -57,7 +57,7 @@ impl Setting {
 }
 
 fn settings(k: u32, method: PartnerMethod) -> PartnerSettings {
-    PartnerSettings { k: PartnerCount::Fixed(k), method, ..Default::default() }
+    PartnerSettings { k, method, ..Default::default() }
 }
 
 fn sum(table: &FulfilmentTable, cluster: usize) -> f64 {
@@ -126,12 +126,4 @@ fn threads_do_not_matter() {
         pool.install(|| setting.choose(&settings(3, PartnerMethod::Search)))
     };
     assert_eq!(with(1), with(16));
-}
-
-#[test]
-fn automatic_k_stays_in_its_bounds() {
-    let setting = Setting::new();
-    let auto = PartnerSettings { k: PartnerCount::Auto(AutoWord::Auto), k_max: 6, ..Default::default() };
-    let (clusters, _) = setting.choose(&auto);
-    assert!(clusters.iter().all(|c| (2..=6).contains(&c.partners.len()) || setting.candidates.of(c.key).len() < 2));
 }

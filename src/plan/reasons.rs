@@ -5,7 +5,7 @@ use schemars::JsonSchema;
 use serde::Serialize;
 
 use crate::{
-    config::{PartnerCount, PartnerSettings},
+    config::PartnerSettings,
     fulfilment::{self, Fulfilment, FulfilmentTable, Model},
     partners::{Candidates, ViewCluster},
     scene::ViewIndex,
@@ -99,10 +99,7 @@ impl Why<'_> {
 
     fn few_partners(&self, cluster: usize, settings: &PartnerSettings) -> Option<Reason> {
         let ViewCluster { key, partners } = &self.clusters[cluster];
-        match settings.k {
-            PartnerCount::Fixed(k) if partners.len() < k as usize => Some(self.refused(*key)),
-            _ => None,
-        }
+        (partners.len() < settings.k as usize).then(|| self.refused(*key))
     }
 
     /// What most of the pairs were refused for.

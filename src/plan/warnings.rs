@@ -1,7 +1,6 @@
 //! What the user should know of a plan before relying on it.
 
 use super::Plan;
-use crate::config::PartnerCount;
 
 /// Share of the observations of a table that may contradict it.
 const CONTRADICTIONS: f64 = 0.05;
@@ -37,7 +36,7 @@ fn outdated(plan: &Plan) -> Option<String> {
 
 /// k too small for what is asked of a cluster.
 fn impossible_partners(plan: &Plan) -> Option<String> {
-    let PartnerCount::Fixed(k) = plan.settings.partners.k else { return None };
+    let k = plan.settings.partners.k;
     let cameras = plan.settings.coverage.min_cameras;
     let matches = plan.settings.confidence.min_matches.unwrap_or(1);
     if k + 1 < cameras {

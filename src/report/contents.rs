@@ -14,7 +14,7 @@ use super::{
     thumbnails::thumbnails,
 };
 use crate::{
-    config::{ForecastSettings, PartnerCount},
+    config::ForecastSettings,
     error::Hint,
     evaluate::EvaluateError,
     pictures::{MapFrame, REASON_NUMBERS, footprint},
@@ -38,8 +38,8 @@ pub struct Contents {
     backend: &'static str,
     metric: bool,
     gsd: f64,
-    /// k; absent where it differs from cluster to cluster.
-    wanted_partners: Option<u32>,
+    /// k.
+    wanted_partners: u32,
     points: usize,
     triangles: usize,
     area: f64,
@@ -138,17 +138,13 @@ impl Contents {
             None => BTreeMap::new(),
         };
         let (holes, holes_area) = holes(plan, HOLES);
-        let wanted = match plan.settings.partners.k {
-            PartnerCount::Fixed(k) => Some(k),
-            PartnerCount::Auto(_) => None,
-        };
         Ok(Self {
             title: title(&project.root),
             tool: concat!("viewrank ", env!("CARGO_PKG_VERSION")),
             backend: plan.backend,
             metric: plan.settings.units == Some(Units::Metric),
             gsd: plan.settings.target.gsd.unwrap_or_default(),
-            wanted_partners: wanted,
+            wanted_partners: plan.settings.partners.k,
             points: plan.scene.points.len(),
             triangles: plan.surface.triangles.len(),
             area: (0..plan.surface.triangles.len() as u32).map(|t| plan.surface.area(t)).sum(),

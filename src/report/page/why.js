@@ -42,7 +42,7 @@ function whyIn(view) {
     make('p', { class: 'answer' }, `In: it is number ${rank} of ${state.cut} because at its turn no other view adds more. It brings ${gainText(rank)} of what all views`
       + ` together give, from ${percent(shareAt(rank - 1))} to ${percent(shareAt(rank))}. On the map, what it improves is purple.`),
     make('p', {}, `It is matched against ${partners.length} partner${partners.length === 1 ? '' : 's'}, best first:`), viewList(partners)];
-  if (data.wanted_partners && partners.length < data.wanted_partners) {
+  if (partners.length < data.wanted_partners) {
     parts.push(make('p', {}, `That is fewer than the ${data.wanted_partners} that are wanted because ${reasonOf(view) || 'there are no others'}.`));
   }
   return parts;
