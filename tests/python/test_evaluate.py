@@ -2,11 +2,13 @@
 
 import json
 import shutil
+import struct
 import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
+import pycolmap
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -51,6 +53,62 @@ def test_maps_of_other_clusters_are_told(matched, viewrank):
     other.write_text("\n".join("\t".join(line.split("\t")[:3]) for line in lines) + "\n")
     done = viewrank("evaluate", matched / "valley", "--depth-maps", matched / "maps", "--clusters", other, "--out", matched / "elsewhere")
     assert "made with other partners than planned" in done.stderr
+
+
+def write_npy(folder, number, name, ids, depth):
+    np.save(made(folder / f"{name}.npy"), depth)
+
+
+def write_colmap(folder, number, name, ids, depth):
+    height, width = depth.shape
+    made(folder / f"stereo/depth_maps/{name}.geometric.bin").write_bytes(f"{width}&{height}&1&".encode() + depth.tobytes())
+
+
+def write_pfm(folder, number, name, ids, depth):
+    height, width = depth.shape
+    made(folder / f"{number:08}.pfm").write_bytes(f"Pf\n{width} {height}\n-1.0\n".encode() + depth[::-1].tobytes())
+
+
+def write_dmb(folder, number, name, ids, depth):
+    made(folder / f"2333_{number:08}/depths.dmb").write_bytes(struct.pack("<4i", 1, *depth.shape, 1) + depth.tobytes())
+
+
+def write_dmap(folder, number, name, ids, depth):
+    height, width = depth.shape
+    image = f"images/{name}".encode()
+    header = struct.pack("<2sBB4I2f", b"DR", 1, 0, 2 * width, 2 * height, width, height, 1, 100)
+    names = struct.pack("<H", len(image)) + image + struct.pack(f"<{1 + len(ids)}I", len(ids), *ids)
+    made(folder / f"depth{number:04}.dmap").write_bytes(header + names + bytes(21 * 8) + depth.tobytes())
+
+
+def made(path):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    return path
+
+
+def test_every_format_of_depth_maps_gives_the_same_evaluation(matched, viewrank):
+    images = {image.name: image.image_id for image in pycolmap.Reconstruction(str(matched / "valley/sparse/0")).images.values()}
+    clusters = [line.split("\t") for line in (matched / "clusters.txt").read_text().splitlines()][:4]
+    (matched / "four.txt").write_text("".join("\t".join(cluster) + "\n" for cluster in clusters))
+    results = {}
+    for write in (write_npy, write_colmap, write_pfm, write_dmb, write_dmap):
+        folder = matched / write.__name__
+        for number, cluster in enumerate(clusters):
+            depth = np.load(matched / f"maps/depth_maps/{cluster[0]}.npy")
+            write(folder, number, cluster[0], [images[name] for name in cluster], depth)
+        (folder / "view_names.txt").write_text("".join(f"{number}\t{cluster[0]}\n" for number, cluster in enumerate(clusters)))
+        done = viewrank("evaluate", matched / "valley", "--depth-maps", folder, "--clusters", matched / "four.txt", "--reference", matched / "reference", "--out", folder / "out", "--format", "json", "--quiet")
+        results[write.__name__] = json.loads(done.stdout)
+        assert {"evaluation.html", "evaluation.json", "evaluation.ply"} <= {path.name for path in (folder / "out").iterdir()}
+    expected = results.pop("write_npy")
+    assert expected["quality"]["completeness"] > 0.3 and len(expected["key_views"]) == 4
+    for name, result in results.items():
+        for view, known in zip(result["key_views"], expected["key_views"], strict=True):
+            assert view["quality"] == known["quality"], name
+            assert set(view["matched"]) == set(known["matched"]), name
+            # The ids of a .dmap give the partners in another order, in which the sums round otherwise.
+            assert view["real"] == pytest.approx(known["real"], rel=1e-6), name
+        assert result["missing"] == expected["missing"], name
 
 
 def test_rules_are_written_for_the_matcher_and_compared(matched, viewrank):
