@@ -272,7 +272,7 @@ fn without(scene: &Scene, view: ViewIndex) -> Scene {
     fewer.views.pop();
     let (mut views, mut pixels, mut offsets) = (Vec::new(), Vec::new(), vec![0]);
     for track in scene.track_offsets.windows(2) {
-        for at in (track[0] as usize..track[1] as usize).filter(|&at| scene.track_views[at] != view) {
+        for at in (track[0]..track[1]).filter(|&at| scene.track_views[at] != view) {
             views.push(scene.track_views[at]);
             pixels.push(scene.track_pixels[at]);
         }
