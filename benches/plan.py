@@ -1,10 +1,11 @@
 #!/usr/bin/env python3
 """Time per view and peak memory of `viewrank plan` on synthetic surveys of growing size.
 
-    cargo build --release && python benches/plan.py [--views 300 1200 5000 10000] [-k 5] [--threads 2]
+    cargo build --release && python benches/plan.py [--views 300 1200 5000 10000] [-k 5] [--threads 2] [--max-memory 8G]
 
 Makes the models with synth_uav.py (--tool, by default ../shared/tools/synth_uav.py; needs numpy) in a folder that is kept between
-runs, plans each without images, and prints a table: wall time per view, core time per view of partners and ranking, peak memory.
+runs, plans each without images, and prints a table: wall time per view, core time per view of partners and ranking, peak memory and
+what was forecast, tiles of the surface. A plan that does not fit --max-memory has a line that says so.
 """
 import argparse
 import json
@@ -21,7 +22,7 @@ POINTS_PER_VIEW = 833
 def main():
     arguments = parse()
     print(f"{'views':>7} {'points':>9} {'wall s':>8} {'ms/view':>8} {'read':>6} {'surface':>8} {'visible':>8} "
-          f"{'partners':>9} {'ranking':>8} {'peak MB':>8} {'key views':>10}")
+          f"{'partners':>9} {'ranking':>8} {'peak MB':>8} {'forecast':>8} {'tiles':>5} {'key views':>10}")
     for views in arguments.views:
         model = make(arguments, views)
         row(views, *plan(arguments, model))
@@ -30,6 +31,8 @@ def main():
 def parse():
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--views", type=int, nargs="+", default=[300, 1200, 5000, 10000])
+    parser.add_argument("--points-per-view", type=int, default=POINTS_PER_VIEW)
+    parser.add_argument("--max-memory", help="as that of viewrank plan")
     parser.add_argument("-k", default="5")
     parser.add_argument("--threads", default="2")
     parser.add_argument("--program", type=Path, default=ROOT / "target" / "release" / "viewrank")
@@ -39,9 +42,9 @@ def parse():
 
 
 def make(arguments, views):
-    folder = arguments.models / str(views)
+    points = arguments.points_per_view * views
+    folder = arguments.models / (str(views) if arguments.points_per_view == POINTS_PER_VIEW else f"{views}-{points}")
     if not (folder / "points3D.bin").exists():
-        points = POINTS_PER_VIEW * views
         command = [sys.executable, arguments.tool, folder, "--views", str(views), "--points", str(points), "--quiet"]
         subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
     return folder
@@ -50,19 +53,23 @@ def make(arguments, views):
 def plan(arguments, model):
     """The summary of the plan, and the usage of the process."""
     command = [arguments.program, "plan", model, "-k", arguments.k, "--threads", arguments.threads]
+    command += ["--max-memory", arguments.max_memory] if arguments.max_memory else []
     process = subprocess.Popen([*command, "--quiet", "--dry-run", "--format", "json"], stdout=subprocess.PIPE)
-    summary = json.loads(process.stdout.read())
+    answer = process.stdout.read()
     _, status, usage = os.wait4(process.pid, 0)
-    if status:
+    if status and not arguments.max_memory:
         sys.exit(f"viewrank failed on {model}")
-    return summary, usage
+    return (None if status else json.loads(answer)), usage
 
 
 def row(views, summary, usage):
+    if summary is None:
+        return print(f"{views:>7} refused after {usage.ru_utime:.0f} s of CPU, {usage.ru_maxrss / 1024:.0f} MB: see above", flush=True)
+    forecast = max(summary["memory"].values()) / 2**20
     stage = {name: 1000 * seconds / views for name, seconds in summary["timings"].items()}
     print(f"{views:>7} {summary['points']:>9} {summary['timings']['total']:>8.1f} {stage['total']:>8.1f} {stage['read']:>6.1f} "
           f"{stage['surface']:>8.1f} {stage['visibility']:>8.1f} {stage['partners']:>9.2f} {stage['ranking']:>8.2f} "
-          f"{usage.ru_maxrss / 1024:>8.0f} {summary['cut']['clusters']:>10}", flush=True)
+          f"{usage.ru_maxrss / 1024:>8.0f} {forecast:>8.0f} {summary['tiles']:>5} {summary['cut']['clusters']:>10}", flush=True)
 
 
 if __name__ == "__main__":

@@ -4,7 +4,7 @@
 //!
 //! - [`formats`] bytes of sparse models <-> [`scene::Scene`]; [`camera`] the camera models
 //! - [`project`] what kind of project is this folder
-//! - [`surface`] method 1: the surface; [`visibility`] method 2: which view sees which triangle
+//! - [`tiles`] space cut into parts; [`surface`] method 1: the surface; [`visibility`] method 2: which view sees which triangle
 //! - [`confidence`] method 7: where will the backend succeed
 //! - [`fulfilment`] method 3; [`partners`] method 4; [`ranking`] method 5
 //! - [`backends`] what each MVS program can match and the files it reads
@@ -38,5 +38,6 @@ pub mod scene;
 pub mod surface;
 pub mod synthetic;
 pub mod tables;
+pub mod tiles;
 pub mod undistort;
 pub mod visibility;

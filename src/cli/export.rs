@@ -5,10 +5,13 @@ use std::path::PathBuf;
 use clap::Args;
 use serde::Serialize;
 use viewrank::{
-    backends::{self, Backend, BackendError, Export, ExportOptions, ExportRecord, References, Selection},
+    backends::{
+        self, Backend, BackendError, Export, ExportOptions, ExportRecord, RankedCluster, References, Selection,
+    },
     config::{Budget, Share},
     manifest::WrittenPlan,
     output::{Disk, FileSet, Written},
+    tiles,
 };
 
 use super::{Failure, Format, json, print};
@@ -33,6 +36,11 @@ pub struct Arguments {
     /// Folder to write to; with several backends each gets a folder of its name in it
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
+
+    /// Part the view clusters by area: a project for each of N tiles of about as many clusters, in OUT/tile_01 and so on, with the
+    /// partners from beyond its borders
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..), conflicts_with = "scene")]
+    tiles: Option<u32>,
 
     /// COLMAP: views that get depth maps. Programs without partner lists: views that are listed
     #[arg(long, value_enum, value_name = "WHICH", help_heading = "Of some backends")]
@@ -83,6 +91,9 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         image_scale: plan.settings.image_scale,
         planned_for: &plan.backend,
     };
+    if let Some(tiles) = arguments.tiles {
+        return export_tiles(arguments, &selection, &backends, tiles as usize, &plan);
+    }
     // All are made before any is written: a name that one of them cannot take stops the others too.
     let export = |backend: &&dyn Backend| backend.export(&selection, &arguments.options(*backend, backends.len()));
     let exports: Vec<Export> = backends.iter().map(export).collect::<Result<_, BackendError>>()?;
@@ -117,6 +128,41 @@ impl Arguments {
         let scene = self.scene.clone();
         ExportOptions { out, refs: self.refs, geometric: self.geometric, scene, scale: self.scale }
     }
+}
+
+/// Exports a project per backend and tile.
+fn export_tiles(
+    arguments: &Arguments,
+    selection: &Selection,
+    backends: &[&'static dyn Backend],
+    count: usize,
+    plan: &WrittenPlan,
+) -> Result<(), Failure> {
+    let parts = tiles::of_clusters(selection, count);
+    for backend in backends {
+        let options = arguments.options(*backend, backends.len());
+        let named = format!("{}-tiles", backend.name());
+        let folder = options.out.clone().unwrap_or_else(|| plan.project.output_folder().join(&named));
+        let export = |(i, clusters): (usize, &Vec<RankedCluster>)| {
+            let out = Some(folder.join(format!("tile_{:02}", i + 1)));
+            backend.export(&Selection { clusters, ..*selection }, &ExportOptions { out, ..options.clone() })
+        };
+        let exports = parts.iter().enumerate().map(export).collect::<Result<Vec<Export>, BackendError>>()?;
+        // In one set, so that tiles of an earlier export with more of them go.
+        let in_project = folder.starts_with(&plan.project.root);
+        let mut set = FileSet::new(if in_project { &plan.project.root } else { &folder }, &format!("export-{named}"));
+        let mut text = String::new();
+        for (Export { files, record }, clusters) in exports.into_iter().zip(&parts) {
+            let command = record.runner.as_ref().or(record.commands.first()).cloned().unwrap_or_default();
+            text += &format!("{}: {} view clusters; run there {command}\n", files.root.display(), clusters.len());
+            set.absorb(files);
+        }
+        if !arguments.dry_run {
+            set.write(&Disk::REAL)?;
+        }
+        print(&text)?;
+    }
+    Ok(())
 }
 
 /// Files in the project belong to a set of the project, like those of `viewrank plan`: the one follows the other.

@@ -86,6 +86,9 @@ pub struct Arguments {
     /// Seed of all random choices
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(i64).range(0..), help_heading = "How")]
     seed: Option<i64>,
+    /// Memory that planning may take, such as 8G; a surface that needs more is built in tiles [default: no limit]
+    #[arg(long, value_name = "SIZE", help_heading = "How")]
+    max_memory: Option<String>,
     /// Threads to use; the plan is the same for any number [default: all]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..), help_heading = "How")]
     threads: Option<u16>,
@@ -150,6 +153,7 @@ impl Arguments {
         typed.set("--mesh-as-is", "surface.mesh_as_is", self.mesh_as_is.then_some(true));
         typed.set("--backend", "backends", self.backend.clone());
         typed.set("--seed", "seed", self.seed);
+        typed.set("--max-memory", "max_memory", self.max_memory.clone());
         typed
     }
 }

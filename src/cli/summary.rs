@@ -5,7 +5,7 @@ use std::fmt::Write;
 use serde::Serialize;
 use viewrank::{
     manifest::Manifest,
-    plan::{Cut, Forecast, Plan, PlanFiles, Timings},
+    plan::{Cut, Forecast, Memory, Plan, PlanFiles, Timings},
     project::Project,
     scene::Units,
 };
@@ -38,6 +38,10 @@ pub struct Summary<'a> {
     /// The command to type next.
     next: String,
     timings: &'a Timings,
+    /// Bytes that each stage was forecast to need, with all that is held by then.
+    memory: Memory,
+    /// Tiles that the surface was built in.
+    tiles: usize,
     #[serde(skip)]
     manifest: &'a Manifest,
 }
@@ -62,6 +66,8 @@ impl<'a> Summary<'a> {
             files: files.sets.iter().flat_map(|set| set.files.keys().cloned()).collect(),
             next: next(project, files, dry_run),
             timings: &plan.timings,
+            memory: plan.memory,
+            tiles: plan.surface_stats.tiles,
             manifest,
         }
     }

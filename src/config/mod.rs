@@ -31,6 +31,8 @@ pub struct Settings {
     pub image_scale: f64,
     /// Seed of all random choices.
     pub seed: u64,
+    /// Memory that planning may take ("8G"): what needs more is built in tiles, or refused. Unset: no limit.
+    pub max_memory: Option<Bytes>,
     /// Backends to write files for; the plan is made for the first. Empty: the one that the project is set up for, else "sure".
     pub backends: Vec<String>,
     /// What `viewrank watch` has the shell run once when a project's target is reached by its depth maps. In the user's own file only.
@@ -62,6 +64,7 @@ impl Default for Settings {
             units: None,
             image_scale: 1.0,
             seed: 0,
+            max_memory: None,
             backends: Vec::new(),
             target: TargetSettings::default(),
             coverage: CoverageSettings::default(),
@@ -191,6 +194,9 @@ pub struct SurfaceSettings {
     pub mesh_as_is: bool,
     /// Up direction of the terrain surface, world coordinates. Unset: from the cameras and the points.
     pub up: Option<[f64; 3]>,
+    /// Most points of a tile; a surface of more is built in overlapping tiles. Unset: as `max_memory` wants it, else all in one.
+    #[schemars(range(min = 1), extend("unit" = "points"))]
+    pub tile_points: Option<u32>,
 }
 
 impl Default for SurfaceSettings {
@@ -207,6 +213,7 @@ impl Default for SurfaceSettings {
             mesh: None,
             mesh_as_is: false,
             up: None,
+            tile_points: None,
         }
     }
 }

@@ -9,6 +9,7 @@ mod cut;
 mod files;
 mod finished;
 mod forecast;
+mod memory;
 mod reasons;
 mod timings;
 mod warnings;
@@ -18,6 +19,7 @@ pub use cut::Cut;
 pub use files::{FilesError, PlanFiles, files};
 pub use finished::{Finished, Outdated, PlannedView, PlannedViews};
 pub use forecast::Forecast;
+pub use memory::Memory;
 pub use reasons::{Likest, Reason, ViewStatus};
 pub use timings::Timings;
 
@@ -65,6 +67,8 @@ pub struct Plan {
     /// Reason of each triangle that no cluster fulfils.
     pub triangle_reasons: Vec<Option<Reason>>,
     pub warnings: Vec<String>,
+    /// What was forecast before each stage.
+    pub memory: Memory,
     /// Not part of what was planned: differs from run to run.
     pub timings: Timings,
 }
@@ -156,9 +160,11 @@ pub fn plan(project: &Project, settings: &Settings, watcher: &dyn Watcher) -> Re
     let scene = timings.time(Stage::Read, || project.read_scene())?;
     watcher.progress(Stage::Read, 1, 1);
     watcher.check()?;
-    let settings = in_force(project, settings, &scene, backend)?;
+    let mut settings = in_force(project, settings, &scene, backend)?;
+    let mut memory = Memory::before_surface(&scene, &mut settings)?;
     let points = scene.view_points();
-    let seen = look(&scene, &points, &settings, watcher, &mut timings)?;
+    let seen = look(&scene, &points, &settings, watcher, &mut timings, &mut memory)?;
+    memory.before_partners(&seen.surface, &seen.visibility)?;
     let target = target(&scene, &seen, &settings);
     let source = confidence::Source::new(&settings.confidence.source);
     let rule = rule(&settings, &source, backend);
@@ -190,6 +196,7 @@ pub fn plan(project: &Project, settings: &Settings, watcher: &dyn Watcher) -> Re
         surface: seen.surface,
         surface_stats: seen.stats,
         visibility: seen.visibility,
+        memory,
         settings,
         scene,
         unary,
@@ -268,11 +275,13 @@ fn look(
     settings: &Settings,
     watcher: &dyn Watcher,
     timings: &mut Timings,
+    memory: &mut Memory,
 ) -> Result<Seen, PlanError> {
     let gsd = settings.target.gsd.ok_or(PlanError::NoScale)?;
     let mesh = settings.surface.mesh.clone().map(|path| MeshFile { path, as_is: settings.surface.mesh_as_is });
     let (surface, stats) =
         timings.time(Stage::Surface, || surface::build(scene, gsd, &settings.surface, mesh.as_ref(), watcher))?;
+    memory.before_visibility(scene, &surface)?;
     let edge_length = settings.surface.edge_factor * gsd;
     let visibility = timings.time(Stage::Visibility, || {
         visibility::estimate(scene, points, &surface, &settings.visibility, edge_length, watcher)
@@ -315,6 +324,12 @@ pub enum PlanError {
     NoPredictor(String),
     #[error("how long matching takes is not known, so that {0} cannot be kept to")]
     NoTimes(&'static str),
+    #[error(
+        "the {stage} would need about {} of memory, but max_memory is {}",
+        memory::readable(*need),
+        memory::readable(*limit)
+    )]
+    Memory { stage: &'static str, need: u64, limit: u64 },
     #[error(transparent)]
     Cancelled(#[from] Cancelled),
 }
@@ -329,6 +344,10 @@ impl Hint for PlanError {
             Self::Backend(error) => return error.hint(),
             Self::NoPredictor(_) => "take --confidence geometric, or none".into(),
             Self::NoTimes(_) => "time one depth map and set forecast.seconds_per_map or .seconds_per_pair".into(),
+            Self::Memory { need, .. } => format!(
+                "give --max-memory {}, or have fewer triangles with a coarser --gsd or a larger surface.edge_factor",
+                memory::readable(need + need / 20)
+            ),
             Self::Cancelled(_) => return None,
         })
     }

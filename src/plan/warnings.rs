@@ -15,6 +15,7 @@ pub(super) fn warnings(plan: &Plan) -> Vec<String> {
     warnings.extend(contradictions(plan));
     warnings.extend(outdated(plan));
     warnings.extend(plan.finished.unreadable.iter().cloned());
+    warnings.extend(tiled(plan));
     warnings
 }
 
@@ -72,6 +73,16 @@ fn contradictions(plan: &Plan) -> Option<String> {
             "{:.0} % of the observations contradict the surface: views observe points that it hides from them; \
              a better surface can be given with --mesh",
             share * 100.0
+        )
+    })
+}
+
+fn tiled(plan: &Plan) -> Option<String> {
+    let tiles = plan.surface_stats.tiles;
+    (tiles > 1).then(|| {
+        format!(
+            "the surface was built in {tiles} tiles of at most {} points; where they meet its triangles are not those of a whole surface",
+            plan.settings.surface.tile_points.unwrap_or_default()
         )
     })
 }

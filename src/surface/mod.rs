@@ -32,6 +32,7 @@ use crate::{
     error::Hint,
     progress::{Cancelled, Stage, Watcher},
     scene::{PointIndex, Scene},
+    tiles,
 };
 use delaunay::{Delaunay, DelaunayError, Dimension};
 
@@ -39,7 +40,9 @@ use delaunay::{Delaunay, DelaunayError, Dimension};
 const MIN_CARVED_POINTS: usize = 100;
 /// Points whose spread in one direction is below this share of that in another do not spread in it at all.
 const NO_SPREAD: f64 = 1e-6;
-/// Steps of [`build`] that are reported as progress.
+/// A tile takes in the points around it, up to so many of the longest edges away: what lies farther hardly changes the surface inside.
+const MARGIN_EDGES: f64 = 10.0;
+/// Steps of [`build`], in each tile, that are reported as progress.
 const STEPS: u64 = 6;
 
 /// How the surface was made.
@@ -92,6 +95,15 @@ impl Surface {
     }
 }
 
+impl Surface {
+    /// Takes another surface in, beside this one.
+    fn append(&mut self, other: Surface) {
+        let offset = self.vertices.len() as u32;
+        self.vertices.extend(other.vertices);
+        self.triangles.extend(other.triangles.iter().map(|corners| corners.map(|v| v + offset)));
+    }
+}
+
 /// A mesh from elsewhere in place of a surface from the points.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct MeshFile {
@@ -104,6 +116,8 @@ pub struct MeshFile {
 /// What the surface was made from and what became of it.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, JsonSchema)]
 pub struct SurfaceStats {
+    /// Tiles that it was built in; the counts below are sums over them, what lies in two counts twice.
+    pub tiles: usize,
     /// Sparse points that were used.
     pub points: usize,
     /// Sparse points that were not: fewer than two views, behind a camera, or a large reprojection error.
@@ -198,23 +212,48 @@ pub fn build(
     if !(gsd.is_finite() && gsd > 0.0) {
         return Err(SurfaceError::Gsd(gsd));
     }
-    let mut stats = SurfaceStats::default();
-    watcher.progress(Stage::Surface, 0, STEPS);
-    let mut surface = match mesh {
-        Some(file) => clean::make_manifold(read_mesh(file)?),
-        None => from_points(scene, gsd, settings, &mut stats, watcher)?,
+    let mut stats = SurfaceStats { tiles: 1, ..SurfaceStats::default() };
+    let whole = Steps { before: 0, all: STEPS, watcher };
+    whole.reached(0);
+    let surface = match mesh {
+        Some(file) => {
+            let surface = clean::make_manifold(read_mesh(file)?);
+            stats.cleaned_triangles = surface.triangles.len();
+            if file.as_is { surface } else { with_edges(surface, gsd, settings, &mut stats, &whole)? }
+        }
+        None => from_points(scene, gsd, settings, &mut stats, &whole)?,
     };
-    stats.cleaned_triangles = surface.triangles.len();
-    watcher.progress(Stage::Surface, 4, STEPS);
-    if !mesh.is_some_and(|m| m.as_is) {
-        surface = simplify::simplify(surface, settings.edge_factor * gsd, watcher)?;
-        stats.simplified_triangles = surface.triangles.len();
-        watcher.progress(Stage::Surface, 5, STEPS);
-        surface = refine::refine(surface, settings.max_edge_factor * gsd, watcher)?;
-    }
     stats.triangles = surface.triangles.len();
-    watcher.progress(Stage::Surface, STEPS, STEPS);
+    watcher.progress(Stage::Surface, 1, 1);
     if surface.triangles.is_empty() { Err(SurfaceError::Empty) } else { Ok((surface, stats)) }
+}
+
+/// Steps of one tile among those of all.
+struct Steps<'a> {
+    before: u64,
+    all: u64,
+    watcher: &'a dyn Watcher,
+}
+
+impl Steps<'_> {
+    fn reached(&self, step: u64) {
+        self.watcher.progress(Stage::Surface, self.before + step, self.all);
+    }
+}
+
+/// Simplifies and refines a cleaned surface (method 1.5 and 1.6).
+fn with_edges(
+    surface: Surface,
+    gsd: f64,
+    settings: &SurfaceSettings,
+    stats: &mut SurfaceStats,
+    steps: &Steps,
+) -> Result<Surface, SurfaceError> {
+    steps.reached(4);
+    let surface = simplify::simplify(surface, settings.edge_factor * gsd, steps.watcher)?;
+    stats.simplified_triangles += surface.triangles.len();
+    steps.reached(5);
+    Ok(refine::refine(surface, settings.max_edge_factor * gsd, steps.watcher)?)
 }
 
 fn read_mesh(file: &MeshFile) -> Result<Surface, SurfaceError> {
@@ -223,44 +262,95 @@ fn read_mesh(file: &MeshFile) -> Result<Surface, SurfaceError> {
     ply::read(&bytes).map_err(|source| SurfaceError::Mesh { path: file.path.clone(), source })
 }
 
-/// The cleaned surface of the sparse points, as method 1.7 and 1.8 choose it.
+/// The surface of the sparse points: whole, or tile by tile, each from the points in it and around it, and cut off where the next begins.
 fn from_points(
     scene: &Scene,
     gsd: f64,
     settings: &SurfaceSettings,
     stats: &mut SurfaceStats,
-    watcher: &dyn Watcher,
+    whole: &Steps,
 ) -> Result<Surface, SurfaceError> {
     let points = points::usable_points(scene);
     stats.points = points.len();
     stats.points_dropped = scene.points.len() - points.len();
     let positions: Vec<Point3<f64>> = points.iter().map(|p| scene.points[p.at()]).collect();
-    let distinct = distinct_up_to_four(&positions);
-    if distinct < 4 {
-        return Err(SurfaceError::TooFewPoints { distinct, dropped: stats.points_dropped });
-    }
-    let [thickness, width, length] = terrain::spread(&positions);
-    if width <= NO_SPREAD * length {
-        return Err(SurfaceError::Linear);
-    }
-    watcher.progress(Stage::Surface, 1, STEPS);
-    let is_flat = thickness <= NO_SPREAD * length;
-    let is_terrain = match settings.kind {
-        SurfaceChoice::Terrain => true,
-        SurfaceChoice::Carved => is_flat,
-        SurfaceChoice::Auto => is_flat || thickness < gsd || points.len() < MIN_CARVED_POINTS,
+    let all = Part { scene, gsd, settings, everywhere: &positions };
+    let tiles = match settings.tile_points {
+        Some(most) if points.len() > most as usize => tiles::split(&positions, most as usize),
+        _ => return all.surface(&points, &positions, stats, whole),
     };
-    if is_terrain {
-        let frame = terrain::Frame::new(&positions, scene, settings.up);
-        let raw = terrain::triangulate(&positions, &frame, settings.edge_factor * gsd);
-        stats.raw_triangles = raw.triangles.len();
-        return if raw.triangles.is_empty() {
-            Err(SurfaceError::Linear)
-        } else {
-            Ok(clean::clean(&raw, &vec![true; raw.triangles.len()]))
+    stats.tiles = tiles.len();
+    let margin = MARGIN_EDGES * settings.max_edge_factor * gsd;
+    let mut merged: Option<Surface> = None;
+    for (i, tile) in tiles.iter().enumerate() {
+        whole.watcher.check()?;
+        let steps = Steps { before: i as u64 * STEPS, all: tiles.len() as u64 * STEPS, ..*whole };
+        let near = |(_, position): &(&PointIndex, &Point3<f64>)| tile.is_near(position, margin);
+        let (points, near): (Vec<PointIndex>, Vec<Point3<f64>>) = points.iter().zip(&positions).filter(near).unzip();
+        let surface = match all.surface(&points, &near, stats, &steps) {
+            // The points of a tile may coincide, or lie on a line.
+            Err(SurfaceError::TooFewPoints { .. } | SurfaceError::Linear) => continue,
+            surface => surface?,
         };
+        let triangles = 0..surface.triangles.len() as u32;
+        let own: Vec<bool> = triangles.map(|t| tile.contains(&surface.centroid(t))).collect();
+        let own = surface.keep(&own);
+        match &mut merged {
+            None => merged = Some(own),
+            Some(merged) => merged.append(own),
+        }
     }
-    carved(scene, &points, &positions, settings, stats, watcher)
+    merged.ok_or(SurfaceError::Linear)
+}
+
+/// What the tiles of a surface have in common.
+struct Part<'a> {
+    scene: &'a Scene,
+    gsd: f64,
+    settings: &'a SurfaceSettings,
+    /// Positions of the points of all tiles.
+    everywhere: &'a [Point3<f64>],
+}
+
+impl Part<'_> {
+    /// The surface of some points, as method 1.7 and 1.8 choose it.
+    fn surface(
+        &self,
+        points: &[PointIndex],
+        positions: &[Point3<f64>],
+        stats: &mut SurfaceStats,
+        steps: &Steps,
+    ) -> Result<Surface, SurfaceError> {
+        let Self { scene, gsd, settings, everywhere } = *self;
+        let distinct = distinct_up_to_four(positions);
+        if distinct < 4 {
+            return Err(SurfaceError::TooFewPoints { distinct, dropped: stats.points_dropped });
+        }
+        let [thickness, width, length] = terrain::spread(positions);
+        if width <= NO_SPREAD * length {
+            return Err(SurfaceError::Linear);
+        }
+        steps.reached(1);
+        let is_flat = thickness <= NO_SPREAD * length;
+        let is_terrain = match settings.kind {
+            SurfaceChoice::Terrain => true,
+            SurfaceChoice::Carved => is_flat,
+            SurfaceChoice::Auto => is_flat || thickness < gsd || points.len() < MIN_CARVED_POINTS,
+        };
+        let cleaned = if is_terrain {
+            let frame = terrain::Frame::new(everywhere, scene, settings.up);
+            let raw = terrain::triangulate(positions, &frame, settings.edge_factor * gsd);
+            stats.raw_triangles += raw.triangles.len();
+            if raw.triangles.is_empty() {
+                return Err(SurfaceError::Linear);
+            }
+            clean::clean(&raw, &vec![true; raw.triangles.len()])
+        } else {
+            carved(scene, points, positions, settings, stats, steps)?
+        };
+        stats.cleaned_triangles += cleaned.triangles.len();
+        with_edges(cleaned, gsd, settings, stats, steps)
+    }
 }
 
 fn carved(
@@ -269,22 +359,24 @@ fn carved(
     positions: &[Point3<f64>],
     settings: &SurfaceSettings,
     stats: &mut SurfaceStats,
-    watcher: &dyn Watcher,
+    steps: &Steps,
 ) -> Result<Surface, SurfaceError> {
-    let delaunay = Delaunay::triangulate(positions, watcher)?;
+    let delaunay = Delaunay::triangulate(positions, steps.watcher)?;
     if delaunay.dimension != Dimension::Three {
         return Err(SurfaceError::Linear);
     }
-    stats.vertices = delaunay.vertex_count();
-    stats.cells = delaunay.cells.len();
-    watcher.progress(Stage::Surface, 2, STEPS);
+    steps.reached(2);
     let rays = carve::Rays::choose(scene, &delaunay, points, settings.rays_per_point as usize);
-    stats.rays = rays.len();
-    stats.sigma = rays.sigma;
-    let raw = carve::carve(&delaunay, &rays, settings, watcher)?;
-    stats.raw_triangles = raw.surface.triangles.len();
+    // Of several tiles the mean, each counting by its vertices.
+    let (before, here) = (stats.vertices as f64, delaunay.vertex_count() as f64);
+    stats.sigma = if before == 0.0 { rays.sigma } else { (before * stats.sigma + here * rays.sigma) / (before + here) };
+    stats.vertices += delaunay.vertex_count();
+    stats.cells += delaunay.cells.len();
+    stats.rays += rays.len();
+    let raw = carve::carve(&delaunay, &rays, settings, steps.watcher)?;
+    stats.raw_triangles += raw.surface.triangles.len();
     drop((delaunay, rays));
-    watcher.progress(Stage::Surface, 3, STEPS);
+    steps.reached(3);
     Ok(clean::clean(&raw.surface, &raw.seen))
 }
 

@@ -1,0 +1,125 @@
+//! Memory of each stage, forecast before it runs from what is known by then, and what keeps it within a limit.
+//!
+//! A surface of more points than the limit takes is built in tiles, one after the other. The other tables have one size whatever the tiles
+//! are: where they don't fit, that is said before they are made. The figures per point were measured with `viewrank plan` on `boruszyn`
+//! and `caliterra` (800 and 760 bytes), the rest are sizes of tables; neither depends on the machine or the number of threads.
+
+use serde::Serialize;
+
+use super::PlanError;
+use crate::{
+    config::{Bytes, Settings},
+    scene::Scene,
+    surface::Surface,
+    visibility::Visibility,
+};
+
+/// The program, its threads' pictures, and what is small.
+const BASE: u64 = 100 << 20;
+/// Of the surface, at its peak (cells, rays and the cut), per sparse point.
+const SURFACE_PER_POINT: u64 = 1000;
+/// Of the finished surface, per sparse point: a vertex and two triangles.
+const MESH_PER_POINT: u64 = 48;
+/// A tile with the points around it has this many times its own points: what a tile of the least size may take in.
+const OVERLAP: u64 = 2;
+/// Tiles of fewer points would be mostly seams.
+const LEAST_TILE: u64 = 10_000;
+/// A point, and an observation, of the scene; with the table of the points of each view.
+const SCENE_PER_POINT: u64 = 43;
+const SCENE_PER_OBSERVATION: u64 = 24;
+/// A row of the tables of visibility, and of fulfilment.
+const VISIBILITY_ROW: u64 = 4;
+const FULFILMENT_ROW: u64 = 8;
+/// Unary confidence of a row of visibility.
+const CONFIDENCE_ROW: u64 = 4;
+/// Views and triangles that foretell the rows of visibility.
+const SAMPLED_VIEWS: usize = 32;
+const SAMPLED_TRIANGLES: usize = 20_000;
+
+/// Forecast bytes at the peak of each stage, with all that is held by then; 0 where a stage has not begun.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct Memory {
+    pub read: u64,
+    pub surface: u64,
+    pub visibility: u64,
+    /// Partners, fulfilment and ranking.
+    pub partners: u64,
+    #[serde(skip)]
+    limit: Option<Bytes>,
+}
+
+impl Memory {
+    /// Forecasts the surface; where that is too much, chooses tiles in the settings.
+    pub(super) fn before_surface(scene: &Scene, settings: &mut Settings) -> Result<Self, PlanError> {
+        let points = scene.points.len() as u64;
+        let held = BASE + SCENE_PER_POINT * points + SCENE_PER_OBSERVATION * scene.observations() as u64;
+        let limit = settings.max_memory;
+        let mut memory = Self { read: held, limit, ..Self::default() };
+        let finished = held + MESH_PER_POINT * points;
+        if let (None, None, Some(limit)) = (&settings.surface.mesh, settings.surface.tile_points, limit)
+            && held + SURFACE_PER_POINT * points > limit.0
+        {
+            let tile = limit.0.saturating_sub(finished) / SURFACE_PER_POINT / OVERLAP;
+            memory.keep("surface", finished + SURFACE_PER_POINT * OVERLAP * tile.max(LEAST_TILE))?;
+            settings.surface.tile_points = Some(u32::try_from(tile).unwrap_or(u32::MAX));
+        }
+        let at_once = settings.surface.tile_points.map_or(points, |tile| points.min(OVERLAP * u64::from(tile)));
+        memory.surface = (held + SURFACE_PER_POINT * at_once).max(finished);
+        Ok(memory)
+    }
+
+    pub(super) fn before_visibility(&mut self, scene: &Scene, surface: &Surface) -> Result<(), PlanError> {
+        self.visibility = self.read + 2 * bytes(surface) + VISIBILITY_ROW * expected_rows(scene, surface);
+        self.keep("table of visibility", self.visibility)
+    }
+
+    pub(super) fn before_partners(&mut self, surface: &Surface, visibility: &Visibility) -> Result<(), PlanError> {
+        let rows = visibility.triangles.len() as u64;
+        self.partners = self.read + bytes(surface) + (VISIBILITY_ROW + CONFIDENCE_ROW + FULFILMENT_ROW) * rows;
+        self.keep("table of fulfilment", self.partners)
+    }
+
+    fn keep(&self, stage: &'static str, need: u64) -> Result<(), PlanError> {
+        match self.limit {
+            Some(Bytes(limit)) if need > limit => Err(PlanError::Memory { stage, need, limit }),
+            _ => Ok(()),
+        }
+    }
+
+    /// Of all stages.
+    pub fn peak(&self) -> u64 {
+        self.read.max(self.surface).max(self.visibility).max(self.partners)
+    }
+}
+
+fn bytes(surface: &Surface) -> u64 {
+    (size_of_val(&*surface.vertices) + size_of_val(&*surface.triangles)) as u64
+}
+
+/// Rows of visibility if nothing hid anything: triangles that face a view and have their centroid in its image, counted on a sample.
+fn expected_rows(scene: &Scene, surface: &Surface) -> u64 {
+    let (views, triangles) = (scene.views.len(), surface.triangles.len());
+    let sampled_views = || scene.view_indices().step_by(views.div_ceil(SAMPLED_VIEWS).max(1));
+    let sampled = || (0..triangles as u32).step_by(triangles.div_ceil(SAMPLED_TRIANGLES).max(1));
+    let in_view = |view| {
+        let (camera, pose) = (scene.camera_of(view), &scene.view(view).cam_from_world);
+        let centre = pose.centre();
+        let shown = |&t: &u32| {
+            let centroid = surface.centroid(t);
+            surface.area_normal(t).dot(&(centre - centroid)) > 0.0
+                && camera.project(&pose.camera_from_world(&centroid)).is_some_and(|pixel| camera.contains(&pixel))
+        };
+        sampled().filter(shown).count()
+    };
+    let found: usize = sampled_views().map(in_view).sum();
+    let share = found as f64 / (sampled_views().count() * sampled().count()).max(1) as f64;
+    (share * views as f64 * triangles as f64).ceil() as u64
+}
+
+/// In units that people read.
+pub(super) fn readable(bytes: u64) -> String {
+    match bytes as f64 / 1024f64.powi(3) {
+        gibibytes if gibibytes >= 1.0 => format!("{gibibytes:.1}G"),
+        gibibytes => format!("{:.0}M", 1024.0 * gibibytes),
+    }
+}
