@@ -15,6 +15,7 @@ pub use written::{WrittenPlan, WrittenPlanError};
 
 use crate::{
     backends::{ExportRecord, RankedCluster},
+    confidence::TrainedOn,
     config::Settings,
     plan::{Cut, Forecast, Outdated, Plan, Reason, ViewStatus},
     project::Project,
@@ -39,6 +40,8 @@ pub struct Manifest {
     pub backend: String,
     /// All settings in force, nested as in viewrank.toml; what the data or the backend decided is filled in.
     pub settings: Settings,
+    /// The trained model that predicts success; null where nothing was trained (`settings.confidence.source` says what predicts).
+    pub confidence_model: Option<ConfidenceModel>,
     pub surface: SurfaceSummary,
     /// The whole ranking, best first; those up to `cut` are to be computed.
     pub clusters: Vec<Cluster>,
@@ -72,6 +75,18 @@ pub struct Input {
     pub points: usize,
     /// Observations of sparse points.
     pub observations: usize,
+}
+
+/// A trained confidence.
+#[derive(Clone, Debug, Serialize, JsonSchema)]
+pub struct ConfidenceModel {
+    /// BLAKE3 of the model.
+    pub fingerprint: String,
+    /// Backend whose depth maps it learnt from.
+    pub backend: String,
+    pub trained_on: Vec<TrainedOn>,
+    /// Median over the images of how far they are from the training images, 1 being as far as nineteen of twenty of those; null without images.
+    pub distance: Option<f32>,
 }
 
 /// The surface that was planned on.
@@ -127,6 +142,12 @@ impl Manifest {
             units: plan.settings.units.unwrap_or(Units::Relative),
             backend: plan.backend.into(),
             settings: plan.settings.of_plan(),
+            confidence_model: plan.trained.as_ref().map(|trained| ConfidenceModel {
+                fingerprint: trained.fingerprint(),
+                backend: trained.backend.clone(),
+                trained_on: trained.trained_on.clone(),
+                distance: plan.pictures.distance,
+            }),
             surface: SurfaceSummary::new(plan),
             clusters: clusters(plan),
             cut: plan.cut,

@@ -12,6 +12,8 @@ pub enum Stage {
     Ranking,
     Evaluate,
     Undistort,
+    Labels,
+    Train,
     Write,
 }
 

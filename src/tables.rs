@@ -81,7 +81,7 @@ pub(crate) fn offsets(offsets: &[usize]) -> Vec<u8> {
 }
 
 /// The bytes of a `.npy`, row-major, little-endian.
-pub(crate) fn array<T: AutoSerialize>(shape: &[usize], values: impl IntoIterator<Item = T>) -> Vec<u8> {
+pub fn array<T: AutoSerialize>(shape: &[usize], values: impl IntoIterator<Item = T>) -> Vec<u8> {
     let shape: Vec<u64> = shape.iter().map(|&n| n as u64).collect();
     let mut bytes = Vec::new();
     let writer = npyz::WriteOptions::new().default_dtype().shape(&shape).writer(&mut bytes).begin_nd();

@@ -11,10 +11,12 @@ mod evaluate;
 mod export;
 mod inspect;
 mod plan;
+mod predict;
 mod progress;
 mod report;
 mod status;
 mod summary;
+mod train;
 mod undistort;
 mod watch;
 
@@ -108,6 +110,8 @@ struct Arguments {
 enum Command {
     Plan(plan::Arguments),
     Evaluate(evaluate::Arguments),
+    Train(train::Arguments),
+    Predict(predict::Arguments),
     Export(export::Arguments),
     Report(report::Arguments),
     Backends(backends::Arguments),
@@ -126,6 +130,8 @@ pub fn run() -> Result<(), Failure> {
     match Arguments::parse().command {
         Command::Plan(arguments) => plan::run(&arguments),
         Command::Evaluate(arguments) => evaluate::run(&arguments),
+        Command::Train(arguments) => train::run(&arguments),
+        Command::Predict(arguments) => predict::run(&arguments),
         Command::Export(arguments) => export::run(&arguments),
         Command::Report(arguments) => report::run(&arguments),
         Command::Backends(arguments) => backends::run(&arguments),

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use clap::Args;
 use rayon::ThreadPoolBuilder;
 use viewrank::{
+    confidence,
     config::Typed,
     output::{self, Disk, FileSet},
     plan::{self, Plan, PlanFiles},
@@ -146,7 +147,11 @@ impl Arguments {
         typed.set("--gsd", "target.gsd", self.gsd);
         typed.set("--accuracy", "target.accuracy", self.accuracy);
         typed.set("--partners", "partners.method", self.partners.clone());
-        typed.set("--confidence", "confidence.source", self.confidence.clone());
+        let source = |typed: &String| match confidence::WORDS.contains(&typed.as_str()) {
+            true => typed.clone(),
+            false => path(&PathBuf::from(typed)),
+        };
+        typed.set("--confidence", "confidence.source", self.confidence.as_ref().map(source));
         typed.set("--surface", "surface.kind", self.surface.clone());
         typed.set("--up", "surface.up", self.up.clone());
         typed.set("--mesh", "surface.mesh", self.mesh.as_ref().map(path));

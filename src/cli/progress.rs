@@ -91,6 +91,8 @@ fn words(stage: Stage) -> &'static str {
         Stage::Ranking => "ranking view clusters",
         Stage::Evaluate => "measuring depth maps",
         Stage::Undistort => "undistorting images",
+        Stage::Labels => "holding depth maps against others",
+        Stage::Train => "learning",
         Stage::Write => "writing",
     }
 }

@@ -3,6 +3,7 @@
 
 use nalgebra::Point3;
 
+use super::curves::PAIR;
 use crate::{config::ConfidenceSettings, fulfilment::Model, scene::ViewIndex};
 
 /// The numbers of the geometric confidence (method 7.2); each backend has its own.
@@ -70,6 +71,13 @@ impl Constellation {
             octaves: (to(partner).norm() / to(key).norm()).log2(),
             angle_deg: to(key).angle(&to(partner)).to_degrees(),
         }
+    }
+}
+
+impl Constellation {
+    /// What the curves of a trained pair take: the partner's cosine, the smaller cosine, octaves, log2 of the angle.
+    pub fn numbers(&self) -> [f32; PAIR.len()] {
+        [self.cos_partner, self.cos_key.min(self.cos_partner), self.octaves, self.angle_deg.log2()].map(|n| n as f32)
     }
 }
 

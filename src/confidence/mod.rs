@@ -1,47 +1,111 @@
 //! Method 7: where will the backend succeed?
 //!
-//! Two kinds of knowledge meet in p_i(t), the chance that the pair (key view, partner i) measures triangle t: the picture (unary
+//! Two kinds of knowledge meet in p_i(t), the chance that the pair (key view, partner i) measures triangle t: the picture ([`Unary`]
 //! confidence per view and triangle, from a [`Predictor`]) and the constellation ([`PairConfidence`], which needs no image).
 
+mod cache;
+pub mod curves;
+pub mod features;
+mod fit;
 mod geometric;
+mod image;
+mod labels;
 mod nearby;
+mod pictures;
+pub mod place;
+mod proxy;
+mod score;
+pub mod train;
+mod trained;
 pub mod trees;
+mod unary;
 
+pub use curves::PairCurves;
 pub use geometric::{Constellation, PairConfidence};
+pub use image::{Image, ImageError, Mask};
 pub use nearby::nearby;
+pub use pictures::{CACHE, Pictures, Seen};
+pub use proxy::Proxy;
+pub use trained::{Measured, Picture, Trained, TrainedError, TrainedOn};
+pub use unary::Unary;
 
-use crate::{
-    config::{ConfidenceForm, ConfidenceSettings},
-    scene::ViewIndex,
-};
+use std::path::{Path, PathBuf};
 
-/// A reduced picture: RGB, 8 bit, row-major.
-#[derive(Clone, Debug)]
-pub struct Image {
-    pub width: u32,
-    pub height: u32,
-    /// 3 x width x height bytes.
-    pub rgb: Vec<u8>,
+use crate::config::{ConfidenceForm, ConfidenceSettings};
+
+/// Probability per cell of a grid that covers the image that the backend reconstructs it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ConfidenceMap {
+    pub columns: u32,
+    pub rows: u32,
+    /// In 255ths, row by row: as they are kept, so that a kept map gives the same plan.
+    values: Vec<u8>,
 }
 
-/// Probability per pixel that the backend reconstructs it, on a grid that covers the image.
-#[derive(Clone, Debug)]
-pub struct ConfidenceMap {
-    pub width: u32,
-    pub height: u32,
-    /// Row-major, 0 to 1.
-    pub values: Vec<f32>,
+impl ConfidenceMap {
+    /// `values`: 0 to 1, row by row, as many as the grid (columns, rows) has cells.
+    pub fn new(grid: [u32; 2], values: impl Iterator<Item = f32>) -> Self {
+        let values: Vec<u8> = values.map(|v| (v.clamp(0.0, 1.0) * 255.0).round() as u8).collect();
+        debug_assert_eq!(values.len(), grid[0] as usize * grid[1] as usize);
+        Self { columns: grid[0], rows: grid[1], values }
+    }
+
+    /// From what [`Self::bytes`] gave; `None` where the number of bytes is wrong.
+    pub(crate) fn from_bytes(grid: [u32; 2], values: Vec<u8>) -> Option<Self> {
+        let cells = u64::from(grid[0]) * u64::from(grid[1]);
+        (cells > 0 && cells == values.len() as u64).then_some(Self { columns: grid[0], rows: grid[1], values })
+    }
+
+    pub(crate) fn bytes(&self) -> &[u8] {
+        &self.values
+    }
+
+    /// Row by row, 0 to 1.
+    pub fn values(&self) -> impl ExactSizeIterator<Item = f32> {
+        self.values.iter().map(|&v| f32::from(v) / 255.0)
+    }
+
+    /// At a place given as shares of the image's width and height, in [0, 1).
+    pub fn at(&self, x: f64, y: f64) -> f32 {
+        let column = ((x * f64::from(self.columns)) as usize).min(self.columns as usize - 1);
+        let row = ((y * f64::from(self.rows)) as usize).min(self.rows as usize - 1);
+        self.cell(column, row)
+    }
+
+    pub fn cell(&self, column: usize, row: usize) -> f32 {
+        f32::from(self.values[row * self.columns as usize + column]) / 255.0
+    }
+
+    /// 1 everywhere, on the grid of an image of the mask's size.
+    fn certain(mask: &Mask) -> Self {
+        let grid = features::grid(mask.width, mask.height);
+        Self { columns: grid[0], rows: grid[1], values: vec![255; grid[0] as usize * grid[1] as usize] }
+    }
+
+    /// Less where the mask forbids pixels of the image.
+    fn masked(&self, mask: &Mask) -> Self {
+        let grid = [self.columns, self.rows];
+        let cells = (0..self.rows).flat_map(|row| (0..self.columns).map(move |column| (column, row)));
+        let usable = cells.map(|(column, row)| mask.share(grid, column, row));
+        Self::new(grid, self.values().zip(usable).map(|(value, usable)| value * usable))
+    }
+}
+
+/// What a predictor says of a picture.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Predicted {
+    pub map: ConfidenceMap,
+    /// How unlike the picture is to those that the predictor learnt from: 1 is as unlike as the most unlike of them; 0 where
+    /// nothing was learnt.
+    pub distance: f32,
 }
 
 /// Predicts unary confidence from a picture (method 7.3).
 pub trait Predictor: Sync {
-    fn confidence(&self, view: ViewIndex, image: Option<&Image>) -> Result<ConfidenceMap, ConfidenceError>;
-}
+    /// The same for predictors that say the same of every picture.
+    fn fingerprint(&self) -> blake3::Hash;
 
-#[derive(Debug, thiserror::Error)]
-pub enum ConfidenceError {
-    #[error("no confidence for view {0}: {1}")]
-    Image(String, String),
+    fn predict(&self, image: &Image) -> Predicted;
 }
 
 /// Where confidence comes from (`confidence.source`).
@@ -53,24 +117,45 @@ pub enum Source {
     Geometric,
     /// The constellation and a training-free look at the picture (method 7.3).
     Proxy,
+    /// The model that comes with the program.
+    Shipped,
+    /// The model that was trained for the project: [`PROJECT_MODEL`].
+    Project,
     /// A trained model file.
-    Model(std::path::PathBuf),
+    Model(PathBuf),
 }
 
+/// Where a project has a model of its own, relative to it.
+pub const PROJECT_MODEL: &str = "viewrank/confidence.model";
+/// The words that are no model files.
+pub const WORDS: [&str; 6] = ["none", "geometric", "proxy", "auto", "shipped", "project"];
+
 impl Source {
-    /// `auto` is `geometric`.
-    pub fn new(source: &str) -> Self {
+    /// `auto` is the project's own model if there is one, else the shipped one where it was trained for the backend, else
+    /// `geometric`.
+    pub fn new(source: &str, root: &Path, backend: &str) -> Self {
+        let shipped = || Trained::shipped().is_some_and(|trained| trained.backend == backend);
         match source {
             "none" => Self::None,
-            "geometric" | "auto" => Self::Geometric,
+            "geometric" => Self::Geometric,
             "proxy" => Self::Proxy,
+            "shipped" => Self::Shipped,
+            "project" => Self::Project,
+            "auto" if root.join(PROJECT_MODEL).is_file() => Self::Project,
+            "auto" if shipped() => Self::Shipped,
+            "auto" => Self::Geometric,
             file => Self::Model(file.into()),
         }
     }
 
-    /// Does it look at pictures?
-    pub fn needs_images(&self) -> bool {
-        matches!(self, Self::Proxy | Self::Model(_))
+    /// The trained model, where it is one.
+    pub fn trained(&self, root: &Path) -> Result<Option<Trained>, TrainedError> {
+        match self {
+            Self::None | Self::Geometric | Self::Proxy => Ok(None),
+            Self::Shipped => Ok(Trained::shipped()),
+            Self::Project => Trained::read(&root.join(PROJECT_MODEL)).map(Some),
+            Self::Model(path) => Trained::read(path).map(Some),
+        }
     }
 }
 
@@ -81,6 +166,8 @@ impl std::fmt::Display for Source {
             Self::None => write!(f, "none"),
             Self::Geometric => write!(f, "geometric"),
             Self::Proxy => write!(f, "proxy"),
+            Self::Shipped => write!(f, "shipped"),
+            Self::Project => write!(f, "project"),
             Self::Model(path) => write!(f, "{}", path.display()),
         }
     }
@@ -95,17 +182,25 @@ pub enum Confidence {
     Pair(PairConfidence),
     /// The mean of the two unary confidences.
     Paper { min_matches: u32 },
+    /// Trained: the chance that the key view's place can be measured at all, times that of enough matches.
+    Trained(PairCurves),
 }
 
 impl Confidence {
-    /// `numbers`: the backend's.
-    pub fn new(source: &Source, settings: &ConfidenceSettings, numbers: &PairConfidence) -> Self {
+    /// `numbers`: the backend's. A trained model without a picture has no unary confidence for the paper's form.
+    pub fn new(
+        source: &Source,
+        trained: Option<&Trained>,
+        settings: &ConfidenceSettings,
+        numbers: &PairConfidence,
+    ) -> Self {
         let numbers = numbers.with(settings);
-        match (source, settings.form) {
-            (Source::None, _) => Self::None,
-            (Source::Proxy | Source::Model(_), ConfidenceForm::Paper) => {
-                Self::Paper { min_matches: numbers.min_matches }
-            }
+        let min_matches = numbers.min_matches;
+        match (source, settings.form, trained) {
+            (Source::None, _, _) => Self::None,
+            (Source::Proxy, ConfidenceForm::Paper, _) => Self::Paper { min_matches },
+            (_, ConfidenceForm::Paper, Some(Trained { picture: Some(_), .. })) => Self::Paper { min_matches },
+            (_, _, Some(trained)) => Self::Trained(trained.pair),
             _ => Self::Pair(numbers),
         }
     }
@@ -118,16 +213,24 @@ impl Confidence {
             Self::None => 0,
             Self::Pair(numbers) => numbers.min_matches,
             Self::Paper { min_matches } => *min_matches,
+            Self::Trained(curves) => curves.min_matches,
         }
     }
 
-    /// p_i of a partner that sees the triangle, from its constellation with the key view and the mean of the two unary confidences.
-    pub fn pair(&self, constellation: &Constellation, unary: f64) -> f64 {
+    /// p_i of a partner that sees the triangle, from its constellation with the key view, the key view's [`Unary::at`] and the partner's
+    /// [`Unary::as_partner`].
+    pub fn pair(&self, constellation: &Constellation, key: f64, partner: f64) -> f64 {
         match self {
             Self::None => 1.0,
-            Self::Pair(numbers) => numbers.confidence(constellation) * unary,
-            Self::Paper { .. } => unary,
+            Self::Pair(numbers) => numbers.confidence(constellation) * 0.5 * (key + partner),
+            Self::Paper { .. } => 0.5 * (key + partner),
+            Self::Trained(curves) => f64::from(trees::logistic(curves.odds(&constellation.numbers()) + partner as f32)),
         }
+    }
+
+    /// Chance that the triangle can be measured from the key view at all, from the key view's [`Unary::at`].
+    pub fn measurable(&self, key: f32) -> f32 {
+        if matches!(self, Self::Trained(_)) { key } else { 1.0 }
     }
 
     /// f_conf of method 3.4: the chance that at least [`Confidence::min_matches`] of independent matches succeed.
@@ -142,24 +245,6 @@ impl Confidence {
             }
         }
         at_least[self.min_matches().min(3) as usize]
-    }
-}
-
-/// Unary confidence of each row of the visibility table.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Unary {
-    /// 0 to 1; empty: 1 everywhere.
-    pub values: Vec<f32>,
-}
-
-impl Unary {
-    /// 1 everywhere: no picture was looked at.
-    pub fn certain() -> Self {
-        Self::default()
-    }
-
-    pub fn at(&self, row: usize) -> f32 {
-        if self.values.is_empty() { 1.0 } else { self.values[row] }
     }
 }
 

@@ -45,7 +45,7 @@ pub fn nearby(
         Ok(row)
     };
     let rows = views.par_iter().map_init(|| vec![false; scene.points.len()], of_view);
-    Ok(Unary { values: rows.collect::<Result<Vec<_>, _>>()?.concat() })
+    Ok(Unary { values: rows.collect::<Result<Vec<_>, _>>()?.concat(), ..Unary::certain() })
 }
 
 /// A k-d tree without pointers: the middle of each range of `order` parts it, down to [`AROUND`] points.

@@ -110,6 +110,26 @@ impl DepthMap {
         (sx / sy - 1.0).abs() <= rounding
     }
 
+    /// Every so many rows and columns of the map, so that its depths need no more than `bytes`.
+    pub fn thinned(self, bytes: usize) -> Self {
+        let fits = |step: u32| {
+            (self.width.div_ceil(step) as usize * self.height.div_ceil(step) as usize).saturating_mul(4) <= bytes
+        };
+        let step = (1..self.width.max(self.height)).find(|&step| fits(step)).unwrap_or(self.width.max(self.height));
+        if step == 1 {
+            return self;
+        }
+        // The pixel in the middle of those that it stands for.
+        let places = |length: u32| (0..length / step).map(move |i| (i * step + step / 2) as usize);
+        let (width, height) = (self.width / step, self.height / step);
+        if width == 0 || height == 0 {
+            return self;
+        }
+        let row = |y: usize| places(self.width).map(move |x| (x, y));
+        let depth = places(self.height).flat_map(row).map(|(x, y)| self.depth[y * self.width as usize + x]).collect();
+        Self { format: self.format, width, height, depth, ids: self.ids }
+    }
+
     /// The same map without any depth.
     pub fn emptied(&self) -> Self {
         Self { depth: vec![0.0; self.depth.len()], ids: Vec::new(), ..*self }

@@ -10,6 +10,8 @@ use serde::Deserialize;
 use walkdir::WalkDir;
 
 use crate::{
+    depthmaps::{self, DepthMapFile},
+    error::Hint,
     partners::ViewCluster,
     scene::{Scene, ViewIndex},
 };
@@ -48,6 +50,12 @@ struct Partner {
 pub struct ReportError {
     pub path: PathBuf,
     pub what: String,
+}
+
+impl Hint for ReportError {
+    fn hint(&self) -> Option<String> {
+        Some("run the matcher again, or take the report away: all partners then count as matched".into())
+    }
 }
 
 /// Names that the scene does not have are left out. The rows of single tasks are newer than `report.json`.
@@ -89,6 +97,27 @@ pub fn really_matched(cluster: &ViewCluster, report: &Report, ids: &[u32], scene
         (None, []) => cluster.partners.clone(),
     };
     ViewCluster { key: cluster.key, partners }
+}
+
+/// The partners that were tried for each depth map: by the report, else by the map's ids, else by the clusters of the plan; maps of which
+/// nothing is known are left out.
+pub fn tried(
+    folder: &Path,
+    maps: &[DepthMapFile],
+    scene: &Scene,
+    planned: &[ViewCluster],
+) -> Result<Vec<ViewCluster>, ReportError> {
+    let report = read_report(folder, scene)?;
+    let of = |map: &DepthMapFile| -> Option<ViewCluster> {
+        if let Some(reported) = report.get(&map.view) {
+            return Some(ViewCluster { key: map.view, partners: reported.tried.clone() });
+        }
+        let ids = depthmaps::read(&map.path, map.format).map(|map| map.ids).unwrap_or_default();
+        let own = planned.iter().find(|c| c.key == map.view).cloned();
+        let cluster = own.unwrap_or(ViewCluster { key: map.view, partners: Vec::new() });
+        Some(really_matched(&cluster, &report, &ids, scene)).filter(|cluster| !cluster.partners.is_empty())
+    };
+    Ok(maps.iter().filter_map(of).collect())
 }
 
 #[cfg(test)]

@@ -22,7 +22,7 @@ mod tests;
 
 pub use compare::{Choice, Compared, choices, compare};
 pub use evaluation::{Evaluation, Measure};
-pub use matched::ReportError;
+pub use matched::{ReportError, tried};
 pub use measure::Quality;
 pub use missing::{Missing, Reached};
 pub use page::page;

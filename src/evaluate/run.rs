@@ -251,9 +251,7 @@ impl Hint for EvaluateError {
     fn hint(&self) -> Option<String> {
         Some(match self {
             Self::DepthMap(error) => return error.hint(),
-            Self::Report(_) => {
-                "run the matcher again, or take the report away: all partners then count as matched".into()
-            }
+            Self::Report(error) => return error.hint(),
             Self::NoClusters(_) => {
                 "give the depth maps of this plan, or the clusters that they were made for with --clusters".into()
             }

@@ -10,7 +10,7 @@ use super::{
 };
 use crate::{
     camera::Camera,
-    confidence::{Confidence, PairConfidence},
+    confidence::{Confidence, Constellation, PairConfidence, PairCurves, trees::logistic},
     scene::ViewIndex,
 };
 
@@ -40,7 +40,8 @@ pub struct Block<'a> {
     keys: Vec<KeyLanes>,
     /// By partner, by place.
     sees: Vec<Vec<bool>>,
-    /// By partner, by place: mean of the two unary confidences; empty where that is 1.
+    /// By partner, by place: mean of the two unary confidences, or the partner's log odds where the confidence is trained; empty where the
+    /// mean is 1.
     unary: Vec<Vec<f32>>,
     /// By partner: as many groups of lanes as were needed so far.
     columns: Vec<Vec<PartnerLanes>>,
@@ -120,7 +121,8 @@ impl<'a> Block<'a> {
         let model = &self.model;
         let (camera, pose) = (model.scene.camera_of(self.key), &model.scene.view(self.key).cam_from_world);
         let centre = pose.centre();
-        for (&t, &place) in model.visibility.of(self.key).iter().zip(&self.places) {
+        let rows = model.visibility.rows(self.key);
+        for ((row, &t), &place) in rows.zip(model.visibility.of(self.key)).zip(&self.places) {
             let (group, lane) = (place as usize / LANES, place as usize % LANES);
             let centroid = model.surface.centroid(t);
             let ray = centroid - centre;
@@ -148,6 +150,7 @@ impl<'a> Block<'a> {
             }
             let per_px = model.rule.image_scale / model.rule.sigma_px;
             key.unit[lane] = (model.target.accuracy(t) * length * per_px) as f32;
+            key.measurable[lane] = model.rule.confidence.measurable(model.unary.at(row));
             let gsd = f64::from(model.target.gsd[t as usize]);
             key.resolution[lane] = (model.rule.alpha * (density(model, self.key, t) * gsd * gsd).min(1.0)) as f32;
         }
@@ -158,6 +161,7 @@ impl<'a> Block<'a> {
         let model = &self.model;
         let seen = model.visibility.of(self.key);
         seen.iter().zip(&self.places).for_each(|(&t, &place)| place_of[t as usize] = place);
+        let trained = matches!(model.rule.confidence, Confidence::Trained(_));
         let own: Vec<f32> = if model.unary.values.is_empty() { Vec::new() } else { self.own_unary() };
         for (&partner, sees) in self.partners.iter().zip(&mut self.sees) {
             let mut means = vec![0.0; own.len()];
@@ -165,7 +169,9 @@ impl<'a> Block<'a> {
                 let place = place_of[t as usize];
                 if place != EMPTY {
                     sees[place as usize] = true;
-                    if !own.is_empty() {
+                    if trained {
+                        means[place as usize] = model.unary.as_partner(row);
+                    } else if !own.is_empty() {
                         means[place as usize] = 0.5 * (own[place as usize] + model.unary.at(row));
                     }
                 }
@@ -392,13 +398,40 @@ impl Columns<'_, '_> {
             Confidence::None => [1.0; LANES],
             Confidence::Paper { .. } => [1.0; LANES],
             Confidence::Pair(numbers) => geometric(numbers, triangles, &rays),
+            Confidence::Trained(curves) => trained(curves, triangles, &rays, unary, sees),
         };
+        let factors =
+            if matches!(self.block.model.rule.confidence, Confidence::Trained(_)) { &[1.0; LANES] } else { unary };
         for i in 0..LANES {
-            out.confidence[i] = if sees[i] { chances[i] * unary[i] } else { 0.0 };
+            out.confidence[i] = if sees[i] { chances[i] * factors[i] } else { 0.0 };
             out.sees[i] = if sees[i] { 1.0 } else { 0.0 };
         }
         out
     }
+}
+
+/// [`Confidence::pair`] of a trained confidence for partners with these rays and log odds.
+fn trained(
+    curves: &PairCurves,
+    triangles: &TriangleLanes,
+    rays: &[[f64; LANES]; 3],
+    odds: &[f32],
+    sees: &[bool],
+) -> Lanes {
+    let mut chances = [0.0; LANES];
+    for i in (0..LANES).filter(|&i| sees[i]) {
+        let at = |v: &[[f64; LANES]; 3]| Vector3::new(v[0][i], v[1][i], v[2][i]);
+        let (key, own) = (at(&triangles.ray), at(rays));
+        let normal = triangles.normal.map(|axis| f64::from(axis[i]));
+        let constellation = Constellation {
+            cos_key: f64::from(triangles.cosine[i]),
+            cos_partner: -Vector3::from(normal).dot(&own) / own.norm(),
+            octaves: (own.norm() / key.norm()).log2(),
+            angle_deg: key.angle(&own).to_degrees(),
+        };
+        chances[i] = logistic(curves.odds(&constellation.numbers()) + odds[i]);
+    }
+    chances
 }
 
 /// [`PairConfidence::confidence`] for partners with these rays, relative error below 1e-6.

@@ -21,12 +21,18 @@ pub struct KeyLanes {
     pub unit: Lanes,
     /// alpha f_res.
     pub resolution: Lanes,
+    /// Chance that the triangle can be measured from the key view at all.
+    pub measurable: Lanes,
 }
 
 impl KeyLanes {
     /// No triangles: f is 0.
-    pub const EMPTY: Self =
-        Self { information: [[0.5; LANES], [0.0; LANES], [0.5; LANES]], unit: [0.0; LANES], resolution: [0.0; LANES] };
+    pub const EMPTY: Self = Self {
+        information: [[0.5; LANES], [0.0; LANES], [0.5; LANES]],
+        unit: [0.0; LANES],
+        resolution: [0.0; LANES],
+        measurable: [0.0; LANES],
+    };
 }
 
 /// What one partner adds; all 0 where it does not see the triangle.
@@ -100,7 +106,7 @@ impl Together {
             let smallest = smallest_eigenvalue([xx, xy, yy, xz, yz, zz].map(component));
             let spread = convert::<f64, T>(f64::from(key.unit[i])) * smallest.sqrt();
             let uncertainty = if spread < T::one() { spread } else { T::one() };
-            let both = if self.seeing[i] >= weights.min_partners { confidence[i] } else { 0.0 };
+            let both = if self.seeing[i] >= weights.min_partners { confidence[i] * key.measurable[i] } else { 0.0 };
             let resolution = convert::<f64, T>(f64::from(key.resolution[i]));
             let weight = convert::<f64, T>(f64::from(weights.uncertainty));
             f[i] = (resolution + weight * uncertainty) * convert::<f64, T>(f64::from(both));

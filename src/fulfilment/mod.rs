@@ -151,12 +151,13 @@ impl Success {
         let rule = &model.rule;
         let (mut seeing, mut chances) = (Vec::with_capacity(partners.len()), Vec::with_capacity(partners.len()));
         for (view, row) in rows {
-            let unary = 0.5 * (f64::from(model.unary.at(key_row)) + f64::from(model.unary.at(row)));
+            let (own, other) = (f64::from(model.unary.at(key_row)), f64::from(model.unary.as_partner(row)));
             seeing.push(view);
-            chances.push(rule.confidence.pair(&Constellation::new(model, key, view, triangle), unary));
+            chances.push(rule.confidence.pair(&Constellation::new(model, key, view, triangle), own, other));
         }
         let coverage = if 1 + seeing.len() >= rule.min_cameras as usize { 1.0 } else { 0.0 };
-        Some(Self { seeing, coverage, confidence: rule.confidence.at_least(chances.into_iter()) })
+        let measurable = f64::from(rule.confidence.measurable(model.unary.at(key_row)));
+        Some(Self { seeing, coverage, confidence: measurable * rule.confidence.at_least(chances.into_iter()) })
     }
 }
 
@@ -196,7 +197,7 @@ fn unwrapped(camera: &Camera, edge: Vector2<f64>) -> Vector2<f64> {
 }
 
 /// J^T J / sigma_px^2 of method 3.3 at the centroid, in the world frame, per squared scene unit.
-fn information(model: &Model, view: ViewIndex, triangle: u32) -> Matrix3<f64> {
+pub(crate) fn information(model: &Model, view: ViewIndex, triangle: u32) -> Matrix3<f64> {
     let pose = &model.scene.view(view).cam_from_world;
     let centroid = pose.camera_from_world(&model.surface.centroid(triangle));
     let Some((_, jacobian)) = model.scene.camera_of(view).project_with_jacobian(&centroid) else {

@@ -6,7 +6,10 @@ use rand_pcg::Pcg64;
 
 use super::*;
 use crate::{
-    confidence::PairConfidence,
+    confidence::{
+        PairConfidence, PairCurves,
+        curves::{Curve, PAIR},
+    },
     config::{TargetMode, TargetSettings, VisibilitySettings},
     progress::Unwatched,
     synthetic::Town,
@@ -195,7 +198,7 @@ fn the_best_target_is_reached_by_the_nearest_view() {
 #[test]
 fn pair_and_paper_confidence_differ_in_p() {
     let mut setting = Setting::pinhole();
-    setting.unary = Unary { values: vec![0.5; setting.visibility.triangles.len()] };
+    setting.unary = Unary { values: vec![0.5; setting.visibility.triangles.len()], ..Unary::certain() };
     let numbers =
         PairConfidence { min_matches: 1, p0: 0.8, cosine_power: 0.0, scale_octaves: None, full_angle_deg: None };
     let (key, partners) = (ViewIndex(12), [ViewIndex(11), ViewIndex(17)]);
@@ -205,6 +208,13 @@ fn pair_and_paper_confidence_differ_in_p() {
     assert!((confidence(Confidence::Paper { min_matches: 1 }) - 0.75).abs() < 1e-12);
     assert!((confidence(Confidence::Pair(numbers)) - (1.0 - 0.6 * 0.6)).abs() < 1e-12);
     assert_eq!(confidence(Confidence::None), 1.0);
+}
+
+/// Curves that go up and down.
+fn trained() -> PairCurves {
+    let wave = |i: usize, knot: usize| ((3 * i + knot) as f32).sin();
+    let curves = std::array::from_fn(|i| Curve { values: std::array::from_fn(|knot| wave(i, knot)), ..PAIR[i] });
+    PairCurves { min_matches: 2, bias: 0.5, curves }
 }
 
 /// The written table against the definition, with all kinds of confidence, for every triangle of some clusters.
@@ -217,7 +227,7 @@ fn the_table_holds_what_the_definition_says() {
     let three = PairConfidence { min_matches: 3, ..sure };
     for mut setting in [Setting::pinhole(), Setting::distorted()] {
         let rows = setting.visibility.triangles.len();
-        setting.unary = Unary { values: (0..rows).map(|r| (r % 101) as f32 / 100.0).collect() };
+        setting.unary = Unary { values: (0..rows).map(|r| (r % 101) as f32 / 100.0).collect(), ..Unary::certain() };
         let views = |v: &[u32]| v.iter().map(|&v| ViewIndex(v)).collect::<Vec<_>>();
         let clusters =
             [(12, views(&[11, 13, 7, 17, 37])), (40, views(&[12, 7])), (3, views(&[])), (30, views(&[0, 5, 31, 36]))]
@@ -228,8 +238,12 @@ fn the_table_holds_what_the_definition_says() {
             Confidence::Pair(patch_match),
             Confidence::Pair(three),
             Confidence::Paper { min_matches: 2 },
+            Confidence::Trained(trained()),
         ];
-        for (confidence, accuracy_over_gsd) in confidences.into_iter().zip([1.0, 0.3, 0.1, 1.0, 0.2]) {
+        for (confidence, accuracy_over_gsd) in confidences.into_iter().zip([1.0, 0.3, 0.1, 1.0, 0.2, 0.5]) {
+            if matches!(confidence, Confidence::Trained(_)) {
+                setting.unary.partner_odds = (0..rows).map(|r| (r % 37) as f32 / 20.0 - 1.0).collect();
+            }
             let target = Target { accuracy_over_gsd, ..setting.target.clone() };
             let model = Model { target: &target, ..setting.model(confidence) };
             let table = table(&model, &clusters, &Unwatched).unwrap();

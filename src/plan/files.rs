@@ -3,9 +3,10 @@
 use super::{Plan, PlannedViews};
 use crate::{
     backends::{self, Backend, BackendError, Export, ExportOptions, Selection},
+    confidence,
     error::Hint,
     manifest::{FingerprintError, Manifest},
-    output::FileSet,
+    output::{Contents, FileSet},
     pictures::{Curve, curve_svg, surface_ply},
     project::Project,
 };
@@ -63,9 +64,18 @@ pub fn files(plan: &Plan, project: &Project) -> Result<PlanFiles, FilesError> {
     add("planned_views.json", serde_json::to_string(&planned_views).expect("numbers and texts are JSON") + "\n");
     add("curve.svg", curve_svg(&Curve::predicted(plan)));
     add("timings.json", serde_json::to_string_pretty(&plan.timings).expect("numbers by name are JSON") + "\n");
-    own.add("viewrank/surface.ply", crate::output::Contents::Bytes(surface_ply(plan)));
+    own.add("viewrank/surface.ply", Contents::Bytes(surface_ply(plan)));
     let elsewhere: Vec<FileSet> = exports.into_iter().filter_map(|export| own.absorb(export.files)).collect();
-    Ok(PlanFiles { manifest, sets: std::iter::once(own).chain(elsewhere).collect(), command })
+    let sets = std::iter::once(own).chain(elsewhere).chain(cache(plan, project)).collect();
+    Ok(PlanFiles { manifest, sets, command })
+}
+
+/// What the pictures showed, for the next plan, if there is something new.
+fn cache(plan: &Plan, project: &Project) -> Option<FileSet> {
+    let bytes = plan.pictures.cache.clone()?;
+    let mut set = FileSet::new(&project.root, "cache");
+    set.add(confidence::CACHE, Contents::Bytes(bytes));
+    Some(set)
 }
 
 /// The first command of an export, from its folder.

@@ -25,7 +25,7 @@ pub use timings::Timings;
 
 use crate::{
     backends::{self, Backend, BackendError, RankedCluster},
-    confidence::{self, Confidence, Unary},
+    confidence::{self, Confidence, Pictures, Predictor, Proxy, Source, Trained, TrainedError, Unary},
     config::{Settings, Share},
     error::Hint,
     fulfilment::{FulfilmentTable, GSD_MARGIN, Model, Rule, Target},
@@ -51,6 +51,11 @@ pub struct Plan {
     pub visibility: Visibility,
     /// Unary confidence of each row of `visibility`.
     pub unary: Unary,
+    /// What was seen in the pictures.
+    pub pictures: confidence::Seen,
+    /// What predicts success.
+    pub confidence: Confidence,
+    pub trained: Option<Trained>,
     /// g_d and a_d of each triangle (method 3.6).
     pub target: Target,
     pub candidates: Candidates,
@@ -89,15 +94,13 @@ impl Plan {
 
     /// What f depends on; with it any view clusters can be looked at.
     pub fn model(&self) -> Model<'_> {
-        let source = confidence::Source::new(&self.settings.confidence.source);
-        let backend = backends::by_name(self.backend).expect("the plan was made for one of the backends");
         Model {
             scene: &self.scene,
             surface: &self.surface,
             visibility: &self.visibility,
             target: &self.target,
             unary: &self.unary,
-            rule: rule(&self.settings, &source, backend),
+            rule: rule(&self.settings, self.confidence),
         }
     }
 
@@ -160,31 +163,35 @@ pub fn plan(project: &Project, settings: &Settings, watcher: &dyn Watcher) -> Re
     let scene = timings.time(Stage::Read, || project.read_scene())?;
     watcher.progress(Stage::Read, 1, 1);
     watcher.check()?;
-    let mut settings = in_force(project, settings, &scene, backend)?;
+    let source = confidence::Source::new(&settings.confidence.source, &project.root, backend.name());
+    let trained = source.trained(&project.root)?;
+    let mut settings = in_force(project, settings, &scene, backend, &source)?;
     let mut memory = Memory::before_surface(&scene, &mut settings)?;
     let points = scene.view_points();
     let seen = look(&scene, &points, &settings, watcher, &mut timings, &mut memory)?;
     memory.before_partners(&seen.surface, &seen.visibility)?;
     let target = target(&scene, &seen, &settings);
-    let source = confidence::Source::new(&settings.confidence.source);
-    let rule = rule(&settings, &source, backend);
-    if source.needs_images() {
-        return Err(PlanError::NoPredictor(source.to_string()));
-    }
-    let unary = match source {
-        confidence::Source::None => Unary::certain(),
-        _ => timings.time(Stage::Visibility, || {
-            confidence::nearby(&scene, &points, &seen.surface, &seen.visibility, watcher)
-        })?,
-    };
+    let confidence = Confidence::new(&source, trained.as_ref(), &settings.confidence, &backend.planning().confidence);
+    let rule = rule(&settings, confidence);
     let model = Model {
         scene: &scene,
         surface: &seen.surface,
         visibility: &seen.visibility,
         target: &target,
-        unary: &unary,
+        unary: &Unary::certain(),
         rule,
     };
+    let (pictures, unary) = timings.time(Stage::Confidence, || {
+        let pictures = pictures(project, &scene, &source, trained.as_ref(), watcher)?;
+        let unary = match (&trained, confidence) {
+            (Some(trained), Confidence::Trained(_)) => trained.unary(&model, &pictures.maps, watcher)?,
+            (_, Confidence::Pair(_)) => confidence::nearby(&scene, &points, &seen.surface, &seen.visibility, watcher)?
+                .times(&Unary::new(&scene, &seen.surface, &seen.visibility, &pictures.maps, watcher)?),
+            _ => Unary::new(&scene, &seen.surface, &seen.visibility, &pictures.maps, watcher)?,
+        };
+        Ok::<_, PlanError>((pictures, unary))
+    })?;
+    let model = Model { unary: &unary, ..model };
     let (candidates, clusters, fulfilment) = timings.time(Stage::Partners, || {
         let candidates = partners::candidates(&scene, &points, &settings.partners, backend, watcher)?;
         let (clusters, table) = partners::choose(&model, &candidates, &settings.partners, settings.seed, watcher)?;
@@ -200,6 +207,9 @@ pub fn plan(project: &Project, settings: &Settings, watcher: &dyn Watcher) -> Re
         settings,
         scene,
         unary,
+        pictures,
+        confidence,
+        trained,
         target,
         candidates,
         clusters,
@@ -232,6 +242,7 @@ fn in_force(
     settings: &Settings,
     scene: &Scene,
     backend: &dyn Backend,
+    source: &Source,
 ) -> Result<Settings, PlanError> {
     if scene.views.is_empty() {
         return Err(PlanError::NoViews(project.model.path.clone()));
@@ -248,7 +259,7 @@ fn in_force(
     let numbers = backend.planning();
     all.ranking.support.get_or_insert(numbers.support);
     let confidence = numbers.confidence.with(&all.confidence);
-    all.confidence.source = confidence::Source::new(&all.confidence.source).to_string();
+    all.confidence.source = source.to_string();
     all.confidence.min_matches = Some(confidence.min_matches);
     all.confidence.p0 = Some(confidence.p0);
     all.confidence.cosine_power = Some(confidence.cosine_power);
@@ -259,6 +270,27 @@ fn in_force(
         cut.target.get_or_insert(Share(cut::DEFAULT_TARGET));
     }
     Ok(all)
+}
+
+/// What the pictures say; masks count wherever confidence does.
+fn pictures(
+    project: &Project,
+    scene: &Scene,
+    source: &Source,
+    trained: Option<&Trained>,
+    watcher: &dyn Watcher,
+) -> Result<confidence::Seen, PlanError> {
+    let pictures = Pictures::new(project);
+    let predictor: Option<&dyn Predictor> = match (source, trained) {
+        (Source::Proxy, _) => Some(&Proxy),
+        (_, Some(trained)) => trained.picture.as_ref().map(|picture| picture as &dyn Predictor),
+        _ => None,
+    };
+    let unasked = *source == Source::None || predictor.is_none() && !pictures.have_masks();
+    if unasked {
+        return Ok(confidence::Seen { maps: vec![None; scene.views.len()], ..Default::default() });
+    }
+    Ok(pictures.look(scene, predictor, watcher)?)
 }
 
 /// A surface of triangles that at least one view sees.
@@ -297,13 +329,13 @@ fn target(scene: &Scene, seen: &Seen, settings: &Settings) -> Target {
     Target::new(scene, &seen.surface, &seen.visibility, &settings.target, seen.gsd, settings.image_scale)
 }
 
-fn rule(settings: &Settings, source: &confidence::Source, backend: &dyn Backend) -> Rule {
+fn rule(settings: &Settings, confidence: Confidence) -> Rule {
     Rule {
         alpha: settings.fulfilment.alpha,
         sigma_px: settings.fulfilment.sigma_px,
         min_cameras: settings.coverage.min_cameras,
         image_scale: settings.image_scale,
-        confidence: Confidence::new(source, &settings.confidence, &backend.planning().confidence),
+        confidence,
     }
 }
 
@@ -320,8 +352,8 @@ pub enum PlanError {
     Surface(#[from] SurfaceError),
     #[error(transparent)]
     Backend(#[from] BackendError),
-    #[error("confidence.source = {0}: this version has no confidence from images")]
-    NoPredictor(String),
+    #[error(transparent)]
+    Trained(#[from] TrainedError),
     #[error("how long matching takes is not known, so that {0} cannot be kept to")]
     NoTimes(&'static str),
     #[error(
@@ -342,7 +374,7 @@ impl Hint for PlanError {
             Self::NoScale => "say what is wanted with --gsd, or give a model with points".into(),
             Self::Surface(error) => return error.hint(),
             Self::Backend(error) => return error.hint(),
-            Self::NoPredictor(_) => "take --confidence geometric, or none".into(),
+            Self::Trained(error) => return error.hint(),
             Self::NoTimes(_) => "time one depth map and set forecast.seconds_per_map or .seconds_per_pair".into(),
             Self::Memory { need, .. } => format!(
                 "give --max-memory {}, or have fewer triangles with a coarser --gsd or a larger surface.edge_factor",

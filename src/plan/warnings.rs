@@ -9,6 +9,9 @@ const NAMED: usize = 3;
 
 pub(super) fn warnings(plan: &Plan) -> Vec<String> {
     let mut warnings = plan.scene.warnings.clone();
+    warnings.extend(plan.pictures.warnings.iter().cloned());
+    warnings.extend(unlike_pictures(plan));
+    warnings.extend(other_backend(plan));
     warnings.extend(impossible_partners(plan));
     warnings.extend(nothing_fulfilled(plan));
     warnings.extend(nothing_chosen(plan));
@@ -33,6 +36,21 @@ fn outdated(plan: &Plan) -> Option<String> {
             names.join(", ")
         )
     })
+}
+
+/// Pictures that the model has not seen the like of.
+fn unlike_pictures(plan: &Plan) -> Option<String> {
+    let distance = plan.pictures.distance.filter(|&distance| distance > 1.0 && plan.trained.is_some())?;
+    Some(format!(
+        "the pictures are unlike those that the confidence was trained on ({distance:.1} times as far as those are from each other): \
+         compute some depth maps and train on them (viewrank train), or take --confidence geometric"
+    ))
+}
+
+/// A model that learnt from another program's depth maps.
+fn other_backend(plan: &Plan) -> Option<String> {
+    let trained = plan.trained.as_ref().filter(|trained| trained.backend != plan.backend)?;
+    Some(format!("the confidence was trained on depth maps of {}, the plan is for {}", trained.backend, plan.backend))
 }
 
 /// k too small for what is asked of a cluster.

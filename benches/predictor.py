@@ -1,0 +1,180 @@
+#!/usr/bin/env python3
+"""How good the confidence is on scenes that it was not trained on, in every rotation: one command, one table.
+
+    predictor.py PROJECT=REFERENCE... --viewrank target/release/viewrank --out DIR
+
+Each PROJECT is a COLMAP project (images/, sparse/) with depth maps of integrations/sgm in PROJECT/sgm (report.json says of which
+clusters) and, for the training alone, as many further PROJECT.* beside it with other clusters. REFERENCE is what its depths are held against: exact
+depth (truth/depth of a rendered scene) or the maps with all 22 partners (sgm.py match --connected 22). For each project the confidence is
+trained on all the others, without their references, and then held against this one's:
+
+- per (cluster, triangle): f_conf against the share of the triangle's pixels that came out right (what `viewrank evaluate` measures);
+- per pixel: the picture's confidence alone against "came out right", where the reference has a depth;
+- the curve of `viewrank evaluate`: key views until 50, 70 and 80 % of the real fulfilment, in the order of each confidence, partners the same.
+"""
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "integrations/sgm"))
+from measure import read_reference, resized  # noqa: E402
+
+SOURCES = ["none", "geometric", "proxy", "trained"]
+SHARES = [0.5, 0.7, 0.8]
+RIGHT_WITHIN = 3.0  # a_d, as method 8
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("projects", nargs="+", metavar="PROJECT=REFERENCE")
+    parser.add_argument("--viewrank", default="viewrank")
+    parser.add_argument("--out", type=Path, required=True, help="for models, plans and predictor.md")
+    parser.add_argument("--threads", default="2")
+    arguments = parser.parse_args()
+    sets = {Path(p): Path(r) for p, r in (text.split("=", 1) for text in arguments.projects)}
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    rows = [measure(project, sets, arguments) for project in sets]
+    text = table(rows)
+    (arguments.out / "predictor.md").write_text(text)
+    print(text)
+
+
+def measure(project, sets, arguments):
+    """Everything about one project with the model of the others."""
+    model = arguments.out / f"without_{project.name}.model"
+    others = [p for other in sets if other != project for p in (other, *sorted(other.parent.glob(other.name + ".*")))]
+    run(arguments, "train", *others, "--depth-maps", "sgm", "--out", model)
+    reference = exact(sets[project], project, arguments.out)
+    row = {"name": project.name, "sources": {}}
+    for source in SOURCES:
+        row["sources"][source] = clusters(project, reference, model if source == "trained" else source, arguments)
+    row["pixels"] = pixels(project, sets[project], model, arguments)
+    print(json.dumps(row), file=sys.stderr)
+    return row
+
+
+def run(arguments, *words):
+    command = [arguments.viewrank, *map(str, words), "--threads", arguments.threads, "--quiet"]
+    environment = {**os.environ, "XDG_CONFIG_HOME": str(arguments.out)}
+    return subprocess.run(command, check=True, env=environment, stdout=subprocess.PIPE, text=True).stdout
+
+
+def exact(reference, project, out):
+    """A folder of .npy for the program: rendered sets have their depth coded."""
+    if (reference / "depth_maps").is_dir():
+        return reference / "depth_maps"
+    folder = out / "reference" / project.name
+    folder.mkdir(parents=True, exist_ok=True)
+    for path in sorted((project / "sgm/depth_maps").rglob("*.npy")):
+        name = path.name[: -len(".npy")]
+        np.save(folder / path.name, read_reference(reference, name))
+    return folder
+
+
+def clusters(project, reference, source, arguments):
+    """f_conf against measured shares, and the curve, of the clusters that the maps were made for."""
+    tables = arguments.out / "tables"
+    run(arguments, "plan", project, "--backend", "sgm", "--confidence", source, "-k", 5, "--budget", "100%")
+    evaluate = ["evaluate", project, "--depth-maps", project / "sgm", "--reference", reference, "--baselines"]
+    evaluate += ["--clusters", project / "clusters.txt", "--dump-tables", tables, "--out", arguments.out / "evaluation"]
+    run(arguments, *evaluate)
+    read = {path.stem: np.load(path) for path in tables.glob("real*.npy")}
+    chance = ratio(read, "real_predicted", "real_nocp")
+    outcome = ratio(read, "real", "real_attainable")
+    result = json.loads((arguments.out / "evaluation/evaluation.json").read_text())
+    order = next(o for o in result["orders"] if o["name"] == "ours")
+    needed = {n["share"]: n["clusters"] for n in order["needed"]}
+    return {**scores(chance, outcome), "needed": [needed[s] for s in SHARES]}
+
+
+def ratio(read, part, whole):
+    """Of two tables by (cluster, triangle), at the rows that could be fulfilled by the partners that were planned."""
+    keys = lambda name: read[name].astype(np.int64) @ np.array([1 << 32, 1])  # noqa: E731
+    wanted = keys("real_nocp")
+
+    def values(name):
+        of, rows = keys(name), np.zeros(len(wanted))
+        both, at, there = np.intersect1d(wanted, of, return_indices=True)
+        rows[at] = read[name + "_value"][there]
+        return rows
+
+    return np.clip(values(part) / np.maximum(values(whole), 1e-12), 0, 1)
+
+
+def scores(chance, outcome):
+    """AUC with shares as weights of success and failure, Brier score, calibration error over ten ranges."""
+    order = np.argsort(chance, kind="stable")
+    p, y = chance[order].astype(float), outcome[order].astype(float)
+    _, first = np.unique(p, return_index=True)
+    right, wrong = np.add.reduceat(y, first), np.add.reduceat(1 - y, first)
+    below = np.concatenate([[0], np.cumsum(wrong)[:-1]])
+    auc = float((right * (below + 0.5 * wrong)).sum() / (right.sum() * wrong.sum()))
+    ranges = np.minimum((p * 10).astype(int), 9)
+    apart = [abs((p - y)[ranges == r].sum()) for r in range(10)]
+    return {"auc": auc, "brier": float(((p - y) ** 2).mean()), "calibration": float(sum(apart) / len(p)), "count": len(p)}
+
+
+def pixels(project, reference, model, arguments):
+    """The picture alone against "came out right", each fourth pixel of the maps that has a reference depth."""
+    maps = sorted((project / "sgm/depth_maps").rglob("*.npy"))
+    names = [str(path.relative_to(project / "sgm/depth_maps"))[: -len(".npy")] for path in maps]
+    images = [project / "images" / name for name in names]
+    found = {}
+    for source in ["proxy", model]:
+        folder = arguments.out / "pictures"
+        words = ["predict", *images, "--out", folder, "--confidence", source, "--quiet"]
+        subprocess.run([arguments.viewrank, *map(str, words)], check=True)
+        found["proxy" if source == "proxy" else "trained"] = {n: np.load(folder / (Path(n).name + ".npy")) for n in names}
+    settings = json.loads((project / "viewrank/manifest.json").read_text())["settings"]
+    accuracy = settings["target"]["accuracy"]
+    chances, outcomes = {"constant": [], "gradient": [], "proxy": [], "trained": []}, []
+    for name, path in zip(names, maps):
+        depth, truth = np.load(path), read_reference(reference, name)
+        truth = resized(truth, depth.shape[::-1])
+        right = (depth > 0) & (np.abs(depth - truth) <= RIGHT_WITHIN * accuracy)
+        known = np.zeros_like(right)
+        known[2::4, 2::4] = truth[2::4, 2::4] > 0
+        outcomes.append(right[known])
+        grey = cv2.imread(str(project / "images" / name), cv2.IMREAD_GRAYSCALE).astype(np.float32)
+        energy = cv2.GaussianBlur(cv2.Sobel(grey, -1, 1, 0) ** 2 + cv2.Sobel(grey, -1, 0, 1) ** 2, (0, 0), 4)
+        energy = np.log(cv2.resize(energy, depth.shape[::-1]) + 1)
+        chances["constant"].append(np.full(known.sum(), 0.5))
+        chances["gradient"].append(energy[known])
+        for source in ["proxy", "trained"]:
+            map_ = cv2.resize(found[source][name], depth.shape[::-1], interpolation=cv2.INTER_NEAREST)
+            chances[source].append(map_[known])
+    outcomes = np.concatenate(outcomes)
+    result = {source: scores(np.concatenate(values), outcomes) for source, values in chances.items()}
+    # Energy is no probability, and a constant is best at the share that succeeds: only ranks and that share are of use.
+    result["constant"].update(brier=float(outcomes.mean() * (1 - outcomes.mean())), calibration=0.0)
+    result["gradient"].update(brier=None, calibration=None)
+    return result
+
+
+def table(rows):
+    lines = ["| unseen scene | confidence | AUC | Brier | calibration error | key views for 50, 70, 80 % |", "|---|---|---|---|---|---|"]
+    for row in rows:
+        for source, s in row["sources"].items():
+            needed = ", ".join(f"{n:.1f}" for n in s["needed"])
+            lines.append(f"| {row['name']} | {source} | {s['auc']:.3f} | {s['brier']:.3f} | {s['calibration']:.3f} | {needed} |")
+    for source in SOURCES:
+        mean = np.mean([row["sources"][source]["needed"] for row in rows], axis=0)
+        auc = np.mean([row["sources"][source]["auc"] for row in rows])
+        lines.append(f"| mean | {source} | {auc:.3f} | | | {', '.join(f'{n:.1f}' for n in mean)} |")
+    lines += ["", "| unseen scene | picture alone, per pixel | AUC | Brier | calibration error |", "|---|---|---|---|---|"]
+    number = lambda n: "" if n is None else f"{n:.3f}"  # noqa: E731
+    for row in rows:
+        for source, s in row["pixels"].items():
+            lines.append(f"| {row['name']} | {source} | {s['auc']:.3f} | {number(s['brier'])} | {number(s['calibration'])} |")
+    return "\n".join(lines) + "\n"
+
+
+if __name__ == "__main__":
+    main()

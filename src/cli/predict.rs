@@ -1,0 +1,110 @@
+//! `viewrank predict`: what the confidence sees in pictures, to look at.
+
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+use rayon::prelude::*;
+use viewrank::{
+    confidence::{self, Image, Predictor, Proxy, Trained},
+    error::Hint,
+    output::{Contents, Disk, FileSet},
+    pictures::confidence_picture,
+    tables,
+};
+
+use super::{Failure, print};
+
+/// Write confidence pictures: where will a backend succeed, by the picture alone.
+///
+/// DIR gets NAME.png, the image beside its confidence in colours with a legend, and NAME.npy, the confidence as float32 (rows x columns of a grid
+/// that covers the image).
+#[derive(Args)]
+pub struct Arguments {
+    #[arg(required = true, value_name = "IMAGE")]
+    images: Vec<PathBuf>,
+
+    /// Folder for the pictures
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// What predicts: proxy, shipped or a model file [default: shipped if there is one, else proxy]
+    #[arg(long, value_name = "SOURCE|FILE")]
+    confidence: Option<String>,
+    /// No list of what was written
+    #[arg(long, short)]
+    quiet: bool,
+}
+
+pub fn run(arguments: &Arguments) -> Result<(), Failure> {
+    let predictor = predictor(arguments.confidence.as_deref())?;
+    let of_image = |path: &PathBuf| {
+        let image = Image::read(path).map_err(|source| Unreadable { path: path.clone(), source })?;
+        let map = predictor.predict(&image).map;
+        let shape = [map.rows as usize, map.columns as usize];
+        let raw = tables::array(&shape, map.values().collect::<Vec<f32>>());
+        Ok::<_, Failure>((name(path), confidence_picture(&image, &map), raw))
+    };
+    let made: Vec<_> = arguments.images.par_iter().map(of_image).collect::<Result<_, _>>()?;
+    let mut files = FileSet::new(&arguments.out, "predict");
+    for (name, picture, raw) in made {
+        if files.files.contains_key(&format!("{name}.png")) {
+            return Err(Failure::usage(Same(name)));
+        }
+        files.add(format!("{name}.png"), Contents::Bytes(picture));
+        files.add(format!("{name}.npy"), Contents::Bytes(raw));
+    }
+    files.write(&Disk::REAL)?;
+    if arguments.quiet {
+        return Ok(());
+    }
+    print(&files.files.keys().map(|name| format!("{}\n", arguments.out.join(name).display())).collect::<String>())
+}
+
+fn predictor(source: Option<&str>) -> Result<Box<dyn Predictor>, Failure> {
+    let trained = match source {
+        Some("proxy") => None,
+        None | Some("shipped") => Trained::shipped(),
+        Some(file) => Some(Trained::read(Path::new(file))?),
+    };
+    match trained {
+        None => Ok(Box::new(Proxy)),
+        Some(Trained { picture: Some(picture), .. }) => Ok(Box::new(picture)),
+        Some(_) => Err(Failure::usage(NoPicture)),
+    }
+}
+
+fn name(path: &Path) -> String {
+    path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned()
+}
+
+#[derive(Debug, thiserror::Error)]
+#[error("{}: {source}", path.display())]
+struct Unreadable {
+    path: PathBuf,
+    source: confidence::ImageError,
+}
+
+impl Hint for Unreadable {
+    fn hint(&self) -> Option<String> {
+        Some("give JPEG, PNG or TIFF images".into())
+    }
+}
+
+#[derive(Debug, thiserror::Error)]
+#[error("two of the images are named {0}")]
+struct Same(String);
+
+impl Hint for Same {
+    fn hint(&self) -> Option<String> {
+        Some("give images of one folder at a time".into())
+    }
+}
+
+#[derive(Debug, thiserror::Error)]
+#[error("the model was trained without pictures")]
+struct NoPicture;
+
+impl Hint for NoPicture {
+    fn hint(&self) -> Option<String> {
+        Some("train where the images are there, or take --confidence proxy".into())
+    }
+}

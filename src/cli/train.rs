@@ -1,0 +1,156 @@
+//! `viewrank train`: learns from finished depth maps where a backend succeeds.
+
+use std::path::PathBuf;
+
+use clap::Args;
+use rayon::ThreadPoolBuilder;
+use viewrank::{
+    backends,
+    confidence::{
+        Trained,
+        train::{self, Course, Lesson},
+    },
+    config::Typed,
+    depthmaps::{self, DepthMapFormat},
+    evaluate,
+    manifest::WrittenPlan,
+    output::{self, Disk},
+    partners::ViewCluster,
+    plan::{self, Plan},
+    project::Project,
+};
+
+use super::{Failure, Format, config, json, print, progress::Progress};
+
+/// Learn from finished depth maps where a backend succeeds.
+///
+/// No ground truth is needed: a depth is right where depth maps from other viewpoints agree with it, wrong where they saw through it. The
+/// partners that each map was matched with are those of the matcher's report, of the maps themselves (OpenMVS), or of the
+/// project's plan. Use the model with viewrank plan --confidence MODEL, or write it to PROJECT/viewrank/confidence.model, which
+/// --confidence auto takes.
+#[derive(Args)]
+pub struct Arguments {
+    #[arg(required = true, value_name = "PROJECT")]
+    projects: Vec<PathBuf>,
+
+    /// Which depth maps: colmap, openmvs, mvsnet, acmm, sgm, or a folder in each project
+    #[arg(long, value_name = "KIND|DIR")]
+    depth_maps: String,
+    /// The model file to write
+    #[arg(long, value_name = "MODEL")]
+    out: PathBuf,
+    /// Backend that made the depth maps [default: by their format]
+    #[arg(long, value_name = "NAME")]
+    backend: Option<String>,
+    /// Seed of all random choices
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    seed: u64,
+    /// Threads to use; the model is the same for any number [default: all]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
+    threads: Option<u16>,
+    /// No progress and no summary
+    #[arg(long, short)]
+    quiet: bool,
+    /// How the figures are printed on stdout
+    #[arg(long, value_enum, default_value_t)]
+    format: Format,
+}
+
+/// A planned project with its maps.
+struct Prepared {
+    project: Project,
+    plan: Plan,
+    maps: depthmaps::DepthMapSet,
+    clusters: Vec<ViewCluster>,
+}
+
+pub fn run(arguments: &Arguments) -> Result<(), Failure> {
+    if let Some(threads) = arguments.threads {
+        let pool = ThreadPoolBuilder::new().num_threads(threads.into()).build_global();
+        pool.expect("no other pool was made before");
+    }
+    let progress = Progress::new(arguments.quiet);
+    let prepared: Vec<Prepared> =
+        arguments.projects.iter().map(|root| prepare(arguments, root, &progress)).collect::<Result<_, _>>()?;
+    let backend = backends::by_name(&backend(arguments, &prepared[0].maps.maps[0].format))?;
+    let lessons: Vec<Lesson> = prepared.iter().map(lesson).collect();
+    let min_matches = backend.planning().confidence.min_matches;
+    let course = Course { backend: backend.name().into(), min_matches, seed: arguments.seed };
+    let trained = train::train(&lessons, &course, &progress)?;
+    if let Some(folder) = arguments.out.parent().filter(|folder| !folder.as_os_str().is_empty()) {
+        output::make_folder(folder, &Disk::REAL)?;
+    }
+    output::replace(&arguments.out, &trained.to_bytes(), &Disk::REAL)?;
+    progress.finish();
+    match arguments.format {
+        Format::Json => print(&json(&trained.measured)),
+        Format::Text if arguments.quiet => Ok(()),
+        Format::Text => print(&text(arguments, &trained)),
+    }
+}
+
+fn prepare(arguments: &Arguments, root: &PathBuf, progress: &Progress) -> Result<Prepared, Failure> {
+    let project = Project::open(root, None)?;
+    let folder = train::folder(&project.root, project.dense_workspace.as_deref(), &arguments.depth_maps);
+    let mut typed = Typed::default();
+    typed.set("train", "confidence.source", Some("geometric"));
+    let mut settings = config::load(Some(&project.root), typed)?.settings;
+    let scene = project.read_scene()?;
+    let found = depthmaps::find(&folder, &scene)?;
+    settings.backends = vec![backend(arguments, &found.maps[0].format)];
+    let plan = plan::plan(&project, &settings, progress)?;
+    let ranked =
+        |cluster: &backends::RankedCluster| ViewCluster { key: cluster.key, partners: cluster.partners.clone() };
+    let written: Vec<ViewCluster> =
+        WrittenPlan::read(root).map(|written| written.clusters.iter().map(ranked).collect()).unwrap_or_default();
+    let clusters = evaluate::tried(&folder, &found.maps, &plan.scene, &written)?;
+    Ok(Prepared { project, plan, maps: found, clusters })
+}
+
+fn lesson(prepared: &Prepared) -> Lesson<'_> {
+    let root = &prepared.project.root;
+    Lesson {
+        name: root.file_name().unwrap_or(root.as_os_str()).to_string_lossy().into_owned(),
+        model: prepared.plan.model(),
+        candidates: &prepared.plan.candidates,
+        clusters: prepared.clusters.clone(),
+        maps: prepared.maps.maps.clone(),
+        images: prepared.project.images.clone(),
+    }
+}
+
+fn backend(arguments: &Arguments, format: &DepthMapFormat) -> String {
+    let by_format = match format {
+        DepthMapFormat::ColmapGeometric | DepthMapFormat::ColmapPhotometric => "colmap",
+        DepthMapFormat::OpenMvs => "openmvs",
+        DepthMapFormat::Pfm => "mvsnet",
+        DepthMapFormat::Dmb => "acmm",
+        DepthMapFormat::Npy => "sgm",
+    };
+    arguments.backend.clone().unwrap_or_else(|| by_format.into())
+}
+
+fn text(arguments: &Arguments, trained: &Trained) -> String {
+    let m = &trained.measured;
+    let projects = trained.trained_on.len();
+    let left_out = if projects > 1 { "projects" } else { "views" };
+    let maps: usize = trained.trained_on.iter().map(|t| t.depth_maps).sum();
+    format!(
+        "Trained on {maps} depth maps of {projects} project{} for {}.\n\n\
+         On {left_out} that were left out, for each half:\n\
+         {:>10} triangles of view clusters: area under the curve {:.3}, Brier score {:.3}, calibration error {:.3}\n\
+         {:>10} pixels by the picture alone: area under the curve {:.3}, Brier score {:.3}\n\n\
+         Next: viewrank plan {} --confidence {}\n",
+        if projects == 1 { "" } else { "s" },
+        trained.backend,
+        m.triangles,
+        m.auc,
+        m.brier,
+        m.calibration_error,
+        m.pixels,
+        m.pixel_auc,
+        m.pixel_brier,
+        arguments.projects[0].display(),
+        arguments.out.display(),
+    )
+}

@@ -1,0 +1,142 @@
+//! Log odds as a sum of curves, each of one number: what the trained confidence of pairs and triangles is made of.
+//!
+//! A generalised additive model (Hastie and Tibshirani 1986). It is small, quick and smooth, says for each number what it does, and beyond
+//! the numbers that it was trained on stays at the last value.
+
+use serde::{Deserialize, Serialize};
+
+/// Knots of a curve.
+pub const KNOTS: usize = 12;
+
+/// A function of one number: linear between equally spaced knots, constant beyond the first and the last; 0 where the number is not
+/// known (NaN).
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Curve {
+    /// Place of the first and of the last knot.
+    pub low: f32,
+    pub high: f32,
+    pub values: [f32; KNOTS],
+}
+
+/// A knot with its share, and the share of the next.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Between {
+    pub knot: usize,
+    pub share: f32,
+    pub next: f32,
+}
+
+impl Curve {
+    /// 0 everywhere.
+    pub const fn flat(low: f32, high: f32) -> Self {
+        Self { low, high, values: [0.0; KNOTS] }
+    }
+
+    #[inline]
+    pub fn between(&self, x: f32) -> Option<Between> {
+        let position = (x - self.low) / (self.high - self.low) * (KNOTS - 1) as f32;
+        if position.is_nan() {
+            return None;
+        }
+        let position = position.clamp(0.0, (KNOTS - 1) as f32);
+        let knot = (position as usize).min(KNOTS - 2);
+        let next = position - knot as f32;
+        Some(Between { knot, share: 1.0 - next, next })
+    }
+
+    #[inline]
+    pub fn at(&self, x: f32) -> f32 {
+        let of = |b: Between| self.values[b.knot] * b.share + self.values[b.knot + 1] * b.next;
+        self.between(x).map_or(0.0, of)
+    }
+
+    /// For curves that come from a file.
+    pub fn is_sound(&self) -> bool {
+        self.low < self.high && [self.low, self.high].iter().chain(&self.values).all(|v| v.is_finite())
+    }
+}
+
+/// Sum of the curves.
+#[inline]
+pub fn sum<const N: usize>(curves: &[Curve; N], numbers: &[f32; N]) -> f32 {
+    curves.iter().zip(numbers).map(|(curve, &x)| curve.at(x)).sum()
+}
+
+/// What the curves of a pair take: see [`Constellation::numbers`](super::Constellation::numbers).
+pub const PAIR: [Curve; 4] =
+    [Curve::flat(0.0, 1.0), Curve::flat(0.0, 1.0), Curve::flat(-2.5, 2.5), Curve::flat(-1.0, 6.5)];
+/// What the curves of a triangle in a view take: see [`super::place`].
+pub const PLACE: [Curve; 7] = [
+    Curve::flat(-4.0, 4.0),
+    Curve::flat(0.0, 6.0),
+    Curve::flat(1.0, 5.0),
+    Curve::flat(0.0, 1.5),
+    Curve::flat(0.0, 1.0),
+    Curve::flat(0.0, 1.0),
+    Curve::flat(-0.5, 3.5),
+];
+
+/// The trained confidence of a pair of views that see a triangle, without what their pictures show.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct PairCurves {
+    /// Matches that must succeed for a pixel (method 3.4), 1 to 3.
+    pub min_matches: u32,
+    pub bias: f32,
+    pub curves: [Curve; PAIR.len()],
+}
+
+impl PairCurves {
+    /// Log odds of a match.
+    #[inline]
+    pub fn odds(&self, numbers: &[f32; PAIR.len()]) -> f32 {
+        self.bias + sum(&self.curves, numbers)
+    }
+
+    pub fn is_sound(&self) -> bool {
+        (1..=3).contains(&self.min_matches) && self.bias.is_finite() && self.curves.iter().all(Curve::is_sound)
+    }
+}
+
+/// What a place contributes: as the key view's, the chance that it can be measured at all; as a partner's, log odds of its match.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct PlaceCurves {
+    pub bias: f32,
+    pub key: [Curve; PLACE.len()],
+    pub partner: [Curve; PLACE.len()],
+}
+
+impl PlaceCurves {
+    pub fn is_sound(&self) -> bool {
+        self.bias.is_finite() && self.key.iter().chain(&self.partner).all(Curve::is_sound)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    proptest! {
+        #[test]
+        fn a_curve_through_a_line_is_the_line(a in -3.0..3.0f32, b in -3.0..3.0f32, x in -1.0..4.0f32) {
+            let mut curve = Curve::flat(-1.0, 4.0);
+            curve.values = std::array::from_fn(|i| a + b * (-1.0 + 5.0 * i as f32 / (KNOTS - 1) as f32));
+            prop_assert!((curve.at(x) - (a + b * x)).abs() < 1e-4);
+            prop_assert_eq!(curve.at(100.0), curve.values[KNOTS - 1]);
+            prop_assert_eq!(curve.at(-100.0), curve.values[0]);
+        }
+    }
+
+    #[test]
+    fn what_is_not_known_says_nothing() {
+        let curve = Curve { values: [3.0; KNOTS], ..Curve::flat(0.0, 1.0) };
+        assert_eq!((curve.at(0.3), curve.at(f32::NAN)), (3.0, 0.0));
+    }
+
+    #[test]
+    fn broken_curves_are_not_sound() {
+        assert!(Curve::flat(0.0, 1.0).is_sound());
+        assert!(!Curve::flat(1.0, 1.0).is_sound() && !Curve::flat(0.0, f32::NAN).is_sound());
+    }
+}

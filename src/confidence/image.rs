@@ -1,0 +1,280 @@
+//! Reduced pictures (method 7.3): JPEG decoded at a fraction of its size, PNG and TIFF whole and then shrunk.
+//!
+//! Pixels stay where the file has them: an orientation in EXIF is never applied, since poses and observations are those of the file.
+
+use std::{io::Cursor, path::Path};
+
+use fast_image_resize::{FilterType, PixelType, ResizeAlg, ResizeOptions, Resizer, images::Image as Pixels};
+use image::{ImageFormat, ImageReader, Limits};
+use jpeg_decoder::PixelFormat;
+
+/// A reduced picture has at least so many pixels, unless the file has fewer.
+const LEAST_PIXELS: f64 = 750_000.0;
+/// And at least this share of the file's side.
+const LEAST_SCALE: f64 = 0.25;
+/// Memory that decoding may take; a 16-bit RGB image of 150 megapixels has 900 MB.
+const MOST_BYTES: usize = 1 << 30;
+/// Pixels of a JPEG; a progressive one needs up to six bytes for each while it is decoded.
+const MOST_PIXELS: u64 = 1 << 28;
+
+/// A reduced picture: RGB, 8 bit, row-major.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Image {
+    pub width: u32,
+    pub height: u32,
+    /// 3 x width x height bytes.
+    pub rgb: Vec<u8>,
+    /// Width and height of the file's image.
+    pub full: [u32; 2],
+}
+
+/// Why there is no picture.
+#[derive(Debug, thiserror::Error)]
+pub enum ImageError {
+    #[error("{0}")]
+    Io(#[from] std::io::Error),
+    #[error("no JPEG, PNG or TIFF image")]
+    Unknown,
+    #[error("broken JPEG: {0}")]
+    Jpeg(#[from] jpeg_decoder::Error),
+    #[error("broken image: {0}")]
+    Other(#[from] image::ImageError),
+    #[error("{width} x {height} pixels are too many")]
+    Large { width: u32, height: u32 },
+    #[error("{width} x {height} pixels, the camera has {} x {}", camera[0], camera[1])]
+    Shape { width: u32, height: u32, camera: [u32; 2] },
+}
+
+impl Image {
+    /// Reads and reduces an image file.
+    pub fn read(path: &Path) -> Result<Self, ImageError> {
+        Self::decode(&std::fs::read(path)?)
+    }
+
+    /// Decodes and reduces the bytes of an image file.
+    pub fn decode(bytes: &[u8]) -> Result<Self, ImageError> {
+        let image = match image::guess_format(bytes).map_err(|_| ImageError::Unknown)? {
+            ImageFormat::Jpeg => jpeg(bytes)?,
+            _ => whole(bytes)?,
+        };
+        let [width, height] = reduced(image.full);
+        Ok(image.shrunk(width, height))
+    }
+
+    /// By areas; as it is where it has that size already.
+    fn shrunk(self, width: u32, height: u32) -> Self {
+        if (self.width, self.height) == (width, height) {
+            return self;
+        }
+        let sized = "three bytes a pixel, and the kind of pixels is the same";
+        let from = Pixels::from_vec_u8(self.width, self.height, self.rgb, PixelType::U8x3).expect(sized);
+        let mut to = Pixels::new(width, height, PixelType::U8x3);
+        let by_areas = ResizeOptions::new().resize_alg(ResizeAlg::Convolution(FilterType::Box));
+        Resizer::new().resize(&from, &mut to, &by_areas).expect(sized);
+        Self { width, height, rgb: to.into_vec(), full: self.full }
+    }
+}
+
+/// Size of the reduced picture: three quarters of a megapixel or a quarter of the side, whichever is larger.
+fn reduced(full: [u32; 2]) -> [u32; 2] {
+    let pixels = f64::from(full[0]) * f64::from(full[1]);
+    let scale = (LEAST_PIXELS / pixels).sqrt().clamp(LEAST_SCALE, 1.0);
+    full.map(|side| ((f64::from(side) * scale).round() as u32).max(1))
+}
+
+/// At the smallest of 1/8, 1/4, 1/2 and 1 that is not below the reduced size.
+fn jpeg(bytes: &[u8]) -> Result<Image, ImageError> {
+    let mut decoder = jpeg_decoder::Decoder::new(bytes);
+    decoder.set_max_decoding_buffer_size(MOST_BYTES);
+    decoder.read_info()?;
+    let full = decoder.info().map_or([1, 1], |info| [info.width, info.height].map(u32::from));
+    if u64::from(full[0]) * u64::from(full[1]) > MOST_PIXELS {
+        return Err(ImageError::Large { width: full[0], height: full[1] });
+    }
+    // Sides of a JPEG have 16 bits.
+    let [width, height] = reduced(full).map(|side| side as u16);
+    let (width, height) = decoder.scale(width, height)?;
+    let data = decoder.decode()?;
+    let format = decoder.info().map_or(PixelFormat::RGB24, |info| info.pixel_format);
+    let rgb = match format {
+        PixelFormat::RGB24 => data,
+        PixelFormat::L8 => data.iter().flat_map(|&v| [v; 3]).collect(),
+        PixelFormat::L16 => {
+            data.chunks_exact(2).flat_map(|v| [(u16::from_ne_bytes([v[0], v[1]]) >> 8) as u8; 3]).collect()
+        }
+        PixelFormat::CMYK32 => data.chunks_exact(4).flat_map(|v| [0, 1, 2].map(|c| product(v[c], v[3]))).collect(),
+    };
+    Ok(Image { width: width.into(), height: height.into(), rgb, full })
+}
+
+/// Of two shares in 255ths.
+fn product(a: u8, b: u8) -> u8 {
+    (u16::from(a) * u16::from(b) / 255) as u8
+}
+
+fn whole(bytes: &[u8]) -> Result<Image, ImageError> {
+    let pixels = open(bytes)?.into_rgb8();
+    let (width, height) = pixels.dimensions();
+    Ok(Image { width, height, rgb: pixels.into_raw(), full: [width, height] })
+}
+
+fn open(bytes: &[u8]) -> Result<image::DynamicImage, ImageError> {
+    let mut limits = Limits::default();
+    limits.max_alloc = Some(MOST_BYTES as u64);
+    let mut reader = ImageReader::new(Cursor::new(bytes)).with_guessed_format()?;
+    reader.limits(limits);
+    Ok(reader.decode()?)
+}
+
+/// Where an image may be used, by COLMAP's convention: black pixels of the mask may not.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Mask {
+    pub width: u32,
+    pub height: u32,
+    usable: Vec<bool>,
+}
+
+impl Mask {
+    /// Decodes the bytes of a mask.
+    pub fn decode(bytes: &[u8]) -> Result<Self, ImageError> {
+        // 16 bits, so that the darkest grey is not black.
+        let pixels = open(bytes)?.into_luma16();
+        let (width, height) = pixels.dimensions();
+        Ok(Self { width, height, usable: pixels.pixels().map(|p| p.0[0] > 0).collect() })
+    }
+
+    /// Share of the pixels that may be used in a cell of a grid that covers the image.
+    pub fn share(&self, grid: [u32; 2], column: u32, row: u32) -> f32 {
+        let (columns, rows) = (span(self.width, grid[0], column), span(self.height, grid[1], row));
+        let pixels = columns.len() * rows.len();
+        let usable = rows.map(|y| {
+            let line = &self.usable[y * self.width as usize..][columns.clone()];
+            line.iter().filter(|u| **u).count()
+        });
+        usable.sum::<usize>() as f32 / pixels as f32
+    }
+}
+
+/// The pixels of a cell along one side: `cells` cells cover `length` pixels; at least one.
+pub fn span(length: u32, cells: u32, cell: u32) -> std::ops::Range<usize> {
+    let at = |i: u32| (u64::from(i) * u64::from(length) / u64::from(cells)) as usize;
+    let from = at(cell).min(length as usize - 1);
+    from..at(cell + 1).max(from + 1)
+}
+
+#[cfg(test)]
+mod tests {
+    use image::{DynamicImage, GrayImage, ImageBuffer, Rgb, RgbImage};
+    use proptest::prelude::*;
+
+    use super::*;
+
+    /// Red grows to the right, green downwards.
+    fn ramp(width: u32, height: u32) -> DynamicImage {
+        let at = |x: u32, y: u32| Rgb([(x * 200 / width) as u8, (y * 200 / height) as u8, 40]);
+        RgbImage::from_fn(width, height, at).into()
+    }
+
+    fn encoded(image: &DynamicImage, format: ImageFormat) -> Vec<u8> {
+        let mut bytes = Cursor::new(Vec::new());
+        image.write_to(&mut bytes, format).unwrap();
+        bytes.into_inner()
+    }
+
+    /// Does the picture show the ramp, within what JPEG loses?
+    fn assert_is_ramp(image: &Image) {
+        for (y, x) in [(0.1, 0.9), (0.5, 0.5), (0.9, 0.2)] {
+            let (column, row) = ((x * f64::from(image.width)) as usize, (y * f64::from(image.height)) as usize);
+            let pixel = &image.rgb[3 * (row * image.width as usize + column)..][..3];
+            for (value, wanted) in pixel.iter().zip([200.0 * x, 200.0 * y, 40.0]) {
+                assert!((f64::from(*value) - wanted).abs() < 6.0, "{pixel:?} at {x} {y}");
+            }
+        }
+    }
+
+    #[test]
+    fn all_formats_show_the_same_picture() {
+        let ramp = ramp(1600, 1200);
+        let deep: DynamicImage = DynamicImage::ImageRgb16(ramp.to_rgb16());
+        for (image, format) in [
+            (&ramp, ImageFormat::Jpeg),
+            (&ramp, ImageFormat::Png),
+            (&ramp, ImageFormat::Tiff),
+            (&deep, ImageFormat::Tiff),
+        ] {
+            let image = Image::decode(&encoded(image, format)).unwrap();
+            assert_eq!((image.width, image.height, image.full), (1000, 750, [1600, 1200]));
+            assert_is_ramp(&image);
+        }
+    }
+
+    #[test]
+    fn large_images_keep_a_quarter_of_their_side_and_small_ones_all() {
+        assert_eq!(reduced([8000, 6000]), [2000, 1500]);
+        assert_eq!(reduced([4000, 3000]), [1000, 750]);
+        assert_eq!(reduced([640, 480]), [640, 480]);
+        assert_eq!(reduced([100_000, 1]), [100_000, 1]);
+    }
+
+    #[test]
+    fn the_orientation_of_exif_is_not_applied() {
+        let plain = encoded(&ramp(64, 32), ImageFormat::Jpeg);
+        // APP1 with a TIFF header and one entry: orientation (0x0112), short, 1 value, 6 (turn by 90 degrees).
+        let exif = b"\xff\xe1\0\x22Exif\0\0II*\0\x08\0\0\0\x01\0\x12\x01\x03\0\x01\0\0\0\x06\0\0\0\0\0\0\0".to_vec();
+        let turned = [&plain[..2], &exif[..], &plain[2..]].concat();
+        assert_eq!(Image::decode(&turned).unwrap(), Image::decode(&plain).unwrap());
+    }
+
+    #[test]
+    fn a_mask_forbids_black_pixels_alone() {
+        let dark = GrayImage::from_fn(40, 20, |x, _| image::Luma([u8::from(x >= 20)]));
+        let mask = Mask::decode(&encoded(&dark.into(), ImageFormat::Png)).unwrap();
+        let shares: Vec<f32> = (0..4).map(|column| mask.share([4, 2], column, 1)).collect();
+        assert_eq!(shares, [0.0, 0.0, 1.0, 1.0]);
+        assert_eq!(mask.share([1, 1], 0, 0), 0.5);
+        // A grid that is finer than the mask.
+        assert_eq!(mask.share([100, 100], 99, 99), 1.0);
+    }
+
+    #[test]
+    fn what_is_no_image_is_called_so() {
+        assert!(matches!(Image::decode(b"not an image at all"), Err(ImageError::Unknown)));
+        let cut = &encoded(&ramp(64, 64), ImageFormat::Jpeg)[..300];
+        assert!(matches!(Image::decode(cut), Err(ImageError::Jpeg(_))));
+        let cut = &encoded(&ramp(64, 64), ImageFormat::Png)[..300];
+        assert!(matches!(Image::decode(cut), Err(ImageError::Other(_))));
+    }
+
+    proptest! {
+        #[test]
+        fn no_damage_makes_reading_panic(at in 0usize..2000, byte: u8, keep in 0usize..2000) {
+            for format in [ImageFormat::Jpeg, ImageFormat::Png, ImageFormat::Tiff] {
+                let mut bytes = encoded(&ramp(24, 16), format);
+                let at = at % bytes.len();
+                bytes[at] = byte;
+                let _ = Image::decode(&bytes);
+                bytes.truncate(keep);
+                let _ = Image::decode(&bytes);
+            }
+        }
+
+        #[test]
+        fn the_cells_of_a_side_share_its_pixels(length in 1u32..500, cells in 1u32..100) {
+            prop_assume!(cells <= length);
+            let mut next = 0;
+            for cell in 0..cells {
+                let span = span(length, cells, cell);
+                prop_assert_eq!(span.start, next);
+                next = span.end;
+            }
+            prop_assert_eq!(next, length as usize);
+        }
+    }
+
+    #[test]
+    fn cmyk_and_grey_become_rgb() {
+        let grey: ImageBuffer<image::Luma<u8>, _> = GrayImage::from_pixel(30, 20, image::Luma([90]));
+        let image = Image::decode(&encoded(&grey.into(), ImageFormat::Jpeg)).unwrap();
+        assert!(image.rgb.iter().all(|v| v.abs_diff(90) <= 1));
+    }
+}

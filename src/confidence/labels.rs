@@ -1,0 +1,236 @@
+//! Labels without ground truth (method 7): where did the backend succeed, by what other depth maps of the same place say.
+//!
+//! A measured pixel is *positive* if enough other depth maps from clearly other viewpoints put the surface at the same place, *negative* if
+//! more of them saw through that place; a pixel without depth is negative where a visible triangle of the surface could have been measured.
+//! Only places that enough others look at are judged at all, so that being judged doesn't depend on the outcome.
+
+use nalgebra::{Matrix3, Point2, Point3, Vector3};
+
+use crate::{
+    depthmaps::DepthMap,
+    fulfilment::{Model, information},
+    partners::ViewCluster,
+    scene::ViewIndex,
+    visibility::{NOTHING, front},
+};
+
+/// Other depth maps that must agree.
+const LEAST_AGREEING: u32 = 2;
+/// Angle between two viewpoints from which their depth maps count as independent, cosine of 5 degrees.
+const COS_APART: f64 = 0.996_194_7;
+/// Agreement is within so many standard deviations, contradiction beyond so many.
+const AGREES: f64 = 2.0;
+const CONTRADICTS: f64 = 4.0;
+/// In units of a_d: errors below the first are never held against a depth, above the second it is wrong by method 8.
+const LEAST_ERROR: f64 = 1.0;
+const MOST_ERROR: f64 = 3.0;
+/// Others that are asked at most.
+const MOST_OTHERS: usize = 12;
+/// Pixels of a map that are judged at most.
+const MOST_PIXELS: u32 = 40_000;
+
+/// A finished view cluster: the partners that were tried, and its depth map.
+pub struct Finished {
+    pub cluster: ViewCluster,
+    pub map: DepthMap,
+}
+
+/// A judged pixel.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Label {
+    /// Row of the key view and the pixel's triangle in the visibility table.
+    pub row: usize,
+    /// Place in the image, shares of its width and height.
+    pub x: f32,
+    pub y: f32,
+    pub success: bool,
+    /// Does the pixel have a depth?
+    pub measured: bool,
+}
+
+/// What the labels of one key view are made from.
+pub struct Labelling<'a> {
+    pub model: Model<'a>,
+    /// By view, where there is one.
+    pub finished: &'a [Option<Finished>],
+    /// By view: other views that look at the same places, best first.
+    pub others: &'a (dyn Fn(ViewIndex) -> Vec<ViewIndex> + Sync),
+}
+
+/// Another view with the covariance of its measurements per triangle.
+struct Other<'a> {
+    view: ViewIndex,
+    centre: Point3<f64>,
+    finished: &'a Finished,
+}
+
+impl<'a> Labelling<'a> {
+    /// The judged pixels of a key view, row by row.
+    pub fn labels(&self, key: ViewIndex) -> Vec<Label> {
+        let Some(finished) = &self.finished[key.at()] else { return Vec::new() };
+        let map = &finished.map;
+        let triangles = front(self.model.scene, self.model.surface, key, map.width, map.height);
+        let others = self.others_of(key, finished);
+        let step = steps(map.width, map.height);
+        let mut covariances = Covariances::default();
+        let mut labels = Vec::new();
+        for row in (step / 2..map.height).step_by(step as usize) {
+            for column in (step / 2..map.width).step_by(step as usize) {
+                let triangle = triangles[(row * map.width + column) as usize];
+                if triangle == NOTHING {
+                    continue;
+                }
+                let Some(table_row) = self.model.visibility.row(key, triangle) else { continue };
+                let pixel = Pixel { key, map, column, row, triangle };
+                let Some(success) = self.judge(&pixel, finished, &others, &mut covariances) else { continue };
+                labels.push(Label {
+                    row: table_row,
+                    x: (column as f32 + 0.5) / map.width as f32,
+                    y: (row as f32 + 0.5) / map.height as f32,
+                    success,
+                    measured: map.at(column, row).is_some(),
+                });
+            }
+        }
+        labels
+    }
+
+    /// Depth maps that do not share a pair with this one.
+    fn others_of(&self, key: ViewIndex, own: &Finished) -> Vec<Other<'a>> {
+        let shares_pair = |other: &Finished| {
+            own.cluster.partners.contains(&other.cluster.key) && other.cluster.partners.contains(&key)
+        };
+        let of = |view: ViewIndex| {
+            let finished = self.finished[view.at()].as_ref().filter(|f| view != key && !shares_pair(f))?;
+            Some(Other { view, centre: self.model.scene.view(view).cam_from_world.centre(), finished })
+        };
+        (self.others)(key).into_iter().filter_map(of).take(MOST_OTHERS).collect()
+    }
+
+    /// Success, failure, or nothing to be said.
+    fn judge(&self, pixel: &Pixel, own: &Finished, others: &[Other], covariances: &mut Covariances) -> Option<bool> {
+        let scene = self.model.scene;
+        let pose = &scene.view(pixel.key).cam_from_world;
+        let camera = scene.camera_of(pixel.key);
+        let position = pixel.map.image_position(camera, pixel.column, pixel.row);
+        let ray = camera.ray(&position)?;
+        let centre = pose.centre();
+        let towards = pose.rotation.inverse() * ray.into_inner();
+        let on_surface = self.on_triangle(&centre, &towards, pixel.triangle)?;
+        let depth = pixel.map.at(pixel.column, pixel.row);
+        let point = depth.map_or(on_surface, |z| centre + towards * (z / ray.z));
+        let looking = |other: &&Other| {
+            let seen = self.model.visibility.row(other.view, pixel.triangle).is_some();
+            let apart = (centre - point).normalize().dot(&(other.centre - point).normalize()) < COS_APART;
+            seen && apart
+        };
+        let looking: Vec<&Other> = others.iter().filter(looking).collect();
+        if looking.len() < LEAST_AGREEING as usize {
+            return None;
+        }
+        if depth.is_none() {
+            return Some(false);
+        }
+        let own_covariance = covariances.of(&self.model, &own.cluster, pixel.triangle);
+        let accuracy = self.model.target.accuracy(pixel.triangle);
+        let (mut agreeing, mut contradicting) = (0, 0);
+        for other in looking {
+            let covariance = own_covariance + covariances.of(&self.model, &other.finished.cluster, pixel.triangle);
+            match self.held_against(other, &point, &covariance, accuracy) {
+                Some(Verdict::Agrees) => agreeing += 1,
+                Some(Verdict::SawThrough) => contradicting += 1,
+                None => {}
+            }
+        }
+        match (agreeing, contradicting) {
+            (a, c) if a >= LEAST_AGREEING && a > 2 * c => Some(true),
+            (a, c) if c >= LEAST_AGREEING && c > 2 * a => Some(false),
+            _ => None,
+        }
+    }
+
+    fn on_triangle(&self, centre: &Point3<f64>, towards: &Vector3<f64>, triangle: u32) -> Option<Point3<f64>> {
+        let normal = self.model.surface.area_normal(triangle);
+        let distance = normal.dot(&(self.model.surface.centroid(triangle) - centre)) / normal.dot(towards);
+        distance.is_finite().then(|| centre + towards * distance)
+    }
+
+    /// What another depth map says of a point.
+    fn held_against(
+        &self,
+        other: &Other,
+        point: &Point3<f64>,
+        covariance: &Matrix3<f64>,
+        accuracy: f64,
+    ) -> Option<Verdict> {
+        let scene = self.model.scene;
+        let camera = scene.camera_of(other.view);
+        let x_cam = scene.view(other.view).cam_from_world.camera_from_world(point);
+        let position = camera.project(&x_cam)?;
+        let map = &other.finished.map;
+        let ray = (point - other.centre).normalize();
+        let along = (point - other.centre).norm() / x_cam.z;
+        let sigma = ray.dot(&(covariance * ray)).sqrt();
+        let near = (AGREES * sigma).clamp(LEAST_ERROR * accuracy, MOST_ERROR * accuracy);
+        let far = (CONTRADICTS * sigma).max(MOST_ERROR * accuracy);
+        let measured = map.interpolated(camera, &position, SAME_SURFACE)?;
+        let behind = (measured - x_cam.z) * along;
+        if behind.abs() <= near {
+            return Some(Verdict::Agrees);
+        }
+        // At the edge of something in front a depth map may be a pixel off.
+        let all_behind = || around(map, camera, &position).all(|z| (z - x_cam.z) * along > far);
+        (behind > far && all_behind()).then_some(Verdict::SawThrough)
+    }
+}
+
+/// Depths that differ by more, as a share, are of two surfaces.
+const SAME_SURFACE: f64 = 0.02;
+
+enum Verdict {
+    Agrees,
+    SawThrough,
+}
+
+struct Pixel<'a> {
+    key: ViewIndex,
+    map: &'a DepthMap,
+    column: u32,
+    row: u32,
+    triangle: u32,
+}
+
+/// Every so many rows and columns a pixel is judged.
+fn steps(width: u32, height: u32) -> u32 {
+    (1..).find(|step| (width / step) * (height / step) <= MOST_PIXELS).unwrap_or(1)
+}
+
+/// The depths of the pixels around a position.
+fn around<'a>(
+    map: &'a DepthMap,
+    camera: &crate::camera::Camera,
+    position: &Point2<f64>,
+) -> impl Iterator<Item = f64> + 'a {
+    let (column, row) = map.pixel_at(camera, position).unwrap_or((0, 0));
+    let columns = column.saturating_sub(1)..(column + 2).min(map.width);
+    let rows = row.saturating_sub(1)..(row + 2).min(map.height);
+    rows.flat_map(move |r| columns.clone().map(move |c| (c, r))).filter_map(|(c, r)| map.at(c, r))
+}
+
+/// Covariances of a cluster's measurements, method 3.3, made where they are asked for.
+#[derive(Default)]
+struct Covariances(std::collections::HashMap<(ViewIndex, u32), Matrix3<f64>>);
+
+impl Covariances {
+    /// Square scene units.
+    fn of(&mut self, model: &Model, cluster: &ViewCluster, triangle: u32) -> Matrix3<f64> {
+        let make = || {
+            let seeing = cluster.partners.iter().filter(|&&p| model.visibility.row(p, triangle).is_some());
+            let views = seeing.copied().chain([cluster.key]);
+            let sum = views.map(|view| information(model, view, triangle)).sum::<Matrix3<f64>>();
+            // Without a second view the depth could be anything; the caller's bounds hold.
+            sum.try_inverse().unwrap_or_else(Matrix3::zeros)
+        };
+        *self.0.entry((cluster.key, triangle)).or_insert_with(make)
+    }
+}

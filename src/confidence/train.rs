@@ -1,0 +1,429 @@
+//! Training the confidence on finished depth maps (method 7.3): labels, the picture's classifier, and the curves of pairs and places.
+//!
+//! Everything that is fitted to the output of something else that was trained (the calibration, the curves that take the picture's promise) sees
+//! predictions for what was left out: with several projects those of the other half of the projects, with one the other half of its views.
+
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use rand_core::{Rng, SeedableRng};
+use rand_pcg::Pcg64Mcg;
+use rayon::prelude::*;
+
+use super::{
+    ConfidenceMap, Unary,
+    features::{self, Features},
+    fit::{Curves, PairRow, Row},
+    image::Image,
+    labels::{Finished, Labelling},
+    place,
+    score::Scores,
+    trained::{Measured, Picture, Trained, TrainedOn, VERSION},
+    trees::{BINS, Boosting, Table},
+};
+use crate::{
+    depthmaps::{self, DepthMapError, DepthMapFile},
+    error::Hint,
+    fulfilment::Model,
+    partners::{Candidates, ViewCluster},
+    progress::{Cancelled, Stage, Watcher},
+    scene::ViewIndex,
+};
+
+/// Pixels and triangles that are trained on at most.
+const MOST_PIXELS: usize = 100_000;
+const MOST_TRIANGLES: usize = 40_000;
+/// Of one image, at most.
+const MOST_PER_IMAGE: usize = 2000;
+/// Judged pixels from which a triangle counts in full.
+const FULL_WEIGHT: f32 = 8.0;
+/// Memory for depth maps; beyond it only some of their rows and columns are kept.
+const MOST_MAP_BYTES: usize = 512 << 20;
+
+/// A project with finished depth maps.
+pub struct Lesson<'a> {
+    pub name: String,
+    pub model: Model<'a>,
+    pub candidates: &'a Candidates,
+    /// The partners that were tried.
+    pub clusters: Vec<ViewCluster>,
+    pub maps: Vec<DepthMapFile>,
+    pub images: Option<PathBuf>,
+}
+
+/// For which backend, and with what.
+pub struct Course {
+    pub backend: String,
+    /// Method 3.4.
+    pub min_matches: u32,
+    pub seed: u64,
+}
+
+/// A judged pixel: its cell's features and whether it came out right.
+struct Pixels {
+    /// Half that the view belongs to: 0 or 1.
+    half: usize,
+    features: Vec<f32>,
+    success: Vec<bool>,
+}
+
+/// What the labels of one view come to.
+struct Judged {
+    view: ViewIndex,
+    half: usize,
+    /// Place in the image and success of the drawn pixels.
+    drawn: Vec<(f32, f32, bool)>,
+    /// Row of the visibility table, judged pixels, those that came out right.
+    triangles: Vec<(usize, u32, u32)>,
+}
+
+/// Trains on the lessons; the same for any number of threads.
+pub fn train(lessons: &[Lesson], course: &Course, watcher: &dyn Watcher) -> Result<Trained, TrainError> {
+    let mut judged = Vec::new();
+    let total: usize = lessons.iter().map(|l| l.maps.len()).sum();
+    let done = AtomicU64::new(0);
+    watcher.progress(Stage::Labels, 0, total as u64);
+    for (number, lesson) in lessons.iter().enumerate() {
+        let tick = || watcher.progress(Stage::Labels, 1 + done.fetch_add(1, Ordering::Relaxed), total as u64);
+        let half = (lessons.len() > 1).then_some(number % 2);
+        judged.push(lesson.judge(half, MOST_PIXELS / total.max(1), course.seed, &tick, watcher)?);
+    }
+    if judged.iter().flatten().all(|view| view.drawn.is_empty()) {
+        return Err(TrainError::NothingJudged);
+    }
+    watcher.progress(Stage::Train, 0, 4);
+    let pixels = pixels(lessons, &judged, watcher)?;
+    let pictures = Pictures::train(&pixels, course.seed);
+    watcher.progress(Stage::Train, 1, 4);
+    let (promised, reach) = promises(lessons, pictures.as_ref(), watcher)?;
+    watcher.progress(Stage::Train, 2, 4);
+    let rows: Vec<(usize, Row)> = rows(lessons, &judged, &promised, course.seed);
+    let halves = [0, 1].map(|half| {
+        let others: Vec<Row> = rows.iter().filter(|(h, _)| *h != half).map(|(_, row)| row.clone()).collect();
+        Curves::fit(&others, course.min_matches)
+    });
+    watcher.progress(Stage::Train, 3, 4);
+    let left_out = rows.iter().map(|(half, row)| (halves[*half].chance(row), row.success, row.weight));
+    let scores = Scores::new(left_out.collect());
+    let all: Vec<Row> = rows.into_iter().map(|(_, row)| row).collect();
+    let curves = Curves::fit(&all, course.min_matches);
+    watcher.progress(Stage::Train, 4, 4);
+    let (format, tool, licence) = Trained::head();
+    let pixel_scores = pictures.as_ref().map(|p| p.scores.clone()).unwrap_or_default();
+    Ok(Trained {
+        format,
+        version: VERSION,
+        tool,
+        licence,
+        backend: course.backend.clone(),
+        trained_on: lessons.iter().map(Lesson::summary).collect(),
+        seed: course.seed,
+        measured: Measured {
+            triangles: scores.count,
+            auc: scores.auc,
+            brier: scores.brier,
+            calibration_error: scores.calibration_error,
+            pixels: pixel_scores.count,
+            pixel_auc: pixel_scores.auc,
+            pixel_brier: pixel_scores.brier,
+        },
+        pair: curves.pair,
+        place: curves.place,
+        picture: pictures.map(|pictures| Picture { reach, ..pictures.all }),
+    })
+}
+
+impl Lesson<'_> {
+    fn summary(&self) -> TrainedOn {
+        TrainedOn { name: self.name.clone(), views: self.model.scene.views.len(), depth_maps: self.maps.len() }
+    }
+
+    /// `half`: of all views; else the first half of the views is 0, the second 1.
+    fn judge(
+        &self,
+        half: Option<usize>,
+        draws: usize,
+        seed: u64,
+        tick: &(dyn Fn() + Sync),
+        watcher: &dyn Watcher,
+    ) -> Result<Vec<Judged>, TrainError> {
+        let finished = self.finished(watcher)?;
+        let others = |view: ViewIndex| self.candidates.of(view).to_vec();
+        let labelling = Labelling { model: self.model, finished: &finished, others: &others };
+        let views = self.model.scene.views.len();
+        let judge = |map: &DepthMapFile| {
+            watcher.check()?;
+            let labels = labelling.labels(map.view);
+            let mut triangles: Vec<(usize, u32, u32)> = Vec::new();
+            let mut by_row: Vec<(usize, bool)> = labels.iter().map(|l| (l.row, l.success)).collect();
+            by_row.sort_unstable();
+            for (row, success) in by_row {
+                match triangles.last_mut().filter(|t| t.0 == row) {
+                    Some(t) => (t.1, t.2) = (t.1 + 1, t.2 + u32::from(success)),
+                    None => triangles.push((row, 1, u32::from(success))),
+                }
+            }
+            let mut random = Pcg64Mcg::seed_from_u64(seed ^ u64::from(map.view.0).wrapping_mul(0x9e37_79b9_7f4a_7c15));
+            let draws = draws.clamp(1, MOST_PER_IMAGE).min(labels.len());
+            let draw = |_| {
+                let label = labels[((u64::from(random.next_u32()) * labels.len() as u64) >> 32) as usize];
+                (label.x, label.y, label.success)
+            };
+            let half = half.unwrap_or(usize::from(2 * map.view.at() >= views));
+            tick();
+            Ok(Judged { view: map.view, half, drawn: (0..draws).map(draw).collect(), triangles })
+        };
+        self.maps.par_iter().map(judge).collect()
+    }
+
+    /// Depth maps by view, thinned out where they are too many.
+    fn finished(&self, watcher: &dyn Watcher) -> Result<Vec<Option<Finished>>, TrainError> {
+        let mut finished: Vec<Option<Finished>> = self.model.scene.views.iter().map(|_| None).collect();
+        let read = |file: &DepthMapFile| {
+            watcher.check()?;
+            let map = depthmaps::read(&file.path, file.format)?;
+            let camera = self.model.scene.camera_of(file.view);
+            let view = || self.model.scene.name(file.view).to_string();
+            if !camera.is_pinhole() {
+                return Err(TrainError::Distorted { view: view(), model: camera.model().name() });
+            }
+            if !map.fits(camera) {
+                let (map, image) = ([map.width, map.height], [camera.width, camera.height]);
+                return Err(TrainError::Shape { path: file.path.clone(), map, view: view(), image });
+            }
+            Ok(map.thinned(MOST_MAP_BYTES / self.maps.len().max(1)))
+        };
+        let maps: Vec<_> = self.maps.par_iter().map(read).collect::<Result<_, _>>()?;
+        for (file, map) in self.maps.iter().zip(maps) {
+            let cluster = self.clusters.iter().find(|c| c.key == file.view);
+            let cluster = cluster.ok_or_else(|| TrainError::NoCluster(self.model.scene.name(file.view).into()))?;
+            finished[file.view.at()] = Some(Finished { cluster: cluster.clone(), map });
+        }
+        Ok(finished)
+    }
+
+    fn image(&self, view: ViewIndex) -> Option<Features> {
+        let folder = self.images.as_deref()?;
+        Image::read(&folder.join(self.model.scene.name(view))).ok().map(|image| Features::new(&image))
+    }
+}
+
+/// Features of the drawn pixels of all views that have an image.
+fn pixels(lessons: &[Lesson], judged: &[Vec<Judged>], watcher: &dyn Watcher) -> Result<Vec<Pixels>, Cancelled> {
+    let views: Vec<(&Lesson, &Judged)> =
+        lessons.iter().zip(judged).flat_map(|(l, j)| j.iter().map(move |v| (l, v))).collect();
+    let of_view = |&(lesson, view): &(&Lesson, &Judged)| {
+        watcher.check()?;
+        let mut pixels = Pixels { half: view.half, features: Vec::new(), success: Vec::new() };
+        if let Some(features) = lesson.image(view.view) {
+            for &(x, y, success) in &view.drawn {
+                let at = |share: f32, cells: u32| ((share * cells as f32) as u32).min(cells - 1) as usize;
+                let cell = at(y, features.rows) * features.columns as usize + at(x, features.columns);
+                pixels.features.extend(features.of(cell));
+                pixels.success.push(success);
+            }
+        }
+        Ok(pixels)
+    };
+    views.par_iter().map(of_view).collect()
+}
+
+/// Classifiers of pictures: trained on the other half than the first index says, and on all.
+struct Pictures {
+    halves: [Picture; 2],
+    all: Picture,
+    scores: Scores,
+}
+
+impl Pictures {
+    /// `None` without pictures.
+    fn train(pixels: &[Pixels], seed: u64) -> Option<Self> {
+        let classify = |wanted: &dyn Fn(usize) -> bool| {
+            let chosen: Vec<&Pixels> = pixels.iter().filter(|p| wanted(p.half)).collect();
+            let features: Vec<f32> = chosen.iter().flat_map(|p| p.features.iter().copied()).collect();
+            let success: Vec<bool> = chosen.iter().flat_map(|p| p.success.iter().copied()).collect();
+            if success.is_empty() {
+                return None;
+            }
+            let table = Table::new(features::COUNT, success.len(), |row, f| features[row * features::COUNT + f]);
+            let how = Boosting { trees: 60, max_depth: 5, learning_rate: 0.12, row_share: 0.5, min_leaf: 30.0 };
+            let classifier = how.train(&table, &success, &vec![1.0; success.len()], seed);
+            let cumulative = (0..features::COUNT).map(|f| cumulative(table.column(f))).collect();
+            Some(Picture { classifier, calibration: [1.0, 0.0], cumulative, reach: 1.0 })
+        };
+        let mut all = classify(&|_| true)?;
+        // Halves of one project may both be empty but one.
+        let mut halves = [0, 1].map(|half| classify(&|h| h != half).unwrap_or_else(|| all.clone()));
+        let left_out = pixels.iter().flat_map(|p| {
+            let of = |(features, &success): (&[f32], &bool)| (halves[p.half].classifier.probability(features), success);
+            p.features.chunks_exact(features::COUNT).zip(&p.success).map(of).collect::<Vec<_>>()
+        });
+        let left_out: Vec<(f32, bool)> = left_out.collect();
+        all.calibration = calibrate(&left_out);
+        halves.iter_mut().for_each(|half| half.calibration = all.calibration);
+        let score = |&(chance, success): &(f32, bool)| (all.calibrated(chance), f32::from(u8::from(success)), 1.0);
+        let scores = Scores::new(left_out.iter().map(score).collect());
+        Some(Self { halves, all, scores })
+    }
+}
+
+/// Share of the values up to each bin.
+fn cumulative(column: &[u8]) -> Vec<f32> {
+    let mut counts = [0u32; BINS];
+    column.iter().for_each(|&bin| counts[usize::from(bin)] += 1);
+    let mut sum = 0;
+    let share = |count: &u32| {
+        sum += count;
+        sum as f32 / column.len() as f32
+    };
+    counts.iter().map(share).collect()
+}
+
+/// Factor and shift of log odds that fit the outcomes best (Platt 1999), by Newton's method.
+fn calibrate(outcomes: &[(f32, bool)]) -> [f32; 2] {
+    let (mut a, mut b) = (1.0f64, 0.0f64);
+    for _ in 0..20 {
+        // A weak pull to what the classifier says itself keeps the equations regular.
+        let (mut ga, mut gb, mut aa, mut ab, mut bb) = (a - 1.0, b, 1.0, 0.0, 1.0);
+        for &(chance, success) in outcomes {
+            let x = f64::from(place::odds_of(chance));
+            let p = 1.0 / (1.0 + (-(a * x + b)).exp());
+            let (error, slope) = (p - f64::from(u8::from(success)), p * (1.0 - p));
+            (ga, gb) = (ga + error * x, gb + error);
+            (aa, ab, bb) = (aa + slope * x * x, ab + slope * x, bb + slope);
+        }
+        let determinant = aa * bb - ab * ab;
+        (a, b) = (a - (bb * ga - ab * gb) / determinant, b - (aa * gb - ab * ga) / determinant);
+    }
+    [a as f32, b as f32]
+}
+
+/// What the picture promises for each row of each lesson's visibility table, by the classifier that has not seen the view (NaN: no picture); and
+/// the distance between an image and all that nineteen of twenty do not exceed.
+fn promises(
+    lessons: &[Lesson],
+    pictures: Option<&Pictures>,
+    watcher: &dyn Watcher,
+) -> Result<(Vec<Vec<f32>>, f32), Cancelled> {
+    let mut promised = Vec::new();
+    let mut distances = Vec::new();
+    for (number, lesson) in lessons.iter().enumerate() {
+        let scene = lesson.model.scene;
+        let views: Vec<ViewIndex> = scene.view_indices().collect();
+        let half = |view: ViewIndex| match lessons.len() {
+            1 => usize::from(2 * view.at() >= views.len()),
+            _ => number % 2,
+        };
+        let look = |&view: &ViewIndex| {
+            watcher.check()?;
+            let looked = pictures.zip(lesson.image(view)).map(|(pictures, features)| {
+                let chances = pictures.halves[half(view)].of_cells(&features).0;
+                let map = ConfidenceMap::new([features.columns, features.rows], chances.into_iter());
+                (map, pictures.all.of_cells(&features).1)
+            });
+            Ok(looked)
+        };
+        let looked: Vec<Option<(ConfidenceMap, f32)>> = views.par_iter().map(look).collect::<Result<_, _>>()?;
+        distances.extend(looked.iter().flatten().map(|l| l.1));
+        let maps: Vec<Option<ConfidenceMap>> = looked.into_iter().map(|l| l.map(|l| l.0)).collect();
+        let unary = Unary::new(scene, lesson.model.surface, lesson.model.visibility, &maps, watcher)?;
+        let of_view = |&view: &ViewIndex| {
+            let known = maps[view.at()].is_some();
+            lesson
+                .model
+                .visibility
+                .rows(view)
+                .map(|row| if known { unary.at(row) } else { f32::NAN })
+                .collect::<Vec<_>>()
+        };
+        promised.push(views.iter().flat_map(of_view).collect());
+    }
+    distances.sort_unstable_by(f32::total_cmp);
+    let reach = distances.get(distances.len() * 19 / 20).copied().unwrap_or(1.0).max(1e-3);
+    Ok((promised, reach))
+}
+
+/// The rows to fit the curves to, each with its half.
+fn rows(lessons: &[Lesson], judged: &[Vec<Judged>], promised: &[Vec<f32>], seed: u64) -> Vec<(usize, Row)> {
+    let count: usize = judged.iter().flatten().map(|view| view.triangles.len()).sum();
+    let kept_below = (MOST_TRIANGLES as f64 / count.max(1) as f64 * f64::from(u32::MAX)) as u32;
+    let mut random = Pcg64Mcg::seed_from_u64(seed);
+    let mut rows = Vec::new();
+    for ((lesson, judged), promised) in lessons.iter().zip(judged).zip(promised) {
+        let around = place::points_around(lesson.model.scene);
+        let model = &lesson.model;
+        let of_place = |view: ViewIndex, row: usize| {
+            let triangle = model.visibility.triangles[row];
+            place::numbers(model, &around[view.at()], view, triangle, promised[row])
+        };
+        for view in judged {
+            let Some(cluster) = lesson.clusters.iter().find(|c| c.key == view.view) else { continue };
+            for &(row, pixels, right) in &view.triangles {
+                if random.next_u32() > kept_below {
+                    continue;
+                }
+                let triangle = model.visibility.triangles[row];
+                let pair = |&partner: &ViewIndex| {
+                    let place = of_place(partner, model.visibility.row(partner, triangle)?);
+                    let constellation = super::Constellation::new(model, view.view, partner, triangle);
+                    Some(PairRow { numbers: constellation.numbers(), place })
+                };
+                let row = Row {
+                    place: of_place(view.view, row),
+                    pairs: cluster.partners.iter().filter_map(pair).collect(),
+                    success: right as f32 / pixels as f32,
+                    weight: (pixels as f32 / FULL_WEIGHT).min(1.0),
+                };
+                if row.pairs.len() >= 2 {
+                    rows.push((view.half, row));
+                }
+            }
+        }
+    }
+    rows
+}
+
+/// Why nothing could be learnt.
+#[derive(Debug, thiserror::Error)]
+pub enum TrainError {
+    #[error(transparent)]
+    DepthMap(#[from] DepthMapError),
+    #[error("it is not known which partners view {0} was matched with")]
+    NoCluster(String),
+    #[error(
+        "no two depth maps see the same place from viewpoints 5 degrees apart, so that none can be judged by others"
+    )]
+    NothingJudged,
+    #[error("view {view} has a {model} camera, depth maps are of undistorted images")]
+    Distorted { view: String, model: &'static str },
+    #[error("{}: {} x {} pixels do not have the shape of {view}, {} x {}", .path.display(), .map[0], .map[1], .image[0], .image[1])]
+    Shape { path: PathBuf, map: [u32; 2], view: String, image: [u32; 2] },
+    #[error(transparent)]
+    Cancelled(#[from] Cancelled),
+}
+
+impl Hint for TrainError {
+    fn hint(&self) -> Option<String> {
+        Some(match self {
+            Self::DepthMap(error) => return error.hint(),
+            Self::NoCluster(_) => "keep the matcher's report beside its maps, or plan the project first".into(),
+            Self::NothingJudged => "train on depth maps of more views, at best of a whole plan".into(),
+            Self::Distorted { .. } => "train in the undistorted workspace that the depth maps were made in".into(),
+            Self::Shape { .. } => "give depth maps of these images, whole and not cropped".into(),
+            Self::Cancelled(_) => return None,
+        })
+    }
+}
+
+/// Where `--depth-maps` points in a project: the folders of a kind of program, or a folder's name.
+pub fn folder(project: &Path, dense: Option<&Path>, kind: &str) -> PathBuf {
+    let candidates: Vec<PathBuf> = match kind {
+        "colmap" => dense.map(|dense| dense.join("stereo/depth_maps")).into_iter().collect(),
+        "sgm" | "openmvs" | "mvsnet" | "patchmatchnet" | "acmm" => {
+            [project.join(kind), project.join("viewrank").join(kind), project.join("export").join(kind)].into()
+        }
+        other => vec![project.join(other)],
+    };
+    let there = candidates.iter().find(|folder| folder.is_dir());
+    there.or(candidates.first()).cloned().unwrap_or_else(|| project.into())
+}

@@ -1,0 +1,143 @@
+//! Pictures and masks as they matter to a plan: `viewrank plan --confidence proxy`.
+
+use std::{
+    fs,
+    path::{Path, PathBuf},
+    process::{Command, Output},
+};
+
+use serde_json::Value;
+use tempfile::TempDir;
+
+/// A project folder of its own with the fixture's model and images.
+fn project() -> TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    let fixture = Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/valley");
+    for part in ["sparse", "images"] {
+        for entry in walkdir::WalkDir::new(fixture.join(part)) {
+            let entry = entry.unwrap();
+            let target = folder.path().join(entry.path().strip_prefix(&fixture).unwrap());
+            if entry.file_type().is_dir() {
+                fs::create_dir_all(target).unwrap();
+            } else {
+                fs::copy(entry.path(), target).unwrap();
+            }
+        }
+    }
+    folder
+}
+
+fn viewrank(arguments: &[&str]) -> Output {
+    let nowhere = Path::new(env!("CARGO_TARGET_TMPDIR"));
+    Command::new(env!("CARGO_BIN_EXE_viewrank")).args(arguments).env("XDG_CONFIG_HOME", nowhere).output().unwrap()
+}
+
+/// Plans with pictures and returns the manifest.
+fn plan(project: &Path, options: &[&str]) -> Value {
+    let confidence = if options.contains(&"--confidence") { &[][..] } else { &["--confidence", "proxy"] };
+    let output = viewrank(&[&["plan", project.to_str().unwrap(), "--quiet"], options, confidence].concat());
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    serde_json::from_slice(&fs::read(project.join("viewrank/manifest.json")).unwrap()).unwrap()
+}
+
+fn images(project: &Path) -> Vec<PathBuf> {
+    let mut images: Vec<_> = fs::read_dir(project.join("images")).unwrap().map(|e| e.unwrap().path()).collect();
+    images.sort();
+    images
+}
+
+/// The unary confidence of each visible (view, triangle).
+fn unary(project: &Path, options: &[&str]) -> Vec<(u32, f32)> {
+    let tables = project.join("tables");
+    plan(project, &[options, &["--dump-tables", tables.to_str().unwrap()]].concat());
+    let read = |name: &str| fs::read(tables.join(name)).unwrap();
+    let views: Vec<u32> = npyz::NpyFile::new(&read("visible.npy")[..]).unwrap().into_vec().unwrap();
+    let values: Vec<f32> = npyz::NpyFile::new(&read("unary.npy")[..]).unwrap().into_vec().unwrap();
+    views.chunks_exact(2).map(|row| row[0]).zip(values).collect()
+}
+
+fn warnings(manifest: &Value) -> String {
+    manifest["warnings"].to_string()
+}
+
+#[test]
+fn a_second_plan_reads_no_image() {
+    let project = project();
+    let first = plan(project.path(), &[]);
+    // What is in the images now is no picture at all, but nobody can see that without reading them.
+    for image in images(project.path()) {
+        let file = fs::OpenOptions::new().write(true).open(&image).unwrap();
+        let (time, size) = (file.metadata().unwrap().modified().unwrap(), file.metadata().unwrap().len());
+        fs::write(&image, vec![0; size as usize]).unwrap();
+        file.set_modified(time).unwrap();
+    }
+    assert_eq!(plan(project.path(), &[]), first);
+    // Once they are known to have changed, they are read.
+    for image in images(project.path()) {
+        fs::write(&image, "no image").unwrap();
+    }
+    let manifest = plan(project.path(), &[]);
+    assert!(warnings(&manifest).contains("no JPEG, PNG or TIFF"), "{}", warnings(&manifest));
+    assert!(warnings(&manifest).contains("25 more images"), "{}", warnings(&manifest));
+}
+
+#[test]
+fn a_damaged_cache_is_made_again() {
+    let project = project();
+    let first = plan(project.path(), &["--threads", "1"]);
+    let cache = project.path().join("viewrank/cache/confidence.maps");
+    let good = fs::read(&cache).unwrap();
+    fs::write(&cache, &good[..good.len() / 2]).unwrap();
+    assert_eq!(plan(project.path(), &["--threads", "4"]), first);
+    assert_eq!(fs::read(&cache).unwrap(), good);
+}
+
+#[test]
+fn a_dry_run_keeps_no_maps() {
+    let project = project();
+    let output = viewrank(&["plan", project.path().to_str().unwrap(), "--confidence", "proxy", "--dry-run"]);
+    assert!(output.status.success());
+    assert!(!project.path().join("viewrank").exists());
+}
+
+#[test]
+fn missing_and_broken_images_are_done_without_each_by_itself() {
+    let project = project();
+    let images = images(project.path());
+    fs::remove_file(&images[0]).unwrap();
+    let half = fs::read(&images[1]).unwrap();
+    fs::write(&images[1], &half[..half.len() / 40]).unwrap();
+    let unary = unary(project.path(), &[]);
+    let text = fs::read_to_string(project.path().join("viewrank/manifest.json")).unwrap();
+    let without_pictures = self::unary(project.path(), &["--confidence", "geometric"]);
+    let done_without = |row: &(u32, f32)| row.0 < 2;
+    let alike = unary.iter().zip(&without_pictures).filter(|(row, _)| done_without(row)).all(|(a, b)| a == b);
+    assert!(alike && unary != without_pictures);
+    let name = |i: usize| images[i].file_name().unwrap().to_str().unwrap();
+    assert!(text.contains(&format!("{}: there is no such image", name(0))));
+    assert!(text.contains(&format!("{}: broken JPEG", name(1))));
+}
+
+#[test]
+fn what_a_mask_forbids_has_no_confidence() {
+    let project = project();
+    let image = &images(project.path())[3];
+    let name = image.file_name().unwrap().to_str().unwrap();
+    let [width, height] = image::image_dimensions(image).map(|(w, h)| [w, h]).unwrap();
+    fs::create_dir(project.path().join("masks")).unwrap();
+    let mask = image::GrayImage::from_pixel(width, height, image::Luma([0]));
+    mask.save(project.path().join(format!("masks/{name}.png"))).unwrap();
+    for options in [&[][..], &["--confidence", "geometric"]] {
+        let unary = unary(project.path(), options);
+        assert!(unary.iter().all(|&(view, u)| view != 3 || u == 0.0));
+        assert!(unary.iter().any(|&(view, u)| view == 4 && u > 0.9));
+    }
+}
+
+#[test]
+fn a_project_without_images_is_planned_with_a_warning() {
+    let project = project();
+    fs::remove_dir_all(project.path().join("images")).unwrap();
+    let manifest = plan(project.path(), &[]);
+    assert!(warnings(&manifest).contains("no image folder"), "{}", warnings(&manifest));
+}
