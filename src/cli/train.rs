@@ -1,6 +1,6 @@
 //! `viewrank train`: learns from finished depth maps where a backend succeeds.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::Args;
 use rayon::ThreadPoolBuilder;
@@ -89,7 +89,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     }
 }
 
-fn prepare(arguments: &Arguments, root: &PathBuf, progress: &Progress) -> Result<Prepared, Failure> {
+fn prepare(arguments: &Arguments, root: &Path, progress: &Progress) -> Result<Prepared, Failure> {
     let project = Project::open(root, None)?;
     let folder = train::folder(&project.root, project.dense_workspace.as_deref(), &arguments.depth_maps);
     let mut typed = Typed::default();
