@@ -3,14 +3,16 @@
 //! The map, in the order of the flow:
 //!
 //! - [`formats`] bytes of sparse models <-> [`scene::Scene`]; [`camera`] the camera models
-//! - [`project`] what kind of project is this folder
+//! - [`project`] what kind of project is this folder; [`georeference`] where on the earth it lies
 //! - [`tiles`] space cut into parts; [`surface`] method 1: the surface; [`visibility`] method 2: which view sees which triangle
 //! - [`confidence`] method 7: where will the backend succeed
 //! - [`fulfilment`] method 3; [`partners`] method 4; [`ranking`] method 5
 //! - [`backends`] what each MVS program can match and the files it reads
 //! - [`undistort`] undistorted images for the backends that need them
 //! - [`depthmaps`] finished depth maps of the backends
+//! - [`pictures`] and [`report`] what people look at; [`tables`] what programs check; [`dispatch`] the clusters as tasks of a queue
 //! - [`plan`] runs the stages; [`evaluate`] method 8: real fulfilment, baselines; [`replan`] method 5.4; [`output`] makes files appear whole or not at all
+//! - [`doctor`] what is wrong with a project before it is planned
 //! - [`config`] every setting; [`progress`] progress and cancellation; [`error`] what errors say beside their message
 
 pub mod backends;
@@ -20,10 +22,12 @@ pub mod config;
 pub mod daemon;
 pub mod depthmaps;
 pub mod dispatch;
+pub mod doctor;
 pub mod error;
 pub mod evaluate;
 pub mod formats;
 pub mod fulfilment;
+pub mod georeference;
 pub mod manifest;
 pub mod output;
 pub mod partners;

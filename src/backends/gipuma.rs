@@ -1,8 +1,8 @@
 //! Gipuma: `backends.md` 6. One call per key view; the first image is the key view, the others its partners.
 
 use super::{
-    Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, PATCH_MATCH, PlanningNumbers,
-    RankedCluster, Selection, pmvs, selection,
+    Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, PATCH_MATCH, Patient,
+    PlanningNumbers, RankedCluster, Selection, Trap, pmvs, selection,
 };
 use crate::{
     output::Contents,
@@ -28,6 +28,10 @@ impl Backend for Gipuma {
 
     fn planning(&self) -> PlanningNumbers {
         PATCH_MATCH
+    }
+
+    fn traps(&self, patient: &Patient) -> Vec<Trap> {
+        patient.without_points("gipuma-depth-range-mandatory", "its depth range is not known").into_iter().collect()
     }
 
     fn export(&self, selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {

@@ -31,6 +31,10 @@ impl Backend for Images {
         &["--refs"]
     }
 
+    fn takes_distorted(&self) -> bool {
+        true
+    }
+
     fn export(&self, selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {
         let views = listed_views(selection, options.refs);
         let mut record = ExportRecord::new(self, selection, |v| selection.scene.name(v).into());

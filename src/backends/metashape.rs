@@ -4,8 +4,8 @@
 use serde_json::json;
 
 use super::{
-    Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, PlanningNumbers, Selection,
-    images::ANY_PROGRAM,
+    Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, Patient, PlanningNumbers,
+    Selection, Trap, images::ANY_PROGRAM,
 };
 use crate::output::Contents;
 
@@ -28,6 +28,19 @@ impl Backend for Metashape {
 
     fn planning(&self) -> PlanningNumbers {
         PlanningNumbers { support: 2, ..ANY_PROGRAM }
+    }
+
+    fn takes_distorted(&self) -> bool {
+        true
+    }
+
+    /// Cameras are found by their labels, which are file names.
+    fn traps(&self, patient: &Patient) -> Vec<Trap> {
+        let label = |name: &str| name.rsplit('/').next().unwrap_or(name).to_owned();
+        patient
+            .same_names("metashape-duplicate-labels", "the same camera label in Metashape", label)
+            .into_iter()
+            .collect()
     }
 
     fn export(&self, selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {

@@ -4,8 +4,8 @@
 use quick_xml::escape::escape;
 
 use super::{
-    Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, PATCH_MATCH, PlanningNumbers,
-    RankedCluster, Selection,
+    Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, PATCH_MATCH, Patient,
+    PlanningNumbers, RankedCluster, Selection, Trap,
 };
 use crate::output::Contents;
 
@@ -28,6 +28,14 @@ impl Backend for MicMac {
 
     fn planning(&self) -> PlanningNumbers {
         PATCH_MATCH
+    }
+
+    fn takes_distorted(&self) -> bool {
+        true
+    }
+
+    fn traps(&self, patient: &Patient) -> Vec<Trap> {
+        patient.bad_names("micmac-name", check_name).into_iter().collect()
     }
 
     fn export(&self, selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {

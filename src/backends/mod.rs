@@ -34,10 +34,12 @@ mod selection;
 mod sgm;
 mod splat;
 mod sure;
+mod traps;
 mod workspace;
 
 pub use selection::{RankedCluster, Selection};
 pub use sure::pair_files;
+pub use traps::{Patient, Trap};
 
 /// Every backend, in the order in which `viewrank backends` lists them.
 pub fn all() -> &'static [&'static dyn Backend] {
@@ -123,15 +125,36 @@ impl Gate {
 
     /// Why the pair cannot be matched; `None`: it can.
     pub fn refusal(&self, pair: &PairGeometry) -> Option<Reason> {
-        let matchable = (self.min_angle_deg..=self.max_angle_deg).contains(&pair.angle_deg)
-            && pair.scale_octaves.abs() <= self.max_scale_octaves
-            && (self.epipole_inside || !pair.epipole_inside);
-        match pair.shared.len() {
-            0 => Some(Reason::NoSharedPoints),
-            n if n < self.min_shared_points || !matchable => Some(Reason::NotMatchable),
-            _ => None,
+        match self.obstacle(pair) {
+            _ if pair.shared.is_empty() => Some(Reason::NoSharedPoints),
+            obstacle => obstacle.map(|_| Reason::NotMatchable),
         }
     }
+
+    /// The first of its limits that the pair exceeds.
+    pub fn obstacle(&self, pair: &PairGeometry) -> Option<Obstacle> {
+        if pair.shared.len() < self.min_shared_points {
+            Some(Obstacle::FewSharedPoints)
+        } else if pair.angle_deg > self.max_angle_deg {
+            Some(Obstacle::LargeAngle)
+        } else if !(pair.angle_deg >= self.min_angle_deg) {
+            Some(Obstacle::SmallAngle)
+        } else if !(pair.scale_octaves.abs() <= self.max_scale_octaves) {
+            Some(Obstacle::Scale)
+        } else {
+            (!self.epipole_inside && pair.epipole_inside).then_some(Obstacle::Epipole)
+        }
+    }
+}
+
+/// Which limit of a [`Gate`] a pair exceeds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Obstacle {
+    FewSharedPoints,
+    SmallAngle,
+    LargeAngle,
+    Scale,
+    Epipole,
 }
 
 /// What a backend contributes to planning, each with where it was measured.
@@ -204,6 +227,17 @@ pub trait Backend: Sync {
     fn tasks(&self, selection: &Selection, export: &Export) -> Option<TaskRunner> {
         let _ = (selection, export);
         None
+    }
+
+    /// Does it take cameras with lens distortion?
+    fn takes_distorted(&self) -> bool {
+        false
+    }
+
+    /// What of this project would go wrong with it whatever is planned, beside the distortion of the cameras.
+    fn traps(&self, patient: &Patient) -> Vec<Trap> {
+        let _ = patient;
+        Vec::new()
     }
 
     /// What is to be written for the selection; writes nothing.

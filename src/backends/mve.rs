@@ -4,8 +4,8 @@
 use std::path::Path;
 
 use super::{
-    Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, PATCH_MATCH, PlanningNumbers,
-    RankedCluster, Selection,
+    Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, PATCH_MATCH, Patient,
+    PlanningNumbers, RankedCluster, Selection, Trap,
 };
 use crate::{
     output::Contents,
@@ -34,6 +34,10 @@ impl Backend for Mve {
 
     fn planning(&self) -> PlanningNumbers {
         PATCH_MATCH
+    }
+
+    fn traps(&self, patient: &Patient) -> Vec<Trap> {
+        patient.bad_names("mve-extension", extension).into_iter().collect()
     }
 
     fn export(&self, selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {

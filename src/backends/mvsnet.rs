@@ -2,8 +2,8 @@
 //! the readers differ in the depth line of a camera and in which views they expect.
 
 use super::{
-    Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, PATCH_MATCH, PlanningNumbers,
-    Selection, selection,
+    Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, PATCH_MATCH, Patient,
+    PlanningNumbers, Selection, Trap, selection,
 };
 use crate::{
     output::Contents,
@@ -84,6 +84,10 @@ impl Backend for MvsNet {
 
     fn planning(&self) -> PlanningNumbers {
         PATCH_MATCH
+    }
+
+    fn traps(&self, patient: &Patient) -> Vec<Trap> {
+        patient.without_points("mvsnet-depth-range", "its depth line cannot be written").into_iter().collect()
     }
 
     fn export(&self, selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {

@@ -2,7 +2,8 @@
 //! points that it shares with its partners, and leaves the other images out by a neighbour of score 0.
 
 use super::{
-    Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, PlanningNumbers, Selection,
+    Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, Patient, PlanningNumbers,
+    Selection, Trap,
     openmvs::{self, OpenMvs},
 };
 use crate::output::Contents;
@@ -27,6 +28,24 @@ impl Backend for Odm {
 
     fn planning(&self) -> PlanningNumbers {
         OpenMvs.planning()
+    }
+
+    fn traps(&self, patient: &Patient) -> Vec<Trap> {
+        let root = &patient.project.root;
+        let [dense, scene] = ["scene_dense_dense_filtered.ply", "scene.mvs"]
+            .map(|file| root.join("opensfm/undistorted/openmvs").join(file));
+        let there = |name, path: &std::path::Path, what: &str, cure: &str| {
+            path.is_file().then(|| Trap {
+                name,
+                what: format!("{} is there, {what}", path.display()),
+                cure: format!("{cure} {}", path.display()),
+                views: Vec::new(),
+            })
+        };
+        let skipped = there("odm-existing-model-skips-stage", &dense, "so that ODM skips the dense stage", "rm");
+        let kept =
+            there("odm-existing-scene", &scene, "and ODM takes it unless ours replaces it", "put our scene.mvs over");
+        skipped.or(kept).into_iter().collect()
     }
 
     fn export(&self, selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {

@@ -3,8 +3,8 @@
 use std::path::Path;
 
 use super::{
-    Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, PATCH_MATCH, PlanningNumbers,
-    Selection,
+    Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, PATCH_MATCH, Patient,
+    PlanningNumbers, Selection, Trap,
 };
 use crate::{
     output::Contents,
@@ -37,6 +37,10 @@ impl Backend for Pmvs {
             source: "not measured: the numbers of OpenMVS, also a PatchMatch; support 1: patches are not checked against depth maps",
             ..PATCH_MATCH
         }
+    }
+
+    fn traps(&self, patient: &Patient) -> Vec<Trap> {
+        patient.bad_names("pmvs-extension", extension).into_iter().collect()
     }
 
     fn export(&self, selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {

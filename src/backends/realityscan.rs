@@ -4,9 +4,11 @@
 use std::collections::HashMap;
 
 use super::{
-    Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, PlanningNumbers, Selection,
+    Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, Patient, PlanningNumbers,
+    Selection, Trap,
     images::{ANY_PROGRAM, name_lines},
 };
+use crate::scene::ViewIndex;
 
 pub struct RealityScan;
 
@@ -27,6 +29,16 @@ impl Backend for RealityScan {
 
     fn planning(&self) -> PlanningNumbers {
         ANY_PROGRAM
+    }
+
+    fn takes_distorted(&self) -> bool {
+        true
+    }
+
+    fn traps(&self, patient: &Patient) -> Vec<Trap> {
+        let same =
+            patient.same_names("realityscan-xmp-same-stem", "the same side file (.xmp)", |name| stem(name).to_owned());
+        same.into_iter().chain(poses_beside(patient)).collect()
     }
 
     fn export(&self, selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {
@@ -61,6 +73,22 @@ impl Backend for RealityScan {
         files.add_text("export.json", record.to_json());
         Ok(Export { files, record })
     }
+}
+
+/// Side files beside the images that hold poses already.
+fn poses_beside(patient: &Patient) -> Option<Trap> {
+    let images = patient.project.images.as_ref()?;
+    let holds_pose = |view: &ViewIndex| {
+        let path = images.join(format!("{}.xmp", stem(patient.scene.name(*view))));
+        std::fs::read_to_string(path).is_ok_and(|text| text.contains("xcr:PosePrior") || text.contains("xcr:Position"))
+    };
+    let views: Vec<ViewIndex> = patient.scene.view_indices().filter(holds_pose).collect();
+    (!views.is_empty()).then(|| Trap {
+        name: "realityscan-existing-xmp-poses",
+        what: "side files (.xmp) beside the images hold poses, which files of the same name would replace".into(),
+        cure: "add xcr:InMeshing and xcr:InTexturing to those files by hand instead of copying ours".into(),
+        views,
+    })
 }
 
 /// Path without the extension.

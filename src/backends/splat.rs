@@ -7,7 +7,8 @@ use nalgebra::{Matrix3, Matrix4};
 use serde_json::json;
 
 use super::{
-    Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, PlanningNumbers, Selection,
+    Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, Patient, PlanningNumbers,
+    Selection, Trap,
     images::{ANY_PROGRAM, listed_views, name_lines},
     workspace::add_workspace,
 };
@@ -42,6 +43,15 @@ impl Backend for Splat {
 
     fn options(&self) -> &'static [&'static str] {
         &["--refs"]
+    }
+
+    fn takes_distorted(&self) -> bool {
+        true
+    }
+
+    fn traps(&self, patient: &Patient) -> Vec<Trap> {
+        let same = "the same image to gaussian-splatting, which cuts folders and what follows the first dot";
+        patient.same_names("splat-duplicate-names", same, |name| short_name(name).to_owned()).into_iter().collect()
     }
 
     fn export(&self, selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {
@@ -145,6 +155,12 @@ fn seeds(selection: &Selection, views: &[ViewIndex]) -> Vec<u8> {
     bytes
 }
 
+/// What gaussian-splatting knows an image by.
+fn short_name(name: &str) -> &str {
+    let file = name.rsplit('/').next().unwrap_or(name);
+    file.split('.').next().unwrap_or(file)
+}
+
 fn warnings(selection: &Selection, views: &[ViewIndex]) -> Vec<String> {
     let mut warnings = Vec::new();
     if views.iter().any(|&v| !selection.scene.camera_of(v).is_pinhole()) {
@@ -157,8 +173,7 @@ fn warnings(selection: &Selection, views: &[ViewIndex]) -> Vec<String> {
     let mut by_stem: HashMap<&str, &str> = HashMap::new();
     for &view in views {
         let name = selection.scene.name(view);
-        let file = name.rsplit('/').next().unwrap_or(name);
-        if let Some(other) = by_stem.insert(file.split('.').next().unwrap_or(file), name) {
+        if let Some(other) = by_stem.insert(short_name(name), name) {
             warnings.push(format!("gaussian-splatting takes {other} and {name} for the same image: it cuts folders and what follows the first dot"));
         }
     }

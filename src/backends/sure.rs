@@ -1,7 +1,8 @@
 //! SURE (nFrames): `backends.md` 12. Closed; the files follow the vendor's public pages and three public writers of `.ori`.
 
 use super::{
-    Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Gate, Honours, PlanningNumbers, Selection,
+    Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Gate, Honours, Patient, PlanningNumbers,
+    Selection, Trap,
 };
 use std::collections::HashMap;
 
@@ -59,6 +60,16 @@ impl Backend for Sure {
 
     fn serves(&self, project: &Project) -> bool {
         project.kind == ProjectKind::Sure
+    }
+
+    fn traps(&self, patient: &Patient) -> Vec<Trap> {
+        let same = patient.same_names(
+            "sure-same-stem",
+            "the same image to SURE, which ignores folders and extensions",
+            |name| stem(&name.replace('/', "_")).to_lowercase(),
+        );
+        let bad = patient.bad_names("sure-name", |name| checked_name("sure", name).map(|_| ()));
+        same.into_iter().chain(bad).collect()
     }
 
     fn export(&self, selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {

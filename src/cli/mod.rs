@@ -7,6 +7,7 @@ mod backends;
 mod completions;
 mod config;
 mod dispatch;
+mod doctor;
 mod evaluate;
 mod export;
 mod inspect;
@@ -36,6 +37,10 @@ pub enum Exit {
     Failed = 1,
     /// Arguments or settings are wrong; nothing was tried.
     Usage = 2,
+    /// `doctor` has warnings, and no errors.
+    Warnings = 3,
+    /// `doctor` has errors.
+    Errors = 4,
 }
 
 impl From<Exit> for ExitCode {
@@ -114,6 +119,7 @@ enum Command {
     Predict(predict::Arguments),
     Export(export::Arguments),
     Report(report::Arguments),
+    Doctor(doctor::Arguments),
     Backends(backends::Arguments),
     Undistort(undistort::Arguments),
     Config(config::Arguments),
@@ -134,6 +140,7 @@ pub fn run() -> Result<(), Failure> {
         Command::Predict(arguments) => predict::run(&arguments),
         Command::Export(arguments) => export::run(&arguments),
         Command::Report(arguments) => report::run(&arguments),
+        Command::Doctor(arguments) => doctor::run(&arguments),
         Command::Backends(arguments) => backends::run(&arguments),
         Command::Undistort(arguments) => undistort::run(&arguments),
         Command::Config(arguments) => config::run(&arguments),

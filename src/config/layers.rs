@@ -12,6 +12,7 @@ use toml::{Table, Value, de::DeTable};
 
 use super::{Key, Settings, keys};
 use crate::error::Hint;
+use crate::georeference::Zone;
 
 /// Where settings are written down; files that are not there are passed over.
 #[derive(Clone, Debug, Default)]
@@ -123,6 +124,14 @@ impl Configuration {
         }
         if surface.up == Some([0.0; 3]) {
             return Err(self.refuse("surface.up", "0,0,0", "must be a direction".into()));
+        }
+        let frame = &self.settings.frame;
+        if let Some([latitude, longitude, _]) = frame.origin.filter(|o| o[0].abs() > 90.0 || o[1].abs() > 360.0) {
+            let why = "must be latitude, longitude and height".into();
+            return Err(self.refuse("frame.origin", format!("{latitude}, {longitude}"), why));
+        }
+        if let Some(zone) = frame.utm.as_deref().filter(|zone| Zone::parse(zone).is_none()) {
+            return Err(self.refuse("frame.utm", zone, "must be a zone and N or S, as 33N".into()));
         }
         Ok(())
     }

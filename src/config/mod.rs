@@ -49,6 +49,7 @@ pub struct Settings {
     pub cut: CutSettings,
     pub forecast: ForecastSettings,
     pub dispatch: DispatchSettings,
+    pub frame: FrameSettings,
 }
 
 impl Settings {
@@ -78,6 +79,7 @@ impl Default for Settings {
             forecast: ForecastSettings::default(),
             dispatch: DispatchSettings::default(),
             on_target: None,
+            frame: FrameSettings::default(),
         }
     }
 }
@@ -440,4 +442,17 @@ impl Default for DispatchSettings {
             setup: String::new(),
         }
     }
+}
+
+/// Where on the earth the model lies. Unset: as OpenSfM or OpenDroneMap say beside their models, or earth-centred coordinates are known by
+/// their size; else it is not known.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct FrameSettings {
+    /// Latitude, longitude (degrees) and height (metres, WGS 84) of the model's origin, where its axes are metres east, north and up.
+    pub origin: Option<[f64; 3]>,
+    /// Zone and hemisphere, as 33N, where the model's x and y are UTM coordinates.
+    pub utm: Option<String>,
+    /// Added to x and y to make them UTM coordinates.
+    pub offset: Option<[f64; 2]>,
 }

@@ -92,6 +92,13 @@ pub fn candidates(
     Ok(table)
 }
 
+/// The views that share points with one, with those points, most shared points first, ties by name.
+pub fn neighbours(scene: &Scene, points: &ViewPoints, view: ViewIndex) -> Vec<(ViewIndex, Vec<PointIndex>)> {
+    let mut neighbours = Neighbours::new(scene);
+    neighbours.collect(scene, points, view);
+    neighbours.pairs().map(|(other, shared)| (other, shared.to_vec())).collect()
+}
+
 /// The candidates of one view and what was refused before there were `n` of them.
 fn select(
     scene: &Scene,

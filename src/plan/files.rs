@@ -5,9 +5,10 @@ use crate::{
     backends::{self, Backend, BackendError, Export, ExportOptions, Selection},
     confidence,
     error::Hint,
+    georeference::Georeference,
     manifest::{FingerprintError, Manifest},
     output::{Contents, FileSet},
-    pictures::{Curve, curve_svg, surface_ply},
+    pictures::{Curve, curve_svg, surface_ply, views_geojson},
     project::Project,
 };
 
@@ -63,6 +64,8 @@ pub fn files(plan: &Plan, project: &Project) -> Result<PlanFiles, FilesError> {
     let planned_views = PlannedViews::new(&plan.scene, &plan.finished);
     add("planned_views.json", serde_json::to_string(&planned_views).expect("numbers and texts are JSON") + "\n");
     add("curve.svg", curve_svg(&Curve::predicted(plan)));
+    let place = Georeference::find(project, &plan.scene, &plan.settings.frame);
+    add("views.geojson", views_geojson(plan, &place));
     add("timings.json", serde_json::to_string_pretty(&plan.timings).expect("numbers by name are JSON") + "\n");
     own.add("viewrank/surface.ply", Contents::Bytes(surface_ply(plan)));
     let elsewhere: Vec<FileSet> = exports.into_iter().filter_map(|export| own.absorb(export.files)).collect();

@@ -17,6 +17,7 @@ use crate::{
     config::ForecastSettings,
     error::Hint,
     evaluate::EvaluateError,
+    georeference::Georeference,
     pictures::{MapFrame, REASON_NUMBERS, footprint},
     plan::{Plan, Reason},
     progress::{Cancelled, Watcher},
@@ -119,6 +120,8 @@ struct ShownHole {
     triangles: usize,
     reason: usize,
     centre: [f64; 3],
+    /// Latitude and longitude, where they are known.
+    place: Option<[f64; 2]>,
 }
 
 impl Contents {
@@ -138,6 +141,7 @@ impl Contents {
             None => BTreeMap::new(),
         };
         let (holes, holes_area) = holes(plan, HOLES);
+        let place = Georeference::find(project, &plan.scene, &plan.settings.frame);
         Ok(Self {
             title: title(&project.root),
             tool: concat!("viewrank ", env!("CARGO_PKG_VERSION")),
@@ -160,7 +164,7 @@ impl Contents {
             views: Views::new(plan, &frame),
             ranking: Ranked::new(plan),
             surface: Drawn::new(plan, &shown, &frame),
-            holes: holes.iter().map(|hole| ShownHole::new(hole, &frame)).collect(),
+            holes: holes.iter().map(|hole| ShownHole::new(hole, &frame, &place)).collect(),
             holes_area,
             real,
             thumbnails,
@@ -258,9 +262,16 @@ impl Drawn {
 }
 
 impl ShownHole {
-    fn new(hole: &Hole, frame: &MapFrame) -> Self {
+    fn new(hole: &Hole, frame: &MapFrame, place: &Georeference) -> Self {
         let Hole { area, triangles, reason, centre } = hole;
-        Self { area: *area, triangles: *triangles, reason: number(Some(*reason)).into(), centre: frame.local(centre) }
+        let place = place.geodetic(centre).map(|at| [at.latitude, at.longitude]);
+        Self {
+            area: *area,
+            triangles: *triangles,
+            reason: number(Some(*reason)).into(),
+            centre: frame.local(centre),
+            place,
+        }
     }
 }
 

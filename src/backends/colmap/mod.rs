@@ -20,8 +20,8 @@ use self::{
     finished::{Lists, Made, map_name},
 };
 use super::{
-    Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, PATCH_MATCH, PlanningNumbers,
-    References, Selection, TaskRunner, selection, workspace::add_workspace,
+    Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, PATCH_MATCH, Patient,
+    PlanningNumbers, References, Selection, TaskRunner, Trap, selection, workspace::add_workspace,
 };
 use crate::{
     output::{Contents, FileSet},
@@ -31,6 +31,7 @@ use crate::{
 
 mod cfg;
 mod finished;
+mod traps;
 
 pub struct Colmap;
 
@@ -85,6 +86,10 @@ impl Backend for Colmap {
             fuse: "COLMAP=$program stereo/viewrank/run.sh --fuse".into(),
             maps: selection.clusters.iter().map(map).collect(),
         })
+    }
+
+    fn traps(&self, patient: &Patient) -> Vec<Trap> {
+        traps::all(patient)
     }
 
     fn export(&self, selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {

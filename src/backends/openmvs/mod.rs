@@ -9,14 +9,14 @@ use serde::Serialize;
 
 use self::scene::Builder;
 use super::{
-    Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Gate, Honours, PlanningNumbers,
-    RankedCluster, Selection, TaskRunner, selection,
+    Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Gate, Honours, Patient, PlanningNumbers,
+    RankedCluster, Selection, TaskRunner, Trap, selection,
 };
 use crate::{
     confidence::PairConfidence,
     formats::openmvs::Mvs,
     output::Contents,
-    project::{Project, ProjectKind},
+    project::{ModelFormat, Project, ProjectKind},
     scene::ViewIndex,
 };
 
@@ -90,6 +90,24 @@ impl Backend for OpenMvs {
             fuse: format!("{command} --stop-at 0"),
             maps: selection.clusters.iter().map(map).collect(),
         })
+    }
+
+    /// Points and cameras of a scene.mvs are numbers of 32 bits.
+    fn traps(&self, patient: &Patient) -> Vec<Trap> {
+        let largest = patient.scene.points.iter().flat_map(|p| p.iter().map(|x| x.abs())).fold(0.0, f64::max);
+        let step = largest * f64::from(f32::EPSILON);
+        let of_openmvs = patient.project.model.format == ModelFormat::OpenMvs;
+        let rounded = patient.scene.median_gsd().filter(|gsd| of_openmvs && step > *gsd);
+        let trap = rounded.map(|gsd| Trap {
+            name: "openmvs-far-from-origin",
+            what: format!(
+                "coordinates up to {largest:.0} in a scene.mvs are rounded to {step:.2} units, and a pixel is {gsd:.3} units: the points \
+                 are ruined"
+            ),
+            cure: "move the origin of the model among the points before it is written as scene.mvs".into(),
+            views: Vec::new(),
+        });
+        trap.into_iter().collect()
     }
 
     fn export(&self, selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {

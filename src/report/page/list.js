@@ -16,8 +16,8 @@ function filterList() {
 }
 
 function drawList() {
-  const list = byId('list'), first = Math.max(0, Math.floor(list.scrollTop / ROW) - 4);
-  const last = Math.min(listed.length, Math.ceil((list.scrollTop + list.clientHeight) / ROW) + 4);
+  const list = byId('list'), first = Math.max(0, Math.floor(list.scrollTop / ROW) - 2);
+  const last = Math.min(listed.length, Math.ceil((list.scrollTop + list.clientHeight) / ROW) + 2);
   const rows = [];
   for (let place = first; place < last; place++) rows.push(listRow(place));
   if (!listed.length) rows.push(make('p', { class: 'empty' }, emptyText()));

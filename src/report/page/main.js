@@ -95,7 +95,7 @@ function drawHoles() {
     return;
   }
   const rows = data.holes.map((hole, i) => make('tr', {},
-    make('td', {}, make('button', { type: 'button', class: 'link', onclick: () => showHole(hole) }, `place ${i + 1}`)),
+    make('td', {}, make('button', { type: 'button', class: 'link', onclick: () => showHole(hole) }, hole.place ? hole.place.map(degrees => degrees.toFixed(6)).join(', ') : `place ${i + 1}`)),
     make('td', {}, `${rounded(hole.area)} ${unit}²`), make('td', { style: 'text-align: left' }, data.reasons[hole.reason - 1])));
   byId('holes').replaceChildren(
     make('p', {}, `${percent(share)} of the surface (${rounded(data.holes_area)} of ${rounded(data.area)} ${unit}²) cannot be filled by any of the images. The largest places:`),

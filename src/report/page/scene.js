@@ -146,26 +146,28 @@ class Scene {
     const shown = state.hovered >= 0 ? state.hovered : state.selected;
     if (shown >= 0) this.drawFootprint(shown);
     const size = Math.max(1.6, Math.min(4.5, 0.22 * Math.sqrt(this.width * this.height / Math.max(views.count, 1))));
-    for (const status of ['unused', 'partner', 'key']) this.drawCameras(status, size);
+    this.drawCameras(size);
     if (shown >= 0) this.drawCluster(shown, size);
     if (this.hole) this.drawHole();
     if (!this.turns) this.drawScale();
   }
 
-  drawCameras(status, size) {
-    const { context } = this;
-    context.beginPath();
+  // Key views last, so that they lie on top.
+  drawCameras(size) {
+    const { context } = this, paths = { unused: new Path2D(), partner: new Path2D(), key: new Path2D() };
     for (let view = 0; view < views.count; view++) {
-      if (statusOf(view, state.cut) !== status) continue;
-      const [x, y] = this.at(view), radius = status === 'key' ? size * 1.35 : size;
-      context.moveTo(x + radius, y);
-      context.arc(x, y, radius, 0, 7);
+      const status = statusOf(view, state.cut), [x, y] = this.at(view), radius = status === 'key' ? size * 1.35 : size;
+      if (x < -9 || y < -9 || x > this.width + 9 || y > this.height + 9) continue;
+      paths[status].moveTo(x + radius, y);
+      paths[status].arc(x, y, radius, 0, 7);
     }
-    context.lineWidth = status === 'key' ? 1.5 : 1.2;
-    context.fillStyle = theme[status];
-    context.strokeStyle = status === 'key' ? '#fff' : theme[status];
-    if (status !== 'unused') context.fill();
-    context.stroke();
+    for (const [status, path] of Object.entries(paths)) {
+      context.lineWidth = status === 'key' ? 1.5 : 1.2;
+      context.fillStyle = theme[status];
+      context.strokeStyle = status === 'key' ? '#fff' : theme[status];
+      if (status !== 'unused') context.fill(path);
+      if (status !== 'partner') context.stroke(path);
+    }
   }
 
   // A view with its partners, or with the key views that it is a partner of.

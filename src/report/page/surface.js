@@ -24,11 +24,6 @@ function stepsUpTo(triangle, cut) {
   return end;
 }
 
-function shareOf(triangle, cut) {
-  const end = stepsUpTo(triangle, cut);
-  return end > surface.offsets[triangle] ? surface.shares[end - 1] / 255 : 0;
-}
-
 function chosenViews(triangle, cut) {
   let count = 0;
   while (count < COUNTED && surface.first[triangle * COUNTED + count] <= cut) count++;
@@ -40,23 +35,33 @@ function improvedBy(triangle, rank) {
   return end > surface.offsets[triangle] && surface.ranks[end - 1] === rank;
 }
 
-// Colour of every triangle for the state of the page, 3 bytes each.
-function triangleColours() {
-  const colours = new Uint8Array(3 * surface.count);
-  const table = Array.from({ length: 256 }, (_, i) => ramp(i / 255));
-  const rank = state.selected >= 0 ? views.rank[state.selected] : 0;
-  for (let t = 0; t < surface.count; t++) {
-    let colour;
-    if (state.colour === 'reason') colour = REASON_COLOURS[surface.reason[t]];
-    else if (surface.reason[t] && !surface.reachable[t]) colour = NOWHERE;
-    else if (state.colour === 'count') colour = COUNT_COLOURS[chosenViews(t, state.cut)];
-    else if (state.colour === 'real') colour = table[surface.real[t]];
-    else colour = table[Math.round(255 * shareOf(t, state.cut))];
-    if (rank && improvedBy(t, rank)) colour = colour.map((value, i) => 0.35 * value + 0.65 * IMPROVED[i]);
-    colours.set(colour, 3 * t);
-  }
-  return colours;
+const RAMP_TABLE = Array.from({ length: 256 }, (_, i) => ramp(i / 255));
+
+function colourOf(triangle) {
+  if (state.colour === 'reason') return REASON_COLOURS[surface.reason[triangle]];
+  if (surface.reason[triangle] && !surface.reachable[triangle]) return NOWHERE;
+  if (state.colour === 'count') return COUNT_COLOURS[chosenViews(triangle, state.cut)];
+  if (state.colour === 'real') return RAMP_TABLE[surface.real[triangle]];
+  const end = stepsUpTo(triangle, state.cut);
+  return RAMP_TABLE[end > surface.offsets[triangle] ? surface.shares[end - 1] : 0];
 }
+
+// Colour of every triangle for the state of the page, 3 bytes each.
+const triangleColours = (() => {
+  const colours = new Uint8Array(3 * surface.count);
+  let made = null;
+  return () => {
+    const wanted = `${state.colour} ${state.cut} ${state.selected}`;
+    if (wanted === made) return colours;
+    made = wanted;
+    const rank = state.selected >= 0 ? views.rank[state.selected] : 0;
+    for (let t = 0; t < surface.count; t++) {
+      const colour = colourOf(t), own = rank && improvedBy(t, rank) ? 0.35 : 1;
+      for (let i = 0; i < 3; i++) colours[3 * t + i] = own * colour[i] + (1 - own) * IMPROVED[i];
+    }
+    return colours;
+  };
+})();
 
 // How bright each triangle is under a light from the upper left.
 const shading = (() => {
@@ -230,9 +235,9 @@ class Camera {
 
   // Pixel and nearness of the point at `offset` of a list.
   screen(points, offset, width, height) {
-    const d = [0, 1, 2].map(i => points[offset + i] - this.centre[i]);
-    const along = axis => axis[0] * d[0] + axis[1] * d[1] + axis[2] * d[2];
-    return [0.5 * width + this.scale * along(this.right), 0.5 * height - this.scale * along(this.up), along(this.towards)];
+    const { right: r, up: u, towards: d, centre: c, scale } = this;
+    const x = points[offset] - c[0], y = points[offset + 1] - c[1], z = points[offset + 2] - c[2];
+    return [0.5 * width + scale * (r[0] * x + r[1] * y + r[2] * z), 0.5 * height - scale * (u[0] * x + u[1] * y + u[2] * z), d[0] * x + d[1] * y + d[2] * z];
   }
 
   pan(dx, dy) {

@@ -1,0 +1,70 @@
+//! What of a project COLMAP would stumble over.
+
+use super::cfg;
+use crate::{
+    backends::{Patient, Trap},
+    project::ModelFormat,
+};
+
+pub fn all(patient: &Patient) -> Vec<Trap> {
+    let names = patient.bad_names("colmap-name", |name| cfg::check_name("colmap", name));
+    let points = patient.without_points("colmap-key-view-without-points", "COLMAP ends the whole run there");
+    [names, points, blanks_in_text(patient), text_beside_binary(patient), mixed_widths(patient)]
+        .into_iter()
+        .flatten()
+        .collect()
+}
+
+/// Text models end the name at its first blank.
+fn blanks_in_text(patient: &Patient) -> Option<Trap> {
+    let text = patient.project.model.format == ModelFormat::ColmapText;
+    let views: Vec<_> = patient.scene.view_indices().filter(|&v| text && patient.scene.name(v).contains(' ')).collect();
+    let first = patient.scene.name(*views.first()?);
+    let model = patient.project.model.path.display();
+    Some(Trap {
+        name: "colmap-text-model-blank-name",
+        what: format!("COLMAP cuts \"{first}\" at its first blank when it reads this text model"),
+        cure: format!("rename the images, or write the model as binary from the program that made it into {model}"),
+        views,
+    })
+}
+
+/// Of two models in a folder COLMAP takes the binary one, however old it is.
+fn text_beside_binary(patient: &Patient) -> Option<Trap> {
+    let model = &patient.project.model;
+    let binary = model.path.join("images.bin");
+    let text = model.path.join("images.txt");
+    if model.format != ModelFormat::ColmapBinary || !text.is_file() {
+        return None;
+    }
+    let counted = crate::formats::colmap_text::count_images(&std::fs::read(&text).ok()?);
+    let time = |path: &std::path::Path| path.metadata().and_then(|m| m.modified()).ok();
+    let differs = counted != patient.scene.views.len() as u64 || time(&text) > time(&binary);
+    differs.then(|| Trap {
+        name: "colmap-bin-beats-txt",
+        what: format!(
+            "{} holds another model as text, with {counted} images or newer: COLMAP and viewrank take the binary one, OpenMVS the text",
+            model.path.display()
+        ),
+        cure: format!("keep one of the two: rm {}/*.txt", model.path.display()),
+        views: Vec::new(),
+    })
+}
+
+/// COLMAP 4 copies the sources of a key view to the GPU as if all were as wide as the widest.
+fn mixed_widths(patient: &Patient) -> Option<Trap> {
+    let scene = patient.scene;
+    let width = |v| scene.camera_of(v).width;
+    let widest = scene.view_indices().map(width).max()?;
+    let narrower: Vec<_> = scene.view_indices().filter(|&v| width(v) < widest).collect();
+    (!narrower.is_empty()).then(|| Trap {
+        name: "colmap-4x-mixed-width-sources",
+        what: format!(
+            "{} images are narrower than the others ({widest} px); COLMAP 4.0 and later may copy the narrower of a key view's partners \
+             wrongly to the GPU",
+            narrower.len()
+        ),
+        cure: "use COLMAP 3.8 to 3.13 for patch_match_stereo, or undistort all images to one size".into(),
+        views: narrower,
+    })
+}

@@ -1,0 +1,80 @@
+//! What of a project would go wrong with a backend, before anything is planned: for `viewrank doctor`.
+
+use std::collections::BTreeMap;
+
+use super::{BackendError, selection};
+use crate::{
+    project::Project,
+    scene::{Scene, ViewIndex, ViewPoints},
+};
+
+/// The project that is looked at.
+pub struct Patient<'a> {
+    pub project: &'a Project,
+    pub scene: &'a Scene,
+    pub points: &'a ViewPoints,
+}
+
+/// Something that a backend would stumble over.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Trap {
+    /// The same for the same trap, for programs.
+    pub name: &'static str,
+    /// What would happen.
+    pub what: String,
+    /// What to type or do against it.
+    pub cure: String,
+    /// The views concerned; empty: all of the project.
+    pub views: Vec<ViewIndex>,
+}
+
+impl Patient<'_> {
+    /// Views whose names `check` refuses.
+    pub(super) fn bad_names<T>(
+        &self,
+        trap: &'static str,
+        check: impl Fn(&str) -> Result<T, BackendError>,
+    ) -> Option<Trap> {
+        let fault = |view: ViewIndex| match check(self.scene.name(view)) {
+            Err(BackendError::Name { why, .. }) => Some((view, why)),
+            _ => None,
+        };
+        let faults: Vec<(ViewIndex, String)> = self.scene.view_indices().filter_map(fault).collect();
+        let (first, why) = faults.first()?;
+        Some(Trap {
+            name: trap,
+            what: format!("image names that it cannot take, as \"{}\": {why}", self.scene.name(*first)),
+            cure: "rename the images, in the folder and in the model".into(),
+            views: faults.iter().map(|(view, _)| *view).collect(),
+        })
+    }
+
+    /// Views that become the same by what the backend knows them by.
+    pub(super) fn same_names(&self, trap: &'static str, same: &str, known_by: impl Fn(&str) -> String) -> Option<Trap> {
+        let mut by_key: BTreeMap<String, Vec<ViewIndex>> = BTreeMap::new();
+        for view in self.scene.view_indices() {
+            by_key.entry(known_by(self.scene.name(view))).or_default().push(view);
+        }
+        let groups: Vec<&Vec<ViewIndex>> = by_key.values().filter(|views| views.len() > 1).collect();
+        let first = groups.first()?;
+        Some(Trap {
+            name: trap,
+            what: format!("{} and {} are {same}", self.scene.name(first[0]), self.scene.name(first[1])),
+            cure: "rename the images, in the folder and in the model, so that no two are alike".into(),
+            views: groups.into_iter().flatten().copied().collect(),
+        })
+    }
+
+    /// Views that observe no sparse point in front of them.
+    pub(super) fn without_points(&self, trap: &'static str, so: &str) -> Option<Trap> {
+        let none = |v: &ViewIndex| selection::depths(self.scene, self.points, *v).is_empty();
+        let views: Vec<ViewIndex> = self.scene.view_indices().filter(none).collect();
+        let first = views.first()?;
+        Some(Trap {
+            name: trap,
+            what: format!("{} observes no sparse point in front of it: {so}", self.scene.name(*first)),
+            cure: "take these views out of the model (colmap image_deleter), or triangulate more points".into(),
+            views,
+        })
+    }
+}

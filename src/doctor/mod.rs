@@ -1,0 +1,126 @@
+//! What is wrong with a project before anything is planned: which views can't be matched and why, links that are weak, units that can't be
+//! true, and which backends would stumble over it. Reads the model and the images' headers, never the images.
+
+mod links;
+mod partners;
+mod sense;
+#[cfg(test)]
+mod tests;
+
+use serde::Serialize;
+
+use crate::{
+    backends::{Backend, Patient},
+    config::Settings,
+    project::Project,
+    scene::{Scene, ViewIndex, ViewPoints},
+};
+
+/// How bad a finding is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Severity {
+    /// Good to know; every large project has some.
+    Note,
+    /// The result will be worse than it could be.
+    Warning,
+    /// The result will be wrong, or there will be none.
+    Error,
+}
+
+/// Something that the user should know.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Finding {
+    pub severity: Severity,
+    /// The same for the same kind of finding.
+    pub check: &'static str,
+    /// Backends that it concerns; empty: all.
+    pub backends: Vec<&'static str>,
+    /// A sentence.
+    pub what: String,
+    /// What to type or do.
+    pub cure: String,
+    /// Names of the views concerned, with what is to be said of each; empty: the whole project.
+    pub views: Vec<(String, String)>,
+}
+
+impl Finding {
+    fn new(severity: Severity, check: &'static str, what: impl Into<String>, cure: impl Into<String>) -> Self {
+        let (what, cure) = (what.into(), cure.into());
+        Self { severity, check, backends: Vec::new(), what, cure, views: Vec::new() }
+    }
+
+    fn of_views(self, views: Vec<(String, String)>) -> Self {
+        Self { views, ..self }
+    }
+}
+
+/// Everything that is looked at.
+struct Visit<'a> {
+    project: &'a Project,
+    scene: &'a Scene,
+    points: &'a ViewPoints,
+    settings: &'a Settings,
+    /// The one that would be planned for.
+    backend: &'a dyn Backend,
+}
+
+impl Visit<'_> {
+    fn name(&self, view: ViewIndex) -> String {
+        self.scene.name(view).into()
+    }
+}
+
+/// All findings, the worst first. The plan would be made for the first of `backends`; the traps of all of them are looked for.
+pub fn examine(project: &Project, scene: &Scene, settings: &Settings, backends: &[&dyn Backend]) -> Vec<Finding> {
+    let Some(&backend) = backends.first() else { return Vec::new() };
+    let points = &scene.view_points();
+    let visit = Visit { project, scene, points, settings, backend };
+    let mut findings = sense::findings(&visit);
+    // In a model that makes no sense the rest says nothing.
+    if findings.iter().all(|finding| finding.severity < Severity::Error) {
+        findings.extend(partners::findings(&visit));
+        findings.extend(links::findings(&visit));
+    }
+    findings.extend(traps(&visit, backends));
+    findings.sort_by_key(|finding| std::cmp::Reverse(finding.severity));
+    findings
+}
+
+/// Traps of the backends; those of the planned one are warnings, those of others notes.
+fn traps(visit: &Visit, backends: &[&dyn Backend]) -> Vec<Finding> {
+    let patient = Patient { project: visit.project, scene: visit.scene, points: visit.points };
+    let mut findings: Vec<Finding> = distorted(visit, backends).into_iter().collect();
+    for backend in backends {
+        let planned = backend.name() == visit.backend.name();
+        let severity = if planned { Severity::Warning } else { Severity::Note };
+        for trap in backend.traps(&patient) {
+            let views = trap.views.iter().map(|&view| (visit.name(view), String::new())).collect();
+            match findings.iter_mut().find(|f| f.check == trap.name && f.what == trap.what) {
+                Some(same) => same.backends.push(backend.name()),
+                None => {
+                    let finding = Finding::new(severity, trap.name, trap.what, trap.cure).of_views(views);
+                    findings.push(Finding { backends: vec![backend.name()], ..finding });
+                }
+            }
+        }
+    }
+    findings
+}
+
+/// Programs that want images without lens distortion.
+fn distorted(visit: &Visit, backends: &[&dyn Backend]) -> Option<Finding> {
+    let of_view = |v: &ViewIndex| !visit.scene.camera_of(*v).is_pinhole();
+    let camera = visit.scene.camera_of(visit.scene.view_indices().find(of_view)?).model().name();
+    let refuse: Vec<&'static str> = backends.iter().filter(|b| !b.takes_distorted()).map(|b| b.name()).collect();
+    let (root, model) = (visit.project.root.display(), visit.project.model.path.display());
+    let cure = match &visit.project.dense_workspace {
+        Some(dense) if *dense != visit.project.root => format!("viewrank plan {}", dense.display()),
+        _ => format!(
+            "colmap image_undistorter --image_path {root}/images --input_path {model} --output_path {root}/dense, then viewrank plan {root}/dense"
+        ),
+    };
+    let what = format!("the cameras are {camera}, and these programs want images without lens distortion");
+    let finding = Finding::new(Severity::Note, "distorted-images", what, cure);
+    (!refuse.is_empty()).then_some(Finding { backends: refuse, ..finding })
+}

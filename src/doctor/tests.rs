@@ -1,0 +1,374 @@
+//! One broken project for each reason and trap, and a healthy one.
+
+use std::{fs, path::Path};
+
+use nalgebra::{Matrix3, Point3, Rotation3, Vector3};
+use tempfile::TempDir;
+
+use super::{Finding, Severity, examine};
+use crate::{
+    backends::{self, Backend},
+    camera::{Camera, CameraModel},
+    config::{Settings, TargetSettings},
+    project::{ModelFormat, ModelLocation, Project, ProjectKind},
+    scene::{CameraIndex, Pose, Scene, Units, View, ViewIndex},
+};
+
+/// A view at `centre` that looks at `target`, +y of the world up in the image.
+fn view(name: &str, centre: [f64; 3], target: [f64; 3]) -> View {
+    let forward = (Vector3::from(target) - Vector3::from(centre)).normalize();
+    let right = forward.cross(&Vector3::y()).normalize();
+    let rows = [right.transpose(), forward.cross(&right).transpose(), forward.transpose()];
+    let rotation = Rotation3::from_matrix_unchecked(Matrix3::from_rows(&rows));
+    let cam_from_world = Pose { rotation, translation: -(rotation * Vector3::from(centre)) };
+    View { name: name.into(), image_id: 0, file_position: 0, camera: CameraIndex(0), cam_from_world }
+}
+
+fn down(name: &str, x: f64, y: f64, z: f64) -> View {
+    view(name, [x, y, z], [x, y, 0.0])
+}
+
+/// Gentle hills.
+fn ground(x: f64, y: f64) -> Point3<f64> {
+    Point3::new(x, y, (0.3 * x).sin() + (0.2 * y).cos())
+}
+
+fn square(middle: f64, half: i32) -> impl Iterator<Item = Point3<f64>> {
+    (-half..=half).flat_map(move |i| (-half..=half).map(move |j| ground(middle + f64::from(i), f64::from(j))))
+}
+
+/// Every view observes every point that its image holds, unless `lost` says otherwise (view by its name, and the point).
+fn scene_of(
+    mut views: Vec<View>,
+    points: impl Iterator<Item = Point3<f64>>,
+    lost: impl Fn(&str, &Point3<f64>) -> bool,
+) -> Scene {
+    views.sort_by(|a, b| a.name.cmp(&b.name));
+    let camera = Camera::new(1, CameraModel::Pinhole, 1000, 750, vec![850.0, 850.0, 500.0, 375.0]).unwrap();
+    let mut scene = Scene { cameras: vec![camera], views, track_offsets: vec![0], ..Default::default() };
+    for (i, view) in scene.views.iter_mut().enumerate() {
+        (view.image_id, view.file_position) = (i as u32 + 1, i as u32);
+    }
+    for point in points {
+        add_point(&mut scene, point, |name| !lost(name, &point));
+    }
+    scene
+}
+
+fn add_point(scene: &mut Scene, point: Point3<f64>, observes: impl Fn(&str) -> bool) {
+    for v in (0..scene.views.len() as u32).map(ViewIndex) {
+        let pixel = scene.camera_of(v).project(&scene.view(v).cam_from_world.camera_from_world(&point));
+        if let Some(pixel) = pixel.filter(|p| scene.camera_of(v).contains(p) && observes(scene.name(v))) {
+            scene.track_views.push(v);
+            scene.track_pixels.push([pixel.x, pixel.y]);
+        }
+    }
+    scene.points.push(point);
+    scene.point_ids.push(scene.points.len() as u64);
+    scene.colours.push([128; 3]);
+    scene.track_offsets.push(scene.track_views.len());
+}
+
+/// Five by five views, 8 m apart, 40 m up.
+fn block(middle: f64, prefix: &str) -> Vec<View> {
+    let at = |i: i32| 8.0 * f64::from(i - 2);
+    (0..25).map(|i| down(&format!("{prefix}{i:02}.jpg"), middle + at(i % 5), at(i / 5), 40.0)).collect()
+}
+
+fn healthy() -> Scene {
+    scene_of(block(0.0, "n"), square(0.0, 34), |_, _| false)
+}
+
+/// A project in a folder of its own, without images.
+fn project(format: ModelFormat) -> (TempDir, Project) {
+    let folder = tempfile::tempdir().unwrap();
+    let model = ModelLocation { format, path: folder.path().join("sparse/0"), registered: 25 };
+    fs::create_dir_all(&model.path).unwrap();
+    let project = Project {
+        root: folder.path().into(),
+        kind: ProjectKind::Colmap,
+        model,
+        other_models: Vec::new(),
+        images: None,
+        dense_workspace: None,
+    };
+    (folder, project)
+}
+
+/// What is found, partners judged for one backend.
+fn visit(scene: &Scene, backend: &str, settings: &Settings) -> Vec<Finding> {
+    let (_folder, project) = project(ModelFormat::ColmapBinary);
+    examine(&project, scene, settings, &[backends::by_name(backend).unwrap()])
+}
+
+fn found<'a>(findings: &'a [Finding], check: &str) -> &'a Finding {
+    let found = findings.iter().find(|finding| finding.check == check);
+    found.unwrap_or_else(|| panic!("no {check} in {findings:#?}"))
+}
+
+/// What is said of one view in a finding.
+fn said<'a>(finding: &'a Finding, view: &str) -> &'a str {
+    let found = finding.views.iter().find(|(name, _)| name == view);
+    &found.unwrap_or_else(|| panic!("nothing of {view} in {finding:#?}")).1
+}
+
+/// The healthy block with more views.
+fn block_with(more: Vec<View>) -> Scene {
+    scene_of(block(0.0, "n").into_iter().chain(more).collect(), square(0.0, 34), |_, _| false)
+}
+
+#[test]
+fn a_healthy_project_has_no_findings() {
+    let (_folder, project) = project(ModelFormat::ColmapBinary);
+    for backend in backends::all() {
+        let order: Vec<&dyn Backend> = std::iter::once(*backend).chain(backends::all().iter().copied()).collect();
+        assert_eq!(examine(&project, &healthy(), &Settings::default(), &order), [], "{}", backend.name());
+    }
+}
+
+#[test]
+fn a_view_without_shared_points() {
+    let views = block(0.0, "n").into_iter().chain([down("far.jpg", 500.0, 0.0, 40.0)]).collect();
+    let scene = scene_of(views, square(0.0, 34).chain(square(500.0, 20)), |_, _| false);
+    let findings = visit(&scene, "sure", &Settings::default());
+    let finding = found(&findings, "too-few-partners");
+    assert_eq!((finding.views.len(), finding.severity), (1, Severity::Note), "one of many");
+    assert!(said(finding, "far.jpg").contains("too few sparse points in common"));
+}
+
+#[test]
+fn views_at_one_position() {
+    let turned = |name: &str, aside: f64| view(name, [0.0, 0.0, 40.0], [aside, 3.0, 0.0]);
+    let findings =
+        visit(&block_with(vec![turned("p1.jpg", 2.0), turned("p2.jpg", -4.0)]), "sure", &Settings::default());
+    let finding = found(&findings, "one-position");
+    assert_eq!(said(finding, "p1.jpg"), "with n12.jpg");
+    assert_eq!((said(finding, "p2.jpg"), finding.severity), ("with n12.jpg", Severity::Warning));
+
+    let panorama = (0..6).map(|i| turned(&format!("p{i}.jpg"), f64::from(i))).collect();
+    let findings = visit(&scene_of(panorama, square(0.0, 34), |_, _| false), "sure", &Settings::default());
+    assert_eq!(found(&findings, "one-position").severity, Severity::Error);
+    let alone = found(&findings, "too-few-partners");
+    assert_eq!((alone.views.len(), alone.severity), (6, Severity::Error));
+    assert!(said(alone, "p3.jpg").contains("5 no baseline"));
+}
+
+/// Two views that one limit of the backend keeps apart.
+#[track_caller]
+fn kept_apart(views: [View; 2], backend: &str, reason: &str) {
+    let name = views[0].name.clone();
+    let findings = visit(&scene_of(views.into(), square(0.0, 60), |_, _| false), backend, &Settings::default());
+    let words = said(found(&findings, "too-few-partners"), &name).to_owned();
+    assert_eq!(words, format!("0 partners; refused: 1 {reason}"));
+}
+
+#[test]
+fn the_reasons_of_refused_pairs() {
+    let middle = || down("a.jpg", 0.0, 0.0, 40.0);
+    kept_apart([middle(), down("b.jpg", 1.2, 0.0, 40.0)], "colmap", "angle too small");
+    kept_apart([middle(), down("b.jpg", 8.0, 0.0, 150.0)], "colmap", "scale too different");
+    let aside = |name: &str, x: f64| view(name, [x, 0.0, 30.0], [0.0, 0.0, 0.0]);
+    kept_apart([aside("a.jpg", -28.0), aside("b.jpg", 28.0)], "colmap", "angle too large");
+    kept_apart([middle(), down("b.jpg", 0.0, 0.0, 35.0)], "sure", "flying along the line of sight");
+}
+
+#[test]
+fn fewer_partners_than_wanted() {
+    let row = (0..4).map(|i| down(&format!("{i}.jpg"), 8.0 * f64::from(i), 0.0, 40.0)).collect();
+    let findings = visit(&scene_of(row, square(0.0, 60), |_, _| false), "colmap", &Settings::default());
+    let finding = found(&findings, "fewer-partners-than-k");
+    assert_eq!((finding.views.len(), finding.severity), (4, Severity::Note));
+    assert!(said(finding, "0.jpg").starts_with("3 partners"));
+}
+
+/// A view whose points on the side of `copied` are copies that nobody else observes.
+fn with_copies(copied: impl Fn(&Point3<f64>) -> bool) -> Scene {
+    let mut scene = scene_of(block(0.0, "n"), square(0.0, 34), |name, point| name == "n12.jpg" && copied(point));
+    for point in square(0.0, 34).filter(|point| copied(point)) {
+        add_point(&mut scene, point, |name| name == "n12.jpg");
+    }
+    scene
+}
+
+#[test]
+fn far_too_few_shared_points() {
+    let hold = |point: &Point3<f64>| (point.x as i32) % 13 == 0 && (point.y as i32) % 13 == 0;
+    let findings = visit(&with_copies(|point| !hold(point)), "sure", &Settings::default());
+    let finding = found(&findings, "far-too-few-shared-points");
+    assert_eq!((finding.views.len(), finding.severity), (1, Severity::Warning));
+    assert!(said(finding, "n12.jpg").contains(" points that n"));
+}
+
+#[test]
+fn shared_points_on_one_side_only() {
+    let findings = visit(&with_copies(|point| point.x > 0.0), "sure", &Settings::default());
+    let finding = found(&findings, "one-sided-links");
+    assert!(finding.views.iter().any(|(name, _)| name == "n12.jpg") && finding.views.len() < 4, "{finding:#?}");
+}
+
+#[test]
+fn a_model_in_parts() {
+    let views = block(0.0, "n").into_iter().chain(block(500.0, "z").into_iter().take(10)).collect();
+    let scene = scene_of(views, square(0.0, 34).chain(square(500.0, 34)), |_, _| false);
+    let findings = visit(&scene, "sure", &Settings::default());
+    let finding = found(&findings, "model-in-parts");
+    assert!(finding.what.contains("2 parts of 25, 10 views") && finding.views.len() == 10, "{finding:#?}");
+}
+
+#[test]
+fn units_that_cannot_be_true() {
+    let mut far = healthy();
+    far.points.iter_mut().for_each(|p| p.coords *= 1e5);
+    far.views.iter_mut().for_each(|v| v.cam_from_world.translation *= 1e5);
+    let metric = Settings { units: Some(Units::Metric), ..Default::default() };
+    assert_eq!(found(&visit(&far, "sure", &metric), "impossible-units").severity, Severity::Error);
+    assert_eq!(visit(&far, "sure", &Settings::default()), [], "without metres any unit is as good as another");
+    assert_eq!(visit(&healthy(), "sure", &metric), []);
+    let target = TargetSettings { gsd: Some(5.0), ..Default::default() };
+    let findings = visit(&healthy(), "sure", &Settings { target, ..Default::default() });
+    assert!(found(&findings, "impossible-target").what.contains("times coarser"));
+}
+
+#[test]
+fn cameras_and_poses_that_cannot_be_true() {
+    let mut scene = healthy();
+    scene.cameras[0] = Camera::new(1, CameraModel::Pinhole, 1000, 750, vec![24.0, 24.0, 500.0, 375.0]).unwrap();
+    let finding = visit(&scene, "sure", &Settings::default());
+    assert!(found(&finding, "impossible-camera").what.contains("24.0"), "millimetres");
+
+    let mut scene = healthy();
+    let turn = Rotation3::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI);
+    let pose = &mut scene.views[3].cam_from_world;
+    (pose.rotation, pose.translation) = (turn * pose.rotation, turn * pose.translation);
+    let findings = visit(&scene, "sure", &Settings::default());
+    assert_eq!(found(&findings, "points-behind-cameras").views, [("n03.jpg".to_owned(), String::new())]);
+
+    let mut scene = healthy();
+    scene.track_pixels.iter_mut().for_each(|pixel| pixel[0] += 30.0);
+    assert!(found(&visit(&scene, "sure", &Settings::default()), "large-reprojection-error").what.contains("30.0 px"));
+}
+
+#[test]
+fn images_that_are_not_the_models() {
+    let (folder, mut project) = project(ModelFormat::ColmapBinary);
+    let images = folder.path().join("images");
+    fs::create_dir(&images).unwrap();
+    project.images = Some(images.clone());
+    let sure = [backends::by_name("sure").unwrap()];
+    let findings = examine(&project, &healthy(), &Settings::default(), &sure);
+    assert_eq!(found(&findings, "missing-images").views.len(), 25);
+    image::RgbImage::new(20, 10).save(images.join("n00.jpg")).unwrap();
+    let findings = examine(&project, &healthy(), &Settings::default(), &sure);
+    assert!(found(&findings, "images-of-another-size").what.contains("20 x 10 px"));
+}
+
+#[test]
+fn distorted_cameras_are_undistorted_first() {
+    let mut scene = healthy();
+    scene.cameras[0] = Camera::new(1, CameraModel::SimpleRadial, 1000, 750, vec![850.0, 500.0, 375.0, 1e-9]).unwrap();
+    let findings = visit(&scene, "colmap", &Settings::default());
+    assert!(found(&findings, "distorted-images").cure.contains("colmap image_undistorter"));
+    assert_eq!(visit(&scene, "micmac", &Settings::default()), [], "MicMac has its own calibrations");
+}
+
+/// The trap that a backend reports of a project with these names for the first views; every other finding is none of its.
+#[track_caller]
+fn trapped(backend: &str, names: &[&str], trap: &str) -> Finding {
+    let mut scene = healthy();
+    scene.views.iter_mut().zip(names).for_each(|(view, name)| view.name = (*name).into());
+    let findings = visit(&scene, backend, &Settings::default());
+    let finding = found(&findings, trap);
+    assert!(!finding.cure.is_empty() && finding.backends == [backend] && finding.severity == Severity::Warning);
+    finding.clone()
+}
+
+#[test]
+fn names_that_backends_cannot_take() {
+    for name in ["a,b.jpg", "a;b.jpg", "#1.jpg", " 1.jpg"] {
+        assert_eq!(trapped("colmap", &[name], "colmap-name").views[0].0, name);
+    }
+    trapped("sure", &["#1.jpg"], "sure-name");
+    trapped("sure", &["a/1.jpg", "a_1.tif"], "sure-same-stem");
+    trapped("micmac", &["a b.jpg"], "micmac-name");
+    trapped("micmac", &["a/b.jpg"], "micmac-name");
+    trapped("mve", &["1.tif"], "mve-extension");
+    trapped("pmvs", &["1.webp"], "pmvs-extension");
+    trapped("splat", &["a/1.jpg", "b/1.x.jpg"], "splat-duplicate-names");
+    assert_eq!(trapped("metashape", &["a/1.jpg", "b/1.jpg"], "metashape-duplicate-labels").views.len(), 2);
+    trapped("realityscan", &["1.jpg", "1.png"], "realityscan-xmp-same-stem");
+}
+
+#[test]
+fn a_view_without_points_stops_some_backends() {
+    let scene = scene_of(block(0.0, "n"), square(0.0, 34), |name, _| name == "n07.jpg");
+    for (backend, trap) in [
+        ("colmap", "colmap-key-view-without-points"),
+        ("gipuma", "gipuma-depth-range-mandatory"),
+        ("mvsnet", "mvsnet-depth-range"),
+    ] {
+        let findings = visit(&scene, backend, &Settings::default());
+        assert_eq!(found(&findings, trap).views, [("n07.jpg".to_owned(), String::new())]);
+    }
+}
+
+#[test]
+fn images_of_several_widths_and_colmap_4() {
+    let mut scene = healthy();
+    scene.cameras.push(Camera::new(2, CameraModel::Pinhole, 900, 750, vec![850.0, 850.0, 500.0, 375.0]).unwrap());
+    scene.views[4].camera = CameraIndex(1);
+    let findings = visit(&scene, "colmap", &Settings::default());
+    assert_eq!(found(&findings, "colmap-4x-mixed-width-sources").views.len(), 1);
+}
+
+/// The traps of a project whose files `prepare` has made.
+fn traps_in(format: ModelFormat, backend: &str, scene: &Scene, prepare: impl Fn(&Path, &mut Project)) -> Vec<Finding> {
+    let (folder, mut project) = project(format);
+    prepare(folder.path(), &mut project);
+    examine(&project, scene, &Settings::default(), &[backends::by_name(backend).unwrap()])
+}
+
+fn write(path: std::path::PathBuf, text: &str) {
+    fs::create_dir_all(path.parent().unwrap()).unwrap();
+    fs::write(path, text).unwrap();
+}
+
+#[test]
+fn files_that_lie_in_the_way() {
+    let healthy = healthy();
+    let dense = "opensfm/undistorted/openmvs/scene_dense_dense_filtered.ply";
+    let findings = traps_in(ModelFormat::OpenSfm, "odm", &healthy, |root, _| write(root.join(dense), ""));
+    assert!(found(&findings, "odm-existing-model-skips-stage").cure.starts_with("rm "));
+
+    let findings = traps_in(ModelFormat::ColmapBinary, "colmap", &healthy, |root, _| {
+        write(root.join("sparse/0/images.txt"), "# none\n");
+    });
+    assert!(found(&findings, "colmap-bin-beats-txt").cure.contains("rm "));
+
+    let poses = "<x xcr:PosePrior=\"initial\"/>";
+    let findings = traps_in(ModelFormat::ColmapBinary, "realityscan", &healthy, |root, project| {
+        healthy.views.iter().for_each(|view| write(root.join("images").join(&view.name), ""));
+        write(root.join("images/n00.xmp"), poses);
+        project.images = Some(root.join("images"));
+    });
+    assert_eq!(found(&findings, "realityscan-existing-xmp-poses").views.len(), 1);
+}
+
+#[test]
+fn models_that_lose_something_in_their_format() {
+    let mut named = healthy();
+    named.views[0].name = "a b.jpg".into();
+    let findings = traps_in(ModelFormat::ColmapText, "colmap", &named, |_, _| {});
+    assert_eq!(found(&findings, "colmap-text-model-blank-name").views[0].0, "a b.jpg");
+    assert_eq!(traps_in(ModelFormat::ColmapBinary, "colmap", &named, |_, _| {}), []);
+
+    let mut far = healthy();
+    let offset = Vector3::new(500_000.0, 5_400_000.0, 0.0);
+    far.points.iter_mut().for_each(|p| *p += offset);
+    for view in &mut far.views {
+        let pose = &mut view.cam_from_world;
+        pose.translation -= pose.rotation * offset;
+    }
+    let findings = traps_in(ModelFormat::OpenMvs, "openmvs", &far, |_, _| {});
+    assert!(found(&findings, "openmvs-far-from-origin").what.contains("5400"));
+    assert_eq!(traps_in(ModelFormat::ColmapBinary, "openmvs", &far, |_, _| {}), []);
+}
