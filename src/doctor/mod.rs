@@ -113,12 +113,10 @@ fn distorted(visit: &Visit, backends: &[&dyn Backend]) -> Option<Finding> {
     let of_view = |v: &ViewIndex| !visit.scene.camera_of(*v).is_pinhole();
     let camera = visit.scene.camera_of(visit.scene.view_indices().find(of_view)?).model().name();
     let refuse: Vec<&'static str> = backends.iter().filter(|b| !b.takes_distorted()).map(|b| b.name()).collect();
-    let (root, model) = (visit.project.root.display(), visit.project.model.path.display());
+    let root = visit.project.root.display();
     let cure = match &visit.project.dense_workspace {
         Some(dense) if *dense != visit.project.root => format!("viewrank plan {}", dense.display()),
-        _ => format!(
-            "colmap image_undistorter --image_path {root}/images --input_path {model} --output_path {root}/dense, then viewrank plan {root}/dense"
-        ),
+        _ => format!("viewrank undistort {root}, then viewrank plan {root}/dense"),
     };
     let what = format!("the cameras are {camera}, and these programs want images without lens distortion");
     let finding = Finding::new(Severity::Note, "distorted-images", what, cure);

@@ -230,6 +230,10 @@ class Scene {
   drawScale() {
     const { context } = this, wanted = 110 / this.camera.scale, power = 10 ** Math.floor(Math.log10(wanted));
     const length = [5, 2, 1].map(m => m * power).find(l => l <= wanted) || power, px = length * this.camera.scale;
+    context.fillStyle = theme.card;
+    context.globalAlpha = 0.75;
+    context.fillRect(6, this.height - 34, px + 12, 28);
+    context.globalAlpha = 1;
     context.strokeStyle = context.fillStyle = theme.text;
     context.lineWidth = 2;
     context.beginPath();
