@@ -137,9 +137,9 @@ impl Gate {
             Some(Obstacle::FewSharedPoints)
         } else if pair.angle_deg > self.max_angle_deg {
             Some(Obstacle::LargeAngle)
-        } else if !(pair.angle_deg >= self.min_angle_deg) {
+        } else if pair.angle_deg < self.min_angle_deg || pair.angle_deg.is_nan() {
             Some(Obstacle::SmallAngle)
-        } else if !(pair.scale_octaves.abs() <= self.max_scale_octaves) {
+        } else if pair.scale_octaves.abs() > self.max_scale_octaves || pair.scale_octaves.is_nan() {
             Some(Obstacle::Scale)
         } else {
             (!self.epipole_inside && pair.epipole_inside).then_some(Obstacle::Epipole)

@@ -65,7 +65,7 @@ pub fn findings(visit: &Visit) -> Vec<Finding> {
 /// What two views have in common by geometry and by the tracks.
 struct Overlap {
     other: ViewIndex,
-    /// Points of the one in sight of the other, on two sides of their middle, and those of them that both observe.
+    /// Points of the one in sight of the other, in the left and right third of them, and those of them that both observe.
     seen: [usize; 2],
     shared: [usize; 2],
 }
@@ -78,7 +78,7 @@ impl Overlap {
 
     fn one_sided(&self) -> bool {
         let share = [0, 1].map(|side| self.shared[side] as f64 / self.seen[side].max(1) as f64);
-        self.seen.iter().all(|&n| n >= ENOUGH / 2)
+        self.seen.iter().all(|&n| n >= ENOUGH / 4)
             && share[0].max(share[1]) >= PRESENT
             && share[0].min(share[1]) < FAR_TOO_FEW
     }
@@ -129,7 +129,8 @@ fn overlap(visit: &Visit, view: ViewIndex, other: ViewIndex, sample: &[PointInde
         return None;
     }
     seen.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let (left, right) = seen.split_at(seen.len() / 2);
+    let third = seen.len() / 3;
+    let (left, right) = (&seen[..third], &seen[seen.len() - third..]);
     let shared = [left, right].map(|side| side.iter().filter(|(_, shared)| *shared).count());
     Some(Overlap { other, seen: [left.len(), right.len()], shared })
 }
