@@ -7,7 +7,6 @@ use rayon::prelude::*;
 use super::{Finding, Severity, Visit};
 use crate::{
     backends::Obstacle,
-    config::PartnerCount,
     partners::{PairGeometry, neighbours},
     plan::Reason,
     scene::ViewIndex,
@@ -96,10 +95,7 @@ impl Looked {
 /// Two findings: views that can be no key view at all, and key views with fewer than k partners.
 fn too_few(visit: &Visit, looked: &[Looked]) -> Vec<Finding> {
     let least = visit.settings.coverage.min_cameras.saturating_sub(1).max(1) as usize;
-    let wanted = match visit.settings.partners.k {
-        PartnerCount::Fixed(k) => k as usize,
-        PartnerCount::Auto(_) => least,
-    };
+    let wanted = visit.settings.partners.k as usize;
     let of = |few: &dyn Fn(usize) -> bool| -> Vec<(String, String)> {
         looked.iter().filter(|l| few(l.partners)).map(|l| (visit.name(l.view), l.words())).collect()
     };
