@@ -189,7 +189,8 @@ mod tests {
         let fixture = Fixture::new();
         let mut beliefs = fixture.beliefs();
         let key = ViewIndex(0);
-        beliefs.learn(key, &[Attempt::new(0, 1000, 0.9, 0.0)]);
+        let attempt = Attempt::new(0, 1000, 0.9, 0.0);
+        beliefs.learn(key, &[attempt]);
         let own = Look::new(&fixture.scene, &fixture.surface, key, 0);
         let alike = |c: usize| own.similarity(&Look::new(&fixture.scene, &fixture.surface, fixture.clusters[c].key, 0));
         let mut by_likeness: Vec<usize> = (0..fixture.clusters.len()).collect();
@@ -198,7 +199,11 @@ mod tests {
         assert_eq!(by_likeness[0], 0);
         assert!(values[0] < 0.3 * 0.8, "tried from there: {}", values[0]);
         assert!(values.windows(2).all(|w| w[0] <= w[1]));
-        assert!(values[values.len() - 1] > 3.0 * values[0], "not tried from there: {}", values[values.len() - 1]);
+        assert!(values[values.len() - 1] > 2.0 * values[0], "not tried from there: {}", values[values.len() - 1]);
+        for (&c, value) in by_likeness.iter().zip(&values) {
+            let expected = 0.8 * TRUST / (TRUST + alike(c) as f32 * attempt.promised);
+            assert!((value - expected).abs() < 1e-6, "{value} {expected}");
+        }
         assert!(by_likeness.iter().all(|&c| beliefs.row(c).1[1] == 0.4), "the other triangle was not tried");
     }
 
