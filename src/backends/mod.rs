@@ -429,6 +429,8 @@ pub enum BackendError {
     Option { option: &'static str, backends: String },
     #[error("{backend} needs {what}")]
     Needs { backend: &'static str, what: String, hint: String },
+    #[error("the export would write {}, which is the project's own", _0.display())]
+    OwnFile(PathBuf),
     #[error(transparent)]
     Model(Box<ProjectError>),
 }
@@ -451,6 +453,7 @@ impl Hint for BackendError {
                 format!("leave it out; it is for {}", heed.collect::<Vec<_>>().join(", "))
             }
             Self::Needs { hint, .. } => hint.clone(),
+            Self::OwnFile(_) => "write to another folder with --out".into(),
             Self::Model(error) => return error.hint(),
         })
     }

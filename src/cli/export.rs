@@ -1,6 +1,6 @@
 //! `viewrank export`: writes a plan for other backends, or with another cut, without planning again.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::Args;
 use serde::Serialize;
@@ -11,6 +11,7 @@ use viewrank::{
     config::{Budget, Share},
     manifest::WrittenPlan,
     output::{Disk, FileSet, Written},
+    project::Project,
     tiles,
 };
 
@@ -97,6 +98,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     // All are made before any is written: a name that one of them cannot take stops the others too.
     let export = |backend: &&dyn Backend| backend.export(&selection, &arguments.options(*backend, backends.len()));
     let exports: Vec<Export> = backends.iter().map(export).collect::<Result<_, BackendError>>()?;
+    exports.iter().try_for_each(|export| spare_own_files(&export.files, &plan.project))?;
     let reports = exports.into_iter().map(|export| write(export, &plan, arguments.dry_run));
     let reports: Vec<Report> = reports.collect::<Result<_, Failure>>()?;
     match arguments.format {
@@ -153,6 +155,7 @@ fn export_tiles(
         let mut set = FileSet::new(if in_project { &plan.project.root } else { &folder }, &format!("export-{named}"));
         let mut text = String::new();
         for (Export { files, record }, clusters) in exports.into_iter().zip(&parts) {
+            spare_own_files(&files, &plan.project)?;
             let command = record.runner.as_ref().or(record.commands.first()).cloned().unwrap_or_default();
             text += &format!("{}: {} view clusters; run there {command}\n", files.root.display(), clusters.len());
             set.absorb(files);
@@ -163,6 +166,28 @@ fn export_tiles(
         print(&text)?;
     }
     Ok(())
+}
+
+/// Refuses what would lie among the images of the project or in place of its model: links to images would lead in circles there, and the next
+/// plan would be made from the model of this one.
+fn spare_own_files(files: &FileSet, project: &Project) -> Result<(), BackendError> {
+    let place = |path: &Path| match (path.parent().and_then(|folder| folder.canonicalize().ok()), path.file_name()) {
+        (Some(folder), Some(name)) => folder.join(name),
+        _ => path.to_path_buf(),
+    };
+    let folder = |path: &Path| path.canonicalize().unwrap_or_else(|_| path.to_path_buf());
+    // Images beside everything else of a project do not make all of it a folder of images.
+    let images = project.images.as_deref().map(folder).filter(|images| !folder(&project.root).starts_with(images));
+    let model: Vec<PathBuf> = project.model_files().iter().map(|file| place(file)).collect();
+    let is_own = |path: &PathBuf| {
+        let path = place(path);
+        let is_model = model.iter().any(|file| file.with_extension("") == path.with_extension(""));
+        is_model || images.as_ref().is_some_and(|images| path.starts_with(images))
+    };
+    match files.files.keys().map(|name| files.root.join(name)).find(is_own) {
+        Some(path) => Err(BackendError::OwnFile(path)),
+        None => Ok(()),
+    }
 }
 
 /// Files in the project belong to a set of the project, like those of `viewrank plan`: the one follows the other.
