@@ -6,7 +6,6 @@ use std::{
 };
 
 use clap::Args;
-use rayon::ThreadPoolBuilder;
 use serde::Serialize;
 use viewrank::{
     evaluate::{self, Compared, Evaluation, Measure, Reached, Run, Task, clusters, orders},
@@ -17,7 +16,7 @@ use viewrank::{
     ranking,
 };
 
-use super::{Failure, Format, json, print, progress::Progress};
+use super::{Failure, Format, json, print, progress::Progress, use_threads};
 
 /// Measure finished depth maps: what was really reached, what is missing and why.
 ///
@@ -68,10 +67,7 @@ pub struct Arguments {
 }
 
 pub fn run(arguments: &Arguments) -> Result<(), Failure> {
-    if let Some(threads) = arguments.threads {
-        let pool = ThreadPoolBuilder::new().num_threads(threads.into()).build_global();
-        pool.expect("no other pool was made before");
-    }
+    use_threads(arguments.threads);
     let progress = Progress::new(arguments.quiet);
     let (project, plan) = plan::again(&arguments.project, &progress)?;
     match (&arguments.write_baselines, &arguments.compare, &arguments.depth_maps) {

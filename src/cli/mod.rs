@@ -27,6 +27,7 @@ use std::{
 };
 
 use clap::{Parser, Subcommand};
+use rayon::ThreadPoolBuilder;
 use viewrank::error::Hint;
 
 /// How the program ends.
@@ -85,6 +86,14 @@ fn print(text: &str) -> Result<(), Failure> {
             Err(Failure { exit: Exit::Failed, message: format!("cannot write to stdout: {error}"), hint: None })
         }
         _ => Ok(()),
+    }
+}
+
+/// Makes the pool of threads that everything runs on, of the size that was typed; without one it has a thread per core.
+fn use_threads(threads: Option<u16>) {
+    if let Some(threads) = threads {
+        let pool = ThreadPoolBuilder::new().num_threads(threads.into()).build_global();
+        pool.expect("no other pool was made before");
     }
 }
 

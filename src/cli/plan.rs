@@ -3,7 +3,6 @@
 use std::path::PathBuf;
 
 use clap::Args;
-use rayon::ThreadPoolBuilder;
 use viewrank::{
     confidence,
     config::Typed,
@@ -16,7 +15,7 @@ use viewrank::{
     tables,
 };
 
-use super::{Failure, Format, config, json, print, progress::Progress, summary::Summary};
+use super::{Failure, Format, config, json, print, progress::Progress, summary::Summary, use_threads};
 
 /// Rank the view clusters of a project and write the plan to PROJECT/viewrank.
 ///
@@ -112,10 +111,7 @@ pub struct Arguments {
 }
 
 pub fn run(arguments: &Arguments) -> Result<(), Failure> {
-    if let Some(threads) = arguments.threads {
-        let pool = ThreadPoolBuilder::new().num_threads(threads.into()).build_global();
-        pool.expect("no other pool was made before");
-    }
+    use_threads(arguments.threads);
     let project = Project::open(&arguments.project, arguments.model.as_deref())?;
     let settings = config::load(Some(&project.root), arguments.typed())?.settings;
     let progress = Progress::new(arguments.quiet);

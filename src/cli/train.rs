@@ -3,7 +3,6 @@
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use rayon::ThreadPoolBuilder;
 use viewrank::{
     backends,
     confidence::{
@@ -20,7 +19,7 @@ use viewrank::{
     project::Project,
 };
 
-use super::{Failure, Format, config, json, print, progress::Progress};
+use super::{Failure, Format, config, json, print, progress::Progress, use_threads};
 
 /// Learn from finished depth maps where a backend succeeds.
 ///
@@ -65,10 +64,7 @@ struct Prepared {
 }
 
 pub fn run(arguments: &Arguments) -> Result<(), Failure> {
-    if let Some(threads) = arguments.threads {
-        let pool = ThreadPoolBuilder::new().num_threads(threads.into()).build_global();
-        pool.expect("no other pool was made before");
-    }
+    use_threads(arguments.threads);
     let progress = Progress::new(arguments.quiet);
     let prepared: Vec<Prepared> =
         arguments.projects.iter().map(|root| prepare(arguments, root, &progress)).collect::<Result<_, _>>()?;
@@ -91,7 +87,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
 
 fn prepare(arguments: &Arguments, root: &Path, progress: &Progress) -> Result<Prepared, Failure> {
     let project = Project::open(root, None)?;
-    let folder = train::folder(&project.root, project.dense_workspace.as_deref(), &arguments.depth_maps);
+    let folder = depthmaps::folder_of(&project.root, project.dense_workspace.as_deref(), &arguments.depth_maps);
     let mut typed = Typed::default();
     typed.set("train", "confidence.source", Some("geometric"));
     let mut settings = config::load(Some(&project.root), typed)?.settings;

@@ -3,7 +3,7 @@
 //! Everything that is fitted to the output of something else that was trained (the calibration, the curves that take the picture's promise) sees
 //! predictions for what was left out: with several projects those of the other half of the projects, with one the other half of its views.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use rand_core::{Rng, SeedableRng};
@@ -181,17 +181,8 @@ impl Lesson<'_> {
         let mut finished: Vec<Option<Finished>> = self.model.scene.views.iter().map(|_| None).collect();
         let read = |file: &DepthMapFile| {
             watcher.check()?;
-            let map = depthmaps::read(&file.path, file.format)?;
-            let camera = self.model.scene.camera_of(file.view);
-            let view = || self.model.scene.name(file.view).to_string();
-            if !camera.is_pinhole() {
-                return Err(TrainError::Distorted { view: view(), model: camera.model().name() });
-            }
-            if !map.fits(camera) {
-                let (map, image) = ([map.width, map.height], [camera.width, camera.height]);
-                return Err(TrainError::Shape { path: file.path.clone(), map, view: view(), image });
-            }
-            Ok(map.thinned(MOST_MAP_BYTES / self.maps.len().max(1)))
+            let map = depthmaps::read_of_view(file, self.model.scene)?;
+            Ok::<_, TrainError>(map.thinned(MOST_MAP_BYTES / self.maps.len().max(1)))
         };
         let maps: Vec<_> = self.maps.par_iter().map(read).collect::<Result<_, _>>()?;
         for (file, map) in self.maps.iter().zip(maps) {
@@ -394,10 +385,6 @@ pub enum TrainError {
         "no two depth maps see the same place from viewpoints 5 degrees apart, so that none can be judged by others"
     )]
     NothingJudged,
-    #[error("view {view} has a {model} camera, depth maps are of undistorted images")]
-    Distorted { view: String, model: &'static str },
-    #[error("{}: {} x {} pixels do not have the shape of {view}, {} x {}", .path.display(), .map[0], .map[1], .image[0], .image[1])]
-    Shape { path: PathBuf, map: [u32; 2], view: String, image: [u32; 2] },
     #[error(transparent)]
     Cancelled(#[from] Cancelled),
 }
@@ -408,22 +395,7 @@ impl Hint for TrainError {
             Self::DepthMap(error) => return error.hint(),
             Self::NoCluster(_) => "keep the matcher's report beside its maps, or plan the project first".into(),
             Self::NothingJudged => "train on depth maps of more views, at best of a whole plan".into(),
-            Self::Distorted { .. } => "train in the undistorted workspace that the depth maps were made in".into(),
-            Self::Shape { .. } => "give depth maps of these images, whole and not cropped".into(),
             Self::Cancelled(_) => return None,
         })
     }
-}
-
-/// Where `--depth-maps` points in a project: the folders of a kind of program, or a folder's name.
-pub fn folder(project: &Path, dense: Option<&Path>, kind: &str) -> PathBuf {
-    let candidates: Vec<PathBuf> = match kind {
-        "colmap" => dense.map(|dense| dense.join("stereo/depth_maps")).into_iter().collect(),
-        "sgm" | "openmvs" | "mvsnet" | "patchmatchnet" | "acmm" => {
-            [project.join(kind), project.join("viewrank").join(kind), project.join("export").join(kind)].into()
-        }
-        other => vec![project.join(other)],
-    };
-    let there = candidates.iter().find(|folder| folder.is_dir());
-    there.or(candidates.first()).cloned().unwrap_or_else(|| project.into())
 }

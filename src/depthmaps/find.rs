@@ -49,6 +49,19 @@ pub fn folders(project: &Path) -> Vec<PathBuf> {
     FOLDERS.iter().map(|folder| project.join(folder)).filter(|folder| folder.is_dir()).collect()
 }
 
+/// Where the depth maps of a kind of program lie in a project (`dense`: its dense workspace); of another word, the folder of that name.
+pub fn folder_of(project: &Path, dense: Option<&Path>, kind: &str) -> PathBuf {
+    let candidates: Vec<PathBuf> = match kind {
+        "colmap" => dense.map(|dense| dense.join("stereo/depth_maps")).into_iter().collect(),
+        "sgm" | "openmvs" | "mvsnet" | "patchmatchnet" | "acmm" => {
+            [project.join(kind), project.join("viewrank").join(kind), project.join("export").join(kind)].into()
+        }
+        other => vec![project.join(other)],
+    };
+    let there = candidates.iter().find(|folder| folder.is_dir());
+    there.or(candidates.first()).cloned().unwrap_or_else(|| project.into())
+}
+
 /// Finds the depth maps under `folder`. Of a photometric and a geometric map (COLMAP, ACMM) the geometric one is taken.
 pub fn find(folder: &Path, scene: &Scene) -> Result<DepthMapSet, DepthMapError> {
     let mut best: BTreeMap<ViewIndex, (u8, PathBuf, DepthMapFormat)> = BTreeMap::new();

@@ -13,9 +13,9 @@ use std::path::{Path, PathBuf};
 
 use nalgebra::Point2;
 
-use crate::{camera::Camera, error::Hint};
+use crate::{camera::Camera, error::Hint, scene::Scene};
 
-pub use find::{DepthMapFile, DepthMapSet, FOLDERS, find, folders, looks_like_one};
+pub use find::{DepthMapFile, DepthMapSet, FOLDERS, find, folder_of, folders, looks_like_one};
 
 /// Formats of depth maps.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
@@ -155,6 +155,10 @@ pub enum DepthMapError {
     Names { path: PathBuf, what: String },
     #[error("two depth maps of view {view}: {first} and {second}")]
     Twice { view: String, first: PathBuf, second: PathBuf },
+    #[error("view {view} has a {model} camera, depth maps are of undistorted images")]
+    Distorted { view: String, model: &'static str },
+    #[error("{}: {} x {} pixels do not have the shape of {view}, {} x {}", .path.display(), .map[0], .map[1], .image[0], .image[1])]
+    Shape { path: PathBuf, map: [u32; 2], view: String, image: [u32; 2] },
 }
 
 impl Hint for DepthMapError {
@@ -168,6 +172,8 @@ impl Hint for DepthMapError {
             }
             Self::Names { .. } => "give the view_names.txt that `viewrank export` writes beside pair.txt",
             Self::Twice { .. } => "give a folder that holds the depth maps of one run",
+            Self::Distorted { .. } => "work in the undistorted workspace that the depth maps were made in",
+            Self::Shape { .. } => "give depth maps of these images, whole and not cropped",
         };
         Some(hint.into())
     }
@@ -180,6 +186,21 @@ type Parsed<T> = Result<T, (usize, String)>;
 pub fn read(path: &Path, format: DepthMapFormat) -> Result<DepthMap, DepthMapError> {
     let bytes = std::fs::read(path).map_err(|source| DepthMapError::Io { path: path.into(), source })?;
     parse(&bytes, format).map_err(|(byte, what)| DepthMapError::Format { path: path.into(), byte, what })
+}
+
+/// Reads the depth map of a view of the scene: a pinhole view, and a map of its image's shape.
+pub fn read_of_view(file: &DepthMapFile, scene: &Scene) -> Result<DepthMap, DepthMapError> {
+    let camera = scene.camera_of(file.view);
+    let view = || scene.name(file.view).to_string();
+    if !camera.is_pinhole() {
+        return Err(DepthMapError::Distorted { view: view(), model: camera.model().name() });
+    }
+    let map = read(&file.path, file.format)?;
+    if !map.fits(camera) {
+        let (map, image) = ([map.width, map.height], [camera.width, camera.height]);
+        return Err(DepthMapError::Shape { path: file.path.clone(), map, view: view(), image });
+    }
+    Ok(map)
 }
 
 /// Parses the bytes of one depth map; memory is bounded by the length of the bytes.

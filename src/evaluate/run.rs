@@ -124,23 +124,11 @@ impl Task<'_> {
         map: &DepthMapFile,
         reference: Option<Option<DepthMapFile>>,
     ) -> Result<Measured, EvaluateError> {
-        let camera = self.model.scene.camera_of(key);
-        let name = || self.model.scene.name(key).to_string();
-        if !camera.is_pinhole() {
-            return Err(EvaluateError::Distorted { view: name(), model: camera.model().name() });
-        }
-        let read = |file: &DepthMapFile| {
-            let map = depthmaps::read(&file.path, file.format)?;
-            if map.fits(camera) {
-                return Ok(map);
-            }
-            let (map, image) = ([map.width, map.height], [camera.width, camera.height]);
-            Err(EvaluateError::Shape { path: file.path.clone(), map, view: name(), image })
-        };
-        let map = read(map)?;
+        let scene = self.model.scene;
+        let map = depthmaps::read_of_view(map, scene)?;
         let reference = match reference {
             None => None,
-            Some(Some(file)) => Some(read(&file)?),
+            Some(Some(file)) => Some(depthmaps::read_of_view(&file, scene)?),
             Some(None) => Some(map.emptied()),
         };
         Ok(measure(&self.model, key, map, reference.as_ref(), self.accuracy))
@@ -239,10 +227,6 @@ pub enum EvaluateError {
     Report(#[from] ReportError),
     #[error("none of the view clusters has a depth map in {}", .0.display())]
     NoClusters(PathBuf),
-    #[error("view {view} has a {model} camera, depth maps are of undistorted images")]
-    Distorted { view: String, model: &'static str },
-    #[error("{}: {} x {} pixels do not have the shape of {view}, {} x {}", .path.display(), .map[0], .map[1], .image[0], .image[1])]
-    Shape { path: PathBuf, map: [u32; 2], view: String, image: [u32; 2] },
     #[error(transparent)]
     Cancelled(#[from] Cancelled),
 }
@@ -255,10 +239,6 @@ impl Hint for EvaluateError {
             Self::NoClusters(_) => {
                 "give the depth maps of this plan, or the clusters that they were made for with --clusters".into()
             }
-            Self::Distorted { .. } => {
-                "plan and evaluate in the undistorted workspace that the depth maps were made in".into()
-            }
-            Self::Shape { .. } => "give depth maps of these images, whole and not cropped".into(),
             Self::Cancelled(_) => return None,
         })
     }

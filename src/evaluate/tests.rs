@@ -10,6 +10,7 @@ use crate::{
     camera::{Camera, CameraModel},
     confidence::{Confidence, Unary},
     config::{TargetMode, TargetSettings, VisibilitySettings},
+    depthmaps::DepthMapError,
     fulfilment::{Model, Rule, Target},
     partners::ViewCluster,
     progress::Unwatched,
@@ -208,7 +209,10 @@ fn what_does_not_fit_is_an_error_that_says_so() {
     assert!(matches!(town.run(&[other], maps.path(), None), Err(EvaluateError::NoClusters(_))));
     let path = maps.path().join(format!("{}.npy", town.scene.name(ViewIndex(0))));
     write_map(&path, [300, 100], vec![1.0; 30_000]);
-    assert!(matches!(town.run(&town.clusters(1), maps.path(), None), Err(EvaluateError::Shape { .. })));
+    assert!(matches!(
+        town.run(&town.clusters(1), maps.path(), None),
+        Err(EvaluateError::DepthMap(DepthMapError::Shape { .. }))
+    ));
 }
 
 #[test]
