@@ -162,7 +162,7 @@ impl Arguments {
 fn write(arguments: &Arguments, plan: &Plan, files: &PlanFiles, progress: &Progress) -> Result<(), Failure> {
     let steps = files.sets.len() as u64;
     progress.progress(Stage::Write, 0, steps);
-    for (done, set) in files.sets.iter().enumerate() {
+    for (done, set) in files.sets.iter().rev().enumerate() {
         set.write(&Disk::REAL)?;
         progress.progress(Stage::Write, done as u64 + 1, steps);
     }

@@ -18,7 +18,7 @@ use super::{Failure, print, progress::Progress};
 /// Write a page on a plan to PROJECT/viewrank/report.html, to be looked at in any browser.
 ///
 /// It shows the curve, a map, the surface, the ranked views with their reasons and where one must fly again, for any cut. It needs no network and
-/// can be sent to others. viewrank plan makes the plan first.
+/// can be sent to others. viewrank plan makes the plan first; a new plan removes the page of the one before.
 #[derive(Args)]
 pub struct Arguments {
     project: PathBuf,
@@ -44,12 +44,12 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let seconds = planning_seconds(&project.output_folder());
     let contents = Contents::new(&plan, &project, &finished, seconds, &progress)?;
     progress.progress(Stage::Write, 0, 1);
-    let mut files = FileSet::new(&project.root, "report");
-    files.add_text("viewrank/report.html", report::page(&contents));
+    let mut files = FileSet::new(&project.root, report::SET);
+    files.add_text(report::FILE, report::page(&contents));
     files.write(&Disk::REAL)?;
     progress.progress(Stage::Write, 1, 1);
     progress.finish();
-    let page = project.output_folder().join("report.html");
+    let page = project.root.join(report::FILE);
     if arguments.open {
         open(&page)?;
     }

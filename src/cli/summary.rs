@@ -4,6 +4,7 @@ use std::fmt::Write;
 
 use serde::Serialize;
 use viewrank::{
+    backends,
     manifest::Manifest,
     plan::{Cut, Forecast, Memory, Plan, PlanFiles, Timings},
     project::Project,
@@ -35,6 +36,9 @@ pub struct Summary<'a> {
     written: bool,
     /// Relative to the folders that they are in.
     files: Vec<String>,
+    /// The command that shows the plan.
+    #[serde(skip)]
+    look: String,
     /// The command to type next.
     next: String,
     timings: &'a Timings,
@@ -64,6 +68,7 @@ impl<'a> Summary<'a> {
             warnings: &manifest.warnings,
             written: !dry_run,
             files: files.sets.iter().flat_map(|set| set.files.keys().cloned()).collect(),
+            look: format!("viewrank report {} --open", typed(project)),
             next: next(project, files, dry_run),
             timings: &plan.timings,
             memory: plan.memory,
@@ -169,13 +174,19 @@ impl<'a> Summary<'a> {
     fn where_to_look(&self) -> String {
         let verb = if self.written { "Look at" } else { "Nothing was written (--dry-run). Would be written:" };
         let folder = format!("{}/viewrank", self.project);
-        format!("\n{verb} {folder}/curve.svg and surface.ply.\nNext: {}\n", self.next)
+        let page = if self.written { format!("On one page: {}\n", self.look) } else { String::new() };
+        format!("\n{verb} {folder}/curve.svg and surface.ply.\n{page}Next: {}\n", self.next)
     }
+}
+
+/// The project as it is typed in a shell.
+fn typed(project: &Project) -> String {
+    backends::shell_quoted(&project.root.display().to_string())
 }
 
 /// The first command of a backend whose files were written, else the way to such files.
 fn next(project: &Project, files: &PlanFiles, dry_run: bool) -> String {
-    let root = project.root.display();
+    let root = typed(project);
     match &files.command {
         _ if dry_run => format!("viewrank plan {root}"),
         Some(command) => command.clone(),

@@ -3,7 +3,7 @@
 
 use rayon::prelude::*;
 
-use super::{Finding, Severity, Visit};
+use super::{Finding, Severity, Visit, counted};
 use crate::{
     partners::neighbours,
     scene::{PointIndex, ViewIndex},
@@ -43,18 +43,18 @@ pub fn findings(visit: &Visit) -> Vec<Finding> {
     };
     let few = of(&Overlap::far_too_few);
     if !few.is_empty() {
+        let views = counted(few.len(), "view");
         let what = format!(
-            "{} views share far fewer points with their neighbours than they overlap: they may lie in a wrong place",
-            few.len()
+            "{views} with far fewer shared points than the overlap with the neighbours: perhaps in a wrong place"
         );
         let cure = "look at them in the model; match them again with their neighbours, or take them out (colmap image_deleter)";
         findings.push(Finding::new(Severity::Warning, "far-too-few-shared-points", what, cure).of_views(few));
     }
     let aside = of(&Overlap::one_sided);
     if !aside.is_empty() {
+        let views = counted(aside.len(), "view");
         let what = format!(
-            "{} views share points with most of their neighbours on one side of the overlap only: the model may be bent there",
-            aside.len()
+            "{views} with points shared with most neighbours on one side of the overlap only: the model may be bent there"
         );
         let cure = "look at the model there; bundle adjustment with more matches or ground control straightens it";
         findings.push(Finding::new(Severity::Warning, "one-sided-links", what, cure).of_views(aside));

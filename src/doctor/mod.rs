@@ -55,6 +55,11 @@ impl Finding {
     }
 }
 
+/// "1 view", "2 views".
+fn counted(number: usize, what: &str) -> String {
+    format!("{number} {what}{}", if number == 1 { "" } else { "s" })
+}
+
 /// Everything that is looked at.
 struct Visit<'a> {
     project: &'a Project,

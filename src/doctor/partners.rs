@@ -4,18 +4,21 @@ use std::collections::BTreeMap;
 
 use rayon::prelude::*;
 
-use super::{Finding, Severity, Visit};
+use super::{Finding, Severity, Visit, counted};
 use crate::{
     backends::Obstacle,
     partners::{PairGeometry, neighbours},
     plan::Reason,
-    scene::ViewIndex,
+    scene::{PointIndex, ViewIndex},
 };
 
 /// More than half of the shared points without a triangulation angle: the two views stand at one position (method 4).
 const STILL: f64 = 0.5;
-/// Share of the views without partners from which on it is more than the usual few.
-const FEW: f64 = 0.05;
+/// Share of the sparse points that only views without partners see, from which on their loss is no longer the usual border of a
+/// block; and the share of the views themselves.
+const LOST: f64 = 0.01;
+const FEW: f64 = 0.1;
+/// From this share on, of either, there is next to nothing to plan.
 const MOST: f64 = 0.5;
 
 /// Why a pair cannot be matched.
@@ -52,7 +55,13 @@ struct Looked {
 pub fn findings(visit: &Visit) -> Vec<Finding> {
     let views: Vec<ViewIndex> = visit.scene.view_indices().collect();
     let looked: Vec<Looked> = views.par_iter().map(|&view| look(visit, view)).collect();
-    too_few(visit, &looked).into_iter().chain(one_position(visit, &looked)).collect()
+    let fewer = [too_few(visit, &looked), fewer_than_wanted(visit, &looked)];
+    fewer.into_iter().flatten().chain(one_position(visit, &looked)).collect()
+}
+
+/// Partners below which nothing is fulfilled with a view as key view.
+fn least(visit: &Visit) -> usize {
+    visit.settings.coverage.min_cameras.saturating_sub(1).max(1) as usize
 }
 
 fn look(visit: &Visit, view: ViewIndex) -> Looked {
@@ -86,49 +95,72 @@ impl Looked {
         let refused: Vec<String> =
             refused.iter().map(|(reason, count)| format!("{count} {}", reason.words())).collect();
         match refused.is_empty() {
-            true => format!("{} partners, no other view shares points with it", self.partners),
-            false => format!("{} partners; refused: {}", self.partners, refused.join(", ")),
+            true => format!("{}, no other view shares points with it", counted(self.partners, "partner")),
+            false => format!("{}; refused: {}", counted(self.partners, "partner"), refused.join(", ")),
         }
     }
 }
 
-/// Two findings: views that can be no key view at all, and key views with fewer than k partners.
-fn too_few(visit: &Visit, looked: &[Looked]) -> Vec<Finding> {
-    let least = visit.settings.coverage.min_cameras.saturating_sub(1).max(1) as usize;
-    let wanted = visit.settings.partners.k as usize;
-    let of = |few: &dyn Fn(usize) -> bool| -> Vec<(String, String)> {
-        looked.iter().filter(|l| few(l.partners)).map(|l| (visit.name(l.view), l.words())).collect()
-    };
-    let none = of(&|partners| partners < least);
-    let few = of(&|partners| (least..wanted).contains(&partners));
+/// Views that can be no key view. How bad that is shows in what is lost with them: points that no other view sees.
+fn too_few(visit: &Visit, looked: &[Looked]) -> Option<Finding> {
+    let least = least(visit);
+    let none: Vec<&Looked> = looked.iter().filter(|l| l.partners < least).collect();
+    let lost = lost_share(visit, &none);
     let share = none.len() as f64 / looked.len().max(1) as f64;
-    let severity = if share >= MOST {
+    let severity = if share.max(lost) >= MOST {
         Severity::Error
-    } else if share >= FEW {
+    } else if lost >= LOST || share >= FEW {
         Severity::Warning
     } else {
         Severity::Note
     };
-    let backend = visit.backend.name();
-    let mut findings = Vec::new();
-    if !none.is_empty() {
+    let and = match lost > 0.0 {
+        true => format!("{:.1} % of the sparse points are seen by no others", 100.0 * lost),
+        false => "all of their points are seen by others".into(),
+    };
+    let cure = match severity {
+        Severity::Note => "nothing: they get no depth map, and others fill their places",
+        _ => {
+            "match these images with more others in structure from motion; where there is no baseline, photograph from other places"
+        }
+    };
+    (!none.is_empty()).then(|| {
         let what = format!(
-            "{} of {} views have fewer than {least} partners that {backend} can match, so that nothing is fulfilled with them as key views",
+            "{} of {} with fewer than {least} partners that {} can match: these can be no key views; {and}",
             none.len(),
-            looked.len()
+            counted(looked.len(), "view"),
+            visit.backend.name()
         );
-        let cure = "match these images with more others in structure from motion; where there is no baseline, photograph from other places";
-        findings.push(Finding::new(severity, "too-few-partners", what, cure).of_views(none));
-    }
-    if !few.is_empty() {
-        let what = format!("{} views have fewer than the {wanted} partners that are wanted", few.len());
-        let cure = format!("they get those that there are; -k {least} asks for no more");
-        findings.push(Finding::new(Severity::Note, "fewer-partners-than-k", what, cure).of_views(few));
-    }
-    findings
+        Finding::new(severity, "too-few-partners", what, cure).of_views(words(visit, none))
+    })
 }
 
-/// Groups of views that share points but no baseline.
+/// Share of the sparse points that only these views see.
+fn lost_share(visit: &Visit, none: &[&Looked]) -> f64 {
+    let mut without = vec![false; visit.scene.views.len()];
+    none.iter().for_each(|l| without[l.view.at()] = true);
+    let tracks = || (0..visit.scene.points.len() as u32).map(|p| visit.scene.track_views(PointIndex(p)));
+    // A point that one view alone observes is none of the surface (method 1.1).
+    let sound = || tracks().filter(|views| views.len() > 1);
+    sound().filter(|views| views.iter().all(|v| without[v.at()])).count() as f64 / sound().count().max(1) as f64
+}
+
+/// Key views with fewer than k partners.
+fn fewer_than_wanted(visit: &Visit, looked: &[Looked]) -> Option<Finding> {
+    let (least, wanted) = (least(visit), visit.settings.partners.k as usize);
+    let few: Vec<&Looked> = looked.iter().filter(|l| (least..wanted).contains(&l.partners)).collect();
+    (!few.is_empty()).then(|| {
+        let what = format!("{} with fewer than the {wanted} partners that are wanted", counted(few.len(), "view"));
+        let cure = format!("nothing, they get those that there are; -k {least} asks for no more");
+        Finding::new(Severity::Note, "fewer-partners-than-k", what, cure).of_views(words(visit, few))
+    })
+}
+
+fn words(visit: &Visit, looked: Vec<&Looked>) -> Vec<(String, String)> {
+    looked.into_iter().map(|l| (visit.name(l.view), l.words())).collect()
+}
+
+/// Groups of views that share points but no baseline; as in rigs and panoramas that is as it should be where each has partners elsewhere.
 fn one_position(visit: &Visit, looked: &[Looked]) -> Option<Finding> {
     let mut group: Vec<u32> = (0..looked.len() as u32).collect();
     fn root(group: &mut [u32], mut of: u32) -> u32 {
@@ -152,12 +184,18 @@ fn one_position(visit: &Visit, looked: &[Looked]) -> Option<Finding> {
     let with = |views: &[ViewIndex]| format!("with {}", visit.scene.name(views[0]));
     let views: Vec<(String, String)> =
         groups.iter().flat_map(|views| views[1..].iter().map(|&v| (visit.name(v), with(views)))).collect();
-    let many = standing as f64 >= MOST * looked.len() as f64;
-    let severity = if many { Severity::Error } else { Severity::Warning };
+    let alone = groups.iter().flat_map(|views| views.iter()).filter(|v| looked[v.at()].partners < least(visit)).count();
+    let (severity, cure) = match alone {
+        0 => (Severity::Note, "nothing: they are no partners of each other, and each has others"),
+        n if n as f64 >= MOST * looked.len() as f64 => (Severity::Error, "photograph from different places"),
+        _ => (
+            Severity::Warning,
+            "photograph from different places: they are no partners of each other, and some have no others",
+        ),
+    };
     (!groups.is_empty()).then(|| {
-        let what =
-            format!("{standing} views stand at {} positions: between such views there is no depth", groups.len());
-        let cure = "nothing to type: they are no partners of each other; photograph from different places";
+        let (standing, positions) = (counted(standing, "view"), counted(groups.len(), "position"));
+        let what = format!("{standing} at {positions}: between views at one position there is no depth");
         Finding::new(severity, "one-position", what, cure).of_views(views)
     })
 }

@@ -1,6 +1,6 @@
 //! Numbers that can't be true: units, cameras, poses, images of another size.
 
-use super::{Finding, Severity, Visit};
+use super::{Finding, Severity, Visit, counted};
 use crate::scene::{PointIndex, Units, ViewIndex};
 
 /// Ground sampling distances of any survey, metres: from a microscope to a satellite.
@@ -81,7 +81,8 @@ fn behind(visit: &Visit) -> Option<Finding> {
     };
     let views: Vec<ViewIndex> = scene.view_indices().filter(|&view| share(view) > BEHIND).collect();
     (!views.is_empty()).then(|| {
-        let what = format!("{} views have many of their points behind them: these poses cannot be true", views.len());
+        let with = counted(views.len(), "view");
+        let what = format!("{with} with many points behind the camera: these poses cannot be true");
         let many = 2 * views.len() > scene.views.len();
         let severity = if many { Severity::Error } else { Severity::Warning };
         let cure = "poses are from the world to the camera, which looks along +z with y down: look at how the model was converted";

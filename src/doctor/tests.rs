@@ -143,7 +143,19 @@ fn views_at_one_position() {
         visit(&block_with(vec![turned("p1.jpg", 2.0), turned("p2.jpg", -4.0)]), "sure", &Settings::default());
     let finding = found(&findings, "one-position");
     assert_eq!(said(finding, "p1.jpg"), "with n12.jpg");
-    assert_eq!((said(finding, "p2.jpg"), finding.severity), ("with n12.jpg", Severity::Warning));
+    assert_eq!(
+        (said(finding, "p2.jpg"), finding.severity),
+        ("with n12.jpg", Severity::Note),
+        "each has other partners"
+    );
+
+    let aside =
+        block(300.0, "z").into_iter().take(1).chain([view("z1.jpg", [284.0, -16.0, 40.0], [286.0, -16.0, 0.0])]);
+    let views = block(0.0, "n").into_iter().chain(aside).collect();
+    let findings =
+        visit(&scene_of(views, square(0.0, 34).chain(square(284.0, 34)), |_, _| false), "sure", &Settings::default());
+    assert_eq!(found(&findings, "one-position").severity, Severity::Warning, "two have no others");
+    assert_eq!(found(&findings, "too-few-partners").severity, Severity::Warning, "and their points are lost");
 
     let panorama = (0..6).map(|i| turned(&format!("p{i}.jpg"), f64::from(i))).collect();
     let findings = visit(&scene_of(panorama, square(0.0, 34), |_, _| false), "sure", &Settings::default());

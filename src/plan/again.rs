@@ -17,8 +17,9 @@ pub fn again(root: &Path, watcher: &dyn Watcher) -> Result<(Project, Plan), Agai
     if settings.backends.is_empty() {
         settings.backends.push(recorded.backend.clone());
     }
+    // Before the long work, though the model is read twice for it.
+    recorded.check_input(&project, &project.read_scene().map_err(WrittenPlanError::from)?)?;
     let plan = plan(&project, &settings, watcher)?;
-    recorded.check_input(&project, &plan.scene)?;
     recorded.check_ranking(&plan)?;
     Ok((project, plan))
 }

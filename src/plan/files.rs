@@ -10,12 +10,14 @@ use crate::{
     output::{Contents, FileSet},
     pictures::{Curve, curve_svg, surface_ply, views_geojson},
     project::Project,
+    report,
 };
 
 /// What is to be written for a plan.
 pub struct PlanFiles {
     pub manifest: Manifest,
-    /// Nearly always one set under the project's folder; further sets where a backend's files go elsewhere.
+    /// The project's own set, then those of backends whose files go elsewhere and what an earlier plan left. To be written from the
+    /// last to the first: what the manifest says is then there.
     pub sets: Vec<FileSet>,
     /// What runs the first of the backends on its files, to be typed in a shell.
     pub command: Option<String>,
@@ -56,6 +58,7 @@ pub fn files(plan: &Plan, project: &Project) -> Result<PlanFiles, FilesError> {
     let command = exports.first().and_then(command);
     let mut own = FileSet::new(&project.root, "plan");
     let mut add = |name: &str, text: String| own.add_text(format!("viewrank/{name}"), text);
+    let stale = stale_page(project, &manifest);
     add("manifest.json", manifest.to_json());
     add("manifest.csv", manifest.to_csv());
     for (name, text) in backends::pair_files("the list of view clusters", &selection)? {
@@ -69,8 +72,16 @@ pub fn files(plan: &Plan, project: &Project) -> Result<PlanFiles, FilesError> {
     add("timings.json", serde_json::to_string_pretty(&plan.timings).expect("numbers by name are JSON") + "\n");
     own.add("viewrank/surface.ply", Contents::Bytes(surface_ply(plan)));
     let elsewhere: Vec<FileSet> = exports.into_iter().filter_map(|export| own.absorb(export.files)).collect();
-    let sets = std::iter::once(own).chain(elsewhere).chain(cache(plan, project)).collect();
+    let sets = std::iter::once(own).chain(elsewhere).chain(cache(plan, project)).chain(stale).collect();
     Ok(PlanFiles { manifest, sets, command })
+}
+
+/// The page that shows another plan than this one goes.
+fn stale_page(project: &Project, manifest: &Manifest) -> Option<FileSet> {
+    let earlier = std::fs::read(project.output_folder().join("manifest.json"));
+    let shows_another = earlier.map_or(true, |earlier| earlier != manifest.to_json().as_bytes());
+    let there = project.root.join(report::FILE).exists();
+    (there && shows_another).then(|| FileSet::new(&project.root, report::SET))
 }
 
 /// What the pictures showed, for the next plan, if there is something new.

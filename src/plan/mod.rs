@@ -141,8 +141,8 @@ impl Plan {
         forecast::points(&self.cost(&self.model()), self.ranking.order.len())
     }
 
-    /// Of each cluster the one ranked before it that does most of what it could by itself.
-    pub fn likest(&self) -> Vec<Option<Likest>> {
+    /// Of each cluster those ranked before it that do more of what it could by itself than any before them.
+    pub fn likest(&self) -> Vec<Vec<Likest>> {
         reasons::likest(&self.fulfilment, &self.ranking.order, self.surface.triangles.len())
     }
 

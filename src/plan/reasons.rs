@@ -218,11 +218,11 @@ impl ChosenByTriangle {
 
     /// The most of these fulfilments that one single chosen cluster gives as well.
     fn most_by_one(&self, triangles: &[u32], values: &[f32]) -> f64 {
-        self.most_by_one_before(triangles, values, self.chosen).map_or(0.0, |(_, given)| given)
+        self.given_by_each(triangles, values, self.chosen).into_iter().fold(0.0, f64::max)
     }
 
-    /// The place, below `end`, of the chosen cluster that gives most of these fulfilments as well, the first of equals, and how much.
-    fn most_by_one_before(&self, triangles: &[u32], values: &[f32], end: usize) -> Option<(usize, f64)> {
+    /// How much of these fulfilments each of the first `end` chosen clusters gives as well.
+    fn given_by_each(&self, triangles: &[u32], values: &[f32], end: usize) -> Vec<f64> {
         let mut given = vec![0.0; end];
         for (&t, &own) in triangles.iter().zip(values) {
             let entries = &self.entries[self.offsets[t as usize]..self.offsets[t as usize + 1]];
@@ -230,26 +230,33 @@ impl ChosenByTriangle {
                 given[place as usize] += f64::from(f.min(own));
             }
         }
-        let most = given.into_iter().enumerate().reduce(|most, next| if next.1 > most.1 { next } else { most });
-        most.filter(|(_, given)| *given > 0.0)
+        given
     }
 }
 
-/// Of each cluster the one ranked before it that does most of what it could by itself.
-pub(super) fn likest(table: &FulfilmentTable, order: &[u32], triangles: usize) -> Vec<Option<Likest>> {
+/// Of each cluster those ranked before it that do more of what it could by itself than any before them: the last of them within a cut
+/// is the likest there.
+pub(super) fn likest(table: &FulfilmentTable, order: &[u32], triangles: usize) -> Vec<Vec<Likest>> {
     let by_triangle = ChosenByTriangle::new(table, order, triangles);
     let mut end = vec![order.len(); table.clusters()];
     order.iter().enumerate().for_each(|(rank, &cluster)| end[cluster as usize] = rank);
     let of_cluster = |cluster: usize| {
         let (triangles, values) = table.of(cluster);
         let own: f64 = values.iter().map(|&f| f64::from(f)).sum();
-        let (rank, given) = by_triangle.most_by_one_before(triangles, values, end[cluster])?;
-        Some(Likest { rank, share: given / own })
+        let mut likest = Vec::new();
+        let mut most = 0.0;
+        for (rank, given) in by_triangle.given_by_each(triangles, values, end[cluster]).into_iter().enumerate() {
+            if given > most {
+                most = given;
+                likest.push(Likest { rank, share: given / own });
+            }
+        }
+        likest
     };
     (0..table.clusters()).into_par_iter().map(of_cluster).collect()
 }
 
-/// The cluster that is most like another one.
+/// A cluster that is like another one.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Likest {
     /// From 0.
@@ -293,8 +300,8 @@ mod tests {
         let (triangles, values) = table.of(2);
         assert!((chosen.most_by_one(triangles, values) - 0.8).abs() < 1e-6);
         let likest = super::likest(&table, &[0, 1, 2], 3);
-        let of_last = likest[2].expect("it shares triangles");
-        assert_eq!((likest[0], likest[1].map(|l| l.rank), of_last.rank), (None, Some(0), 1));
-        assert!((of_last.share - 0.8 / 1.2).abs() < 1e-6);
+        let ranks = |of: usize| likest[of].iter().map(|l| l.rank).collect::<Vec<_>>();
+        assert_eq!([ranks(0), ranks(1), ranks(2)], [vec![], vec![0], vec![0, 1]]);
+        assert!((likest[2][0].share - 0.5 / 1.2).abs() < 1e-6 && (likest[2][1].share - 0.8 / 1.2).abs() < 1e-6);
     }
 }

@@ -8,7 +8,7 @@ use serde::Serialize;
 use super::{
     bytes,
     history::History,
-    holes::{Hole, holes},
+    holes::{Hole, help, holes},
     real::{Finished, Real},
     shown::Shown,
     thumbnails::thumbnails,
@@ -49,6 +49,8 @@ pub struct Contents {
     unregistered: Vec<String>,
     unregistered_count: usize,
     reasons: Vec<&'static str>,
+    /// What would help, per reason.
+    helps: Vec<&'static str>,
     forecast: ForecastSettings,
     /// Seconds that planning took; absent where nobody wrote them down.
     planning_seconds: Option<f64>,
@@ -77,9 +79,11 @@ struct Views {
     rank: String,
     /// Number of the reason + 1, u8; 0: none.
     reason: String,
-    /// Rank of the earlier cluster that does most of what this view could (u32, 0: none) and its share of that, f32.
+    /// CSR by view: ranks (u32) of the clusters before its own that do more of what this view could than any before them, and
+    /// their shares of that, f32.
+    likest_offsets: String,
     likest: String,
-    likest_share: String,
+    likest_shares: String,
     /// Triangles that the view sees, u32.
     seen: String,
 }
@@ -157,6 +161,7 @@ impl Contents {
             unregistered: plan.scene.unregistered.iter().take(UNREGISTERED).cloned().collect(),
             unregistered_count: plan.scene.unregistered.len(),
             reasons: REASON_NUMBERS.iter().map(|r| r.words()).collect(),
+            helps: REASON_NUMBERS.iter().map(|&r| help(r)).collect(),
             forecast: plan.settings.forecast.clone(),
             planning_seconds,
             clusters_total: plan.forecast.all_maps,
@@ -184,6 +189,15 @@ fn number(reason: Option<Reason>) -> u8 {
     position.map_or(0, |i| i as u8 + 1)
 }
 
+/// Where each of the lists begins when they stand behind each other, and where the last one ends.
+fn offsets(lengths: impl Iterator<Item = usize>) -> Vec<u32> {
+    let ends = lengths.scan(0, |sum, length| {
+        *sum += length as u32;
+        Some(*sum)
+    });
+    std::iter::once(0).chain(ends).collect()
+}
+
 fn in_frame<'a>(frame: &MapFrame, points: impl Iterator<Item = &'a Point3<f64>>) -> Vec<f32> {
     points.flat_map(|point| frame.local(point)).map(|x| x as f32).collect()
 }
@@ -195,30 +209,21 @@ impl Views {
         let directions = plan.scene.views.iter().map(|v| v.cam_from_world.viewing_direction());
         let directions: Vec<f32> = directions.flat_map(|d| frame.direction(&d)).map(|x| x as f32).collect();
         let footprints: Vec<_> = views().map(|view| footprint(&plan.surface, &plan.visibility, view, frame)).collect();
-        let ends = footprints.iter().scan(0, |sum, footprint| {
-            *sum += footprint.len() as u32;
-            Some(*sum)
-        });
-        let offsets: Vec<u32> = std::iter::once(0).chain(ends).collect();
         let mut rank = vec![0u32; plan.scene.views.len()];
         plan.ranked().enumerate().for_each(|(i, cluster)| rank[cluster.key.at()] = i as u32 + 1);
-        let (mut likest, mut likest_share) = (vec![0u32; rank.len()], vec![0f32; rank.len()]);
-        for (cluster, found) in plan.clusters.iter().zip(plan.likest()) {
-            if let Some(found) = found {
-                likest[cluster.key.at()] = found.rank as u32 + 1;
-                likest_share[cluster.key.at()] = found.share as f32;
-            }
-        }
+        let mut likest = vec![Vec::new(); rank.len()];
+        plan.clusters.iter().zip(plan.likest()).for_each(|(cluster, found)| likest[cluster.key.at()] = found);
         Self {
             names: plan.scene.views.iter().map(|view| view.name.clone()).collect(),
             centres: bytes(&in_frame(frame, centres.iter())),
             directions: bytes(&directions),
             footprints: bytes(&in_frame(frame, footprints.iter().flatten())),
-            footprint_offsets: bytes(&offsets),
+            footprint_offsets: bytes(&offsets(footprints.iter().map(Vec::len))),
             rank: bytes(&rank),
             reason: bytes(&plan.views.iter().map(|&(_, reason)| number(reason)).collect::<Vec<_>>()),
-            likest: bytes(&likest),
-            likest_share: bytes(&likest_share),
+            likest_offsets: bytes(&offsets(likest.iter().map(Vec::len))),
+            likest: bytes(&likest.iter().flatten().map(|l| l.rank as u32 + 1).collect::<Vec<_>>()),
+            likest_shares: bytes(&likest.iter().flatten().map(|l| l.share as f32).collect::<Vec<_>>()),
             seen: bytes(&views().map(|view| plan.visibility.of(view).len() as u32).collect::<Vec<_>>()),
         }
     }
@@ -227,14 +232,10 @@ impl Views {
 impl Ranked {
     fn new(plan: &Plan) -> Self {
         let numbers = |views: Vec<ViewIndex>| bytes(&views.iter().map(|v| v.0).collect::<Vec<_>>());
-        let ends = plan.ranked().scan(0, |sum, cluster| {
-            *sum += cluster.partners.len() as u32;
-            Some(*sum)
-        });
         let shares: Vec<f64> = plan.ranked().map(|cluster| cluster.share).collect();
         Self {
             keys: numbers(plan.ranked().map(|cluster| cluster.key).collect()),
-            partner_offsets: bytes(&std::iter::once(0).chain(ends).collect::<Vec<u32>>()),
+            partner_offsets: bytes(&offsets(plan.ranked().map(|cluster| cluster.partners.len()))),
             partners: numbers(plan.ranked().flat_map(|cluster| cluster.partners).collect()),
             gains: bytes(&plan.ranking.gains),
             shares: bytes(&shares),

@@ -21,6 +21,16 @@ pub struct Hole {
     pub centre: Point3<f64>,
 }
 
+/// What fills such a hole.
+pub fn help(reason: Reason) -> &'static str {
+    match reason {
+        Reason::TooCoarse => "images from nearer, or with a longer lens",
+        Reason::TooInaccurate | Reason::RotationOnly => "images from places farther apart",
+        Reason::NotMatchable => "images that look at it less slantingly, and from directions and distances more alike",
+        _ => "more images that see it, with more overlap",
+    }
+}
+
 /// The `most` largest holes, largest first, and the area of all.
 pub fn holes(plan: &Plan, most: usize) -> (Vec<Hole>, f64) {
     let mut holes = regions(plan).into_iter().map(|region| hole(plan, &region)).collect::<Vec<_>>();

@@ -2,7 +2,7 @@
 //!
 //! Everything on the page follows a slider for the cut, so the page holds the whole ranking and how each triangle's fulfilment grows along it
 //! (`history.rs`), on a surface that is made coarser where it would be too large (`shown.rs`); arrays travel as base64 of
-//! little-endian numbers. the files of `page/` draw it.
+//! little-endian numbers. The files of `page/` draw it.
 
 mod contents;
 mod history;
@@ -17,6 +17,10 @@ use bytemuck::NoUninit;
 pub use contents::Contents;
 pub use holes::{Hole, holes};
 pub use real::Finished;
+
+/// Name of the set of files that the page is, and where it lies in the project. A plan that differs from the one shown removes it.
+pub const SET: &str = "report";
+pub const FILE: &str = "viewrank/report.html";
 
 const PAGE: &str = include_str!("page/page.html");
 const STYLE: &str = include_str!("page/page.css");

@@ -48,7 +48,9 @@ def no_complaints(browser):
 
 
 def text(browser, selector):
-    return browser.script(f"document.querySelector({json.dumps(selector)}).innerText")
+    """As it is read: a blank that keeps a line from breaking is a blank."""
+    read = browser.script(f"(element => element.innerText ?? element.textContent)(document.querySelector({json.dumps(selector)}))")
+    return read.replace("\u00a0", " ")
 
 
 def colours(png, box=None):
@@ -129,6 +131,8 @@ def test_why_a_view_is_in_and_another_is_not(browser, page, manifest):
     assert all(partner in answer for partner in taken["partners"])
     answer = ask(left["key"])
     assert "Not in" in answer and f"its turn comes at {left['rank']}" in answer and " % of what it could do by itself" in answer
+    likest = browser.script("(view => [likestAt(view, state.cut).rank, likestAt(view, data.cut + 3).rank])(state.selected)")
+    assert likest[0] <= cut and likest[0] <= likest[1], "a key view of this cut, not one that comes later"
     browser.script("document.querySelector('#why button').click()")
     assert "In: it is number" in text(browser, "#why-box"), "the cut moves to it"
 
@@ -217,7 +221,17 @@ def test_a_report_needs_a_plan_of_the_same_model(viewrank, fixtures, tmp_path):
     first = (tmp_path / "viewrank" / "report.html").read_bytes()
     viewrank("report", tmp_path, "--quiet")
     assert (tmp_path / "viewrank" / "report.html").read_bytes() == first, "same input, same bytes"
+    viewrank("plan", tmp_path, "--quiet")
+    assert (tmp_path / "viewrank" / "report.html").read_bytes() == first, "it shows this very plan"
     points = next((tmp_path / "sparse").rglob("points3D.*"))
-    points.write_bytes(points.read_bytes()[:-1] + b"\0" if points.suffix == ".bin" else points.read_bytes() + b"\n")
+    model = bytearray(points.read_bytes())
+    # The lowest byte of the first point's x.
+    model[16] ^= 1
+    points.write_bytes(model)
     refused = viewrank("report", tmp_path, expect=1).stderr
-    assert refused.startswith("error: ") and "\nhint: " in refused
+    assert refused.startswith("error: ") and "have changed" in refused and "\nhint: make the plan first: viewrank plan" in refused
+    assert (tmp_path / "viewrank" / "report.html").read_bytes() == first
+    viewrank("plan", tmp_path, "--dry-run", "--quiet")
+    assert (tmp_path / "viewrank" / "report.html").exists()
+    viewrank("plan", tmp_path, "--quiet")
+    assert not (tmp_path / "viewrank" / "report.html").exists(), "no page of another plan"

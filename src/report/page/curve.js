@@ -1,7 +1,7 @@
 // The curve of what is reached, predicted and, where there are depth maps, real.
 'use strict';
 
-const plot = { left: 48, right: 546, top: 14, bottom: 262 };
+const plot = { left: 54, right: 546, top: 14, bottom: 262 };
 
 // What the curve can run over, and the values after i clusters.
 const overs = {
@@ -30,7 +30,7 @@ function drawCurve() {
   const parts = [];
   for (let tenth = 0; tenth <= 10 * top + 1e-9; tenth += 2) {
     parts.push(`<path class="grid" d="M${plot.left} ${y(tenth / 10)}H${plot.right}"/>`,
-      `<text x="${plot.left - 7}" y="${y(tenth / 10) + 4}" text-anchor="end">${10 * tenth} %</text>`);
+      `<text x="${plot.left - 7}" y="${y(tenth / 10) + 4}" text-anchor="end">${percent(tenth / 10, 0)}</text>`);
   }
   const step = tickStep(most);
   for (let tick = 0; tick <= most * 1.0001; tick += step) {
@@ -44,7 +44,7 @@ function drawCurve() {
   }
   const [cx, cy] = [x(at(state.cut)), y(shareAt(state.cut))];
   parts.push(`<path class="cut" d="M${cx} ${plot.bottom}V${cy}H${plot.left}"/><circle class="dot" cx="${cx}" cy="${cy}" r="5"/>`);
-  const left = cx > 380;
+  const left = cx > 320;
   parts.push(`<text class="strong" x="${cx + (left ? -10 : 10)}" y="${Math.min(cy + 20, plot.bottom - 8)}" text-anchor="${left ? 'end' : 'start'}">`
     + `${percent(shareAt(state.cut))} with ${rounded(at(state.cut))} ${over().label}</text>`);
   byId('curve').innerHTML = parts.join('');

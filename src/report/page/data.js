@@ -19,8 +19,9 @@ const views = {
   footprintOffsets: decode(data.views.footprint_offsets, Uint32Array),
   rank: decode(data.views.rank, Uint32Array),
   reason: decode(data.views.reason, Uint8Array),
+  likestOffsets: decode(data.views.likest_offsets, Uint32Array),
   likest: decode(data.views.likest, Uint32Array),
-  likestShare: decode(data.views.likest_share, Float32Array),
+  likestShares: decode(data.views.likest_shares, Float32Array),
   seen: decode(data.views.seen, Uint32Array),
 };
 const ranking = {
@@ -61,6 +62,14 @@ function partnersOf(rank) {
   return ranking.partners.subarray(ranking.partnerOffsets[rank - 1], ranking.partnerOffsets[rank]);
 }
 
+// The rank, up to the cut, of the view that does most of what this one could by itself, and how much of it; undefined for none.
+function likestAt(view, cut) {
+  const end = views.likestOffsets[view + 1];
+  let at = views.likestOffsets[view];
+  while (at < end && views.likest[at] <= cut) at++;
+  return at > views.likestOffsets[view] ? { rank: views.likest[at - 1], share: views.likestShares[at - 1] } : undefined;
+}
+
 function shareAt(cut) {
   return cut > 0 ? ranking.shares[cut - 1] : 0;
 }
@@ -92,7 +101,7 @@ function change(what) {
 const grouped = new Intl.NumberFormat('en');
 
 function percent(share, digits = 1) {
-  return `${(100 * share).toFixed(digits)} %`;
+  return `${(100 * share).toFixed(digits)}\u00a0%`;
 }
 
 // A gain, which may be very small.

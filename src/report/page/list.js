@@ -79,8 +79,8 @@ function setUpList() {
 
 // The key views up to the cut as a plain table.
 function fillPrintList() {
-  const head = make('tr', {}, ...['rank', 'key view', 'adds', 'reached', 'partners'].map(text => make('th', {}, text)));
+  const head = make('tr', {}, ...['rank', 'adds', 'reached', 'key view', 'partners'].map(text => make('th', {}, text)));
   const rows = Array.from(ranking.keys.subarray(0, state.cut), (view, i) => make('tr', {},
-    ...[i + 1, names[view], gainText(i + 1), percent(shareAt(i + 1)), Array.from(partnersOf(i + 1), p => names[p]).join(', ')].map(text => make('td', {}, String(text)))));
+    ...[i + 1, gainText(i + 1), percent(shareAt(i + 1)), names[view], Array.from(partnersOf(i + 1), p => names[p]).join(', ')].map(text => make('td', {}, String(text)))));
   byId('print-list').replaceChildren(head, ...rows);
 }

@@ -94,12 +94,16 @@ function drawHoles() {
     byId('holes').replaceChildren(make('p', {}, 'Nothing: wherever the sparse points make a surface, some view cluster can reconstruct it.'));
     return;
   }
+  const where = (hole, i) => hole.place ? `${i + 1}: ${hole.place.map(degrees => degrees.toFixed(6)).join(', ')}` : `place ${i + 1}`;
   const rows = data.holes.map((hole, i) => make('tr', {},
-    make('td', {}, make('button', { type: 'button', class: 'link', onclick: () => showHole(hole) }, hole.place ? hole.place.map(degrees => degrees.toFixed(6)).join(', ') : `place ${i + 1}`)),
-    make('td', {}, `${rounded(hole.area)} ${unit}²`), make('td', { style: 'text-align: left' }, data.reasons[hole.reason - 1])));
+    make('td', {}, make('button', { type: 'button', class: 'link', onclick: () => showHole(hole) }, where(hole, i))),
+    make('td', {}, `${rounded(hole.area)} ${unit}²`), make('td', {}, data.reasons[hole.reason - 1])));
+  const reasons = [...new Set(data.holes.map(hole => hole.reason - 1))];
   byId('holes').replaceChildren(
-    make('p', {}, `${percent(share)} of the surface (${rounded(data.holes_area)} of ${rounded(data.area)} ${unit}²) cannot be filled by any of the images. The largest places:`),
-    make('table', {}, make('tr', {}, ...['where', 'area', 'because'].map((text, i) => make('th', i === 2 ? { style: 'text-align: left' } : {}, text))), ...rows),
+    make('p', {}, `${percent(share)} of the surface (${rounded(data.holes_area)} of ${rounded(data.area)} ${unit}²) cannot be filled by any of the images`
+      + ' (grey on the map). The largest places, with their numbers on the map:'),
+    make('table', {}, make('tr', {}, ...['where', 'area', 'because'].map(text => make('th', {}, text))), ...rows),
+    make('p', {}, 'What helps:'), make('ul', {}, ...reasons.map(reason => make('li', {}, `where ${data.reasons[reason]}: ${data.helps[reason]}.`))),
     make('p', { class: 'note' }, 'Where the sparse model has no points there is no surface, and nothing is known.'));
 }
 
@@ -107,7 +111,8 @@ function showHole(hole) {
   for (const scene of scenes) {
     scene.hole = hole;
     scene.camera.centre = hole.centre.slice();
-    scene.camera.scale = Math.min(scene.width, scene.height) / Math.max(12 * Math.sqrt(hole.area), 0.12 * scene.camera.depth);
+    const wanted = Math.min(scene.width, scene.height) / Math.max(5 * Math.sqrt(hole.area), 0.12 * scene.camera.depth);
+    scene.camera.scale = Math.max(wanted, scene.camera.whole);
   }
   change({ colour: 'reason', selected: -1 });
   byId('map-box').scrollIntoView({ block: 'center' });
@@ -124,7 +129,7 @@ function drawFacts() {
   byId('title').textContent = data.title;
   const left = data.unregistered_count ? `, ${grouped.format(data.unregistered_count)} images without a pose` : '';
   byId('facts').textContent = `${grouped.format(views.count)} views${left}, ${grouped.format(data.points)} sparse points, a surface of ${grouped.format(data.triangles)} triangles;`
-    + ` planned for ${data.backend}, ${rounded(data.gsd)} ${unit} per pixel wanted`;
+    + ` planned for the backend ${data.backend}, ${rounded(data.gsd)} ${unit} per pixel wanted`;
   byId('footer').textContent = `${data.tool}. ${data.surface.coarser ? 'The surface is drawn coarser than it was planned on. ' : ''}`
     + 'Predicted before any depth map was computed; see viewrank/manifest.json for all of it.';
 }

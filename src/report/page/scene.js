@@ -2,6 +2,8 @@
 'use strict';
 
 let theme = {};
+// The numbers of the holes, on white in either theme.
+const HOLE = '#a8281a';
 
 function readTheme() {
   const style = getComputedStyle(document.documentElement);
@@ -28,7 +30,8 @@ class Scene {
     [this.width, this.height] = [width, height];
     for (const canvas of [this.canvas, this.marks]) [canvas.width, canvas.height] = [width * ratio, height * ratio];
     this.context.setTransform(ratio, 0, 0, ratio, 0, 0);
-    if (first) this.camera.fit(width, height); else this.camera.scale *= zoom;
+    if (first) this.camera.fit(width, height);
+    else for (const scale of ['scale', 'whole']) this.camera[scale] *= zoom;
     this.draw();
   }
 
@@ -146,9 +149,9 @@ class Scene {
     const shown = state.hovered >= 0 ? state.hovered : state.selected;
     if (shown >= 0) this.drawFootprint(shown);
     const size = Math.max(1.6, Math.min(4.5, 0.22 * Math.sqrt(this.width * this.height / Math.max(views.count, 1))));
+    this.drawHoles();
     this.drawCameras(size);
     if (shown >= 0) this.drawCluster(shown, size);
-    if (this.hole) this.drawHole();
     if (!this.turns) this.drawScale();
   }
 
@@ -164,9 +167,9 @@ class Scene {
     for (const [status, path] of Object.entries(paths)) {
       context.lineWidth = status === 'key' ? 1.5 : 1.2;
       context.fillStyle = theme[status];
-      context.strokeStyle = status === 'key' ? '#fff' : theme[status];
+      context.strokeStyle = status === 'unused' ? theme.unused : '#fff';
       if (status !== 'unused') context.fill(path);
-      if (status !== 'partner') context.stroke(path);
+      context.stroke(path);
     }
   }
 
@@ -174,17 +177,19 @@ class Scene {
   drawCluster(view, size) {
     const { context } = this, rank = views.rank[view], [x, y] = this.at(view);
     const others = rank && rank <= state.cut ? partnersOf(rank) : keysWith(view, state.cut);
-    context.strokeStyle = theme.partner;
-    context.lineWidth = 2;
+    const lines = new Path2D();
     for (const other of others) {
       const [ox, oy] = this.at(other);
-      context.beginPath();
-      context.moveTo(x, y);
-      context.lineTo(ox, oy);
-      context.stroke();
-      context.beginPath();
-      context.arc(ox, oy, size + 3, 0, 7);
-      context.stroke();
+      lines.moveTo(x, y);
+      lines.lineTo(ox, oy);
+      lines.moveTo(ox + size + 3, oy);
+      lines.arc(ox, oy, size + 3, 0, 7);
+    }
+    // On a surface of any colour.
+    for (const [colour, width] of [['#fff', 4], [theme.partner, 2]]) {
+      context.strokeStyle = colour;
+      context.lineWidth = width;
+      context.stroke(lines);
     }
     context.beginPath();
     context.arc(x, y, size + 4, 0, 7);
@@ -218,13 +223,27 @@ class Scene {
     context.setLineDash([]);
   }
 
-  drawHole() {
-    const { context } = this, [x, y] = this.camera.screen(this.hole.centre, 0, this.width, this.height);
-    context.beginPath();
-    context.arc(x, y, Math.max(12, 0.8 * Math.sqrt(this.hole.area) * this.camera.scale), 0, 7);
-    context.strokeStyle = theme.hole;
-    context.lineWidth = 3;
-    context.stroke();
+  // Numbers as in the list: of the large ones, and of the one that was asked for, with a ring round it.
+  drawHoles() {
+    const { context } = this;
+    context.font = '700 13px system-ui, sans-serif';
+    context.textAlign = 'center';
+    for (const [i, hole] of data.holes.entries()) {
+      if (hole !== this.hole && hole.area < 0.01 * data.area) continue;
+      const [x, y] = this.camera.screen(hole.centre, 0, this.width, this.height);
+      context.strokeStyle = '#fff';
+      context.lineWidth = 4;
+      context.strokeText(i + 1, x, y + 5);
+      context.fillStyle = HOLE;
+      context.fillText(i + 1, x, y + 5);
+      if (hole !== this.hole) continue;
+      context.beginPath();
+      context.arc(x, y, Math.max(14, 0.8 * Math.sqrt(hole.area) * this.camera.scale), 0, 7);
+      context.strokeStyle = theme.hole;
+      context.lineWidth = 3;
+      context.stroke();
+    }
+    context.textAlign = 'start';
   }
 
   drawScale() {

@@ -39,7 +39,7 @@ const RAMP_TABLE = Array.from({ length: 256 }, (_, i) => ramp(i / 255));
 
 function colourOf(triangle) {
   if (state.colour === 'reason') return REASON_COLOURS[surface.reason[triangle]];
-  if (surface.reason[triangle] && !surface.reachable[triangle]) return NOWHERE;
+  if (surface.reason[triangle]) return NOWHERE;
   if (state.colour === 'count') return COUNT_COLOURS[chosenViews(triangle, state.cut)];
   if (state.colour === 'real') return RAMP_TABLE[surface.real[triangle]];
   const end = stepsUpTo(triangle, state.cut);
@@ -230,7 +230,7 @@ class Camera {
       return high - low || 1;
     });
     this.centre = [0, 1, 2].map(i => 0.5 * (bounds.low[i] + bounds.high[i]));
-    this.scale = 0.94 * Math.min(width / spans[0], height / spans[1]);
+    this.scale = this.whole = 0.94 * Math.min(width / spans[0], height / spans[1]);
   }
 
   // Pixel and nearness of the point at `offset` of a list.

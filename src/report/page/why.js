@@ -9,10 +9,8 @@ function reasonOf(view) {
 function becauseShort(view) {
   const rank = views.rank[view];
   if (rank && rank <= state.cut) return `reaches ${percent(shareAt(rank))} with those before it`;
-  const earlier = views.likest[view];
-  if (earlier && earlier <= state.cut && views.likestShare[view] >= 0.5) {
-    return `${names[ranking.keys[earlier - 1]]} does ${percent(views.likestShare[view], 0)} of what it could`;
-  }
+  const likest = likestAt(view, state.cut);
+  if (likest && likest.share >= 0.5) return `${names[ranking.keys[likest.rank - 1]]} does ${percent(likest.share, 0)} of what it could`;
   if (rank) return `its turn comes after the cut, at ${rank}`;
   return reasonOf(view) || 'it would add nothing to those before it';
 }
@@ -49,15 +47,15 @@ function whyIn(view) {
 }
 
 function whyNot(view) {
-  const rank = views.rank[view], earlier = views.likest[view], reason = reasonOf(view), parts = [];
+  const rank = views.rank[view], likest = likestAt(view, state.cut), reason = reasonOf(view), parts = [];
   if (rank) {
     parts.push(make('p', { class: 'answer' }, `Not in: its turn comes at ${rank}, and the cut is at ${state.cut}. There it would add ${gainText(rank)}.`),
       make('button', { type: 'button', onclick: () => change({ cut: rank }) }, `Move the cut to ${rank}`));
   } else {
     parts.push(make('p', { class: 'answer' }, reason ? `Not in, because ${reason}.` : 'Not in: at any time others add more, and in the end it adds nothing.'));
   }
-  if (earlier && earlier <= state.cut) {
-    parts.push(make('p', {}, viewButton(ranking.keys[earlier - 1]), ` (key view ${earlier}) does ${percent(views.likestShare[view], 0)} of what it could do by itself.`));
+  if (likest) {
+    parts.push(make('p', {}, viewButton(ranking.keys[likest.rank - 1]), ` (key view ${likest.rank}) does ${percent(likest.share, 0)} of what it could do by itself.`));
   }
   if (rank && reason && state.cut === data.cut) parts.push(make('p', {}, `At the plan's cut it is left out because ${reason}.`));
   return parts;
