@@ -115,8 +115,7 @@ fn part(points: &[Point3<f64>], order: &mut [u32], axes: &mut [u8]) {
     axes[middle] = axis as u8;
     let (before, after) = order.split_at_mut(middle);
     let (axes_before, axes_after) = axes.split_at_mut(middle);
-    part(points, before, axes_before);
-    part(points, &mut after[1..], &mut axes_after[1..]);
+    rayon::join(|| part(points, before, axes_before), || part(points, &mut after[1..], &mut axes_after[1..]));
 }
 
 #[cfg(test)]

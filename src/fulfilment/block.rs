@@ -199,23 +199,33 @@ impl<'a> Block<'a> {
         }
     }
 
-    /// Sum of f over the first `groups` for each set of partners; f in f32, good for choosing.
-    pub fn sums(&mut self, sets: &[Vec<usize>], groups: usize) -> Vec<f64> {
-        sets.iter().flatten().for_each(|&p| self.extend(p, groups));
-        vectorised(Sums { block: self, sets, groups })
+    /// Sum of f over the judges for each set of partners; f in f32, good for choosing.
+    pub fn sums(&mut self, sets: &[Vec<usize>], judges: Judges) -> Vec<f64> {
+        sets.iter().flatten().for_each(|&p| self.extend(p, judges.groups));
+        vectorised(Sums { block: self, sets, judges })
     }
 
-    /// Sum of f over the first `groups` for `base` together with each of `added`; f in f32.
-    pub fn sums_with(&mut self, base: &[usize], added: &[usize], groups: usize) -> Vec<f64> {
-        base.iter().chain(added).for_each(|&p| self.extend(p, groups));
-        vectorised(SumsWith { block: self, base, added, groups })
+    /// Sum of f over the judges for `base` together with each of `added`; f in f32.
+    pub fn sums_with(&mut self, base: &[usize], added: &[usize], judges: Judges) -> Vec<f64> {
+        base.iter().chain(added).for_each(|&p| self.extend(p, judges.groups));
+        vectorised(SumsWith { block: self, base, added, judges })
     }
 
     /// f of each triangle that the key view sees, in the order of its rows, as it is written.
     pub fn values(&mut self, set: &[usize]) -> Vec<f32> {
         set.iter().for_each(|&p| self.extend(p, self.len()));
-        let all = vectorised(Values { block: self, set });
-        self.places.iter().map(|&place| all[place as usize / LANES][place as usize % LANES]).collect()
+        self.by_row(&vectorised(Values { block: self, set }))
+    }
+
+    /// f_cov f_conf of each triangle that the key view sees, in the order of its rows.
+    pub fn chances(&mut self, set: &[usize]) -> Vec<f32> {
+        set.iter().for_each(|&p| self.extend(p, self.len()));
+        let of_group = |group| self.together(set, group).chance(&self.keys[group], &self.weights);
+        self.by_row(&(0..self.len()).map(of_group).collect::<Vec<_>>())
+    }
+
+    fn by_row(&self, lanes: &[Lanes]) -> Vec<f32> {
+        self.places.iter().map(|&place| lanes[place as usize / LANES][place as usize % LANES]).collect()
     }
 
     #[inline(always)]
@@ -224,10 +234,25 @@ impl<'a> Block<'a> {
     }
 }
 
+/// The triangles that choices are judged by: every `step`-th of the first `groups` groups of lanes.
+#[derive(Clone, Copy, Debug)]
+pub struct Judges {
+    pub groups: usize,
+    /// At least 1.
+    pub step: usize,
+}
+
+impl Judges {
+    #[inline(always)]
+    fn iter(self) -> impl Iterator<Item = usize> {
+        (0..self.groups).step_by(self.step)
+    }
+}
+
 struct Sums<'b, 'a> {
     block: &'b Block<'a>,
     sets: &'b [Vec<usize>],
-    groups: usize,
+    judges: Judges,
 }
 
 impl Work for Sums<'_, '_> {
@@ -236,7 +261,7 @@ impl Work for Sums<'_, '_> {
     #[inline(always)]
     fn run(self) -> Vec<f64> {
         let mut sums = vec![[0.0; LANES]; self.sets.len()];
-        for group in 0..self.groups {
+        for group in self.judges.iter() {
             let key = &self.block.keys[group];
             for (set, sum) in self.sets.iter().zip(&mut sums) {
                 add(sum, self.block.together(set, group).value::<f32>(key, &self.block.weights));
@@ -250,7 +275,7 @@ struct SumsWith<'b, 'a> {
     block: &'b Block<'a>,
     base: &'b [usize],
     added: &'b [usize],
-    groups: usize,
+    judges: Judges,
 }
 
 impl Work for SumsWith<'_, '_> {
@@ -259,7 +284,7 @@ impl Work for SumsWith<'_, '_> {
     #[inline(always)]
     fn run(self) -> Vec<f64> {
         let mut sums = vec![[0.0; LANES]; self.added.len()];
-        for group in 0..self.groups {
+        for group in self.judges.iter() {
             let key = &self.block.keys[group];
             let base = self.block.together(self.base, group);
             for (&partner, sum) in self.added.iter().zip(&mut sums) {
@@ -286,11 +311,14 @@ impl Work for Values<'_, '_> {
 
     #[inline(always)]
     fn run(self) -> Vec<[f32; LANES]> {
-        let of_group = |group| {
+        // A loop and no iterator adaptor: its closure could be compiled apart, without the instructions that this is about.
+        let mut values = Vec::with_capacity(self.block.len());
+        for group in 0..self.block.len() {
             let together = self.block.together(self.set, group);
-            together.value::<f64>(&self.block.keys[group], &self.block.weights).map(|f| f as f32)
-        };
-        (0..self.block.len()).map(of_group).collect()
+            let f = together.value::<f64>(&self.block.keys[group], &self.block.weights);
+            values.push(f.map(|f| f as f32));
+        }
+        values
     }
 }
 
@@ -361,13 +389,19 @@ impl Work for Columns<'_, '_> {
     #[inline(always)]
     fn run(self) -> Vec<PartnerLanes> {
         let (sees, unary) = (&self.block.sees[self.partner], &self.block.unary[self.partner]);
-        let of_group = |group: usize| {
+        // A loop, as in [`Values`].
+        let mut columns = Vec::with_capacity(self.range.len());
+        for group in self.range.clone() {
             // Arrays of known length: no bounds are checked in the loops over lanes, so that they become vector instructions.
-            let sees = sees[group * LANES..].first_chunk().expect("padded to whole lanes");
+            let sees: &[bool; LANES] = sees[group * LANES..].first_chunk().expect("padded to whole lanes");
+            if !sees.contains(&true) {
+                columns.push(PartnerLanes::EMPTY);
+                continue;
+            }
             let unary = unary.get(group * LANES..).and_then(|rest| rest.first_chunk()).unwrap_or(&[1.0; LANES]);
-            self.group(&self.block.triangles[group], sees, unary)
-        };
-        self.range.clone().map(of_group).collect()
+            columns.push(self.group(&self.block.triangles[group], sees, unary));
+        }
+        columns
     }
 }
 
@@ -379,7 +413,7 @@ impl Columns<'_, '_> {
             axis.iter_mut().for_each(|x| *x -= shift);
         }
         let jacobians = self.view.jacobians(&rays, sees);
-        let mut out = PartnerLanes { information: [[0.0; LANES]; 6], confidence: [0.0; LANES], sees: [0.0; LANES] };
+        let mut out = PartnerLanes::EMPTY;
         for i in 0..LANES {
             let axes = frame([triangles.ray[0][i], triangles.ray[1][i], triangles.ray[2][i]]);
             let scale = triangles.scale[i];

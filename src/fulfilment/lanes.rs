@@ -46,6 +46,11 @@ pub struct PartnerLanes {
     pub sees: Lanes,
 }
 
+impl PartnerLanes {
+    /// Triangles that the partner does not see.
+    pub const EMPTY: Self = Self { information: [[0.0; LANES]; 6], confidence: [0.0; LANES], sees: [0.0; LANES] };
+}
+
 /// The sum over the key view and some partners.
 #[derive(Clone, Copy)]
 pub struct Together {
@@ -90,15 +95,25 @@ impl Together {
         self
     }
 
-    /// f of each triangle; `T`: f32 to choose by, f64 for what is written.
+    /// f_cov f_conf of each triangle: the chance that it is measured, however well.
     #[inline(always)]
-    pub fn value<T: RealField + Copy>(&self, key: &KeyLanes, weights: &Weights) -> [T; LANES] {
-        let confidence = match weights.min_matches {
+    pub fn chance(&self, key: &KeyLanes, weights: &Weights) -> Lanes {
+        let mut chance = match weights.min_matches {
             0 => [1.0; LANES],
             1 => self.at_least[0],
             2 => self.at_least[1],
             _ => self.at_least[2],
         };
+        for (i, chance) in chance.iter_mut().enumerate() {
+            *chance = if self.seeing[i] >= weights.min_partners { *chance * key.measurable[i] } else { 0.0 };
+        }
+        chance
+    }
+
+    /// f of each triangle; `T`: f32 to choose by, f64 for what is written.
+    #[inline(always)]
+    pub fn value<T: RealField + Copy>(&self, key: &KeyLanes, weights: &Weights) -> [T; LANES] {
+        let chance = self.chance(key, weights);
         let mut f = [T::zero(); LANES];
         for i in 0..LANES {
             let [xx, xy, yy, xz, yz, zz] = &self.information;
@@ -106,10 +121,9 @@ impl Together {
             let smallest = smallest_eigenvalue([xx, xy, yy, xz, yz, zz].map(component));
             let spread = convert::<f64, T>(f64::from(key.unit[i])) * smallest.sqrt();
             let uncertainty = if spread < T::one() { spread } else { T::one() };
-            let both = if self.seeing[i] >= weights.min_partners { confidence[i] * key.measurable[i] } else { 0.0 };
             let resolution = convert::<f64, T>(f64::from(key.resolution[i]));
             let weight = convert::<f64, T>(f64::from(weights.uncertainty));
-            f[i] = (resolution + weight * uncertainty) * convert::<f64, T>(f64::from(both));
+            f[i] = (resolution + weight * uncertainty) * convert::<f64, T>(f64::from(chance[i]));
         }
         f
     }

@@ -131,11 +131,6 @@ pub fn value(model: &Model, key: ViewIndex, partners: &[ViewIndex], triangle: u3
     Fulfilment { coverage, resolution, uncertainty, confidence, value: weighted * coverage * confidence }
 }
 
-/// f_cov f_conf: the chance that the cluster measures a triangle that its key view sees, however well; else 0.
-pub fn success(model: &Model, key: ViewIndex, partners: &[ViewIndex], triangle: u32) -> f64 {
-    Success::new(model, key, partners, triangle).map_or(0.0, |success| success.coverage * success.confidence)
-}
-
 /// Which partners see a triangle, and what follows from that.
 struct Success {
     seeing: Vec<ViewIndex>,

@@ -1,5 +1,9 @@
 //! Method 3.6: what is wanted of each triangle.
 
+use std::sync::atomic::{AtomicU32, Ordering};
+
+use rayon::prelude::*;
+
 use crate::{
     camera::CameraModel,
     config::{TargetMode, TargetSettings},
@@ -42,23 +46,35 @@ impl Target {
             chosen => chosen,
         };
         let accuracy_over_gsd = settings.accuracy.map_or(1.0, |accuracy| accuracy / gsd);
-        let mut all = vec![f32::INFINITY; surface.triangles.len()];
-        if mode == TargetMode::Best {
-            for view in scene.view_indices() {
-                for &t in visibility.of(view) {
-                    let best = GSD_MARGIN * gsd_at(scene, surface, view, t) / image_scale;
-                    all[t as usize] = all[t as usize].min(best as f32);
-                }
-            }
-        }
-        let or_gsd = |g: f32| if g.is_finite() && g > 0.0 { g } else { gsd as f32 };
-        Self { mode, gsd: all.into_iter().map(or_gsd).collect(), accuracy_over_gsd }
+        let finest = match mode {
+            TargetMode::Best => finest(scene, surface, visibility),
+            _ => vec![f32::INFINITY; surface.triangles.len()],
+        };
+        let wanted = |finest: f32| {
+            let wanted = (GSD_MARGIN * f64::from(finest) / image_scale) as f32;
+            if wanted.is_finite() && wanted > 0.0 { wanted } else { gsd as f32 }
+        };
+        Self { mode, gsd: finest.into_iter().map(wanted).collect(), accuracy_over_gsd }
     }
 
     /// Wanted accuracy a_d of a triangle, scene units.
     pub fn accuracy(&self, triangle: u32) -> f64 {
         f64::from(self.gsd[triangle as usize]) * self.accuracy_over_gsd
     }
+}
+
+/// The finest GSD that a view has of each triangle, in pixels of the model's image; infinity where no view has one.
+fn finest(scene: &Scene, surface: &Surface, visibility: &Visibility) -> Vec<f32> {
+    let finest: Vec<AtomicU32> = surface.triangles.iter().map(|_| AtomicU32::new(f32::INFINITY.to_bits())).collect();
+    let views: Vec<ViewIndex> = scene.view_indices().collect();
+    views.into_par_iter().for_each(|view| {
+        for &t in visibility.of(view) {
+            // The bits of numbers that are not negative are ordered as they are, and the least of them does not depend on who comes first.
+            let gsd = (gsd_at(scene, surface, view, t) as f32).max(0.0);
+            finest[t as usize].fetch_min(gsd.to_bits(), Ordering::Relaxed);
+        }
+    });
+    finest.into_iter().map(|bits| f32::from_bits(bits.into_inner())).collect()
 }
 
 /// Scene units per pixel of the model's image at a triangle's centroid, across the viewing direction.

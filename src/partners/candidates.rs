@@ -175,6 +175,8 @@ fn meets_image(scene: &Scene, view: ViewIndex, point: &Point3<f64>) -> bool {
 
 /// The views that share points with a key view, with those points; one per thread, used again.
 struct Neighbours {
+    /// Each shared point with a view that observes it too, by point.
+    shared: Vec<(PointIndex, ViewIndex)>,
     /// Most shared points first, ties by name.
     views: Vec<ViewIndex>,
     /// Range of each of `views` in `points`.
@@ -186,7 +188,8 @@ struct Neighbours {
 
 impl Neighbours {
     fn new(scene: &Scene) -> Self {
-        Self { views: Vec::new(), ranges: Vec::new(), points: Vec::new(), counts: vec![0; scene.views.len()] }
+        let counts = vec![0; scene.views.len()];
+        Self { shared: Vec::new(), views: Vec::new(), ranges: Vec::new(), points: Vec::new(), counts }
     }
 
     fn pairs(&self) -> impl Iterator<Item = (ViewIndex, &[PointIndex])> {
@@ -194,18 +197,7 @@ impl Neighbours {
     }
 
     fn collect(&mut self, scene: &Scene, points: &ViewPoints, key: ViewIndex) {
-        self.views.clear();
-        let others = |&p: &PointIndex| {
-            let track = scene.track_views(p);
-            let first = |&i: &usize| track[i] != key && (i == 0 || track[i] != track[i - 1]);
-            (0..track.len()).filter(first).map(move |i| (p, track[i]))
-        };
-        for (_, view) in points.of(key).iter().flat_map(others) {
-            if self.counts[view.at()] == 0 {
-                self.views.push(view);
-            }
-            self.counts[view.at()] += 1;
-        }
+        self.count(scene, points, key);
         self.views.sort_unstable_by_key(|v| (Reverse(self.counts[v.at()]), *v));
         let mut end = 0;
         self.ranges.clear();
@@ -215,11 +207,31 @@ impl Neighbours {
             end += count;
         }
         self.points.resize(end, PointIndex(0));
-        for (point, view) in points.of(key).iter().flat_map(others) {
+        for &(point, view) in &self.shared {
             self.points[self.counts[view.at()]] = point;
             self.counts[view.at()] += 1;
         }
         self.views.iter().for_each(|v| self.counts[v.at()] = 0);
+    }
+
+    /// Finds the shared points, and the views in the order in which they turn up.
+    fn count(&mut self, scene: &Scene, points: &ViewPoints, key: ViewIndex) {
+        self.shared.clear();
+        self.views.clear();
+        for &point in points.of(key) {
+            // A view that observes the point twice stands twice in a row.
+            let mut last = key;
+            for &view in scene.track_views(point) {
+                if view != key && view != last {
+                    self.shared.push((point, view));
+                    self.counts[view.at()] += 1;
+                    if self.counts[view.at()] == 1 {
+                        self.views.push(view);
+                    }
+                }
+                last = view;
+            }
+        }
     }
 }
 

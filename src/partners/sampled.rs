@@ -5,7 +5,11 @@ use std::collections::HashSet;
 use rand_core::{Rng, SeedableRng};
 use rand_pcg::Pcg64;
 
-use crate::{fulfilment::block::Block, scene::Scene, scene::ViewIndex};
+use crate::{
+    fulfilment::block::{Block, Judges},
+    scene::Scene,
+    scene::ViewIndex,
+};
 
 /// T_z: a fixed random `1 / fraction` of all triangles, rounded up; drawn by PCG64 from the seed.
 pub fn judging_triangles(triangles: usize, fraction: u32, seed: u64) -> Vec<bool> {
@@ -47,7 +51,7 @@ pub fn combinations(scene: &Scene, key: ViewIndex, n: usize, k: usize, draws: us
 
 /// The combination with the largest sum over the judging triangles, ties by the first drawn.
 pub fn best(block: &mut Block, combinations: &[Vec<usize>]) -> Vec<usize> {
-    let sums = block.sums(combinations, block.first());
+    let sums = block.sums(combinations, Judges { groups: block.first(), step: 1 });
     let first_best = sums.iter().enumerate().fold(0, |best, (i, sum)| if *sum > sums[best] { i } else { best });
     combinations.get(first_best).cloned().unwrap_or_default()
 }

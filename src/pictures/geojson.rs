@@ -1,6 +1,7 @@
 //! `views.geojson`: where the views are and what they see, for QGIS and other geographic programs (RFC 7946).
 
 use nalgebra::Point3;
+use rayon::prelude::*;
 use serde_json::{Value, json};
 
 use super::{MapFrame, footprint};
@@ -17,19 +18,21 @@ pub fn views_geojson(plan: &Plan, place: &Georeference) -> String {
     };
     let mut rank = vec![None; plan.scene.views.len()];
     plan.ranked().enumerate().for_each(|(i, cluster)| rank[cluster.key.at()] = Some(i));
-    let mut features = Vec::new();
-    for view in plan.scene.view_indices() {
+    let features = |view: ViewIndex| {
         let properties = |what: &str| properties(plan, view, rank[view.at()], what);
         let centre = plan.scene.view(view).cam_from_world.centre();
         let point = json!({ "type": "Point", "coordinates": position(&centre) });
-        features.push(feature(point, properties("camera")));
+        let mut features = vec![feature(point, properties("camera"))];
         let mut corners: Vec<_> =
             footprint(&plan.surface, &plan.visibility, view, &frame).iter().map(&position).collect();
         if corners.len() >= 3 {
             corners.push(corners[0].clone());
             features.push(feature(json!({ "type": "Polygon", "coordinates": [corners] }), properties("footprint")));
         }
-    }
+        features
+    };
+    let views: Vec<ViewIndex> = plan.scene.view_indices().collect();
+    let features: Vec<Value> = views.into_par_iter().flat_map_iter(features).collect();
     let mut collection = json!({ "type": "FeatureCollection", "frame": place.words() });
     if local {
         collection["crs"] = Value::Null;

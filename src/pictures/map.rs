@@ -46,10 +46,9 @@ impl MapFrame {
 /// What a view sees of the surface, from above: the convex hull, counter-clockwise and not closed, as surface points in world
 /// coordinates. Empty where it sees nothing.
 pub fn footprint(surface: &Surface, visibility: &Visibility, view: ViewIndex, frame: &MapFrame) -> Vec<Point3<f64>> {
-    let seen = visibility.of(view).iter().flat_map(|&t| surface.triangles[t as usize]);
-    let mut vertices: Vec<u32> = seen.collect();
-    vertices.sort_unstable();
-    vertices.dedup();
+    let mut is_new = vec![true; surface.vertices.len()];
+    let corners = visibility.of(view).iter().flat_map(|&t| surface.triangles[t as usize]);
+    let vertices: Vec<u32> = corners.filter(|&v| std::mem::replace(&mut is_new[v as usize], false)).collect();
     let flat: Vec<[f64; 3]> = vertices.iter().map(|&v| frame.local(&surface.vertices[v as usize])).collect();
     let farthest = |i: u32| {
         let (sin, cos) = (f64::from(i) * std::f64::consts::TAU / f64::from(DIRECTIONS)).sin_cos();

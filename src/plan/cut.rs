@@ -4,7 +4,10 @@ use schemars::JsonSchema;
 use serde::Serialize;
 
 use super::{PlanError, forecast::Cost};
-use crate::config::{Budget, CutSettings};
+use crate::{
+    config::{Budget, CutSettings},
+    fulfilment::block::Places,
+};
 
 /// Share of what all clusters together reach, where nothing else is wanted.
 pub(super) const DEFAULT_TARGET: f64 = 0.9;
@@ -40,7 +43,8 @@ pub(super) fn cut(settings: &CutSettings, cost: &Cost) -> Result<Cut, PlanError>
         clusters = longest_within(clusters, time.0, seconds)?;
     }
     if let Some(points) = settings.points {
-        clusters = longest_within(clusters, points.0, |rank| Ok(cost.points(rank)))?;
+        let mut places = Places::new(cost.model);
+        clusters = longest_within(clusters, points.0, |rank| Ok(cost.points(rank, &mut places)))?;
     }
     let clusters = clusters.max(cost.finished);
     Ok(Cut {
@@ -52,7 +56,11 @@ pub(super) fn cut(settings: &CutSettings, cost: &Cost) -> Result<Cut, PlanError>
 }
 
 /// The longest prefix of at most `most` clusters whose costs add up to no more than `limit`.
-fn longest_within(most: usize, limit: f64, cost: impl Fn(usize) -> Result<f64, PlanError>) -> Result<usize, PlanError> {
+fn longest_within(
+    most: usize,
+    limit: f64,
+    mut cost: impl FnMut(usize) -> Result<f64, PlanError>,
+) -> Result<usize, PlanError> {
     let mut sum = 0.0;
     for rank in 0..most {
         sum += cost(rank)?;

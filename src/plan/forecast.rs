@@ -6,7 +6,10 @@ use serde::Serialize;
 
 use crate::{
     config::ForecastSettings,
-    fulfilment::{self, Model},
+    fulfilment::{
+        self, Model,
+        block::{Block, Places},
+    },
     partners::ViewCluster,
     ranking::Ranking,
 };
@@ -78,8 +81,8 @@ impl Cost<'_> {
     }
 
     /// Pixels that the depth map will measure.
-    pub fn points(&self, rank: usize) -> f64 {
-        self.settings.points_per_map.unwrap_or_else(|| expected_pixels(self.model, self.cluster(rank)))
+    pub fn points(&self, rank: usize, places: &mut Places) -> f64 {
+        self.settings.points_per_map.unwrap_or_else(|| expected_pixels(self.model, self.cluster(rank), places))
     }
 }
 
@@ -100,17 +103,19 @@ pub(super) fn forecast(cost: &Cost, clusters: usize) -> Forecast {
 
 /// Pixels that the depth map of each of the first clusters will measure.
 pub(super) fn points(cost: &Cost, clusters: usize) -> Vec<f64> {
-    (0..clusters).into_par_iter().map(|rank| cost.points(rank)).collect()
+    let places = || Places::new(cost.model);
+    (0..clusters).into_par_iter().map_init(places, |places, rank| cost.points(rank, places)).collect()
 }
 
 /// Pixels of the matched image on each triangle that is covered, times the chance that they are measured.
-fn expected_pixels(model: &Model, cluster: &ViewCluster) -> f64 {
+fn expected_pixels(model: &Model, cluster: &ViewCluster, places: &mut Places) -> f64 {
     let (pose, camera) = (&model.scene.view(cluster.key).cam_from_world, model.scene.camera_of(cluster.key));
-    let pixels = |&triangle: &u32| {
-        let success = fulfilment::success(model, cluster.key, &cluster.partners, triangle);
+    let partners: Vec<usize> = (0..cluster.partners.len()).collect();
+    let chances = Block::new(model, cluster.key, &cluster.partners, |_| false, places).chances(&partners);
+    let pixels = |(&triangle, chance): (&u32, f32)| {
         let corners = model.surface.corners(triangle).map(|corner| pose.camera_from_world(&corner));
-        if success > 0.0 { success * fulfilment::projected_area(camera, &corners) } else { 0.0 }
+        if chance > 0.0 { f64::from(chance) * fulfilment::projected_area(camera, &corners) } else { 0.0 }
     };
     let reduced = model.rule.image_scale.powi(2);
-    reduced * model.visibility.of(cluster.key).iter().map(pixels).sum::<f64>()
+    reduced * model.visibility.of(cluster.key).iter().zip(chances).map(pixels).sum::<f64>()
 }

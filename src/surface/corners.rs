@@ -45,18 +45,21 @@ pub fn opposites(surface: &Surface) -> Vec<u32> {
     let triangles = &surface.triangles;
     let mut opposite = vec![BORDER; 3 * triangles.len()];
     let (offsets, mut corners) = corners_by_smaller_end(surface.vertices.len(), triangles);
-    for v in 0..surface.vertices.len() {
-        let bucket = &mut corners[offsets[v] as usize..offsets[v + 1] as usize];
-        bucket.sort_unstable_by_key(|&c| (larger_end(triangles, c), c));
-        for edge in bucket.chunk_by(|&a, &b| larger_end(triangles, a) == larger_end(triangles, b)) {
-            pair_edge(surface, edge, &mut opposite);
+    let mut edge: Vec<u32> = Vec::new();
+    for ends in offsets.windows(2) {
+        let bucket = &mut corners[ends[0] as usize..ends[1] as usize];
+        bucket.sort_unstable();
+        for facing in bucket.chunk_by(|a, b| a.0 == b.0) {
+            edge.clear();
+            edge.extend(facing.iter().map(|corner| corner.1));
+            pair_edge(surface, &edge, &mut opposite);
         }
     }
     opposite
 }
 
-/// All corners grouped by the smaller vertex of the edge that they face (CSR).
-fn corners_by_smaller_end(vertices: usize, triangles: &[[u32; 3]]) -> (Vec<u32>, Vec<u32>) {
+/// All corners grouped by the smaller vertex of the edge that they face (CSR), each behind the larger one.
+fn corners_by_smaller_end(vertices: usize, triangles: &[[u32; 3]]) -> (Vec<u32>, Vec<(u32, u32)>) {
     let corner_count = 3 * triangles.len() as u32;
     let mut offsets = vec![0u32; vertices + 1];
     for c in 0..corner_count {
@@ -66,10 +69,10 @@ fn corners_by_smaller_end(vertices: usize, triangles: &[[u32; 3]]) -> (Vec<u32>,
         offsets[v + 1] += offsets[v];
     }
     let mut fill = offsets.clone();
-    let mut corners = vec![0u32; corner_count as usize];
+    let mut corners = vec![(0u32, 0u32); corner_count as usize];
     for c in 0..corner_count {
         let slot = &mut fill[smaller_end(triangles, c) as usize];
-        corners[*slot as usize] = c;
+        corners[*slot as usize] = (larger_end(triangles, c), c);
         *slot += 1;
     }
     (offsets, corners)

@@ -101,6 +101,24 @@ impl Face {
     fn pixel(&self, p: &Vector3<f64>) -> Point2<f64> {
         Point2::from(p.xy().component_mul(&self.focal) / p.z + self.axis)
     }
+
+    /// A point in camera coordinates on this face.
+    pub fn project(&self, point: &Point3<f64>) -> Projected {
+        self.projected(self.face_from_camera * point.coords)
+    }
+
+    fn projected(&self, place: Vector3<f64>) -> Projected {
+        Projected { place, screen: self.pixel(&place).coords.push(place.z.recip()) }
+    }
+}
+
+/// A point on a face.
+#[derive(Clone, Copy, Debug)]
+pub struct Projected {
+    /// Face coordinates.
+    place: Vector3<f64>,
+    /// Pixel x, pixel y and inverse depth; of use only for what lies ahead.
+    screen: Vector3<f64>,
 }
 
 /// Right, down and forward of the faces of a cube in camera coordinates; the one behind is the last.
@@ -155,8 +173,8 @@ impl Buffer {
         self.pixels.resize(face.width * face.height, 0);
     }
 
-    /// Draws a triangle given in camera coordinates; what is nearer than `near` is cut off. Returns how many pixels it covers.
-    pub fn draw(&mut self, face: &Face, corners: &[Point3<f64>; 3], near: f64, triangle: u32) -> u32 {
+    /// Draws a triangle; what is nearer than `near` is cut off. Returns how many pixels it covers.
+    pub fn draw(&mut self, face: &Face, corners: [&Projected; 3], near: f64, triangle: u32) -> u32 {
         let (pixels, mut covered) = (&mut self.pixels, 0);
         for_each_pixel(face, corners, near, |at, inverse_depth| {
             let code = u64::from(inverse_depth.to_bits()) << 32 | u64::from(triangle);
@@ -171,10 +189,11 @@ impl Buffer {
         self.pixels.iter().map(move |&code| if code == 0 { nothing } else { code as u32 })
     }
 
-    /// How many of the pixels that the triangle covers have nothing in front by more than the tolerance.
+    /// How many of the pixels that the triangle, given in camera coordinates, covers have nothing in front by more than the tolerance.
     pub fn free(&self, face: &Face, corners: &[Point3<f64>; 3], near: f64, tolerance: Tolerance) -> u32 {
+        let [a, b, c] = corners.each_ref().map(|corner| face.project(corner));
         let mut free = 0;
-        for_each_pixel(face, corners, near, |at, own| {
+        for_each_pixel(face, [&a, &b, &c], near, |at, own| {
             free += u32::from(!tolerance.hides(inverse_depth(self.pixels[at]).into(), own.into()));
         });
         free
@@ -211,15 +230,13 @@ fn inverse_depth(code: u64) -> f32 {
 
 /// Calls `visit` with index and inverse depth of each pixel of the face whose centre the triangle covers.
 #[inline(always)]
-fn for_each_pixel(face: &Face, corners: &[Point3<f64>; 3], near: f64, mut visit: impl FnMut(usize, f32)) {
-    let [a, b, c] = corners.each_ref().map(|p| face.face_from_camera * p.coords);
-    let screen = |p: &Vector3<f64>| face.pixel(p).coords.push(p.z.recip());
-    match [a, b, c].iter().filter(|p| p.z > near).count() {
-        3 => fill(face, [screen(&a), screen(&b), screen(&c)], &mut visit),
+fn for_each_pixel(face: &Face, [a, b, c]: [&Projected; 3], near: f64, mut visit: impl FnMut(usize, f32)) {
+    match [a, b, c].iter().filter(|p| p.place.z > near).count() {
+        3 => fill(face, [a.screen, b.screen, c.screen], &mut visit),
         0 => {}
         _ => {
-            let (polygon, n) = clip([a, b, c], near);
-            let screen = polygon.map(|p| screen(&p));
+            let (polygon, n) = clip([a.place, b.place, c.place], near);
+            let screen = polygon.map(|p| face.projected(p).screen);
             for i in 2..n {
                 fill(face, [screen[0], screen[i - 1], screen[i]], &mut visit);
             }

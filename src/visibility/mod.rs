@@ -14,8 +14,8 @@ use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
 
 use self::{
-    buffer::{Buffer, Face, Tolerance},
-    patches::Patches,
+    buffer::{Buffer, Face, Projected, Tolerance},
+    patches::{Patch, Patches},
 };
 use crate::{
     camera::{Camera, CameraModel},
@@ -96,7 +96,7 @@ pub fn estimate(
     edge_length: f64,
     watcher: &dyn Watcher,
 ) -> Result<Visibility, Cancelled> {
-    let stage = Looking::new(scene, surface, settings, edge_length, settings.buffer_px);
+    let stage = Looking::new(scene, surface, settings, edge_length);
     let observations = Observations::new(scene.points.len());
     let views: Vec<ViewIndex> = scene.view_indices().collect();
     let done = AtomicU64::new(0);
@@ -105,7 +105,7 @@ pub fn estimate(
     for batch in views.chunks(BATCH) {
         let look = |picture: &mut Picture, &view: &ViewIndex| {
             watcher.check()?;
-            stage.draw(view, picture, |_| true);
+            stage.draw(view, picture);
             let mut seen: Vec<u32> = stage.visible(view, picture).collect();
             seen.sort_unstable();
             stage.observe(view, points.of(view), picture, &observations);
@@ -122,28 +122,6 @@ pub fn estimate(
     Ok(table)
 }
 
-/// Which triangles at least one view sees, from pictures of half the size; cheaper than [`estimate`]. Reports no progress.
-pub fn seen(
-    scene: &Scene,
-    surface: &Surface,
-    settings: &VisibilitySettings,
-    edge_length: f64,
-    watcher: &dyn Watcher,
-) -> Result<Vec<bool>, Cancelled> {
-    let stage = Looking::new(scene, surface, settings, edge_length, settings.buffer_px / 2);
-    let seen: Vec<AtomicBool> = surface.triangles.iter().map(|_| AtomicBool::new(false)).collect();
-    let views: Vec<ViewIndex> = scene.view_indices().collect();
-    let look = |picture: &mut Picture, &view: &ViewIndex| {
-        watcher.check()?;
-        // Threads see each other's marks early or late; a triangle is looked at again or not, its mark stays the same.
-        stage.draw(view, picture, |t| !seen[t as usize].load(Ordering::Relaxed));
-        stage.visible(view, picture).for_each(|t| seen[t as usize].store(true, Ordering::Relaxed));
-        Ok(())
-    };
-    views.par_iter().map_init(Picture::default, look).collect::<Result<(), _>>()?;
-    Ok(seen.into_iter().map(AtomicBool::into_inner).collect())
-}
-
 /// No triangle, in a picture of triangles.
 pub const NOTHING: u32 = u32::MAX;
 /// Closer to a camera than this share of the surface's distance from it nothing is drawn by [`front`].
@@ -156,10 +134,11 @@ pub fn front(scene: &Scene, surface: &Surface, view: ViewIndex, width: u32, heig
     let pose = &scene.view(view).cam_from_world;
     let vertices: Vec<Point3<f64>> = surface.vertices.iter().map(|v| pose.camera_from_world(v)).collect();
     let near = NEAR_SHARE * vertices.iter().map(|v| v.z.abs()).fold(f64::MIN_POSITIVE, f64::max);
+    let vertices: Vec<Projected> = vertices.iter().map(|v| face.project(v)).collect();
     let mut buffer = Buffer::default();
     buffer.clear(&face);
     for (t, corners) in surface.triangles.iter().enumerate() {
-        buffer.draw(&face, &corners.map(|v| vertices[v as usize]), near, t as u32);
+        buffer.draw(&face, corners.map(|v| &vertices[v as usize]), near, t as u32);
     }
     buffer.triangles(NOTHING).collect()
 }
@@ -183,8 +162,11 @@ struct Looking<'a> {
 struct Picture {
     buffers: Vec<Buffer>,
     candidates: Vec<Candidate>,
-    /// Vertices of a patch in camera coordinates.
+    /// Vertices of a patch in camera coordinates, and on a face.
     vertices: Vec<Point3<f64>>,
+    projected: Vec<Projected>,
+    /// Pixels that each triangle of a patch covers.
+    covered: Vec<u32>,
     /// For each triangle its place among the candidates, or [`NOTHING`].
     places: Vec<u32>,
 }
@@ -224,19 +206,13 @@ struct Candidate {
 }
 
 impl<'a> Looking<'a> {
-    fn new(
-        scene: &'a Scene,
-        surface: &'a Surface,
-        settings: &VisibilitySettings,
-        edge_length: f64,
-        buffer_px: u32,
-    ) -> Self {
+    fn new(scene: &'a Scene, surface: &'a Surface, settings: &VisibilitySettings, edge_length: f64) -> Self {
         let length = settings.tolerance_edges * edge_length;
         Self {
             scene,
             surface,
             patches: Patches::new(surface),
-            faces: scene.cameras.iter().map(|c| Face::of(c, buffer_px)).collect(),
+            faces: scene.cameras.iter().map(|c| Face::of(c, settings.buffer_px)).collect(),
             tolerance: Tolerance { length, depth_share: settings.tolerance_depth },
             near: NEAR_EDGES * edge_length,
             cos2: settings.max_incidence_deg.to_radians().cos().powi(2),
@@ -245,7 +221,7 @@ impl<'a> Looking<'a> {
     }
 
     /// Draws everything in the view's field and collects the triangles that may be visible.
-    fn draw(&self, view: ViewIndex, picture: &mut Picture, wanted: impl Fn(u32) -> bool) {
+    fn draw(&self, view: ViewIndex, picture: &mut Picture) {
         let (camera, faces) = self.camera(view);
         let pose = &self.scene.view(view).cam_from_world;
         picture.candidates.clear();
@@ -258,16 +234,29 @@ impl<'a> Looking<'a> {
             }
             picture.vertices.clear();
             picture.vertices.extend(self.patches.vertices(patch).iter().map(|v| pose.camera_from_world(v)));
-            for (triangle, corners) in self.patches.triangles(patch) {
+            self.draw_patch(patch, faces, picture);
+            for ((triangle, corners), &covered) in self.patches.triangles(patch).zip(&picture.covered) {
                 let corners = corners.map(|c| picture.vertices[c]);
-                let on_faces = faces.iter().zip(&mut picture.buffers);
-                let covered = on_faces.map(|(face, buffer)| buffer.draw(face, &corners, self.near, triangle)).sum();
-                if wanted(triangle) && self.may_be_visible(camera, &corners) {
+                if self.may_be_visible(camera, &corners) {
                     picture.candidates.push(Candidate { triangle, corners, covered, in_front: 0 });
                 }
             }
         }
         picture.count_in_front(self.surface.triangles.len());
+    }
+
+    /// Draws the triangles of a patch, whose vertices the picture holds, and counts the pixels of each.
+    fn draw_patch(&self, patch: &Patch, faces: &[Face], picture: &mut Picture) {
+        let Picture { buffers, vertices, projected, covered, .. } = picture;
+        covered.clear();
+        covered.resize(patch.len(), 0);
+        for (face, buffer) in faces.iter().zip(buffers) {
+            projected.clear();
+            projected.extend(vertices.iter().map(|v| face.project(v)));
+            for ((triangle, corners), covered) in self.patches.triangles(patch).zip(&mut *covered) {
+                *covered += buffer.draw(face, corners.map(|c| &projected[c]), self.near, triangle);
+            }
+        }
     }
 
     /// Conditions 1 and 2 of method 2; corners in camera coordinates.

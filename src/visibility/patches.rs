@@ -19,6 +19,13 @@ pub struct Patch {
     triangles: Range<usize>,
 }
 
+impl Patch {
+    /// Its triangles.
+    pub fn len(&self) -> usize {
+        self.triangles.len()
+    }
+}
+
 /// All patches of a surface; each triangle belongs to one.
 pub struct Patches {
     pub patches: Vec<Patch>,
