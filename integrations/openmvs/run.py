@@ -11,7 +11,7 @@
     python3 run.py --stop-at 0                           only the fusion
     python3 run.py -- --geometric-iters 2                options for DensifyPointCloud behind two dashes
 
-Runs resume: a map that is there and whose row in report.json fits its scene and options is kept. report.json says for each key view what came
+Runs resume: a map that is there and whose row in report.json fits its scene and options is kept; any other is made anew and never fused. report.json says for each key view what came
 out: DensifyPointCloud ends with success whatever it did, so that maps, partners and depth ranges are read from the .dmap files.
 Exit code 1: something is not as planned. Needs Python 3.8 and nothing else.
 """
@@ -45,7 +45,7 @@ def main():
         if clusters_until(row):
             break
         compute(row, program, report)
-    failed = report.finish(run["clusters"])
+    failed = report.finish(run["clusters"], program)
     if not args.no_fusion:
         failed |= not fuse(run, program, report)
     sys.exit(1 if failed else 0)
@@ -143,8 +143,13 @@ def map_of(row):
     return HERE / f"depth{row['id']:04d}.dmap"
 
 
+def digest_of(row, program):
+    """Of all that makes a map what it is: its scene and the options."""
+    return hashlib.sha256((HERE / row["scene"]).read_bytes() + repr(program.options).encode()).hexdigest()
+
+
 def compute(row, program, report):
-    digest = hashlib.sha256((HERE / row["scene"]).read_bytes() + repr(program.options).encode()).hexdigest()
+    digest = digest_of(row, program)
     if report.has(row, digest) and map_of(row).exists():
         return
     report.drop(row)
@@ -210,7 +215,7 @@ def read_map(path):
 
 
 class Report:
-    """report.json: a row per key view that was tried, and the fusion.
+    """report.json: a row per key view that was tried, and the fusion; `older`: rows of other plans or options, whose maps may fit again.
 
     Runs of single ranks go on side by side, on several machines: each writes its row into rows/, and the next whole run joins these."""
 
@@ -219,7 +224,9 @@ class Report:
         self.rows = {}
         for path in (self.path, *sorted((HERE / "rows").glob("*.json"))):
             with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
-                self.rows.update({row["key"]: row for row in json.loads(path.read_text(encoding="utf-8"))["clusters"]})
+                found = json.loads(path.read_text(encoding="utf-8"))
+                self.rows.update({row["key"]: row for row in [*found.get("older", []), *found["clusters"]]})
+        self.older = []
         self.options = options
         self.fusion = None
         self.single = False
@@ -253,16 +260,21 @@ class Report:
 
     def write_rows(self, path, rows):
         path.parent.mkdir(exist_ok=True)
-        text = json.dumps({"options": self.options, "clusters": rows, "fusion": self.fusion}, indent=1)
+        text = json.dumps({"options": self.options, "clusters": rows, "older": [] if self.single else self.older, "fusion": self.fusion}, indent=1)
         whole = path.with_suffix(".tmp")
         whole.write_text(text + "\n", encoding="utf-8")
         whole.replace(path)
 
-    def finish(self, clusters):
-        """Rows of the plan only; says how many are as planned; True where one isn't."""
-        names = {row["key"]: row["rank"] for row in clusters}
-        self.rows = {key: {**row, "rank": names[key]} for key, row in self.rows.items() if key in names}
+    def finish(self, clusters, program):
+        """Rows of this plan and these options only; says how many are as planned; True where one isn't."""
+        tried = [row for row in clusters if row["key"] in self.rows]
+        present = {row["key"]: row["rank"] for row in tried if self.has(row, digest_of(row, program))}
+        self.older = [row for key, row in self.rows.items() if key not in present]
+        self.rows = {key: {**self.rows[key], "rank": rank} for key, rank in present.items()}
         self.write()
+        if len(present) < len(tried):
+            left_out = ", ".join(row["key"] for row in tried if row["key"] not in self.rows)
+            print(f"left out, their maps were made for another plan or with other options, or are not finished: {left_out}", flush=True)
         wrong = [row for row in self.rows.values() if row["problems"]]
         print(f"{len(self.rows)} of {len(clusters)} key views tried, {len(self.rows) - len(wrong)} as planned", flush=True)
         return bool(wrong)
@@ -271,7 +283,7 @@ class Report:
 def fuse(run, program, report):
     """Joins the maps that are there; each is compared with those of the key views that overlap it."""
     rows = run["clusters"]
-    there = {i for i, row in enumerate(rows) if report.rows.get(row["key"], {}).get("digest") and map_of(row).exists()}
+    there = {i for i, row in enumerate(rows) if report.has(row, digest_of(row, program)) and map_of(row).exists()}
     if not there:
         print("nothing to fuse")
         return False

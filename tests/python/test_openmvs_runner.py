@@ -96,6 +96,27 @@ def test_openmvs_existing_dmap_kept(folder):
     assert not (folder / "depth0011.dmap").exists(), "the map of other partners must not stay"
 
 
+@pytest.mark.parametrize("older", ["plan", "options"])
+def test_a_map_of_an_older_plan_is_not_fused(folder, older):
+    """The run ends before it comes to that cluster: the map is there, its row in report.json too."""
+    run(folder)
+    if older == "plan":
+        (folder / "clusters/1.mvs").write_text("other partners")
+    done, calls, report = run(folder, "--stop-at", "1", *(["--", "--resolution-level", "1"] if older == "options" else []))
+    fused = scenes(calls)[-1] == "fuse.mvs"
+    assert fused and "left out" in done.stdout and "k1" in done.stdout
+    lines = (folder / "fuse.txt").read_text().splitlines()
+    assert {int(line.split()[0]) for line in lines} == ({0, 2} if older == "plan" else {0})
+    assert "k1" not in report and (folder / "depth0011.dmap").exists()
+
+
+def test_nothing_is_fused_where_all_maps_are_of_other_options(folder):
+    run(folder)
+    done, calls, report = run(folder, "--stop-at", "0", "--", "--resolution-level", "1")
+    assert done.returncode == 1 and calls == [] and report == {} and "nothing to fuse" in done.stdout
+    assert scenes(run(folder)[1]) == ["fuse.mvs"], "their maps are still good for the options that they were made with"
+
+
 def test_openmvs_existing_dmap_header_rewritten(folder):
     fusion = run(folder)[1][-1]
     for option, value in (("--geometric-iters", "0"), ("--postprocess-dmaps", "0")):
