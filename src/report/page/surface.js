@@ -9,6 +9,8 @@ const REASON_COLOURS = [
   [150, 150, 150],
 ];
 const IMPROVED = [176, 58, 134];
+// Triangles up to which edges are drawn smoothly.
+const SMOOTH = 10000;
 
 function ramp(share) {
   const place = Math.min(Math.max(share, 0), 1) * 2;
@@ -95,7 +97,8 @@ const FRAGMENT = 'precision mediump float; varying vec3 shade; void main() { gl_
 // The surface on one canvas by WebGL.
 class GlPainter {
   constructor(canvas) {
-    const gl = canvas.getContext('webgl', { alpha: true, antialias: true, preserveDrawingBuffer: true });
+    // Where there is no GPU, smooth edges of many triangles would take as long as everything else.
+    const gl = canvas.getContext('webgl', { alpha: true, antialias: surface.count < SMOOTH, preserveDrawingBuffer: true });
     if (!gl) throw new Error('no WebGL');
     this.gl = gl;
     const program = gl.createProgram();
