@@ -33,6 +33,9 @@ use super::{Fault, Place, Problem};
 /// The pose index of an image that is not calibrated.
 pub const NO_POSE: u32 = u32::MAX;
 
+/// The ID of an image that has none: its index counts.
+pub const NO_ID: u32 = u32::MAX;
+
 /// The highest version that is understood.
 pub const NEWEST: u32 = 7;
 
@@ -89,7 +92,7 @@ pub struct Image {
     pub camera: u32,
     /// [`NO_POSE`] where not calibrated.
     pub pose: u32,
-    /// Names the depth map's file; before version 3 the index.
+    /// Names the depth map's file; the index where the file has none (before version 3, or [`NO_ID`]).
     pub id: u32,
     /// Least, mean and greatest depth.
     pub depths: [f32; 3],
@@ -205,6 +208,12 @@ impl Mvs {
         }
     }
 
+    /// The cameras and images alone.
+    pub fn without_points(self) -> Self {
+        let Self { version, platforms, images, transform, region, .. } = self;
+        Self { version, platforms, images, transform, region, ..Self::default() }
+    }
+
     /// The bytes of the file, in the form of `version`.
     pub fn write(&self) -> Vec<u8> {
         let mut w = Writer { bytes: b"MVSI".to_vec(), version: self.version };
@@ -302,9 +311,7 @@ impl<'a> Reader<'a> {
         let mut scene = Mvs { version: self.version, ..Mvs::default() };
         scene.platforms = self.list("platforms", 24, Self::platform)?;
         scene.images = self.list("images", 20, Self::image)?;
-        if self.version <= 2 {
-            (0..).zip(&mut scene.images).for_each(|(i, image)| image.id = i);
-        }
+        (0..).zip(&mut scene.images).filter(|(_, image)| image.id == NO_ID).for_each(|(i, image)| image.id = i);
         scene.vertices = self
             .list("vertices", 20, |r| Ok(Vertex { x: r.take("a vertex", array(le_f32))?, views: r.vertex_views()? }))?;
         scene.normals = self.list("normals", 12, |r| r.take("a normal", array(le_f32)))?;
@@ -351,7 +358,7 @@ impl<'a> Reader<'a> {
             platform: self.u32("an image")?,
             camera: self.u32("an image")?,
             pose: self.u32("an image")?,
-            id: if self.version > 2 { self.u32("an image's ID")? } else { 0 },
+            id: if self.version > 2 { self.u32("an image's ID")? } else { NO_ID },
             depths: [0.0; 3],
             view_scores: Vec::new(),
         };
@@ -501,6 +508,17 @@ mod tests {
             let read = Mvs::read(&bytes).unwrap();
             assert_eq!(read, small(version), "version {version}");
             assert_eq!(read.write(), bytes);
+        }
+    }
+
+    /// As OpenMVS does when it loads a scene.
+    #[test]
+    fn an_image_without_id_has_its_index() {
+        for version in 1..=NEWEST {
+            let mut scene = small(version);
+            (scene.images[0].id, scene.images[2].id) = (NO_ID, NO_ID);
+            let ids: Vec<u32> = Mvs::read(&scene.write()).unwrap().images.iter().map(|image| image.id).collect();
+            assert_eq!(ids, [0, if version > 2 { 41 } else { 1 }, 2], "version {version}");
         }
     }
 

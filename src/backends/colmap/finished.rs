@@ -21,13 +21,16 @@ pub struct Made {
     sources: Vec<String>,
     /// A photometric map that a geometric pass cannot start from.
     filtered: bool,
+    /// Long side that the images were reduced to (`max_image_size`), pixels; `None`: as they are.
+    #[serde(default)]
+    long_side: Option<u32>,
 }
 
 impl Made {
-    pub fn new(problem: &Problem, filtered: bool) -> Self {
+    pub fn new(problem: &Problem, filtered: bool, long_side: Option<u32>) -> Self {
         let mut sources = problem.sources.clone();
         sources.sort_unstable();
-        Self { sources, filtered }
+        Self { sources, filtered, long_side }
     }
 }
 
@@ -53,7 +56,7 @@ impl Lists {
         }
         let text = std::fs::read_to_string(workspace.join("stereo/patch-match.cfg")).unwrap_or_default();
         let kinds =
-            |p: Problem| ["photometric", "geometric"].map(|k| (map_name(&p.reference, k), Made::new(&p, false)));
+            |p: Problem| ["photometric", "geometric"].map(|k| (map_name(&p.reference, k), Made::new(&p, false, None)));
         let in_force = cfg::read_patch_match(&text).into_iter().flat_map(kinds).collect();
         (Self::new(in_force), SystemTime::UNIX_EPOCH)
     }
@@ -94,7 +97,19 @@ mod tests {
 
     fn lists(partners: &[&str], filtered: bool) -> Lists {
         let problem = Problem { reference: "a.jpg".into(), sources: partners.iter().map(|&s| s.into()).collect() };
-        Lists::new([(map_name("a.jpg", "photometric"), Made::new(&problem, filtered))].into())
+        Lists::new([(map_name("a.jpg", "photometric"), Made::new(&problem, filtered, None))].into())
+    }
+
+    #[test]
+    fn maps_of_another_size_are_stale() {
+        let workspace = tempfile::tempdir().unwrap();
+        put(workspace.path(), NOTE, &lists(&["b.jpg"], true).to_json(), 200);
+        put(workspace.path(), MAP, "", 100);
+        let mut smaller = lists(&["b.jpg"], true);
+        smaller.in_force.values_mut().for_each(|made| made.long_side = Some(800));
+        assert_eq!(smaller.follow(workspace.path()), ["a.jpg.photometric.bin"]);
+        put(workspace.path(), NOTE, &smaller.to_json(), 200);
+        assert!(smaller.follow(workspace.path()).is_empty());
     }
 
     fn put(workspace: &Path, path: &str, text: &str, age_s: u64) {

@@ -104,7 +104,7 @@ impl Backend for Colmap {
             _ => self.workspace(selection, options, passes.refs)?,
         };
         passes.add_files(selection, &mut files, &mut record);
-        add_lists(passes.lists(), &mut files, &mut record);
+        add_lists(passes.lists(max_image_size(selection)), &mut files, &mut record);
         files.add_text("stereo/viewrank/export.json", record.to_json());
         Ok(Export { files, record })
     }
@@ -209,7 +209,7 @@ impl Passes {
         let fused: String = self.last.iter().map(|p| p.reference.clone() + "\n").collect();
         files.add_text("stereo/fusion.cfg", fused);
         let mut patch_match = |config: &str, options: &str| {
-            let size = max_image_size(selection);
+            let size = max_image_size(selection).map_or(String::new(), |n| format!(" --PatchMatchStereo.max_image_size {n}"));
             record
                 .commands
                 .push(format!("colmap patch_match_stereo --workspace_path . --config_path {config} {options}{size}"));
@@ -237,9 +237,9 @@ impl Passes {
     }
 
     /// The depth maps that will be made, and how.
-    fn lists(&self) -> Lists {
+    fn lists(&self, long_side: Option<u32>) -> Lists {
         let maps = |problems: &[Problem], kind: &str, filtered: bool| -> Vec<_> {
-            problems.iter().map(|p| (map_name(&p.reference, kind), Made::new(p, filtered))).collect()
+            problems.iter().map(|p| (map_name(&p.reference, kind), Made::new(p, filtered, long_side))).collect()
         };
         let first = maps(&self.first, "photometric", false);
         let last = maps(&self.last, if self.geometric { "geometric" } else { "photometric" }, !self.geometric);
@@ -341,13 +341,10 @@ fn with_sources_among(problems: &[Problem], among: &[Problem]) -> Vec<Problem> {
     problems.iter().map(reduced).filter(|p| !p.sources.is_empty()).collect()
 }
 
-/// The option that makes COLMAP match at the planned size.
-fn max_image_size(selection: &Selection) -> String {
-    if selection.image_scale >= 1.0 {
-        return String::new();
-    }
+/// The long side of the matched images, where it is not that of the images.
+fn max_image_size(selection: &Selection) -> Option<u32> {
     let long_side = selection.scene.cameras.iter().map(|c| c.width.max(c.height)).max().unwrap_or(0);
-    format!(" --PatchMatchStereo.max_image_size {}", (f64::from(long_side) * selection.image_scale).ceil())
+    (selection.image_scale < 1.0).then(|| (f64::from(long_side) * selection.image_scale).ceil() as u32)
 }
 
 /// Patch match makes no folders: one for each sub-folder of a name, under each kind of map.

@@ -174,13 +174,5 @@ fn scaled(mut mvs: Mvs, scale: f64) -> Mvs {
         image.depths = image.depths.map(|depth| (f64::from(depth) * scale) as f32);
         image.view_scores.clear();
     }
-    Mvs {
-        vertices: Vec::new(),
-        normals: Vec::new(),
-        colours: Vec::new(),
-        lines: Vec::new(),
-        line_normals: Vec::new(),
-        line_colours: Vec::new(),
-        ..mvs
-    }
+    mvs.without_points()
 }
