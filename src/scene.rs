@@ -181,6 +181,16 @@ impl Scene {
         median(gsds.collect())
     }
 
+    /// The scene in coordinates that count from `origin`.
+    pub fn moved(&self, origin: Vector3<f64>) -> Scene {
+        let mut scene = self.clone();
+        scene.points.iter_mut().for_each(|x| *x -= origin);
+        for pose in scene.views.iter_mut().map(|view| &mut view.cam_from_world) {
+            pose.translation += pose.rotation * origin;
+        }
+        scene
+    }
+
     /// The transpose of the tracks: for each view the points that it observes, ascending, each once.
     pub fn view_points(&self) -> ViewPoints {
         ViewPoints::new(self)

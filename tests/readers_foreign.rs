@@ -413,6 +413,50 @@ fn sure_orientations_round_trip() {
     assert!(sure::write("a", &base.cameras[0], &base.views[0].cam_from_world).is_none());
 }
 
+/// A cloud of any size takes a bounded part of the memory, the same part each time.
+#[test]
+fn a_huge_cloud_of_a_sure_project_is_thinned() {
+    let camera = Camera::new(1, CameraModel::Pinhole, 1000, 750, vec![751.0, 751.0, 500.0, 375.0]).unwrap();
+    let pose =
+        viewrank::scene::Pose { rotation: nalgebra::Rotation3::identity(), translation: nalgebra::Vector3::zeros() };
+    let oriented = || {
+        let text = sure::write("a.jpg", &camera, &pose).unwrap();
+        sure::model(vec![sure::read(text.as_bytes(), 1).unwrap()], str::to_owned)
+    };
+    // A grid whose rows are as long as a regular thinning would skip.
+    let grid: Vec<Point3<f64>> =
+        (0..3_000_000).map(|n| Point3::new(f64::from(n % 3) - 1.0, f64::from(n / 3) * 1e-6 - 0.5, 5.0)).collect();
+    let read = || {
+        let mut foreign = oriented();
+        sure::add_cloud(&mut foreign, &grid);
+        foreign.scene().unwrap()
+    };
+    let scene = read();
+    assert!((1_000_000..1_100_000).contains(&scene.points.len()), "{}", scene.points.len());
+    assert!(scene.warnings.iter().any(|w| w.contains("holds 3000000 points")), "{:?}", scene.warnings);
+    assert_eq!(scene.points, read().points);
+    let column = |x: f64| scene.points.iter().filter(|p| p.x == x).count() as f64 / scene.points.len() as f64;
+    assert!([-1.0, 0.0, 1.0].into_iter().all(|x| (column(x) - 1.0 / 3.0).abs() < 0.01));
+    let mut few = oriented();
+    sure::add_cloud(&mut few, &grid[..9]);
+    assert_eq!(few.scene().unwrap().points, grid[..9]);
+}
+
+/// ODM's `opensfm/undistorted/reconstruction.json` says "perspective" with k1 = k2 = 0.
+#[test]
+fn cameras_without_distortion_are_pinholes() {
+    let of = |k1: f64| {
+        let camera = format!(
+            r#"{{"projection_type": "perspective", "width": 400, "height": 300, "focal": 0.9, "k1": {k1}, "k2": 0.0}}"#
+        );
+        let shot = r#"{"rotation": [0, 0, 0], "translation": [0, 0, 0], "camera": "c"}"#;
+        let text = format!(r#"[{{"cameras": {{"c": {camera}}}, "shots": {{"a.tif": {shot}}}, "points": {{}}}}]"#);
+        opensfm::read(text.as_bytes(), None).unwrap().model.cameras[0].clone()
+    };
+    assert_eq!((of(0.0).model(), of(0.0).params()), (CameraModel::Pinhole, &[360.0, 360.0, 200.0, 150.0][..]));
+    assert_eq!(of(-0.1).model(), CameraModel::Radial);
+}
+
 #[test]
 fn sure_projects_have_orientations_and_a_cloud() {
     let Some(formats) = formats() else { return };
@@ -441,6 +485,34 @@ fn sure_projects_have_orientations_and_a_cloud() {
         let expected: Vec<ViewIndex> = scene.view_indices().filter(sees).collect();
         assert_eq!(scene.track_views(PointIndex(p as u32)), expected);
     }
+
+    let nvm = std::fs::read_to_string(formats.join("base_colmap38_exports/model.nvm")).unwrap();
+    // Names of the cloud with other folders, case and extensions; one that is not oriented, one that is missing.
+    let name = |n: usize| base.views[n].name.as_str();
+    let mut other = nvm.clone();
+    for n in 0..12 {
+        let stem = name(n).rsplit_once('.').map_or(name(n), |(stem, _)| stem).to_uppercase();
+        other = other.replace(name(n), &if n == 3 { "stranger.png".into() } else { format!("D:\\flug\\{stem}.TIF") });
+    }
+    std::fs::write(root.join("cloud.nvm"), other).unwrap();
+    let scene = read(root);
+    let warned = |what: &str| scene.warnings.iter().any(|w| w.contains(what));
+    assert!(
+        warned(&format!(
+            "1 oriented images are not in the sparse cloud, so that their observations are missing: {}",
+            name(3)
+        )),
+        "{:?}",
+        scene.warnings
+    );
+    assert!(warned(
+        "1 images of the sparse cloud are not oriented, so that their observations are missing: stranger.png"
+    ));
+    assert_eq!(scene.view_indices().filter(|v| scene.view_points().of(*v).is_empty()).count(), 1);
+    std::fs::write(root.join("cloud.nvm"), nvm.replace("image", "picture").replace("img", "pic").replace("IMG", "PIC"))
+        .unwrap();
+    let error = Project::open(root, None).and_then(|project| project.read_scene()).unwrap_err().to_string();
+    assert!(error.contains("none of the images of the sparse cloud"), "{error}");
 
     std::fs::copy(formats.join("base_colmap38_exports/model.nvm"), root.join("cloud.nvm")).unwrap();
     let scene = Project::open(&root.join("ori"), None).is_ok_and(|p| p.kind == ProjectKind::Sure);

@@ -43,6 +43,8 @@ impl Backend for AliceVision {
     }
 
     fn export(&self, selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {
+        let near = selection.near_origin();
+        let selection = &near.selection();
         let images = selection.undistorted_images(self.name())?;
         let scene = selection.scene;
         let mut files = options.file_set(self, selection);
@@ -51,10 +53,17 @@ impl Backend for AliceVision {
         }
         let points = scene.view_points();
         let mut record = ExportRecord::new(self, selection, |v| scene.view(v).image_id.to_string());
+        record.not_honoured = vec!["the order of the partners of a key view".into()];
+        record.moved(near.origin);
         for (i, cluster) in selection.clusters.iter().enumerate() {
             let path = format!("clusters/{:04}.sfm", i + 1);
             files.add_text(&*path, text(&cluster_file(scene, &points, cluster)));
             record.commands.push(estimation(selection, cluster, &path));
+            let without = cluster.partners.iter().filter(|p| !shares_points(scene, &points, cluster.key, **p));
+            record.not_honoured.extend(without.map(|&p| {
+                let (key, partner) = (scene.name(cluster.key), scene.name(p));
+                format!("{key}: its partner {partner} shares no sparse point with it, without which AliceVision does not use it")
+            }));
         }
         let keys: Vec<_> = selection.clusters.iter().map(|c| c.key).collect();
         files.add_text("keys.sfm", text(&scene_file(scene, &keys, &all_landmarks(scene, &keys))));
@@ -70,7 +79,6 @@ impl Backend for AliceVision {
         record.pixel_shift = PIXEL_SHIFT;
         record.made_for = "AliceVision (ca8300f; read, not run)".into();
         record.way = "one scene file and one call per cluster".into();
-        record.not_honoured = vec!["the order of the partners of a key view".into()];
         record.fusion = "minNumOfConsistentCams 1: only key views have maps, 3 of them rarely agree".into();
         let script = format!(
             "#!/bin/sh\nset -eu\ncd \"$(dirname \"$0\")\"\nmkdir -p depthMaps filtered\n{}\n",
@@ -86,7 +94,8 @@ fn text(file: &Value) -> String {
     serde_json::to_string(file).expect("string keys") + "\n"
 }
 
-/// The call for the key view, by its position among the views of the file, which count by ascending id.
+/// The call for the key view, by its position among the views of the file, which count by ascending id. No angle is too small or too large and
+/// no tile chooses for itself, so that every partner counts.
 fn estimation(selection: &Selection, cluster: &RankedCluster, path: &str) -> String {
     let id = |v: &ViewIndex| selection.scene.view(*v).image_id;
     let position = cluster.partners.iter().filter(|p| id(p) < id(&cluster.key)).count();
@@ -94,7 +103,8 @@ fn estimation(selection: &Selection, cluster: &RankedCluster, path: &str) -> Str
     let downscale = (1.0 / selection.image_scale).round().max(1.0);
     format!(
         "aliceVision_depthMapEstimation -i {path} --imagesFolder images -o depthMaps --rangeStart {position} --rangeSize 1 \
-         --maxTCams {k} --sgmMaxTCamsPerTile {k} --refineMaxTCamsPerTile {k} --downscale {downscale}"
+         --minViewAngle 0 --maxViewAngle 180 --maxTCams {k} --chooseTCamsPerTile 0 --sgmMaxTCamsPerTile {k} --refineMaxTCamsPerTile {k} \
+         --downscale {downscale}"
     )
 }
 
@@ -102,6 +112,10 @@ fn image_path(scene: &Scene, view: ViewIndex) -> String {
     let extension =
         Path::new(scene.name(view)).extension().map_or("jpg".into(), |e| e.to_string_lossy().to_ascii_lowercase());
     format!("images/{}.{extension}", scene.view(view).image_id)
+}
+
+fn shares_points(scene: &Scene, points: &ViewPoints, key: ViewIndex, partner: ViewIndex) -> bool {
+    points.of(key).iter().any(|&p| scene.track_views(p).contains(&partner))
 }
 
 /// A landmark and who observes it.

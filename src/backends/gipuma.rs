@@ -35,6 +35,8 @@ impl Backend for Gipuma {
     }
 
     fn export(&self, selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {
+        let near = selection.near_origin();
+        let selection = &near.selection();
         let images = selection.undistorted_images(self.name())?;
         let views = selection.keys_first();
         let mut names = vec![String::new(); selection.scene.views.len()];
@@ -48,6 +50,7 @@ impl Backend for Gipuma {
         }
         let points = selection.scene.view_points();
         let mut record = ExportRecord::new(self, selection, |v| names[v.at()].clone());
+        record.moved(near.origin);
         record.runner = Some("run.sh".into());
         record.made_for = "Gipuma (f16dbfd) and fusibile".into();
         record.way = "one call per key view".into();

@@ -107,18 +107,17 @@ fn masters(selection: &Selection) -> String {
     format!("<?xml version=\"1.0\" ?>\n<ListOfName>\n{}</ListOfName>\n", names.collect::<String>())
 }
 
-/// A copy of the orientations takes our ImSec files, so that those of the project stay. Patterns are regular expressions.
+/// The script: see its head. Patterns are regular expressions.
 fn runner(selection: &Selection) -> String {
-    let mut script = String::from(
-        "#!/bin/sh\n# usage: run.sh PATH/TO/Ori-NAME\nset -eu\nori=$(cd \"${1:?usage: run.sh PATH/TO/Ori-NAME}\" && pwd)\ncd \"$(dirname \"$0\")\"\n\
-         rm -rf Ori-viewrank\ncp -r \"$ori\" Ori-viewrank\ncp ImSec/*.xml Ori-viewrank/\n",
-    );
+    let mut script = String::from(RUNNER_HEAD);
     for cluster in selection.clusters {
         let pattern: String = selection.scene.name(cluster.key).chars().flat_map(escaped).collect();
-        script += &format!("mm3d Malt GeomImage '{pattern}' viewrank Master=AUTO\n");
+        script += &format!("\"${{MM3D:-mm3d}}\" Malt GeomImage '{pattern}' viewrank Master=AUTO\n");
     }
     script
 }
+
+const RUNNER_HEAD: &str = include_str!("../../integrations/micmac/run_head.sh");
 
 /// The character in a regular expression between single quotes of the shell.
 fn escaped(c: char) -> Vec<char> {

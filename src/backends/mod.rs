@@ -5,6 +5,7 @@
 
 use std::path::PathBuf;
 
+use nalgebra::Vector3;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -363,6 +364,17 @@ impl ExportRecord {
             clusters: selection.clusters.iter().enumerate().map(cluster).collect(),
             warnings: nothing_chosen(selection).into_iter().chain(other_kind(backend, selection)).collect(),
             ..Self::default()
+        }
+    }
+
+    /// Notes that the files count from another origin than the world's.
+    fn moved(&mut self, origin: Vector3<f64>) {
+        self.origin = origin.into();
+        if origin != Vector3::zeros() {
+            let [x, y, z] = self.origin;
+            self.warnings.push(format!(
+                "the program counts in 32 bits, too coarse for these coordinates: those in its files are less by {x} {y} {z}; add that to what comes out"
+            ));
         }
     }
 

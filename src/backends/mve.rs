@@ -41,6 +41,8 @@ impl Backend for Mve {
     }
 
     fn export(&self, selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {
+        let near = selection.near_origin();
+        let selection = &near.selection();
         let images = selection.undistorted_images(self.name())?;
         let views = selection.keys_first();
         let mut ids = vec![None; selection.scene.views.len()];
@@ -62,6 +64,7 @@ impl Backend for Mve {
         }
         let scale = (1.0 / selection.image_scale).log2().round().max(0.0);
         let mut record = ExportRecord::new(self, selection, |v| id(v).to_string());
+        record.moved(near.origin);
         record.runner = Some("run.sh".into());
         record.made_for = "MVE (bf2279f)".into();
         record.way = "one bundle per cluster in one scene".into();

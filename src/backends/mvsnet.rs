@@ -91,6 +91,8 @@ impl Backend for MvsNet {
     }
 
     fn export(&self, selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {
+        let near = selection.near_origin();
+        let selection = &near.selection();
         let images = selection.undistorted_images(self.name)?;
         let views = selection.keys_first();
         let lists = Lists::new(self, selection, &views);
@@ -104,7 +106,8 @@ impl Backend for MvsNet {
             names += &format!("{i}\t{}\n", selection.scene.name(view));
         }
         files.add_text("view_names.txt", names);
-        let record = self.record(selection, &lists);
+        let mut record = self.record(selection, &lists);
+        record.moved(near.origin);
         files.add_text("export.json", record.to_json());
         Ok(Export { files, record })
     }

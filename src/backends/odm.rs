@@ -5,8 +5,9 @@ use super::{
     Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, Patient, PlanningNumbers,
     Selection, Trap,
     openmvs::{self, OpenMvs},
+    selection,
 };
-use crate::output::Contents;
+use crate::{output::Contents, project::ModelFormat};
 
 pub struct Odm;
 
@@ -32,8 +33,9 @@ impl Backend for Odm {
 
     fn traps(&self, patient: &Patient) -> Vec<Trap> {
         let root = &patient.project.root;
-        let [dense, scene] = ["scene_dense_dense_filtered.ply", "scene.mvs"]
-            .map(|file| root.join("opensfm/undistorted/openmvs").join(file));
+        let [inside, below] = ["openmvs", "opensfm/undistorted/openmvs"].map(|folder| root.join(folder));
+        let folder = if inside.is_dir() { inside } else { below };
+        let [dense, scene] = ["scene_dense_dense_filtered.ply", "scene.mvs"].map(|file| folder.join(file));
         let there = |name, path: &std::path::Path, what: &str, cure: &str| {
             path.is_file().then(|| Trap {
                 name,
@@ -50,24 +52,40 @@ impl Backend for Odm {
 
     fn export(&self, selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {
         let images = selection.undistorted_images(self.name())?;
-        let images = std::path::absolute(images).unwrap_or_else(|_| images.into());
         let mut files = options.file_set(self, selection);
-        let mvs = openmvs::joint_scene(selection, |name| images.join(name).to_string_lossy().into_owned());
+        // ODM calls OpenMVS with the working folder openmvs/depthmaps, wherever a container has it.
+        let mvs = openmvs::joint_scene(selection, |name| format!("../images/{name}"));
         files.add("openmvs/scene.mvs", Contents::Bytes(mvs.write()));
+        for view in selection.views() {
+            let name = selection.scene.name(view);
+            files.add(format!("openmvs/images/{name}"), Contents::Link(images.join(name)));
+        }
         let mut record =
             ExportRecord::new(self, selection, |v| format!("depth{:04}.dmap", selection.scene.view(v).image_id));
         record.made_for = "OpenDroneMap (32cfaac; read, not run)".into();
         record.way = "openmvs/scene.mvs in place of ODM's own".into();
         record.commands = vec![
             "run ODM with --end-with opensfm".into(),
-            "cp -r openmvs ODM_PROJECT/".into(),
+            "rm -rf ODM_PROJECT/opensfm/undistorted/openmvs".into(),
+            "cp -rL openmvs ODM_PROJECT/opensfm/undistorted/".into(),
             "run ODM again, without any --rerun (that would delete the scene)".into(),
         ];
         record.not_honoured = vec!["the rank order".into(), "partners beyond the fifth (CUDA: eighth)".into()];
         record.warnings.extend([
-            "ODM_PROJECT/openmvs must not hold a scene_dense.ply, else the stage is skipped".into(),
+            "ODM_PROJECT/opensfm/undistorted/openmvs must hold nothing older: with a scene_dense_dense_filtered.ply the stage is skipped, and \
+             old depth maps are kept"
+                .into(),
             "whether ODM's OpenMVS reads interface version 7 was not tested".into(),
         ]);
+        if selection.project.model.format != ModelFormat::OpenSfm {
+            record.warnings.push(
+                "ODM takes the points as they are: the model must be in the coordinates of ODM's own reconstruction, as that in \
+                 ODM_PROJECT/opensfm/undistorted is"
+                    .into(),
+            );
+        }
+        let ruined = |rounding| format!("{rounding}: the cloud would be ruined, and ODM's own coordinates are smaller");
+        record.warnings.extend(selection::rounding(selection.scene).map(ruined));
         record.pixel_shift = -0.5;
         record.fusion = "ODM's own options: number-views-fuse 2".into();
         files.add_text("export.json", record.to_json());

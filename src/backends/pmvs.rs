@@ -44,6 +44,8 @@ impl Backend for Pmvs {
     }
 
     fn export(&self, selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {
+        let near = selection.near_origin();
+        let selection = &near.selection();
         let images = selection.undistorted_images(self.name())?;
         let views = selection.keys_first();
         let mut index = vec![0; selection.scene.views.len()];
@@ -59,6 +61,7 @@ impl Backend for Pmvs {
         files.add_text("vis.dat", visibility(selection, &views, &index));
         files.add_text(OPTIONS, option_file(selection, views.len()));
         let mut record = ExportRecord::new(self, selection, |v| index[v.at()].to_string());
+        record.moved(near.origin);
         record.made_for = "PMVS2 (CMVS-PMVS)".into();
         record.way = "timages, oimages, vis.dat".into();
         // The folder is put in front of file names as it is: without the slash nothing is found.

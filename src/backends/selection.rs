@@ -1,6 +1,8 @@
 //! What a backend is handed: the scene and the chosen view clusters in rank order.
 
-use std::path::Path;
+use std::{borrow::Cow, path::Path};
+
+use nalgebra::Vector3;
 
 use super::BackendError;
 use crate::{
@@ -29,6 +31,30 @@ pub struct Selection<'a> {
     pub image_scale: f64,
     /// Name of the backend that the plan was made for.
     pub planned_for: &'a str,
+}
+
+/// A selection whose scene lies near its origin: for programs that count in 32 bits.
+pub struct NearOrigin<'a> {
+    selection: Selection<'a>,
+    scene: Cow<'a, Scene>,
+    /// World coordinates of the origin of the scene.
+    pub origin: Vector3<f64>,
+}
+
+impl NearOrigin<'_> {
+    pub fn selection(&self) -> Selection<'_> {
+        Selection { scene: &self.scene, ..self.selection }
+    }
+}
+
+impl<'a> Selection<'a> {
+    /// The same near the origin; as it is where 32 bits hold its coordinates.
+    pub fn near_origin(&self) -> NearOrigin<'a> {
+        let origin = if rounding(self.scene).is_some() { middle(self.scene) } else { Vector3::zeros() };
+        let moved = origin != Vector3::zeros();
+        let scene = if moved { Cow::Owned(self.scene.moved(origin)) } else { Cow::Borrowed(self.scene) };
+        NearOrigin { selection: *self, scene, origin }
+    }
 }
 
 impl Selection<'_> {
@@ -109,6 +135,23 @@ impl Selection<'_> {
         let middle = counts.len() / 2;
         if counts.is_empty() { 0 } else { *counts.select_nth_unstable(middle).1 }
     }
+}
+
+/// What numbers of 32 bits do to the coordinates, where their steps are coarser than a tenth of a pixel on the ground.
+pub fn rounding(scene: &Scene) -> Option<String> {
+    let centres = scene.views.iter().map(|view| view.cam_from_world.centre());
+    let largest = centres.flat_map(|centre| [centre.x, centre.y, centre.z]).fold(0.0, |max: f64, x| max.max(x.abs()));
+    let step = largest * f64::from(f32::EPSILON);
+    let gsd = scene.median_gsd().filter(|gsd| step >= 0.1 * gsd)?;
+    Some(format!(
+        "coordinates up to {largest:.0} are rounded to {step:.2} units in numbers of 32 bits, and a pixel is {gsd:.3} units"
+    ))
+}
+
+/// Mean of the camera centres, in whole units.
+fn middle(scene: &Scene) -> Vector3<f64> {
+    let sum = scene.views.iter().fold(Vector3::zeros(), |sum, view| sum + view.cam_from_world.centre().coords);
+    (sum / scene.views.len() as f64).map(f64::round)
 }
 
 /// Depths of the points that the view observes, in front of it, ascending, scene units.

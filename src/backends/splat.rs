@@ -55,12 +55,15 @@ impl Backend for Splat {
     }
 
     fn export(&self, selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {
+        let near = selection.near_origin();
         let views = listed_views(selection, options.refs);
         let mut files = options.file_set(self, selection);
-        add_workspace(self.name(), &mut files, selection, &views, "sparse/0", 2)?;
+        add_workspace(self.name(), &mut files, selection, &views, "sparse/0", 2, near.origin)?;
+        let selection = &near.selection();
         files.add("sparse/0/points3D.ply", Contents::Bytes(seeds(selection, &views)));
         add_lists(&mut files, selection, &views);
         let mut record = ExportRecord::new(self, selection, |v| format!("images/{}", selection.scene.name(v)));
+        record.moved(near.origin);
         record.made_for = "gaussian-splatting, gsplat, brush, nerfstudio".into();
         record.way = format!("reduced model of {} images", views.len());
         record.commands = vec![

@@ -2,6 +2,8 @@
 
 use std::collections::HashSet;
 
+use nalgebra::Vector3;
+
 use super::{BackendError, Selection};
 use crate::{
     formats::{colmap::ColmapModel, colmap_bin},
@@ -10,7 +12,8 @@ use crate::{
     scene::ViewIndex,
 };
 
-/// Adds `MODEL/{cameras,images,points3D}.bin` and `images/NAME` for the views. Points that fewer than `least_views` of them observe go.
+/// Adds `MODEL/{cameras,images,points3D}.bin` and `images/NAME` for the views, in coordinates that count from `origin`. Points that fewer
+/// than `least_views` of them observe go.
 pub fn add_workspace(
     backend: &'static str,
     files: &mut FileSet,
@@ -18,9 +21,10 @@ pub fn add_workspace(
     views: &[ViewIndex],
     model_folder: &str,
     least_views: usize,
+    origin: Vector3<f64>,
 ) -> Result<(), BackendError> {
     let images = selection.images(backend)?;
-    for (name, bytes) in reduced_model(selection, views, least_views)? {
+    for (name, bytes) in reduced_model(selection, views, least_views, origin)? {
         files.add(format!("{model_folder}/{name}"), Contents::Bytes(bytes));
     }
     for &view in views {
@@ -34,15 +38,18 @@ pub fn add_workspace(
     Ok(())
 }
 
-/// The files of the model reduced to the views. Of a COLMAP model everything else stays as it is.
+/// The files of the model reduced to the views. Of a COLMAP model everything else stays as it is, coordinates aside.
 fn reduced_model(
     selection: &Selection,
     views: &[ViewIndex],
     least_views: usize,
+    origin: Vector3<f64>,
 ) -> Result<Vec<(&'static str, Vec<u8>)>, BackendError> {
     let names: HashSet<&str> = views.iter().map(|&v| selection.scene.name(v)).collect();
-    let write =
-        |model: &ColmapModel| Ok(colmap_bin::write(&model.reduced(|image| names.contains(&*image.name), least_views)?));
+    let write = |model: &ColmapModel| {
+        let reduced = model.reduced(|image| names.contains(&*image.name), least_views)?;
+        Ok(colmap_bin::write(&reduced.moved(origin)?))
+    };
     let fault = |fault| ProjectError::Fault { path: selection.project.model.path.clone(), fault };
     Ok(selection.project.with_colmap_model(selection.scene, write)?.map_err(fault)?)
 }

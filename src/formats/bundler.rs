@@ -15,7 +15,7 @@ use nalgebra::{Matrix3, Vector3};
 use super::{
     Fault, Place, Problem,
     foreign::{Foreign, SizeOf, camera, guessed_size, pose},
-    words::Words,
+    words::{Observation, Words},
 };
 use crate::camera::{Camera, CameraModel};
 
@@ -34,8 +34,7 @@ struct BundlerCamera {
 struct BundlerPoint {
     xyz: [f64; 3],
     colour: [u8; 3],
-    /// Camera, x, y.
-    observations: Vec<(usize, [f64; 2])>,
+    observations: Vec<Observation>,
     at: Place,
 }
 
@@ -75,18 +74,7 @@ fn point(words: &mut Words, cameras: usize) -> Result<BundlerPoint, Fault> {
     for c in &mut colour {
         *c = words.number("a colour from 0 to 255")?;
     }
-    let count = words.count("observations", 8)?;
-    let mut observations = Vec::with_capacity(count);
-    for _ in 0..count {
-        let camera: usize = words.number("a camera")?;
-        let _key: i64 = words.number("a key")?;
-        let pixel = words.numbers("x and y")?;
-        if camera >= cameras {
-            return Err(words.fault(Problem::Absent { what: "camera", id: camera as u64 }));
-        }
-        observations.push((camera, pixel));
-    }
-    Ok(BundlerPoint { xyz, colour, observations, at })
+    Ok(BundlerPoint { xyz, colour, observations: words.observations(cameras)?, at })
 }
 
 fn names(list: &[u8]) -> Result<Vec<String>, Fault> {

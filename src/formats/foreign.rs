@@ -9,7 +9,10 @@ use super::{
     Fault, Place, Problem,
     colmap::{ColmapImage, ColmapModel, ColmapPoint, Point2d, StoredPose, TrackElement},
 };
-use crate::{camera::Camera, scene::Scene};
+use crate::{
+    camera::{Camera, CameraError, CameraModel},
+    scene::Scene,
+};
 
 /// How far from orthonormal a rotation matrix may be: some programs print six digits.
 const ROTATION_TOLERANCE: f64 = 1e-3;
@@ -114,12 +117,24 @@ pub(super) fn shift(pixel: [f64; 2]) -> [f64; 2] {
     pixel.map(|c| c + 0.5)
 }
 
-/// A camera, or the fault in it.
-pub(super) fn camera(
-    camera: Result<Camera, crate::camera::CameraError>,
-    what: impl FnOnce() -> String,
-) -> Result<Camera, Fault> {
-    camera.map_err(|error| Fault::new("", Place::File, error.into()).in_record(what))
+/// A camera, or the fault in it. Programs that write undistorted images leave the distortion in the file, as zeros: without any it is a
+/// pinhole, which every backend takes.
+pub(super) fn camera(camera: Result<Camera, CameraError>, what: impl FnOnce() -> String) -> Result<Camera, Fault> {
+    camera.and_then(without_no_distortion).map_err(|error| Fault::new("", Place::File, error.into()).in_record(what))
+}
+
+fn without_no_distortion(camera: Camera) -> Result<Camera, CameraError> {
+    use CameraModel::{FullOpenCv, OpenCv, Radial, SimpleRadial};
+    let size = (u64::from(camera.width), u64::from(camera.height));
+    match (camera.model(), camera.params()) {
+        (SimpleRadial | Radial, &[f, cx, cy, ref k @ ..]) if k.iter().all(|k| *k == 0.0) => {
+            Camera::new(camera.id, CameraModel::Pinhole, size.0, size.1, vec![f, f, cx, cy])
+        }
+        (OpenCv | FullOpenCv, &[fx, fy, cx, cy, ref k @ ..]) if k.iter().all(|k| *k == 0.0) => {
+            Camera::new(camera.id, CameraModel::Pinhole, size.0, size.1, vec![fx, fy, cx, cy])
+        }
+        _ => Ok(camera),
+    }
 }
 
 /// Where an image's size is not in the file: looks it up by name.

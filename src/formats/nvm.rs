@@ -16,7 +16,7 @@ use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use super::{
     Fault, Place, Problem,
     foreign::{Foreign, SizeOf, camera, guessed_size, pose_with_centre},
-    words::{Words, name_and_numbers},
+    words::{Observation, Words, name_and_numbers},
 };
 use crate::camera::{Camera, CameraModel};
 
@@ -30,8 +30,7 @@ struct NvmCamera {
 struct NvmPoint {
     xyz: [f64; 3],
     colour: [u8; 3],
-    /// Camera, x, y.
-    observations: Vec<(usize, [f64; 2])>,
+    observations: Vec<Observation>,
     at: Place,
 }
 
@@ -75,18 +74,7 @@ fn point(words: &mut Words, cameras: usize) -> Result<NvmPoint, Fault> {
     let xyz = words.numbers("a position")?;
     // Some writers print colours as floating-point numbers.
     let colour = words.numbers::<3>("a colour")?.map(|c| c.round().clamp(0.0, 255.0) as u8);
-    let count = words.count("measurements", 8)?;
-    let mut observations: Vec<(usize, [f64; 2])> = Vec::with_capacity(count);
-    for _ in 0..count {
-        let camera: usize = words.number("a camera")?;
-        let _key: i64 = words.number("a key")?;
-        let pixel = words.numbers("x and y")?;
-        if camera >= cameras {
-            return Err(words.fault(Problem::Absent { what: "camera", id: camera as u64 }));
-        }
-        observations.push((camera, pixel));
-    }
-    Ok(NvmPoint { xyz, colour, observations, at })
+    Ok(NvmPoint { xyz, colour, observations: words.observations(cameras)?, at })
 }
 
 fn assemble(cameras: &[NvmCamera], points: &[NvmPoint], size_of: SizeOf) -> Result<Foreign, Fault> {

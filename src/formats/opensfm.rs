@@ -25,7 +25,7 @@ struct Reconstruction {
     points: Ordered<Point>,
 }
 
-/// A JSON object in the order of the file.
+/// A JSON object, by name.
 type Ordered<T> = std::collections::BTreeMap<String, T>;
 
 #[derive(Deserialize)]

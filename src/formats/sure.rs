@@ -4,14 +4,14 @@
 //! Focal length in mm and pixel size are not used: the camera matrix is in pixels. Distortion is `NONE`, or `Brown5` with
 //! K1 K2 K3 T1 T2.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 
 use nalgebra::{Matrix3, Point3, Vector3};
 use rayon::prelude::*;
 
 use super::{
     Fault, Place, Problem,
-    colmap::StoredPose,
+    colmap::{ColmapImage, StoredPose},
     foreign::{Foreign, camera, pose_with_centre, shift},
     words::parse,
 };
@@ -121,45 +121,127 @@ pub fn model(oriented: Vec<Orientation>, name_of: impl Fn(&str) -> String) -> Fo
     foreign
 }
 
+/// Most points of a cloud without tracks that are used, and most observations that may come of them.
+const CLOUD_POINTS: usize = 1 << 20;
+const CLOUD_OBSERVATIONS: usize = 20_000_000;
+/// Points that tell how many views see one.
+const CLOUD_SAMPLE: usize = 1 << 12;
+
 /// Adds points that nothing is known of but their places: each is taken as seen by all views that it projects into, hidden or
-/// not; pixels are the projections.
+/// not; pixels are the projections. Of a huge cloud a part is taken, the same at each reading.
 pub fn add_cloud(foreign: &mut Foreign, points: &[Point3<f64>]) {
     let cameras: HashMap<u32, Camera> = foreign.model.cameras.iter().map(|c| (c.id, c.clone())).collect();
     let poses =
         foreign.model.images.iter().map(|image| Some((image.cam_from_world.pose().ok()?, &cameras[&image.camera_id])));
     let poses: Vec<_> = poses.collect();
-    let seen_by = |x: &Point3<f64>| -> Vec<(usize, [f64; 2])> {
+    let seen_by = |x: &&Point3<f64>| -> Vec<(usize, [f64; 2])> {
         let pixel = |(pose, camera): &(Pose, &Camera)| {
             camera.project(&pose.camera_from_world(x)).filter(|pixel| camera.contains(pixel))
         };
         let views = poses.iter().enumerate();
         views.filter_map(|(n, view)| view.as_ref().and_then(pixel).map(|p| (n, [p.x, p.y]))).collect()
     };
-    let tracks: Vec<_> = points.par_iter().map(seen_by).collect();
-    for (n, (x, track)) in points.iter().zip(tracks).enumerate() {
-        foreign.add_point(n as u64 + 1, (*x).into(), [255; 3], track, Place::File);
+    let sample = thinned(points, CLOUD_SAMPLE);
+    let observed: usize = sample.par_iter().map(|x| seen_by(x).len()).sum();
+    let most = CLOUD_OBSERVATIONS / (observed / sample.len().max(1)).max(1);
+    let used = thinned(points, most.min(CLOUD_POINTS));
+    let tracks: Vec<_> = used.par_iter().map(seen_by).collect();
+    for (n, (x, track)) in used.iter().zip(tracks).enumerate() {
+        foreign.add_point(n as u64 + 1, (**x).into(), [255; 3], track, Place::File);
     }
-    foreign
-        .model
-        .warnings
-        .push("the points of the PLY file have no tracks: all views that they project into count".into());
+    let warnings = &mut foreign.model.warnings;
+    warnings.push("the points of the PLY file have no tracks: all views that they project into count".into());
+    if used.len() < points.len() {
+        warnings.push(format!(
+            "the PLY file holds {} points; {} of them, spread over it, are used",
+            points.len(),
+            used.len()
+        ));
+    }
 }
 
-/// Adds the points of another model of the same images, found by their names, extensions aside. Pixels are as measured there.
-pub fn add_tracks(foreign: &mut Foreign, cloud: &Foreign) {
-    let stem = |name: &str| name.rsplit_once('.').map_or(name, |(stem, _)| stem).to_owned();
-    let own: HashMap<String, usize> =
-        foreign.model.images.iter().enumerate().map(|(n, image)| (stem(&image.name), n)).collect();
+/// About `most` of the points, chosen by a hash of their position in the list: every n-th of a grid would be lines of it.
+fn thinned(points: &[Point3<f64>], most: usize) -> Vec<&Point3<f64>> {
+    // SplitMix64.
+    let hash = |n: usize| {
+        let z = (n as u64).wrapping_add(1).wrapping_mul(0x9e37_79b9_7f4a_7c15);
+        let z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        let z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        z ^ (z >> 31)
+    };
+    let limit = most as f64 / points.len() as f64 * u64::MAX as f64;
+    let all = points.len() <= most;
+    points.iter().enumerate().filter(|(n, _)| all || (hash(*n) as f64) < limit).map(|(_, x)| x).collect()
+}
+
+/// Adds the points of another model of the same images, found by their names: extensions aside, and folders too where that is
+/// unambiguous, as SURE knows neither. Pixels are as measured there.
+pub fn add_tracks(foreign: &mut Foreign, cloud: &Foreign) -> Result<(), Problem> {
     let images = &cloud.model.images;
+    let own = positions(foreign, images.iter().map(|image| &*image.name));
+    report_unmatched(foreign, cloud, &own)?;
     let position: HashMap<u32, usize> = images.iter().enumerate().map(|(n, image)| (image.id, n)).collect();
     for point in &cloud.model.points {
         let track = point.track.iter().filter_map(|element| {
-            let image = &images[*position.get(&element.image())?];
-            let pixel = image.points2d.get(element.index() as usize)?.pixel();
-            Some((*own.get(&stem(&image.name))?, pixel))
+            let n = *position.get(&element.image())?;
+            let pixel = images[n].points2d.get(element.index() as usize)?.pixel();
+            Some((own[n]?, pixel))
         });
         foreign.add_point(point.id, point.xyz, point.colour, track.collect::<Vec<_>>(), Place::File);
     }
+    Ok(())
+}
+
+/// For each of the names, the position of the oriented image that it means.
+fn positions<'a>(oriented: &Foreign, names: impl Iterator<Item = &'a str>) -> Vec<Option<usize>> {
+    let stem = |name: &str| {
+        let name = name.replace('\\', "/");
+        name.rsplit_once('.').map_or(name.as_str(), |(stem, _)| stem).to_lowercase()
+    };
+    let file = |stem: &str| stem.rsplit('/').next().unwrap_or_default().to_owned();
+    let mut by_stem = HashMap::new();
+    let mut by_file: HashMap<String, Vec<usize>> = HashMap::new();
+    for (n, image) in oriented.model.images.iter().enumerate() {
+        let stem = stem(&image.name);
+        by_file.entry(file(&stem)).or_default().push(n);
+        by_stem.insert(stem, n);
+    }
+    let names: Vec<String> = names.map(stem).collect();
+    let mut same_file: HashMap<String, usize> = HashMap::new();
+    names.iter().for_each(|stem| *same_file.entry(file(stem)).or_default() += 1);
+    let by_file = |stem: &String| match by_file.get(&file(stem)).map(Vec::as_slice) {
+        Some(&[n]) if same_file[&file(stem)] == 1 => Some(n),
+        _ => None,
+    };
+    names.iter().map(|stem| by_stem.get(stem).copied().or_else(|| by_file(stem))).collect()
+}
+
+/// Names the images that have no counterpart; where none has one, the two models do not belong together.
+fn report_unmatched(foreign: &mut Foreign, cloud: &Foreign, own: &[Option<usize>]) -> Result<(), Problem> {
+    let matched: HashSet<usize> = own.iter().flatten().copied().collect();
+    let name = |(n, image): (usize, &ColmapImage)| (!matched.contains(&n)).then(|| image.name.to_string());
+    let oriented: Vec<String> = foreign.model.images.iter().enumerate().filter_map(name).collect();
+    let other = |(image, own): (&ColmapImage, &Option<usize>)| own.is_none().then(|| image.name.to_string());
+    let others: Vec<String> = cloud.model.images.iter().zip(own).filter_map(other).collect();
+    if let (true, [first, ..], [other, ..]) = (matched.is_empty(), &oriented[..], &others[..]) {
+        return Err(Problem::Contradiction(format!(
+            "none of the images of the sparse cloud (as {other}) is one of the oriented images (as {first})"
+        )));
+    }
+    for (names, what) in [
+        (oriented, "oriented images are not in the sparse cloud"),
+        (others, "images of the sparse cloud are not oriented"),
+    ] {
+        if !names.is_empty() {
+            let more = if names.len() > 3 { ", ..." } else { "" };
+            let some = names.iter().take(3).map(String::as_str).collect::<Vec<_>>().join(", ");
+            foreign
+                .model
+                .warnings
+                .push(format!("{} {what}, so that their observations are missing: {some}{more}", names.len()));
+        }
+    }
+    Ok(())
 }
 
 /// The `.ori` file of an undistorted image; `None` for cameras with distortion.

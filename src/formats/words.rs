@@ -12,6 +12,9 @@ use nom::{
 
 use super::{Fault, Place, Problem};
 
+/// Position of the camera in the file, pixel.
+pub(super) type Observation = (usize, [f64; 2]);
+
 /// The part of a text file that is not read yet.
 pub(super) struct Words<'a> {
     whole: &'a [u8],
@@ -68,6 +71,23 @@ impl<'a> Words<'a> {
         let room = (self.rest.len() + 1) / smallest;
         let fits = usize::try_from(count).ok().filter(|&n| n <= room);
         fits.ok_or(Fault::new("", at, Problem::Count { what, count, room: room as u64 }))
+    }
+
+    /// Observations of a point, as Bundler and VisualSFM write them: their count, then camera, key, x and y of each. Camera and pixel are
+    /// returned.
+    pub fn observations(&mut self, cameras: usize) -> Result<Vec<Observation>, Fault> {
+        let count = self.count("observations", 8)?;
+        let mut observations = Vec::with_capacity(count);
+        for _ in 0..count {
+            let camera: usize = self.number("a camera")?;
+            let _key: i64 = self.number("a key")?;
+            let pixel = self.numbers("x and y")?;
+            if camera >= cameras {
+                return Err(self.fault(Problem::Absent { what: "camera", id: camera as u64 }));
+            }
+            observations.push((camera, pixel));
+        }
+        Ok(observations)
     }
 
     pub fn at_end(&self) -> bool {

@@ -167,8 +167,8 @@ fn read_sure(root: &Path, folder: &Path) -> Result<Foreign, ProjectError> {
     match sure_cloud(root) {
         None => {
             foreign.model.warnings.push(
-                "there is no sparse cloud (NVM, Bundler or PLY) beside the orientations; the vertices of a mesh, or a grid of points at the \
-                 height of the ground, as PLY, will do"
+                "no points: put a sparse cloud (*.nvm, *.out or *.ply) or a mesh (*.ply) into the project's folder; where only the height of the \
+                 ground is known, integrations/sure/ground.py writes a ground.ply"
                     .into(),
             )
         }
@@ -180,8 +180,10 @@ fn read_sure(root: &Path, folder: &Path) -> Result<Foreign, ProjectError> {
             sure::add_cloud(&mut foreign, &surface.vertices);
         }
         Some((path, format)) => {
-            let cloud = read(root, &ModelLocation { format, path, registered: 0 })?;
-            sure::add_tracks(&mut foreign, &cloud);
+            let cloud = read(root, &ModelLocation { format, path: path.clone(), registered: 0 })?;
+            foreign.model.warnings.extend(cloud.model.warnings.iter().cloned());
+            sure::add_tracks(&mut foreign, &cloud)
+                .map_err(|problem| ProjectError::Fault { fault: Fault::new("", Place::File, problem), path })?;
         }
     }
     Ok(foreign)

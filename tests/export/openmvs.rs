@@ -110,15 +110,72 @@ fn a_vertex_projects_to_where_it_was_measured() {
     }
 }
 
+const FAR: Vector3<f64> = Vector3::new(431_234.0, 5_412_345.0, 210.0);
+
+fn far_away() -> Fixture {
+    let mut fixture = Fixture::new(3);
+    fixture.scene = fixture.scene.moved(-FAR);
+    fixture
+}
+
+/// Of those that count in 32 bits each shifts, and says so; but ODM wants its own coordinates, and a workspace in place is COLMAP's.
+#[test]
+fn no_backend_loses_map_coordinates_silently() {
+    let (near, far) = (Fixture::new(3), far_away());
+    for backend in
+        ["openmvs", "colmap", "splat", "mvsnet", "patchmatchnet", "acmm", "gipuma", "pmvs", "mve", "alicevision"]
+    {
+        let record = far.export(backend).0.record;
+        let origin = Vector3::from(record.origin);
+        assert!((origin - FAR).norm() < 200.0, "{backend}: {origin}");
+        assert!(record.warnings.iter().any(|w| w.contains("counts in 32 bits")), "{backend}");
+        let record = near.export(backend).0.record;
+        assert!(record.origin == [0.0; 3] && !record.warnings.iter().any(|w| w.contains("32 bits")), "{backend}");
+    }
+    assert!(far.export("odm").says("rounded to 0.65 units"));
+    let mut in_place = far_away();
+    in_place.project.dense_workspace = Some("/nowhere".into());
+    assert!(in_place.export("colmap").says("rounded to 0.65 units"));
+}
+
+/// What each writes of a camera leads to its place, once the origin is added.
+#[test]
+fn shifted_cameras_are_where_they_were() {
+    let fixture = far_away();
+    let view = fixture.clusters[0].key;
+    let centre = fixture.scene.view(view).cam_from_world.centre().coords;
+    let numbers = |text: &str| text.split_whitespace().map(|w| w.parse().unwrap()).collect::<Vec<f64>>();
+    let near = |files: &Files, found: Vector3<f64>| {
+        let off = (found + Vector3::from(files.0.record.origin) - centre).norm();
+        assert!(off < 1e-6, "{}: {off}", files.0.record.backend);
+    };
+    let files = fixture.export("mvsnet");
+    let cam: Vec<f64> = files.lines("cams/00000000_cam.txt")[1..4].iter().flat_map(|l| numbers(l)).collect();
+    let p = nalgebra::Matrix3x4::from_row_slice(&cam);
+    near(&files, -(p.fixed_view::<3, 3>(0, 0).transpose() * p.column(3)));
+    let files = fixture.export("gipuma");
+    let p = nalgebra::Matrix3x4::from_row_slice(&numbers(files.text("p/00000000.jpg.P")));
+    near(&files, -(p.fixed_view::<3, 3>(0, 0).try_inverse().unwrap() * p.column(3)));
+    for (backend, folder) in [("colmap", "sparse"), ("splat", "sparse/0")] {
+        let files = fixture.export(backend);
+        let file = |stem: &str| files.bytes(&format!("{folder}/{stem}.bin"));
+        let bytes = viewrank::formats::Bytes {
+            cameras: file("cameras"),
+            images: file("images"),
+            points3d: file("points3D"),
+            ..Default::default()
+        };
+        let scene = viewrank::formats::colmap_bin::read(&bytes).unwrap().scene().unwrap();
+        let found = scene.find(fixture.name(view)).unwrap();
+        near(&files, scene.view(found).cam_from_world.centre().coords);
+        assert!(scene.points.iter().all(|x| x.coords.norm() < 2000.0));
+    }
+}
+
 #[test]
 fn map_coordinates_get_an_origin_of_their_own() {
-    let mut fixture = Fixture::new(3);
-    let far = Vector3::new(431_234.0, 5_412_345.0, 210.0);
-    fixture.scene.points.iter_mut().for_each(|p| *p += far);
-    for view in &mut fixture.scene.views {
-        let pose = &mut view.cam_from_world;
-        pose.translation -= pose.rotation * far;
-    }
+    let fixture = far_away();
+    let far = FAR;
     let files = fixture.export("openmvs");
     let origin = Vector3::from(files.0.record.origin);
     assert!((origin - far).norm() < 100.0 && origin.iter().all(|x| x.fract() == 0.0));
@@ -201,7 +258,7 @@ fn existing_scene(fixture: &Fixture, scale: f64) -> Mvs {
     all.choose(&order.iter().map(|v| v.0).collect::<Vec<_>>(), 1);
     let mut mvs = Mvs::read(all.export("odm").bytes("openmvs/scene.mvs")).unwrap();
     for image in &mut mvs.images {
-        image.name = [b"undistorted/", &image.name["/nowhere/images/".len()..]].concat();
+        image.name = [b"undistorted/", &image.name["../images/".len()..]].concat();
         image.view_scores.clear();
     }
     mvs.platforms[0].poses.iter_mut().for_each(|p| p.c = p.c.map(|c| c * scale));
@@ -317,8 +374,23 @@ fn odm_computes_the_key_views_with_partners_by_points() {
         let others =
             mvs.vertices.iter().filter(sees).flat_map(|v| &v.views).map(|s| s.image as usize).filter(|i| *i != key);
         let others: std::collections::BTreeSet<String> = others.map(name).collect();
-        assert!(partners.iter().all(|p| others.contains(&format!("/nowhere/images/{p}"))));
+        assert!(partners.iter().all(|p| others.contains(&format!("../images/{p}"))));
     }
+}
+
+/// ODM calls OpenMVS with `-w .../openmvs/depthmaps`, in a container under other paths than outside: names are relative to that.
+#[test]
+fn odm_finds_its_images_wherever_the_project_is_mounted() {
+    let fixture = Fixture::new(3);
+    let files = fixture.export("odm");
+    let mvs = Mvs::read(files.bytes("openmvs/scene.mvs")).unwrap();
+    for image in &mvs.images {
+        let name = std::str::from_utf8(&image.name).unwrap();
+        let from_depthmaps = name.strip_prefix("../").expect("relative to openmvs/depthmaps");
+        let linked = files.link(&format!("openmvs/{from_depthmaps}"));
+        assert_eq!(linked, std::path::Path::new("/nowhere").join(from_depthmaps));
+    }
+    assert!(files.0.record.commands[2].starts_with("cp -rL openmvs "), "a link would lead out of the container");
 }
 
 #[test]
@@ -330,12 +402,12 @@ fn odm_openmvs_fork_version() {
 
 #[test]
 fn odm_rerun_deletes_scene() {
-    assert!(Fixture::new(3).export("odm").0.record.commands[2].contains("without any --rerun"));
+    assert!(Fixture::new(3).export("odm").0.record.commands[3].contains("without any --rerun"));
 }
 
 #[test]
 fn odm_existing_model_skips_stage() {
-    assert!(Fixture::new(3).export("odm").says("must not hold a scene_dense.ply"));
+    assert!(Fixture::new(3).export("odm").says("with a scene_dense_dense_filtered.ply the stage is skipped"));
 }
 
 #[test]

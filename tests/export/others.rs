@@ -139,9 +139,9 @@ fn micmac_imsec_missing_is_silent() {
 fn micmac_imsec_overwritten() {
     let files = plain_names().export("micmac");
     let script = files.text("run.sh");
-    let (copied, first_call) = (script.find("cp ImSec/*.xml").unwrap(), script.find("mm3d Malt").unwrap());
+    let (copied, first_call) = (script.find("cp ImSec/*.xml").unwrap(), script.find("\"${MM3D:-mm3d}\" Malt").unwrap());
     assert!(
-        copied < first_call && script.contains("cp -r \"$ori\" Ori-viewrank"),
+        copied < first_call && script.contains("cp -R \"$ori\"/. Ori-viewrank/"),
         "ours, in a copy of the user's folder"
     );
     assert!(!script.contains("AperoChImSecMM") && !script.contains("C3DC"), "these would write them anew");
@@ -151,11 +151,11 @@ fn micmac_imsec_overwritten() {
 fn micmac_one_malt_call_per_master() {
     let fixture = plain_names();
     let files = fixture.export("micmac");
-    let calls: Vec<&str> = files.lines("run.sh").into_iter().filter(|l| l.starts_with("mm3d Malt GeomImage")).collect();
+    let calls: Vec<&str> = files.lines("run.sh").into_iter().filter(|l| l.contains("Malt GeomImage")).collect();
     let wanted: Vec<String> = fixture
         .named()
         .iter()
-        .map(|(k, _)| format!("mm3d Malt GeomImage '{}' viewrank Master=AUTO", k.replace('.', "\\.")))
+        .map(|(k, _)| format!("\"${{MM3D:-mm3d}}\" Malt GeomImage '{}' viewrank Master=AUTO", k.replace('.', "\\.")))
         .collect();
     assert_eq!(calls, wanted);
 }
@@ -250,7 +250,36 @@ fn alicevision_partners_symmetric() {
 fn alicevision_tile_cap_4() {
     let fixture = Fixture::new(6);
     let files = fixture.export("alicevision");
-    assert!(files.0.record.commands[0].contains("--maxTCams 6 --sgmMaxTCamsPerTile 6 --refineMaxTCamsPerTile 6 "));
+    let wanted = "--maxTCams 6 --chooseTCamsPerTile 0 --sgmMaxTCamsPerTile 6 --refineMaxTCamsPerTile 6 ";
+    assert!(files.0.record.commands[0].contains(wanted), "{}", files.0.record.commands[0]);
+}
+
+/// Partners count by common landmarks within a range of angles: the range is set to all of them, and whoever shares none is named.
+#[test]
+fn alicevision_names_the_partners_that_it_drops() {
+    let mut fixture = Fixture::new(3);
+    let (key, partner) = (fixture.clusters[0].key, fixture.clusters[0].partners[1]);
+    assert!(!fixture.export("alicevision").says("shares no sparse point"));
+    let scene = &mut fixture.scene;
+    for p in 0..scene.points.len() {
+        let track = scene.track_offsets[p]..scene.track_offsets[p + 1];
+        if scene.track_views[track.clone()].contains(&key) {
+            let other = scene.track_views[track.start];
+            track
+                .filter(|&o| scene.track_views[o] == partner)
+                .collect::<Vec<_>>()
+                .into_iter()
+                .for_each(|o| scene.track_views[o] = other);
+        }
+    }
+    let files = fixture.export("alicevision");
+    assert!(files.says(&format!(
+        "{}: its partner {} shares no sparse point",
+        fixture.name(key),
+        fixture.name(partner)
+    )));
+    let estimations = files.0.record.commands.iter().filter(|c| c.contains("depthMapEstimation"));
+    assert!(estimations.into_iter().all(|c| c.contains("--minViewAngle 0 --maxViewAngle 180 ")));
 }
 
 // Metashape; what its script does is tested with a stand-in for Metashape in tests/python.

@@ -4,11 +4,14 @@ import json
 import shutil
 import struct
 import subprocess
+import sys
 import xml.etree.ElementTree as ElementTree
 
 import numpy as np
 import pycolmap
 import pytest
+
+from conftest import ROOT
 
 
 @pytest.fixture(scope="session")
@@ -351,6 +354,54 @@ def test_micmac_files_are_xml(export, planned):
         assert [element.text for element in solution.findall("Images")] == partners and float(solution.findtext("Score")) > -1
     masters = [element.text for element in ElementTree.parse(folder / "ImSec/FileImSel.xml").getroot().findall("Name")]
     assert masters == [key for key, _ in clusters]
+
+
+MM3D = """#!/bin/sh
+# Stands in for MicMac: notes its call and the secondary images that it would find.
+echo "$@ $(grep -c '<Images>' Ori-viewrank/ImSec-*.xml | wc -l)" >>calls.txt
+"""
+
+
+def run_micmac(folder, orientation):
+    return subprocess.run([folder / "run.sh", orientation], env={"PATH": "/usr/bin:/bin", "MM3D": str(folder.parent / "mm3d")}, capture_output=True, text=True)
+
+
+def test_micmac_never_deletes_what_it_is_given(export, planned, tmp_path):
+    folder = export("micmac")
+    (tmp_path / "mm3d").write_text(MM3D)
+    (tmp_path / "mm3d").chmod(0o755)
+    ours = tmp_path / "My Ori-Project"
+    ours.mkdir()
+    (ours / "Orientation-a.xml").write_text("<x/>")
+    for _ in range(2):
+        (folder / "calls.txt").unlink(missing_ok=True)
+        done = run_micmac(folder, ours)
+        assert done.returncode == 0, done.stderr
+        calls = (folder / "calls.txt").read_text().splitlines()
+        assert len(calls) == len(planned[1]) and all(call.startswith("Malt GeomImage") and call.endswith(str(len(planned[1]))) for call in calls)
+    assert [path.name for path in ours.iterdir()] == ["Orientation-a.xml"], "the user's folder is as it was"
+    (tmp_path / "link").symlink_to(folder / "Ori-viewrank")
+    for wrong in (folder / "Ori-viewrank", tmp_path / "link", folder, "."):
+        done = subprocess.run([folder / "run.sh", wrong], cwd=folder, capture_output=True, text=True)
+        assert done.returncode != 0 and "error" in done.stderr and (folder / "Ori-viewrank/Orientation-a.xml").exists(), wrong
+    (folder / "Ori-viewrank/made-by-viewrank").unlink()
+    assert "move it away" in run_micmac(folder, ours).stderr and (folder / "Ori-viewrank/Orientation-a.xml").exists()
+
+
+def test_sure_projects_without_a_cloud_are_planned_on_the_ground(viewrank, export, tmp_path):
+    """Back from the oriented images alone, with the height of the ground."""
+    folder = export("sure")
+    project = tmp_path / "without cloud"
+    shutil.copytree(folder / "ori", project / "ori")
+    shutil.copytree(folder / "images", project / "images")
+    said = viewrank("inspect", project).stdout
+    assert "ground.py" in said
+    ground = ROOT / "integrations/sure/ground.py"
+    done = subprocess.run([sys.executable, ground, project, "0"], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    viewrank("plan", project, "--backend", "sure", "--quiet")
+    assert (project / "viewrank/sure/baseImages.txt").read_text().splitlines()
+    assert "is there" in subprocess.run([sys.executable, ground, project, "0"], capture_output=True, text=True).stderr
 
 
 def test_realityscan_side_files_are_xml(export, planned):

@@ -15,6 +15,8 @@
 
 use std::collections::HashSet;
 
+use nalgebra::Vector3;
+
 use self::{
     cfg::Problem,
     finished::{Lists, Made, map_name},
@@ -100,8 +102,15 @@ impl Backend for Colmap {
         let mut record = ExportRecord::new(self, selection, |v| selection.scene.name(v).into());
         passes.describe(selection, &mut record);
         let mut files = match (&options.out, &selection.project.dense_workspace) {
-            (None, Some(workspace)) => FileSet::new(workspace, self.name()),
-            _ => self.workspace(selection, options, passes.refs)?,
+            (None, Some(workspace)) => {
+                record.warnings.extend(traps::rounded(selection.scene));
+                FileSet::new(workspace, self.name())
+            }
+            _ => {
+                let origin = selection.near_origin().origin;
+                record.moved(origin);
+                self.workspace(selection, options, passes.refs, origin)?
+            }
         };
         passes.add_files(selection, &mut files, &mut record);
         add_lists(passes.lists(max_image_size(selection)), &mut files, &mut record);
@@ -117,6 +126,7 @@ impl Colmap {
         selection: &Selection,
         options: &ExportOptions,
         refs: References,
+        origin: Vector3<f64>,
     ) -> Result<FileSet, BackendError> {
         selection.undistorted_images(self.name())?;
         let views = match refs {
@@ -125,7 +135,7 @@ impl Colmap {
         };
         let mut files = options.file_set(self, selection);
         // Points that a single view observes stay: COLMAP takes the depth range of a view from all of its points.
-        add_workspace(self.name(), &mut files, selection, &views, "sparse", 1)?;
+        add_workspace(self.name(), &mut files, selection, &views, "sparse", 1, origin)?;
         Ok(files)
     }
 }
@@ -209,7 +219,8 @@ impl Passes {
         let fused: String = self.last.iter().map(|p| p.reference.clone() + "\n").collect();
         files.add_text("stereo/fusion.cfg", fused);
         let mut patch_match = |config: &str, options: &str| {
-            let size = max_image_size(selection).map_or(String::new(), |n| format!(" --PatchMatchStereo.max_image_size {n}"));
+            let size =
+                max_image_size(selection).map_or(String::new(), |n| format!(" --PatchMatchStereo.max_image_size {n}"));
             record
                 .commands
                 .push(format!("colmap patch_match_stereo --workspace_path . --config_path {config} {options}{size}"));

@@ -2,14 +2,15 @@
 
 use super::cfg;
 use crate::{
-    backends::{Patient, Trap},
+    backends::{Patient, Trap, selection},
     project::ModelFormat,
+    scene::Scene,
 };
 
 pub fn all(patient: &Patient) -> Vec<Trap> {
     let names = patient.bad_names("colmap-name", |name| cfg::check_name("colmap", name));
     let points = patient.without_points("colmap-key-view-without-points", "COLMAP ends the whole run there");
-    [names, points, blanks_in_text(patient), text_beside_binary(patient), mixed_widths(patient)]
+    [names, points, blanks_in_text(patient), text_beside_binary(patient), mixed_widths(patient), far_away(patient)]
         .into_iter()
         .flatten()
         .collect()
@@ -26,6 +27,22 @@ fn blanks_in_text(patient: &Patient) -> Option<Trap> {
         what: format!("COLMAP cuts \"{first}\" at its first blank when it reads this text model"),
         cure: format!("rename the images, or write the model as binary from the program that made it into {model}"),
         views,
+    })
+}
+
+/// In a workspace that is there already, the model is COLMAP's own.
+fn far_away(patient: &Patient) -> Option<Trap> {
+    let what = patient.project.dense_workspace.as_ref().and_then(|_| rounded(patient.scene))?;
+    let cure = "move the model near its origin (colmap model_transformer) before image_undistorter, or export with --out, which does".into();
+    Some(Trap { name: "colmap-far-from-origin", what, cure, views: Vec::new() })
+}
+
+/// Cameras are numbers of 32 bits in patch match and fusion, and so are the points of `fused.ply`.
+pub fn rounded(scene: &Scene) -> Option<String> {
+    selection::rounding(scene).map(|rounding| {
+        format!(
+            "{rounding}: COLMAP's depth maps and cloud would be ruined; --out DIR writes a workspace near its origin"
+        )
     })
 }
 

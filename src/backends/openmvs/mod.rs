@@ -115,6 +115,8 @@ impl Backend for OpenMvs {
             return neighbours::export(selection, options, scene);
         }
         let images = selection.undistorted_images(self.name())?;
+        let near = selection.near_origin();
+        let selection = &near.selection();
         let builder = Builder::new(selection);
         let mut files = options.file_set(self, selection);
         let mut rows = Vec::new();
@@ -142,14 +144,15 @@ impl Backend for OpenMvs {
         files.add_text("run.json", serde_json::to_string_pretty(&run).expect("string keys and finite numbers") + "\n");
         files.add_text("dense.cfg", dense_config(selection));
         files.add("run.py", Contents::Script(include_bytes!("../../../integrations/openmvs/run.py").to_vec()));
-        let record = self.record(selection, &builder);
+        let mut record = self.record(selection);
+        record.moved(near.origin);
         files.add_text("export.json", record.to_json());
         Ok(Export { files, record })
     }
 }
 
 impl OpenMvs {
-    fn record(&self, selection: &Selection, builder: &Builder) -> ExportRecord {
+    fn record(&self, selection: &Selection) -> ExportRecord {
         let mut record =
             ExportRecord::new(self, selection, |v| format!("depth{:04}.dmap", selection.scene.view(v).image_id));
         record.made_for = "OpenMVS v2.0 to v2.3 and develop (run with v2.3.0)".into();
@@ -157,15 +160,14 @@ impl OpenMvs {
         record.commands = vec!["python3 run.py".into()];
         record.not_honoured = vec!["the order of the partners of a key view (all of them are used)".into()];
         record.pixel_shift = -0.5;
-        record.origin = builder.origin.into();
         record.fusion = format!("number-views-fuse {MAPS_PER_POINT}: that many key views must agree on a point");
         record
     }
 }
 
-/// A scene of all clusters, with images under other paths: for programs that run OpenMVS themselves.
+/// A scene of all clusters in the coordinates of the model, with images under other paths: for programs that run OpenMVS themselves.
 pub(super) fn joint_scene(selection: &Selection, path: impl Fn(&str) -> String) -> Mvs {
-    Builder::in_place(selection).joint(selection, path)
+    Builder::new(selection).joint(selection, path)
 }
 
 /// A row of `run.json`.

@@ -1,6 +1,6 @@
 //! Scenes of OpenMVS made of views of ours.
 
-use nalgebra::{Point3, Vector3};
+use nalgebra::Point3;
 
 use crate::{
     backends::{RankedCluster, Selection},
@@ -15,8 +15,6 @@ const LEAST_SHARED: usize = 4;
 pub struct Builder<'a> {
     scene: &'a Scene,
     points: ViewPoints,
-    /// World coordinates of the origin of the files.
-    pub origin: Vector3<f64>,
 }
 
 /// Depths that a cluster's sparse points have in the key view, scene units.
@@ -28,13 +26,7 @@ pub struct DepthRange {
 impl<'a> Builder<'a> {
     pub fn new(selection: &Selection<'a>) -> Self {
         let scene = selection.scene;
-        Self { scene, points: scene.view_points(), origin: origin(scene) }
-    }
-
-    /// Coordinates as they are.
-    pub fn in_place(selection: &Selection<'a>) -> Self {
-        let scene = selection.scene;
-        Self { scene, points: scene.view_points(), origin: Vector3::zeros() }
+        Self { scene, points: scene.view_points() }
     }
 
     /// Images in the order given, without points: what a list of neighbours refers to.
@@ -111,7 +103,7 @@ impl<'a> Builder<'a> {
     }
 
     fn vertex(&self, x: &Point3<f64>, views: &[VertexView]) -> Vertex {
-        Vertex { x: self.local(x).cast::<f32>().into(), views: views.to_vec() }
+        Vertex { x: x.cast::<f32>().into(), views: views.to_vec() }
     }
 
     /// Points in front of both that both observe, with their depths in the first.
@@ -126,29 +118,13 @@ impl<'a> Builder<'a> {
     fn pose(&self, view: ViewIndex) -> Pose {
         let pose = &self.scene.view(view).cam_from_world;
         let r = pose.rotation.matrix().transpose();
-        Pose { r: r.as_slice().try_into().expect("nine numbers"), c: self.local(&pose.centre()).into() }
-    }
-
-    fn local(&self, x: &Point3<f64>) -> Point3<f64> {
-        x - self.origin
+        Pose { r: r.as_slice().try_into().expect("nine numbers"), c: pose.centre().into() }
     }
 }
 
 /// A neighbour of a score that OpenMVS passes over; the index must be one of the scene.
 fn dummy(score: f32) -> ViewScore {
     ViewScore { index: 0, points: 9, scale: 1.0, angle: 0.2, area: 0.5, score }
-}
-
-/// Vertices are f32: whole coordinates near the cameras, where the steps of f32 would be coarser than a tenth of a pixel on the ground.
-fn origin(scene: &Scene) -> Vector3<f64> {
-    let centres: Vec<Point3<f64>> = scene.views.iter().map(|v| v.cam_from_world.centre()).collect();
-    let largest = centres.iter().flat_map(|c| c.iter().map(|x| x.abs())).fold(0.0, f64::max);
-    let step = largest * f64::from(f32::EPSILON);
-    if centres.is_empty() || step < 0.1 * scene.median_gsd().unwrap_or(f64::INFINITY) {
-        return Vector3::zeros();
-    }
-    let sum = centres.iter().fold(Vector3::zeros(), |sum, c| sum + c.coords);
-    (sum / centres.len() as f64).map(f64::round)
 }
 
 /// A platform with the one camera of the view; pixel centres are integers in OpenMVS.

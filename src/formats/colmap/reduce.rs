@@ -2,6 +2,8 @@
 
 use std::{borrow::Cow, collections::HashSet};
 
+use nalgebra::Vector3;
+
 use super::{ColmapImage, ColmapModel, ColmapPoint, Point2d, TrackElement, tracks::ImageLists};
 use crate::{
     formats::{Fault, Place},
@@ -24,6 +26,21 @@ impl ColmapModel<'_> {
         let used: HashSet<u32> = images.iter().map(|image| image.camera_id).collect();
         let cameras = self.cameras.iter().filter(|camera| used.contains(&camera.id)).cloned().collect();
         Ok(ColmapModel { cameras, images, points, rigs: None, frames: None, warnings: self.warnings.clone() })
+    }
+
+    /// The model in coordinates that count from `origin`.
+    pub fn moved(mut self, origin: Vector3<f64>) -> Result<Self, Fault> {
+        if origin == Vector3::zeros() {
+            return Ok(self);
+        }
+        for image in &mut self.images {
+            let pose = image.cam_from_world.pose().map_err(|problem| Fault::new("images", image.at, problem))?;
+            image.cam_from_world.translation = (pose.translation + pose.rotation * origin).into();
+        }
+        for point in &mut self.points {
+            point.xyz = (Vector3::from(point.xyz) - origin).into();
+        }
+        Ok(self)
     }
 
     /// The model of a scene from elsewhere: image ids are those of the scene where they are above 0 and unique, else 1, 2, ...

@@ -1,0 +1,91 @@
+#!/usr/bin/env python3
+"""Writes a grid of points at the height of the ground, for oriented images without a sparse cloud.
+
+    python3 ground.py PROJECT HEIGHT [SPACING]
+
+PROJECT holds ori/*.ori; HEIGHT and SPACING are in their units. PROJECT/ground.ply covers what the images see of the plane z = HEIGHT; viewrank
+takes it where there is no cloud: which images overlap then follows from their frustums. SPACING is a 25th of the middle flying height
+unless given. Needs Python 3.8 and nothing else.
+"""
+
+import math
+import statistics
+import sys
+from pathlib import Path
+
+MOST_POINTS = 1_000_000
+
+
+def main():
+    if len(sys.argv) not in (3, 4):
+        sys.exit(__doc__)
+    project, height = Path(sys.argv[1]), float(sys.argv[2])
+    target = project / "ground.ply"
+    if target.exists():
+        sys.exit(f"error: {target} is there; move it away")
+    cameras = [read(path) for path in sorted((project / "ori").glob("*.ori"))]
+    if not cameras:
+        sys.exit(f"error: no ori/*.ori in {project}")
+    above = statistics.median(abs(camera["centre"][2] - height) for camera in cameras)
+    spacing = float(sys.argv[3]) if len(sys.argv) == 4 else above / 25
+    seen = [corner for camera in cameras for corner in footprint(camera, height, 10 * above)]
+    if not seen or not spacing > 0:
+        sys.exit(f"error: no image looks at the plane z = {height:g}; is the height in the units of the orientations?")
+    axes = [steps(min(corner[axis] for corner in seen), max(corner[axis] for corner in seen), spacing) for axis in (0, 1)]
+    count = math.prod(last - first + 1 for first, last in axes)
+    if count > MOST_POINTS:
+        sys.exit(f"error: {count} points; give a SPACING above {spacing * math.sqrt(count / MOST_POINTS):g}")
+    write(target, axes, spacing, height)
+    print(f"{count} points, {spacing:g} apart, in {target}")
+
+
+def read(path):
+    """Camera matrix, size, rotation and centre: the numbers below each key."""
+    entries, key = {}, None
+    for line in path.read_text(encoding="utf-8").splitlines():
+        if line.startswith("$"):
+            key = line[1:].split("__")[0].split("(")[0].rstrip("_")
+            entries[key] = []
+        elif key != "ImageID":
+            entries.setdefault(key, []).extend(line.split())
+    numbers = lambda key: [float(word) for word in entries[key]]
+    try:
+        if "IntOri_CameraMatrix" in entries:
+            k = numbers("IntOri_CameraMatrix")
+        else:
+            (f,), (px, py), (cx, cy) = (numbers(f"IntOri_{key}") for key in ("FocalLength", "PixelSize", "PrincipalPoint"))
+            k = [f / px, 0, cx, 0, f / py, cy, 0, 0, 1]
+        return {"k": k, "size": numbers("IntOri_SensorSize"), "r": numbers("ExtOri_RotationMatrix"), "centre": numbers("ExtOri_TranslationVector")}
+    except (KeyError, ValueError) as error:
+        sys.exit(f"error: {path}: {error}")
+
+
+def footprint(camera, height, farthest):
+    """Where the rays of the image's corners meet the plane, no farther than that from the camera; none above the horizon."""
+    (width, rows), k, r, c = camera["size"], camera["k"], camera["r"], camera["centre"]
+    for u, v in ((0, 0), (width, 0), (0, rows), (width, rows)):
+        ray = ((u - k[2]) / k[0], (v - k[5]) / k[4], 1.0)
+        x, y, z = (sum(r[3 * i + axis] * ray[i] for i in range(3)) for axis in range(3))
+        along = (height - c[2]) / z if z else -1.0
+        if 0 < along * math.hypot(x, y) < farthest or (along > 0 and x == y == 0):
+            yield c[0] + along * x, c[1] + along * y
+
+
+def steps(least, greatest, spacing):
+    return math.floor(least / spacing), math.ceil(greatest / spacing)
+
+
+def write(target, axes, spacing, height):
+    (left, right), (bottom, top) = axes
+    part = target.with_suffix(".part")
+    with open(part, "w", encoding="ascii") as file:
+        file.write(f"ply\nformat ascii 1.0\nelement vertex {(right - left + 1) * (top - bottom + 1)}\n")
+        file.write("property double x\nproperty double y\nproperty double z\nend_header\n")
+        for j in range(bottom, top + 1):
+            for i in range(left, right + 1):
+                file.write(f"{i * spacing!r} {j * spacing!r} {height!r}\n")
+    part.replace(target)
+
+
+if __name__ == "__main__":
+    main()
