@@ -270,11 +270,11 @@ fn bundler_rd_out_undistorted() {
     std::fs::write(at("list.txt"), "a.jpg\n").unwrap();
     std::fs::write(at("list.rd.txt"), "a.rd.jpg\n").unwrap();
     let undistorted = read(folder.path());
-    assert_eq!((undistorted.name(ViewIndex(0)), &undistorted.cameras[0].params()[3..]), ("a.rd.jpg", &[0.0, 0.0][..]));
+    assert_eq!((undistorted.name(ViewIndex(0)), undistorted.cameras[0].model()), ("a.rd.jpg", CameraModel::Pinhole));
     std::fs::write(at("bundle.out"), bundle(0.1)).unwrap();
     let (both, rd) = (read(folder.path()), read(at("bundle.rd.out")));
     assert_eq!((both.name(ViewIndex(0)), both.cameras[0].params()[3]), ("a.jpg", 0.1), "each with its own list");
-    assert_eq!((rd.name(ViewIndex(0)), rd.cameras[0].params()[3]), ("a.rd.jpg", 0.0));
+    assert_eq!((rd.name(ViewIndex(0)), rd.cameras[0].model()), ("a.rd.jpg", CameraModel::Pinhole));
 }
 
 /// OpenMVG's own file has integer pixel centres; its export to COLMAP leaves out the half pixel, ours is there.

@@ -107,8 +107,8 @@ fn project() -> Project {
     }
 }
 
-/// The whole scene in one cluster, as a backend writes it.
-fn exported(scene: &Scene, backend: &str, path: &str) -> Vec<u8> {
+/// The whole scene in one cluster, as a backend writes it, and the origin that its coordinates count from.
+fn exported(scene: &Scene, backend: &str, path: &str) -> (Vec<u8>, Vector3<f64>) {
     let mut views: Vec<ViewIndex> = scene.view_indices().collect();
     let key = views.remove(0);
     let clusters = [RankedCluster { key, partners: views, share: 1.0 }];
@@ -116,7 +116,7 @@ fn exported(scene: &Scene, backend: &str, path: &str) -> Vec<u8> {
     let selection = Selection { project: &project, scene, clusters: &clusters, image_scale: 1.0, planned_for: backend };
     let export = by_name(backend).unwrap().export(&selection, &ExportOptions::default()).unwrap();
     match &export.files.files[path] {
-        Contents::Bytes(bytes) => bytes.clone(),
+        Contents::Bytes(bytes) => (bytes.clone(), export.record.origin.into()),
         other => panic!("{path} is {other:?}"),
     }
 }
@@ -158,7 +158,8 @@ proptest! {
     /// AliceVision's file names are those of its prepared images; what the key view observes comes back.
     #[test]
     fn alicevision_scene_files(scene in scenes(true)) {
-        let bytes = exported(&scene, "alicevision", "clusters/0001.sfm");
+        let (bytes, origin) = exported(&scene, "alicevision", "clusters/0001.sfm");
+        let scene = scene.moved(origin);
         let read = alicevision::read(&bytes).unwrap().scene().unwrap();
         prop_assert_eq!(read.views.len(), scene.views.len());
         for view in scene.view_indices() {
@@ -187,10 +188,10 @@ proptest! {
     /// What is written into a scene of OpenMVS, up to its numbers of single precision.
     #[test]
     fn openmvs_scenes(scene in scenes(true)) {
-        let mvs = openmvs::Mvs::read(&exported(&scene, "openmvs", "clusters/0001.mvs")).unwrap();
+        let (bytes, origin) = exported(&scene, "openmvs", "clusters/0001.mvs");
+        let mvs = openmvs::Mvs::read(&bytes).unwrap();
         prop_assert_eq!(openmvs::Mvs::read(&mvs.write()).unwrap(), mvs.clone());
         let read = mvs.model(&|_| None).unwrap().scene().unwrap();
-        let origin = scene.views[0].cam_from_world.centre() - read.views[0].cam_from_world.centre();
         for view in scene.view_indices() {
             let name = format!("images/{}", scene.name(view));
             let found = read.find(&name).unwrap();

@@ -44,7 +44,11 @@ pub(super) fn models(root: &Path) -> Vec<ModelLocation> {
         }
     }
     let ori = [root.join("ori"), root.into()].into_iter().find(|folder| !orientations(folder).is_empty());
-    models.extend(ori.map(|folder| location(root, ModelFormat::Sure, folder)));
+    if let Some(folder) = ori {
+        // What lies beside orientations is their cloud.
+        models.retain(|model| !matches!(model.format, ModelFormat::Nvm | ModelFormat::Bundler));
+        models.push(location(root, ModelFormat::Sure, folder));
+    }
     models
 }
 
