@@ -61,7 +61,7 @@ impl Planner for Counter {
             }
             thread::sleep(Duration::from_millis(5));
         }
-        if !job.is_current() {
+        if !job.is_wanted() {
             return Outcome::Abandoned;
         }
         if fs::read(job.project.join("sparse/0/images.bin")).is_ok_and(|bytes| bytes.starts_with(b"broken")) {
@@ -143,6 +143,27 @@ fn projects_there_at_the_start_and_later_ones_are_planned_once_each() {
     });
     assert_eq!(summary, Summary { projects: 2, planned: 2, failed: 0, waiting: 0 });
     assert!(planner.plans.lock().expect("no panic").values().all(|plans| plans.len() == 1));
+}
+
+#[test]
+fn a_folder_becomes_a_project_when_its_model_comes_last() {
+    let (_guard, above) = root();
+    // A folder of this name below a root holds outputs; above, it is a name like any other.
+    let root = above.join("viewrank/roots");
+    fs::create_dir_all(root.join("p/images")).expect("a folder");
+    fs::create_dir_all(root.join("q/dense/images")).expect("a folder");
+    let planner = Counter::default();
+    let summary = with_daemon(&options(&root), &planner, || {
+        eventually("the first look", || read_status(&root).is_some());
+        thread::sleep(Duration::from_millis(300));
+        write_model(&root.join("p"), "a");
+        eventually("the plan", || planner.plans_of(&root.join("p")) == 1);
+        write_model(&root.join("q/dense"), "b");
+        eventually("the plan of the inner one", || planner.plans_of(&root.join("q/dense")) == 1);
+        write_model(&root.join("q"), "c");
+        eventually("the plan of the outer one", || planner.plans_of(&root.join("q")) == 1);
+    });
+    assert_eq!(summary, Summary { projects: 2, planned: 2, failed: 0, waiting: 0 }, "q/dense is a part of q");
 }
 
 #[test]

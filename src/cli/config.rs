@@ -72,10 +72,12 @@ fn as_toml(configuration: &Configuration, values: &Value) -> String {
         comment(&mut text, &key.doc);
         comment(&mut text, &facts(key, configuration.settings.units));
         let value = value_of(values, key);
+        // A command of the user's stays a comment, for a project's file must not have one.
+        let mark = if value.is_null() || key.user_only { "# " } else { "" };
         text += &match (value.is_null(), configuration.source(&key.name)) {
-            (true, _) => format!("# {name} =\n\n"),
-            (false, Source::Default) => format!("{name} = {value}\n\n"),
-            (false, Source::Written(place)) => format!("{name} = {value}  # {place}\n\n"),
+            (true, _) => format!("{mark}{name} =\n\n"),
+            (false, Source::Default) => format!("{mark}{name} = {value}\n\n"),
+            (false, Source::Written(place)) => format!("{mark}{name} = {value}  # {place}\n\n"),
         };
     }
     text.truncate(text.trim_end().len());
@@ -109,12 +111,35 @@ mod tests {
     use viewrank::config::Settings;
 
     #[test]
+    fn the_user_s_commands_are_printed_as_comments() {
+        let folder = tempfile::tempdir().unwrap();
+        let user = folder.path().join("user.toml");
+        std::fs::write(&user, "on_target = \"stop\"\nseed = 5\n[dispatch]\nsetup = \"module load colmap\"\n").unwrap();
+        let configuration = Configuration::load(&Files { user: Some(user), project: None }, Typed::default()).unwrap();
+        let values = serde_json::to_value(&configuration.settings).unwrap();
+        let text = as_toml(&configuration, &values);
+        assert!(
+            text.contains("\n# on_target = \"stop\"  # ") && text.contains("\n# setup = \"module load colmap\"  # ")
+        );
+        let project = folder.path().join("viewrank.toml");
+        std::fs::write(&project, &text).unwrap();
+        let again = Configuration::load(&Files { user: None, project: Some(project) }, Typed::default()).unwrap();
+        assert_eq!(again.settings.seed, 5);
+        assert_eq!((again.settings.on_target, again.settings.dispatch.setup), (None, String::new()));
+    }
+
+    #[test]
     fn what_is_printed_is_a_settings_file_that_says_the_same() {
         let configuration = Configuration::default();
         let values = serde_json::to_value(&configuration.settings).unwrap();
         let text = as_toml(&configuration, &values);
         assert_eq!(toml::from_str::<Settings>(&text).unwrap(), configuration.settings);
         assert!(text.lines().all(|line| line.len() <= COLUMNS));
+        let folder = tempfile::tempdir().unwrap();
+        let project = folder.path().join("viewrank.toml");
+        std::fs::write(&project, &text).unwrap();
+        let of_project = Configuration::load(&Files { user: None, project: Some(project) }, Typed::default());
+        assert_eq!(of_project.unwrap().settings, configuration.settings, "and one that a project may have");
         assert!(text.contains("# Unit: px. Range: above 0. Default: 0.5.\nsigma_px = 0.5\n"));
     }
 }

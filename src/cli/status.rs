@@ -23,7 +23,7 @@ pub struct Arguments {
     /// Print the status as JSON.
     #[arg(long)]
     json: bool,
-    /// Print again whenever something changes.
+    /// Print again whenever something changes (with --json a line each time).
     #[arg(long)]
     follow: bool,
 }
@@ -33,14 +33,16 @@ const FOLLOW: Duration = Duration::from_millis(500);
 
 pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let root = watched_root(&arguments.root)?;
-    let mut last = String::new();
+    let mut last = None;
     loop {
-        if let Some(line) = read_status(&root) {
-            let text = if arguments.json { as_json(&root, &line) } else { as_text(&root, &line) };
-            if text != last {
-                print(&text)?;
-                last = text;
+        let line = read_status(&root).filter(|line| last.as_ref() != Some(line));
+        if let Some(line) = line {
+            match (arguments.json, arguments.follow) {
+                (false, _) => print(&as_text(&root, &line))?,
+                (true, false) => print(&format!("{:#}\n", as_json(&root, &line)))?,
+                (true, true) => print(&format!("{}\n", as_json(&root, &line)))?,
             }
+            last = Some(line);
         }
         if !arguments.follow {
             return Ok(());
@@ -66,11 +68,11 @@ impl Hint for NotWatched {
     }
 }
 
-fn as_json(root: &Path, line: &Line) -> String {
+fn as_json(root: &Path, line: &Line) -> serde_json::Value {
     let mut value = serde_json::to_value(&line.status).expect("a status is JSON");
     value["root"] = root.to_string_lossy().into();
     value["running"] = line.running.into();
-    format!("{value:#}\n")
+    value
 }
 
 fn as_text(root: &Path, line: &Line) -> String {

@@ -1,6 +1,6 @@
 //! `viewrank watch`: the daemon's arguments, signals and log.
 
-use std::{io::IsTerminal, path::PathBuf, thread, time::Duration};
+use std::{io::IsTerminal, path::PathBuf, process, thread, time::Duration};
 
 use clap::{Args, ValueEnum};
 use signal_hook::{
@@ -15,6 +15,9 @@ use viewrank::{
 };
 
 use super::Failure;
+
+/// After a signal to stop the process ends within this.
+const LONGEST_STOP: Duration = Duration::from_millis(1500);
 
 /// Plan every project under some folders when its sparse model is complete, and follow the backend.
 ///
@@ -130,9 +133,21 @@ fn forward_signals(to_daemon: Box<dyn Fn(Signal) + Send>) {
     let Ok(mut signals) = Signals::new([SIGTERM, SIGINT, SIGHUP]) else { return };
     thread::spawn(move || {
         for signal in signals.forever() {
-            to_daemon(if signal == SIGHUP { Signal::Rescan } else { Signal::Stop });
+            if signal == SIGHUP {
+                to_daemon(Signal::Rescan);
+            } else {
+                to_daemon(Signal::Stop);
+                thread::spawn(end_in_time);
+            }
         }
     });
+}
+
+/// Ends the process though a job has not noticed yet that it is cancelled (it reads a large file, say): what is written is whole at
+/// any instant.
+fn end_in_time() {
+    thread::sleep(LONGEST_STOP);
+    process::exit(0);
 }
 
 /// `2s`, `500ms`, `10min`, `1h`.

@@ -109,8 +109,9 @@ pub fn is_model_file(name: &str) -> bool {
     stem.is_some_and(|stem| MODEL_FILES.contains(&stem))
 }
 
-/// The folders of a project whose contents are its input: the project folder, its models, its images.
-pub fn input_folders(project: &Path) -> Vec<PathBuf> {
+/// The folders of a project whose contents are its input: the project folder, its models, its images. Symbolic links are followed
+/// only where `follow_links` says so.
+pub fn input_folders(project: &Path, follow_links: bool) -> Vec<PathBuf> {
     let mut folders = vec![project.to_path_buf()];
     for above in [project.to_path_buf(), project.join("dense")] {
         let sparse = above.join("sparse");
@@ -119,10 +120,15 @@ pub fn input_folders(project: &Path) -> Vec<PathBuf> {
         folders.push(above.join("ori"));
     }
     folders.extend(image_folders(project));
-    folders.retain(|folder| folder.is_dir());
+    folders.retain(|folder| folder.is_dir() && may_enter(project, folder, follow_links));
     folders.sort();
     folders.dedup();
     folders
+}
+
+/// Does no symbolic link lead from the project to its folder, or may links be followed?
+pub fn may_enter(project: &Path, folder: &Path, follow_links: bool) -> bool {
+    follow_links || folder.ancestors().take_while(|above| *above != project).all(|above| !above.is_symlink())
 }
 
 /// `images/` and the folders below it; their entries, not their bytes, are input.
@@ -178,6 +184,12 @@ mod tests {
         std::os::unix::fs::symlink(outside.path(), root.path().join("link")).expect("a link");
         assert!(walk(root.path(), false).projects.is_empty());
         assert_eq!(walk(root.path(), true).projects, [root.path().join("link/p")]);
+        touch(root.path(), "q/sparse/1/cameras.bin");
+        std::os::unix::fs::symlink(outside.path().join("p/sparse/0"), root.path().join("q/sparse/0")).expect("a link");
+        let project = root.path().join("q");
+        let model = project.join("sparse/0");
+        assert!(!input_folders(&project, false).contains(&model) && input_folders(&project, true).contains(&model));
+        assert!(input_folders(&project, false).contains(&project.join("sparse/1")));
     }
 
     #[test]

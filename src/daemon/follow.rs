@@ -15,7 +15,7 @@ use super::{
     state::Outcome,
 };
 use crate::{
-    depthmaps,
+    depthmaps::{self, DepthMapError},
     error::Hint,
     evaluate::{Run, curve::Curve},
     output::{self, Disk, OutputError},
@@ -42,12 +42,14 @@ pub struct Progress {
     pub done: usize,
     /// Key views up to the plan's cut.
     pub clusters: usize,
-    /// Real fulfilment of all finished depth maps over what all view clusters of the ranking together are expected to reach, 0 to 1.
-    pub share: f64,
+    /// Real fulfilment of all finished depth maps over what all view clusters of the ranking together are expected to reach, 0 to 1;
+    /// null where they are only counted (`note` says why).
+    pub share: Option<f64>,
     /// The share that is wanted, 0 to 1.
     pub target: f64,
-    /// Fulfilment f_o that the finished depth maps really have, 0 to 1. Every depth on the surface counts as right.
-    pub fulfilment: f64,
+    /// Fulfilment f_o that the finished depth maps really have, 0 to 1; null where they are only counted. Every depth on the surface
+    /// counts as right.
+    pub fulfilment: Option<f64>,
     /// Fulfilment f_o that all view clusters together are expected to have: real where finished, else predicted, with failures remembered.
     pub reachable: f64,
     /// Depth maps that have to be added along the list until the target is expected to be reached; null where the list is too short.
@@ -108,7 +110,7 @@ pub fn follow(root: &Path, watcher: &dyn Watcher) -> Outcome {
 
 fn follow_now(root: &Path, watcher: &dyn Watcher) -> Result<Outcome, Outcome> {
     output::recover(root, &Disk::REAL).map_err(failed)?;
-    let files = map_files(root);
+    let files = map_files(root, true);
     let Some(folder) = fullest_folder(root, &files) else { return Ok(Outcome::Abandoned) };
     let (project, plan) = plan::again(root, watcher).map_err(failed)?;
     let earlier = Earlier::read(&project).map_err(failed)?;
@@ -147,6 +149,9 @@ pub(super) struct Following<'a> {
 impl Following<'_> {
     /// The plan around what is finished, and how far it is.
     pub fn measure(self, watcher: &dyn Watcher) -> Result<(Plan, Progress), ReplanError> {
+        if let Some(counted) = self.count_undistorted()? {
+            return Ok((self.plan, counted));
+        }
         let predicted_cut = self.plan.cut;
         let written: Vec<ViewIndex> = self.earlier.keys().filter_map(|key| self.plan.scene.find(key)).collect();
         let target = self.plan.settings.cut.target.map_or(predicted_cut.share, |share| share.0);
@@ -165,9 +170,9 @@ impl Following<'_> {
             target_reached: !finished.is_empty() && ahead.share >= target,
             done: finished.len().min(cut),
             clusters: cut,
-            share: ahead.share,
+            share: Some(ahead.share),
             target,
-            fulfilment: ahead.fulfilment,
+            fulfilment: Some(ahead.fulfilment),
             reachable: plan.ranking.total(),
             clusters_to_target: ahead.to_target.map(|(clusters, _)| clusters),
             seconds_per_pair,
@@ -182,6 +187,37 @@ impl Following<'_> {
             announced: false,
         };
         Ok((plan, progress))
+    }
+
+    /// The progress by number alone, where depth maps are of undistorted images and the model's are not: a pixel of such a map is no
+    /// pixel of the view.
+    fn count_undistorted(&self) -> Result<Option<Progress>, DepthMapError> {
+        let Plan { scene, cut, settings, ranking, .. } = &self.plan;
+        let maps = match depthmaps::find(self.folder, scene) {
+            Err(DepthMapError::None(_)) => return Ok(None),
+            found => found?.maps,
+        };
+        let ready: Vec<_> = maps.iter().filter(|map| self.files.contains_key(&map.path)).collect();
+        let Some(distorted) = ready.iter().map(|map| scene.camera_of(map.view)).find(|camera| !camera.is_pinhole())
+        else {
+            return Ok(None);
+        };
+        let has_map = |key: &&str| ready.iter().any(|map| scene.name(map.view) == *key);
+        let listed: Vec<&str> = self.earlier.keys().take(cut.clusters).collect();
+        let finished: Vec<String> = listed.iter().copied().filter(has_map).map(Into::into).collect();
+        let model = distorted.model().name();
+        Ok(Some(Progress {
+            version: 1,
+            done: finished.len(),
+            clusters: cut.clusters,
+            target: settings.cut.target.map_or(cut.share, |share| share.0),
+            reachable: ranking.total(),
+            finished,
+            note: Some(format!(
+                "counted, not measured: the maps are of undistorted images, the model has {model} cameras"
+            )),
+            ..Progress::default()
+        }))
     }
 }
 

@@ -2,7 +2,7 @@
 
 use std::{
     collections::BTreeMap,
-    fs,
+    fs, io,
     path::{Path, PathBuf},
     process::{Command, Stdio},
     sync::{
@@ -22,7 +22,7 @@ use super::{
     maps::MapFiles,
     queue,
     settle::{Fingerprint, HashCache, Stamp},
-    state::Outcome,
+    state::{OnBusy, Outcome},
 };
 use crate::{
     config::{Configuration, Files, Settings, Typed, user_file},
@@ -38,8 +38,10 @@ use crate::{
 /// A project to plan.
 pub struct Job<'a> {
     pub project: &'a Path,
-    /// The input that was still; a plan of anything else is not to be written.
+    /// The input that was still.
     pub stamp: &'a Stamp,
+    pub on_busy: OnBusy,
+    pub follow_links: bool,
     /// Depth maps that are written to their end.
     pub maps: &'a MapFiles,
     pub cancel: &'a AtomicBool,
@@ -54,7 +56,12 @@ impl Job<'_> {
 
     /// Is the input still what it was when the job began?
     pub fn is_current(&self) -> bool {
-        !self.is_cancelled() && Stamp::of(self.project) == *self.stamp
+        Stamp::of(self.project, self.follow_links) == *self.stamp
+    }
+
+    /// May the plan be written? That of an input which has changed is, where the next one is queued behind it.
+    pub fn is_wanted(&self) -> bool {
+        !self.is_cancelled() && (self.on_busy == OnBusy::Queue || self.is_current())
     }
 }
 
@@ -86,6 +93,8 @@ struct PlannedFrom {
     fingerprint: Fingerprint,
     clusters: usize,
     share: f64,
+    /// Without what the data decide.
+    settings: Settings,
 }
 
 /// What the planner of `viewrank watch` is asked for.
@@ -138,9 +147,7 @@ impl PlanJob {
         output::recover(job.project, &Disk::REAL).map_err(failed)?;
         let (settings, note) = self.settings(job.project)?;
         let as_text = serde_json::to_vec(&settings.of_plan()).map_err(|_| Outcome::Abandoned)?;
-        // A file that vanishes while it is hashed is a change, which raises its own event.
-        let fingerprint = lock(&self.hashes).fingerprint(job.project, job.stamp, &as_text);
-        let fingerprint = fingerprint.map_err(|_| Outcome::Abandoned)?;
+        let fingerprint = lock(&self.hashes).fingerprint(job.project, job.stamp, &as_text).map_err(unreadable)?;
         if let Some(record) = record_of(job.project).filter(|record| record.fingerprint == fingerprint) {
             return Ok(Outcome::Planned { fingerprint, clusters: record.clusters, share: record.share, note });
         }
@@ -148,15 +155,22 @@ impl PlanJob {
         let plan = plan::plan(&project, &settings, &JobWatcher::new(job)).map_err(sort_out)?;
         let plan = around_finished(plan, &project, job)?;
         let (clusters, share) = (plan.cut.clusters, plan.cut.share);
-        write(&plan, &project, &fingerprint, job)?;
+        let record = PlannedFrom { fingerprint: fingerprint.clone(), clusters, share, settings: settings.of_plan() };
+        write(&plan, &project, &record, job)?;
         Ok(Outcome::Planned { fingerprint, clusters, share, note: note.or_else(|| outdated(&plan)) })
     }
 
     fn try_follow(&self, job: &Job) -> Ended<Outcome> {
         output::recover(job.project, &Disk::REAL).map_err(failed)?;
         let Some(folder) = fullest_folder(job.project, job.maps) else { return Err(Outcome::Abandoned) };
-        // Without a record or with another input the plan is made anew first.
-        let record = record_of(job.project).ok_or(Outcome::Abandoned)?;
+        let record = match record_of(job.project) {
+            Some(record) => record,
+            // The plan is gone, or another one was made by hand.
+            None => {
+                let planned = self.try_plan(job)?;
+                record_of(job.project).ok_or(planned)?
+            }
+        };
         let watcher = JobWatcher::new(job);
         let (project, plan) = self.plan_again(job.project, &record.fingerprint, &watcher)?;
         let earlier = Earlier::read(&project).map_err(failed)?;
@@ -164,7 +178,8 @@ impl PlanJob {
         let following = Following { plan, earlier: &earlier, folder: &folder, files, replan: self.options.replan };
         let (plan, mut progress) = following.measure(&watcher).map_err(failed)?;
         if self.options.replan {
-            write(&plan, &project, &record.fingerprint, job)?;
+            let record = PlannedFrom { clusters: plan.cut.clusters, share: plan.cut.share, ..record };
+            write(&plan, &project, &record, job)?;
         }
         progress.remember_announced(job.project);
         progress.write(job.project).map_err(failed)?;
@@ -205,7 +220,7 @@ impl PlanJob {
         }
     }
 
-    /// The project's settings; the last good ones, and a word about it, where they can't be read now.
+    /// The project's settings; the last good ones (at least those of its plan), and a word about it, where they can't be read now.
     fn settings(&self, project: &Path) -> Ended<(Settings, Option<String>)> {
         let files = Files { user: user_file(), project: Some(project.join("viewrank.toml")) };
         match Configuration::load(&files, Typed::default()) {
@@ -214,10 +229,13 @@ impl PlanJob {
                 lock(&self.good_settings).insert(project.into(), settings.clone());
                 Ok((settings, None))
             }
-            Err(error) => match lock(&self.good_settings).get(project) {
-                Some(good) => Ok((good.clone(), Some(format!("{error}; the last good settings hold")))),
-                None => Err(failed(error)),
-            },
+            Err(error) => {
+                let known = lock(&self.good_settings).get(project).cloned();
+                match known.or_else(|| record_of(project).map(|record| record.settings)) {
+                    Some(good) => Ok((good, Some(format!("{error}; the last good settings hold")))),
+                    None => Err(failed(error)),
+                }
+            }
         }
     }
 }
@@ -246,15 +264,14 @@ fn outdated(plan: &Plan) -> Option<String> {
     }
 }
 
-/// Writes the plan and the record of what it was made from, unless the input has changed meanwhile.
-fn write(plan: &Plan, project: &Project, fingerprint: &Fingerprint, job: &Job) -> Ended<()> {
+/// Writes the plan, and the record of what it was made from unless the input has changed meanwhile.
+fn write(plan: &Plan, project: &Project, record: &PlannedFrom, job: &Job) -> Ended<()> {
     let mut sets = plan::files(plan, project).map_err(failed)?.sets;
-    let record = PlannedFrom { fingerprint: fingerprint.clone(), clusters: plan.cut.clusters, share: plan.cut.share };
-    let record = serde_json::to_string(&record).map_err(|_| Outcome::Abandoned)?;
-    if let Some(own) = sets.first_mut() {
+    let record = serde_json::to_string(record).map_err(|_| Outcome::Abandoned)?;
+    if let Some(own) = sets.first_mut().filter(|_| job.is_current()) {
         own.add_text(format!("{OUTPUT_FOLDER}/{RECORD}"), record + "\n");
     }
-    if !job.is_current() {
+    if !job.is_wanted() {
         return Err(Outcome::Abandoned);
     }
     // The record comes last: without it the plan is made again.
@@ -270,6 +287,14 @@ fn record_of(project: &Path) -> Option<PlannedFrom> {
     let folder = project.join(OUTPUT_FOLDER);
     let text = fs::read(folder.join(RECORD)).ok()?;
     serde_json::from_slice(&text).ok().filter(|_| folder.join("manifest.json").is_file())
+}
+
+/// A file that vanishes while it is hashed is a change, which raises its own event.
+fn unreadable(error: io::Error) -> Outcome {
+    match error.kind() {
+        io::ErrorKind::NotFound => Outcome::Abandoned,
+        _ => Outcome::Failed { reason: format!("cannot read its files: {error}"), hint: None },
+    }
 }
 
 /// A model that doesn't parse or fit together is taken for one that isn't there whole yet.

@@ -9,7 +9,7 @@ use std::{
 
 use walkdir::WalkDir;
 
-use super::settle::Entry;
+use super::{discover, settle::Entry};
 use crate::depthmaps;
 
 /// Of one unit of time, at most this share goes into measuring the maps of a project.
@@ -17,15 +17,16 @@ const REST: u32 = 9;
 
 /// Folders in which something must be noticed to know of depth maps: those that hold some, and those in which a folder of them may
 /// appear. Our own output folder is none.
-pub fn watched_folders(project: &Path) -> Vec<PathBuf> {
+pub fn watched_folders(project: &Path, follow_links: bool) -> Vec<PathBuf> {
     let below = |folder: PathBuf| WalkDir::new(folder).into_iter().filter_map(Result::ok);
     let maps = depthmaps::folders(project).into_iter().flat_map(below);
     let mut folders: Vec<PathBuf> = maps.filter(|e| e.file_type().is_dir()).map(walkdir::DirEntry::into_path).collect();
-    let places = depthmaps::FOLDERS.iter().filter(|place| !place.starts_with(super::discover::OUTPUT_FOLDER));
+    let places = depthmaps::FOLDERS.iter().filter(|place| !place.starts_with(discover::OUTPUT_FOLDER));
     for place in places {
         let above = Path::new(place).ancestors().skip(1).filter(|above| !above.as_os_str().is_empty());
         folders.extend(above.map(|above| project.join(above)).filter(|folder| folder.is_dir()));
     }
+    folders.retain(|folder| discover::may_enter(project, folder, follow_links));
     folders
 }
 
@@ -33,9 +34,10 @@ pub fn watched_folders(project: &Path) -> Vec<PathBuf> {
 pub type MapFiles = BTreeMap<PathBuf, Entry>;
 
 /// What looks like a depth map in the folders of the project.
-pub fn map_files(project: &Path) -> MapFiles {
+pub fn map_files(project: &Path, follow_links: bool) -> MapFiles {
     let mut files = MapFiles::new();
-    for folder in depthmaps::folders(project) {
+    let folders = depthmaps::folders(project).into_iter();
+    for folder in folders.filter(|folder| discover::may_enter(project, folder, follow_links)) {
         let entries = WalkDir::new(folder).into_iter().filter_map(Result::ok);
         for entry in entries.filter(|e| depthmaps::looks_like_one(e.path())) {
             let metadata = fs::metadata(entry.path()).ok().filter(fs::Metadata::is_file);
@@ -155,7 +157,7 @@ mod tests {
         for folder in ["dense/stereo", "viewrank/openmvs/x", "sgm/depth_maps"] {
             fs::create_dir_all(root.path().join(folder)).expect("a folder");
         }
-        let mut watched = watched_folders(root.path());
+        let mut watched = watched_folders(root.path(), false);
         watched.sort();
         watched.dedup();
         let names: Vec<_> = watched.iter().map(|f| f.strip_prefix(root.path()).expect("below")).collect();

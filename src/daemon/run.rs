@@ -202,14 +202,20 @@ impl<'a> Daemon<'a> {
         if self.look_at_all || now >= self.next_full_look {
             self.look_at_everything(now);
         } else if self.gather_until.is_some_and(|until| now >= until) {
-            self.gather_until = None;
-            for path in std::mem::take(&mut self.dirty) {
-                self.look_at(&path, now);
-            }
+            self.look_at_hinted(now);
         }
         while let Some(notice) = self.watches.take_notice() {
-            warn!("{notice}");
             self.status.notice(notice);
+            self.next_full_look = self.next_full_look.min(now + self.pause());
+        }
+    }
+
+    /// Between two looks at everything.
+    fn pause(&self) -> Duration {
+        match self.poll {
+            Some(poll) => poll,
+            None if self.watches.exhausted() => NETWORK_POLL.min(self.options.rescan),
+            None => self.options.rescan,
         }
     }
 
@@ -223,19 +229,51 @@ impl<'a> Daemon<'a> {
         }
         let known: Vec<_> = self.projects.keys().cloned().collect();
         known.iter().for_each(|project| self.look_at_project(project, now));
-        let every = match self.poll {
-            Some(poll) => poll,
-            None if self.watches.exhausted() => NETWORK_POLL,
-            None => self.options.rescan,
-        };
-        self.next_full_look = now + every;
+        self.next_full_look = now + self.pause();
+    }
+
+    fn look_at_hinted(&mut self, now: Instant) {
+        self.gather_until = None;
+        let (mut projects, mut folders) = (BTreeSet::new(), BTreeSet::new());
+        for path in std::mem::take(&mut self.dirty) {
+            let Some(project) = path.ancestors().find(|above| self.projects.contains_key(*above)) else {
+                folders.extend(self.folder_to_search(&path));
+                continue;
+            };
+            if path.starts_with(project.join("images"))
+                && let Some(tracked) = self.projects.get_mut(project)
+            {
+                tracked.disturb(now);
+            }
+            projects.insert(project.to_path_buf());
+        }
+        projects.iter().for_each(|project| self.look_at_project(project, now));
+        folders.iter().for_each(|folder| self.search(folder, now));
+    }
+
+    /// Where a change at a path outside projects may have made one: a folder above that looks like a project now (what came
+    /// is its `sparse`), else the nearest folder that is there.
+    fn folder_to_search(&self, path: &Path) -> Option<PathBuf> {
+        let root = self.roots.iter().find(|root| path.starts_with(root))?;
+        let inside = path.strip_prefix(root).ok()?;
+        if inside.components().any(|part| part.as_os_str() == discover::OUTPUT_FOLDER) {
+            return None;
+        }
+        let folders = || path.ancestors().take_while(|above| above.starts_with(root)).filter(|above| above.is_dir());
+        let project = folders().find(|folder| discover::is_project(folder, self.options.follow_links));
+        project.or_else(|| folders().next()).map(Path::to_path_buf)
     }
 
     /// Searches a folder outside projects for projects, and watches the folders in which one may appear.
     fn search(&mut self, folder: &Path, now: Instant) {
         let found = discover::walk(folder, self.options.follow_links);
-        for folder in found.folders {
-            self.watches.update(&folder.clone(), vec![folder]);
+        let mut new_watches = false;
+        for inner in found.folders {
+            new_watches |= self.watches.update(&inner.clone(), vec![inner]);
+        }
+        if new_watches {
+            // Something may have come between the look and the watch.
+            self.mark(folder.into(), now);
         }
         for (folder, reason) in found.unreadable {
             self.status.notice(format!("cannot look into {}: {reason}", folder.display()));
@@ -243,8 +281,9 @@ impl<'a> Daemon<'a> {
         for project in found.projects {
             if !self.projects.contains_key(&project) {
                 info!(project = %project.display(), "found");
-                self.watches.update(&project, Self::folders_of(&project));
-                let tracked = Tracked::new(project.clone(), Stamp::of(&project), now);
+                self.forget_inside(&project, now);
+                self.watches.update(&project, self.folders_of(&project));
+                let tracked = Tracked::new(project.clone(), Stamp::of(&project, self.options.follow_links), now);
                 self.projects.insert(project.clone(), tracked);
                 // It may have been written to between the look and the watch.
                 self.mark(project, now);
@@ -252,32 +291,16 @@ impl<'a> Daemon<'a> {
         }
     }
 
-    fn look_at(&mut self, path: &Path, now: Instant) {
-        let owner = path.ancestors().find(|above| self.projects.contains_key(*above)).map(Path::to_path_buf);
-        match owner {
-            Some(project) => {
-                if path.starts_with(project.join("images"))
-                    && let Some(tracked) = self.projects.get_mut(&project)
-                {
-                    tracked.disturb(now);
-                }
-                self.look_at_project(&project, now);
-            }
-            None => {
-                let folder = path.ancestors().find(|above| above.is_dir());
-                let inside = |f: &&Path| self.roots.iter().any(|root| f.starts_with(root));
-                let hidden = |f: &&Path| f.components().any(|c| c.as_os_str() == discover::OUTPUT_FOLDER);
-                if let Some(folder) = folder.filter(inside).filter(|f| !hidden(f)).map(Path::to_path_buf) {
-                    self.search(&folder, now);
-                }
-            }
-        }
+    /// What was taken for projects before the project around them was there is a part of it.
+    fn forget_inside(&mut self, project: &Path, now: Instant) {
+        let inside = self.projects.keys().filter(|inner| inner.starts_with(project));
+        inside.cloned().collect::<Vec<_>>().iter().for_each(|inner| self.forget(inner, now));
     }
 
     /// Folders whose changes concern the project.
-    fn folders_of(project: &Path) -> Vec<PathBuf> {
-        let mut folders = discover::input_folders(project);
-        folders.extend(maps::watched_folders(project));
+    fn folders_of(&self, project: &Path) -> Vec<PathBuf> {
+        let mut folders = discover::input_folders(project, self.options.follow_links);
+        folders.extend(maps::watched_folders(project, self.options.follow_links));
         folders
     }
 
@@ -286,11 +309,11 @@ impl<'a> Daemon<'a> {
             self.forget(project, now);
             return;
         }
-        let new_watches = self.watches.update(project, Self::folders_of(project));
-        let on_busy = self.options.on_busy;
+        let new_watches = self.watches.update(project, self.folders_of(project));
+        let Options { on_busy, follow_links, .. } = *self.options;
         if let Some(tracked) = self.projects.get_mut(project) {
-            tracked.observe(Stamp::of(project), now, on_busy);
-            tracked.observe_maps(maps::map_files(project), now);
+            tracked.observe(Stamp::of(project, follow_links), now, on_busy);
+            tracked.observe_maps(maps::map_files(project, follow_links), now);
         }
         if new_watches {
             self.mark(project.into(), now);
@@ -331,6 +354,7 @@ impl<'a> Daemon<'a> {
         'a: 's,
     {
         let Some(tracked) = self.projects.get_mut(project) else { return };
+        let Options { on_busy, follow_links, .. } = *self.options;
         match self.queue.admit(project, self.planner.need(tracked.stamp())) {
             Ok(()) => {}
             Err(Full::Jobs) => return tracked.phase = Phase::Queued { reason: "for a free job (--jobs)".into() },
@@ -340,7 +364,7 @@ impl<'a> Daemon<'a> {
                 let reason = format!("needs about {} MiB, --max-memory allows {}", mib(need), mib(max));
                 let hint = Some("raise --max-memory, or plan it by itself with `viewrank plan`".into());
                 let (looked, _) = tracked.start(work, self.options.settle, now);
-                return tracked.finish(looked, Outcome::Failed { reason, hint }, now);
+                return self.finish(project, looked, Outcome::Failed { reason, hint }, now);
             }
         }
         if work == Work::Plan {
@@ -357,6 +381,8 @@ impl<'a> Daemon<'a> {
             let job = Job {
                 project: &project,
                 stamp: &looked.input,
+                on_busy,
+                follow_links,
                 maps: &looked.maps,
                 cancel: &cancel,
                 progress: &progress,

@@ -44,10 +44,10 @@ pub struct Stamp {
 
 impl Stamp {
     /// Looks at the project; what isn't there is left out.
-    pub fn of(project: &Path) -> Self {
+    pub fn of(project: &Path, follow_links: bool) -> Self {
         let mut stamp = Self::default();
         let images = discover::image_folders(project);
-        for folder in discover::input_folders(project) {
+        for folder in discover::input_folders(project, follow_links) {
             if images.contains(&folder) {
                 if let Ok(metadata) = fs::metadata(&folder) {
                     stamp.folders.insert(folder, Entry::of(&metadata));
@@ -161,7 +161,8 @@ impl HashCache {
             return Ok(*hash);
         }
         let mut hasher = blake3::Hasher::new();
-        let mut file = fs::File::open(path)?;
+        let mut file = fs::File::open(path)
+            .map_err(|error| io::Error::new(error.kind(), format!("{}: {error}", path.display())))?;
         let mut buffer = vec![0; 1 << 18];
         loop {
             match file.read(&mut buffer)? {
@@ -198,22 +199,22 @@ mod tests {
     fn input_is_still_once_nothing_changed_for_the_settle_time() {
         let root = project();
         let (start, settle) = (Instant::now(), Duration::from_secs(2));
-        let mut still = Stillness::new(Stamp::of(root.path()), start);
+        let mut still = Stillness::new(Stamp::of(root.path(), false), start);
         fs::write(root.path().join("sparse/0/cameras.bin"), "longer now").expect("a file");
         let later = start + Duration::from_secs(1);
-        assert!(still.observe(Stamp::of(root.path()), later));
-        assert!(!still.observe(Stamp::of(root.path()), later + settle));
+        assert!(still.observe(Stamp::of(root.path(), false), later));
+        assert!(!still.observe(Stamp::of(root.path(), false), later + settle));
         assert_eq!(still.settled_at(settle), later + settle);
     }
 
     #[test]
     fn outputs_are_not_input_and_new_images_are() {
         let root = project();
-        let before = Stamp::of(root.path());
+        let before = Stamp::of(root.path(), false);
         fs::write(root.path().join("viewrank/manifest.json"), "{}").expect("a file");
-        assert_eq!(Stamp::of(root.path()), before);
+        assert_eq!(Stamp::of(root.path(), false), before);
         fs::write(root.path().join("images/left/1.jpg"), "").expect("a file");
-        assert_ne!(Stamp::of(root.path()), before);
+        assert_ne!(Stamp::of(root.path(), false), before);
     }
 
     #[test]
@@ -221,7 +222,7 @@ mod tests {
         let root = project();
         let mut cache = HashCache::default();
         let mut print = |settings: &[u8]| {
-            let stamp = Stamp::of(root.path());
+            let stamp = Stamp::of(root.path(), false);
             cache.fingerprint(root.path(), &stamp, settings).expect("readable files")
         };
         let before = print(b"a");

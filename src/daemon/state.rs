@@ -50,7 +50,8 @@ pub enum Phase {
     Computing {
         done: usize,
         clusters: usize,
-        share: f64,
+        /// `None`: the maps are counted, not measured.
+        share: Option<f64>,
         #[serde(default, skip_serializing_if = "Option::is_none")]
         note: Option<String>,
     },
@@ -78,7 +79,8 @@ impl fmt::Display for Phase {
                 note.iter().try_for_each(|note| write!(f, "; {note}"))
             }
             Self::Computing { done, clusters, share, note } => {
-                write!(f, "computing: {done} of {clusters} depth maps, {:.0} % reached", share * 100.0)?;
+                write!(f, "computing: {done} of {clusters} depth maps")?;
+                share.iter().try_for_each(|share| write!(f, ", {:.0} % reached", share * 100.0))?;
                 note.iter().try_for_each(|note| write!(f, "; {note}"))
             }
             Self::Reached { done, share, .. } => write!(f, "reached: {:.0} % with {done} depth maps", share * 100.0),
@@ -101,7 +103,7 @@ pub enum Outcome {
     Followed {
         done: usize,
         clusters: usize,
-        share: f64,
+        share: Option<f64>,
         reached: bool,
         note: Option<String>,
     },
@@ -163,7 +165,7 @@ pub struct Tracked {
 
 impl Tracked {
     pub fn new(root: PathBuf, stamp: Stamp, now: Instant) -> Self {
-        let phase = Phase::Waiting { reason: "its files to be still".into() };
+        let phase = waiting(&stamp);
         Self {
             root,
             phase,
@@ -186,7 +188,7 @@ impl Tracked {
         match &self.job {
             Some(cancel) if on_busy == OnBusy::Restart => cancel.store(true, Ordering::Relaxed),
             Some(_) => {}
-            None => self.phase = Phase::Waiting { reason: "its files to be still".into() },
+            None => self.phase = waiting(self.still.stamp()),
         }
     }
 
@@ -262,10 +264,12 @@ impl Tracked {
                 self.planned = Some(fingerprint);
                 Phase::Planned { clusters, share, note }
             }
-            Outcome::Followed { done, clusters, share, reached: true, .. } => Phase::Reached { done, clusters, share },
+            Outcome::Followed { done, clusters, share: Some(share), reached: true, .. } => {
+                Phase::Reached { done, clusters, share }
+            }
             Outcome::Followed { done, clusters, share, note, .. } => Phase::Computing { done, clusters, share, note },
             Outcome::Incomplete { reason } => Phase::Waiting { reason },
-            Outcome::Abandoned => Phase::Waiting { reason: "its files to be still".into() },
+            Outcome::Abandoned => waiting(self.still.stamp()),
             Outcome::Failed { reason, hint } => {
                 let pause = retry_after(failures);
                 (self.failures, self.retry_at) = (failures, Some(now + pause));
@@ -285,11 +289,20 @@ impl Tracked {
     }
 }
 
+fn waiting(stamp: &Stamp) -> Phase {
+    let reason = if stamp.is_empty() {
+        "the files of a model (--follow-links: also behind links)"
+    } else {
+        "its files to be still"
+    };
+    Phase::Waiting { reason: reason.into() }
+}
+
 fn retry_after(failures: u32) -> Duration {
     FIRST_RETRY.saturating_mul(1 << (failures - 1).min(16)).min(LONGEST_RETRY)
 }
 
-/// `ROOT/.viewrank/status.json`: all projects of a root, for `viewrank status`.
+/// `ROOT/viewrank/status.json`: all projects of a root, for `viewrank status`.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Status {
     pub version: u32,
@@ -322,7 +335,7 @@ mod tests {
         let root = tempfile::tempdir().expect("a temporary folder");
         std::fs::create_dir_all(root.path().join("sparse/0")).expect("a folder");
         std::fs::write(root.path().join("sparse/0/images.bin"), vec![0; bytes]).expect("a file");
-        let stamp = Stamp::of(root.path());
+        let stamp = Stamp::of(root.path(), false);
         (root, stamp)
     }
 

@@ -85,6 +85,7 @@ impl StatusFiles {
     /// A sentence for people, said once.
     pub fn notice(&mut self, text: String) {
         if !self.notices.contains(&text) && self.notices.len() < NOTICES {
+            warn!("{text}");
             self.notices.push(text);
         }
     }
@@ -178,6 +179,7 @@ fn name_of(phase: &Phase) -> &'static str {
 }
 
 /// The status of a root as it was last written, and whether a daemon runs there now.
+#[derive(Debug, PartialEq)]
 pub struct Line {
     pub running: bool,
     pub status: Status,

@@ -52,13 +52,14 @@ impl Watches {
     pub fn update(&mut self, owner: &Path, folders: Vec<PathBuf>) -> bool {
         let Some(native) = &mut self.native else { return false };
         let before = self.watched.remove(owner).unwrap_or_default();
-        let (mut after, mut failure, mut new) = (BTreeMap::new(), None, false);
+        let (mut after, mut failure, mut new, mut network) = (BTreeMap::new(), None, false, None);
         for folder in folders {
             let Ok(inode) = std::fs::metadata(&folder).map(|m| m.ino()) else { continue };
             if before.get(&folder) == Some(&inode) {
                 after.insert(folder, inode);
                 continue;
             }
+            network = network.or_else(|| is_network(&folder).then(|| folder.clone()));
             match native.watch(&folder, RecursiveMode::NonRecursive) {
                 Ok(()) => {
                     new = true;
@@ -77,6 +78,10 @@ impl Watches {
         }
         if let Some(error) = failure {
             self.report(&error);
+        }
+        if let Some(folder) = network.filter(|_| !self.exhausted) {
+            let folder = folder.display();
+            self.give_up(format!("{folder} lies on a network file system; looking at the folders in turn (--poll)"));
         }
         new
     }
@@ -155,7 +160,12 @@ pub fn is_network(folder: &Path) -> bool {
         let mut about: libc::statfs = std::mem::zeroed();
         (libc::statfs(path.as_ptr(), &mut about) == 0).then_some(about.f_type)
     };
-    magic.is_some_and(|magic| NETWORK.contains(&(magic as u32 as i64)))
+    magic.is_some_and(is_network_magic)
+}
+
+fn is_network_magic(magic: libc::__fsword_t) -> bool {
+    // Some of them are negative where the type has 32 bits.
+    NETWORK.contains(&i64::from(magic as u32))
 }
 
 #[cfg(test)]
@@ -182,7 +192,17 @@ mod tests {
     }
 
     #[test]
-    fn this_machine_s_own_disk_is_no_network() {
+    fn this_machine_s_own_disk_is_no_network_and_nfs_and_smb_are() {
         assert!(!is_network(&std::env::temp_dir()));
+        assert!(is_network_magic(libc::NFS_SUPER_MAGIC) && is_network_magic(libc::SMB_SUPER_MAGIC));
+        assert!(is_network_magic(0xff53_4d42_u32 as i32 as libc::__fsword_t), "CIFS, negative in 32 bits");
+        assert!(!is_network_magic(libc::TMPFS_MAGIC) && !is_network_magic(libc::EXT4_SUPER_MAGIC));
+    }
+
+    #[test]
+    fn an_overflow_of_the_kernel_s_queue_means_that_events_were_lost() {
+        let (sender, hints) = channel::<Hint>();
+        send(&sender, Ok(notify::Event::new(notify::EventKind::Other).set_flag(notify::event::Flag::Rescan)));
+        assert_eq!(hints.recv(), Ok(Hint::Lost));
     }
 }
