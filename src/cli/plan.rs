@@ -90,7 +90,7 @@ pub struct Arguments {
     #[arg(long, value_name = "SIZE", help_heading = "How")]
     max_memory: Option<String>,
     /// Threads to use; the plan is the same for any number [default: all]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..), help_heading = "How")]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024), help_heading = "How")]
     threads: Option<u16>,
 
     /// Also write all tables of the plan as NumPy files
@@ -112,12 +112,17 @@ pub struct Arguments {
 
 pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     use_threads(arguments.threads);
+    if let Some(path) = &arguments.dump_surface {
+        output::refuse_to_replace(path)?;
+    }
     let project = Project::open(&arguments.project, arguments.model.as_deref())?;
     let settings = config::load(Some(&project.root), arguments.typed())?.settings;
     let progress = Progress::new(arguments.quiet);
     let mut plan = plan::plan(&project, &settings, &progress)?;
     if let Some(folder) = &arguments.finished {
-        output::recover(&project.root, &Disk::REAL)?;
+        if !arguments.dry_run {
+            output::recover(&project.root, &Disk::REAL)?;
+        }
         let maps = Maps { folder, ready: &|_| true };
         plan = replan(plan, &Earlier::read(&project)?, &maps, &progress)?.0;
     }

@@ -152,7 +152,7 @@ impl Source {
     pub fn trained(&self, root: &Path) -> Result<Option<Trained>, TrainedError> {
         match self {
             Self::None | Self::Geometric | Self::Proxy => Ok(None),
-            Self::Shipped => Ok(Trained::shipped()),
+            Self::Shipped => Trained::shipped().map(Some).ok_or(TrainedError::NotShipped),
             Self::Project => Trained::read(&root.join(PROJECT_MODEL)).map(Some),
             Self::Model(path) => Trained::read(path).map(Some),
         }

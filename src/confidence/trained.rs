@@ -226,6 +226,8 @@ pub enum TrainedError {
     Io { path: PathBuf, source: std::io::Error },
     #[error("{}: {what}", path.display())]
     Format { path: PathBuf, what: String },
+    #[error("no trained model comes with this program")]
+    NotShipped,
     #[error("{}: a model of version {version}, this program reads version {VERSION}", path.display())]
     Version { path: PathBuf, version: u32 },
 }
@@ -233,7 +235,7 @@ pub enum TrainedError {
 impl Hint for TrainedError {
     fn hint(&self) -> Option<String> {
         Some(match self {
-            Self::Io { .. } => {
+            Self::Io { .. } | Self::NotShipped => {
                 "give none, geometric, proxy, auto, or a model file that viewrank train has written".into()
             }
             Self::Format { .. } => "train the model again with viewrank train".into(),

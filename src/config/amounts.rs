@@ -13,6 +13,17 @@ pub enum Budget {
     Views(Share),
 }
 
+impl Budget {
+    /// Clusters that it allows where so many views are registered; part of a cluster counts as one.
+    pub fn clusters(self, views: usize) -> usize {
+        match self {
+            Self::Clusters(n) => usize::try_from(n).unwrap_or(usize::MAX),
+            // A share in per cent is no binary fraction: 7 % of 100 comes out a little above 7.
+            Self::Views(share) => (share.0 * views as f64 - 1e-9).ceil().max(0.0) as usize,
+        }
+    }
+}
+
 /// A share, 0 to 1; written in per cent.
 #[derive(Clone, Copy, Debug, PartialEq, PartialOrd, Serialize, Deserialize)]
 #[serde(try_from = "Written", into = "String")]

@@ -11,8 +11,8 @@ use serde::Deserialize;
 use toml::{Table, Value, de::DeTable};
 
 use super::{Key, Settings, keys};
-use crate::error::Hint;
 use crate::georeference::Zone;
+use crate::{confidence, error::Hint};
 
 /// Where settings are written down; files that are not there are passed over.
 #[derive(Clone, Debug, Default)]
@@ -158,9 +158,22 @@ fn read(path: &Path) -> Result<Vec<Entry>, ConfigError> {
     collect(DeTable::parse(&text).map_err(syntax)?.get_ref(), "", &mut |key, at| {
         let place = Place::File { path: path.into(), line: line_of(&text, at) };
         let value = key.split('.').try_fold(&values, |value, part| value.get(part));
-        entries.extend(value.map(|value| Entry { key: key.into(), value: value.clone(), place }));
+        entries.extend(value.map(|value| Entry { key: key.into(), value: from_file(key, value, path), place }));
     });
     Ok(entries)
+}
+
+/// A value of a file; what names another file does so from the folder of this one.
+fn from_file(key: &str, value: &Value, file: &Path) -> Value {
+    let names_file = |text: &&str| match key {
+        "surface.mesh" => true,
+        "confidence.source" => !confidence::WORDS.contains(text),
+        _ => false,
+    };
+    match (value.as_str().filter(names_file), file.parent().map(std::path::absolute)) {
+        (Some(name), Some(Ok(folder))) => folder.join(name).to_string_lossy().into_owned().into(),
+        _ => value.clone(),
+    }
 }
 
 /// Calls `found` with each key that is no section, and the byte at which it stands.

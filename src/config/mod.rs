@@ -274,7 +274,7 @@ pub struct PartnerSettings {
     #[schemars(range(min = 1), extend("unit" = "views"))]
     pub candidates: u32,
     /// Combinations drawn (y).
-    #[schemars(range(min = 1), extend("unit" = "combinations"))]
+    #[schemars(range(min = 1, max = 100_000), extend("unit" = "combinations"))]
     pub draws: u32,
     /// One of so many triangles judges the draws (z).
     #[schemars(range(min = 1), extend("unit" = "triangles"))]

@@ -89,11 +89,7 @@ impl WrittenPlan {
     /// How many clusters another cut takes: so many, or the fewest that reach the share.
     pub fn cut_at(&self, budget: Option<Budget>, target: Option<Share>) -> usize {
         let all = self.clusters.len();
-        let by_budget = match budget {
-            Some(Budget::Clusters(n)) => usize::try_from(n).unwrap_or(all),
-            Some(Budget::Views(share)) => (share.0 * self.scene.views.len() as f64).ceil() as usize,
-            None => all,
-        };
+        let by_budget = budget.map_or(all, |budget| budget.clusters(self.scene.views.len()));
         let by_target = target.map_or(all, |target| self.clusters.partition_point(|c| c.share < target.0) + 1);
         if budget.is_none() && target.is_none() { self.cut } else { all.min(by_budget).min(by_target) }
     }

@@ -89,6 +89,19 @@ pub fn recover(root: &Path, disk: &Disk) -> Result<(), OutputError> {
     transaction::recover(root, disk)
 }
 
+/// Is `path` a new file in a folder that is there? What a user names on the command line may be a file of theirs.
+///
+/// # Errors
+/// [`OutputError::InTheWay`], and where there is no such folder.
+pub fn refuse_to_replace(path: &Path) -> Result<(), OutputError> {
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    match (path.symlink_metadata(), folder.metadata()) {
+        (Ok(found), _) => Err(OutputError::InTheWay { path: path.into(), folder: found.is_dir() }),
+        (_, Err(source)) => Err(OutputError::new(folder, source)),
+        _ => Ok(()),
+    }
+}
+
 /// Puts one file in place of another in one step: for files that are ours alone and change often (a status, a log of progress).
 pub fn replace(path: &Path, bytes: &[u8], disk: &Disk) -> Result<(), OutputError> {
     let name = path.file_name().ok_or_else(|| OutputError::Name { name: path.display().to_string() })?;

@@ -4,10 +4,7 @@ use schemars::JsonSchema;
 use serde::Serialize;
 
 use super::{PlanError, forecast::Cost};
-use crate::{
-    config::{Budget, CutSettings},
-    fulfilment::block::Places,
-};
+use crate::{config::CutSettings, fulfilment::block::Places};
 
 /// Share of what all clusters together reach, where nothing else is wanted.
 pub(super) const DEFAULT_TARGET: f64 = 0.9;
@@ -28,12 +25,9 @@ pub struct Cut {
 /// The shortest of the prefixes that the settings name, but all that is finished.
 pub(super) fn cut(settings: &CutSettings, cost: &Cost) -> Result<Cut, PlanError> {
     let ranking = cost.ranking;
-    let views = cost.model.scene.views.len() as f64;
     let mut clusters = ranking.order.len();
-    match settings.budget {
-        Some(Budget::Clusters(n)) => clusters = clusters.min(usize::try_from(n).unwrap_or(usize::MAX)),
-        Some(Budget::Views(share)) => clusters = clusters.min((share.0 * views).ceil() as usize),
-        None => {}
+    if let Some(budget) = settings.budget {
+        clusters = clusters.min(budget.clusters(cost.model.scene.views.len()));
     }
     if let Some(target) = settings.target {
         clusters = clusters.min(ranking.length_for_share(target.0));

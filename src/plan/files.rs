@@ -51,7 +51,15 @@ pub fn files(plan: &Plan, project: &Project) -> Result<PlanFiles, FilesError> {
         image_scale: plan.settings.image_scale,
         planned_for: plan.backend,
     };
-    let (exports, missing) = exports(&selection, &wanted(plan, project)?)?;
+    let (exports, mut missing) = exports(&selection, &wanted(plan, project)?)?;
+    let pair_files = backends::pair_files("the list of view clusters", &selection).map(Vec::from);
+    let pair_files = pair_files.or_else(|error| match error {
+        BackendError::Name { .. } => {
+            missing.push(format!("no clusters.txt, pairs.txt and baseImages.txt: {error}"));
+            Ok(Vec::new())
+        }
+        error => Err(error),
+    })?;
     let records = exports.iter().map(|export| export.record.clone()).collect();
     let mut manifest = Manifest::new(plan, project, records)?;
     manifest.warnings.extend(missing);
@@ -61,9 +69,7 @@ pub fn files(plan: &Plan, project: &Project) -> Result<PlanFiles, FilesError> {
     let stale = stale_page(project, &manifest);
     add("manifest.json", manifest.to_json());
     add("manifest.csv", manifest.to_csv());
-    for (name, text) in backends::pair_files("the list of view clusters", &selection)? {
-        add(name, text);
-    }
+    pair_files.into_iter().for_each(|(name, text)| add(name, text));
     let planned_views = PlannedViews::new(&plan.scene, &plan.finished);
     add("planned_views.json", serde_json::to_string(&planned_views).expect("numbers and texts are JSON") + "\n");
     add("curve.svg", curve_svg(&Curve::predicted(plan)));

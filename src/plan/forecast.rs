@@ -23,7 +23,7 @@ pub struct Forecast {
     pub pairs: usize,
     /// Pixels that these maps will measure, before fusion.
     pub points: u64,
-    /// Seconds of matching; absent where `forecast.seconds_per_pair` and `.seconds_per_map` are unset.
+    /// Seconds of matching what is not finished; absent where `forecast.seconds_per_pair` and `.seconds_per_map` are unset.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub seconds: Option<f64>,
     /// Depth maps if every view that can be a key view gets one.
@@ -94,7 +94,7 @@ pub(super) fn forecast(cost: &Cost, clusters: usize) -> Forecast {
         maps: clusters,
         pairs,
         points: points.iter().sum::<f64>().round() as u64,
-        seconds: cost.seconds_of(clusters, pairs),
+        seconds: (0..clusters).map(|rank| cost.seconds(rank)).sum(),
         all_maps: cost.clusters.len(),
         all_pairs,
         all_seconds: cost.seconds_of(cost.clusters.len(), all_pairs),

@@ -56,8 +56,12 @@ fn said_by_colmap(model: &Path) -> Option<PathBuf> {
     Some(model.join(value.trim()))
 }
 
-/// Images of the folder that the scene has no view of, sorted.
+/// Images of the folder that the scene has no view of, sorted; none where the folder holds no image of the scene, as one that a model from
+/// elsewhere names may be anything.
 pub(super) fn unregistered(folder: &Path, scene: &Scene) -> Vec<String> {
+    if !scene.views.iter().take(PROBED).any(|view| folder.join(&*view.name).is_file()) {
+        return Vec::new();
+    }
     let registered: HashSet<PathBuf> = scene.views.iter().map(|view| normal(Path::new(&view.name))).collect();
     let files = WalkDir::new(folder).follow_links(true).into_iter().filter_map(Result::ok);
     let images = files.filter(|entry| entry.file_type().is_file() && is_image(entry.path()));

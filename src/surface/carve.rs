@@ -146,7 +146,7 @@ pub fn capacities(
 ) -> Result<Vec<Capacities>, Cancelled> {
     // One vote per ray and facet at most, so no sum can overflow.
     let most = f64::from(u32::MAX) / (rays.len().max(1) as f64 * settings.ray_weight.max(f64::MIN_POSITIVE));
-    let units = UNITS.min(most.floor());
+    let units = UNITS.min(most);
     let ballot = Ballot {
         votes: (0..delaunay.cells.len()).into_par_iter().map(|_| Votes::default()).collect(),
         full: settings.ray_weight * units,

@@ -9,11 +9,14 @@ use crate::scene::{PointIndex, Scene, ViewIndex};
 const MAX_ERROR_PX: f64 = 4.0;
 /// A point may have this many times the median error of the points in any case.
 const MAX_ERROR_MEDIANS: f64 = 3.0;
+/// A point this many times as far from the middle of the points as the median of them is none of the scene: a match gone wrong near the
+/// horizon fits its rays wherever it lies, and one would spoil the grid of all the others.
+const MAX_DISTANCE_MEDIANS: f64 = 1000.0;
 /// Standard deviation of a measured pixel, as in method 3.3.
 const SIGMA_PX: f64 = 0.5;
 
-/// The sparse points that at least two views observe, that lie in front of all of these, and whose mean reprojection error is below the
-/// larger of 4 px and 3 times the median; ascending.
+/// The sparse points that at least two views observe, that lie in front of all of these, whose mean reprojection error is below the
+/// larger of 4 px and 3 times the median, and that are not out of all proportion to the scene; ascending.
 pub fn usable_points(scene: &Scene) -> Vec<PointIndex> {
     let errors: Vec<Option<f64>> =
         (0..scene.points.len() as u32).into_par_iter().map(|p| mean_error_px(scene, PointIndex(p))).collect();
@@ -25,7 +28,25 @@ pub fn usable_points(scene: &Scene) -> Vec<PointIndex> {
     let median = *known.select_nth_unstable_by(middle, f64::total_cmp).1;
     let limit = MAX_ERROR_PX.max(MAX_ERROR_MEDIANS * median);
     let is_usable = |p: &PointIndex| errors[p.at()].is_some_and(|e| e <= limit);
-    (0..scene.points.len() as u32).map(PointIndex).filter(is_usable).collect()
+    near(scene, (0..scene.points.len() as u32).map(PointIndex).filter(is_usable).collect())
+}
+
+/// Those of the points that are not [`MAX_DISTANCE_MEDIANS`] away.
+pub(super) fn near(scene: &Scene, mut points: Vec<PointIndex>) -> Vec<PointIndex> {
+    let median = |mut values: Vec<f64>| {
+        let middle = values.len() / 2;
+        *values.select_nth_unstable_by(middle, f64::total_cmp).1
+    };
+    if points.is_empty() {
+        return points;
+    }
+    let middle =
+        Point3::from([0, 1, 2].map(|axis| median(points.iter().map(|p| scene.points[p.at()][axis]).collect())));
+    let distance = |p: &PointIndex| (scene.points[p.at()] - middle).norm();
+    let limit = MAX_DISTANCE_MEDIANS * median(points.iter().map(distance).collect());
+    // Where most points are one and the same there is no measure.
+    points.retain(|p| limit == 0.0 || distance(p) <= limit);
+    points
 }
 
 /// Mean reprojection error of a point over its observations with a known pixel; `None` with fewer than two views, or where a camera

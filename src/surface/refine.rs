@@ -84,10 +84,12 @@ impl Splitting {
         LongEdge { length: (b - a).norm().to_bits(), corner }
     }
 
-    /// Queues the edge that the corner faces if it is too long.
+    /// Queues the edge that the corner faces if it is too long, and its coordinates leave room for a point between its ends.
     fn push(&mut self, corner: u32) {
         let edge = self.long_edge(corner);
-        if f64::from_bits(edge.length) >= self.limit {
+        let [a, b] = self.ends(corner);
+        let middle = middle(&a, &b);
+        if f64::from_bits(edge.length) >= self.limit && middle != a && middle != b {
             self.queue.push(edge);
         }
     }
@@ -103,14 +105,14 @@ impl Splitting {
     /// Splits the edge that the corner faces, with the triangles on both sides.
     fn split(&mut self, corner: u32) {
         let [a, b] = self.ends(corner);
-        let middle = self.surface.vertices.len() as u32;
-        self.surface.vertices.push(a + (b - a) / 2.0);
+        let middle_vertex = self.surface.vertices.len() as u32;
+        self.surface.vertices.push(middle(&a, &b));
         let across = self.opposite[corner as usize];
-        let far = self.halve(corner, middle);
+        let far = self.halve(corner, middle_vertex);
         let halves = if across == BORDER {
             [(corner, BORDER), (far, BORDER)]
         } else {
-            let far_across = self.halve(across, middle);
+            let far_across = self.halve(across, middle_vertex);
             [(corner, far_across), (far, across)]
         };
         for (one, other) in halves {
@@ -146,6 +148,10 @@ impl Splitting {
             self.opposite[other as usize] = one;
         }
     }
+}
+
+fn middle(a: &Point3<f64>, b: &Point3<f64>) -> Point3<f64> {
+    a + (b - a) / 2.0
 }
 
 #[cfg(test)]

@@ -1,6 +1,6 @@
 //! Whole surfaces from synthetic scenes with known shape, and degenerate input.
 
-use nalgebra::{Rotation3, Vector2};
+use nalgebra::{Point3, Rotation3, Vector2};
 use proptest::prelude::*;
 
 use super::{manifold::check_manifold, *};
@@ -211,6 +211,16 @@ fn points_that_do_not_fit_their_views_are_left_out() {
     let usable = points::usable_points(&scene);
     assert_eq!(usable.len(), 498);
     assert!(!usable.contains(&PointIndex(7)) && !usable.contains(&PointIndex(9)));
+}
+
+#[test]
+fn a_point_out_of_all_proportion_is_left_out() {
+    let mut scene = ball(500).scene();
+    let all: Vec<PointIndex> = (0..500).map(PointIndex).collect();
+    assert_eq!(points::near(&scene, all.clone()), all);
+    scene.points[11] = Point3::new(1e9, 0.0, 0.0);
+    let left = points::near(&scene, all);
+    assert!(left.len() == 499 && !left.contains(&PointIndex(11)));
 }
 
 #[test]

@@ -8,6 +8,8 @@ use crate::camera::{Camera, CameraModel};
 const MARGIN: f64 = 8.0;
 /// Beyond this angle from the axis one plane no longer serves and the faces of a cube are taken.
 const WIDE: f64 = 60.0;
+/// A face has at most so many times as many pixels along a side as were asked for, however odd the camera's numbers are.
+const MOST_SIDES: f64 = 4.0;
 /// Rays per side of the grid by which a camera's field is found.
 const FIELD_SAMPLES: u32 = 33;
 
@@ -30,13 +32,15 @@ impl Face {
     /// none where no pixel has a ray.
     pub fn of(camera: &Camera, long_side: u32) -> Vec<Self> {
         let focal = camera.mean_focal_length() * f64::from(long_side) / f64::from(camera.width.max(camera.height));
+        // Across a field of x/z or y/z.
+        let within = |field: f64| focal.min(MOST_SIDES * f64::from(long_side) / field);
         if camera.model() == CameraModel::Equirectangular {
-            return CUBE.iter().map(|&[r, d, f]| Self::cube(focal, r, d, f)).collect();
+            return CUBE.iter().map(|&[r, d, f]| Self::cube(within(2.0), r, d, f)).collect();
         }
         let (rays, missing) = field(camera);
         let wide = rays.iter().any(|r| r.z < WIDE.to_radians().cos());
         if wide {
-            return CUBE[..5].iter().map(|&[r, d, f]| Self::cube(focal, r, d, f)).collect();
+            return CUBE[..5].iter().map(|&[r, d, f]| Self::cube(within(2.0), r, d, f)).collect();
         }
         let tangents = rays.iter().map(|r| Vector2::new(r.x / r.z, r.y / r.z));
         let Some((low, high)) = tangents.fold(None, |b, t| match b {
@@ -47,7 +51,8 @@ impl Face {
         };
         // The border of the field lies between a ray that exists and a neighbour that does not.
         let spare = if missing { (high - low) * (1.5 / f64::from(FIELD_SAMPLES - 1)) } else { Vector2::zeros() };
-        vec![Self::window(focal, Matrix3::identity(), low - spare, high + spare)]
+        let (low, high) = (low - spare, high + spare);
+        vec![Self::window(within((high - low).max()), Matrix3::identity(), low, high)]
     }
 
     /// Exactly the pixels of a pinhole camera's image, reduced or enlarged to `width` x `height`.

@@ -185,7 +185,13 @@ impl ColmapPoint<'_> {
         lists: &ImageLists<'m>,
         mut each: impl FnMut(ImageView, u32, &'m Point2d) -> Result<(), Fault>,
     ) -> Result<(), Fault> {
+        // By image: elements of this track so far; filled only where an index has to be found.
+        let mut before: Option<HashMap<u32, usize>> = None;
         for (n, element) in self.track.iter().enumerate() {
+            let seen = before.as_mut().map(|before| {
+                let count = before.entry(element.image()).or_default();
+                std::mem::replace(count, *count + 1)
+            });
             let absent = || self.fault(Problem::Absent { what: "image", id: element.image().into() });
             let image_view = lists.view_of_image.get(element.image()).ok_or_else(absent)?;
             let links = &lists.links[image_view.position as usize];
@@ -195,9 +201,12 @@ impl ColmapPoint<'_> {
                     each(image_view, element.index(), point2d)?;
                 }
                 _ => {
-                    let before = self.track[..n].iter().filter(|e| e.image() == element.image()).count();
-                    let (index, point2d) =
-                        links.nth(self.id, before).ok_or_else(|| self.wrong_index(element, named))?;
+                    let place = seen.unwrap_or_else(|| {
+                        let counts = before.insert(HashMap::new());
+                        self.track[..=n].iter().for_each(|e| *counts.entry(e.image()).or_default() += 1);
+                        counts[&element.image()] - 1
+                    });
+                    let (index, point2d) = links.nth(self.id, place).ok_or_else(|| self.wrong_index(element, named))?;
                     lists.followed.fetch_add(1, Ordering::Relaxed);
                     each(image_view, index, point2d)?;
                 }
