@@ -11,6 +11,7 @@ use std::{
 };
 
 pub use files::ColmapFiles;
+pub use images::ImageFaults;
 
 use crate::{
     error::Hint,
@@ -130,6 +131,11 @@ impl Project {
             scene.unregistered.dedup();
         }
         Ok(scene)
+    }
+
+    /// What is wrong with the image files of the scene; nothing where there is no image folder.
+    pub fn image_faults(&self, scene: &Scene) -> ImageFaults {
+        self.images.as_deref().map_or_else(ImageFaults::default, |folder| ImageFaults::find(folder, scene))
     }
 
     /// The files of a COLMAP model as they are, for writing a part of them.

@@ -37,8 +37,8 @@ pub fn split(points: &[Point3<f64>], most: usize) -> Vec<Tile> {
     tiles
 }
 
-/// The clusters of a selection parted by area into about `count` tiles, each in rank order; by the middle of the sparse points that the key
-/// view observes.
+/// The clusters of a selection parted by area into `count` tiles of about as many, each in rank order; by the middle of the sparse points that
+/// the key view observes. There are fewer tiles where there are fewer clusters, or several at one place.
 pub fn of_clusters(selection: &Selection, count: usize) -> Vec<Vec<RankedCluster>> {
     let points = selection.scene.view_points();
     let home = |key: ViewIndex| {
@@ -51,23 +51,42 @@ pub fn of_clusters(selection: &Selection, count: usize) -> Vec<Vec<RankedCluster
         let clusters = selection.clusters.iter().zip(&homes);
         clusters.filter(|(_, home)| tile.contains(home)).map(|(cluster, _)| cluster.clone()).collect()
     };
-    let tiles = split(&homes, homes.len().div_ceil(count.max(1)));
+    let mut tiles = Vec::new();
+    part(homes.clone(), Tile::EVERYTHING, count.clamp(1, homes.len().max(1)), &mut tiles);
     tiles.iter().map(inside).filter(|clusters| !clusters.is_empty()).collect()
 }
 
 fn halve(mut points: Vec<Point3<f64>>, tile: Tile, most: usize, tiles: &mut Vec<Tile>) {
-    let cut = if points.len() > most { cut(&mut points) } else { None };
+    let middle = points.len() / 2;
+    let cut = if points.len() > most { cut(&mut points, middle) } else { None };
     let Some((axis, at)) = cut else { return tiles.push(tile) };
-    let (mut below, mut above) = (tile, tile);
-    below.high[axis] = at;
-    above.low[axis] = at;
-    let (left, right) = points.into_iter().partition(|point| point[axis] < at);
+    let [(left, below), (right, above)] = cut_at(points, tile, axis, at);
     halve(left, below, most, tiles);
     halve(right, above, most, tiles);
 }
 
-/// Where to cut: the axis of the longest side, and the median there; `None` where no cut parts the points.
-fn cut(points: &mut [Point3<f64>]) -> Option<(usize, f64)> {
+/// Cuts into `count` tiles that hold about as many points.
+fn part(mut points: Vec<Point3<f64>>, tile: Tile, count: usize, tiles: &mut Vec<Tile>) {
+    let few = count / 2;
+    let rank = points.len() * few / count;
+    let cut = if count > 1 && points.len() > 1 { cut(&mut points, rank) } else { None };
+    let Some((axis, at)) = cut else { return tiles.push(tile) };
+    let [(left, below), (right, above)] = cut_at(points, tile, axis, at);
+    part(left, below, few, tiles);
+    part(right, above, count - few, tiles);
+}
+
+/// The points and the part of the tile on each side.
+fn cut_at(points: Vec<Point3<f64>>, tile: Tile, axis: usize, at: f64) -> [(Vec<Point3<f64>>, Tile); 2] {
+    let (mut below, mut above) = (tile, tile);
+    below.high[axis] = at;
+    above.low[axis] = at;
+    let (left, right) = points.into_iter().partition(|point| point[axis] < at);
+    [(left, below), (right, above)]
+}
+
+/// Where to cut: the axis of the longest side, and the coordinate of that rank there; `None` where no cut parts the points.
+fn cut(points: &mut [Point3<f64>], rank: usize) -> Option<(usize, f64)> {
     let extent = |axis: usize| {
         let coordinates = || points.iter().map(|point| point[axis]);
         coordinates().fold(f64::NEG_INFINITY, f64::max) - coordinates().fold(f64::INFINITY, f64::min)
@@ -75,8 +94,7 @@ fn cut(points: &mut [Point3<f64>]) -> Option<(usize, f64)> {
     let mut axes: Vec<(f64, usize)> = (0..3).map(|axis| (extent(axis), axis)).collect();
     axes.sort_by(|a, b| b.0.total_cmp(&a.0));
     let (_, axis) = *axes.first()?;
-    let middle = points.len() / 2;
-    let at = points.select_nth_unstable_by(middle, |a, b| a[axis].total_cmp(&b[axis])).1[axis];
+    let at = points.select_nth_unstable_by(rank, |a, b| a[axis].total_cmp(&b[axis])).1[axis];
     points.iter().any(|point| point[axis] < at).then_some((axis, at))
 }
 
@@ -106,6 +124,23 @@ mod tests {
                 prop_assert!(own.len() <= most || same || own.len() < points.len());
                 prop_assert!(own.iter().all(|point| tile.is_near(point, 0.0)));
             }
+        }
+    }
+
+    proptest! {
+        /// As many tiles as asked for, and none of them empty or far larger than the others.
+        #[test]
+        fn as_many_tiles_as_asked_for(places in proptest::collection::hash_set(-900i32..900, 1..60), count in 1usize..12) {
+            let points: Vec<_> = places.iter().map(|&x| Point3::new(f64::from(x), f64::from(x % 7), 0.0)).collect();
+            let count = count.min(points.len());
+            let mut tiles = Vec::new();
+            part(points.clone(), Tile::EVERYTHING, count, &mut tiles);
+            let sizes: Vec<usize> =
+                tiles.iter().map(|tile| points.iter().filter(|p| tile.contains(p)).count()).collect();
+            prop_assert_eq!(sizes.len(), count);
+            prop_assert_eq!(sizes.iter().sum::<usize>(), points.len());
+            let (least, most) = (points.len() / count, points.len().div_ceil(count));
+            prop_assert!(sizes.iter().all(|n| *n > 0 && n + 1 >= least && *n <= most + 1), "{:?}", sizes);
         }
     }
 

@@ -113,7 +113,15 @@ fn exported(scene: &Scene, backend: &str, path: &str) -> (Vec<u8>, Vector3<f64>)
     let key = views.remove(0);
     let clusters = [RankedCluster { key, partners: views, share: 1.0 }];
     let project = project();
-    let selection = Selection { project: &project, scene, clusters: &clusters, image_scale: 1.0, planned_for: backend };
+    let image_faults = &Default::default();
+    let selection = Selection {
+        project: &project,
+        scene,
+        clusters: &clusters,
+        image_scale: 1.0,
+        planned_for: backend,
+        image_faults,
+    };
     let export = by_name(backend).unwrap().export(&selection, &ExportOptions::default()).unwrap();
     match &export.files.files[path] {
         Contents::Bytes(bytes) => (bytes.clone(), export.record.origin.into()),

@@ -79,6 +79,7 @@ impl Backend for AliceVision {
         record.pixel_shift = PIXEL_SHIFT;
         record.made_for = "AliceVision (ca8300f; read, not run)".into();
         record.way = "one scene file and one call per cluster".into();
+        record.note_scale(selection, |_| 1.0 / downscale(selection));
         record.fusion = "minNumOfConsistentCams 1: only key views have maps, 3 of them rarely agree".into();
         let script = format!(
             "#!/bin/sh\nset -eu\ncd \"$(dirname \"$0\")\"\nmkdir -p depthMaps filtered\n{}\n",
@@ -100,12 +101,17 @@ fn estimation(selection: &Selection, cluster: &RankedCluster, path: &str) -> Str
     let id = |v: &ViewIndex| selection.scene.view(*v).image_id;
     let position = cluster.partners.iter().filter(|p| id(p) < id(&cluster.key)).count();
     let k = cluster.partners.len();
-    let downscale = (1.0 / selection.image_scale).round().max(1.0);
+    let downscale = downscale(selection);
     format!(
         "aliceVision_depthMapEstimation -i {path} --imagesFolder images -o depthMaps --rangeStart {position} --rangeSize 1 \
          --minViewAngle 0 --maxViewAngle 180 --maxTCams {k} --chooseTCamsPerTile 0 --sgmMaxTCamsPerTile {k} --refineMaxTCamsPerTile {k} \
          --downscale {downscale}"
     )
+}
+
+/// AliceVision shrinks by whole numbers.
+fn downscale(selection: &Selection) -> f64 {
+    (1.0 / selection.image_scale).round().max(1.0)
 }
 
 fn image_path(scene: &Scene, view: ViewIndex) -> String {

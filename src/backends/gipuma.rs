@@ -57,6 +57,7 @@ impl Backend for Gipuma {
         for cluster in selection.clusters {
             record.commands.push(command(selection, cluster, &points, &names)?);
         }
+        record.note_scale(selection, |_| 1.0);
         record.fusion = "fusibile, over the folders under results/".into();
         let script =
             format!("#!/bin/sh\nset -eu\ncd \"$(dirname \"$0\")\"\nmkdir -p results\n{}\n", record.commands.join("\n"));

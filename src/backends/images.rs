@@ -31,6 +31,10 @@ impl Backend for Images {
         &["--refs"]
     }
 
+    fn use_of_views(&self) -> Option<&'static str> {
+        Some("Take")
+    }
+
     fn takes_distorted(&self) -> bool {
         true
     }

@@ -44,6 +44,7 @@ impl Backend for Metashape {
     }
 
     fn export(&self, selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {
+        let downscale = (1.0 / selection.image_scale).log2().round().max(0.0).exp2();
         let names = |views: &mut dyn Iterator<Item = crate::scene::ViewIndex>| {
             views.map(|v| selection.scene.name(v).to_owned()).collect::<Vec<_>>()
         };
@@ -51,7 +52,7 @@ impl Backend for Metashape {
             "keys": names(&mut selection.clusters.iter().map(|c| c.key)),
             "enabled": names(&mut selection.views().into_iter()),
             "max_neighbors": selection.most_partners(),
-            "downscale": (1.0 / selection.image_scale).log2().round().max(0.0).exp2(),
+            "downscale": downscale,
         });
         let mut files = options.file_set(self, selection);
         files.add_text("clusters.json", serde_json::to_string_pretty(&list).expect("string keys") + "\n");
@@ -62,8 +63,9 @@ impl Backend for Metashape {
         let mut record = ExportRecord::new(self, selection, |v| selection.scene.name(v).into());
         record.made_for = "Metashape 1.6 to 2.x (from its reference; not run)".into();
         record.way = "script, cameras by label".into();
-        record.commands = vec!["metashape.sh -r depth_maps.py PROJECT.psx".into()];
+        record.commands = vec!["metashape.sh -r depth_maps.py \"${PSX:?the Metashape project, a .psx file}\"".into()];
         record.not_honoured = vec!["matching partners (only how many)".into(), "the rank order".into()];
+        record.note_scale(selection, |_| 1.0 / downscale);
         record.fusion = "buildPointCloud (buildDenseCloud before 2.0)".into();
         files.add_text("export.json", record.to_json());
         Ok(Export { files, record })

@@ -57,10 +57,11 @@ impl Backend for MicMac {
         let mut record = ExportRecord::new(self, selection, |v| selection.scene.name(v).into());
         record.made_for = "MicMac (f8fe432; read, not run)".into();
         record.way = "ImSec files, one Malt call per master; pair file beside".into();
-        record.commands = vec!["./run.sh PATH/TO/Ori-NAME".into()];
+        record.commands = vec!["./run.sh \"${ORI:?the Ori- folder of the MicMac project}\"".into()];
         record.warnings.extend([
             "orientations are not written: run.sh takes the Ori- folder of the MicMac project that the model comes from".into(),
         ]);
+        record.note_scale(selection, |_| 1.0);
         record.fusion = "MicMac's MergeCloud, by hand".into();
         files.add("run.sh", Contents::Script(runner(selection).into_bytes()));
         files.add_text("export.json", record.to_json());

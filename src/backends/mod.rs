@@ -3,16 +3,17 @@
 //! A backend says which pairs it can match and how its confidence runs (what a plan is made for), and turns a [`Selection`] into
 //! the files that make the program compute the chosen view clusters. It returns what is to be written; [`crate::output`] writes.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use nalgebra::Vector3;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::{
+    camera::Camera,
     confidence::PairConfidence,
     error::Hint,
-    output::FileSet,
+    output::{FileSet, OutputError},
     partners::PairGeometry,
     plan::Reason,
     project::{Project, ProjectError},
@@ -29,6 +30,7 @@ mod mve;
 mod mvsnet;
 mod odm;
 mod openmvs;
+pub mod place;
 mod pmvs;
 mod realityscan;
 mod selection;
@@ -65,9 +67,56 @@ pub fn all() -> &'static [&'static dyn Backend] {
     ]
 }
 
-/// The backend of that name, as typed behind `--backend`.
+/// Other names that people type, without case, blanks, `-` and `_`.
+const ALIASES: [(&str, &[&str]); 15] = [
+    ("sure", &["nframes"]),
+    ("openmvs", &["densifypointcloud"]),
+    ("mvsnet", &["casmvsnet"]),
+    ("patchmatchnet", &["patchmatch"]),
+    ("acmm", &["acmh", "acmp", "acmmp"]),
+    ("pmvs", &["pmvs2", "cmvs"]),
+    ("gipuma", &["fusibile"]),
+    ("mve", &["dmrecon"]),
+    ("micmac", &["mm3d"]),
+    ("alicevision", &["meshroom"]),
+    ("metashape", &["photoscan", "agisoft"]),
+    ("realityscan", &["realitycapture"]),
+    ("odm", &["opendronemap", "webodm"]),
+    ("splat", &["3dgs", "gaussiansplatting", "splatting", "splats", "gsplat", "brush", "nerf", "nerfstudio"]),
+    ("images", &["image", "list", "imagelist"]),
+];
+
+/// A name without case, blanks, `-` and `_`.
+fn plain(name: &str) -> String {
+    name.chars().filter(|c| !c.is_whitespace() && !"-_".contains(*c)).flat_map(char::to_lowercase).collect()
+}
+
+/// The backend of that name, as typed behind `--backend`, or of another name that people use for it.
 pub fn by_name(name: &str) -> Result<&'static dyn Backend, BackendError> {
-    all().iter().copied().find(|b| b.name() == name).ok_or_else(|| BackendError::Unknown { name: name.into() })
+    let wanted = plain(name);
+    let meant = ALIASES.iter().find(|(_, others)| others.contains(&&*wanted)).map_or(&*wanted, |(name, _)| name);
+    all().iter().copied().find(|b| b.name() == meant).ok_or_else(|| BackendError::Unknown { name: name.trim().into() })
+}
+
+/// The backends of those names, in their order, each once.
+pub fn by_names(names: &[String]) -> Result<Vec<&'static dyn Backend>, BackendError> {
+    let mut backends: Vec<&'static dyn Backend> = Vec::new();
+    for name in names {
+        let backend = by_name(name)?;
+        if backends.iter().all(|known| known.name() != backend.name()) {
+            backends.push(backend);
+        }
+    }
+    Ok(backends)
+}
+
+/// The known name that was probably meant.
+fn nearest(name: &str) -> Option<&'static str> {
+    let wanted = plain(name);
+    let others = ALIASES.iter().flat_map(|(name, others)| others.iter().map(move |other| (*other, *name)));
+    let known = all().iter().map(|b| (b.name(), b.name())).chain(others);
+    let rated = known.map(|(known, name)| (strsim::jaro_winkler(known, &wanted), name));
+    rated.max_by(|a, b| a.0.total_cmp(&b.0)).filter(|(likeness, _)| *likeness > 0.8).map(|(_, name)| name)
 }
 
 /// The backend that the project is set up for, else SURE.
@@ -230,6 +279,11 @@ pub trait Backend: Sync {
         None
     }
 
+    /// What the key views are for where they get no depth maps, as a verb: "Train on" (6 of 28 images).
+    fn use_of_views(&self) -> Option<&'static str> {
+        None
+    }
+
     /// Does it take cameras with lens distortion?
     fn takes_distorted(&self) -> bool {
         false
@@ -362,7 +416,11 @@ impl ExportRecord {
             key_maps: selection.clusters.len(),
             scale: 1.0,
             clusters: selection.clusters.iter().enumerate().map(cluster).collect(),
-            warnings: nothing_chosen(selection).into_iter().chain(other_kind(backend, selection)).collect(),
+            warnings: nothing_chosen(selection)
+                .into_iter()
+                .chain(selection.image_faults.of(&selection.views()).warnings(selection.project, selection.scene))
+                .chain(other_kind(backend, selection))
+                .collect(),
             ..Self::default()
         }
     }
@@ -375,6 +433,31 @@ impl ExportRecord {
             self.warnings.push(format!(
                 "the program counts in 32 bits, too coarse for these coordinates: those in its files are less by {x} {y} {z}; add that to what comes out"
             ));
+        }
+    }
+
+    /// Notes the images that are not matched at the planned size; `scale` is what the files ask for, for each camera.
+    fn note_scale(&mut self, selection: &Selection, scale: impl Fn(&Camera) -> f64) {
+        let wanted = selection.image_scale;
+        let scale_of = |view: ViewIndex| scale(selection.scene.camera_of(view));
+        let views = selection.views();
+        let other = |view: &&ViewIndex| (scale_of(**view) / wanted).log2().abs() > 0.01;
+        let others: Vec<ViewIndex> = views.iter().filter(other).copied().collect();
+        let Some(&first) = others.first() else { return };
+        self.not_honoured.push(format!(
+            "image_scale {wanted}: {} of {} images are matched at {:.3} of their size, as {}",
+            others.len(),
+            views.len(),
+            scale_of(first),
+            selection.scene.name(first)
+        ));
+    }
+
+    /// The same where the program's own options choose the size.
+    fn note_own_scale(&mut self, selection: &Selection) {
+        if selection.image_scale != 1.0 {
+            let scale = selection.image_scale;
+            self.not_honoured.push(format!("image_scale {scale}: the program's own options choose the size"));
         }
     }
 
@@ -395,15 +478,20 @@ fn other_kind(backend: &dyn Backend, selection: &Selection) -> Option<String> {
     let planned_for = by_name(selection.planned_for).ok()?;
     let (is, was) = (backend.planning(), planned_for.planning());
     let differs = is.gate != was.gate || is.confidence != was.confidence || is.support != was.support;
+    let why = if backend.use_of_views().is_some() { "whose depth maps" } else { "which matches other pairs or" };
     differs.then(|| {
         format!(
-            "the plan was made for {}, which matches other pairs or needs other support; one made for this program: viewrank plan {} \
-             --backend {}",
+            "the plan was made for {}, {why} needs other support; one made for this program: viewrank plan {} --backend {}",
             planned_for.name(),
-            selection.project.root.display(),
+            quoted_path(&selection.project.root),
             backend.name()
         )
     })
+}
+
+/// The scale of images whose long side is capped for all cameras alike.
+fn capped_scale(cap: u32) -> impl Fn(&Camera) -> f64 {
+    move |camera| (f64::from(cap) / f64::from(camera.width.max(camera.height))).min(1.0)
 }
 
 /// How single tasks of a queue compute the clusters of an export: what `viewrank dispatch` needs to know of a backend.
@@ -430,6 +518,11 @@ pub fn shell_quoted(word: &str) -> String {
     if plain { word.into() } else { format!("'{}'", word.replace('\'', r"'\''")) }
 }
 
+/// A path in a command that somebody is to type.
+pub fn quoted_path(path: &Path) -> String {
+    shell_quoted(&path.display().to_string())
+}
+
 /// Why a backend's files cannot be made.
 #[derive(Debug, thiserror::Error)]
 pub enum BackendError {
@@ -443,6 +536,10 @@ pub enum BackendError {
     Needs { backend: &'static str, what: String, hint: String },
     #[error("the export would write {}, which is the project's own", _0.display())]
     OwnFile(PathBuf),
+    #[error("{} holds the export for {backend}", folder.display())]
+    OtherExport { folder: PathBuf, backend: String },
+    #[error(transparent)]
+    Place(#[from] OutputError),
     #[error(transparent)]
     Model(Box<ProjectError>),
 }
@@ -456,8 +553,10 @@ impl From<ProjectError> for BackendError {
 impl Hint for BackendError {
     fn hint(&self) -> Option<String> {
         Some(match self {
-            Self::Unknown { .. } => {
-                format!("take one of {}", all().iter().map(|b| b.name()).collect::<Vec<_>>().join(", "))
+            Self::Unknown { name } => {
+                let known = all().iter().map(|b| b.name()).collect::<Vec<_>>().join(", ");
+                let meant = nearest(name).map_or(String::new(), |name| format!("did you mean {name}? "));
+                format!("{meant}take one of {known}")
             }
             Self::Name { .. } => "rename the image file and its entry in the model, then plan again".into(),
             Self::Option { option, .. } => {
@@ -466,6 +565,8 @@ impl Hint for BackendError {
             }
             Self::Needs { hint, .. } => hint.clone(),
             Self::OwnFile(_) => "write to another folder with --out".into(),
+            Self::OtherExport { .. } => "write to another folder with --out, or remove that one first".into(),
+            Self::Place(error) => return error.hint(),
             Self::Model(error) => return error.hint(),
         })
     }
@@ -483,6 +584,33 @@ mod tests {
             assert_eq!(all().iter().filter(|b| b.name() == backend.name()).count(), 1);
         }
         assert!(by_name("nothing").is_err_and(|e| e.hint().unwrap().contains("sure")));
+    }
+
+    #[test]
+    fn names_are_understood_as_people_type_them() {
+        for (typed, meant) in [
+            ("COLMAP", "colmap"),
+            (" OpenMVS ", "openmvs"),
+            ("Meshroom", "alicevision"),
+            ("3DGS", "splat"),
+            ("Reality Capture", "realityscan"),
+        ] {
+            assert_eq!(by_name(typed).unwrap().name(), meant);
+        }
+        for (alias, others) in ALIASES.iter().flat_map(|(name, others)| others.iter().map(move |o| (o, *name))) {
+            assert_eq!(by_name(alias).unwrap().name(), others);
+        }
+        let once = by_names(&["openmvs".into(), "COLMAP".into(), "OpenMVS".into()]).unwrap();
+        assert_eq!(once.iter().map(|b| b.name()).collect::<Vec<_>>(), ["openmvs", "colmap"]);
+        let hint = |name: &str| by_name(name).err().unwrap().hint().unwrap();
+        assert!(hint("colmpa").starts_with("did you mean colmap? take one of sure, "));
+        assert!(hint("xyz").starts_with("take one of sure, "));
+    }
+
+    #[test]
+    fn paths_in_commands_are_one_word() {
+        assert_eq!(quoted_path(Path::new("/a b/it's")), r"'/a b/it'\''s'");
+        assert_eq!(quoted_path(Path::new("/a-b/c_1.x")), "/a-b/c_1.x");
     }
 
     #[test]

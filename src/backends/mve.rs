@@ -77,9 +77,10 @@ impl Backend for Mve {
                 partners.min(LOCAL_NEIGHBOURS)
             ));
         }
+        record.note_scale(selection, |_| (-scale).exp2());
         let keys: Vec<String> = (0..selection.clusters.len()).map(|i| i.to_string()).collect();
         record.commands.push(format!("scene2pset -F{scale} -v{} . fused.ply", keys.join(",")));
-        record.not_honoured = vec!["that every partner is used: dmrecon chooses among them".into()];
+        record.not_honoured.push("that every partner is used: dmrecon chooses among them".into());
         record.fusion =
             "depth-L maps hold the length of the ray, not z; scene2pset joins them with confidences and scales; fssrecon fused.ply surface.ply makes the surface"
                 .into();

@@ -41,7 +41,7 @@ pub const MVSNET: MvsNet = MvsNet {
     depths: DepthLine::Interval,
     all_are_problems: false,
     notes: "takes the first view_num - 1 partners: call it with view_num = partners + 1; fusion needs pair_fuse.txt",
-    command: "python test.py --dense_folder . --view_num VIEWS --max_d 192",
+    command: "python \"${MVSNET:?folder of MVSNet or CasMVSNet}\"/test.py --dense_folder . --view_num VIEWS --max_d 192",
 };
 
 pub const PATCHMATCHNET: MvsNet = MvsNet {
@@ -50,7 +50,7 @@ pub const PATCHMATCHNET: MvsNet = MvsNet {
     depths: DepthLine::Range,
     all_are_problems: false,
     notes: "its own filter opens the maps of all partners: swap in pair_fuse.txt for it",
-    command: "python eval.py --input_folder . --output_folder depths --num_views PARTNERS",
+    command: "python \"${PATCHMATCHNET:?folder of PatchmatchNet}\"/eval.py --input_folder . --output_folder depths --num_views PARTNERS",
 };
 
 pub const ACMM: MvsNet = MvsNet {
@@ -165,6 +165,7 @@ impl MvsNet {
         record.way = format!("dialect {}", self.name);
         record.commands =
             vec![self.command.replace("VIEWS", &(most + 1).to_string()).replace("PARTNERS", &most.to_string())];
+        record.note_own_scale(selection);
         record.other_maps = lists.rows.len() - selection.clusters.len();
         record.fusion = "thresholds on agreeing partners (PatchmatchNet: geo_mask_thres, CasMVSNet: thres_view, 5 by default) must not \
                          exceed the lengths of the lists in pair_fuse.txt"

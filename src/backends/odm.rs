@@ -5,11 +5,15 @@ use super::{
     Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, Patient, PlanningNumbers,
     Selection, Trap,
     openmvs::{self, OpenMvs},
-    selection,
+    quoted_path, selection,
 };
 use crate::{output::Contents, project::ModelFormat};
 
 pub struct Odm;
+
+/// ODM on one of the projects of a folder.
+const ODM: &str = "docker run --rm -v \"${DATASETS:?folder of the ODM projects, whole path}\":/datasets opendronemap/odm \
+                   --project-path /datasets \"${NAME:?name of the ODM project}\"";
 
 impl Backend for Odm {
     fn name(&self) -> &'static str {
@@ -40,7 +44,7 @@ impl Backend for Odm {
             path.is_file().then(|| Trap {
                 name,
                 what: format!("{} is there, {what}", path.display()),
-                cure: format!("{cure} {}", path.display()),
+                cure: format!("{cure} {}", quoted_path(path)),
                 views: Vec::new(),
             })
         };
@@ -65,15 +69,17 @@ impl Backend for Odm {
         record.made_for = "OpenDroneMap (32cfaac; read, not run)".into();
         record.way = "openmvs/scene.mvs in place of ODM's own".into();
         record.commands = vec![
-            "run ODM with --end-with opensfm".into(),
-            "rm -rf ODM_PROJECT/opensfm/undistorted/openmvs".into(),
-            "cp -rL openmvs ODM_PROJECT/opensfm/undistorted/".into(),
-            "run ODM again, without any --rerun (that would delete the scene)".into(),
+            format!("{ODM} --end-with opensfm"),
+            "rm -rf \"$DATASETS/$NAME/opensfm/undistorted/openmvs\"".into(),
+            "cp -rL openmvs \"$DATASETS/$NAME/opensfm/undistorted/\"".into(),
+            ODM.into(),
         ];
         record.not_honoured = vec!["the rank order".into(), "partners beyond the fifth (CUDA: eighth)".into()];
+        record.note_own_scale(selection);
         record.warnings.extend([
-            "ODM_PROJECT/opensfm/undistorted/openmvs must hold nothing older: with a scene_dense_dense_filtered.ply the stage is skipped, and \
-             old depth maps are kept"
+            "ODM must be run the second time without any --rerun, which would delete the scene".into(),
+            "opensfm/undistorted/openmvs must hold nothing older: with a scene_dense_dense_filtered.ply the stage is skipped, and old depth maps \
+             are kept"
                 .into(),
             "whether ODM's OpenMVS reads interface version 7 was not tested".into(),
         ]);

@@ -67,6 +67,7 @@ impl Backend for Pmvs {
         // The folder is put in front of file names as it is: without the slash nothing is found.
         record.commands = vec![format!("pmvs2 ./ {OPTIONS}")];
         record.not_honoured = vec!["the rank order".into()];
+        record.note_scale(selection, |_| (-level(selection)).exp2());
         record.fusion = format!("none; models/{OPTIONS}.ply");
         files.add_text("export.json", record.to_json());
         Ok(Export { files, record })
@@ -110,11 +111,16 @@ fn visibility(selection: &Selection, views: &[ViewIndex], index: &[usize]) -> St
     text
 }
 
+/// PMVS2 halves images.
+fn level(selection: &Selection) -> f64 {
+    (1.0 / selection.image_scale).log2().round().max(0.0)
+}
+
 /// No comments: one inside a list would end the program.
 fn option_file(selection: &Selection, views: usize) -> String {
     let keys = selection.clusters.len();
     let list = |range: std::ops::Range<usize>| range.map(|i| format!(" {i}")).collect::<String>();
-    let level = (1.0 / selection.image_scale).log2().round().max(0.0);
+    let level = level(selection);
     let seen_by = (selection.most_partners() + 1).clamp(2, 3);
     format!(
         "timages {keys}{}\noimages {}{}\nuseVisData 1\nlevel {level}\ncsize 2\nthreshold 0.7\nwsize 7\nminImageNum {seen_by}\nCPU 4\n",

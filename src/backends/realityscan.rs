@@ -7,6 +7,7 @@ use super::{
     Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, Patient, PlanningNumbers,
     Selection, Trap,
     images::{ANY_PROGRAM, name_lines},
+    quoted_path,
 };
 use crate::scene::ViewIndex;
 
@@ -57,13 +58,16 @@ impl Backend for RealityScan {
         files.add_text("images.txt", name_lines(selection, &used));
         let mut record = ExportRecord::new(self, selection, |v| format!("xmp/{}.xmp", stem(scene.name(v))));
         record.made_for = "RealityScan, RealityCapture (from the vendor's pages; not run)".into();
-        record.way = "side files that switch meshing".into();
-        record.commands = vec!["copy the files of xmp/ beside the images, then add the images".into()];
+        record.way = "side files that switch meshing, to lie beside the images before these are added".into();
+        let images = selection.project.images.as_ref();
+        let images = images.map_or("\"${IMAGES:?folder of the images}\"".into(), |folder| quoted_path(folder));
+        record.commands = vec![format!("cp -Rn xmp/. {images}")];
         record.not_honoured = vec![
             "matching partners".into(),
             "depth maps of key views only: partners take part in meshing as well".into(),
             "the rank order".into(),
         ];
+        record.note_own_scale(selection);
         record.warnings.extend([
             "side files that are already beside the images hold poses: don't overwrite them, add the two switches"
                 .into(),

@@ -4,9 +4,9 @@ use std::{borrow::Cow, path::Path};
 
 use nalgebra::Vector3;
 
-use super::BackendError;
+use super::{BackendError, quoted_path};
 use crate::{
-    project::Project,
+    project::{ImageFaults, Project},
     scene::{Scene, ViewIndex, ViewPoints},
 };
 
@@ -31,6 +31,8 @@ pub struct Selection<'a> {
     pub image_scale: f64,
     /// Name of the backend that the plan was made for.
     pub planned_for: &'a str,
+    /// What is wrong with the image files of the scene.
+    pub image_faults: &'a ImageFaults,
 }
 
 /// A selection whose scene lies near its origin: for programs that count in 32 bits.
@@ -69,11 +71,19 @@ impl Selection<'_> {
 
     /// The folder of the images.
     pub fn images(&self, backend: &'static str) -> Result<&Path, BackendError> {
-        self.project.images.as_deref().ok_or_else(|| BackendError::Needs {
+        let needs = |what: String, folder: &Path| BackendError::Needs {
             backend,
-            what: "the images, and there is no image folder".into(),
-            hint: format!("put the images into {}", self.project.root.join("images").display()),
-        })
+            what,
+            hint: format!("put the images into {}", folder.display()),
+        };
+        let Some(folder) = self.project.images.as_deref() else {
+            return Err(needs("the images, and there is no image folder".into(), &self.project.root.join("images")));
+        };
+        let views = self.views();
+        if !views.is_empty() && self.image_faults.of(&views).missing.len() == views.len() {
+            return Err(needs(format!("the images, and none of them is in {}", folder.display()), folder));
+        }
+        Ok(folder)
     }
 
     /// The folder of the images, where these are undistorted; else what to do.
@@ -82,17 +92,20 @@ impl Selection<'_> {
         let Some(view) = distorted else { return self.images(backend) };
         let camera = self.scene.camera_of(view).model().name();
         let hint = match &self.project.dense_workspace {
-            Some(dense) => format!("plan and export the undistorted images instead, they are in {}", dense.display()),
+            Some(dense) => {
+                format!("plan and export the undistorted images instead: viewrank plan {}", quoted_path(dense))
+            }
             None => {
-                let (root, model) = (self.project.root.display(), &self.project.model);
+                let (root, model) = (quoted_path(&self.project.root), &self.project.model);
+                let dense = quoted_path(&self.project.root.join("dense"));
                 let images = self.project.images.clone().unwrap_or_else(|| self.project.root.join("images"));
                 let colmap = format!(
-                    " (or `colmap image_undistorter --image_path {} --input_path {} --output_path {root}/dense`)",
-                    images.display(),
-                    model.path.display()
+                    " (or `colmap image_undistorter --image_path {} --input_path {} --output_path {dense}`)",
+                    quoted_path(&images),
+                    quoted_path(&model.path)
                 );
                 let colmap = if model.format.is_colmap() { colmap } else { String::new() };
-                format!("make them with `viewrank undistort {root}`{colmap}, then plan for {root}/dense")
+                format!("make them with `viewrank undistort {root}`{colmap}, then `viewrank plan {dense}`")
             }
         };
         Err(BackendError::Needs {
@@ -114,6 +127,11 @@ impl Selection<'_> {
         let mut is_key = vec![false; self.scene.views.len()];
         self.clusters.iter().for_each(|c| is_key[c.key.at()] = true);
         is_key
+    }
+
+    /// Long side of the largest image that takes part, pixels.
+    pub fn long_side(&self) -> u32 {
+        self.views().into_iter().map(|v| self.scene.camera_of(v)).map(|c| c.width.max(c.height)).max().unwrap_or(0)
     }
 
     /// The most partners that a cluster has.

@@ -2,7 +2,7 @@
 
 use super::{
     Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Gate, Honours, PlanningNumbers,
-    Selection, TaskRunner, shell_quoted, sure,
+    Selection, TaskRunner, place, quoted_path, shell_quoted, sure,
 };
 use crate::confidence::PairConfidence;
 
@@ -30,6 +30,16 @@ const NUMBERS: PlanningNumbers = PlanningNumbers {
     source: "measured with integrations/sgm/measure.py on valley against exact depth, on boruszyn and lewis against the \
              maps of 22 partners; support 1: a depth map is checked against its own pairs",
 };
+
+/// The matcher itself goes with its lists.
+const MATCHER: [(&str, &str); 6] = [
+    ("sgm.py", include_str!("../../integrations/sgm/sgm.py")),
+    ("matching.py", include_str!("../../integrations/sgm/matching.py")),
+    ("merge.py", include_str!("../../integrations/sgm/merge.py")),
+    ("pairs.py", include_str!("../../integrations/sgm/pairs.py")),
+    ("rectify.py", include_str!("../../integrations/sgm/rectify.py")),
+    ("workspace.py", include_str!("../../integrations/sgm/workspace.py")),
+];
 
 impl Backend for Sgm {
     fn name(&self) -> &'static str {
@@ -73,11 +83,15 @@ impl Backend for Sgm {
         record.made_for = "integrations/sgm".into();
         record.way = "pair files".into();
         let scale = selection.image_scale;
+        let mut files = options.file_set(self, selection);
+        let project = quoted_path(&place::path_from(&files.root, &selection.project.root));
         record.commands = vec![format!(
-            "python3 integrations/sgm/sgm.py match PROJECT --clusters clusters.txt --out depth_maps --image-scale {scale}"
+            "python3 sgm.py match {project} --clusters clusters.txt --out depth_maps --image-scale {scale}"
         )];
         record.fusion = "none needed".into();
-        let mut files = options.file_set(self, selection);
+        for (name, text) in MATCHER {
+            files.add_text(name, text);
+        }
         for (name, text) in sure::pair_files(self.name(), selection)? {
             files.add_text(name, text);
         }

@@ -10,6 +10,7 @@ use super::{
     Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, Patient, PlanningNumbers,
     Selection, Trap,
     images::{ANY_PROGRAM, listed_views, name_lines},
+    quoted_path,
     workspace::add_workspace,
 };
 use crate::{
@@ -45,6 +46,10 @@ impl Backend for Splat {
         &["--refs"]
     }
 
+    fn use_of_views(&self) -> Option<&'static str> {
+        Some("Train on")
+    }
+
     fn takes_distorted(&self) -> bool {
         true
     }
@@ -66,26 +71,31 @@ impl Backend for Splat {
         record.moved(near.origin);
         record.made_for = "gaussian-splatting, gsplat, brush, nerfstudio".into();
         record.way = format!("reduced model of {} images", views.len());
-        record.commands = vec![
-            format!(
-                "python gsplat/examples/simple_trainer.py default --data_dir . --data_factor 1 --test_every {}",
-                views.len() + 1
-            ),
-            "python gaussian-splatting/train.py -s .".into(),
-            "brush .".into(),
-            "ns-train splatfacto --data . colmap --colmap-path sparse/0 --images-path images --downscale-factor 1"
-                .into(),
-        ];
+        record.commands = commands(selection, &views);
         record.not_honoured = vec!["matching partners".into(), "the rank order".into()];
         let first = views.iter().min().map(|&v| {
             format!("{}: gsplat holds the first image by name out of training, always", selection.scene.name(v))
         });
         record.not_honoured.extend(first);
+        record.note_own_scale(selection);
         record.fusion = "none".into();
         record.warnings.extend(warnings(selection, &views));
         files.add_text("export.json", record.to_json());
         Ok(Export { files, record })
     }
+}
+
+/// One for each program; gaussian-splatting only where it can be run.
+fn commands(selection: &Selection, views: &[ViewIndex]) -> Vec<String> {
+    let pinhole = views.iter().all(|&v| selection.scene.camera_of(v).is_pinhole());
+    let gsplat = format!(
+        "python \"${{GSPLAT:?folder of gsplat}}\"/examples/simple_trainer.py default --data_dir . --data_factor 1 --test_every {}",
+        views.len() + 1
+    );
+    let original = "python \"${GAUSSIAN_SPLATTING:?folder of gaussian-splatting}\"/train.py -s .".to_owned();
+    let nerfstudio =
+        "ns-train splatfacto --data . colmap --colmap-path sparse/0 --images-path images --downscale-factor 1";
+    [gsplat].into_iter().chain(pinhole.then_some(original)).chain(["brush .".into(), nerfstudio.into()]).collect()
 }
 
 /// nerfstudio's lists. It wants every split as soon as one is there, tests for `validation_list.txt` and opens `val_list.txt`.
@@ -170,7 +180,7 @@ fn warnings(selection: &Selection, views: &[ViewIndex]) -> Vec<String> {
         warnings.push(format!(
             "the cameras are distorted: gsplat and brush take that, gaussian-splatting stops, and transforms.json is left out; \
              `viewrank undistort {}` makes undistorted images, as does `colmap image_undistorter`",
-            selection.project.root.display()
+            quoted_path(&selection.project.root)
         ));
     }
     let mut by_stem: HashMap<&str, &str> = HashMap::new();

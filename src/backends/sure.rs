@@ -137,6 +137,7 @@ impl Sure {
             "whether the releases of today keep -select and -maxmodels is not publicly documented".into(),
             "pixels that are exactly black count as invalid".into(),
         ]);
+        record.note_scale(selection, |_| (-level).exp2());
         record.pixel_shift = -0.5;
         record.fusion = "each project gives points of its key view; one DSM or mesh run joins them".into();
         record

@@ -21,6 +21,8 @@ struct Entry {
     capabilities: Capabilities,
     planning: PlanningNumbers,
     options: &'static [&'static str],
+    #[serde(skip)]
+    matches: bool,
 }
 
 impl Entry {
@@ -30,6 +32,7 @@ impl Entry {
             capabilities: backend.capabilities(),
             planning: backend.planning(),
             options: backend.options(),
+            matches: backend.use_of_views().is_none(),
         }
     }
 }
@@ -122,7 +125,7 @@ fn details(entry: &Entry) -> String {
         number(p.confidence.full_angle_deg, " degrees"),
     );
     add("geometric confidence", &confidence);
-    add("support", &format!("{} depth maps", p.support));
+    add("support", &format!("{} {}", p.support, if entry.matches { "depth maps" } else { "images" }));
     add("source", p.source);
     if !entry.options.is_empty() {
         add("options of export", &entry.options.join(", "));

@@ -8,7 +8,7 @@ use std::{
 use clap::{Args, ValueEnum};
 use serde::Serialize;
 use viewrank::{
-    backends::{self, Selection},
+    backends::{self, Selection, place},
     config::{Budget, DispatchSettings, Share, Typed},
     daemon::{follow, state::Outcome},
     dispatch::{
@@ -16,10 +16,10 @@ use viewrank::{
         slurm::{self, Queue, Submission},
     },
     manifest::WrittenPlan,
-    output::{self, Contents, Disk, FileSet},
+    output::{self, Contents, Disk, FileSet, Written},
 };
 
-use super::{Failure, Format, config, export, json, print, progress::Progress};
+use super::{Failure, Format, config, json, print, progress::Progress};
 
 /// Hand the view clusters of a plan to a queue: a task per depth map, best first, and a task that joins them.
 ///
@@ -111,6 +111,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         clusters: &plan.clusters[..plan.cut_at(arguments.budget, arguments.target)],
         image_scale: plan.settings.image_scale,
         planned_for: &plan.backend,
+        image_faults: &plan.project.image_faults(&plan.scene),
     };
     let exported = backend.export(&selection, &Default::default())?;
     let dispatch = Dispatch::new(backend, &selection, &exported)?;
@@ -118,7 +119,10 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let reached = arguments.target_reached(&plan.project.root)?;
     let mut exported = Some(exported);
     let mut write = |queue: &Queue| -> Result<(), Failure> {
-        exported.take().map_or(Ok(()), |files| export::write(files, &plan, false).map(drop))?;
+        let export = exported.take().map(|export| export.files);
+        let folder = export.as_ref().map(|files| files.root.clone());
+        let export = folder.map(|folder| place::set_of_folder(&folder, export, &plan.project));
+        export.map_or(Ok(Written::default()), |set| set.write(&Disk::REAL))?;
         dispatch.files(&tools, &settings, &queue.lists()).write(&Disk::REAL)?;
         Ok(())
     };

@@ -58,7 +58,7 @@ fn backends_to_visit(
     wanted: &[String],
     others: bool,
 ) -> Result<Vec<&'static dyn Backend>, BackendError> {
-    let mut visited: Vec<_> = wanted.iter().map(|name| backends::by_name(name)).collect::<Result<_, _>>()?;
+    let mut visited = backends::by_names(wanted)?;
     if visited.is_empty() {
         visited.push(backends::for_project(project));
     }

@@ -6,11 +6,11 @@ use clap::Args;
 use serde::Serialize;
 use viewrank::{
     backends::{
-        self, Backend, BackendError, Export, ExportOptions, ExportRecord, RankedCluster, References, Selection,
+        self, Backend, BackendError, Export, ExportOptions, ExportRecord, RankedCluster, References, Selection, place,
     },
     config::{Budget, Share},
     manifest::WrittenPlan,
-    output::{Disk, FileSet, Written},
+    output::{Disk, Written},
     project::Project,
     tiles,
 };
@@ -38,8 +38,8 @@ pub struct Arguments {
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
 
-    /// Part the view clusters by area: a project for each of N tiles of about as many clusters, in OUT/tile_01 and so on, with the
-    /// partners from beyond its borders
+    /// Part the view clusters by area: a project for each of N tiles of about as many clusters (fewer tiles where there are fewer
+    /// clusters), in OUT/tile_01 and so on, with the partners from beyond its borders
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..), conflicts_with = "scene")]
     tiles: Option<u32>,
 
@@ -71,14 +71,38 @@ fn switch(text: &str) -> Result<bool, String> {
     }
 }
 
-/// What an export did, for programs.
+/// What was written for a backend, for programs.
 #[derive(Serialize)]
-pub struct Report {
+struct Report {
     folder: PathBuf,
     files: usize,
     written: Written,
+    /// Options that were typed and that the backend has no use for.
+    unheeded: Vec<&'static str>,
+    #[serde(flatten)]
+    what: What,
+}
+
+#[derive(Serialize)]
+#[serde(untagged)]
+enum What {
+    Whole(Box<ExportRecord>),
+    Tiles { backend: String, tiles: Vec<Tile> },
+}
+
+#[derive(Serialize)]
+struct Tile {
+    folder: PathBuf,
+    files: usize,
     #[serde(flatten)]
     record: ExportRecord,
+}
+
+/// What is to be written for a backend: one export, or one per tile.
+struct Made {
+    folder: PathBuf,
+    exports: Vec<Export>,
+    unheeded: Vec<&'static str>,
 }
 
 pub fn run(arguments: &Arguments) -> Result<(), Failure> {
@@ -91,19 +115,18 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         clusters,
         image_scale: plan.settings.image_scale,
         planned_for: &plan.backend,
+        image_faults: &plan.project.image_faults(&plan.scene),
     };
-    if let Some(tiles) = arguments.tiles {
-        return export_tiles(arguments, &selection, &backends, tiles as usize, &plan);
-    }
-    // All are made before any is written: a name that one of them cannot take stops the others too.
-    let export = |backend: &&dyn Backend| backend.export(&selection, &arguments.options(*backend, backends.len()));
-    let exports: Vec<Export> = backends.iter().map(export).collect::<Result<_, BackendError>>()?;
-    exports.iter().try_for_each(|export| spare_own_files(&export.files, &plan.project))?;
-    let reports = exports.into_iter().map(|export| write(export, &plan, arguments.dry_run));
+    let tiles = arguments.tiles.map(|count| tiles::of_clusters(&selection, count as usize));
+    // All are made and looked at before any is written: what one of them cannot take stops the others too.
+    let make = |backend: &&dyn Backend| arguments.make(*backend, backends.len(), &selection, tiles.as_deref());
+    let made: Vec<Made> = backends.iter().map(make).collect::<Result<_, BackendError>>()?;
+    made.iter().try_for_each(|made| place::check(&made.folder, &made.exports, &plan.project))?;
+    let reports = made.into_iter().map(|made| made.write(&plan.project, tiles.is_some(), arguments.dry_run));
     let reports: Vec<Report> = reports.collect::<Result<_, Failure>>()?;
     match arguments.format {
         Format::Json => print(&json(&reports)),
-        Format::Text => reports.iter().try_for_each(|report| print(&report.text())),
+        Format::Text => reports.iter().try_for_each(|report| print(&report.text(arguments.dry_run))),
     }
 }
 
@@ -111,18 +134,23 @@ impl Arguments {
     fn backends(&self, plan: &WrittenPlan) -> Result<Vec<&'static dyn Backend>, BackendError> {
         let planned_for = std::slice::from_ref(&plan.backend);
         let names = if self.backend.is_empty() { planned_for } else { &self.backend };
-        let backends: Vec<_> = names.iter().map(|name| backends::by_name(name)).collect::<Result<_, _>>()?;
-        let given = [
-            ("--refs", self.refs.is_some()),
-            ("--geometric", self.geometric.is_some()),
-            ("--scene", self.scene.is_some()),
-        ];
-        for (option, _) in given.iter().filter(|(_, given)| *given) {
-            if !backends.iter().any(|b| b.options().contains(option)) {
+        let backends = backends::by_names(names)?;
+        for option in self.given() {
+            if !backends.iter().any(|b| b.options().contains(&option)) {
                 return Err(BackendError::Option { option, backends: names.join(", ") });
             }
         }
         Ok(backends)
+    }
+
+    /// The options of some backends that were typed.
+    fn given(&self) -> impl Iterator<Item = &'static str> {
+        let all = [
+            ("--refs", self.refs.is_some()),
+            ("--geometric", self.geometric.is_some()),
+            ("--scene", self.scene.is_some()),
+        ];
+        all.into_iter().filter(|(_, given)| *given).map(|(option, _)| option)
     }
 
     fn options(&self, backend: &dyn Backend, backends: usize) -> ExportOptions {
@@ -130,98 +158,88 @@ impl Arguments {
         let scene = self.scene.clone();
         ExportOptions { out, refs: self.refs, geometric: self.geometric, scene, scale: self.scale }
     }
-}
 
-/// Exports a project per backend and tile.
-fn export_tiles(
-    arguments: &Arguments,
-    selection: &Selection,
-    backends: &[&'static dyn Backend],
-    count: usize,
-    plan: &WrittenPlan,
-) -> Result<(), Failure> {
-    let parts = tiles::of_clusters(selection, count);
-    for backend in backends {
-        let options = arguments.options(*backend, backends.len());
-        let named = format!("{}-tiles", backend.name());
-        let folder = options.out.clone().unwrap_or_else(|| plan.project.output_folder().join(&named));
+    fn make(
+        &self,
+        backend: &dyn Backend,
+        backends: usize,
+        selection: &Selection,
+        tiles: Option<&[Vec<RankedCluster>]>,
+    ) -> Result<Made, BackendError> {
+        let options = self.options(backend, backends);
+        let unheeded = self.given().filter(|option| !backend.options().contains(option)).collect();
+        let Some(tiles) = tiles else {
+            let export = backend.export(selection, &options)?;
+            return Ok(Made { folder: export.files.root.clone(), exports: vec![export], unheeded });
+        };
+        let own = || selection.project.output_folder().join(format!("{}-tiles", backend.name()));
+        let folder = options.out.clone().unwrap_or_else(own);
         let export = |(i, clusters): (usize, &Vec<RankedCluster>)| {
             let out = Some(folder.join(format!("tile_{:02}", i + 1)));
             backend.export(&Selection { clusters, ..*selection }, &ExportOptions { out, ..options.clone() })
         };
-        let exports = parts.iter().enumerate().map(export).collect::<Result<Vec<Export>, BackendError>>()?;
-        // In one set, so that tiles of an earlier export with more of them go.
-        let in_project = folder.starts_with(&plan.project.root);
-        let mut set = FileSet::new(if in_project { &plan.project.root } else { &folder }, &format!("export-{named}"));
-        let mut text = String::new();
-        for (Export { files, record }, clusters) in exports.into_iter().zip(&parts) {
-            spare_own_files(&files, &plan.project)?;
-            let command = record.runner.as_ref().or(record.commands.first()).cloned().unwrap_or_default();
-            text += &format!("{}: {} view clusters; run there {command}\n", files.root.display(), clusters.len());
-            set.absorb(files);
-        }
-        if !arguments.dry_run {
-            set.write(&Disk::REAL)?;
-        }
-        print(&text)?;
-    }
-    Ok(())
-}
-
-/// Refuses what would lie among the images of the project or in place of its model: links to images would lead in circles there, and the next
-/// plan would be made from the model of this one.
-fn spare_own_files(files: &FileSet, project: &Project) -> Result<(), BackendError> {
-    let place = |path: &Path| match (path.parent().and_then(|folder| folder.canonicalize().ok()), path.file_name()) {
-        (Some(folder), Some(name)) => folder.join(name),
-        _ => path.to_path_buf(),
-    };
-    let folder = |path: &Path| path.canonicalize().unwrap_or_else(|_| path.to_path_buf());
-    // Images beside everything else of a project do not make all of it a folder of images.
-    let images = project.images.as_deref().map(folder).filter(|images| !folder(&project.root).starts_with(images));
-    let model: Vec<PathBuf> = project.model_files().iter().map(|file| place(file)).collect();
-    let is_own = |path: &PathBuf| {
-        let path = place(path);
-        let is_model = model.iter().any(|file| file.with_extension("") == path.with_extension(""));
-        is_model || images.as_ref().is_some_and(|images| path.starts_with(images))
-    };
-    match files.files.keys().map(|name| files.root.join(name)).find(is_own) {
-        Some(path) => Err(BackendError::OwnFile(path)),
-        None => Ok(()),
+        let exports = tiles.iter().enumerate().map(export).collect::<Result<_, _>>()?;
+        Ok(Made { folder, exports, unheeded })
     }
 }
 
-/// Files in the project belong to a set of the project, like those of `viewrank plan`: the one follows the other.
-pub fn write(export: Export, plan: &WrittenPlan, dry_run: bool) -> Result<Report, Failure> {
-    let Export { files, record } = export;
-    let folder = files.root.clone();
-    let count = files.files.len();
-    let mut in_project = FileSet::new(&plan.project.root, &format!("export-{}", record.backend));
-    let set = in_project.absorb(files).unwrap_or(in_project);
-    let written = if dry_run { Written::default() } else { set.write(&Disk::REAL)? };
-    Ok(Report { folder, files: count, written, record })
+impl Made {
+    /// Tiles appear together, and those of an earlier export with more of them go.
+    fn write(self, project: &Project, in_tiles: bool, dry_run: bool) -> Result<Report, Failure> {
+        let mut sets = Vec::new();
+        let mut tiles = Vec::new();
+        for Export { files, record } in self.exports {
+            tiles.push(Tile { folder: files.root.clone(), files: files.files.len(), record });
+            sets.push(files);
+        }
+        let set = place::set_of_folder(&self.folder, sets, project);
+        let written = if dry_run { Written::default() } else { set.write(&Disk::REAL)? };
+        let what = match tiles.pop() {
+            Some(only) if !in_tiles => What::Whole(Box::new(only.record)),
+            last => {
+                tiles.extend(last);
+                let backend = tiles.first().map(|tile| tile.record.backend.clone()).unwrap_or_default();
+                What::Tiles { backend, tiles }
+            }
+        };
+        Ok(Report { folder: self.folder, files: set.files.len(), written, unheeded: self.unheeded, what })
+    }
 }
 
 impl Report {
-    fn text(&self) -> String {
-        let r = &self.record;
-        let mut text = format!(
-            "{}: {} view clusters, {} files in {}\n",
-            r.backend,
-            r.clusters.len(),
-            self.files,
-            self.folder.display()
-        );
-        text += &format!("  for          {}\n  way          {}\n", r.made_for, r.way);
-        if r.other_maps > 0 {
-            text += &format!("  depth maps   {} of key views and {} of others\n", r.key_maps, r.other_maps);
+    fn text(&self, dry_run: bool) -> String {
+        let mut text = match &self.what {
+            What::Whole(record) => described(record, self.files, &self.folder, dry_run),
+            What::Tiles { tiles, .. } => {
+                tiles.iter().map(|tile| described(&tile.record, tile.files, &tile.folder, dry_run)).collect()
+            }
+        };
+        self.unheeded.iter().for_each(|option| text += &format!("  not for it   {option}\n"));
+        if let Some(first) = self.written.removed.first() {
+            let more = if self.written.removed.len() > 1 { ", ..." } else { "" };
+            let count = self.written.removed.len();
+            text += &format!("  removed      {count} files of an earlier export: {first}{more}\n");
         }
-        match &r.runner {
-            Some(runner) => text += &format!("  run there    ./{runner}\n"),
-            None => r.commands.iter().for_each(|command| text += &format!("  run there    {command}\n")),
-        }
-        r.not_honoured.iter().for_each(|what| text += &format!("  not honoured {what}\n"));
-        r.warnings.iter().for_each(|warning| text += &format!("  warning      {warning}\n"));
         self.written.kept.iter().for_each(|kept| text += &format!("  kept         {kept}: a file that was not ours\n"));
         text
     }
+}
+
+fn described(r: &ExportRecord, files: usize, folder: &Path, dry_run: bool) -> String {
+    let would = if dry_run { "would be " } else { "" };
+    let folder = folder.display();
+    let matched = backends::by_name(&r.backend).is_ok_and(|backend| backend.use_of_views().is_none());
+    let what = if matched { "view clusters" } else { "key views" };
+    let mut text = format!("{}: {} {what}, {files} files {would}in {folder}\n", r.backend, r.clusters.len());
+    text += &format!("  for          {}\n  way          {}\n", r.made_for, r.way);
+    if r.other_maps > 0 {
+        text += &format!("  depth maps   {} of key views and {} of others\n", r.key_maps, r.other_maps);
+    }
+    match &r.runner {
+        Some(runner) => text += &format!("  run there    ./{runner}\n"),
+        None => r.commands.iter().for_each(|command| text += &format!("  run there    {command}\n")),
+    }
+    r.not_honoured.iter().for_each(|what| text += &format!("  not honoured {what}\n"));
+    r.warnings.iter().for_each(|warning| text += &format!("  warning      {warning}\n"));
+    text
 }

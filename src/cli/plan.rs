@@ -165,12 +165,9 @@ impl Arguments {
 }
 
 fn write(arguments: &Arguments, plan: &Plan, files: &PlanFiles, progress: &Progress) -> Result<(), Failure> {
-    let steps = files.sets.len() as u64;
-    progress.progress(Stage::Write, 0, steps);
-    for (done, set) in files.sets.iter().rev().enumerate() {
-        set.write(&Disk::REAL)?;
-        progress.progress(Stage::Write, done as u64 + 1, steps);
-    }
+    progress.progress(Stage::Write, 0, 1);
+    output::write_all(&files.sets, &Disk::REAL)?;
+    progress.progress(Stage::Write, 1, 1);
     if let Some(folder) = &arguments.dump_tables {
         let mut set = FileSet::new(folder, "tables");
         tables::add(plan, &mut set);
@@ -189,6 +186,6 @@ fn report(arguments: &Arguments, project: &Project, plan: &Plan, files: &PlanFil
         Format::Text if !arguments.quiet => print(&summary.text())?,
         Format::Text => {}
     }
-    files.manifest.warnings.iter().for_each(|warning| eprintln!("warning: {warning}"));
+    summary.warnings.iter().for_each(|warning| eprintln!("warning: {warning}"));
     Ok(())
 }

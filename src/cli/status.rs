@@ -8,6 +8,7 @@ use std::{
 
 use clap::Args;
 use viewrank::{
+    backends::quoted_path,
     daemon::{Line, read_status, state::ProjectStatus},
     error::Hint,
 };
@@ -64,7 +65,7 @@ struct NotWatched(PathBuf);
 
 impl Hint for NotWatched {
     fn hint(&self) -> Option<String> {
-        Some(format!("start one: viewrank watch {}", self.0.display()))
+        Some(format!("start one: viewrank watch {}", quoted_path(&self.0)))
     }
 }
 

@@ -4,7 +4,7 @@ use std::fmt::Write;
 
 use serde::Serialize;
 use viewrank::{
-    backends,
+    backends::{self, quoted_path},
     manifest::Manifest,
     plan::{Cut, Forecast, Memory, Plan, PlanFiles, Timings},
     project::Project,
@@ -32,7 +32,7 @@ pub struct Summary<'a> {
     forecast: Forecast,
     /// How many times faster than computing everything, where the time of matching is known.
     speed_up: Option<f64>,
-    warnings: &'a [String],
+    pub warnings: Vec<&'a str>,
     written: bool,
     /// Relative to the folders that they are in.
     files: Vec<String>,
@@ -48,6 +48,9 @@ pub struct Summary<'a> {
     tiles: usize,
     #[serde(skip)]
     manifest: &'a Manifest,
+    /// What the images are for where none is matched.
+    #[serde(skip)]
+    use_of_views: Option<&'static str>,
 }
 
 impl<'a> Summary<'a> {
@@ -65,15 +68,16 @@ impl<'a> Summary<'a> {
             cut: plan.cut,
             forecast: plan.forecast,
             speed_up: plan.forecast.speed_up(plan.timings.total()),
-            warnings: &manifest.warnings,
+            warnings: manifest.warnings.iter().chain(&files.outdated_exports).map(String::as_str).collect(),
             written: !dry_run,
             files: files.sets.iter().flat_map(|set| set.files.keys().cloned()).collect(),
-            look: format!("viewrank report {} --open", typed(project)),
+            look: format!("viewrank report {} --open", quoted_path(&project.root)),
             next: next(project, files, dry_run),
             timings: &plan.timings,
             memory: plan.memory,
             tiles: plan.surface_stats.tiles,
             manifest,
+            use_of_views: backends::by_name(plan.backend).ok().and_then(|backend| backend.use_of_views()),
         }
     }
 
@@ -103,13 +107,14 @@ impl<'a> Summary<'a> {
     }
 
     fn advice(&self) -> String {
+        let [maps, all] = [self.cut.clusters, self.forecast.all_maps].map(grouped);
+        let [pairs, all_pairs] = [self.cut.pairs, self.forecast.all_pairs].map(grouped);
+        let what = match self.use_of_views {
+            Some(verb) => format!("{verb} {maps} of {all} images"),
+            None => format!("Compute {maps} of {all} depth maps, {pairs} image pairs instead of {all_pairs}"),
+        };
         format!(
-            "\nCompute {} of {} depth maps, {} image pairs instead of {}:\n\
-             {:.1} % of the quality that all of them together would give (predicted).\n{}",
-            grouped(self.cut.clusters),
-            grouped(self.forecast.all_maps),
-            grouped(self.cut.pairs),
-            grouped(self.forecast.all_pairs),
+            "\n{what}:\n{:.1} % of the quality that all of them together would give (predicted).\n{}",
             self.cut.share * 100.0,
             self.done()
         )
@@ -136,12 +141,15 @@ impl<'a> Summary<'a> {
         lengths.extend([self.cut.clusters, clusters.len()]);
         lengths.sort_unstable();
         lengths.dedup();
-        let mut text = String::from("\n  depth maps    pairs  quality\n");
+        let matched = self.use_of_views.is_none();
+        let mut text =
+            String::from(if matched { "\n  depth maps    pairs  quality\n" } else { "\n      images  quality\n" });
         for length in lengths {
             let pairs: usize = clusters[..length].iter().map(|c| c.partners.len()).sum();
             let quality = clusters[length - 1].share * 100.0;
             let mark = if length == self.cut.clusters { "  <- the plan stops here" } else { "" };
-            let _ = writeln!(text, "  {:>10} {:>8}  {quality:>5.1} %{mark}", grouped(length), grouped(pairs));
+            let pairs = if matched { format!(" {:>8}", grouped(pairs)) } else { String::new() };
+            let _ = writeln!(text, "  {:>10}{pairs}  {quality:>5.1} %{mark}", grouped(length));
         }
         let first: Vec<&str> = clusters.iter().take(NAMED.min(self.cut.clusters)).map(|c| c.key.as_str()).collect();
         let _ = writeln!(
@@ -163,6 +171,7 @@ impl<'a> Summary<'a> {
             (Some(speed_up), Some(seconds)) => {
                 format!("Matching will take about {}: {speed_up:.1} times faster than everything.", duration(seconds))
             }
+            _ if self.use_of_views.is_some() => return format!("\nPlanning took {planning:.1} s.\n"),
             _ => match self.forecast.break_even(planning) {
                 Some(seconds) => format!("It pays if a depth map takes more than {} s.", rounded(seconds)),
                 None => return format!("\nPlanning took {planning:.1} s.\n"),
@@ -179,14 +188,9 @@ impl<'a> Summary<'a> {
     }
 }
 
-/// The project as it is typed in a shell.
-fn typed(project: &Project) -> String {
-    backends::shell_quoted(&project.root.display().to_string())
-}
-
 /// The first command of a backend whose files were written, else the way to such files.
 fn next(project: &Project, files: &PlanFiles, dry_run: bool) -> String {
-    let root = typed(project);
+    let root = quoted_path(&project.root);
     match &files.command {
         _ if dry_run => format!("viewrank plan {root}"),
         Some(command) => command.clone(),

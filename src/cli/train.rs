@@ -68,7 +68,8 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let progress = Progress::new(arguments.quiet);
     let prepared: Vec<Prepared> =
         arguments.projects.iter().map(|root| prepare(arguments, root, &progress)).collect::<Result<_, _>>()?;
-    let backend = backends::by_name(&backend(arguments, &prepared[0].maps.maps[0].format))?;
+    let name = backend(arguments, &prepared[0].maps.maps[0].format);
+    let backend = backends::by_name(&name).map_err(Failure::usage)?;
     let lessons: Vec<Lesson> = prepared.iter().map(lesson).collect();
     let min_matches = backend.planning().confidence.min_matches;
     let course = Course { backend: backend.name().into(), min_matches, seed: arguments.seed };
@@ -146,7 +147,7 @@ fn text(arguments: &Arguments, trained: &Trained) -> String {
         m.pixels,
         m.pixel_auc,
         m.pixel_brier,
-        arguments.projects[0].display(),
+        backends::quoted_path(&arguments.projects[0]),
         arguments.out.display(),
     )
 }

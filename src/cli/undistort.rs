@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 use viewrank::{
+    backends::quoted_path,
     output::Disk,
     project::Project,
     undistort::{self, Options, Undistorted},
@@ -81,10 +82,11 @@ fn text(done: &Undistorted) -> String {
     let folder = done.folder.display();
     let kept = done.kept.iter().map(|kept| format!("kept {kept}: a file that was not ours\n"));
     format!(
-        "{} images in {folder}, {} of them computed now.\n{}Next: viewrank plan {folder}\n",
+        "{} images in {folder}, {} of them computed now.\n{}Next: viewrank plan {}\n",
         done.images,
         done.computed,
-        kept.collect::<String>()
+        kept.collect::<String>(),
+        quoted_path(&done.folder)
     )
 }
 

@@ -11,8 +11,12 @@ use serde::Deserialize;
 use toml::{Table, Value, de::DeTable};
 
 use super::{Key, Settings, keys};
-use crate::georeference::Zone;
-use crate::{confidence, error::Hint};
+use crate::{
+    backends::{self, BackendError},
+    confidence,
+    error::Hint,
+    georeference::Zone,
+};
 
 /// Where settings are written down; files that are not there are passed over.
 #[derive(Clone, Debug, Default)]
@@ -105,7 +109,9 @@ impl Configuration {
             insert(&mut table, &entry.key, entry.value);
             places.insert(entry.key, entry.place);
         }
-        let settings = Settings::deserialize(table).expect("each entry was checked by itself");
+        let mut settings = Settings::deserialize(table).expect("each entry was checked by itself");
+        let backends = backends::by_names(&settings.backends).expect("each entry was checked by itself");
+        settings.backends = backends.iter().map(|backend| backend.name().into()).collect();
         let configuration = Self { settings, places };
         configuration.check_together()?;
         Ok(configuration)
@@ -226,7 +232,9 @@ fn check(entry: &Entry) -> Result<(), ConfigError> {
     }
     let mut alone = Table::new();
     insert(&mut alone, &entry.key, entry.value.clone());
-    Settings::deserialize(alone).map(drop).map_err(|error| refuse(type_error(key, &error)))
+    let settings = Settings::deserialize(alone).map_err(|error| refuse(type_error(key, &error)))?;
+    let unknown = |error| ConfigError::Backend { place: entry.place.clone(), error };
+    backends::by_names(&settings.backends).map(drop).map_err(unknown)
 }
 
 /// What is wanted, in words: range and unit.
@@ -265,6 +273,8 @@ pub enum ConfigError {
     UnknownKey { place: Place, key: String },
     #[error("{place}: {key} has commands run, which a project's file must not")]
     UserOnly { place: Place, key: String },
+    #[error("{place}: {error}")]
+    Backend { place: Place, error: BackendError },
     #[error("{from}: {key} = {value}: {why}")]
     Value { from: Source, key: String, value: String, why: String },
 }
@@ -282,6 +292,7 @@ impl Hint for ConfigError {
                 Some(path) => format!("write it into {}, or type it", path.display()),
                 None => "type it".into(),
             },
+            Self::Backend { error, .. } => return error.hint(),
             Self::Value { key, .. } => match keys().iter().find(|known| known.name == *key) {
                 Some(known) => format!("{key}: {}", known.doc),
                 None => "type viewrank config for the settings that there are".into(),
@@ -390,6 +401,15 @@ mod tests {
         assert_eq!(refused("dispatch.setup = \"rm -rf /\"").0, refusal);
         assert!(load("", "[dispatch]\noptions = [\"--wrap=id\"]", Typed::default()).is_err());
         assert!(refused("\non_target = \"rm -r /\"").0.starts_with("project.toml:2: on_target has commands run"));
+    }
+
+    #[test]
+    fn backends_are_known_by_name() {
+        let named = load("", "backends = [\"COLMAP\", \"meshroom\", \"colmap\"]", Typed::default()).unwrap();
+        assert_eq!(named.settings.backends, ["colmap", "alicevision"]);
+        let (message, hint) = refused("\nbackends = [\"colmpa\"]");
+        assert_eq!(message, "project.toml:2: no backend \"colmpa\"");
+        assert!(hint.starts_with("did you mean colmap? take one of sure, "));
     }
 
     #[test]

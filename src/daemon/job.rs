@@ -274,8 +274,8 @@ fn write(plan: &Plan, project: &Project, record: &PlannedFrom, job: &Job) -> End
     if !job.is_wanted() {
         return Err(Outcome::Abandoned);
     }
-    // The record comes last: without it the plan is made again.
-    sets.iter().rev().try_for_each(|set| set.write(&Disk::REAL).map(drop)).map_err(failed)
+    // The record is in the first set, whose root comes last: without it the plan is made again.
+    output::write_all(&sets, &Disk::REAL).map(drop).map_err(failed)
 }
 
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {

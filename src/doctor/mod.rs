@@ -10,9 +10,9 @@ mod tests;
 use serde::Serialize;
 
 use crate::{
-    backends::{Backend, Patient},
+    backends::{Backend, Patient, quoted_path},
     config::Settings,
-    project::Project,
+    project::{ImageFaults, Project},
     scene::{Scene, ViewIndex, ViewPoints},
 };
 
@@ -68,6 +68,7 @@ struct Visit<'a> {
     settings: &'a Settings,
     /// The one that would be planned for.
     backend: &'a dyn Backend,
+    images: &'a ImageFaults,
 }
 
 impl Visit<'_> {
@@ -80,7 +81,8 @@ impl Visit<'_> {
 pub fn examine(project: &Project, scene: &Scene, settings: &Settings, backends: &[&dyn Backend]) -> Vec<Finding> {
     let Some(&backend) = backends.first() else { return Vec::new() };
     let points = &scene.view_points();
-    let visit = Visit { project, scene, points, settings, backend };
+    let images = &project.image_faults(scene);
+    let visit = Visit { project, scene, points, settings, backend, images };
     let mut findings = sense::findings(&visit);
     // In a model that makes no sense the rest says nothing.
     if findings.iter().all(|finding| finding.severity < Severity::Error) {
@@ -118,10 +120,10 @@ fn distorted(visit: &Visit, backends: &[&dyn Backend]) -> Option<Finding> {
     let of_view = |v: &ViewIndex| !visit.scene.camera_of(*v).is_pinhole();
     let camera = visit.scene.camera_of(visit.scene.view_indices().find(of_view)?).model().name();
     let refuse: Vec<&'static str> = backends.iter().filter(|b| !b.takes_distorted()).map(|b| b.name()).collect();
-    let root = visit.project.root.display();
+    let [root, own] = [visit.project.root.clone(), visit.project.root.join("dense")].map(|path| quoted_path(&path));
     let cure = match &visit.project.dense_workspace {
-        Some(dense) if *dense != visit.project.root => format!("viewrank plan {}", dense.display()),
-        _ => format!("viewrank undistort {root}, then viewrank plan {root}/dense"),
+        Some(dense) if *dense != visit.project.root => format!("viewrank plan {}", quoted_path(dense)),
+        _ => format!("viewrank undistort {root}, then viewrank plan {own}"),
     };
     let what = format!("the cameras are {camera}, and these programs want images without lens distortion");
     let finding = Finding::new(Severity::Note, "distorted-images", what, cure);

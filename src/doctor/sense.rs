@@ -13,8 +13,6 @@ const FIELD: std::ops::RangeInclusive<f64> = 0.5..=160.0;
 const BEHIND: f64 = 0.2;
 /// Mean reprojection error from which on intrinsics and images do not belong together, pixels.
 const ERROR_PX: f64 = 4.0;
-/// Images whose headers are read.
-const PROBED: usize = 24;
 /// Names that are listed where a file is missing.
 const LISTED: usize = 1000;
 
@@ -115,16 +113,7 @@ fn residuals(visit: &Visit) -> Option<Finding> {
 
 /// Images of another size than the model says.
 fn sizes(visit: &Visit) -> Option<Finding> {
-    let images = visit.project.images.as_ref()?;
-    let step = visit.scene.views.len().div_ceil(PROBED).max(1);
-    let differs = |view: &ViewIndex| {
-        let camera = visit.scene.camera_of(*view);
-        let found = image::image_dimensions(images.join(visit.scene.name(*view)));
-        found.is_ok_and(|size| size != (camera.width, camera.height))
-    };
-    let views: Vec<ViewIndex> = visit.scene.view_indices().step_by(step).filter(differs).collect();
-    let first = *views.first()?;
-    let (width, height) = image::image_dimensions(images.join(visit.scene.name(first))).ok()?;
+    let &(first, [width, height]) = visit.images.other_size.first()?;
     let camera = visit.scene.camera_of(first);
     let what = format!(
         "{} is {width} x {height} px, and the model says {} x {}: these are not the images of the model",
@@ -133,17 +122,16 @@ fn sizes(visit: &Visit) -> Option<Finding> {
         camera.height
     );
     let cure = "give the images that the model was made of, or those of the undistorted workspace with its own model";
+    let views = visit.images.other_size.iter().map(|(view, _)| *view).collect();
     Some(Finding::new(Severity::Error, "images-of-another-size", what, cure).of_views(named(visit, views)))
 }
 
 /// Views without their files.
 fn missing(visit: &Visit) -> Option<Finding> {
-    let images = visit.project.images.as_ref()?;
-    let gone = |view: &ViewIndex| !images.join(visit.scene.name(*view)).is_file();
-    let views: Vec<ViewIndex> = visit.scene.view_indices().filter(gone).collect();
+    let (images, views) = (visit.project.images.as_ref()?, &visit.images.missing);
     (!views.is_empty()).then(|| {
         let what = format!("{} of {} images are not in {}", views.len(), visit.scene.views.len(), images.display());
-        let listed = views.into_iter().take(LISTED).collect();
+        let listed = views.iter().copied().take(LISTED).collect();
         let cure = format!("copy them there under the names of the model: {}/NAME", images.display());
         Finding::new(Severity::Warning, "missing-images", what, cure).of_views(named(visit, listed))
     })

@@ -6,7 +6,7 @@ use serde::Deserialize;
 
 use super::{FingerprintError, VERSION, fingerprint};
 use crate::{
-    backends::RankedCluster,
+    backends::{RankedCluster, quoted_path},
     config::{Budget, Settings, Share},
     error::Hint,
     plan::{Outdated, Plan},
@@ -165,7 +165,7 @@ impl Hint for WrittenPlanError {
             | Self::OtherInput(path)
             | Self::OtherPlan(path) => {
                 let root = path.parent().and_then(Path::parent).unwrap_or(Path::new("."));
-                Some(format!("make the plan first: viewrank plan {}", root.display()))
+                Some(format!("make the plan first: viewrank plan {}", quoted_path(root)))
             }
             Self::Input(error) => error.hint(),
             Self::Project(error) => error.hint(),

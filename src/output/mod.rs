@@ -69,19 +69,36 @@ impl FileSet {
         self.add(path, Contents::Bytes(text.into().into_bytes()));
     }
 
-    /// Takes the files of a set whose root lies in this one's, so that both appear together; gives it back where it doesn't.
-    pub fn absorb(&mut self, other: FileSet) -> Option<FileSet> {
-        let Some(inner) = inside(&self.root, &other.root) else { return Some(other) };
-        let files = other.files.into_iter().map(|(path, contents)| (format!("{inner}{path}"), contents));
-        self.files.extend(files);
-        None
-    }
-
     /// Makes the set appear, whole or not at all. Files that are there with the same contents are left as they are.
     pub fn write(&self, disk: &Disk) -> Result<Written, OutputError> {
-        self.files.keys().try_for_each(|path| check_name(path))?;
-        transaction::write(self, disk)
+        let mut written = write_all(std::slice::from_ref(self), disk)?;
+        Ok(written.pop().unwrap_or_default())
     }
+}
+
+/// Makes all sets appear; those of one root whole or not at all, roots in the reverse of the order in which they come first.
+pub fn write_all(sets: &[FileSet], disk: &Disk) -> Result<Vec<Written>, OutputError> {
+    sets.iter().flat_map(|set| set.files.keys()).try_for_each(|path| check_name(path))?;
+    let mut roots: Vec<&Path> = Vec::new();
+    for set in sets {
+        if !roots.contains(&set.root.as_path()) {
+            roots.push(&set.root);
+        }
+    }
+    let mut written = vec![Written::default(); sets.len()];
+    for root in roots.into_iter().rev() {
+        let (places, own): (Vec<usize>, Vec<&FileSet>) =
+            sets.iter().enumerate().filter(|(_, set)| set.root == root).unzip();
+        for (place, done) in places.into_iter().zip(transaction::write(root, &own, disk)?) {
+            written[place] = done;
+        }
+    }
+    Ok(written)
+}
+
+/// Paths, relative to the root, of the files of all sets below it whose names begin with `prefix`, sorted.
+pub fn recorded(root: &Path, prefix: &str) -> Vec<String> {
+    record::Records::read(root).paths(prefix)
 }
 
 /// Finishes or undoes the set that a killed run left half in place under `root`; for those who read what was written.
@@ -120,12 +137,6 @@ pub fn remove(path: &Path, disk: &Disk) -> Result<(), OutputError> {
 /// Makes a folder and those above it.
 pub fn make_folder(path: &Path, disk: &Disk) -> Result<(), OutputError> {
     transaction::make_folders(path, disk)
-}
-
-/// `inner` relative to `outer`, with a `/` behind it where it isn't empty.
-fn inside(outer: &Path, inner: &Path) -> Option<String> {
-    let relative = inner.strip_prefix(outer).ok()?.to_str()?;
-    Some(if relative.is_empty() { String::new() } else { format!("{relative}/") })
 }
 
 /// A name is a path of plain components below the root, written the one way that there is.

@@ -43,6 +43,13 @@ impl Records {
         self.0.get(set).cloned().unwrap_or_default()
     }
 
+    /// Paths of the files of sets whose names begin so, sorted.
+    pub fn paths(&self, prefix: &str) -> Vec<String> {
+        let sets = self.0.iter().filter(|(name, _)| name.starts_with(prefix));
+        let paths: BTreeSet<&String> = sets.flat_map(|(_, record)| record.files.keys()).collect();
+        paths.into_iter().cloned().collect()
+    }
+
     /// The hash of the file, if it was written by us and not changed since.
     pub fn hash_if_ours(&self, root: &Path, path: &str) -> Result<Option<String>, OutputError> {
         self.recorded_hash(root, path, |_| true)

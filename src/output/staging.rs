@@ -13,36 +13,51 @@ use super::{
     transaction::{Change, Root, Step},
 };
 
-/// Stages what differs from what is there.
-pub(super) fn stage(root: &Root, set: &FileSet) -> Result<(Change, Written), OutputError> {
+/// Stages what differs from what is there, for all sets in one change.
+pub(super) fn stage(root: &Root, sets: &[&FileSet]) -> Result<(Change, Vec<Written>), OutputError> {
     let records = Records::read(&root.path);
-    let earlier = records.of(&set.name);
+    let wanted: BTreeSet<&str> = sets.iter().flat_map(|set| set.files.keys()).map(String::as_str).collect();
     let mut staging = Staging {
         root,
         records: &records,
+        wanted: &wanted,
         record: Record::default(),
         change: Change::default(),
         written: Written::default(),
     };
-    for (path, contents) in &set.files {
-        staging.file(path, contents)?;
-    }
-    staging.stale_files(&set.name, &earlier)?;
-    staging.folders(set, &earlier);
-    staging.record_itself(&set.name, &earlier)?;
-    Ok((staging.change, staging.written))
+    let written = sets.iter().map(|set| staging.set(set)).collect::<Result<_, _>>()?;
+    let mut change = staging.change;
+    let needed: BTreeSet<String> = sets.iter().flat_map(|set| needed_folders(set)).collect();
+    change.old_folders.retain(|folder| !needed.contains(folder));
+    change.old_folders.sort_unstable_by(|a, b| b.cmp(a));
+    change.old_folders.dedup();
+    Ok((change, written))
 }
 
 struct Staging<'a> {
     root: &'a Root<'a>,
     records: &'a Records,
-    /// What will be ours.
+    /// Paths of all sets.
+    wanted: &'a BTreeSet<&'a str>,
+    /// What will be ours, of the set at hand.
     record: Record,
     change: Change,
     written: Written,
 }
 
 impl Staging<'_> {
+    fn set(&mut self, set: &FileSet) -> Result<Written, OutputError> {
+        let earlier = self.records.of(&set.name);
+        for (path, contents) in &set.files {
+            self.file(path, contents)?;
+        }
+        self.stale_files(&set.name, &earlier)?;
+        self.folders(set, &earlier);
+        self.record_itself(&set.name, &earlier)?;
+        self.record = Record::default();
+        Ok(std::mem::take(&mut self.written))
+    }
+
     fn file(&mut self, path: &str, contents: &Contents) -> Result<(), OutputError> {
         let target = self.root.locate(path)?;
         let found = fs::symlink_metadata(&target).ok();
@@ -162,8 +177,8 @@ impl Staging<'_> {
 
     /// What the earlier set of this name had and this one has not, as long as it is as we wrote it and no other set has it.
     fn stale_files(&mut self, set: &str, earlier: &Record) -> Result<(), OutputError> {
-        let wanted: BTreeSet<&String> = self.record.files.keys().collect();
-        let stale: Vec<String> = earlier.files.keys().filter(|path| !wanted.contains(path)).cloned().collect();
+        let stale: Vec<String> =
+            earlier.files.keys().filter(|path| !self.wanted.contains(path.as_str())).cloned().collect();
         for path in stale {
             let target = self.root.locate(&path)?;
             if self.records.hash_if_ours(&self.root.path, &path)?.is_none()
@@ -180,20 +195,14 @@ impl Staging<'_> {
 
     /// Which folders are ours, and which of ours nothing of the set needs any more.
     fn folders(&mut self, set: &FileSet, earlier: &Record) {
-        let ends = set.files.iter().map(|(path, contents)| match contents {
-            Contents::Folder => format!("{path}/"),
-            _ => path.clone(),
-        });
-        let needed: BTreeSet<String> =
-            ends.flat_map(|p| folders_above(&p).map(String::from).collect::<Vec<_>>()).collect();
-        let made = self.change.new_folders.iter().cloned();
-        self.record.folders = earlier.folders.intersection(&needed).cloned().chain(made).collect();
+        let needed = needed_folders(set);
+        let made = self.change.new_folders.iter().filter(|folder| needed.contains(*folder));
+        self.record.folders = earlier.folders.intersection(&needed).chain(made).cloned().collect();
         let gone = earlier
             .folders
             .difference(&needed)
             .filter(|folder| !self.records.other_has_folder(&set.name, folder) && self.root.path.join(folder).is_dir());
-        self.change.old_folders = gone.cloned().collect();
-        self.change.old_folders.reverse();
+        self.change.old_folders.extend(gone.cloned());
     }
 
     /// The record changes together with what it records.
@@ -215,6 +224,15 @@ impl Staging<'_> {
         self.change.steps.push(Step { path, has_new: true, has_old });
         Ok(())
     }
+}
+
+/// The folders that the files of a set lie in.
+fn needed_folders(set: &FileSet) -> BTreeSet<String> {
+    let ends = set.files.iter().map(|(path, contents)| match contents {
+        Contents::Folder => format!("{path}/"),
+        _ => path.clone(),
+    });
+    ends.flat_map(|p| folders_above(&p).map(String::from).collect::<Vec<_>>()).collect()
 }
 
 /// `a` and `a/b` for `a/b/c`; `a/b/c` as well for `a/b/c/`.

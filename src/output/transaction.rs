@@ -58,10 +58,11 @@ pub(super) struct Root<'a> {
     _lock: File,
 }
 
-pub(super) fn write(set: &FileSet, disk: &Disk) -> Result<Written, OutputError> {
-    let root = Root::open(&set.root, disk)?;
+/// Sets of one root.
+pub(super) fn write(path: &Path, sets: &[&FileSet], disk: &Disk) -> Result<Vec<Written>, OutputError> {
+    let root = Root::open(path, disk)?;
     root.settle()?;
-    let staged = root.make_staging().and_then(|()| staging::stage(&root, set));
+    let staged = root.make_staging().and_then(|()| staging::stage(&root, sets));
     let (change, written) = staged.inspect_err(|_| root.clear_staging())?;
     if change.steps.is_empty() && change.new_folders.is_empty() && change.old_folders.is_empty() {
         root.clear_staging();
@@ -206,6 +207,9 @@ impl<'a> Root<'a> {
 }
 
 pub(super) fn make_folders(path: &Path, disk: &Disk) -> Result<(), OutputError> {
+    if path.is_file() {
+        return Err(OutputError::InTheWay { path: path.to_path_buf(), folder: false });
+    }
     if let Some(parent) = path.parent().filter(|_| !path.is_dir()) {
         make_folders(parent, disk)?;
     }

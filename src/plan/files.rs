@@ -1,8 +1,8 @@
 //! What is written for a plan: the manifest, its table, the pair files, the pictures, and the files of backends.
 
-use super::{Plan, PlannedViews};
+use super::{Plan, PlannedViews, outdated};
 use crate::{
-    backends::{self, Backend, BackendError, Export, ExportOptions, Selection},
+    backends::{self, Backend, BackendError, Export, ExportOptions, Selection, place},
     confidence,
     error::Hint,
     georeference::Georeference,
@@ -16,9 +16,10 @@ use crate::{
 /// What is to be written for a plan.
 pub struct PlanFiles {
     pub manifest: Manifest,
-    /// The project's own set, then those of backends whose files go elsewhere and what an earlier plan left. To be written from the
-    /// last to the first: what the manifest says is then there.
+    /// The plan's own files first; then those of each backend, a set per folder, and what an earlier plan left; to be written together.
     pub sets: Vec<FileSet>,
+    /// Exports of earlier plans that stay in the project, a line each; no part of the plan.
+    pub outdated_exports: Vec<String>,
     /// What runs the first of the backends on its files, to be typed in a shell.
     pub command: Option<String>,
 }
@@ -41,15 +42,17 @@ impl Hint for FilesError {
     }
 }
 
-/// The files of the plan, to be written by [`FileSet::write`].
+/// The files of the plan, to be written by [`output::write_all`](crate::output::write_all).
 pub fn files(plan: &Plan, project: &Project) -> Result<PlanFiles, FilesError> {
     let clusters: Vec<_> = plan.ranked().take(plan.cut.clusters).collect();
+    let image_faults = project.image_faults(&plan.scene);
     let selection = Selection {
         project,
         scene: &plan.scene,
         clusters: &clusters,
         image_scale: plan.settings.image_scale,
         planned_for: plan.backend,
+        image_faults: &image_faults,
     };
     let (exports, mut missing) = exports(&selection, &wanted(plan, project)?)?;
     let pair_files = backends::pair_files("the list of view clusters", &selection).map(Vec::from);
@@ -62,6 +65,7 @@ pub fn files(plan: &Plan, project: &Project) -> Result<PlanFiles, FilesError> {
     })?;
     let records = exports.iter().map(|export| export.record.clone()).collect();
     let mut manifest = Manifest::new(plan, project, records)?;
+    manifest.warnings.extend(image_faults.warnings(project, &plan.scene));
     manifest.warnings.extend(missing);
     let command = exports.first().and_then(command);
     let mut own = FileSet::new(&project.root, "plan");
@@ -77,9 +81,13 @@ pub fn files(plan: &Plan, project: &Project) -> Result<PlanFiles, FilesError> {
     add("views.geojson", views_geojson(plan, &place));
     add("timings.json", serde_json::to_string_pretty(&plan.timings).expect("numbers by name are JSON") + "\n");
     own.add("viewrank/surface.ply", Contents::Bytes(surface_ply(plan)));
-    let elsewhere: Vec<FileSet> = exports.into_iter().filter_map(|export| own.absorb(export.files)).collect();
-    let sets = std::iter::once(own).chain(elsewhere).chain(cache(plan, project)).chain(stale).collect();
-    Ok(PlanFiles { manifest, sets, command })
+    let exports = exports.into_iter().map(|export| {
+        let folder = export.files.root.clone();
+        place::set_of_folder(&folder, [export.files], project)
+    });
+    let sets: Vec<FileSet> = std::iter::once(own).chain(exports).chain(cache(plan, project)).chain(stale).collect();
+    let outdated_exports = outdated::exports(plan, project, &sets);
+    Ok(PlanFiles { manifest, sets, outdated_exports, command })
 }
 
 /// The page that shows another plan than this one goes.
@@ -98,10 +106,11 @@ fn cache(plan: &Plan, project: &Project) -> Option<FileSet> {
     Some(set)
 }
 
-/// The first command of an export, from its folder.
+/// The runner of an export, else its first command, from its folder.
 fn command(export: &Export) -> Option<String> {
-    let folder = backends::shell_quoted(&export.files.root.display().to_string());
-    Some(format!("cd {folder} && {}", export.record.commands.first()?))
+    let folder = backends::quoted_path(&export.files.root);
+    let runner = export.record.runner.as_ref().map(|runner| format!("./{runner}"));
+    Some(format!("cd {folder} && {}", runner.as_ref().or(export.record.commands.first())?))
 }
 
 /// The files of each backend. One that lacks something gets none, which a warning says: the plan is good without them.
@@ -111,10 +120,16 @@ fn exports(
 ) -> Result<(Vec<Export>, Vec<String>), BackendError> {
     let (mut exports, mut missing) = (Vec::new(), Vec::new());
     for backend in backends {
-        match backend.export(selection, &ExportOptions::default()) {
+        let checked = backend.export(selection, &ExportOptions::default()).and_then(|export| {
+            place::check(&export.files.root, std::slice::from_ref(&export), selection.project).map(|()| export)
+        });
+        match checked {
             Ok(export) => exports.push(export),
             Err(BackendError::Needs { backend, what, hint }) => {
                 missing.push(format!("no files for {backend}, which needs {what}: {hint}"));
+            }
+            Err(error @ (BackendError::OtherExport { .. } | BackendError::OwnFile(_) | BackendError::Place(_))) => {
+                missing.push(format!("no files for {}: {error}", backend.name()));
             }
             Err(error) => return Err(error),
         }
@@ -127,5 +142,5 @@ fn wanted(plan: &Plan, project: &Project) -> Result<Vec<&'static dyn Backend>, B
     if plan.settings.backends.is_empty() {
         return Ok(backends::all().iter().copied().filter(|backend| backend.serves(project)).collect());
     }
-    plan.settings.backends.iter().map(|name| backends::by_name(name)).collect()
+    backends::by_names(&plan.settings.backends)
 }

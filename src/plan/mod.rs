@@ -10,6 +10,7 @@ mod files;
 mod finished;
 mod forecast;
 mod memory;
+mod outdated;
 mod reasons;
 mod timings;
 mod warnings;

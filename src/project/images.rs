@@ -2,12 +2,21 @@
 
 use std::{
     collections::HashSet,
+    fs::File,
+    io::{Cursor, Read},
     path::{Path, PathBuf},
 };
 
+use image::ImageReader;
+use rayon::prelude::*;
 use walkdir::WalkDir;
 
-use crate::{formats::foreign::Foreign, scene::Scene};
+use super::Project;
+use crate::{
+    backends::quoted_path,
+    formats::foreign::Foreign,
+    scene::{Scene, ViewIndex},
+};
 
 /// Extensions of images, lower case.
 const EXTENSIONS: [&str; 10] = ["jpg", "jpeg", "png", "tif", "tiff", "bmp", "ppm", "pgm", "webp", "jp2"];
@@ -54,6 +63,81 @@ fn said_by_colmap(model: &Path) -> Option<PathBuf> {
     let settings = std::fs::read_to_string(model.join("project.ini")).ok()?;
     let value = settings.lines().find_map(|line| line.trim().strip_prefix("image_path")?.trim().strip_prefix('='))?;
     Some(model.join(value.trim()))
+}
+
+/// Bytes of an image that its header is looked for in, before the whole file is.
+const HEADS: [u64; 2] = [1 << 16, 1 << 20];
+
+/// What is wrong with the image files of a scene, by their names and headers.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct ImageFaults {
+    /// Views without a file.
+    pub missing: Vec<ViewIndex>,
+    /// Views whose file has another width and height than the camera, and these.
+    pub other_size: Vec<(ViewIndex, [u32; 2])>,
+}
+
+impl ImageFaults {
+    /// Looks at the files of all views. A file that is no image that can be read here is passed over.
+    pub(super) fn find(folder: &Path, scene: &Scene) -> Self {
+        let views: Vec<ViewIndex> = scene.view_indices().collect();
+        let look = |view: &ViewIndex| {
+            let path = folder.join(scene.name(*view));
+            if !path.is_file() {
+                return Self { missing: vec![*view], ..Self::default() };
+            }
+            let camera = scene.camera_of(*view);
+            let other = dimensions(&path).filter(|size| *size != [camera.width, camera.height]);
+            Self { missing: Vec::new(), other_size: other.map(|size| (*view, size)).into_iter().collect() }
+        };
+        let found: Vec<Self> = views.par_iter().map(look).collect();
+        let mut all = Self::default();
+        for faults in found {
+            all.missing.extend(faults.missing);
+            all.other_size.extend(faults.other_size);
+        }
+        all
+    }
+
+    /// The part that concerns these views, which ascend.
+    pub fn of(&self, views: &[ViewIndex]) -> Self {
+        let concerns = |view: &ViewIndex| views.binary_search(view).is_ok();
+        Self {
+            missing: self.missing.iter().copied().filter(concerns).collect(),
+            other_size: self.other_size.iter().copied().filter(|(view, _)| concerns(view)).collect(),
+        }
+    }
+
+    /// A line for each kind of fault.
+    pub fn warnings(&self, project: &Project, scene: &Scene) -> Vec<String> {
+        let Some(folder) = &project.images else { return Vec::new() };
+        let doctor = format!("viewrank doctor {}", quoted_path(&project.root));
+        let missing = self.missing.first().map(|first| {
+            let (count, name) = (self.missing.len(), scene.name(*first));
+            format!("{count} images of the model are not in {}, as {name}: {doctor}", folder.display())
+        });
+        let other = self.other_size.first().map(|(first, [width, height])| {
+            let (camera, name, count) = (scene.camera_of(*first), scene.name(*first), self.other_size.len());
+            format!(
+                "{count} images have another size than their cameras, as {name}, {width} x {height} and not {} x {}: {doctor}",
+                camera.width, camera.height
+            )
+        });
+        missing.into_iter().chain(other).collect()
+    }
+}
+
+/// Width and height by the header, reading no more of the file than it takes.
+fn dimensions(path: &Path) -> Option<[u32; 2]> {
+    let length = path.metadata().ok()?.len();
+    let of_head = |bytes: u64| {
+        let mut head = Vec::new();
+        File::open(path).ok()?.take(bytes).read_to_end(&mut head).ok()?;
+        let reader = ImageReader::new(Cursor::new(head)).with_guessed_format().ok()?;
+        reader.into_dimensions().ok()
+    };
+    let found = HEADS.into_iter().filter(|bytes| *bytes < length).find_map(of_head);
+    found.or_else(|| image::image_dimensions(path).ok()).map(|(width, height)| [width, height])
 }
 
 /// Images of the folder that the scene has no view of, sorted; none where the folder holds no image of the scene, as one that a model from

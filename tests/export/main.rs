@@ -17,7 +17,7 @@ use viewrank::{
     backends::{BackendError, Export, ExportOptions, RankedCluster, Selection, by_name},
     camera::{Camera, CameraModel},
     output::Contents,
-    project::{ModelFormat, ModelLocation, Project, ProjectKind},
+    project::{ImageFaults, ModelFormat, ModelLocation, Project, ProjectKind},
     scene::{Scene, ViewIndex},
     synthetic::Town,
 };
@@ -28,6 +28,7 @@ pub struct Fixture {
     pub clusters: Vec<RankedCluster>,
     pub project: Project,
     pub image_scale: f64,
+    pub image_faults: ImageFaults,
 }
 
 /// Square pixels would hide a width taken for a height.
@@ -46,7 +47,13 @@ impl Fixture {
             view.image_id = 1000 + (i * 37) % count * 3;
             view.file_position = (i * 37) % count;
         }
-        let mut fixture = Self { scene, clusters: Vec::new(), project: project(), image_scale: 1.0 };
+        let mut fixture = Self {
+            scene,
+            clusters: Vec::new(),
+            project: project(),
+            image_scale: 1.0,
+            image_faults: ImageFaults::default(),
+        };
         fixture.choose(&[12, 3, 30, 24], k);
         fixture
     }
@@ -96,6 +103,7 @@ impl Fixture {
             clusters: &self.clusters,
             image_scale: self.image_scale,
             planned_for: backend.name(),
+            image_faults: &self.image_faults,
         };
         backend.export(&selection, options)
     }

@@ -402,7 +402,7 @@ fn odm_openmvs_fork_version() {
 
 #[test]
 fn odm_rerun_deletes_scene() {
-    assert!(Fixture::new(3).export("odm").0.record.commands[3].contains("without any --rerun"));
+    assert!(Fixture::new(3).export("odm").says("without any --rerun"));
 }
 
 #[test]

@@ -23,7 +23,7 @@ use self::{
 };
 use super::{
     Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, PATCH_MATCH, Patient,
-    PlanningNumbers, References, Selection, TaskRunner, Trap, selection, workspace::add_workspace,
+    PlanningNumbers, References, Selection, TaskRunner, Trap, capped_scale, selection, workspace::add_workspace,
 };
 use crate::{
     output::{Contents, FileSet},
@@ -163,8 +163,11 @@ impl Passes {
                 let last = with_sources_among(&keys, &keys);
                 (keys, last)
             }
-            (true, References::KeysAndPartners) => (all, keys),
-            (true, References::All) => (all.clone(), all),
+            (true, References::KeysAndPartners) => {
+                let last = with_sources_among(&keys, &all);
+                (all, last)
+            }
+            (true, References::All) => (all.clone(), with_sources_among(&all, &all)),
         };
         Self { refs, geometric, first, last }
     }
@@ -190,12 +193,13 @@ impl Passes {
         record.not_honoured.push("the order of the partners of a key view".into());
         record.key_maps = selection.clusters.iter().filter(|c| last.contains(selection.scene.name(c.key))).count();
         record.other_maps = maps - record.key_maps.min(maps);
+        record.note_scale(selection, capped_scale(size_cap(selection)));
+        let with_points = views_with_points(selection);
         for cluster in selection.clusters {
             let key = selection.scene.name(cluster.key);
             if !last.contains(key) {
-                record
-                    .not_honoured
-                    .push(format!("{key}: none of its partners is a key view, so no geometric depth map"));
+                let why = self.left_out(cluster, &with_points);
+                record.not_honoured.push(format!("{key}: {why}, so no depth map"));
             }
             let width = |v: &ViewIndex| selection.scene.camera_of(*v).width;
             if cluster.partners.iter().any(|p| width(p) != width(&cluster.partners[0])) {
@@ -206,6 +210,19 @@ impl Passes {
         }
         if self.geometric && self.refs == References::Keys {
             record.not_honoured.push("partners that are no key views take part in the photometric pass only".into());
+        }
+    }
+
+    /// Why there is no depth map of a key view.
+    fn left_out(&self, cluster: &super::RankedCluster, with_points: &[bool]) -> &'static str {
+        if !with_points[cluster.key.at()] {
+            "it observes no sparse point in front of it, which COLMAP takes the depth range from"
+        } else if cluster.partners.is_empty() {
+            "it has no partner"
+        } else if self.refs == References::Keys {
+            "none of its partners is a key view with a photometric map, which geometric consistency needs"
+        } else {
+            "none of its partners has a photometric map, which geometric consistency needs"
         }
     }
 
@@ -354,8 +371,12 @@ fn with_sources_among(problems: &[Problem], among: &[Problem]) -> Vec<Problem> {
 
 /// The long side of the matched images, where it is not that of the images.
 fn max_image_size(selection: &Selection) -> Option<u32> {
-    let long_side = selection.scene.cameras.iter().map(|c| c.width.max(c.height)).max().unwrap_or(0);
-    (selection.image_scale < 1.0).then(|| (f64::from(long_side) * selection.image_scale).ceil() as u32)
+    (selection.image_scale < 1.0).then(|| size_cap(selection))
+}
+
+/// Longest side of the matched images, one number for all of them.
+fn size_cap(selection: &Selection) -> u32 {
+    (f64::from(selection.long_side()) * selection.image_scale).ceil() as u32
 }
 
 /// Patch match makes no folders: one for each sub-folder of a name, under each kind of map.

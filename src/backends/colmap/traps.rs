@@ -2,7 +2,7 @@
 
 use super::cfg;
 use crate::{
-    backends::{Patient, Trap, selection},
+    backends::{Patient, Trap, quoted_path, selection},
     project::ModelFormat,
     scene::Scene,
 };
@@ -63,7 +63,7 @@ fn text_beside_binary(patient: &Patient) -> Option<Trap> {
             "{} holds another model as text, with {counted} images or newer: COLMAP and viewrank take the binary one, OpenMVS the text",
             model.path.display()
         ),
-        cure: format!("keep one of the two: rm {}/*.txt", model.path.display()),
+        cure: format!("keep one of the two: rm {}/*.txt", quoted_path(&model.path)),
         views: Vec::new(),
     })
 }

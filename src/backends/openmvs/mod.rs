@@ -10,7 +10,7 @@ use serde::Serialize;
 use self::scene::Builder;
 use super::{
     Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Gate, Honours, Patient, PlanningNumbers,
-    RankedCluster, Selection, TaskRunner, Trap, selection,
+    RankedCluster, Selection, TaskRunner, Trap, capped_scale, selection,
 };
 use crate::{
     confidence::PairConfidence,
@@ -159,6 +159,7 @@ impl OpenMvs {
         record.way = "one scene per cluster".into();
         record.commands = vec!["python3 run.py".into()];
         record.not_honoured = vec!["the order of the partners of a key view (all of them are used)".into()];
+        record.note_scale(selection, capped_scale(resolution(selection)));
         record.pixel_shift = -0.5;
         record.fusion = format!("number-views-fuse {MAPS_PER_POINT}: that many key views must agree on a point");
         record
@@ -224,6 +225,5 @@ fn dense_config(selection: &Selection) -> String {
 
 /// Long side of the matched images.
 fn resolution(selection: &Selection) -> u32 {
-    let long_side = selection.scene.cameras.iter().map(|c| c.width.max(c.height)).max().unwrap_or(0);
-    (f64::from(long_side) * selection.image_scale).round() as u32
+    (f64::from(selection.long_side()) * selection.image_scale).round() as u32
 }

@@ -10,7 +10,7 @@ use nalgebra::{Matrix3, Vector3};
 
 use super::{OpenMvs, dense_config, resolution};
 use crate::{
-    backends::{BackendError, Export, ExportOptions, ExportRecord, Selection},
+    backends::{BackendError, Export, ExportOptions, ExportRecord, Selection, capped_scale, quoted_path, shell_quoted},
     formats::openmvs::{Mvs, NO_POSE},
     output::Contents,
     project::ProjectError,
@@ -45,10 +45,10 @@ pub fn export(selection: &Selection, options: &ExportOptions, path: &Path) -> Re
     let size = resolution(selection);
     let densify = |scene: &str, fuse: usize| {
         format!(
-            "DensifyPointCloud -w \"{}\" -i {scene} -o \"$PWD/dense.mvs\" --view-neighbors-file \"$PWD/neighbours.txt\" \
+            "DensifyPointCloud -w {} -i {scene} -o \"$PWD/dense.mvs\" --view-neighbors-file \"$PWD/neighbours.txt\" \
              --dense-config-file \"$PWD/dense.cfg\" --resolution-level 0 --min-resolution 16 --max-resolution {size} --number-views 0 \
              --geometric-iters 0 --number-views-fuse {fuse}",
-            folder.display()
+            quoted_path(&folder)
         )
     };
     if options.scale {
@@ -61,13 +61,14 @@ pub fn export(selection: &Selection, options: &ExportOptions, path: &Path) -> Re
         record.fusion = "number-views-fuse 1: partners have no depth maps that could agree".into();
     } else {
         record.way = "list of neighbours for an existing scene".into();
-        record.commands = vec![densify(&path.file_name().unwrap_or_default().to_string_lossy(), 2)];
+        record.commands = vec![densify(&shell_quoted(&path.file_name().unwrap_or_default().to_string_lossy()), 2)];
         record.not_honoured.push(
             "only the key views: images that are not listed get depth maps too, with OpenMVS's own neighbours".into(),
         );
         record.fusion = "number-views-fuse 2".into();
     }
     record.not_honoured.push("the rank order".into());
+    record.note_scale(selection, capped_scale(size));
     files.add_text("export.json", record.to_json());
     Ok(Export { files, record })
 }

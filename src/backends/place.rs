@@ -1,0 +1,127 @@
+//! Where the files of exports go: one set of files per folder, whoever writes it, and what an export must not touch.
+
+use std::path::{Component, Path, PathBuf};
+
+use serde::Deserialize;
+
+use super::{BackendError, Export};
+use crate::{
+    output::{FileSet, OutputError},
+    project::Project,
+};
+
+/// Where an export or its first tile has its record.
+const RECORDS: [&str; 4] =
+    ["export.json", "stereo/viewrank/export.json", "tile_01/export.json", "tile_01/stereo/viewrank/export.json"];
+
+/// The files of exports below one folder, to appear together. Below the project they are a set of the project, so that links stay within it;
+/// a later set of the same folder takes the place of this one, and no other.
+pub fn set_of_folder(folder: &Path, parts: impl IntoIterator<Item = FileSet>, project: &Project) -> FileSet {
+    let (root, real_folder) = (real(&project.root), real(folder));
+    let (mut set, base) = match real_folder.strip_prefix(&root) {
+        Ok(inner) => (FileSet::new(&project.root, &set_name(inner)), root),
+        Err(_) => (FileSet::new(&real_folder, "export"), real_folder.clone()),
+    };
+    for part in parts {
+        let at = real(&part.root);
+        let inner = at.strip_prefix(&base).unwrap_or(&at).to_string_lossy().replace('\\', "/");
+        let path = |path: String| if inner.is_empty() { path } else { format!("{inner}/{path}") };
+        set.files.extend(part.files.into_iter().map(|(name, contents)| (path(name), contents)));
+    }
+    set
+}
+
+/// The same for the same folder of a project, and short whatever its depth.
+fn set_name(inner: &Path) -> String {
+    let hash = blake3::hash(inner.to_string_lossy().as_bytes()).to_hex();
+    format!("export-{}", &hash[..16])
+}
+
+/// Refuses a folder that is a file or holds the export for another backend, and files among the project's own.
+pub fn check(folder: &Path, exports: &[Export], project: &Project) -> Result<(), BackendError> {
+    if let Some(file) = folder.ancestors().find(|above| above.is_file()) {
+        return Err(OutputError::InTheWay { path: file.to_path_buf(), folder: false }.into());
+    }
+    for Export { files, record } in exports {
+        match earlier_backend(folder).filter(|earlier| *earlier != record.backend) {
+            Some(earlier) => return Err(BackendError::OtherExport { folder: folder.into(), backend: earlier }),
+            None => spare_own_files(files, project)?,
+        }
+    }
+    Ok(())
+}
+
+/// The backend whose export lies in the folder.
+fn earlier_backend(folder: &Path) -> Option<String> {
+    #[derive(Deserialize)]
+    struct Record {
+        backend: String,
+    }
+    let read = |name: &&str| serde_json::from_slice::<Record>(&std::fs::read(folder.join(name)).ok()?).ok();
+    RECORDS.iter().find_map(read).map(|record| record.backend)
+}
+
+/// Refuses what would lie among the images of the project or in place of its model: links to images would lead in circles there, and the next
+/// plan would be made from the model of this one.
+fn spare_own_files(files: &FileSet, project: &Project) -> Result<(), BackendError> {
+    let place = |path: &Path| match (path.parent(), path.file_name()) {
+        (Some(folder), Some(name)) => real(folder).join(name),
+        _ => real(path),
+    };
+    // Images beside everything else of a project do not make all of it a folder of images.
+    let images = project.images.as_deref().map(real).filter(|images| !real(&project.root).starts_with(images));
+    let model: Vec<PathBuf> = project.model_files().iter().map(|file| place(file)).collect();
+    let root = real(&files.root);
+    let is_own = |path: &PathBuf| {
+        let path = place(path);
+        let is_model = model.iter().any(|file| file.with_extension("") == path.with_extension(""));
+        is_model || images.as_ref().is_some_and(|images| path.starts_with(images))
+    };
+    match files.files.keys().map(|name| root.join(name)).find(is_own) {
+        Some(path) => Err(BackendError::OwnFile(path)),
+        None => Ok(()),
+    }
+}
+
+/// The way from a folder to one above it, so that both can be moved together; the whole path where it isn't above.
+pub(super) fn path_from(folder: &Path, above: &Path) -> PathBuf {
+    let (folder, above) = (real(folder), real(above));
+    match folder.strip_prefix(&above) {
+        Ok(inner) if inner.as_os_str().is_empty() => ".".into(),
+        Ok(inner) => inner.components().map(|_| "..").collect(),
+        Err(_) => above,
+    }
+}
+
+/// The path without links and `..`, also of something that isn't there yet.
+fn real(path: &Path) -> PathBuf {
+    let absolute = std::path::absolute(path).unwrap_or_else(|_| path.to_path_buf());
+    let there = absolute.ancestors().find_map(|above| Some((above, above.canonicalize().ok()?)));
+    let Some((above, mut real)) = there else { return absolute };
+    for part in absolute.strip_prefix(above).unwrap_or(Path::new("")).components() {
+        match part {
+            Component::ParentDir => _ = real.pop(),
+            part => real.push(part),
+        }
+    }
+    real
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_path_is_real_before_it_is_there() {
+        let folder = tempfile::tempdir().unwrap();
+        let home = folder.path().canonicalize().unwrap();
+        std::fs::create_dir(home.join("a")).unwrap();
+        assert_eq!(real(&home.join("a/new/../b c/d")), home.join("a/b c/d"));
+        assert_eq!(real(&home.join("a/../a")), home.join("a"));
+        #[cfg(unix)]
+        {
+            std::os::unix::fs::symlink(home.join("a"), home.join("link")).unwrap();
+            assert_eq!(real(&home.join("link/new")), home.join("a/new"));
+        }
+    }
+}
