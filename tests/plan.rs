@@ -248,7 +248,7 @@ fn wrong_usage_is_2_and_failure_is_1_each_with_a_hint() {
         (vec!["plan", root, "--gsd", "-1"], 2, "must be above 0"),
         (vec!["plan", root, "-k", "0"], 2, "hint: "),
         (vec!["plan", root, "--target", "80"], 2, "such as 80%"),
-        (vec!["plan", root, "--backend", "sgmm"], 1, "hint: take one of "),
+        (vec!["plan", root, "--backend", "sgmm"], 2, "hint: "),
         (vec!["plan", root, "--model", "7"], 1, "hint: "),
         (vec!["plan", "/nowhere/at/all"], 1, "hint: "),
     ] {

@@ -146,6 +146,7 @@ def with_pycolmap(source, target):
     """As a mapper does: the images first, the model when it is done."""
     shutil.copytree(source / "images", target / "images")
     (target / "sparse/0").mkdir(parents=True)
+    pycolmap = pytest.importorskip("pycolmap")
     pycolmap.Reconstruction(source / "sparse/0").write(target / "sparse/0")
 
 
