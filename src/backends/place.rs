@@ -20,7 +20,7 @@ pub fn set_of_folder(folder: &Path, parts: impl IntoIterator<Item = FileSet>, pr
     let (root, real_folder) = (real(&project.root), real(folder));
     let (mut set, base) = match real_folder.strip_prefix(&root) {
         Ok(inner) => (FileSet::new(&project.root, &set_name(inner)), root),
-        Err(_) => (FileSet::new(&real_folder, "export"), real_folder.clone()),
+        Err(_) => (FileSet::new(&real_folder, &set_name(Path::new(""))), real_folder.clone()),
     };
     for part in parts {
         let at = real(&part.root);

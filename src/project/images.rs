@@ -112,14 +112,15 @@ impl ImageFaults {
     pub fn warnings(&self, project: &Project, scene: &Scene) -> Vec<String> {
         let Some(folder) = &project.images else { return Vec::new() };
         let doctor = format!("viewrank doctor {}", quoted_path(&project.root));
+        let all = scene.views.len();
         let missing = self.missing.first().map(|first| {
             let (count, name) = (self.missing.len(), scene.name(*first));
-            format!("{count} images of the model are not in {}, as {name}: {doctor}", folder.display())
+            format!("{count} of {all} images are not in {}, as {name}: {doctor}", folder.display())
         });
         let other = self.other_size.first().map(|(first, [width, height])| {
             let (camera, name, count) = (scene.camera_of(*first), scene.name(*first), self.other_size.len());
             format!(
-                "{count} images have another size than their cameras, as {name}, {width} x {height} and not {} x {}: {doctor}",
+                "{count} of {all} images have another size than their cameras, as {name}, {width} x {height} and not {} x {}: {doctor}",
                 camera.width, camera.height
             )
         });

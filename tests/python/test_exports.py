@@ -7,6 +7,7 @@ import subprocess
 import sys
 import xml.etree.ElementTree as ElementTree
 
+import cv2
 import numpy as np
 import pycolmap
 import pytest
@@ -176,25 +177,106 @@ def test_finished_maps_of_other_partners_are_reported_and_replaced(viewrank, pla
     shutil.copytree(planned[0], project)
 
     def export():
-        return viewrank("export", project, "--backend", "colmap", "--out", folder, "--budget", "8").stdout
+        said = viewrank("export", project, "--backend", "colmap", "--out", folder, "--budget", "8").stdout
+        return [line for line in said.splitlines() if not line.startswith("  removed ")]
 
-    assert "other partners" not in export()
+    def reported():
+        return [line for line in export() if "other partners" in line]
+
+    assert not reported()
     lists = (folder / "stereo/patch-match.cfg").read_text().splitlines()
     names = [line for line in lists if line.strip() and not line.startswith("#")][::2]
     maps = [folder / f"stereo/depth_maps/{name}.photometric.bin" for name in names]
     for path in maps:
         path.write_bytes(b"")
-    assert "other partners" not in export(), "made by the lists in force"
+    assert not reported(), "made by the lists in force"
     viewrank("plan", project, "-k", "3", "--budget", "8", "--quiet")
-    said = export()
+    said = reported()
     stale = (folder / "stereo/viewrank/replace.txt").read_text().split()
-    assert stale and f"{len(stale)} finished depth maps were made with other partners" in said and "--replace" in said
-    assert export() == said, "until they are gone"
+    assert stale and f"{len(stale)} finished depth maps were made with other partners" in said[0] and "--replace" in said[0]
+    assert reported() == said, "until they are gone"
     environment = {"PATH": "/usr/bin:/bin", "COLMAP": "true"}
     subprocess.run(["sh", folder / "stereo/viewrank/run.sh", "--replace"], env=environment, check=True)
     assert not any((folder / "stereo/depth_maps" / name).exists() for name in stale)
     assert sum(path.exists() for path in maps) == len(maps) - len(stale)
-    assert "other partners" not in export()
+    assert not reported()
+
+
+# What is written where
+
+
+@pytest.fixture
+def own(planned, tmp_path):
+    """A copy of the planned project, in a folder with a blank."""
+    shutil.copytree(planned[0], tmp_path / "my project", symlinks=True)
+    return tmp_path / "my project"
+
+
+def files_of(folder):
+    return {path.relative_to(folder) for path in folder.rglob("*") if not path.is_dir()}
+
+
+def test_each_folder_has_an_export_of_its_own(viewrank, own):
+    viewrank("export", own, "--backend", "openmvs", "--out", own / "one")
+    before = files_of(own / "one")
+    viewrank("export", own, "--backend", "openmvs", "--out", own / "two", "--budget", "3")
+    assert before == files_of(own / "one") and not (own / "two/clusters/0004.mvs").exists()
+    said = viewrank("export", own, "--backend", "openmvs", "--out", own / "one", "--budget", "3").stdout
+    assert files_of(own / "one") == files_of(own / "two")
+    assert f"removed      {len(before - files_of(own / 'one'))} files of an earlier export: one/clusters/0004.mvs" in said
+    there = files_of(own / "one")
+    refused = viewrank("export", own, "--backend", "mvsnet", "--out", own / "one", expect=1).stderr
+    assert "holds the export for openmvs" in refused and "--out" in refused and files_of(own / "one") == there
+
+
+def test_an_export_of_a_plan_and_one_by_hand_are_the_same_set(viewrank, own):
+    viewrank("plan", own, "--backend", "splat", "--budget", "8", "--quiet")
+    viewrank("export", own, "--backend", "splat", "--budget", "2")
+    assert len(list((own / "viewrank/splat/images").iterdir())) == 2, "programs take all images of the folder"
+
+
+def test_nothing_is_written_where_one_backend_cannot(viewrank, own, tmp_path):
+    (own / "file").write_text("mine")
+    said = viewrank("export", own, "--backend", "colmap,openmvs", "--out", own / "file", expect=1).stderr
+    assert "a file is in the way" in said and "--out" in said and (own / "file").read_text() == "mine"
+    viewrank("export", own, "--backend", "openmvs", "--tiles", "2", "--out", tmp_path / "out/colmap")
+    viewrank("export", own, "--backend", "openmvs,colmap", "--tiles", "2", "--out", tmp_path / "out", expect=1)
+    assert not (tmp_path / "out/openmvs").exists()
+
+
+def test_a_new_plan_names_the_exports_of_the_old_one(viewrank, own):
+    viewrank("export", own, "--backend", "openmvs", "--out", own / "scenes")
+    assert "earlier plan" not in viewrank("plan", own, "-k", "4", "--budget", "8", "--quiet").stderr
+    said = viewrank("plan", own, "-k", "2", "--quiet").stderr
+    line = next(line for line in said.splitlines() if "scenes holds an export of an earlier plan for openmvs" in line)
+    assert line.endswith(f"viewrank export '{own}' --backend openmvs --out '{own}/scenes'"), line
+    assert (own / "scenes/run.json").exists(), "somebody may be computing there"
+
+
+def test_backends_are_understood_and_their_options_too(viewrank, own):
+    made = json.loads(viewrank("export", own, "--backend", "Meshroom, COLMAP,colmap", "--refs", "keys", "--dry-run", "--format", "json").stdout)
+    assert [(report["backend"], report["unheeded"]) for report in made] == [("alicevision", ["--refs"]), ("colmap", [])]
+    for command in ("plan", "export", "doctor"):
+        said = viewrank(command, own, "--backend", "colmpa", expect=2).stderr
+        assert "did you mean colmap?" in said and "realityscan" in said, command
+    (own / "viewrank.toml").write_text('backends = ["nothing"]\n')
+    assert "viewrank.toml:1: no backend" in viewrank("plan", own, expect=2).stderr
+
+
+def test_images_that_are_not_there_or_of_another_size(viewrank, own):
+    names = sorted(path.name for path in (own / "images").iterdir())
+    (own / "images" / names[0]).unlink()
+    shutil.copy(own / "images" / names[1], own / "kept.jpg")
+    small = np.zeros((5, 7, 3), np.uint8)
+    cv2.imwrite(str(own / "images" / names[1]), small)
+    said = viewrank("plan", own, "-k", "4", "--target", "100%", "--quiet").stderr
+    assert f"1 of 28 images are not in {own}/images, as {names[0]}: viewrank doctor '{own}'" in said
+    assert f"1 of 28 images have another size than their cameras, as {names[1]}, 7 x 5 and not 600 x 450" in said
+    shutil.rmtree(own / "images")
+    (own / "images").mkdir()
+    viewrank("plan", own, "-k", "4", "--quiet")
+    said = viewrank("export", own, "--backend", "openmvs", expect=1).stderr
+    assert "none of them is in" in said and not (own / "viewrank/openmvs").exists()
 
 
 # OpenMVS: an independent reader of the interface format.

@@ -1,11 +1,7 @@
 //! Finished depth maps in a workspace. COLMAP skips a problem when its files exist, whatever partners they were made with, so each export
 //! notes which lists were in force, and the next one tells which maps these lists made.
 
-use std::{
-    collections::BTreeMap,
-    path::Path,
-    time::{Duration, SystemTime},
-};
+use std::{collections::BTreeMap, path::Path, time::SystemTime};
 
 use serde::{Deserialize, Serialize};
 
@@ -68,8 +64,7 @@ impl Lists {
         let modified =
             |map: &String| workspace.join("stereo/depth_maps").join(map).metadata().and_then(|m| m.modified()).ok();
         let known = |map: &String, modified: SystemTime| {
-            // A file system may count in whole seconds.
-            let by_lists = modified + Duration::from_secs(1) > since && before.in_force.contains_key(map);
+            let by_lists = modified >= since && before.in_force.contains_key(map);
             if by_lists { before.in_force.get(map) } else { before.finished.get(map) }
         };
         for map in before.in_force.keys().chain(before.finished.keys()) {
@@ -93,6 +88,8 @@ pub fn map_name(image: &str, kind: &str) -> String {
 
 #[cfg(test)]
 mod tests {
+    use std::time::Duration;
+
     use super::*;
 
     fn lists(partners: &[&str], filtered: bool) -> Lists {
