@@ -99,7 +99,7 @@ pub struct SurfaceSummary {
     pub triangles: usize,
     /// Square scene units.
     pub area: f64,
-    /// Triangles that no cluster fulfils.
+    /// Triangles that no cluster fulfils to a tenth, by themselves: the best f is below 0.1.
     pub unfulfilled: usize,
     pub made: SurfaceStats,
 }

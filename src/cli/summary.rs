@@ -4,7 +4,7 @@ use std::fmt::Write;
 
 use serde::Serialize;
 use viewrank::{
-    backends::{self, quoted_path},
+    backends::{self, quoted_path, shell_quoted},
     manifest::Manifest,
     plan::{Cut, Forecast, Memory, Plan, PlanFiles, Timings},
     project::Project,
@@ -72,7 +72,7 @@ impl<'a> Summary<'a> {
             written: !dry_run,
             files: files.sets.iter().flat_map(|set| set.files.keys().cloned()).collect(),
             look: format!("viewrank report {} --open", quoted_path(&project.root)),
-            next: next(project, files, dry_run),
+            next: next(project, plan, files, dry_run),
             timings: &plan.timings,
             memory: plan.memory,
             tiles: plan.surface_stats.tiles,
@@ -86,11 +86,14 @@ impl<'a> Summary<'a> {
         if self.cut.clusters > 0 {
             text += &self.advice();
             text += &self.curve();
-        } else {
+            text += &self.worth();
+        } else if self.manifest.clusters.is_empty() {
             text += "\nNo view cluster is worth computing; the warnings and the reasons of the views in\n\
                      viewrank/manifest.json say why.\n";
+        } else {
+            let ranked = grouped(self.manifest.clusters.len());
+            text += &format!("\nNothing is chosen: what was asked for allows none of {ranked} view clusters.\n");
         }
-        text += &self.worth();
         text + &self.where_to_look()
     }
 
@@ -188,12 +191,19 @@ impl<'a> Summary<'a> {
     }
 }
 
-/// The first command of a backend whose files were written, else the way to such files.
-fn next(project: &Project, files: &PlanFiles, dry_run: bool) -> String {
+/// The same without `--dry-run`; the first command of a backend whose files were written; else the way to such files.
+fn next(project: &Project, plan: &Plan, files: &PlanFiles, dry_run: bool) -> String {
     let root = quoted_path(&project.root);
+    let distorted = || plan.scene.view_indices().any(|view| !plan.scene.camera_of(view).is_pinhole());
+    let takes_distorted = backends::by_name(plan.backend).is_ok_and(|backend| backend.takes_distorted());
     match &files.command {
-        _ if dry_run => format!("viewrank plan {root}"),
+        _ if dry_run => {
+            let typed = std::env::args().skip(1).filter(|argument| argument != "--dry-run");
+            typed.fold("viewrank".into(), |command, argument| command + " " + &shell_quoted(&argument))
+        }
+        _ if plan.cut.clusters == 0 => format!("viewrank doctor {root}"),
         Some(command) => command.clone(),
+        None if !takes_distorted && distorted() => format!("viewrank undistort {root}"),
         None => format!("viewrank export {root} --backend {}", files.manifest.backend),
     }
 }

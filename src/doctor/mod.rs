@@ -80,6 +80,10 @@ impl Visit<'_> {
 /// All findings, the worst first. The plan would be made for the first of `backends`; the traps of all of them are looked for.
 pub fn examine(project: &Project, scene: &Scene, settings: &Settings, backends: &[&dyn Backend]) -> Vec<Finding> {
     let Some(&backend) = backends.first() else { return Vec::new() };
+    if scene.views.is_empty() {
+        let cure = "register the images first; viewrank inspect shows what the model holds";
+        return vec![Finding::new(Severity::Error, "no-views", "no image of the model is registered", cure)];
+    }
     let points = &scene.view_points();
     let images = &project.image_faults(scene);
     let visit = Visit { project, scene, points, settings, backend, images };

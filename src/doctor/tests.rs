@@ -127,6 +127,12 @@ fn a_healthy_project_has_no_findings() {
 }
 
 #[test]
+fn a_model_without_views() {
+    let findings = visit(&scene_of(Vec::new(), square(0.0, 3), |_, _| false), "sure", &Settings::default());
+    assert_eq!((findings.len(), found(&findings, "no-views").severity), (1, Severity::Error));
+}
+
+#[test]
 fn a_view_without_shared_points() {
     let views = block(0.0, "n").into_iter().chain([down("far.jpg", 500.0, 0.0, 40.0)]).collect();
     let scene = scene_of(views, square(0.0, 34).chain(square(500.0, 20)), |_, _| false);

@@ -186,13 +186,11 @@ impl Hint for OutputError {
             Self::Name { .. } => {
                 "rename the image in the model: names are relative, without \"..\" and empty parts".into()
             }
-            Self::Escapes { .. } => "replace the link by a folder, or write elsewhere with --out".into(),
-            Self::InTheWay { .. } => "move it away, or write elsewhere with --out".into(),
+            Self::Escapes { .. } => "replace the link by a folder".into(),
+            Self::InTheWay { .. } => "move it away, or name another".into(),
             Self::OtherFileSystem { .. } => "write to a folder of one file system with --out".into(),
-            Self::Full { .. } => "make room on that disk, or write elsewhere with --out; nothing was changed".into(),
-            Self::Denied { .. } => {
-                "get write permission there, or write elsewhere with --out; nothing was changed".into()
-            }
+            Self::Full { .. } => "make room on that disk; nothing was changed".into(),
+            Self::Denied { .. } => "get write permission there, or work on a copy; nothing was changed".into(),
             Self::Io { .. } => "see that the disk is there and in order; nothing was changed".into(),
             Self::Journal { .. } => "remove that file and the folder .staging beside it, then plan again".into(),
             Self::Interrupted { .. } => "mend the cause and run again: that puts a whole set in place".into(),

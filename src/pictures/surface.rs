@@ -86,7 +86,7 @@ pub fn surface_ply(plan: &Plan) -> Vec<u8> {
     let mut comments = vec![
         "quality: share of the reachable fulfilment that is reached at the cut".to_string(),
         "chosen_views: chosen key views that fulfil the triangle".to_string(),
-        "reason: why no cluster fulfils the triangle; 0: one does".to_string(),
+        "reason: why no cluster fulfils the triangle to a tenth; 0: one does".to_string(),
     ];
     comments.extend(REASON_NUMBERS.iter().enumerate().map(|(i, r)| format!("reason {}: {}", i + 1, word(*r))));
     ply::write(&plan.surface, &fields, &comments)

@@ -70,7 +70,7 @@ pub struct Plan {
     pub forecast: Forecast,
     /// Status and reason of each view.
     pub views: Vec<(ViewStatus, Option<Reason>)>,
-    /// Reason of each triangle that no cluster fulfils.
+    /// Reason of each triangle that no cluster fulfils to a tenth.
     pub triangle_reasons: Vec<Option<Reason>>,
     pub warnings: Vec<String>,
     /// What was forecast before each stage.

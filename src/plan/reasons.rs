@@ -129,7 +129,7 @@ impl Why<'_> {
         }
     }
 
-    /// The reason of each triangle that no cluster fulfils.
+    /// The reason of each triangle that no cluster fulfils to a tenth.
     pub fn triangles(&self) -> Vec<Option<Reason>> {
         let triangles = self.model.surface.triangles.len();
         let mut best = vec![0f32; triangles];

@@ -9,7 +9,7 @@ use crate::{
     surface::corners::{BORDER, opposites},
 };
 
-/// A connected region of triangles that no cluster fulfils.
+/// A connected region of triangles that no cluster fulfils to a tenth.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Hole {
     /// Square scene units.

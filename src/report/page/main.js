@@ -100,7 +100,7 @@ function drawHoles() {
     make('td', {}, `${rounded(hole.area)} ${unit}²`), make('td', {}, data.reasons[hole.reason - 1])));
   const reasons = [...new Set(data.holes.map(hole => hole.reason - 1))];
   byId('holes').replaceChildren(
-    make('p', {}, `${percent(share)} of the surface (${rounded(data.holes_area)} of ${rounded(data.area)} ${unit}²) cannot be filled by any of the images`
+    make('p', {}, `${percent(share)} of the surface (${rounded(data.holes_area)} of ${rounded(data.area)} ${unit}²) gets less than a tenth of what is wanted from any of the images`
       + ' (grey on the map). The largest places, with their numbers on the map:'),
     make('table', {}, make('tr', {}, ...['where', 'area', 'because'].map(text => make('th', {}, text))), ...rows),
     make('p', {}, 'What helps:'), make('ul', {}, ...reasons.map(reason => make('li', {}, `where ${data.reasons[reason]}: ${data.helps[reason]}.`))),
