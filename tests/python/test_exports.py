@@ -238,7 +238,7 @@ def test_an_export_of_a_plan_and_one_by_hand_are_the_same_set(viewrank, own):
 def test_nothing_is_written_where_one_backend_cannot(viewrank, own, tmp_path):
     (own / "file").write_text("mine")
     said = viewrank("export", own, "--backend", "colmap,openmvs", "--out", own / "file", expect=1).stderr
-    assert "a file is in the way" in said and "--out" in said and (own / "file").read_text() == "mine"
+    assert "a file is in the way" in said and "move it away" in said and (own / "file").read_text() == "mine"
     viewrank("export", own, "--backend", "openmvs", "--tiles", "2", "--out", tmp_path / "out/colmap")
     viewrank("export", own, "--backend", "openmvs,colmap", "--tiles", "2", "--out", tmp_path / "out", expect=1)
     assert not (tmp_path / "out/openmvs").exists()
