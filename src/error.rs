@@ -5,4 +5,9 @@
 pub trait Hint: std::error::Error {
     /// A sentence that starts with a verb, or `None` where there is nothing to advise.
     fn hint(&self) -> Option<String>;
+
+    /// Is what was typed or set wrong, so that nothing was tried?
+    fn is_usage(&self) -> bool {
+        false
+    }
 }

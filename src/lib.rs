@@ -13,7 +13,7 @@
 //! - [`pictures`] and [`report`] what people look at; [`tables`] what programs check; [`dispatch`] the clusters as tasks of a queue
 //! - [`plan`] runs the stages; [`evaluate`] method 8: real fulfilment, baselines; [`replan`] method 5.4; [`output`] makes files appear whole or not at all
 //! - [`doctor`] what is wrong with a project before it is planned
-//! - [`config`] every setting; [`progress`] progress and cancellation; [`error`] what errors say beside their message
+//! - [`config`] every setting; [`progress`] progress and cancellation; [`error`] what errors say beside their message; [`shell`] commands to type
 
 pub mod backends;
 pub mod camera;
@@ -39,6 +39,7 @@ pub mod ranking;
 pub mod replan;
 pub mod report;
 pub mod scene;
+pub mod shell;
 pub mod surface;
 pub mod synthetic;
 pub mod tables;

@@ -211,4 +211,8 @@ impl Hint for ProjectError {
             }
         })
     }
+
+    fn is_usage(&self) -> bool {
+        matches!(self, Self::NoSuchModel { .. })
+    }
 }

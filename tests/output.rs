@@ -246,6 +246,18 @@ fn a_process_that_dies_at_any_instant_leaves_what_recovery_makes_whole() {
 }
 
 #[test]
+fn what_was_staged_and_never_announced_goes() {
+    let folder = empty_folder();
+    write(folder.path(), &[("viewrank/a", "1")]);
+    let staging = folder.path().join("viewrank/.staging");
+    fs::create_dir(&staging).unwrap();
+    fs::write(staging.join("0.new"), "2").unwrap();
+    recover(folder.path(), &Disk::REAL).unwrap();
+    assert!(!staging.exists());
+    assert_eq!(fs::read_to_string(folder.path().join("viewrank/a")).unwrap(), "1");
+}
+
+#[test]
 fn recovery_may_itself_be_killed() {
     let (old, new, operations) = undisturbed();
     for at in (0..operations).step_by(3) {

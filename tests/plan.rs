@@ -202,7 +202,7 @@ fn budgets_and_targets_cut_where_they_say() {
     assert_eq!(cut(&["--points", "0"]), 0);
     assert!(cut(&["--target", "50%"]) < cut(&["--target", "95%"]));
     let (code, stderr) = failure(&["plan", project.path().to_str().unwrap(), "--time", "2h", "-q"]);
-    assert_eq!(code, 1);
+    assert_eq!(code, 2);
     assert!(stderr.contains("the time limit") && stderr.contains("hint: time one depth map"), "{stderr}");
     fs::write(project.path().join("viewrank.toml"), "[forecast]\nseconds_per_map = 10\nseconds_per_pair = 2\n")
         .unwrap();
@@ -249,7 +249,9 @@ fn wrong_usage_is_2_and_failure_is_1_each_with_a_hint() {
         (vec!["plan", root, "-k", "0"], 2, "hint: "),
         (vec!["plan", root, "--target", "80"], 2, "such as 80%"),
         (vec!["plan", root, "--backend", "sgmm"], 2, "hint: "),
-        (vec!["plan", root, "--model", "7"], 1, "hint: "),
+        (vec!["plan", root, "--model", "7"], 2, "hint: "),
+        (vec!["plan", root, "--confidence", "geomtric"], 2, "hint: give none, geometric"),
+        (vec!["plan", root, "--up", "0,1"], 2, "three numbers"),
         (vec!["plan", "/nowhere/at/all"], 1, "hint: "),
     ] {
         let (found, stderr) = failure(&arguments);

@@ -7,7 +7,7 @@ use serde_json::{Value, json};
 
 use super::{
     Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, PATCH_MATCH, PlanningNumbers,
-    RankedCluster, Selection,
+    RankedCluster, Selection, selection,
 };
 use crate::{
     output::Contents,
@@ -59,7 +59,8 @@ impl Backend for AliceVision {
             let path = format!("clusters/{:04}.sfm", i + 1);
             files.add_text(&*path, text(&cluster_file(scene, &points, cluster)));
             record.commands.push(estimation(selection, cluster, &path));
-            let without = cluster.partners.iter().filter(|p| !shares_points(scene, &points, cluster.key, **p));
+            let shared = selection::shared_points(scene, &points, cluster.key);
+            let without = cluster.partners.iter().filter(|p| shared[p.at()] == 0);
             record.not_honoured.extend(without.map(|&p| {
                 let (key, partner) = (scene.name(cluster.key), scene.name(p));
                 format!("{key}: its partner {partner} shares no sparse point with it, without which AliceVision does not use it")
@@ -118,10 +119,6 @@ fn image_path(scene: &Scene, view: ViewIndex) -> String {
     let extension =
         Path::new(scene.name(view)).extension().map_or("jpg".into(), |e| e.to_string_lossy().to_ascii_lowercase());
     format!("images/{}.{extension}", scene.view(view).image_id)
-}
-
-fn shares_points(scene: &Scene, points: &ViewPoints, key: ViewIndex, partner: ViewIndex) -> bool {
-    points.of(key).iter().any(|&p| scene.track_views(p).contains(&partner))
 }
 
 /// A landmark and who observes it.

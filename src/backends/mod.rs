@@ -3,7 +3,7 @@
 //! A backend says which pairs it can match and how its confidence runs (what a plan is made for), and turns a [`Selection`] into
 //! the files that make the program compute the chosen view clusters. It returns what is to be written; [`crate::output`] writes.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use nalgebra::Vector3;
 use schemars::JsonSchema;
@@ -18,6 +18,7 @@ use crate::{
     plan::Reason,
     project::{Project, ProjectError},
     scene::ViewIndex,
+    shell::quoted_path,
 };
 
 mod alicevision;
@@ -512,17 +513,6 @@ pub struct TaskRunner {
     pub maps: Vec<Option<PathBuf>>,
 }
 
-/// A word for sh, quoted where it must be.
-pub fn shell_quoted(word: &str) -> String {
-    let plain = !word.is_empty() && word.chars().all(|c| c.is_alphanumeric() || "/._-+=:,%@".contains(c));
-    if plain { word.into() } else { format!("'{}'", word.replace('\'', r"'\''")) }
-}
-
-/// A path in a command that somebody is to type.
-pub fn quoted_path(path: &Path) -> String {
-    shell_quoted(&path.display().to_string())
-}
-
 /// Why a backend's files cannot be made.
 #[derive(Debug, thiserror::Error)]
 pub enum BackendError {
@@ -570,6 +560,10 @@ impl Hint for BackendError {
             Self::Model(error) => return error.hint(),
         })
     }
+
+    fn is_usage(&self) -> bool {
+        matches!(self, Self::Unknown { .. } | Self::Option { .. })
+    }
 }
 
 #[cfg(test)]
@@ -605,12 +599,6 @@ mod tests {
         let hint = |name: &str| by_name(name).err().unwrap().hint().unwrap();
         assert!(hint("colmpa").starts_with("did you mean colmap? take one of sure, "));
         assert!(hint("xyz").starts_with("take one of sure, "));
-    }
-
-    #[test]
-    fn paths_in_commands_are_one_word() {
-        assert_eq!(quoted_path(Path::new("/a b/it's")), r"'/a b/it'\''s'");
-        assert_eq!(quoted_path(Path::new("/a-b/c_1.x")), "/a-b/c_1.x");
     }
 
     #[test]

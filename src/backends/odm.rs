@@ -5,9 +5,9 @@ use super::{
     Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, Patient, PlanningNumbers,
     Selection, Trap,
     openmvs::{self, OpenMvs},
-    quoted_path, selection,
+    selection,
 };
-use crate::{output::Contents, project::ModelFormat};
+use crate::{output::Contents, project::ModelFormat, shell::quoted_path};
 
 pub struct Odm;
 

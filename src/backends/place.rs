@@ -10,9 +10,20 @@ use crate::{
     project::Project,
 };
 
-/// Where an export or its first tile has its record.
+/// Where an export has its record, and where its first tile has one.
 const RECORDS: [&str; 4] =
     ["export.json", "stereo/viewrank/export.json", "tile_01/export.json", "tile_01/stereo/viewrank/export.json"];
+
+/// The folder of the export that has its record at a path, relative to what the path is, and whether it is in tiles; `None` where no
+/// export has it there.
+pub fn folder_of_record(record: &str) -> Option<(&str, bool)> {
+    let below = |name: &&str| record.strip_suffix(*name).filter(|folder| folder.is_empty() || folder.ends_with('/'));
+    let folder = RECORDS[..2].iter().rev().find_map(below)?.trim_end_matches('/');
+    Some(match folder.rsplit_once('/') {
+        Some((above, tile)) if tile.starts_with("tile_") => (above, true),
+        _ => (folder, false),
+    })
+}
 
 /// The files of exports below one folder, to appear together. Below the project they are a set of the project, so that links stay within it;
 /// a later set of the same folder takes the place of this one, and no other.
@@ -93,6 +104,11 @@ pub(super) fn path_from(folder: &Path, above: &Path) -> PathBuf {
     }
 }
 
+/// Are both the same folder?
+pub fn is_same(one: &Path, other: &Path) -> bool {
+    real(one) == real(other)
+}
+
 /// The path without links and `..`, also of something that isn't there yet.
 fn real(path: &Path) -> PathBuf {
     let absolute = std::path::absolute(path).unwrap_or_else(|_| path.to_path_buf());
@@ -110,6 +126,20 @@ fn real(path: &Path) -> PathBuf {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn records_lie_where_exports_are_found() {
+        for (record, found) in [
+            ("viewrank/openmvs/export.json", Some(("viewrank/openmvs", false))),
+            ("dense/stereo/viewrank/export.json", Some(("dense", false))),
+            ("viewrank/colmap-tiles/tile_02/stereo/viewrank/export.json", Some(("viewrank/colmap-tiles", true))),
+            ("viewrank/openmvs-tiles/tile_01/export.json", Some(("viewrank/openmvs-tiles", true))),
+            ("export.json", Some(("", false))),
+            ("viewrank/openmvs/my_export.json", None),
+        ] {
+            assert_eq!(folder_of_record(record), found, "{record}");
+        }
+    }
 
     #[test]
     fn a_path_is_real_before_it_is_there() {

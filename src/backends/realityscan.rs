@@ -7,9 +7,9 @@ use super::{
     Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, Patient, PlanningNumbers,
     Selection, Trap,
     images::{ANY_PROGRAM, name_lines},
-    quoted_path,
 };
 use crate::scene::ViewIndex;
+use crate::shell::quoted_path;
 
 pub struct RealityScan;
 

@@ -4,10 +4,11 @@ use std::{borrow::Cow, path::Path};
 
 use nalgebra::Vector3;
 
-use super::{BackendError, quoted_path};
+use super::BackendError;
 use crate::{
     project::{ImageFaults, Project},
     scene::{Scene, ViewIndex, ViewPoints},
+    shell::quoted_path,
 };
 
 /// A view cluster with its place in the ranking.

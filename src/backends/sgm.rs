@@ -2,9 +2,10 @@
 
 use super::{
     Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Gate, Honours, PlanningNumbers,
-    Selection, TaskRunner, place, quoted_path, shell_quoted, sure,
+    Selection, TaskRunner, place, sure,
 };
 use crate::confidence::PairConfidence;
+use crate::shell::quoted_path;
 
 pub struct Sgm;
 
@@ -62,10 +63,10 @@ impl Backend for Sgm {
 
     fn tasks(&self, selection: &Selection, export: &Export) -> Option<TaskRunner> {
         let out = selection.project.root.join("sgm");
-        let folder = shell_quoted(&out.display().to_string());
+        let folder = quoted_path(&out);
         let command = format!(
             "\"$python\" \"$program\" match \"$project\" --clusters {} --out {folder} --image-scale {}",
-            shell_quoted(&export.files.root.join("clusters.txt").display().to_string()),
+            quoted_path(&export.files.root.join("clusters.txt")),
             selection.image_scale
         );
         let map = |c: &super::RankedCluster| Some(out.join(format!("depth_maps/{}.npy", selection.scene.name(c.key))));

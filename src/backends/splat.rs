@@ -10,12 +10,12 @@ use super::{
     Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, Patient, PlanningNumbers,
     Selection, Trap,
     images::{ANY_PROGRAM, listed_views, name_lines},
-    quoted_path,
     workspace::add_workspace,
 };
 use crate::{
     output::{Contents, FileSet},
     scene::{PointIndex, ViewIndex},
+    shell::quoted_path,
 };
 
 pub struct Splat;

@@ -39,7 +39,7 @@ impl Entry {
 
 pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let entries: Vec<Entry> = match &arguments.name {
-        Some(name) => vec![Entry::new(backends::by_name(name).map_err(Failure::usage)?)],
+        Some(name) => vec![Entry::new(backends::by_name(name)?)],
         None => backends::all().iter().map(|b| Entry::new(*b)).collect(),
     };
     match (arguments.format, &arguments.name) {

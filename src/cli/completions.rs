@@ -44,7 +44,7 @@ fn definition(subcommand: Option<&str>) -> Result<Command, Failure> {
     let Some(name) = subcommand else { return Ok(program) };
     match program.find_subcommand(name) {
         Some(found) => Ok(found.clone()),
-        None => Err(Failure::usage(UnknownSubcommand(name.into()))),
+        None => Err(UnknownSubcommand(name.into()).into()),
     }
 }
 
@@ -55,5 +55,9 @@ struct UnknownSubcommand(String);
 impl viewrank::error::Hint for UnknownSubcommand {
     fn hint(&self) -> Option<String> {
         Some("type viewrank --help for the list".into())
+    }
+
+    fn is_usage(&self) -> bool {
+        true
     }
 }

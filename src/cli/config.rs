@@ -37,7 +37,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
 /// Defaults, the user's file, the project's file, the command line: wrong settings are wrong usage.
 pub fn load(project: Option<&Path>, typed: Typed) -> Result<Configuration, Failure> {
     let files = Files { user: user_file(), project: project.map(|folder| folder.join("viewrank.toml")) };
-    Configuration::load(&files, typed).map_err(Failure::usage)
+    Ok(Configuration::load(&files, typed)?)
 }
 
 fn value_of<'a>(values: &'a Value, key: &Key) -> &'a Value {

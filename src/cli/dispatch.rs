@@ -17,6 +17,7 @@ use viewrank::{
     },
     manifest::WrittenPlan,
     output::{self, Contents, Disk, FileSet, Written},
+    shell::{quoted, quoted_path},
 };
 
 use super::{Failure, Format, config, json, print, progress::Progress};
@@ -103,7 +104,7 @@ struct Report<'a> {
 
 pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let plan = WrittenPlan::read(&arguments.project)?;
-    let backend = backends::by_name(arguments.backend.as_ref().unwrap_or(&plan.backend)).map_err(Failure::usage)?;
+    let backend = backends::by_name(arguments.backend.as_ref().unwrap_or(&plan.backend))?;
     let settings = config::load(Some(&plan.project.root), arguments.typed())?.settings.dispatch;
     let selection = Selection {
         project: &plan.project,
@@ -252,7 +253,7 @@ impl Report<'_> {
                 }
                 let commands = commands.iter().filter(|_| arguments.dry_run);
                 for command in commands {
-                    let words: Vec<String> = command.iter().map(|word| backends::shell_quoted(word)).collect();
+                    let words: Vec<String> = command.iter().map(|word| quoted(word)).collect();
                     let _ = writeln!(text, "  would run     {}", words.join(" "));
                 }
                 text
@@ -263,7 +264,7 @@ impl Report<'_> {
 
 /// How the scripts are started without a queue.
 fn by_hand(dispatch: &Dispatch, arguments: &Arguments) -> String {
-    let script = |name: &str| backends::shell_quoted(&dispatch.folder.join(name).display().to_string());
+    let script = |name: &str| quoted_path(&dispatch.folder.join(name));
     let (task, fuse) = (script("task.sh"), script("fuse.sh"));
     let last = dispatch.tasks.last().map_or(0, |task| task.rank);
     let jobs = arguments.at_once.unwrap_or(2);

@@ -42,7 +42,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let project = Project::open(&arguments.project, arguments.model.as_deref())?;
     let settings = config::load(Some(&project.root), Default::default())?.settings;
     let wanted = if arguments.backend.is_empty() { &settings.backends } else { &arguments.backend };
-    let backends = backends_to_visit(&project, wanted, arguments.backend.is_empty()).map_err(Failure::usage)?;
+    let backends = backends_to_visit(&project, wanted, arguments.backend.is_empty())?;
     let scene = project.read_scene()?;
     let findings = doctor::examine(&project, &scene, &settings, &backends);
     match arguments.format {

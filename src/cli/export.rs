@@ -107,7 +107,7 @@ struct Made {
 
 pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let plan = WrittenPlan::read(&arguments.project)?;
-    let backends = arguments.backends(&plan).map_err(Failure::usage)?;
+    let backends = arguments.backends(&plan)?;
     let clusters = &plan.clusters[..plan.cut_at(arguments.budget, arguments.target)];
     let selection = Selection {
         project: &plan.project,

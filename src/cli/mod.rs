@@ -59,11 +59,6 @@ pub struct Failure {
 }
 
 impl Failure {
-    /// The failure that `error` is, with another exit code than [`Exit::Failed`].
-    pub fn usage(error: impl Hint) -> Self {
-        Self { exit: Exit::Usage, ..error.into() }
-    }
-
     pub fn print(&self) {
         eprintln!("error: {}", self.message);
         if let Some(hint) = &self.hint {
@@ -74,7 +69,8 @@ impl Failure {
 
 impl<E: Hint> From<E> for Failure {
     fn from(error: E) -> Self {
-        Self { exit: Exit::Failed, message: error.to_string(), hint: error.hint() }
+        let exit = if error.is_usage() { Exit::Usage } else { Exit::Failed };
+        Self { exit, message: error.to_string(), hint: error.hint() }
     }
 }
 

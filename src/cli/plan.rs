@@ -31,7 +31,7 @@ pub struct Arguments {
     /// Stop after N view clusters, or after P % of the registered views
     #[arg(long, value_name = "N|P%", help_heading = "What is chosen")]
     budget: Option<String>,
-    /// Stop at P % of what all view clusters together reach [default: 90%]
+    /// Stop at P % of what all view clusters together reach [default: 90%, where nothing else says where to stop]
     #[arg(long, value_name = "P%", help_heading = "What is chosen")]
     target: Option<String>,
     /// Stop before the forecast time of matching exceeds T, such as 2h or 90min
@@ -58,15 +58,8 @@ pub struct Arguments {
     #[arg(long, value_name = "KIND", value_parser = ["3d", "terrain", "auto"], help_heading = "How")]
     surface: Option<String>,
     /// Up direction of the terrain surface [default: from the cameras]
-    #[arg(
-        long,
-        value_name = "X,Y,Z",
-        value_delimiter = ',',
-        num_args = 3,
-        allow_negative_numbers = true,
-        help_heading = "How"
-    )]
-    up: Option<Vec<f64>>,
+    #[arg(long, value_name = "X,Y,Z", value_parser = direction, allow_hyphen_values = true, help_heading = "How")]
+    up: Option<[f64; 3]>,
     /// Take the surface from a PLY file
     #[arg(long, value_name = "FILE", help_heading = "How")]
     mesh: Option<PathBuf>,
@@ -154,7 +147,7 @@ impl Arguments {
         };
         typed.set("--confidence", "confidence.source", self.confidence.as_ref().map(source));
         typed.set("--surface", "surface.kind", self.surface.clone());
-        typed.set("--up", "surface.up", self.up.clone());
+        typed.set("--up", "surface.up", self.up.map(Vec::from));
         typed.set("--mesh", "surface.mesh", self.mesh.as_ref().map(path));
         typed.set("--mesh-as-is", "surface.mesh_as_is", self.mesh_as_is.then_some(true));
         typed.set("--backend", "backends", self.backend.clone());
@@ -162,6 +155,12 @@ impl Arguments {
         typed.set("--max-memory", "max_memory", self.max_memory.clone());
         typed
     }
+}
+
+fn direction(text: &str) -> Result<[f64; 3], String> {
+    let wrong = "three numbers with commas between, such as 0,0,1";
+    let numbers: Vec<f64> = text.split(',').map(|n| n.trim().parse().map_err(|_| wrong)).collect::<Result<_, _>>()?;
+    Ok(numbers.try_into().map_err(|_| wrong)?)
 }
 
 fn write(arguments: &Arguments, plan: &Plan, files: &PlanFiles, progress: &Progress) -> Result<(), Failure> {

@@ -47,7 +47,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let mut files = FileSet::new(&arguments.out, "predict");
     for (name, picture, raw) in made {
         if files.files.contains_key(&format!("{name}.png")) {
-            return Err(Failure::usage(Same(name)));
+            return Err(Same(name).into());
         }
         files.add(format!("{name}.png"), Contents::Bytes(picture));
         files.add(format!("{name}.npy"), Contents::Bytes(raw));
@@ -68,7 +68,7 @@ fn predictor(source: Option<&str>) -> Result<Box<dyn Predictor>, Failure> {
     match trained {
         None => Ok(Box::new(Proxy)),
         Some(Trained { picture: Some(picture), .. }) => Ok(Box::new(picture)),
-        Some(_) => Err(Failure::usage(NoPicture)),
+        Some(_) => Err(NoPicture.into()),
     }
 }
 
@@ -97,6 +97,10 @@ impl Hint for Same {
     fn hint(&self) -> Option<String> {
         Some("give images of one folder at a time".into())
     }
+
+    fn is_usage(&self) -> bool {
+        true
+    }
 }
 
 #[derive(Debug, thiserror::Error)]
@@ -106,5 +110,9 @@ struct NoPicture;
 impl Hint for NoPicture {
     fn hint(&self) -> Option<String> {
         Some("train where the images are there, or take --confidence proxy".into())
+    }
+
+    fn is_usage(&self) -> bool {
+        true
     }
 }

@@ -8,9 +8,9 @@ use std::{
 
 use clap::Args;
 use viewrank::{
-    backends::quoted_path,
     daemon::{Line, read_status, state::ProjectStatus},
     error::Hint,
+    shell::quoted_path,
 };
 
 use super::{Failure, print};

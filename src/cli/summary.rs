@@ -4,11 +4,12 @@ use std::fmt::Write;
 
 use serde::Serialize;
 use viewrank::{
-    backends::{self, quoted_path, shell_quoted},
+    backends,
     manifest::Manifest,
     plan::{Cut, Forecast, Memory, Plan, PlanFiles, Timings},
     project::Project,
     scene::Units,
+    shell::{quoted, quoted_path},
 };
 
 /// Shares of the curve that are shown, beside the cut.
@@ -150,7 +151,12 @@ impl<'a> Summary<'a> {
         for length in lengths {
             let pairs: usize = clusters[..length].iter().map(|c| c.partners.len()).sum();
             let quality = clusters[length - 1].share * 100.0;
-            let mark = if length == self.cut.clusters { "  <- the plan stops here" } else { "" };
+            let rest = self.forecast.all_maps.saturating_sub(length);
+            let mark = match length {
+                _ if length == self.cut.clusters => "  <- the plan stops here".into(),
+                _ if length == clusters.len() && rest > 0 => format!("  <- {} more would add nothing", grouped(rest)),
+                _ => String::new(),
+            };
             let pairs = if matched { format!(" {:>8}", grouped(pairs)) } else { String::new() };
             let _ = writeln!(text, "  {:>10}{pairs}  {quality:>5.1} %{mark}", grouped(length));
         }
@@ -199,7 +205,7 @@ fn next(project: &Project, plan: &Plan, files: &PlanFiles, dry_run: bool) -> Str
     match &files.command {
         _ if dry_run => {
             let typed = std::env::args().skip(1).filter(|argument| argument != "--dry-run");
-            typed.fold("viewrank".into(), |command, argument| command + " " + &shell_quoted(&argument))
+            typed.fold("viewrank".into(), |command, argument| command + " " + &quoted(&argument))
         }
         _ if plan.cut.clusters == 0 => format!("viewrank doctor {root}"),
         Some(command) => command.clone(),

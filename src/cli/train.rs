@@ -17,6 +17,7 @@ use viewrank::{
     partners::ViewCluster,
     plan::{self, Plan},
     project::Project,
+    shell::quoted_path,
 };
 
 use super::{Failure, Format, config, json, print, progress::Progress, use_threads};
@@ -69,7 +70,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let prepared: Vec<Prepared> =
         arguments.projects.iter().map(|root| prepare(arguments, root, &progress)).collect::<Result<_, _>>()?;
     let name = backend(arguments, &prepared[0].maps.maps[0].format);
-    let backend = backends::by_name(&name).map_err(Failure::usage)?;
+    let backend = backends::by_name(&name)?;
     let lessons: Vec<Lesson> = prepared.iter().map(lesson).collect();
     let min_matches = backend.planning().confidence.min_matches;
     let course = Course { backend: backend.name().into(), min_matches, seed: arguments.seed };
@@ -147,7 +148,7 @@ fn text(arguments: &Arguments, trained: &Trained) -> String {
         m.pixels,
         m.pixel_auc,
         m.pixel_brier,
-        backends::quoted_path(&arguments.projects[0]),
+        quoted_path(&arguments.projects[0]),
         arguments.out.display(),
     )
 }

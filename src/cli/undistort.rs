@@ -4,9 +4,9 @@ use std::path::PathBuf;
 
 use clap::Args;
 use viewrank::{
-    backends::quoted_path,
     output::Disk,
     project::Project,
+    shell::quoted_path,
     undistort::{self, Options, Undistorted},
 };
 

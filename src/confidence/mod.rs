@@ -200,13 +200,31 @@ impl Confidence {
             (Source::None, _, _) => Self::None,
             (Source::Proxy, ConfidenceForm::Paper, _) => Self::Paper { min_matches },
             (_, ConfidenceForm::Paper, Some(Trained { picture: Some(_), .. })) => Self::Paper { min_matches },
-            (_, _, Some(trained)) => Self::Trained(trained.pair),
+            (_, _, Some(Trained { pair, .. })) => {
+                Self::Trained(PairCurves { min_matches: settings.min_matches.unwrap_or(pair.min_matches), ..*pair })
+            }
             _ => Self::Pair(numbers),
         }
     }
 }
 
 impl Confidence {
+    /// Puts the numbers that it has into the settings that it heeds.
+    pub fn fill_in(&self, settings: &mut ConfidenceSettings) {
+        match self {
+            Self::None => {}
+            Self::Trained(curves) => settings.min_matches = Some(curves.min_matches),
+            Self::Paper { min_matches } => settings.min_matches = Some(*min_matches),
+            Self::Pair(numbers) => {
+                settings.min_matches = Some(numbers.min_matches);
+                settings.p0 = Some(numbers.p0);
+                settings.cosine_power = Some(numbers.cosine_power);
+                settings.scale_octaves = Some(numbers.scale_octaves.unwrap_or(0.0));
+                settings.full_angle = Some(numbers.full_angle_deg.unwrap_or(0.0));
+            }
+        }
+    }
+
     /// Matches that must succeed; 0: none, f_conf is 1.
     pub fn min_matches(&self) -> u32 {
         match self {

@@ -245,4 +245,12 @@ impl Hint for TrainedError {
             Self::Version { .. } => "train the model again with this viewrank".into(),
         })
     }
+
+    fn is_usage(&self) -> bool {
+        match self {
+            Self::NotShipped => true,
+            Self::Io { source, .. } => source.kind() == std::io::ErrorKind::NotFound,
+            Self::Format { .. } | Self::Version { .. } => false,
+        }
+    }
 }

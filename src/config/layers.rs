@@ -299,6 +299,10 @@ impl Hint for ConfigError {
             },
         })
     }
+
+    fn is_usage(&self) -> bool {
+        true
+    }
 }
 
 /// The known key that was probably meant: alike as a whole, or alike in its last part.

@@ -299,7 +299,7 @@ pub enum ConfidenceForm {
     Paper,
 }
 
-/// Method 7. Unset numbers are the backend's.
+/// Method 7. Unset numbers are the backend's; in a manifest those that what predicts success does not heed.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct ConfidenceSettings {
@@ -394,6 +394,13 @@ pub struct ForecastSettings {
     /// Points that a depth map has before fusion. Unset: the pixels that are expected to be measured.
     #[schemars(extend("unit" = "points", "exclusiveMinimum" = 0))]
     pub points_per_map: Option<f64>,
+}
+
+impl ForecastSettings {
+    /// Is it known how long matching takes?
+    pub fn knows_times(&self) -> bool {
+        self.seconds_per_map.is_some() || self.seconds_per_pair.is_some()
+    }
 }
 
 /// What `viewrank dispatch` asks of a queue for each view cluster. No part of a plan: manifests hold the defaults.

@@ -15,10 +15,11 @@ use std::{
 };
 
 use crate::{
-    backends::{Backend, Export, RankedCluster, Selection, TaskRunner, shell_quoted},
+    backends::{Backend, Export, RankedCluster, Selection, TaskRunner},
     config::DispatchSettings,
     error::Hint,
     output::{Contents, FileSet},
+    shell::quoted,
 };
 
 /// The depth map of one view cluster.
@@ -152,7 +153,7 @@ impl Dispatch {
 
     /// What the scripts know. They are copied away when they are submitted, so that every path is whole.
     fn head(&self, tools: &Tools, settings: &DispatchSettings) -> String {
-        let path = |path: &Path| shell_quoted(&path.display().to_string());
+        let path = |path: &Path| quoted(&path.display().to_string());
         let TaskRunner { compute, fuse, .. } = &self.runner;
         let workplace = std::path::absolute(&self.workplace).unwrap_or(self.workplace.clone());
         let body = |name: &str, command: &str| format!("{name}() {{\n    cd {} && {command}\n}}\n", path(&workplace));

@@ -28,16 +28,16 @@ const PRESENT: f64 = 0.2;
 
 pub fn findings(visit: &Visit) -> Vec<Finding> {
     let views: Vec<ViewIndex> = visit.scene.view_indices().collect();
-    let judged: Vec<(usize, Vec<Overlap>)> = views.par_iter().map(|&view| overlaps(visit, view)).collect();
+    let judged: Vec<(ViewIndex, Vec<Overlap>)> = views.par_iter().map(|&view| overlaps(visit, view)).collect();
     let mut findings: Vec<Finding> = parts(visit).into_iter().collect();
     let of = |wrong: &dyn Fn(&Overlap) -> bool| -> Vec<(String, String)> {
-        let most = |(_, found): &&(usize, Vec<Overlap>)| {
+        let most = |(_, found): &&(ViewIndex, Vec<Overlap>)| {
             let bad = found.iter().filter(|overlap| wrong(overlap)).count();
             bad > 0 && 2 * bad > found.len()
         };
-        let words = |(view, found): &(usize, Vec<Overlap>)| {
+        let words = |(view, found): &(ViewIndex, Vec<Overlap>)| {
             let of = found.iter().find(|overlap| wrong(overlap)).map(|o| o.words(visit)).unwrap_or_default();
-            (visit.name(ViewIndex(*view as u32)), of)
+            (visit.name(*view), of)
         };
         judged.iter().filter(most).map(words).collect()
     };
@@ -90,7 +90,7 @@ impl Overlap {
 }
 
 /// The overlaps of a view with its nearest neighbours of similar direction and scale.
-fn overlaps(visit: &Visit, view: ViewIndex) -> (usize, Vec<Overlap>) {
+fn overlaps(visit: &Visit, view: ViewIndex) -> (ViewIndex, Vec<Overlap>) {
     let scene = visit.scene;
     let centre = scene.view(view).cam_from_world.centre();
     let mut others: Vec<(f64, ViewIndex)> = scene
@@ -98,11 +98,16 @@ fn overlaps(visit: &Visit, view: ViewIndex) -> (usize, Vec<Overlap>) {
         .filter(|&v| v != view)
         .map(|v| ((scene.view(v).cam_from_world.centre() - centre).norm_squared(), v))
         .collect();
-    others.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+    let nearer = |a: &(f64, ViewIndex), b: &(f64, ViewIndex)| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1));
+    if others.len() > NEAREST {
+        others.select_nth_unstable_by(NEAREST, nearer);
+        others.truncate(NEAREST);
+    }
+    others.sort_by(nearer);
     let all = visit.points.of(view);
     let sample: Vec<PointIndex> = all.iter().step_by(all.len().div_ceil(SAMPLE).max(1)).copied().collect();
-    let found = others.iter().take(NEAREST).filter_map(|&(_, other)| overlap(visit, view, other, &sample)).collect();
-    (view.at(), found)
+    let found = others.iter().filter_map(|&(_, other)| overlap(visit, view, other, &sample)).collect();
+    (view, found)
 }
 
 fn overlap(visit: &Visit, view: ViewIndex, other: ViewIndex, sample: &[PointIndex]) -> Option<Overlap> {

@@ -10,10 +10,11 @@ mod tests;
 use serde::Serialize;
 
 use crate::{
-    backends::{Backend, Patient, quoted_path},
+    backends::{Backend, Patient},
     config::Settings,
     project::{ImageFaults, Project},
     scene::{Scene, ViewIndex, ViewPoints},
+    shell::quoted_path,
 };
 
 /// How bad a finding is.

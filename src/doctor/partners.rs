@@ -12,8 +12,6 @@ use crate::{
     scene::{PointIndex, ViewIndex},
 };
 
-/// More than half of the shared points without a triangulation angle: the two views stand at one position (method 4).
-const STILL: f64 = 0.5;
 /// Share of the sparse points that only views without partners see, from which on their loss is no longer the usual border of a
 /// block; and the share of the views themselves.
 const LOST: f64 = 0.01;
@@ -68,7 +66,7 @@ fn look(visit: &Visit, view: ViewIndex) -> Looked {
     let around = neighbours(visit.scene, visit.points, view);
     let pairs: Vec<PairGeometry> =
         around.iter().map(|(other, shared)| PairGeometry::new(visit.scene, view, *other, shared)).collect();
-    let (still, moving): (Vec<_>, Vec<_>) = pairs.into_iter().partition(|pair| pair.still_share > STILL);
+    let (still, moving): (Vec<_>, Vec<_>) = pairs.into_iter().partition(PairGeometry::has_no_baseline);
     let verdicts = visit.backend.refusals(&moving);
     let mut looked = Looked {
         view,
@@ -151,7 +149,8 @@ fn fewer_than_wanted(visit: &Visit, looked: &[Looked]) -> Option<Finding> {
     let few: Vec<&Looked> = looked.iter().filter(|l| (least..wanted).contains(&l.partners)).collect();
     (!few.is_empty()).then(|| {
         let what = format!("{} with fewer than the {wanted} partners that are wanted", counted(few.len(), "view"));
-        let cure = format!("nothing, they get those that there are; -k {least} asks for no more");
+        let fewest = few.iter().map(|l| l.partners).min().unwrap_or(least);
+        let cure = format!("nothing, they get those that there are; -k {fewest} asks for no more");
         Finding::new(Severity::Note, "fewer-partners-than-k", what, cure).of_views(words(visit, few))
     })
 }

@@ -40,11 +40,7 @@ impl Target {
         gsd: f64,
         image_scale: f64,
     ) -> Self {
-        let mode = match settings.mode {
-            TargetMode::Auto if settings.gsd.is_some() => TargetMode::Absolute,
-            TargetMode::Auto => TargetMode::Best,
-            chosen => chosen,
-        };
+        let mode = settings.mode.in_force(settings.gsd.is_some());
         let accuracy_over_gsd = settings.accuracy.map_or(1.0, |accuracy| accuracy / gsd);
         let finest = match mode {
             TargetMode::Best => finest(scene, surface, visibility),

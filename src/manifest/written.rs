@@ -6,12 +6,13 @@ use serde::Deserialize;
 
 use super::{FingerprintError, VERSION, fingerprint};
 use crate::{
-    backends::{RankedCluster, quoted_path},
+    backends::RankedCluster,
     config::{Budget, Settings, Share},
     error::Hint,
     plan::{Outdated, Plan},
     project::{Project, ProjectError},
     scene::{Scene, ViewIndex},
+    shell::quoted_path,
 };
 
 /// A ranking with the project and the scene that it belongs to.

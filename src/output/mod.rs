@@ -101,7 +101,8 @@ pub fn recorded(root: &Path, prefix: &str) -> Vec<String> {
     record::Records::read(root).paths(prefix)
 }
 
-/// Finishes or undoes the set that a killed run left half in place under `root`; for those who read what was written.
+/// Finishes or undoes the set that a killed run left half in place under `root`, and clears what it staged; for those who read what was
+/// written.
 pub fn recover(root: &Path, disk: &Disk) -> Result<(), OutputError> {
     transaction::recover(root, disk)
 }

@@ -73,7 +73,13 @@ pub(super) fn write(path: &Path, sets: &[&FileSet], disk: &Disk) -> Result<Vec<W
 }
 
 pub(super) fn recover(root: &Path, disk: &Disk) -> Result<(), OutputError> {
-    if root.join(JOURNAL).exists() { Root::open(root, disk)?.settle() } else { Ok(()) }
+    let announced = root.join(JOURNAL).exists();
+    if !announced && !root.join(STAGING).exists() {
+        return Ok(());
+    }
+    let settled = Root::open(root, disk).and_then(|root| root.settle());
+    // What was staged and never announced is in nobody's way.
+    if announced { settled } else { Ok(()) }
 }
 
 impl<'a> Root<'a> {

@@ -63,6 +63,8 @@ impl Candidates {
 
 /// Below this triangulation angle, degrees, two views stand still at a point.
 const STILL_DEG: f64 = 0.5;
+/// Two views have no baseline where they stand still at more than this share of the shared points.
+const STILL_SHARE: f64 = 0.5;
 
 /// The n views with the most shared points of those that have a baseline and that the backend can match, ties by name.
 pub fn candidates(
@@ -109,7 +111,7 @@ fn select(
 ) -> (Vec<ViewIndex>, Vec<Refusal>) {
     let pairs: Vec<PairGeometry> =
         neighbours.pairs().map(|(v, shared)| PairGeometry::new(scene, key, v, shared)).collect();
-    let (still, moving): (Vec<_>, Vec<_>) = pairs.into_iter().partition(|pair| pair.still_share > 0.5);
+    let (still, moving): (Vec<_>, Vec<_>) = pairs.into_iter().partition(PairGeometry::has_no_baseline);
     let verdicts = backend.refusals(&moving);
     let still = still.iter().map(|pair| (pair, Some(Reason::RotationOnly)));
     let mut judged: Vec<_> = moving.iter().zip(verdicts).chain(still).collect();
@@ -150,6 +152,11 @@ impl<'a> PairGeometry<'a> {
             scale_octaves: median_of(&mut ratios, octaves),
             epipole_inside: meets_image(scene, key, &centres[1]) || meets_image(scene, partner, &centres[0]),
         }
+    }
+
+    /// Do the two views stand at one position (method 4)?
+    pub fn has_no_baseline(&self) -> bool {
+        self.still_share > STILL_SHARE
     }
 }
 

@@ -33,8 +33,7 @@ pub(super) fn cut(settings: &CutSettings, cost: &Cost) -> Result<Cut, PlanError>
         clusters = clusters.min(ranking.length_for_share(target.0));
     }
     if let Some(time) = settings.time {
-        let seconds = |rank| cost.seconds(rank).ok_or(PlanError::NoTimes("the time limit"));
-        clusters = longest_within(clusters, time.0, seconds)?;
+        clusters = longest_within(clusters, time.0, |rank| cost.seconds(rank).ok_or(PlanError::NoTimes))?;
     }
     if let Some(points) = settings.points {
         let mut places = Places::new(cost.model);

@@ -11,6 +11,7 @@ use crate::{
     pictures::{Curve, curve_svg, surface_ply, views_geojson},
     project::Project,
     report,
+    shell::quoted_path,
 };
 
 /// What is to be written for a plan.
@@ -108,7 +109,7 @@ fn cache(plan: &Plan, project: &Project) -> Option<FileSet> {
 
 /// The runner of an export, else its first command, from its folder.
 fn command(export: &Export) -> Option<String> {
-    let folder = backends::quoted_path(&export.files.root);
+    let folder = quoted_path(&export.files.root);
     let runner = export.record.runner.as_ref().map(|runner| format!("./{runner}"));
     Some(format!("cd {folder} && {}", runner.as_ref().or(export.record.commands.first())?))
 }

@@ -76,8 +76,8 @@ impl Cost<'_> {
 
     fn seconds_of(&self, maps: usize, pairs: usize) -> Option<f64> {
         let ForecastSettings { seconds_per_map, seconds_per_pair, .. } = *self.settings;
-        seconds_per_map.or(seconds_per_pair)?;
-        Some(seconds_per_map.unwrap_or(0.0) * maps as f64 + seconds_per_pair.unwrap_or(0.0) * pairs as f64)
+        let seconds = seconds_per_map.unwrap_or(0.0) * maps as f64 + seconds_per_pair.unwrap_or(0.0) * pairs as f64;
+        self.settings.knows_times().then_some(seconds)
     }
 
     /// Pixels that the depth map will measure.

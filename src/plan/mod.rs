@@ -160,6 +160,9 @@ impl Plan {
 pub fn plan(project: &Project, settings: &Settings, watcher: &dyn Watcher) -> Result<Plan, PlanError> {
     let mut timings = Timings::start();
     let backend = planned_for(project, settings)?;
+    if settings.cut.time.is_some() && !settings.forecast.knows_times() {
+        return Err(PlanError::NoTimes);
+    }
     watcher.progress(Stage::Read, 0, 1);
     let scene = timings.time(Stage::Read, || project.read_scene())?;
     watcher.progress(Stage::Read, 1, 1);
@@ -173,6 +176,7 @@ pub fn plan(project: &Project, settings: &Settings, watcher: &dyn Watcher) -> Re
     memory.before_partners(&seen.surface, &seen.visibility)?;
     let target = target(&scene, &seen, &settings);
     let confidence = Confidence::new(&source, trained.as_ref(), &settings.confidence, &backend.planning().confidence);
+    confidence.fill_in(&mut settings.confidence);
     let rule = rule(&settings, confidence);
     let model = Model {
         scene: &scene,
@@ -259,13 +263,7 @@ fn in_force(
     all.target.gsd = Some(gsd);
     let numbers = backend.planning();
     all.ranking.support.get_or_insert(numbers.support);
-    let confidence = numbers.confidence.with(&all.confidence);
     all.confidence.source = source.to_string();
-    all.confidence.min_matches = Some(confidence.min_matches);
-    all.confidence.p0 = Some(confidence.p0);
-    all.confidence.cosine_power = Some(confidence.cosine_power);
-    all.confidence.scale_octaves = Some(confidence.scale_octaves.unwrap_or(0.0));
-    all.confidence.full_angle = Some(confidence.full_angle_deg.unwrap_or(0.0));
     let cut = &mut all.cut;
     if cut.budget.is_none() && cut.time.is_none() && cut.points.is_none() {
         cut.target.get_or_insert(Share(cut::DEFAULT_TARGET));
@@ -355,8 +353,8 @@ pub enum PlanError {
     Backend(#[from] BackendError),
     #[error(transparent)]
     Trained(#[from] TrainedError),
-    #[error("how long matching takes is not known, so that {0} cannot be kept to")]
-    NoTimes(&'static str),
+    #[error("how long matching takes is not known, so that the time limit cannot be kept to")]
+    NoTimes,
     #[error(
         "the {stage} would need about {} of memory, but max_memory is {}",
         memory::readable(*need),
@@ -376,12 +374,22 @@ impl Hint for PlanError {
             Self::Surface(error) => return error.hint(),
             Self::Backend(error) => return error.hint(),
             Self::Trained(error) => return error.hint(),
-            Self::NoTimes(_) => "time one depth map and set forecast.seconds_per_map or .seconds_per_pair".into(),
+            Self::NoTimes => "time one depth map and set forecast.seconds_per_map or .seconds_per_pair".into(),
             Self::Memory { need, .. } => format!(
                 "give --max-memory {}, or have fewer triangles with a coarser --gsd or a larger surface.edge_factor",
                 memory::readable(need + need / 20)
             ),
             Self::Cancelled(_) => return None,
         })
+    }
+
+    fn is_usage(&self) -> bool {
+        match self {
+            Self::NoTimes => true,
+            Self::Project(error) => error.is_usage(),
+            Self::Backend(error) => error.is_usage(),
+            Self::Trained(error) => error.is_usage(),
+            _ => false,
+        }
     }
 }

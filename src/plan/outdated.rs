@@ -1,14 +1,13 @@
 //! Exports of an earlier plan that still lie in the project: a new plan leaves them as they are and says so.
 
-use std::path::Path;
-
 use serde::Deserialize;
 
 use super::Plan;
 use crate::{
-    backends::{by_name, quoted_path},
+    backends::{by_name, place},
     output::{FileSet, recorded},
     project::Project,
+    shell::quoted_path,
 };
 
 /// The part of an `export.json` that is compared.
@@ -32,7 +31,7 @@ struct View {
 /// A line for each folder in the project with an export of another ranking, which `sets` will not replace.
 pub(super) fn exports(plan: &Plan, project: &Project, sets: &[FileSet]) -> Vec<String> {
     let kept = |path: &String| sets.iter().all(|set| set.root != project.root || !set.files.contains_key(path));
-    let records = recorded(&project.root, "export-").into_iter().filter(|path| path.ends_with("export.json"));
+    let records = recorded(&project.root, "export-").into_iter();
     let mut lines: Vec<String> = records.filter(kept).filter_map(|path| line(plan, project, &path)).collect();
     // Tiles of one export share a line.
     lines.dedup();
@@ -40,30 +39,23 @@ pub(super) fn exports(plan: &Plan, project: &Project, sets: &[FileSet]) -> Vec<S
 }
 
 fn line(plan: &Plan, project: &Project, record: &str) -> Option<String> {
+    let (folder, in_tiles) = place::folder_of_record(record)?;
     let exported: Exported = serde_json::from_slice(&std::fs::read(project.root.join(record)).ok()?).ok()?;
     let backend = by_name(&exported.backend).ok()?.name();
     if is_part(&exported, plan) {
         return None;
     }
-    let folder = record.trim_end_matches("export.json").trim_end_matches("stereo/viewrank/").trim_end_matches('/');
-    let (folder, tiles) = match folder.rsplit_once('/') {
-        Some((above, tile)) if tile.starts_with("tile_") => (above, " --tiles N"),
-        _ => (folder, ""),
-    };
+    let tiles = if in_tiles { " --tiles N" } else { "" };
     let folder = project.root.join(folder);
     let own = [project.output_folder().join(backend), project.output_folder().join(format!("{backend}-tiles"))];
     let workspace = project.dense_workspace.as_deref().filter(|_| backend == "colmap");
-    let is_default = own.contains(&folder) || workspace.is_some_and(|workspace| same(workspace, &folder));
+    let is_default = own.contains(&folder) || workspace.is_some_and(|workspace| place::is_same(workspace, &folder));
     let out = if is_default { String::new() } else { format!(" --out {}", quoted_path(&folder)) };
     Some(format!(
         "{} holds an export of an earlier plan for {backend}; of this one: viewrank export {} --backend {backend}{tiles}{out}",
         folder.display(),
         quoted_path(&project.root)
     ))
-}
-
-fn same(one: &Path, other: &Path) -> bool {
-    one.canonicalize().ok().is_some_and(|one| other.canonicalize().is_ok_and(|other| one == other))
 }
 
 /// Are the clusters some of the plan's, in its order?

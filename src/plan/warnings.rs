@@ -1,6 +1,7 @@
 //! What the user should know of a plan before relying on it.
 
 use super::Plan;
+use crate::{confidence::Confidence, config::ConfidenceForm};
 
 /// Share of the observations of a table that may contradict it.
 const CONTRADICTIONS: f64 = 0.05;
@@ -12,6 +13,7 @@ pub(super) fn warnings(plan: &Plan) -> Vec<String> {
     warnings.extend(plan.pictures.warnings.iter().cloned());
     warnings.extend(unlike_pictures(plan));
     warnings.extend(other_backend(plan));
+    warnings.extend(without_effect(plan));
     warnings.extend(impossible_partners(plan));
     warnings.extend(nothing_fulfilled(plan));
     warnings.extend(nothing_chosen(plan));
@@ -53,11 +55,30 @@ fn other_backend(plan: &Plan) -> Option<String> {
     Some(format!("the confidence was trained on depth maps of {}, the plan is for {}", trained.backend, plan.backend))
 }
 
+/// Settings of confidence that what predicts success here does not heed.
+fn without_effect(plan: &Plan) -> Option<String> {
+    let set = &plan.settings.confidence;
+    let pair = matches!(plan.confidence, Confidence::Pair(_));
+    let paper = matches!(plan.confidence, Confidence::Paper { .. });
+    let unheeded = [
+        ("form", set.form == ConfidenceForm::Paper && !paper),
+        ("p0", set.p0.is_some() && !pair),
+        ("cosine_power", set.cosine_power.is_some() && !pair),
+        ("scale_octaves", set.scale_octaves.is_some() && !pair),
+        ("full_angle", set.full_angle.is_some() && !pair),
+        ("min_matches", set.min_matches.is_some() && plan.confidence == Confidence::None),
+    ];
+    let names: Vec<String> =
+        unheeded.into_iter().filter(|(_, is)| *is).map(|(name, _)| format!("confidence.{name}")).collect();
+    let source = &set.source;
+    (!names.is_empty()).then(|| format!("set, but without effect where confidence is {source}: {}", names.join(", ")))
+}
+
 /// k too small for what is asked of a cluster.
 fn impossible_partners(plan: &Plan) -> Option<String> {
     let k = plan.settings.partners.k;
     let cameras = plan.settings.coverage.min_cameras;
-    let matches = plan.settings.confidence.min_matches.unwrap_or(1);
+    let matches = plan.confidence.min_matches();
     if k + 1 < cameras {
         Some(format!(
             "with k = {k} a cluster has {} cameras, but {cameras} must see a triangle: set coverage.min_cameras to {} or k to {}",
@@ -65,10 +86,8 @@ fn impossible_partners(plan: &Plan) -> Option<String> {
             k + 1,
             cameras - 1
         ))
-    } else if k < matches && plan.settings.confidence.source != "none" {
-        Some(format!(
-            "with k = {k} there are fewer matches than the {matches} that must succeed: set confidence.min_matches to {k}"
-        ))
+    } else if k < matches {
+        Some(format!("with k = {k} there are fewer matches than the {matches} that must succeed: set k to {matches}"))
     } else {
         None
     }

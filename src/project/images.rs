@@ -13,9 +13,9 @@ use walkdir::WalkDir;
 
 use super::Project;
 use crate::{
-    backends::quoted_path,
     formats::foreign::Foreign,
     scene::{Scene, ViewIndex},
+    shell::quoted_path,
 };
 
 /// Extensions of images, lower case.

@@ -13,7 +13,7 @@ use super::{
     Surface, SurfaceKind,
     cut::{Capacities, minimum_cut},
     delaunay::{Delaunay, FACET_VERTICES, Facet, INFINITE},
-    points::{depth_sigma, extremes, views_of},
+    points::{depth_sigma, extremes, upper_median, views_of},
 };
 use crate::{
     config::SurfaceSettings,
@@ -67,8 +67,7 @@ impl Rays {
             rays.views.extend(chunk.views);
             sigmas.extend(chunk.sigmas);
         }
-        let middle = sigmas.len() / 2;
-        rays.sigma = if sigmas.is_empty() { 0.0 } else { *sigmas.select_nth_unstable_by(middle, f64::total_cmp).1 };
+        rays.sigma = upper_median(sigmas.into_iter()).unwrap_or(0.0);
         rays
     }
 

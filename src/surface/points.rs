@@ -20,12 +20,7 @@ const SIGMA_PX: f64 = 0.5;
 pub fn usable_points(scene: &Scene) -> Vec<PointIndex> {
     let errors: Vec<Option<f64>> =
         (0..scene.points.len() as u32).into_par_iter().map(|p| mean_error_px(scene, PointIndex(p))).collect();
-    let mut known: Vec<f64> = errors.iter().flatten().copied().collect();
-    if known.is_empty() {
-        return Vec::new();
-    }
-    let middle = known.len() / 2;
-    let median = *known.select_nth_unstable_by(middle, f64::total_cmp).1;
+    let Some(median) = upper_median(errors.iter().flatten().copied()) else { return Vec::new() };
     let limit = MAX_ERROR_PX.max(MAX_ERROR_MEDIANS * median);
     let is_usable = |p: &PointIndex| errors[p.at()].is_some_and(|e| e <= limit);
     near(scene, (0..scene.points.len() as u32).map(PointIndex).filter(is_usable).collect())
@@ -33,20 +28,20 @@ pub fn usable_points(scene: &Scene) -> Vec<PointIndex> {
 
 /// Those of the points that are not [`MAX_DISTANCE_MEDIANS`] away.
 pub(super) fn near(scene: &Scene, mut points: Vec<PointIndex>) -> Vec<PointIndex> {
-    let median = |mut values: Vec<f64>| {
-        let middle = values.len() / 2;
-        *values.select_nth_unstable_by(middle, f64::total_cmp).1
-    };
-    if points.is_empty() {
-        return points;
-    }
-    let middle =
-        Point3::from([0, 1, 2].map(|axis| median(points.iter().map(|p| scene.points[p.at()][axis]).collect())));
-    let distance = |p: &PointIndex| (scene.points[p.at()] - middle).norm();
-    let limit = MAX_DISTANCE_MEDIANS * median(points.iter().map(distance).collect());
+    let along = |axis: usize| upper_median(points.iter().map(|p| scene.points[p.at()][axis]));
+    let [Some(x), Some(y), Some(z)] = [0, 1, 2].map(along) else { return points };
+    let distance = |p: &PointIndex| (scene.points[p.at()] - Point3::new(x, y, z)).norm();
+    let limit = MAX_DISTANCE_MEDIANS * upper_median(points.iter().map(distance)).unwrap_or(0.0);
     // Where most points are one and the same there is no measure.
     points.retain(|p| limit == 0.0 || distance(p) <= limit);
     points
+}
+
+/// The middle one of the values, of an even number the upper of the two; `None` of nothing.
+pub fn upper_median(values: impl Iterator<Item = f64>) -> Option<f64> {
+    let mut values: Vec<f64> = values.collect();
+    let middle = values.len() / 2;
+    (!values.is_empty()).then(|| *values.select_nth_unstable_by(middle, f64::total_cmp).1)
 }
 
 /// Mean reprojection error of a point over its observations with a known pixel; `None` with fewer than two views, or where a camera

@@ -87,9 +87,11 @@ impl Splitting {
     /// Queues the edge that the corner faces if it is too long, and its coordinates leave room for a point between its ends.
     fn push(&mut self, corner: u32) {
         let edge = self.long_edge(corner);
+        if f64::from_bits(edge.length) < self.limit {
+            return;
+        }
         let [a, b] = self.ends(corner);
-        let middle = middle(&a, &b);
-        if f64::from_bits(edge.length) >= self.limit && middle != a && middle != b {
+        if ![a, b].contains(&middle(&a, &b)) {
             self.queue.push(edge);
         }
     }

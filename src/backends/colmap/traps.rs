@@ -2,9 +2,10 @@
 
 use super::cfg;
 use crate::{
-    backends::{Patient, Trap, quoted_path, selection},
+    backends::{Patient, Trap, selection},
     project::ModelFormat,
     scene::Scene,
+    shell::quoted_path,
 };
 
 pub fn all(patient: &Patient) -> Vec<Trap> {

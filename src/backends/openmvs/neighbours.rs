@@ -10,11 +10,12 @@ use nalgebra::{Matrix3, Vector3};
 
 use super::{OpenMvs, dense_config, resolution};
 use crate::{
-    backends::{BackendError, Export, ExportOptions, ExportRecord, Selection, capped_scale, quoted_path, shell_quoted},
+    backends::{BackendError, Export, ExportOptions, ExportRecord, Selection, capped_scale},
     formats::openmvs::{Mvs, NO_POSE},
     output::Contents,
     project::ProjectError,
     scene::ViewIndex,
+    shell::{quoted, quoted_path},
 };
 
 /// Depths that OpenMVS searches for an image with given neighbours.
@@ -61,7 +62,7 @@ pub fn export(selection: &Selection, options: &ExportOptions, path: &Path) -> Re
         record.fusion = "number-views-fuse 1: partners have no depth maps that could agree".into();
     } else {
         record.way = "list of neighbours for an existing scene".into();
-        record.commands = vec![densify(&shell_quoted(&path.file_name().unwrap_or_default().to_string_lossy()), 2)];
+        record.commands = vec![densify(&quoted(&path.file_name().unwrap_or_default().to_string_lossy()), 2)];
         record.not_honoured.push(
             "only the key views: images that are not listed get depth maps too, with OpenMVS's own neighbours".into(),
         );

@@ -185,13 +185,9 @@ impl ColmapPoint<'_> {
         lists: &ImageLists<'m>,
         mut each: impl FnMut(ImageView, u32, &'m Point2d) -> Result<(), Fault>,
     ) -> Result<(), Fault> {
-        // By image: elements of this track so far; filled only where an index has to be found.
-        let mut before: Option<HashMap<u32, usize>> = None;
+        // By image: elements among the first `counted` of this track; counted on only where an index has to be found.
+        let (mut counts, mut counted) = (HashMap::<u32, usize>::new(), 0);
         for (n, element) in self.track.iter().enumerate() {
-            let seen = before.as_mut().map(|before| {
-                let count = before.entry(element.image()).or_default();
-                std::mem::replace(count, *count + 1)
-            });
             let absent = || self.fault(Problem::Absent { what: "image", id: element.image().into() });
             let image_view = lists.view_of_image.get(element.image()).ok_or_else(absent)?;
             let links = &lists.links[image_view.position as usize];
@@ -201,12 +197,11 @@ impl ColmapPoint<'_> {
                     each(image_view, element.index(), point2d)?;
                 }
                 _ => {
-                    let place = seen.unwrap_or_else(|| {
-                        let counts = before.insert(HashMap::new());
-                        self.track[..=n].iter().for_each(|e| *counts.entry(e.image()).or_default() += 1);
-                        counts[&element.image()] - 1
-                    });
-                    let (index, point2d) = links.nth(self.id, place).ok_or_else(|| self.wrong_index(element, named))?;
+                    self.track[counted..n].iter().for_each(|e| *counts.entry(e.image()).or_default() += 1);
+                    counted = n;
+                    let before = counts.get(&element.image()).copied().unwrap_or(0);
+                    let (index, point2d) =
+                        links.nth(self.id, before).ok_or_else(|| self.wrong_index(element, named))?;
                     lists.followed.fetch_add(1, Ordering::Relaxed);
                     each(image_view, index, point2d)?;
                 }
