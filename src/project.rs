@@ -124,6 +124,7 @@ impl Project {
             }
         };
         scene.warnings.extend(self.sub_model_warning(scene.views.len()));
+        scene.warnings.extend(self.other_workspace_warning());
         // Where images lie beside everything else, not every picture belongs to the survey.
         if let Some(images) = self.images.as_ref().filter(|images| **images != self.root) {
             scene.unregistered.extend(images::unregistered(images, &scene));
@@ -161,6 +162,16 @@ impl Project {
             ModelFormat::ColmapBinary | ModelFormat::ColmapText => files::all(&self.model),
             _ => foreign::files(&self.root, &self.model),
         }
+    }
+
+    /// A workspace of another model is none of this one's.
+    fn other_workspace_warning(&self) -> Option<String> {
+        let others = discover::dense_folders(&self.root, &self.model);
+        let other = others.first().filter(|_| self.dense_workspace.is_none())?;
+        Some(format!(
+            "{} lacks images of this model, or its own model cannot be read: nothing is written into it",
+            other.display()
+        ))
     }
 
     fn sub_model_warning(&self, registered: usize) -> Option<String> {

@@ -239,8 +239,18 @@ fn a_project_is_recognised_by_what_lies_in_it() {
     assert_eq!(project.images, Some(root.join("images")));
     assert_eq!(project.dense_workspace, None);
 
+    // A workspace is the model's if it has its images.
     std::fs::create_dir_all(root.join("dense/2/stereo")).unwrap();
+    assert_eq!(open(root).dense_workspace, None);
+    copy("dense/2/sparse");
     assert_eq!(open(root).dense_workspace, Some(root.join("dense/2")));
+    for file in ["cameras.bin", "images.bin", "points3D.bin"] {
+        std::fs::copy(formats.join("names/bin").join(file), root.join("dense/2/sparse").join(file)).unwrap();
+    }
+    let other = open(root);
+    assert_eq!(other.dense_workspace, None);
+    let warnings = other.read_scene().unwrap().warnings;
+    assert!(warnings.iter().any(|w| w.contains("nothing is written into it")), "{warnings:?}");
     assert_eq!(open(&root.join("sparse/10")).kind, ProjectKind::BareModel);
     assert_eq!(open(&root.join("sparse/10")).images, Some(root.join("images")));
     assert_eq!(open(&root.join("sparse/10/cameras.bin")).model.path, root.join("sparse/10"));

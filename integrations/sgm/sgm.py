@@ -18,8 +18,11 @@ import sys
 import time
 from pathlib import Path
 
-import cv2
-import numpy as np
+try:
+    import cv2
+    import numpy as np
+except ModuleNotFoundError as error:
+    sys.exit(f"error: {error}; pip install numpy opencv-python-headless")
 
 from merge import MIN_AGREE, SIGMA_PX, merge
 from pairs import VERSION, Pairs, write_whole

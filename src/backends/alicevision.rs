@@ -1,7 +1,7 @@
 //! AliceVision and Meshroom: `backends.md` 8. Read, not run. There is no list of views and none of partners: each cluster becomes a scene
 //! file in which the key view shares landmarks with its partners only, and the key view is named by its position.
 
-use std::path::Path;
+use std::{fmt::Write, path::Path};
 
 use serde_json::{Value, json};
 
@@ -57,7 +57,7 @@ impl Backend for AliceVision {
         record.moved(near.origin);
         for (i, cluster) in selection.clusters.iter().enumerate() {
             let path = format!("clusters/{:04}.sfm", i + 1);
-            files.add_text(&*path, text(&cluster_file(scene, &points, cluster)));
+            files.add_text(&*path, cluster_file(scene, &points, cluster));
             record.commands.push(estimation(selection, cluster, &path));
             let shared = selection::shared_points(scene, &points, cluster.key);
             let without = cluster.partners.iter().filter(|p| shared[p.at()] == 0);
@@ -67,7 +67,7 @@ impl Backend for AliceVision {
             }));
         }
         let keys: Vec<_> = selection.clusters.iter().map(|c| c.key).collect();
-        files.add_text("keys.sfm", text(&scene_file(scene, &keys, &all_landmarks(scene, &keys))));
+        files.add_text("keys.sfm", scene_file(scene, &keys, &all_landmarks(scene, &selection.is_key())));
         record.commands.push(
             "aliceVision_depthMapFiltering -i keys.sfm --depthMapsFolder depthMaps -o filtered --minNumOfConsistentCams 1 \
              --minNumOfConsistentCamsWithLowSimilarity 2"
@@ -90,10 +90,6 @@ impl Backend for AliceVision {
         files.add_text("export.json", record.to_json());
         Ok(Export { files, record })
     }
-}
-
-fn text(file: &Value) -> String {
-    serde_json::to_string(file).expect("string keys") + "\n"
 }
 
 /// The call for the key view, by its position among the views of the file, which count by ascending id. No angle is too small or too large and
@@ -125,12 +121,12 @@ fn image_path(scene: &Scene, view: ViewIndex) -> String {
 type Landmark = (PointIndex, Vec<ViewIndex>);
 
 /// Key view and partners; a landmark for each point that the key view shares with a partner, repeated where there are too few.
-fn cluster_file(scene: &Scene, points: &ViewPoints, cluster: &RankedCluster) -> Value {
+fn cluster_file(scene: &Scene, points: &ViewPoints, cluster: &RankedCluster) -> String {
     let members: Vec<_> = std::iter::once(cluster.key).chain(cluster.partners.iter().copied()).collect();
     let mut landmarks: Vec<Landmark> = points
         .of(cluster.key)
         .iter()
-        .map(|&p| (p, observers(scene, p, &members)))
+        .map(|&p| (p, observers(scene, p, |v| members.contains(&v))))
         .filter(|(_, v)| v.len() > 1)
         .collect();
     for &partner in &cluster.partners {
@@ -141,31 +137,39 @@ fn cluster_file(scene: &Scene, points: &ViewPoints, cluster: &RankedCluster) -> 
     scene_file(scene, &members, &landmarks)
 }
 
-fn all_landmarks(scene: &Scene, views: &[ViewIndex]) -> Vec<Landmark> {
+fn all_landmarks(scene: &Scene, is_key: &[bool]) -> Vec<Landmark> {
     let points = (0..scene.points.len() as u32).map(PointIndex);
-    points.map(|p| (p, observers(scene, p, views))).filter(|(_, v)| v.len() > 1).collect()
+    points.map(|p| (p, observers(scene, p, |v| is_key[v.at()]))).filter(|(_, v)| v.len() > 1).collect()
 }
 
-fn observers(scene: &Scene, point: PointIndex, among: &[ViewIndex]) -> Vec<ViewIndex> {
-    let mut views: Vec<_> = scene.track_views(point).iter().copied().filter(|v| among.contains(v)).collect();
+fn observers(scene: &Scene, point: PointIndex, among: impl Fn(ViewIndex) -> bool) -> Vec<ViewIndex> {
+    let mut views: Vec<_> = scene.track_views(point).iter().copied().filter(|&v| among(v)).collect();
     views.dedup();
     views
 }
 
 /// A `.sfm` of version 1.2.6. Only listed views may occur in observations.
-fn scene_file(scene: &Scene, views: &[ViewIndex], landmarks: &[Landmark]) -> Value {
+fn scene_file(scene: &Scene, views: &[ViewIndex], landmarks: &[Landmark]) -> String {
     let mut views = views.to_vec();
     views.sort_by_key(|&v| scene.view(v).image_id);
     let mut cameras: Vec<u32> = views.iter().map(|&v| scene.view(v).camera.0).collect();
     cameras.sort_unstable();
     cameras.dedup();
-    json!({
+    let head = json!({
         "version": ["1", "2", "6"],
         "views": views.iter().map(|&v| view_entry(scene, v)).collect::<Vec<_>>(),
         "intrinsics": cameras.iter().map(|&c| intrinsic_entry(scene, c)).collect::<Vec<_>>(),
         "poses": views.iter().map(|&v| pose_entry(scene, v)).collect::<Vec<_>>(),
-        "structure": landmarks.iter().enumerate().map(|(i, l)| landmark_entry(scene, i, l)).collect::<Vec<_>>(),
-    })
+    });
+    // The landmarks one by one, which all together would take ten times the room of their text.
+    let mut text = head.to_string();
+    text.pop();
+    text += ",\"structure\":[";
+    for (i, landmark) in landmarks.iter().enumerate() {
+        text += if i > 0 { "," } else { "" };
+        let _ = write!(text, "{}", landmark_entry(scene, i, landmark));
+    }
+    text + "]}\n"
 }
 
 /// Numbers are strings, as in the files of AliceVision itself.

@@ -420,6 +420,7 @@ impl ExportRecord {
             warnings: nothing_chosen(selection)
                 .into_iter()
                 .chain(selection.image_faults.of(&selection.views()).warnings(selection.project, selection.scene))
+                .chain(without_images(selection))
                 .chain(other_kind(backend, selection))
                 .collect(),
             ..Self::default()
@@ -468,6 +469,21 @@ impl ExportRecord {
     }
 }
 
+/// A warning of the view clusters that cannot be computed as planned.
+fn without_images(selection: &Selection) -> Option<String> {
+    let missing = &selection.image_faults.of(&selection.views()).missing;
+    let lacks = |c: &RankedCluster| std::iter::once(&c.key).chain(&c.partners).any(|v| missing.contains(v));
+    let ranks = (1..).zip(selection.clusters).filter(|(_, c)| lacks(c)).map(|(rank, _): (usize, _)| rank.to_string());
+    let ranks: Vec<String> = ranks.collect();
+    let some = ranks.iter().take(NAMED_RANKS).cloned().collect::<Vec<_>>().join(", ");
+    let more = if ranks.len() > NAMED_RANKS { ", ..." } else { "" };
+    (!ranks.is_empty())
+        .then(|| format!("view clusters that lack an image, by rank: {some}{more}; they cannot be computed as planned"))
+}
+
+/// Ranks that a warning names.
+const NAMED_RANKS: usize = 10;
+
 /// A warning where there is no view cluster.
 fn nothing_chosen(selection: &Selection) -> Option<String> {
     let why = || format!("{}/manifest.json says why", selection.project.output_folder().display());
@@ -479,10 +495,13 @@ fn other_kind(backend: &dyn Backend, selection: &Selection) -> Option<String> {
     let planned_for = by_name(selection.planned_for).ok()?;
     let (is, was) = (backend.planning(), planned_for.planning());
     let differs = is.gate != was.gate || is.confidence != was.confidence || is.support != was.support;
-    let why = if backend.use_of_views().is_some() { "whose depth maps" } else { "which matches other pairs or" };
+    let why = match backend.use_of_views() {
+        Some(_) => "whose depth maps need other support",
+        None => "which matches other pairs or needs other support",
+    };
     differs.then(|| {
         format!(
-            "the plan was made for {}, {why} needs other support; one made for this program: viewrank plan {} --backend {}",
+            "the plan was made for {}, {why}; one made for this program: viewrank plan {} --backend {}",
             planned_for.name(),
             quoted_path(&selection.project.root),
             backend.name()
@@ -526,6 +545,8 @@ pub enum BackendError {
     Needs { backend: &'static str, what: String, hint: String },
     #[error("the export would write {}, which is the project's own", _0.display())]
     OwnFile(PathBuf),
+    #[error("{} belongs to another model, with which that of the export would be mixed up", _0.display())]
+    OtherModel(PathBuf),
     #[error("{} holds the export for {backend}", folder.display())]
     OtherExport { folder: PathBuf, backend: String },
     #[error(transparent)]
@@ -555,6 +576,7 @@ impl Hint for BackendError {
             }
             Self::Needs { hint, .. } => hint.clone(),
             Self::OwnFile(_) => "write to another folder with --out".into(),
+            Self::OtherModel(_) => "write to another folder with --out, or move that model away".into(),
             Self::OtherExport { .. } => "write to another folder with --out, or remove that one first".into(),
             Self::Place(error) => return error.hint(),
             Self::Model(error) => return error.hint(),

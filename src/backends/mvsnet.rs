@@ -6,6 +6,7 @@ use super::{
     PlanningNumbers, Selection, Trap, selection,
 };
 use crate::{
+    camera::Camera,
     output::Contents,
     scene::{ViewIndex, ViewPoints},
 };
@@ -18,7 +19,8 @@ pub struct MvsNet {
     /// ACMM and its like look partners up by position and fuse with the maps of all partners: every image is a problem.
     all_are_problems: bool,
     notes: &'static str,
-    command: &'static str,
+    /// With VIEWS (partners and key view), PARTNERS, WIDTH and HEIGHT (no image is smaller), AGREEING (partners that may have to agree).
+    commands: &'static [&'static str],
 }
 
 /// Meaning of the last line of a camera file.
@@ -32,6 +34,8 @@ enum DepthLine {
 
 /// Planes between the least and the greatest depth.
 const PLANES: u32 = 192;
+/// The filters' own number of partners that must agree.
+const MOST_AGREEING: usize = 5;
 /// Most partners of ACMH, ACMM, ACMP and ACMMP: a 32 bit mask.
 const ACM_PARTNERS: usize = 32;
 
@@ -41,7 +45,11 @@ pub const MVSNET: MvsNet = MvsNet {
     depths: DepthLine::Interval,
     all_are_problems: false,
     notes: "takes the first view_num - 1 partners: call it with view_num = partners + 1; fusion needs pair_fuse.txt",
-    command: "python \"${MVSNET:?folder of MVSNet or CasMVSNet}\"/test.py --dense_folder . --view_num VIEWS --max_d 192",
+    commands: &[
+        "(here=$PWD && cd \"${MVSNET:?folder of its test.py}\" && python test.py --dense_folder \"$here\" --view_num VIEWS \
+                 --max_w WIDTH --max_h HEIGHT --interval_scale 1 --pretrained_model_ckpt_path \"${CHECKPOINT:?path of model.ckpt}\" \
+                 --ckpt_step \"${STEP:?its step}\")",
+    ],
 };
 
 pub const PATCHMATCHNET: MvsNet = MvsNet {
@@ -50,7 +58,13 @@ pub const PATCHMATCHNET: MvsNet = MvsNet {
     depths: DepthLine::Range,
     all_are_problems: false,
     notes: "its own filter opens the maps of all partners: swap in pair_fuse.txt for it",
-    command: "python \"${PATCHMATCHNET:?folder of PatchmatchNet}\"/eval.py --input_folder . --output_folder depths --num_views PARTNERS",
+    commands: &[
+        "(here=$PWD && cd \"${PATCHMATCHNET:?its folder}\" && python eval.py --input_folder \"$here\" --output_folder \"$here/depths\" \
+         --checkpoint_path \"${CHECKPOINT:-checkpoints/params_000007.ckpt}\" --num_views PARTNERS --output_type depth)",
+        "mkdir -p fuse && cp pair_fuse.txt fuse/pair.txt && ln -sfn ../cams ../images fuse/",
+        "(here=$PWD && cd \"$PATCHMATCHNET\" && python eval.py --input_folder \"$here/fuse\" --output_folder \"$here/depths\" \
+         --checkpoint_path \"${CHECKPOINT:-checkpoints/params_000007.ckpt}\" --output_type fusion --geo_mask_thres AGREEING)",
+    ],
 };
 
 pub const ACMM: MvsNet = MvsNet {
@@ -60,7 +74,7 @@ pub const ACMM: MvsNet = MvsNet {
     all_are_problems: true,
     notes: "makes maps of the partners too, with partners of their own, in several passes over all; fuse the key views' maps \
             elsewhere",
-    command: "ACMM .",
+    commands: &["\"${ACMM:-ACMM}\" ."],
 };
 
 impl Backend for MvsNet {
@@ -97,8 +111,9 @@ impl Backend for MvsNet {
         let views = selection.keys_first();
         let lists = Lists::new(self, selection, &views);
         let mut files = options.file_set(self, selection);
-        files.add_text("pair.txt", lists.text(|_| true));
-        files.add_text("pair_fuse.txt", lists.text(|partner| (partner as usize) < selection.clusters.len()));
+        let keys = selection.clusters.len();
+        files.add_text("pair.txt", lists.text(lists.rows.len(), |_| true));
+        files.add_text("pair_fuse.txt", lists.text(keys, |partner| (partner as usize) < keys));
         let mut names = String::new();
         for (i, &view) in views.iter().enumerate() {
             files.add_text(format!("cams/{i:08}_cam.txt"), self.camera(selection, &lists.points, view)?);
@@ -163,8 +178,21 @@ impl MvsNet {
         let most = selection.most_partners();
         record.made_for = self.made_for.into();
         record.way = format!("dialect {}", self.name);
-        record.commands =
-            vec![self.command.replace("VIEWS", &(most + 1).to_string()).replace("PARTNERS", &most.to_string())];
+        let least = |side: fn(&Camera) -> u32| {
+            let sides = lists.views.iter().map(|&v| side(selection.scene.camera_of(v)));
+            (f64::from(sides.min().unwrap_or(0)) * selection.image_scale.min(1.0)) as u32
+        };
+        let numbers = [
+            ("VIEWS", most as u32 + 1),
+            ("PARTNERS", most as u32),
+            ("WIDTH", least(|camera| camera.width)),
+            ("HEIGHT", least(|camera| camera.height)),
+            ("AGREEING", lists.least_fused(selection.clusters.len()).clamp(1, MOST_AGREEING) as u32),
+        ];
+        let filled = |command: &&str| {
+            numbers.iter().fold(String::from(*command), |text, (name, number)| text.replace(name, &number.to_string()))
+        };
+        record.commands = self.commands.iter().map(filled).collect();
         record.note_own_scale(selection);
         record.other_maps = lists.rows.len() - selection.clusters.len();
         record.fusion = "thresholds on agreeing partners (PatchmatchNet: geo_mask_thres, CasMVSNet: thres_view, 5 by default) must not \
@@ -217,10 +245,16 @@ impl<'a> Lists<'a> {
         Self { views, points, rows }
     }
 
-    /// `pair.txt` with those partners that are kept.
-    fn text(&self, keep: impl Fn(u32) -> bool) -> String {
-        let mut text = format!("{}\n", self.rows.len());
-        for (key, row) in self.rows.iter().enumerate() {
+    /// The least number of those partners of a key view that are key views too, where it has any.
+    fn least_fused(&self, keys: usize) -> usize {
+        let fused = |row: &Vec<(u32, u32)>| row.iter().filter(|(partner, _)| (*partner as usize) < keys).count();
+        self.rows[..keys].iter().map(fused).filter(|n| *n > 0).min().unwrap_or(0)
+    }
+
+    /// `pair.txt` of the first views, with those partners that are kept.
+    fn text(&self, views: usize, keep: impl Fn(u32) -> bool) -> String {
+        let mut text = format!("{views}\n");
+        for (key, row) in self.rows[..views].iter().enumerate() {
             let kept: Vec<_> = row.iter().filter(|(partner, _)| keep(*partner)).collect();
             text += &format!("{key}\n{} ", kept.len());
             kept.iter().for_each(|(partner, score)| text += &format!("{partner} {score} "));

@@ -55,6 +55,7 @@ impl Backend for Odm {
     }
 
     fn export(&self, selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {
+        openmvs::check_names(self.name(), selection)?;
         let images = selection.undistorted_images(self.name())?;
         let mut files = options.file_set(self, selection);
         // ODM calls OpenMVS with the working folder openmvs/depthmaps, wherever a container has it.
@@ -69,11 +70,13 @@ impl Backend for Odm {
         record.made_for = "OpenDroneMap (32cfaac; read, not run)".into();
         record.way = "openmvs/scene.mvs in place of ODM's own".into();
         record.commands = vec![
-            format!("{ODM} --end-with opensfm"),
-            "rm -rf \"$DATASETS/$NAME/opensfm/undistorted/openmvs\"".into(),
+            "rm -rf \"${DATASETS:?folder of the ODM projects, whole path}/${NAME:?name of the ODM project}/opensfm/undistorted/openmvs\"".into(),
             "cp -rL openmvs \"$DATASETS/$NAME/opensfm/undistorted/\"".into(),
             ODM.into(),
         ];
+        record.runner = Some("run.sh".into());
+        let script = format!("#!/bin/sh\nset -eu\ncd \"$(dirname \"$0\")\"\n{}\n", record.commands.join("\n"));
+        files.add("run.sh", Contents::Script(script.into_bytes()));
         record.not_honoured = vec!["the rank order".into(), "partners beyond the fifth (CUDA: eighth)".into()];
         record.note_own_scale(selection);
         record.warnings.extend([

@@ -7,7 +7,7 @@ use serde::Deserialize;
 use super::{BackendError, Export};
 use crate::{
     output::{FileSet, OutputError},
-    project::Project,
+    project::{Project, ProjectError},
 };
 
 /// Where an export has its record, and where its first tile has one.
@@ -35,11 +35,16 @@ pub fn set_of_folder(folder: &Path, parts: impl IntoIterator<Item = FileSet>, pr
     };
     for part in parts {
         let at = real(&part.root);
-        let inner = at.strip_prefix(&base).unwrap_or(&at).to_string_lossy().replace('\\', "/");
+        let inner = slashes(at.strip_prefix(&base).unwrap_or(&at));
         let path = |path: String| if inner.is_empty() { path } else { format!("{inner}/{path}") };
         set.files.extend(part.files.into_iter().map(|(name, contents)| (path(name), contents)));
     }
     set
+}
+
+/// A path with `/` between its parts.
+fn slashes(path: &Path) -> String {
+    path.components().map(|part| part.as_os_str().to_string_lossy()).collect::<Vec<_>>().join("/")
 }
 
 /// The same for the same folder of a project, and short whatever its depth.
@@ -53,10 +58,17 @@ pub fn check(folder: &Path, exports: &[Export], project: &Project) -> Result<(),
     if let Some(file) = folder.ancestors().find(|above| above.is_file()) {
         return Err(OutputError::InTheWay { path: file.to_path_buf(), folder: false }.into());
     }
+    if folder.to_str().is_none() {
+        let why = std::io::Error::new(std::io::ErrorKind::InvalidFilename, "a path that is not UTF-8");
+        return Err(ProjectError::Io { path: folder.into(), source: why }.into());
+    }
     for Export { files, record } in exports {
         match earlier_backend(folder).filter(|earlier| *earlier != record.backend) {
             Some(earlier) => return Err(BackendError::OtherExport { folder: folder.into(), backend: earlier }),
-            None => spare_own_files(files, project)?,
+            None => {
+                spare_own_files(files, project)?;
+                refuse_mixed_models(files)?;
+            }
         }
     }
     Ok(())
@@ -70,6 +82,16 @@ fn earlier_backend(folder: &Path) -> Option<String> {
     }
     let read = |name: &&str| serde_json::from_slice::<Record>(&std::fs::read(folder.join(name)).ok()?).ok();
     RECORDS.iter().find_map(read).map(|record| record.backend)
+}
+
+/// Refuses a COLMAP model beside rigs and frames of another one: those that are written have none, and COLMAP 4 would read theirs.
+fn refuse_mixed_models(files: &FileSet) -> Result<(), BackendError> {
+    let folders = files.files.keys().filter_map(|name| name.strip_suffix("images.bin"));
+    let other = |folder: &str| {
+        let beside = ["rigs.bin", "frames.bin"].map(|name| files.root.join(folder).join(name));
+        beside.into_iter().find(|path| path.exists())
+    };
+    folders.filter_map(other).next().map_or(Ok(()), |path| Err(BackendError::OtherModel(path)))
 }
 
 /// Refuses what would lie among the images of the project or in place of its model: links to images would lead in circles there, and the next

@@ -1,15 +1,14 @@
 //! RealityScan (RealityCapture): `backends.md` 10, from the vendor's pages; not run. Images can be kept out of meshing, by a side file in
 //! XMP beside the image; nothing else can be said.
 
-use std::collections::HashMap;
+use std::{collections::HashMap, path::PathBuf};
 
 use super::{
     Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, Patient, PlanningNumbers,
     Selection, Trap,
     images::{ANY_PROGRAM, name_lines},
 };
-use crate::scene::ViewIndex;
-use crate::shell::quoted_path;
+use crate::{output::Contents, scene::ViewIndex, shell::quoted_path};
 
 pub struct RealityScan;
 
@@ -60,8 +59,10 @@ impl Backend for RealityScan {
         record.made_for = "RealityScan, RealityCapture (from the vendor's pages; not run)".into();
         record.way = "side files that switch meshing, to lie beside the images before these are added".into();
         let images = selection.project.images.as_ref();
-        let images = images.map_or("\"${IMAGES:?folder of the images}\"".into(), |folder| quoted_path(folder));
-        record.commands = vec![format!("cp -Rn xmp/. {images}")];
+        let absolute = |folder: &PathBuf| quoted_path(&std::path::absolute(folder).unwrap_or_else(|_| folder.clone()));
+        let images = images.map_or("\"${IMAGES:?folder of the images}\"".into(), absolute);
+        files.add("switch.py", Contents::Script(include_bytes!("../../integrations/realityscan/switch.py").to_vec()));
+        record.commands = vec![format!("python3 switch.py {images}")];
         record.not_honoured = vec![
             "matching partners".into(),
             "depth maps of key views only: partners take part in meshing as well".into(),
@@ -69,8 +70,7 @@ impl Backend for RealityScan {
         ];
         record.note_own_scale(selection);
         record.warnings.extend([
-            "side files that are already beside the images hold poses: don't overwrite them, add the two switches"
-                .into(),
+            "side files beside the images that hold poses are left as they are, and named: add the two switches to them".into(),
         ]);
         record.other_maps = used.len() - selection.clusters.len();
         record.fusion = "internal".into();

@@ -80,6 +80,7 @@ impl Backend for Sgm {
     }
 
     fn export(&self, selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {
+        selection.undistorted_images(self.name())?;
         let mut record = ExportRecord::new(self, selection, |v| selection.scene.name(v).into());
         record.made_for = "integrations/sgm".into();
         record.way = "pair files".into();

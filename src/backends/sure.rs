@@ -81,7 +81,8 @@ impl Backend for Sure {
             files.add(format!("images/{name}"), Contents::Link(images.join(selection.scene.name(view))));
             files.add_text(format!("ori/{}.ori", stem(name)), orientation(selection, view, name));
         }
-        for (name, text) in lists_of_pairs(selection, |v| Ok(names[v.at()].as_str()))? {
+        let [clusters, pairs, _] = lists_of_pairs(selection, |v| Ok(names[v.at()].as_str()))?;
+        for (name, text) in [clusters, pairs] {
             files.add_text(name, text);
         }
         add_lists(
@@ -136,6 +137,8 @@ impl Sure {
         record.warnings.extend([
             "whether the releases of today keep -select and -maxmodels is not publicly documented".into(),
             "pixels that are exactly black count as invalid".into(),
+            "lists name files from their own folder on; where a release reads them from elsewhere, make them absolute"
+                .into(),
         ]);
         record.note_scale(selection, |_| (-level).exp2());
         record.pixel_shift = -0.5;

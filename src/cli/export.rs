@@ -230,6 +230,7 @@ fn described(r: &ExportRecord, files: usize, folder: &Path, dry_run: bool) -> St
     let folder = folder.display();
     let matched = backends::by_name(&r.backend).is_ok_and(|backend| backend.use_of_views().is_none());
     let what = if matched { "view clusters" } else { "key views" };
+    let what = if r.clusters.len() == 1 { what.trim_end_matches('s') } else { what };
     let mut text = format!("{}: {} {what}, {files} files {would}in {folder}\n", r.backend, r.clusters.len());
     text += &format!("  for          {}\n  way          {}\n", r.made_for, r.way);
     if r.other_maps > 0 {

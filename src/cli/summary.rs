@@ -33,7 +33,7 @@ pub struct Summary<'a> {
     forecast: Forecast,
     /// How many times faster than computing everything, where the time of matching is known.
     speed_up: Option<f64>,
-    pub warnings: Vec<&'a str>,
+    pub warnings: Vec<String>,
     written: bool,
     /// Relative to the folders that they are in.
     files: Vec<String>,
@@ -69,7 +69,7 @@ impl<'a> Summary<'a> {
             cut: plan.cut,
             forecast: plan.forecast,
             speed_up: plan.forecast.speed_up(plan.timings.total()),
-            warnings: manifest.warnings.iter().chain(&files.outdated_exports).map(String::as_str).collect(),
+            warnings: warnings(files),
             written: !dry_run,
             files: files.sets.iter().flat_map(|set| set.files.keys().cloned()).collect(),
             look: format!("viewrank report {} --open", quoted_path(&project.root)),
@@ -197,6 +197,18 @@ impl<'a> Summary<'a> {
     }
 }
 
+/// Of the plan, then of the files for each backend.
+fn warnings(files: &PlanFiles) -> Vec<String> {
+    let of_plan = files.manifest.warnings.iter().chain(&files.outdated_exports);
+    let mut warnings: Vec<String> = of_plan.cloned().collect();
+    for export in &files.manifest.exports {
+        let further = export.warnings.iter().filter(|warning| !files.manifest.warnings.contains(warning));
+        warnings.extend(further.map(|warning| format!("{}: {warning}", export.backend)));
+        warnings.extend(export.not_honoured.iter().map(|what| format!("{}: not honoured: {what}", export.backend)));
+    }
+    warnings
+}
+
 /// The same without `--dry-run`; the first command of a backend whose files were written; else the way to such files.
 fn next(project: &Project, plan: &Plan, files: &PlanFiles, dry_run: bool) -> String {
     let root = quoted_path(&project.root);
@@ -209,7 +221,10 @@ fn next(project: &Project, plan: &Plan, files: &PlanFiles, dry_run: bool) -> Str
         }
         _ if plan.cut.clusters == 0 => format!("viewrank doctor {root}"),
         Some(command) => command.clone(),
-        None if !takes_distorted && distorted() => format!("viewrank undistort {root}"),
+        None if !takes_distorted && distorted() => {
+            let dense = quoted_path(&project.root.join("dense"));
+            format!("viewrank undistort {root} && viewrank plan {dense} --backend {}", plan.backend)
+        }
         None => format!("viewrank export {root} --backend {}", files.manifest.backend),
     }
 }

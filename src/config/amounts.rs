@@ -64,7 +64,7 @@ pub trait Amount: FromStr<Err = AmountError> + fmt::Display {
 
 impl Amount for Budget {
     const WANTED: &'static str = "a number of clusters such as 40, or a share of the views such as 5%";
-    const PATTERN: &'static str = r"^[0-9]+$|^[0-9.]+ ?%$";
+    const PATTERN: &'static str = r"^[0-9]*[1-9][0-9]*$|^[0-9.]+ ?%$";
 }
 
 impl Amount for Share {
@@ -92,7 +92,11 @@ impl FromStr for Budget {
 
     fn from_str(text: &str) -> Result<Self, AmountError> {
         let share = || text.parse().map(Self::Views).map_err(|_| Self::refuse(text));
-        text.trim().parse().map(Self::Clusters).or_else(|_| share())
+        match text.trim().parse() {
+            Ok(0) => Err(Self::refuse(text)),
+            Ok(clusters) => Ok(Self::Clusters(clusters)),
+            Err(_) => share(),
+        }
     }
 }
 

@@ -110,17 +110,8 @@ mod tests {
     const SECOND: Duration = Duration::from_secs(1);
 
     /// Maps by the length of their files.
-    fn files(lengths: &[(&str, usize)]) -> MapFiles {
-        let root = tempfile::tempdir().expect("a temporary folder");
-        let entry = |&(name, length): &(&str, usize)| {
-            let path = root.path().join("map");
-            fs::write(&path, vec![0; length]).expect("a file");
-            let file = fs::File::options().write(true).open(&path).expect("the file");
-            file.set_modified(std::time::UNIX_EPOCH).expect("a time");
-            (PathBuf::from(name), Entry::of(&fs::metadata(&path).expect("the file")))
-        };
-        // One file after the other has the same inode.
-        lengths.iter().map(entry).collect()
+    fn files(lengths: &[(&str, u64)]) -> MapFiles {
+        lengths.iter().map(|&(name, length)| (PathBuf::from(name), Entry::of_length(length))).collect()
     }
 
     #[test]

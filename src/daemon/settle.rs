@@ -31,6 +31,11 @@ impl Entry {
         let length = if metadata.is_dir() { 0 } else { metadata.len() };
         Self { length, modified_ns: since.as_nanos(), inode: metadata.ino() }
     }
+
+    #[cfg(test)]
+    pub(super) fn of_length(length: u64) -> Self {
+        Self { length, modified_ns: 0, inode: 0 }
+    }
 }
 
 /// What a project's input looks like from outside.

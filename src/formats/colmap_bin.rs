@@ -4,7 +4,7 @@
 //! Nothing is allocated for a count before it is compared with the bytes that are left, and 2D points and tracks are not
 //! copied: they point into the bytes given.
 
-use std::borrow::Cow;
+use std::{borrow::Cow, collections::BTreeSet};
 
 use nom::{
     IResult, Parser,
@@ -30,6 +30,12 @@ pub fn read<'a>(bytes: &Bytes<'a>) -> Result<ColmapModel<'a>, Fault> {
         frames: bytes.frames.map(|b| records("frames", b, "frame", 68, frame, &mut warnings)).transpose()?,
         warnings,
     })
+}
+
+/// Names of the images in `images.bin`.
+pub fn image_names(images: &[u8]) -> Result<BTreeSet<String>, Fault> {
+    let images = records("images", images, "image", 73, image, &mut Vec::new())?;
+    Ok(images.into_iter().map(|image| image.name.into_owned()).collect())
 }
 
 /// A whole file: the count, then as many records of at least `smallest` bytes.

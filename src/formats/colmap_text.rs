@@ -3,7 +3,7 @@
 //!
 //! An image name is the rest of its line, blanks included; COLMAP itself ends it at the first blank.
 
-use std::{borrow::Cow, fmt::Write as _, str::FromStr};
+use std::{borrow::Cow, collections::BTreeSet, fmt::Write as _, str::FromStr};
 
 use nom::{
     IResult, Parser, bytes::complete::take_till1, character::complete::space0, combinator::map_res, sequence::preceded,
@@ -148,6 +148,11 @@ fn image_lines(bytes: &[u8]) -> impl Iterator<Item = (Line<'_>, Option<Line<'_>>
 /// Number of images in `images.txt`, by its lines.
 pub fn count_images(bytes: &[u8]) -> u64 {
     image_lines(bytes).count() as u64
+}
+
+/// Names of the images in `images.txt`.
+pub fn image_names(images: &[u8]) -> Result<BTreeSet<String>, Fault> {
+    image_lines(images).map(|(head, _)| Ok(image(head, None)?.name.into_owned())).collect()
 }
 
 fn images<'a>(bytes: &'a [u8], warnings: &mut Vec<String>) -> Result<Vec<ColmapImage<'a>>, Fault> {

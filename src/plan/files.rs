@@ -129,7 +129,12 @@ fn exports(
             Err(BackendError::Needs { backend, what, hint }) => {
                 missing.push(format!("no files for {backend}, which needs {what}: {hint}"));
             }
-            Err(error @ (BackendError::OtherExport { .. } | BackendError::OwnFile(_) | BackendError::Place(_))) => {
+            Err(
+                error @ (BackendError::OtherExport { .. }
+                | BackendError::OtherModel(_)
+                | BackendError::OwnFile(_)
+                | BackendError::Place(_)),
+            ) => {
                 missing.push(format!("no files for {}: {error}", backend.name()));
             }
             Err(error) => return Err(error),

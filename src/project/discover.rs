@@ -2,6 +2,7 @@
 
 use std::{
     cmp::Reverse,
+    collections::{BTreeSet, HashSet},
     fs,
     io::Read,
     path::{Path, PathBuf},
@@ -9,7 +10,7 @@ use std::{
 
 use super::{
     ModelFormat, ModelLocation, Project, ProjectError, ProjectKind,
-    files::{REQUIRED, colmap_file, map},
+    files::{ColmapFiles, REQUIRED, colmap_file, map},
     foreign, images,
 };
 use crate::formats::colmap_text;
@@ -152,8 +153,36 @@ fn by_number(name: &str) -> (u64, String) {
     (name.parse().unwrap_or(u64::MAX), name.into())
 }
 
+/// The workspace of the model: that which it lies in, or one below `dense` that has its images.
 fn dense_workspace(root: &Path, model: &ModelLocation) -> Option<PathBuf> {
+    if root.join("stereo").is_dir() {
+        return Some(root.into());
+    }
+    let below = dense_folders(root, model);
+    let names = if below.is_empty() { None } else { image_names(root, model) }?;
+    let has_the_images = |folder: &PathBuf| {
+        let there = colmap_model(&folder.join("sparse")).ok().flatten();
+        there.and_then(|dense| image_names(root, &dense)).is_some_and(|there| names.is_subset(&there))
+    };
+    below.into_iter().find(has_the_images)
+}
+
+/// The folders below `dense` that are set up for patch match, that of the model's name first.
+pub(super) fn dense_folders(root: &Path, model: &ModelLocation) -> Vec<PathBuf> {
     let dense = root.join("dense");
-    let candidates = [root.into(), dense.join(model.name()), dense.join("0"), dense];
-    candidates.into_iter().find(|folder| folder.join("stereo").is_dir())
+    let mut folders = [vec![dense.join(model.name()), dense.clone()], sub_folders(&dense)].concat();
+    let mut known = HashSet::new();
+    folders.retain(|folder| folder.join("stereo").is_dir() && known.insert(folder.clone()));
+    folders
+}
+
+/// Names of the registered images; `None` where the model cannot be read, which reading it will tell.
+fn image_names(root: &Path, model: &ModelLocation) -> Option<BTreeSet<String>> {
+    match model.format.is_colmap() {
+        true => ColmapFiles::open(model).ok()?.image_names().ok(),
+        false => {
+            let images = foreign::read(root, model).ok()?.model.images;
+            Some(images.into_iter().map(|image| image.name.into_owned()).collect())
+        }
+    }
 }

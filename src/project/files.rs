@@ -1,6 +1,7 @@
 //! Opening the files of a model. They are mapped into memory, not copied.
 
 use std::{
+    collections::BTreeSet,
     fs::File,
     io,
     path::{Path, PathBuf},
@@ -71,6 +72,15 @@ impl ColmapFiles {
         let model =
             if self.format == ModelFormat::ColmapText { colmap_text::read(&bytes) } else { colmap_bin::read(&bytes) };
         model.map_err(|fault| self.locate(fault))
+    }
+
+    /// Names of the images, without a look at the rest of the model.
+    pub(super) fn image_names(&self) -> Result<BTreeSet<String>, ProjectError> {
+        let names = match self.format {
+            ModelFormat::ColmapText => colmap_text::image_names(&self.images),
+            _ => colmap_bin::image_names(&self.images),
+        };
+        names.map_err(|fault| self.locate(fault))
     }
 
     pub(super) fn scene(&self) -> Result<Scene, ProjectError> {

@@ -66,3 +66,11 @@ fn acm_double_range_relaxation() {
         "it widens the range itself"
     );
 }
+
+#[test]
+fn acmm_fuses_key_views_only() {
+    let fixture = Fixture::new(3);
+    let files = fixture.export("acmm");
+    let lists = files.lines("pair_fuse.txt");
+    assert_eq!((lists[0], lists.len()), ("4", 9));
+}

@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use viewrank::{
-    backends::{ExportOptions, References},
+    backends::{BackendError, ExportOptions, References},
     camera::{Camera, CameraModel},
     scene::CameraIndex,
 };
@@ -258,4 +258,24 @@ fn matched_size_is_that_of_the_plan() {
     assert!(!fixture.export("colmap").0.record.commands[0].contains("max_image_size"));
     fixture.image_scale = 0.5;
     assert!(fixture.export("colmap").0.record.commands[0].contains("--PatchMatchStereo.max_image_size 320"));
+}
+
+#[test]
+fn colmap_name_of_a_view_that_only_refs_all_lists() {
+    let mut fixture = Fixture::new(3);
+    let all = ExportOptions { refs: Some(References::All), ..Default::default() };
+    let listed: BTreeSet<String> = fixture.named().into_iter().flat_map(|(k, p)| [vec![k], p].concat()).collect();
+    let other = fixture.matchable().into_iter().find(|v| !listed.contains(fixture.name(*v))).unwrap();
+    fixture.scene.views[other.at()].name = "a,b.jpg".into();
+    assert!(fixture.try_export("colmap", &ExportOptions::default()).is_ok());
+    assert!(matches!(fixture.try_export("colmap", &all), Err(BackendError::Name { .. })));
+}
+
+#[test]
+fn colmap_fusion_min_pixels_of_a_single_map() {
+    let mut fixture = Fixture::new(3);
+    fixture.clusters.truncate(1);
+    let command = fixture.export("colmap").0.record.commands.pop().unwrap();
+    assert!(command.contains("--StereoFusion.min_num_pixels 1 "), "{command}");
+    assert!(command.ends_with("--output_path stereo/viewrank/fused.ply"), "fused.ply itself may be the user's");
 }

@@ -97,7 +97,12 @@ fn mvsnet_index_mapping_differs() {
 
 #[test]
 fn mvsnet_geo_threshold() {
-    assert!(Fixture::new(3).export("patchmatchnet").0.record.fusion.contains("must not exceed"));
+    let files = Fixture::new(3).export("patchmatchnet");
+    let threshold = files.0.record.commands[2].split("--geo_mask_thres ").nth(1).unwrap().trim_end_matches(')');
+    let threshold: usize = threshold.parse().unwrap();
+    let lists = files.lines("pair_fuse.txt");
+    let lengths = lists[1..].chunks(2).map(|pair| pair[1].split(' ').next().unwrap().parse::<usize>().unwrap());
+    assert!(threshold >= 1 && lengths.filter(|n| *n > 0).all(|n| threshold <= n), "{threshold}: {lists:?}");
 }
 
 /// Line 5 and 10 are empty, `extrinsic` is first, the matrices follow.

@@ -328,7 +328,7 @@ fn openmvs_neighbors_fix_depth_range() {
     assert!(error.to_string().contains("0.1 to 100") && error.hint().unwrap().contains("--scale"), "{error}");
 
     let files = it.export(true).unwrap();
-    let scaled = Mvs::read(files.bytes("scaled.mvs")).unwrap();
+    let scaled = Mvs::read(files.bytes("scene.mvs")).unwrap();
     assert!(scaled.vertices.is_empty(), "without points only the listed images are computed");
     let scale = files.0.record.scale;
     let moved = scaled.platforms[0].poses.iter().zip(&it.mvs.platforms[0].poses);
@@ -390,7 +390,7 @@ fn odm_finds_its_images_wherever_the_project_is_mounted() {
         let linked = files.link(&format!("openmvs/{from_depthmaps}"));
         assert_eq!(linked, std::path::Path::new("/nowhere").join(from_depthmaps));
     }
-    assert!(files.0.record.commands[2].starts_with("cp -rL openmvs "), "a link would lead out of the container");
+    assert!(files.0.record.commands[1].starts_with("cp -rL openmvs "), "a link would lead out of the container");
 }
 
 #[test]
@@ -413,4 +413,65 @@ fn odm_existing_model_skips_stage() {
 #[test]
 fn odm_number_views_default() {
     assert!(Fixture::new(3).export("odm").says("partners beyond the fifth"));
+}
+
+#[test]
+fn openmvs_backslash_name() {
+    let mut fixture = Fixture::new(3);
+    let key = fixture.clusters[0].key;
+    fixture.scene.views[key.at()].name = r"b\15.jpg".into();
+    for backend in ["openmvs", "odm"] {
+        let error = fixture.try_export(backend, &ExportOptions::default()).err().unwrap();
+        assert!(matches!(error, BackendError::Name { .. }), "{backend}: {error}");
+    }
+}
+
+/// OpenMVS keeps the depth maps that it finds in its working folder: a list of other partners needs another one, and none of it lies in the
+/// folder of the scene.
+#[test]
+fn openmvs_existing_dmap_kept_with_lists_of_neighbours() {
+    let mut it = Neighbours::new(1.0);
+    let work = |files: &Files| {
+        let command = files.0.record.commands[0].clone();
+        let work = command.split("-w \"$PWD/").nth(1).unwrap().split('"').next().unwrap().to_owned();
+        assert!(files.is_folder(&work), "{command}");
+        work
+    };
+    let first = work(&it.export(false).unwrap());
+    assert_eq!(first, work(&it.export(false).unwrap()));
+    it.fixture.choose(&[12, 3, 30, 24], 2);
+    assert_ne!(first, work(&it.export(false).unwrap()));
+}
+
+#[test]
+fn a_name_that_ends_another_one_is_told_from_it() {
+    let mut it = Neighbours::new(1.0);
+    let views: Vec<ViewIndex> = it.fixture.clusters.iter().map(|c| c.key).take(2).collect();
+    let position = |view: ViewIndex| {
+        let name = format!("undistorted/{}", it.fixture.name(view)).into_bytes();
+        it.mvs.images.iter().position(|image| image.name == name).unwrap()
+    };
+    let positions = [position(views[0]), position(views[1])];
+    for ((view, position), name) in views.iter().zip(positions).zip(["0.jpg", "b/0.jpg"]) {
+        it.fixture.scene.views[view.at()].name = name.into();
+        it.mvs.images[position].name = format!("undistorted/{name}").into_bytes();
+    }
+    std::fs::write(it.folder.path().join("scene.mvs"), it.mvs.write()).unwrap();
+    let files = it.export(false).unwrap();
+    let first = |line: usize| files.lines("neighbours.txt")[line].split(' ').next().unwrap().to_owned();
+    assert_eq!([first(0), first(1)], positions.map(|p| p.to_string()));
+}
+
+#[test]
+fn the_depths_of_a_scene_without_points_are_those_of_the_model_at_its_size() {
+    let mut it = Neighbours::new(5.0);
+    it.mvs.vertices.clear();
+    std::fs::write(it.folder.path().join("scene.mvs"), it.mvs.write()).unwrap();
+    assert!(it.export(false).err().unwrap().to_string().contains("0.1 to 100"), "5 times as large as the model");
+    let key = format!("undistorted/{}", it.fixture.name(it.fixture.clusters[0].key)).into_bytes();
+    let image = it.mvs.images.iter().find(|image| image.name == key).unwrap();
+    let (platform, pose) = (image.platform as usize, image.pose as usize);
+    it.mvs.platforms[platform].poses[pose].c[0] += 1000.0;
+    std::fs::write(it.folder.path().join("scene.mvs"), it.mvs.write()).unwrap();
+    assert!(it.export(false).err().unwrap().to_string().contains("stand in another way"));
 }

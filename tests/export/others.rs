@@ -335,7 +335,7 @@ fn realityscan_existing_xmp_poses() {
         let switches = ["xcr:InMeshing", "xcr:InTexturing", "xmlns:xcr"].map(String::from);
         assert_eq!(attributes, BTreeSet::from(switches), "switches only, no pose");
     }
-    assert!(files.says("don't overwrite"));
+    assert!(files.says("side files beside the images that hold poses are left as they are"));
 }
 
 #[test]

@@ -133,7 +133,7 @@ def test_colmap_vis_index_not_id(export, planned):
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
 
-    head, _, body = (folder / "fused.ply").read_bytes().partition(b"end_header\n")
+    head, _, body = (folder / "stereo/viewrank/fused.ply").read_bytes().partition(b"end_header\n")
     count = int(head.split(b"element vertex ")[1].split()[0])
     assert count > 1000, "enough key views agree with the options of the runner"
     points = np.frombuffer(body, np.dtype([("x", "<f4", 3), ("n", "<f4", 3), ("c", "u1", 3)]), count)["x"].astype(float)
@@ -141,7 +141,7 @@ def test_colmap_vis_index_not_id(export, planned):
     order = image_order(folder / "sparse/images.bin")
     model = pycolmap.Reconstruction(folder / "sparse")
     by_name = {image.name: image for image in model.images.values()}
-    vis = (folder / "fused.ply.vis").read_bytes()
+    vis = (folder / "stereo/viewrank/fused.ply.vis").read_bytes()
     at, seen, by_id = 8, set(), set()
 
     def shows(image, point):
@@ -496,6 +496,27 @@ def test_realityscan_side_files_are_xml(export, planned):
         (description,) = root.iter("{http://www.w3.org/1999/02/22-rdf-syntax-ns#}Description")
         value = str(int(image.name in used))
         assert description.attrib == {f"{switch}InMeshing": value, f"{switch}InTexturing": value}
+
+
+def test_realityscan_side_files_spare_poses(tmp_path):
+    script = ROOT / "integrations/realityscan/switch.py"
+    ours, images = tmp_path / "xmp/a b", tmp_path / "images"
+    ours.mkdir(parents=True), images.mkdir()
+    shutil.copy(script, tmp_path)
+    text = '<d xcr:InMeshing="{0}" xcr:InTexturing="{0}"/>\n'
+
+    def switched(state):
+        for name in ("1", "2"):
+            (ours / f"{name}.xmp").write_text(text.format(state))
+        return subprocess.run([sys.executable, tmp_path / "switch.py", images], capture_output=True, text=True)
+
+    assert switched(1).returncode == 0
+    pose = '<d xcr:PosePrior="exact" xcr:InMeshing="1"/>'
+    (images / "a b/2.xmp").write_text(pose)
+    again = switched(0)
+    assert again.returncode == 1 and "a b/2.xmp: holds more" in again.stderr and "1.xmp" not in again.stderr
+    assert (images / "a b/1.xmp").read_text() == text.format(0)
+    assert (images / "a b/2.xmp").read_text() == pose
 
 
 # AliceVision, PMVS, MVE, Gipuma

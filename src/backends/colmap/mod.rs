@@ -37,6 +37,8 @@ mod traps;
 
 pub struct Colmap;
 
+/// Where the cloud goes: `fused.ply` in the workspace itself may be somebody's.
+const FUSED: &str = "stereo/viewrank/fused.ply";
 /// Key views per batch of a run with geometric consistency.
 const BATCH: usize = 10;
 
@@ -95,10 +97,8 @@ impl Backend for Colmap {
     }
 
     fn export(&self, selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {
-        for view in selection.views() {
-            cfg::check_name(self.name(), selection.scene.name(view))?;
-        }
         let passes = Passes::new(selection, options);
+        passes.names().try_for_each(|name| cfg::check_name(self.name(), name))?;
         let mut record = ExportRecord::new(self, selection, |v| selection.scene.name(v).into());
         passes.describe(selection, &mut record);
         let mut files = match (&options.out, &selection.project.dense_workspace) {
@@ -170,6 +170,12 @@ impl Passes {
             (true, References::All) => (all.clone(), with_sources_among(&all, &all)),
         };
         Self { refs, geometric, first, last }
+    }
+
+    /// All names that stand in the lists.
+    fn names(&self) -> impl Iterator<Item = &str> {
+        let problems = self.first.iter().chain(&self.last);
+        problems.flat_map(|problem| std::iter::once(&problem.reference).chain(&problem.sources)).map(String::as_str)
     }
 
     /// The list that runs through with COLMAP's default options, or with `geom_consistency 0` where not geometric.
@@ -288,11 +294,12 @@ impl Passes {
 
     fn add_fusion(&self, selection: &Selection, record: &mut ExportRecord) {
         let typical = if self.refs == References::All { 5 } else { selection.typical_key_views_per_point() };
-        let min_pixels = typical.clamp(2, 5);
+        // A single map has no other that could agree.
+        let min_pixels = typical.clamp(2, 5).min(self.last.len().max(1));
         let kind = if self.geometric { "geometric" } else { "photometric" };
         record.commands.push(format!(
             "colmap stereo_fusion --workspace_path . --input_type {kind} --StereoFusion.min_num_pixels {min_pixels} \
-             --StereoFusion.check_num_images {} --output_path fused.ply",
+             --StereoFusion.check_num_images {} --output_path {FUSED}",
             selection.scene.views.len()
         ));
         record.fusion = format!(

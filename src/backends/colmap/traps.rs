@@ -64,7 +64,10 @@ fn text_beside_binary(patient: &Patient) -> Option<Trap> {
             "{} holds another model as text, with {counted} images or newer: COLMAP and viewrank take the binary one, OpenMVS the text",
             model.path.display()
         ),
-        cure: format!("keep one of the two: rm {}/*.txt", quoted_path(&model.path)),
+        cure: format!(
+            "keep one of the two: (cd {} && rm -f cameras.txt images.txt points3D.txt rigs.txt frames.txt)",
+            quoted_path(&model.path)
+        ),
         views: Vec::new(),
     })
 }

@@ -97,6 +97,7 @@ impl Backend for OpenMvs {
         let largest = patient.scene.points.iter().flat_map(|p| p.iter().map(|x| x.abs())).fold(0.0, f64::max);
         let step = largest * f64::from(f32::EPSILON);
         let of_openmvs = patient.project.model.format == ModelFormat::OpenMvs;
+        let named = patient.bad_names("openmvs-backslash-name", |name| check_name(self.name(), name));
         let rounded = patient.scene.median_gsd().filter(|gsd| of_openmvs && step > *gsd);
         let trap = rounded.map(|gsd| Trap {
             name: "openmvs-far-from-origin",
@@ -107,13 +108,14 @@ impl Backend for OpenMvs {
             cure: "move the origin of the model among the points before it is written as scene.mvs".into(),
             views: Vec::new(),
         });
-        trap.into_iter().collect()
+        trap.into_iter().chain(named).collect()
     }
 
     fn export(&self, selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {
         if let Some(scene) = &options.scene {
             return neighbours::export(selection, options, scene);
         }
+        check_names(self.name(), selection)?;
         let images = selection.undistorted_images(self.name())?;
         let near = selection.near_origin();
         let selection = &near.selection();
@@ -149,6 +151,16 @@ impl Backend for OpenMvs {
         files.add_text("export.json", record.to_json());
         Ok(Export { files, record })
     }
+}
+
+/// Refuses what OpenMVS would look for in another place; `backend` is the one that runs it.
+pub fn check_names(backend: &'static str, selection: &Selection) -> Result<(), BackendError> {
+    selection.views().into_iter().try_for_each(|view| check_name(backend, selection.scene.name(view)))
+}
+
+fn check_name(backend: &'static str, name: &str) -> Result<(), BackendError> {
+    let why = || "OpenMVS takes a backslash for the end of a folder's name".into();
+    if name.contains('\\') { Err(BackendError::Name { backend, name: name.into(), why: why() }) } else { Ok(()) }
 }
 
 impl OpenMvs {

@@ -15,19 +15,26 @@ use crate::{
     output::Contents,
     project::ProjectError,
     scene::ViewIndex,
-    shell::{quoted, quoted_path},
 };
 
 /// Depths that OpenMVS searches for an image with given neighbours.
 const SEARCHED: [f64; 2] = [0.1, 100.0];
+/// Share of the cameras' spread by which distances between cameras of scene and model may differ.
+const SAME_SHAPE: f64 = 0.01;
+/// Steps of 32 bit numbers that are too coarse, in pixels on the ground.
+const COARSE_PX: f64 = 0.1;
 /// Where the median depth of the key views goes.
 const SCALED_DEPTH: f64 = 10.0;
 
 pub fn export(selection: &Selection, options: &ExportOptions, path: &Path) -> Result<Export, BackendError> {
     let mvs = read(path)?;
     let positions = positions(selection, &mvs, path)?;
-    let depths: Vec<Depths> =
-        selection.clusters.iter().map(|c| Depths::of(&mvs, positions[c.key.at()], selection, c.key)).collect();
+    let size_of_scene = size_of_scene(selection, &mvs, &positions, path)?;
+    let depths: Vec<Depths> = selection
+        .clusters
+        .iter()
+        .map(|c| Depths::of(&mvs, positions[c.key.at()], selection, c.key, size_of_scene))
+        .collect();
     let scale = if options.scale { SCALED_DEPTH / median(depths.iter().map(|d| d.median)) } else { 1.0 };
     check_depths(&depths, scale, options.scale)?;
 
@@ -40,29 +47,38 @@ pub fn export(selection: &Selection, options: &ExportOptions, path: &Path) -> Re
         let views = std::iter::once(&c.key).chain(&c.partners);
         views.map(|v| positions[v.at()].to_string()).collect::<Vec<_>>().join(" ") + "\n"
     };
-    files.add_text("neighbours.txt", selection.clusters.iter().map(list).collect::<String>());
-    files.add_text("dense.cfg", dense_config(selection));
+    let lists: String = selection.clusters.iter().map(list).collect();
     let folder = std::path::absolute(path).ok().and_then(|p| p.parent().map(Path::to_path_buf)).unwrap_or_default();
     let size = resolution(selection);
-    let densify = |scene: &str, fuse: usize| {
+    let origin = origin(&mvs, &positions, selection, size_of_scene);
+    record.moved(origin);
+    let mvs = moved(mvs, origin);
+    let mvs = with_absolute_paths(if options.scale { scaled(mvs, scale) } else { mvs }, &folder);
+    let scene = mvs.write();
+    // OpenMVS keeps every depth map that it finds in its working folder, whatever that was made from.
+    let mut made_from = blake3::Hasher::new();
+    made_from.update(&scene).update(lists.as_bytes()).update(&size.to_le_bytes());
+    let work = format!("maps-{}", &made_from.finalize().to_hex()[..8]);
+    files.add(&*work, Contents::Folder);
+    files.add("scene.mvs", Contents::Bytes(scene));
+    files.add_text("neighbours.txt", lists);
+    files.add_text("dense.cfg", dense_config(selection));
+    let densify = |fuse: usize| {
         format!(
-            "DensifyPointCloud -w {} -i {scene} -o \"$PWD/dense.mvs\" --view-neighbors-file \"$PWD/neighbours.txt\" \
+            "DensifyPointCloud -w \"$PWD/{work}\" -i \"$PWD/scene.mvs\" -o \"$PWD/dense.mvs\" --view-neighbors-file \"$PWD/neighbours.txt\" \
              --dense-config-file \"$PWD/dense.cfg\" --resolution-level 0 --min-resolution 16 --max-resolution {size} --number-views 0 \
-             --geometric-iters 0 --number-views-fuse {fuse}",
-            quoted_path(&folder)
+             --geometric-iters 0 --number-views-fuse {fuse}"
         )
     };
     if options.scale {
-        files.add("scaled.mvs", Contents::Bytes(scaled(mvs, scale).write()));
         let unscale = include_bytes!("../../../integrations/openmvs/unscale.py");
         files.add("unscale.py", Contents::Script(unscale.to_vec()));
         record.way = "list of neighbours, with a scaled copy of the scene without points".into();
-        record.commands =
-            vec![densify("\"$PWD/scaled.mvs\"", 1), format!("python3 unscale.py dense.ply dense_unscaled.ply {scale}")];
+        record.commands = vec![densify(1), format!("python3 unscale.py dense.ply dense_unscaled.ply {scale}")];
         record.fusion = "number-views-fuse 1: partners have no depth maps that could agree".into();
     } else {
-        record.way = "list of neighbours for an existing scene".into();
-        record.commands = vec![densify(&quoted(&path.file_name().unwrap_or_default().to_string_lossy()), 2)];
+        record.way = "list of neighbours, with a copy of the existing scene".into();
+        record.commands = vec![densify(2)];
         record.not_honoured.push(
             "only the key views: images that are not listed get depth maps too, with OpenMVS's own neighbours".into(),
         );
@@ -79,7 +95,8 @@ fn read(path: &Path) -> Result<Mvs, BackendError> {
     Ok(Mvs::read(&bytes).map_err(|fault| ProjectError::Fault { path: path.into(), fault })?)
 }
 
-/// For each view of the selection, the position of its image in the scene: the one whose path ends with the view's name.
+/// For each view of the selection, the position of its image in the scene: of those whose path ends with the view's name the one with the
+/// shortest, for a name may be the end of another's.
 fn positions(selection: &Selection, mvs: &Mvs, path: &Path) -> Result<Vec<usize>, BackendError> {
     let names: Vec<String> =
         mvs.images.iter().map(|image| String::from_utf8_lossy(&image.name).replace('\\', "/")).collect();
@@ -87,7 +104,10 @@ fn positions(selection: &Selection, mvs: &Mvs, path: &Path) -> Result<Vec<usize>
     for view in selection.views() {
         let name = selection.scene.name(view);
         let is = |image: &str| image == name || image.strip_suffix(name).is_some_and(|rest| rest.ends_with('/'));
-        let found: Vec<usize> = (0..names.len()).filter(|&i| is(&names[i]) && mvs.images[i].pose != NO_POSE).collect();
+        let mut found: Vec<usize> =
+            (0..names.len()).filter(|&i| is(&names[i]) && mvs.images[i].pose != NO_POSE).collect();
+        let shortest = found.iter().map(|&i| names[i].len()).min();
+        found.retain(|&i| Some(names[i].len()) == shortest);
         let [position] = found[..] else {
             return Err(BackendError::Needs {
                 backend: "openmvs",
@@ -100,6 +120,81 @@ fn positions(selection: &Selection, mvs: &Mvs, path: &Path) -> Result<Vec<usize>
     Ok(positions)
 }
 
+/// Camera centre of an image of the scene, and its rotation from world to camera.
+fn pose_of(mvs: &Mvs, position: usize) -> (Matrix3<f64>, Vector3<f64>) {
+    let image = &mvs.images[position];
+    let platform = &mvs.platforms[image.platform as usize];
+    let (camera, pose) = (&platform.cameras[image.camera as usize], &platform.poses[image.pose as usize]);
+    let pose_r = Matrix3::from_row_slice(&pose.r);
+    let centre = pose_r.transpose() * Vector3::from(camera.c) + Vector3::from(pose.c);
+    (Matrix3::from_row_slice(&camera.r) * pose_r, centre)
+}
+
+/// Units of the model in one unit of the scene, inverted: how large the scene is beside the model, by how far the cameras of both are spread.
+///
+/// # Errors
+/// Cameras that stand in another way than the model's.
+fn size_of_scene(selection: &Selection, mvs: &Mvs, positions: &[usize], path: &Path) -> Result<f64, BackendError> {
+    let views = selection.views();
+    if views.len() < 2 {
+        return Ok(1.0);
+    }
+    let of_model: Vec<Vector3<f64>> =
+        views.iter().map(|&v| selection.scene.view(v).cam_from_world.centre().coords).collect();
+    let of_scene: Vec<Vector3<f64>> = views.iter().map(|v| pose_of(mvs, positions[v.at()]).1).collect();
+    let size = spread(&of_scene) / spread(&of_model);
+    let same = |i: usize, j: usize| {
+        let [model, scene] = [&of_model, &of_scene].map(|centres| (centres[i] - centres[j]).norm());
+        (scene - size * model).abs() <= SAME_SHAPE * spread(&of_scene)
+    };
+    if size.is_normal() && (1..views.len()).all(|i| same(i, i - 1)) {
+        return Ok(size);
+    }
+    Err(BackendError::Needs {
+        backend: "openmvs",
+        what: format!("the cameras of the model, and those of {} stand in another way", path.display()),
+        hint: "give a scene made from this model, or leave --scene out".into(),
+    })
+}
+
+/// Where the scene is to count from: among its cameras, in whole units, where its coordinates are too coarse in numbers of 32 bits.
+fn origin(mvs: &Mvs, positions: &[usize], selection: &Selection, size_of_scene: f64) -> Vector3<f64> {
+    let views = selection.views();
+    let centres = || views.iter().map(|v| pose_of(mvs, positions[v.at()]).1);
+    let largest = centres().map(|centre| centre.amax()).fold(0.0, f64::max);
+    let gsd = selection.scene.median_gsd().map(|gsd| gsd * size_of_scene);
+    match gsd.is_some_and(|gsd| largest * f64::from(f32::EPSILON) >= COARSE_PX * gsd) {
+        true => (centres().sum::<Vector3<f64>>() / views.len() as f64).map(f64::round),
+        false => Vector3::zeros(),
+    }
+}
+
+/// The scene in coordinates that count from `origin`.
+fn moved(mut mvs: Mvs, origin: Vector3<f64>) -> Mvs {
+    for pose in mvs.platforms.iter_mut().flat_map(|platform| &mut platform.poses) {
+        pose.c = (Vector3::from(pose.c) - origin).into();
+    }
+    for vertex in &mut mvs.vertices {
+        vertex.x = (Vector3::from(vertex.x.map(f64::from)) - origin).map(|x| x as f32).into();
+    }
+    if has_region(&mvs) {
+        let turned = Matrix3::from_row_slice(&mvs.region[..9]) * origin;
+        (0..6).for_each(|i| mvs.region[9 + i] -= turned[i % 3]);
+    }
+    mvs
+}
+
+/// Without region of interest the corners are the greatest numbers there are, in the wrong order.
+fn has_region(mvs: &Mvs) -> bool {
+    (0..3).all(|i| mvs.region[9 + i] < mvs.region[12 + i])
+}
+
+/// Root mean square distance from the middle.
+fn spread(centres: &[Vector3<f64>]) -> f64 {
+    let middle = centres.iter().sum::<Vector3<f64>>() / centres.len() as f64;
+    (centres.iter().map(|c| (c - middle).norm_squared()).sum::<f64>() / centres.len() as f64).sqrt()
+}
+
 /// Depths of the sparse points of a key view, in units of the scene.
 struct Depths {
     view: String,
@@ -109,19 +204,15 @@ struct Depths {
 }
 
 impl Depths {
-    /// Of the scene's own vertices; of our points where it has none that the image sees.
-    fn of(mvs: &Mvs, position: usize, selection: &Selection, view: ViewIndex) -> Self {
-        let image = &mvs.images[position];
-        let platform = &mvs.platforms[image.platform as usize];
-        let (camera, pose) = (&platform.cameras[image.camera as usize], &platform.poses[image.pose as usize]);
-        let pose_r = Matrix3::from_row_slice(&pose.r);
-        let r = Matrix3::from_row_slice(&camera.r) * pose_r;
-        let centre = pose_r.transpose() * Vector3::from(camera.c) + Vector3::from(pose.c);
+    /// Of the scene's own vertices; of our points, in the size of the scene, where it has none that the image sees.
+    fn of(mvs: &Mvs, position: usize, selection: &Selection, view: ViewIndex, size_of_scene: f64) -> Self {
+        let (r, centre) = pose_of(mvs, position);
         let depth = |x: [f32; 3]| (r * (Vector3::from(x.map(f64::from)) - centre)).z;
         let seen = mvs.vertices.iter().filter(|v| v.views.iter().any(|s| s.image as usize == position));
         let mut depths: Vec<f64> = seen.map(|v| depth(v.x)).filter(|z| *z > 0.0).collect();
         if depths.is_empty() {
             depths = crate::backends::selection::depths(selection.scene, &selection.scene.view_points(), view);
+            depths.iter_mut().for_each(|depth| *depth *= size_of_scene);
         }
         depths.sort_unstable_by(f64::total_cmp);
         let at = |share: f64| {
@@ -161,6 +252,20 @@ fn check_depths(depths: &[Depths], scale: f64, scaled: bool) -> Result<(), Backe
     })
 }
 
+/// The scene, to be read from another folder.
+fn with_absolute_paths(mut mvs: Mvs, folder: &Path) -> Mvs {
+    let absolute = |name: &mut Vec<u8>| {
+        if !name.is_empty() {
+            *name = folder.join(String::from_utf8_lossy(name).replace('\\', "/")).to_string_lossy().into_owned().into();
+        }
+    };
+    for image in &mut mvs.images {
+        absolute(&mut image.name);
+        absolute(&mut image.mask);
+    }
+    mvs
+}
+
 /// The scene at another size, without points.
 fn scaled(mut mvs: Mvs, scale: f64) -> Mvs {
     let grow = |values: &mut [f64]| values.iter_mut().for_each(|v| *v *= scale);
@@ -168,8 +273,7 @@ fn scaled(mut mvs: Mvs, scale: f64) -> Mvs {
         platform.cameras.iter_mut().for_each(|camera| grow(&mut camera.c));
         platform.poses.iter_mut().for_each(|pose| grow(&mut pose.c));
     }
-    // Without region of interest the corners are the greatest numbers there are, in the wrong order.
-    if (0..3).all(|i| mvs.region[9 + i] < mvs.region[12 + i]) {
+    if has_region(&mvs) {
         grow(&mut mvs.region[9..]);
     }
     for image in &mut mvs.images {

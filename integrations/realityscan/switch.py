@@ -1,0 +1,41 @@
+#!/usr/bin/env python3
+"""Puts the side files beside the images: python3 switch.py IMAGES
+
+A side file that is there already is replaced if it holds the two switches and nothing else, as one of an earlier plan does. Any other holds
+poses or settings of somebody's: it stays as it is and is named.
+"""
+
+import os
+import re
+import sys
+from pathlib import Path
+
+SWITCHES = re.compile(rb'xcr:In(Meshing|Texturing)="[01]"')
+
+
+def without_switches(side_file):
+    return b"".join(SWITCHES.sub(b"", side_file).split())
+
+
+def main(images):
+    ours = Path(__file__).resolve().parent / "xmp"
+    left = []
+    for path in sorted(ours.rglob("*.xmp")):
+        target = images / path.relative_to(ours)
+        new = path.read_bytes()
+        if target.exists() and without_switches(target.read_bytes()) != without_switches(new):
+            left.append(target)
+            continue
+        target.parent.mkdir(parents=True, exist_ok=True)
+        draft = target.with_name(target.name + ".new")
+        draft.write_bytes(new)
+        os.replace(draft, target)
+    for target in left:
+        print(f"{target}: holds more than the two switches, left as it is: add xcr:InMeshing and xcr:InTexturing by hand", file=sys.stderr)
+    return 1 if left else 0
+
+
+if __name__ == "__main__":
+    if len(sys.argv) != 2 or not Path(sys.argv[1]).is_dir():
+        sys.exit(__doc__)
+    sys.exit(main(Path(sys.argv[1])))
