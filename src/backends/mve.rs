@@ -10,6 +10,7 @@ use super::{
 use crate::{
     output::Contents,
     scene::{PointIndex, Scene, ViewIndex, ViewPoints},
+    shell::quoted_path,
 };
 
 pub struct Mve;
@@ -37,7 +38,12 @@ impl Backend for Mve {
     }
 
     fn traps(&self, patient: &Patient) -> Vec<Trap> {
-        patient.bad_names("mve-extension", extension).into_iter().collect()
+        let views = patient.project.root.join("views");
+        let is_map = |name: &str| name.starts_with("depth-L") && name.ends_with(".mvei");
+        let cure =
+            format!("export into a folder of its own, or remove them: rm {}/*/depth-L*.mvei", quoted_path(&views));
+        let maps = patient.finished_maps("mve-existing-depth-skipped", &views, 2, is_map, cure);
+        patient.bad_names("mve-extension", extension).into_iter().chain(maps).collect()
     }
 
     fn export(&self, selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {

@@ -1,6 +1,8 @@
 //! What of a project would go wrong with a backend, before anything is planned: for `viewrank doctor`.
 
-use std::collections::BTreeMap;
+use std::{collections::BTreeMap, path::Path};
+
+use walkdir::WalkDir;
 
 use super::{BackendError, selection};
 use crate::{
@@ -46,6 +48,28 @@ impl Patient<'_> {
             what: format!("image names that it cannot take, as \"{}\": {why}", self.scene.name(*first)),
             cure: "rename the images, in the folder and in the model".into(),
             views: faults.iter().map(|(view, _)| *view).collect(),
+        })
+    }
+
+    /// Finished depth maps below a folder, which the program keeps whatever they were made from.
+    pub(super) fn finished_maps(
+        &self,
+        trap: &'static str,
+        folder: &Path,
+        depth: usize,
+        is_map: impl Fn(&str) -> bool,
+        cure: String,
+    ) -> Option<Trap> {
+        let files = WalkDir::new(folder).max_depth(depth).into_iter().filter_map(Result::ok);
+        let maps = files.filter(|entry| entry.file_name().to_str().is_some_and(&is_map)).count();
+        (maps > 0).then(|| Trap {
+            name: trap,
+            what: format!(
+                "{maps} finished depth maps in {} are kept, whatever partners they were made with",
+                folder.display()
+            ),
+            cure,
+            views: Vec::new(),
         })
     }
 

@@ -88,12 +88,13 @@ pub fn examine(project: &Project, scene: &Scene, settings: &Settings, backends: 
     let points = &scene.view_points();
     let images = &project.image_faults(scene);
     let visit = Visit { project, scene, points, settings, backend, images };
-    let mut findings = sense::findings(&visit);
-    // In a model that makes no sense the rest says nothing.
+    let mut findings = sense::of_model(&visit);
+    // In a model that makes no sense partners and links say nothing.
     if findings.iter().all(|finding| finding.severity < Severity::Error) {
         findings.extend(partners::findings(&visit));
         findings.extend(links::findings(&visit));
     }
+    findings.extend(sense::of_images(&visit));
     findings.extend(traps(&visit, backends));
     findings.sort_by_key(|finding| std::cmp::Reverse(finding.severity));
     findings

@@ -16,9 +16,12 @@ const ERROR_PX: f64 = 4.0;
 /// Names that are listed where a file is missing.
 const LISTED: usize = 1000;
 
-pub fn findings(visit: &Visit) -> Vec<Finding> {
-    let checks = [units, wanted, cameras, behind, residuals, sizes, missing];
-    checks.iter().filter_map(|check| check(visit)).collect()
+pub fn of_model(visit: &Visit) -> Vec<Finding> {
+    [units, wanted, cameras, behind, residuals].iter().filter_map(|check| check(visit)).collect()
+}
+
+pub fn of_images(visit: &Visit) -> Vec<Finding> {
+    [sizes, missing].iter().filter_map(|check| check(visit)).collect()
 }
 
 /// The settings say metres.

@@ -390,3 +390,30 @@ fn models_that_lose_something_in_their_format() {
     assert!(found(&findings, "openmvs-far-from-origin").what.contains("5400"));
     assert_eq!(traps_in(ModelFormat::ColmapBinary, "openmvs", &far, |_, _| {}), []);
 }
+
+#[test]
+fn finished_maps_of_another_plan() {
+    let (folder, mut project) = project(ModelFormat::ColmapBinary);
+    project.dense_workspace = Some(folder.path().join("dense"));
+    let put = |name: &str| {
+        let path = folder.path().join(name);
+        fs::create_dir_all(path.parent().unwrap()).unwrap();
+        fs::write(path, "").unwrap();
+    };
+    let traps =
+        |backend: &str| examine(&project, &healthy(), &Settings::default(), &[backends::by_name(backend).unwrap()]);
+    for (backend, trap, map) in [
+        ("colmap", "colmap-stale-maps-skipped", "dense/stereo/depth_maps/a/n00.jpg.photometric.bin"),
+        ("openmvs", "openmvs-existing-dmap-kept", "depth0001.dmap"),
+        ("mve", "mve-existing-depth-skipped", "views/view_0000.mve/depth-L0.mvei"),
+    ] {
+        assert!(traps(backend).iter().all(|finding| finding.check != trap), "{backend}");
+        put(map);
+        assert!(found(&traps(backend), trap).what.starts_with("1 finished"), "{backend}");
+    }
+    put("dense/stereo/viewrank/lists.json");
+    assert!(
+        traps("colmap").iter().all(|finding| finding.check != "colmap-stale-maps-skipped"),
+        "their lists are known"
+    );
+}

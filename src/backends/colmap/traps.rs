@@ -1,6 +1,6 @@
 //! What of a project COLMAP would stumble over.
 
-use super::cfg;
+use super::{cfg, finished};
 use crate::{
     backends::{Patient, Trap, selection},
     project::ModelFormat,
@@ -11,10 +11,16 @@ use crate::{
 pub fn all(patient: &Patient) -> Vec<Trap> {
     let names = patient.bad_names("colmap-name", |name| cfg::check_name("colmap", name));
     let points = patient.without_points("colmap-key-view-without-points", "COLMAP ends the whole run there");
-    [names, points, blanks_in_text(patient), text_beside_binary(patient), mixed_widths(patient), far_away(patient)]
-        .into_iter()
-        .flatten()
-        .collect()
+    let of_model = [names, points, blanks_in_text(patient), text_beside_binary(patient), mixed_widths(patient)];
+    of_model.into_iter().chain([far_away(patient), finished_maps(patient)]).flatten().collect()
+}
+
+/// Maps that nobody noted the lists of.
+fn finished_maps(patient: &Patient) -> Option<Trap> {
+    let workspace = patient.project.dense_workspace.as_ref().filter(|folder| !folder.join(finished::NOTE).exists())?;
+    let cure = "plan, then stereo/viewrank/run.sh --replace makes those anew that the plan needs".into();
+    let folder = workspace.join("stereo/depth_maps");
+    patient.finished_maps("colmap-stale-maps-skipped", &folder, 8, |name| name.ends_with(".bin"), cure)
 }
 
 /// Text models end the name at its first blank.

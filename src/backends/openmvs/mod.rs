@@ -18,6 +18,7 @@ use crate::{
     output::Contents,
     project::{ModelFormat, Project, ProjectKind},
     scene::ViewIndex,
+    shell::quoted_path,
 };
 
 mod neighbours;
@@ -108,7 +109,12 @@ impl Backend for OpenMvs {
             cure: "move the origin of the model among the points before it is written as scene.mvs".into(),
             views: Vec::new(),
         });
-        trap.into_iter().chain(named).collect()
+        let folder = &patient.project.root;
+        let cure =
+            format!("remove them, or let run.py work in a folder of its own: rm {}/depth*.dmap", quoted_path(folder));
+        let is_map = |name: &str| name.starts_with("depth") && name.ends_with(".dmap");
+        let maps = patient.finished_maps("openmvs-existing-dmap-kept", folder, 1, is_map, cure);
+        trap.into_iter().chain(named).chain(maps).collect()
     }
 
     fn export(&self, selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {
