@@ -17,6 +17,7 @@ use crate::{
     error::Hint,
     formats::{Fault, colmap::ColmapModel},
     scene::Scene,
+    shell::{quoted, quoted_path},
 };
 
 /// Formats of sparse models.
@@ -38,6 +39,11 @@ impl ModelFormat {
     /// Does COLMAP itself read it?
     pub fn is_colmap(self) -> bool {
         matches!(self, Self::ColmapBinary | Self::ColmapText)
+    }
+
+    /// Does it say where in the images the points are observed? Else they are put where they project.
+    pub fn has_pixels(self) -> bool {
+        !matches!(self, Self::OpenMvs | Self::Sure)
     }
 
     /// As people write it.
@@ -107,6 +113,15 @@ impl Project {
     /// most registered images is taken, ties by name, unless `model` names one.
     pub fn open(path: &Path, model: Option<&str>) -> Result<Self, ProjectError> {
         discover::open(path, model)
+    }
+
+    /// The project as commands take it: its folder, and `--model` where another sub-model would be taken without.
+    pub fn typed(&self) -> String {
+        let root = quoted_path(&self.root);
+        match discover::is_first(&self.model, &self.other_models) {
+            true => root,
+            false => format!("{root} --model {}", quoted(&self.model.name())),
+        }
     }
 
     /// Where viewrank writes: `root/viewrank`.

@@ -18,7 +18,6 @@ use crate::{
     plan::Reason,
     project::{Project, ProjectError},
     scene::ViewIndex,
-    shell::quoted_path,
 };
 
 mod alicevision;
@@ -503,7 +502,7 @@ fn other_kind(backend: &dyn Backend, selection: &Selection) -> Option<String> {
         format!(
             "the plan was made for {}, {why}; one made for this program: viewrank plan {} --backend {}",
             planned_for.name(),
-            quoted_path(&selection.project.root),
+            selection.project.typed(),
             backend.name()
         )
     })

@@ -97,7 +97,7 @@ impl Selection<'_> {
                 format!("plan and export the undistorted images instead: viewrank plan {}", quoted_path(dense))
             }
             None => {
-                let (root, model) = (quoted_path(&self.project.root), &self.project.model);
+                let (root, model) = (self.project.typed(), &self.project.model);
                 let dense = quoted_path(&self.project.root.join("dense"));
                 let images = self.project.images.clone().unwrap_or_else(|| self.project.root.join("images"));
                 let colmap = format!(

@@ -92,7 +92,7 @@ fn inspect(project: &Project, scene: &Scene) -> Inspection {
         points,
         observations: scene.observations(),
         mean_track_length: (points > 0).then(|| scene.observations() as f64 / points as f64),
-        mean_reprojection_error_px: scene.mean_reprojection_error(),
+        mean_reprojection_error_px: scene.mean_reprojection_error().filter(|_| project.model.format.has_pixels()),
         median_gsd: scene.median_gsd(),
         units: None,
         sub_models: [sub_model(&project.model, true)].into_iter().chain(others).collect(),

@@ -129,7 +129,7 @@ fn choose(
     mut models: Vec<ModelLocation>,
     wanted: Option<&str>,
 ) -> Result<(ModelLocation, Vec<ModelLocation>), ProjectError> {
-    models.sort_by_cached_key(|model| (Reverse(model.registered), by_number(&model.name())));
+    models.sort_by_cached_key(order);
     let position = match wanted {
         None => 0,
         Some(wanted) => models.iter().position(|model| model.name() == wanted).unwrap_or(models.len()),
@@ -146,6 +146,16 @@ fn choose(
     }
     let model = models.remove(position);
     Ok((model, models))
+}
+
+/// Most registered images first, then by name.
+fn order(model: &ModelLocation) -> (Reverse<u64>, (u64, String)) {
+    (Reverse(model.registered), by_number(&model.name()))
+}
+
+/// Is it the one that is taken where none is named?
+pub(super) fn is_first(model: &ModelLocation, others: &[ModelLocation]) -> bool {
+    others.iter().all(|other| order(model) <= order(other))
 }
 
 /// Sorts 2 before 10, and numbers before words.

@@ -15,7 +15,6 @@ use super::Project;
 use crate::{
     formats::foreign::Foreign,
     scene::{Scene, ViewIndex},
-    shell::quoted_path,
 };
 
 /// Extensions of images, lower case.
@@ -111,7 +110,7 @@ impl ImageFaults {
     /// A line for each kind of fault.
     pub fn warnings(&self, project: &Project, scene: &Scene) -> Vec<String> {
         let Some(folder) = &project.images else { return Vec::new() };
-        let doctor = format!("viewrank doctor {}", quoted_path(&project.root));
+        let doctor = format!("viewrank doctor {}", project.typed());
         let all = scene.views.len();
         let missing = self.missing.first().map(|first| {
             let (count, name) = (self.missing.len(), scene.name(*first));
