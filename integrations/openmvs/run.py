@@ -11,9 +11,9 @@
     python3 run.py --stop-at 0                           only the fusion
     python3 run.py -- --geometric-iters 2                options for DensifyPointCloud behind two dashes
 
-Runs resume: a map that is there and whose row in report.json fits its scene and options is kept; any other is made anew and never fused. report.json says for each key view what came
-out: DensifyPointCloud ends with success whatever it did, so that maps, partners and depth ranges are read from the .dmap files.
-Exit code 1: something is not as planned. Needs Python 3.8 and nothing else.
+Runs resume: a map that is there, is as planned, and whose row in report.json fits its scene and options is kept; any other is made anew and never fused. report.json says for
+each key view what came out: DensifyPointCloud ends with success whatever it did, so that maps, partners and depth ranges are read from the .dmap files.
+fused.ply and fused.mvs are replaced when the fusion has succeeded. Exit code 1: something is not as planned. Needs Python 3.8 and nothing else.
 """
 
 import argparse
@@ -31,6 +31,7 @@ from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
 FILLED_LEAST = 0.01  # share of pixels with a depth below which a map counts as empty
+NO_POSE = 0xFFFFFFFF  # DensifyPointCloud passes over such images and does not load them
 
 
 def main():
@@ -150,7 +151,7 @@ def digest_of(row, program):
 
 def compute(row, program, report):
     digest = digest_of(row, program)
-    if report.has(row, digest) and map_of(row).exists():
+    if report.is_good(row, digest):
         return
     report.drop(row)
     with contextlib.suppress(FileNotFoundError):
@@ -162,10 +163,16 @@ def compute(row, program, report):
     for left in HERE.glob(f"{scratch.stem}*"):
         left.unlink()
     result = {"rank": row["rank"], "key": row["key"], "digest": digest, "seconds": round(time.monotonic() - started, 2), **check(row)}
-    if not map_of(row).exists() and done.returncode != 0:
-        last = done.stdout.strip().splitlines()[-3:]
-        result["problems"].append(f"DensifyPointCloud ended with {done.returncode}: {' | '.join(last)}")
+    if result["problems"] and done.returncode != 0:
+        result["problems"].append(last_words(done))
     report.add(row, result)
+
+
+def last_words(done):
+    """How a run of the program ended: what it calls errors, else its last lines."""
+    lines = [line.split("] ", 1)[-1].strip() for line in done.stdout.splitlines() if line.strip() and "Command line:" not in line]
+    errors = [line for line in lines if line.startswith("error")]
+    return " | ".join([f"DensifyPointCloud ended with {done.returncode}", *(errors or lines)[-3:]])
 
 
 def check(row):
@@ -194,24 +201,41 @@ def check(row):
 def read_map(path):
     """Head of a .dmap and the share of its pixels that have a depth."""
     with open(path, "rb") as file:
-        head = file.read(28)
-        if head[:2] != b"DR":
-            raise ValueError("it does not begin with DR")
-        width, height, least, greatest = struct.unpack_from("<2I2f", head, 12)
-        (length,) = struct.unpack("<H", file.read(2))
-        file.read(length)
-        (count,) = struct.unpack("<I", file.read(4))
-        if count > 1 << 16:
-            raise ValueError(f"{count} images")
-        ids = struct.unpack(f"<{count}I", file.read(4 * count))
-        file.read(21 * 8)
+        head = read_head(file)
+        width, height = head["size"]
         filled = 0
         for _ in range(height):
-            line = file.read(4 * width)
-            if len(line) < 4 * width:
-                raise ValueError("cut off")
-            filled += sum(1 for depth in memoryview(line).cast("f") if depth > 0)
-    return {"ids": list(ids), "range": [round(least, 6), round(greatest, 6)], "size": [width, height], "filled": filled / max(1, width * height)}
+            filled += sum(1 for depth in memoryview(file.read(4 * width)).cast("f") if depth > 0)
+    return {**head, "filled": filled / max(1, width * height)}
+
+
+def read_head(file):
+    """Head of a .dmap that is whole; ValueError and struct.error otherwise."""
+    head = file.read(28)
+    if head[:2] != b"DR":
+        raise ValueError("it does not begin with DR")
+    # Planes behind each other: depths, then as the bits say normals, confidences and indices of views.
+    planes = sum(size for bit, size in ((1, 4), (2, 12), (4, 4), (8, 4)) if head[2] & bit)
+    width, height, least, greatest = struct.unpack_from("<2I2f", head, 12)
+    (length,) = struct.unpack("<H", file.read(2))
+    file.read(length)
+    (count,) = struct.unpack("<I", file.read(4))
+    if count > 1 << 16:
+        raise ValueError(f"{count} images")
+    ids = struct.unpack(f"<{count}I", file.read(4 * count))
+    file.read(21 * 8)
+    if file.tell() + planes * width * height > os.fstat(file.fileno()).st_size:
+        raise ValueError("cut off")
+    return {"ids": list(ids), "range": [round(least, 6), round(greatest, 6)], "size": [width, height]}
+
+
+def is_whole(path):
+    try:
+        with open(path, "rb") as file:
+            read_head(file)
+    except (OSError, struct.error, ValueError):
+        return False
+    return True
 
 
 class Report:
@@ -232,7 +256,12 @@ class Report:
         self.single = False
 
     def has(self, row, digest):
+        """Was it tried, with this scene and these options?"""
         return self.rows.get(row["key"], {}).get("digest") == digest
+
+    def is_good(self, row, digest):
+        """Is its map there, whole and as planned?"""
+        return self.has(row, digest) and not self.rows[row["key"]]["problems"] and is_whole(map_of(row))
 
     def drop(self, row):
         if self.single:  # report.json is not ours alone; this row counts more than one there
@@ -281,30 +310,56 @@ class Report:
 
 
 def fuse(run, program, report):
-    """Joins the maps that are there; each is compared with those of the key views that overlap it."""
+    """Joins the maps that are as planned; each is compared with those of the key views that overlap it. One whose image cannot be read is left out."""
     rows = run["clusters"]
-    there = {i for i, row in enumerate(rows) if report.has(row, digest_of(row, program)) and map_of(row).exists()}
+    there = {i for i, row in enumerate(rows) if report.is_good(row, digest_of(row, program))}
+    problems = []
+    while there:
+        done, points = fuse_maps(run, there, program)
+        if points:
+            break
+        unread = re.search(r"failed reloading image '.*?/(images/.+)'", done.stdout)
+        broken = {i for i in there if unread and f"images/{rows[i]['key']}" == unread[1]}
+        problems += [f"{rows[i]['key']}: its image cannot be read" for i in broken] or [last_words(done)]
+        there = there - broken if broken else set()
     if not there:
-        print("nothing to fuse")
-        return False
-    lines = []
-    for i in sorted(there):
-        others = [o for o in run["overlaps"][i] if o in there] or [o for o in range(len(run["overlaps"])) if o != i][:1]
-        lines.append(" ".join(map(str, [i, *others])))
-    (HERE / "fuse.txt").write_text("\n".join(lines) + "\n")
+        print("; ".join([*problems, "nothing is fused" if problems else "nothing to fuse"]), flush=True)
+    else:
+        report.fusion = {"maps": len(there), "agreeing": min(run["maps_per_point"], len(there)), "points": points, "problems": problems}
+        report.write()
+        print("; ".join([*problems, f"{len(there)} maps fused: {points} points in {HERE / 'fused.ply'}"]), flush=True)
+    return bool(there) and not problems
+
+
+def fuse_maps(run, there, program):
+    """How the program ended, and points of the new fused.ply; without any the files of before stay."""
+    # A list must not be empty: a map that none overlaps is compared with any image of the scene.
+    partners = {i: [o for o in run["overlaps"][i] if o in there] or sorted(there - {i})[:1] or [int(i == 0)] for i in there}
+    (HERE / "fuse.txt").write_text("".join(" ".join(map(str, [i, *partners[i]])) + "\n" for i in sorted(there)))
+    (HERE / "fusing.mvs").write_bytes(fusion_scene(run["clusters"], there))
     agree = min(run["maps_per_point"], len(there))
     options = ["--view-neighbors-file", "fuse.txt", "--number-views", "0", "--geometric-iters", "0", "--postprocess-dmaps", "0", "--number-views-fuse", str(agree)]
     # Branch develop keeps only what five maps agree on unless told otherwise.
     options += ["--fusion-filter", "1" if agree > 1 else "0"] if "--fusion-filter" in program.known else []
-    cloud = HERE / "fused.ply"
-    with contextlib.suppress(FileNotFoundError):
-        cloud.unlink()
-    program.run("fuse.mvs", "fused.mvs", *options)
-    points = ply_points(cloud)
-    report.fusion = {"maps": len(there), "agreeing": agree, "points": points}
-    report.write()
-    print(f"{len(there)} maps fused: {points} points in {cloud}", flush=True)
-    return points > 0
+    done = program.run("fusing.mvs", "fusing-done.mvs", *options)
+    points = ply_points(HERE / "fusing-done.ply") if done.returncode == 0 else 0
+    for made in HERE.glob("fusing-done.*"):
+        if points:
+            made.replace(HERE / f"fused{made.suffix}")
+    for left in HERE.glob("fusing*"):
+        left.unlink()
+    return done, points
+
+
+def fusion_scene(rows, there):
+    """fuse.mvs, in which the images of key views that take no part have no pose: one that is missing or broken keeps no others from being fused, and none costs memory."""
+    scene = bytearray((HERE / "fuse.mvs").read_bytes())
+    for i, row in enumerate(rows):
+        if i not in there:
+            name = f"images/{row['key']}".encode()
+            entry = struct.pack("<Q", len(name)) + name + struct.pack("<Q", 0)  # the name, no mask; platform, camera and pose follow
+            struct.pack_into("<I", scene, scene.index(entry) + len(entry) + 8, NO_POSE)
+    return scene
 
 
 def ply_points(path):

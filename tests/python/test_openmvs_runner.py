@@ -1,6 +1,7 @@
 """integrations/openmvs/run.py with a stand-in for DensifyPointCloud that does what a file tells it to."""
 
 import json
+import os
 import shutil
 import struct
 import subprocess
@@ -20,13 +21,27 @@ here = Path(sys.argv[sys.argv.index("-w") + 1])
 with open(here / "calls.jsonl", "a") as log:
     log.write(json.dumps(sys.argv[1:]) + "\\n")
 scene = sys.argv[sys.argv.index("-i") + 1]
-if scene == "fuse.mvs":
-    (here / "fused.ply").write_bytes(b"ply\\nelement vertex 42\\nend_header\\n")
+if scene == "fusing.mvs":
+    data = (here / scene).read_bytes()
+    for key in ("k0", "k1", "k2"):
+        at = data.index(b"images/" + key.encode()) + len("images/k0") + 8
+        if data[at + 8 : at + 12] != b"\\xff" * 4 and not (here / "images" / key).exists():
+            print(f"06:04:49 [App     ] error: failed reloading image '{{here}}/images/{{key}}'")
+            sys.exit(1)
+    if (here / "no-points").exists():
+        print("06:04:49 [App     ] error: out of luck")
+        sys.exit(0)
+    (here / "fusing-done.ply").write_bytes(b"ply\\nelement vertex 42\\nend_header\\n")
+    (here / "fusing-done.mvs").write_bytes(data)
 for made in json.loads((here / "made.json").read_text()).get(scene, []):
     ids, (least, greatest), depth = made["ids"], made["range"], made["depth"]
-    head = b"DR" + bytes([1, 0]) + struct.pack("<4I2f", 4, 4, 4, 4, least, greatest)
+    head = b"DR" + bytes([3, 0]) + struct.pack("<4I2f", 4, 4, 4, 4, least, greatest)
     head += struct.pack("<H", 1) + b"a" + struct.pack(f"<I{{len(ids)}}I", len(ids), *ids) + bytes(21 * 8)
-    (here / f"depth{{ids[0]:04d}}.dmap").write_bytes(head + struct.pack("<16f", *[depth] * 16))
+    planes = struct.pack("<16f", *[depth] * 16) + bytes(16 * 12)
+    (here / f"depth{{ids[0]:04d}}.dmap").write_bytes(head + planes[: made.get("bytes")])
+    if "bytes" in made:
+        print("Killed")
+        sys.exit(137)
 '''
 
 
@@ -37,6 +52,12 @@ def folder(tmp_path):
     (tmp_path / "clusters").mkdir()
     for row in rows:
         (tmp_path / row["scene"]).write_text(row["key"])
+    # The middle of a scene as it matters here: name, no mask, platform, camera, pose, id of each image.
+    image = lambda name: struct.pack("<Q", len(name)) + name.encode() + struct.pack("<Q4I", 0, 0, 0, 7, 1)
+    (tmp_path / "fuse.mvs").write_bytes(b"MVSI" + b"".join(image(f"images/{row['key']}") for row in rows))
+    (tmp_path / "images").mkdir()
+    for row in rows:
+        (tmp_path / "images" / row["key"]).touch()
     run = dict(clusters=rows, overlaps=[[1, 2], [0, 2], [0, 1]], maps_per_point=2, resolution=400)
     (tmp_path / "run.json").write_text(json.dumps(run))
     make(tmp_path)
@@ -66,9 +87,9 @@ def scenes(calls):
 def test_in_rank_order_then_fused_and_resumed(folder):
     done, calls, report = run(folder)
     assert done.returncode == 0, done.stdout + done.stderr
-    assert scenes(calls) == ["clusters/0.mvs", "clusters/1.mvs", "clusters/2.mvs", "fuse.mvs"]
+    assert scenes(calls) == ["clusters/0.mvs", "clusters/1.mvs", "clusters/2.mvs", "fusing.mvs"]
     assert all(not row["problems"] for row in report.values())
-    assert scenes(run(folder)[1]) == ["fuse.mvs"]
+    assert scenes(run(folder)[1]) == ["fusing.mvs"]
 
 
 def test_openmvs_silent_no_map(folder):
@@ -87,12 +108,61 @@ def test_partners_ranges_and_empty_maps_are_checked(folder):
     assert "0.0 % of the pixels" in report["k2"]["problems"][0]
 
 
+def poses(folder):
+    """Of the images of the scene that was fused last."""
+    data = (folder / "fused.mvs").read_bytes()
+    return [struct.unpack_from("<I", data, data.index(f"images/k{i}".encode()) + 25)[0] for i in range(3)]
+
+
+def test_maps_that_are_not_as_planned_are_made_anew_and_not_fused(folder):
+    """Partners that are not the plan's; a map cut off behind its depths by a program that was killed."""
+    cut = dict(ids=[12, 1, 2], range=[90, 220], depth=150, bytes=100)
+    make(folder, k1=[dict(ids=[11, 1], range=[90, 220], depth=1)], k2=[cut])
+    done, _, report = run(folder)
+    assert done.returncode == 1 and "partners" in report["k1"]["problems"][0]
+    assert report["k2"]["problems"] == ["unreadable depth map: cut off", "DensifyPointCloud ended with 137 | Killed"]
+    assert (folder / "fuse.txt").read_text() == "0 1\n" and poses(folder) == [7, 0xFFFFFFFF, 0xFFFFFFFF]
+    make(folder)
+    done, calls, report = run(folder)
+    assert done.returncode == 0 and scenes(calls) == ["clusters/1.mvs", "clusters/2.mvs", "fusing.mvs"]
+    assert poses(folder) == [7, 7, 7] and not any(row["problems"] for row in report.values())
+    os.truncate(folder / "depth0010.dmap", 100)
+    assert scenes(run(folder)[1]) == ["clusters/0.mvs", "fusing.mvs"], "cut off later"
+
+
+def test_openmvs_all_images_loaded(folder):
+    """An image that takes no part is not loaded: it costs no memory, and may be missing."""
+    make(folder, k1=[])
+    (folder / "images/k1").unlink()
+    done, _, _ = run(folder)
+    assert poses(folder) == [7, 0xFFFFFFFF, 7] and "2 maps fused: 42 points" in done.stdout
+    run(folder, "--stop-at", "0", "--", "--resolution-level", "1")
+    assert poses(folder) == [7, 0xFFFFFFFF, 7], "nothing to fuse: what was fused stays"
+
+
+def test_an_image_that_cannot_be_read_keeps_no_others_from_being_fused(folder):
+    run(folder)
+    (folder / "images/k1").unlink()
+    done, _, report = run(folder)
+    assert done.returncode == 1 and "k1: its image cannot be read; 2 maps fused: 42 points" in done.stdout
+    assert (folder / "fuse.txt").read_text() == "0 2\n2 0\n" and not list(folder.glob("fusing*"))
+
+
+def test_a_fusion_that_fails_leaves_the_one_of_before(folder):
+    run(folder)
+    before = (folder / "fused.ply").read_bytes()
+    (folder / "no-points").touch()
+    done, _, _ = run(folder)
+    assert done.returncode == 1 and "DensifyPointCloud ended with 0 | error: out of luck; nothing is fused" in done.stdout
+    assert (folder / "fused.ply").read_bytes() == before and not list(folder.glob("fusing*"))
+
+
 def test_openmvs_existing_dmap_kept(folder):
     run(folder)
     (folder / "clusters/1.mvs").write_text("other partners")
     make(folder, k1=[])
     done, calls, report = run(folder)
-    assert scenes(calls) == ["clusters/1.mvs", "fuse.mvs"]
+    assert scenes(calls) == ["clusters/1.mvs", "fusing.mvs"]
     assert not (folder / "depth0011.dmap").exists(), "the map of other partners must not stay"
 
 
@@ -103,7 +173,7 @@ def test_a_map_of_an_older_plan_is_not_fused(folder, older):
     if older == "plan":
         (folder / "clusters/1.mvs").write_text("other partners")
     done, calls, report = run(folder, "--stop-at", "1", *(["--", "--resolution-level", "1"] if older == "options" else []))
-    fused = scenes(calls)[-1] == "fuse.mvs"
+    fused = scenes(calls)[-1] == "fusing.mvs"
     assert fused and "left out" in done.stdout and "k1" in done.stdout
     lines = (folder / "fuse.txt").read_text().splitlines()
     assert {int(line.split()[0]) for line in lines} == ({0, 2} if older == "plan" else {0})
@@ -114,7 +184,7 @@ def test_nothing_is_fused_where_all_maps_are_of_other_options(folder):
     run(folder)
     done, calls, report = run(folder, "--stop-at", "0", "--", "--resolution-level", "1")
     assert done.returncode == 1 and calls == [] and report == {} and "nothing to fuse" in done.stdout
-    assert scenes(run(folder)[1]) == ["fuse.mvs"], "their maps are still good for the options that they were made with"
+    assert scenes(run(folder)[1]) == ["fusing.mvs"], "their maps are still good for the options that they were made with"
 
 
 def test_openmvs_existing_dmap_header_rewritten(folder):
@@ -154,7 +224,7 @@ def test_single_ranks_then_the_fusion(folder):
     calls = [json.loads(line) for line in (folder / "calls.jsonl").read_text().splitlines()]
     assert scenes(calls) == ["clusters/1.mvs", "clusters/0.mvs"] and not (folder / "report.json").exists()
     _, calls, report = run(folder, "--stop-at", "0")
-    assert scenes(calls) == ["fuse.mvs"] and sorted(report) == ["k0", "k1"]
+    assert scenes(calls) == ["fusing.mvs"] and sorted(report) == ["k0", "k1"]
     assert (folder / "fuse.txt").read_text() == "0 1\n1 0\n"
 
 
