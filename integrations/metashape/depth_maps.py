@@ -2,8 +2,10 @@
 
     metashape.sh -r depth_maps.py PROJECT.psx [CHUNK]
 
-Reads clusters.json beside this file. Only key views and their partners are enabled while the maps are made; afterwards each camera is as it
-was. Names that no camera has, and labels that several cameras have, end the script before anything is done.
+Reads clusters.json beside this file. Works on a copy of the chunk, named as it with " (viewrank)" behind: the chunk itself, with depth maps and
+clouds that are there already, stays as it is. Only key views and their partners are enabled in the copy. The project is saved when the depth
+maps are made, and again with the point cloud. Names that no camera has, and labels that several cameras have, end the script before anything
+is done.
 """
 
 import json
@@ -11,6 +13,8 @@ import os
 import sys
 
 import Metashape
+
+COPY = " (viewrank)"
 
 
 def main():
@@ -20,25 +24,24 @@ def main():
     document = Metashape.Document()
     document.open(sys.argv[1])
     chunk = chosen_chunk(document, sys.argv[2] if len(sys.argv) > 2 else None)
-    labels = cameras_by_label(chunk)
-    enabled = {camera.key for camera in find(labels, clusters["enabled"])}
-    keys = [camera.key for camera in find(labels, clusters["keys"])]
-    before = {camera.key: camera.enabled for camera in chunk.cameras}
-    try:
-        for camera in chunk.cameras:
-            camera.enabled = camera.key in enabled
-        chunk.buildDepthMaps(downscale=int(clusters["downscale"]), filter_mode=Metashape.MildFiltering, cameras=keys, reuse_depth=False, max_neighbors=clusters["max_neighbors"])
-        build = getattr(chunk, "buildPointCloud", None) or chunk.buildDenseCloud
-        build()
-    finally:
-        for camera in chunk.cameras:
-            camera.enabled = before[camera.key]
+    find(chunk, clusters["enabled"])
+    copy = chunk.copy()
+    copy.label = chunk.label + COPY
+    enabled = {camera.key for camera in find(copy, clusters["enabled"])}
+    keys = [camera.key for camera in find(copy, clusters["keys"])]
+    for camera in copy.cameras:
+        camera.enabled = camera.key in enabled
+    copy.buildDepthMaps(downscale=int(clusters["downscale"]), filter_mode=Metashape.MildFiltering, cameras=keys, reuse_depth=False, max_neighbors=clusters["max_neighbors"])
     document.save()
-    print(f"{len(keys)} depth maps")
+    print(f"{len(keys)} depth maps in the chunk {copy.label}")
+    build = getattr(copy, "buildPointCloud", None) or copy.buildDenseCloud
+    build()
+    document.save()
 
 
 def chosen_chunk(document, label):
-    chunks = [chunk for chunk in document.chunks if label in (None, chunk.label)]
+    """The chunk of that label, or the only one that is no copy of ours."""
+    chunks = [chunk for chunk in document.chunks if (not chunk.label.endswith(COPY) if label is None else chunk.label == label)]
     if len(chunks) != 1:
         sys.exit(f"error: {len(chunks)} chunks fit; name one of {[chunk.label for chunk in document.chunks]}")
     return chunks[0]
@@ -53,8 +56,8 @@ def cameras_by_label(chunk):
     return labels
 
 
-def find(labels, names):
-    found, wrong = [], []
+def find(chunk, names):
+    labels, found, wrong = cameras_by_label(chunk), [], []
     for name in names:
         file = name.split("/")[-1]
         cameras = labels.get(name) or labels.get(file) or labels.get(os.path.splitext(file)[0]) or []
