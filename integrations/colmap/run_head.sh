@@ -1,10 +1,70 @@
 #!/bin/sh
-# Computes and fuses the depth maps of viewrank's plan. Maps that are there already are kept; with --replace, those that were made
-# with other partners are removed first. --fuse only fuses. COLMAP=/path/to/colmap run.sh takes another program.
+# Computes and fuses the depth maps of viewrank's plan. COLMAP=/path/to/colmap run.sh takes another program.
+usage='usage: run.sh             the depth maps that are not there yet, and the fusion
+       run.sh --replace   the same, but maps that were made with other partners or options are removed first
+       run.sh --rank N    the depth map of the N-th key view alone, made anew unless it is there, whole and of this plan; for queues
+       run.sh --fuse      the fusion alone'
 set -eu
+case $#${1:-} in
+0 | 1--replace | 1--fuse | 2--rank) ;;
+1--help | 1-h)
+    echo "$usage"
+    exit 0
+    ;;
+*)
+    echo "error: run.sh $*" >&2
+    echo "$usage" >&2
+    exit 2
+    ;;
+esac
 cd "$(dirname "$0")/../.."
-if [ "${1:-}" = --replace ]; then
-    while IFS= read -r map; do
-        rm -f -- "stereo/depth_maps/$map" "stereo/normal_maps/$map" "stereo/consistency_graphs/$map"
-    done < stereo/viewrank/replace.txt
-fi
+maps=stereo/viewrank/maps.tsv
+tab=$(printf '\t')
+
+# A map of COLMAP is whole when its size is what its head says: WIDTH&HEIGHT&CHANNELS& and as many floats.
+whole() {
+    [ -f "$1" ] || return 1
+    head=$(head -c 40 -- "$1" | LC_ALL=C tr -c '0-9&' ' ')
+    width=${head%%&*} rest=${head#*&}
+    height=${rest%%&*} rest=${rest#*&}
+    channels=${rest%%&*}
+    case $width$height$channels in '' | *[!0-9]*) return 1 ;; esac
+    [ "$(wc -c < "$1")" -eq $((${#width} + ${#height} + ${#channels} + 3 + 4 * width * height * channels)) ]
+}
+there() {
+    whole "stereo/depth_maps/$1" && whole "stereo/normal_maps/$1"
+}
+remove() {
+    rm -f -- "stereo/depth_maps/$1" "stereo/depth_maps/$1.made" "stereo/normal_maps/$1" "stereo/consistency_graphs/$1"
+}
+# Removes maps that were made otherwise than the plan wants. Lines of maps.tsv: what is wanted, what the map was made by when these lists
+# were written, the map. The note beside a map, of the run that made it, says more than that line; a map without either is by these lists.
+discard() {
+    while IFS=$tab read -r wanted made map; do
+        [ ! -f "stereo/depth_maps/$map.made" ] || made=$(cat "stereo/depth_maps/$map.made")
+        case $wanted in -) continue ;; esac
+        case $made in - | "$wanted") ;; *) remove "$map" ;; esac
+    done
+}
+# Lines of maps.tsv about the maps of a list: LIST KIND.
+lines_of() {
+    awk -v kind="$2" '
+        FNR == NR { map = $0; sub(/^[^\t]*\t[^\t]*\t/, "", map); line[map] = $0; next }
+        /^#/ { next }
+        ++n % 2 { map = $0 "." kind ".bin"; if (map in line) print line[map] }' "$maps" "$1"
+}
+# The depth maps of a list: LIST OPTIONS. Each that is to be made gets its note first: a plan that is written meanwhile changes maps.tsv,
+# but not what COLMAP is computing. What a killed run left is not whole, and COLMAP would keep it.
+compute() {
+    list=$1
+    shift
+    kind=photometric
+    case " $* " in *" --PatchMatchStereo.geom_consistency 1 "*) kind=geometric ;; esac
+    lines_of "$list" "$kind" | while IFS=$tab read -r wanted made map; do
+        if ! there "$map"; then
+            remove "$map"
+            echo "$wanted" > "stereo/depth_maps/$map.made"
+        fi
+    done
+    "${COLMAP:-colmap}" patch_match_stereo --workspace_path . --config_path "$list" "$@"
+}

@@ -411,7 +411,7 @@ fn finished_maps_of_another_plan() {
         put(map);
         assert!(found(&traps(backend), trap).what.starts_with("1 finished"), "{backend}");
     }
-    put("dense/stereo/viewrank/lists.json");
+    put("dense/stereo/viewrank/maps.tsv");
     assert!(
         traps("colmap").iter().all(|finding| finding.check != "colmap-stale-maps-skipped"),
         "their lists are known"

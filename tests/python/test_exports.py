@@ -192,13 +192,15 @@ def test_finished_maps_of_other_partners_are_reported_and_replaced(viewrank, pla
     assert not reported(), "made by the lists in force"
     viewrank("plan", project, "-k", "3", "--budget", "8", "--quiet")
     said = reported()
-    stale = (folder / "stereo/viewrank/replace.txt").read_text().split()
+    rows = [line.split("\t") for line in (folder / "stereo/viewrank/maps.tsv").read_text().splitlines()]
+    stale = [name for wanted, made, name in rows if "-" not in (wanted, made) and wanted != made]
     assert stale and f"{len(stale)} finished depth maps were made with other partners" in said[0] and "--replace" in said[0]
     assert reported() == said, "until they are gone"
     environment = {"PATH": "/usr/bin:/bin", "COLMAP": "true"}
     subprocess.run(["sh", folder / "stereo/viewrank/run.sh", "--replace"], env=environment, check=True)
     assert not any((folder / "stereo/depth_maps" / name).exists() for name in stale)
-    assert sum(path.exists() for path in maps) == len(maps) - len(stale)
+    kept = {path.name for path in maps} - {name for wanted, _, name in rows if wanted != "-"}
+    assert {path.name for path in maps if path.exists()} == kept, "those of views that are no key views any more"
     assert not reported()
 
 
@@ -456,6 +458,7 @@ def test_micmac_never_deletes_what_it_is_given(export, planned, tmp_path):
     ours.mkdir()
     (ours / "Orientation-a.xml").write_text("<x/>")
     for _ in range(2):
+        shutil.rmtree(folder / "done", ignore_errors=True)
         (folder / "calls.txt").unlink(missing_ok=True)
         done = run_micmac(folder, ours)
         assert done.returncode == 0, done.stderr

@@ -1,24 +1,26 @@
-//! Finished depth maps in a workspace. COLMAP skips a problem when its files exist, whatever partners they were made with, so each export
-//! notes which lists were in force, and the next one tells which maps these lists made.
+//! Finished depth maps in a workspace. COLMAP skips a problem when its files exist, whatever partners they were made with. So `run.sh` puts a
+//! note beside each map when it starts to compute it, which says how ([`Made::recipe`]), and `maps.tsv` says how each map is wanted and how
+//! those that were there without a note were made. Times of files decide nothing: a run may outlast the plan that it was started for.
 
-use std::{collections::BTreeMap, path::Path, time::SystemTime};
-
-use serde::{Deserialize, Serialize};
+use std::{collections::BTreeMap, fs, path::Path};
 
 use super::{cfg, cfg::Problem};
 
-/// Path of the note in the workspace.
-pub const NOTE: &str = "stereo/viewrank/lists.json";
+/// Path of the lists in the workspace. Exports put files in place by their names, this one after the lists for COLMAP: a run that begins
+/// meanwhile notes the older one, and its maps are made anew at worst.
+pub const MAPS: &str = "stereo/viewrank/maps.tsv";
+/// What stands for "none" in the lists, and for a map that nobody knows the making of.
+const NONE: &str = "-";
+const UNKNOWN: &str = "?";
 
 /// How a depth map was or will be made.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Made {
     /// Sorted: COLMAP keeps no order.
     sources: Vec<String>,
     /// A photometric map that a geometric pass cannot start from.
     filtered: bool,
     /// Long side that the images were reduced to (`max_image_size`), pixels; `None`: as they are.
-    #[serde(default)]
     long_side: Option<u32>,
 }
 
@@ -28,56 +30,75 @@ impl Made {
         sources.sort_unstable();
         Self { sources, filtered, long_side }
     }
+
+    /// A word that is another one for a map that is made otherwise.
+    fn recipe(&self) -> String {
+        let size = self.long_side.map_or(NONE.into(), |n| n.to_string());
+        let text = format!("{}\n{size}\n{}", self.filtered, self.sources.join("\n"));
+        blake3::hash(text.as_bytes()).to_hex()[..16].into()
+    }
 }
 
-/// The lists in force, by the path of the depth map under `stereo/depth_maps`, and what is known of older maps.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Lists {
-    in_force: BTreeMap<String, Made>,
-    finished: BTreeMap<String, Made>,
+/// `maps.tsv`: a line per map of [wanted recipe] TAB [recipe of the map that was there without a note] TAB [path under `stereo/depth_maps`].
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Lists(BTreeMap<String, Entry>);
+
+#[derive(Clone, Debug, Default, PartialEq)]
+struct Entry {
+    wanted: Option<String>,
+    made: Option<String>,
 }
 
 impl Lists {
-    pub fn new(in_force: BTreeMap<String, Made>) -> Self {
-        Self { in_force, finished: BTreeMap::new() }
+    pub fn new(wanted: impl IntoIterator<Item = (String, Made)>) -> Self {
+        let entry = |(map, made): (String, Made)| (map, Entry { wanted: Some(made.recipe()), made: None });
+        Self(wanted.into_iter().map(entry).collect())
     }
 
-    /// The lists that the maps of the workspace were made by up to now, and since when they are in force. Without a note of ours these are
-    /// the lists of `patch-match.cfg`, run with COLMAP's default options.
-    fn before(workspace: &Path) -> (Self, SystemTime) {
-        let note = workspace.join(NOTE);
-        if let Some(lists) = std::fs::read(&note).ok().and_then(|bytes| serde_json::from_slice(&bytes).ok()) {
-            let since = note.metadata().and_then(|m| m.modified());
-            return (lists, since.unwrap_or(SystemTime::UNIX_EPOCH));
+    /// The lists that the maps of the workspace were made by up to now. Without ours these are the lists of `patch-match.cfg`, run with
+    /// COLMAP's default options.
+    fn before(workspace: &Path) -> Self {
+        if let Ok(text) = fs::read_to_string(workspace.join(MAPS)) {
+            return Self::read(&text);
         }
-        let text = std::fs::read_to_string(workspace.join("stereo/patch-match.cfg")).unwrap_or_default();
+        let text = fs::read_to_string(workspace.join("stereo/patch-match.cfg")).unwrap_or_default();
         let kinds =
             |p: Problem| ["photometric", "geometric"].map(|k| (map_name(&p.reference, k), Made::new(&p, false, None)));
-        let in_force = cfg::read_patch_match(&text).into_iter().flat_map(kinds).collect();
-        (Self::new(in_force), SystemTime::UNIX_EPOCH)
+        Self::new(cfg::read_patch_match(&text).into_iter().flat_map(kinds))
+    }
+
+    fn read(text: &str) -> Self {
+        let word = |word: &str| (word != NONE).then(|| word.to_owned());
+        let line = |line: &str| {
+            let mut parts = line.splitn(3, '\t');
+            let (wanted, made, map) = (parts.next()?, parts.next()?, parts.next()?);
+            Some((map.to_owned(), Entry { wanted: word(wanted), made: word(made) }))
+        };
+        Self(text.lines().filter_map(line).collect())
     }
 
     /// Takes over what is known of the finished maps of the workspace; returns those that the lists would keep although they were made
     /// otherwise, or nobody knows how.
     pub fn follow(&mut self, workspace: &Path) -> Vec<String> {
-        let (before, since) = Self::before(workspace);
-        let modified =
-            |map: &String| workspace.join("stereo/depth_maps").join(map).metadata().and_then(|m| m.modified()).ok();
-        let known = |map: &String, modified: SystemTime| {
-            let by_lists = modified >= since && before.in_force.contains_key(map);
-            if by_lists { before.in_force.get(map) } else { before.finished.get(map) }
-        };
-        for map in before.in_force.keys().chain(before.finished.keys()) {
-            if let Some(made) = modified(map).and_then(|at| known(map, at)) {
-                self.finished.insert(map.clone(), made.clone());
-            }
+        let before = Self::before(workspace);
+        for map in before.0.keys() {
+            self.0.entry(map.clone()).or_default();
         }
-        let stale = |(map, wanted): (&String, &Made)| modified(map).is_some() && self.finished.get(map) != Some(wanted);
-        self.in_force.iter().filter(|entry| stale(*entry)).map(|(map, _)| map.clone()).collect()
+        let folder = workspace.join("stereo/depth_maps");
+        self.0.retain(|map, entry| {
+            let earlier = before.0.get(map).cloned().unwrap_or_default();
+            let noted = fs::read_to_string(folder.join(format!("{map}.made"))).ok();
+            let made = noted.map(|note| note.trim().to_owned()).or(earlier.made).or(earlier.wanted);
+            entry.made = folder.join(map).is_file().then(|| made.unwrap_or(UNKNOWN.into()));
+            entry.wanted.is_some() || entry.made.is_some()
+        });
+        let stale = |entry: &Entry| entry.wanted.is_some() && entry.made.is_some() && entry.wanted != entry.made;
+        self.0.iter().filter(|(_, entry)| stale(entry)).map(|(map, _)| map.clone()).collect()
     }
 
-    pub fn to_json(&self) -> String {
-        serde_json::to_string_pretty(self).expect("string keys") + "\n"
+    pub fn to_tsv(&self) -> String {
+        let word = |word: &Option<String>| word.clone().unwrap_or(NONE.into());
+        self.0.iter().map(|(map, entry)| format!("{}\t{}\t{map}\n", word(&entry.wanted), word(&entry.made))).collect()
     }
 }
 
@@ -88,36 +109,51 @@ pub fn map_name(image: &str, kind: &str) -> String {
 
 #[cfg(test)]
 mod tests {
-    use std::time::Duration;
-
     use super::*;
 
+    const MAP: &str = "stereo/depth_maps/a.jpg.photometric.bin";
+
     fn lists(partners: &[&str], filtered: bool) -> Lists {
+        of_size(partners, filtered, None)
+    }
+
+    fn of_size(partners: &[&str], filtered: bool, long_side: Option<u32>) -> Lists {
         let problem = Problem { reference: "a.jpg".into(), sources: partners.iter().map(|&s| s.into()).collect() };
-        Lists::new([(map_name("a.jpg", "photometric"), Made::new(&problem, filtered, None))].into())
+        Lists::new([(map_name("a.jpg", "photometric"), Made::new(&problem, filtered, long_side))])
+    }
+
+    fn put(workspace: &Path, path: &str, text: &str) {
+        let path = workspace.join(path);
+        fs::create_dir_all(path.parent().unwrap()).unwrap();
+        fs::write(&path, text).unwrap();
+    }
+
+    /// Writes the lists as an export does; how many finished maps it reports.
+    fn export(workspace: &Path, mut lists: Lists) -> usize {
+        let stale = lists.follow(workspace);
+        put(workspace, MAPS, &lists.to_tsv());
+        assert_eq!(Lists::read(&lists.to_tsv()), lists);
+        stale.len()
+    }
+
+    /// What `run.sh` does before it computes the map.
+    fn begin(workspace: &Path) {
+        let lists = Lists::before(workspace);
+        let wanted = lists.0.values().find_map(|entry| entry.wanted.clone()).unwrap();
+        put(workspace, &format!("{MAP}.made"), &format!("{wanted}\n"));
     }
 
     #[test]
     fn maps_of_another_size_are_stale() {
         let workspace = tempfile::tempdir().unwrap();
-        put(workspace.path(), NOTE, &lists(&["b.jpg"], true).to_json(), 200);
-        put(workspace.path(), MAP, "", 100);
-        let mut smaller = lists(&["b.jpg"], true);
-        smaller.in_force.values_mut().for_each(|made| made.long_side = Some(800));
-        assert_eq!(smaller.follow(workspace.path()), ["a.jpg.photometric.bin"]);
-        put(workspace.path(), NOTE, &smaller.to_json(), 200);
-        assert!(smaller.follow(workspace.path()).is_empty());
+        let at = workspace.path();
+        assert_eq!(export(at, lists(&["b.jpg"], true)), 0);
+        put(at, MAP, "");
+        assert_eq!(export(at, of_size(&["b.jpg"], true, Some(800))), 1);
+        assert_eq!(export(at, of_size(&["b.jpg"], true, Some(800))), 1, "until it is made anew");
+        begin(at);
+        assert_eq!(export(at, of_size(&["b.jpg"], true, Some(800))), 0);
     }
-
-    fn put(workspace: &Path, path: &str, text: &str, age_s: u64) {
-        let path = workspace.join(path);
-        std::fs::create_dir_all(path.parent().unwrap()).unwrap();
-        std::fs::write(&path, text).unwrap();
-        let time = SystemTime::now() - Duration::from_secs(age_s);
-        std::fs::File::options().append(true).open(path).unwrap().set_modified(time).unwrap();
-    }
-
-    const MAP: &str = "stereo/depth_maps/a.jpg.photometric.bin";
 
     #[test]
     fn colmap_stale_maps_skipped() {
@@ -125,29 +161,52 @@ mod tests {
         let at = workspace.path();
         assert!(lists(&["b.jpg"], true).follow(at).is_empty(), "no map, nothing to report");
 
-        put(at, MAP, "", 500);
+        put(at, MAP, "");
         assert_eq!(lists(&["b.jpg"], true).follow(at), ["a.jpg.photometric.bin"], "nobody knows how it was made");
-        put(at, "stereo/patch-match.cfg", "a.jpg\nc.jpg, b.jpg\n", 600);
+        put(at, "stereo/patch-match.cfg", "a.jpg\nc.jpg, b.jpg\n");
         assert!(lists(&["b.jpg", "c.jpg"], false).follow(at).is_empty(), "made by COLMAP from the same partners");
         assert_eq!(lists(&["b.jpg"], false).follow(at).len(), 1, "made from more partners");
 
-        let mut first = lists(&["b.jpg"], false);
-        put(at, NOTE, &first.to_json(), 400);
-        put(at, MAP, "", 300);
-        assert!(first.follow(at).is_empty());
-        let mut second = lists(&["c.jpg"], false);
-        assert_eq!(second.follow(at).len(), 1);
-        put(at, NOTE, &second.to_json(), 200);
-        assert_eq!(lists(&["c.jpg"], false).follow(at).len(), 1, "older than the lists in force: still the first ones");
-        assert!(lists(&["b.jpg"], false).follow(at).is_empty());
+        fs::remove_file(at.join(MAP)).unwrap();
+        assert_eq!(export(at, lists(&["b.jpg"], false)), 0);
+        put(at, MAP, "");
+        assert_eq!(export(at, lists(&["b.jpg"], false)), 0, "made by hand, by the list in place");
+        assert_eq!(export(at, lists(&["c.jpg"], false)), 1);
+        assert_eq!(export(at, lists(&["c.jpg"], false)), 1, "still the map of the first lists");
+        assert_eq!(export(at, lists(&["b.jpg"], false)), 0);
+    }
+
+    /// A run that was started before a plan and ends after it.
+    #[test]
+    fn maps_of_a_run_that_outlasts_its_plan_are_stale() {
+        let workspace = tempfile::tempdir().unwrap();
+        let at = workspace.path();
+        export(at, lists(&["b.jpg"], true));
+        begin(at);
+        assert_eq!(export(at, lists(&["c.jpg"], true)), 0, "no map is there yet");
+        put(at, MAP, "");
+        assert_eq!(export(at, lists(&["c.jpg"], true)), 1);
+        assert_eq!(export(at, lists(&["b.jpg"], true)), 0);
     }
 
     #[test]
     fn colmap_filtered_photometric_reused() {
         let workspace = tempfile::tempdir().unwrap();
-        put(workspace.path(), NOTE, &lists(&["b.jpg"], true).to_json(), 200);
-        put(workspace.path(), MAP, "", 100);
-        assert!(lists(&["b.jpg"], true).follow(workspace.path()).is_empty());
-        assert_eq!(lists(&["b.jpg"], false).follow(workspace.path()).len(), 1);
+        let at = workspace.path();
+        export(at, lists(&["b.jpg"], true));
+        put(at, MAP, "");
+        assert_eq!(export(at, lists(&["b.jpg"], true)), 0);
+        assert_eq!(export(at, lists(&["b.jpg"], false)), 1);
+    }
+
+    #[test]
+    fn maps_of_views_that_a_plan_leaves_out_stay_known() {
+        let workspace = tempfile::tempdir().unwrap();
+        let at = workspace.path();
+        export(at, lists(&["b.jpg"], true));
+        put(at, MAP, "");
+        export(at, Lists::default());
+        assert_eq!(export(at, lists(&["c.jpg"], true)), 1);
+        assert_eq!(export(at, lists(&["b.jpg"], true)), 0);
     }
 }

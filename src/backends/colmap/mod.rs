@@ -277,7 +277,7 @@ impl Passes {
         };
         let first = maps(&self.first, "photometric", false);
         let last = maps(&self.last, if self.geometric { "geometric" } else { "photometric" }, !self.geometric);
-        Lists::new(first.into_iter().chain(last).collect())
+        Lists::new(first.into_iter().chain(last))
     }
 
     /// The last pass in pieces of [`BATCH`], each with the photometric maps that it needs and that no earlier piece made.
@@ -321,8 +321,7 @@ fn add_lists(mut lists: Lists, files: &mut FileSet, record: &mut ExportRecord) {
             if stale.len() > 1 { ", ..." } else { "" }
         ));
     }
-    files.add_text("stereo/viewrank/replace.txt", stale.iter().map(|map| map.clone() + "\n").collect::<String>());
-    files.add_text(finished::NOTE, lists.to_json());
+    files.add_text(finished::MAPS, lists.to_tsv());
 }
 
 /// For each view: does it observe a sparse point? COLMAP takes the depth range from them and ends the whole run at a view without any.
@@ -399,17 +398,21 @@ fn map_folders(problems: &[Problem]) -> Vec<String> {
 
 /// `run.sh`: the commands of the record, from the workspace. A single rank can be computed where no map needs another.
 fn runner(record: &ExportRecord, geometric: bool) -> String {
-    let command = |c: &String| c.replacen("colmap", "\"${COLMAP:-colmap}\"", 1);
     let (fusion, maps) = record.commands.split_last().expect("the maps are fused");
-    let mut script = format!("{RUNNER_HEAD}# {}\n", record.way);
-    if !geometric {
-        let single = command(&maps[0]).replacen("stereo/patch-match.cfg", "\"$list\"", 1);
-        script += &SINGLE_RANK.replace("@COMMAND@", &single);
-    }
-    script += "if [ \"${1:-}\" != --fuse ]; then\n";
-    maps.iter().for_each(|c| script += &format!("    {}\n", command(c)));
-    script + "fi\n" + &command(fusion) + "\n"
+    let compute = |c: &String| c.replacen("colmap patch_match_stereo --workspace_path . --config_path", "compute", 1);
+    let single = |c: &String| compute(c).replacen("stereo/patch-match.cfg", "\"$list\"", 1);
+    let rank = maps.first().filter(|_| !geometric).map(single);
+    let rank = rank.map_or(NO_SINGLE_RANK.into(), |command| SINGLE_RANK.replace("@COMMAND@", &command));
+    let mut script = format!("{RUNNER_HEAD}# {}\n{rank}{WHOLE_RUN}", record.way);
+    maps.iter().for_each(|c| script += &format!("    {}\n", compute(c)));
+    script + "fi\n" + &fusion.replacen("colmap", "\"${COLMAP:-colmap}\"", 1) + "\n"
 }
 
 const RUNNER_HEAD: &str = include_str!("../../../integrations/colmap/run_head.sh");
 const SINGLE_RANK: &str = include_str!("../../../integrations/colmap/run_rank.sh");
+const NO_SINGLE_RANK: &str = r#"if [ "${1:-}" = --rank ]; then
+    echo "error: --rank: geometric depth maps need those of other views" >&2
+    exit 2
+fi
+"#;
+const WHOLE_RUN: &str = include_str!("../../../integrations/colmap/run_whole.sh");

@@ -17,7 +17,7 @@ pub fn all(patient: &Patient) -> Vec<Trap> {
 
 /// Maps that nobody noted the lists of.
 fn finished_maps(patient: &Patient) -> Option<Trap> {
-    let workspace = patient.project.dense_workspace.as_ref().filter(|folder| !folder.join(finished::NOTE).exists())?;
+    let workspace = patient.project.dense_workspace.as_ref().filter(|folder| !folder.join(finished::MAPS).exists())?;
     let cure = "plan, then stereo/viewrank/run.sh --replace makes those anew that the plan needs".into();
     let folder = workspace.join("stereo/depth_maps");
     patient.finished_maps("colmap-stale-maps-skipped", &folder, 8, |name| name.ends_with(".bin"), cure)
