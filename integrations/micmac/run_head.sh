@@ -1,10 +1,7 @@
-#!/bin/sh
 # usage: run.sh PATH/TO/Ori-NAME
-# Computes the chosen view clusters with mm3d ($MM3D). A copy of the orientations, Ori-viewrank, takes the ImSec files: the folder that is named stays as it is.
-set -eu
+# mm3d ($MM3D) is called. A copy of the orientations, Ori-viewrank, takes the ImSec files: the folder that is named stays as it is.
 usage="usage: run.sh PATH/TO/Ori-NAME"
-ori=$(cd "${1:?$usage}" && pwd -P)
-cd "$(dirname "$0")"
+ori=$(cd "$OLDPWD" && cd "${1:?$usage}" && pwd -P) || exit 2
 copy="$(pwd -P)/Ori-viewrank"
 case "$copy/" in
 "${ori%/}"/*)
@@ -23,7 +20,7 @@ if [ -e Ori-viewrank ] && [ ! -e Ori-viewrank/made-by-viewrank ]; then
     exit 1
 fi
 rm -rf Ori-viewrank
-mkdir Ori-viewrank
-: >Ori-viewrank/made-by-viewrank
-cp -R "$ori"/. Ori-viewrank/
-cp ImSec/*.xml Ori-viewrank/
+mkdir Ori-viewrank && : >Ori-viewrank/made-by-viewrank && cp -R "$ori"/. Ori-viewrank/ || exit 1
+# With other orientations all is to be computed anew.
+orientations=$(cat Ori-viewrank/*.xml | cksum | tr ' ' -)
+cp ImSec/*.xml Ori-viewrank/ || exit 1

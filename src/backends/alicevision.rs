@@ -7,7 +7,9 @@ use serde_json::{Value, json};
 
 use super::{
     Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, PATCH_MATCH, PlanningNumbers,
-    RankedCluster, Selection, selection,
+    RankedCluster, Selection,
+    clusters::{ClusterScript, recipe},
+    selection,
 };
 use crate::{
     output::Contents,
@@ -55,10 +57,14 @@ impl Backend for AliceVision {
         let mut record = ExportRecord::new(self, selection, |v| scene.view(v).image_id.to_string());
         record.not_honoured = vec!["the order of the partners of a key view".into()];
         record.moved(near.origin);
+        let mut script = ClusterScript::new("mkdir -p depthMaps filtered || exit 1\n");
         for (i, cluster) in selection.clusters.iter().enumerate() {
             let path = format!("clusters/{:04}.sfm", i + 1);
             files.add_text(&*path, cluster_file(scene, &points, cluster));
-            record.commands.push(estimation(selection, cluster, &path));
+            let (id, call) = (scene.view(cluster.key).image_id.to_string(), estimation(selection, cluster, &path));
+            let recipe = recipe(selection, cluster, &downscale(selection).to_string());
+            script.cluster(&id, &recipe, &format!("depthMaps/{id}_depthMap.exr"), std::slice::from_ref(&call));
+            record.commands.push(call);
             let shared = selection::shared_points(scene, &points, cluster.key);
             let without = cluster.partners.iter().filter(|p| shared[p.at()] == 0);
             record.not_honoured.extend(without.map(|&p| {
@@ -82,11 +88,7 @@ impl Backend for AliceVision {
         record.way = "one scene file and one call per cluster".into();
         record.note_scale(selection, |_| 1.0 / downscale(selection));
         record.fusion = "minNumOfConsistentCams 1: only key views have maps, 3 of them rarely agree".into();
-        let script = format!(
-            "#!/bin/sh\nset -eu\ncd \"$(dirname \"$0\")\"\nmkdir -p depthMaps filtered\n{}\n",
-            record.commands.join("\n")
-        );
-        files.add("run.sh", Contents::Script(script.into_bytes()));
+        files.add("run.sh", script.finish(&record.commands[selection.clusters.len()..]));
         files.add_text("export.json", record.to_json());
         Ok(Export { files, record })
     }

@@ -2,7 +2,9 @@
 
 use super::{
     Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, PATCH_MATCH, Patient,
-    PlanningNumbers, RankedCluster, Selection, Trap, pmvs, selection,
+    PlanningNumbers, RankedCluster, Selection, Trap,
+    clusters::{ClusterScript, recipe},
+    pmvs, selection,
 };
 use crate::{
     output::Contents,
@@ -41,9 +43,10 @@ impl Backend for Gipuma {
         let views = selection.keys_first();
         let mut names = vec![String::new(); selection.scene.views.len()];
         let mut files = options.file_set(self, selection);
-        for (i, &view) in views.iter().enumerate() {
-            // Result folders are named by the name less four characters: an extension of three letters.
-            let name = format!("{i:08}.jpg");
+        for &view in &views {
+            // Result folders are named by the name less four characters: an extension of three letters. The id of the image is the
+            // same in each plan, so that no result is taken for that of another image.
+            let name = format!("{:08}.jpg", selection.scene.view(view).image_id);
             files.add_text(format!("p/{name}.P"), pmvs::projection(selection.scene, view));
             files.add(format!("images/{name}"), Contents::Link(images.join(selection.scene.name(view))));
             names[view.at()] = name;
@@ -54,14 +57,20 @@ impl Backend for Gipuma {
         record.runner = Some("run.sh".into());
         record.made_for = "Gipuma (f16dbfd) and fusibile".into();
         record.way = "one call per key view".into();
+        let mut script = ClusterScript::new(RUNNER_HEAD);
         for cluster in selection.clusters {
-            record.commands.push(command(selection, cluster, &points, &names)?);
+            let call = call(selection, cluster, &points, &names)?;
+            let recipe = recipe(selection, cluster, &call);
+            let image = names[cluster.key.at()].trim_end_matches(".jpg");
+            // As fusibile wants it: 2, date, time, image.
+            let result = format!("2_{recipe}_{image}");
+            script.line(&format!("back {result}"));
+            script.cluster(&result, &recipe, &format!("results/{result}"), &[format!("map {result} {call}")]);
+            record.commands.push(format!("gipuma {call} -output_folder results/"));
         }
         record.note_scale(selection, |_| 1.0);
         record.fusion = "fusibile, over the folders under results/".into();
-        let script =
-            format!("#!/bin/sh\nset -eu\ncd \"$(dirname \"$0\")\"\nmkdir -p results\n{}\n", record.commands.join("\n"));
-        files.add("run.sh", Contents::Script(script.into_bytes()));
+        files.add("run.sh", script.finish(&[]));
         let table = views.iter().map(|v| format!("{}\t{}\n", names[v.at()], selection.scene.name(*v)));
         files.add_text("view_names.txt", table.collect::<String>());
         files.add_text("export.json", record.to_json());
@@ -69,9 +78,11 @@ impl Backend for Gipuma {
     }
 }
 
-/// Folders end with a slash, since they are put in front of names as they are. The depth range is given, since it would be guessed
-/// otherwise, and `-view_selection` is not, since it chooses at random.
-fn command(
+const RUNNER_HEAD: &str = include_str!("../../integrations/gipuma/run_head.sh");
+
+/// Images and options of a call. Folders end with a slash, since they are put in front of names as they are. The depth range is given, since
+/// it would be guessed otherwise, and `-view_selection` is not, since it chooses at random.
+fn call(
     selection: &Selection,
     cluster: &RankedCluster,
     points: &ViewPoints,
@@ -86,7 +97,7 @@ fn command(
     let images: Vec<&str> =
         std::iter::once(&key).chain(&cluster.partners).map(|v: &ViewIndex| names[v.at()].as_str()).collect();
     Ok(format!(
-        "gipuma {} -images_folder images/ -p_folder p/ -output_folder results/ --depth_min={} --depth_max={}",
+        "{} -images_folder images/ -p_folder p/ --depth_min={} --depth_max={}",
         images.join(" "),
         0.9 * range[0],
         1.1 * range[1]

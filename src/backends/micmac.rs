@@ -6,8 +6,9 @@ use quick_xml::escape::escape;
 use super::{
     Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, PATCH_MATCH, Patient,
     PlanningNumbers, RankedCluster, Selection, Trap,
+    clusters::{ClusterScript, recipe},
 };
-use crate::output::Contents;
+use crate::{output::Contents, shell::quoted};
 
 pub struct MicMac;
 
@@ -63,7 +64,7 @@ impl Backend for MicMac {
         ]);
         record.note_scale(selection, |_| 1.0);
         record.fusion = "MicMac's MergeCloud, by hand".into();
-        files.add("run.sh", Contents::Script(runner(selection).into_bytes()));
+        files.add("run.sh", runner(selection));
         files.add_text("export.json", record.to_json());
         Ok(Export { files, record })
     }
@@ -109,21 +110,24 @@ fn masters(selection: &Selection) -> String {
 }
 
 /// The script: see its head. Patterns are regular expressions.
-fn runner(selection: &Selection) -> String {
-    let mut script = String::from(RUNNER_HEAD);
+fn runner(selection: &Selection) -> Contents {
+    let mut script = ClusterScript::new(RUNNER_HEAD);
     for cluster in selection.clusters {
-        let pattern: String = selection.scene.name(cluster.key).chars().flat_map(escaped).collect();
-        script += &format!("\"${{MM3D:-mm3d}}\" Malt GeomImage '{pattern}' viewrank Master=AUTO\n");
+        let name = selection.scene.name(cluster.key);
+        let pattern: String = name.chars().flat_map(escaped).collect();
+        let call = format!("\"${{MM3D:-mm3d}}\" Malt GeomImage {} viewrank Master=AUTO", quoted(&pattern));
+        // Malt's folder is named by itself; that it ended with success has to do.
+        let recipe = recipe(selection, cluster, "") + "-$orientations";
+        script.cluster(name, &recipe, ".", &[call]);
     }
-    script
+    script.finish(&[])
 }
 
 const RUNNER_HEAD: &str = include_str!("../../integrations/micmac/run_head.sh");
 
-/// The character in a regular expression between single quotes of the shell.
+/// The character in a regular expression.
 fn escaped(c: char) -> Vec<char> {
     match c {
-        '\'' => "'\\''".chars().collect(),
         '.' | '+' | '*' | '?' | '(' | ')' | '[' | ']' | '{' | '}' | '^' | '$' | '|' | '\\' => vec!['\\', c],
         _ => vec![c],
     }

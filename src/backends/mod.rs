@@ -21,6 +21,7 @@ use crate::{
 };
 
 mod alicevision;
+mod clusters;
 mod colmap;
 mod gipuma;
 mod images;

@@ -6,6 +6,7 @@ use std::path::Path;
 use super::{
     Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, PATCH_MATCH, Patient,
     PlanningNumbers, RankedCluster, Selection, Trap,
+    clusters::{ClusterScript, recipe},
 };
 use crate::{
     output::Contents,
@@ -57,7 +58,7 @@ impl Backend for Mve {
         let mut files = options.file_set(self, selection);
         for (i, &view) in views.iter().enumerate() {
             let name = selection.scene.name(view);
-            let folder = format!("views/view_{i:04}.mve");
+            let folder = format!("views/{}", folder(selection.scene, view));
             files.add_text(format!("{folder}/meta.ini"), meta(selection.scene, view, i));
             files.add(format!("{folder}/undistorted.{}", extension(name)?), Contents::Link(images.join(name)));
         }
@@ -74,14 +75,20 @@ impl Backend for Mve {
         record.runner = Some("run.sh".into());
         record.made_for = "MVE (bf2279f)".into();
         record.way = "one bundle per cluster in one scene".into();
+        let mut script = ClusterScript::new(RUNNER_HEAD);
         for (i, cluster) in selection.clusters.iter().enumerate() {
-            let partners = cluster.partners.len();
-            record.commands.push(format!("cp bundles/{:04}.out synth_0.out", i + 1));
-            record.commands.push(format!(
-                "dmrecon -s{scale} -m{} --neighbors={partners} --local-neighbors={} .",
-                id(cluster.key),
-                partners.min(LOCAL_NEIGHBOURS)
-            ));
+            let (partners, key) = (cluster.partners.len(), id(cluster.key));
+            let local = partners.min(LOCAL_NEIGHBOURS);
+            let bundle = format!("{:04}.out", i + 1);
+            let choice = format!("--neighbors={partners} --local-neighbors={local}");
+            let options = format!("-s{scale} -m{key} {choice}");
+            let folder = folder(selection.scene, cluster.key);
+            let recipe = recipe(selection, cluster, &format!("-s{scale} {choice}"));
+            let result = format!("views/{folder}/depth-L{scale}.mvei");
+            let name = folder.trim_end_matches(".mve");
+            script.cluster(name, &recipe, &result, &[format!("map {folder} {bundle} {options}")]);
+            record.commands.push(format!("cp bundles/{bundle} synth_0.out"));
+            record.commands.push(format!("dmrecon {options} ."));
         }
         record.note_scale(selection, |_| (-scale).exp2());
         let keys: Vec<String> = (0..selection.clusters.len()).map(|i| i.to_string()).collect();
@@ -90,11 +97,18 @@ impl Backend for Mve {
         record.fusion =
             "depth-L maps hold the length of the ray, not z; scene2pset joins them with confidences and scales; fssrecon fused.ply surface.ply makes the surface"
                 .into();
-        let script = format!("#!/bin/sh\nset -eu\ncd \"$(dirname \"$0\")\"\n{}\n", record.commands.join("\n"));
-        files.add("run.sh", Contents::Script(script.into_bytes()));
+        files.add("run.sh", script.finish(&record.commands[record.commands.len() - 1..]));
         files.add_text("export.json", record.to_json());
         Ok(Export { files, record })
     }
+}
+
+const RUNNER_HEAD: &str = include_str!("../../integrations/mve/run_head.sh");
+
+/// The folder of a view, where its depth map goes: named by the id of the image, which is the same in each plan. MVE's own id, in `meta.ini`,
+/// counts from 0: it refuses large ones.
+fn folder(scene: &Scene, view: ViewIndex) -> String {
+    format!("view_{:08}.mve", scene.view(view).image_id)
 }
 
 /// MVE finds the decoder by the extension.

@@ -3,6 +3,7 @@
 use super::{
     Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Gate, Honours, Patient, PlanningNumbers,
     Selection, Trap,
+    clusters::{ClusterScript, recipe},
 };
 use std::collections::HashMap;
 
@@ -97,17 +98,8 @@ impl Backend for Sure {
             add_lists(&mut files, &format!("clusters/{:04}/", i + 1), &names, &views, &[cluster.key]);
         }
         let record = self.record(selection, &names);
-        let script = |head: &str, line: fn(&str) -> String| {
-            format!("{head}{}", record.commands.iter().map(|c| line(c)).collect::<String>())
-        };
-        let shell = script("#!/bin/sh\nset -eu\ncd \"$(dirname \"$0\")\"\n", |c| {
-            c.replacen("sure", "\"${SURE:-sure}\"", 1) + "\n"
-        });
-        files.add("run.sh", Contents::Script(shell.into_bytes()));
-        files.add_text(
-            "run.bat",
-            script("cd /d %~dp0\r\n", |c| c.replacen("sure", "sure.exe", 1).replace('/', "\\") + "\r\n"),
-        );
+        files.add("run.sh", shell_script(selection, &record.commands));
+        files.add_text("run.bat", batch_script(&record.commands));
         files.add_text("export.json", record.to_json());
         Ok(Export { files, record })
     }
@@ -145,6 +137,28 @@ impl Sure {
         record.fusion = "each project gives points of its key view; one DSM or mesh run joins them".into();
         record
     }
+}
+
+/// `run.sh`. Two commands make a cluster.
+fn shell_script(selection: &Selection, commands: &[String]) -> Contents {
+    let mut script = ClusterScript::new("");
+    for (i, (cluster, calls)) in selection.clusters.iter().zip(commands.chunks(2)).enumerate() {
+        let recipe = recipe(selection, cluster, &calls.concat());
+        let calls: Vec<String> = calls.iter().map(|c| c.replacen("sure", "\"${SURE:-sure}\"", 1)).collect();
+        script.cluster(&format!("{:04}", i + 1), &recipe, ".", &calls);
+    }
+    script.finish(&[])
+}
+
+/// `run.bat`: every cluster is tried, each time.
+fn batch_script(commands: &[String]) -> String {
+    let call = |c: &String| c.replacen("sure", "sure.exe", 1).replace('/', "\\");
+    let cluster = |(i, calls): (usize, &[String])| {
+        let calls = calls.iter().map(call).collect::<Vec<_>>().join(" && ");
+        format!("{calls} || (echo error: {:04} failed & set failed=1)\r\n", i + 1)
+    };
+    let clusters: String = commands.chunks(2).enumerate().map(cluster).collect();
+    format!("@echo off\r\ncd /d \"%~dp0\"\r\nset failed=0\r\n{clusters}exit /b %failed%\r\n")
 }
 
 /// Names without folders. SURE ignores extensions, so that stems must differ.

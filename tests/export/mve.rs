@@ -70,10 +70,15 @@ fn mve_local_neighbors_default_4() {
 #[test]
 fn mve_view_id_not_index() {
     let files = Fixture::new(3).export("mve");
-    for (i, name) in files.names().into_iter().filter(|n| n.ends_with("meta.ini")).enumerate() {
-        assert_eq!(name, format!("views/view_{i:04}.mve/meta.ini"));
-        assert!(files.text(name).contains(&format!("\nid = {i}\n")));
+    let mut ids = BTreeSet::new();
+    for cluster in &files.0.record.clusters {
+        for view in std::iter::once(&cluster.key).chain(&cluster.partners) {
+            let meta = files.text(&format!("views/view_{:08}.mve/meta.ini", view.image_id));
+            assert!(meta.contains(&format!("\nid = {}\nname = {}\n", view.target, view.name)), "{meta}");
+            ids.insert(view.target.parse::<usize>().unwrap());
+        }
     }
+    assert!(ids.iter().copied().eq(0..ids.len()), "MVE refuses ids that are large for the number of views");
 }
 
 #[test]
@@ -101,9 +106,17 @@ fn mve_order_parallel() {
     assert_eq!(masters, ["0", "1", "2", "3"], "one call per key view keeps the order");
 }
 
+/// Wherever depth maps are looked for, none of MVE's is taken for one of depths along the optical axis.
 #[test]
 fn mve_ray_length_depth() {
-    assert!(Fixture::new(3).export("mve").0.record.fusion.contains("length of the ray"));
+    let fixture = Fixture::new(3);
+    let folder = tempfile::tempdir().unwrap();
+    for name in fixture.export("mve").names().into_iter().filter_map(|n| n.strip_suffix("meta.ini")) {
+        std::fs::create_dir_all(folder.path().join(name)).unwrap();
+        std::fs::write(folder.path().join(name).join("depth-L0.mvei"), "\u{89}MVE_IMAGE\n").unwrap();
+    }
+    let found = viewrank::depthmaps::find(folder.path(), &fixture.scene);
+    assert!(matches!(found, Err(viewrank::depthmaps::DepthMapError::None(_))), "{found:?}");
 }
 
 /// Focal length in units of the larger side, the principal point in units of each side.
@@ -111,7 +124,7 @@ fn mve_ray_length_depth() {
 fn views_have_the_model_s_cameras() {
     let fixture = Fixture::new(3);
     let files = fixture.export("mve");
-    let meta = files.text("views/view_0000.mve/meta.ini");
+    let meta = files.text(&format!("views/view_{:08}.mve/meta.ini", files.0.record.clusters[0].key.image_id));
     let value = |key: &str| meta.lines().find_map(|l| l.strip_prefix(&format!("{key} = "))).unwrap();
     assert_eq!(numbers(value("focal_length"))[0] * 640.0, 510.0);
     assert_eq!(numbers(value("focal_length"))[0] * 640.0 * numbers(value("pixel_aspect"))[0], 500.0);

@@ -154,7 +154,8 @@ fn shifted_cameras_are_where_they_were() {
     let p = nalgebra::Matrix3x4::from_row_slice(&cam);
     near(&files, -(p.fixed_view::<3, 3>(0, 0).transpose() * p.column(3)));
     let files = fixture.export("gipuma");
-    let p = nalgebra::Matrix3x4::from_row_slice(&numbers(files.text("p/00000000.jpg.P")));
+    let key = &files.0.record.clusters[0].key.target;
+    let p = nalgebra::Matrix3x4::from_row_slice(&numbers(files.text(&format!("p/{key}.P"))));
     near(&files, -(p.fixed_view::<3, 3>(0, 0).try_inverse().unwrap() * p.column(3)));
     for (backend, folder) in [("colmap", "sparse"), ("splat", "sparse/0")] {
         let files = fixture.export(backend);

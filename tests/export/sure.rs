@@ -142,3 +142,20 @@ fn orientations_are_read_back() {
         assert!((a - b).norm() < 1e-12);
     }
 }
+
+/// `run.sh` is run in tests/python.
+#[test]
+fn the_batch_file_tries_every_cluster_and_ends_with_what_became_of_them() {
+    let fixture = Fixture::new(3);
+    let files = fixture.export("sure");
+    let lines = files.lines("run.bat");
+    assert_eq!(lines[..3], ["@echo off", "cd /d \"%~dp0\"", "set failed=0"]);
+    for (i, line) in lines[3..lines.len() - 1].iter().enumerate() {
+        let (calls, otherwise) = line.split_once(" || ").unwrap();
+        let folder = format!("clusters\\{:04}", i + 1);
+        let calls: Vec<&str> = calls.split(" && ").collect();
+        assert!(calls.len() == 2 && calls.iter().all(|c| c.starts_with(&format!("sure.exe -basepath {folder}"))));
+        assert!(otherwise.starts_with("(echo error: ") && otherwise.ends_with(" & set failed=1)"));
+    }
+    assert_eq!((lines.len(), lines[lines.len() - 1]), (3 + 4 + 1, "exit /b %failed%"));
+}

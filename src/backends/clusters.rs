@@ -1,0 +1,48 @@
+//! `run.sh` of programs that are called once per view cluster: `integrations/run_clusters.sh` is its head.
+
+use super::{RankedCluster, Selection};
+use crate::{output::Contents, shell::quoted};
+
+const HEAD: &str = include_str!("../../integrations/run_clusters.sh");
+
+/// The script while it is written.
+pub struct ClusterScript(String);
+
+impl ClusterScript {
+    /// `preparation`: lines of sh behind the head.
+    pub fn new(preparation: &str) -> Self {
+        Self(format!("{HEAD}{preparation}"))
+    }
+
+    /// A cluster: its commands, each if the one before succeeds. `name` is that of a file; `result` is a path that the commands leave.
+    pub fn cluster(&mut self, name: &str, recipe: &str, result: &str, commands: &[String]) {
+        let (name, result) = (quoted(name), quoted(result));
+        let commands = commands.join(" &&\n        ");
+        self.0 += &format!("if begin {name} {recipe} {result}; then\n    {commands}\n    end $?\nfi\n");
+    }
+
+    /// Lines of sh as they are.
+    pub fn line(&mut self, line: &str) {
+        self.0 += &format!("{line}\n");
+    }
+
+    /// The script with the commands that join what came out, each if the one before succeeds.
+    pub fn finish(mut self, joining: &[String]) -> Contents {
+        if !joining.is_empty() {
+            self.0 += &format!("{} ||\n    fail 'the fusion'\n", joining.join(" &&\n    "));
+        }
+        self.0 += "exit \"$failed\"\n";
+        Contents::Script(self.0.into_bytes())
+    }
+}
+
+/// A word for all that a depth map is made of: views, cameras and poses of key view and partners, and what the program is told (`options`).
+pub fn recipe(selection: &Selection, cluster: &RankedCluster, options: &str) -> String {
+    let mut text = options.to_owned();
+    for view in std::iter::once(cluster.key).chain(cluster.partners.iter().copied()) {
+        let (camera, pose) = (selection.scene.camera_of(view), &selection.scene.view(view).cam_from_world);
+        let numbers = [camera.params(), pose.rotation.matrix().as_slice(), pose.translation.as_slice()].concat();
+        text += &format!("\n{} {} {} {numbers:?}", selection.scene.name(view), camera.width, camera.height);
+    }
+    blake3::hash(text.as_bytes()).to_hex()[..16].into()
+}

@@ -1,0 +1,335 @@
+"""The run.sh of exports, with stand-ins for the programs that they call: what is tried after a failure, what a second start computes, and
+what becomes of maps that an older plan left."""
+import json
+import os
+import shlex
+import shutil
+import subprocess
+import sys
+
+import pytest
+
+from conftest import ROOT
+
+
+@pytest.fixture(scope="session")
+def plans(viewrank, fixtures, tmp_path_factory):
+    """Two plans of the same views, by the number of partners."""
+    plans = {}
+    for partners in (4, 3):
+        plans[partners] = tmp_path_factory.mktemp("runs") / "project"
+        shutil.copytree(fixtures / "valley", plans[partners])
+        viewrank("plan", plans[partners], "-k", partners, "--budget", "20", "--quiet")
+    return plans
+
+
+class Work:
+    """An export and the programs beside it. What these do is told by environment variables; `calls.txt` holds what they did."""
+
+    def __init__(self, viewrank, plans, backend, folder, programs):
+        self.viewrank, self.plans, self.backend, self.folder = viewrank, plans, backend, folder / backend
+        self.bin = folder / "bin"
+        self.bin.mkdir()
+        for name, text in programs.items():
+            (self.bin / name).write_text(text.replace("PYTHON", sys.executable))
+            (self.bin / name).chmod(0o755)
+        self.said = self.export(4)
+
+    def export(self, partners, *options):
+        """What the export says."""
+        return self.viewrank("export", self.plans[partners], "--backend", self.backend, "--out", self.folder, *options).stdout
+
+    def clusters(self):
+        (record,) = [path for path in self.folder.rglob("export.json")]
+        return json.loads(record.read_text())["clusters"]
+
+    def targets(self):
+        return [cluster["key"]["target"] for cluster in self.clusters()]
+
+    def partners(self):
+        """How many each key view has."""
+        return {cluster["key"]["target"]: len(cluster["partners"]) for cluster in self.clusters()}
+
+    def run(self, *options, script="run.sh", **environment):
+        """How the script ends, and the calls that it makes."""
+        log = self.folder / "calls.txt"
+        log.unlink(missing_ok=True)
+        environment = {"PATH": f"{self.bin}:/usr/bin:/bin", **environment}
+        done = subprocess.run([self.folder / script, *map(str, options)], env=environment, capture_output=True, text=True, cwd="/")
+        return done, log.read_text().splitlines() if log.exists() else []
+
+
+@pytest.fixture
+def work(viewrank, plans, tmp_path):
+    return lambda backend, programs: Work(viewrank, plans, backend, tmp_path, programs)
+
+
+# COLMAP
+
+COLMAP = """#!PYTHON
+# Makes the maps of its list that are not there. MAPS: is killed after so many. DURING: a command that is run when the list is read.
+import os, subprocess, sys
+from pathlib import Path
+words = sys.argv[1:]
+if words[0] != "patch_match_stereo":
+    print(words[0], file=open("calls.txt", "a"))
+    sys.exit(0)
+value = lambda option: words[words.index(option) + 1]
+kind = "geometric" if value("--PatchMatchStereo.geom_consistency") == "1" else "photometric"
+lines = [line for line in Path(value("--config_path")).read_text().splitlines() if line[0] != "#"]
+if "DURING" in os.environ:
+    subprocess.run(os.environ["DURING"], shell=True, check=True)
+left = int(os.environ.get("MAPS", 1000))
+for name, sources in zip(lines[::2], lines[1::2]):
+    maps = [Path(f"stereo/{folder}/{name}.{kind}.bin") for folder in ("depth_maps", "normal_maps")]
+    if all(path.exists() for path in maps):
+        continue
+    if left == 0:
+        maps[0].write_bytes(b"2&2&1&cut off")
+        sys.exit(137)
+    left -= 1
+    for channels, path in zip((1, 3), maps):
+        path.write_bytes(b"2&2&%d&" % channels + bytes(16 * channels))
+    print(f"{kind} {name} {len(sources.split(','))}", file=open("calls.txt", "a"))
+"""
+RUN = "stereo/viewrank/run.sh"
+
+
+def maps_made(calls):
+    return [call.split()[1] for call in calls if "jpg" in call]
+
+
+def partners_used(calls):
+    return {call.split()[1]: int(call.split()[2]) for call in calls if "jpg" in call}
+
+
+@pytest.fixture
+def colmap(work):
+    return work("colmap", {"colmap": COLMAP})
+
+
+def stale(said):
+    """How many finished maps an export reports."""
+    return next((int(line.split(" finished depth maps")[0].split()[-1]) for line in said.splitlines() if "finished depth maps were made" in line), 0)
+
+
+def test_what_is_replaced_is_made_anew_once(colmap):
+    keys = colmap.targets()
+    done, calls = colmap.run(script=RUN)
+    assert done.returncode == 0 and maps_made(calls) == keys and calls[-1] == "stereo_fusion"
+    assert maps_made(colmap.run(script=RUN)[1]) == []
+    assert stale(colmap.export(3)) == len(set(keys) & set(colmap.targets())) > 4
+    keys = colmap.targets()
+    assert maps_made(colmap.run("--rank", 1, script=RUN)[1]) == keys[:1] and maps_made(colmap.run("--rank", 1, script=RUN)[1]) == []
+    done, calls = colmap.run("--replace", script=RUN, MAPS="2")
+    assert done.returncode == 137 and maps_made(calls) == keys[1:3], "killed, the fourth map cut off"
+    assert maps_made(colmap.run("--replace", script=RUN)[1]) == keys[3:], "what was made anew stays"
+    done, calls = colmap.run("--replace", script=RUN)
+    assert done.returncode == 0 and calls == ["stereo_fusion"]
+    assert stale(colmap.export(3)) == 0
+
+
+def test_maps_of_a_run_that_outlasts_its_plan_are_known(colmap):
+    """A plan is exported while COLMAP works off the list of the one before."""
+    earlier = colmap.partners()
+    program = os.environ.get("VIEWRANK", ROOT / "target/debug/viewrank")
+    words = [program, "export", colmap.plans[3], "--backend", "colmap", "--out", colmap.folder]
+    done, calls = colmap.run(script=RUN, DURING=shlex.join(map(str, words)))
+    wanted = colmap.partners()
+    assert partners_used(calls) == earlier
+    both = [key for key in wanted if key in earlier]
+    assert len(both) > 4 and stale(colmap.export(3)) == len(both)
+    done, calls = colmap.run("--replace", script=RUN)
+    assert partners_used(calls) == wanted
+
+
+def test_two_runs_do_not_compute_at_once(colmap):
+    done, calls = colmap.run(script=RUN, DURING=f"! '{colmap.folder}/{RUN}' 2>said.txt")
+    assert done.returncode == 0 and maps_made(calls) == colmap.targets()
+    assert (colmap.folder / "said.txt").read_text() == "error: another run.sh computes here\n"
+
+
+def test_maps_that_a_killed_run_cut_off_are_made_anew(colmap):
+    keys = colmap.targets()
+    assert maps_made(colmap.run(script=RUN, MAPS="2")[1]) == keys[:2]
+    assert maps_made(colmap.run(script=RUN)[1]) == keys[2:]
+
+
+def test_geometric_maps_and_those_that_they_need(colmap):
+    colmap.export(4, "--geometric", "on")
+    done, calls = colmap.run(script=RUN)
+    made = [call.split()[0] for call in calls]
+    keys = colmap.targets()
+    assert done.returncode == 0 and made.count("geometric") == len(keys) < made.count("photometric")
+    assert colmap.run(script=RUN)[1] == ["stereo_fusion"]
+    assert colmap.run("--rank", 1, script=RUN)[0].returncode == 2
+    assert stale(colmap.export(4)) == len(keys), "a geometric pass cannot start from filtered maps, nor the other way round"
+
+
+@pytest.mark.parametrize("words", [["--repalce"], ["--rank"], ["--rank", "0"], ["--rank", "99"], ["--rank", "x"], ["--replace", "--fuse"], [""]])
+def test_only_known_words_compute(colmap, words):
+    done, calls = colmap.run(*words, script=RUN)
+    assert done.returncode == 2 and done.stderr.startswith("error: ") and calls == []
+    assert not list((colmap.folder / "stereo/depth_maps").iterdir())
+
+
+def test_help_computes_nothing(colmap):
+    done, calls = colmap.run("--help", script=RUN)
+    assert done.returncode == 0 and calls == [] and all(word in done.stdout for word in ("usage", "--replace", "--rank N", "--fuse"))
+
+
+# Gipuma
+
+GIPUMA = """#!/bin/sh
+# A folder named by the time and the key view less four characters, as main.cpp makes it. FAIL: key views that it fails at.
+case " ${FAIL:-} " in *" $1 "*) exit 1 ;; esac
+echo "$*" | sed 's/ -.*//' >> calls.txt
+while [ "$1" != -output_folder ]; do
+    case $1 in -*) ;; *) [ -n "${key:-}" ] || key=$1; test -s "images/$1" && test -s "p/$1.P" || exit 1; count=$((${count:-0} + 1)) ;; esac
+    shift
+    [ "$1" != -images_folder ] || shift 2
+    [ "$1" != -p_folder ] || shift 2
+done
+folder=$2$(date +%Y%m%d_%H%M%S)_${key%????}
+mkdir "$folder" && echo "$count" > "$folder/disp.dmb" && echo > "$folder/normals.dmb"
+"""
+
+
+def fusible(folder):
+    """What fusibile takes (main.cpp): folders 2..._..._IMAGE, and of each how many views its map was made of."""
+    taken = {}
+    for path in (folder / "results").iterdir():
+        if path.name.count("_") >= 2 and path.name[0] == "2":
+            image = path.name.split("_", 2)[2] + ".jpg"
+            assert image not in taken and (folder / "images" / image).exists() and (folder / "p" / f"{image}.P").exists()
+            taken[image] = int((path / "disp.dmb").read_text())
+    return taken
+
+
+def test_gipuma_timestamp_folder(work):
+    """fusibile takes all folders that there are: one for each key view of the plan in force, whatever was computed before."""
+    gipuma = work("gipuma", {"gipuma": GIPUMA})
+    keys = gipuma.targets()
+    done, calls = gipuma.run(FAIL=keys[0])
+    assert done.returncode == 1 and len(calls) == len(keys) - 1 and f"{keys[0][:-4]} failed" in done.stderr, "the others are tried"
+    assert set(fusible(gipuma.folder)) == set(keys[1:])
+    done, calls = gipuma.run()
+    assert done.returncode == 0 and [call.split()[0] for call in calls] == keys[:1], "a second start computes what is missing"
+    assert fusible(gipuma.folder) == {key: 1 + count for key, count in gipuma.partners().items()}
+    gipuma.export(4, "--budget", "2")
+    assert gipuma.run()[1] == [] and set(fusible(gipuma.folder)) == set(keys[:2])
+    gipuma.export(3)
+    assert len(gipuma.run()[1]) == len(gipuma.targets()) and fusible(gipuma.folder) == {key: 1 + count for key, count in gipuma.partners().items()}
+    gipuma.export(4)
+    assert gipuma.run()[1] == [] and fusible(gipuma.folder) == {key: 1 + count for key, count in gipuma.partners().items()}, "back from older/"
+
+
+# MVE
+
+DMRECON = """#!PYTHON
+# Opens every view of the scene, as Scene::init_views, and leaves a map that names its image. FAIL: images that it fails at.
+import os, sys
+from pathlib import Path
+views = {}
+for view in Path("views").iterdir():
+    values = dict(line.split(" = ") for line in (view / "meta.ini").read_text().splitlines() if " = " in line)
+    assert values["id"] not in views
+    views[values["id"]] = view, values["name"]
+scale, key = (next(word[2:] for word in sys.argv if word.startswith(option)) for option in ("-s", "-m"))
+view, name = views[key]
+features = Path("synth_0.out").read_text().splitlines()[1]
+if name in os.environ.get("FAIL", "").split():
+    sys.exit(1)
+print(name, file=open("calls.txt", "a"))
+(view / f"depth-L{scale}.mvei").write_text(f"{name} {features}")
+"""
+SCENE2PSET = """#!PYTHON
+import sys
+from pathlib import Path
+scale = next(word[2:] for word in sys.argv if word.startswith("-F"))
+ids = next(word[2:] for word in sys.argv if word.startswith("-v")).split(",")
+joined = []
+for view in sorted(Path("views").iterdir()):
+    values = dict(line.split(" = ") for line in (view / "meta.ini").read_text().splitlines() if " = " in line)
+    map = view / f"depth-L{scale}.mvei"
+    if values["id"] in ids and map.exists():
+        assert map.read_text().split()[0] == values["name"], "the map of another image"
+        joined.append(values["name"])
+print("joined", *joined, file=open("calls.txt", "a"))
+"""
+
+
+def test_mve_maps_are_those_of_their_images(work):
+    mve = work("mve", {"dmrecon": DMRECON, "scene2pset": SCENE2PSET})
+
+    def keys():
+        return [cluster["key"]["name"] for cluster in mve.clusters()]
+
+    def joined(calls):
+        return calls[-1].split()[1:]
+
+    names = keys()
+    done, calls = mve.run(FAIL=names[0])
+    assert done.returncode == 1 and calls[:-1] == names[1:] and joined(calls) == sorted(names[1:]), "the others are tried, and joined"
+    done, calls = mve.run()
+    assert done.returncode == 0 and calls[:-1] == names[:1] and joined(calls) == sorted(names), done.stderr
+    mve.export(4, "--budget", "2")
+    done, calls = mve.run()
+    assert done.returncode == 0 and calls[:-1] == [] and joined(calls) == sorted(names[:2]), done.stderr
+    mve.export(3)
+    done, calls = mve.run(FAIL=keys()[1])
+    assert joined(calls) == sorted(name for name in keys() if name != keys()[1]), "no map of other partners in its place"
+    assert mve.run()[1][:-1] == keys()[1:2]
+
+
+# What is called once per cluster
+
+FAILING = """#!PYTHON
+# Notes its call. FAIL: a word of calls that fail.
+import os, sys
+from pathlib import Path
+call = Path(sys.argv[0]).name + " " + " ".join(sys.argv[1:])
+print(call, file=open("calls.txt", "a"))
+if os.environ.get("FAIL", "-") in sys.argv:
+    sys.exit(1)
+if "--rangeStart" in sys.argv:
+    import json
+    views = sorted(int(view["viewId"]) for view in json.loads(Path(sys.argv[sys.argv.index("-i") + 1]).read_text())["views"])
+    Path(f"depthMaps/{views[int(sys.argv[sys.argv.index('--rangeStart') + 1])]}_depthMap.exr").touch()
+"""
+
+
+def test_alicevision_tries_every_cluster(work):
+    programs = ("depthMapEstimation", "depthMapFiltering", "meshing")
+    alice = work("alicevision", {f"aliceVision_{name}": FAILING for name in programs})
+    joining = ["aliceVision_depthMapFiltering", "aliceVision_meshing"]
+    done, calls = alice.run(FAIL="clusters/0001.sfm")
+    assert done.returncode == 1 and [call.split()[0] for call in calls[len(alice.targets()) :]] == joining and f"{alice.targets()[0]} failed" in done.stderr
+    done, calls = alice.run()
+    assert done.returncode == 0 and "clusters/0001.sfm" in calls[0] and [call.split()[0] for call in calls[1:]] == joining
+    assert {path.name.split("_")[0] for path in (alice.folder / "depthMaps").iterdir()} == set(alice.targets())
+    done, calls = alice.run(FAIL="keys.sfm")
+    assert done.returncode == 1 and "the fusion failed" in done.stderr and len(calls) == 1
+
+
+def test_sure_tries_every_cluster(work):
+    sure = work("sure", {"sure": FAILING})
+    done, calls = sure.run(FAIL="clusters/0001")
+    assert done.returncode == 1 and len(calls) == 2 * len(sure.targets()) - 1
+    done, calls = sure.run()
+    assert done.returncode == 0 and len(calls) == 2 and "clusters/0001" in calls[0]
+    sure.export(3)
+    assert len(sure.run()[1]) == 2 * len(sure.targets()), "its folders are numbered by rank"
+
+
+def test_micmac_tries_every_cluster(work, tmp_path):
+    micmac = work("micmac", {"mm3d": FAILING})
+    (tmp_path / "Ori-a").mkdir()
+    (tmp_path / "Ori-a/Orientation-a.xml").write_text("<x/>")
+    first = micmac.targets()[0].replace(".", "\\.")
+    done, calls = micmac.run(tmp_path / "Ori-a", FAIL=first)
+    assert done.returncode == 1 and len(calls) == len(micmac.targets()) and f"{micmac.targets()[0]} failed" in done.stderr
+    done, calls = micmac.run(tmp_path / "Ori-a")
+    assert done.returncode == 0 and len(calls) == 1 and first in calls[0]
+    (tmp_path / "Ori-a/Orientation-a.xml").write_text("<y/>")
+    assert len(micmac.run(tmp_path / "Ori-a")[1]) == len(micmac.targets()), "other orientations, other maps"
