@@ -115,7 +115,7 @@ impl Backend for MvsNet {
         files.add_text("pair.txt", lists.text(lists.rows.len(), |_| true));
         files.add_text("pair_fuse.txt", lists.text(keys, |partner| (partner as usize) < keys));
         let mut names = String::new();
-        for (i, &view) in views.iter().enumerate() {
+        for (&i, &view) in lists.numbers.iter().zip(&views) {
             files.add_text(format!("cams/{i:08}_cam.txt"), self.camera(selection, &lists.points, view)?);
             files.add(format!("images/{i:08}.jpg"), Contents::Link(images.join(selection.scene.name(view))));
             names += &format!("{i}\t{}\n", selection.scene.name(view));
@@ -169,12 +169,9 @@ impl MvsNet {
     }
 
     fn record(&self, selection: &Selection, lists: &Lists) -> ExportRecord {
-        let index: Vec<usize> = {
-            let mut index = vec![0; selection.scene.views.len()];
-            lists.views.iter().enumerate().for_each(|(i, v)| index[v.at()] = i);
-            index
-        };
-        let mut record = ExportRecord::new(self, selection, |v| index[v.at()].to_string());
+        let mut numbers = vec![0; selection.scene.views.len()];
+        lists.views.iter().zip(&lists.numbers).for_each(|(v, number)| numbers[v.at()] = *number);
+        let mut record = ExportRecord::new(self, selection, |v| numbers[v.at()].to_string());
         let most = selection.most_partners();
         record.made_for = self.made_for.into();
         record.way = format!("dialect {}", self.name);
@@ -210,9 +207,12 @@ impl MvsNet {
     }
 }
 
-/// Key views with their partners as indices, and how many points they share.
+/// Key views with their partners as positions in `views`, and how many points they share.
 struct Lists<'a> {
     views: &'a [ViewIndex],
+    /// By which the files know the views: ids of images, the same in each plan, so that no map that is left is taken for that of another
+    /// image; positions for the programs that demand these.
+    numbers: Vec<u32>,
     points: ViewPoints,
     rows: Vec<Vec<(u32, u32)>>,
 }
@@ -242,7 +242,8 @@ impl<'a> Lists<'a> {
             rows.extend(views[rows.len()..].iter().map(other_row));
             rows.iter_mut().for_each(|row| row.truncate(ACM_PARTNERS));
         }
-        Self { views, points, rows }
+        let number = |(i, v): (u32, &ViewIndex)| if dialect.all_are_problems { i } else { scene.view(*v).image_id };
+        Self { views, numbers: (0..).zip(views).map(number).collect(), points, rows }
     }
 
     /// The least number of those partners of a key view that are key views too, where it has any.
@@ -254,10 +255,10 @@ impl<'a> Lists<'a> {
     /// `pair.txt` of the first views, with those partners that are kept.
     fn text(&self, views: usize, keep: impl Fn(u32) -> bool) -> String {
         let mut text = format!("{views}\n");
-        for (key, row) in self.rows[..views].iter().enumerate() {
+        for (key, row) in self.numbers.iter().zip(&self.rows[..views]) {
             let kept: Vec<_> = row.iter().filter(|(partner, _)| keep(*partner)).collect();
             text += &format!("{key}\n{} ", kept.len());
-            kept.iter().for_each(|(partner, score)| text += &format!("{partner} {score} "));
+            kept.iter().for_each(|(partner, score)| text += &format!("{} {score} ", self.numbers[*partner as usize]));
             text.push('\n');
         }
         text

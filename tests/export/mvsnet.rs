@@ -59,7 +59,8 @@ fn mvsnet_key_only_fusion_missing_maps() {
     let files = fixture.export("patchmatchnet");
     let fuse = pairs_by_line(files.text("pair_fuse.txt"));
     assert_eq!(fuse.len(), 3);
-    assert!(fuse.iter().flat_map(|(_, p)| p).all(|(partner, _)| *partner < 3), "only key views have maps");
+    let keys: Vec<usize> = fuse.iter().map(|(key, _)| *key).collect();
+    assert!(fuse.iter().flat_map(|(_, p)| p).all(|(partner, _)| keys.contains(partner)), "only key views have maps");
     assert_eq!(fuse[0].1.len(), 1);
 }
 
@@ -89,6 +90,8 @@ fn mvsnet_index_mapping_differs() {
     let files = fixture.export("mvsnet");
     let names = table(files.text("view_names.txt"));
     for (i, name) in &names {
+        let view = fixture.scene.find(name).unwrap();
+        assert_eq!(*i, fixture.scene.view(view).image_id as usize, "the same in each plan");
         assert_eq!(files.link(&format!("images/{i:08}.jpg")), fixture.project.images.as_ref().unwrap().join(name));
         let cluster = files.0.record.clusters.iter().flat_map(|c| std::iter::once(&c.key).chain(&c.partners));
         assert!(cluster.into_iter().filter(|v| v.name == *name).all(|v| v.target == i.to_string()));
@@ -103,6 +106,12 @@ fn mvsnet_geo_threshold() {
     let lists = files.lines("pair_fuse.txt");
     let lengths = lists[1..].chunks(2).map(|pair| pair[1].split(' ').next().unwrap().parse::<usize>().unwrap());
     assert!(threshold >= 1 && lengths.filter(|n| *n > 0).all(|n| threshold <= n), "{threshold}: {lists:?}");
+}
+
+/// The camera file of the first key view.
+pub fn first_camera(files: &Files) -> &str {
+    let number: usize = files.0.record.clusters[0].key.target.parse().unwrap();
+    files.text(&format!("cams/{number:08}_cam.txt"))
 }
 
 /// Line 5 and 10 are empty, `extrinsic` is first, the matrices follow.
@@ -135,13 +144,13 @@ fn mvsnet_scaled_intrinsics() {
     let mut fixture = Fixture::new(3);
     fixture.image_scale = 0.25;
     let files = fixture.export("mvsnet");
-    assert_eq!(camera(files.text("cams/00000000_cam.txt")).1[0], 510.0, "K belongs to the stored image");
+    assert_eq!(camera(first_camera(&files)).1[0], 510.0, "K belongs to the stored image");
 }
 
 #[test]
 fn mvsnet_cam_word_count() {
     let fixture = Fixture::new(3);
-    let words = |dialect: &str| fixture.export(dialect).text("cams/00000002_cam.txt").split_whitespace().count();
+    let words = |dialect: &str| first_camera(&fixture.export(dialect)).split_whitespace().count();
     assert_eq!((words("mvsnet"), words("acmm")), (31, 31), "MVSNet takes any other count for no depths at all");
 }
 
@@ -158,7 +167,7 @@ fn mvsnet_depth_dialect() {
     let share_inside = |least: f64, greatest: f64| {
         depths.iter().filter(|z| (least..=greatest).contains(*z)).count() as f64 / depths.len() as f64
     };
-    let line = |dialect: &str| camera(fixture.export(dialect).text("cams/00000000_cam.txt")).2;
+    let line = |dialect: &str| camera(first_camera(&fixture.export(dialect))).2;
 
     let [least, interval, number, greatest] = line("mvsnet")[..] else { panic!("four numbers") };
     assert!(share_inside(least, greatest) > 0.97);
@@ -172,5 +181,7 @@ fn mvsnet_jpg_name() {
     let mut fixture = Fixture::new(3);
     fixture.scene.views.iter_mut().for_each(|v| v.name = v.name.replace(".jpg", ".png"));
     let files = fixture.export("mvsnet");
-    assert!(files.link("images/00000000.jpg").to_str().unwrap().ends_with(".png"));
+    let images: Vec<&str> = files.names().into_iter().filter(|n| n.starts_with("images/")).collect();
+    assert!(!images.is_empty() && images.iter().all(|n| n.ends_with(".jpg")));
+    assert!(images.iter().all(|n| files.link(n).to_str().unwrap().ends_with(".png")));
 }

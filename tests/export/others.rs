@@ -333,6 +333,6 @@ fn realityscan_existing_xmp_poses() {
 #[test]
 fn tables_name_every_image() {
     let fixture = Fixture::new(3);
-    let names = table(fixture.export("mvsnet").text("view_names.txt"));
+    let names = table(fixture.export("acmm").text("view_names.txt"));
     assert_eq!(names.keys().copied().collect::<Vec<_>>(), (0..names.len()).collect::<Vec<_>>());
 }
