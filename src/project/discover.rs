@@ -10,7 +10,7 @@ use std::{
 
 use super::{
     ModelFormat, ModelLocation, Project, ProjectError, ProjectKind,
-    files::{ColmapFiles, REQUIRED, colmap_file, map},
+    files::{ColmapFiles, REQUIRED, colmap_file, read},
     foreign, images,
 };
 use crate::formats::colmap_text;
@@ -115,7 +115,7 @@ fn colmap_model(folder: &Path) -> Result<Option<ModelLocation>, ProjectError> {
 /// Number of registered images without reading the model, or 0 where that fails: reading will tell why.
 fn registered(images: &Path, format: ModelFormat) -> u64 {
     if format == ModelFormat::ColmapText {
-        return map(images).map_or(0, |bytes| colmap_text::count_images(&bytes));
+        return read(images).map_or(0, |bytes| colmap_text::count_images(&bytes));
     }
     let mut head = [0; 8];
     let file = fs::File::open(images).and_then(|mut file| file.read_exact(&mut head).and(file.metadata()));

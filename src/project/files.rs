@@ -1,13 +1,11 @@
-//! Opening the files of a model. They are mapped into memory, not copied.
+//! Reading the files of a model.
 
 use std::{
     collections::BTreeSet,
     fs::File,
-    io,
+    io::{self, Read},
     path::{Path, PathBuf},
 };
-
-use memmap2::Mmap;
 
 use super::{ModelFormat, ModelLocation, ProjectError};
 use crate::{
@@ -18,27 +16,27 @@ use crate::{
 /// The three files without which there is no COLMAP model.
 pub(super) const REQUIRED: [&str; 3] = ["cameras", "images", "points3D"];
 
-/// Maps a file. Whoever cuts the file while it is mapped ends this process; the models' writers replace files, and the
-/// daemon waits until they are at rest.
-pub(super) fn map(path: &Path) -> Result<Mmap, ProjectError> {
+/// The bytes of a regular file. They are not mapped: whoever cut the file meanwhile would end this process.
+pub(super) fn read(path: &Path) -> Result<Vec<u8>, ProjectError> {
     let fail = |source| ProjectError::Io { path: path.into(), source };
-    let file = File::open(path).map_err(fail)?;
+    let mut file = File::open(path).map_err(fail)?;
     if !file.metadata().map_err(fail)?.is_file() {
         return Err(fail(io::Error::new(io::ErrorKind::InvalidInput, "not a regular file")));
     }
-    // SAFETY: the map is only read; see above for files that change.
-    unsafe { Mmap::map(&file) }.map_err(fail)
+    let mut bytes = Vec::new();
+    file.read_to_end(&mut bytes).map_err(fail)?;
+    Ok(bytes)
 }
 
-/// The files of a COLMAP model, open.
+/// The files of a COLMAP model, in memory.
 pub struct ColmapFiles {
     folder: PathBuf,
     format: ModelFormat,
-    cameras: Mmap,
-    images: Mmap,
-    points3d: Mmap,
-    rigs: Option<Mmap>,
-    frames: Option<Mmap>,
+    cameras: Vec<u8>,
+    images: Vec<u8>,
+    points3d: Vec<u8>,
+    rigs: Option<Vec<u8>>,
+    frames: Option<Vec<u8>>,
 }
 
 impl ColmapFiles {
@@ -46,9 +44,9 @@ impl ColmapFiles {
         let path = |stem| colmap_file(&model.path, stem, model.format);
         let optional = |stem| {
             let path = path(stem);
-            path.is_file().then(|| map(&path)).transpose()
+            path.is_file().then(|| read(&path)).transpose()
         };
-        let [cameras, images, points3d] = REQUIRED.map(|stem| map(&path(stem)));
+        let [cameras, images, points3d] = REQUIRED.map(|stem| read(&path(stem)));
         Ok(Self {
             folder: model.path.clone(),
             format: model.format,

@@ -1,8 +1,12 @@
 //! Opening the models of programs other than COLMAP.
 
-use std::path::{Path, PathBuf};
+use std::{
+    fs::File,
+    io::Read,
+    path::{Path, PathBuf},
+};
 
-use super::{ModelFormat, ModelLocation, ProjectError, files::map, images};
+use super::{ModelFormat, ModelLocation, ProjectError, files, images};
 use crate::{
     formats::{
         Fault, Place, Problem, alicevision, bundler, foreign::Foreign, nvm, openmvg, openmvs::Mvs, opensfm, sure,
@@ -68,8 +72,9 @@ pub(super) fn model_file(path: &Path) -> Option<ModelLocation> {
 }
 
 fn json_format(path: &Path) -> Option<ModelFormat> {
-    let bytes = map(path).ok()?;
-    let head = String::from_utf8_lossy(&bytes[..bytes.len().min(4096)]).into_owned();
+    let mut head = Vec::new();
+    File::open(path).and_then(|file| file.take(4096).read_to_end(&mut head)).ok()?;
+    let head = String::from_utf8_lossy(&head);
     if head.contains("\"sfm_data_version\"") {
         Some(ModelFormat::OpenMvg)
     } else if head.trim_start().starts_with('[') {
@@ -119,17 +124,17 @@ pub(super) fn read(root: &Path, model: &ModelLocation) -> Result<Foreign, Projec
     if model.format == ModelFormat::Sure {
         return read_sure(root, path);
     }
-    let bytes = map(path)?;
+    let bytes = files::read(path)?;
     let foreign = match model.format {
         ModelFormat::Bundler => {
             let list = bundler_list(path).ok_or_else(|| ProjectError::NoImageList(path.clone()))?;
-            let names = map(&list)?;
+            let names = files::read(&list)?;
             bundler::read(&bytes, &names, &size_of)
                 .map_err(|fault| at(if fault.file == "list" { &list } else { path }, fault))?
         }
         ModelFormat::OpenSfm => {
             let tracks = path.with_file_name("tracks.csv");
-            let rows = tracks.is_file().then(|| map(&tracks)).transpose()?;
+            let rows = tracks.is_file().then(|| files::read(&tracks)).transpose()?;
             opensfm::read(&bytes, rows.as_deref())
                 .map_err(|fault| at(if fault.file == "tracks" { &tracks } else { path }, fault))?
         }
@@ -163,7 +168,7 @@ fn sure_cloud(root: &Path) -> Option<(PathBuf, ModelFormat)> {
 fn read_sure(root: &Path, folder: &Path) -> Result<Foreign, ProjectError> {
     let mut oriented = Vec::new();
     for (n, path) in orientations(folder).iter().enumerate() {
-        let found = sure::read(&map(path)?, n as u32 + 1);
+        let found = sure::read(&files::read(path)?, n as u32 + 1);
         oriented.push(found.map_err(|fault| ProjectError::Fault { path: path.clone(), fault })?);
     }
     let candidates = images::candidates(root, folder);
@@ -177,7 +182,7 @@ fn read_sure(root: &Path, folder: &Path) -> Result<Foreign, ProjectError> {
             )
         }
         Some((path, ModelFormat::Sure)) => {
-            let surface = ply::read(&map(&path)?).map_err(|error| ProjectError::Fault {
+            let surface = ply::read(&files::read(&path)?).map_err(|error| ProjectError::Fault {
                 fault: Fault::new("", Place::File, Problem::Json(error.to_string())),
                 path: path.clone(),
             })?;
