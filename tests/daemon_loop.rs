@@ -44,7 +44,8 @@ impl Planner for Counter {
     }
 
     fn plan(&self, job: &Job) -> Outcome {
-        let fingerprint = match self.hashes.lock().expect("no panic").fingerprint(job.project, job.stamp, b"") {
+        let model = ["cameras.bin", "images.bin", "points3D.bin"].map(|name| job.project.join("sparse/0").join(name));
+        let fingerprint = match self.hashes.lock().expect("no panic").fingerprint(job.project, &model, job.stamp, b"") {
             Ok(fingerprint) => fingerprint,
             Err(_) => return Outcome::Abandoned,
         };

@@ -60,6 +60,11 @@ pub fn is_project(folder: &Path, follow_links: bool) -> bool {
     Listing::of(folder, follow_links).is_ok_and(|listing| listing.is_project(folder))
 }
 
+/// Is it a SURE project?
+pub fn holds_orientations(folder: &Path) -> bool {
+    Listing::of(folder, true).is_ok_and(|listing| listing.holds_orientations(folder))
+}
+
 /// Names in a folder; those that are no UTF-8 are left out, since no model can name them.
 struct Listing {
     files: Vec<String>,
@@ -87,8 +92,13 @@ impl Listing {
     fn is_project(&self, folder: &Path) -> bool {
         let has = |name: &str| self.folders.iter().any(|f| f == name);
         let scene = self.files.iter().any(|f| f.ends_with(".mvs"));
-        let sure = self.files.iter().chain(&self.folders).any(|f| f == "ori");
-        has("sparse") || scene || sure || self.holds_model() && !is_sub_model(folder)
+        has("sparse") || scene || self.holds_orientations(folder) || self.holds_model() && !is_sub_model(folder)
+    }
+
+    /// SURE's: here or in `ori`, which itself belongs to the project above.
+    fn holds_orientations(&self, folder: &Path) -> bool {
+        let here = || !folder.ends_with("ori") && self.files.iter().any(|f| f.ends_with(".ori"));
+        self.files.iter().chain(&self.folders).any(|f| f == "ori") || here()
     }
 
     /// Any file of a COLMAP model: the folder is a bare model, perhaps half copied.
@@ -109,8 +119,8 @@ pub fn is_model_file(name: &str) -> bool {
     stem.is_some_and(|stem| MODEL_FILES.contains(&stem))
 }
 
-/// The folders of a project whose contents are its input: the project folder, its models, its images. Symbolic links are followed
-/// only where `follow_links` says so.
+/// The folders of a project whose contents are its input: the project folder, its models, images and masks. Symbolic links are
+/// followed only where `follow_links` says so.
 pub fn input_folders(project: &Path, follow_links: bool) -> Vec<PathBuf> {
     let mut folders = vec![project.to_path_buf()];
     for above in [project.to_path_buf(), project.join("dense")] {
@@ -120,6 +130,7 @@ pub fn input_folders(project: &Path, follow_links: bool) -> Vec<PathBuf> {
         folders.push(above.join("ori"));
     }
     folders.extend(image_folders(project));
+    folders.extend(mask_folders(project));
     folders.retain(|folder| folder.is_dir() && may_enter(project, folder, follow_links));
     folders.sort();
     folders.dedup();
@@ -133,8 +144,16 @@ pub fn may_enter(project: &Path, folder: &Path, follow_links: bool) -> bool {
 
 /// `images/` and the folders below it; their entries, not their bytes, are input.
 pub fn image_folders(project: &Path) -> Vec<PathBuf> {
-    let top = project.join("images");
-    let walk = walkdir::WalkDir::new(&top).max_depth(MAX_DEPTH).into_iter().filter_map(Result::ok);
+    folders_at(&project.join("images"))
+}
+
+/// `masks/` and the folders below it.
+pub fn mask_folders(project: &Path) -> Vec<PathBuf> {
+    folders_at(&project.join("masks"))
+}
+
+fn folders_at(top: &Path) -> Vec<PathBuf> {
+    let walk = walkdir::WalkDir::new(top).max_depth(MAX_DEPTH).into_iter().filter_map(Result::ok);
     walk.filter(|entry| entry.file_type().is_dir()).map(walkdir::DirEntry::into_path).collect()
 }
 
@@ -163,6 +182,7 @@ mod tests {
             "bare model/images.bin",
             "mvs/scene.mvs",
             "sure/ori/x.ori",
+            "sure without a folder/x.ori",
             "viewrank/sparse/0/cameras.bin",
             ".hidden/sparse/0/cameras.bin",
             "notes/readme.txt",
@@ -171,7 +191,7 @@ mod tests {
         }
         let found = walk(root.path(), false);
         let names: Vec<_> = found.projects.iter().map(|p| p.strip_prefix(root.path()).expect("below")).collect();
-        assert_eq!(names, ["a", "b/c/d/e", "bare model", "mvs", "sure"].map(Path::new));
+        assert_eq!(names, ["a", "b/c/d/e", "bare model", "mvs", "sure", "sure without a folder"].map(Path::new));
         assert!(found.folders.contains(&root.path().join("notes")), "a project may appear there");
         assert!(found.unreadable.is_empty());
     }

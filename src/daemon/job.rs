@@ -17,14 +17,15 @@ use tracing::warn;
 
 use super::{
     discover::OUTPUT_FOLDER,
-    follow::{Following, failed, fullest_folder},
+    follow::{Following, failed, fullest_folder, progress_file},
     kept::KeptPlans,
-    maps::MapFiles,
+    maps::{MapFiles, map_files},
     queue,
     settle::{Fingerprint, HashCache, Stamp},
     state::{OnBusy, Outcome},
 };
 use crate::{
+    confidence::{PROJECT_MODEL, WORDS},
     config::{Configuration, Files, Settings, Typed, user_file},
     error::Hint,
     manifest::WrittenPlanError,
@@ -40,6 +41,8 @@ pub struct Job<'a> {
     pub project: &'a Path,
     /// The input that was still.
     pub stamp: &'a Stamp,
+    /// Files beside model and images that are a part of it.
+    pub named: &'a [PathBuf],
     pub on_busy: OnBusy,
     pub follow_links: bool,
     /// Depth maps that are written to their end.
@@ -56,7 +59,7 @@ impl Job<'_> {
 
     /// Is the input still what it was when the job began?
     pub fn is_current(&self) -> bool {
-        Stamp::of(self.project, self.follow_links) == *self.stamp
+        Stamp::of(self.project, self.follow_links).with(self.named) == *self.stamp
     }
 
     /// May the plan be written? That of an input which has changed is, where the next one is queued behind it.
@@ -70,6 +73,18 @@ pub trait Planner: Sync {
     /// Bytes of memory that planning the input takes at its peak.
     fn need(&self, stamp: &Stamp) -> u64 {
         queue::need(stamp.bytes())
+    }
+
+    /// Files beside model and images that a plan of the project depends on, whether they are there or not.
+    fn named_files(&self, project: &Path) -> Vec<PathBuf> {
+        let _ = project;
+        Vec::new()
+    }
+
+    /// Is what was written of the project's plan still there?
+    fn has_plan(&self, project: &Path) -> bool {
+        let _ = project;
+        true
     }
 
     /// Plans the project and writes the plan, unless the one that is there is right already.
@@ -122,6 +137,19 @@ pub struct PlanJob {
 type Ended<T> = Result<T, Outcome>;
 
 impl Planner for PlanJob {
+    fn named_files(&self, project: &Path) -> Vec<PathBuf> {
+        let settings = self.settings(project).map(|(settings, _)| settings).unwrap_or_default();
+        let model = match settings.confidence.source {
+            word if WORDS.contains(&word.as_str()) => project.join(PROJECT_MODEL),
+            file => file.into(),
+        };
+        [Some(model), settings.surface.mesh, user_file()].into_iter().flatten().collect()
+    }
+
+    fn has_plan(&self, project: &Path) -> bool {
+        project.join(OUTPUT_FOLDER).join("manifest.json").is_file()
+    }
+
     fn plan(&self, job: &Job) -> Outcome {
         self.try_plan(job).unwrap_or_else(|ended| if job.is_cancelled() { Outcome::Abandoned } else { ended })
     }
@@ -147,11 +175,13 @@ impl PlanJob {
         output::recover(job.project, &Disk::REAL).map_err(failed)?;
         let (settings, note) = self.settings(job.project)?;
         let as_text = serde_json::to_vec(&settings.of_plan()).map_err(|_| Outcome::Abandoned)?;
-        let fingerprint = lock(&self.hashes).fingerprint(job.project, job.stamp, &as_text).map_err(unreadable)?;
+        let project = Project::open(job.project, None).map_err(incomplete)?;
+        let model = project.model_files();
+        let fingerprint =
+            lock(&self.hashes).fingerprint(job.project, &model, job.stamp, &as_text).map_err(unreadable)?;
         if let Some(record) = record_of(job.project).filter(|record| record.fingerprint == fingerprint) {
             return Ok(Outcome::Planned { fingerprint, clusters: record.clusters, share: record.share, note });
         }
-        let project = Project::open(job.project, None).map_err(incomplete)?;
         let plan = plan::plan(&project, &settings, &JobWatcher::new(job)).map_err(sort_out)?;
         let plan = around_finished(plan, &project, job)?;
         let (clusters, share) = (plan.cut.clusters, plan.cut.share);
@@ -162,7 +192,7 @@ impl PlanJob {
 
     fn try_follow(&self, job: &Job) -> Ended<Outcome> {
         output::recover(job.project, &Disk::REAL).map_err(failed)?;
-        let Some(folder) = fullest_folder(job.project, job.maps) else { return Err(Outcome::Abandoned) };
+        let Some(folder) = fullest_folder(job.project, job.maps) else { return self.plan_without_maps(job) };
         let record = match record_of(job.project) {
             Some(record) => record,
             // The plan is gone, or another one was made by hand.
@@ -189,6 +219,19 @@ impl PlanJob {
             progress.write(job.project).map_err(failed)?;
         }
         Ok(progress.outcome())
+    }
+
+    /// The depth maps are gone: nothing is finished or reached any more.
+    fn plan_without_maps(&self, job: &Job) -> Ended<Outcome> {
+        let progress = progress_file(job.project);
+        // Those that are there may have to settle yet.
+        if !progress.is_file() || !map_files(job.project, job.follow_links).is_empty() {
+            return Err(Outcome::Abandoned);
+        }
+        for file in [progress, job.project.join(OUTPUT_FOLDER).join(RECORD)] {
+            output::remove(&file, &Disk::REAL).map_err(failed)?;
+        }
+        self.try_plan(job)
     }
 
     /// The plan by the prediction alone, from memory where it is kept.

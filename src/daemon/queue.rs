@@ -12,12 +12,15 @@ pub fn need(model_bytes: u64) -> u64 {
     BASE_BYTES.saturating_add(model_bytes.saturating_mul(BYTES_PER_MODEL_BYTE))
 }
 
-/// The jobs that run.
+/// The jobs that run. First come, first served: while one waits for memory, nobody that came later begins, for smaller ones would
+/// overtake it for ever.
 #[derive(Debug)]
 pub struct Queue {
     jobs: usize,
     max_memory: u64,
     running: Vec<(PathBuf, u64)>,
+    /// Does the line wait for memory?
+    held: bool,
 }
 
 /// Why a project can't start now.
@@ -33,7 +36,12 @@ pub enum Full {
 
 impl Queue {
     pub fn new(jobs: usize, max_memory: u64) -> Self {
-        Self { jobs: jobs.max(1), max_memory, running: Vec::new() }
+        Self { jobs: jobs.max(1), max_memory, running: Vec::new(), held: false }
+    }
+
+    /// All that want to begin will ask in the order in which they came.
+    pub fn call_up(&mut self) {
+        self.held = false;
     }
 
     /// Lets a job begin, or says why not.
@@ -45,7 +53,8 @@ impl Queue {
         if self.running.len() >= self.jobs {
             return Err(Full::Jobs);
         }
-        if used + need > self.max_memory {
+        self.held |= used + need > self.max_memory;
+        if self.held {
             return Err(Full::Memory);
         }
         self.running.push((project.into(), need));
@@ -92,11 +101,25 @@ mod tests {
     fn jobs_and_memory_bound_what_runs_at_once() {
         let mut queue = Queue::new(2, 100);
         assert_eq!(queue.admit(Path::new("a"), 60), Ok(()));
-        assert_eq!(queue.admit(Path::new("b"), 60), Err(Full::Memory));
-        assert_eq!(queue.admit(Path::new("c"), 40), Ok(()));
-        assert_eq!(queue.admit(Path::new("d"), 0), Err(Full::Jobs));
+        assert_eq!(queue.admit(Path::new("b"), 40), Ok(()));
+        assert_eq!(queue.admit(Path::new("c"), 0), Err(Full::Jobs));
         queue.release(Path::new("a"));
-        assert_eq!(queue.admit(Path::new("b"), 60), Ok(()));
-        assert_eq!(queue.admit(Path::new("e"), 101), Err(Full::Never { need: 101, max: 100 }));
+        assert_eq!(queue.admit(Path::new("c"), 60), Ok(()));
+        assert_eq!(queue.admit(Path::new("d"), 101), Err(Full::Never { need: 101, max: 100 }));
+    }
+
+    #[test]
+    fn small_ones_do_not_overtake_a_large_one_that_waits_for_memory() {
+        let mut queue = Queue::new(9, 100);
+        let (large, small) = (Path::new("large"), Path::new("small"));
+        assert_eq!(queue.admit(Path::new("first"), 60), Ok(()));
+        queue.call_up();
+        assert_eq!(queue.admit(large, 90), Err(Full::Memory));
+        assert_eq!(queue.admit(Path::new("never"), 101), Err(Full::Never { need: 101, max: 100 }));
+        assert_eq!(queue.admit(small, 10), Err(Full::Memory));
+        queue.release(Path::new("first"));
+        queue.call_up();
+        assert_eq!(queue.admit(large, 90), Ok(()));
+        assert_eq!(queue.admit(small, 10), Ok(()));
     }
 }

@@ -28,8 +28,13 @@ use crate::output::Disk;
 const GATHER: Duration = Duration::from_millis(50);
 /// Network file systems are looked at so often when nothing else is said.
 const NETWORK_POLL: Duration = Duration::from_secs(10);
+/// Of one unit of time, at most this share goes into looking at what was hinted at.
+const REST: u32 = 19;
+const LONGEST_REST: Duration = Duration::from_secs(2);
 /// The loop turns at least so often, for a watchdog's sake.
 const LONGEST_SLEEP: Duration = Duration::from_secs(20);
+/// A watchdog is told at most so often: its messages wait in a queue that is short.
+const WATCHDOG_PAUSE: Duration = Duration::from_secs(10);
 
 /// What the system asks of the daemon.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -72,8 +77,14 @@ pub fn watch_roots(
     let to_loop = sender.clone();
     // The loop may have ended; then nobody waits for signals.
     signals(Box::new(move |signal| _ = to_loop.send(Event::Signal(signal))));
-    let holders = options.roots.iter().map(|root| Holder::take(root, disk)).collect::<Result<Vec<_>, _>>()?;
-    let roots: Vec<_> = holders.iter().map(|holder| holder.root.clone()).collect();
+    let found = options
+        .roots
+        .iter()
+        .map(|root| root.canonicalize().map_err(|source| DaemonError::Root { path: root.clone(), source }));
+    let mut roots = found.collect::<Result<Vec<_>, _>>()?;
+    roots.sort();
+    roots.dedup_by(|inner, outer| inner.starts_with(outer));
+    let holders = roots.iter().map(|root| Holder::take(root, disk)).collect::<Result<Vec<_>, _>>()?;
     let network = roots.iter().any(|root| watch::is_network(root));
     let poll = options.poll.or(network.then_some(NETWORK_POLL));
     let mut daemon = Daemon {
@@ -88,6 +99,7 @@ pub fn watch_roots(
         queue: Queue::new(options.jobs, options.max_memory),
         dirty: BTreeSet::new(),
         gather_until: None,
+        rest_until: Instant::now(),
         look_at_all: true,
         next_full_look: Instant::now(),
         stopping: false,
@@ -112,6 +124,8 @@ struct Daemon<'a> {
     /// Paths that something was hinted about.
     dirty: BTreeSet<PathBuf>,
     gather_until: Option<Instant>,
+    /// No look at what was hinted at before this.
+    rest_until: Instant,
     look_at_all: bool,
     next_full_look: Instant,
     stopping: bool,
@@ -127,17 +141,19 @@ impl<'a> Daemon<'a> {
     where
         'a: 's,
     {
-        let mut ready = false;
+        let mut next_told = None;
         loop {
             let now = Instant::now();
             self.look(now);
             self.start_jobs(threads, now);
             self.status.publish(&self.projects, disk, now, false);
-            if !ready {
-                ready = true;
+            if next_told.is_none() {
                 tell_supervisor(sd_notify::NotifyState::Ready);
             }
-            tell_supervisor(sd_notify::NotifyState::Watchdog);
+            if next_told.is_none_or(|at| now >= at) {
+                next_told = Some(now + WATCHDOG_PAUSE);
+                tell_supervisor(sd_notify::NotifyState::Watchdog);
+            }
             if self.is_done() {
                 self.status.publish(&self.projects, disk, now, true);
                 return Ok(self.summary());
@@ -182,7 +198,7 @@ impl<'a> Daemon<'a> {
 
     fn mark(&mut self, path: PathBuf, now: Instant) {
         self.dirty.insert(path);
-        self.gather_until.get_or_insert(now + GATHER);
+        self.gather_until.get_or_insert((now + GATHER).max(self.rest_until));
     }
 
     fn finish(&mut self, project: &Path, looked: Looked, outcome: Outcome, now: Instant) {
@@ -203,18 +219,23 @@ impl<'a> Daemon<'a> {
             self.look_at_everything(now);
         } else if self.gather_until.is_some_and(|until| now >= until) {
             self.look_at_hinted(now);
+            let ended = Instant::now();
+            self.rest_until = ended + ((ended - now) * REST).min(LONGEST_REST);
         }
         while let Some(notice) = self.watches.take_notice() {
             self.status.notice(notice);
-            self.next_full_look = self.next_full_look.min(now + self.pause());
         }
+        self.next_full_look = self.next_full_look.min(now + self.pause());
     }
 
     /// Between two looks at everything.
     fn pause(&self) -> Duration {
         match self.poll {
             Some(poll) => poll,
-            None if self.watches.exhausted() => NETWORK_POLL.min(self.options.rescan),
+            // No event tells of a root that comes back.
+            None if self.watches.exhausted() || self.roots.iter().any(|root| !root.is_dir()) => {
+                NETWORK_POLL.min(self.options.rescan)
+            }
             None => self.options.rescan,
         }
     }
@@ -283,7 +304,7 @@ impl<'a> Daemon<'a> {
                 info!(project = %project.display(), "found");
                 self.forget_inside(&project, now);
                 self.watches.update(&project, self.folders_of(&project));
-                let tracked = Tracked::new(project.clone(), Stamp::of(&project, self.options.follow_links), now);
+                let tracked = Tracked::new(project.clone(), self.stamp_of(&project), now);
                 self.projects.insert(project.clone(), tracked);
                 // It may have been written to between the look and the watch.
                 self.mark(project, now);
@@ -301,7 +322,17 @@ impl<'a> Daemon<'a> {
     fn folders_of(&self, project: &Path) -> Vec<PathBuf> {
         let mut folders = discover::input_folders(project, self.options.follow_links);
         folders.extend(maps::watched_folders(project, self.options.follow_links));
+        let named =
+            self.planner.named_files(project).into_iter().filter_map(|file| file.parent().map(Path::to_path_buf));
+        let own = project.join(discover::OUTPUT_FOLDER);
+        folders.extend(named.filter(|folder| folder.starts_with(project) && !folder.starts_with(&own)));
+        folders.sort();
+        folders.dedup();
         folders
+    }
+
+    fn stamp_of(&self, project: &Path) -> Stamp {
+        Stamp::of(project, self.options.follow_links).with(&self.planner.named_files(project))
     }
 
     fn look_at_project(&mut self, project: &Path, now: Instant) {
@@ -311,9 +342,14 @@ impl<'a> Daemon<'a> {
         }
         let new_watches = self.watches.update(project, self.folders_of(project));
         let Options { on_busy, follow_links, .. } = *self.options;
+        let stamp = self.stamp_of(project);
         if let Some(tracked) = self.projects.get_mut(project) {
-            tracked.observe(Stamp::of(project, follow_links), now, on_busy);
+            tracked.observe(stamp, now, on_busy);
             tracked.observe_maps(maps::map_files(project, follow_links), now);
+            let at_rest = !tracked.is_busy() && !tracked.has_failed();
+            if at_rest && tracked.planned.is_some() && !self.planner.has_plan(project) {
+                tracked.look_again();
+            }
         }
         if new_watches {
             self.mark(project.into(), now);
@@ -344,6 +380,7 @@ impl<'a> Daemon<'a> {
         let waiting = self.projects.values().filter_map(|t| due(t).map(|(at, work)| (at, t.root.clone(), work)));
         let mut waiting: Vec<_> = waiting.collect();
         waiting.sort_by(|a, b| (a.0, &a.1).cmp(&(b.0, &b.1)));
+        self.queue.call_up();
         for (_, project, work) in waiting {
             self.start_job(threads, &project, work, now);
         }
@@ -372,6 +409,7 @@ impl<'a> Daemon<'a> {
         }
         let (looked, cancel) = tracked.start(work, self.options.settle, now);
         let (planner, sender, project) = (self.planner, self.sender.clone(), project.to_path_buf());
+        let named = planner.named_files(&project);
         threads.spawn(move || {
             let progress = |stage: &str, percent| {
                 let event = Event::Progress { project: project.clone(), stage: stage.into(), percent };
@@ -381,6 +419,7 @@ impl<'a> Daemon<'a> {
             let job = Job {
                 project: &project,
                 stamp: &looked.input,
+                named: &named,
                 on_busy,
                 follow_links,
                 maps: &looked.maps,

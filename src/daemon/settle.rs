@@ -6,8 +6,7 @@
 
 use std::{
     collections::BTreeMap,
-    fs,
-    io::{self, Read},
+    fs, io,
     path::{Path, PathBuf},
     time::{Duration, Instant, SystemTime, UNIX_EPOCH},
 };
@@ -43,6 +42,8 @@ impl Entry {
 pub struct Stamp {
     /// Model files and `viewrank.toml`.
     files: BTreeMap<PathBuf, Entry>,
+    /// Masks, and what the settings name.
+    beside: BTreeMap<PathBuf, Entry>,
     /// Image folders: their entries count, not the bytes of the images.
     folders: BTreeMap<PathBuf, Entry>,
 }
@@ -52,7 +53,11 @@ impl Stamp {
     pub fn of(project: &Path, follow_links: bool) -> Self {
         let mut stamp = Self::default();
         let images = discover::image_folders(project);
-        for folder in discover::input_folders(project, follow_links) {
+        let masks = discover::mask_folders(project);
+        let folders = discover::input_folders(project, follow_links);
+        // What lies beside orientations is their cloud, elsewhere it is what a backend made.
+        let with_cloud = discover::holds_orientations(project);
+        for folder in folders {
             if images.contains(&folder) {
                 if let Ok(metadata) = fs::metadata(&folder) {
                     stamp.folders.insert(folder, Entry::of(&metadata));
@@ -60,13 +65,23 @@ impl Stamp {
                 continue;
             }
             for entry in fs::read_dir(&folder).into_iter().flatten().filter_map(Result::ok) {
-                let is_input = entry.file_name().to_str().is_some_and(is_input_file);
+                let is_mask = masks.contains(&folder);
+                let is_input =
+                    is_mask || entry.file_name().to_str().is_some_and(|name| is_input_file(name, with_cloud));
                 if let Some(metadata) = fs::metadata(entry.path()).ok().filter(|m| is_input && m.is_file()) {
-                    stamp.files.insert(entry.path(), Entry::of(&metadata));
+                    let files = if is_mask { &mut stamp.beside } else { &mut stamp.files };
+                    files.insert(entry.path(), Entry::of(&metadata));
                 }
             }
         }
         stamp
+    }
+
+    /// The same with these files, as far as they are there.
+    pub fn with(mut self, named: &[PathBuf]) -> Self {
+        let entry = |path: &PathBuf| Some((path.clone(), Entry::of(&fs::metadata(path).ok()?)));
+        self.beside.extend(named.iter().filter_map(entry));
+        self
     }
 
     pub fn is_empty(&self) -> bool {
@@ -85,9 +100,10 @@ impl Stamp {
     }
 }
 
-fn is_input_file(name: &str) -> bool {
-    let suffixes = [".mvs", ".ori", ".nvm", ".out", ".ply"];
-    discover::is_model_file(name) || name == "viewrank.toml" || suffixes.iter().any(|suffix| name.ends_with(suffix))
+fn is_input_file(name: &str, with_cloud: bool) -> bool {
+    let ends = |suffixes: &[&str]| suffixes.iter().any(|suffix| name.ends_with(suffix));
+    let cloud = with_cloud && ends(&[".nvm", ".out", ".ply"]);
+    discover::is_model_file(name) || name == "viewrank.toml" || ends(&[".mvs", ".ori"]) || cloud
 }
 
 /// A stamp (of input or of depth maps) and since when it has been the same.
@@ -126,7 +142,8 @@ impl<S: PartialEq> Stillness<S> {
     }
 }
 
-/// Hash of a project's input: the content of the model files, the names in the image folders, and the settings in force.
+/// Hash of a project's input: the content of the model's files, of masks and of what the settings name, the names in the image
+/// folders, and the settings in force.
 #[derive(Clone, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(transparent)]
 pub struct Fingerprint(String);
@@ -136,15 +153,23 @@ pub struct Fingerprint(String);
 pub struct HashCache(BTreeMap<PathBuf, (Entry, blake3::Hash)>);
 
 impl HashCache {
-    /// The fingerprint of the input as it is now. Fails where a file vanishes or can't be read meanwhile.
-    pub fn fingerprint(&mut self, project: &Path, stamp: &Stamp, settings: &[u8]) -> io::Result<Fingerprint> {
+    /// The fingerprint of the input as it is now; `model` are the files of the model that is planned. Fails where a file vanishes
+    /// or can't be read meanwhile.
+    pub fn fingerprint(
+        &mut self,
+        project: &Path,
+        model: &[PathBuf],
+        stamp: &Stamp,
+        settings: &[u8],
+    ) -> io::Result<Fingerprint> {
         let mut hasher = blake3::Hasher::new();
         hasher.update(env!("CARGO_PKG_VERSION").as_bytes()).update(blake3::hash(settings).as_bytes());
         // What `viewrank.toml` says is in the settings; a broken one says nothing.
-        for (path, entry) in stamp.files.iter().filter(|(path, _)| !path.ends_with("viewrank.toml")) {
+        let beside = stamp.beside.keys().filter(|path| !path.ends_with("viewrank.toml"));
+        for path in model.iter().chain(beside) {
             let relative = path.strip_prefix(project).unwrap_or(path);
             hasher.update(relative.as_os_str().as_encoded_bytes()).update(&[0]);
-            hasher.update(self.file(path, *entry)?.as_bytes());
+            hasher.update(self.file(path)?.as_bytes());
         }
         for folder in stamp.folders.keys() {
             for name in sorted_names(folder)? {
@@ -152,7 +177,7 @@ impl HashCache {
             }
             hasher.update(&[1]);
         }
-        self.0.retain(|path, _| !path.starts_with(project) || stamp.files.contains_key(path));
+        self.0.retain(|path, _| !path.starts_with(project) || model.contains(path) || stamp.beside.contains_key(path));
         Ok(Fingerprint(hasher.finalize().to_hex().to_string()))
     }
 
@@ -161,21 +186,15 @@ impl HashCache {
         self.0.retain(|path, _| !path.starts_with(project));
     }
 
-    fn file(&mut self, path: &Path, entry: Entry) -> io::Result<blake3::Hash> {
+    fn file(&mut self, path: &Path) -> io::Result<blake3::Hash> {
+        let named = |error: io::Error| io::Error::new(error.kind(), format!("{}: {error}", path.display()));
+        let file = fs::File::open(path).map_err(named)?;
+        // Of before the reading: what is written meanwhile has another stamp.
+        let entry = Entry::of(&file.metadata().map_err(named)?);
         if let Some((_, hash)) = self.0.get(path).filter(|(known, _)| *known == entry) {
             return Ok(*hash);
         }
-        let mut hasher = blake3::Hasher::new();
-        let mut file = fs::File::open(path)
-            .map_err(|error| io::Error::new(error.kind(), format!("{}: {error}", path.display())))?;
-        let mut buffer = vec![0; 1 << 18];
-        loop {
-            match file.read(&mut buffer)? {
-                0 => break,
-                n => hasher.update(&buffer[..n]),
-            };
-        }
-        let hash = hasher.finalize();
+        let hash = blake3::Hasher::new().update_reader(file).map_err(named)?.finalize();
         self.0.insert(path.into(), (entry, hash));
         Ok(hash)
     }
@@ -223,12 +242,47 @@ mod tests {
     }
 
     #[test]
+    fn clouds_are_input_beside_orientations_and_a_backend_s_elsewhere() {
+        let root = project();
+        let stamp = || Stamp::of(root.path(), false);
+        let before = stamp();
+        fs::write(root.path().join("scene_dense.ply"), "ply").expect("a file");
+        assert_eq!(stamp(), before);
+        fs::write(root.path().join("1.ori"), "").expect("a file");
+        assert_eq!(stamp().files.len(), before.files.len() + 2);
+    }
+
+    #[test]
+    fn masks_and_what_the_settings_name_are_input() {
+        let root = project();
+        let mesh = root.path().join("mesh.ply");
+        let stamp = || Stamp::of(root.path(), false).with(std::slice::from_ref(&mesh));
+        let mut cache = HashCache::default();
+        let mut print = |stamp: Stamp| cache.fingerprint(root.path(), &[], &stamp, b"").expect("readable files");
+        let mut seen = vec![print(stamp())];
+        for (file, content) in
+            [("mesh.ply", "a"), ("mesh.ply", "b"), ("masks/1.jpg.png", "a"), ("masks/1.jpg.png", "b")]
+        {
+            let path = root.path().join(file);
+            fs::create_dir_all(path.parent().expect("below the root")).expect("a folder");
+            // Another file, should the clock be coarse.
+            _ = fs::remove_file(&path);
+            fs::write(root.path().join("new"), content).expect("a file");
+            fs::rename(root.path().join("new"), path).expect("a file");
+            let now = print(stamp());
+            assert!(!seen.contains(&now), "{file}");
+            seen.push(now);
+        }
+    }
+
+    #[test]
     fn a_file_copied_over_itself_keeps_the_fingerprint() {
         let root = project();
         let mut cache = HashCache::default();
         let mut print = |settings: &[u8]| {
             let stamp = Stamp::of(root.path(), false);
-            cache.fingerprint(root.path(), &stamp, settings).expect("readable files")
+            let model = [root.path().join("sparse/0/cameras.bin")];
+            cache.fingerprint(root.path(), &model, &stamp, settings).expect("readable files")
         };
         let before = print(b"a");
         fs::remove_file(root.path().join("sparse/0/cameras.bin")).expect("the file");

@@ -160,7 +160,7 @@ pub struct Tracked {
     pub planned: Option<Fingerprint>,
     job: Option<Arc<AtomicBool>>,
     failures: u32,
-    retry_at: Option<Instant>,
+    retry: Option<(Instant, Work)>,
 }
 
 impl Tracked {
@@ -175,7 +175,7 @@ impl Tracked {
             planned: None,
             job: None,
             failures: 0,
-            retry_at: None,
+            retry: None,
         }
     }
 
@@ -184,7 +184,7 @@ impl Tracked {
         if !self.still.observe(stamp, now) {
             return;
         }
-        self.retry_at = None;
+        self.retry = None;
         match &self.job {
             Some(cancel) if on_busy == OnBusy::Restart => cancel.store(true, Ordering::Relaxed),
             Some(_) => {}
@@ -210,8 +210,8 @@ impl Tracked {
         if self.concluded.as_ref() != Some(self.still.stamp()) {
             return Some((self.still.settled_at(settle), Work::Plan));
         }
-        if let Some(retry_at) = self.retry_at {
-            return Some((retry_at, Work::Plan));
+        if self.retry.is_some() {
+            return self.retry;
         }
         self.planned.as_ref()?;
         self.maps.due(settle).map(|at| (at, Work::Follow))
@@ -245,22 +245,23 @@ impl Tracked {
 
     /// The job that looked at this ended.
     pub fn finish(&mut self, looked: Looked, outcome: Outcome, now: Instant) {
-        self.job = None;
-        match (looked.work, &outcome) {
-            (Work::Plan, Outcome::Abandoned) => {}
+        let work = looked.work;
+        let cancelled = self.job.take().is_some_and(|cancel| cancel.load(Ordering::Relaxed));
+        match (work, &outcome) {
+            (Work::Plan, Outcome::Abandoned) | (Work::Follow, Outcome::Failed { .. }) => {}
             (Work::Plan, _) => self.concluded = Some(looked.input),
+            (Work::Follow, _) if cancelled => {}
             (Work::Follow, _) => self.maps.measured(looked.maps, now - looked.started, now),
         }
-        if looked.work == Work::Follow && outcome == Outcome::Abandoned {
+        if work == Work::Follow && outcome == Outcome::Abandoned {
             return;
         }
         let failures = self.failures + 1;
-        (self.failures, self.retry_at) = (0, None);
+        (self.failures, self.retry) = (0, None);
         self.phase = match outcome {
             Outcome::Planned { fingerprint, clusters, share, note } => {
-                if self.planned.as_ref() != Some(&fingerprint) {
-                    self.maps.forget_measured();
-                }
+                // What they reach is to be said again, also where the plan stayed the same.
+                self.maps.forget_measured();
                 self.planned = Some(fingerprint);
                 Phase::Planned { clusters, share, note }
             }
@@ -268,11 +269,15 @@ impl Tracked {
                 Phase::Reached { done, clusters, share }
             }
             Outcome::Followed { done, clusters, share, note, .. } => Phase::Computing { done, clusters, share, note },
-            Outcome::Incomplete { reason } => Phase::Waiting { reason },
+            Outcome::Incomplete { reason } => {
+                // Depth maps that come meanwhile belong to a plan whose model is gone.
+                self.planned = None;
+                Phase::Waiting { reason }
+            }
             Outcome::Abandoned => waiting(self.still.stamp()),
             Outcome::Failed { reason, hint } => {
                 let pause = retry_after(failures);
-                (self.failures, self.retry_at) = (failures, Some(now + pause));
+                (self.failures, self.retry) = (failures, Some((now + pause, work)));
                 Phase::Failed { reason, hint, retry_in_s: pause.as_secs() }
             }
         };
@@ -285,7 +290,7 @@ impl Tracked {
     /// Forgets what was concluded, so that the input is looked at again.
     pub fn look_again(&mut self) {
         self.concluded = None;
-        self.retry_at = None;
+        self.retry = None;
     }
 }
 
@@ -328,6 +333,7 @@ pub struct ProjectStatus {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::daemon::settle::Entry;
 
     const SETTLE: Duration = Duration::from_secs(2);
 
@@ -394,6 +400,37 @@ mod tests {
         assert!(!cancel.load(Ordering::Relaxed));
         project.finish(looked, planned("a"), start + SETTLE);
         assert_eq!(project.due(SETTLE), Some((start + SETTLE * 2, Work::Plan)));
+    }
+
+    #[test]
+    fn maps_that_could_not_be_measured_are_tried_again_and_wait_for_a_model_that_is_whole() {
+        let ((root, stamp), (_other, changed)) = (stamped(5), stamped(6));
+        let start = Instant::now();
+        let mut project = Tracked::new(root.path().into(), stamp.clone(), start);
+        let looked = project.start(Work::Plan, SETTLE, start).0;
+        project.finish(looked, planned("a"), start);
+        let map = root.path().join("map.npy");
+        std::fs::write(&map, "").expect("a file");
+        let entry = Entry::of(&std::fs::metadata(&map).expect("the file"));
+        project.observe_maps(MapFiles::from([(map, entry)]), start);
+        let mut now = start + SETTLE;
+        for pause in [FIRST_RETRY, FIRST_RETRY * 2] {
+            let looked = project.start(Work::Follow, SETTLE, now).0;
+            project.finish(looked, Outcome::Failed { reason: "disk full".into(), hint: None }, now);
+            assert_eq!(project.due(SETTLE), Some((now + pause, Work::Follow)));
+            now += pause;
+        }
+        let looked = project.start(Work::Follow, SETTLE, now).0;
+        project.cancel();
+        project.finish(looked, Outcome::Abandoned, now);
+        project.observe(changed, now, OnBusy::Restart);
+        let looked = project.start(Work::Plan, SETTLE, now).0;
+        project.finish(looked, Outcome::Incomplete { reason: "images.bin ends at byte 5".into() }, now);
+        assert_eq!(project.due(SETTLE), None);
+        project.observe(stamp, now, OnBusy::Restart);
+        let looked = project.start(Work::Plan, SETTLE, now).0;
+        project.finish(looked, planned("a"), now);
+        assert_eq!(project.due(SETTLE), Some((start + SETTLE, Work::Follow)));
     }
 
     #[test]

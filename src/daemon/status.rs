@@ -3,8 +3,9 @@
 use std::{
     collections::BTreeMap,
     fs::File,
-    io::{Read, Seek, SeekFrom, Write},
+    io::{self, Read, Write},
     path::{Path, PathBuf},
+    thread,
     time::{Duration, Instant, SystemTime, UNIX_EPOCH},
 };
 
@@ -19,6 +20,10 @@ use crate::output::{self, Disk};
 
 /// The status is written at most so often.
 const PAUSE: Duration = Duration::from_secs(1);
+/// Where it could not be written, it is tried again after this.
+const RETRY: Duration = Duration::from_secs(10);
+/// How often a lock is tried that nobody holds for long.
+const TRIES: u32 = 5;
 /// Sentences that are kept.
 const NOTICES: usize = 20;
 
@@ -30,36 +35,55 @@ pub struct Holder {
 }
 
 impl Holder {
-    /// Takes the root, or says who has it.
+    /// Takes the root, or says who has it or a folder around it.
     pub fn take(root: &Path, disk: &Disk) -> Result<Self, DaemonError> {
-        let error = |path: &Path| {
-            let path = path.to_path_buf();
-            move |source| DaemonError::Root { path, source }
-        };
-        let root = root.canonicalize().map_err(error(root))?;
-        let folder = root.join(OUTPUT_FOLDER);
-        output::make_folder(&folder, disk)?;
-        let path = folder.join("watch.lock");
-        let options = File::options().read(true).write(true).create(true).truncate(false).open(&path);
-        let mut lock = options.map_err(error(&path))?;
-        if lock.try_lock().is_err() {
-            let mut holder = String::new();
-            // An empty name is better than none at all.
-            _ = lock.read_to_string(&mut holder);
-            return Err(DaemonError::Held { path: root, holder: holder.trim().into() });
+        let held = |path: &Path| Some(DaemonError::Held { path: path.into(), holder: Self::of(path)? });
+        if let Some(error) = root.ancestors().find_map(held) {
+            return Err(error);
         }
-        let name = format!("process {} on {}\n", std::process::id(), host());
-        let written =
-            lock.set_len(0).and_then(|()| lock.seek(SeekFrom::Start(0))).and_then(|_| lock.write_all(name.as_bytes()));
-        written.map_err(error(&path))?;
-        Ok(Self { root, _lock: lock })
+        output::make_folder(&root.join(OUTPUT_FOLDER), disk)?;
+        let path = lock_file(root);
+        let failed = |source| DaemonError::Root { path: path.clone(), source };
+        let open = File::options().read(true).write(true).create(true).truncate(false).open(&path);
+        let mut lock = open.map_err(failed)?;
+        // Whoever asks at this instant whether it is held is gone in the next.
+        for _ in 0..TRIES {
+            if lock.try_lock().is_ok() {
+                let name = format!("process {} on {}\n", std::process::id(), host());
+                lock.set_len(0).and_then(|()| lock.write_all(name.as_bytes())).map_err(failed)?;
+                return Ok(Self { root: root.into(), _lock: lock });
+            }
+            thread::sleep(Duration::from_millis(10));
+        }
+        Err(held(root).unwrap_or_else(|| failed(io::ErrorKind::WouldBlock.into())))
     }
 
-    /// Does a daemon hold the root at this moment?
-    fn is_held(root: &Path) -> bool {
-        let path = root.join(OUTPUT_FOLDER).join("watch.lock");
-        File::open(path).is_ok_and(|file| file.try_lock_shared().is_err())
+    /// Did nobody remove the folder of outputs, and the lock with it?
+    fn is_there(&self) -> bool {
+        lock_file(&self.root).is_file()
     }
+
+    /// Takes the root again where the lock is gone.
+    fn hold_on(&mut self, disk: &Disk) -> Result<(), DaemonError> {
+        if self.root.is_dir() && !self.is_there() {
+            *self = Self::take(&self.root, disk)?;
+        }
+        Ok(())
+    }
+
+    /// The daemon that holds the root at this moment.
+    fn of(root: &Path) -> Option<String> {
+        let mut lock = File::open(lock_file(root)).ok()?;
+        lock.try_lock_shared().err()?;
+        let mut name = String::new();
+        // An empty name is better than none at all.
+        _ = lock.read_to_string(&mut name);
+        Some(name.trim().into())
+    }
+}
+
+fn lock_file(root: &Path) -> PathBuf {
+    root.join(OUTPUT_FOLDER).join("watch.lock")
 }
 
 fn host() -> String {
@@ -74,12 +98,14 @@ pub struct StatusFiles {
     notices: Vec<String>,
     written: Vec<Status>,
     next: Option<Instant>,
+    /// Why the files could not be written; said once.
+    trouble: Option<String>,
 }
 
 impl StatusFiles {
     pub fn new(roots: Vec<Holder>, metrics: Option<PathBuf>) -> Self {
         let written = roots.iter().map(|_| Status::default()).collect();
-        Self { roots, metrics, notices: Vec::new(), written, next: None }
+        Self { roots, metrics, notices: Vec::new(), written, next: None, trouble: None }
     }
 
     /// A sentence for people, said once.
@@ -98,7 +124,7 @@ impl StatusFiles {
     /// Writes what changed, at most once a second unless it is the last time. A disk that can't be written to is tried again.
     pub fn publish(&mut self, projects: &BTreeMap<PathBuf, Tracked>, disk: &Disk, now: Instant, last: bool) {
         let fresh: Vec<_> = (0..self.roots.len()).map(|i| self.status(i, projects)).collect();
-        if fresh == self.written {
+        if fresh == self.written && self.roots.iter().all(Holder::is_there) {
             self.next = None;
             return;
         }
@@ -106,20 +132,32 @@ impl StatusFiles {
         if now < at && !last {
             return;
         }
-        self.next = Some(now + PAUSE);
-        for (holder, status) in self.roots.iter().zip(&fresh) {
-            let path = holder.root.join(OUTPUT_FOLDER).join("status.json");
+        let trouble = self.write(&fresh, projects, disk).err().map(|error| error.to_string());
+        if let Some(text) = trouble.as_ref().filter(|_| trouble != self.trouble) {
+            warn!("cannot say how things stand: {text}");
+        }
+        if trouble.is_none() {
+            self.written = fresh;
+        }
+        self.next = Some(now + if trouble.is_none() { PAUSE } else { RETRY });
+        self.trouble = trouble;
+    }
+
+    fn write(
+        &mut self,
+        fresh: &[Status],
+        projects: &BTreeMap<PathBuf, Tracked>,
+        disk: &Disk,
+    ) -> Result<(), DaemonError> {
+        for (holder, status) in self.roots.iter_mut().zip(fresh) {
+            holder.hold_on(disk)?;
             let text = serde_json::to_vec_pretty(status).unwrap_or_default();
-            if let Err(error) = output::replace(&path, &text, disk) {
-                return warn!("cannot write the status: {error}");
-            }
+            output::replace(&holder.root.join(OUTPUT_FOLDER).join("status.json"), &text, disk)?;
         }
-        if let Some(path) = &self.metrics
-            && let Err(error) = output::replace(path, metrics(projects).as_bytes(), disk)
-        {
-            warn!("cannot write the metrics: {error}");
+        match &self.metrics {
+            Some(path) => Ok(output::replace(path, metrics(projects).as_bytes(), disk)?),
+            None => Ok(()),
         }
-        self.written = fresh;
     }
 
     fn status(&self, root: usize, projects: &BTreeMap<PathBuf, Tracked>) -> Status {
@@ -152,7 +190,7 @@ fn seconds_now() -> u64 {
     SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_secs())
 }
 
-/// Projects by state, in Prometheus' text format.
+/// Projects by state, and how far each is that has depth maps, in Prometheus' text format.
 fn metrics(projects: &BTreeMap<PathBuf, Tracked>) -> String {
     let mut counts: BTreeMap<&str, usize> =
         ["waiting", "queued", "planning", "planned", "computing", "reached", "failed"].map(|name| (name, 0)).into();
@@ -163,7 +201,35 @@ fn metrics(projects: &BTreeMap<PathBuf, Tracked>) -> String {
     for (state, count) in counts {
         text += &format!("viewrank_projects{{state=\"{state}\"}} {count}\n");
     }
+    let mut gauge = |name: &str, help: &str, value: fn(&Phase) -> Option<f64>| {
+        text += &format!("# HELP {name} {help}\n# TYPE {name} gauge\n");
+        for (root, value) in projects.iter().filter_map(|(root, tracked)| Some((root, value(&tracked.phase)?))) {
+            text += &format!("{name}{{project=\"{}\"}} {value}\n", label(root));
+        }
+    };
+    gauge("viewrank_depth_maps_done", "Key views with a depth map, of those to the cut.", |phase| match phase {
+        Phase::Computing { done, .. } | Phase::Reached { done, .. } => Some(*done as f64),
+        _ => None,
+    });
+    gauge("viewrank_depth_maps_wanted", "Key views to the cut.", |phase| match phase {
+        Phase::Computing { clusters, .. } | Phase::Reached { clusters, .. } => Some(*clusters as f64),
+        _ => None,
+    });
+    gauge(
+        "viewrank_share_reached",
+        "Real fulfilment over what all clusters together can reach.",
+        |phase| match phase {
+            Phase::Computing { share, .. } => *share,
+            Phase::Reached { share, .. } => Some(*share),
+            _ => None,
+        },
+    );
     text
+}
+
+/// A path as the value of a label.
+fn label(path: &Path) -> String {
+    path.to_string_lossy().replace('\\', "\\\\").replace('"', "\\\"").replace('\n', "\\n")
 }
 
 fn name_of(phase: &Phase) -> &'static str {
@@ -189,5 +255,5 @@ pub struct Line {
 pub fn read_status(root: &Path) -> Option<Line> {
     let text = std::fs::read(root.join(OUTPUT_FOLDER).join("status.json")).ok()?;
     let status = serde_json::from_slice(&text).ok()?;
-    Some(Line { running: Holder::is_held(root), status })
+    Some(Line { running: Holder::of(root).is_some(), status })
 }
