@@ -5,9 +5,10 @@
 
 idle     1,000 planned projects: CPU over a minute, memory, watches, size of the status. Wanted: under 0.1 % of a core and 100 MB.
 latency  from the last byte of a model written to the start of planning, beyond the settle time. Wanted: at most 0.3 s.
-soak     2,000 changes over 50 projects: memory, threads, descriptors and watches after the first 100 and after all. Wanted: no growth.
+soak     2,000 changes over 50 projects: memory, threads, descriptors and watches after the first 100 and after all. Wanted: no growth
+         (of memory at most a tenth).
 
-Needs Linux and Python, nothing else. The long form of the kill test: VIEWRANK_KILLS=3000 cargo test --test daemon_kill.
+Ends with 1 where something is not as wanted. Needs Linux and Python, nothing else. The long form of the kill test: VIEWRANK_KILLS=3000 cargo test --test daemon_kill.
 """
 
 import argparse
@@ -24,6 +25,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 SETTLE = 0.5
 IDLE_SECONDS = 60
+FAILURES = []
 
 
 class Daemon:
@@ -68,16 +70,18 @@ class Daemon:
         return int(status["VmRSS"].split()[0]) / 1024, int(status["Threads"]), len(descriptors), watches
 
 
-def small_model(folder, variant):
-    """A text model of 9 views over a wavy ground, without noise; variants differ in their points."""
+def small_model(folder, variant, side=3, left_out=0):
+    """A text model of side x side views over a wavy ground, the last ones left out, without noise; variants differ in their points."""
     folder.mkdir(parents=True, exist_ok=True)
-    views = [(x, y) for x in (-8.0, 0.0, 8.0) for y in (-8.0, 0.0, 8.0)]
+    places = [8.0 * i - 4.0 * (side - 1) for i in range(side)]
+    views = [(x, y) for x in places for y in places][: side * side - left_out]
+    width = 8.0 * (side + 2)
     state, points = 7 + variant, []
-    for _ in range(400):
+    for _ in range(int(width * width / 4)):
         numbers = []
         for _ in range(2):
             state = (1103515245 * state + 12345) % 2**31
-            numbers.append(40.0 * state / 2**31 - 20.0)
+            numbers.append(width * state / 2**31 - width / 2)
         x, y = numbers
         points.append((x, y, 1.5 * ((0.3 * x) % 2.0 - 1.0)))
     tracks, seen = [], [[] for _ in views]
@@ -127,6 +131,7 @@ def idle(program, root):
         share = (daemon.cpu_seconds() - before) / (time.monotonic() - start)
         memory, threads, descriptors, watches = daemon.sizes()
         status = (root / "viewrank/status.json").stat().st_size
+        must(share < 0.001 and memory < 100, "idle: under 0.1 % of a core and 100 MB")
         print(f"idle: 1000 projects: {100 * share:.3f} % of a core, {memory:.0f} MB, {threads} threads, {descriptors} descriptors, "
               f"{watches} watches, status.json {status / 1e3:.0f} kB", flush=True)
 
@@ -141,10 +146,11 @@ def latency(program, root):
             late.append(daemon.said("planning")[i][0] - written - SETTLE)
     late.sort()
     print(f"latency beyond the settle time of {SETTLE} s: median {late[10]:.3f} s, most {late[-1]:.3f} s of {len(late)}", flush=True)
+    must(late[-1] <= 0.3, "latency: at most 0.3 s")
 
 
 def soak(program, root, changes):
-    projects = 50
+    projects, sizes = 50, []
     with Daemon(program, root, "--jobs", "2") as daemon:
         for done in range(0, changes, projects):
             for i in range(projects):
@@ -153,9 +159,18 @@ def soak(program, root, changes):
             if done + projects in (100, changes // 2, changes):
                 time.sleep(3)
                 memory, threads, descriptors, watches = daemon.sizes()
+                sizes.append((memory, threads, descriptors, watches))
                 print(f"soak: after {done + projects} changes: {memory:.0f} MB, {threads} threads, {descriptors} descriptors, {watches} watches", flush=True)
         planned = len(daemon.said("planned"))
         print(f"soak: {planned} plans for {changes} changes", flush=True)
+        must(planned == changes, "soak: a plan for each change")
+        (first, *counts), (last, *last_counts) = sizes[0], sizes[-1]
+        must(last <= 1.1 * first and counts == last_counts, "soak: no growth")
+
+
+def must(condition, wanted):
+    if not condition:
+        FAILURES.append(wanted)
 
 
 def main():
@@ -168,6 +183,8 @@ def main():
         with tempfile.TemporaryDirectory() as folder:
             rest = [arguments.changes] if what == "soak" else []
             {"idle": idle, "latency": latency, "soak": soak}[what](arguments.program, Path(folder).resolve(), *rest)
+    if FAILURES:
+        raise SystemExit("not as wanted: " + "; ".join(FAILURES))
 
 
 if __name__ == "__main__":
