@@ -11,7 +11,7 @@ use std::{
 };
 
 pub use files::ColmapFiles;
-pub use images::ImageFaults;
+pub use images::{ImageFaults, slashes};
 
 use crate::{
     error::Hint,
@@ -116,7 +116,7 @@ impl Project {
     }
 
     /// The project as commands take it: its folder, and `--model` where another sub-model would be taken without.
-    pub fn typed(&self) -> String {
+    pub fn as_argument(&self) -> String {
         let root = quoted_path(&self.root);
         match discover::is_first(&self.model, &self.other_models) {
             true => root,

@@ -4,7 +4,7 @@ use super::{
     Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Gate, Honours, PATCH_MATCH,
     PlanningNumbers, References, Selection,
 };
-use crate::{scene::ViewIndex, shell::quoted_path};
+use crate::scene::ViewIndex;
 
 pub struct Images;
 
@@ -46,10 +46,7 @@ impl Backend for Images {
         record.way = format!("{} images, best first", views.len());
         record.not_honoured = vec!["matching partners".into()];
         record.fusion = "the program's own".into();
-        let folder = selection.project.images.as_ref();
-        let folder = folder.map_or("\"${IMAGES:?folder of the images}\"".into(), |folder| {
-            quoted_path(&std::path::absolute(folder).unwrap_or_else(|_| folder.clone()))
-        });
+        let folder = selection.images_in_commands();
         record.commands =
             vec![format!("rsync -a --files-from=images.txt {folder}/ \"${{CHOSEN:?folder for the chosen images}}\"/")];
         let mut files = options.file_set(self, selection);

@@ -412,6 +412,7 @@ impl ExportRecord {
             key: view(c.key),
             partners: c.partners.iter().map(|&p| view(p)).collect(),
         };
+        let faults = selection.image_faults.of(&selection.views());
         Self {
             backend: backend.name().into(),
             key_maps: selection.clusters.len(),
@@ -419,8 +420,8 @@ impl ExportRecord {
             clusters: selection.clusters.iter().enumerate().map(cluster).collect(),
             warnings: nothing_chosen(selection)
                 .into_iter()
-                .chain(selection.image_faults.of(&selection.views()).warnings(selection.project, selection.scene))
-                .chain(without_images(selection))
+                .chain(faults.warnings(selection.project, selection.scene))
+                .chain(without_images(selection, &faults.missing))
                 .chain(other_kind(backend, selection))
                 .collect(),
             ..Self::default()
@@ -469,10 +470,10 @@ impl ExportRecord {
     }
 }
 
-/// A warning of the view clusters that cannot be computed as planned.
-fn without_images(selection: &Selection) -> Option<String> {
-    let missing = &selection.image_faults.of(&selection.views()).missing;
-    let lacks = |c: &RankedCluster| std::iter::once(&c.key).chain(&c.partners).any(|v| missing.contains(v));
+/// A warning of the view clusters that cannot be computed as planned; `missing` ascends.
+fn without_images(selection: &Selection, missing: &[ViewIndex]) -> Option<String> {
+    let is_missing = |view: &ViewIndex| missing.binary_search(view).is_ok();
+    let lacks = |c: &RankedCluster| std::iter::once(&c.key).chain(&c.partners).any(is_missing);
     let ranks = (1..).zip(selection.clusters).filter(|(_, c)| lacks(c)).map(|(rank, _): (usize, _)| rank.to_string());
     let ranks: Vec<String> = ranks.collect();
     let some = ranks.iter().take(NAMED_RANKS).cloned().collect::<Vec<_>>().join(", ");
@@ -503,7 +504,7 @@ fn other_kind(backend: &dyn Backend, selection: &Selection) -> Option<String> {
         format!(
             "the plan was made for {}, {why}; one made for this program: viewrank plan {} --backend {}",
             planned_for.name(),
-            selection.project.typed(),
+            selection.project.as_argument(),
             backend.name()
         )
     })

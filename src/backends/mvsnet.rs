@@ -179,7 +179,7 @@ impl MvsNet {
             let sides = lists.views.iter().map(|&v| side(selection.scene.camera_of(v)));
             (f64::from(sides.min().unwrap_or(0)) * selection.image_scale.min(1.0)) as u32
         };
-        let numbers = [
+        let words = [
             ("VIEWS", most as u32 + 1),
             ("PARTNERS", most as u32),
             ("WIDTH", least(|camera| camera.width)),
@@ -187,7 +187,7 @@ impl MvsNet {
             ("AGREEING", lists.least_fused(selection.clusters.len()).clamp(1, MOST_AGREEING) as u32),
         ];
         let filled = |command: &&str| {
-            numbers.iter().fold(String::from(*command), |text, (name, number)| text.replace(name, &number.to_string()))
+            words.iter().fold(String::from(*command), |text, (word, number)| text.replace(word, &number.to_string()))
         };
         record.commands = self.commands.iter().map(filled).collect();
         record.note_own_scale(selection);

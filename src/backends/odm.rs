@@ -12,8 +12,9 @@ use crate::{output::Contents, project::ModelFormat, shell::quoted_path};
 pub struct Odm;
 
 /// ODM on one of the projects of a folder.
-const ODM: &str = "docker run --rm -v \"${DATASETS:?folder of the ODM projects, whole path}\":/datasets opendronemap/odm \
-                   --project-path /datasets \"${NAME:?name of the ODM project}\"";
+/// What the commands ask for where it is not set.
+const DATASETS: &str = "${DATASETS:?folder of the ODM projects, whole path}";
+const NAME: &str = "${NAME:?name of the ODM project}";
 
 impl Backend for Odm {
     fn name(&self) -> &'static str {
@@ -70,9 +71,9 @@ impl Backend for Odm {
         record.made_for = "OpenDroneMap (32cfaac; read, not run)".into();
         record.way = "openmvs/scene.mvs in place of ODM's own".into();
         record.commands = vec![
-            "rm -rf \"${DATASETS:?folder of the ODM projects, whole path}/${NAME:?name of the ODM project}/opensfm/undistorted/openmvs\"".into(),
-            "cp -rL openmvs \"$DATASETS/$NAME/opensfm/undistorted/\"".into(),
-            ODM.into(),
+            format!("rm -rf \"{DATASETS}/{NAME}/opensfm/undistorted/openmvs\""),
+            format!("cp -rL openmvs \"{DATASETS}/{NAME}/opensfm/undistorted/\""),
+            format!("docker run --rm -v \"{DATASETS}\":/datasets opendronemap/odm --project-path /datasets \"{NAME}\""),
         ];
         record.runner = Some("run.sh".into());
         let script = format!("#!/bin/sh\nset -eu\ncd \"$(dirname \"$0\")\"\n{}\n", record.commands.join("\n"));

@@ -7,7 +7,7 @@ use serde::Deserialize;
 use super::{BackendError, Export};
 use crate::{
     output::{FileSet, OutputError},
-    project::{Project, ProjectError},
+    project::{Project, ProjectError, slashes},
 };
 
 /// Where an export has its record, and where its first tile has one.
@@ -40,11 +40,6 @@ pub fn set_of_folder(folder: &Path, parts: impl IntoIterator<Item = FileSet>, pr
         set.files.extend(part.files.into_iter().map(|(name, contents)| (path(name), contents)));
     }
     set
-}
-
-/// A path with `/` between its parts.
-fn slashes(path: &Path) -> String {
-    path.components().map(|part| part.as_os_str().to_string_lossy()).collect::<Vec<_>>().join("/")
 }
 
 /// The same for the same folder of a project, and short whatever its depth.
@@ -86,12 +81,12 @@ fn earlier_backend(folder: &Path) -> Option<String> {
 
 /// Refuses a COLMAP model beside rigs and frames of another one: those that are written have none, and COLMAP 4 would read theirs.
 fn refuse_mixed_models(files: &FileSet) -> Result<(), BackendError> {
-    let folders = files.files.keys().filter_map(|name| name.strip_suffix("images.bin"));
+    let mut folders = files.files.keys().filter_map(|name| name.strip_suffix("images.bin"));
     let other = |folder: &str| {
         let beside = ["rigs.bin", "frames.bin"].map(|name| files.root.join(folder).join(name));
         beside.into_iter().find(|path| path.exists())
     };
-    folders.filter_map(other).next().map_or(Ok(()), |path| Err(BackendError::OtherModel(path)))
+    folders.find_map(other).map_or(Ok(()), |path| Err(BackendError::OtherModel(path)))
 }
 
 /// Refuses what would lie among the images of the project or in place of its model: links to images would lead in circles there, and the next

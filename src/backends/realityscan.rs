@@ -1,14 +1,14 @@
 //! RealityScan (RealityCapture): `backends.md` 10, from the vendor's pages; not run. Images can be kept out of meshing, by a side file in
 //! XMP beside the image; nothing else can be said.
 
-use std::{collections::HashMap, path::PathBuf};
+use std::collections::HashMap;
 
 use super::{
     Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, Patient, PlanningNumbers,
     Selection, Trap,
     images::{ANY_PROGRAM, name_lines},
 };
-use crate::{output::Contents, scene::ViewIndex, shell::quoted_path};
+use crate::{output::Contents, scene::ViewIndex};
 
 pub struct RealityScan;
 
@@ -58,11 +58,8 @@ impl Backend for RealityScan {
         let mut record = ExportRecord::new(self, selection, |v| format!("xmp/{}.xmp", stem(scene.name(v))));
         record.made_for = "RealityScan, RealityCapture (from the vendor's pages; not run)".into();
         record.way = "side files that switch meshing, to lie beside the images before these are added".into();
-        let images = selection.project.images.as_ref();
-        let absolute = |folder: &PathBuf| quoted_path(&std::path::absolute(folder).unwrap_or_else(|_| folder.clone()));
-        let images = images.map_or("\"${IMAGES:?folder of the images}\"".into(), absolute);
         files.add("switch.py", Contents::Script(include_bytes!("../../integrations/realityscan/switch.py").to_vec()));
-        record.commands = vec![format!("python3 switch.py {images}")];
+        record.commands = vec![format!("python3 switch.py {}", selection.images_in_commands())];
         record.not_honoured = vec![
             "matching partners".into(),
             "depth maps of key views only: partners take part in meshing as well".into(),

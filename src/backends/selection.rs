@@ -1,6 +1,9 @@
 //! What a backend is handed: the scene and the chosen view clusters in rank order.
 
-use std::{borrow::Cow, path::Path};
+use std::{
+    borrow::Cow,
+    path::{Path, PathBuf},
+};
 
 use nalgebra::Vector3;
 
@@ -53,7 +56,7 @@ impl NearOrigin<'_> {
 impl<'a> Selection<'a> {
     /// The same near the origin; as it is where 32 bits hold its coordinates.
     pub fn near_origin(&self) -> NearOrigin<'a> {
-        let origin = if rounding(self.scene).is_some() { middle(self.scene) } else { Vector3::zeros() };
+        let origin = origin_among(&centres(self.scene), self.scene.median_gsd());
         let moved = origin != Vector3::zeros();
         let scene = if moved { Cow::Owned(self.scene.moved(origin)) } else { Cow::Borrowed(self.scene) };
         NearOrigin { selection: *self, scene, origin }
@@ -87,6 +90,12 @@ impl Selection<'_> {
         Ok(folder)
     }
 
+    /// The folder of the images as a command names it, from whatever folder it is run; where it is not known the command asks for it.
+    pub fn images_in_commands(&self) -> String {
+        let absolute = |folder: &PathBuf| quoted_path(&std::path::absolute(folder).unwrap_or_else(|_| folder.clone()));
+        self.project.images.as_ref().map_or("\"${IMAGES:?folder of the images}\"".into(), absolute)
+    }
+
     /// The folder of the images, where these are undistorted; else what to do.
     pub fn undistorted_images(&self, backend: &'static str) -> Result<&Path, BackendError> {
         let distorted = self.views().into_iter().find(|v| !self.scene.camera_of(*v).is_pinhole());
@@ -97,7 +106,7 @@ impl Selection<'_> {
                 format!("plan and export the undistorted images instead: viewrank plan {}", quoted_path(dense))
             }
             None => {
-                let (root, model) = (self.project.typed(), &self.project.model);
+                let (root, model) = (self.project.as_argument(), &self.project.model);
                 let dense = quoted_path(&self.project.root.join("dense"));
                 let images = self.project.images.clone().unwrap_or_else(|| self.project.root.join("images"));
                 let colmap = format!(
@@ -156,21 +165,37 @@ impl Selection<'_> {
     }
 }
 
-/// What numbers of 32 bits do to the coordinates, where their steps are coarser than a tenth of a pixel on the ground.
+/// Steps of numbers of 32 bits that are too coarse, pixels on the ground.
+const COARSE_PX: f64 = 0.1;
+
+/// What numbers of 32 bits do to the coordinates, where they are too coarse for them.
 pub fn rounding(scene: &Scene) -> Option<String> {
-    let centres = scene.views.iter().map(|view| view.cam_from_world.centre());
-    let largest = centres.flat_map(|centre| [centre.x, centre.y, centre.z]).fold(0.0, |max: f64, x| max.max(x.abs()));
-    let step = largest * f64::from(f32::EPSILON);
-    let gsd = scene.median_gsd().filter(|gsd| step >= 0.1 * gsd)?;
+    let gsd = scene.median_gsd();
+    let (largest, step) = too_coarse(&centres(scene), gsd)?;
+    let gsd = gsd?;
     Some(format!(
         "coordinates up to {largest:.0} are rounded to {step:.2} units in numbers of 32 bits, and a pixel is {gsd:.3} units"
     ))
 }
 
-/// Mean of the camera centres, in whole units.
-fn middle(scene: &Scene) -> Vector3<f64> {
-    let sum = scene.views.iter().fold(Vector3::zeros(), |sum, view| sum + view.cam_from_world.centre().coords);
-    (sum / scene.views.len() as f64).map(f64::round)
+/// The origin from which coordinates near these camera centres are to count: the mean of these, in whole units, where numbers of 32 bits are
+/// too coarse for them, else that of the coordinates. `gsd`: units per pixel.
+pub fn origin_among(centres: &[Vector3<f64>], gsd: Option<f64>) -> Vector3<f64> {
+    match too_coarse(centres, gsd) {
+        Some(_) => (centres.iter().sum::<Vector3<f64>>() / centres.len() as f64).map(f64::round),
+        None => Vector3::zeros(),
+    }
+}
+
+/// The largest coordinate and the step of numbers of 32 bits there, where it is too coarse.
+fn too_coarse(centres: &[Vector3<f64>], gsd: Option<f64>) -> Option<(f64, f64)> {
+    let largest = centres.iter().map(|centre| centre.amax()).fold(0.0, f64::max);
+    let step = largest * f64::from(f32::EPSILON);
+    gsd.filter(|gsd| step >= COARSE_PX * gsd).map(|_| (largest, step))
+}
+
+fn centres(scene: &Scene) -> Vec<Vector3<f64>> {
+    scene.views.iter().map(|view| view.cam_from_world.centre().coords).collect()
 }
 
 /// Depths of the points that the view observes, in front of it, ascending, scene units.

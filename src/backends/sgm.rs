@@ -4,8 +4,7 @@ use super::{
     Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Gate, Honours, PlanningNumbers,
     Selection, TaskRunner, place, sure,
 };
-use crate::confidence::PairConfidence;
-use crate::shell::quoted_path;
+use crate::{confidence::PairConfidence, shell::quoted_path};
 
 pub struct Sgm;
 

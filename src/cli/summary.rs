@@ -211,7 +211,7 @@ fn warnings(files: &PlanFiles) -> Vec<String> {
 
 /// The same without `--dry-run`; the first command of a backend whose files were written; else the way to such files.
 fn next(project: &Project, plan: &Plan, files: &PlanFiles, dry_run: bool) -> String {
-    let root = project.typed();
+    let root = project.as_argument();
     let distorted = || plan.scene.view_indices().any(|view| !plan.scene.camera_of(view).is_pinhole());
     let takes_distorted = backends::by_name(plan.backend).is_ok_and(|backend| backend.takes_distorted());
     match &files.command {

@@ -24,7 +24,7 @@ pub use curves::PairCurves;
 pub use geometric::{Constellation, PairConfidence};
 pub use image::{Image, ImageError, Mask};
 pub use nearby::nearby;
-pub use pictures::{CACHE, Pictures, Seen};
+pub use pictures::{CACHE, MASKS, Pictures, Seen};
 pub use proxy::Proxy;
 pub use trained::{Measured, Picture, Trained, TrainedError, TrainedOn};
 pub use unary::Unary;

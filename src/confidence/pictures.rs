@@ -21,6 +21,8 @@ use crate::{
     scene::{Scene, ViewIndex},
 };
 
+/// Folder of masks, in the project or beside its image folder.
+pub const MASKS: &str = "masks";
 /// Where maps are kept, relative to the project.
 pub const CACHE: &str = "viewrank/cache/confidence.maps";
 /// Images that are named in warnings.
@@ -59,7 +61,7 @@ struct Looked {
 impl Pictures {
     pub fn new(project: &Project) -> Self {
         let beside = project.images.as_deref().and_then(Path::parent).map(Path::to_path_buf);
-        let masks = [Some(project.root.clone()), beside].into_iter().flatten().map(|folder| folder.join("masks"));
+        let masks = [Some(project.root.clone()), beside].into_iter().flatten().map(|folder| folder.join(MASKS));
         Self {
             images: project.images.clone(),
             masks: masks.into_iter().find(|folder| folder.is_dir()),

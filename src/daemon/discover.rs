@@ -9,6 +9,8 @@ use std::{
     path::{Path, PathBuf},
 };
 
+use crate::confidence::MASKS;
+
 /// Names of the files of a COLMAP model, without their suffix.
 const MODEL_FILES: [&str; 5] = ["cameras", "images", "points3D", "rigs", "frames"];
 /// Where the outputs of a project and the daemon's own files of a root go; never looked at as input.
@@ -149,7 +151,7 @@ pub fn image_folders(project: &Path) -> Vec<PathBuf> {
 
 /// `masks/` and the folders below it.
 pub fn mask_folders(project: &Path) -> Vec<PathBuf> {
-    folders_at(&project.join("masks"))
+    folders_at(&project.join(MASKS))
 }
 
 fn folders_at(top: &Path) -> Vec<PathBuf> {

@@ -303,8 +303,10 @@ impl<'a> Daemon<'a> {
             if !self.projects.contains_key(&project) {
                 info!(project = %project.display(), "found");
                 self.forget_inside(&project, now);
-                self.watches.update(&project, self.folders_of(&project));
-                let tracked = Tracked::new(project.clone(), self.stamp_of(&project), now);
+                let named = self.planner.named_files(&project);
+                self.watches.update(&project, self.folders_of(&project, &named));
+                let stamp = Stamp::of(&project, self.options.follow_links).with(&named);
+                let tracked = Tracked::new(project.clone(), stamp, now);
                 self.projects.insert(project.clone(), tracked);
                 // It may have been written to between the look and the watch.
                 self.mark(project, now);
@@ -318,12 +320,11 @@ impl<'a> Daemon<'a> {
         inside.cloned().collect::<Vec<_>>().iter().for_each(|inner| self.forget(inner, now));
     }
 
-    /// Folders whose changes concern the project.
-    fn folders_of(&self, project: &Path) -> Vec<PathBuf> {
+    /// Folders whose changes concern the project; `named` are the files that it depends on beside model and images.
+    fn folders_of(&self, project: &Path, named: &[PathBuf]) -> Vec<PathBuf> {
         let mut folders = discover::input_folders(project, self.options.follow_links);
         folders.extend(maps::watched_folders(project, self.options.follow_links));
-        let named =
-            self.planner.named_files(project).into_iter().filter_map(|file| file.parent().map(Path::to_path_buf));
+        let named = named.iter().filter_map(|file| file.parent().map(Path::to_path_buf));
         let own = project.join(discover::OUTPUT_FOLDER);
         folders.extend(named.filter(|folder| folder.starts_with(project) && !folder.starts_with(&own)));
         folders.sort();
@@ -331,18 +332,15 @@ impl<'a> Daemon<'a> {
         folders
     }
 
-    fn stamp_of(&self, project: &Path) -> Stamp {
-        Stamp::of(project, self.options.follow_links).with(&self.planner.named_files(project))
-    }
-
     fn look_at_project(&mut self, project: &Path, now: Instant) {
         if !discover::is_project(project, self.options.follow_links) {
             self.forget(project, now);
             return;
         }
-        let new_watches = self.watches.update(project, self.folders_of(project));
+        let named = self.planner.named_files(project);
+        let new_watches = self.watches.update(project, self.folders_of(project, &named));
         let Options { on_busy, follow_links, .. } = *self.options;
-        let stamp = self.stamp_of(project);
+        let stamp = Stamp::of(project, follow_links).with(&named);
         if let Some(tracked) = self.projects.get_mut(project) {
             tracked.observe(stamp, now, on_busy);
             tracked.observe_maps(maps::map_files(project, follow_links), now);

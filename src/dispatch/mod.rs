@@ -19,7 +19,7 @@ use crate::{
     config::DispatchSettings,
     error::Hint,
     output::{Contents, FileSet},
-    shell::quoted,
+    shell::quoted_path,
 };
 
 /// The depth map of one view cluster.
@@ -153,18 +153,18 @@ impl Dispatch {
 
     /// What the scripts know. They are copied away when they are submitted, so that every path is whole.
     fn head(&self, tools: &Tools, settings: &DispatchSettings) -> String {
-        let path = |path: &Path| quoted(&path.display().to_string());
         let TaskRunner { compute, fuse, .. } = &self.runner;
         let workplace = std::path::absolute(&self.workplace).unwrap_or(self.workplace.clone());
-        let body = |name: &str, command: &str| format!("{name}() {{\n    cd {} && {command}\n}}\n", path(&workplace));
+        let body =
+            |name: &str, command: &str| format!("{name}() {{\n    cd {} && {command}\n}}\n", quoted_path(&workplace));
         let setup = settings.setup.trim_end();
         format!(
             "project={}\nfolder={}\nlist={}\nprogram={}\npython={}\nthreads=${{SLURM_CPUS_PER_TASK:-{}}}\n{}{}{setup}{}",
-            path(&self.project),
-            path(&self.folder),
-            path(&self.list_path(&self.list_name())),
-            path(&tools.program),
-            path(&tools.python),
+            quoted_path(&self.project),
+            quoted_path(&self.folder),
+            quoted_path(&self.list_path(&self.list_name())),
+            quoted_path(&tools.program),
+            quoted_path(&tools.python),
             settings.cpus,
             body("compute", compute),
             body("fuse", fuse),

@@ -126,7 +126,7 @@ fn distorted(visit: &Visit, backends: &[&dyn Backend]) -> Option<Finding> {
     let of_view = |v: &ViewIndex| !visit.scene.camera_of(*v).is_pinhole();
     let camera = visit.scene.camera_of(visit.scene.view_indices().find(of_view)?).model().name();
     let refuse: Vec<&'static str> = backends.iter().filter(|b| !b.takes_distorted()).map(|b| b.name()).collect();
-    let (root, own) = (visit.project.typed(), quoted_path(&visit.project.root.join("dense")));
+    let (root, own) = (visit.project.as_argument(), quoted_path(&visit.project.root.join("dense")));
     let cure = match &visit.project.dense_workspace {
         Some(dense) if *dense != visit.project.root => format!("viewrank plan {}", quoted_path(dense)),
         _ => format!("viewrank undistort {root}, then viewrank plan {own}"),

@@ -10,7 +10,7 @@ use std::{
 
 use super::{
     ModelFormat, ModelLocation, Project, ProjectError, ProjectKind,
-    files::{ColmapFiles, REQUIRED, colmap_file, read},
+    files::{self, REQUIRED, colmap_file, read},
     foreign, images,
 };
 use crate::formats::colmap_text;
@@ -189,7 +189,7 @@ pub(super) fn dense_folders(root: &Path, model: &ModelLocation) -> Vec<PathBuf> 
 /// Names of the registered images; `None` where the model cannot be read, which reading it will tell.
 fn image_names(root: &Path, model: &ModelLocation) -> Option<BTreeSet<String>> {
     match model.format.is_colmap() {
-        true => ColmapFiles::open(model).ok()?.image_names().ok(),
+        true => files::image_names(model),
         false => {
             let images = foreign::read(root, model).ok()?.model.images;
             Some(images.into_iter().map(|image| image.name.into_owned()).collect())

@@ -28,6 +28,13 @@ pub(super) fn read(path: &Path) -> Result<Vec<u8>, ProjectError> {
     Ok(bytes)
 }
 
+/// Names of the images of a COLMAP model, without a look at the rest of it; `None` where they cannot be read.
+pub(super) fn image_names(model: &ModelLocation) -> Option<BTreeSet<String>> {
+    let images = read(&colmap_file(&model.path, "images", model.format)).ok()?;
+    let is_text = model.format == ModelFormat::ColmapText;
+    if is_text { colmap_text::image_names(&images) } else { colmap_bin::image_names(&images) }.ok()
+}
+
 /// The files of a COLMAP model, in memory.
 pub struct ColmapFiles {
     folder: PathBuf,
@@ -70,15 +77,6 @@ impl ColmapFiles {
         let model =
             if self.format == ModelFormat::ColmapText { colmap_text::read(&bytes) } else { colmap_bin::read(&bytes) };
         model.map_err(|fault| self.locate(fault))
-    }
-
-    /// Names of the images, without a look at the rest of the model.
-    pub(super) fn image_names(&self) -> Result<BTreeSet<String>, ProjectError> {
-        let names = match self.format {
-            ModelFormat::ColmapText => colmap_text::image_names(&self.images),
-            _ => colmap_bin::image_names(&self.images),
-        };
-        names.map_err(|fault| self.locate(fault))
     }
 
     pub(super) fn scene(&self) -> Result<Scene, ProjectError> {

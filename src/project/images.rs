@@ -110,7 +110,7 @@ impl ImageFaults {
     /// A line for each kind of fault.
     pub fn warnings(&self, project: &Project, scene: &Scene) -> Vec<String> {
         let Some(folder) = &project.images else { return Vec::new() };
-        let doctor = format!("viewrank doctor {}", project.typed());
+        let doctor = format!("viewrank doctor {}", project.as_argument());
         let all = scene.views.len();
         let missing = self.missing.first().map(|first| {
             let (count, name) = (self.missing.len(), scene.name(*first));
@@ -150,7 +150,7 @@ pub(super) fn unregistered(folder: &Path, scene: &Scene) -> Vec<String> {
     let files = WalkDir::new(folder).follow_links(true).into_iter().filter_map(Result::ok);
     let images = files.filter(|entry| entry.file_type().is_file() && is_image(entry.path()));
     let names = images.filter_map(|entry| entry.path().strip_prefix(folder).ok().map(Path::to_path_buf));
-    let mut left: Vec<String> = names.filter(|name| !registered.contains(name)).map(slashes).collect();
+    let mut left: Vec<String> = names.filter(|name| !registered.contains(name)).map(|name| slashes(&name)).collect();
     left.sort_unstable();
     left
 }
@@ -165,6 +165,7 @@ fn normal(name: &Path) -> PathBuf {
     name.components().filter(|c| !matches!(c, std::path::Component::CurDir)).collect()
 }
 
-fn slashes(name: PathBuf) -> String {
-    name.components().map(|c| c.as_os_str().to_string_lossy()).collect::<Vec<_>>().join("/")
+/// A path with `/` between its parts, as names are written.
+pub fn slashes(path: &Path) -> String {
+    path.components().map(|c| c.as_os_str().to_string_lossy()).collect::<Vec<_>>().join("/")
 }

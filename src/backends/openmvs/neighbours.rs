@@ -10,7 +10,7 @@ use nalgebra::{Matrix3, Vector3};
 
 use super::{OpenMvs, dense_config, resolution};
 use crate::{
-    backends::{BackendError, Export, ExportOptions, ExportRecord, Selection, capped_scale},
+    backends::{BackendError, Export, ExportOptions, ExportRecord, Selection, capped_scale, selection::origin_among},
     formats::openmvs::{Mvs, NO_POSE},
     output::Contents,
     project::ProjectError,
@@ -21,15 +21,14 @@ use crate::{
 const SEARCHED: [f64; 2] = [0.1, 100.0];
 /// Share of the cameras' spread by which distances between cameras of scene and model may differ.
 const SAME_SHAPE: f64 = 0.01;
-/// Steps of 32 bit numbers that are too coarse, in pixels on the ground.
-const COARSE_PX: f64 = 0.1;
 /// Where the median depth of the key views goes.
 const SCALED_DEPTH: f64 = 10.0;
 
 pub fn export(selection: &Selection, options: &ExportOptions, path: &Path) -> Result<Export, BackendError> {
     let mvs = read(path)?;
     let positions = positions(selection, &mvs, path)?;
-    let size_of_scene = size_of_scene(selection, &mvs, &positions, path)?;
+    let centres: Vec<Vector3<f64>> = selection.views().iter().map(|v| pose_of(&mvs, positions[v.at()]).1).collect();
+    let size_of_scene = size_of_scene(selection, &centres, path)?;
     let depths: Vec<Depths> = selection
         .clusters
         .iter()
@@ -50,7 +49,7 @@ pub fn export(selection: &Selection, options: &ExportOptions, path: &Path) -> Re
     let lists: String = selection.clusters.iter().map(list).collect();
     let folder = std::path::absolute(path).ok().and_then(|p| p.parent().map(Path::to_path_buf)).unwrap_or_default();
     let size = resolution(selection);
-    let origin = origin(&mvs, &positions, selection, size_of_scene);
+    let origin = origin_among(&centres, selection.scene.median_gsd().map(|gsd| gsd * size_of_scene));
     record.moved(origin);
     let mvs = moved(mvs, origin);
     let mvs = with_absolute_paths(if options.scale { scaled(mvs, scale) } else { mvs }, &folder);
@@ -130,22 +129,23 @@ fn pose_of(mvs: &Mvs, position: usize) -> (Matrix3<f64>, Vector3<f64>) {
     (Matrix3::from_row_slice(&camera.r) * pose_r, centre)
 }
 
-/// Units of the model in one unit of the scene, inverted: how large the scene is beside the model, by how far the cameras of both are spread.
+/// Units of the scene in one unit of the model, by how far the cameras of both are spread. `of_scene`: the centres of the selection's cameras in
+/// the scene.
 ///
 /// # Errors
 /// Cameras that stand in another way than the model's.
-fn size_of_scene(selection: &Selection, mvs: &Mvs, positions: &[usize], path: &Path) -> Result<f64, BackendError> {
+fn size_of_scene(selection: &Selection, of_scene: &[Vector3<f64>], path: &Path) -> Result<f64, BackendError> {
     let views = selection.views();
     if views.len() < 2 {
         return Ok(1.0);
     }
     let of_model: Vec<Vector3<f64>> =
         views.iter().map(|&v| selection.scene.view(v).cam_from_world.centre().coords).collect();
-    let of_scene: Vec<Vector3<f64>> = views.iter().map(|v| pose_of(mvs, positions[v.at()]).1).collect();
-    let size = spread(&of_scene) / spread(&of_model);
+    let spread_of_scene = spread(of_scene);
+    let size = spread_of_scene / spread(&of_model);
     let same = |i: usize, j: usize| {
-        let [model, scene] = [&of_model, &of_scene].map(|centres| (centres[i] - centres[j]).norm());
-        (scene - size * model).abs() <= SAME_SHAPE * spread(&of_scene)
+        let [model, scene] = [&of_model[..], of_scene].map(|centres| (centres[i] - centres[j]).norm());
+        (scene - size * model).abs() <= SAME_SHAPE * spread_of_scene
     };
     if size.is_normal() && (1..views.len()).all(|i| same(i, i - 1)) {
         return Ok(size);
@@ -155,18 +155,6 @@ fn size_of_scene(selection: &Selection, mvs: &Mvs, positions: &[usize], path: &P
         what: format!("the cameras of the model, and those of {} stand in another way", path.display()),
         hint: "give a scene made from this model, or leave --scene out".into(),
     })
-}
-
-/// Where the scene is to count from: among its cameras, in whole units, where its coordinates are too coarse in numbers of 32 bits.
-fn origin(mvs: &Mvs, positions: &[usize], selection: &Selection, size_of_scene: f64) -> Vector3<f64> {
-    let views = selection.views();
-    let centres = || views.iter().map(|v| pose_of(mvs, positions[v.at()]).1);
-    let largest = centres().map(|centre| centre.amax()).fold(0.0, f64::max);
-    let gsd = selection.scene.median_gsd().map(|gsd| gsd * size_of_scene);
-    match gsd.is_some_and(|gsd| largest * f64::from(f32::EPSILON) >= COARSE_PX * gsd) {
-        true => (centres().sum::<Vector3<f64>>() / views.len() as f64).map(f64::round),
-        false => Vector3::zeros(),
-    }
 }
 
 /// The scene in coordinates that count from `origin`.
