@@ -13,7 +13,8 @@
 //! - [`pictures`] and [`report`] what people look at; [`tables`] what programs check; [`dispatch`] the clusters as tasks of a queue
 //! - [`plan`] runs the stages; [`evaluate`] method 8: real fulfilment, baselines; [`replan`] method 5.4; [`output`] makes files appear whole or not at all
 //! - [`doctor`] what is wrong with a project before it is planned
-//! - [`config`] every setting; [`progress`] progress and cancellation; [`error`] what errors say beside their message; [`shell`] commands to type
+//! - [`config`] every setting; [`progress`] progress and cancellation; [`error`] what errors say beside their message; [`shell`] commands to type; `vector` inner
+//!   loops
 
 pub mod backends;
 pub mod camera;
@@ -45,4 +46,5 @@ pub mod synthetic;
 pub mod tables;
 pub mod tiles;
 pub mod undistort;
+mod vector;
 pub mod visibility;

@@ -6,12 +6,13 @@ use nalgebra::{Matrix2x3, Matrix3, Vector3};
 pub use super::lanes::LANES;
 use super::{
     Model, density,
-    lanes::{KeyLanes, Lanes, PartnerLanes, Together, Weights, Work, angle_of_chord, exp2, log2, vectorised},
+    lanes::{KeyLanes, Lanes, PartnerLanes, Together, Weights, angle_of_chord, exp2, log2},
 };
 use crate::{
     camera::Camera,
     confidence::{Confidence, Constellation, PairConfidence, PairCurves, trees::logistic},
     scene::ViewIndex,
+    vector::{Work, vectorised},
 };
 
 /// No triangle stands here.
@@ -191,12 +192,13 @@ impl<'a> Block<'a> {
 
     /// Makes the partner's column at least `groups` long.
     pub fn extend(&mut self, partner: usize, groups: usize) {
-        let from = self.columns[partner].len();
-        if from < groups {
+        let mut column = std::mem::take(&mut self.columns[partner]);
+        if column.len() < groups {
             let view = PartnerView::new(&self.model, self.key, self.partners[partner]);
-            let made = vectorised(Columns { block: self, view, partner, range: from..groups });
-            self.columns[partner].extend(made);
+            column.reserve_exact(groups - column.len());
+            vectorised(Column { block: self, view, partner, groups, column: &mut column });
         }
+        self.columns[partner] = column;
     }
 
     /// Sum of f over the judges for each set of partners; f in f32, good for choosing.
@@ -376,36 +378,36 @@ impl<'a> PartnerView<'a> {
     }
 }
 
-struct Columns<'b, 'a> {
+struct Column<'b, 'a> {
     block: &'b Block<'a>,
     view: PartnerView<'a>,
     partner: usize,
-    range: std::ops::Range<usize>,
+    groups: usize,
+    /// What there is of it so far.
+    column: &'b mut Vec<PartnerLanes>,
 }
 
-impl Work for Columns<'_, '_> {
-    type Output = Vec<PartnerLanes>;
+impl Work for Column<'_, '_> {
+    type Output = ();
 
     #[inline(always)]
-    fn run(self) -> Vec<PartnerLanes> {
+    fn run(self) {
         let (sees, unary) = (&self.block.sees[self.partner], &self.block.unary[self.partner]);
         // A loop, as in [`Values`].
-        let mut columns = Vec::with_capacity(self.range.len());
-        for group in self.range.clone() {
+        for group in self.column.len()..self.groups {
             // Arrays of known length: no bounds are checked in the loops over lanes, so that they become vector instructions.
             let sees: &[bool; LANES] = sees[group * LANES..].first_chunk().expect("padded to whole lanes");
             if !sees.contains(&true) {
-                columns.push(PartnerLanes::EMPTY);
+                self.column.push(PartnerLanes::EMPTY);
                 continue;
             }
             let unary = unary.get(group * LANES..).and_then(|rest| rest.first_chunk()).unwrap_or(&[1.0; LANES]);
-            columns.push(self.group(&self.block.triangles[group], sees, unary));
+            self.column.push(self.group(&self.block.triangles[group], sees, unary));
         }
-        columns
     }
 }
 
-impl Columns<'_, '_> {
+impl Column<'_, '_> {
     #[inline(always)]
     fn group(&self, triangles: &TriangleLanes, sees: &[bool; LANES], unary: &Lanes) -> PartnerLanes {
         let mut rays = triangles.ray;

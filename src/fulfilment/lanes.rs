@@ -7,7 +7,7 @@
 use nalgebra::{RealField, convert};
 
 /// Triangles that are worked on together.
-pub const LANES: usize = 8;
+pub const LANES: usize = 16;
 
 /// A number per triangle.
 pub type Lanes = [f32; LANES];
@@ -214,31 +214,6 @@ pub fn angle_of_chord(squared: f32) -> f32 {
     let t = if small { sin2 } else { 0.5 * (1.0 - sin2.sqrt()) };
     let asin = t.sqrt() * SERIES.iter().rev().fold(0.0, |sum, k| sum * t + k);
     2.0 * if small { asin } else { std::f32::consts::FRAC_PI_2 - 2.0 * asin }
-}
-
-/// Runs `work` compiled for AVX2 where the processor has it. Lanes are independent and nothing is contracted, so the result is the
-/// same to the bit.
-#[inline(always)]
-pub fn vectorised<R>(work: impl Work<Output = R>) -> R {
-    #[cfg(target_arch = "x86_64")]
-    {
-        #[target_feature(enable = "avx2")]
-        fn wide<R>(work: impl Work<Output = R>) -> R {
-            work.run()
-        }
-        if std::arch::is_x86_feature_detected!("avx2") {
-            // SAFETY: the processor has what the function was compiled for.
-            return unsafe { wide(work) };
-        }
-    }
-    work.run()
-}
-
-/// Something to be run by [`vectorised`]; `run` is to be inlined.
-pub trait Work {
-    type Output;
-
-    fn run(self) -> Self::Output;
 }
 
 #[cfg(test)]

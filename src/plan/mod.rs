@@ -172,7 +172,12 @@ pub fn plan(project: &Project, settings: &Settings, watcher: &dyn Watcher) -> Re
     let mut settings = in_force(project, settings, &scene, backend, &source)?;
     let mut memory = Memory::before_surface(&scene, &mut settings)?;
     let points = scene.view_points();
-    let seen = look(&scene, &points, &settings, watcher, &mut timings, &mut memory)?;
+    // Parts of the surface are made by one thread: the others find candidates meanwhile.
+    let (seen, candidates) = rayon::join(
+        || look(&scene, &points, &settings, watcher, &mut timings, &mut memory),
+        || partners::candidates(&scene, &points, &settings.partners, backend, watcher),
+    );
+    let (seen, candidates) = (seen?, candidates?);
     memory.before_partners(&seen.surface, &seen.visibility)?;
     let target = target(&scene, &seen, &settings);
     let confidence = Confidence::new(&source, trained.as_ref(), &settings.confidence, &backend.planning().confidence);
@@ -197,11 +202,8 @@ pub fn plan(project: &Project, settings: &Settings, watcher: &dyn Watcher) -> Re
         Ok::<_, PlanError>((pictures, unary))
     })?;
     let model = Model { unary: &unary, ..model };
-    let (candidates, clusters, fulfilment) = timings.time(Stage::Partners, || {
-        let candidates = partners::candidates(&scene, &points, &settings.partners, backend, watcher)?;
-        let (clusters, table) = partners::choose(&model, &candidates, &settings.partners, settings.seed, watcher)?;
-        Ok::<_, Cancelled>((candidates, clusters, table))
-    })?;
+    let (clusters, fulfilment) = timings
+        .time(Stage::Partners, || partners::choose(&model, &candidates, &settings.partners, settings.seed, watcher))?;
     watcher.check()?;
     let mut plan = Plan {
         backend: backend.name(),

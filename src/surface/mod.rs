@@ -66,6 +66,7 @@ pub struct Surface {
 }
 
 impl Surface {
+    #[inline]
     pub fn corners(&self, triangle: u32) -> [Point3<f64>; 3] {
         self.triangles[triangle as usize].map(|v| self.vertices[v as usize])
     }

@@ -34,13 +34,21 @@ pub fn simplify(surface: Surface, target: f64, watcher: &dyn Watcher) -> Result<
 }
 
 /// An edge that may be collapsed. Ordered by cost, then by its vertices; stale when the stamps of its vertices have moved on.
+///
+/// The bits of a cost of at least zero, which are ordered like the cost, then the two vertices, then their stamps: one comparison.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-struct Candidate {
-    /// Bits of a cost of at least zero, ordered like the cost.
-    cost: u32,
-    from: u32,
-    to: u32,
-    stamps: u32,
+struct Candidate(u128);
+
+impl Candidate {
+    fn new(cost: f64, from: u32, to: u32, stamps: u32) -> Self {
+        let [cost, from, to, stamps] = [(cost as f32).to_bits(), from, to, stamps].map(u128::from);
+        Self(cost << 96 | from << 64 | to << 32 | stamps)
+    }
+
+    /// Its vertices and their stamps.
+    fn edge(self) -> (u32, u32, u32) {
+        ((self.0 >> 64) as u32, (self.0 >> 32) as u32, self.0 as u32)
+    }
 }
 
 struct Collapsing {
@@ -154,7 +162,7 @@ impl Collapsing {
         }
         let (from, to) = (a.min(b), a.max(b));
         let (_, cost) = self.placement(from, to);
-        Some(Candidate { cost: (cost as f32).to_bits(), from, to, stamps: self.stamps_of(from, to) })
+        Some(Candidate::new(cost, from, to, self.stamps_of(from, to)))
     }
 
     /// Grows with each move of either vertex.
@@ -178,7 +186,7 @@ impl Collapsing {
     }
 
     fn try_collapse(&mut self, candidate: Candidate) -> bool {
-        let Candidate { from, to, stamps, .. } = candidate;
+        let (from, to, stamps) = candidate.edge();
         let is_gone = |v: u32| self.corner_of[v as usize] == BORDER;
         if is_gone(from) || is_gone(to) || stamps != self.stamps_of(from, to) {
             return false;

@@ -190,6 +190,7 @@ impl Buffer {
     }
 
     /// The triangle in front in each pixel, row by row; `nothing` where none was drawn.
+    #[inline(always)]
     pub fn triangles(&self, nothing: u32) -> impl Iterator<Item = u32> {
         self.pixels.iter().map(move |&code| if code == 0 { nothing } else { code as u32 })
     }
