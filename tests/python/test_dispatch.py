@@ -139,16 +139,16 @@ def test_a_killed_task_is_done_again_and_a_reached_target_ends(work):
 
 def test_another_plan_makes_only_what_is_new(work):
     work.dispatch("shell")
-    for rank in range(1, 9):
+    for rank in range(1, 4):
         subprocess.run([work.script("task.sh"), str(rank)], check=True)
     # A share that the maps of the first plan do not reach.
     work.viewrank("plan", work.project, "--backend", "sgm", "-k", "3", "--target", "100%", "--quiet")
-    assert work.dispatch("shell")["done"] < 8
+    done = work.dispatch("shell")["done"]
     before = len(work.ranks())
-    for rank in range(1, 9):
+    for rank in range(1, 4):
         subprocess.run([work.script("task.sh"), str(rank)], check=True)
-    assert work.dispatch("shell")["done"] == 8
-    assert set(work.ranks()[before:]) <= set(range(1, 9)) and len(work.ranks()) > before
+    again = len(work.ranks()) - before
+    assert 0 < again <= 3 and work.dispatch("shell")["done"] == done + again
 
 
 @pytest.mark.skipif(not shutil.which("parallel"), reason="GNU parallel is not installed")
