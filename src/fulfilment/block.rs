@@ -195,7 +195,7 @@ impl<'a> Block<'a> {
         let mut column = std::mem::take(&mut self.columns[partner]);
         if column.len() < groups {
             let view = PartnerView::new(&self.model, self.key, self.partners[partner]);
-            column.reserve_exact(groups - column.len());
+            column.reserve_exact(self.len() - column.len());
             vectorised(Column { block: self, view, partner, groups, column: &mut column });
         }
         self.columns[partner] = column;
@@ -232,7 +232,12 @@ impl<'a> Block<'a> {
 
     #[inline(always)]
     fn together(&self, set: &[usize], group: usize) -> Together {
-        set.iter().fold(Together::new(&self.keys[group]), |sum, &p| sum.with(&self.columns[p][group]))
+        // A loop and no iterator adaptor here and below: its closure could be compiled apart, without the instructions that this is about.
+        let mut together = Together::new(&self.keys[group]);
+        for &partner in set {
+            together = together.with(&self.columns[partner][group]);
+        }
+        together
     }
 }
 
@@ -300,7 +305,9 @@ impl Work for SumsWith<'_, '_> {
 
 #[inline(always)]
 fn add(sum: &mut [f64; LANES], values: [f32; LANES]) {
-    sum.iter_mut().zip(values).for_each(|(sum, value)| *sum += f64::from(value));
+    for (sum, value) in sum.iter_mut().zip(values) {
+        *sum += f64::from(value);
+    }
 }
 
 struct Values<'b, 'a> {
@@ -313,12 +320,10 @@ impl Work for Values<'_, '_> {
 
     #[inline(always)]
     fn run(self) -> Vec<[f32; LANES]> {
-        // A loop and no iterator adaptor: its closure could be compiled apart, without the instructions that this is about.
         let mut values = Vec::with_capacity(self.block.len());
         for group in 0..self.block.len() {
             let together = self.block.together(self.set, group);
-            let f = together.value::<f64>(&self.block.keys[group], &self.block.weights);
-            values.push(f.map(|f| f as f32));
+            values.push(together.value::<f64>(&self.block.keys[group], &self.block.weights).map(|f| f as f32));
         }
         values
     }
@@ -393,7 +398,6 @@ impl Work for Column<'_, '_> {
     #[inline(always)]
     fn run(self) {
         let (sees, unary) = (&self.block.sees[self.partner], &self.block.unary[self.partner]);
-        // A loop, as in [`Values`].
         for group in self.column.len()..self.groups {
             // Arrays of known length: no bounds are checked in the loops over lanes, so that they become vector instructions.
             let sees: &[bool; LANES] = sees[group * LANES..].first_chunk().expect("padded to whole lanes");
@@ -438,9 +442,13 @@ impl Column<'_, '_> {
         };
         let factors =
             if matches!(self.block.model.rule.confidence, Confidence::Trained(_)) { &[1.0; LANES] } else { unary };
+        // One step at a time: together they would become jumps for each triangle.
+        out.sees = sees.map(|sees| f32::from(u8::from(sees)));
         for i in 0..LANES {
-            out.confidence[i] = if sees[i] { chances[i] * factors[i] } else { 0.0 };
-            out.sees[i] = if sees[i] { 1.0 } else { 0.0 };
+            out.confidence[i] = chances[i] * factors[i];
+        }
+        for i in 0..LANES {
+            out.confidence[i] = if out.sees[i] > 0.0 { out.confidence[i] } else { 0.0 };
         }
         out
     }

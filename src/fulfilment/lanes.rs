@@ -104,8 +104,12 @@ impl Together {
             2 => self.at_least[1],
             _ => self.at_least[2],
         };
-        for (i, chance) in chance.iter_mut().enumerate() {
-            *chance = if self.seeing[i] >= weights.min_partners { *chance * key.measurable[i] } else { 0.0 };
+        // Products first and the choice on its own: together they would become a jump for each triangle.
+        for (chance, measurable) in chance.iter_mut().zip(key.measurable) {
+            *chance *= measurable;
+        }
+        for (chance, seeing) in chance.iter_mut().zip(self.seeing) {
+            *chance = if seeing >= weights.min_partners { *chance } else { 0.0 };
         }
         chance
     }
