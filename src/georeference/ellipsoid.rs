@@ -91,6 +91,8 @@ impl Geodetic {
         let latitude: f64 =
             chi + conformal.iter().zip(1..).map(|(d, j)| d * (2.0 * f64::from(j) * chi).sin()).sum::<f64>();
         let longitude = zone.meridian() + eta0.sinh().atan2(xi0.cos()).to_degrees();
+        // Zones 1 and 60 reach over the 180th meridian.
+        let longitude = longitude - 360.0 * (longitude / 360.0).round();
         Self { longitude, latitude: latitude.to_degrees(), height }
     }
 }
@@ -162,6 +164,17 @@ mod tests {
         assert!((pole.latitude - 90.0).abs() < 1e-8, "{pole:?}");
         let south = Geodetic::from_utm(Zone::parse("33 S").unwrap(), 500_000.0, 10_000_000.0, 0.0);
         assert!(south.latitude.abs() < 1e-12);
+    }
+
+    #[test]
+    fn longitudes_end_at_180_degrees() {
+        let at = |zone: &str, easting: f64| Geodetic::from_utm(Zone::parse(zone).unwrap(), easting, 8_000_000.0, 0.0);
+        for (zone, neighbour, easting) in [("60S", "1S", 850_000.0), ("1S", "60S", 150_000.0)] {
+            let place = at(zone, easting);
+            assert!((-180.0..=180.0).contains(&place.longitude), "{place:?}");
+            let mirrored = at(neighbour, 1_000_000.0 - easting);
+            assert!((place.longitude + mirrored.longitude).abs() < 1e-9, "{place:?} {mirrored:?}");
+        }
     }
 
     #[test]

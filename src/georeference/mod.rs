@@ -90,7 +90,8 @@ impl Georeference {
     pub fn words(&self) -> &'static str {
         match self {
             Self::Local => {
-                "a local frame: where the model lies on the earth is not known (frame.origin or frame.utm says it)"
+                "a local frame, x to the right and y up the map, scene units: where the model lies on the earth is not known \
+                 (frame.origin or frame.utm says it)"
             }
             Self::Ecef => "earth-centred coordinates",
             Self::EastNorthUp { .. } => "metres east, north and up of an origin",

@@ -4,6 +4,7 @@ import shutil
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 pyproj = pytest.importorskip("pyproj")
 plyfile = pytest.importorskip("plyfile")
@@ -26,14 +27,35 @@ def check_is_geojson(collection):
     assert collection["type"] == "FeatureCollection"
     for feature in collection["features"]:
         assert set(feature) == {"type", "geometry", "properties"} and feature["type"] == "Feature"
-        if feature["geometry"]["type"] == "Polygon":
-            (ring,) = feature["geometry"]["coordinates"]
+        for ring in rings(feature):
             assert len(ring) >= 4 and ring[0] == ring[-1]
-            x, y = np.array(ring)[:, :2].T
-            x, y = x - x[0], y - y[0]
-            assert np.sum(x[:-1] * y[1:] - x[1:] * y[:-1]) > 0
-        else:
+            assert signed_area(ring) > 0
+        if feature["properties"]["what"] == "camera":
             assert feature["geometry"]["type"] == "Point" and len(feature["geometry"]["coordinates"]) == 3
+
+
+def rings(feature):
+    """Of a footprint, in one part or in two."""
+    geometry = feature["geometry"]
+    polygons = {"Point": [], "Polygon": [geometry["coordinates"]], "MultiPolygon": geometry["coordinates"]}[geometry["type"]]
+    assert all(len(polygon) == 1 for polygon in polygons)
+    return [polygon[0] for polygon in polygons]
+
+
+def signed_area(ring):
+    """Positive where it runs counter-clockwise."""
+    x, y = np.array(ring)[:, :2].T
+    x, y = x - x[0], y - y[0]
+    return 0.5 * np.sum(x[:-1] * y[1:] - x[1:] * y[:-1])
+
+
+def footprint_areas(collection):
+    found = {}
+    for feature in collection["features"]:
+        for ring in rings(feature):
+            name = feature["properties"]["name"]
+            found[name] = found.get(name, 0) + signed_area(ring)
+    return found
 
 
 def centres(model):
@@ -56,6 +78,47 @@ def test_a_model_of_unknown_place_says_so(viewrank, fixtures, tmp_path):
         (view["name"], view["status"]) for view in manifest["views"]]
     for name, centre in centres(model / "0").items():
         assert camera_points(collection)[name] == pytest.approx(centre, abs=1e-5)
+
+
+def test_a_turned_model_is_shown_from_above(viewrank, fixtures, tmp_path):
+    """A model lies however structure from motion left it: footprints are as large as in one whose third axis is up."""
+    pycolmap = pytest.importorskip("pycolmap")
+    model = pycolmap.Reconstruction(str(fixtures / "valley" / "sparse" / "0"))
+    half = np.sin(np.radians(55))
+    model.transform(pycolmap.Sim3d(1.0, pycolmap.Rotation3d(np.array([half * 0.8, half * 0.6, 0, np.cos(np.radians(55))])), [3, -2, 8]))
+    turned = tmp_path / "model" / "0"
+    turned.mkdir(parents=True)
+    model.write(str(turned))
+    upright = planned(viewrank, fixtures / "valley" / "sparse", tmp_path / "upright")
+    collection = planned(viewrank, turned.parent, tmp_path / "turned")
+    check_is_geojson(collection)
+    axes = np.array(collection["axes"])
+    assert np.array(upright["axes"]) == pytest.approx(np.eye(3)) and axes @ axes.T == pytest.approx(np.eye(3))
+    for name, centre in centres(turned).items():
+        assert camera_points(collection)[name] == pytest.approx(axes @ centre, abs=1e-5)
+    before, after = footprint_areas(upright), footprint_areas(collection)
+    assert before.keys() == after.keys()
+    ratios = [after[name] / before[name] for name in before]
+    assert np.median(ratios) == pytest.approx(1, abs=0.1)
+
+
+def test_a_survey_over_the_180th_meridian(viewrank, fixtures, tmp_path):
+    model = fixtures / "valley" / "sparse"
+    centre = np.mean(list(centres(model / "0").values()), axis=0)
+    # The meridian through the middle of the cameras.
+    longitude = 180 - np.degrees(centre[0] / (6_378_137 * np.cos(np.radians(17))))
+    collection = planned(viewrank, model, tmp_path / "fiji", f"frame.origin = [-17.0, {longitude}, 0.0]\n")
+    plain = planned(viewrank, model, tmp_path / "plain", f"frame.origin = [-17.0, {longitude - 10}, 0.0]\n")
+    check_is_geojson(collection)
+    cut = 0
+    for feature in collection["features"]:
+        for ring in rings(feature):
+            x = np.array(ring)[:, 0]
+            assert -180 <= x.min() and x.max() <= 180 and x.max() - x.min() < 1
+        cut += feature["geometry"]["type"] == "MultiPolygon"
+    assert cut > 0 and {np.sign(point[0]) for point in camera_points(collection).values()} == {-1, 1}
+    areas, expected = footprint_areas(collection), footprint_areas(plain)
+    assert {name: areas[name] / expected[name] for name in expected} == pytest.approx(dict.fromkeys(expected, 1), abs=1e-2)
 
 
 def test_east_north_up_at_an_origin(viewrank, fixtures, tmp_path):
@@ -119,8 +182,18 @@ def test_opensfm_says_where_it_is(viewrank, data, tmp_path):
     assert done.returncode == 0
     collection = json.loads((tmp_path / "opensfm" / "viewrank" / "views.geojson").read_text())
     check_is_geojson(collection)
-    for lon, lat, _ in camera_points(collection).values():
-        assert abs(lon - 20) < 0.1 and abs(lat - 10) < 0.1
+    shots = json.loads((tmp_path / "opensfm" / "reconstruction.json").read_text())[0]["shots"]
+    chain = "+proj=pipeline +step +inv +proj=topocentric +ellps=WGS84 +lon_0=20 +lat_0=10 +h_0=30 +step +inv +proj=cart +ellps=WGS84"
+    proj = pyproj.Transformer.from_pipeline(chain)
+    shown = camera_points(collection)
+    assert shown
+    for name, (lon, lat, up) in shown.items():
+        shot = shots[name]
+        rotation = Rotation.from_rotvec(shot["rotation"]).as_matrix()
+        expected = proj.transform(*(-rotation.T @ shot["translation"]))
+        # Some versions of PROJ answer in radians here.
+        expected = [*(np.degrees(expected[:2]) if abs(expected[0]) < 4 else expected[:2]), expected[2]]
+        assert [lon, lat] == pytest.approx(expected[:2], abs=1e-8) and up == pytest.approx(expected[2], abs=1e-3)
 
 
 def test_the_fields_of_the_surface_are_seen_by_another_reader(viewrank, fixtures, tmp_path):
