@@ -20,6 +20,7 @@ pub mod backends;
 pub mod camera;
 pub mod confidence;
 pub mod config;
+mod connected;
 pub mod daemon;
 pub mod depthmaps;
 pub mod dispatch;

@@ -7,7 +7,7 @@ mod fingerprint;
 mod written;
 
 use schemars::{JsonSchema, Schema, schema_for};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 pub use fingerprint::{FingerprintError, fingerprint};
 pub(crate) use written::Recorded;
@@ -124,7 +124,7 @@ pub struct Cluster {
 }
 
 /// What becomes of a registered view.
-#[derive(Clone, Debug, Serialize, JsonSchema)]
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 pub struct ViewEntry {
     pub name: String,
     pub status: ViewStatus,

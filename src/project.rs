@@ -159,6 +159,15 @@ impl Project {
         ColmapFiles::open(&self.model)
     }
 
+    /// Does the folder of a binary COLMAP model hold another one as text: other images, or other poses?
+    pub fn has_other_text_model(&self, scene: &Scene) -> bool {
+        let location = ModelLocation { format: ModelFormat::ColmapText, ..self.model.clone() };
+        if self.model.format != ModelFormat::ColmapBinary || !self.model.path.join("images.txt").is_file() {
+            return false;
+        }
+        ColmapFiles::open(&location).and_then(|files| files.scene()).map_or(true, |text| !text.has_same_views(scene))
+    }
+
     /// Hands the model on as COLMAP's files hold it: the project's own files, else the model of the scene.
     pub fn with_colmap_model<T>(
         &self,
@@ -180,7 +189,7 @@ impl Project {
     }
 
     /// A workspace of another model is none of this one's.
-    fn other_workspace_warning(&self) -> Option<String> {
+    pub(crate) fn other_workspace_warning(&self) -> Option<String> {
         let others = discover::dense_folders(&self.root, &self.model);
         let other = others.first().filter(|_| self.dense_workspace.is_none())?;
         Some(format!(
@@ -189,7 +198,8 @@ impl Project {
         ))
     }
 
-    fn sub_model_warning(&self, registered: usize) -> Option<String> {
+    /// Which of several models is read, and which are not.
+    pub(crate) fn sub_model_warning(&self, registered: usize) -> Option<String> {
         let others = self.other_models.iter().map(|m| format!("{} ({} images)", m.name(), m.registered));
         let others: Vec<String> = others.collect();
         (!others.is_empty()).then(|| {

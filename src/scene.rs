@@ -136,6 +136,17 @@ impl Scene {
         found.ok().map(|i| ViewIndex(i as u32))
     }
 
+    /// Are names and poses of the views those of the other, to the digits that text files keep?
+    pub fn has_same_views(&self, other: &Self) -> bool {
+        const DIGITS: f64 = 1e-5;
+        let near = |a: &Pose, b: &Pose| {
+            (a.rotation.matrix() - b.rotation.matrix()).norm() < DIGITS
+                && (a.translation - b.translation).norm() < DIGITS * (1.0 + a.translation.norm())
+        };
+        let same = |(a, b): (&View, &View)| a.name == b.name && near(&a.cam_from_world, &b.cam_from_world);
+        self.views.len() == other.views.len() && self.views.iter().zip(&other.views).all(same)
+    }
+
     pub fn observations(&self) -> usize {
         self.track_views.len()
     }

@@ -194,6 +194,34 @@ fn finished_clusters_stay_at_the_head_of_the_files_and_of_the_cut() {
     assert_eq!(once_more.ranking, again.ranking);
 }
 
+#[test]
+fn a_plan_around_finished_maps_is_read_as_it_was_written() {
+    let planned = Planned::new(&town());
+    let all = planned.plan.ranking.order.len();
+    planned.write_maps(all - 2..all, |column, _| column >= 100);
+    let again = planned.again();
+    write(&again, planned.folder.path());
+    let keys = |plan: &Plan| plan.ranked().map(|c| (c.key, c.partners)).collect::<Vec<_>>();
+    assert_ne!(keys(&again), keys(&planned.plan));
+    let (_, read) = plan::as_written(planned.folder.path(), &Unwatched).unwrap();
+    assert_eq!(keys(&read), keys(&again));
+    assert_eq!((read.cut.clusters, read.finished.clusters), (again.cut.clusters, 2));
+    assert_eq!(read.views, again.views);
+    assert!(read.warnings.starts_with(&again.warnings), "and what writing the plan found");
+    let near = |a: &[f64], b: &[f64]| a.len() == b.len() && a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-12);
+    assert!(near(&read.ranking.gains, &again.ranking.gains));
+    assert!(near(&read.ranking.fulfilment, &again.ranking.fulfilment));
+    assert_eq!(keys(&plan::again(planned.folder.path(), &Unwatched).unwrap().1), keys(&planned.plan), "the prediction");
+
+    // A cluster that is not finished and not this program's.
+    let path = planned.folder.path().join("viewrank/manifest.json");
+    let mut manifest: serde_json::Value = serde_json::from_slice(&fs::read(&path).unwrap()).unwrap();
+    manifest["clusters"][2]["partners"].as_array_mut().unwrap().pop();
+    fs::write(&path, manifest.to_string()).unwrap();
+    let error = plan::as_written(planned.folder.path(), &Unwatched).unwrap_err();
+    assert!(error.to_string().contains("ranks otherwise"), "{error}");
+}
+
 /// The model with a view moved along its image by so many pixels at the ground.
 fn shifted(scene: &Scene, name: &str, pixels: f64) -> Scene {
     let mut scene = scene.clone();

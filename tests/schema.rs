@@ -1,11 +1,11 @@
 //! The schemas in the repository are those of the program.
 //!
-//! After a change of the manifest or of a setting: `VIEWRANK_WRITE_SCHEMA=1 cargo test --test schema`.
+//! After a change of a format or of a setting: `VIEWRANK_WRITE_SCHEMA=1 cargo test --test schema`.
 
 use std::{env, fs, path::Path};
 
 use schemars::{Schema, schema_for};
-use viewrank::{config::Settings, daemon::Progress, manifest::Manifest};
+use viewrank::{config::Settings, daemon::Progress, doctor::Diagnosis, manifest::Manifest};
 
 fn compare(name: &str, schema: &Schema) {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("schema").join(name);
@@ -24,6 +24,11 @@ fn schema_of_the_manifest() {
 #[test]
 fn schema_of_the_progress() {
     compare("progress.schema.json", &schema_for!(Progress));
+}
+
+#[test]
+fn schema_of_the_diagnosis() {
+    compare("doctor.schema.json", &schema_for!(Diagnosis));
 }
 
 #[test]

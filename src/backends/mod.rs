@@ -253,16 +253,6 @@ pub trait Backend: Sync {
 
     fn planning(&self) -> PlanningNumbers;
 
-    /// Why the backend cannot match the pair; `None`: it can (method 7.1).
-    fn refusal(&self, pair: &PairGeometry) -> Option<Reason> {
-        self.planning().gate.refusal(pair)
-    }
-
-    /// The same for all pairs of one key view that share points, most shared points first, where one pair decides about another.
-    fn refusals(&self, pairs: &[PairGeometry]) -> Vec<Option<Reason>> {
-        pairs.iter().map(|pair| self.refusal(pair)).collect()
-    }
-
     /// Is the project set up for this backend, so that `plan` writes its files unasked?
     fn serves(&self, project: &Project) -> bool {
         let _ = project;

@@ -3,10 +3,9 @@
 use std::{fmt::Write, path::PathBuf};
 
 use clap::Args;
-use serde_json::json;
 use viewrank::{
     backends::{self, Backend, BackendError},
-    doctor::{self, Finding, Severity},
+    doctor::{self, Finding, Severity, ViewFinding},
     project::Project,
 };
 
@@ -44,12 +43,12 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let wanted = if arguments.backend.is_empty() { &settings.backends } else { &arguments.backend };
     let backends = backends_to_visit(&project, wanted, arguments.backend.is_empty())?;
     let scene = project.read_scene()?;
-    let findings = doctor::examine(&project, &scene, &settings, &backends);
+    let diagnosis = doctor::examine(&project, &scene, &settings, &backends);
     match arguments.format {
-        Format::Json => print(&json(&json!({ "backend": backends[0].name(), "findings": findings })))?,
-        Format::Text => print(&text(&findings, if arguments.all { usize::MAX } else { LISTED }))?,
+        Format::Json => print(&json(&diagnosis))?,
+        Format::Text => print(&text(&diagnosis.findings, if arguments.all { usize::MAX } else { LISTED }))?,
     }
-    verdict(&findings)
+    verdict(&diagnosis.findings)
 }
 
 /// Those that are named, first; and all others, where none was typed.
@@ -99,7 +98,7 @@ fn text(findings: &[Finding], listed: usize) -> String {
             text += &wrapped("        for     ", &finding.backends.join(", "));
         }
         text += &wrapped("        do      ", &finding.cure);
-        for (name, why) in finding.views.iter().take(listed) {
+        for ViewFinding { name, why } in finding.views.iter().take(listed) {
             let why = if why.is_empty() { String::new() } else { format!(": {why}") };
             text += &wrapped("          - ", &format!("{name}{why}"));
         }

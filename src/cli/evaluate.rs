@@ -69,7 +69,7 @@ pub struct Arguments {
 pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     use_threads(arguments.threads);
     let progress = Progress::new(arguments.quiet);
-    let (project, plan) = plan::again(&arguments.project, &progress)?;
+    let (project, plan) = plan::as_written(&arguments.project, &progress)?;
     match (&arguments.write_baselines, &arguments.compare, &arguments.depth_maps) {
         (Some(folder), _, _) => write_baselines(arguments, &plan, folder, &progress),
         (_, Some(folder), _) => compare(arguments, &plan, folder, &progress),
@@ -183,6 +183,7 @@ fn warn(evaluation: &Evaluation, run: &Run) {
         let count = evaluation.other_partners.len();
         eprintln!("warning: {count} depth maps were made with other partners than planned, the first is {view}");
     }
+    run.unreadable.iter().for_each(|why| eprintln!("warning: left out: {why}"));
     if let Some(file) = run.strangers.first() {
         eprintln!("warning: {} files belong to no view, the first is {}", run.strangers.len(), file.display());
     }

@@ -18,7 +18,8 @@ use super::{Failure, print, progress::Progress};
 /// Write a page on a plan to PROJECT/viewrank/report.html, to be looked at in any browser.
 ///
 /// It shows the curve, a map, the surface, the ranked views with their reasons and where one must fly again, for any cut. It needs no network and
-/// can be sent to others. viewrank plan makes the plan first; a new plan removes the page of the one before.
+/// can be sent to others. viewrank plan makes the plan first; a new plan removes the page of the one before. The tables that the page is made
+/// from are computed again, which takes as long as planning did.
 #[derive(Args)]
 pub struct Arguments {
     project: PathBuf,
@@ -39,7 +40,7 @@ pub struct Arguments {
 
 pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let progress = Progress::new(arguments.quiet);
-    let (project, plan) = plan::again(&arguments.project, &progress)?;
+    let (project, plan) = plan::as_written(&arguments.project, &progress)?;
     let finished = Finished { depth_maps: arguments.depth_maps.clone(), reference: arguments.reference.clone() };
     let seconds = planning_seconds(&project.output_folder());
     let contents = Contents::new(&plan, &project, &finished, seconds, &progress)?;

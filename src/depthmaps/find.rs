@@ -42,6 +42,8 @@ pub struct DepthMapSet {
     pub maps: Vec<DepthMapFile>,
     /// Files that look like depth maps but belong to no view, ascending.
     pub strangers: Vec<PathBuf>,
+    /// Files that should name their view and cannot be read, ascending, and why in a sentence.
+    pub unreadable: Vec<(PathBuf, String)>,
 }
 
 /// The folders of a project that may hold depth maps, as far as they are there.
@@ -65,16 +67,25 @@ pub fn folder_of(project: &Path, dense: Option<&Path>, kind: &str) -> PathBuf {
 /// Finds the depth maps under `folder`. Of a photometric and a geometric map (COLMAP, ACMM) the geometric one is taken.
 pub fn find(folder: &Path, scene: &Scene) -> Result<DepthMapSet, DepthMapError> {
     let mut best: BTreeMap<ViewIndex, (u8, PathBuf, DepthMapFormat)> = BTreeMap::new();
-    let mut strangers = Vec::new();
+    let (mut strangers, mut unreadable) = (Vec::new(), Vec::new());
     let mut numbers = Numbers { folder, scene, views: None };
     for entry in WalkDir::new(folder).sort_by_file_name() {
         let entry = entry.map_err(|e| DepthMapError::Io { path: folder.into(), source: e.into() })?;
         let path = entry.path();
         let inside = path.strip_prefix(folder).unwrap_or(path);
         let Some((format, rank)) = format_of(inside).filter(|_| path.is_file()) else { continue };
-        let Some(view) = view_of(path, format, &mut numbers)? else {
-            strangers.push(path.to_path_buf());
-            continue;
+        let view = match view_of(path, format, &mut numbers) {
+            Ok(Some(view)) => view,
+            Ok(None) => {
+                strangers.push(path.to_path_buf());
+                continue;
+            }
+            // It may be being written.
+            Err(error) if format == DepthMapFormat::OpenMvs => {
+                unreadable.push((path.to_path_buf(), error));
+                continue;
+            }
+            Err(error) => return Err(error),
         };
         let found = (rank, path.to_path_buf(), format);
         match best.get_mut(&view) {
@@ -85,10 +96,11 @@ pub fn find(folder: &Path, scene: &Scene) -> Result<DepthMapSet, DepthMapError> 
         }
     }
     if best.is_empty() {
-        return Err(DepthMapError::None(folder.into()));
+        return Err(unreadable.into_iter().next().map_or(DepthMapError::None(folder.into()), |(_, error)| error));
     }
+    let unreadable = unreadable.into_iter().map(|(path, error)| (path, error.to_string())).collect();
     let maps = best.into_iter().map(|(view, (_, path, format))| DepthMapFile { view, path, format }).collect();
-    Ok(DepthMapSet { maps, strangers })
+    Ok(DepthMapSet { maps, strangers, unreadable })
 }
 
 fn twice(scene: &Scene, view: ViewIndex, first: &Path, second: &Path) -> DepthMapError {

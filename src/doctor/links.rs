@@ -3,8 +3,9 @@
 
 use rayon::prelude::*;
 
-use super::{Finding, Severity, Visit, counted};
+use super::{Finding, Severity, ViewFinding, Visit, counted};
 use crate::{
+    connected::components,
     partners::neighbours,
     scene::{PointIndex, ViewIndex},
 };
@@ -30,14 +31,14 @@ pub fn findings(visit: &Visit) -> Vec<Finding> {
     let views: Vec<ViewIndex> = visit.scene.view_indices().collect();
     let judged: Vec<(ViewIndex, Vec<Overlap>)> = views.par_iter().map(|&view| overlaps(visit, view)).collect();
     let mut findings: Vec<Finding> = parts(visit).into_iter().collect();
-    let of = |wrong: &dyn Fn(&Overlap) -> bool| -> Vec<(String, String)> {
+    let of = |wrong: &dyn Fn(&Overlap) -> bool| -> Vec<ViewFinding> {
         let most = |(_, found): &&(ViewIndex, Vec<Overlap>)| {
             let bad = found.iter().filter(|overlap| wrong(overlap)).count();
             bad > 0 && 2 * bad > found.len()
         };
         let words = |(view, found): &(ViewIndex, Vec<Overlap>)| {
             let of = found.iter().find(|overlap| wrong(overlap)).map(|o| o.words(visit)).unwrap_or_default();
-            (visit.name(*view), of)
+            visit.of(*view, of)
         };
         judged.iter().filter(most).map(words).collect()
     };
@@ -95,7 +96,7 @@ fn overlaps(visit: &Visit, view: ViewIndex) -> (ViewIndex, Vec<Overlap>) {
     let centre = scene.view(view).cam_from_world.centre();
     let mut others: Vec<(f64, ViewIndex)> = scene
         .view_indices()
-        .filter(|&v| v != view)
+        .filter(|&v| v != view && !visit.points.of(v).is_empty())
         .map(|v| ((scene.view(v).cam_from_world.centre() - centre).norm_squared(), v))
         .collect();
     let nearer = |a: &(f64, ViewIndex), b: &(f64, ViewIndex)| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1));
@@ -142,29 +143,14 @@ fn overlap(visit: &Visit, view: ViewIndex, other: ViewIndex, sample: &[PointInde
 
 /// Does the model hold together?
 fn parts(visit: &Visit) -> Option<Finding> {
-    let views = visit.scene.views.len();
-    let mut part = vec![usize::MAX; views];
-    let mut sizes: Vec<Vec<ViewIndex>> = Vec::new();
-    for start in visit.scene.view_indices() {
-        if part[start.at()] != usize::MAX {
-            continue;
-        }
-        let (mut members, mut next) = (vec![start], 0);
-        part[start.at()] = sizes.len();
-        while let Some(&view) = members.get(next) {
-            next += 1;
-            for (other, shared) in neighbours(visit.scene, visit.points, view) {
-                if shared.len() >= HOLDING && part[other.at()] == usize::MAX {
-                    part[other.at()] = sizes.len();
-                    members.push(other);
-                }
-            }
-        }
-        sizes.push(members);
-    }
+    let beside = |view: u32| {
+        let around = neighbours(visit.scene, visit.points, ViewIndex(view)).into_iter();
+        around.filter(|(_, shared)| shared.len() >= HOLDING).map(|(other, _)| other.0)
+    };
+    let mut sizes = components(visit.scene.views.len(), beside);
     sizes.sort_by_key(|members| (std::cmp::Reverse(members.len()), members[0]));
     // Single views have too few partners, which is said elsewhere.
-    let whole: Vec<&Vec<ViewIndex>> = sizes.iter().filter(|members| members.len() > 1).collect();
+    let whole: Vec<&Vec<u32>> = sizes.iter().filter(|members| members.len() > 1).collect();
     (whole.len() > 1).then(|| {
         let list: Vec<String> = whole.iter().take(5).map(|members| members.len().to_string()).collect();
         let what = format!(
@@ -172,7 +158,8 @@ fn parts(visit: &Visit) -> Option<Finding> {
             whole.len(),
             list.join(", ")
         );
-        let names = whole[1..].iter().flat_map(|members| members.iter().map(|&v| (visit.name(v), String::new())));
-        Finding::new(Severity::Warning, "model-in-parts", what, "match the images between the parts again, or plan them apart").of_views(names.collect())
+        let cure = "match the images between the parts again, or plan them apart";
+        let others = whole[1..].iter().flat_map(|members| members.iter().map(|&view| ViewIndex(view)));
+        Finding::new(Severity::Warning, "model-in-parts", what, cure).of_views(visit.named(others))
     })
 }

@@ -2,15 +2,18 @@
 //! true, and which backends would stumble over it. Reads the model and the images' headers, never the images.
 
 mod links;
+mod model;
 mod partners;
 mod sense;
 #[cfg(test)]
 mod tests;
 
+pub use partners::partners_in_words;
+use schemars::JsonSchema;
 use serde::Serialize;
 
 use crate::{
-    backends::{Backend, Patient},
+    backends::{self, Backend, Patient},
     config::Settings,
     project::{ImageFaults, Project},
     scene::{Scene, ViewIndex, ViewPoints},
@@ -18,7 +21,7 @@ use crate::{
 };
 
 /// How bad a finding is.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Severity {
     /// Good to know; every large project has some.
@@ -29,8 +32,33 @@ pub enum Severity {
     Error,
 }
 
+/// What `viewrank doctor --format json` prints.
+#[derive(Clone, Debug, PartialEq, Serialize, JsonSchema)]
+pub struct Diagnosis {
+    /// Version of this format.
+    pub version: u32,
+    /// The backend that partners were judged for.
+    pub backend: &'static str,
+    /// The worst first.
+    pub findings: Vec<Finding>,
+}
+
+/// A view that a finding is of.
+#[derive(Clone, Debug, PartialEq, Serialize, JsonSchema)]
+pub struct ViewFinding {
+    pub name: String,
+    /// What is to be said of it; empty where the finding says all.
+    pub why: String,
+}
+
+impl ViewFinding {
+    fn new(name: impl Into<String>, why: impl Into<String>) -> Self {
+        Self { name: name.into(), why: why.into() }
+    }
+}
+
 /// Something that the user should know.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, JsonSchema)]
 pub struct Finding {
     pub severity: Severity,
     /// The same for the same kind of finding.
@@ -41,8 +69,8 @@ pub struct Finding {
     pub what: String,
     /// What to type or do.
     pub cure: String,
-    /// Names of the views concerned, with what is to be said of each; empty: the whole project.
-    pub views: Vec<(String, String)>,
+    /// The views concerned; empty: the whole project.
+    pub views: Vec<ViewFinding>,
 }
 
 impl Finding {
@@ -51,10 +79,13 @@ impl Finding {
         Self { severity, check, backends: Vec::new(), what, cure, views: Vec::new() }
     }
 
-    fn of_views(self, views: Vec<(String, String)>) -> Self {
+    fn of_views(self, views: Vec<ViewFinding>) -> Self {
         Self { views, ..self }
     }
 }
+
+/// From this share of all on it is no longer a few.
+const FEW: f64 = 0.1;
 
 /// "1 view", "2 views".
 fn counted(number: usize, what: &str) -> String {
@@ -69,46 +100,67 @@ struct Visit<'a> {
     settings: &'a Settings,
     /// The one that would be planned for.
     backend: &'a dyn Backend,
+    /// Those whose traps are looked for.
+    backends: &'a [&'a dyn Backend],
     images: &'a ImageFaults,
 }
 
 impl Visit<'_> {
-    fn name(&self, view: ViewIndex) -> String {
-        self.scene.name(view).into()
+    fn of(&self, view: ViewIndex, why: impl Into<String>) -> ViewFinding {
+        ViewFinding::new(self.scene.name(view), why)
+    }
+
+    fn named(&self, views: impl IntoIterator<Item = ViewIndex>) -> Vec<ViewFinding> {
+        views.into_iter().map(|view| self.of(view, "")).collect()
     }
 }
 
-/// All findings, the worst first. The plan would be made for the first of `backends`; the traps of all of them are looked for.
-pub fn examine(project: &Project, scene: &Scene, settings: &Settings, backends: &[&dyn Backend]) -> Vec<Finding> {
-    let Some(&backend) = backends.first() else { return Vec::new() };
-    if scene.views.is_empty() {
-        let cure = "register the images first; viewrank inspect shows what the model holds";
-        return vec![Finding::new(Severity::Error, "no-views", "no image of the model is registered", cure)];
-    }
-    let points = &scene.view_points();
-    let images = &project.image_faults(scene);
-    let visit = Visit { project, scene, points, settings, backend, images };
-    let mut findings = sense::of_model(&visit);
+/// Looks at the project. The plan would be made for the first of `backends`; the traps of all of them are looked for.
+pub fn examine(project: &Project, scene: &Scene, settings: &Settings, backends: &[&dyn Backend]) -> Diagnosis {
+    let backend = backends.first().copied().unwrap_or_else(|| backends::for_project(project));
+    let mut findings = match scene.views.is_empty() {
+        true => vec![no_views()],
+        false => of_scene(&Visit {
+            project,
+            scene,
+            points: &scene.view_points(),
+            settings,
+            backend,
+            backends,
+            images: &project.image_faults(scene),
+        }),
+    };
+    findings.sort_by_key(|finding| std::cmp::Reverse(finding.severity));
+    Diagnosis { version: 1, backend: backend.name(), findings }
+}
+
+fn no_views() -> Finding {
+    let cure = "register the images first; viewrank inspect shows what the model holds";
+    Finding::new(Severity::Error, "no-views", "no image of the model is registered", cure)
+}
+
+fn of_scene(visit: &Visit) -> Vec<Finding> {
+    let mut findings = sense::of_model(visit);
+    findings.extend(model::findings(visit));
     // In a model that makes no sense partners and links say nothing.
     if findings.iter().all(|finding| finding.severity < Severity::Error) {
-        findings.extend(partners::findings(&visit));
-        findings.extend(links::findings(&visit));
+        findings.extend(partners::findings(visit));
+        findings.extend(links::findings(visit));
     }
-    findings.extend(sense::of_images(&visit));
-    findings.extend(traps(&visit, backends));
-    findings.sort_by_key(|finding| std::cmp::Reverse(finding.severity));
+    findings.extend(sense::of_images(visit));
+    findings.extend(traps(visit));
     findings
 }
 
 /// Traps of the backends; those of the planned one are warnings, those of others notes.
-fn traps(visit: &Visit, backends: &[&dyn Backend]) -> Vec<Finding> {
+fn traps(visit: &Visit) -> Vec<Finding> {
     let patient = Patient { project: visit.project, scene: visit.scene, points: visit.points };
-    let mut findings: Vec<Finding> = distorted(visit, backends).into_iter().collect();
-    for backend in backends {
+    let mut findings: Vec<Finding> = distorted(visit).into_iter().collect();
+    for backend in visit.backends {
         let planned = backend.name() == visit.backend.name();
         let severity = if planned { Severity::Warning } else { Severity::Note };
         for trap in backend.traps(&patient) {
-            let views = trap.views.iter().map(|&view| (visit.name(view), String::new())).collect();
+            let views = visit.named(trap.views);
             match findings.iter_mut().find(|f| f.check == trap.name && f.what == trap.what) {
                 Some(same) => same.backends.push(backend.name()),
                 None => {
@@ -122,10 +174,10 @@ fn traps(visit: &Visit, backends: &[&dyn Backend]) -> Vec<Finding> {
 }
 
 /// Programs that want images without lens distortion.
-fn distorted(visit: &Visit, backends: &[&dyn Backend]) -> Option<Finding> {
+fn distorted(visit: &Visit) -> Option<Finding> {
     let of_view = |v: &ViewIndex| !visit.scene.camera_of(*v).is_pinhole();
     let camera = visit.scene.camera_of(visit.scene.view_indices().find(of_view)?).model().name();
-    let refuse: Vec<&'static str> = backends.iter().filter(|b| !b.takes_distorted()).map(|b| b.name()).collect();
+    let refuse: Vec<&'static str> = visit.backends.iter().filter(|b| !b.takes_distorted()).map(|b| b.name()).collect();
     let (root, own) = (visit.project.as_argument(), quoted_path(&visit.project.root.join("dense")));
     let cure = match &visit.project.dense_workspace {
         Some(dense) if *dense != visit.project.root => format!("viewrank plan {}", quoted_path(dense)),

@@ -4,18 +4,18 @@ use std::collections::BTreeMap;
 
 use rayon::prelude::*;
 
-use super::{Finding, Severity, Visit, counted};
+use super::{FEW, Finding, Severity, ViewFinding, Visit, counted};
 use crate::{
-    backends::Obstacle,
+    backends::{Backend, Obstacle},
+    connected::components,
     partners::{PairGeometry, neighbours},
     plan::Reason,
-    scene::{PointIndex, ViewIndex},
+    scene::{PointIndex, Scene, ViewIndex, ViewPoints},
 };
 
 /// Share of the sparse points that only views without partners see, from which on their loss is no longer the usual border of a
-/// block; and the share of the views themselves.
+/// block.
 const LOST: f64 = 0.01;
-const FEW: f64 = 0.1;
 /// From this share on, of either, there is next to nothing to plan.
 const MOST: f64 = 0.5;
 
@@ -24,7 +24,6 @@ const MOST: f64 = 0.5;
 enum Refused {
     NoBaseline,
     Limit(Obstacle),
-    OwnRule,
 }
 
 impl Refused {
@@ -36,7 +35,6 @@ impl Refused {
             Self::Limit(Obstacle::LargeAngle) => "angle too large",
             Self::Limit(Obstacle::Scale) => "scale too different",
             Self::Limit(Obstacle::Epipole) => "flying along the line of sight",
-            Self::OwnRule => "the backend's own rule",
         }
     }
 }
@@ -52,7 +50,8 @@ struct Looked {
 
 pub fn findings(visit: &Visit) -> Vec<Finding> {
     let views: Vec<ViewIndex> = visit.scene.view_indices().collect();
-    let looked: Vec<Looked> = views.par_iter().map(|&view| look(visit, view)).collect();
+    let looked: Vec<Looked> =
+        views.par_iter().map(|&view| look(visit.scene, visit.points, visit.backend, view)).collect();
     let fewer = [too_few(visit, &looked), fewer_than_wanted(visit, &looked)];
     fewer.into_iter().flatten().chain(one_position(visit, &looked)).collect()
 }
@@ -62,22 +61,25 @@ fn least(visit: &Visit) -> usize {
     visit.settings.coverage.min_cameras.saturating_sub(1).max(1) as usize
 }
 
-fn look(visit: &Visit, view: ViewIndex) -> Looked {
-    let around = neighbours(visit.scene, visit.points, view);
+/// How many of the views that share points with this one the backend can match with it, and why the others not.
+pub fn partners_in_words(scene: &Scene, points: &ViewPoints, backend: &dyn Backend, view: ViewIndex) -> String {
+    look(scene, points, backend, view).words()
+}
+
+fn look(scene: &Scene, points: &ViewPoints, backend: &dyn Backend, view: ViewIndex) -> Looked {
+    let around = neighbours(scene, points, view);
     let pairs: Vec<PairGeometry> =
-        around.iter().map(|(other, shared)| PairGeometry::new(visit.scene, view, *other, shared)).collect();
+        around.iter().map(|(other, shared)| PairGeometry::new(scene, view, *other, shared)).collect();
     let (still, moving): (Vec<_>, Vec<_>) = pairs.into_iter().partition(PairGeometry::has_no_baseline);
-    let verdicts = visit.backend.refusals(&moving);
+    let gate = backend.planning().gate;
+    let obstacles: Vec<Obstacle> = moving.iter().filter_map(|pair| gate.obstacle(pair)).collect();
     let mut looked = Looked {
         view,
-        partners: verdicts.iter().filter(|verdict| verdict.is_none()).count(),
+        partners: moving.len() - obstacles.len(),
         refused: BTreeMap::new(),
         still: still.iter().map(|pair| pair.partner).collect(),
     };
-    let gate = visit.backend.planning().gate;
-    let refused = moving.iter().zip(&verdicts).filter(|(_, verdict)| verdict.is_some());
-    let reasons = refused.map(|(pair, _)| gate.obstacle(pair).map_or(Refused::OwnRule, Refused::Limit));
-    for reason in reasons.chain(still.iter().map(|_| Refused::NoBaseline)) {
+    for reason in obstacles.into_iter().map(Refused::Limit).chain(still.iter().map(|_| Refused::NoBaseline)) {
         *looked.refused.entry(reason).or_default() += 1;
     }
     looked
@@ -114,7 +116,7 @@ fn too_few(visit: &Visit, looked: &[Looked]) -> Option<Finding> {
     };
     let and = match lost > 0.0 {
         true => format!("{:.1} % of the sparse points are seen by no others", 100.0 * lost),
-        false => "all of their points are seen by others".into(),
+        false => "what points they have, others see too".into(),
     };
     let cure = match severity {
         Severity::Note => "nothing: they get no depth map, and others fill their places",
@@ -150,39 +152,24 @@ fn fewer_than_wanted(visit: &Visit, looked: &[Looked]) -> Option<Finding> {
     (!few.is_empty()).then(|| {
         let what = format!("{} with fewer than the {wanted} partners that are wanted", counted(few.len(), "view"));
         let fewest = few.iter().map(|l| l.partners).min().unwrap_or(least);
-        let cure = format!("nothing, they get those that there are; -k {fewest} asks for no more");
+        let cure =
+            format!("nothing, they get those that there are; partners.k = {fewest} in viewrank.toml asks for no more");
         Finding::new(Severity::Note, "fewer-partners-than-k", what, cure).of_views(words(visit, few))
     })
 }
 
-fn words(visit: &Visit, looked: Vec<&Looked>) -> Vec<(String, String)> {
-    looked.into_iter().map(|l| (visit.name(l.view), l.words())).collect()
+fn words(visit: &Visit, looked: Vec<&Looked>) -> Vec<ViewFinding> {
+    looked.into_iter().map(|l| visit.of(l.view, l.words())).collect()
 }
 
 /// Groups of views that share points but no baseline; as in rigs and panoramas that is as it should be where each has partners elsewhere.
 fn one_position(visit: &Visit, looked: &[Looked]) -> Option<Finding> {
-    let mut group: Vec<u32> = (0..looked.len() as u32).collect();
-    fn root(group: &mut [u32], mut of: u32) -> u32 {
-        while group[of as usize] != of {
-            group[of as usize] = group[group[of as usize] as usize];
-            of = group[of as usize];
-        }
-        of
-    }
-    for (view, other) in looked.iter().flat_map(|l| l.still.iter().map(|s| (l.view.0, s.0))) {
-        let (a, b) = (root(&mut group, view), root(&mut group, other));
-        group[a.max(b) as usize] = a.min(b);
-    }
-    let mut members: BTreeMap<u32, Vec<ViewIndex>> = BTreeMap::new();
-    for looked in looked {
-        let of = root(&mut group, looked.view.0);
-        members.entry(of).or_default().push(looked.view);
-    }
-    let groups: Vec<&Vec<ViewIndex>> = members.values().filter(|views| views.len() > 1).collect();
+    let beside = |view: u32| looked[view as usize].still.iter().map(|other| other.0);
+    let groups = components(looked.len(), beside).into_iter().filter(|group| group.len() > 1);
+    let groups: Vec<Vec<ViewIndex>> = groups.map(|group| group.into_iter().map(ViewIndex).collect()).collect();
     let standing: usize = groups.iter().map(|views| views.len()).sum();
     let with = |views: &[ViewIndex]| format!("with {}", visit.scene.name(views[0]));
-    let views: Vec<(String, String)> =
-        groups.iter().flat_map(|views| views[1..].iter().map(|&v| (visit.name(v), with(views)))).collect();
+    let views = groups.iter().flat_map(|views| views[1..].iter().map(|&v| visit.of(v, with(views)))).collect();
     let alone = groups.iter().flat_map(|views| views.iter()).filter(|v| looked[v.at()].partners < least(visit)).count();
     let (severity, cure) = match alone {
         0 => (Severity::Note, "nothing: they are no partners of each other, and each has others"),

@@ -1,38 +1,77 @@
 //! Numbers that can't be true: units, cameras, poses, images of another size.
 
-use super::{Finding, Severity, Visit, counted};
-use crate::scene::{PointIndex, Units, ViewIndex};
+use std::ops::RangeInclusive;
 
-/// Ground sampling distances of any survey, metres: from a microscope to a satellite.
-const METRIC_GSD: std::ops::RangeInclusive<f64> = 1e-6..=100.0;
+use super::{Finding, Severity, Visit, counted};
+use crate::{
+    georeference::Georeference,
+    scene::{PointIndex, Units, ViewIndex},
+};
+
+/// Ground sampling distances of surveys, metres: from a turntable to a high flight.
+const USUAL_GSD: RangeInclusive<f64> = 1e-4..=5.0;
+/// Those of any survey: from a microscope to a satellite.
+const POSSIBLE_GSD: RangeInclusive<f64> = 1e-6..=100.0;
+/// UTM coordinates of any place on land, metres.
+const EASTINGS: RangeInclusive<f64> = 1e5..=9e5;
+const NORTHINGS: RangeInclusive<f64> = 0.0..=1e7;
 /// The wanted ground sampling distance is not so many times another than the images'.
 const WANTED_RATIO: f64 = 20.0;
 /// Fields of view of any camera, degrees.
-const FIELD: std::ops::RangeInclusive<f64> = 0.5..=160.0;
+const FIELD: RangeInclusive<f64> = 0.5..=160.0;
 /// Share of the observations that may lie behind their cameras.
 const BEHIND: f64 = 0.2;
-/// Mean reprojection error from which on intrinsics and images do not belong together, pixels.
+/// Median reprojection error from which on intrinsics and images do not belong together, pixels.
 const ERROR_PX: f64 = 4.0;
 /// Names that are listed where a file is missing.
 const LISTED: usize = 1000;
 
 pub fn of_model(visit: &Visit) -> Vec<Finding> {
-    [units, wanted, cameras, behind, residuals].iter().filter_map(|check| check(visit)).collect()
+    [points, units, frame, wanted, cameras, behind, residuals].iter().filter_map(|check| check(visit)).collect()
 }
 
 pub fn of_images(visit: &Visit) -> Vec<Finding> {
-    [sizes, missing].iter().filter_map(|check| check(visit)).collect()
+    [sizes, missing, unreadable].iter().filter_map(|check| check(visit)).collect()
+}
+
+/// Without points that two views see nothing is known of the surface (method 1.1).
+fn points(visit: &Visit) -> Option<Finding> {
+    let mut tracks = (0..visit.scene.points.len() as u32).map(|p| visit.scene.track_views(PointIndex(p)));
+    let none = !tracks.any(|views| views.first() != views.last());
+    none.then(|| {
+        let what = "no sparse point is seen by two views: no surface, no overlap and no scale is known, nothing can be planned";
+        let cure = "triangulate points with the program that made the model (colmap point_triangulator), or give the model that has them";
+        Finding::new(Severity::Error, "no-common-points", what, cure)
+    })
 }
 
 /// The settings say metres.
 fn units(visit: &Visit) -> Option<Finding> {
-    let gsd = visit.scene.median_gsd()?;
-    let wrong = visit.settings.units == Some(Units::Metric) && !METRIC_GSD.contains(&gsd);
-    wrong.then(|| {
-        let what = format!("units = \"metric\" cannot be true: a pixel would be {gsd:.3e} m on the ground");
-        let cure = "take units = \"metric\" out of viewrank.toml, or scale the model (colmap model_aligner)";
-        Finding::new(Severity::Error, "impossible-units", what, cure)
-    })
+    let gsd = visit.scene.median_gsd().filter(|_| visit.settings.units == Some(Units::Metric))?;
+    let (severity, verdict) = match gsd {
+        gsd if USUAL_GSD.contains(&gsd) => return None,
+        gsd if POSSIBLE_GSD.contains(&gsd) => (Severity::Warning, "is unlikely to be"),
+        _ => (Severity::Error, "cannot be"),
+    };
+    let what = format!("units = \"metric\" {verdict} true: a pixel would be {gsd:.3e} m on the ground");
+    let cure = "take units = \"metric\" out of viewrank.toml, or scale the model (colmap model_aligner)";
+    Some(Finding::new(severity, "impossible-units", what, cure))
+}
+
+/// The settings, or the program that made the model, say UTM.
+fn frame(visit: &Visit) -> Option<Finding> {
+    let place = Georeference::find(visit.project, visit.scene, &visit.settings.frame);
+    let Georeference::Utm { offset, .. } = place else { return None };
+    let centres = || visit.scene.views.iter().map(|view| view.cam_from_world.centre());
+    let at = |x: f64, y: f64| (x + offset[0], y + offset[1]);
+    let inside = |(easting, northing): (f64, f64)| EASTINGS.contains(&easting) && NORTHINGS.contains(&northing);
+    let outside = centres().map(|c| at(c.x, c.y)).find(|&place| !inside(place))?;
+    let what = format!(
+        "these are no UTM coordinates: a camera would be at easting {:.0}, northing {:.0}, and views.geojson shows it there",
+        outside.0, outside.1
+    );
+    let cure = "say in viewrank.toml what is to be added to the model's coordinates (frame.offset), or its origin (frame.origin)";
+    Some(Finding::new(Severity::Warning, "impossible-frame", what, cure))
 }
 
 /// What is wanted against what the images have.
@@ -69,7 +108,7 @@ fn cameras(visit: &Visit) -> Option<Finding> {
         camera.id, f.x, f.y, c.x, c.y, camera.width, camera.height
     );
     let cure = "focal lengths and principal points are in pixels of the images: correct the cameras and adjust the model again";
-    Some(Finding::new(Severity::Error, "impossible-camera", what, cure).of_views(named(visit, views)))
+    Some(Finding::new(Severity::Error, "impossible-camera", what, cure).of_views(visit.named(views)))
 }
 
 /// Points behind the cameras that observe them: poses the wrong way round.
@@ -87,30 +126,45 @@ fn behind(visit: &Visit) -> Option<Finding> {
         let many = 2 * views.len() > scene.views.len();
         let severity = if many { Severity::Error } else { Severity::Warning };
         let cure = "poses are from the world to the camera, which looks along +z with y down: look at how the model was converted";
-        Finding::new(severity, "points-behind-cameras", what, cure).of_views(named(visit, views))
+        Finding::new(severity, "points-behind-cameras", what, cure).of_views(visit.named(views))
     })
 }
 
-/// Cameras, poses and points that do not belong together.
+/// Cameras, poses and points that do not belong together: everywhere, or in some views.
 fn residuals(visit: &Visit) -> Option<Finding> {
     let scene = visit.scene;
-    let of_point = |p: u32| {
-        let point = PointIndex(p);
-        scene.track(point).filter_map(move |o| scene.reprojection_error(point, o))
-    };
-    let mut errors: Vec<f64> = (0..scene.points.len() as u32).flat_map(of_point).collect();
-    if errors.is_empty() {
-        return None;
+    let mut of_view: Vec<Vec<f64>> = vec![Vec::new(); scene.views.len()];
+    for point in (0..scene.points.len() as u32).map(PointIndex) {
+        for observation in scene.track(point) {
+            let error = scene.reprojection_error(point, observation);
+            of_view[scene.track_views[observation].at()].extend(error);
+        }
     }
-    let middle = errors.len() / 2;
-    let median = *errors.select_nth_unstable_by(middle, f64::total_cmp).1;
-    (median > ERROR_PX).then(|| {
+    let median = |errors: &mut Vec<f64>| {
+        let middle = errors.len() / 2;
+        (!errors.is_empty()).then(|| *errors.select_nth_unstable_by(middle, f64::total_cmp).1)
+    };
+    let medians: Vec<Option<f64>> = of_view.iter_mut().map(median).collect();
+    let wrong = |view: &ViewIndex| medians[view.at()].is_some_and(|error| error > ERROR_PX);
+    let views: Vec<ViewIndex> = scene.view_indices().filter(wrong).collect();
+    let known = medians.iter().flatten().count();
+    let (severity, cure) = match 2 * views.len() > known {
+        true => (
+            Severity::Error,
+            "adjust the model again (colmap bundle_adjuster), and see that intrinsics are of images of this size",
+        ),
+        false => (
+            Severity::Warning,
+            "adjust the model again (colmap bundle_adjuster), or take these views out (colmap image_deleter)",
+        ),
+    };
+    (!views.is_empty()).then(|| {
         let what = format!(
-            "the median reprojection error is {median:.1} px: cameras, poses and observations do not belong together"
+            "{} with a reprojection error of more than {ERROR_PX} px in the median: camera, pose and observations do not belong together",
+            counted(views.len(), "view")
         );
-        let cure =
-            "adjust the model again (colmap bundle_adjuster), and see that intrinsics are of images of this size";
-        Finding::new(Severity::Error, "large-reprojection-error", what, cure)
+        let words = views.iter().map(|&view| visit.of(view, format!("{:.1} px", medians[view.at()].unwrap_or(0.0))));
+        Finding::new(severity, "large-reprojection-error", what, cure).of_views(words.collect())
     })
 }
 
@@ -125,8 +179,8 @@ fn sizes(visit: &Visit) -> Option<Finding> {
         camera.height
     );
     let cure = "give the images that the model was made of, or those of the undistorted workspace with its own model";
-    let views = visit.images.other_size.iter().map(|(view, _)| *view).collect();
-    Some(Finding::new(Severity::Error, "images-of-another-size", what, cure).of_views(named(visit, views)))
+    let views = visit.images.other_size.iter().map(|(view, _)| *view);
+    Some(Finding::new(Severity::Error, "images-of-another-size", what, cure).of_views(visit.named(views)))
 }
 
 /// Views without their files.
@@ -134,12 +188,19 @@ fn missing(visit: &Visit) -> Option<Finding> {
     let (images, views) = (visit.project.images.as_ref()?, &visit.images.missing);
     (!views.is_empty()).then(|| {
         let what = format!("{} of {} images are not in {}", views.len(), visit.scene.views.len(), images.display());
-        let listed = views.iter().copied().take(LISTED).collect();
+        let listed = views.iter().copied().take(LISTED);
         let cure = format!("copy them there under the names of the model: {}/NAME", images.display());
-        Finding::new(Severity::Warning, "missing-images", what, cure).of_views(named(visit, listed))
+        Finding::new(Severity::Warning, "missing-images", what, cure).of_views(visit.named(listed))
     })
 }
 
-fn named(visit: &Visit, views: Vec<ViewIndex>) -> Vec<(String, String)> {
-    views.into_iter().map(|view| (visit.name(view), String::new())).collect()
+/// Views whose files cannot be read.
+fn unreadable(visit: &Visit) -> Option<Finding> {
+    let broken = &visit.images.unreadable;
+    (!broken.is_empty()).then(|| {
+        let what = format!("{} cannot be read", counted(broken.len(), "image"));
+        let cure = "copy them again from where they came";
+        let views = broken.iter().take(LISTED).map(|&(view, why)| visit.of(view, why)).collect();
+        Finding::new(Severity::Warning, "unreadable-images", what, cure).of_views(views)
+    })
 }

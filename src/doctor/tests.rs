@@ -5,11 +5,12 @@ use std::{fs, path::Path};
 use nalgebra::{Matrix3, Point3, Rotation3, Vector3};
 use tempfile::TempDir;
 
-use super::{Finding, Severity, examine};
+use super::{Finding, Severity, ViewFinding, examine};
 use crate::{
     backends::{self, Backend},
     camera::{Camera, CameraModel},
-    config::{Settings, TargetSettings},
+    config::{FrameSettings, Settings, TargetSettings},
+    formats::{colmap::ColmapModel, colmap_bin, colmap_text},
     project::{ModelFormat, ModelLocation, Project, ProjectKind},
     scene::{CameraIndex, Pose, Scene, Units, View, ViewIndex},
 };
@@ -95,10 +96,16 @@ fn project(format: ModelFormat) -> (TempDir, Project) {
     (folder, project)
 }
 
-/// What is found, partners judged for one backend.
+/// What is found, partners judged for one backend; that these projects have no images is not said each time.
 fn visit(scene: &Scene, backend: &str, settings: &Settings) -> Vec<Finding> {
     let (_folder, project) = project(ModelFormat::ColmapBinary);
-    examine(&project, scene, settings, &[backends::by_name(backend).unwrap()])
+    look(&project, scene, settings, &[backends::by_name(backend).unwrap()])
+}
+
+fn look(project: &Project, scene: &Scene, settings: &Settings, backends: &[&dyn Backend]) -> Vec<Finding> {
+    let mut findings = examine(project, scene, settings, backends).findings;
+    findings.retain(|finding| finding.check != "no-images");
+    findings
 }
 
 fn found<'a>(findings: &'a [Finding], check: &str) -> &'a Finding {
@@ -108,8 +115,8 @@ fn found<'a>(findings: &'a [Finding], check: &str) -> &'a Finding {
 
 /// What is said of one view in a finding.
 fn said<'a>(finding: &'a Finding, view: &str) -> &'a str {
-    let found = finding.views.iter().find(|(name, _)| name == view);
-    &found.unwrap_or_else(|| panic!("nothing of {view} in {finding:#?}")).1
+    let found = finding.views.iter().find(|of| of.name == view);
+    &found.unwrap_or_else(|| panic!("nothing of {view} in {finding:#?}")).why
 }
 
 /// The healthy block with more views.
@@ -122,7 +129,7 @@ fn a_healthy_project_has_no_findings() {
     let (_folder, project) = project(ModelFormat::ColmapBinary);
     for backend in backends::all() {
         let order: Vec<&dyn Backend> = std::iter::once(*backend).chain(backends::all().iter().copied()).collect();
-        assert_eq!(examine(&project, &healthy(), &Settings::default(), &order), [], "{}", backend.name());
+        assert_eq!(look(&project, &healthy(), &Settings::default(), &order), [], "{}", backend.name());
     }
 }
 
@@ -221,7 +228,7 @@ fn far_too_few_shared_points() {
 fn shared_points_on_one_side_only() {
     let findings = visit(&with_copies(|point| point.x > 0.0), "sure", &Settings::default());
     let finding = found(&findings, "one-sided-links");
-    assert!(finding.views.iter().any(|(name, _)| name == "n12.jpg") && finding.views.len() < 4, "{finding:#?}");
+    assert!(finding.views.iter().any(|of| of.name == "n12.jpg") && finding.views.len() < 4, "{finding:#?}");
 }
 
 #[test]
@@ -242,6 +249,23 @@ fn units_that_cannot_be_true() {
     assert_eq!(found(&visit(&far, "sure", &metric), "impossible-units").severity, Severity::Error);
     assert_eq!(visit(&far, "sure", &Settings::default()), [], "without metres any unit is as good as another");
     assert_eq!(visit(&healthy(), "sure", &metric), []);
+    let scaled = |scale: f64| {
+        let mut scene = healthy();
+        scene.points.iter_mut().for_each(|p| p.coords *= scale);
+        scene.views.iter_mut().for_each(|v| v.cam_from_world.translation *= scale);
+        visit(&scene, "sure", &metric)
+    };
+    // A pixel is 47 mm.
+    assert_eq!(found(&scaled(1e-3), "impossible-units").severity, Severity::Warning);
+    assert_eq!(found(&scaled(1e3), "impossible-units").severity, Severity::Warning);
+    assert_eq!(found(&scaled(1e-5), "impossible-units").severity, Severity::Error);
+    assert_eq!(scaled(0.01), [], "a model of a small thing");
+    let utm = |offset| {
+        let frame = FrameSettings { utm: Some("33N".into()), offset, ..Default::default() };
+        visit(&healthy(), "sure", &Settings { frame, ..Default::default() })
+    };
+    assert!(found(&utm(None), "impossible-frame").what.contains("easting"), "the model's own coordinates");
+    assert_eq!(utm(Some([412_000.0, 5_400_000.0])), []);
     let target = TargetSettings { gsd: Some(5.0), ..Default::default() };
     let findings = visit(&healthy(), "sure", &Settings { target, ..Default::default() });
     assert!(found(&findings, "impossible-target").what.contains("times coarser"));
@@ -259,11 +283,14 @@ fn cameras_and_poses_that_cannot_be_true() {
     let pose = &mut scene.views[3].cam_from_world;
     (pose.rotation, pose.translation) = (turn * pose.rotation, turn * pose.translation);
     let findings = visit(&scene, "sure", &Settings::default());
-    assert_eq!(found(&findings, "points-behind-cameras").views, [("n03.jpg".to_owned(), String::new())]);
+    assert_eq!(found(&findings, "points-behind-cameras").views, [ViewFinding::new("n03.jpg", "")]);
 
     let mut scene = healthy();
     scene.track_pixels.iter_mut().for_each(|pixel| pixel[0] += 30.0);
-    assert!(found(&visit(&scene, "sure", &Settings::default()), "large-reprojection-error").what.contains("30.0 px"));
+    let findings = visit(&scene, "sure", &Settings::default());
+    let finding = found(&findings, "large-reprojection-error");
+    assert_eq!((finding.severity, finding.views.len()), (Severity::Error, 25));
+    assert_eq!(said(finding, "n04.jpg"), "30.0 px");
 }
 
 #[test]
@@ -273,11 +300,110 @@ fn images_that_are_not_the_models() {
     fs::create_dir(&images).unwrap();
     project.images = Some(images.clone());
     let sure = [backends::by_name("sure").unwrap()];
-    let findings = examine(&project, &healthy(), &Settings::default(), &sure);
+    let findings = look(&project, &healthy(), &Settings::default(), &sure);
     assert_eq!(found(&findings, "missing-images").views.len(), 25);
     image::RgbImage::new(20, 10).save(images.join("n00.jpg")).unwrap();
-    let findings = examine(&project, &healthy(), &Settings::default(), &sure);
+    let findings = look(&project, &healthy(), &Settings::default(), &sure);
     assert!(found(&findings, "images-of-another-size").what.contains("20 x 10 px"));
+}
+
+#[test]
+fn images_that_cannot_be_read() {
+    let (folder, mut project) = project(ModelFormat::ColmapBinary);
+    let sure = [backends::by_name("sure").unwrap()];
+    let of_healthy = |project: &Project| examine(project, &healthy(), &Settings::default(), &sure).findings;
+    assert_eq!(found(&of_healthy(&project), "no-images").severity, Severity::Warning);
+    let images = folder.path().join("images");
+    fs::create_dir(&images).unwrap();
+    project.images = Some(images.clone());
+    let mut whole = std::io::Cursor::new(Vec::new());
+    image::RgbImage::from_fn(1000, 750, |x, y| image::Rgb([x as u8, y as u8, (x * y) as u8]))
+        .write_to(&mut whole, image::ImageFormat::Jpeg)
+        .unwrap();
+    let whole = whole.into_inner();
+    assert!(whole.len() > 100_000, "longer than what is looked at first");
+    let put = |number: usize, bytes: &[u8]| fs::write(images.join(format!("n{number:02}.jpg")), bytes).unwrap();
+    (0..25).for_each(|number| put(number, &whole));
+    assert_eq!(of_healthy(&project), []);
+    put(4, &[]);
+    put(5, b"<html>not found</html>");
+    put(6, &whole[..whole.len() / 2]);
+    put(7, &whole[..1000]);
+    put(8, &[&whole[..], &[7; 100_000]].concat());
+    let findings = of_healthy(&project);
+    let views = &found(&findings, "unreadable-images").views;
+    let expected = [("n04.jpg", "empty"), ("n05.jpg", "no image"), ("n06.jpg", "cut off"), ("n07.jpg", "cut off")];
+    assert_eq!(*views, expected.map(|(name, why)| ViewFinding::new(name, why)), "what follows the end is no harm");
+    assert_eq!(findings.len(), 1);
+}
+
+#[test]
+fn what_the_model_leaves_out() {
+    let mut scene = healthy();
+    scene.unregistered = (0..2).map(|i| format!("x{i}.jpg")).collect();
+    scene.warnings = vec!["points3D.bin: 4 bytes after the last of 100 records are ignored".into()];
+    let findings = visit(&scene, "sure", &Settings::default());
+    assert_eq!(found(&findings, "unregistered-images").severity, Severity::Note, "2 of 27");
+    assert!(found(&findings, "model-not-as-it-should-be").what.contains("points3D.bin: 4 bytes"));
+    scene.unregistered = (0..50).map(|i| format!("x{i:02}.jpg")).collect();
+    let findings = visit(&scene, "sure", &Settings::default());
+    let finding = found(&findings, "unregistered-images");
+    assert_eq!((finding.severity, finding.views.len()), (Severity::Warning, 50));
+    assert!(finding.what.starts_with("50 of 75 images"));
+}
+
+#[test]
+fn several_sub_models() {
+    let folder = tempfile::tempdir().unwrap();
+    let part =
+        |views: usize| scene_of(block(0.0, "n").into_iter().take(views).collect(), square(0.0, 34), |_, _| false);
+    let severity = |others: usize| {
+        for (number, scene) in [("0", healthy()), ("1", part(others))] {
+            fs::create_dir_all(folder.path().join("sparse").join(number)).unwrap();
+            for (name, bytes) in colmap_bin::write(&ColmapModel::from_scene(&scene)) {
+                fs::write(folder.path().join("sparse").join(number).join(name), bytes).unwrap();
+            }
+        }
+        let project = Project::open(folder.path(), None).unwrap();
+        let scene = project.read_scene().unwrap();
+        let findings = look(&project, &scene, &Settings::default(), &[backends::by_name("sure").unwrap()]);
+        assert_eq!(findings.len(), 1, "{findings:#?}");
+        found(&findings, "other-sub-models").severity
+    };
+    assert_eq!(severity(2), Severity::Note, "the usual splinter");
+    assert_eq!(severity(12), Severity::Warning);
+}
+
+#[test]
+fn a_model_without_common_points() {
+    let views = |scene: &Scene| visit(scene, "sure", &Settings::default());
+    for scene in [
+        scene_of(block(0.0, "n"), std::iter::empty(), |_, _| false),
+        scene_of(vec![down("a.jpg", 0.0, 0.0, 40.0)], square(0.0, 20), |_, _| false),
+    ] {
+        let findings = views(&scene);
+        assert_eq!(found(&findings, "no-common-points").severity, Severity::Error);
+        assert_eq!(findings.len(), 1, "nothing is said of each view: {findings:#?}");
+    }
+}
+
+#[test]
+fn a_view_in_a_wrong_place() {
+    let mut scene = healthy();
+    scene.views[8].cam_from_world.translation.x += 2.0;
+    let findings = visit(&scene, "sure", &Settings::default());
+    let finding = found(&findings, "large-reprojection-error");
+    assert_eq!((finding.views.len(), finding.severity), (1, Severity::Warning));
+    assert!(said(finding, "n08.jpg").ends_with(" px"));
+}
+
+#[test]
+fn views_without_points_are_no_fault_of_their_neighbours() {
+    let without = ["n06.jpg", "n07.jpg", "n08.jpg", "n11.jpg", "n13.jpg", "n16.jpg", "n17.jpg", "n18.jpg"];
+    let scene = scene_of(block(0.0, "n"), square(0.0, 34), |name, _| without.contains(&name));
+    let findings = visit(&scene, "sure", &Settings::default());
+    let few = findings.iter().filter(|finding| finding.check == "far-too-few-shared-points");
+    assert_eq!(few.count(), 0, "{findings:#?}");
 }
 
 #[test]
@@ -303,12 +429,13 @@ fn trapped(backend: &str, names: &[&str], trap: &str) -> Finding {
 #[test]
 fn names_that_backends_cannot_take() {
     for name in ["a,b.jpg", "a;b.jpg", "#1.jpg", " 1.jpg"] {
-        assert_eq!(trapped("colmap", &[name], "colmap-name").views[0].0, name);
+        assert_eq!(trapped("colmap", &[name], "colmap-name").views[0].name, name);
     }
     trapped("sure", &["#1.jpg"], "sure-name");
     trapped("sure", &["a/1.jpg", "a_1.tif"], "sure-same-stem");
     trapped("micmac", &["a b.jpg"], "micmac-name");
     trapped("micmac", &["a/b.jpg"], "micmac-name");
+    trapped("openmvs", &["a\\1.jpg"], "openmvs-backslash-name");
     trapped("mve", &["1.tif"], "mve-extension");
     trapped("pmvs", &["1.webp"], "pmvs-extension");
     trapped("splat", &["a/1.jpg", "b/1.x.jpg"], "splat-duplicate-names");
@@ -325,7 +452,7 @@ fn a_view_without_points_stops_some_backends() {
         ("mvsnet", "mvsnet-depth-range"),
     ] {
         let findings = visit(&scene, backend, &Settings::default());
-        assert_eq!(found(&findings, trap).views, [("n07.jpg".to_owned(), String::new())]);
+        assert_eq!(found(&findings, trap).views, [ViewFinding::new("n07.jpg", "")]);
     }
 }
 
@@ -336,13 +463,15 @@ fn images_of_several_widths_and_colmap_4() {
     scene.views[4].camera = CameraIndex(1);
     let findings = visit(&scene, "colmap", &Settings::default());
     assert_eq!(found(&findings, "colmap-4x-mixed-width-sources").views.len(), 1);
+    let guessed = traps_in(ModelFormat::Bundler, "colmap", &scene, |_, _| {});
+    assert_eq!(guessed, [], "the format holds no sizes, and there are no images");
 }
 
 /// The traps of a project whose files `prepare` has made.
 fn traps_in(format: ModelFormat, backend: &str, scene: &Scene, prepare: impl Fn(&Path, &mut Project)) -> Vec<Finding> {
     let (folder, mut project) = project(format);
     prepare(folder.path(), &mut project);
-    examine(&project, scene, &Settings::default(), &[backends::by_name(backend).unwrap()])
+    look(&project, scene, &Settings::default(), &[backends::by_name(backend).unwrap()])
 }
 
 fn write(path: std::path::PathBuf, text: &str) {
@@ -357,10 +486,24 @@ fn files_that_lie_in_the_way() {
     let findings = traps_in(ModelFormat::OpenSfm, "odm", &healthy, |root, _| write(root.join(dense), ""));
     assert!(found(&findings, "odm-existing-model-skips-stage").cure.starts_with("rm "));
 
-    let findings = traps_in(ModelFormat::ColmapBinary, "colmap", &healthy, |root, _| {
-        write(root.join("sparse/0/images.txt"), "# none\n");
-    });
-    assert!(found(&findings, "colmap-bin-beats-txt").cure.contains("rm "));
+    let scene = "opensfm/undistorted/openmvs/scene.mvs";
+    let findings = traps_in(ModelFormat::OpenSfm, "odm", &healthy, |root, _| write(root.join(scene), ""));
+    assert!(found(&findings, "odm-existing-scene").cure.ends_with("scene.mvs"));
+
+    let beside = |text: &Scene| {
+        traps_in(ModelFormat::ColmapBinary, "colmap", &healthy, |root, _| {
+            for (name, bytes) in colmap_text::write(&ColmapModel::from_scene(text)).unwrap() {
+                fs::write(root.join("sparse/0").join(name), bytes).unwrap();
+            }
+        })
+    };
+    assert_eq!(beside(&healthy), [], "the same model in both forms, the text the newer one");
+    let mut moved = healthy.clone();
+    moved.views[3].cam_from_world.translation.x += 0.1;
+    assert!(found(&beside(&moved), "colmap-bin-beats-txt").cure.contains("rm "));
+    let mut renamed = healthy.clone();
+    renamed.views[3].name = "n03b.jpg".into();
+    assert!(found(&beside(&renamed), "colmap-bin-beats-txt").cure.contains("rm "));
 
     let poses = "<x xcr:PosePrior=\"initial\"/>";
     let findings = traps_in(ModelFormat::ColmapBinary, "realityscan", &healthy, |root, project| {
@@ -376,7 +519,7 @@ fn models_that_lose_something_in_their_format() {
     let mut named = healthy();
     named.views[0].name = "a b.jpg".into();
     let findings = traps_in(ModelFormat::ColmapText, "colmap", &named, |_, _| {});
-    assert_eq!(found(&findings, "colmap-text-model-blank-name").views[0].0, "a b.jpg");
+    assert_eq!(found(&findings, "colmap-text-model-blank-name").views[0].name, "a b.jpg");
     assert_eq!(traps_in(ModelFormat::ColmapBinary, "colmap", &named, |_, _| {}), []);
 
     let mut far = healthy();
@@ -386,6 +529,11 @@ fn models_that_lose_something_in_their_format() {
         let pose = &mut view.cam_from_world;
         pose.translation -= pose.rotation * offset;
     }
+    let workspace = |root: &Path, project: &mut Project| project.dense_workspace = Some(root.join("dense"));
+    let findings = traps_in(ModelFormat::ColmapBinary, "colmap", &far, workspace);
+    assert!(found(&findings, "colmap-far-from-origin").cure.contains("--out"));
+    assert_eq!(traps_in(ModelFormat::ColmapBinary, "colmap", &far, |_, _| {}), [], "the export moves it");
+    assert_eq!(traps_in(ModelFormat::ColmapBinary, "colmap", &healthy(), workspace), []);
     let findings = traps_in(ModelFormat::OpenMvs, "openmvs", &far, |_, _| {});
     assert!(found(&findings, "openmvs-far-from-origin").what.contains("5400"));
     assert_eq!(traps_in(ModelFormat::ColmapBinary, "openmvs", &far, |_, _| {}), []);
@@ -401,7 +549,7 @@ fn finished_maps_of_another_plan() {
         fs::write(path, "").unwrap();
     };
     let traps =
-        |backend: &str| examine(&project, &healthy(), &Settings::default(), &[backends::by_name(backend).unwrap()]);
+        |backend: &str| look(&project, &healthy(), &Settings::default(), &[backends::by_name(backend).unwrap()]);
     for (backend, trap, map) in [
         ("colmap", "colmap-stale-maps-skipped", "dense/stereo/depth_maps/a/n00.jpg.photometric.bin"),
         ("openmvs", "openmvs-existing-dmap-kept", "depth0001.dmap"),

@@ -51,6 +51,8 @@ pub struct Run {
     pub other_partners: Vec<ViewIndex>,
     /// Files that look like depth maps and belong to no view.
     pub strangers: Vec<PathBuf>,
+    /// Depth maps that cannot be read and are left out, in sentences.
+    pub unreadable: Vec<String>,
 }
 
 /// What to measure, and against what.
@@ -92,13 +94,29 @@ impl Run {
             watcher.progress(Stage::Evaluate, 1 + done.fetch_add(1, Ordering::Relaxed), found.len() as u64);
             Ok(measured)
         });
-        let measured: Vec<Measured> = measured.collect::<Result<_, EvaluateError>>()?;
-        let mut order: Vec<u32> = (0..found.len() as u32).collect();
-        order.sort_by_key(|&c| found[c as usize].2);
-        let clusters: Vec<ViewCluster> = found.into_iter().map(|(cluster, _, _)| cluster).collect();
+        let tried: Vec<Result<Measured, DepthMapError>> = measured.collect::<Result<_, EvaluateError>>()?;
+        let (mut clusters, mut ranks, mut measured, mut broken) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+        for ((cluster, _, rank), tried) in found.into_iter().zip(tried) {
+            match tried {
+                Ok(of_map) => {
+                    clusters.push(cluster);
+                    ranks.push(rank);
+                    measured.push(of_map);
+                }
+                Err(error) => broken.push(error),
+            }
+        }
+        if clusters.is_empty() {
+            return Err(broken.swap_remove(0).into());
+        }
+        let mut order: Vec<u32> = (0..clusters.len() as u32).collect();
+        order.sort_by_key(|&c| ranks[c as usize]);
+        let unreadable = maps.unreadable.into_iter().map(|(_, why)| why);
+        let unreadable = unreadable.chain(broken.iter().map(DepthMapError::to_string)).collect();
         task.tables(clusters, order, &measured, &report, watcher).map(|run| Self {
             without_map,
             strangers: maps.strangers,
+            unreadable,
             ..run
         })
     }
@@ -117,21 +135,26 @@ impl Run {
 }
 
 impl Task<'_> {
-    /// `reference`: `Some(None)`: there are references, but none of this view; then nothing in the map is right.
+    /// `reference`: `Some(None)`: there are references, but none of this view; then nothing in the map is right. A map that cannot be
+    /// read, perhaps because it is being written, is an error of its own.
     fn measure(
         &self,
         key: ViewIndex,
         map: &DepthMapFile,
         reference: Option<Option<DepthMapFile>>,
-    ) -> Result<Measured, EvaluateError> {
+    ) -> Result<Result<Measured, DepthMapError>, EvaluateError> {
         let scene = self.model.scene;
-        let map = depthmaps::read_of_view(map, scene)?;
+        let map = match depthmaps::read_of_view(map, scene) {
+            Ok(map) => map,
+            Err(error @ DepthMapError::Distorted { .. }) => return Err(error.into()),
+            Err(error) => return Ok(Err(error)),
+        };
         let reference = match reference {
             None => None,
             Some(Some(file)) => Some(depthmaps::read_of_view(&file, scene)?),
             Some(None) => Some(map.emptied()),
         };
-        Ok(measure(&self.model, key, map, reference.as_ref(), self.accuracy))
+        Ok(Ok(measure(&self.model, key, map, reference.as_ref(), self.accuracy)))
     }
 
     fn tables(
@@ -169,6 +192,7 @@ impl Task<'_> {
             order,
             without_map: Vec::new(),
             strangers: Vec::new(),
+            unreadable: Vec::new(),
         })
     }
 

@@ -4,12 +4,12 @@ use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
 
-use super::{FingerprintError, VERSION, fingerprint};
+use super::{FingerprintError, VERSION, ViewEntry, fingerprint};
 use crate::{
     backends::RankedCluster,
     config::{Budget, Settings, Share},
     error::Hint,
-    plan::{Outdated, Plan},
+    plan::{Cut, Outdated, Plan},
     project::{Project, ProjectError},
     scene::{Scene, ViewIndex},
     shell::quoted_path,
@@ -36,10 +36,12 @@ pub(crate) struct Recorded {
     input: Input,
     pub backend: String,
     pub settings: Settings,
-    /// The whole ranking, best first.
+    /// The whole ranking, best first; what is finished comes first.
     pub clusters: Vec<Cluster>,
+    pub views: Vec<ViewEntry>,
     pub outdated: Vec<Outdated>,
-    cut: Cut,
+    pub cut: Cut,
+    pub warnings: Vec<String>,
     /// Where it was read from.
     #[serde(skip)]
     path: PathBuf,
@@ -55,20 +57,10 @@ struct Input {
 pub(crate) struct Cluster {
     pub key: String,
     pub partners: Vec<String>,
+    pub gain: f64,
+    pub fulfilment: f64,
     share: f64,
-    finished: bool,
-}
-
-impl Cluster {
-    fn is(&self, other: &RankedCluster, scene: &Scene) -> bool {
-        let partners = other.partners.iter().map(|&p| scene.name(p));
-        self.key == scene.name(other.key) && partners.eq(self.partners.iter().map(String::as_str))
-    }
-}
-
-#[derive(Debug, Deserialize)]
-struct Cut {
-    clusters: usize,
+    pub finished: bool,
 }
 
 impl WrittenPlan {
@@ -77,12 +69,7 @@ impl WrittenPlan {
         let (project, recorded) = Recorded::open(root)?;
         let scene = project.read_scene()?;
         recorded.check_input(&project, &scene)?;
-        let view = |name: &String| scene.find(name).ok_or_else(|| WrittenPlanError::OtherInput(recorded.path.clone()));
-        let cluster = |c: &Cluster| {
-            let partners: Result<Vec<ViewIndex>, _> = c.partners.iter().map(view).collect();
-            Ok(RankedCluster { key: view(&c.key)?, partners: partners?, share: c.share })
-        };
-        let clusters: Vec<_> = recorded.clusters.iter().map(cluster).collect::<Result<_, WrittenPlanError>>()?;
+        let clusters = recorded.ranked(&scene)?;
         let cut = recorded.cut.clusters.min(clusters.len());
         Ok(Self { project, backend: recorded.backend, settings: recorded.settings, clusters, cut, scene })
     }
@@ -129,12 +116,34 @@ impl Recorded {
 }
 
 impl Recorded {
-    /// Is this the ranking that was written? One that was made around finished depth maps is taken for it.
+    /// The whole ranking, best first.
+    pub fn ranked(&self, scene: &Scene) -> Result<Vec<RankedCluster>, WrittenPlanError> {
+        let view = |name: &String| scene.find(name).ok_or_else(|| WrittenPlanError::OtherInput(self.path.clone()));
+        let cluster = |c: &Cluster| {
+            let partners: Result<Vec<ViewIndex>, _> = c.partners.iter().map(view).collect();
+            Ok(RankedCluster { key: view(&c.key)?, partners: partners?, share: c.share })
+        };
+        self.clusters.iter().map(cluster).collect()
+    }
+
+    /// How many of the ranking, from its start, have their depth map.
+    pub fn finished(&self) -> usize {
+        self.clusters.iter().take_while(|cluster| cluster.finished).count()
+    }
+
+    /// Is this what was written? Around finished depth maps the order is what they made of it, and their own partners are those of
+    /// an earlier plan; the other clusters are the plan's in any order.
     pub fn check_ranking(&self, plan: &Plan) -> Result<(), WrittenPlanError> {
-        let around_finished = self.clusters.iter().any(|cluster| cluster.finished);
-        let as_long = plan.ranked().len() == self.clusters.len();
-        let same = as_long && plan.ranked().zip(&self.clusters).all(|(ranked, c)| c.is(&ranked, &plan.scene));
-        if around_finished || same { Ok(()) } else { Err(WrittenPlanError::OtherPlan(self.path.clone())) }
+        let ranked = self.ranked(&plan.scene)?;
+        let same = match self.finished() {
+            0 => plan.ranked().map(|c| (c.key, c.partners)).eq(ranked.into_iter().map(|c| (c.key, c.partners))),
+            finished => {
+                let place = |key| plan.clusters.binary_search_by_key(&key, |cluster| cluster.key).ok();
+                let partners = |key| place(key).map(|c| &plan.clusters[c].partners);
+                ranked[finished..].iter().all(|c| partners(c.key) == Some(&c.partners))
+            }
+        };
+        if same { Ok(()) } else { Err(WrittenPlanError::OtherPlan(self.path.clone())) }
     }
 }
 

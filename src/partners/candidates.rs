@@ -6,7 +6,7 @@ use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
 
 use crate::{
-    backends::Backend,
+    backends::Gate,
     config::PartnerSettings,
     plan::Reason,
     progress::{Cancelled, Watcher},
@@ -66,18 +66,18 @@ const STILL_DEG: f64 = 0.5;
 /// Two views have no baseline where they stand still at more than this share of the shared points.
 const STILL_SHARE: f64 = 0.5;
 
-/// The n views with the most shared points of those that have a baseline and that the backend can match, ties by name.
+/// The n views with the most shared points of those that have a baseline and that the backend's gate lets pass, ties by name.
 pub fn candidates(
     scene: &Scene,
     points: &ViewPoints,
     settings: &PartnerSettings,
-    backend: &dyn Backend,
+    gate: &Gate,
     watcher: &dyn Watcher,
 ) -> Result<Candidates, Cancelled> {
     let of_view = |neighbours: &mut Neighbours, key: ViewIndex| {
         watcher.check()?;
         neighbours.collect(scene, points, key);
-        Ok(select(scene, neighbours, key, settings.candidates as usize, backend))
+        Ok(select(scene, neighbours, key, settings.candidates as usize, gate))
     };
     let views: Vec<ViewIndex> = scene.view_indices().collect();
     let all = views
@@ -107,12 +107,12 @@ fn select(
     neighbours: &Neighbours,
     key: ViewIndex,
     n: usize,
-    backend: &dyn Backend,
+    gate: &Gate,
 ) -> (Vec<ViewIndex>, Vec<Refusal>) {
     let pairs: Vec<PairGeometry> =
         neighbours.pairs().map(|(v, shared)| PairGeometry::new(scene, key, v, shared)).collect();
     let (still, moving): (Vec<_>, Vec<_>) = pairs.into_iter().partition(PairGeometry::has_no_baseline);
-    let verdicts = backend.refusals(&moving);
+    let verdicts = moving.iter().map(|pair| gate.refusal(pair));
     let still = still.iter().map(|pair| (pair, Some(Reason::RotationOnly)));
     let mut judged: Vec<_> = moving.iter().zip(verdicts).chain(still).collect();
     judged.sort_by_key(|(pair, _)| (Reverse(pair.shared.len()), pair.partner));
@@ -248,45 +248,19 @@ mod tests {
 
     use super::*;
     use crate::{
-        backends::{self, BackendError, Capabilities, Export, ExportOptions, PlanningNumbers, Selection},
         camera::{Camera, CameraModel},
         progress::Unwatched,
         synthetic::Town,
     };
-
-    /// Refuses what its function says; for the rest it is the plain list of images.
-    struct Picky(fn(&PairGeometry) -> bool);
-
-    impl Backend for Picky {
-        fn name(&self) -> &'static str {
-            "picky"
-        }
-
-        fn capabilities(&self) -> Capabilities {
-            backends::all()[0].capabilities()
-        }
-
-        fn planning(&self) -> PlanningNumbers {
-            backends::all()[0].planning()
-        }
-
-        fn refusal(&self, pair: &PairGeometry) -> Option<Reason> {
-            self.0(pair).then_some(Reason::NotMatchable)
-        }
-
-        fn export(&self, _: &Selection, _: &ExportOptions) -> Result<Export, BackendError> {
-            unreachable!("not asked for in these tests")
-        }
-    }
 
     fn scene() -> Scene {
         let camera = Camera::new(1, CameraModel::Pinhole, 1000, 750, vec![850.0, 850.0, 500.0, 375.0]).unwrap();
         Town { points: 300, ..Town::new(camera) }.scene()
     }
 
-    fn select_all(scene: &Scene, n: u32, backend: &dyn Backend) -> Candidates {
+    fn select_all(scene: &Scene, n: u32, gate: &Gate) -> Candidates {
         let settings = PartnerSettings { candidates: n, ..Default::default() };
-        candidates(scene, &scene.view_points(), &settings, backend, &Unwatched).unwrap()
+        candidates(scene, &scene.view_points(), &settings, gate, &Unwatched).unwrap()
     }
 
     fn shared(scene: &Scene, a: ViewIndex, b: ViewIndex) -> usize {
@@ -298,7 +272,7 @@ mod tests {
     #[test]
     fn candidates_are_the_most_connected_ties_by_name() {
         let scene = scene();
-        let table = select_all(&scene, 22, &Picky(|_| false));
+        let table = select_all(&scene, 22, &Gate::OPEN);
         for key in scene.view_indices().step_by(5) {
             let mut all: Vec<_> =
                 scene.view_indices().filter(|&v| v != key).map(|v| (shared(&scene, key, v), v)).collect();
@@ -312,20 +286,28 @@ mod tests {
     #[test]
     fn refused_pairs_make_room_for_others() {
         let scene = scene();
-        let odd = Picky(|pair| pair.partner.0 % 2 == 1);
-        let (all, table) = (select_all(&scene, 60, &Picky(|_| false)), select_all(&scene, 5, &odd));
+        let gate = Gate { max_angle_deg: 12.0, ..Gate::OPEN };
+        let (all, table) = (select_all(&scene, 60, &Gate::OPEN), select_all(&scene, 5, &gate));
+        let points = scene.view_points();
         for key in scene.view_indices() {
-            let even: Vec<_> = all.of(key).iter().copied().filter(|v| v.0 % 2 == 0).take(5).collect();
-            assert_eq!(table.of(key), even);
-            assert!(table.refused(key).iter().all(|r| r.partner.0 % 2 == 1 && r.reason == Reason::NotMatchable));
+            let around = neighbours(&scene, &points, key);
+            let angle = |partner| {
+                let (_, shared) = around.iter().find(|(view, _)| *view == partner).unwrap();
+                PairGeometry::new(&scene, key, partner, shared).angle_deg
+            };
+            let narrow: Vec<_> = all.of(key).iter().copied().filter(|&v| angle(v) <= 12.0).take(5).collect();
+            assert_eq!(table.of(key), narrow);
+            let wide = |r: &Refusal| angle(r.partner) > 12.0 && r.reason == Reason::NotMatchable;
+            assert!(table.refused(key).iter().all(wide));
         }
+        assert!(!table.refusals.is_empty());
     }
 
     #[test]
     fn views_at_one_position_are_no_candidates() {
         let mut scene = scene();
         scene.views[1].cam_from_world = scene.views[0].cam_from_world;
-        let table = select_all(&scene, 60, &Picky(|_| false));
+        let table = select_all(&scene, 60, &Gate::OPEN);
         assert!(!table.of(ViewIndex(0)).contains(&ViewIndex(1)));
         let still = Refusal { partner: ViewIndex(1), reason: Reason::RotationOnly };
         assert!(table.refused(ViewIndex(0)).contains(&still));

@@ -68,14 +68,22 @@ pub const REASON_NUMBERS: [Reason; 9] = [
     Reason::NoGainLeft,
 ];
 
+/// The number of a reason; 0: none.
+pub fn reason_number(reason: Option<Reason>) -> u8 {
+    let position = reason.and_then(|reason| REASON_NUMBERS.iter().position(|&r| r == reason));
+    position.map_or(0, |i| i as u8 + 1)
+}
+
+/// Colours of a share of 0, 1/2 and 1, which colour-blind people tell apart too: red, yellow, blue.
+pub const RAMP: [[u8; 3]; 3] = [[200, 72, 44], [236, 208, 108], [38, 122, 158]];
+
 /// The surface at the plan's cut: `quality` (share reached), `chosen_views`, `reason`, and colours from red (nothing) over yellow to
-/// green (all that can be reached); grey where no view can do anything.
+/// blue (all that can be reached); grey where no view can do anything.
 pub fn surface_ply(plan: &Plan) -> Vec<u8> {
     let states = triangle_states(plan, plan.cut.clusters);
     let share: Vec<f32> = states.iter().map(TriangleState::share).collect();
     let chosen: Vec<f32> = states.iter().map(|s| f32::from(s.chosen_views)).collect();
-    let number = |reason: &Reason| REASON_NUMBERS.iter().position(|r| r == reason).map_or(0, |i| i as u8 + 1);
-    let reasons: Vec<u8> = plan.triangle_reasons.iter().map(|r| r.as_ref().map_or(0, number)).collect();
+    let reasons: Vec<u8> = plan.triangle_reasons.iter().map(|&reason| reason_number(reason)).collect();
     let colours: Vec<[u8; 3]> = states.iter().map(colour).collect();
     let fields = [
         FaceField::Colour(&colours),
@@ -97,15 +105,12 @@ fn word(reason: Reason) -> String {
     serde_json::to_value(reason).ok().and_then(|v| v.as_str().map(str::to_owned)).unwrap_or_default()
 }
 
-/// Red 0, yellow 0.5, green 1, of even lightness; grey where nothing can be reached.
+/// [`RAMP`] by the share reached; grey where nothing can be.
 fn colour(state: &TriangleState) -> [u8; 3] {
-    const RED: [f32; 3] = [200.0, 60.0, 50.0];
-    const YELLOW: [f32; 3] = [230.0, 200.0, 70.0];
-    const GREEN: [f32; 3] = [60.0, 150.0, 90.0];
     if state.reachable <= 0.0 {
         return [150; 3];
     }
     let share = state.share().clamp(0.0, 1.0) * 2.0;
-    let (from, to, t) = if share < 1.0 { (RED, YELLOW, share) } else { (YELLOW, GREEN, share - 1.0) };
-    std::array::from_fn(|i| (from[i] + t * (to[i] - from[i])).round() as u8)
+    let (from, to, t) = if share < 1.0 { (RAMP[0], RAMP[1], share) } else { (RAMP[1], RAMP[2], share - 1.0) };
+    std::array::from_fn(|i| (f32::from(from[i]) + t * (f32::from(to[i]) - f32::from(from[i]))).round() as u8)
 }

@@ -1,7 +1,7 @@
 //! Method 5.3: how much of the ranking is to be computed.
 
 use schemars::JsonSchema;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::{PlanError, forecast::Cost};
 use crate::{config::CutSettings, fulfilment::block::Places};
@@ -10,7 +10,7 @@ use crate::{config::CutSettings, fulfilment::block::Places};
 pub(super) const DEFAULT_TARGET: f64 = 0.9;
 
 /// How much of the ranking is to be computed.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Cut {
     /// Clusters: so many from the start of the ranking.
     pub clusters: usize,

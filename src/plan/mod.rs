@@ -15,7 +15,7 @@ mod reasons;
 mod timings;
 mod warnings;
 
-pub use again::{AgainError, again};
+pub use again::{AgainError, again, as_written};
 pub use cut::Cut;
 pub use files::{FilesError, PlanFiles, files};
 pub use finished::{Finished, Outdated, PlannedView, PlannedViews};
@@ -113,10 +113,16 @@ impl Plan {
         self.ranking = self
             .timings
             .time(Stage::Ranking, || ranking::rank_after(finished, &self.fulfilment, &weights, support, watcher))?;
+        let cut = cut::cut(&self.settings.cut, &self.cost(&self.model()))?;
+        self.cut_at(cut);
+        watcher.check()?;
+        Ok(())
+    }
+
+    /// Cuts the ranking there; and what follows from both.
+    fn cut_at(&mut self, cut: Cut) {
         let model = self.model();
-        let cost = self.cost(&model);
-        let cut = cut::cut(&self.settings.cut, &cost)?;
-        let forecast = forecast::forecast(&cost, cut.clusters);
+        let forecast = forecast::forecast(&self.cost(&model), cut.clusters);
         let why = reasons::Why {
             model: &model,
             candidates: &self.candidates,
@@ -127,8 +133,6 @@ impl Plan {
         let triangle_reasons = why.triangles();
         (self.cut, self.forecast, self.views, self.triangle_reasons) = (cut, forecast, views, triangle_reasons);
         self.warnings = warnings::warnings(self);
-        watcher.check()?;
-        Ok(())
     }
 
     fn cost<'a>(&'a self, model: &'a Model) -> forecast::Cost<'a> {
@@ -175,7 +179,7 @@ pub fn plan(project: &Project, settings: &Settings, watcher: &dyn Watcher) -> Re
     // Parts of the surface are made by one thread: the others find candidates meanwhile.
     let (seen, candidates) = rayon::join(
         || look(&scene, &points, &settings, watcher, &mut timings, &mut memory),
-        || partners::candidates(&scene, &points, &settings.partners, backend, watcher),
+        || partners::candidates(&scene, &points, &settings.partners, &backend.planning().gate, watcher),
     );
     let (seen, candidates) = (seen?, candidates?);
     memory.before_partners(&seen.surface, &seen.visibility)?;

@@ -3,11 +3,11 @@
 use std::{
     collections::HashSet,
     fs::File,
-    io::{Cursor, Read},
+    io::{self, Cursor, Read, Seek, SeekFrom},
     path::{Path, PathBuf},
 };
 
-use image::ImageReader;
+use image::{ImageFormat, ImageReader};
 use rayon::prelude::*;
 use walkdir::WalkDir;
 
@@ -74,26 +74,32 @@ pub struct ImageFaults {
     pub missing: Vec<ViewIndex>,
     /// Views whose file has another width and height than the camera, and these.
     pub other_size: Vec<(ViewIndex, [u32; 2])>,
+    /// Views whose file is empty, cut off or no image, and which of these.
+    pub unreadable: Vec<(ViewIndex, &'static str)>,
 }
 
 impl ImageFaults {
-    /// Looks at the files of all views. A file that is no image that can be read here is passed over.
+    /// Looks at the files of all views.
     pub(super) fn find(folder: &Path, scene: &Scene) -> Self {
         let views: Vec<ViewIndex> = scene.view_indices().collect();
         let look = |view: &ViewIndex| {
-            let path = folder.join(scene.name(*view));
-            if !path.is_file() {
-                return Self { missing: vec![*view], ..Self::default() };
+            let (path, view) = (folder.join(scene.name(*view)), *view);
+            let camera = scene.camera_of(view);
+            match look(&path) {
+                Ok(Some(size)) if size != [camera.width, camera.height] => {
+                    Self { other_size: vec![(view, size)], ..Self::default() }
+                }
+                Ok(_) => Self::default(),
+                Err(Unread::Missing) => Self { missing: vec![view], ..Self::default() },
+                Err(Unread::Broken(why)) => Self { unreadable: vec![(view, why)], ..Self::default() },
             }
-            let camera = scene.camera_of(*view);
-            let other = dimensions(&path).filter(|size| *size != [camera.width, camera.height]);
-            Self { missing: Vec::new(), other_size: other.map(|size| (*view, size)).into_iter().collect() }
         };
         let found: Vec<Self> = views.par_iter().map(look).collect();
         let mut all = Self::default();
         for faults in found {
             all.missing.extend(faults.missing);
             all.other_size.extend(faults.other_size);
+            all.unreadable.extend(faults.unreadable);
         }
         all
     }
@@ -104,6 +110,7 @@ impl ImageFaults {
         Self {
             missing: self.missing.iter().copied().filter(concerns).collect(),
             other_size: self.other_size.iter().copied().filter(|(view, _)| concerns(view)).collect(),
+            unreadable: self.unreadable.iter().copied().filter(|(view, _)| concerns(view)).collect(),
         }
     }
 
@@ -123,13 +130,71 @@ impl ImageFaults {
                 camera.width, camera.height
             )
         });
-        missing.into_iter().chain(other).collect()
+        let unreadable = self.unreadable.first().map(|(first, why)| {
+            let (count, name) = (self.unreadable.len(), scene.name(*first));
+            format!("{count} of {all} images cannot be read, as {name} ({why}): {doctor}")
+        });
+        missing.into_iter().chain(other).chain(unreadable).collect()
     }
 }
 
+/// Why nothing is known of an image.
+enum Unread {
+    Missing,
+    Broken(&'static str),
+}
+
+/// Width and height of an image; `None` where its kind of file is not known here.
+fn look(path: &Path) -> Result<Option<[u32; 2]>, Unread> {
+    let length = path.metadata().ok().filter(std::fs::Metadata::is_file).ok_or(Unread::Missing)?.len();
+    if length == 0 {
+        return Err(Unread::Broken("empty"));
+    }
+    let of_name = ImageFormat::from_path(path).ok().filter(ImageFormat::reading_enabled);
+    match dimensions(path, length) {
+        None if of_name.is_some() => Err(Unread::Broken("no image")),
+        Some(_) if of_name == Some(ImageFormat::Jpeg) && is_cut_off(path).unwrap_or(false) => {
+            Err(Unread::Broken("cut off"))
+        }
+        found => Ok(found),
+    }
+}
+
+/// Bytes at the end of a JPEG file in which its end is looked for, before all of it is read.
+const TAIL: u64 = 1 << 16;
+const END_OF_IMAGE: [u8; 2] = [0xff, 0xd9];
+const START_OF_SCAN: u8 = 0xda;
+
+/// Does a JPEG file lack the end of its image? In the data of a scan the mark of the end cannot occur by chance (ITU T.81, B.1.1.5), before
+/// it in another picture that the header holds.
+fn is_cut_off(path: &Path) -> io::Result<bool> {
+    let mut file = File::open(path)?;
+    let length = file.metadata()?.len();
+    let mut bytes = Vec::new();
+    let ends = |bytes: &[u8]| bytes.windows(2).any(|pair| pair == END_OF_IMAGE);
+    if length > TAIL {
+        file.seek(SeekFrom::End(-(TAIL as i64)))?;
+        file.read_to_end(&mut bytes)?;
+        if ends(&bytes) {
+            return Ok(false);
+        }
+    }
+    bytes.clear();
+    file.rewind()?;
+    file.read_to_end(&mut bytes)?;
+    let mut at = 2;
+    // Segments with their lengths, up to the first scan.
+    while let Some(&[0xff, kind, high, low]) = bytes.get(at..at + 4) {
+        at += 2 + usize::from(u16::from_be_bytes([high, low]));
+        if kind == START_OF_SCAN {
+            break;
+        }
+    }
+    Ok(!ends(bytes.get(at..).unwrap_or_default()))
+}
+
 /// Width and height by the header, reading no more of the file than it takes.
-fn dimensions(path: &Path) -> Option<[u32; 2]> {
-    let length = path.metadata().ok()?.len();
+fn dimensions(path: &Path, length: u64) -> Option<[u32; 2]> {
     let of_head = |bytes: u64| {
         let mut head = Vec::new();
         File::open(path).ok()?.take(bytes).read_to_end(&mut head).ok()?;

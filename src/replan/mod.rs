@@ -12,7 +12,7 @@ use rayon::prelude::*;
 
 use self::movement::{Place, movement};
 use crate::{
-    depthmaps::{self, DepthMap, DepthMapError, DepthMapFile},
+    depthmaps::{self, DepthMap, DepthMapError, DepthMapFile, DepthMapSet},
     error::Hint,
     evaluate::{EvaluateError, Run, Task},
     fulfilment::FulfilmentTable,
@@ -163,11 +163,14 @@ enum Found {
 
 /// The finished clusters of the earlier plan, in its order.
 fn look(plan: &Plan, earlier: &Earlier, maps: &Maps, watcher: &dyn Watcher) -> Result<Vec<Found>, ReplanError> {
-    let files = match depthmaps::find(maps.folder, &plan.scene) {
-        Ok(set) => set.maps,
-        Err(DepthMapError::None(_)) => Vec::new(),
+    let set = match depthmaps::find(maps.folder, &plan.scene) {
+        Ok(set) => set,
+        Err(DepthMapError::None(_)) => DepthMapSet::default(),
         Err(error) => return Err(error.into()),
     };
+    let (files, unreadable) = (set.maps, set.unreadable);
+    let unreadable =
+        unreadable.into_iter().filter(|(path, _)| (maps.ready)(path)).map(|(_, why)| Found::Unreadable(why));
     let file_of: BTreeMap<&str, &DepthMapFile> = files.iter().map(|file| (plan.scene.name(file.view), file)).collect();
     let found = earlier.clusters.par_iter().map(|(key, partners)| {
         watcher.check()?;
@@ -175,7 +178,7 @@ fn look(plan: &Plan, earlier: &Earlier, maps: &Maps, watcher: &dyn Watcher) -> R
         Ok(file.map(|file| Looked { plan, earlier, key, partners, file }.found()))
     });
     let found: Vec<Option<Found>> = found.collect::<Result<_, Cancelled>>()?;
-    Ok(found.into_iter().flatten().collect())
+    Ok(found.into_iter().flatten().chain(unreadable).collect())
 }
 
 /// A depth map with the cluster that it was made for.

@@ -1,8 +1,12 @@
 //! What the page knows.
 
-use std::{collections::BTreeMap, path::Path};
+use std::{
+    collections::BTreeMap,
+    path::{Path, PathBuf},
+};
 
 use nalgebra::Point3;
+use rayon::prelude::*;
 use serde::Serialize;
 
 use super::{
@@ -11,14 +15,16 @@ use super::{
     holes::{Hole, help, holes},
     real::{Finished, Real},
     shown::Shown,
-    thumbnails::thumbnails,
+    thumbnails::{MOST, thumbnails},
 };
 use crate::{
+    backends,
     config::ForecastSettings,
+    doctor::partners_in_words,
     error::Hint,
     evaluate::EvaluateError,
     georeference::Georeference,
-    pictures::{MapFrame, REASON_NUMBERS, footprint},
+    pictures::{MapFrame, RAMP, REASON_NUMBERS, footprint, reason_number},
     plan::{Plan, Reason},
     progress::{Cancelled, Watcher},
     project::Project,
@@ -27,8 +33,6 @@ use crate::{
 
 /// Holes that are listed.
 const HOLES: usize = 20;
-/// Names of images without a pose that are listed.
-const UNREGISTERED: usize = 200;
 
 /// Everything that the page shows, as its script reads it. Points are in the frame of the map: x to the right, y up the sheet, z
 /// up, scene units. Numbers of views are indices in the order of names; ranks are from 1.
@@ -45,9 +49,12 @@ pub struct Contents {
     triangles: usize,
     area: f64,
     cut: usize,
+    /// So many from the start of the ranking had their depth maps when it was made: their gains and shares are real.
+    finished: usize,
     warnings: Vec<String>,
     unregistered: Vec<String>,
-    unregistered_count: usize,
+    /// Colours of the surface where nothing, half and all is reached.
+    ramp: [[u8; 3]; 3],
     reasons: Vec<&'static str>,
     /// What would help, per reason.
     helps: Vec<&'static str>,
@@ -63,6 +70,8 @@ pub struct Contents {
     holes_area: f64,
     real: Option<Real>,
     thumbnails: BTreeMap<u32, String>,
+    /// Views beyond which only the first of the ranking have a small picture.
+    most_thumbnails: usize,
 }
 
 #[derive(Serialize)]
@@ -86,6 +95,8 @@ struct Views {
     likest_shares: String,
     /// Triangles that the view sees, u32.
     seen: String,
+    /// Of views that lack partners: how many there are, and why others are none.
+    partners: BTreeMap<u32, String>,
 }
 
 #[derive(Serialize)]
@@ -139,7 +150,7 @@ impl Contents {
     ) -> Result<Self, ReportError> {
         let frame = MapFrame::new(&plan.scene, plan.settings.surface.up);
         let shown = Shown::new(&plan.surface);
-        let real = Real::new(plan, project, &shown, finished, watcher)?;
+        let (real, left_out) = Real::new(plan, project, &shown, finished, watcher)?;
         let thumbnails = match &project.images {
             Some(images) => thumbnails(plan, images, watcher)?,
             None => BTreeMap::new(),
@@ -157,9 +168,9 @@ impl Contents {
             triangles: plan.surface.triangles.len(),
             area: (0..plan.surface.triangles.len() as u32).map(|t| plan.surface.area(t)).sum(),
             cut: plan.cut.clusters,
-            warnings: plan.warnings.clone(),
-            unregistered: plan.scene.unregistered.iter().take(UNREGISTERED).cloned().collect(),
-            unregistered_count: plan.scene.unregistered.len(),
+            finished: plan.finished.clusters,
+            warnings: plan.warnings.iter().cloned().chain(left_out).collect(),
+            unregistered: plan.scene.unregistered.clone(),
             reasons: REASON_NUMBERS.iter().map(|r| r.words()).collect(),
             helps: REASON_NUMBERS.iter().map(|&r| help(r)).collect(),
             forecast: plan.settings.forecast.clone(),
@@ -173,6 +184,8 @@ impl Contents {
             holes_area,
             real,
             thumbnails,
+            most_thumbnails: MOST,
+            ramp: RAMP,
         })
     }
 }
@@ -181,12 +194,6 @@ impl Contents {
 fn title(root: &Path) -> String {
     let whole = root.canonicalize().unwrap_or_else(|_| root.into());
     whole.file_name().unwrap_or(whole.as_os_str()).to_string_lossy().into_owned()
-}
-
-/// Number of the reason in the page's list, from 1; 0: none.
-fn number(reason: Option<Reason>) -> u8 {
-    let position = reason.and_then(|reason| REASON_NUMBERS.iter().position(|&r| r == reason));
-    position.map_or(0, |i| i as u8 + 1)
 }
 
 /// Where each of the lists begins when they stand behind each other, and where the last one ends.
@@ -220,13 +227,25 @@ impl Views {
             footprints: bytes(&in_frame(frame, footprints.iter().flatten())),
             footprint_offsets: bytes(&offsets(footprints.iter().map(Vec::len))),
             rank: bytes(&rank),
-            reason: bytes(&plan.views.iter().map(|&(_, reason)| number(reason)).collect::<Vec<_>>()),
+            reason: bytes(&plan.views.iter().map(|&(_, reason)| reason_number(reason)).collect::<Vec<_>>()),
             likest_offsets: bytes(&offsets(likest.iter().map(Vec::len))),
             likest: bytes(&likest.iter().flatten().map(|l| l.rank as u32 + 1).collect::<Vec<_>>()),
             likest_shares: bytes(&likest.iter().flatten().map(|l| l.share as f32).collect::<Vec<_>>()),
             seen: bytes(&views().map(|view| plan.visibility.of(view).len() as u32).collect::<Vec<_>>()),
+            partners: partners(plan),
         }
     }
+}
+
+/// Of views whose reason is the pairs that are refused.
+fn partners(plan: &Plan) -> BTreeMap<u32, String> {
+    let of_pairs = [Reason::NoSharedPoints, Reason::RotationOnly, Reason::NotMatchable];
+    let lacks = |view: &ViewIndex| plan.views[view.at()].1.is_some_and(|reason| of_pairs.contains(&reason));
+    let Ok(backend) = backends::by_name(plan.backend) else { return BTreeMap::new() };
+    let points = plan.scene.view_points();
+    let views: Vec<ViewIndex> = plan.scene.view_indices().filter(lacks).collect();
+    let words = |&view: &ViewIndex| (view.0, partners_in_words(&plan.scene, &points, backend, view));
+    views.par_iter().map(words).collect()
 }
 
 impl Ranked {
@@ -247,7 +266,7 @@ impl Ranked {
 impl Drawn {
     fn new(plan: &Plan, shown: &Shown, frame: &MapFrame) -> Self {
         let history = History::new(plan, shown);
-        let reason = |&t: &u32| number(plan.triangle_reasons[t as usize]);
+        let reason = |&t: &u32| reason_number(plan.triangle_reasons[t as usize]);
         Self {
             vertices: bytes(&in_frame(frame, shown.vertices.iter())),
             triangles: bytes(&shown.triangles),
@@ -269,7 +288,7 @@ impl ShownHole {
         Self {
             area: *area,
             triangles: *triangles,
-            reason: number(Some(*reason)).into(),
+            reason: reason_number(Some(*reason)).into(),
             centre: frame.local(centre),
             place,
         }
@@ -281,6 +300,8 @@ impl ShownHole {
 pub enum ReportError {
     #[error(transparent)]
     DepthMaps(#[from] EvaluateError),
+    #[error("there are no depth maps of this plan to hold against the reference {}", .0.display())]
+    NothingToCompare(PathBuf),
     #[error(transparent)]
     Cancelled(#[from] Cancelled),
 }
@@ -289,6 +310,7 @@ impl Hint for ReportError {
     fn hint(&self) -> Option<String> {
         match self {
             Self::DepthMaps(error) => error.hint(),
+            Self::NothingToCompare(_) => Some("say where they are with --depth-maps".into()),
             Self::Cancelled(error) => error.hint(),
         }
     }

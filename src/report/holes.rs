@@ -5,6 +5,7 @@ use std::cmp::Reverse;
 use nalgebra::{Point3, Vector3};
 
 use crate::{
+    connected::components,
     plan::{Plan, Reason},
     surface::corners::{BORDER, opposites},
 };
@@ -43,22 +44,14 @@ pub fn holes(plan: &Plan, most: usize) -> (Vec<Hole>, f64) {
 /// Triangles with a reason, those with a common edge together; in the order of their first triangles.
 fn regions(plan: &Plan) -> Vec<Vec<u32>> {
     let opposite = opposites(&plan.surface);
-    let mut open: Vec<bool> = plan.triangle_reasons.iter().map(Option::is_some).collect();
-    let mut regions = Vec::new();
-    for start in 0..open.len() {
-        if !std::mem::take(&mut open[start]) {
-            continue;
-        }
-        let (mut region, mut next) = (vec![start as u32], 0);
-        while let Some(&t) = region.get(next) {
-            next += 1;
-            let beside = opposite[3 * t as usize..][..3].iter().filter(|&&corner| corner != BORDER);
-            let fresh = beside.map(|corner| corner / 3).filter(|&n| std::mem::take(&mut open[n as usize]));
-            region.extend(fresh.collect::<Vec<_>>());
-        }
-        regions.push(region);
-    }
-    regions
+    let reasons = plan.triangle_reasons.iter().zip(0u32..);
+    let open: Vec<u32> = reasons.filter_map(|(reason, t)| reason.map(|_| t)).collect();
+    let beside = |i: u32| {
+        let corners = opposite[3 * open[i as usize] as usize..][..3].iter().filter(|&&corner| corner != BORDER);
+        corners.filter_map(|corner| open.binary_search(&(corner / 3)).ok()).map(|place| place as u32)
+    };
+    let regions = components(open.len(), beside).into_iter();
+    regions.map(|region| region.into_iter().map(|i| open[i as usize]).collect()).collect()
 }
 
 fn hole(plan: &Plan, region: &[u32]) -> Hole {

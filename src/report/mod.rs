@@ -14,7 +14,7 @@ mod thumbnails;
 use base64::{Engine, prelude::BASE64_STANDARD};
 use bytemuck::NoUninit;
 
-pub use contents::Contents;
+pub use contents::{Contents, ReportError};
 pub use holes::{Hole, holes};
 pub use real::Finished;
 

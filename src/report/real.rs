@@ -4,9 +4,9 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
-use super::{bytes, history::in_255ths, shown::Shown};
+use super::{ReportError, bytes, history::in_255ths, shown::Shown};
 use crate::{
-    depthmaps,
+    depthmaps::{self, DepthMapError},
     evaluate::{EvaluateError, Reached, Run, Task, curve::Curve, orders},
     partners::ViewCluster,
     plan::Plan,
@@ -20,7 +20,7 @@ use crate::{
 pub struct Finished {
     /// Unset: where the backends write theirs.
     pub depth_maps: Option<PathBuf>,
-    /// Exact or better depth maps; without them every depth on the surface counts as right.
+    /// Exact or better depth maps; without them every depth counts as right.
     pub reference: Option<PathBuf>,
 }
 
@@ -39,28 +39,45 @@ pub struct Real {
 }
 
 impl Real {
-    /// `None` where there are no depth maps of this plan.
+    /// `None` where there are no depth maps of this plan. And what is left out or is not as planned, in sentences.
     pub fn new(
         plan: &Plan,
         project: &Project,
         shown: &Shown,
         finished: &Finished,
         watcher: &dyn Watcher,
-    ) -> Result<Option<Self>, EvaluateError> {
-        let clusters = in_order(plan);
-        let measure = |folder: &Path| Run::new(&task(plan, &clusters, folder, finished), watcher);
-        if let Some(folder) = &finished.depth_maps {
-            return measure(folder).map(|run| Some(Self::of(plan, shown, &run, &clusters, folder)));
+    ) -> Result<(Option<Self>, Vec<String>), ReportError> {
+        if let Some(reference) = &finished.reference {
+            depthmaps::find(reference, &plan.scene).map_err(EvaluateError::from)?;
         }
-        for folder in depthmaps::folders(&project.root) {
-            match measure(&folder) {
-                Ok(run) => return Ok(Some(Self::of(plan, shown, &run, &clusters, &folder))),
+        let clusters = in_order(plan);
+        let (of_project, folders) = match &finished.depth_maps {
+            Some(folder) => (false, vec![folder.clone()]),
+            None => (true, depthmaps::folders(&project.root)),
+        };
+        let mut left_out = Vec::new();
+        for folder in &folders {
+            match Run::new(&task(plan, &clusters, folder, finished), watcher) {
+                Ok(run) => {
+                    left_out
+                        .extend(run.unreadable.iter().map(|why| format!("not among what is really reached: {why}")));
+                    left_out.extend(run.other_partners.first().map(|&first| {
+                        let (count, name) = (run.other_partners.len(), plan.scene.name(first));
+                        format!("{count} depth maps were made with other partners than planned, the first is {name}")
+                    }));
+                    return Ok((Some(Self::of(plan, shown, &run, &clusters, folder)), left_out));
+                }
                 Err(EvaluateError::Cancelled(cancelled)) => return Err(cancelled.into()),
-                // Nobody asked for this folder: it may hold the maps of another plan, or be half written.
-                Err(_) => {}
+                Err(error) if !of_project => return Err(error.into()),
+                // Nobody asked for this folder: it may hold the maps of another plan.
+                Err(EvaluateError::NoClusters(_) | EvaluateError::DepthMap(DepthMapError::None(_))) => {}
+                Err(error) => left_out.push(format!("{} is not looked at: {error}", folder.display())),
             }
         }
-        Ok(None)
+        match &finished.reference {
+            Some(reference) => Err(ReportError::NothingToCompare(reference.clone())),
+            None => Ok((None, left_out)),
+        }
     }
 
     fn of(plan: &Plan, shown: &Shown, run: &Run, clusters: &[ViewCluster], folder: &Path) -> Self {

@@ -12,8 +12,8 @@ use crate::{
     scene::ViewIndex,
 };
 
-/// Views beyond which only those first in the ranking get a picture; with 3 kB each the page stays below 3 MB.
-const MOST: usize = 500;
+/// Views beyond which only those first in the ranking get a picture, of some 3 kB each.
+pub const MOST: usize = 500;
 /// Long side, pixels.
 const SIDE: u32 = 112;
 const QUALITY: u8 = 55;

@@ -55,9 +55,9 @@ class Browser:
         """Waits until what was changed is on the screen."""
         self.script("new Promise(done => requestAnimationFrame(() => requestAnimationFrame(() => done(1))))")
 
-    def press(self, key):
+    def press(self, key, shift=False):
         for kind in ("keyDown", "keyUp"):
-            self.call("Input.dispatchKeyEvent", type=kind, key=key, code=key)
+            self.call("Input.dispatchKeyEvent", type=kind, key=key, code=key, modifiers=8 if shift else 0)
         self.drawn()
 
     def picture(self):

@@ -16,6 +16,19 @@ def test_a_healthy_project(viewrank, fixtures, tmp_path):
     assert "warning" not in done.stdout and "ERROR" not in done.stdout and done.stderr == ""
 
 
+def test_what_plan_warns_of(viewrank, fixtures, tmp_path):
+    """Bytes after the last point, and a second model."""
+    folder = project(fixtures, tmp_path)
+    shutil.copytree(folder / "sparse" / "0", folder / "sparse" / "1")
+    points = folder / "sparse" / "0" / "points3D.bin"
+    points.write_bytes(points.read_bytes() + b"more")
+    viewrank("plan", folder, "--quiet")
+    warnings = json.loads((folder / "viewrank" / "manifest.json").read_text())["warnings"]
+    findings = json.loads(viewrank("doctor", folder, "--format", "json", expect=3).stdout)["findings"]
+    said = {finding["what"]: finding["check"] for finding in findings}
+    assert len(warnings) == 2 and [said.get(warning) for warning in warnings] == ["model-not-as-it-should-be", "other-sub-models"]
+
+
 @pytest.mark.parametrize("name", ["valley", "caliterra", "lewis", "boruszyn"])
 def test_the_data_sets_are_healthy(viewrank, data, name):
     report = json.loads(viewrank("doctor", data / name, "--format", "json").stdout)
@@ -38,8 +51,48 @@ def test_what_is_wrong_is_said_at_80_columns_with_what_to_do(viewrank, fixtures,
     assert all(finding["cure"] and finding["what"] for finding in findings)
 
 
-def test_units_that_cannot_be_true_are_an_error(viewrank, fixtures, tmp_path):
+def test_settings_that_cannot_be_true(viewrank, fixtures, tmp_path):
     folder = project(fixtures, tmp_path)
     (folder / "viewrank.toml").write_text("target.gsd = 40.0\n")
     assert "--gsd" in viewrank("doctor", folder, expect=3).stdout
+    (folder / "viewrank.toml").write_text('frame.utm = "33N"\n')
+    assert "no UTM coordinates" in viewrank("doctor", folder, expect=3).stdout
     assert viewrank("doctor", folder, "--backend", "nothing", expect=2).stdout == ""
+
+
+@pytest.mark.parametrize(("scale", "code"), [(1, 0), (1e-4, 3), (1e-7, 4)])
+def test_units_that_cannot_be_true(viewrank, fixtures, tmp_path, scale, code):
+    pycolmap = pytest.importorskip("pycolmap")
+    model = pycolmap.Reconstruction(str(fixtures / "valley" / "sparse" / "0"))
+    model.transform(pycolmap.Sim3d(scale, pycolmap.Rotation3d(), [0, 0, 0]))
+    folder = tmp_path / "sparse" / "0"
+    folder.mkdir(parents=True)
+    model.write(str(folder))
+    (tmp_path / "images").symlink_to(fixtures / "valley" / "images")
+    (tmp_path / "viewrank.toml").write_text('units = "metric"\n')
+    done = viewrank("doctor", tmp_path, "--format", "json", expect=code)
+    severity = {finding["check"]: finding["severity"] for finding in json.loads(done.stdout)["findings"]}
+    assert severity.get("impossible-units") == {0: None, 3: "warning", 4: "error"}[code]
+
+
+def test_a_model_without_images_is_an_error(viewrank, fixtures, tmp_path):
+    folder = project(fixtures, tmp_path)
+    (folder / "sparse" / "0" / "images.bin").write_bytes(bytes(8))
+    (folder / "sparse" / "0" / "points3D.bin").write_bytes(bytes(8))
+    for optional in ("rigs.bin", "frames.bin"):
+        (folder / "sparse" / "0" / optional).unlink(missing_ok=True)
+    done = viewrank("doctor", folder, expect=4)
+    assert done.stdout.startswith("ERROR") and done.stderr.startswith("error: errors: 1")
+
+
+def test_the_json_is_as_its_schema_says(viewrank, fixtures, tmp_path):
+    jsonschema = pytest.importorskip("jsonschema")
+    schema = json.loads((fixtures.parent / "schema" / "doctor.schema.json").read_text())
+    folder = project(fixtures, tmp_path)
+    next((folder / "images").iterdir()).write_bytes(b"")
+    (folder / "images" / "late.jpg").write_bytes(b"")
+    report = json.loads(viewrank("doctor", folder, "--format", "json", expect=3).stdout)
+    jsonschema.validate(report, schema)
+    checks = {finding["check"]: finding for finding in report["findings"]}
+    assert checks["unreadable-images"]["views"][0]["why"] == "empty"
+    assert checks["unregistered-images"]["views"] == [{"name": "late.jpg", "why": ""}]

@@ -1,13 +1,18 @@
 """The page of a plan in a real browser, against the manifest of the same plan."""
+import base64
 import io
 import json
+import re
 import shutil
 
 import numpy as np
+import oracle
 import pytest
+from depths import Surface
 
 PIL = pytest.importorskip("PIL.Image")
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+FIREFOX = shutil.which("firefox") or shutil.which("firefox-esr")
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no chromium")
 
 
@@ -16,7 +21,7 @@ def project(viewrank, fixtures, tmp_path_factory):
     project = tmp_path_factory.mktemp("valley")
     for folder in ("sparse", "images"):
         (project / folder).symlink_to(fixtures / "valley" / folder)
-    viewrank("plan", project, "--backend", "sgm", "--quiet")
+    viewrank("plan", project, "--backend", "sgm", "--quiet", "--dump-tables", project / "tables")
     viewrank("report", project)
     return project
 
@@ -99,13 +104,18 @@ def test_everything_follows_the_slider(browser, page, manifest):
         pairs = sum(len(cluster["partners"]) for cluster in clusters[:cut])
         verdict = text(browser, "#verdict")
         assert f"{cut} of {views} views" in verdict and f"{pairs} image pairs" in verdict
-        assert f"{100 * clusters[cut - 1]['share']:.1f} %" in verdict and f"with {cut} depth maps" in text(browser, "#curve")
+        reached = f"{100 * clusters[cut - 1]['share']:.1f} % with {cut} depth map{'s' if cut > 1 else ''}"
+        assert verdict.endswith(f"{reached.split(' with')[0]} of what all together would give.")
+        assert reached in text(browser, "#curve")
+        assert reached in browser.script("document.getElementById('curve').getAttribute('aria-label')").replace("\u00a0", " ")
         rows = text(browser, "#forecast").splitlines()
-        assert any(row.split("\t")[:2] == ["depth maps", str(cut)] for row in rows)
+        assert any(row.split("\t") == ["depth maps", str(cut), str(len(clusters))] for row in rows)
         keys = browser.script(f"Array.from({{length: {views}}}, (_, v) => statusOf(v, state.cut)).filter(s => s === 'key').length")
         assert keys == cut
         pictures.append(PIL.open(io.BytesIO(browser.picture())).crop(box).tobytes())
     assert len(set(pictures)) == 3, "the map follows"
+    slide(browser, 0)
+    assert text(browser, "#worth") == "", "nothing is as fast as nothing"
 
 
 def test_the_states_of_the_views_are_the_manifests(browser, page, manifest):
@@ -116,7 +126,18 @@ def test_the_states_of_the_views_are_the_manifests(browser, page, manifest):
     assert partners == [[cluster["key"], cluster["partners"]] for cluster in manifest["clusters"]]
 
 
-def test_why_a_view_is_in_and_another_is_not(browser, page, manifest):
+def likest(project, rank, cut):
+    """Rank (from 1) and share of the cluster within the cut that does most of what another one could by itself, the first of equals."""
+    tables = oracle.Tables(project / "tables")
+    own = tables.fulfilment_of(tables.order[rank])
+    shares = []
+    for cluster in tables.order[:cut]:
+        other = tables.fulfilment_of(cluster)
+        shares.append(sum(min(f, own[t]) for t, f in other.items() if t in own) / sum(own.values()))
+    return [int(np.argmax(shares)) + 1, max(shares)]
+
+
+def test_why_a_view_is_in_and_another_is_not(browser, page, manifest, project):
     browser.open(page, 1280)
 
     def ask(name):
@@ -131,8 +152,8 @@ def test_why_a_view_is_in_and_another_is_not(browser, page, manifest):
     assert all(partner in answer for partner in taken["partners"])
     answer = ask(left["key"])
     assert "Not in" in answer and f"its turn comes at {left['rank']}" in answer and " % of what it could do by itself" in answer
-    likest = browser.script("(view => [likestAt(view, state.cut).rank, likestAt(view, data.cut + 3).rank])(state.selected)")
-    assert likest[0] <= cut and likest[0] <= likest[1], "a key view of this cut, not one that comes later"
+    shown = browser.script("(view => { const { rank, share } = likestAt(view, state.cut); return [rank, share]; })(state.selected)")
+    assert shown == pytest.approx(likest(project, left["rank"] - 1, cut), abs=1e-6)
     browser.script("document.querySelector('#why button').click()")
     assert "In: it is number" in text(browser, "#why-box"), "the cut moves to it"
 
@@ -152,15 +173,72 @@ def test_the_keyboard_reaches_everything(browser, page, manifest):
     browser.press("ArrowRight")
     assert browser.script("names[state.selected]") != manifest["clusters"][1]["key"], "the next camera on the map"
     assert browser.script("names[state.selected]") in text(browser, "#under-pointer")
+    centre = browser.script("map.camera.centre")
+    browser.press("ArrowRight", shift=True)
+    moved = browser.script("map.camera.centre")
+    assert moved[0] > centre[0] and moved[1:] == pytest.approx(centre[1:]), "the map itself"
     browser.script("document.getElementById('turn').focus()")
     yaw = browser.script("turn.camera.yaw")
     browser.press("ArrowRight")
     assert browser.script("turn.camera.yaw") != yaw
 
 
+def test_what_is_read_out(browser, page, manifest):
+    """A screen reader hears the verdict while the slider moves, and why a view is in when another one is chosen."""
+    browser.open(page, 1280)
+    rows = browser.script("Array.from(document.querySelectorAll('#list .row'), row => [row.getAttribute('aria-posinset'), row.getAttribute('aria-setsize')])")
+    assert rows and rows == [[str(i + 1), str(len(manifest["views"]))] for i in range(len(rows))]
+    live = "document.getElementById('why-box').getAttribute('aria-live')"
+    browser.script("change({ selected: 3 })")
+    assert browser.script(live) == "polite"
+    slide(browser, 2)
+    assert browser.script(live) == "off"
+
+
+def test_numbers_in_few_words(browser, page):
+    browser.open(page, 1280)
+    words = {0: "0", 1: "1", 9999.4: "9,999", 9999.6: "10.0 k", 123456: "123 k", 999499: "999 k", 999999: "1.00 M", 1234567: "1.23 M", 999999999: "1.00 G"}
+    for number, expected in words.items():
+        assert browser.script(f"short({number})") == expected
+
+
+def colour_blind(colour):
+    """L*a*b* of what people without green cones see (Machado, Oliveira and Fernandes 2009)."""
+    value = np.array(colour) / 255
+    linear = np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
+    seen = np.clip(np.array([[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.011820, 0.042940, 0.968881]]) @ linear, 0, 1)
+    xyz = np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]) @ seen / [0.9505, 1, 1.089]
+    f = np.where(xyz > 0.008856, np.cbrt(xyz), 7.787 * xyz + 16 / 116)
+    return np.array([116 * f[1] - 16, 500 * (f[0] - f[1]), 200 * (f[1] - f[2])])
+
+
+def test_colours_are_told_apart_by_colour_blind_people(browser, page):
+    browser.open(page, 1280)
+    for colours in (browser.script("data.ramp"), browser.script("[0, 4, 6, 7, 8].map(i => REASON_COLOURS[i])")):
+        places = [colour_blind(colour) for colour in colours]
+        for i, one in enumerate(places):
+            assert all(np.linalg.norm(one - other) > 30 for other in places[:i]), colours
+    reasons = browser.script("[...new Set(surface.reason)]")
+    assert set(reasons) <= {0, 4, 6, 7, 8}, "no other reason is one of a place"
+
+
+def test_it_prints_decently(browser, page, manifest):
+    browser.open(page, 1280)
+    pdf = base64.b64decode(browser.call("Page.printToPDF", paperWidth=8.27, paperHeight=11.69)["data"])
+    assert pdf.startswith(b"%PDF-") and 2 <= len(re.findall(rb"/Type\s*/Page\b(?!s)", pdf)) <= 8
+    browser.call("Emulation.setEmulatedMedia", media="print")
+    rows = browser.script("Array.from(document.querySelectorAll('#print-list tr'), row => row.children[3].textContent)")
+    assert rows[1:] == [cluster["key"] for cluster in manifest["clusters"][:manifest["cut"]["clusters"]]]
+    shown = {name: browser.script(f"getComputedStyle(document.querySelector('{name}')).display !== 'none'")
+             for name in ("#print-list", "#verdict", "#map", "#slider-row", "#list", "#search")}
+    assert shown == {"#print-list": True, "#verdict": True, "#map": True, "#slider-row": False, "#list": False, "#search": False}
+
+
 def test_the_holes_lead_to_their_places(browser, page, manifest):
     browser.open(page, 1280)
     assert manifest["surface"]["unfulfilled"] > 0
+    numbers = "(() => { const said = []; const fill = map.context.fillText; map.context.fillText = text => said.push(text); map.drawHoles(); map.context.fillText = fill; return said; })()"
+    assert browser.script(numbers)[:5] == [1, 2, 3, 4, 5][:browser.script("data.holes.length")]
     browser.script("document.querySelector('#holes button').click()")
     browser.drawn()
     assert browser.script("state.colour") == "reason"
@@ -184,32 +262,208 @@ def test_names_are_shown_as_they_are(viewrank, fixtures, browser, tmp_path):
     project = tmp_path / "<img src=x onerror=alert(1)>&amp;"
     project.mkdir()
     (project / "sparse").symlink_to(fixtures / "valley" / "sparse")
+    (project / "images").mkdir()
+    registered = sorted((fixtures / "valley" / "images").iterdir())[0]
+    (project / "images" / registered.name).symlink_to(registered)
+    for number in range(210):
+        (project / "images" / f"late{number:03}.jpg").touch()
     viewrank("plan", project, "--quiet")
     viewrank("report", project, "--quiet")
     browser.open(project / "viewrank" / "report.html", 1280)
     assert text(browser, "h1") == project.name
+    assert "210 images without a pose" in text(browser, "#facts")
+    browser.script("(() => { const s = document.getElementById('search'); s.value = 'late209'; s.dispatchEvent(new Event('input')); })()")
+    assert text(browser, "#list").startswith("late209.jpg has no pose")
+    manifest = json.loads((project / "viewrank" / "manifest.json").read_text())
+    assert browser.script("data.warnings") == manifest["warnings"] != []
     assert browser.script("document.querySelectorAll('img[src=x]').length") == 0
 
 
-def test_the_real_curve_stands_beside_the_predicted_one(viewrank, fixtures, browser, tmp_path):
-    """Depth maps without a single depth: a real curve that stays at nothing."""
+@pytest.fixture(scope="module")
+def measured(viewrank, fixtures, tmp_path_factory):
+    """A planned project, and what writes depth maps of the plan's own surface for ranks of its first ranking, their depths times a factor."""
+    project = tmp_path_factory.mktemp("measured")
     for folder in ("sparse", "images"):
-        (tmp_path / folder).symlink_to(fixtures / "valley" / folder)
-    viewrank("plan", tmp_path, "--backend", "sgm", "--quiet")
-    clusters = json.loads((tmp_path / "viewrank" / "manifest.json").read_text())["clusters"][:3]
-    maps = tmp_path / "sgm" / "depth_maps"
-    maps.mkdir(parents=True)
-    for cluster in clusters:
-        width, height = PIL.open(tmp_path / "images" / cluster["key"]).size
-        np.save(maps / f"{cluster['key']}.npy", np.zeros((height, width), np.float32))
-    viewrank("report", tmp_path, "--quiet")
-    browser.open(tmp_path / "viewrank" / "report.html", 1280)
+        (project / folder).symlink_to(fixtures / "valley" / folder)
+    viewrank("plan", project, "--backend", "sgm", "--quiet")
+    model, surface = oracle.Model(fixtures / "valley" / "sparse" / "0"), Surface(project)
+    manifest = json.loads((project / "viewrank" / "manifest.json").read_text())
+    views = {view["name"]: i for i, view in enumerate(model.views)}
+    maps = project / "sgm" / "depth_maps"
+
+    def write(ranks, factor=1, maps=maps):
+        shutil.rmtree(maps, ignore_errors=True)
+        maps.mkdir(parents=True)
+        for rank in ranks:
+            key = manifest["clusters"][rank - 1]["key"]
+            camera = model.cameras[model.views[views[key]]["camera"]]
+            width, height = camera["width"] // 4, camera["height"] // 4
+            np.save(maps / f"{key}.npy", factor * surface.depths(model, views[key], width, height))
+        return maps
+
+    return project, manifest, write
+
+
+def reported(viewrank, browser, project, *options):
+    viewrank("report", project, "--quiet", *options)
+    browser.open(project / "viewrank" / "report.html", 1280)
+    return browser.script("data.real")
+
+
+@pytest.mark.parametrize(("factor", "least", "most"), [(1, 0.75, 1.6), (1.3, 0, 0.1), (0, 0, 0)], ids=["right", "of a wrong scale", "empty"])
+def test_the_real_curve_stands_beside_the_predicted_one(viewrank, browser, measured, tmp_path, factor, least, most):
+    """Held against true depths: the right ones reach what was predicted, those of a wrong scale nothing."""
+    project, manifest, write = measured
+    ranks = [1, 2, 4]
+    write(ranks, factor)
+    real = reported(viewrank, browser, project, "--reference", write(ranks, maps=tmp_path / "true"))
     assert browser.script("document.querySelectorAll('#curve .real').length") == 1
-    real = browser.script("data.real")
-    assert (real["maps"], real["ranks"], real["share"]) == (3, [1, 2, 3], [0, 0, 0])
-    assert "3 depth maps" in text(browser, "#curve-note")
+    assert (real["maps"], real["ranks"]) == (3, [1, 2, 4])
+    predicted = manifest["clusters"][1]["share"]
+    assert least * predicted <= real["share"][1] <= most * predicted, "with the first two of the ranking"
+    assert "3 depth maps" in text(browser, "#curve-note") and "against the reference" in text(browser, "#curve-note")
     browser.script("change({colour: 'real'})")
     browser.drawn()
+
+
+def test_depth_maps_that_cannot_be_read_are_named_and_the_others_shown(viewrank, browser, measured):
+    project, manifest, write = measured
+    maps = write([1, 2, 3])
+    broken = maps / f"{manifest['clusters'][1]['key']}.npy"
+    broken.write_bytes(broken.read_bytes()[:1000])
+    real = reported(viewrank, browser, project)
+    assert (real["maps"], real["ranks"]) == (2, [1, 3])
+    assert broken.name in text(browser, "#warnings")
+    for path in maps.iterdir():
+        path.write_bytes(b"")
+    assert reported(viewrank, browser, project) is None
+    assert "sgm is not looked at" in text(browser, "#warnings")
+    write([])
+    assert reported(viewrank, browser, project) is None
+    assert browser.script("data.warnings") == manifest["warnings"], "an empty folder is no fault"
+    refused = viewrank("report", project, "--reference", project / "nowhere", expect=1)
+    assert "nowhere" in refused.stderr
+    refused = viewrank("report", project, "--reference", write([1]), "--depth-maps", project / "images", expect=1)
+    assert "no depth maps" in refused.stderr
+
+
+def test_a_plan_around_finished_depth_maps_is_the_one_that_is_shown(viewrank, browser, measured):
+    project, first, write = measured
+    cut = first["cut"]["clusters"]
+    # Those that the prediction puts last, which really bring something.
+    ranks = [cut + 1, cut + 2, len(first["clusters"])]
+    viewrank("plan", project, "--backend", "sgm", "--quiet", "--finished", write(ranks))
+    manifest = json.loads((project / "viewrank" / "manifest.json").read_text())
+    keys = [cluster["key"] for cluster in manifest["clusters"]]
+    assert keys != [cluster["key"] for cluster in first["clusters"]] and sum(cluster["finished"] for cluster in manifest["clusters"]) == 3
+    reported(viewrank, browser, project)
+    assert browser.script("Array.from(ranking.keys, key => names[key])") == keys
+    assert browser.script("data.cut") == manifest["cut"]["clusters"]
+    assert browser.script("names.map((name, v) => [name, statusOf(v, data.cut)])") == [[view["name"], view["status"]] for view in manifest["views"]]
+    assert browser.script("Array.from(ranking.shares)") == pytest.approx([cluster["share"] for cluster in manifest["clusters"]])
+    assert browser.script("Array.from(ranking.keys, (key, i) => Array.from(partnersOf(i + 1), p => names[p]))") == [
+        cluster["partners"] for cluster in manifest["clusters"]]
+    assert "Ranked around 3 finished depth maps" in text(browser, "#curve-note")
+    # What has its depth map is matched already.
+    browser.script("change({ perPair: 0, perMap: 60 })")
+    row = next(row.split("\t") for row in text(browser, "#forecast").splitlines() if row.startswith("time"))
+    assert row[1:] == [browser.script(f"duration({60 * (count - 3)})") for count in (manifest["cut"]["clusters"], len(keys))]
+
+
+@pytest.mark.skipif(FIREFOX is None, reason="no firefox")
+def test_the_page_in_firefox(page, manifest, tmp_path):
+    from firefox import Firefox
+
+    firefox = Firefox(FIREFOX, tmp_path)
+    try:
+        for width in (1280, 400):
+            firefox.open(page, width)
+            assert firefox.script("document.documentElement.scrollWidth") <= width
+            for scene in ("#map", "#turn"):
+                box = tuple(int(value) for value in place(firefox, scene))
+                assert len(colours(firefox.picture(), box)) > 100, f"{scene} is empty"
+        slide(firefox, 2)
+        assert f"{100 * manifest['clusters'][1]['share']:.1f} %" in text(firefox, "#verdict")
+        firefox.script("change({ selected: ranking.keys[0] })")
+        assert "In: it is number 1 of 2" in text(firefox, "#why-box")
+        assert firefox.complaints == []
+    finally:
+        firefox.close()
+
+
+def many(data, copies):
+    """What the page knows of a plan, so many times beside each other; the surface of the first twenty."""
+    def read(text, kind):
+        return np.frombuffer(base64.b64decode(text), kind)
+
+    def written(values, kind):
+        return base64.b64encode(np.ascontiguousarray(values, kind).tobytes()).decode()
+
+    def repeated(part, names, copies, change=lambda values, copy: values):
+        for name, kind in names.items():
+            part[name] = written(np.concatenate([change(read(part[name], kind), copy) for copy in range(copies)]), kind)
+
+    def places(values, copy):
+        return (values.reshape(-1, 3) + [60 * (copy % 14), 60 * (copy // 14), 0]).ravel()
+
+    def behind(offsets, copies):
+        lengths = np.tile(np.diff(read(offsets, "<u4")), copies)
+        return written(np.concatenate([[0], np.cumsum(lengths)]), "<u4")
+
+    def ranks(values, copy):
+        """Of each rank the copies follow each other; 0 is none, and so is the largest number of 16 bits."""
+        return np.where((values == 0) | (values == 0xffff), values, (values.astype(int) - 1) * copies + copy + 1)
+
+    views, ranking, surface = data["views"], data["ranking"], data["surface"]
+    count, vertices = len(views["names"]), len(read(surface["vertices"], "<f4")) // 3
+    names = views["names"]
+    views["names"] = [f"{copy:03} {name}" for copy in range(copies) for name in names]
+    repeated(views, {"centres": "<f4", "footprints": "<f4"}, copies, places)
+    repeated(views, {"directions": "<f4", "reason": "u1", "seen": "<u4", "likest_shares": "<f4"}, copies)
+    repeated(views, {"rank": "<u4", "likest": "<u4"}, copies, ranks)
+    for name in ("footprint_offsets", "likest_offsets"):
+        views[name] = behind(views[name], copies)
+    starts, partners = read(ranking["partner_offsets"], "<u4"), read(ranking["partners"], "<u4")
+    lists = [partners[a:b] + count * copy for a, b in zip(starts, starts[1:]) for copy in range(copies)]
+    ranking["partners"] = written(np.concatenate(lists), "<u4")
+    ranking["partner_offsets"] = written(np.cumsum([0, *map(len, lists)]), "<u4")
+    ranking["keys"] = written([key + count * copy for key in read(ranking["keys"], "<u4") for copy in range(copies)], "<u4")
+    gains = np.repeat(read(ranking["gains"], "<f8"), copies) / copies
+    ranking["gains"], ranking["shares"] = written(gains, "<f8"), written(np.cumsum(gains) / gains.sum(), "<f8")
+    ranking["points"] = written(np.repeat(read(ranking["points"], "<f8"), copies), "<f8")
+    shown = 20
+    repeated(surface, {"vertices": "<f4"}, shown, places)
+    repeated(surface, {"triangles": "<u4"}, shown, lambda values, copy: values + vertices * copy)
+    repeated(surface, {"shares": "u1", "reachable": "u1", "reason": "u1"}, shown)
+    repeated(surface, {"ranks": "<u2", "first": "<u2"}, shown, ranks)
+    surface["offsets"] = behind(surface["offsets"], shown)
+    for name in ("cut", "clusters_total", "pairs_total"):
+        data[name] *= copies
+    data["thumbnails"] = dict(zip(map(str, range(data["most_thumbnails"])), 18 * list(data["thumbnails"].values())))
+
+
+def test_a_page_of_five_thousand_views(browser, page, tmp_path):
+    html = page.read_text()
+    before, rest = html.split('<script id="data" type="application/json">')
+    text_of_data, after = rest.split("</script>", 1)
+    data = json.loads(text_of_data)
+    many(data, 180)
+    large = tmp_path / "large.html"
+    large.write_text(f'{before}<script id="data" type="application/json">{json.dumps(data)}</script>{after}')
+    assert large.stat().st_size < 8_000_000
+    browser.open(large, 1280)
+    assert text(browser, "#facts").startswith("5,040 views") and "the first 500 " in text(browser, "footer")
+    rows = "document.querySelectorAll('#list .row').length"
+    assert 0 < browser.script(rows) < 40, "only those in sight"
+    assert len(colours(browser.picture(), tuple(int(value) for value in place(browser, "#map")))) > 100
+    for cut in (1, browser.script("clusters")):
+        slide(browser, cut)
+        assert text(browser, "#verdict").startswith(f"{cut:,} of 5,040 views") and browser.script(rows) < 40
+    browser.script("change({ selected: inOrder[4000] })")
+    browser.drawn()
+    assert browser.script("document.querySelector('#list .row.on').getAttribute('aria-posinset')") == "4001"
+    chosen = browser.script("statusOf(inOrder[4000], state.cut)")
+    assert chosen == "key" and "In: it is number 4001" in text(browser, "#why-box")
 
 
 def test_a_report_needs_a_plan_of_the_same_model(viewrank, fixtures, tmp_path):

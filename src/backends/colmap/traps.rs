@@ -53,21 +53,13 @@ pub fn rounded(scene: &Scene) -> Option<String> {
     })
 }
 
-/// Of two models in a folder COLMAP takes the binary one, however old it is.
+/// Of two models in a folder COLMAP takes the binary one.
 fn text_beside_binary(patient: &Patient) -> Option<Trap> {
     let model = &patient.project.model;
-    let binary = model.path.join("images.bin");
-    let text = model.path.join("images.txt");
-    if model.format != ModelFormat::ColmapBinary || !text.is_file() {
-        return None;
-    }
-    let counted = crate::formats::colmap_text::count_images(&std::fs::read(&text).ok()?);
-    let time = |path: &std::path::Path| path.metadata().and_then(|m| m.modified()).ok();
-    let differs = counted != patient.scene.views.len() as u64 || time(&text) > time(&binary);
-    differs.then(|| Trap {
+    patient.project.has_other_text_model(patient.scene).then(|| Trap {
         name: "colmap-bin-beats-txt",
         what: format!(
-            "{} holds another model as text, with {counted} images or newer: COLMAP and viewrank take the binary one, OpenMVS the text",
+            "{} holds another model as text: COLMAP and viewrank take the binary one, however old it is, OpenMVS the text",
             model.path.display()
         ),
         cure: format!(
@@ -80,7 +72,11 @@ fn text_beside_binary(patient: &Patient) -> Option<Trap> {
 
 /// COLMAP 4 copies the sources of a key view to the GPU as if all were as wide as the widest.
 fn mixed_widths(patient: &Patient) -> Option<Trap> {
-    let scene = patient.scene;
+    let (scene, project) = (patient.scene, patient.project);
+    // These formats do not hold the sizes of images: without the images they are guessed.
+    if matches!(project.model.format, ModelFormat::Bundler | ModelFormat::Nvm) && project.images.is_none() {
+        return None;
+    }
     let width = |v| scene.camera_of(v).width;
     let widest = scene.view_indices().map(width).max()?;
     let narrower: Vec<_> = scene.view_indices().filter(|&v| width(v) < widest).collect();

@@ -5,9 +5,9 @@ const plot = { left: 54, right: 546, top: 14, bottom: 262 };
 
 // What the curve can run over, and the values after i clusters.
 const overs = {
-  maps: { label: 'depth maps', at: cut => cut },
-  pairs: { label: 'image pairs', at: cut => pairsUpTo[cut] },
-  time: { label: 'hours of matching', at: cut => secondsFor(cut, pairsUpTo[cut]) / 3600 },
+  maps: { label: 'depth maps', one: 'depth map', at: cut => cut },
+  pairs: { label: 'image pairs', one: 'image pair', at: cut => pairsUpTo[cut] },
+  time: { label: 'hours of matching', one: 'hour of matching', at: cut => secondsUpTo(cut) / 3600 },
 };
 
 function timesKnown() {
@@ -16,6 +16,12 @@ function timesKnown() {
 
 function secondsFor(maps, pairs) {
   return (state.perMap || 0) * maps + (state.perPair || 0) * pairs;
+}
+
+// What has its depth map takes no more time.
+function secondsUpTo(cut) {
+  const done = Math.min(cut, data.finished);
+  return secondsFor(cut - done, pairsUpTo[cut] - pairsUpTo[done]);
 }
 
 function over() {
@@ -28,9 +34,10 @@ function drawCurve() {
   const x = value => plot.left + (plot.right - plot.left) * value / most;
   const y = share => plot.bottom - (plot.bottom - plot.top) * share / top;
   const parts = [];
-  for (let tenth = 0; tenth <= 10 * top + 1e-9; tenth += 2) {
-    parts.push(`<path class="grid" d="M${plot.left} ${y(tenth / 10)}H${plot.right}"/>`,
-      `<text x="${plot.left - 7}" y="${y(tenth / 10) + 4}" text-anchor="end">${percent(tenth / 10, 0)}</text>`);
+  const grid = tickStep(top);
+  for (let tick = 0; tick <= top * 1.0001; tick += grid) {
+    parts.push(`<path class="grid" d="M${plot.left} ${y(tick)}H${plot.right}"/>`,
+      `<text x="${plot.left - 7}" y="${y(tick) + 4}" text-anchor="end">${percent(tick, 0)}</text>`);
   }
   const step = tickStep(most);
   for (let tick = 0; tick <= most * 1.0001; tick += step) {
@@ -39,15 +46,22 @@ function drawCurve() {
   parts.push(`<text x="${(plot.left + plot.right) / 2}" y="${plot.bottom + 35}" text-anchor="middle">${over().label}</text>`);
   parts.push(`<polyline class="predicted" points="${line(clusters, i => [x(at(i)), y(shareAt(i))])}"/>`);
   if (data.real) {
-    const { ranks, share } = data.real;
-    parts.push(`<polyline class="real" points="${x(0)},${y(0)} ${line(ranks.length - 1, i => [x(at(Math.min(ranks[i], clusters))), y(share[i])])}"/>`);
+    // Those that are no part of the ranking have no place here.
+    const { ranks, share } = data.real, last = ranks.findLastIndex(rank => rank <= clusters);
+    parts.push(`<polyline class="real" points="${x(0)},${y(0)} ${line(last, i => [x(at(ranks[i])), y(share[i])])}"/>`);
   }
   const [cx, cy] = [x(at(state.cut)), y(shareAt(state.cut))];
   parts.push(`<path class="cut" d="M${cx} ${plot.bottom}V${cy}H${plot.left}"/><circle class="dot" cx="${cx}" cy="${cy}" r="5"/>`);
   const left = cx > 320;
   parts.push(`<text class="strong" x="${cx + (left ? -10 : 10)}" y="${Math.min(cy + 20, plot.bottom - 8)}" text-anchor="${left ? 'end' : 'start'}">`
-    + `${percent(shareAt(state.cut))} with ${rounded(at(state.cut))} ${over().label}</text>`);
+    + `${reachedText()}</text>`);
   byId('curve').innerHTML = parts.join('');
+  byId('curve').setAttribute('aria-label', `Share reached over ${over().label}: ${reachedText()}, ${percent(shareAt(clusters))} with ${rounded(most)}`);
+}
+
+function reachedText() {
+  const value = over().at(state.cut);
+  return `${percent(shareAt(state.cut))} with ${rounded(value)} ${value === 1 ? over().one : over().label}`;
 }
 
 // At most some hundred points of a line, the last one among them.
@@ -85,11 +99,12 @@ function setUpCurve() {
   });
   curve.addEventListener('pointermove', event => { if (event.buttons & 1) change({ cut: cutAt(event) }); });
   byId('over').addEventListener('change', drawCurve);
+  const around = data.finished ? `Ranked around ${counted(data.finished, 'finished depth map')}: up to there the curve is what they really reach. ` : '';
   const note = data.real
-    ? `Dashed: what the ${data.real.maps} depth maps in ${data.real.folder} really reach${data.real.reference ? ', held against the reference'
-      : '; every depth on the surface counts as right'}, over what all view clusters together were predicted to reach.`
-    : 'Predicted, over what all view clusters together reach. Depth maps that are finished are shown beside it.';
-  byId('curve-note').textContent = note;
+    ? `Dashed: what the ${counted(data.real.maps, 'depth map')} in ${data.real.folder} really ${data.real.maps === 1 ? 'reaches' : 'reach'}${data.real.reference ? ', held against the reference'
+      : '; without a reference (--reference) every depth counts as right'}, over what all view clusters together were predicted to reach.`
+    : 'Predicted, over what all view clusters together reach. Finished depth maps are shown beside it; where they lie elsewhere: viewrank report --depth-maps DIR.';
+  byId('curve-note').textContent = around + note;
 }
 
 function fillOver() {

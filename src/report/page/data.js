@@ -111,10 +111,15 @@ function gainText(rank) {
 }
 
 function short(number) {
-  if (number >= 1e9) return `${(number / 1e9).toPrecision(3)} G`;
-  if (number >= 1e6) return `${(number / 1e6).toPrecision(3)} M`;
-  if (number >= 1e4) return `${(number / 1e3).toPrecision(3)} k`;
-  return grouped.format(Math.round(number));
+  if (number < 9999.5) return grouped.format(Math.round(number));
+  // What is rounded up to the next power counts by it.
+  const [power, letter] = [[1e9, 'G'], [1e6, 'M'], [1e3, 'k']].find(([power]) => number >= 0.9995 * power);
+  return `${(number / power).toPrecision(3)} ${letter}`;
+}
+
+// "1 depth map", "2 depth maps".
+function counted(number, what) {
+  return `${rounded(number)} ${what}${number === 1 ? '' : 's'}`;
 }
 
 function duration(seconds) {

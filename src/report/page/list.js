@@ -36,7 +36,8 @@ function listRow(place) {
   const picture = data.thumbnails[view]
     ? make('img', { src: `data:image/jpeg;base64,${data.thumbnails[view]}`, alt: '', width: 76, height: 56 })
     : make('span', { class: 'no-image' });
-  const row = make('div', { class: 'row', role: 'option', id: `row-${view}`, 'aria-selected': view === state.selected },
+  const row = make('div', { class: 'row', role: 'option', id: `row-${view}`, 'aria-selected': view === state.selected,
+    'aria-posinset': place + 1, 'aria-setsize': listed.length },
     make('span', { class: 'rank' }, rank ? String(rank) : '–'), picture,
     make('span', {}, make('div', { class: 'name', title: names[view] }, make('bdi', {}, names[view])),
       make('div', { class: 'because' }, make('span', { class: `tag ${status}` }, status === 'key' ? 'key view' : status), ` ${becauseShort(view)}`)),

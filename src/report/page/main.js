@@ -31,11 +31,11 @@ function setUpCut() {
 }
 
 function drawForecast() {
-  const { cut } = state, all = [data.clusters_total, data.pairs_total, pointsUpTo[clusters]];
-  const rows = [['depth maps', cut, all[0]], ['image pairs', pairsUpTo[cut], all[1]], ['points before fusion', pointsUpTo[cut], all[2]]];
-  const table = rows.map(([what, chosen, whole]) => [what, short(chosen), short(whole)]);
-  if (timesKnown()) table.push(['time of matching', ...[[cut, pairsUpTo[cut]], all].map(([maps, pairs]) => duration(secondsFor(maps, pairs)))]);
-  byId('forecast').replaceChildren(make('tr', {}, ...['', 'up to the cut', 'all views'].map(text => make('th', {}, text))),
+  const { cut } = state, cuts = [cut, clusters];
+  const table = [['depth maps', i => i], ['image pairs', i => pairsUpTo[i]], ['points before fusion', i => pointsUpTo[i]]]
+    .map(([what, upTo]) => [what, ...cuts.map(i => short(upTo(i)))]);
+  if (timesKnown()) table.push(['time of matching', ...cuts.map(i => duration(secondsUpTo(i)))]);
+  byId('forecast').replaceChildren(make('tr', {}, ...['', 'up to the cut', 'whole ranking'].map(text => make('th', {}, text))),
     ...table.map(row => make('tr', {}, ...row.map(text => make('td', {}, text)))));
   byId('worth').textContent = worth(cut);
 }
@@ -43,12 +43,12 @@ function drawForecast() {
 // Method 5.6.
 function worth(cut) {
   const planning = data.planning_seconds, saved = data.clusters_total - cut;
-  if (planning == null || !clusters) return '';
+  if (planning == null || !clusters || !cut) return '';
   if (!timesKnown()) {
     return saved > 0 ? `Worth it? Planning took ${duration(planning)}: it pays if a depth map takes more than ${rounded(planning / saved)} s.` : '';
   }
-  const chosen = secondsFor(cut, pairsUpTo[cut]) + planning, all = secondsFor(data.clusters_total, data.pairs_total);
-  return chosen < all ? `Worth it: ${(all / chosen).toFixed(1)} times faster than everything, the ${duration(planning)} of planning included.`
+  const chosen = secondsUpTo(cut) + planning, all = secondsFor(data.clusters_total, data.pairs_total);
+  return chosen < all ? `Worth it: ${(all / chosen).toFixed(1)} times faster than a depth map of each of the ${data.clusters_total} views that can have one, the ${duration(planning)} of planning included.`
     : 'Not worth it: computing everything is as fast as planning and computing these.';
 }
 
@@ -101,7 +101,7 @@ function drawHoles() {
   const reasons = [...new Set(data.holes.map(hole => hole.reason - 1))];
   byId('holes').replaceChildren(
     make('p', {}, `${percent(share)} of the surface (${rounded(data.holes_area)} of ${rounded(data.area)} ${unit}²) gets less than a tenth of what is wanted from any of the images`
-      + ' (grey on the map). The largest places, with their numbers on the map:'),
+      + ' (grey on the map). The largest places, the first of them with their numbers on the map:'),
     make('table', {}, make('tr', {}, ...['where', 'area', 'because'].map(text => make('th', {}, text))), ...rows),
     make('p', {}, 'What helps:'), make('ul', {}, ...reasons.map(reason => make('li', {}, `where ${data.reasons[reason]}: ${data.helps[reason]}.`))),
     make('p', { class: 'note' }, 'Where the sparse model has no points there is no surface, and nothing is known.'));
@@ -111,7 +111,7 @@ function showHole(hole) {
   for (const scene of scenes) {
     scene.hole = hole;
     scene.camera.centre = hole.centre.slice();
-    const wanted = Math.min(scene.width, scene.height) / Math.max(5 * Math.sqrt(hole.area), 0.12 * scene.camera.depth);
+    const wanted = Math.min(scene.width, scene.height) / Math.max(5 * Math.sqrt(hole.area), 0.12 * bounds.span);
     scene.camera.scale = Math.max(wanted, scene.camera.whole);
   }
   change({ colour: 'reason', selected: -1 });
@@ -121,17 +121,20 @@ function showHole(hole) {
 
 function drawPointer() {
   const view = state.hovered >= 0 ? state.hovered : state.selected;
-  byId('under-pointer').textContent = view < 0 ? 'Point at a camera, or go from one to the next with the arrow keys.' : `${names[view]}: ${becauseShort(view)}`;
+  byId('under-pointer').replaceChildren(...(view < 0 ? ['Point at a camera, or go from one to the next with the arrow keys.']
+    : [make('a', { href: '#why-box' }, names[view]), `: ${becauseShort(view)}`]));
 }
 
 function drawFacts() {
   document.title = `${data.title}: viewrank`;
   byId('title').textContent = data.title;
-  const left = data.unregistered_count ? `, ${grouped.format(data.unregistered_count)} images without a pose` : '';
+  const left = data.unregistered.length ? `, ${counted(data.unregistered.length, 'image')} without a pose` : '';
   byId('facts').textContent = `${grouped.format(views.count)} views${left}, ${grouped.format(data.points)} sparse points, a surface of ${grouped.format(data.triangles)} triangles;`
     + ` planned for the backend ${data.backend}, ${rounded(data.gsd)} ${unit} per pixel wanted`;
   byId('footer').textContent = `${data.tool}. ${data.surface.coarser ? 'The surface is drawn coarser than it was planned on. ' : ''}`
-    + 'Predicted before any depth map was computed; see viewrank/manifest.json for all of it.';
+    + (views.count > data.most_thumbnails ? `Only the first ${data.most_thumbnails} of the ranking have small pictures. ` : '')
+    + (data.finished || data.real ? 'On the surface everything is as predicted, but for what is called real' : 'Predicted before any depth map was computed')
+    + '; see viewrank/manifest.json for all of it.';
 }
 
 listeners.push(what => {
@@ -140,6 +143,8 @@ listeners.push(what => {
   if (any('cut', 'perPair', 'perMap')) { fillOver(); drawCurve(); drawForecast(); }
   if (any('cut') && byId('which').value !== 'all') filterList();
   if (any('selected')) { if (state.selected >= 0 && !listed.includes(state.selected)) clearFilter(); showInList(); }
+  // Another view is read out; that its words follow the slider is not, as the verdict is.
+  byId('why-box').setAttribute('aria-live', any('selected') && !any('cut') ? 'polite' : 'off');
   if (any('cut', 'selected')) { drawList(); drawWhy(); }
   if (any('colour')) {
     for (const select of document.querySelectorAll('select.colour')) select.value = state.colour;

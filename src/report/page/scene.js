@@ -4,6 +4,8 @@
 let theme = {};
 // The numbers of the holes, on white in either theme.
 const HOLE = '#a8281a';
+// Holes that are numbered however small they are.
+const NUMBERED = 5;
 
 function readTheme() {
   const style = getComputedStyle(document.documentElement);
@@ -79,7 +81,8 @@ class Scene {
   key(event) {
     const arrows = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
     const arrow = arrows[event.key];
-    if (arrow && this.turns) { this.camera.turn(8 * arrow[0], -6 * arrow[1]); this.draw(); }
+    if (arrow && event.shiftKey) { this.camera.pan(-40 * arrow[0], -40 * arrow[1]); this.draw(); }
+    else if (arrow && this.turns) { this.camera.turn(8 * arrow[0], -6 * arrow[1]); this.draw(); }
     else if (arrow) change({ selected: this.next(arrow) });
     else if (event.key === '+' || event.key === '=') this.zoom(1.25);
     else if (event.key === '-') this.zoom(0.8);
@@ -165,11 +168,15 @@ class Scene {
       paths[status].arc(x, y, radius, 0, 7);
     }
     for (const [status, path] of Object.entries(paths)) {
-      context.lineWidth = status === 'key' ? 1.5 : 1.2;
       context.fillStyle = theme[status];
-      context.strokeStyle = status === 'unused' ? theme.unused : '#fff';
       if (status !== 'unused') context.fill(path);
-      context.stroke(path);
+      // A white line round a dot, and under a ring: on a surface of any colour.
+      const lines = { key: [['#fff', 1.5]], partner: [['#fff', 1.2]], unused: [['#fff', 3.6], [theme.unused, 1.6]] };
+      for (const [colour, width] of lines[status]) {
+        context.strokeStyle = colour;
+        context.lineWidth = width;
+        context.stroke(path);
+      }
     }
   }
 
@@ -223,13 +230,13 @@ class Scene {
     context.setLineDash([]);
   }
 
-  // Numbers as in the list: of the large ones, and of the one that was asked for, with a ring round it.
+  // Numbers as in the list: of the first and the large ones, and of the one that was asked for, with a ring round it.
   drawHoles() {
     const { context } = this;
     context.font = '700 13px system-ui, sans-serif';
     context.textAlign = 'center';
     for (const [i, hole] of data.holes.entries()) {
-      if (hole !== this.hole && hole.area < 0.01 * data.area) continue;
+      if (hole !== this.hole && i >= NUMBERED && hole.area < 0.01 * data.area) continue;
       const [x, y] = this.camera.screen(hole.centre, 0, this.width, this.height);
       context.strokeStyle = '#fff';
       context.lineWidth = 4;

@@ -1,20 +1,23 @@
 // Draws the surface, by WebGL or, where there is none, triangle by triangle on a plain canvas.
 'use strict';
 
-const RAMP = [[200, 72, 44], [236, 208, 108], [38, 122, 158]];
 const NOWHERE = [148, 148, 152];
 const COUNT_COLOURS = [[200, 72, 44], [222, 140, 70], [236, 208, 108], [140, 178, 130], [76, 148, 150], [38, 122, 158]];
-const REASON_COLOURS = [
-  [200, 205, 209], [120, 94, 160], [222, 120, 180], [150, 150, 150], [226, 140, 60], [110, 110, 118], [60, 110, 190], [236, 190, 70], [200, 60, 50],
-  [150, 150, 150],
-];
+// By the number of the reason; of a place these four only: too few cameras, too coarse, too inaccurate, cannot be matched. Colour-blind
+// people tell them apart too.
+const REASON_COLOURS = Array(10).fill([150, 150, 150]);
+REASON_COLOURS[0] = [200, 205, 209];
+REASON_COLOURS[4] = [70, 60, 90];
+REASON_COLOURS[6] = [70, 130, 200];
+REASON_COLOURS[7] = [240, 205, 60];
+REASON_COLOURS[8] = [200, 70, 40];
 const IMPROVED = [176, 58, 134];
 // Triangles up to which edges are drawn smoothly.
 const SMOOTH = 10000;
 
 function ramp(share) {
   const place = Math.min(Math.max(share, 0), 1) * 2;
-  const from = RAMP[place < 1 ? 0 : 1], to = RAMP[place < 1 ? 1 : 2], t = place < 1 ? place : place - 1;
+  const from = data.ramp[place < 1 ? 0 : 1], to = data.ramp[place < 1 ? 1 : 2], t = place < 1 ? place : place - 1;
   return from.map((value, i) => value + t * (to[i] - value));
 }
 
@@ -78,16 +81,28 @@ const shading = (() => {
   return shades;
 })();
 
-const bounds = (() => {
+// A box round points of lists, each point by where it begins.
+function boxOf(points) {
   const low = [Infinity, Infinity, Infinity], high = [-Infinity, -Infinity, -Infinity];
-  for (const list of [surface.vertices, views.centres]) {
-    for (let i = 0; i < list.length; i++) {
-      low[i % 3] = Math.min(low[i % 3], list[i]);
-      high[i % 3] = Math.max(high[i % 3], list[i]);
+  for (const [list, from] of points) {
+    for (let i = 0; i < 3; i++) {
+      low[i] = Math.min(low[i], list[from + i]);
+      high[i] = Math.max(high[i], list[from + i]);
     }
   }
-  return low[0] > high[0] ? { low: [0, 0, 0], high: [1, 1, 1] } : { low, high };
-})();
+  const box = low[0] > high[0] ? { low: [0, 0, 0], high: [1, 1, 1] } : { low, high };
+  return { ...box, span: Math.hypot(...box.high.map((top, i) => top - box.low[i])) || 1 };
+}
+
+function* points(triangles) {
+  for (let view = 0; view < views.count; view++) yield [views.centres, 3 * view];
+  for (let corner = 0; corner < 3 * surface.count; corner++) {
+    if (triangles(Math.floor(corner / 3))) yield [surface.vertices, 3 * surface.triangles[corner]];
+  }
+}
+
+// What is to be seen first: not what lies far off, where no view reaches anything.
+const bounds = boxOf(points(t => !surface.reason[t])), all = boxOf(points(() => true));
 
 const VERTEX = `
   attribute vec3 place; attribute vec3 colour; uniform mat4 view; varying vec3 shade;
@@ -207,7 +222,7 @@ class Camera {
   constructor(yaw, pitch) {
     Object.assign(this, { yaw, pitch, scale: 1, centre: [0, 1, 2].map(i => 0.5 * (bounds.low[i] + bounds.high[i])) });
     this.home = { yaw, pitch };
-    this.depth = Math.hypot(...bounds.high.map((high, i) => high - bounds.low[i])) || 1;
+    this.depth = all.span;
     this.turn(0, 0);
   }
 

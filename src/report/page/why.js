@@ -5,6 +5,11 @@ function reasonOf(view) {
   return views.reason[view] ? data.reasons[views.reason[view] - 1] : '';
 }
 
+// What is known of its pairs, where they are the reason.
+function pairsOf(view) {
+  return data.views.partners[view] ? ` (${data.views.partners[view]})` : '';
+}
+
 // In a few words, for the list.
 function becauseShort(view) {
   const rank = views.rank[view];
@@ -41,7 +46,7 @@ function whyIn(view) {
       + ` together give, from ${percent(shareAt(rank - 1))} to ${percent(shareAt(rank))}. On the map, what it improves is purple.`),
     make('p', {}, `It is matched against ${partners.length} partner${partners.length === 1 ? '' : 's'}, best first:`), viewList(partners)];
   if (partners.length < data.wanted_partners) {
-    parts.push(make('p', {}, `That is fewer than the ${data.wanted_partners} that are wanted because ${reasonOf(view) || 'there are no others'}.`));
+    parts.push(make('p', {}, `That is fewer than the ${data.wanted_partners} that are wanted because ${reasonOf(view) || 'there are no others'}${pairsOf(view)}.`));
   }
   return parts;
 }
@@ -52,12 +57,12 @@ function whyNot(view) {
     parts.push(make('p', { class: 'answer' }, `Not in: its turn comes at ${rank}, and the cut is at ${state.cut}. There it would add ${gainText(rank)}.`),
       make('button', { type: 'button', onclick: () => change({ cut: rank }) }, `Move the cut to ${rank}`));
   } else {
-    parts.push(make('p', { class: 'answer' }, reason ? `Not in, because ${reason}.` : 'Not in: at any time others add more, and in the end it adds nothing.'));
+    parts.push(make('p', { class: 'answer' }, reason ? `Not in, because ${reason}${pairsOf(view)}.` : 'Not in: at any time others add more, and in the end it adds nothing.'));
   }
   if (likest) {
     parts.push(make('p', {}, viewButton(ranking.keys[likest.rank - 1]), ` (key view ${likest.rank}) does ${percent(likest.share, 0)} of what it could do by itself.`));
   }
-  if (rank && reason && state.cut === data.cut) parts.push(make('p', {}, `At the plan's cut it is left out because ${reason}.`));
+  if (rank && reason && state.cut === data.cut) parts.push(make('p', {}, `At the plan's cut it is left out because ${reason}${pairsOf(view)}.`));
   return parts;
 }
 
@@ -76,7 +81,7 @@ function summary() {
     if (status !== 'key' && reasonOf(view)) reasons.set(reasonOf(view), (reasons.get(reasonOf(view)) || 0) + 1);
   }
   const rows = [['key views', counts.key], ['partners only', counts.partner], ['unused', counts.unused]];
-  if (data.unregistered_count) rows.push(['without a pose in the sparse model', data.unregistered_count]);
+  if (data.unregistered.length) rows.push(['without a pose in the sparse model', data.unregistered.length]);
   const table = make('table', {}, ...rows.map(([what, n]) => make('tr', {}, make('td', {}, what), make('td', {}, grouped.format(n)))));
   if (state.cut !== data.cut || !reasons.size) return table;
   const why = [...reasons].sort((a, b) => b[1] - a[1]).map(([reason, n]) => make('li', {}, `${grouped.format(n)}: ${reason}`));
