@@ -8,9 +8,10 @@ use std::{
     path::{Path, PathBuf},
     process::{Child, Command, Stdio},
     thread,
-    time::Duration,
+    time::{Duration, Instant, UNIX_EPOCH},
 };
 
+use npyz::WriterBuilder;
 use rand_core::{Rng, SeedableRng};
 use rand_pcg::Pcg64;
 use viewrank::{
@@ -20,10 +21,18 @@ use viewrank::{
 };
 
 const PROJECTS: [&str; 3] = ["a", "deep/b", "with blank/c"];
+/// A project whose model stays and whose depth maps come and go.
+const COMPUTED: &str = "computed";
 /// Models that a project may have.
 const VARIANTS: u64 = 2;
+/// Finished depth maps, when there are any.
+const MAPS: usize = 2;
 /// Written by every run anew.
 const NOT_COMPARED: [&str; 2] = ["timings.json", ".lock"];
+/// No kill comes later than this.
+const LATEST: Duration = Duration::from_millis(500);
+/// A daemon that is to be killed while it writes must begin to within this.
+const PATIENCE: Duration = Duration::from_secs(30);
 
 fn model(variant: u64) -> Vec<(&'static str, Vec<u8>)> {
     let camera = Camera::new(1, CameraModel::Pinhole, 400, 300, vec![320.0, 320.0, 200.0, 150.0]).expect("a camera");
@@ -40,10 +49,32 @@ fn put_model(project: &Path, variant: u64) {
     }
 }
 
+/// Depth maps of these key views: half of what their images show is where the ground is.
+fn put_maps(project: &Path, keys: &[String]) {
+    let folder = project.join("sgm/depth_maps");
+    fs::create_dir_all(&folder).expect("a folder");
+    for (i, key) in keys.iter().enumerate() {
+        let mut bytes = Vec::new();
+        let mut writer = npyz::WriteOptions::new()
+            .default_dtype()
+            .shape(&[75, 100])
+            .writer(&mut bytes)
+            .begin_nd()
+            .expect("a header");
+        writer.extend((0..75 * 100).map(|at| if at % 2 == 0 { 40.0f32 } else { 0.0 })).expect("depths");
+        writer.finish().expect("a map");
+        let path = folder.join(format!("{key}.npy"));
+        fs::write(&path, bytes).expect("a file");
+        // The time per pair is taken from these.
+        let time = UNIX_EPOCH + Duration::from_secs(1_700_000_000 + 60 * i as u64);
+        fs::File::options().write(true).open(&path).and_then(|file| file.set_modified(time)).expect("a time");
+    }
+}
+
 fn daemon(root: &Path, options: &[&str]) -> Child {
     let nowhere = Path::new(env!("CARGO_TARGET_TMPDIR"));
     let mut command = Command::new(env!("CARGO_BIN_EXE_viewrank"));
-    command.arg("watch").arg(root).args(["--settle", "30ms", "--jobs", "2"]).args(options);
+    command.arg("watch").arg(root).args(["--settle", "30ms", "--jobs", "2", "--replan"]).args(options);
     command.env("XDG_CONFIG_HOME", nowhere).stderr(Stdio::null()).spawn().expect("the program starts")
 }
 
@@ -54,46 +85,146 @@ fn finish(root: &Path) {
 }
 
 /// All files of the project's output folder, but what differs from run to run.
-fn outputs(project: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
+fn outputs(project: &Path) -> Outputs {
     let folder = project.join("viewrank");
-    let files = walkdir::WalkDir::new(&folder).into_iter().map(|entry| entry.expect("a readable folder"));
+    // A daemon that runs may take away what is just being walked.
+    let files = walkdir::WalkDir::new(&folder).into_iter().filter_map(Result::ok);
     let files = files.filter(|e| e.file_type().is_file() && !NOT_COMPARED.iter().any(|name| e.file_name() == *name));
     let read = |e: walkdir::DirEntry| {
         let name = e.path().strip_prefix(&folder).expect("below the folder").to_path_buf();
-        (name, fs::read(e.path()).expect("a readable file"))
+        Some((name, fs::read(e.path()).ok()?))
     };
-    files.map(read).collect()
+    files.filter_map(read).collect()
 }
 
 /// The record of a set says what was written, hash of `timings.json` included; only its file names are compared.
-fn without_hashes(mut outputs: BTreeMap<PathBuf, Vec<u8>>) -> BTreeMap<PathBuf, Vec<u8>> {
+fn without_hashes(mut outputs: Outputs) -> Outputs {
     outputs.iter_mut().filter(|(path, _)| path.starts_with(".sets")).for_each(|(_, bytes)| bytes.clear());
     outputs
+}
+
+/// The projects, what each has by now, and what undisturbed runs make of it.
+struct Scene {
+    root: tempfile::TempDir,
+    random: Pcg64,
+    variants: [u64; PROJECTS.len()],
+    has_maps: bool,
+    /// Key views of the depth maps.
+    keys: Vec<String>,
+    planned: Vec<Outputs>,
+    /// Without and with depth maps.
+    computed: [Outputs; 2],
+    /// How long a run takes.
+    length: Duration,
+}
+
+type Outputs = BTreeMap<PathBuf, Vec<u8>>;
+
+/// What a kill hit.
+#[derive(Default, Debug)]
+struct Hits {
+    /// A set of files or a status was half written.
+    writing: u64,
+    /// What changed was not planned or measured yet.
+    unfinished: u64,
+}
+
+impl Scene {
+    fn new(seed: u64) -> Self {
+        let start = Instant::now();
+        let planned: Vec<Outputs> = (0..VARIANTS).map(|variant| undisturbed(variant, &[])).collect();
+        let length = (start.elapsed() / VARIANTS as u32).min(LATEST);
+        let clusters = String::from_utf8(planned[0][Path::new("clusters.txt")].clone()).expect("text");
+        let keys: Vec<String> =
+            clusters.lines().take(MAPS).map(|line| line.split('\t').next().unwrap_or("").into()).collect();
+        let computed = [planned[0].clone(), undisturbed(0, &keys)];
+        assert_ne!(computed[0][Path::new("manifest.json")], computed[1][Path::new("manifest.json")]);
+        let root = tempfile::tempdir().expect("a temporary folder");
+        PROJECTS.iter().chain([&COMPUTED]).for_each(|project| put_model(&root.path().join(project), 0));
+        let (random, variants) = (Pcg64::seed_from_u64(seed), [0; PROJECTS.len()]);
+        Self { root, random, variants, has_maps: false, keys, planned, computed, length }
+    }
+
+    fn chance(&mut self, one_in: u32) -> bool {
+        self.random.next_u32().is_multiple_of(one_in)
+    }
+
+    /// Changes a project, which it tells.
+    fn change(&mut self) -> &'static str {
+        if self.chance(3) {
+            self.has_maps = !self.has_maps;
+            let project = self.root.path().join(COMPUTED);
+            match self.has_maps {
+                true => put_maps(&project, &self.keys),
+                false => fs::remove_dir_all(project.join("sgm")).expect("maps"),
+            }
+            return COMPUTED;
+        }
+        let at = self.random.next_u32() as usize % PROJECTS.len();
+        self.variants[at] = (self.variants[at] + 1) % VARIANTS;
+        put_model(&self.root.path().join(PROJECTS[at]), self.variants[at]);
+        PROJECTS[at]
+    }
+
+    fn expected(&self, project: &str) -> &Outputs {
+        match PROJECTS.iter().position(|p| *p == project) {
+            Some(at) => &self.planned[self.variants[at] as usize],
+            None => &self.computed[usize::from(self.has_maps)],
+        }
+    }
+
+    fn found(&self, project: &str) -> Outputs {
+        without_hashes(outputs(&self.root.path().join(project)))
+    }
+
+    fn is_finished(&self, project: &str) -> bool {
+        self.found(project) == *self.expected(project)
+    }
+
+    /// One daemon from its start to its death.
+    fn kill_one(&mut self, hits: &mut Hits) {
+        let mut running = daemon(self.root.path(), &[]);
+        let changed = self.change();
+        if self.chance(2) {
+            let end = Instant::now() + PATIENCE;
+            let folder = self.root.path().join(changed);
+            // Whether all is finished costs more to see and is asked seldom.
+            let looks = (0..).take_while(|_| Instant::now() < end && !is_writing(&folder));
+            looks.map(|look| look % 50 == 49 && self.is_finished(changed)).take_while(|finished| !finished).for_each(
+                |_| {
+                    thread::sleep(Duration::from_millis(1));
+                },
+            );
+            thread::sleep(Duration::from_micros(u64::from(self.random.next_u32() % 20_000)));
+        } else {
+            thread::sleep(self.length * (self.random.next_u32() % 1000) / 1000);
+        }
+        running.kill().expect("SIGKILL");
+        running.wait().expect("the end");
+        let writing = PROJECTS.iter().chain([&COMPUTED, &""]).any(|p| is_writing(&self.root.path().join(p)));
+        hits.writing += u64::from(writing);
+        hits.unfinished += u64::from(!self.is_finished(changed));
+    }
+}
+
+/// Is a set of files staged, or a draft of a status or of progress there?
+fn is_writing(folder: &Path) -> bool {
+    let unfinished = [".staging", ".journal.json", ".status.json.new", ".progress.json.new"];
+    unfinished.iter().any(|name| folder.join("viewrank").join(name).exists())
 }
 
 #[test]
 fn a_daemon_killed_at_any_instant_ends_where_an_undisturbed_one_ends() {
     let kills: u64 = std::env::var("VIEWRANK_KILLS").ok().and_then(|n| n.parse().ok()).unwrap_or(300);
-    let undisturbed: Vec<_> = (0..VARIANTS).map(undisturbed).collect();
-    let root = tempfile::tempdir().expect("a temporary folder");
-    let mut random = Pcg64::seed_from_u64(kills);
-    let mut variants = [0; PROJECTS.len()];
-    PROJECTS.iter().for_each(|project| put_model(&root.path().join(project), 0));
-    for _ in 0..kills {
-        let mut running = daemon(root.path(), &[]);
-        if random.next_u32().is_multiple_of(3) {
-            let project = random.next_u32() as usize % PROJECTS.len();
-            variants[project] = (variants[project] + 1) % VARIANTS;
-            put_model(&root.path().join(PROJECTS[project]), variants[project]);
-        }
-        thread::sleep(Duration::from_millis(u64::from(random.next_u32() % 400)));
-        running.kill().expect("SIGKILL");
-        running.wait().expect("the end");
-    }
-    finish(root.path());
-    for (project, variant) in PROJECTS.iter().zip(variants) {
-        let found = without_hashes(outputs(&root.path().join(project)));
-        let expected = &undisturbed[variant as usize];
+    let mut scene = Scene::new(kills);
+    let mut hits = Hits::default();
+    (0..kills).for_each(|_| scene.kill_one(&mut hits));
+    eprintln!("{kills} kills: {hits:?}");
+    assert!(hits.unfinished >= kills / 3, "most kills must hit work: {hits:?}");
+    assert!(hits.writing >= kills / 20, "some kills must hit what is being written: {hits:?}");
+    finish(scene.root.path());
+    for project in PROJECTS.iter().chain([&COMPUTED]) {
+        let (found, expected) = (scene.found(project), scene.expected(project));
         assert_eq!(found.keys().collect::<Vec<_>>(), expected.keys().collect::<Vec<_>>(), "{project}");
         for (path, bytes) in &found {
             assert!(bytes == &expected[path], "{project}: {} differs", path.display());
@@ -101,14 +232,18 @@ fn a_daemon_killed_at_any_instant_ends_where_an_undisturbed_one_ends() {
     }
 }
 
-/// The outputs of a project with this model, planned by a daemon that nothing disturbs. The folder is called as one of the
-/// projects, for a manifest may name it.
-fn undisturbed(variant: u64) -> BTreeMap<PathBuf, Vec<u8>> {
+/// The outputs of a project with this model and depth maps of these views, by a daemon that nothing disturbs. The folder is called
+/// as one of the projects, for a manifest may name it.
+fn undisturbed(variant: u64, maps: &[String]) -> Outputs {
     let root = tempfile::tempdir().expect("a temporary folder");
     let project = root.path().join(PROJECTS[0]);
     put_model(&project, variant);
+    if !maps.is_empty() {
+        put_maps(&project, maps);
+    }
     finish(root.path());
     let outputs = without_hashes(outputs(&project));
     assert!(outputs.contains_key(Path::new("manifest.json")), "{:?}", outputs.keys());
+    assert_eq!(outputs.contains_key(Path::new("progress.json")), !maps.is_empty());
     outputs
 }

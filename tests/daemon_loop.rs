@@ -14,13 +14,17 @@ use std::{
 };
 
 use viewrank::{
+    camera::{Camera, CameraModel},
     daemon::{
-        DaemonError, Job, Options, Planner, Signal, Summary, read_status,
+        DaemonError, Job, Options, PlanJob, PlanOptions, Planner, Signal, Summary, read_status,
         settle::HashCache,
         state::{OnBusy, Outcome, Phase},
         watch_roots,
     },
+    formats::{colmap::ColmapModel, colmap_bin},
     output::Disk,
+    scene::Scene,
+    synthetic::Town,
 };
 
 /// Counts how often each content of each project was planned; a plan takes `length`.
@@ -29,6 +33,8 @@ struct Counter {
     length: Duration,
     plans: Mutex<BTreeMap<PathBuf, Vec<String>>>,
     cancelled: Mutex<usize>,
+    /// Looks at projects.
+    looks: Mutex<usize>,
     hashes: Mutex<HashCache>,
 }
 
@@ -39,6 +45,11 @@ impl Counter {
 }
 
 impl Planner for Counter {
+    fn named_files(&self, _: &Path) -> Vec<PathBuf> {
+        *self.looks.lock().expect("no panic") += 1;
+        Vec::new()
+    }
+
     fn follow(&self, _: &Job) -> Outcome {
         Outcome::Abandoned
     }
@@ -220,15 +231,66 @@ fn a_change_while_planning_restarts_the_plan() {
 fn a_folder_deleted_and_made_again_is_watched_again() {
     let (_guard, root) = root();
     write_model(&root.join("p"), "a");
+    fs::create_dir(root.join("group")).expect("a folder");
     let planner = Counter::default();
     with_daemon(&options(&root), &planner, || {
         eventually("the plan", || planner.plans_of(&root.join("p")) == 1);
-        fs::remove_dir_all(root.join("p")).expect("removed");
+        // Two changes after each: the first may be seen by the look that the new folder itself leads to.
+        for (gone, content) in [("p", "b"), ("p/sparse", "d"), ("p/sparse/0", "f")] {
+            let plans = planner.plans_of(&root.join("p"));
+            fs::remove_dir_all(root.join(gone)).expect("removed");
+            fs::create_dir_all(root.join("p/sparse/0")).expect("a folder");
+            write_model(&root.join("p"), content);
+            eventually("the plan", || planner.plans_of(&root.join("p")) == plans + 1);
+            write_model(&root.join("p"), &format!("{content} again"));
+            eventually("the next plan", || planner.plans_of(&root.join("p")) == plans + 2);
+        }
+        fs::remove_dir(root.join("group")).expect("removed");
+        fs::create_dir(root.join("group")).expect("a folder");
+        for name in ["one", "two"] {
+            write_model(&root.join("group").join(name), "a");
+            eventually("the plan in the group", || planner.plans_of(&root.join("group").join(name)) == 1);
+        }
+    });
+}
+
+#[test]
+fn the_job_of_a_folder_that_was_replaced_meanwhile_is_none_of_the_new_one_s() {
+    let (_guard, root) = root();
+    write_model(&root.join("p"), "a");
+    let planner = Counter { length: Duration::from_millis(500), ..Counter::default() };
+    let summary = with_daemon(&options(&root), &planner, || {
+        let state = |wanted: fn(&Phase) -> bool| {
+            let status = read_status(&root).map(|line| line.status);
+            status.is_some_and(|status| status.projects.iter().any(|p| wanted(&p.phase)))
+        };
+        eventually("the start", || state(|phase| matches!(phase, Phase::Planning { .. })));
+        fs::rename(root.join("p"), root.join(".away")).expect("moved");
+        eventually("it to be missed", || !state(|_| true));
         write_model(&root.join("p"), "b");
-        eventually("the second plan", || planner.plans_of(&root.join("p")) == 2);
-        fs::remove_dir_all(root.join("p/sparse/0")).expect("removed");
-        write_model(&root.join("p"), "c");
-        eventually("the third plan", || planner.plans_of(&root.join("p")) == 3);
+        eventually("the plan", || planner.plans_of(&root.join("p")) == 1);
+        eventually("its status", || state(|phase| matches!(phase, Phase::Planned { .. })));
+    });
+    assert_eq!(summary, Summary { projects: 1, planned: 1, failed: 0, waiting: 0 });
+}
+
+#[test]
+fn what_viewrank_writes_where_depth_maps_may_be_leads_to_no_look() {
+    let (_guard, root) = root();
+    write_model(&root.join("p"), "a");
+    let exported = root.join("p/viewrank/openmvs");
+    fs::create_dir_all(&exported).expect("a folder");
+    let planner = Counter::default();
+    let looks = || *planner.looks.lock().expect("no panic");
+    with_daemon(&options(&root), &planner, || {
+        eventually("the plan", || planner.plans_of(&root.join("p")) == 1);
+        thread::sleep(Duration::from_millis(500));
+        let before = looks();
+        fs::write(exported.join("scene.mvs"), "").expect("a file");
+        thread::sleep(Duration::from_millis(500));
+        assert_eq!(looks(), before);
+        fs::write(exported.join("depth0001.dmap"), "").expect("a file");
+        eventually("the look at the map", || looks() > before);
     });
 }
 
@@ -276,4 +338,138 @@ fn a_second_daemon_says_who_holds_the_root() {
             other => panic!("expected to be refused, got {other:?}"),
         }
     });
+}
+
+fn town() -> Scene {
+    let camera = Camera::new(1, CameraModel::Pinhole, 400, 300, vec![320.0, 320.0, 200.0, 150.0]).expect("a camera");
+    Town { grid: 3, points: 400, tilt: None, side: 40.0, boxes: 1, ..Town::new(camera) }.scene()
+}
+
+/// The project as the one project of a root.
+struct Real {
+    _guard: tempfile::TempDir,
+    root: PathBuf,
+    project: PathBuf,
+}
+
+impl Real {
+    fn new(scene: &Scene) -> Self {
+        let (guard, root) = root();
+        let project = root.join("p");
+        let real = Self { _guard: guard, root, project };
+        real.write_model(scene);
+        real
+    }
+
+    fn write_model(&self, scene: &Scene) {
+        let folder = self.project.join("sparse/0");
+        fs::create_dir_all(&folder).expect("a folder");
+        for (name, bytes) in colmap_bin::write(&ColmapModel::from_scene(scene)) {
+            fs::write(folder.join(name), bytes).expect("a file");
+        }
+    }
+
+    /// A daemon that plans, or measures, what there is.
+    fn once(&self, replan: bool) -> Phase {
+        let planner = PlanJob::new(PlanOptions { on_target: Some("true".into()), replan, cache: 0 });
+        let options = Options { once: true, ..options(&self.root) };
+        watch_roots(&options, &planner, &Disk::REAL, |_| {}).expect("the root can be watched");
+        read_status(&self.root).expect("a status").status.projects.remove(0).phase
+    }
+
+    fn manifest(&self) -> serde_json::Value {
+        serde_json::from_slice(&fs::read(self.project.join("viewrank/manifest.json")).expect("a plan")).expect("JSON")
+    }
+
+    fn finished(&self) -> usize {
+        let manifest = self.manifest();
+        manifest["clusters"].as_array().expect("a list").iter().filter(|c| c["finished"] == true).count()
+    }
+
+    /// A depth map of the first key view.
+    fn put_map(&self, folder: &str) {
+        let key = self.manifest()["clusters"][0]["key"].as_str().expect("a name").to_owned();
+        let header = b"\x93NUMPY\x01\x00\x76\x00{'descr': '<f4', 'fortran_order': False, 'shape': (30, 40), }";
+        let mut bytes = header.to_vec();
+        bytes.resize(127, b' ');
+        bytes.push(b'\n');
+        bytes.extend((0..30 * 40).flat_map(|_| 40.0f32.to_le_bytes()));
+        fs::create_dir_all(self.project.join(folder)).expect("a folder");
+        fs::write(self.project.join(folder).join(format!("{key}.npy")), bytes).expect("a file");
+    }
+}
+
+#[test]
+fn maps_that_cannot_be_told_apart_fail_the_plan_and_nothing_of_them_is_forgotten() {
+    let mut scene = town();
+    let real = Real::new(&scene);
+    assert!(matches!(real.once(false), Phase::Planned { .. }));
+    real.put_map("sgm/a");
+    real.put_map("sgm/b");
+    let views = fs::read(real.project.join("viewrank/planned_views.json")).expect("a file");
+    for (i, view) in scene.views.iter_mut().enumerate() {
+        view.cam_from_world.translation.x += (i % 2) as f64;
+    }
+    real.write_model(&scene);
+    match real.once(false) {
+        Phase::Failed { reason, .. } => assert!(reason.contains("two depth maps of view"), "{reason}"),
+        phase => panic!("{phase}"),
+    }
+    assert_eq!(fs::read(real.project.join("viewrank/planned_views.json")).expect("a file"), views);
+    fs::remove_dir_all(real.project.join("sgm/b")).expect("a folder");
+    real.once(false);
+    assert_eq!(real.manifest()["outdated"].as_array().map(Vec::len), Some(1));
+}
+
+/// What a daemon leaves that is killed before it has forgotten the depth maps that are gone, in the order of its steps.
+#[test]
+fn maps_that_are_gone_are_forgotten_though_a_run_was_killed_on_the_way() {
+    let steps: [&[&str]; 3] = [&[], &["planned_from.json"], &["progress.json"]];
+    for removed in steps {
+        let real = Real::new(&town());
+        real.once(true);
+        real.put_map("sgm");
+        assert!(matches!(real.once(true), Phase::Computing { .. } | Phase::Reached { .. }));
+        assert_eq!(real.finished(), 1);
+        fs::remove_dir_all(real.project.join("sgm")).expect("a folder");
+        removed.iter().for_each(|name| fs::remove_file(real.project.join("viewrank").join(name)).expect("a file"));
+        assert!(matches!(real.once(true), Phase::Planned { .. }), "{removed:?}");
+        assert_eq!((real.finished(), real.project.join("viewrank/progress.json").exists()), (0, false), "{removed:?}");
+    }
+}
+
+#[test]
+fn maps_beyond_the_list_are_counted_beside_it() {
+    let real = Real::new(&town());
+    fs::write(real.project.join("viewrank.toml"), "[cut]\nbudget = 1\n").expect("a file");
+    real.once(false);
+    let planned = real.manifest();
+    assert_eq!(planned["cut"]["clusters"], 1);
+    real.put_map("sgm");
+    let text = fs::read_dir(real.project.join("sgm")).expect("maps").next().expect("a map").expect("a map").path();
+    let second = planned["clusters"][1]["key"].as_str().expect("a name");
+    fs::rename(text, real.project.join("sgm").join(format!("{second}.npy"))).expect("moved");
+    real.once(false);
+    let progress = fs::read(real.project.join("viewrank/progress.json")).expect("a file");
+    let progress: serde_json::Value = serde_json::from_slice(&progress).expect("JSON");
+    assert_eq!((&progress["done"], &progress["clusters"]), (&1.into(), &2.into()));
+    assert_eq!(progress["finished"], serde_json::json!([second]));
+}
+
+#[test]
+fn a_model_behind_a_link_waits_for_being_asked_for() {
+    let elsewhere = Real::new(&town());
+    let real = Real::new(&town());
+    let file = real.project.join("sparse/0/images.bin");
+    fs::remove_file(&file).expect("a file");
+    std::os::unix::fs::symlink(elsewhere.project.join("sparse/0/images.bin"), &file).expect("a link");
+    match real.once(false) {
+        Phase::Waiting { reason } => assert!(reason.contains("images.bin lies behind a symbolic link"), "{reason}"),
+        phase => panic!("{phase}"),
+    }
+    assert!(!real.project.join("viewrank/manifest.json").exists());
+    let planner = PlanJob::new(PlanOptions { on_target: None, replan: false, cache: 0 });
+    let options = Options { once: true, follow_links: true, ..options(&real.root) };
+    let summary = watch_roots(&options, &planner, &Disk::REAL, |_| {}).expect("the root can be watched");
+    assert_eq!(summary.planned, 1);
 }

@@ -7,7 +7,7 @@ use std::{
     sync::atomic::{AtomicUsize, Ordering},
 };
 
-use viewrank::output::{Contents, Disk, FileSet, Operation, OutputError, recover};
+use viewrank::output::{Contents, Disk, FileSet, Operation, OutputError, recover, replace};
 
 /// A folder of its own, in memory where the machine has such a place: these tests sync some thousand times.
 fn empty_folder() -> tempfile::TempDir {
@@ -243,6 +243,27 @@ fn a_process_that_dies_at_any_instant_leaves_what_recovery_makes_whole() {
         assert_eq!(tree(folder.path()), new, "operation {at}");
     }
     assert!(finished > 0 && finished < operations, "both ends occur");
+}
+
+#[test]
+fn a_file_that_is_replaced_is_the_old_or_the_new_whatever_fails() {
+    let operations = AtomicUsize::new(0);
+    let count = |_: Operation, _: &Path| {
+        operations.fetch_add(1, Ordering::Relaxed);
+        Ok(())
+    };
+    replace(&empty_folder().path().join("status.json"), b"new", &Disk::guarded(&count)).unwrap();
+    for (at, dies) in (0..operations.into_inner()).flat_map(|at| [(at, false), (at, true)]) {
+        let folder = empty_folder();
+        let path = folder.path().join("status.json");
+        replace(&path, b"old", &Disk::REAL).unwrap();
+        let result = replace(&path, b"new", &Disk::guarded(&fail_at(at, dies)));
+        assert!(matches!(result, Err(OutputError::Full { .. })), "operation {at}");
+        assert_eq!(fs::read(&path).unwrap(), b"old", "operation {at}");
+        assert!(dies || fs::read_dir(folder.path()).unwrap().count() == 1, "operation {at} leaves its draft");
+        replace(&path, b"new", &Disk::REAL).unwrap();
+        assert_eq!(tree(folder.path()), texts(&[("status.json", "new")]), "operation {at}");
+    }
 }
 
 #[test]

@@ -326,3 +326,23 @@ fn transformed(scene: &Scene, scale: f64) -> Scene {
     }
     other
 }
+
+#[test]
+fn a_map_that_is_cut_off_says_nothing_about_the_others() {
+    let mut moved = town();
+    let planned = Planned::new(&moved);
+    planned.write_maps(0..2, |_, _| true);
+    fs::write(planned.maps().join("depth0009.dmap"), "DR").unwrap();
+    fs::write(planned.maps().join("depth0010.dmap"), "").unwrap();
+    for view in &mut moved.views {
+        view.cam_from_world.translation.x += f64::from(view.image_id % 2);
+    }
+    write_model(planned.folder.path(), &moved);
+    let plan = planned.again();
+    let outdated: Vec<&str> = plan.finished.outdated.iter().map(|outdated| outdated.key.as_str()).collect();
+    let mut keys = planned.keys(0..2);
+    keys.sort_unstable();
+    assert_eq!((plan.finished.clusters, outdated), (0, keys));
+    assert_eq!(plan.finished.unreadable.len(), 2, "{:?}", plan.finished.unreadable);
+    assert!(plan.finished.unreadable[0].contains("depth0009.dmap"));
+}

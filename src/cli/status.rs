@@ -8,7 +8,7 @@ use std::{
 
 use clap::Args;
 use viewrank::{
-    daemon::{Line, read_status, state::ProjectStatus},
+    daemon::{Line, Shown, read_status, state::ProjectStatus},
     error::Hint,
     shell::quoted_path,
 };
@@ -88,7 +88,9 @@ fn as_text(root: &Path, line: &Line) -> String {
     }
     let width = status.projects.iter().map(|p| p.project.chars().count()).max().unwrap_or(0).min(32);
     for project in &status.projects {
-        text += &format!("  {:width$}  {} ({})\n", project.project, project.phase, age(project));
+        let name = Shown(Path::new(&project.project)).to_string();
+        let measuring = if project.measuring { ", being measured" } else { "" };
+        text += &format!("  {name:width$}  {}{measuring} ({})\n", project.phase, age(project));
     }
     if status.projects.is_empty() {
         text += "  no projects yet\n";

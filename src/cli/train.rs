@@ -94,7 +94,7 @@ fn prepare(arguments: &Arguments, root: &Path, progress: &Progress) -> Result<Pr
     typed.set("train", "confidence.source", Some("geometric"));
     let mut settings = config::load(Some(&project.root), typed)?.settings;
     let scene = project.read_scene()?;
-    let found = depthmaps::find(&folder, &scene)?;
+    let found = depthmaps::find(&folder, &scene)?.whole()?;
     settings.backends = vec![backend(arguments, &found.maps[0].format)];
     let plan = plan::plan(&project, &settings, progress)?;
     let ranked =

@@ -1,6 +1,6 @@
 //! `viewrank watch`: the daemon's arguments, signals and log.
 
-use std::{io::IsTerminal, path::PathBuf, process, thread, time::Duration};
+use std::{io::IsTerminal, num::NonZeroUsize, path::PathBuf, process, thread, time::Duration};
 
 use clap::{Args, ValueEnum};
 use signal_hook::{
@@ -16,6 +16,10 @@ use viewrank::{
 
 use super::Failure;
 
+/// Between two looks at everything.
+const SHORTEST_PAUSE: Duration = Duration::from_millis(10);
+/// Longer than anybody waits.
+const LONGEST: Duration = Duration::from_secs(365 * 24 * 3600);
 /// After a signal to stop the process ends within this.
 const LONGEST_STOP: Duration = Duration::from_millis(1500);
 
@@ -31,17 +35,17 @@ pub struct Arguments {
     #[arg(long, default_value = "2s", value_parser = duration, value_name = "TIME")]
     settle: Duration,
     /// Look at all folders so often instead of waiting for file events [default: 10s on network file systems].
-    #[arg(long, value_parser = duration, value_name = "TIME")]
+    #[arg(long, value_parser = pause, value_name = "TIME")]
     poll: Option<Duration>,
     /// Look at everything so often, for events that were lost.
-    #[arg(long, default_value = "10min", value_parser = duration, value_name = "TIME")]
+    #[arg(long, default_value = "10min", value_parser = pause, value_name = "TIME")]
     rescan: Duration,
     /// What to do when a model changes while it is planned.
     #[arg(long, default_value = "restart", value_name = "WHAT")]
     on_busy: OnBusy,
     /// Projects to plan at once.
-    #[arg(long, default_value_t = 1, value_name = "N")]
-    jobs: usize,
+    #[arg(long, default_value = "1", value_name = "N")]
+    jobs: NonZeroUsize,
     /// Memory that all plans together may take, as 4G or 800M [default: half of this machine's].
     #[arg(long, value_name = "SIZE")]
     max_memory: Option<Bytes>,
@@ -96,7 +100,7 @@ impl Arguments {
             poll: self.poll,
             rescan: self.rescan,
             on_busy: self.on_busy,
-            jobs: self.jobs,
+            jobs: self.jobs.get(),
             max_memory: self.max_memory.map_or_else(|| queue::machine_memory() / 2, |bytes| bytes.0),
             follow_links: self.follow_links,
             once: self.once,
@@ -150,7 +154,13 @@ fn end_in_time() {
     process::exit(0);
 }
 
-/// `2s`, `500ms`, `10min`, `1h`.
+/// A duration between two looks.
+fn pause(text: &str) -> Result<Duration, String> {
+    let pause = duration(text)?;
+    if pause < SHORTEST_PAUSE { Err("at least 10ms".into()) } else { Ok(pause) }
+}
+
+/// `2s`, `500ms`, `10min`, `1h`; at most a year.
 fn duration(text: &str) -> Result<Duration, String> {
     let split = text.find(|c: char| !c.is_ascii_digit() && c != '.').unwrap_or(text.len());
     let (number, unit) = text.split_at(split);
@@ -162,5 +172,23 @@ fn duration(text: &str) -> Result<Duration, String> {
         _ => return Err("a number and ms, s, min or h, as in 2s".into()),
     };
     let number: f64 = number.parse().map_err(|_| "a number and ms, s, min or h, as in 2s".to_string())?;
-    Duration::try_from_secs_f64(number * seconds).map_err(|error| error.to_string())
+    let duration = Duration::try_from_secs_f64(number * seconds).map_err(|error| error.to_string())?;
+    if duration > LONGEST { Err("at most 8760h, a year".into()) } else { Ok(duration) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn times_that_no_clock_can_wait_for_are_refused() {
+        assert_eq!(duration("1.5min"), Ok(Duration::from_secs(90)));
+        assert_eq!(duration("8760h"), Ok(LONGEST));
+        assert_eq!(duration("0s"), Ok(Duration::ZERO));
+        for text in ["8761h", "4000000000000000h", "1e400h", "-1s", "s", "5", "5 s"] {
+            assert!(duration(text).is_err(), "{text}");
+        }
+        assert_eq!(pause("100ms"), Ok(Duration::from_millis(100)));
+        assert!(pause("0s").is_err() && pause("9ms").is_err());
+    }
 }

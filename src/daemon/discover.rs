@@ -1,11 +1,15 @@
 //! Finds the projects under a root, at any depth, and what of each is its input.
 //!
 //! A folder is a project when it looks like one from outside: a COLMAP project or dense workspace (`sparse/`, with model files in it
-//! or one level below), an OpenMVS scene, a SURE project. Whether the model is whole is not asked here. A project's own folders are
-//! not searched for further projects.
+//! or one level below), a bare model (two of its files), an OpenMVS scene, a SURE project. Whether the model is whole is not asked
+//! here. A project's own folders are not searched for further projects; but a folder with several projects in it is none, whatever
+//! files lie about there, unless it has a `sparse` of its own.
 
 use std::{
+    collections::{BTreeSet, HashSet},
+    ffi::{OsStr, OsString},
     fs, io,
+    os::unix::fs::MetadataExt,
     path::{Path, PathBuf},
 };
 
@@ -15,7 +19,11 @@ use crate::confidence::MASKS;
 const MODEL_FILES: [&str; 5] = ["cameras", "images", "points3D", "rigs", "frames"];
 /// Where the outputs of a project and the daemon's own files of a root go; never looked at as input.
 pub const OUTPUT_FOLDER: &str = "viewrank";
-/// Deeper than this is a loop of mounts or links.
+/// Dense workspaces of a project lie here.
+pub const DENSE: &str = "dense";
+/// So many projects in a folder that has files of a model or scene lying about are no parts of one project.
+const SEVERAL: usize = 2;
+/// Deeper than this is a loop of mounts.
 const MAX_DEPTH: usize = 64;
 
 /// What a walk over a root found.
@@ -29,84 +37,165 @@ pub struct Found {
     pub unreadable: Vec<(PathBuf, String)>,
 }
 
-/// Walks the root. Symbolic links are followed only where `follow_links` says so.
-pub fn walk(root: &Path, follow_links: bool) -> Found {
-    let mut found = Found::default();
-    let mut open = vec![(root.to_path_buf(), 0)];
-    while let Some((folder, depth)) = open.pop() {
-        let listing = match Listing::of(&folder, follow_links) {
-            Ok(listing) => listing,
-            Err(error) if error.kind() == io::ErrorKind::NotFound => continue,
-            Err(error) => {
-                found.unreadable.push((folder, error.to_string()));
-                continue;
-            }
-        };
-        if listing.is_project(&folder) {
-            found.projects.push(folder);
-            continue;
-        }
-        if depth < MAX_DEPTH {
-            let below = listing.folders.iter().filter(|name| !name.starts_with('.') && *name != OUTPUT_FOLDER);
-            open.extend(below.map(|name| (folder.join(name), depth + 1)));
-        }
-        found.folders.push(folder);
+/// Walks the root. Symbolic links are followed only where `follow_links` says so, after all else, and no folder is entered twice.
+/// `tick` is called for every folder.
+pub fn walk(root: &Path, follow_links: bool, tick: &dyn Fn()) -> Found {
+    let mut walk = Walk { follow_links, tick, found: Found::default(), links: Vec::new(), entered: HashSet::new() };
+    walk.enter(root.to_path_buf(), 0);
+    while let Some((link, depth)) = walk.links.pop() {
+        walk.enter(link, depth);
     }
-    found.projects.sort();
-    found.folders.sort();
-    found
+    walk.found.projects.sort();
+    walk.found.folders.sort();
+    walk.found
 }
 
-/// Is this folder a project, seen from outside?
+struct Walk<'a> {
+    follow_links: bool,
+    tick: &'a dyn Fn(),
+    found: Found,
+    /// To folders, still to be followed, with their depth.
+    links: Vec<(PathBuf, usize)>,
+    /// Device and inode, where links are followed.
+    entered: HashSet<(u64, u64)>,
+}
+
+impl Walk<'_> {
+    fn enter(&mut self, folder: PathBuf, depth: usize) {
+        (self.tick)();
+        let listing = match Listing::of(&folder) {
+            Ok(listing) => listing,
+            Err(error) if error.kind() == io::ErrorKind::NotFound => return,
+            Err(error) => return self.found.unreadable.push((folder, error.to_string())),
+        };
+        if depth > MAX_DEPTH || self.follow_links && !self.is_new(&folder) {
+            return;
+        }
+        let looks = listing.looks(&folder, self.follow_links);
+        if looks == Looks::Project {
+            return self.found.projects.push(folder);
+        }
+        let before = (self.found.lengths(), self.links.len());
+        let may_be_one = looks == Looks::MayBeProject;
+        let (own, others): (Vec<_>, Vec<_>) = listing.below().partition(|name| may_be_one && *name == DENSE);
+        others.into_iter().for_each(|name| self.enter(folder.join(name), depth + 1));
+        if may_be_one && self.found.projects.len() < before.0[0] + SEVERAL {
+            self.found.truncate(before.0);
+            self.links.truncate(before.1);
+            return self.found.projects.push(folder);
+        }
+        own.into_iter().for_each(|name| self.enter(folder.join(name), depth + 1));
+        if self.follow_links {
+            self.links.extend(listing.links.iter().rev().map(|name| (folder.join(name), depth + 1)));
+        }
+        self.found.folders.push(folder);
+    }
+
+    fn is_new(&mut self, folder: &Path) -> bool {
+        fs::metadata(folder).is_ok_and(|metadata| self.entered.insert((metadata.dev(), metadata.ino())))
+    }
+}
+
+impl Found {
+    fn lengths(&self) -> [usize; 3] {
+        [self.projects.len(), self.folders.len(), self.unreadable.len()]
+    }
+
+    fn truncate(&mut self, [projects, folders, unreadable]: [usize; 3]) {
+        self.projects.truncate(projects);
+        self.folders.truncate(folders);
+        self.unreadable.truncate(unreadable);
+    }
+}
+
+/// May there be projects in a folder of this name?
+pub fn is_searched(name: &OsStr) -> bool {
+    !name.as_encoded_bytes().starts_with(b".") && name != OUTPUT_FOLDER
+}
+
+/// Does the folder look like a project from outside, whatever lies in it?
 pub fn is_project(folder: &Path, follow_links: bool) -> bool {
-    Listing::of(folder, follow_links).is_ok_and(|listing| listing.is_project(folder))
+    Listing::of(folder).is_ok_and(|listing| listing.looks(folder, follow_links) != Looks::Folder)
 }
 
-/// Is it a SURE project?
-pub fn holds_orientations(folder: &Path) -> bool {
-    Listing::of(folder, true).is_ok_and(|listing| listing.holds_orientations(folder))
+/// What a folder is, by the names in it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Looks {
+    Project,
+    /// Unless there are several projects in it.
+    MayBeProject,
+    Folder,
 }
 
-/// Names in a folder; those that are no UTF-8 are left out, since no model can name them.
+/// Names in a folder, sorted.
+#[derive(Debug, Default)]
 struct Listing {
-    files: Vec<String>,
-    folders: Vec<String>,
+    files: BTreeSet<OsString>,
+    folders: BTreeSet<OsString>,
+    /// To folders.
+    links: BTreeSet<OsString>,
 }
 
 impl Listing {
-    fn of(folder: &Path, follow_links: bool) -> io::Result<Self> {
-        let (mut files, mut folders) = (Vec::new(), Vec::new());
+    fn of(folder: &Path) -> io::Result<Self> {
+        let mut listing = Self::default();
         for entry in fs::read_dir(folder)? {
             let entry = entry?;
-            let Ok(name) = entry.file_name().into_string() else { continue };
-            let Ok(mut kind) = entry.file_type() else { continue };
-            if kind.is_symlink() {
-                match fs::metadata(entry.path()) {
-                    Ok(target) if follow_links || target.is_file() => kind = target.file_type(),
-                    _ => continue,
-                }
-            }
-            if kind.is_dir() { folders.push(name) } else { files.push(name) }
+            let Ok(kind) = entry.file_type() else { continue };
+            let is_folder = || fs::metadata(entry.path()).is_ok_and(|target| target.is_dir());
+            let names = match kind {
+                kind if kind.is_dir() => &mut listing.folders,
+                kind if kind.is_symlink() && is_folder() => &mut listing.links,
+                _ => &mut listing.files,
+            };
+            names.insert(entry.file_name());
         }
-        Ok(Self { files, folders })
+        Ok(listing)
     }
 
-    fn is_project(&self, folder: &Path) -> bool {
-        let has = |name: &str| self.folders.iter().any(|f| f == name);
-        let scene = self.files.iter().any(|f| f.ends_with(".mvs"));
-        has("sparse") || scene || self.holds_orientations(folder) || self.holds_model() && !is_sub_model(folder)
+    /// Folders to be searched for projects.
+    fn below(&self) -> impl Iterator<Item = &OsString> {
+        self.folders.iter().filter(|name| is_searched(name))
+    }
+
+    fn looks(&self, folder: &Path, follow_links: bool) -> Looks {
+        let named = |names: &BTreeSet<OsString>, name: &str| names.contains(OsStr::new(name));
+        let sparse = || holds_model_below(&folder.join("sparse"), follow_links);
+        if named(&self.folders, "sparse") && sparse() {
+            return Looks::Project;
+        }
+        if named(&self.links, "sparse") && (!follow_links || sparse()) {
+            return Looks::Project;
+        }
+        let scene = self.files.iter().any(|name| name.as_encoded_bytes().ends_with(b".mvs"));
+        let bare_model = || self.model_files() >= 2 && !is_sub_model(folder);
+        if scene || self.holds_orientations(folder) || bare_model() { Looks::MayBeProject } else { Looks::Folder }
     }
 
     /// SURE's: here or in `ori`, which itself belongs to the project above.
     fn holds_orientations(&self, folder: &Path) -> bool {
-        let here = || !folder.ends_with("ori") && self.files.iter().any(|f| f.ends_with(".ori"));
-        self.files.iter().chain(&self.folders).any(|f| f == "ori") || here()
+        let here = || !folder.ends_with("ori") && self.files.iter().any(|f| f.as_encoded_bytes().ends_with(b".ori"));
+        [&self.files, &self.folders, &self.links].iter().any(|names| names.contains(OsStr::new("ori"))) || here()
     }
 
-    /// Any file of a COLMAP model: the folder is a bare model, perhaps half copied.
-    fn holds_model(&self) -> bool {
-        self.files.iter().any(|f| is_model_file(f))
+    /// How many of a COLMAP model's files are there, of whatever format.
+    fn model_files(&self) -> usize {
+        let stems = self.files.iter().filter_map(|name| model_file(name.to_str()?));
+        stems.collect::<BTreeSet<_>>().len()
     }
+}
+
+/// Does `sparse` or a folder in it hold files of a model? What can't be looked into may.
+fn holds_model_below(sparse: &Path, follow_links: bool) -> bool {
+    let holds_model = |listing: io::Result<Listing>| match listing {
+        Ok(listing) => listing.model_files() > 0,
+        Err(error) => error.kind() != io::ErrorKind::NotFound,
+    };
+    let Ok(listing) = Listing::of(sparse) else { return sparse.is_dir() };
+    let in_folder = |name: &OsString| holds_model(Listing::of(&sparse.join(name)));
+    listing.model_files() > 0
+        || listing.folders.iter().any(in_folder)
+        || listing.links.iter().any(|name| !follow_links || in_folder(name))
 }
 
 /// `sparse/0` belongs to the project above.
@@ -115,43 +204,59 @@ fn is_sub_model(folder: &Path) -> bool {
     named(folder, "sparse") || folder.parent().is_some_and(|above| named(above, "sparse"))
 }
 
-/// `cameras.bin`, `points3D.txt` and the like.
-pub fn is_model_file(name: &str) -> bool {
+/// The stem of `cameras.bin`, `points3D.txt` and the like.
+fn model_file(name: &str) -> Option<&str> {
     let stem = name.strip_suffix(".bin").or_else(|| name.strip_suffix(".txt"));
-    stem.is_some_and(|stem| MODEL_FILES.contains(&stem))
+    stem.filter(|stem| MODEL_FILES.contains(stem))
 }
 
-/// The folders of a project whose contents are its input: the project folder, its models, images and masks. Symbolic links are
-/// followed only where `follow_links` says so.
-pub fn input_folders(project: &Path, follow_links: bool) -> Vec<PathBuf> {
-    let mut folders = vec![project.to_path_buf()];
-    for above in [project.to_path_buf(), project.join("dense")] {
-        let sparse = above.join("sparse");
-        folders.extend(sub_folders(&sparse));
-        folders.push(sparse);
-        folders.push(above.join("ori"));
+/// Is it `cameras.bin`, `points3D.txt` or the like?
+pub fn is_model_file(name: &str) -> bool {
+    model_file(name).is_some()
+}
+
+/// The folders of a project whose contents are its input.
+#[derive(Clone, Debug, Default)]
+pub struct InputFolders {
+    /// The project folder and its models.
+    pub models: Vec<PathBuf>,
+    /// `images/` and the folders below it; their entries, not their bytes, are input.
+    pub images: Vec<PathBuf>,
+    /// `masks/` and the folders below it.
+    pub masks: Vec<PathBuf>,
+    /// Is it a SURE project?
+    pub has_orientations: bool,
+}
+
+impl InputFolders {
+    /// Those that are there. Symbolic links are followed only where `follow_links` says so.
+    pub fn of(project: &Path, follow_links: bool) -> Self {
+        let mut models = vec![project.to_path_buf()];
+        for above in [project.to_path_buf(), project.join(DENSE)] {
+            let sparse = above.join("sparse");
+            models.extend(sub_folders(&sparse));
+            models.push(sparse);
+            models.push(above.join("ori"));
+        }
+        let has_orientations = Listing::of(project).is_ok_and(|listing| listing.holds_orientations(project));
+        let (images, masks) = (folders_at(&project.join("images")), folders_at(&project.join(MASKS)));
+        let mut folders = Self { models, images, masks, has_orientations };
+        for folders in [&mut folders.models, &mut folders.images, &mut folders.masks] {
+            folders.retain(|folder| folder.is_dir() && may_enter(project, folder, follow_links));
+            folders.sort();
+        }
+        folders
     }
-    folders.extend(image_folders(project));
-    folders.extend(mask_folders(project));
-    folders.retain(|folder| folder.is_dir() && may_enter(project, folder, follow_links));
-    folders.sort();
-    folders.dedup();
-    folders
+
+    /// All together.
+    pub fn all(&self) -> impl Iterator<Item = &PathBuf> {
+        self.models.iter().chain(&self.images).chain(&self.masks)
+    }
 }
 
-/// Does no symbolic link lead from the project to its folder, or may links be followed?
-pub fn may_enter(project: &Path, folder: &Path, follow_links: bool) -> bool {
-    follow_links || folder.ancestors().take_while(|above| *above != project).all(|above| !above.is_symlink())
-}
-
-/// `images/` and the folders below it; their entries, not their bytes, are input.
-pub fn image_folders(project: &Path) -> Vec<PathBuf> {
-    folders_at(&project.join("images"))
-}
-
-/// `masks/` and the folders below it.
-pub fn mask_folders(project: &Path) -> Vec<PathBuf> {
-    folders_at(&project.join(MASKS))
+/// Does no symbolic link lead from the project to its file or folder, or may links be followed?
+pub fn may_enter(project: &Path, path: &Path, follow_links: bool) -> bool {
+    follow_links || path.ancestors().take_while(|above| *above != project).all(|above| !above.is_symlink())
 }
 
 fn folders_at(top: &Path) -> Vec<PathBuf> {
@@ -166,12 +271,19 @@ fn sub_folders(folder: &Path) -> Vec<PathBuf> {
 
 #[cfg(test)]
 mod tests {
+    use std::os::unix::{ffi::OsStringExt, fs::symlink};
+
     use super::*;
 
     fn touch(root: &Path, path: &str) {
         let path = root.join(path);
         fs::create_dir_all(path.parent().expect("below the root")).expect("a temporary folder");
         fs::write(path, "").expect("a temporary file");
+    }
+
+    fn projects(root: &Path, follow_links: bool) -> Vec<String> {
+        let found = walk(root, follow_links, &|| {}).projects;
+        found.iter().map(|p| p.strip_prefix(root).expect("below").to_string_lossy().into_owned()).collect()
     }
 
     #[test]
@@ -182,20 +294,50 @@ mod tests {
             "a/dense/sparse/cameras.bin",
             "b/c/d/e/sparse/points3D.txt",
             "bare model/images.bin",
+            "bare model/cameras.bin",
             "mvs/scene.mvs",
+            "mvs/dense/sparse/cameras.bin",
+            "mvs/colmap/sparse/cameras.bin",
             "sure/ori/x.ori",
             "sure without a folder/x.ori",
             "viewrank/sparse/0/cameras.bin",
             ".hidden/sparse/0/cameras.bin",
             "notes/readme.txt",
+            "notes/images.txt",
         ] {
             touch(root.path(), path);
         }
-        let found = walk(root.path(), false);
-        let names: Vec<_> = found.projects.iter().map(|p| p.strip_prefix(root.path()).expect("below")).collect();
-        assert_eq!(names, ["a", "b/c/d/e", "bare model", "mvs", "sure", "sure without a folder"].map(Path::new));
-        assert!(found.folders.contains(&root.path().join("notes")), "a project may appear there");
+        fs::create_dir_all(root.path().join("empty/sparse/0")).expect("a folder");
+        let found = walk(root.path(), false, &|| {});
+        let expected = ["a", "b/c/d/e", "bare model", "mvs", "sure", "sure without a folder"];
+        assert_eq!(projects(root.path(), false), expected);
+        for folder in ["notes", "empty/sparse/0"] {
+            assert!(found.folders.contains(&root.path().join(folder)), "a project may appear in {folder}");
+        }
         assert!(found.unreadable.is_empty());
+    }
+
+    #[test]
+    fn a_folder_of_projects_becomes_none_by_what_lies_about_in_it() {
+        let root = tempfile::tempdir().expect("a temporary folder");
+        for path in ["group/a/sparse/0/cameras.bin", "group/b/scene.mvs"] {
+            touch(root.path(), path);
+        }
+        fs::create_dir(root.path().join("sparse")).expect("a folder");
+        for stray in ["images.txt", "cameras.txt", "points3D.txt", "scene.mvs", "x.ori"] {
+            touch(root.path(), stray);
+            assert_eq!(projects(root.path(), false), ["group/a", "group/b"], "{stray}");
+        }
+        touch(root.path(), "sparse/0/cameras.bin");
+        assert_eq!(projects(root.path(), false), [""], "a project of its own around the others");
+    }
+
+    #[test]
+    fn a_folder_whose_name_is_no_utf_8_is_found() {
+        let root = tempfile::tempdir().expect("a temporary folder");
+        let project = root.path().join(OsString::from_vec(b"caf\xe9".to_vec()));
+        touch(&project, "sparse/0/cameras.bin");
+        assert_eq!(walk(root.path(), false, &|| {}).projects, [project]);
     }
 
     #[test]
@@ -203,21 +345,35 @@ mod tests {
         let outside = tempfile::tempdir().expect("a temporary folder");
         touch(outside.path(), "p/sparse/0/cameras.bin");
         let root = tempfile::tempdir().expect("a temporary folder");
-        std::os::unix::fs::symlink(outside.path(), root.path().join("link")).expect("a link");
-        assert!(walk(root.path(), false).projects.is_empty());
-        assert_eq!(walk(root.path(), true).projects, [root.path().join("link/p")]);
+        symlink(outside.path(), root.path().join("link")).expect("a link");
+        assert!(projects(root.path(), false).is_empty());
+        assert_eq!(projects(root.path(), true), ["link/p"]);
         touch(root.path(), "q/sparse/1/cameras.bin");
-        std::os::unix::fs::symlink(outside.path().join("p/sparse/0"), root.path().join("q/sparse/0")).expect("a link");
+        symlink(outside.path().join("p/sparse/0"), root.path().join("q/sparse/0")).expect("a link");
         let project = root.path().join("q");
         let model = project.join("sparse/0");
-        assert!(!input_folders(&project, false).contains(&model) && input_folders(&project, true).contains(&model));
-        assert!(input_folders(&project, false).contains(&project.join("sparse/1")));
+        let models = |follow_links| InputFolders::of(&project, follow_links).models;
+        assert!(!models(false).contains(&model) && models(true).contains(&model));
+        assert!(models(false).contains(&project.join("sparse/1")));
+        symlink(outside.path().join("p/sparse/0/cameras.bin"), project.join("sparse/1/images.bin")).expect("a link");
+        assert!(!may_enter(&project, &project.join("sparse/1/images.bin"), false));
+        fs::create_dir(root.path().join("all behind links")).expect("a folder");
+        symlink(outside.path().join("p/sparse"), root.path().join("all behind links/sparse")).expect("a link");
+        assert_eq!(projects(root.path(), false), ["all behind links", "q"], "so that it can be said why it waits");
     }
 
     #[test]
-    fn a_loop_of_links_ends() {
+    fn no_folder_is_entered_twice_however_many_links_lead_to_it() {
         let root = tempfile::tempdir().expect("a temporary folder");
-        std::os::unix::fs::symlink(root.path(), root.path().join("again")).expect("a link");
-        assert!(walk(root.path(), true).projects.is_empty());
+        for folder in ["a", "b"] {
+            touch(root.path(), &format!("{folder}/p/sparse/0/cameras.bin"));
+            for link in ["0", "again", "and again"] {
+                symlink(root.path(), root.path().join(folder).join(link)).expect("a link");
+            }
+        }
+        let entered = std::cell::Cell::new(0);
+        let found = walk(root.path(), true, &|| entered.set(entered.get() + 1));
+        assert_eq!(found.projects, ["a/p", "b/p"].map(|p| root.path().join(p)), "by their own paths");
+        assert_eq!(entered.get(), 5 + 6, "each folder and each link");
     }
 }

@@ -38,9 +38,9 @@ pub struct Progress {
     pub version: u32,
     /// Is the share that is wanted reached in reality? Queues may stop then; `integrations/sgm` does.
     pub target_reached: bool,
-    /// Key views that have their depth map, of those up to the plan's cut.
+    /// Key views that have a depth map which counts.
     pub done: usize,
-    /// Key views up to the plan's cut.
+    /// Key views up to the plan's cut, and those beyond it that have their depth map already.
     pub clusters: usize,
     /// Real fulfilment of all finished depth maps over what all view clusters of the ranking together are expected to reach, 0 to 1;
     /// null where they are only counted (`note` says why).
@@ -152,13 +152,14 @@ impl Following<'_> {
         if let Some(counted) = self.count_undistorted()? {
             return Ok((self.plan, counted));
         }
-        let predicted_cut = self.plan.cut;
-        let written: Vec<ViewIndex> = self.earlier.keys().filter_map(|key| self.plan.scene.find(key)).collect();
-        let target = self.plan.settings.cut.target.map_or(predicted_cut.share, |share| share.0);
+        let in_scene = |key| self.plan.scene.find(key);
+        let written: Vec<ViewIndex> = self.earlier.keys().filter_map(in_scene).collect();
+        let list: Vec<ViewIndex> = self.earlier.list().filter_map(in_scene).collect();
+        let target = self.plan.settings.cut.target.map_or(self.plan.cut.share, |share| share.0);
         let maps = Maps { folder: self.folder, ready: &|path| self.files.contains_key(path) };
         let (plan, run) = replan(self.plan, self.earlier, &maps, watcher)?;
         let order = if self.replan { plan.ranking.order.clone() } else { listed(&plan, &written) };
-        let cut = if self.replan { plan.cut.clusters } else { predicted_cut.clusters.max(plan.finished.clusters) };
+        let cut = if self.replan { plan.cut.clusters } else { with_finished(&plan, &list) };
         let ahead = Ahead::new(&plan, &order, cut, target);
         let seconds_per_pair = run.as_ref().and_then(|run| seconds_per_pair(&plan, run, self.folder));
         let seconds = |pairs: usize| seconds_per_pair.map(|seconds| seconds * pairs as f64);
@@ -168,7 +169,7 @@ impl Following<'_> {
         let progress = Progress {
             version: 1,
             target_reached: !finished.is_empty() && ahead.share >= target,
-            done: finished.len().min(cut),
+            done: finished.len(),
             clusters: cut,
             share: Some(ahead.share),
             target,
@@ -193,23 +194,20 @@ impl Following<'_> {
     /// pixel of the view.
     fn count_undistorted(&self) -> Result<Option<Progress>, DepthMapError> {
         let Plan { scene, cut, settings, ranking, .. } = &self.plan;
-        let maps = match depthmaps::find(self.folder, scene) {
-            Err(DepthMapError::None(_)) => return Ok(None),
-            found => found?.maps,
-        };
+        let maps = depthmaps::list(self.folder, scene)?.maps;
         let ready: Vec<_> = maps.iter().filter(|map| self.files.contains_key(&map.path)).collect();
         let Some(distorted) = ready.iter().map(|map| scene.camera_of(map.view)).find(|camera| !camera.is_pinhole())
         else {
             return Ok(None);
         };
         let has_map = |key: &&str| ready.iter().any(|map| scene.name(map.view) == *key);
-        let listed: Vec<&str> = self.earlier.keys().take(cut.clusters).collect();
+        let listed: Vec<&str> = self.earlier.list().collect();
         let finished: Vec<String> = listed.iter().copied().filter(has_map).map(Into::into).collect();
         let model = distorted.model().name();
         Ok(Some(Progress {
             version: 1,
             done: finished.len(),
-            clusters: cut.clusters,
+            clusters: listed.len(),
             target: settings.cut.target.map_or(cut.share, |share| share.0),
             reachable: ranking.total(),
             finished,
@@ -219,6 +217,13 @@ impl Following<'_> {
             ..Progress::default()
         }))
     }
+}
+
+/// Key views of the list and those beyond it that are finished.
+fn with_finished(plan: &Plan, list: &[ViewIndex]) -> usize {
+    let finished = &plan.ranking.order[..plan.finished.clusters];
+    let is_finished = |key: &&ViewIndex| finished.iter().any(|&c| plan.clusters[c as usize].key == **key);
+    finished.len() + list.len() - list.iter().filter(is_finished).count()
 }
 
 /// What is finished, then the rest of the list as it was written, then the rest of the ranking.

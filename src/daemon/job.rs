@@ -4,7 +4,7 @@ use std::{
     collections::BTreeMap,
     fs, io,
     path::{Path, PathBuf},
-    process::{Command, Stdio},
+    process::{Child, Command, Stdio},
     sync::{
         Mutex, MutexGuard, PoisonError,
         atomic::{AtomicBool, AtomicU8, Ordering},
@@ -13,10 +13,11 @@ use std::{
 };
 
 use serde::{Deserialize, Serialize};
-use tracing::warn;
+use tracing::{info, warn};
 
 use super::{
-    discover::OUTPUT_FOLDER,
+    Shown,
+    discover::{OUTPUT_FOLDER, may_enter},
     follow::{Following, failed, fullest_folder, progress_file},
     kept::KeptPlans,
     maps::{MapFiles, map_files},
@@ -27,12 +28,11 @@ use super::{
 use crate::{
     confidence::{PROJECT_MODEL, WORDS},
     config::{Configuration, Files, Settings, Typed, user_file},
-    error::Hint,
     manifest::WrittenPlanError,
     output::{self, Disk},
     plan::{self, AgainError, Plan, PlanError},
     progress::{Stage, Watcher},
-    project::Project,
+    project::{Project, ProjectError},
     replan::{Earlier, Maps, ReplanError, replan},
 };
 
@@ -108,8 +108,18 @@ struct PlannedFrom {
     fingerprint: Fingerprint,
     clusters: usize,
     share: f64,
+    /// Does it stand around finished depth maps?
+    #[serde(default)]
+    finished: bool,
     /// Without what the data decide.
     settings: Settings,
+}
+
+impl PlannedFrom {
+    fn new(plan: &Plan, fingerprint: Fingerprint, settings: Settings) -> Self {
+        let finished = plan.finished.clusters > 0 || !plan.finished.outdated.is_empty();
+        Self { fingerprint, clusters: plan.cut.clusters, share: plan.cut.share, finished, settings }
+    }
 }
 
 /// What the planner of `viewrank watch` is asked for.
@@ -173,10 +183,28 @@ impl PlanJob {
 
     fn try_plan(&self, job: &Job) -> Ended<Outcome> {
         output::recover(job.project, &Disk::REAL).map_err(failed)?;
+        let progress = progress_file(job.project);
+        let says_of_maps = progress.is_file() || record_of(job.project).is_some_and(|record| record.finished);
+        if !says_of_maps || !map_files(job.project, job.follow_links).is_empty() {
+            return self.plan_input(job);
+        }
+        // The depth maps are gone: nothing is finished or reached any more. What tells of them goes last, so that a run that is
+        // killed on the way is made up for by the next.
+        output::remove(&job.project.join(OUTPUT_FOLDER).join(RECORD), &Disk::REAL).map_err(failed)?;
+        let outcome = self.plan_input(job)?;
+        output::remove(&progress, &Disk::REAL).map_err(failed)?;
+        Ok(outcome)
+    }
+
+    fn plan_input(&self, job: &Job) -> Ended<Outcome> {
         let (settings, note) = self.settings(job.project)?;
         let as_text = serde_json::to_vec(&settings.of_plan()).map_err(|_| Outcome::Abandoned)?;
         let project = Project::open(job.project, None).map_err(incomplete)?;
         let model = project.model_files();
+        if let Some(file) = model.iter().find(|file| !may_enter(job.project, file, job.follow_links)) {
+            let reason = format!("{} lies behind a symbolic link (--follow-links)", file.display());
+            return Err(Outcome::Incomplete { reason });
+        }
         let fingerprint =
             lock(&self.hashes).fingerprint(job.project, &model, job.stamp, &as_text).map_err(unreadable)?;
         if let Some(record) = record_of(job.project).filter(|record| record.fingerprint == fingerprint) {
@@ -185,14 +213,18 @@ impl PlanJob {
         let plan = plan::plan(&project, &settings, &JobWatcher::new(job)).map_err(sort_out)?;
         let plan = around_finished(plan, &project, job)?;
         let (clusters, share) = (plan.cut.clusters, plan.cut.share);
-        let record = PlannedFrom { fingerprint: fingerprint.clone(), clusters, share, settings: settings.of_plan() };
+        let record = PlannedFrom::new(&plan, fingerprint.clone(), settings.of_plan());
         write(&plan, &project, &record, job)?;
         Ok(Outcome::Planned { fingerprint, clusters, share, note: note.or_else(|| outdated(&plan)) })
     }
 
     fn try_follow(&self, job: &Job) -> Ended<Outcome> {
         output::recover(job.project, &Disk::REAL).map_err(failed)?;
-        let Some(folder) = fullest_folder(job.project, job.maps) else { return self.plan_without_maps(job) };
+        let Some(folder) = fullest_folder(job.project, job.maps) else {
+            // Those that are there may have to settle yet.
+            let gone = progress_file(job.project).is_file() && map_files(job.project, job.follow_links).is_empty();
+            return if gone { self.try_plan(job) } else { Err(Outcome::Abandoned) };
+        };
         let record = match record_of(job.project) {
             Some(record) => record,
             // The plan is gone, or another one was made by hand.
@@ -208,30 +240,15 @@ impl PlanJob {
         let following = Following { plan, earlier: &earlier, folder: &folder, files, replan: self.options.replan };
         let (plan, mut progress) = following.measure(&watcher).map_err(failed)?;
         if self.options.replan {
-            let record = PlannedFrom { clusters: plan.cut.clusters, share: plan.cut.share, ..record };
-            write(&plan, &project, &record, job)?;
+            write(&plan, &project, &PlannedFrom::new(&plan, record.fingerprint, record.settings), job)?;
         }
         progress.remember_announced(job.project);
         progress.write(job.project).map_err(failed)?;
         if progress.target_reached && !progress.announced {
-            self.announce(job.project);
-            progress.announced = true;
+            progress.announced = self.announce(job.project);
             progress.write(job.project).map_err(failed)?;
         }
         Ok(progress.outcome())
-    }
-
-    /// The depth maps are gone: nothing is finished or reached any more.
-    fn plan_without_maps(&self, job: &Job) -> Ended<Outcome> {
-        let progress = progress_file(job.project);
-        // Those that are there may have to settle yet.
-        if !progress.is_file() || !map_files(job.project, job.follow_links).is_empty() {
-            return Err(Outcome::Abandoned);
-        }
-        for file in [progress, job.project.join(OUTPUT_FOLDER).join(RECORD)] {
-            output::remove(&file, &Disk::REAL).map_err(failed)?;
-        }
-        self.try_plan(job)
     }
 
     /// The plan by the prediction alone, from memory where it is kept.
@@ -247,19 +264,29 @@ impl PlanJob {
         Ok((project, plan))
     }
 
-    /// Runs the user's command for a reached target, without waiting for its end.
-    fn announce(&self, project: &Path) {
-        let configured = || match Configuration::load(&Files { user: user_file(), project: None }, Typed::default()) {
-            Ok(configuration) => configuration.settings.on_target,
-            Err(error) => {
-                warn!(%error, "cannot read which command is to be run for a reached target");
-                None
-            }
+    /// Runs the user's command for a reached target, without waiting for its end; false where it could not be run.
+    fn announce(&self, project: &Path) -> bool {
+        let command = match &self.options.on_target {
+            Some(command) => Some(command.clone()),
+            None => match Configuration::load(&Files { user: user_file(), project: None }, Typed::default()) {
+                Ok(configuration) => configuration.settings.on_target,
+                Err(error) => {
+                    warn!(%error, "cannot read which command is to be run for a reached target");
+                    return false;
+                }
+            },
         };
-        let Some(command) = self.options.on_target.clone().or_else(configured) else { return };
+        let Some(command) = command else { return true };
         match Command::new("sh").arg("-c").arg(command).env("VIEWRANK_PROJECT", project).stdin(Stdio::null()).spawn() {
-            Ok(mut child) => _ = thread::spawn(move || child.wait()),
-            Err(error) => warn!(%error, "cannot run the command for a reached target"),
+            Ok(child) => {
+                let project = project.to_path_buf();
+                thread::spawn(move || wait_for(child, &project));
+                true
+            }
+            Err(error) => {
+                warn!(project = %Shown(project), %error, "cannot run the command for a reached target");
+                false
+            }
         }
     }
 
@@ -283,20 +310,32 @@ impl PlanJob {
     }
 }
 
+/// Says how the command for a reached target ended.
+fn wait_for(mut command: Child, project: &Path) {
+    match command.wait() {
+        Ok(status) if status.success() => info!(project = %Shown(project), "ran the command for a reached target"),
+        Ok(status) => warn!(project = %Shown(project), %status, "the command for a reached target failed"),
+        Err(error) => warn!(project = %Shown(project), %error, "the command for a reached target is out of sight"),
+    }
+}
+
 /// The plan around the finished depth maps of the plan before it (method 5.4), where there are any.
 fn around_finished(plan: Plan, project: &Project, job: &Job) -> Ended<Plan> {
     let Some(folder) = fullest_folder(job.project, job.maps) else { return Ok(plan) };
-    // Without an earlier plan nothing is known of the partners that the maps were made with.
-    let Ok(earlier) = Earlier::read(project) else { return Ok(plan) };
+    let earlier = match Earlier::read(project) {
+        Ok(earlier) => earlier,
+        Err(WrittenPlanError::Io { source, .. }) if source.kind() != io::ErrorKind::NotFound => {
+            return Err(unreadable(source));
+        }
+        // Without an earlier plan nothing is known of the partners that the maps were made with.
+        Err(_) => return Ok(plan),
+    };
     let maps = Maps { folder: &folder, ready: &|path| job.maps.contains_key(path) };
-    let replanned = replan(plan.clone(), &earlier, &maps, &JobWatcher::new(job));
-    match replanned {
+    match replan(plan, &earlier, &maps, &JobWatcher::new(job)) {
         Ok((plan, _)) => Ok(plan),
         Err(ReplanError::Plan(error)) => Err(sort_out(error)),
-        Err(error) => {
-            warn!(project = %job.project.display(), %error, "planned without the finished depth maps");
-            Ok(plan)
-        }
+        // A plan without them would forget what they were made with, and outdated ones would count as good.
+        Err(error) => Err(failed(error)),
     }
 }
 
@@ -340,15 +379,24 @@ fn unreadable(error: io::Error) -> Outcome {
     }
 }
 
-/// A model that doesn't parse or fit together is taken for one that isn't there whole yet.
-fn incomplete(error: impl Hint) -> Outcome {
-    Outcome::Incomplete { reason: error.to_string() }
+/// A model that doesn't parse or fit together is taken for one that isn't there whole yet; a disk that can't be read is no such thing.
+fn incomplete(error: ProjectError) -> Outcome {
+    match error {
+        ProjectError::Io { ref source, .. } if is_trouble(source) => failed(error),
+        error => Outcome::Incomplete { reason: error.to_string() },
+    }
+}
+
+/// Not because of what is there or not.
+fn is_trouble(error: &io::Error) -> bool {
+    !matches!(error.kind(), io::ErrorKind::NotFound | io::ErrorKind::InvalidInput | io::ErrorKind::NotADirectory)
 }
 
 fn sort_out(error: PlanError) -> Outcome {
     match error {
         PlanError::Cancelled(_) => Outcome::Abandoned,
-        PlanError::Project(_) | PlanError::NoViews(_) => incomplete(error),
+        PlanError::Project(error) => incomplete(error),
+        PlanError::NoViews(_) => Outcome::Incomplete { reason: error.to_string() },
         error => failed(error),
     }
 }

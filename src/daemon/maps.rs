@@ -12,39 +12,42 @@ use walkdir::WalkDir;
 use super::{discover, settle::Entry};
 use crate::depthmaps;
 
-/// Of one unit of time, at most this share goes into measuring the maps of a project.
-const REST: u32 = 9;
-
-/// Folders in which something must be noticed to know of depth maps: those that hold some, and those in which a folder of them may
-/// appear. Our own output folder is none.
-pub fn watched_folders(project: &Path, follow_links: bool) -> Vec<PathBuf> {
-    let below = |folder: PathBuf| WalkDir::new(folder).into_iter().filter_map(Result::ok);
-    let maps = depthmaps::folders(project).into_iter().flat_map(below);
-    let mut folders: Vec<PathBuf> = maps.filter(|e| e.file_type().is_dir()).map(walkdir::DirEntry::into_path).collect();
-    let places = depthmaps::FOLDERS.iter().filter(|place| !place.starts_with(discover::OUTPUT_FOLDER));
-    for place in places {
-        let above = Path::new(place).ancestors().skip(1).filter(|above| !above.as_os_str().is_empty());
-        folders.extend(above.map(|above| project.join(above)).filter(|folder| folder.is_dir()));
-    }
-    folders.retain(|folder| discover::may_enter(project, folder, follow_links));
-    folders
-}
+/// After measuring the maps of a project there is a pause so many times as long.
+const REST: u32 = 3;
 
 /// Depth maps by path.
 pub type MapFiles = BTreeMap<PathBuf, Entry>;
 
 /// What looks like a depth map in the folders of the project.
 pub fn map_files(project: &Path, follow_links: bool) -> MapFiles {
-    let mut files = MapFiles::new();
-    let folders = depthmaps::folders(project).into_iter();
-    for folder in folders.filter(|folder| discover::may_enter(project, folder, follow_links)) {
-        let entries = WalkDir::new(folder).into_iter().filter_map(Result::ok);
-        for entry in entries.filter(|e| depthmaps::looks_like_one(e.path())) {
-            let metadata = fs::metadata(entry.path()).ok().filter(fs::Metadata::is_file);
-            files.extend(metadata.map(|metadata| (entry.into_path(), Entry::of(&metadata))));
+    look(project, follow_links).1
+}
+
+/// Folders in which something must be noticed to know of depth maps (those that hold some, and those in which a folder of them may
+/// appear), and what looks like a depth map. Our own output folder is none.
+pub fn look(project: &Path, follow_links: bool) -> (Vec<PathBuf>, MapFiles) {
+    let (mut folders, mut files) = (Vec::new(), MapFiles::new());
+    for place in depthmaps::places(project) {
+        if !place.starts_with(project.join(discover::OUTPUT_FOLDER)) {
+            let above = place.ancestors().skip(1).take_while(|above| *above != project);
+            folders.extend(above.filter(|above| above.is_dir()).map(Path::to_path_buf));
+        }
+        if !place.is_dir() || !discover::may_enter(project, &place, follow_links) {
+            continue;
+        }
+        for entry in WalkDir::new(place).into_iter().filter_map(Result::ok) {
+            if entry.file_type().is_dir() {
+                folders.push(entry.into_path());
+            } else if depthmaps::looks_like_one(entry.path()) {
+                let metadata = fs::metadata(entry.path()).ok().filter(fs::Metadata::is_file);
+                files.extend(metadata.map(|metadata| (entry.into_path(), Entry::of(&metadata))));
+            }
         }
     }
-    files
+    folders.retain(|folder| discover::may_enter(project, folder, follow_links));
+    folders.sort();
+    folders.dedup();
+    (folders, files)
 }
 
 /// The depth maps of a project over time.
@@ -61,8 +64,10 @@ pub struct Maps {
 }
 
 impl Maps {
-    /// Takes a look at them.
-    pub fn observe(&mut self, files: MapFiles, now: Instant) {
+    /// Takes a look at them; true when something changed.
+    pub fn observe(&mut self, files: MapFiles, now: Instant) -> bool {
+        let same = |(path, entry): (&PathBuf, &Entry)| self.seen.get(path).is_some_and(|(known, _)| known == entry);
+        let changed = files.len() != self.seen.len() || !files.iter().all(same);
         let vanished = self.seen.keys().any(|path| !files.contains_key(path));
         self.vanished = if vanished { Some(now) } else { self.vanished };
         let mut before = std::mem::take(&mut self.seen);
@@ -73,6 +78,7 @@ impl Maps {
                 (path, same.unwrap_or((entry, now)))
             })
             .collect();
+        changed
     }
 
     /// When there is next something to measure.
@@ -81,6 +87,11 @@ impl Maps {
         let settles = self.seen.iter().filter(|(path, (entry, _))| new(path, entry)).map(|(_, (_, since))| *since);
         let first = settles.chain(self.vanished).min()?;
         Some((first + settle).max(self.rest_until.unwrap_or(first)))
+    }
+
+    /// How many came or changed since they were measured.
+    pub fn unmeasured(&self) -> usize {
+        self.seen.iter().filter(|(path, (entry, _))| self.followed.get(*path) != Some(entry)).count()
     }
 
     /// Those that have been the same for `settle`.
@@ -134,25 +145,53 @@ mod tests {
     }
 
     #[test]
-    fn measuring_takes_at_most_a_tenth_of_the_time() {
+    fn measuring_takes_at_most_a_quarter_of_the_time() {
         let start = Instant::now();
         let mut maps = Maps::default();
         maps.measured(MapFiles::new(), SECOND, start);
         maps.observe(files(&[("a", 1)]), start);
-        assert_eq!(maps.due(SETTLE), Some(start + SECOND * 9));
+        assert_eq!(maps.due(SETTLE), Some(start + SECOND * 3));
     }
 
     #[test]
     fn folders_in_which_maps_may_appear_are_watched_and_our_own_are_not() {
         let root = tempfile::tempdir().expect("a temporary folder");
-        for folder in ["dense/stereo", "viewrank/openmvs/x", "sgm/depth_maps"] {
+        for folder in ["dense/0/stereo", "viewrank/openmvs/x", "sgm/depth_maps", "export"] {
             fs::create_dir_all(root.path().join(folder)).expect("a folder");
         }
-        let mut watched = watched_folders(root.path(), false);
-        watched.sort();
-        watched.dedup();
+        let watched = look(root.path(), false).0;
         let names: Vec<_> = watched.iter().map(|f| f.strip_prefix(root.path()).expect("below")).collect();
-        let expected = ["dense", "dense/stereo", "sgm", "sgm/depth_maps", "viewrank/openmvs", "viewrank/openmvs/x"];
+        let expected = [
+            "dense",
+            "dense/0",
+            "dense/0/stereo",
+            "export",
+            "sgm",
+            "sgm/depth_maps",
+            "viewrank/openmvs",
+            "viewrank/openmvs/x",
+        ];
         assert_eq!(names, expected.map(Path::new));
+    }
+
+    #[test]
+    fn maps_are_found_wherever_a_backend_is_told_to_put_them() {
+        let root = tempfile::tempdir().expect("a temporary folder");
+        let maps = [
+            "dense/0/stereo/depth_maps/a.geometric.bin",
+            "dense/stereo/depth_maps/a.geometric.bin",
+            "openmvs/depth0001.dmap",
+            "sgm/depth_maps/a.npy",
+            "stereo/depth_maps/a.geometric.bin",
+            "viewrank/colmap/stereo/depth_maps/a.geometric.bin",
+        ];
+        for path in maps.iter().chain(&["openmvs/scene.mvs", "elsewhere/depth0001.dmap"]) {
+            let path = root.path().join(path);
+            fs::create_dir_all(path.parent().expect("below the root")).expect("a folder");
+            fs::write(path, "").expect("a file");
+        }
+        let found = map_files(root.path(), false);
+        let names: Vec<_> = found.keys().map(|f| f.strip_prefix(root.path()).expect("below")).collect();
+        assert_eq!(names, maps.map(Path::new));
     }
 }

@@ -16,7 +16,11 @@ pub mod state;
 mod status;
 pub mod watch;
 
-use std::{path::PathBuf, time::Duration};
+use std::{
+    fmt,
+    path::{Path, PathBuf},
+    time::Duration,
+};
 
 pub use follow::Progress;
 pub use job::{Job, PlanJob, PlanOptions, Planner};
@@ -53,6 +57,8 @@ pub enum DaemonError {
     Root { path: PathBuf, source: std::io::Error },
     #[error("{} is already watched by {holder}", path.display())]
     Held { path: PathBuf, holder: String },
+    #[error("the metrics cannot be written: {0}")]
+    Metrics(OutputError),
     #[error(transparent)]
     Output(#[from] OutputError),
 }
@@ -62,7 +68,34 @@ impl Hint for DaemonError {
         match self {
             Self::Root { .. } => Some("give a folder that may be read and written".into()),
             Self::Held { .. } => Some("use that daemon (`viewrank status` shows it), or stop it first".into()),
+            Self::Metrics(_) => Some("give a file in a folder that may be written to".into()),
             Self::Output(error) => error.hint(),
         }
+    }
+
+    fn is_usage(&self) -> bool {
+        matches!(self, Self::Metrics(_))
+    }
+}
+
+/// A path for people: on one line, whatever its name is.
+pub struct Shown<'a>(pub &'a Path);
+
+impl fmt::Display for Shown<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.0.to_string_lossy().chars().try_for_each(|c| match c {
+            c if c.is_control() => write!(f, "{}", c.escape_default()),
+            c => write!(f, "{c}"),
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_name_with_a_line_break_stays_on_its_line() {
+        assert_eq!(Shown(Path::new("/a b/c\nd\x1b[2Jé")).to_string(), "/a b/c\\nd\\u{1b}[2Jé");
     }
 }

@@ -1,6 +1,6 @@
 //! How many projects are planned at once: by jobs and by memory; and at what priority.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// Memory that planning needs beside what grows with the model.
 const BASE_BYTES: u64 = 100 << 20;
@@ -18,7 +18,8 @@ pub fn need(model_bytes: u64) -> u64 {
 pub struct Queue {
     jobs: usize,
     max_memory: u64,
-    running: Vec<(PathBuf, u64)>,
+    /// Number and need of each.
+    running: Vec<(u64, u64)>,
     /// Does the line wait for memory?
     held: bool,
 }
@@ -44,8 +45,8 @@ impl Queue {
         self.held = false;
     }
 
-    /// Lets a job begin, or says why not.
-    pub fn admit(&mut self, project: &Path, need: u64) -> Result<(), Full> {
+    /// Lets the job of that number begin, or says why not.
+    pub fn admit(&mut self, job: u64, need: u64) -> Result<(), Full> {
         let used: u64 = self.running.iter().map(|(_, need)| need).sum();
         if need > self.max_memory {
             return Err(Full::Never { need, max: self.max_memory });
@@ -57,12 +58,12 @@ impl Queue {
         if self.held {
             return Err(Full::Memory);
         }
-        self.running.push((project.into(), need));
+        self.running.push((job, need));
         Ok(())
     }
 
-    pub fn release(&mut self, project: &Path) {
-        self.running.retain(|(running, _)| running != project);
+    pub fn release(&mut self, job: u64) {
+        self.running.retain(|(running, _)| *running != job);
     }
 
     pub fn is_idle(&self) -> bool {
@@ -89,8 +90,16 @@ pub fn machine_memory() -> u64 {
     // SAFETY: `sysconf` takes and gives plain numbers.
     let (pages, size) = unsafe { (libc::sysconf(libc::_SC_PHYS_PAGES), libc::sysconf(libc::_SC_PAGE_SIZE)) };
     let machine = u64::try_from(pages).unwrap_or(0).saturating_mul(u64::try_from(size).unwrap_or(0));
-    let group = std::fs::read_to_string("/sys/fs/cgroup/memory.max").ok().and_then(|text| text.trim().parse().ok());
-    group.map_or(machine, |group: u64| group.min(machine))
+    group_memory(Path::new("/proc/self/cgroup"), Path::new("/sys/fs/cgroup"))
+        .map_or(machine, |group| group.min(machine))
+}
+
+/// The least `memory.max` of the control group (version 2) that `own` names and of those around it, which lie below `groups`.
+fn group_memory(own: &Path, groups: &Path) -> Option<u64> {
+    let text = std::fs::read_to_string(own).ok()?;
+    let name = text.lines().find_map(|line| line.strip_prefix("0::/"))?;
+    let around = Path::new(name).ancestors().map(|group| groups.join(group).join("memory.max"));
+    around.filter_map(|file| std::fs::read_to_string(file).ok()?.trim().parse().ok()).min()
 }
 
 #[cfg(test)]
@@ -100,26 +109,39 @@ mod tests {
     #[test]
     fn jobs_and_memory_bound_what_runs_at_once() {
         let mut queue = Queue::new(2, 100);
-        assert_eq!(queue.admit(Path::new("a"), 60), Ok(()));
-        assert_eq!(queue.admit(Path::new("b"), 40), Ok(()));
-        assert_eq!(queue.admit(Path::new("c"), 0), Err(Full::Jobs));
-        queue.release(Path::new("a"));
-        assert_eq!(queue.admit(Path::new("c"), 60), Ok(()));
-        assert_eq!(queue.admit(Path::new("d"), 101), Err(Full::Never { need: 101, max: 100 }));
+        assert_eq!(queue.admit(1, 60), Ok(()));
+        assert_eq!(queue.admit(2, 40), Ok(()));
+        assert_eq!(queue.admit(3, 0), Err(Full::Jobs));
+        queue.release(1);
+        assert_eq!(queue.admit(3, 60), Ok(()));
+        assert_eq!(queue.admit(4, 101), Err(Full::Never { need: 101, max: 100 }));
     }
 
     #[test]
     fn small_ones_do_not_overtake_a_large_one_that_waits_for_memory() {
         let mut queue = Queue::new(9, 100);
-        let (large, small) = (Path::new("large"), Path::new("small"));
-        assert_eq!(queue.admit(Path::new("first"), 60), Ok(()));
+        let (first, large, never, small) = (1, 2, 3, 4);
+        assert_eq!(queue.admit(first, 60), Ok(()));
         queue.call_up();
         assert_eq!(queue.admit(large, 90), Err(Full::Memory));
-        assert_eq!(queue.admit(Path::new("never"), 101), Err(Full::Never { need: 101, max: 100 }));
+        assert_eq!(queue.admit(never, 101), Err(Full::Never { need: 101, max: 100 }));
         assert_eq!(queue.admit(small, 10), Err(Full::Memory));
-        queue.release(Path::new("first"));
+        queue.release(first);
         queue.call_up();
         assert_eq!(queue.admit(large, 90), Ok(()));
         assert_eq!(queue.admit(small, 10), Ok(()));
+    }
+
+    #[test]
+    fn the_tightest_of_the_control_groups_around_counts() {
+        let root = tempfile::tempdir().expect("a temporary folder");
+        let own = root.path().join("own");
+        std::fs::write(&own, "0::/system.slice/viewrank.service\n").expect("a file");
+        assert_eq!(group_memory(&own, root.path()), None);
+        for (group, max) in [("system.slice/viewrank.service", "max"), ("system.slice", "300"), (".", "500")] {
+            std::fs::create_dir_all(root.path().join(group)).expect("a folder");
+            std::fs::write(root.path().join(group).join("memory.max"), format!("{max}\n")).expect("a file");
+        }
+        assert_eq!(group_memory(&own, root.path()), Some(300));
     }
 }

@@ -1,34 +1,39 @@
-//! The loop: hints and times in, looks at projects and jobs out.
+//! The loop: changes and times in, looks at projects and jobs out.
 //!
 //! One thread owns all state; jobs run in threads of their own and tell it how they end. Every look at the file system compares
-//! stamps, so that a lost, late or doubled hint changes nothing but the time of the look.
+//! stamps, so that a lost, late or doubled event changes nothing but the time of the look.
 
 use std::{
+    cell::Cell,
     collections::{BTreeMap, BTreeSet},
     panic::{AssertUnwindSafe, catch_unwind},
     path::{Path, PathBuf},
     sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel},
     thread::{Scope, scope},
-    time::{Duration, Instant},
+    time::{Duration, Instant, SystemTime},
 };
 
+use sd_notify::NotifyState;
 use tracing::{info, warn};
 
 use super::{
-    DaemonError, Job, Options, Planner, discover, maps,
+    DaemonError, Job, Options, Planner, Shown,
+    discover::{self, InputFolders},
+    maps,
     queue::{Full, Queue},
     settle::Stamp,
     state::{Looked, Outcome, Phase, Tracked, Work},
     status::{Holder, StatusFiles},
-    watch::{self, Hint, Watches},
+    watch::{self, Change, Watches},
 };
-use crate::output::Disk;
+use crate::{depthmaps, output::Disk};
 
-/// Hints that come within this time of each other are one look.
+/// Changes that come within this time of each other are one look.
 const GATHER: Duration = Duration::from_millis(50);
 /// Network file systems are looked at so often when nothing else is said.
 const NETWORK_POLL: Duration = Duration::from_secs(10);
-/// Of one unit of time, at most this share goes into looking at what was hinted at.
+/// After a look at what changed there is none for so many times as long; but no longer than the settle time, so that nothing is
+/// planned later for it, and not longer than this.
 const REST: u32 = 19;
 const LONGEST_REST: Duration = Duration::from_secs(2);
 /// The loop turns at least so often, for a watchdog's sake.
@@ -53,15 +58,40 @@ pub struct Summary {
 }
 
 enum Event {
-    Hint(Hint),
-    Progress { project: PathBuf, stage: String, percent: u8 },
-    Finished { project: PathBuf, looked: Looked, outcome: Outcome },
+    Change(Change),
+    Progress { project: PathBuf, job: u64, stage: String, percent: u8 },
+    Finished { project: PathBuf, job: u64, looked: Looked, outcome: Outcome },
     Signal(Signal),
 }
 
-impl From<Hint> for Event {
-    fn from(hint: Hint) -> Self {
-        Self::Hint(hint)
+impl From<Change> for Event {
+    fn from(change: Change) -> Self {
+        Self::Change(change)
+    }
+}
+
+/// Whoever started the daemon and watches over it: systemd, where it asked to be told.
+struct Supervisor {
+    next: Cell<Instant>,
+}
+
+impl Supervisor {
+    fn new() -> Self {
+        Self { next: Cell::new(Instant::now()) }
+    }
+
+    fn tell(&self, state: NotifyState) {
+        // Without a supervisor there is nobody to tell.
+        let _ = sd_notify::notify(&[state]);
+    }
+
+    /// Says from time to time that the loop turns.
+    fn alive(&self) {
+        let now = Instant::now();
+        if now >= self.next.get() {
+            self.next.set(now + WATCHDOG_PAUSE);
+            self.tell(NotifyState::Watchdog);
+        }
     }
 }
 
@@ -91,21 +121,28 @@ pub fn watch_roots(
         options,
         roots,
         planner,
-        status: StatusFiles::new(holders, options.metrics.clone()),
+        status: StatusFiles::new(holders, options.metrics.clone(), disk)?,
         watches: Watches::new(sender.clone(), poll.is_some()),
+        supervisor: Supervisor::new(),
+        network: network && options.poll.is_none(),
+        lost: false,
         poll,
         sender,
+        next_job: 0,
         projects: BTreeMap::new(),
         queue: Queue::new(options.jobs, options.max_memory),
-        dirty: BTreeSet::new(),
+        dirty: BTreeMap::new(),
         gather_until: None,
         rest_until: Instant::now(),
         look_at_all: true,
         next_full_look: Instant::now(),
         stopping: false,
     };
-    if network && options.poll.is_none() {
-        daemon.status.notice("network file system: looking at the folders every 10 s (--poll)".into());
+    for root in &daemon.roots {
+        match daemon.poll {
+            Some(poll) => info!(root = %Shown(root), "watching, with a look every {} s", poll.as_secs_f64()),
+            None => info!(root = %Shown(root), "watching, by file events"),
+        }
     }
     scope(|threads| daemon.run(threads, &events, disk))
 }
@@ -117,14 +154,20 @@ struct Daemon<'a> {
     planner: &'a dyn Planner,
     status: StatusFiles,
     watches: Watches,
+    supervisor: Supervisor,
+    /// Is it a network file system that makes for the polling?
+    network: bool,
+    /// Were events lost since the last look at everything?
+    lost: bool,
     poll: Option<Duration>,
     sender: Sender<Event>,
+    next_job: u64,
     projects: BTreeMap<PathBuf, Tracked>,
     queue: Queue,
-    /// Paths that something was hinted about.
-    dirty: BTreeSet<PathBuf>,
+    /// Where something changed, and when that was last heard of.
+    dirty: BTreeMap<PathBuf, Instant>,
     gather_until: Option<Instant>,
-    /// No look at what was hinted at before this.
+    /// No look at what changed before this.
     rest_until: Instant,
     look_at_all: bool,
     next_full_look: Instant,
@@ -141,19 +184,13 @@ impl<'a> Daemon<'a> {
     where
         'a: 's,
     {
-        let mut next_told = None;
+        self.supervisor.tell(NotifyState::Ready);
         loop {
+            self.supervisor.alive();
             let now = Instant::now();
             self.look(now);
             self.start_jobs(threads, now);
             self.status.publish(&self.projects, disk, now, false);
-            if next_told.is_none() {
-                tell_supervisor(sd_notify::NotifyState::Ready);
-            }
-            if next_told.is_none_or(|at| now >= at) {
-                next_told = Some(now + WATCHDOG_PAUSE);
-                tell_supervisor(sd_notify::NotifyState::Watchdog);
-            }
             if self.is_done() {
                 self.status.publish(&self.projects, disk, now, true);
                 return Ok(self.summary());
@@ -172,22 +209,25 @@ impl<'a> Daemon<'a> {
     fn handle(&mut self, event: Event) {
         let now = Instant::now();
         match event {
-            Event::Hint(Hint::Changed(path)) => self.mark(path, now),
-            Event::Hint(Hint::Lost) => {
-                self.status.notice("file events were lost; looked at everything".into());
+            Event::Change(Change::At(path)) => self.hear(path, now),
+            Event::Change(Change::Gone(path)) => {
+                self.watches.doubt(&path);
+                self.hear(path, now);
+            }
+            Event::Change(Change::Lost) => {
+                self.lost = true;
                 self.look_at_all = true;
             }
-            Event::Progress { project, stage, percent } => {
-                let planning = |t: &&mut Tracked| t.is_busy() && matches!(t.phase, Phase::Planning { .. });
-                if let Some(tracked) = self.projects.get_mut(&project).filter(planning) {
-                    tracked.phase = Phase::Planning { stage, percent };
+            Event::Progress { project, job, stage, percent } => {
+                if let Some(tracked) = self.projects.get_mut(&project) {
+                    tracked.progress(job, stage, percent);
                 }
             }
-            Event::Finished { project, looked, outcome } => self.finish(&project, looked, outcome, now),
+            Event::Finished { project, job, looked, outcome } => self.finish(&project, job, looked, outcome, now),
             Event::Signal(Signal::Stop) => {
                 self.stopping = true;
                 self.projects.values().for_each(Tracked::cancel);
-                tell_supervisor(sd_notify::NotifyState::Stopping);
+                self.supervisor.tell(NotifyState::Stopping);
             }
             Event::Signal(Signal::Rescan) => {
                 self.look_at_all = true;
@@ -196,36 +236,62 @@ impl<'a> Daemon<'a> {
         }
     }
 
+    /// What viewrank itself writes into a project's output folder, where depth maps may be, too, is nothing to look at.
+    fn hear(&mut self, path: PathBuf, now: Instant) {
+        let inside = |project: &Path| path.starts_with(project.join(discover::OUTPUT_FOLDER));
+        let is_file = path.extension().is_some() && !depthmaps::looks_like_one(&path);
+        if !(is_file && self.project_around(&path).is_some_and(inside)) {
+            self.mark(path, now);
+        }
+    }
+
+    fn project_around<'p>(&self, path: &'p Path) -> Option<&'p Path> {
+        path.ancestors().find(|above| self.projects.contains_key(*above))
+    }
+
     fn mark(&mut self, path: PathBuf, now: Instant) {
-        self.dirty.insert(path);
+        self.dirty.insert(path, now);
         self.gather_until.get_or_insert((now + GATHER).max(self.rest_until));
     }
 
-    fn finish(&mut self, project: &Path, looked: Looked, outcome: Outcome, now: Instant) {
-        self.queue.release(project);
-        let Some(tracked) = self.projects.get_mut(project) else { return };
-        tracked.finish(looked, outcome, now);
-        match &tracked.phase {
-            Phase::Failed { reason, .. } => warn!(project = %project.display(), %reason, "failed"),
-            phase => info!(project = %project.display(), "{phase}"),
+    fn finish(&mut self, project: &Path, job: u64, looked: Looked, outcome: Outcome, now: Instant) {
+        self.queue.release(job);
+        let Some(tracked) = self.projects.get_mut(project) else {
+            // What the job learned of a project that is gone.
+            return self.planner.forget(project);
+        };
+        let abandoned = outcome == Outcome::Abandoned;
+        if !tracked.finish(job, looked, outcome, now) {
+            return;
+        }
+        match tracked.result() {
+            _ if abandoned => {}
+            Phase::Failed { reason, .. } => warn!(project = %Shown(project), %reason, "failed"),
+            phase => info!(project = %Shown(project), "{phase}"),
         }
         // What changed while the job ran was seen; what changed after its last look may have raised no event yet.
         self.mark(project.into(), now);
     }
 
-    /// Looks at what was hinted at, or at everything when it is time.
+    /// Looks at what changed, or at everything when it is time.
     fn look(&mut self, now: Instant) {
         if self.look_at_all || now >= self.next_full_look {
             self.look_at_everything(now);
-        } else if self.gather_until.is_some_and(|until| now >= until) {
-            self.look_at_hinted(now);
+        } else if self.gather_until.is_some_and(|until| now >= until || self.is_something_due(now)) {
+            self.look_at_changed(now);
             let ended = Instant::now();
-            self.rest_until = ended + ((ended - now) * REST).min(LONGEST_REST);
+            self.rest_until = ended + ((ended - now) * REST).min(LONGEST_REST).min(self.options.settle);
         }
-        while let Some(notice) = self.watches.take_notice() {
-            self.status.notice(notice);
+        for notice in self.watches.notices() {
+            self.status.notice(notice.clone());
         }
         self.next_full_look = self.next_full_look.min(now + self.pause());
+    }
+
+    /// May a job begin? Not before what is known to have changed was looked at.
+    fn is_something_due(&self, now: Instant) -> bool {
+        let due = |tracked: &Tracked| tracked.due(self.options.settle).is_some_and(|(at, _)| at <= now);
+        self.projects.values().any(|tracked| !tracked.is_queued() && due(tracked))
     }
 
     /// Between two looks at everything.
@@ -244,32 +310,53 @@ impl<'a> Daemon<'a> {
         self.look_at_all = false;
         self.dirty.clear();
         self.gather_until = None;
-        self.watches.forget_missing();
-        for root in self.roots.clone() {
-            self.search(&root, now);
+        self.status.begin_look();
+        if std::mem::take(&mut self.lost) {
+            self.status.notice("file events were lost; looked at everything".into());
         }
-        let known: Vec<_> = self.projects.keys().cloned().collect();
-        known.iter().for_each(|project| self.look_at_project(project, now));
+        if self.network {
+            self.status.notice("network file system: looking at the folders every 10 s (--poll)".into());
+        }
+        self.watches.renew();
+        self.watches.forget_missing();
+        let mut found = BTreeSet::new();
+        for root in self.roots.clone() {
+            found.extend(self.search(&root, now));
+        }
+        let gone: Vec<_> = self.projects.keys().filter(|project| !found.contains(*project)).cloned().collect();
+        gone.iter().for_each(|project| self.forget(project, now));
+        found.iter().for_each(|project| self.look_at_project(project, None, now));
         self.next_full_look = now + self.pause();
     }
 
-    fn look_at_hinted(&mut self, now: Instant) {
+    fn look_at_changed(&mut self, now: Instant) {
         self.gather_until = None;
-        let (mut projects, mut folders) = (BTreeSet::new(), BTreeSet::new());
-        for path in std::mem::take(&mut self.dirty) {
-            let Some(project) = path.ancestors().find(|above| self.projects.contains_key(*above)) else {
+        let mut projects: BTreeMap<PathBuf, Instant> = BTreeMap::new();
+        let mut folders = BTreeSet::new();
+        for (path, heard) in std::mem::take(&mut self.dirty) {
+            let Some(project) = self.project_around(&path).map(Path::to_path_buf) else {
                 folders.extend(self.folder_to_search(&path));
                 continue;
             };
             if path.starts_with(project.join("images"))
-                && let Some(tracked) = self.projects.get_mut(project)
+                && let Some(tracked) = self.projects.get_mut(&project)
             {
-                tracked.disturb(now);
+                tracked.disturb(heard);
             }
-            projects.insert(project.to_path_buf());
+            let last = projects.entry(project).or_insert(heard);
+            *last = heard.max(*last);
         }
-        projects.iter().for_each(|project| self.look_at_project(project, now));
-        folders.iter().for_each(|folder| self.search(folder, now));
+        for (project, heard) in projects {
+            match discover::is_project(&project, self.options.follow_links) {
+                true => self.look_at_project(&project, Some(heard), now),
+                false => self.forget(&project, now),
+            }
+        }
+        for folder in folders {
+            for project in self.search(&folder, now) {
+                self.look_at_project(&project, None, now);
+            }
+        }
     }
 
     /// Where a change at a path outside projects may have made one: a folder above that looks like a project now (what came
@@ -277,7 +364,7 @@ impl<'a> Daemon<'a> {
     fn folder_to_search(&self, path: &Path) -> Option<PathBuf> {
         let root = self.roots.iter().find(|root| path.starts_with(root))?;
         let inside = path.strip_prefix(root).ok()?;
-        if inside.components().any(|part| part.as_os_str() == discover::OUTPUT_FOLDER) {
+        if !inside.components().all(|part| discover::is_searched(part.as_os_str())) {
             return None;
         }
         let folders = || path.ancestors().take_while(|above| above.starts_with(root)).filter(|above| above.is_dir());
@@ -285,12 +372,12 @@ impl<'a> Daemon<'a> {
         project.or_else(|| folders().next()).map(Path::to_path_buf)
     }
 
-    /// Searches a folder outside projects for projects, and watches the folders in which one may appear.
-    fn search(&mut self, folder: &Path, now: Instant) {
-        let found = discover::walk(folder, self.options.follow_links);
+    /// Searches a folder outside projects for projects, which are to be looked at, and watches the folders in which one may appear.
+    fn search(&mut self, folder: &Path, now: Instant) -> Vec<PathBuf> {
+        let found = discover::walk(folder, self.options.follow_links, &|| self.supervisor.alive());
         let mut new_watches = false;
         for inner in found.folders {
-            new_watches |= self.watches.update(&inner.clone(), vec![inner]);
+            new_watches |= self.watches.update(&inner, std::slice::from_ref(&inner));
         }
         if new_watches {
             // Something may have come between the look and the watch.
@@ -299,19 +386,14 @@ impl<'a> Daemon<'a> {
         for (folder, reason) in found.unreadable {
             self.status.notice(format!("cannot look into {}: {reason}", folder.display()));
         }
-        for project in found.projects {
-            if !self.projects.contains_key(&project) {
-                info!(project = %project.display(), "found");
-                self.forget_inside(&project, now);
-                let named = self.planner.named_files(&project);
-                self.watches.update(&project, self.folders_of(&project, &named));
-                let stamp = Stamp::of(&project, self.options.follow_links).with(&named);
-                let tracked = Tracked::new(project.clone(), stamp, now);
-                self.projects.insert(project.clone(), tracked);
-                // It may have been written to between the look and the watch.
-                self.mark(project, now);
+        for project in &found.projects {
+            if !self.projects.contains_key(project) {
+                info!(project = %Shown(project), "found");
+                self.forget_inside(project, now);
+                self.projects.insert(project.clone(), Tracked::new(project.clone(), now));
             }
         }
+        found.projects
     }
 
     /// What was taken for projects before the project around them was there is a part of it.
@@ -320,47 +402,38 @@ impl<'a> Daemon<'a> {
         inside.cloned().collect::<Vec<_>>().iter().for_each(|inner| self.forget(inner, now));
     }
 
-    /// Folders whose changes concern the project; `named` are the files that it depends on beside model and images.
-    fn folders_of(&self, project: &Path, named: &[PathBuf]) -> Vec<PathBuf> {
-        let mut folders = discover::input_folders(project, self.options.follow_links);
-        folders.extend(maps::watched_folders(project, self.options.follow_links));
-        let named = named.iter().filter_map(|file| file.parent().map(Path::to_path_buf));
-        let own = project.join(discover::OUTPUT_FOLDER);
-        folders.extend(named.filter(|folder| folder.starts_with(project) && !folder.starts_with(&own)));
-        folders.sort();
-        folders.dedup();
-        folders
-    }
-
-    fn look_at_project(&mut self, project: &Path, now: Instant) {
-        if !discover::is_project(project, self.options.follow_links) {
-            self.forget(project, now);
-            return;
-        }
-        let named = self.planner.named_files(project);
-        let new_watches = self.watches.update(project, self.folders_of(project, &named));
+    /// Looks at a project of which something was heard last at `heard`; `None`: nothing is known of when it changed.
+    fn look_at_project(&mut self, project: &Path, heard: Option<Instant>, now: Instant) {
+        self.supervisor.alive();
         let Options { on_busy, follow_links, .. } = *self.options;
-        let stamp = Stamp::of(project, follow_links).with(&named);
+        let named = self.planner.named_files(project);
+        let input = InputFolders::of(project, follow_links);
+        let (map_folders, maps) = maps::look(project, follow_links);
+        let folders = folders_to_watch(project, &input, map_folders, &named);
+        let new_watches = self.watches.update(project, &folders);
+        let stamp = Stamp::of_folders(&input).with(&named);
+        let looked = (Instant::now(), SystemTime::now());
         if let Some(tracked) = self.projects.get_mut(project) {
-            tracked.observe(stamp, now, on_busy);
-            tracked.observe_maps(maps::map_files(project, follow_links), now);
-            let at_rest = !tracked.is_busy() && !tracked.has_failed();
-            if at_rest && tracked.planned.is_some() && !self.planner.has_plan(project) {
+            let since = heard.map_or(now, |heard| stamp.same_since(heard, looked));
+            tracked.observe(stamp, since, on_busy);
+            tracked.observe_maps(maps, now);
+            if tracked.is_at_rest() && !self.planner.has_plan(project) {
                 tracked.look_again();
             }
         }
         if new_watches {
+            // Something may have come between the look and the watch.
             self.mark(project.into(), now);
         }
     }
 
     /// The project is gone, or no project any more: its job ends, and its place is searched again.
     fn forget(&mut self, project: &Path, now: Instant) {
-        info!(project = %project.display(), "gone");
+        info!(project = %Shown(project), "gone");
         if let Some(tracked) = self.projects.remove(project) {
             tracked.cancel();
         }
-        self.watches.update(project, Vec::new());
+        self.watches.update(project, &[]);
         self.planner.forget(project);
         if let Some(above) = project.parent().filter(|_| !self.roots.iter().any(|root| root == project)) {
             self.mark(above.into(), now);
@@ -374,10 +447,12 @@ impl<'a> Daemon<'a> {
         if self.stopping {
             return;
         }
+        self.projects.values_mut().for_each(|tracked| tracked.wait_for(None));
         let due = |t: &Tracked| t.due(self.options.settle).filter(|(at, _)| *at <= now);
         let waiting = self.projects.values().filter_map(|t| due(t).map(|(at, work)| (at, t.root.clone(), work)));
         let mut waiting: Vec<_> = waiting.collect();
-        waiting.sort_by(|a, b| (a.0, &a.1).cmp(&(b.0, &b.1)));
+        // Plans before measurements: a backend waits for them.
+        waiting.sort_by(|a, b| (a.2, a.0, &a.1).cmp(&(b.2, b.0, &b.1)));
         self.queue.call_up();
         for (_, project, work) in waiting {
             self.start_job(threads, &project, work, now);
@@ -389,28 +464,30 @@ impl<'a> Daemon<'a> {
         'a: 's,
     {
         let Some(tracked) = self.projects.get_mut(project) else { return };
-        let Options { on_busy, follow_links, .. } = *self.options;
-        match self.queue.admit(project, self.planner.need(tracked.stamp())) {
+        let Options { on_busy, follow_links, settle, .. } = *self.options;
+        self.next_job += 1;
+        let number = self.next_job;
+        match self.queue.admit(number, self.planner.need(tracked.stamp())) {
             Ok(()) => {}
-            Err(Full::Jobs) => return tracked.phase = Phase::Queued { reason: "for a free job (--jobs)".into() },
-            Err(Full::Memory) => return tracked.phase = Phase::Queued { reason: "for memory (--max-memory)".into() },
+            Err(Full::Jobs) => return tracked.wait_for(Some("for a free job (--jobs)")),
+            Err(Full::Memory) => return tracked.wait_for(Some("for memory (--max-memory)")),
             Err(Full::Never { need, max }) => {
                 let mib = |bytes: u64| bytes.div_ceil(1 << 20);
                 let reason = format!("needs about {} MiB, --max-memory allows {}", mib(need), mib(max));
                 let hint = Some("raise --max-memory, or plan it by itself with `viewrank plan`".into());
-                let (looked, _) = tracked.start(work, self.options.settle, now);
-                return self.finish(project, looked, Outcome::Failed { reason, hint }, now);
+                let (looked, _) = tracked.start(number, work, settle, now);
+                return self.finish(project, number, looked, Outcome::Failed { reason, hint }, now);
             }
         }
         if work == Work::Plan {
-            info!(project = %project.display(), "planning");
+            info!(project = %Shown(project), "planning");
         }
-        let (looked, cancel) = tracked.start(work, self.options.settle, now);
+        let (looked, cancel) = tracked.start(number, work, settle, now);
         let (planner, sender, project) = (self.planner, self.sender.clone(), project.to_path_buf());
         let named = planner.named_files(&project);
         threads.spawn(move || {
             let progress = |stage: &str, percent| {
-                let event = Event::Progress { project: project.clone(), stage: stage.into(), percent };
+                let event = Event::Progress { project: project.clone(), job: number, stage: stage.into(), percent };
                 // Progress that nobody reads any more is no loss.
                 _ = sender.send(event);
             };
@@ -432,13 +509,13 @@ impl<'a> Daemon<'a> {
                 reason: "an internal error; see the log".into(),
                 hint: Some("run `viewrank plan` on it and report what it prints".into()),
             });
-            _ = sender.send(Event::Finished { project: project.clone(), looked, outcome });
+            _ = sender.send(Event::Finished { project: project.clone(), job: number, looked, outcome });
         });
     }
 
     /// How long there is nothing to do.
     fn sleep(&self, now: Instant) -> Duration {
-        let due = self.projects.values().filter(|t| !matches!(t.phase, Phase::Queued { .. }));
+        let due = self.projects.values().filter(|tracked| !tracked.is_queued());
         let due = due.filter_map(|t| t.due(self.options.settle)).map(|(at, _)| at).min();
         let times = [Some(self.next_full_look), self.gather_until, due, self.status.due()];
         let next = times.into_iter().flatten().min();
@@ -452,7 +529,7 @@ impl<'a> Daemon<'a> {
     }
 
     fn summary(&self) -> Summary {
-        let count = |wanted: fn(&Phase) -> bool| self.projects.values().filter(|t| wanted(&t.phase)).count();
+        let count = |wanted: fn(&Phase) -> bool| self.projects.values().filter(|t| wanted(&t.phase())).count();
         let planned = |p: &Phase| matches!(p, Phase::Planned { .. } | Phase::Computing { .. } | Phase::Reached { .. });
         Summary {
             projects: self.projects.len(),
@@ -463,8 +540,11 @@ impl<'a> Daemon<'a> {
     }
 }
 
-/// Tells systemd, where it asked to be told.
-fn tell_supervisor(state: sd_notify::NotifyState) {
-    // Without a supervisor there is nobody to tell.
-    let _ = sd_notify::notify(&[state]);
+/// Folders whose changes concern the project; `named` are the files that it depends on beside model and images.
+fn folders_to_watch(project: &Path, input: &InputFolders, maps: Vec<PathBuf>, named: &[PathBuf]) -> Vec<PathBuf> {
+    let own = project.join(discover::OUTPUT_FOLDER);
+    let named = named.iter().filter_map(|file| file.parent().map(Path::to_path_buf));
+    let named = named.filter(|folder| folder.starts_with(project) && !folder.starts_with(&own));
+    let folders: BTreeSet<PathBuf> = input.all().cloned().chain(maps).chain(named).collect();
+    folders.into_iter().collect()
 }

@@ -1,23 +1,26 @@
 //! Is a project's input complete and still? And is it what was planned already?
 //!
-//! Two looks at the input. A [`Stamp`] is what the file system says of it (length, time, inode): cheap, and any difference means
+//! Two looks at the input. A [`Stamp`] is what the file system says of it (length, times, inode): cheap, and any difference means
 //! "not still yet". A [`Fingerprint`] is a hash of the content: it decides whether there is anything to plan, so that a
 //! `touch`, a copy over itself or a restart of the daemon plans nothing.
 
 use std::{
     collections::BTreeMap,
+    ffi::OsStr,
     fs, io,
     path::{Path, PathBuf},
     time::{Duration, Instant, SystemTime, UNIX_EPOCH},
 };
 
-use super::discover;
+use super::discover::{self, InputFolders};
 
 /// What the file system says of one file or folder.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Entry {
     length: u64,
     modified_ns: u128,
+    /// When content or name changed, which no program can set.
+    changed_ns: u128,
     inode: u64,
 }
 
@@ -28,12 +31,14 @@ impl Entry {
         let since = modified.duration_since(UNIX_EPOCH).unwrap_or_default();
         // The length of a folder says nothing that its time doesn't.
         let length = if metadata.is_dir() { 0 } else { metadata.len() };
-        Self { length, modified_ns: since.as_nanos(), inode: metadata.ino() }
+        let changed =
+            Duration::new(metadata.ctime().try_into().unwrap_or(0), metadata.ctime_nsec().try_into().unwrap_or(0));
+        Self { length, modified_ns: since.as_nanos(), changed_ns: changed.as_nanos(), inode: metadata.ino() }
     }
 
     #[cfg(test)]
     pub(super) fn of_length(length: u64) -> Self {
-        Self { length, modified_ns: 0, inode: 0 }
+        Self { length, modified_ns: 0, changed_ns: 0, inode: 0 }
     }
 }
 
@@ -46,35 +51,51 @@ pub struct Stamp {
     beside: BTreeMap<PathBuf, Entry>,
     /// Image folders: their entries count, not the bytes of the images.
     folders: BTreeMap<PathBuf, Entry>,
+    /// Folders that can't be looked into, and why.
+    unreadable: BTreeMap<PathBuf, String>,
 }
 
 impl Stamp {
     /// Looks at the project; what isn't there is left out.
     pub fn of(project: &Path, follow_links: bool) -> Self {
+        Self::of_folders(&InputFolders::of(project, follow_links))
+    }
+
+    /// Looks into these folders.
+    pub fn of_folders(folders: &InputFolders) -> Self {
         let mut stamp = Self::default();
-        let images = discover::image_folders(project);
-        let masks = discover::mask_folders(project);
-        let folders = discover::input_folders(project, follow_links);
-        // What lies beside orientations is their cloud, elsewhere it is what a backend made.
-        let with_cloud = discover::holds_orientations(project);
-        for folder in folders {
-            if images.contains(&folder) {
-                if let Ok(metadata) = fs::metadata(&folder) {
-                    stamp.folders.insert(folder, Entry::of(&metadata));
-                }
-                continue;
-            }
-            for entry in fs::read_dir(&folder).into_iter().flatten().filter_map(Result::ok) {
-                let is_mask = masks.contains(&folder);
-                let is_input =
-                    is_mask || entry.file_name().to_str().is_some_and(|name| is_input_file(name, with_cloud));
-                if let Some(metadata) = fs::metadata(entry.path()).ok().filter(|m| is_input && m.is_file()) {
-                    let files = if is_mask { &mut stamp.beside } else { &mut stamp.files };
-                    files.insert(entry.path(), Entry::of(&metadata));
-                }
+        for folder in &folders.images {
+            if let Ok(metadata) = fs::metadata(folder) {
+                stamp.folders.insert(folder.clone(), Entry::of(&metadata));
             }
         }
+        for folder in &folders.models {
+            // What lies beside orientations is their cloud, elsewhere it is what a backend made.
+            let is_input =
+                |name: &OsStr| name.to_str().is_some_and(|name| is_input_file(name, folders.has_orientations));
+            let files = stamp.entries(folder, is_input);
+            stamp.files.extend(files);
+        }
+        for folder in &folders.masks {
+            let files = stamp.entries(folder, |_| true);
+            stamp.beside.extend(files);
+        }
         stamp
+    }
+
+    /// The files of a folder that are wanted by their names.
+    fn entries(&mut self, folder: &Path, wanted: impl Fn(&OsStr) -> bool) -> Vec<(PathBuf, Entry)> {
+        let entries = fs::read_dir(folder).and_then(|entries| entries.collect::<io::Result<Vec<_>>>());
+        let entries = entries.unwrap_or_else(|error| {
+            if error.kind() != io::ErrorKind::NotFound {
+                self.unreadable.insert(folder.into(), error.to_string());
+            }
+            Vec::new()
+        });
+        let paths = entries.iter().filter(|entry| wanted(&entry.file_name())).map(fs::DirEntry::path);
+        let file =
+            |path: PathBuf| fs::metadata(&path).ok().filter(fs::Metadata::is_file).map(|m| (path, Entry::of(&m)));
+        paths.filter_map(file).collect()
     }
 
     /// The same with these files, as far as they are there.
@@ -88,15 +109,40 @@ impl Stamp {
         self.files.is_empty()
     }
 
-    /// Bytes of the model files.
-    pub fn bytes(&self) -> u64 {
-        self.files.values().map(|entry| entry.length).sum()
+    /// What keeps the model from being seen, for people.
+    pub fn trouble(&self) -> Option<String> {
+        let (folder, reason) = self.unreadable.first_key_value()?;
+        Some(format!("cannot look into {}: {reason}", folder.display()))
     }
 
-    /// The time of the youngest file, for people.
-    pub fn newest(&self) -> SystemTime {
-        let newest = self.files.values().map(|entry| entry.modified_ns).max().unwrap_or(0);
-        UNIX_EPOCH + Duration::from_nanos(u64::try_from(newest).unwrap_or(0))
+    /// Bytes of the largest model that may be planned: the project's COLMAP models go before scenes of other programs and before
+    /// the model of its dense workspace.
+    pub fn bytes(&self) -> u64 {
+        let mut models: BTreeMap<(bool, PathBuf), u64> = BTreeMap::new();
+        for (path, entry) in &self.files {
+            let name = path.file_name().and_then(OsStr::to_str).unwrap_or("");
+            let is_colmap = discover::is_model_file(name);
+            let is_dense = path.components().any(|part| part.as_os_str() == discover::DENSE);
+            // A COLMAP model is the files of a folder in one format, a scene one file, a SURE model all that there is.
+            let model = match path.extension().and_then(OsStr::to_str) {
+                Some("mvs") => path.clone(),
+                Some(extension) if is_colmap => path.with_file_name(extension),
+                _ => PathBuf::new(),
+            };
+            *models.entry((is_colmap && !is_dense, model)).or_default() += entry.length;
+        }
+        let first = models.keys().any(|(first, _)| *first);
+        models.iter().filter(|((of_first, _), _)| *of_first == first).map(|(_, bytes)| *bytes).max().unwrap_or(0)
+    }
+
+    /// Since when the input has been as it is, if something was heard of it at `heard` and it looks like this at `looked`: what was
+    /// changed without being heard of is dated by the file system.
+    pub fn same_since(&self, heard: Instant, (looked, time): (Instant, SystemTime)) -> Instant {
+        let entries = self.files.values().chain(self.beside.values()).chain(self.folders.values());
+        let newest = entries.map(|entry| entry.changed_ns).max().unwrap_or(0);
+        let newest = UNIX_EPOCH + Duration::from_nanos(u64::try_from(newest).unwrap_or(u64::MAX));
+        let ago = time.duration_since(newest).unwrap_or_default();
+        heard.max(looked.checked_sub(ago).unwrap_or(heard)).min(looked)
     }
 }
 
@@ -127,9 +173,9 @@ impl<S: PartialEq> Stillness<S> {
         changed
     }
 
-    /// The same stamp, but not still until now.
-    pub fn restart(&mut self, now: Instant) {
-        self.since = now;
+    /// The same stamp, but not still until then.
+    pub fn restart(&mut self, then: Instant) {
+        self.since = self.since.max(then);
     }
 
     pub fn stamp(&self) -> &S {
@@ -229,6 +275,63 @@ mod tests {
         assert!(still.observe(Stamp::of(root.path(), false), later));
         assert!(!still.observe(Stamp::of(root.path(), false), later + settle));
         assert_eq!(still.settled_at(settle), later + settle);
+    }
+
+    #[test]
+    fn what_was_written_without_being_heard_of_is_dated_by_the_file_system() {
+        let entry = |seconds: u128| Entry { changed_ns: seconds * 1_000_000_000, ..Entry::of_length(1) };
+        let files = BTreeMap::from([("a".into(), entry(100)), ("b".into(), entry(107))]);
+        let stamp = Stamp { files, ..Stamp::default() };
+        let (start, second) = (Instant::now() + Duration::from_secs(3600), Duration::from_secs(1));
+        let looked = (start + 10 * second, UNIX_EPOCH + 110 * second);
+        assert_eq!(stamp.same_since(start, looked), start + 7 * second, "written after it was heard of");
+        assert_eq!(stamp.same_since(start + 9 * second, looked), start + 9 * second, "moved there, old as it is");
+        let earlier = (looked.0, UNIX_EPOCH + 50 * second);
+        assert_eq!(stamp.same_since(start, earlier), looked.0, "by another machine's clock");
+    }
+
+    #[test]
+    fn a_file_rewritten_in_place_with_its_length_and_time_is_another() {
+        let root = project();
+        let path = root.path().join("sparse/0/cameras.bin");
+        let time = fs::metadata(&path).and_then(|m| m.modified()).expect("a time");
+        let mut cache = HashCache::default();
+        let mut print =
+            |stamp: &Stamp| cache.fingerprint(root.path(), std::slice::from_ref(&path), stamp, b"").expect("readable");
+        let before = Stamp::of(root.path(), false);
+        let print_before = print(&before);
+        // Until the clock of the file system has gone on.
+        let end = Instant::now() + Duration::from_secs(10);
+        while Stamp::of(root.path(), false) == before && Instant::now() < end {
+            fs::write(&path, "CAMERAS").expect("a file");
+            fs::File::options().write(true).open(&path).and_then(|f| f.set_modified(time)).expect("a time");
+        }
+        assert_eq!(fs::metadata(&path).and_then(|m| m.modified()).expect("a time"), time);
+        assert_ne!(print(&Stamp::of(root.path(), false)), print_before);
+    }
+
+    #[test]
+    fn what_cannot_be_looked_into_is_said() {
+        let root = project();
+        let no_folder = root.path().join("sparse/0/cameras.bin");
+        let stamp = |models| Stamp::of_folders(&InputFolders { models, ..InputFolders::default() });
+        let trouble = stamp(vec![no_folder.clone()]).trouble().expect("trouble");
+        assert!(trouble.starts_with(&format!("cannot look into {}: ", no_folder.display())), "{trouble}");
+        assert_eq!(stamp(vec![root.path().join("sparse/0"), root.path().join("gone")]).trouble(), None);
+    }
+
+    #[test]
+    fn memory_is_estimated_by_the_largest_model_that_may_be_planned() {
+        let bytes = |files: &[(&str, u64)]| {
+            let entry = |&(path, length): &(&str, u64)| (Path::new("/p").join(path), Entry::of_length(length));
+            Stamp { files: files.iter().map(entry).collect(), ..Stamp::default() }.bytes()
+        };
+        let colmap = [("sparse/0/images.bin", 5), ("sparse/0/cameras.bin", 1), ("sparse/1/images.bin", 7)];
+        assert_eq!(bytes(&colmap), 7);
+        let beside = [("scene_dense.mvs", 1 << 40), ("dense/sparse/images.bin", 1 << 30), ("sparse/0/images.txt", 6)];
+        assert_eq!(bytes(&[&colmap[..], &beside[..]].concat()), 7);
+        assert_eq!(bytes(&beside[..2]), 1 << 40);
+        assert_eq!(bytes(&[("1.ori", 2), ("2.ori", 2), ("cloud.ply", 9), ("scene.mvs", 3)]), 13);
     }
 
     #[test]

@@ -15,18 +15,10 @@ use crate::scene::{Scene, ViewIndex};
 /// The bytes of a `.dmap` that hold its header.
 const DMAP_HEADER: u64 = 1 << 17;
 
-/// Where backends write their depth maps, below a project.
-pub const FOLDERS: [&str; 9] = [
-    "stereo/depth_maps",
-    "dense/stereo/depth_maps",
-    "sgm",
-    "viewrank/colmap/stereo/depth_maps",
-    "viewrank/openmvs",
-    "viewrank/mvsnet",
-    "viewrank/patchmatchnet",
-    "viewrank/acmm",
-    "depth_maps",
-];
+/// Where COLMAP writes its depth maps, below a dense workspace.
+const COLMAP: &str = "stereo/depth_maps";
+/// Programs whose depth maps lie in a folder of their name: in the project, in viewrank's output folder or in `export`.
+const BY_NAME: [&str; 5] = ["sgm", "openmvs", "mvsnet", "patchmatchnet", "acmm"];
 
 /// A finished depth map of a view.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -37,40 +29,86 @@ pub struct DepthMapFile {
 }
 
 /// The depth maps found under a folder, one per view, ascending by view.
-#[derive(Clone, Debug, Default)]
+#[derive(Debug, Default)]
 pub struct DepthMapSet {
     pub maps: Vec<DepthMapFile>,
     /// Files that look like depth maps but belong to no view, ascending.
     pub strangers: Vec<PathBuf>,
-    /// Files that should name their view and cannot be read, ascending, and why in a sentence.
-    pub unreadable: Vec<(PathBuf, String)>,
+    /// Files that don't say which view they belong to, and why: damaged, half written, or without their list of names. Ascending.
+    pub unreadable: Vec<(PathBuf, DepthMapError)>,
+}
+
+impl DepthMapSet {
+    /// The set where every file of it could be read.
+    ///
+    /// # Errors
+    /// What is wrong with the first that could not.
+    pub fn whole(mut self) -> Result<Self, DepthMapError> {
+        if self.unreadable.is_empty() { Ok(self) } else { Err(self.unreadable.swap_remove(0).1) }
+    }
+}
+
+/// Where backends write their depth maps in a project, whether there are any or not: in the project or a dense workspace of it
+/// (`dense`, `dense/N`) as COLMAP does, else in a folder of the program's name.
+pub fn places(project: &Path) -> Vec<PathBuf> {
+    let mut workspaces = vec![project.to_path_buf(), project.join("dense")];
+    workspaces.extend(sub_folders(&project.join("dense")));
+    workspaces.push(project.join("viewrank/colmap"));
+    let mut places: Vec<PathBuf> = workspaces.iter().map(|workspace| workspace.join(COLMAP)).collect();
+    places.extend(BY_NAME.iter().flat_map(|kind| folders_by_name(project, kind)));
+    places.push(project.join("depth_maps"));
+    places
 }
 
 /// The folders of a project that may hold depth maps, as far as they are there.
 pub fn folders(project: &Path) -> Vec<PathBuf> {
-    FOLDERS.iter().map(|folder| project.join(folder)).filter(|folder| folder.is_dir()).collect()
+    places(project).into_iter().filter(|folder| folder.is_dir()).collect()
+}
+
+fn folders_by_name(project: &Path, kind: &str) -> [PathBuf; 3] {
+    [project.join(kind), project.join("viewrank").join(kind), project.join("export").join(kind)]
+}
+
+fn sub_folders(folder: &Path) -> Vec<PathBuf> {
+    let entries = std::fs::read_dir(folder).into_iter().flatten().filter_map(Result::ok);
+    let mut folders: Vec<_> = entries.map(|entry| entry.path()).filter(|path| path.is_dir()).collect();
+    folders.sort();
+    folders
 }
 
 /// Where the depth maps of a kind of program lie in a project (`dense`: its dense workspace); of another word, the folder of that name.
 pub fn folder_of(project: &Path, dense: Option<&Path>, kind: &str) -> PathBuf {
     let candidates: Vec<PathBuf> = match kind {
-        "colmap" => dense.map(|dense| dense.join("stereo/depth_maps")).into_iter().collect(),
-        "sgm" | "openmvs" | "mvsnet" | "patchmatchnet" | "acmm" => {
-            [project.join(kind), project.join("viewrank").join(kind), project.join("export").join(kind)].into()
-        }
+        "colmap" => dense.map(|dense| dense.join(COLMAP)).into_iter().collect(),
+        kind if BY_NAME.contains(&kind) => folders_by_name(project, kind).into(),
         other => vec![project.join(other)],
     };
     let there = candidates.iter().find(|folder| folder.is_dir());
     there.or(candidates.first()).cloned().unwrap_or_else(|| project.into())
 }
 
-/// Finds the depth maps under `folder`. Of a photometric and a geometric map (COLMAP, ACMM) the geometric one is taken.
+/// Finds the depth maps under `folder` as [`list`] does.
+///
+/// # Errors
+/// Those of [`list`], and where there is no map: what is wrong with the first file that could not be read, if there is one.
 pub fn find(folder: &Path, scene: &Scene) -> Result<DepthMapSet, DepthMapError> {
+    let set = list(folder, scene)?;
+    if set.maps.is_empty() { Err(set.whole().err().unwrap_or(DepthMapError::None(folder.into()))) } else { Ok(set) }
+}
+
+/// Lists the depth maps under `folder`. Of a photometric and a geometric map (COLMAP, ACMM) the geometric one is taken.
+///
+/// # Errors
+/// A folder that can't be walked, two maps of one view.
+pub fn list(folder: &Path, scene: &Scene) -> Result<DepthMapSet, DepthMapError> {
     let mut best: BTreeMap<ViewIndex, (u8, PathBuf, DepthMapFormat)> = BTreeMap::new();
     let (mut strangers, mut unreadable) = (Vec::new(), Vec::new());
     let mut numbers = Numbers { folder, scene, views: None };
     for entry in WalkDir::new(folder).sort_by_file_name() {
-        let entry = entry.map_err(|e| DepthMapError::Io { path: folder.into(), source: e.into() })?;
+        let entry = match entry {
+            Err(error) if error.depth() > 0 && error.io_error().is_some_and(is_gone) => continue,
+            entry => entry.map_err(|e| DepthMapError::Io { path: folder.into(), source: e.into() })?,
+        };
         let path = entry.path();
         let inside = path.strip_prefix(folder).unwrap_or(path);
         let Some((format, rank)) = format_of(inside).filter(|_| path.is_file()) else { continue };
@@ -80,12 +118,10 @@ pub fn find(folder: &Path, scene: &Scene) -> Result<DepthMapSet, DepthMapError> 
                 strangers.push(path.to_path_buf());
                 continue;
             }
-            // It may be being written.
-            Err(error) if format == DepthMapFormat::OpenMvs => {
+            Err(error) => {
                 unreadable.push((path.to_path_buf(), error));
                 continue;
             }
-            Err(error) => return Err(error),
         };
         let found = (rank, path.to_path_buf(), format);
         match best.get_mut(&view) {
@@ -95,12 +131,13 @@ pub fn find(folder: &Path, scene: &Scene) -> Result<DepthMapSet, DepthMapError> 
             Some(_) => {}
         }
     }
-    if best.is_empty() {
-        return Err(unreadable.into_iter().next().map_or(DepthMapError::None(folder.into()), |(_, error)| error));
-    }
-    let unreadable = unreadable.into_iter().map(|(path, error)| (path, error.to_string())).collect();
     let maps = best.into_iter().map(|(view, (_, path, format))| DepthMapFile { view, path, format }).collect();
     Ok(DepthMapSet { maps, strangers, unreadable })
+}
+
+/// A map that a backend takes away while its folder is walked is no map.
+fn is_gone(error: &std::io::Error) -> bool {
+    error.kind() == std::io::ErrorKind::NotFound
 }
 
 fn twice(scene: &Scene, view: ViewIndex, first: &Path, second: &Path) -> DepthMapError {

@@ -15,7 +15,7 @@ use nalgebra::Point2;
 
 use crate::{camera::Camera, error::Hint, scene::Scene};
 
-pub use find::{DepthMapFile, DepthMapSet, FOLDERS, find, folder_of, folders, looks_like_one};
+pub use find::{DepthMapFile, DepthMapSet, find, folder_of, folders, list, looks_like_one, places};
 
 /// Formats of depth maps.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]

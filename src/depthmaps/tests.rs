@@ -240,6 +240,24 @@ fn two_maps_of_one_view_are_an_error_that_names_both() {
 }
 
 #[test]
+fn a_map_that_cannot_be_read_is_named_and_hides_no_other() {
+    let scene = scene(&["IMG_9394.jpg", "IMG_9395.jpg"]);
+    let folder = folder(&[("depth0040.dmap", "depth0040.dmap"), ("IMG_9394.jpg.npy", "IMG_9394.jpg.npy")]);
+    std::fs::write(folder.path().join("depth0001.dmap"), "DR").unwrap();
+    std::fs::write(folder.path().join("00000007.pfm"), "").unwrap();
+    let set = find(folder.path(), &scene).unwrap();
+    assert_eq!(found(&set), [(0, DepthMapFormat::Npy), (1, DepthMapFormat::OpenMvs)]);
+    let unreadable: Vec<_> = set.unreadable.iter().map(|(path, _)| path.file_name().unwrap()).collect();
+    assert_eq!(unreadable, ["00000007.pfm", "depth0001.dmap"]);
+    assert!(matches!(set.whole(), Err(DepthMapError::Names { .. })));
+    for name in ["depth0040.dmap", "IMG_9394.jpg.npy", "00000007.pfm"] {
+        std::fs::remove_file(folder.path().join(name)).unwrap();
+    }
+    assert!(list(folder.path(), &scene).unwrap().maps.is_empty());
+    assert!(matches!(find(folder.path(), &scene), Err(DepthMapError::Format { .. })));
+}
+
+#[test]
 fn no_maps_at_all_is_an_error() {
     let folder = folder(&[("else.txt", BIN)]);
     assert!(matches!(find(folder.path(), &scene(&["a.jpg"])), Err(DepthMapError::None(_))));

@@ -70,7 +70,7 @@ impl Run {
     pub fn new(task: &Task, watcher: &dyn Watcher) -> Result<Self, EvaluateError> {
         let scene = task.model.scene;
         let maps = depthmaps::find(task.depth_maps, scene)?;
-        let references = task.reference.map(|folder| depthmaps::find(folder, scene)).transpose()?;
+        let references = task.reference.map(|folder| depthmaps::find(folder, scene)?.whole()).transpose()?;
         let report = matched::read_report(task.depth_maps, scene)?;
         let of = |set: &DepthMapSet, view| set.maps.iter().find(|m| m.view == view).cloned();
         let mut found: Vec<(ViewCluster, DepthMapFile, u32)> = Vec::new();
@@ -111,7 +111,7 @@ impl Run {
         }
         let mut order: Vec<u32> = (0..clusters.len() as u32).collect();
         order.sort_by_key(|&c| ranks[c as usize]);
-        let unreadable = maps.unreadable.into_iter().map(|(_, why)| why);
+        let unreadable = maps.unreadable.iter().map(|(_, error)| error.to_string());
         let unreadable = unreadable.chain(broken.iter().map(DepthMapError::to_string)).collect();
         task.tables(clusters, order, &measured, &report, watcher).map(|run| Self {
             without_map,

@@ -30,6 +30,7 @@ use crate::{
 pub struct Earlier {
     /// Key view and partners, by name, best first.
     clusters: Vec<(String, Vec<String>)>,
+    cut: usize,
     outdated: Vec<Outdated>,
     views: PlannedViews,
 }
@@ -43,7 +44,12 @@ impl Earlier {
         let views = serde_json::from_slice(&bytes)
             .map_err(|error| WrittenPlanError::Manifest { path, what: error.to_string() })?;
         let clusters = recorded.clusters.into_iter().map(|c| (c.key, c.partners)).collect();
-        Ok(Self { clusters, outdated: recorded.outdated, views })
+        Ok(Self { clusters, cut: recorded.cut.clusters, outdated: recorded.outdated, views })
+    }
+
+    /// Names of the key views to the cut, best first.
+    pub fn list(&self) -> impl Iterator<Item = &str> {
+        self.keys().take(self.cut)
     }
 
     /// Names of the key views, best first.
@@ -161,16 +167,11 @@ enum Found {
     Unreadable(String),
 }
 
-/// The finished clusters of the earlier plan, in its order.
+/// The finished clusters of the earlier plan, in its order, and what is wrong with maps of no known view.
 fn look(plan: &Plan, earlier: &Earlier, maps: &Maps, watcher: &dyn Watcher) -> Result<Vec<Found>, ReplanError> {
-    let set = match depthmaps::find(maps.folder, &plan.scene) {
-        Ok(set) => set,
-        Err(DepthMapError::None(_)) => DepthMapSet::default(),
-        Err(error) => return Err(error.into()),
-    };
-    let (files, unreadable) = (set.maps, set.unreadable);
-    let unreadable =
-        unreadable.into_iter().filter(|(path, _)| (maps.ready)(path)).map(|(_, why)| Found::Unreadable(why));
+    let DepthMapSet { maps: files, unreadable, .. } = depthmaps::list(maps.folder, &plan.scene)?;
+    let ready = unreadable.into_iter().filter(|(path, _)| (maps.ready)(path));
+    let unreadable = ready.map(|(_, error)| Found::Unreadable(error.to_string()));
     let file_of: BTreeMap<&str, &DepthMapFile> = files.iter().map(|file| (plan.scene.name(file.view), file)).collect();
     let found = earlier.clusters.par_iter().map(|(key, partners)| {
         watcher.check()?;

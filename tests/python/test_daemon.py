@@ -431,6 +431,17 @@ def test_new_images_keep_the_maps_that_still_fit(backend, root, config, fixtures
         assert [c["key"] for c in manifest["clusters"] if c["finished"]] == [line.split("\t")[0] for line in lines[:2]]
 
 
+def test_a_command_that_fails_is_said(root, config):
+    project = root / "p"
+    SMALL_MODEL(project / "sparse/0", 0)
+    (project / "viewrank.toml").write_text('backends = ["sgm"]\n[cut]\ntarget = "10%"\n')
+    with Daemon(root, config, "--on-target", 'touch "$VIEWRANK_PROJECT/stop"; exit 3', settle="300ms") as daemon:
+        daemon.wait_planned("p")
+        put_in_place(project, (project / "viewrank/clusters.txt").read_text().splitlines())
+        daemon.wait(lambda: daemon.said("p", "the command for a reached target failed"), "the failure")
+        assert (project / "stop").exists() and '"status":"exit status: 3"' in daemon.log.read_text()
+
+
 def test_a_project_may_not_name_a_command(source, root, config, tmp_path):
     cp(source, root / "p")
     (root / "p/viewrank.toml").write_text(f'on_target = "touch {tmp_path}/harm"\n')
@@ -570,6 +581,7 @@ def test_once_says_by_its_exit_code_whether_all_is_planned(root, config):
     metrics = root / "viewrank.prom"
     once(root, config, "--metrics", metrics, expect=0)
     assert 'viewrank_projects{state="planned"} 1' in metrics.read_text().splitlines()
+    assert "the metrics cannot be written" in once(root, config, "--metrics", root / "nowhere/viewrank.prom", expect=2).stderr
     before = (root / "p/viewrank/manifest.json").stat().st_mtime_ns
     once(root, config, expect=0)
     assert (root / "p/viewrank/manifest.json").stat().st_mtime_ns == before, "it is planned already"
