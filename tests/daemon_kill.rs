@@ -84,7 +84,7 @@ fn finish(root: &Path) {
     assert!(status.success(), "{status}");
 }
 
-/// All files of the project's output folder, but what differs from run to run.
+/// All files of the project's output folder, but what differs from run to run. Where the project lies is left out of warnings.
 fn outputs(project: &Path) -> Outputs {
     let folder = project.join("viewrank");
     // A daemon that runs may take away what is just being walked.
@@ -92,7 +92,10 @@ fn outputs(project: &Path) -> Outputs {
     let files = files.filter(|e| e.file_type().is_file() && !NOT_COMPARED.iter().any(|name| e.file_name() == *name));
     let read = |e: walkdir::DirEntry| {
         let name = e.path().strip_prefix(&folder).expect("below the folder").to_path_buf();
-        Some((name, fs::read(e.path()).ok()?))
+        let bytes = fs::read(e.path()).ok()?;
+        let text =
+            String::from_utf8(bytes).map(|text| text.replace(&*project.to_string_lossy(), "PROJECT").into_bytes());
+        Some((name, text.unwrap_or_else(|error| error.into_bytes())))
     };
     files.filter_map(read).collect()
 }
