@@ -4,6 +4,7 @@ use super::{
     Surface,
     corners::{BORDER, opposites, split_fans},
 };
+use crate::connected::components;
 
 /// Edges longer than this many times the 95th percentile of the edges do not belong to the surface.
 const LONG_EDGE_FACTOR: f64 = 25.0;
@@ -24,8 +25,7 @@ pub fn clean(surface: &Surface, seen: &[bool]) -> Surface {
 pub fn make_manifold(mut surface: Surface) -> Surface {
     surface.triangles.retain(|&[a, b, c]| a != b && b != c && c != a);
     drop_repeated(&mut surface.triangles);
-    let opposite = opposites(&surface);
-    split_fans(surface, &opposite)
+    split_fans(surface)
 }
 
 /// Drops triangles that have the same three vertices as an earlier one, whatever their direction.
@@ -63,41 +63,18 @@ fn edge_percentile(surface: &Surface, counts: &[bool], share: f64) -> Option<f64
     Some(*lengths.select_nth_unstable_by(rank, f64::total_cmp).1)
 }
 
-/// Drops components with under 0.1 % of the area and fewer than 100 triangles. The surface must be manifold.
+/// Drops components (triangles joined by edges) with under 0.1 % of the area and fewer than 100 triangles. The surface must be manifold.
 fn drop_small_components(surface: &Surface) -> Surface {
-    let component = components(surface);
-    let count = component.iter().max().map_or(0, |&c| c as usize + 1);
-    let (mut areas, mut sizes) = (vec![0.0; count], vec![0usize; count]);
-    for (t, &c) in component.iter().enumerate() {
-        areas[c as usize] += surface.area(t as u32);
-        sizes[c as usize] += 1;
-    }
-    let least = SMALL_COMPONENT_AREA * areas.iter().sum::<f64>();
-    let is_kept = |&c: &u32| areas[c as usize] >= least || sizes[c as usize] >= SMALL_COMPONENT_TRIANGLES;
-    let keep: Vec<bool> = component.iter().map(is_kept).collect();
-    surface.keep(&keep)
-}
-
-/// The component (triangles joined by edges) of each triangle, numbered by first triangle.
-fn components(surface: &Surface) -> Vec<u32> {
     let opposite = opposites(surface);
-    let mut component = vec![BORDER; surface.triangles.len()];
-    let (mut count, mut open) = (0, Vec::new());
-    for t in 0..component.len() {
-        if component[t] != BORDER {
-            continue;
+    let beside = |t: u32| opposite[3 * t as usize..][..3].iter().filter(|&&c| c != BORDER).map(|c| c / 3);
+    let components = components(surface.triangles.len(), beside);
+    let areas: Vec<f64> = components.iter().map(|c| c.iter().map(|&t| surface.area(t)).sum()).collect();
+    let least = SMALL_COMPONENT_AREA * areas.iter().sum::<f64>();
+    let mut keep = vec![false; surface.triangles.len()];
+    for (component, area) in components.iter().zip(areas) {
+        if area >= least || component.len() >= SMALL_COMPONENT_TRIANGLES {
+            component.iter().for_each(|&t| keep[t as usize] = true);
         }
-        component[t] = count;
-        open.push(t);
-        while let Some(t) = open.pop() {
-            for &across in &opposite[3 * t..3 * t + 3] {
-                if across != BORDER && component[across as usize / 3] == BORDER {
-                    component[across as usize / 3] = count;
-                    open.push(across as usize / 3);
-                }
-            }
-        }
-        count += 1;
     }
-    component
+    surface.keep(&keep)
 }

@@ -42,10 +42,15 @@ pub fn unswing(opposite: &[u32], corner: u32) -> Option<u32> {
 /// The facing corner of each corner. At an edge of more than two triangles those pair that enclose the same inside; what finds
 /// no partner of opposite direction becomes a border. Triangles must have three different vertices.
 pub fn opposites(surface: &Surface) -> Vec<u32> {
+    pair_edges(surface).0
+}
+
+/// The facing corner of each corner, and for each edge of more than two triangles the corners that face it.
+fn pair_edges(surface: &Surface) -> (Vec<u32>, Vec<Vec<u32>>) {
     let triangles = &surface.triangles;
     let mut opposite = vec![BORDER; 3 * triangles.len()];
     let (offsets, mut corners) = corners_by_smaller_end(surface.vertices.len(), triangles);
-    let mut edge: Vec<u32> = Vec::new();
+    let (mut edge, mut crowded): (Vec<u32>, Vec<Vec<u32>>) = (Vec::new(), Vec::new());
     for ends in offsets.windows(2) {
         let bucket = &mut corners[ends[0] as usize..ends[1] as usize];
         bucket.sort_unstable();
@@ -53,9 +58,12 @@ pub fn opposites(surface: &Surface) -> Vec<u32> {
             edge.clear();
             edge.extend(facing.iter().map(|corner| corner.1));
             pair_edge(surface, &edge, &mut opposite);
+            if edge.len() > 2 {
+                crowded.push(edge.clone());
+            }
         }
     }
-    opposite
+    (opposite, crowded)
 }
 
 /// All corners grouped by the smaller vertex of the edge that they face (CSR), each behind the larger one.
@@ -134,18 +142,17 @@ fn axis_frame(axis: Vector3<f64>) -> [Vector3<f64>; 2] {
     [first, axis.cross(&first)]
 }
 
-/// Gives each fan of triangles about a vertex a vertex of its own, and drops vertices that no triangle uses. The first fan, by
-/// its smallest corner, comes where the vertex was.
-pub fn split_fans(surface: Surface, opposite: &[u32]) -> Surface {
+/// The same triangles as an oriented manifold with borders: each fan of triangles about a vertex has a vertex of its own, and vertices
+/// that no triangle uses go. The first fan, by its smallest corner, comes where the vertex was. Triangles must have three different
+/// vertices, and no two the same three.
+pub fn split_fans(surface: Surface) -> Surface {
+    let (mut opposite, crowded) = pair_edges(&surface);
     let Surface { kind, vertices, mut triangles } = surface;
-    let mut owner: Vec<u32> = vec![BORDER; 3 * triangles.len()];
-    let mut fan_vertex: Vec<u32> = Vec::with_capacity(vertices.len());
-    for c in 0..owner.len() as u32 {
-        if owner[c as usize] == BORDER {
-            claim_fan(opposite, c, fan_vertex.len() as u32, &mut owner);
-            fan_vertex.push(vertex(&triangles, c));
-        }
+    let (mut owner, mut first) = fans(&opposite);
+    if open_doubled_edges(&crowded, &owner, &mut opposite) {
+        (owner, first) = fans(&opposite);
     }
+    let fan_vertex: Vec<u32> = first.into_iter().map(|c| vertex(&triangles, c)).collect();
     // Old order of vertices first, so that a mesh without double fans keeps the order that it came in.
     let mut order: Vec<u32> = (0..fan_vertex.len() as u32).collect();
     order.sort_by_key(|&f| fan_vertex[f as usize]);
@@ -156,6 +163,36 @@ pub fn split_fans(surface: Surface, opposite: &[u32]) -> Surface {
     }
     let vertices = order.iter().map(|&f| vertices[fan_vertex[f as usize] as usize]).collect();
     Surface { kind, vertices, triangles }
+}
+
+/// Where sheets touch along an edge and hang together about both its ends, splitting fans would leave the edge with several triangles of
+/// one direction. Unpairs such edges, which opens their fans: then no fan has two borders of one direction, and triangles that are beside
+/// each other about both ends find each other by their vertices. Says whether there was any.
+fn open_doubled_edges(crowded: &[Vec<u32>], owner: &[u32], opposite: &mut [u32]) -> bool {
+    let directed = |&c: &u32| (owner[next(c) as usize], owner[prev(c) as usize]);
+    let mut has_opened = false;
+    for edge in crowded {
+        let mut ends: Vec<(u32, u32)> = edge.iter().map(directed).collect();
+        ends.sort_unstable();
+        if ends.windows(2).any(|pair| pair[0] == pair[1]) {
+            edge.iter().for_each(|&c| opposite[c as usize] = BORDER);
+            has_opened = true;
+        }
+    }
+    has_opened
+}
+
+/// The fan of each corner, and the smallest corner of each fan.
+fn fans(opposite: &[u32]) -> (Vec<u32>, Vec<u32>) {
+    let mut owner = vec![BORDER; opposite.len()];
+    let mut first: Vec<u32> = Vec::new();
+    for c in 0..owner.len() as u32 {
+        if owner[c as usize] == BORDER {
+            claim_fan(opposite, c, first.len() as u32, &mut owner);
+            first.push(c);
+        }
+    }
+    (owner, first)
 }
 
 fn claim_fan(opposite: &[u32], start: u32, fan: u32, owner: &mut [u32]) {
@@ -178,7 +215,7 @@ fn claim_fan(opposite: &[u32], start: u32, fan: u32, owner: &mut [u32]) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::surface::SurfaceKind;
+    use crate::surface::{SurfaceKind, manifold::check_manifold};
 
     fn surface(vertices: &[[f64; 3]], triangles: &[[u32; 3]]) -> Surface {
         Surface {
@@ -199,13 +236,74 @@ mod tests {
         let opposite = opposites(&mesh);
         assert!(opposite.iter().all(|&c| c != BORDER));
         assert!(opposite.iter().enumerate().all(|(a, &b)| (a < 12) == (b < 12)), "a pair joins the two solids");
-        assert_eq!(split_fans(mesh, &opposite).vertices.len(), 8);
+        let apart = split_fans(mesh);
+        assert_eq!(apart.vertices.len(), 8);
+        assert_eq!(check_manifold(&apart).map(|t| (t.euler, t.components)), Ok((4, 2)));
+    }
+
+    /// The outside of a set of unit cubes, two triangles a face.
+    fn boundary(cubes: &[[i32; 3]]) -> Surface {
+        let mut places: Vec<[i32; 3]> = Vec::new();
+        let mut triangles = Vec::new();
+        for cube in cubes {
+            for (axis, side) in [0, 1, 2].into_iter().flat_map(|axis| [(axis, 0), (axis, 1)]) {
+                let mut beside = *cube;
+                beside[axis] += 2 * side - 1;
+                if cubes.contains(&beside) {
+                    continue;
+                }
+                let mut face = [[0, 0], [1, 0], [1, 1], [0, 1]].map(|[u, v]| {
+                    let mut corner = *cube;
+                    corner[axis] += side;
+                    corner[(axis + 1) % 3] += u;
+                    corner[(axis + 2) % 3] += v;
+                    places.iter().position(|p| *p == corner).unwrap_or_else(|| {
+                        places.push(corner);
+                        places.len() - 1
+                    }) as u32
+                });
+                if side == 0 {
+                    face.reverse();
+                }
+                triangles.extend([[face[0], face[1], face[2]], [face[0], face[2], face[3]]]);
+            }
+        }
+        surface(&places.iter().map(|p| p.map(f64::from)).collect::<Vec<_>>(), &triangles)
+    }
+
+    /// A block with two cubes of its middle floor taken out that touch along an upright edge: about both ends of the edge all four faces
+    /// hang together, by the floors below and above.
+    #[test]
+    fn sheets_that_touch_along_an_edge_and_hang_together_at_its_ends_come_apart() {
+        let floor = |z: i32| [[0, 0, z], [1, 0, z], [0, 1, z], [1, 1, z]];
+        let all = [floor(0), floor(1), floor(2)].concat();
+        let cubes: Vec<[i32; 3]> = all.into_iter().filter(|c| ![[1, 0, 1], [0, 1, 1]].contains(c)).collect();
+        let block = boundary(&cubes);
+        let apart = split_fans(block.clone());
+        assert!(apart.vertices.len() > block.vertices.len());
+        assert_eq!(check_manifold(&apart).map(|t| (t.border_edges, t.components)), Ok((0, 1)));
+        assert_eq!(crate::surface::shapes::volume(&apart), 10.0);
+    }
+
+    proptest::proptest! {
+        /// Random cubes touch along edges and at corners in every way there is; what goes in comes out, as a closed manifold.
+        #[test]
+        fn whatever_cubes_leave_is_a_manifold(cells in proptest::collection::vec(proptest::bool::ANY, 27)) {
+            let places = (0..27).map(|i| [i % 3, i / 3 % 3, i / 9]);
+            let cubes: Vec<[i32; 3]> = places.zip(cells).filter_map(|(place, is_in)| is_in.then_some(place)).collect();
+            let block = boundary(&cubes);
+            let apart = split_fans(block.clone());
+            let found = check_manifold(&apart);
+            proptest::prop_assert!(found.is_ok(), "{found:?}");
+            let corners = |s: &Surface| (0..s.triangles.len() as u32).map(|t| s.corners(t)).collect::<Vec<_>>();
+            proptest::prop_assert_eq!(corners(&apart), corners(&block));
+        }
     }
 
     #[test]
     fn triangles_of_the_same_direction_do_not_pair() {
         let mesh = surface(&[[0., 0., 0.], [1., 0., 0.], [0., 1., 0.], [0., -1., 0.]], &[[0, 1, 2], [0, 1, 3]]);
         assert!(opposites(&mesh).iter().all(|&c| c == BORDER));
-        assert_eq!(split_fans(mesh.clone(), &opposites(&mesh)).vertices.len(), 6);
+        assert_eq!(split_fans(mesh).vertices.len(), 6);
     }
 }

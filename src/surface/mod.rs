@@ -90,9 +90,7 @@ impl Surface {
     /// triangles held two fans together is split, so that the result is a manifold again.
     pub fn keep(&self, keep: &[bool]) -> Surface {
         let kept = self.triangles.iter().zip(keep).filter_map(|(&t, &k)| k.then_some(t));
-        let rest = Surface { kind: self.kind, vertices: self.vertices.clone(), triangles: kept.collect() };
-        let opposite = corners::opposites(&rest);
-        corners::split_fans(rest, &opposite)
+        corners::split_fans(Surface { kind: self.kind, vertices: self.vertices.clone(), triangles: kept.collect() })
     }
 }
 

@@ -243,7 +243,7 @@ fn a_mesh_from_a_file_is_simplified_refined_or_left() {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(48))]
+    #![proptest_config(ProptestConfig::with_cases(500))]
 
     /// Points on a coarse lattice: repeated, collinear, coplanar, cospherical. A manifold or a clear error, never a panic.
     #[test]
