@@ -10,9 +10,16 @@ pub fn components<I: Iterator<Item = u32>>(nodes: usize, beside: impl Fn(u32) ->
             first[a.max(b) as usize] = a.min(b);
         }
     }
-    let mut parts: Vec<Vec<u32>> = vec![Vec::new(); nodes];
-    (0..nodes as u32).for_each(|node| parts[root(&mut first, node) as usize].push(node));
-    parts.retain(|part| !part.is_empty());
+    let mut parts: Vec<Vec<u32>> = Vec::new();
+    let mut place = vec![0; nodes];
+    for node in 0..nodes as u32 {
+        let first = root(&mut first, node);
+        if first == node {
+            place[node as usize] = parts.len();
+            parts.push(Vec::new());
+        }
+        parts[place[first as usize]].push(node);
+    }
     parts
 }
 

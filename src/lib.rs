@@ -13,8 +13,8 @@
 //! - [`pictures`] and [`report`] what people look at; [`tables`] what programs check; [`dispatch`] the clusters as tasks of a queue
 //! - [`plan`] runs the stages; [`evaluate`] method 8: real fulfilment, baselines; [`replan`] method 5.4; [`output`] makes files appear whole or not at all
 //! - [`doctor`] what is wrong with a project before it is planned
-//! - [`config`] every setting; [`progress`] progress and cancellation; [`error`] what errors say beside their message; [`shell`] commands to type; `vector` inner
-//!   loops
+//! - [`config`] every setting; [`progress`] progress and cancellation; [`error`] what errors say beside their message; [`shell`] commands to type
+//! - `connected` parts of a graph; `vector` inner loops for the processor at hand
 
 pub mod backends;
 pub mod camera;

@@ -6,6 +6,7 @@ use super::{Finding, Severity, Visit, counted};
 use crate::{
     georeference::Georeference,
     scene::{PointIndex, Units, ViewIndex},
+    surface::points::upper_median,
 };
 
 /// Ground sampling distances of surveys, metres: from a turntable to a high flight.
@@ -140,11 +141,7 @@ fn residuals(visit: &Visit) -> Option<Finding> {
             of_view[scene.track_views[observation].at()].extend(error);
         }
     }
-    let median = |errors: &mut Vec<f64>| {
-        let middle = errors.len() / 2;
-        (!errors.is_empty()).then(|| *errors.select_nth_unstable_by(middle, f64::total_cmp).1)
-    };
-    let medians: Vec<Option<f64>> = of_view.iter_mut().map(median).collect();
+    let medians: Vec<Option<f64>> = of_view.into_iter().map(|errors| upper_median(errors.into_iter())).collect();
     let wrong = |view: &ViewIndex| medians[view.at()].is_some_and(|error| error > ERROR_PX);
     let views: Vec<ViewIndex> = scene.view_indices().filter(wrong).collect();
     let known = medians.iter().flatten().count();

@@ -140,7 +140,7 @@ impl Why<'_> {
         self.model.visibility.triangles.iter().for_each(|&t| viewers[t as usize] += 1);
         let is_fulfilled = |t: usize| f64::from(best[t]) >= FULFILLED;
         let has_few_cameras = |t: usize| viewers[t] < self.model.rule.min_cameras;
-        let nearest = self.nearest_to_success(|t| !is_fulfilled(t) && !has_few_cameras(t), triangles);
+        let nearest = self.nearest_to_success(|t| !is_fulfilled(t) && !has_few_cameras(t));
         let reason = |t: usize| match nearest[t] {
             _ if is_fulfilled(t) => None,
             _ if has_few_cameras(t) => Some(Reason::TooFewCameras),
@@ -151,13 +151,13 @@ impl Why<'_> {
     }
 
     /// Of each triangle that is asked for the factors of the cluster that comes nearest to fulfilling it, the first of equals.
-    fn nearest_to_success(&self, is_asked: impl Fn(usize) -> bool + Sync, triangles: usize) -> Vec<Option<Fulfilment>> {
+    fn nearest_to_success(&self, is_asked: impl Fn(usize) -> bool + Sync) -> Vec<Option<Fulfilment>> {
         let of_cluster = |cluster: &ViewCluster| -> Vec<(u32, Fulfilment)> {
             let asked = self.model.visibility.of(cluster.key).iter().copied().filter(|&t| is_asked(t as usize));
             asked.map(|t| (t, fulfilment::value(self.model, cluster.key, &cluster.partners, t))).collect()
         };
         let found: Vec<Vec<(u32, Fulfilment)>> = self.clusters.par_iter().map(of_cluster).collect();
-        let mut nearest: Vec<Option<Fulfilment>> = vec![None; triangles];
+        let mut nearest: Vec<Option<Fulfilment>> = vec![None; self.model.surface.triangles.len()];
         for (t, fulfilment) in found.into_iter().flatten() {
             let nearness = |f: &Fulfilment| (f.coverage, f.value, f.confidence);
             let held = &mut nearest[t as usize];

@@ -3,7 +3,7 @@
 use std::{
     collections::HashSet,
     fs::File,
-    io::{self, Cursor, Read, Seek, SeekFrom},
+    io::{self, BufRead, BufReader, Cursor, Read, Seek, SeekFrom},
     path::{Path, PathBuf},
 };
 
@@ -153,44 +153,60 @@ fn look(path: &Path) -> Result<Option<[u32; 2]>, Unread> {
     let of_name = ImageFormat::from_path(path).ok().filter(ImageFormat::reading_enabled);
     match dimensions(path, length) {
         None if of_name.is_some() => Err(Unread::Broken("no image")),
-        Some(_) if of_name == Some(ImageFormat::Jpeg) && is_cut_off(path).unwrap_or(false) => {
+        Some(_) if of_name == Some(ImageFormat::Jpeg) && is_cut_off(path, length).unwrap_or(false) => {
             Err(Unread::Broken("cut off"))
         }
         found => Ok(found),
     }
 }
 
-/// Bytes at the end of a JPEG file in which its end is looked for, before all of it is read.
+/// Bytes at the end of a JPEG file in which its end is looked for, before it is from the first scan on.
 const TAIL: u64 = 1 << 16;
 const END_OF_IMAGE: [u8; 2] = [0xff, 0xd9];
 const START_OF_SCAN: u8 = 0xda;
 
 /// Does a JPEG file lack the end of its image? In the data of a scan the mark of the end cannot occur by chance (ITU T.81, B.1.1.5), before
 /// it in another picture that the header holds.
-fn is_cut_off(path: &Path) -> io::Result<bool> {
-    let mut file = File::open(path)?;
-    let length = file.metadata()?.len();
-    let mut bytes = Vec::new();
-    let ends = |bytes: &[u8]| bytes.windows(2).any(|pair| pair == END_OF_IMAGE);
+fn is_cut_off(path: &Path, length: u64) -> io::Result<bool> {
+    let mut file = BufReader::with_capacity(TAIL as usize, File::open(path)?);
     if length > TAIL {
-        file.seek(SeekFrom::End(-(TAIL as i64)))?;
-        file.read_to_end(&mut bytes)?;
-        if ends(&bytes) {
+        file.seek(SeekFrom::Start(length - TAIL))?;
+        if has_end(&mut file)? {
             return Ok(false);
         }
     }
-    bytes.clear();
-    file.rewind()?;
-    file.read_to_end(&mut bytes)?;
-    let mut at = 2;
-    // Segments with their lengths, up to the first scan.
-    while let Some(&[0xff, kind, high, low]) = bytes.get(at..at + 4) {
-        at += 2 + usize::from(u16::from_be_bytes([high, low]));
+    go_to_first_scan(&mut file)?;
+    Ok(!has_end(&mut file)?)
+}
+
+/// To the data of the first scan; where there is none, behind the last whole segment.
+fn go_to_first_scan(file: &mut BufReader<File>) -> io::Result<()> {
+    file.seek(SeekFrom::Start(2))?;
+    loop {
+        let mut segment = Vec::new();
+        file.take(4).read_to_end(&mut segment)?;
+        let [0xff, kind, high, low] = segment[..] else { return file.seek_relative(-(segment.len() as i64)) };
+        // The length counts its own two bytes.
+        file.seek_relative(i64::from(u16::from_be_bytes([high, low])) - 2)?;
         if kind == START_OF_SCAN {
-            break;
+            return Ok(());
         }
     }
-    Ok(!ends(bytes.get(at..).unwrap_or_default()))
+}
+
+/// Is the mark of the end in what is left of the file?
+fn has_end(file: &mut impl BufRead) -> io::Result<bool> {
+    let mut last = 0;
+    loop {
+        let bytes = file.fill_buf()?;
+        let Some(&end) = bytes.last() else { return Ok(false) };
+        if [last, bytes[0]] == END_OF_IMAGE || bytes.windows(2).any(|pair| pair == END_OF_IMAGE) {
+            return Ok(true);
+        }
+        last = end;
+        let read = bytes.len();
+        file.consume(read);
+    }
 }
 
 /// Width and height by the header, reading no more of the file than it takes.
