@@ -60,6 +60,17 @@ pub struct Manifest {
     pub warnings: Vec<String>,
 }
 
+/// The warnings of a plan, `further` ones, then what each of its exports warns of and does not honour.
+pub fn warnings_with(of_plan: &[String], exports: &[ExportRecord], further: &[String]) -> Vec<String> {
+    let mut warnings: Vec<String> = of_plan.iter().chain(further).cloned().collect();
+    for ExportRecord { backend, warnings: own, not_honoured, .. } in exports {
+        let own = own.iter().filter(|warning| !of_plan.contains(warning));
+        warnings.extend(own.map(|warning| format!("{backend}: {warning}")));
+        warnings.extend(not_honoured.iter().map(|what| format!("{backend}: not honoured: {what}")));
+    }
+    warnings
+}
+
 /// What was planned for.
 #[derive(Clone, Debug, Serialize, JsonSchema)]
 pub struct Input {

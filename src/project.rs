@@ -16,7 +16,7 @@ pub use images::{ImageFaults, slashes};
 use crate::{
     error::Hint,
     formats::{Fault, colmap::ColmapModel},
-    scene::Scene,
+    scene::{ModelWarning, Scene, WarningKind},
     shell::{quoted, quoted_path},
 };
 
@@ -138,8 +138,10 @@ impl Project {
                 foreign::read(&self.root, &self.model)?.scene().map_err(fault)?
             }
         };
-        scene.warnings.extend(self.sub_model_warning(scene.views.len()));
-        scene.warnings.extend(self.other_workspace_warning());
+        let others = self.sub_model_warning(scene.views.len());
+        scene.warnings.extend(others.map(|text| ModelWarning::new(WarningKind::OtherModels, text)));
+        let workspace = self.other_workspace_warning();
+        scene.warnings.extend(workspace.map(|text| ModelWarning::new(WarningKind::OtherWorkspace, text)));
         // Where images lie beside everything else, not every picture belongs to the survey.
         if let Some(images) = self.images.as_ref().filter(|images| **images != self.root) {
             scene.unregistered.extend(images::unregistered(images, &scene));
@@ -188,8 +190,18 @@ impl Project {
         }
     }
 
+    /// Other models whose images are mostly those of the scene: copies of the model, in other coordinates perhaps.
+    pub fn copies(&self, scene: &Scene) -> Vec<&ModelLocation> {
+        let is_copy = |model: &&ModelLocation| {
+            let names = discover::image_names(&self.root, model).unwrap_or_default();
+            let shared = names.iter().filter(|name| scene.find(name).is_some()).count();
+            2 * shared > names.len()
+        };
+        self.other_models.iter().filter(is_copy).collect()
+    }
+
     /// A workspace of another model is none of this one's.
-    pub(crate) fn other_workspace_warning(&self) -> Option<String> {
+    fn other_workspace_warning(&self) -> Option<String> {
         let others = discover::dense_folders(&self.root, &self.model);
         let other = others.first().filter(|_| self.dense_workspace.is_none())?;
         Some(format!(
@@ -199,7 +211,7 @@ impl Project {
     }
 
     /// Which of several models is read, and which are not.
-    pub(crate) fn sub_model_warning(&self, registered: usize) -> Option<String> {
+    fn sub_model_warning(&self, registered: usize) -> Option<String> {
         let others = self.other_models.iter().map(|m| format!("{} ({} images)", m.name(), m.registered));
         let others: Vec<String> = others.collect();
         (!others.is_empty()).then(|| {

@@ -109,8 +109,37 @@ pub struct Scene {
     pub track_pixels: Vec<[f64; 2]>,
     /// Images of the model or the image folder that have no pose, sorted by name.
     pub unregistered: Vec<String>,
-    /// What the reader found odd, in sentences for the user.
-    pub warnings: Vec<String>,
+    /// What is odd about the model, though it could be read.
+    pub warnings: Vec<ModelWarning>,
+}
+
+/// Something odd about a model, or about what lies beside it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ModelWarning {
+    pub kind: WarningKind,
+    /// A sentence for the user.
+    pub text: String,
+}
+
+impl ModelWarning {
+    pub fn new(kind: WarningKind, text: impl Into<String>) -> Self {
+        Self { kind, text: text.into() }
+    }
+}
+
+/// What a warning is about.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum WarningKind {
+    /// Something is missing, is too much, or contradicts the rest.
+    Damaged,
+    /// The format does not say it, or it is not read: good to know.
+    Format,
+    /// Other models of the project are not read.
+    OtherModels,
+    /// A dense workspace belongs to another model.
+    OtherWorkspace,
+    /// Images are not there, so that something had to be guessed.
+    Guessed,
 }
 
 impl Scene {
@@ -185,9 +214,11 @@ impl Scene {
         let view_points = self.view_points();
         let gsds = self.view_indices().filter_map(|view| {
             let pose = &self.view(view).cam_from_world;
-            let depths = view_points.of(view).iter().map(|&p| pose.camera_from_world(&self.points[p.at()]).z);
-            let depth = median(depths.filter(|&z| z > 0.0).collect())?;
-            Some(depth / self.camera_of(view).mean_focal_length())
+            let camera = self.camera_of(view);
+            let points = view_points.of(view).iter();
+            let depths = points.map(|&p| camera.depth(&pose.camera_from_world(&self.points[p.at()])));
+            let depth = median(depths.filter(|&depth| depth > 0.0).collect())?;
+            Some(depth / camera.mean_focal_length())
         });
         median(gsds.collect())
     }
@@ -295,5 +326,10 @@ mod tests {
         // View a: depths 1 and 2; view b: 2 and 4.
         assert_eq!(scene.median_gsd(), Some(0.5 * (1.5 + 3.0) / 100.0));
         assert_eq!(Scene::default().median_gsd(), None);
+        // Nothing is behind a camera that looks everywhere: view a at distances 5, 1 and 2; view b: 5, 2 and 4.
+        let everywhere = Camera::new(1, CameraModel::Equirectangular, 1000, 500, vec![1000.0, 500.0]).unwrap();
+        let focal = everywhere.mean_focal_length();
+        let scene = Scene { cameras: vec![everywhere], ..scene };
+        assert!((scene.median_gsd().unwrap() - 3.0 / focal).abs() < 1e-12);
     }
 }

@@ -56,7 +56,7 @@ impl Planner for Counter {
 
     fn plan(&self, job: &Job) -> Outcome {
         let model = ["cameras.bin", "images.bin", "points3D.bin"].map(|name| job.project.join("sparse/0").join(name));
-        let fingerprint = match self.hashes.lock().expect("no panic").fingerprint(job.project, &model, job.stamp, b"") {
+        let fingerprint = match HashCache::fingerprint(&self.hashes, job.project, &model, job.stamp, b"") {
             Ok(fingerprint) => fingerprint,
             Err(_) => return Outcome::Abandoned,
         };
@@ -319,8 +319,22 @@ fn once_ends_when_nothing_is_left_and_one_failure_touches_no_other_project() {
     let line = read_status(&root).expect("a status");
     assert!(!line.running);
     let phases: Vec<_> = line.status.projects.iter().map(|p| (p.project.as_str(), p.phase.to_string())).collect();
-    assert_eq!(phases[0], ("bad", "failed: broken (again in 10 s)".into()));
+    assert_eq!(phases[0], ("bad", "failed: broken (next try 10 s after it)".into()));
     assert_eq!(phases[1], ("good", "planned: 1 key views for 100 %".into()));
+}
+
+#[test]
+fn what_lies_in_a_folder_that_is_moved_moves_with_it() {
+    let (_guard, root) = root();
+    write_model(&root.join("group/p"), "a");
+    let planner = Counter::default();
+    with_daemon(&options(&root), &planner, || {
+        eventually("the plan", || planner.plans_of(&root.join("group/p")) == 1);
+        fs::rename(root.join("group"), root.join("moved")).expect("moved");
+        eventually("the plan at its new place", || planner.plans_of(&root.join("moved/p")) == 1);
+        let names = || read_status(&root).expect("a status").status.projects.into_iter().map(|p| p.project);
+        eventually("the old place to be forgotten", || names().eq(["moved/p"]));
+    });
 }
 
 #[test]
@@ -371,7 +385,8 @@ impl Real {
 
     /// A daemon that plans, or measures, what there is.
     fn once(&self, replan: bool) -> Phase {
-        let planner = PlanJob::new(PlanOptions { on_target: Some("true".into()), replan, cache: 0 });
+        let planner =
+            PlanJob::new(PlanOptions { on_target: Some("true".into()), replan, cache: 0, follow_links: false });
         let options = Options { once: true, ..options(&self.root) };
         watch_roots(&options, &planner, &Disk::REAL, |_| {}).expect("the root can be watched");
         read_status(&self.root).expect("a status").status.projects.remove(0).phase
@@ -456,6 +471,71 @@ fn maps_beyond_the_list_are_counted_beside_it() {
     assert_eq!(progress["finished"], serde_json::json!([second]));
 }
 
+/// A link that leads to itself can be looked into by nobody, not even by root.
+#[test]
+fn maps_that_cannot_be_looked_at_are_not_taken_for_gone() {
+    let mut scene = town();
+    let real = Real::new(&scene);
+    real.once(false);
+    real.put_map("sgm");
+    for (i, view) in scene.views.iter_mut().enumerate() {
+        view.cam_from_world.translation.x += (i % 2) as f64;
+    }
+    real.write_model(&scene);
+    real.once(false);
+    let outdated = || real.manifest()["outdated"].as_array().map(Vec::len);
+    assert_eq!(outdated(), Some(1));
+    let (maps, aside) = (real.project.join("sgm"), real.root.join("aside"));
+    fs::rename(&maps, &aside).expect("moved");
+    std::os::unix::fs::symlink(&maps, &maps).expect("a link");
+    match real.once(false) {
+        Phase::Failed { reason, .. } => assert!(reason.contains("cannot look into"), "{reason}"),
+        phase => panic!("{phase}"),
+    }
+    assert_eq!(outdated(), Some(1), "nothing is forgotten");
+    fs::remove_file(&maps).expect("a link");
+    fs::rename(&aside, &maps).expect("moved");
+    real.once(false);
+    assert_eq!(outdated(), Some(1));
+}
+
+#[test]
+fn a_dense_workspace_that_comes_later_gets_its_files_and_what_is_removed_comes_back() {
+    let real = Real::new(&town());
+    real.once(false);
+    let dense = real.project.join("dense");
+    fs::create_dir_all(dense.join("stereo")).expect("a folder");
+    fs::create_dir_all(dense.join("sparse")).expect("a folder");
+    for name in ["cameras.bin", "images.bin", "points3D.bin"] {
+        fs::copy(real.project.join("sparse/0").join(name), dense.join("sparse").join(name)).expect("a file");
+    }
+    let files = [dense.join("stereo/patch-match.cfg"), real.project.join("viewrank/clusters.txt")];
+    for file in files {
+        real.once(false);
+        let written = fs::read(&file).expect("a file of the plan");
+        fs::remove_file(&file).expect("a file");
+        real.once(false);
+        assert_eq!(fs::read(&file).expect("the file again"), written);
+    }
+}
+
+/// A pipe would be waited for, a device read without end.
+#[test]
+fn settings_that_are_no_file_of_the_project_fail_it_alone() {
+    for (kind, words) in [("pipe", "no regular file"), ("link", "is a symbolic link")] {
+        let real = Real::new(&town());
+        let settings = real.project.join("viewrank.toml");
+        match kind {
+            "pipe" => drop(std::process::Command::new("mkfifo").arg(&settings).status().expect("mkfifo")),
+            _ => std::os::unix::fs::symlink("/dev/zero", &settings).expect("a link"),
+        }
+        match real.once(false) {
+            Phase::Failed { reason, .. } => assert!(reason.contains(words), "{reason}"),
+            phase => panic!("{kind}: {phase}"),
+        }
+    }
+}
+
 #[test]
 fn a_model_behind_a_link_waits_for_being_asked_for() {
     let elsewhere = Real::new(&town());
@@ -468,7 +548,7 @@ fn a_model_behind_a_link_waits_for_being_asked_for() {
         phase => panic!("{phase}"),
     }
     assert!(!real.project.join("viewrank/manifest.json").exists());
-    let planner = PlanJob::new(PlanOptions { on_target: None, replan: false, cache: 0 });
+    let planner = PlanJob::new(PlanOptions { on_target: None, replan: false, cache: 0, follow_links: false });
     let options = Options { once: true, follow_links: true, ..options(&real.root) };
     let summary = watch_roots(&options, &planner, &Disk::REAL, |_| {}).expect("the root can be watched");
     assert_eq!(summary.planned, 1);

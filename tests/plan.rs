@@ -296,3 +296,13 @@ fn the_manual_and_the_completions_know_every_option() {
         assert!(completions.contains(&format!("--{option}")), "{option}");
     }
 }
+
+#[test]
+fn a_wanted_resolution_in_another_unit_is_warned_of_and_all_partners_that_are_asked_for_are_candidates() {
+    let project = project();
+    plan(project.path(), &["--gsd", "2", "--quiet"]);
+    assert!(manifest(project.path())["warnings"].to_string().contains("times coarser than the images' own"));
+    plan(project.path(), &["-k", "24", "--budget", "3", "--confidence", "none", "--quiet"]);
+    let manifest = manifest(project.path());
+    assert_eq!(manifest["settings"]["partners"]["candidates"], 24);
+}

@@ -4,7 +4,11 @@ use std::path::{Path, PathBuf};
 
 use viewrank::{
     error::Hint,
-    formats::{Bytes, colmap::ColmapModel, colmap_bin, colmap_text},
+    formats::{
+        Bytes,
+        colmap::{ColmapModel, Point2d},
+        colmap_bin, colmap_text,
+    },
     project::{ModelFormat, Project, ProjectError, ProjectKind},
     scene::Scene,
 };
@@ -69,7 +73,7 @@ fn all_colmap_models_have_the_expected_counts() {
         assert_eq!(scene.views.len(), count("registered"), "{folder}");
         assert_eq!(scene.points.len(), count("points3D"), "{folder}");
         assert_eq!(scene.observations(), count("observations"), "{folder}");
-        assert_eq!(scene.warnings, Vec::<String>::new(), "{folder}");
+        assert_eq!(scene.warnings, [], "{folder}");
         if let Some(error) = expected["error"].as_f64() {
             let found = scene.mean_reprojection_error().unwrap();
             assert!((found - error).abs() < 1e-5, "{folder}: {found} instead of {error}");
@@ -188,6 +192,36 @@ fn reduced_models_are_consistent() {
 }
 
 #[test]
+fn a_damaged_count_of_images_does_not_win() {
+    let fixture = Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/valley/sparse/0");
+    let folder = tempfile::tempdir().unwrap();
+    for name in ["0", "1"] {
+        let model = folder.path().join("sparse").join(name);
+        std::fs::create_dir_all(&model).unwrap();
+        for file in ["cameras.bin", "images.bin", "points3D.bin"] {
+            std::fs::copy(fixture.join(file), model.join(file)).unwrap();
+        }
+    }
+    let images = folder.path().join("sparse/0/images.bin");
+    let mut bytes = std::fs::read(&images).unwrap();
+    bytes[..8].copy_from_slice(&(1u64 << 60).to_le_bytes());
+    std::fs::write(&images, bytes).unwrap();
+    assert_eq!(open(folder.path()).model.name(), "1");
+}
+
+#[test]
+fn pixels_whose_points_do_not_know_them_are_counted() {
+    let scene = read(&Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/valley"));
+    assert_eq!(scene.warnings, []);
+    let mut model = ColmapModel::from_scene(&scene);
+    let stray = [Some(u64::MAX - 1), Some(scene.point_ids[0])].map(|point| Point2d::new([3.0, 4.0], point));
+    model.images[2].points2d.to_mut().extend(stray);
+    let read = reread(&colmap_bin::write(&model));
+    assert!(read.warnings[0].text.starts_with("2 of "), "{:?}", read.warnings);
+    assert_eq!(read.observations(), scene.observations());
+}
+
+#[test]
 fn the_sub_model_with_most_images_is_taken() {
     let Some(formats) = data().map(|data| data.join("formats")) else { return };
     let path = formats.join("project_two_models");
@@ -196,7 +230,7 @@ fn the_sub_model_with_most_images_is_taken() {
     let scene = project.read_scene().unwrap();
     assert_eq!(scene.views.len(), 7);
     assert_eq!(scene.warnings.len(), 1);
-    assert!(scene.warnings[0].contains("1 (6 images)"), "{}", scene.warnings[0]);
+    assert!(scene.warnings[0].text.contains("1 (6 images)"), "{:?}", scene.warnings);
     let other = Project::open(&path, Some("1")).unwrap();
     assert_eq!(other.read_scene().unwrap().views.len(), 6);
     let error = Project::open(&path, Some("7")).unwrap_err();
@@ -250,7 +284,7 @@ fn a_project_is_recognised_by_what_lies_in_it() {
     let other = open(root);
     assert_eq!(other.dense_workspace, None);
     let warnings = other.read_scene().unwrap().warnings;
-    assert!(warnings.iter().any(|w| w.contains("nothing is written into it")), "{warnings:?}");
+    assert!(warnings.iter().any(|w| w.text.contains("nothing is written into it")), "{warnings:?}");
     assert_eq!(open(&root.join("sparse/10")).kind, ProjectKind::BareModel);
     assert_eq!(open(&root.join("sparse/10")).images, Some(root.join("images")));
     assert_eq!(open(&root.join("sparse/10/cameras.bin")).model.path, root.join("sparse/10"));

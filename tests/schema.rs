@@ -5,7 +5,12 @@
 use std::{env, fs, path::Path};
 
 use schemars::{Schema, schema_for};
-use viewrank::{config::Settings, daemon::Progress, doctor::Diagnosis, manifest::Manifest};
+use viewrank::{
+    config::Settings,
+    daemon::{Progress, state::Status},
+    doctor::Diagnosis,
+    manifest::Manifest,
+};
 
 fn compare(name: &str, schema: &Schema) {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("schema").join(name);
@@ -24,6 +29,11 @@ fn schema_of_the_manifest() {
 #[test]
 fn schema_of_the_progress() {
     compare("progress.schema.json", &schema_for!(Progress));
+}
+
+#[test]
+fn schema_of_the_status() {
+    compare("status.schema.json", &schema_for!(Status));
 }
 
 #[test]

@@ -103,6 +103,12 @@ def fingerprint(workspace, a, b, shared):
     return hashlib.sha256(b"|".join(parts)).hexdigest()
 
 
+def made_of(workspace, key, partners):
+    """Of the views of a cluster as they lie now."""
+    views = [workspace.views[name] for name in (key, *partners)]
+    return hashlib.sha256(b"|".join(part.tobytes() for v in views for part in (v.K, v.R, v.t))).hexdigest()[:16]
+
+
 def encode(inverse):
     """Inverse depths as 65535 steps between their extremes, far finer than the match; 0 where unknown."""
     known = np.isfinite(inverse)

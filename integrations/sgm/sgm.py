@@ -25,7 +25,7 @@ except ModuleNotFoundError as error:
     sys.exit(f"error: {error}; pip install numpy opencv-python-headless")
 
 from merge import MIN_AGREE, SIGMA_PX, merge
-from pairs import VERSION, Pairs, write_whole
+from pairs import VERSION, Pairs, made_of, write_whole
 from workspace import InputError, Workspace
 
 MAX_PARTNERS = 255  # counts are 8 bit
@@ -94,7 +94,7 @@ def compute(pairs, key, partners, out):
     found = [pairs.get(key, partner) for partner in partners]
     usable = [pair for pair in found if pair.matched]
     width, height = pairs.workspace.views[key].size
-    row = {"key": key, "width": width, "height": height, "partners": [partner_row(*p) for p in zip(partners, found, strict=True)]}
+    row = {"key": key, "width": width, "height": height, "made_of": made_of(pairs.workspace, key, partners), "partners": [partner_row(*p) for p in zip(partners, found, strict=True)]}
     if out:
         depth, count = np.zeros((height, width), np.float32), np.zeros((height, width), np.uint8)
         if len(usable) >= MIN_AGREE:
@@ -122,8 +122,10 @@ class Report:
 
     Runs of single ranks go on side by side, on several machines: each writes OUT/rows/KEY.json, and the next run of a list joins these."""
 
-    def __init__(self, out, settings, single=False):
+    def __init__(self, out, settings, kept, single=False):
+        """`kept`: key views whose maps the plan stands around."""
         self.path, self.out, self.settings, self.rows, self.stopped, self.single = out / "report.json", out, settings, {}, "", single
+        self.kept = kept
         for path in (self.path, *sorted((out / "rows").rglob("*.json"))):
             try:
                 old = json.loads(path.read_text(encoding="utf-8"))
@@ -133,10 +135,12 @@ class Report:
             except (OSError, ValueError, KeyError, TypeError):
                 pass
 
-    def finished(self, key, partners):
+    def finished(self, key, partners, made):
+        """Are its maps there, made with these partners, and of views that lie where they do now or in a plan that stands around them?"""
         row = self.rows.get(key)
         there = all((self.out / folder / (key + ".npy")).is_file() for folder in ("depth_maps", "counts"))
-        return there and row is not None and [p["name"] for p in row["partners"]] == partners
+        same = row is not None and [p["name"] for p in row["partners"]] == partners
+        return there and same and (key in self.kept or row.get("made_of") == made)
 
     def begin(self, keys):
         """Forgets the rows of key views whose maps are about to be replaced."""
@@ -241,8 +245,8 @@ def match(args):
     all_clusters = wanted(args, workspace)
     clusters = of_rank(all_clusters, args.rank) if args.rank is not None else all_clusters[:first]
     settings = {"version": VERSION, "image_scale": args.image_scale, "sigma_px": SIGMA_PX, "min_agree": MIN_AGREE}
-    report = Report(args.out, settings, single=args.rank is not None)
-    todo = [c for c in clusters if not report.finished(*c)]
+    report = Report(args.out, settings, kept_by_plan(workspace), single=args.rank is not None)
+    todo = [c for c in clusters if not report.finished(*c, made_of(workspace, *c))]
     report.begin(key for key, _ in todo)
     print(f"{len(clusters)} key views, {len(clusters) - len(todo)} finished before; {sum(len(p) for _, p in todo)} pairs to do", file=sys.stderr)
     line = Line(len(todo))
@@ -257,6 +261,15 @@ def match(args):
     finally:
         report.write()
     print(summary(report, [key for key, _ in all_clusters]), file=sys.stderr)
+
+
+def kept_by_plan(workspace):
+    """Key views whose depth maps the plan stands around: those of views that hardly moved since they were made are as good as new ones."""
+    try:
+        manifest = json.loads((workspace.folder / "viewrank" / "manifest.json").read_text(encoding="utf-8"))
+        return {cluster["key"] for cluster in manifest["clusters"] if cluster["finished"]}
+    except (OSError, ValueError, KeyError, TypeError):
+        return set()
 
 
 def of_rank(clusters, rank):

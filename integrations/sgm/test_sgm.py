@@ -232,6 +232,19 @@ def test_finished_maps_are_kept_and_changed_ones_made_anew(planes, tmp_path):
     assert all(p["cached"] for row in second["clusters"] if row["key"] == SIDES[0] for p in row["partners"])
 
 
+def test_maps_of_views_that_moved_are_made_anew_unless_the_plan_stands_around_them(planes, tmp_path):
+    out = tmp_path / "out"
+    report = run(planes, out, write_clusters(tmp_path / "clusters.txt", ("key.png", *SIDES)))
+    made = report["clusters"][0]["made_of"]
+    workspace = Workspace(planes)
+    assert sgm.made_of(workspace, "key.png", SIDES) == made
+    workspace.views[SIDES[0]].t += 0.01
+    moved = sgm.made_of(workspace, "key.png", SIDES)
+    assert moved != made
+    finished = lambda kept, made: sgm.Report(out, report["settings"], kept).finished("key.png", list(SIDES), made)  # noqa: E731
+    assert [finished(set(), made), finished(set(), moved), finished({"key.png"}, moved)] == [True, False, True]
+
+
 def test_a_lost_map_or_a_broken_cache_file_is_made_again(planes, tmp_path):
     out, cache = tmp_path / "out", tmp_path / "cache"
     clusters = write_clusters(tmp_path / "clusters.txt", ("key.png", *SIDES))

@@ -7,7 +7,7 @@ found=$folder/fused.$(uname -n).$$
 trap 'rm -f "$found"' EXIT
 missing=0
 while IFS=$tab read -r rank marker id map key; do
-    if [ -s "$map" ] && [ "$(cat "$folder/done/$marker" 2>/dev/null)" = "$id" ]; then
+    if [ -s "$map" ] && { [ "$rank" -le "$finished" ] || [ "$(cat "$folder/done/$marker" 2>/dev/null)" = "$id" ]; }; then
         echo "$id"
     else
         missing=$((missing + 1))

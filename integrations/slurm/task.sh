@@ -38,7 +38,7 @@ if [ -z "$map" ]; then
     exit 0
 fi
 marker=$folder/done/$marker
-if [ -s "$map" ] && [ "$(cat "$marker" 2>/dev/null)" = "$id" ]; then
+if [ -s "$map" ] && { [ "$rank" -le "$finished" ] || [ "$(cat "$marker" 2>/dev/null)" = "$id" ]; }; then
     echo "rank $rank: $key is there"
     exit 0
 fi

@@ -41,6 +41,7 @@ mod sure;
 mod traps;
 mod workspace;
 
+pub(crate) use clusters::recipe;
 pub use selection::{RankedCluster, Selection};
 pub use sure::pair_files;
 pub use traps::{Patient, Trap};

@@ -98,12 +98,19 @@ struct Report<'a> {
     tasks: usize,
     done: usize,
     target_reached: bool,
+    #[serde(skip)]
+    at_once: Option<u32>,
     #[serde(flatten)]
     submission: Submission,
 }
 
 pub fn run(arguments: &Arguments) -> Result<(), Failure> {
-    let plan = WrittenPlan::read(&arguments.project)?;
+    // One project, whatever it is called: its jobs are found by its path.
+    let root = arguments.project.canonicalize().unwrap_or_else(|_| arguments.project.clone());
+    let plan = WrittenPlan::read(&root)?;
+    if let Some(wanted) = arguments.target.filter(|wanted| wanted.0 > plan.target.0) {
+        return Err(DispatchError::Target { wanted, planned: plan.target }.into());
+    }
     let backend = backends::by_name(arguments.backend.as_ref().unwrap_or(&plan.backend))?;
     let settings = config::load(Some(&plan.project.root), arguments.typed())?.settings.dispatch;
     let selection = Selection {
@@ -115,7 +122,8 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         image_faults: &plan.project.image_faults(&plan.scene),
     };
     let exported = backend.export(&selection, &Default::default())?;
-    let dispatch = Dispatch::new(backend, &selection, &exported)?;
+    let dispatch = Dispatch::new(backend, &selection, &exported, plan.finished)?;
+    let _held = if arguments.dry_run { None } else { Some(dispatch.hold()?) };
     let tools = arguments.tools(&dispatch, &settings)?;
     let reached = arguments.target_reached(&plan.project.root)?;
     let mut exported = Some(exported);
@@ -135,7 +143,8 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         (Scheduler::Slurm, false) => slurm::submit(&dispatch, &settings, reached, write)?,
         (Scheduler::Shell, dry_run) => {
             if !dry_run {
-                write(&Queue::empty(&dispatch))?;
+                // Tasks of a queue that is there may still read older lists.
+                write(&Queue::read(&dispatch).unwrap_or_else(|_| Queue::empty(&dispatch)))?;
             }
             Submission::default()
         }
@@ -147,6 +156,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         tasks: dispatch.tasks.len(),
         done,
         target_reached: reached,
+        at_once: settings.at_once,
         submission,
     };
     match arguments.format {
@@ -206,12 +216,11 @@ impl Arguments {
         progress.finish();
         match outcome {
             Outcome::Followed { reached, .. } => Ok(reached),
-            Outcome::Failed { reason, .. } => {
-                eprintln!("warning: what is there could not be measured: {reason}");
-                Ok(false)
-            }
-            _ => {
-                // What it says is of depth maps that are gone.
+            other => {
+                if let Outcome::Failed { reason, .. } = other {
+                    eprintln!("warning: what is there could not be measured: {reason}");
+                }
+                // What it says is of depth maps that are gone, or of another plan: no task may stop for it.
                 output::remove(&follow::progress_file(root), &Disk::REAL)?;
                 Ok(false)
             }
@@ -238,15 +247,21 @@ impl Report<'_> {
             text += "  the target is reached by the depth maps that are there: nothing more is started\n";
         }
         match arguments.scheduler {
-            Scheduler::Shell => text + &by_hand(dispatch, arguments),
+            Scheduler::Shell => text + &by_hand(dispatch, self.at_once),
             Scheduler::Slurm => {
-                let Submission { commands, ranks, queued, jobs } = &self.submission;
+                let Submission { commands, ranks, queued, left, jobs } = &self.submission;
                 if !queued.is_empty() {
                     let _ = writeln!(text, "  on their way  {} tasks", queued.len());
                 }
                 if !ranks.is_empty() {
                     let (first, last) = (ranks[0], ranks[ranks.len() - 1]);
                     let _ = writeln!(text, "  submitted     {} tasks, ranks {first} to {last}", ranks.len());
+                }
+                if *left > 0 {
+                    let _ = writeln!(
+                        text,
+                        "  left          {left} tasks, which the queue has no room for: call this again later"
+                    );
                 }
                 if !jobs.is_empty() {
                     let _ = writeln!(text, "  jobs          {}", jobs.join(", "));
@@ -263,11 +278,11 @@ impl Report<'_> {
 }
 
 /// How the scripts are started without a queue.
-fn by_hand(dispatch: &Dispatch, arguments: &Arguments) -> String {
+fn by_hand(dispatch: &Dispatch, at_once: Option<u32>) -> String {
     let script = |name: &str| quoted_path(&dispatch.folder.join(name));
     let (task, fuse) = (script("task.sh"), script("fuse.sh"));
     let last = dispatch.tasks.last().map_or(0, |task| task.rank);
-    let jobs = arguments.at_once.unwrap_or(2);
+    let jobs = at_once.unwrap_or(2);
     format!(
         "  one by one       for rank in $(seq {last}); do {task} $rank; done; {fuse}\n  \
          with parallel    seq {last} | parallel -q -j {jobs} {task}; {fuse}\n"

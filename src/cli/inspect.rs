@@ -96,7 +96,7 @@ fn inspect(project: &Project, scene: &Scene) -> Inspection {
         median_gsd: scene.median_gsd(),
         units: None,
         sub_models: [sub_model(&project.model, true)].into_iter().chain(others).collect(),
-        warnings: scene.warnings.clone(),
+        warnings: scene.warnings.iter().map(|warning| warning.text.clone()).collect(),
     }
 }
 

@@ -165,8 +165,7 @@ fn direction(text: &str) -> Result<[f64; 3], String> {
 
 fn write(arguments: &Arguments, plan: &Plan, files: &PlanFiles, progress: &Progress) -> Result<(), Failure> {
     progress.progress(Stage::Write, 0, 1);
-    output::write_all(&files.sets, &Disk::REAL)?;
-    progress.progress(Stage::Write, 1, 1);
+    // The plan last: where something else cannot be written, it stays as it was.
     if let Some(folder) = &arguments.dump_tables {
         let mut set = FileSet::new(folder, "tables");
         tables::add(plan, &mut set);
@@ -175,6 +174,8 @@ fn write(arguments: &Arguments, plan: &Plan, files: &PlanFiles, progress: &Progr
     if let Some(path) = &arguments.dump_surface {
         output::replace(path, &ply::write(&plan.surface, &[], &[]), &Disk::REAL)?;
     }
+    output::write_all(&files.sets, &Disk::REAL)?;
+    progress.progress(Stage::Write, 1, 1);
     Ok(())
 }
 

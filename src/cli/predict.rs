@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use rayon::prelude::*;
 use viewrank::{
-    confidence::{self, Image, Predictor, Proxy, Trained},
+    confidence::{self, Image, Predictor, Proxy, Trained, size_for_confidence},
     error::Hint,
     output::{Contents, Disk, FileSet},
     pictures::confidence_picture,
@@ -37,7 +37,8 @@ pub struct Arguments {
 pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let predictor = predictor(arguments.confidence.as_deref())?;
     let of_image = |path: &PathBuf| {
-        let image = Image::read(path).map_err(|source| Unreadable { path: path.clone(), source })?;
+        let image =
+            Image::read(path, size_for_confidence).map_err(|source| Unreadable { path: path.clone(), source })?;
         let map = predictor.predict(&image).map;
         let shape = [map.rows as usize, map.columns as usize];
         let raw = tables::array(&shape, map.values().collect::<Vec<f32>>());

@@ -8,7 +8,11 @@ use std::{
 
 use clap::Args;
 use viewrank::{
-    daemon::{Line, Shown, read_status, state::ProjectStatus},
+    daemon::{
+        Line, Shown, read_status,
+        state::{Phase, ProjectStatus},
+        status_file,
+    },
     error::Hint,
     shell::quoted_path,
 };
@@ -53,19 +57,27 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
 }
 
 /// The nearest folder, from here upwards, that a daemon watched.
-fn watched_root(from: &Path) -> Result<PathBuf, NotWatched> {
+fn watched_root(from: &Path) -> Result<PathBuf, NoStatus> {
     let absolute = from.canonicalize().unwrap_or_else(|_| from.into());
-    let found = absolute.ancestors().find(|folder| read_status(folder).is_some());
-    found.map(Path::to_path_buf).ok_or_else(|| NotWatched(from.into()))
+    let found = absolute.ancestors().find(|folder| status_file(folder).symlink_metadata().is_ok());
+    let root = found.ok_or_else(|| NoStatus::NotWatched(from.into()))?;
+    read_status(root).map(|_| root.into()).ok_or_else(|| NoStatus::Unreadable(status_file(root)))
 }
 
 #[derive(Debug, thiserror::Error)]
-#[error("no daemon has watched {} or a folder above it", .0.display())]
-struct NotWatched(PathBuf);
+enum NoStatus {
+    #[error("no daemon has watched {} or a folder above it", .0.display())]
+    NotWatched(PathBuf),
+    #[error("{} cannot be read, or is no status of this version", .0.display())]
+    Unreadable(PathBuf),
+}
 
-impl Hint for NotWatched {
+impl Hint for NoStatus {
     fn hint(&self) -> Option<String> {
-        Some(format!("start one: viewrank watch {}", quoted_path(&self.0)))
+        Some(match self {
+            Self::NotWatched(folder) => format!("start one: viewrank watch {}", quoted_path(folder)),
+            Self::Unreadable(_) => "let it be read by you; a daemon of this version writes it anew".into(),
+        })
     }
 }
 
@@ -91,6 +103,9 @@ fn as_text(root: &Path, line: &Line) -> String {
         let name = Shown(Path::new(&project.project)).to_string();
         let measuring = if project.measuring { ", being measured" } else { "" };
         text += &format!("  {name:width$}  {}{measuring} ({})\n", project.phase, age(project));
+        if let Phase::Failed { hint: Some(hint), .. } = &project.phase {
+            text += &format!("  {:width$}  hint: {hint}\n", "");
+        }
     }
     if status.projects.is_empty() {
         text += "  no projects yet\n";

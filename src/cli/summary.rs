@@ -5,7 +5,7 @@ use std::fmt::Write;
 use serde::Serialize;
 use viewrank::{
     backends,
-    manifest::Manifest,
+    manifest::{Manifest, warnings_with},
     plan::{Cut, Forecast, Memory, Plan, PlanFiles, Timings},
     project::Project,
     scene::Units,
@@ -69,7 +69,7 @@ impl<'a> Summary<'a> {
             cut: plan.cut,
             forecast: plan.forecast,
             speed_up: plan.forecast.speed_up(plan.timings.total()),
-            warnings: warnings(files),
+            warnings: warnings_with(&files.manifest.warnings, &files.manifest.exports, &files.outdated_exports),
             written: !dry_run,
             files: files.sets.iter().flat_map(|set| set.files.keys().cloned()).collect(),
             look: format!("viewrank report {} --open", quoted_path(&project.root)),
@@ -178,7 +178,11 @@ impl<'a> Summary<'a> {
                 "Computing all depth maps would be faster than planning and computing these.".into()
             }
             (Some(speed_up), Some(seconds)) => {
-                format!("Matching will take about {}: {speed_up:.1} times faster than everything.", duration(seconds))
+                format!(
+                    "Matching will take about {}: {speed_up:.1} times faster than everything{}.",
+                    duration(seconds),
+                    if self.finished > 0 { " that is left" } else { "" }
+                )
             }
             _ if self.use_of_views.is_some() => return format!("\nPlanning took {planning:.1} s.\n"),
             _ => match self.forecast.break_even(planning) {
@@ -195,18 +199,6 @@ impl<'a> Summary<'a> {
         let page = if self.written { format!("On one page: {}\n", self.look) } else { String::new() };
         format!("\n{verb} {folder}/curve.svg and surface.ply.\n{page}Next: {}\n", self.next)
     }
-}
-
-/// Of the plan, then of the files for each backend.
-fn warnings(files: &PlanFiles) -> Vec<String> {
-    let of_plan = files.manifest.warnings.iter().chain(&files.outdated_exports);
-    let mut warnings: Vec<String> = of_plan.cloned().collect();
-    for export in &files.manifest.exports {
-        let further = export.warnings.iter().filter(|warning| !files.manifest.warnings.contains(warning));
-        warnings.extend(further.map(|warning| format!("{}: {warning}", export.backend)));
-        warnings.extend(export.not_honoured.iter().map(|what| format!("{}: not honoured: {what}", export.backend)));
-    }
-    warnings
 }
 
 /// The same without `--dry-run`; the first command of a backend whose files were written; else the way to such files.

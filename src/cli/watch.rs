@@ -83,7 +83,12 @@ pub fn run(arguments: Arguments) -> Result<(), Failure> {
     queue::lower_priority();
     let once = arguments.once;
     let on_target = arguments.on_target.clone();
-    let planner = PlanJob::new(PlanOptions { on_target, replan: arguments.replan, cache: arguments.cache.0 });
+    let planner = PlanJob::new(PlanOptions {
+        on_target,
+        replan: arguments.replan,
+        cache: arguments.cache.0,
+        follow_links: arguments.follow_links,
+    });
     let options = arguments.options();
     let summary = watch_roots(&options, &planner, &Disk::REAL, forward_signals)?;
     match summary.failed {

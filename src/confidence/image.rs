@@ -46,18 +46,18 @@ pub enum ImageError {
 }
 
 impl Image {
-    /// Reads and reduces an image file.
-    pub fn read(path: &Path) -> Result<Self, ImageError> {
-        Self::decode(&std::fs::read(path)?)
+    /// Reads an image file and reduces it to the size that is wanted of one of its width and height.
+    pub fn read(path: &Path, wanted: impl Fn([u32; 2]) -> [u32; 2]) -> Result<Self, ImageError> {
+        Self::decode(&std::fs::read(path)?, wanted)
     }
 
-    /// Decodes and reduces the bytes of an image file.
-    pub fn decode(bytes: &[u8]) -> Result<Self, ImageError> {
+    /// Decodes the bytes of an image file and reduces it to the size that is wanted of one of its width and height.
+    pub fn decode(bytes: &[u8], wanted: impl Fn([u32; 2]) -> [u32; 2]) -> Result<Self, ImageError> {
         let image = match image::guess_format(bytes).map_err(|_| ImageError::Unknown)? {
-            ImageFormat::Jpeg => jpeg(bytes)?,
+            ImageFormat::Jpeg => jpeg(bytes, &wanted)?,
             _ => whole(bytes)?,
         };
-        let [width, height] = reduced(image.full);
+        let [width, height] = wanted(image.full);
         Ok(image.shrunk(width, height))
     }
 
@@ -75,15 +75,15 @@ impl Image {
     }
 }
 
-/// Size of the reduced picture: three quarters of a megapixel or a quarter of the side, whichever is larger.
-fn reduced(full: [u32; 2]) -> [u32; 2] {
+/// Size of the picture that confidence is read from: three quarters of a megapixel or a quarter of the side, whichever is larger.
+pub fn size_for_confidence(full: [u32; 2]) -> [u32; 2] {
     let pixels = f64::from(full[0]) * f64::from(full[1]);
     let scale = (LEAST_PIXELS / pixels).sqrt().clamp(LEAST_SCALE, 1.0);
     full.map(|side| ((f64::from(side) * scale).round() as u32).max(1))
 }
 
-/// At the smallest of 1/8, 1/4, 1/2 and 1 that is not below the reduced size.
-fn jpeg(bytes: &[u8]) -> Result<Image, ImageError> {
+/// At the smallest of 1/8, 1/4, 1/2 and 1 that is not below the wanted size.
+fn jpeg(bytes: &[u8], wanted: &impl Fn([u32; 2]) -> [u32; 2]) -> Result<Image, ImageError> {
     let mut decoder = jpeg_decoder::Decoder::new(bytes);
     decoder.set_max_decoding_buffer_size(MOST_BYTES);
     decoder.read_info()?;
@@ -92,7 +92,7 @@ fn jpeg(bytes: &[u8]) -> Result<Image, ImageError> {
         return Err(ImageError::Large { width: full[0], height: full[1] });
     }
     // Sides of a JPEG have 16 bits.
-    let [width, height] = reduced(full).map(|side| side as u16);
+    let [width, height] = wanted(full).map(|side| side as u16);
     let (width, height) = decoder.scale(width, height)?;
     let data = decoder.decode()?;
     let format = decoder.info().map_or(PixelFormat::RGB24, |info| info.pixel_format);
@@ -202,7 +202,7 @@ mod tests {
             (&ramp, ImageFormat::Tiff),
             (&deep, ImageFormat::Tiff),
         ] {
-            let image = Image::decode(&encoded(image, format)).unwrap();
+            let image = Image::decode(&encoded(image, format), size_for_confidence).unwrap();
             assert_eq!((image.width, image.height, image.full), (1000, 750, [1600, 1200]));
             assert_is_ramp(&image);
         }
@@ -210,10 +210,10 @@ mod tests {
 
     #[test]
     fn large_images_keep_a_quarter_of_their_side_and_small_ones_all() {
-        assert_eq!(reduced([8000, 6000]), [2000, 1500]);
-        assert_eq!(reduced([4000, 3000]), [1000, 750]);
-        assert_eq!(reduced([640, 480]), [640, 480]);
-        assert_eq!(reduced([100_000, 1]), [100_000, 1]);
+        assert_eq!(size_for_confidence([8000, 6000]), [2000, 1500]);
+        assert_eq!(size_for_confidence([4000, 3000]), [1000, 750]);
+        assert_eq!(size_for_confidence([640, 480]), [640, 480]);
+        assert_eq!(size_for_confidence([100_000, 1]), [100_000, 1]);
     }
 
     #[test]
@@ -222,7 +222,10 @@ mod tests {
         // APP1 with a TIFF header and one entry: orientation (0x0112), short, 1 value, 6 (turn by 90 degrees).
         let exif = b"\xff\xe1\0\x22Exif\0\0II*\0\x08\0\0\0\x01\0\x12\x01\x03\0\x01\0\0\0\x06\0\0\0\0\0\0\0".to_vec();
         let turned = [&plain[..2], &exif[..], &plain[2..]].concat();
-        assert_eq!(Image::decode(&turned).unwrap(), Image::decode(&plain).unwrap());
+        assert_eq!(
+            Image::decode(&turned, size_for_confidence).unwrap(),
+            Image::decode(&plain, size_for_confidence).unwrap()
+        );
     }
 
     #[test]
@@ -238,11 +241,11 @@ mod tests {
 
     #[test]
     fn what_is_no_image_is_called_so() {
-        assert!(matches!(Image::decode(b"not an image at all"), Err(ImageError::Unknown)));
+        assert!(matches!(Image::decode(b"not an image at all", size_for_confidence), Err(ImageError::Unknown)));
         let cut = &encoded(&ramp(64, 64), ImageFormat::Jpeg)[..300];
-        assert!(matches!(Image::decode(cut), Err(ImageError::Jpeg(_))));
+        assert!(matches!(Image::decode(cut, size_for_confidence), Err(ImageError::Jpeg(_))));
         let cut = &encoded(&ramp(64, 64), ImageFormat::Png)[..300];
-        assert!(matches!(Image::decode(cut), Err(ImageError::Other(_))));
+        assert!(matches!(Image::decode(cut, size_for_confidence), Err(ImageError::Other(_))));
     }
 
     proptest! {
@@ -252,9 +255,9 @@ mod tests {
                 let mut bytes = encoded(&ramp(24, 16), format);
                 let at = at % bytes.len();
                 bytes[at] = byte;
-                let _ = Image::decode(&bytes);
+                let _ = Image::decode(&bytes, size_for_confidence);
                 bytes.truncate(keep);
-                let _ = Image::decode(&bytes);
+                let _ = Image::decode(&bytes, size_for_confidence);
             }
         }
 
@@ -274,7 +277,7 @@ mod tests {
     #[test]
     fn cmyk_and_grey_become_rgb() {
         let grey: ImageBuffer<image::Luma<u8>, _> = GrayImage::from_pixel(30, 20, image::Luma([90]));
-        let image = Image::decode(&encoded(&grey.into(), ImageFormat::Jpeg)).unwrap();
+        let image = Image::decode(&encoded(&grey.into(), ImageFormat::Jpeg), size_for_confidence).unwrap();
         assert!(image.rgb.iter().all(|v| v.abs_diff(90) <= 1));
     }
 }

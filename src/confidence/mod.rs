@@ -22,7 +22,7 @@ mod unary;
 
 pub use curves::PairCurves;
 pub use geometric::{Constellation, PairConfidence};
-pub use image::{Image, ImageError, Mask};
+pub use image::{Image, ImageError, Mask, size_for_confidence};
 pub use nearby::nearby;
 pub use pictures::{CACHE, MASKS, Pictures, Seen};
 pub use proxy::Proxy;

@@ -12,7 +12,7 @@ use rayon::prelude::*;
 use super::{
     ConfidenceMap, Predicted, Predictor,
     cache::{Cache, Entry, Inputs, Stamp},
-    image::{Image, ImageError, Mask},
+    image::{Image, ImageError, Mask, size_for_confidence},
 };
 use crate::{
     camera::Camera,
@@ -178,7 +178,7 @@ impl Files {
         let mask = mask.map(|bytes| Mask::decode(&bytes)).transpose()?;
         let mut predicted = match image.zip(predictor) {
             Some((bytes, predictor)) => {
-                let image = Image::decode(&bytes)?;
+                let image = Image::decode(&bytes, size_for_confidence)?;
                 check_shape(image.full, camera)?;
                 Some(predictor.predict(&image))
             }

@@ -14,7 +14,7 @@ use super::{
     ConfidenceMap, Unary,
     features::{self, Features},
     fit::{Curves, PairRow, Row},
-    image::Image,
+    image::{Image, size_for_confidence},
     labels::{Finished, Labelling},
     place,
     score::Scores,
@@ -195,7 +195,9 @@ impl Lesson<'_> {
 
     fn image(&self, view: ViewIndex) -> Option<Features> {
         let folder = self.images.as_deref()?;
-        Image::read(&folder.join(self.model.scene.name(view))).ok().map(|image| Features::new(&image))
+        Image::read(&folder.join(self.model.scene.name(view)), size_for_confidence)
+            .ok()
+            .map(|image| Features::new(&image))
     }
 }
 

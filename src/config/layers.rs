@@ -147,9 +147,24 @@ impl Configuration {
     }
 }
 
+/// No file of settings is larger.
+const MOST_BYTES: u64 = 1 << 20;
+
+/// A pipe, or a device without end, is no file of settings.
+fn text_of(path: &Path) -> io::Result<String> {
+    let metadata = fs::metadata(path)?;
+    if !metadata.is_file() {
+        return Err(io::Error::new(io::ErrorKind::InvalidInput, "no regular file"));
+    }
+    if metadata.len() > MOST_BYTES {
+        return Err(io::Error::new(io::ErrorKind::FileTooLarge, format!("{} bytes are no settings", metadata.len())));
+    }
+    fs::read_to_string(path)
+}
+
 /// The entries of a file; none where there is no file.
 fn read(path: &Path) -> Result<Vec<Entry>, ConfigError> {
-    let text = match fs::read_to_string(path) {
+    let text = match text_of(path) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),
         Err(source) => return Err(ConfigError::Read { path: path.into(), source }),
         Ok(text) => text,
@@ -245,7 +260,14 @@ fn wanted(key: &Key) -> String {
 
 fn type_error(key: &Key, error: &toml::de::Error) -> String {
     if key.words.is_empty() {
-        return error.message().lines().next().unwrap_or_default().to_owned();
+        let message = error.message().lines().next().unwrap_or_default();
+        let kinds = [
+            ("expected u", "must be a whole number"),
+            ("expected f", "must be a number"),
+            ("expected a bool", "must be true or false"),
+        ];
+        let kind = kinds.iter().find(|(expected, _)| message.contains(expected));
+        return kind.map_or(message, |(_, words)| words).to_owned();
     }
     format!("must be {}", key.words.join(", "))
 }
@@ -383,7 +405,9 @@ mod tests {
         assert_eq!(message("fulfilment.alpha = 1.5"), "project.toml:1: fulfilment.alpha = 1.5: must be 0 to 1");
         assert_eq!(message("target.gsd = -1"), "project.toml:1: target.gsd = -1: must be above 0 (scene units/px)");
         assert_eq!(message("target.gsd = nan"), "project.toml:1: target.gsd = nan: must be above 0 (scene units/px)");
-        assert!(message("target.gsd = \"1 cm\"").contains("invalid type: string \"1 cm\", expected f64"));
+        assert!(message("target.gsd = \"1 cm\"").ends_with("must be a number"));
+        assert!(message("partners.k = \"auto\"").ends_with("must be a whole number"));
+        assert!(message("ranking.support = 4000000000").contains("must be 1 to 100"));
         assert!(message("partners.method = \"best\"").contains("must be "));
         assert!(message("cut.target = \"80\"").contains("\"80\" is not a share from 0% to 100%"));
         assert!(message("surface.max_edge_factor = 10").contains("must not be below surface.edge_factor, which is 20"));

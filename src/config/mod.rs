@@ -24,7 +24,7 @@ use crate::scene::Units;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Settings {
-    /// Is a scene unit a metre? Unset: as the project proves, else "relative".
+    /// Is a scene unit a metre? Unset: "relative", its length is not known.
     pub units: Option<Units>,
     /// Size of the matched images over the model's images.
     #[schemars(range(max = 16), extend("unit" = "matched px per model px", "exclusiveMinimum" = 0))]
@@ -237,7 +237,7 @@ pub struct VisibilitySettings {
     #[schemars(range(min = 0), extend("unit" = "of the depth"))]
     pub tolerance_depth: f64,
     /// Long side of the id buffer, pixels.
-    #[schemars(range(min = 16, max = 16384), extend("unit" = "px"))]
+    #[schemars(range(min = 16, max = 4096), extend("unit" = "px"))]
     pub buffer_px: u32,
 }
 
@@ -351,7 +351,7 @@ pub enum TriangleWeight {
 #[serde(default, deny_unknown_fields)]
 pub struct RankingSettings {
     /// Depth maps that must see a triangle (m, method 5.2). Unset: the backend's.
-    #[schemars(range(min = 1), extend("unit" = "depth maps"))]
+    #[schemars(range(min = 1, max = 100), extend("unit" = "depth maps"))]
     pub support: Option<u32>,
     /// What a triangle counts.
     pub weight: TriangleWeight,

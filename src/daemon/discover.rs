@@ -2,8 +2,8 @@
 //!
 //! A folder is a project when it looks like one from outside: a COLMAP project or dense workspace (`sparse/`, with model files in it
 //! or one level below), a bare model (two of its files), an OpenMVS scene, a SURE project. Whether the model is whole is not asked
-//! here. A project's own folders are not searched for further projects; but a folder with several projects in it is none, whatever
-//! files lie about there, unless it has a `sparse` of its own.
+//! here. A project's own folders are not searched for further projects; but a folder with several projects in it, or a root with one, is
+//! none, whatever files lie about there, unless it has a `sparse` of its own.
 
 use std::{
     collections::{BTreeSet, HashSet},
@@ -37,11 +37,12 @@ pub struct Found {
     pub unreadable: Vec<(PathBuf, String)>,
 }
 
-/// Walks the root. Symbolic links are followed only where `follow_links` says so, after all else, and no folder is entered twice.
-/// `tick` is called for every folder.
-pub fn walk(root: &Path, follow_links: bool, tick: &dyn Fn()) -> Found {
-    let mut walk = Walk { follow_links, tick, found: Found::default(), links: Vec::new(), entered: HashSet::new() };
-    walk.enter(root.to_path_buf(), 0);
+/// Walks a folder, one of the `roots` or below. Symbolic links are followed only where `follow_links` says so, after all else, and no folder is
+/// entered twice. `tick` is called for every folder.
+pub fn walk(folder: &Path, roots: &[PathBuf], follow_links: bool, tick: &dyn Fn()) -> Found {
+    let (found, links) = Default::default();
+    let mut walk = Walk { roots, follow_links, tick, found, links, entered: HashSet::new() };
+    walk.enter(folder.to_path_buf(), 0);
     while let Some((link, depth)) = walk.links.pop() {
         walk.enter(link, depth);
     }
@@ -51,6 +52,7 @@ pub fn walk(root: &Path, follow_links: bool, tick: &dyn Fn()) -> Found {
 }
 
 struct Walk<'a> {
+    roots: &'a [PathBuf],
     follow_links: bool,
     tick: &'a dyn Fn(),
     found: Found,
@@ -79,7 +81,9 @@ impl Walk<'_> {
         let may_be_one = looks == Looks::MayBeProject;
         let (own, others): (Vec<_>, Vec<_>) = listing.below().partition(|name| may_be_one && *name == DENSE);
         others.into_iter().for_each(|name| self.enter(folder.join(name), depth + 1));
-        if may_be_one && self.found.projects.len() < before.0[0] + SEVERAL {
+        // A root is where people keep projects.
+        let several = if self.roots.contains(&folder) { 1 } else { SEVERAL };
+        if may_be_one && self.found.projects.len() < before.0[0] + several {
             self.found.truncate(before.0);
             self.links.truncate(before.1);
             return self.found.projects.push(folder);
@@ -282,7 +286,7 @@ mod tests {
     }
 
     fn projects(root: &Path, follow_links: bool) -> Vec<String> {
-        let found = walk(root, follow_links, &|| {}).projects;
+        let found = walk(root, &[], follow_links, &|| {}).projects;
         found.iter().map(|p| p.strip_prefix(root).expect("below").to_string_lossy().into_owned()).collect()
     }
 
@@ -308,7 +312,7 @@ mod tests {
             touch(root.path(), path);
         }
         fs::create_dir_all(root.path().join("empty/sparse/0")).expect("a folder");
-        let found = walk(root.path(), false, &|| {});
+        let found = walk(root.path(), &[], false, &|| {});
         let expected = ["a", "b/c/d/e", "bare model", "mvs", "sure", "sure without a folder"];
         assert_eq!(projects(root.path(), false), expected);
         for folder in ["notes", "empty/sparse/0"] {
@@ -333,11 +337,21 @@ mod tests {
     }
 
     #[test]
+    fn a_stray_file_in_a_root_hides_no_project() {
+        let root = tempfile::tempdir().expect("a temporary folder");
+        touch(root.path(), "a/sparse/0/cameras.bin");
+        touch(root.path(), "old.mvs");
+        let of_roots = |roots: &[PathBuf]| walk(root.path(), roots, false, &|| {}).projects;
+        assert_eq!(of_roots(&[root.path().into()]), [root.path().join("a")]);
+        assert_eq!(of_roots(&[]), [root.path()], "a scene with what it was made of");
+    }
+
+    #[test]
     fn a_folder_whose_name_is_no_utf_8_is_found() {
         let root = tempfile::tempdir().expect("a temporary folder");
         let project = root.path().join(OsString::from_vec(b"caf\xe9".to_vec()));
         touch(&project, "sparse/0/cameras.bin");
-        assert_eq!(walk(root.path(), false, &|| {}).projects, [project]);
+        assert_eq!(walk(root.path(), &[], false, &|| {}).projects, [project]);
     }
 
     #[test]
@@ -372,7 +386,7 @@ mod tests {
             }
         }
         let entered = std::cell::Cell::new(0);
-        let found = walk(root.path(), true, &|| entered.set(entered.get() + 1));
+        let found = walk(root.path(), &[], true, &|| entered.set(entered.get() + 1));
         assert_eq!(found.projects, ["a/p", "b/p"].map(|p| root.path().join(p)), "by their own paths");
         assert_eq!(entered.get(), 5 + 6, "each folder and each link");
     }

@@ -71,6 +71,15 @@ pub struct Progress {
 }
 
 impl Progress {
+    /// A new plan is about to be written: whether its target is reached is not known before its depth maps are measured. Nobody may stop for
+    /// the one of before.
+    pub(super) fn doubt(root: &Path) -> Result<(), OutputError> {
+        match Self::read(root).filter(|progress| progress.target_reached) {
+            Some(progress) => Self { target_reached: false, ..progress }.write(root),
+            None => Ok(()),
+        }
+    }
+
     /// What was said last of a project; `None` where nothing was.
     pub fn read(root: &Path) -> Option<Self> {
         serde_json::from_slice(&fs::read(progress_file(root)).ok()?).ok()
@@ -78,7 +87,7 @@ impl Progress {
 
     /// Takes over whether this target was announced before.
     pub(super) fn remember_announced(&mut self, root: &Path) {
-        let same_target = |p: &Self| p.announced && p.target_reached && p.target == self.target;
+        let same_target = |p: &Self| p.announced && p.target == self.target;
         self.announced = self.target_reached && Self::read(root).as_ref().is_some_and(same_target);
     }
 
@@ -110,7 +119,7 @@ pub fn follow(root: &Path, watcher: &dyn Watcher) -> Outcome {
 
 fn follow_now(root: &Path, watcher: &dyn Watcher) -> Result<Outcome, Outcome> {
     output::recover(root, &Disk::REAL).map_err(failed)?;
-    let files = map_files(root, true);
+    let files = map_files(root, true).map_err(failed)?;
     let Some(folder) = fullest_folder(root, &files) else { return Ok(Outcome::Abandoned) };
     let (project, plan) = plan::again(root, watcher).map_err(failed)?;
     let earlier = Earlier::read(&project).map_err(failed)?;

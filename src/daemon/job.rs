@@ -6,7 +6,7 @@ use std::{
     path::{Path, PathBuf},
     process::{Child, Command, Stdio},
     sync::{
-        Mutex, MutexGuard, PoisonError,
+        Mutex,
         atomic::{AtomicBool, AtomicU8, Ordering},
     },
     thread,
@@ -17,19 +17,19 @@ use tracing::{info, warn};
 
 use super::{
     Shown,
-    discover::{OUTPUT_FOLDER, may_enter},
-    follow::{Following, failed, fullest_folder, progress_file},
+    discover::{OUTPUT_FOLDER, is_project, may_enter},
+    follow::{Following, Progress, failed, fullest_folder, progress_file},
     kept::KeptPlans,
     maps::{MapFiles, map_files},
     queue,
-    settle::{Fingerprint, HashCache, Stamp},
+    settle::{Fingerprint, HashCache, Stamp, lock},
     state::{OnBusy, Outcome},
 };
 use crate::{
     confidence::{PROJECT_MODEL, WORDS},
     config::{Configuration, Files, Settings, Typed, user_file},
     manifest::WrittenPlanError,
-    output::{self, Disk},
+    output::{self, Disk, FileSet},
     plan::{self, AgainError, Plan, PlanError},
     progress::{Stage, Watcher},
     project::{Project, ProjectError},
@@ -64,7 +64,11 @@ impl Job<'_> {
 
     /// May the plan be written? That of an input which has changed is, where the next one is queued behind it.
     pub fn is_wanted(&self) -> bool {
-        !self.is_cancelled() && (self.on_busy == OnBusy::Queue || self.is_current())
+        let may_be_written = || match self.on_busy {
+            OnBusy::Queue => is_project(self.project, self.follow_links),
+            OnBusy::Restart => self.is_current(),
+        };
+        !self.is_cancelled() && may_be_written()
     }
 }
 
@@ -113,12 +117,16 @@ struct PlannedFrom {
     finished: bool,
     /// Without what the data decide.
     settings: Settings,
+    /// What was written with it, relative to the project; where one of these is gone the plan is made again.
+    #[serde(default)]
+    files: Vec<String>,
 }
 
 impl PlannedFrom {
     fn new(plan: &Plan, fingerprint: Fingerprint, settings: Settings) -> Self {
         let finished = plan.finished.clusters > 0 || !plan.finished.outdated.is_empty();
-        Self { fingerprint, clusters: plan.cut.clusters, share: plan.cut.share, finished, settings }
+        let files = Vec::new();
+        Self { fingerprint, clusters: plan.cut.clusters, share: plan.cut.share, finished, settings, files }
     }
 }
 
@@ -132,6 +140,7 @@ pub struct PlanOptions {
     pub replan: bool,
     /// Bytes of the plans that are kept in memory while their depth maps come.
     pub cache: u64,
+    pub follow_links: bool,
 }
 
 /// The planner of `viewrank watch`: [`plan::plan`], [`replan()`] and [`plan::files`].
@@ -157,7 +166,7 @@ impl Planner for PlanJob {
     }
 
     fn has_plan(&self, project: &Path) -> bool {
-        project.join(OUTPUT_FOLDER).join("manifest.json").is_file()
+        record_of(project).is_some()
     }
 
     fn plan(&self, job: &Job) -> Outcome {
@@ -185,7 +194,7 @@ impl PlanJob {
         output::recover(job.project, &Disk::REAL).map_err(failed)?;
         let progress = progress_file(job.project);
         let says_of_maps = progress.is_file() || record_of(job.project).is_some_and(|record| record.finished);
-        if !says_of_maps || !map_files(job.project, job.follow_links).is_empty() {
+        if !says_of_maps || !map_files(job.project, job.follow_links).map_err(failed)?.is_empty() {
             return self.plan_input(job);
         }
         // The depth maps are gone: nothing is finished or reached any more. What tells of them goes last, so that a run that is
@@ -198,15 +207,17 @@ impl PlanJob {
 
     fn plan_input(&self, job: &Job) -> Ended<Outcome> {
         let (settings, note) = self.settings(job.project)?;
-        let as_text = serde_json::to_vec(&settings.of_plan()).map_err(|_| Outcome::Abandoned)?;
         let project = Project::open(job.project, None).map_err(incomplete)?;
+        // A workspace that comes later gets its files, too.
+        let decided_by = (settings.of_plan(), &project.dense_workspace);
+        let as_text = serde_json::to_vec(&decided_by).map_err(|_| Outcome::Abandoned)?;
         let model = project.model_files();
         if let Some(file) = model.iter().find(|file| !may_enter(job.project, file, job.follow_links)) {
             let reason = format!("{} lies behind a symbolic link (--follow-links)", file.display());
             return Err(Outcome::Incomplete { reason });
         }
         let fingerprint =
-            lock(&self.hashes).fingerprint(job.project, &model, job.stamp, &as_text).map_err(unreadable)?;
+            HashCache::fingerprint(&self.hashes, job.project, &model, job.stamp, &as_text).map_err(unreadable)?;
         if let Some(record) = record_of(job.project).filter(|record| record.fingerprint == fingerprint) {
             return Ok(Outcome::Planned { fingerprint, clusters: record.clusters, share: record.share, note });
         }
@@ -214,7 +225,10 @@ impl PlanJob {
         let plan = around_finished(plan, &project, job)?;
         let (clusters, share) = (plan.cut.clusters, plan.cut.share);
         let record = PlannedFrom::new(&plan, fingerprint.clone(), settings.of_plan());
-        write(&plan, &project, &record, job)?;
+        if job.is_wanted() {
+            Progress::doubt(job.project).map_err(failed)?;
+        }
+        write(&plan, &project, record, job)?;
         Ok(Outcome::Planned { fingerprint, clusters, share, note: note.or_else(|| outdated(&plan)) })
     }
 
@@ -222,7 +236,8 @@ impl PlanJob {
         output::recover(job.project, &Disk::REAL).map_err(failed)?;
         let Some(folder) = fullest_folder(job.project, job.maps) else {
             // Those that are there may have to settle yet.
-            let gone = progress_file(job.project).is_file() && map_files(job.project, job.follow_links).is_empty();
+            let none = map_files(job.project, job.follow_links).map_err(failed)?.is_empty();
+            let gone = none && progress_file(job.project).is_file();
             return if gone { self.try_plan(job) } else { Err(Outcome::Abandoned) };
         };
         let record = match record_of(job.project) {
@@ -240,7 +255,7 @@ impl PlanJob {
         let following = Following { plan, earlier: &earlier, folder: &folder, files, replan: self.options.replan };
         let (plan, mut progress) = following.measure(&watcher).map_err(failed)?;
         if self.options.replan {
-            write(&plan, &project, &PlannedFrom::new(&plan, record.fingerprint, record.settings), job)?;
+            write(&plan, &project, PlannedFrom::new(&plan, record.fingerprint, record.settings), job)?;
         }
         progress.remember_announced(job.project);
         progress.write(job.project).map_err(failed)?;
@@ -264,7 +279,7 @@ impl PlanJob {
         Ok((project, plan))
     }
 
-    /// Runs the user's command for a reached target, without waiting for its end; false where it could not be run.
+    /// Runs the user's command for a reached target, without waiting for its end; false where there is none or it could not be run.
     fn announce(&self, project: &Path) -> bool {
         let command = match &self.options.on_target {
             Some(command) => Some(command.clone()),
@@ -276,7 +291,7 @@ impl PlanJob {
                 }
             },
         };
-        let Some(command) = command else { return true };
+        let Some(command) = command else { return false };
         match Command::new("sh").arg("-c").arg(command).env("VIEWRANK_PROJECT", project).stdin(Stdio::null()).spawn() {
             Ok(child) => {
                 let project = project.to_path_buf();
@@ -292,18 +307,26 @@ impl PlanJob {
 
     /// The project's settings; the last good ones (at least those of its plan), and a word about it, where they can't be read now.
     fn settings(&self, project: &Path) -> Ended<(Settings, Option<String>)> {
-        let files = Files { user: user_file(), project: Some(project.join("viewrank.toml")) };
-        match Configuration::load(&files, Typed::default()) {
+        let own = project.join("viewrank.toml");
+        let files = Files { user: user_file(), project: Some(own.clone()) };
+        let loaded = match may_enter(project, &own, self.options.follow_links) {
+            true => Configuration::load(&files, Typed::default()).map_err(|error| (error.to_string(), failed(error))),
+            false => {
+                let reason = format!("{} is a symbolic link (--follow-links)", own.display());
+                Err((reason.clone(), Outcome::Failed { reason, hint: None }))
+            }
+        };
+        match loaded {
             Ok(configuration) => {
                 let settings = configuration.settings;
                 lock(&self.good_settings).insert(project.into(), settings.clone());
                 Ok((settings, None))
             }
-            Err(error) => {
+            Err((error, failure)) => {
                 let known = lock(&self.good_settings).get(project).cloned();
                 match known.or_else(|| record_of(project).map(|record| record.settings)) {
                     Some(good) => Ok((good, Some(format!("{error}; the last good settings hold")))),
-                    None => Err(failed(error)),
+                    None => Err(failure),
                 }
             }
         }
@@ -347,9 +370,10 @@ fn outdated(plan: &Plan) -> Option<String> {
 }
 
 /// Writes the plan, and the record of what it was made from unless the input has changed meanwhile.
-fn write(plan: &Plan, project: &Project, record: &PlannedFrom, job: &Job) -> Ended<()> {
+fn write(plan: &Plan, project: &Project, mut record: PlannedFrom, job: &Job) -> Ended<()> {
     let mut sets = plan::files(plan, project).map_err(failed)?.sets;
-    let record = serde_json::to_string(record).map_err(|_| Outcome::Abandoned)?;
+    record.files = sets.iter().flat_map(|set| files_in(set, job.project)).collect();
+    let record = serde_json::to_string(&record).map_err(|_| Outcome::Abandoned)?;
     if let Some(own) = sets.first_mut().filter(|_| job.is_current()) {
         own.add_text(format!("{OUTPUT_FOLDER}/{RECORD}"), record + "\n");
     }
@@ -360,15 +384,18 @@ fn write(plan: &Plan, project: &Project, record: &PlannedFrom, job: &Job) -> End
     output::write_all(&sets, &Disk::REAL).map(drop).map_err(failed)
 }
 
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    // What is kept is whole between any two statements, whoever panicked.
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+/// Files of a set that lie in the project, but no caches.
+fn files_in(set: &FileSet, project: &Path) -> Vec<String> {
+    let Ok(folder) = set.root.strip_prefix(project) else { return Vec::new() };
+    let inside = set.files.keys().map(|name| folder.join(name)).filter(|name| !name.starts_with("viewrank/cache"));
+    inside.map(|name| name.to_string_lossy().into_owned()).collect()
 }
 
 fn record_of(project: &Path) -> Option<PlannedFrom> {
     let folder = project.join(OUTPUT_FOLDER);
-    let text = fs::read(folder.join(RECORD)).ok()?;
-    serde_json::from_slice(&text).ok().filter(|_| folder.join("manifest.json").is_file())
+    let record: PlannedFrom = serde_json::from_slice(&fs::read(folder.join(RECORD)).ok()?).ok()?;
+    let is_there = |file: &String| project.join(file).exists();
+    (folder.join("manifest.json").is_file() && record.files.iter().all(is_there)).then_some(record)
 }
 
 /// A file that vanishes while it is hashed is a change, which raises its own event.

@@ -2,7 +2,7 @@
 
 use std::{
     collections::BTreeMap,
-    fs,
+    fs, io,
     path::{Path, PathBuf},
     time::{Duration, Instant},
 };
@@ -10,7 +10,7 @@ use std::{
 use walkdir::WalkDir;
 
 use super::{discover, settle::Entry};
-use crate::depthmaps;
+use crate::{depthmaps, error::Hint};
 
 /// After measuring the maps of a project there is a pause so many times as long.
 const REST: u32 = 3;
@@ -18,28 +18,59 @@ const REST: u32 = 3;
 /// Depth maps by path.
 pub type MapFiles = BTreeMap<PathBuf, Entry>;
 
+/// A folder that may hold depth maps, and cannot be looked into: what is there is not known, and not gone.
+#[derive(Debug, thiserror::Error)]
+#[error("cannot look into {}: {source}", path.display())]
+pub struct Unseen {
+    path: PathBuf,
+    source: io::Error,
+}
+
+impl Hint for Unseen {
+    fn hint(&self) -> Option<String> {
+        Some("let it be read by whoever runs viewrank: it may hold finished depth maps".into())
+    }
+}
+
 /// What looks like a depth map in the folders of the project.
-pub fn map_files(project: &Path, follow_links: bool) -> MapFiles {
+pub fn map_files(project: &Path, follow_links: bool) -> Result<MapFiles, Unseen> {
     look(project, follow_links).1
 }
 
 /// Folders in which something must be noticed to know of depth maps (those that hold some, and those in which a folder of them may
 /// appear), and what looks like a depth map. Our own output folder is none.
-pub fn look(project: &Path, follow_links: bool) -> (Vec<PathBuf>, MapFiles) {
-    let (mut folders, mut files) = (Vec::new(), MapFiles::new());
+pub fn look(project: &Path, follow_links: bool) -> (Vec<PathBuf>, Result<MapFiles, Unseen>) {
+    let (mut folders, mut files, mut unseen) = (Vec::new(), MapFiles::new(), None);
+    let mut seen = |path: &Path, found: io::Result<fs::Metadata>| match found {
+        Ok(metadata) => Some(metadata),
+        Err(source) if matches!(source.kind(), io::ErrorKind::NotFound | io::ErrorKind::NotADirectory) => None,
+        Err(source) => {
+            unseen.get_or_insert(Unseen { path: path.into(), source });
+            None
+        }
+    };
     for place in depthmaps::places(project) {
         if !place.starts_with(project.join(discover::OUTPUT_FOLDER)) {
             let above = place.ancestors().skip(1).take_while(|above| *above != project);
             folders.extend(above.filter(|above| above.is_dir()).map(Path::to_path_buf));
         }
-        if !place.is_dir() || !discover::may_enter(project, &place, follow_links) {
+        let is_folder = seen(&place, fs::metadata(&place)).is_some_and(|metadata| metadata.is_dir());
+        if !is_folder || !discover::may_enter(project, &place, follow_links) {
             continue;
         }
-        for entry in WalkDir::new(place).into_iter().filter_map(Result::ok) {
+        for entry in WalkDir::new(&place) {
+            let entry = match entry {
+                Ok(entry) => entry,
+                Err(error) => {
+                    let path = error.path().unwrap_or(&place).to_path_buf();
+                    seen(&path, Err(error.into()));
+                    continue;
+                }
+            };
             if entry.file_type().is_dir() {
                 folders.push(entry.into_path());
             } else if depthmaps::looks_like_one(entry.path()) {
-                let metadata = fs::metadata(entry.path()).ok().filter(fs::Metadata::is_file);
+                let metadata = seen(entry.path(), fs::metadata(entry.path())).filter(fs::Metadata::is_file);
                 files.extend(metadata.map(|metadata| (entry.into_path(), Entry::of(&metadata))));
             }
         }
@@ -47,7 +78,7 @@ pub fn look(project: &Path, follow_links: bool) -> (Vec<PathBuf>, MapFiles) {
     folders.retain(|folder| discover::may_enter(project, folder, follow_links));
     folders.sort();
     folders.dedup();
-    (folders, files)
+    (folders, unseen.map_or(Ok(files), Err))
 }
 
 /// The depth maps of a project over time.
@@ -190,7 +221,7 @@ mod tests {
             fs::create_dir_all(path.parent().expect("below the root")).expect("a folder");
             fs::write(path, "").expect("a file");
         }
-        let found = map_files(root.path(), false);
+        let found = map_files(root.path(), false).expect("readable");
         let names: Vec<_> = found.keys().map(|f| f.strip_prefix(root.path()).expect("below")).collect();
         assert_eq!(names, maps.map(Path::new));
     }

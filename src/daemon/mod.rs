@@ -25,7 +25,7 @@ use std::{
 pub use follow::Progress;
 pub use job::{Job, PlanJob, PlanOptions, Planner};
 pub use run::{Signal, Summary, watch_roots};
-pub use status::{Line, read_status};
+pub use status::{Line, read_status, status_file};
 
 use crate::{error::Hint, output::OutputError};
 

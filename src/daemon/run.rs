@@ -334,6 +334,9 @@ impl<'a> Daemon<'a> {
         let mut projects: BTreeMap<PathBuf, Instant> = BTreeMap::new();
         let mut folders = BTreeSet::new();
         for (path, heard) in std::mem::take(&mut self.dirty) {
+            // What lies in a folder that was moved is gone without a word of its own.
+            let inside = self.projects.range(path.clone()..).take_while(|(project, _)| project.starts_with(&path));
+            projects.extend(inside.map(|(project, _)| (project.clone(), heard)));
             let Some(project) = self.project_around(&path).map(Path::to_path_buf) else {
                 folders.extend(self.folder_to_search(&path));
                 continue;
@@ -374,7 +377,7 @@ impl<'a> Daemon<'a> {
 
     /// Searches a folder outside projects for projects, which are to be looked at, and watches the folders in which one may appear.
     fn search(&mut self, folder: &Path, now: Instant) -> Vec<PathBuf> {
-        let found = discover::walk(folder, self.options.follow_links, &|| self.supervisor.alive());
+        let found = discover::walk(folder, &self.roots, self.options.follow_links, &|| self.supervisor.alive());
         let mut new_watches = false;
         for inner in found.folders {
             new_watches |= self.watches.update(&inner, std::slice::from_ref(&inner));
@@ -416,7 +419,11 @@ impl<'a> Daemon<'a> {
         if let Some(tracked) = self.projects.get_mut(project) {
             let since = heard.map_or(now, |heard| stamp.same_since(heard, looked));
             tracked.observe(stamp, since, on_busy);
-            tracked.observe_maps(maps, now);
+            match maps {
+                Ok(maps) => tracked.observe_maps(maps, now),
+                // What was there before may still be.
+                Err(unseen) => self.status.notice(unseen.to_string()),
+            }
             if tracked.is_at_rest() && !self.planner.has_plan(project) {
                 tracked.look_again();
             }
@@ -463,26 +470,13 @@ impl<'a> Daemon<'a> {
     where
         'a: 's,
     {
-        let Some(tracked) = self.projects.get_mut(project) else { return };
         let Options { on_busy, follow_links, settle, .. } = *self.options;
-        self.next_job += 1;
-        let number = self.next_job;
-        match self.queue.admit(number, self.planner.need(tracked.stamp())) {
-            Ok(()) => {}
-            Err(Full::Jobs) => return tracked.wait_for(Some("for a free job (--jobs)")),
-            Err(Full::Memory) => return tracked.wait_for(Some("for memory (--max-memory)")),
-            Err(Full::Never { need, max }) => {
-                let mib = |bytes: u64| bytes.div_ceil(1 << 20);
-                let reason = format!("needs about {} MiB, --max-memory allows {}", mib(need), mib(max));
-                let hint = Some("raise --max-memory, or plan it by itself with `viewrank plan`".into());
-                let (looked, _) = tracked.start(number, work, settle, now);
-                return self.finish(project, number, looked, Outcome::Failed { reason, hint }, now);
-            }
-        }
+        let Some(number) = self.admit(project, work, now) else { return };
+        let Some(tracked) = self.projects.get_mut(project) else { return };
+        let (looked, cancel) = tracked.start(number, work, settle, now);
         if work == Work::Plan {
             info!(project = %Shown(project), "planning");
         }
-        let (looked, cancel) = tracked.start(number, work, settle, now);
         let (planner, sender, project) = (self.planner, self.sender.clone(), project.to_path_buf());
         let named = planner.named_files(&project);
         threads.spawn(move || {
@@ -501,16 +495,29 @@ impl<'a> Daemon<'a> {
                 cancel: &cancel,
                 progress: &progress,
             };
-            let act = || match work {
-                Work::Plan => planner.plan(&job),
-                Work::Follow => planner.follow(&job),
-            };
-            let outcome = catch_unwind(AssertUnwindSafe(act)).unwrap_or_else(|_| Outcome::Failed {
-                reason: "an internal error; see the log".into(),
-                hint: Some("run `viewrank plan` on it and report what it prints".into()),
-            });
+            let outcome = outcome_of(planner, work, &job);
             _ = sender.send(Event::Finished { project: project.clone(), job: number, looked, outcome });
         });
+    }
+
+    /// The number of a job that may start; `None` where it has to wait, or would never fit.
+    fn admit(&mut self, project: &Path, work: Work, now: Instant) -> Option<u64> {
+        let tracked = self.projects.get_mut(project)?;
+        self.next_job += 1;
+        let number = self.next_job;
+        match self.queue.admit(number, self.planner.need(tracked.stamp())) {
+            Ok(()) => return Some(number),
+            Err(Full::Jobs) => tracked.wait_for(Some("for a free job (--jobs)")),
+            Err(Full::Memory) => tracked.wait_for(Some("for memory (--max-memory)")),
+            Err(Full::Never { need, max }) => {
+                let mib = |bytes: u64| bytes.div_ceil(1 << 20);
+                let reason = format!("needs about {} MiB, --max-memory allows {}", mib(need), mib(max));
+                let hint = Some("raise --max-memory, or plan it by itself with `viewrank plan`".into());
+                let (looked, _) = tracked.start(number, work, self.options.settle, now);
+                self.finish(project, number, looked, Outcome::Failed { reason, hint }, now);
+            }
+        }
+        None
     }
 
     /// How long there is nothing to do.
@@ -538,6 +545,18 @@ impl<'a> Daemon<'a> {
             waiting: count(|p| matches!(p, Phase::Waiting { .. })),
         }
     }
+}
+
+/// What a job came to; a fault of ours is a failure of that project alone.
+fn outcome_of(planner: &dyn Planner, work: Work, job: &Job) -> Outcome {
+    let act = || match work {
+        Work::Plan => planner.plan(job),
+        Work::Follow => planner.follow(job),
+    };
+    catch_unwind(AssertUnwindSafe(act)).unwrap_or_else(|_| Outcome::Failed {
+        reason: "an internal error; see the log".into(),
+        hint: Some("run `viewrank plan` on it and report what it prints".into()),
+    })
 }
 
 /// Folders whose changes concern the project; `named` are the files that it depends on beside model and images.

@@ -9,6 +9,7 @@ use std::{
     ffi::OsStr,
     fs, io,
     path::{Path, PathBuf},
+    sync::{Mutex, MutexGuard, PoisonError},
     time::{Duration, Instant, SystemTime, UNIX_EPOCH},
 };
 
@@ -200,9 +201,9 @@ pub struct HashCache(BTreeMap<PathBuf, (Entry, blake3::Hash)>);
 
 impl HashCache {
     /// The fingerprint of the input as it is now; `model` are the files of the model that is planned. Fails where a file vanishes
-    /// or can't be read meanwhile.
+    /// or can't be read meanwhile. Others may use the cache while files are read.
     pub fn fingerprint(
-        &mut self,
+        cache: &Mutex<Self>,
         project: &Path,
         model: &[PathBuf],
         stamp: &Stamp,
@@ -215,7 +216,7 @@ impl HashCache {
         for path in model.iter().chain(beside) {
             let relative = path.strip_prefix(project).unwrap_or(path);
             hasher.update(relative.as_os_str().as_encoded_bytes()).update(&[0]);
-            hasher.update(self.file(path)?.as_bytes());
+            hasher.update(Self::file(cache, path)?.as_bytes());
         }
         for folder in stamp.folders.keys() {
             for name in sorted_names(folder)? {
@@ -223,7 +224,8 @@ impl HashCache {
             }
             hasher.update(&[1]);
         }
-        self.0.retain(|path, _| !path.starts_with(project) || model.contains(path) || stamp.beside.contains_key(path));
+        let is_input = |path: &PathBuf| model.contains(path) || stamp.beside.contains_key(path);
+        lock(cache).0.retain(|path, _| !path.starts_with(project) || is_input(path));
         Ok(Fingerprint(hasher.finalize().to_hex().to_string()))
     }
 
@@ -232,18 +234,23 @@ impl HashCache {
         self.0.retain(|path, _| !path.starts_with(project));
     }
 
-    fn file(&mut self, path: &Path) -> io::Result<blake3::Hash> {
+    fn file(cache: &Mutex<Self>, path: &Path) -> io::Result<blake3::Hash> {
         let named = |error: io::Error| io::Error::new(error.kind(), format!("{}: {error}", path.display()));
         let file = fs::File::open(path).map_err(named)?;
         // Of before the reading: what is written meanwhile has another stamp.
         let entry = Entry::of(&file.metadata().map_err(named)?);
-        if let Some((_, hash)) = self.0.get(path).filter(|(known, _)| *known == entry) {
+        if let Some((_, hash)) = lock(cache).0.get(path).filter(|(known, _)| *known == entry) {
             return Ok(*hash);
         }
         let hash = blake3::Hasher::new().update_reader(file).map_err(named)?.finalize();
-        self.0.insert(path.into(), (entry, hash));
+        lock(cache).0.insert(path.into(), (entry, hash));
         Ok(hash)
     }
+}
+
+/// What is kept is whole between any two statements, whoever panicked.
+pub fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 fn sorted_names(folder: &Path) -> io::Result<Vec<std::ffi::OsString>> {
@@ -295,9 +302,10 @@ mod tests {
         let root = project();
         let path = root.path().join("sparse/0/cameras.bin");
         let time = fs::metadata(&path).and_then(|m| m.modified()).expect("a time");
-        let mut cache = HashCache::default();
-        let mut print =
-            |stamp: &Stamp| cache.fingerprint(root.path(), std::slice::from_ref(&path), stamp, b"").expect("readable");
+        let cache = Mutex::new(HashCache::default());
+        let print = |stamp: &Stamp| {
+            HashCache::fingerprint(&cache, root.path(), std::slice::from_ref(&path), stamp, b"").expect("readable")
+        };
         let before = Stamp::of(root.path(), false);
         let print_before = print(&before);
         // Until the clock of the file system has gone on.
@@ -360,8 +368,9 @@ mod tests {
         let root = project();
         let mesh = root.path().join("mesh.ply");
         let stamp = || Stamp::of(root.path(), false).with(std::slice::from_ref(&mesh));
-        let mut cache = HashCache::default();
-        let mut print = |stamp: Stamp| cache.fingerprint(root.path(), &[], &stamp, b"").expect("readable files");
+        let cache = Mutex::new(HashCache::default());
+        let print =
+            |stamp: Stamp| HashCache::fingerprint(&cache, root.path(), &[], &stamp, b"").expect("readable files");
         let mut seen = vec![print(stamp())];
         for (file, content) in
             [("mesh.ply", "a"), ("mesh.ply", "b"), ("masks/1.jpg.png", "a"), ("masks/1.jpg.png", "b")]
@@ -381,11 +390,11 @@ mod tests {
     #[test]
     fn a_file_copied_over_itself_keeps_the_fingerprint() {
         let root = project();
-        let mut cache = HashCache::default();
-        let mut print = |settings: &[u8]| {
+        let cache = Mutex::new(HashCache::default());
+        let print = |settings: &[u8]| {
             let stamp = Stamp::of(root.path(), false);
             let model = [root.path().join("sparse/0/cameras.bin")];
-            cache.fingerprint(root.path(), &model, &stamp, settings).expect("readable files")
+            HashCache::fingerprint(&cache, root.path(), &model, &stamp, settings).expect("readable files")
         };
         let before = print(b"a");
         fs::remove_file(root.path().join("sparse/0/cameras.bin")).expect("the file");

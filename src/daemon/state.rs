@@ -11,6 +11,7 @@ use std::{
     time::{Duration, Instant},
 };
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::{
@@ -24,23 +25,31 @@ const FIRST_RETRY: Duration = Duration::from_secs(10);
 const LONGEST_RETRY: Duration = Duration::from_secs(3600);
 
 /// Where a project stands, as it is shown.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(tag = "state", rename_all = "lowercase")]
 pub enum Phase {
     /// The input isn't complete or not still yet.
     Waiting {
+        /// What is waited for.
         reason: String,
     },
     /// Complete; waits for a free job or for memory.
     Queued {
+        /// What is waited for.
         reason: String,
     },
+    /// A plan is being made.
     Planning {
+        /// As in `timings.json`.
         stage: String,
+        /// Of the stage.
         percent: u8,
     },
+    /// The plan is there, and no depth map yet.
     Planned {
+        /// Key views to the cut.
         clusters: usize,
+        /// What they reach by prediction of what all view clusters reach, 0 to 1.
         share: f64,
         /// What should be known about it.
         #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -48,26 +57,36 @@ pub enum Phase {
     },
     /// The backend writes depth maps.
     Computing {
+        /// Key views that have a depth map.
         done: usize,
+        /// Key views to the cut, and those beyond it that have a depth map.
         clusters: usize,
-        /// `None`: the maps are counted, not measured.
+        /// What they really reach of what all view clusters are expected to reach, 0 to 1; null where they are counted, not measured.
         share: Option<f64>,
-        /// Files of depth maps that came or changed since.
+        /// Files of depth maps that came or changed since; left out where there are none.
         #[serde(default, skip_serializing_if = "is_zero")]
         unmeasured: usize,
+        /// What should be known about it.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         note: Option<String>,
     },
     /// The target is reached in reality.
     Reached {
+        /// Key views that have a depth map.
         done: usize,
+        /// Key views to the cut, and those beyond it that have a depth map.
         clusters: usize,
+        /// What they really reach of what all view clusters are expected to reach, 0 to 1.
         share: f64,
     },
+    /// It could not be planned or measured; it is tried again after a pause, or as soon as its input changes.
     Failed {
+        /// What went wrong, and where.
         reason: String,
+        /// What to do about it.
         hint: Option<String>,
-        retry_in_s: u64,
+        /// Seconds between the failure and the next try.
+        retry_after_s: u64,
     },
 }
 
@@ -92,13 +111,17 @@ impl fmt::Display for Phase {
             Self::Computing { done, clusters, share, unmeasured, note } => {
                 write!(f, "computing: {done} of {clusters} depth maps")?;
                 share.iter().try_for_each(|share| write!(f, ", {:.0} % reached", share * 100.0))?;
-                if *unmeasured > 0 {
-                    write!(f, ", {unmeasured} new files to be measured")?;
+                match *unmeasured {
+                    0 => {}
+                    1 => write!(f, ", 1 new file to be measured")?,
+                    n => write!(f, ", {n} new files to be measured")?,
                 }
                 note.iter().try_for_each(|note| write!(f, "; {note}"))
             }
             Self::Reached { done, share, .. } => write!(f, "reached: {:.0} % with {done} depth maps", share * 100.0),
-            Self::Failed { reason, retry_in_s, .. } => write!(f, "failed: {reason} (again in {retry_in_s} s)"),
+            Self::Failed { reason, retry_after_s, .. } => {
+                write!(f, "failed: {reason} (next try {retry_after_s} s after it)")
+            }
         }
     }
 }
@@ -365,7 +388,7 @@ impl Tracked {
             Outcome::Failed { reason, hint } => {
                 let pause = retry_after(failures);
                 (self.failures, self.retry) = (failures, Some((now + pause, work)));
-                Phase::Failed { reason, hint, retry_in_s: pause.as_secs() }
+                Phase::Failed { reason, hint, retry_after_s: pause.as_secs() }
             }
         };
     }
@@ -401,19 +424,22 @@ fn retry_after(failures: u32) -> Duration {
 }
 
 /// `ROOT/viewrank/status.json`: all projects of a root, for `viewrank status`.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Status {
+    /// Version of this format.
     pub version: u32,
-    /// Process and host of the daemon that wrote it.
+    /// Process of the daemon that wrote it.
     pub pid: u32,
+    /// Host of that process.
     pub host: String,
     /// Sentences that concern the whole root: lost events, folders that can't be read.
     pub notices: Vec<String>,
+    /// All projects, by path.
     pub projects: Vec<ProjectStatus>,
 }
 
 /// A line of the status.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct ProjectStatus {
     /// Relative to the root, `/` between folders; "." for the root itself.
     pub project: String,
@@ -631,7 +657,7 @@ mod tests {
         assert_eq!(unmeasured(&project), 0);
         project.observe_maps(map(1).into_iter().chain([("b".into(), Entry::of_length(1))]).collect(), now + SETTLE);
         assert_eq!(unmeasured(&project), 1);
-        assert!(project.phase().to_string().ends_with("50 % reached, 1 new files to be measured"));
+        assert!(project.phase().to_string().ends_with("50 % reached, 1 new file to be measured"));
         project.start(1, Work::Follow, SETTLE, now + SETTLE * 2);
         assert!(project.is_measuring() && unmeasured(&project) == 1);
     }

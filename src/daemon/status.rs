@@ -38,7 +38,7 @@ impl Holder {
     /// Takes the root, or says who has it, a folder around it or one in it.
     pub fn take(root: &Path, disk: &Disk) -> Result<Self, DaemonError> {
         let held = |path: &Path| Some(DaemonError::Held { path: path.into(), holder: Self::of(path)? });
-        let inside = discover::walk(root, false, &|| {});
+        let inside = discover::walk(root, &[root.to_path_buf()], false, &|| {});
         let inside = inside.folders.iter().chain(&inside.projects).map(PathBuf::as_path);
         if let Some(error) = root.ancestors().chain(inside).find_map(held) {
             return Err(error);
@@ -222,7 +222,7 @@ impl Pace {
 fn write_status(holder: &mut Holder, status: &Status, disk: &Disk) -> Result<(), DaemonError> {
     holder.hold_on(disk)?;
     let text = serde_json::to_vec_pretty(status).unwrap_or_default();
-    Ok(output::replace(&holder.root.join(OUTPUT_FOLDER).join("status.json"), &text, disk)?)
+    Ok(output::replace(&status_file(&holder.root), &text, disk)?)
 }
 
 impl RootStatus {
@@ -321,9 +321,14 @@ pub struct Line {
     pub status: Status,
 }
 
-/// Reads the status of a root; `None` where no daemon ever watched it.
+/// Where the status of a root is.
+pub fn status_file(root: &Path) -> PathBuf {
+    root.join(OUTPUT_FOLDER).join("status.json")
+}
+
+/// Reads the status of a root; `None` where no daemon ever watched it, or where it can't be read.
 pub fn read_status(root: &Path) -> Option<Line> {
-    let text = std::fs::read(root.join(OUTPUT_FOLDER).join("status.json")).ok()?;
+    let text = std::fs::read(status_file(root)).ok()?;
     let status = serde_json::from_slice(&text).ok()?;
     Some(Line { running: Holder::of(root).is_some(), status })
 }

@@ -3,20 +3,22 @@
 //! `PROJECT/viewrank/dispatch/NAME` holds `list-HASH.tsv` (a line per task: rank, marker, id, depth map, key view), `task.sh` and `fuse.sh`
 //! (the scripts of `integrations/slurm` with their head written), `logs/`, and what the scripts note: `done/MARKER` with the id of
 //! the cluster whose depth map lies there, and `fused`, the ids of what was joined last. An id stands for a key view with its
-//! partners; so a plan that changes makes only changed clusters anew. Whether work is missing is read from these files alone, [`slurm`]
+//! partners, their cameras and poses; so a plan that changes makes only changed clusters anew. Whether work is missing is read from these files alone, [`slurm`]
 //! says what of it is on its way.
 
 pub mod slurm;
 
 use std::{
     collections::BTreeSet,
-    env, fs, io,
+    env,
+    fs::{self, File, TryLockError},
+    io,
     path::{Path, PathBuf},
 };
 
 use crate::{
-    backends::{Backend, Export, RankedCluster, Selection, TaskRunner},
-    config::DispatchSettings,
+    backends::{Backend, Export, RankedCluster, Selection, TaskRunner, recipe},
+    config::{DispatchSettings, Share},
     error::Hint,
     output::{Contents, FileSet},
     shell::quoted_path,
@@ -29,7 +31,7 @@ pub struct Task {
     pub rank: usize,
     /// Names the key view; no two tasks that run may share it.
     pub marker: String,
-    /// Of the key view with its partners, matched as they are.
+    /// Of the key view with its partners, as they lie and as they are matched.
     pub id: String,
     pub map: PathBuf,
     /// Name of the key view.
@@ -45,6 +47,8 @@ pub struct Dispatch {
     pub folder: PathBuf,
     /// In rank order; clusters of which no depth map can be made have none.
     pub tasks: Vec<Task>,
+    /// Depth maps of ranks up to this stay, whoever made them: the plan stands around them.
+    finished: usize,
     /// Folder in which the backend runs.
     workplace: PathBuf,
     runner: TaskRunner,
@@ -69,36 +73,49 @@ impl Tools {
     /// Programs that only the nodes have.
     pub fn unseen(runner: &TaskRunner) -> Self {
         let python = env::var_os("PYTHON").map_or_else(|| "python3".into(), PathBuf::from);
+        // Scripts run it from another folder.
+        let python = if python.components().count() > 1 { absolute(&python) } else { python };
         Self { program: runner.program.into(), python }
     }
 }
 
 /// A program by its path, or in the folders of the PATH.
 fn on_path(program: &Path) -> Option<PathBuf> {
-    let absolute = |path: PathBuf| path.is_file().then(|| std::path::absolute(&path).unwrap_or(path));
+    let file = |path: PathBuf| path.is_file().then(|| absolute(&path));
     if program.components().count() > 1 || program.is_file() {
-        return absolute(program.into());
+        return file(program.into());
     }
-    env::split_paths(&env::var_os("PATH")?).find_map(|folder| absolute(folder.join(program)))
+    env::split_paths(&env::var_os("PATH")?).find_map(|folder| file(folder.join(program)))
+}
+
+fn absolute(path: &Path) -> PathBuf {
+    std::path::absolute(path).unwrap_or(path.into())
 }
 
 impl Dispatch {
-    /// The tasks of an export with the default options.
-    pub fn new(backend: &'static dyn Backend, selection: &Selection, export: &Export) -> Result<Self, DispatchError> {
-        let project = std::path::absolute(&selection.project.root).unwrap_or(selection.project.root.clone());
+    /// The tasks of an export with the default options; the plan stands around the first `finished` depth maps.
+    pub fn new(
+        backend: &'static dyn Backend,
+        selection: &Selection,
+        export: &Export,
+        finished: usize,
+    ) -> Result<Self, DispatchError> {
+        let project = absolute(&selection.project.root);
         let runner = backend.tasks(selection, export).ok_or(DispatchError::NoTasks(backend.name()))?;
         let task = |(i, cluster): (usize, &RankedCluster)| {
             let map = runner.maps[i].clone()?;
             let key = selection.scene.name(cluster.key);
-            let (marker, id) = (hash([key]), id(backend.name(), selection, cluster));
-            Some(Task { rank: i + 1, marker, id, map: std::path::absolute(&map).unwrap_or(map), key: key.into() })
+            let options = format!("{} {}", backend.name(), selection.image_scale);
+            let (marker, id) = (hash([key]), recipe(selection, cluster, &options));
+            Some(Task { rank: i + 1, marker, id, map: absolute(&map), key: key.into() })
         };
         let tasks: Vec<Task> = selection.clusters.iter().enumerate().filter_map(task).collect();
         if let Some(task) = tasks.iter().find(|t| t.map.to_string_lossy().contains(['\t', '\n'])) {
             return Err(DispatchError::Path(task.map.clone()));
         }
         let folder = project.join("viewrank/dispatch").join(backend.name());
-        Ok(Self { project, backend: backend.name(), folder, tasks, workplace: export.files.root.clone(), runner })
+        let workplace = export.files.root.clone();
+        Ok(Self { project, backend: backend.name(), folder, tasks, finished, workplace, runner })
     }
 
     pub fn runner(&self) -> &TaskRunner {
@@ -154,15 +171,16 @@ impl Dispatch {
     /// What the scripts know. They are copied away when they are submitted, so that every path is whole.
     fn head(&self, tools: &Tools, settings: &DispatchSettings) -> String {
         let TaskRunner { compute, fuse, .. } = &self.runner;
-        let workplace = std::path::absolute(&self.workplace).unwrap_or(self.workplace.clone());
+        let workplace = absolute(&self.workplace);
         let body =
             |name: &str, command: &str| format!("{name}() {{\n    cd {} && {command}\n}}\n", quoted_path(&workplace));
         let setup = settings.setup.trim_end();
         format!(
-            "project={}\nfolder={}\nlist={}\nprogram={}\npython={}\nthreads=${{SLURM_CPUS_PER_TASK:-{}}}\n{}{}{setup}{}",
+            "project={}\nfolder={}\nlist={}\nfinished={}\nprogram={}\npython={}\nthreads=${{SLURM_CPUS_PER_TASK:-{}}}\n{}{}{setup}{}",
             quoted_path(&self.project),
             quoted_path(&self.folder),
             quoted_path(&self.list_path(&self.list_name())),
+            self.finished,
             quoted_path(&tools.program),
             quoted_path(&tools.python),
             settings.cpus,
@@ -172,10 +190,24 @@ impl Dispatch {
         )
     }
 
-    /// Is the depth map of the task there, made from this key view and these partners?
+    /// Is the depth map of the task there, made from this key view and these partners as they lie now, or one that the plan stands around?
     pub fn is_done(&self, task: &Task) -> bool {
-        let noted = fs::read_to_string(self.folder.join("done").join(&task.marker)).unwrap_or_default();
-        noted.trim() == task.id && fs::metadata(&task.map).is_ok_and(|map| map.len() > 0)
+        let noted = || fs::read_to_string(self.folder.join("done").join(&task.marker)).unwrap_or_default();
+        (task.rank <= self.finished || noted().trim() == task.id)
+            && fs::metadata(&task.map).is_ok_and(|map| map.len() > 0)
+    }
+
+    /// Nobody else submits tasks of this project until the file is dropped.
+    pub fn hold(&self) -> Result<File, DispatchError> {
+        let path = self.folder.join("lock");
+        let failed = |source| DispatchError::Lock { path: path.clone(), source };
+        fs::create_dir_all(&self.folder).map_err(failed)?;
+        let lock = File::options().create(true).truncate(false).write(true).open(&path).map_err(failed)?;
+        match lock.try_lock() {
+            Err(TryLockError::WouldBlock) => Err(DispatchError::Busy(self.folder.clone())),
+            // Where there are no locks, nothing can be held.
+            _ => Ok(lock),
+        }
     }
 
     /// Was exactly what is done joined already?
@@ -183,13 +215,6 @@ impl Dispatch {
         let done: String = self.tasks.iter().filter(|t| self.is_done(t)).map(|t| format!("{}\n", t.id)).collect();
         done.is_empty() || fs::read_to_string(self.folder.join("fused")).is_ok_and(|fused| fused == done)
     }
-}
-
-/// The id of a view cluster, matched by that backend at that size.
-fn id(backend: &str, selection: &Selection, cluster: &RankedCluster) -> String {
-    let scale = selection.image_scale.to_string();
-    let views = std::iter::once(cluster.key).chain(cluster.partners.iter().copied());
-    hash([backend, &scale].into_iter().chain(views.map(|v| selection.scene.name(v))))
 }
 
 /// 16 hexadecimal digits of BLAKE3 over the texts.
@@ -218,6 +243,12 @@ pub enum DispatchError {
     Answer { command: String, answer: String },
     #[error("tasks that were cancelled stay in the queue")]
     Stuck,
+    #[error("{}: another viewrank dispatch is at work on it", .0.display())]
+    Busy(PathBuf),
+    #[error("{}: {source}", path.display())]
+    Lock { path: PathBuf, source: io::Error },
+    #[error("--target {wanted} is more than the plan's {planned}, at which tasks stop")]
+    Target { wanted: Share, planned: Share },
 }
 
 impl Hint for DispatchError {
@@ -234,6 +265,13 @@ impl Hint for DispatchError {
             Self::Refused { .. } => "see the queue's message; --dry-run shows all commands".into(),
             Self::Answer { .. } => "look whether that command works by itself".into(),
             Self::Stuck => "look with squeue, then try again".into(),
+            Self::Busy(_) => "wait for it to end".into(),
+            Self::Lock { .. } => "make it writable".into(),
+            Self::Target { wanted, .. } => format!("plan again with --target {wanted}, or take --budget"),
         })
+    }
+
+    fn is_usage(&self) -> bool {
+        matches!(self, Self::Target { .. })
     }
 }

@@ -16,6 +16,8 @@ use crate::config::DispatchSettings;
 
 /// `MaxArraySize` where the queue cannot be asked: SLURM's default.
 const MAX_ARRAY_SIZE: usize = 1001;
+/// `MaxJobCount` where the queue cannot be asked: SLURM's default.
+const MAX_JOB_COUNT: usize = 10_000;
 /// How long cancelled tasks may stay in the queue: so many looks, so long apart.
 const LOOKS: usize = 100;
 const BETWEEN_LOOKS: Duration = Duration::from_millis(100);
@@ -40,6 +42,8 @@ pub struct Queue {
     fusions: Vec<(String, bool)>,
     /// Indices of an array go from 1 to this.
     max_index: usize,
+    /// Tasks that the queue takes in all.
+    max_jobs: usize,
 }
 
 /// A job array: consecutive ranks from `offset` + 1 on, those in `indices` (from 1).
@@ -69,6 +73,8 @@ pub struct Submission {
     pub ranks: Vec<usize>,
     /// Ranks that were on their way before.
     pub queued: Vec<usize>,
+    /// How many are missing that the queue had no room for.
+    pub left: usize,
     /// The arrays and the fusion.
     pub jobs: Vec<String>,
 }
@@ -78,7 +84,7 @@ impl Queue {
     pub fn empty(dispatch: &Dispatch) -> Self {
         let project = hash([&*dispatch.project.to_string_lossy()]);
         let prefix = format!("viewrank-{}-{}-", dispatch.backend, &project[..8]);
-        Self { prefix, max_index: MAX_ARRAY_SIZE - 1, ..Self::default() }
+        Self { prefix, max_index: MAX_ARRAY_SIZE - 1, max_jobs: MAX_JOB_COUNT, ..Self::default() }
     }
 
     /// Asks the queue.
@@ -88,8 +94,12 @@ impl Queue {
         let user = unsafe { libc::getuid() }.to_string();
         queue.add_jobs(&run(&["squeue", "-h", "-r", "-u", &user, "-o", "%i|%j|%T"].map(String::from))?);
         let configuration = run(&["scontrol", "show", "config"].map(String::from))?;
-        let size = configuration.lines().find_map(|line| line.strip_prefix("MaxArraySize")?.split('=').nth(1));
-        queue.max_index = size.and_then(|n| n.trim().parse().ok()).unwrap_or(MAX_ARRAY_SIZE).max(2) - 1;
+        let number = |name: &str| -> Option<usize> {
+            let value = configuration.lines().find_map(|line| line.strip_prefix(name)?.split('=').nth(1));
+            value?.trim().parse().ok()
+        };
+        queue.max_index = number("MaxArraySize").unwrap_or(MAX_ARRAY_SIZE).max(2) - 1;
+        queue.max_jobs = number("MaxJobCount").unwrap_or(MAX_JOB_COUNT);
         Ok(queue)
     }
 
@@ -150,6 +160,11 @@ impl Queue {
         lists.into_iter().flat_map(markers).collect()
     }
 
+    /// Tasks that the queue takes beside those that are in it; a fusion has its place, too.
+    fn room(&self) -> usize {
+        self.max_jobs.saturating_sub(self.tasks.len() + self.fusions.len() + 1)
+    }
+
     /// The next commands. Where something has to be cancelled that comes first, alone: the queue is to be read again after it.
     fn steps(&self, dispatch: &Dispatch, missing: &[&Task], reached: bool) -> Vec<Step> {
         let (queued, busy) = (self.queued(dispatch), self.busy(dispatch));
@@ -161,7 +176,8 @@ impl Queue {
         if cancels {
             return vec![Step::Cancel(self.pending_jobs())];
         }
-        let ranks = if reached { Vec::new() } else { absent };
+        let mut ranks = if reached { Vec::new() } else { absent };
+        ranks.truncate(self.room());
         let mut steps: Vec<Step> = arrays(&ranks, self.max_index).into_iter().map(Step::Array).collect();
         let more_comes = !steps.is_empty() || !self.tasks.is_empty();
         let will_be_fused = self.fusions.iter().any(|&(_, pending)| pending || !more_comes);
@@ -193,6 +209,7 @@ impl Queue {
             submission.ranks.extend(step.ranks());
             submission.jobs.push(format!("JOB{}", submission.jobs.len() + 1));
         }
+        submission.count_left(missing, reached);
         submission
     }
 
@@ -230,6 +247,13 @@ impl Queue {
             _ => command.push(format!("{folder}/fuse.sh")),
         }
         command
+    }
+}
+
+impl Submission {
+    fn count_left(&mut self, missing: &[&Task], reached: bool) {
+        let is_left = |task: &&&Task| !self.ranks.contains(&task.rank) && !self.queued.contains(&task.rank);
+        self.left = if reached { 0 } else { missing.iter().filter(is_left).count() };
     }
 }
 
@@ -277,6 +301,7 @@ pub fn submit<E: From<DispatchError>>(
             submission.ranks.extend(step.ranks());
             submission.jobs.push(job);
         }
+        submission.count_left(&missing, reached);
         return Ok(submission);
     }
     Err(DispatchError::Stuck.into())

@@ -1,7 +1,10 @@
 //! What the model leaves out or was not read of it.
 
 use super::{FEW, Finding, Severity, ViewFinding, Visit, counted};
-use crate::project::{Project, ProjectKind};
+use crate::{
+    project::ProjectKind,
+    scene::{ModelWarning, WarningKind},
+};
 
 pub fn findings(visit: &Visit) -> Vec<Finding> {
     warnings(visit).into_iter().chain(unregistered(visit)).chain(no_images(visit)).collect()
@@ -9,25 +12,43 @@ pub fn findings(visit: &Visit) -> Vec<Finding> {
 
 /// What reading the model warns of, as plans do.
 fn warnings(visit: &Visit) -> Vec<Finding> {
-    let Project { other_models, .. } = visit.project;
-    let views = visit.scene.views.len();
-    let largest = other_models.iter().map(|model| model.registered).max().unwrap_or(0);
-    let severity = if (largest as f64) < FEW * views as f64 { Severity::Note } else { Severity::Warning };
-    let sub_models = visit.project.sub_model_warning(views);
-    let workspace = visit.project.other_workspace_warning();
-    let finding = |warning: &String| {
-        if Some(warning) == sub_models.as_ref() {
-            let cure = "match the images between them again; until then plan and match each by itself (--model)";
-            Finding::new(severity, "other-sub-models", warning, cure)
-        } else if Some(warning) == workspace.as_ref() {
-            let cure = "undistort again, from this model (viewrank undistort)";
-            Finding::new(Severity::Warning, "other-workspace", warning, cure)
-        } else {
-            let cure = "see that the model is whole: write it again with the program that made it";
-            Finding::new(Severity::Warning, "model-not-as-it-should-be", warning, cure)
-        }
+    let finding = |warning: &ModelWarning| {
+        let (severity, check, cure) = match warning.kind {
+            WarningKind::OtherModels => return other_models(visit, &warning.text),
+            WarningKind::OtherWorkspace => {
+                (Severity::Warning, "other-workspace", "undistort again, from this model (viewrank undistort)")
+            }
+            WarningKind::Damaged => (
+                Severity::Warning,
+                "model-not-as-it-should-be",
+                "see that the model is whole: write it again with the program that made it",
+            ),
+            WarningKind::Guessed => (
+                Severity::Warning,
+                "guessed-sizes",
+                "put the images where the model says they are: what is guessed of their sizes decides what they see",
+            ),
+            WarningKind::Format => (Severity::Note, "format", "nothing: it is how models of this format are read"),
+        };
+        Finding::new(severity, check, &warning.text, cure)
     };
     visit.scene.warnings.iter().map(finding).collect()
+}
+
+/// Models of which only one is read: copies of it do no harm.
+fn other_models(visit: &Visit, what: &str) -> Finding {
+    let others = &visit.project.other_models;
+    let copies = visit.project.copies(visit.scene);
+    if !copies.is_empty() && copies.len() == others.len() {
+        let cure =
+            "nothing, if this is the one that you mean: the others hold mostly the same images; --model takes another";
+        return Finding::new(Severity::Note, "model-copies", what, cure);
+    }
+    let largest = others.iter().filter(|model| !copies.contains(model)).map(|model| model.registered).max();
+    let few = |largest: u64| (largest as f64) < FEW * visit.scene.views.len() as f64;
+    let severity = if largest.is_some_and(few) { Severity::Note } else { Severity::Warning };
+    let cure = "match the images between them again; until then plan and match each by itself (--model)";
+    Finding::new(severity, "other-sub-models", what, cure)
 }
 
 /// Images without a pose.

@@ -4,7 +4,9 @@ use std::ops::RangeInclusive;
 
 use super::{Finding, Severity, Visit, counted};
 use crate::{
-    georeference::Georeference,
+    georeference::{Georeference, UPRIGHT},
+    pictures::MapFrame,
+    plan::unlikely_gsd,
     scene::{PointIndex, Units, ViewIndex},
     surface::points::upper_median,
 };
@@ -16,16 +18,12 @@ const POSSIBLE_GSD: RangeInclusive<f64> = 1e-6..=100.0;
 /// UTM coordinates of any place on land, metres.
 const EASTINGS: RangeInclusive<f64> = 1e5..=9e5;
 const NORTHINGS: RangeInclusive<f64> = 0.0..=1e7;
-/// The wanted ground sampling distance is not so many times another than the images'.
-const WANTED_RATIO: f64 = 20.0;
 /// Fields of view of any camera, degrees.
 const FIELD: RangeInclusive<f64> = 0.5..=160.0;
 /// Share of the observations that may lie behind their cameras.
 const BEHIND: f64 = 0.2;
 /// Median reprojection error from which on intrinsics and images do not belong together, pixels.
 const ERROR_PX: f64 = 4.0;
-/// Names that are listed where a file is missing.
-const LISTED: usize = 1000;
 
 pub fn of_model(visit: &Visit) -> Vec<Finding> {
     [points, units, frame, wanted, cameras, behind, residuals].iter().filter_map(|check| check(visit)).collect()
@@ -46,22 +44,39 @@ fn points(visit: &Visit) -> Option<Finding> {
     })
 }
 
-/// The settings say metres.
+/// The settings say metres, or where the model lies on the earth.
 fn units(visit: &Visit) -> Option<Finding> {
-    let gsd = visit.scene.median_gsd().filter(|_| visit.settings.units == Some(Units::Metric))?;
+    let said = match Georeference::find(visit.project, visit.scene, &visit.settings.frame) {
+        _ if visit.settings.units == Some(Units::Metric) => "units = \"metric\"",
+        Georeference::EastNorthUp { .. } | Georeference::Utm { .. } => "a place on the earth, and so metres,",
+        Georeference::Local | Georeference::Ecef => return None,
+    };
+    let gsd = visit.scene.median_gsd()?;
     let (severity, verdict) = match gsd {
         gsd if USUAL_GSD.contains(&gsd) => return None,
         gsd if POSSIBLE_GSD.contains(&gsd) => (Severity::Warning, "is unlikely to be"),
         _ => (Severity::Error, "cannot be"),
     };
-    let what = format!("units = \"metric\" {verdict} true: a pixel would be {gsd:.3e} m on the ground");
-    let cure = "take units = \"metric\" out of viewrank.toml, or scale the model (colmap model_aligner)";
+    let what = format!("{said} {verdict} true: a pixel would be {gsd:.3e} m on the ground");
+    let cure = "take units = \"metric\" and [frame] out of viewrank.toml, or scale the model (colmap model_aligner)";
     Some(Finding::new(severity, "impossible-units", what, cure))
 }
 
-/// The settings, or the program that made the model, say UTM.
+/// The settings, or the program that made the model, say where on the earth it lies.
 fn frame(visit: &Visit) -> Option<Finding> {
     let place = Georeference::find(visit.project, visit.scene, &visit.settings.frame);
+    if matches!(place, Georeference::EastNorthUp { .. } | Georeference::Utm { .. }) {
+        let up = MapFrame::new(visit.scene, visit.settings.surface.up).axes[2];
+        if up.z < UPRIGHT {
+            let angle = up.z.clamp(-1.0, 1.0).acos().to_degrees();
+            let what = format!(
+                "the model is said to lie on the earth with its third axis up, but by its cameras up is {angle:.0} degrees away \
+                 from that: views.geojson shows it lying on its side"
+            );
+            let cure = "turn the model (colmap model_aligner), or take [frame] out of viewrank.toml";
+            return Some(Finding::new(Severity::Warning, "impossible-frame", what, cure));
+        }
+    }
     let Georeference::Utm { offset, .. } = place else { return None };
     let centres = || visit.scene.views.iter().map(|view| view.cam_from_world.centre());
     let at = |x: f64, y: f64| (x + offset[0], y + offset[1]);
@@ -77,17 +92,9 @@ fn frame(visit: &Visit) -> Option<Finding> {
 
 /// What is wanted against what the images have.
 fn wanted(visit: &Visit) -> Option<Finding> {
-    let (gsd, target) = (visit.scene.median_gsd()?, visit.settings.target.gsd?);
-    let ratio = target / (gsd / visit.settings.image_scale);
-    (!(1.0 / WANTED_RATIO..=WANTED_RATIO).contains(&ratio)).then(|| {
-        let than =
-            if ratio < 1.0 { format!("{:.0} times finer", 1.0 / ratio) } else { format!("{ratio:.0} times coarser") };
-        let what = format!(
-            "the wanted ground sampling distance, {target}, is {than} than the images' own, {gsd:.3e} units per pixel"
-        );
-        let cure = "give --gsd and target.accuracy in units of the model; viewrank inspect says its median";
-        Finding::new(Severity::Warning, "impossible-target", what, cure)
-    })
+    let what = unlikely_gsd(visit.scene, visit.settings)?;
+    let cure = "give --gsd and target.accuracy in units of the model; viewrank inspect says its median";
+    Some(Finding::new(Severity::Warning, "impossible-target", what, cure))
 }
 
 /// Intrinsics that no camera has.
@@ -117,7 +124,9 @@ fn behind(visit: &Visit) -> Option<Finding> {
     let scene = visit.scene;
     let share = |view: ViewIndex| {
         let (pose, points) = (&scene.view(view).cam_from_world, visit.points.of(view));
-        let behind = points.iter().filter(|p| pose.camera_from_world(&scene.points[p.at()]).z <= 0.0).count();
+        let camera = scene.camera_of(view);
+        let is_behind = |p: &&PointIndex| camera.depth(&pose.camera_from_world(&scene.points[p.at()])) <= 0.0;
+        let behind = points.iter().filter(is_behind).count();
         behind as f64 / points.len().max(1) as f64
     };
     let views: Vec<ViewIndex> = scene.view_indices().filter(|&view| share(view) > BEHIND).collect();
@@ -185,9 +194,8 @@ fn missing(visit: &Visit) -> Option<Finding> {
     let (images, views) = (visit.project.images.as_ref()?, &visit.images.missing);
     (!views.is_empty()).then(|| {
         let what = format!("{} of {} images are not in {}", views.len(), visit.scene.views.len(), images.display());
-        let listed = views.iter().copied().take(LISTED);
         let cure = format!("copy them there under the names of the model: {}/NAME", images.display());
-        Finding::new(Severity::Warning, "missing-images", what, cure).of_views(visit.named(listed))
+        Finding::new(Severity::Warning, "missing-images", what, cure).of_views(visit.named(views.iter().copied()))
     })
 }
 
@@ -197,7 +205,7 @@ fn unreadable(visit: &Visit) -> Option<Finding> {
     (!broken.is_empty()).then(|| {
         let what = format!("{} cannot be read", counted(broken.len(), "image"));
         let cure = "copy them again from where they came";
-        let views = broken.iter().take(LISTED).map(|&(view, why)| visit.of(view, why)).collect();
+        let views = broken.iter().map(|&(view, why)| visit.of(view, why)).collect();
         Finding::new(Severity::Warning, "unreadable-images", what, cure).of_views(views)
     })
 }

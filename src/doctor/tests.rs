@@ -12,7 +12,7 @@ use crate::{
     config::{FrameSettings, Settings, TargetSettings},
     formats::{colmap::ColmapModel, colmap_bin, colmap_text},
     project::{ModelFormat, ModelLocation, Project, ProjectKind},
-    scene::{CameraIndex, Pose, Scene, Units, View, ViewIndex},
+    scene::{CameraIndex, ModelWarning, Pose, Scene, Units, View, ViewIndex, WarningKind},
 };
 
 /// A view at `centre` that looks at `target`, +y of the world up in the image.
@@ -341,7 +341,8 @@ fn images_that_cannot_be_read() {
 fn what_the_model_leaves_out() {
     let mut scene = healthy();
     scene.unregistered = (0..2).map(|i| format!("x{i}.jpg")).collect();
-    scene.warnings = vec!["points3D.bin: 4 bytes after the last of 100 records are ignored".into()];
+    let text = "points3D.bin: 4 bytes after the last of 100 records are ignored";
+    scene.warnings = vec![ModelWarning::new(WarningKind::Damaged, text)];
     let findings = visit(&scene, "sure", &Settings::default());
     assert_eq!(found(&findings, "unregistered-images").severity, Severity::Note, "2 of 27");
     assert!(found(&findings, "model-not-as-it-should-be").what.contains("points3D.bin: 4 bytes"));
@@ -357,8 +358,8 @@ fn several_sub_models() {
     let folder = tempfile::tempdir().unwrap();
     let part =
         |views: usize| scene_of(block(0.0, "n").into_iter().take(views).collect(), square(0.0, 34), |_, _| false);
-    let severity = |others: usize| {
-        for (number, scene) in [("0", healthy()), ("1", part(others))] {
+    let severity = |others: Scene| {
+        for (number, scene) in [("0", healthy()), ("1", others)] {
             fs::create_dir_all(folder.path().join("sparse").join(number)).unwrap();
             for (name, bytes) in colmap_bin::write(&ColmapModel::from_scene(&scene)) {
                 fs::write(folder.path().join("sparse").join(number).join(name), bytes).unwrap();
@@ -368,10 +369,16 @@ fn several_sub_models() {
         let scene = project.read_scene().unwrap();
         let findings = look(&project, &scene, &Settings::default(), &[backends::by_name("sure").unwrap()]);
         assert_eq!(findings.len(), 1, "{findings:#?}");
-        found(&findings, "other-sub-models").severity
+        (findings[0].check, findings[0].severity)
     };
-    assert_eq!(severity(2), Severity::Note, "the usual splinter");
-    assert_eq!(severity(12), Severity::Warning);
+    let apart = |views: usize| {
+        let mut scene = part(views);
+        scene.views.iter_mut().for_each(|view| view.name.insert(0, 'x'));
+        scene
+    };
+    assert_eq!(severity(apart(2)), ("other-sub-models", Severity::Note), "the usual splinter");
+    assert_eq!(severity(apart(12)), ("other-sub-models", Severity::Warning));
+    assert_eq!(severity(part(12)), ("model-copies", Severity::Note), "the same images in other coordinates");
 }
 
 #[test]

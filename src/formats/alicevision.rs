@@ -16,7 +16,10 @@ use super::{
     Fault, Place, Problem,
     foreign::{Foreign, camera, json, pose_with_centre, shift},
 };
-use crate::camera::{Camera, CameraModel};
+use crate::{
+    camera::{Camera, CameraModel},
+    scene::WarningKind,
+};
 
 #[derive(Deserialize)]
 struct SfmData {
@@ -248,7 +251,7 @@ pub fn read(bytes: &[u8]) -> Result<Foreign, Fault> {
         foreign.add_image(id, name, camera_id, pose, Place::File);
     }
     if nameless > 0 {
-        foreign.model.warnings.push(format!("{nameless} views have no path; they are named by their ids"));
+        foreign.warn(WarningKind::Format, format!("{nameless} views have no path; they are named by their ids"));
     }
     for landmark in &data.structure.0 {
         let id = landmark.landmark_id.0;

@@ -17,7 +17,7 @@ use self::tracks::{ImageIds, ImageLists};
 use super::{Fault, Place, Problem, check_name};
 use crate::{
     camera::Camera,
-    scene::{CameraIndex, Pose, Scene, View},
+    scene::{CameraIndex, ModelWarning, Pose, Scene, View},
 };
 
 /// All files of a model, in file order, nothing dropped. Lists of 2D points and tracks may point into the files' bytes.
@@ -30,7 +30,7 @@ pub struct ColmapModel<'a> {
     pub rigs: Option<Vec<Rig>>,
     pub frames: Option<Vec<Frame>>,
     /// What was odd, but readable.
-    pub warnings: Vec<String>,
+    pub warnings: Vec<ModelWarning>,
 }
 
 #[derive(Clone, Debug)]
@@ -189,6 +189,7 @@ impl ColmapModel<'_> {
         let lists = ImageLists::new(&self.images, &view_of_image);
         let tracks = self.tracks(&lists)?;
         warnings.extend(lists.warning(tracks.views.len()));
+        warnings.extend(lists.unanswered(tracks.views.len()));
         Ok(Scene {
             cameras: self.cameras.clone(),
             views,

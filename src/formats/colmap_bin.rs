@@ -17,7 +17,10 @@ use super::{
     Bytes, Fault, Place, Problem,
     colmap::{ColmapImage, ColmapModel, ColmapPoint, Frame, FrameData, Point2d, Rig, Sensor, StoredPose, TrackElement},
 };
-use crate::camera::{Camera, CameraModel};
+use crate::{
+    camera::{Camera, CameraModel},
+    scene::{ModelWarning, WarningKind},
+};
 
 /// Reads a model; the cross-references are checked by [`ColmapModel::scene`].
 pub fn read<'a>(bytes: &Bytes<'a>) -> Result<ColmapModel<'a>, Fault> {
@@ -45,7 +48,7 @@ fn records<'a, T>(
     what: &'static str,
     smallest: usize,
     mut record: impl FnMut(&mut Reader<'a>) -> Result<T, Fault>,
-    warnings: &mut Vec<String>,
+    warnings: &mut Vec<ModelWarning>,
 ) -> Result<Vec<T>, Fault> {
     let mut reader = Reader { file, whole: bytes, rest: bytes };
     let count = reader.count("records", smallest)?;
@@ -55,7 +58,8 @@ fn records<'a, T>(
     }
     if !reader.rest.is_empty() {
         let left = reader.rest.len();
-        warnings.push(format!("{file}.bin: {left} bytes after the last of {count} records are ignored"));
+        let text = format!("{file}.bin: {left} bytes after the last of {count} records are ignored");
+        warnings.push(ModelWarning::new(WarningKind::Damaged, text));
     }
     Ok(all)
 }

@@ -14,7 +14,10 @@ use super::{
     Bytes, Fault, Place, Problem,
     colmap::{ColmapImage, ColmapModel, ColmapPoint, Frame, FrameData, Point2d, Rig, Sensor, StoredPose, TrackElement},
 };
-use crate::camera::{Camera, CameraModel};
+use crate::{
+    camera::{Camera, CameraModel},
+    scene::{ModelWarning, WarningKind},
+};
 
 /// Reads a model; the cross-references are checked by [`ColmapModel::scene`].
 pub fn read<'a>(bytes: &Bytes<'a>) -> Result<ColmapModel<'a>, Fault> {
@@ -155,10 +158,11 @@ pub fn image_names(images: &[u8]) -> Result<BTreeSet<String>, Fault> {
     image_lines(images).map(|(head, _)| Ok(image(head, None)?.name.into_owned())).collect()
 }
 
-fn images<'a>(bytes: &'a [u8], warnings: &mut Vec<String>) -> Result<Vec<ColmapImage<'a>>, Fault> {
+fn images<'a>(bytes: &'a [u8], warnings: &mut Vec<ModelWarning>) -> Result<Vec<ColmapImage<'a>>, Fault> {
     let lines: Vec<_> = image_lines(bytes).collect();
     if let Some((head, None)) = lines.last() {
-        warnings.push(format!("images.txt, line {}: the last image has no line of 2D points", head.number));
+        let text = format!("images.txt, line {}: the last image has no line of 2D points", head.number);
+        warnings.push(ModelWarning::new(WarningKind::Damaged, text));
     }
     let images: Vec<_> = lines.into_par_iter().map(|(head, points)| image(head, points)).collect();
     images.into_iter().collect()

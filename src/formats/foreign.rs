@@ -11,7 +11,7 @@ use super::{
 };
 use crate::{
     camera::{Camera, CameraError, CameraModel},
-    scene::Scene,
+    scene::{ModelWarning, Scene, WarningKind},
 };
 
 /// How far from orthonormal a rotation matrix may be: some programs print six digits.
@@ -64,11 +64,16 @@ impl Foreign {
     pub(super) fn warn_of_guessed_sizes(&mut self, guessed: usize) {
         if guessed > 0 {
             let all = self.model.images.len();
-            self.model.warnings.push(format!(
+            let text = format!(
                 "{guessed} of {all} images are not there, so their sizes are guessed from the measured pixels; put the images \
                  beside the model"
-            ));
+            );
+            self.warn(WarningKind::Guessed, text);
         }
+    }
+
+    pub(crate) fn warn(&mut self, kind: WarningKind, text: impl Into<String>) {
+        self.model.warnings.push(ModelWarning::new(kind, text));
     }
 
     /// Makes absolute names relative to the folder that they have in common, which becomes the image folder.

@@ -18,7 +18,10 @@ use super::{
     foreign::{Foreign, SizeOf, camera, guessed_size, pose_with_centre},
     words::{Observation, Words, name_and_numbers},
 };
-use crate::camera::{Camera, CameraModel};
+use crate::{
+    camera::{Camera, CameraModel},
+    scene::WarningKind,
+};
 
 struct NvmCamera {
     name: String,
@@ -47,10 +50,10 @@ pub fn read(nvm: &[u8], size_of: SizeOf) -> Result<Foreign, Fault> {
     let points = (0..count).map(each).collect::<Result<Vec<_>, _>>()?;
     let mut foreign = assemble(&cameras, &points, size_of)?;
     if !fixed.trim_ascii().is_empty() {
-        foreign.model.warnings.push("FixedK of the NVM file is not used: the focal length of each camera is".into());
+        foreign.warn(WarningKind::Format, "FixedK of the NVM file is not used: the focal length of each camera is");
     }
     if words.number::<u64>("").is_ok_and(|more| more > 0) {
-        foreign.model.warnings.push("only the first of several models of the NVM file is read".into());
+        foreign.warn(WarningKind::OtherModels, "only the first of several models of the NVM file is read");
     }
     Ok(foreign)
 }

@@ -15,7 +15,10 @@ use super::{
     foreign::{Foreign, camera, json},
     words::parse,
 };
-use crate::camera::{Camera, CameraModel};
+use crate::{
+    camera::{Camera, CameraModel},
+    scene::WarningKind,
+};
 
 #[derive(Deserialize)]
 struct Reconstruction {
@@ -84,7 +87,8 @@ pub fn read(reconstruction: &[u8], tracks: Option<&[u8]>) -> Result<Foreign, Fau
     let Some(largest) = largest else { return Ok(foreign) };
     if all > 1 {
         let shots = largest.shots.len();
-        foreign.model.warnings.push(format!("of {all} reconstructions the one with most shots ({shots}) is read"));
+        let text = format!("of {all} reconstructions the one with most shots ({shots}) is read");
+        foreign.warn(WarningKind::OtherModels, text);
     }
     let mut camera_ids = HashMap::new();
     for (n, (name, camera)) in largest.cameras.iter().enumerate() {
@@ -105,10 +109,8 @@ pub fn read(reconstruction: &[u8], tracks: Option<&[u8]>) -> Result<Foreign, Fau
     let observations = tracks.map_or(Ok(HashMap::new()), |tracks| observations(tracks, &shots))?;
     add_points(&mut foreign, &largest.points, &observations);
     if tracks.is_none() && !largest.points.is_empty() {
-        foreign
-            .model
-            .warnings
-            .push("there is no tracks.csv beside the reconstruction: points have no observations".into());
+        let text = "there is no tracks.csv beside the reconstruction: points have no observations";
+        foreign.warn(WarningKind::Damaged, text);
     }
     Ok(foreign)
 }

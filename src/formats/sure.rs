@@ -17,7 +17,7 @@ use super::{
 };
 use crate::{
     camera::{Camera, CameraModel},
-    scene::Pose,
+    scene::{Pose, WarningKind},
 };
 
 /// One oriented image.
@@ -149,14 +149,12 @@ pub fn add_cloud(foreign: &mut Foreign, points: &[Point3<f64>]) {
     for (n, (x, track)) in used.iter().zip(tracks).enumerate() {
         foreign.add_point(n as u64 + 1, (**x).into(), [255; 3], track, Place::File);
     }
-    let warnings = &mut foreign.model.warnings;
-    warnings.push("the points of the PLY file have no tracks: all views that they project into count".into());
+    let text = "the points of the PLY file have no tracks: all views that they project into count";
+    foreign.warn(WarningKind::Format, text);
     if used.len() < points.len() {
-        warnings.push(format!(
-            "the PLY file holds {} points; {} of them, spread over it, are used",
-            points.len(),
-            used.len()
-        ));
+        let (all, used) = (points.len(), used.len());
+        let text = format!("the PLY file holds {all} points; {used} of them, spread over it, are used");
+        foreign.warn(WarningKind::Format, text);
     }
 }
 
@@ -235,10 +233,8 @@ fn report_unmatched(foreign: &mut Foreign, cloud: &Foreign, own: &[Option<usize>
         if !names.is_empty() {
             let more = if names.len() > 3 { ", ..." } else { "" };
             let some = names.iter().take(3).map(String::as_str).collect::<Vec<_>>().join(", ");
-            foreign
-                .model
-                .warnings
-                .push(format!("{} {what}, so that their observations are missing: {some}{more}", names.len()));
+            let text = format!("{} {what}, so that their observations are missing: {some}{more}", names.len());
+            foreign.warn(WarningKind::Damaged, text);
         }
     }
     Ok(())

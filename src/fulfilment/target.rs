@@ -5,7 +5,6 @@ use std::sync::atomic::{AtomicU32, Ordering};
 use rayon::prelude::*;
 
 use crate::{
-    camera::CameraModel,
     config::{TargetMode, TargetSettings},
     scene::{Scene, ViewIndex},
     surface::Surface,
@@ -77,6 +76,5 @@ fn finest(scene: &Scene, surface: &Surface, visibility: &Visibility) -> Vec<f32>
 fn gsd_at(scene: &Scene, surface: &Surface, view: ViewIndex, triangle: u32) -> f64 {
     let camera = scene.camera_of(view);
     let centroid = scene.view(view).cam_from_world.camera_from_world(&surface.centroid(triangle));
-    let depth = if camera.model() == CameraModel::Equirectangular { centroid.coords.norm() } else { centroid.z };
-    depth / camera.mean_focal_length()
+    camera.depth(&centroid) / camera.mean_focal_length()
 }

@@ -33,7 +33,7 @@ pub enum Georeference {
 /// Heights of survey cameras above the ellipsoid, metres.
 const HEIGHTS: std::ops::RangeInclusive<f64> = -1000.0..=15_000.0;
 /// Least cosine between what is up by the cameras and by the ellipsoid.
-const UPRIGHT: f64 = 0.7;
+pub const UPRIGHT: f64 = 0.7;
 
 impl Georeference {
     pub fn find(project: &Project, scene: &Scene, settings: &FrameSettings) -> Self {

@@ -6,7 +6,7 @@ use serde::Deserialize;
 
 use super::{FingerprintError, VERSION, ViewEntry, fingerprint};
 use crate::{
-    backends::RankedCluster,
+    backends::{ExportRecord, RankedCluster},
     config::{Budget, Settings, Share},
     error::Hint,
     plan::{Cut, Outdated, Plan},
@@ -27,6 +27,10 @@ pub struct WrittenPlan {
     pub clusters: Vec<RankedCluster>,
     /// Clusters that the plan's own cut takes.
     pub cut: usize,
+    /// So many of the first have a depth map that the plan stands around, whatever its views moved by since.
+    pub finished: usize,
+    /// The share that the plan's cut was made for, or that it reaches.
+    pub target: Share,
 }
 
 /// The part of a manifest that its readers need, by name.
@@ -41,6 +45,7 @@ pub(crate) struct Recorded {
     pub views: Vec<ViewEntry>,
     pub outdated: Vec<Outdated>,
     pub cut: Cut,
+    pub exports: Vec<ExportRecord>,
     pub warnings: Vec<String>,
     /// Where it was read from.
     #[serde(skip)]
@@ -71,7 +76,9 @@ impl WrittenPlan {
         recorded.check_input(&project, &scene)?;
         let clusters = recorded.ranked(&scene)?;
         let cut = recorded.cut.clusters.min(clusters.len());
-        Ok(Self { project, backend: recorded.backend, settings: recorded.settings, clusters, cut, scene })
+        let (finished, settings) = (recorded.finished(), recorded.settings);
+        let target = settings.cut.target.unwrap_or(Share(recorded.cut.share));
+        Ok(Self { project, backend: recorded.backend, settings, clusters, cut, finished, target, scene })
     }
 
     /// How many clusters another cut takes: so many, or the fewest that reach the share.

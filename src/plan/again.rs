@@ -6,7 +6,7 @@ use super::{Cut, Finished, Plan, PlanError, plan};
 use crate::{
     error::Hint,
     fulfilment,
-    manifest::{Recorded, WrittenPlanError},
+    manifest::{Recorded, WrittenPlanError, warnings_with},
     partners::ViewCluster,
     progress::{Cancelled, Watcher},
     project::Project,
@@ -27,7 +27,7 @@ pub fn as_written(root: &Path, watcher: &dyn Watcher) -> Result<(Project, Plan),
     if recorded.finished() > 0 {
         take_ranking(&mut plan, &recorded, watcher)?;
     }
-    plan.warnings = recorded.warnings;
+    plan.warnings = warnings_with(&recorded.warnings, &recorded.exports, &[]);
     Ok((project, plan))
 }
 

@@ -2,19 +2,21 @@
 //!
 //! A surface of more points than the limit takes is built in tiles, one after the other. The other tables have one size whatever the tiles
 //! are: where they don't fit, that is said before they are made. The figures per point were measured with `viewrank plan` on `boruszyn`
-//! and `caliterra` (800 and 760 bytes), the rest are sizes of tables; neither depends on the machine or the number of threads.
+//! and `caliterra` (800 and 760 bytes), the rest are sizes of tables and of the threads' pictures.
 
 use serde::Serialize;
 
 use super::PlanError;
 use crate::{
-    config::{Bytes, Settings},
+    config::{Bytes, Settings, VisibilitySettings},
     scene::Scene,
     surface::Surface,
     visibility::Visibility,
 };
 
-/// The program, its threads' pictures, and what is small.
+/// A pixel of the id buffer that each thread draws into.
+const BUFFER_PIXEL: u64 = 8;
+/// The program, and what is small.
 const BASE: u64 = 100 << 20;
 /// Of the surface, at its peak (cells, rays and the cut), per sparse point.
 const SURFACE_PER_POINT: u64 = 1000;
@@ -60,16 +62,26 @@ impl Memory {
             && held + SURFACE_PER_POINT * points > limit.0
         {
             let tile = limit.0.saturating_sub(finished) / SURFACE_PER_POINT / OVERLAP;
-            memory.keep("surface", finished + SURFACE_PER_POINT * OVERLAP * tile.max(LEAST_TILE))?;
-            settings.surface.tile_points = Some(u32::try_from(tile).unwrap_or(u32::MAX));
+            settings.surface.tile_points = Some(u32::try_from(tile.max(LEAST_TILE)).unwrap_or(u32::MAX));
         }
-        let at_once = settings.surface.tile_points.map_or(points, |tile| points.min(OVERLAP * u64::from(tile)));
+        let at_once = match (&settings.surface.mesh, settings.surface.tile_points) {
+            (Some(_), _) => 0,
+            (None, Some(tile)) => points.min(OVERLAP * u64::from(tile)),
+            (None, None) => points,
+        };
         memory.surface = (held + SURFACE_PER_POINT * at_once).max(finished);
+        memory.keep("surface", memory.surface)?;
         Ok(memory)
     }
 
-    pub(super) fn before_visibility(&mut self, scene: &Scene, surface: &Surface) -> Result<(), PlanError> {
-        self.visibility = self.read + 2 * bytes(surface) + VISIBILITY_ROW * expected_rows(scene, surface);
+    pub(super) fn before_visibility(
+        &mut self,
+        scene: &Scene,
+        surface: &Surface,
+        settings: &VisibilitySettings,
+    ) -> Result<(), PlanError> {
+        let buffers = rayon::current_num_threads() as u64 * u64::from(settings.buffer_px).pow(2) * BUFFER_PIXEL;
+        self.visibility = self.read + 2 * bytes(surface) + VISIBILITY_ROW * expected_rows(scene, surface) + buffers;
         self.keep("table of visibility", self.visibility)
     }
 

@@ -23,6 +23,7 @@ pub use forecast::Forecast;
 pub use memory::Memory;
 pub use reasons::{Likest, Reason, ViewStatus};
 pub use timings::Timings;
+pub use warnings::unlikely_gsd;
 
 use crate::{
     backends::{self, Backend, BackendError, RankedCluster},
@@ -267,6 +268,7 @@ fn in_force(
     all.target.accuracy.get_or_insert(gsd);
     all.target.mode = all.target.mode.in_force(settings.target.gsd.or(settings.target.accuracy).is_some());
     all.target.gsd = Some(gsd);
+    all.partners.candidates = all.partners.candidates.max(all.partners.k);
     let numbers = backend.planning();
     all.ranking.support.get_or_insert(numbers.support);
     all.confidence.source = source.to_string();
@@ -318,7 +320,7 @@ fn look(
     let mesh = settings.surface.mesh.clone().map(|path| MeshFile { path, as_is: settings.surface.mesh_as_is });
     let (surface, stats) =
         timings.time(Stage::Surface, || surface::build(scene, gsd, &settings.surface, mesh.as_ref(), watcher))?;
-    memory.before_visibility(scene, &surface)?;
+    memory.before_visibility(scene, &surface, &settings.visibility)?;
     let edge_length = settings.surface.edge_factor * gsd;
     let visibility = timings.time(Stage::Visibility, || {
         visibility::estimate(scene, points, &surface, &settings.visibility, edge_length, watcher)

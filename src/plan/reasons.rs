@@ -66,6 +66,8 @@ pub enum ViewStatus {
 
 /// A triangle with less than this is called unfulfilled.
 const FULFILLED: f64 = 0.1;
+/// Clusters of which all factors are held at a time.
+const CLUSTERS_AT_ONCE: usize = 64;
 /// A view is a duplicate where another does this share of what it could do.
 const DUPLICATE: f64 = 0.9;
 
@@ -99,7 +101,8 @@ impl Why<'_> {
 
     fn few_partners(&self, cluster: usize, settings: &PartnerSettings) -> Option<Reason> {
         let ViewCluster { key, partners } = &self.clusters[cluster];
-        (partners.len() < settings.k as usize).then(|| self.refused(*key))
+        let possible = (settings.k as usize).min(self.model.scene.views.len() - 1);
+        (partners.len() < possible).then(|| self.refused(*key))
     }
 
     /// What most of the pairs were refused for.
@@ -156,13 +159,15 @@ impl Why<'_> {
             let asked = self.model.visibility.of(cluster.key).iter().copied().filter(|&t| is_asked(t as usize));
             asked.map(|t| (t, fulfilment::value(self.model, cluster.key, &cluster.partners, t))).collect()
         };
-        let found: Vec<Vec<(u32, Fulfilment)>> = self.clusters.par_iter().map(of_cluster).collect();
+        let nearness = |f: &Fulfilment| (f.coverage, f.value, f.confidence);
         let mut nearest: Vec<Option<Fulfilment>> = vec![None; self.model.surface.triangles.len()];
-        for (t, fulfilment) in found.into_iter().flatten() {
-            let nearness = |f: &Fulfilment| (f.coverage, f.value, f.confidence);
-            let held = &mut nearest[t as usize];
-            if held.as_ref().is_none_or(|held| nearness(&fulfilment) > nearness(held)) {
-                *held = Some(fulfilment);
+        for clusters in self.clusters.chunks(CLUSTERS_AT_ONCE) {
+            let found: Vec<Vec<(u32, Fulfilment)>> = clusters.par_iter().map(of_cluster).collect();
+            for (t, fulfilment) in found.into_iter().flatten() {
+                let held = &mut nearest[t as usize];
+                if held.as_ref().is_none_or(|held| nearness(&fulfilment) > nearness(held)) {
+                    *held = Some(fulfilment);
+                }
             }
         }
         nearest

@@ -1,16 +1,23 @@
 //! What the user should know of a plan before relying on it.
 
 use super::Plan;
-use crate::{confidence::Confidence, config::ConfidenceForm};
+use crate::{
+    confidence::Confidence,
+    config::{ConfidenceForm, Settings},
+    scene::Scene,
+};
 
 /// Share of the observations of a table that may contradict it.
 const CONTRADICTIONS: f64 = 0.05;
+/// The wanted ground sampling distance is not so many times another than the images'.
+const WANTED_RATIO: f64 = 20.0;
 /// Depth maps that are named.
 const NAMED: usize = 3;
 
 pub(super) fn warnings(plan: &Plan) -> Vec<String> {
-    let mut warnings = plan.scene.warnings.clone();
+    let mut warnings: Vec<String> = plan.scene.warnings.iter().map(|warning| warning.text.clone()).collect();
     warnings.extend(plan.pictures.warnings.iter().cloned());
+    warnings.extend(unlikely_gsd(&plan.scene, &plan.settings));
     warnings.extend(unlike_pictures(plan));
     warnings.extend(other_backend(plan));
     warnings.extend(without_effect(plan));
@@ -22,6 +29,20 @@ pub(super) fn warnings(plan: &Plan) -> Vec<String> {
     warnings.extend(plan.finished.unreadable.iter().cloned());
     warnings.extend(tiled(plan));
     warnings
+}
+
+/// A wanted ground sampling distance that is far from the images' own: another unit, most likely.
+pub fn unlikely_gsd(scene: &Scene, settings: &Settings) -> Option<String> {
+    let (gsd, target) = (scene.median_gsd()?, settings.target.gsd?);
+    let ratio = target / (gsd / settings.image_scale);
+    let than = match ratio {
+        ratio if ratio < 1.0 / WANTED_RATIO => format!("{:.0} times finer", 1.0 / ratio),
+        ratio if ratio > WANTED_RATIO => format!("{ratio:.0} times coarser"),
+        _ => return None,
+    };
+    Some(format!(
+        "the wanted ground sampling distance, {target}, is {than} than the images' own, {gsd:.3e} units per pixel; it is in units of the model"
+    ))
 }
 
 /// Finished depth maps that have to be made again.

@@ -119,8 +119,9 @@ fn registered(images: &Path, format: ModelFormat) -> u64 {
     }
     let mut head = [0; 8];
     let file = fs::File::open(images).and_then(|mut file| file.read_exact(&mut head).and(file.metadata()));
-    // Not more than the file has room for: a damaged count must not win.
-    file.map_or(0, |metadata| u64::from_le_bytes(head).min(metadata.len() / 73))
+    // A count that the file has no room for is damaged, and must not win.
+    let possible = |metadata: fs::Metadata| Some(u64::from_le_bytes(head)).filter(|n| *n <= metadata.len() / 73);
+    file.ok().and_then(possible).unwrap_or(0)
 }
 
 /// The model to take and the others.
@@ -187,7 +188,7 @@ pub(super) fn dense_folders(root: &Path, model: &ModelLocation) -> Vec<PathBuf> 
 }
 
 /// Names of the registered images; `None` where the model cannot be read, which reading it will tell.
-fn image_names(root: &Path, model: &ModelLocation) -> Option<BTreeSet<String>> {
+pub(super) fn image_names(root: &Path, model: &ModelLocation) -> Option<BTreeSet<String>> {
     match model.format.is_colmap() {
         true => files::image_names(model),
         false => {

@@ -11,6 +11,7 @@ use crate::{
     formats::{
         Fault, Place, Problem, alicevision, bundler, foreign::Foreign, nvm, openmvg, openmvs::Mvs, opensfm, sure,
     },
+    scene::WarningKind,
     surface::ply,
 };
 
@@ -175,11 +176,9 @@ fn read_sure(root: &Path, folder: &Path) -> Result<Foreign, ProjectError> {
     let mut foreign = sure::model(oriented, |name| images::with_extension(&candidates, name));
     match sure_cloud(root) {
         None => {
-            foreign.model.warnings.push(
-                "no points: put a sparse cloud (*.nvm, *.out or *.ply) or a mesh (*.ply) into the project's folder; where only the height of the \
-                 ground is known, integrations/sure/ground.py writes a ground.ply"
-                    .into(),
-            )
+            let text = "no points: put a sparse cloud (*.nvm, *.out or *.ply) or a mesh (*.ply) into the project's folder; where only the \
+                        height of the ground is known, integrations/sure/ground.py writes a ground.ply";
+            foreign.warn(WarningKind::Damaged, text)
         }
         Some((path, ModelFormat::Sure)) => {
             let surface = ply::read(&files::read(&path)?).map_err(|error| ProjectError::Fault {

@@ -12,7 +12,7 @@ use serde::Serialize;
 use super::{
     bytes,
     history::History,
-    holes::{Hole, help, holes},
+    holes::{FAR, Hole, help, holes},
     real::{Finished, Real},
     shown::Shown,
     thumbnails::{MOST, thumbnails},
@@ -67,7 +67,11 @@ pub struct Contents {
     ranking: Ranked,
     surface: Drawn,
     holes: Vec<ShownHole>,
+    /// Of all holes.
     holes_area: f64,
+    /// Of what lies more than `far` usual distances from every camera.
+    far_area: f64,
+    far: f64,
     real: Option<Real>,
     thumbnails: BTreeMap<u32, String>,
     /// Views beyond which only the first of the ranking have a small picture.
@@ -155,7 +159,7 @@ impl Contents {
             Some(images) => thumbnails(plan, images, watcher)?,
             None => BTreeMap::new(),
         };
-        let (holes, holes_area) = holes(plan, HOLES);
+        let holes = holes(plan, HOLES);
         let place = Georeference::find(project, &plan.scene, &plan.settings.frame);
         Ok(Self {
             title: title(&project.root),
@@ -180,8 +184,10 @@ impl Contents {
             views: Views::new(plan, &frame),
             ranking: Ranked::new(plan),
             surface: Drawn::new(plan, &shown, &frame),
-            holes: holes.iter().map(|hole| ShownHole::new(hole, &frame, &place)).collect(),
-            holes_area,
+            holes: holes.largest.iter().map(|hole| ShownHole::new(hole, &frame, &place)).collect(),
+            holes_area: holes.area,
+            far_area: holes.far_area,
+            far: FAR,
             real,
             thumbnails,
             most_thumbnails: MOST,

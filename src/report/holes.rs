@@ -3,11 +3,16 @@
 use std::cmp::Reverse;
 
 use nalgebra::{Point3, Vector3};
+use rayon::prelude::*;
 
 use crate::{
     connected::components,
     plan::{Plan, Reason},
-    surface::corners::{BORDER, opposites},
+    scene::{PointIndex, Scene, ViewIndex},
+    surface::{
+        corners::{BORDER, opposites},
+        points::upper_median,
+    },
 };
 
 /// A connected region of triangles that no cluster fulfils to a tenth.
@@ -32,20 +37,51 @@ pub fn help(reason: Reason) -> &'static str {
     }
 }
 
-/// The `most` largest holes, largest first, and the area of all.
-pub fn holes(plan: &Plan, most: usize) -> (Vec<Hole>, f64) {
-    let mut holes = regions(plan).into_iter().map(|region| hole(plan, &region)).collect::<Vec<_>>();
-    let all = holes.iter().map(|hole| hole.area).sum();
-    holes.sort_by(|a, b| b.area.total_cmp(&a.area));
-    holes.truncate(most);
-    (holes, all)
+/// All holes of a plan.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Holes {
+    /// The largest of those near the cameras, largest first.
+    pub largest: Vec<Hole>,
+    /// Area of all, square scene units.
+    pub area: f64,
+    /// Area of what lies beyond the reach of the survey: no camera is near it, and none was meant to be.
+    pub far_area: f64,
 }
 
-/// Triangles with a reason, those with a common edge together; in the order of their first triangles.
-fn regions(plan: &Plan) -> Vec<Vec<u32>> {
+/// Places farther from every camera than so many usual distances (of a sparse point to the nearest view that observes it) are background.
+pub const FAR: f64 = 4.0;
+
+/// The holes of a plan, with the `most` largest that can be flown to.
+pub fn holes(plan: &Plan, most: usize) -> Holes {
+    let open = plan.triangle_reasons.iter().zip(0u32..).filter_map(|(reason, t)| reason.map(|_| t));
+    let open: Vec<u32> = open.collect();
+    let limit = usual_distance(&plan.scene).map_or(f64::INFINITY, |usual| FAR * usual);
+    let is_near = |&t: &u32| {
+        let place = plan.surface.centroid(t);
+        plan.scene.views.iter().any(|view| (view.cam_from_world.centre() - place).norm() <= limit)
+    };
+    let (near, far): (Vec<u32>, Vec<u32>) = open.into_par_iter().partition(is_near);
+    let area = |triangles: &[u32]| triangles.iter().map(|&t| plan.surface.area(t)).sum::<f64>();
+    let mut largest = regions(plan, &near).into_iter().map(|region| hole(plan, &region)).collect::<Vec<_>>();
+    largest.sort_by(|a, b| b.area.total_cmp(&a.area));
+    largest.truncate(most);
+    Holes { largest, area: area(&near) + area(&far), far_area: area(&far) }
+}
+
+/// Median distance of the sparse points from the nearest of their views.
+fn usual_distance(scene: &Scene) -> Option<f64> {
+    let nearest = |p: u32| {
+        let views = scene.track_views[scene.track(PointIndex(p))].iter();
+        let distance =
+            |view: &ViewIndex| (scene.views[view.at()].cam_from_world.centre() - scene.points[p as usize]).norm();
+        views.map(distance).min_by(f64::total_cmp)
+    };
+    upper_median((0..scene.points.len() as u32).filter_map(nearest))
+}
+
+/// Those triangles with a common edge together; in the order of their first triangles.
+fn regions(plan: &Plan, open: &[u32]) -> Vec<Vec<u32>> {
     let opposite = opposites(&plan.surface);
-    let reasons = plan.triangle_reasons.iter().zip(0u32..);
-    let open: Vec<u32> = reasons.filter_map(|(reason, t)| reason.map(|_| t)).collect();
     let beside = |i: u32| {
         let corners = opposite[3 * open[i as usize] as usize..][..3].iter().filter(|&&corner| corner != BORDER);
         corners.filter_map(|corner| open.binary_search(&(corner / 3)).ok()).map(|place| place as u32)

@@ -15,7 +15,7 @@ use base64::{Engine, prelude::BASE64_STANDARD};
 use bytemuck::NoUninit;
 
 pub use contents::{Contents, ReportError};
-pub use holes::{Hole, holes};
+pub use holes::{Hole, Holes, holes};
 pub use real::Finished;
 
 /// Name of the set of files that the page is, and where it lies in the project. A plan that differs from the one shown removes it.

@@ -53,7 +53,7 @@ impl Real {
         let clusters = in_order(plan);
         let (of_project, folders) = match &finished.depth_maps {
             Some(folder) => (false, vec![folder.clone()]),
-            None => (true, depthmaps::folders(&project.root)),
+            None => (true, folders_of(plan, project)),
         };
         let mut left_out = Vec::new();
         for folder in &folders {
@@ -65,6 +65,7 @@ impl Real {
                         let (count, name) = (run.other_partners.len(), plan.scene.name(first));
                         format!("{count} depth maps were made with other partners than planned, the first is {name}")
                     }));
+                    left_out.extend(others_of(plan, folder, &folders));
                     return Ok((Some(Self::of(plan, shown, &run, &clusters, folder)), left_out));
                 }
                 Err(EvaluateError::Cancelled(cancelled)) => return Err(cancelled.into()),
@@ -97,6 +98,24 @@ impl Real {
             triangles: bytes(&shades),
         }
     }
+}
+
+/// Where depth maps may lie, first where the backend of the plan writes its own.
+fn folders_of(plan: &Plan, project: &Project) -> Vec<PathBuf> {
+    let own = depthmaps::folder_of(&project.root, project.dense_workspace.as_deref(), plan.backend);
+    let mut folders = depthmaps::folders(&project.root);
+    folders.sort_by_key(|folder| *folder != own);
+    folders
+}
+
+/// Further folders with depth maps of the plan's views: only one is measured.
+fn others_of(plan: &Plan, measured: &Path, folders: &[PathBuf]) -> Vec<String> {
+    let others = folders.iter().filter(|folder| *folder != measured);
+    let has_maps = |folder: &&PathBuf| depthmaps::find(folder, &plan.scene).is_ok();
+    let words = |folder: &PathBuf| {
+        format!("there are depth maps in {}, too; those in {} are shown", folder.display(), measured.display())
+    };
+    others.filter(has_maps).map(words).collect()
 }
 
 /// All clusters, those without predicted gain last.

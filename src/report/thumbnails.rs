@@ -1,12 +1,13 @@
 //! Small pictures of the views.
 
-use std::{collections::BTreeMap, io::Cursor, path::Path};
+use std::{collections::BTreeMap, path::Path};
 
 use base64::{Engine, prelude::BASE64_STANDARD};
-use image::{ImageReader, Limits, codecs::jpeg::JpegEncoder};
+use image::{ExtendedColorType, ImageEncoder, codecs::jpeg::JpegEncoder};
 use rayon::prelude::*;
 
 use crate::{
+    confidence::Image,
     plan::Plan,
     progress::{Cancelled, Watcher},
     scene::ViewIndex,
@@ -17,8 +18,6 @@ pub const MOST: usize = 500;
 /// Long side, pixels.
 const SIDE: u32 = 112;
 const QUALITY: u8 = 55;
-/// An image that needs more memory is left out.
-const MAX_BYTES: u64 = 1 << 30;
 
 /// JPEG files in base64 by view; images that are not there, or not to be read, have none.
 pub fn thumbnails(plan: &Plan, images: &Path, watcher: &dyn Watcher) -> Result<BTreeMap<u32, String>, Cancelled> {
@@ -37,12 +36,15 @@ pub fn thumbnails(plan: &Plan, images: &Path, watcher: &dyn Watcher) -> Result<B
 }
 
 fn thumbnail(path: &Path) -> Option<Vec<u8>> {
-    let mut reader = ImageReader::open(path).ok()?.with_guessed_format().ok()?;
-    let mut limits = Limits::default();
-    limits.max_alloc = Some(MAX_BYTES);
-    reader.limits(limits);
-    let small = reader.decode().ok()?.thumbnail(SIDE, SIDE).into_rgb8();
-    let mut jpeg = Cursor::new(Vec::new());
-    JpegEncoder::new_with_quality(&mut jpeg, QUALITY).encode_image(&small).ok()?;
-    Some(jpeg.into_inner())
+    let small = Image::read(path, |full| within(full, SIDE)).ok()?;
+    let mut jpeg = Vec::new();
+    let encoder = JpegEncoder::new_with_quality(&mut jpeg, QUALITY);
+    encoder.write_image(&small.rgb, small.width, small.height, ExtendedColorType::Rgb8).ok()?;
+    Some(jpeg)
+}
+
+/// The size with the longer side reduced to that.
+fn within([width, height]: [u32; 2], side: u32) -> [u32; 2] {
+    let scale = (f64::from(side) / f64::from(width.max(height))).min(1.0);
+    [width, height].map(|side| ((f64::from(side) * scale).round() as u32).max(1))
 }

@@ -1,6 +1,6 @@
 //! Method 1.1: which sparse points make the surface, and how well each is known.
 
-use nalgebra::{Matrix3, Point3, Vector3};
+use nalgebra::{Matrix3, Point2, Point3, Vector3};
 use rayon::prelude::*;
 
 use crate::scene::{PointIndex, Scene, ViewIndex};
@@ -55,8 +55,10 @@ fn mean_error_px(scene: &Scene, point: PointIndex) -> Option<f64> {
     let (mut sum, mut count) = (0.0, 0u32);
     for (view, pixel) in views.iter().zip(&scene.track_pixels[track]) {
         let x_cam = scene.view(*view).cam_from_world.camera_from_world(&scene.points[point.at()]);
-        let projected = scene.camera_of(*view).project(&x_cam)?;
-        let error = (projected.x - pixel[0]).hypot(projected.y - pixel[1]);
+        let camera = scene.camera_of(*view);
+        camera.project(&x_cam)?;
+        // Of a picture of all directions the angle counts, across its seam too.
+        let error = camera.reprojection_error(&x_cam, &Point2::from(*pixel)).unwrap_or(f64::NAN);
         if error.is_finite() {
             sum += error;
             count += 1;

@@ -20,7 +20,7 @@ const CHECK_INTERVAL: usize = 4096;
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum RefineError {
     #[error(
-        "edges of at most {limit} scene units would make about {triangles:.0} triangles; raise target.gsd or surface.max_edge_factor"
+        "edges of at most {limit:.3e} scene units would make about {triangles:.0} triangles; raise target.gsd or surface.max_edge_factor"
     )]
     TooFine { limit: f64, triangles: f64 },
     #[error(transparent)]

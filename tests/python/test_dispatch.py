@@ -151,6 +151,38 @@ def test_another_plan_makes_only_what_is_new(work):
     assert 0 < again <= 3 and work.dispatch("shell")["done"] == done + again
 
 
+def test_maps_of_a_model_that_moved_are_made_anew(work):
+    pycolmap = pytest.importorskip("pycolmap")
+    work.dispatch("shell")
+    for rank in (1, 2):
+        subprocess.run([work.script("task.sh"), str(rank)], check=True)
+    assert work.dispatch("shell")["done"] == 2
+    model = pycolmap.Reconstruction(work.project / "sparse/0")
+    model.transform(pycolmap.Sim3d(2.0, pycolmap.Rotation3d(), [0, 0, 0]))
+    model.write(work.project / "sparse/0")
+    work.viewrank("plan", work.project, "--backend", "sgm", "--target", "99%", "--quiet")
+    assert work.dispatch("shell")["done"] == 0
+    subprocess.run([work.script("task.sh"), "1"], check=True)
+    assert work.ranks() == [1, 2, 1] and work.dispatch("shell")["done"] == 1
+
+
+def test_the_project_by_any_path(work, tmp_path):
+    """Relative, or through a link: the same scripts, which run anywhere."""
+    work.dispatch("shell")
+    scripts = [work.script(name).read_text() for name in ("task.sh", "fuse.sh")]
+    real = work.project
+    (tmp_path / "link").symlink_to(real)
+    for work.project in (Path(os.path.relpath(real)), tmp_path / "link"):
+        work.dispatch("shell")
+        assert [work.script(name).read_text() for name in ("task.sh", "fuse.sh")] == scripts
+    subprocess.run([real / "viewrank/dispatch/sgm/task.sh", "1"], check=True, cwd="/")
+
+
+def test_a_target_beyond_the_plan_is_refused(work):
+    done = work.viewrank("dispatch", work.project, "--scheduler", "shell", "--program", work.front, "--target", "100%", expect=2)
+    assert "plan again with --target 100%" in done.stderr
+
+
 @pytest.mark.skipif(not shutil.which("parallel"), reason="GNU parallel is not installed")
 def test_gnu_parallel(work):
     work.dispatch("shell")

@@ -26,7 +26,7 @@ def test_what_plan_warns_of(viewrank, fixtures, tmp_path):
     warnings = json.loads((folder / "viewrank" / "manifest.json").read_text())["warnings"]
     findings = json.loads(viewrank("doctor", folder, "--format", "json", expect=3).stdout)["findings"]
     said = {finding["what"]: finding["check"] for finding in findings}
-    assert len(warnings) == 2 and [said.get(warning) for warning in warnings] == ["model-not-as-it-should-be", "other-sub-models"]
+    assert len(warnings) == 2 and [said.get(warning) for warning in warnings] == ["model-not-as-it-should-be", "model-copies"]
 
 
 @pytest.mark.parametrize("name", ["valley", "caliterra", "lewis", "boruszyn"])
@@ -57,7 +57,25 @@ def test_settings_that_cannot_be_true(viewrank, fixtures, tmp_path):
     assert "--gsd" in viewrank("doctor", folder, expect=3).stdout
     (folder / "viewrank.toml").write_text('frame.utm = "33N"\n')
     assert "no UTM coordinates" in viewrank("doctor", folder, expect=3).stdout
+    (folder / "viewrank.toml").write_text("frame.origin = [48.0, 16.0, 200.0]\n")
+    assert viewrank("doctor", folder).stdout.count("impossible") == 0
     assert viewrank("doctor", folder, "--backend", "nothing", expect=2).stdout == ""
+
+
+def test_a_model_that_does_not_lie_on_the_earth_as_it_is_said_to(viewrank, fixtures, tmp_path):
+    """Turned to y down, as COLMAP leaves models, or a thousand times too small."""
+    pycolmap = pytest.importorskip("pycolmap")
+    folder = project(fixtures, tmp_path)
+    (folder / "viewrank.toml").write_text("frame.origin = [48.0, 16.0, 200.0]\n")
+    upright = pycolmap.Reconstruction(folder / "sparse" / "0")
+    turned = pycolmap.Sim3d(1.0, pycolmap.Rotation3d([2**-0.5, 0, 0, 2**-0.5]), [0, 0, 0])
+    small = pycolmap.Sim3d(1e-3, pycolmap.Rotation3d(), [0, 0, 0])
+    for change, check in ((turned, "impossible-frame"), (small, "impossible-units")):
+        model = pycolmap.Reconstruction(upright)
+        model.transform(change)
+        model.write(folder / "sparse" / "0")
+        done = viewrank("doctor", folder, "--format", "json", expect=3)
+        assert check in {finding["check"] for finding in json.loads(done.stdout)["findings"]}
 
 
 @pytest.mark.parametrize(("scale", "code"), [(1, 0), (1e-4, 3), (1e-7, 4)])

@@ -94,6 +94,25 @@ def test_everything_is_drawn_and_nothing_juts_out(browser, page, width, dark):
     assert (sum(int(number) for number in background[4:-1].split(",")) < 380) == dark
 
 
+def warned(manifest):
+    """What the plan warns of, and what its exports warn of and do not honour."""
+    of_exports = [f"{export['backend']}: {said}" for export in manifest["exports"] for said in
+                  [text for text in export["warnings"] if text not in manifest["warnings"]]
+                  + [f"not honoured: {what}" for what in export["not_honoured"]]]
+    return manifest["warnings"] + of_exports
+
+
+def test_what_backends_do_not_honour_is_on_the_page(viewrank, fixtures, browser, tmp_path):
+    for folder in ("sparse", "images"):
+        (tmp_path / folder).symlink_to(fixtures / "valley" / folder)
+    viewrank("plan", tmp_path, "--backend", "odm,realityscan", "--quiet")
+    viewrank("report", tmp_path)
+    browser.open(tmp_path / "viewrank" / "report.html", 1280)
+    manifest = json.loads((tmp_path / "viewrank" / "manifest.json").read_text())
+    assert browser.script("data.warnings") == warned(manifest)
+    assert "realityscan: not honoured: matching partners" in text(browser, "#warnings")
+
+
 def test_everything_follows_the_slider(browser, page, manifest):
     browser.open(page, 1280)
     clusters, views = manifest["clusters"], len(manifest["views"])
@@ -246,6 +265,24 @@ def test_the_holes_lead_to_their_places(browser, page, manifest):
     assert centre == pytest.approx(browser.script("data.holes[0].centre"))
 
 
+def test_no_place_to_fly_to_is_in_the_background(viewrank, data, tmp_path):
+    """The hull of `lewis` reaches far beyond what its images are of."""
+    pycolmap = pytest.importorskip("pycolmap")
+    for folder in ("sparse", "images"):
+        (tmp_path / folder).symlink_to(data / "lewis" / folder)
+    viewrank("plan", tmp_path, "--quiet")
+    viewrank("report", tmp_path)
+    page = (tmp_path / "viewrank" / "report.html").read_text()
+    shown = json.loads(page.split('<script id="data" type="application/json">')[1].split("</script>")[0])
+    model = pycolmap.Reconstruction(next((tmp_path / "sparse").glob("**/images.*")).parent)
+    centre = {number: image.projection_center() for number, image in model.images.items()}
+    usual = np.median([min(np.linalg.norm(centre[e.image_id] - point.xyz) for e in point.track.elements) for point in model.points3D.values()])
+    assert 0 < shown["far_area"] < shown["holes_area"] < shown["area"]
+    cameras = np.frombuffer(base64.b64decode(shown["views"]["centres"]), "<f4").reshape(-1, 3)
+    listed = [np.linalg.norm(cameras - hole["centre"], axis=1).min() for hole in shown["holes"]]
+    assert 0 < max(listed) < 4.5 * usual, "the middle of a place may lie a little farther than its parts"
+
+
 def test_a_page_without_webgl(browser, page):
     browser.open(page, 1280)
     added = browser.call("Page.addScriptToEvaluateOnNewDocument", source="""
@@ -275,7 +312,7 @@ def test_names_are_shown_as_they_are(viewrank, fixtures, browser, tmp_path):
     browser.script("(() => { const s = document.getElementById('search'); s.value = 'late209'; s.dispatchEvent(new Event('input')); })()")
     assert text(browser, "#list").startswith("late209.jpg has no pose")
     manifest = json.loads((project / "viewrank" / "manifest.json").read_text())
-    assert browser.script("data.warnings") == manifest["warnings"] != []
+    assert browser.script("data.warnings") == warned(manifest) != []
     assert browser.script("document.querySelectorAll('img[src=x]').length") == 0
 
 
@@ -340,7 +377,7 @@ def test_depth_maps_that_cannot_be_read_are_named_and_the_others_shown(viewrank,
     assert "sgm is not looked at" in text(browser, "#warnings")
     write([])
     assert reported(viewrank, browser, project) is None
-    assert browser.script("data.warnings") == manifest["warnings"], "an empty folder is no fault"
+    assert browser.script("data.warnings") == warned(manifest), "an empty folder is no fault"
     refused = viewrank("report", project, "--reference", project / "nowhere", expect=1)
     assert "nowhere" in refused.stderr
     refused = viewrank("report", project, "--reference", write([1]), "--depth-maps", project / "images", expect=1)
@@ -367,7 +404,14 @@ def test_a_plan_around_finished_depth_maps_is_the_one_that_is_shown(viewrank, br
     # What has its depth map is matched already.
     browser.script("change({ perPair: 0, perMap: 60 })")
     row = next(row.split("\t") for row in text(browser, "#forecast").splitlines() if row.startswith("time"))
-    assert row[1:] == [browser.script(f"duration({60 * (count - 3)})") for count in (manifest["cut"]["clusters"], len(keys))]
+    cut = manifest["cut"]["clusters"]
+    assert row[1:] == [browser.script(f"duration({60 * (count - 3)})") for count in (cut, len(keys))]
+    left = manifest["forecast"]["all_maps"] - 3
+    faster = 60 * left / (60 * (cut - 3) + browser.script("data.planning_seconds"))
+    assert f"{faster:.1f} times faster" in text(browser, "#worth") and f"each of the {left} views" in text(browser, "#worth")
+    for rank, words in ((1, "In: its depth map is finished"), (4, "In: it is number 4 of")):
+        browser.script(f"change({{ selected: ranking.keys[{rank - 1}] }})")
+        assert words in text(browser, "#why-box")
 
 
 @pytest.mark.skipif(FIREFOX is None, reason="no firefox")

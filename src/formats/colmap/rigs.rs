@@ -6,7 +6,7 @@ use super::{ColmapModel, Frame, Rig, Sensor, tracks::ImageIds};
 use crate::{
     camera::Camera,
     formats::{Fault, Problem},
-    scene::{CameraIndex, Pose, View},
+    scene::{CameraIndex, ModelWarning, Pose, View, WarningKind},
 };
 
 /// Rotation (radians) and position (relative to the size of the translation) by which a rig's pose may differ from the image's.
@@ -19,13 +19,14 @@ impl ColmapModel<'_> {
         views: &[View],
         view_of_image: &ImageIds,
         cameras: &HashMap<u32, CameraIndex>,
-        warnings: &mut Vec<String>,
+        warnings: &mut Vec<ModelWarning>,
     ) -> Result<(), Fault> {
         let (rigs, frames) = match (&self.rigs, &self.frames) {
             (Some(rigs), Some(frames)) => (rigs, frames),
             (None, None) => return Ok(()),
             _ => {
-                warnings.push("only one of the rigs and the frames file is there; it is ignored".into());
+                let text = "only one of the rigs and the frames file is there; it is ignored";
+                warnings.push(ModelWarning::new(WarningKind::Damaged, text));
                 return Ok(());
             }
         };

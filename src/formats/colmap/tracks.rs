@@ -13,7 +13,7 @@ use rayon::prelude::*;
 use super::{ColmapImage, ColmapModel, ColmapPoint, Point2d, TrackElement};
 use crate::{
     formats::{Fault, Problem},
-    scene::{View, ViewIndex},
+    scene::{ModelWarning, View, ViewIndex, WarningKind},
 };
 
 /// Points per piece of work.
@@ -97,13 +97,29 @@ impl<'m> ImageLists<'m> {
         std::hint::black_box(seen);
     }
 
-    pub(super) fn warning(&self, elements: usize) -> Option<String> {
+    pub(super) fn warning(&self, elements: usize) -> Option<ModelWarning> {
         let followed = self.followed.load(Ordering::Relaxed);
         (followed > 0).then(|| {
-            format!(
+            let text = format!(
                 "{followed} of {elements} track elements name another 2D point than the images' own lists (OpenMVG and \
                  AliceVision write the number of the feature there); the lists were followed"
-            )
+            );
+            ModelWarning::new(WarningKind::Damaged, text)
+        })
+    }
+}
+
+impl ImageLists<'_> {
+    /// 2D points that name a sparse point which does not name them; COLMAP counts them, but nothing follows from them.
+    pub(super) fn unanswered(&self, elements: usize) -> Option<ModelWarning> {
+        let linked = |links: &Links| links.image.points2d.iter().filter(|p| p.point().is_some()).count();
+        let linked: usize = self.links.par_iter().map(linked).sum();
+        linked.checked_sub(elements).filter(|unanswered| *unanswered > 0).map(|unanswered| {
+            let text = format!(
+                "{unanswered} of {linked} 2D points in the images' lists name sparse points that are not there or do not name them; they \
+                 are no observations"
+            );
+            ModelWarning::new(WarningKind::Damaged, text)
         })
     }
 }

@@ -11,6 +11,7 @@ use crate::{
         Fault, Place, Problem,
         foreign::{Foreign, SizeOf, camera, pose_with_centre, shift},
     },
+    scene::WarningKind,
 };
 
 impl Mvs {
@@ -96,7 +97,8 @@ impl Mvs {
             foreign.add_point(n as u64, x.into(), [r, g, b], track, Place::File);
         }
         if behind > 0 {
-            foreign.model.warnings.push(format!("{behind} views of points are left out: the points lie behind them"));
+            let text = format!("{behind} views of points are left out: the points lie behind them");
+            foreign.warn(WarningKind::Damaged, text);
         }
         Ok(())
     }

@@ -47,8 +47,9 @@ function worth(cut) {
   if (!timesKnown()) {
     return saved > 0 ? `Worth it? Planning took ${duration(planning)}: it pays if a depth map takes more than ${rounded(planning / saved)} s.` : '';
   }
-  const chosen = secondsUpTo(cut) + planning, all = secondsFor(data.clusters_total, data.pairs_total);
-  return chosen < all ? `Worth it: ${(all / chosen).toFixed(1)} times faster than a depth map of each of the ${data.clusters_total} views that can have one, the ${duration(planning)} of planning included.`
+  const chosen = secondsUpTo(cut) + planning, left = data.clusters_total - data.finished;
+  const all = secondsFor(left, data.pairs_total - pairsUpTo[data.finished]);
+  return chosen < all ? `Worth it: ${(all / chosen).toFixed(1)} times faster than a depth map of each of the ${left} views that can have one${data.finished ? ' and have none yet' : ''}, the ${duration(planning)} of planning included.`
     : 'Not worth it: computing everything is as fast as planning and computing these.';
 }
 
@@ -89,19 +90,24 @@ function setUpColours() {
 }
 
 function drawHoles() {
-  const share = data.area > 0 ? data.holes_area / data.area : 0;
+  const area = size => `${rounded(size)} ${unit}²`;
+  const share = data.area > 0 ? percent(data.holes_area / data.area) : percent(0);
+  const background = `more than ${data.far} times farther from every camera than the sparse points usually are`;
   if (!data.holes.length) {
-    byId('holes').replaceChildren(make('p', {}, 'Nothing: wherever the sparse points make a surface, some view cluster can reconstruct it.'));
+    byId('holes').replaceChildren(make('p', {}, data.far_area > 0
+      ? `Nothing within reach: what no view cluster can reconstruct (${share} of the surface, grey on the map) lies ${background}.`
+      : 'Nothing: wherever the sparse points make a surface, some view cluster can reconstruct it.'));
     return;
   }
   const where = (hole, i) => hole.place ? `${i + 1}: ${hole.place.map(degrees => degrees.toFixed(6)).join(', ')}` : `place ${i + 1}`;
   const rows = data.holes.map((hole, i) => make('tr', {},
     make('td', {}, make('button', { type: 'button', class: 'link', onclick: () => showHole(hole) }, where(hole, i))),
-    make('td', {}, `${rounded(hole.area)} ${unit}²`), make('td', {}, data.reasons[hole.reason - 1])));
+    make('td', {}, area(hole.area)), make('td', {}, data.reasons[hole.reason - 1])));
   const reasons = [...new Set(data.holes.map(hole => hole.reason - 1))];
   byId('holes').replaceChildren(
-    make('p', {}, `${percent(share)} of the surface (${rounded(data.holes_area)} of ${rounded(data.area)} ${unit}²) gets less than a tenth of what is wanted from any of the images`
-      + ' (grey on the map). The largest places, the first of them with their numbers on the map:'),
+    make('p', {}, `${share} of the surface (${area(data.holes_area)} of ${area(data.area)}) gets less than a tenth of what is wanted from any of the images`
+      + ` (grey on the map). ${data.far_area > 0 ? `Of it ${area(data.far_area)} are background, ${background}. ` : ''}`
+      + 'The largest places within reach, the first of them with their numbers on the map:'),
     make('table', {}, make('tr', {}, ...['where', 'area', 'because'].map(text => make('th', {}, text))), ...rows),
     make('p', {}, 'What helps:'), make('ul', {}, ...reasons.map(reason => make('li', {}, `where ${data.reasons[reason]}: ${data.helps[reason]}.`))),
     make('p', { class: 'note' }, 'Where the sparse model has no points there is no surface, and nothing is known.'));

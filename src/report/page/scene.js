@@ -16,7 +16,7 @@ function readTheme() {
 
 class Scene {
   constructor(element, camera, turns) {
-    Object.assign(this, { element, camera, turns, hole: null, dirty: true, repaint: true });
+    Object.assign(this, { element, camera, turns, hole: null, asked: false, repaint: true });
     [this.canvas, this.marks] = element.querySelectorAll('canvas');
     this.painter = painterFor(this.canvas);
     this.context = this.marks.getContext('2d');
@@ -134,10 +134,10 @@ class Scene {
   // Draws with the next frame; `repaint`: the colours have changed too.
   draw(repaint = false) {
     this.repaint ||= repaint;
-    if (this.dirty && this.asked) return;
-    this.dirty = this.asked = true;
+    if (this.asked) return;
+    this.asked = true;
     requestAnimationFrame(() => {
-      this.dirty = this.asked = false;
+      this.asked = false;
       if (!this.width) return;
       if (this.repaint) this.painter.paint(triangleColours());
       this.repaint = false;

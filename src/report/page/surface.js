@@ -101,8 +101,22 @@ function* points(triangles) {
   }
 }
 
-// What is to be seen first: not what lies far off, where no view reaches anything.
-const bounds = boxOf(points(t => !surface.reason[t])), all = boxOf(points(() => true));
+// Shares of the places that some view reaches between which the others lie, along each axis.
+const USUAL = [0.02, 0.98];
+
+// Is a triangle reached and among the usual ones, none of the few that are far off?
+function isUsual() {
+  const reached = Array.from({ length: surface.count }, (_, t) => t).filter(t => !surface.reason[t]);
+  const at = (t, axis) => surface.vertices[3 * surface.triangles[3 * t] + axis];
+  const limits = [0, 1, 2].map(axis => {
+    const along = Float32Array.from(reached, t => at(t, axis)).sort();
+    return USUAL.map(share => along[Math.round(share * (along.length - 1))]);
+  });
+  return t => !surface.reason[t] && limits.every(([low, high], axis) => low <= at(t, axis) && at(t, axis) <= high);
+}
+
+// What is to be seen first: not what lies far off, where few views or none reach anything.
+const bounds = boxOf(points(isUsual())), all = boxOf(points(() => true));
 
 const VERTEX = `
   attribute vec3 place; attribute vec3 colour; uniform mat4 view; varying vec3 shade;
@@ -188,7 +202,7 @@ class PlainPainter {
 
   draw(camera, width, height) {
     const { context } = this, ratio = context.canvas.width / width;
-    const at = new Float32Array(3 * surface.vertices.length / 3);
+    const at = new Float32Array(surface.vertices.length);
     for (let v = 0; v < surface.vertices.length; v += 3) at.set(camera.screen(surface.vertices, v, width, height), v);
     const depth = t => at[3 * surface.triangles[3 * t] + 2] + at[3 * surface.triangles[3 * t + 1] + 2] + at[3 * surface.triangles[3 * t + 2] + 2];
     const order = Array.from({ length: surface.count }, (_, t) => t).sort((a, b) => depth(a) - depth(b));

@@ -13,6 +13,7 @@ function pairsOf(view) {
 // In a few words, for the list.
 function becauseShort(view) {
   const rank = views.rank[view];
+  if (rank && rank <= data.finished) return `its depth map is finished, ${percent(shareAt(rank))} with those before it`;
   if (rank && rank <= state.cut) return `reaches ${percent(shareAt(rank))} with those before it`;
   const likest = likestAt(view, state.cut);
   if (likest && likest.share >= 0.5) return `${names[ranking.keys[likest.rank - 1]]} does ${percent(likest.share, 0)} of what it could`;
@@ -41,9 +42,11 @@ function drawWhy() {
 
 function whyIn(view) {
   const rank = views.rank[view], partners = Array.from(partnersOf(rank));
+  const why = rank <= data.finished ? 'In: its depth map is finished, and the others are ranked behind it. Really it brings'
+    : `In: it is number ${rank} of ${state.cut} because at its turn no other view adds more. It brings`;
   const parts = [
-    make('p', { class: 'answer' }, `In: it is number ${rank} of ${state.cut} because at its turn no other view adds more. It brings ${gainText(rank)} of what all views`
-      + ` together give, from ${percent(shareAt(rank - 1))} to ${percent(shareAt(rank))}. On the map, what it improves is purple.`),
+    make('p', { class: 'answer' }, `${why} ${gainText(rank)} of what all views together give, from ${percent(shareAt(rank - 1))} to ${percent(shareAt(rank))}.`
+      + ' On the map, what it improves is purple.'),
     make('p', {}, `It is matched against ${partners.length} partner${partners.length === 1 ? '' : 's'}, best first:`), viewList(partners)];
   if (partners.length < data.wanted_partners) {
     parts.push(make('p', {}, `That is fewer than the ${data.wanted_partners} that are wanted because ${reasonOf(view) || 'there are no others'}${pairsOf(view)}.`));
