@@ -137,7 +137,7 @@ fn broken_and_newer_models_are_refused_with_a_hint() {
         ("not a model", "a.model: not a model", "train the model again"),
         ("{\"format\": \"else\", \"version\": 1}", "it says that it is a \"else\"", "train the model again"),
         ("{\"format\": \"viewrank confidence model\", \"version\": 99}", "a model of version 99", "or a newer one"),
-        ("{\"format\": \"viewrank confidence model\", \"version\": 1}", "missing field", "train the model again"),
+        ("{\"format\": \"viewrank confidence model\", \"version\": 2}", "missing field", "train the model again"),
     ] {
         let (code, stderr) = plan(text);
         assert_eq!(code, 1);

@@ -15,7 +15,7 @@ use viewrank::{
     manifest::WrittenPlan,
     output::{self, Disk},
     partners::ViewCluster,
-    plan::{self, Plan},
+    plan::{self, Plan, Timings},
     project::Project,
     shell::quoted_path,
 };
@@ -96,7 +96,7 @@ fn prepare(arguments: &Arguments, root: &Path, progress: &Progress) -> Result<Pr
     let scene = project.read_scene()?;
     let found = depthmaps::find(&folder, &scene)?.whole()?;
     settings.backends = vec![backend(arguments, &found.maps[0].format)];
-    let plan = plan::plan(&project, &settings, progress)?;
+    let plan = plan::plan_scene(&project, scene, &settings, Timings::start(), progress)?;
     let ranked =
         |cluster: &backends::RankedCluster| ViewCluster { key: cluster.key, partners: cluster.partners.clone() };
     let written: Vec<ViewCluster> =
@@ -131,11 +131,10 @@ fn backend(arguments: &Arguments, format: &DepthMapFormat) -> String {
 fn text(arguments: &Arguments, trained: &Trained) -> String {
     let m = &trained.measured;
     let projects = trained.trained_on.len();
-    let left_out = if projects > 1 { "projects" } else { "views" };
     let maps: usize = trained.trained_on.iter().map(|t| t.depth_maps).sum();
     format!(
         "Trained on {maps} depth maps of {projects} project{} for {}.\n\n\
-         On {left_out} that were left out, for each half:\n\
+         On scenes (of a single one: views) that were left out, while the others were trained on:\n\
          {:>10} triangles of view clusters: area under the curve {:.3}, Brier score {:.3}, calibration error {:.3}\n\
          {:>10} pixels by the picture alone: area under the curve {:.3}, Brier score {:.3}\n\n\
          Next: viewrank plan {} --confidence {}\n",

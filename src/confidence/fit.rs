@@ -61,7 +61,7 @@ impl Curves {
         q * at_least(row.pairs.iter().map(|pair| logistic(odds(pair))), self.pair.min_matches as usize)
     }
 
-    /// Fits the curves; `picture`: may they use what pictures promise?
+    /// Fits the curves to the likelihood of the rows.
     pub fn fit(rows: &[Row], min_matches: u32) -> Self {
         let total: f32 = rows.iter().map(|row| row.weight).sum::<f32>().max(f32::MIN_POSITIVE);
         let mut parameters = vec![0.0f32; COUNT];
@@ -195,14 +195,14 @@ mod tests {
         let mut truth = Vec::new();
         let mut row = || {
             let mut place = [f32::NAN; PLACE.len()];
-            place[5] = unit();
+            place[2] = unit();
             let pair = |unit: &mut dyn FnMut() -> f32| {
                 let mut numbers = [f32::NAN; PAIR.len()];
                 numbers[0] = unit();
                 PairRow { numbers, place: [f32::NAN; PLACE.len()] }
             };
             let pairs: Vec<PairRow> = (0..4).map(|_| pair(&mut unit)).collect();
-            let q = if place[5] > 0.5 { 0.9 } else { 0.3 };
+            let q = if place[2] > 0.5 { 0.9 } else { 0.3 };
             let chance = q * at_least(pairs.iter().map(|p| p.numbers[0]), 2);
             truth.push(chance);
             Row { place, pairs, success: f32::from(u8::from(unit() < chance)), weight: 1.0 }
@@ -235,7 +235,7 @@ mod tests {
             rows.iter().map(of).sum()
         };
         let gradient = gradient(&rows, &parameters, 2);
-        for i in [0, 1, KEY + 5 * KNOTS + 3, KEY + 5 * KNOTS + 9, BETWEEN + 2, BETWEEN + 8] {
+        for i in [0, 1, KEY + 2 * KNOTS + 3, KEY + 2 * KNOTS + 9, BETWEEN + 2, BETWEEN + 8] {
             let moved = |by: f32| {
                 let mut moved = parameters.clone();
                 moved[i] += by;

@@ -234,3 +234,88 @@ impl Covariances {
         *self.0.entry((cluster.key, triangle)).or_insert_with(make)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        camera::{Camera, CameraModel},
+        confidence::{Confidence, Unary},
+        config::{TargetSettings, VisibilitySettings},
+        depthmaps::DepthMapFormat,
+        fulfilment::{Rule, Target},
+        progress::Unwatched,
+        synthetic::Town,
+        visibility,
+    };
+
+    const WIDTH: u32 = 200;
+    const HEIGHT: u32 = 150;
+
+    /// Where the made-up maps are wrong: a block that is too near; and without depth: another one. Elsewhere in each view.
+    fn block(view: ViewIndex, column: u32, row: u32, shift: u32) -> bool {
+        let (left, top) = (13 * (view.0 + shift) % (WIDTH - 40), 29 * (view.0 + shift) % (HEIGHT - 30));
+        (left..left + 40).contains(&column) && (top..top + 30).contains(&row)
+    }
+
+    fn map(model: &Model, view: ViewIndex) -> DepthMap {
+        let (camera, pose) = (model.scene.camera_of(view), &model.scene.view(view).cam_from_world);
+        let triangles = front(model.scene, model.surface, view, WIDTH, HEIGHT);
+        let mut map = DepthMap {
+            format: DepthMapFormat::Npy,
+            width: WIDTH,
+            height: HEIGHT,
+            depth: vec![0.0; triangles.len()],
+            ids: Vec::new(),
+        };
+        for (at, &triangle) in triangles.iter().enumerate().filter(|(_, t)| **t != NOTHING) {
+            let (column, row) = (at as u32 % WIDTH, at as u32 / WIDTH);
+            let ray = camera.ray(&map.image_position(camera, column, row)).unwrap();
+            let normal = pose.rotation * model.surface.area_normal(triangle);
+            let corner = pose.camera_from_world(&model.surface.corners(triangle)[0]);
+            let depth = normal.dot(&corner.coords) / normal.dot(&ray) * ray.z;
+            let wrong = if block(view, column, row, 0) { 0.8 } else { 1.0 };
+            map.depth[at] = if block(view, column, row, 7) { 0.0 } else { (wrong * depth) as f32 };
+        }
+        map
+    }
+
+    #[test]
+    fn labels_say_what_the_exact_depth_says() {
+        let camera = Camera::new(1, CameraModel::Pinhole, 1000, 750, vec![850.0, 850.0, 500.0, 375.0]).unwrap();
+        let town = Town { edge: 4.0, points: 50, ..Town::new(camera) };
+        let (scene, surface, unary) = (town.scene(), town.surface(), Unary::certain());
+        let settings = VisibilitySettings::default();
+        let visibility =
+            visibility::estimate(&scene, &scene.view_points(), &surface, &settings, 4.0, &Unwatched).unwrap();
+        let target = Target::new(&scene, &surface, &visibility, &TargetSettings::default(), 0.3, 0.2);
+        let rule = Rule { alpha: 0.5, sigma_px: 0.5, min_cameras: 3, image_scale: 0.2, confidence: Confidence::None };
+        let (scene, surface, visibility) = (&scene, &surface, &visibility);
+        let model = Model { scene, surface, visibility, target: &target, unary: &unary, rule };
+        let views = scene.views.len() as u32;
+        let next = |view: ViewIndex, by: u32| ViewIndex((view.0 + by) % views);
+        let cluster = |key| ViewCluster { key, partners: vec![next(key, 1), next(key, 2)] };
+        let finished = |view| Some(Finished { cluster: cluster(view), map: map(&model, view) });
+        let finished: Vec<Option<Finished>> = scene.view_indices().map(finished).collect();
+        let others = |key: ViewIndex| {
+            let mut others: Vec<ViewIndex> = scene.view_indices().filter(|v| *v != key).collect();
+            let centre = |v: ViewIndex| scene.view(v).cam_from_world.centre();
+            others.sort_by(|a, b| (centre(*a) - centre(key)).norm().total_cmp(&(centre(*b) - centre(key)).norm()));
+            others
+        };
+        let labelling = Labelling { model, finished: &finished, others: &others };
+        // By label: how many, and how many are as the maps were made.
+        let mut counts = [[0u32; 2]; 2];
+        for key in scene.view_indices() {
+            for label in labelling.labels(key) {
+                let (column, row) = ((label.x * WIDTH as f32) as u32, (label.y * HEIGHT as f32) as u32);
+                let right = !block(key, column, row, 0) && !block(key, column, row, 7);
+                let count = &mut counts[usize::from(label.success)];
+                *count = [count[0] + 1, count[1] + u32::from(right == label.success)];
+            }
+        }
+        let [negative, positive] = counts;
+        assert!(positive[0] > 100_000 && positive[1] as f64 > 0.97 * f64::from(positive[0]), "{positive:?}");
+        assert!(negative[0] > 20_000 && negative[1] as f64 > 0.9 * f64::from(negative[0]), "{negative:?}");
+    }
+}

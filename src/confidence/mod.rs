@@ -11,6 +11,7 @@ mod geometric;
 mod image;
 mod labels;
 mod nearby;
+mod parts;
 mod pictures;
 pub mod place;
 mod proxy;

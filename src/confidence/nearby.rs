@@ -27,25 +27,60 @@ pub fn nearby(
     if scene.points.is_empty() {
         return Ok(Unary::certain());
     }
-    let tree = Tree::new(&scene.points);
-    watcher.check()?;
-    let triangles = 0..surface.triangles.len() as u32;
-    let around: Vec<Vec<u32>> = triangles.into_par_iter().map(|t| tree.nearest(&surface.centroid(t))).collect();
-    let views: Vec<ViewIndex> = scene.view_indices().collect();
-    let of_view = |observed: &mut Vec<bool>, &view: &ViewIndex| {
+    let mut values = Nearest::new(scene, surface, watcher)?.observed(scene, points, visibility, watcher)?;
+    values.iter_mut().for_each(|share| *share = UNOBSERVED + (1.0 - UNOBSERVED) * *share);
+    Ok(Unary { values, ..Unary::certain() })
+}
+
+/// The sparse points nearest to the centroid of each triangle.
+pub(super) struct Nearest(Vec<Vec<u32>>);
+
+impl Nearest {
+    pub fn new(scene: &Scene, surface: &Surface, watcher: &dyn Watcher) -> Result<Self, Cancelled> {
+        let tree = Tree::new(&scene.points);
         watcher.check()?;
-        points.of(view).iter().for_each(|p| observed[p.at()] = true);
-        let of_triangle = |&t: &u32| {
-            let around = &around[t as usize];
-            let known = around.iter().filter(|&&p| observed[p as usize]).count();
-            UNOBSERVED + (1.0 - UNOBSERVED) * known as f32 / around.len() as f32
+        let triangles = 0..surface.triangles.len() as u32;
+        Ok(Self(triangles.into_par_iter().map(|t| tree.nearest(&surface.centroid(t))).collect()))
+    }
+
+    /// Nearest first.
+    pub fn of(&self, triangle: u32) -> &[u32] {
+        &self.0[triangle as usize]
+    }
+
+    /// For each row of the visibility table the share of them that the view observes; NaN in a scene without points.
+    pub fn observed(
+        &self,
+        scene: &Scene,
+        points: &ViewPoints,
+        visibility: &Visibility,
+        watcher: &dyn Watcher,
+    ) -> Result<Vec<f32>, Cancelled> {
+        let views: Vec<ViewIndex> = scene.view_indices().collect();
+        let of_view = |observed: &mut Vec<bool>, &view: &ViewIndex| {
+            watcher.check()?;
+            points.of(view).iter().for_each(|p| observed[p.at()] = true);
+            let of_triangle = |&t: &u32| {
+                let around = self.of(t);
+                around.iter().filter(|&&p| observed[p as usize]).count() as f32 / around.len() as f32
+            };
+            let row: Vec<f32> = visibility.of(view).iter().map(of_triangle).collect();
+            points.of(view).iter().for_each(|p| observed[p.at()] = false);
+            Ok(row)
         };
-        let row: Vec<f32> = visibility.of(view).iter().map(of_triangle).collect();
-        points.of(view).iter().for_each(|p| observed[p.at()] = false);
-        Ok(row)
-    };
-    let rows = views.par_iter().map_init(|| vec![false; scene.points.len()], of_view);
-    Ok(Unary { values: rows.collect::<Result<Vec<_>, _>>()?.concat(), ..Unary::certain() })
+        let rows = views.par_iter().map_init(|| vec![false; scene.points.len()], of_view);
+        Ok(rows.collect::<Result<Vec<_>, _>>()?.concat())
+    }
+
+    /// Mean distance between a triangle's centroid and its points, and the largest between its plane and them, scene units; NaN
+    /// without points.
+    pub fn spacing_and_roughness(&self, scene: &Scene, surface: &Surface, triangle: u32) -> [f64; 2] {
+        let (centroid, normal) = (surface.centroid(triangle), surface.area_normal(triangle).normalize());
+        let around = self.of(triangle);
+        let away = || around.iter().map(|&p| scene.points[p as usize] - centroid);
+        let spacing = away().map(|d| d.norm()).sum::<f64>() / around.len() as f64;
+        [spacing, away().map(|d| d.dot(&normal).abs()).fold(f64::NAN, f64::max)]
+    }
 }
 
 /// A k-d tree without pointers: the middle of each range of `order` parts it, down to [`AROUND`] points.

@@ -1,7 +1,7 @@
 //! Training the confidence on finished depth maps (method 7.3): labels, the picture's classifier, and the curves of pairs and places.
 //!
 //! Everything that is fitted to the output of something else that was trained (the calibration, the curves that take the picture's promise) sees
-//! predictions for what was left out: with several projects those of the other half of the projects, with one the other half of its views.
+//! predictions for what was left out: one of the [`Parts`] while the others are trained on.
 
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -16,7 +16,8 @@ use super::{
     fit::{Curves, PairRow, Row},
     image::{Image, size_for_confidence},
     labels::{Finished, Labelling},
-    place,
+    parts::{Parts, Views},
+    place::{self, Places},
     score::Scores,
     trained::{Measured, Picture, Trained, TrainedOn, VERSION},
     trees::{BINS, Boosting, Table},
@@ -61,8 +62,7 @@ pub struct Course {
 
 /// A judged pixel: its cell's features and whether it came out right.
 struct Pixels {
-    /// Half that the view belongs to: 0 or 1.
-    half: usize,
+    part: usize,
     features: Vec<f32>,
     success: Vec<bool>,
 }
@@ -70,7 +70,7 @@ struct Pixels {
 /// What the labels of one view come to.
 struct Judged {
     view: ViewIndex,
-    half: usize,
+    part: usize,
     /// Place in the image and success of the drawn pixels.
     drawn: Vec<(f32, f32, bool)>,
     /// Row of the visibility table, judged pixels, those that came out right.
@@ -79,31 +79,25 @@ struct Judged {
 
 /// Trains on the lessons; the same for any number of threads.
 pub fn train(lessons: &[Lesson], course: &Course, watcher: &dyn Watcher) -> Result<Trained, TrainError> {
-    let mut judged = Vec::new();
-    let total: usize = lessons.iter().map(|l| l.maps.len()).sum();
-    let done = AtomicU64::new(0);
-    watcher.progress(Stage::Labels, 0, total as u64);
-    for (number, lesson) in lessons.iter().enumerate() {
-        let tick = || watcher.progress(Stage::Labels, 1 + done.fetch_add(1, Ordering::Relaxed), total as u64);
-        let half = (lessons.len() > 1).then_some(number % 2);
-        judged.push(lesson.judge(half, MOST_PIXELS / total.max(1), course.seed, &tick, watcher)?);
-    }
+    let parts = Parts::new(&lessons.iter().map(Lesson::views).collect::<Vec<_>>());
+    let judged = judge(lessons, &parts, course.seed, watcher)?;
     if judged.iter().flatten().all(|view| view.drawn.is_empty()) {
         return Err(TrainError::NothingJudged);
     }
     watcher.progress(Stage::Train, 0, 4);
     let pixels = pixels(lessons, &judged, watcher)?;
-    let pictures = Pictures::train(&pixels, course.seed);
+    let pictures = Pictures::train(&pixels, parts.count, course.seed);
     watcher.progress(Stage::Train, 1, 4);
-    let (promised, reach) = promises(lessons, pictures.as_ref(), watcher)?;
+    let (promised, reach) = promises(lessons, &parts, pictures.as_ref(), watcher)?;
     watcher.progress(Stage::Train, 2, 4);
-    let rows: Vec<(usize, Row)> = rows(lessons, &judged, &promised, course.seed);
-    let halves = [0, 1].map(|half| {
-        let others: Vec<Row> = rows.iter().filter(|(h, _)| *h != half).map(|(_, row)| row.clone()).collect();
+    let rows: Vec<(usize, Row)> = rows(lessons, &parts, &judged, &promised, course.seed, watcher)?;
+    let without = |part: usize| {
+        let others: Vec<Row> = rows.iter().filter(|(p, _)| *p != part).map(|(_, row)| row.clone()).collect();
         Curves::fit(&others, course.min_matches)
-    });
+    };
+    let without: Vec<Curves> = (0..parts.count).map(without).collect();
     watcher.progress(Stage::Train, 3, 4);
-    let left_out = rows.iter().map(|(half, row)| (halves[*half].chance(row), row.success, row.weight));
+    let left_out = rows.iter().map(|(part, row)| (without[*part].chance(row), row.success, row.weight));
     let scores = Scores::new(left_out.collect());
     let all: Vec<Row> = rows.into_iter().map(|(_, row)| row).collect();
     let curves = Curves::fit(&all, course.min_matches);
@@ -133,15 +127,34 @@ pub fn train(lessons: &[Lesson], course: &Course, watcher: &dyn Watcher) -> Resu
     })
 }
 
+/// The labels of all finished maps, by lesson.
+fn judge(lessons: &[Lesson], parts: &Parts, seed: u64, watcher: &dyn Watcher) -> Result<Vec<Vec<Judged>>, TrainError> {
+    let total: usize = lessons.iter().map(|l| l.maps.len()).sum();
+    let done = AtomicU64::new(0);
+    watcher.progress(Stage::Labels, 0, total as u64);
+    let tick = || watcher.progress(Stage::Labels, 1 + done.fetch_add(1, Ordering::Relaxed), total as u64);
+    let of_lesson = |(number, lesson): (usize, &Lesson)| {
+        let part = |view: ViewIndex| parts.of(number, lesson.model.scene, view);
+        let maps = lessons.iter().enumerate().filter(|(other, _)| parts.scene(*other) == parts.scene(number));
+        let maps: usize = maps.map(|(_, l)| l.maps.len()).sum();
+        lesson.judge(&part, MOST_PIXELS / parts.scenes / maps.max(1), seed, &tick, watcher)
+    };
+    lessons.iter().enumerate().map(of_lesson).collect()
+}
+
 impl Lesson<'_> {
     fn summary(&self) -> TrainedOn {
         TrainedOn { name: self.name.clone(), views: self.model.scene.views.len(), depth_maps: self.maps.len() }
     }
 
-    /// `half`: of all views; else the first half of the views is 0, the second 1.
+    fn views(&self) -> Views<'_> {
+        let finished = self.maps.iter().map(|map| map.view).collect();
+        Views { scene: self.model.scene, images: self.images.as_deref(), finished }
+    }
+
     fn judge(
         &self,
-        half: Option<usize>,
+        part: &(dyn Fn(ViewIndex) -> usize + Sync),
         draws: usize,
         seed: u64,
         tick: &(dyn Fn() + Sync),
@@ -150,7 +163,6 @@ impl Lesson<'_> {
         let finished = self.finished(watcher)?;
         let others = |view: ViewIndex| self.candidates.of(view).to_vec();
         let labelling = Labelling { model: self.model, finished: &finished, others: &others };
-        let views = self.model.scene.views.len();
         let judge = |map: &DepthMapFile| {
             watcher.check()?;
             let labels = labelling.labels(map.view);
@@ -169,9 +181,8 @@ impl Lesson<'_> {
                 let label = labels[((u64::from(random.next_u32()) * labels.len() as u64) >> 32) as usize];
                 (label.x, label.y, label.success)
             };
-            let half = half.unwrap_or(usize::from(2 * map.view.at() >= views));
             tick();
-            Ok(Judged { view: map.view, half, drawn: (0..draws).map(draw).collect(), triangles })
+            Ok(Judged { view: map.view, part: part(map.view), drawn: (0..draws).map(draw).collect(), triangles })
         };
         self.maps.par_iter().map(judge).collect()
     }
@@ -207,7 +218,7 @@ fn pixels(lessons: &[Lesson], judged: &[Vec<Judged>], watcher: &dyn Watcher) -> 
         lessons.iter().zip(judged).flat_map(|(l, j)| j.iter().map(move |v| (l, v))).collect();
     let of_view = |&(lesson, view): &(&Lesson, &Judged)| {
         watcher.check()?;
-        let mut pixels = Pixels { half: view.half, features: Vec::new(), success: Vec::new() };
+        let mut pixels = Pixels { part: view.part, features: Vec::new(), success: Vec::new() };
         if let Some(features) = lesson.image(view.view) {
             for &(x, y, success) in &view.drawn {
                 let at = |share: f32, cells: u32| ((share * cells as f32) as u32).min(cells - 1) as usize;
@@ -221,18 +232,18 @@ fn pixels(lessons: &[Lesson], judged: &[Vec<Judged>], watcher: &dyn Watcher) -> 
     views.par_iter().map(of_view).collect()
 }
 
-/// Classifiers of pictures: trained on the other half than the first index says, and on all.
+/// Classifiers of pictures: for each part that of the others, and that of all.
 struct Pictures {
-    halves: [Picture; 2],
+    without: Vec<Picture>,
     all: Picture,
     scores: Scores,
 }
 
 impl Pictures {
     /// `None` without pictures.
-    fn train(pixels: &[Pixels], seed: u64) -> Option<Self> {
+    fn train(pixels: &[Pixels], parts: usize, seed: u64) -> Option<Self> {
         let classify = |wanted: &dyn Fn(usize) -> bool| {
-            let chosen: Vec<&Pixels> = pixels.iter().filter(|p| wanted(p.half)).collect();
+            let chosen: Vec<&Pixels> = pixels.iter().filter(|p| wanted(p.part)).collect();
             let features: Vec<f32> = chosen.iter().flat_map(|p| p.features.iter().copied()).collect();
             let success: Vec<bool> = chosen.iter().flat_map(|p| p.success.iter().copied()).collect();
             if success.is_empty() {
@@ -245,19 +256,37 @@ impl Pictures {
             Some(Picture { classifier, calibration: [1.0, 0.0], cumulative, reach: 1.0 })
         };
         let mut all = classify(&|_| true)?;
-        // Halves of one project may both be empty but one.
-        let mut halves = [0, 1].map(|half| classify(&|h| h != half).unwrap_or_else(|| all.clone()));
+        // The others may all be without a picture.
+        let mut without: Vec<Picture> =
+            (0..parts).map(|part| classify(&|p| p != part).unwrap_or_else(|| all.clone())).collect();
+        let trees = best_length(&without, pixels);
+        without.iter_mut().chain([&mut all]).for_each(|picture| picture.classifier.trees.truncate(trees));
         let left_out = pixels.iter().flat_map(|p| {
-            let of = |(features, &success): (&[f32], &bool)| (halves[p.half].classifier.probability(features), success);
+            let of =
+                |(features, &success): (&[f32], &bool)| (without[p.part].classifier.probability(features), success);
             p.features.chunks_exact(features::COUNT).zip(&p.success).map(of).collect::<Vec<_>>()
         });
         let left_out: Vec<(f32, bool)> = left_out.collect();
         all.calibration = calibrate(&left_out);
-        halves.iter_mut().for_each(|half| half.calibration = all.calibration);
+        without.iter_mut().for_each(|picture| picture.calibration = all.calibration);
         let score = |&(chance, success): &(f32, bool)| (all.calibrated(chance), f32::from(u8::from(success)), 1.0);
         let scores = Scores::new(left_out.iter().map(score).collect());
-        Some(Self { halves, all, scores })
+        Some(Self { without, all, scores })
     }
+}
+
+/// So many trees have the largest likelihood of what was left out; further ones learn what only their own scenes show.
+fn best_length(without: &[Picture], pixels: &[Pixels]) -> usize {
+    let mut losses = vec![0.0; without.iter().map(|p| p.classifier.trees.len()).max().unwrap_or(0)];
+    for p in pixels {
+        for (features, &success) in p.features.chunks_exact(features::COUNT).zip(&p.success) {
+            let odds = without[p.part].classifier.odds_by_tree(features);
+            let wrong = |odds: f32| f64::from(if success { -odds } else { odds });
+            losses.iter_mut().zip(odds).for_each(|(loss, odds)| *loss += wrong(odds).exp().ln_1p());
+        }
+    }
+    let best = losses.iter().enumerate().min_by(|a, b| a.1.total_cmp(b.1));
+    best.map_or(0, |(tree, _)| tree + 1)
 }
 
 /// Share of the values up to each bin.
@@ -295,6 +324,7 @@ fn calibrate(outcomes: &[(f32, bool)]) -> [f32; 2] {
 /// the distance between an image and all that nineteen of twenty do not exceed.
 fn promises(
     lessons: &[Lesson],
+    parts: &Parts,
     pictures: Option<&Pictures>,
     watcher: &dyn Watcher,
 ) -> Result<(Vec<Vec<f32>>, f32), Cancelled> {
@@ -303,14 +333,10 @@ fn promises(
     for (number, lesson) in lessons.iter().enumerate() {
         let scene = lesson.model.scene;
         let views: Vec<ViewIndex> = scene.view_indices().collect();
-        let half = |view: ViewIndex| match lessons.len() {
-            1 => usize::from(2 * view.at() >= views.len()),
-            _ => number % 2,
-        };
         let look = |&view: &ViewIndex| {
             watcher.check()?;
             let looked = pictures.zip(lesson.image(view)).map(|(pictures, features)| {
-                let chances = pictures.halves[half(view)].of_cells(&features).0;
+                let chances = pictures.without[parts.of(number, scene, view)].of_cells(&features).0;
                 let map = ConfidenceMap::new([features.columns, features.rows], chances.into_iter());
                 (map, pictures.all.of_cells(&features).1)
             });
@@ -336,19 +362,27 @@ fn promises(
     Ok((promised, reach))
 }
 
-/// The rows to fit the curves to, each with its half.
-fn rows(lessons: &[Lesson], judged: &[Vec<Judged>], promised: &[Vec<f32>], seed: u64) -> Vec<(usize, Row)> {
-    let count: usize = judged.iter().flatten().map(|view| view.triangles.len()).sum();
-    let kept_below = (MOST_TRIANGLES as f64 / count.max(1) as f64 * f64::from(u32::MAX)) as u32;
+/// The rows to fit the curves to, each with its part; of each scene as many at most.
+fn rows(
+    lessons: &[Lesson],
+    parts: &Parts,
+    judged: &[Vec<Judged>],
+    promised: &[Vec<f32>],
+    seed: u64,
+    watcher: &dyn Watcher,
+) -> Result<Vec<(usize, Row)>, Cancelled> {
+    let mut counts = vec![0usize; parts.scenes];
+    for (lesson, judged) in judged.iter().enumerate() {
+        counts[parts.scene(lesson)] += judged.iter().map(|view| view.triangles.len()).sum::<usize>();
+    }
+    let most = MOST_TRIANGLES as f64 / parts.scenes as f64;
     let mut random = Pcg64Mcg::seed_from_u64(seed);
     let mut rows = Vec::new();
-    for ((lesson, judged), promised) in lessons.iter().zip(judged).zip(promised) {
-        let around = place::points_around(lesson.model.scene);
+    for (number, ((lesson, judged), promised)) in lessons.iter().zip(judged).zip(promised).enumerate() {
+        let kept_below = (most / counts[parts.scene(number)].max(1) as f64 * f64::from(u32::MAX)) as u32;
         let model = &lesson.model;
-        let of_place = |view: ViewIndex, row: usize| {
-            let triangle = model.visibility.triangles[row];
-            place::numbers(model, &around[view.at()], view, triangle, promised[row])
-        };
+        let places = Places::new(*model, &model.scene.view_points(), watcher)?;
+        let of_place = |view: ViewIndex, row: usize| places.numbers(view, row, promised[row]);
         for view in judged {
             let Some(cluster) = lesson.clusters.iter().find(|c| c.key == view.view) else { continue };
             for &(row, pixels, right) in &view.triangles {
@@ -368,12 +402,12 @@ fn rows(lessons: &[Lesson], judged: &[Vec<Judged>], promised: &[Vec<f32>], seed:
                     weight: (pixels as f32 / FULL_WEIGHT).min(1.0),
                 };
                 if row.pairs.len() >= 2 {
-                    rows.push((view.half, row));
+                    rows.push((view.part, row));
                 }
             }
         }
     }
-    rows
+    Ok(rows)
 }
 
 /// Why nothing could be learnt.

@@ -13,18 +13,18 @@ use super::{
     curves::{self, PairCurves, PlaceCurves},
     features::{self, Features},
     image::Image,
-    place,
+    place::{self, Places},
     trees::{BINS, Classifier, logistic},
 };
 use crate::{
     error::Hint,
     fulfilment::Model,
     progress::{Cancelled, Watcher},
-    scene::ViewIndex,
+    scene::{ViewIndex, ViewPoints},
 };
 
 /// Version of the file; a program reads its own version.
-pub const VERSION: u32 = 1;
+pub const VERSION: u32 = 2;
 /// What the file says it is.
 const FORMAT: &str = "viewrank confidence model";
 /// The model that comes with the program.
@@ -140,22 +140,22 @@ impl Trained {
     pub fn unary(
         &self,
         model: &Model,
+        points: &ViewPoints,
         maps: &[Option<ConfidenceMap>],
         watcher: &dyn Watcher,
     ) -> Result<Unary, Cancelled> {
         let promised = Unary::new(model.scene, model.surface, model.visibility, maps, watcher)?;
-        let around = place::points_around(model.scene);
+        let places = Places::new(*model, points, watcher)?;
         let views: Vec<ViewIndex> = model.scene.view_indices().collect();
         let of_view = |&view: &ViewIndex| {
             watcher.check()?;
-            let rows = model.visibility.rows(view).zip(model.visibility.of(view));
-            let of_row = |(row, &triangle): (usize, &u32)| {
+            let of_row = |row: usize| {
                 let promise = if maps[view.at()].is_some() { promised.at(row) } else { f32::NAN };
-                let numbers = place::numbers(model, &around[view.at()], view, triangle, promise);
+                let numbers = places.numbers(view, row, promise);
                 let key = logistic(self.place.bias + curves::sum(&self.place.key, &numbers));
                 (key, curves::sum(&self.place.partner, &numbers))
             };
-            Ok(rows.map(of_row).collect::<Vec<_>>())
+            Ok(model.visibility.rows(view).map(of_row).collect::<Vec<_>>())
         };
         let rows: Vec<Vec<(f32, f32)>> = views.par_iter().map(of_view).collect::<Result<_, _>>()?;
         let (values, partner_odds) = rows.into_iter().flatten().unzip();

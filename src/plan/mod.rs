@@ -164,7 +164,7 @@ impl Plan {
 /// Plans which views of the project become key views, with which partners, in which order.
 pub fn plan(project: &Project, settings: &Settings, watcher: &dyn Watcher) -> Result<Plan, PlanError> {
     let mut timings = Timings::start();
-    let backend = planned_for(project, settings)?;
+    planned_for(project, settings)?;
     if settings.cut.time.is_some() && !settings.forecast.knows_times() {
         return Err(PlanError::NoTimes);
     }
@@ -172,6 +172,18 @@ pub fn plan(project: &Project, settings: &Settings, watcher: &dyn Watcher) -> Re
     let scene = timings.time(Stage::Read, || project.read_scene())?;
     watcher.progress(Stage::Read, 1, 1);
     watcher.check()?;
+    plan_scene(project, scene, settings, timings, watcher)
+}
+
+/// As [`plan`], for the project's scene that was read before, in the time that `timings` have.
+pub fn plan_scene(
+    project: &Project,
+    scene: Scene,
+    settings: &Settings,
+    mut timings: Timings,
+    watcher: &dyn Watcher,
+) -> Result<Plan, PlanError> {
+    let backend = planned_for(project, settings)?;
     let source = confidence::Source::new(&settings.confidence.source, &project.root, backend.name());
     let trained = source.trained(&project.root)?;
     let mut settings = in_force(project, settings, &scene, backend, &source)?;
@@ -199,7 +211,7 @@ pub fn plan(project: &Project, settings: &Settings, watcher: &dyn Watcher) -> Re
     let (pictures, unary) = timings.time(Stage::Confidence, || {
         let pictures = pictures(project, &scene, &source, trained.as_ref(), watcher)?;
         let unary = match (&trained, confidence) {
-            (Some(trained), Confidence::Trained(_)) => trained.unary(&model, &pictures.maps, watcher)?,
+            (Some(trained), Confidence::Trained(_)) => trained.unary(&model, &points, &pictures.maps, watcher)?,
             (_, Confidence::Pair(_)) => confidence::nearby(&scene, &points, &seen.surface, &seen.visibility, watcher)?
                 .times(&Unary::new(&scene, &seen.surface, &seen.visibility, &pictures.maps, watcher)?),
             _ => Unary::new(&scene, &seen.surface, &seen.visibility, &pictures.maps, watcher)?,

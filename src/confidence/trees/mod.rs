@@ -95,6 +95,16 @@ impl Classifier {
         }
     }
 
+    /// Log odds after each tree of a boosted ensemble.
+    pub fn odds_by_tree(&self, features: &[f32]) -> impl Iterator<Item = f32> {
+        let mut bins = vec![0; self.binning.features()];
+        self.binning.quantise(features, &mut bins);
+        self.trees.iter().scan(self.start, move |odds, tree| {
+            *odds += tree.value(&bins);
+            Some(*odds)
+        })
+    }
+
     /// Can it be used? For classifiers that come from a file.
     pub fn is_sound(&self) -> bool {
         let features = self.binning.features();
