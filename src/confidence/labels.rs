@@ -2,7 +2,8 @@
 //!
 //! A measured pixel is *positive* if enough other depth maps from clearly other viewpoints put the surface at the same place, *negative* if
 //! more of them saw through that place; a pixel without depth is negative where a visible triangle of the surface could have been measured.
-//! Only places that enough others look at are judged at all, so that being judged doesn't depend on the outcome.
+//! Only places that enough others look at are judged at all, so that being judged doesn't depend on the outcome; and only those that enough of the
+//! cluster's partners see (method 3.1), since what no partner shows says nothing of the picture and the plan knows it without a model.
 
 use nalgebra::{Matrix3, Point2, Point3, Vector3};
 
@@ -81,6 +82,9 @@ impl<'a> Labelling<'a> {
                     continue;
                 }
                 let Some(table_row) = self.model.visibility.row(key, triangle) else { continue };
+                if !self.is_covered(&finished.cluster, triangle) {
+                    continue;
+                }
                 let pixel = Pixel { key, map, column, row, triangle };
                 let Some(success) = self.judge(&pixel, finished, &others, &mut covariances) else { continue };
                 labels.push(Label {
@@ -93,6 +97,12 @@ impl<'a> Labelling<'a> {
             }
         }
         labels
+    }
+
+    /// f_cov of method 3.1.
+    fn is_covered(&self, cluster: &ViewCluster, triangle: u32) -> bool {
+        let seeing = cluster.partners.iter().filter(|&&p| self.model.visibility.row(p, triangle).is_some());
+        1 + seeing.count() >= self.model.rule.min_cameras as usize
     }
 
     /// Depth maps that do not share a pair with this one.
@@ -289,7 +299,7 @@ mod tests {
         let visibility =
             visibility::estimate(&scene, &scene.view_points(), &surface, &settings, 4.0, &Unwatched).unwrap();
         let target = Target::new(&scene, &surface, &visibility, &TargetSettings::default(), 0.3, 0.2);
-        let rule = Rule { alpha: 0.5, sigma_px: 0.5, min_cameras: 3, image_scale: 0.2, confidence: Confidence::None };
+        let rule = Rule { alpha: 0.5, sigma_px: 0.5, min_cameras: 2, image_scale: 0.2, confidence: Confidence::None };
         let (scene, surface, visibility) = (&scene, &surface, &visibility);
         let model = Model { scene, surface, visibility, target: &target, unary: &unary, rule };
         let views = scene.views.len() as u32;
@@ -308,6 +318,8 @@ mod tests {
         let mut counts = [[0u32; 2]; 2];
         for key in scene.view_indices() {
             for label in labelling.labels(key) {
+                let triangle = visibility.triangles[label.row];
+                assert!(cluster(key).partners.iter().any(|&p| visibility.row(p, triangle).is_some()));
                 let (column, row) = ((label.x * WIDTH as f32) as u32, (label.y * HEIGHT as f32) as u32);
                 let right = !block(key, column, row, 0) && !block(key, column, row, 7);
                 let count = &mut counts[usize::from(label.success)];

@@ -90,7 +90,7 @@ mod tests {
 
     fn town(side: f64) -> Scene {
         let camera = Camera::new(1, CameraModel::Pinhole, 1000, 750, vec![850.0, 850.0, 500.0, 375.0]).unwrap();
-        Town { side, edge: 8.0, points: 20, ..Town::new(camera) }.scene()
+        Town { side, edge: 8.0, points: 20, grid: 4, tilt: None, ..Town::new(camera) }.scene()
     }
 
     fn views<'a>(scene: &'a Scene, images: Option<&'a Path>) -> Views<'a> {

@@ -401,9 +401,7 @@ fn rows(
                     success: right as f32 / pixels as f32,
                     weight: (pixels as f32 / FULL_WEIGHT).min(1.0),
                 };
-                if row.pairs.len() >= 2 {
-                    rows.push((view.part, row));
-                }
+                rows.push((view.part, row));
             }
         }
     }
