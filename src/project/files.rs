@@ -10,6 +10,7 @@ use std::{
 use super::{ModelFormat, ModelLocation, ProjectError};
 use crate::{
     formats::{Bytes, Fault, colmap::ColmapModel, colmap_bin, colmap_text},
+    large_pages,
     scene::Scene,
 };
 
@@ -20,10 +21,12 @@ pub(super) const REQUIRED: [&str; 3] = ["cameras", "images", "points3D"];
 pub(super) fn read(path: &Path) -> Result<Vec<u8>, ProjectError> {
     let fail = |source| ProjectError::Io { path: path.into(), source };
     let mut file = File::open(path).map_err(fail)?;
-    if !file.metadata().map_err(fail)?.is_file() {
+    let metadata = file.metadata().map_err(fail)?;
+    if !metadata.is_file() {
         return Err(fail(io::Error::new(io::ErrorKind::InvalidInput, "not a regular file")));
     }
-    let mut bytes = Vec::new();
+    let mut bytes =
+        large_pages::room_for(usize::try_from(metadata.len()).unwrap_or(usize::MAX)).map_err(|e| fail(e.into()))?;
     file.read_to_end(&mut bytes).map_err(fail)?;
     Ok(bytes)
 }
@@ -53,11 +56,12 @@ impl ColmapFiles {
             let path = path(stem);
             path.is_file().then(|| read(&path)).transpose()
         };
-        let [cameras, images, points3d] = REQUIRED.map(|stem| read(&path(stem)));
+        let [cameras, images, points3d] = REQUIRED.map(path);
+        let (images, points3d) = rayon::join(|| read(&images), || read(&points3d));
         Ok(Self {
             folder: model.path.clone(),
             format: model.format,
-            cameras: cameras?,
+            cameras: read(&cameras)?,
             images: images?,
             points3d: points3d?,
             rigs: optional("rigs")?,

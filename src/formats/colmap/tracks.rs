@@ -13,6 +13,7 @@ use rayon::prelude::*;
 use super::{ColmapImage, ColmapModel, ColmapPoint, Point2d, TrackElement};
 use crate::{
     formats::{Fault, Problem},
+    large_pages,
     scene::{ModelWarning, View, ViewIndex, WarningKind},
 };
 
@@ -154,7 +155,7 @@ impl ColmapModel<'_> {
             offsets.push(offsets[offsets.len() - 1] + point.track.len());
         }
         let total = offsets[self.points.len()];
-        let (mut views, mut pixels) = (vec![ViewIndex(0); total], vec![[0.0; 2]; total]);
+        let (mut views, mut pixels) = (large_pages::filled(total, ViewIndex(0)), large_pages::filled(total, [0.0; 2]));
         let mut pieces = Vec::with_capacity(self.points.len() / CHUNK + 1);
         let (mut views_left, mut pixels_left) = (&mut views[..], &mut pixels[..]);
         for points in self.points.chunks(CHUNK) {

@@ -1,0 +1,49 @@
+//! Memory in large pages: lists of hundreds of megabytes that are read all over cost more in looking up pages than in reading.
+
+use std::collections::TryReserveError;
+
+/// Room for so many elements, in large pages where the system has them. It is not touched yet.
+pub fn room_for<T>(elements: usize) -> Result<Vec<T>, TryReserveError> {
+    let mut room = Vec::new();
+    room.try_reserve_exact(elements)?;
+    advise(&mut room);
+    Ok(room)
+}
+
+/// A list of so many equal elements.
+pub fn filled<T: Clone>(elements: usize, with: T) -> Vec<T> {
+    let mut list = room_for(elements).unwrap_or_default();
+    list.resize(elements, with);
+    list
+}
+
+/// Asks for large pages behind the room of the list; small lists and systems without them stay as they are.
+#[cfg(target_os = "linux")]
+fn advise<T>(room: &mut Vec<T>) {
+    /// Of a large page on most machines; smaller rooms have none.
+    const LARGE: usize = 1 << 21;
+    let (start, bytes) = (room.as_mut_ptr() as usize, room.capacity() * size_of::<T>());
+    let first = start.next_multiple_of(LARGE);
+    let Some(length) = (start + bytes).checked_sub(first).map(|length| length / LARGE * LARGE).filter(|l| *l > 0)
+    else {
+        return;
+    };
+    // SAFETY: the range lies within the list's own room, and the advice changes nothing of what is in it. That it is not followed does no harm.
+    _ = unsafe { libc::madvise(first as *mut libc::c_void, length, libc::MADV_HUGEPAGE) };
+}
+
+#[cfg(not(target_os = "linux"))]
+fn advise<T>(_: &mut Vec<T>) {}
+
+#[cfg(test)]
+mod tests {
+    #[test]
+    fn a_list_of_any_size_works_as_any_other() {
+        for elements in [0usize, 1, 1000, 1 << 20] {
+            let mut list = super::room_for::<u64>(elements).expect("memory");
+            list.extend(0..elements as u64);
+            assert!(list.capacity() >= elements && list.iter().copied().eq(0..elements as u64));
+        }
+        assert!(super::room_for::<u64>(usize::MAX / 16).is_err(), "an error, not the end of the program");
+    }
+}
