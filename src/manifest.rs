@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 
 pub use fingerprint::{FingerprintError, fingerprint};
 pub(crate) use written::Recorded;
-pub use written::{WrittenPlan, WrittenPlanError};
+pub use written::{WrittenPlan, WrittenPlanError, planned_backend};
 
 use crate::{
     backends::{ExportRecord, RankedCluster},

@@ -195,7 +195,7 @@ impl Project {
         let is_copy = |model: &&ModelLocation| {
             let names = discover::image_names(&self.root, model).unwrap_or_default();
             let shared = names.iter().filter(|name| scene.find(name).is_some()).count();
-            2 * shared > names.len()
+            2 * shared >= names.len()
         };
         self.other_models.iter().filter(is_copy).collect()
     }

@@ -61,7 +61,7 @@ impl Planner for Counter {
             Err(_) => return Outcome::Abandoned,
         };
         let text = serde_json::to_string(&fingerprint).expect("a string");
-        let done = Outcome::Planned { fingerprint, clusters: 1, share: 1.0, note: None };
+        let done = Outcome::Planned { fingerprint, clusters: 1, share: 1.0, note: None, anew: true, known: None };
         if self.plans.lock().expect("no panic").get(job.project).and_then(|p| p.last()) == Some(&text) {
             return done;
         }
@@ -100,7 +100,7 @@ fn options(root: &Path) -> Options {
 }
 
 /// Runs the daemon while `script` acts, then stops it.
-fn with_daemon(options: &Options, planner: &Counter, script: impl FnOnce()) -> Summary {
+fn with_daemon(options: &Options, planner: &dyn Planner, script: impl FnOnce()) -> Summary {
     thread::scope(|threads| {
         let (sender, receiver) = channel::<Box<dyn Fn(Signal) + Send>>();
         let daemon = threads.spawn(move || watch_roots(options, planner, &Disk::REAL, |signal| hand(&sender, signal)));
@@ -338,6 +338,23 @@ fn what_lies_in_a_folder_that_is_moved_moves_with_it() {
 }
 
 #[test]
+fn a_link_that_comes_while_it_watches_is_left_alone() {
+    let (_outside, elsewhere) = root();
+    write_model(&elsewhere.join("q"), "a");
+    let (_guard, root) = root();
+    let planner = Counter::default();
+    with_daemon(&options(&root), &planner, || {
+        write_model(&root.join("first"), "a");
+        eventually("the first plan", || planner.plans_of(&root.join("first")) == 1);
+        std::os::unix::fs::symlink(elsewhere.join("q"), root.join("link")).expect("a link");
+        write_model(&root.join("second"), "a");
+        eventually("the second plan", || planner.plans_of(&root.join("second")) == 1);
+        thread::sleep(Duration::from_millis(300));
+    });
+    assert_eq!((planner.plans_of(&root.join("link")), planner.plans_of(&elsewhere.join("q"))), (0, 0));
+}
+
+#[test]
 fn a_second_daemon_says_who_holds_the_root() {
     let (_guard, root) = root();
     let planner = Counter::default();
@@ -517,6 +534,24 @@ fn a_dense_workspace_that_comes_later_gets_its_files_and_what_is_removed_comes_b
         real.once(false);
         assert_eq!(fs::read(&file).expect("the file again"), written);
     }
+}
+
+#[test]
+fn an_output_that_is_removed_is_noticed_at_once() {
+    let real = Real::new(&town());
+    let planner = PlanJob::new(PlanOptions { on_target: None, replan: false, cache: 0, follow_links: false });
+    let file = real.project.join("viewrank/clusters.txt");
+    with_daemon(&options(&real.root), &planner, || {
+        let is_planned = || {
+            let status = read_status(&real.root);
+            status.is_some_and(
+                |line| matches!(line.status.projects.first(), Some(p) if matches!(p.phase, Phase::Planned { .. })),
+            )
+        };
+        eventually("the plan", is_planned);
+        fs::remove_file(&file).expect("a file of the plan");
+        eventually("the file again", || file.exists());
+    });
 }
 
 /// A pipe would be waited for, a device read without end.

@@ -1,6 +1,7 @@
 //! `viewrank dispatch`: hands the view clusters of a plan to a queue, in rank order.
 
 use std::{
+    collections::BTreeSet,
     fmt::Write,
     path::{Path, PathBuf},
 };
@@ -20,7 +21,7 @@ use viewrank::{
     shell::{quoted, quoted_path},
 };
 
-use super::{Failure, Format, config, json, print, progress::Progress};
+use super::{Failure, Format, complain, config, json, print, progress::Progress};
 
 /// Hand the view clusters of a plan to a queue: a task per depth map, best first, and a task that joins them.
 ///
@@ -125,7 +126,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let dispatch = Dispatch::new(backend, &selection, &exported, plan.finished)?;
     let _held = if arguments.dry_run { None } else { Some(dispatch.hold()?) };
     let tools = arguments.tools(&dispatch, &settings)?;
-    let reached = arguments.target_reached(&plan.project.root)?;
+    let reached = arguments.target_reached(&plan.project.root, &dispatch)?;
     let mut exported = Some(exported);
     let mut write = |queue: &Queue| -> Result<(), Failure> {
         let export = exported.take().map(|export| export.files);
@@ -172,7 +173,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
 /// The queue as it is; an empty one where it cannot be asked.
 fn queue_or_empty(dispatch: &Dispatch) -> Queue {
     Queue::read(dispatch).unwrap_or_else(|error| {
-        eprintln!("warning: the queue is taken for empty: {error}");
+        complain(&format!("warning: the queue is taken for empty: {error}"));
         Queue::empty(dispatch)
     })
 }
@@ -196,10 +197,10 @@ impl Arguments {
 
     /// The programs that tasks run; where a dry run or only the nodes can't see them, by their names.
     fn tools(&self, dispatch: &Dispatch, settings: &DispatchSettings) -> Result<Tools, DispatchError> {
-        match Tools::find(dispatch.runner(), self.program.as_deref()) {
+        match Tools::find(dispatch, self.program.as_deref()) {
             Err(_) if !settings.setup.is_empty() && self.program.is_none() => Ok(Tools::unseen(dispatch.runner())),
             Err(error) if self.dry_run => {
-                eprintln!("warning: {error}");
+                complain(&format!("warning: {error}"));
                 Ok(Tools::unseen(dispatch.runner()))
             }
             found => found,
@@ -207,18 +208,20 @@ impl Arguments {
     }
 
     /// Do the depth maps that are there reach the target? Measured, so that tasks which start now find it in `progress.json`.
-    fn target_reached(&self, root: &Path) -> Result<bool, Failure> {
+    fn target_reached(&self, root: &Path, dispatch: &Dispatch) -> Result<bool, Failure> {
         if self.dry_run {
             return Ok(follow::target_reached(root));
         }
         let progress = Progress::new(self.format == Format::Json);
-        let outcome = follow::follow(root, &progress);
+        // Maps of another model, another plan or another program are none of these tasks'.
+        let done: BTreeSet<&Path> = dispatch.finished_maps().collect();
+        let outcome = follow::follow(root, &|path| done.contains(path), &progress);
         progress.finish();
         match outcome {
             Outcome::Followed { reached, .. } => Ok(reached),
             other => {
                 if let Outcome::Failed { reason, .. } = other {
-                    eprintln!("warning: what is there could not be measured: {reason}");
+                    complain(&format!("warning: what is there could not be measured: {reason}"));
                 }
                 // What it says is of depth maps that are gone, or of another plan: no task may stop for it.
                 output::remove(&follow::progress_file(root), &Disk::REAL)?;
@@ -247,6 +250,7 @@ impl Report<'_> {
             text += "  the target is reached by the depth maps that are there: nothing more is started\n";
         }
         match arguments.scheduler {
+            Scheduler::Shell if self.target_reached => text,
             Scheduler::Shell => text + &by_hand(dispatch, self.at_once),
             Scheduler::Slurm => {
                 let Submission { commands, ranks, queued, left, jobs } = &self.submission;

@@ -6,6 +6,7 @@ use clap::Args;
 use viewrank::{
     backends::{self, Backend, BackendError},
     doctor::{self, Finding, Severity, ViewFinding},
+    manifest::planned_backend,
     project::Project,
 };
 
@@ -51,13 +52,15 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     verdict(&diagnosis.findings)
 }
 
-/// Those that are named, first; and all others, where none was typed.
+/// Those that are named, else that of the plan that is there, first; and all others, where none was typed.
 fn backends_to_visit(
     project: &Project,
     wanted: &[String],
     others: bool,
 ) -> Result<Vec<&'static dyn Backend>, BackendError> {
     let mut visited = backends::by_names(wanted)?;
+    let planned = planned_backend(project).and_then(|name| backends::by_name(&name).ok());
+    visited.extend(planned.filter(|_| visited.is_empty()));
     if visited.is_empty() {
         visited.push(backends::for_project(project));
     }

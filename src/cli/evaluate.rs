@@ -16,7 +16,7 @@ use viewrank::{
     ranking,
 };
 
-use super::{Failure, Format, json, print, progress::Progress, use_threads};
+use super::{Failure, Format, complain, json, print, progress::Progress, use_threads};
 
 /// Measure finished depth maps: what was really reached, what is missing and why.
 ///
@@ -177,15 +177,17 @@ fn output(arguments: &Arguments, value: &impl Serialize, text: impl Fn() -> Stri
 fn warn(evaluation: &Evaluation, run: &Run) {
     let missing = evaluation.without_map.len();
     if missing > 0 {
-        eprintln!("warning: {missing} of the clusters have no depth map; shares are of what the others reach");
+        complain(&format!("warning: {missing} of the clusters have no depth map; shares are of what the others reach"));
     }
     if let Some(view) = evaluation.other_partners.first() {
         let count = evaluation.other_partners.len();
-        eprintln!("warning: {count} depth maps were made with other partners than planned, the first is {view}");
+        complain(&format!(
+            "warning: {count} depth maps were made with other partners than planned, the first is {view}"
+        ));
     }
-    run.unreadable.iter().for_each(|why| eprintln!("warning: left out: {why}"));
+    run.unreadable.iter().for_each(|why| complain(&format!("warning: left out: {why}")));
     if let Some(file) = run.strangers.first() {
-        eprintln!("warning: {} files belong to no view, the first is {}", run.strangers.len(), file.display());
+        complain(&format!("warning: {} files belong to no view, the first is {}", run.strangers.len(), file.display()));
     }
 }
 

@@ -60,9 +60,9 @@ pub struct Failure {
 
 impl Failure {
     pub fn print(&self) {
-        eprintln!("error: {}", self.message);
+        complain(&format!("error: {}", self.message));
         if let Some(hint) = &self.hint {
-            eprintln!("hint: {hint}");
+            complain(&format!("hint: {hint}"));
         }
     }
 }
@@ -83,6 +83,11 @@ fn print(text: &str) -> Result<(), Failure> {
         }
         _ => Ok(()),
     }
+}
+
+/// Writes a line to stderr; where nobody reads it, that is no failure.
+fn complain(line: &str) {
+    _ = writeln!(std::io::stderr(), "{line}");
 }
 
 /// Makes the pool of threads that everything runs on, of the size that was typed; without one it has a thread per core.

@@ -15,7 +15,7 @@ use viewrank::{
     tables,
 };
 
-use super::{Failure, Format, config, json, print, progress::Progress, summary::Summary, use_threads};
+use super::{Failure, Format, complain, config, json, print, progress::Progress, summary::Summary, use_threads};
 
 /// Rank the view clusters of a project and write the plan to PROJECT/viewrank.
 ///
@@ -186,6 +186,6 @@ fn report(arguments: &Arguments, project: &Project, plan: &Plan, files: &PlanFil
         Format::Text if !arguments.quiet => print(&summary.text())?,
         Format::Text => {}
     }
-    summary.warnings.iter().for_each(|warning| eprintln!("warning: {warning}"));
+    summary.warnings.iter().for_each(|warning| complain(&format!("warning: {warning}")));
     Ok(())
 }

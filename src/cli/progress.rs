@@ -53,7 +53,7 @@ impl Progress {
     fn end(&self, running: &Running) {
         running.bar.finish_and_clear();
         if self.kind == Kind::Lines {
-            eprintln!("{}: {:.1} s", words(running.stage), running.since.elapsed().as_secs_f64());
+            super::complain(&format!("{}: {:.1} s", words(running.stage), running.since.elapsed().as_secs_f64()));
         }
     }
 }

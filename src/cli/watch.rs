@@ -63,7 +63,7 @@ pub struct Arguments {
     replan: bool,
     /// Run this by the shell once when a project's target is reached by its depth maps; its folder is in VIEWRANK_PROJECT [default:
     /// on_target of your own viewrank.toml; that of a project is refused].
-    #[arg(long, value_name = "COMMAND")]
+    #[arg(long, value_name = "COMMAND", value_parser = clap::builder::NonEmptyStringValueParser::new())]
     on_target: Option<String>,
     /// Memory for plans whose depth maps are coming, so that they needn't be made again for each.
     #[arg(long, default_value = "256M", value_name = "SIZE")]

@@ -66,7 +66,7 @@ pub struct Progress {
     pub outdated: Vec<Outdated>,
     /// Why something was not measured; null where all was.
     pub note: Option<String>,
-    /// Has the command for a reached target (`on_target`) been run?
+    /// Has the command for a reached target (`on_target`) been started? How it ended is in the log.
     pub announced: bool,
 }
 
@@ -91,8 +91,14 @@ impl Progress {
         self.announced = self.target_reached && Self::read(root).as_ref().is_some_and(same_target);
     }
 
-    pub(super) fn outcome(self) -> Outcome {
-        let Self { done, clusters, share, target_reached: reached, note, .. } = self;
+    /// With what should be known beside it.
+    pub(super) fn outcome(self, beside: Option<String>) -> Outcome {
+        let Self { done, clusters, share, target_reached: reached, note, outdated, .. } = self;
+        let outdated = (!outdated.is_empty()).then(|| {
+            format!("{} finished depth maps no longer fit the model (outdated in progress.json)", outdated.len())
+        });
+        let notes: Vec<String> = [beside, note, outdated].into_iter().flatten().collect();
+        let note = (!notes.is_empty()).then(|| notes.join("; "));
         Outcome::Followed { done, clusters, share, reached, note }
     }
 
@@ -112,14 +118,15 @@ pub fn target_reached(root: &Path) -> bool {
     Progress::read(root).is_some_and(|progress| progress.target_reached)
 }
 
-/// Measures the depth maps that are there now and writes `progress.json`; [`Outcome::Abandoned`] where there are none.
-pub fn follow(root: &Path, watcher: &dyn Watcher) -> Outcome {
-    follow_now(root, watcher).unwrap_or_else(|ended| ended)
+/// Measures those of the depth maps that are there now which count, and writes `progress.json`; [`Outcome::Abandoned`] where there are none.
+pub fn follow(root: &Path, counts: &dyn Fn(&Path) -> bool, watcher: &dyn Watcher) -> Outcome {
+    follow_now(root, counts, watcher).unwrap_or_else(|ended| ended)
 }
 
-fn follow_now(root: &Path, watcher: &dyn Watcher) -> Result<Outcome, Outcome> {
+fn follow_now(root: &Path, counts: &dyn Fn(&Path) -> bool, watcher: &dyn Watcher) -> Result<Outcome, Outcome> {
     output::recover(root, &Disk::REAL).map_err(failed)?;
-    let files = map_files(root, true).map_err(failed)?;
+    let mut files = map_files(root, true).map_err(failed)?;
+    files.retain(|path, _| counts(path));
     let Some(folder) = fullest_folder(root, &files) else { return Ok(Outcome::Abandoned) };
     let (project, plan) = plan::again(root, watcher).map_err(failed)?;
     let earlier = Earlier::read(&project).map_err(failed)?;
@@ -130,7 +137,7 @@ fn follow_now(root: &Path, watcher: &dyn Watcher) -> Result<Outcome, Outcome> {
     }
     progress.remember_announced(root);
     progress.write(root).map_err(failed)?;
-    Ok(progress.outcome())
+    Ok(progress.outcome(None))
 }
 
 pub(super) fn failed(error: impl Hint) -> Outcome {

@@ -206,6 +206,10 @@ impl PlanJob {
     }
 
     fn plan_input(&self, job: &Job) -> Ended<Outcome> {
+        if let Some(reason) = job.stamp.trouble() {
+            let hint = Some("let it be read by whoever runs viewrank".into());
+            return Err(Outcome::Failed { reason, hint });
+        }
         let (settings, note) = self.settings(job.project)?;
         let project = Project::open(job.project, None).map_err(incomplete)?;
         // A workspace that comes later gets its files, too.
@@ -219,8 +223,19 @@ impl PlanJob {
         let fingerprint =
             HashCache::fingerprint(&self.hashes, job.project, &model, job.stamp, &as_text).map_err(unreadable)?;
         if let Some(record) = record_of(job.project).filter(|record| record.fingerprint == fingerprint) {
-            return Ok(Outcome::Planned { fingerprint, clusters: record.clusters, share: record.share, note });
+            // What was measured before still holds until it is measured again.
+            let known = Progress::read(job.project).filter(|progress| progress.done > 0);
+            let known = known.map(|progress| Box::new(progress.outcome(note.clone())));
+            return Ok(Outcome::Planned {
+                fingerprint,
+                clusters: record.clusters,
+                share: record.share,
+                note,
+                anew: false,
+                known,
+            });
         }
+        info!(project = %Shown(job.project), "planning");
         let plan = plan::plan(&project, &settings, &JobWatcher::new(job)).map_err(sort_out)?;
         let plan = around_finished(plan, &project, job)?;
         let (clusters, share) = (plan.cut.clusters, plan.cut.share);
@@ -229,7 +244,14 @@ impl PlanJob {
             Progress::doubt(job.project).map_err(failed)?;
         }
         write(&plan, &project, record, job)?;
-        Ok(Outcome::Planned { fingerprint, clusters, share, note: note.or_else(|| outdated(&plan)) })
+        Ok(Outcome::Planned {
+            fingerprint,
+            clusters,
+            share,
+            note: note.or_else(|| outdated(&plan)),
+            anew: true,
+            known: None,
+        })
     }
 
     fn try_follow(&self, job: &Job) -> Ended<Outcome> {
@@ -263,7 +285,8 @@ impl PlanJob {
             progress.announced = self.announce(job.project);
             progress.write(job.project).map_err(failed)?;
         }
-        Ok(progress.outcome())
+        let note = self.settings(job.project).ok().and_then(|(_, note)| note);
+        Ok(progress.outcome(note))
     }
 
     /// The plan by the prediction alone, from memory where it is kept.

@@ -209,10 +209,10 @@ impl<'a> Daemon<'a> {
     fn handle(&mut self, event: Event) {
         let now = Instant::now();
         match event {
-            Event::Change(Change::At(path)) => self.hear(path, now),
+            Event::Change(Change::At(path)) => self.hear(path, false, now),
             Event::Change(Change::Gone(path)) => {
                 self.watches.doubt(&path);
-                self.hear(path, now);
+                self.hear(path, true, now);
             }
             Event::Change(Change::Lost) => {
                 self.lost = true;
@@ -236,11 +236,12 @@ impl<'a> Daemon<'a> {
         }
     }
 
-    /// What viewrank itself writes into a project's output folder, where depth maps may be, too, is nothing to look at.
-    fn hear(&mut self, path: PathBuf, now: Instant) {
+    /// What viewrank itself writes into a project's output folder, where depth maps may be, too, is nothing to look at; what is taken away
+    /// there is.
+    fn hear(&mut self, path: PathBuf, is_gone: bool, now: Instant) {
         let inside = |project: &Path| path.starts_with(project.join(discover::OUTPUT_FOLDER));
         let is_file = path.extension().is_some() && !depthmaps::looks_like_one(&path);
-        if !(is_file && self.project_around(&path).is_some_and(inside)) {
+        if is_gone || !(is_file && self.project_around(&path).is_some_and(inside)) {
             self.mark(path, now);
         }
     }
@@ -261,11 +262,13 @@ impl<'a> Daemon<'a> {
             return self.planner.forget(project);
         };
         let abandoned = outcome == Outcome::Abandoned;
+        let (looked_only, before) = (matches!(outcome, Outcome::Planned { anew: false, .. }), tracked.result().clone());
         if !tracked.finish(job, looked, outcome, now) {
             return;
         }
         match tracked.result() {
             _ if abandoned => {}
+            same if looked_only && *same == before => {}
             Phase::Failed { reason, .. } => warn!(project = %Shown(project), %reason, "failed"),
             phase => info!(project = %Shown(project), "{phase}"),
         }
@@ -370,7 +373,9 @@ impl<'a> Daemon<'a> {
         if !inside.components().all(|part| discover::is_searched(part.as_os_str())) {
             return None;
         }
-        let folders = || path.ancestors().take_while(|above| above.starts_with(root)).filter(|above| above.is_dir());
+        let follow_links = self.options.follow_links;
+        let is_searched = |above: &&Path| above.is_dir() && discover::may_enter(root, above, follow_links);
+        let folders = || path.ancestors().take_while(|above| above.starts_with(root)).filter(is_searched);
         let project = folders().find(|folder| discover::is_project(folder, self.options.follow_links));
         project.or_else(|| folders().next()).map(Path::to_path_buf)
     }
@@ -474,9 +479,6 @@ impl<'a> Daemon<'a> {
         let Some(number) = self.admit(project, work, now) else { return };
         let Some(tracked) = self.projects.get_mut(project) else { return };
         let (looked, cancel) = tracked.start(number, work, settle, now);
-        if work == Work::Plan {
-            info!(project = %Shown(project), "planning");
-        }
         let (planner, sender, project) = (self.planner, self.sender.clone(), project.to_path_buf());
         let named = planner.named_files(&project);
         threads.spawn(move || {
@@ -511,7 +513,7 @@ impl<'a> Daemon<'a> {
             Err(Full::Memory) => tracked.wait_for(Some("for memory (--max-memory)")),
             Err(Full::Never { need, max }) => {
                 let mib = |bytes: u64| bytes.div_ceil(1 << 20);
-                let reason = format!("needs about {} MiB, --max-memory allows {}", mib(need), mib(max));
+                let reason = format!("needs about {} MiB, --max-memory allows {} MiB", mib(need), mib(max));
                 let hint = Some("raise --max-memory, or plan it by itself with `viewrank plan`".into());
                 let (looked, _) = tracked.start(number, work, self.options.settle, now);
                 self.finish(project, number, looked, Outcome::Failed { reason, hint }, now);
@@ -564,6 +566,7 @@ fn folders_to_watch(project: &Path, input: &InputFolders, maps: Vec<PathBuf>, na
     let own = project.join(discover::OUTPUT_FOLDER);
     let named = named.iter().filter_map(|file| file.parent().map(Path::to_path_buf));
     let named = named.filter(|folder| folder.starts_with(project) && !folder.starts_with(&own));
-    let folders: BTreeSet<PathBuf> = input.all().cloned().chain(maps).chain(named).collect();
+    let mut folders: BTreeSet<PathBuf> = input.all().cloned().chain(maps).chain(named).collect();
+    folders.extend(Some(own).filter(|own| own.is_dir()));
     folders.into_iter().collect()
 }

@@ -78,6 +78,9 @@ pub enum Phase {
         clusters: usize,
         /// What they really reach of what all view clusters are expected to reach, 0 to 1.
         share: f64,
+        /// What should be known about it.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        note: Option<String>,
     },
     /// It could not be planned or measured; it is tried again after a pause, or as soon as its input changes.
     Failed {
@@ -118,7 +121,10 @@ impl fmt::Display for Phase {
                 }
                 note.iter().try_for_each(|note| write!(f, "; {note}"))
             }
-            Self::Reached { done, share, .. } => write!(f, "reached: {:.0} % with {done} depth maps", share * 100.0),
+            Self::Reached { done, share, note, .. } => {
+                write!(f, "reached: {:.0} % with {done} depth maps", share * 100.0)?;
+                note.iter().try_for_each(|note| write!(f, "; {note}"))
+            }
             Self::Failed { reason, retry_after_s, .. } => {
                 write!(f, "failed: {reason} (next try {retry_after_s} s after it)")
             }
@@ -135,6 +141,10 @@ pub enum Outcome {
         clusters: usize,
         share: f64,
         note: Option<String>,
+        /// Was it made now, or is the one that was there still right?
+        anew: bool,
+        /// What was measured before, where the plan stayed the same.
+        known: Option<Box<Outcome>>,
     },
     /// The finished depth maps were measured.
     Followed {
@@ -367,14 +377,17 @@ impl Tracked {
         let failures = self.failures + 1;
         (self.failures, self.retry) = (0, None);
         self.result = match outcome {
-            Outcome::Planned { clusters, share, note, .. } => {
+            Outcome::Planned { clusters, share, note, known, .. } => {
                 // What they reach is to be said again, also where the plan stayed the same.
                 self.maps.forget_measured();
                 self.planned = true;
-                Phase::Planned { clusters, share, note }
+                match known {
+                    Some(known) => return self.conclude(work, *known, now),
+                    None => Phase::Planned { clusters, share, note },
+                }
             }
-            Outcome::Followed { done, clusters, share: Some(share), reached: true, .. } => {
-                Phase::Reached { done, clusters, share }
+            Outcome::Followed { done, clusters, share: Some(share), reached: true, note } => {
+                Phase::Reached { done, clusters, share, note }
             }
             Outcome::Followed { done, clusters, share, note, .. } => {
                 Phase::Computing { done, clusters, share, unmeasured: 0, note }
@@ -469,7 +482,7 @@ mod tests {
 
     fn planned(text: &str) -> Outcome {
         let fingerprint = serde_json::from_value(text.into()).expect("a string");
-        Outcome::Planned { fingerprint, clusters: 3, share: 0.9, note: None }
+        Outcome::Planned { fingerprint, clusters: 3, share: 0.9, note: None, anew: true, known: None }
     }
 
     fn failed() -> Outcome {

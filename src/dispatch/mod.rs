@@ -51,6 +51,8 @@ pub struct Dispatch {
     finished: usize,
     /// Folder in which the backend runs.
     workplace: PathBuf,
+    /// The backend's program, where the export brings it.
+    exported_program: Option<PathBuf>,
     runner: TaskRunner,
 }
 
@@ -62,10 +64,16 @@ pub struct Tools {
 }
 
 impl Tools {
-    /// The program that was named, else the one that the runner's variable names, else the one on the PATH; `PYTHON`, else `python3`.
-    pub fn find(runner: &TaskRunner, named: Option<&Path>) -> Result<Self, DispatchError> {
+    /// The program that was named, else the one that the runner's variable names, else the one that comes with the export, else the one on
+    /// the PATH; `PYTHON`, else `python3`.
+    pub fn find(dispatch: &Dispatch, named: Option<&Path>) -> Result<Self, DispatchError> {
+        let runner = &dispatch.runner;
         let variable = env::var_os(runner.variable).map(PathBuf::from);
-        let wanted = named.map(Path::to_path_buf).or(variable).unwrap_or_else(|| runner.program.into());
+        let wanted = named.map(Path::to_path_buf).or(variable);
+        if let (None, Some(own)) = (&wanted, &dispatch.exported_program) {
+            return Ok(Self { program: own.clone(), ..Self::unseen(runner) });
+        }
+        let wanted = wanted.unwrap_or_else(|| runner.program.into());
         let program = on_path(&wanted).ok_or(DispatchError::Program { program: wanted, variable: runner.variable })?;
         Ok(Self { program, ..Self::unseen(runner) })
     }
@@ -114,8 +122,10 @@ impl Dispatch {
             return Err(DispatchError::Path(task.map.clone()));
         }
         let folder = project.join("viewrank/dispatch").join(backend.name());
-        let workplace = export.files.root.clone();
-        Ok(Self { project, backend: backend.name(), folder, tasks, finished, workplace, runner })
+        let workplace = absolute(&export.files.root);
+        let brings_program = export.files.files.contains_key(runner.program);
+        let exported_program = brings_program.then(|| workplace.join(runner.program));
+        Ok(Self { project, backend: backend.name(), folder, tasks, finished, workplace, exported_program, runner })
     }
 
     pub fn runner(&self) -> &TaskRunner {
@@ -171,9 +181,9 @@ impl Dispatch {
     /// What the scripts know. They are copied away when they are submitted, so that every path is whole.
     fn head(&self, tools: &Tools, settings: &DispatchSettings) -> String {
         let TaskRunner { compute, fuse, .. } = &self.runner;
-        let workplace = absolute(&self.workplace);
-        let body =
-            |name: &str, command: &str| format!("{name}() {{\n    cd {} && {command}\n}}\n", quoted_path(&workplace));
+        let body = |name: &str, command: &str| {
+            format!("{name}() {{\n    cd {} && {command}\n}}\n", quoted_path(&self.workplace))
+        };
         let setup = settings.setup.trim_end();
         format!(
             "project={}\nfolder={}\nlist={}\nfinished={}\nprogram={}\npython={}\nthreads=${{SLURM_CPUS_PER_TASK:-{}}}\n{}{}{setup}{}",
@@ -195,6 +205,11 @@ impl Dispatch {
         let noted = || fs::read_to_string(self.folder.join("done").join(&task.marker)).unwrap_or_default();
         (task.rank <= self.finished || noted().trim() == task.id)
             && fs::metadata(&task.map).is_ok_and(|map| map.len() > 0)
+    }
+
+    /// The depth maps of the tasks that are done.
+    pub fn finished_maps(&self) -> impl Iterator<Item = &Path> {
+        self.tasks.iter().filter(|task| self.is_done(task)).map(|task| &*task.map)
     }
 
     /// Nobody else submits tasks of this project until the file is dropped.
@@ -267,7 +282,7 @@ impl Hint for DispatchError {
             Self::Stuck => "look with squeue, then try again".into(),
             Self::Busy(_) => "wait for it to end".into(),
             Self::Lock { .. } => "make it writable".into(),
-            Self::Target { wanted, .. } => format!("plan again with --target {wanted}, or take --budget"),
+            Self::Target { wanted, .. } => format!("plan again with --target {wanted}"),
         })
     }
 

@@ -68,6 +68,11 @@ pub(crate) struct Cluster {
     pub finished: bool,
 }
 
+/// Name of the backend that the project's plan was made for; `None` without a plan.
+pub fn planned_backend(project: &Project) -> Option<String> {
+    Recorded::read(project).ok().map(|recorded| recorded.backend)
+}
+
 impl WrittenPlan {
     /// Reads `viewrank/manifest.json` of the project; an error where model or images have changed since.
     pub fn read(root: &Path) -> Result<Self, WrittenPlanError> {

@@ -12,7 +12,7 @@ use serde::Serialize;
 use super::{
     bytes,
     history::History,
-    holes::{FAR, Hole, help, holes},
+    holes::{FAR, Hole, help, holes, usual_distance},
     real::{Finished, Real},
     shown::Shown,
     thumbnails::{MOST, thumbnails},
@@ -72,6 +72,8 @@ pub struct Contents {
     /// Of what lies more than `far` usual distances from every camera.
     far_area: f64,
     far: f64,
+    /// Of the sparse points from the nearest of their views, scene units.
+    usual_distance: f64,
     real: Option<Real>,
     thumbnails: BTreeMap<u32, String>,
     /// Views beyond which only the first of the ranking have a small picture.
@@ -188,6 +190,7 @@ impl Contents {
             holes_area: holes.area,
             far_area: holes.far_area,
             far: FAR,
+            usual_distance: usual_distance(&plan.scene).unwrap_or_default(),
             real,
             thumbnails,
             most_thumbnails: MOST,

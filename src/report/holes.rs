@@ -48,6 +48,8 @@ pub struct Holes {
     pub far_area: f64,
 }
 
+/// Places with less than this share of the area of all that can be flown to are not named.
+const LEAST_SHARE: f64 = 0.005;
 /// Places farther from every camera than so many usual distances (of a sparse point to the nearest view that observes it) are background.
 pub const FAR: f64 = 4.0;
 
@@ -65,11 +67,14 @@ pub fn holes(plan: &Plan, most: usize) -> Holes {
     let mut largest = regions(plan, &near).into_iter().map(|region| hole(plan, &region)).collect::<Vec<_>>();
     largest.sort_by(|a, b| b.area.total_cmp(&a.area));
     largest.truncate(most);
-    Holes { largest, area: area(&near) + area(&far), far_area: area(&far) }
+    let (near_area, far_area) = (area(&near), area(&far));
+    let worth_it = largest.partition_point(|hole| hole.area >= LEAST_SHARE * near_area);
+    largest.truncate(worth_it);
+    Holes { largest, area: near_area + far_area, far_area }
 }
 
 /// Median distance of the sparse points from the nearest of their views.
-fn usual_distance(scene: &Scene) -> Option<f64> {
+pub fn usual_distance(scene: &Scene) -> Option<f64> {
     let nearest = |p: u32| {
         let views = scene.track_views[scene.track(PointIndex(p))].iter();
         let distance =

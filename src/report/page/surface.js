@@ -94,29 +94,22 @@ function boxOf(points) {
   return { ...box, span: Math.hypot(...box.high.map((top, i) => top - box.low[i])) || 1 };
 }
 
-function* points(triangles) {
+function* cameras() {
   for (let view = 0; view < views.count; view++) yield [views.centres, 3 * view];
-  for (let corner = 0; corner < 3 * surface.count; corner++) {
-    if (triangles(Math.floor(corner / 3))) yield [surface.vertices, 3 * surface.triangles[corner]];
-  }
 }
 
-// Shares of the places that some view reaches between which the others lie, along each axis.
-const USUAL = [0.02, 0.98];
-
-// Is a triangle reached and among the usual ones, none of the few that are far off?
-function isUsual() {
-  const reached = Array.from({ length: surface.count }, (_, t) => t).filter(t => !surface.reason[t]);
-  const at = (t, axis) => surface.vertices[3 * surface.triangles[3 * t] + axis];
-  const limits = [0, 1, 2].map(axis => {
-    const along = Float32Array.from(reached, t => at(t, axis)).sort();
-    return USUAL.map(share => along[Math.round(share * (along.length - 1))]);
-  });
-  return t => !surface.reason[t] && limits.every(([low, high], axis) => low <= at(t, axis) && at(t, axis) <= high);
+function* points() {
+  yield* cameras();
+  for (let corner = 0; corner < 3 * surface.count; corner++) yield [surface.vertices, 3 * surface.triangles[corner]];
 }
 
-// What is to be seen first: not what lies far off, where few views or none reach anything.
-const bounds = boxOf(points(isUsual())), all = boxOf(points(() => true));
+// The box with so much room on every side.
+function padded({ low, high }, room) {
+  return { low: low.map(x => x - room), high: high.map(x => x + room), span: Math.hypot(...low.map((x, i) => high[i] - x + 2 * room)) || 1 };
+}
+
+// What is to be seen first: the cameras, and what lies as near to them as the sparse points usually do; not what lies far off.
+const bounds = padded(boxOf(cameras()), data.usual_distance), all = boxOf(points());
 
 const VERTEX = `
   attribute vec3 place; attribute vec3 colour; uniform mat4 view; varying vec3 shade;
