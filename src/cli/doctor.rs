@@ -59,10 +59,9 @@ fn backends_to_visit(
     others: bool,
 ) -> Result<Vec<&'static dyn Backend>, BackendError> {
     let mut visited = backends::by_names(wanted)?;
-    let planned = planned_backend(project).and_then(|name| backends::by_name(&name).ok());
-    visited.extend(planned.filter(|_| visited.is_empty()));
     if visited.is_empty() {
-        visited.push(backends::for_project(project));
+        let planned = planned_backend(project).and_then(|name| backends::by_name(&name).ok());
+        visited.push(planned.unwrap_or_else(|| backends::for_project(project)));
     }
     let rest = backends::all().iter().copied().filter(|_| others);
     for backend in rest {

@@ -94,10 +94,7 @@ impl Progress {
     /// With what should be known beside it.
     pub(super) fn outcome(self, beside: Option<String>) -> Outcome {
         let Self { done, clusters, share, target_reached: reached, note, outdated, .. } = self;
-        let outdated = (!outdated.is_empty()).then(|| {
-            format!("{} finished depth maps no longer fit the model (outdated in progress.json)", outdated.len())
-        });
-        let notes: Vec<String> = [beside, note, outdated].into_iter().flatten().collect();
+        let notes: Vec<String> = [beside, note, outdated_note(&outdated, PROGRESS)].into_iter().flatten().collect();
         let note = (!notes.is_empty()).then(|| notes.join("; "));
         Outcome::Followed { done, clusters, share, reached, note }
     }
@@ -106,6 +103,12 @@ impl Progress {
         let text = serde_json::to_string_pretty(self).unwrap_or_default() + "\n";
         output::replace(&progress_file(root), text.as_bytes(), &Disk::REAL)
     }
+}
+
+/// A word about finished depth maps that have to be made again, which that file names.
+pub(super) fn outdated_note(outdated: &[Outdated], file: &str) -> Option<String> {
+    let n = outdated.len();
+    (n > 0).then(|| format!("{n} finished depth maps no longer fit the model (outdated in {file})"))
 }
 
 /// Where the progress of a project is said.

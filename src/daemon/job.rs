@@ -18,7 +18,7 @@ use tracing::{info, warn};
 use super::{
     Shown,
     discover::{OUTPUT_FOLDER, is_project, may_enter},
-    follow::{Following, Progress, failed, fullest_folder, progress_file},
+    follow::{Following, Progress, failed, fullest_folder, outdated_note, progress_file},
     kept::KeptPlans,
     maps::{MapFiles, map_files},
     queue,
@@ -248,7 +248,7 @@ impl PlanJob {
             fingerprint,
             clusters,
             share,
-            note: note.or_else(|| outdated(&plan)),
+            note: note.or_else(|| outdated_note(&plan.finished.outdated, "manifest.json")),
             anew: true,
             known: None,
         })
@@ -382,13 +382,6 @@ fn around_finished(plan: Plan, project: &Project, job: &Job) -> Ended<Plan> {
         Err(ReplanError::Plan(error)) => Err(sort_out(error)),
         // A plan without them would forget what they were made with, and outdated ones would count as good.
         Err(error) => Err(failed(error)),
-    }
-}
-
-fn outdated(plan: &Plan) -> Option<String> {
-    match plan.finished.outdated.len() {
-        0 => None,
-        n => Some(format!("{n} finished depth maps no longer fit the model (outdated in manifest.json)")),
     }
 }
 

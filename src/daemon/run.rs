@@ -335,13 +335,20 @@ impl<'a> Daemon<'a> {
     fn look_at_changed(&mut self, now: Instant) {
         self.gather_until = None;
         let mut projects: BTreeMap<PathBuf, Instant> = BTreeMap::new();
-        let mut folders = BTreeSet::new();
+        let mut outside = BTreeSet::new();
         for (path, heard) in std::mem::take(&mut self.dirty) {
             // What lies in a folder that was moved is gone without a word of its own.
             let inside = self.projects.range(path.clone()..).take_while(|(project, _)| project.starts_with(&path));
             projects.extend(inside.map(|(project, _)| (project.clone(), heard)));
             let Some(project) = self.project_around(&path).map(Path::to_path_buf) else {
-                folders.extend(self.folder_to_search(&path));
+                // Thousands of files of one folder are one question.
+                outside.extend(match path.is_dir() {
+                    true => Some(path),
+                    false if path.file_name().is_some_and(discover::is_searched) => {
+                        path.parent().map(Path::to_path_buf)
+                    }
+                    false => None,
+                });
                 continue;
             };
             if path.starts_with(project.join("images"))
@@ -358,6 +365,7 @@ impl<'a> Daemon<'a> {
                 false => self.forget(&project, now),
             }
         }
+        let folders: BTreeSet<PathBuf> = outside.iter().filter_map(|path| self.folder_to_search(path)).collect();
         for folder in folders {
             for project in self.search(&folder, now) {
                 self.look_at_project(&project, None, now);

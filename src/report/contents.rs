@@ -12,7 +12,7 @@ use serde::Serialize;
 use super::{
     bytes,
     history::History,
-    holes::{FAR, Hole, help, holes, usual_distance},
+    holes::{FAR, Hole, help, holes},
     real::{Finished, Real},
     shown::Shown,
     thumbnails::{MOST, thumbnails},
@@ -190,7 +190,7 @@ impl Contents {
             holes_area: holes.area,
             far_area: holes.far_area,
             far: FAR,
-            usual_distance: usual_distance(&plan.scene).unwrap_or_default(),
+            usual_distance: holes.usual_distance,
             real,
             thumbnails,
             most_thumbnails: MOST,

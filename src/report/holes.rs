@@ -46,6 +46,8 @@ pub struct Holes {
     pub area: f64,
     /// Area of what lies beyond the reach of the survey: no camera is near it, and none was meant to be.
     pub far_area: f64,
+    /// Median distance of the sparse points from the nearest of their views, scene units; 0 without points.
+    pub usual_distance: f64,
 }
 
 /// Places with less than this share of the area of all that can be flown to are not named.
@@ -57,7 +59,8 @@ pub const FAR: f64 = 4.0;
 pub fn holes(plan: &Plan, most: usize) -> Holes {
     let open = plan.triangle_reasons.iter().zip(0u32..).filter_map(|(reason, t)| reason.map(|_| t));
     let open: Vec<u32> = open.collect();
-    let limit = usual_distance(&plan.scene).map_or(f64::INFINITY, |usual| FAR * usual);
+    let usual = usual_distance(&plan.scene);
+    let limit = usual.map_or(f64::INFINITY, |usual| FAR * usual);
     let is_near = |&t: &u32| {
         let place = plan.surface.centroid(t);
         plan.scene.views.iter().any(|view| (view.cam_from_world.centre() - place).norm() <= limit)
@@ -70,11 +73,11 @@ pub fn holes(plan: &Plan, most: usize) -> Holes {
     let (near_area, far_area) = (area(&near), area(&far));
     let worth_it = largest.partition_point(|hole| hole.area >= LEAST_SHARE * near_area);
     largest.truncate(worth_it);
-    Holes { largest, area: near_area + far_area, far_area }
+    Holes { largest, area: near_area + far_area, far_area, usual_distance: usual.unwrap_or_default() }
 }
 
 /// Median distance of the sparse points from the nearest of their views.
-pub fn usual_distance(scene: &Scene) -> Option<f64> {
+fn usual_distance(scene: &Scene) -> Option<f64> {
     let nearest = |p: u32| {
         let views = scene.track_views[scene.track(PointIndex(p))].iter();
         let distance =

@@ -10,15 +10,21 @@ import urllib.request
 from websockets.sync.client import connect
 
 
+def started(command, address):
+    """The process of a browser, and what it says of its address."""
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+    found = next(match.group(1) for match in map(re.compile(address).search, process.stderr) if match)
+    # A full pipe would stop the browser.
+    threading.Thread(target=process.stderr.read, daemon=True).start()
+    return process, found
+
+
 class Browser:
     """One page; `messages` are the events that came so far."""
 
     def __init__(self, program, profile):
         options = ["--headless=new", "--no-sandbox", "--remote-debugging-port=0", "--enable-unsafe-swiftshader", f"--user-data-dir={profile}"]
-        self.process = subprocess.Popen([program, *options, "about:blank"], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
-        port = next(match.group(1) for match in map(re.compile(r"ws://127\.0\.0\.1:(\d+)/").search, self.process.stderr) if match)
-        # A full pipe would stop the browser.
-        threading.Thread(target=self.process.stderr.read, daemon=True).start()
+        self.process, port = started([program, *options, "about:blank"], r"ws://127\.0\.0\.1:(\d+)/")
         with urllib.request.urlopen(f"http://127.0.0.1:{port}/json") as answer:
             page = next(target for target in json.load(answer) if target["type"] == "page")
         self.connection = contextlib.ExitStack()

@@ -2,10 +2,8 @@
 import base64
 import contextlib
 import json
-import re
-import subprocess
-import threading
 
+from browser import started
 from websockets.sync.client import connect
 
 
@@ -14,10 +12,7 @@ class Firefox:
 
     def __init__(self, program, profile):
         options = ["--headless", "--no-remote", "--remote-debugging-port=0", "--profile", str(profile)]
-        self.process = subprocess.Popen([program, *options], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
-        address = next(match.group(1) for match in map(re.compile(r"WebDriver BiDi listening on (ws://\S+)").search, self.process.stderr) if match)
-        # A full pipe would stop the browser.
-        threading.Thread(target=self.process.stderr.read, daemon=True).start()
+        self.process, address = started([program, *options], r"WebDriver BiDi listening on (ws://\S+)")
         self.connection = contextlib.ExitStack()
         self.socket = self.connection.enter_context(connect(f"{address}/session", max_size=None))
         self.complaints, self.number = [], 0
