@@ -1,11 +1,11 @@
 #!/usr/bin/env python3
 """Time per view and peak memory of `viewrank plan` on synthetic surveys of growing size.
 
-    cargo build --release && python benches/plan.py [--views 300 1200 5000 10000] [-k 5] [--threads 2] [--max-memory 8G]
+    cargo build --release && python benches/plan.py [--views 300 1200 5000 10000 50000] [-k 5] [--threads 2] [--max-memory 8G]
 
-Makes the models with synth_uav.py (--tool, by default ../shared/tools/synth_uav.py; needs numpy) in a folder that is kept between
-runs, plans each without images, and prints a table: wall time per view, core time per view of partners and ranking, peak memory and
-what was forecast, tiles of the surface. A plan that does not fit --max-memory has a line that says so.
+Makes the models with synth_uav.py (--tool, by default ../shared/tools/synth_uav.py; needs numpy), those of more than 10,000 views as copies
+of that of 10,000 beside each other, in a folder that is kept between runs, plans each without images, and prints a table: wall time per view, core time per view of partners and ranking, peak memory and
+what was forecast, tiles of the surface, tables on disk. A plan that does not fit --max-memory has a line that says so.
 """
 import argparse
 import json
@@ -14,15 +14,19 @@ import subprocess
 import sys
 from pathlib import Path
 
+import survey
+
 ROOT = Path(__file__).resolve().parents[1]
 # As in the survey of 1,200 views and 1,000,000 points.
 POINTS_PER_VIEW = 833
+# What synth_uav.py makes in a quarter of an hour.
+LARGEST = 10_000
 
 
 def main():
     arguments = parse()
     print(f"{'views':>7} {'points':>9} {'wall s':>8} {'ms/view':>8} {'read':>6} {'surface':>8} {'visible':>8} "
-          f"{'partners':>9} {'ranking':>8} {'peak MB':>8} {'forecast':>8} {'tiles':>5} {'key views':>10}")
+          f"{'partners':>9} {'ranking':>8} {'peak MB':>8} {'forecast':>8} {'tiles':>5} {'disk MB':>8} {'key views':>10}")
     for views in arguments.views:
         model = make(arguments, views)
         row(views, *plan(arguments, model))
@@ -44,7 +48,9 @@ def parse():
 def make(arguments, views):
     points = arguments.points_per_view * views
     folder = arguments.models / (str(views) if arguments.points_per_view == POINTS_PER_VIEW else f"{views}-{points}")
-    if not (folder / "points3D.bin").exists():
+    if not (folder / "points3D.bin").exists() and views > LARGEST:
+        survey.beside_each_other(make(arguments, LARGEST), folder, views // LARGEST)
+    elif not (folder / "points3D.bin").exists():
         command = [sys.executable, arguments.tool, folder, "--views", str(views), "--points", str(points), "--quiet"]
         subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
     return folder
@@ -65,11 +71,11 @@ def plan(arguments, model):
 def row(views, summary, usage):
     if summary is None:
         return print(f"{views:>7} refused after {usage.ru_utime:.0f} s of CPU, {usage.ru_maxrss / 1024:.0f} MB: see above", flush=True)
-    forecast = max(summary["memory"].values()) / 2**20
+    forecast = max(summary["memory"][stage] for stage in ("read", "surface", "visibility", "partners")) / 2**20
     stage = {name: 1000 * seconds / views for name, seconds in summary["timings"].items()}
     print(f"{views:>7} {summary['points']:>9} {summary['timings']['total']:>8.1f} {stage['total']:>8.1f} {stage['read']:>6.1f} "
           f"{stage['surface']:>8.1f} {stage['visibility']:>8.1f} {stage['partners']:>9.2f} {stage['ranking']:>8.2f} "
-          f"{usage.ru_maxrss / 1024:>8.0f} {forecast:>8.0f} {summary['tiles']:>5} {summary['cut']['clusters']:>10}", flush=True)
+          f"{usage.ru_maxrss / 1024:>8.0f} {forecast:>8.0f} {summary['tiles']:>5} {summary["memory"]["disk"] / 2**20:>8.0f} {summary['cut']['clusters']:>10}", flush=True)
 
 
 if __name__ == "__main__":

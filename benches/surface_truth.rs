@@ -14,6 +14,7 @@ use std::{path::Path, time::Instant};
 use nalgebra::{Point2, Point3, Vector3};
 use rayon::prelude::*;
 use viewrank::{
+    column::Keep,
     config::Settings,
     progress::Unwatched,
     project::Project,
@@ -67,9 +68,17 @@ fn evaluate(exact: &Exact, settings: &Settings) -> Fallible<()> {
     let (surface, stats) = surface::build(scene, gsd, &settings.surface, None, &Unwatched)?;
     let seconds = start.elapsed().as_secs_f64();
     let edge = settings.surface.edge_factor * gsd;
-    let table = visibility::estimate(scene, &scene.view_points(), &surface, &settings.visibility, edge, &Unwatched)?;
+    let table = visibility::estimate(
+        scene,
+        &scene.view_points(),
+        &surface,
+        &settings.visibility,
+        edge,
+        Keep::Memory,
+        &Unwatched,
+    )?;
     let keep = table.seen(surface.triangles.len());
-    let (surface, table) = (surface.keep(&keep), table.keep(&keep));
+    let (surface, table) = (surface.keep(&keep), table.keep(&keep)?);
     let near = distances(&samples(&surface, 0.5 * edge), &exact.mesh, gsd);
     let covered = distances(&exact.visible, &Bvh::new(surface.clone()), gsd);
     println!("  {stats:?}");

@@ -18,6 +18,9 @@ use crate::{
     surface::Surface,
 };
 
+/// Clusters of a table on disk that are read before the memory that they take is given back.
+const READ_AT_ONCE: usize = 1024;
+
 /// Greedy order of the clusters.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Ranking {
@@ -98,15 +101,24 @@ pub fn rank_after(
         reached.take(row);
         left[cluster as usize] = false;
     }
-    let gain = |c: usize| if left[c] { reached.gain(table.of(c)) } else { 0.0 };
-    let first: Vec<f64> = (0..table.clusters()).into_par_iter().map(gain).collect();
+    let gain = |&c: &usize| if left[c] { reached.gain(table.of(c)) } else { 0.0 };
+    let clusters: Vec<usize> = (0..table.clusters()).collect();
+    let mut first: Vec<f64> = Vec::with_capacity(clusters.len());
+    for batch in clusters.chunks(READ_AT_ONCE) {
+        first.par_extend(batch.par_iter().map(gain));
+        table.release();
+    }
     let taken_then = finished.len();
     let stale = first.into_iter().enumerate().map(|(c, gain)| Entry { gain, cluster: c as u32, taken_then });
     let mut heap: BinaryHeap<Entry> = stale.filter(|e| e.gain > 0.0).collect();
-    let total = heap.len() as u64;
+    let (mut looks, total) = (0usize, heap.len() as u64);
     watcher.progress(Stage::Ranking, 0, total);
     while let Some(top) = heap.pop() {
         watcher.check()?;
+        looks += 1;
+        if looks % READ_AT_ONCE == 0 {
+            table.release();
+        }
         let cluster = table.of(top.cluster as usize);
         if top.taken_then < ranking.order.len() {
             let gain = reached.gain(cluster);
@@ -197,16 +209,6 @@ mod tests {
     use super::*;
     use crate::progress::Unwatched;
 
-    fn table(rows: &[Vec<(u32, f32)>]) -> FulfilmentTable {
-        let mut table = FulfilmentTable { offsets: vec![0], ..Default::default() };
-        for row in rows {
-            table.triangles.extend(row.iter().map(|r| r.0));
-            table.values.extend(row.iter().map(|r| r.1));
-            table.offsets.push(table.triangles.len());
-        }
-        table
-    }
-
     /// f_o by its definition.
     fn fulfilment(rows: &[Vec<(u32, f32)>], chosen: &[usize], triangles: u32, support: usize) -> f64 {
         let of_triangle = |t: u32| {
@@ -244,7 +246,7 @@ mod tests {
     proptest! {
         #[test]
         fn lazy_is_plain_greedy(rows in rows(), support in 1u32..4) {
-            let table = table(&rows);
+            let table = FulfilmentTable::new(&rows);
             let weights = vec![1.0 / 12.0; 12];
             let ranking = rank(&table, &weights, support, &Unwatched).unwrap();
             let lazy: Vec<_> = ranking.order.iter().copied().zip(ranking.gains.iter().copied()).collect();
@@ -260,7 +262,7 @@ mod tests {
 
         #[test]
         fn what_is_finished_comes_first_and_the_rest_is_greedy_behind_it(rows in rows(), support in 1u32..4) {
-            let table = table(&rows);
+            let table = FulfilmentTable::new(&rows);
             let weights = vec![1.0 / 12.0; 12];
             let whole = rank(&table, &weights, support, &Unwatched).unwrap();
             for length in 0..=whole.order.len() {
@@ -276,7 +278,7 @@ mod tests {
 
         #[test]
         fn greedy_is_near_the_optimum(rows in rows(), support in 1u32..4) {
-            let ranking = rank(&table(&rows), &[1.0 / 12.0; 12], support, &Unwatched).unwrap();
+            let ranking = rank(&FulfilmentTable::new(&rows), &[1.0 / 12.0; 12], support, &Unwatched).unwrap();
             for length in 1..=ranking.order.len() {
                 let sets = (0u32..1 << rows.len()).filter(|s| s.count_ones() as usize == length);
                 let members = |s: u32| (0..rows.len()).filter(|c| s >> c & 1 == 1).collect::<Vec<_>>();
@@ -290,7 +292,7 @@ mod tests {
     #[test]
     fn the_prefix_for_a_share_is_the_shortest() {
         let rows = [vec![(0, 0.5f32)], vec![(1, 0.25)], vec![(2, 0.25)]];
-        let ranking = rank(&table(&rows), &[1.0 / 3.0; 3], 1, &Unwatched).unwrap();
+        let ranking = rank(&FulfilmentTable::new(&rows), &[1.0 / 3.0; 3], 1, &Unwatched).unwrap();
         assert_eq!(ranking.order, [0, 1, 2]);
         assert_eq!([0.4, 0.5, 0.6, 0.75, 1.0].map(|s| ranking.length_for_share(s)), [1, 1, 2, 2, 3]);
         assert_eq!(Ranking::default().length_for_share(0.9), 0);
@@ -300,7 +302,7 @@ mod tests {
     #[test]
     fn a_gain_of_zero_ends_the_order() {
         let rows = [vec![(0, 0.5f32), (1, 0.5)], vec![(0, 0.5)], vec![(1, 0.25)], vec![]];
-        let ranking = rank(&table(&rows), &[0.5; 2], 1, &Unwatched).unwrap();
+        let ranking = rank(&FulfilmentTable::new(&rows), &[0.5; 2], 1, &Unwatched).unwrap();
         assert_eq!(ranking.order, [0]);
     }
 }

@@ -130,13 +130,12 @@ fn without_failures_the_rest_is_ranked_as_by_prediction_behind_the_real_values()
     let before = &planned.plan;
     assert_eq!(again.clusters, before.clusters);
     let finished = &before.ranking.order[..3];
-    let mut table = FulfilmentTable { offsets: vec![0], ..Default::default() };
-    for c in 0..before.clusters.len() {
+    let expected = |c: usize| -> Vec<(u32, f32)> {
         let from = if finished.contains(&(c as u32)) { &again.fulfilment } else { &before.fulfilment };
-        table.triangles.extend(from.of(c).0);
-        table.values.extend(from.of(c).1);
-        table.offsets.push(table.triangles.len());
-    }
+        let (triangles, values) = from.of(c);
+        triangles.iter().copied().zip(values.iter().copied()).collect()
+    };
+    let table = FulfilmentTable::new((0..before.clusters.len()).map(expected));
     assert_eq!(again.fulfilment, table);
     let weights = ranking::weights(&before.surface, before.settings.ranking.weight);
     let expected = ranking::rank_after(finished, &table, &weights, 1, &Unwatched).unwrap();

@@ -296,8 +296,16 @@ mod tests {
         let town = Town { edge: 4.0, points: 50, ..Town::new(camera) };
         let (scene, surface, unary) = (town.scene(), town.surface(), Unary::certain());
         let settings = VisibilitySettings::default();
-        let visibility =
-            visibility::estimate(&scene, &scene.view_points(), &surface, &settings, 4.0, &Unwatched).unwrap();
+        let visibility = visibility::estimate(
+            &scene,
+            &scene.view_points(),
+            &surface,
+            &settings,
+            4.0,
+            crate::column::Keep::Memory,
+            &Unwatched,
+        )
+        .unwrap();
         let target = Target::new(&scene, &surface, &visibility, &TargetSettings::default(), 0.3, 0.2);
         let rule = Rule { alpha: 0.5, sigma_px: 0.5, min_cameras: 2, image_scale: 0.2, confidence: Confidence::None };
         let (scene, surface, visibility) = (&scene, &surface, &visibility);

@@ -5,6 +5,7 @@ use rayon::prelude::*;
 
 use super::Unary;
 use crate::{
+    column::{Column, TableError},
     progress::{Cancelled, Watcher},
     scene::{Scene, ViewIndex, ViewPoints},
     surface::Surface,
@@ -23,53 +24,60 @@ pub fn nearby(
     surface: &Surface,
     visibility: &Visibility,
     watcher: &dyn Watcher,
-) -> Result<Unary, Cancelled> {
+) -> Result<Unary, TableError> {
     if scene.points.is_empty() {
         return Ok(Unary::certain());
     }
-    let mut values = Nearest::new(scene, surface, watcher)?.observed(scene, points, visibility, watcher)?;
-    values.iter_mut().for_each(|share| *share = UNOBSERVED + (1.0 - UNOBSERVED) * *share);
+    let said = |share| UNOBSERVED + (1.0 - UNOBSERVED) * share;
+    let values = Nearest::new(scene, surface, watcher)?.observed(scene, points, visibility, said, watcher)?;
     Ok(Unary { values, ..Unary::certain() })
 }
 
-/// The sparse points nearest to the centroid of each triangle.
-pub(super) struct Nearest(Vec<Vec<u32>>);
+/// The sparse points nearest to the centroid of each triangle, as many for each.
+pub(super) struct Nearest {
+    around: usize,
+    points: Vec<u32>,
+}
 
 impl Nearest {
     pub fn new(scene: &Scene, surface: &Surface, watcher: &dyn Watcher) -> Result<Self, Cancelled> {
         let tree = Tree::new(&scene.points);
         watcher.check()?;
-        let triangles = 0..surface.triangles.len() as u32;
-        Ok(Self(triangles.into_par_iter().map(|t| tree.nearest(&surface.centroid(t))).collect()))
+        let around = AROUND.min(scene.points.len());
+        let mut points = vec![0; around * surface.triangles.len()];
+        let of_triangle = |(t, nearest): (usize, &mut [u32])| {
+            nearest.copy_from_slice(&tree.nearest(&surface.centroid(t as u32)));
+        };
+        points.par_chunks_exact_mut(around.max(1)).enumerate().for_each(of_triangle);
+        Ok(Self { around, points })
     }
 
     /// Nearest first.
     pub fn of(&self, triangle: u32) -> &[u32] {
-        &self.0[triangle as usize]
+        &self.points[self.around * triangle as usize..][..self.around]
     }
 
-    /// For each row of the visibility table the share of them that the view observes; NaN in a scene without points.
+    /// For each row of the visibility table what `said` makes of the share of them that the view observes; NaN in a scene without points.
     pub fn observed(
         &self,
         scene: &Scene,
         points: &ViewPoints,
         visibility: &Visibility,
+        said: impl Fn(f32) -> f32 + Sync + Send,
         watcher: &dyn Watcher,
-    ) -> Result<Vec<f32>, Cancelled> {
-        let views: Vec<ViewIndex> = scene.view_indices().collect();
-        let of_view = |observed: &mut Vec<bool>, &view: &ViewIndex| {
+    ) -> Result<Column<f32>, TableError> {
+        let of_view = |observed: &mut Vec<bool>, view: ViewIndex| {
             watcher.check()?;
             points.of(view).iter().for_each(|p| observed[p.at()] = true);
             let of_triangle = |&t: &u32| {
                 let around = self.of(t);
-                around.iter().filter(|&&p| observed[p as usize]).count() as f32 / around.len() as f32
+                said(around.iter().filter(|&&p| observed[p as usize]).count() as f32 / around.len() as f32)
             };
             let row: Vec<f32> = visibility.of(view).iter().map(of_triangle).collect();
             points.of(view).iter().for_each(|p| observed[p.at()] = false);
             Ok(row)
         };
-        let rows = views.par_iter().map_init(|| vec![false; scene.points.len()], of_view);
-        Ok(rows.collect::<Result<Vec<_>, _>>()?.concat())
+        visibility.column(|| vec![false; scene.points.len()], of_view)
     }
 
     /// Mean distance between a triangle's centroid and its points, and the largest between its plane and them, scene units; NaN
@@ -199,8 +207,16 @@ mod tests {
         }
         (scene.track_views, scene.track_offsets) = (views, offsets);
         let points = scene.view_points();
-        let visibility =
-            crate::visibility::estimate(&scene, &points, &surface, &Default::default(), 3.0, &Unwatched).unwrap();
+        let visibility = crate::visibility::estimate(
+            &scene,
+            &points,
+            &surface,
+            &Default::default(),
+            3.0,
+            crate::column::Keep::Memory,
+            &Unwatched,
+        )
+        .unwrap();
         let unary = nearby(&scene, &points, &surface, &visibility, &Unwatched).unwrap();
         let mut row = 0;
         for view in scene.view_indices() {

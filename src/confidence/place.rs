@@ -5,8 +5,9 @@ use rayon::prelude::*;
 
 use super::{curves::PLACE, nearby::Nearest};
 use crate::{
+    column::{Column, TableError},
     fulfilment::Model,
-    progress::{Cancelled, Watcher},
+    progress::Watcher,
     scene::{PointIndex, Scene, ViewIndex, ViewPoints},
 };
 
@@ -14,7 +15,7 @@ use crate::{
 pub struct Places<'a> {
     model: Model<'a>,
     /// By row: share of the sparse points nearest to the triangle that the view observes.
-    observed: Vec<f32>,
+    observed: Column<f32>,
     /// By triangle.
     ground: Vec<Ground>,
 }
@@ -32,14 +33,14 @@ struct Ground {
 }
 
 impl<'a> Places<'a> {
-    pub fn new(model: Model<'a>, points: &ViewPoints, watcher: &dyn Watcher) -> Result<Self, Cancelled> {
+    pub fn new(model: Model<'a>, points: &ViewPoints, watcher: &dyn Watcher) -> Result<Self, TableError> {
         let nearest = Nearest::new(model.scene, model.surface, watcher)?;
         let all = (0..model.scene.points.len() as u32).into_par_iter();
         let tracks: Vec<[f32; 2]> = all.map(|p| length_and_error(model.scene, PointIndex(p))).collect();
         watcher.check()?;
         let triangles = (0..model.surface.triangles.len() as u32).into_par_iter();
         Ok(Self {
-            observed: nearest.observed(model.scene, points, model.visibility, watcher)?,
+            observed: nearest.observed(model.scene, points, model.visibility, |share| share, watcher)?,
             ground: triangles.map(|triangle| Ground::new(&model, &nearest, &tracks, triangle)).collect(),
             model,
         })

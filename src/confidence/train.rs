@@ -23,6 +23,7 @@ use super::{
     trees::{BINS, Boosting, Table},
 };
 use crate::{
+    column::TableError,
     depthmaps::{self, DepthMapError, DepthMapFile},
     error::Hint,
     fulfilment::Model,
@@ -421,6 +422,8 @@ pub enum TrainError {
     NothingJudged,
     #[error(transparent)]
     Cancelled(#[from] Cancelled),
+    #[error(transparent)]
+    Table(#[from] TableError),
 }
 
 impl Hint for TrainError {
@@ -430,6 +433,7 @@ impl Hint for TrainError {
             Self::NoCluster(_) => "keep the matcher's report beside its maps, or plan the project first".into(),
             Self::NothingJudged => "train on depth maps of more views, at best of a whole plan".into(),
             Self::Cancelled(_) => return None,
+            Self::Table(error) => return error.hint(),
         })
     }
 }

@@ -17,6 +17,7 @@ use super::{
     trees::{BINS, Classifier, logistic},
 };
 use crate::{
+    column::{self, Growing, TableError},
     error::Hint,
     fulfilment::Model,
     progress::{Cancelled, Watcher},
@@ -143,11 +144,10 @@ impl Trained {
         points: &ViewPoints,
         maps: &[Option<ConfidenceMap>],
         watcher: &dyn Watcher,
-    ) -> Result<Unary, Cancelled> {
+    ) -> Result<Unary, TableError> {
         let promised = Unary::new(model.scene, model.surface, model.visibility, maps, watcher)?;
         let places = Places::new(*model, points, watcher)?;
-        let views: Vec<ViewIndex> = model.scene.view_indices().collect();
-        let of_view = |&view: &ViewIndex| {
+        let of_view = |_: &mut (), &view: &ViewIndex| {
             watcher.check()?;
             let of_row = |row: usize| {
                 let promise = if maps[view.at()].is_some() { promised.at(row) } else { f32::NAN };
@@ -157,9 +157,23 @@ impl Trained {
             };
             Ok(model.visibility.rows(view).map(of_row).collect::<Vec<_>>())
         };
-        let rows: Vec<Vec<(f32, f32)>> = views.par_iter().map(of_view).collect::<Result<_, _>>()?;
-        let (values, partner_odds) = rows.into_iter().flatten().unzip();
-        Ok(Unary { values, partner_odds })
+        let views: Vec<ViewIndex> = model.scene.view_indices().collect();
+        let keep = model.visibility.triangles.kept();
+        let (mut values, mut partner_odds) = (Growing::new(keep)?, Growing::new(keep)?);
+        column::in_order(
+            &views,
+            visibility::BATCH,
+            || (),
+            of_view,
+            |_, rows: Vec<Vec<(f32, f32)>>| {
+                model.release();
+                promised.release();
+                let (keys, partners): (Vec<f32>, Vec<f32>) = rows.into_iter().flatten().unzip();
+                values.extend(&keys)?;
+                partner_odds.extend(&partners)
+            },
+        )?;
+        Ok(Unary { values: values.finish()?, partner_odds: partner_odds.finish()? })
     }
 }
 

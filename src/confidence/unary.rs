@@ -1,12 +1,12 @@
 //! From confidence per place of a picture to confidence per triangle of a view (method 7.3).
 
 use nalgebra::Point2;
-use rayon::prelude::*;
 
 use super::ConfidenceMap;
 use crate::{
     camera::Camera,
-    progress::{Cancelled, Watcher},
+    column::{Column, TableError},
+    progress::Watcher,
     scene::{Scene, ViewIndex},
     surface::Surface,
     visibility::Visibility,
@@ -16,10 +16,10 @@ use crate::{
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Unary {
     /// 0 to 1; empty: 1 everywhere.
-    pub values: Vec<f32>,
+    pub values: Column<f32>,
     /// With a trained confidence: what the view adds to the log odds of a pair as its partner; `values` is then the chance that it can
     /// be measured as the key view's. Else empty.
-    pub partner_odds: Vec<f32>,
+    pub partner_odds: Column<f32>,
 }
 
 impl Unary {
@@ -33,12 +33,21 @@ impl Unary {
     }
 
     /// The product of two that say what pictures and sparse points promise, row by row.
-    pub fn times(mut self, other: &Self) -> Self {
+    pub fn times(self, other: Self, visibility: &Visibility) -> Result<Self, TableError> {
         if self.values.is_empty() {
-            return other.clone();
+            return Ok(other);
         }
-        self.values.iter_mut().enumerate().for_each(|(row, value)| *value *= other.at(row));
-        self
+        if other.values.is_empty() {
+            return Ok(self);
+        }
+        let of_view = |_: &mut (), view| Ok(visibility.rows(view).map(|row| self.at(row) * other.at(row)).collect());
+        Ok(Self { values: visibility.column(|| (), of_view)?, ..Self::certain() })
+    }
+
+    /// Gives back memory that can be read again.
+    pub fn release(&self) {
+        self.values.release();
+        self.partner_odds.release();
     }
 
     /// What the row says of a pair that its view is the partner of: its log odds where the confidence is trained, else its confidence.
@@ -53,12 +62,11 @@ impl Unary {
         visibility: &Visibility,
         maps: &[Option<ConfidenceMap>],
         watcher: &dyn Watcher,
-    ) -> Result<Self, Cancelled> {
+    ) -> Result<Self, TableError> {
         if maps.iter().all(Option::is_none) {
             return Ok(Self::certain());
         }
-        let views: Vec<ViewIndex> = scene.view_indices().collect();
-        let of_view = |&view: &ViewIndex| {
+        let of_view = |_: &mut (), view: ViewIndex| {
             watcher.check()?;
             let triangles = visibility.of(view);
             Ok(match &maps[view.at()] {
@@ -66,8 +74,7 @@ impl Unary {
                 Some(map) => triangles.iter().map(|&t| mean_over(scene, surface, view, t, map)).collect(),
             })
         };
-        let rows: Vec<Vec<f32>> = views.par_iter().map(of_view).collect::<Result<_, _>>()?;
-        Ok(Self { values: rows.concat(), partner_odds: Vec::new() })
+        Ok(Self { values: visibility.column(|| (), of_view)?, ..Self::certain() })
     }
 }
 

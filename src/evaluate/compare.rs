@@ -4,6 +4,7 @@ use serde::Serialize;
 
 use super::{clusters, curve::Curve, evaluation::QualityRow, measure::Quality, orders, rules::RULES, run::Run};
 use crate::{
+    column::TableError,
     confidence::Confidence,
     config::PartnerSettings,
     partners::{self, ViewCluster},
@@ -21,7 +22,7 @@ pub struct Choice {
 
 /// Every rule's clusters of k partners for the key views of the plan: `ours` and `ours-nocp` in their own order, others in that of
 /// `maxpts`.
-pub fn choices(plan: &Plan, k: u32, watcher: &dyn Watcher) -> Result<Vec<Choice>, Cancelled> {
+pub fn choices(plan: &Plan, k: u32, watcher: &dyn Watcher) -> Result<Vec<Choice>, TableError> {
     let model = plan.model();
     let mut certain = model;
     certain.rule.confidence = Confidence::None;

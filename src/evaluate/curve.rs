@@ -68,11 +68,7 @@ mod tests {
 
     #[test]
     fn counts_clusters_and_pairs_up_to_a_fulfilment() {
-        let table = FulfilmentTable {
-            offsets: vec![0, 1, 3, 4],
-            triangles: vec![0, 0, 1, 1],
-            values: vec![1.0, 0.5, 0.5, 1.0],
-        };
+        let table = FulfilmentTable::new([vec![(0, 1.0)], vec![(0, 0.5), (1, 0.5)], vec![(1, 1.0)]]);
         let cluster = |key: u32, partners: u32| ViewCluster {
             key: ViewIndex(key),
             partners: (0..partners).map(|p| ViewIndex(10 + p)).collect(),

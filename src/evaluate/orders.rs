@@ -133,13 +133,7 @@ mod tests {
     };
 
     fn table(rows: &[&[(u32, f32)]]) -> FulfilmentTable {
-        let mut table = FulfilmentTable { offsets: vec![0], ..Default::default() };
-        for row in rows {
-            table.triangles.extend(row.iter().map(|r| r.0));
-            table.values.extend(row.iter().map(|r| r.1));
-            table.offsets.push(table.triangles.len());
-        }
-        table
+        FulfilmentTable::new(rows)
     }
 
     #[test]

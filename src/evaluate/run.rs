@@ -13,6 +13,7 @@ use super::{
     measure::{Measured, Quality, measure},
 };
 use crate::{
+    column::TableError,
     confidence::Confidence,
     depthmaps::{self, DepthMapError, DepthMapFile, DepthMapSet},
     error::Hint,
@@ -198,20 +199,14 @@ impl Task<'_> {
 
     /// Attainable fulfilment times the measured share.
     fn real(&self, clusters: &[ViewCluster], attainable: &FulfilmentTable, measured: &[Measured]) -> FulfilmentTable {
-        let mut real = FulfilmentTable { offsets: vec![0], ..Default::default() };
-        for (c, cluster) in clusters.iter().enumerate() {
+        let of_cluster = |(c, cluster): (usize, &ViewCluster)| -> Vec<(u32, f32)> {
             let seen = self.model.visibility.of(cluster.key);
+            let share = |t| seen.binary_search(&t).map_or(0.0, |row| measured[c].shares[row]);
             let (triangles, values) = attainable.of(c);
-            for (&t, &f) in triangles.iter().zip(values) {
-                let share = seen.binary_search(&t).map_or(0.0, |row| measured[c].shares[row]);
-                if f * share > 0.0 {
-                    real.triangles.push(t);
-                    real.values.push(f * share);
-                }
-            }
-            real.offsets.push(real.triangles.len());
-        }
-        real
+            let real = triangles.iter().zip(values).map(|(&t, &f)| (t, f * share(t)));
+            real.filter(|(_, f)| *f > 0.0).collect()
+        };
+        FulfilmentTable::new(clusters.iter().enumerate().map(of_cluster))
     }
 
     /// Where a cluster was predicted to fulfil something: the promise is f_conf, the prediction with it over that without.
@@ -253,6 +248,8 @@ pub enum EvaluateError {
     NoClusters(PathBuf),
     #[error(transparent)]
     Cancelled(#[from] Cancelled),
+    #[error(transparent)]
+    Table(#[from] TableError),
 }
 
 impl Hint for EvaluateError {
@@ -264,6 +261,7 @@ impl Hint for EvaluateError {
                 "give the depth maps of this plan, or the clusters that they were made for with --clusters".into()
             }
             Self::Cancelled(_) => return None,
+            Self::Table(error) => return error.hint(),
         })
     }
 }

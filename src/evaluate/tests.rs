@@ -8,6 +8,7 @@ use npyz::WriterBuilder;
 use super::*;
 use crate::{
     camera::{Camera, CameraModel},
+    column::Keep,
     confidence::{Confidence, Unary},
     config::{TargetMode, TargetSettings, VisibilitySettings},
     depthmaps::DepthMapError,
@@ -39,7 +40,8 @@ impl Fixture {
         let (scene, surface) = (town.scene(), town.surface());
         let settings = VisibilitySettings::default();
         let visibility =
-            visibility::estimate(&scene, &scene.view_points(), &surface, &settings, 2.0, &Unwatched).unwrap();
+            visibility::estimate(&scene, &scene.view_points(), &surface, &settings, 2.0, Keep::Memory, &Unwatched)
+                .unwrap();
         let wanted = TargetSettings { gsd: Some(GSD), accuracy: None, mode: TargetMode::Absolute };
         let target = Target::new(&scene, &surface, &visibility, &wanted, GSD, 1.0);
         Self { scene, surface, visibility, target, unary: Unary::certain() }

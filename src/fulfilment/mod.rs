@@ -7,17 +7,16 @@ pub(crate) mod block;
 mod lanes;
 mod target;
 
-use nalgebra::{Matrix3, Point3, Vector2};
-use rayon::prelude::*;
-
 use self::block::{Block, Places};
 pub use self::target::{GSD_MARGIN, Target};
+use nalgebra::{Matrix3, Point3, Vector2};
 
 use crate::{
     camera::{Camera, CameraModel},
+    column::{self, Column, DiskError, Growing, TableError},
     confidence::{Confidence, Constellation, Unary},
     partners::ViewCluster,
-    progress::{Cancelled, Watcher},
+    progress::Watcher,
     scene::{Scene, ViewIndex},
     surface::Surface,
     visibility::Visibility,
@@ -51,6 +50,14 @@ pub struct Model<'a> {
     pub rule: Rule,
 }
 
+impl Model<'_> {
+    /// Gives back memory that can be read again.
+    pub(crate) fn release(&self) {
+        self.visibility.triangles.release();
+        self.unary.release();
+    }
+}
+
 /// f of a triangle and its factors.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Fulfilment {
@@ -70,22 +77,27 @@ pub struct Fulfilment {
 pub struct FulfilmentTable {
     /// Clusters + 1 entries.
     pub offsets: Vec<usize>,
-    pub triangles: Vec<u32>,
+    pub triangles: Column<u32>,
     /// In (0, 1].
-    pub values: Vec<f32>,
+    pub values: Column<f32>,
 }
 
 impl FulfilmentTable {
-    pub(crate) fn empty() -> Self {
-        Self { offsets: vec![0], ..Default::default() }
+    /// Of clusters with these triangles and their f.
+    pub fn new<R: AsRef<[(u32, f32)]>>(clusters: impl IntoIterator<Item = R>) -> Self {
+        let (mut offsets, mut triangles, mut values) = (vec![0], Vec::new(), Vec::new());
+        for row in clusters {
+            triangles.extend(row.as_ref().iter().map(|entry| entry.0));
+            values.extend(row.as_ref().iter().map(|entry| entry.1));
+            offsets.push(triangles.len());
+        }
+        Self { offsets, triangles: triangles.into(), values: values.into() }
     }
 
-    /// Adds a cluster with the f of each triangle that its key view sees.
-    pub(crate) fn push(&mut self, triangles: &[u32], values: &[f32]) {
-        let fulfilled = || triangles.iter().zip(values).filter(|(_, f)| **f > 0.0);
-        self.triangles.extend(fulfilled().map(|(t, _)| t));
-        self.values.extend(fulfilled().map(|(_, f)| f));
-        self.offsets.push(self.triangles.len());
+    /// Gives back memory that can be read again.
+    pub fn release(&self) {
+        self.triangles.release();
+        self.values.release();
     }
 
     pub fn clusters(&self) -> usize {
@@ -99,21 +111,55 @@ impl FulfilmentTable {
     }
 }
 
-/// f of any clusters, in their order.
-pub fn table(model: &Model, clusters: &[ViewCluster], watcher: &dyn Watcher) -> Result<FulfilmentTable, Cancelled> {
-    let mut table = FulfilmentTable::empty();
-    for batch in clusters.chunks(BATCH) {
-        let row = |places: &mut Places, cluster: &ViewCluster| {
-            watcher.check()?;
-            let mut block = Block::new(model, cluster.key, &cluster.partners, |_| false, places);
-            Ok(block.values(&(0..cluster.partners.len()).collect::<Vec<_>>()))
-        };
-        let rows = batch.par_iter().map_init(|| Places::new(model), row).collect::<Result<Vec<_>, _>>()?;
-        for (cluster, values) in batch.iter().zip(rows) {
-            table.push(model.visibility.of(cluster.key), &values);
-        }
+/// A table of fulfilment to which clusters are added.
+pub(crate) struct GrowingTable {
+    offsets: Vec<usize>,
+    triangles: Growing<u32>,
+    values: Growing<f32>,
+}
+
+impl GrowingTable {
+    /// `visibility`: a table that is kept as this one is to be.
+    pub(crate) fn beside(visibility: &Visibility) -> Result<Self, DiskError> {
+        let keep = visibility.triangles.kept();
+        Ok(Self { offsets: vec![0], triangles: Growing::new(keep)?, values: Growing::new(keep)? })
     }
-    Ok(table)
+
+    /// Adds a cluster with the f of each triangle that its key view sees.
+    pub(crate) fn push(&mut self, triangles: &[u32], values: &[f32]) -> Result<(), DiskError> {
+        let fulfilled = triangles.iter().zip(values).filter(|(_, f)| **f > 0.0);
+        let (triangles, values): (Vec<u32>, Vec<f32>) = fulfilled.unzip();
+        self.triangles.extend(&triangles)?;
+        self.values.extend(&values)?;
+        self.offsets.push(self.offsets.last().expect("starts with one") + values.len());
+        Ok(())
+    }
+
+    pub(crate) fn finish(self) -> Result<FulfilmentTable, DiskError> {
+        let Self { offsets, triangles, values, .. } = self;
+        Ok(FulfilmentTable { offsets, triangles: triangles.finish()?, values: values.finish()? })
+    }
+}
+
+/// f of any clusters, in their order.
+pub fn table(model: &Model, clusters: &[ViewCluster], watcher: &dyn Watcher) -> Result<FulfilmentTable, TableError> {
+    let mut table = GrowingTable::beside(model.visibility)?;
+    let of_cluster = |places: &mut Places, cluster: &ViewCluster| {
+        watcher.check()?;
+        let mut block = Block::new(model, cluster.key, &cluster.partners, |_| false, places);
+        Ok(block.values(&(0..cluster.partners.len()).collect::<Vec<_>>()))
+    };
+    column::in_order(
+        clusters,
+        BATCH,
+        || Places::new(model),
+        of_cluster,
+        |batch, rows| {
+            model.release();
+            batch.iter().zip(rows).try_for_each(|(cluster, f)| table.push(model.visibility.of(cluster.key), &f))
+        },
+    )?;
+    Ok(table.finish()?)
 }
 
 /// f of one triangle by one cluster, by the definition; 0 where the key view does not see the triangle.

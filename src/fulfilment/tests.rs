@@ -6,6 +6,7 @@ use rand_pcg::Pcg64;
 
 use super::*;
 use crate::{
+    column::Keep,
     confidence::{
         PairConfidence, PairCurves,
         curves::{Curve, PAIR},
@@ -32,7 +33,8 @@ impl Setting {
         let (scene, surface) = (town.scene(), town.surface());
         let settings = VisibilitySettings::default();
         let visibility =
-            visibility::estimate(&scene, &scene.view_points(), &surface, &settings, 4.0, &Unwatched).unwrap();
+            visibility::estimate(&scene, &scene.view_points(), &surface, &settings, 4.0, Keep::Memory, &Unwatched)
+                .unwrap();
         let target = Target::new(&scene, &surface, &visibility, &TargetSettings::default(), 0.05, 1.0);
         Self { scene, surface, visibility, target, unary: Unary::certain() }
     }

@@ -7,18 +7,18 @@ mod candidates;
 mod sampled;
 mod search;
 
-use rayon::prelude::*;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 pub use self::candidates::{Candidates, PairGeometry, Refusal, candidates, neighbours};
 use self::search::Choice;
 use crate::{
+    column::{self, TableError},
     config::{PartnerMethod, PartnerSettings},
     fulfilment::{
-        BATCH, FulfilmentTable, Model,
+        BATCH, FulfilmentTable, GrowingTable, Model,
         block::{Block, Places},
     },
-    progress::{Cancelled, Stage, Watcher},
+    progress::{Stage, Watcher},
     scene::ViewIndex,
 };
 
@@ -38,28 +38,35 @@ pub fn choose(
     settings: &PartnerSettings,
     seed: u64,
     watcher: &dyn Watcher,
-) -> Result<(Vec<ViewCluster>, FulfilmentTable), Cancelled> {
+) -> Result<(Vec<ViewCluster>, FulfilmentTable), TableError> {
     let judges = sampled::judging_triangles(model.surface.triangles.len(), settings.triangle_fraction, seed);
     let keys: Vec<ViewIndex> = model.scene.view_indices().filter(|&v| !candidates.of(v).is_empty()).collect();
     let (done, total) = (AtomicU64::new(0), keys.len() as u64);
     watcher.progress(Stage::Partners, 0, total);
-    let (mut clusters, mut table) = (Vec::with_capacity(keys.len()), FulfilmentTable::empty());
-    for batch in keys.chunks(BATCH) {
-        let choose_one = |places: &mut Places, &key: &ViewIndex| {
-            watcher.check()?;
-            let is_judge = |t: u32| judges[t as usize];
-            let mut block = Block::new(model, key, candidates.of(key), is_judge, places);
-            let choice = choose_for(&mut block, model, key, candidates.of(key), settings, seed);
-            watcher.progress(Stage::Partners, 1 + done.fetch_add(1, Ordering::Relaxed), total);
-            Ok(choice)
-        };
-        let chosen = batch.par_iter().map_init(|| Places::new(model), choose_one).collect::<Result<Vec<_>, _>>()?;
-        for (&key, (partners, values)) in batch.iter().zip(chosen) {
-            table.push(model.visibility.of(key), &values);
-            clusters.push(ViewCluster { key, partners });
-        }
-    }
-    Ok((clusters, table))
+    let choose_one = |places: &mut Places, &key: &ViewIndex| {
+        watcher.check()?;
+        let is_judge = |t: u32| judges[t as usize];
+        let mut block = Block::new(model, key, candidates.of(key), is_judge, places);
+        let choice = choose_for(&mut block, model, key, candidates.of(key), settings, seed);
+        watcher.progress(Stage::Partners, 1 + done.fetch_add(1, Ordering::Relaxed), total);
+        Ok(choice)
+    };
+    let (mut clusters, mut table) = (Vec::with_capacity(keys.len()), GrowingTable::beside(model.visibility)?);
+    column::in_order(
+        &keys,
+        BATCH,
+        || Places::new(model),
+        choose_one,
+        |batch, chosen| {
+            model.release();
+            for (&key, (partners, values)) in batch.iter().zip(chosen) {
+                table.push(model.visibility.of(key), &values)?;
+                clusters.push(ViewCluster { key, partners });
+            }
+            Ok(())
+        },
+    )?;
+    Ok((clusters, table.finish()?))
 }
 
 /// Partners of one key view, best first, and f of its triangles.

@@ -3,6 +3,7 @@
 use super::*;
 use crate::{
     camera::{Camera, CameraModel},
+    column::Keep,
     confidence::{Confidence, PairConfidence, Unary},
     config::{TargetSettings, VisibilitySettings},
     fulfilment::{self, Rule, Target},
@@ -24,12 +25,16 @@ struct Setting {
 
 impl Setting {
     fn new() -> Self {
+        Self::kept(Keep::Memory)
+    }
+
+    fn kept(keep: Keep) -> Self {
         let camera = Camera::new(1, CameraModel::Pinhole, 1000, 750, vec![850.0, 850.0, 500.0, 375.0]).unwrap();
         let town = Town { edge: 3.0, points: 300, ..Town::new(camera) };
         let (scene, surface) = (town.scene(), town.surface());
         let points = scene.view_points();
         let settings = VisibilitySettings::default();
-        let visibility = visibility::estimate(&scene, &points, &surface, &settings, 3.0, &Unwatched).unwrap();
+        let visibility = visibility::estimate(&scene, &points, &surface, &settings, 3.0, keep, &Unwatched).unwrap();
         let mut target = Target::new(&scene, &surface, &visibility, &TargetSettings::default(), 0.05, 1.0);
         target.accuracy_over_gsd = 0.4;
         let gate = crate::backends::by_name("sure").unwrap().planning().gate;
@@ -54,6 +59,25 @@ impl Setting {
     fn choose(&self, settings: &PartnerSettings) -> (Vec<ViewCluster>, FulfilmentTable) {
         choose(&self.model(), &self.candidates, settings, 0, &Unwatched).unwrap()
     }
+}
+
+#[test]
+fn tables_on_disk_hold_what_tables_in_memory_hold() {
+    let [mut memory, mut disk] = [Keep::Memory, Keep::Disk].map(Setting::kept);
+    for setting in [&mut memory, &mut disk] {
+        let points = setting.scene.view_points();
+        let Setting { scene, surface, visibility, .. } = &*setting;
+        setting.unary = crate::confidence::nearby(scene, &points, surface, visibility, &Unwatched).unwrap();
+    }
+    let seen = disk.visibility.seen(disk.surface.triangles.len());
+    assert_eq!(disk.visibility.keep(&seen).unwrap(), memory.visibility.keep(&seen).unwrap());
+    assert_eq!((&disk.visibility, &disk.unary), (&memory.visibility, &memory.unary));
+    let settings = settings(3, PartnerMethod::Search);
+    let (chosen, expected) = (disk.choose(&settings), memory.choose(&settings));
+    assert_eq!(chosen, expected);
+    let kept = |s: &Setting, t: &FulfilmentTable| [&s.visibility.triangles, &t.triangles].map(|column| column.kept());
+    assert_eq!(kept(&disk, &chosen.1), [Keep::Disk; 2]);
+    assert_eq!(kept(&memory, &expected.1), [Keep::Memory; 2]);
 }
 
 fn settings(k: u32, method: PartnerMethod) -> PartnerSettings {

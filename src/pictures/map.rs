@@ -82,7 +82,16 @@ mod tests {
         let town = Town { relief: 0.0, boxes: 0, tilt: None, edge: 0.5, ..Town::new(camera) };
         let (scene, surface) = (town.scene(), town.surface());
         let settings = VisibilitySettings::default();
-        let seen = visibility::estimate(&scene, &scene.view_points(), &surface, &settings, 0.5, &Unwatched).unwrap();
+        let seen = visibility::estimate(
+            &scene,
+            &scene.view_points(),
+            &surface,
+            &settings,
+            0.5,
+            crate::column::Keep::Memory,
+            &Unwatched,
+        )
+        .unwrap();
         let frame = MapFrame::new(&scene, None);
         assert_eq!(frame.axes, [Vector3::x(), Vector3::y(), Vector3::z()]);
         let middle = ViewIndex(12);

@@ -4,11 +4,12 @@ use std::{collections::BTreeMap, path::Path};
 
 use super::{Cut, Finished, Plan, PlanError, plan};
 use crate::{
+    column::TableError,
     error::Hint,
     fulfilment,
     manifest::{Recorded, WrittenPlanError, warnings_with},
     partners::ViewCluster,
-    progress::{Cancelled, Watcher},
+    progress::Watcher,
     project::Project,
     ranking::Ranking,
     scene::ViewIndex,
@@ -76,7 +77,7 @@ pub enum AgainError {
     #[error(transparent)]
     Plan(#[from] PlanError),
     #[error(transparent)]
-    Cancelled(#[from] Cancelled),
+    Table(#[from] TableError),
 }
 
 impl Hint for AgainError {
@@ -84,7 +85,7 @@ impl Hint for AgainError {
         match self {
             Self::Written(error) => error.hint(),
             Self::Plan(error) => error.hint(),
-            Self::Cancelled(error) => error.hint(),
+            Self::Table(error) => error.hint(),
         }
     }
 }

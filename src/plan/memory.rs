@@ -1,13 +1,15 @@
 //! Memory of each stage, forecast before it runs from what is known by then, and what keeps it within a limit.
 //!
-//! A surface of more points than the limit takes is built in tiles, one after the other. The other tables have one size whatever the tiles
-//! are: where they don't fit, that is said before they are made. The figures per point were measured with `viewrank plan` on `boruszyn`
-//! and `caliterra` (800 and 760 bytes), the rest are sizes of tables and of the threads' pictures.
+//! A surface of more points than the limit takes is built in tiles, one after the other; tables of visibility, confidence and fulfilment that
+//! don't fit are kept on disk ([`Keep`]), which changes no number. What is left, the scene and what is known of each triangle, has to fit:
+//! where it doesn't, that is said before it is made. The figures per point were measured with `viewrank plan` on `boruszyn` and
+//! `caliterra` (800 and 760 bytes), the rest are sizes of tables and of the threads' pictures.
 
 use serde::Serialize;
 
 use super::PlanError;
 use crate::{
+    column::Keep,
     config::{Bytes, Settings, VisibilitySettings},
     scene::Scene,
     surface::Surface,
@@ -29,11 +31,13 @@ const LEAST_TILE: u64 = 10_000;
 /// A point, and an observation, of the scene; with the table of the points of each view.
 const SCENE_PER_POINT: u64 = 43;
 const SCENE_PER_OBSERVATION: u64 = 24;
-/// A row of the tables of visibility, and of fulfilment.
+/// A row of the table of visibility, with its confidence and its fulfilment by its own cluster.
 const VISIBILITY_ROW: u64 = 4;
-const FULFILMENT_ROW: u64 = 8;
-/// Unary confidence of a row of visibility.
-const CONFIDENCE_ROW: u64 = 4;
+const TABLES_ROW: u64 = 16;
+/// Of a triangle while its confidence and its reasons are found: its nearest points, its factors and what is reached of it.
+const PER_TRIANGLE: u64 = 100;
+/// Views whose rows are read or put together at a time, of tables on disk.
+const VIEWS_AT_ONCE: u64 = 1024;
 /// Views and triangles that foretell the rows of visibility.
 const SAMPLED_VIEWS: usize = 32;
 const SAMPLED_TRIANGLES: usize = 20_000;
@@ -46,6 +50,8 @@ pub struct Memory {
     pub visibility: u64,
     /// Partners, fulfilment and ranking.
     pub partners: u64,
+    /// Of tables on disk; 0 where memory holds them.
+    pub disk: u64,
     #[serde(skip)]
     limit: Option<Bytes>,
 }
@@ -79,16 +85,31 @@ impl Memory {
         scene: &Scene,
         surface: &Surface,
         settings: &VisibilitySettings,
-    ) -> Result<(), PlanError> {
+    ) -> Result<Keep, PlanError> {
         let buffers = rayon::current_num_threads() as u64 * u64::from(settings.buffer_px).pow(2) * BUFFER_PIXEL;
-        self.visibility = self.read + 2 * bytes(surface) + VISIBILITY_ROW * expected_rows(scene, surface) + buffers;
-        self.keep("table of visibility", self.visibility)
+        let rows = expected_rows(scene, surface);
+        let drawing = self.read + 2 * bytes(surface) + buffers;
+        let choosing = self.read + bytes(surface) + PER_TRIANGLE * surface.triangles.len() as u64;
+        let fits = |need: u64| self.limit.is_none_or(|Bytes(limit)| need <= limit);
+        if fits(drawing + VISIBILITY_ROW * rows) && fits(choosing + TABLES_ROW * rows) {
+            self.visibility = drawing + VISIBILITY_ROW * rows;
+            return Ok(Keep::Memory);
+        }
+        let views = scene.views.len().max(1) as u64;
+        let at_once = TABLES_ROW * rows * views.min(VIEWS_AT_ONCE) / views;
+        (self.visibility, self.partners, self.disk) = (drawing + at_once, choosing + at_once, TABLES_ROW * rows);
+        self.keep("picture of the surface", self.visibility)?;
+        self.keep("list of triangles", self.partners)?;
+        Ok(Keep::Disk)
     }
 
-    pub(super) fn before_partners(&mut self, surface: &Surface, visibility: &Visibility) -> Result<(), PlanError> {
-        let rows = visibility.triangles.len() as u64;
-        self.partners = self.read + bytes(surface) + (VISIBILITY_ROW + CONFIDENCE_ROW + FULFILMENT_ROW) * rows;
-        self.keep("table of fulfilment", self.partners)
+    /// With the rows that there are, in memory.
+    pub(super) fn before_partners(&mut self, surface: &Surface, visibility: &Visibility) {
+        if self.disk == 0 {
+            let rows = visibility.triangles.len() as u64;
+            let triangles = PER_TRIANGLE * surface.triangles.len() as u64;
+            self.partners = self.read + bytes(surface) + triangles + TABLES_ROW * rows;
+        }
     }
 
     fn keep(&self, stage: &'static str, need: u64) -> Result<(), PlanError> {

@@ -27,6 +27,7 @@ pub use warnings::unlikely_gsd;
 
 use crate::{
     backends::{self, Backend, BackendError, RankedCluster},
+    column::{DiskError, TableError},
     confidence::{self, Confidence, Pictures, Predictor, Proxy, Source, Trained, TrainedError, Unary},
     config::{Settings, Share},
     error::Hint,
@@ -88,7 +89,9 @@ impl Plan {
 
     /// Memory that its tables take, about.
     pub fn bytes(&self) -> u64 {
-        let tables = 12 * self.visibility.triangles.len() + 8 * self.fulfilment.triangles.len();
+        let unary = self.unary.values.bytes() + self.unary.partner_odds.bytes();
+        let fulfilment = self.fulfilment.triangles.bytes() + self.fulfilment.values.bytes();
+        let tables = self.visibility.triangles.bytes() + unary + fulfilment;
         let surface = 24 * self.surface.vertices.len() + 24 * self.surface.triangles.len();
         let scene = 64 * self.scene.points.len() + 24 * self.scene.observations();
         (tables + surface + scene) as u64
@@ -195,8 +198,9 @@ pub fn plan_scene(
         || partners::candidates(&scene, &points, &settings.partners, &backend.planning().gate, watcher),
     );
     let (seen, candidates) = (seen?, candidates?);
-    memory.before_partners(&seen.surface, &seen.visibility)?;
+    memory.before_partners(&seen.surface, &seen.visibility);
     let target = target(&scene, &seen, &settings);
+    seen.visibility.triangles.release();
     let confidence = Confidence::new(&source, trained.as_ref(), &settings.confidence, &backend.planning().confidence);
     confidence.fill_in(&mut settings.confidence);
     let rule = rule(&settings, confidence);
@@ -213,7 +217,10 @@ pub fn plan_scene(
         let unary = match (&trained, confidence) {
             (Some(trained), Confidence::Trained(_)) => trained.unary(&model, &points, &pictures.maps, watcher)?,
             (_, Confidence::Pair(_)) => confidence::nearby(&scene, &points, &seen.surface, &seen.visibility, watcher)?
-                .times(&Unary::new(&scene, &seen.surface, &seen.visibility, &pictures.maps, watcher)?),
+                .times(
+                    Unary::new(&scene, &seen.surface, &seen.visibility, &pictures.maps, watcher)?,
+                    &seen.visibility,
+                )?,
             _ => Unary::new(&scene, &seen.surface, &seen.visibility, &pictures.maps, watcher)?,
         };
         Ok::<_, PlanError>((pictures, unary))
@@ -332,16 +339,16 @@ fn look(
     let mesh = settings.surface.mesh.clone().map(|path| MeshFile { path, as_is: settings.surface.mesh_as_is });
     let (surface, stats) =
         timings.time(Stage::Surface, || surface::build(scene, gsd, &settings.surface, mesh.as_ref(), watcher))?;
-    memory.before_visibility(scene, &surface, &settings.visibility)?;
+    let keep = memory.before_visibility(scene, &surface, &settings.visibility)?;
     let edge_length = settings.surface.edge_factor * gsd;
     let visibility = timings.time(Stage::Visibility, || {
-        visibility::estimate(scene, points, &surface, &settings.visibility, edge_length, watcher)
+        visibility::estimate(scene, points, &surface, &settings.visibility, edge_length, keep, watcher)
     })?;
     let seen = visibility.seen(surface.triangles.len());
     if !seen.contains(&true) {
         return Err(SurfaceError::Empty.into());
     }
-    Ok(Seen { surface: surface.keep(&seen), stats, visibility: visibility.keep(&seen), gsd })
+    Ok(Seen { surface: surface.keep(&seen), stats, visibility: visibility.keep(&seen)?, gsd })
 }
 
 fn target(scene: &Scene, seen: &Seen, settings: &Settings) -> Target {
@@ -382,7 +389,18 @@ pub enum PlanError {
     )]
     Memory { stage: &'static str, need: u64, limit: u64 },
     #[error(transparent)]
+    Disk(#[from] DiskError),
+    #[error(transparent)]
     Cancelled(#[from] Cancelled),
+}
+
+impl From<TableError> for PlanError {
+    fn from(error: TableError) -> Self {
+        match error {
+            TableError::Cancelled(error) => Self::Cancelled(error),
+            TableError::Disk(error) => Self::Disk(error),
+        }
+    }
 }
 
 impl Hint for PlanError {
@@ -399,6 +417,7 @@ impl Hint for PlanError {
                 "give --max-memory {}, or have fewer triangles with a coarser --gsd or a larger surface.edge_factor",
                 memory::readable(need + need / 20)
             ),
+            Self::Disk(error) => return error.hint(),
             Self::Cancelled(_) => return None,
         })
     }

@@ -136,11 +136,13 @@ impl Why<'_> {
     pub fn triangles(&self) -> Vec<Option<Reason>> {
         let triangles = self.model.surface.triangles.len();
         let mut best = vec![0f32; triangles];
-        for (&t, &f) in self.fulfilment.triangles.iter().zip(&self.fulfilment.values) {
+        for (&t, &f) in self.fulfilment.triangles.iter().zip(&*self.fulfilment.values) {
             best[t as usize] = best[t as usize].max(f);
         }
         let mut viewers = vec![0u32; triangles];
         self.model.visibility.triangles.iter().for_each(|&t| viewers[t as usize] += 1);
+        self.fulfilment.release();
+        self.model.release();
         let is_fulfilled = |t: usize| f64::from(best[t]) >= FULFILLED;
         let has_few_cameras = |t: usize| viewers[t] < self.model.rule.min_cameras;
         let nearest = self.nearest_to_success(|t| !is_fulfilled(t) && !has_few_cameras(t));
@@ -169,6 +171,7 @@ impl Why<'_> {
                     *held = Some(fulfilment);
                 }
             }
+            self.model.release();
         }
         nearest
     }
@@ -297,11 +300,7 @@ mod tests {
     #[test]
     fn a_duplicate_is_done_by_one_chosen_cluster() {
         // Clusters 0 and 1 share the triangles of cluster 2; neither does all of them.
-        let table = FulfilmentTable {
-            offsets: vec![0, 2, 4, 6],
-            triangles: vec![0, 1, 1, 2, 1, 2],
-            values: vec![0.5, 0.5, 0.9, 0.2, 0.6, 0.6],
-        };
+        let table = FulfilmentTable::new([[(0, 0.5), (1, 0.5)], [(1, 0.9), (2, 0.2)], [(1, 0.6), (2, 0.6)]]);
         let chosen = ChosenByTriangle::new(&table, &[0, 1], 3);
         let (triangles, values) = table.of(2);
         assert!((chosen.most_by_one(triangles, values) - 0.8).abs() < 1e-6);

@@ -15,7 +15,7 @@ use crate::{
     depthmaps::{self, DepthMap, DepthMapError, DepthMapFile, DepthMapSet},
     error::Hint,
     evaluate::{EvaluateError, Run, Task},
-    fulfilment::FulfilmentTable,
+    fulfilment::GrowingTable,
     manifest::{Recorded, WrittenPlanError},
     partners::ViewCluster,
     plan::{Outdated, Plan, PlanError, PlannedView, PlannedViews},
@@ -131,25 +131,25 @@ fn rank_around(plan: &mut Plan, run: Option<&Run>, watcher: &dyn Watcher) -> Res
     let mut rows: BTreeMap<ViewIndex, (Option<usize>, usize)> = BTreeMap::new();
     rows.extend(plan.clusters.iter().enumerate().map(|(c, cluster)| (cluster.key, (None, c))));
     rows.extend(run.clusters.iter().enumerate().map(|(c, cluster)| (cluster.key, (Some(c), c))));
-    let mut table = FulfilmentTable::empty();
+    let mut table = GrowingTable::beside(&plan.visibility)?;
     let mut clusters = Vec::with_capacity(rows.len());
     for (finished, at) in rows.values() {
         match finished {
             Some(_) => {
                 let (triangles, values) = run.real.of(*at);
-                table.push(triangles, values);
+                table.push(triangles, values)?;
                 clusters.push(run.clusters[*at].clone());
             }
             None => {
                 let (triangles, values) = beliefs.row(*at);
-                table.push(triangles, &values);
+                table.push(triangles, &values)?;
                 clusters.push(plan.clusters[*at].clone());
             }
         }
     }
     let places: BTreeMap<ViewIndex, u32> = rows.keys().copied().zip(0..).collect();
     let order: Vec<u32> = run.order.iter().map(|&c| places[&run.clusters[c as usize].key]).collect();
-    (plan.clusters, plan.fulfilment) = (clusters, table);
+    (plan.clusters, plan.fulfilment) = (clusters, table.finish()?);
     plan.rank(&order, watcher)
 }
 

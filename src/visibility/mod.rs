@@ -10,6 +10,7 @@ mod patches;
 
 use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
 
+use bytemuck::Pod;
 use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
 
@@ -19,6 +20,7 @@ use self::{
 };
 use crate::{
     camera::{Camera, CameraModel},
+    column::{self, Column, DiskError, Growing, Keep, TableError},
     config::VisibilitySettings,
     progress::{Cancelled, Stage, Watcher},
     scene::{PointIndex, Pose, Scene, ViewIndex, ViewPoints},
@@ -30,7 +32,7 @@ const FEW_PIXELS: u32 = 4;
 /// What is nearer to the camera than this many edge lengths is not drawn.
 const NEAR_EDGES: f64 = 0.05;
 /// Views that are worked on before their rows are put together.
-const BATCH: usize = 256;
+pub(crate) const BATCH: usize = 256;
 
 /// The sparse table of (view, triangle), CSR by view, triangles ascending within a view.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -38,7 +40,7 @@ pub struct Visibility {
     /// Views + 1 entries.
     pub offsets: Vec<usize>,
     /// Triangles, ascending within a view.
-    pub triangles: Vec<u32>,
+    pub triangles: Column<u32>,
     /// Observations that contradict the table: the view observes a sparse point that lies on the surface in another view of its
     /// track, but that the surface hides here.
     pub contradictions: u64,
@@ -69,7 +71,7 @@ impl Visibility {
     }
 
     /// The table for the surface without the triangles where `keep` is false, renumbered as [`Surface::keep`] does.
-    pub fn keep(&self, keep: &[bool]) -> Self {
+    pub fn keep(&self, keep: &[bool]) -> Result<Self, DiskError> {
         let mut next = 0;
         let number = |&k: &bool| {
             let kept = if k { next } else { u32::MAX };
@@ -77,49 +79,72 @@ impl Visibility {
             kept
         };
         let numbers: Vec<u32> = keep.iter().map(number).collect();
-        let mut kept = Self { offsets: vec![0], triangles: Vec::new(), contradictions: self.contradictions };
+        let (mut offsets, mut triangles) = (vec![0], Growing::new(self.triangles.kept())?);
         for rows in self.offsets.windows(2) {
             let view = self.triangles[rows[0]..rows[1]].iter();
-            kept.triangles.extend(view.map(|&t| numbers[t as usize]).filter(|&t| t != u32::MAX));
-            kept.offsets.push(kept.triangles.len());
+            let view: Vec<u32> = view.map(|&t| numbers[t as usize]).filter(|&t| t != u32::MAX).collect();
+            triangles.extend(&view)?;
+            offsets.push(offsets.last().expect("starts with one") + view.len());
         }
-        kept
+        self.triangles.release();
+        Ok(Self { offsets, triangles: triangles.finish()?, contradictions: self.contradictions })
+    }
+
+    /// A column beside the table, kept as the table is: what `of_view` says of each row of a view, with `start`'s value for each thread.
+    pub fn column<T: Pod + Send, S: Send>(
+        &self,
+        start: impl Fn() -> S + Sync + Send,
+        of_view: impl Fn(&mut S, ViewIndex) -> Result<Vec<T>, Cancelled> + Sync + Send,
+    ) -> Result<Column<T>, TableError> {
+        let views: Vec<ViewIndex> = (1..self.offsets.len()).map(|end| ViewIndex(end as u32 - 1)).collect();
+        let mut column = Growing::new(self.triangles.kept())?;
+        column::in_order(
+            &views,
+            BATCH,
+            start,
+            |s, &view| of_view(s, view),
+            |_, rows| {
+                self.triangles.release();
+                rows.iter().try_for_each(|rows| column.extend(rows))
+            },
+        )?;
+        Ok(column.finish()?)
     }
 }
 
-/// Which view sees which triangle. `edge_length` is r g_d, the length below which the surface was simplified.
+/// Which view sees which triangle. `edge_length` is r g_d, the length below which the surface was simplified; `keep` says where the table lies.
 pub fn estimate(
     scene: &Scene,
     points: &ViewPoints,
     surface: &Surface,
     settings: &VisibilitySettings,
     edge_length: f64,
+    keep: Keep,
     watcher: &dyn Watcher,
-) -> Result<Visibility, Cancelled> {
+) -> Result<Visibility, TableError> {
     let stage = Looking::new(scene, surface, settings, edge_length);
     let observations = Observations::new(scene.points.len());
     let views: Vec<ViewIndex> = scene.view_indices().collect();
     let done = AtomicU64::new(0);
     watcher.progress(Stage::Visibility, 0, views.len() as u64);
-    let mut table = Visibility { offsets: vec![0], ..Default::default() };
-    for batch in views.chunks(BATCH) {
-        let look = |picture: &mut Picture, &view: &ViewIndex| {
-            watcher.check()?;
-            stage.draw(view, picture);
-            let mut seen: Vec<u32> = stage.visible(view, picture).collect();
-            seen.sort_unstable();
-            stage.observe(view, points.of(view), picture, &observations);
-            watcher.progress(Stage::Visibility, 1 + done.fetch_add(1, Ordering::Relaxed), views.len() as u64);
-            Ok(seen)
-        };
-        let rows: Vec<Vec<u32>> = batch.par_iter().map_init(Picture::default, look).collect::<Result<_, _>>()?;
+    let look = |picture: &mut Picture, &view: &ViewIndex| {
+        watcher.check()?;
+        stage.draw(view, picture);
+        let mut seen: Vec<u32> = stage.visible(view, picture).collect();
+        seen.sort_unstable();
+        stage.observe(view, points.of(view), picture, &observations);
+        watcher.progress(Stage::Visibility, 1 + done.fetch_add(1, Ordering::Relaxed), views.len() as u64);
+        Ok(seen)
+    };
+    let (mut offsets, mut triangles) = (vec![0], Growing::new(keep)?);
+    column::in_order(&views, BATCH, Picture::default, look, |_, rows| {
         for row in rows {
-            table.triangles.extend_from_slice(&row);
-            table.offsets.push(table.triangles.len());
+            triangles.extend(&row)?;
+            offsets.push(offsets.last().expect("starts with one") + row.len());
         }
-    }
-    table.contradictions = observations.contradictions();
-    Ok(table)
+        Ok(())
+    })?;
+    Ok(Visibility { offsets, triangles: triangles.finish()?, contradictions: observations.contradictions() })
 }
 
 /// No triangle, in a picture of triangles.
