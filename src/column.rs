@@ -84,6 +84,12 @@ impl<T> From<Vec<T>> for Column<T> {
     }
 }
 
+impl<T> FromIterator<T> for Column<T> {
+    fn from_iter<I: IntoIterator<Item = T>>(list: I) -> Self {
+        Vec::from_iter(list).into()
+    }
+}
+
 impl<T: Pod + std::fmt::Debug> std::fmt::Debug for Column<T> {
     fn fmt(&self, to: &mut std::fmt::Formatter) -> std::fmt::Result {
         (**self).fmt(to)

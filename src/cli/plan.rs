@@ -79,7 +79,7 @@ pub struct Arguments {
     /// Seed of all random choices
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(i64).range(0..), help_heading = "How")]
     seed: Option<i64>,
-    /// Memory that planning may take, such as 8G; a surface that needs more is built in tiles [default: no limit]
+    /// Memory that planning may take, such as 8G: where it needs more the surface is built in tiles, and tables are kept on disk [default: no limit]
     #[arg(long, value_name = "SIZE", help_heading = "How")]
     max_memory: Option<String>,
     /// Threads to use; the plan is the same for any number [default: all]

@@ -100,8 +100,10 @@ impl<'a> Summary<'a> {
 
     fn found(&self) -> String {
         let length = if self.units == Units::Metric { "m" } else { "units" };
+        let on_disk = |size| format!("Tables of up to {size} were kept on disk for want of memory (--max-memory).\n");
+        let disk = self.memory.on_disk().map(on_disk).unwrap_or_default();
         format!(
-            "{} views, {} sparse points; a surface of {} triangles.\nWanted: {} {length} per pixel. For: {}.\n",
+            "{} views, {} sparse points; a surface of {} triangles.\n{disk}Wanted: {} {length} per pixel. For: {}.\n",
             grouped(self.views),
             grouped(self.points),
             grouped(self.triangles),

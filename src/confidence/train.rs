@@ -328,7 +328,7 @@ fn promises(
     parts: &Parts,
     pictures: Option<&Pictures>,
     watcher: &dyn Watcher,
-) -> Result<(Vec<Vec<f32>>, f32), Cancelled> {
+) -> Result<(Vec<Vec<f32>>, f32), TrainError> {
     let mut promised = Vec::new();
     let mut distances = Vec::new();
     for (number, lesson) in lessons.iter().enumerate() {
@@ -343,7 +343,7 @@ fn promises(
             });
             Ok(looked)
         };
-        let looked: Vec<Option<(ConfidenceMap, f32)>> = views.par_iter().map(look).collect::<Result<_, _>>()?;
+        let looked: Vec<Option<(ConfidenceMap, f32)>> = views.par_iter().map(look).collect::<Result<_, Cancelled>>()?;
         distances.extend(looked.iter().flatten().map(|l| l.1));
         let maps: Vec<Option<ConfidenceMap>> = looked.into_iter().map(|l| l.map(|l| l.0)).collect();
         let unary = Unary::new(scene, lesson.model.surface, lesson.model.visibility, &maps, watcher)?;
@@ -371,7 +371,7 @@ fn rows(
     promised: &[Vec<f32>],
     seed: u64,
     watcher: &dyn Watcher,
-) -> Result<Vec<(usize, Row)>, Cancelled> {
+) -> Result<Vec<(usize, Row)>, TrainError> {
     let mut counts = vec![0usize; parts.scenes];
     for (lesson, judged) in judged.iter().enumerate() {
         counts[parts.scene(lesson)] += judged.iter().map(|view| view.triangles.len()).sum::<usize>();

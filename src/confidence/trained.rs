@@ -5,7 +5,6 @@
 
 use std::path::{Path, PathBuf};
 
-use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::{
@@ -20,8 +19,9 @@ use crate::{
     column::{self, Growing, TableError},
     error::Hint,
     fulfilment::Model,
-    progress::{Cancelled, Watcher},
+    progress::Watcher,
     scene::{ViewIndex, ViewPoints},
+    visibility,
 };
 
 /// Version of the file; a program reads its own version.

@@ -31,7 +31,7 @@ pub struct Settings {
     pub image_scale: f64,
     /// Seed of all random choices.
     pub seed: u64,
-    /// Memory that planning may take ("8G"): what needs more is built in tiles, or refused. Unset: no limit.
+    /// Memory that planning may take ("8G"): what needs more is built in tiles, kept on disk, or refused. Unset: no limit.
     pub max_memory: Option<Bytes>,
     /// Backends to write files for; the plan is made for the first. Empty: the one that the project is set up for, else "sure".
     pub backends: Vec<String>,

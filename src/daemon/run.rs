@@ -335,20 +335,16 @@ impl<'a> Daemon<'a> {
     fn look_at_changed(&mut self, now: Instant) {
         self.gather_until = None;
         let mut projects: BTreeMap<PathBuf, Instant> = BTreeMap::new();
-        let mut outside = BTreeSet::new();
+        let mut outside: BTreeMap<PathBuf, Instant> = BTreeMap::new();
         for (path, heard) in std::mem::take(&mut self.dirty) {
             // What lies in a folder that was moved is gone without a word of its own.
             let inside = self.projects.range(path.clone()..).take_while(|(project, _)| project.starts_with(&path));
             projects.extend(inside.map(|(project, _)| (project.clone(), heard)));
             let Some(project) = self.project_around(&path).map(Path::to_path_buf) else {
                 // Thousands of files of one folder are one question.
-                outside.extend(match path.is_dir() {
-                    true => Some(path),
-                    false if path.file_name().is_some_and(discover::is_searched) => {
-                        path.parent().map(Path::to_path_buf)
-                    }
-                    false => None,
-                });
+                if let Some(folder) = changed_folder(path) {
+                    hear_last(&mut outside, folder, heard);
+                }
                 continue;
             };
             if path.starts_with(project.join("images"))
@@ -356,8 +352,7 @@ impl<'a> Daemon<'a> {
             {
                 tracked.disturb(heard);
             }
-            let last = projects.entry(project).or_insert(heard);
-            *last = heard.max(*last);
+            hear_last(&mut projects, project, heard);
         }
         for (project, heard) in projects {
             match discover::is_project(&project, self.options.follow_links) {
@@ -365,10 +360,15 @@ impl<'a> Daemon<'a> {
                 false => self.forget(&project, now),
             }
         }
-        let folders: BTreeSet<PathBuf> = outside.iter().filter_map(|path| self.folder_to_search(path)).collect();
-        for folder in folders {
+        let mut folders: BTreeMap<PathBuf, Instant> = BTreeMap::new();
+        for (path, heard) in outside {
+            if let Some(folder) = self.folder_to_search(&path) {
+                hear_last(&mut folders, folder, heard);
+            }
+        }
+        for (folder, heard) in folders {
             for project in self.search(&folder, now) {
-                self.look_at_project(&project, None, now);
+                self.look_at_project(&project, Some(heard), now);
             }
         }
     }
@@ -567,6 +567,21 @@ fn outcome_of(planner: &dyn Planner, work: Work, job: &Job) -> Outcome {
         reason: "an internal error; see the log".into(),
         hint: Some("run `viewrank plan` on it and report what it prints".into()),
     })
+}
+
+/// Where a change outside projects took place, if projects are searched there.
+fn changed_folder(path: PathBuf) -> Option<PathBuf> {
+    match path.is_dir() {
+        true => Some(path),
+        false if path.file_name().is_some_and(discover::is_searched) => path.parent().map(Path::to_path_buf),
+        false => None,
+    }
+}
+
+/// Of several changes the last counts.
+fn hear_last(of: &mut BTreeMap<PathBuf, Instant>, path: PathBuf, heard: Instant) {
+    let last = of.entry(path).or_insert(heard);
+    *last = heard.max(*last);
 }
 
 /// Folders whose changes concern the project; `named` are the files that it depends on beside model and images.

@@ -200,7 +200,7 @@ fn the_best_target_is_reached_by_the_nearest_view() {
 #[test]
 fn pair_and_paper_confidence_differ_in_p() {
     let mut setting = Setting::pinhole();
-    setting.unary = Unary { values: vec![0.5; setting.visibility.triangles.len()], ..Unary::certain() };
+    setting.unary = Unary { values: vec![0.5; setting.visibility.triangles.len()].into(), ..Unary::certain() };
     let numbers =
         PairConfidence { min_matches: 1, p0: 0.8, cosine_power: 0.0, scale_octaves: None, full_angle_deg: None };
     let (key, partners) = (ViewIndex(12), [ViewIndex(11), ViewIndex(17)]);

@@ -138,7 +138,7 @@ fn the_table_is_that_of_the_clusters() {
         let again = fulfilment::table(&setting.model(), &clusters, &Unwatched).unwrap();
         assert_eq!((&table.offsets, &table.triangles), (&again.offsets, &again.triangles));
         // Partners are added up in another order.
-        assert!(table.values.iter().zip(&again.values).all(|(a, b)| (a - b).abs() <= 1e-6 * b));
+        assert!(table.values.iter().zip(&*again.values).all(|(a, b)| (a - b).abs() <= 1e-6 * b));
     }
 }
 

@@ -119,6 +119,11 @@ impl Memory {
         }
     }
 
+    /// What tables on disk take at most, for people; `None`: memory holds them.
+    pub fn on_disk(&self) -> Option<String> {
+        (self.disk > 0).then(|| readable(self.disk))
+    }
+
     /// Of all stages.
     pub fn peak(&self) -> u64 {
         self.read.max(self.surface).max(self.visibility).max(self.partners)

@@ -162,8 +162,7 @@ mod tests {
             let town =
                 Town::new(Camera::new(1, CameraModel::Pinhole, 300, 225, vec![280.0, 280.0, 150.0, 112.5]).unwrap());
             let (scene, surface) = (town.scene(), town.surface());
-            let mut predicted = FulfilmentTable::empty();
-            scene.view_indices().for_each(|_| predicted.push(&[0, 1], &[0.8, 0.4]));
+            let predicted = FulfilmentTable::new(scene.view_indices().map(|_| [(0, 0.8), (1, 0.4)]));
             let clusters = scene.view_indices().map(|key| ViewCluster { key, partners: Vec::new() }).collect();
             Self { scene, surface, clusters, predicted }
         }

@@ -12,7 +12,6 @@ use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
 
 use bytemuck::Pod;
 use nalgebra::{Point3, Vector3};
-use rayon::prelude::*;
 
 use self::{
     buffer::{Buffer, Face, Projected, Tolerance},
