@@ -48,6 +48,8 @@ def parse():
 def make(arguments, views):
     points = arguments.points_per_view * views
     folder = arguments.models / (str(views) if arguments.points_per_view == POINTS_PER_VIEW else f"{views}-{points}")
+    if views > LARGEST and views % LARGEST:
+        sys.exit(f"more than {LARGEST} views are copies of {LARGEST}: {views} is no multiple")
     if not (folder / "points3D.bin").exists() and views > LARGEST:
         survey.beside_each_other(make(arguments, LARGEST), folder, views // LARGEST)
     elif not (folder / "points3D.bin").exists():
@@ -72,10 +74,11 @@ def row(views, summary, usage):
     if summary is None:
         return print(f"{views:>7} refused after {usage.ru_utime:.0f} s of CPU, {usage.ru_maxrss / 1024:.0f} MB: see above", flush=True)
     forecast = max(summary["memory"][stage] for stage in ("read", "surface", "visibility", "partners")) / 2**20
+    disk = summary["memory"]["disk"] / 2**20
     stage = {name: 1000 * seconds / views for name, seconds in summary["timings"].items()}
     print(f"{views:>7} {summary['points']:>9} {summary['timings']['total']:>8.1f} {stage['total']:>8.1f} {stage['read']:>6.1f} "
           f"{stage['surface']:>8.1f} {stage['visibility']:>8.1f} {stage['partners']:>9.2f} {stage['ranking']:>8.2f} "
-          f"{usage.ru_maxrss / 1024:>8.0f} {forecast:>8.0f} {summary['tiles']:>5} {summary["memory"]["disk"] / 2**20:>8.0f} {summary['cut']['clusters']:>10}", flush=True)
+          f"{usage.ru_maxrss / 1024:>8.0f} {forecast:>8.0f} {summary['tiles']:>5} {disk:>8.0f} {summary['cut']['clusters']:>10}", flush=True)
 
 
 if __name__ == "__main__":

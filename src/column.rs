@@ -61,6 +61,20 @@ impl<T> Column<T> {
     }
 }
 
+/// Rows of a column on disk that are read before the memory that they take is given back.
+const PART: usize = 1 << 22;
+
+impl<T: Pod> Column<T> {
+    /// All rows in their order, read part by part.
+    pub fn by_parts(&self) -> impl Iterator<Item = &T> {
+        let part = |part| {
+            self.release();
+            part
+        };
+        self.chunks(PART).map(part).flatten()
+    }
+}
+
 impl<T: Pod> Deref for Column<T> {
     type Target = [T];
 
@@ -103,43 +117,54 @@ impl<T: Pod + PartialEq> PartialEq for Column<T> {
 }
 
 /// A column that grows.
-pub enum Growing<T> {
+pub struct Growing<T>(Grows<T>);
+
+enum Grows<T> {
     Memory(Vec<T>),
-    Disk { file: File, folder: PathBuf, bytes: usize },
+    Disk { file: File, folder: PathBuf, is_empty: bool },
 }
 
 impl<T: Pod> Growing<T> {
     pub fn new(keep: Keep) -> Result<Self, DiskError> {
         match keep {
-            Keep::Memory => Ok(Self::Memory(Vec::new())),
+            Keep::Memory => Ok(Self(Grows::Memory(Vec::new()))),
             Keep::Disk => Self::in_folder(&folder()),
         }
     }
 
     fn in_folder(folder: &Path) -> Result<Self, DiskError> {
         let file = tempfile::tempfile_in(folder).map_err(|source| DiskError::new(folder, source))?;
-        Ok(Self::Disk { file, folder: folder.to_path_buf(), bytes: 0 })
+        Ok(Self(Grows::Disk { file, folder: folder.to_path_buf(), is_empty: true }))
+    }
+
+    /// So many rows will come.
+    pub fn reserve(&mut self, rows: usize) {
+        if let Grows::Memory(list) = &mut self.0 {
+            list.reserve_exact(rows);
+        }
     }
 
     /// Appends rows: as many at once as there are, for each call is a write.
     pub fn extend(&mut self, rows: &[T]) -> Result<(), DiskError> {
-        match self {
-            Self::Memory(list) => list.extend_from_slice(rows),
-            Self::Disk { file, folder, bytes } => {
+        match &mut self.0 {
+            Grows::Memory(list) => list.extend_from_slice(rows),
+            Grows::Disk { file, folder, is_empty } => {
                 // Written and not mapped: a disk that is full is an error here, and a signal that ends the program there.
                 file.write_all(bytemuck::cast_slice(rows)).map_err(|source| DiskError::new(folder, source))?;
-                *bytes += size_of_val(rows);
+                *is_empty &= rows.is_empty();
             }
         }
         Ok(())
     }
 
     pub fn finish(self) -> Result<Column<T>, DiskError> {
-        match self {
-            Self::Memory(list) => Ok(list.into()),
+        match self.0 {
+            Grows::Memory(list) => Ok(list.into()),
             // Nothing cannot be mapped everywhere.
-            Self::Disk { bytes: 0, .. } => Ok(Column::default()),
-            Self::Disk { file, folder, .. } => {
+            Grows::Disk { is_empty: true, .. } => Ok(Column::default()),
+            Grows::Disk { file, folder, .. } => {
+                // Some file systems find out only now that they are full.
+                file.sync_data().map_err(|source| DiskError::new(&folder, source))?;
                 // SAFETY: the file has no name, and this is its last handle: nobody writes to it or shortens it.
                 let map = unsafe { Mmap::map(&file) }.map_err(|source| DiskError::new(&folder, source))?;
                 Ok(Column(Kept::Disk(Arc::new(map))))
@@ -197,7 +222,7 @@ impl Hint for TableError {
 
 /// A table that does not fit into memory cannot be kept on disk either.
 #[derive(Debug, thiserror::Error)]
-#[error("{}: no table can be kept here for want of memory: {source}", folder.display())]
+#[error("{}: a table that memory has no room for cannot be kept here: {source}", folder.display())]
 pub struct DiskError {
     folder: PathBuf,
     source: io::Error,
@@ -211,7 +236,7 @@ impl DiskError {
 
 impl Hint for DiskError {
     fn hint(&self) -> Option<String> {
-        Some("set TMPDIR to a folder on a disk with room, or give more with --max-memory".into())
+        Some("set TMPDIR to a folder on a disk with room, or allow more memory (max_memory)".into())
     }
 }
 

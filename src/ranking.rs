@@ -19,7 +19,7 @@ use crate::{
 };
 
 /// Clusters of a table on disk that are read before the memory that they take is given back.
-const READ_AT_ONCE: usize = 1024;
+const READ_AT_ONCE: usize = 256;
 
 /// Greedy order of the clusters.
 #[derive(Clone, Debug, Default, PartialEq)]

@@ -46,6 +46,11 @@ impl<'a> Places<'a> {
         })
     }
 
+    /// Gives back memory that can be read again.
+    pub fn release(&self) {
+        self.observed.release();
+    }
+
     /// Log odds of what the picture promises (NaN: no picture), distance to the border over half of the shorter side, cosine of incidence, log2
     /// of the view's ground sampling distance over the wanted one, and of the sparse points nearest to the triangle the share that
     /// the view observes, how far apart they are, how far off its plane, how long their tracks are and how large their errors.

@@ -168,6 +168,7 @@ impl Trained {
             |_, rows: Vec<Vec<(f32, f32)>>| {
                 model.release();
                 promised.release();
+                places.release();
                 let (keys, partners): (Vec<f32>, Vec<f32>) = rows.into_iter().flatten().unzip();
                 values.extend(&keys)?;
                 partner_odds.extend(&partners)

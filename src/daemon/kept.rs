@@ -37,6 +37,10 @@ impl KeptPlans {
     /// Keeps a plan in the place of the project's last one; those that were not used for longest go.
     pub fn put(&mut self, project: &Path, fingerprint: Fingerprint, plan: &Plan) {
         self.forget(project);
+        if plan.memory.disk > 0 {
+            // Nobody would know what fills the disk.
+            return;
+        }
         self.plans.push(Kept { project: project.into(), fingerprint, plan: plan.clone() });
         while self.plans.iter().map(|kept| kept.plan.bytes()).sum::<u64>() > self.max_bytes {
             self.plans.remove(0);

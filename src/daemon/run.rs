@@ -21,7 +21,7 @@ use super::{
     discover::{self, InputFolders},
     maps,
     queue::{Full, Queue},
-    settle::Stamp,
+    settle::{Stamp, newest_entry},
     state::{Looked, Outcome, Phase, Tracked, Work},
     status::{Holder, StatusFiles},
     watch::{self, Change, Watches},
@@ -366,7 +366,7 @@ impl<'a> Daemon<'a> {
                 hear_last(&mut folders, folder, heard);
             }
         }
-        for (folder, heard) in folders {
+        for (folder, heard) in outermost(folders) {
             for project in self.search(&folder, now) {
                 self.look_at_project(&project, Some(heard), now);
             }
@@ -430,7 +430,9 @@ impl<'a> Daemon<'a> {
         let stamp = Stamp::of_folders(&input).with(&named);
         let looked = (Instant::now(), SystemTime::now());
         if let Some(tracked) = self.projects.get_mut(project) {
-            let since = heard.map_or(now, |heard| stamp.same_since(heard, looked));
+            // Nobody listened before the first watch.
+            let unheard = if new_watches { newest_entry(&input.images) } else { None };
+            let since = heard.map_or(now, |heard| stamp.same_since(heard, unheard, looked));
             tracked.observe(stamp, since, on_busy);
             match maps {
                 Ok(maps) => tracked.observe_maps(maps, now),
@@ -582,6 +584,18 @@ fn changed_folder(path: PathBuf) -> Option<PathBuf> {
 fn hear_last(of: &mut BTreeMap<PathBuf, Instant>, path: PathBuf, heard: Instant) {
     let last = of.entry(path).or_insert(heard);
     *last = heard.max(*last);
+}
+
+/// Folders without those inside others, which are searched with them.
+fn outermost(folders: BTreeMap<PathBuf, Instant>) -> BTreeMap<PathBuf, Instant> {
+    let mut outer: BTreeMap<PathBuf, Instant> = BTreeMap::new();
+    for (folder, heard) in folders {
+        // What lies in a folder follows it.
+        let around = outer.last_key_value().map(|(around, _)| around).filter(|around| folder.starts_with(around));
+        let around = around.cloned().unwrap_or(folder);
+        hear_last(&mut outer, around, heard);
+    }
+    outer
 }
 
 /// Folders whose changes concern the project; `named` are the files that it depends on beside model and images.

@@ -137,14 +137,29 @@ impl Stamp {
     }
 
     /// Since when the input has been as it is, if something was heard of it at `heard` and it looks like this at `looked`: what was
-    /// changed without being heard of is dated by the file system.
-    pub fn same_since(&self, heard: Instant, (looked, time): (Instant, SystemTime)) -> Instant {
+    /// changed without being heard of is dated by the file system, as is what else was changed (`unheard`).
+    pub fn same_since(
+        &self,
+        heard: Instant,
+        unheard: Option<Changed>,
+        (looked, time): (Instant, SystemTime),
+    ) -> Instant {
         let entries = self.files.values().chain(self.beside.values()).chain(self.folders.values());
-        let newest = entries.map(|entry| entry.changed_ns).max().unwrap_or(0);
+        let newest = entries.map(|entry| entry.changed_ns).chain(unheard.map(|changed| changed.0)).max().unwrap_or(0);
         let newest = UNIX_EPOCH + Duration::from_nanos(u64::try_from(newest).unwrap_or(u64::MAX));
         let ago = time.duration_since(newest).unwrap_or_default();
         heard.max(looked.checked_sub(ago).unwrap_or(heard)).min(looked)
     }
+}
+
+/// When something was changed, by the clock of its file system.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Changed(u128);
+
+/// When the file of these folders that was changed last was changed: images are written for longer than their folders change.
+pub fn newest_entry(folders: &[PathBuf]) -> Option<Changed> {
+    let files = folders.iter().filter_map(|folder| fs::read_dir(folder).ok()).flatten().filter_map(Result::ok);
+    files.filter_map(|file| file.metadata().ok()).map(|metadata| Changed(Entry::of(&metadata).changed_ns)).max()
 }
 
 fn is_input_file(name: &str, with_cloud: bool) -> bool {
@@ -291,10 +306,10 @@ mod tests {
         let stamp = Stamp { files, ..Stamp::default() };
         let (start, second) = (Instant::now() + Duration::from_secs(3600), Duration::from_secs(1));
         let looked = (start + 10 * second, UNIX_EPOCH + 110 * second);
-        assert_eq!(stamp.same_since(start, looked), start + 7 * second, "written after it was heard of");
-        assert_eq!(stamp.same_since(start + 9 * second, looked), start + 9 * second, "moved there, old as it is");
+        assert_eq!(stamp.same_since(start, None, looked), start + 7 * second, "written after it was heard of");
+        assert_eq!(stamp.same_since(start + 9 * second, None, looked), start + 9 * second, "moved there, old as it is");
         let earlier = (looked.0, UNIX_EPOCH + 50 * second);
-        assert_eq!(stamp.same_since(start, earlier), looked.0, "by another machine's clock");
+        assert_eq!(stamp.same_since(start, None, earlier), looked.0, "by another machine's clock");
     }
 
     #[test]

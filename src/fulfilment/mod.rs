@@ -7,10 +7,10 @@ pub(crate) mod block;
 mod lanes;
 mod target;
 
-use self::block::{Block, Places};
-pub use self::target::{GSD_MARGIN, Target};
 use nalgebra::{Matrix3, Point3, Vector2};
 
+use self::block::{Block, Places};
+pub use self::target::{GSD_MARGIN, Target};
 use crate::{
     camera::{Camera, CameraModel},
     column::{self, Column, DiskError, Growing, TableError},
@@ -136,7 +136,7 @@ impl GrowingTable {
     }
 
     pub(crate) fn finish(self) -> Result<FulfilmentTable, DiskError> {
-        let Self { offsets, triangles, values, .. } = self;
+        let Self { offsets, triangles, values } = self;
         Ok(FulfilmentTable { offsets, triangles: triangles.finish()?, values: values.finish()? })
     }
 }

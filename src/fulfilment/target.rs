@@ -8,7 +8,7 @@ use crate::{
     config::{TargetMode, TargetSettings},
     scene::{Scene, ViewIndex},
     surface::Surface,
-    visibility::Visibility,
+    visibility::{self, Visibility},
 };
 
 /// How much coarser the wanted resolution is than the one at hand, where it comes from the data.
@@ -62,13 +62,17 @@ impl Target {
 fn finest(scene: &Scene, surface: &Surface, visibility: &Visibility) -> Vec<f32> {
     let finest: Vec<AtomicU32> = surface.triangles.iter().map(|_| AtomicU32::new(f32::INFINITY.to_bits())).collect();
     let views: Vec<ViewIndex> = scene.view_indices().collect();
-    views.into_par_iter().for_each(|view| {
+    let look = |&view: &ViewIndex| {
         for &t in visibility.of(view) {
             // The bits of numbers that are not negative are ordered as they are, and the least of them does not depend on who comes first.
             let gsd = (gsd_at(scene, surface, view, t) as f32).max(0.0);
             finest[t as usize].fetch_min(gsd.to_bits(), Ordering::Relaxed);
         }
-    });
+    };
+    for batch in views.chunks(visibility::BATCH) {
+        batch.par_iter().for_each(look);
+        visibility.triangles.release();
+    }
     finest.into_iter().map(|bits| f32::from_bits(bits.into_inner())).collect()
 }
 

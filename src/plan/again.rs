@@ -47,7 +47,7 @@ fn take_ranking(plan: &mut Plan, recorded: &Recorded, watcher: &dyn Watcher) -> 
     };
     plan.finished =
         Finished { clusters: recorded.finished(), outdated: recorded.outdated.clone(), ..Finished::default() };
-    plan.cut_at(Cut { clusters: recorded.cut.clusters.min(plan.ranking.order.len()), ..recorded.cut });
+    plan.cut_at(Cut { clusters: recorded.cut.clusters.min(plan.ranking.order.len()), ..recorded.cut })?;
     for written in &recorded.views {
         if let Some(view) = plan.scene.find(&written.name) {
             plan.views[view.at()] = (written.status, written.reason);

@@ -14,6 +14,9 @@ use crate::{
     ranking::Ranking,
 };
 
+/// Clusters that are looked at before the memory that tables on disk took is given back.
+const RANKS_AT_ONCE: usize = 256;
+
 /// What the backend will have to do, and how long it takes where that is known.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, JsonSchema)]
 pub struct Forecast {
@@ -104,7 +107,13 @@ pub(super) fn forecast(cost: &Cost, clusters: usize) -> Forecast {
 /// Pixels that the depth map of each of the first clusters will measure.
 pub(super) fn points(cost: &Cost, clusters: usize) -> Vec<f64> {
     let places = || Places::new(cost.model);
-    (0..clusters).into_par_iter().map_init(places, |places, rank| cost.points(rank, places)).collect()
+    let ranks: Vec<usize> = (0..clusters).collect();
+    let mut points = Vec::with_capacity(clusters);
+    for batch in ranks.chunks(RANKS_AT_ONCE) {
+        points.par_extend(batch.par_iter().map_init(places, |places, &rank| cost.points(rank, places)));
+        cost.model.release();
+    }
+    points
 }
 
 /// Pixels of the matched image on each triangle that is covered, times the chance that they are measured.

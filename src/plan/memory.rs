@@ -11,6 +11,7 @@ use super::PlanError;
 use crate::{
     column::Keep,
     config::{Bytes, Settings, VisibilitySettings},
+    fulfilment::FulfilmentTable,
     scene::Scene,
     surface::Surface,
     visibility::Visibility,
@@ -31,13 +32,20 @@ const LEAST_TILE: u64 = 10_000;
 /// A point, and an observation, of the scene; with the table of the points of each view.
 const SCENE_PER_POINT: u64 = 43;
 const SCENE_PER_OBSERVATION: u64 = 24;
-/// A row of the table of visibility, with its confidence and its fulfilment by its own cluster.
+/// A row of the table of visibility; with its confidence (by a trained model, which has the most numbers) and its fulfilment.
 const VISIBILITY_ROW: u64 = 4;
-const TABLES_ROW: u64 = 16;
+const TABLES_ROW: u64 = 20;
 /// Of a triangle while its confidence and its reasons are found: its nearest points, its factors and what is reached of it.
 const PER_TRIANGLE: u64 = 100;
+/// And for each thread: its place in the view at hand.
+const PLACE: u64 = 4;
+/// Of a sparse point while visibility is contradicted and nearest points are looked for; and for each thread: is it observed?
+const PER_POINT: u64 = 5;
+const OBSERVED: u64 = 1;
 /// Views whose rows are read or put together at a time, of tables on disk.
-const VIEWS_AT_ONCE: u64 = 1024;
+const VIEWS_AT_ONCE: u64 = 256;
+/// What is believed of a row of fulfilment once others have failed.
+const BELIEF_ROW: u64 = 24;
 /// Views and triangles that foretell the rows of visibility.
 const SAMPLED_VIEWS: usize = 32;
 const SAMPLED_TRIANGLES: usize = 20_000;
@@ -86,10 +94,12 @@ impl Memory {
         surface: &Surface,
         settings: &VisibilitySettings,
     ) -> Result<Keep, PlanError> {
-        let buffers = rayon::current_num_threads() as u64 * u64::from(settings.buffer_px).pow(2) * BUFFER_PIXEL;
+        let (threads, points) = (rayon::current_num_threads() as u64, scene.points.len() as u64);
+        let triangles = surface.triangles.len() as u64;
+        let picture = u64::from(settings.buffer_px).pow(2) * BUFFER_PIXEL + PLACE * triangles;
         let rows = expected_rows(scene, surface);
-        let drawing = self.read + 2 * bytes(surface) + buffers;
-        let choosing = self.read + bytes(surface) + PER_TRIANGLE * surface.triangles.len() as u64;
+        let drawing = self.read + 2 * bytes(surface) + PER_POINT * points + threads * picture;
+        let choosing = self.read + bytes(surface) + self.beside_tables(points, triangles);
         let fits = |need: u64| self.limit.is_none_or(|Bytes(limit)| need <= limit);
         if fits(drawing + VISIBILITY_ROW * rows) && fits(choosing + TABLES_ROW * rows) {
             self.visibility = drawing + VISIBILITY_ROW * rows;
@@ -98,18 +108,34 @@ impl Memory {
         let views = scene.views.len().max(1) as u64;
         let at_once = TABLES_ROW * rows * views.min(VIEWS_AT_ONCE) / views;
         (self.visibility, self.partners, self.disk) = (drawing + at_once, choosing + at_once, TABLES_ROW * rows);
-        self.keep("picture of the surface", self.visibility)?;
-        self.keep("list of triangles", self.partners)?;
+        self.keep("model with its surface", self.visibility.max(self.partners))?;
         Ok(Keep::Disk)
     }
 
-    /// With the rows that there are, in memory.
-    pub(super) fn before_partners(&mut self, surface: &Surface, visibility: &Visibility) {
+    /// With the rows that there are, where memory holds them.
+    pub(super) fn before_partners(
+        &mut self,
+        scene: &Scene,
+        surface: &Surface,
+        visibility: &Visibility,
+    ) -> Result<(), PlanError> {
         if self.disk == 0 {
-            let rows = visibility.triangles.len() as u64;
-            let triangles = PER_TRIANGLE * surface.triangles.len() as u64;
-            self.partners = self.read + bytes(surface) + triangles + TABLES_ROW * rows;
+            let (points, triangles) = (scene.points.len() as u64, surface.triangles.len() as u64);
+            let tables = TABLES_ROW * visibility.triangles.len() as u64;
+            self.partners = self.read + bytes(surface) + self.beside_tables(points, triangles) + tables;
         }
+        self.keep("table of fulfilment", self.partners)
+    }
+
+    /// Of what is known of points and triangles while partners are chosen.
+    fn beside_tables(&self, points: u64, triangles: u64) -> u64 {
+        let threads = rayon::current_num_threads() as u64;
+        (PER_POINT + threads * OBSERVED) * points + (PER_TRIANGLE + threads * PLACE) * triangles
+    }
+
+    /// A plan around finished depth maps remembers what failed of each row of fulfilment, in memory.
+    pub(crate) fn before_beliefs(&self, fulfilment: &FulfilmentTable) -> Result<(), PlanError> {
+        self.keep("memory of what failed", self.partners + BELIEF_ROW * fulfilment.triangles.len() as u64)
     }
 
     fn keep(&self, stage: &'static str, need: u64) -> Result<(), PlanError> {

@@ -118,13 +118,13 @@ impl Plan {
             .timings
             .time(Stage::Ranking, || ranking::rank_after(finished, &self.fulfilment, &weights, support, watcher))?;
         let cut = cut::cut(&self.settings.cut, &self.cost(&self.model()))?;
-        self.cut_at(cut);
+        self.cut_at(cut)?;
         watcher.check()?;
         Ok(())
     }
 
     /// Cuts the ranking there; and what follows from both.
-    fn cut_at(&mut self, cut: Cut) {
+    fn cut_at(&mut self, cut: Cut) -> Result<(), PlanError> {
         let model = self.model();
         let forecast = forecast::forecast(&self.cost(&model), cut.clusters);
         let why = reasons::Why {
@@ -133,10 +133,11 @@ impl Plan {
             clusters: &self.clusters,
             fulfilment: &self.fulfilment,
         };
-        let views = why.views(&self.ranking.order[..cut.clusters], &self.settings.partners);
+        let views = why.views(&self.ranking.order[..cut.clusters], &self.settings.partners)?;
         let triangle_reasons = why.triangles();
         (self.cut, self.forecast, self.views, self.triangle_reasons) = (cut, forecast, views, triangle_reasons);
         self.warnings = warnings::warnings(self);
+        Ok(())
     }
 
     fn cost<'a>(&'a self, model: &'a Model) -> forecast::Cost<'a> {
@@ -151,7 +152,7 @@ impl Plan {
     }
 
     /// Of each cluster those ranked before it that do more of what it could by itself than any before them.
-    pub fn likest(&self) -> Vec<Vec<Likest>> {
+    pub fn likest(&self) -> Result<Vec<Vec<Likest>>, DiskError> {
         reasons::likest(&self.fulfilment, &self.ranking.order, self.surface.triangles.len())
     }
 
@@ -198,7 +199,7 @@ pub fn plan_scene(
         || partners::candidates(&scene, &points, &settings.partners, &backend.planning().gate, watcher),
     );
     let (seen, candidates) = (seen?, candidates?);
-    memory.before_partners(&seen.surface, &seen.visibility);
+    memory.before_partners(&scene, &seen.surface, &seen.visibility)?;
     let target = target(&scene, &seen, &settings);
     seen.visibility.triangles.release();
     let confidence = Confidence::new(&source, trained.as_ref(), &settings.confidence, &backend.planning().confidence);

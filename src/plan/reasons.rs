@@ -1,10 +1,12 @@
 //! Method 5.5: why a view is not taken, a key view has few partners, or a triangle stays unfulfilled.
 
+use bytemuck::{Pod, Zeroable};
 use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::{
+    column::{Column, DiskError, Growing},
     config::PartnerSettings,
     fulfilment::{self, Fulfilment, FulfilmentTable, Model},
     partners::{Candidates, ViewCluster},
@@ -81,7 +83,11 @@ pub(super) struct Why<'a> {
 
 impl Why<'_> {
     /// Status of each view, and the reason of those that are no key view, or a key view with fewer than k partners.
-    pub fn views(&self, chosen: &[u32], settings: &PartnerSettings) -> Vec<(ViewStatus, Option<Reason>)> {
+    pub fn views(
+        &self,
+        chosen: &[u32],
+        settings: &PartnerSettings,
+    ) -> Result<Vec<(ViewStatus, Option<Reason>)>, DiskError> {
         let views = self.model.scene.views.len();
         let mut status = vec![ViewStatus::Unused; views];
         let chosen_clusters = || chosen.iter().map(|&c| &self.clusters[c as usize]);
@@ -89,14 +95,21 @@ impl Why<'_> {
         chosen_clusters().for_each(|c| status[c.key.at()] = ViewStatus::Key);
         let mut cluster_of = vec![None; views];
         (0..self.clusters.len()).for_each(|c| cluster_of[self.clusters[c].key.at()] = Some(c));
-        let by_triangle = ChosenByTriangle::new(self.fulfilment, chosen, self.model.surface.triangles.len());
+        let by_triangle = ChosenByTriangle::new(self.fulfilment, chosen, self.model.surface.triangles.len())?;
         let reason = |view: ViewIndex| match (status[view.at()], cluster_of[view.at()]) {
             (ViewStatus::Key, Some(cluster)) => self.few_partners(cluster, settings),
             (_, Some(cluster)) => Some(self.not_taken(cluster, &by_triangle)),
             (_, None) => Some(self.no_cluster(view)),
         };
-        let reasons: Vec<Option<Reason>> = (0..views as u32).into_par_iter().map(|v| reason(ViewIndex(v))).collect();
-        status.into_iter().zip(reasons).collect()
+        let all: Vec<ViewIndex> = self.model.scene.view_indices().collect();
+        let mut reasons = Vec::with_capacity(views);
+        for batch in all.chunks(READ_AT_ONCE) {
+            reasons.par_extend(batch.par_iter().map(|&view| reason(view)));
+            by_triangle.entries.release();
+            self.fulfilment.release();
+            self.model.release();
+        }
+        Ok(status.into_iter().zip(reasons).collect())
     }
 
     fn few_partners(&self, cluster: usize, settings: &PartnerSettings) -> Option<Reason> {
@@ -136,13 +149,11 @@ impl Why<'_> {
     pub fn triangles(&self) -> Vec<Option<Reason>> {
         let triangles = self.model.surface.triangles.len();
         let mut best = vec![0f32; triangles];
-        for (&t, &f) in self.fulfilment.triangles.iter().zip(&*self.fulfilment.values) {
+        for (&t, &f) in self.fulfilment.triangles.by_parts().zip(self.fulfilment.values.by_parts()) {
             best[t as usize] = best[t as usize].max(f);
         }
         let mut viewers = vec![0u32; triangles];
-        self.model.visibility.triangles.iter().for_each(|&t| viewers[t as usize] += 1);
-        self.fulfilment.release();
-        self.model.release();
+        self.model.visibility.triangles.by_parts().for_each(|&t| viewers[t as usize] += 1);
         let is_fulfilled = |t: usize| f64::from(best[t]) >= FULFILLED;
         let has_few_cameras = |t: usize| viewers[t] < self.model.rule.min_cameras;
         let nearest = self.nearest_to_success(|t| !is_fulfilled(t) && !has_few_cameras(t));
@@ -198,31 +209,73 @@ fn most_frequent(reasons: impl Iterator<Item = Reason>) -> Option<Reason> {
     counts.into_iter().max_by_key(|&(reason, count)| (count, std::cmp::Reverse(reason))).map(|(reason, _)| reason)
 }
 
+/// Rows that are read of a table on disk before the memory that they took is given back: those of so many views or clusters.
+const READ_AT_ONCE: usize = 256;
+
+fn release_at(place: usize, table: &FulfilmentTable) {
+    if place % READ_AT_ONCE == 0 {
+        table.release();
+    }
+}
+
 /// Which chosen clusters fulfil each triangle (CSR by triangle).
 struct ChosenByTriangle {
     offsets: Vec<usize>,
-    /// (place among the chosen, f).
-    entries: Vec<(u32, f32)>,
+    entries: Column<ChosenEntry>,
     chosen: usize,
 }
 
+/// Of a triangle.
+#[derive(Clone, Copy, Pod, Zeroable)]
+#[repr(C)]
+struct ChosenEntry {
+    /// Among the chosen clusters.
+    place: u32,
+    f: f32,
+}
+
+/// Entries that are put in order at a time.
+const ENTRIES_AT_ONCE: usize = 1 << 25;
+
 impl ChosenByTriangle {
-    fn new(table: &FulfilmentTable, chosen: &[u32], triangles: usize) -> Self {
+    /// Kept as the table is.
+    fn new(table: &FulfilmentTable, chosen: &[u32], triangles: usize) -> Result<Self, DiskError> {
         let mut offsets = vec![0; triangles + 1];
-        for &cluster in chosen {
+        for (place, &cluster) in chosen.iter().enumerate() {
             table.of(cluster as usize).0.iter().for_each(|&t| offsets[t as usize + 1] += 1);
+            release_at(place, table);
         }
         (0..triangles).for_each(|t| offsets[t + 1] += offsets[t]);
-        let mut entries = vec![(0, 0.0); offsets[triangles]];
-        let mut next = offsets.clone();
+        let mut entries = Growing::new(table.triangles.kept())?;
+        entries.reserve(offsets[triangles]);
+        let mut from = 0;
+        while from < triangles {
+            // As many triangles as there is room for, but one at least.
+            let room = offsets[from] + ENTRIES_AT_ONCE;
+            let end = (offsets.partition_point(|&offset| offset <= room) - 1).clamp(from + 1, triangles);
+            entries.extend(&Self::entries(table, chosen, &offsets[from..=end], from as u32))?;
+            from = end;
+        }
+        Ok(Self { offsets, entries: entries.finish()?, chosen: chosen.len() })
+    }
+
+    /// The entries of the triangles from the first on that have these offsets.
+    fn entries(table: &FulfilmentTable, chosen: &[u32], offsets: &[usize], first: u32) -> Vec<ChosenEntry> {
+        let (start, triangles) = (offsets[0], offsets.len() - 1);
+        let mut entries = vec![ChosenEntry::zeroed(); offsets[triangles] - start];
+        let mut next: Vec<usize> = offsets[..triangles].iter().map(|offset| offset - start).collect();
         for (place, &cluster) in chosen.iter().enumerate() {
             let (of_cluster, values) = table.of(cluster as usize);
-            for (&t, &f) in of_cluster.iter().zip(values) {
-                entries[next[t as usize]] = (place as u32, f);
-                next[t as usize] += 1;
+            let rows = [first, first + triangles as u32].map(|bound| of_cluster.partition_point(|&t| t < bound));
+            let rows = rows[0]..rows[1];
+            for (&t, &f) in of_cluster[rows.clone()].iter().zip(&values[rows]) {
+                let next = &mut next[(t - first) as usize];
+                entries[*next] = ChosenEntry { place: place as u32, f };
+                *next += 1;
             }
+            release_at(place, table);
         }
-        Self { offsets, entries, chosen: chosen.len() }
+        entries
     }
 
     /// The most of these fulfilments that one single chosen cluster gives as well.
@@ -235,8 +288,8 @@ impl ChosenByTriangle {
         let mut given = vec![0.0; end];
         for (&t, &own) in triangles.iter().zip(values) {
             let entries = &self.entries[self.offsets[t as usize]..self.offsets[t as usize + 1]];
-            for &(place, f) in entries.iter().take_while(|(place, _)| (*place as usize) < end) {
-                given[place as usize] += f64::from(f.min(own));
+            for entry in entries.iter().take_while(|entry| (entry.place as usize) < end) {
+                given[entry.place as usize] += f64::from(entry.f.min(own));
             }
         }
         given
@@ -245,8 +298,8 @@ impl ChosenByTriangle {
 
 /// Of each cluster those ranked before it that do more of what it could by itself than any before them: the last of them within a cut
 /// is the likest there.
-pub(super) fn likest(table: &FulfilmentTable, order: &[u32], triangles: usize) -> Vec<Vec<Likest>> {
-    let by_triangle = ChosenByTriangle::new(table, order, triangles);
+pub(super) fn likest(table: &FulfilmentTable, order: &[u32], triangles: usize) -> Result<Vec<Vec<Likest>>, DiskError> {
+    let by_triangle = ChosenByTriangle::new(table, order, triangles)?;
     let mut end = vec![order.len(); table.clusters()];
     order.iter().enumerate().for_each(|(rank, &cluster)| end[cluster as usize] = rank);
     let of_cluster = |cluster: usize| {
@@ -262,7 +315,7 @@ pub(super) fn likest(table: &FulfilmentTable, order: &[u32], triangles: usize) -
         }
         likest
     };
-    (0..table.clusters()).into_par_iter().map(of_cluster).collect()
+    Ok((0..table.clusters()).into_par_iter().map(of_cluster).collect())
 }
 
 /// A cluster that is like another one.
@@ -301,10 +354,10 @@ mod tests {
     fn a_duplicate_is_done_by_one_chosen_cluster() {
         // Clusters 0 and 1 share the triangles of cluster 2; neither does all of them.
         let table = FulfilmentTable::new([[(0, 0.5), (1, 0.5)], [(1, 0.9), (2, 0.2)], [(1, 0.6), (2, 0.6)]]);
-        let chosen = ChosenByTriangle::new(&table, &[0, 1], 3);
+        let chosen = ChosenByTriangle::new(&table, &[0, 1], 3).unwrap();
         let (triangles, values) = table.of(2);
         assert!((chosen.most_by_one(triangles, values) - 0.8).abs() < 1e-6);
-        let likest = super::likest(&table, &[0, 1, 2], 3);
+        let likest = super::likest(&table, &[0, 1, 2], 3).unwrap();
         let ranks = |of: usize| likest[of].iter().map(|l| l.rank).collect::<Vec<_>>();
         assert_eq!([ranks(0), ranks(1), ranks(2)], [vec![], vec![0], vec![0, 1]]);
         assert!((likest[2][0].share - 0.5 / 1.2).abs() < 1e-6 && (likest[2][1].share - 0.8 / 1.2).abs() < 1e-6);

@@ -122,6 +122,7 @@ fn measure(plan: &Plan, clusters: &[ViewCluster], folder: &Path, watcher: &dyn W
 /// Puts the finished clusters in the place of those with the same key view, and ranks all again.
 fn rank_around(plan: &mut Plan, run: Option<&Run>, watcher: &dyn Watcher) -> Result<(), PlanError> {
     let Some(run) = run else { return plan.rank(&[], watcher) };
+    plan.memory.before_beliefs(&plan.fulfilment)?;
     let mut beliefs = Beliefs::new(&plan.scene, &plan.surface, &plan.clusters, &plan.fulfilment);
     for (cluster, attempts) in run.clusters.iter().zip(&run.attempts) {
         watcher.check()?;

@@ -19,6 +19,7 @@ use super::{
 };
 use crate::{
     backends,
+    column::DiskError,
     config::ForecastSettings,
     doctor::partners_in_words,
     error::Hint,
@@ -183,7 +184,7 @@ impl Contents {
             planning_seconds,
             clusters_total: plan.forecast.all_maps,
             pairs_total: plan.forecast.all_pairs,
-            views: Views::new(plan, &frame),
+            views: Views::new(plan, &frame)?,
             ranking: Ranked::new(plan),
             surface: Drawn::new(plan, &shown, &frame),
             holes: holes.largest.iter().map(|hole| ShownHole::new(hole, &frame, &place)).collect(),
@@ -219,7 +220,7 @@ fn in_frame<'a>(frame: &MapFrame, points: impl Iterator<Item = &'a Point3<f64>>)
 }
 
 impl Views {
-    fn new(plan: &Plan, frame: &MapFrame) -> Self {
+    fn new(plan: &Plan, frame: &MapFrame) -> Result<Self, DiskError> {
         let views = || plan.scene.view_indices();
         let centres: Vec<Point3<f64>> = plan.scene.views.iter().map(|v| v.cam_from_world.centre()).collect();
         let directions = plan.scene.views.iter().map(|v| v.cam_from_world.viewing_direction());
@@ -228,8 +229,8 @@ impl Views {
         let mut rank = vec![0u32; plan.scene.views.len()];
         plan.ranked().enumerate().for_each(|(i, cluster)| rank[cluster.key.at()] = i as u32 + 1);
         let mut likest = vec![Vec::new(); rank.len()];
-        plan.clusters.iter().zip(plan.likest()).for_each(|(cluster, found)| likest[cluster.key.at()] = found);
-        Self {
+        plan.clusters.iter().zip(plan.likest()?).for_each(|(cluster, found)| likest[cluster.key.at()] = found);
+        Ok(Self {
             names: plan.scene.views.iter().map(|view| view.name.clone()).collect(),
             centres: bytes(&in_frame(frame, centres.iter())),
             directions: bytes(&directions),
@@ -242,7 +243,7 @@ impl Views {
             likest_shares: bytes(&likest.iter().flatten().map(|l| l.share as f32).collect::<Vec<_>>()),
             seen: bytes(&views().map(|view| plan.visibility.of(view).len() as u32).collect::<Vec<_>>()),
             partners: partners(plan),
-        }
+        })
     }
 }
 
@@ -312,6 +313,8 @@ pub enum ReportError {
     #[error("there are no depth maps of this plan to hold against the reference {}", .0.display())]
     NothingToCompare(PathBuf),
     #[error(transparent)]
+    Disk(#[from] DiskError),
+    #[error(transparent)]
     Cancelled(#[from] Cancelled),
 }
 
@@ -320,6 +323,7 @@ impl Hint for ReportError {
         match self {
             Self::DepthMaps(error) => error.hint(),
             Self::NothingToCompare(_) => Some("say where they are with --depth-maps".into()),
+            Self::Disk(error) => error.hint(),
             Self::Cancelled(error) => error.hint(),
         }
     }

@@ -65,7 +65,7 @@ impl Visibility {
     /// Is the triangle seen by at least one view?
     pub fn seen(&self, triangles: usize) -> Vec<bool> {
         let mut seen = vec![false; triangles];
-        self.triangles.iter().for_each(|&t| seen[t as usize] = true);
+        self.triangles.by_parts().for_each(|&t| seen[t as usize] = true);
         seen
     }
 
@@ -79,13 +79,15 @@ impl Visibility {
         };
         let numbers: Vec<u32> = keep.iter().map(number).collect();
         let (mut offsets, mut triangles) = (vec![0], Growing::new(self.triangles.kept())?);
-        for rows in self.offsets.windows(2) {
+        for (view, rows) in self.offsets.windows(2).enumerate() {
+            if view % BATCH == 0 {
+                self.triangles.release();
+            }
             let view = self.triangles[rows[0]..rows[1]].iter();
             let view: Vec<u32> = view.map(|&t| numbers[t as usize]).filter(|&t| t != u32::MAX).collect();
             triangles.extend(&view)?;
             offsets.push(offsets.last().expect("starts with one") + view.len());
         }
-        self.triangles.release();
         Ok(Self { offsets, triangles: triangles.finish()?, contradictions: self.contradictions })
     }
 
