@@ -1,15 +1,19 @@
 //! A surface in tiles against the whole one: the same model, and what the tiled order reaches on the whole surface.
 
-use std::path::Path;
+use std::{fs, path::Path};
 
 use viewrank::{
+    camera::{Camera, CameraModel},
+    column::Keep,
     config::{Bytes, Settings},
     evaluate::curve::Curve,
+    formats::{colmap::ColmapModel, colmap_bin},
     fulfilment,
     plan::{Plan, PlanError, plan},
     progress::Unwatched,
     project::Project,
     ranking,
+    synthetic::Town,
 };
 
 fn fixture() -> Project {
@@ -59,6 +63,34 @@ fn tiles_lose_next_to_nothing() {
     let loss = loss(&whole, &tiled);
     eprintln!("fixtures/valley in 4 tiles: loss {:.3} %", 100.0 * loss);
     assert!(loss < 0.02, "{loss}");
+}
+
+#[test]
+fn tables_on_disk_change_nothing() {
+    let camera = Camera::new(1, CameraModel::Pinhole, 300, 225, vec![280.0, 280.0, 150.0, 112.5]).unwrap();
+    let town = Town { grid: 12, tilt: Some(35.0), points: 6000, ..Town::new(camera) };
+    let scene = town.scene();
+    // More views than are read at a time.
+    assert!(scene.views.len() > 256);
+    let folder = tempfile::tempdir().unwrap();
+    let model = ColmapModel::from_scene(&scene);
+    fs::create_dir_all(folder.path().join("sparse/0")).unwrap();
+    for (name, bytes) in colmap_bin::write(&model) {
+        fs::write(folder.path().join("sparse/0").join(name), bytes).unwrap();
+    }
+    let project = Project::open(folder.path(), None).unwrap();
+    let memory = planned(&project, |_| ());
+    // What would do without an eighth of its rows.
+    let limit = memory.memory.visibility - memory.visibility.triangles.len() as u64 / 4;
+    let disk = planned(&project, |s| s.max_memory = Some(Bytes(limit)));
+    assert!(memory.memory.disk == 0 && disk.memory.disk >= 16 * memory.visibility.triangles.len() as u64);
+    assert!(disk.memory.peak() <= limit && disk.surface_stats.tiles == 1);
+    assert_eq!([disk.visibility.triangles.kept(), disk.fulfilment.values.kept()], [Keep::Disk; 2]);
+    assert_eq!(disk.visibility, memory.visibility);
+    assert_eq!((&disk.unary, &disk.fulfilment), (&memory.unary, &memory.fulfilment));
+    assert_eq!((&disk.clusters, &disk.ranking, disk.cut), (&memory.clusters, &memory.ranking, memory.cut));
+    assert_eq!((&disk.views, &disk.triangle_reasons), (&memory.views, &memory.triangle_reasons));
+    assert_eq!((disk.forecast, disk.likest().unwrap()), (memory.forecast, memory.likest().unwrap()));
 }
 
 /// A survey that was written by `synth_uav.py`: VIEWRANK_SURVEY names its folder.

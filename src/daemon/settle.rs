@@ -288,6 +288,24 @@ mod tests {
     }
 
     #[test]
+    fn an_image_that_is_written_after_its_name_dates_what_nobody_listened_to() {
+        let root = tempfile::tempdir().expect("a temporary folder");
+        let images = [root.path().to_path_buf()];
+        assert_eq!(newest_entry(&images), None);
+        std::fs::write(root.path().join("a.jpg"), "begun").expect("a file");
+        let begun = newest_entry(&images);
+        let folder = std::fs::metadata(root.path()).expect("a folder").modified().expect("a time");
+        std::thread::sleep(Duration::from_millis(20));
+        std::fs::write(root.path().join("a.jpg"), "more of it").expect("a file");
+        assert!(newest_entry(&images) > begun);
+        assert_eq!(std::fs::metadata(root.path()).expect("a folder").modified().expect("a time"), folder);
+        let (looked, time) = (Instant::now() + Duration::from_secs(7), SystemTime::now() + Duration::from_secs(7));
+        let heard = looked - Duration::from_secs(9);
+        let since = Stamp::default().same_since(heard, newest_entry(&images), (looked, time));
+        assert!(since > looked - Duration::from_secs(8) && since <= looked, "not as of the folder's change");
+    }
+
+    #[test]
     fn input_is_still_once_nothing_changed_for_the_settle_time() {
         let root = project();
         let (start, settle) = (Instant::now(), Duration::from_secs(2));

@@ -106,8 +106,10 @@ impl Memory {
             return Ok(Keep::Memory);
         }
         let views = scene.views.len().max(1) as u64;
-        let at_once = TABLES_ROW * rows * views.min(VIEWS_AT_ONCE) / views;
-        (self.visibility, self.partners, self.disk) = (drawing + at_once, choosing + at_once, TABLES_ROW * rows);
+        let at_once = rows * views.min(VIEWS_AT_ONCE) / views;
+        self.visibility = drawing + VISIBILITY_ROW * at_once;
+        self.partners = choosing + TABLES_ROW * at_once;
+        self.disk = TABLES_ROW * rows;
         self.keep("model with its surface", self.visibility.max(self.partners))?;
         Ok(Keep::Disk)
     }
