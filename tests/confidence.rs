@@ -61,6 +61,20 @@ fn warnings(manifest: &Value) -> String {
 }
 
 #[test]
+fn without_being_asked_the_shipped_model_serves_where_it_was_trained_for_the_backend_and_has_images() {
+    let project = project();
+    let source = |manifest: &Value| manifest["settings"]["confidence"]["source"].as_str().unwrap().to_owned();
+    let auto = |backend| plan(project.path(), &["--confidence", "auto", "--backend", backend]);
+    let shipped = auto("sgm");
+    assert_eq!(source(&shipped), "shipped");
+    assert_eq!(shipped["confidence_model"]["backend"], "sgm");
+    assert!(shipped["confidence_model"]["trained_on"].as_array().unwrap().len() > 1);
+    assert_eq!(source(&auto("sure")), "geometric");
+    fs::remove_dir_all(project.path().join("images")).unwrap();
+    assert_eq!(source(&auto("sgm")), "geometric");
+}
+
+#[test]
 fn a_second_plan_reads_no_image() {
     let project = project();
     let first = plan(project.path(), &[]);

@@ -275,6 +275,21 @@ fn maps_whose_views_moved_too_far_are_named_and_the_others_stay() {
 }
 
 #[test]
+fn an_outdated_map_stays_named_while_its_view_has_no_partners() {
+    let scene = town();
+    let planned = Planned::new(&scene);
+    planned.write_maps(0..2, |_, _| true);
+    let moved = planned.keys(0..1)[0];
+    let later = shifted(&scene, moved, 3.0);
+    for model in [later.clone(), unobserved(&later, later.find(moved).unwrap()), later] {
+        write_model(planned.folder.path(), &model);
+        let again = planned.again();
+        assert!(again.finished.outdated.iter().any(|outdated| outdated.key == moved));
+        write(&again, planned.folder.path());
+    }
+}
+
+#[test]
 fn new_views_and_another_frame_leave_finished_maps_valid_and_another_scale_does_not() {
     let scene = town();
     let mut fewer = scene.clone();
@@ -292,11 +307,17 @@ fn new_views_and_another_frame_leave_finished_maps_valid_and_another_scale_does_
     assert_eq!((again.finished.clusters, again.finished.outdated.len()), (0, 3));
 }
 
-/// The scene without a view.
+/// The scene without its last view.
 fn without(scene: &Scene, view: ViewIndex) -> Scene {
-    let mut fewer = scene.clone();
+    let mut fewer = unobserved(scene, view);
     assert_eq!(view.at(), fewer.views.len() - 1, "indices stay");
     fewer.views.pop();
+    fewer
+}
+
+/// The scene without the observations of a view.
+fn unobserved(scene: &Scene, view: ViewIndex) -> Scene {
+    let mut fewer = scene.clone();
     let (mut views, mut pixels, mut offsets) = (Vec::new(), Vec::new(), vec![0]);
     for track in scene.track_offsets.windows(2) {
         for at in (track[0]..track[1]).filter(|&at| scene.track_views[at] != view) {

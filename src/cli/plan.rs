@@ -51,7 +51,7 @@ pub struct Arguments {
     /// How partners are chosen: sampled (the paper) or search
     #[arg(long, value_name = "METHOD", value_parser = ["sampled", "search"], help_heading = "How")]
     partners: Option<String>,
-    /// What predicts success: none, geometric, proxy, auto or a model file
+    /// What predicts success: none, geometric, proxy, shipped, auto or a model file
     #[arg(long, value_name = "SOURCE|FILE", help_heading = "How")]
     confidence: Option<String>,
     /// Surface: 3d, terrain (nadir flights) or auto

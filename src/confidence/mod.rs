@@ -32,7 +32,10 @@ pub use unary::Unary;
 
 use std::path::{Path, PathBuf};
 
-use crate::config::{ConfidenceForm, ConfidenceSettings};
+use crate::{
+    config::{ConfidenceForm, ConfidenceSettings},
+    project::Project,
+};
 
 /// Probability per cell of a grid that covers the image that the backend reconstructs it.
 #[derive(Clone, Debug, PartialEq)]
@@ -118,7 +121,7 @@ pub enum Source {
     Geometric,
     /// The constellation and a training-free look at the picture (method 7.3).
     Proxy,
-    /// The model that comes with the program.
+    /// The model that comes with the program: it learnt from depth maps of `integrations/sgm`.
     Shipped,
     /// The model that was trained for the project: [`PROJECT_MODEL`].
     Project,
@@ -132,17 +135,18 @@ pub const PROJECT_MODEL: &str = "viewrank/confidence.model";
 pub const WORDS: [&str; 6] = ["none", "geometric", "proxy", "auto", "shipped", "project"];
 
 impl Source {
-    /// `auto` is the project's own model if there is one, else the shipped one where it was trained for the backend, else
-    /// `geometric`.
-    pub fn new(source: &str, root: &Path, backend: &str) -> Self {
-        let shipped = || Trained::shipped().is_some_and(|trained| trained.backend == backend);
+    /// `auto` is the project's own model if there is one, else the shipped one where it was trained for the backend and there are images
+    /// to look at, else `geometric`.
+    pub fn new(source: &str, project: &Project, backend: &str) -> Self {
+        let shipped =
+            || project.images.is_some() && Trained::shipped().is_some_and(|trained| trained.backend == backend);
         match source {
             "none" => Self::None,
             "geometric" => Self::Geometric,
             "proxy" => Self::Proxy,
             "shipped" => Self::Shipped,
             "project" => Self::Project,
-            "auto" if root.join(PROJECT_MODEL).is_file() => Self::Project,
+            "auto" if project.root.join(PROJECT_MODEL).is_file() => Self::Project,
             "auto" if shipped() => Self::Shipped,
             "auto" => Self::Geometric,
             file => Self::Model(file.into()),

@@ -303,7 +303,7 @@ pub enum ConfidenceForm {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct ConfidenceSettings {
-    /// "none", "geometric", "proxy", "auto" or a model file.
+    /// "none", "geometric", "proxy", "shipped", "auto" or a model file.
     pub source: String,
     /// The chance of each pair, or the paper's mean of the two unary confidences.
     pub form: ConfidenceForm,

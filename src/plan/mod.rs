@@ -188,7 +188,7 @@ pub fn plan_scene(
     watcher: &dyn Watcher,
 ) -> Result<Plan, PlanError> {
     let backend = planned_for(project, settings)?;
-    let source = confidence::Source::new(&settings.confidence.source, &project.root, backend.name());
+    let source = Source::new(&settings.confidence.source, project, backend.name());
     let trained = source.trained(&project.root)?;
     let mut settings = in_force(project, settings, &scene, backend, &source)?;
     let mut memory = Memory::before_surface(&scene, &mut settings)?;

@@ -6,7 +6,11 @@
 
 mod movement;
 
-use std::{collections::BTreeMap, fs, path::Path};
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    fs, io,
+    path::Path,
+};
 
 use rayon::prelude::*;
 
@@ -180,7 +184,18 @@ fn look(plan: &Plan, earlier: &Earlier, maps: &Maps, watcher: &dyn Watcher) -> R
         Ok(file.map(|file| Looked { plan, earlier, key, partners, file }.found()))
     });
     let found: Vec<Option<Found>> = found.collect::<Result<_, Cancelled>>()?;
-    Ok(found.into_iter().flatten().chain(unreadable).collect())
+    // Views that had no partners in the earlier plan, either: what was said of their maps before still holds.
+    let keys: BTreeSet<&str> = earlier.keys().collect();
+    let beyond = earlier.outdated.iter().filter(|outdated| !keys.contains(outdated.key.as_str()));
+    let beyond = beyond.filter_map(|Outdated { key, .. }| {
+        let hash = hash(&file_of.get(key.as_str())?.path).ok()?;
+        Some(Found::Outdated { outdated: earlier.outdated(key, &hash)?, hash })
+    });
+    Ok(found.into_iter().flatten().chain(beyond).chain(unreadable).collect())
+}
+
+fn hash(file: &Path) -> io::Result<String> {
+    Ok(blake3::hash(&fs::read(file)?).to_string())
 }
 
 /// A depth map with the cluster that it was made for.
@@ -199,8 +214,8 @@ impl Looked<'_> {
             Ok(_) => return Found::Unreadable(format!("{}: not of the shape of {}", self.path(), self.key)),
             Err(error) => return Found::Unreadable(error.to_string()),
         };
-        let hash = match fs::read(&self.file.path) {
-            Ok(bytes) => blake3::hash(&bytes).to_string(),
+        let hash = match hash(&self.file.path) {
+            Ok(hash) => hash,
             Err(error) => return Found::Unreadable(format!("{}: {error}", self.path())),
         };
         if let Some(outdated) = self.earlier.outdated(self.key, &hash) {
