@@ -196,10 +196,18 @@ impl<'a> Summary<'a> {
     }
 
     fn where_to_look(&self) -> String {
-        let verb = if self.written { "Look at" } else { "Nothing was written (--dry-run). Would be written:" };
         let folder = format!("{}/viewrank", self.project);
-        let page = if self.written { format!("On one page: {}\n", self.look) } else { String::new() };
-        format!("\n{verb} {folder}/curve.svg and surface.ply.\n{page}Next: {}\n", self.next)
+        match self.written {
+            true => format!(
+                "\nLook at {folder}/curve.svg and surface.ply.\nOn one page: {}\nNext: {}\n",
+                self.look, self.next
+            ),
+            false => format!(
+                "\nNothing was written (--dry-run). Would be written: {} files, most into {folder}.\nNext: {}\n",
+                self.files.len(),
+                self.next
+            ),
+        }
     }
 }
 

@@ -113,7 +113,8 @@ impl fmt::Display for Phase {
             }
             Self::Computing { done, clusters, share, unmeasured, note } => {
                 write!(f, "computing: {done} of {clusters} depth maps")?;
-                share.iter().try_for_each(|share| write!(f, ", {:.0} % reached", share * 100.0))?;
+                // 89.9 % of a target of 90 % have not reached it.
+                share.iter().try_for_each(|share| write!(f, ", {:.0} % reached", (share * 100.0).floor()))?;
                 match *unmeasured {
                     0 => {}
                     1 => write!(f, ", 1 new file to be measured")?,

@@ -17,6 +17,8 @@ use crate::{
     visibility::Visibility,
 };
 
+/// The first stage that may need too much.
+pub(super) const SURFACE: &str = "surface";
 /// A pixel of the id buffer that each thread draws into.
 const BUFFER_PIXEL: u64 = 8;
 /// The program, and what is small.
@@ -84,7 +86,7 @@ impl Memory {
             (None, None) => points,
         };
         memory.surface = (held + SURFACE_PER_POINT * at_once).max(finished);
-        memory.keep("surface", memory.surface)?;
+        memory.keep(SURFACE, memory.surface)?;
         Ok(memory)
     }
 
@@ -186,6 +188,7 @@ fn expected_rows(scene: &Scene, surface: &Surface) -> u64 {
 pub(super) fn readable(bytes: u64) -> String {
     match bytes as f64 / 1024f64.powi(3) {
         gibibytes if gibibytes >= 1.0 => format!("{gibibytes:.1}G"),
-        gibibytes => format!("{:.0}M", 1024.0 * gibibytes),
+        gibibytes if bytes >= 1 << 20 => format!("{:.0}M", 1024.0 * gibibytes),
+        _ => format!("{bytes} bytes"),
     }
 }

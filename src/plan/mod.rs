@@ -414,6 +414,10 @@ impl Hint for PlanError {
             Self::Backend(error) => return error.hint(),
             Self::Trained(error) => return error.hint(),
             Self::NoTimes => "time one depth map and set forecast.seconds_per_map or .seconds_per_pair".into(),
+            Self::Memory { stage: memory::SURFACE, need, .. } => format!(
+                "give --max-memory {} or more: what the tables need besides is known once the surface is built",
+                memory::readable(need + need / 20)
+            ),
             Self::Memory { need, .. } => format!(
                 "give --max-memory {}, or have fewer triangles with a coarser --gsd or a larger surface.edge_factor",
                 memory::readable(need + need / 20)
