@@ -4,7 +4,7 @@ use nalgebra::Point3;
 use rayon::prelude::*;
 use serde_json::{Value, json};
 
-use super::{MapFrame, footprint};
+use super::{MapFrame, footprints};
 use crate::{georeference::Georeference, plan::Plan, scene::ViewIndex};
 
 /// A point where the camera is and a polygon round what it sees of the surface, for each view. In longitude and latitude where the place
@@ -19,12 +19,13 @@ pub fn views_geojson(plan: &Plan, place: &Georeference) -> String {
     };
     let mut rank = vec![None; plan.scene.views.len()];
     plan.ranked().enumerate().for_each(|(i, cluster)| rank[cluster.key.at()] = Some(i));
+    let footprints = footprints(&plan.surface, &plan.visibility, &frame);
     let features = |view: ViewIndex| {
         let properties = |what: &str| properties(plan, view, rank[view.at()], what);
         let centre = plan.scene.view(view).cam_from_world.centre();
         let point = json!({ "type": "Point", "coordinates": position(&centre) });
         let mut features = vec![feature(point, properties("camera"))];
-        let corners: Vec<_> = footprint(&plan.surface, &plan.visibility, view, &frame).iter().map(&position).collect();
+        let corners: Vec<_> = footprints[view.at()].iter().map(&position).collect();
         if corners.len() >= 3 {
             let area = if local { polygon(corners) } else { polygon_on_the_earth(corners) };
             features.push(feature(area, properties("footprint")));

@@ -1,11 +1,12 @@
 //! The surface and the views as seen on a map.
 
 use nalgebra::{Point3, Vector3};
+use rayon::prelude::*;
 
 use crate::{
     scene::{Scene, ViewIndex},
     surface::{Surface, terrain::Frame},
-    visibility::Visibility,
+    visibility::{self, Visibility},
 };
 
 /// Directions in which a footprint is sought to its end; it has at most as many corners.
@@ -43,12 +44,22 @@ impl MapFrame {
     }
 }
 
-/// What a view sees of the surface, from above: the convex hull, counter-clockwise and not closed, as surface points in world
+/// What each view sees of the surface, from above: the convex hull, counter-clockwise and not closed, as surface points in world
 /// coordinates. Empty where it sees nothing.
-pub fn footprint(surface: &Surface, visibility: &Visibility, view: ViewIndex, frame: &MapFrame) -> Vec<Point3<f64>> {
-    let mut is_new = vec![true; surface.vertices.len()];
-    let corners = visibility.of(view).iter().flat_map(|&t| surface.triangles[t as usize]);
-    let vertices: Vec<u32> = corners.filter(|&v| std::mem::replace(&mut is_new[v as usize], false)).collect();
+pub fn footprints(surface: &Surface, visibility: &Visibility, frame: &MapFrame) -> Vec<Vec<Point3<f64>>> {
+    let views: Vec<ViewIndex> = (1..visibility.offsets.len()).map(|end| ViewIndex(end as u32 - 1)).collect();
+    let mut footprints = Vec::with_capacity(views.len());
+    for batch in views.chunks(visibility::BATCH) {
+        footprints.par_extend(batch.par_iter().map(|&view| footprint(surface, visibility, view, frame)));
+        visibility.triangles.release();
+    }
+    footprints
+}
+
+fn footprint(surface: &Surface, visibility: &Visibility, view: ViewIndex, frame: &MapFrame) -> Vec<Point3<f64>> {
+    let mut vertices: Vec<u32> = visibility.of(view).iter().flat_map(|&t| surface.triangles[t as usize]).collect();
+    vertices.sort_unstable();
+    vertices.dedup();
     let flat: Vec<[f64; 3]> = vertices.iter().map(|&v| frame.local(&surface.vertices[v as usize])).collect();
     let farthest = |i: u32| {
         let (sin, cos) = (f64::from(i) * std::f64::consts::TAU / f64::from(DIRECTIONS)).sin_cos();

@@ -10,5 +10,5 @@ mod surface;
 pub use confidence::confidence_picture;
 pub use curve::{Curve, curve_svg};
 pub use geojson::views_geojson;
-pub use map::{MapFrame, footprint};
+pub use map::{MapFrame, footprints};
 pub use surface::{RAMP, REASON_NUMBERS, TriangleState, follow, reason_number, surface_ply, triangle_states};

@@ -3,6 +3,7 @@
 use crate::{
     plan::{Plan, Reason},
     surface::ply::{self, FaceField},
+    visibility,
 };
 
 /// What the chosen clusters do for a triangle.
@@ -44,6 +45,9 @@ pub fn follow(plan: &Plan, mut visit: impl FnMut(usize, u32, f32)) {
     // The largest values of each triangle so far, in no order.
     let mut largest = vec![0f32; plan.surface.triangles.len() * support];
     for (rank, &cluster) in plan.ranking.order.iter().enumerate() {
+        if rank % visibility::BATCH == 0 {
+            plan.fulfilment.release();
+        }
         let (of_cluster, values) = plan.fulfilment.of(cluster as usize);
         for (&t, &f) in of_cluster.iter().zip(values) {
             let largest = &mut largest[t as usize * support..][..support];

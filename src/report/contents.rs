@@ -25,7 +25,7 @@ use crate::{
     error::Hint,
     evaluate::EvaluateError,
     georeference::Georeference,
-    pictures::{MapFrame, RAMP, REASON_NUMBERS, footprint, reason_number},
+    pictures::{MapFrame, RAMP, REASON_NUMBERS, footprints, reason_number},
     plan::{Plan, Reason},
     progress::{Cancelled, Watcher},
     project::Project,
@@ -225,7 +225,7 @@ impl Views {
         let centres: Vec<Point3<f64>> = plan.scene.views.iter().map(|v| v.cam_from_world.centre()).collect();
         let directions = plan.scene.views.iter().map(|v| v.cam_from_world.viewing_direction());
         let directions: Vec<f32> = directions.flat_map(|d| frame.direction(&d)).map(|x| x as f32).collect();
-        let footprints: Vec<_> = views().map(|view| footprint(&plan.surface, &plan.visibility, view, frame)).collect();
+        let footprints = footprints(&plan.surface, &plan.visibility, frame);
         let mut rank = vec![0u32; plan.scene.views.len()];
         plan.ranked().enumerate().for_each(|(i, cluster)| rank[cluster.key.at()] = i as u32 + 1);
         let mut likest = vec![Vec::new(); rank.len()];
