@@ -71,7 +71,7 @@ impl<T: Pod> Column<T> {
             self.release();
             part
         };
-        self.chunks(PART).map(part).flatten()
+        self.chunks(PART).flat_map(part)
     }
 }
 

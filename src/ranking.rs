@@ -116,7 +116,7 @@ pub fn rank_after(
     while let Some(top) = heap.pop() {
         watcher.check()?;
         looks += 1;
-        if looks % READ_AT_ONCE == 0 {
+        if looks.is_multiple_of(READ_AT_ONCE) {
             table.release();
         }
         let cluster = table.of(top.cluster as usize);

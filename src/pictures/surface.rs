@@ -45,7 +45,7 @@ pub fn follow(plan: &Plan, mut visit: impl FnMut(usize, u32, f32)) {
     // The largest values of each triangle so far, in no order.
     let mut largest = vec![0f32; plan.surface.triangles.len() * support];
     for (rank, &cluster) in plan.ranking.order.iter().enumerate() {
-        if rank % visibility::BATCH == 0 {
+        if rank.is_multiple_of(visibility::BATCH) {
             plan.fulfilment.release();
         }
         let (of_cluster, values) = plan.fulfilment.of(cluster as usize);

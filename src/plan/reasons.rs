@@ -213,7 +213,7 @@ fn most_frequent(reasons: impl Iterator<Item = Reason>) -> Option<Reason> {
 const READ_AT_ONCE: usize = 256;
 
 fn release_at(place: usize, table: &FulfilmentTable) {
-    if place % READ_AT_ONCE == 0 {
+    if place.is_multiple_of(READ_AT_ONCE) {
         table.release();
     }
 }

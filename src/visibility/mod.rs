@@ -80,7 +80,7 @@ impl Visibility {
         let numbers: Vec<u32> = keep.iter().map(number).collect();
         let (mut offsets, mut triangles) = (vec![0], Growing::new(self.triangles.kept())?);
         for (view, rows) in self.offsets.windows(2).enumerate() {
-            if view % BATCH == 0 {
+            if view.is_multiple_of(BATCH) {
                 self.triangles.release();
             }
             let view = self.triangles[rows[0]..rows[1]].iter();
