@@ -202,6 +202,23 @@ pub fn in_order<A: Sync, S: Send, R: Send>(
     Ok(())
 }
 
+/// Views or clusters of which the rows are read before the memory that they took is given back, where a table lies on disk.
+pub const READ_AT_ONCE: usize = 256;
+
+/// What `work` makes of each item by reading tables, in their order; `release` gives back what was read after each part.
+pub fn read_by_parts<A: Sync, R: Send>(
+    items: &[A],
+    work: impl Fn(&A) -> R + Sync + Send,
+    release: impl Fn(),
+) -> Vec<R> {
+    let mut results = Vec::with_capacity(items.len());
+    for part in items.chunks(READ_AT_ONCE) {
+        results.par_extend(part.par_iter().map(&work));
+        release();
+    }
+    results
+}
+
 /// Why there is no table.
 #[derive(Debug, thiserror::Error)]
 pub enum TableError {

@@ -7,19 +7,15 @@ mod belief;
 
 use std::{cmp::Ordering, collections::BinaryHeap};
 
-use rayon::prelude::*;
-
 pub use self::belief::{Attempt, Beliefs};
 
 use crate::{
+    column,
     config::TriangleWeight,
     fulfilment::FulfilmentTable,
     progress::{Cancelled, Stage, Watcher},
     surface::Surface,
 };
-
-/// Clusters of a table on disk that are read before the memory that they take is given back.
-const READ_AT_ONCE: usize = 256;
 
 /// Greedy order of the clusters.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -103,11 +99,7 @@ pub fn rank_after(
     }
     let gain = |&c: &usize| if left[c] { reached.gain(table.of(c)) } else { 0.0 };
     let clusters: Vec<usize> = (0..table.clusters()).collect();
-    let mut first: Vec<f64> = Vec::with_capacity(clusters.len());
-    for batch in clusters.chunks(READ_AT_ONCE) {
-        first.par_extend(batch.par_iter().map(gain));
-        table.release();
-    }
+    let first = column::read_by_parts(&clusters, gain, || table.release());
     let taken_then = finished.len();
     let stale = first.into_iter().enumerate().map(|(c, gain)| Entry { gain, cluster: c as u32, taken_then });
     let mut heap: BinaryHeap<Entry> = stale.filter(|e| e.gain > 0.0).collect();
@@ -116,7 +108,7 @@ pub fn rank_after(
     while let Some(top) = heap.pop() {
         watcher.check()?;
         looks += 1;
-        if looks.is_multiple_of(READ_AT_ONCE) {
+        if looks.is_multiple_of(column::READ_AT_ONCE) {
             table.release();
         }
         let cluster = table.of(top.cluster as usize);

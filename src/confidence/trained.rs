@@ -21,7 +21,6 @@ use crate::{
     fulfilment::Model,
     progress::Watcher,
     scene::{ViewIndex, ViewPoints},
-    visibility,
 };
 
 /// Version of the file; a program reads its own version.
@@ -162,7 +161,7 @@ impl Trained {
         let (mut values, mut partner_odds) = (Growing::new(keep)?, Growing::new(keep)?);
         column::in_order(
             &views,
-            visibility::BATCH,
+            column::READ_AT_ONCE,
             || (),
             of_view,
             |_, rows: Vec<Vec<(f32, f32)>>| {

@@ -2,13 +2,12 @@
 
 use std::sync::atomic::{AtomicU32, Ordering};
 
-use rayon::prelude::*;
-
 use crate::{
+    column,
     config::{TargetMode, TargetSettings},
     scene::{Scene, ViewIndex},
     surface::Surface,
-    visibility::{self, Visibility},
+    visibility::Visibility,
 };
 
 /// How much coarser the wanted resolution is than the one at hand, where it comes from the data.
@@ -61,7 +60,6 @@ impl Target {
 /// The finest GSD that a view has of each triangle, in pixels of the model's image; infinity where no view has one.
 fn finest(scene: &Scene, surface: &Surface, visibility: &Visibility) -> Vec<f32> {
     let finest: Vec<AtomicU32> = surface.triangles.iter().map(|_| AtomicU32::new(f32::INFINITY.to_bits())).collect();
-    let views: Vec<ViewIndex> = scene.view_indices().collect();
     let look = |&view: &ViewIndex| {
         for &t in visibility.of(view) {
             // The bits of numbers that are not negative are ordered as they are, and the least of them does not depend on who comes first.
@@ -69,10 +67,7 @@ fn finest(scene: &Scene, surface: &Surface, visibility: &Visibility) -> Vec<f32>
             finest[t as usize].fetch_min(gsd.to_bits(), Ordering::Relaxed);
         }
     };
-    for batch in views.chunks(visibility::BATCH) {
-        batch.par_iter().for_each(look);
-        visibility.triangles.release();
-    }
+    column::read_by_parts(&visibility.views(), look, || visibility.triangles.release());
     finest.into_iter().map(|bits| f32::from_bits(bits.into_inner())).collect()
 }
 

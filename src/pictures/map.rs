@@ -1,12 +1,12 @@
 //! The surface and the views as seen on a map.
 
 use nalgebra::{Point3, Vector3};
-use rayon::prelude::*;
 
 use crate::{
+    column,
     scene::{Scene, ViewIndex},
     surface::{Surface, terrain::Frame},
-    visibility::{self, Visibility},
+    visibility::Visibility,
 };
 
 /// Directions in which a footprint is sought to its end; it has at most as many corners.
@@ -47,13 +47,8 @@ impl MapFrame {
 /// What each view sees of the surface, from above: the convex hull, counter-clockwise and not closed, as surface points in world
 /// coordinates. Empty where it sees nothing.
 pub fn footprints(surface: &Surface, visibility: &Visibility, frame: &MapFrame) -> Vec<Vec<Point3<f64>>> {
-    let views: Vec<ViewIndex> = (1..visibility.offsets.len()).map(|end| ViewIndex(end as u32 - 1)).collect();
-    let mut footprints = Vec::with_capacity(views.len());
-    for batch in views.chunks(visibility::BATCH) {
-        footprints.par_extend(batch.par_iter().map(|&view| footprint(surface, visibility, view, frame)));
-        visibility.triangles.release();
-    }
-    footprints
+    let of_view = |&view: &ViewIndex| footprint(surface, visibility, view, frame);
+    column::read_by_parts(&visibility.views(), of_view, || visibility.triangles.release())
 }
 
 fn footprint(surface: &Surface, visibility: &Visibility, view: ViewIndex, frame: &MapFrame) -> Vec<Point3<f64>> {

@@ -1,9 +1,9 @@
 //! `surface.ply`: the surface with scalar fields per triangle that CloudCompare and MeshLab show.
 
 use crate::{
+    column,
     plan::{Plan, Reason},
     surface::ply::{self, FaceField},
-    visibility,
 };
 
 /// What the chosen clusters do for a triangle.
@@ -45,7 +45,7 @@ pub fn follow(plan: &Plan, mut visit: impl FnMut(usize, u32, f32)) {
     // The largest values of each triangle so far, in no order.
     let mut largest = vec![0f32; plan.surface.triangles.len() * support];
     for (rank, &cluster) in plan.ranking.order.iter().enumerate() {
-        if rank.is_multiple_of(visibility::BATCH) {
+        if rank.is_multiple_of(column::READ_AT_ONCE) {
             plan.fulfilment.release();
         }
         let (of_cluster, values) = plan.fulfilment.of(cluster as usize);

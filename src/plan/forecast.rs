@@ -5,6 +5,7 @@ use schemars::JsonSchema;
 use serde::Serialize;
 
 use crate::{
+    column,
     config::ForecastSettings,
     fulfilment::{
         self, Model,
@@ -13,9 +14,6 @@ use crate::{
     partners::ViewCluster,
     ranking::Ranking,
 };
-
-/// Clusters that are looked at before the memory that tables on disk took is given back.
-const RANKS_AT_ONCE: usize = 256;
 
 /// What the backend will have to do, and how long it takes where that is known.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, JsonSchema)]
@@ -109,7 +107,7 @@ pub(super) fn points(cost: &Cost, clusters: usize) -> Vec<f64> {
     let places = || Places::new(cost.model);
     let ranks: Vec<usize> = (0..clusters).collect();
     let mut points = Vec::with_capacity(clusters);
-    for batch in ranks.chunks(RANKS_AT_ONCE) {
+    for batch in ranks.chunks(column::READ_AT_ONCE) {
         points.par_extend(batch.par_iter().map_init(places, |places, &rank| cost.points(rank, places)));
         cost.model.release();
     }

@@ -9,6 +9,7 @@ use serde::Serialize;
 
 use super::PlanError;
 use crate::{
+    column,
     column::Keep,
     config::{Bytes, Settings, VisibilitySettings},
     fulfilment::FulfilmentTable,
@@ -44,8 +45,6 @@ const PLACE: u64 = 4;
 /// Of a sparse point while visibility is contradicted and nearest points are looked for; and for each thread: is it observed?
 const PER_POINT: u64 = 5;
 const OBSERVED: u64 = 1;
-/// Views whose rows are read or put together at a time, of tables on disk.
-const VIEWS_AT_ONCE: u64 = 256;
 /// What is believed of a row of fulfilment once others have failed.
 const BELIEF_ROW: u64 = 24;
 /// Views and triangles that foretell the rows of visibility.
@@ -108,7 +107,7 @@ impl Memory {
             return Ok(Keep::Memory);
         }
         let views = scene.views.len().max(1) as u64;
-        let at_once = rows * views.min(VIEWS_AT_ONCE) / views;
+        let at_once = rows * views.min(column::READ_AT_ONCE as u64) / views;
         self.visibility = drawing + VISIBILITY_ROW * at_once;
         self.partners = choosing + TABLES_ROW * at_once;
         self.disk = TABLES_ROW * rows;

@@ -6,7 +6,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::{
-    column::{Column, DiskError, Growing},
+    column::{self, Column, DiskError, Growing},
     config::PartnerSettings,
     fulfilment::{self, Fulfilment, FulfilmentTable, Model},
     partners::{Candidates, ViewCluster},
@@ -102,13 +102,12 @@ impl Why<'_> {
             (_, None) => Some(self.no_cluster(view)),
         };
         let all: Vec<ViewIndex> = self.model.scene.view_indices().collect();
-        let mut reasons = Vec::with_capacity(views);
-        for batch in all.chunks(READ_AT_ONCE) {
-            reasons.par_extend(batch.par_iter().map(|&view| reason(view)));
+        let release = || {
             by_triangle.entries.release();
             self.fulfilment.release();
             self.model.release();
-        }
+        };
+        let reasons = column::read_by_parts(&all, |&view| reason(view), release);
         Ok(status.into_iter().zip(reasons).collect())
     }
 
@@ -209,11 +208,8 @@ fn most_frequent(reasons: impl Iterator<Item = Reason>) -> Option<Reason> {
     counts.into_iter().max_by_key(|&(reason, count)| (count, std::cmp::Reverse(reason))).map(|(reason, _)| reason)
 }
 
-/// Rows that are read of a table on disk before the memory that they took is given back: those of so many views or clusters.
-const READ_AT_ONCE: usize = 256;
-
 fn release_at(place: usize, table: &FulfilmentTable) {
-    if place.is_multiple_of(READ_AT_ONCE) {
+    if place.is_multiple_of(column::READ_AT_ONCE) {
         table.release();
     }
 }

@@ -30,8 +30,6 @@ use crate::{
 const FEW_PIXELS: u32 = 4;
 /// What is nearer to the camera than this many edge lengths is not drawn.
 const NEAR_EDGES: f64 = 0.05;
-/// Views that are worked on before their rows are put together.
-pub(crate) const BATCH: usize = 256;
 
 /// The sparse table of (view, triangle), CSR by view, triangles ascending within a view.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -46,6 +44,11 @@ pub struct Visibility {
 }
 
 impl Visibility {
+    /// The views, each a row of [`Self::of`].
+    pub fn views(&self) -> Vec<ViewIndex> {
+        (1..self.offsets.len()).map(|end| ViewIndex(end as u32 - 1)).collect()
+    }
+
     /// The triangles that the view sees, ascending.
     pub fn of(&self, view: ViewIndex) -> &[u32] {
         &self.triangles[self.rows(view)]
@@ -80,7 +83,7 @@ impl Visibility {
         let numbers: Vec<u32> = keep.iter().map(number).collect();
         let (mut offsets, mut triangles) = (vec![0], Growing::new(self.triangles.kept())?);
         for (view, rows) in self.offsets.windows(2).enumerate() {
-            if view.is_multiple_of(BATCH) {
+            if view.is_multiple_of(column::READ_AT_ONCE) {
                 self.triangles.release();
             }
             let view = self.triangles[rows[0]..rows[1]].iter();
@@ -97,11 +100,10 @@ impl Visibility {
         start: impl Fn() -> S + Sync + Send,
         of_view: impl Fn(&mut S, ViewIndex) -> Result<Vec<T>, Cancelled> + Sync + Send,
     ) -> Result<Column<T>, TableError> {
-        let views: Vec<ViewIndex> = (1..self.offsets.len()).map(|end| ViewIndex(end as u32 - 1)).collect();
         let mut column = Growing::new(self.triangles.kept())?;
         column::in_order(
-            &views,
-            BATCH,
+            &self.views(),
+            column::READ_AT_ONCE,
             start,
             |s, &view| of_view(s, view),
             |_, rows| {
@@ -138,7 +140,7 @@ pub fn estimate(
         Ok(seen)
     };
     let (mut offsets, mut triangles) = (vec![0], Growing::new(keep)?);
-    column::in_order(&views, BATCH, Picture::default, look, |_, rows| {
+    column::in_order(&views, column::READ_AT_ONCE, Picture::default, look, |_, rows| {
         for row in rows {
             triangles.extend(&row)?;
             offsets.push(offsets.last().expect("starts with one") + row.len());
