@@ -1,16 +1,16 @@
 #!/usr/bin/env python3
 """How good the confidence is on scenes that it was not trained on, in every rotation: one command, one table.
 
-    predictor.py PROJECT=REFERENCE... --viewrank target/release/viewrank --out DIR
+    predictor.py PROJECT=REFERENCE... --viewrank target/release/viewrank --out DIR [--maps sgm|openmvs]
 
-Each PROJECT is a COLMAP project (images/, sparse/) with depth maps of integrations/sgm in PROJECT/sgm (report.json says of which
-clusters) and, for the training alone, as many further PROJECT.* beside it with other clusters. REFERENCE is what its depths are held against: exact
+Each PROJECT is a COLMAP project (images/, sparse/) with clusters.txt, the depth maps of these in PROJECT/sgm (integrations/sgm) or
+PROJECT/openmvs (integrations/openmvs) and, for the training alone, as many further PROJECT.* beside it with other clusters. REFERENCE is what its depths are held against: exact
 depth (truth/depth of a rendered scene) or the maps with all 22 partners (sgm.py match --connected 22). For each project the confidence is
 trained on all the others, without their references, and then held against this one's:
 
 - per (cluster, triangle): f_conf against the share of the triangle's pixels that came out right (what `viewrank evaluate` measures), for triangles
   that at least two partners see; and how well it parts those of which more than half came out right from all others that the key view sees;
-- per pixel: the picture's confidence alone against "came out right", where the reference has a depth and at least two partners show it: what
+- per pixel, with --maps sgm: the picture's confidence alone against "came out right", where the reference has a depth and at least two partners show it: what
   lies beside their images fails whatever the picture shows;
 - the curve of `viewrank evaluate`: key views until 50, 70 and 80 % of the real fulfilment, in the order of each confidence, partners the same;
 - with --adapt NAME: the first 10 % of its maps, in the order that the others' model gives, are trained on together with the others, and the rest
@@ -45,6 +45,7 @@ def main():
     parser.add_argument("projects", nargs="+", metavar="PROJECT=REFERENCE")
     parser.add_argument("--viewrank", default="viewrank")
     parser.add_argument("--out", type=Path, required=True, help="for models, plans and predictor.md")
+    parser.add_argument("--maps", choices=["sgm", "openmvs"], default="sgm", help="the backend that made the depth maps")
     parser.add_argument("--threads", default="2")
     parser.add_argument("--adapt", action="append", default=[], metavar="NAME", help="measure what its first 10 %% of maps teach")
     arguments = parser.parse_args()
@@ -60,7 +61,7 @@ def measure(project, sets, arguments):
     """Everything about one project with the model of the others."""
     model = arguments.out / f"without_{project.name}.model"
     others = [p for other in sets if other != project for p in (other, *sorted(other.parent.glob(other.name + ".*")))]
-    run(arguments, "train", *others, "--depth-maps", "sgm", "--out", model)
+    run(arguments, "train", *others, "--depth-maps", arguments.maps, "--out", model)
     reference = exact(sets[project], project, arguments.out)
     row = {"name": project.name, "sources": {}}
     for source in SOURCES:
@@ -70,7 +71,7 @@ def measure(project, sets, arguments):
         row["sources"][KNOWN] = {**scored(known), "needed": needed(result["evaluation"], "optimum")}
     if project.name in arguments.adapt:
         row["adapted"] = adapted(project, others, reference, result, arguments)
-    row["pixels"] = pixels(project, sets[project], model, arguments)
+    row["pixels"] = pixels(project, sets[project], model, arguments) if arguments.maps == "sgm" else {}
     print(json.dumps(row), file=sys.stderr)
     return row
 
@@ -87,17 +88,22 @@ def exact(reference, project, out):
         return reference / "depth_maps"
     folder = out / "reference" / project.name
     folder.mkdir(parents=True, exist_ok=True)
-    for path in sorted((project / "sgm/depth_maps").rglob("*.npy")):
-        name = path.name[: -len(".npy")]
-        np.save(folder / path.name, read_reference(reference, name))
+    for name in partners_of(project):
+        np.save(folder / f"{Path(name).name}.npy", read_reference(reference, name))
     return folder
+
+
+def partners_of(project):
+    """By key view, as clusters.txt has them."""
+    lines = [line.rstrip("\n").split("\t") for line in (project / "clusters.txt").read_text().splitlines()]
+    return {line[0]: line[1:] for line in lines if not line[0].startswith("#")}
 
 
 def clusters(project, reference, source, arguments):
     """f_conf and measured shares of the clusters that the maps were made for, and what `viewrank evaluate` says."""
     tables = arguments.out / "tables"
-    run(arguments, "plan", project, "--backend", "sgm", "--confidence", source, "-k", 5, "--budget", "100%")
-    evaluate = ["evaluate", project, "--depth-maps", project / "sgm", "--reference", reference, "--baselines"]
+    run(arguments, "plan", project, "--backend", arguments.maps, "--confidence", source, "-k", 5, "--budget", "100%")
+    evaluate = ["evaluate", project, "--depth-maps", project / arguments.maps, "--reference", reference, "--baselines"]
     evaluate += ["--clusters", project / "clusters.txt", "--dump-tables", tables, "--out", arguments.out / "evaluation"]
     run(arguments, *evaluate)
     read = {path.stem: np.load(path) for path in tables.glob("*.npy")}
@@ -132,7 +138,7 @@ def adapted(project, others, reference, before, arguments):
     for _, name in finished:
         link(maps / f"{name}.npy", project / f"sgm/depth_maps/{name}.npy")
     model = arguments.out / f"with_first_of_{project.name}.model"
-    run(arguments, "train", folder, *others, "--depth-maps", "sgm", "--out", model)
+    run(arguments, "train", folder, *others, "--depth-maps", arguments.maps, "--out", model)
     after = clusters(project, reference, model, arguments)
     rest = ~np.isin(before["cluster"], [row for row, _ in finished])
     of = lambda result: scores(result["chance"][rest], result["outcome"][rest])  # noqa: E731
@@ -193,8 +199,7 @@ def pixels(project, reference, model, arguments):
         found["proxy" if source == "proxy" else "trained"] = {n: np.load(folder / (Path(n).name + ".npy")) for n in names}
     settings = json.loads((project / "viewrank/manifest.json").read_text())["settings"]
     workspace = Workspace(project, settings["image_scale"])
-    lines = [line.rstrip("\n").split("\t") for line in (project / "clusters.txt").read_text().splitlines()]
-    partners = {line[0]: line[1:] for line in lines if not line[0].startswith("#")}
+    partners = partners_of(project)
     truths = {name: truth(reference, view) for name, view in workspace.views.items()}
     chances, outcomes = {"constant": [], "gradient": [], "proxy": [], "trained": []}, []
     for name, path in zip(names, maps):
@@ -250,13 +255,14 @@ def table(rows):
         mean = np.mean([row["sources"][source]["needed"] for row in rows], axis=0)
         areas = [np.mean([row["sources"][source][which] for row in rows]) for which in ("auc_seen", "auc")]
         lines.append(f"| mean | {source} | {areas[0]:.3f} | {areas[1]:.3f} | | | {', '.join(f'{n:.1f}' for n in mean)} |")
-    lines += ["", "| unseen scene | picture alone, per pixel | AUC | Brier | calibration error |", "|---|---|---|---|---|"]
+    if any(row["pixels"] for row in rows):
+        lines += ["", "| unseen scene | picture alone, per pixel | AUC | Brier | calibration error |", "|---|---|---|---|---|"]
     number = lambda n: "" if n is None else f"{n:.3f}"  # noqa: E731
     for row in rows:
         for source, s in row["pixels"].items():
             lines.append(f"| {row['name']} | {source} | {s['auc']:.3f} | {number(s['brier'])} | {number(s['calibration'])} |")
     head = "| rest of | after maps | came out right | foreseen by the others' model | with the first maps | AUC | calibration error |"
-    lines += ["", head, "|---|---|---|---|---|---|---|"]
+    lines += ["", head, "|---|---|---|---|---|---|---|"] if any("adapted" in row for row in rows) else []
     for row in (row for row in rows if "adapted" in row):
         a = row["adapted"]
         means = " | ".join(f"{m:.3f}" for m in a["means"])

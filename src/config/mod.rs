@@ -211,7 +211,7 @@ impl Default for SurfaceSettings {
             sigma_factor: 1.0,
             behind_sigma: 3.0,
             quality_weight: 0.5,
-            rays_per_point: 8,
+            rays_per_point: 4,
             mesh: None,
             mesh_as_is: false,
             up: None,

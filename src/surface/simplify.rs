@@ -4,9 +4,11 @@
 //! is, which keeps the minimum unique on planes and the triangles well shaped. The cheapest edge that is shorter than the limit and
 //! whose collapse keeps manifold, border and orientation goes first, until enough edges are long.
 
-use std::{cmp::Reverse, collections::BinaryHeap};
+use std::cmp::Reverse;
 
+use dary_heap::QuaternaryHeap;
 use nalgebra::{Point3, Vector3};
+use rayon::prelude::*;
 
 use super::{
     Surface,
@@ -63,7 +65,8 @@ struct Collapsing {
     is_kept: Vec<bool>,
     /// Counts the moves of each vertex.
     stamps: Vec<u32>,
-    queue: BinaryHeap<Reverse<Candidate>>,
+    /// Of four children each: half as many levels, each a line of the cache.
+    queue: QuaternaryHeap<Reverse<Candidate>>,
     target: f64,
     edges: usize,
     long_edges: usize,
@@ -91,7 +94,7 @@ impl Collapsing {
             is_border,
             is_kept: vec![true; surface.triangles.len()],
             stamps: vec![0; vertices],
-            queue: BinaryHeap::new(),
+            queue: QuaternaryHeap::new(),
             target,
             edges: 0,
             long_edges: 0,
@@ -139,8 +142,9 @@ impl Collapsing {
 
     /// Tries every candidate, cheapest first, until enough edges are long. Returns how many collapsed.
     fn collapse_round(&mut self, watcher: &dyn Watcher) -> Result<usize, Cancelled> {
-        let candidates: Vec<_> =
-            self.edge_corners().filter_map(|c| self.candidate(self.ends(c))).map(Reverse).collect();
+        let edges: Vec<u32> = self.edge_corners().collect();
+        let candidate = |&corner: &u32| self.candidate(self.ends(corner)).map(Reverse);
+        let candidates: Vec<_> = edges.par_iter().filter_map(candidate).collect();
         self.queue = candidates.into();
         let (mut tries, mut collapses) = (0usize, 0);
         while !self.is_done()
