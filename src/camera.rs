@@ -182,13 +182,13 @@ impl Camera {
         self.lens.ray(pixel.coords)
     }
 
-    /// Does the pixel lie in the image?
     /// What is divided by the focal length for the size of a pixel at a point: its z, or its distance in pictures of all directions (where
     /// nothing is behind the camera).
     pub fn depth(&self, x_cam: &Point3<f64>) -> f64 {
         if self.model == CameraModel::Equirectangular { x_cam.coords.norm() } else { x_cam.z }
     }
 
+    /// Does the pixel lie in the image?
     pub fn contains(&self, pixel: &Point2<f64>) -> bool {
         pixel.x >= 0.0 && pixel.y >= 0.0 && pixel.x < f64::from(self.width) && pixel.y < f64::from(self.height)
     }

@@ -95,6 +95,7 @@ pub struct ConfidenceModel {
     pub fingerprint: String,
     /// Backend whose depth maps it learnt from.
     pub backend: String,
+    /// The projects that it learnt from.
     pub trained_on: Vec<TrainedOn>,
     /// Median over the images of how far they are from the training images, 1 being as far as nineteen of twenty of those; null without images.
     pub distance: Option<f32>,
@@ -105,6 +106,7 @@ pub struct ConfidenceModel {
 pub struct SurfaceSummary {
     /// "3d": carved from the tetrahedra of the points. "terrain": 2.5D. "mesh": from a file.
     pub kind: SurfaceKind,
+    /// Vertices of those triangles.
     pub vertices: usize,
     /// Triangles that at least one view sees.
     pub triangles: usize,
@@ -112,6 +114,7 @@ pub struct SurfaceSummary {
     pub area: f64,
     /// Triangles that no cluster fulfils to a tenth, by themselves: the best f is below 0.1.
     pub unfulfilled: usize,
+    /// How it came about.
     pub made: SurfaceStats,
 }
 
@@ -137,7 +140,9 @@ pub struct Cluster {
 /// What becomes of a registered view.
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 pub struct ViewEntry {
+    /// As in the model, relative to the image folder.
     pub name: String,
+    /// What becomes of it.
     pub status: ViewStatus,
     /// Why it is no key view, or a key view with fewer than k partners; null where there is nothing to explain.
     pub reason: Option<Reason>,
@@ -207,7 +212,7 @@ impl Input {
         Ok(Self {
             format: project.model.format.name().into(),
             model,
-            fingerprint: fingerprint(project, &plan.scene)?,
+            fingerprint: fingerprint(project, &plan.scene, plan.settings.surface.mesh.as_deref())?,
             views: plan.scene.views.len(),
             points: plan.scene.points.len(),
             observations: plan.scene.observations(),

@@ -212,8 +212,20 @@ fn budgets_and_targets_cut_where_they_say() {
 #[test]
 fn any_number_of_partners() {
     let project = project();
-    for k in ["1", "2", "11"] {
-        plan(project.path(), &["-k", k, "--dry-run"]);
+    for k in [1, 2, 11] {
+        plan(project.path(), &["-k", &k.to_string()]);
+        let manifest = manifest(project.path());
+        let clusters = manifest["clusters"].as_array().unwrap();
+        let most = clusters.iter().map(|cluster| cluster["partners"].as_array().unwrap().len()).max();
+        let warned =
+            manifest["warnings"].as_array().unwrap().iter().any(|w| w.as_str().unwrap().starts_with("with k = 1 "));
+        // One partner cannot make the two matches that a triangle needs.
+        assert_eq!(
+            (most, warned),
+            if k == 1 { (None, true) } else { (Some(k), false) },
+            "{k}: {:?}",
+            manifest["warnings"]
+        );
     }
 }
 

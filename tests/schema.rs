@@ -49,9 +49,17 @@ fn schema_of_the_settings() {
 #[test]
 fn every_field_of_the_manifest_is_documented() {
     let schema = Manifest::schema();
-    let properties = schema.get("properties").and_then(|p| p.as_object()).unwrap();
-    for (name, property) in properties {
-        let documented = property.get("description").is_some() || property.get("$ref").is_some();
-        assert!(documented, "{name}");
+    let parts = schema.get("$defs").and_then(|defs| defs.as_object()).unwrap();
+    let all = parts.iter().map(|(name, part)| (name.as_str(), part)).chain([("", schema.as_value())]);
+    let mut undocumented = Vec::new();
+    for (part, schema) in all {
+        for (name, field) in schema.get("properties").and_then(|p| p.as_object()).into_iter().flatten() {
+            // A reference alone shows the description of what it refers to.
+            let referred = field.get("$ref").and_then(|r| r.as_str()).and_then(|r| parts.get(r.rsplit('/').next()?));
+            if field.get("description").or(referred.and_then(|r| r.get("description"))).is_none() {
+                undocumented.push(format!("{part}.{name}"));
+            }
+        }
     }
+    assert!(undocumented.is_empty(), "{undocumented:?}");
 }

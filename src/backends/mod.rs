@@ -236,7 +236,7 @@ const PATCH_MATCH: PlanningNumbers = PlanningNumbers {
     confidence: PairConfidence {
         min_matches: 1,
         p0: 0.6,
-        cosine_power: 0.5,
+        cosine_power: 0.0,
         scale_octaves: None,
         full_angle_deg: Some(8.0),
     },
@@ -342,6 +342,7 @@ pub struct Export {
 /// What an export promises and what it doesn't: written beside the files and into the manifest.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct ExportRecord {
+    /// As typed behind `--backend`.
     pub backend: String,
     /// Programs and versions that the files were made for.
     pub made_for: String,
@@ -384,7 +385,9 @@ pub struct ExportedCluster {
 /// A view as the model and as the backend know it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct ExportedView {
+    /// As in the model, relative to the image folder.
     pub name: String,
+    /// Id of the image in the model.
     pub image_id: u32,
     /// Index or name in the backend's files.
     pub target: String,

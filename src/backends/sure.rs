@@ -29,15 +29,16 @@ const RECTIFYING: PlanningNumbers = PlanningNumbers {
     },
     confidence: PairConfidence {
         min_matches: 2,
-        p0: 0.8,
-        cosine_power: 1.0,
-        scale_octaves: Some(0.7),
+        p0: 0.9,
+        cosine_power: 0.0,
+        scale_octaves: Some(2.0),
         full_angle_deg: None,
     },
     support: 1,
     measured: "valley (sgm)",
-    source: "measured with integrations/sgm on valley against exact depth (method 7.1, 7.2); support 1: a depth map is \
-             checked against its own pairs",
+    source: "gate: of rectified pairs, measured on valley against exact depth (method 7.1); confidence: integrations/sgm's, by whose \
+             real curves it ranks best (method 7.2's 0.8, a cosine and 0.7 octaves rank worse than none); SURE itself was not \
+             run; support 1: a depth map is checked against its own pairs",
 };
 
 impl Backend for Sure {

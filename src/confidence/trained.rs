@@ -52,8 +52,11 @@ pub struct Trained {
 /// A project that was trained on.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 pub struct TrainedOn {
+    /// Name of the project's folder.
     pub name: String,
+    /// Views of its model.
     pub views: usize,
+    /// Finished depth maps that it learnt from.
     pub depth_maps: usize,
 }
 

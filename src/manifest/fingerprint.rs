@@ -22,10 +22,10 @@ impl Hint for FingerprintError {
     }
 }
 
-/// BLAKE3, in hexadecimal, over the model's files and the name and size of each registered image.
-pub fn fingerprint(project: &Project, scene: &Scene) -> Result<String, FingerprintError> {
+/// BLAKE3, in hexadecimal, over the model's files, the mesh that is taken for its surface, and the name and size of each registered image.
+pub fn fingerprint(project: &Project, scene: &Scene, mesh: Option<&Path>) -> Result<String, FingerprintError> {
     let mut hasher = blake3::Hasher::new();
-    for path in project.model_files() {
+    for path in project.model_files().into_iter().chain(mesh.map(Path::to_path_buf)) {
         let failed = |source| FingerprintError { path: path.clone(), source };
         // Lengths in front, so that no two lists of files give the same bytes.
         let length = fs::metadata(&path).map_err(failed)?.len();

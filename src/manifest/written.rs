@@ -122,7 +122,7 @@ impl Recorded {
 
     /// Are model and images those that were planned for?
     pub fn check_input(&self, project: &Project, scene: &Scene) -> Result<(), WrittenPlanError> {
-        let same = fingerprint(project, scene)? == self.input.fingerprint;
+        let same = fingerprint(project, scene, self.settings.surface.mesh.as_deref())? == self.input.fingerprint;
         if same { Ok(()) } else { Err(WrittenPlanError::OtherInput(self.path.clone())) }
     }
 }

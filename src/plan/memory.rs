@@ -15,7 +15,7 @@ use crate::{
     fulfilment::FulfilmentTable,
     scene::Scene,
     surface::Surface,
-    visibility::Visibility,
+    visibility::{self, Visibility},
 };
 
 /// The first stage that may need too much.
@@ -97,7 +97,7 @@ impl Memory {
     ) -> Result<Keep, PlanError> {
         let (threads, points) = (rayon::current_num_threads() as u64, scene.points.len() as u64);
         let triangles = surface.triangles.len() as u64;
-        let picture = u64::from(settings.buffer_px).pow(2) * BUFFER_PIXEL + PLACE * triangles;
+        let picture = visibility::picture_pixels(scene, settings) * BUFFER_PIXEL + PLACE * triangles;
         let rows = expected_rows(scene, surface);
         let drawing = self.read + 2 * bytes(surface) + PER_POINT * points + threads * picture;
         let choosing = self.read + bytes(surface) + self.beside_tables(points, triangles);

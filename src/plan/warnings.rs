@@ -3,8 +3,9 @@
 use super::Plan;
 use crate::{
     confidence::Confidence,
-    config::{ConfidenceForm, Settings},
+    config::{ConfidenceForm, Settings, SurfaceChoice},
     scene::Scene,
+    surface::SurfaceKind,
 };
 
 /// Share of the observations of a table that may contradict it.
@@ -18,6 +19,7 @@ pub(super) fn warnings(plan: &Plan) -> Vec<String> {
     let mut warnings: Vec<String> = plan.scene.warnings.iter().map(|warning| warning.text.clone()).collect();
     warnings.extend(plan.pictures.warnings.iter().cloned());
     warnings.extend(unlikely_gsd(&plan.scene, &plan.settings));
+    warnings.extend(no_3d_surface(plan));
     warnings.extend(unlike_pictures(plan));
     warnings.extend(other_backend(plan));
     warnings.extend(without_effect(plan));
@@ -43,6 +45,14 @@ pub fn unlikely_gsd(scene: &Scene, settings: &Settings) -> Option<String> {
     Some(format!(
         "the wanted ground sampling distance, {target}, is {than} than the images' own, {gsd:.3e} units per pixel; it is in units of the model"
     ))
+}
+
+/// A surface that was to be carved, of points that enclose nothing.
+fn no_3d_surface(plan: &Plan) -> Option<String> {
+    let settings = &plan.settings.surface;
+    let other =
+        settings.mesh.is_none() && settings.kind == SurfaceChoice::Carved && plan.surface.kind == SurfaceKind::Terrain;
+    other.then(|| "the sparse points lie in a plane: the surface is a terrain, though a 3D one was asked for".into())
 }
 
 /// Finished depth maps that have to be made again.

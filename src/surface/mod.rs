@@ -123,6 +123,7 @@ pub struct SurfaceStats {
     pub points_dropped: usize,
     /// Distinct vertices of the tetrahedralisation.
     pub vertices: usize,
+    /// Tetrahedra, those to the vertex at infinity too.
     pub cells: usize,
     /// Rays that voted.
     pub rays: usize,
@@ -130,7 +131,9 @@ pub struct SurfaceStats {
     pub sigma: f64,
     /// Triangles of the cut, the terrain or the mesh file.
     pub raw_triangles: usize,
+    /// Left after cleaning (method 1.4).
     pub cleaned_triangles: usize,
+    /// Left after the collapse of short edges (method 1.5).
     pub simplified_triangles: usize,
     /// Triangles of the surface.
     pub triangles: usize,
@@ -165,9 +168,8 @@ pub enum SurfaceError {
 impl Hint for SurfaceError {
     fn hint(&self) -> Option<String> {
         Some(match self {
-            Self::TooFewPoints { .. } | Self::Linear | Self::Empty => {
-                "check the model, or give a surface with --mesh".into()
-            }
+            Self::TooFewPoints { .. } | Self::Linear => "check the model, or give a surface with --mesh".into(),
+            Self::Empty => "check the model and the wanted --gsd, or give a surface with --mesh".into(),
             Self::Gsd(_) => "set target.gsd, or type --gsd".into(),
             Self::MeshFile { .. } => "check that the file is there and may be read".into(),
             Self::Mesh { .. } => "give a PLY file of triangles in the frame of the model".into(),

@@ -12,7 +12,7 @@ const MAX_ERROR_MEDIANS: f64 = 3.0;
 /// A point this many times as far from the middle of the points as the median of them is none of the scene: a match gone wrong near the
 /// horizon fits its rays wherever it lies, and one would spoil the grid of all the others.
 const MAX_DISTANCE_MEDIANS: f64 = 1000.0;
-/// Standard deviation of a measured pixel, as in method 3.3.
+/// Standard deviation of an observation of a sparse point: of a feature, not of a match (`fulfilment.sigma_px`).
 const SIGMA_PX: f64 = 0.5;
 
 /// The sparse points that at least two views observe, that lie in front of all of these, whose mean reprojection error is below the

@@ -14,6 +14,10 @@ const MAX_HALVINGS: u32 = 10;
 const MAX_DEVIATIONS: f64 = 3.0;
 /// Ratio of the two smaller standard deviations of the points, below which their plane says what is up.
 const FLAT_RATIO: f64 = 0.3;
+/// Length of the mean of the viewing directions from which on all views look the same way.
+const ONE_DIRECTION: f64 = 0.8;
+/// Cosine of the angle to the longest axis of the points, beyond which views look along the scene and not upon it.
+const ALONG: f64 = 0.7;
 
 /// A right-handed frame with the third axis up and the origin among the points.
 pub struct Frame {
@@ -22,8 +26,9 @@ pub struct Frame {
 }
 
 impl Frame {
-    /// Up is as given, or the normal of the points' plane on the side of the cameras where the points are flat, or else the mean
-    /// upward direction of the images.
+    /// Up is as given, or the normal of the points' plane on the side of the cameras where the points are flat; or else, where all views
+    /// look upon the scene in one direction (a nadir flight of one heading has no image whose top is up), against that direction, and else
+    /// the mean upward direction of the images.
     pub fn new(points: &[Point3<f64>], scene: &Scene, up: Option<[f64; 3]>) -> Self {
         let (origin, spread) = plane_fit(points);
         let up =
@@ -72,13 +77,18 @@ pub fn spread(points: &[Point3<f64>]) -> [f64; 3] {
 }
 
 fn fitted_up(scene: &Scene, origin: Point3<f64>, spread: &Spread) -> Vector3<f64> {
-    let [(thickness, normal), (width, _), _] = *spread;
+    let [(thickness, normal), (width, _), (_, longest)] = *spread;
     let towards: Vector3<f64> = scene.views.iter().map(|v| v.cam_from_world.centre() - origin).sum();
     if thickness > FLAT_RATIO * width {
-        let image_up = |v: &crate::scene::View| -v.cam_from_world.rotation.matrix().row(1).transpose();
-        let mean: Vector3<f64> = scene.views.iter().map(image_up).sum();
-        if let Some(up) = mean.try_normalize(0.5 * scene.views.len() as f64) {
-            return up;
+        let count = scene.views.len() as f64;
+        // Axis of the images: 1 points down in them, 2 ahead.
+        let mean_axis = |axis: usize| -> Vector3<f64> {
+            scene.views.iter().map(|v| v.cam_from_world.rotation.matrix().row(axis).transpose()).sum()
+        };
+        let one_way =
+            mean_axis(2).try_normalize(ONE_DIRECTION * count).filter(|ahead| ahead.dot(&longest).abs() < ALONG);
+        if let Some(down) = one_way.or_else(|| mean_axis(1).try_normalize(0.5 * count)) {
+            return -down;
         }
     }
     if normal.dot(&towards) < 0.0 { -normal } else { normal }

@@ -1,6 +1,6 @@
 //! Whole surfaces from synthetic scenes with known shape, and degenerate input.
 
-use nalgebra::{Point3, Rotation3, Vector2};
+use nalgebra::{Matrix3, Point3, Rotation3, Vector2};
 use proptest::prelude::*;
 
 use super::{manifold::check_manifold, *};
@@ -8,6 +8,7 @@ use crate::{
     camera::{Camera, CameraModel},
     progress::Unwatched,
     scene::{CameraIndex, Pose, View, ViewIndex},
+    synthetic::Town,
 };
 
 /// Points on a known surface, each with its outward normal, seen by pinhole cameras that look at the origin.
@@ -145,6 +146,23 @@ fn the_terrain_of_the_block_has_no_overhang() {
         let topology = check_manifold(&surface).unwrap();
         assert_eq!((topology.euler, topology.components), (1, 1));
     }
+}
+
+/// Tops of images that look down say nothing of what is up, and neither does the thinnest axis of a narrow scene with relief.
+#[test]
+fn up_is_against_the_views_of_a_nadir_flight() {
+    let camera = Camera::new(1, CameraModel::Pinhole, 400, 300, vec![400.0, 400.0, 200.0, 150.0]).unwrap();
+    let mut scene = Town { tilt: None, ..Town::new(camera) }.scene();
+    let corridor = |i: usize| Point3::new(100.0 * even(i).x, 12.0 * even(i).y, 14.0 * even(i * i).x);
+    scene.points = (0..500).map(corridor).collect();
+    let up = |scene: &Scene| terrain::Frame::new(&scene.points, scene, None).up();
+    assert!(up(&scene).z > 0.999, "{}", up(&scene));
+    // Views along the corridor, as from a car, see its top at the top of their images.
+    let ahead = Rotation3::from_matrix_unchecked(Matrix3::new(0.0, -1.0, 0.0, 0.0, 0.0, -1.0, 1.0, 0.0, 0.0));
+    for view in &mut scene.views {
+        view.cam_from_world.rotation = ahead;
+    }
+    assert!(up(&scene).z > 0.999, "{}", up(&scene));
 }
 
 #[test]

@@ -96,6 +96,10 @@ impl Face {
         Self { face_from_camera, focal, axis, width, height, sides: sides.map(|n| n.normalize()) }
     }
 
+    pub fn pixels(&self) -> u64 {
+        (self.width * self.height) as u64
+    }
+
     /// May a ball (centre in camera coordinates) be in the field?
     pub fn meets(&self, centre: &Point3<f64>, radius: f64) -> bool {
         let centre = self.face_from_camera * centre.coords;

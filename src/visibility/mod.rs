@@ -150,6 +150,12 @@ pub fn estimate(
     Ok(Visibility { offsets, triangles: triangles.finish()?, contradictions: observations.contradictions() })
 }
 
+/// Most pixels of the picture that is drawn of a view: of all faces of its camera.
+pub fn picture_pixels(scene: &Scene, settings: &VisibilitySettings) -> u64 {
+    let pixels = |camera| Face::of(camera, settings.buffer_px).iter().map(Face::pixels).sum();
+    scene.cameras.iter().map(pixels).max().unwrap_or(0)
+}
+
 /// No triangle, in a picture of triangles.
 pub const NOTHING: u32 = u32::MAX;
 /// Closer to a camera than this share of the surface's distance from it nothing is drawn by [`front`].
