@@ -108,6 +108,25 @@ fn peak_memory_mb() -> u64 {
     peak.and_then(|kb| kb.parse::<u64>().ok()).unwrap_or(0) / 1024
 }
 
+/// OpenMVS reads the size of each image from its file: those of the project, or grey ones where it has none.
+fn link_images(project: &Path, folder: &Path) -> Fallible<()> {
+    let images = std::path::absolute(project.join("images"))?;
+    if images.is_dir() {
+        return Ok(std::os::unix::fs::symlink(images, folder)?);
+    }
+    std::fs::create_dir_all(folder)?;
+    let scene = Project::open(project, None)?.read_scene()?;
+    for view in scene.view_indices() {
+        let camera = scene.camera_of(view);
+        let grey = folder.join(format!("{}x{}.jpg", camera.width, camera.height));
+        if !grey.exists() {
+            image::GrayImage::new(camera.width, camera.height).save(&grey)?;
+        }
+        std::fs::hard_link(grey, folder.join(scene.name(view)))?;
+    }
+    Ok(())
+}
+
 fn time_openmvs(programs: &Path, project: &Path) -> Fallible<f64> {
     let folder = std::env::temp_dir().join(format!("viewrank-bench-{}", std::process::id()));
     let model = [project.join("sparse/0"), project.join("sparse"), project.to_path_buf()];
@@ -116,6 +135,7 @@ fn time_openmvs(programs: &Path, project: &Path) -> Fallible<f64> {
     for file in ["cameras.bin", "images.bin", "points3D.bin"] {
         std::fs::copy(model.join(file), folder.join("in/sparse").join(file))?;
     }
+    link_images(project, &folder.join("images"))?;
     let run = |program: &str, arguments: &[&str]| -> Fallible<f64> {
         let start = Instant::now();
         let output =

@@ -18,6 +18,8 @@ const FLAT_RATIO: f64 = 0.3;
 const ONE_DIRECTION: f64 = 0.8;
 /// Cosine of the angle to the longest axis of the points, beyond which views look along the scene and not upon it.
 const ALONG: f64 = 0.7;
+/// Cosine of the angle between the tops of the images and the third axis of the world, from which on they agree on what is up.
+const UPRIGHT: f64 = 0.95;
 
 /// A right-handed frame with the third axis up and the origin among the points.
 pub struct Frame {
@@ -28,7 +30,7 @@ pub struct Frame {
 impl Frame {
     /// Up is as given, or the normal of the points' plane on the side of the cameras where the points are flat; or else, where all views
     /// look upon the scene in one direction (a nadir flight of one heading has no image whose top is up), against that direction, and else
-    /// the mean upward direction of the images.
+    /// the mean upward direction of the images; this first where it is the third axis of the world.
     pub fn new(points: &[Point3<f64>], scene: &Scene, up: Option<[f64; 3]>) -> Self {
         let (origin, spread) = plane_fit(points);
         let up =
@@ -85,9 +87,12 @@ fn fitted_up(scene: &Scene, origin: Point3<f64>, spread: &Spread) -> Vector3<f64
         let mean_axis = |axis: usize| -> Vector3<f64> {
             scene.views.iter().map(|v| v.cam_from_world.rotation.matrix().row(axis).transpose()).sum()
         };
-        let one_way =
-            mean_axis(2).try_normalize(ONE_DIRECTION * count).filter(|ahead| ahead.dot(&longest).abs() < ALONG);
-        if let Some(down) = one_way.or_else(|| mean_axis(1).try_normalize(0.5 * count)) {
+        let below_images = mean_axis(1).try_normalize(0.5 * count);
+        let ahead = mean_axis(2).try_normalize(ONE_DIRECTION * count);
+        let upon = ahead.filter(|ahead| ahead.dot(&longest).abs() < ALONG);
+        // A front seen from one side, in a model whose third axis is up.
+        let upright = below_images.filter(|down| -down.z > UPRIGHT);
+        if let Some(down) = upright.or(upon).or(below_images) {
             return -down;
         }
     }

@@ -157,12 +157,13 @@ fn up_is_against_the_views_of_a_nadir_flight() {
     scene.points = (0..500).map(corridor).collect();
     let up = |scene: &Scene| terrain::Frame::new(&scene.points, scene, None).up();
     assert!(up(&scene).z > 0.999, "{}", up(&scene));
-    // Views along the corridor, as from a car, see its top at the top of their images.
-    let ahead = Rotation3::from_matrix_unchecked(Matrix3::new(0.0, -1.0, 0.0, 0.0, 0.0, -1.0, 1.0, 0.0, 0.0));
-    for view in &mut scene.views {
-        view.cam_from_world.rotation = ahead;
+    // Views along the corridor, as from a car, or upon it from the side, see its top at the top of their images.
+    for [right, ahead] in [[-Vector3::y(), Vector3::x()], [Vector3::x(), Vector3::y()]] {
+        let rows = [right, -Vector3::z(), ahead].map(|axis| axis.transpose());
+        let rotation = Rotation3::from_matrix_unchecked(Matrix3::from_rows(&rows));
+        scene.views.iter_mut().for_each(|view| view.cam_from_world.rotation = rotation);
+        assert!(up(&scene).z > 0.999, "{}", up(&scene));
     }
-    assert!(up(&scene).z > 0.999, "{}", up(&scene));
 }
 
 #[test]
