@@ -195,14 +195,7 @@ fn text(e: &Evaluation, out: &Path) -> String {
     let mut text = String::new();
     let truth = if e.reference { "against the reference" } else { "no reference: every depth counts as right" };
     let _ = writeln!(text, "{} depth maps, {truth}", e.key_views.len());
-    let q = &e.quality;
-    let _ = writeln!(
-        text,
-        "  completeness {:.1} %, outliers {:.2} %, RMSE {:.4}",
-        100.0 * q.completeness,
-        100.0 * q.outliers,
-        q.rmse
-    );
+    let _ = writeln!(text, "  completeness {:.1} %{}", 100.0 * e.quality.completeness, e.errors());
     let _ = writeln!(text, "  fulfilment of all: {:.3} predicted, {:.3} real\n", e.predicted, e.real);
     let _ = writeln!(text, "predicted share   key views   pairs   real share");
     for gap in &e.gap {

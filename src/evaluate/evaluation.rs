@@ -116,6 +116,14 @@ pub struct Measure<'a> {
 }
 
 impl Evaluation {
+    /// Outliers and RMSE in words that follow the completeness; without a reference nothing is known of either.
+    pub fn errors(&self) -> String {
+        match self.reference {
+            true => format!(", outliers {:.2} %, RMSE {:.4} units", 100.0 * self.quality.outliers, self.quality.rmse),
+            false => String::new(),
+        }
+    }
+
     pub fn new(
         model: &Model,
         run: &Run,

@@ -42,12 +42,10 @@ fn summary(e: &Evaluation) -> String {
         "no reference was given: every depth on the surface counts as right"
     };
     let mut html = format!(
-        "<p>{} depth maps, {truth}. Completeness {:.1} %, outliers {:.2} %, RMSE {:.4}. Fulfilment of all clusters: {:.3} predicted, \
-         {:.3} real.</p>\n",
+        "<p>{} depth maps, {truth}. Completeness {:.1} %{}. Fulfilment of all clusters: {:.3} predicted, {:.3} real.</p>\n",
         e.key_views.len(),
         100.0 * e.quality.completeness,
-        100.0 * e.quality.outliers,
-        e.quality.rmse,
+        e.errors(),
         e.predicted,
         e.real
     );
@@ -69,7 +67,7 @@ struct Line {
     points: Vec<(f64, f64)>,
 }
 
-const COLOURS: [&str; 7] = ["#1668a8", "#2a9d6f", "#8e5bb5", "#c0392b", "#b8860b", "#777777", "#222222"];
+const COLOURS: [&str; 8] = ["#1668a8", "#2a9d6f", "#8e5bb5", "#c0392b", "#b8860b", "#777777", "#222222", "#17becf"];
 
 fn plots(e: &Evaluation) -> String {
     let line = |label: &str, colour, dash, x: Vec<f64>, y: &[f64]| Line {
@@ -122,9 +120,11 @@ fn plot(label: &str, lines: &[Line]) -> String {
             py + 4.0,
             100.0 * y
         );
-        let (px, _) = at((most * y, 0.0));
-        let _ =
-            writeln!(svg, "<text x=\"{px:.1}\" y=\"{}\" text-anchor=\"middle\">{:.0}</text>", BOTTOM + 17.0, most * y);
+    }
+    let step = (most / 5.0).ceil();
+    for tick in (0..=5).map(|i| f64::from(i) * step).filter(|&tick| tick <= most) {
+        let (px, _) = at((tick, 0.0));
+        let _ = writeln!(svg, "<text x=\"{px:.1}\" y=\"{}\" text-anchor=\"middle\">{tick:.0}</text>", BOTTOM + 17.0);
     }
     for (i, line) in lines.iter().enumerate() {
         let points: Vec<String> = line.points.iter().map(|&p| at(p)).map(|(x, y)| format!("{x:.1},{y:.1}")).collect();

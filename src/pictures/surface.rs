@@ -1,4 +1,4 @@
-//! `surface.ply`: the surface with scalar fields per triangle that CloudCompare and MeshLab show.
+//! `surface.ply`: the surface with scalar fields per triangle, which MeshLab shows, and at the vertices, which CloudCompare does.
 
 use crate::{
     column,

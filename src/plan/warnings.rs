@@ -12,6 +12,8 @@ use crate::{
 const CONTRADICTIONS: f64 = 0.05;
 /// The wanted ground sampling distance is not so many times another than the images'.
 const WANTED_RATIO: f64 = 20.0;
+/// Fulfilment of all clusters together, below which the plan says so.
+const LITTLE: f64 = 0.1;
 /// Depth maps that are named.
 const NAMED: usize = 3;
 
@@ -25,6 +27,7 @@ pub(super) fn warnings(plan: &Plan) -> Vec<String> {
     warnings.extend(without_effect(plan));
     warnings.extend(impossible_partners(plan));
     warnings.extend(nothing_fulfilled(plan));
+    warnings.extend(little_fulfilled(plan));
     warnings.extend(nothing_chosen(plan));
     warnings.extend(contradictions(plan));
     warnings.extend(outdated(plan));
@@ -127,6 +130,18 @@ fn impossible_partners(plan: &Plan) -> Option<String> {
 fn nothing_fulfilled(plan: &Plan) -> Option<String> {
     let nothing = plan.ranking.order.is_empty();
     nothing.then(|| "no view cluster fulfils anything: see the reasons of the views in the manifest".into())
+}
+
+/// The shares of the plan are of what all clusters reach together, which may be next to nothing.
+fn little_fulfilled(plan: &Plan) -> Option<String> {
+    let reached = plan.ranking.total();
+    (reached > 0.0 && reached < LITTLE).then(|| {
+        format!(
+            "all view clusters together reach {:.1} % of what is wanted: see the reasons of the triangles in surface.ply, or ask for less \
+             with a coarser --gsd or --accuracy",
+            100.0 * reached
+        )
+    })
 }
 
 fn nothing_chosen(plan: &Plan) -> Option<String> {

@@ -303,16 +303,45 @@ pub enum FaceField<'a> {
     Colour(&'a [[u8; 3]]),
 }
 
-/// The surface as binary little-endian PLY with the fields per triangle, each as long as the triangles. MeshLab shows colours and the
-/// field named `quality`, CloudCompare every field. Vertices are `float` where that moves none by more than a thousandth of the
+impl FaceField<'_> {
+    /// The name of a number at the vertices, as CloudCompare wants it, which reads none at faces; and its value at each vertex: the mean of
+    /// the triangles there, or of whole numbers the largest.
+    fn at_vertices(&self, surface: &Surface) -> Option<(String, Vec<f32>)> {
+        let mut values = vec![0f32; surface.vertices.len()];
+        let corners =
+            || surface.triangles.iter().enumerate().flat_map(|(t, vertices)| vertices.map(|v| (t, v as usize)));
+        let name = match self {
+            Self::Float(name, of_faces) => {
+                let mut counts = vec![0f32; values.len()];
+                for (t, v) in corners() {
+                    values[v] += of_faces[t];
+                    counts[v] += 1.0;
+                }
+                values.iter_mut().zip(counts).for_each(|(value, count)| *value /= count.max(1.0));
+                name
+            }
+            Self::Byte(name, of_faces) => {
+                corners().for_each(|(t, v)| values[v] = values[v].max(of_faces[t].into()));
+                name
+            }
+            Self::Colour(_) => return None,
+        };
+        Some((format!("scalar_{name}"), values))
+    }
+}
+
+/// The surface as binary little-endian PLY with the fields per triangle, each as long as the triangles, and numbers at the vertices too: MeshLab
+/// shows colours and the field named `quality` of the triangles, CloudCompare every `scalar_` of the vertices. Vertices are `float` where that moves none by more than a thousandth of the
 /// mean edge, else `double`. Each comment is one line.
 pub fn write(surface: &Surface, fields: &[FaceField], comments: &[String]) -> Vec<u8> {
     let double = !fits_float(surface);
-    let mut out = write_header(surface, fields, comments, double).into_bytes();
-    for vertex in &surface.vertices {
+    let scalars: Vec<(String, Vec<f32>)> = fields.iter().filter_map(|field| field.at_vertices(surface)).collect();
+    let mut out = write_header(surface, fields, &scalars, comments, double).into_bytes();
+    for (v, vertex) in surface.vertices.iter().enumerate() {
         for &x in &vertex.coords {
             if double { out.extend(x.to_le_bytes()) } else { out.extend((x as f32).to_le_bytes()) }
         }
+        scalars.iter().for_each(|(_, values)| out.extend(values[v].to_le_bytes()));
     }
     for (t, corners) in surface.triangles.iter().enumerate() {
         out.push(3);
@@ -328,12 +357,19 @@ pub fn write(surface: &Surface, fields: &[FaceField], comments: &[String]) -> Ve
     out
 }
 
-fn write_header(surface: &Surface, fields: &[FaceField], comments: &[String], double: bool) -> String {
+fn write_header(
+    surface: &Surface,
+    fields: &[FaceField],
+    scalars: &[(String, Vec<f32>)],
+    comments: &[String],
+    double: bool,
+) -> String {
     let mut header = String::from("ply\nformat binary_little_endian 1.0\n");
     comments.iter().for_each(|c| header += &format!("comment {}\n", c.replace(['\n', '\r'], " ")));
     let scalar = if double { "double" } else { "float" };
     header += &format!("element vertex {}\n", surface.vertices.len());
     ["x", "y", "z"].iter().for_each(|axis| header += &format!("property {scalar} {axis}\n"));
+    scalars.iter().for_each(|(name, _)| header += &format!("property float {name}\n"));
     header += &format!("element face {}\nproperty list uchar uint vertex_indices\n", surface.triangles.len());
     for field in fields {
         header += &match field {

@@ -19,7 +19,7 @@ const ONE_DIRECTION: f64 = 0.8;
 /// Cosine of the angle to the longest axis of the points, beyond which views look along the scene and not upon it.
 const ALONG: f64 = 0.7;
 /// Cosine of the angle between the tops of the images and the third axis of the world, from which on they agree on what is up.
-const UPRIGHT: f64 = 0.95;
+const UPRIGHT: f64 = 0.9;
 
 /// A right-handed frame with the third axis up and the origin among the points.
 pub struct Frame {

@@ -199,8 +199,15 @@ def test_opensfm_says_where_it_is(viewrank, data, tmp_path):
 def test_the_fields_of_the_surface_are_seen_by_another_reader(viewrank, fixtures, tmp_path):
     planned(viewrank, fixtures / "valley" / "sparse", tmp_path / "ply")
     ply = plyfile.PlyData.read(str(tmp_path / "ply" / "viewrank" / "surface.ply"))
-    faces = ply["face"].data
+    faces, vertices = ply["face"].data, ply["vertex"].data
     assert {"quality", "chosen_views", "reason", "red", "green", "blue"} <= set(faces.dtype.names)
+    corners, count = np.stack(faces["vertex_indices"]), len(vertices)
+    at_vertices = lambda values: np.bincount(corners.ravel(), np.repeat(values, 3), count) / np.bincount(corners.ravel(), minlength=count)  # noqa: E731
+    for name in ("quality", "chosen_views"):
+        assert vertices[f"scalar_{name}"] == pytest.approx(at_vertices(faces[name]), abs=1e-5)
+    largest = np.zeros(count)
+    np.maximum.at(largest, corners.ravel(), np.repeat(faces["reason"], 3))
+    assert (vertices["scalar_reason"] == largest).all()
     assert 0 <= faces["quality"].min() and faces["quality"].max() <= 1 and faces["quality"].max() > 0.5
     manifest = json.loads((tmp_path / "ply" / "viewrank" / "manifest.json").read_text())
     assert (faces["reason"] > 0).sum() == manifest["surface"]["unfulfilled"]
