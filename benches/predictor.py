@@ -49,6 +49,8 @@ def main():
     parser.add_argument("--threads", default="2")
     parser.add_argument("--adapt", action="append", default=[], metavar="NAME", help="measure what its first 10 %% of maps teach")
     arguments = parser.parse_args()
+    if arguments.adapt and arguments.maps != "sgm":
+        parser.error("--adapt needs the maps of --maps sgm")
     sets = {Path(p): Path(r) for p, r in (text.split("=", 1) for text in arguments.projects)}
     arguments.out.mkdir(parents=True, exist_ok=True)
     rows = [measure(project, sets, arguments) for project in sets]

@@ -8,6 +8,10 @@ use crate::{confidence::PairConfidence, shell::quoted_path};
 
 pub struct Sgm;
 
+/// What ranks best by real curves (`integrations/sgm/RESULTS.md`).
+pub(super) const CONFIDENCE: PairConfidence =
+    PairConfidence { min_matches: 2, p0: 0.9, cosine_power: 0.0, scale_octaves: Some(2.0), full_angle_deg: None };
+
 /// It works on a polar grid around the epipole, so neither an epipole in the picture nor a scale ratio hinders it as it does a
 /// matcher that rectifies (`integrations/sgm/README.md` has the tables).
 const NUMBERS: PlanningNumbers = PlanningNumbers {
@@ -18,13 +22,7 @@ const NUMBERS: PlanningNumbers = PlanningNumbers {
         max_scale_octaves: 1.6,
         epipole_inside: true,
     },
-    confidence: PairConfidence {
-        min_matches: 2,
-        p0: 0.9,
-        cosine_power: 0.0,
-        scale_octaves: Some(2.0),
-        full_angle_deg: None,
-    },
+    confidence: CONFIDENCE,
     support: 1,
     measured: "valley, 2 more",
     source: "measured with integrations/sgm/measure.py on valley against exact depth, on boruszyn and lewis against the \

@@ -4,11 +4,11 @@ use super::{
     Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Gate, Honours, Patient, PlanningNumbers,
     Selection, Trap,
     clusters::{ClusterScript, recipe},
+    sgm,
 };
 use std::collections::HashMap;
 
 use crate::{
-    confidence::PairConfidence,
     formats::sure,
     output::{Contents, FileSet},
     project::{Project, ProjectKind},
@@ -27,13 +27,7 @@ const RECTIFYING: PlanningNumbers = PlanningNumbers {
         max_scale_octaves: 0.7655,
         epipole_inside: false,
     },
-    confidence: PairConfidence {
-        min_matches: 2,
-        p0: 0.9,
-        cosine_power: 0.0,
-        scale_octaves: Some(2.0),
-        full_angle_deg: None,
-    },
+    confidence: sgm::CONFIDENCE,
     support: 1,
     measured: "valley (sgm)",
     source: "gate: of rectified pairs, measured on valley against exact depth (method 7.1); confidence: integrations/sgm's, by whose \

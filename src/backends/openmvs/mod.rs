@@ -31,6 +31,10 @@ const MAPS_PER_POINT: usize = 2;
 /// Most key views that a key view is compared with in the fusion.
 const FUSED_WITH: usize = 24;
 
+/// Of a match by PatchMatch (method 7.2); where it was measured, [`PlanningNumbers::source`] says.
+pub(super) const CONFIDENCE: PairConfidence =
+    PairConfidence { min_matches: 1, p0: 0.6, cosine_power: 0.0, scale_octaves: None, full_angle_deg: Some(8.0) };
+
 impl Backend for OpenMvs {
     fn name(&self) -> &'static str {
         "openmvs"
@@ -55,13 +59,7 @@ impl Backend for OpenMvs {
                 max_scale_octaves: 1.68,
                 epipole_inside: true,
             },
-            confidence: PairConfidence {
-                min_matches: 1,
-                p0: 0.6,
-                cosine_power: 0.0,
-                scale_octaves: None,
-                full_angle_deg: Some(8.0),
-            },
+            confidence: CONFIDENCE,
             support: MAPS_PER_POINT as u32,
             measured: "valley, 1 more",
             source: "success of v2.3.0 (CPU) on valley: below 5 degrees 0.09 to 0.36, from 8 to 60 degrees flat, no harm by scale up to \
