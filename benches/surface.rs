@@ -67,7 +67,7 @@ fn time_surface(project: &Path) -> Fallible<f64> {
     clock.step("clean");
     let surface = simplify::simplify(surface, settings.edge_factor * gsd, &Unwatched)?;
     clock.step(&format!("simplify, {}", surface.triangles.len()));
-    let surface = refine::refine(surface, settings.max_edge_factor * gsd, &Unwatched)?;
+    let surface = refine::refine(surface, settings.max_edge_factor * gsd, refine::MAX_TRIANGLES, &Unwatched)?;
     clock.step(&format!("refine, {}", surface.triangles.len()));
     println!("  raw surface {total:.2} s, whole surface {:.2} s", clock.total);
     Ok(total)

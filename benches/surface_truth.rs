@@ -19,7 +19,7 @@ use viewrank::{
     progress::Unwatched,
     project::Project,
     scene::{Scene, ViewIndex},
-    surface::{self, Surface, ply},
+    surface::{self, Surface, ply, refine::MAX_TRIANGLES},
     visibility::{self, Visibility},
 };
 
@@ -65,7 +65,7 @@ fn evaluate(exact: &Exact, settings: &Settings) -> Fallible<()> {
     let scene = &exact.scene;
     let gsd = 1.25 * scene.median_gsd().ok_or("the model has no points")?;
     let start = Instant::now();
-    let (surface, stats) = surface::build(scene, gsd, &settings.surface, None, &Unwatched)?;
+    let (surface, stats) = surface::build(scene, gsd, &settings.surface, None, MAX_TRIANGLES, &Unwatched)?;
     let seconds = start.elapsed().as_secs_f64();
     let edge = settings.surface.edge_factor * gsd;
     let table = visibility::estimate(

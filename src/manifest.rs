@@ -11,13 +11,14 @@ use serde::{Deserialize, Serialize};
 
 pub use fingerprint::{FingerprintError, fingerprint};
 pub(crate) use written::Recorded;
-pub use written::{WrittenPlan, WrittenPlanError, planned_backend};
+pub use written::{WrittenPlan, WrittenPlanError, planned_backend, planned_model};
 
 use crate::{
     backends::{ExportRecord, RankedCluster},
     confidence::TrainedOn,
     config::Settings,
-    plan::{Cut, Forecast, Outdated, Plan, Reason, ViewStatus},
+    partners::Reason,
+    plan::{Cut, Forecast, Outdated, Plan, ViewStatus},
     project::Project,
     scene::{Units, ViewIndex},
     surface::{SurfaceKind, SurfaceStats},

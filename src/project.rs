@@ -100,6 +100,8 @@ pub struct Project {
     pub kind: ProjectKind,
     /// The model to plan for.
     pub model: ModelLocation,
+    /// Was it asked for by name?
+    pub model_is_named: bool,
     /// Other sub-models of the same project, not used.
     pub other_models: Vec<ModelLocation>,
     /// The image folder that names are relative to.
@@ -214,7 +216,7 @@ impl Project {
     fn sub_model_warning(&self, registered: usize) -> Option<String> {
         let others = self.other_models.iter().map(|m| format!("{} ({} images)", m.name(), m.registered));
         let others: Vec<String> = others.collect();
-        (!others.is_empty()).then(|| {
+        (!others.is_empty() && !self.model_is_named).then(|| {
             let used = self.model.name();
             format!(
                 "of several sub-models {used} ({registered} images) is used; not used: {}; --model takes another",
@@ -233,7 +235,7 @@ pub enum ProjectError {
     NoModel { path: PathBuf, looked_for: String },
     #[error("{folder} holds part of a COLMAP model, but not {missing}")]
     IncompleteModel { folder: PathBuf, missing: String },
-    #[error("there is no sub-model {wanted:?} in {path}; there are {present}")]
+    #[error("there is no sub-model {wanted:?} in {path}; there is {present}")]
     NoSuchModel { path: PathBuf, wanted: String, present: String },
     #[error("{path}: {source}")]
     Io { path: PathBuf, source: io::Error },
@@ -251,7 +253,7 @@ impl Hint for ProjectError {
             Self::IncompleteModel { .. } => {
                 "Export the model again, with all of cameras, images and points3D in one format, binary or text.".into()
             }
-            Self::NoSuchModel { .. } => "Give one of these names to --model.".into(),
+            Self::NoSuchModel { .. } => "Give such a name to --model, or leave it out.".into(),
             Self::Io { .. } => "Check that the file is there and may be read.".into(),
             Self::Fault { fault, .. } => fault.problem.hint().into(),
             Self::NoImageList(_) => {

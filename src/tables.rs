@@ -4,6 +4,7 @@ use npyz::{AutoSerialize, WriterBuilder};
 use serde_json::json;
 
 use crate::{
+    confidence::Confidence,
     output::{Contents, FileSet},
     plan::Plan,
     scene::ViewIndex,
@@ -20,6 +21,9 @@ pub fn add(plan: &Plan, files: &mut FileSet) {
     table("visible", array(&[plan.visibility.triangles.len(), 2], visible));
     let unary = (0..plan.visibility.triangles.len()).map(|row| plan.unary.at(row));
     table("unary", array(&[plan.visibility.triangles.len()], unary));
+    if let Confidence::Trained(_) = plan.confidence {
+        table("partner_odds", array(&[plan.unary.partner_odds.len()], plan.unary.partner_odds.iter().copied()));
+    }
     table("candidates", indices(&plan.candidates.views));
     table("candidate_offsets", offsets(&plan.candidates.offsets));
     let partners: Vec<ViewIndex> = plan.clusters.iter().flat_map(|c| c.partners.iter().copied()).collect();
@@ -57,6 +61,9 @@ fn add_json(plan: &Plan, files: &mut FileSet) {
         "backend": plan.backend,
         "accuracy_over_gsd": plan.target.accuracy_over_gsd,
     });
+    if let Confidence::Trained(curves) = &plan.confidence {
+        settings["in_force"]["pair_curves"] = json!(curves);
+    }
     files.add_text("settings.json", format!("{settings:#}\n"));
 }
 

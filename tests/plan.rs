@@ -199,7 +199,6 @@ fn budgets_and_targets_cut_where_they_say() {
     // 10 % of 28 views, and no fewer.
     assert_eq!(cut(&["--budget", "10%"]), 3);
     assert_eq!(cut(&["--budget", "2", "--target", "100%"]), 2);
-    assert_eq!(cut(&["--points", "0"]), 0);
     assert!(cut(&["--target", "50%"]) < cut(&["--target", "95%"]));
     let (code, stderr) = failure(&["plan", project.path().to_str().unwrap(), "--time", "2h", "-q"]);
     assert_eq!(code, 2);
@@ -219,13 +218,9 @@ fn any_number_of_partners() {
         let most = clusters.iter().map(|cluster| cluster["partners"].as_array().unwrap().len()).max();
         let warned =
             manifest["warnings"].as_array().unwrap().iter().any(|w| w.as_str().unwrap().starts_with("with k = 1 "));
-        // One partner cannot make the two matches that a triangle needs.
-        assert_eq!(
-            (most, warned),
-            if k == 1 { (None, true) } else { (Some(k), false) },
-            "{k}: {:?}",
-            manifest["warnings"]
-        );
+        assert_eq!((most, warned), (Some(k), k == 1), "{:?}", manifest["warnings"]);
+        let cameras = manifest["settings"]["coverage"]["min_cameras"].as_u64().unwrap();
+        assert_eq!(cameras, if k == 1 { 2 } else { 3 }, "no more than a view cluster has");
     }
 }
 
@@ -277,6 +272,44 @@ fn wrong_usage_is_2_and_failure_is_1_each_with_a_hint() {
         stderr.contains("viewrank.toml:2: there is no setting target.gds\nhint: did you mean target.gsd?"),
         "{stderr}"
     );
+}
+
+/// What was planned before stays, whatever is asked for next.
+#[test]
+fn a_plan_of_nothing_takes_no_plans_place() {
+    let folder = project();
+    let root = folder.path().to_str().unwrap();
+    plan(folder.path(), &["--confidence", "none", "-k", "2"]);
+    let before = files(folder.path());
+    for (options, said) in [
+        (&["--points", "1"][..], "points 1"),
+        (&["--target", "50%", "--points", "2"], "none of 2"),
+        (&["--gsd", "1e-9", "--accuracy", "1e-9"], "hint: "),
+    ] {
+        let (code, stderr) = failure(&[&["plan", root, "--confidence", "none"], options].concat());
+        assert!(code == 1 && stderr.contains(said) && stderr.contains("hint: "), "{stderr}");
+        assert_eq!(before, files(folder.path()));
+    }
+}
+
+#[test]
+fn a_folder_holds_the_plan_of_one_sub_model() {
+    let folder = project();
+    let root = folder.path().to_str().unwrap();
+    copy(&folder.path().join("sparse/0"), &folder.path().join("sparse/1"));
+    let named = plan(folder.path(), &["--model", "0"]);
+    assert!(!named.contains("sub-models"));
+    let before = files(folder.path());
+    let (code, stderr) = failure(&["plan", root, "--model", "1"]);
+    let own = format!("viewrank plan {root}/sparse/1");
+    assert!(code == 1 && stderr.contains("is the plan of sub-model 0") && stderr.contains(&own), "{stderr}");
+    assert_eq!(before, files(folder.path()));
+    plan(&folder.path().join("sparse/1"), &[]);
+    assert_eq!(manifest(&folder.path().join("sparse/1"))["clusters"], manifest(folder.path())["clusters"]);
+    plan(folder.path(), &["-k", "3"]);
+    fs::remove_file(folder.path().join("viewrank/manifest.json")).unwrap();
+    plan(folder.path(), &["--model", "1"]);
+    assert_eq!(manifest(folder.path())["input"]["model"], "sparse/1");
 }
 
 #[test]

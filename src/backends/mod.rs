@@ -14,8 +14,7 @@ use crate::{
     confidence::PairConfidence,
     error::Hint,
     output::{FileSet, OutputError},
-    partners::PairGeometry,
-    plan::Reason,
+    partners::Gate,
     project::{Project, ProjectError},
     scene::ViewIndex,
 };
@@ -149,64 +148,6 @@ pub struct Capabilities {
     pub fusion: &'static str,
     /// What is not honoured, for people.
     pub notes: &'static str,
-}
-
-/// Which pairs a backend can match at all (method 7.1).
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Gate {
-    /// Sparse points that both views observe.
-    pub min_shared_points: usize,
-    /// Median triangulation angle at the shared points, degrees.
-    pub min_angle_deg: f64,
-    pub max_angle_deg: f64,
-    /// Largest scale ratio of the two images, octaves.
-    pub max_scale_octaves: f64,
-    /// May the centre of one camera be seen in the image of the other?
-    pub epipole_inside: bool,
-}
-
-impl Gate {
-    /// Lets every pair pass that shares points.
-    pub const OPEN: Gate = Gate {
-        min_shared_points: 1,
-        min_angle_deg: 0.0,
-        max_angle_deg: 180.0,
-        max_scale_octaves: f64::INFINITY,
-        epipole_inside: true,
-    };
-
-    /// Why the pair cannot be matched; `None`: it can.
-    pub fn refusal(&self, pair: &PairGeometry) -> Option<Reason> {
-        match self.obstacle(pair) {
-            _ if pair.shared.is_empty() => Some(Reason::NoSharedPoints),
-            obstacle => obstacle.map(|_| Reason::NotMatchable),
-        }
-    }
-
-    /// The first of its limits that the pair exceeds.
-    pub fn obstacle(&self, pair: &PairGeometry) -> Option<Obstacle> {
-        if pair.shared.len() < self.min_shared_points {
-            Some(Obstacle::FewSharedPoints)
-        } else if pair.angle_deg > self.max_angle_deg {
-            Some(Obstacle::LargeAngle)
-        } else if pair.angle_deg < self.min_angle_deg || pair.angle_deg.is_nan() {
-            Some(Obstacle::SmallAngle)
-        } else if pair.scale_octaves.abs() > self.max_scale_octaves || pair.scale_octaves.is_nan() {
-            Some(Obstacle::Scale)
-        } else {
-            (!self.epipole_inside && pair.epipole_inside).then_some(Obstacle::Epipole)
-        }
-    }
-}
-
-/// Which limit of a [`Gate`] a pair exceeds.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Obstacle {
-    FewSharedPoints,
-    SmallAngle,
-    LargeAngle,
-    Scale,
-    Epipole,
 }
 
 /// What a backend contributes to planning, each with where it was measured.
@@ -580,7 +521,6 @@ impl Hint for BackendError {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scene::{PointIndex, Scene};
 
     #[test]
     fn names_are_unique_and_found() {
@@ -610,39 +550,5 @@ mod tests {
         let hint = |name: &str| by_name(name).err().unwrap().hint().unwrap();
         assert!(hint("colmpa").starts_with("did you mean colmap? take one of sure, "));
         assert!(hint("xyz").starts_with("take one of sure, "));
-    }
-
-    #[test]
-    fn a_gate_refuses_what_is_outside_of_it() {
-        let gate = Gate {
-            min_shared_points: 1,
-            min_angle_deg: 1.0,
-            max_angle_deg: 60.0,
-            max_scale_octaves: 0.5,
-            epipole_inside: false,
-        };
-        let scene = Scene::default();
-        let good = PairGeometry {
-            scene: &scene,
-            key: ViewIndex(0),
-            partner: ViewIndex(1),
-            shared: &[PointIndex(3)],
-            angle_deg: 10.0,
-            still_share: 0.0,
-            scale_octaves: -0.4,
-            epipole_inside: false,
-        };
-        assert_eq!(gate.refusal(&good), None);
-        assert_eq!(gate.refusal(&PairGeometry { shared: &[], ..good }), Some(Reason::NoSharedPoints));
-        for bad in [
-            PairGeometry { angle_deg: 0.9, ..good },
-            PairGeometry { angle_deg: 61.0, ..good },
-            PairGeometry { angle_deg: f64::NAN, ..good },
-            PairGeometry { scale_octaves: -0.6, ..good },
-            PairGeometry { epipole_inside: true, ..good },
-        ] {
-            assert_eq!(gate.refusal(&bad), Some(Reason::NotMatchable));
-            assert_eq!(Gate::OPEN.refusal(&bad).is_none(), !bad.angle_deg.is_nan());
-        }
     }
 }

@@ -6,13 +6,11 @@ use clap::Args;
 use serde_json::{Value, json};
 use viewrank::{
     config::{Configuration, Files, Key, Source, Typed, keys, user_file},
+    project::ProjectError,
     scene::Units,
 };
 
-use super::{Failure, Format, print};
-
-/// Width of the printed page.
-const COLUMNS: usize = 80;
+use super::{COLUMNS, Failure, Format, print};
 
 /// Print all settings in force: value, unit, default, and where each value comes from.
 ///
@@ -26,6 +24,9 @@ pub struct Arguments {
 }
 
 pub fn run(arguments: &Arguments) -> Result<(), Failure> {
+    if let Some(folder) = arguments.project.as_ref().filter(|folder| !folder.is_dir()) {
+        return Err(ProjectError::NotFound(folder.clone()).into());
+    }
     let configuration = load(arguments.project.as_deref(), Typed::default())?;
     let values = serde_json::to_value(&configuration.settings).expect("settings are JSON");
     match arguments.format {

@@ -21,7 +21,7 @@ use viewrank::{
     shell::{quoted, quoted_path},
 };
 
-use super::{Failure, Format, complain, config, json, print, progress::Progress};
+use super::{Failure, Format, config, json, print, progress::Progress, warn};
 
 /// Hand the view clusters of a plan to a queue: a task per depth map, best first, and a task that joins them.
 ///
@@ -173,7 +173,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
 /// The queue as it is; an empty one where it cannot be asked.
 fn queue_or_empty(dispatch: &Dispatch) -> Queue {
     Queue::read(dispatch).unwrap_or_else(|error| {
-        complain(&format!("warning: the queue is taken for empty: {error}"));
+        warn(&format!("the queue is taken for empty: {error}"));
         Queue::empty(dispatch)
     })
 }
@@ -200,7 +200,7 @@ impl Arguments {
         match Tools::find(dispatch, self.program.as_deref()) {
             Err(_) if !settings.setup.is_empty() && self.program.is_none() => Ok(Tools::unseen(dispatch.runner())),
             Err(error) if self.dry_run => {
-                complain(&format!("warning: {error}"));
+                warn(&error.to_string());
                 Ok(Tools::unseen(dispatch.runner()))
             }
             found => found,
@@ -221,7 +221,7 @@ impl Arguments {
             Outcome::Followed { reached, .. } => Ok(reached),
             other => {
                 if let Outcome::Failed { reason, .. } = other {
-                    complain(&format!("warning: what is there could not be measured: {reason}"));
+                    warn(&format!("what is there could not be measured: {reason}"));
                 }
                 // What it says is of depth maps that are gone, or of another plan: no task may stop for it.
                 output::remove(&follow::progress_file(root), &Disk::REAL)?;

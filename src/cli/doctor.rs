@@ -10,10 +10,8 @@ use viewrank::{
     project::Project,
 };
 
-use super::{Exit, Failure, Format, config, json, print};
+use super::{Exit, Failure, Format, config, json, print, wrapped};
 
-/// Width of the printed page.
-const COLUMNS: usize = 80;
 /// Views that are named before the rest is only counted.
 const LISTED: usize = 6;
 
@@ -25,7 +23,7 @@ const LISTED: usize = 6;
 pub struct Arguments {
     project: PathBuf,
 
-    /// Programs to look at; partners are judged for the first [default: all, partners for the one that the project is set up for]
+    /// Programs to look at; partners are judged for the first [default: all, partners for the one that it was planned or is set up for]
     #[arg(long, value_name = "NAME,...", value_delimiter = ',')]
     backend: Vec<String>,
     /// Sub-model to look at [default: the one with most images]
@@ -81,7 +79,7 @@ fn verdict(findings: &[Finding]) -> Result<(), Failure> {
         (0, _) => Exit::Warnings,
         _ => Exit::Errors,
     };
-    Err(Failure { exit, message: format!("errors: {errors}, warnings: {warnings}"), hint: None })
+    Err(Failure::told(exit))
 }
 
 fn text(findings: &[Finding], listed: usize) -> String {
@@ -109,40 +107,15 @@ fn text(findings: &[Finding], listed: usize) -> String {
         }
         text.push('\n');
     }
-    text
+    text + &counts(findings)
 }
 
-/// The words behind a heading, broken at the width of the page; a word that is longer stays whole, so that it can be copied.
-fn wrapped(heading: &str, words: &str) -> String {
-    let indent = " ".repeat(heading.len());
-    let (mut text, mut line) = (String::new(), heading.to_owned());
-    let mut empty = true;
-    for word in words.split(' ') {
-        if !empty && line.chars().count() + 1 + word.chars().count() > COLUMNS {
-            text += &line;
-            text.push('\n');
-            line.clone_from(&indent);
-            empty = true;
-        }
-        if !empty {
-            line.push(' ');
-        }
-        line += word;
-        empty = false;
-    }
-    text + &line + "\n"
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn lines_end_at_the_width_of_the_page() {
-        let text = wrapped("warning ", &"word ".repeat(60));
-        assert!(text.lines().all(|line| line.chars().count() <= COLUMNS) && text.lines().count() > 3);
-        assert_eq!(wrapped("- ", "one"), "- one\n");
-        let long = "x".repeat(100);
-        assert_eq!(wrapped("- ", &long), format!("- {long}\n"), "what is to be copied stays whole");
-    }
+/// How many of each kind there are, in a line.
+fn counts(findings: &[Finding]) -> String {
+    let kinds = [(Severity::Error, "error"), (Severity::Warning, "warning"), (Severity::Note, "note")];
+    let count = |(severity, name): (Severity, &str)| {
+        let n = findings.iter().filter(|finding| finding.severity == severity).count();
+        (n > 0).then(|| format!("{n} {name}{}", if n == 1 { "" } else { "s" }))
+    };
+    kinds.into_iter().filter_map(count).collect::<Vec<_>>().join(", ") + ".\n"
 }

@@ -16,7 +16,7 @@ use viewrank::{
     ranking,
 };
 
-use super::{Failure, Format, complain, json, print, progress::Progress, use_threads};
+use super::{Failure, Format, json, print, progress::Progress, use_threads, warn};
 
 /// Measure finished depth maps: what was really reached, what is missing and why.
 ///
@@ -108,7 +108,7 @@ fn measure(
         set.write(&Disk::REAL)?;
     }
     progress.finish();
-    warn(&evaluation, &run);
+    warnings(&evaluation, &run);
     output(arguments, &evaluation, || text(&evaluation, &out))
 }
 
@@ -174,20 +174,18 @@ fn output(arguments: &Arguments, value: &impl Serialize, text: impl Fn() -> Stri
     }
 }
 
-fn warn(evaluation: &Evaluation, run: &Run) {
+fn warnings(evaluation: &Evaluation, run: &Run) {
     let missing = evaluation.without_map.len();
     if missing > 0 {
-        complain(&format!("warning: {missing} of the clusters have no depth map; shares are of what the others reach"));
+        warn(&format!("{missing} of the clusters have no depth map; shares are of what the others reach"));
     }
     if let Some(view) = evaluation.other_partners.first() {
         let count = evaluation.other_partners.len();
-        complain(&format!(
-            "warning: {count} depth maps were made with other partners than planned, the first is {view}"
-        ));
+        warn(&format!("{count} depth maps were made with other partners than planned, the first is {view}"));
     }
-    run.unreadable.iter().for_each(|why| complain(&format!("warning: left out: {why}")));
+    run.unreadable.iter().for_each(|why| warn(&format!("left out: {why}")));
     if let Some(file) = run.strangers.first() {
-        complain(&format!("warning: {} files belong to no view, the first is {}", run.strangers.len(), file.display()));
+        warn(&format!("{} files belong to no view, the first is {}", run.strangers.len(), file.display()));
     }
 }
 
@@ -203,11 +201,11 @@ fn text(e: &Evaluation, out: &Path) -> String {
         let _ = writeln!(text, "{share:13.0} % {:11} {:7} {real:10.1} %", gap.clusters, gap.pairs);
     }
     if !e.orders.is_empty() {
-        let _ = write!(text, "\nkey views for     ");
-        e.orders[0].needed.iter().for_each(|n| text += &format!("{:6.0} %", 100.0 * n.share));
+        let _ = write!(text, "\nkey views for    ");
+        e.orders[0].needed.iter().for_each(|n| text += &format!("{:5.0} %", 100.0 * n.share));
         for order in &e.orders {
-            let _ = write!(text, "\n  {:16}", order.name);
-            order.needed.iter().for_each(|n| text += &format!("{:8.1}", n.clusters));
+            let _ = write!(text, "\n  {:15}", order.name);
+            order.needed.iter().for_each(|n| text += &format!("{:7.1}", n.clusters));
         }
         text.push('\n');
     }
@@ -221,13 +219,13 @@ fn text(e: &Evaluation, out: &Path) -> String {
 
 fn compared_text(compared: &[Compared]) -> String {
     let mut text = format!(
-        "{:24} {:>9} {:>7} {:>13} {:>9} {:>9} {:>10}\n",
+        "{:17} {:>9} {:>7} {:>13} {:>9} {:>9} {:>10}\n",
         "clusters of", "key views", "pairs", "completeness", "outliers", "RMSE", "real f_o"
     );
     for row in compared {
         let _ = writeln!(
             text,
-            "{:24} {:9} {:7} {:11.2} % {:7.2} % {:9.4} {:10.4}",
+            "{:17} {:9} {:7} {:11.2} % {:7.2} % {:9.4} {:10.4}",
             row.name,
             row.clusters,
             row.pairs,

@@ -9,7 +9,7 @@ use viewrank::{
     scene::{Scene, Units},
 };
 
-use super::{Failure, Format, config, json, print};
+use super::{Failure, Format, config, json, print, wrapped};
 
 /// How many names are listed in the text before the rest is only counted.
 const LISTED: usize = 5;
@@ -127,7 +127,7 @@ impl Inspection {
             ("sub-model", format!("{} ({} images){}", m.name, m.registered, if m.used { ", used" } else { "" }))
         }));
         rows.extend(self.warnings.iter().map(|warning| ("warning", warning.clone())));
-        rows.iter().map(|(name, value)| format!("{name:<25}{value}\n")).collect()
+        rows.iter().map(|(name, value)| wrapped(&format!("{name:<25}"), value)).collect()
     }
 }
 

@@ -22,13 +22,16 @@ mod undistort;
 mod watch;
 
 use std::{
-    io::{ErrorKind, Write},
+    io::{ErrorKind, IsTerminal, Write},
     process::ExitCode,
 };
 
 use clap::{Parser, Subcommand};
 use rayon::ThreadPoolBuilder;
 use viewrank::error::Hint;
+
+/// Width of what is printed for people.
+const COLUMNS: usize = 80;
 
 /// How the program ends.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -59,7 +62,15 @@ pub struct Failure {
 }
 
 impl Failure {
+    /// What is wrong was printed already.
+    fn told(exit: Exit) -> Self {
+        Self { exit, message: String::new(), hint: None }
+    }
+
     pub fn print(&self) {
+        if self.message.is_empty() {
+            return;
+        }
         complain(&format!("error: {}", self.message));
         if let Some(hint) = &self.hint {
             complain(&format!("hint: {hint}"));
@@ -88,6 +99,35 @@ fn print(text: &str) -> Result<(), Failure> {
 /// Writes a line to stderr; where nobody reads it, that is no failure.
 fn complain(line: &str) {
     _ = writeln!(std::io::stderr(), "{line}");
+}
+
+/// A warning: broken into lines for people, a single one for what else reads it.
+fn warn(warning: &str) {
+    match std::io::stderr().is_terminal() {
+        true => complain(wrapped("warning: ", warning).trim_end()),
+        false => complain(&format!("warning: {warning}")),
+    }
+}
+
+/// The words behind a heading, broken at the width of the page; a word that is longer stays whole, so that it can be copied.
+fn wrapped(heading: &str, words: &str) -> String {
+    let indent = " ".repeat(heading.len());
+    let (mut text, mut line) = (String::new(), heading.to_owned());
+    let mut empty = true;
+    for word in words.split(' ') {
+        if !empty && line.chars().count() + 1 + word.chars().count() > COLUMNS {
+            text += &line;
+            text.push('\n');
+            line.clone_from(&indent);
+            empty = true;
+        }
+        if !empty {
+            line.push(' ');
+        }
+        line += word;
+        empty = false;
+    }
+    text + &line + "\n"
 }
 
 /// Makes the pool of threads that everything runs on, of the size that was typed; without one it has a thread per core.
@@ -160,5 +200,19 @@ pub fn run() -> Result<(), Failure> {
         Command::Status(arguments) => status::run(&arguments),
         Command::Completions(arguments) => completions::run(&arguments),
         Command::Man(arguments) => completions::man(&arguments),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lines_end_at_the_width_of_the_page() {
+        let text = wrapped("warning ", &"word ".repeat(60));
+        assert!(text.lines().all(|line| line.chars().count() <= COLUMNS) && text.lines().count() > 3);
+        assert_eq!(wrapped("- ", "one"), "- one\n");
+        let long = "x".repeat(100);
+        assert_eq!(wrapped("- ", &long), format!("- {long}\n"), "what is to be copied stays whole");
     }
 }

@@ -6,26 +6,28 @@ use clap::Args;
 use viewrank::{
     confidence,
     config::Typed,
+    manifest::planned_model,
     output::{self, Disk, FileSet},
     plan::{self, Plan, PlanFiles},
     progress::{Stage, Watcher},
     project::Project,
     replan::{Earlier, Maps, replan},
+    shell::quoted_path,
     surface::ply,
     tables,
 };
 
-use super::{Failure, Format, complain, config, json, print, progress::Progress, summary::Summary, use_threads};
+use super::{Exit, Failure, Format, config, json, print, progress::Progress, summary::Summary, use_threads, warn};
 
 /// Rank the view clusters of a project and write the plan to PROJECT/viewrank.
 ///
-/// PROJECT is a COLMAP project (sparse/, images/), a dense workspace (sparse/, images/, stereo/), or the folder of a sparse
-/// model. Lengths are in units of the model; they are metres if it is metric (units = "metric" in viewrank.toml).
+/// PROJECT is a COLMAP project (sparse/, images/), a dense workspace (sparse/, images/, stereo/), the folder of a sparse model, or a model of
+/// Bundler, VisualSFM (.nvm), OpenMVG, OpenSfM, OpenDroneMap, AliceVision, OpenMVS (.mvs) or SURE (.ori), or its folder. Lengths are in units of the model; they are metres if it is metric (units = "metric" in viewrank.toml).
 #[derive(Args)]
 pub struct Arguments {
     project: PathBuf,
 
-    /// Matching partners per key view
+    /// Matching partners per key view [default: 5]
     #[arg(short, value_name = "N", help_heading = "What is chosen")]
     k: Option<String>,
     /// Stop after N view clusters, or after P % of the registered views
@@ -48,13 +50,13 @@ pub struct Arguments {
     #[arg(long, value_name = "L", allow_negative_numbers = true, help_heading = "What is wanted")]
     accuracy: Option<f64>,
 
-    /// How partners are chosen: sampled (the paper) or search
+    /// How partners are chosen: sampled (the paper) or search [default: search]
     #[arg(long, value_name = "METHOD", value_parser = ["sampled", "search"], help_heading = "How")]
     partners: Option<String>,
-    /// What predicts success: none, geometric, proxy, shipped, auto or a model file
+    /// What predicts success: none, geometric, proxy, shipped, auto or a model file [default: auto]
     #[arg(long, value_name = "SOURCE|FILE", help_heading = "How")]
     confidence: Option<String>,
-    /// Surface: 3d, terrain (nadir flights) or auto
+    /// Surface: 3d, terrain (nadir flights) or auto [default: auto]
     #[arg(long, value_name = "KIND", value_parser = ["3d", "terrain", "auto"], help_heading = "How")]
     surface: Option<String>,
     /// Up direction of the terrain surface [default: from the cameras]
@@ -66,7 +68,7 @@ pub struct Arguments {
     /// Take the mesh as it is, neither simplified nor refined
     #[arg(long, requires = "mesh", help_heading = "How")]
     mesh_as_is: bool,
-    /// Write for these backends; the plan is made for the first [default: as the project is set up]
+    /// Write for these backends; the plan is made for the first [default: as the project is set up, else sure]
     #[arg(long, value_name = "NAME,...", value_delimiter = ',', help_heading = "How")]
     backend: Option<Vec<String>>,
     /// Sub-model to plan for [default: the one with most images]
@@ -76,7 +78,7 @@ pub struct Arguments {
     /// they really reach
     #[arg(long, value_name = "DIR", help_heading = "How")]
     finished: Option<PathBuf>,
-    /// Seed of all random choices
+    /// Seed of all random choices [default: 0]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(i64).range(0..), help_heading = "How")]
     seed: Option<i64>,
     /// Memory that planning may take, such as 8G: where it needs more the surface is built in tiles, and tables are kept on disk [default: no limit]
@@ -109,6 +111,11 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         output::refuse_to_replace(path)?;
     }
     let project = Project::open(&arguments.project, arguments.model.as_deref())?;
+    if !arguments.dry_run {
+        refuse_other_plan(&project)?;
+        output::refuse_unwritable(&project.output_folder())?;
+        arguments.dump_tables.as_deref().map_or(Ok(()), output::refuse_unwritable)?;
+    }
     let settings = config::load(Some(&project.root), arguments.typed())?.settings;
     let progress = Progress::new(arguments.quiet);
     let mut plan = plan::plan(&project, &settings, &progress)?;
@@ -157,6 +164,28 @@ impl Arguments {
     }
 }
 
+/// A folder holds one plan, and that of another sub-model is not written over.
+fn refuse_other_plan(project: &Project) -> Result<(), Failure> {
+    let planned = planned_model(project);
+    let other = project.other_models.iter().find(|model| Some(model.name()) == planned);
+    let Some(other) = other else { return Ok(()) };
+    let manifest = project.output_folder().join("manifest.json");
+    let own = match project.model.path.is_dir() {
+        true => format!("viewrank plan {}", quoted_path(&project.model.path)),
+        false => "put the model into a folder of its own".into(),
+    };
+    Err(Failure {
+        exit: Exit::Failed,
+        message: format!(
+            "{} is the plan of sub-model {}, which one of {} would replace",
+            manifest.display(),
+            other.name(),
+            project.model.name()
+        ),
+        hint: Some(format!("to have both: {own}; to have the new one instead: remove {}", quoted_path(&manifest))),
+    })
+}
+
 fn direction(text: &str) -> Result<[f64; 3], String> {
     let wrong = "three numbers with commas between, such as 0,0,1";
     let numbers: Vec<f64> = text.split(',').map(|n| n.trim().parse().map_err(|_| wrong)).collect::<Result<_, _>>()?;
@@ -186,6 +215,6 @@ fn report(arguments: &Arguments, project: &Project, plan: &Plan, files: &PlanFil
         Format::Text if !arguments.quiet => print(&summary.text())?,
         Format::Text => {}
     }
-    summary.warnings.iter().for_each(|warning| complain(&format!("warning: {warning}")));
+    summary.warnings.iter().for_each(|warning| warn(warning));
     Ok(())
 }

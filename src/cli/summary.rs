@@ -47,6 +47,9 @@ pub struct Summary<'a> {
     memory: Memory,
     /// Tiles that the surface was built in.
     tiles: usize,
+    /// Why it is planned for this backend, where nobody said so.
+    #[serde(skip)]
+    chosen_for: &'static str,
     #[serde(skip)]
     manifest: &'a Manifest,
     /// What the images are for where none is matched.
@@ -77,6 +80,11 @@ impl<'a> Summary<'a> {
             timings: &plan.timings,
             memory: plan.memory,
             tiles: plan.surface_stats.tiles,
+            chosen_for: match backends::by_name(plan.backend) {
+                _ if !plan.settings.backends.is_empty() => "",
+                Ok(backend) if backend.serves(project) => " (as the project is set up)",
+                _ => " (no --backend is named)",
+            },
             manifest,
             use_of_views: backends::by_name(plan.backend).ok().and_then(|backend| backend.use_of_views()),
         }
@@ -84,17 +92,9 @@ impl<'a> Summary<'a> {
 
     pub fn text(&self) -> String {
         let mut text = self.found();
-        if self.cut.clusters > 0 {
-            text += &self.advice();
-            text += &self.curve();
-            text += &self.worth();
-        } else if self.manifest.clusters.is_empty() {
-            text += "\nNo view cluster is worth computing; the warnings and the reasons of the views in\n\
-                     viewrank/manifest.json say why.\n";
-        } else {
-            let ranked = grouped(self.manifest.clusters.len());
-            text += &format!("\nNothing is chosen: what was asked for allows none of {ranked} view clusters.\n");
-        }
+        text += &self.advice();
+        text += &self.curve();
+        text += &self.worth();
         text + &self.where_to_look()
     }
 
@@ -103,12 +103,13 @@ impl<'a> Summary<'a> {
         let on_disk = |size| format!("Tables of up to {size} were kept on disk for want of memory (--max-memory).\n");
         let disk = self.memory.on_disk().map(on_disk).unwrap_or_default();
         format!(
-            "{} views, {} sparse points; a surface of {} triangles.\n{disk}Wanted: {} {length} per pixel. For: {}.\n",
+            "{} views, {} sparse points; a surface of {} triangles.\n{disk}Wanted: {} {length} per pixel. Backend: {}{}.\n",
             grouped(self.views),
             grouped(self.points),
             grouped(self.triangles),
             rounded(self.gsd),
-            self.backend
+            self.backend,
+            self.chosen_for
         )
     }
 
@@ -221,7 +222,6 @@ fn next(project: &Project, plan: &Plan, files: &PlanFiles, dry_run: bool) -> Str
             let typed = std::env::args().skip(1).filter(|argument| argument != "--dry-run");
             typed.fold("viewrank".into(), |command, argument| command + " " + &quoted(&argument))
         }
-        _ if plan.cut.clusters == 0 => format!("viewrank doctor {root}"),
         Some(command) => command.clone(),
         None if !takes_distorted && distorted() => {
             let dense = quoted_path(&project.root.join("dense"));

@@ -6,10 +6,9 @@ use rayon::prelude::*;
 
 use super::{FEW, Finding, Severity, ViewFinding, Visit, counted};
 use crate::{
-    backends::{Backend, Obstacle},
+    backends::Backend,
     connected::components,
-    partners::{PairGeometry, neighbours},
-    plan::Reason,
+    partners::{Obstacle, PairGeometry, Reason, neighbours},
     scene::{PointIndex, Scene, ViewIndex, ViewPoints},
 };
 
@@ -58,7 +57,8 @@ pub fn findings(visit: &Visit) -> Vec<Finding> {
 
 /// Partners below which nothing is fulfilled with a view as key view.
 fn least(visit: &Visit) -> usize {
-    visit.settings.coverage.min_cameras.saturating_sub(1).max(1) as usize
+    let settings = &visit.settings;
+    settings.coverage.min_cameras.saturating_sub(1).clamp(1, settings.partners.k.max(1)) as usize
 }
 
 /// How many of the views that share points with this one the backend can match with it, and why the others not.

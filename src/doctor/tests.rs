@@ -89,6 +89,7 @@ fn project(format: ModelFormat) -> (TempDir, Project) {
         root: folder.path().into(),
         kind: ProjectKind::Colmap,
         model,
+        model_is_named: false,
         other_models: Vec::new(),
         images: None,
         dense_workspace: None,

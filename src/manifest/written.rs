@@ -73,6 +73,11 @@ pub fn planned_backend(project: &Project) -> Option<String> {
     Recorded::read(project).ok().map(|recorded| recorded.backend)
 }
 
+/// Name of the sub-model that the project's plan was made for; `None` without a plan.
+pub fn planned_model(project: &Project) -> Option<String> {
+    Recorded::read(project).ok()?.model_name()
+}
+
 impl WrittenPlan {
     /// Reads `viewrank/manifest.json` of the project; an error where model or images have changed since.
     pub fn read(root: &Path) -> Result<Self, WrittenPlanError> {
@@ -100,8 +105,7 @@ impl Recorded {
     pub fn open(root: &Path) -> Result<(Project, Self), WrittenPlanError> {
         let any_model = Project::open(root, None)?;
         let recorded = Self::read(&any_model)?;
-        let model = Path::new(&recorded.input.model).file_name().map(|name| name.to_string_lossy().into_owned());
-        let project = match model {
+        let project = match recorded.model_name() {
             Some(name) if any_model.model.name() != name => Project::open(root, Some(&name))?,
             _ => any_model,
         };
@@ -128,6 +132,11 @@ impl Recorded {
 }
 
 impl Recorded {
+    /// Of the sub-model that was planned for.
+    fn model_name(&self) -> Option<String> {
+        Path::new(&self.input.model).file_name().map(|name| name.to_string_lossy().into_owned())
+    }
+
     /// The whole ranking, best first.
     pub fn ranked(&self, scene: &Scene) -> Result<Vec<RankedCluster>, WrittenPlanError> {
         let view = |name: &String| scene.find(name).ok_or_else(|| WrittenPlanError::OtherInput(self.path.clone()));

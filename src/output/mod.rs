@@ -120,6 +120,13 @@ pub fn refuse_to_replace(path: &Path) -> Result<(), OutputError> {
     }
 }
 
+/// Can files be made in `folder` or, while it isn't there, in the nearest folder above it? Asked before long work; leaves nothing behind.
+pub fn refuse_unwritable(folder: &Path) -> Result<(), OutputError> {
+    let absolute = std::path::absolute(folder).unwrap_or_else(|_| folder.to_path_buf());
+    let there = absolute.ancestors().find(|above| above.exists()).unwrap_or(&absolute);
+    tempfile::tempfile_in(there).map(drop).map_err(|source| OutputError::new(there, source))
+}
+
 /// Puts one file in place of another in one step: for files that are ours alone and change often (a status, a log of progress).
 pub fn replace(path: &Path, bytes: &[u8], disk: &Disk) -> Result<(), OutputError> {
     let name = path.file_name().ok_or_else(|| OutputError::Name { name: path.display().to_string() })?;

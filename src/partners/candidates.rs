@@ -5,10 +5,9 @@ use std::{cmp::Reverse, ops::Range};
 use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
 
+use super::{Gate, Reason};
 use crate::{
-    backends::Gate,
     config::PartnerSettings,
-    plan::Reason,
     progress::{Cancelled, Watcher},
     scene::{PointIndex, Scene, ViewIndex, ViewPoints},
 };

@@ -4,13 +4,19 @@
 //! key view, as the paper does ([`sampled`]) or by searching on from there ([`search`]).
 
 mod candidates;
+mod gate;
+mod reason;
 mod sampled;
 mod search;
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
-pub use self::candidates::{Candidates, PairGeometry, Refusal, candidates, neighbours};
 use self::search::Choice;
+pub use self::{
+    candidates::{Candidates, PairGeometry, Refusal, candidates, neighbours},
+    gate::{Gate, Obstacle},
+    reason::Reason,
+};
 use crate::{
     column::{self, TableError},
     config::{PartnerMethod, PartnerSettings},

@@ -2,7 +2,8 @@
 
 use crate::{
     column,
-    plan::{Plan, Reason},
+    partners::Reason,
+    plan::Plan,
     surface::ply::{self, FaceField},
 };
 

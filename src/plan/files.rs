@@ -1,6 +1,6 @@
 //! What is written for a plan: the manifest, its table, the pair files, the pictures, and the files of backends.
 
-use super::{Plan, PlannedViews, outdated};
+use super::{Nothing, Plan, PlannedViews, outdated};
 use crate::{
     backends::{self, Backend, BackendError, Export, ExportOptions, Selection, place},
     confidence,
@@ -32,6 +32,8 @@ pub enum FilesError {
     Backend(#[from] BackendError),
     #[error(transparent)]
     Input(#[from] FingerprintError),
+    #[error(transparent)]
+    Nothing(#[from] Nothing),
 }
 
 impl Hint for FilesError {
@@ -39,12 +41,17 @@ impl Hint for FilesError {
         match self {
             Self::Backend(error) => error.hint(),
             Self::Input(error) => error.hint(),
+            Self::Nothing(error) => error.hint(),
         }
     }
 }
 
 /// The files of the plan, to be written by [`output::write_all`](crate::output::write_all).
+///
+/// # Errors
+/// A plan that chooses nothing, names that a backend cannot take, a mesh that cannot be read any more.
 pub fn files(plan: &Plan, project: &Project) -> Result<PlanFiles, FilesError> {
+    Nothing::of(plan).map_or(Ok(()), Err)?;
     let clusters: Vec<_> = plan.ranked().take(plan.cut.clusters).collect();
     let image_faults = project.image_faults(&plan.scene);
     let selection = Selection {

@@ -14,7 +14,10 @@ use crate::{
     config::{Bytes, Settings, VisibilitySettings},
     fulfilment::FulfilmentTable,
     scene::Scene,
-    surface::Surface,
+    surface::{
+        Surface,
+        refine::{MAX_TRIANGLES, TRIANGLE_BYTES},
+    },
     visibility::{self, Visibility},
 };
 
@@ -87,6 +90,12 @@ impl Memory {
         memory.surface = (held + SURFACE_PER_POINT * at_once).max(finished);
         memory.keep(SURFACE, memory.surface)?;
         Ok(memory)
+    }
+
+    /// That a surface may have while it is refined.
+    pub(super) fn most_triangles(&self) -> u64 {
+        let room = self.limit.map(|Bytes(limit)| limit.saturating_sub(self.read) / TRIANGLE_BYTES);
+        room.map_or(MAX_TRIANGLES, |room| room.min(MAX_TRIANGLES))
     }
 
     pub(super) fn before_visibility(

@@ -10,6 +10,7 @@ mod files;
 mod finished;
 mod forecast;
 mod memory;
+mod nothing;
 mod outdated;
 mod reasons;
 mod timings;
@@ -21,7 +22,8 @@ pub use files::{FilesError, PlanFiles, files};
 pub use finished::{Finished, Outdated, PlannedView, PlannedViews};
 pub use forecast::Forecast;
 pub use memory::Memory;
-pub use reasons::{Likest, Reason, ViewStatus};
+pub use nothing::Nothing;
+pub use reasons::{Likest, ViewStatus};
 pub use timings::Timings;
 pub use warnings::unlikely_gsd;
 
@@ -32,7 +34,7 @@ use crate::{
     config::{Settings, Share},
     error::Hint,
     fulfilment::{FulfilmentTable, GSD_MARGIN, Model, Rule, Target},
-    partners::{self, Candidates, ViewCluster},
+    partners::{self, Candidates, Reason, ViewCluster},
     progress::{Cancelled, Stage, Watcher},
     project::{Project, ProjectError},
     ranking::{self, Ranking},
@@ -202,7 +204,8 @@ pub fn plan_scene(
     memory.before_partners(&scene, &seen.surface, &seen.visibility)?;
     let target = target(&scene, &seen, &settings);
     seen.visibility.triangles.release();
-    let confidence = Confidence::new(&source, trained.as_ref(), &settings.confidence, &backend.planning().confidence);
+    let confidence = Confidence::new(&source, trained.as_ref(), &settings.confidence, &backend.planning().confidence)
+        .with_partners(settings.partners.k);
     confidence.fill_in(&mut settings.confidence);
     let rule = rule(&settings, confidence);
     let model = Model {
@@ -292,6 +295,7 @@ fn in_force(
     let numbers = backend.planning();
     all.ranking.support.get_or_insert(numbers.support);
     all.confidence.source = source.to_string();
+    all.coverage.min_cameras = all.coverage.min_cameras.min(all.partners.k + 1);
     let cut = &mut all.cut;
     if cut.budget.is_none() && cut.time.is_none() && cut.points.is_none() {
         cut.target.get_or_insert(Share(cut::DEFAULT_TARGET));
@@ -338,8 +342,9 @@ fn look(
 ) -> Result<Seen, PlanError> {
     let gsd = settings.target.gsd.ok_or(PlanError::NoScale)?;
     let mesh = settings.surface.mesh.clone().map(|path| MeshFile { path, as_is: settings.surface.mesh_as_is });
+    let most = memory.most_triangles();
     let (surface, stats) =
-        timings.time(Stage::Surface, || surface::build(scene, gsd, &settings.surface, mesh.as_ref(), watcher))?;
+        timings.time(Stage::Surface, || surface::build(scene, gsd, &settings.surface, mesh.as_ref(), most, watcher))?;
     let keep = memory.before_visibility(scene, &surface, &settings.visibility)?;
     let edge_length = settings.surface.edge_factor * gsd;
     let visibility = timings.time(Stage::Visibility, || {

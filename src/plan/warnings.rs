@@ -25,10 +25,8 @@ pub(super) fn warnings(plan: &Plan) -> Vec<String> {
     warnings.extend(unlike_pictures(plan));
     warnings.extend(other_backend(plan));
     warnings.extend(without_effect(plan));
-    warnings.extend(impossible_partners(plan));
-    warnings.extend(nothing_fulfilled(plan));
+    warnings.extend(single_partner(plan));
     warnings.extend(little_fulfilled(plan));
-    warnings.extend(nothing_chosen(plan));
     warnings.extend(contradictions(plan));
     warnings.extend(outdated(plan));
     warnings.extend(plan.finished.unreadable.iter().cloned());
@@ -108,45 +106,24 @@ fn without_effect(plan: &Plan) -> Option<String> {
     (!names.is_empty()).then(|| format!("set, but without effect where confidence is {source}: {}", names.join(", ")))
 }
 
-/// k too small for what is asked of a cluster.
-fn impossible_partners(plan: &Plan) -> Option<String> {
-    let k = plan.settings.partners.k;
-    let cameras = plan.settings.coverage.min_cameras;
-    let matches = plan.confidence.min_matches();
-    if k + 1 < cameras {
-        Some(format!(
-            "with k = {k} a cluster has {} cameras, but {cameras} must see a triangle: set coverage.min_cameras to {} or k to {}",
-            k + 1,
-            k + 1,
-            cameras - 1
-        ))
-    } else if k < matches {
-        Some(format!("with k = {k} there are fewer matches than the {matches} that must succeed: set k to {matches}"))
-    } else {
-        None
-    }
-}
-
-fn nothing_fulfilled(plan: &Plan) -> Option<String> {
-    let nothing = plan.ranking.order.is_empty();
-    nothing.then(|| "no view cluster fulfils anything: see the reasons of the views in the manifest".into())
+/// Fewer cameras than the method wants to see a place.
+fn single_partner(plan: &Plan) -> Option<String> {
+    (plan.settings.partners.k == 1).then(|| {
+        "with k = 1 a place counts where two cameras see it and their match succeeds; no third camera confirms it"
+            .into()
+    })
 }
 
 /// The shares of the plan are of what all clusters reach together, which may be next to nothing.
 fn little_fulfilled(plan: &Plan) -> Option<String> {
     let reached = plan.ranking.total();
-    (reached > 0.0 && reached < LITTLE).then(|| {
+    (reached < LITTLE).then(|| {
         format!(
             "all view clusters together reach {:.1} % of what is wanted: see the reasons of the triangles in surface.ply, or ask for less \
              with a coarser --gsd or --accuracy",
             100.0 * reached
         )
     })
-}
-
-fn nothing_chosen(plan: &Plan) -> Option<String> {
-    let none = plan.cut.clusters == 0 && !plan.ranking.order.is_empty();
-    none.then(|| "the budget is below the cost of a single view cluster: nothing is chosen".into())
 }
 
 fn contradictions(plan: &Plan) -> Option<String> {

@@ -45,7 +45,8 @@ pub(super) fn open(path: &Path, wanted: Option<&str>) -> Result<Project, Project
         ModelFormat::ColmapBinary | ModelFormat::ColmapText => images::find(root, &model.path),
         _ => foreign::read(root, &model).ok().and_then(|read| images::find_by_names(root, &model.path, &read)),
     };
-    Ok(Project { root: root.into(), kind, model, other_models, images, dense_workspace })
+    let model_is_named = wanted.is_some();
+    Ok(Project { root: root.into(), kind, model, model_is_named, other_models, images, dense_workspace })
 }
 
 /// The COLMAP models of a folder: itself, `sparse`, the folders in `sparse`, or, without all these, its own sub-folders.
@@ -141,7 +142,8 @@ fn choose(
         return Err(ProjectError::NoModel { path: path.into(), looked_for });
     }
     if position == models.len() {
-        let present = models.iter().map(ModelLocation::name).collect::<Vec<_>>().join(", ");
+        let names = models.iter().map(ModelLocation::name).collect::<Vec<_>>().join(", ");
+        let present = if models.len() == 1 { format!("only {names}") } else { names };
         let wanted = wanted.unwrap_or_default().into();
         return Err(ProjectError::NoSuchModel { path: path.into(), wanted, present });
     }

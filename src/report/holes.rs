@@ -7,7 +7,8 @@ use rayon::prelude::*;
 
 use crate::{
     connected::components,
-    plan::{Plan, Reason},
+    partners::Reason,
+    plan::Plan,
     scene::{PointIndex, Scene, ViewIndex},
     surface::{
         corners::{BORDER, opposites},

@@ -174,7 +174,7 @@ impl Hint for SurfaceError {
             Self::MeshFile { .. } => "check that the file is there and may be read".into(),
             Self::Mesh { .. } => "give a PLY file of triangles in the frame of the model".into(),
             Self::Delaunay(_) => "check the model: its points cannot be triangulated as they are".into(),
-            Self::Refine(_) => "ask for a coarser --gsd, or a larger surface.max_edge_factor".into(),
+            Self::Refine(_) => "ask for a coarser --gsd, or a larger surface.max_edge_factor; or allow more memory with --max-memory, where it is limited".into(),
             Self::Cancelled(_) => return None,
         })
     }
@@ -198,8 +198,8 @@ impl From<refine::RefineError> for SurfaceError {
     }
 }
 
-/// Builds the surface of the scene, or takes the mesh, with edges as `gsd` (g_d, scene units per pixel) and the settings want them. What
-/// no view sees is yet to be taken away by [`Surface::keep`].
+/// Builds the surface of the scene, or takes the mesh, with edges as `gsd` (g_d, scene units per pixel) and the settings want them, of at
+/// most about `most` triangles. What no view sees is yet to be taken away by [`Surface::keep`].
 ///
 /// # Errors
 /// Too few points, a mesh that cannot be read, a target far too fine, cancellation.
@@ -208,13 +208,14 @@ pub fn build(
     gsd: f64,
     settings: &SurfaceSettings,
     mesh: Option<&MeshFile>,
+    most: u64,
     watcher: &dyn Watcher,
 ) -> Result<(Surface, SurfaceStats), SurfaceError> {
     if !(gsd.is_finite() && gsd > 0.0) {
         return Err(SurfaceError::Gsd(gsd));
     }
     let mut stats = SurfaceStats { tiles: 1, ..SurfaceStats::default() };
-    let whole = Steps { before: 0, all: STEPS, watcher };
+    let whole = Steps { before: 0, all: STEPS, most, watcher };
     whole.reached(0);
     let surface = match mesh {
         Some(file) => {
@@ -233,6 +234,8 @@ pub fn build(
 struct Steps<'a> {
     before: u64,
     all: u64,
+    /// Triangles that the tile may have.
+    most: u64,
     watcher: &'a dyn Watcher,
 }
 
@@ -254,7 +257,7 @@ fn with_edges(
     let surface = simplify::simplify(surface, settings.edge_factor * gsd, steps.watcher)?;
     stats.simplified_triangles += surface.triangles.len();
     steps.reached(5);
-    Ok(refine::refine(surface, settings.max_edge_factor * gsd, steps.watcher)?)
+    Ok(refine::refine(surface, settings.max_edge_factor * gsd, steps.most, steps.watcher)?)
 }
 
 fn read_mesh(file: &MeshFile) -> Result<Surface, SurfaceError> {

@@ -11,8 +11,10 @@ use super::{
 };
 use crate::progress::{Cancelled, Watcher};
 
-/// Most triangles that a refinement may make.
-const MAX_TRIANGLES: f64 = 30e6;
+/// Most triangles that a refinement makes, whatever memory there is.
+pub const MAX_TRIANGLES: u64 = 30_000_000;
+/// Memory that each takes while edges are split: corners, vertices and the queue, with room to grow.
+pub const TRIANGLE_BYTES: u64 = 120;
 /// Splits between two questions to the watcher, well under 50 ms.
 const CHECK_INTERVAL: usize = 4096;
 
@@ -20,18 +22,18 @@ const CHECK_INTERVAL: usize = 4096;
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum RefineError {
     #[error(
-        "edges of at most {limit:.3e} scene units would make about {triangles:.0} triangles; raise target.gsd or surface.max_edge_factor"
+        "edges of at most {limit:.3e} scene units would make about {triangles:.0} triangles; there is room for {most}"
     )]
-    TooFine { limit: f64, triangles: f64 },
+    TooFine { limit: f64, triangles: f64, most: u64 },
     #[error(transparent)]
     Cancelled(#[from] Cancelled),
 }
 
-/// Splits edges until each is shorter than `limit` (scene units), the longest first.
-pub fn refine(surface: Surface, limit: f64, watcher: &dyn Watcher) -> Result<Surface, RefineError> {
+/// Splits edges until each is shorter than `limit` (scene units), the longest first; into at most about `most` triangles.
+pub fn refine(surface: Surface, limit: f64, most: u64, watcher: &dyn Watcher) -> Result<Surface, RefineError> {
     let triangles: f64 = (0..surface.triangles.len() as u32).map(|t| expected_pieces(&surface, t, limit)).sum();
-    if triangles.is_nan() || triangles > MAX_TRIANGLES {
-        return Err(RefineError::TooFine { limit, triangles });
+    if triangles.is_nan() || triangles > most as f64 {
+        return Err(RefineError::TooFine { limit, triangles, most });
     }
     let mut mesh = Splitting::new(surface, limit);
     let mut splits = 0usize;
@@ -170,7 +172,7 @@ mod tests {
         for surface in [shapes::sphere(1), shapes::torus(5), shapes::terrain(2, |x, y| x * y)] {
             let (before, area, volume) =
                 (check_manifold(&surface), shapes::total_area(&surface), shapes::volume(&surface));
-            let refined = refine(surface, 0.11, &Unwatched).unwrap();
+            let refined = refine(surface, 0.11, MAX_TRIANGLES, &Unwatched).unwrap();
             let after = check_manifold(&refined);
             assert_eq!(after.map(|t| (t.euler, t.components)), before.map(|t| (t.euler, t.components)));
             assert!(shapes::sides(&refined).all(|s| s < 0.11));
@@ -181,13 +183,15 @@ mod tests {
 
     #[test]
     fn leaves_short_edges_alone() {
-        let refined = refine(shapes::sphere(2), 1.0, &Unwatched).unwrap();
+        let refined = refine(shapes::sphere(2), 1.0, MAX_TRIANGLES, &Unwatched).unwrap();
         assert_eq!(refined.triangles, shapes::sphere(2).triangles);
     }
 
     #[test]
     fn refuses_what_would_not_fit_into_memory() {
-        let refused = refine(shapes::sphere(0), 1e-9, &Unwatched);
-        assert!(matches!(refused, Err(RefineError::TooFine { .. })), "{refused:?}");
+        for (limit, most) in [(1e-9, MAX_TRIANGLES), (0.1, 1000)] {
+            let refused = refine(shapes::sphere(0), limit, most, &Unwatched);
+            assert!(matches!(refused, Err(RefineError::TooFine { .. })), "{refused:?}");
+        }
     }
 }

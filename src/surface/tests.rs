@@ -97,7 +97,7 @@ fn settings(kind: SurfaceChoice) -> SurfaceSettings {
 }
 
 fn built(shape: &Shape, gsd: f64, kind: SurfaceChoice) -> (Surface, SurfaceStats) {
-    build(&shape.scene(), gsd, &settings(kind), None, &Unwatched).unwrap()
+    build(&shape.scene(), gsd, &settings(kind), None, refine::MAX_TRIANGLES, &Unwatched).unwrap()
 }
 
 #[test]
@@ -200,7 +200,9 @@ fn few_points_and_lines_are_refused_with_a_cure() {
     let mut few = ball(3);
     few.points.extend(few.points.clone());
     let message = |shape: &Shape| {
-        build(&shape.scene(), 0.01, &settings(SurfaceChoice::Auto), None, &Unwatched).unwrap_err().to_string()
+        build(&shape.scene(), 0.01, &settings(SurfaceChoice::Auto), None, refine::MAX_TRIANGLES, &Unwatched)
+            .unwrap_err()
+            .to_string()
     };
     assert!(message(&few).starts_with("only 3 different sparse points"), "{}", message(&few));
     assert!(message(&ball(0)).starts_with("only 0 different"));
@@ -249,7 +251,14 @@ fn a_mesh_from_a_file_is_simplified_refined_or_left() {
     std::fs::write(&path, ply::write(&shapes::sphere(5), &[], &[])).unwrap();
     let scene = ball(10).scene();
     let from = |as_is| {
-        build(&scene, 0.01, &SurfaceSettings::default(), Some(&MeshFile { path: path.clone(), as_is }), &Unwatched)
+        build(
+            &scene,
+            0.01,
+            &SurfaceSettings::default(),
+            Some(&MeshFile { path: path.clone(), as_is }),
+            refine::MAX_TRIANGLES,
+            &Unwatched,
+        )
     };
     let (whole, _) = from(true).unwrap();
     assert_eq!((whole.kind, whole.triangles), (SurfaceKind::Mesh, shapes::sphere(5).triangles));
@@ -277,7 +286,7 @@ proptest! {
             .map(|&(x, y, z)| (Point3::new(f64::from(x), f64::from(y), f64::from(z)) * scale, Vector3::z()))
             .collect();
         let kind = if carved { SurfaceChoice::Carved } else { SurfaceChoice::Auto };
-        if let Ok((surface, _)) = build(&shape.scene(), 0.02 * scale, &settings(kind), None, &Unwatched) {
+        if let Ok((surface, _)) = build(&shape.scene(), 0.02 * scale, &settings(kind), None, refine::MAX_TRIANGLES, &Unwatched) {
             check_manifold(&surface).map_err(|e| TestCaseError::fail(e.to_string()))?;
         }
     }

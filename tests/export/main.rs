@@ -123,6 +123,7 @@ pub fn project() -> Project {
         root: "/nowhere".into(),
         kind: ProjectKind::BareModel,
         model: ModelLocation { format: ModelFormat::OpenMvs, path: "/nowhere/scene.mvs".into(), registered: 0 },
+        model_is_named: false,
         other_models: Vec::new(),
         images: Some("/nowhere/images".into()),
         dense_workspace: None,

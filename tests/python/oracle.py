@@ -134,6 +134,8 @@ class Tables:
         split = np.searchsorted(self.visible[:, 0], np.arange(len(self.views) + 1))
         self.seen = [self.visible[a:b, 1] for a, b in zip(split, split[1:])]
         self.seen_unary = [self.unary[a:b] for a, b in zip(split, split[1:])]
+        if hasattr(self, "partner_odds"):
+            self.seen_odds = [self.partner_odds[a:b] for a, b in zip(split, split[1:])]
 
     def partners_of(self, cluster):
         return self.partners[self.partner_offsets[cluster]:self.partner_offsets[cluster + 1]]
@@ -185,13 +187,17 @@ def f_unc(model, tables, key, partners, seen, sees, accuracy):
 
 def f_conf(model, tables, key, partners, seen, sees):
     """P(at least `min_matches` of the independent matches succeed), by the distribution of their number."""
-    settings = tables.settings["confidence"]
+    settings, settings_in_force = tables.settings["confidence"], tables.settings["in_force"]
     if settings["source"] == "none":
         return np.ones(len(seen))
     chances = np.zeros((len(partners), len(seen)))
     for i, partner in enumerate(partners):
         here = sees[i]
         row = np.searchsorted(tables.seen[partner], seen[here])
+        if "pair_curves" in settings_in_force:
+            odds = trained_odds(model, tables, settings_in_force["pair_curves"], key, partner, seen[here])
+            chances[i, here] = 1 / (1 + np.exp(-(odds + tables.seen_odds[partner][row])))
+            continue
         mean = 0.5 * (tables.seen_unary[key][here].astype(float) + tables.seen_unary[partner][row])
         pair = 1 if settings["form"] == "paper" else geometric(model, tables, settings, key, partner, seen[here])
         chances[i, here] = mean * pair
@@ -200,24 +206,39 @@ def f_conf(model, tables, key, partners, seen, sees):
     for chance in chances:
         at_most[1:] = at_most[1:] * (1 - chance) + at_most[:-1] * chance
         at_most[0] *= 1 - chance
-    return at_most[settings["min_matches"]:].sum(axis=0)
+    enough = at_most[settings["min_matches"]:].sum(axis=0)
+    return enough * tables.seen_unary[key] if "pair_curves" in settings_in_force else enough
 
 
 def geometric(model, tables, settings, key, partner, triangles):
     """Method 7.2."""
+    cos_key, cos_partner, octaves, angle = constellation(model, tables, key, partner, triangles)
+    p = settings["p0"] * np.clip(np.minimum(cos_key, cos_partner), 0, None) ** settings["cosine_power"]
+    if settings["scale_octaves"] > 0:
+        p *= np.exp(-0.5 * (octaves / settings["scale_octaves"]) ** 2)
+    if settings["full_angle"] > 0:
+        p *= np.minimum(angle / settings["full_angle"], 1)
+    return p
+
+
+def trained_odds(model, tables, pair, key, partner, triangles):
+    """Log odds of a match by the curves of a trained model, each linear between its knots."""
+    cos_key, cos_partner, octaves, angle = constellation(model, tables, key, partner, triangles)
+    numbers = [cos_partner, np.minimum(cos_key, cos_partner), octaves, np.log2(angle)]
+    knots = [np.linspace(curve["low"], curve["high"], len(curve["values"])) for curve in pair["curves"]]
+    return pair["bias"] + sum(np.interp(x, at, curve["values"]) for x, at, curve in zip(numbers, knots, pair["curves"]))
+
+
+def constellation(model, tables, key, partner, triangles):
+    """Cosines of incidence of both views, octaves between their distances, angle between their rays in degrees."""
     to_key = model.centre(key) - tables.centroids[triangles]
     to_partner = model.centre(partner) - tables.centroids[triangles]
     l_key, l_partner = np.linalg.norm(to_key, axis=1), np.linalg.norm(to_partner, axis=1)
     normals = tables.normals[triangles]
     cos_key = np.einsum("ij,ij->i", normals, to_key) / l_key
     cos_partner = np.einsum("ij,ij->i", normals, to_partner) / l_partner
-    p = settings["p0"] * np.clip(np.minimum(cos_key, cos_partner), 0, None) ** settings["cosine_power"]
-    if settings["scale_octaves"] > 0:
-        p *= np.exp(-0.5 * (np.log2(l_partner / l_key) / settings["scale_octaves"]) ** 2)
-    if settings["full_angle"] > 0:
-        cosine = np.einsum("ij,ij->i", to_key, to_partner) / (l_key * l_partner)
-        p *= np.minimum(np.degrees(np.arccos(np.clip(cosine, -1, 1))) / settings["full_angle"], 1)
-    return p
+    cosine = np.einsum("ij,ij->i", to_key, to_partner) / (l_key * l_partner)
+    return cos_key, cos_partner, np.log2(l_partner / l_key), np.degrees(np.arccos(np.clip(cosine, -1, 1)))
 
 
 # --- method 4 and 7.1 ----------------------------------------------------------------------------------------------------------

@@ -44,7 +44,7 @@ def test_what_is_wrong_is_said_at_80_columns_with_what_to_do(viewrank, fixtures,
     done = viewrank("doctor", folder, "--backend", "colmap", expect=3)
     assert all(len(line) <= 80 or " " not in line.strip() for line in done.stdout.splitlines()), done.stdout
     assert f"9 of {len(images)} images" in done.stdout and "and 3 more" in done.stdout
-    assert "do      " in done.stdout and done.stderr.startswith("error: errors: 0, warnings: 2")
+    assert "do      " in done.stdout and "2 warnings" in done.stdout and not done.stderr
     assert images[8].name in viewrank("doctor", folder, "--all", expect=3).stdout
     findings = json.loads(viewrank("doctor", folder, "--format", "json", expect=3).stdout)["findings"]
     assert {"missing-images", "colmap-bin-beats-txt"} <= {finding["check"] for finding in findings}
@@ -100,7 +100,7 @@ def test_a_model_without_images_is_an_error(viewrank, fixtures, tmp_path):
     for optional in ("rigs.bin", "frames.bin"):
         (folder / "sparse" / "0" / optional).unlink(missing_ok=True)
     done = viewrank("doctor", folder, expect=4)
-    assert done.stdout.startswith("ERROR") and done.stderr.startswith("error: errors: 1")
+    assert done.stdout.startswith("ERROR") and "\n1 error" in done.stdout and not done.stderr
 
 
 def test_the_json_is_as_its_schema_says(viewrank, fixtures, tmp_path):

@@ -8,13 +8,15 @@ import pytest
     ("sgm", ["--confidence", "geometric"]),
     ("colmap", ["--confidence", "geometric", "--gsd", "0.05"]),
     ("images", ["--confidence", "none", "-k", "3", "--partners", "sampled"]),
-], ids=["search", "absolute", "sampled"])
+    ("sgm", ["--confidence", "shipped", "-k", "4"]),
+], ids=["search", "absolute", "sampled", "trained"])
 def planned(request, viewrank, fixtures, tmp_path_factory):
     """The fixture's model and the tables of a plan for it."""
     backend, options = request.param
     tables = tmp_path_factory.mktemp("tables")
     project = tmp_path_factory.mktemp("project")
-    (project / "sparse").symlink_to(fixtures / "valley" / "sparse")
+    for part in ("sparse", "images"):
+        (project / part).symlink_to(fixtures / "valley" / part)
     viewrank("plan", project, "--backend", backend, "--dump-tables", tables, *options)
     read = oracle.Tables(tables)
     read.backend = backend

@@ -1,0 +1,58 @@
+//! A plan that chooses nothing is no plan: why, and what to do about it.
+
+use std::{cmp::Reverse, collections::BTreeMap};
+
+use super::Plan;
+use crate::{error::Hint, partners::Reason};
+
+/// Why nothing is chosen.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum Nothing {
+    /// No view cluster fulfils anything.
+    #[error("no view cluster fulfils anything; of {of} of {views} views {}", reason.words())]
+    Fulfilled { reason: Reason, of: usize, views: usize },
+    #[error("what was asked for allows none of {ranked} view clusters: {limits}")]
+    Allowed { ranked: usize, limits: String },
+}
+
+impl Nothing {
+    /// `None`: something is chosen.
+    pub(super) fn of(plan: &Plan) -> Option<Self> {
+        let ranked = plan.ranking.order.len();
+        match plan.cut.clusters {
+            0 if ranked == 0 => Some(Self::nothing_fulfilled(plan)),
+            0 => Some(Self::Allowed { ranked, limits: limits(plan) }),
+            _ => None,
+        }
+    }
+
+    fn nothing_fulfilled(plan: &Plan) -> Self {
+        let mut counts = BTreeMap::new();
+        plan.views.iter().filter_map(|(_, reason)| *reason).for_each(|r| *counts.entry(r).or_insert(0usize) += 1);
+        let most = counts.into_iter().max_by_key(|&(reason, count)| (count, Reverse(reason)));
+        let (reason, of) = most.unwrap_or((Reason::Hidden, 0));
+        Self::Fulfilled { reason, of, views: plan.views.len() }
+    }
+}
+
+/// The limits of the cut, as they are set.
+fn limits(plan: &Plan) -> String {
+    let cut = &plan.settings.cut;
+    let set = [
+        cut.budget.map(|budget| format!("budget {budget}")),
+        cut.time.map(|time| format!("time {time}")),
+        cut.points.map(|points| format!("points {points}")),
+    ];
+    set.into_iter().flatten().collect::<Vec<_>>().join(", ")
+}
+
+impl Hint for Nothing {
+    fn hint(&self) -> Option<String> {
+        Some(match self {
+            Self::Fulfilled { .. } => {
+                "see what viewrank doctor says of the project; an earlier plan stays as it is".into()
+            }
+            Self::Allowed { .. } => "allow more; an earlier plan stays as it is".into(),
+        })
+    }
+}
