@@ -24,6 +24,7 @@ mod unary;
 pub use curves::PairCurves;
 pub use geometric::{Constellation, PairConfidence};
 pub use image::{Image, ImageError, Mask, size_for_confidence};
+pub use labels::Label;
 pub use nearby::nearby;
 pub use pictures::{CACHE, MASKS, Pictures, Seen};
 pub use proxy::Proxy;

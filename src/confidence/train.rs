@@ -15,7 +15,7 @@ use super::{
     features::{self, Features},
     fit::{Curves, PairRow, Row},
     image::{Image, size_for_confidence},
-    labels::{Finished, Labelling},
+    labels::{Finished, Label, Labelling},
     parts::{Parts, Views},
     place::{self, Places},
     score::Scores,
@@ -161,12 +161,7 @@ impl Lesson<'_> {
         tick: &(dyn Fn() + Sync),
         watcher: &dyn Watcher,
     ) -> Result<Vec<Judged>, TrainError> {
-        let finished = self.finished(watcher)?;
-        let others = |view: ViewIndex| self.candidates.of(view).to_vec();
-        let labelling = Labelling { model: self.model, finished: &finished, others: &others };
-        let judge = |map: &DepthMapFile| {
-            watcher.check()?;
-            let labels = labelling.labels(map.view);
+        let judge = |map: &DepthMapFile, labels: Vec<Label>| {
             let mut triangles: Vec<(usize, u32, u32)> = Vec::new();
             let mut by_row: Vec<(usize, bool)> = labels.iter().map(|l| (l.row, l.success)).collect();
             by_row.sort_unstable();
@@ -183,9 +178,25 @@ impl Lesson<'_> {
                 (label.x, label.y, label.success)
             };
             tick();
-            Ok(Judged { view: map.view, part: part(map.view), drawn: (0..draws).map(draw).collect(), triangles })
+            Judged { view: map.view, part: part(map.view), drawn: (0..draws).map(draw).collect(), triangles }
         };
-        self.maps.par_iter().map(judge).collect()
+        self.for_each_map(judge, watcher)
+    }
+
+    /// What `look` makes of each finished map and its labels.
+    pub fn for_each_map<T: Send>(
+        &self,
+        look: impl Fn(&DepthMapFile, Vec<Label>) -> T + Sync,
+        watcher: &dyn Watcher,
+    ) -> Result<Vec<T>, TrainError> {
+        let finished = self.finished(watcher)?;
+        let others = |view: ViewIndex| self.candidates.of(view).to_vec();
+        let labelling = Labelling { model: self.model, finished: &finished, others: &others };
+        let of_map = |map: &DepthMapFile| {
+            watcher.check()?;
+            Ok(look(map, labelling.labels(map.view)))
+        };
+        self.maps.par_iter().map(of_map).collect()
     }
 
     /// Depth maps by view, thinned out where they are too many.
