@@ -3,8 +3,7 @@
 //!     cargo bench --bench labels -- PROJECT DEPTH_MAPS CLUSTERS REFERENCE
 //!
 //! DEPTH_MAPS: a folder of finished maps, made for the clusters of the file CLUSTERS; REFERENCE: exact depth, a .npy per view. A positive label is right where the
-//! map is within 3 a_d of the exact depth (method 8), a negative one where it is not; a negative label of a pixel without depth is right where there is something to
-//! measure. Printed: how many labels there are, and what share of them is right.
+//! map is within 3 a_d of the exact depth (method 8), a negative one where it is not, or has none where there is something to measure. Printed: how many labels there are, and what share of them is right.
 
 use std::{collections::BTreeMap, path::Path};
 
@@ -28,8 +27,12 @@ const SAME_SURFACE: f64 = 0.02;
 
 fn main() -> Fallible<()> {
     let arguments: Vec<String> = std::env::args().skip(1).filter(|a| a != "--bench").collect();
-    // Run without arguments, with all other benchmarks, it has nothing to measure.
-    let [project, maps, clusters, reference] = &arguments[..] else { return Ok(()) };
+    let [project, maps, clusters, reference] = match &arguments[..] {
+        // Run with all other benchmarks.
+        [] => return Ok(()),
+        [project, maps, clusters, reference] => [project, maps, clusters, reference],
+        _ => return Err("give PROJECT DEPTH_MAPS CLUSTERS REFERENCE".into()),
+    };
     let project = Project::open(Path::new(project), None)?;
     let files = Files { user: None, project: Some(project.root.join("viewrank.toml")) };
     let mut settings = Configuration::load(&files, Typed::default())?.settings;
@@ -80,9 +83,9 @@ fn count(
         let truth = exact.interpolated(camera, &position, SAME_SURFACE);
         let along = camera.ray(&position).map_or(1.0, |ray| 1.0 / ray.z);
         let limit = RIGHT_WITHIN * model.target.accuracy(model.visibility.triangles[label.row]);
-        // At edges of the exact depth, and at the sky, there is nothing to compare with.
-        let Some(truth) = truth else { continue };
-        let is_right = map.at(column, row).is_some_and(|depth| (depth - truth).abs() * along <= limit);
+        let is_near = |truth: f64| map.at(column, row).is_some_and(|depth| (depth - truth).abs() * along <= limit);
+        // Where there is nothing to measure, at the sky, neither success nor failure is right.
+        let is_right = truth.is_some_and(|truth| is_near(truth) == label.success);
         let kinds: &[&str] = match (label.success, label.measured) {
             (true, _) => &["positive"],
             (false, true) => &["negative", "negative, with a depth"],
@@ -91,7 +94,7 @@ fn count(
         for kind in kinds {
             let [labels, right] = counts.entry(kind).or_default();
             *labels += 1;
-            *right += u64::from(is_right == label.success);
+            *right += u64::from(is_right);
         }
     }
     counts

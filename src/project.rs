@@ -218,8 +218,12 @@ impl Project {
         let others: Vec<String> = others.collect();
         (!others.is_empty() && !self.model_is_named).then(|| {
             let used = self.model.name();
+            let how = match self.model.path.is_dir() {
+                true => format!("viewrank plan {} plans one by itself", quoted_path(&self.other_models[0].path)),
+                false => "--model takes another".into(),
+            };
             format!(
-                "of several sub-models {used} ({registered} images) is used; not used: {}; --model takes another",
+                "of several sub-models {used} ({registered} images) is used; not used: {}; {how}",
                 others.join(", ")
             )
         })
@@ -235,7 +239,7 @@ pub enum ProjectError {
     NoModel { path: PathBuf, looked_for: String },
     #[error("{folder} holds part of a COLMAP model, but not {missing}")]
     IncompleteModel { folder: PathBuf, missing: String },
-    #[error("there is no sub-model {wanted:?} in {path}; there is {present}")]
+    #[error("there is no sub-model {wanted:?} in {path}; there {present}")]
     NoSuchModel { path: PathBuf, wanted: String, present: String },
     #[error("{path}: {source}")]
     Io { path: PathBuf, source: io::Error },

@@ -212,7 +212,8 @@ fn budgets_and_targets_cut_where_they_say() {
 fn any_number_of_partners() {
     let project = project();
     for k in [1, 2, 11] {
-        plan(project.path(), &["-k", &k.to_string()]);
+        // One match is enough for OpenMVS.
+        plan(project.path(), &["-k", &k.to_string(), "--backend", "openmvs"]);
         let manifest = manifest(project.path());
         let clusters = manifest["clusters"].as_array().unwrap();
         let most = clusters.iter().map(|cluster| cluster["partners"].as_array().unwrap().len()).max();
@@ -280,13 +281,18 @@ fn a_plan_of_nothing_takes_no_plans_place() {
     let folder = project();
     let root = folder.path().to_str().unwrap();
     plan(folder.path(), &["--confidence", "none", "-k", "2"]);
+    fs::write(folder.path().join("viewrank.toml"), "[coverage]\nmin_cameras = 6\n").unwrap();
     let before = files(folder.path());
     for (options, said) in [
         (&["--points", "1"][..], "points 1"),
-        (&["--target", "50%", "--points", "2"], "none of 2"),
-        (&["--gsd", "1e-9", "--accuracy", "1e-9"], "hint: "),
+        (&["--target", "50%", "--points", "2"], "none of "),
+        (
+            &["--confidence", "none", "-k", "2"],
+            "6 cameras must see a place (coverage.min_cameras), so take -k 5 at least",
+        ),
+        (&["--confidence", "geometric", "-k", "1"], "hint: sure needs 2 matches that agree, so take -k 2 at least"),
     ] {
-        let (code, stderr) = failure(&[&["plan", root, "--confidence", "none"], options].concat());
+        let (code, stderr) = failure(&[&["plan", root], options].concat());
         assert!(code == 1 && stderr.contains(said) && stderr.contains("hint: "), "{stderr}");
         assert_eq!(before, files(folder.path()));
     }

@@ -24,10 +24,12 @@ pub struct Arguments {
 }
 
 pub fn run(arguments: &Arguments) -> Result<(), Failure> {
-    if let Some(folder) = arguments.project.as_ref().filter(|folder| !folder.is_dir()) {
-        return Err(ProjectError::NotFound(folder.clone()).into());
+    if let Some(missing) = arguments.project.as_ref().filter(|project| !project.exists()) {
+        return Err(ProjectError::NotFound(missing.clone()).into());
     }
-    let configuration = load(arguments.project.as_deref(), Typed::default())?;
+    // Of a model's file the settings are beside it.
+    let folder = arguments.project.as_deref().map(|p| if p.is_file() { p.parent().unwrap_or(p) } else { p });
+    let configuration = load(folder, Typed::default())?;
     let values = serde_json::to_value(&configuration.settings).expect("settings are JSON");
     match arguments.format {
         Format::Text => print(&as_toml(&configuration, &values)),

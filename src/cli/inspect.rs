@@ -1,6 +1,6 @@
 //! `viewrank inspect`: what a sparse model holds, before anything is planned.
 
-use std::{collections::BTreeMap, path::PathBuf};
+use std::{collections::BTreeMap, io::IsTerminal, path::PathBuf};
 
 use clap::Args;
 use serde::Serialize;
@@ -127,7 +127,11 @@ impl Inspection {
             ("sub-model", format!("{} ({} images){}", m.name, m.registered, if m.used { ", used" } else { "" }))
         }));
         rows.extend(self.warnings.iter().map(|warning| ("warning", warning.clone())));
-        rows.iter().map(|(name, value)| wrapped(&format!("{name:<25}"), value)).collect()
+        let line = |(name, value): &(&str, String)| match std::io::stdout().is_terminal() {
+            true => wrapped(&format!("{name:<25}"), value),
+            false => format!("{name:<25}{value}\n"),
+        };
+        rows.iter().map(line).collect()
     }
 }
 

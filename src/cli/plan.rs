@@ -1,6 +1,6 @@
 //! `viewrank plan`: reads a sparse model, ranks its view clusters, writes the plan.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::Args;
 use viewrank::{
@@ -111,10 +111,11 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         output::refuse_to_replace(path)?;
     }
     let project = Project::open(&arguments.project, arguments.model.as_deref())?;
+    refuse_other_plan(&project)?;
     if !arguments.dry_run {
-        refuse_other_plan(&project)?;
         output::refuse_unwritable(&project.output_folder())?;
-        arguments.dump_tables.as_deref().map_or(Ok(()), output::refuse_unwritable)?;
+        let dumps = [arguments.dump_tables.as_deref(), arguments.dump_surface.as_deref().and_then(Path::parent)];
+        dumps.into_iter().flatten().try_for_each(output::refuse_unwritable)?;
     }
     let settings = config::load(Some(&project.root), arguments.typed())?.settings;
     let progress = Progress::new(arguments.quiet);
@@ -126,7 +127,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         let maps = Maps { folder, ready: &|_| true };
         plan = replan(plan, &Earlier::read(&project)?, &maps, &progress)?.0;
     }
-    let files = plan::files(&plan, &project)?;
+    let files = plan::files(&plan, &project).inspect_err(|_| plan.warnings.iter().for_each(|warning| warn(warning)))?;
     if !arguments.dry_run {
         write(arguments, &plan, &files, &progress)?;
     }
@@ -182,7 +183,10 @@ fn refuse_other_plan(project: &Project) -> Result<(), Failure> {
             other.name(),
             project.model.name()
         ),
-        hint: Some(format!("to have both: {own}; to have the new one instead: remove {}", quoted_path(&manifest))),
+        hint: Some(format!(
+            "to have both: {own} (with a viewrank.toml of its own); to have the new one instead: remove {}",
+            quoted_path(&manifest)
+        )),
     })
 }
 

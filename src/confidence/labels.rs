@@ -15,9 +15,8 @@ use crate::{
     visibility::{NOTHING, front},
 };
 
-/// Other depth maps that must agree, or have seen through.
+/// Other depth maps that must agree.
 const LEAST_AGREEING: u32 = 2;
-const LEAST_CONTRADICTING: u32 = 3;
 /// Angle between two viewpoints from which their depth maps count as independent, cosine of 5 degrees.
 const COS_APART: f64 = 0.996_194_7;
 /// Agreement is within so many standard deviations, contradiction beyond so many.
@@ -26,7 +25,7 @@ const CONTRADICTS: f64 = 4.0;
 /// In units of a_d: errors below the first are never held against a depth, maps that differ by more than the second never agree, since what both err by adds to
 /// it (`benches/labels.rs`), and above the third a depth is wrong by method 8.
 const LEAST_ERROR: f64 = 1.0;
-const MOST_AGREEING: f64 = 2.0;
+const MOST_AGREEING: f64 = 2.5;
 const MOST_ERROR: f64 = 3.0;
 /// Others that are asked at most.
 const MOST_OTHERS: usize = 12;
@@ -157,7 +156,7 @@ impl<'a> Labelling<'a> {
         }
         match (agreeing, contradicting) {
             (a, c) if a >= LEAST_AGREEING && a > 2 * c => Some(true),
-            (a, c) if c >= LEAST_CONTRADICTING && c > 2 * a => Some(false),
+            (a, c) if c >= LEAST_AGREEING && c > 2 * a => Some(false),
             _ => None,
         }
     }

@@ -215,17 +215,6 @@ impl Confidence {
 }
 
 impl Confidence {
-    /// In clusters of so few partners no more matches than there are must succeed.
-    pub fn with_partners(mut self, k: u32) -> Self {
-        match &mut self {
-            Self::None => {}
-            Self::Pair(PairConfidence { min_matches, .. })
-            | Self::Paper { min_matches }
-            | Self::Trained(PairCurves { min_matches, .. }) => *min_matches = k.min(*min_matches),
-        }
-        self
-    }
-
     /// Puts the numbers that it has into the settings that it heeds.
     pub fn fill_in(&self, settings: &mut ConfidenceSettings) {
         match self {

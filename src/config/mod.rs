@@ -123,7 +123,7 @@ impl TargetMode {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct CoverageSettings {
-    /// Cameras that must see a triangle, the key view included (x). With fewer partners: all of a view cluster.
+    /// Cameras that must see a triangle, the key view included (x). With k = 1: 2.
     #[schemars(range(min = 2), extend("unit" = "cameras"))]
     pub min_cameras: u32,
 }
@@ -319,7 +319,7 @@ pub struct ConfidenceSettings {
     /// Triangulation angle from which a match is as good as any, degrees (a); 0: none.
     #[schemars(range(min = 0, max = 180), extend("unit" = "degrees"))]
     pub full_angle: Option<f64>,
-    /// Matches that must succeed for a pixel, 1 to 3. With fewer partners: all of them.
+    /// Matches that must succeed for a pixel, 1 to 3.
     #[schemars(range(min = 1, max = 3), extend("unit" = "matches"))]
     pub min_matches: Option<u32>,
 }

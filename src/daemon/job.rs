@@ -30,7 +30,7 @@ use crate::{
     config::{Configuration, Files, Settings, Typed, user_file},
     manifest::WrittenPlanError,
     output::{self, Disk, FileSet},
-    plan::{self, AgainError, Plan, PlanError},
+    plan::{self, AgainError, Nothing, Plan, PlanError},
     progress::{Stage, Watcher},
     project::{Project, ProjectError},
     replan::{Earlier, Maps, ReplanError, replan},
@@ -238,6 +238,9 @@ impl PlanJob {
         info!(project = %Shown(job.project), "planning");
         let plan = plan::plan(&project, &settings, &JobWatcher::new(job)).map_err(sort_out)?;
         let plan = around_finished(plan, &project, job)?;
+        if let Some(nothing) = Nothing::of(&plan) {
+            return Err(Outcome::Incomplete { reason: nothing.to_string() });
+        }
         let (clusters, share) = (plan.cut.clusters, plan.cut.share);
         let record = PlannedFrom::new(&plan, fingerprint.clone(), settings.of_plan());
         if job.is_wanted() {

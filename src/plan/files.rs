@@ -51,7 +51,9 @@ impl Hint for FilesError {
 /// # Errors
 /// A plan that chooses nothing, names that a backend cannot take, a mesh that cannot be read any more.
 pub fn files(plan: &Plan, project: &Project) -> Result<PlanFiles, FilesError> {
-    Nothing::of(plan).map_or(Ok(()), Err)?;
+    if let Some(nothing) = Nothing::of(plan) {
+        return Err(nothing.into());
+    }
     let clusters: Vec<_> = plan.ranked().take(plan.cut.clusters).collect();
     let image_faults = project.image_faults(&plan.scene);
     let selection = Selection {

@@ -204,8 +204,7 @@ pub fn plan_scene(
     memory.before_partners(&scene, &seen.surface, &seen.visibility)?;
     let target = target(&scene, &seen, &settings);
     seen.visibility.triangles.release();
-    let confidence = Confidence::new(&source, trained.as_ref(), &settings.confidence, &backend.planning().confidence)
-        .with_partners(settings.partners.k);
+    let confidence = Confidence::new(&source, trained.as_ref(), &settings.confidence, &backend.planning().confidence);
     confidence.fill_in(&mut settings.confidence);
     let rule = rule(&settings, confidence);
     let model = Model {
@@ -295,7 +294,9 @@ fn in_force(
     let numbers = backend.planning();
     all.ranking.support.get_or_insert(numbers.support);
     all.confidence.source = source.to_string();
-    all.coverage.min_cameras = all.coverage.min_cameras.min(all.partners.k + 1);
+    if all.partners.k == 1 {
+        all.coverage.min_cameras = 2;
+    }
     let cut = &mut all.cut;
     if cut.budget.is_none() && cut.time.is_none() && cut.points.is_none() {
         cut.target.get_or_insert(Share(cut::DEFAULT_TARGET));

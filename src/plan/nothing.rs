@@ -9,15 +9,15 @@ use crate::{error::Hint, partners::Reason};
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Nothing {
     /// No view cluster fulfils anything.
-    #[error("no view cluster fulfils anything; of {of} of {views} views {}", reason.words())]
-    Fulfilled { reason: Reason, of: usize, views: usize },
+    #[error("no view cluster fulfils anything, most often ({of} of {views} views) because {}", reason.words())]
+    Fulfilled { reason: Reason, of: usize, views: usize, cure: Option<String> },
     #[error("what was asked for allows none of {ranked} view clusters: {limits}")]
     Allowed { ranked: usize, limits: String },
 }
 
 impl Nothing {
     /// `None`: something is chosen.
-    pub(super) fn of(plan: &Plan) -> Option<Self> {
+    pub fn of(plan: &Plan) -> Option<Self> {
         let ranked = plan.ranking.order.len();
         match plan.cut.clusters {
             0 if ranked == 0 => Some(Self::nothing_fulfilled(plan)),
@@ -31,7 +31,21 @@ impl Nothing {
         plan.views.iter().filter_map(|(_, reason)| *reason).for_each(|r| *counts.entry(r).or_insert(0usize) += 1);
         let most = counts.into_iter().max_by_key(|&(reason, count)| (count, Reverse(reason)));
         let (reason, of) = most.unwrap_or((Reason::Hidden, 0));
-        Self::Fulfilled { reason, of, views: plan.views.len() }
+        Self::Fulfilled { reason, of, views: plan.views.len(), cure: too_few_partners(plan) }
+    }
+}
+
+/// k too small for what is asked of a cluster.
+fn too_few_partners(plan: &Plan) -> Option<String> {
+    let k = plan.settings.partners.k;
+    let cameras = plan.settings.coverage.min_cameras;
+    let matches = plan.confidence.min_matches();
+    if k < cameras.saturating_sub(1) {
+        Some(format!("{cameras} cameras must see a place (coverage.min_cameras), so take -k {} at least", cameras - 1))
+    } else if k < matches {
+        Some(format!("{} needs {matches} matches that agree, so take -k {matches} at least", plan.backend))
+    } else {
+        None
     }
 }
 
@@ -49,10 +63,11 @@ fn limits(plan: &Plan) -> String {
 impl Hint for Nothing {
     fn hint(&self) -> Option<String> {
         Some(match self {
+            Self::Fulfilled { cure: Some(cure), .. } => cure.clone(),
             Self::Fulfilled { .. } => {
-                "see what viewrank doctor says of the project; an earlier plan stays as it is".into()
+                "viewrank doctor says what is wrong with the project; masks and --confidence count too".into()
             }
-            Self::Allowed { .. } => "allow more; an earlier plan stays as it is".into(),
+            Self::Allowed { .. } => "allow more".into(),
         })
     }
 }

@@ -108,16 +108,14 @@ fn without_effect(plan: &Plan) -> Option<String> {
 
 /// Fewer cameras than the method wants to see a place.
 fn single_partner(plan: &Plan) -> Option<String> {
-    (plan.settings.partners.k == 1).then(|| {
-        "with k = 1 a place counts where two cameras see it and their match succeeds; no third camera confirms it"
-            .into()
-    })
+    (plan.settings.partners.k == 1)
+        .then(|| "with k = 1 a place counts where two cameras see it; no third one confirms what they match".into())
 }
 
 /// The shares of the plan are of what all clusters reach together, which may be next to nothing.
 fn little_fulfilled(plan: &Plan) -> Option<String> {
     let reached = plan.ranking.total();
-    (reached < LITTLE).then(|| {
+    (reached > 0.0 && reached < LITTLE).then(|| {
         format!(
             "all view clusters together reach {:.1} % of what is wanted: see the reasons of the triangles in surface.ply, or ask for less \
              with a coarser --gsd or --accuracy",

@@ -143,7 +143,7 @@ fn choose(
     }
     if position == models.len() {
         let names = models.iter().map(ModelLocation::name).collect::<Vec<_>>().join(", ");
-        let present = if models.len() == 1 { format!("only {names}") } else { names };
+        let present = if models.len() == 1 { format!("is only {names}") } else { format!("are {names}") };
         let wanted = wanted.unwrap_or_default().into();
         return Err(ProjectError::NoSuchModel { path: path.into(), wanted, present });
     }

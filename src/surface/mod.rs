@@ -174,7 +174,10 @@ impl Hint for SurfaceError {
             Self::MeshFile { .. } => "check that the file is there and may be read".into(),
             Self::Mesh { .. } => "give a PLY file of triangles in the frame of the model".into(),
             Self::Delaunay(_) => "check the model: its points cannot be triangulated as they are".into(),
-            Self::Refine(_) => "ask for a coarser --gsd, or a larger surface.max_edge_factor; or allow more memory with --max-memory, where it is limited".into(),
+            Self::Refine(refine::RefineError::TooFine { most, .. }) if *most < refine::MAX_TRIANGLES => {
+                "ask for a coarser --gsd or a larger surface.max_edge_factor, or allow more with --max-memory".into()
+            }
+            Self::Refine(_) => "ask for a coarser --gsd, or a larger surface.max_edge_factor".into(),
             Self::Cancelled(_) => return None,
         })
     }
@@ -288,7 +291,9 @@ fn from_points(
     let mut merged: Option<Surface> = None;
     for (i, tile) in tiles.iter().enumerate() {
         whole.watcher.check()?;
-        let steps = Steps { before: i as u64 * STEPS, all: tiles.len() as u64 * STEPS, ..*whole };
+        let before = merged.as_ref().map_or(0, |merged: &Surface| merged.triangles.len() as u64);
+        let most = whole.most.saturating_sub(before);
+        let steps = Steps { before: i as u64 * STEPS, all: tiles.len() as u64 * STEPS, most, ..*whole };
         let near = |(_, position): &(&PointIndex, &Point3<f64>)| tile.is_near(position, margin);
         let (points, near): (Vec<PointIndex>, Vec<Point3<f64>>) = points.iter().zip(&positions).filter(near).unzip();
         let surface = match all.surface(&points, &near, stats, &steps) {

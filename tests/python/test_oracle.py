@@ -20,6 +20,7 @@ def planned(request, viewrank, fixtures, tmp_path_factory):
     viewrank("plan", project, "--backend", backend, "--dump-tables", tables, *options)
     read = oracle.Tables(tables)
     read.backend = backend
+    assert ("pair_curves" in read.settings["in_force"]) == ("shipped" in options)
     return oracle.Model(fixtures / "valley" / "sparse" / "0"), read
 
 
