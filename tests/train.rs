@@ -154,6 +154,11 @@ fn nothing_to_learn_from_is_a_clear_error() {
     let (code, stderr) =
         failure(&["train", fixture().to_str().unwrap(), "--depth-maps", "sgm", "--out", model.to_str().unwrap()]);
     assert!(code == 1 && stderr.contains("hint:") && !model.exists(), "{stderr}");
+    fs::write(&model, "a photograph").unwrap();
+    let (code, stderr) =
+        failure(&["train", fixture().to_str().unwrap(), "--depth-maps", "sgm", "--out", model.to_str().unwrap()]);
+    assert!(code == 1 && stderr.contains("a file is in the way"), "{stderr}");
+    assert_eq!(fs::read_to_string(&model).unwrap(), "a photograph");
 }
 
 #[test]

@@ -155,7 +155,7 @@ fn json(value: &impl serde::Serialize) -> String {
 
 /// Ranks multi-view stereo view clusters before matching: which key views, with which partners, in which order.
 #[derive(Parser)]
-#[command(name = "viewrank", version, arg_required_else_help = true, max_term_width = 100)]
+#[command(name = "viewrank", version, arg_required_else_help = true, max_term_width = 80)]
 struct Arguments {
     #[command(subcommand)]
     command: Command,

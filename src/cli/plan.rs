@@ -126,6 +126,9 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         }
         let maps = Maps { folder, ready: &|_| true };
         plan = replan(plan, &Earlier::read(&project)?, &maps, &progress)?.0;
+        if plan.finished.clusters == 0 {
+            warn(&format!("no depth map in {} fits the plan: nothing is finished", folder.display()));
+        }
     }
     let files = plan::files(&plan, &project).inspect_err(|_| plan.warnings.iter().for_each(|warning| warn(warning)))?;
     if !arguments.dry_run {

@@ -64,6 +64,7 @@ fn predictor(source: Option<&str>) -> Result<Box<dyn Predictor>, Failure> {
     let trained = match source {
         Some("proxy") => None,
         None | Some("shipped") => Trained::shipped(),
+        Some(word) if confidence::WORDS.contains(&word) => return Err(NoPredictor(word.into()).into()),
         Some(file) => Some(Trained::read(Path::new(file))?),
     };
     match trained {
@@ -97,6 +98,20 @@ struct Same(String);
 impl Hint for Same {
     fn hint(&self) -> Option<String> {
         Some("give images of one folder at a time".into())
+    }
+
+    fn is_usage(&self) -> bool {
+        true
+    }
+}
+
+#[derive(Debug, thiserror::Error)]
+#[error("{0} says nothing of a single picture")]
+struct NoPredictor(String);
+
+impl Hint for NoPredictor {
+    fn hint(&self) -> Option<String> {
+        Some("give proxy, shipped or a model file that viewrank train has written".into())
     }
 
     fn is_usage(&self) -> bool {

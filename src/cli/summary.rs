@@ -223,6 +223,9 @@ fn next(project: &Project, plan: &Plan, files: &PlanFiles, dry_run: bool) -> Str
             typed.fold("viewrank".into(), |command, argument| command + " " + &quoted(&argument))
         }
         Some(command) => command.clone(),
+        None if project.images.is_none() => {
+            format!("put the images into {}, then viewrank plan {root}", quoted_path(&project.root.join("images")))
+        }
         None if !takes_distorted && distorted() => {
             let dense = quoted_path(&project.root.join("dense"));
             format!("viewrank undistort {root} && viewrank plan {dense} --backend {}", plan.backend)

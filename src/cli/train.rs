@@ -6,7 +6,7 @@ use clap::Args;
 use viewrank::{
     backends,
     confidence::{
-        Trained,
+        Trained, TrainedError,
         train::{self, Course, Lesson},
     },
     config::Typed,
@@ -65,6 +65,7 @@ struct Prepared {
 }
 
 pub fn run(arguments: &Arguments) -> Result<(), Failure> {
+    refuse_to_replace(&arguments.out)?;
     use_threads(arguments.threads);
     let progress = Progress::new(arguments.quiet);
     let prepared: Vec<Prepared> =
@@ -85,6 +86,15 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         Format::Text if arguments.quiet => Ok(()),
         Format::Text => print(&text(arguments, &trained)),
     }
+}
+
+/// What stands at the place of the model is a model, or nothing: any other file is the user's.
+fn refuse_to_replace(out: &Path) -> Result<(), Failure> {
+    let is_other = match Trained::read(out) {
+        Ok(_) | Err(TrainedError::Version { .. }) => false,
+        Err(_) => out.symlink_metadata().is_ok(),
+    };
+    if is_other { Ok(output::refuse_to_replace(out)?) } else { Ok(()) }
 }
 
 fn prepare(arguments: &Arguments, root: &Path, progress: &Progress) -> Result<Prepared, Failure> {

@@ -28,13 +28,17 @@ struct View {
     name: String,
 }
 
-/// A line for each folder in the project with an export of another ranking, which `sets` will not replace.
+/// A line for each folder in the project with an export of another ranking, which `sets` will not replace; of many only for the first.
 pub(super) fn exports(plan: &Plan, project: &Project, sets: &[FileSet]) -> Vec<String> {
     let kept = |path: &String| sets.iter().all(|set| set.root != project.root || !set.files.contains_key(path));
     let records = recorded(&project.root, "export-").into_iter();
     let mut lines: Vec<String> = records.filter(kept).filter_map(|path| line(plan, project, &path)).collect();
     // Tiles of one export share a line.
     lines.dedup();
+    if let [first, _, _, ..] = &lines[..] {
+        let others = lines.len() - 1;
+        lines = vec![format!("{first}; {others} other folders hold such exports, too")];
+    }
     lines
 }
 
