@@ -3,7 +3,8 @@
 //!     cargo bench --bench labels -- PROJECT DEPTH_MAPS CLUSTERS REFERENCE
 //!
 //! DEPTH_MAPS: a folder of finished maps, made for the clusters of the file CLUSTERS; REFERENCE: exact depth, a .npy per view. A positive label is right where the
-//! map is within 3 a_d of the exact depth (method 8), a negative one where it is not, or has none where there is something to measure. Printed: how many labels there are, and what share of them is right.
+//! map is within 3 a_d of the exact depth (method 8), a negative one where it is not, or has none where there is something to measure;
+//! those without exact depth are counted apart. Printed: how many labels there are, and what share of them is right.
 
 use std::{collections::BTreeMap, path::Path};
 
@@ -62,7 +63,7 @@ fn main() -> Fallible<()> {
         *sum = [sum[0] + labels, sum[1] + right];
     }
     for (kind, [labels, right]) in all {
-        println!("{kind:28} {labels:9} labels, precision {:.3}", right as f64 / labels as f64);
+        println!("{kind:28} {labels:9} labels, {:.3} of them right", right as f64 / labels as f64);
     }
     Ok(())
 }
@@ -84,9 +85,10 @@ fn count(
         let along = camera.ray(&position).map_or(1.0, |ray| 1.0 / ray.z);
         let limit = RIGHT_WITHIN * model.target.accuracy(model.visibility.triangles[label.row]);
         let is_near = |truth: f64| map.at(column, row).is_some_and(|depth| (depth - truth).abs() * along <= limit);
-        // Where there is nothing to measure, at the sky, neither success nor failure is right.
         let is_right = truth.is_some_and(|truth| is_near(truth) == label.success);
         let kinds: &[&str] = match (label.success, label.measured) {
+            // The sky, edges, and what moves.
+            _ if truth.is_none() => &["no exact depth"],
             (true, _) => &["positive"],
             (false, true) => &["negative", "negative, with a depth"],
             (false, false) => &["negative", "negative, without a depth"],
