@@ -275,6 +275,16 @@ fn wrong_usage_is_2_and_failure_is_1_each_with_a_hint() {
     );
 }
 
+#[test]
+fn coordinates_that_no_utm_zone_has_are_warned_of() {
+    let folder = project();
+    for (offset, warned) in [("[0.0, 0.0]", true), ("[500000.0, 5500000.0]", false)] {
+        fs::write(folder.path().join("viewrank.toml"), format!("[frame]\nutm = \"34N\"\noffset = {offset}\n")).unwrap();
+        plan(folder.path(), &["--quiet"]);
+        assert_eq!(manifest(folder.path())["warnings"].to_string().contains("which no zone has"), warned);
+    }
+}
+
 /// What was planned before stays, whatever is asked for next.
 #[test]
 fn a_plan_of_nothing_takes_no_plans_place() {

@@ -14,6 +14,8 @@ const CONTRADICTIONS: f64 = 0.05;
 const WANTED_RATIO: f64 = 20.0;
 /// Fulfilment of all clusters together, below which the plan says so.
 const LITTLE: f64 = 0.1;
+/// Eastings of UTM coordinates, metres; a zone is no wider.
+const EASTINGS: std::ops::Range<f64> = 100_000.0..900_000.0;
 /// Depth maps that are named.
 const NAMED: usize = 3;
 
@@ -21,6 +23,7 @@ pub(super) fn warnings(plan: &Plan) -> Vec<String> {
     let mut warnings: Vec<String> = plan.scene.warnings.iter().map(|warning| warning.text.clone()).collect();
     warnings.extend(plan.pictures.warnings.iter().cloned());
     warnings.extend(unlikely_gsd(&plan.scene, &plan.settings));
+    warnings.extend(no_utm_coordinates(plan));
     warnings.extend(no_3d_surface(plan));
     warnings.extend(unlike_pictures(plan));
     warnings.extend(other_backend(plan));
@@ -46,6 +49,19 @@ pub fn unlikely_gsd(scene: &Scene, settings: &Settings) -> Option<String> {
     Some(format!(
         "the wanted ground sampling distance, {target}, is {than} than the images' own, {gsd:.3e} units per pixel; it is in units of the model"
     ))
+}
+
+/// A model that is to be in UTM coordinates, and lies where no zone has its eastings.
+fn no_utm_coordinates(plan: &Plan) -> Option<String> {
+    let frame = &plan.settings.frame;
+    let zone = frame.utm.as_ref()?;
+    let easting = plan.scene.points.first()?.x + frame.offset.unwrap_or_default()[0];
+    (!EASTINGS.contains(&easting)).then(|| {
+        format!(
+            "frame.utm is {zone}, but a point of the model has an easting of {easting:.0} m, which no zone has: what is to be added to x \
+             and y is frame.offset"
+        )
+    })
 }
 
 /// A surface that was to be carved, of points that enclose nothing.
