@@ -9,14 +9,18 @@
 use std::{collections::BTreeMap, path::Path};
 
 use viewrank::{
-    confidence::{Label, train::Lesson},
+    apps::evaluate,
+    base::progress::Unwatched,
     config::{Configuration, Files, Typed},
-    depthmaps::{self, DepthMap, DepthMapFile},
-    evaluate,
-    fulfilment::Model,
+    io::{
+        depthmaps::{self, DepthMap, DepthMapFile},
+        project::Project,
+    },
+    method::{
+        confidence::{Label, train::Lesson},
+        fulfilment::Model,
+    },
     plan,
-    progress::Unwatched,
-    project::Project,
 };
 
 type Fallible<T> = Result<T, Box<dyn std::error::Error>>;
@@ -36,25 +40,25 @@ fn main() -> Fallible<()> {
     };
     let project = Project::open(Path::new(project), None)?;
     let files = Files { user: None, project: Some(project.root.join("viewrank.toml")) };
-    let mut settings = Configuration::load(&files, Typed::default())?.settings;
+    let mut settings = Configuration::load(&files, Typed::default(), backends::canonical_name)?.settings;
     settings.backends = vec!["sgm".into()];
     settings.confidence.source = "geometric".into();
     let plan = plan::plan(&project, &settings, &Unwatched)?;
-    let clusters = evaluate::clusters::read(Path::new(clusters), &plan.scene)?;
-    let found = depthmaps::find(Path::new(maps), &plan.scene)?.whole()?;
-    let exact = depthmaps::find(Path::new(reference), &plan.scene)?.whole()?;
+    let clusters = evaluate::clusters::read(Path::new(clusters), &plan.stages.scene)?;
+    let found = depthmaps::find(Path::new(maps), &plan.stages.scene)?.whole()?;
+    let exact = depthmaps::find(Path::new(reference), &plan.stages.scene)?.whole()?;
     let lesson = Lesson {
         name: "labels".into(),
-        model: plan.model(),
-        candidates: &plan.candidates,
-        clusters: evaluate::tried(Path::new(maps), &found.maps, &plan.scene, &clusters)?,
+        model: plan.stages.model(),
+        candidates: &plan.stages.candidates,
+        clusters: evaluate::tried(Path::new(maps), &found.maps, &plan.stages.scene, &clusters)?,
         maps: found.maps,
         images: None,
     };
     let of_map = |file: &DepthMapFile, labels: Vec<Label>| {
         let exact = exact.maps.iter().find(|exact| exact.view == file.view)?;
-        let map = depthmaps::read_of_view(file, &plan.scene).ok()?;
-        let exact = depthmaps::read_of_view(exact, &plan.scene).ok()?;
+        let map = depthmaps::read_of_view(file, &plan.stages.scene).ok()?;
+        let exact = depthmaps::read_of_view(exact, &plan.stages.scene).ok()?;
         Some(count(&lesson.model, file, &map, &exact, &labels))
     };
     let mut all: BTreeMap<&str, [u64; 2]> = BTreeMap::new();

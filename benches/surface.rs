@@ -12,10 +12,10 @@ use std::{
 };
 
 use viewrank::{
+    base::progress::Unwatched,
     config::SurfaceSettings,
-    progress::Unwatched,
-    project::Project,
-    surface::{carve, clean, cut::minimum_cut, delaunay::Delaunay, points, refine, simplify},
+    io::project::Project,
+    method::surface::{carve, clean, cut::minimum_cut, delaunay::Delaunay, points, refine, simplify},
 };
 
 type Fallible<T> = Result<T, Box<dyn std::error::Error>>;

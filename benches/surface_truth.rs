@@ -14,13 +14,14 @@ use std::{path::Path, time::Instant};
 use nalgebra::{Point2, Point3, Vector3};
 use rayon::prelude::*;
 use viewrank::{
-    column::Keep,
+    base::{column::Keep, progress::Unwatched},
     config::Settings,
-    progress::Unwatched,
-    project::Project,
-    scene::{Scene, ViewIndex},
-    surface::{self, Surface, ply, refine::MAX_TRIANGLES},
-    visibility::{self, Visibility},
+    io::{ply, project::Project},
+    method::{
+        surface::{self, Surface, refine::MAX_TRIANGLES},
+        visibility::{self, Visibility},
+    },
+    model::scene::{Scene, ViewIndex},
 };
 
 type Fallible<T> = Result<T, Box<dyn std::error::Error>>;

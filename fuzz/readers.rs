@@ -2,11 +2,11 @@
 //! must be the same again after writing. Used by the targets of `cargo fuzz` and by `tests/fuzz_readers.rs`.
 
 use viewrank::{
-    formats::{
+    io::formats::{
         Bytes, Fault, alicevision, bundler, colmap::ColmapModel, colmap_bin, colmap_text, nvm, openmvg, openmvs,
         opensfm, sure,
     },
-    scene::Scene,
+    model::scene::Scene,
 };
 
 /// The files of a model, by their names.

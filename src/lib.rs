@@ -16,38 +16,13 @@
 //! - [`config`] every setting; [`progress`] progress and cancellation; [`error`] what errors say beside their message; [`shell`] commands to type
 //! - [`column`] columns of large tables, in memory or on disk; `connected` parts of a graph; `vector` inner loops for the processor at hand; `large_pages` for lists that are read all over
 
+pub mod apps;
 pub mod backends;
-pub mod camera;
-pub mod column;
-pub mod confidence;
+pub mod base;
 pub mod config;
-mod connected;
 pub mod daemon;
-pub mod depthmaps;
-pub mod dispatch;
-pub mod doctor;
-pub mod error;
-pub mod evaluate;
-pub mod formats;
-pub mod fulfilment;
-pub mod georeference;
-mod large_pages;
-pub mod manifest;
-pub mod output;
-pub mod partners;
-pub mod pictures;
+pub mod io;
+pub mod method;
+pub mod model;
 pub mod plan;
-pub mod progress;
-pub mod project;
-pub mod ranking;
-pub mod replan;
-pub mod report;
-pub mod scene;
-pub mod shell;
-pub mod surface;
-pub mod synthetic;
-pub mod tables;
-pub mod tiles;
-pub mod undistort;
-mod vector;
-pub mod visibility;
+pub mod show;

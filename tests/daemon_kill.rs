@@ -15,9 +15,9 @@ use npyz::WriterBuilder;
 use rand_core::{Rng, SeedableRng};
 use rand_pcg::Pcg64;
 use viewrank::{
-    camera::{Camera, CameraModel},
-    formats::{colmap::ColmapModel, colmap_bin},
-    synthetic::Town,
+    io::formats::{colmap::ColmapModel, colmap_bin},
+    method::synthetic::Town,
+    model::camera::{Camera, CameraModel},
 };
 
 const PROJECTS: [&str; 3] = ["a", "deep/b", "with blank/c"];

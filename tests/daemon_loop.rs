@@ -14,17 +14,21 @@ use std::{
 };
 
 use viewrank::{
-    camera::{Camera, CameraModel},
     daemon::{
         DaemonError, Job, Options, PlanJob, PlanOptions, Planner, Signal, Summary, read_status,
         settle::HashCache,
         state::{OnBusy, Outcome, Phase},
         watch_roots,
     },
-    formats::{colmap::ColmapModel, colmap_bin},
-    output::Disk,
-    scene::Scene,
-    synthetic::Town,
+    io::{
+        formats::{colmap::ColmapModel, colmap_bin},
+        output::Disk,
+    },
+    method::synthetic::Town,
+    model::{
+        camera::{Camera, CameraModel},
+        scene::Scene,
+    },
 };
 
 /// Counts how often each content of each project was planned; a plan takes `length`.

@@ -7,10 +7,14 @@ use std::{
 
 use nalgebra::{Matrix3, Point3};
 use viewrank::{
-    camera::{Camera, CameraModel},
-    formats::{Problem, alicevision, bundler, nvm, openmvg, openmvs, opensfm, sure},
-    project::{ModelFormat, Project, ProjectKind},
-    scene::{PointIndex, Scene, ViewIndex},
+    io::{
+        formats::{Problem, alicevision, bundler, nvm, openmvg, openmvs, opensfm, sure},
+        project::{ModelFormat, Project, ProjectKind},
+    },
+    model::{
+        camera::{Camera, CameraModel},
+        scene::{PointIndex, Scene, ViewIndex},
+    },
 };
 
 /// The shared data sets, or `None` with a note where they are not to be had.
@@ -417,8 +421,10 @@ fn sure_orientations_round_trip() {
 #[test]
 fn a_huge_cloud_of_a_sure_project_is_thinned() {
     let camera = Camera::new(1, CameraModel::Pinhole, 1000, 750, vec![751.0, 751.0, 500.0, 375.0]).unwrap();
-    let pose =
-        viewrank::scene::Pose { rotation: nalgebra::Rotation3::identity(), translation: nalgebra::Vector3::zeros() };
+    let pose = viewrank::model::scene::Pose {
+        rotation: nalgebra::Rotation3::identity(),
+        translation: nalgebra::Vector3::zeros(),
+    };
     let oriented = || {
         let text = sure::write("a.jpg", &camera, &pose).unwrap();
         sure::model(vec![sure::read(text.as_bytes(), 1).unwrap()], str::to_owned)

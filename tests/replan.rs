@@ -8,19 +8,20 @@ use std::{
 use nalgebra::{Point2, Vector3};
 use npyz::WriterBuilder;
 use viewrank::{
-    camera::{Camera, CameraModel},
+    apps::replan::{Earlier, Maps, replan},
+    base::progress::Unwatched,
     config::Settings,
-    formats::{colmap::ColmapModel, colmap_bin},
-    fulfilment::FulfilmentTable,
-    output::Disk,
+    io::{
+        formats::{colmap::ColmapModel, colmap_bin},
+        output::Disk,
+        project::Project,
+    },
+    method::{fulfilment::FulfilmentTable, ranking, synthetic::Town, visibility},
+    model::{
+        camera::{Camera, CameraModel},
+        scene::{Scene, ViewIndex},
+    },
     plan::{self, Plan},
-    progress::Unwatched,
-    project::Project,
-    ranking,
-    replan::{Earlier, Maps, replan},
-    scene::{Scene, ViewIndex},
-    synthetic::Town,
-    visibility,
 };
 
 const FOCAL: f64 = 320.0;
@@ -54,10 +55,10 @@ impl Planned {
     /// Depth maps of those clusters of the ranking; `keep` says which pixels have a depth.
     fn write_maps(&self, ranks: std::ops::Range<usize>, keep: impl Fn(u32, u32) -> bool) {
         fs::create_dir_all(self.maps()).unwrap();
-        for &cluster in &self.plan.ranking.order[ranks] {
-            let key = self.plan.clusters[cluster as usize].key;
+        for &cluster in &self.plan.decision.ranking.order[ranks] {
+            let key = self.plan.stages.clusters[cluster as usize].key;
             let depths = depths(&self.plan, key, &keep);
-            write_map(&self.maps().join(format!("{}.npy", self.plan.scene.name(key))), depths);
+            write_map(&self.maps().join(format!("{}.npy", self.plan.stages.scene.name(key))), depths);
         }
     }
 
@@ -70,8 +71,8 @@ impl Planned {
     }
 
     fn keys(&self, ranks: std::ops::Range<usize>) -> Vec<&str> {
-        let key = |&c: &u32| self.plan.scene.name(self.plan.clusters[c as usize].key);
-        self.plan.ranking.order[ranks].iter().map(key).collect()
+        let key = |&c: &u32| self.plan.stages.scene.name(self.plan.stages.clusters[c as usize].key);
+        self.plan.decision.ranking.order[ranks].iter().map(key).collect()
     }
 }
 
@@ -89,22 +90,22 @@ fn plan_of(folder: &Path) -> Plan {
 }
 
 fn write(plan: &Plan, folder: &Path) {
-    let files = plan::files(plan, &Project::open(folder, None).unwrap()).unwrap();
+    let files = files(plan, &Project::open(folder, None).unwrap()).unwrap();
     files.sets.iter().for_each(|set| drop(set.write(&Disk::REAL).unwrap()));
 }
 
 /// Depth of the plan's surface in each pixel of the view.
 fn depths(plan: &Plan, view: ViewIndex, keep: impl Fn(u32, u32) -> bool) -> Vec<f32> {
-    let camera = plan.scene.camera_of(view);
-    let pose = &plan.scene.view(view).cam_from_world;
-    let front = visibility::front(&plan.scene, &plan.surface, view, camera.width, camera.height);
+    let camera = plan.stages.scene.camera_of(view);
+    let pose = &plan.stages.scene.view(view).cam_from_world;
+    let front = visibility::front(&plan.stages.scene, &plan.stages.surface, view, camera.width, camera.height);
     let depth = |(at, &t): (usize, &u32)| {
         let (column, row) = (at as u32 % camera.width, at as u32 / camera.width);
         if t == visibility::NOTHING || !keep(column, row) {
             return 0.0;
         }
         let ray = camera.ray(&Point2::new(f64::from(column) + 0.5, f64::from(row) + 0.5)).unwrap();
-        let [a, b, c] = plan.surface.corners(t).map(|p| pose.camera_from_world(&p));
+        let [a, b, c] = plan.stages.surface.corners(t).map(|p| pose.camera_from_world(&p));
         let normal = (b - a).cross(&(c - a));
         (normal.dot(&a.coords) / normal.dot(&ray) * ray.z) as f32
     };
@@ -126,20 +127,20 @@ fn without_failures_the_rest_is_ranked_as_by_prediction_behind_the_real_values()
     let planned = Planned::new(&town());
     planned.write_maps(0..3, |_, _| true);
     let again = planned.again();
-    assert_eq!(again.finished.clusters, 3);
+    assert_eq!(again.decision.finished.clusters, 3);
     let before = &planned.plan;
-    assert_eq!(again.clusters, before.clusters);
+    assert_eq!(again.stages.clusters, before.clusters);
     let finished = &before.ranking.order[..3];
     let expected = |c: usize| -> Vec<(u32, f32)> {
-        let from = if finished.contains(&(c as u32)) { &again.fulfilment } else { &before.fulfilment };
+        let from = if finished.contains(&(c as u32)) { &again.stages.fulfilment } else { &before.fulfilment };
         let (triangles, values) = from.of(c);
         triangles.iter().copied().zip(values.iter().copied()).collect()
     };
     let table = FulfilmentTable::new((0..before.clusters.len()).map(expected));
-    assert_eq!(again.fulfilment, table);
+    assert_eq!(again.stages.fulfilment, table);
     let weights = ranking::weights(&before.surface, before.settings.ranking.weight);
     let expected = ranking::rank_after(finished, &table, &weights, 1, &Unwatched).unwrap();
-    assert_eq!(again.ranking, expected);
+    assert_eq!(again.decision.ranking, expected);
 }
 
 #[test]
@@ -147,10 +148,10 @@ fn what_failed_lowers_what_is_expected_of_its_neighbours_and_of_nobody_else() {
     let planned = Planned::new(&town());
     planned.write_maps(0..1, |column, _| column >= 200);
     let again = planned.again();
-    let first = planned.plan.ranking.order[0] as usize;
+    let first = planned.plan.decision.ranking.order[0] as usize;
     let mut lowered = 0;
     for c in (0..again.clusters.len()).filter(|&c| c != first) {
-        let (before, after) = (planned.plan.fulfilment.of(c), again.fulfilment.of(c));
+        let (before, after) = (planned.plan.stages.fulfilment.of(c), again.stages.fulfilment.of(c));
         assert_eq!(before.0, after.0);
         assert!(before.1.iter().zip(after.1).all(|(b, a)| a <= b));
         lowered += before.1.iter().zip(after.1).filter(|(b, a)| a < b).count();
@@ -158,14 +159,14 @@ fn what_failed_lowers_what_is_expected_of_its_neighbours_and_of_nobody_else() {
     assert!(lowered > 0);
     // Triangles that the failed half of the map does not show are expected as before.
     let failed: Vec<u32> = {
-        let key = planned.plan.clusters[first].key;
-        let picture = visibility::front(&planned.plan.scene, &planned.plan.surface, key, 400, 300);
+        let key = planned.plan.stages.clusters[first].key;
+        let picture = visibility::front(&planned.plan.stages.scene, &planned.plan.stages.surface, key, 400, 300);
         let left = |&(at, _): &(usize, &u32)| at % 400 < 200;
         picture.iter().enumerate().filter(left).map(|(_, t)| *t).collect()
     };
     for c in (0..again.clusters.len()).filter(|&c| c != first) {
-        let (triangles, before) = planned.plan.fulfilment.of(c);
-        for ((t, b), a) in triangles.iter().zip(before).zip(again.fulfilment.of(c).1) {
+        let (triangles, before) = planned.plan.stages.fulfilment.of(c);
+        for ((t, b), a) in triangles.iter().zip(before).zip(again.stages.fulfilment.of(c).1) {
             assert!(a == b || failed.contains(t));
         }
     }
@@ -175,11 +176,11 @@ fn what_failed_lowers_what_is_expected_of_its_neighbours_and_of_nobody_else() {
 fn finished_clusters_stay_at_the_head_of_the_files_and_of_the_cut() {
     let planned = Planned::new(&town());
     // The last of the ranking, which no cut would take.
-    let all = planned.plan.ranking.order.len();
+    let all = planned.plan.decision.ranking.order.len();
     planned.write_maps(all - 2..all, |_, _| true);
     let again = planned.again();
     write(&again, planned.folder.path());
-    assert!(again.cut.clusters >= 2);
+    assert!(again.decision.cut.clusters >= 2);
     let text = fs::read_to_string(planned.folder.path().join("viewrank/clusters.txt")).unwrap();
     let keys: Vec<&str> = text.lines().map(|line| line.split('\t').next().unwrap()).collect();
     assert_eq!(keys[..2], planned.keys(all - 2..all));
@@ -190,34 +191,34 @@ fn finished_clusters_stay_at_the_head_of_the_files_and_of_the_cut() {
     assert!(finished[..2].iter().all(|&f| f) && finished[2..].iter().all(|&f| !f));
     // Nothing new has come: the same bytes.
     let once_more = planned.again();
-    assert_eq!(once_more.ranking, again.ranking);
+    assert_eq!(once_more.ranking, again.decision.ranking);
 }
 
 #[test]
 fn a_plan_around_finished_maps_is_read_as_it_was_written() {
     let planned = Planned::new(&town());
-    let all = planned.plan.ranking.order.len();
+    let all = planned.plan.decision.ranking.order.len();
     planned.write_maps(all - 2..all, |column, _| column >= 100);
     let again = planned.again();
     write(&again, planned.folder.path());
     let keys = |plan: &Plan| plan.ranked().map(|c| (c.key, c.partners)).collect::<Vec<_>>();
     assert_ne!(keys(&again), keys(&planned.plan));
-    let (_, read) = plan::as_written(planned.folder.path(), &Unwatched).unwrap();
+    let (_, read) = as_written(planned.folder.path(), &Unwatched).unwrap();
     assert_eq!(keys(&read), keys(&again));
-    assert_eq!((read.cut.clusters, read.finished.clusters), (again.cut.clusters, 2));
-    assert_eq!(read.views, again.views);
-    assert!(read.warnings.starts_with(&again.warnings), "and what writing the plan found");
+    assert_eq!((read.cut.clusters, read.finished.clusters), (again.decision.cut.clusters, 2));
+    assert_eq!(read.views, again.decision.views);
+    assert!(read.warnings.starts_with(&again.decision.warnings), "and what writing the plan found");
     let near = |a: &[f64], b: &[f64]| a.len() == b.len() && a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-12);
-    assert!(near(&read.ranking.gains, &again.ranking.gains));
-    assert!(near(&read.ranking.fulfilment, &again.ranking.fulfilment));
-    assert_eq!(keys(&plan::again(planned.folder.path(), &Unwatched).unwrap().1), keys(&planned.plan), "the prediction");
+    assert!(near(&read.ranking.gains, &again.decision.ranking.gains));
+    assert!(near(&read.ranking.fulfilment, &again.decision.ranking.fulfilment));
+    assert_eq!(keys(&again(planned.folder.path(), &Unwatched).unwrap().1), keys(&planned.plan), "the prediction");
 
     // A cluster that is not finished and not this program's.
     let path = planned.folder.path().join("viewrank/manifest.json");
     let mut manifest: serde_json::Value = serde_json::from_slice(&fs::read(&path).unwrap()).unwrap();
     manifest["clusters"][2]["partners"].as_array_mut().unwrap().pop();
     fs::write(&path, manifest.to_string()).unwrap();
-    let error = plan::as_written(planned.folder.path(), &Unwatched).unwrap_err();
+    let error = as_written(planned.folder.path(), &Unwatched).unwrap_err();
     assert!(error.to_string().contains("ranks otherwise"), "{error}");
 }
 
@@ -234,12 +235,12 @@ fn maps_whose_views_moved_too_far_are_named_and_the_others_stay() {
     let scene = town();
     let planned = Planned::new(&scene);
     planned.write_maps(0..4, |_, _| true);
-    let cluster = &planned.plan.clusters[planned.plan.ranking.order[0] as usize];
-    let moved = planned.plan.scene.name(cluster.partners[0]);
+    let cluster = &planned.plan.stages.clusters[planned.plan.decision.ranking.order[0] as usize];
+    let moved = planned.plan.stages.scene.name(cluster.partners[0]);
     write_model(planned.folder.path(), &shifted(&scene, moved, 0.4));
     let again = planned.again();
-    assert_eq!((again.finished.clusters, again.finished.outdated.len()), (4, 0), "within a pixel");
-    assert!(!again.finished.made_with.is_empty());
+    assert_eq!((again.decision.finished.clusters, again.decision.finished.outdated.len()), (4, 0), "within a pixel");
+    assert!(!again.decision.finished.made_with.is_empty());
     write(&again, planned.folder.path());
 
     // 0.8 px more is 1.2 px from where the view was when the maps were made.
@@ -247,12 +248,16 @@ fn maps_whose_views_moved_too_far_are_named_and_the_others_stay() {
     let later = planned.again();
     let mut with_moved: Vec<&str> = {
         let uses = |&&c: &&u32| {
-            let cluster = &planned.plan.clusters[c as usize];
-            cluster.key == planned.plan.scene.find(moved).unwrap()
-                || cluster.partners.contains(&planned.plan.scene.find(moved).unwrap())
+            let cluster = &planned.plan.stages.clusters[c as usize];
+            cluster.key == planned.plan.stages.scene.find(moved).unwrap()
+                || cluster.partners.contains(&planned.plan.stages.scene.find(moved).unwrap())
         };
-        let order = &planned.plan.ranking.order[..4];
-        order.iter().filter(uses).map(|&c| planned.plan.scene.name(planned.plan.clusters[c as usize].key)).collect()
+        let order = &planned.plan.decision.ranking.order[..4];
+        order
+            .iter()
+            .filter(uses)
+            .map(|&c| planned.plan.stages.scene.name(planned.plan.stages.clusters[c as usize].key))
+            .collect()
     };
     with_moved.sort_unstable();
     let named: Vec<&str> = later.finished.outdated.iter().map(|o| o.key.as_str()).collect();
@@ -267,7 +272,7 @@ fn maps_whose_views_moved_too_far_are_named_and_the_others_stay() {
 
     // The outdated maps are still the same files and stay outdated; one made anew is not.
     let anew = with_moved[0];
-    let view = planned.plan.scene.find(anew).unwrap();
+    let view = planned.plan.stages.scene.find(anew).unwrap();
     write_map(&planned.maps().join(format!("{anew}.npy")), depths(&planned.plan, view, |column, _| column % 2 == 0));
     let last = planned.again();
     let named: Vec<&str> = last.finished.outdated.iter().map(|o| o.key.as_str()).collect();
@@ -284,7 +289,7 @@ fn an_outdated_map_stays_named_while_its_view_has_no_partners() {
     for model in [later.clone(), unobserved(&later, later.find(moved).unwrap()), later] {
         write_model(planned.folder.path(), &model);
         let again = planned.again();
-        assert!(again.finished.outdated.iter().any(|outdated| outdated.key == moved));
+        assert!(again.decision.finished.outdated.iter().any(|outdated| outdated.key == moved));
         write(&again, planned.folder.path());
     }
 }
@@ -300,11 +305,11 @@ fn new_views_and_another_frame_leave_finished_maps_valid_and_another_scale_does_
     planned.write_maps(0..3, |_, _| true);
     write_model(planned.folder.path(), &transformed(&scene, 1.0));
     let again = planned.again();
-    assert_eq!((again.finished.clusters, again.finished.outdated.len()), (3, 0));
-    assert!(again.scene.views.len() > planned.plan.scene.views.len());
+    assert_eq!((again.decision.finished.clusters, again.decision.finished.outdated.len()), (3, 0));
+    assert!(again.stages.scene.views.len() > planned.plan.stages.scene.views.len());
     write_model(planned.folder.path(), &transformed(&scene, 1.1));
     let again = planned.again();
-    assert_eq!((again.finished.clusters, again.finished.outdated.len()), (0, 3));
+    assert_eq!((again.decision.finished.clusters, again.decision.finished.outdated.len()), (0, 3));
 }
 
 /// The scene without its last view.
@@ -359,10 +364,10 @@ fn a_map_that_is_cut_off_says_nothing_about_the_others() {
     }
     write_model(planned.folder.path(), &moved);
     let plan = planned.again();
-    let outdated: Vec<&str> = plan.finished.outdated.iter().map(|outdated| outdated.key.as_str()).collect();
+    let outdated: Vec<&str> = plan.decision.finished.outdated.iter().map(|outdated| outdated.key.as_str()).collect();
     let mut keys = planned.keys(0..2);
     keys.sort_unstable();
-    assert_eq!((plan.finished.clusters, outdated), (0, keys));
-    assert_eq!(plan.finished.unreadable.len(), 2, "{:?}", plan.finished.unreadable);
-    assert!(plan.finished.unreadable[0].contains("depth0009.dmap"));
+    assert_eq!((plan.decision.finished.clusters, outdated), (0, keys));
+    assert_eq!(plan.decision.finished.unreadable.len(), 2, "{:?}", plan.decision.finished.unreadable);
+    assert!(plan.decision.finished.unreadable[0].contains("depth0009.dmap"));
 }

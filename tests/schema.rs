@@ -6,10 +6,10 @@ use std::{env, fs, path::Path};
 
 use schemars::{Schema, schema_for};
 use viewrank::{
+    apps::doctor::Diagnosis,
     config::Settings,
     daemon::{Progress, state::Status},
-    doctor::Diagnosis,
-    manifest::Manifest,
+    show::manifest::Manifest,
 };
 
 fn compare(name: &str, schema: &Schema) {

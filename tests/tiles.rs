@@ -3,17 +3,16 @@
 use std::{fs, path::Path};
 
 use viewrank::{
-    camera::{Camera, CameraModel},
-    column::Keep,
+    apps::evaluate::curve::Curve,
+    base::{column::Keep, progress::Unwatched},
     config::{Bytes, Settings},
-    evaluate::curve::Curve,
-    formats::{colmap::ColmapModel, colmap_bin},
-    fulfilment,
+    io::{
+        formats::{colmap::ColmapModel, colmap_bin},
+        project::Project,
+    },
+    method::{fulfilment, ranking, synthetic::Town},
+    model::camera::{Camera, CameraModel},
     plan::{Plan, PlanError, plan},
-    progress::Unwatched,
-    project::Project,
-    ranking,
-    synthetic::Town,
 };
 
 fn fixture() -> Project {
@@ -28,17 +27,17 @@ fn planned(project: &Project, change: impl FnOnce(&mut Settings)) -> Plan {
 
 /// f_o, on the whole surface, of the first i clusters of the tiled plan.
 fn on_the_whole(whole: &Plan, tiled: &Plan) -> Vec<f64> {
-    let table = fulfilment::table(&whole.model(), &tiled.clusters, &Unwatched).unwrap();
-    let weights = ranking::weights(&whole.surface, whole.settings.ranking.weight);
-    let support = whole.settings.ranking.support.unwrap();
-    Curve::new(&table, &weights, support, &tiled.clusters, &tiled.ranking.order).fulfilment
+    let table = fulfilment::table(&whole.model(), &tiled.stages.clusters, &Unwatched).unwrap();
+    let weights = ranking::weights(&whole.stages.surface, whole.stages.settings.ranking.weight);
+    let support = whole.stages.settings.ranking.support.unwrap();
+    Curve::new(&table, &weights, support, &tiled.stages.clusters, &tiled.decision.ranking.order).fulfilment
 }
 
 /// Most fulfilment that the tiled order lacks at equal length, over what the whole one reaches with all.
 fn loss(whole: &Plan, tiled: &Plan) -> f64 {
     let reached = on_the_whole(whole, tiled);
     let lacks = |(i, f): (usize, &f64)| f - reached[(i + 1).min(reached.len() - 1)];
-    whole.ranking.fulfilment.iter().enumerate().map(lacks).fold(0.0, f64::max) / whole.ranking.total()
+    whole.decision.ranking.fulfilment.iter().enumerate().map(lacks).fold(0.0, f64::max) / whole.decision.ranking.total()
 }
 
 #[test]
@@ -46,9 +45,9 @@ fn one_tile_is_the_whole() {
     let project = fixture();
     let whole = planned(&project, |_| ());
     let one = planned(&project, |s| s.surface.tile_points = Some(u32::MAX));
-    assert_eq!(whole.surface.vertices, one.surface.vertices);
-    assert_eq!(whole.ranking, one.ranking);
-    assert_eq!((whole.surface_stats.tiles, one.surface_stats.tiles), (1, 1));
+    assert_eq!(whole.stages.surface.vertices, one.surface.vertices);
+    assert_eq!(whole.decision.ranking, one.ranking);
+    assert_eq!((whole.stages.surface_stats.tiles, one.surface_stats.tiles), (1, 1));
 }
 
 #[test]
@@ -56,9 +55,10 @@ fn tiles_lose_next_to_nothing() {
     let project = fixture();
     let whole = planned(&project, |_| ());
     let tiled = planned(&project, |s| s.surface.tile_points = Some(4000));
-    assert_eq!(tiled.surface_stats.tiles, 4);
-    assert!(tiled.warnings.iter().any(|w| w.contains("4 tiles")));
-    let area = |plan: &Plan| (0..plan.surface.triangles.len() as u32).map(|t| plan.surface.area(t)).sum::<f64>();
+    assert_eq!(tiled.stages.surface_stats.tiles, 4);
+    assert!(tiled.decision.warnings.iter().any(|w| w.contains("4 tiles")));
+    let area =
+        |plan: &Plan| (0..plan.stages.surface.triangles.len() as u32).map(|t| plan.stages.surface.area(t)).sum::<f64>();
     assert!((area(&tiled) / area(&whole) - 1.0).abs() < 0.05, "{} {}", area(&tiled), area(&whole));
     let loss = loss(&whole, &tiled);
     eprintln!("fixtures/valley in 4 tiles: loss {:.3} %", 100.0 * loss);
@@ -104,19 +104,24 @@ fn a_survey_in_tiles() {
     let most = project.read_scene().unwrap().points.len() as u32 / 4;
     let tiled = planned(&project, |s| s.surface.tile_points = Some(most));
     let loss = loss(&whole, &tiled);
-    eprintln!("{} views in {} tiles: loss {:.3} %", whole.scene.views.len(), tiled.surface_stats.tiles, 100.0 * loss);
+    eprintln!(
+        "{} views in {} tiles: loss {:.3} %",
+        whole.stages.scene.views.len(),
+        tiled.stages.surface_stats.tiles,
+        100.0 * loss
+    );
     assert!(loss < 0.005, "{loss}");
 }
 
 #[test]
 fn a_limit_that_is_too_small_is_refused_with_one_that_is_not() {
-    use viewrank::error::Hint;
+    use viewrank::base::error::Hint;
     let settings = Settings { max_memory: Some(Bytes(60 << 20)), ..Settings::default() };
     let error = plan(&fixture(), &settings, &Unwatched).unwrap_err();
     let PlanError::Memory { need, .. } = error else { panic!("{error}") };
     assert!(error.hint().unwrap().contains("--max-memory"));
     let enough = Settings { max_memory: Some(Bytes(need + need / 20)), ..Settings::default() };
     let plan = plan(&fixture(), &enough, &Unwatched).unwrap();
-    assert!(plan.memory.peak() <= need + need / 20);
-    assert_eq!(plan.settings.max_memory, enough.max_memory);
+    assert!(plan.stages.memory.peak() <= need + need / 20);
+    assert_eq!(plan.stages.settings.max_memory, enough.max_memory);
 }

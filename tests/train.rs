@@ -9,14 +9,13 @@ use std::{
 use serde_json::Value;
 use tempfile::TempDir;
 use viewrank::{
-    camera::Camera,
+    base::progress::Unwatched,
     config::Settings,
+    io::project::Project,
+    method::visibility::{NOTHING, front},
+    model::{camera::Camera, scene::ViewIndex},
     plan::{self, Plan},
-    progress::Unwatched,
-    project::Project,
-    scene::ViewIndex,
-    tables,
-    visibility::{NOTHING, front},
+    show::tables,
 };
 
 fn fixture() -> PathBuf {
@@ -42,9 +41,9 @@ fn failure(arguments: &[&str]) -> (i32, String) {
 
 /// Depth of the surface at the centres of a reduced picture's pixels; none where it is seen at more than 45 degrees.
 fn depth_map(plan: &Plan, view: ViewIndex, width: u32, height: u32) -> Vec<f32> {
-    let scene = &plan.scene;
+    let scene = &plan.stages.scene;
     let (camera, pose): (&Camera, _) = (scene.camera_of(view), &scene.view(view).cam_from_world);
-    let triangles = front(scene, &plan.surface, view, width, height);
+    let triangles = front(scene, &plan.stages.surface, view, width, height);
     let depth = |(at, &triangle): (usize, &u32)| {
         if triangle == NOTHING {
             return 0.0;
@@ -53,8 +52,8 @@ fn depth_map(plan: &Plan, view: ViewIndex, width: u32, height: u32) -> Vec<f32> 
         let share = |i: usize, n: u32, side: u32| (i as f64 + 0.5) / f64::from(n) * f64::from(side);
         let pixel = [share(column, width, camera.width), share(row, height, camera.height)].into();
         let ray = camera.ray(&pixel).unwrap();
-        let normal = pose.rotation * plan.surface.area_normal(triangle).normalize();
-        let corner = pose.camera_from_world(&plan.surface.corners(triangle)[0]);
+        let normal = pose.rotation * plan.stages.surface.area_normal(triangle).normalize();
+        let corner = pose.camera_from_world(&plan.stages.surface.corners(triangle)[0]);
         if -normal.dot(&ray) < 0.71 {
             return 0.0;
         }
@@ -82,10 +81,10 @@ fn project() -> TempDir {
     let settings = Settings { backends: vec!["sgm".into()], ..Settings::default() };
     let plan = plan::plan(&project, &settings, &Unwatched).unwrap();
     fs::create_dir(folder.path().join("sgm")).unwrap();
-    for cluster in &plan.clusters {
+    for cluster in &plan.stages.clusters {
         let (width, height) = (200, 150);
         let array = tables::array(&[height, width], depth_map(&plan, cluster.key, width as u32, height as u32));
-        fs::write(folder.path().join(format!("sgm/{}.npy", plan.scene.name(cluster.key))), array).unwrap();
+        fs::write(folder.path().join(format!("sgm/{}.npy", plan.stages.scene.name(cluster.key))), array).unwrap();
     }
     folder
 }

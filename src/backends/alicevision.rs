@@ -7,13 +7,16 @@ use serde_json::{Value, json};
 
 use super::{
     Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, PATCH_MATCH, PlanningNumbers,
-    RankedCluster, Selection,
+    Selection,
     clusters::{ClusterScript, recipe},
     selection,
 };
 use crate::{
-    output::Contents,
-    scene::{PointIndex, Scene, ViewIndex, ViewPoints},
+    io::output::Contents,
+    model::{
+        cluster::RankedCluster,
+        scene::{PointIndex, Scene, ViewIndex, ViewPoints},
+    },
 };
 
 pub struct AliceVision;

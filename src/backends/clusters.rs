@@ -1,7 +1,7 @@
 //! `run.sh` of programs that are called once per view cluster: `integrations/run_clusters.sh` is its head.
 
-use super::{RankedCluster, Selection};
-use crate::{output::Contents, shell::quoted};
+use super::Selection;
+use crate::{base::shell::quoted, io::output::Contents, model::cluster::RankedCluster};
 
 const HEAD: &str = include_str!("../../integrations/run_clusters.sh");
 

@@ -2,13 +2,16 @@
 
 use super::{
     Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, PATCH_MATCH, Patient,
-    PlanningNumbers, RankedCluster, Selection, Trap,
+    PlanningNumbers, Selection, Trap,
     clusters::{ClusterScript, recipe},
     pmvs, selection,
 };
 use crate::{
-    output::Contents,
-    scene::{ViewIndex, ViewPoints},
+    io::output::Contents,
+    model::{
+        cluster::RankedCluster,
+        scene::{ViewIndex, ViewPoints},
+    },
 };
 
 pub struct Gipuma;

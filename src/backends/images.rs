@@ -1,10 +1,10 @@
 //! A plain list of images, for any program that can be told which images to take.
 
 use super::{
-    Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Gate, Honours, PATCH_MATCH,
-    PlanningNumbers, References, Selection,
+    Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, PATCH_MATCH, PlanningNumbers,
+    References, Selection,
 };
-use crate::scene::ViewIndex;
+use crate::model::{cluster::Gate, scene::ViewIndex};
 
 pub struct Images;
 

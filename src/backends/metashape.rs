@@ -7,7 +7,7 @@ use super::{
     Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, Patient, PlanningNumbers,
     Selection, Trap, images::ANY_PROGRAM,
 };
-use crate::output::Contents;
+use crate::io::output::Contents;
 
 pub struct Metashape;
 
@@ -45,7 +45,7 @@ impl Backend for Metashape {
 
     fn export(&self, selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {
         let downscale = (1.0 / selection.image_scale).log2().round().max(0.0).exp2();
-        let names = |views: &mut dyn Iterator<Item = crate::scene::ViewIndex>| {
+        let names = |views: &mut dyn Iterator<Item = crate::model::scene::ViewIndex>| {
             views.map(|v| selection.scene.name(v).to_owned()).collect::<Vec<_>>()
         };
         let list = json!({

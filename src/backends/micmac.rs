@@ -5,10 +5,10 @@ use quick_xml::escape::escape;
 
 use super::{
     Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, PATCH_MATCH, Patient,
-    PlanningNumbers, RankedCluster, Selection, Trap,
+    PlanningNumbers, Selection, Trap,
     clusters::{ClusterScript, recipe},
 };
-use crate::{output::Contents, shell::quoted};
+use crate::{base::shell::quoted, io::output::Contents, model::cluster::RankedCluster};
 
 pub struct MicMac;
 

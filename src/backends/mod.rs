@@ -1,7 +1,7 @@
 //! The MVS programs that viewrank writes for: one file per backend, everything that is known about it in that file.
 //!
 //! A backend says which pairs it can match and how its confidence runs (what a plan is made for), and turns a [`Selection`] into
-//! the files that make the program compute the chosen view clusters. It returns what is to be written; [`crate::output`] writes.
+//! the files that make the program compute the chosen view clusters. It returns what is to be written; [`crate::io::output`] writes.
 
 use std::path::PathBuf;
 
@@ -10,13 +10,19 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::{
-    camera::Camera,
-    confidence::PairConfidence,
-    error::Hint,
-    output::{FileSet, OutputError},
-    partners::Gate,
-    project::{Project, ProjectError},
-    scene::ViewIndex,
+    base::error::Hint,
+    base::progress::Watcher,
+    config::{Settings, UnknownBackend},
+    io::{
+        output::{FileSet, OutputError},
+        project::{Project, ProjectError},
+    },
+    model::{
+        camera::Camera,
+        cluster::{Gate, RankedCluster},
+        scene::ViewIndex,
+    },
+    plan::{Matcher, Plan, PlanError, PlanningNumbers},
 };
 
 mod alicevision;
@@ -41,7 +47,7 @@ mod traps;
 mod workspace;
 
 pub(crate) use clusters::recipe;
-pub use selection::{RankedCluster, Selection};
+pub use selection::Selection;
 pub use sure::pair_files;
 pub use traps::{Patient, Trap};
 
@@ -93,14 +99,23 @@ fn plain(name: &str) -> String {
 }
 
 /// The backend of that name, as typed behind `--backend`, or of another name that people use for it.
-pub fn by_name(name: &str) -> Result<&'static dyn Backend, BackendError> {
+pub fn by_name(name: &str) -> Result<&'static dyn Backend, UnknownBackend> {
     let wanted = plain(name);
     let meant = ALIASES.iter().find(|(_, others)| others.contains(&&*wanted)).map_or(&*wanted, |(name, _)| name);
-    all().iter().copied().find(|b| b.name() == meant).ok_or_else(|| BackendError::Unknown { name: name.trim().into() })
+    all().iter().copied().find(|b| b.name() == meant).ok_or_else(|| UnknownBackend {
+        name: name.trim().into(),
+        meant: nearest(name),
+        known: all().iter().map(|b| b.name()).collect(),
+    })
+}
+
+/// The name of the backend that is meant by `name`: what [`Configuration::load`](crate::config::Configuration::load) checks settings with.
+pub fn canonical_name(name: &str) -> Result<&'static str, UnknownBackend> {
+    by_name(name).map(|backend| backend.name())
 }
 
 /// The backends of those names, in their order, each once.
-pub fn by_names(names: &[String]) -> Result<Vec<&'static dyn Backend>, BackendError> {
+pub fn by_names(names: &[String]) -> Result<Vec<&'static dyn Backend>, UnknownBackend> {
     let mut backends: Vec<&'static dyn Backend> = Vec::new();
     for name in names {
         let backend = by_name(name)?;
@@ -123,6 +138,21 @@ fn nearest(name: &str) -> Option<&'static str> {
 /// The backend that the project is set up for, else SURE.
 pub fn for_project(project: &Project) -> &'static dyn Backend {
     all().iter().copied().find(|b| b.serves(project)).unwrap_or(&sure::Sure)
+}
+
+/// The backend that the project is planned for: the first of the settings, else the one that the project is set up for.
+pub fn planned_for(project: &Project, settings: &Settings) -> Result<Matcher, UnknownBackend> {
+    let backend = match settings.backends.first() {
+        Some(name) => by_name(name)?,
+        None => for_project(project),
+    };
+    Ok(Matcher { name: backend.name(), numbers: backend.planning() })
+}
+
+/// Plans which views of the project become key views, with which partners, in which order, for the backend that the settings name, else the
+/// one that the project is set up for.
+pub fn plan(project: &Project, settings: &Settings, watcher: &dyn Watcher) -> Result<Plan, PlanError> {
+    Plan::new(project, settings, &planned_for(project, settings)?, watcher)
 }
 
 /// How far a backend does what the plan says.
@@ -148,21 +178,6 @@ pub struct Capabilities {
     pub fusion: &'static str,
     /// What is not honoured, for people.
     pub notes: &'static str,
-}
-
-/// What a backend contributes to planning, each with where it was measured.
-#[derive(Clone, Copy, Debug, Serialize)]
-pub struct PlanningNumbers {
-    /// Method 7.1.
-    pub gate: Gate,
-    /// Method 7.2.
-    pub confidence: PairConfidence,
-    /// Depth maps that must see a triangle (m, method 5.2).
-    pub support: u32,
-    /// The data sets that the numbers were measured on, or whose they are instead; a few words.
-    pub measured: &'static str,
-    /// Where the numbers and the gate come from, and why.
-    pub source: &'static str,
 }
 
 /// The numbers of OpenMVS, for PatchMatch programs that nobody has measured; `support` 2, since they join depth maps that agree.
@@ -465,8 +480,8 @@ pub struct TaskRunner {
 /// Why a backend's files cannot be made.
 #[derive(Debug, thiserror::Error)]
 pub enum BackendError {
-    #[error("no backend \"{name}\"")]
-    Unknown { name: String },
+    #[error(transparent)]
+    Unknown(#[from] UnknownBackend),
     #[error("{backend} cannot take the image name \"{name}\": {why}")]
     Name { backend: &'static str, name: String, why: String },
     #[error("{option} is none of the options of {backends}")]
@@ -494,11 +509,7 @@ impl From<ProjectError> for BackendError {
 impl Hint for BackendError {
     fn hint(&self) -> Option<String> {
         Some(match self {
-            Self::Unknown { name } => {
-                let known = all().iter().map(|b| b.name()).collect::<Vec<_>>().join(", ");
-                let meant = nearest(name).map_or(String::new(), |name| format!("did you mean {name}? "));
-                format!("{meant}take one of {known}")
-            }
+            Self::Unknown(error) => return error.hint(),
             Self::Name { .. } => "rename the image file and its entry in the model, then plan again".into(),
             Self::Option { option, .. } => {
                 let heed = all().iter().filter(|b| b.options().contains(option)).map(|b| b.name());
@@ -514,7 +525,7 @@ impl Hint for BackendError {
     }
 
     fn is_usage(&self) -> bool {
-        matches!(self, Self::Unknown { .. } | Self::Option { .. })
+        matches!(self, Self::Unknown(_) | Self::Option { .. })
     }
 }
 

@@ -5,13 +5,16 @@ use std::path::Path;
 
 use super::{
     Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, PATCH_MATCH, Patient,
-    PlanningNumbers, RankedCluster, Selection, Trap,
+    PlanningNumbers, Selection, Trap,
     clusters::{ClusterScript, recipe},
 };
 use crate::{
-    output::Contents,
-    scene::{PointIndex, Scene, ViewIndex, ViewPoints},
-    shell::quoted_path,
+    base::shell::quoted_path,
+    io::output::Contents,
+    model::{
+        cluster::RankedCluster,
+        scene::{PointIndex, Scene, ViewIndex, ViewPoints},
+    },
 };
 
 pub struct Mve;

@@ -6,9 +6,11 @@ use super::{
     PlanningNumbers, Selection, Trap, selection,
 };
 use crate::{
-    camera::Camera,
-    output::Contents,
-    scene::{ViewIndex, ViewPoints},
+    io::output::Contents,
+    model::{
+        camera::Camera,
+        scene::{ViewIndex, ViewPoints},
+    },
 };
 
 /// A dialect of the family.

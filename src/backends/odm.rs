@@ -7,7 +7,10 @@ use super::{
     openmvs::{self, OpenMvs},
     selection,
 };
-use crate::{output::Contents, project::ModelFormat, shell::quoted_path};
+use crate::{
+    base::shell::quoted_path,
+    io::{output::Contents, project::ModelFormat},
+};
 
 pub struct Odm;
 

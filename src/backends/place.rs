@@ -5,7 +5,7 @@ use std::path::{Component, Path, PathBuf};
 use serde::Deserialize;
 
 use super::{BackendError, Export};
-use crate::{
+use crate::io::{
     output::{FileSet, OutputError},
     project::{Project, ProjectError, slashes},
 };

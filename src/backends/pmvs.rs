@@ -7,8 +7,8 @@ use super::{
     PlanningNumbers, Selection, Trap,
 };
 use crate::{
-    output::Contents,
-    scene::{Scene, ViewIndex},
+    io::output::Contents,
+    model::scene::{Scene, ViewIndex},
 };
 
 pub struct Pmvs;

@@ -8,7 +8,7 @@ use super::{
     Selection, Trap,
     images::{ANY_PROGRAM, name_lines},
 };
-use crate::{output::Contents, scene::ViewIndex};
+use crate::{io::output::Contents, model::scene::ViewIndex};
 
 pub struct RealityScan;
 

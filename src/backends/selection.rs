@@ -9,20 +9,13 @@ use nalgebra::Vector3;
 
 use super::BackendError;
 use crate::{
-    project::{ImageFaults, Project},
-    scene::{Scene, ViewIndex, ViewPoints},
-    shell::quoted_path,
+    base::shell::quoted_path,
+    io::project::{ImageFaults, Project},
+    model::{
+        cluster::RankedCluster,
+        scene::{Scene, ViewIndex, ViewPoints},
+    },
 };
-
-/// A view cluster with its place in the ranking.
-#[derive(Clone, Debug, PartialEq)]
-pub struct RankedCluster {
-    pub key: ViewIndex,
-    /// Best first.
-    pub partners: Vec<ViewIndex>,
-    /// Share of what all clusters together reach, after this one.
-    pub share: f64,
-}
 
 /// The chosen view clusters of a scene.
 #[derive(Clone, Copy, Debug)]
@@ -154,7 +147,7 @@ impl Selection<'_> {
         let is_key = self.is_key();
         let mut counts: Vec<usize> = (0..self.scene.points.len() as u32)
             .map(|p| {
-                let mut views: Vec<_> = self.scene.track_views(crate::scene::PointIndex(p)).to_vec();
+                let mut views: Vec<_> = self.scene.track_views(crate::model::scene::PointIndex(p)).to_vec();
                 views.dedup();
                 views.iter().filter(|v| is_key[v.at()]).count()
             })
@@ -201,7 +194,7 @@ fn centres(scene: &Scene) -> Vec<Vector3<f64>> {
 /// Depths of the points that the view observes, in front of it, ascending, scene units.
 pub fn depths(scene: &Scene, points: &ViewPoints, view: ViewIndex) -> Vec<f64> {
     let pose = &scene.view(view).cam_from_world;
-    let depth = |&p: &crate::scene::PointIndex| pose.camera_from_world(&scene.points[p.at()]).z;
+    let depth = |&p: &crate::model::scene::PointIndex| pose.camera_from_world(&scene.points[p.at()]).z;
     let mut depths: Vec<f64> = points.of(view).iter().map(depth).filter(|z| *z > 0.0).collect();
     depths.sort_unstable_by(f64::total_cmp);
     depths

@@ -1,10 +1,10 @@
 //! The reference matcher of this repository, `integrations/sgm`: semi-global matching along epipolar lines.
 
 use super::{
-    Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Gate, Honours, PlanningNumbers,
-    Selection, TaskRunner, place, sure,
+    Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, PlanningNumbers, Selection,
+    TaskRunner, place, sure,
 };
-use crate::{confidence::PairConfidence, shell::quoted_path};
+use crate::{base::shell::quoted_path, method::confidence::PairConfidence, model::cluster::Gate};
 
 pub struct Sgm;
 

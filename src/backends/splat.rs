@@ -13,9 +13,9 @@ use super::{
     workspace::add_workspace,
 };
 use crate::{
-    output::{Contents, FileSet},
-    scene::{PointIndex, ViewIndex},
-    shell::quoted_path,
+    base::shell::quoted_path,
+    io::output::{Contents, FileSet},
+    model::scene::{PointIndex, ViewIndex},
 };
 
 pub struct Splat;
@@ -136,7 +136,7 @@ fn transforms(selection: &Selection, views: &[ViewIndex], judged: &[ViewIndex]) 
     })
 }
 
-fn world_from_nerf_camera(pose: &crate::scene::Pose) -> [[f64; 4]; 4] {
+fn world_from_nerf_camera(pose: &crate::model::scene::Pose) -> [[f64; 4]; 4] {
     let rotation =
         pose.rotation.matrix().transpose() * Matrix3::from_diagonal(&nalgebra::Vector3::new(1.0, -1.0, -1.0));
     let mut matrix = Matrix4::identity();

@@ -1,7 +1,7 @@
 //! SURE (nFrames): `backends.md` 12. Closed; the files follow the vendor's public pages and three public writers of `.ori`.
 
 use super::{
-    Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Gate, Honours, Patient, PlanningNumbers,
+    Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, Patient, PlanningNumbers,
     Selection, Trap,
     clusters::{ClusterScript, recipe},
     sgm,
@@ -9,10 +9,12 @@ use super::{
 use std::collections::HashMap;
 
 use crate::{
-    formats::sure,
-    output::{Contents, FileSet},
-    project::{Project, ProjectKind},
-    scene::ViewIndex,
+    io::{
+        formats::sure,
+        output::{Contents, FileSet},
+        project::{Project, ProjectKind},
+    },
+    model::{cluster::Gate, scene::ViewIndex},
 };
 
 pub struct Sure;

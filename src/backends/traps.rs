@@ -6,8 +6,8 @@ use walkdir::WalkDir;
 
 use super::{BackendError, selection};
 use crate::{
-    project::Project,
-    scene::{Scene, ViewIndex, ViewPoints},
+    io::project::Project,
+    model::scene::{Scene, ViewIndex, ViewPoints},
 };
 
 /// The project that is looked at.

@@ -6,10 +6,12 @@ use nalgebra::Vector3;
 
 use super::{BackendError, Selection};
 use crate::{
-    formats::{colmap::ColmapModel, colmap_bin},
-    output::{Contents, FileSet},
-    project::ProjectError,
-    scene::ViewIndex,
+    io::{
+        formats::{colmap::ColmapModel, colmap_bin},
+        output::{Contents, FileSet},
+        project::ProjectError,
+    },
+    model::scene::ViewIndex,
 };
 
 /// Adds `MODEL/{cameras,images,points3D}.bin` and `images/NAME` for the views, in coordinates that count from `origin`. Points that fewer

@@ -2,7 +2,10 @@
 
 use clap::Args;
 use serde::Serialize;
-use viewrank::backends::{self, Backend, Capabilities, Honours, PlanningNumbers};
+use viewrank::{
+    backends::{self, Backend, Capabilities, Honours},
+    plan::PlanningNumbers,
+};
 
 use super::{Failure, Format, json, print};
 

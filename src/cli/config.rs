@@ -4,10 +4,11 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 use serde_json::{Value, json};
+use viewrank::backends;
 use viewrank::{
     config::{Configuration, Files, Key, Source, Typed, keys, user_file},
-    project::ProjectError,
-    scene::Units,
+    io::project::ProjectError,
+    model::scene::Units,
 };
 
 use super::{COLUMNS, Failure, Format, print};
@@ -40,7 +41,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
 /// Defaults, the user's file, the project's file, the command line: wrong settings are wrong usage.
 pub fn load(project: Option<&Path>, typed: Typed) -> Result<Configuration, Failure> {
     let files = Files { user: user_file(), project: project.map(|folder| folder.join("viewrank.toml")) };
-    Ok(Configuration::load(&files, typed)?)
+    Ok(Configuration::load(&files, typed, backends::canonical_name)?)
 }
 
 fn value_of<'a>(values: &'a Value, key: &Key) -> &'a Value {
@@ -118,7 +119,9 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let user = folder.path().join("user.toml");
         std::fs::write(&user, "on_target = \"stop\"\nseed = 5\n[dispatch]\nsetup = \"module load colmap\"\n").unwrap();
-        let configuration = Configuration::load(&Files { user: Some(user), project: None }, Typed::default()).unwrap();
+        let configuration =
+            Configuration::load(&Files { user: Some(user), project: None }, Typed::default(), backends::canonical_name)
+                .unwrap();
         let values = serde_json::to_value(&configuration.settings).unwrap();
         let text = as_toml(&configuration, &values);
         assert!(
@@ -126,7 +129,12 @@ mod tests {
         );
         let project = folder.path().join("viewrank.toml");
         std::fs::write(&project, &text).unwrap();
-        let again = Configuration::load(&Files { user: None, project: Some(project) }, Typed::default()).unwrap();
+        let again = Configuration::load(
+            &Files { user: None, project: Some(project) },
+            Typed::default(),
+            backends::canonical_name,
+        )
+        .unwrap();
         assert_eq!(again.settings.seed, 5);
         assert_eq!((again.settings.on_target, again.settings.dispatch.setup), (None, String::new()));
     }
@@ -141,7 +149,11 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let project = folder.path().join("viewrank.toml");
         std::fs::write(&project, &text).unwrap();
-        let of_project = Configuration::load(&Files { user: None, project: Some(project) }, Typed::default());
+        let of_project = Configuration::load(
+            &Files { user: None, project: Some(project) },
+            Typed::default(),
+            backends::canonical_name,
+        );
         assert_eq!(of_project.unwrap().settings, configuration.settings, "and one that a project may have");
         assert!(text.contains("# Unit: px. Range: above 0. Default: 0.5.\nsigma_px = 0.5\n"));
     }

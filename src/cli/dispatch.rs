@@ -9,16 +9,16 @@ use std::{
 use clap::{Args, ValueEnum};
 use serde::Serialize;
 use viewrank::{
-    backends::{self, Selection, place},
-    config::{Budget, DispatchSettings, Share, Typed},
-    daemon::{follow, state::Outcome},
-    dispatch::{
+    apps::dispatch::{
         Dispatch, DispatchError, Task, Tools,
         slurm::{self, Queue, Submission},
     },
-    manifest::WrittenPlan,
-    output::{self, Contents, Disk, FileSet, Written},
-    shell::{quoted, quoted_path},
+    backends::{self, Selection, place},
+    base::shell::{quoted, quoted_path},
+    config::{Budget, DispatchSettings, Share, Typed},
+    daemon::{follow, state::Outcome},
+    io::output::{self, Contents, Disk, FileSet, Written},
+    show::manifest::WrittenPlan,
 };
 
 use super::{Failure, Format, config, json, print, progress::Progress, warn};

@@ -4,10 +4,10 @@ use std::{fmt::Write, path::PathBuf};
 
 use clap::Args;
 use viewrank::{
+    apps::doctor::{self, Finding, Severity, ViewFinding},
     backends::{self, Backend, BackendError},
-    doctor::{self, Finding, Severity, ViewFinding},
-    manifest::planned_backend,
-    project::Project,
+    io::project::Project,
+    show::manifest::planned_backend,
 };
 
 use super::{Exit, Failure, Format, config, json, print, wrapped};

@@ -7,13 +7,16 @@ use std::{
 
 use clap::Args;
 use serde::Serialize;
+use viewrank::apps::replan;
 use viewrank::{
-    evaluate::{self, Compared, Evaluation, Measure, Reached, Run, Task, clusters, orders},
-    output::{Contents, Disk, FileSet},
-    partners::ViewCluster,
-    plan::{self, Plan},
-    project::Project,
-    ranking,
+    apps::evaluate::{self, Compared, Evaluation, Measure, Reached, Run, Task, clusters, orders},
+    io::{
+        output::{Contents, Disk, FileSet},
+        project::Project,
+    },
+    method::ranking,
+    model::cluster::ViewCluster,
+    plan::Plan,
 };
 
 use super::{Failure, Format, json, print, progress::Progress, use_threads, warn};
@@ -69,7 +72,7 @@ pub struct Arguments {
 pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     use_threads(arguments.threads);
     let progress = Progress::new(arguments.quiet);
-    let (project, plan) = plan::as_written(&arguments.project, &progress)?;
+    let (project, plan) = replan::as_written(&arguments.project, &progress)?;
     match (&arguments.write_baselines, &arguments.compare, &arguments.depth_maps) {
         (Some(folder), _, _) => write_baselines(arguments, &plan, folder, &progress),
         (_, Some(folder), _) => compare(arguments, &plan, folder, &progress),
@@ -86,13 +89,13 @@ fn measure(
     progress: &Progress,
 ) -> Result<(), Failure> {
     let clusters = match &arguments.clusters {
-        Some(file) => clusters::read(file, &plan.scene)?,
+        Some(file) => clusters::read(file, &plan.stages.scene)?,
         None => planned(plan),
     };
     let run = task(plan, &clusters, folder, arguments.reference.as_deref(), progress)?;
-    let model = plan.model();
+    let model = plan.stages.model();
     let reached = Reached::new(&model, &run);
-    let weights = ranking::weights(&plan.surface, plan.settings.ranking.weight);
+    let weights = ranking::weights(&plan.stages.surface, plan.stages.settings.ranking.weight);
     let how = Measure { weights: &weights, support: support(plan), baselines: arguments.baselines };
     let evaluation = Evaluation::new(&model, &run, &reached, &how, progress)?;
     let title = project.root.file_name().unwrap_or(project.root.as_os_str()).to_string_lossy();
@@ -114,12 +117,12 @@ fn measure(
 
 /// All clusters of the plan, those without predicted gain last.
 fn planned(plan: &Plan) -> Vec<ViewCluster> {
-    let order = orders::completed(plan.ranking.order.clone(), plan.clusters.len());
-    order.iter().map(|&c| plan.clusters[c as usize].clone()).collect()
+    let order = orders::completed(plan.decision.ranking.order.clone(), plan.stages.clusters.len());
+    order.iter().map(|&c| plan.stages.clusters[c as usize].clone()).collect()
 }
 
 fn support(plan: &Plan) -> u32 {
-    plan.settings.ranking.support.unwrap_or(1)
+    plan.stages.settings.ranking.support.unwrap_or(1)
 }
 
 fn task(
@@ -129,8 +132,8 @@ fn task(
     reference: Option<&Path>,
     progress: &Progress,
 ) -> Result<Run, Failure> {
-    let model = plan.model();
-    let gsd = plan.settings.target.gsd.expect("a plan's settings are filled in");
+    let model = plan.stages.model();
+    let gsd = plan.stages.settings.target.gsd.expect("a plan's settings are filled in");
     let accuracy = model.target.accuracy_over_gsd * gsd;
     Ok(Run::new(&Task { model, clusters, depth_maps, reference, accuracy }, progress)?)
 }
@@ -157,7 +160,7 @@ fn write_baselines(arguments: &Arguments, plan: &Plan, folder: &Path, progress: 
 fn compare(arguments: &Arguments, plan: &Plan, folder: &Path, progress: &Progress) -> Result<(), Failure> {
     let mut runs = Vec::new();
     for path in evaluate::clusters::folders(folder)? {
-        let clusters = clusters::read(&path.join("clusters.txt"), &plan.scene)?;
+        let clusters = clusters::read(&path.join("clusters.txt"), &plan.stages.scene)?;
         let name = path.strip_prefix(folder).unwrap_or(&path).to_string_lossy().into_owned();
         runs.push((name, task(plan, &clusters, &path, arguments.reference.as_deref(), progress)?));
     }

@@ -5,14 +5,15 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use serde::Serialize;
 use viewrank::{
-    backends::{
-        self, Backend, BackendError, Export, ExportOptions, ExportRecord, RankedCluster, References, Selection, place,
-    },
+    backends::{self, Backend, BackendError, Export, ExportOptions, ExportRecord, References, Selection, place},
+    base::tiles,
     config::{Budget, Share},
-    manifest::WrittenPlan,
-    output::{Disk, Written},
-    project::Project,
-    tiles,
+    io::{
+        output::{Disk, Written},
+        project::Project,
+    },
+    model::cluster::RankedCluster,
+    show::manifest::WrittenPlan,
 };
 
 use super::{Failure, Format, json, print};

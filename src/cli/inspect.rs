@@ -5,8 +5,8 @@ use std::{collections::BTreeMap, io::IsTerminal, path::PathBuf};
 use clap::Args;
 use serde::Serialize;
 use viewrank::{
-    project::{ModelFormat, ModelLocation, Project, ProjectKind},
-    scene::{Scene, Units},
+    io::project::{ModelFormat, ModelLocation, Project, ProjectKind},
+    model::scene::{Scene, Units},
 };
 
 use super::{Failure, Format, config, json, print, wrapped};

@@ -28,7 +28,7 @@ use std::{
 
 use clap::{Parser, Subcommand};
 use rayon::ThreadPoolBuilder;
-use viewrank::error::Hint;
+use viewrank::base::error::Hint;
 
 /// Width of what is printed for people.
 const COLUMNS: usize = 80;

@@ -4,18 +4,21 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 use viewrank::{
-    confidence,
+    apps::replan::{Earlier, Maps, replan},
+    base::{
+        progress::{Stage, Watcher},
+        shell::quoted_path,
+    },
     config::Typed,
-    manifest::planned_model,
-    output::{self, Disk, FileSet},
-    plan::{self, Plan, PlanFiles},
-    progress::{Stage, Watcher},
-    project::Project,
-    replan::{Earlier, Maps, replan},
-    shell::quoted_path,
-    surface::ply,
-    tables,
+    io::{
+        output::{self, Disk, FileSet},
+        ply,
+        project::Project,
+    },
+    plan::Plan,
+    show::{files::PlanFiles, manifest::planned_model, tables},
 };
+use viewrank::{backends, config::CONFIDENCE_WORDS, show::files::files};
 
 use super::{Exit, Failure, Format, config, json, print, progress::Progress, summary::Summary, use_threads, warn};
 
@@ -119,18 +122,19 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     }
     let settings = config::load(Some(&project.root), arguments.typed())?.settings;
     let progress = Progress::new(arguments.quiet);
-    let mut plan = plan::plan(&project, &settings, &progress)?;
+    let mut plan = backends::plan(&project, &settings, &progress)?;
     if let Some(folder) = &arguments.finished {
         if !arguments.dry_run {
             output::recover(&project.root, &Disk::REAL)?;
         }
         let maps = Maps { folder, ready: &|_| true };
         plan = replan(plan, &Earlier::read(&project)?, &maps, &progress)?.0;
-        if plan.finished.clusters == 0 {
+        if plan.decision.finished.clusters == 0 {
             warn(&format!("no depth map in {} fits the plan: nothing is finished", folder.display()));
         }
     }
-    let files = plan::files(&plan, &project).inspect_err(|_| plan.warnings.iter().for_each(|warning| warn(warning)))?;
+    let files =
+        files(&plan, &project).inspect_err(|_| plan.decision.warnings.iter().for_each(|warning| warn(warning)))?;
     if !arguments.dry_run {
         write(arguments, &plan, &files, &progress)?;
     }
@@ -152,7 +156,7 @@ impl Arguments {
         typed.set("--gsd", "target.gsd", self.gsd);
         typed.set("--accuracy", "target.accuracy", self.accuracy);
         typed.set("--partners", "partners.method", self.partners.clone());
-        let source = |typed: &String| match confidence::WORDS.contains(&typed.as_str()) {
+        let source = |typed: &String| match CONFIDENCE_WORDS.contains(&typed.as_str()) {
             true => typed.clone(),
             false => path(&PathBuf::from(typed)),
         };
@@ -208,7 +212,11 @@ fn write(arguments: &Arguments, plan: &Plan, files: &PlanFiles, progress: &Progr
         set.write(&Disk::REAL)?;
     }
     if let Some(path) = &arguments.dump_surface {
-        output::replace(path, &ply::write(&plan.surface, &[], &[]), &Disk::REAL)?;
+        output::replace(
+            path,
+            &ply::write(&plan.stages.surface.vertices, &plan.stages.surface.triangles, &[], &[]),
+            &Disk::REAL,
+        )?;
     }
     output::write_all(&files.sets, &Disk::REAL)?;
     progress.progress(Stage::Write, 1, 1);

@@ -4,12 +4,12 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 use rayon::prelude::*;
+use viewrank::config::CONFIDENCE_WORDS;
 use viewrank::{
-    confidence::{self, Image, Predictor, Proxy, Trained, size_for_confidence},
-    error::Hint,
-    output::{Contents, Disk, FileSet},
-    pictures::confidence_picture,
-    tables,
+    base::error::Hint,
+    io::output::{Contents, Disk, FileSet},
+    method::confidence::{self, Image, Predictor, Proxy, Trained, size_for_confidence},
+    show::{pictures::confidence_picture, tables},
 };
 
 use super::{Failure, print};
@@ -64,7 +64,7 @@ fn predictor(source: Option<&str>) -> Result<Box<dyn Predictor>, Failure> {
     let trained = match source {
         Some("proxy") => None,
         None | Some("shipped") => Trained::shipped(),
-        Some(word) if confidence::WORDS.contains(&word) => return Err(NoPredictor(word.into()).into()),
+        Some(word) if CONFIDENCE_WORDS.contains(&word) => return Err(NoPredictor(word.into()).into()),
         Some(file) => Some(Trained::read(Path::new(file))?),
     };
     match trained {

@@ -7,7 +7,7 @@ use std::{
 };
 
 use indicatif::{ProgressBar, ProgressStyle};
-use viewrank::progress::{Stage, Watcher};
+use viewrank::base::progress::{Stage, Watcher};
 
 pub struct Progress {
     kind: Kind,

@@ -6,11 +6,11 @@ use std::{
 };
 
 use clap::Args;
+use viewrank::apps::replan;
 use viewrank::{
-    output::{Disk, FileSet},
-    plan,
-    progress::{Stage, Watcher},
-    report::{self, Contents, Finished},
+    apps::report::{self, Contents, Finished},
+    base::progress::{Stage, Watcher},
+    io::output::{Disk, FileSet},
 };
 
 use super::{Failure, print, progress::Progress};
@@ -40,7 +40,7 @@ pub struct Arguments {
 
 pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let progress = Progress::new(arguments.quiet);
-    let (project, plan) = plan::as_written(&arguments.project, &progress)?;
+    let (project, plan) = replan::as_written(&arguments.project, &progress)?;
     let finished = Finished { depth_maps: arguments.depth_maps.clone(), reference: arguments.reference.clone() };
     let seconds = planning_seconds(&project.output_folder());
     let contents = Contents::new(&plan, &project, &finished, seconds, &progress)?;
@@ -83,7 +83,7 @@ struct NotOpened {
     source: std::io::Error,
 }
 
-impl viewrank::error::Hint for NotOpened {
+impl viewrank::base::error::Hint for NotOpened {
     fn hint(&self) -> Option<String> {
         Some("open that file in a browser".into())
     }

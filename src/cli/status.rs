@@ -8,13 +8,12 @@ use std::{
 
 use clap::Args;
 use viewrank::{
+    base::{error::Hint, shell::quoted_path},
     daemon::{
         Line, Shown, read_status,
         state::{Phase, ProjectStatus},
         status_file,
     },
-    error::Hint,
-    shell::quoted_path,
 };
 
 use super::{Failure, print};

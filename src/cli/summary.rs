@@ -5,11 +5,14 @@ use std::fmt::Write;
 use serde::Serialize;
 use viewrank::{
     backends,
-    manifest::{Manifest, warnings_with},
-    plan::{Cut, Forecast, Memory, Plan, PlanFiles, Timings},
-    project::Project,
-    scene::Units,
-    shell::{quoted, quoted_path},
+    base::shell::{quoted, quoted_path},
+    io::project::Project,
+    model::scene::Units,
+    plan::{Cut, Forecast, Memory, Plan, Timings},
+    show::{
+        files::PlanFiles,
+        manifest::{Manifest, warnings_with},
+    },
 };
 
 /// Shares of the curve that are shown, beside the cut.
@@ -62,31 +65,31 @@ impl<'a> Summary<'a> {
         let manifest = &files.manifest;
         Self {
             project: project.root.display().to_string(),
-            backend: plan.backend,
+            backend: plan.stages.backend,
             units: manifest.units,
-            views: plan.scene.views.len(),
-            points: plan.scene.points.len(),
-            triangles: plan.surface.triangles.len(),
-            finished: plan.finished.clusters,
-            gsd: plan.settings.target.gsd.unwrap_or(f64::NAN),
-            cut: plan.cut,
-            forecast: plan.forecast,
-            speed_up: plan.forecast.speed_up(plan.timings.total()),
+            views: plan.stages.scene.views.len(),
+            points: plan.stages.scene.points.len(),
+            triangles: plan.stages.surface.triangles.len(),
+            finished: plan.decision.finished.clusters,
+            gsd: plan.stages.settings.target.gsd.unwrap_or(f64::NAN),
+            cut: plan.decision.cut,
+            forecast: plan.decision.forecast,
+            speed_up: plan.decision.forecast.speed_up(plan.timings.total()),
             warnings: warnings_with(&files.manifest.warnings, &files.manifest.exports, &files.outdated_exports),
             written: !dry_run,
             files: files.sets.iter().flat_map(|set| set.files.keys().cloned()).collect(),
             look: format!("viewrank report {} --open", quoted_path(&project.root)),
             next: next(project, plan, files, dry_run),
             timings: &plan.timings,
-            memory: plan.memory,
-            tiles: plan.surface_stats.tiles,
-            chosen_for: match backends::by_name(plan.backend) {
-                _ if !plan.settings.backends.is_empty() => "",
+            memory: plan.stages.memory,
+            tiles: plan.stages.surface_stats.tiles,
+            chosen_for: match backends::by_name(plan.stages.backend) {
+                _ if !plan.stages.settings.backends.is_empty() => "",
                 Ok(backend) if backend.serves(project) => " (as the project is set up)",
                 _ => " (no --backend is named)",
             },
             manifest,
-            use_of_views: backends::by_name(plan.backend).ok().and_then(|backend| backend.use_of_views()),
+            use_of_views: backends::by_name(plan.stages.backend).ok().and_then(|backend| backend.use_of_views()),
         }
     }
 
@@ -215,8 +218,8 @@ impl<'a> Summary<'a> {
 /// The same without `--dry-run`; the first command of a backend whose files were written; else the way to such files.
 fn next(project: &Project, plan: &Plan, files: &PlanFiles, dry_run: bool) -> String {
     let root = project.as_argument();
-    let distorted = || plan.scene.view_indices().any(|view| !plan.scene.camera_of(view).is_pinhole());
-    let takes_distorted = backends::by_name(plan.backend).is_ok_and(|backend| backend.takes_distorted());
+    let distorted = || plan.stages.scene.view_indices().any(|view| !plan.stages.scene.camera_of(view).is_pinhole());
+    let takes_distorted = backends::by_name(plan.stages.backend).is_ok_and(|backend| backend.takes_distorted());
     match &files.command {
         _ if dry_run => {
             let typed = std::env::args().skip(1).filter(|argument| argument != "--dry-run");
@@ -228,7 +231,7 @@ fn next(project: &Project, plan: &Plan, files: &PlanFiles, dry_run: bool) -> Str
         }
         None if !takes_distorted && distorted() => {
             let dense = quoted_path(&project.root.join("dense"));
-            format!("viewrank undistort {root} && viewrank plan {dense} --backend {}", plan.backend)
+            format!("viewrank undistort {root} && viewrank plan {dense} --backend {}", plan.stages.backend)
         }
         None => format!("viewrank export {} --backend {}", quoted_path(&project.root), files.manifest.backend),
     }

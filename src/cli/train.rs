@@ -4,21 +4,24 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 use viewrank::{
+    apps::evaluate,
     backends,
-    confidence::{
+    base::shell::quoted_path,
+    config::Typed,
+    io::{
+        depthmaps::{self, DepthMapFormat},
+        output::{self, Disk},
+        project::Project,
+    },
+    method::confidence::{
         Trained, TrainedError,
         train::{self, Course, Lesson},
     },
-    config::Typed,
-    depthmaps::{self, DepthMapFormat},
-    evaluate,
-    manifest::WrittenPlan,
-    output::{self, Disk},
-    partners::ViewCluster,
-    plan::{self, Plan, Timings},
-    project::Project,
-    shell::quoted_path,
+    model::cluster::ViewCluster,
+    plan::{Plan, Timings},
+    show::manifest::WrittenPlan,
 };
+use viewrank::{backends::planned_for, model::cluster::RankedCluster};
 
 use super::{Failure, Format, config, json, print, progress::Progress, use_threads};
 
@@ -106,12 +109,12 @@ fn prepare(arguments: &Arguments, root: &Path, progress: &Progress) -> Result<Pr
     let scene = project.read_scene()?;
     let found = depthmaps::find(&folder, &scene)?.whole()?;
     settings.backends = vec![backend(arguments, &found.maps[0].format)];
-    let plan = plan::plan_scene(&project, scene, &settings, Timings::start(), progress)?;
-    let ranked =
-        |cluster: &backends::RankedCluster| ViewCluster { key: cluster.key, partners: cluster.partners.clone() };
+    let plan =
+        Plan::of_scene(&project, scene, &settings, &planned_for(&project, &settings)?, Timings::start(), progress)?;
+    let ranked = |cluster: &RankedCluster| ViewCluster { key: cluster.key, partners: cluster.partners.clone() };
     let written: Vec<ViewCluster> =
         WrittenPlan::read(root).map(|written| written.clusters.iter().map(ranked).collect()).unwrap_or_default();
-    let clusters = evaluate::tried(&folder, &found.maps, &plan.scene, &written)?;
+    let clusters = evaluate::tried(&folder, &found.maps, &plan.stages.scene, &written)?;
     Ok(Prepared { project, plan, maps: found, clusters })
 }
 
@@ -119,8 +122,8 @@ fn lesson(prepared: &Prepared) -> Lesson<'_> {
     let root = &prepared.project.root;
     Lesson {
         name: root.file_name().unwrap_or(root.as_os_str()).to_string_lossy().into_owned(),
-        model: prepared.plan.model(),
-        candidates: &prepared.plan.candidates,
+        model: prepared.plan.stages.model(),
+        candidates: &prepared.plan.stages.candidates,
         clusters: prepared.clusters.clone(),
         maps: prepared.maps.maps.clone(),
         images: prepared.project.images.clone(),

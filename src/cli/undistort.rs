@@ -4,10 +4,9 @@ use std::path::PathBuf;
 
 use clap::Args;
 use viewrank::{
-    output::Disk,
-    project::Project,
-    shell::quoted_path,
-    undistort::{self, Options, Undistorted},
+    apps::undistort::{self, Options, Undistorted},
+    base::shell::quoted_path,
+    io::{output::Disk, project::Project},
 };
 
 use super::{Failure, Format, json, print, progress::Progress};

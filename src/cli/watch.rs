@@ -8,10 +8,10 @@ use signal_hook::{
     iterator::Signals,
 };
 use viewrank::{
+    base::error::Hint,
     config::Bytes,
     daemon::{Options, PlanJob, PlanOptions, Signal, queue, state::OnBusy, watch_roots},
-    error::Hint,
-    output::Disk,
+    io::output::Disk,
 };
 
 use super::Failure;

@@ -6,7 +6,7 @@ use schemars::generate::SchemaSettings;
 use serde_json::{Map, Value};
 
 use super::Settings;
-use crate::scene::Units;
+use crate::model::scene::Units;
 
 /// A key of `viewrank.toml`.
 #[derive(Clone, Debug, PartialEq)]

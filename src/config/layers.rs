@@ -11,12 +11,36 @@ use serde::Deserialize;
 use toml::{Table, Value, de::DeTable};
 
 use super::{Key, Settings, keys};
-use crate::{
-    backends::{self, BackendError},
-    confidence,
-    error::Hint,
-    georeference::Zone,
-};
+use crate::{base::error::Hint, model::georeference::Zone};
+
+/// The proper name of the backend that somebody typed.
+pub type NameOf = fn(&str) -> Result<&'static str, UnknownBackend>;
+
+/// A backend that nobody knows.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("no backend \"{name}\"")]
+pub struct UnknownBackend {
+    /// As it was typed.
+    pub name: String,
+    /// The backend that was probably meant.
+    pub meant: Option<&'static str>,
+    /// All that there are.
+    pub known: Vec<&'static str>,
+}
+
+impl Hint for UnknownBackend {
+    fn hint(&self) -> Option<String> {
+        let meant = self.meant.map_or(String::new(), |name| format!("did you mean {name}? "));
+        Some(format!("{meant}take one of {}", self.known.join(", ")))
+    }
+
+    fn is_usage(&self) -> bool {
+        true
+    }
+}
+
+/// Values of `confidence.source` that are no model files.
+pub const CONFIDENCE_WORDS: [&str; 6] = ["none", "geometric", "proxy", "auto", "shipped", "project"];
 
 /// Where settings are written down; files that are not there are passed over.
 #[derive(Clone, Debug, Default)]
@@ -91,27 +115,27 @@ pub struct Configuration {
 }
 
 impl Configuration {
-    pub fn load(files: &Files, typed: Typed) -> Result<Self, ConfigError> {
+    /// The settings of the files and of the command line; `backend` is asked for the proper name of each backend.
+    pub fn load(files: &Files, typed: Typed, backend: NameOf) -> Result<Self, ConfigError> {
         let mut entries = files.user.as_deref().map_or(Ok(Vec::new()), read)?;
         let project = files.project.as_deref().map_or(Ok(Vec::new()), read)?;
         project.iter().try_for_each(refuse_commands)?;
         entries.extend(project);
         entries.extend(typed.0);
-        Self::over_defaults(entries)
+        Self::over_defaults(entries, backend)
     }
 
     /// Later entries win.
-    fn over_defaults(entries: Vec<Entry>) -> Result<Self, ConfigError> {
+    fn over_defaults(entries: Vec<Entry>, backend: NameOf) -> Result<Self, ConfigError> {
         let mut table = Table::new();
         let mut places = BTreeMap::new();
         for entry in entries {
-            check(&entry)?;
+            check(&entry, backend)?;
             insert(&mut table, &entry.key, entry.value);
             places.insert(entry.key, entry.place);
         }
         let mut settings = Settings::deserialize(table).expect("each entry was checked by itself");
-        let backends = backends::by_names(&settings.backends).expect("each entry was checked by itself");
-        settings.backends = backends.iter().map(|backend| backend.name().into()).collect();
+        settings.backends = proper_names(&settings.backends, backend).expect("each entry was checked by itself");
         let configuration = Self { settings, places };
         configuration.check_together()?;
         Ok(configuration)
@@ -188,7 +212,7 @@ fn read(path: &Path) -> Result<Vec<Entry>, ConfigError> {
 fn from_file(key: &str, value: &Value, file: &Path) -> Value {
     let names_file = |text: &&str| match key {
         "surface.mesh" => true,
-        "confidence.source" => !confidence::WORDS.contains(text),
+        "confidence.source" => !CONFIDENCE_WORDS.contains(text),
         _ => false,
     };
     match (value.as_str().filter(names_file), file.parent().map(std::path::absolute)) {
@@ -223,8 +247,20 @@ fn line_of(text: &str, byte: usize) -> usize {
     1 + text.bytes().take(byte).filter(|&b| b == b'\n').count()
 }
 
+/// The proper names of backends, in their order, each once.
+fn proper_names(names: &[String], backend: NameOf) -> Result<Vec<String>, UnknownBackend> {
+    let mut proper: Vec<String> = Vec::new();
+    for name in names {
+        let name = backend(name)?;
+        if proper.iter().all(|known| known != name) {
+            proper.push(name.into());
+        }
+    }
+    Ok(proper)
+}
+
 /// Is the key known, and the value of its type and in its range?
-fn check(entry: &Entry) -> Result<(), ConfigError> {
+fn check(entry: &Entry, backend: NameOf) -> Result<(), ConfigError> {
     let refuse = |why: String| ConfigError::Value {
         from: Source::Written(entry.place.clone()),
         key: entry.key.clone(),
@@ -249,7 +285,7 @@ fn check(entry: &Entry) -> Result<(), ConfigError> {
     insert(&mut alone, &entry.key, entry.value.clone());
     let settings = Settings::deserialize(alone).map_err(|error| refuse(type_error(key, &error)))?;
     let unknown = |error| ConfigError::Backend { place: entry.place.clone(), error };
-    backends::by_names(&settings.backends).map(drop).map_err(unknown)
+    proper_names(&settings.backends, backend).map(drop).map_err(unknown)
 }
 
 /// What is wanted, in words: range and unit.
@@ -296,7 +332,7 @@ pub enum ConfigError {
     #[error("{place}: {key} has commands run, which a project's file must not")]
     UserOnly { place: Place, key: String },
     #[error("{place}: {error}")]
-    Backend { place: Place, error: BackendError },
+    Backend { place: Place, error: UnknownBackend },
     #[error("{from}: {key} = {value}: {why}")]
     Value { from: Source, key: String, value: String, why: String },
 }
@@ -339,7 +375,8 @@ fn nearest(key: &str) -> Option<&'static str> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scene::Units;
+    use crate::backends::canonical_name;
+    use crate::model::scene::Units;
 
     /// The configuration of a user's and a project's file and typed options.
     fn load(user: &str, project: &str, typed: Typed) -> Result<Configuration, ConfigError> {
@@ -349,7 +386,11 @@ mod tests {
             fs::write(&path, text).unwrap();
             Some(path)
         };
-        Configuration::load(&Files { user: write("user.toml", user), project: write("project.toml", project) }, typed)
+        Configuration::load(
+            &Files { user: write("user.toml", user), project: write("project.toml", project) },
+            typed,
+            canonical_name,
+        )
     }
 
     fn refused(project: &str) -> (String, String) {
@@ -380,7 +421,7 @@ mod tests {
     fn nothing_written_is_the_default() {
         assert_eq!(load("", "", Typed::default()).unwrap(), Configuration::default());
         let none = Files { user: Some("/nowhere/viewrank.toml".into()), project: None };
-        assert_eq!(Configuration::load(&none, Typed::default()).unwrap().settings, Settings::default());
+        assert_eq!(Configuration::load(&none, Typed::default(), canonical_name).unwrap().settings, Settings::default());
     }
 
     #[test]

@@ -16,9 +16,11 @@ use serde::{Deserialize, Serialize};
 
 pub use amounts::{Amount, AmountError, Budget, Bytes, Count, Duration, Share};
 pub use catalogue::{Key, keys};
-pub use layers::{ConfigError, Configuration, Files, Place, Source, Typed, user_file};
+pub use layers::{
+    CONFIDENCE_WORDS, ConfigError, Configuration, Files, NameOf, Place, Source, Typed, UnknownBackend, user_file,
+};
 
-use crate::scene::Units;
+use crate::model::scene::Units;
 
 /// All settings in force, nested as in `viewrank.toml`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]

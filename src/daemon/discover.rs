@@ -13,7 +13,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use crate::confidence::MASKS;
+use crate::method::confidence::MASKS;
 
 /// Names of the files of a COLMAP model, without their suffix.
 const MODEL_FILES: [&str; 5] = ["cameras", "images", "points3D", "rigs", "frames"];

@@ -14,16 +14,20 @@ use super::{
     maps::{MapFiles, map_files},
     state::Outcome,
 };
+use crate::apps::replan;
 use crate::{
-    depthmaps::{self, DepthMapError},
-    error::Hint,
-    evaluate::{Run, curve::Curve},
-    output::{self, Disk, OutputError},
-    plan::{self, Outdated, Plan},
-    progress::Watcher,
-    ranking,
-    replan::{Earlier, Maps, ReplanError, replan},
-    scene::ViewIndex,
+    apps::{
+        evaluate::{Run, curve::Curve},
+        replan::{Earlier, Maps, ReplanError, replan},
+    },
+    base::{error::Hint, progress::Watcher},
+    io::{
+        depthmaps::{self, DepthMapError},
+        output::{self, Disk, OutputError},
+    },
+    method::ranking,
+    model::scene::ViewIndex,
+    plan::{Decision, Outdated, Plan, Stages},
 };
 
 const PROGRESS: &str = "progress.json";
@@ -131,7 +135,7 @@ fn follow_now(root: &Path, counts: &dyn Fn(&Path) -> bool, watcher: &dyn Watcher
     let mut files = map_files(root, true).map_err(failed)?;
     files.retain(|path, _| counts(path));
     let Some(folder) = fullest_folder(root, &files) else { return Ok(Outcome::Abandoned) };
-    let (project, plan) = plan::again(root, watcher).map_err(failed)?;
+    let (project, plan) = replan::again(root, watcher).map_err(failed)?;
     let earlier = Earlier::read(&project).map_err(failed)?;
     let following = Following { plan, earlier: &earlier, folder: &folder, files: &files, replan: false };
     let mut progress = following.measure(watcher).map_err(failed)?.1;
@@ -171,20 +175,21 @@ impl Following<'_> {
         if let Some(counted) = self.count_undistorted()? {
             return Ok((self.plan, counted));
         }
-        let in_scene = |key| self.plan.scene.find(key);
+        let in_scene = |key| self.plan.stages.scene.find(key);
         let written: Vec<ViewIndex> = self.earlier.keys().filter_map(in_scene).collect();
         let list: Vec<ViewIndex> = self.earlier.list().filter_map(in_scene).collect();
-        let target = self.plan.settings.cut.target.map_or(self.plan.cut.share, |share| share.0);
+        let target = self.plan.stages.settings.cut.target.map_or(self.plan.decision.cut.share, |share| share.0);
         let maps = Maps { folder: self.folder, ready: &|path| self.files.contains_key(path) };
         let (plan, run) = replan(self.plan, self.earlier, &maps, watcher)?;
-        let order = if self.replan { plan.ranking.order.clone() } else { listed(&plan, &written) };
-        let cut = if self.replan { plan.cut.clusters } else { with_finished(&plan, &list) };
+        let order = if self.replan { plan.decision.ranking.order.clone() } else { listed(&plan, &written) };
+        let cut = if self.replan { plan.decision.cut.clusters } else { with_finished(&plan, &list) };
         let ahead = Ahead::new(&plan, &order, cut, target);
         let seconds_per_pair = run.as_ref().and_then(|run| seconds_per_pair(&plan, run, self.folder));
         let seconds = |pairs: usize| seconds_per_pair.map(|seconds| seconds * pairs as f64);
-        let name = |&c: &u32| plan.scene.name(plan.clusters[c as usize].key).to_owned();
-        let finished: Vec<String> = plan.ranking.order[..plan.finished.clusters].iter().map(name).collect();
-        let notes = &plan.finished.unreadable;
+        let name = |&c: &u32| plan.stages.scene.name(plan.stages.clusters[c as usize].key).to_owned();
+        let finished: Vec<String> =
+            plan.decision.ranking.order[..plan.decision.finished.clusters].iter().map(name).collect();
+        let notes = &plan.decision.finished.unreadable;
         let progress = Progress {
             version: 1,
             target_reached: !finished.is_empty() && ahead.share >= target,
@@ -193,13 +198,13 @@ impl Following<'_> {
             share: Some(ahead.share),
             target,
             fulfilment: Some(ahead.fulfilment),
-            reachable: plan.ranking.total(),
+            reachable: plan.decision.ranking.total(),
             clusters_to_target: ahead.to_target.map(|(clusters, _)| clusters),
             seconds_per_pair,
             seconds_to_target: ahead.to_target.and_then(|(_, pairs)| seconds(pairs)),
             seconds_left: seconds(ahead.pairs_left),
             finished,
-            outdated: plan.finished.outdated.clone(),
+            outdated: plan.decision.finished.outdated.clone(),
             note: notes.first().map(|first| match notes.len() {
                 1 => first.clone(),
                 n => format!("{first}, and {} more", n - 1),
@@ -212,7 +217,7 @@ impl Following<'_> {
     /// The progress by number alone, where depth maps are of undistorted images and the model's are not: a pixel of such a map is no
     /// pixel of the view.
     fn count_undistorted(&self) -> Result<Option<Progress>, DepthMapError> {
-        let Plan { scene, cut, settings, ranking, .. } = &self.plan;
+        let Plan { stages: Stages { scene, settings, .. }, decision: Decision { cut, ranking, .. }, .. } = &self.plan;
         let maps = depthmaps::list(self.folder, scene)?.maps;
         let ready: Vec<_> = maps.iter().filter(|map| self.files.contains_key(&map.path)).collect();
         let Some(distorted) = ready.iter().map(|map| scene.camera_of(map.view)).find(|camera| !camera.is_pinhole())
@@ -240,20 +245,21 @@ impl Following<'_> {
 
 /// Key views of the list and those beyond it that are finished.
 fn with_finished(plan: &Plan, list: &[ViewIndex]) -> usize {
-    let finished = &plan.ranking.order[..plan.finished.clusters];
-    let is_finished = |key: &&ViewIndex| finished.iter().any(|&c| plan.clusters[c as usize].key == **key);
+    let finished = &plan.decision.ranking.order[..plan.decision.finished.clusters];
+    let is_finished = |key: &&ViewIndex| finished.iter().any(|&c| plan.stages.clusters[c as usize].key == **key);
     finished.len() + list.len() - list.iter().filter(is_finished).count()
 }
 
 /// What is finished, then the rest of the list as it was written, then the rest of the ranking.
 fn listed(plan: &Plan, written: &[ViewIndex]) -> Vec<u32> {
-    let mut order = plan.ranking.order[..plan.finished.clusters].to_vec();
-    let place = |key: &ViewIndex| plan.clusters.binary_search_by_key(key, |cluster| cluster.key).ok();
+    let mut order = plan.decision.ranking.order[..plan.decision.finished.clusters].to_vec();
+    let place = |key: &ViewIndex| plan.stages.clusters.binary_search_by_key(key, |cluster| cluster.key).ok();
     let list = written.iter().filter_map(place).map(|c| c as u32);
-    let mut taken = vec![false; plan.clusters.len()];
+    let mut taken = vec![false; plan.stages.clusters.len()];
     order.iter().for_each(|&c| taken[c as usize] = true);
     order.extend(
-        list.chain(plan.ranking.order.iter().copied()).filter(|&c| !std::mem::replace(&mut taken[c as usize], true)),
+        list.chain(plan.decision.ranking.order.iter().copied())
+            .filter(|&c| !std::mem::replace(&mut taken[c as usize], true)),
     );
     order
 }
@@ -269,10 +275,10 @@ struct Ahead {
 
 impl Ahead {
     fn new(plan: &Plan, order: &[u32], cut: usize, target: f64) -> Self {
-        let weights = ranking::weights(&plan.surface, plan.settings.ranking.weight);
-        let support = plan.settings.ranking.support.unwrap_or(1);
-        let curve = Curve::new(&plan.fulfilment, &weights, support, &plan.clusters, order);
-        let (done, total) = (plan.finished.clusters, plan.ranking.total());
+        let weights = ranking::weights(&plan.stages.surface, plan.stages.settings.ranking.weight);
+        let support = plan.stages.settings.ranking.support.unwrap_or(1);
+        let curve = Curve::new(&plan.stages.fulfilment, &weights, support, &plan.stages.clusters, order);
+        let (done, total) = (plan.decision.finished.clusters, plan.decision.ranking.total());
         let reached = curve.clusters_for(target * total).filter(|&n| n <= cut.max(done));
         let pairs = |n: usize| curve.pairs[n].saturating_sub(curve.pairs[done]);
         Self {
@@ -286,7 +292,7 @@ impl Ahead {
 
 /// The time between maps over their pairs, without pauses.
 fn seconds_per_pair(plan: &Plan, run: &Run, folder: &Path) -> Option<f64> {
-    let maps = depthmaps::find(folder, &plan.scene).ok()?.maps;
+    let maps = depthmaps::find(folder, &plan.stages.scene).ok()?.maps;
     let time = |path: &Path| fs::metadata(path).and_then(|m| m.modified()).ok();
     let mut times: Vec<(SystemTime, usize)> = Vec::new();
     for cluster in &run.clusters {

@@ -26,14 +26,17 @@ use super::{
     state::{OnBusy, Outcome},
 };
 use crate::{
-    confidence::{PROJECT_MODEL, WORDS},
-    config::{Configuration, Files, Settings, Typed, user_file},
-    manifest::WrittenPlanError,
-    output::{self, Disk, FileSet},
-    plan::{self, AgainError, Nothing, Plan, PlanError},
-    progress::{Stage, Watcher},
-    project::{Project, ProjectError},
-    replan::{Earlier, Maps, ReplanError, replan},
+    apps::replan::{self, AgainError, Earlier, Maps, ReplanError, replan},
+    backends,
+    base::progress::{Stage, Watcher},
+    config::{CONFIDENCE_WORDS, Configuration, Files, Settings, Typed, user_file},
+    io::{
+        output::{self, Disk, FileSet},
+        project::{Project, ProjectError},
+    },
+    method::confidence::PROJECT_MODEL,
+    plan::{Nothing, Plan, PlanError},
+    show::{files, manifest::WrittenPlanError},
 };
 
 /// A project to plan.
@@ -124,9 +127,16 @@ struct PlannedFrom {
 
 impl PlannedFrom {
     fn new(plan: &Plan, fingerprint: Fingerprint, settings: Settings) -> Self {
-        let finished = plan.finished.clusters > 0 || !plan.finished.outdated.is_empty();
+        let finished = plan.decision.finished.clusters > 0 || !plan.decision.finished.outdated.is_empty();
         let files = Vec::new();
-        Self { fingerprint, clusters: plan.cut.clusters, share: plan.cut.share, finished, settings, files }
+        Self {
+            fingerprint,
+            clusters: plan.decision.cut.clusters,
+            share: plan.decision.cut.share,
+            finished,
+            settings,
+            files,
+        }
     }
 }
 
@@ -159,7 +169,7 @@ impl Planner for PlanJob {
     fn named_files(&self, project: &Path) -> Vec<PathBuf> {
         let settings = self.settings(project).map(|(settings, _)| settings).unwrap_or_default();
         let model = match settings.confidence.source {
-            word if WORDS.contains(&word.as_str()) => project.join(PROJECT_MODEL),
+            word if CONFIDENCE_WORDS.contains(&word.as_str()) => project.join(PROJECT_MODEL),
             file => file.into(),
         };
         [Some(model), settings.surface.mesh, user_file()].into_iter().flatten().collect()
@@ -236,12 +246,12 @@ impl PlanJob {
             });
         }
         info!(project = %Shown(job.project), "planning");
-        let plan = plan::plan(&project, &settings, &JobWatcher::new(job)).map_err(sort_out)?;
+        let plan = backends::plan(&project, &settings, &JobWatcher::new(job)).map_err(sort_out)?;
         let plan = around_finished(plan, &project, job)?;
         if let Some(nothing) = Nothing::of(&plan) {
             return Err(Outcome::Incomplete { reason: nothing.to_string() });
         }
-        let (clusters, share) = (plan.cut.clusters, plan.cut.share);
+        let (clusters, share) = (plan.decision.cut.clusters, plan.decision.cut.share);
         let record = PlannedFrom::new(&plan, fingerprint.clone(), settings.of_plan());
         if job.is_wanted() {
             Progress::doubt(job.project).map_err(failed)?;
@@ -251,7 +261,7 @@ impl PlanJob {
             fingerprint,
             clusters,
             share,
-            note: note.or_else(|| outdated_note(&plan.finished.outdated, "manifest.json")),
+            note: note.or_else(|| outdated_note(&plan.decision.finished.outdated, "manifest.json")),
             anew: true,
             known: None,
         })
@@ -297,7 +307,7 @@ impl PlanJob {
         if let Some(plan) = lock(&self.plans).get(root, fingerprint) {
             return Ok((Project::open(root, None).map_err(failed)?, plan));
         }
-        let (project, plan) = plan::again(root, watcher).map_err(|error| match error {
+        let (project, plan) = replan::again(root, watcher).map_err(|error| match error {
             AgainError::Written(WrittenPlanError::OtherInput(_)) => Outcome::Abandoned,
             error => failed(error),
         })?;
@@ -309,7 +319,11 @@ impl PlanJob {
     fn announce(&self, project: &Path) -> bool {
         let command = match &self.options.on_target {
             Some(command) => Some(command.clone()),
-            None => match Configuration::load(&Files { user: user_file(), project: None }, Typed::default()) {
+            None => match Configuration::load(
+                &Files { user: user_file(), project: None },
+                Typed::default(),
+                backends::canonical_name,
+            ) {
                 Ok(configuration) => configuration.settings.on_target,
                 Err(error) => {
                     warn!(%error, "cannot read which command is to be run for a reached target");
@@ -336,7 +350,8 @@ impl PlanJob {
         let own = project.join("viewrank.toml");
         let files = Files { user: user_file(), project: Some(own.clone()) };
         let loaded = match may_enter(project, &own, self.options.follow_links) {
-            true => Configuration::load(&files, Typed::default()).map_err(|error| (error.to_string(), failed(error))),
+            true => Configuration::load(&files, Typed::default(), backends::canonical_name)
+                .map_err(|error| (error.to_string(), failed(error))),
             false => {
                 let reason = format!("{} is a symbolic link (--follow-links)", own.display());
                 Err((reason.clone(), Outcome::Failed { reason, hint: None }))
@@ -390,7 +405,7 @@ fn around_finished(plan: Plan, project: &Project, job: &Job) -> Ended<Plan> {
 
 /// Writes the plan, and the record of what it was made from unless the input has changed meanwhile.
 fn write(plan: &Plan, project: &Project, mut record: PlannedFrom, job: &Job) -> Ended<()> {
-    let mut sets = plan::files(plan, project).map_err(failed)?.sets;
+    let mut sets = files::files(plan, project).map_err(failed)?.sets;
     record.files = sets.iter().flat_map(|set| files_in(set, job.project)).collect();
     let record = serde_json::to_string(&record).map_err(|_| Outcome::Abandoned)?;
     if let Some(own) = sets.first_mut().filter(|_| job.is_current()) {

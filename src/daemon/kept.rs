@@ -37,12 +37,12 @@ impl KeptPlans {
     /// Keeps a plan in the place of the project's last one; those that were not used for longest go.
     pub fn put(&mut self, project: &Path, fingerprint: Fingerprint, plan: &Plan) {
         self.forget(project);
-        if plan.memory.disk > 0 {
+        if plan.stages.memory.disk > 0 {
             // Nobody would know what fills the disk.
             return;
         }
         self.plans.push(Kept { project: project.into(), fingerprint, plan: plan.clone() });
-        while self.plans.iter().map(|kept| kept.plan.bytes()).sum::<u64>() > self.max_bytes {
+        while self.plans.iter().map(|kept| kept.plan.stages.bytes()).sum::<u64>() > self.max_bytes {
             self.plans.remove(0);
         }
     }
@@ -56,13 +56,15 @@ impl KeptPlans {
 mod tests {
     use super::*;
     use crate::{
-        camera::{Camera, CameraModel},
+        base::progress::Unwatched,
         config::Settings,
-        formats::{colmap::ColmapModel, colmap_bin},
+        io::{
+            formats::{colmap::ColmapModel, colmap_bin},
+            project::Project,
+        },
+        method::synthetic::Town,
+        model::camera::{Camera, CameraModel},
         plan,
-        progress::Unwatched,
-        project::Project,
-        synthetic::Town,
     };
 
     #[test]
@@ -78,7 +80,7 @@ mod tests {
         let plan = plan::plan(&project, &Settings::default(), &Unwatched).expect("a plan");
         let print = |text: &str| serde_json::from_value::<Fingerprint>(text.into()).expect("a string");
         let [a, b, c] = ["a", "b", "c"].map(Path::new);
-        let mut kept = KeptPlans::new(2 * plan.bytes());
+        let mut kept = KeptPlans::new(2 * plan.stages.bytes());
         kept.put(a, print("1"), &plan);
         kept.put(b, print("1"), &plan);
         assert!(kept.get(a, &print("1")).is_some());

@@ -10,7 +10,7 @@ use std::{
 use walkdir::WalkDir;
 
 use super::{discover, settle::Entry};
-use crate::{depthmaps, error::Hint};
+use crate::{base::error::Hint, io::depthmaps};
 
 /// After measuring the maps of a project there is a pause so many times as long.
 const REST: u32 = 3;

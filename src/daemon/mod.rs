@@ -27,7 +27,7 @@ pub use job::{Job, PlanJob, PlanOptions, Planner};
 pub use run::{Signal, Summary, watch_roots};
 pub use status::{Line, read_status, status_file};
 
-use crate::{error::Hint, output::OutputError};
+use crate::{base::error::Hint, io::output::OutputError};
 
 /// How `viewrank watch` works.
 #[derive(Clone, Debug)]

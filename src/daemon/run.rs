@@ -26,7 +26,7 @@ use super::{
     status::{Holder, StatusFiles},
     watch::{self, Change, Watches},
 };
-use crate::{depthmaps, output::Disk};
+use crate::io::{depthmaps, output::Disk};
 
 /// Changes that come within this time of each other are one look.
 const GATHER: Duration = Duration::from_millis(50);

@@ -16,7 +16,7 @@ use super::{
     discover::{self, OUTPUT_FOLDER},
     state::{Phase, ProjectStatus, Status, Tracked},
 };
-use crate::output::{self, Disk};
+use crate::io::output::{self, Disk};
 
 /// The status is written at most so often.
 const PAUSE: Duration = Duration::from_secs(1);

@@ -4,7 +4,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::{PlanError, forecast::Cost};
-use crate::{config::CutSettings, fulfilment::block::Places};
+use crate::{config::CutSettings, method::fulfilment::block::Places};
 
 /// Share of what all clusters together reach, where nothing else is wanted.
 pub(super) const DEFAULT_TARGET: f64 = 0.9;

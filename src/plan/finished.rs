@@ -6,7 +6,7 @@ use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::{
+use crate::model::{
     camera::{Camera, CameraModel},
     scene::{Pose, Scene, ViewIndex},
 };
@@ -69,7 +69,7 @@ struct PlannedCamera {
 }
 
 impl PlannedViews {
-    pub(super) fn new(scene: &Scene, finished: &Finished) -> Self {
+    pub fn new(scene: &Scene, finished: &Finished) -> Self {
         let view = |view| (scene.name(view).to_owned(), PlannedView::new(scene, view));
         Self {
             version: 1,

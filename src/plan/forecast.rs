@@ -5,14 +5,16 @@ use schemars::JsonSchema;
 use serde::Serialize;
 
 use crate::{
-    column,
+    base::column,
     config::ForecastSettings,
-    fulfilment::{
-        self, Model,
-        block::{Block, Places},
+    method::{
+        fulfilment::{
+            self, Model,
+            block::{Block, Places},
+        },
+        ranking::Ranking,
     },
-    partners::ViewCluster,
-    ranking::Ranking,
+    model::cluster::ViewCluster,
 };
 
 /// What the backend will have to do, and how long it takes where that is known.

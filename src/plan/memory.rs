@@ -9,16 +9,17 @@ use serde::Serialize;
 
 use super::PlanError;
 use crate::{
-    column,
-    column::Keep,
+    base::column::{self, Keep},
     config::{Bytes, Settings, VisibilitySettings},
-    fulfilment::FulfilmentTable,
-    scene::Scene,
-    surface::{
-        Surface,
-        refine::{MAX_TRIANGLES, TRIANGLE_BYTES},
+    method::{
+        fulfilment::FulfilmentTable,
+        surface::{
+            Surface,
+            refine::{MAX_TRIANGLES, TRIANGLE_BYTES},
+        },
+        visibility::{self, Visibility},
     },
-    visibility::{self, Visibility},
+    model::scene::Scene,
 };
 
 /// The first stage that may need too much.

@@ -3,7 +3,7 @@
 use std::{cmp::Reverse, collections::BTreeMap};
 
 use super::Plan;
-use crate::{error::Hint, partners::Reason};
+use crate::{base::error::Hint, model::reason::Reason};
 
 /// Why nothing is chosen.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -18,8 +18,8 @@ pub enum Nothing {
 impl Nothing {
     /// `None`: something is chosen.
     pub fn of(plan: &Plan) -> Option<Self> {
-        let ranked = plan.ranking.order.len();
-        match plan.cut.clusters {
+        let ranked = plan.decision.ranking.order.len();
+        match plan.decision.cut.clusters {
             0 if ranked == 0 => Some(Self::nothing_fulfilled(plan)),
             0 => Some(Self::Allowed { ranked, limits: limits(plan) }),
             _ => None,
@@ -28,22 +28,26 @@ impl Nothing {
 
     fn nothing_fulfilled(plan: &Plan) -> Self {
         let mut counts = BTreeMap::new();
-        plan.views.iter().filter_map(|(_, reason)| *reason).for_each(|r| *counts.entry(r).or_insert(0usize) += 1);
+        plan.decision
+            .views
+            .iter()
+            .filter_map(|(_, reason)| *reason)
+            .for_each(|r| *counts.entry(r).or_insert(0usize) += 1);
         let most = counts.into_iter().max_by_key(|&(reason, count)| (count, Reverse(reason)));
         let (reason, of) = most.unwrap_or((Reason::Hidden, 0));
-        Self::Fulfilled { reason, of, views: plan.views.len(), cure: too_few_partners(plan) }
+        Self::Fulfilled { reason, of, views: plan.decision.views.len(), cure: too_few_partners(plan) }
     }
 }
 
 /// k too small for what is asked of a cluster.
 fn too_few_partners(plan: &Plan) -> Option<String> {
-    let k = plan.settings.partners.k;
-    let cameras = plan.settings.coverage.min_cameras;
-    let matches = plan.confidence.min_matches();
+    let k = plan.stages.settings.partners.k;
+    let cameras = plan.stages.settings.coverage.min_cameras;
+    let matches = plan.stages.confidence.min_matches();
     if k < cameras.saturating_sub(1) {
         Some(format!("{cameras} cameras must see a place (coverage.min_cameras), so take -k {} at least", cameras - 1))
     } else if k < matches {
-        Some(format!("{} needs {matches} matches that agree, so take -k {matches} at least", plan.backend))
+        Some(format!("{} needs {matches} matches that agree, so take -k {matches} at least", plan.stages.backend))
     } else {
         None
     }
@@ -51,7 +55,7 @@ fn too_few_partners(plan: &Plan) -> Option<String> {
 
 /// The limits of the cut, as they are set.
 fn limits(plan: &Plan) -> String {
-    let cut = &plan.settings.cut;
+    let cut = &plan.stages.settings.cut;
     let set = [
         cut.budget.map(|budget| format!("budget {budget}")),
         cut.time.map(|time| format!("time {time}")),

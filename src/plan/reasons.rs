@@ -6,11 +6,13 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::{
-    column::{self, Column, DiskError, Growing},
+    base::column::{self, Column, DiskError, Growing},
     config::PartnerSettings,
-    fulfilment::{self, Fulfilment, FulfilmentTable, Model},
-    partners::{Candidates, Reason, ViewCluster},
-    scene::ViewIndex,
+    method::{
+        fulfilment::{self, Fulfilment, FulfilmentTable, Model},
+        partners::Candidates,
+    },
+    model::{cluster::ViewCluster, reason::Reason, scene::ViewIndex},
 };
 
 /// What becomes of a registered view.

@@ -4,7 +4,7 @@ use std::time::Instant;
 
 use serde::{Serialize, Serializer, ser::SerializeMap};
 
-use crate::progress::Stage;
+use crate::base::progress::Stage;
 
 /// Seconds of wall time per stage, in the order in which they ran, and from start to end.
 #[derive(Clone, Debug)]

@@ -1,11 +1,11 @@
 //! What the user should know of a plan before relying on it.
 
-use super::Plan;
+use super::{Finished, Stages};
+use crate::method::ranking::Ranking;
 use crate::{
-    confidence::Confidence,
     config::{ConfidenceForm, Settings, SurfaceChoice},
-    scene::Scene,
-    surface::SurfaceKind,
+    method::{confidence::Confidence, surface::SurfaceKind},
+    model::scene::Scene,
 };
 
 /// Share of the observations of a table that may contradict it.
@@ -19,21 +19,21 @@ const EASTINGS: std::ops::Range<f64> = 100_000.0..900_000.0;
 /// Depth maps that are named.
 const NAMED: usize = 3;
 
-pub(super) fn warnings(plan: &Plan) -> Vec<String> {
-    let mut warnings: Vec<String> = plan.scene.warnings.iter().map(|warning| warning.text.clone()).collect();
-    warnings.extend(plan.pictures.warnings.iter().cloned());
-    warnings.extend(unlikely_gsd(&plan.scene, &plan.settings));
-    warnings.extend(no_utm_coordinates(plan));
-    warnings.extend(no_3d_surface(plan));
-    warnings.extend(unlike_pictures(plan));
-    warnings.extend(other_backend(plan));
-    warnings.extend(without_effect(plan));
-    warnings.extend(single_partner(plan));
-    warnings.extend(little_fulfilled(plan));
-    warnings.extend(contradictions(plan));
-    warnings.extend(outdated(plan));
-    warnings.extend(plan.finished.unreadable.iter().cloned());
-    warnings.extend(tiled(plan));
+pub(super) fn warnings(stages: &Stages, ranking: &Ranking, finished: &Finished) -> Vec<String> {
+    let mut warnings: Vec<String> = stages.scene.warnings.iter().map(|warning| warning.text.clone()).collect();
+    warnings.extend(stages.pictures.warnings.iter().cloned());
+    warnings.extend(unlikely_gsd(&stages.scene, &stages.settings));
+    warnings.extend(no_utm_coordinates(stages));
+    warnings.extend(no_3d_surface(stages));
+    warnings.extend(unlike_pictures(stages));
+    warnings.extend(other_backend(stages));
+    warnings.extend(without_effect(stages));
+    warnings.extend(single_partner(stages));
+    warnings.extend(little_fulfilled(ranking));
+    warnings.extend(contradictions(stages));
+    warnings.extend(outdated(stages, finished));
+    warnings.extend(finished.unreadable.iter().cloned());
+    warnings.extend(tiled(stages));
     warnings
 }
 
@@ -52,10 +52,10 @@ pub fn unlikely_gsd(scene: &Scene, settings: &Settings) -> Option<String> {
 }
 
 /// A model that is to be in UTM coordinates, and lies where no zone has its eastings.
-fn no_utm_coordinates(plan: &Plan) -> Option<String> {
-    let frame = &plan.settings.frame;
+fn no_utm_coordinates(stages: &Stages) -> Option<String> {
+    let frame = &stages.settings.frame;
     let zone = frame.utm.as_ref()?;
-    let easting = plan.scene.points.first()?.x + frame.offset.unwrap_or_default()[0];
+    let easting = stages.scene.points.first()?.x + frame.offset.unwrap_or_default()[0];
     (!EASTINGS.contains(&easting)).then(|| {
         format!(
             "frame.utm is {zone}, but a point of the model has an easting of {easting:.0} m, which no zone has: what is to be added to x \
@@ -65,16 +65,17 @@ fn no_utm_coordinates(plan: &Plan) -> Option<String> {
 }
 
 /// A surface that was to be carved, of points that enclose nothing.
-fn no_3d_surface(plan: &Plan) -> Option<String> {
-    let settings = &plan.settings.surface;
-    let other =
-        settings.mesh.is_none() && settings.kind == SurfaceChoice::Carved && plan.surface.kind == SurfaceKind::Terrain;
+fn no_3d_surface(stages: &Stages) -> Option<String> {
+    let settings = &stages.settings.surface;
+    let other = settings.mesh.is_none()
+        && settings.kind == SurfaceChoice::Carved
+        && stages.surface.kind == SurfaceKind::Terrain;
     other.then(|| "the sparse points lie in a plane: the surface is a terrain, though a 3D one was asked for".into())
 }
 
 /// Finished depth maps that have to be made again.
-fn outdated(plan: &Plan) -> Option<String> {
-    let outdated = &plan.finished.outdated;
+fn outdated(stages: &Stages, finished: &Finished) -> Option<String> {
+    let outdated = &finished.outdated;
     let names: Vec<&str> = outdated.iter().take(NAMED).map(|o| o.key.as_str()).collect();
     let more = if outdated.len() > NAMED { ", ..." } else { "" };
     (!outdated.is_empty()).then(|| {
@@ -82,15 +83,15 @@ fn outdated(plan: &Plan) -> Option<String> {
             "{} finished depth maps no longer fit the model, whose views moved by more than {} px: {}{more}; remove them so that \
              the backend makes them again",
             outdated.len(),
-            plan.settings.ranking.keep_px,
+            stages.settings.ranking.keep_px,
             names.join(", ")
         )
     })
 }
 
 /// Pictures that the model has not seen the like of.
-fn unlike_pictures(plan: &Plan) -> Option<String> {
-    let distance = plan.pictures.distance.filter(|&distance| distance > 1.0 && plan.trained.is_some())?;
+fn unlike_pictures(stages: &Stages) -> Option<String> {
+    let distance = stages.pictures.distance.filter(|&distance| distance > 1.0 && stages.trained.is_some())?;
     Some(format!(
         "the pictures are unlike those that the confidence was trained on ({distance:.1} times as far as those are from each other): \
          compute some depth maps and train on them (viewrank train), or take --confidence geometric"
@@ -98,23 +99,23 @@ fn unlike_pictures(plan: &Plan) -> Option<String> {
 }
 
 /// A model that learnt from another program's depth maps.
-fn other_backend(plan: &Plan) -> Option<String> {
-    let trained = plan.trained.as_ref().filter(|trained| trained.backend != plan.backend)?;
-    Some(format!("the confidence was trained on depth maps of {}, the plan is for {}", trained.backend, plan.backend))
+fn other_backend(stages: &Stages) -> Option<String> {
+    let trained = stages.trained.as_ref().filter(|trained| trained.backend != stages.backend)?;
+    Some(format!("the confidence was trained on depth maps of {}, the plan is for {}", trained.backend, stages.backend))
 }
 
 /// Settings of confidence that what predicts success here does not heed.
-fn without_effect(plan: &Plan) -> Option<String> {
-    let set = &plan.settings.confidence;
-    let pair = matches!(plan.confidence, Confidence::Pair(_));
-    let paper = matches!(plan.confidence, Confidence::Paper { .. });
+fn without_effect(stages: &Stages) -> Option<String> {
+    let set = &stages.settings.confidence;
+    let pair = matches!(stages.confidence, Confidence::Pair(_));
+    let paper = matches!(stages.confidence, Confidence::Paper { .. });
     let unheeded = [
         ("form", set.form == ConfidenceForm::Paper && !paper),
         ("p0", set.p0.is_some() && !pair),
         ("cosine_power", set.cosine_power.is_some() && !pair),
         ("scale_octaves", set.scale_octaves.is_some() && !pair),
         ("full_angle", set.full_angle.is_some() && !pair),
-        ("min_matches", set.min_matches.is_some() && plan.confidence == Confidence::None),
+        ("min_matches", set.min_matches.is_some() && stages.confidence == Confidence::None),
     ];
     let names: Vec<String> =
         unheeded.into_iter().filter(|(_, is)| *is).map(|(name, _)| format!("confidence.{name}")).collect();
@@ -123,14 +124,14 @@ fn without_effect(plan: &Plan) -> Option<String> {
 }
 
 /// Fewer cameras than the method wants to see a place.
-fn single_partner(plan: &Plan) -> Option<String> {
-    (plan.settings.partners.k == 1)
+fn single_partner(stages: &Stages) -> Option<String> {
+    (stages.settings.partners.k == 1)
         .then(|| "with k = 1 a place counts where two cameras see it; no third one confirms what they match".into())
 }
 
 /// The shares of the plan are of what all clusters reach together, which may be next to nothing.
-fn little_fulfilled(plan: &Plan) -> Option<String> {
-    let reached = plan.ranking.total();
+fn little_fulfilled(ranking: &Ranking) -> Option<String> {
+    let reached = ranking.total();
     (reached > 0.0 && reached < LITTLE).then(|| {
         format!(
             "all view clusters together reach {:.1} % of what is wanted: see the reasons of the triangles in surface.ply, or ask for less \
@@ -140,8 +141,8 @@ fn little_fulfilled(plan: &Plan) -> Option<String> {
     })
 }
 
-fn contradictions(plan: &Plan) -> Option<String> {
-    let share = plan.visibility.contradictions as f64 / plan.scene.observations().max(1) as f64;
+fn contradictions(stages: &Stages) -> Option<String> {
+    let share = stages.visibility.contradictions as f64 / stages.scene.observations().max(1) as f64;
     (share > CONTRADICTIONS).then(|| {
         format!(
             "{:.0} % of the observations contradict the surface: views observe points that it hides from them; \
@@ -151,12 +152,12 @@ fn contradictions(plan: &Plan) -> Option<String> {
     })
 }
 
-fn tiled(plan: &Plan) -> Option<String> {
-    let tiles = plan.surface_stats.tiles;
+fn tiled(stages: &Stages) -> Option<String> {
+    let tiles = stages.surface_stats.tiles;
     (tiles > 1).then(|| {
         format!(
             "the surface was built in {tiles} tiles of at most {} points; where they meet its triangles are not those of a whole surface",
-            plan.settings.surface.tile_points.unwrap_or_default()
+            stages.settings.surface.tile_points.unwrap_or_default()
         )
     })
 }

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use viewrank::{
     backends::{ExportOptions, References},
-    formats::colmap_bin,
+    io::formats::colmap_bin,
 };
 
 use crate::Fixture;
@@ -96,9 +96,9 @@ fn trap_3dgs_basename_collision() {
     assert!(fixture.export("splat").says("for the same image"));
 }
 
-fn model(files: &crate::Files) -> viewrank::formats::colmap::ColmapModel<'static> {
+fn model(files: &crate::Files) -> viewrank::io::formats::colmap::ColmapModel<'static> {
     let leak = |name: &str| -> &'static [u8] { Vec::leak(files.bytes(name).to_vec()) };
-    let bytes = viewrank::formats::Bytes {
+    let bytes = viewrank::io::formats::Bytes {
         cameras: leak("sparse/0/cameras.bin"),
         images: leak("sparse/0/images.bin"),
         points3d: leak("sparse/0/points3D.bin"),

@@ -14,12 +14,17 @@ mod sure;
 use std::{collections::BTreeMap, path::PathBuf, sync::OnceLock};
 
 use viewrank::{
-    backends::{BackendError, Export, ExportOptions, RankedCluster, Selection, by_name},
-    camera::{Camera, CameraModel},
-    output::Contents,
-    project::{ImageFaults, ModelFormat, ModelLocation, Project, ProjectKind},
-    scene::{Scene, ViewIndex},
-    synthetic::Town,
+    backends::{BackendError, Export, ExportOptions, Selection, by_name},
+    io::{
+        output::Contents,
+        project::{ImageFaults, ModelFormat, ModelLocation, Project, ProjectKind},
+    },
+    method::synthetic::Town,
+    model::{
+        camera::{Camera, CameraModel},
+        cluster::RankedCluster,
+        scene::{Scene, ViewIndex},
+    },
 };
 
 /// A scene with chosen clusters, in a project that exists nowhere.
@@ -224,11 +229,14 @@ fn distorted_images_are_refused_with_the_command_that_makes_them() {
     fixture.scene.cameras =
         vec![Camera::new(7, CameraModel::SimpleRadial, 640, 480, vec![500.0, 320.0, 240.0, 0.01]).unwrap()];
     let foreign = fixture.try_export("openmvs", &ExportOptions::default()).unwrap_err();
-    assert!(!viewrank::error::Hint::hint(&foreign).unwrap().contains("colmap"), "COLMAP does not read that model");
+    assert!(
+        !viewrank::base::error::Hint::hint(&foreign).unwrap().contains("colmap"),
+        "COLMAP does not read that model"
+    );
     fixture.project.model.format = ModelFormat::ColmapBinary;
     for backend in ["openmvs", "colmap", "mvsnet", "pmvs", "mve", "gipuma", "alicevision", "sure"] {
         let error = fixture.try_export(backend, &ExportOptions::default()).unwrap_err();
-        let hint = viewrank::error::Hint::hint(&error).unwrap();
+        let hint = viewrank::base::error::Hint::hint(&error).unwrap();
         assert!(
             error.to_string().contains("SIMPLE_RADIAL")
                 && hint.contains("viewrank undistort /nowhere")

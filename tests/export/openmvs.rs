@@ -3,9 +3,9 @@
 use nalgebra::{Matrix3, Vector3};
 use viewrank::{
     backends::{BackendError, ExportOptions},
-    error::Hint,
-    formats::openmvs::{Mvs, Vertex, VertexView},
-    scene::ViewIndex,
+    base::error::Hint,
+    io::formats::openmvs::{Mvs, Vertex, VertexView},
+    model::scene::ViewIndex,
 };
 
 use crate::{Files, Fixture};
@@ -160,13 +160,13 @@ fn shifted_cameras_are_where_they_were() {
     for (backend, folder) in [("colmap", "sparse"), ("splat", "sparse/0")] {
         let files = fixture.export(backend);
         let file = |stem: &str| files.bytes(&format!("{folder}/{stem}.bin"));
-        let bytes = viewrank::formats::Bytes {
+        let bytes = viewrank::io::formats::Bytes {
             cameras: file("cameras"),
             images: file("images"),
             points3d: file("points3D"),
             ..Default::default()
         };
-        let scene = viewrank::formats::colmap_bin::read(&bytes).unwrap().scene().unwrap();
+        let scene = viewrank::io::formats::colmap_bin::read(&bytes).unwrap().scene().unwrap();
         let found = scene.find(fixture.name(view)).unwrap();
         near(&files, scene.view(found).cam_from_world.centre().coords);
         assert!(scene.points.iter().all(|x| x.coords.norm() < 2000.0));

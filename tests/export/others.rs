@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use quick_xml::events::Event;
 use serde_json::Value;
-use viewrank::{backends::ExportOptions, scene::ViewIndex};
+use viewrank::{backends::ExportOptions, model::scene::ViewIndex};
 
 use crate::{Fixture, numbers, table};
 

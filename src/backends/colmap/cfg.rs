@@ -60,7 +60,7 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::error::Hint;
+    use crate::base::error::Hint;
 
     proptest! {
         /// Whatever is written is read back as it was meant.

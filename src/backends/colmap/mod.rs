@@ -26,9 +26,11 @@ use super::{
     PlanningNumbers, References, Selection, TaskRunner, Trap, capped_scale, selection, workspace::add_workspace,
 };
 use crate::{
-    output::{Contents, FileSet},
-    project::Project,
-    scene::ViewIndex,
+    io::{
+        output::{Contents, FileSet},
+        project::Project,
+    },
+    model::scene::ViewIndex,
 };
 
 mod cfg;

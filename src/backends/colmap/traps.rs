@@ -3,9 +3,9 @@
 use super::{cfg, finished};
 use crate::{
     backends::{Patient, Trap, selection},
-    project::ModelFormat,
-    scene::Scene,
-    shell::quoted_path,
+    base::shell::quoted_path,
+    io::project::ModelFormat,
+    model::scene::Scene,
 };
 
 pub fn all(patient: &Patient) -> Vec<Trap> {

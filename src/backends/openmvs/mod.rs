@@ -9,16 +9,21 @@ use serde::Serialize;
 
 use self::scene::Builder;
 use super::{
-    Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Gate, Honours, Patient, PlanningNumbers,
-    RankedCluster, Selection, TaskRunner, Trap, capped_scale, selection,
+    Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, Patient, PlanningNumbers,
+    Selection, TaskRunner, Trap, capped_scale, selection,
 };
 use crate::{
-    confidence::PairConfidence,
-    formats::openmvs::Mvs,
-    output::Contents,
-    project::{ModelFormat, Project, ProjectKind},
-    scene::ViewIndex,
-    shell::quoted_path,
+    base::shell::quoted_path,
+    io::{
+        formats::openmvs::Mvs,
+        output::Contents,
+        project::{ModelFormat, Project, ProjectKind},
+    },
+    method::confidence::PairConfidence,
+    model::{
+        cluster::{Gate, RankedCluster},
+        scene::ViewIndex,
+    },
 };
 
 mod neighbours;

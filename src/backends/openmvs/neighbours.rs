@@ -11,10 +11,12 @@ use nalgebra::{Matrix3, Vector3};
 use super::{OpenMvs, dense_config, resolution};
 use crate::{
     backends::{BackendError, Export, ExportOptions, ExportRecord, Selection, capped_scale, selection::origin_among},
-    formats::openmvs::{Mvs, NO_POSE},
-    output::Contents,
-    project::ProjectError,
-    scene::ViewIndex,
+    io::{
+        formats::openmvs::{Mvs, NO_POSE},
+        output::Contents,
+        project::ProjectError,
+    },
+    model::scene::ViewIndex,
 };
 
 /// Depths that OpenMVS searches for an image with given neighbours.
@@ -42,7 +44,7 @@ pub fn export(selection: &Selection, options: &ExportOptions, path: &Path) -> Re
     record.pixel_shift = -0.5;
     record.scale = scale;
     let mut files = options.file_set(&OpenMvs, selection);
-    let list = |c: &crate::backends::RankedCluster| {
+    let list = |c: &crate::model::cluster::RankedCluster| {
         let views = std::iter::once(&c.key).chain(&c.partners);
         views.map(|v| positions[v.at()].to_string()).collect::<Vec<_>>().join(" ") + "\n"
     };

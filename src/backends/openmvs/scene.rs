@@ -3,9 +3,12 @@
 use nalgebra::Point3;
 
 use crate::{
-    backends::{RankedCluster, Selection},
-    formats::openmvs::{Camera, Image, Mvs, Platform, Pose, Vertex, VertexView, ViewScore},
-    scene::{Scene, ViewIndex, ViewPoints},
+    backends::Selection,
+    io::formats::openmvs::{Camera, Image, Mvs, Platform, Pose, Vertex, VertexView, ViewScore},
+    model::{
+        cluster::RankedCluster,
+        scene::{Scene, ViewIndex, ViewPoints},
+    },
 };
 
 /// A partner needs three shared points to be a neighbour at all, the key view more than three points in total.

@@ -1,0 +1,292 @@
+//! The view clusters of a plan as tasks of a queue, one task per rank: what `viewrank dispatch` writes and asks.
+//!
+//! `PROJECT/viewrank/dispatch/NAME` holds `list-HASH.tsv` (a line per task: rank, marker, id, depth map, key view), `task.sh` and `fuse.sh`
+//! (the scripts of `integrations/slurm` with their head written), `logs/`, and what the scripts note: `done/MARKER` with the id of
+//! the cluster whose depth map lies there, and `fused`, the ids of what was joined last. An id stands for a key view with its
+//! partners, their cameras and poses; so a plan that changes makes only changed clusters anew. Whether work is missing is read from these files alone, [`slurm`]
+//! says what of it is on its way.
+
+pub mod slurm;
+
+use std::{
+    collections::BTreeSet,
+    env,
+    fs::{self, File, TryLockError},
+    io,
+    path::{Path, PathBuf},
+};
+
+use crate::{
+    backends::{Backend, Export, Selection, TaskRunner, recipe},
+    base::{error::Hint, shell::quoted_path},
+    config::{DispatchSettings, Share},
+    io::output::{Contents, FileSet},
+    model::cluster::RankedCluster,
+};
+
+/// The depth map of one view cluster.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Task {
+    /// From 1.
+    pub rank: usize,
+    /// Names the key view; no two tasks that run may share it.
+    pub marker: String,
+    /// Of the key view with its partners, as they lie and as they are matched.
+    pub id: String,
+    pub map: PathBuf,
+    /// Name of the key view.
+    pub key: String,
+}
+
+/// The tasks of a plan for one backend.
+#[derive(Clone, Debug)]
+pub struct Dispatch {
+    pub project: PathBuf,
+    pub backend: &'static str,
+    /// Where everything about the tasks lies.
+    pub folder: PathBuf,
+    /// In rank order; clusters of which no depth map can be made have none.
+    pub tasks: Vec<Task>,
+    /// Depth maps of ranks up to this stay, whoever made them: the plan stands around them.
+    finished: usize,
+    /// Folder in which the backend runs.
+    workplace: PathBuf,
+    /// The backend's program, where the export brings it.
+    exported_program: Option<PathBuf>,
+    runner: TaskRunner,
+}
+
+/// What the scripts run beside the backend's own runner.
+#[derive(Clone, Debug)]
+pub struct Tools {
+    pub program: PathBuf,
+    pub python: PathBuf,
+}
+
+impl Tools {
+    /// The program that was named, else the one that the runner's variable names, else the one that comes with the export, else the one on
+    /// the PATH; `PYTHON`, else `python3`.
+    pub fn find(dispatch: &Dispatch, named: Option<&Path>) -> Result<Self, DispatchError> {
+        let runner = &dispatch.runner;
+        let variable = env::var_os(runner.variable).map(PathBuf::from);
+        let wanted = named.map(Path::to_path_buf).or(variable);
+        if let (None, Some(own)) = (&wanted, &dispatch.exported_program) {
+            return Ok(Self { program: own.clone(), ..Self::unseen(runner) });
+        }
+        let wanted = wanted.unwrap_or_else(|| runner.program.into());
+        let program = on_path(&wanted).ok_or(DispatchError::Program { program: wanted, variable: runner.variable })?;
+        Ok(Self { program, ..Self::unseen(runner) })
+    }
+
+    /// Programs that only the nodes have.
+    pub fn unseen(runner: &TaskRunner) -> Self {
+        let python = env::var_os("PYTHON").map_or_else(|| "python3".into(), PathBuf::from);
+        // Scripts run it from another folder.
+        let python = if python.components().count() > 1 { absolute(&python) } else { python };
+        Self { program: runner.program.into(), python }
+    }
+}
+
+/// A program by its path, or in the folders of the PATH.
+fn on_path(program: &Path) -> Option<PathBuf> {
+    let file = |path: PathBuf| path.is_file().then(|| absolute(&path));
+    if program.components().count() > 1 || program.is_file() {
+        return file(program.into());
+    }
+    env::split_paths(&env::var_os("PATH")?).find_map(|folder| file(folder.join(program)))
+}
+
+fn absolute(path: &Path) -> PathBuf {
+    std::path::absolute(path).unwrap_or(path.into())
+}
+
+impl Dispatch {
+    /// The tasks of an export with the default options; the plan stands around the first `finished` depth maps.
+    pub fn new(
+        backend: &'static dyn Backend,
+        selection: &Selection,
+        export: &Export,
+        finished: usize,
+    ) -> Result<Self, DispatchError> {
+        let project = absolute(&selection.project.root);
+        let runner = backend.tasks(selection, export).ok_or(DispatchError::NoTasks(backend.name()))?;
+        let task = |(i, cluster): (usize, &RankedCluster)| {
+            let map = runner.maps[i].clone()?;
+            let key = selection.scene.name(cluster.key);
+            let options = format!("{} {}", backend.name(), selection.image_scale);
+            let (marker, id) = (hash([key]), recipe(selection, cluster, &options));
+            Some(Task { rank: i + 1, marker, id, map: absolute(&map), key: key.into() })
+        };
+        let tasks: Vec<Task> = selection.clusters.iter().enumerate().filter_map(task).collect();
+        if let Some(task) = tasks.iter().find(|t| t.map.to_string_lossy().contains(['\t', '\n'])) {
+            return Err(DispatchError::Path(task.map.clone()));
+        }
+        let folder = project.join("viewrank/dispatch").join(backend.name());
+        let workplace = absolute(&export.files.root);
+        let brings_program = export.files.files.contains_key(runner.program);
+        let exported_program = brings_program.then(|| workplace.join(runner.program));
+        Ok(Self { project, backend: backend.name(), folder, tasks, finished, workplace, exported_program, runner })
+    }
+
+    pub fn runner(&self) -> &TaskRunner {
+        &self.runner
+    }
+
+    /// The lines of the list. A rank has the same line as long as its cluster is the same.
+    fn list(&self) -> String {
+        let line = |t: &Task| {
+            let key = t.key.replace(char::is_control, " ");
+            format!("{}\t{}\t{}\t{}\t{key}\n", t.rank, t.marker, t.id, t.map.display())
+        };
+        self.tasks.iter().map(line).collect()
+    }
+
+    /// Names the list: another plan has another.
+    pub fn list_name(&self) -> String {
+        hash([self.list().as_str()])[..8].into()
+    }
+
+    fn list_path(&self, name: &str) -> PathBuf {
+        self.folder.join(format!("list-{name}.tsv"))
+    }
+
+    /// Markers and ranks of an older list, if it is still there.
+    fn old_markers(&self, name: &str) -> Vec<(usize, String)> {
+        let text = fs::read_to_string(self.list_path(name)).unwrap_or_default();
+        let entry = |line: &str| {
+            let mut fields = line.split('\t');
+            Some((fields.next()?.parse().ok()?, fields.next()?.to_owned()))
+        };
+        text.lines().filter_map(entry).collect()
+    }
+
+    /// List and scripts; older lists that tasks in the queue still read stay.
+    pub fn files(&self, tools: &Tools, settings: &DispatchSettings, old_lists: &BTreeSet<String>) -> FileSet {
+        let mut files = FileSet::new(&self.project, &format!("dispatch-{}", self.backend));
+        let mut add = |name: &str, contents| files.add(format!("viewrank/dispatch/{}/{name}", self.backend), contents);
+        let head = self.head(tools, settings);
+        let script = |template: &str| Contents::Script(template.replacen("@HEAD@\n", &head, 1).into_bytes());
+        add("task.sh", script(include_str!("../../../integrations/slurm/task.sh")));
+        add("fuse.sh", script(include_str!("../../../integrations/slurm/fuse.sh")));
+        add("logs", Contents::Folder);
+        for old in old_lists {
+            if let Ok(bytes) = fs::read(self.list_path(old)) {
+                add(&format!("list-{old}.tsv"), Contents::Bytes(bytes));
+            }
+        }
+        add(&format!("list-{}.tsv", self.list_name()), Contents::Bytes(self.list().into_bytes()));
+        files
+    }
+
+    /// What the scripts know. They are copied away when they are submitted, so that every path is whole.
+    fn head(&self, tools: &Tools, settings: &DispatchSettings) -> String {
+        let TaskRunner { compute, fuse, .. } = &self.runner;
+        let body = |name: &str, command: &str| {
+            format!("{name}() {{\n    cd {} && {command}\n}}\n", quoted_path(&self.workplace))
+        };
+        let setup = settings.setup.trim_end();
+        format!(
+            "project={}\nfolder={}\nlist={}\nfinished={}\nprogram={}\npython={}\nthreads=${{SLURM_CPUS_PER_TASK:-{}}}\n{}{}{setup}{}",
+            quoted_path(&self.project),
+            quoted_path(&self.folder),
+            quoted_path(&self.list_path(&self.list_name())),
+            self.finished,
+            quoted_path(&tools.program),
+            quoted_path(&tools.python),
+            settings.cpus,
+            body("compute", compute),
+            body("fuse", fuse),
+            if setup.is_empty() { "" } else { "\n" },
+        )
+    }
+
+    /// Is the depth map of the task there, made from this key view and these partners as they lie now, or one that the plan stands around?
+    pub fn is_done(&self, task: &Task) -> bool {
+        let noted = || fs::read_to_string(self.folder.join("done").join(&task.marker)).unwrap_or_default();
+        (task.rank <= self.finished || noted().trim() == task.id)
+            && fs::metadata(&task.map).is_ok_and(|map| map.len() > 0)
+    }
+
+    /// The depth maps of the tasks that are done.
+    pub fn finished_maps(&self) -> impl Iterator<Item = &Path> {
+        self.tasks.iter().filter(|task| self.is_done(task)).map(|task| &*task.map)
+    }
+
+    /// Nobody else submits tasks of this project until the file is dropped.
+    pub fn hold(&self) -> Result<File, DispatchError> {
+        let path = self.folder.join("lock");
+        let failed = |source| DispatchError::Lock { path: path.clone(), source };
+        fs::create_dir_all(&self.folder).map_err(failed)?;
+        let lock = File::options().create(true).truncate(false).write(true).open(&path).map_err(failed)?;
+        match lock.try_lock() {
+            Err(TryLockError::WouldBlock) => Err(DispatchError::Busy(self.folder.clone())),
+            // Where there are no locks, nothing can be held.
+            _ => Ok(lock),
+        }
+    }
+
+    /// Was exactly what is done joined already?
+    pub fn is_fused(&self) -> bool {
+        let done: String = self.tasks.iter().filter(|t| self.is_done(t)).map(|t| format!("{}\n", t.id)).collect();
+        done.is_empty() || fs::read_to_string(self.folder.join("fused")).is_ok_and(|fused| fused == done)
+    }
+}
+
+/// 16 hexadecimal digits of BLAKE3 over the texts.
+fn hash<'a>(texts: impl IntoIterator<Item = &'a str>) -> String {
+    let mut hasher = blake3::Hasher::new();
+    for text in texts {
+        hasher.update(&(text.len() as u64).to_le_bytes()).update(text.as_bytes());
+    }
+    hasher.finalize().to_hex()[..16].into()
+}
+
+/// Why clusters cannot be handed to a queue.
+#[derive(Debug, thiserror::Error)]
+pub enum DispatchError {
+    #[error("{0} cannot compute single view clusters")]
+    NoTasks(&'static str),
+    #[error("there is no program {}", program.display())]
+    Program { program: PathBuf, variable: &'static str },
+    #[error("{}: tabs and line breaks separate the entries of the list", .0.display())]
+    Path(PathBuf),
+    #[error("{program}: {source}")]
+    Start { program: String, source: io::Error },
+    #[error("{command} failed: {message}")]
+    Refused { command: String, message: String },
+    #[error("{command} answered \"{answer}\", which is not understood")]
+    Answer { command: String, answer: String },
+    #[error("tasks that were cancelled stay in the queue")]
+    Stuck,
+    #[error("{}: another viewrank dispatch is at work on it", .0.display())]
+    Busy(PathBuf),
+    #[error("{}: {source}", path.display())]
+    Lock { path: PathBuf, source: io::Error },
+    #[error("--target {wanted} is more than the plan's {planned}, at which tasks stop")]
+    Target { wanted: Share, planned: Share },
+}
+
+impl Hint for DispatchError {
+    fn hint(&self) -> Option<String> {
+        Some(match self {
+            Self::NoTasks(_) => {
+                "take --backend sgm, openmvs or colmap; or run its own script, see viewrank export".into()
+            }
+            Self::Program { variable, .. } => {
+                format!("name it with --program or {variable}; where only the nodes have it, see --setup")
+            }
+            Self::Path(_) => "rename the folder or the image".into(),
+            Self::Start { .. } => "run this where SLURM's commands are, or take --scheduler shell".into(),
+            Self::Refused { .. } => "see the queue's message; --dry-run shows all commands".into(),
+            Self::Answer { .. } => "look whether that command works by itself".into(),
+            Self::Stuck => "look with squeue, then try again".into(),
+            Self::Busy(_) => "wait for it to end".into(),
+            Self::Lock { .. } => "make it writable".into(),
+            Self::Target { wanted, .. } => format!("plan again with --target {wanted}"),
+        })
+    }
+
+    fn is_usage(&self) -> bool {
+        matches!(self, Self::Target { .. })
+    }
+}

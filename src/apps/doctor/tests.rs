@@ -1,0 +1,579 @@
+//! One broken project for each reason and trap, and a healthy one.
+
+use std::{fs, path::Path};
+
+use nalgebra::{Matrix3, Point3, Rotation3, Vector3};
+use tempfile::TempDir;
+
+use super::{Finding, Severity, ViewFinding, examine};
+use crate::{
+    backends::{self, Backend},
+    config::{FrameSettings, Settings, TargetSettings},
+    io::{
+        formats::{colmap::ColmapModel, colmap_bin, colmap_text},
+        project::{ModelFormat, ModelLocation, Project, ProjectKind},
+    },
+    model::{
+        camera::{Camera, CameraModel},
+        scene::{CameraIndex, ModelWarning, Pose, Scene, Units, View, ViewIndex, WarningKind},
+    },
+};
+
+/// A view at `centre` that looks at `target`, +y of the world up in the image.
+fn view(name: &str, centre: [f64; 3], target: [f64; 3]) -> View {
+    let forward = (Vector3::from(target) - Vector3::from(centre)).normalize();
+    let right = forward.cross(&Vector3::y()).normalize();
+    let rows = [right.transpose(), forward.cross(&right).transpose(), forward.transpose()];
+    let rotation = Rotation3::from_matrix_unchecked(Matrix3::from_rows(&rows));
+    let cam_from_world = Pose { rotation, translation: -(rotation * Vector3::from(centre)) };
+    View { name: name.into(), image_id: 0, file_position: 0, camera: CameraIndex(0), cam_from_world }
+}
+
+fn down(name: &str, x: f64, y: f64, z: f64) -> View {
+    view(name, [x, y, z], [x, y, 0.0])
+}
+
+/// Gentle hills.
+fn ground(x: f64, y: f64) -> Point3<f64> {
+    Point3::new(x, y, (0.3 * x).sin() + (0.2 * y).cos())
+}
+
+fn square(middle: f64, half: i32) -> impl Iterator<Item = Point3<f64>> {
+    (-half..=half).flat_map(move |i| (-half..=half).map(move |j| ground(middle + f64::from(i), f64::from(j))))
+}
+
+/// Every view observes every point that its image holds, unless `lost` says otherwise (view by its name, and the point).
+fn scene_of(
+    mut views: Vec<View>,
+    points: impl Iterator<Item = Point3<f64>>,
+    lost: impl Fn(&str, &Point3<f64>) -> bool,
+) -> Scene {
+    views.sort_by(|a, b| a.name.cmp(&b.name));
+    let camera = Camera::new(1, CameraModel::Pinhole, 1000, 750, vec![850.0, 850.0, 500.0, 375.0]).unwrap();
+    let mut scene = Scene { cameras: vec![camera], views, track_offsets: vec![0], ..Default::default() };
+    for (i, view) in scene.views.iter_mut().enumerate() {
+        (view.image_id, view.file_position) = (i as u32 + 1, i as u32);
+    }
+    for point in points {
+        add_point(&mut scene, point, |name| !lost(name, &point));
+    }
+    scene
+}
+
+fn add_point(scene: &mut Scene, point: Point3<f64>, observes: impl Fn(&str) -> bool) {
+    for v in (0..scene.views.len() as u32).map(ViewIndex) {
+        let pixel = scene.camera_of(v).project(&scene.view(v).cam_from_world.camera_from_world(&point));
+        if let Some(pixel) = pixel.filter(|p| scene.camera_of(v).contains(p) && observes(scene.name(v))) {
+            scene.track_views.push(v);
+            scene.track_pixels.push([pixel.x, pixel.y]);
+        }
+    }
+    scene.points.push(point);
+    scene.point_ids.push(scene.points.len() as u64);
+    scene.colours.push([128; 3]);
+    scene.track_offsets.push(scene.track_views.len());
+}
+
+/// Five by five views, 8 m apart, 40 m up.
+fn block(middle: f64, prefix: &str) -> Vec<View> {
+    let at = |i: i32| 8.0 * f64::from(i - 2);
+    (0..25).map(|i| down(&format!("{prefix}{i:02}.jpg"), middle + at(i % 5), at(i / 5), 40.0)).collect()
+}
+
+fn healthy() -> Scene {
+    scene_of(block(0.0, "n"), square(0.0, 34), |_, _| false)
+}
+
+/// A project in a folder of its own, without images.
+fn project(format: ModelFormat) -> (TempDir, Project) {
+    let folder = tempfile::tempdir().unwrap();
+    let model = ModelLocation { format, path: folder.path().join("sparse/0"), registered: 25 };
+    fs::create_dir_all(&model.path).unwrap();
+    let project = Project {
+        root: folder.path().into(),
+        kind: ProjectKind::Colmap,
+        model,
+        model_is_named: false,
+        other_models: Vec::new(),
+        images: None,
+        dense_workspace: None,
+    };
+    (folder, project)
+}
+
+/// What is found, partners judged for one backend; that these projects have no images is not said each time.
+fn visit(scene: &Scene, backend: &str, settings: &Settings) -> Vec<Finding> {
+    let (_folder, project) = project(ModelFormat::ColmapBinary);
+    look(&project, scene, settings, &[backends::by_name(backend).unwrap()])
+}
+
+fn look(project: &Project, scene: &Scene, settings: &Settings, backends: &[&dyn Backend]) -> Vec<Finding> {
+    let mut findings = examine(project, scene, settings, backends).findings;
+    findings.retain(|finding| finding.check != "no-images");
+    findings
+}
+
+fn found<'a>(findings: &'a [Finding], check: &str) -> &'a Finding {
+    let found = findings.iter().find(|finding| finding.check == check);
+    found.unwrap_or_else(|| panic!("no {check} in {findings:#?}"))
+}
+
+/// What is said of one view in a finding.
+fn said<'a>(finding: &'a Finding, view: &str) -> &'a str {
+    let found = finding.views.iter().find(|of| of.name == view);
+    &found.unwrap_or_else(|| panic!("nothing of {view} in {finding:#?}")).why
+}
+
+/// The healthy block with more views.
+fn block_with(more: Vec<View>) -> Scene {
+    scene_of(block(0.0, "n").into_iter().chain(more).collect(), square(0.0, 34), |_, _| false)
+}
+
+#[test]
+fn a_healthy_project_has_no_findings() {
+    let (_folder, project) = project(ModelFormat::ColmapBinary);
+    for backend in backends::all() {
+        let order: Vec<&dyn Backend> = std::iter::once(*backend).chain(backends::all().iter().copied()).collect();
+        assert_eq!(look(&project, &healthy(), &Settings::default(), &order), [], "{}", backend.name());
+    }
+}
+
+#[test]
+fn a_model_without_views() {
+    let findings = visit(&scene_of(Vec::new(), square(0.0, 3), |_, _| false), "sure", &Settings::default());
+    assert_eq!((findings.len(), found(&findings, "no-views").severity), (1, Severity::Error));
+}
+
+#[test]
+fn a_view_without_shared_points() {
+    let views = block(0.0, "n").into_iter().chain([down("far.jpg", 500.0, 0.0, 40.0)]).collect();
+    let scene = scene_of(views, square(0.0, 34).chain(square(500.0, 20)), |_, _| false);
+    let findings = visit(&scene, "sure", &Settings::default());
+    let finding = found(&findings, "too-few-partners");
+    assert_eq!((finding.views.len(), finding.severity), (1, Severity::Note), "one of many");
+    assert!(said(finding, "far.jpg").contains("too few sparse points in common"));
+}
+
+#[test]
+fn views_at_one_position() {
+    let turned = |name: &str, aside: f64| view(name, [0.0, 0.0, 40.0], [aside, 3.0, 0.0]);
+    let findings =
+        visit(&block_with(vec![turned("p1.jpg", 2.0), turned("p2.jpg", -4.0)]), "sure", &Settings::default());
+    let finding = found(&findings, "one-position");
+    assert_eq!(said(finding, "p1.jpg"), "with n12.jpg");
+    assert_eq!(
+        (said(finding, "p2.jpg"), finding.severity),
+        ("with n12.jpg", Severity::Note),
+        "each has other partners"
+    );
+
+    let aside =
+        block(300.0, "z").into_iter().take(1).chain([view("z1.jpg", [284.0, -16.0, 40.0], [286.0, -16.0, 0.0])]);
+    let views = block(0.0, "n").into_iter().chain(aside).collect();
+    let findings =
+        visit(&scene_of(views, square(0.0, 34).chain(square(284.0, 34)), |_, _| false), "sure", &Settings::default());
+    assert_eq!(found(&findings, "one-position").severity, Severity::Warning, "two have no others");
+    assert_eq!(found(&findings, "too-few-partners").severity, Severity::Warning, "and their points are lost");
+
+    let panorama = (0..6).map(|i| turned(&format!("p{i}.jpg"), f64::from(i))).collect();
+    let findings = visit(&scene_of(panorama, square(0.0, 34), |_, _| false), "sure", &Settings::default());
+    assert_eq!(found(&findings, "one-position").severity, Severity::Error);
+    let alone = found(&findings, "too-few-partners");
+    assert_eq!((alone.views.len(), alone.severity), (6, Severity::Error));
+    assert!(said(alone, "p3.jpg").contains("5 no baseline"));
+}
+
+/// Two views that one limit of the backend keeps apart.
+#[track_caller]
+fn kept_apart(views: [View; 2], backend: &str, reason: &str) {
+    let name = views[0].name.clone();
+    let findings = visit(&scene_of(views.into(), square(0.0, 60), |_, _| false), backend, &Settings::default());
+    let words = said(found(&findings, "too-few-partners"), &name).to_owned();
+    assert_eq!(words, format!("0 partners; refused: 1 {reason}"));
+}
+
+#[test]
+fn the_reasons_of_refused_pairs() {
+    let middle = || down("a.jpg", 0.0, 0.0, 40.0);
+    kept_apart([middle(), down("b.jpg", 1.2, 0.0, 40.0)], "colmap", "angle too small");
+    kept_apart([middle(), down("b.jpg", 8.0, 0.0, 150.0)], "colmap", "scale too different");
+    let aside = |name: &str, x: f64| view(name, [x, 0.0, 30.0], [0.0, 0.0, 0.0]);
+    kept_apart([aside("a.jpg", -28.0), aside("b.jpg", 28.0)], "colmap", "angle too large");
+    kept_apart([middle(), down("b.jpg", 0.0, 0.0, 35.0)], "sure", "flying along the line of sight");
+}
+
+#[test]
+fn fewer_partners_than_wanted() {
+    let row = (0..4).map(|i| down(&format!("{i}.jpg"), 8.0 * f64::from(i), 0.0, 40.0)).collect();
+    let findings = visit(&scene_of(row, square(0.0, 60), |_, _| false), "colmap", &Settings::default());
+    let finding = found(&findings, "fewer-partners-than-k");
+    assert_eq!((finding.views.len(), finding.severity), (4, Severity::Note));
+    assert!(said(finding, "0.jpg").starts_with("3 partners"));
+}
+
+/// A view whose points on the side of `copied` are copies that nobody else observes.
+fn with_copies(copied: impl Fn(&Point3<f64>) -> bool) -> Scene {
+    let mut scene = scene_of(block(0.0, "n"), square(0.0, 34), |name, point| name == "n12.jpg" && copied(point));
+    for point in square(0.0, 34).filter(|point| copied(point)) {
+        add_point(&mut scene, point, |name| name == "n12.jpg");
+    }
+    scene
+}
+
+#[test]
+fn far_too_few_shared_points() {
+    let hold = |point: &Point3<f64>| (point.x as i32) % 13 == 0 && (point.y as i32) % 13 == 0;
+    let findings = visit(&with_copies(|point| !hold(point)), "sure", &Settings::default());
+    let finding = found(&findings, "far-too-few-shared-points");
+    assert_eq!((finding.views.len(), finding.severity), (1, Severity::Warning));
+    assert!(said(finding, "n12.jpg").contains(" points that n"));
+}
+
+#[test]
+fn shared_points_on_one_side_only() {
+    let findings = visit(&with_copies(|point| point.x > 0.0), "sure", &Settings::default());
+    let finding = found(&findings, "one-sided-links");
+    assert!(finding.views.iter().any(|of| of.name == "n12.jpg") && finding.views.len() < 4, "{finding:#?}");
+}
+
+#[test]
+fn a_model_in_parts() {
+    let views = block(0.0, "n").into_iter().chain(block(500.0, "z").into_iter().take(10)).collect();
+    let scene = scene_of(views, square(0.0, 34).chain(square(500.0, 34)), |_, _| false);
+    let findings = visit(&scene, "sure", &Settings::default());
+    let finding = found(&findings, "model-in-parts");
+    assert!(finding.what.contains("2 parts of 25, 10 views") && finding.views.len() == 10, "{finding:#?}");
+}
+
+#[test]
+fn units_that_cannot_be_true() {
+    let mut far = healthy();
+    far.points.iter_mut().for_each(|p| p.coords *= 1e5);
+    far.views.iter_mut().for_each(|v| v.cam_from_world.translation *= 1e5);
+    let metric = Settings { units: Some(Units::Metric), ..Default::default() };
+    assert_eq!(found(&visit(&far, "sure", &metric), "impossible-units").severity, Severity::Error);
+    assert_eq!(visit(&far, "sure", &Settings::default()), [], "without metres any unit is as good as another");
+    assert_eq!(visit(&healthy(), "sure", &metric), []);
+    let scaled = |scale: f64| {
+        let mut scene = healthy();
+        scene.points.iter_mut().for_each(|p| p.coords *= scale);
+        scene.views.iter_mut().for_each(|v| v.cam_from_world.translation *= scale);
+        visit(&scene, "sure", &metric)
+    };
+    // A pixel is 47 mm.
+    assert_eq!(found(&scaled(1e-3), "impossible-units").severity, Severity::Warning);
+    assert_eq!(found(&scaled(1e3), "impossible-units").severity, Severity::Warning);
+    assert_eq!(found(&scaled(1e-5), "impossible-units").severity, Severity::Error);
+    assert_eq!(scaled(0.01), [], "a model of a small thing");
+    let utm = |offset| {
+        let frame = FrameSettings { utm: Some("33N".into()), offset, ..Default::default() };
+        visit(&healthy(), "sure", &Settings { frame, ..Default::default() })
+    };
+    assert!(found(&utm(None), "impossible-frame").what.contains("easting"), "the model's own coordinates");
+    assert_eq!(utm(Some([412_000.0, 5_400_000.0])), []);
+    let target = TargetSettings { gsd: Some(5.0), ..Default::default() };
+    let findings = visit(&healthy(), "sure", &Settings { target, ..Default::default() });
+    assert!(found(&findings, "impossible-target").what.contains("times coarser"));
+}
+
+#[test]
+fn cameras_and_poses_that_cannot_be_true() {
+    let mut scene = healthy();
+    scene.cameras[0] = Camera::new(1, CameraModel::Pinhole, 1000, 750, vec![24.0, 24.0, 500.0, 375.0]).unwrap();
+    let finding = visit(&scene, "sure", &Settings::default());
+    assert!(found(&finding, "impossible-camera").what.contains("24.0"), "millimetres");
+
+    let mut scene = healthy();
+    let turn = Rotation3::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI);
+    let pose = &mut scene.views[3].cam_from_world;
+    (pose.rotation, pose.translation) = (turn * pose.rotation, turn * pose.translation);
+    let findings = visit(&scene, "sure", &Settings::default());
+    assert_eq!(found(&findings, "points-behind-cameras").views, [ViewFinding::new("n03.jpg", "")]);
+
+    let mut scene = healthy();
+    scene.track_pixels.iter_mut().for_each(|pixel| pixel[0] += 30.0);
+    let findings = visit(&scene, "sure", &Settings::default());
+    let finding = found(&findings, "large-reprojection-error");
+    assert_eq!((finding.severity, finding.views.len()), (Severity::Error, 25));
+    assert_eq!(said(finding, "n04.jpg"), "30.0 px");
+}
+
+#[test]
+fn images_that_are_not_the_models() {
+    let (folder, mut project) = project(ModelFormat::ColmapBinary);
+    let images = folder.path().join("images");
+    fs::create_dir(&images).unwrap();
+    project.images = Some(images.clone());
+    let sure = [backends::by_name("sure").unwrap()];
+    let findings = look(&project, &healthy(), &Settings::default(), &sure);
+    assert_eq!(found(&findings, "missing-images").views.len(), 25);
+    image::RgbImage::new(20, 10).save(images.join("n00.jpg")).unwrap();
+    let findings = look(&project, &healthy(), &Settings::default(), &sure);
+    assert!(found(&findings, "images-of-another-size").what.contains("20 x 10 px"));
+}
+
+#[test]
+fn images_that_cannot_be_read() {
+    let (folder, mut project) = project(ModelFormat::ColmapBinary);
+    let sure = [backends::by_name("sure").unwrap()];
+    let of_healthy = |project: &Project| examine(project, &healthy(), &Settings::default(), &sure).findings;
+    assert_eq!(found(&of_healthy(&project), "no-images").severity, Severity::Warning);
+    let images = folder.path().join("images");
+    fs::create_dir(&images).unwrap();
+    project.images = Some(images.clone());
+    let mut whole = std::io::Cursor::new(Vec::new());
+    image::RgbImage::from_fn(1000, 750, |x, y| image::Rgb([x as u8, y as u8, (x * y) as u8]))
+        .write_to(&mut whole, image::ImageFormat::Jpeg)
+        .unwrap();
+    let whole = whole.into_inner();
+    assert!(whole.len() > 100_000, "longer than what is looked at first");
+    let put = |number: usize, bytes: &[u8]| fs::write(images.join(format!("n{number:02}.jpg")), bytes).unwrap();
+    (0..25).for_each(|number| put(number, &whole));
+    assert_eq!(of_healthy(&project), []);
+    put(4, &[]);
+    put(5, b"<html>not found</html>");
+    put(6, &whole[..whole.len() / 2]);
+    put(7, &whole[..1000]);
+    put(8, &[&whole[..], &[7; 100_000]].concat());
+    let findings = of_healthy(&project);
+    let views = &found(&findings, "unreadable-images").views;
+    let expected = [("n04.jpg", "empty"), ("n05.jpg", "no image"), ("n06.jpg", "cut off"), ("n07.jpg", "cut off")];
+    assert_eq!(*views, expected.map(|(name, why)| ViewFinding::new(name, why)), "what follows the end is no harm");
+    assert_eq!(findings.len(), 1);
+}
+
+#[test]
+fn what_the_model_leaves_out() {
+    let mut scene = healthy();
+    scene.unregistered = (0..2).map(|i| format!("x{i}.jpg")).collect();
+    let text = "points3D.bin: 4 bytes after the last of 100 records are ignored";
+    scene.warnings = vec![ModelWarning::new(WarningKind::Damaged, text)];
+    let findings = visit(&scene, "sure", &Settings::default());
+    assert_eq!(found(&findings, "unregistered-images").severity, Severity::Note, "2 of 27");
+    assert!(found(&findings, "model-not-as-it-should-be").what.contains("points3D.bin: 4 bytes"));
+    scene.unregistered = (0..50).map(|i| format!("x{i:02}.jpg")).collect();
+    let findings = visit(&scene, "sure", &Settings::default());
+    let finding = found(&findings, "unregistered-images");
+    assert_eq!((finding.severity, finding.views.len()), (Severity::Warning, 50));
+    assert!(finding.what.starts_with("50 of 75 images"));
+}
+
+#[test]
+fn several_sub_models() {
+    let folder = tempfile::tempdir().unwrap();
+    let part =
+        |views: usize| scene_of(block(0.0, "n").into_iter().take(views).collect(), square(0.0, 34), |_, _| false);
+    let severity = |others: Scene| {
+        for (number, scene) in [("0", healthy()), ("1", others)] {
+            fs::create_dir_all(folder.path().join("sparse").join(number)).unwrap();
+            for (name, bytes) in colmap_bin::write(&ColmapModel::from_scene(&scene)) {
+                fs::write(folder.path().join("sparse").join(number).join(name), bytes).unwrap();
+            }
+        }
+        let project = Project::open(folder.path(), None).unwrap();
+        let scene = project.read_scene().unwrap();
+        let findings = look(&project, &scene, &Settings::default(), &[backends::by_name("sure").unwrap()]);
+        assert_eq!(findings.len(), 1, "{findings:#?}");
+        (findings[0].check, findings[0].severity)
+    };
+    let apart = |views: usize| {
+        let mut scene = part(views);
+        scene.views.iter_mut().for_each(|view| view.name.insert(0, 'x'));
+        scene
+    };
+    assert_eq!(severity(apart(2)), ("other-sub-models", Severity::Note), "the usual splinter");
+    assert_eq!(severity(apart(12)), ("other-sub-models", Severity::Warning));
+    assert_eq!(severity(part(12)), ("model-copies", Severity::Note), "the same images in other coordinates");
+}
+
+#[test]
+fn a_model_without_common_points() {
+    let views = |scene: &Scene| visit(scene, "sure", &Settings::default());
+    for scene in [
+        scene_of(block(0.0, "n"), std::iter::empty(), |_, _| false),
+        scene_of(vec![down("a.jpg", 0.0, 0.0, 40.0)], square(0.0, 20), |_, _| false),
+    ] {
+        let findings = views(&scene);
+        assert_eq!(found(&findings, "no-common-points").severity, Severity::Error);
+        assert_eq!(findings.len(), 1, "nothing is said of each view: {findings:#?}");
+    }
+}
+
+#[test]
+fn a_view_in_a_wrong_place() {
+    let mut scene = healthy();
+    scene.views[8].cam_from_world.translation.x += 2.0;
+    let findings = visit(&scene, "sure", &Settings::default());
+    let finding = found(&findings, "large-reprojection-error");
+    assert_eq!((finding.views.len(), finding.severity), (1, Severity::Warning));
+    assert!(said(finding, "n08.jpg").ends_with(" px"));
+}
+
+#[test]
+fn views_without_points_are_no_fault_of_their_neighbours() {
+    let without = ["n06.jpg", "n07.jpg", "n08.jpg", "n11.jpg", "n13.jpg", "n16.jpg", "n17.jpg", "n18.jpg"];
+    let scene = scene_of(block(0.0, "n"), square(0.0, 34), |name, _| without.contains(&name));
+    let findings = visit(&scene, "sure", &Settings::default());
+    let few = findings.iter().filter(|finding| finding.check == "far-too-few-shared-points");
+    assert_eq!(few.count(), 0, "{findings:#?}");
+}
+
+#[test]
+fn distorted_cameras_are_undistorted_first() {
+    let mut scene = healthy();
+    scene.cameras[0] = Camera::new(1, CameraModel::SimpleRadial, 1000, 750, vec![850.0, 500.0, 375.0, 1e-9]).unwrap();
+    let findings = visit(&scene, "colmap", &Settings::default());
+    assert!(found(&findings, "distorted-images").cure.starts_with("viewrank undistort "));
+    assert_eq!(visit(&scene, "micmac", &Settings::default()), [], "MicMac has its own calibrations");
+}
+
+/// The trap that a backend reports of a project with these names for the first views; every other finding is none of its.
+#[track_caller]
+fn trapped(backend: &str, names: &[&str], trap: &str) -> Finding {
+    let mut scene = healthy();
+    scene.views.iter_mut().zip(names).for_each(|(view, name)| view.name = (*name).into());
+    let findings = visit(&scene, backend, &Settings::default());
+    let finding = found(&findings, trap);
+    assert!(!finding.cure.is_empty() && finding.backends == [backend] && finding.severity == Severity::Warning);
+    finding.clone()
+}
+
+#[test]
+fn names_that_backends_cannot_take() {
+    for name in ["a,b.jpg", "a;b.jpg", "#1.jpg", " 1.jpg"] {
+        assert_eq!(trapped("colmap", &[name], "colmap-name").views[0].name, name);
+    }
+    trapped("sure", &["#1.jpg"], "sure-name");
+    trapped("sure", &["a/1.jpg", "a_1.tif"], "sure-same-stem");
+    trapped("micmac", &["a b.jpg"], "micmac-name");
+    trapped("micmac", &["a/b.jpg"], "micmac-name");
+    trapped("openmvs", &["a\\1.jpg"], "openmvs-backslash-name");
+    trapped("mve", &["1.tif"], "mve-extension");
+    trapped("pmvs", &["1.webp"], "pmvs-extension");
+    trapped("splat", &["a/1.jpg", "b/1.x.jpg"], "splat-duplicate-names");
+    assert_eq!(trapped("metashape", &["a/1.jpg", "b/1.jpg"], "metashape-duplicate-labels").views.len(), 2);
+    trapped("realityscan", &["1.jpg", "1.png"], "realityscan-xmp-same-stem");
+}
+
+#[test]
+fn a_view_without_points_stops_some_backends() {
+    let scene = scene_of(block(0.0, "n"), square(0.0, 34), |name, _| name == "n07.jpg");
+    for (backend, trap) in [
+        ("colmap", "colmap-key-view-without-points"),
+        ("gipuma", "gipuma-depth-range-mandatory"),
+        ("mvsnet", "mvsnet-depth-range"),
+    ] {
+        let findings = visit(&scene, backend, &Settings::default());
+        assert_eq!(found(&findings, trap).views, [ViewFinding::new("n07.jpg", "")]);
+    }
+}
+
+#[test]
+fn images_of_several_widths_and_colmap_4() {
+    let mut scene = healthy();
+    scene.cameras.push(Camera::new(2, CameraModel::Pinhole, 900, 750, vec![850.0, 850.0, 500.0, 375.0]).unwrap());
+    scene.views[4].camera = CameraIndex(1);
+    let findings = visit(&scene, "colmap", &Settings::default());
+    assert_eq!(found(&findings, "colmap-4x-mixed-width-sources").views.len(), 1);
+    let guessed = traps_in(ModelFormat::Bundler, "colmap", &scene, |_, _| {});
+    assert_eq!(guessed, [], "the format holds no sizes, and there are no images");
+}
+
+/// The traps of a project whose files `prepare` has made.
+fn traps_in(format: ModelFormat, backend: &str, scene: &Scene, prepare: impl Fn(&Path, &mut Project)) -> Vec<Finding> {
+    let (folder, mut project) = project(format);
+    prepare(folder.path(), &mut project);
+    look(&project, scene, &Settings::default(), &[backends::by_name(backend).unwrap()])
+}
+
+fn write(path: std::path::PathBuf, text: &str) {
+    fs::create_dir_all(path.parent().unwrap()).unwrap();
+    fs::write(path, text).unwrap();
+}
+
+#[test]
+fn files_that_lie_in_the_way() {
+    let healthy = healthy();
+    let dense = "opensfm/undistorted/openmvs/scene_dense_dense_filtered.ply";
+    let findings = traps_in(ModelFormat::OpenSfm, "odm", &healthy, |root, _| write(root.join(dense), ""));
+    assert!(found(&findings, "odm-existing-model-skips-stage").cure.starts_with("rm "));
+
+    let scene = "opensfm/undistorted/openmvs/scene.mvs";
+    let findings = traps_in(ModelFormat::OpenSfm, "odm", &healthy, |root, _| write(root.join(scene), ""));
+    assert!(found(&findings, "odm-existing-scene").cure.ends_with("scene.mvs"));
+
+    let beside = |text: &Scene| {
+        traps_in(ModelFormat::ColmapBinary, "colmap", &healthy, |root, _| {
+            for (name, bytes) in colmap_text::write(&ColmapModel::from_scene(text)).unwrap() {
+                fs::write(root.join("sparse/0").join(name), bytes).unwrap();
+            }
+        })
+    };
+    assert_eq!(beside(&healthy), [], "the same model in both forms, the text the newer one");
+    let mut moved = healthy.clone();
+    moved.views[3].cam_from_world.translation.x += 0.1;
+    assert!(found(&beside(&moved), "colmap-bin-beats-txt").cure.contains("rm "));
+    let mut renamed = healthy.clone();
+    renamed.views[3].name = "n03b.jpg".into();
+    assert!(found(&beside(&renamed), "colmap-bin-beats-txt").cure.contains("rm "));
+
+    let poses = "<x xcr:PosePrior=\"initial\"/>";
+    let findings = traps_in(ModelFormat::ColmapBinary, "realityscan", &healthy, |root, project| {
+        healthy.views.iter().for_each(|view| write(root.join("images").join(&view.name), ""));
+        write(root.join("images/n00.xmp"), poses);
+        project.images = Some(root.join("images"));
+    });
+    assert_eq!(found(&findings, "realityscan-existing-xmp-poses").views.len(), 1);
+}
+
+#[test]
+fn models_that_lose_something_in_their_format() {
+    let mut named = healthy();
+    named.views[0].name = "a b.jpg".into();
+    let findings = traps_in(ModelFormat::ColmapText, "colmap", &named, |_, _| {});
+    assert_eq!(found(&findings, "colmap-text-model-blank-name").views[0].name, "a b.jpg");
+    assert_eq!(traps_in(ModelFormat::ColmapBinary, "colmap", &named, |_, _| {}), []);
+
+    let mut far = healthy();
+    let offset = Vector3::new(500_000.0, 5_400_000.0, 0.0);
+    far.points.iter_mut().for_each(|p| *p += offset);
+    for view in &mut far.views {
+        let pose = &mut view.cam_from_world;
+        pose.translation -= pose.rotation * offset;
+    }
+    let workspace = |root: &Path, project: &mut Project| project.dense_workspace = Some(root.join("dense"));
+    let findings = traps_in(ModelFormat::ColmapBinary, "colmap", &far, workspace);
+    assert!(found(&findings, "colmap-far-from-origin").cure.contains("--out"));
+    assert_eq!(traps_in(ModelFormat::ColmapBinary, "colmap", &far, |_, _| {}), [], "the export moves it");
+    assert_eq!(traps_in(ModelFormat::ColmapBinary, "colmap", &healthy(), workspace), []);
+    let findings = traps_in(ModelFormat::OpenMvs, "openmvs", &far, |_, _| {});
+    assert!(found(&findings, "openmvs-far-from-origin").what.contains("5400"));
+    assert_eq!(traps_in(ModelFormat::ColmapBinary, "openmvs", &far, |_, _| {}), []);
+}
+
+#[test]
+fn finished_maps_of_another_plan() {
+    let (folder, mut project) = project(ModelFormat::ColmapBinary);
+    project.dense_workspace = Some(folder.path().join("dense"));
+    let put = |name: &str| {
+        let path = folder.path().join(name);
+        fs::create_dir_all(path.parent().unwrap()).unwrap();
+        fs::write(path, "").unwrap();
+    };
+    let traps =
+        |backend: &str| look(&project, &healthy(), &Settings::default(), &[backends::by_name(backend).unwrap()]);
+    for (backend, trap, map) in [
+        ("colmap", "colmap-stale-maps-skipped", "dense/stereo/depth_maps/a/n00.jpg.photometric.bin"),
+        ("openmvs", "openmvs-existing-dmap-kept", "depth0001.dmap"),
+        ("mve", "mve-existing-depth-skipped", "views/view_0000.mve/depth-L0.mvei"),
+    ] {
+        assert!(traps(backend).iter().all(|finding| finding.check != trap), "{backend}");
+        put(map);
+        assert!(found(&traps(backend), trap).what.starts_with("1 finished"), "{backend}");
+    }
+    put("dense/stereo/viewrank/maps.tsv");
+    assert!(
+        traps("colmap").iter().all(|finding| finding.check != "colmap-stale-maps-skipped"),
+        "their lists are known"
+    );
+}

@@ -1,0 +1,112 @@
+//! Orders of the same clusters side by side (method 8).
+
+use serde::Serialize;
+
+use super::{
+    curve::{Curve, SHARES},
+    orders,
+    run::Run,
+};
+use crate::{
+    base::progress::{Cancelled, Watcher},
+    method::{
+        fulfilment::Model,
+        ranking::{Beliefs, Reached},
+    },
+};
+
+/// How many key views and pairs an order needs for a share of what all clusters together really reach.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Needed {
+    pub share: f64,
+    pub clusters: f64,
+    pub pairs: f64,
+}
+
+/// An order, by name.
+#[derive(Clone, Debug, Serialize)]
+pub struct Order {
+    pub name: &'static str,
+    /// At 10, 20, ... 90 %; means over the seeds of `random`.
+    pub needed: Vec<Needed>,
+    /// Standard deviation of the key views over the seeds; empty for others than `random`.
+    pub spread: Vec<f64>,
+    /// Real f_o after i clusters, from 0; a mean over the seeds of `random`.
+    pub fulfilment: Vec<f64>,
+    /// Pairs after i clusters; a mean over the seeds of `random`.
+    pub pairs: Vec<f64>,
+}
+
+/// Ours (greedy by the prediction) first, the optimum last.
+pub fn compare(
+    run: &Run,
+    model: &Model,
+    weights: &[f64],
+    support: u32,
+    watcher: &dyn Watcher,
+) -> Result<Vec<Order>, Cancelled> {
+    let beliefs = Beliefs::new(model.scene, model.surface, &run.clusters, &run.predicted);
+    let clusters = run.clusters.len();
+    let total = run.real_curve(weights, support, &run.order).total();
+    let one = |name, order: Vec<u32>| Order::new(name, &[run.real_curve(weights, support, &order)], total);
+    let random: Vec<Curve> = (0..orders::RANDOM_SEEDS)
+        .map(|seed| run.real_curve(weights, support, &orders::random(clusters, seed)))
+        .collect();
+    Ok(vec![
+        one("ours", orders::greedy(&run.predicted, weights, support, watcher)?),
+        one("nocp", orders::greedy(&run.nocp, weights, support, watcher)?),
+        one("realupdate", orders::real_update(&run.predicted, &run.real, weights, support)),
+        one("replan", orders::replan(beliefs, run, weights, support)),
+        one("maxpts", orders::max_points(model.scene, &run.clusters)),
+        Order::new("every n-th", &[every_nth(run, weights, support)], total),
+        Order::new("random", &random, total),
+        one("optimum", orders::greedy(&run.real, weights, support, watcher)?),
+    ])
+}
+
+impl Order {
+    /// From the curve of the order, or those of several seeds.
+    fn new(name: &'static str, curves: &[Curve], total: f64) -> Self {
+        let count = curves.len() as f64;
+        let last = |values: &Curve| values.fulfilment.len() - 1;
+        let clusters_for = |c: &Curve, share: f64| c.clusters_for(share * total).unwrap_or(last(c));
+        let mean = |value: &dyn Fn(&Curve) -> f64| curves.iter().map(value).sum::<f64>() / count;
+        let needed = SHARES.map(|share| Needed {
+            share,
+            clusters: mean(&|c| clusters_for(c, share) as f64),
+            pairs: mean(&|c| c.pairs[clusters_for(c, share)] as f64),
+        });
+        let deviation = |needed: &Needed| {
+            let squares = mean(&|c| (clusters_for(c, needed.share) as f64 - needed.clusters).powi(2));
+            squares.sqrt()
+        };
+        let spread = if curves.len() > 1 { needed.iter().map(deviation).collect() } else { Vec::new() };
+        let entries = 0..curves[0].fulfilment.len();
+        Self {
+            name,
+            spread,
+            fulfilment: entries.clone().map(|i| mean(&|c| c.fulfilment[i])).collect(),
+            pairs: entries.map(|i| mean(&|c| c.pairs[i] as f64)).collect(),
+            needed: needed.to_vec(),
+        }
+    }
+}
+
+/// After i clusters: those that are evenly spread when i are taken. What more clusters lose to fewer is not counted against them.
+fn every_nth(run: &Run, weights: &[f64], support: u32) -> Curve {
+    let mut curve = Curve { fulfilment: vec![0.0], pairs: vec![0] };
+    for count in 1..=run.clusters.len() {
+        let mut reached = Reached::new(weights, support);
+        let (mut fulfilment, mut pairs) = (0.0, 0);
+        for c in orders::every_nth(run.clusters.len(), count) {
+            let cluster = run.real.of(c as usize);
+            fulfilment += reached.gain(cluster);
+            reached.take(cluster);
+            pairs += run.clusters[c as usize].partners.len();
+        }
+        let before = curve.total();
+        curve.fulfilment.push(fulfilment.max(before));
+        curve.pairs.push(if fulfilment > before { pairs } else { curve.pairs[count - 1] });
+    }
+    curve
+}

@@ -1,0 +1,77 @@
+//! `clusters.txt` of other choices, both ways (method 6): a line per cluster, key view, then its partners, separated by tabs.
+
+use std::{
+    collections::BTreeSet,
+    path::{Path, PathBuf},
+};
+
+use walkdir::WalkDir;
+
+use crate::{
+    base::error::Hint,
+    model::{
+        cluster::ViewCluster,
+        scene::{Scene, ViewIndex},
+    },
+};
+
+/// What is wrong with a list of view clusters.
+#[derive(Debug, thiserror::Error)]
+pub enum ClustersError {
+    #[error("{}: {source}", path.display())]
+    Io { path: PathBuf, source: std::io::Error },
+    #[error("no clusters.txt in {} or its folders", .0.display())]
+    None(PathBuf),
+    #[error("{}: line {line}: {what}", path.display())]
+    Line { path: PathBuf, line: usize, what: String },
+}
+
+impl Hint for ClustersError {
+    fn hint(&self) -> Option<String> {
+        Some("give a clusters.txt of this model: a line per cluster, key view and partners separated by tabs".into())
+    }
+}
+
+/// In the order of the lines.
+pub fn read(path: &Path, scene: &Scene) -> Result<Vec<ViewCluster>, ClustersError> {
+    let text = std::fs::read_to_string(path).map_err(|source| ClustersError::Io { path: path.into(), source })?;
+    let mut clusters = Vec::new();
+    let mut keys = BTreeSet::new();
+    for (line, content) in text.lines().enumerate().filter(|(_, l)| !l.trim().is_empty() && !l.starts_with('#')) {
+        let wrong = |what: String| ClustersError::Line { path: path.into(), line: line + 1, what };
+        let find = |name: &str| scene.find(name).ok_or_else(|| wrong(format!("no view is called {name}")));
+        let views = content.split('\t').map(find).collect::<Result<Vec<ViewIndex>, _>>()?;
+        if views.iter().collect::<BTreeSet<_>>().len() < views.len() {
+            return Err(wrong("a view is in the cluster twice".into()));
+        }
+        if !keys.insert(views[0]) {
+            return Err(wrong(format!("{} has a cluster already", scene.name(views[0]))));
+        }
+        clusters.push(ViewCluster { key: views[0], partners: views[1..].to_vec() });
+    }
+    Ok(clusters)
+}
+
+/// The folders below `folder` that hold a `clusters.txt`, by path.
+pub fn folders(folder: &Path) -> Result<Vec<PathBuf>, ClustersError> {
+    let mut found = Vec::new();
+    for entry in WalkDir::new(folder).sort_by_file_name() {
+        let entry = entry.map_err(|error| ClustersError::Io { path: folder.into(), source: error.into() })?;
+        if entry.file_name() == "clusters.txt" {
+            found.extend(entry.path().parent().map(Path::to_path_buf));
+        }
+    }
+    if found.is_empty() {
+        return Err(ClustersError::None(folder.into()));
+    }
+    Ok(found)
+}
+
+/// The lines of the clusters.
+pub fn write<'a>(clusters: impl IntoIterator<Item = &'a ViewCluster>, scene: &Scene) -> String {
+    let line = |cluster: &ViewCluster| {
+        let views = std::iter::once(&cluster.key).chain(&cluster.partners);
+        views.map(|&v| scene.name(v)).collect::<Vec<_>>().join("\t") + "\n"
+    };
+    clusters.into_iter().map(line).collect()
+}

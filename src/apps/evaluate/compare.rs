@@ -1,0 +1,107 @@
+//! The same key views with the partners of other rules: what is to be matched, and what came of it (method 8).
+
+use serde::Serialize;
+
+use super::{clusters, curve::Curve, evaluation::QualityRow, measure::Quality, orders, rules::RULES, run::Run};
+use crate::{
+    base::{
+        column::TableError,
+        progress::{Cancelled, Watcher},
+    },
+    config::PartnerSettings,
+    method::{confidence::Confidence, partners, ranking},
+    model::{cluster::ViewCluster, scene::ViewIndex},
+    plan::Plan,
+};
+
+/// View clusters to be matched, by the rule that chose them, in the order in which they are to be computed.
+pub struct Choice {
+    pub rule: String,
+    pub clusters: Vec<ViewCluster>,
+}
+
+/// Every rule's clusters of k partners for the key views of the plan: `ours` and `ours-nocp` in their own order, others in that of
+/// `maxpts`.
+pub fn choices(plan: &Plan, k: u32, watcher: &dyn Watcher) -> Result<Vec<Choice>, TableError> {
+    let model = plan.stages.model();
+    let mut certain = model;
+    certain.rule.confidence = Confidence::None;
+    let settings = PartnerSettings { k, ..plan.stages.settings.partners.clone() };
+    let weights = ranking::weights(&plan.stages.surface, plan.stages.settings.ranking.weight);
+    let support = plan.stages.settings.ranking.support.unwrap_or(1);
+    let mut choices = Vec::new();
+    for (rule, model) in [("ours", &model), ("ours-nocp", &certain)] {
+        let (clusters, table) =
+            partners::choose(model, &plan.stages.candidates, &settings, plan.stages.settings.seed, watcher)?;
+        let order = orders::greedy(&table, &weights, support, watcher)?;
+        let clusters = order.iter().map(|&c| clusters[c as usize].clone()).collect();
+        choices.push(Choice { rule: rule.into(), clusters });
+    }
+    let keys: Vec<ViewIndex> = plan.stages.clusters.iter().map(|c| c.key).collect();
+    for rule in RULES {
+        watcher.check()?;
+        let clusters = rule.clusters(&plan.stages.scene, &keys, k as usize);
+        let order = orders::max_points(&plan.stages.scene, &clusters);
+        let clusters = order.iter().map(|&c| clusters[c as usize].clone()).collect();
+        choices.push(Choice { rule: rule.name.into(), clusters });
+    }
+    Ok(choices)
+}
+
+impl Choice {
+    /// Contents of its `clusters.txt`.
+    pub fn text(&self, plan: &Plan) -> String {
+        clusters::write(&self.clusters, &plan.stages.scene)
+    }
+}
+
+/// A choice that was matched, among others.
+#[derive(Clone, Debug, Serialize)]
+pub struct Compared {
+    pub name: String,
+    pub clusters: usize,
+    pub pairs: usize,
+    /// Over the reference pixels of all key views that any of the choices has.
+    pub quality: QualityRow,
+    /// f_o of all clusters.
+    pub predicted: f64,
+    pub real: f64,
+    /// Real f_o after i clusters in the choice's own order, and the pairs so far.
+    pub curve: Curve,
+    /// The same in the greedy order on real results.
+    pub optimum: Curve,
+}
+
+/// Measured runs of several choices side by side, by name.
+pub fn compare(
+    plan: &Plan,
+    runs: &[(String, Run)],
+    support: u32,
+    watcher: &dyn Watcher,
+) -> Result<Vec<Compared>, Cancelled> {
+    let weights = ranking::weights(&plan.stages.surface, plan.stages.settings.ranking.weight);
+    // A view without partners has no map: what its reference shows counts as missing.
+    let mut reference = vec![0; plan.stages.scene.views.len()];
+    for (_, run) in runs {
+        for (cluster, quality) in run.clusters.iter().zip(&run.quality) {
+            reference[cluster.key.at()] = reference[cluster.key.at()].max(quality.reference);
+        }
+    }
+    let one = |(name, run): &(String, Run)| {
+        let predicted = Curve::new(&run.predicted, &weights, support, &run.clusters, &run.order);
+        let curve = run.real_curve(&weights, support, &run.order);
+        let best = orders::greedy(&run.real, &weights, support, watcher)?;
+        let quality = Quality { reference: reference.iter().sum(), ..run.pooled() };
+        Ok(Compared {
+            name: name.clone(),
+            clusters: run.clusters.len(),
+            pairs: curve.pairs.last().copied().unwrap_or(0),
+            quality: (&quality).into(),
+            predicted: predicted.total(),
+            real: curve.total(),
+            curve,
+            optimum: run.real_curve(&weights, support, &best),
+        })
+    };
+    runs.iter().map(one).collect()
+}

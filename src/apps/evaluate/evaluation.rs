@@ -1,0 +1,195 @@
+//! The results of an evaluation, as they are written to `evaluation.json` and shown on the page.
+
+use std::collections::BTreeMap;
+
+use serde::Serialize;
+
+use super::{
+    baselines::{self, Order},
+    curve::{Curve, SHARES},
+    measure::Quality,
+    missing::{Missing, Reached},
+    run::Run,
+};
+use crate::{
+    base::progress::{Cancelled, Watcher},
+    method::fulfilment::Model,
+    model::scene::ViewIndex,
+};
+
+/// Everything that finished depth maps say about the view clusters that they were made for.
+#[derive(Clone, Debug, Serialize)]
+pub struct Evaluation {
+    /// Version of this format.
+    pub version: u32,
+    /// Were the depths held against a reference? If not, every depth on the surface counts as right.
+    pub reference: bool,
+    /// Maps that must show a triangle (m, method 5.2).
+    pub support: u32,
+    /// Triangles of the surface.
+    pub triangles: usize,
+    /// All depth maps together, per pixel.
+    pub quality: QualityRow,
+    /// f_o of all clusters together.
+    pub predicted: f64,
+    pub real: f64,
+    /// Along the order of the clusters; entry i is after i clusters.
+    pub curve: Curves,
+    /// The curve read at predicted shares of 10, 20, ... 90 %.
+    pub gap: Vec<Gap>,
+    /// Triangles that are not well done, by reason.
+    pub missing: BTreeMap<Missing, usize>,
+    /// In the order of the clusters.
+    pub key_views: Vec<KeyView>,
+    /// Key views whose depth map isn't there; they take no part in anything above.
+    pub without_map: Vec<String>,
+    /// Key views whose depth map was made with other partners than planned.
+    pub other_partners: Vec<String>,
+    /// The same clusters in other orders; empty unless asked for.
+    pub orders: Vec<Order>,
+}
+
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct QualityRow {
+    /// Right pixels over the reference's.
+    pub completeness: f64,
+    /// Wrong pixels over those that have both depths.
+    pub outliers: f64,
+    /// Of the right pixels, scene units.
+    pub rmse: f64,
+    /// Pixels with a depth.
+    pub measured: u64,
+    /// Pixels with a reference depth.
+    pub reference: u64,
+}
+
+impl From<&Quality> for QualityRow {
+    fn from(q: &Quality) -> Self {
+        Self {
+            completeness: q.completeness(),
+            outliers: q.outliers(),
+            rmse: q.rmse(),
+            measured: q.measured,
+            reference: q.reference,
+        }
+    }
+}
+
+#[derive(Clone, Debug, Serialize)]
+pub struct Curves {
+    /// Share of what all clusters together reach.
+    pub predicted: Vec<f64>,
+    pub real: Vec<f64>,
+    /// Real f_o.
+    pub fulfilment: Vec<f64>,
+    pub pairs: Vec<usize>,
+}
+
+/// Prediction against reality where the prediction says that a share is reached.
+#[derive(Clone, Debug, Serialize)]
+pub struct Gap {
+    pub share: f64,
+    pub clusters: usize,
+    pub pairs: usize,
+    pub predicted: f64,
+    pub real: f64,
+}
+
+#[derive(Clone, Debug, Serialize)]
+pub struct KeyView {
+    pub name: String,
+    pub partners: Vec<String>,
+    /// Those of them that the backend really matched.
+    pub matched: Vec<String>,
+    pub quality: QualityRow,
+    /// Sums of f over the triangles that it sees, in triangles.
+    pub predicted: f64,
+    pub real: f64,
+}
+
+/// What to read the curves with.
+pub struct Measure<'a> {
+    pub weights: &'a [f64],
+    pub support: u32,
+    /// Compare with other orders?
+    pub baselines: bool,
+}
+
+impl Evaluation {
+    /// Outliers and RMSE in words that follow the completeness; without a reference nothing is known of either.
+    pub fn errors(&self) -> String {
+        match self.reference {
+            true => format!(", outliers {:.2} %, RMSE {:.4} units", 100.0 * self.quality.outliers, self.quality.rmse),
+            false => String::new(),
+        }
+    }
+
+    pub fn new(
+        model: &Model,
+        run: &Run,
+        reached: &Reached,
+        measure: &Measure,
+        watcher: &dyn Watcher,
+    ) -> Result<Self, Cancelled> {
+        let Measure { weights, support, baselines } = *measure;
+        let predicted = Curve::new(&run.predicted, weights, support, &run.clusters, &run.order);
+        let real = run.real_curve(weights, support, &run.order);
+        let names = |views: &[ViewIndex]| views.iter().map(|&v| model.scene.name(v).to_string()).collect();
+        let orders = match baselines {
+            true => baselines::compare(run, model, weights, support, watcher)?,
+            false => Vec::new(),
+        };
+        Ok(Self {
+            version: 1,
+            reference: run.has_reference,
+            support,
+            triangles: model.surface.triangles.len(),
+            quality: (&run.pooled()).into(),
+            predicted: predicted.total(),
+            real: real.total(),
+            gap: gaps(&predicted, &real),
+            curve: Curves {
+                predicted: shares(&predicted),
+                real: shares(&real),
+                fulfilment: real.fulfilment,
+                pairs: real.pairs,
+            },
+            missing: reached.counts(),
+            key_views: run.order.iter().map(|&c| key_view(model, run, c as usize)).collect(),
+            without_map: names(&run.without_map),
+            other_partners: names(&run.other_partners),
+            orders,
+        })
+    }
+}
+
+fn shares(curve: &Curve) -> Vec<f64> {
+    (0..curve.fulfilment.len()).map(|i| curve.share(i, curve.total())).collect()
+}
+
+fn gaps(predicted: &Curve, real: &Curve) -> Vec<Gap> {
+    let gap = |share: f64| {
+        let clusters = predicted.clusters_for(share * predicted.total())?;
+        Some(Gap {
+            share,
+            clusters,
+            pairs: predicted.pairs[clusters],
+            predicted: predicted.share(clusters, predicted.total()),
+            real: real.share(clusters, real.total()),
+        })
+    };
+    SHARES.iter().filter_map(|&share| gap(share)).collect()
+}
+
+fn key_view(model: &Model, run: &Run, cluster: usize) -> KeyView {
+    let names = |views: &[ViewIndex]| views.iter().map(|&v| model.scene.name(v).to_string()).collect();
+    let sum = |values: &[f32]| values.iter().map(|&f| f64::from(f)).sum();
+    KeyView {
+        name: model.scene.name(run.clusters[cluster].key).into(),
+        partners: names(&run.clusters[cluster].partners),
+        matched: names(&run.matched[cluster].partners),
+        quality: (&run.quality[cluster]).into(),
+        predicted: sum(run.predicted.of(cluster).1),
+        real: sum(run.real.of(cluster).1),
+    }
+}

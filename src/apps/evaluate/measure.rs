@@ -1,0 +1,157 @@
+//! A finished depth map against its reference: which pixels are right, and how much of each triangle they show (method 8).
+
+use crate::{
+    io::depthmaps::DepthMap,
+    method::{
+        fulfilment::Model,
+        visibility::{NOTHING, front},
+    },
+    model::{camera::Camera, scene::ViewIndex},
+};
+
+/// A measurement is right within so many a_d of the reference.
+const RIGHT_WITHIN: f64 = 3.0;
+/// Reference depths that differ by more are of two surfaces, between which nothing is interpolated.
+const SAME_SURFACE: f64 = 0.02;
+
+/// How good the depth map of a key view is, or of several together.
+#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
+pub struct Quality {
+    /// Pixels with a depth.
+    pub measured: u64,
+    /// Pixels with a reference depth; all pixels that show the surface where there is no reference.
+    pub reference: u64,
+    /// Pixels with both.
+    pub both: u64,
+    /// Pixels with both that agree within 3 a_d.
+    pub right: u64,
+    /// Sum of the squared errors of those, square scene units.
+    pub squares: f64,
+}
+
+impl Quality {
+    /// Share of the reference's pixels that are right.
+    pub fn completeness(&self) -> f64 {
+        share(self.right, self.reference)
+    }
+
+    /// Share of the pixels with both depths that are not right.
+    pub fn outliers(&self) -> f64 {
+        share(self.both - self.right, self.both)
+    }
+
+    /// Of the right pixels, scene units.
+    pub fn rmse(&self) -> f64 {
+        if self.right == 0 { 0.0 } else { (self.squares / self.right as f64).sqrt() }
+    }
+
+    pub fn add(&mut self, other: &Self) {
+        self.measured += other.measured;
+        self.reference += other.reference;
+        self.both += other.both;
+        self.right += other.right;
+        self.squares += other.squares;
+    }
+}
+
+fn share(part: u64, whole: u64) -> f64 {
+    if whole == 0 { 0.0 } else { part as f64 / whole as f64 }
+}
+
+/// What a depth map shows.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Measured {
+    pub quality: Quality,
+    /// For each triangle that the key view sees, in the order of the visibility table: share of the pixels of its visible part with
+    /// a right depth. A triangle that covers no centre of a pixel is judged by the pixel of its centroid.
+    pub shares: Vec<f32>,
+    /// Pixels of the visible part of each.
+    pub pixels: Vec<u32>,
+    /// Ids of the key view and the partners that the map's file names.
+    pub ids: Vec<u32>,
+}
+
+/// `elsewhere`: a_d for pixels that show no triangle, scene units. Without a reference each depth is right.
+pub fn measure(model: &Model, key: ViewIndex, map: DepthMap, reference: Option<&DepthMap>, elsewhere: f64) -> Measured {
+    let camera = model.scene.camera_of(key);
+    let picture = front(model.scene, model.surface, key, map.width, map.height);
+    let seen = model.visibility.of(key);
+    let mut quality = Quality::default();
+    let mut right = vec![false; picture.len()];
+    let mut counts = vec![(0u32, 0u32); seen.len()];
+    for (at, &triangle) in picture.iter().enumerate() {
+        let (column, row) = ((at % map.width as usize) as u32, (at / map.width as usize) as u32);
+        let accuracy = match triangle {
+            NOTHING => elsewhere,
+            t => model.target.accuracy_over_gsd * f64::from(model.target.gsd[t as usize]),
+        };
+        let pixel = Pixel::new(camera, &map, reference, column, row, triangle != NOTHING);
+        right[at] = pixel.add_to(&mut quality, RIGHT_WITHIN * accuracy);
+        if let Ok(row) = seen.binary_search(&triangle) {
+            counts[row].0 += 1;
+            counts[row].1 += u32::from(right[at]);
+        }
+    }
+    let centroid_is_right = |triangle: u32| {
+        let x = model.scene.view(key).cam_from_world.camera_from_world(&model.surface.centroid(triangle));
+        let pixel = camera.project(&x).and_then(|p| map.pixel_at(camera, &p));
+        pixel.is_some_and(|(column, row)| right[row as usize * map.width as usize + column as usize])
+    };
+    let share = |(&triangle, &(pixels, right)): (&u32, &(u32, u32))| match pixels {
+        0 => f32::from(u8::from(centroid_is_right(triangle))),
+        n => right as f32 / n as f32,
+    };
+    let shares = seen.iter().zip(&counts).map(share).collect();
+    Measured { quality, shares, pixels: counts.into_iter().map(|(pixels, _)| pixels).collect(), ids: map.ids }
+}
+
+/// A pixel of a depth map with its reference.
+struct Pixel {
+    depth: Option<f64>,
+    /// `None`: no reference is given at all; `Some(None)`: none here.
+    reference: Option<Option<f64>>,
+    /// Length of the pixel's ray per unit of depth.
+    ray: f64,
+    shows_surface: bool,
+}
+
+impl Pixel {
+    fn new(
+        camera: &Camera,
+        map: &DepthMap,
+        reference: Option<&DepthMap>,
+        column: u32,
+        row: u32,
+        shows_surface: bool,
+    ) -> Self {
+        let position = map.image_position(camera, column, row);
+        Self {
+            depth: map.at(column, row),
+            reference: reference.map(|r| r.interpolated(camera, &position, SAME_SURFACE)),
+            ray: camera.ray(&position).map_or(1.0, |ray| 1.0 / ray.z),
+            shows_surface,
+        }
+    }
+
+    /// Counts the pixel and says whether it is right.
+    fn add_to(&self, quality: &mut Quality, limit: f64) -> bool {
+        quality.measured += u64::from(self.depth.is_some());
+        let Some(reference) = self.reference else {
+            quality.reference += u64::from(self.shows_surface);
+            let right = self.depth.is_some() && self.shows_surface;
+            quality.both += u64::from(right);
+            quality.right += u64::from(right);
+            return right;
+        };
+        quality.reference += u64::from(reference.is_some());
+        let (Some(depth), Some(reference)) = (self.depth, reference) else { return false };
+        let error = (depth - reference).abs() * self.ray;
+        let right = error <= limit;
+        quality.both += 1;
+        if right {
+            quality.right += 1;
+            quality.squares += error * error;
+        }
+        right
+    }
+}

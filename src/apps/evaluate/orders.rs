@@ -1,0 +1,202 @@
+//! Orders of view clusters to compare with the plan's (method 8), all of the same clusters.
+
+use rand_core::{Rng, SeedableRng};
+use rand_pcg::Pcg64;
+
+use super::run::Run;
+use crate::{
+    base::progress::{Cancelled, Watcher},
+    method::{
+        fulfilment::FulfilmentTable,
+        ranking::{Beliefs, Reached, rank},
+    },
+    model::{cluster::ViewCluster, scene::Scene},
+};
+
+/// How many random orders are drawn.
+pub const RANDOM_SEEDS: u64 = 20;
+
+/// The greedy order by a table, then the clusters that add nothing, by index: all clusters, each once.
+pub fn greedy(
+    table: &FulfilmentTable,
+    weights: &[f64],
+    support: u32,
+    watcher: &dyn Watcher,
+) -> Result<Vec<u32>, Cancelled> {
+    Ok(completed(rank(table, weights, support, watcher)?.order, table.clusters()))
+}
+
+/// An order of some clusters, and behind it the others by index.
+pub fn completed(order: Vec<u32>, clusters: usize) -> Vec<u32> {
+    let mut taken = vec![false; clusters];
+    order.iter().for_each(|&c| taken[c as usize] = true);
+    let rest = (0..clusters as u32).filter(|&c| !taken[c as usize]);
+    order.iter().copied().chain(rest).collect()
+}
+
+/// `realupdate`: the next cluster is the one whose predicted fulfilment exceeds most what is really reached.
+pub fn real_update(predicted: &FulfilmentTable, real: &FulfilmentTable, weights: &[f64], support: u32) -> Vec<u32> {
+    let mut reached = Reached::new(weights, support);
+    let mut left: Vec<u32> = (0..predicted.clusters() as u32).collect();
+    let mut order = Vec::with_capacity(left.len());
+    while !left.is_empty() {
+        let best = first_largest(left.iter().map(|&c| reached.gain(predicted.of(c as usize))));
+        let cluster = left.remove(best);
+        reached.take(real.of(cluster as usize));
+        order.push(cluster);
+    }
+    order
+}
+
+/// `replan` (method 5.4): as `realupdate`, but what failed is remembered. `beliefs` are of the clusters of the run.
+pub fn replan(mut beliefs: Beliefs, run: &Run, weights: &[f64], support: u32) -> Vec<u32> {
+    let mut reached = Reached::new(weights, support);
+    let mut left: Vec<u32> = (0..run.clusters.len() as u32).collect();
+    let mut order = Vec::with_capacity(left.len());
+    while !left.is_empty() {
+        let gain = |&c: &u32| {
+            let (triangles, believed) = beliefs.row(c as usize);
+            reached.gain((triangles, &believed))
+        };
+        let cluster = left.remove(first_largest(left.iter().map(gain)));
+        reached.take(run.real.of(cluster as usize));
+        beliefs.learn(run.clusters[cluster as usize].key, &run.attempts[cluster as usize]);
+        order.push(cluster);
+    }
+    order
+}
+
+/// `maxpts`: the next key view observes the most sparse points that no chosen one observes yet; ties by index.
+pub fn max_points(scene: &Scene, clusters: &[ViewCluster]) -> Vec<u32> {
+    let points = scene.view_points();
+    let mut cluster_of = vec![None; scene.views.len()];
+    clusters.iter().enumerate().for_each(|(c, cluster)| cluster_of[cluster.key.at()] = Some(c));
+    let mut uncovered: Vec<usize> = clusters.iter().map(|c| points.of(c.key).len()).collect();
+    let mut covered = vec![false; scene.points.len()];
+    let mut left: Vec<u32> = (0..clusters.len() as u32).collect();
+    let mut order = Vec::with_capacity(left.len());
+    while !left.is_empty() {
+        let best = first_largest(left.iter().map(|&c| uncovered[c as usize] as f64));
+        let cluster = left.remove(best);
+        order.push(cluster);
+        for &point in points.of(clusters[cluster as usize].key) {
+            if std::mem::replace(&mut covered[point.at()], true) {
+                continue;
+            }
+            let mut last = None;
+            for &view in scene.track_views(point) {
+                // A view that observes the point twice counts once.
+                if last.replace(view) != Some(view)
+                    && let Some(c) = cluster_of[view.at()]
+                {
+                    uncovered[c] -= 1;
+                }
+            }
+        }
+    }
+    order
+}
+
+/// `every n-th`: `count` of `clusters`, evenly spread over the names. Not nested: each count is a choice of its own.
+pub fn every_nth(clusters: usize, count: usize) -> Vec<u32> {
+    (0..count).map(|i| ((2 * i + 1) * clusters / (2 * count)) as u32).collect()
+}
+
+/// A random order.
+pub fn random(clusters: usize, seed: u64) -> Vec<u32> {
+    let mut order: Vec<u32> = (0..clusters as u32).collect();
+    shuffle(&mut order, seed);
+    order
+}
+
+/// Fisher-Yates.
+pub(super) fn shuffle<T>(values: &mut [T], seed: u64) {
+    let mut generator = Pcg64::seed_from_u64(seed);
+    for i in (1..values.len()).rev() {
+        let below = i as u128 + 1;
+        values.swap(i, ((u128::from(generator.next_u64()) * below) >> 64) as usize);
+    }
+}
+
+/// Position of the largest value, the first of equals.
+fn first_largest(values: impl Iterator<Item = f64>) -> usize {
+    values.enumerate().fold((0, f64::NEG_INFINITY), |best, v| if v.1 > best.1 { v } else { best }).0
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::{Point3, Rotation3, Vector3};
+
+    use super::*;
+    use crate::{
+        base::progress::Unwatched,
+        model::scene::{CameraIndex, Pose, View, ViewIndex},
+    };
+
+    fn table(rows: &[&[(u32, f32)]]) -> FulfilmentTable {
+        FulfilmentTable::new(rows)
+    }
+
+    #[test]
+    fn greedy_ends_with_what_adds_nothing() {
+        let table = table(&[&[(0, 0.5)], &[], &[(0, 1.0), (1, 0.1)], &[(0, 0.9)]]);
+        assert_eq!(greedy(&table, &[0.5, 0.5], 1, &Unwatched).unwrap(), [2, 0, 1, 3]);
+    }
+
+    #[test]
+    fn real_update_looks_at_what_really_came_of_the_clusters_taken() {
+        // Cluster 0 promises everything and fails; its neighbour 1 promises the same, 2 less elsewhere.
+        let predicted = table(&[&[(0, 0.9)], &[(0, 0.8)], &[(1, 0.5)]]);
+        let real = table(&[&[], &[(0, 0.8)], &[(1, 0.5)]]);
+        assert_eq!(real_update(&predicted, &real, &[0.5, 0.5], 1), [0, 1, 2]);
+        assert_eq!(real_update(&predicted, &predicted, &[0.5, 0.5], 1), [0, 2, 1]);
+    }
+
+    /// Views that observe the points of each list.
+    fn scene(observed: &[&[u32]]) -> Scene {
+        let cam_from_world = Pose { rotation: Rotation3::identity(), translation: Vector3::zeros() };
+        let view = |i: usize| View {
+            name: format!("{i}"),
+            image_id: 0,
+            file_position: 0,
+            camera: CameraIndex(0),
+            cam_from_world,
+        };
+        let mut scene =
+            Scene { views: (0..observed.len()).map(view).collect(), track_offsets: vec![0], ..Default::default() };
+        for point in 0..=observed.iter().flat_map(|o| o.iter()).copied().max().unwrap() {
+            scene.points.push(Point3::origin());
+            let views = (0..observed.len()).filter(|&v| observed[v].contains(&point));
+            // Twice each: a view may observe a point twice.
+            scene.track_views.extend(views.flat_map(|v| [ViewIndex(v as u32); 2]));
+            scene.track_offsets.push(scene.track_views.len());
+        }
+        scene
+    }
+
+    #[test]
+    fn max_points_removes_what_is_covered() {
+        let scene = scene(&[&[0, 1, 2], &[0, 1, 2, 3], &[4, 5], &[3, 4, 6]]);
+        let clusters: Vec<_> = (0..4).map(|v| ViewCluster { key: ViewIndex(v), partners: Vec::new() }).collect();
+        // View 1 has most; then 2 and 3 have two each; then 3 or 2 has one left, 0 none.
+        assert_eq!(max_points(&scene, &clusters), [1, 2, 3, 0]);
+        assert_eq!(max_points(&scene, &clusters[2..]), [1, 0]);
+    }
+
+    #[test]
+    fn every_nth_is_spread_evenly() {
+        assert_eq!(every_nth(10, 5), [1, 3, 5, 7, 9]);
+        assert_eq!(every_nth(10, 10), (0..10).collect::<Vec<_>>());
+        assert_eq!(every_nth(7, 1), [3]);
+        assert!((1..=111).all(|n| every_nth(111, n).windows(2).all(|w| w[0] < w[1])));
+    }
+
+    #[test]
+    fn random_orders_are_permutations_that_the_seed_decides() {
+        let mut sorted = random(50, 7);
+        assert_eq!(sorted, random(50, 7));
+        assert_ne!(sorted, random(50, 8));
+        sorted.sort_unstable();
+        assert_eq!(sorted, (0..50).collect::<Vec<_>>());
+    }
+}

@@ -1,0 +1,126 @@
+//! Rules of others by which a key view gets its matching partners (method 8), each as its authors wrote it: one file per family.
+//!
+//! All work on the sparse model alone. A rule looks at every view of the model unless its own text says otherwise, knows nothing of
+//! what a backend can match, and may find fewer than k partners.
+
+mod bailer;
+mod colmap;
+mod goesele;
+mod mvsnet;
+mod nearest;
+mod openmvs;
+mod shen;
+#[cfg(test)]
+mod tests;
+
+use nalgebra::Point3;
+
+use crate::model::{
+    cluster::ViewCluster,
+    scene::{PointIndex, Scene, ViewIndex, ViewPoints},
+};
+
+/// A rule, as named in `--write-baselines`.
+pub struct Rule {
+    pub name: &'static str,
+    /// Who says so.
+    pub source: &'static str,
+    choose: fn(&Neighbourhood, usize) -> Vec<ViewIndex>,
+}
+
+/// Every rule, in the order of tables.
+pub const RULES: &[Rule] = &[
+    Rule { name: "mindist", source: "k closest camera centres", choose: nearest::closest },
+    Rule { name: "maxcon", source: "k most shared sparse points", choose: nearest::most_connected },
+    Rule { name: "random", source: "k of the 22 most connected views", choose: nearest::random },
+    Rule { name: "goesele", source: "Goesele et al. 2007", choose: goesele::choose },
+    Rule { name: "bailer", source: "Bailer, Finckh, Lensch 2012", choose: bailer::choose },
+    Rule { name: "shen", source: "Shen 2013", choose: shen::choose },
+    Rule { name: "colmap", source: "COLMAP's __auto__ in patch-match.cfg", choose: colmap::choose },
+    Rule { name: "openmvs", source: "OpenMVS 2.3, Scene::SelectNeighborViews", choose: openmvs::choose },
+    Rule { name: "mvsnet", source: "MVSNet's colmap2mvsnet.py", choose: mvsnet::choose },
+];
+
+impl Rule {
+    /// At most k partners for each key view, best first; key views for which the rule finds none are left out.
+    pub fn clusters(&self, scene: &Scene, keys: &[ViewIndex], k: usize) -> Vec<ViewCluster> {
+        let points = scene.view_points();
+        let cluster = |&key: &ViewIndex| ViewCluster {
+            key,
+            partners: (self.choose)(&Neighbourhood::new(scene, &points, key), k),
+        };
+        keys.iter().map(cluster).filter(|c| !c.partners.is_empty()).collect()
+    }
+}
+
+/// A key view and the sparse points that it shares with other views.
+struct Neighbourhood<'a> {
+    scene: &'a Scene,
+    points: &'a ViewPoints,
+    key: ViewIndex,
+    /// Views with shared points, ascending, and those points, ascending.
+    others: Vec<(ViewIndex, Vec<PointIndex>)>,
+}
+
+impl<'a> Neighbourhood<'a> {
+    fn new(scene: &'a Scene, points: &'a ViewPoints, key: ViewIndex) -> Self {
+        let mut shared = vec![Vec::new(); scene.views.len()];
+        for &point in points.of(key) {
+            for &view in scene.track_views(point) {
+                let list: &mut Vec<PointIndex> = &mut shared[view.at()];
+                if view != key && list.last() != Some(&point) {
+                    list.push(point);
+                }
+            }
+        }
+        let others = scene.view_indices().zip(shared).filter(|(_, points)| !points.is_empty()).collect();
+        Self { scene, points, key, others }
+    }
+
+    fn centre(&self, view: ViewIndex) -> Point3<f64> {
+        self.scene.view(view).cam_from_world.centre()
+    }
+
+    fn point(&self, point: PointIndex) -> Point3<f64> {
+        self.scene.points[point.at()]
+    }
+
+    /// How often the view observes the point; a feature may be found twice.
+    fn observations(&self, point: PointIndex, view: ViewIndex) -> usize {
+        self.scene.track_views(point).iter().filter(|&&v| v == view).count()
+    }
+
+    /// Angle at a point between the rays to two views, radians; 0 where a view is at the point.
+    fn angle(&self, point: PointIndex, a: ViewIndex, b: ViewIndex) -> f64 {
+        let x = self.point(point);
+        (self.centre(a) - x).angle(&(self.centre(b) - x))
+    }
+
+    /// Size of a pixel of the view at a point: depth over the mean focal length, scene units.
+    fn footprint(&self, point: PointIndex, view: ViewIndex) -> f64 {
+        let depth = self.scene.view(view).cam_from_world.camera_from_world(&self.point(point)).z;
+        depth / self.scene.camera_of(view).mean_focal_length()
+    }
+
+    /// The k others of the highest score, ties by name; those that the score refuses are left out.
+    fn best(&self, k: usize, score: impl Fn(ViewIndex, &[PointIndex]) -> Option<f64>) -> Vec<ViewIndex> {
+        let scored = self.others.iter().filter_map(|(view, points)| Some((score(*view, points)?, *view)));
+        let mut scored: Vec<(f64, ViewIndex)> = scored.collect();
+        scored.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
+        scored.into_iter().map(|(_, view)| view).take(k).collect()
+    }
+
+    /// k others one by one, each time the one of the highest gain above 0 beside those already taken, ties by name.
+    fn greedy(&self, k: usize, gain: impl Fn(ViewIndex, &[PointIndex], &[ViewIndex]) -> f64) -> Vec<ViewIndex> {
+        let mut taken: Vec<ViewIndex> = Vec::new();
+        while taken.len() < k {
+            let left = self.others.iter().filter(|(view, _)| !taken.contains(view));
+            let gains = left.map(|(view, points)| (gain(*view, points, &taken), *view));
+            match gains.reduce(|best, next| if next.0 > best.0 { next } else { best }) {
+                Some((gain, view)) if gain > 0.0 => taken.push(view),
+                _ => break,
+            }
+        }
+        taken
+    }
+}

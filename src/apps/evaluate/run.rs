@@ -1,0 +1,270 @@
+//! A folder of finished depth maps of some view clusters, measured.
+
+use std::{
+    path::{Path, PathBuf},
+    sync::atomic::{AtomicU64, Ordering},
+};
+
+use rayon::prelude::*;
+
+use super::{
+    curve::Curve,
+    matched::{self, Report, ReportError},
+    measure::{Measured, Quality, measure},
+};
+use crate::{
+    base::{
+        column::TableError,
+        error::Hint,
+        progress::{Cancelled, Stage, Watcher},
+    },
+    io::depthmaps::{self, DepthMapError, DepthMapFile, DepthMapSet},
+    method::{
+        confidence::Confidence,
+        fulfilment::{self, FulfilmentTable, Model},
+        ranking::Attempt,
+    },
+    model::{cluster::ViewCluster, scene::ViewIndex},
+};
+
+/// Finished view clusters and what really came of them. All tables have a row per cluster.
+#[derive(Clone, Debug)]
+pub struct Run {
+    /// Those with a depth map, by name of the key view.
+    pub clusters: Vec<ViewCluster>,
+    /// The order in which they were to be computed, indices into `clusters`.
+    pub order: Vec<u32>,
+    /// The same clusters with the partners that were really matched.
+    pub matched: Vec<ViewCluster>,
+    pub quality: Vec<Quality>,
+    /// As the plan's model has it.
+    pub predicted: FulfilmentTable,
+    /// With f_conf = 1.
+    pub nocp: FulfilmentTable,
+    /// Method 8.
+    pub real: FulfilmentTable,
+    /// f of the really matched partners with f_conf = 1: what `real` would be if every pixel were right.
+    pub attainable: FulfilmentTable,
+    /// What was promised and kept at each triangle that the key view sees, for [`ranking::Beliefs`](crate::method::ranking::Beliefs).
+    pub attempts: Vec<Vec<Attempt>>,
+    /// Were the maps held against references?
+    pub has_reference: bool,
+    /// Key views whose depth map isn't there.
+    pub without_map: Vec<ViewIndex>,
+    /// Key views whose depth map was made with other partners than the clusters have.
+    pub other_partners: Vec<ViewIndex>,
+    /// Files that look like depth maps and belong to no view.
+    pub strangers: Vec<PathBuf>,
+    /// Depth maps that cannot be read and are left out, in sentences.
+    pub unreadable: Vec<String>,
+}
+
+/// What to measure, and against what.
+pub struct Task<'a> {
+    pub model: Model<'a>,
+    /// In the order in which they were to be computed.
+    pub clusters: &'a [ViewCluster],
+    pub depth_maps: &'a Path,
+    pub reference: Option<&'a Path>,
+    /// a_d where a pixel shows no triangle, scene units.
+    pub accuracy: f64,
+}
+
+impl Run {
+    pub fn new(task: &Task, watcher: &dyn Watcher) -> Result<Self, EvaluateError> {
+        let scene = task.model.scene;
+        let maps = depthmaps::find(task.depth_maps, scene)?;
+        let references = task.reference.map(|folder| depthmaps::find(folder, scene)?.whole()).transpose()?;
+        let report = matched::read_report(task.depth_maps, scene)?;
+        let of = |set: &DepthMapSet, view| set.maps.iter().find(|m| m.view == view).cloned();
+        let mut found: Vec<(ViewCluster, DepthMapFile, u32)> = Vec::new();
+        let mut without_map = Vec::new();
+        for (rank, cluster) in task.clusters.iter().enumerate() {
+            match of(&maps, cluster.key) {
+                Some(map) => found.push((cluster.clone(), map, rank as u32)),
+                None => without_map.push(cluster.key),
+            }
+        }
+        if found.is_empty() {
+            return Err(EvaluateError::NoClusters(task.depth_maps.into()));
+        }
+        found.sort_by_key(|(cluster, _, _)| cluster.key);
+        let done = AtomicU64::new(0);
+        watcher.progress(Stage::Evaluate, 0, found.len() as u64);
+        let measured = found.par_iter().map(|(cluster, map, _)| {
+            watcher.check()?;
+            let reference = references.as_ref().map(|set| of(set, cluster.key));
+            let measured = task.measure(cluster.key, map, reference)?;
+            watcher.progress(Stage::Evaluate, 1 + done.fetch_add(1, Ordering::Relaxed), found.len() as u64);
+            Ok(measured)
+        });
+        let tried: Vec<Result<Measured, DepthMapError>> = measured.collect::<Result<_, EvaluateError>>()?;
+        let (mut clusters, mut ranks, mut measured, mut broken) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+        for ((cluster, _, rank), tried) in found.into_iter().zip(tried) {
+            match tried {
+                Ok(of_map) => {
+                    clusters.push(cluster);
+                    ranks.push(rank);
+                    measured.push(of_map);
+                }
+                Err(error) => broken.push(error),
+            }
+        }
+        if clusters.is_empty() {
+            return Err(broken.swap_remove(0).into());
+        }
+        let mut order: Vec<u32> = (0..clusters.len() as u32).collect();
+        order.sort_by_key(|&c| ranks[c as usize]);
+        let unreadable = maps.unreadable.iter().map(|(_, error)| error.to_string());
+        let unreadable = unreadable.chain(broken.iter().map(DepthMapError::to_string)).collect();
+        task.tables(clusters, order, &measured, &report, watcher).map(|run| Self {
+            without_map,
+            strangers: maps.strangers,
+            unreadable,
+            ..run
+        })
+    }
+
+    /// All clusters together.
+    pub fn pooled(&self) -> Quality {
+        let mut all = Quality::default();
+        self.quality.iter().for_each(|q| all.add(q));
+        all
+    }
+
+    /// The real curve of an order of the clusters.
+    pub fn real_curve(&self, weights: &[f64], support: u32, order: &[u32]) -> Curve {
+        Curve::new(&self.real, weights, support, &self.clusters, order)
+    }
+}
+
+impl Task<'_> {
+    /// `reference`: `Some(None)`: there are references, but none of this view; then nothing in the map is right. A map that cannot be
+    /// read, perhaps because it is being written, is an error of its own.
+    fn measure(
+        &self,
+        key: ViewIndex,
+        map: &DepthMapFile,
+        reference: Option<Option<DepthMapFile>>,
+    ) -> Result<Result<Measured, DepthMapError>, EvaluateError> {
+        let scene = self.model.scene;
+        let map = match depthmaps::read_of_view(map, scene) {
+            Ok(map) => map,
+            Err(error @ DepthMapError::Distorted { .. }) => return Err(error.into()),
+            Err(error) => return Ok(Err(error)),
+        };
+        let reference = match reference {
+            None => None,
+            Some(Some(file)) => Some(depthmaps::read_of_view(&file, scene)?),
+            Some(None) => Some(map.emptied()),
+        };
+        Ok(Ok(measure(&self.model, key, map, reference.as_ref(), self.accuracy)))
+    }
+
+    fn tables(
+        &self,
+        clusters: Vec<ViewCluster>,
+        order: Vec<u32>,
+        measured: &[Measured],
+        report: &Report,
+        watcher: &dyn Watcher,
+    ) -> Result<Run, EvaluateError> {
+        let scene = self.model.scene;
+        let matched = clusters.iter().zip(measured);
+        let matched: Vec<ViewCluster> =
+            matched.map(|(c, m)| matched::really_matched(c, report, &m.ids, scene)).collect();
+        let mut certain = self.model;
+        certain.rule.confidence = Confidence::None;
+        let attainable = fulfilment::table(&certain, &matched, watcher)?;
+        let predicted = fulfilment::table(&self.model, &clusters, watcher)?;
+        let nocp = fulfilment::table(&certain, &clusters, watcher)?;
+        let other_partners = clusters.iter().filter(|c| {
+            let tried = report.get(&c.key).map(|r| sorted(&r.tried));
+            tried.is_some_and(|tried| tried != sorted(&c.partners))
+        });
+        Ok(Run {
+            has_reference: self.reference.is_some(),
+            other_partners: other_partners.map(|c| c.key).collect(),
+            quality: measured.iter().map(|m| m.quality).collect(),
+            attempts: (0..clusters.len()).map(|c| self.attempts(c, &clusters, &predicted, &nocp, measured)).collect(),
+            predicted,
+            nocp,
+            real: self.real(&matched, &attainable, measured),
+            attainable,
+            matched,
+            clusters,
+            order,
+            without_map: Vec::new(),
+            strangers: Vec::new(),
+            unreadable: Vec::new(),
+        })
+    }
+
+    /// Attainable fulfilment times the measured share.
+    fn real(&self, clusters: &[ViewCluster], attainable: &FulfilmentTable, measured: &[Measured]) -> FulfilmentTable {
+        let of_cluster = |(c, cluster): (usize, &ViewCluster)| -> Vec<(u32, f32)> {
+            let seen = self.model.visibility.of(cluster.key);
+            let share = |t| seen.binary_search(&t).map_or(0.0, |row| measured[c].shares[row]);
+            let (triangles, values) = attainable.of(c);
+            let real = triangles.iter().zip(values).map(|(&t, &f)| (t, f * share(t)));
+            real.filter(|(_, f)| *f > 0.0).collect()
+        };
+        FulfilmentTable::new(clusters.iter().enumerate().map(of_cluster))
+    }
+
+    /// Where a cluster was predicted to fulfil something: the promise is f_conf, the prediction with it over that without.
+    fn attempts(
+        &self,
+        cluster: usize,
+        clusters: &[ViewCluster],
+        predicted: &FulfilmentTable,
+        nocp: &FulfilmentTable,
+        measured: &[Measured],
+    ) -> Vec<Attempt> {
+        let seen = self.model.visibility.of(clusters[cluster].key);
+        let (certain_triangles, certain) = nocp.of(cluster);
+        let (triangles, values) = predicted.of(cluster);
+        let attempt = |(&t, &f): (&u32, &f32)| {
+            let row = seen.binary_search(&t).ok()?;
+            let without = certain[certain_triangles.binary_search(&t).ok()?];
+            let measured = &measured[cluster];
+            Some(Attempt::new(t, measured.pixels[row], (f / without).min(1.0), measured.shares[row]))
+        };
+        triangles.iter().zip(values).filter_map(attempt).collect()
+    }
+}
+
+fn sorted(views: &[ViewIndex]) -> Vec<ViewIndex> {
+    let mut views = views.to_vec();
+    views.sort_unstable();
+    views
+}
+
+/// Why depth maps can't be measured.
+#[derive(Debug, thiserror::Error)]
+pub enum EvaluateError {
+    #[error(transparent)]
+    DepthMap(#[from] DepthMapError),
+    #[error(transparent)]
+    Report(#[from] ReportError),
+    #[error("none of the view clusters has a depth map in {}", .0.display())]
+    NoClusters(PathBuf),
+    #[error(transparent)]
+    Cancelled(#[from] Cancelled),
+    #[error(transparent)]
+    Table(#[from] TableError),
+}
+
+impl Hint for EvaluateError {
+    fn hint(&self) -> Option<String> {
+        Some(match self {
+            Self::DepthMap(error) => return error.hint(),
+            Self::Report(error) => return error.hint(),
+            Self::NoClusters(_) => {
+                "give the depth maps of this plan, or the clusters that they were made for with --clusters".into()
+            }
+            Self::Cancelled(_) => return None,
+            Self::Table(error) => return error.hint(),
+        })
+    }
+}

@@ -1,0 +1,89 @@
+//! An existing plan once more, with all its tables: same input and settings, same plan.
+
+use std::{collections::BTreeMap, path::Path};
+
+use crate::backends;
+use crate::plan::{Cut, Decision, Finished, Plan, PlanError, Stages, decide_as};
+use crate::{
+    base::{column::TableError, error::Hint, progress::Watcher},
+    io::project::Project,
+    method::{fulfilment, ranking::Ranking},
+    model::{cluster::ViewCluster, scene::ViewIndex},
+    show::manifest::{Recorded, WrittenPlanError, warnings_with},
+};
+
+/// Plans again what `viewrank/manifest.json` of the project says, by the prediction alone (finished depth maps are not looked at).
+pub fn again(root: &Path, watcher: &dyn Watcher) -> Result<(Project, Plan), AgainError> {
+    let (project, plan, _) = predicted(root, watcher)?;
+    Ok((project, plan))
+}
+
+/// The plan of `viewrank/manifest.json` with the ranking, the cut and the warnings that stand there. Of a plan around finished depth maps gains, shares
+/// and reasons of views are those of the manifest, which are real where finished; fulfilment by triangle is predicted.
+pub fn as_written(root: &Path, watcher: &dyn Watcher) -> Result<(Project, Plan), AgainError> {
+    let (project, plan, recorded) = predicted(root, watcher)?;
+    let plan = if recorded.finished() > 0 { with_ranking(plan, &recorded, watcher)? } else { plan };
+    let warnings = warnings_with(&recorded.warnings, &recorded.exports, &[]);
+    Ok((project, Plan { decision: Decision { warnings, ..plan.decision }, ..plan }))
+}
+
+fn with_ranking(plan: Plan, recorded: &Recorded, watcher: &dyn Watcher) -> Result<Plan, AgainError> {
+    let Plan { stages, timings, .. } = plan;
+    let ranked = recorded.ranked(&stages.scene)?;
+    let order: Vec<ViewIndex> = ranked.iter().map(|cluster| cluster.key).collect();
+    let written = ranked.into_iter().map(|c| (c.key, c.partners));
+    let partners: BTreeMap<_, _> = stages.clusters.iter().map(|c| (c.key, c.partners.clone())).chain(written).collect();
+    let clusters: Vec<_> = partners.into_iter().map(|(key, partners)| ViewCluster { key, partners }).collect();
+    let fulfilment = fulfilment::table(&stages.model(), &clusters, watcher)?;
+    let stages = Stages { clusters, fulfilment, ..stages };
+    let place = |key: &ViewIndex| stages.clusters.binary_search_by_key(key, |cluster| cluster.key).ok();
+    let ranking = Ranking {
+        order: order.iter().filter_map(place).map(|c| c as u32).collect(),
+        gains: recorded.clusters.iter().map(|cluster| cluster.gain).collect(),
+        fulfilment: recorded.clusters.iter().map(|cluster| cluster.fulfilment).collect(),
+    };
+    let finished =
+        Finished { clusters: recorded.finished(), outdated: recorded.outdated.clone(), ..Finished::default() };
+    let cut = Cut { clusters: recorded.cut.clusters.min(ranking.order.len()), ..recorded.cut };
+    let mut decision = decide_as(&stages, finished, ranking, cut)?;
+    for written in &recorded.views {
+        if let Some(view) = stages.scene.find(&written.name) {
+            decision.views[view.at()] = (written.status, written.reason);
+        }
+    }
+    Ok(Plan { stages, decision, timings })
+}
+
+fn predicted(root: &Path, watcher: &dyn Watcher) -> Result<(Project, Plan, Recorded), AgainError> {
+    let (project, recorded) = Recorded::open(root)?;
+    let mut settings = recorded.settings.clone();
+    if settings.backends.is_empty() {
+        settings.backends.push(recorded.backend.clone());
+    }
+    // Before the long work, though the model is read twice for it.
+    recorded.check_input(&project, &project.read_scene().map_err(WrittenPlanError::from)?)?;
+    let plan = backends::plan(&project, &settings, watcher)?;
+    recorded.check_ranking(&plan)?;
+    Ok((project, plan, recorded))
+}
+
+/// Why there is no plan to go on with.
+#[derive(Debug, thiserror::Error)]
+pub enum AgainError {
+    #[error(transparent)]
+    Written(#[from] WrittenPlanError),
+    #[error(transparent)]
+    Plan(#[from] PlanError),
+    #[error(transparent)]
+    Table(#[from] TableError),
+}
+
+impl Hint for AgainError {
+    fn hint(&self) -> Option<String> {
+        match self {
+            Self::Written(error) => error.hint(),
+            Self::Plan(error) => error.hint(),
+            Self::Table(error) => error.hint(),
+        }
+    }
+}

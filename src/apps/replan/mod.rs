@@ -1,0 +1,317 @@
+//! Method 5.4: a plan around what is finished. Finished clusters come first, with what they really reach; the rest is ranked again
+//! behind them, with failures remembered ([`Beliefs`]).
+//!
+//! The depth maps were made for an earlier plan of the project, perhaps of an earlier model: those that still fit ([`movement`]) stay,
+//! the others are named and count for nothing.
+
+mod again;
+mod movement;
+
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    fs, io,
+    path::Path,
+};
+
+use rayon::prelude::*;
+
+pub use self::again::{AgainError, again, as_written};
+use self::movement::{Place, movement};
+use crate::{
+    apps::evaluate::{EvaluateError, Run, Task},
+    base::{
+        error::Hint,
+        progress::{Cancelled, Watcher},
+    },
+    io::{
+        depthmaps::{self, DepthMap, DepthMapError, DepthMapFile, DepthMapSet},
+        project::Project,
+    },
+    method::{fulfilment::GrowingTable, ranking::Beliefs},
+    model::{cluster::ViewCluster, scene::ViewIndex},
+    plan::{Finished, Outdated, Plan, PlanError, PlannedView, PlannedViews, Stages, decide},
+    show::manifest::{Recorded, WrittenPlanError},
+};
+
+/// The plan that finished depth maps were made for.
+#[derive(Debug)]
+pub struct Earlier {
+    /// Key view and partners, by name, best first.
+    clusters: Vec<(String, Vec<String>)>,
+    cut: usize,
+    outdated: Vec<Outdated>,
+    views: PlannedViews,
+}
+
+impl Earlier {
+    /// From `viewrank/manifest.json` and `planned_views.json` of the project, whether or not the model has changed since.
+    pub fn read(project: &Project) -> Result<Self, WrittenPlanError> {
+        let recorded = Recorded::read(project)?;
+        let path = project.output_folder().join("planned_views.json");
+        let bytes = fs::read(&path).map_err(|source| WrittenPlanError::Io { path: path.clone(), source })?;
+        let views = serde_json::from_slice(&bytes)
+            .map_err(|error| WrittenPlanError::Manifest { path, what: error.to_string() })?;
+        let clusters = recorded.clusters.into_iter().map(|c| (c.key, c.partners)).collect();
+        Ok(Self { clusters, cut: recorded.cut.clusters, outdated: recorded.outdated, views })
+    }
+
+    /// Names of the key views to the cut, best first.
+    pub fn list(&self) -> impl Iterator<Item = &str> {
+        self.keys().take(self.cut)
+    }
+
+    /// Names of the key views, best first.
+    pub fn keys(&self) -> impl Iterator<Item = &str> {
+        self.clusters.iter().map(|(key, _)| key.as_str())
+    }
+
+    /// What was said before of a depth map that is still the same file.
+    fn outdated(&self, key: &str, hash: &str) -> Option<Outdated> {
+        let same = self.views.outdated_files.get(key).is_some_and(|known| known == hash);
+        self.outdated.iter().find(|outdated| same && outdated.key == key).cloned()
+    }
+
+    /// The view as it was when the depth map of `key` was made.
+    fn then(&self, key: &str, view: &str) -> Option<&PlannedView> {
+        match self.views.made_with.get(key) {
+            Some(views) => views.get(view),
+            None => self.views.views.get(view),
+        }
+    }
+}
+
+/// Where finished depth maps are.
+pub struct Maps<'a> {
+    pub folder: &'a Path,
+    /// Is the file written to its end?
+    pub ready: &'a (dyn Fn(&Path) -> bool + Sync),
+}
+
+/// Ranks the plan again around the finished depth maps of an earlier plan; the same plan where there are none.
+///
+/// Of the finished clusters the partners are those of the earlier plan. `None`: none of the maps could be measured.
+pub fn replan(
+    plan: Plan,
+    earlier: &Earlier,
+    maps: &Maps,
+    watcher: &dyn Watcher,
+) -> Result<(Plan, Option<Run>), ReplanError> {
+    let (mut clusters, mut finished) = (Vec::new(), Finished::default());
+    for found in look(&plan, earlier, maps, watcher)? {
+        match found {
+            Found::Fits { cluster, made_with } => {
+                if let Some(made_with) = made_with {
+                    finished.made_with.insert(plan.stages.scene.name(cluster.key).into(), made_with);
+                }
+                clusters.push(cluster);
+            }
+            Found::Outdated { outdated, hash } => {
+                finished.outdated_files.insert(outdated.key.clone(), hash);
+                finished.outdated.push(outdated);
+            }
+            Found::Unreadable(why) => finished.unreadable.push(why),
+        }
+    }
+    finished.outdated.sort_by(|a, b| a.key.cmp(&b.key));
+    let run = match clusters.as_slice() {
+        [] => None,
+        clusters => Some(measure(&plan, clusters, maps.folder, watcher)?),
+    };
+    Ok((rank_around(plan, finished, run.as_ref(), watcher)?, run))
+}
+
+fn measure(plan: &Plan, clusters: &[ViewCluster], folder: &Path, watcher: &dyn Watcher) -> Result<Run, EvaluateError> {
+    let model = plan.stages.model();
+    let accuracy = model.target.accuracy_over_gsd * plan.stages.settings.target.gsd.unwrap_or(1.0);
+    Run::new(&Task { model, clusters, depth_maps: folder, reference: None, accuracy }, watcher)
+}
+
+/// Puts the finished clusters in the place of those with the same key view, and ranks all again.
+fn rank_around(plan: Plan, finished: Finished, run: Option<&Run>, watcher: &dyn Watcher) -> Result<Plan, PlanError> {
+    let Plan { mut timings, stages, .. } = plan;
+    let (stages, order) = match run {
+        Some(run) => with_finished(stages, run, watcher)?,
+        None => (stages, Vec::new()),
+    };
+    let decision = decide(&stages, finished, &order, &mut timings, watcher)?;
+    Ok(Plan { stages, decision, timings })
+}
+
+/// The stages with the finished clusters and what they really fulfil, the others believed as far as the finished ones let them be; and the finished
+/// ones in their order.
+fn with_finished(stages: Stages, run: &Run, watcher: &dyn Watcher) -> Result<(Stages, Vec<u32>), PlanError> {
+    stages.memory.before_beliefs(&stages.fulfilment)?;
+    let mut beliefs = Beliefs::new(&stages.scene, &stages.surface, &stages.clusters, &stages.fulfilment);
+    for (cluster, attempts) in run.clusters.iter().zip(&run.attempts) {
+        watcher.check()?;
+        beliefs.learn(cluster.key, attempts);
+    }
+    // Of each key view, its place in the run or in the plan.
+    let mut rows: BTreeMap<ViewIndex, (Option<usize>, usize)> = BTreeMap::new();
+    rows.extend(stages.clusters.iter().enumerate().map(|(c, cluster)| (cluster.key, (None, c))));
+    rows.extend(run.clusters.iter().enumerate().map(|(c, cluster)| (cluster.key, (Some(c), c))));
+    let mut table = GrowingTable::beside(&stages.visibility)?;
+    let mut clusters = Vec::with_capacity(rows.len());
+    for (finished, at) in rows.values() {
+        match finished {
+            Some(_) => {
+                let (triangles, values) = run.real.of(*at);
+                table.push(triangles, values)?;
+                clusters.push(run.clusters[*at].clone());
+            }
+            None => {
+                let (triangles, values) = beliefs.row(*at);
+                table.push(triangles, &values)?;
+                clusters.push(stages.clusters[*at].clone());
+            }
+        }
+    }
+    let places: BTreeMap<ViewIndex, u32> = rows.keys().copied().zip(0..).collect();
+    let order: Vec<u32> = run.order.iter().map(|&c| places[&run.clusters[c as usize].key]).collect();
+    let fulfilment = table.finish()?;
+    Ok((Stages { clusters, fulfilment, ..stages }, order))
+}
+
+/// What became of a depth map that a cluster of the earlier plan has.
+enum Found {
+    /// `made_with`: the views as they were, where they are elsewhere now.
+    Fits {
+        cluster: ViewCluster,
+        made_with: Option<BTreeMap<String, PlannedView>>,
+    },
+    Outdated {
+        outdated: Outdated,
+        hash: String,
+    },
+    Unreadable(String),
+}
+
+/// The finished clusters of the earlier plan, in its order, and what is wrong with maps of no known view.
+fn look(plan: &Plan, earlier: &Earlier, maps: &Maps, watcher: &dyn Watcher) -> Result<Vec<Found>, ReplanError> {
+    let DepthMapSet { maps: files, unreadable, .. } = depthmaps::list(maps.folder, &plan.stages.scene)?;
+    let ready = unreadable.into_iter().filter(|(path, _)| (maps.ready)(path));
+    let unreadable = ready.map(|(_, error)| Found::Unreadable(error.to_string()));
+    let file_of: BTreeMap<&str, &DepthMapFile> =
+        files.iter().map(|file| (plan.stages.scene.name(file.view), file)).collect();
+    let found = earlier.clusters.par_iter().map(|(key, partners)| {
+        watcher.check()?;
+        let file = file_of.get(key.as_str()).filter(|file| (maps.ready)(&file.path));
+        Ok(file.map(|file| Looked { plan, earlier, key, partners, file }.found()))
+    });
+    let found: Vec<Option<Found>> = found.collect::<Result<_, Cancelled>>()?;
+    // Views that had no partners in the earlier plan, either: what was said of their maps before still holds.
+    let keys: BTreeSet<&str> = earlier.keys().collect();
+    let beyond = earlier.outdated.iter().filter(|outdated| !keys.contains(outdated.key.as_str()));
+    let beyond = beyond.filter_map(|Outdated { key, .. }| {
+        let hash = hash(&file_of.get(key.as_str())?.path).ok()?;
+        Some(Found::Outdated { outdated: earlier.outdated(key, &hash)?, hash })
+    });
+    Ok(found.into_iter().flatten().chain(beyond).chain(unreadable).collect())
+}
+
+fn hash(file: &Path) -> io::Result<String> {
+    Ok(blake3::hash(&fs::read(file)?).to_string())
+}
+
+/// A depth map with the cluster that it was made for.
+struct Looked<'a> {
+    plan: &'a Plan,
+    earlier: &'a Earlier,
+    key: &'a String,
+    partners: &'a [String],
+    file: &'a DepthMapFile,
+}
+
+impl Looked<'_> {
+    fn found(&self) -> Found {
+        let map = match depthmaps::read(&self.file.path, self.file.format) {
+            Ok(map) if map.fits(self.plan.stages.scene.camera_of(self.file.view)) => map,
+            Ok(_) => return Found::Unreadable(format!("{}: not of the shape of {}", self.path(), self.key)),
+            Err(error) => return Found::Unreadable(error.to_string()),
+        };
+        let hash = match hash(&self.file.path) {
+            Ok(hash) => hash,
+            Err(error) => return Found::Unreadable(format!("{}: {error}", self.path())),
+        };
+        if let Some(outdated) = self.earlier.outdated(self.key, &hash) {
+            return Found::Outdated { outdated, hash };
+        }
+        match self.moved(&map) {
+            Ok((moved_px, view)) if moved_px > self.plan.stages.settings.ranking.keep_px => {
+                Found::Outdated { outdated: self.outdated(view, Some(moved_px)), hash }
+            }
+            Ok(_) => self.fits(),
+            Err(view) => Found::Outdated { outdated: self.outdated(view, None), hash },
+        }
+    }
+
+    fn path(&self) -> String {
+        self.file.path.display().to_string()
+    }
+
+    fn views(&self) -> impl Iterator<Item = &String> {
+        std::iter::once(self.key).chain(self.partners)
+    }
+
+    fn outdated(&self, view: &str, moved_px: Option<f64>) -> Outdated {
+        Outdated { key: self.key.clone(), view: view.into(), moved_px }
+    }
+
+    /// The farthest that any view of the cluster moved, and that view; the view that is gone or of which nothing is known.
+    fn moved(&self, map: &DepthMap) -> Result<(f64, &str), &str> {
+        let place = |name| self.place(name).ok_or(name);
+        let key = place(self.key.as_str())?;
+        let mut farthest = (0.0, self.key.as_str());
+        for name in self.partners {
+            let moved = movement(map, &key, &place(name.as_str())?);
+            if moved > farthest.0 {
+                farthest = (moved, name);
+            }
+        }
+        Ok(farthest)
+    }
+
+    fn place(&self, name: &str) -> Option<Place> {
+        Place::new(self.earlier.then(self.key, name)?, &self.plan.stages.scene, self.plan.stages.scene.find(name)?)
+    }
+
+    fn fits(&self) -> Found {
+        let scene = &self.plan.stages.scene;
+        let then = |name: &String| Some((name.clone(), self.earlier.then(self.key, name)?.clone()));
+        let made_with: BTreeMap<String, PlannedView> = self.views().filter_map(then).collect();
+        let now = |name: &str| scene.find(name).map(|view| PlannedView::new(scene, view));
+        let stayed = made_with.iter().all(|(name, then)| now(name).as_ref() == Some(then));
+        let partners = self.partners.iter().filter_map(|name| scene.find(name)).collect();
+        Found::Fits {
+            cluster: ViewCluster { key: self.file.view, partners },
+            made_with: (!stayed).then_some(made_with),
+        }
+    }
+}
+
+/// Why a plan cannot be ranked around its finished depth maps.
+#[derive(Debug, thiserror::Error)]
+pub enum ReplanError {
+    #[error(transparent)]
+    Written(#[from] WrittenPlanError),
+    #[error(transparent)]
+    DepthMaps(#[from] DepthMapError),
+    #[error(transparent)]
+    Measure(#[from] EvaluateError),
+    #[error(transparent)]
+    Plan(#[from] PlanError),
+    #[error(transparent)]
+    Cancelled(#[from] Cancelled),
+}
+
+impl Hint for ReplanError {
+    fn hint(&self) -> Option<String> {
+        match self {
+            Self::Written(error) => error.hint(),
+            Self::DepthMaps(error) => error.hint(),
+            Self::Measure(error) => error.hint(),
+            Self::Plan(error) => error.hint(),
+            Self::Cancelled(_) => None,
+        }
+    }
+}

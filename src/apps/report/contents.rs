@@ -1,0 +1,335 @@
+//! What the page knows.
+
+use std::{
+    collections::BTreeMap,
+    path::{Path, PathBuf},
+};
+
+use nalgebra::Point3;
+use rayon::prelude::*;
+use serde::Serialize;
+
+use super::{
+    bytes,
+    history::History,
+    holes::{FAR, Hole, help, holes},
+    real::{Finished, Real},
+    shown::Shown,
+    thumbnails::{MOST, thumbnails},
+};
+use crate::plan;
+use crate::{
+    apps::{doctor::partners_in_words, evaluate::EvaluateError},
+    backends,
+    base::{
+        column::DiskError,
+        error::Hint,
+        progress::{Cancelled, Watcher},
+    },
+    config::ForecastSettings,
+    io::project::Project,
+    model::{
+        georeference::{Georeference, MapFrame},
+        reason::Reason,
+        scene::{Units, ViewIndex},
+    },
+    plan::Plan,
+    show::pictures::{RAMP, REASON_NUMBERS, footprints, reason_number},
+};
+
+/// Holes that are listed.
+const HOLES: usize = 20;
+
+/// Everything that the page shows, as its script reads it. Points are in the frame of the map: x to the right, y up the sheet, z
+/// up, scene units. Numbers of views are indices in the order of names; ranks are from 1.
+#[derive(Serialize)]
+pub struct Contents {
+    title: String,
+    tool: &'static str,
+    backend: &'static str,
+    metric: bool,
+    gsd: f64,
+    /// k.
+    wanted_partners: u32,
+    points: usize,
+    triangles: usize,
+    area: f64,
+    cut: usize,
+    /// So many from the start of the ranking had their depth maps when it was made: their gains and shares are real.
+    finished: usize,
+    warnings: Vec<String>,
+    unregistered: Vec<String>,
+    /// Colours of the surface where nothing, half and all is reached.
+    ramp: [[u8; 3]; 3],
+    reasons: Vec<&'static str>,
+    /// What would help, per reason.
+    helps: Vec<&'static str>,
+    forecast: ForecastSettings,
+    /// Seconds that planning took; absent where nobody wrote them down.
+    planning_seconds: Option<f64>,
+    clusters_total: usize,
+    pairs_total: usize,
+    views: Views,
+    ranking: Ranked,
+    surface: Drawn,
+    holes: Vec<ShownHole>,
+    /// Of all holes.
+    holes_area: f64,
+    /// Of what lies more than `far` usual distances from every camera.
+    far_area: f64,
+    far: f64,
+    /// Of the sparse points from the nearest of their views, scene units.
+    usual_distance: f64,
+    real: Option<Real>,
+    thumbnails: BTreeMap<u32, String>,
+    /// Views beyond which only the first of the ranking have a small picture.
+    most_thumbnails: usize,
+}
+
+#[derive(Serialize)]
+struct Views {
+    names: Vec<String>,
+    /// f32, 3 per view.
+    centres: String,
+    /// Viewing directions, f32, 3 per view.
+    directions: String,
+    /// Corners of the footprints, f32, 3 per corner; CSR by view with u32 offsets.
+    footprints: String,
+    footprint_offsets: String,
+    /// Rank, u32; 0: not in the ranking.
+    rank: String,
+    /// Number of the reason + 1, u8; 0: none.
+    reason: String,
+    /// CSR by view: ranks (u32) of the clusters before its own that do more of what this view could than any before them, and
+    /// their shares of that, f32.
+    likest_offsets: String,
+    likest: String,
+    likest_shares: String,
+    /// Triangles that the view sees, u32.
+    seen: String,
+    /// Of views that lack partners: how many there are, and why others are none.
+    partners: BTreeMap<u32, String>,
+}
+
+#[derive(Serialize)]
+struct Ranked {
+    /// u32.
+    keys: String,
+    /// CSR by rank.
+    partners: String,
+    partner_offsets: String,
+    /// f64 each.
+    gains: String,
+    shares: String,
+    points: String,
+}
+
+#[derive(Serialize)]
+struct Drawn {
+    /// f32, 3 per vertex.
+    vertices: String,
+    /// u32, 3 per triangle.
+    triangles: String,
+    offsets: String,
+    ranks: String,
+    shares: String,
+    first: String,
+    reachable: String,
+    /// Number of the reason + 1, u8; 0: some cluster fulfils it.
+    reason: String,
+    /// Is the surface drawn coarser than it was planned on?
+    coarser: bool,
+}
+
+#[derive(Serialize)]
+struct ShownHole {
+    area: f64,
+    triangles: usize,
+    reason: usize,
+    centre: [f64; 3],
+    /// Latitude and longitude, where they are known.
+    place: Option<[f64; 2]>,
+}
+
+impl Contents {
+    /// `planning_seconds`: what the plan took when it was made.
+    pub fn new(
+        plan: &Plan,
+        project: &Project,
+        finished: &Finished,
+        planning_seconds: Option<f64>,
+        watcher: &dyn Watcher,
+    ) -> Result<Self, ReportError> {
+        let frame = MapFrame::new(&plan.stages.scene, plan.stages.settings.surface.up);
+        let shown = Shown::new(&plan.stages.surface);
+        let (real, left_out) = Real::new(plan, project, &shown, finished, watcher)?;
+        let thumbnails = match &project.images {
+            Some(images) => thumbnails(plan, images, watcher)?,
+            None => BTreeMap::new(),
+        };
+        let holes = holes(plan, HOLES);
+        let place = plan::georeference(project, &plan.stages.scene, &plan.stages.settings.frame);
+        Ok(Self {
+            title: title(&project.root),
+            tool: concat!("viewrank ", env!("CARGO_PKG_VERSION")),
+            backend: plan.stages.backend,
+            metric: plan.stages.settings.units == Some(Units::Metric),
+            gsd: plan.stages.settings.target.gsd.unwrap_or_default(),
+            wanted_partners: plan.stages.settings.partners.k,
+            points: plan.stages.scene.points.len(),
+            triangles: plan.stages.surface.triangles.len(),
+            area: (0..plan.stages.surface.triangles.len() as u32).map(|t| plan.stages.surface.area(t)).sum(),
+            cut: plan.decision.cut.clusters,
+            finished: plan.decision.finished.clusters,
+            warnings: plan.decision.warnings.iter().cloned().chain(left_out).collect(),
+            unregistered: plan.stages.scene.unregistered.clone(),
+            reasons: REASON_NUMBERS.iter().map(|r| r.words()).collect(),
+            helps: REASON_NUMBERS.iter().map(|&r| help(r)).collect(),
+            forecast: plan.stages.settings.forecast.clone(),
+            planning_seconds,
+            clusters_total: plan.decision.forecast.all_maps,
+            pairs_total: plan.decision.forecast.all_pairs,
+            views: Views::new(plan, &frame)?,
+            ranking: Ranked::new(plan),
+            surface: Drawn::new(plan, &shown, &frame),
+            holes: holes.largest.iter().map(|hole| ShownHole::new(hole, &frame, &place)).collect(),
+            holes_area: holes.area,
+            far_area: holes.far_area,
+            far: FAR,
+            usual_distance: holes.usual_distance,
+            real,
+            thumbnails,
+            most_thumbnails: MOST,
+            ramp: RAMP,
+        })
+    }
+}
+
+/// The folder's name, also of `.`.
+fn title(root: &Path) -> String {
+    let whole = root.canonicalize().unwrap_or_else(|_| root.into());
+    whole.file_name().unwrap_or(whole.as_os_str()).to_string_lossy().into_owned()
+}
+
+/// Where each of the lists begins when they stand behind each other, and where the last one ends.
+fn offsets(lengths: impl Iterator<Item = usize>) -> Vec<u32> {
+    let ends = lengths.scan(0, |sum, length| {
+        *sum += length as u32;
+        Some(*sum)
+    });
+    std::iter::once(0).chain(ends).collect()
+}
+
+fn in_frame<'a>(frame: &MapFrame, points: impl Iterator<Item = &'a Point3<f64>>) -> Vec<f32> {
+    points.flat_map(|point| frame.local(point)).map(|x| x as f32).collect()
+}
+
+impl Views {
+    fn new(plan: &Plan, frame: &MapFrame) -> Result<Self, DiskError> {
+        let views = || plan.stages.scene.view_indices();
+        let centres: Vec<Point3<f64>> = plan.stages.scene.views.iter().map(|v| v.cam_from_world.centre()).collect();
+        let directions = plan.stages.scene.views.iter().map(|v| v.cam_from_world.viewing_direction());
+        let directions: Vec<f32> = directions.flat_map(|d| frame.direction(&d)).map(|x| x as f32).collect();
+        let footprints = footprints(&plan.stages.surface, &plan.stages.visibility, frame);
+        let mut rank = vec![0u32; plan.stages.scene.views.len()];
+        plan.ranked().enumerate().for_each(|(i, cluster)| rank[cluster.key.at()] = i as u32 + 1);
+        let mut likest = vec![Vec::new(); rank.len()];
+        plan.stages.clusters.iter().zip(plan.likest()?).for_each(|(cluster, found)| likest[cluster.key.at()] = found);
+        Ok(Self {
+            names: plan.stages.scene.views.iter().map(|view| view.name.clone()).collect(),
+            centres: bytes(&in_frame(frame, centres.iter())),
+            directions: bytes(&directions),
+            footprints: bytes(&in_frame(frame, footprints.iter().flatten())),
+            footprint_offsets: bytes(&offsets(footprints.iter().map(Vec::len))),
+            rank: bytes(&rank),
+            reason: bytes(&plan.decision.views.iter().map(|&(_, reason)| reason_number(reason)).collect::<Vec<_>>()),
+            likest_offsets: bytes(&offsets(likest.iter().map(Vec::len))),
+            likest: bytes(&likest.iter().flatten().map(|l| l.rank as u32 + 1).collect::<Vec<_>>()),
+            likest_shares: bytes(&likest.iter().flatten().map(|l| l.share as f32).collect::<Vec<_>>()),
+            seen: bytes(&views().map(|view| plan.stages.visibility.of(view).len() as u32).collect::<Vec<_>>()),
+            partners: partners(plan),
+        })
+    }
+}
+
+/// Of views whose reason is the pairs that are refused.
+fn partners(plan: &Plan) -> BTreeMap<u32, String> {
+    let of_pairs = [Reason::NoSharedPoints, Reason::RotationOnly, Reason::NotMatchable];
+    let lacks = |view: &ViewIndex| plan.decision.views[view.at()].1.is_some_and(|reason| of_pairs.contains(&reason));
+    let Ok(backend) = backends::by_name(plan.stages.backend) else { return BTreeMap::new() };
+    let points = plan.stages.scene.view_points();
+    let views: Vec<ViewIndex> = plan.stages.scene.view_indices().filter(lacks).collect();
+    let words = |&view: &ViewIndex| (view.0, partners_in_words(&plan.stages.scene, &points, backend, view));
+    views.par_iter().map(words).collect()
+}
+
+impl Ranked {
+    fn new(plan: &Plan) -> Self {
+        let numbers = |views: Vec<ViewIndex>| bytes(&views.iter().map(|v| v.0).collect::<Vec<_>>());
+        let shares: Vec<f64> = plan.ranked().map(|cluster| cluster.share).collect();
+        Self {
+            keys: numbers(plan.ranked().map(|cluster| cluster.key).collect()),
+            partner_offsets: bytes(&offsets(plan.ranked().map(|cluster| cluster.partners.len()))),
+            partners: numbers(plan.ranked().flat_map(|cluster| cluster.partners).collect()),
+            gains: bytes(&plan.decision.ranking.gains),
+            shares: bytes(&shares),
+            points: bytes(&plan.points_by_rank()),
+        }
+    }
+}
+
+impl Drawn {
+    fn new(plan: &Plan, shown: &Shown, frame: &MapFrame) -> Self {
+        let history = History::new(plan, shown);
+        let reason = |&t: &u32| reason_number(plan.decision.triangle_reasons[t as usize]);
+        Self {
+            vertices: bytes(&in_frame(frame, shown.vertices.iter())),
+            triangles: bytes(&shown.triangles),
+            offsets: bytes(&history.offsets),
+            ranks: bytes(&history.ranks),
+            shares: bytes(&history.shares),
+            first: bytes(&history.first),
+            reachable: bytes(&history.reachable),
+            reason: bytes(&shown.original.iter().map(reason).collect::<Vec<_>>()),
+            coarser: shown.triangles.len() < plan.stages.surface.triangles.len(),
+        }
+    }
+}
+
+impl ShownHole {
+    fn new(hole: &Hole, frame: &MapFrame, place: &Georeference) -> Self {
+        let Hole { area, triangles, reason, centre } = hole;
+        let place = place.geodetic(centre).map(|at| [at.latitude, at.longitude]);
+        Self {
+            area: *area,
+            triangles: *triangles,
+            reason: reason_number(Some(*reason)).into(),
+            centre: frame.local(centre),
+            place,
+        }
+    }
+}
+
+/// Why there is no page.
+#[derive(Debug, thiserror::Error)]
+pub enum ReportError {
+    #[error(transparent)]
+    DepthMaps(#[from] EvaluateError),
+    #[error("there are no depth maps of this plan to hold against the reference {}", .0.display())]
+    NothingToCompare(PathBuf),
+    #[error(transparent)]
+    Disk(#[from] DiskError),
+    #[error(transparent)]
+    Cancelled(#[from] Cancelled),
+}
+
+impl Hint for ReportError {
+    fn hint(&self) -> Option<String> {
+        match self {
+            Self::DepthMaps(error) => error.hint(),
+            Self::NothingToCompare(_) => Some("say where they are with --depth-maps".into()),
+            Self::Disk(error) => error.hint(),
+            Self::Cancelled(error) => error.hint(),
+        }
+    }
+}

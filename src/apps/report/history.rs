@@ -1,0 +1,87 @@
+//! How the fulfilment of each shown triangle grows along the ranking, so that the page can be cut anywhere.
+
+use super::shown::Shown;
+use crate::{plan::Plan, show::pictures};
+
+/// Clusters per triangle that are counted one by one; the page says "5 or more" beyond.
+pub const COUNTED: usize = 5;
+/// In place of a rank: there is no such cluster.
+const NEVER: u16 = u16::MAX;
+
+/// CSR by shown triangle. Ranks are from 1, those beyond what 16 bits hold are never shown.
+#[derive(Default)]
+pub struct History {
+    /// Shown triangles + 1 entries.
+    pub offsets: Vec<u32>,
+    /// Rank of each cluster that lets the triangle grow.
+    pub ranks: Vec<u16>,
+    /// Share of the triangle's reachable fulfilment from that rank on, in 255ths.
+    pub shares: Vec<u8>,
+    /// Ranks of the first [`COUNTED`] clusters that fulfil the triangle at all.
+    pub first: Vec<u16>,
+    /// Fulfilment by all clusters together, in 255ths.
+    pub reachable: Vec<u8>,
+}
+
+impl History {
+    pub fn new(plan: &Plan, shown: &Shown) -> Self {
+        let mut place = vec![u32::MAX; plan.stages.surface.triangles.len()];
+        shown.original.iter().enumerate().for_each(|(i, &t)| place[t as usize] = i as u32);
+        let mut steps: Vec<Vec<(u16, f32)>> = vec![Vec::new(); shown.original.len()];
+        let mut first: Vec<Vec<u16>> = vec![Vec::with_capacity(COUNTED); shown.original.len()];
+        pictures::follow(plan, |rank, triangle, fulfilment| {
+            let place = place[triangle as usize] as usize;
+            let Some(rank) = u16::try_from(rank + 1).ok().filter(|&rank| rank != NEVER) else { return };
+            let (Some(of), Some(counted)) = (steps.get_mut(place), first.get_mut(place)) else { return };
+            if counted.len() < COUNTED {
+                counted.push(rank);
+            }
+            if of.last().is_none_or(|&(_, before)| fulfilment > before) {
+                of.push((rank, fulfilment));
+            }
+        });
+        let mut history = Self { offsets: vec![0], ..Default::default() };
+        for (steps, mut counted) in steps.into_iter().zip(first) {
+            counted.resize(COUNTED, NEVER);
+            history.first.extend(counted);
+            history.push(&steps);
+        }
+        history
+    }
+
+    /// Adds a triangle; steps that cannot be told from those before are left out.
+    fn push(&mut self, steps: &[(u16, f32)]) {
+        let reachable = steps.last().map_or(0.0, |&(_, f)| f);
+        let mut before = 0;
+        for &(rank, fulfilment) in steps {
+            let share = in_255ths(fulfilment / reachable);
+            if share > before {
+                self.ranks.push(rank);
+                self.shares.push(share);
+                before = share;
+            }
+        }
+        self.reachable.push(in_255ths(reachable));
+        self.offsets.push(self.ranks.len() as u32);
+    }
+}
+
+/// A number from 0 to 1 as a byte.
+pub fn in_255ths(share: f32) -> u8 {
+    (share.clamp(0.0, 1.0) * 255.0).round() as u8
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn steps_end_at_the_whole_and_grow() {
+        let mut history = History { offsets: vec![0], ..Default::default() };
+        history.push(&[(1, 0.2), (4, 0.2004), (9, 0.4)]);
+        history.push(&[]);
+        assert_eq!(history.ranks, [1, 9], "a step of less than a 255th is left out");
+        assert_eq!(history.shares, [128, 255]);
+        assert_eq!((history.offsets, history.reachable), (vec![0, 2, 2], vec![102, 0]));
+    }
+}

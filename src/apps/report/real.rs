@@ -1,0 +1,133 @@
+//! What finished depth maps really reach, beside what was predicted.
+
+use std::path::{Path, PathBuf};
+
+use serde::Serialize;
+
+use super::{ReportError, bytes, history::in_255ths, shown::Shown};
+use crate::{
+    apps::evaluate::{EvaluateError, Reached, Run, Task, curve::Curve, orders},
+    base::progress::Watcher,
+    io::{
+        depthmaps::{self, DepthMapError},
+        project::Project,
+    },
+    method::ranking,
+    model::cluster::ViewCluster,
+    plan::Plan,
+};
+
+/// Where finished depth maps are, and what is right.
+#[derive(Clone, Debug, Default)]
+pub struct Finished {
+    /// Unset: where the backends write theirs.
+    pub depth_maps: Option<PathBuf>,
+    /// Exact or better depth maps; without them every depth counts as right.
+    pub reference: Option<PathBuf>,
+}
+
+/// The measured depth maps on the page.
+#[derive(Serialize)]
+pub struct Real {
+    folder: String,
+    reference: bool,
+    maps: usize,
+    /// Rank (from 1) of each finished cluster.
+    ranks: Vec<usize>,
+    /// Real fulfilment up to that cluster, over what all clusters together were predicted to reach.
+    share: Vec<f64>,
+    /// Real fulfilment of each shown triangle, in 255ths.
+    triangles: String,
+}
+
+impl Real {
+    /// `None` where there are no depth maps of this plan. And what is left out or is not as planned, in sentences.
+    pub fn new(
+        plan: &Plan,
+        project: &Project,
+        shown: &Shown,
+        finished: &Finished,
+        watcher: &dyn Watcher,
+    ) -> Result<(Option<Self>, Vec<String>), ReportError> {
+        if let Some(reference) = &finished.reference {
+            depthmaps::find(reference, &plan.stages.scene).map_err(EvaluateError::from)?;
+        }
+        let clusters = in_order(plan);
+        let (of_project, folders) = match &finished.depth_maps {
+            Some(folder) => (false, vec![folder.clone()]),
+            None => (true, folders_of(plan, project)),
+        };
+        let mut left_out = Vec::new();
+        for folder in &folders {
+            match Run::new(&task(plan, &clusters, folder, finished), watcher) {
+                Ok(run) => {
+                    left_out
+                        .extend(run.unreadable.iter().map(|why| format!("not among what is really reached: {why}")));
+                    left_out.extend(run.other_partners.first().map(|&first| {
+                        let (count, name) = (run.other_partners.len(), plan.stages.scene.name(first));
+                        format!("{count} depth maps were made with other partners than planned, the first is {name}")
+                    }));
+                    left_out.extend(others_of(plan, folder, &folders));
+                    return Ok((Some(Self::of(plan, shown, &run, &clusters, folder)), left_out));
+                }
+                Err(EvaluateError::Cancelled(cancelled)) => return Err(cancelled.into()),
+                Err(error) if !of_project => return Err(error.into()),
+                // Nobody asked for this folder: it may hold the maps of another plan.
+                Err(EvaluateError::NoClusters(_) | EvaluateError::DepthMap(DepthMapError::None(_))) => {}
+                Err(error) => left_out.push(format!("{} is not looked at: {error}", folder.display())),
+            }
+        }
+        match &finished.reference {
+            Some(reference) => Err(ReportError::NothingToCompare(reference.clone())),
+            None => Ok((None, left_out)),
+        }
+    }
+
+    fn of(plan: &Plan, shown: &Shown, run: &Run, clusters: &[ViewCluster], folder: &Path) -> Self {
+        let model = plan.stages.model();
+        let weights = ranking::weights(&plan.stages.surface, plan.stages.settings.ranking.weight);
+        let support = plan.stages.settings.ranking.support.unwrap_or(1);
+        let curve = Curve::new(&run.real, &weights, support, &run.clusters, &run.order);
+        let rank = |&c: &u32| 1 + clusters.iter().take_while(|of| of.key != run.clusters[c as usize].key).count();
+        let reached = Reached::new(&model, run);
+        let shades: Vec<u8> = shown.original.iter().map(|&t| in_255ths(reached.fulfilment[t as usize])).collect();
+        Self {
+            folder: folder.display().to_string(),
+            reference: run.has_reference,
+            maps: run.clusters.len(),
+            ranks: run.order.iter().map(rank).collect(),
+            share: (1..curve.fulfilment.len()).map(|i| curve.share(i, plan.decision.ranking.total())).collect(),
+            triangles: bytes(&shades),
+        }
+    }
+}
+
+/// Where depth maps may lie, first where the backend of the plan writes its own.
+fn folders_of(plan: &Plan, project: &Project) -> Vec<PathBuf> {
+    let own = depthmaps::folder_of(&project.root, project.dense_workspace.as_deref(), plan.stages.backend);
+    let mut folders = depthmaps::folders(&project.root);
+    folders.sort_by_key(|folder| *folder != own);
+    folders
+}
+
+/// Further folders with depth maps of the plan's views: only one is measured.
+fn others_of(plan: &Plan, measured: &Path, folders: &[PathBuf]) -> Vec<String> {
+    let others = folders.iter().filter(|folder| *folder != measured);
+    let has_maps = |folder: &&PathBuf| depthmaps::find(folder, &plan.stages.scene).is_ok();
+    let words = |folder: &PathBuf| {
+        format!("there are depth maps in {}, too; those in {} are shown", folder.display(), measured.display())
+    };
+    others.filter(has_maps).map(words).collect()
+}
+
+/// All clusters, those without predicted gain last.
+fn in_order(plan: &Plan) -> Vec<ViewCluster> {
+    let order = orders::completed(plan.decision.ranking.order.clone(), plan.stages.clusters.len());
+    order.iter().map(|&c| plan.stages.clusters[c as usize].clone()).collect()
+}
+
+fn task<'a>(plan: &'a Plan, clusters: &'a [ViewCluster], depth_maps: &'a Path, finished: &'a Finished) -> Task<'a> {
+    let model = plan.stages.model();
+    let accuracy = model.target.accuracy_over_gsd * plan.stages.settings.target.gsd.unwrap_or(1.0);
+    Task { model, clusters, depth_maps, reference: finished.reference.as_deref(), accuracy }
+}

@@ -1,0 +1,115 @@
+//! The surface as it is drawn: itself, or a coarser one where it has too many triangles for a page.
+
+use std::collections::{BTreeMap, btree_map::Entry};
+
+use nalgebra::{Point3, Vector3};
+
+use crate::method::surface::Surface;
+
+/// Triangles of the page; with their histories about 2 MB.
+const BUDGET: usize = 40_000;
+
+/// Triangles to draw, each with the triangle of the surface whose state it shows.
+pub struct Shown {
+    /// World coordinates.
+    pub vertices: Vec<Point3<f64>>,
+    pub triangles: Vec<[u32; 3]>,
+    /// Triangle of the surface, per shown one.
+    pub original: Vec<u32>,
+}
+
+impl Shown {
+    pub fn new(surface: &Surface) -> Self {
+        Self::within(surface, BUDGET)
+    }
+
+    /// At most `budget` triangles: vertices of the same cube become one, with cubes as small as the budget allows by steps of a
+    /// tenth. Of the triangles that become the same the largest is shown.
+    fn within(surface: &Surface, budget: usize) -> Self {
+        if surface.triangles.len() <= budget {
+            return Self {
+                vertices: surface.vertices.clone(),
+                triangles: surface.triangles.clone(),
+                original: (0..surface.triangles.len() as u32).collect(),
+            };
+        }
+        let area: f64 = (0..surface.triangles.len() as u32).map(|t| surface.area(t)).sum();
+        let mut cube = (area / budget as f64).sqrt().max(f64::MIN_POSITIVE);
+        loop {
+            let shown = Self::in_cubes(surface, cube);
+            if shown.triangles.len() <= budget {
+                return shown;
+            }
+            cube *= 1.1;
+        }
+    }
+
+    fn in_cubes(surface: &Surface, cube: f64) -> Self {
+        let mut number = BTreeMap::new();
+        let mut sums: Vec<(Vector3<f64>, f64)> = Vec::new();
+        let anchor = surface.vertices.first().copied().unwrap_or_else(Point3::origin);
+        let of_vertex = |v: &Point3<f64>| {
+            let offset = v - anchor;
+            let key = [0, 1, 2].map(|axis| (offset[axis] / cube).floor() as i64);
+            let place = *number.entry(key).or_insert(sums.len());
+            sums.resize(sums.len().max(place + 1), (Vector3::zeros(), 0.0));
+            sums[place].0 += offset;
+            sums[place].1 += 1.0;
+            place as u32
+        };
+        let cube_of: Vec<u32> = surface.vertices.iter().map(of_vertex).collect();
+        let mut largest: BTreeMap<[u32; 3], ([u32; 3], u32, f64)> = BTreeMap::new();
+        for (t, corners) in surface.triangles.iter().enumerate() {
+            let triangle = corners.map(|v| cube_of[v as usize]);
+            let [a, b, c] = triangle;
+            if a == b || b == c || c == a {
+                continue;
+            }
+            let mut key = triangle;
+            key.sort_unstable();
+            let found = (triangle, t as u32, surface.area(t as u32));
+            match largest.entry(key) {
+                Entry::Vacant(place) => drop(place.insert(found)),
+                Entry::Occupied(mut place) if found.2 > place.get().2 => drop(place.insert(found)),
+                Entry::Occupied(_) => {}
+            }
+        }
+        Self {
+            vertices: sums.into_iter().map(|(sum, n)| anchor + sum / n).collect(),
+            triangles: largest.values().map(|found| found.0).collect(),
+            original: largest.values().map(|found| found.1).collect(),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        method::synthetic::Town,
+        model::camera::{Camera, CameraModel},
+    };
+
+    #[test]
+    fn a_coarser_surface_keeps_its_place_and_its_size() {
+        let camera = Camera::new(1, CameraModel::Pinhole, 1000, 750, vec![850.0, 850.0, 500.0, 375.0]).unwrap();
+        let surface = Town { boxes: 0, edge: 0.5, ..Town::new(camera) }.surface();
+        let shown = Shown::within(&surface, 5000);
+        assert!((2500..=5000).contains(&shown.triangles.len()), "{}", shown.triangles.len());
+        let drawn = Surface { kind: surface.kind, vertices: shown.vertices, triangles: shown.triangles };
+        let area = |s: &Surface| (0..s.triangles.len() as u32).map(|t| s.area(t)).sum::<f64>();
+        assert!((area(&drawn) / area(&surface) - 1.0).abs() < 0.05);
+        for (t, &original) in shown.original.iter().enumerate() {
+            assert!((drawn.centroid(t as u32) - surface.centroid(original)).norm() < 3.0);
+        }
+    }
+
+    #[test]
+    fn a_small_surface_is_shown_as_it_is() {
+        let camera = Camera::new(1, CameraModel::Pinhole, 1000, 750, vec![850.0, 850.0, 500.0, 375.0]).unwrap();
+        let surface = Town::new(camera).surface();
+        let shown = Shown::new(&surface);
+        assert_eq!(shown.triangles, surface.triangles);
+        assert!(shown.original.iter().enumerate().all(|(i, &t)| i == t as usize));
+    }
+}

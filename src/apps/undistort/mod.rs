@@ -1,0 +1,349 @@
+//! Undistorted images for the backends that need them: a COLMAP dense workspace like that of `image_undistorter`.
+//!
+//! Images are written in batches, each whole or not at all, with a note of what they were made from, so that a run that was stopped goes on
+//! where it was. The model comes last and goes first: a workspace with a `sparse/` is complete.
+
+mod camera;
+mod picture;
+
+use std::{
+    fs, io,
+    path::{Path, PathBuf},
+};
+
+use nalgebra::Point2;
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+pub use picture::PictureError;
+
+use crate::{
+    base::{
+        error::Hint,
+        progress::{Cancelled, Stage, Watcher},
+    },
+    io::{
+        formats::{
+            colmap::{ColmapModel, Point2d},
+            colmap_bin,
+        },
+        output::{Contents, Disk, FileSet, OutputError},
+        project::{Project, ProjectError},
+    },
+    model::{
+        camera::Camera,
+        scene::{Scene, ViewIndex},
+    },
+};
+
+/// What the undistorted images look like; the names and defaults are COLMAP's.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Options {
+    /// 0: no blank pixels; 1: all pixels of the distorted image; between, between.
+    pub blank_pixels: f64,
+    /// Least and greatest size over that of the distorted image.
+    pub min_scale: f64,
+    pub max_scale: f64,
+    /// Longest side, pixels.
+    pub max_image_size: Option<u32>,
+    /// Region of interest: left, top, right, bottom, as shares of the sides.
+    pub roi: [f64; 4],
+}
+
+impl Options {
+    const WHOLE: [f64; 4] = [0.0, 0.0, 1.0, 1.0];
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Self { blank_pixels: 0.0, min_scale: 0.2, max_scale: 2.0, max_image_size: None, roi: Self::WHOLE }
+    }
+}
+
+/// What was done.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct Undistorted {
+    /// The dense workspace.
+    pub folder: PathBuf,
+    /// Images in it.
+    pub images: usize,
+    /// Of these, computed by this run; the others were there or are links to images without distortion.
+    pub computed: usize,
+    /// Files of somebody else's that were in the way, under the names that they have now.
+    pub kept: Vec<String>,
+}
+
+/// Pixels of a batch: what is in memory at a time, up to some twelve bytes for each.
+const BATCH_PIXELS: u64 = 100_000_000;
+/// Name of the set that holds the model.
+const SET: &str = "undistorted";
+
+/// Writes the undistorted images and the model of the project to a dense workspace.
+pub fn undistort(
+    project: &Project,
+    options: &Options,
+    out: &Path,
+    disk: &Disk,
+    watcher: &dyn Watcher,
+) -> Result<Undistorted, UndistortError> {
+    let scene = project.read_scene()?;
+    let job = Job::new(project, &scene, options, out)?;
+    let batches = job.batches();
+    let mut done = Undistorted { folder: out.into(), images: scene.views.len(), ..Undistorted::default() };
+    let mut finished = 0;
+    watcher.progress(Stage::Undistort, 0, done.images as u64);
+    for (i, views) in batches.iter().enumerate() {
+        let note = job.note(views, watcher)?;
+        if !job.is_there(i, views, &note) {
+            // A model beside images of other sizes would be believed.
+            FileSet::new(out, SET).write(disk)?;
+            done.kept.extend(job.batch(i, views, note, watcher)?.write(disk)?.kept);
+            done.computed += views.iter().filter(|v| !job.stays(**v)).count();
+        }
+        finished += views.len();
+        watcher.progress(Stage::Undistort, finished as u64, done.images as u64);
+    }
+    job.remove_batches_from(batches.len(), disk)?;
+    if done.computed > 0 || !job.has_model()? {
+        done.kept.extend(job.workspace()?.write(disk)?.kept);
+    }
+    Ok(done)
+}
+
+/// What an image of a batch was made from.
+#[derive(Serialize)]
+struct Made<'a> {
+    name: &'a str,
+    /// BLAKE3 of the distorted image.
+    image: String,
+    from: String,
+    to: String,
+}
+
+struct Job<'a> {
+    project: &'a Project,
+    scene: &'a Scene,
+    images: &'a Path,
+    out: &'a Path,
+    /// For each camera of the scene, the undistorted one.
+    cameras: Vec<Camera>,
+}
+
+impl<'a> Job<'a> {
+    fn new(project: &'a Project, scene: &'a Scene, options: &Options, out: &'a Path) -> Result<Self, UndistortError> {
+        let images = project.images.as_deref().ok_or_else(|| UndistortError::NoImages(project.root.clone()))?;
+        let same = |a: &Path, b: &Path| a.canonicalize().is_ok_and(|a| b.canonicalize().is_ok_and(|b| a == b));
+        if same(images, &out.join("images")) {
+            return Err(UndistortError::OwnImages(images.into()));
+        }
+        let pinhole = |camera: &Camera| match camera.model().focal_length_count() {
+            0 => Err(UndistortError::NoPinhole { model: camera.model().name() }),
+            _ => camera::undistorted(camera, options)
+                .map_err(|error| UndistortError::Image { path: images.into(), source: error.into() }),
+        };
+        let cameras = scene.cameras.iter().map(pinhole).collect::<Result<_, _>>()?;
+        Ok(Self { project, scene, images, out, cameras })
+    }
+
+    fn source(&self, view: ViewIndex) -> &Camera {
+        self.scene.camera_of(view)
+    }
+
+    fn target(&self, view: ViewIndex) -> &Camera {
+        &self.cameras[self.scene.view(view).camera.at()]
+    }
+
+    /// Is the image right as it is?
+    fn stays(&self, view: ViewIndex) -> bool {
+        let (source, target) = (self.source(view), self.target(view));
+        source.is_pinhole() && (source.width, source.height) == (target.width, target.height)
+    }
+
+    /// The views in groups of a bounded number of pixels.
+    fn batches(&self) -> Vec<Vec<ViewIndex>> {
+        let mut batches: Vec<Vec<ViewIndex>> = Vec::new();
+        let mut pixels = u64::MAX;
+        for view in self.scene.view_indices() {
+            let own = u64::from(self.source(view).width) * u64::from(self.source(view).height);
+            if pixels.saturating_add(own) > BATCH_PIXELS {
+                batches.push(Vec::new());
+                pixels = 0;
+            }
+            pixels += own;
+            batches.last_mut().expect("the first view opens a batch").push(view);
+        }
+        batches
+    }
+
+    /// What a batch is made from.
+    fn note(&self, views: &[ViewIndex], watcher: &dyn Watcher) -> Result<String, UndistortError> {
+        let made = |&view: &ViewIndex| {
+            watcher.check()?;
+            let camera = |c: &Camera| format!("{} {}x{} {:?}", c.model().name(), c.width, c.height, c.params());
+            let image = blake3::hash(&self.read(view)?).to_string();
+            let (from, to) = (camera(self.source(view)), camera(self.target(view)));
+            Ok(Made { name: self.scene.name(view), image, from, to })
+        };
+        let made: Vec<Made> = views.par_iter().map(made).collect::<Result<_, UndistortError>>()?;
+        Ok(serde_json::to_string_pretty(&made).expect("strings are JSON") + "\n")
+    }
+
+    fn read(&self, view: ViewIndex) -> Result<Vec<u8>, UndistortError> {
+        let path = self.images.join(self.scene.name(view));
+        fs::read(&path)
+            .map_err(|source| UndistortError::Image { path, source: image::ImageError::IoError(source).into() })
+    }
+
+    fn is_there(&self, batch: usize, views: &[ViewIndex], note: &str) -> bool {
+        fs::read_to_string(self.out.join(note_path(batch))).is_ok_and(|there| there == note)
+            && views.iter().all(|v| self.out.join("images").join(self.scene.name(*v)).exists())
+    }
+
+    fn batch(
+        &self,
+        batch: usize,
+        views: &[ViewIndex],
+        note: String,
+        watcher: &dyn Watcher,
+    ) -> Result<FileSet, UndistortError> {
+        let image = |&view: &ViewIndex| {
+            watcher.check()?;
+            let name = self.scene.name(view);
+            let path = self.images.join(name);
+            let contents = match self.stays(view) {
+                true => Contents::Link(path),
+                false => picture::undistort(&self.read(view)?, name, self.source(view), self.target(view))
+                    .map(Contents::Bytes)
+                    .map_err(|source| UndistortError::Image { path, source })?,
+            };
+            Ok((format!("images/{name}"), contents))
+        };
+        let images: Vec<_> = views.par_iter().map(image).collect::<Result<_, UndistortError>>()?;
+        let mut files = FileSet::new(self.out, &set_name(batch));
+        files.files.extend(images);
+        files.add_text(note_path(batch), note);
+        Ok(files)
+    }
+
+    /// Takes away what an earlier run with more images left.
+    fn remove_batches_from(&self, first: usize, disk: &Disk) -> Result<(), OutputError> {
+        let mut later = (first..).take_while(|&i| self.out.join(note_path(i)).exists());
+        later.try_for_each(|i| FileSet::new(self.out, &set_name(i)).write(disk).map(|_| ()))
+    }
+
+    /// Does the model of the workspace follow from the project's as it is now?
+    fn has_model(&self) -> Result<bool, UndistortError> {
+        let files = self.model()?;
+        Ok(files
+            .iter()
+            .all(|(name, bytes)| fs::read(self.out.join("sparse").join(name)).is_ok_and(|there| there == *bytes)))
+    }
+
+    fn model(&self) -> Result<Vec<(&'static str, Vec<u8>)>, UndistortError> {
+        let fault = |fault| ProjectError::Fault { path: self.project.model.path.clone(), fault };
+        let write = |model: &ColmapModel| Ok(colmap_bin::write(&self.undistorted(model.reduced(|_| true, 1)?)));
+        Ok(self.project.with_colmap_model(self.scene, write)?.map_err(fault)?)
+    }
+
+    /// The model with pinhole cameras, and 2D points where these see them. What a pinhole camera cannot see is no observation any more.
+    fn undistorted<'m>(&self, mut model: ColmapModel<'m>) -> ColmapModel<'m> {
+        let target = |id: u32| self.cameras.iter().find(|c| c.id == id);
+        let source = |id: u32| self.scene.cameras.iter().find(|c| c.id == id);
+        let mut unseen = std::collections::HashSet::new();
+        for image in &mut model.images {
+            let (Some(from), Some(to)) = (source(image.camera_id), target(image.camera_id)) else { continue };
+            let moved = |(i, point): (usize, &Point2d)| match seen(from, to, point.pixel()) {
+                Some(pixel) => Point2d::new(pixel, point.point()),
+                None => {
+                    unseen.insert((image.id, i as u32));
+                    Point2d::new(point.pixel(), None)
+                }
+            };
+            image.points2d = image.points2d.iter().enumerate().map(moved).collect();
+        }
+        for point in &mut model.points {
+            point.track = point.track.iter().filter(|t| !unseen.contains(&(t.image(), t.index()))).copied().collect();
+        }
+        model.points.retain(|point| !point.track.is_empty());
+        model.cameras.iter_mut().for_each(|c| *c = target(c.id).unwrap_or(c).clone());
+        model
+    }
+
+    /// Everything but the images: the model, folders for depth maps, and COLMAP's own lists of all images, which a plan replaces.
+    fn workspace(&self) -> Result<FileSet, UndistortError> {
+        let mut files = FileSet::new(self.out, SET);
+        for (name, bytes) in self.model()? {
+            files.add(format!("sparse/{name}"), Contents::Bytes(bytes));
+        }
+        let names = || self.scene.views.iter().map(|view| view.name.as_str());
+        for kind in ["depth_maps", "normal_maps", "consistency_graphs"] {
+            for name in names() {
+                let folder = name.rsplit_once('/').map_or(String::new(), |(folder, _)| format!("/{folder}"));
+                files.add(format!("stereo/{kind}{folder}"), Contents::Folder);
+            }
+        }
+        files.add_text("stereo/patch-match.cfg", names().map(|n| format!("{n}\n__auto__, 20\n")).collect::<String>());
+        files.add_text("stereo/fusion.cfg", names().map(|n| format!("{n}\n")).collect::<String>());
+        Ok(files)
+    }
+}
+
+fn set_name(batch: usize) -> String {
+    format!("{SET}-{:04}", batch + 1)
+}
+
+fn note_path(batch: usize) -> String {
+    format!("viewrank/{}.json", set_name(batch))
+}
+
+/// Where the pinhole camera sees what the distorted one sees at the pixel.
+fn seen(from: &Camera, to: &Camera, pixel: [f64; 2]) -> Option<[f64; 2]> {
+    let ray = from.ray(&Point2::from(pixel))?;
+    to.project(&ray.into_inner().into()).map(Into::into)
+}
+
+/// Why there are no undistorted images, or not all of them; those that are done stay for the next run.
+#[derive(Debug, thiserror::Error)]
+pub enum UndistortError {
+    #[error(transparent)]
+    Project(#[from] ProjectError),
+    #[error("{}: there is no image folder", .0.display())]
+    NoImages(PathBuf),
+    #[error("{}: these are the images to be undistorted", .0.display())]
+    OwnImages(PathBuf),
+    #[error("a camera of model {model} has no pinhole camera that sees the same")]
+    NoPinhole { model: &'static str },
+    #[error("{}: {source}", path.display())]
+    Image { path: PathBuf, source: PictureError },
+    #[error(transparent)]
+    Output(#[from] OutputError),
+    #[error(transparent)]
+    Cancelled(#[from] Cancelled),
+}
+
+impl Hint for UndistortError {
+    fn hint(&self) -> Option<String> {
+        Some(match self {
+            Self::Project(error) => return error.hint(),
+            Self::NoImages(root) => format!("put the images into {}", root.join("images").display()),
+            Self::OwnImages(_) => "write to another folder with --out".into(),
+            Self::NoPinhole { .. } => {
+                "cut the panoramas into perspective views first, for instance with COLMAP's panorama_sfm.py".into()
+            }
+            Self::Image { source: PictureError::Size { .. }, .. } => {
+                "give the images that the model was made from, at their full size".into()
+            }
+            Self::Image { source: PictureError::Format, .. } => {
+                "convert the images and their names in the model, or undistort with COLMAP".into()
+            }
+            Self::Image { source: PictureError::Broken(image::ImageError::IoError(error)), .. }
+                if error.kind() == io::ErrorKind::NotFound =>
+            {
+                "put the image there, or take it out of the model".into()
+            }
+            Self::Image { .. } => "replace the image, or take it out of the model".into(),
+            Self::Output(error) => return error.hint(),
+            Self::Cancelled(_) => return None,
+        })
+    }
+}

@@ -1,0 +1,301 @@
+//! Columns of the large tables: rows are appended while a stage runs and only read from then on, in memory or, where memory is short, in a
+//! file without a name that the system reads page by page.
+
+use std::{
+    env,
+    fs::File,
+    io::{self, Write},
+    ops::Deref,
+    path::{Path, PathBuf},
+    sync::{Arc, Mutex},
+};
+
+use bytemuck::Pod;
+use memmap2::Mmap;
+use rayon::prelude::*;
+
+use crate::base::{error::Hint, progress::Cancelled};
+
+/// Where columns are kept.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Keep {
+    #[default]
+    Memory,
+    /// In a file without a name in `$TMPDIR`, or else in `/var/tmp`, which outlives no program.
+    Disk,
+}
+
+/// A finished column: a slice, wherever it lies.
+#[derive(Clone)]
+pub struct Column<T>(Kept<T>);
+
+#[derive(Clone)]
+enum Kept<T> {
+    Memory(Vec<T>),
+    Disk(Arc<Mmap>),
+}
+
+impl<T> Column<T> {
+    pub fn kept(&self) -> Keep {
+        match self.0 {
+            Kept::Memory(_) => Keep::Memory,
+            Kept::Disk(_) => Keep::Disk,
+        }
+    }
+
+    /// Bytes that it holds of this process's memory whatever happens.
+    pub fn bytes(&self) -> usize {
+        match &self.0 {
+            Kept::Memory(list) => size_of_val(&**list),
+            Kept::Disk(_) => 0,
+        }
+    }
+
+    /// Gives back the memory that was read of a file; what is asked for again is read again.
+    pub fn release(&self) {
+        #[cfg(unix)]
+        if let Kept::Disk(map) = &self.0 {
+            // SAFETY: the map is of a file and nothing writes to it, so that its pages come back as they were.
+            _ = unsafe { map.unchecked_advise(memmap2::UncheckedAdvice::DontNeed) };
+        }
+    }
+}
+
+/// Rows of a column on disk that are read before the memory that they take is given back.
+const PART: usize = 1 << 22;
+
+impl<T: Pod> Column<T> {
+    /// All rows in their order, read part by part.
+    pub fn by_parts(&self) -> impl Iterator<Item = &T> {
+        let part = |part| {
+            self.release();
+            part
+        };
+        self.chunks(PART).flat_map(part)
+    }
+}
+
+impl<T: Pod> Deref for Column<T> {
+    type Target = [T];
+
+    fn deref(&self) -> &[T] {
+        match &self.0 {
+            Kept::Memory(list) => list,
+            Kept::Disk(map) => bytemuck::cast_slice(map),
+        }
+    }
+}
+
+impl<T> Default for Column<T> {
+    fn default() -> Self {
+        Vec::new().into()
+    }
+}
+
+impl<T> From<Vec<T>> for Column<T> {
+    fn from(list: Vec<T>) -> Self {
+        Self(Kept::Memory(list))
+    }
+}
+
+impl<T> FromIterator<T> for Column<T> {
+    fn from_iter<I: IntoIterator<Item = T>>(list: I) -> Self {
+        Vec::from_iter(list).into()
+    }
+}
+
+impl<T: Pod + std::fmt::Debug> std::fmt::Debug for Column<T> {
+    fn fmt(&self, to: &mut std::fmt::Formatter) -> std::fmt::Result {
+        (**self).fmt(to)
+    }
+}
+
+impl<T: Pod + PartialEq> PartialEq for Column<T> {
+    fn eq(&self, other: &Self) -> bool {
+        **self == **other
+    }
+}
+
+/// A column that grows.
+pub struct Growing<T>(Grows<T>);
+
+enum Grows<T> {
+    Memory(Vec<T>),
+    Disk { file: File, folder: PathBuf, is_empty: bool },
+}
+
+impl<T: Pod> Growing<T> {
+    pub fn new(keep: Keep) -> Result<Self, DiskError> {
+        match keep {
+            Keep::Memory => Ok(Self(Grows::Memory(Vec::new()))),
+            Keep::Disk => Self::in_folder(&folder()),
+        }
+    }
+
+    fn in_folder(folder: &Path) -> Result<Self, DiskError> {
+        let file = tempfile::tempfile_in(folder).map_err(|source| DiskError::new(folder, source))?;
+        Ok(Self(Grows::Disk { file, folder: folder.to_path_buf(), is_empty: true }))
+    }
+
+    /// So many rows will come.
+    pub fn reserve(&mut self, rows: usize) {
+        if let Grows::Memory(list) = &mut self.0 {
+            list.reserve_exact(rows);
+        }
+    }
+
+    /// Appends rows: as many at once as there are, for each call is a write.
+    pub fn extend(&mut self, rows: &[T]) -> Result<(), DiskError> {
+        match &mut self.0 {
+            Grows::Memory(list) => list.extend_from_slice(rows),
+            Grows::Disk { file, folder, is_empty } => {
+                // Written and not mapped: a disk that is full is an error here, and a signal that ends the program there.
+                file.write_all(bytemuck::cast_slice(rows)).map_err(|source| DiskError::new(folder, source))?;
+                *is_empty &= rows.is_empty();
+            }
+        }
+        Ok(())
+    }
+
+    pub fn finish(self) -> Result<Column<T>, DiskError> {
+        match self.0 {
+            Grows::Memory(list) => Ok(list.into()),
+            // Nothing cannot be mapped everywhere.
+            Grows::Disk { is_empty: true, .. } => Ok(Column::default()),
+            Grows::Disk { file, folder, .. } => {
+                // Some file systems find out only now that they are full.
+                file.sync_data().map_err(|source| DiskError::new(&folder, source))?;
+                // SAFETY: the file has no name, and this is its last handle: nobody writes to it or shortens it.
+                let map = unsafe { Mmap::map(&file) }.map_err(|source| DiskError::new(&folder, source))?;
+                Ok(Column(Kept::Disk(Arc::new(map))))
+            }
+        }
+    }
+}
+
+/// Where there is room for what memory has no room for: not `/tmp`, which lies in memory on many systems.
+fn folder() -> PathBuf {
+    let usual = || Some(PathBuf::from("/var/tmp")).filter(|folder| folder.is_dir());
+    env::var_os("TMPDIR").map(PathBuf::from).or_else(usual).unwrap_or_else(env::temp_dir)
+}
+
+/// What `work` makes of each item, taken in their order: so many items at a time side by side. `work` gets a value of `start`'s, or one that
+/// it has worked with before: some are as large as the surface and would take longer to make than to use.
+pub fn in_order<A: Sync, S: Send, R: Send>(
+    items: &[A],
+    at_a_time: usize,
+    start: impl Fn() -> S + Sync + Send,
+    work: impl Fn(&mut S, &A) -> Result<R, Cancelled> + Sync + Send,
+    mut take: impl FnMut(&[A], Vec<R>) -> Result<(), DiskError>,
+) -> Result<(), TableError> {
+    let resting = Mutex::new(Vec::new());
+    let wake = || resting.lock().ok().and_then(|mut resting| resting.pop()).unwrap_or_else(&start);
+    for batch in items.chunks(at_a_time) {
+        let one = |item: &A| {
+            let mut value = wake();
+            let done = work(&mut value, item);
+            resting.lock().map(|mut resting| resting.push(value)).ok();
+            done
+        };
+        take(batch, batch.par_iter().map(one).collect::<Result<_, _>>()?)?;
+    }
+    Ok(())
+}
+
+/// Views or clusters of which the rows are read before the memory that they took is given back, where a table lies on disk.
+pub const READ_AT_ONCE: usize = 256;
+
+/// What `work` makes of each item by reading tables, in their order; `release` gives back what was read after each part.
+pub fn read_by_parts<A: Sync, R: Send>(
+    items: &[A],
+    work: impl Fn(&A) -> R + Sync + Send,
+    release: impl Fn(),
+) -> Vec<R> {
+    let mut results = Vec::with_capacity(items.len());
+    for part in items.chunks(READ_AT_ONCE) {
+        results.par_extend(part.par_iter().map(&work));
+        release();
+    }
+    results
+}
+
+/// Why there is no table.
+#[derive(Debug, thiserror::Error)]
+pub enum TableError {
+    #[error(transparent)]
+    Cancelled(#[from] Cancelled),
+    #[error(transparent)]
+    Disk(#[from] DiskError),
+}
+
+impl Hint for TableError {
+    fn hint(&self) -> Option<String> {
+        match self {
+            Self::Cancelled(error) => error.hint(),
+            Self::Disk(error) => error.hint(),
+        }
+    }
+}
+
+/// A table that does not fit into memory cannot be kept on disk either.
+#[derive(Debug, thiserror::Error)]
+#[error("{}: a table that memory has no room for cannot be kept here: {source}", folder.display())]
+pub struct DiskError {
+    folder: PathBuf,
+    source: io::Error,
+}
+
+impl DiskError {
+    fn new(folder: &Path, source: io::Error) -> Self {
+        Self { folder: folder.to_path_buf(), source }
+    }
+}
+
+impl Hint for DiskError {
+    fn hint(&self) -> Option<String> {
+        Some("set TMPDIR to a folder on a disk with room, or allow more memory (max_memory)".into())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    proptest! {
+        #[test]
+        fn a_column_on_disk_holds_what_one_in_memory_holds(
+            pieces in proptest::collection::vec(proptest::collection::vec(any::<u32>(), 0..3000), 0..5),
+        ) {
+            let of = |keep| {
+                let mut column = Growing::new(keep).unwrap();
+                pieces.iter().for_each(|piece| column.extend(piece).unwrap());
+                column.finish().unwrap()
+            };
+            let (memory, disk): (Column<u32>, Column<u32>) = (of(Keep::Memory), of(Keep::Disk));
+            prop_assert_eq!(&*memory, &*pieces.concat());
+            prop_assert_eq!(&memory, &disk);
+            disk.release();
+            prop_assert_eq!(&disk.clone(), &memory);
+            prop_assert_eq!(disk.kept(), if memory.is_empty() { Keep::Memory } else { Keep::Disk });
+            prop_assert_eq!((disk.bytes(), memory.bytes()), (0, 4 * memory.len()));
+        }
+    }
+
+    #[test]
+    fn nothing_is_left_in_the_folder() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut column = Growing::in_folder(folder.path()).unwrap();
+        column.extend(&[1.5f32; 5000]).unwrap();
+        assert_eq!(folder.path().read_dir().unwrap().count(), 0);
+        assert_eq!(column.finish().unwrap()[4999], 1.5);
+    }
+
+    #[test]
+    fn a_folder_that_takes_no_file_is_named() {
+        let folder = tempfile::tempdir().unwrap().path().join("gone");
+        let Err(error) = Growing::<u32>::in_folder(&folder) else { panic!("there is no such folder") };
+        assert!(error.to_string().contains("gone") && error.hint().unwrap().contains("TMPDIR"), "{error}");
+    }
+}

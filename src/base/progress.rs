@@ -1,0 +1,52 @@
+//! Progress and cancellation: how a stage talks to whoever runs it. Terminal bars live in `cli/`, the state files in `daemon/`.
+
+/// The stages of a plan, in the order in which they run.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, serde::Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Stage {
+    Read,
+    Surface,
+    Visibility,
+    Confidence,
+    Partners,
+    Ranking,
+    Evaluate,
+    Undistort,
+    Labels,
+    Train,
+    Write,
+}
+
+/// Receives progress and says when to stop. Called from several threads at once.
+pub trait Watcher: Sync {
+    /// `done` of `total` steps of the stage are finished; a stage starts with 0 and ends with `done == total`.
+    fn progress(&self, stage: Stage, done: u64, total: u64);
+
+    /// A stage asks at least every 50 ms of work and returns [`Cancelled`] when true.
+    fn cancelled(&self) -> bool {
+        false
+    }
+
+    /// `Err` when cancelled, for use with `?`.
+    fn check(&self) -> Result<(), Cancelled> {
+        if self.cancelled() { Err(Cancelled) } else { Ok(()) }
+    }
+}
+
+/// The run was stopped by its [`Watcher`]; nothing was written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("cancelled")]
+pub struct Cancelled;
+
+impl crate::base::error::Hint for Cancelled {
+    fn hint(&self) -> Option<String> {
+        None
+    }
+}
+
+/// Watches nothing and never cancels.
+pub struct Unwatched;
+
+impl Watcher for Unwatched {
+    fn progress(&self, _: Stage, _: u64, _: u64) {}
+}

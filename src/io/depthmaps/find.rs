@@ -1,0 +1,254 @@
+//! Which depth map belongs to which view: by name, by number through `view_names.txt`, or by the image path in the file.
+
+use std::{
+    collections::BTreeMap,
+    fs::File,
+    io::Read,
+    path::{Path, PathBuf},
+};
+
+use walkdir::WalkDir;
+
+use super::{DepthMapError, DepthMapFormat, openmvs};
+use crate::model::scene::{Scene, ViewIndex};
+
+/// The bytes of a `.dmap` that hold its header.
+const DMAP_HEADER: u64 = 1 << 17;
+
+/// Where COLMAP writes its depth maps, below a dense workspace.
+const COLMAP: &str = "stereo/depth_maps";
+/// Programs whose depth maps lie in a folder of their name: in the project, in viewrank's output folder or in `export`.
+const BY_NAME: [&str; 5] = ["sgm", "openmvs", "mvsnet", "patchmatchnet", "acmm"];
+
+/// A finished depth map of a view.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct DepthMapFile {
+    pub view: ViewIndex,
+    pub path: PathBuf,
+    pub format: DepthMapFormat,
+}
+
+/// The depth maps found under a folder, one per view, ascending by view.
+#[derive(Debug, Default)]
+pub struct DepthMapSet {
+    pub maps: Vec<DepthMapFile>,
+    /// Files that look like depth maps but belong to no view, ascending.
+    pub strangers: Vec<PathBuf>,
+    /// Files that don't say which view they belong to, and why: damaged, half written, or without their list of names. Ascending.
+    pub unreadable: Vec<(PathBuf, DepthMapError)>,
+}
+
+impl DepthMapSet {
+    /// The set where every file of it could be read.
+    ///
+    /// # Errors
+    /// What is wrong with the first that could not.
+    pub fn whole(mut self) -> Result<Self, DepthMapError> {
+        if self.unreadable.is_empty() { Ok(self) } else { Err(self.unreadable.swap_remove(0).1) }
+    }
+}
+
+/// Where backends write their depth maps in a project, whether there are any or not: in the project or a dense workspace of it
+/// (`dense`, `dense/N`) as COLMAP does, else in a folder of the program's name.
+pub fn places(project: &Path) -> Vec<PathBuf> {
+    let mut workspaces = vec![project.to_path_buf(), project.join("dense")];
+    workspaces.extend(sub_folders(&project.join("dense")));
+    workspaces.push(project.join("viewrank/colmap"));
+    let mut places: Vec<PathBuf> = workspaces.iter().map(|workspace| workspace.join(COLMAP)).collect();
+    places.extend(BY_NAME.iter().flat_map(|kind| folders_by_name(project, kind)));
+    places.push(project.join("depth_maps"));
+    places
+}
+
+/// The folders of a project that may hold depth maps, as far as they are there.
+pub fn folders(project: &Path) -> Vec<PathBuf> {
+    places(project).into_iter().filter(|folder| folder.is_dir()).collect()
+}
+
+fn folders_by_name(project: &Path, kind: &str) -> [PathBuf; 3] {
+    [project.join(kind), project.join("viewrank").join(kind), project.join("export").join(kind)]
+}
+
+fn sub_folders(folder: &Path) -> Vec<PathBuf> {
+    let entries = std::fs::read_dir(folder).into_iter().flatten().filter_map(Result::ok);
+    let mut folders: Vec<_> = entries.map(|entry| entry.path()).filter(|path| path.is_dir()).collect();
+    folders.sort();
+    folders
+}
+
+/// Where the depth maps of a kind of program lie in a project (`dense`: its dense workspace); of another word, the folder of that name.
+pub fn folder_of(project: &Path, dense: Option<&Path>, kind: &str) -> PathBuf {
+    let candidates: Vec<PathBuf> = match kind {
+        "colmap" => dense.map(|dense| dense.join(COLMAP)).into_iter().collect(),
+        kind if BY_NAME.contains(&kind) => folders_by_name(project, kind).into(),
+        other => vec![project.join(other)],
+    };
+    let there = candidates.iter().find(|folder| folder.is_dir());
+    there.or(candidates.first()).cloned().unwrap_or_else(|| project.into())
+}
+
+/// Finds the depth maps under `folder` as [`list`] does.
+///
+/// # Errors
+/// Those of [`list`], and where there is no map: what is wrong with the first file that could not be read, if there is one.
+pub fn find(folder: &Path, scene: &Scene) -> Result<DepthMapSet, DepthMapError> {
+    let set = list(folder, scene)?;
+    if set.maps.is_empty() { Err(set.whole().err().unwrap_or(DepthMapError::None(folder.into()))) } else { Ok(set) }
+}
+
+/// Lists the depth maps under `folder`. Of a photometric and a geometric map (COLMAP, ACMM) the geometric one is taken.
+///
+/// # Errors
+/// A folder that can't be walked, two maps of one view.
+pub fn list(folder: &Path, scene: &Scene) -> Result<DepthMapSet, DepthMapError> {
+    let mut best: BTreeMap<ViewIndex, (u8, PathBuf, DepthMapFormat)> = BTreeMap::new();
+    let (mut strangers, mut unreadable) = (Vec::new(), Vec::new());
+    let mut numbers = Numbers { folder, scene, views: None };
+    for entry in WalkDir::new(folder).sort_by_file_name() {
+        let entry = match entry {
+            Err(error) if error.depth() > 0 && error.io_error().is_some_and(is_gone) => continue,
+            entry => entry.map_err(|e| DepthMapError::Io { path: folder.into(), source: e.into() })?,
+        };
+        let path = entry.path();
+        let inside = path.strip_prefix(folder).unwrap_or(path);
+        let Some((format, rank)) = format_of(inside).filter(|_| path.is_file()) else { continue };
+        let view = match view_of(path, format, &mut numbers) {
+            Ok(Some(view)) => view,
+            Ok(None) => {
+                strangers.push(path.to_path_buf());
+                continue;
+            }
+            Err(error) => {
+                unreadable.push((path.to_path_buf(), error));
+                continue;
+            }
+        };
+        let found = (rank, path.to_path_buf(), format);
+        match best.get_mut(&view) {
+            None => drop(best.insert(view, found)),
+            Some(kept) if kept.0 == rank => return Err(twice(scene, view, &kept.1, path)),
+            Some(kept) if kept.0 > rank => *kept = found,
+            Some(_) => {}
+        }
+    }
+    let maps = best.into_iter().map(|(view, (_, path, format))| DepthMapFile { view, path, format }).collect();
+    Ok(DepthMapSet { maps, strangers, unreadable })
+}
+
+/// A map that a backend takes away while its folder is walked is no map.
+fn is_gone(error: &std::io::Error) -> bool {
+    error.kind() == std::io::ErrorKind::NotFound
+}
+
+fn twice(scene: &Scene, view: ViewIndex, first: &Path, second: &Path) -> DepthMapError {
+    DepthMapError::Twice { view: scene.name(view).into(), first: first.into(), second: second.into() }
+}
+
+/// Could the file be a depth map, by its name?
+pub fn looks_like_one(path: &Path) -> bool {
+    format_of(path).is_some()
+}
+
+/// The format by the file's path below the folder, and its rank among the maps of one view (0 is taken first).
+fn format_of(path: &Path) -> Option<(DepthMapFormat, u8)> {
+    let name = path.file_name()?.to_str()?;
+    let in_folder = |word: &str| path.parent().is_some_and(|p| p.components().any(|c| c.as_os_str() == word));
+    let unwanted = in_folder("normal_maps") || in_folder("consistency_graphs") || in_folder("counts");
+    match name {
+        _ if unwanted => None,
+        _ if name.ends_with(".geometric.bin") => Some((DepthMapFormat::ColmapGeometric, 0)),
+        _ if name.ends_with(".photometric.bin") => Some((DepthMapFormat::ColmapPhotometric, 1)),
+        _ if is_dmap(name) => Some((DepthMapFormat::OpenMvs, 0)),
+        "depths_geom.dmb" => Some((DepthMapFormat::Dmb, 0)),
+        "depths.dmb" => Some((DepthMapFormat::Dmb, 1)),
+        _ if name.ends_with("_prob.pfm") || in_folder("confidence") => None,
+        _ if name.ends_with(".pfm") => Some((DepthMapFormat::Pfm, 0)),
+        _ if name.ends_with(".npy") => Some((DepthMapFormat::Npy, 0)),
+        _ => None,
+    }
+}
+
+/// `depth0012.dmap`, but not the `depth0012.geo.dmap` and `.filtered.dmap` that OpenMVS writes in between.
+fn is_dmap(name: &str) -> bool {
+    let digits = name.strip_prefix("depth").and_then(|n| n.strip_suffix(".dmap"));
+    digits.is_some_and(|d| !d.is_empty() && d.bytes().all(|b| b.is_ascii_digit()))
+}
+
+fn view_of(path: &Path, format: DepthMapFormat, numbers: &mut Numbers) -> Result<Option<ViewIndex>, DepthMapError> {
+    let text = path.to_string_lossy().replace('\\', "/");
+    let scene = numbers.scene;
+    Ok(match format {
+        DepthMapFormat::ColmapGeometric => by_suffix(scene, &text, ".geometric.bin"),
+        DepthMapFormat::ColmapPhotometric => by_suffix(scene, &text, ".photometric.bin"),
+        DepthMapFormat::Npy => by_suffix(scene, &text, ".npy"),
+        DepthMapFormat::OpenMvs => by_suffix(scene, &dmap_image(path)?, ""),
+        DepthMapFormat::Pfm => match by_suffix(scene, &text, ".pfm") {
+            Some(view) => Some(view),
+            None => numbers.view(path.file_stem().and_then(|s| s.to_str()))?,
+        },
+        DepthMapFormat::Dmb => {
+            let folder = path.parent().and_then(Path::file_name).and_then(|s| s.to_str());
+            numbers.view(folder.map(|s| s.trim_start_matches("2333_")))?
+        }
+    })
+}
+
+/// The view whose name is the longest tail of the path without its extension.
+fn by_suffix(scene: &Scene, path: &str, extension: &str) -> Option<ViewIndex> {
+    let path = path.strip_suffix(extension)?;
+    let mut starts = std::iter::once(0).chain(path.match_indices('/').map(|(i, _)| i + 1));
+    starts.find_map(|start| scene.find(&path[start..]))
+}
+
+fn dmap_image(path: &Path) -> Result<String, DepthMapError> {
+    let io = |source| DepthMapError::Io { path: path.into(), source };
+    let mut bytes = Vec::new();
+    File::open(path).map_err(io)?.take(DMAP_HEADER).read_to_end(&mut bytes).map_err(io)?;
+    let header = openmvs::header(&bytes);
+    header.map(|h| h.image.replace('\\', "/")).map_err(|(byte, what)| DepthMapError::Format {
+        path: path.into(),
+        byte,
+        what,
+    })
+}
+
+/// The numbers of `view_names.txt`, read when the first numbered map is met.
+struct Numbers<'a> {
+    folder: &'a Path,
+    scene: &'a Scene,
+    views: Option<BTreeMap<u64, ViewIndex>>,
+}
+
+impl Numbers<'_> {
+    /// The view of a number such as `00000012` or `00000012_init`.
+    fn view(&mut self, stem: Option<&str>) -> Result<Option<ViewIndex>, DepthMapError> {
+        let digits: String = stem.unwrap_or("").chars().take_while(char::is_ascii_digit).collect();
+        let Ok(number) = digits.parse::<u64>() else { return Ok(None) };
+        if self.views.is_none() {
+            self.views = Some(read_view_names(self.folder, self.scene)?);
+        }
+        Ok(self.views.as_ref().and_then(|views| views.get(&number).copied()))
+    }
+}
+
+/// `view_names.txt` in the folder or up to three above it: lines of number, tab, name.
+fn read_view_names(folder: &Path, scene: &Scene) -> Result<BTreeMap<u64, ViewIndex>, DepthMapError> {
+    let path = folder.ancestors().take(4).map(|f| f.join("view_names.txt")).find(|p| p.is_file());
+    let path = path.ok_or_else(|| DepthMapError::Names {
+        path: folder.into(),
+        what: "numbered depth maps, and no view_names.txt here or above says which views they are".into(),
+    })?;
+    let text = std::fs::read_to_string(&path).map_err(|source| DepthMapError::Io { path: path.clone(), source })?;
+    let mut views = BTreeMap::new();
+    for (line, content) in text.lines().enumerate().filter(|(_, l)| !l.is_empty() && !l.starts_with('#')) {
+        let entry = content.split_once('\t').and_then(|(n, name)| Some((n.trim().parse().ok()?, name)));
+        let (number, name) = entry.ok_or_else(|| DepthMapError::Names {
+            path: path.clone(),
+            what: format!("line {}: expected a number, a tab and an image name", line + 1),
+        })?;
+        if let Some(view) = scene.find(name) {
+            views.insert(number, view);
+        }
+    }
+    Ok(views)
+}

@@ -1,0 +1,248 @@
+//! Finished depth maps of the backends, one file per format: bytes -> [`DepthMap`], and which file belongs to which view.
+
+mod colmap;
+mod dmb;
+mod find;
+mod npy;
+mod openmvs;
+mod pfm;
+#[cfg(test)]
+mod tests;
+
+use std::path::{Path, PathBuf};
+
+use nalgebra::Point2;
+
+use crate::{
+    base::error::Hint,
+    model::{camera::Camera, scene::Scene},
+};
+
+pub use find::{DepthMapFile, DepthMapSet, find, folder_of, folders, list, looks_like_one, places};
+
+/// Formats of depth maps.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum DepthMapFormat {
+    /// `NAME.geometric.bin` in `stereo/depth_maps`.
+    ColmapGeometric,
+    /// `NAME.photometric.bin` in `stereo/depth_maps`.
+    ColmapPhotometric,
+    /// `depthNNNN.dmap`.
+    OpenMvs,
+    /// `NNNNNNNN.pfm` (MVSNet, PatchmatchNet).
+    Pfm,
+    /// `2333_NNNNNNNN/depths.dmb` (ACMH, ACMM, ACMP, ACMMP).
+    Dmb,
+    /// `NAME.npy` (`integrations/sgm`).
+    Npy,
+}
+
+/// Depth along the optical axis for the pixels of a (reduced) image.
+#[derive(Clone, Debug, PartialEq)]
+pub struct DepthMap {
+    pub format: DepthMapFormat,
+    pub width: u32,
+    pub height: u32,
+    /// z in camera coordinates, scene units; 0 where there is none. Row-major, `width` x `height`, finite, not negative.
+    pub depth: Vec<f32>,
+    /// The key view and the partners that the file itself names, as ids of the backend; empty where the format has none.
+    pub ids: Vec<u32>,
+}
+
+impl DepthMap {
+    /// The depth of a map pixel; `None` where nothing was measured.
+    pub fn at(&self, column: u32, row: u32) -> Option<f64> {
+        let z = self.depth[row as usize * self.width as usize + column as usize];
+        (z > 0.0).then(|| f64::from(z))
+    }
+
+    /// Size of the map's pixels in pixels of the camera's image, along x and y.
+    pub fn pixel_size(&self, camera: &Camera) -> (f64, f64) {
+        (f64::from(camera.width) / f64::from(self.width), f64::from(camera.height) / f64::from(self.height))
+    }
+
+    /// The centre of a map pixel in pixels of the camera's image: what is matched there is the picture around that place, also
+    /// where a program (COLMAP, ACMM) back-projects the integer column and row.
+    pub fn image_position(&self, camera: &Camera, column: u32, row: u32) -> Point2<f64> {
+        let (sx, sy) = self.pixel_size(camera);
+        Point2::new((f64::from(column) + 0.5) * sx, (f64::from(row) + 0.5) * sy)
+    }
+
+    /// The map pixel that holds an image position; `None` outside.
+    pub fn pixel_at(&self, camera: &Camera, position: &Point2<f64>) -> Option<(u32, u32)> {
+        let (sx, sy) = self.pixel_size(camera);
+        let (x, y) = (position.x / sx, position.y / sy);
+        let inside = x >= 0.0 && y >= 0.0 && x < f64::from(self.width) && y < f64::from(self.height);
+        inside.then_some((x as u32, y as u32))
+    }
+
+    /// Depth at an image position: inverse depth between the four pixels around it where they lie on one surface (within
+    /// `same_surface`, a share of the depth), else that of the nearest pixel.
+    pub fn interpolated(&self, camera: &Camera, position: &Point2<f64>, same_surface: f64) -> Option<f64> {
+        let (column, row) = self.pixel_at(camera, position)?;
+        let nearest = self.at(column, row);
+        let (sx, sy) = self.pixel_size(camera);
+        let (x, y) = (position.x / sx - 0.5, position.y / sy - 0.5);
+        let (left, top) = (x.floor(), y.floor());
+        let (right, down) = (x - left, y - top);
+        let inverse = |dx: f64, dy: f64| {
+            let (column, row) = (left + dx, top + dy);
+            let inside = column >= 0.0 && row >= 0.0 && column < f64::from(self.width) && row < f64::from(self.height);
+            inside.then(|| self.at(column as u32, row as u32)).flatten().map(f64::recip)
+        };
+        let corners = [
+            (inverse(0.0, 0.0), (1.0 - right) * (1.0 - down)),
+            (inverse(1.0, 0.0), right * (1.0 - down)),
+            (inverse(0.0, 1.0), (1.0 - right) * down),
+            (inverse(1.0, 1.0), right * down),
+        ];
+        // At the centre of a pixel its neighbours have no weight and need no depth.
+        let used = corners.iter().filter(|(_, weight)| *weight > 1e-9);
+        let depth = used.map(|(inverse, weight)| inverse.map(|i| i * weight)).sum::<Option<f64>>().map(f64::recip);
+        match (depth, nearest) {
+            (Some(depth), Some(nearest)) if (depth - nearest).abs() <= same_surface * nearest => Some(depth),
+            _ => nearest,
+        }
+    }
+
+    /// Is the map a scaled image of the camera, to the rounding of its size?
+    pub fn fits(&self, camera: &Camera) -> bool {
+        let (sx, sy) = self.pixel_size(camera);
+        let rounding = 1.0 / f64::from(self.width) + 1.0 / f64::from(self.height);
+        (sx / sy - 1.0).abs() <= rounding
+    }
+
+    /// Every so many rows and columns of the map, so that its depths need no more than `bytes`.
+    pub fn thinned(self, bytes: usize) -> Self {
+        let fits = |step: u32| {
+            (self.width.div_ceil(step) as usize * self.height.div_ceil(step) as usize).saturating_mul(4) <= bytes
+        };
+        let step = (1..self.width.max(self.height)).find(|&step| fits(step)).unwrap_or(self.width.max(self.height));
+        if step == 1 {
+            return self;
+        }
+        // The pixel in the middle of those that it stands for.
+        let places = |length: u32| (0..length / step).map(move |i| (i * step + step / 2) as usize);
+        let (width, height) = (self.width / step, self.height / step);
+        if width == 0 || height == 0 {
+            return self;
+        }
+        let row = |y: usize| places(self.width).map(move |x| (x, y));
+        let depth = places(self.height).flat_map(row).map(|(x, y)| self.depth[y * self.width as usize + x]).collect();
+        Self { format: self.format, width, height, depth, ids: self.ids }
+    }
+
+    /// The same map without any depth.
+    pub fn emptied(&self) -> Self {
+        Self { depth: vec![0.0; self.depth.len()], ids: Vec::new(), ..*self }
+    }
+
+    /// Share of the pixels that have a depth.
+    pub fn filled(&self) -> f64 {
+        let filled = self.depth.iter().filter(|&&z| z > 0.0).count();
+        filled as f64 / (self.depth.len().max(1)) as f64
+    }
+}
+
+/// Why a depth map can't be read.
+#[derive(Debug, thiserror::Error)]
+pub enum DepthMapError {
+    #[error("{path}: {source}")]
+    Io { path: PathBuf, source: std::io::Error },
+    #[error("{path}: byte {byte}: {what}")]
+    Format { path: PathBuf, byte: usize, what: String },
+    #[error("no depth maps of the plan's views in {0}")]
+    None(PathBuf),
+    #[error("{path}: {what}")]
+    Names { path: PathBuf, what: String },
+    #[error("two depth maps of view {view}: {first} and {second}")]
+    Twice { view: String, first: PathBuf, second: PathBuf },
+    #[error("view {view} has a {model} camera, depth maps are of undistorted images")]
+    Distorted { view: String, model: &'static str },
+    #[error("{}: {} x {} pixels do not have the shape of {view}, {} x {}", .path.display(), .map[0], .map[1], .image[0], .image[1])]
+    Shape { path: PathBuf, map: [u32; 2], view: String, image: [u32; 2] },
+}
+
+impl Hint for DepthMapError {
+    fn hint(&self) -> Option<String> {
+        let hint = match self {
+            Self::Io { .. } => "check that the file is there and may be read",
+            Self::Format { .. } => "compute this depth map again or take it away: it is damaged or still being written",
+            Self::None(_) => {
+                "give the folder that holds COLMAP's stereo/depth_maps, OpenMVS's depthNNNN.dmap, MVSNet's NNNNNNNN.pfm, ACMM's \
+                 2333_NNNNNNNN/depths.dmb, or NAME.npy of integrations/sgm"
+            }
+            Self::Names { .. } => "give the view_names.txt that `viewrank export` writes beside pair.txt",
+            Self::Twice { .. } => "give a folder that holds the depth maps of one run",
+            Self::Distorted { .. } => "work in the undistorted workspace that the depth maps were made in",
+            Self::Shape { .. } => "give depth maps of these images, whole and not cropped",
+        };
+        Some(hint.into())
+    }
+}
+
+/// What is wrong at which byte; the path is added where the file is known.
+type Parsed<T> = Result<T, (usize, String)>;
+
+/// Reads one depth map.
+pub fn read(path: &Path, format: DepthMapFormat) -> Result<DepthMap, DepthMapError> {
+    let bytes = std::fs::read(path).map_err(|source| DepthMapError::Io { path: path.into(), source })?;
+    parse(&bytes, format).map_err(|(byte, what)| DepthMapError::Format { path: path.into(), byte, what })
+}
+
+/// Reads the depth map of a view of the scene: a pinhole view, and a map of its image's shape.
+pub fn read_of_view(file: &DepthMapFile, scene: &Scene) -> Result<DepthMap, DepthMapError> {
+    let camera = scene.camera_of(file.view);
+    let view = || scene.name(file.view).to_string();
+    if !camera.is_pinhole() {
+        return Err(DepthMapError::Distorted { view: view(), model: camera.model().name() });
+    }
+    let map = read(&file.path, file.format)?;
+    if !map.fits(camera) {
+        let (map, image) = ([map.width, map.height], [camera.width, camera.height]);
+        return Err(DepthMapError::Shape { path: file.path.clone(), map, view: view(), image });
+    }
+    Ok(map)
+}
+
+/// Parses the bytes of one depth map; memory is bounded by the length of the bytes.
+pub fn parse(bytes: &[u8], format: DepthMapFormat) -> Parsed<DepthMap> {
+    let mut map = match format {
+        DepthMapFormat::ColmapGeometric | DepthMapFormat::ColmapPhotometric => colmap::parse(bytes, format),
+        DepthMapFormat::OpenMvs => openmvs::parse(bytes),
+        DepthMapFormat::Pfm => pfm::parse(bytes),
+        DepthMapFormat::Dmb => dmb::parse(bytes),
+        DepthMapFormat::Npy => npy::parse(bytes),
+    }?;
+    for z in &mut map.depth {
+        if !(z.is_finite() && *z > 0.0) {
+            *z = 0.0;
+        }
+    }
+    Ok(map)
+}
+
+/// `width` x `height` little-endian floats from `start`; wrong sizes are found before anything is allocated.
+fn floats(bytes: &[u8], start: usize, width: u32, height: u32) -> Parsed<Vec<f32>> {
+    let pixels = u64::from(width) * u64::from(height);
+    let left = bytes.len().saturating_sub(start) as u64;
+    if pixels == 0 {
+        return Err((0, "a map of no pixels".into()));
+    }
+    if left < pixels.saturating_mul(4) {
+        return Err((
+            start,
+            format!("{width} x {height} pixels need {} bytes, {left} are left", pixels.saturating_mul(4)),
+        ));
+    }
+    let data = &bytes[start..start + pixels as usize * 4];
+    Ok(data.chunks_exact(4).map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect())
+}
+
+/// The little-endian u32 at a byte.
+fn u32_at(bytes: &[u8], at: usize) -> Parsed<u32> {
+    let four = at.checked_add(4).and_then(|end| bytes.get(at..end));
+    let four = four.ok_or_else(|| (at, "the file ends here, 4 more bytes expected".to_string()))?;
+    Ok(u32::from_le_bytes([four[0], four[1], four[2], four[3]]))
+}

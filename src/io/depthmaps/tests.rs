@@ -1,0 +1,266 @@
+//! Literal bytes of each format, files of the programs themselves (`fixtures/depthmaps`), and hostile bytes.
+
+use std::path::PathBuf;
+
+use nalgebra::{Rotation3, Vector3};
+use proptest::prelude::*;
+
+use super::*;
+use crate::model::{
+    camera::{Camera, CameraModel},
+    scene::{CameraIndex, Pose, Scene, View, ViewIndex},
+};
+
+const ALL: [DepthMapFormat; 6] = [
+    DepthMapFormat::ColmapGeometric,
+    DepthMapFormat::ColmapPhotometric,
+    DepthMapFormat::OpenMvs,
+    DepthMapFormat::Pfm,
+    DepthMapFormat::Dmb,
+    DepthMapFormat::Npy,
+];
+
+fn fixture(name: &str) -> PathBuf {
+    PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("fixtures/depthmaps").join(name)
+}
+
+fn floats_le(values: &[f32]) -> Vec<u8> {
+    values.iter().flat_map(|v| v.to_le_bytes()).collect()
+}
+
+/// 10 + row + column / 8 with a hole, as `fixtures/depthmaps/make.py` writes it.
+fn assert_is_ramp(map: &DepthMap) {
+    assert_eq!((map.width, map.height), (6, 4));
+    for (row, column) in (0..4).flat_map(|r| (0..6).map(move |c| (r, c))) {
+        let expected = (row, column) != (1, 2);
+        let depth = f64::from(row) + f64::from(column) / 8.0 + 10.0;
+        assert_eq!(map.at(column, row), expected.then_some(depth), "row {row}, column {column}");
+    }
+}
+
+#[test]
+fn reads_the_files_of_colmap_opencv_and_numpy() {
+    for (name, format) in [
+        ("depth_maps/IMG_9394.jpg.geometric.bin", DepthMapFormat::ColmapGeometric),
+        ("00000003.pfm", DepthMapFormat::Pfm),
+        ("IMG_9394.jpg.npy", DepthMapFormat::Npy),
+    ] {
+        assert_is_ramp(&read(&fixture(name), format).unwrap());
+    }
+}
+
+#[test]
+fn reads_a_file_of_openmvs() {
+    let map = read(&fixture("depth0040.dmap"), DepthMapFormat::OpenMvs).unwrap();
+    assert_eq!((map.width, map.height), (62, 46));
+    assert_eq!(map.ids, [40, 43, 39, 41, 56]);
+    // As read by a reader in Python.
+    assert_eq!(map.depth.iter().filter(|&&z| z > 0.0).count(), 1806);
+    assert_eq!(map.at(31, 23), Some(f64::from(55.46964f32)));
+    assert_eq!(map.at(0, 0), None);
+}
+
+#[test]
+fn reads_dmb() {
+    // ACMM's writeDepthDmb: type 1, height, width, channels.
+    let mut bytes: Vec<u8> = [1i32, 2, 3, 1].iter().flat_map(|v| v.to_le_bytes()).collect();
+    bytes.extend(floats_le(&[1.0, 2.0, 3.0, 4.0, -1.0, f32::NAN]));
+    let map = parse(&bytes, DepthMapFormat::Dmb).unwrap();
+    assert_eq!((map.width, map.height), (3, 2));
+    assert_eq!(map.depth, [1.0, 2.0, 3.0, 4.0, 0.0, 0.0]);
+    bytes[0] = 2;
+    assert!(parse(&bytes, DepthMapFormat::Dmb).unwrap_err().1.contains("type 2"));
+}
+
+#[test]
+fn reads_big_endian_pfm_from_the_bottom_up() {
+    let mut bytes = b"Pf\n2 2\n1.0\n".to_vec();
+    bytes.extend([3.0f32, 4.0, 1.0, 2.0].iter().flat_map(|v| v.to_be_bytes()));
+    assert_eq!(parse(&bytes, DepthMapFormat::Pfm).unwrap().depth, [1.0, 2.0, 3.0, 4.0]);
+}
+
+#[test]
+fn normal_maps_and_cut_files_are_named_as_such() {
+    let mut normals = b"2&1&3&".to_vec();
+    normals.extend(floats_le(&[0.0; 6]));
+    assert!(parse(&normals, DepthMapFormat::ColmapGeometric).unwrap_err().1.contains("normal map"));
+    let mut cut = b"2&2&1&".to_vec();
+    cut.extend(floats_le(&[1.0; 3]));
+    let (byte, what) = parse(&cut, DepthMapFormat::ColmapGeometric).unwrap_err();
+    assert_eq!((byte, what.as_str()), (6, "2 x 2 pixels need 16 bytes, 12 are left"));
+}
+
+#[test]
+fn sizes_beyond_the_file_allocate_nothing() {
+    let hostile: [(&[u8], DepthMapFormat); 4] = [
+        (b"4294967295&4294967295&1&\0\0\0\0", DepthMapFormat::ColmapGeometric),
+        (b"Pf\n4294967295 4294967295\n-1\n\0\0\0\0", DepthMapFormat::Pfm),
+        (b"\x01\0\0\0\xff\xff\xff\xff\xff\xff\xff\xff\x01\0\0\0\0\0\0\0", DepthMapFormat::Dmb),
+        (
+            b"\x93NUMPY\x01\0\x50\0{'descr': '<f4', 'fortran_order': False, 'shape': (4294967295, 4294967295), }  \n",
+            DepthMapFormat::Npy,
+        ),
+    ];
+    for (bytes, format) in hostile {
+        assert!(parse(bytes, format).is_err(), "{format:?}");
+    }
+}
+
+#[test]
+fn deep_nesting_in_a_numpy_header_is_refused() {
+    let mut bytes = b"\x93NUMPY\x02\0\0\0\x01\0".to_vec();
+    bytes.extend(std::iter::repeat_n(b'(', 1 << 16));
+    assert!(parse(&bytes, DepthMapFormat::Npy).unwrap_err().1.contains("longer"));
+    // The longest that is parsed.
+    let mut bytes = b"\x93NUMPY\x01\0\0\x02".to_vec();
+    bytes.extend(std::iter::repeat_n(b'(', 512));
+    assert!(parse(&bytes, DepthMapFormat::Npy).is_err());
+}
+
+proptest! {
+    #[test]
+    fn no_bytes_make_a_reader_panic(bytes in proptest::collection::vec(any::<u8>(), 0..200)) {
+        for format in ALL {
+            let _ = parse(&bytes, format);
+        }
+    }
+
+    #[test]
+    fn no_damage_to_a_real_file_makes_a_reader_panic(at in 0usize..240, byte: u8, keep in 0usize..240) {
+        for (name, format) in [
+            ("depth_maps/IMG_9394.jpg.geometric.bin", DepthMapFormat::ColmapGeometric),
+            ("00000003.pfm", DepthMapFormat::Pfm),
+            ("IMG_9394.jpg.npy", DepthMapFormat::Npy),
+            ("depth0040.dmap", DepthMapFormat::OpenMvs),
+        ] {
+            let mut bytes = std::fs::read(fixture(name)).unwrap();
+            let at = at % bytes.len();
+            bytes[at] = byte;
+            let _ = parse(&bytes, format);
+            bytes.truncate(keep);
+            let _ = parse(&bytes, format);
+        }
+    }
+}
+
+fn camera() -> Camera {
+    Camera::new(1, CameraModel::Pinhole, 12, 8, vec![10.0, 10.0, 6.0, 4.0]).unwrap()
+}
+
+fn scene(names: &[&str]) -> Scene {
+    let cam_from_world = Pose { rotation: Rotation3::identity(), translation: Vector3::zeros() };
+    let view = |(i, name): (usize, &&str)| View {
+        name: name.to_string(),
+        image_id: i as u32,
+        file_position: i as u32,
+        camera: CameraIndex(0),
+        cam_from_world,
+    };
+    Scene {
+        cameras: vec![camera()],
+        views: names.iter().enumerate().map(view).collect(),
+        track_offsets: vec![0],
+        ..Default::default()
+    }
+}
+
+#[test]
+fn map_pixels_and_image_positions_are_each_others_inverse() {
+    let map = read(&fixture("00000003.pfm"), DepthMapFormat::Pfm).unwrap();
+    assert_eq!(map.pixel_size(&camera()), (2.0, 2.0));
+    assert_eq!(map.image_position(&camera(), 0, 0), Point2::new(1.0, 1.0));
+    for (column, row) in (0..6).flat_map(|c| (0..4).map(move |r| (c, r))) {
+        let position = map.image_position(&camera(), column, row);
+        assert_eq!(map.pixel_at(&camera(), &position), Some((column, row)));
+    }
+    assert_eq!(map.pixel_at(&camera(), &Point2::new(12.0, 3.0)), None);
+    assert_eq!(map.pixel_at(&camera(), &Point2::new(-0.1, 3.0)), None);
+}
+
+/// A folder with these files, each a copy of the fixture behind it.
+fn folder(files: &[(&str, &str)]) -> tempfile::TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    for (name, from) in files {
+        let path = folder.path().join(name);
+        std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+        std::fs::copy(fixture(from), path).unwrap();
+    }
+    folder
+}
+
+fn found(set: &DepthMapSet) -> Vec<(u32, DepthMapFormat)> {
+    set.maps.iter().map(|m| (m.view.0, m.format)).collect()
+}
+
+const BIN: &str = "depth_maps/IMG_9394.jpg.geometric.bin";
+
+#[test]
+fn finds_colmaps_geometric_maps_first_and_no_normal_maps() {
+    let scene = scene(&["IMG_9394.jpg", "flight 1/IMG_9394.jpg"]);
+    let folder = folder(&[
+        ("depth_maps/IMG_9394.jpg.photometric.bin", BIN),
+        ("depth_maps/IMG_9394.jpg.geometric.bin", BIN),
+        ("depth_maps/flight 1/IMG_9394.jpg.photometric.bin", BIN),
+        ("depth_maps/other.jpg.photometric.bin", BIN),
+        ("normal_maps/IMG_9394.jpg.geometric.bin", BIN),
+    ]);
+    let set = find(folder.path(), &scene).unwrap();
+    assert_eq!(found(&set), [(0, DepthMapFormat::ColmapGeometric), (1, DepthMapFormat::ColmapPhotometric)]);
+    assert_eq!(set.strangers, [folder.path().join("depth_maps/other.jpg.photometric.bin")]);
+}
+
+#[test]
+fn finds_the_view_of_a_dmap_by_the_image_in_it() {
+    let scene = scene(&["IMG_9394.jpg", "IMG_9395.jpg"]);
+    let dmap = "depth0040.dmap";
+    let folder = folder(&[("depth0007.dmap", dmap), ("depth0007.geo.dmap", dmap)]);
+    assert_eq!(found(&find(folder.path(), &scene).unwrap()), [(1, DepthMapFormat::OpenMvs)]);
+}
+
+#[test]
+fn numbered_maps_need_the_list_of_names() {
+    let scene = scene(&["a.jpg", "b.jpg"]);
+    let pfm = "00000003.pfm";
+    let folder = folder(&[("depth_est/00000003.pfm", pfm), ("confidence/00000003.pfm", pfm)]);
+    assert!(matches!(find(folder.path(), &scene), Err(DepthMapError::Names { .. })));
+    std::fs::write(folder.path().join("view_names.txt"), "2\ta.jpg\n3\tb.jpg\n").unwrap();
+    assert_eq!(found(&find(&folder.path().join("depth_est"), &scene).unwrap()), [(1, DepthMapFormat::Pfm)]);
+}
+
+#[test]
+fn two_maps_of_one_view_are_an_error_that_names_both() {
+    let scene = scene(&["IMG_9394.jpg"]);
+    let npy = "IMG_9394.jpg.npy";
+    let folder =
+        folder(&[("a/IMG_9394.jpg.npy", npy), ("b/IMG_9394.jpg.npy", npy), ("b/counts/IMG_9394.jpg.npy", npy)]);
+    let error = find(folder.path(), &scene).unwrap_err();
+    let DepthMapError::Twice { view, first, second } = &error else { panic!("{error}") };
+    assert_eq!(view, "IMG_9394.jpg");
+    assert!(first.ends_with("a/IMG_9394.jpg.npy") && second.ends_with("b/IMG_9394.jpg.npy"));
+}
+
+#[test]
+fn a_map_that_cannot_be_read_is_named_and_hides_no_other() {
+    let scene = scene(&["IMG_9394.jpg", "IMG_9395.jpg"]);
+    let folder = folder(&[("depth0040.dmap", "depth0040.dmap"), ("IMG_9394.jpg.npy", "IMG_9394.jpg.npy")]);
+    std::fs::write(folder.path().join("depth0001.dmap"), "DR").unwrap();
+    std::fs::write(folder.path().join("00000007.pfm"), "").unwrap();
+    let set = find(folder.path(), &scene).unwrap();
+    assert_eq!(found(&set), [(0, DepthMapFormat::Npy), (1, DepthMapFormat::OpenMvs)]);
+    let unreadable: Vec<_> = set.unreadable.iter().map(|(path, _)| path.file_name().unwrap()).collect();
+    assert_eq!(unreadable, ["00000007.pfm", "depth0001.dmap"]);
+    assert!(matches!(set.whole(), Err(DepthMapError::Names { .. })));
+    for name in ["depth0040.dmap", "IMG_9394.jpg.npy", "00000007.pfm"] {
+        std::fs::remove_file(folder.path().join(name)).unwrap();
+    }
+    assert!(list(folder.path(), &scene).unwrap().maps.is_empty());
+    assert!(matches!(find(folder.path(), &scene), Err(DepthMapError::Format { .. })));
+}
+
+#[test]
+fn no_maps_at_all_is_an_error() {
+    let folder = folder(&[("else.txt", BIN)]);
+    assert!(matches!(find(folder.path(), &scene(&["a.jpg"])), Err(DepthMapError::None(_))));
+    assert!(matches!(find(&folder.path().join("no"), &scene(&["a.jpg"])), Err(DepthMapError::Io { .. })));
+    assert_eq!(ViewIndex(0), scene(&["a.jpg"]).find("a.jpg").unwrap());
+}

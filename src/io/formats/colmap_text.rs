@@ -1,0 +1,375 @@
+//! COLMAP's text model files (`cameras.txt`, `images.txt`, `points3D.txt`; since 4.0 `rigs.txt`, `frames.txt`): a record per
+//! line, two lines per image, fields separated by blanks, `#` starts a comment line.
+//!
+//! An image name is the rest of its line, blanks included; COLMAP itself ends it at the first blank.
+
+use std::{borrow::Cow, collections::BTreeSet, fmt::Write as _, str::FromStr};
+
+use nom::{
+    IResult, Parser, bytes::complete::take_till1, character::complete::space0, combinator::map_res, sequence::preceded,
+};
+use rayon::prelude::*;
+
+use super::{
+    Bytes, Fault, Place, Problem,
+    colmap::{ColmapImage, ColmapModel, ColmapPoint, Frame, FrameData, Point2d, Rig, Sensor, StoredPose, TrackElement},
+};
+use crate::model::{
+    camera::{Camera, CameraModel},
+    scene::{ModelWarning, WarningKind},
+};
+
+/// Reads a model; the cross-references are checked by [`ColmapModel::scene`].
+pub fn read<'a>(bytes: &Bytes<'a>) -> Result<ColmapModel<'a>, Fault> {
+    let mut warnings = Vec::new();
+    Ok(ColmapModel {
+        cameras: records("cameras", bytes.cameras, camera)?,
+        images: images(bytes.images, &mut warnings)?,
+        points: records("points3D", bytes.points3d, point)?,
+        rigs: bytes.rigs.map(|b| records("rigs", b, rig)).transpose()?,
+        frames: bytes.frames.map(|b| records("frames", b, frame)).transpose()?,
+        warnings,
+    })
+}
+
+/// A line of a file, read field by field.
+#[derive(Clone, Copy)]
+struct Line<'a> {
+    file: &'static str,
+    number: u64,
+    rest: &'a [u8],
+}
+
+/// All lines, without white space at their ends (COLMAP trims, and Windows ends them with CR LF).
+fn lines<'a>(file: &'static str, bytes: &'a [u8]) -> impl Iterator<Item = Line<'a>> {
+    // What follows the last line end is a line only if there is something.
+    let bytes = bytes.strip_suffix(b"\n").unwrap_or(bytes);
+    let lines = bytes.split(|&b| b == b'\n').zip(1..);
+    lines.map(move |(line, number)| Line { file, number, rest: line.trim_ascii() })
+}
+
+impl<'a> Line<'a> {
+    fn is_record(&self) -> bool {
+        !self.rest.is_empty() && self.rest[0] != b'#'
+    }
+
+    fn at_end(&self) -> bool {
+        self.rest.trim_ascii_start().is_empty()
+    }
+
+    fn place(&self) -> Place {
+        Place::Line(self.number)
+    }
+
+    fn fault(&self, problem: Problem) -> Fault {
+        Fault::new(self.file, self.place(), problem)
+    }
+
+    fn parse<T>(
+        &mut self,
+        expected: &'static str,
+        mut parser: impl Parser<&'a [u8], Output = T, Error = nom::error::Error<&'a [u8]>>,
+    ) -> Result<T, Fault> {
+        match parser.parse(self.rest) {
+            Ok((rest, value)) => {
+                self.rest = rest;
+                Ok(value)
+            }
+            Err(_) => Err(self.unexpected(expected)),
+        }
+    }
+
+    fn number<T: FromStr>(&mut self, expected: &'static str) -> Result<T, Fault> {
+        self.parse(expected, number)
+    }
+
+    fn numbers<const N: usize>(&mut self, expected: &'static str) -> Result<[f64; N], Fault> {
+        let mut values = [0.0; N];
+        for value in &mut values {
+            *value = self.number(expected)?;
+        }
+        Ok(values)
+    }
+
+    fn unexpected(&self, expected: &'static str) -> Fault {
+        let found = match token(self.rest) {
+            Ok((_, token)) => String::from_utf8_lossy(&token[..token.len().min(40)]).into_owned(),
+            Err(_) => "the end of the line".into(),
+        };
+        self.fault(Problem::Syntax { expected, found })
+    }
+
+    /// Nothing may be left.
+    fn end<T>(&self, value: T) -> Result<T, Fault> {
+        if self.at_end() { Ok(value) } else { Err(self.unexpected("the end of the line")) }
+    }
+}
+
+fn token(input: &[u8]) -> IResult<&[u8], &[u8]> {
+    preceded(space0, take_till1(|b: u8| b.is_ascii_whitespace())).parse(input)
+}
+
+fn number<T: FromStr>(input: &[u8]) -> IResult<&[u8], T> {
+    map_res(token, |token| std::str::from_utf8(token).map_err(drop).and_then(|text| text.parse().map_err(drop)))
+        .parse(input)
+}
+
+/// A file with a record per line. The first fault of the file is the one returned, whichever thread was first.
+fn records<'a, T: Send>(
+    file: &'static str,
+    bytes: &'a [u8],
+    record: impl Fn(Line<'a>) -> Result<T, Fault> + Sync + Send,
+) -> Result<Vec<T>, Fault> {
+    let lines: Vec<_> = lines(file, bytes).filter(Line::is_record).collect();
+    let records: Vec<_> = lines.into_par_iter().map(record).collect();
+    records.into_iter().collect()
+}
+
+fn camera(mut line: Line) -> Result<Camera, Fault> {
+    let id = line.number("a camera id")?;
+    let name = line.parse("a camera model", token)?;
+    let name = String::from_utf8_lossy(name);
+    let model = CameraModel::from_name(&name).ok_or_else(|| line.fault(Problem::CameraModel(name.into_owned())))?;
+    let width = line.number("the width of the image")?;
+    let height = line.number("the height of the image")?;
+    let mut params = Vec::new();
+    while !line.at_end() {
+        params.push(line.number("a camera parameter")?);
+    }
+    Camera::new(id, model, width, height, params).map_err(|error| line.fault(error.into()))
+}
+
+/// Two lines per image; of the second, which may be empty, neither blank lines nor comments are skipped.
+fn image_lines(bytes: &[u8]) -> impl Iterator<Item = (Line<'_>, Option<Line<'_>>)> {
+    let mut lines = lines("images", bytes);
+    std::iter::from_fn(move || {
+        let head = lines.find(Line::is_record)?;
+        Some((head, lines.next()))
+    })
+}
+
+/// Number of images in `images.txt`, by its lines.
+pub fn count_images(bytes: &[u8]) -> u64 {
+    image_lines(bytes).count() as u64
+}
+
+/// Names of the images in `images.txt`.
+pub fn image_names(images: &[u8]) -> Result<BTreeSet<String>, Fault> {
+    image_lines(images).map(|(head, _)| Ok(image(head, None)?.name.into_owned())).collect()
+}
+
+fn images<'a>(bytes: &'a [u8], warnings: &mut Vec<ModelWarning>) -> Result<Vec<ColmapImage<'a>>, Fault> {
+    let lines: Vec<_> = image_lines(bytes).collect();
+    if let Some((head, None)) = lines.last() {
+        let text = format!("images.txt, line {}: the last image has no line of 2D points", head.number);
+        warnings.push(ModelWarning::new(WarningKind::Damaged, text));
+    }
+    let images: Vec<_> = lines.into_par_iter().map(|(head, points)| image(head, points)).collect();
+    images.into_iter().collect()
+}
+
+fn image<'a>(mut line: Line<'a>, points: Option<Line<'a>>) -> Result<ColmapImage<'a>, Fault> {
+    let at = line.place();
+    let id = line.number("an image id")?;
+    let cam_from_world = pose(&mut line)?;
+    let camera_id = line.number("a camera id")?;
+    let name = line.rest.trim_ascii_start();
+    let name = std::str::from_utf8(name).map_err(|_| {
+        let name = String::from_utf8_lossy(name).into_owned();
+        line.fault(Problem::Name { name, why: "is not UTF-8" })
+    })?;
+    let points2d =
+        points.map_or(Ok(Vec::new()), points2d).map_err(|f| f.in_record(|| format!("image {id}, {name:?}")))?;
+    Ok(ColmapImage { id, cam_from_world, camera_id, name: Cow::Borrowed(name), points2d: Cow::Owned(points2d), at })
+}
+
+fn points2d(mut line: Line) -> Result<Vec<Point2d>, Fault> {
+    let mut points = Vec::new();
+    while !line.at_end() {
+        let pixel = line.numbers::<2>("the x and y of a 2D point")?;
+        let expected = "the id of the point that is observed, or -1";
+        let before = line;
+        // COLMAP reads a signed number; ids beyond its range are written by others.
+        let point = match line.number::<i64>(expected) {
+            Ok(-1) => None,
+            Ok(id) => Some(u64::try_from(id).map_err(|_| before.unexpected(expected))?),
+            Err(_) => Some(line.number::<u64>(expected)?),
+        };
+        points.push(Point2d::new(pixel, point));
+    }
+    points.shrink_to_fit();
+    Ok(points)
+}
+
+fn pose(line: &mut Line) -> Result<StoredPose, Fault> {
+    let quaternion = line.numbers("a quaternion")?;
+    let translation = line.numbers("a translation")?;
+    Ok(StoredPose { quaternion, translation })
+}
+
+fn point(mut line: Line) -> Result<ColmapPoint<'static>, Fault> {
+    let at = line.place();
+    let id = line.number("a point id")?;
+    let xyz = line.numbers("a position")?;
+    let mut colour = [0; 3];
+    for c in &mut colour {
+        *c = line.number("a colour from 0 to 255")?;
+    }
+    let error = line.number("the reprojection error")?;
+    let mut track = Vec::new();
+    while !line.at_end() {
+        let image = line.number("the image id of a track element")?;
+        let index = line.number("the 2D point of a track element")?;
+        track.push(TrackElement::new(image, index));
+    }
+    track.shrink_to_fit();
+    Ok(ColmapPoint { id, xyz, colour, error, track: Cow::Owned(track), at })
+}
+
+fn sensor(line: &mut Line) -> Result<Sensor, Fault> {
+    let before = *line;
+    let kind = match line.parse("CAMERA or IMU", token)? {
+        b"CAMERA" => Sensor::CAMERA,
+        b"IMU" => Sensor::IMU,
+        _ => return Err(before.unexpected("CAMERA or IMU")),
+    };
+    Ok(Sensor { kind, id: line.number("a sensor id")? })
+}
+
+fn rig(mut line: Line) -> Result<Rig, Fault> {
+    let at = line.place();
+    let id = line.number("a rig id")?;
+    let count: u64 = line.number("the number of sensors")?;
+    let mut sensors = Vec::new();
+    for n in 0..count {
+        let sensor = sensor(&mut line)?;
+        let pose = match n {
+            0 => Some(StoredPose::IDENTITY),
+            _ if line.number::<u8>("0 or 1 (has a pose)")? == 0 => None,
+            _ => Some(pose(&mut line)?),
+        };
+        sensors.push((sensor, pose));
+    }
+    line.end(Rig { id, sensors, at })
+}
+
+fn frame(mut line: Line) -> Result<Frame, Fault> {
+    let at = line.place();
+    let id = line.number("a frame id")?;
+    let rig_id = line.number("a rig id")?;
+    let rig_from_world = pose(&mut line)?;
+    let count: u64 = line.number("the number of data ids")?;
+    let mut data = Vec::new();
+    for _ in 0..count {
+        data.push(FrameData { sensor: sensor(&mut line)?, id: line.number("a data id")? });
+    }
+    line.end(Frame { id, rig_id, rig_from_world, data, at })
+}
+
+/// The files of a model. COLMAP cannot read names with blanks from text files, so these are refused.
+pub fn write(model: &ColmapModel) -> Result<Vec<(&'static str, Vec<u8>)>, Problem> {
+    if let Some(image) = model.images.iter().find(|image| image.name.contains(char::is_whitespace)) {
+        let why = "has a blank, which COLMAP's text models cannot hold";
+        return Err(Problem::Name { name: image.name.clone().into_owned(), why });
+    }
+    let mut files = vec![
+        ("cameras.txt", file("CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]", &model.cameras, write_camera)),
+        (
+            "images.txt",
+            file(
+                "IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME, then a line of POINTS2D[] as (X, Y, POINT3D_ID)",
+                &model.images,
+                write_image,
+            ),
+        ),
+        (
+            "points3D.txt",
+            file("POINT3D_ID, X, Y, Z, R, G, B, ERROR, TRACK[] as (IMAGE_ID, POINT2D_IDX)", &model.points, write_point),
+        ),
+    ];
+    if let Some(rigs) = &model.rigs {
+        files.push(("rigs.txt", file("RIG_ID, NUM_SENSORS, REF_SENSOR_TYPE, REF_SENSOR_ID, SENSORS[] as (SENSOR_TYPE, SENSOR_ID, HAS_POSE, [QW, QX, QY, QZ, TX, TY, TZ])", rigs, write_rig)));
+    }
+    if let Some(frames) = &model.frames {
+        files.push(("frames.txt", file("FRAME_ID, RIG_ID, QW, QX, QY, QZ, TX, TY, TZ, NUM_DATA_IDS, DATA_IDS[] as (SENSOR_TYPE, SENSOR_ID, DATA_ID)", frames, write_frame)));
+    }
+    Ok(files)
+}
+
+fn file<T>(columns: &str, records: &[T], write: impl Fn(&mut String, &T) -> std::fmt::Result) -> Vec<u8> {
+    let mut text = format!("# {columns}\n");
+    for record in records {
+        // Writing to a string cannot fail.
+        let _ = write(&mut text, record);
+        text.push('\n');
+    }
+    text.into_bytes()
+}
+
+fn write_numbers(text: &mut String, numbers: &[f64]) -> std::fmt::Result {
+    numbers.iter().try_for_each(|number| write!(text, " {number}"))
+}
+
+fn write_pose(text: &mut String, pose: &StoredPose) -> std::fmt::Result {
+    write_numbers(text, &pose.quaternion)?;
+    write_numbers(text, &pose.translation)
+}
+
+fn write_camera(text: &mut String, camera: &Camera) -> std::fmt::Result {
+    write!(text, "{} {} {} {}", camera.id, camera.model().name(), camera.width, camera.height)?;
+    write_numbers(text, camera.params())
+}
+
+fn write_image(text: &mut String, image: &ColmapImage) -> std::fmt::Result {
+    write!(text, "{}", image.id)?;
+    write_pose(text, &image.cam_from_world)?;
+    writeln!(text, " {} {}", image.camera_id, image.name)?;
+    for (n, point) in image.points2d.iter().enumerate() {
+        let [x, y] = point.pixel();
+        write!(text, "{}{x} {y} ", if n == 0 { "" } else { " " })?;
+        match point.point() {
+            Some(id) => write!(text, "{id}")?,
+            None => text.push_str("-1"),
+        }
+    }
+    Ok(())
+}
+
+fn write_point(text: &mut String, point: &ColmapPoint) -> std::fmt::Result {
+    let [x, y, z] = point.xyz;
+    let [r, g, b] = point.colour;
+    write!(text, "{} {x} {y} {z} {r} {g} {b} {}", point.id, point.error)?;
+    point.track.iter().try_for_each(|e| write!(text, " {} {}", e.image(), e.index()))
+}
+
+fn write_sensor(text: &mut String, sensor: &Sensor) -> std::fmt::Result {
+    let kind = if sensor.kind == Sensor::CAMERA { "CAMERA" } else { "IMU" };
+    write!(text, " {kind} {}", sensor.id)
+}
+
+fn write_rig(text: &mut String, rig: &Rig) -> std::fmt::Result {
+    write!(text, "{} {}", rig.id, rig.sensors.len())?;
+    for (n, (sensor, pose)) in rig.sensors.iter().enumerate() {
+        write_sensor(text, sensor)?;
+        match pose {
+            _ if n == 0 => {}
+            None => text.push_str(" 0"),
+            Some(pose) => {
+                text.push_str(" 1");
+                write_pose(text, pose)?;
+            }
+        }
+    }
+    Ok(())
+}
+
+fn write_frame(text: &mut String, frame: &Frame) -> std::fmt::Result {
+    write!(text, "{} {}", frame.id, frame.rig_id)?;
+    write_pose(text, &frame.rig_from_world)?;
+    write!(text, " {}", frame.data.len())?;
+    for datum in &frame.data {
+        write_sensor(text, &datum.sensor)?;
+        write!(text, " {}", datum.id)?;
+    }
+    Ok(())
+}

@@ -1,0 +1,163 @@
+//! What the readers of other programs' formats have in common: they put a model together in COLMAP's conventions, and the checks
+//! and the scene are those of a COLMAP model.
+
+use std::borrow::Cow;
+
+use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
+
+use super::{
+    Fault, Place, Problem,
+    colmap::{ColmapImage, ColmapModel, ColmapPoint, Point2d, StoredPose, TrackElement},
+};
+use crate::model::{
+    camera::{Camera, CameraError, CameraModel},
+    scene::{ModelWarning, Scene, WarningKind},
+};
+
+/// How far from orthonormal a rotation matrix may be: some programs print six digits.
+const ROTATION_TOLERANCE: f64 = 1e-3;
+
+/// A model in COLMAP's conventions and what its format says beside.
+#[derive(Clone, Debug, Default)]
+pub struct Foreign {
+    pub model: ColmapModel<'static>,
+    /// Names of images without a pose.
+    pub unregistered: Vec<String>,
+    /// The folder that names are relative to, where the format names one.
+    pub image_folder: Option<String>,
+}
+
+impl Foreign {
+    pub fn scene(&self) -> Result<Scene, Fault> {
+        let mut scene = self.model.scene()?;
+        scene.unregistered = self.unregistered.clone();
+        scene.unregistered.sort_unstable();
+        Ok(scene)
+    }
+
+    /// Adds a view without 2D points.
+    pub(super) fn add_image(&mut self, id: u32, name: String, camera_id: u32, cam_from_world: StoredPose, at: Place) {
+        let points2d = Cow::Owned(Vec::new());
+        self.model.images.push(ColmapImage { id, cam_from_world, camera_id, name: Cow::Owned(name), points2d, at });
+    }
+
+    /// Adds a point with its observations: position of the image in `model.images`, pixel.
+    pub(super) fn add_point(
+        &mut self,
+        id: u64,
+        xyz: [f64; 3],
+        colour: [u8; 3],
+        observations: impl IntoIterator<Item = (usize, [f64; 2])>,
+        at: Place,
+    ) {
+        let images = &mut self.model.images;
+        let track = observations.into_iter().map(|(image, pixel)| {
+            let image = &mut images[image];
+            image.points2d.to_mut().push(Point2d::new(pixel, Some(id)));
+            TrackElement::new(image.id, image.points2d.len() as u32 - 1)
+        });
+        let track = Cow::Owned(track.collect());
+        self.model.points.push(ColmapPoint { id, xyz, colour, error: -1.0, track, at });
+    }
+
+    /// For formats that do not say how large images are.
+    pub(super) fn warn_of_guessed_sizes(&mut self, guessed: usize) {
+        if guessed > 0 {
+            let all = self.model.images.len();
+            let text = format!(
+                "{guessed} of {all} images are not there, so their sizes are guessed from the measured pixels; put the images \
+                 beside the model"
+            );
+            self.warn(WarningKind::Guessed, text);
+        }
+    }
+
+    pub(crate) fn warn(&mut self, kind: WarningKind, text: impl Into<String>) {
+        self.model.warnings.push(ModelWarning::new(kind, text));
+    }
+
+    /// Makes absolute names relative to the folder that they have in common, which becomes the image folder.
+    pub(super) fn shorten_names(&mut self) {
+        let names =
+            || self.model.images.iter().map(|image| &*image.name).chain(self.unregistered.iter().map(String::as_str));
+        if !names().any(|name| name.starts_with('/')) {
+            return;
+        }
+        let folder = |name: &str| name.rfind('/').map_or(0, |end| end + 1);
+        let mut common = names().next().map_or(String::new(), |name| name[..folder(name)].into());
+        for name in names() {
+            while !name.starts_with(&common) {
+                common.truncate(folder(&common[..common.len() - 1]));
+            }
+        }
+        self.model.images.iter_mut().for_each(|image| _ = image.name.to_mut().drain(..common.len()));
+        self.unregistered.iter_mut().for_each(|name| _ = name.drain(..common.len()));
+        self.image_folder = Some(common);
+    }
+}
+
+/// A pose from a rotation matrix, world to camera, and a translation.
+pub(super) fn pose(rotation: Matrix3<f64>, translation: Vector3<f64>) -> Result<StoredPose, Problem> {
+    if !rotation.iter().chain(translation.iter()).all(|v| v.is_finite()) {
+        return Err(Problem::NotFinite("the pose"));
+    }
+    let off = (rotation * rotation.transpose() - Matrix3::identity()).norm();
+    if off > ROTATION_TOLERANCE || rotation.determinant() < 0.0 {
+        return Err(Problem::Contradiction("the rotation matrix is none: its rows are not orthonormal".into()));
+    }
+    // Orthonormal to the last digit by the polar decomposition.
+    let svd = rotation.svd(true, true);
+    let rotation = svd.u.zip(svd.v_t).map_or(rotation, |(u, v_t)| u * v_t);
+    let q = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(rotation));
+    Ok(StoredPose { quaternion: [q.w, q.i, q.j, q.k], translation: translation.into() })
+}
+
+/// A pose from a rotation matrix, world to camera, and the camera's centre.
+pub(super) fn pose_with_centre(rotation: Matrix3<f64>, centre: Vector3<f64>) -> Result<StoredPose, Problem> {
+    pose(rotation, -(rotation * centre))
+}
+
+/// Adds half a pixel: from "the centre of the first pixel is (0, 0)" to COLMAP's (0.5, 0.5).
+pub(super) fn shift(pixel: [f64; 2]) -> [f64; 2] {
+    pixel.map(|c| c + 0.5)
+}
+
+/// A camera, or the fault in it. Programs that write undistorted images leave the distortion in the file, as zeros: without any it is a
+/// pinhole, which every backend takes.
+pub(super) fn camera(camera: Result<Camera, CameraError>, what: impl FnOnce() -> String) -> Result<Camera, Fault> {
+    camera.and_then(without_no_distortion).map_err(|error| Fault::new("", Place::File, error.into()).in_record(what))
+}
+
+fn without_no_distortion(camera: Camera) -> Result<Camera, CameraError> {
+    use CameraModel::{FullOpenCv, OpenCv, Radial, SimpleRadial};
+    let size = (u64::from(camera.width), u64::from(camera.height));
+    match (camera.model(), camera.params()) {
+        (SimpleRadial | Radial, &[f, cx, cy, ref k @ ..]) if k.iter().all(|k| *k == 0.0) => {
+            Camera::new(camera.id, CameraModel::Pinhole, size.0, size.1, vec![f, f, cx, cy])
+        }
+        (OpenCv | FullOpenCv, &[fx, fy, cx, cy, ref k @ ..]) if k.iter().all(|k| *k == 0.0) => {
+            Camera::new(camera.id, CameraModel::Pinhole, size.0, size.1, vec![fx, fy, cx, cy])
+        }
+        _ => Ok(camera),
+    }
+}
+
+/// Where an image's size is not in the file: looks it up by name.
+pub type SizeOf<'a> = &'a dyn Fn(&str) -> Option<(u32, u32)>;
+
+/// A size that holds all measured pixels, for images that are not there. `farthest` is the largest distance of a pixel from the
+/// centre along each axis, where the centre is known to be the origin, else the largest coordinate.
+pub(super) fn guessed_size(farthest: [f64; 2], from_centre: bool) -> (u32, u32) {
+    let factor = if from_centre { 2.0 } else { 1.0 };
+    let [w, h] = farthest.map(|c| (c * factor).ceil().clamp(1.0, 1e6) as u32);
+    // Even, so that the centre of the guess is a whole number of pixels.
+    (w + w % 2, h + h % 2)
+}
+
+/// The JSON of a file as a value, or the line of the fault in it.
+pub(super) fn json<'a, T: serde::Deserialize<'a>>(bytes: &'a [u8]) -> Result<T, Fault> {
+    serde_json::from_slice(bytes).map_err(|error| {
+        let place = if error.line() > 0 { Place::Line(error.line() as u64) } else { Place::File };
+        Fault::new("", place, Problem::Json(error.to_string()))
+    })
+}

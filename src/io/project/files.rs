@@ -1,0 +1,106 @@
+//! Reading the files of a model.
+
+use std::{
+    collections::BTreeSet,
+    fs::File,
+    io::{self, Read},
+    path::{Path, PathBuf},
+};
+
+use super::{ModelFormat, ModelLocation, ProjectError};
+use crate::{
+    base::large_pages,
+    io::formats::{Bytes, Fault, colmap::ColmapModel, colmap_bin, colmap_text},
+    model::scene::Scene,
+};
+
+/// The three files without which there is no COLMAP model.
+pub(super) const REQUIRED: [&str; 3] = ["cameras", "images", "points3D"];
+
+/// The bytes of a regular file. They are not mapped: whoever cut the file meanwhile would end this process.
+pub(super) fn read(path: &Path) -> Result<Vec<u8>, ProjectError> {
+    let fail = |source| ProjectError::Io { path: path.into(), source };
+    let mut file = File::open(path).map_err(fail)?;
+    let metadata = file.metadata().map_err(fail)?;
+    if !metadata.is_file() {
+        return Err(fail(io::Error::new(io::ErrorKind::InvalidInput, "not a regular file")));
+    }
+    let mut bytes =
+        large_pages::room_for(usize::try_from(metadata.len()).unwrap_or(usize::MAX)).map_err(|e| fail(e.into()))?;
+    file.read_to_end(&mut bytes).map_err(fail)?;
+    Ok(bytes)
+}
+
+/// Names of the images of a COLMAP model, without a look at the rest of it; `None` where they cannot be read.
+pub(super) fn image_names(model: &ModelLocation) -> Option<BTreeSet<String>> {
+    let images = read(&colmap_file(&model.path, "images", model.format)).ok()?;
+    let is_text = model.format == ModelFormat::ColmapText;
+    if is_text { colmap_text::image_names(&images) } else { colmap_bin::image_names(&images) }.ok()
+}
+
+/// The files of a COLMAP model, in memory.
+pub struct ColmapFiles {
+    folder: PathBuf,
+    format: ModelFormat,
+    cameras: Vec<u8>,
+    images: Vec<u8>,
+    points3d: Vec<u8>,
+    rigs: Option<Vec<u8>>,
+    frames: Option<Vec<u8>>,
+}
+
+impl ColmapFiles {
+    pub(super) fn open(model: &ModelLocation) -> Result<Self, ProjectError> {
+        let path = |stem| colmap_file(&model.path, stem, model.format);
+        let optional = |stem| {
+            let path = path(stem);
+            path.is_file().then(|| read(&path)).transpose()
+        };
+        let [cameras, images, points3d] = REQUIRED.map(path);
+        let (images, points3d) = rayon::join(|| read(&images), || read(&points3d));
+        Ok(Self {
+            folder: model.path.clone(),
+            format: model.format,
+            cameras: read(&cameras)?,
+            images: images?,
+            points3d: points3d?,
+            rigs: optional("rigs")?,
+            frames: optional("frames")?,
+        })
+    }
+
+    /// All that the files hold.
+    pub fn model(&self) -> Result<ColmapModel<'_>, ProjectError> {
+        let bytes = Bytes {
+            cameras: &self.cameras,
+            images: &self.images,
+            points3d: &self.points3d,
+            rigs: self.rigs.as_deref(),
+            frames: self.frames.as_deref(),
+        };
+        let model =
+            if self.format == ModelFormat::ColmapText { colmap_text::read(&bytes) } else { colmap_bin::read(&bytes) };
+        model.map_err(|fault| self.locate(fault))
+    }
+
+    pub(super) fn scene(&self) -> Result<Scene, ProjectError> {
+        self.model()?.scene().map_err(|fault| self.locate(fault))
+    }
+
+    fn locate(&self, fault: Fault) -> ProjectError {
+        ProjectError::Fault { path: colmap_file(&self.folder, fault.file, self.format), fault }
+    }
+}
+
+/// The files of a COLMAP model that are there.
+pub(super) fn all(model: &ModelLocation) -> Vec<PathBuf> {
+    let files =
+        ["cameras", "images", "points3D", "rigs", "frames"].map(|stem| colmap_file(&model.path, stem, model.format));
+    files.into_iter().filter(|path| path.is_file()).collect()
+}
+
+/// Path of one file of a COLMAP model.
+pub(super) fn colmap_file(folder: &Path, stem: &str, format: ModelFormat) -> PathBuf {
+    let extension = if format == ModelFormat::ColmapText { "txt" } else { "bin" };
+    folder.join(format!("{stem}.{extension}"))
+}

@@ -1,0 +1,200 @@
+//! Opening the models of programs other than COLMAP.
+
+use std::{
+    fs::File,
+    io::Read,
+    path::{Path, PathBuf},
+};
+
+use super::{ModelFormat, ModelLocation, ProjectError, files, images};
+use crate::{
+    io::{
+        formats::{
+            Fault, Place, Problem, alicevision, bundler, foreign::Foreign, nvm, openmvg, openmvs::Mvs, opensfm, sure,
+        },
+        ply,
+    },
+    model::scene::WarningKind,
+};
+
+/// Places of model files in a project folder, in the order in which they are taken.
+const PLACES: [(&str, ModelFormat); 10] = [
+    ("scene.mvs", ModelFormat::OpenMvs),
+    ("sfm_data.json", ModelFormat::OpenMvg),
+    ("reconstruction.json", ModelFormat::OpenSfm),
+    ("opensfm/reconstruction.json", ModelFormat::OpenSfm),
+    ("*.mvs", ModelFormat::OpenMvs),
+    ("*.sfm", ModelFormat::AliceVision),
+    ("*.nvm", ModelFormat::Nvm),
+    ("bundle/bundle.out", ModelFormat::Bundler),
+    ("*bundle.out", ModelFormat::Bundler),
+    ("*.out", ModelFormat::Bundler),
+];
+
+/// Said where no model is found.
+pub(super) const LOOKED_FOR: &str =
+    "*.mvs, sfm_data.json, reconstruction.json, *.sfm, *.nvm, *bundle.out, and ori/*.ori";
+
+/// The models of a folder that are not COLMAP's.
+pub(super) fn models(root: &Path) -> Vec<ModelLocation> {
+    let files = file_names(root);
+    let mut models: Vec<ModelLocation> = Vec::new();
+    for (place, format) in PLACES {
+        let found: Vec<PathBuf> = match place.strip_prefix('*') {
+            Some(ending) => files.iter().filter(|name| name.ends_with(ending)).map(|name| root.join(name)).collect(),
+            None => vec![root.join(place)],
+        };
+        for path in found.into_iter().filter(|path| path.is_file()) {
+            if models.iter().all(|model| model.path != path) {
+                models.push(location(root, format, path));
+            }
+        }
+    }
+    let ori = [root.join("ori"), root.into()].into_iter().find(|folder| !orientations(folder).is_empty());
+    if let Some(folder) = ori {
+        // What lies beside orientations is their cloud.
+        models.retain(|model| !matches!(model.format, ModelFormat::Nvm | ModelFormat::Bundler));
+        models.push(location(root, ModelFormat::Sure, folder));
+    }
+    models
+}
+
+/// The model in a file, by its name or its beginning.
+pub(super) fn model_file(path: &Path) -> Option<ModelLocation> {
+    let root = path.parent()?;
+    let format = match path.extension()?.to_str()? {
+        "mvs" => ModelFormat::OpenMvs,
+        "nvm" => ModelFormat::Nvm,
+        "out" => ModelFormat::Bundler,
+        "sfm" => ModelFormat::AliceVision,
+        "json" => json_format(path)?,
+        "ori" => return Some(location(root, ModelFormat::Sure, root.into())),
+        _ => return None,
+    };
+    Some(location(root, format, path.into()))
+}
+
+fn json_format(path: &Path) -> Option<ModelFormat> {
+    let mut head = Vec::new();
+    File::open(path).and_then(|file| file.take(4096).read_to_end(&mut head)).ok()?;
+    let head = String::from_utf8_lossy(&head);
+    if head.contains("\"sfm_data_version\"") {
+        Some(ModelFormat::OpenMvg)
+    } else if head.trim_start().starts_with('[') {
+        Some(ModelFormat::OpenSfm)
+    } else {
+        head.contains("\"version\"").then_some(ModelFormat::AliceVision)
+    }
+}
+
+fn location(root: &Path, format: ModelFormat, path: PathBuf) -> ModelLocation {
+    let mut model = ModelLocation { format, path, registered: 0 };
+    model.registered = read(root, &model).map_or(0, |foreign| foreign.model.images.len() as u64);
+    model
+}
+
+fn file_names(folder: &Path) -> Vec<String> {
+    let entries = std::fs::read_dir(folder).into_iter().flatten().filter_map(Result::ok);
+    let mut names: Vec<String> = entries.filter_map(|entry| entry.file_name().into_string().ok()).collect();
+    names.sort_unstable();
+    names
+}
+
+fn orientations(folder: &Path) -> Vec<PathBuf> {
+    file_names(folder).iter().filter(|name| name.ends_with(".ori")).map(|name| folder.join(name)).collect()
+}
+
+/// The files that the model is read from.
+pub(super) fn files(root: &Path, model: &ModelLocation) -> Vec<PathBuf> {
+    let beside = match model.format {
+        ModelFormat::Bundler => bundler_list(&model.path),
+        ModelFormat::OpenSfm => Some(model.path.with_file_name("tracks.csv")),
+        ModelFormat::Sure => {
+            let cloud = sure_cloud(root).map(|(path, _)| path);
+            return orientations(&model.path).into_iter().chain(cloud).collect();
+        }
+        _ => None,
+    };
+    [Some(model.path.clone()), beside].into_iter().flatten().filter(|path| path.is_file()).collect()
+}
+
+/// Reads the model.
+pub(super) fn read(root: &Path, model: &ModelLocation) -> Result<Foreign, ProjectError> {
+    let candidates = images::candidates(root, &model.path);
+    let size_of = |name: &str| candidates.iter().find_map(|folder| image::image_dimensions(folder.join(name)).ok());
+    let at = |path: &Path, fault| ProjectError::Fault { path: path.into(), fault };
+    let path = &model.path;
+    if model.format == ModelFormat::Sure {
+        return read_sure(root, path);
+    }
+    let bytes = files::read(path)?;
+    let foreign = match model.format {
+        ModelFormat::Bundler => {
+            let list = bundler_list(path).ok_or_else(|| ProjectError::NoImageList(path.clone()))?;
+            let names = files::read(&list)?;
+            bundler::read(&bytes, &names, &size_of)
+                .map_err(|fault| at(if fault.file == "list" { &list } else { path }, fault))?
+        }
+        ModelFormat::OpenSfm => {
+            let tracks = path.with_file_name("tracks.csv");
+            let rows = tracks.is_file().then(|| files::read(&tracks)).transpose()?;
+            opensfm::read(&bytes, rows.as_deref())
+                .map_err(|fault| at(if fault.file == "tracks" { &tracks } else { path }, fault))?
+        }
+        ModelFormat::Nvm => nvm::read(&bytes, &size_of).map_err(|fault| at(path, fault))?,
+        ModelFormat::OpenMvg => openmvg::read(&bytes).map_err(|fault| at(path, fault))?,
+        ModelFormat::AliceVision => alicevision::read(&bytes).map_err(|fault| at(path, fault))?,
+        _ => Mvs::read(&bytes).and_then(|mvs| mvs.model(&size_of)).map_err(|fault| at(path, fault))?,
+    };
+    Ok(foreign)
+}
+
+/// The list of images of a bundle file: `X.list.txt` of `X.bundle.out`, else `list.txt` beside it or one folder up.
+fn bundler_list(bundle: &Path) -> Option<PathBuf> {
+    let name = bundle.file_name()?.to_string_lossy();
+    let own = name.strip_suffix("bundle.out").map(|stem| bundle.with_file_name(format!("{stem}list.txt")));
+    let undistorted = name.ends_with(".rd.out").then(|| bundle.with_file_name("list.rd.txt"));
+    let up = bundle.parent().and_then(Path::parent).map(|folder| folder.join("list.txt"));
+    let lists = [undistorted, own, Some(bundle.with_file_name("list.txt")), up];
+    lists.into_iter().flatten().find(|path| path.is_file())
+}
+
+/// The sparse cloud of a SURE project.
+fn sure_cloud(root: &Path) -> Option<(PathBuf, ModelFormat)> {
+    let names = file_names(root);
+    let endings = [(".nvm", ModelFormat::Nvm), (".out", ModelFormat::Bundler), (".ply", ModelFormat::Sure)];
+    let first = |ending: &str| names.iter().find(|name| name.ends_with(ending)).map(|name| root.join(name));
+    endings.into_iter().find_map(|(ending, format)| Some((first(ending)?, format)))
+}
+
+/// Oriented images, and points from an NVM or Bundler file with tracks, or from a PLY file without.
+fn read_sure(root: &Path, folder: &Path) -> Result<Foreign, ProjectError> {
+    let mut oriented = Vec::new();
+    for (n, path) in orientations(folder).iter().enumerate() {
+        let found = sure::read(&files::read(path)?, n as u32 + 1);
+        oriented.push(found.map_err(|fault| ProjectError::Fault { path: path.clone(), fault })?);
+    }
+    let candidates = images::candidates(root, folder);
+    let mut foreign = sure::model(oriented, |name| images::with_extension(&candidates, name));
+    match sure_cloud(root) {
+        None => {
+            let text = "no points: put a sparse cloud (*.nvm, *.out or *.ply) or a mesh (*.ply) into the project's folder; where only the \
+                        height of the ground is known, integrations/sure/ground.py writes a ground.ply";
+            foreign.warn(WarningKind::Damaged, text)
+        }
+        Some((path, ModelFormat::Sure)) => {
+            let cloud = ply::read(&files::read(&path)?).map_err(|error| ProjectError::Fault {
+                fault: Fault::new("", Place::File, Problem::Json(error.to_string())),
+                path: path.clone(),
+            })?;
+            sure::add_cloud(&mut foreign, &cloud.vertices);
+        }
+        Some((path, format)) => {
+            let cloud = read(root, &ModelLocation { format, path: path.clone(), registered: 0 })?;
+            foreign.model.warnings.extend(cloud.model.warnings.iter().cloned());
+            sure::add_tracks(&mut foreign, &cloud)
+                .map_err(|problem| ProjectError::Fault { fault: Fault::new("", Place::File, problem), path })?;
+        }
+    }
+    Ok(foreign)
+}

@@ -1,0 +1,252 @@
+//! The image folder of a project.
+
+use std::{
+    collections::HashSet,
+    fs::File,
+    io::{self, BufRead, BufReader, Cursor, Read, Seek, SeekFrom},
+    path::{Path, PathBuf},
+};
+
+use image::{ImageFormat, ImageReader};
+use rayon::prelude::*;
+use walkdir::WalkDir;
+
+use super::Project;
+use crate::{
+    io::formats::foreign::Foreign,
+    model::scene::{Scene, ViewIndex},
+};
+
+/// Extensions of images, lower case.
+const EXTENSIONS: [&str; 10] = ["jpg", "jpeg", "png", "tif", "tiff", "bmp", "ppm", "pgm", "webp", "jp2"];
+
+/// Names that are looked for when an image folder is chosen.
+const PROBED: usize = 20;
+
+/// The folders that names of a model may be relative to, best first: the nearest `images`, what the model's own `project.ini`
+/// says, and, for other programs' models, where the model and the project are.
+pub(super) fn candidates(root: &Path, model: &Path) -> Vec<PathBuf> {
+    let up = |levels: usize| model.ancestors().nth(levels).map(|folder| folder.join("images"));
+    let named = [up(0), up(1), up(2), Some(root.join("images")), said_by_colmap(model)];
+    let bare = [Some(root.into()), model.parent().map(Path::to_path_buf)];
+    named.into_iter().chain(bare).flatten().filter(|folder| folder.is_dir()).collect()
+}
+
+/// The image folder of a COLMAP model.
+pub(super) fn find(root: &Path, model: &Path) -> Option<PathBuf> {
+    candidates(root, model).into_iter().find(|folder| folder.as_path() != root && !model.starts_with(folder))
+}
+
+/// The image folder of a model of another program: the first candidate that one of its images lies in.
+pub(super) fn find_by_names(root: &Path, model: &Path, foreign: &Foreign) -> Option<PathBuf> {
+    let named = foreign.image_folder.as_ref().map(|folder| root.join(folder)).filter(|folder| folder.is_dir());
+    let folders: Vec<PathBuf> = named.into_iter().chain(candidates(root, model)).collect();
+    let names = || foreign.model.images.iter().take(PROBED).map(|image| &*image.name);
+    let holds_one = |folder: &&PathBuf| names().any(|name| folder.join(name).is_file());
+    folders.iter().find(holds_one).or_else(|| folders.iter().find(|folder| folder.ends_with("images"))).cloned()
+}
+
+/// The name itself, or with the extension of an image that is there.
+pub(super) fn with_extension(folders: &[PathBuf], name: &str) -> String {
+    if folders.iter().any(|folder| folder.join(name).is_file()) {
+        return name.into();
+    }
+    let stem = name.rsplit_once('.').map_or(name, |(stem, _)| stem);
+    let spelled = EXTENSIONS.iter().flat_map(|e| [format!("{stem}.{e}"), format!("{stem}.{}", e.to_uppercase())]);
+    let mut there = spelled.filter(|name| folders.iter().any(|folder| folder.join(name).is_file()));
+    there.next().unwrap_or_else(|| name.into())
+}
+
+/// `image_path` of the settings that COLMAP leaves beside a model.
+fn said_by_colmap(model: &Path) -> Option<PathBuf> {
+    let settings = std::fs::read_to_string(model.join("project.ini")).ok()?;
+    let value = settings.lines().find_map(|line| line.trim().strip_prefix("image_path")?.trim().strip_prefix('='))?;
+    Some(model.join(value.trim()))
+}
+
+/// Bytes of an image that its header is looked for in, before the whole file is.
+const HEADS: [u64; 2] = [1 << 16, 1 << 20];
+
+/// What is wrong with the image files of a scene, by their names and headers.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct ImageFaults {
+    /// Views without a file.
+    pub missing: Vec<ViewIndex>,
+    /// Views whose file has another width and height than the camera, and these.
+    pub other_size: Vec<(ViewIndex, [u32; 2])>,
+    /// Views whose file is empty, cut off or no image, and which of these.
+    pub unreadable: Vec<(ViewIndex, &'static str)>,
+}
+
+impl ImageFaults {
+    /// Looks at the files of all views.
+    pub(super) fn find(folder: &Path, scene: &Scene) -> Self {
+        let views: Vec<ViewIndex> = scene.view_indices().collect();
+        let look = |view: &ViewIndex| {
+            let (path, view) = (folder.join(scene.name(*view)), *view);
+            let camera = scene.camera_of(view);
+            match look(&path) {
+                Ok(Some(size)) if size != [camera.width, camera.height] => {
+                    Self { other_size: vec![(view, size)], ..Self::default() }
+                }
+                Ok(_) => Self::default(),
+                Err(Unread::Missing) => Self { missing: vec![view], ..Self::default() },
+                Err(Unread::Broken(why)) => Self { unreadable: vec![(view, why)], ..Self::default() },
+            }
+        };
+        let found: Vec<Self> = views.par_iter().map(look).collect();
+        let mut all = Self::default();
+        for faults in found {
+            all.missing.extend(faults.missing);
+            all.other_size.extend(faults.other_size);
+            all.unreadable.extend(faults.unreadable);
+        }
+        all
+    }
+
+    /// The part that concerns these views, which ascend.
+    pub fn of(&self, views: &[ViewIndex]) -> Self {
+        let concerns = |view: &ViewIndex| views.binary_search(view).is_ok();
+        Self {
+            missing: self.missing.iter().copied().filter(concerns).collect(),
+            other_size: self.other_size.iter().copied().filter(|(view, _)| concerns(view)).collect(),
+            unreadable: self.unreadable.iter().copied().filter(|(view, _)| concerns(view)).collect(),
+        }
+    }
+
+    /// A line for each kind of fault.
+    pub fn warnings(&self, project: &Project, scene: &Scene) -> Vec<String> {
+        let Some(folder) = &project.images else { return Vec::new() };
+        let doctor = format!("viewrank doctor {}", project.as_argument());
+        let all = scene.views.len();
+        let missing = self.missing.first().map(|first| {
+            let (count, name) = (self.missing.len(), scene.name(*first));
+            format!("{count} of {all} images are not in {}, as {name}: {doctor}", folder.display())
+        });
+        let other = self.other_size.first().map(|(first, [width, height])| {
+            let (camera, name, count) = (scene.camera_of(*first), scene.name(*first), self.other_size.len());
+            format!(
+                "{count} of {all} images have another size than their cameras, as {name}, {width} x {height} and not {} x {}: {doctor}",
+                camera.width, camera.height
+            )
+        });
+        let unreadable = self.unreadable.first().map(|(first, why)| {
+            let (count, name) = (self.unreadable.len(), scene.name(*first));
+            format!("{count} of {all} images cannot be read, as {name} ({why}): {doctor}")
+        });
+        missing.into_iter().chain(other).chain(unreadable).collect()
+    }
+}
+
+/// Why nothing is known of an image.
+enum Unread {
+    Missing,
+    Broken(&'static str),
+}
+
+/// Width and height of an image; `None` where its kind of file is not known here.
+fn look(path: &Path) -> Result<Option<[u32; 2]>, Unread> {
+    let length = path.metadata().ok().filter(std::fs::Metadata::is_file).ok_or(Unread::Missing)?.len();
+    if length == 0 {
+        return Err(Unread::Broken("empty"));
+    }
+    let of_name = ImageFormat::from_path(path).ok().filter(ImageFormat::reading_enabled);
+    match dimensions(path, length) {
+        None if of_name.is_some() => Err(Unread::Broken("no image")),
+        Some(_) if of_name == Some(ImageFormat::Jpeg) && is_cut_off(path, length).unwrap_or(false) => {
+            Err(Unread::Broken("cut off"))
+        }
+        found => Ok(found),
+    }
+}
+
+/// Bytes at the end of a JPEG file in which its end is looked for, before it is from the first scan on.
+const TAIL: u64 = 1 << 16;
+const END_OF_IMAGE: [u8; 2] = [0xff, 0xd9];
+const START_OF_SCAN: u8 = 0xda;
+
+/// Does a JPEG file lack the end of its image? In the data of a scan the mark of the end cannot occur by chance (ITU T.81, B.1.1.5), before
+/// it in another picture that the header holds.
+fn is_cut_off(path: &Path, length: u64) -> io::Result<bool> {
+    let mut file = BufReader::with_capacity(TAIL as usize, File::open(path)?);
+    if length > TAIL {
+        file.seek(SeekFrom::Start(length - TAIL))?;
+        if has_end(&mut file)? {
+            return Ok(false);
+        }
+    }
+    go_to_first_scan(&mut file)?;
+    Ok(!has_end(&mut file)?)
+}
+
+/// To the data of the first scan; where there is none, behind the last whole segment.
+fn go_to_first_scan(file: &mut BufReader<File>) -> io::Result<()> {
+    file.seek(SeekFrom::Start(2))?;
+    loop {
+        let mut segment = Vec::new();
+        file.take(4).read_to_end(&mut segment)?;
+        let [0xff, kind, high, low] = segment[..] else { return file.seek_relative(-(segment.len() as i64)) };
+        // The length counts its own two bytes.
+        file.seek_relative(i64::from(u16::from_be_bytes([high, low])) - 2)?;
+        if kind == START_OF_SCAN {
+            return Ok(());
+        }
+    }
+}
+
+/// Is the mark of the end in what is left of the file?
+fn has_end(file: &mut impl BufRead) -> io::Result<bool> {
+    let mut last = 0;
+    loop {
+        let bytes = file.fill_buf()?;
+        let Some(&end) = bytes.last() else { return Ok(false) };
+        if [last, bytes[0]] == END_OF_IMAGE || bytes.windows(2).any(|pair| pair == END_OF_IMAGE) {
+            return Ok(true);
+        }
+        last = end;
+        let read = bytes.len();
+        file.consume(read);
+    }
+}
+
+/// Width and height by the header, reading no more of the file than it takes.
+fn dimensions(path: &Path, length: u64) -> Option<[u32; 2]> {
+    let of_head = |bytes: u64| {
+        let mut head = Vec::new();
+        File::open(path).ok()?.take(bytes).read_to_end(&mut head).ok()?;
+        let reader = ImageReader::new(Cursor::new(head)).with_guessed_format().ok()?;
+        reader.into_dimensions().ok()
+    };
+    let found = HEADS.into_iter().filter(|bytes| *bytes < length).find_map(of_head);
+    found.or_else(|| image::image_dimensions(path).ok()).map(|(width, height)| [width, height])
+}
+
+/// Images of the folder that the scene has no view of, sorted; none where the folder holds no image of the scene, as one that a model from
+/// elsewhere names may be anything.
+pub(super) fn unregistered(folder: &Path, scene: &Scene) -> Vec<String> {
+    if !scene.views.iter().take(PROBED).any(|view| folder.join(&*view.name).is_file()) {
+        return Vec::new();
+    }
+    let registered: HashSet<PathBuf> = scene.views.iter().map(|view| normal(Path::new(&view.name))).collect();
+    let files = WalkDir::new(folder).follow_links(true).into_iter().filter_map(Result::ok);
+    let images = files.filter(|entry| entry.file_type().is_file() && is_image(entry.path()));
+    let names = images.filter_map(|entry| entry.path().strip_prefix(folder).ok().map(Path::to_path_buf));
+    let mut left: Vec<String> = names.filter(|name| !registered.contains(name)).map(|name| slashes(&name)).collect();
+    left.sort_unstable();
+    left
+}
+
+fn is_image(path: &Path) -> bool {
+    let extension = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase());
+    extension.is_some_and(|e| EXTENSIONS.contains(&e.as_str()))
+}
+
+/// Without `.` components.
+fn normal(name: &Path) -> PathBuf {
+    name.components().filter(|c| !matches!(c, std::path::Component::CurDir)).collect()
+}
+
+/// A path with `/` between its parts, as names are written.
+pub fn slashes(path: &Path) -> String {
+    path.components().map(|c| c.as_os_str().to_string_lossy()).collect::<Vec<_>>().join("/")
+}

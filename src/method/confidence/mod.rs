@@ -1,0 +1,319 @@
+//! Method 7: where will the backend succeed?
+//!
+//! Two kinds of knowledge meet in p_i(t), the chance that the pair (key view, partner i) measures triangle t: the picture ([`Unary`]
+//! confidence per view and triangle, from a [`Predictor`]) and the constellation ([`PairConfidence`], which needs no image).
+
+mod cache;
+pub mod curves;
+pub mod features;
+mod fit;
+mod geometric;
+mod image;
+mod labels;
+mod nearby;
+mod parts;
+mod pictures;
+pub mod place;
+mod proxy;
+mod score;
+pub mod train;
+mod trained;
+pub mod trees;
+mod unary;
+
+pub use curves::PairCurves;
+pub use geometric::{Constellation, PairConfidence};
+pub use image::{Image, ImageError, Mask, size_for_confidence};
+pub use labels::Label;
+pub use nearby::nearby;
+pub use pictures::{CACHE, MASKS, Pictures, Seen};
+pub use proxy::Proxy;
+pub use trained::{Measured, Picture, Trained, TrainedError, TrainedOn};
+pub use unary::Unary;
+
+use std::path::{Path, PathBuf};
+
+use crate::{
+    config::{ConfidenceForm, ConfidenceSettings},
+    io::project::Project,
+};
+
+/// Probability per cell of a grid that covers the image that the backend reconstructs it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ConfidenceMap {
+    pub columns: u32,
+    pub rows: u32,
+    /// In 255ths, row by row: as they are kept, so that a kept map gives the same plan.
+    values: Vec<u8>,
+}
+
+impl ConfidenceMap {
+    /// `values`: 0 to 1, row by row, as many as the grid (columns, rows) has cells.
+    pub fn new(grid: [u32; 2], values: impl Iterator<Item = f32>) -> Self {
+        let values: Vec<u8> = values.map(|v| (v.clamp(0.0, 1.0) * 255.0).round() as u8).collect();
+        debug_assert_eq!(values.len(), grid[0] as usize * grid[1] as usize);
+        Self { columns: grid[0], rows: grid[1], values }
+    }
+
+    /// From what [`Self::bytes`] gave; `None` where the number of bytes is wrong.
+    pub(crate) fn from_bytes(grid: [u32; 2], values: Vec<u8>) -> Option<Self> {
+        let cells = u64::from(grid[0]) * u64::from(grid[1]);
+        (cells > 0 && cells == values.len() as u64).then_some(Self { columns: grid[0], rows: grid[1], values })
+    }
+
+    pub(crate) fn bytes(&self) -> &[u8] {
+        &self.values
+    }
+
+    /// Row by row, 0 to 1.
+    pub fn values(&self) -> impl ExactSizeIterator<Item = f32> {
+        self.values.iter().map(|&v| f32::from(v) / 255.0)
+    }
+
+    /// At a place given as shares of the image's width and height, in [0, 1).
+    pub fn at(&self, x: f64, y: f64) -> f32 {
+        let column = ((x * f64::from(self.columns)) as usize).min(self.columns as usize - 1);
+        let row = ((y * f64::from(self.rows)) as usize).min(self.rows as usize - 1);
+        self.cell(column, row)
+    }
+
+    pub fn cell(&self, column: usize, row: usize) -> f32 {
+        f32::from(self.values[row * self.columns as usize + column]) / 255.0
+    }
+
+    /// 1 everywhere, on the grid of an image of the mask's size.
+    fn certain(mask: &Mask) -> Self {
+        let grid = features::grid(mask.width, mask.height);
+        Self { columns: grid[0], rows: grid[1], values: vec![255; grid[0] as usize * grid[1] as usize] }
+    }
+
+    /// Less where the mask forbids pixels of the image.
+    fn masked(&self, mask: &Mask) -> Self {
+        let grid = [self.columns, self.rows];
+        let cells = (0..self.rows).flat_map(|row| (0..self.columns).map(move |column| (column, row)));
+        let usable = cells.map(|(column, row)| mask.share(grid, column, row));
+        Self::new(grid, self.values().zip(usable).map(|(value, usable)| value * usable))
+    }
+}
+
+/// What a predictor says of a picture.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Predicted {
+    pub map: ConfidenceMap,
+    /// How unlike the picture is to those that the predictor learnt from: 1 is as unlike as the most unlike of them; 0 where
+    /// nothing was learnt.
+    pub distance: f32,
+}
+
+/// Predicts unary confidence from a picture (method 7.3).
+pub trait Predictor: Sync {
+    /// The same for predictors that say the same of every picture.
+    fn fingerprint(&self) -> blake3::Hash;
+
+    fn predict(&self, image: &Image) -> Predicted;
+}
+
+/// Where confidence comes from (`confidence.source`).
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Source {
+    /// f_conf = 1: the paper's NoCP.
+    None,
+    /// The constellation and the sparse points around (method 7.2).
+    Geometric,
+    /// The constellation and a training-free look at the picture (method 7.3).
+    Proxy,
+    /// The model that comes with the program: it learnt from depth maps of `integrations/sgm`.
+    Shipped,
+    /// The model that was trained for the project: [`PROJECT_MODEL`].
+    Project,
+    /// A trained model file.
+    Model(PathBuf),
+}
+
+/// Where a project has a model of its own, relative to it.
+pub const PROJECT_MODEL: &str = "viewrank/confidence.model";
+
+impl Source {
+    /// `auto` is the project's own model if there is one, else the shipped one where it was trained for the backend and there are images
+    /// to look at, else `geometric`.
+    pub fn new(source: &str, project: &Project, backend: &str) -> Self {
+        let shipped =
+            || project.images.is_some() && Trained::shipped().is_some_and(|trained| trained.backend == backend);
+        match source {
+            "none" => Self::None,
+            "geometric" => Self::Geometric,
+            "proxy" => Self::Proxy,
+            "shipped" => Self::Shipped,
+            "project" => Self::Project,
+            "auto" if project.root.join(PROJECT_MODEL).is_file() => Self::Project,
+            "auto" if shipped() => Self::Shipped,
+            "auto" => Self::Geometric,
+            file => Self::Model(file.into()),
+        }
+    }
+
+    /// The trained model, where it is one.
+    pub fn trained(&self, root: &Path) -> Result<Option<Trained>, TrainedError> {
+        match self {
+            Self::None | Self::Geometric | Self::Proxy => Ok(None),
+            Self::Shipped => Trained::shipped().map(Some).ok_or(TrainedError::NotShipped),
+            Self::Project => Trained::read(&root.join(PROJECT_MODEL)).map(Some),
+            Self::Model(path) => Trained::read(path).map(Some),
+        }
+    }
+}
+
+impl std::fmt::Display for Source {
+    /// As it is typed.
+    fn fmt(&self, f: &mut std::fmt::Formatter) -> std::fmt::Result {
+        match self {
+            Self::None => write!(f, "none"),
+            Self::Geometric => write!(f, "geometric"),
+            Self::Proxy => write!(f, "proxy"),
+            Self::Shipped => write!(f, "shipped"),
+            Self::Project => write!(f, "project"),
+            Self::Model(path) => write!(f, "{}", path.display()),
+        }
+    }
+}
+
+/// What p_i of method 3.4 is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Confidence {
+    /// f_conf = 1 wherever f_cov = 1.
+    None,
+    /// Method 7.2 times the mean of the two unary confidences.
+    Pair(PairConfidence),
+    /// The mean of the two unary confidences.
+    Paper { min_matches: u32 },
+    /// Trained: the chance that the key view's place can be measured at all, times that of enough matches.
+    Trained(PairCurves),
+}
+
+impl Confidence {
+    /// `numbers`: the backend's. A trained model without a picture has no unary confidence for the paper's form.
+    pub fn new(
+        source: &Source,
+        trained: Option<&Trained>,
+        settings: &ConfidenceSettings,
+        numbers: &PairConfidence,
+    ) -> Self {
+        let numbers = numbers.with(settings);
+        let min_matches = numbers.min_matches;
+        match (source, settings.form, trained) {
+            (Source::None, _, _) => Self::None,
+            (Source::Proxy, ConfidenceForm::Paper, _) => Self::Paper { min_matches },
+            (_, ConfidenceForm::Paper, Some(Trained { picture: Some(_), .. })) => Self::Paper { min_matches },
+            (_, _, Some(Trained { pair, .. })) => {
+                Self::Trained(PairCurves { min_matches: settings.min_matches.unwrap_or(pair.min_matches), ..*pair })
+            }
+            _ => Self::Pair(numbers),
+        }
+    }
+}
+
+impl Confidence {
+    /// Puts the numbers that it has into the settings that it heeds.
+    pub fn fill_in(&self, settings: &mut ConfidenceSettings) {
+        match self {
+            Self::None => {}
+            Self::Trained(curves) => settings.min_matches = Some(curves.min_matches),
+            Self::Paper { min_matches } => settings.min_matches = Some(*min_matches),
+            Self::Pair(numbers) => {
+                settings.min_matches = Some(numbers.min_matches);
+                settings.p0 = Some(numbers.p0);
+                settings.cosine_power = Some(numbers.cosine_power);
+                settings.scale_octaves = Some(numbers.scale_octaves.unwrap_or(0.0));
+                settings.full_angle = Some(numbers.full_angle_deg.unwrap_or(0.0));
+            }
+        }
+    }
+
+    /// Matches that must succeed; 0: none, f_conf is 1.
+    pub fn min_matches(&self) -> u32 {
+        match self {
+            Self::None => 0,
+            Self::Pair(numbers) => numbers.min_matches,
+            Self::Paper { min_matches } => *min_matches,
+            Self::Trained(curves) => curves.min_matches,
+        }
+    }
+
+    /// p_i of a partner that sees the triangle, from its constellation with the key view, the key view's [`Unary::at`] and the partner's
+    /// [`Unary::as_partner`].
+    pub fn pair(&self, constellation: &Constellation, key: f64, partner: f64) -> f64 {
+        match self {
+            Self::None => 1.0,
+            Self::Pair(numbers) => numbers.confidence(constellation) * 0.5 * (key + partner),
+            Self::Paper { .. } => 0.5 * (key + partner),
+            Self::Trained(curves) => f64::from(trees::logistic(curves.odds(&constellation.numbers()) + partner as f32)),
+        }
+    }
+
+    /// Chance that the triangle can be measured from the key view at all, from the key view's [`Unary::at`].
+    pub fn measurable(&self, key: f32) -> f32 {
+        if matches!(self, Self::Trained(_)) { key } else { 1.0 }
+    }
+
+    /// f_conf of method 3.4: the chance that at least [`Confidence::min_matches`] of independent matches succeed.
+    ///
+    /// `at_least[m]` is that chance for m among the matches so far. One more match of chance p turns "exactly m - 1" into m; adding
+    /// to the chance of at least m, never taking the difference from 1, keeps small chances exact.
+    pub fn at_least(&self, matches: impl Iterator<Item = f64>) -> f64 {
+        let mut at_least = [1.0, 0.0, 0.0, 0.0];
+        for p in matches {
+            for m in (1..4).rev() {
+                at_least[m] += p * (at_least[m - 1] - at_least[m]);
+            }
+        }
+        at_least[self.min_matches().min(3) as usize]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    /// The paper's alternating sum over the elementary symmetric polynomials.
+    fn alternating_sum(p: &[f64]) -> f64 {
+        let mut e = vec![0.0; p.len() + 1];
+        e[0] = 1.0;
+        for &p in p {
+            for i in (1..e.len()).rev() {
+                e[i] += p * e[i - 1];
+            }
+        }
+        (2..e.len()).map(|i| (i as f64 - 1.0) * if i % 2 == 0 { e[i] } else { -e[i] }).sum()
+    }
+
+    /// By going through all outcomes.
+    fn by_outcomes(p: &[f64], least: u32) -> f64 {
+        let chance = |outcome: u32| {
+            let one = |(i, &p): (usize, &f64)| if outcome >> i & 1 == 1 { p } else { 1.0 - p };
+            p.iter().enumerate().map(one).product::<f64>()
+        };
+        (0..1u32 << p.len()).filter(|o| o.count_ones() >= least).map(chance).sum()
+    }
+
+    proptest! {
+        #[test]
+        fn two_matches_are_the_papers_sum(p in proptest::collection::vec(0.0..=1.0f64, 0..=12)) {
+            let ours = Confidence::Paper { min_matches: 2 }.at_least(p.iter().copied());
+            prop_assert!((ours - alternating_sum(&p)).abs() < 1e-9, "{} {}", ours, alternating_sum(&p));
+        }
+
+        #[test]
+        fn is_the_chance_of_enough_matches(p in proptest::collection::vec(0.0..=1.0f64, 0..=10), least in 1u32..=3) {
+            let ours = Confidence::Paper { min_matches: least }.at_least(p.iter().copied());
+            let expected = by_outcomes(&p, least);
+            prop_assert!((ours - expected).abs() <= 1e-12 + 1e-9 * expected, "{ours} {expected}");
+        }
+    }
+
+    #[test]
+    fn without_confidence_everything_succeeds() {
+        assert_eq!(Confidence::None.at_least([].into_iter()), 1.0);
+    }
+}

@@ -1,0 +1,234 @@
+//! What the sparse points around a triangle say of it: a view that observes them was matched there before (method 7.3, constellation).
+
+use nalgebra::Point3;
+use rayon::prelude::*;
+
+use super::Unary;
+use crate::{
+    base::{
+        column::{Column, TableError},
+        progress::{Cancelled, Watcher},
+    },
+    method::{surface::Surface, visibility::Visibility},
+    model::scene::{Scene, ViewIndex, ViewPoints},
+};
+
+/// How many points around a triangle are looked at.
+const AROUND: usize = 8;
+/// Confidence where a view observes none of them.
+const UNOBSERVED: f32 = 0.5;
+
+/// For each row of the visibility table, from 1/2 to 1, the share of the sparse points nearest to the triangle that the view observes.
+pub fn nearby(
+    scene: &Scene,
+    points: &ViewPoints,
+    surface: &Surface,
+    visibility: &Visibility,
+    watcher: &dyn Watcher,
+) -> Result<Unary, TableError> {
+    if scene.points.is_empty() {
+        return Ok(Unary::certain());
+    }
+    let said = |share| UNOBSERVED + (1.0 - UNOBSERVED) * share;
+    let values = Nearest::new(scene, surface, watcher)?.observed(scene, points, visibility, said, watcher)?;
+    Ok(Unary { values, ..Unary::certain() })
+}
+
+/// The sparse points nearest to the centroid of each triangle, as many for each.
+pub(super) struct Nearest {
+    around: usize,
+    points: Vec<u32>,
+}
+
+impl Nearest {
+    pub fn new(scene: &Scene, surface: &Surface, watcher: &dyn Watcher) -> Result<Self, Cancelled> {
+        let tree = Tree::new(&scene.points);
+        watcher.check()?;
+        let around = AROUND.min(scene.points.len());
+        let mut points = vec![0; around * surface.triangles.len()];
+        let of_triangle = |(t, nearest): (usize, &mut [u32])| {
+            nearest.copy_from_slice(&tree.nearest(&surface.centroid(t as u32)));
+        };
+        points.par_chunks_exact_mut(around.max(1)).enumerate().for_each(of_triangle);
+        Ok(Self { around, points })
+    }
+
+    /// Nearest first.
+    pub fn of(&self, triangle: u32) -> &[u32] {
+        &self.points[self.around * triangle as usize..][..self.around]
+    }
+
+    /// For each row of the visibility table what `said` makes of the share of them that the view observes; NaN in a scene without points.
+    pub fn observed(
+        &self,
+        scene: &Scene,
+        points: &ViewPoints,
+        visibility: &Visibility,
+        said: impl Fn(f32) -> f32 + Sync + Send,
+        watcher: &dyn Watcher,
+    ) -> Result<Column<f32>, TableError> {
+        let of_view = |observed: &mut Vec<bool>, view: ViewIndex| {
+            watcher.check()?;
+            points.of(view).iter().for_each(|p| observed[p.at()] = true);
+            let of_triangle = |&t: &u32| {
+                let around = self.of(t);
+                said(around.iter().filter(|&&p| observed[p as usize]).count() as f32 / around.len() as f32)
+            };
+            let row: Vec<f32> = visibility.of(view).iter().map(of_triangle).collect();
+            points.of(view).iter().for_each(|p| observed[p.at()] = false);
+            Ok(row)
+        };
+        visibility.column(|| vec![false; scene.points.len()], of_view)
+    }
+
+    /// Mean distance between a triangle's centroid and its points, and the largest between its plane and them, scene units; NaN
+    /// without points.
+    pub fn spacing_and_roughness(&self, scene: &Scene, surface: &Surface, triangle: u32) -> [f64; 2] {
+        let (centroid, normal) = (surface.centroid(triangle), surface.area_normal(triangle).normalize());
+        let around = self.of(triangle);
+        let away = || around.iter().map(|&p| scene.points[p as usize] - centroid);
+        let spacing = away().map(|d| d.norm()).sum::<f64>() / around.len() as f64;
+        [spacing, away().map(|d| d.dot(&normal).abs()).fold(f64::NAN, f64::max)]
+    }
+}
+
+/// A k-d tree without pointers: the middle of each range of `order` parts it, down to [`AROUND`] points.
+struct Tree<'a> {
+    points: &'a [Point3<f64>],
+    order: Vec<u32>,
+    /// Along which axis the point at the same place of `order` parts its range.
+    axes: Vec<u8>,
+}
+
+impl<'a> Tree<'a> {
+    fn new(points: &'a [Point3<f64>]) -> Self {
+        let mut order: Vec<u32> = (0..points.len() as u32).collect();
+        let mut axes = vec![0; points.len()];
+        part(points, &mut order, &mut axes);
+        Self { points, order, axes }
+    }
+
+    /// The nearest points, nearest first, ties by index.
+    fn nearest(&self, to: &Point3<f64>) -> Vec<u32> {
+        let mut found = Vec::with_capacity(AROUND + 1);
+        self.look(to, 0, self.order.len(), &mut found);
+        found.into_iter().map(|(_, point)| point).collect()
+    }
+
+    fn look(&self, to: &Point3<f64>, from: usize, end: usize, found: &mut Vec<(f64, u32)>) {
+        if end - from <= AROUND {
+            self.order[from..end].iter().for_each(|&p| self.offer(to, p, found));
+            return;
+        }
+        let middle = from + (end - from) / 2;
+        let (point, axis) = (self.order[middle], self.axes[middle] as usize);
+        let ahead = to[axis] - self.points[point as usize][axis];
+        let (near, far) =
+            if ahead < 0.0 { ([from, middle], [middle + 1, end]) } else { ([middle + 1, end], [from, middle]) };
+        self.look(to, near[0], near[1], found);
+        self.offer(to, point, found);
+        if found.len() < AROUND || found.last().is_some_and(|worst| ahead * ahead <= worst.0) {
+            self.look(to, far[0], far[1], found);
+        }
+    }
+
+    fn offer(&self, to: &Point3<f64>, point: u32, found: &mut Vec<(f64, u32)>) {
+        let entry = ((self.points[point as usize] - to).norm_squared(), point);
+        let place = found.partition_point(|other| other.0.total_cmp(&entry.0).then(other.1.cmp(&entry.1)).is_lt());
+        if place < AROUND {
+            found.insert(place, entry);
+            found.truncate(AROUND);
+        }
+    }
+}
+
+/// Orders a range so that its middle parts it along the axis on which it is longest.
+fn part(points: &[Point3<f64>], order: &mut [u32], axes: &mut [u8]) {
+    if order.len() <= AROUND {
+        return;
+    }
+    let length = |axis: usize| {
+        let along = order.iter().map(|&p| points[p as usize][axis]);
+        along.clone().fold(f64::NEG_INFINITY, f64::max) - along.fold(f64::INFINITY, f64::min)
+    };
+    let lengths = [0, 1, 2].map(length);
+    let axis = (0..3).fold(0, |longest, axis| if lengths[axis] > lengths[longest] { axis } else { longest });
+    let middle = order.len() / 2;
+    let along = |p: &u32| points[*p as usize][axis];
+    order.select_nth_unstable_by(middle, |a, b| along(a).total_cmp(&along(b)).then(a.cmp(b)));
+    axes[middle] = axis as u8;
+    let (before, after) = order.split_at_mut(middle);
+    let (axes_before, axes_after) = axes.split_at_mut(middle);
+    rayon::join(|| part(points, before, axes_before), || part(points, &mut after[1..], &mut axes_after[1..]));
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::{
+        base::progress::Unwatched,
+        method::synthetic::Town,
+        model::camera::{Camera, CameraModel},
+    };
+
+    fn by_sorting(points: &[Point3<f64>], to: &Point3<f64>) -> Vec<u32> {
+        let mut all: Vec<u32> = (0..points.len() as u32).collect();
+        let far = |p: &u32| (points[*p as usize] - to).norm_squared();
+        all.sort_by(|a, b| far(a).total_cmp(&far(b)).then(a.cmp(b)));
+        all.truncate(AROUND);
+        all
+    }
+
+    proptest! {
+        #[test]
+        fn the_nearest_are_those_that_sorting_finds(
+            // Whole numbers, so that points coincide and distances tie.
+            points in proptest::collection::vec(proptest::array::uniform3(-4i8..5), 0..200),
+            to in proptest::array::uniform3(-6i8..7),
+        ) {
+            let point = |x: [i8; 3]| Point3::from(x.map(f64::from));
+            let (points, to): (Vec<_>, _) = (points.into_iter().map(point).collect(), point(to));
+            prop_assert_eq!(Tree::new(&points).nearest(&to), by_sorting(&points, &to));
+        }
+    }
+
+    #[test]
+    fn confidence_is_the_share_of_observed_points_by_its_definition() {
+        let camera = Camera::new(1, CameraModel::Pinhole, 1000, 750, vec![850.0, 850.0, 500.0, 375.0]).unwrap();
+        let town = Town { edge: 3.0, points: 400, ..Town::new(camera) };
+        let (mut scene, surface) = (town.scene(), town.surface());
+        // View 0 observes nothing.
+        let (mut views, mut offsets) = (Vec::new(), vec![0]);
+        for point in 0..scene.points.len() {
+            let track = &scene.track_views[scene.track_offsets[point]..scene.track_offsets[point + 1]];
+            views.extend(track.iter().filter(|v| v.0 != 0));
+            offsets.push(views.len());
+        }
+        (scene.track_views, scene.track_offsets) = (views, offsets);
+        let points = scene.view_points();
+        let visibility = crate::method::visibility::estimate(
+            &scene,
+            &points,
+            &surface,
+            &Default::default(),
+            3.0,
+            crate::base::column::Keep::Memory,
+            &Unwatched,
+        )
+        .unwrap();
+        let unary = nearby(&scene, &points, &surface, &visibility, &Unwatched).unwrap();
+        let mut row = 0;
+        for view in scene.view_indices() {
+            for &t in visibility.of(view) {
+                let around = by_sorting(&scene.points, &surface.centroid(t));
+                let known = around.iter().filter(|&&p| points.of(view).iter().any(|o| o.0 == p)).count();
+                assert_eq!(unary.at(row), 0.5 + known as f32 / 16.0);
+                assert!(view.0 != 0 || unary.at(row) == 0.5);
+                row += 1;
+            }
+        }
+        assert!(row > 0 && unary.values.len() == row && unary.values.iter().any(|&u| u > 0.9));
+    }
+}

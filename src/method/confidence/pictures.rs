@@ -1,0 +1,214 @@
+//! Looking at the pictures of a project: reading, predicting, keeping.
+
+use std::{
+    fs,
+    io::ErrorKind,
+    path::{Path, PathBuf},
+    sync::atomic::{AtomicU64, Ordering},
+};
+
+use rayon::prelude::*;
+
+use super::{
+    ConfidenceMap, Predicted, Predictor,
+    cache::{Cache, Entry, Inputs, Stamp},
+    image::{Image, ImageError, Mask, size_for_confidence},
+};
+use crate::{
+    base::progress::{Cancelled, Stage, Watcher},
+    io::project::Project,
+    model::{
+        camera::Camera,
+        scene::{Scene, ViewIndex},
+    },
+};
+
+/// Folder of masks, in the project or beside its image folder.
+pub const MASKS: &str = "masks";
+/// Where maps are kept, relative to the project.
+pub const CACHE: &str = "viewrank/cache/confidence.maps";
+/// Images that are named in warnings.
+const NAMED: usize = 3;
+
+/// Where a project has its pictures and masks.
+#[derive(Clone, Debug)]
+pub struct Pictures {
+    images: Option<PathBuf>,
+    /// COLMAP's `mask_path`: `NAME.png` for the image NAME, black where the image may not be used.
+    masks: Option<PathBuf>,
+    cache: PathBuf,
+}
+
+/// What was seen in the pictures.
+#[derive(Clone, Debug, Default)]
+pub struct Seen {
+    /// By view; `None`: it has neither image nor mask.
+    pub maps: Vec<Option<ConfidenceMap>>,
+    /// Median over the images of how unlike they are to those that the predictor learnt from; `None` without images.
+    pub distance: Option<f32>,
+    pub warnings: Vec<String>,
+    /// New contents of [`CACHE`], if they change.
+    pub cache: Option<Vec<u8>>,
+}
+
+/// What became of one view.
+#[derive(Default)]
+struct Looked {
+    entry: Option<Entry>,
+    /// Was it made now, or are its files newer than the cache says?
+    new: bool,
+    trouble: Option<ImageError>,
+}
+
+impl Pictures {
+    pub fn new(project: &Project) -> Self {
+        let beside = project.images.as_deref().and_then(Path::parent).map(Path::to_path_buf);
+        let masks = [Some(project.root.clone()), beside].into_iter().flatten().map(|folder| folder.join(MASKS));
+        Self {
+            images: project.images.clone(),
+            masks: masks.into_iter().find(|folder| folder.is_dir()),
+            cache: project.root.join(CACHE),
+        }
+    }
+
+    pub fn have_masks(&self) -> bool {
+        self.masks.is_some()
+    }
+
+    /// Predicts for each view; without a predictor only masks count. An image that is missing or broken is done without.
+    pub fn look(
+        &self,
+        scene: &Scene,
+        predictor: Option<&dyn Predictor>,
+        watcher: &dyn Watcher,
+    ) -> Result<Seen, Cancelled> {
+        let fingerprint = predictor.map_or_else(|| "masks alone".into(), |p| p.fingerprint().to_string());
+        let cache = Cache::read(&self.cache, &fingerprint);
+        let views: Vec<ViewIndex> = scene.view_indices().collect();
+        let done = AtomicU64::new(0);
+        watcher.progress(Stage::Confidence, 0, views.len() as u64);
+        let look = |&view: &ViewIndex| {
+            watcher.check()?;
+            let looked = self.look_at(scene, view, predictor, &cache);
+            watcher.progress(Stage::Confidence, 1 + done.fetch_add(1, Ordering::Relaxed), views.len() as u64);
+            Ok(looked)
+        };
+        let looked: Vec<Looked> = views.par_iter().map(look).collect::<Result<_, _>>()?;
+        let mut seen = Seen { warnings: self.warnings(scene, predictor, &looked), ..Seen::default() };
+        let changed = looked.iter().any(|l| l.new);
+        let learnt = looked.iter().filter_map(|l| l.entry.as_ref());
+        seen.distance = median(learnt.filter(|e| e.inputs.image.is_some()).map(|e| e.predicted.distance).collect());
+        seen.maps = looked.iter().map(|l| l.entry.as_ref().map(|entry| entry.predicted.map.clone())).collect();
+        if changed {
+            let entries = views.iter().zip(looked);
+            let entries = entries.filter_map(|(&view, l)| Some((scene.name(view).to_owned(), l.entry?)));
+            seen.cache = Some(Cache::new(entries).to_bytes(&fingerprint));
+        }
+        Ok(seen)
+    }
+
+    fn look_at(&self, scene: &Scene, view: ViewIndex, predictor: Option<&dyn Predictor>, cache: &Cache) -> Looked {
+        let name = scene.name(view);
+        let files = Files {
+            image: predictor.and(self.images.as_deref()).map(|folder| folder.join(name)),
+            mask: self.masks.as_deref().and_then(|folder| mask_file(folder, name)),
+        };
+        if let Some(entry) = cache.untouched(name, &files.inputs()) {
+            return Looked { entry: Some(entry.clone()), ..Looked::default() };
+        }
+        let camera = scene.camera_of(view);
+        match files.entry(name, camera, predictor, cache) {
+            Ok(entry) => Looked { new: entry.is_some(), entry, trouble: None },
+            Err(trouble) => {
+                let mask_alone = Files { image: None, ..files }.entry(name, camera, None, cache);
+                Looked { entry: mask_alone.ok().flatten(), new: false, trouble: Some(trouble) }
+            }
+        }
+    }
+
+    fn warnings(&self, scene: &Scene, predictor: Option<&dyn Predictor>, looked: &[Looked]) -> Vec<String> {
+        if predictor.is_some() && self.images.is_none() {
+            return vec!["the project has no image folder: no picture was looked at".into()];
+        }
+        let troubled = || scene.view_indices().zip(looked).filter_map(|(view, l)| Some((view, l.trouble.as_ref()?)));
+        let what = |trouble: &ImageError| match trouble {
+            ImageError::Io(error) if error.kind() == ErrorKind::NotFound => "there is no such image".into(),
+            other => other.to_string(),
+        };
+        let named = troubled().take(NAMED);
+        let mut warnings: Vec<String> = named
+            .map(|(view, trouble)| {
+                format!("{}: {}; this view is done without its picture", scene.name(view), what(trouble))
+            })
+            .collect();
+        if let Some(others) = troubled().count().checked_sub(NAMED).filter(|&n| n > 0) {
+            warnings.push(format!("{others} more images are missing or broken"));
+        }
+        warnings
+    }
+}
+
+/// What a view is looked at with.
+struct Files {
+    image: Option<PathBuf>,
+    mask: Option<PathBuf>,
+}
+
+impl Files {
+    /// Without their contents.
+    fn inputs(&self) -> Inputs {
+        let stamp = |path: &Option<PathBuf>| path.as_deref().and_then(|path| Stamp::of(path).ok());
+        Inputs { image: stamp(&self.image), mask: stamp(&self.mask) }
+    }
+
+    /// Reads the files, and predicts unless the cache has files of the same contents. `None`: neither image nor mask.
+    fn entry(
+        &self,
+        name: &str,
+        camera: &Camera,
+        predictor: Option<&dyn Predictor>,
+        cache: &Cache,
+    ) -> Result<Option<Entry>, ImageError> {
+        let read = |path: &Option<PathBuf>| path.as_deref().map(fs::read).transpose();
+        let (image, mask) = (read(&self.image)?, read(&self.mask)?);
+        let now = self.inputs();
+        let with = |stamp: Option<Stamp>, bytes: &Option<Vec<u8>>| Some(stamp?.with_content(bytes.as_deref()?));
+        let inputs = Inputs { image: with(now.image, &image), mask: with(now.mask, &mask) };
+        if let Some(entry) = cache.same(name, &inputs) {
+            return Ok(Some(Entry { inputs, predicted: entry.predicted.clone() }));
+        }
+        let mask = mask.map(|bytes| Mask::decode(&bytes)).transpose()?;
+        let mut predicted = match image.zip(predictor) {
+            Some((bytes, predictor)) => {
+                let image = Image::decode(&bytes, size_for_confidence)?;
+                check_shape(image.full, camera)?;
+                Some(predictor.predict(&image))
+            }
+            None => mask.as_ref().map(|mask| Predicted { map: ConfidenceMap::certain(mask), distance: 0.0 }),
+        };
+        if let (Some(predicted), Some(mask)) = (&mut predicted, &mask) {
+            check_shape([mask.width, mask.height], camera)?;
+            predicted.map = predicted.map.masked(mask);
+        }
+        Ok(predicted.map(|predicted| Entry { inputs, predicted }))
+    }
+}
+
+/// A reduced copy of the image will do; another shape is another picture.
+fn check_shape([width, height]: [u32; 2], camera: &Camera) -> Result<(), ImageError> {
+    let ratio = f64::from(width) * f64::from(camera.height) / (f64::from(height) * f64::from(camera.width));
+    let rounding = 1.0 / f64::from(width) + 1.0 / f64::from(height);
+    let camera = [camera.width, camera.height];
+    if (ratio - 1.0).abs() <= rounding { Ok(()) } else { Err(ImageError::Shape { width, height, camera }) }
+}
+
+/// `NAME.png`; for an image that is a PNG itself, also its own name.
+fn mask_file(folder: &Path, name: &str) -> Option<PathBuf> {
+    let own = name.to_ascii_lowercase().ends_with(".png").then(|| folder.join(name));
+    [Some(folder.join(format!("{name}.png"))), own].into_iter().flatten().find(|path| path.is_file())
+}
+
+fn median(mut values: Vec<f32>) -> Option<f32> {
+    values.sort_unstable_by(f32::total_cmp);
+    values.get(values.len() / 2).copied()
+}

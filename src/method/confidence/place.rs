@@ -1,0 +1,107 @@
+//! What is known of a triangle where a view sees it, in numbers, for the trained confidence: what its picture promises, what the sparse points
+//! around it say, where in the image it lies and how it is seen.
+
+use rayon::prelude::*;
+
+use super::{curves::PLACE, nearby::Nearest};
+use crate::{
+    base::{
+        column::{Column, TableError},
+        progress::Watcher,
+    },
+    method::fulfilment::Model,
+    model::scene::{PointIndex, Scene, ViewIndex, ViewPoints},
+};
+
+/// The rows of a model's visibility table, each a triangle where a view sees it.
+pub struct Places<'a> {
+    model: Model<'a>,
+    /// By row: share of the sparse points nearest to the triangle that the view observes.
+    observed: Column<f32>,
+    /// By triangle.
+    ground: Vec<Ground>,
+}
+
+/// What the sparse points nearest to a triangle are like; NaN without points.
+struct Ground {
+    /// log2 of their mean distance from its centroid over the wanted GSD.
+    spacing: f32,
+    /// log2 of their largest distance from its plane over the wanted GSD, plus 1.
+    roughness: f32,
+    /// Mean log2 of their track lengths.
+    track_length: f32,
+    /// Their mean reprojection error, pixels of the model's images.
+    error: f32,
+}
+
+impl<'a> Places<'a> {
+    pub fn new(model: Model<'a>, points: &ViewPoints, watcher: &dyn Watcher) -> Result<Self, TableError> {
+        let nearest = Nearest::new(model.scene, model.surface, watcher)?;
+        let all = (0..model.scene.points.len() as u32).into_par_iter();
+        let tracks: Vec<[f32; 2]> = all.map(|p| length_and_error(model.scene, PointIndex(p))).collect();
+        watcher.check()?;
+        let triangles = (0..model.surface.triangles.len() as u32).into_par_iter();
+        Ok(Self {
+            observed: nearest.observed(model.scene, points, model.visibility, |share| share, watcher)?,
+            ground: triangles.map(|triangle| Ground::new(&model, &nearest, &tracks, triangle)).collect(),
+            model,
+        })
+    }
+
+    /// Gives back memory that can be read again.
+    pub fn release(&self) {
+        self.observed.release();
+    }
+
+    /// Log odds of what the picture promises (NaN: no picture), distance to the border over half of the shorter side, cosine of incidence, log2
+    /// of the view's ground sampling distance over the wanted one, and of the sparse points nearest to the triangle the share that
+    /// the view observes, how far apart they are, how far off its plane, how long their tracks are and how large their errors.
+    pub fn numbers(&self, view: ViewIndex, row: usize, promise: f32) -> [f32; PLACE.len()] {
+        let model = &self.model;
+        let triangle = model.visibility.triangles[row];
+        let (camera, pose) = (model.scene.camera_of(view), &model.scene.view(view).cam_from_world);
+        let centroid = model.surface.centroid(triangle);
+        let x_cam = pose.camera_from_world(&centroid);
+        let Some((pixel, jacobian)) = camera.project_with_jacobian(&x_cam) else { return [f32::NAN; PLACE.len()] };
+        let (width, height) = (f64::from(camera.width), f64::from(camera.height));
+        let border = pixel.x.min(width - pixel.x).min(pixel.y).min(height - pixel.y) / (0.5 * width.min(height));
+        let (normal, ray) = (model.surface.area_normal(triangle), pose.centre() - centroid);
+        let cosine = normal.dot(&ray) / (normal.norm() * ray.norm());
+        // The Jacobian's two singular values are about f / z each.
+        let gsd = std::f64::consts::SQRT_2 / (jacobian.norm() * model.rule.image_scale);
+        let wanted = f64::from(model.target.gsd[triangle as usize]);
+        let Ground { spacing, roughness, track_length, error } = self.ground[triangle as usize];
+        let observed = self.observed[row];
+        let seen = [border, cosine, (gsd / wanted).log2()].map(|n| n as f32);
+        [odds_of(promise), seen[0], seen[1], seen[2], observed, spacing, roughness, track_length, error]
+    }
+}
+
+impl Ground {
+    fn new(model: &Model, nearest: &Nearest, tracks: &[[f32; 2]], triangle: u32) -> Self {
+        let gsd = f64::from(model.target.gsd[triangle as usize]);
+        let [spacing, roughness] = nearest.spacing_and_roughness(model.scene, model.surface, triangle);
+        let around = nearest.of(triangle);
+        let mean = |i: usize| around.iter().map(|&p| tracks[p as usize][i]).sum::<f32>() / around.len() as f32;
+        Self {
+            spacing: (spacing / gsd).log2() as f32,
+            roughness: (roughness / gsd + 1.0).log2() as f32,
+            track_length: mean(0),
+            error: mean(1),
+        }
+    }
+}
+
+/// log2 of a point's track length and its mean reprojection error.
+fn length_and_error(scene: &Scene, point: PointIndex) -> [f32; 2] {
+    let track = scene.track(point);
+    let length = track.len() as f32;
+    let errors = track.map(|observation| scene.reprojection_error(point, observation).unwrap_or(0.0) as f32);
+    [length.log2(), errors.sum::<f32>() / length]
+}
+
+/// Log odds of a probability, finite; NaN stays.
+pub fn odds_of(probability: f32) -> f32 {
+    let p = probability.clamp(0.005, 0.995);
+    (p / (1.0 - p)).ln()
+}

@@ -1,0 +1,162 @@
+//! From confidence per place of a picture to confidence per triangle of a view (method 7.3).
+
+use nalgebra::Point2;
+
+use super::ConfidenceMap;
+use crate::{
+    base::{
+        column::{Column, TableError},
+        progress::Watcher,
+    },
+    method::{surface::Surface, visibility::Visibility},
+    model::{
+        camera::Camera,
+        scene::{Scene, ViewIndex},
+    },
+};
+
+/// Unary confidence of each row of the visibility table.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Unary {
+    /// 0 to 1; empty: 1 everywhere.
+    pub values: Column<f32>,
+    /// With a trained confidence: what the view adds to the log odds of a pair as its partner; `values` is then the chance that it can
+    /// be measured as the key view's. Else empty.
+    pub partner_odds: Column<f32>,
+}
+
+impl Unary {
+    /// 1 everywhere: no picture was looked at.
+    pub fn certain() -> Self {
+        Self::default()
+    }
+
+    pub fn at(&self, row: usize) -> f32 {
+        if self.values.is_empty() { 1.0 } else { self.values[row] }
+    }
+
+    /// The product of two that say what pictures and sparse points promise, row by row.
+    pub fn times(self, other: Self, visibility: &Visibility) -> Result<Self, TableError> {
+        if self.values.is_empty() {
+            return Ok(other);
+        }
+        if other.values.is_empty() {
+            return Ok(self);
+        }
+        let of_view = |_: &mut (), view| Ok(visibility.rows(view).map(|row| self.at(row) * other.at(row)).collect());
+        Ok(Self { values: visibility.column(|| (), of_view)?, ..Self::certain() })
+    }
+
+    /// Gives back memory that can be read again.
+    pub fn release(&self) {
+        self.values.release();
+        self.partner_odds.release();
+    }
+
+    /// What the row says of a pair that its view is the partner of: its log odds where the confidence is trained, else its confidence.
+    pub fn as_partner(&self, row: usize) -> f32 {
+        if self.partner_odds.is_empty() { self.at(row) } else { self.partner_odds[row] }
+    }
+
+    /// The mean of the view's map over each triangle that it sees; 1 in views without a map.
+    pub fn new(
+        scene: &Scene,
+        surface: &Surface,
+        visibility: &Visibility,
+        maps: &[Option<ConfidenceMap>],
+        watcher: &dyn Watcher,
+    ) -> Result<Self, TableError> {
+        if maps.iter().all(Option::is_none) {
+            return Ok(Self::certain());
+        }
+        let of_view = |_: &mut (), view: ViewIndex| {
+            watcher.check()?;
+            let triangles = visibility.of(view);
+            Ok(match &maps[view.at()] {
+                None => vec![1.0; triangles.len()],
+                Some(map) => triangles.iter().map(|&t| mean_over(scene, surface, view, t, map)).collect(),
+            })
+        };
+        Ok(Self { values: visibility.column(|| (), of_view)?, ..Self::certain() })
+    }
+}
+
+/// Mean of the cells whose centres lie in the projected triangle; of a triangle that holds none, the cell of its centroid.
+fn mean_over(scene: &Scene, surface: &Surface, view: ViewIndex, triangle: u32, map: &ConfidenceMap) -> f32 {
+    let (camera, pose) = (scene.camera_of(view), &scene.view(view).cam_from_world);
+    let place = |x| camera.project(&pose.camera_from_world(&x)).map(|pixel| in_cells(camera, map, &pixel));
+    let [a, b, c] = surface.corners(triangle).map(place);
+    let inside = match (a, b, c) {
+        (Some(a), Some(b), Some(c)) => mean_inside(map, [a, b, c]),
+        _ => None,
+    };
+    inside.unwrap_or_else(|| {
+        let centroid = place(surface.centroid(triangle)).unwrap_or_default();
+        map.cell(cell(centroid.x, map.columns), cell(centroid.y, map.rows))
+    })
+}
+
+/// A pixel of the camera's image in cells of the map.
+fn in_cells(camera: &Camera, map: &ConfidenceMap, pixel: &Point2<f64>) -> Point2<f64> {
+    Point2::new(
+        pixel.x / f64::from(camera.width) * f64::from(map.columns),
+        pixel.y / f64::from(camera.height) * f64::from(map.rows),
+    )
+}
+
+fn cell(position: f64, cells: u32) -> usize {
+    // A cast holds at the ends of its range.
+    (position as usize).min(cells as usize - 1)
+}
+
+fn mean_inside(map: &ConfidenceMap, corners: [Point2<f64>; 3]) -> Option<f32> {
+    let [a, b, c] = corners;
+    let range = |low: f64, high: f64, cells: u32| cell(low, cells)..cell(high, cells) + 1;
+    let columns = range(a.x.min(b.x).min(c.x), a.x.max(b.x).max(c.x), map.columns);
+    let rows = range(a.y.min(b.y).min(c.y), a.y.max(b.y).max(c.y), map.rows);
+    let side = |p: Point2<f64>, q: Point2<f64>, x: Point2<f64>| (q - p).perp(&(x - p));
+    let (mut sum, mut count) = (0.0, 0u32);
+    for (row, column) in rows.flat_map(|row| columns.clone().map(move |column| (row, column))) {
+        let x = Point2::new(column as f64 + 0.5, row as f64 + 0.5);
+        let sides = [side(a, b, x), side(b, c, x), side(c, a, x)];
+        if sides.iter().all(|&s| s >= 0.0) || sides.iter().all(|&s| s <= 0.0) {
+            sum += map.cell(column, row);
+            count += 1;
+        }
+    }
+    (count > 0).then(|| sum / count as f32)
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    /// A map that grows linearly to the right: its mean over a region is its value at the region's centre.
+    fn ramp(columns: u32, rows: u32) -> ConfidenceMap {
+        let value = move |i: u32| (i % columns) as f32 / (columns - 1) as f32;
+        ConfidenceMap::new([columns, rows], (0..columns * rows).map(value))
+    }
+
+    proptest! {
+        #[test]
+        fn the_mean_of_a_ramp_is_its_value_at_the_centroid(
+            x in proptest::array::uniform3(0.0..100.0f64),
+            y in proptest::array::uniform3(0.0..80.0f64),
+        ) {
+            let corners = [0, 1, 2].map(|i| Point2::new(x[i], y[i]));
+            let area = 0.5 * (corners[1] - corners[0]).perp(&(corners[2] - corners[0])).abs();
+            prop_assume!(area > 400.0);
+            let mean = f64::from(mean_inside(&ramp(100, 80), corners).unwrap());
+            let expected = ((x.iter().sum::<f64>() / 3.0 - 0.5) / 99.0).clamp(0.0, 1.0);
+            prop_assert!((mean - expected).abs() < 0.02, "{} {}", mean, expected);
+        }
+    }
+
+    #[test]
+    fn a_triangle_between_the_centres_holds_none() {
+        let corners = [[0.6, 0.6], [0.9, 0.6], [0.6, 0.9]].map(Point2::from);
+        assert_eq!(mean_inside(&ramp(10, 10), corners), None);
+    }
+}

@@ -1,0 +1,258 @@
+//! Method 3: how well a triangle meets the wanted completeness, resolution and accuracy.
+//!
+//! `f = (alpha f_res + (1 - alpha) f_unc) f_cov f_conf`, each factor in [0, 1]. [`Model`] is everything that f depends on, [`value`]
+//! its definition in f64, one (cluster, triangle) at a time.
+
+pub(crate) mod block;
+mod lanes;
+mod target;
+
+use nalgebra::{Matrix3, Point3, Vector2};
+
+use self::block::{Block, Places};
+pub use self::target::{GSD_MARGIN, Target};
+use crate::{
+    base::{
+        column::{self, Column, DiskError, Growing, TableError},
+        progress::Watcher,
+    },
+    method::{
+        confidence::{Confidence, Constellation, Unary},
+        surface::Surface,
+        visibility::Visibility,
+    },
+    model::{
+        camera::{Camera, CameraModel},
+        cluster::ViewCluster,
+        scene::{Scene, ViewIndex},
+    },
+};
+
+/// Clusters that are worked on before their rows are put together.
+pub(crate) const BATCH: usize = 64;
+
+/// The numbers of method 3.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Rule {
+    /// Weight of resolution against uncertainty, 0 to 1.
+    pub alpha: f64,
+    /// Standard deviation of a match, pixels of the matched image.
+    pub sigma_px: f64,
+    /// Cameras that must see a triangle, the key view included (x).
+    pub min_cameras: u32,
+    /// Size of the matched images over the model's images.
+    pub image_scale: f64,
+    pub confidence: Confidence,
+}
+
+/// Everything that f depends on.
+#[derive(Clone, Copy)]
+pub struct Model<'a> {
+    pub scene: &'a Scene,
+    pub surface: &'a Surface,
+    pub visibility: &'a Visibility,
+    pub target: &'a Target,
+    pub unary: &'a Unary,
+    pub rule: Rule,
+}
+
+impl Model<'_> {
+    /// Gives back memory that can be read again.
+    pub(crate) fn release(&self) {
+        self.visibility.triangles.release();
+        self.unary.release();
+    }
+}
+
+/// f of a triangle and its factors.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Fulfilment {
+    /// f_cov: 1 where enough cameras see the triangle, else 0.
+    pub coverage: f64,
+    /// f_res.
+    pub resolution: f64,
+    /// f_unc.
+    pub uncertainty: f64,
+    /// f_conf.
+    pub confidence: f64,
+    pub value: f64,
+}
+
+/// f(t, cluster) of every cluster, CSR by cluster, triangles ascending, only f > 0.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct FulfilmentTable {
+    /// Clusters + 1 entries.
+    pub offsets: Vec<usize>,
+    pub triangles: Column<u32>,
+    /// In (0, 1].
+    pub values: Column<f32>,
+}
+
+impl FulfilmentTable {
+    /// Of clusters with these triangles and their f.
+    pub fn new<R: AsRef<[(u32, f32)]>>(clusters: impl IntoIterator<Item = R>) -> Self {
+        let (mut offsets, mut triangles, mut values) = (vec![0], Vec::new(), Vec::new());
+        for row in clusters {
+            triangles.extend(row.as_ref().iter().map(|entry| entry.0));
+            values.extend(row.as_ref().iter().map(|entry| entry.1));
+            offsets.push(triangles.len());
+        }
+        Self { offsets, triangles: triangles.into(), values: values.into() }
+    }
+
+    /// Gives back memory that can be read again.
+    pub fn release(&self) {
+        self.triangles.release();
+        self.values.release();
+    }
+
+    pub fn clusters(&self) -> usize {
+        self.offsets.len().saturating_sub(1)
+    }
+
+    /// Triangles of a cluster and their fulfilment.
+    pub fn of(&self, cluster: usize) -> (&[u32], &[f32]) {
+        let rows = self.offsets[cluster]..self.offsets[cluster + 1];
+        (&self.triangles[rows.clone()], &self.values[rows])
+    }
+}
+
+/// A table of fulfilment to which clusters are added.
+pub(crate) struct GrowingTable {
+    offsets: Vec<usize>,
+    triangles: Growing<u32>,
+    values: Growing<f32>,
+}
+
+impl GrowingTable {
+    /// `visibility`: a table that is kept as this one is to be.
+    pub(crate) fn beside(visibility: &Visibility) -> Result<Self, DiskError> {
+        let keep = visibility.triangles.kept();
+        Ok(Self { offsets: vec![0], triangles: Growing::new(keep)?, values: Growing::new(keep)? })
+    }
+
+    /// Adds a cluster with the f of each triangle that its key view sees.
+    pub(crate) fn push(&mut self, triangles: &[u32], values: &[f32]) -> Result<(), DiskError> {
+        let fulfilled = triangles.iter().zip(values).filter(|(_, f)| **f > 0.0);
+        let (triangles, values): (Vec<u32>, Vec<f32>) = fulfilled.unzip();
+        self.triangles.extend(&triangles)?;
+        self.values.extend(&values)?;
+        self.offsets.push(self.offsets.last().expect("starts with one") + values.len());
+        Ok(())
+    }
+
+    pub(crate) fn finish(self) -> Result<FulfilmentTable, DiskError> {
+        let Self { offsets, triangles, values } = self;
+        Ok(FulfilmentTable { offsets, triangles: triangles.finish()?, values: values.finish()? })
+    }
+}
+
+/// f of any clusters, in their order.
+pub fn table(model: &Model, clusters: &[ViewCluster], watcher: &dyn Watcher) -> Result<FulfilmentTable, TableError> {
+    let mut table = GrowingTable::beside(model.visibility)?;
+    let of_cluster = |places: &mut Places, cluster: &ViewCluster| {
+        watcher.check()?;
+        let mut block = Block::new(model, cluster.key, &cluster.partners, |_| false, places);
+        Ok(block.values(&(0..cluster.partners.len()).collect::<Vec<_>>()))
+    };
+    column::in_order(
+        clusters,
+        BATCH,
+        || Places::new(model),
+        of_cluster,
+        |batch, rows| {
+            model.release();
+            batch.iter().zip(rows).try_for_each(|(cluster, f)| table.push(model.visibility.of(cluster.key), &f))
+        },
+    )?;
+    Ok(table.finish()?)
+}
+
+/// f of one triangle by one cluster, by the definition; 0 where the key view does not see the triangle.
+pub fn value(model: &Model, key: ViewIndex, partners: &[ViewIndex], triangle: u32) -> Fulfilment {
+    let Some(success) = Success::new(model, key, partners, triangle) else { return Fulfilment::default() };
+    let (rule, gsd) = (&model.rule, f64::from(model.target.gsd[triangle as usize]));
+    let resolution = (density(model, key, triangle) * gsd * gsd).min(1.0);
+    let views = success.seeing.iter().copied().chain([key]);
+    let information = views.map(|view| information(model, view, triangle)).sum::<Matrix3<f64>>();
+    // The largest eigenvalue of the inverse is one over the smallest of the matrix.
+    let smallest = information.symmetric_eigenvalues().min().max(0.0);
+    let uncertainty = (model.target.accuracy(triangle) * smallest.sqrt()).min(1.0);
+    let Success { coverage, confidence, .. } = success;
+    let weighted = rule.alpha * resolution + (1.0 - rule.alpha) * uncertainty;
+    Fulfilment { coverage, resolution, uncertainty, confidence, value: weighted * coverage * confidence }
+}
+
+/// Which partners see a triangle, and what follows from that.
+struct Success {
+    seeing: Vec<ViewIndex>,
+    coverage: f64,
+    confidence: f64,
+}
+
+impl Success {
+    /// `None` where the key view does not see the triangle.
+    fn new(model: &Model, key: ViewIndex, partners: &[ViewIndex], triangle: u32) -> Option<Self> {
+        let key_row = model.visibility.row(key, triangle)?;
+        let rows = partners.iter().filter_map(|&p| Some((p, model.visibility.row(p, triangle)?)));
+        let rule = &model.rule;
+        let (mut seeing, mut chances) = (Vec::with_capacity(partners.len()), Vec::with_capacity(partners.len()));
+        for (view, row) in rows {
+            let (own, other) = (f64::from(model.unary.at(key_row)), f64::from(model.unary.as_partner(row)));
+            seeing.push(view);
+            chances.push(rule.confidence.pair(&Constellation::new(model, key, view, triangle), own, other));
+        }
+        let coverage = if 1 + seeing.len() >= rule.min_cameras as usize { 1.0 } else { 0.0 };
+        let measurable = f64::from(rule.confidence.measurable(model.unary.at(key_row)));
+        Some(Self { seeing, coverage, confidence: measurable * rule.confidence.at_least(chances.into_iter()) })
+    }
+}
+
+/// rho of method 3.2: pixels of the matched image per squared scene unit. The projected area is that of the triangle between the
+/// projected corners; where a corner does not project, the density at the centroid. 0 for a triangle without area.
+fn density(model: &Model, key: ViewIndex, triangle: u32) -> f64 {
+    let (camera, pose) = (model.scene.camera_of(key), &model.scene.view(key).cam_from_world);
+    let corners = model.surface.corners(triangle).map(|v| pose.camera_from_world(&v));
+    let normal = (corners[1] - corners[0]).cross(&(corners[2] - corners[0]));
+    let projected = projected_area(camera, &corners);
+    let density = 2.0 * projected / normal.norm() * model.rule.image_scale.powi(2);
+    if density.is_finite() { density } else { 0.0 }
+}
+
+/// Area of the triangle between the projections of corners in camera coordinates, square pixels of the model's image; where one of them does
+/// not project, of the projection linearised at the centroid.
+pub(crate) fn projected_area(camera: &Camera, corners: &[Point3<f64>; 3]) -> f64 {
+    let pixels = corners.each_ref().map(|p| camera.project(p));
+    let edges = match pixels {
+        [Some(a), Some(b), Some(c)] => [b - a, c - a].map(|edge| unwrapped(camera, edge)),
+        _ => {
+            let [a, b, c] = corners.each_ref().map(|p| p.coords);
+            let Some((_, jacobian)) = camera.project_with_jacobian(&((a + b + c) / 3.0).into()) else { return 0.0 };
+            [jacobian * (b - a), jacobian * (c - a)]
+        }
+    };
+    0.5 * edges[0].perp(&edges[1]).abs()
+}
+
+/// An edge that crosses the seam of an equirectangular image, the short way round.
+fn unwrapped(camera: &Camera, edge: Vector2<f64>) -> Vector2<f64> {
+    if camera.model() != CameraModel::Equirectangular {
+        return edge;
+    }
+    let around = camera.pinhole_part().0.x * std::f64::consts::TAU;
+    Vector2::new(edge.x - around * (edge.x / around).round(), edge.y)
+}
+
+/// J^T J / sigma_px^2 of method 3.3 at the centroid, in the world frame, per squared scene unit.
+pub(crate) fn information(model: &Model, view: ViewIndex, triangle: u32) -> Matrix3<f64> {
+    let pose = &model.scene.view(view).cam_from_world;
+    let centroid = pose.camera_from_world(&model.surface.centroid(triangle));
+    let Some((_, jacobian)) = model.scene.camera_of(view).project_with_jacobian(&centroid) else {
+        return Matrix3::zeros();
+    };
+    let jacobian = jacobian * pose.rotation.matrix() * (model.rule.image_scale / model.rule.sigma_px);
+    jacobian.transpose() * jacobian
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,267 @@
+//! The definition of f against what it stands for: finite differences, Monte Carlo runs, special cases.
+
+use nalgebra::{DMatrix, DVector, Vector3};
+use rand_core::{Rng, SeedableRng};
+use rand_pcg::Pcg64;
+
+use super::*;
+use crate::{
+    base::{column::Keep, progress::Unwatched},
+    config::{TargetMode, TargetSettings, VisibilitySettings},
+    method::{
+        confidence::{
+            PairConfidence, PairCurves,
+            curves::{Curve, PAIR},
+        },
+        synthetic::Town,
+        visibility,
+    },
+    model::cluster::ViewCluster,
+};
+
+/// A town with its table and everything that f needs.
+struct Setting {
+    scene: Scene,
+    surface: Surface,
+    visibility: Visibility,
+    target: Target,
+    unary: Unary,
+}
+
+impl Setting {
+    fn new(model: CameraModel, params: &[f64]) -> Self {
+        let camera = Camera::new(1, model, 1000, 750, params.to_vec()).unwrap();
+        let town = Town { edge: 4.0, points: 50, ..Town::new(camera) };
+        let (scene, surface) = (town.scene(), town.surface());
+        let settings = VisibilitySettings::default();
+        let visibility =
+            visibility::estimate(&scene, &scene.view_points(), &surface, &settings, 4.0, Keep::Memory, &Unwatched)
+                .unwrap();
+        let target = Target::new(&scene, &surface, &visibility, &TargetSettings::default(), 0.05, 1.0);
+        Self { scene, surface, visibility, target, unary: Unary::certain() }
+    }
+
+    fn pinhole() -> Self {
+        Self::new(CameraModel::Pinhole, &[850.0, 850.0, 500.0, 375.0])
+    }
+
+    fn distorted() -> Self {
+        Self::new(CameraModel::OpenCv, &[800.0, 820.0, 510.0, 370.0, -0.2, 0.05, 0.001, -0.002])
+    }
+
+    fn model(&self, confidence: Confidence) -> Model<'_> {
+        let rule = Rule { alpha: 0.5, sigma_px: 0.5, min_cameras: 3, image_scale: 1.0, confidence };
+        let Self { scene, surface, visibility, target, unary } = self;
+        Model { scene, surface, visibility, target, unary, rule }
+    }
+}
+
+/// A standard normal number.
+fn normal(random: &mut Pcg64) -> f64 {
+    let mut unit = || ((random.next_u64() >> 11) as f64 + 0.5) / (1u64 << 53) as f64;
+    (-2.0 * unit().ln()).sqrt() * (std::f64::consts::TAU * unit()).cos()
+}
+
+/// A point triangulated by Gauss-Newton from noisy pixels.
+fn triangulate(model: &Model, views: &[ViewIndex], truth: &Point3<f64>, random: &mut Pcg64) -> Point3<f64> {
+    let sees = |x: &Point3<f64>, v: &ViewIndex| {
+        let pose = &model.scene.view(*v).cam_from_world;
+        let projected = model.scene.camera_of(*v).project_with_jacobian(&pose.camera_from_world(x)).unwrap();
+        (projected.0.coords, projected.1 * pose.rotation.matrix())
+    };
+    let mut noise = || Vector2::new(normal(random), normal(random)) * model.rule.sigma_px;
+    let measured: Vec<_> = views.iter().map(|v| sees(truth, v).0 + noise()).collect();
+    let mut x = *truth;
+    for _ in 0..5 {
+        let (mut jacobian, mut rest) = (DMatrix::zeros(2 * views.len(), 3), DVector::zeros(2 * views.len()));
+        for (i, v) in views.iter().enumerate() {
+            let (pixel, j) = sees(&x, v);
+            jacobian.rows_mut(2 * i, 2).copy_from(&j);
+            rest.rows_mut(2 * i, 2).copy_from(&(measured[i] - pixel));
+        }
+        let step = (jacobian.transpose() * &jacobian).lu().solve(&(jacobian.transpose() * rest)).unwrap();
+        x += Vector3::new(step[0], step[1], step[2]);
+    }
+    x
+}
+
+#[test]
+fn uncertainty_is_that_of_a_monte_carlo_triangulation() {
+    for setting in [Setting::pinhole(), Setting::distorted()] {
+        // So strict that nothing reaches it, as f_unc ends at 1.
+        let target = Target { accuracy_over_gsd: 0.1, ..setting.target.clone() };
+        let model = Model { target: &target, ..setting.model(Confidence::None) };
+        let mut random = Pcg64::seed_from_u64(7);
+        let key = ViewIndex(12);
+        let triangle = model.visibility.of(key)[40];
+        let others = model.scene.view_indices().filter(|&v| v != key && model.visibility.row(v, triangle).is_some());
+        let partners: Vec<ViewIndex> = others.step_by(3).take(3).collect();
+        let views = [&[key], &partners[..]].concat();
+        let centroid = model.surface.centroid(triangle);
+        let runs = 4000;
+        let mut covariance = Matrix3::zeros();
+        for _ in 0..runs {
+            let miss = triangulate(&model, &views, &centroid, &mut random) - centroid;
+            covariance += miss * miss.transpose() / f64::from(runs);
+        }
+        let expected = model.target.accuracy(triangle) / covariance.symmetric_eigenvalues().max().sqrt();
+        let ours = value(&model, key, &partners, triangle).uncertainty;
+        assert!(ours < 1.0 && expected < 1.0);
+        // The spread of a standard deviation over so many runs is 1.1 %.
+        assert!((ours / expected - 1.0).abs() < 0.05, "{ours} {expected}");
+    }
+}
+
+#[test]
+fn resolution_is_that_of_many_small_pieces() {
+    for setting in [Setting::pinhole(), Setting::distorted()] {
+        let model = setting.model(Confidence::None);
+        let (key, n) = (ViewIndex(12), 40);
+        let (camera, pose) = (model.scene.camera_of(key), &model.scene.view(key).cam_from_world);
+        for &t in model.visibility.of(key).iter().step_by(17) {
+            let [a, b, c] = model.surface.corners(t);
+            let at = |i: u32, j: u32| {
+                let (u, v) = (f64::from(i) / f64::from(n), f64::from(j) / f64::from(n));
+                camera.project(&pose.camera_from_world(&(a + (b - a) * u + (c - a) * v)))
+            };
+            let piece = |i: u32, j: u32, size: u32| {
+                let [p, q, r] = [at(i, j)?, at(i + size, j)?, at(i, j + size)?];
+                Some(0.5 * (q - p).perp(&(r - p)).abs())
+            };
+            // Twice the upward pieces: the downward ones are as large to first order.
+            let pieces: Option<f64> = (0..n).flat_map(|i| (0..n - i).map(move |j| piece(i, j, 1))).sum();
+            let Some(pieces) = pieces.map(|sum| sum * f64::from(n) / f64::from(n + 1) * 2.0) else { continue };
+            let density = density(&model, key, t) * model.surface.area(t);
+            assert!((density / pieces - 1.0).abs() < 0.02, "{density} {pieces}");
+        }
+    }
+}
+
+#[test]
+fn information_is_that_of_finite_differences() {
+    for setting in [Setting::pinhole(), Setting::distorted()] {
+        let model = setting.model(Confidence::None);
+        let view = ViewIndex(37);
+        let (camera, pose) = (model.scene.camera_of(view), &model.scene.view(view).cam_from_world);
+        for &t in model.visibility.of(view).iter().step_by(29) {
+            let centroid = model.surface.centroid(t);
+            let mut jacobian = nalgebra::Matrix2x3::zeros();
+            for axis in 0..3 {
+                let step = Vector3::ith(axis, 1e-4);
+                let at = |x: Point3<f64>| camera.project(&pose.camera_from_world(&x)).unwrap();
+                jacobian.set_column(axis, &((at(centroid + step) - at(centroid - step)) / 2e-4));
+            }
+            jacobian /= model.rule.sigma_px;
+            let expected = jacobian.transpose() * jacobian;
+            assert!((information(&model, view, t) - expected).norm() < 1e-6 * expected.norm());
+        }
+    }
+}
+
+#[test]
+fn a_cluster_without_enough_cameras_fulfils_nothing() {
+    let setting = Setting::pinhole();
+    let model = setting.model(Confidence::None);
+    let key = ViewIndex(12);
+    let triangle = setting.visibility.of(key)[10];
+    assert_eq!(value(&model, key, &[ViewIndex(11)], triangle).value, 0.0);
+    let unseen = (0..).find(|&t| setting.visibility.row(key, t).is_none()).unwrap();
+    assert_eq!(value(&model, key, &[ViewIndex(11), ViewIndex(13)], unseen), Fulfilment::default());
+}
+
+#[test]
+fn smaller_images_resolve_less() {
+    let setting = Setting::pinhole();
+    let full = setting.model(Confidence::None);
+    let half = Model { rule: Rule { image_scale: 0.5, ..full.rule }, ..full };
+    let (key, partners) = (ViewIndex(12), [ViewIndex(11), ViewIndex(17)]);
+    let triangle = setting.visibility.of(key)[40];
+    let target = Target { gsd: vec![0.01; setting.surface.triangles.len()], ..setting.target.clone() };
+    let f = |model: Model| value(&Model { target: &target, ..model }, key, &partners, triangle);
+    assert!((f(half).resolution / f(full).resolution - 0.25).abs() < 1e-9);
+    assert!((f(half).uncertainty / f(full).uncertainty - 0.5).abs() < 1e-9);
+}
+
+#[test]
+fn the_best_target_is_reached_by_the_nearest_view() {
+    let setting = Setting::pinhole();
+    assert_eq!(setting.target.mode, TargetMode::Best);
+    let key = ViewIndex(12);
+    // Straight below the camera the nearest view resolves 1.25 times finer than wanted.
+    let below = setting.scene.view(key).cam_from_world.centre();
+    let nearest = |&t: &u32| (setting.surface.centroid(t).xy() - below.xy()).norm();
+    let seen = setting.visibility.of(key).iter().copied();
+    let triangle = seen.min_by(|a, b| nearest(a).total_cmp(&nearest(b))).unwrap();
+    assert_eq!(value(&setting.model(Confidence::None), key, &[], triangle).resolution, 1.0);
+    let typed = TargetSettings { gsd: Some(0.02), accuracy: Some(0.03), ..Default::default() };
+    let target = Target::new(&setting.scene, &setting.surface, &setting.visibility, &typed, 0.02, 1.0);
+    assert_eq!((target.mode, target.gsd[0]), (TargetMode::Absolute, 0.02));
+    assert!((target.accuracy(0) - 0.03).abs() < 1e-8);
+}
+
+#[test]
+fn pair_and_paper_confidence_differ_in_p() {
+    let mut setting = Setting::pinhole();
+    setting.unary = Unary { values: vec![0.5; setting.visibility.triangles.len()].into(), ..Unary::certain() };
+    let numbers =
+        PairConfidence { min_matches: 1, p0: 0.8, cosine_power: 0.0, scale_octaves: None, full_angle_deg: None };
+    let (key, partners) = (ViewIndex(12), [ViewIndex(11), ViewIndex(17)]);
+    let everyone = |t: &&u32| partners.iter().all(|&p| setting.visibility.row(p, **t).is_some());
+    let triangle = *setting.visibility.of(key).iter().find(everyone).unwrap();
+    let confidence = |c: Confidence| value(&setting.model(c), key, &partners, triangle).confidence;
+    assert!((confidence(Confidence::Paper { min_matches: 1 }) - 0.75).abs() < 1e-12);
+    assert!((confidence(Confidence::Pair(numbers)) - (1.0 - 0.6 * 0.6)).abs() < 1e-12);
+    assert_eq!(confidence(Confidence::None), 1.0);
+}
+
+/// Curves that go up and down.
+fn trained() -> PairCurves {
+    let wave = |i: usize, knot: usize| ((3 * i + knot) as f32).sin();
+    let curves = std::array::from_fn(|i| Curve { values: std::array::from_fn(|knot| wave(i, knot)), ..PAIR[i] });
+    PairCurves { min_matches: 2, bias: 0.5, curves }
+}
+
+/// The written table against the definition, with all kinds of confidence, for every triangle of some clusters.
+#[test]
+fn the_table_holds_what_the_definition_says() {
+    let sure =
+        PairConfidence { min_matches: 2, p0: 0.8, cosine_power: 1.0, scale_octaves: Some(0.7), full_angle_deg: None };
+    let patch_match =
+        PairConfidence { min_matches: 1, p0: 0.6, cosine_power: 0.5, scale_octaves: None, full_angle_deg: Some(40.0) };
+    let three = PairConfidence { min_matches: 3, ..sure };
+    for mut setting in [Setting::pinhole(), Setting::distorted()] {
+        let rows = setting.visibility.triangles.len();
+        setting.unary = Unary { values: (0..rows).map(|r| (r % 101) as f32 / 100.0).collect(), ..Unary::certain() };
+        let views = |v: &[u32]| v.iter().map(|&v| ViewIndex(v)).collect::<Vec<_>>();
+        let clusters =
+            [(12, views(&[11, 13, 7, 17, 37])), (40, views(&[12, 7])), (3, views(&[])), (30, views(&[0, 5, 31, 36]))]
+                .map(|(key, partners)| ViewCluster { key: ViewIndex(key), partners });
+        let confidences = [
+            Confidence::None,
+            Confidence::Pair(sure),
+            Confidence::Pair(patch_match),
+            Confidence::Pair(three),
+            Confidence::Paper { min_matches: 2 },
+            Confidence::Trained(trained()),
+        ];
+        for (confidence, accuracy_over_gsd) in confidences.into_iter().zip([1.0, 0.3, 0.1, 1.0, 0.2, 0.5]) {
+            if matches!(confidence, Confidence::Trained(_)) {
+                setting.unary.partner_odds = (0..rows).map(|r| (r % 37) as f32 / 20.0 - 1.0).collect();
+            }
+            let target = Target { accuracy_over_gsd, ..setting.target.clone() };
+            let model = Model { target: &target, ..setting.model(confidence) };
+            let table = table(&model, &clusters, &Unwatched).unwrap();
+            for (c, cluster) in clusters.iter().enumerate() {
+                let (triangles, values) = table.of(c);
+                for &t in setting.visibility.of(cluster.key) {
+                    let expected = value(&model, cluster.key, &cluster.partners, t).value;
+                    let ours = triangles.binary_search(&t).map_or(0.0, |i| f64::from(values[i]));
+                    assert!(
+                        (ours - expected).abs() <= 1e-5 * expected,
+                        "{confidence:?} {cluster:?} {t}: {ours} {expected}"
+                    );
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,9 @@
+//! The method, one folder per section of `docs/method.md`, each knowing those before it.
+
+pub mod confidence;
+pub mod fulfilment;
+pub mod partners;
+pub mod ranking;
+pub mod surface;
+pub mod synthetic;
+pub mod visibility;

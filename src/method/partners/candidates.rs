@@ -1,0 +1,351 @@
+//! The candidates of each key view, and why the other views that share points with it are none.
+
+use std::{cmp::Reverse, ops::Range};
+
+use nalgebra::{Point3, Vector3};
+use rayon::prelude::*;
+
+use crate::{
+    base::progress::{Cancelled, Watcher},
+    config::PartnerSettings,
+    model::{
+        cluster::Gate,
+        reason::Reason,
+        scene::{PointIndex, Scene, ViewIndex, ViewPoints},
+    },
+};
+
+/// How two views stand to each other: what a backend needs to say whether it can match them (method 7.1).
+#[derive(Clone, Copy)]
+pub struct PairGeometry<'a> {
+    pub scene: &'a Scene,
+    pub key: ViewIndex,
+    pub partner: ViewIndex,
+    /// Sparse points that both observe, ascending, each once.
+    pub shared: &'a [PointIndex],
+    /// Median triangulation angle at the shared points, degrees.
+    pub angle_deg: f64,
+    /// Share of the shared points with an angle below 0.5 degrees.
+    pub still_share: f64,
+    /// Median over the shared points of the partner's scale over the key view's, octaves; positive: the partner is finer.
+    pub scale_octaves: f64,
+    /// Does the line through the two centres meet one of the images?
+    pub epipole_inside: bool,
+}
+
+/// A pair of views with shared points that is no candidate.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Refusal {
+    pub partner: ViewIndex,
+    pub reason: Reason,
+}
+
+/// The candidates of every view, best first, CSR by view; only pairs that the backend can match.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Candidates {
+    /// Views + 1 entries.
+    pub offsets: Vec<usize>,
+    pub views: Vec<ViewIndex>,
+    /// Views + 1 entries.
+    pub refusal_offsets: Vec<usize>,
+    /// Pairs with shared points that were refused, most shared points first, CSR by view.
+    pub refusals: Vec<Refusal>,
+}
+
+impl Candidates {
+    pub fn of(&self, view: ViewIndex) -> &[ViewIndex] {
+        &self.views[self.offsets[view.at()]..self.offsets[view.at() + 1]]
+    }
+
+    /// Why other views that share points with this one are no candidates.
+    pub fn refused(&self, view: ViewIndex) -> &[Refusal] {
+        &self.refusals[self.refusal_offsets[view.at()]..self.refusal_offsets[view.at() + 1]]
+    }
+}
+
+/// Below this triangulation angle, degrees, two views stand still at a point.
+const STILL_DEG: f64 = 0.5;
+/// Two views have no baseline where they stand still at more than this share of the shared points.
+const STILL_SHARE: f64 = 0.5;
+
+/// The n views with the most shared points of those that have a baseline and that the backend's gate lets pass, ties by name.
+pub fn candidates(
+    scene: &Scene,
+    points: &ViewPoints,
+    settings: &PartnerSettings,
+    gate: &Gate,
+    watcher: &dyn Watcher,
+) -> Result<Candidates, Cancelled> {
+    let of_view = |neighbours: &mut Neighbours, key: ViewIndex| {
+        watcher.check()?;
+        neighbours.collect(scene, points, key);
+        Ok(select(scene, neighbours, key, settings.candidates as usize, gate))
+    };
+    let views: Vec<ViewIndex> = scene.view_indices().collect();
+    let all = views
+        .par_iter()
+        .map_init(|| Neighbours::new(scene), |neighbours, &key| of_view(neighbours, key))
+        .collect::<Result<Vec<_>, _>>()?;
+    let mut table = Candidates { offsets: vec![0], refusal_offsets: vec![0], ..Default::default() };
+    for (chosen, refused) in all {
+        table.views.extend(chosen);
+        table.offsets.push(table.views.len());
+        table.refusals.extend(refused);
+        table.refusal_offsets.push(table.refusals.len());
+    }
+    Ok(table)
+}
+
+/// The views that share points with one, with those points, most shared points first, ties by name.
+pub fn neighbours(scene: &Scene, points: &ViewPoints, view: ViewIndex) -> Vec<(ViewIndex, Vec<PointIndex>)> {
+    let mut neighbours = Neighbours::new(scene);
+    neighbours.collect(scene, points, view);
+    neighbours.pairs().map(|(other, shared)| (other, shared.to_vec())).collect()
+}
+
+/// The candidates of one view and what was refused before there were `n` of them.
+fn select(
+    scene: &Scene,
+    neighbours: &Neighbours,
+    key: ViewIndex,
+    n: usize,
+    gate: &Gate,
+) -> (Vec<ViewIndex>, Vec<Refusal>) {
+    let pairs: Vec<PairGeometry> =
+        neighbours.pairs().map(|(v, shared)| PairGeometry::new(scene, key, v, shared)).collect();
+    let (still, moving): (Vec<_>, Vec<_>) = pairs.into_iter().partition(PairGeometry::has_no_baseline);
+    let verdicts = moving.iter().map(|pair| gate.refusal(pair));
+    let still = still.iter().map(|pair| (pair, Some(Reason::RotationOnly)));
+    let mut judged: Vec<_> = moving.iter().zip(verdicts).chain(still).collect();
+    judged.sort_by_key(|(pair, _)| (Reverse(pair.shared.len()), pair.partner));
+    let (mut chosen, mut refused) = (Vec::new(), Vec::new());
+    for (pair, refusal) in judged {
+        match refusal {
+            Some(reason) => refused.push(Refusal { partner: pair.partner, reason }),
+            None if chosen.len() < n => chosen.push(pair.partner),
+            None => break,
+        }
+    }
+    (chosen, refused)
+}
+
+impl<'a> PairGeometry<'a> {
+    /// `shared`: the points that both views observe, at least one.
+    pub fn new(scene: &'a Scene, key: ViewIndex, partner: ViewIndex, shared: &'a [PointIndex]) -> Self {
+        let centres = [key, partner].map(|v| scene.view(v).cam_from_world.centre());
+        let focal = [key, partner].map(|v| scene.camera_of(v).mean_focal_length());
+        let (mut cosines, mut ratios) = (Vec::with_capacity(shared.len()), Vec::with_capacity(shared.len()));
+        for point in shared.iter().map(|p| scene.points[p.at()]) {
+            let [a, b] = centres.map(|c| c - point);
+            let (a2, b2) = (a.norm_squared(), b.norm_squared());
+            cosines.push(a.dot(&b) / (a2 * b2).sqrt());
+            ratios.push(a2 / b2);
+        }
+        let still = STILL_DEG.to_radians().cos();
+        let still_share = cosines.iter().filter(|&&c| c > still).count() as f64 / shared.len() as f64;
+        let octaves = |ratio: f64| 0.5 * ratio.log2() + (focal[1] / focal[0]).log2();
+        Self {
+            scene,
+            key,
+            partner,
+            shared,
+            angle_deg: median_of(&mut cosines, |c| c.clamp(-1.0, 1.0).acos().to_degrees()),
+            still_share,
+            scale_octaves: median_of(&mut ratios, octaves),
+            epipole_inside: meets_image(scene, key, &centres[1]) || meets_image(scene, partner, &centres[0]),
+        }
+    }
+
+    /// Do the two views stand at one position (method 4)?
+    pub fn has_no_baseline(&self) -> bool {
+        self.still_share > STILL_SHARE
+    }
+}
+
+/// The median of `f` over the values, `f` being monotone; 0 where it is not a number.
+fn median_of(values: &mut [f64], f: impl Fn(f64) -> f64) -> f64 {
+    let middle = values.len() / 2;
+    let (below, &mut upper, _) = values.select_nth_unstable_by(middle, f64::total_cmp);
+    let lower = below.iter().copied().max_by(f64::total_cmp);
+    let median = match lower {
+        Some(lower) if values.len().is_multiple_of(2) => 0.5 * (f(lower) + f(upper)),
+        _ => f(upper),
+    };
+    if median.is_nan() { 0.0 } else { median }
+}
+
+/// Does the line from the view's centre through a point meet its image, before or behind the camera?
+fn meets_image(scene: &Scene, view: ViewIndex, point: &Point3<f64>) -> bool {
+    let camera = scene.camera_of(view);
+    let direction = scene.view(view).cam_from_world.camera_from_world(point).coords;
+    let inside = |d: Vector3<f64>| camera.project(&d.into()).is_some_and(|pixel| camera.contains(&pixel));
+    inside(direction) || inside(-direction)
+}
+
+/// The views that share points with a key view, with those points; one per thread, used again.
+struct Neighbours {
+    /// Each shared point with a view that observes it too, by point.
+    shared: Vec<(PointIndex, ViewIndex)>,
+    /// Most shared points first, ties by name.
+    views: Vec<ViewIndex>,
+    /// Range of each of `views` in `points`.
+    ranges: Vec<Range<usize>>,
+    points: Vec<PointIndex>,
+    /// By view: shared points while counting, then where the next one goes.
+    counts: Vec<usize>,
+}
+
+impl Neighbours {
+    fn new(scene: &Scene) -> Self {
+        let counts = vec![0; scene.views.len()];
+        Self { shared: Vec::new(), views: Vec::new(), ranges: Vec::new(), points: Vec::new(), counts }
+    }
+
+    fn pairs(&self) -> impl Iterator<Item = (ViewIndex, &[PointIndex])> {
+        self.views.iter().zip(&self.ranges).map(|(&v, range)| (v, &self.points[range.clone()]))
+    }
+
+    fn collect(&mut self, scene: &Scene, points: &ViewPoints, key: ViewIndex) {
+        self.count(scene, points, key);
+        self.views.sort_unstable_by_key(|v| (Reverse(self.counts[v.at()]), *v));
+        let mut end = 0;
+        self.ranges.clear();
+        for view in &self.views {
+            let count = std::mem::replace(&mut self.counts[view.at()], end);
+            self.ranges.push(end..end + count);
+            end += count;
+        }
+        self.points.resize(end, PointIndex(0));
+        for &(point, view) in &self.shared {
+            self.points[self.counts[view.at()]] = point;
+            self.counts[view.at()] += 1;
+        }
+        self.views.iter().for_each(|v| self.counts[v.at()] = 0);
+    }
+
+    /// Finds the shared points, and the views in the order in which they turn up.
+    fn count(&mut self, scene: &Scene, points: &ViewPoints, key: ViewIndex) {
+        self.shared.clear();
+        self.views.clear();
+        for &point in points.of(key) {
+            // A view that observes the point twice stands twice in a row.
+            let mut last = key;
+            for &view in scene.track_views(point) {
+                if view != key && view != last {
+                    self.shared.push((point, view));
+                    self.counts[view.at()] += 1;
+                    if self.counts[view.at()] == 1 {
+                        self.views.push(view);
+                    }
+                }
+                last = view;
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::HashSet;
+
+    use super::*;
+    use crate::{
+        base::progress::Unwatched,
+        method::synthetic::Town,
+        model::camera::{Camera, CameraModel},
+    };
+
+    fn scene() -> Scene {
+        let camera = Camera::new(1, CameraModel::Pinhole, 1000, 750, vec![850.0, 850.0, 500.0, 375.0]).unwrap();
+        Town { points: 300, ..Town::new(camera) }.scene()
+    }
+
+    fn select_all(scene: &Scene, n: u32, gate: &Gate) -> Candidates {
+        let settings = PartnerSettings { candidates: n, ..Default::default() };
+        candidates(scene, &scene.view_points(), &settings, gate, &Unwatched).unwrap()
+    }
+
+    fn shared(scene: &Scene, a: ViewIndex, b: ViewIndex) -> usize {
+        let points = scene.view_points();
+        let other: HashSet<_> = points.of(b).iter().collect();
+        points.of(a).iter().filter(|p| other.contains(p)).count()
+    }
+
+    #[test]
+    fn candidates_are_the_most_connected_ties_by_name() {
+        let scene = scene();
+        let table = select_all(&scene, 22, &Gate::OPEN);
+        for key in scene.view_indices().step_by(5) {
+            let mut all: Vec<_> =
+                scene.view_indices().filter(|&v| v != key).map(|v| (shared(&scene, key, v), v)).collect();
+            all.retain(|s| s.0 > 0);
+            all.sort_by_key(|s| (Reverse(s.0), s.1));
+            let expected: Vec<_> = all.iter().take(22).map(|s| s.1).collect();
+            assert_eq!(table.of(key), expected);
+        }
+    }
+
+    #[test]
+    fn refused_pairs_make_room_for_others() {
+        let scene = scene();
+        let gate = Gate { max_angle_deg: 12.0, ..Gate::OPEN };
+        let (all, table) = (select_all(&scene, 60, &Gate::OPEN), select_all(&scene, 5, &gate));
+        let points = scene.view_points();
+        for key in scene.view_indices() {
+            let around = neighbours(&scene, &points, key);
+            let angle = |partner| {
+                let (_, shared) = around.iter().find(|(view, _)| *view == partner).unwrap();
+                PairGeometry::new(&scene, key, partner, shared).angle_deg
+            };
+            let narrow: Vec<_> = all.of(key).iter().copied().filter(|&v| angle(v) <= 12.0).take(5).collect();
+            assert_eq!(table.of(key), narrow);
+            let wide = |r: &Refusal| angle(r.partner) > 12.0 && r.reason == Reason::NotMatchable;
+            assert!(table.refused(key).iter().all(wide));
+        }
+        assert!(!table.refusals.is_empty());
+    }
+
+    #[test]
+    fn views_at_one_position_are_no_candidates() {
+        let mut scene = scene();
+        scene.views[1].cam_from_world = scene.views[0].cam_from_world;
+        let table = select_all(&scene, 60, &Gate::OPEN);
+        assert!(!table.of(ViewIndex(0)).contains(&ViewIndex(1)));
+        let still = Refusal { partner: ViewIndex(1), reason: Reason::RotationOnly };
+        assert!(table.refused(ViewIndex(0)).contains(&still));
+    }
+
+    #[test]
+    fn geometry_of_a_pair_is_antisymmetric() {
+        let scene = scene();
+        let (a, b) = (ViewIndex(6), ViewIndex(32));
+        let other: HashSet<_> = scene.view_points().of(b).iter().copied().collect();
+        let both: Vec<_> = scene.view_points().of(a).iter().copied().filter(|p| other.contains(p)).collect();
+        let (ab, ba) = (PairGeometry::new(&scene, a, b, &both), PairGeometry::new(&scene, b, a, &both));
+        assert!((ab.angle_deg - ba.angle_deg).abs() < 1e-9 && (ab.scale_octaves + ba.scale_octaves).abs() < 1e-9);
+        assert!(ab.angle_deg > 1.0 && ab.still_share == 0.0);
+        assert_eq!(ab.epipole_inside, ba.epipole_inside);
+    }
+
+    /// Flying straight ahead, looking ahead: the epipole is the middle of both images.
+    #[test]
+    fn forward_motion_has_its_epipole_inside() {
+        let mut scene = scene();
+        let ahead = scene.views[0].cam_from_world.viewing_direction() * 2.0;
+        let rotation = scene.views[0].cam_from_world.rotation;
+        scene.views[1].cam_from_world = scene.views[0].cam_from_world;
+        scene.views[1].cam_from_world.translation -= rotation * ahead;
+        let points = [PointIndex(0)];
+        assert!(PairGeometry::new(&scene, ViewIndex(0), ViewIndex(1), &points).epipole_inside);
+        let aside = Vector3::new(2.0, 0.0, 0.0);
+        scene.views[1].cam_from_world.translation = scene.views[0].cam_from_world.translation - aside;
+        assert!(!PairGeometry::new(&scene, ViewIndex(0), ViewIndex(1), &points).epipole_inside);
+    }
+
+    #[test]
+    fn the_median_of_an_even_number_is_between_the_middle_two() {
+        assert_eq!(median_of(&mut [4.0, 1.0, 3.0, 2.0], |x| 10.0 * x), 25.0);
+        assert_eq!(median_of(&mut [4.0, 1.0, 3.0], |x| -x), -3.0);
+        assert_eq!(median_of(&mut [f64::NAN], |x| x), 0.0);
+    }
+}

@@ -1,0 +1,93 @@
+//! Method 4: which matching partners each key view gets.
+//!
+//! [`candidates`] are the views with the most shared sparse points that the backend can match; [`choose`] picks k of them for each
+//! key view, as the paper does ([`sampled`]) or by searching on from there ([`search`]).
+
+mod candidates;
+mod gate;
+mod sampled;
+mod search;
+
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use self::search::Choice;
+pub use self::{
+    candidates::{Candidates, PairGeometry, Refusal, candidates, neighbours},
+    gate::Obstacle,
+};
+use crate::{
+    base::{
+        column::{self, TableError},
+        progress::{Stage, Watcher},
+    },
+    config::{PartnerMethod, PartnerSettings},
+    method::fulfilment::{
+        BATCH, FulfilmentTable, GrowingTable, Model,
+        block::{Block, Places},
+    },
+    model::{cluster::ViewCluster, scene::ViewIndex},
+};
+
+/// A view cluster for each view that has candidates, in the order of views, and its fulfilment.
+///
+/// Where a view has no more than k candidates it gets all of them.
+pub fn choose(
+    model: &Model,
+    candidates: &Candidates,
+    settings: &PartnerSettings,
+    seed: u64,
+    watcher: &dyn Watcher,
+) -> Result<(Vec<ViewCluster>, FulfilmentTable), TableError> {
+    let judges = sampled::judging_triangles(model.surface.triangles.len(), settings.triangle_fraction, seed);
+    let keys: Vec<ViewIndex> = model.scene.view_indices().filter(|&v| !candidates.of(v).is_empty()).collect();
+    let (done, total) = (AtomicU64::new(0), keys.len() as u64);
+    watcher.progress(Stage::Partners, 0, total);
+    let choose_one = |places: &mut Places, &key: &ViewIndex| {
+        watcher.check()?;
+        let is_judge = |t: u32| judges[t as usize];
+        let mut block = Block::new(model, key, candidates.of(key), is_judge, places);
+        let choice = choose_for(&mut block, model, key, candidates.of(key), settings, seed);
+        watcher.progress(Stage::Partners, 1 + done.fetch_add(1, Ordering::Relaxed), total);
+        Ok(choice)
+    };
+    let (mut clusters, mut table) = (Vec::with_capacity(keys.len()), GrowingTable::beside(model.visibility)?);
+    column::in_order(
+        &keys,
+        BATCH,
+        || Places::new(model),
+        choose_one,
+        |batch, chosen| {
+            model.release();
+            for (&key, (partners, values)) in batch.iter().zip(chosen) {
+                table.push(model.visibility.of(key), &values)?;
+                clusters.push(ViewCluster { key, partners });
+            }
+            Ok(())
+        },
+    )?;
+    Ok((clusters, table.finish()?))
+}
+
+/// Partners of one key view, best first, and f of its triangles.
+fn choose_for(
+    block: &mut Block,
+    model: &Model,
+    key: ViewIndex,
+    candidates: &[ViewIndex],
+    settings: &PartnerSettings,
+    seed: u64,
+) -> (Vec<ViewIndex>, Vec<f32>) {
+    let n = candidates.len();
+    let k = n.min(settings.k as usize);
+    let drawn = sampled::combinations(model.scene, key, n, k, settings.draws as usize, seed);
+    let start = sampled::best(block, &drawn);
+    let choice = match settings.method {
+        PartnerMethod::Sampled => Choice::new(block, start),
+        PartnerMethod::Search => search::search(block, start, n),
+    };
+    let ordered = search::best_first(block, choice.partners);
+    (ordered.into_iter().map(|p| candidates[p]).collect(), choice.values)
+}
+
+#[cfg(test)]
+mod tests;

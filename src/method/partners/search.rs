@@ -1,0 +1,102 @@
+//! Beyond the paper: greedy addition and exchange, judged by a part of the triangles and accepted by all of them.
+
+use crate::method::fulfilment::block::{Block, Judges, LANES};
+
+/// With fewer judging triangles than that all triangles of the view judge.
+const ENOUGH_TO_JUDGE: usize = 512;
+/// With twice as many or more only some of them do: what the search proposes is decided by all triangles anyway.
+const PLENTY_TO_JUDGE: usize = 1024;
+/// Exchanges that are tried on all triangles before the search gives up.
+const TRIES: usize = 3;
+
+/// A set of partners and its f, triangle by triangle.
+pub struct Choice {
+    pub partners: Vec<usize>,
+    /// In the order of the key view's rows.
+    pub values: Vec<f32>,
+    pub sum: f64,
+}
+
+impl Choice {
+    pub fn new(block: &mut Block, partners: Vec<usize>) -> Self {
+        let values = block.values(&partners);
+        let sum = values.iter().map(|&f| f64::from(f)).sum();
+        Self { partners, values, sum }
+    }
+}
+
+/// The best that greedy addition and exchange find, starting from the better of `start` and the greedy set; never below `start` on the
+/// sum over all triangles.
+pub fn search(block: &mut Block, start: Vec<usize>, n: usize) -> Choice {
+    let k = start.len();
+    let judges = judges(block);
+    let greedy = greedy(block, n, k, judges);
+    let mut best = Choice::new(block, start);
+    if sorted(&greedy) != sorted(&best.partners) {
+        let other = Choice::new(block, greedy);
+        if other.sum > best.sum {
+            best = other;
+        }
+    }
+    while let Some(better) = exchange(block, &best, n, judges) {
+        best = better;
+    }
+    best
+}
+
+/// The triangles that the search is judged by.
+pub fn judges(block: &Block) -> Judges {
+    let groups = if block.first() * LANES < ENOUGH_TO_JUDGE { block.len() } else { block.first() };
+    Judges { groups, step: (groups * LANES / PLENTY_TO_JUDGE).max(1) }
+}
+
+/// Partners added one by one, each time the one that adds most, ties by shared points.
+pub fn greedy(block: &mut Block, n: usize, k: usize, judges: Judges) -> Vec<usize> {
+    let mut chosen = Vec::with_capacity(k);
+    while chosen.len() < k {
+        let left: Vec<usize> = (0..n).filter(|p| !chosen.contains(p)).collect();
+        let sums = block.sums_with(&chosen, &left, judges);
+        let best = (0..left.len()).fold(0, |best, i| if sums[i] > sums[best] { i } else { best });
+        let Some(&partner) = left.get(best) else { break };
+        chosen.push(partner);
+    }
+    chosen
+}
+
+/// The best exchange of one partner by the judging triangles that all triangles confirm.
+fn exchange(block: &mut Block, best: &Choice, n: usize, judges: Judges) -> Option<Choice> {
+    let now = block.sums(std::slice::from_ref(&best.partners), judges)[0];
+    let left: Vec<usize> = (0..n).filter(|p| !best.partners.contains(p)).collect();
+    let mut moves = Vec::new();
+    for out in 0..best.partners.len() {
+        let rest: Vec<usize> = best.partners.iter().enumerate().filter(|(i, _)| *i != out).map(|(_, &p)| p).collect();
+        let sums = block.sums_with(&rest, &left, judges);
+        moves.extend(sums.into_iter().zip(&left).filter(|(sum, _)| *sum > now).map(|(sum, &p)| (sum, out, p)));
+    }
+    moves.sort_by(|a, b| b.0.total_cmp(&a.0).then((a.1, a.2).cmp(&(b.1, b.2))));
+    moves.into_iter().take(TRIES).find_map(|(_, out, p)| {
+        let mut partners = best.partners.clone();
+        partners[out] = p;
+        let other = Choice::new(block, partners);
+        (other.sum > best.sum).then_some(other)
+    })
+}
+
+/// The same partners in the order in which each adds most to those before it.
+pub fn best_first(block: &mut Block, mut partners: Vec<usize>) -> Vec<usize> {
+    partners.sort_unstable();
+    let judges = judges(block);
+    let mut ordered = Vec::with_capacity(partners.len());
+    while !partners.is_empty() {
+        let sums = block.sums_with(&ordered, &partners, judges);
+        let best = (0..partners.len()).fold(0, |best, i| if sums[i] > sums[best] { i } else { best });
+        ordered.push(partners.remove(best));
+    }
+    ordered
+}
+
+fn sorted(partners: &[usize]) -> Vec<usize> {
+    let mut sorted = partners.to_vec();
+    sorted.sort_unstable();
+    sorted
+}

@@ -1,0 +1,157 @@
+//! The choice of partners on the synthetic town.
+
+use super::*;
+use crate::{
+    base::{column::Keep, progress::Unwatched},
+    config::{TargetSettings, VisibilitySettings},
+    method::{
+        confidence::{Confidence, PairConfidence, Unary},
+        fulfilment::{self, Rule, Target},
+        surface::Surface,
+        synthetic::Town,
+        visibility::{self, Visibility},
+    },
+    model::{
+        camera::{Camera, CameraModel},
+        cluster::ViewCluster,
+        scene::Scene,
+    },
+};
+
+struct Setting {
+    scene: Scene,
+    surface: Surface,
+    visibility: Visibility,
+    target: Target,
+    unary: Unary,
+    candidates: Candidates,
+}
+
+impl Setting {
+    fn new() -> Self {
+        Self::kept(Keep::Memory)
+    }
+
+    fn kept(keep: Keep) -> Self {
+        let camera = Camera::new(1, CameraModel::Pinhole, 1000, 750, vec![850.0, 850.0, 500.0, 375.0]).unwrap();
+        let town = Town { edge: 3.0, points: 300, ..Town::new(camera) };
+        let (scene, surface) = (town.scene(), town.surface());
+        let points = scene.view_points();
+        let settings = VisibilitySettings::default();
+        let visibility = visibility::estimate(&scene, &points, &surface, &settings, 3.0, keep, &Unwatched).unwrap();
+        let mut target = Target::new(&scene, &surface, &visibility, &TargetSettings::default(), 0.05, 1.0);
+        target.accuracy_over_gsd = 0.4;
+        let gate = crate::backends::by_name("sure").unwrap().planning().gate;
+        let candidates = candidates(&scene, &points, &PartnerSettings::default(), &gate, &Unwatched).unwrap();
+        Self { scene, surface, visibility, target, unary: Unary::certain(), candidates }
+    }
+
+    fn model(&self) -> Model<'_> {
+        let numbers = PairConfidence {
+            min_matches: 2,
+            p0: 0.8,
+            cosine_power: 1.0,
+            scale_octaves: Some(0.7),
+            full_angle_deg: None,
+        };
+        let confidence = Confidence::Pair(numbers);
+        let rule = Rule { alpha: 0.5, sigma_px: 0.5, min_cameras: 3, image_scale: 1.0, confidence };
+        let Self { scene, surface, visibility, target, unary, .. } = self;
+        Model { scene, surface, visibility, target, unary, rule }
+    }
+
+    fn choose(&self, settings: &PartnerSettings) -> (Vec<ViewCluster>, FulfilmentTable) {
+        choose(&self.model(), &self.candidates, settings, 0, &Unwatched).unwrap()
+    }
+}
+
+#[test]
+fn tables_on_disk_hold_what_tables_in_memory_hold() {
+    let [mut memory, mut disk] = [Keep::Memory, Keep::Disk].map(Setting::kept);
+    for setting in [&mut memory, &mut disk] {
+        let points = setting.scene.view_points();
+        let Setting { scene, surface, visibility, .. } = &*setting;
+        setting.unary = crate::method::confidence::nearby(scene, &points, surface, visibility, &Unwatched).unwrap();
+    }
+    let seen = disk.visibility.seen(disk.surface.triangles.len());
+    assert_eq!(disk.visibility.keep(&seen).unwrap(), memory.visibility.keep(&seen).unwrap());
+    assert_eq!((&disk.visibility, &disk.unary), (&memory.visibility, &memory.unary));
+    let settings = settings(3, PartnerMethod::Search);
+    let (chosen, expected) = (disk.choose(&settings), memory.choose(&settings));
+    assert_eq!(chosen, expected);
+    let kept = |s: &Setting, t: &FulfilmentTable| [&s.visibility.triangles, &t.triangles].map(|column| column.kept());
+    assert_eq!(kept(&disk, &chosen.1), [Keep::Disk; 2]);
+    assert_eq!(kept(&memory, &expected.1), [Keep::Memory; 2]);
+}
+
+fn settings(k: u32, method: PartnerMethod) -> PartnerSettings {
+    PartnerSettings { k, method, ..Default::default() }
+}
+
+fn sum(table: &FulfilmentTable, cluster: usize) -> f64 {
+    table.of(cluster).1.iter().map(|&f| f64::from(f)).sum()
+}
+
+#[test]
+fn search_is_never_below_sampled() {
+    let setting = Setting::new();
+    let mut better = 0;
+    for k in [1, 2, 3, 5, 11] {
+        let (clusters, sampled) = setting.choose(&settings(k, PartnerMethod::Sampled));
+        let (_, searched) = setting.choose(&settings(k, PartnerMethod::Search));
+        for (c, cluster) in clusters.iter().enumerate() {
+            assert!(sum(&searched, c) >= sum(&sampled, c), "{cluster:?}");
+            better += u32::from(sum(&searched, c) > sum(&sampled, c));
+        }
+    }
+    assert!(better > 0);
+}
+
+/// With few candidates `sampled` goes through all sets: nothing is better, and `search` stays there.
+#[test]
+fn sampled_is_the_optimum_where_it_takes_all() {
+    let mut setting = Setting::new();
+    let few = PartnerSettings { candidates: 6, ..Default::default() };
+    let gate = crate::backends::by_name("sure").unwrap().planning().gate;
+    setting.candidates = candidates(&setting.scene, &setting.scene.view_points(), &few, &gate, &Unwatched).unwrap();
+    let all_judge = PartnerSettings { triangle_fraction: 1, ..settings(3, PartnerMethod::Sampled) };
+    let (clusters, table) = setting.choose(&all_judge);
+    let (_, searched) = setting.choose(&PartnerSettings { method: PartnerMethod::Search, ..all_judge });
+    for (c, cluster) in clusters.iter().enumerate().step_by(7) {
+        let of = setting.candidates.of(cluster.key);
+        let sets = (0..64u32).filter(|s| s.count_ones() == 3);
+        let every: Vec<ViewCluster> = sets
+            .map(|s| ViewCluster {
+                key: cluster.key,
+                partners: (0..6).filter(|i| s >> i & 1 == 1).map(|i| of[i]).collect(),
+            })
+            .collect();
+        let exhaustive = fulfilment::table(&setting.model(), &every, &Unwatched).unwrap();
+        let optimum = (0..every.len()).map(|e| sum(&exhaustive, e)).fold(0.0, f64::max);
+        assert!((sum(&table, c) - optimum).abs() <= 1e-6 * optimum);
+        assert!((sum(&searched, c) - optimum).abs() <= 1e-6 * optimum);
+    }
+}
+
+#[test]
+fn the_table_is_that_of_the_clusters() {
+    let setting = Setting::new();
+    for method in [PartnerMethod::Sampled, PartnerMethod::Search] {
+        let (clusters, table) = setting.choose(&settings(4, method));
+        assert!(clusters.iter().all(|c| c.partners.len() == 4.min(setting.candidates.of(c.key).len())));
+        let again = fulfilment::table(&setting.model(), &clusters, &Unwatched).unwrap();
+        assert_eq!((&table.offsets, &table.triangles), (&again.offsets, &again.triangles));
+        // Partners are added up in another order.
+        assert!(table.values.iter().zip(&*again.values).all(|(a, b)| (a - b).abs() <= 1e-6 * b));
+    }
+}
+
+#[test]
+fn threads_do_not_matter() {
+    let setting = Setting::new();
+    let with = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| setting.choose(&settings(3, PartnerMethod::Search)))
+    };
+    assert_eq!(with(1), with(16));
+}

@@ -1,0 +1,238 @@
+//! Method 5.4: what failed is remembered, so that a triangle is not tried again from next door.
+//!
+//! The prediction promises that a cluster measures a share of a triangle's pixels (its f_conf). What of the promises was kept by
+//! finished clusters makes a Beta belief over "can be matched as promised": promised pixels are its trials, kept ones its
+//! successes, each weighted by how alike the views of the two key views are, and [`TRUST`] successes come before any trial. Its
+//! mean multiplies the confidence of what is left. Without a broken promise it is 1.
+
+use nalgebra::Vector3;
+
+use crate::{
+    method::{fulfilment::FulfilmentTable, surface::Surface},
+    model::{
+        cluster::ViewCluster,
+        scene::{Scene, ViewIndex},
+    },
+};
+
+/// Successes that the prediction is credited with beforehand.
+const TRUST: f32 = 0.3;
+/// Correlation of the pixels of a triangle: however large it is, it counts as no more than 1 / `CORRELATION` trials.
+const CORRELATION: f32 = 0.2;
+/// Viewing directions so far apart (degrees) count as exp(-1/2) alike.
+const DIRECTION_DEG: f64 = 45.0;
+/// Ground sampling distances so far apart (octaves) count as exp(-1/2) alike.
+const SCALE_OCTAVES: f64 = 1.5;
+
+/// What a finished cluster came to at one triangle that its key view sees.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Attempt {
+    pub triangle: u32,
+    /// Trials: independent pixels that were to be measured.
+    pub promised: f32,
+    /// Those that were.
+    pub kept: f32,
+}
+
+impl Attempt {
+    /// `pixels` that show the triangle, the predicted and the measured share of them, 0 to 1. What is measured beyond the promise makes up
+    /// for nothing elsewhere.
+    pub fn new(triangle: u32, pixels: u32, predicted: f32, measured: f32) -> Self {
+        let pixels = pixels.max(1) as f32;
+        let independent = pixels / (1.0 + (pixels - 1.0) * CORRELATION);
+        Self { triangle, promised: independent * predicted, kept: independent * predicted.min(measured) }
+    }
+}
+
+/// A belief for each entry of a table of predicted fulfilment.
+pub struct Beliefs<'a> {
+    scene: &'a Scene,
+    surface: &'a Surface,
+    /// Of each cluster of the table.
+    keys: Vec<ViewIndex>,
+    predicted: &'a FulfilmentTable,
+    /// Entries of the table by triangle, with their cluster: CSR.
+    offsets: Vec<usize>,
+    entries: Vec<(u32, usize)>,
+    promised: Vec<f32>,
+    kept: Vec<f32>,
+}
+
+impl<'a> Beliefs<'a> {
+    /// `predicted`: a row per cluster.
+    pub fn new(
+        scene: &'a Scene,
+        surface: &'a Surface,
+        clusters: &[ViewCluster],
+        predicted: &'a FulfilmentTable,
+    ) -> Self {
+        let (offsets, entries) = by_triangle(predicted, surface.triangles.len());
+        let none = vec![0.0; predicted.triangles.len()];
+        let keys = clusters.iter().map(|cluster| cluster.key).collect();
+        Self { scene, surface, keys, predicted, offsets, entries, promised: none.clone(), kept: none }
+    }
+
+    /// Takes in what became of a cluster with this key view.
+    pub fn learn(&mut self, key: ViewIndex, attempts: &[Attempt]) {
+        for attempt in attempts.iter().filter(|attempt| attempt.promised > 0.0) {
+            let look = Look::new(self.scene, self.surface, key, attempt.triangle);
+            let t = attempt.triangle as usize;
+            for &(cluster, entry) in &self.entries[self.offsets[t]..self.offsets[t + 1]] {
+                let other = Look::new(self.scene, self.surface, self.keys[cluster as usize], attempt.triangle);
+                let alike = look.similarity(&other) as f32;
+                self.promised[entry] += alike * attempt.promised;
+                self.kept[entry] += alike * attempt.kept;
+            }
+        }
+    }
+
+    /// Triangles of a cluster and what is now expected of it there.
+    pub fn row(&self, cluster: usize) -> (&'a [u32], Vec<f32>) {
+        let (triangles, values) = self.predicted.of(cluster);
+        let first = self.predicted.offsets[cluster];
+        let believed = values.iter().enumerate().map(|(i, f)| f * self.mean(first + i)).collect();
+        (triangles, believed)
+    }
+
+    fn mean(&self, entry: usize) -> f32 {
+        (TRUST + self.kept[entry]) / (TRUST + self.promised[entry])
+    }
+}
+
+/// The entries of each triangle with their clusters, ascending.
+fn by_triangle(table: &FulfilmentTable, triangles: usize) -> (Vec<usize>, Vec<(u32, usize)>) {
+    let mut offsets = vec![0; triangles + 1];
+    table.triangles.iter().for_each(|&t| offsets[t as usize + 1] += 1);
+    (0..triangles).for_each(|t| offsets[t + 1] += offsets[t]);
+    let mut next = offsets.clone();
+    let mut entries = vec![(0, 0); table.triangles.len()];
+    for cluster in 0..table.clusters() {
+        for entry in table.offsets[cluster]..table.offsets[cluster + 1] {
+            let place = &mut next[table.triangles[entry] as usize];
+            entries[*place] = (cluster as u32, entry);
+            *place += 1;
+        }
+    }
+    (offsets, entries)
+}
+
+/// How a view looks at a triangle.
+struct Look {
+    /// From the centroid to the camera, of length 1.
+    direction: Vector3<f64>,
+    /// Scene units per pixel, up to a factor that all views share.
+    gsd: f64,
+}
+
+impl Look {
+    fn new(scene: &Scene, surface: &Surface, view: ViewIndex, triangle: u32) -> Self {
+        let ray = scene.view(view).cam_from_world.centre() - surface.centroid(triangle);
+        let distance = ray.norm();
+        Self { direction: ray / distance, gsd: distance / scene.camera_of(view).mean_focal_length() }
+    }
+
+    /// 1 for the same look, falling with the angle between the directions and the octaves between the scales.
+    fn similarity(&self, other: &Self) -> f64 {
+        let angle = self.direction.dot(&other.direction).clamp(-1.0, 1.0).acos().to_degrees();
+        let octaves = (self.gsd / other.gsd).log2();
+        let distance = (angle / DIRECTION_DEG).powi(2) + (octaves / SCALE_OCTAVES).powi(2);
+        let alike = (-0.5 * distance).exp();
+        // A camera in the triangle has no direction.
+        if alike.is_finite() { alike } else { 0.0 }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        method::synthetic::Town,
+        model::camera::{Camera, CameraModel},
+    };
+
+    /// All views see triangle 0; each promises 0.8 there.
+    struct Fixture {
+        scene: Scene,
+        surface: Surface,
+        clusters: Vec<ViewCluster>,
+        predicted: FulfilmentTable,
+    }
+
+    impl Fixture {
+        fn new() -> Self {
+            let town =
+                Town::new(Camera::new(1, CameraModel::Pinhole, 300, 225, vec![280.0, 280.0, 150.0, 112.5]).unwrap());
+            let (scene, surface) = (town.scene(), town.surface());
+            let predicted = FulfilmentTable::new(scene.view_indices().map(|_| [(0, 0.8), (1, 0.4)]));
+            let clusters = scene.view_indices().map(|key| ViewCluster { key, partners: Vec::new() }).collect();
+            Self { scene, surface, clusters, predicted }
+        }
+
+        fn beliefs(&self) -> Beliefs<'_> {
+            Beliefs::new(&self.scene, &self.surface, &self.clusters, &self.predicted)
+        }
+    }
+
+    #[test]
+    fn kept_promises_change_nothing() {
+        let fixture = Fixture::new();
+        let mut beliefs = fixture.beliefs();
+        beliefs.learn(ViewIndex(0), &[Attempt::new(0, 40, 0.7, 0.7), Attempt::new(1, 3, 0.2, 1.0)]);
+        for cluster in 0..fixture.clusters.len() {
+            let (triangles, row) = beliefs.row(cluster);
+            assert_eq!((triangles, row.as_slice()), fixture.predicted.of(cluster));
+        }
+    }
+
+    #[test]
+    fn what_failed_is_expected_to_fail_from_next_door_and_less_so_from_elsewhere() {
+        let fixture = Fixture::new();
+        let mut beliefs = fixture.beliefs();
+        let key = ViewIndex(0);
+        let attempt = Attempt::new(0, 1000, 0.9, 0.0);
+        beliefs.learn(key, &[attempt]);
+        let own = Look::new(&fixture.scene, &fixture.surface, key, 0);
+        let alike = |c: usize| own.similarity(&Look::new(&fixture.scene, &fixture.surface, fixture.clusters[c].key, 0));
+        let mut by_likeness: Vec<usize> = (0..fixture.clusters.len()).collect();
+        by_likeness.sort_by(|&a, &b| alike(b).total_cmp(&alike(a)));
+        let values: Vec<f32> = by_likeness.iter().map(|&c| beliefs.row(c).1[0]).collect();
+        assert_eq!(by_likeness[0], 0);
+        assert!(values[0] < 0.3 * 0.8, "tried from there: {}", values[0]);
+        assert!(values.windows(2).all(|w| w[0] <= w[1]));
+        assert!(values[values.len() - 1] > 2.0 * values[0], "not tried from there: {}", values[values.len() - 1]);
+        for (&c, value) in by_likeness.iter().zip(&values) {
+            let expected = 0.8 * TRUST / (TRUST + alike(c) as f32 * attempt.promised);
+            assert!((value - expected).abs() < 1e-6, "{value} {expected}");
+        }
+        assert!(by_likeness.iter().all(|&c| beliefs.row(c).1[1] == 0.4), "the other triangle was not tried");
+    }
+
+    #[test]
+    fn more_failures_are_believed_more_and_successes_beside_them_count() {
+        let fixture = Fixture::new();
+        let failed = Attempt::new(0, 10, 0.9, 0.0);
+        let after = |attempts: &[Attempt]| {
+            let mut beliefs = fixture.beliefs();
+            attempts.iter().for_each(|attempt| beliefs.learn(ViewIndex(3), &[*attempt]));
+            beliefs.row(3).1[0]
+        };
+        assert!(after(&[failed, failed]) < after(&[failed]));
+        assert!(after(&[failed]) < after(&[failed, Attempt::new(0, 10, 0.9, 0.9)]));
+        assert!(after(&[Attempt::new(0, 1000, 0.9, 0.0)]) < after(&[failed]), "more pixels failed");
+        let (huge, large) = (Attempt::new(0, 100_000, 0.9, 0.0), Attempt::new(0, 1000, 0.9, 0.0));
+        assert!((after(&[huge]) - after(&[large])).abs() < 0.01, "pixels of a triangle fail together");
+    }
+
+    #[test]
+    fn looks_are_alike_by_direction_and_scale() {
+        let look = |degrees: f64, gsd: f64| {
+            let (sin, cos) = degrees.to_radians().sin_cos();
+            Look { direction: Vector3::new(sin, 0.0, cos), gsd }
+        };
+        let e = (-0.5f64).exp();
+        assert_eq!(look(0.0, 1.0).similarity(&look(0.0, 1.0)), 1.0);
+        assert!((look(0.0, 1.0).similarity(&look(DIRECTION_DEG, 1.0)) - e).abs() < 1e-9);
+        assert!((look(30.0, 1.0).similarity(&look(30.0, SCALE_OCTAVES.exp2())) - e).abs() < 1e-6);
+        assert_eq!(look(f64::NAN, 1.0).similarity(&look(0.0, 1.0)), 0.0);
+    }
+}

@@ -1,0 +1,81 @@
+//! Method 1.4: what is kept of the raw surface, and its repair to an oriented manifold with borders.
+
+use super::{
+    Surface,
+    corners::{BORDER, opposites, split_fans},
+};
+use crate::base::connected::components;
+
+/// Facets with edges longer than this many times the 95th percentile of the edges do not belong to the surface: they span places without
+/// points, and mostly lie off it (`benches/surface_truth.rs`). From 8 down what views see of the truth is lost with them; beyond 25 hardly any go.
+const LONG_EDGE_FACTOR: f64 = 10.0;
+/// Components with less than this share of the area and fewer than [`SMALL_COMPONENT_TRIANGLES`] go.
+const SMALL_COMPONENT_AREA: f64 = 0.001;
+const SMALL_COMPONENT_TRIANGLES: usize = 100;
+
+/// Drops facets that are not `seen` or over-long, makes the rest an oriented manifold and drops its small components.
+pub fn clean(surface: &Surface, seen: &[bool]) -> Surface {
+    let limit = edge_percentile(surface, seen, 0.95).map_or(0.0, |p| LONG_EDGE_FACTOR * p);
+    let is_kept = |t: usize| seen[t] && longest_edge(surface, t as u32) <= limit;
+    let keep: Vec<bool> = (0..seen.len()).map(is_kept).collect();
+    drop_small_components(&surface.keep(&keep))
+}
+
+/// The same facets as an oriented manifold with borders: facets that repeat a vertex or a facet go, edges of more than two
+/// facets and vertices of more than one fan are split.
+pub fn make_manifold(mut surface: Surface) -> Surface {
+    surface.triangles.retain(|&[a, b, c]| a != b && b != c && c != a);
+    drop_repeated(&mut surface.triangles);
+    split_fans(surface)
+}
+
+/// Drops triangles that have the same three vertices as an earlier one, whatever their direction.
+fn drop_repeated(triangles: &mut Vec<[u32; 3]>) {
+    let sorted = |t: [u32; 3]| {
+        let mut t = t;
+        t.sort_unstable();
+        t
+    };
+    let mut order: Vec<([u32; 3], u32)> = triangles.iter().enumerate().map(|(i, &t)| (sorted(t), i as u32)).collect();
+    order.sort_unstable();
+    let repeated: Vec<u32> = order.windows(2).filter(|w| w[0].0 == w[1].0).map(|w| w[1].1).collect();
+    if repeated.is_empty() {
+        return;
+    }
+    let mut keep = vec![true; triangles.len()];
+    repeated.iter().for_each(|&t| keep[t as usize] = false);
+    let mut kept = keep.iter();
+    triangles.retain(|_| *kept.next().expect("one flag per triangle"));
+}
+
+fn longest_edge(surface: &Surface, triangle: u32) -> f64 {
+    let [a, b, c] = surface.corners(triangle);
+    (b - a).norm().max((c - b).norm()).max((a - c).norm())
+}
+
+/// That percentile (0 to 1) of the sides of the triangles for which `counts`; `None` without triangles.
+fn edge_percentile(surface: &Surface, counts: &[bool], share: f64) -> Option<f64> {
+    let sides = |t: usize| {
+        let [a, b, c] = surface.corners(t as u32);
+        [(b - a).norm(), (c - b).norm(), (a - c).norm()]
+    };
+    let mut lengths: Vec<f64> = (0..counts.len()).filter(|&t| counts[t]).flat_map(sides).collect();
+    let rank = ((lengths.len() as f64 * share) as usize).min(lengths.len().checked_sub(1)?);
+    Some(*lengths.select_nth_unstable_by(rank, f64::total_cmp).1)
+}
+
+/// Drops components (triangles joined by edges) with under 0.1 % of the area and fewer than 100 triangles. The surface must be manifold.
+fn drop_small_components(surface: &Surface) -> Surface {
+    let opposite = opposites(surface);
+    let beside = |t: u32| opposite[3 * t as usize..][..3].iter().filter(|&&c| c != BORDER).map(|c| c / 3);
+    let components = components(surface.triangles.len(), beside);
+    let areas: Vec<f64> = components.iter().map(|c| c.iter().map(|&t| surface.area(t)).sum()).collect();
+    let least = SMALL_COMPONENT_AREA * areas.iter().sum::<f64>();
+    let mut keep = vec![false; surface.triangles.len()];
+    for (component, area) in components.iter().zip(areas) {
+        if area >= least || component.len() >= SMALL_COMPONENT_TRIANGLES {
+            component.iter().for_each(|&t| keep[t as usize] = true);
+        }
+    }
+    surface.keep(&keep)
+}

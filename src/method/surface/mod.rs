@@ -1,0 +1,410 @@
+//! Method 1: from sparse points to an oriented triangle mesh.
+//!
+//! `delaunay` tetrahedralises the points, `carve` casts the rays of the observations through the cells, `cut` separates inside
+//! from outside, `clean` keeps an oriented manifold that views see, `simplify` and `refine` bring its edges to the wanted length;
+//! `terrain` is the 2.5D way for nadir flights, `ply` reads and writes meshes.
+
+pub mod carve;
+pub mod clean;
+pub mod corners;
+pub mod cut;
+pub mod delaunay;
+pub mod manifold;
+pub mod points;
+mod quadric;
+pub mod refine;
+#[cfg(test)]
+pub(crate) mod shapes;
+pub mod simplify;
+pub mod terrain;
+#[cfg(test)]
+mod tests;
+
+use std::path::PathBuf;
+
+use nalgebra::{Point3, Vector3};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::{
+    base::{
+        error::Hint,
+        progress::{Cancelled, Stage, Watcher},
+        tiles,
+    },
+    config::{SurfaceChoice, SurfaceSettings},
+    io::ply,
+    model::{
+        georeference::{self, UprightFrame},
+        scene::{PointIndex, Scene},
+    },
+};
+use delaunay::{Delaunay, DelaunayError, Dimension};
+
+/// Fewer points than this make a terrain.
+const MIN_CARVED_POINTS: usize = 100;
+/// Points whose spread in one direction is below this share of that in another do not spread in it at all.
+const NO_SPREAD: f64 = 1e-6;
+/// A tile takes in the points around it, up to so many of the longest edges away: what lies farther hardly changes the surface inside.
+const MARGIN_EDGES: f64 = 10.0;
+/// Steps of [`build`], in each tile, that are reported as progress.
+const STEPS: u64 = 6;
+
+/// How the surface was made.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum SurfaceKind {
+    #[serde(rename = "3d")]
+    Carved,
+    Terrain,
+    Mesh,
+}
+
+/// An oriented triangle mesh with borders; each edge has at most two triangles, normals point to the outside.
+#[derive(Clone, Debug)]
+pub struct Surface {
+    pub kind: SurfaceKind,
+    /// World coordinates, scene units.
+    pub vertices: Vec<Point3<f64>>,
+    /// Counter-clockwise seen from outside.
+    pub triangles: Vec<[u32; 3]>,
+}
+
+impl Surface {
+    #[inline]
+    pub fn corners(&self, triangle: u32) -> [Point3<f64>; 3] {
+        self.triangles[triangle as usize].map(|v| self.vertices[v as usize])
+    }
+
+    pub fn centroid(&self, triangle: u32) -> Point3<f64> {
+        let [a, b, c] = self.corners(triangle);
+        Point3::from((a.coords + b.coords + c.coords) / 3.0)
+    }
+
+    /// Normal with the length of twice the triangle's area.
+    pub fn area_normal(&self, triangle: u32) -> Vector3<f64> {
+        let [a, b, c] = self.corners(triangle);
+        (b - a).cross(&(c - a))
+    }
+
+    pub fn area(&self, triangle: u32) -> f64 {
+        0.5 * self.area_normal(triangle).norm()
+    }
+
+    /// The surface of the triangles to keep, in their order. Vertices that nothing uses go, and a vertex at which only the dropped
+    /// triangles held two fans together is split, so that the result is a manifold again.
+    pub fn keep(&self, keep: &[bool]) -> Surface {
+        let kept = self.triangles.iter().zip(keep).filter_map(|(&t, &k)| k.then_some(t));
+        corners::split_fans(Surface { kind: self.kind, vertices: self.vertices.clone(), triangles: kept.collect() })
+    }
+}
+
+impl Surface {
+    /// Takes another surface in, beside this one.
+    fn append(&mut self, other: Surface) {
+        let offset = self.vertices.len() as u32;
+        self.vertices.extend(other.vertices);
+        self.triangles.extend(other.triangles.iter().map(|corners| corners.map(|v| v + offset)));
+    }
+}
+
+/// A mesh from elsewhere in place of a surface from the points.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct MeshFile {
+    /// A PLY file in the frame of the scene.
+    pub path: PathBuf,
+    /// Leave it as it is: neither simplified nor refined.
+    pub as_is: bool,
+}
+
+/// What the surface was made from and what became of it.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, JsonSchema)]
+pub struct SurfaceStats {
+    /// Tiles that it was built in; the counts below are sums over them, what lies in two counts twice.
+    pub tiles: usize,
+    /// Sparse points that were used.
+    pub points: usize,
+    /// Sparse points that were not: fewer than two views, behind a camera, or a large reprojection error.
+    pub points_dropped: usize,
+    /// Distinct vertices of the tetrahedralisation.
+    pub vertices: usize,
+    /// Tetrahedra, those to the vertex at infinity too.
+    pub cells: usize,
+    /// Rays that voted.
+    pub rays: usize,
+    /// Median depth uncertainty of the points, scene units.
+    pub sigma: f64,
+    /// Triangles of the cut, the terrain or the mesh file.
+    pub raw_triangles: usize,
+    /// Left after cleaning (method 1.4).
+    pub cleaned_triangles: usize,
+    /// Left after the collapse of short edges (method 1.5).
+    pub simplified_triangles: usize,
+    /// Triangles of the surface.
+    pub triangles: usize,
+}
+
+/// Why there is no surface.
+#[derive(Debug, thiserror::Error)]
+pub enum SurfaceError {
+    #[error(
+        "only {distinct} different sparse points can be used ({dropped} have fewer than two views, lie behind a camera or have a large \
+         reprojection error); a surface needs 4"
+    )]
+    TooFewPoints { distinct: usize, dropped: usize },
+    #[error("the sparse points lie on one line, which makes no surface")]
+    Linear,
+    #[error("the wanted ground sampling distance is {0}, but must be a positive number")]
+    Gsd(f64),
+    #[error("nothing is left of the surface: no view sees any of it")]
+    Empty,
+    #[error("{}: {source}", path.display())]
+    MeshFile { path: PathBuf, source: std::io::Error },
+    #[error("{}: {source}", path.display())]
+    Mesh { path: PathBuf, source: ply::PlyError },
+    #[error(transparent)]
+    Delaunay(DelaunayError),
+    #[error(transparent)]
+    Refine(refine::RefineError),
+    #[error(transparent)]
+    Cancelled(#[from] Cancelled),
+}
+
+impl Hint for SurfaceError {
+    fn hint(&self) -> Option<String> {
+        Some(match self {
+            Self::TooFewPoints { .. } | Self::Linear => "check the model, or give a surface with --mesh".into(),
+            Self::Empty => "check the model and the wanted --gsd, or give a surface with --mesh".into(),
+            Self::Gsd(_) => "set target.gsd, or type --gsd".into(),
+            Self::MeshFile { .. } => "check that the file is there and may be read".into(),
+            Self::Mesh { .. } => "give a PLY file of triangles in the frame of the model".into(),
+            Self::Delaunay(_) => "check the model: its points cannot be triangulated as they are".into(),
+            Self::Refine(refine::RefineError::TooFine { most, .. }) if *most < refine::MAX_TRIANGLES => {
+                "ask for a coarser --gsd or a larger surface.max_edge_factor, or allow more with --max-memory".into()
+            }
+            Self::Refine(_) => "ask for a coarser --gsd, or a larger surface.max_edge_factor".into(),
+            Self::Cancelled(_) => return None,
+        })
+    }
+}
+
+impl From<DelaunayError> for SurfaceError {
+    fn from(error: DelaunayError) -> Self {
+        match error {
+            DelaunayError::Cancelled(cancelled) => Self::Cancelled(cancelled),
+            other => Self::Delaunay(other),
+        }
+    }
+}
+
+impl From<refine::RefineError> for SurfaceError {
+    fn from(error: refine::RefineError) -> Self {
+        match error {
+            refine::RefineError::Cancelled(cancelled) => Self::Cancelled(cancelled),
+            other => Self::Refine(other),
+        }
+    }
+}
+
+/// Builds the surface of the scene, or takes the mesh, with edges as `gsd` (g_d, scene units per pixel) and the settings want them, of at
+/// most about `most` triangles. What no view sees is yet to be taken away by [`Surface::keep`].
+///
+/// # Errors
+/// Too few points, a mesh that cannot be read, a target far too fine, cancellation.
+pub fn build(
+    scene: &Scene,
+    gsd: f64,
+    settings: &SurfaceSettings,
+    mesh: Option<&MeshFile>,
+    most: u64,
+    watcher: &dyn Watcher,
+) -> Result<(Surface, SurfaceStats), SurfaceError> {
+    if !(gsd.is_finite() && gsd > 0.0) {
+        return Err(SurfaceError::Gsd(gsd));
+    }
+    let mut stats = SurfaceStats { tiles: 1, ..SurfaceStats::default() };
+    let whole = Steps { before: 0, all: STEPS, most, watcher };
+    whole.reached(0);
+    let surface = match mesh {
+        Some(file) => {
+            let surface = clean::make_manifold(read_mesh(file)?);
+            stats.cleaned_triangles = surface.triangles.len();
+            if file.as_is { surface } else { with_edges(surface, gsd, settings, &mut stats, &whole)? }
+        }
+        None => from_points(scene, gsd, settings, &mut stats, &whole)?,
+    };
+    stats.triangles = surface.triangles.len();
+    watcher.progress(Stage::Surface, 1, 1);
+    if surface.triangles.is_empty() { Err(SurfaceError::Empty) } else { Ok((surface, stats)) }
+}
+
+/// Steps of one tile among those of all.
+struct Steps<'a> {
+    before: u64,
+    all: u64,
+    /// Triangles that the tile may have.
+    most: u64,
+    watcher: &'a dyn Watcher,
+}
+
+impl Steps<'_> {
+    fn reached(&self, step: u64) {
+        self.watcher.progress(Stage::Surface, self.before + step, self.all);
+    }
+}
+
+/// Simplifies and refines a cleaned surface (method 1.5 and 1.6).
+fn with_edges(
+    surface: Surface,
+    gsd: f64,
+    settings: &SurfaceSettings,
+    stats: &mut SurfaceStats,
+    steps: &Steps,
+) -> Result<Surface, SurfaceError> {
+    steps.reached(4);
+    let surface = simplify::simplify(surface, settings.edge_factor * gsd, steps.watcher)?;
+    stats.simplified_triangles += surface.triangles.len();
+    steps.reached(5);
+    Ok(refine::refine(surface, settings.max_edge_factor * gsd, steps.most, steps.watcher)?)
+}
+
+fn read_mesh(file: &MeshFile) -> Result<Surface, SurfaceError> {
+    let bytes =
+        std::fs::read(&file.path).map_err(|source| SurfaceError::MeshFile { path: file.path.clone(), source })?;
+    let mesh = ply::read(&bytes).map_err(|source| SurfaceError::Mesh { path: file.path.clone(), source })?;
+    Ok(Surface { kind: SurfaceKind::Mesh, vertices: mesh.vertices, triangles: mesh.triangles })
+}
+
+/// The surface of the sparse points: whole, or tile by tile, each from the points in it and around it, and cut off where the next begins.
+fn from_points(
+    scene: &Scene,
+    gsd: f64,
+    settings: &SurfaceSettings,
+    stats: &mut SurfaceStats,
+    whole: &Steps,
+) -> Result<Surface, SurfaceError> {
+    let points = points::usable_points(scene);
+    stats.points = points.len();
+    stats.points_dropped = scene.points.len() - points.len();
+    let positions: Vec<Point3<f64>> = points.iter().map(|p| scene.points[p.at()]).collect();
+    let all = Part { scene, gsd, settings, everywhere: &positions };
+    let tiles = match settings.tile_points {
+        Some(most) if points.len() > most as usize => tiles::split(&positions, most as usize),
+        _ => return all.surface(&points, &positions, stats, whole),
+    };
+    stats.tiles = tiles.len();
+    let margin = MARGIN_EDGES * settings.max_edge_factor * gsd;
+    let mut merged: Option<Surface> = None;
+    for (i, tile) in tiles.iter().enumerate() {
+        whole.watcher.check()?;
+        let before = merged.as_ref().map_or(0, |merged: &Surface| merged.triangles.len() as u64);
+        let most = whole.most.saturating_sub(before);
+        let steps = Steps { before: i as u64 * STEPS, all: tiles.len() as u64 * STEPS, most, ..*whole };
+        let near = |(_, position): &(&PointIndex, &Point3<f64>)| tile.is_near(position, margin);
+        let (points, near): (Vec<PointIndex>, Vec<Point3<f64>>) = points.iter().zip(&positions).filter(near).unzip();
+        let surface = match all.surface(&points, &near, stats, &steps) {
+            // The points of a tile may coincide, or lie on a line.
+            Err(SurfaceError::TooFewPoints { .. } | SurfaceError::Linear) => continue,
+            surface => surface?,
+        };
+        let triangles = 0..surface.triangles.len() as u32;
+        let own: Vec<bool> = triangles.map(|t| tile.contains(&surface.centroid(t))).collect();
+        let own = surface.keep(&own);
+        match &mut merged {
+            None => merged = Some(own),
+            Some(merged) => merged.append(own),
+        }
+    }
+    merged.ok_or(SurfaceError::Linear)
+}
+
+/// What the tiles of a surface have in common.
+struct Part<'a> {
+    scene: &'a Scene,
+    gsd: f64,
+    settings: &'a SurfaceSettings,
+    /// Positions of the points of all tiles.
+    everywhere: &'a [Point3<f64>],
+}
+
+impl Part<'_> {
+    /// The surface of some points, as method 1.7 and 1.8 choose it.
+    fn surface(
+        &self,
+        points: &[PointIndex],
+        positions: &[Point3<f64>],
+        stats: &mut SurfaceStats,
+        steps: &Steps,
+    ) -> Result<Surface, SurfaceError> {
+        let Self { scene, gsd, settings, everywhere } = *self;
+        let distinct = distinct_up_to_four(positions);
+        if distinct < 4 {
+            return Err(SurfaceError::TooFewPoints { distinct, dropped: stats.points_dropped });
+        }
+        let [thickness, width, length] = georeference::spread(positions);
+        if width <= NO_SPREAD * length {
+            return Err(SurfaceError::Linear);
+        }
+        steps.reached(1);
+        let is_flat = thickness <= NO_SPREAD * length;
+        let is_terrain = match settings.kind {
+            SurfaceChoice::Terrain => true,
+            SurfaceChoice::Carved => is_flat,
+            SurfaceChoice::Auto => is_flat || thickness < gsd || points.len() < MIN_CARVED_POINTS,
+        };
+        let cleaned = if is_terrain {
+            let frame = UprightFrame::new(everywhere, scene, settings.up);
+            let raw = terrain::triangulate(positions, &frame, settings.edge_factor * gsd);
+            stats.raw_triangles += raw.triangles.len();
+            if raw.triangles.is_empty() {
+                return Err(SurfaceError::Linear);
+            }
+            clean::clean(&raw, &vec![true; raw.triangles.len()])
+        } else {
+            carved(scene, points, positions, settings, stats, steps)?
+        };
+        stats.cleaned_triangles += cleaned.triangles.len();
+        with_edges(cleaned, gsd, settings, stats, steps)
+    }
+}
+
+fn carved(
+    scene: &Scene,
+    points: &[PointIndex],
+    positions: &[Point3<f64>],
+    settings: &SurfaceSettings,
+    stats: &mut SurfaceStats,
+    steps: &Steps,
+) -> Result<Surface, SurfaceError> {
+    let delaunay = Delaunay::triangulate(positions, steps.watcher)?;
+    if delaunay.dimension != Dimension::Three {
+        return Err(SurfaceError::Linear);
+    }
+    steps.reached(2);
+    let rays = carve::Rays::choose(scene, &delaunay, points, settings.rays_per_point as usize);
+    // Of several tiles the mean, each counting by its vertices.
+    let (before, here) = (stats.vertices as f64, delaunay.vertex_count() as f64);
+    stats.sigma = if before == 0.0 { rays.sigma } else { (before * stats.sigma + here * rays.sigma) / (before + here) };
+    stats.vertices += delaunay.vertex_count();
+    stats.cells += delaunay.cells.len();
+    stats.rays += rays.len();
+    let raw = carve::carve(&delaunay, &rays, settings, steps.watcher)?;
+    stats.raw_triangles += raw.surface.triangles.len();
+    drop((delaunay, rays));
+    steps.reached(3);
+    Ok(clean::clean(&raw.surface, &raw.seen))
+}
+
+/// How many different points there are, counted no further than 4.
+fn distinct_up_to_four(points: &[Point3<f64>]) -> usize {
+    let mut distinct: Vec<&Point3<f64>> = Vec::new();
+    for point in points {
+        if !distinct.contains(&point) {
+            distinct.push(point);
+        }
+        if distinct.len() == 4 {
+            break;
+        }
+    }
+    distinct.len()
+}

@@ -1,0 +1,452 @@
+//! Method 1.5: quadric edge collapse (Garland, Heckbert, "Surface Simplification Using Quadric Error Metrics", 1997).
+//!
+//! Each vertex carries the quadric of the planes of its triangles, of planes upright on its border edges, and a small pull to where it
+//! is, which keeps the minimum unique on planes and the triangles well shaped. The cheapest edge that is shorter than the limit and
+//! whose collapse keeps manifold, border and orientation goes first, until enough edges are long.
+
+use std::cmp::Reverse;
+
+use dary_heap::QuaternaryHeap;
+use nalgebra::{Point3, Vector3};
+use rayon::prelude::*;
+
+use super::{
+    Surface,
+    corners::{BORDER, next, opposites, prev, swing, unswing, vertex},
+    quadric::{Quadric, vertex_quadrics},
+};
+use crate::base::progress::{Cancelled, Watcher};
+
+/// Share of the edges that are to be longer than the target.
+const LONG_SHARE: f64 = 0.95;
+/// Edges longer than this many targets are never collapsed.
+const CANDIDATE_FACTOR: f64 = 1.33;
+/// Cosine of the largest turn of a normal in one collapse, 80 degrees.
+const MIN_TURN_COSINE: f64 = 0.173_648_177_666_930_33;
+/// Collapses between two questions to the watcher, well under 50 ms.
+const CHECK_INTERVAL: usize = 4096;
+
+/// Collapses edges until 95 % of them are at least `target` long (scene units) or none can be collapsed. The surface must be an oriented
+/// manifold with borders, and is one afterwards.
+pub fn simplify(surface: Surface, target: f64, watcher: &dyn Watcher) -> Result<Surface, Cancelled> {
+    let mut mesh = Collapsing::new(surface, target);
+    // A collapse that was refused may be allowed once its neighbourhood has changed, hence rounds.
+    while !mesh.is_done() && mesh.collapse_round(watcher)? > 0 {}
+    Ok(mesh.finish())
+}
+
+/// An edge that may be collapsed. Ordered by cost, then by its vertices; stale when the stamps of its vertices have moved on.
+///
+/// The bits of a cost of at least zero, which are ordered like the cost, then the two vertices, then their stamps: one comparison.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+struct Candidate(u128);
+
+impl Candidate {
+    fn new(cost: f64, from: u32, to: u32, stamps: u32) -> Self {
+        let [cost, from, to, stamps] = [(cost as f32).to_bits(), from, to, stamps].map(u128::from);
+        Self(cost << 96 | from << 64 | to << 32 | stamps)
+    }
+
+    /// Its vertices and their stamps.
+    fn edge(self) -> (u32, u32, u32) {
+        ((self.0 >> 64) as u32, (self.0 >> 32) as u32, self.0 as u32)
+    }
+}
+
+struct Collapsing {
+    /// In coordinates relative to `shift`, so that large offsets cost no digits.
+    surface: Surface,
+    shift: Vector3<f64>,
+    opposite: Vec<u32>,
+    quadrics: Vec<Quadric>,
+    /// A corner at each vertex; [`BORDER`] once the vertex is gone.
+    corner_of: Vec<u32>,
+    is_border: Vec<bool>,
+    is_kept: Vec<bool>,
+    /// Counts the moves of each vertex.
+    stamps: Vec<u32>,
+    /// Of four children each: half as many levels, each a line of the cache.
+    queue: QuaternaryHeap<Reverse<Candidate>>,
+    target: f64,
+    edges: usize,
+    long_edges: usize,
+    marks: Marks,
+}
+
+impl Collapsing {
+    fn new(mut surface: Surface, target: f64) -> Self {
+        let opposite = opposites(&surface);
+        let shift = surface.vertices.first().map_or(Vector3::zeros(), |v| v.coords);
+        surface.vertices.iter_mut().for_each(|v| *v -= shift);
+        let vertices = surface.vertices.len();
+        let mut corner_of = vec![BORDER; vertices];
+        let mut is_border = vec![false; vertices];
+        for c in 0..opposite.len() as u32 {
+            corner_of[vertex(&surface.triangles, c) as usize] = c;
+            if opposite[c as usize] == BORDER {
+                is_border[vertex(&surface.triangles, next(c)) as usize] = true;
+                is_border[vertex(&surface.triangles, prev(c)) as usize] = true;
+            }
+        }
+        let mut mesh = Self {
+            quadrics: vertex_quadrics(&surface, &opposite),
+            corner_of,
+            is_border,
+            is_kept: vec![true; surface.triangles.len()],
+            stamps: vec![0; vertices],
+            queue: QuaternaryHeap::new(),
+            target,
+            edges: 0,
+            long_edges: 0,
+            marks: Marks::new(vertices),
+            opposite,
+            shift,
+            surface,
+        };
+        for c in mesh.edge_corners().collect::<Vec<_>>() {
+            mesh.count_edge(mesh.length(c), 1);
+        }
+        mesh
+    }
+
+    /// One corner for each edge that is left.
+    fn edge_corners(&self) -> impl Iterator<Item = u32> + '_ {
+        let is_first = |&c: &u32| self.is_kept[c as usize / 3] && c < self.opposite[c as usize];
+        (0..self.opposite.len() as u32).filter(is_first)
+    }
+
+    fn is_done(&self) -> bool {
+        self.long_edges as f64 >= LONG_SHARE * self.edges as f64
+    }
+
+    fn ends(&self, corner: u32) -> (u32, u32) {
+        (vertex(&self.surface.triangles, next(corner)), vertex(&self.surface.triangles, prev(corner)))
+    }
+
+    fn position(&self, vertex: u32) -> Point3<f64> {
+        self.surface.vertices[vertex as usize]
+    }
+
+    /// Length of the edge that the corner faces.
+    fn length(&self, corner: u32) -> f64 {
+        let (a, b) = self.ends(corner);
+        (self.position(a) - self.position(b)).norm()
+    }
+
+    fn count_edge(&mut self, length: f64, change: isize) {
+        self.edges = self.edges.wrapping_add_signed(change);
+        if length >= self.target {
+            self.long_edges = self.long_edges.wrapping_add_signed(change);
+        }
+    }
+
+    /// Tries every candidate, cheapest first, until enough edges are long. Returns how many collapsed.
+    fn collapse_round(&mut self, watcher: &dyn Watcher) -> Result<usize, Cancelled> {
+        let edges: Vec<u32> = self.edge_corners().collect();
+        let candidate = |&corner: &u32| self.candidate(self.ends(corner)).map(Reverse);
+        let candidates: Vec<_> = edges.par_iter().filter_map(candidate).collect();
+        self.queue = candidates.into();
+        let (mut tries, mut collapses) = (0usize, 0);
+        while !self.is_done()
+            && let Some(Reverse(candidate)) = self.queue.pop()
+        {
+            collapses += usize::from(self.try_collapse(candidate));
+            tries += 1;
+            if tries.is_multiple_of(CHECK_INTERVAL) {
+                watcher.check()?;
+            }
+        }
+        Ok(collapses)
+    }
+
+    /// The edge between two vertices, unless it is too long.
+    fn candidate(&self, (a, b): (u32, u32)) -> Option<Candidate> {
+        if (self.position(a) - self.position(b)).norm() >= CANDIDATE_FACTOR * self.target {
+            return None;
+        }
+        let (from, to) = (a.min(b), a.max(b));
+        let (_, cost) = self.placement(from, to);
+        Some(Candidate::new(cost, from, to, self.stamps_of(from, to)))
+    }
+
+    /// Grows with each move of either vertex.
+    fn stamps_of(&self, a: u32, b: u32) -> u32 {
+        self.stamps[a as usize].wrapping_add(self.stamps[b as usize])
+    }
+
+    /// Where the joined vertex goes, and the quadric error there. A border vertex stays where it is when an inner one joins it.
+    fn placement(&self, a: u32, b: u32) -> (Point3<f64>, f64) {
+        let mut quadric = self.quadrics[a as usize];
+        quadric.add(&self.quadrics[b as usize]);
+        let (p, q) = (self.position(a).coords, self.position(b).coords);
+        let middle = (p + q) / 2.0;
+        let best = match (self.is_border[a as usize], self.is_border[b as usize]) {
+            (true, false) => p,
+            (false, true) => q,
+            // An ill-conditioned minimum may lie far away.
+            _ => quadric.minimum().filter(|x| (x - middle).norm() <= (p - q).norm()).unwrap_or(middle),
+        };
+        (Point3::from(best), quadric.at(&best))
+    }
+
+    fn try_collapse(&mut self, candidate: Candidate) -> bool {
+        let (from, to, stamps) = candidate.edge();
+        let is_gone = |v: u32| self.corner_of[v as usize] == BORDER;
+        if is_gone(from) || is_gone(to) || stamps != self.stamps_of(from, to) {
+            return false;
+        }
+        let rings = [self.ring(from), self.ring(to)];
+        let Some(corner) = self.corner_facing(&rings[0], to) else { return false };
+        let (place, _) = self.placement(from, to);
+        if !self.keeps_manifold(corner, &rings) || !self.keeps_orientation(corner, &rings, place) {
+            return false;
+        }
+        self.collapse(corner, from, to, &rings, place);
+        true
+    }
+
+    /// The corners at a vertex, counter-clockwise; from border to border at a border.
+    fn ring(&self, vertex: u32) -> Vec<u32> {
+        let mut start = self.corner_of[vertex as usize];
+        let first = start;
+        while let Some(c) = unswing(&self.opposite, start) {
+            start = c;
+            if c == first {
+                break;
+            }
+        }
+        let mut ring = vec![start];
+        while let Some(c) = swing(&self.opposite, *ring.last().expect("starts with one")) {
+            if c == start {
+                break;
+            }
+            ring.push(c);
+        }
+        ring
+    }
+
+    /// A corner that faces the edge from the ring's vertex to the other.
+    fn corner_facing(&self, ring: &[u32], other: u32) -> Option<u32> {
+        let at = |c| vertex(&self.surface.triangles, c);
+        ring.iter().find_map(
+            |&c| {
+                if at(next(c)) == other { Some(prev(c)) } else { (at(prev(c)) == other).then(|| next(c)) }
+            },
+        )
+    }
+
+    /// The link condition: the two ends have no more in common than the triangles at the edge, where a border counts as a vertex that
+    /// all border vertices share.
+    fn keeps_manifold(&mut self, corner: u32, rings: &[Vec<u32>; 2]) -> bool {
+        let (a, b) = self.ends(corner);
+        let across = self.opposite[corner as usize];
+        let both_border = self.is_border[a as usize] && self.is_border[b as usize];
+        let is_border = |c: u32| self.opposite[c as usize] == BORDER;
+        let sides = if across == BORDER {
+            if is_border(next(corner)) && is_border(prev(corner)) {
+                return false;
+            }
+            1
+        } else {
+            let is_tetrahedron = !both_border && rings[0].len() == 3 && rings[1].len() == 3;
+            if both_border || is_tetrahedron {
+                return false;
+            }
+            2
+        };
+        let triangles = &self.surface.triangles;
+        let neighbours = |ring: &[u32]| {
+            let corners = ring.iter().flat_map(|&c| [next(c), prev(c)]);
+            corners.map(|c| vertex(triangles, c)).collect::<Vec<_>>()
+        };
+        self.marks.common(&neighbours(&rings[0]), &neighbours(&rings[1])) == sides
+    }
+
+    /// Is no normal turned by more than 80 degrees, and no triangle flattened?
+    fn keeps_orientation(&self, corner: u32, rings: &[Vec<u32>; 2], place: Point3<f64>) -> bool {
+        let removed = [corner / 3, self.opposite[corner as usize] / 3];
+        let mut left = rings.iter().flatten().filter(|&&c| !removed.contains(&(c / 3)));
+        left.all(|&c| {
+            let at = |c| self.position(vertex(&self.surface.triangles, c));
+            let (p, q) = (at(next(c)), at(prev(c)));
+            let before = (p - at(c)).cross(&(q - at(c)));
+            let after = (p - place).cross(&(q - place));
+            let size = before.norm() * after.norm();
+            after.norm_squared() > 0.0 && (before.dot(&after) >= MIN_TURN_COSINE * size || before.norm_squared() == 0.0)
+        })
+    }
+
+    /// Joins `to` with `from` at the place and takes out the triangles at the edge that the corner faces.
+    fn collapse(&mut self, corner: u32, from: u32, to: u32, rings: &[Vec<u32>; 2], place: Point3<f64>) {
+        self.count_ring_edges(&rings[0], from, None, -1);
+        self.count_ring_edges(&rings[1], to, Some(from), -1);
+        let across = self.opposite[corner as usize];
+        self.take_out(corner);
+        if across != BORDER {
+            self.take_out(across);
+        }
+        for &c in &rings[1] {
+            self.surface.triangles[c as usize / 3][c as usize % 3] = from;
+        }
+        let is_left = |c: &&u32| self.is_kept[**c as usize / 3];
+        self.corner_of[from as usize] =
+            *rings.iter().flatten().find(is_left).expect("the link condition leaves a triangle");
+        self.corner_of[to as usize] = BORDER;
+        self.is_border[from as usize] |= self.is_border[to as usize];
+        let absorbed = self.quadrics[to as usize];
+        self.quadrics[from as usize].add(&absorbed);
+        self.stamps[from as usize] = self.stamps_of(from, to).wrapping_add(1);
+        self.surface.vertices[from as usize] = place;
+        let ring = self.ring(from);
+        self.count_ring_edges(&ring, from, None, 1);
+        self.for_ring_neighbours(&ring, |mesh, v| {
+            let candidate = mesh.candidate((from, v));
+            mesh.queue.extend(candidate.map(Reverse));
+        });
+    }
+
+    /// Calls for each vertex next to the ring's vertex, once.
+    fn for_ring_neighbours(&mut self, ring: &[u32], mut call: impl FnMut(&mut Self, u32)) {
+        for &c in ring {
+            call(self, vertex(&self.surface.triangles, next(c)));
+        }
+        let last = ring[ring.len() - 1];
+        if self.opposite[next(last) as usize] == BORDER {
+            call(self, vertex(&self.surface.triangles, prev(last)));
+        }
+    }
+
+    fn count_ring_edges(&mut self, ring: &[u32], at: u32, except: Option<u32>, change: isize) {
+        self.for_ring_neighbours(ring, |mesh, v| {
+            if Some(v) != except {
+                mesh.count_edge((mesh.position(at) - mesh.position(v)).norm(), change);
+            }
+        });
+    }
+
+    /// Takes out the triangle of a corner whose facing edge collapses: its two other sides become one.
+    fn take_out(&mut self, corner: u32) {
+        let apex = vertex(&self.surface.triangles, corner) as usize;
+        let [left, right] = [next(corner), prev(corner)].map(|c| self.opposite[c as usize]);
+        if left != BORDER {
+            self.opposite[left as usize] = right;
+            self.corner_of[apex] = next(left);
+        }
+        if right != BORDER {
+            self.opposite[right as usize] = left;
+            self.corner_of[apex] = prev(right);
+        }
+        self.is_kept[corner as usize / 3] = false;
+    }
+
+    fn finish(mut self) -> Surface {
+        self.surface.vertices.iter_mut().for_each(|v| *v += self.shift);
+        self.surface.keep(&self.is_kept)
+    }
+}
+
+/// Marks of vertices that need no clearing.
+struct Marks {
+    marks: Vec<u32>,
+    latest: u32,
+}
+
+impl Marks {
+    fn new(vertices: usize) -> Self {
+        Self { marks: vec![0; vertices], latest: 0 }
+    }
+
+    /// How many different vertices are in both lists.
+    fn common(&mut self, some: &[u32], others: &[u32]) -> usize {
+        if self.latest >= u32::MAX - 2 {
+            self.marks.fill(0);
+            self.latest = 0;
+        }
+        self.latest += 2;
+        let (first, both) = (self.latest - 1, self.latest);
+        some.iter().for_each(|&v| self.marks[v as usize] = first);
+        let mut count = 0;
+        for &v in others {
+            if self.marks[v as usize] == first {
+                self.marks[v as usize] = both;
+                count += 1;
+            }
+        }
+        count
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        base::progress::Unwatched,
+        method::surface::{manifold::check_manifold, shapes},
+    };
+
+    fn long_share(surface: &Surface, target: f64) -> f64 {
+        let (long, all) = shapes::sides(surface).fold((0, 0), |(l, n), s| (l + u32::from(s >= target), n + 1));
+        f64::from(long) / f64::from(all)
+    }
+
+    #[test]
+    fn a_sphere_keeps_topology_and_volume() {
+        let surface = shapes::sphere(5);
+        let volume = shapes::volume(&surface);
+        let simple = simplify(surface, 0.2, &Unwatched).unwrap();
+        assert_eq!(check_manifold(&simple).map(|t| (t.euler, t.border_edges)), Ok((2, 0)));
+        assert!(long_share(&simple, 0.2) >= 0.95);
+        // Triangles of side s with their corners on the sphere would lose 3/8 s² of it.
+        let loss = 1.0 - shapes::volume(&simple) / volume;
+        assert!(loss.abs() < 0.375 * 0.2 * 0.2, "{loss}");
+        assert!(simple.vertices.iter().all(|v| (v.coords.norm() - 1.0).abs() < 0.02));
+    }
+
+    #[test]
+    fn a_torus_stays_a_torus() {
+        let simple = simplify(shapes::torus(60), 0.15, &Unwatched).unwrap();
+        assert_eq!(check_manifold(&simple).map(|t| (t.euler, t.border_edges, t.components)), Ok((0, 0, 1)));
+    }
+
+    #[test]
+    fn a_plane_stays_plane_and_keeps_its_outline() {
+        let simple = simplify(shapes::terrain(40, |_, _| 0.0), 0.12, &Unwatched).unwrap();
+        assert_eq!(check_manifold(&simple).map(|t| (t.euler, t.components)), Ok((1, 1)));
+        assert!(simple.vertices.iter().all(|v| v.z.abs() < 1e-12));
+        assert!((shapes::total_area(&simple) - 1.0).abs() < 0.02, "{}", shapes::total_area(&simple));
+        assert!((0..simple.triangles.len() as u32).all(|t| simple.area_normal(t).z > 0.0));
+    }
+
+    /// A closed tetrahedron and a lone triangle have no edge that can go, however short.
+    #[test]
+    fn stops_where_nothing_can_be_collapsed() {
+        let mut tetrahedron = shapes::sphere(0);
+        tetrahedron.vertices.truncate(4);
+        tetrahedron.vertices[3] = Point3::origin();
+        tetrahedron.triangles = vec![[0, 1, 2], [1, 0, 3], [2, 1, 3], [0, 2, 3]];
+        let lone = shapes::terrain(1, |_, _| 0.0).keep(&[true, false]);
+        for surface in [tetrahedron, lone] {
+            let simple = simplify(surface.clone(), 100.0, &Unwatched).unwrap();
+            assert_eq!(simple.triangles.len(), surface.triangles.len());
+        }
+    }
+
+    #[test]
+    fn a_roof_ridge_is_kept_while_its_sides_are_thinned() {
+        let simple = simplify(shapes::terrain(40, |x, _| (x - 0.5).abs()), 0.15, &Unwatched).unwrap();
+        let height_error = simple.vertices.iter().map(|v| (v.z - (v.x - 0.5).abs()).abs()).fold(0.0, f64::max);
+        assert!(height_error < 0.01, "{height_error}");
+    }
+
+    #[test]
+    fn large_offsets_change_nothing() {
+        let offset = Vector3::new(400_000.0, 5_800_000.0, 100.0);
+        let here = simplify(shapes::torus(40), 0.2, &Unwatched).unwrap();
+        let mut there = shapes::torus(40);
+        there.vertices.iter_mut().for_each(|v| *v += offset);
+        let there = simplify(there, 0.2, &Unwatched).unwrap();
+        assert_eq!(check_manifold(&there).map(|t| t.euler), Ok(0));
+        let (a, b) = (shapes::total_area(&here), shapes::total_area(&there));
+        assert!((a - b).abs() < 0.02 * a, "{a} {b}");
+    }
+}

@@ -1,0 +1,95 @@
+//! Method 1.7: a 2.5D surface for nadir flights and flat scenes: the Delaunay triangulation of robust heights over a plane.
+
+use nalgebra::Point3;
+use spade::{DelaunayTriangulation, HasPosition, Point2, Triangulation};
+
+use super::{Surface, SurfaceKind};
+use crate::model::georeference::UprightFrame;
+
+/// Fewer nodes than this and the cells of the height grid are made smaller.
+const ENOUGH_NODES: usize = 100;
+/// Times that the cells may be halved.
+const MAX_HALVINGS: u32 = 10;
+/// Times 1.4826 median absolute deviations, a height may differ from its neighbours' median.
+const MAX_DEVIATIONS: f64 = 3.0;
+/// Triangulates robust heights of the points, one for each square of half the edge length (scene units), with normals up. No
+/// triangles where the points lie on a line seen from above.
+pub fn triangulate(points: &[Point3<f64>], frame: &UprightFrame, edge: f64) -> Surface {
+    let local: Vec<[f64; 3]> = points.iter().map(|p| frame.local(p)).collect();
+    let mut cell = edge / 2.0;
+    let mut nodes = median_heights(&local, cell);
+    for _ in 0..MAX_HALVINGS {
+        if nodes.len() >= ENOUGH_NODES.min(points.len()) {
+            break;
+        }
+        cell /= 2.0;
+        nodes = median_heights(&local, cell);
+    }
+    let nodes = drop_spikes(nodes, edge);
+    let mesh = delaunay(&nodes);
+    let triangles = mesh.inner_faces().map(|face| face.vertices().map(|v| v.data().node)).collect();
+    let all =
+        Surface { kind: SurfaceKind::Terrain, vertices: nodes.iter().map(|&n| frame.world(n)).collect(), triangles };
+    all.keep(&vec![true; all.triangles.len()])
+}
+
+/// For each square of the grid that has points: their mean position and median height. Ordered by square.
+fn median_heights(local: &[[f64; 3]], cell: f64) -> Vec<[f64; 3]> {
+    let square = |p: &[f64; 3]| ((p[0] / cell).floor() as i64, (p[1] / cell).floor() as i64);
+    let mut sorted: Vec<((i64, i64), [f64; 3])> = local.iter().map(|p| (square(p), *p)).collect();
+    let by_height =
+        |a: &[f64; 3], b: &[f64; 3]| a[2].total_cmp(&b[2]).then(a[0].total_cmp(&b[0])).then(a[1].total_cmp(&b[1]));
+    sorted.sort_unstable_by(|a, b| a.0.cmp(&b.0).then_with(|| by_height(&a.1, &b.1)));
+    let node = |group: &[((i64, i64), [f64; 3])]| {
+        let n = group.len();
+        let mean = |axis: usize| group.iter().map(|p| p.1[axis]).sum::<f64>() / n as f64;
+        [mean(0), mean(1), (group[(n - 1) / 2].1[2] + group[n / 2].1[2]) / 2.0]
+    };
+    sorted.chunk_by(|a, b| a.0 == b.0).map(node).collect()
+}
+
+/// Drops nodes whose height is far from the median of their neighbours', measured by the spread of these and by the edge length.
+fn drop_spikes(nodes: Vec<[f64; 3]>, edge: f64) -> Vec<[f64; 3]> {
+    let mesh = delaunay(&nodes);
+    let mut keep = vec![true; nodes.len()];
+    for vertex in mesh.vertices() {
+        let node = vertex.data().node as usize;
+        let mut heights: Vec<f64> = vertex.out_edges().map(|e| nodes[e.to().data().node as usize][2]).collect();
+        if heights.len() < 3 {
+            continue;
+        }
+        let middle = median(&mut heights);
+        heights.iter_mut().for_each(|h| *h = (*h - middle).abs());
+        let limit = (MAX_DEVIATIONS * 1.4826 * median(&mut heights)).max(edge);
+        keep[node] = (nodes[node][2] - middle).abs() <= limit;
+    }
+    nodes.into_iter().zip(keep).filter_map(|(n, k)| k.then_some(n)).collect()
+}
+
+fn median(values: &mut [f64]) -> f64 {
+    let middle = values.len() / 2;
+    *values.select_nth_unstable_by(middle, f64::total_cmp).1
+}
+
+struct Node {
+    position: Point2<f64>,
+    node: u32,
+}
+
+impl HasPosition for Node {
+    type Scalar = f64;
+
+    fn position(&self) -> Point2<f64> {
+        self.position
+    }
+}
+
+/// The plane triangulation of the nodes; empty where they lie on a line.
+fn delaunay(nodes: &[[f64; 3]]) -> DelaunayTriangulation<Node> {
+    let largest = nodes.iter().flat_map(|n| [n[0].abs(), n[1].abs()]).fold(f64::MIN_POSITIVE, f64::max);
+    // spade takes coordinates from 2^-142 to 2^201, and zero.
+    let scaled = |x: f64| if (x / largest).abs() < 1e-30 { 0.0 } else { x / largest };
+    let node = |(i, n): (usize, &[f64; 3])| Node { position: Point2::new(scaled(n[0]), scaled(n[1])), node: i as u32 };
+    DelaunayTriangulation::bulk_load(nodes.iter().enumerate().map(node).collect())
+        .expect("coordinates are finite and scaled into spade's range")
+}

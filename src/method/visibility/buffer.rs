@@ -1,0 +1,337 @@
+//! A pinhole picture of the surface: for each pixel which triangle is in front, and how far away.
+
+use nalgebra::{Matrix3, Point2, Point3, Vector2, Vector3};
+
+use crate::model::camera::{Camera, CameraModel};
+
+/// Pixels around the image, so that triangles that reach over its border are sampled too.
+const MARGIN: f64 = 8.0;
+/// Beyond this angle from the axis one plane no longer serves and the faces of a cube are taken.
+const WIDE: f64 = 60.0;
+/// A face has at most so many times as many pixels along a side as were asked for, however odd the camera's numbers are.
+const MOST_SIDES: f64 = 4.0;
+/// Rays per side of the grid by which a camera's field is found.
+const FIELD_SAMPLES: u32 = 33;
+
+/// A pinhole camera that covers a camera's field or a part of it.
+#[derive(Clone, Debug)]
+pub struct Face {
+    pub face_from_camera: Matrix3<f64>,
+    /// Pixels per unit of x/z and y/z.
+    focal: Vector2<f64>,
+    /// Pixel of the axis.
+    axis: Vector2<f64>,
+    width: usize,
+    height: usize,
+    /// Unit normals of the four sides of the field, pointing inwards.
+    sides: [Vector3<f64>; 4],
+}
+
+impl Face {
+    /// One face with the pinhole part of the camera, its long side about `long_side` pixels; faces of a cube for a wide field;
+    /// none where no pixel has a ray.
+    pub fn of(camera: &Camera, long_side: u32) -> Vec<Self> {
+        let focal = camera.mean_focal_length() * f64::from(long_side) / f64::from(camera.width.max(camera.height));
+        // Across a field of x/z or y/z.
+        let within = |field: f64| focal.min(MOST_SIDES * f64::from(long_side) / field);
+        if camera.model() == CameraModel::Equirectangular {
+            return CUBE.iter().map(|&[r, d, f]| Self::cube(within(2.0), r, d, f)).collect();
+        }
+        let (rays, missing) = field(camera);
+        let wide = rays.iter().any(|r| r.z < WIDE.to_radians().cos());
+        if wide {
+            return CUBE[..5].iter().map(|&[r, d, f]| Self::cube(within(2.0), r, d, f)).collect();
+        }
+        let tangents = rays.iter().map(|r| Vector2::new(r.x / r.z, r.y / r.z));
+        let Some((low, high)) = tangents.fold(None, |b, t| match b {
+            None => Some((t, t)),
+            Some((low, high)) => Some((low.inf(&t), high.sup(&t))),
+        }) else {
+            return Vec::new();
+        };
+        // The border of the field lies between a ray that exists and a neighbour that does not.
+        let spare = if missing { (high - low) * (1.5 / f64::from(FIELD_SAMPLES - 1)) } else { Vector2::zeros() };
+        let (low, high) = (low - spare, high + spare);
+        vec![Self::window(within((high - low).max()), Matrix3::identity(), low, high)]
+    }
+
+    /// Exactly the pixels of a pinhole camera's image, reduced or enlarged to `width` x `height`.
+    pub fn pinhole(camera: &Camera, width: u32, height: u32) -> Self {
+        let scale =
+            Vector2::new(f64::from(width) / f64::from(camera.width), f64::from(height) / f64::from(camera.height));
+        let (focal, axis) = camera.pinhole_part();
+        let (focal, axis) = (focal.component_mul(&scale), axis.coords.component_mul(&scale));
+        Self::new(Matrix3::identity(), focal, axis, width as usize, height as usize)
+    }
+
+    fn cube(focal: f64, right: [i8; 3], down: [i8; 3], forward: [i8; 3]) -> Self {
+        let row = |r: [i8; 3]| Vector3::from(r.map(f64::from)).transpose();
+        let one = Vector2::new(1.0, 1.0);
+        Self::window(focal, Matrix3::from_rows(&[row(right), row(down), row(forward)]), -one, one)
+    }
+
+    /// `low` and `high`: the field, in x/z and y/z.
+    fn window(focal: f64, face_from_camera: Matrix3<f64>, low: Vector2<f64>, high: Vector2<f64>) -> Self {
+        let axis = Vector2::from_element(MARGIN) - low * focal;
+        let size = (high - low) * focal + Vector2::from_element(2.0 * MARGIN);
+        let (width, height) = (size.x.ceil() as usize, size.y.ceil() as usize);
+        Self::new(face_from_camera, Vector2::from_element(focal), axis, width, height)
+    }
+
+    fn new(
+        face_from_camera: Matrix3<f64>,
+        focal: Vector2<f64>,
+        axis: Vector2<f64>,
+        width: usize,
+        height: usize,
+    ) -> Self {
+        let low = -axis.component_div(&focal);
+        let high = (Vector2::new(width as f64, height as f64) - axis).component_div(&focal);
+        let sides = [
+            Vector3::new(1.0, 0.0, -low.x),
+            Vector3::new(-1.0, 0.0, high.x),
+            Vector3::new(0.0, 1.0, -low.y),
+            Vector3::new(0.0, -1.0, high.y),
+        ];
+        Self { face_from_camera, focal, axis, width, height, sides: sides.map(|n| n.normalize()) }
+    }
+
+    pub fn pixels(&self) -> u64 {
+        (self.width * self.height) as u64
+    }
+
+    /// May a ball (centre in camera coordinates) be in the field?
+    pub fn meets(&self, centre: &Point3<f64>, radius: f64) -> bool {
+        let centre = self.face_from_camera * centre.coords;
+        centre.z > -radius && self.sides.iter().all(|n| n.dot(&centre) >= -radius)
+    }
+
+    /// Pixel of a point in face coordinates.
+    fn pixel(&self, p: &Vector3<f64>) -> Point2<f64> {
+        Point2::from(p.xy().component_mul(&self.focal) / p.z + self.axis)
+    }
+
+    /// A point in camera coordinates on this face.
+    pub fn project(&self, point: &Point3<f64>) -> Projected {
+        self.projected(self.face_from_camera * point.coords)
+    }
+
+    fn projected(&self, place: Vector3<f64>) -> Projected {
+        Projected { place, screen: self.pixel(&place).coords.push(place.z.recip()) }
+    }
+}
+
+/// A point on a face.
+#[derive(Clone, Copy, Debug)]
+pub struct Projected {
+    /// Face coordinates.
+    place: Vector3<f64>,
+    /// Pixel x, pixel y and inverse depth; of use only for what lies ahead.
+    screen: Vector3<f64>,
+}
+
+/// Right, down and forward of the faces of a cube in camera coordinates; the one behind is the last.
+#[rustfmt::skip]
+const CUBE: [[[i8; 3]; 3]; 6] = [
+    [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
+    [[0, 0, -1], [0, 1, 0], [1, 0, 0]],
+    [[0, 0, 1], [0, 1, 0], [-1, 0, 0]],
+    [[1, 0, 0], [0, 0, -1], [0, 1, 0]],
+    [[1, 0, 0], [0, 0, 1], [0, -1, 0]],
+    [[-1, 0, 0], [0, 1, 0], [0, 0, -1]],
+];
+
+/// Rays through a grid of pixels up to the border, and whether some pixels have none.
+fn field(camera: &Camera) -> (Vec<Vector3<f64>>, bool) {
+    let last = f64::from(FIELD_SAMPLES - 1);
+    let at = |i: u32, size: u32| f64::from(i) / last * f64::from(size);
+    let pixels = (0..FIELD_SAMPLES * FIELD_SAMPLES)
+        .map(|i| Point2::new(at(i % FIELD_SAMPLES, camera.width), at(i / FIELD_SAMPLES, camera.height)));
+    let rays: Vec<_> = pixels.filter_map(|p| camera.ray(&p)).map(|r| r.into_inner()).collect();
+    let missing = rays.len() < (FIELD_SAMPLES * FIELD_SAMPLES) as usize;
+    (rays, missing)
+}
+
+/// How far something may be in front of a triangle without hiding it.
+#[derive(Clone, Copy, Debug)]
+pub struct Tolerance {
+    /// Scene units.
+    pub length: f64,
+    /// Share of the depth; the larger of the two counts.
+    pub depth_share: f64,
+}
+
+impl Tolerance {
+    /// Is `front` in front of `own` by more than the tolerance? Both are inverse depths.
+    pub fn hides(&self, front: f64, own: f64) -> bool {
+        front - own > front * (self.length * own).max(self.depth_share)
+    }
+}
+
+/// What is in front in each pixel of a face.
+#[derive(Default)]
+pub struct Buffer {
+    /// Inverse depth (f32) in the upper half, triangle in the lower: the larger number is in front, and of two triangles at one
+    /// depth always the same one, in whatever order they are drawn. 0: nothing.
+    pixels: Vec<u64>,
+}
+
+impl Buffer {
+    pub fn clear(&mut self, face: &Face) {
+        self.pixels.clear();
+        self.pixels.resize(face.width * face.height, 0);
+    }
+
+    /// Draws a triangle; what is nearer than `near` is cut off. Returns how many pixels it covers.
+    pub fn draw(&mut self, face: &Face, corners: [&Projected; 3], near: f64, triangle: u32) -> u32 {
+        let (pixels, mut covered) = (&mut self.pixels, 0);
+        for_each_pixel(face, corners, near, |at, inverse_depth| {
+            let code = u64::from(inverse_depth.to_bits()) << 32 | u64::from(triangle);
+            pixels[at] = pixels[at].max(code);
+            covered += 1;
+        });
+        covered
+    }
+
+    /// The triangle in front in each pixel, row by row; `nothing` where none was drawn.
+    #[inline(always)]
+    pub fn triangles(&self, nothing: u32) -> impl Iterator<Item = u32> {
+        self.pixels.iter().map(move |&code| if code == 0 { nothing } else { code as u32 })
+    }
+
+    /// How many of the pixels that the triangle, given in camera coordinates, covers have nothing in front by more than the tolerance.
+    pub fn free(&self, face: &Face, corners: &[Point3<f64>; 3], near: f64, tolerance: Tolerance) -> u32 {
+        let [a, b, c] = corners.each_ref().map(|corner| face.project(corner));
+        let mut free = 0;
+        for_each_pixel(face, [&a, &b, &c], near, |at, own| {
+            free += u32::from(!tolerance.hides(inverse_depth(self.pixels[at]).into(), own.into()));
+        });
+        free
+    }
+
+    /// Triangle and inverse depth in the pixel of a point in camera coordinates, and the point's own inverse depth; `None` outside
+    /// the face and where nothing was drawn.
+    pub fn at(&self, face: &Face, point: &Point3<f64>, near: f64) -> Option<(u32, f64, f64)> {
+        let p = face.face_from_camera * point.coords;
+        let pixel = (p.z > near).then(|| face.pixel(&p))?;
+        let inside = pixel.x >= 0.0 && pixel.y >= 0.0 && pixel.x < face.width as f64 && pixel.y < face.height as f64;
+        let code = inside.then(|| self.pixels[pixel.y as usize * face.width + pixel.x as usize])?;
+        (code != 0).then(|| (code as u32, inverse_depth(code).into(), p.z.recip()))
+    }
+
+    /// The four pixels around a point in camera coordinates: triangle and inverse depth in front (0: none), and the point's own
+    /// inverse depth; `None` where the point is not on the face.
+    pub fn around(&self, face: &Face, point: &Point3<f64>, near: f64) -> Option<([(u32, f64); 4], f64)> {
+        let p = face.face_from_camera * point.coords;
+        let corner = (p.z > near).then(|| face.pixel(&p) - Vector2::from_element(0.5))?;
+        let inside = corner.x >= 0.0
+            && corner.y >= 0.0
+            && corner.x < (face.width - 1) as f64
+            && corner.y < (face.height - 1) as f64;
+        let first = inside.then(|| corner.y as usize * face.width + corner.x as usize)?;
+        let codes = [first, first + 1, first + face.width, first + face.width + 1].map(|i| self.pixels[i]);
+        Some((codes.map(|code| (code as u32, inverse_depth(code).into())), p.z.recip()))
+    }
+}
+
+fn inverse_depth(code: u64) -> f32 {
+    f32::from_bits((code >> 32) as u32)
+}
+
+/// Calls `visit` with index and inverse depth of each pixel of the face whose centre the triangle covers.
+#[inline(always)]
+fn for_each_pixel(face: &Face, [a, b, c]: [&Projected; 3], near: f64, mut visit: impl FnMut(usize, f32)) {
+    match [a, b, c].iter().filter(|p| p.place.z > near).count() {
+        3 => fill(face, [a.screen, b.screen, c.screen], &mut visit),
+        0 => {}
+        _ => {
+            let (polygon, n) = clip([a.place, b.place, c.place], near);
+            let screen = polygon.map(|p| face.projected(p).screen);
+            for i in 2..n {
+                fill(face, [screen[0], screen[i - 1], screen[i]], &mut visit);
+            }
+        }
+    }
+}
+
+/// The part of a triangle beyond `near`: a polygon of three or four corners.
+fn clip(triangle: [Vector3<f64>; 3], near: f64) -> ([Vector3<f64>; 4], usize) {
+    let mut polygon = [Vector3::new(0.0, 0.0, near); 4];
+    let mut n = 0;
+    for i in 0..3 {
+        let (a, b) = (triangle[i], triangle[(i + 1) % 3]);
+        if a.z > near {
+            polygon[n] = a;
+            n += 1;
+        }
+        if (a.z > near) != (b.z > near) {
+            polygon[n] = a + (b - a) * ((near - a.z) / (b.z - a.z));
+            polygon[n].z = near;
+            n += 1;
+        }
+    }
+    (polygon, n)
+}
+
+/// The pixels of a triangle whose corners are given as pixel x, y and inverse depth, row by row.
+#[inline(always)]
+fn fill(face: &Face, [a, b, c]: [Vector3<f64>; 3], visit: &mut impl FnMut(usize, f32)) {
+    let area = (b.x - a.x) * (c.y - a.y) - (b.y - a.y) * (c.x - a.x);
+    let (low_y, high_y) = (a.y.min(b.y).min(c.y), a.y.max(b.y).max(c.y));
+    // Also false for what is not a number.
+    if !(area != 0.0 && high_y >= 0.5 && low_y < face.height as f64) {
+        return;
+    }
+    // Inverse depth is a plane over the picture. Slivers extrapolate badly, so it is held between the corners'.
+    let by_x = ((b.z - a.z) * (c.y - a.y) - (c.z - a.z) * (b.y - a.y)) / area;
+    let by_y = ((c.z - a.z) * (b.x - a.x) - (b.z - a.z) * (c.x - a.x)) / area;
+    let (low_z, high_z) = (a.z.min(b.z).min(c.z), a.z.max(b.z).max(c.z));
+    let edges = if area > 0.0 { [(a, b), (b, c), (c, a)] } else { [(b, a), (c, b), (a, c)] };
+    let lines = edges.map(|(from, to)| Side::new(&from, &to));
+    for row in first_centre(low_y, face.height)..end_centre(high_y, face.height) {
+        let y = row as f64 + 0.5;
+        let (mut left, mut right) = (f64::NEG_INFINITY, f64::INFINITY);
+        for line in &lines {
+            let x = line.x + line.slope * (y - line.y);
+            left = if line.is_left && x > left { x } else { left };
+            right = if line.is_right && x < right { x } else { right };
+        }
+        let first = first_centre(left, face.width);
+        let start = a.z + by_y * (y - a.y) + by_x * (0.5 - a.x);
+        for column in first..end_centre(right, face.width) {
+            let depth = (start + by_x * column as f64).max(low_z).min(high_z);
+            visit(row * face.width + column, depth as f32);
+        }
+    }
+}
+
+/// The line through an edge, and which side of the triangle it bounds; neither if it is level.
+struct Side {
+    x: f64,
+    y: f64,
+    slope: f64,
+    is_left: bool,
+    is_right: bool,
+}
+
+impl Side {
+    /// The triangle lies where (to - from) x (p - from) is not negative.
+    fn new(from: &Vector3<f64>, to: &Vector3<f64>) -> Self {
+        let rise = to.y - from.y;
+        let slope = if rise == 0.0 { 0.0 } else { (to.x - from.x) / rise };
+        Self { x: from.x, y: from.y, slope, is_left: rise < 0.0, is_right: rise > 0.0 }
+    }
+}
+
+/// First pixel whose centre is not below `x`, at most `size`.
+fn first_centre(x: f64, size: usize) -> usize {
+    let x = (x - 0.5).max(0.0).min(size as f64);
+    let down = x as usize;
+    down + usize::from((down as f64) < x)
+}
+
+/// The pixel behind the last whose centre is not above `x`, at most `size`.
+fn end_centre(x: f64, size: usize) -> usize {
+    let x = (x + 0.5).max(0.0).min(size as f64);
+    x as usize
+}

@@ -1,0 +1,433 @@
+//! Method 2: which view sees which triangle.
+//!
+//! A triangle is visible in a view when its corners and its centroid lie in front of the camera and the centroid projects into the image,
+//! when it faces the camera, and when at least half of its samples have nothing in front by more than a tolerance. The samples are the
+//! pixels of a picture of inverse depth and triangle ([`buffer`]); a triangle that covers fewer than four of them is sampled at its
+//! centroid and corners by rays, against the triangles that the picture shows around them.
+
+mod buffer;
+mod patches;
+
+use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
+
+use bytemuck::Pod;
+use nalgebra::{Point3, Vector3};
+
+use self::{
+    buffer::{Buffer, Face, Projected, Tolerance},
+    patches::{Patch, Patches},
+};
+use crate::{
+    base::{
+        column::{self, Column, DiskError, Growing, Keep, TableError},
+        progress::{Cancelled, Stage, Watcher},
+    },
+    config::VisibilitySettings,
+    method::surface::Surface,
+    model::{
+        camera::{Camera, CameraModel},
+        scene::{PointIndex, Pose, Scene, ViewIndex, ViewPoints},
+    },
+};
+
+/// A triangle that covers fewer pixels is sampled by rays (method 2).
+const FEW_PIXELS: u32 = 4;
+/// What is nearer to the camera than this many edge lengths is not drawn.
+const NEAR_EDGES: f64 = 0.05;
+
+/// The sparse table of (view, triangle), CSR by view, triangles ascending within a view.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Visibility {
+    /// Views + 1 entries.
+    pub offsets: Vec<usize>,
+    /// Triangles, ascending within a view.
+    pub triangles: Column<u32>,
+    /// Observations that contradict the table: the view observes a sparse point that lies on the surface in another view of its
+    /// track, but that the surface hides here.
+    pub contradictions: u64,
+}
+
+impl Visibility {
+    /// The views, each a row of [`Self::of`].
+    pub fn views(&self) -> Vec<ViewIndex> {
+        (1..self.offsets.len()).map(|end| ViewIndex(end as u32 - 1)).collect()
+    }
+
+    /// The triangles that the view sees, ascending.
+    pub fn of(&self, view: ViewIndex) -> &[u32] {
+        &self.triangles[self.rows(view)]
+    }
+
+    /// Range of the view's rows; tables beside this one (unary confidence) are indexed by row.
+    pub fn rows(&self, view: ViewIndex) -> std::ops::Range<usize> {
+        self.offsets[view.at()]..self.offsets[view.at() + 1]
+    }
+
+    /// The row of a triangle in a view, where the view sees it.
+    pub fn row(&self, view: ViewIndex, triangle: u32) -> Option<usize> {
+        let found = self.of(view).binary_search(&triangle).ok()?;
+        Some(self.offsets[view.at()] + found)
+    }
+
+    /// Is the triangle seen by at least one view?
+    pub fn seen(&self, triangles: usize) -> Vec<bool> {
+        let mut seen = vec![false; triangles];
+        self.triangles.by_parts().for_each(|&t| seen[t as usize] = true);
+        seen
+    }
+
+    /// The table for the surface without the triangles where `keep` is false, renumbered as [`Surface::keep`] does.
+    pub fn keep(&self, keep: &[bool]) -> Result<Self, DiskError> {
+        let mut next = 0;
+        let number = |&k: &bool| {
+            let kept = if k { next } else { u32::MAX };
+            next += u32::from(k);
+            kept
+        };
+        let numbers: Vec<u32> = keep.iter().map(number).collect();
+        let (mut offsets, mut triangles) = (vec![0], Growing::new(self.triangles.kept())?);
+        for (view, rows) in self.offsets.windows(2).enumerate() {
+            if view.is_multiple_of(column::READ_AT_ONCE) {
+                self.triangles.release();
+            }
+            let view = self.triangles[rows[0]..rows[1]].iter();
+            let view: Vec<u32> = view.map(|&t| numbers[t as usize]).filter(|&t| t != u32::MAX).collect();
+            triangles.extend(&view)?;
+            offsets.push(offsets.last().expect("starts with one") + view.len());
+        }
+        Ok(Self { offsets, triangles: triangles.finish()?, contradictions: self.contradictions })
+    }
+
+    /// A column beside the table, kept as the table is: what `of_view` says of each row of a view, with `start`'s value for each thread.
+    pub fn column<T: Pod + Send, S: Send>(
+        &self,
+        start: impl Fn() -> S + Sync + Send,
+        of_view: impl Fn(&mut S, ViewIndex) -> Result<Vec<T>, Cancelled> + Sync + Send,
+    ) -> Result<Column<T>, TableError> {
+        let mut column = Growing::new(self.triangles.kept())?;
+        column::in_order(
+            &self.views(),
+            column::READ_AT_ONCE,
+            start,
+            |s, &view| of_view(s, view),
+            |_, rows| {
+                self.triangles.release();
+                rows.iter().try_for_each(|rows| column.extend(rows))
+            },
+        )?;
+        Ok(column.finish()?)
+    }
+}
+
+/// Which view sees which triangle. `edge_length` is r g_d, the length below which the surface was simplified; `keep` says where the table lies.
+pub fn estimate(
+    scene: &Scene,
+    points: &ViewPoints,
+    surface: &Surface,
+    settings: &VisibilitySettings,
+    edge_length: f64,
+    keep: Keep,
+    watcher: &dyn Watcher,
+) -> Result<Visibility, TableError> {
+    let stage = Looking::new(scene, surface, settings, edge_length);
+    let observations = Observations::new(scene.points.len());
+    let views: Vec<ViewIndex> = scene.view_indices().collect();
+    let done = AtomicU64::new(0);
+    watcher.progress(Stage::Visibility, 0, views.len() as u64);
+    let look = |picture: &mut Picture, &view: &ViewIndex| {
+        watcher.check()?;
+        stage.draw(view, picture);
+        let mut seen: Vec<u32> = stage.visible(view, picture).collect();
+        seen.sort_unstable();
+        stage.observe(view, points.of(view), picture, &observations);
+        watcher.progress(Stage::Visibility, 1 + done.fetch_add(1, Ordering::Relaxed), views.len() as u64);
+        Ok(seen)
+    };
+    let (mut offsets, mut triangles) = (vec![0], Growing::new(keep)?);
+    column::in_order(&views, column::READ_AT_ONCE, Picture::default, look, |_, rows| {
+        for row in rows {
+            triangles.extend(&row)?;
+            offsets.push(offsets.last().expect("starts with one") + row.len());
+        }
+        Ok(())
+    })?;
+    Ok(Visibility { offsets, triangles: triangles.finish()?, contradictions: observations.contradictions() })
+}
+
+/// Most pixels of the picture that is drawn of a view: of all faces of its camera.
+pub fn picture_pixels(scene: &Scene, settings: &VisibilitySettings) -> u64 {
+    let pixels = |camera| Face::of(camera, settings.buffer_px).iter().map(Face::pixels).sum();
+    scene.cameras.iter().map(pixels).max().unwrap_or(0)
+}
+
+/// No triangle, in a picture of triangles.
+pub const NOTHING: u32 = u32::MAX;
+/// Closer to a camera than this share of the surface's distance from it nothing is drawn by [`front`].
+const NEAR_SHARE: f64 = 1e-4;
+
+/// The triangle in front in each pixel of a pinhole view's image, reduced or enlarged to `width` x `height`; row by row, [`NOTHING`] where
+/// there is none. A pixel shows what is at its centre.
+pub fn front(scene: &Scene, surface: &Surface, view: ViewIndex, width: u32, height: u32) -> Vec<u32> {
+    let face = Face::pinhole(scene.camera_of(view), width, height);
+    let pose = &scene.view(view).cam_from_world;
+    let vertices: Vec<Point3<f64>> = surface.vertices.iter().map(|v| pose.camera_from_world(v)).collect();
+    let near = NEAR_SHARE * vertices.iter().map(|v| v.z.abs()).fold(f64::MIN_POSITIVE, f64::max);
+    let vertices: Vec<Projected> = vertices.iter().map(|v| face.project(v)).collect();
+    let mut buffer = Buffer::default();
+    buffer.clear(&face);
+    for (t, corners) in surface.triangles.iter().enumerate() {
+        buffer.draw(&face, corners.map(|v| &vertices[v as usize]), near, t as u32);
+    }
+    buffer.triangles(NOTHING).collect()
+}
+
+/// What all views have in common.
+struct Looking<'a> {
+    scene: &'a Scene,
+    surface: &'a Surface,
+    patches: Patches,
+    /// By camera.
+    faces: Vec<Vec<Face>>,
+    tolerance: Tolerance,
+    near: f64,
+    /// Squared cosine of the largest incidence.
+    cos2: f64,
+    min_free_share: f64,
+}
+
+/// The picture of one view; one per thread, used again.
+#[derive(Default)]
+struct Picture {
+    buffers: Vec<Buffer>,
+    candidates: Vec<Candidate>,
+    /// Vertices of a patch in camera coordinates, and on a face.
+    vertices: Vec<Point3<f64>>,
+    projected: Vec<Projected>,
+    /// Pixels that each triangle of a patch covers.
+    covered: Vec<u32>,
+    /// For each triangle its place among the candidates, or [`NOTHING`].
+    places: Vec<u32>,
+}
+
+impl Picture {
+    /// Counts for each candidate the pixels where it is in front.
+    fn count_in_front(&mut self, triangles: usize) {
+        self.places.resize(triangles, NOTHING);
+        for (candidate, place) in self.candidates.iter().zip(0..) {
+            self.places[candidate.triangle as usize] = place;
+        }
+        for buffer in &self.buffers {
+            // Neighbouring pixels mostly show one triangle.
+            let (mut last, mut place) = (NOTHING, NOTHING);
+            for triangle in buffer.triangles(NOTHING).filter(|&t| t != NOTHING) {
+                if triangle != last {
+                    (last, place) = (triangle, self.places[triangle as usize]);
+                }
+                if place != NOTHING {
+                    self.candidates[place as usize].in_front += 1;
+                }
+            }
+        }
+        self.candidates.iter().for_each(|candidate| self.places[candidate.triangle as usize] = NOTHING);
+    }
+}
+
+/// A triangle that faces the camera and has its centroid in the image.
+struct Candidate {
+    triangle: u32,
+    /// Camera coordinates.
+    corners: [Point3<f64>; 3],
+    /// Pixels that it covers.
+    covered: u32,
+    /// Pixels where it is in front of everything.
+    in_front: u32,
+}
+
+impl<'a> Looking<'a> {
+    fn new(scene: &'a Scene, surface: &'a Surface, settings: &VisibilitySettings, edge_length: f64) -> Self {
+        let length = settings.tolerance_edges * edge_length;
+        Self {
+            scene,
+            surface,
+            patches: Patches::new(surface),
+            faces: scene.cameras.iter().map(|c| Face::of(c, settings.buffer_px)).collect(),
+            tolerance: Tolerance { length, depth_share: settings.tolerance_depth },
+            near: NEAR_EDGES * edge_length,
+            cos2: settings.max_incidence_deg.to_radians().cos().powi(2),
+            min_free_share: settings.min_free_share,
+        }
+    }
+
+    /// Draws everything in the view's field and collects the triangles that may be visible.
+    fn draw(&self, view: ViewIndex, picture: &mut Picture) {
+        let (camera, faces) = self.camera(view);
+        let pose = &self.scene.view(view).cam_from_world;
+        picture.candidates.clear();
+        picture.buffers.resize_with(faces.len(), Buffer::default);
+        picture.buffers.iter_mut().zip(faces).for_each(|(buffer, face)| buffer.clear(face));
+        for patch in &self.patches.patches {
+            let centre = pose.camera_from_world(&patch.centre);
+            if !faces.iter().any(|face| face.meets(&centre, patch.radius)) {
+                continue;
+            }
+            picture.vertices.clear();
+            picture.vertices.extend(self.patches.vertices(patch).iter().map(|v| pose.camera_from_world(v)));
+            self.draw_patch(patch, faces, picture);
+            for ((triangle, corners), &covered) in self.patches.triangles(patch).zip(&picture.covered) {
+                let corners = corners.map(|c| picture.vertices[c]);
+                if self.may_be_visible(camera, &corners) {
+                    picture.candidates.push(Candidate { triangle, corners, covered, in_front: 0 });
+                }
+            }
+        }
+        picture.count_in_front(self.surface.triangles.len());
+    }
+
+    /// Draws the triangles of a patch, whose vertices the picture holds, and counts the pixels of each.
+    fn draw_patch(&self, patch: &Patch, faces: &[Face], picture: &mut Picture) {
+        let Picture { buffers, vertices, projected, covered, .. } = picture;
+        covered.clear();
+        covered.resize(patch.len(), 0);
+        for (face, buffer) in faces.iter().zip(buffers) {
+            projected.clear();
+            projected.extend(vertices.iter().map(|v| face.project(v)));
+            for ((triangle, corners), covered) in self.patches.triangles(patch).zip(&mut *covered) {
+                *covered += buffer.draw(face, corners.map(|c| &projected[c]), self.near, triangle);
+            }
+        }
+    }
+
+    /// Conditions 1 and 2 of method 2; corners in camera coordinates.
+    fn may_be_visible(&self, camera: &Camera, [a, b, c]: &[Point3<f64>; 3]) -> bool {
+        let everywhere = camera.model() == CameraModel::Equirectangular;
+        let centroid = (a.coords + b.coords + c.coords) / 3.0;
+        let normal = (b - a).cross(&(c - a));
+        let towards = -normal.dot(&centroid);
+        let faces_camera =
+            towards > 0.0 && towards * towards > self.cos2 * normal.norm_squared() * centroid.norm_squared();
+        faces_camera
+            && (everywhere || a.z.min(b.z).min(c.z) > 0.0)
+            && camera.project(&centroid.into()).is_some_and(|pixel| camera.contains(&pixel))
+    }
+
+    /// The candidates that are not occluded: condition 3.
+    fn visible<'b>(&'b self, view: ViewIndex, picture: &'b Picture) -> impl Iterator<Item = u32> + 'b {
+        let free = move |candidate: &&Candidate| {
+            let (samples, free) = if candidate.covered < FEW_PIXELS {
+                self.free_points(view, picture, candidate)
+            } else {
+                (candidate.covered, self.free_pixels(view, picture, candidate))
+            };
+            samples > 0 && self.are_enough(free, samples)
+        };
+        picture.candidates.iter().filter(free).map(|candidate| candidate.triangle)
+    }
+
+    fn are_enough(&self, free: u32, samples: u32) -> bool {
+        f64::from(free) >= self.min_free_share * f64::from(samples)
+    }
+
+    /// At least so many pixels of the candidate are free; exactly so many where that decides. Most triangles are in front in most of their
+    /// pixels, and need not be looked at again.
+    fn free_pixels(&self, view: ViewIndex, picture: &Picture, candidate: &Candidate) -> u32 {
+        if self.are_enough(candidate.in_front, candidate.covered) {
+            return candidate.in_front;
+        }
+        let faces = self.camera(view).1.iter().zip(&picture.buffers);
+        faces.map(|(face, buffer)| buffer.free(face, &candidate.corners, self.near, self.tolerance)).sum()
+    }
+
+    /// The centroid and the corners as samples, where they lie in the field.
+    fn free_points(&self, view: ViewIndex, picture: &Picture, candidate: &Candidate) -> (u32, u32) {
+        let [a, b, c] = candidate.corners;
+        let centroid = Point3::from((a.coords + b.coords + c.coords) / 3.0);
+        let (mut samples, mut free) = (0, 0);
+        for point in [centroid, a, b, c] {
+            let mut faces = self.camera(view).1.iter().zip(&picture.buffers);
+            let around = faces.find_map(|(face, buffer)| buffer.around(face, &point, self.near));
+            if let Some((pixels, own)) = around {
+                samples += 1;
+                free += u32::from(!self.ray_is_blocked(view, &point, candidate.triangle, &pixels, own));
+            }
+        }
+        (samples, free)
+    }
+
+    /// Is one of the triangles that the picture shows around a point in front of it, by more than the tolerance?
+    fn ray_is_blocked(
+        &self,
+        view: ViewIndex,
+        point: &Point3<f64>,
+        triangle: u32,
+        pixels: &[(u32, f64); 4],
+        own: f64,
+    ) -> bool {
+        let pose = &self.scene.view(view).cam_from_world;
+        let blocks = |&(other, front): &(u32, f64)| {
+            front > 0.0
+                && other != triangle
+                && self.tolerance.hides(front, own)
+                && hit(&self.corners(pose, other), &point.coords)
+                    .is_some_and(|share| self.tolerance.hides(own / share, own))
+        };
+        pixels.iter().any(blocks)
+    }
+
+    fn corners(&self, pose: &Pose, triangle: u32) -> [Point3<f64>; 3] {
+        self.surface.corners(triangle).map(|v| pose.camera_from_world(&v))
+    }
+
+    fn camera(&self, view: ViewIndex) -> (&Camera, &[Face]) {
+        let camera = self.scene.view(view).camera.at();
+        (&self.scene.cameras[camera], &self.faces[camera])
+    }
+
+    /// Notes which observed points of the view lie on the surface and which behind it.
+    fn observe(&self, view: ViewIndex, points: &[PointIndex], picture: &Picture, observations: &Observations) {
+        let pose = &self.scene.view(view).cam_from_world;
+        for &p in points {
+            let point = pose.camera_from_world(&self.scene.points[p.at()]);
+            let mut faces = self.camera(view).1.iter().zip(&picture.buffers);
+            let Some((_, front, own)) = faces.find_map(|(face, buffer)| buffer.at(face, &point, self.near)) else {
+                continue;
+            };
+            if self.tolerance.hides(front, own) {
+                observations.hidden[p.at()].fetch_add(1, Ordering::Relaxed);
+            } else if !self.tolerance.hides(own, front) {
+                observations.on_surface[p.at()].store(true, Ordering::Relaxed);
+            }
+        }
+    }
+}
+
+/// Where along `ray` from the origin it meets a triangle, as a share of the ray; `None` if not.
+fn hit([a, b, c]: &[Point3<f64>; 3], ray: &Vector3<f64>) -> Option<f64> {
+    let normal = (b - a).cross(&(c - a));
+    let share = normal.dot(&a.coords) / normal.dot(ray);
+    let sides = [(a, b), (b, c), (c, a)].map(|(p, q)| p.coords.cross(&q.coords).dot(ray));
+    let inside = sides.iter().all(|&s| s >= 0.0) || sides.iter().all(|&s| s <= 0.0);
+    (inside && share > 0.0).then_some(share)
+}
+
+/// By sparse point: does it lie on the surface in some view, and in how many of its views is it hidden?
+struct Observations {
+    on_surface: Vec<AtomicBool>,
+    hidden: Vec<AtomicU32>,
+}
+
+impl Observations {
+    fn new(points: usize) -> Self {
+        Self {
+            on_surface: (0..points).map(|_| AtomicBool::new(false)).collect(),
+            hidden: (0..points).map(|_| AtomicU32::new(0)).collect(),
+        }
+    }
+
+    fn contradictions(self) -> u64 {
+        let both = self.on_surface.into_iter().zip(self.hidden);
+        both.filter_map(|(on, hidden)| on.into_inner().then_some(u64::from(hidden.into_inner()))).sum()
+    }
+}
+
+#[cfg(test)]
+mod tests;

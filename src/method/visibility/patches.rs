@@ -1,0 +1,136 @@
+//! The surface cut into small patches of neighbouring triangles, so that a view touches only what lies in its field.
+
+use std::ops::Range;
+
+use nalgebra::Point3;
+
+use crate::method::surface::Surface;
+
+/// Triangles per patch: few enough to cull tightly, enough to make the culling cheap.
+const PATCH_TRIANGLES: usize = 128;
+
+/// Neighbouring triangles with vertices of their own.
+#[derive(Clone, Debug)]
+pub struct Patch {
+    /// Centre and radius of a ball around it.
+    pub centre: Point3<f64>,
+    pub radius: f64,
+    vertices: Range<usize>,
+    triangles: Range<usize>,
+}
+
+impl Patch {
+    /// Its triangles.
+    pub fn len(&self) -> usize {
+        self.triangles.len()
+    }
+}
+
+/// All patches of a surface; each triangle belongs to one.
+pub struct Patches {
+    pub patches: Vec<Patch>,
+    vertices: Vec<Point3<f64>>,
+    /// Corners as positions in the patch's vertices.
+    corners: Vec<[u16; 3]>,
+    /// Numbers in the surface.
+    triangles: Vec<u32>,
+}
+
+impl Patches {
+    pub fn new(surface: &Surface) -> Self {
+        let triangles = spatial_order(surface);
+        let mut all = Self {
+            patches: Vec::with_capacity(triangles.len().div_ceil(PATCH_TRIANGLES)),
+            vertices: Vec::new(),
+            corners: Vec::with_capacity(triangles.len()),
+            triangles: Vec::new(),
+        };
+        for chunk in triangles.chunks(PATCH_TRIANGLES) {
+            all.add(surface, chunk);
+        }
+        all.triangles = triangles;
+        all
+    }
+
+    pub fn vertices(&self, patch: &Patch) -> &[Point3<f64>] {
+        &self.vertices[patch.vertices.clone()]
+    }
+
+    /// Number in the surface and corners of each triangle of the patch.
+    pub fn triangles(&self, patch: &Patch) -> impl Iterator<Item = (u32, [usize; 3])> {
+        let rows = patch.triangles.clone();
+        let corners = self.corners[rows.clone()].iter().map(|c| c.map(usize::from));
+        self.triangles[rows].iter().copied().zip(corners)
+    }
+
+    fn add(&mut self, surface: &Surface, chunk: &[u32]) {
+        let mut used: Vec<u32> = chunk.iter().flat_map(|&t| surface.triangles[t as usize]).collect();
+        used.sort_unstable();
+        used.dedup();
+        let local = |v: u32| used.partition_point(|&u| u < v) as u16;
+        let vertices = self.vertices.len()..self.vertices.len() + used.len();
+        let triangles = self.corners.len()..self.corners.len() + chunk.len();
+        self.corners.extend(chunk.iter().map(|&t| surface.triangles[t as usize].map(local)));
+        self.vertices.extend(used.iter().map(|&v| surface.vertices[v as usize]));
+        let own = &self.vertices[vertices.clone()];
+        let (low, high) = bounds(own.iter());
+        let centre = nalgebra::center(&low, &high);
+        let radius = own.iter().map(|v| (v - centre).norm()).fold(0.0, f64::max);
+        self.patches.push(Patch { centre, radius, vertices, triangles });
+    }
+}
+
+/// The triangles along a Morton curve through their first corners.
+fn spatial_order(surface: &Surface) -> Vec<u32> {
+    let (low, high) = bounds(surface.vertices.iter());
+    let longest = (high - low).max().max(f64::MIN_POSITIVE);
+    let cell = |v: &Point3<f64>| (v - low).map(|d| (d / longest * f64::from((1u32 << 21) - 1)) as u64);
+    let code = |t: &[u32; 3]| {
+        let cell = cell(&surface.vertices[t[0] as usize]);
+        spread(cell.x) | spread(cell.y) << 1 | spread(cell.z) << 2
+    };
+    let mut keyed: Vec<(u64, u32)> = surface.triangles.iter().zip(0..).map(|(t, i)| (code(t), i)).collect();
+    keyed.sort_unstable();
+    keyed.into_iter().map(|(_, t)| t).collect()
+}
+
+/// The lowest 21 bits, each followed by two zeros.
+fn spread(x: u64) -> u64 {
+    let x = (x | x << 32) & 0x001f_0000_0000_ffff;
+    let x = (x | x << 16) & 0x001f_0000_ff00_00ff;
+    let x = (x | x << 8) & 0x100f_00f0_0f00_f00f;
+    let x = (x | x << 4) & 0x10c3_0c30_c30c_30c3;
+    (x | x << 2) & 0x1249_2492_4924_9249
+}
+
+fn bounds<'a>(points: impl Iterator<Item = &'a Point3<f64>>) -> (Point3<f64>, Point3<f64>) {
+    let none = (Point3::from([f64::INFINITY; 3]), Point3::from([f64::NEG_INFINITY; 3]));
+    points.fold(none, |(low, high), p| (low.inf(p), high.sup(p)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::method::surface::SurfaceKind;
+
+    #[test]
+    fn patches_hold_every_triangle_once() {
+        let n = 40;
+        let vertices = (0..n * n).map(|i| Point3::new((i % n) as f64, (i / n) as f64, ((i * 7) % 5) as f64)).collect();
+        let quad = |i: usize| (i / (n - 1) * n + i % (n - 1)) as u32;
+        let triangles: Vec<[u32; 3]> =
+            (0..(n - 1) * (n - 1)).map(quad).flat_map(|a| [[a, a + 1, a + 41], [a, a + 41, a + 40]]).collect();
+        let surface = Surface { kind: SurfaceKind::Mesh, vertices, triangles };
+        let patches = Patches::new(&surface);
+        let mut seen = vec![0; surface.triangles.len()];
+        for patch in &patches.patches {
+            let vertices = patches.vertices(patch);
+            assert!(vertices.iter().all(|v| (v - patch.centre).norm() <= patch.radius));
+            for (t, corners) in patches.triangles(patch) {
+                assert_eq!(corners.map(|c| vertices[c]), surface.corners(t));
+                seen[t as usize] += 1;
+            }
+        }
+        assert!(seen.iter().all(|&s| s == 1));
+    }
+}

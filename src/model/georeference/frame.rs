@@ -1,0 +1,127 @@
+//! Which way is up in a model, and frames that stand on it: for terrain surfaces and for maps.
+
+use nalgebra::{Matrix3, Point3, Vector3};
+
+use crate::model::scene::Scene;
+
+/// Ratio of the two smaller standard deviations of the points, below which their plane says what is up.
+const FLAT_RATIO: f64 = 0.3;
+/// Length of the mean of the viewing directions from which on all views look the same way.
+const ONE_DIRECTION: f64 = 0.8;
+/// Cosine of the angle to the longest axis of the points, beyond which views look along the scene and not upon it.
+const ALONG: f64 = 0.7;
+/// Cosine of the angle between the tops of the images and the third axis of the world, from which on they agree on what is up.
+const UPRIGHT: f64 = 0.9;
+
+/// Cosine of the angle within which the third axis of the model counts as up.
+const NEARLY_UP: f64 = 0.98;
+
+/// A right-handed frame with the third axis up and the origin among the points.
+pub struct UprightFrame {
+    origin: Point3<f64>,
+    axes: [Vector3<f64>; 3],
+}
+
+impl UprightFrame {
+    /// Up is as given, or the normal of the points' plane on the side of the cameras where the points are flat; or else, where all views
+    /// look upon the scene in one direction (a nadir flight of one heading has no image whose top is up), against that direction, and else
+    /// the mean upward direction of the images; this first where it is the third axis of the world.
+    pub fn new(points: &[Point3<f64>], scene: &Scene, up: Option<[f64; 3]>) -> Self {
+        let (origin, spread) = plane_fit(points);
+        let up =
+            up.and_then(|u| Vector3::from(u).try_normalize(0.0)).unwrap_or_else(|| fitted_up(scene, origin, &spread));
+        let first = up.cross(&Vector3::ith(up.iamin(), 1.0)).normalize();
+        Self { origin, axes: [first, up.cross(&first), up] }
+    }
+
+    /// Unit vector, world coordinates.
+    pub fn up(&self) -> Vector3<f64> {
+        self.axes[2]
+    }
+
+    /// Among the points, world coordinates.
+    pub fn origin(&self) -> Point3<f64> {
+        self.origin
+    }
+
+    /// The point in this frame, scene units.
+    pub fn local(&self, point: &Point3<f64>) -> [f64; 3] {
+        self.axes.map(|axis| axis.dot(&(point - self.origin)))
+    }
+
+    /// World coordinates of a point of this frame.
+    pub fn world(&self, local: [f64; 3]) -> Point3<f64> {
+        self.origin + self.axes[0] * local[0] + self.axes[1] * local[1] + self.axes[2] * local[2]
+    }
+}
+
+/// Principal directions of points about their mean, with the standard deviation along each; the smallest first.
+type Spread = [(f64, Vector3<f64>); 3];
+
+fn plane_fit(points: &[Point3<f64>]) -> (Point3<f64>, Spread) {
+    let n = points.len().max(1) as f64;
+    let anchor = points.first().map_or(Vector3::zeros(), |p| p.coords);
+    let mean = anchor + points.iter().map(|p| p.coords - anchor).sum::<Vector3<f64>>() / n;
+    let covariance: Matrix3<f64> = points.iter().map(|p| (p.coords - mean) * (p.coords - mean).transpose()).sum();
+    let eigen = (covariance / n).symmetric_eigen();
+    let mut spread: Spread =
+        std::array::from_fn(|i| (eigen.eigenvalues[i].max(0.0).sqrt(), eigen.eigenvectors.column(i).into_owned()));
+    spread.sort_by(|a, b| a.0.total_cmp(&b.0));
+    (Point3::from(mean), spread)
+}
+
+/// Standard deviations of points along their three principal directions, the smallest first.
+pub fn spread(points: &[Point3<f64>]) -> [f64; 3] {
+    plane_fit(points).1.map(|(deviation, _)| deviation)
+}
+
+fn fitted_up(scene: &Scene, origin: Point3<f64>, spread: &Spread) -> Vector3<f64> {
+    let [(thickness, normal), (width, _), (_, longest)] = *spread;
+    let towards: Vector3<f64> = scene.views.iter().map(|v| v.cam_from_world.centre() - origin).sum();
+    if thickness > FLAT_RATIO * width {
+        let count = scene.views.len() as f64;
+        // Axis of the images: 1 points down in them, 2 ahead.
+        let mean_axis = |axis: usize| -> Vector3<f64> {
+            scene.views.iter().map(|v| v.cam_from_world.rotation.matrix().row(axis).transpose()).sum()
+        };
+        let below_images = mean_axis(1).try_normalize(0.5 * count);
+        let ahead = mean_axis(2).try_normalize(ONE_DIRECTION * count);
+        let upon = ahead.filter(|ahead| ahead.dot(&longest).abs() < ALONG);
+        // A front seen from one side, in a model whose third axis is up.
+        let upright = below_images.filter(|down| -down.z > UPRIGHT);
+        if let Some(down) = upright.or(upon).or(below_images) {
+            return -down;
+        }
+    }
+    if normal.dot(&towards) < 0.0 { -normal } else { normal }
+}
+
+/// A right-handed frame for maps: the second axis of the model points up the sheet, the third towards the reader.
+#[derive(Clone, Copy, Debug)]
+pub struct MapFrame {
+    /// World coordinates, among the points.
+    pub origin: Point3<f64>,
+    /// Right, up the sheet, towards the reader; unit vectors in world coordinates.
+    pub axes: [Vector3<f64>; 3],
+}
+
+impl MapFrame {
+    /// Up is the model's third axis where that is nearly so, else as for a terrain surface (method 1.7).
+    pub fn new(scene: &Scene, up: Option<[f64; 3]>) -> Self {
+        let frame = UprightFrame::new(&scene.points, scene, up);
+        let up = if frame.up().z > NEARLY_UP { Vector3::z() } else { frame.up() };
+        let forward = if up.y.abs() > NEARLY_UP { Vector3::z() } else { Vector3::y() };
+        let right = forward.cross(&up).normalize();
+        Self { origin: frame.origin(), axes: [right, up.cross(&right), up] }
+    }
+
+    /// The point in this frame, scene units.
+    pub fn local(&self, point: &Point3<f64>) -> [f64; 3] {
+        self.direction(&(point - self.origin))
+    }
+
+    /// The direction in this frame.
+    pub fn direction(&self, direction: &Vector3<f64>) -> [f64; 3] {
+        self.axes.map(|axis| axis.dot(direction))
+    }
+}

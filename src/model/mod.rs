@@ -1,0 +1,7 @@
+//! The sparse model: cameras, views, points and tracks, and its place on the earth.
+
+pub mod camera;
+pub mod cluster;
+pub mod georeference;
+pub mod reason;
+pub mod scene;

@@ -1,0 +1,85 @@
+//! Why there is no plan.
+
+use super::memory;
+use crate::{
+    base::{
+        column::{DiskError, TableError},
+        error::Hint,
+        progress::Cancelled,
+    },
+    config::UnknownBackend,
+    io::project::ProjectError,
+    method::{confidence::TrainedError, surface::SurfaceError},
+};
+
+/// Why there is no plan.
+#[derive(Debug, thiserror::Error)]
+pub enum PlanError {
+    #[error(transparent)]
+    Project(#[from] ProjectError),
+    #[error("{}: the model has no registered image", _0.display())]
+    NoViews(std::path::PathBuf),
+    #[error("no view observes a sparse point in front of it, so that no ground sampling distance is known")]
+    NoScale,
+    #[error(transparent)]
+    Surface(#[from] SurfaceError),
+    #[error(transparent)]
+    Backend(#[from] UnknownBackend),
+    #[error(transparent)]
+    Trained(#[from] TrainedError),
+    #[error("how long matching takes is not known, so that the time limit cannot be kept to")]
+    NoTimes,
+    #[error(
+        "the {stage} would need about {} of memory, but max_memory is {}",
+        memory::readable(*need),
+        memory::readable(*limit)
+    )]
+    Memory { stage: &'static str, need: u64, limit: u64 },
+    #[error(transparent)]
+    Disk(#[from] DiskError),
+    #[error(transparent)]
+    Cancelled(#[from] Cancelled),
+}
+
+impl From<TableError> for PlanError {
+    fn from(error: TableError) -> Self {
+        match error {
+            TableError::Cancelled(error) => Self::Cancelled(error),
+            TableError::Disk(error) => Self::Disk(error),
+        }
+    }
+}
+
+impl Hint for PlanError {
+    fn hint(&self) -> Option<String> {
+        Some(match self {
+            Self::Project(error) => return error.hint(),
+            Self::NoViews(_) => "run structure from motion first, or take another model with --model".into(),
+            Self::NoScale => "say what is wanted with --gsd, or give a model with points".into(),
+            Self::Surface(error) => return error.hint(),
+            Self::Backend(error) => return error.hint(),
+            Self::Trained(error) => return error.hint(),
+            Self::NoTimes => "time one depth map and set forecast.seconds_per_map or .seconds_per_pair".into(),
+            Self::Memory { stage: memory::SURFACE, need, .. } => format!(
+                "give --max-memory {} or more: what the tables need besides is known once the surface is built",
+                memory::readable(need + need / 20)
+            ),
+            Self::Memory { need, .. } => format!(
+                "give --max-memory {}, or have fewer triangles with a coarser --gsd or a larger surface.edge_factor",
+                memory::readable(need + need / 20)
+            ),
+            Self::Disk(error) => return error.hint(),
+            Self::Cancelled(_) => return None,
+        })
+    }
+
+    fn is_usage(&self) -> bool {
+        match self {
+            Self::NoTimes => true,
+            Self::Project(error) => error.is_usage(),
+            Self::Backend(error) => error.is_usage(),
+            Self::Trained(error) => error.is_usage(),
+            _ => false,
+        }
+    }
+}

@@ -1,0 +1,74 @@
+//! Finds where on the earth a project's model is: in the settings, in the files that the program which made it left, or in its coordinates.
+
+use std::path::Path;
+
+use serde::Deserialize;
+
+use crate::{
+    config::FrameSettings,
+    io::project::{ModelFormat, Project},
+    model::{
+        georeference::{Geodetic, Georeference, Zone},
+        scene::Scene,
+    },
+};
+
+/// The georeference of the project's model; [`Georeference::Local`] where nothing is known.
+pub fn georeference(project: &Project, scene: &Scene, settings: &FrameSettings) -> Georeference {
+    said(settings).or_else(|| written(project)).unwrap_or_else(|| Georeference::from_coordinates(scene))
+}
+
+/// By the settings.
+fn said(settings: &FrameSettings) -> Option<Georeference> {
+    let utm = settings.utm.as_deref().and_then(Zone::parse);
+    let utm = utm.map(|zone| Georeference::Utm { zone, offset: settings.offset.unwrap_or_default() });
+    utm.or_else(|| {
+        settings.origin.map(|[latitude, longitude, height]| Georeference::at(Geodetic { longitude, latitude, height }))
+    })
+}
+
+/// By the files that OpenSfM and OpenDroneMap leave beside their models.
+fn written(project: &Project) -> Option<Georeference> {
+    if project.model.format != ModelFormat::OpenSfm {
+        return None;
+    }
+    let folder = project.model.path.parent()?;
+    // OpenDroneMap keeps the model of before it moved to map coordinates under this name.
+    if folder.join("reconstruction.topocentric.json").is_file() {
+        return map_coordinates(&folder.parent()?.join("odm_georeferencing/coords.txt"));
+    }
+    let beside = read_json::<Reference>(&folder.join("reference_lla.json"));
+    let inside = || read_json::<Vec<Reconstruction>>(&project.model.path)?.into_iter().next()?.reference_lla;
+    let reference = beside.or_else(inside)?;
+    Some(Georeference::at(Geodetic {
+        longitude: reference.longitude,
+        latitude: reference.latitude,
+        height: reference.altitude,
+    }))
+}
+
+#[derive(Deserialize)]
+struct Reference {
+    latitude: f64,
+    longitude: f64,
+    altitude: f64,
+}
+
+#[derive(Deserialize)]
+struct Reconstruction {
+    reference_lla: Option<Reference>,
+}
+
+fn read_json<T: serde::de::DeserializeOwned>(path: &Path) -> Option<T> {
+    serde_json::from_slice(&std::fs::read(path).ok()?).ok()
+}
+
+/// `WGS84 UTM 15N`, then the offset of the model's coordinates.
+fn map_coordinates(path: &Path) -> Option<Georeference> {
+    let text = std::fs::read_to_string(path).ok()?;
+    let mut lines = text.lines();
+    let zone = Zone::parse(lines.next()?.strip_prefix("WGS84 UTM ")?)?;
+    let mut numbers = lines.next()?.split_whitespace().map(str::parse);
+    let offset = [numbers.next()?.ok()?, numbers.next()?.ok()?];
+    Some(Georeference::Utm { zone, offset })
+}

@@ -1,0 +1,245 @@
+//! Runs the stages of the method that come before the ranking, and keeps the value of each.
+
+use super::{Matcher, Memory, PlanError, Timings, cut};
+use crate::{
+    base::progress::{Stage, Watcher},
+    config::{Settings, Share},
+    io::project::Project,
+    method::{
+        confidence::{self, Confidence, Pictures, Predictor, Proxy, Source, Trained, Unary},
+        fulfilment::{FulfilmentTable, GSD_MARGIN, Model, Rule, Target},
+        partners::{self, Candidates},
+        surface::{self, MeshFile, Surface, SurfaceError, SurfaceStats},
+        visibility::{self, Visibility},
+    },
+    model::{
+        cluster::ViewCluster,
+        scene::{Scene, Units, ViewPoints},
+    },
+};
+
+/// The value of each stage of the method up to the view clusters and what each of them fulfils.
+#[derive(Clone, Debug)]
+pub struct Stages {
+    /// All settings in force; what was chosen from the data or by the backend is filled in.
+    pub settings: Settings,
+    /// Name of the backend that the plan is made for.
+    pub backend: &'static str,
+    pub scene: Scene,
+    pub surface: Surface,
+    pub surface_stats: SurfaceStats,
+    pub visibility: Visibility,
+    /// Unary confidence of each row of `visibility`.
+    pub unary: Unary,
+    /// What was seen in the pictures.
+    pub pictures: confidence::Seen,
+    /// What predicts success.
+    pub confidence: Confidence,
+    pub trained: Option<Trained>,
+    /// g_d and a_d of each triangle (method 3.6).
+    pub target: Target,
+    pub candidates: Candidates,
+    /// One per view that can be a key view, in the order of views.
+    pub clusters: Vec<ViewCluster>,
+    /// f of each cluster: predicted; real where the cluster is finished.
+    pub fulfilment: FulfilmentTable,
+    /// What was forecast before each stage.
+    pub memory: Memory,
+}
+
+impl Stages {
+    /// Runs the stages on the project's scene for the MVS program that will match them; `timings` takes the seconds of each.
+    pub fn run(
+        project: &Project,
+        scene: Scene,
+        settings: &Settings,
+        matcher: &Matcher,
+        timings: &mut Timings,
+        watcher: &dyn Watcher,
+    ) -> Result<Self, PlanError> {
+        let source = Source::new(&settings.confidence.source, project, matcher.name);
+        let trained = source.trained(&project.root)?;
+        let mut settings = in_force(project, settings, &scene, matcher, &source)?;
+        let mut memory = Memory::before_surface(&scene, &mut settings)?;
+        let points = scene.view_points();
+        // Parts of the surface are made by one thread: the others find candidates meanwhile.
+        let (seen, candidates) = rayon::join(
+            || seen_surface(&scene, &points, &settings, watcher, timings, &mut memory),
+            || partners::candidates(&scene, &points, &settings.partners, &matcher.numbers.gate, watcher),
+        );
+        let (seen, candidates) = (seen?, candidates?);
+        memory.before_partners(&scene, &seen.surface, &seen.visibility)?;
+        let target = target(&scene, &seen, &settings);
+        seen.visibility.triangles.release();
+        let confidence = Confidence::new(&source, trained.as_ref(), &settings.confidence, &matcher.numbers.confidence);
+        confidence.fill_in(&mut settings.confidence);
+        let rule = rule(&settings, confidence);
+        let model = Model {
+            scene: &scene,
+            surface: &seen.surface,
+            visibility: &seen.visibility,
+            target: &target,
+            unary: &Unary::certain(),
+            rule,
+        };
+        let (pictures, unary) = timings.time(Stage::Confidence, || {
+            let pictures = pictures(project, &scene, &source, trained.as_ref(), watcher)?;
+            let unary = match (&trained, confidence) {
+                (Some(trained), Confidence::Trained(_)) => trained.unary(&model, &points, &pictures.maps, watcher)?,
+                (_, Confidence::Pair(_)) => {
+                    confidence::nearby(&scene, &points, &seen.surface, &seen.visibility, watcher)?.times(
+                        Unary::new(&scene, &seen.surface, &seen.visibility, &pictures.maps, watcher)?,
+                        &seen.visibility,
+                    )?
+                }
+                _ => Unary::new(&scene, &seen.surface, &seen.visibility, &pictures.maps, watcher)?,
+            };
+            Ok::<_, PlanError>((pictures, unary))
+        })?;
+        let model = Model { unary: &unary, ..model };
+        let (clusters, fulfilment) = timings.time(Stage::Partners, || {
+            partners::choose(&model, &candidates, &settings.partners, settings.seed, watcher)
+        })?;
+        watcher.check()?;
+        Ok(Self {
+            backend: matcher.name,
+            surface: seen.surface,
+            surface_stats: seen.stats,
+            visibility: seen.visibility,
+            memory,
+            settings,
+            scene,
+            unary,
+            pictures,
+            confidence,
+            trained,
+            target,
+            candidates,
+            clusters,
+            fulfilment,
+        })
+    }
+
+    /// Memory that the tables take, bytes, about.
+    pub fn bytes(&self) -> u64 {
+        let unary = self.unary.values.bytes() + self.unary.partner_odds.bytes();
+        let fulfilment = self.fulfilment.triangles.bytes() + self.fulfilment.values.bytes();
+        let tables = self.visibility.triangles.bytes() + unary + fulfilment;
+        let surface = 24 * self.surface.vertices.len() + 24 * self.surface.triangles.len();
+        let scene = 64 * self.scene.points.len() + 24 * self.scene.observations();
+        (tables + surface + scene) as u64
+    }
+
+    /// What f depends on; with it any view clusters can be looked at.
+    pub fn model(&self) -> Model<'_> {
+        Model {
+            scene: &self.scene,
+            surface: &self.surface,
+            visibility: &self.visibility,
+            target: &self.target,
+            unary: &self.unary,
+            rule: rule(&self.settings, self.confidence),
+        }
+    }
+}
+
+/// The settings with what is left to the data and the backend filled in.
+fn in_force(
+    project: &Project,
+    settings: &Settings,
+    scene: &Scene,
+    matcher: &Matcher,
+    source: &Source,
+) -> Result<Settings, PlanError> {
+    if scene.views.is_empty() {
+        return Err(PlanError::NoViews(project.model.path.clone()));
+    }
+    let mut all = settings.clone();
+    all.units.get_or_insert(Units::Relative);
+    let gsd = match all.target.gsd {
+        Some(gsd) => gsd,
+        None => GSD_MARGIN * scene.median_gsd().ok_or(PlanError::NoScale)? / all.image_scale,
+    };
+    all.target.accuracy.get_or_insert(gsd);
+    all.target.mode = all.target.mode.in_force(settings.target.gsd.or(settings.target.accuracy).is_some());
+    all.target.gsd = Some(gsd);
+    all.partners.candidates = all.partners.candidates.max(all.partners.k);
+    all.ranking.support.get_or_insert(matcher.numbers.support);
+    all.confidence.source = source.to_string();
+    if all.partners.k == 1 {
+        all.coverage.min_cameras = 2;
+    }
+    let cut = &mut all.cut;
+    if cut.budget.is_none() && cut.time.is_none() && cut.points.is_none() {
+        cut.target.get_or_insert(Share(cut::DEFAULT_TARGET));
+    }
+    Ok(all)
+}
+
+/// What the pictures say; masks count wherever confidence does.
+fn pictures(
+    project: &Project,
+    scene: &Scene,
+    source: &Source,
+    trained: Option<&Trained>,
+    watcher: &dyn Watcher,
+) -> Result<confidence::Seen, PlanError> {
+    let pictures = Pictures::new(project);
+    let predictor: Option<&dyn Predictor> = match (source, trained) {
+        (Source::Proxy, _) => Some(&Proxy),
+        (_, Some(trained)) => trained.picture.as_ref().map(|picture| picture as &dyn Predictor),
+        _ => None,
+    };
+    let unasked = *source == Source::None || predictor.is_none() && !pictures.have_masks();
+    if unasked {
+        return Ok(confidence::Seen { maps: vec![None; scene.views.len()], ..Default::default() });
+    }
+    Ok(pictures.look(scene, predictor, watcher)?)
+}
+
+/// A surface of triangles that at least one view sees.
+struct SeenSurface {
+    surface: Surface,
+    stats: SurfaceStats,
+    visibility: Visibility,
+    gsd: f64,
+}
+
+fn seen_surface(
+    scene: &Scene,
+    points: &ViewPoints,
+    settings: &Settings,
+    watcher: &dyn Watcher,
+    timings: &mut Timings,
+    memory: &mut Memory,
+) -> Result<SeenSurface, PlanError> {
+    let gsd = settings.target.gsd.ok_or(PlanError::NoScale)?;
+    let mesh = settings.surface.mesh.clone().map(|path| MeshFile { path, as_is: settings.surface.mesh_as_is });
+    let most = memory.most_triangles();
+    let (surface, stats) =
+        timings.time(Stage::Surface, || surface::build(scene, gsd, &settings.surface, mesh.as_ref(), most, watcher))?;
+    let keep = memory.before_visibility(scene, &surface, &settings.visibility)?;
+    let edge_length = settings.surface.edge_factor * gsd;
+    let visibility = timings.time(Stage::Visibility, || {
+        visibility::estimate(scene, points, &surface, &settings.visibility, edge_length, keep, watcher)
+    })?;
+    let seen = visibility.seen(surface.triangles.len());
+    if !seen.contains(&true) {
+        return Err(SurfaceError::Empty.into());
+    }
+    Ok(SeenSurface { surface: surface.keep(&seen), stats, visibility: visibility.keep(&seen)?, gsd })
+}
+
+fn target(scene: &Scene, seen: &SeenSurface, settings: &Settings) -> Target {
+    Target::new(scene, &seen.surface, &seen.visibility, &settings.target, seen.gsd, settings.image_scale)
+}
+
+fn rule(settings: &Settings, confidence: Confidence) -> Rule {
+    Rule {
+        alpha: settings.fulfilment.alpha,
+        sigma_px: settings.fulfilment.sigma_px,
+        min_cameras: settings.coverage.min_cameras,
+        image_scale: settings.image_scale,
+        confidence,
+    }
+}

@@ -1,0 +1,164 @@
+//! What is written for a plan: the manifest, its table, the pair files, the pictures, and the files of backends.
+
+use super::outdated;
+use crate::plan::{self, Nothing, Plan, PlannedViews};
+use crate::{
+    apps::report,
+    backends::{self, Backend, BackendError, Export, ExportOptions, Selection, place},
+    base::{error::Hint, shell::quoted_path},
+    io::{
+        output::{Contents, FileSet},
+        project::Project,
+    },
+    method::confidence,
+    show::{
+        manifest::{FingerprintError, Manifest},
+        pictures::{Curve, curve_svg, surface_ply, views_geojson},
+    },
+};
+
+/// What is to be written for a plan.
+pub struct PlanFiles {
+    pub manifest: Manifest,
+    /// The plan's own files first; then those of each backend, a set per folder, and what an earlier plan left; to be written together.
+    pub sets: Vec<FileSet>,
+    /// Exports of earlier plans that stay in the project, a line each; no part of the plan.
+    pub outdated_exports: Vec<String>,
+    /// What runs the first of the backends on its files, to be typed in a shell.
+    pub command: Option<String>,
+}
+
+/// Why a plan cannot be written down.
+#[derive(Debug, thiserror::Error)]
+pub enum FilesError {
+    #[error(transparent)]
+    Backend(#[from] BackendError),
+    #[error(transparent)]
+    Input(#[from] FingerprintError),
+    #[error(transparent)]
+    Nothing(#[from] Nothing),
+}
+
+impl Hint for FilesError {
+    fn hint(&self) -> Option<String> {
+        match self {
+            Self::Backend(error) => error.hint(),
+            Self::Input(error) => error.hint(),
+            Self::Nothing(error) => error.hint(),
+        }
+    }
+}
+
+/// The files of the plan, to be written by [`output::write_all`](crate::io::output::write_all).
+///
+/// # Errors
+/// A plan that chooses nothing, names that a backend cannot take, a mesh that cannot be read any more.
+pub fn files(plan: &Plan, project: &Project) -> Result<PlanFiles, FilesError> {
+    if let Some(nothing) = Nothing::of(plan) {
+        return Err(nothing.into());
+    }
+    let clusters: Vec<_> = plan.ranked().take(plan.decision.cut.clusters).collect();
+    let image_faults = project.image_faults(&plan.stages.scene);
+    let selection = Selection {
+        project,
+        scene: &plan.stages.scene,
+        clusters: &clusters,
+        image_scale: plan.stages.settings.image_scale,
+        planned_for: plan.stages.backend,
+        image_faults: &image_faults,
+    };
+    let (exports, mut missing) = exports(&selection, &wanted(plan, project)?)?;
+    let pair_files = backends::pair_files("the list of view clusters", &selection).map(Vec::from);
+    let pair_files = pair_files.or_else(|error| match error {
+        BackendError::Name { .. } => {
+            missing.push(format!("no clusters.txt, pairs.txt and baseImages.txt: {error}"));
+            Ok(Vec::new())
+        }
+        error => Err(error),
+    })?;
+    let records = exports.iter().map(|export| export.record.clone()).collect();
+    let mut manifest = Manifest::new(plan, project, records)?;
+    manifest.warnings.extend(image_faults.warnings(project, &plan.stages.scene));
+    manifest.warnings.extend(missing);
+    let command = exports.first().and_then(command);
+    let mut own = FileSet::new(&project.root, "plan");
+    let mut add = |name: &str, text: String| own.add_text(format!("viewrank/{name}"), text);
+    let stale = stale_page(project, &manifest);
+    add("manifest.json", manifest.to_json());
+    add("manifest.csv", manifest.to_csv());
+    pair_files.into_iter().for_each(|(name, text)| add(name, text));
+    let planned_views = PlannedViews::new(&plan.stages.scene, &plan.decision.finished);
+    add("planned_views.json", serde_json::to_string(&planned_views).expect("numbers and texts are JSON") + "\n");
+    add("curve.svg", curve_svg(&Curve::predicted(plan)));
+    let place = plan::georeference(project, &plan.stages.scene, &plan.stages.settings.frame);
+    add("views.geojson", views_geojson(plan, &place));
+    add("timings.json", serde_json::to_string_pretty(&plan.timings).expect("numbers by name are JSON") + "\n");
+    own.add("viewrank/surface.ply", Contents::Bytes(surface_ply(plan)));
+    let exports = exports.into_iter().map(|export| {
+        let folder = export.files.root.clone();
+        place::set_of_folder(&folder, [export.files], project)
+    });
+    let sets: Vec<FileSet> = std::iter::once(own).chain(exports).chain(cache(plan, project)).chain(stale).collect();
+    let outdated_exports = outdated::exports(plan, project, &sets);
+    Ok(PlanFiles { manifest, sets, outdated_exports, command })
+}
+
+/// The page that shows another plan than this one goes.
+fn stale_page(project: &Project, manifest: &Manifest) -> Option<FileSet> {
+    let earlier = std::fs::read(project.output_folder().join("manifest.json"));
+    let shows_another = earlier.map_or(true, |earlier| earlier != manifest.to_json().as_bytes());
+    let there = project.root.join(report::FILE).exists();
+    (there && shows_another).then(|| FileSet::new(&project.root, report::SET))
+}
+
+/// What the pictures showed, for the next plan, if there is something new.
+fn cache(plan: &Plan, project: &Project) -> Option<FileSet> {
+    let bytes = plan.stages.pictures.cache.clone()?;
+    let mut set = FileSet::new(&project.root, "cache");
+    set.add(confidence::CACHE, Contents::Bytes(bytes));
+    Some(set)
+}
+
+/// The runner of an export, else its first command, from its folder.
+fn command(export: &Export) -> Option<String> {
+    let folder = quoted_path(&export.files.root);
+    let runner = export.record.runner.as_ref().map(|runner| format!("./{runner}"));
+    Some(format!("cd {folder} && {}", runner.as_ref().or(export.record.commands.first())?))
+}
+
+/// The files of each backend. One that lacks something gets none, which a warning says: the plan is good without them.
+fn exports(
+    selection: &Selection,
+    backends: &[&'static dyn Backend],
+) -> Result<(Vec<Export>, Vec<String>), BackendError> {
+    let (mut exports, mut missing) = (Vec::new(), Vec::new());
+    for backend in backends {
+        let checked = backend.export(selection, &ExportOptions::default()).and_then(|export| {
+            place::check(&export.files.root, std::slice::from_ref(&export), selection.project).map(|()| export)
+        });
+        match checked {
+            Ok(export) => exports.push(export),
+            Err(BackendError::Needs { backend, what, hint }) => {
+                missing.push(format!("no files for {backend}, which needs {what}: {hint}"));
+            }
+            Err(
+                error @ (BackendError::OtherExport { .. }
+                | BackendError::OtherModel(_)
+                | BackendError::OwnFile(_)
+                | BackendError::Place(_)),
+            ) => {
+                missing.push(format!("no files for {}: {error}", backend.name()));
+            }
+            Err(error) => return Err(error),
+        }
+    }
+    Ok((exports, missing))
+}
+
+/// The backends that were asked for, else those that the project is set up for.
+fn wanted(plan: &Plan, project: &Project) -> Result<Vec<&'static dyn Backend>, BackendError> {
+    if plan.stages.settings.backends.is_empty() {
+        return Ok(backends::all().iter().copied().filter(|backend| backend.serves(project)).collect());
+    }
+    Ok(backends::by_names(&plan.stages.settings.backends)?)
+}

@@ -1,0 +1,45 @@
+//! Which input a plan was made from.
+
+use std::{
+    fs::{self, File},
+    io,
+    path::{Path, PathBuf},
+};
+
+use crate::{base::error::Hint, io::project::Project, model::scene::Scene};
+
+/// The input could not be read a second time.
+#[derive(Debug, thiserror::Error)]
+#[error("{}: {source}", path.display())]
+pub struct FingerprintError {
+    path: PathBuf,
+    source: io::Error,
+}
+
+impl Hint for FingerprintError {
+    fn hint(&self) -> Option<String> {
+        Some("leave the model as it is while it is planned for, then plan again".into())
+    }
+}
+
+/// BLAKE3, in hexadecimal, over the model's files, the mesh that is taken for its surface, and the name and size of each registered image.
+pub fn fingerprint(project: &Project, scene: &Scene, mesh: Option<&Path>) -> Result<String, FingerprintError> {
+    let mut hasher = blake3::Hasher::new();
+    for path in project.model_files().into_iter().chain(mesh.map(Path::to_path_buf)) {
+        let failed = |source| FingerprintError { path: path.clone(), source };
+        // Lengths in front, so that no two lists of files give the same bytes.
+        let length = fs::metadata(&path).map_err(failed)?.len();
+        hasher.update(&length.to_le_bytes());
+        hasher.update_reader(File::open(&path).map_err(failed)?).map_err(failed)?;
+    }
+    for view in &scene.views {
+        hasher.update(&(view.name.len() as u64).to_le_bytes()).update(view.name.as_bytes());
+        let size = project.images.as_deref().and_then(|images| size(&images.join(&view.name)));
+        hasher.update(&size.unwrap_or(u64::MAX).to_le_bytes());
+    }
+    Ok(hasher.finalize().to_string())
+}
+
+fn size(path: &Path) -> Option<u64> {
+    fs::metadata(path).ok().map(|found| found.len())
+}

@@ -1,0 +1,263 @@
+//! `manifest.json`: the ranking and everything that is to be known about it (method 6), for other programs.
+//!
+//! The structs are the format: the JSON Schema under `schema/` is made from them and their comments. Same input, same bytes:
+//! nothing in it depends on the clock, the machine or the number of threads.
+
+mod fingerprint;
+mod written;
+
+use schemars::{JsonSchema, Schema, schema_for};
+use serde::{Deserialize, Serialize};
+
+pub use fingerprint::{FingerprintError, fingerprint};
+pub(crate) use written::Recorded;
+pub use written::{WrittenPlan, WrittenPlanError, planned_backend, planned_model};
+
+use crate::{
+    backends::ExportRecord,
+    config::Settings,
+    io::project::Project,
+    method::{
+        confidence::TrainedOn,
+        surface::{SurfaceKind, SurfaceStats},
+    },
+    model::{
+        cluster::RankedCluster,
+        reason::Reason,
+        scene::{Units, ViewIndex},
+    },
+    plan::{Cut, Forecast, Outdated, Plan, ViewStatus},
+};
+
+/// Version of the format; a reader of this version reads every manifest with the same number.
+pub(crate) const VERSION: u32 = 1;
+
+/// A ranking of view clusters: which key views get depth maps, with which matching partners, in which order.
+#[derive(Clone, Debug, Serialize, JsonSchema)]
+pub struct Manifest {
+    /// Version of this format.
+    pub version: u32,
+    /// Program and version that wrote it.
+    pub tool: String,
+    pub input: Input,
+    /// "metric": a scene unit is a metre. "relative": its length is not known.
+    pub units: Units,
+    /// Backend that the plan is made for: pairs that it cannot match are no candidates, and the numbers of its confidence and support are in `settings`.
+    pub backend: String,
+    /// All settings in force, nested as in viewrank.toml; what the data or the backend decided is filled in.
+    pub settings: Settings,
+    /// The trained model that predicts success; null where nothing was trained (`settings.confidence.source` says what predicts).
+    pub confidence_model: Option<ConfidenceModel>,
+    pub surface: SurfaceSummary,
+    /// The whole ranking, best first; those up to `cut` are to be computed.
+    pub clusters: Vec<Cluster>,
+    /// Where the ranking is cut.
+    pub cut: Cut,
+    /// Each registered view once, by name.
+    pub views: Vec<ViewEntry>,
+    /// Images without a pose, by name.
+    pub unregistered: Vec<String>,
+    /// Finished depth maps that no longer fit the model, by key view; they count for nothing and have to be made again.
+    pub outdated: Vec<Outdated>,
+    pub forecast: Forecast,
+    /// What was written for each backend, and what it will not honour.
+    pub exports: Vec<ExportRecord>,
+    /// What should be known before relying on the plan, in sentences.
+    pub warnings: Vec<String>,
+}
+
+/// The warnings of a plan, `further` ones, then what each of its exports warns of and does not honour.
+pub fn warnings_with(of_plan: &[String], exports: &[ExportRecord], further: &[String]) -> Vec<String> {
+    let mut warnings: Vec<String> = of_plan.iter().chain(further).cloned().collect();
+    for ExportRecord { backend, warnings: own, not_honoured, .. } in exports {
+        let own = own.iter().filter(|warning| !of_plan.contains(warning));
+        warnings.extend(own.map(|warning| format!("{backend}: {warning}")));
+        warnings.extend(not_honoured.iter().map(|what| format!("{backend}: not honoured: {what}")));
+    }
+    warnings
+}
+
+/// What was planned for.
+#[derive(Clone, Debug, Serialize, JsonSchema)]
+pub struct Input {
+    /// Format of the sparse model.
+    pub format: String,
+    /// The model, relative to the project folder; "." is the folder itself.
+    pub model: String,
+    /// BLAKE3 over the model's files and the names and sizes of the registered images: the same input has the same.
+    pub fingerprint: String,
+    /// Registered images.
+    pub views: usize,
+    /// Sparse points.
+    pub points: usize,
+    /// Observations of sparse points.
+    pub observations: usize,
+}
+
+/// A trained confidence.
+#[derive(Clone, Debug, Serialize, JsonSchema)]
+pub struct ConfidenceModel {
+    /// BLAKE3 of the model.
+    pub fingerprint: String,
+    /// Backend whose depth maps it learnt from.
+    pub backend: String,
+    /// The projects that it learnt from.
+    pub trained_on: Vec<TrainedOn>,
+    /// Median over the images of how far they are from the training images, 1 being as far as nineteen of twenty of those; null without images.
+    pub distance: Option<f32>,
+}
+
+/// The surface that was planned on.
+#[derive(Clone, Debug, Serialize, JsonSchema)]
+pub struct SurfaceSummary {
+    /// "3d": carved from the tetrahedra of the points. "terrain": 2.5D. "mesh": from a file.
+    pub kind: SurfaceKind,
+    /// Vertices of those triangles.
+    pub vertices: usize,
+    /// Triangles that at least one view sees.
+    pub triangles: usize,
+    /// Square scene units.
+    pub area: f64,
+    /// Triangles that no cluster fulfils to a tenth, by themselves: the best f is below 0.1.
+    pub unfulfilled: usize,
+    /// How it came about.
+    pub made: SurfaceStats,
+}
+
+/// A view cluster in its place of the ranking.
+#[derive(Clone, Debug, Serialize, JsonSchema)]
+pub struct Cluster {
+    /// From 1.
+    pub rank: usize,
+    /// Name of the key view, which gets a depth map.
+    pub key: String,
+    /// Names of the views that it is matched against, best first.
+    pub partners: Vec<String>,
+    /// What it adds to the fulfilment.
+    pub gain: f64,
+    /// Fulfilment of the ranking up to here, 0 to 1.
+    pub fulfilment: f64,
+    /// The same as a share of what all clusters together reach.
+    pub share: f64,
+    /// It has its depth map, and gain and fulfilment are what that really reaches; all that is finished comes first.
+    pub finished: bool,
+}
+
+/// What becomes of a registered view.
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
+pub struct ViewEntry {
+    /// As in the model, relative to the image folder.
+    pub name: String,
+    /// What becomes of it.
+    pub status: ViewStatus,
+    /// Why it is no key view, or a key view with fewer than k partners; null where there is nothing to explain.
+    pub reason: Option<Reason>,
+}
+
+impl Manifest {
+    /// `exports`: what is written for backends together with the plan.
+    pub fn new(plan: &Plan, project: &Project, exports: Vec<ExportRecord>) -> Result<Self, FingerprintError> {
+        Ok(Self {
+            version: VERSION,
+            tool: concat!("viewrank ", env!("CARGO_PKG_VERSION")).into(),
+            input: Input::new(plan, project)?,
+            units: plan.stages.settings.units.unwrap_or(Units::Relative),
+            backend: plan.stages.backend.into(),
+            settings: plan.stages.settings.of_plan(),
+            confidence_model: plan.stages.trained.as_ref().map(|trained| ConfidenceModel {
+                fingerprint: trained.fingerprint(),
+                backend: trained.backend.clone(),
+                trained_on: trained.trained_on.clone(),
+                distance: plan.stages.pictures.distance,
+            }),
+            surface: SurfaceSummary::new(plan),
+            clusters: clusters(plan),
+            cut: plan.decision.cut,
+            views: plan.stages.scene.view_indices().map(|view| ViewEntry::new(plan, view)).collect(),
+            unregistered: plan.stages.scene.unregistered.clone(),
+            outdated: plan.decision.finished.outdated.clone(),
+            forecast: plan.decision.forecast,
+            exports,
+            warnings: plan.decision.warnings.clone(),
+        })
+    }
+
+    /// The contents of `manifest.json`.
+    pub fn to_json(&self) -> String {
+        serde_json::to_string_pretty(self).expect("a manifest has string keys and finite numbers") + "\n"
+    }
+
+    /// The contents of `manifest.csv`: a line per cluster, for spreadsheets.
+    pub fn to_csv(&self) -> String {
+        let most = self.clusters.iter().map(|cluster| cluster.partners.len()).max().unwrap_or(0);
+        let partners = (1..=most).map(|n| format!("partner_{n}"));
+        let fixed = ["rank", "chosen", "key", "gain", "fulfilment", "share"].map(String::from);
+        let mut lines = csv::WriterBuilder::new().from_writer(Vec::new());
+        let mut write = |line: Vec<String>| lines.write_record(line).expect("lines of equal length, to memory");
+        write(fixed.into_iter().chain(partners).collect());
+        for cluster in &self.clusters {
+            let chosen = if cluster.rank <= self.cut.clusters { "yes" } else { "no" };
+            let numbers = [cluster.gain, cluster.fulfilment, cluster.share].map(|number| number.to_string());
+            let start = [cluster.rank.to_string(), chosen.into(), cluster.key.clone()].into_iter().chain(numbers);
+            let empty = std::iter::repeat_n(String::new(), most - cluster.partners.len());
+            write(start.chain(cluster.partners.iter().cloned()).chain(empty).collect());
+        }
+        String::from_utf8(lines.into_inner().expect("written to memory")).expect("written from texts")
+    }
+
+    /// The JSON Schema of the format.
+    pub fn schema() -> Schema {
+        schema_for!(Self)
+    }
+}
+
+impl Input {
+    fn new(plan: &Plan, project: &Project) -> Result<Self, FingerprintError> {
+        let model = project.model.path.strip_prefix(&project.root).unwrap_or(&project.model.path);
+        let model = if model.as_os_str().is_empty() { ".".into() } else { model.to_string_lossy().replace('\\', "/") };
+        Ok(Self {
+            format: project.model.format.name().into(),
+            model,
+            fingerprint: fingerprint(project, &plan.stages.scene, plan.stages.settings.surface.mesh.as_deref())?,
+            views: plan.stages.scene.views.len(),
+            points: plan.stages.scene.points.len(),
+            observations: plan.stages.scene.observations(),
+        })
+    }
+}
+
+impl SurfaceSummary {
+    fn new(plan: &Plan) -> Self {
+        let surface = &plan.stages.surface;
+        Self {
+            kind: surface.kind,
+            vertices: surface.vertices.len(),
+            triangles: surface.triangles.len(),
+            area: (0..surface.triangles.len() as u32).map(|t| surface.area(t)).sum(),
+            unfulfilled: plan.decision.triangle_reasons.iter().flatten().count(),
+            made: plan.stages.surface_stats.clone(),
+        }
+    }
+}
+
+impl ViewEntry {
+    fn new(plan: &Plan, view: ViewIndex) -> Self {
+        let (status, reason) = plan.decision.views[view.at()];
+        Self { name: plan.stages.scene.name(view).into(), status, reason }
+    }
+}
+
+fn clusters(plan: &Plan) -> Vec<Cluster> {
+    let name = |view: ViewIndex| plan.stages.scene.name(view).to_owned();
+    let ranked = plan.ranked().enumerate();
+    let entry = |(i, cluster): (usize, RankedCluster)| Cluster {
+        rank: i + 1,
+        key: name(cluster.key),
+        partners: cluster.partners.into_iter().map(name).collect(),
+        gain: plan.decision.ranking.gains[i],
+        fulfilment: plan.decision.ranking.fulfilment[i],
+        share: cluster.share,
+        finished: i < plan.decision.finished.clusters,
+    };
+    ranked.map(entry).collect()
+}

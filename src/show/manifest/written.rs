@@ -1,0 +1,207 @@
+//! A plan that was written before, without planning again: the ranking from `manifest.json`, the scene from the model.
+
+use std::path::{Path, PathBuf};
+
+use serde::Deserialize;
+
+use super::{FingerprintError, VERSION, ViewEntry, fingerprint};
+use crate::{
+    backends::ExportRecord,
+    base::{error::Hint, shell::quoted_path},
+    config::{Budget, Settings, Share},
+    io::project::{Project, ProjectError},
+    model::{
+        cluster::RankedCluster,
+        scene::{Scene, ViewIndex},
+    },
+    plan::{Cut, Outdated, Plan},
+};
+
+/// A ranking with the project and the scene that it belongs to.
+#[derive(Debug)]
+pub struct WrittenPlan {
+    pub project: Project,
+    pub scene: Scene,
+    /// Name of the backend that the plan was made for.
+    pub backend: String,
+    pub settings: Settings,
+    /// The whole ranking, best first.
+    pub clusters: Vec<RankedCluster>,
+    /// Clusters that the plan's own cut takes.
+    pub cut: usize,
+    /// So many of the first have a depth map that the plan stands around, whatever its views moved by since.
+    pub finished: usize,
+    /// The share that the plan's cut was made for, or that it reaches.
+    pub target: Share,
+}
+
+/// The part of a manifest that its readers need, by name.
+#[derive(Debug, Deserialize)]
+pub(crate) struct Recorded {
+    version: u32,
+    input: Input,
+    pub backend: String,
+    pub settings: Settings,
+    /// The whole ranking, best first; what is finished comes first.
+    pub clusters: Vec<Cluster>,
+    pub views: Vec<ViewEntry>,
+    pub outdated: Vec<Outdated>,
+    pub cut: Cut,
+    pub exports: Vec<ExportRecord>,
+    pub warnings: Vec<String>,
+    /// Where it was read from.
+    #[serde(skip)]
+    path: PathBuf,
+}
+
+#[derive(Debug, Deserialize)]
+struct Input {
+    model: String,
+    fingerprint: String,
+}
+
+#[derive(Debug, Deserialize)]
+pub(crate) struct Cluster {
+    pub key: String,
+    pub partners: Vec<String>,
+    pub gain: f64,
+    pub fulfilment: f64,
+    share: f64,
+    pub finished: bool,
+}
+
+/// Name of the backend that the project's plan was made for; `None` without a plan.
+pub fn planned_backend(project: &Project) -> Option<String> {
+    Recorded::read(project).ok().map(|recorded| recorded.backend)
+}
+
+/// Name of the sub-model that the project's plan was made for; `None` without a plan.
+pub fn planned_model(project: &Project) -> Option<String> {
+    Recorded::read(project).ok()?.model_name()
+}
+
+impl WrittenPlan {
+    /// Reads `viewrank/manifest.json` of the project; an error where model or images have changed since.
+    pub fn read(root: &Path) -> Result<Self, WrittenPlanError> {
+        let (project, recorded) = Recorded::open(root)?;
+        let scene = project.read_scene()?;
+        recorded.check_input(&project, &scene)?;
+        let clusters = recorded.ranked(&scene)?;
+        let cut = recorded.cut.clusters.min(clusters.len());
+        let (finished, settings) = (recorded.finished(), recorded.settings);
+        let target = settings.cut.target.unwrap_or(Share(recorded.cut.share));
+        Ok(Self { project, backend: recorded.backend, settings, clusters, cut, finished, target, scene })
+    }
+
+    /// How many clusters another cut takes: so many, or the fewest that reach the share.
+    pub fn cut_at(&self, budget: Option<Budget>, target: Option<Share>) -> usize {
+        let all = self.clusters.len();
+        let by_budget = budget.map_or(all, |budget| budget.clusters(self.scene.views.len()));
+        let by_target = target.map_or(all, |target| self.clusters.partition_point(|c| c.share < target.0) + 1);
+        if budget.is_none() && target.is_none() { self.cut } else { all.min(by_budget).min(by_target) }
+    }
+}
+
+impl Recorded {
+    /// The project with the model that was planned for, and what was planned.
+    pub fn open(root: &Path) -> Result<(Project, Self), WrittenPlanError> {
+        let any_model = Project::open(root, None)?;
+        let recorded = Self::read(&any_model)?;
+        let project = match recorded.model_name() {
+            Some(name) if any_model.model.name() != name => Project::open(root, Some(&name))?,
+            _ => any_model,
+        };
+        Ok((project, recorded))
+    }
+
+    /// What `viewrank/manifest.json` of the project says, whether or not the input has changed since.
+    pub fn read(project: &Project) -> Result<Self, WrittenPlanError> {
+        let path = project.output_folder().join("manifest.json");
+        let bytes = std::fs::read(&path).map_err(|source| WrittenPlanError::Io { path: path.clone(), source })?;
+        let recorded: Self = serde_json::from_slice(&bytes)
+            .map_err(|error| WrittenPlanError::Manifest { path: path.clone(), what: error.to_string() })?;
+        match recorded.version {
+            VERSION => Ok(Self { path, ..recorded }),
+            version => Err(WrittenPlanError::Version { path, version }),
+        }
+    }
+
+    /// Are model and images those that were planned for?
+    pub fn check_input(&self, project: &Project, scene: &Scene) -> Result<(), WrittenPlanError> {
+        let same = fingerprint(project, scene, self.settings.surface.mesh.as_deref())? == self.input.fingerprint;
+        if same { Ok(()) } else { Err(WrittenPlanError::OtherInput(self.path.clone())) }
+    }
+}
+
+impl Recorded {
+    /// Of the sub-model that was planned for.
+    fn model_name(&self) -> Option<String> {
+        Path::new(&self.input.model).file_name().map(|name| name.to_string_lossy().into_owned())
+    }
+
+    /// The whole ranking, best first.
+    pub fn ranked(&self, scene: &Scene) -> Result<Vec<RankedCluster>, WrittenPlanError> {
+        let view = |name: &String| scene.find(name).ok_or_else(|| WrittenPlanError::OtherInput(self.path.clone()));
+        let cluster = |c: &Cluster| {
+            let partners: Result<Vec<ViewIndex>, _> = c.partners.iter().map(view).collect();
+            Ok(RankedCluster { key: view(&c.key)?, partners: partners?, share: c.share })
+        };
+        self.clusters.iter().map(cluster).collect()
+    }
+
+    /// How many of the ranking, from its start, have their depth map.
+    pub fn finished(&self) -> usize {
+        self.clusters.iter().take_while(|cluster| cluster.finished).count()
+    }
+
+    /// Is this what was written? Around finished depth maps the order is what they made of it, and their own partners are those of
+    /// an earlier plan; the other clusters are the plan's in any order.
+    pub fn check_ranking(&self, plan: &Plan) -> Result<(), WrittenPlanError> {
+        let ranked = self.ranked(&plan.stages.scene)?;
+        let same = match self.finished() {
+            0 => plan.ranked().map(|c| (c.key, c.partners)).eq(ranked.into_iter().map(|c| (c.key, c.partners))),
+            finished => {
+                let place = |key| plan.stages.clusters.binary_search_by_key(&key, |cluster| cluster.key).ok();
+                let partners = |key| place(key).map(|c| &plan.stages.clusters[c].partners);
+                ranked[finished..].iter().all(|c| partners(c.key) == Some(&c.partners))
+            }
+        };
+        if same { Ok(()) } else { Err(WrittenPlanError::OtherPlan(self.path.clone())) }
+    }
+}
+
+/// Why there is no plan to go on with.
+#[derive(Debug, thiserror::Error)]
+pub enum WrittenPlanError {
+    #[error("there is no plan: {}: {source}", path.display())]
+    Io { path: PathBuf, source: std::io::Error },
+    #[error("{}: {what}", path.display())]
+    Manifest { path: PathBuf, what: String },
+    #[error("{}: a manifest of version {version}, this program reads {VERSION}", path.display())]
+    Version { path: PathBuf, version: u32 },
+    #[error("{}: the model or the images have changed since this plan was made", .0.display())]
+    OtherInput(PathBuf),
+    #[error("{}: another version of viewrank made this plan, and this one ranks otherwise", .0.display())]
+    OtherPlan(PathBuf),
+    #[error(transparent)]
+    Input(#[from] FingerprintError),
+    #[error(transparent)]
+    Project(#[from] ProjectError),
+}
+
+impl Hint for WrittenPlanError {
+    fn hint(&self) -> Option<String> {
+        match self {
+            Self::Io { path, .. }
+            | Self::Manifest { path, .. }
+            | Self::Version { path, .. }
+            | Self::OtherInput(path)
+            | Self::OtherPlan(path) => {
+                let root = path.parent().and_then(Path::parent).unwrap_or(Path::new("."));
+                Some(format!("make the plan first: viewrank plan {}", quoted_path(root)))
+            }
+            Self::Input(error) => error.hint(),
+            Self::Project(error) => error.hint(),
+        }
+    }
+}

@@ -1,0 +1,7 @@
+//! A plan as files: the manifest, tables, pictures.
+
+pub mod files;
+pub mod manifest;
+mod outdated;
+pub mod pictures;
+pub mod tables;

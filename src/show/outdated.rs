@@ -1,0 +1,77 @@
+//! Exports of an earlier plan that still lie in the project: a new plan leaves them as they are and says so.
+
+use serde::Deserialize;
+
+use crate::plan::Plan;
+use crate::{
+    backends::{by_name, place},
+    base::shell::quoted_path,
+    io::{
+        output::{FileSet, recorded},
+        project::Project,
+    },
+};
+
+/// The part of an `export.json` that is compared.
+#[derive(Deserialize)]
+struct Exported {
+    backend: String,
+    clusters: Vec<Cluster>,
+}
+
+#[derive(Deserialize)]
+struct Cluster {
+    key: View,
+    partners: Vec<View>,
+}
+
+#[derive(Deserialize)]
+struct View {
+    name: String,
+}
+
+/// A line for each folder in the project with an export of another ranking, which `sets` will not replace; of many only for the first.
+pub(super) fn exports(plan: &Plan, project: &Project, sets: &[FileSet]) -> Vec<String> {
+    let kept = |path: &String| sets.iter().all(|set| set.root != project.root || !set.files.contains_key(path));
+    let records = recorded(&project.root, "export-").into_iter();
+    let mut lines: Vec<String> = records.filter(kept).filter_map(|path| line(plan, project, &path)).collect();
+    // Tiles of one export share a line.
+    lines.dedup();
+    if let [first, _, _, ..] = &lines[..] {
+        let others = lines.len() - 1;
+        lines = vec![format!("{first}; {others} other folders hold such exports, too")];
+    }
+    lines
+}
+
+fn line(plan: &Plan, project: &Project, record: &str) -> Option<String> {
+    let (folder, in_tiles) = place::folder_of_record(record)?;
+    let exported: Exported = serde_json::from_slice(&std::fs::read(project.root.join(record)).ok()?).ok()?;
+    let backend = by_name(&exported.backend).ok()?.name();
+    if is_part(&exported, plan) {
+        return None;
+    }
+    let tiles = if in_tiles { " --tiles N" } else { "" };
+    let folder = project.root.join(folder);
+    let own = [project.output_folder().join(backend), project.output_folder().join(format!("{backend}-tiles"))];
+    let workspace = project.dense_workspace.as_deref().filter(|_| backend == "colmap");
+    let is_default = own.contains(&folder) || workspace.is_some_and(|workspace| place::is_same(workspace, &folder));
+    let out = if is_default { String::new() } else { format!(" --out {}", quoted_path(&folder)) };
+    Some(format!(
+        "{} holds an export of an earlier plan for {backend}; of this one: viewrank export {} --backend {backend}{tiles}{out}",
+        folder.display(),
+        quoted_path(&project.root)
+    ))
+}
+
+/// Are the clusters some of the plan's, in its order?
+fn is_part(exported: &Exported, plan: &Plan) -> bool {
+    let name = |view| plan.stages.scene.name(view);
+    let mut ranked = plan.ranked();
+    exported.clusters.iter().all(|cluster| {
+        ranked.any(|c| {
+            let partners = c.partners.iter().map(|&partner| name(partner));
+            cluster.key.name == name(c.key) && partners.eq(cluster.partners.iter().map(|view| view.name.as_str()))
+        })
+    })
+}

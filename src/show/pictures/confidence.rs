@@ -1,0 +1,89 @@
+//! A picture beside what is predicted of it.
+
+use std::io::Cursor;
+
+use image::{ImageFormat, Rgb, RgbImage};
+
+use crate::method::confidence::{ConfidenceMap, Image};
+
+/// Colours of 0, 1/4, 1/2, 3/4 and 1: dark to light, apart for the colour-blind too (five colours of matplotlib's viridis).
+const COLOURS: [[f32; 3]; 5] =
+    [[68.0, 1.0, 84.0], [59.0, 82.0, 139.0], [33.0, 145.0, 140.0], [94.0, 201.0, 98.0], [253.0, 231.0, 37.0]];
+/// Width of the legend, pixels, and of its bar.
+const LEGEND: u32 = 60;
+const BAR: u32 = 16;
+/// Pixels of a dot of the legend's figures.
+const DOT: u32 = 3;
+/// The figures, rows of three dots.
+const FIGURES: [(char, [u8; 5]); 4] = [
+    ('0', [0b111, 0b101, 0b101, 0b101, 0b111]),
+    ('1', [0b010, 0b110, 0b010, 0b010, 0b111]),
+    ('5', [0b111, 0b100, 0b111, 0b001, 0b111]),
+    ('.', [0b000, 0b000, 0b000, 0b000, 0b010]),
+];
+
+/// PNG: the picture, its confidence in colours over the same area, and the legend from 1 at the top to 0.
+pub fn confidence_picture(image: &Image, map: &ConfidenceMap) -> Vec<u8> {
+    let (width, height) = (image.width, image.height.max(40));
+    let mut picture = RgbImage::from_pixel(2 * width + LEGEND, height, Rgb([255; 3]));
+    for y in 0..image.height {
+        for x in 0..width {
+            let at = 3 * (y as usize * width as usize + x as usize);
+            picture.put_pixel(x, y, Rgb([image.rgb[at], image.rgb[at + 1], image.rgb[at + 2]]));
+            let place = |i: u32, n: u32| (f64::from(i) + 0.5) / f64::from(n);
+            picture.put_pixel(width + x, y, colour(map.at(place(x, width), place(y, image.height))));
+        }
+    }
+    legend(&mut picture, 2 * width, height);
+    let mut bytes = Cursor::new(Vec::new());
+    picture.write_to(&mut bytes, ImageFormat::Png).expect("writing to memory does not fail");
+    bytes.into_inner()
+}
+
+fn colour(value: f32) -> Rgb<u8> {
+    let position = value.clamp(0.0, 1.0) * (COLOURS.len() - 1) as f32;
+    let first = (position as usize).min(COLOURS.len() - 2);
+    let share = position - first as f32;
+    Rgb([0, 1, 2].map(|c| (COLOURS[first][c] * (1.0 - share) + COLOURS[first + 1][c] * share).round() as u8))
+}
+
+fn legend(picture: &mut RgbImage, left: u32, height: u32) {
+    for y in 0..height {
+        let value = 1.0 - y as f32 / (height - 1) as f32;
+        (left + 4..left + 4 + BAR).for_each(|x| picture.put_pixel(x, y, colour(value)));
+    }
+    for (text, share) in [("1", 0.0), ("0.5", 0.5), ("0", 1.0)] {
+        let top = (share * f64::from(height - 5 * DOT)) as u32;
+        for (i, wanted) in text.chars().enumerate() {
+            let dots = FIGURES.iter().find(|(figure, _)| *figure == wanted).map_or([0; 5], |f| f.1);
+            figure(picture, left + 8 + BAR + i as u32 * 4 * DOT, top, &dots);
+        }
+    }
+}
+
+fn figure(picture: &mut RgbImage, left: u32, top: u32, dots: &[u8; 5]) {
+    for y in 0..5 * DOT {
+        for x in 0..3 * DOT {
+            if dots[(y / DOT) as usize] >> (2 - x / DOT) & 1 == 1 && left + x < picture.width() {
+                picture.put_pixel(left + x, top + y, Rgb([0; 3]));
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn shows_the_picture_the_map_and_the_legend() {
+        let image = Image { width: 60, height: 50, rgb: vec![90; 3 * 60 * 50], full: [60, 50] };
+        let map = ConfidenceMap::new([2, 1], [0.0, 1.0].into_iter());
+        let picture = image::load_from_memory(&confidence_picture(&image, &map)).unwrap().into_rgb8();
+        assert_eq!(picture.dimensions(), (180, 50));
+        let [low, high] = [COLOURS[0], COLOURS[4]].map(|c| Rgb(c.map(|v| v as u8)));
+        assert_eq!(*picture.get_pixel(30, 20), Rgb([90; 3]));
+        assert_eq!((*picture.get_pixel(61, 20), *picture.get_pixel(118, 20)), (low, high));
+        assert_eq!((*picture.get_pixel(126, 49), *picture.get_pixel(126, 0)), (low, high));
+    }
+}

@@ -1,0 +1,161 @@
+//! `views.geojson`: where the views are and what they see, for QGIS and other geographic programs (RFC 7946).
+
+use nalgebra::Point3;
+use rayon::prelude::*;
+use serde_json::{Value, json};
+
+use super::footprints;
+use crate::{
+    model::{
+        georeference::{Georeference, MapFrame},
+        scene::ViewIndex,
+    },
+    plan::Plan,
+};
+
+/// A point where the camera is and a polygon round what it sees of the surface, for each view. In longitude and latitude where the place
+/// of the model on the earth is known; else in the model's own coordinates, turned where their third axis is not up, which `crs: null`,
+/// `frame` and `axes` say (a place there is `axes` times a point of the model).
+pub fn views_geojson(plan: &Plan, place: &Georeference) -> String {
+    let frame = MapFrame::new(&plan.stages.scene, plan.stages.settings.surface.up);
+    let local = *place == Georeference::Local;
+    let position = |point: &Point3<f64>| match place.geodetic(point) {
+        Some(at) => [rounded(at.longitude, 9), rounded(at.latitude, 9), rounded(at.height, 4)],
+        None => frame.direction(&point.coords).map(|x| rounded(x, 6)),
+    };
+    let mut rank = vec![None; plan.stages.scene.views.len()];
+    plan.ranked().enumerate().for_each(|(i, cluster)| rank[cluster.key.at()] = Some(i));
+    let footprints = footprints(&plan.stages.surface, &plan.stages.visibility, &frame);
+    let features = |view: ViewIndex| {
+        let properties = |what: &str| properties(plan, view, rank[view.at()], what);
+        let centre = plan.stages.scene.view(view).cam_from_world.centre();
+        let point = json!({ "type": "Point", "coordinates": position(&centre) });
+        let mut features = vec![feature(point, properties("camera"))];
+        let corners: Vec<_> = footprints[view.at()].iter().map(&position).collect();
+        if corners.len() >= 3 {
+            let area = if local { polygon(corners) } else { polygon_on_the_earth(corners) };
+            features.push(feature(area, properties("footprint")));
+        }
+        features
+    };
+    let views: Vec<ViewIndex> = plan.stages.scene.view_indices().collect();
+    let features: Vec<Value> = views.into_par_iter().flat_map_iter(features).collect();
+    let mut collection = json!({ "type": "FeatureCollection", "frame": place.words() });
+    if local {
+        collection["crs"] = Value::Null;
+        collection["axes"] = json!(frame.axes.map(|axis| [axis.x, axis.y, axis.z]));
+    }
+    collection["features"] = features.into();
+    collection.to_string() + "\n"
+}
+
+fn closed(mut ring: Vec<[f64; 3]>) -> Vec<[f64; 3]> {
+    ring.push(ring[0]);
+    ring
+}
+
+fn polygon(corners: Vec<[f64; 3]>) -> Value {
+    json!({ "type": "Polygon", "coordinates": [closed(corners)] })
+}
+
+/// The polygon in longitude and latitude; one over the 180th meridian is cut there, as RFC 7946 (3.1.9) asks.
+fn polygon_on_the_earth(mut corners: Vec<[f64; 3]>) -> Value {
+    // On from the first corner, without a jump.
+    for i in 1..corners.len() {
+        corners[i][0] -= 360.0 * ((corners[i][0] - corners[i - 1][0]) / 360.0).round();
+    }
+    let beyond = |meridian: f64| corners.iter().any(|c| (c[0] - meridian) * meridian > 0.0);
+    let Some(meridian) = [-180.0, 180.0].into_iter().find(|&meridian| beyond(meridian)) else {
+        return polygon(corners);
+    };
+    let inside = part(&corners, meridian, -meridian.signum());
+    let mut outside = part(&corners, meridian, meridian.signum());
+    outside.iter_mut().for_each(|corner| corner[0] = rounded(corner[0] - 2.0 * meridian, 9));
+    json!({ "type": "MultiPolygon", "coordinates": [[closed(inside)], [closed(outside)]] })
+}
+
+/// What of the convex ring lies on one side of the meridian: 1 for east of it, -1 for west (Sutherland and Hodgman 1974).
+fn part(ring: &[[f64; 3]], meridian: f64, side: f64) -> Vec<[f64; 3]> {
+    let mut part = Vec::new();
+    for (from, to) in ring.iter().zip(ring.iter().cycle().skip(1)) {
+        let [before, after] = [from, to].map(|corner| side * (corner[0] - meridian));
+        if before >= 0.0 {
+            part.push(*from);
+        }
+        if before * after < 0.0 {
+            let t = before / (before - after);
+            part.push([
+                meridian,
+                rounded(from[1] + t * (to[1] - from[1]), 9),
+                rounded(from[2] + t * (to[2] - from[2]), 4),
+            ]);
+        }
+    }
+    part
+}
+
+fn feature(geometry: Value, properties: Value) -> Value {
+    json!({ "type": "Feature", "geometry": geometry, "properties": properties })
+}
+
+/// `rank`: from 0. Ranks in the file are from 1, as everywhere.
+fn properties(plan: &Plan, view: ViewIndex, rank: Option<usize>, what: &str) -> Value {
+    let (status, reason) = plan.decision.views[view.at()];
+    json!({
+        "name": plan.stages.scene.name(view),
+        "what": what,
+        "status": status,
+        "rank": rank.map(|rank| rank + 1),
+        "gain": rank.map(|rank| plan.decision.ranking.gains[rank]),
+        "share": rank.map(|rank| plan.decision.ranking.share(rank + 1)),
+        "reason": reason,
+    })
+}
+
+/// More digits than a survey has say nothing.
+fn rounded(number: f64, digits: i32) -> f64 {
+    let scale = 10f64.powi(digits);
+    (number * scale).round() / scale
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn rings(geometry: &Value) -> Vec<Vec<[f64; 3]>> {
+        let of_polygon = |rings: &Value| serde_json::from_value::<Vec<Vec<[f64; 3]>>>(rings.clone()).unwrap();
+        match geometry["type"].as_str().unwrap() {
+            "Polygon" => of_polygon(&geometry["coordinates"]),
+            _ => geometry["coordinates"].as_array().unwrap().iter().flat_map(of_polygon).collect(),
+        }
+    }
+
+    /// Twice the area, positive where counter-clockwise; and the least and greatest longitude.
+    fn measured(ring: &[[f64; 3]]) -> (f64, f64, f64) {
+        assert_eq!(ring.first(), ring.last());
+        let area = ring.windows(2).map(|w| w[0][0] * w[1][1] - w[1][0] * w[0][1]).sum();
+        let longitudes = || ring.iter().map(|corner| corner[0]);
+        (area, longitudes().fold(f64::MAX, f64::min), longitudes().fold(f64::MIN, f64::max))
+    }
+
+    #[test]
+    fn a_polygon_over_the_180th_meridian_is_cut_there() {
+        let square =
+            |west: f64, east: f64| vec![[west, -1.0, 0.0], [east, -1.0, 0.0], [east, 1.0, 8.0], [west, 1.0, 8.0]];
+        for (corners, meridian) in [(square(179.0, -178.0), 180.0), (square(-178.0, 179.0), -180.0)] {
+            let whole = polygon_on_the_earth(corners);
+            let parts = rings(&whole);
+            assert_eq!((whole["type"].as_str(), parts.len()), (Some("MultiPolygon"), 2), "{meridian}");
+            let mut spans: Vec<_> = parts.iter().map(|ring| measured(ring)).collect();
+            spans.sort_by(|a, b| a.1.total_cmp(&b.1));
+            let order = if meridian > 0.0 { 1.0 } else { -1.0 };
+            // The second square is the first one seen the other way round, so that its corners run clockwise.
+            let spans: Vec<_> = spans.into_iter().map(|(area, west, east)| (order * area, west, east)).collect();
+            assert_eq!(spans, [(8.0, -180.0, -178.0), (4.0, 179.0, 180.0)], "{whole}");
+        }
+        let plain = polygon_on_the_earth(square(10.0, 12.0));
+        assert_eq!((plain["type"].as_str(), measured(&rings(&plain)[0])), (Some("Polygon"), (8.0, 10.0, 12.0)));
+        let touching = polygon_on_the_earth(square(179.0, 180.0));
+        assert_eq!(touching["type"], "Polygon");
+    }
+}

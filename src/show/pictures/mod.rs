@@ -1,0 +1,14 @@
+//! Pictures of a plan: the curve, the surface with what is known of each triangle, the views on a map, and confidence beside the image
+//! that it was predicted from.
+
+mod confidence;
+mod curve;
+mod geojson;
+mod map;
+mod surface;
+
+pub use confidence::confidence_picture;
+pub use curve::{Curve, curve_svg};
+pub use geojson::views_geojson;
+pub use map::footprints;
+pub use surface::{RAMP, REASON_NUMBERS, TriangleState, follow, reason_number, surface_ply, triangle_states};

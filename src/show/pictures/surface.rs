@@ -1,0 +1,121 @@
+//! `surface.ply`: the surface with scalar fields per triangle, which MeshLab shows, and at the vertices, which CloudCompare does.
+
+use crate::{
+    base::column,
+    io::ply::{self, FaceField},
+    model::reason::Reason,
+    plan::Plan,
+};
+
+/// What the chosen clusters do for a triangle.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct TriangleState {
+    /// Fulfilment by the chosen clusters (method 5, or 5.2 with its support).
+    pub fulfilment: f32,
+    /// Fulfilment by all clusters together.
+    pub reachable: f32,
+    /// Chosen key views that fulfil it at all.
+    pub chosen_views: u16,
+}
+
+impl TriangleState {
+    /// How much of what can be reached is reached, 0 to 1; 0 where nothing can be.
+    pub fn share(&self) -> f32 {
+        if self.reachable > 0.0 { self.fulfilment / self.reachable } else { 0.0 }
+    }
+}
+
+/// The state of every triangle when the first `clusters` of the ranking are computed.
+pub fn triangle_states(plan: &Plan, clusters: usize) -> Vec<TriangleState> {
+    let mut states = vec![TriangleState::default(); plan.stages.surface.triangles.len()];
+    follow(plan, |rank, triangle, fulfilment| {
+        let state = &mut states[triangle as usize];
+        state.reachable = fulfilment;
+        if rank < clusters {
+            state.fulfilment = fulfilment;
+            state.chosen_views = state.chosen_views.saturating_add(1);
+        }
+    });
+    states
+}
+
+/// Goes through the ranking and calls `visit` with the rank (from 0) of each cluster, each triangle that it fulfils at all, and the
+/// fulfilment of that triangle by the clusters up to this one (method 5, or 5.2 with its support).
+pub fn follow(plan: &Plan, mut visit: impl FnMut(usize, u32, f32)) {
+    let support = plan.stages.settings.ranking.support.unwrap_or(1).max(1) as usize;
+    // The largest values of each triangle so far, in no order.
+    let mut largest = vec![0f32; plan.stages.surface.triangles.len() * support];
+    for (rank, &cluster) in plan.decision.ranking.order.iter().enumerate() {
+        if rank.is_multiple_of(column::READ_AT_ONCE) {
+            plan.stages.fulfilment.release();
+        }
+        let (of_cluster, values) = plan.stages.fulfilment.of(cluster as usize);
+        for (&t, &f) in of_cluster.iter().zip(values) {
+            let largest = &mut largest[t as usize * support..][..support];
+            if let Some(smallest) = largest.iter_mut().min_by(|a, b| a.total_cmp(b)) {
+                *smallest = smallest.max(f);
+            }
+            visit(rank, t, largest.iter().sum::<f32>() / support as f32);
+        }
+    }
+}
+
+/// The reasons in the order of their numbers in the field `reason`; 0 is "fulfilled by some cluster".
+pub const REASON_NUMBERS: [Reason; 9] = [
+    Reason::NoSharedPoints,
+    Reason::RotationOnly,
+    Reason::DuplicateOfBetterView,
+    Reason::TooFewCameras,
+    Reason::Hidden,
+    Reason::TooCoarse,
+    Reason::TooInaccurate,
+    Reason::NotMatchable,
+    Reason::NoGainLeft,
+];
+
+/// The number of a reason; 0: none.
+pub fn reason_number(reason: Option<Reason>) -> u8 {
+    let position = reason.and_then(|reason| REASON_NUMBERS.iter().position(|&r| r == reason));
+    position.map_or(0, |i| i as u8 + 1)
+}
+
+/// Colours of a share of 0, 1/2 and 1, which colour-blind people tell apart too: red, yellow, blue.
+pub const RAMP: [[u8; 3]; 3] = [[200, 72, 44], [236, 208, 108], [38, 122, 158]];
+
+/// The surface at the plan's cut: `quality` (share reached), `chosen_views`, `reason`, and colours from red (nothing) over yellow to
+/// blue (all that can be reached); grey where no view can do anything.
+pub fn surface_ply(plan: &Plan) -> Vec<u8> {
+    let states = triangle_states(plan, plan.decision.cut.clusters);
+    let share: Vec<f32> = states.iter().map(TriangleState::share).collect();
+    let chosen: Vec<f32> = states.iter().map(|s| f32::from(s.chosen_views)).collect();
+    let reasons: Vec<u8> = plan.decision.triangle_reasons.iter().map(|&reason| reason_number(reason)).collect();
+    let colours: Vec<[u8; 3]> = states.iter().map(colour).collect();
+    let fields = [
+        FaceField::Colour(&colours),
+        FaceField::Float("quality", &share),
+        FaceField::Float("chosen_views", &chosen),
+        FaceField::Byte("reason", &reasons),
+    ];
+    let mut comments = vec![
+        "quality: share of the reachable fulfilment that is reached at the cut".to_string(),
+        "chosen_views: chosen key views that fulfil the triangle".to_string(),
+        "reason: why no cluster fulfils the triangle to a tenth; 0: one does".to_string(),
+    ];
+    comments.extend(REASON_NUMBERS.iter().enumerate().map(|(i, r)| format!("reason {}: {}", i + 1, word(*r))));
+    ply::write(&plan.stages.surface.vertices, &plan.stages.surface.triangles, &fields, &comments)
+}
+
+/// The reason as it is written in the manifest.
+fn word(reason: Reason) -> String {
+    serde_json::to_value(reason).ok().and_then(|v| v.as_str().map(str::to_owned)).unwrap_or_default()
+}
+
+/// [`RAMP`] by the share reached; grey where nothing can be.
+fn colour(state: &TriangleState) -> [u8; 3] {
+    if state.reachable <= 0.0 {
+        return [150; 3];
+    }
+    let share = state.share().clamp(0.0, 1.0) * 2.0;
+    let (from, to, t) = if share < 1.0 { (RAMP[0], RAMP[1], share) } else { (RAMP[1], RAMP[2], share - 1.0) };
+    std::array::from_fn(|i| (f32::from(from[i]) + t * (f32::from(to[i]) - f32::from(from[i]))).round() as u8)
+}

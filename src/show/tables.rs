@@ -1,0 +1,126 @@
+//! The tables of a plan as NumPy files (method 6): for those who want to recompute, check or draw what viewrank computed.
+
+use npyz::{AutoSerialize, WriterBuilder};
+use serde_json::json;
+
+use crate::{
+    io::output::{Contents, FileSet},
+    method::confidence::Confidence,
+    model::scene::ViewIndex,
+    plan::Plan,
+};
+
+/// Adds the tables of method 6 to a set of files.
+pub fn add(plan: &Plan, files: &mut FileSet) {
+    let mut table = |name: &str, bytes: Vec<u8>| add_table(files, name, bytes);
+    let vertices: Vec<f64> = plan.stages.surface.vertices.iter().flat_map(|v| v.coords.iter().copied()).collect();
+    table("vertices", array(&[plan.stages.surface.vertices.len(), 3], vertices));
+    table(
+        "triangles",
+        array(&[plan.stages.surface.triangles.len(), 3], plan.stages.surface.triangles.iter().flatten().copied()),
+    );
+    table("triangle_gsd", array(&[plan.stages.target.gsd.len()], plan.stages.target.gsd.iter().copied()));
+    let visible = rows(&plan.stages.visibility.offsets, &plan.stages.visibility.triangles);
+    table("visible", array(&[plan.stages.visibility.triangles.len(), 2], visible));
+    let unary = (0..plan.stages.visibility.triangles.len()).map(|row| plan.stages.unary.at(row));
+    table("unary", array(&[plan.stages.visibility.triangles.len()], unary));
+    if let Confidence::Trained(_) = plan.stages.confidence {
+        table(
+            "partner_odds",
+            array(&[plan.stages.unary.partner_odds.len()], plan.stages.unary.partner_odds.iter().copied()),
+        );
+    }
+    table("candidates", indices(&plan.stages.candidates.views));
+    table("candidate_offsets", offsets(&plan.stages.candidates.offsets));
+    let partners: Vec<ViewIndex> = plan.stages.clusters.iter().flat_map(|c| c.partners.iter().copied()).collect();
+    let mut partner_offsets = vec![0];
+    partner_offsets.extend(plan.stages.clusters.iter().scan(0, |sum, c| {
+        *sum += c.partners.len();
+        Some(*sum)
+    }));
+    table("partners", indices(&partners));
+    table("partner_offsets", offsets(&partner_offsets));
+    table("cluster_key", indices(&plan.stages.clusters.iter().map(|c| c.key).collect::<Vec<_>>()));
+    let fulfilment = rows(&plan.stages.fulfilment.offsets, &plan.stages.fulfilment.triangles);
+    table("fulfilment", array(&[plan.stages.fulfilment.triangles.len(), 2], fulfilment));
+    table(
+        "fulfilment_value",
+        array(&[plan.stages.fulfilment.values.len()], plan.stages.fulfilment.values.iter().copied()),
+    );
+    table("order", array(&[plan.decision.ranking.order.len()], plan.decision.ranking.order.iter().copied()));
+    table("gain", array(&[plan.decision.ranking.gains.len()], plan.decision.ranking.gains.iter().copied()));
+    add_json(plan, files);
+}
+
+fn add_json(plan: &Plan, files: &mut FileSet) {
+    let view = |v: ViewIndex| {
+        let view = plan.stages.scene.view(v);
+        json!({
+            "index": v.0,
+            "name": view.name,
+            "image_id": view.image_id,
+            "camera_id": plan.stages.scene.camera_of(v).id,
+        })
+    };
+    let views: Vec<_> = plan.stages.scene.view_indices().map(view).collect();
+    files.add_text("views.json", format!("{:#}\n", json!(views)));
+    let mut settings = serde_json::to_value(&plan.stages.settings).expect("settings are JSON");
+    // What the settings leave to the data and the backend, but f depends on.
+    settings["in_force"] = json!({
+        "backend": plan.stages.backend,
+        "accuracy_over_gsd": plan.stages.target.accuracy_over_gsd,
+    });
+    if let Confidence::Trained(curves) = &plan.stages.confidence {
+        settings["in_force"]["pair_curves"] = json!(curves);
+    }
+    files.add_text("settings.json", format!("{settings:#}\n"));
+}
+
+/// Adds one table.
+pub(crate) fn add_table(files: &mut FileSet, name: &str, bytes: Vec<u8>) {
+    files.add(format!("{name}.npy"), Contents::Bytes(bytes));
+}
+
+/// (row, column) of every entry of a CSR table.
+pub(crate) fn rows<'a>(offsets: &'a [usize], columns: &'a [u32]) -> impl Iterator<Item = u32> + 'a {
+    let of_row =
+        |row: usize| columns[offsets[row]..offsets[row + 1]].iter().flat_map(move |&column| [row as u32, column]);
+    (0..offsets.len().saturating_sub(1)).flat_map(of_row)
+}
+
+pub(crate) fn indices(views: &[ViewIndex]) -> Vec<u8> {
+    array(&[views.len()], views.iter().map(|v| v.0))
+}
+
+pub(crate) fn offsets(offsets: &[usize]) -> Vec<u8> {
+    array(&[offsets.len()], offsets.iter().map(|&o| o as u64))
+}
+
+/// The bytes of a `.npy`, row-major, little-endian.
+pub fn array<T: AutoSerialize>(shape: &[usize], values: impl IntoIterator<Item = T>) -> Vec<u8> {
+    let shape: Vec<u64> = shape.iter().map(|&n| n as u64).collect();
+    let mut bytes = Vec::new();
+    let writer = npyz::WriteOptions::new().default_dtype().shape(&shape).writer(&mut bytes).begin_nd();
+    let mut writer = writer.expect("writing to memory does not fail");
+    writer.extend(values).and_then(|()| writer.finish()).expect("as many values as the shape says");
+    bytes
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numpy_reads_back_what_was_written() {
+        let bytes = array(&[2, 3], [1u32, 2, 3, 4, 5, 6]);
+        let file = npyz::NpyFile::new(&bytes[..]).expect("a NumPy file");
+        assert_eq!(file.shape(), [2, 3]);
+        assert_eq!(file.into_vec::<u32>().expect("u32"), [1, 2, 3, 4, 5, 6]);
+        assert_eq!(bytes.len() % 64, 24, "the header is padded, the data begin aligned");
+    }
+
+    #[test]
+    fn rows_of_a_table_are_numbered() {
+        assert_eq!(rows(&[0, 2, 2, 3], &[7, 9, 4]).collect::<Vec<_>>(), [0, 7, 0, 9, 2, 4]);
+    }
+}
