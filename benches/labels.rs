@@ -9,17 +9,17 @@
 use std::{collections::BTreeMap, path::Path};
 
 use viewrank::{
-    apps::evaluate,
+    apps::{
+        evaluate,
+        learn::{Label, Lesson},
+    },
     base::progress::Unwatched,
     config::{Configuration, Files, Typed},
     io::{
         depthmaps::{self, DepthMap, DepthMapFile},
         project::Project,
     },
-    method::{
-        confidence::{Label, train::Lesson},
-        fulfilment::Model,
-    },
+    method::fulfilment::Model,
     plan,
 };
 

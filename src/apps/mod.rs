@@ -3,6 +3,7 @@
 pub mod dispatch;
 pub mod doctor;
 pub mod evaluate;
+pub mod learn;
 pub mod replan;
 pub mod report;
 pub mod undistort;

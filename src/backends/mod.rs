@@ -10,8 +10,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::{
-    base::error::Hint,
-    base::progress::Watcher,
+    base::{error::Hint, progress::Watcher},
     config::{Settings, UnknownBackend},
     io::{
         output::{FileSet, OutputError},

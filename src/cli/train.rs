@@ -4,7 +4,10 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 use viewrank::{
-    apps::evaluate,
+    apps::{
+        evaluate,
+        learn::{self, Course, Lesson},
+    },
     backends,
     base::shell::quoted_path,
     config::Typed,
@@ -13,10 +16,7 @@ use viewrank::{
         output::{self, Disk},
         project::Project,
     },
-    method::confidence::{
-        Trained, TrainedError,
-        train::{self, Course, Lesson},
-    },
+    method::confidence::{Trained, TrainedError},
     model::cluster::ViewCluster,
     plan::{Plan, Timings},
     show::manifest::WrittenPlan,
@@ -78,7 +78,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let lessons: Vec<Lesson> = prepared.iter().map(lesson).collect();
     let min_matches = backend.planning().confidence.min_matches;
     let course = Course { backend: backend.name().into(), min_matches, seed: arguments.seed };
-    let trained = train::train(&lessons, &course, &progress)?;
+    let trained = learn::train(&lessons, &course, &progress)?;
     if let Some(folder) = arguments.out.parent().filter(|folder| !folder.as_os_str().is_empty()) {
         output::make_folder(folder, &Disk::REAL)?;
     }

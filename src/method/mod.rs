@@ -2,8 +2,10 @@
 
 pub mod confidence;
 pub mod fulfilment;
+pub mod geometry;
 pub mod partners;
 pub mod ranking;
 pub mod surface;
 pub mod synthetic;
+pub mod target;
 pub mod visibility;

@@ -7,9 +7,11 @@ use crate::{
     io::project::Project,
     method::{
         confidence::{self, Confidence, Pictures, Predictor, Proxy, Source, Trained, Unary},
-        fulfilment::{FulfilmentTable, GSD_MARGIN, Model, Rule, Target},
+        fulfilment::{FulfilmentTable, Model, Rule},
+        geometry::Geometry,
         partners::{self, Candidates},
         surface::{self, MeshFile, Surface, SurfaceError, SurfaceStats},
+        target::{GSD_MARGIN, Target},
         visibility::{self, Visibility},
     },
     model::{
@@ -73,19 +75,19 @@ impl Stages {
         seen.visibility.triangles.release();
         let confidence = Confidence::new(&source, trained.as_ref(), &settings.confidence, &matcher.numbers.confidence);
         confidence.fill_in(&mut settings.confidence);
-        let rule = rule(&settings, confidence);
-        let model = Model {
+        let geometry = Geometry {
             scene: &scene,
             surface: &seen.surface,
             visibility: &seen.visibility,
             target: &target,
-            unary: &Unary::certain(),
-            rule,
+            image_scale: settings.image_scale,
         };
         let (pictures, unary) = timings.time(Stage::Confidence, || {
             let pictures = pictures(project, &scene, &source, trained.as_ref(), watcher)?;
             let unary = match (&trained, confidence) {
-                (Some(trained), Confidence::Trained(_)) => trained.unary(&model, &points, &pictures.maps, watcher)?,
+                (Some(trained), Confidence::Trained(_)) => {
+                    trained.unary(&geometry, &points, &pictures.maps, watcher)?
+                }
                 (_, Confidence::Pair(_)) => {
                     confidence::nearby(&scene, &points, &seen.surface, &seen.visibility, watcher)?.times(
                         Unary::new(&scene, &seen.surface, &seen.visibility, &pictures.maps, watcher)?,
@@ -96,7 +98,7 @@ impl Stages {
             };
             Ok::<_, PlanError>((pictures, unary))
         })?;
-        let model = Model { unary: &unary, ..model };
+        let model = Model::new(geometry, &unary, rule(&settings, confidence));
         let (clusters, fulfilment) = timings.time(Stage::Partners, || {
             partners::choose(&model, &candidates, &settings.partners, settings.seed, watcher)
         })?;

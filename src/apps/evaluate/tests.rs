@@ -12,10 +12,11 @@ use crate::{
     io::depthmaps::DepthMapError,
     method::{
         confidence::{Confidence, Unary},
-        fulfilment::{Model, Rule, Target},
+        fulfilment::{Model, Rule},
         ranking,
         surface::Surface,
         synthetic::Town,
+        target::Target,
         visibility::{self, Visibility},
     },
     model::{

@@ -4,7 +4,7 @@
 use nalgebra::Point3;
 
 use super::curves::PAIR;
-use crate::{config::ConfidenceSettings, method::fulfilment::Model, model::scene::ViewIndex};
+use crate::{config::ConfidenceSettings, method::geometry::Geometry, model::scene::ViewIndex};
 
 /// The numbers of the geometric confidence (method 7.2); each backend has its own.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
@@ -59,10 +59,10 @@ pub struct Constellation {
 }
 
 impl Constellation {
-    pub fn new(model: &Model, key: ViewIndex, partner: ViewIndex, triangle: u32) -> Self {
-        let [key, partner] = [key, partner].map(|v| model.scene.view(v).cam_from_world.centre());
-        let normal = model.surface.area_normal(triangle);
-        let centroid = model.surface.centroid(triangle);
+    pub fn new(geometry: &Geometry, key: ViewIndex, partner: ViewIndex, triangle: u32) -> Self {
+        let [key, partner] = [key, partner].map(|v| geometry.scene.view(v).cam_from_world.centre());
+        let normal = geometry.surface.area_normal(triangle);
+        let centroid = geometry.surface.centroid(triangle);
         let to = |centre: Point3<f64>| centre - centroid;
         let cosine = |centre| normal.dot(&to(centre)) / (normal.norm() * to(centre).norm());
         Self {

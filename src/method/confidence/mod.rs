@@ -6,25 +6,19 @@
 mod cache;
 pub mod curves;
 pub mod features;
-mod fit;
 mod geometric;
-mod image;
-mod labels;
+pub mod image;
 mod nearby;
-mod parts;
 mod pictures;
 pub mod place;
 mod proxy;
-mod score;
-pub mod train;
-mod trained;
+pub mod trained;
 pub mod trees;
 mod unary;
 
 pub use curves::PairCurves;
 pub use geometric::{Constellation, PairConfidence};
 pub use image::{Image, ImageError, Mask, size_for_confidence};
-pub use labels::Label;
 pub use nearby::nearby;
 pub use pictures::{CACHE, MASKS, Pictures, Seen};
 pub use proxy::Proxy;

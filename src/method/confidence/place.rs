@@ -9,13 +9,13 @@ use crate::{
         column::{Column, TableError},
         progress::Watcher,
     },
-    method::fulfilment::Model,
+    method::geometry::Geometry,
     model::scene::{PointIndex, Scene, ViewIndex, ViewPoints},
 };
 
 /// The rows of a model's visibility table, each a triangle where a view sees it.
 pub struct Places<'a> {
-    model: Model<'a>,
+    geometry: Geometry<'a>,
     /// By row: share of the sparse points nearest to the triangle that the view observes.
     observed: Column<f32>,
     /// By triangle.
@@ -35,16 +35,16 @@ struct Ground {
 }
 
 impl<'a> Places<'a> {
-    pub fn new(model: Model<'a>, points: &ViewPoints, watcher: &dyn Watcher) -> Result<Self, TableError> {
-        let nearest = Nearest::new(model.scene, model.surface, watcher)?;
-        let all = (0..model.scene.points.len() as u32).into_par_iter();
-        let tracks: Vec<[f32; 2]> = all.map(|p| length_and_error(model.scene, PointIndex(p))).collect();
+    pub fn new(geometry: Geometry<'a>, points: &ViewPoints, watcher: &dyn Watcher) -> Result<Self, TableError> {
+        let nearest = Nearest::new(geometry.scene, geometry.surface, watcher)?;
+        let all = (0..geometry.scene.points.len() as u32).into_par_iter();
+        let tracks: Vec<[f32; 2]> = all.map(|p| length_and_error(geometry.scene, PointIndex(p))).collect();
         watcher.check()?;
-        let triangles = (0..model.surface.triangles.len() as u32).into_par_iter();
+        let triangles = (0..geometry.surface.triangles.len() as u32).into_par_iter();
         Ok(Self {
-            observed: nearest.observed(model.scene, points, model.visibility, |share| share, watcher)?,
-            ground: triangles.map(|triangle| Ground::new(&model, &nearest, &tracks, triangle)).collect(),
-            model,
+            observed: nearest.observed(geometry.scene, points, geometry.visibility, |share| share, watcher)?,
+            ground: triangles.map(|triangle| Ground::new(&geometry, &nearest, &tracks, triangle)).collect(),
+            geometry,
         })
     }
 
@@ -57,19 +57,19 @@ impl<'a> Places<'a> {
     /// of the view's ground sampling distance over the wanted one, and of the sparse points nearest to the triangle the share that
     /// the view observes, how far apart they are, how far off its plane, how long their tracks are and how large their errors.
     pub fn numbers(&self, view: ViewIndex, row: usize, promise: f32) -> [f32; PLACE.len()] {
-        let model = &self.model;
-        let triangle = model.visibility.triangles[row];
-        let (camera, pose) = (model.scene.camera_of(view), &model.scene.view(view).cam_from_world);
-        let centroid = model.surface.centroid(triangle);
+        let geometry = &self.geometry;
+        let triangle = geometry.visibility.triangles[row];
+        let (camera, pose) = (geometry.scene.camera_of(view), &geometry.scene.view(view).cam_from_world);
+        let centroid = geometry.surface.centroid(triangle);
         let x_cam = pose.camera_from_world(&centroid);
         let Some((pixel, jacobian)) = camera.project_with_jacobian(&x_cam) else { return [f32::NAN; PLACE.len()] };
         let (width, height) = (f64::from(camera.width), f64::from(camera.height));
         let border = pixel.x.min(width - pixel.x).min(pixel.y).min(height - pixel.y) / (0.5 * width.min(height));
-        let (normal, ray) = (model.surface.area_normal(triangle), pose.centre() - centroid);
+        let (normal, ray) = (geometry.surface.area_normal(triangle), pose.centre() - centroid);
         let cosine = normal.dot(&ray) / (normal.norm() * ray.norm());
         // The Jacobian's two singular values are about f / z each.
-        let gsd = std::f64::consts::SQRT_2 / (jacobian.norm() * model.rule.image_scale);
-        let wanted = f64::from(model.target.gsd[triangle as usize]);
+        let gsd = std::f64::consts::SQRT_2 / (jacobian.norm() * geometry.image_scale);
+        let wanted = f64::from(geometry.target.gsd[triangle as usize]);
         let Ground { spacing, roughness, track_length, error } = self.ground[triangle as usize];
         let observed = self.observed[row];
         let seen = [border, cosine, (gsd / wanted).log2()].map(|n| n as f32);
@@ -78,9 +78,9 @@ impl<'a> Places<'a> {
 }
 
 impl Ground {
-    fn new(model: &Model, nearest: &Nearest, tracks: &[[f32; 2]], triangle: u32) -> Self {
-        let gsd = f64::from(model.target.gsd[triangle as usize]);
-        let [spacing, roughness] = nearest.spacing_and_roughness(model.scene, model.surface, triangle);
+    fn new(geometry: &Geometry, nearest: &Nearest, tracks: &[[f32; 2]], triangle: u32) -> Self {
+        let gsd = f64::from(geometry.target.gsd[triangle as usize]);
+        let [spacing, roughness] = nearest.spacing_and_roughness(geometry.scene, geometry.surface, triangle);
         let around = nearest.of(triangle);
         let mean = |i: usize| around.iter().map(|&p| tracks[p as usize][i]).sum::<f32>() / around.len() as f32;
         Self {

@@ -21,7 +21,7 @@ use crate::{
         error::Hint,
         progress::Watcher,
     },
-    method::fulfilment::Model,
+    method::geometry::Geometry,
     model::scene::{ViewIndex, ViewPoints},
 };
 
@@ -127,7 +127,7 @@ impl Trained {
         bytes
     }
 
-    pub(super) fn head() -> (String, String, String) {
+    pub fn head() -> (String, String, String) {
         let tool = concat!("viewrank ", env!("CARGO_PKG_VERSION"));
         (
             FORMAT.into(),
@@ -144,13 +144,13 @@ impl Trained {
     /// What each row of the visibility table says as the key view's and as a partner's. `maps`: what [`Picture`] says of each view.
     pub fn unary(
         &self,
-        model: &Model,
+        geometry: &Geometry,
         points: &ViewPoints,
         maps: &[Option<ConfidenceMap>],
         watcher: &dyn Watcher,
     ) -> Result<Unary, TableError> {
-        let promised = Unary::new(model.scene, model.surface, model.visibility, maps, watcher)?;
-        let places = Places::new(*model, points, watcher)?;
+        let promised = Unary::new(geometry.scene, geometry.surface, geometry.visibility, maps, watcher)?;
+        let places = Places::new(*geometry, points, watcher)?;
         let of_view = |_: &mut (), &view: &ViewIndex| {
             watcher.check()?;
             let of_row = |row: usize| {
@@ -159,10 +159,10 @@ impl Trained {
                 let key = logistic(self.place.bias + curves::sum(&self.place.key, &numbers));
                 (key, curves::sum(&self.place.partner, &numbers))
             };
-            Ok(model.visibility.rows(view).map(of_row).collect::<Vec<_>>())
+            Ok(geometry.visibility.rows(view).map(of_row).collect::<Vec<_>>())
         };
-        let views: Vec<ViewIndex> = model.scene.view_indices().collect();
-        let keep = model.visibility.triangles.kept();
+        let views: Vec<ViewIndex> = geometry.scene.view_indices().collect();
+        let keep = geometry.visibility.triangles.kept();
         let (mut values, mut partner_odds) = (Growing::new(keep)?, Growing::new(keep)?);
         column::in_order(
             &views,
@@ -170,7 +170,7 @@ impl Trained {
             || (),
             of_view,
             |_, rows: Vec<Vec<(f32, f32)>>| {
-                model.release();
+                geometry.visibility.triangles.release();
                 promised.release();
                 places.release();
                 let (keys, partners): (Vec<f32>, Vec<f32>) = rows.into_iter().flatten().unzip();
@@ -195,7 +195,7 @@ impl Picture {
     }
 
     /// Calibrated probability of each cell, and the distance of the picture from the training cells over none.
-    pub(super) fn of_cells(&self, features: &Features) -> (Vec<f32>, f32) {
+    pub fn of_cells(&self, features: &Features) -> (Vec<f32>, f32) {
         let mut bins = vec![0u8; features::COUNT];
         let mut counts = vec![[0u32; BINS]; features::COUNT];
         let mut of_cell = |cell: usize| {
@@ -207,7 +207,7 @@ impl Picture {
         (chances, self.apart(&counts, features.cells()))
     }
 
-    pub(super) fn calibrated(&self, chance: f32) -> f32 {
+    pub fn calibrated(&self, chance: f32) -> f32 {
         logistic(self.calibration[0] * place::odds_of(chance) + self.calibration[1])
     }
 

@@ -5,12 +5,11 @@
 
 pub(crate) mod block;
 mod lanes;
-mod target;
 
 use nalgebra::{Matrix3, Point3, Vector2};
 
 use self::block::{Block, Places};
-pub use self::target::{GSD_MARGIN, Target};
+use crate::method::{geometry::Geometry, target::Target};
 use crate::{
     base::{
         column::{self, Column, DiskError, Growing, TableError},
@@ -56,7 +55,18 @@ pub struct Model<'a> {
     pub rule: Rule,
 }
 
-impl Model<'_> {
+impl<'a> Model<'a> {
+    pub fn new(geometry: Geometry<'a>, unary: &'a Unary, rule: Rule) -> Self {
+        let Geometry { scene, surface, visibility, target, .. } = geometry;
+        Self { scene, surface, visibility, target, unary, rule }
+    }
+
+    /// The part of it that confidence is made from.
+    pub fn geometry(&self) -> Geometry<'a> {
+        let Self { scene, surface, visibility, target, .. } = *self;
+        Geometry { scene, surface, visibility, target, image_scale: self.rule.image_scale }
+    }
+
     /// Gives back memory that can be read again.
     pub(crate) fn release(&self) {
         self.visibility.triangles.release();
@@ -200,7 +210,7 @@ impl Success {
         for (view, row) in rows {
             let (own, other) = (f64::from(model.unary.at(key_row)), f64::from(model.unary.as_partner(row)));
             seeing.push(view);
-            chances.push(rule.confidence.pair(&Constellation::new(model, key, view, triangle), own, other));
+            chances.push(rule.confidence.pair(&Constellation::new(&model.geometry(), key, view, triangle), own, other));
         }
         let coverage = if 1 + seeing.len() >= rule.min_cameras as usize { 1.0 } else { 0.0 };
         let measurable = f64::from(rule.confidence.measurable(model.unary.at(key_row)));

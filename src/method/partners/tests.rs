@@ -6,9 +6,10 @@ use crate::{
     config::{TargetSettings, VisibilitySettings},
     method::{
         confidence::{Confidence, PairConfidence, Unary},
-        fulfilment::{self, Rule, Target},
+        fulfilment::{self, Rule},
         surface::Surface,
         synthetic::Town,
+        target::Target,
         visibility::{self, Visibility},
     },
     model::{

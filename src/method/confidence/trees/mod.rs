@@ -6,25 +6,23 @@
 //! forest's Gini criterion, with the derivatives of the logistic loss it is boosting. The same rows, seed and settings give
 //! the same trees for any number of threads.
 
-mod grow;
 mod table;
 
 use serde::{Deserialize, Serialize};
 
-pub use grow::{Boosting, Forest};
 pub use table::{BINS, Binning, Table};
 
 /// A tree in arrays; node 0 is the root.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Tree {
     /// Feature that a node splits by; unused in leaves.
-    feature: Vec<u16>,
+    pub feature: Vec<u16>,
     /// Rows with a bin up to this one go left.
-    bin: Vec<u8>,
+    pub bin: Vec<u8>,
     /// Index of the left child, the right one is next to it; 0: a leaf.
-    child: Vec<u32>,
+    pub child: Vec<u32>,
     /// Value of a leaf: a probability in a forest, log odds in boosting.
-    value: Vec<f32>,
+    pub value: Vec<f32>,
 }
 
 impl Tree {
@@ -49,7 +47,7 @@ impl Tree {
         nodes > 0 && lengths == [nodes; 3] && (0..nodes).all(sound) && self.value.iter().all(|v| v.is_finite())
     }
 
-    fn leaf(&mut self, value: f32) -> usize {
+    pub fn leaf(&mut self, value: f32) -> usize {
         self.feature.push(0);
         self.bin.push(0);
         self.child.push(0);
@@ -119,72 +117,7 @@ pub(crate) fn logistic(odds: f32) -> f32 {
 
 #[cfg(test)]
 mod tests {
-    use rand_core::{Rng, SeedableRng};
-
     use super::*;
-
-    /// Rows of 6 features of which the first two decide, with a tenth of the labels wrong.
-    fn rows(count: usize, seed: u64) -> (Vec<Vec<f32>>, Vec<bool>) {
-        let mut random = rand_pcg::Pcg64Mcg::seed_from_u64(seed);
-        let mut unit = || (random.next_u32() >> 8) as f32 / (1 << 24) as f32;
-        let features: Vec<Vec<f32>> = (0..count).map(|_| (0..6).map(|_| unit()).collect()).collect();
-        let labels = features.iter().map(|f| ((f[0] - 0.5) * (f[1] - 0.5) > 0.0) != (unit() < 0.1)).collect();
-        (features, labels)
-    }
-
-    fn table(features: &[Vec<f32>]) -> Table {
-        Table::new(6, features.len(), |row, feature| features[row][feature])
-    }
-
-    /// Share of the rows whose side of one half is the label's.
-    fn accuracy(classifier: &Classifier, seed: u64) -> f64 {
-        let (features, labels) = rows(4000, seed);
-        let right = features.iter().zip(&labels).filter(|(f, l)| (classifier.probability(f) > 0.5) == **l).count();
-        right as f64 / labels.len() as f64
-    }
-
-    #[test]
-    fn both_learn_an_interaction_that_no_single_feature_shows() {
-        let (features, labels) = rows(4000, 1);
-        let weights = vec![1.0; labels.len()];
-        let forest = Forest::default().train(&table(&features), &labels, &weights, 7);
-        let boosted = Boosting::default().train(&table(&features), &labels, &weights, 7);
-        // Nine tenths is all that there is to learn.
-        assert!(accuracy(&forest, 2) > 0.86, "{}", accuracy(&forest, 2));
-        assert!(accuracy(&boosted, 2) > 0.86, "{}", accuracy(&boosted, 2));
-        assert!(forest.is_sound() && boosted.is_sound());
-    }
-
-    #[test]
-    fn the_same_seed_gives_the_same_trees_on_any_number_of_threads() {
-        let (features, labels) = rows(500, 3);
-        let weights = vec![1.0; labels.len()];
-        let train = |threads| {
-            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
-            pool.install(|| {
-                let forest = Forest { trees: 8, ..Forest::default() }.train(&table(&features), &labels, &weights, 5);
-                let boosted =
-                    Boosting { trees: 8, ..Boosting::default() }.train(&table(&features), &labels, &weights, 5);
-                (forest, boosted)
-            })
-        };
-        assert_eq!(train(1), train(4));
-    }
-
-    #[test]
-    fn a_boosted_probability_is_calibrated_where_labels_are_pure_chance() {
-        let features = vec![vec![0.0; 6]; 1000];
-        let labels: Vec<bool> = (0..1000).map(|i| i % 5 == 0).collect();
-        let boosted = Boosting::default().train(&table(&features), &labels, &vec![1.0; 1000], 0);
-        assert!((boosted.probability(&features[0]) - 0.2).abs() < 1e-3);
-    }
-
-    #[test]
-    fn one_class_only_is_learnt_as_such() {
-        let (features, _) = rows(50, 4);
-        let forest = Forest::default().train(&table(&features), &[true; 50], &[1.0; 50], 0);
-        assert_eq!(forest.probability(&features[0]), 1.0);
-    }
 
     #[test]
     fn broken_trees_are_not_sound() {

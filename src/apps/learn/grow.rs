@@ -4,7 +4,7 @@ use rand_core::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use rayon::prelude::*;
 
-use super::{BINS, Classifier, Ensemble, Table, Tree, logistic};
+use crate::method::confidence::trees::{BINS, Classifier, Ensemble, Table, Tree, logistic};
 
 /// How one tree grows.
 #[derive(Clone, Copy, Debug)]
@@ -12,53 +12,8 @@ struct Growth {
     max_depth: u32,
     /// Least sum of h in a leaf.
     min_weight: f64,
-    /// Features tried at each split.
-    tried_features: usize,
     /// λ: pulls the values of small leaves to 0.
     shrinkage: f64,
-}
-
-/// A random forest: each tree sees a bootstrap sample of the rows and, at each split, some of the features.
-#[derive(Clone, Copy, Debug)]
-pub struct Forest {
-    pub trees: usize,
-    pub max_depth: u32,
-    /// Least weight of the rows in a leaf.
-    pub min_leaf: f64,
-    /// Features tried at each split; 0: the square root of their number.
-    pub tried_features: usize,
-}
-
-impl Default for Forest {
-    fn default() -> Self {
-        Self { trees: 64, max_depth: 14, min_leaf: 8.0, tried_features: 0 }
-    }
-}
-
-impl Forest {
-    /// Learns the labels of the rows. `weights` are not negative.
-    pub fn train(&self, table: &Table, labels: &[bool], weights: &[f32], seed: u64) -> Classifier {
-        let features = table.binning.features();
-        let tried = if self.tried_features == 0 { features.isqrt().max(1) } else { self.tried_features };
-        let growth = Growth {
-            max_depth: self.max_depth,
-            min_weight: self.min_leaf,
-            tried_features: tried.min(features),
-            shrinkage: 0.0,
-        };
-        let grow = |tree: usize| {
-            let mut random = Pcg64Mcg::seed_from_u64(seed ^ (tree as u64 + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15));
-            let drawn = (0..table.rows()).map(|_| below(&mut random, table.rows()) as u32);
-            let mut rows: Vec<u32> = drawn.filter(|&row| weights[row as usize] > 0.0).collect();
-            let gradients = |row: u32| {
-                let weight = weights[row as usize];
-                (if labels[row as usize] { weight } else { 0.0 }, weight)
-            };
-            growth.grow(table, &mut rows, &gradients, &mut random)
-        };
-        let trees = (0..self.trees).into_par_iter().map(grow).collect();
-        Classifier { ensemble: Ensemble::Forest, binning: table.binning.clone(), start: 0.0, trees }
-    }
 }
 
 /// Gradient boosting on the logistic loss: each tree mends what the earlier ones left.
@@ -83,9 +38,7 @@ impl Default for Boosting {
 impl Boosting {
     /// Learns the labels of the rows. `weights` are not negative.
     pub fn train(&self, table: &Table, labels: &[bool], weights: &[f32], seed: u64) -> Classifier {
-        let features = table.binning.features();
-        let growth =
-            Growth { max_depth: self.max_depth, min_weight: self.min_leaf, tried_features: features, shrinkage: 1.0 };
+        let growth = Growth { max_depth: self.max_depth, min_weight: self.min_leaf, shrinkage: 1.0 };
         let start = log_odds(labels, weights);
         let mut odds = vec![start; table.rows()];
         let mut random = Pcg64Mcg::seed_from_u64(seed);
@@ -98,7 +51,7 @@ impl Boosting {
                 let label = f32::from(u8::from(labels[row]));
                 (weights[row] * (label - p), weights[row] * (p * (1.0 - p)))
             };
-            let mut tree = growth.grow(table, &mut rows, &gradients, &mut random);
+            let mut tree = growth.grow(table, &mut rows, &gradients);
             tree.value.iter_mut().for_each(|value| *value *= self.learning_rate as f32);
             odds.par_iter_mut().enumerate().for_each(|(row, odds)| *odds += tree.value(&table.row(row)));
             trees.push(tree);
@@ -113,11 +66,6 @@ fn log_odds(labels: &[bool], weights: &[f32]) -> f32 {
     };
     // One row of each class keeps the odds finite where there is only one.
     ((sum(true) + 1.0) / (sum(false) + 1.0)).ln() as f32
-}
-
-/// A number below `bound`, without the bias that matters for some thousand rows.
-fn below(random: &mut Pcg64Mcg, bound: usize) -> usize {
-    ((u64::from(random.next_u32()) * bound as u64) >> 32) as usize
 }
 
 /// Σg and Σh of a bin or a node.
@@ -146,25 +94,15 @@ struct Split {
 }
 
 impl Growth {
-    fn grow(
-        &self,
-        table: &Table,
-        rows: &mut [u32],
-        gradients: &(dyn Fn(u32) -> (f32, f32) + Sync),
-        random: &mut Pcg64Mcg,
-    ) -> Tree {
+    fn grow(&self, table: &Table, rows: &mut [u32], gradients: &(dyn Fn(u32) -> (f32, f32) + Sync)) -> Tree {
         let mut tree = Tree::default();
         tree.leaf(0.0);
-        let mut features: Vec<usize> = (0..table.binning.features()).collect();
         let mut open = vec![(0, 0, rows.len(), 0)];
         while let Some((node, from, to, depth)) = open.pop() {
             let rows = &mut rows[from..to];
             let total = total(rows, gradients);
             tree.value[node] = total.value(self.shrinkage);
-            draw_first(&mut features, self.tried_features, random);
-            let split = (depth < self.max_depth)
-                .then(|| self.best_split(table, rows, gradients, total, &features[..self.tried_features]))
-                .flatten();
+            let split = (depth < self.max_depth).then(|| self.best_split(table, rows, gradients, total)).flatten();
             let Some(split) = split else { continue };
             let column = table.column(split.feature);
             let left = partition(rows, |row| column[row as usize] <= split.bin);
@@ -179,21 +117,20 @@ impl Growth {
         tree
     }
 
-    /// The split that gains most; ties go to the feature that was drawn first and the lowest bin.
+    /// The split that gains most; ties go to the first feature and the lowest bin.
     fn best_split(
         &self,
         table: &Table,
         rows: &[u32],
         gradients: &(dyn Fn(u32) -> (f32, f32) + Sync),
         total: Sums,
-        features: &[usize],
     ) -> Option<Split> {
         if total.h < 2.0 * self.min_weight {
             return None;
         }
         let row_gradients: Vec<(f32, f32)> = rows.iter().map(|&row| gradients(row)).collect();
-        let best_of = |&feature: &usize| self.best_bin(table.column(feature), rows, &row_gradients, total, feature);
-        let splits: Vec<Option<Split>> = features.par_iter().map(best_of).collect();
+        let best_of = |feature: usize| self.best_bin(table.column(feature), rows, &row_gradients, total, feature);
+        let splits: Vec<Option<Split>> = (0..table.binning.features()).into_par_iter().map(best_of).collect();
         splits.into_iter().flatten().reduce(|best, split| if split.gain > best.gain { split } else { best })
     }
 
@@ -235,16 +172,6 @@ fn total(rows: &[u32], gradients: &(dyn Fn(u32) -> (f32, f32) + Sync)) -> Sums {
     })
 }
 
-/// Puts a random choice of the features first (Fisher and Yates' shuffle, stopped early).
-fn draw_first(features: &mut [usize], count: usize, random: &mut Pcg64Mcg) {
-    if count < features.len() {
-        for i in 0..count {
-            let j = i + below(random, features.len() - i);
-            features.swap(i, j);
-        }
-    }
-}
-
 /// Moves the rows that go left to the front, each side in its order; returns how many they are.
 fn partition(rows: &mut [u32], goes_left: impl Fn(u32) -> bool) -> usize {
     let right: Vec<u32> = rows.iter().copied().filter(|&row| !goes_left(row)).collect();
@@ -257,4 +184,67 @@ fn partition(rows: &mut [u32], goes_left: impl Fn(u32) -> bool) -> usize {
     }
     rows[left..].copy_from_slice(&right);
     left
+}
+
+#[cfg(test)]
+mod tests {
+    use rand_core::{Rng, SeedableRng};
+
+    use super::*;
+
+    /// Rows of 6 features of which the first two decide, with a tenth of the labels wrong.
+    fn rows(count: usize, seed: u64) -> (Vec<Vec<f32>>, Vec<bool>) {
+        let mut random = rand_pcg::Pcg64Mcg::seed_from_u64(seed);
+        let mut unit = || (random.next_u32() >> 8) as f32 / (1 << 24) as f32;
+        let features: Vec<Vec<f32>> = (0..count).map(|_| (0..6).map(|_| unit()).collect()).collect();
+        let labels = features.iter().map(|f| ((f[0] - 0.5) * (f[1] - 0.5) > 0.0) != (unit() < 0.1)).collect();
+        (features, labels)
+    }
+
+    fn table(features: &[Vec<f32>]) -> Table {
+        Table::new(6, features.len(), |row, feature| features[row][feature])
+    }
+
+    /// Share of the rows whose side of one half is the label's.
+    fn accuracy(classifier: &Classifier, seed: u64) -> f64 {
+        let (features, labels) = rows(4000, seed);
+        let right = features.iter().zip(&labels).filter(|(f, l)| (classifier.probability(f) > 0.5) == **l).count();
+        right as f64 / labels.len() as f64
+    }
+
+    #[test]
+    fn boosting_learns_an_interaction_that_no_single_feature_shows() {
+        let (features, labels) = rows(4000, 1);
+        let weights = vec![1.0; labels.len()];
+        let boosted = Boosting::default().train(&table(&features), &labels, &weights, 7);
+        // Nine tenths is all that there is to learn.
+        assert!(accuracy(&boosted, 2) > 0.86, "{}", accuracy(&boosted, 2));
+        assert!(boosted.is_sound());
+    }
+
+    #[test]
+    fn the_same_seed_gives_the_same_trees_on_any_number_of_threads() {
+        let (features, labels) = rows(500, 3);
+        let weights = vec![1.0; labels.len()];
+        let train = |threads| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
+            pool.install(|| Boosting { trees: 8, ..Boosting::default() }.train(&table(&features), &labels, &weights, 5))
+        };
+        assert_eq!(train(1), train(4));
+    }
+
+    #[test]
+    fn a_boosted_probability_is_calibrated_where_labels_are_pure_chance() {
+        let features = vec![vec![0.0; 6]; 1000];
+        let labels: Vec<bool> = (0..1000).map(|i| i % 5 == 0).collect();
+        let boosted = Boosting::default().train(&table(&features), &labels, &vec![1.0; 1000], 0);
+        assert!((boosted.probability(&features[0]) - 0.2).abs() < 1e-3);
+    }
+
+    #[test]
+    fn one_class_only_is_learnt_as_such() {
+        let (features, _) = rows(50, 4);
+        let boosted = Boosting::default().train(&table(&features), &[true; 50], &[1.0; 50], 0);
+        assert!(boosted.probability(&features[0]) > 0.95, "{}", boosted.probability(&features[0]));
+    }
 }

@@ -257,8 +257,9 @@ mod tests {
         io::depthmaps::DepthMapFormat,
         method::{
             confidence::{Confidence, Unary},
-            fulfilment::{Rule, Target},
+            fulfilment::Rule,
             synthetic::Town,
+            target::Target,
             visibility,
         },
         model::camera::{Camera, CameraModel},

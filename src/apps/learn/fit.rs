@@ -6,8 +6,8 @@
 
 use rayon::prelude::*;
 
-use super::{
-    curves::{Curve, KNOTS, PAIR, PLACE, PairCurves, PlaceCurves},
+use crate::method::confidence::{
+    curves::{self, Curve, KNOTS, PAIR, PLACE, PairCurves, PlaceCurves},
     trees::logistic,
 };
 
@@ -55,9 +55,8 @@ const COUNT: usize = BETWEEN + PAIR.len() * KNOTS;
 impl Curves {
     /// Chance that the row succeeds.
     pub fn chance(&self, row: &Row) -> f32 {
-        let q = logistic(self.place.bias + super::curves::sum(&self.place.key, &row.place));
-        let odds =
-            |pair: &PairRow| self.pair.odds(&pair.numbers) + super::curves::sum(&self.place.partner, &pair.place);
+        let q = logistic(self.place.bias + curves::sum(&self.place.key, &row.place));
+        let odds = |pair: &PairRow| self.pair.odds(&pair.numbers) + curves::sum(&self.place.partner, &pair.place);
         q * at_least(row.pairs.iter().map(|pair| logistic(odds(pair))), self.pair.min_matches as usize)
     }
 

@@ -10,17 +10,27 @@ use rand_core::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use rayon::prelude::*;
 
-use super::{
-    ConfidenceMap, Unary,
-    features::{self, Features},
+mod fit;
+mod grow;
+mod labels;
+mod parts;
+mod score;
+
+pub use self::labels::Label;
+use self::{
     fit::{Curves, PairRow, Row},
-    image::{Image, size_for_confidence},
-    labels::{Finished, Label, Labelling},
+    grow::Boosting,
+    labels::{Finished, Labelling},
     parts::{Parts, Views},
-    place::{self, Places},
     score::Scores,
+};
+use crate::method::confidence::{
+    ConfidenceMap, Constellation, Unary,
+    features::{self, Features},
+    image::{Image, size_for_confidence},
+    place::{self, Places},
     trained::{Measured, Picture, Trained, TrainedOn, VERSION},
-    trees::{BINS, Boosting, Table},
+    trees::{BINS, Table},
 };
 use crate::{
     base::{
@@ -394,7 +404,7 @@ fn rows(
     for (number, ((lesson, judged), promised)) in lessons.iter().zip(judged).zip(promised).enumerate() {
         let kept_below = (most / counts[parts.scene(number)].max(1) as f64 * f64::from(u32::MAX)) as u32;
         let model = &lesson.model;
-        let places = Places::new(*model, &model.scene.view_points(), watcher)?;
+        let places = Places::new(model.geometry(), &model.scene.view_points(), watcher)?;
         let of_place = |view: ViewIndex, row: usize| places.numbers(view, row, promised[row]);
         for view in judged {
             let Some(cluster) = lesson.clusters.iter().find(|c| c.key == view.view) else { continue };
@@ -405,7 +415,7 @@ fn rows(
                 let triangle = model.visibility.triangles[row];
                 let pair = |&partner: &ViewIndex| {
                     let place = of_place(partner, model.visibility.row(partner, triangle)?);
-                    let constellation = super::Constellation::new(model, view.view, partner, triangle);
+                    let constellation = Constellation::new(&model.geometry(), view.view, partner, triangle);
                     Some(PairRow { numbers: constellation.numbers(), place })
                 };
                 let row = Row {
