@@ -5,8 +5,8 @@
 
 use nalgebra::Point3;
 use std::time::Instant;
-use viewrank::base::progress::Unwatched;
-use viewrank::method::surface::delaunay::Delaunay;
+use viewrank::internals::progress::Unwatched;
+use viewrank::internals::surface::delaunay::Delaunay;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     // `cargo bench` adds options of its own.

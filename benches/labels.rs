@@ -8,19 +8,15 @@
 
 use std::{collections::BTreeMap, path::Path};
 
-use viewrank::{
-    apps::{
-        evaluate,
-        learn::{Label, Lesson},
-    },
-    base::progress::Unwatched,
+use viewrank::internals::{
+    backends,
     config::{Configuration, Files, Typed},
-    io::{
-        depthmaps::{self, DepthMap, DepthMapFile},
-        project::Project,
-    },
-    method::fulfilment::Model,
-    plan,
+    depthmaps::{self, DepthMap, DepthMapFile},
+    evaluate,
+    fulfilment::Model,
+    learn::{Label, Lesson},
+    progress::Unwatched,
+    project::Project,
 };
 
 type Fallible<T> = Result<T, Box<dyn std::error::Error>>;
@@ -43,7 +39,7 @@ fn main() -> Fallible<()> {
     let mut settings = Configuration::load(&files, Typed::default(), backends::canonical_name)?.settings;
     settings.backends = vec!["sgm".into()];
     settings.confidence.source = "geometric".into();
-    let plan = plan::plan(&project, &settings, &Unwatched)?;
+    let plan = backends::plan(&project, &settings, &Unwatched)?;
     let clusters = evaluate::clusters::read(Path::new(clusters), &plan.stages.scene)?;
     let found = depthmaps::find(Path::new(maps), &plan.stages.scene)?.whole()?;
     let exact = depthmaps::find(Path::new(reference), &plan.stages.scene)?.whole()?;

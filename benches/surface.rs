@@ -11,11 +11,11 @@ use std::{
     time::Instant,
 };
 
-use viewrank::{
-    base::progress::Unwatched,
+use viewrank::internals::{
     config::SurfaceSettings,
-    io::project::Project,
-    method::surface::{carve, clean, cut::minimum_cut, delaunay::Delaunay, points, refine, simplify},
+    progress::Unwatched,
+    project::Project,
+    surface::{carve, clean, cut::minimum_cut, delaunay::Delaunay, points, refine, simplify},
 };
 
 type Fallible<T> = Result<T, Box<dyn std::error::Error>>;
@@ -54,7 +54,7 @@ fn time_surface(project: &Path) -> Fallible<f64> {
     let delaunay = Delaunay::triangulate(&positions, &Unwatched)?;
     clock.step(&format!("delaunay, {} cells", delaunay.cells.len()));
     let rays = carve::Rays::choose(&scene, &delaunay, &usable, settings.rays_per_point as usize);
-    clock.step(&format!("rays, {}", rays.len()));
+    clock.step(&format!("rays, {}", rays.count()));
     let capacities = carve::capacities(&delaunay, &rays, &settings, &Unwatched)?;
     clock.step("votes");
     let outside = minimum_cut(&delaunay.cells, &capacities, &Unwatched)?.outside;

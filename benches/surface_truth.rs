@@ -13,15 +13,15 @@ use std::{path::Path, time::Instant};
 
 use nalgebra::{Point2, Point3, Vector3};
 use rayon::prelude::*;
-use viewrank::{
-    base::{column::Keep, progress::Unwatched},
+use viewrank::internals::{
+    column::Keep,
     config::Settings,
-    io::{ply, project::Project},
-    method::{
-        surface::{self, Surface, refine::MAX_TRIANGLES},
-        visibility::{self, Visibility},
-    },
-    model::scene::{Scene, ViewIndex},
+    ply,
+    progress::Unwatched,
+    project::Project,
+    scene::{Scene, ViewIndex},
+    surface::{self, Surface, SurfaceKind, refine::MAX_TRIANGLES},
+    visibility::{self, Visibility},
 };
 
 type Fallible<T> = Result<T, Box<dyn std::error::Error>>;
@@ -53,10 +53,15 @@ struct Exact {
     visible: Vec<Point3<f64>>,
 }
 
+fn exact_surface(folder: &Path) -> Fallible<Surface> {
+    let mesh = ply::read(&std::fs::read(folder.join("truth/scene.ply"))?)?;
+    Ok(Surface { kind: SurfaceKind::Mesh, vertices: mesh.vertices, triangles: mesh.triangles })
+}
+
 impl Exact {
     fn read(folder: &Path) -> Fallible<Self> {
         let scene = Project::open(folder, None)?.read_scene()?;
-        let mesh = Bvh::new(ply::read(&std::fs::read(folder.join("truth/scene.ply"))?)?);
+        let mesh = Bvh::new(exact_surface(folder)?);
         let visible = visible_points(&scene, &mesh);
         Ok(Self { scene, mesh, visible })
     }

@@ -7,9 +7,9 @@
 use std::{env, error::Error, fs, fs::File, path::Path, time::Instant};
 
 use npyz::{AutoSerialize, WriterBuilder};
-use viewrank::{
-    io::project::Project,
-    model::scene::{PointIndex, Scene},
+use viewrank::internals::{
+    project::Project,
+    scene::{PointIndex, Scene},
 };
 
 fn main() -> Result<(), Box<dyn Error>> {
@@ -25,7 +25,7 @@ fn main() -> Result<(), Box<dyn Error>> {
 fn write(scene: &Scene, folder: &Path) -> Result<(), Box<dyn Error>> {
     let names: Vec<&str> = scene.views.iter().map(|view| view.name.as_str()).collect();
     fs::write(folder.join("views.json"), serde_json::to_string(&names)?)?;
-    let pose = |view: &viewrank::model::scene::View| {
+    let pose = |view: &viewrank::internals::scene::View| {
         let pose = view.cam_from_world;
         let rotation = pose.rotation.matrix().transpose();
         rotation.iter().chain(pose.translation.iter()).copied().collect::<Vec<f64>>()

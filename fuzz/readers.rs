@@ -1,12 +1,12 @@
 //! What the fuzzers do with bytes: they take the place of one file of a small valid model, and whatever is read must be whole and
 //! must be the same again after writing. Used by the targets of `cargo fuzz` and by `tests/fuzz_readers.rs`.
 
-use viewrank::{
-    io::formats::{
+use viewrank::internals::{
+    formats::{
         Bytes, Fault, alicevision, bundler, colmap::ColmapModel, colmap_bin, colmap_text, nvm, openmvg, openmvs,
         opensfm, sure,
     },
-    model::scene::Scene,
+    scene::Scene,
 };
 
 /// The files of a model, by their names.

@@ -1,15 +1,5 @@
-//! Parses arguments, prints errors, sets the exit code; nothing else.
+//! The program; see `cli`.
 
-mod cli;
-
-use std::process::ExitCode;
-
-fn main() -> ExitCode {
-    match cli::run() {
-        Ok(()) => cli::Exit::Success.into(),
-        Err(failure) => {
-            failure.print();
-            failure.exit.into()
-        }
-    }
+fn main() -> std::process::ExitCode {
+    viewrank::cli::main()
 }

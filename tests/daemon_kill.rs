@@ -14,10 +14,10 @@ use std::{
 use npyz::WriterBuilder;
 use rand_core::{Rng, SeedableRng};
 use rand_pcg::Pcg64;
-use viewrank::{
-    io::formats::{colmap::ColmapModel, colmap_bin},
-    method::synthetic::Town,
-    model::camera::{Camera, CameraModel},
+use viewrank::internals::{
+    camera::{Camera, CameraModel},
+    formats::{colmap::ColmapModel, colmap_bin},
+    synthetic::Town,
 };
 
 const PROJECTS: [&str; 3] = ["a", "deep/b", "with blank/c"];

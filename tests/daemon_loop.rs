@@ -13,22 +13,19 @@ use std::{
     time::{Duration, Instant},
 };
 
-use viewrank::{
+use viewrank::internals::{
+    camera::{Camera, CameraModel},
     daemon::{
-        DaemonError, Job, Options, PlanJob, PlanOptions, Planner, Signal, Summary, read_status,
+        DaemonError, Job, Options, PlanJob, PlanOptions, Planner, Signal, read_status,
+        run::Summary,
         settle::HashCache,
         state::{OnBusy, Outcome, Phase},
         watch_roots,
     },
-    io::{
-        formats::{colmap::ColmapModel, colmap_bin},
-        output::Disk,
-    },
-    method::synthetic::Town,
-    model::{
-        camera::{Camera, CameraModel},
-        scene::Scene,
-    },
+    formats::{colmap::ColmapModel, colmap_bin},
+    output::Disk,
+    scene::Scene,
+    synthetic::Town,
 };
 
 /// Counts how often each content of each project was planned; a plan takes `length`.

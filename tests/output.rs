@@ -7,7 +7,7 @@ use std::{
     sync::atomic::{AtomicUsize, Ordering},
 };
 
-use viewrank::io::output::{Contents, Disk, FileSet, Operation, OutputError, recover, replace};
+use viewrank::internals::output::{Contents, Disk, FileSet, Operation, OutputError, recover, replace};
 
 /// A folder of its own, in memory where the machine has such a place: these tests sync some thousand times.
 fn empty_folder() -> tempfile::TempDir {
@@ -38,7 +38,7 @@ fn set(root: &Path, files: &[(&str, &str)]) -> FileSet {
     set
 }
 
-fn write(root: &Path, files: &[(&str, &str)]) -> viewrank::io::output::Written {
+fn write(root: &Path, files: &[(&str, &str)]) -> viewrank::internals::output::Written {
     set(root, files).write(&Disk::REAL).unwrap()
 }
 

@@ -2,17 +2,15 @@
 
 use std::path::{Path, PathBuf};
 
-use viewrank::{
-    base::error::Hint,
-    io::{
-        formats::{
-            Bytes,
-            colmap::{ColmapModel, Point2d},
-            colmap_bin, colmap_text,
-        },
-        project::{ModelFormat, Project, ProjectError, ProjectKind},
+use viewrank::internals::{
+    error::Hint,
+    formats::{
+        Bytes,
+        colmap::{ColmapModel, Point2d},
+        colmap_bin, colmap_text,
     },
-    model::scene::Scene,
+    project::{ModelFormat, Project, ProjectError, ProjectKind},
+    scene::Scene,
 };
 
 /// The shared data sets, or `None` with a note where they are not to be had.
@@ -174,7 +172,7 @@ fn reduced_models_are_consistent() {
         // Oracle: the tracks of the whole scene without the dropped views.
         let mut expected = Vec::new();
         for p in 0..whole.points.len() {
-            let track = whole.track(viewrank::model::scene::PointIndex(p as u32));
+            let track = whole.track(viewrank::internals::scene::PointIndex(p as u32));
             let names = track.filter(|&o| kept.contains(&whole.track_views[o]));
             let names: Vec<_> = names.map(|o| (whole.name(whole.track_views[o]), whole.track_pixels[o])).collect();
             let mut distinct: Vec<_> = names.iter().map(|n| n.0).collect();
@@ -186,7 +184,7 @@ fn reduced_models_are_consistent() {
         let scene = reread(&colmap_bin::write(&reduced));
         assert_eq!(scene.points.len(), expected.len(), "{folder}");
         for (p, (id, names)) in expected.iter().enumerate() {
-            let track = scene.track(viewrank::model::scene::PointIndex(p as u32));
+            let track = scene.track(viewrank::internals::scene::PointIndex(p as u32));
             let found: Vec<_> = track.map(|o| (scene.name(scene.track_views[o]), scene.track_pixels[o])).collect();
             assert_eq!((scene.point_ids[p], &found), (*id, names), "{folder}");
         }

@@ -6,15 +6,11 @@ use std::{
 };
 
 use nalgebra::{Matrix3, Point3};
-use viewrank::{
-    io::{
-        formats::{Problem, alicevision, bundler, nvm, openmvg, openmvs, opensfm, sure},
-        project::{ModelFormat, Project, ProjectKind},
-    },
-    model::{
-        camera::{Camera, CameraModel},
-        scene::{PointIndex, Scene, ViewIndex},
-    },
+use viewrank::internals::{
+    camera::{Camera, CameraModel},
+    formats::{Problem, alicevision, bundler, nvm, openmvg, openmvs, opensfm, sure},
+    project::{ModelFormat, Project, ProjectKind},
+    scene::{PointIndex, Scene, ViewIndex},
 };
 
 /// The shared data sets, or `None` with a note where they are not to be had.
@@ -421,7 +417,7 @@ fn sure_orientations_round_trip() {
 #[test]
 fn a_huge_cloud_of_a_sure_project_is_thinned() {
     let camera = Camera::new(1, CameraModel::Pinhole, 1000, 750, vec![751.0, 751.0, 500.0, 375.0]).unwrap();
-    let pose = viewrank::model::scene::Pose {
+    let pose = viewrank::internals::scene::Pose {
         rotation: nalgebra::Rotation3::identity(),
         translation: nalgebra::Vector3::zeros(),
     };

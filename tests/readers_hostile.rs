@@ -1,12 +1,10 @@
 //! Damaged, contradictory and hostile models: an error with place and cure, no panic, no memory for what is only announced.
 
-use viewrank::{
-    base::error::Hint,
-    io::{
-        formats::{Bytes, Fault, Place, Problem, colmap_bin, colmap_text},
-        project::{Project, ProjectError},
-    },
-    model::scene::Scene,
+use viewrank::internals::{
+    error::Hint,
+    formats::{Bytes, Fault, Place, Problem, colmap_bin, colmap_text},
+    project::{Project, ProjectError},
+    scene::Scene,
 };
 
 /// A small model, binary: two images, two points.

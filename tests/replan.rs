@@ -7,21 +7,22 @@ use std::{
 
 use nalgebra::{Point2, Vector3};
 use npyz::WriterBuilder;
-use viewrank::{
-    apps::replan::{Earlier, Maps, replan},
-    base::progress::Unwatched,
+use viewrank::internals::{
+    backends,
+    camera::{Camera, CameraModel},
     config::Settings,
-    io::{
-        formats::{colmap::ColmapModel, colmap_bin},
-        output::Disk,
-        project::Project,
-    },
-    method::{fulfilment::FulfilmentTable, ranking, synthetic::Town, visibility},
-    model::{
-        camera::{Camera, CameraModel},
-        scene::{Scene, ViewIndex},
-    },
-    plan::{self, Plan},
+    files::files,
+    formats::{colmap::ColmapModel, colmap_bin},
+    fulfilment::FulfilmentTable,
+    output::Disk,
+    plan::Plan,
+    progress::Unwatched,
+    project::Project,
+    ranking,
+    replan::{self, Earlier, Maps, as_written, replan},
+    scene::{Scene, ViewIndex},
+    synthetic::Town,
+    visibility,
 };
 
 const FOCAL: f64 = 320.0;
@@ -86,7 +87,7 @@ fn write_model(project: &Path, scene: &Scene) {
 
 fn plan_of(folder: &Path) -> Plan {
     let settings = Settings { backends: vec!["sgm".into()], ..Settings::default() };
-    plan::plan(&Project::open(folder, None).unwrap(), &settings, &Unwatched).unwrap()
+    backends::plan(&Project::open(folder, None).unwrap(), &settings, &Unwatched).unwrap()
 }
 
 fn write(plan: &Plan, folder: &Path) {
@@ -129,16 +130,16 @@ fn without_failures_the_rest_is_ranked_as_by_prediction_behind_the_real_values()
     let again = planned.again();
     assert_eq!(again.decision.finished.clusters, 3);
     let before = &planned.plan;
-    assert_eq!(again.stages.clusters, before.clusters);
-    let finished = &before.ranking.order[..3];
+    assert_eq!(again.stages.clusters, before.stages.clusters);
+    let finished = &before.decision.ranking.order[..3];
     let expected = |c: usize| -> Vec<(u32, f32)> {
-        let from = if finished.contains(&(c as u32)) { &again.stages.fulfilment } else { &before.fulfilment };
+        let from = if finished.contains(&(c as u32)) { &again.stages.fulfilment } else { &before.stages.fulfilment };
         let (triangles, values) = from.of(c);
         triangles.iter().copied().zip(values.iter().copied()).collect()
     };
-    let table = FulfilmentTable::new((0..before.clusters.len()).map(expected));
+    let table = FulfilmentTable::new((0..before.stages.clusters.len()).map(expected));
     assert_eq!(again.stages.fulfilment, table);
-    let weights = ranking::weights(&before.surface, before.settings.ranking.weight);
+    let weights = ranking::weights(&before.stages.surface, before.stages.settings.ranking.weight);
     let expected = ranking::rank_after(finished, &table, &weights, 1, &Unwatched).unwrap();
     assert_eq!(again.decision.ranking, expected);
 }
@@ -150,7 +151,7 @@ fn what_failed_lowers_what_is_expected_of_its_neighbours_and_of_nobody_else() {
     let again = planned.again();
     let first = planned.plan.decision.ranking.order[0] as usize;
     let mut lowered = 0;
-    for c in (0..again.clusters.len()).filter(|&c| c != first) {
+    for c in (0..again.stages.clusters.len()).filter(|&c| c != first) {
         let (before, after) = (planned.plan.stages.fulfilment.of(c), again.stages.fulfilment.of(c));
         assert_eq!(before.0, after.0);
         assert!(before.1.iter().zip(after.1).all(|(b, a)| a <= b));
@@ -164,7 +165,7 @@ fn what_failed_lowers_what_is_expected_of_its_neighbours_and_of_nobody_else() {
         let left = |&(at, _): &(usize, &u32)| at % 400 < 200;
         picture.iter().enumerate().filter(left).map(|(_, t)| *t).collect()
     };
-    for c in (0..again.clusters.len()).filter(|&c| c != first) {
+    for c in (0..again.stages.clusters.len()).filter(|&c| c != first) {
         let (triangles, before) = planned.plan.stages.fulfilment.of(c);
         for ((t, b), a) in triangles.iter().zip(before).zip(again.stages.fulfilment.of(c).1) {
             assert!(a == b || failed.contains(t));
@@ -191,7 +192,7 @@ fn finished_clusters_stay_at_the_head_of_the_files_and_of_the_cut() {
     assert!(finished[..2].iter().all(|&f| f) && finished[2..].iter().all(|&f| !f));
     // Nothing new has come: the same bytes.
     let once_more = planned.again();
-    assert_eq!(once_more.ranking, again.decision.ranking);
+    assert_eq!(once_more.decision.ranking, again.decision.ranking);
 }
 
 #[test]
@@ -205,13 +206,17 @@ fn a_plan_around_finished_maps_is_read_as_it_was_written() {
     assert_ne!(keys(&again), keys(&planned.plan));
     let (_, read) = as_written(planned.folder.path(), &Unwatched).unwrap();
     assert_eq!(keys(&read), keys(&again));
-    assert_eq!((read.cut.clusters, read.finished.clusters), (again.decision.cut.clusters, 2));
-    assert_eq!(read.views, again.decision.views);
-    assert!(read.warnings.starts_with(&again.decision.warnings), "and what writing the plan found");
+    assert_eq!((read.decision.cut.clusters, read.decision.finished.clusters), (again.decision.cut.clusters, 2));
+    assert_eq!(read.decision.views, again.decision.views);
+    assert!(read.decision.warnings.starts_with(&again.decision.warnings), "and what writing the plan found");
     let near = |a: &[f64], b: &[f64]| a.len() == b.len() && a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-12);
-    assert!(near(&read.ranking.gains, &again.decision.ranking.gains));
-    assert!(near(&read.ranking.fulfilment, &again.decision.ranking.fulfilment));
-    assert_eq!(keys(&again(planned.folder.path(), &Unwatched).unwrap().1), keys(&planned.plan), "the prediction");
+    assert!(near(&read.decision.ranking.gains, &again.decision.ranking.gains));
+    assert!(near(&read.decision.ranking.fulfilment, &again.decision.ranking.fulfilment));
+    assert_eq!(
+        keys(&replan::again(planned.folder.path(), &Unwatched).unwrap().1),
+        keys(&planned.plan),
+        "the prediction"
+    );
 
     // A cluster that is not finished and not this program's.
     let path = planned.folder.path().join("viewrank/manifest.json");
@@ -260,10 +265,10 @@ fn maps_whose_views_moved_too_far_are_named_and_the_others_stay() {
             .collect()
     };
     with_moved.sort_unstable();
-    let named: Vec<&str> = later.finished.outdated.iter().map(|o| o.key.as_str()).collect();
-    assert_eq!(named, with_moved, "{moved} moved: {:?}", later.finished.outdated);
-    assert_eq!(later.finished.clusters, 4 - with_moved.len());
-    for outdated in &later.finished.outdated {
+    let named: Vec<&str> = later.decision.finished.outdated.iter().map(|o| o.key.as_str()).collect();
+    assert_eq!(named, with_moved, "{moved} moved: {:?}", later.decision.finished.outdated);
+    assert_eq!(later.decision.finished.clusters, 4 - with_moved.len());
+    for outdated in &later.decision.finished.outdated {
         let pixels = outdated.moved_px.unwrap();
         // The ground lies up to 3 m nearer or farther than the mean, a box 8 m nearer.
         assert!((1.0..1.6).contains(&pixels), "{pixels}");
@@ -275,7 +280,7 @@ fn maps_whose_views_moved_too_far_are_named_and_the_others_stay() {
     let view = planned.plan.stages.scene.find(anew).unwrap();
     write_map(&planned.maps().join(format!("{anew}.npy")), depths(&planned.plan, view, |column, _| column % 2 == 0));
     let last = planned.again();
-    let named: Vec<&str> = last.finished.outdated.iter().map(|o| o.key.as_str()).collect();
+    let named: Vec<&str> = last.decision.finished.outdated.iter().map(|o| o.key.as_str()).collect();
     assert_eq!(named, with_moved[1..]);
 }
 

@@ -5,11 +5,11 @@
 use std::{env, fs, path::Path};
 
 use schemars::{Schema, schema_for};
-use viewrank::{
-    apps::doctor::Diagnosis,
+use viewrank::internals::{
     config::Settings,
-    daemon::{Progress, state::Status},
-    show::manifest::Manifest,
+    daemon::{follow::Progress, state::Status},
+    doctor::Diagnosis,
+    manifest::Manifest,
 };
 
 fn compare(name: &str, schema: &Schema) {

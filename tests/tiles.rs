@@ -2,17 +2,19 @@
 
 use std::{fs, path::Path};
 
-use viewrank::{
-    apps::evaluate::curve::Curve,
-    base::{column::Keep, progress::Unwatched},
+use viewrank::internals::{
+    backends::plan,
+    camera::{Camera, CameraModel},
+    column::Keep,
     config::{Bytes, Settings},
-    io::{
-        formats::{colmap::ColmapModel, colmap_bin},
-        project::Project,
-    },
-    method::{fulfilment, ranking, synthetic::Town},
-    model::camera::{Camera, CameraModel},
-    plan::{Plan, PlanError, plan},
+    evaluate::curve::Curve,
+    formats::{colmap::ColmapModel, colmap_bin},
+    fulfilment,
+    plan::{Plan, PlanError},
+    progress::Unwatched,
+    project::Project,
+    ranking,
+    synthetic::Town,
 };
 
 fn fixture() -> Project {
@@ -27,7 +29,7 @@ fn planned(project: &Project, change: impl FnOnce(&mut Settings)) -> Plan {
 
 /// f_o, on the whole surface, of the first i clusters of the tiled plan.
 fn on_the_whole(whole: &Plan, tiled: &Plan) -> Vec<f64> {
-    let table = fulfilment::table(&whole.model(), &tiled.stages.clusters, &Unwatched).unwrap();
+    let table = fulfilment::table(&whole.stages.model(), &tiled.stages.clusters, &Unwatched).unwrap();
     let weights = ranking::weights(&whole.stages.surface, whole.stages.settings.ranking.weight);
     let support = whole.stages.settings.ranking.support.unwrap();
     Curve::new(&table, &weights, support, &tiled.stages.clusters, &tiled.decision.ranking.order).fulfilment
@@ -45,9 +47,9 @@ fn one_tile_is_the_whole() {
     let project = fixture();
     let whole = planned(&project, |_| ());
     let one = planned(&project, |s| s.surface.tile_points = Some(u32::MAX));
-    assert_eq!(whole.stages.surface.vertices, one.surface.vertices);
-    assert_eq!(whole.decision.ranking, one.ranking);
-    assert_eq!((whole.stages.surface_stats.tiles, one.surface_stats.tiles), (1, 1));
+    assert_eq!(whole.stages.surface.vertices, one.stages.surface.vertices);
+    assert_eq!(whole.decision.ranking, one.decision.ranking);
+    assert_eq!((whole.stages.surface_stats.tiles, one.stages.surface_stats.tiles), (1, 1));
 }
 
 #[test]
@@ -81,16 +83,25 @@ fn tables_on_disk_change_nothing() {
     let project = Project::open(folder.path(), None).unwrap();
     let memory = planned(&project, |_| ());
     // What would do without an eighth of its rows.
-    let limit = memory.memory.visibility - memory.visibility.triangles.len() as u64 / 4;
+    let limit = memory.stages.memory.visibility - memory.stages.visibility.triangles.len() as u64 / 4;
     let disk = planned(&project, |s| s.max_memory = Some(Bytes(limit)));
-    assert!(memory.memory.disk == 0 && disk.memory.disk >= 16 * memory.visibility.triangles.len() as u64);
-    assert!(disk.memory.peak() <= limit && disk.surface_stats.tiles == 1);
-    assert_eq!([disk.visibility.triangles.kept(), disk.fulfilment.values.kept()], [Keep::Disk; 2]);
-    assert_eq!(disk.visibility, memory.visibility);
-    assert_eq!((&disk.unary, &disk.fulfilment), (&memory.unary, &memory.fulfilment));
-    assert_eq!((&disk.clusters, &disk.ranking, disk.cut), (&memory.clusters, &memory.ranking, memory.cut));
-    assert_eq!((&disk.views, &disk.triangle_reasons), (&memory.views, &memory.triangle_reasons));
-    assert_eq!((disk.forecast, disk.likest().unwrap()), (memory.forecast, memory.likest().unwrap()));
+    assert!(
+        memory.stages.memory.disk == 0
+            && disk.stages.memory.disk >= 16 * memory.stages.visibility.triangles.len() as u64
+    );
+    assert!(disk.stages.memory.peak() <= limit && disk.stages.surface_stats.tiles == 1);
+    assert_eq!([disk.stages.visibility.triangles.kept(), disk.stages.fulfilment.values.kept()], [Keep::Disk; 2]);
+    assert_eq!(disk.stages.visibility, memory.stages.visibility);
+    assert_eq!((&disk.stages.unary, &disk.stages.fulfilment), (&memory.stages.unary, &memory.stages.fulfilment));
+    assert_eq!(
+        (&disk.stages.clusters, &disk.decision.ranking, disk.decision.cut),
+        (&memory.stages.clusters, &memory.decision.ranking, memory.decision.cut)
+    );
+    assert_eq!(
+        (&disk.decision.views, &disk.decision.triangle_reasons),
+        (&memory.decision.views, &memory.decision.triangle_reasons)
+    );
+    assert_eq!((disk.decision.forecast, disk.likest().unwrap()), (memory.decision.forecast, memory.likest().unwrap()));
 }
 
 /// A survey that was written by `synth_uav.py`: VIEWRANK_SURVEY names its folder.
@@ -115,7 +126,7 @@ fn a_survey_in_tiles() {
 
 #[test]
 fn a_limit_that_is_too_small_is_refused_with_one_that_is_not() {
-    use viewrank::base::error::Hint;
+    use viewrank::internals::error::Hint;
     let settings = Settings { max_memory: Some(Bytes(60 << 20)), ..Settings::default() };
     let error = plan(&fixture(), &settings, &Unwatched).unwrap_err();
     let PlanError::Memory { need, .. } = error else { panic!("{error}") };

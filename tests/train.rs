@@ -8,14 +8,16 @@ use std::{
 
 use serde_json::Value;
 use tempfile::TempDir;
-use viewrank::{
-    base::progress::Unwatched,
+use viewrank::internals::{
+    backends,
+    camera::Camera,
     config::Settings,
-    io::project::Project,
-    method::visibility::{NOTHING, front},
-    model::{camera::Camera, scene::ViewIndex},
-    plan::{self, Plan},
-    show::tables,
+    plan::Plan,
+    progress::Unwatched,
+    project::Project,
+    scene::ViewIndex,
+    tables,
+    visibility::{NOTHING, front},
 };
 
 fn fixture() -> PathBuf {
@@ -79,7 +81,7 @@ fn project() -> TempDir {
     done(&["plan", folder.path().to_str().unwrap(), "--backend", "sgm", "--confidence", "geometric", "--quiet"]);
     let project = Project::open(folder.path(), None).unwrap();
     let settings = Settings { backends: vec!["sgm".into()], ..Settings::default() };
-    let plan = plan::plan(&project, &settings, &Unwatched).unwrap();
+    let plan = backends::plan(&project, &settings, &Unwatched).unwrap();
     fs::create_dir(folder.path().join("sgm")).unwrap();
     for cluster in &plan.stages.clusters {
         let (width, height) = (200, 150);

@@ -42,12 +42,14 @@ mod selection;
 mod sgm;
 mod splat;
 mod sure;
+mod tiles;
 mod traps;
 mod workspace;
 
 pub(crate) use clusters::recipe;
 pub use selection::Selection;
 pub use sure::pair_files;
+pub use tiles::clusters_by_area;
 pub use traps::{Patient, Trap};
 
 /// Every backend, in the order in which `viewrank backends` lists them.
@@ -241,19 +243,16 @@ pub trait Backend: Sync {
 }
 
 /// Which views COLMAP makes depth maps for.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema, clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub enum References {
     /// The key views.
     #[serde(rename = "keys")]
-    #[value(name = "keys")]
     Keys,
     /// The key views and, photometric only, their partners: what geometric consistency needs.
     #[serde(rename = "keys+partners")]
-    #[value(name = "keys+partners")]
     KeysAndPartners,
     /// Every view of the model, key views first.
     #[serde(rename = "all")]
-    #[value(name = "all")]
     All,
 }
 

@@ -5,11 +5,6 @@
 
 use nalgebra::Point3;
 
-use crate::{
-    backends::Selection,
-    model::{cluster::RankedCluster, scene::ViewIndex},
-};
-
 /// A part of space: `low` belongs to it, `high` does not.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Tile {
@@ -37,23 +32,11 @@ pub fn split(points: &[Point3<f64>], most: usize) -> Vec<Tile> {
     tiles
 }
 
-/// The clusters of a selection parted by area into `count` tiles of about as many, each in rank order; by the middle of the sparse points that
-/// the key view observes. There are fewer tiles where there are fewer clusters, or several at one place.
-pub fn of_clusters(selection: &Selection, count: usize) -> Vec<Vec<RankedCluster>> {
-    let points = selection.scene.view_points();
-    let home = |key: ViewIndex| {
-        let observed = points.of(key).iter().map(|p| selection.scene.points[p.at()].coords);
-        let n = observed.len().max(1) as f64;
-        Point3::from(observed.sum::<nalgebra::Vector3<f64>>() / n)
-    };
-    let homes: Vec<Point3<f64>> = selection.clusters.iter().map(|cluster| home(cluster.key)).collect();
-    let inside = |tile: &Tile| -> Vec<RankedCluster> {
-        let clusters = selection.clusters.iter().zip(&homes);
-        clusters.filter(|(_, home)| tile.contains(home)).map(|(cluster, _)| cluster.clone()).collect()
-    };
+/// Tiles that hold about as many points each, `count` of them; fewer where there are fewer points, or several at one place.
+pub fn split_into(points: &[Point3<f64>], count: usize) -> Vec<Tile> {
     let mut tiles = Vec::new();
-    part(homes.clone(), Tile::EVERYTHING, count.clamp(1, homes.len().max(1)), &mut tiles);
-    tiles.iter().map(inside).filter(|clusters| !clusters.is_empty()).collect()
+    part(points.to_vec(), Tile::EVERYTHING, count.clamp(1, points.len().max(1)), &mut tiles);
+    tiles
 }
 
 fn halve(mut points: Vec<Point3<f64>>, tile: Tile, most: usize, tiles: &mut Vec<Tile>) {
@@ -138,8 +121,7 @@ mod tests {
         fn as_many_tiles_as_asked_for(places in proptest::collection::hash_set(-900i32..900, 1..60), count in 1usize..12) {
             let points: Vec<_> = places.iter().map(|&x| Point3::new(f64::from(x), f64::from(x % 7), 0.0)).collect();
             let count = count.min(points.len());
-            let mut tiles = Vec::new();
-            part(points.clone(), Tile::EVERYTHING, count, &mut tiles);
+            let tiles = split_into(&points, count);
             let sizes: Vec<usize> =
                 tiles.iter().map(|tile| points.iter().filter(|p| tile.contains(p)).count()).collect();
             prop_assert_eq!(sizes.len(), count);

@@ -1,11 +1,11 @@
 //! `viewrank backends`: what each MVS program honours of a plan, and what it contributes to planning.
 
-use clap::Args;
-use serde::Serialize;
-use viewrank::{
+use crate::{
     backends::{self, Backend, Capabilities, Honours},
     plan::PlanningNumbers,
 };
+use clap::Args;
+use serde::Serialize;
 
 use super::{Failure, Format, json, print};
 

@@ -52,7 +52,7 @@ fn definition(subcommand: Option<&str>) -> Result<Command, Failure> {
 #[error("there is no subcommand \"{0}\"")]
 struct UnknownSubcommand(String);
 
-impl viewrank::base::error::Hint for UnknownSubcommand {
+impl crate::base::error::Hint for UnknownSubcommand {
     fn hint(&self) -> Option<String> {
         Some("type viewrank --help for the list".into())
     }

@@ -2,14 +2,14 @@
 
 use std::path::{Path, PathBuf};
 
-use clap::Args;
-use serde_json::{Value, json};
-use viewrank::backends;
-use viewrank::{
+use crate::backends;
+use crate::{
     config::{Configuration, Files, Key, Source, Typed, keys, user_file},
     io::project::ProjectError,
     model::scene::Units,
 };
+use clap::Args;
+use serde_json::{Value, json};
 
 use super::{COLUMNS, Failure, Format, print};
 
@@ -112,7 +112,7 @@ fn comment(text: &mut String, words: &str) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use viewrank::config::Settings;
+    use crate::config::Settings;
 
     #[test]
     fn the_user_s_commands_are_printed_as_comments() {

@@ -6,9 +6,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use clap::{Args, ValueEnum};
-use serde::Serialize;
-use viewrank::{
+use crate::{
     apps::dispatch::{
         Dispatch, DispatchError, Task, Tools,
         slurm::{self, Queue, Submission},
@@ -20,6 +18,8 @@ use viewrank::{
     io::output::{self, Contents, Disk, FileSet, Written},
     show::manifest::WrittenPlan,
 };
+use clap::{Args, ValueEnum};
+use serde::Serialize;
 
 use super::{Failure, Format, config, json, print, progress::Progress, warn};
 

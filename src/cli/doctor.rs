@@ -2,13 +2,13 @@
 
 use std::{fmt::Write, path::PathBuf};
 
-use clap::Args;
-use viewrank::{
+use crate::{
     apps::doctor::{self, Finding, Severity, ViewFinding},
     backends::{self, Backend, BackendError},
     io::project::Project,
     show::manifest::planned_backend,
 };
+use clap::Args;
 
 use super::{Exit, Failure, Format, config, json, print, wrapped};
 

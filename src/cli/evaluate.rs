@@ -5,10 +5,8 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use clap::Args;
-use serde::Serialize;
-use viewrank::apps::replan;
-use viewrank::{
+use crate::apps::replan;
+use crate::{
     apps::evaluate::{self, Compared, Evaluation, Measure, Reached, Run, Task, clusters, orders},
     io::{
         output::{Contents, Disk, FileSet},
@@ -18,6 +16,8 @@ use viewrank::{
     model::cluster::ViewCluster,
     plan::Plan,
 };
+use clap::Args;
+use serde::Serialize;
 
 use super::{Failure, Format, json, print, progress::Progress, use_threads, warn};
 

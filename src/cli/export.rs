@@ -2,11 +2,9 @@
 
 use std::path::{Path, PathBuf};
 
-use clap::Args;
-use serde::Serialize;
-use viewrank::{
+use crate::backends::clusters_by_area;
+use crate::{
     backends::{self, Backend, BackendError, Export, ExportOptions, ExportRecord, References, Selection, place},
-    base::tiles,
     config::{Budget, Share},
     io::{
         output::{Disk, Written},
@@ -15,6 +13,8 @@ use viewrank::{
     model::cluster::RankedCluster,
     show::manifest::WrittenPlan,
 };
+use clap::{Args, builder::PossibleValue};
+use serde::Serialize;
 
 use super::{Failure, Format, json, print};
 
@@ -118,7 +118,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         planned_for: &plan.backend,
         image_faults: &plan.project.image_faults(&plan.scene),
     };
-    let tiles = arguments.tiles.map(|count| tiles::of_clusters(&selection, count as usize));
+    let tiles = arguments.tiles.map(|count| clusters_by_area(&selection, count as usize));
     // All are made and looked at before any is written: what one of them cannot take stops the others too.
     let make = |backend: &&dyn Backend| arguments.make(*backend, backends.len(), &selection, tiles.as_deref());
     let made: Vec<Made> = backends.iter().map(make).collect::<Result<_, BackendError>>()?;
@@ -244,4 +244,19 @@ fn described(r: &ExportRecord, files: usize, folder: &Path, dry_run: bool) -> St
     r.not_honoured.iter().for_each(|what| text += &format!("  not honoured {what}\n"));
     r.warnings.iter().for_each(|warning| text += &format!("  warning      {warning}\n"));
     text
+}
+
+impl clap::ValueEnum for References {
+    fn value_variants<'a>() -> &'a [Self] {
+        &[Self::Keys, Self::KeysAndPartners, Self::All]
+    }
+
+    fn to_possible_value(&self) -> Option<PossibleValue> {
+        Some(match self {
+            Self::Keys => PossibleValue::new("keys").help("The key views"),
+            Self::KeysAndPartners => PossibleValue::new("keys+partners")
+                .help("The key views and, photometric only, their partners: what geometric consistency needs"),
+            Self::All => PossibleValue::new("all").help("Every view of the model, key views first"),
+        })
+    }
 }

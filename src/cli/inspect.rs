@@ -2,12 +2,12 @@
 
 use std::{collections::BTreeMap, io::IsTerminal, path::PathBuf};
 
-use clap::Args;
-use serde::Serialize;
-use viewrank::{
+use crate::{
     io::project::{ModelFormat, ModelLocation, Project, ProjectKind},
     model::scene::{Scene, Units},
 };
+use clap::Args;
+use serde::Serialize;
 
 use super::{Failure, Format, config, json, print, wrapped};
 

@@ -1,7 +1,7 @@
 //! The command line: one file per subcommand; arguments and printing, no method.
 //!
 //! Data goes to stdout, everything for people to stderr. A subcommand returns `Result<(), Failure>`; each error of the
-//! library becomes a [`Failure`] by `?`, which `main` prints as `error: ...` and `hint: ...`.
+//! library becomes a `Failure` by `?`, which [`main`] prints as `error: ...` and `hint: ...`.
 
 mod backends;
 mod completions;
@@ -26,9 +26,9 @@ use std::{
     process::ExitCode,
 };
 
+use crate::base::error::Hint;
 use clap::{Parser, Subcommand};
 use rayon::ThreadPoolBuilder;
-use viewrank::base::error::Hint;
 
 /// Width of what is printed for people.
 const COLUMNS: usize = 80;
@@ -181,8 +181,19 @@ enum Command {
     Man(completions::ManArguments),
 }
 
+/// Runs the program: parses arguments, prints errors, gives the exit code.
+pub fn main() -> ExitCode {
+    match run() {
+        Ok(()) => Exit::Success.into(),
+        Err(failure) => {
+            failure.print();
+            failure.exit.into()
+        }
+    }
+}
+
 /// Runs the subcommand that was typed. Wrong arguments, `--help` and `--version` end the program inside clap (exit codes 2, 0, 0).
-pub fn run() -> Result<(), Failure> {
+fn run() -> Result<(), Failure> {
     match Arguments::parse().command {
         Command::Plan(arguments) => plan::run(&arguments),
         Command::Evaluate(arguments) => evaluate::run(&arguments),

@@ -2,8 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use clap::Args;
-use viewrank::{
+use crate::{
     apps::replan::{Earlier, Maps, replan},
     base::{
         progress::{Stage, Watcher},
@@ -18,7 +17,8 @@ use viewrank::{
     plan::Plan,
     show::{files::PlanFiles, manifest::planned_model, tables},
 };
-use viewrank::{backends, config::CONFIDENCE_WORDS, show::files::files};
+use crate::{backends, config::CONFIDENCE_WORDS, show::files::files};
+use clap::Args;
 
 use super::{Exit, Failure, Format, config, json, print, progress::Progress, summary::Summary, use_threads, warn};
 

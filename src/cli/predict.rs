@@ -2,15 +2,15 @@
 
 use std::path::{Path, PathBuf};
 
-use clap::Args;
-use rayon::prelude::*;
-use viewrank::config::CONFIDENCE_WORDS;
-use viewrank::{
+use crate::config::CONFIDENCE_WORDS;
+use crate::{
     base::error::Hint,
     io::output::{Contents, Disk, FileSet},
     method::confidence::{self, Image, Predictor, Proxy, Trained, size_for_confidence},
     show::{pictures::confidence_picture, tables},
 };
+use clap::Args;
+use rayon::prelude::*;
 
 use super::{Failure, print};
 

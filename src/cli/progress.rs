@@ -6,8 +6,8 @@ use std::{
     time::Instant,
 };
 
+use crate::base::progress::{Stage, Watcher};
 use indicatif::{ProgressBar, ProgressStyle};
-use viewrank::base::progress::{Stage, Watcher};
 
 pub struct Progress {
     kind: Kind,

@@ -5,13 +5,14 @@ use std::{
     process::{Command, Stdio},
 };
 
-use clap::Args;
-use viewrank::apps::replan;
-use viewrank::{
+use crate::apps::replan;
+use crate::show::files::{REPORT_FILE, REPORT_SET};
+use crate::{
     apps::report::{self, Contents, Finished},
     base::progress::{Stage, Watcher},
     io::output::{Disk, FileSet},
 };
+use clap::Args;
 
 use super::{Failure, print, progress::Progress};
 
@@ -45,12 +46,12 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let seconds = planning_seconds(&project.output_folder());
     let contents = Contents::new(&plan, &project, &finished, seconds, &progress)?;
     progress.progress(Stage::Write, 0, 1);
-    let mut files = FileSet::new(&project.root, report::SET);
-    files.add_text(report::FILE, report::page(&contents));
+    let mut files = FileSet::new(&project.root, REPORT_SET);
+    files.add_text(REPORT_FILE, report::page(&contents));
     files.write(&Disk::REAL)?;
     progress.progress(Stage::Write, 1, 1);
     progress.finish();
-    let page = project.root.join(report::FILE);
+    let page = project.root.join(REPORT_FILE);
     if arguments.open {
         open(&page)?;
     }
@@ -83,7 +84,7 @@ struct NotOpened {
     source: std::io::Error,
 }
 
-impl viewrank::base::error::Hint for NotOpened {
+impl crate::base::error::Hint for NotOpened {
     fn hint(&self) -> Option<String> {
         Some("open that file in a browser".into())
     }

@@ -6,8 +6,7 @@ use std::{
     time::{Duration, SystemTime, UNIX_EPOCH},
 };
 
-use clap::Args;
-use viewrank::{
+use crate::{
     base::{error::Hint, shell::quoted_path},
     daemon::{
         Line, Shown, read_status,
@@ -15,6 +14,7 @@ use viewrank::{
         status_file,
     },
 };
+use clap::Args;
 
 use super::{Failure, print};
 

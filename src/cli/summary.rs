@@ -2,8 +2,7 @@
 
 use std::fmt::Write;
 
-use serde::Serialize;
-use viewrank::{
+use crate::{
     backends,
     base::shell::{quoted, quoted_path},
     io::project::Project,
@@ -14,6 +13,7 @@ use viewrank::{
         manifest::{Manifest, warnings_with},
     },
 };
+use serde::Serialize;
 
 /// Shares of the curve that are shown, beside the cut.
 const STEPS: [f64; 4] = [0.5, 0.7, 0.8, 0.9];

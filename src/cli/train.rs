@@ -2,8 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use clap::Args;
-use viewrank::{
+use crate::{
     apps::{
         evaluate,
         learn::{self, Course, Lesson},
@@ -21,7 +20,8 @@ use viewrank::{
     plan::{Plan, Timings},
     show::manifest::WrittenPlan,
 };
-use viewrank::{backends::planned_for, model::cluster::RankedCluster};
+use crate::{backends::planned_for, model::cluster::RankedCluster};
+use clap::Args;
 
 use super::{Failure, Format, config, json, print, progress::Progress, use_threads};
 

@@ -2,12 +2,12 @@
 
 use std::path::PathBuf;
 
-use clap::Args;
-use viewrank::{
+use crate::{
     apps::undistort::{self, Options, Undistorted},
     base::shell::quoted_path,
     io::{output::Disk, project::Project},
 };
+use clap::Args;
 
 use super::{Failure, Format, json, print, progress::Progress};
 

@@ -2,16 +2,16 @@
 
 use std::{io::IsTerminal, num::NonZeroUsize, path::PathBuf, process, thread, time::Duration};
 
-use clap::{Args, ValueEnum};
-use signal_hook::{
-    consts::{SIGHUP, SIGINT, SIGTERM},
-    iterator::Signals,
-};
-use viewrank::{
+use crate::{
     base::error::Hint,
     config::Bytes,
     daemon::{Options, PlanJob, PlanOptions, Signal, queue, state::OnBusy, watch_roots},
     io::output::Disk,
+};
+use clap::{Args, ValueEnum, builder::PossibleValue};
+use signal_hook::{
+    consts::{SIGHUP, SIGINT, SIGTERM},
+    iterator::Signals,
 };
 
 use super::Failure;
@@ -195,5 +195,18 @@ mod tests {
         }
         assert_eq!(pause("100ms"), Ok(Duration::from_millis(100)));
         assert!(pause("0s").is_err() && pause("9ms").is_err());
+    }
+}
+
+impl clap::ValueEnum for OnBusy {
+    fn value_variants<'a>() -> &'a [Self] {
+        &[Self::Restart, Self::Queue]
+    }
+
+    fn to_possible_value(&self) -> Option<PossibleValue> {
+        Some(match self {
+            Self::Restart => PossibleValue::new("restart").help("Cancel it and start again when the input is still"),
+            Self::Queue => PossibleValue::new("queue").help("Finish it, then plan once more"),
+        })
     }
 }

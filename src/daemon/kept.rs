@@ -55,6 +55,7 @@ impl KeptPlans {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::backends;
     use crate::{
         base::progress::Unwatched,
         config::Settings,
@@ -64,7 +65,6 @@ mod tests {
         },
         method::synthetic::Town,
         model::camera::{Camera, CameraModel},
-        plan,
     };
 
     #[test]
@@ -77,7 +77,7 @@ mod tests {
             std::fs::write(folder.path().join(name), bytes).expect("a file");
         }
         let project = Project::open(folder.path(), None).expect("a model");
-        let plan = plan::plan(&project, &Settings::default(), &Unwatched).expect("a plan");
+        let plan = backends::plan(&project, &Settings::default(), &Unwatched).expect("a plan");
         let print = |text: &str| serde_json::from_value::<Fingerprint>(text.into()).expect("a string");
         let [a, b, c] = ["a", "b", "c"].map(Path::new);
         let mut kept = KeptPlans::new(2 * plan.stages.bytes());

@@ -10,7 +10,7 @@ mod job;
 mod kept;
 mod maps;
 pub mod queue;
-mod run;
+pub mod run;
 pub mod settle;
 pub mod state;
 mod status;
@@ -22,9 +22,8 @@ use std::{
     time::Duration,
 };
 
-pub use follow::Progress;
 pub use job::{Job, PlanJob, PlanOptions, Planner};
-pub use run::{Signal, Summary, watch_roots};
+pub use run::{Signal, watch_roots};
 pub use status::{Line, read_status, status_file};
 
 use crate::{base::error::Hint, io::output::OutputError};

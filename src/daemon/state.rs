@@ -184,7 +184,7 @@ pub struct Looked {
 }
 
 /// What to do when the input changes while a plan is made.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum OnBusy {
     /// Cancel it and start again when the input is still.
     #[default]

@@ -6,6 +6,7 @@ pub mod geometry;
 pub mod partners;
 pub mod ranking;
 pub mod surface;
+#[cfg(any(test, feature = "internals"))]
 pub mod synthetic;
 pub mod target;
 pub mod visibility;

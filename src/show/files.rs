@@ -3,7 +3,6 @@
 use super::outdated;
 use crate::plan::{self, Nothing, Plan, PlannedViews};
 use crate::{
-    apps::report,
     backends::{self, Backend, BackendError, Export, ExportOptions, Selection, place},
     base::{error::Hint, shell::quoted_path},
     io::{
@@ -16,6 +15,10 @@ use crate::{
         pictures::{Curve, curve_svg, surface_ply, views_geojson},
     },
 };
+
+/// Path of the report in its project, and the name of its set of files; a plan other than the one that it shows removes it.
+pub const REPORT_FILE: &str = "viewrank/report.html";
+pub const REPORT_SET: &str = "report";
 
 /// What is to be written for a plan.
 pub struct PlanFiles {
@@ -107,8 +110,8 @@ pub fn files(plan: &Plan, project: &Project) -> Result<PlanFiles, FilesError> {
 fn stale_page(project: &Project, manifest: &Manifest) -> Option<FileSet> {
     let earlier = std::fs::read(project.output_folder().join("manifest.json"));
     let shows_another = earlier.map_or(true, |earlier| earlier != manifest.to_json().as_bytes());
-    let there = project.root.join(report::FILE).exists();
-    (there && shows_another).then(|| FileSet::new(&project.root, report::SET))
+    let there = project.root.join(REPORT_FILE).exists();
+    (there && shows_another).then(|| FileSet::new(&project.root, REPORT_SET))
 }
 
 /// What the pictures showed, for the next plan, if there is something new.

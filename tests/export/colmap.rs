@@ -2,12 +2,10 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use viewrank::{
+use viewrank::internals::{
     backends::{BackendError, ExportOptions, References},
-    model::{
-        camera::{Camera, CameraModel},
-        scene::CameraIndex,
-    },
+    camera::{Camera, CameraModel},
+    scene::CameraIndex,
 };
 
 use crate::{Files, Fixture};
@@ -135,7 +133,7 @@ fn keys_are_first_in_rank_order_with_exactly_their_partners() {
 fn colmap_min_consistent_before_drop() {
     let mut fixture = Fixture::new(4);
     let neighbours: Vec<u32> =
-        fixture.connected(viewrank::model::scene::ViewIndex(12)).iter().take(2).map(|v| v.0).collect();
+        fixture.connected(viewrank::internals::scene::ViewIndex(12)).iter().take(2).map(|v| v.0).collect();
     fixture.choose(&[12, neighbours[0], neighbours[1], 49], 4);
     let files = fixture.export_with("colmap", &options(Some(References::Keys), Some(true)));
     // No source without a map, so that COLMAP drops none after it has bounded the number of consistent ones.

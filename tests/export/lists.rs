@@ -2,9 +2,9 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use viewrank::{
+use viewrank::internals::{
     backends::{ExportOptions, References},
-    io::formats::colmap_bin,
+    formats::colmap_bin,
 };
 
 use crate::Fixture;
@@ -96,9 +96,9 @@ fn trap_3dgs_basename_collision() {
     assert!(fixture.export("splat").says("for the same image"));
 }
 
-fn model(files: &crate::Files) -> viewrank::io::formats::colmap::ColmapModel<'static> {
+fn model(files: &crate::Files) -> viewrank::internals::formats::colmap::ColmapModel<'static> {
     let leak = |name: &str| -> &'static [u8] { Vec::leak(files.bytes(name).to_vec()) };
-    let bytes = viewrank::io::formats::Bytes {
+    let bytes = viewrank::internals::formats::Bytes {
         cameras: leak("sparse/0/cameras.bin"),
         images: leak("sparse/0/images.bin"),
         points3d: leak("sparse/0/points3D.bin"),

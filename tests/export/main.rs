@@ -13,18 +13,14 @@ mod sure;
 
 use std::{collections::BTreeMap, path::PathBuf, sync::OnceLock};
 
-use viewrank::{
+use viewrank::internals::{
     backends::{BackendError, Export, ExportOptions, Selection, by_name},
-    io::{
-        output::Contents,
-        project::{ImageFaults, ModelFormat, ModelLocation, Project, ProjectKind},
-    },
-    method::synthetic::Town,
-    model::{
-        camera::{Camera, CameraModel},
-        cluster::RankedCluster,
-        scene::{Scene, ViewIndex},
-    },
+    camera::{Camera, CameraModel},
+    cluster::RankedCluster,
+    output::Contents,
+    project::{ImageFaults, ModelFormat, ModelLocation, Project, ProjectKind},
+    scene::{Scene, ViewIndex},
+    synthetic::Town,
 };
 
 /// A scene with chosen clusters, in a project that exists nowhere.
@@ -193,7 +189,7 @@ fn every_backend_takes_the_fixture_and_says_what_it_wrote() {
     for (i, view) in fixture.scene.views.iter_mut().enumerate() {
         view.name = format!("img{i:03}.jpg");
     }
-    for backend in viewrank::backends::all() {
+    for backend in viewrank::internals::backends::all() {
         let files = fixture.export(backend.name());
         let record = &files.0.record;
         assert_eq!(record.backend, backend.name());
@@ -205,10 +201,10 @@ fn every_backend_takes_the_fixture_and_says_what_it_wrote() {
         );
         assert!(!record.commands.is_empty() || backend.name() == "images", "{}", backend.name());
         let notes = files.names().into_iter().find(|n| n.ends_with("export.json")).unwrap().to_owned();
-        let read: viewrank::backends::ExportRecord = serde_json::from_slice(files.bytes(&notes)).unwrap();
+        let read: viewrank::internals::backends::ExportRecord = serde_json::from_slice(files.bytes(&notes)).unwrap();
         assert_eq!(&read, record, "{}", backend.name());
         let partly = [backend.capabilities().partners, backend.capabilities().key_subset, backend.capabilities().order];
-        if partly.contains(&viewrank::backends::Honours::No) {
+        if partly.contains(&viewrank::internals::backends::Honours::No) {
             assert!(!record.not_honoured.is_empty(), "{} says what it does not honour", backend.name());
         }
         let outside = files
@@ -230,13 +226,13 @@ fn distorted_images_are_refused_with_the_command_that_makes_them() {
         vec![Camera::new(7, CameraModel::SimpleRadial, 640, 480, vec![500.0, 320.0, 240.0, 0.01]).unwrap()];
     let foreign = fixture.try_export("openmvs", &ExportOptions::default()).unwrap_err();
     assert!(
-        !viewrank::base::error::Hint::hint(&foreign).unwrap().contains("colmap"),
+        !viewrank::internals::error::Hint::hint(&foreign).unwrap().contains("colmap"),
         "COLMAP does not read that model"
     );
     fixture.project.model.format = ModelFormat::ColmapBinary;
     for backend in ["openmvs", "colmap", "mvsnet", "pmvs", "mve", "gipuma", "alicevision", "sure"] {
         let error = fixture.try_export(backend, &ExportOptions::default()).unwrap_err();
-        let hint = viewrank::base::error::Hint::hint(&error).unwrap();
+        let hint = viewrank::internals::error::Hint::hint(&error).unwrap();
         assert!(
             error.to_string().contains("SIMPLE_RADIAL")
                 && hint.contains("viewrank undistort /nowhere")
@@ -252,7 +248,7 @@ fn distorted_images_are_refused_with_the_command_that_makes_them() {
 fn an_export_of_nothing_says_so() {
     let mut fixture = Fixture::new(3);
     fixture.clusters.clear();
-    for backend in viewrank::backends::all() {
+    for backend in viewrank::internals::backends::all() {
         assert!(fixture.export(backend.name()).says("nothing to compute"), "{}", backend.name());
     }
 }

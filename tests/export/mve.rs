@@ -36,7 +36,7 @@ fn members(files: &Files, cluster: usize) -> BTreeSet<usize> {
 #[test]
 fn mve_bundle_mixes_clusters() {
     let mut fixture = Fixture::new(3);
-    let neighbour = fixture.connected(viewrank::model::scene::ViewIndex(12))[0].0;
+    let neighbour = fixture.connected(viewrank::internals::scene::ViewIndex(12))[0].0;
     fixture.choose(&[12, neighbour], 3);
     let files = fixture.export("mve");
     for cluster in 0..2 {
@@ -115,8 +115,8 @@ fn mve_ray_length_depth() {
         std::fs::create_dir_all(folder.path().join(name)).unwrap();
         std::fs::write(folder.path().join(name).join("depth-L0.mvei"), "\u{89}MVE_IMAGE\n").unwrap();
     }
-    let found = viewrank::io::depthmaps::find(folder.path(), &fixture.scene);
-    assert!(matches!(found, Err(viewrank::io::depthmaps::DepthMapError::None(_))), "{found:?}");
+    let found = viewrank::internals::depthmaps::find(folder.path(), &fixture.scene);
+    assert!(matches!(found, Err(viewrank::internals::depthmaps::DepthMapError::None(_))), "{found:?}");
 }
 
 /// Focal length in units of the larger side, the principal point in units of each side.

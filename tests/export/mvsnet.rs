@@ -1,6 +1,6 @@
 //! MVSNet's family: small readers after the grammars of PatchmatchNet, cascade, MVSNet.
 
-use viewrank::model::scene::ViewIndex;
+use viewrank::internals::scene::ViewIndex;
 
 use crate::{Files, Fixture, numbers, table};
 

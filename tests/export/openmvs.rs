@@ -1,11 +1,11 @@
 //! OpenMVS: scenes per cluster, the joint scene for OpenDroneMap, and lists of neighbours for a scene that is there.
 
 use nalgebra::{Matrix3, Vector3};
-use viewrank::{
+use viewrank::internals::{
     backends::{BackendError, ExportOptions},
-    base::error::Hint,
-    io::formats::openmvs::{Mvs, Vertex, VertexView},
-    model::scene::ViewIndex,
+    error::Hint,
+    formats::openmvs::{Mvs, Vertex, VertexView},
+    scene::ViewIndex,
 };
 
 use crate::{Files, Fixture};
@@ -160,13 +160,13 @@ fn shifted_cameras_are_where_they_were() {
     for (backend, folder) in [("colmap", "sparse"), ("splat", "sparse/0")] {
         let files = fixture.export(backend);
         let file = |stem: &str| files.bytes(&format!("{folder}/{stem}.bin"));
-        let bytes = viewrank::io::formats::Bytes {
+        let bytes = viewrank::internals::formats::Bytes {
             cameras: file("cameras"),
             images: file("images"),
             points3d: file("points3D"),
             ..Default::default()
         };
-        let scene = viewrank::io::formats::colmap_bin::read(&bytes).unwrap().scene().unwrap();
+        let scene = viewrank::internals::formats::colmap_bin::read(&bytes).unwrap().scene().unwrap();
         let found = scene.find(fixture.name(view)).unwrap();
         near(&files, scene.view(found).cam_from_world.centre().coords);
         assert!(scene.points.iter().all(|x| x.coords.norm() < 2000.0));

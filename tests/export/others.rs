@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use quick_xml::events::Event;
 use serde_json::Value;
-use viewrank::{backends::ExportOptions, model::scene::ViewIndex};
+use viewrank::internals::{backends::ExportOptions, scene::ViewIndex};
 
 use crate::{Fixture, numbers, table};
 
@@ -98,7 +98,7 @@ fn micmac_pairs_undirected() {
     let pairs: Vec<String> =
         fixture.named().iter().flat_map(|(k, p)| p.iter().map(move |p| format!("{k} {p}"))).collect();
     assert_eq!(texts(files.text("pairs.xml"), "Cple"), pairs);
-    assert!(viewrank::backends::by_name("micmac").unwrap().capabilities().notes.contains("undirected"));
+    assert!(viewrank::internals::backends::by_name("micmac").unwrap().capabilities().notes.contains("undirected"));
 }
 
 #[test]

@@ -1,6 +1,6 @@
 //! SURE: oriented images, lists, one project per cluster.
 
-use viewrank::{backends::ExportOptions, base::error::Hint, io::formats::sure};
+use viewrank::internals::{backends::ExportOptions, error::Hint, formats::sure};
 
 use crate::Fixture;
 

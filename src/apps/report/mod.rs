@@ -18,10 +18,6 @@ pub use contents::{Contents, ReportError};
 pub use holes::{Hole, Holes, holes};
 pub use real::Finished;
 
-/// Name of the set of files that the page is, and where it lies in the project. A plan that differs from the one shown removes it.
-pub const SET: &str = "report";
-pub const FILE: &str = "viewrank/report.html";
-
 const PAGE: &str = include_str!("page/page.html");
 const STYLE: &str = include_str!("page/page.css");
 /// One script in the order in which its parts need each other.

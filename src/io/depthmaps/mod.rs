@@ -137,12 +137,6 @@ impl DepthMap {
     pub fn emptied(&self) -> Self {
         Self { depth: vec![0.0; self.depth.len()], ids: Vec::new(), ..*self }
     }
-
-    /// Share of the pixels that have a depth.
-    pub fn filled(&self) -> f64 {
-        let filled = self.depth.iter().filter(|&&z| z > 0.0).count();
-        filled as f64 / (self.depth.len().max(1)) as f64
-    }
 }
 
 /// Why a depth map can't be read.

@@ -22,7 +22,7 @@ pub use image::{Image, ImageError, Mask, size_for_confidence};
 pub use nearby::nearby;
 pub use pictures::{CACHE, MASKS, Pictures, Seen};
 pub use proxy::Proxy;
-pub use trained::{Measured, Picture, Trained, TrainedError, TrainedOn};
+pub use trained::{Trained, TrainedError, TrainedOn};
 pub use unary::Unary;
 
 use std::path::{Path, PathBuf};

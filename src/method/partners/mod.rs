@@ -12,7 +12,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use self::search::Choice;
 pub use self::{
-    candidates::{Candidates, PairGeometry, Refusal, candidates, neighbours},
+    candidates::{Candidates, PairGeometry, candidates, neighbours},
     gate::Obstacle,
 };
 use crate::{

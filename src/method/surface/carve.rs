@@ -71,12 +71,8 @@ impl Rays {
         rays
     }
 
-    pub fn len(&self) -> usize {
+    pub fn count(&self) -> usize {
         self.views.len()
-    }
-
-    pub fn is_empty(&self) -> bool {
-        self.views.is_empty()
     }
 
     /// The camera centres that the vertex's rays come from.
@@ -144,7 +140,7 @@ pub fn capacities(
     watcher: &dyn Watcher,
 ) -> Result<Vec<Capacities>, Cancelled> {
     // One vote per ray and facet at most, so no sum can overflow.
-    let most = f64::from(u32::MAX) / (rays.len().max(1) as f64 * settings.ray_weight.max(f64::MIN_POSITIVE));
+    let most = f64::from(u32::MAX) / (rays.count().max(1) as f64 * settings.ray_weight.max(f64::MIN_POSITIVE));
     let units = UNITS.min(most);
     let ballot = Ballot {
         votes: (0..delaunay.cells.len()).into_par_iter().map(|_| Votes::default()).collect(),

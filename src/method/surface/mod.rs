@@ -9,7 +9,8 @@ pub mod clean;
 pub mod corners;
 pub mod cut;
 pub mod delaunay;
-pub mod manifold;
+#[cfg(test)]
+mod manifold;
 pub mod points;
 mod quadric;
 pub mod refine;
@@ -387,7 +388,7 @@ fn carved(
     stats.sigma = if before == 0.0 { rays.sigma } else { (before * stats.sigma + here * rays.sigma) / (before + here) };
     stats.vertices += delaunay.vertex_count();
     stats.cells += delaunay.cells.len();
-    stats.rays += rays.len();
+    stats.rays += rays.count();
     let raw = carve::carve(&delaunay, &rays, settings, steps.watcher)?;
     stats.raw_triangles += raw.surface.triangles.len();
     drop((delaunay, rays));

@@ -40,6 +40,8 @@ fn footprint(surface: &Surface, visibility: &Visibility, view: ViewIndex, frame:
 
 #[cfg(test)]
 mod tests {
+    use nalgebra::Vector3;
+
     use super::*;
     use crate::{
         base::progress::Unwatched,

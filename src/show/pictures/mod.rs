@@ -11,4 +11,4 @@ pub use confidence::confidence_picture;
 pub use curve::{Curve, curve_svg};
 pub use geojson::views_geojson;
 pub use map::footprints;
-pub use surface::{RAMP, REASON_NUMBERS, TriangleState, follow, reason_number, surface_ply, triangle_states};
+pub use surface::{RAMP, REASON_NUMBERS, follow, reason_number, surface_ply};

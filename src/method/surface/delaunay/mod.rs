@@ -14,10 +14,8 @@ mod predicates;
 mod ray;
 #[cfg(test)]
 mod tests;
+#[cfg(test)]
 mod validate;
-
-pub use ray::{Crossing, Ray};
-pub use validate::Flaw;
 
 use crate::base::progress::{Cancelled, Watcher};
 use grid::{Grid, Site};

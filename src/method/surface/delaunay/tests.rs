@@ -1,5 +1,7 @@
 use super::grid::{HALF_RANGE, Site};
 use super::predicates::{collinear, in_sphere, orient};
+use super::ray::{Crossing, Ray};
+use super::validate::Flaw;
 use super::*;
 use crate::base::progress::Unwatched;
 use proptest::prelude::*;
