@@ -1,4 +1,4 @@
-//! Are the labels right that the confidence learns from (method 7)? Against exact depth.
+//! Are the labels right that the confidence learns from (method 7.3)? Against exact depth.
 //!
 //!     cargo bench --bench labels -- PROJECT DEPTH_MAPS CLUSTERS REFERENCE
 //!

@@ -1,4 +1,4 @@
-//! AliceVision and Meshroom: `backends.md` 8. Read, not run. There is no list of views and none of partners: each cluster becomes a scene
+//! AliceVision and Meshroom: `docs/backends.md` 8. Read, not run. There is no list of views and none of partners: each cluster becomes a scene
 //! file in which the key view shares landmarks with its partners only, and the key view is named by its position.
 
 use std::{fmt::Write, path::Path};

@@ -1,4 +1,4 @@
-//! Gipuma: `backends.md` 6. One call per key view; the first image is the key view, the others its partners.
+//! Gipuma: `docs/backends.md` 6. One call per key view; the first image is the key view, the others its partners.
 
 use super::{
     Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, PATCH_MATCH, Patient,

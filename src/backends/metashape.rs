@@ -1,4 +1,4 @@
-//! Metashape: `backends.md` 9, from the vendor's reference; not run. A script that finds cameras by label and makes depth maps of the key
+//! Metashape: `docs/backends.md` 9, from the vendor's reference; not run. A script that finds cameras by label and makes depth maps of the key
 //! views, with key views and partners enabled.
 
 use serde_json::json;

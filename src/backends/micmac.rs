@@ -1,4 +1,4 @@
-//! MicMac: `backends.md` 7. Read, not run. `pairs.xml` is a pair file for C3DC, PIMs and MMByP; `ImSec/` names the secondary images of each
+//! MicMac: `docs/backends.md` 7. Read, not run. `pairs.xml` is a pair file for C3DC, PIMs and MMByP; `ImSec/` names the secondary images of each
 //! master for Malt GeomImage, one call per key view. Orientations stay those of the user's own `Ori-` folder.
 
 use quick_xml::escape::escape;

@@ -1,4 +1,4 @@
-//! MVE's dmrecon: `backends.md` 5. It takes no partner lists but chooses by shared features, so each cluster gets a bundle in which only its
+//! MVE's dmrecon: `docs/backends.md` 5. It takes no partner lists but chooses by shared features, so each cluster gets a bundle in which only its
 //! partners share features with the key view. The views lie in one scene; `run.sh` puts one bundle after the other in place.
 
 use std::path::Path;

@@ -1,4 +1,4 @@
-//! MVSNet and what reads its files: `backends.md` 3 and 14. `pair.txt` lists the key views with their partners, `cams/` holds the cameras;
+//! MVSNet and what reads its files: `docs/backends.md` 3 and 14. `pair.txt` lists the key views with their partners, `cams/` holds the cameras;
 //! the readers differ in the depth line of a camera and in which views they expect.
 
 use super::{

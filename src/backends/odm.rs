@@ -1,4 +1,4 @@
-//! OpenDroneMap: `backends.md` 11. Read, not run. ODM keeps an `openmvs/scene.mvs` that is there; ours holds, for each key view, only the
+//! OpenDroneMap: `docs/backends.md` 11. Read, not run. ODM keeps an `openmvs/scene.mvs` that is there; ours holds, for each key view, only the
 //! points that it shares with its partners, and leaves the other images out by a neighbour of score 0.
 
 use super::{

@@ -1,4 +1,4 @@
-//! PMVS2: `backends.md` 4. Key views are `timages`, other partners `oimages`, the partner lists `vis.dat`.
+//! PMVS2: `docs/backends.md` 4. Key views are `timages`, other partners `oimages`, the partner lists `vis.dat`.
 
 use std::path::Path;
 

@@ -1,4 +1,4 @@
-//! RealityScan (RealityCapture): `backends.md` 10, from the vendor's pages; not run. Images can be kept out of meshing, by a side file in
+//! RealityScan (RealityCapture): `docs/backends.md` 10, from the vendor's pages; not run. Images can be kept out of meshing, by a side file in
 //! XMP beside the image; nothing else can be said.
 
 use std::collections::HashMap;

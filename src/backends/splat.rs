@@ -1,4 +1,4 @@
-//! Gaussian splatting and NeRF: `backends.md` 13. They know no partners, only which images train: a reduced COLMAP model with nothing
+//! Gaussian splatting and NeRF: `docs/backends.md` 13. They know no partners, only which images train: a reduced COLMAP model with nothing
 //! else beside it, and the lists of those programs that read lists.
 
 use std::collections::HashMap;

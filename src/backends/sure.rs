@@ -1,4 +1,4 @@
-//! SURE (nFrames): `backends.md` 12. Closed; the files follow the vendor's public pages and three public writers of `.ori`.
+//! SURE (nFrames): `docs/backends.md` 12. Closed; the files follow the vendor's public pages and three public writers of `.ori`.
 
 use super::{
     Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, Patient, PlanningNumbers,

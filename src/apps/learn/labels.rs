@@ -1,4 +1,4 @@
-//! Labels without ground truth (method 7): where did the backend succeed, by what other depth maps of the same place say.
+//! Labels without ground truth (method 7.3): where did the backend succeed, by what other depth maps of the same place say.
 //!
 //! A measured pixel is *positive* if enough other depth maps from clearly other viewpoints put the surface at the same place, *negative* if
 //! more of them saw through that place; a pixel without depth is negative where a visible triangle of the surface could have been measured.

@@ -1,4 +1,4 @@
-//! COLMAP's dense stereo, 3.8 to 4.x: `backends.md` 1.
+//! COLMAP's dense stereo, 3.8 to 4.x: `docs/backends.md` 1.
 //!
 //! `stereo/patch-match.cfg` always runs through with the options at its head, `stereo/viewrank/run.sh` runs all steps. What makes this hard is
 //! geometric consistency: it needs the photometric depth maps of every partner, and a partner that isn't a reference image never gets one.

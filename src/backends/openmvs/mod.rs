@@ -1,4 +1,4 @@
-//! OpenMVS's DensifyPointCloud, v2.0 to v2.3 and branch develop: `backends.md` 2, `openmvs.md`.
+//! OpenMVS's DensifyPointCloud, v2.0 to v2.3 and branch develop: `docs/backends.md` 2.
 //!
 //! There is no list of key views, and a list of neighbours makes the search range 0.1 to 100 units whatever the scene. So each cluster
 //! becomes a scene of its own, in which only the key view can be computed and the depth range comes from its sparse points. The scenes share a

@@ -1,4 +1,4 @@
-//! What the sparse points around a triangle say of it: a view that observes them was matched there before (method 7.3, constellation).
+//! What the sparse points around a triangle say of it: a view that observes them was matched there before (method 7.2, and 7.3 for trained models).
 
 use nalgebra::Point3;
 use rayon::prelude::*;

@@ -1,4 +1,4 @@
-//! Binary classification by decision trees on quantised features: a random forest (Breiman 2001), as the paper's, and gradient
+//! Binary classification by decision trees on quantised features: a random forest (Breiman 2001) and gradient
 //! boosting (Friedman 2001) with the same trees.
 //!
 //! Features are quantised once to at most [`BINS`] bins, so that a split is found from histograms. A row has a gradient g and a
