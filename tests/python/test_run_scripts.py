@@ -232,7 +232,8 @@ def fusible(folder):
 
 def test_gipuma_timestamp_folder(work):
     """fusibile takes all folders that there are: one for each key view of the plan in force, whatever was computed before."""
-    gipuma = work("gipuma", {"gipuma": GIPUMA})
+    killing = '#!/bin/sh\ncase "${KILL:-} $1" in "yes scratch/"*) kill -9 $PPID $$ ;; esac\nexec /bin/mv "$@"\n'
+    gipuma = work("gipuma", {"gipuma": GIPUMA, "mv": killing})
     keys = gipuma.targets()
     done, calls = gipuma.run(FAIL=keys[0])
     assert done.returncode == 1 and len(calls) == len(keys) - 1 and f"{keys[0][:-4]} failed" in done.stderr, "the others are tried"
@@ -249,9 +250,9 @@ def test_gipuma_timestamp_folder(work):
     results = sorted((gipuma.folder / "results").iterdir())
     shutil.rmtree(gipuma.folder / "done")
     assert gipuma.run(FAIL=" ".join(gipuma.targets()))[0].returncode == 1 and sorted((gipuma.folder / "results").iterdir()) == results
-    (gipuma.folder / "older").mkdir(exist_ok=True)
-    results[0].rename(gipuma.folder / "older" / results[0].name)
-    assert gipuma.run()[0].returncode == 0 and sorted((gipuma.folder / "results").iterdir()) == results, "killed while it replaced one"
+    assert gipuma.run(KILL="yes")[0].returncode == -9, "killed while it puts one in the place of another"
+    assert {path.parent.name for path in gipuma.folder.glob("*/2_*/disp.dmb")} >= {path.name for path in results}
+    assert gipuma.run()[0].returncode == 0 and sorted((gipuma.folder / "results").iterdir()) == results
 
 
 # MVE
