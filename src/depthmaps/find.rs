@@ -171,7 +171,8 @@ fn format_of(path: &Path) -> Option<(DepthMapFormat, u8)> {
 /// `unfinished/0012-NAME/depth0012.dmap`: one that `integrations/openmvs/run.py` is making.
 fn is_unfinished(path: &Path) -> bool {
     let mut above = path.ancestors().skip(1).filter_map(|folder| folder.file_name()?.to_str());
-    above.next().is_some_and(|name| name.starts_with(|c: char| c.is_ascii_digit())) && above.next() == Some("unfinished")
+    above.next().is_some_and(|name| name.starts_with(|c: char| c.is_ascii_digit()))
+        && above.next() == Some("unfinished")
 }
 
 /// `depth0012.dmap`, but not the `depth0012.geo.dmap` and `.filtered.dmap` that OpenMVS writes in between.
