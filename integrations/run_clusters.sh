@@ -8,12 +8,15 @@ fail() {
     echo "error: $1 failed" >&2
     failed=1
 }
+# What becomes of the result of another recipe before its mark goes.
+set_aside() { :; }
 # Is the cluster still to be computed? NAME RECIPE RESULT: a word for all that it is made of, and a file that it leaves.
 begin() {
     name=$1 recipe=$2
     if [ -e "$3" ] && [ "$(cat "done/$name" 2>/dev/null)" = "$recipe" ]; then
         return 1
     fi
+    set_aside
     rm -f "done/$name"
 }
 # What became of it: the exit status of its commands.

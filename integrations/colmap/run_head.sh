@@ -1,7 +1,7 @@
 #!/bin/sh
 # Computes and fuses the depth maps of viewrank's plan. COLMAP=/path/to/colmap run.sh takes another program.
 usage='usage: run.sh             the depth maps that are not there yet, and the fusion
-       run.sh --replace   the same, but maps that were made with other partners or options are removed first
+       run.sh --replace   the same, and maps that were made with other partners or options are made anew
        run.sh --rank N    the depth map of the N-th key view alone, made anew unless it is there, whole and of this plan; for queues
        run.sh --fuse      the fusion alone'
 set -eu
@@ -37,14 +37,34 @@ there() {
 remove() {
     rm -f -- "stereo/depth_maps/$1" "stereo/depth_maps/$1.made" "stereo/normal_maps/$1" "stereo/consistency_graphs/$1"
 }
-# Removes maps that were made otherwise than the plan wants. Lines of maps.tsv: what is wanted, what the map was made by when these lists
-# were written, the map. The note beside a map, of the run that made it, says more than that line; a map without either is by these lists.
-discard() {
+# Sets maps aside that were made otherwise than the plan wants, each with its note. Lines of maps.tsv: what is wanted, what the map was made by
+# when these lists were written, the map. The note beside a map, of the run that made it, says more than that line; a map without either is by
+# these lists.
+set_aside() {
     while IFS=$tab read -r wanted made map; do
         [ ! -f "stereo/depth_maps/$map.made" ] || made=$(cat "stereo/depth_maps/$map.made")
         case $wanted in -) continue ;; esac
-        case $made in - | "$wanted") ;; *) remove "$map" ;; esac
+        case $made in - | "$wanted") continue ;; esac
+        there "$map" || continue
+        echo "$made" > "stereo/depth_maps/$map.made"
+        for file in "depth_maps/$map" "depth_maps/$map.made" "normal_maps/$map" "consistency_graphs/$map"; do
+            [ ! -f "stereo/$file" ] || mv -f -- "stereo/$file" "stereo/$file.before"
+        done
     done
+}
+# A map that was set aside goes when its successor is whole, and comes back where there is none. The depth map is the first both ways: so what a
+# killed run left half-way is never whole.
+bring_back() {
+    whole=0
+    ! there "$1" || whole=1
+    for file in "depth_maps/$1" "depth_maps/$1.made" "normal_maps/$1" "consistency_graphs/$1"; do
+        [ -f "stereo/$file.before" ] || continue
+        if [ "$whole" -eq 1 ]; then rm -f -- "stereo/$file.before"; else mv -f -- "stereo/$file.before" "stereo/$file"; fi
+    done
+}
+bring_all_back() {
+    find stereo/depth_maps stereo/normal_maps stereo/consistency_graphs -name '*.bin*.before' 2> /dev/null |
+        sed 's|^stereo/[^/]*/||; s|\.before$||; s|\.made$||' | sort -u | while IFS= read -r map; do bring_back "$map"; done
 }
 # Lines of maps.tsv about the maps of a list: LIST KIND.
 lines_of() {

@@ -6,10 +6,14 @@ if [ "${1:-}" = --rank ]; then
     fi
     export KEY
     map=$KEY.photometric.bin list=stereo/viewrank/rank-$2.cfg
+    trap 'bring_back "$map"' EXIT
+    trap 'exit 130' INT
+    trap 'exit 143' TERM
+    bring_back "$map"
     # Lines of references and of sources take turns.
     awk '/^#/ { next } ++n % 2 { reference = $0; next } reference == ENVIRON["KEY"] { print reference; print }' \
         stereo/patch-match.cfg > "$list"
-    lines_of "$list" photometric | discard
+    lines_of "$list" photometric | set_aside
     @COMMAND@
     rm -f -- "$list"
     if ! there "$map"; then

@@ -9,4 +9,8 @@ if [ "${1:-}" != --fuse ]; then
             exit 1
         fi
     fi
-    [ "${1:-}" != --replace ] || discard < "$maps"
+    trap bring_all_back EXIT
+    trap 'exit 130' INT
+    trap 'exit 143' TERM
+    bring_all_back
+    [ "${1:-}" != --replace ] || set_aside < "$maps"

@@ -9,11 +9,13 @@
     python3 run.py --no-fusion                           only the depth maps
     python3 run.py --rank 7                              the seventh cluster alone; many such runs may go on side by side
     python3 run.py --stop-at 0                           only the fusion
-    python3 run.py -- --geometric-iters 2                options for DensifyPointCloud behind two dashes
+    python3 run.py -- --geometric-iters 2                options for DensifyPointCloud behind two dashes, in place of those of run.py
+    python3 run.py --stop-at 0 -- --number-views-fuse 3  another fusion of the same maps
 
-Runs resume: a map that is there, is as planned, and whose row in report.json fits its scene and options is kept; any other is made anew and never fused. report.json says for
-each key view what came out: DensifyPointCloud ends with success whatever it did, so that maps, partners and depth ranges are read from the .dmap files.
-fused.ply and fused.mvs are replaced when the fusion has succeeded. Exit code 1: something is not as planned. Needs Python 3.8 and nothing else.
+Runs resume: a map that is there, is as planned, and whose row in report.json fits its scene and options is kept; any other is made anew and never fused. Options that only
+change the cloud or the speed leave the maps as they are. A map is made in a folder under unfinished/ and takes the place of the one before when it is whole and as planned; a
+run that fails or is killed loses none. report.json says for each key view what came out: DensifyPointCloud ends with success whatever it did, so that maps, partners and depth
+ranges are read from the .dmap files. fused.ply and fused.mvs are replaced when the fusion has succeeded. Exit code 1: something is not as planned. Needs Python 3.8 and nothing else.
 """
 
 import argparse
@@ -26,12 +28,22 @@ import shutil
 import struct
 import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
 FILLED_LEAST = 0.01  # share of pixels with a depth below which a map counts as empty
 NO_POSE = 0xFFFFFFFF  # DensifyPointCloud passes over such images and does not load them
+UNFINISHED = HERE / "unfinished"  # viewrank looks for no depth maps in a folder of this name
+
+# Options of DensifyPointCloud v2.3.0. Those of the cloud are read behind ComputeDepthMaps in Scene::DenseReconstruction (SceneDensify.cpp) and where main() writes or
+# filters a cloud. All others may change a map: resolutions, iterations, neighbours and region of interest choose what is matched, and postprocess-dmaps filters the map before it is saved.
+OF_THE_CLOUD = {"number-views-fuse", "fusion-filter", "estimate-colors", "estimate-normals", "estimate-scale", "filter-point-cloud", "export-number-views", "crop-to-roi", "roi-border", "archive-type"}
+OF_THE_MACHINE = {"max-threads", "cuda-device", "process-priority", "verbosity"}
+# fusion-mode and the files are what run.py is for; remove-dmaps would take the maps away.
+OF_RUN_PY = {"working-folder", "input-file", "output-file", "view-neighbors-file", "fusion-mode", "remove-dmaps"}
+SHORT = {"w": "working-folder", "i": "input-file", "o": "output-file", "p": "pointcloud-file", "c": "config-file", "v": "verbosity", "h": "help"}
 
 
 def main():
@@ -42,6 +54,8 @@ def main():
     if args.rank is not None:
         sys.exit(one(run["clusters"], args.rank, program, report))
     clusters_until = stop_rule(args)
+    for row in run["clusters"]:
+        report.settle(row)
     for row in run["clusters"]:
         if clusters_until(row):
             break
@@ -112,32 +126,74 @@ def target_reached(path):
         return False
 
 
-class Densify:
-    """The program with the options that every run shares."""
+def users_options(words, names):
+    """Values by name of what stands behind the two dashes, as boost::program_options reads it: --name value, --name=value, -n value, -nvalue; names may be cut short where only
+    one begins like that. The last word on an option counts."""
+    options, words = {}, list(words)
+    while words:
+        word = words.pop(0)
+        if word.startswith("--"):
+            name, _, value = word[2:].partition("=")
+            meant = [name] if name in names else [known for known in names if known.startswith(name)]
+            name = meant[0] if len(meant) == 1 else name
+        elif word[:1] == "-" and word[1:2] in SHORT:
+            name, value = SHORT[word[1]], word[2:]
+        else:
+            sys.exit(f"error: {word}: not an option of DensifyPointCloud")
+        if name in OF_RUN_PY:
+            sys.exit(f"error: {word}: run.py needs this option of DensifyPointCloud for itself\nhint: leave it out")
+        if not value and words and not words[0].startswith("--"):
+            value = words.pop(0)
+        options[name] = value
+    return options
 
-    def __init__(self, program, run, threads, foreign):
+
+class Densify:
+    """The program with the options of each run: those of the user replace ours, but not in what a fusion must not change."""
+
+    def __init__(self, program, run, threads, words):
         self.program = shutil.which(program)
         if not self.program:
             sys.exit(f"error: no program {program}\nhint: name it with --densify or the variable DENSIFY")
         answer = subprocess.run([self.program, "--help"], cwd=HERE, capture_output=True, text=True, errors="replace", check=False)
         self.known = answer.stdout + answer.stderr
-        self.folder = HERE / "work"
-        wanted = ["--resolution-level", "0", "--min-resolution", "16", "--max-resolution", str(run["resolution"])]
+        wanted = {"resolution-level": "0", "min-resolution": "16", "max-resolution": str(run["resolution"])}
+        self.of_maps = {"number-views": "0", "geometric-iters": "0", "postprocess-dmaps": "3"}
+        names = {*re.findall(r"--([a-z][a-z-]+)", self.known), *wanted, *self.of_maps, *OF_THE_CLOUD, *OF_THE_MACHINE, *OF_RUN_PY, *SHORT.values(), "dense-config-file"}
         # Nothing is to be cut off or made up around the sparse points.
-        for option in ("--estimate-roi", "--crop-to-roi", "--tower-mode"):
-            wanted += [option, "0"] if option in self.known else []
-        self.options = wanted + foreign
-        self.threads = ["--max-threads", str(threads)] if threads else []
+        wanted.update({option: "0" for option in ("estimate-roi", "crop-to-roi", "tower-mode") if f"--{option}" in self.known})
+        self.users = users_options(words, names)
+        self.common = {"dense-config-file": "dense.cfg", "verbosity": "1", **({"max-threads": str(threads)} if threads else {}), **wanted}
+        shaping = {name: self.users[name] for name in sorted(self.users) if name not in OF_THE_CLOUD | OF_THE_MACHINE}
+        self.options = in_words({**wanted, **shaping})
 
-    def run(self, scene, output, *options):
-        # All in one folder: image names and maps are resolved against it, and logs are written into it.
-        command = [self.program, "-w", str(HERE), "-i", str(scene), "-o", str(output), "--dense-config-file", "dense.cfg", "-v", "1"]
-        command += [*self.options, *self.threads, *options]
+    def make_map(self, folder, scene):
+        # No geometric passes: the partners have no maps. Filter 3: speckles and gaps, without the one that needs partners' maps.
+        users = {name: value for name, value in self.users.items() if name not in OF_THE_CLOUD}
+        return self.run(folder, scene, f"{folder.name}.mvs", {**self.common, **self.of_maps, **users, "fusion-mode": "1"})
+
+    def fuse(self, scene, output, agree):
+        # Branch develop keeps only what five maps agree on unless told otherwise.
+        ours = {"fusion-filter": "0" if agree in ("0", "1") else "1"} if "--fusion-filter" in self.known else {}
+        kept = {"view-neighbors-file": "fuse.txt", "number-views": "0", "geometric-iters": "0", "postprocess-dmaps": "0"}
+        return self.run(HERE, scene, output, {**self.common, "number-views-fuse": agree, **ours, **self.users, **kept})
+
+    def run(self, folder, scene, output, options):
+        # Image names, maps and the files of options are resolved against the folder, and logs are written into it.
+        options = {name: str(HERE / value) if value.startswith("..") else value for name, value in options.items()}
+        command = [self.program, "-w", str(folder), "-i", scene, "-o", output, *in_words(options)]
         done = subprocess.run(command, cwd=HERE, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="replace", check=False)
         for log in HERE.glob("DensifyPointCloud-*.log"):
             with contextlib.suppress(FileNotFoundError):  # another run was faster
                 log.unlink()
+        refused = next((line for line in lines_of(done) if done.returncode != 0 and "option '" in line), None)
+        if refused:
+            sys.exit(f"error: DensifyPointCloud refuses the options: {refused}")
         return done
+
+
+def in_words(options):
+    return [word for name, value in options.items() for word in (f"--{name}", value) if word]
 
 
 def map_of(row):
@@ -150,34 +206,55 @@ def digest_of(row, program):
 
 
 def compute(row, program, report):
+    report.settle(row)
     digest = digest_of(row, program)
     if report.is_good(row, digest):
         return
-    report.drop(row)
-    with contextlib.suppress(FileNotFoundError):
-        map_of(row).unlink()
     started = time.monotonic()
-    # No geometric passes: the partners have no maps. Filter 3: speckles and gaps, without the one that needs partners' maps.
-    scratch = HERE / f"scratch-{row['rank']:04d}.mvs"
-    done = program.run(row["scene"], scratch, "--number-views", "0", "--geometric-iters", "0", "--postprocess-dmaps", "3", "--fusion-mode", "1")
-    for left in HERE.glob(f"{scratch.stem}*"):
-        left.unlink()
-    result = {"rank": row["rank"], "key": row["key"], "digest": digest, "seconds": round(time.monotonic() - started, 2), **check(row)}
-    if result["problems"] and done.returncode != 0:
-        result["problems"].append(last_words(done))
-    report.add(row, result)
+    with workplace(row) as folder:
+        done = program.make_map(folder, row["scene"])
+        made = folder / map_of(row).name
+        result = {"rank": row["rank"], "key": row["key"], "digest": digest, "seconds": round(time.monotonic() - started, 2), **check(row, made)}
+        if not result["problems"]:
+            write_whole(folder / "row.json", result)
+            report.settle(row)
+            return
+        if done.returncode != 0:
+            result["problems"].append(last_words(done))
+        report.add(row, result)
+        if is_whole(made) and not map_of(row).exists():  # to be looked at
+            made.replace(map_of(row))
+
+
+@contextlib.contextmanager
+def workplace(row):
+    """A folder in which all that is here is linked except maps. It goes again, unless a finished map waits there for its place."""
+    UNFINISHED.mkdir(exist_ok=True)
+    folder = Path(tempfile.mkdtemp(prefix=f"{row['id']:04d}-", dir=UNFINISHED))
+    try:
+        for path in HERE.iterdir():
+            if path != UNFINISHED and not re.match(r"depth\d+\.", path.name):
+                (folder / path.name).symlink_to(path, target_is_directory=path.is_dir())
+        yield folder
+    finally:
+        if not (folder / "row.json").exists():
+            shutil.rmtree(folder, ignore_errors=True)
+
+
+def lines_of(done):
+    """What the program said, without the time and the part that says it."""
+    return [line.split("] ", 1)[-1].strip() for line in done.stdout.splitlines() if line.strip() and "Command line:" not in line]
 
 
 def last_words(done):
     """How a run of the program ended: what it calls errors, else its last lines."""
-    lines = [line.split("] ", 1)[-1].strip() for line in done.stdout.splitlines() if line.strip() and "Command line:" not in line]
+    lines = lines_of(done)
     errors = [line for line in lines if line.startswith("error")]
-    return " | ".join([f"DensifyPointCloud ended with {done.returncode}", *(errors or lines)[-3:]])
+    return " | ".join([f"DensifyPointCloud ended with {done.returncode}", *(errors[:3] or lines[-3:])])
 
 
-def check(row):
+def check(row, path):
     """What came out for a key view."""
-    path = map_of(row)
     if not path.exists():
         return {"problems": ["no depth map"], "partner_ids": [], "filled": 0.0}
     try:
@@ -239,7 +316,8 @@ def is_whole(path):
 
 
 class Report:
-    """report.json: a row per key view that was tried, and the fusion; `older`: rows of other plans or options, whose maps may fit again.
+    """report.json: a row per key view that was tried, and the fusion; `older`: rows of other plans or options, whose maps may fit again; `before` in a row: that of the map
+    that is still there, because what came out in its place was not as planned.
 
     Runs of single ranks go on side by side, on several machines: each writes its row into rows/, and the next whole run joins these."""
 
@@ -256,28 +334,40 @@ class Report:
         self.single = False
 
     def has(self, row, digest):
-        """Was it tried, with this scene and these options?"""
-        return self.rows.get(row["key"], {}).get("digest") == digest
+        """Was it tried, with this scene and these options? The row of the map that is there counts where the last try was another."""
+        found = self.rows.get(row["key"], {})
+        if found.get("digest") != digest and found.get("before", {}).get("digest") == digest:
+            found = self.rows[row["key"]] = found["before"]
+        return found.get("digest") == digest
 
     def is_good(self, row, digest):
         """Is its map there, whole and as planned?"""
         return self.has(row, digest) and not self.rows[row["key"]]["problems"] and is_whole(map_of(row))
 
-    def drop(self, row):
-        if self.single:  # report.json is not ours alone; this row counts more than one there
-            self.write_rows(self.path_of(row), [{"rank": row["rank"], "key": row["key"], "digest": "", "problems": ["not finished"]}])
-            return
-        with contextlib.suppress(FileNotFoundError):
-            self.path_of(row).unlink()
-        if self.rows.pop(row["key"], None):
-            self.write()
+    def settle(self, row):
+        """Puts a map that is finished in its place and notes its row; also where the run that made it was killed in between."""
+        for note in UNFINISHED.glob(f"{row['id']:04d}-*/row.json"):
+            with contextlib.suppress(FileNotFoundError):  # another run was faster
+                result = json.loads(note.read_text(encoding="utf-8"))
+                with contextlib.suppress(FileNotFoundError):
+                    (note.parent / map_of(row).name).replace(map_of(row))
+                self.add(row, result)
+                note.unlink()
+            for left in UNFINISHED.glob(f"{row['id']:04d}-*"):
+                shutil.rmtree(left, ignore_errors=True)
 
     def add(self, row, result):
+        last = self.rows.get(result["key"], {})
+        before = last.get("before") or (last if last and not last["problems"] else None)
+        if result["problems"] and before and map_of(row).exists():
+            result["before"] = before
         self.rows[result["key"]] = result
-        if self.single:
+        if self.single:  # report.json is not ours alone; this row counts more than one there
             self.write_rows(self.path_of(row), [result])
         else:
             self.write()
+            with contextlib.suppress(FileNotFoundError):
+                self.path_of(row).unlink()
         state = "; ".join(result["problems"]) or f"{100 * result['filled']:.0f} % filled, partners as planned"
         print(f"{result['rank']:4d} {result['key']}: {state} ({result['seconds']:.0f} s)", flush=True)
 
@@ -288,11 +378,7 @@ class Report:
         return HERE / "rows" / f"{row['id']:04d}.json"
 
     def write_rows(self, path, rows):
-        path.parent.mkdir(exist_ok=True)
-        text = json.dumps({"options": self.options, "clusters": rows, "older": [] if self.single else self.older, "fusion": self.fusion}, indent=1)
-        whole = path.with_suffix(".tmp")
-        whole.write_text(text + "\n", encoding="utf-8")
-        whole.replace(path)
+        write_whole(path, {"options": self.options, "clusters": rows, "older": [] if self.single else self.older, "fusion": self.fusion})
 
     def finish(self, clusters, program):
         """Rows of this plan and these options only; says how many are as planned; True where one isn't."""
@@ -315,7 +401,8 @@ def fuse(run, program, report):
     there = {i for i, row in enumerate(rows) if report.is_good(row, digest_of(row, program))}
     problems = []
     while there:
-        done, points = fuse_maps(run, there, program)
+        agree = program.users.get("number-views-fuse") or str(min(run["maps_per_point"], len(there)))
+        done, points = fuse_maps(run, there, agree, program)
         if points:
             break
         unread = re.search(r"failed reloading image '.*?/(images/.+)'", done.stdout)
@@ -325,29 +412,27 @@ def fuse(run, program, report):
     if not there:
         print("; ".join([*problems, "nothing is fused" if problems else "nothing to fuse"]), flush=True)
     else:
-        report.fusion = {"maps": len(there), "agreeing": min(run["maps_per_point"], len(there)), "points": points, "problems": problems}
+        report.fusion = {"maps": len(there), "agreeing": int(agree), "points": points, "problems": problems}
         report.write()
         print("; ".join([*problems, f"{len(there)} maps fused: {points} points in {HERE / 'fused.ply'}"]), flush=True)
     return bool(there) and not problems
 
 
-def fuse_maps(run, there, program):
+def fuse_maps(run, there, agree, program):
     """How the program ended, and points of the new fused.ply; without any the files of before stay."""
     # A list must not be empty: a map that none overlaps is compared with any image of the scene.
     partners = {i: [o for o in run["overlaps"][i] if o in there] or sorted(there - {i})[:1] or [int(i == 0)] for i in there}
     (HERE / "fuse.txt").write_text("".join(" ".join(map(str, [i, *partners[i]])) + "\n" for i in sorted(there)))
     (HERE / "fusing.mvs").write_bytes(fusion_scene(run["clusters"], there))
-    agree = min(run["maps_per_point"], len(there))
-    options = ["--view-neighbors-file", "fuse.txt", "--number-views", "0", "--geometric-iters", "0", "--postprocess-dmaps", "0", "--number-views-fuse", str(agree)]
-    # Branch develop keeps only what five maps agree on unless told otherwise.
-    options += ["--fusion-filter", "1" if agree > 1 else "0"] if "--fusion-filter" in program.known else []
-    done = program.run("fusing.mvs", "fusing-done.mvs", *options)
-    points = ply_points(HERE / "fusing-done.ply") if done.returncode == 0 else 0
-    for made in HERE.glob("fusing-done.*"):
-        if points:
-            made.replace(HERE / f"fused{made.suffix}")
-    for left in HERE.glob("fusing*"):
-        left.unlink()
+    try:
+        done = program.fuse("fusing.mvs", "fusing-done.mvs", agree)
+        points = ply_points(HERE / "fusing-done.ply") if done.returncode == 0 else 0
+        for made in HERE.glob("fusing-done.*"):
+            if points:
+                made.replace(HERE / f"fused{made.suffix}")
+    finally:
+        for left in HERE.glob("fusing*"):
+            left.unlink()
     return done, points
 
 
@@ -362,6 +447,13 @@ def fusion_scene(rows, there):
     return scene
 
 
+def write_whole(path, content):
+    path.parent.mkdir(exist_ok=True)
+    draft = path.with_suffix(f".{os.getpid()}.tmp")
+    draft.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+    draft.replace(path)
+
+
 def ply_points(path):
     try:
         with open(path, "rb") as file:
@@ -372,4 +464,7 @@ def ply_points(path):
 
 
 if __name__ == "__main__":
-    main()
+    try:
+        main()
+    except KeyboardInterrupt:
+        sys.exit("interrupted; finished maps stay, run again to go on")

@@ -89,6 +89,7 @@ impl Backend for Mve {
             let recipe = recipe(selection, cluster, &format!("-s{scale} {choice}"));
             let result = format!("views/{folder}/depth-L{scale}.mvei");
             let name = folder.trim_end_matches(".mve");
+            script.line(&format!("back {name} {recipe}"));
             script.cluster(name, &recipe, &result, &[format!("map {folder} {bundle} {options}")]);
             record.commands.push(format!("cp bundles/{bundle} synth_0.out"));
             record.commands.push(format!("dmrecon {options} ."));

@@ -216,7 +216,11 @@ mod tests {
             "stereo/depth_maps/a.geometric.bin",
             "viewrank/colmap/stereo/depth_maps/a.geometric.bin",
         ];
-        for path in maps.iter().chain(&["openmvs/scene.mvs", "elsewhere/depth0001.dmap"]) {
+        for path in maps.iter().chain(&[
+            "openmvs/scene.mvs",
+            "openmvs/unfinished/0001-x/depth0001.dmap",
+            "elsewhere/depth0001.dmap",
+        ]) {
             let path = root.path().join(path);
             fs::create_dir_all(path.parent().expect("below the root")).expect("a folder");
             fs::write(path, "").expect("a file");

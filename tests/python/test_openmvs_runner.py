@@ -3,6 +3,7 @@
 import json
 import os
 import shutil
+import signal
 import struct
 import subprocess
 import sys
@@ -12,17 +13,42 @@ import pytest
 
 RUNNER = Path(__file__).resolve().parents[2] / "integrations/openmvs/run.py"
 
-STAND_IN = '''#!{python}
-import json, struct, sys
+STAND_IN = '''#!{python} -IS
+import json, os, re, signal, struct, sys
 from pathlib import Path
+NAMES = "working-folder input-file output-file view-neighbors-file dense-config-file resolution-level max-resolution min-resolution number-views number-views-fuse iters".split()
+NAMES += "geometric-iters estimate-colors estimate-normals fusion-mode postprocess-dmaps remove-dmaps tower-mode max-threads cuda-device verbosity".split()
+SHORT = dict(w="working-folder", i="input-file", o="output-file", v="verbosity")
 if "--help" in sys.argv:
-    print("--tower-mode"); sys.exit(0)
-here = Path(sys.argv[sys.argv.index("-w") + 1])
-with open(here / "calls.jsonl", "a") as log:
+    print("  -w [ --working-folder ] arg", *(f"  --{{name}} arg" for name in NAMES), sep="\\n")
+    sys.exit(0)
+home = Path(__file__).parent
+with open(home / "calls.jsonl", "a") as log:
     log.write(json.dumps(sys.argv[1:]) + "\\n")
-scene = sys.argv[sys.argv.index("-i") + 1]
+
+
+def refuse(why):
+    print(f"06:04:49 [App     ] {{why}}", "06:04:49 [App     ] MEMORYINFO: {{", "}} ENDINFO", sep="\\n")
+    sys.exit(1)
+
+
+# As boost::program_options reads them, which takes each option once.
+options, words = {{}}, sys.argv[1:]
+while words:
+    word = words.pop(0)
+    name, equals, value = word[2:].partition("=") if word.startswith("--") else (SHORT[word[1]], "", word[2:])
+    meant = [name] if name in NAMES else [known for known in NAMES if known.startswith(name)]
+    if len(meant) != 1:
+        refuse(f"option '--{{name}}' is ambiguous" if meant else f"unrecognised option '--{{name}}'")
+    if meant[0] in options:
+        refuse(f"option '--{{meant[0]}}' cannot be specified more than once")
+    if not value and (not words or words[0][:2] == "--" and words[0][2:] in NAMES):
+        refuse(f"the required argument for option '--{{meant[0]}}' is missing")
+    options[meant[0]] = value or words.pop(0)
+
+here, scene = Path(options["working-folder"]), options["input-file"]
+data = (here / scene).read_bytes()
 if scene == "fusing.mvs":
-    data = (here / scene).read_bytes()
     for key in ("k0", "k1", "k2"):
         at = data.index(b"images/" + key.encode()) + len("images/k0") + 8
         if data[at + 8 : at + 12] != b"\\xff" * 4 and not (here / "images" / key).exists():
@@ -33,12 +59,16 @@ if scene == "fusing.mvs":
         sys.exit(0)
     (here / "fusing-done.ply").write_bytes(b"ply\\nelement vertex 42\\nend_header\\n")
     (here / "fusing-done.mvs").write_bytes(data)
-for made in json.loads((here / "made.json").read_text()).get(scene, []):
-    ids, (least, greatest), depth = made["ids"], made["range"], made["depth"]
+elif not (here / "images").is_dir() or list(here.glob("*.dmap")):
+    sys.exit("no images, or maps that OpenMVS would keep")
+for made in json.loads((home / "made.json").read_text()).get(scene, []):
+    ids, (least, greatest), depth = made["ids"], made["range"], made["depth"] + int(options.get("iters", 0))
     head = b"DR" + bytes([3, 0]) + struct.pack("<4I2f", 4, 4, 4, 4, least, greatest)
     head += struct.pack("<H", 1) + b"a" + struct.pack(f"<I{{len(ids)}}I", len(ids), *ids) + bytes(21 * 8)
     planes = struct.pack("<16f", *[depth] * 16) + bytes(16 * 12)
     (here / f"depth{{ids[0]:04d}}.dmap").write_bytes(head + planes[: made.get("bytes")])
+    if made.get("kill"):
+        os.kill(os.getppid(), made["kill"])
     if "bytes" in made:
         print("Killed")
         sys.exit(137)
@@ -73,15 +103,33 @@ def make(folder, **changes):
     (folder / "made.json").write_text(json.dumps(made))
 
 
-def run(folder, *options):
+def run(folder, *options, program=("run.py",)):
     (folder / "calls.jsonl").unlink(missing_ok=True)
-    done = subprocess.run([sys.executable, folder / "run.py", "--densify", folder / "densify", *options], capture_output=True, text=True)
+    done = subprocess.run([sys.executable, *program, "--densify", folder / "densify", *options], capture_output=True, text=True, cwd=folder)
     calls = [json.loads(line) for line in (folder / "calls.jsonl").read_text().splitlines()] if (folder / "calls.jsonl").exists() else []
-    return done, calls, {row["key"]: row for row in json.loads((folder / "report.json").read_text())["clusters"]}
+    report = json.loads((folder / "report.json").read_text()) if (folder / "report.json").exists() else {"clusters": []}
+    return done, calls, {row["key"]: row for row in report["clusters"]}
 
 
 def scenes(calls):
     return [call[call.index("-i") + 1] for call in calls]
+
+
+def value(call, option):
+    return call[call.index(option) + 1]
+
+
+def maps(folder):
+    """Bytes of the depth maps, by name."""
+    return {path.name: path.read_bytes() for path in folder.glob("*.dmap")}
+
+
+def depth(content):
+    return struct.unpack_from("<f", content, len(content) - 16 * 16)[0]
+
+
+def nothing_left(folder):
+    return not list((folder / "unfinished").iterdir()) and not list(folder.rglob("*.tmp"))
 
 
 def test_in_rank_order_then_fused_and_resumed(folder):
@@ -158,12 +206,146 @@ def test_a_fusion_that_fails_leaves_the_one_of_before(folder):
 
 
 def test_openmvs_existing_dmap_kept(folder):
+    """OpenMVS would take the map of other partners for that of these; where theirs fails, that map stays but is not fused."""
     run(folder)
+    before, scene = maps(folder), (folder / "clusters/1.mvs").read_text()
     (folder / "clusters/1.mvs").write_text("other partners")
     make(folder, k1=[])
     done, calls, report = run(folder)
-    assert scenes(calls) == ["clusters/1.mvs", "fusing.mvs"]
-    assert not (folder / "depth0011.dmap").exists(), "the map of other partners must not stay"
+    assert scenes(calls) == ["clusters/1.mvs", "fusing.mvs"] and report["k1"]["problems"] == ["no depth map"]
+    assert maps(folder) == before and (folder / "fuse.txt").read_text() == "0 2\n2 0\n"
+    (folder / "clusters/1.mvs").write_text(scene)
+    done, calls, report = run(folder)
+    assert done.returncode == 0 and scenes(calls) == ["fusing.mvs"], "the plan of before finds its map"
+    assert not any(row["problems"] for row in report.values())
+
+
+def test_the_users_options_replace_those_of_the_runner(folder):
+    run(folder)
+    before = maps(folder)
+    done, calls, report = run(folder, "--", "--geometric-iters", "2")
+    assert done.returncode == 0 and len(report) == 3, done.stdout + done.stderr
+    *of_maps, fusion = calls
+    assert [value(call, "--geometric-iters") for call in of_maps] == ["2"] * 3
+    assert value(fusion, "--geometric-iters") == "0", "a fusion changes no map"
+    assert maps(folder).keys() == before.keys() and nothing_left(folder)
+
+
+@pytest.mark.parametrize(
+    "words, option, wanted",
+    [
+        (["--postprocess-dmaps=1"], "--postprocess-dmaps", "1"),
+        (["--max-res", "800"], "--max-resolution", "800"),
+        (["--verb=3", "--number-views", "4"], "--number-views", "4"),
+        (["-v3"], "--verbosity", "3"),
+        (["-v", "2", "--cuda-device", "-2"], "--cuda-device", "-2"),
+        (["--iters", "2", "--iters", "3"], "--iters", "3"),
+        (["--max-threads", "7"], "--max-threads", "7"),
+    ],
+)
+def test_spellings_of_options(folder, words, option, wanted):
+    done, calls, _ = run(folder, "--threads", "1", "--", *words)
+    assert done.returncode == 0 and [value(call, option) for call in calls[:3]] == [wanted] * 3, done.stdout + done.stderr
+
+
+@pytest.mark.parametrize("words", [["-w", "elsewhere"], ["-oelsewhere.mvs"], ["--fusion-mode=0"], ["--remove-dmaps", "1"], ["--remove", "1"], ["scene.mvs"]])
+def test_options_that_would_take_the_runner_its_files_are_refused(folder, words):
+    done, calls, _ = run(folder, "--", *words)
+    assert done.returncode == 1 and calls == [] and words[0] in done.stderr
+
+
+@pytest.mark.parametrize("words", [["--number-views-fuse", "3"], ["--estimate-colors=0"], ["--max-threads", "2"], ["-v", "3"]])
+def test_options_of_the_fusion_leave_the_maps(folder, words):
+    """They are no part of what a map is, whether they are there when it is made or only when it is fused."""
+    run(folder)
+    before = maps(folder)
+    done, calls, report = run(folder, "--stop-at", "0", "--", *words)
+    assert done.returncode == 0 and scenes(calls) == ["fusing.mvs"] and len(report) == 3
+    assert maps(folder) == before
+    assert scenes(run(folder, "--", *words)[1]) == ["fusing.mvs"]
+
+
+def test_the_number_of_agreeing_maps_reaches_the_fusion_alone(folder):
+    calls = run(folder, "--", "--number-views-fuse", "3")[1]
+    assert [value(call, "--number-views-fuse") for call in calls if "--number-views-fuse" in call] == ["3"] and len(calls) == 4
+    assert json.loads((folder / "report.json").read_text())["fusion"]["agreeing"] == 3
+
+
+@pytest.mark.parametrize("words, why", [(["--itres", "3"], "unrecognised option '--itres'"), (["--number"], "option '--number' is ambiguous"), (["--iters"], "the required argument for option '--iters' is missing")])
+@pytest.mark.parametrize("single", [True, False])
+def test_refused_options_are_named_and_end_the_run(folder, words, why, single):
+    run(folder)
+    before, report = maps(folder), (folder / "report.json").read_bytes()
+    done, calls, _ = run(folder, *(["--rank", "1"] if single else []), "--", *words)
+    assert done.returncode == 1 and len(calls) == 1 and done.stderr.rstrip().endswith(why)
+    assert maps(folder) == before and (folder / "report.json").read_bytes() == report and nothing_left(folder)
+
+
+CUT = dict(range=[90, 220], depth=150, bytes=100)
+
+
+@pytest.mark.parametrize("single", [True, False])
+@pytest.mark.parametrize(
+    "failure",
+    [[], [dict(ids=[11, 1, 2], **CUT)], [dict(ids=[11, 1], range=[90, 220], depth=150)], [dict(ids=[11, 1, 2], kill=signal.SIGINT, **CUT)], [dict(ids=[11, 1, 2], kill=signal.SIGKILL, **CUT)]],
+    ids=["no map", "cut off", "other partners", "interrupted", "killed"],
+)
+def test_a_run_that_fails_loses_no_map(folder, failure, single):
+    run(folder)
+    before = maps(folder)
+    make(folder, k0=failure and [{**failure[0], "ids": [10, *failure[0]["ids"][1:]]}], k1=failure)
+    rank = ["--rank", "2"] if single else []
+    done, calls, _ = run(folder, *rank, "--", "--iters", "9")
+    assert done.returncode != 0 and calls
+    after = maps(folder)
+    assert after.keys() == before.keys() and after["depth0011.dmap"] == before["depth0011.dmap"]
+    assert single or after["depth0010.dmap"] == before["depth0010.dmap"]
+    make(folder)
+    done, calls, report = run(folder, "--", "--iters", "9")
+    assert done.returncode == 0 and {"clusters/0.mvs", "clusters/1.mvs"} <= set(scenes(calls)) and not any(row["problems"] for row in report.values())
+    assert {depth(content) for content in maps(folder).values()} == {159} and nothing_left(folder)
+
+
+KILLED = """
+import os, pathlib, runpy, shutil, sys, tempfile
+left = int(sys.argv.pop(1))
+def counted(call):
+    def wrapped(*arguments, **named):
+        global left
+        left -= 1
+        if left < 0:
+            os.kill(os.getpid(), 9)
+        return call(*arguments, **named)
+    return wrapped
+for owner, name in ((pathlib.Path, "replace"), (pathlib.Path, "unlink"), (pathlib.Path, "mkdir"), (pathlib.Path, "symlink_to"), (shutil, "rmtree"), (tempfile, "mkdtemp"), (pathlib.Path, "write_text")):
+    setattr(owner, name, counted(getattr(owner, name)))
+sys.argv = ["run.py", *sys.argv[1:]]
+runpy.run_path("run.py", run_name="__main__")
+"""
+
+
+@pytest.mark.parametrize("words", [["--rank", "1"], ["--stop-at", "1", "--no-fusion"]], ids=["single", "whole"])
+def test_killed_at_any_step_every_map_is_there_and_known_for_what_it_is(folder, tmp_path_factory, words):
+    """A map of two iterations is to become one of nine; the run is killed before its first change of a file, its second, and on."""
+    run(folder, "--", "--iters", "2")
+    names = maps(folder).keys()
+    steps, finished = 0, False
+    while not finished:
+        copy, again = (tmp_path_factory.mktemp("killed") / name for name in ("copy", "again"))
+        shutil.copytree(folder, copy)
+        done, _, _ = run(copy, *words, "--", "--iters", "9", program=("-IS", "-c", KILLED, str(steps)))
+        finished = done.returncode == 0
+        assert finished or done.returncode == -signal.SIGKILL, done.stderr
+        assert maps(copy).keys() == names and {depth(content) for content in maps(copy).values()} <= {152, 159}
+        shutil.copytree(copy, again, symlinks=True)
+        run(again, "--stop-at", "0", "--", "--iters", "2")
+        older = {i for i in range(3) if depth(maps(again)[f"depth{10 + i:04d}.dmap"]) == 152}
+        assert {int(line.split()[0]) for line in (again / "fuse.txt").read_text().splitlines()} == older
+        done, calls, report = run(copy, "--", "--iters", "9")
+        assert done.returncode == 0 and len(calls) == len(older) + 1, "nothing that is finished is made again"
+        assert {depth(content) for content in maps(copy).values()} == {159} and len(report) == 3
+        steps += 1
+    assert steps > 10 and len(older) == 2
 
 
 @pytest.mark.parametrize("older", ["plan", "options"])

@@ -129,6 +129,30 @@ def test_what_is_replaced_is_made_anew_once(colmap):
     assert stale(colmap.export(3)) == 0
 
 
+def contents(folder):
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+@pytest.mark.parametrize("words", [["--replace"], ["--rank", "1"]])
+@pytest.mark.parametrize("how", ["fails", "is killed"])
+def test_a_map_that_is_to_be_replaced_is_there_until_the_other_is(colmap, words, how):
+    """COLMAP fails, or is killed together with the script, before a map is there or in the middle of it."""
+    colmap.run(script=RUN)
+    colmap.export(3)
+    before = contents(colmap.folder / "stereo/depth_maps"), contents(colmap.folder / "stereo/normal_maps")
+    ends = {"DURING": "kill -9 $(ps -o ppid= -p $PPID) $PPID"} if how == "is killed" else {"MAPS": "0"}
+    done, calls = colmap.run(*words, script=RUN, **ends)
+    assert done.returncode != 0 and not maps_made(calls)
+    if how == "is killed":
+        assert list(colmap.folder.rglob("*.before"))
+        colmap.run(script=RUN, MAPS="0")
+    assert all(after[name] == content for was, kind in zip(before, ("depth_maps", "normal_maps")) for after in [contents(colmap.folder / "stereo" / kind)] for name, content in was.items() if not name.endswith(".made"))
+    assert not list(colmap.folder.rglob("*.before"))
+    assert stale(colmap.export(3)) > 4, "they are still known for what they are"
+    wanted = colmap.targets() if words == ["--replace"] else colmap.targets()[:1]
+    assert maps_made(colmap.run(*words, script=RUN)[1]) == wanted and not list(colmap.folder.rglob("*.before"))
+
+
 def test_maps_of_a_run_that_outlasts_its_plan_are_known(colmap):
     """A plan is exported while COLMAP works off the list of the one before."""
     earlier = colmap.partners()
@@ -208,7 +232,8 @@ def fusible(folder):
 
 def test_gipuma_timestamp_folder(work):
     """fusibile takes all folders that there are: one for each key view of the plan in force, whatever was computed before."""
-    gipuma = work("gipuma", {"gipuma": GIPUMA})
+    killing = '#!/bin/sh\ncase "${KILL:-} $1" in "yes scratch/"*) kill -9 $PPID $$ ;; esac\nexec /bin/mv "$@"\n'
+    gipuma = work("gipuma", {"gipuma": GIPUMA, "mv": killing})
     keys = gipuma.targets()
     done, calls = gipuma.run(FAIL=keys[0])
     assert done.returncode == 1 and len(calls) == len(keys) - 1 and f"{keys[0][:-4]} failed" in done.stderr, "the others are tried"
@@ -222,6 +247,12 @@ def test_gipuma_timestamp_folder(work):
     assert len(gipuma.run()[1]) == len(gipuma.targets()) and fusible(gipuma.folder) == {key: 1 + count for key, count in gipuma.partners().items()}
     gipuma.export(4)
     assert gipuma.run()[1] == [] and fusible(gipuma.folder) == {key: 1 + count for key, count in gipuma.partners().items()}, "back from older/"
+    results = sorted((gipuma.folder / "results").iterdir())
+    shutil.rmtree(gipuma.folder / "done")
+    assert gipuma.run(FAIL=" ".join(gipuma.targets()))[0].returncode == 1 and sorted((gipuma.folder / "results").iterdir()) == results
+    assert gipuma.run(KILL="yes")[0].returncode == -9, "killed while it puts one in the place of another"
+    assert {path.parent.name for path in gipuma.folder.glob("*/2_*/disp.dmb")} >= {path.name for path in results}
+    assert gipuma.run()[0].returncode == 0 and sorted((gipuma.folder / "results").iterdir()) == results
 
 
 # MVE
@@ -280,6 +311,24 @@ def test_mve_maps_are_those_of_their_images(work):
     done, calls = mve.run(FAIL=keys()[1])
     assert joined(calls) == sorted(name for name in keys() if name != keys()[1]), "no map of other partners in its place"
     assert mve.run()[1][:-1] == keys()[1:2]
+
+
+def test_mve_maps_of_before_are_kept_until_others_are_made(work):
+    mve = work("mve", {"dmrecon": DMRECON, "scene2pset": SCENE2PSET})
+
+    def keys():
+        return [cluster["key"]["name"] for cluster in mve.clusters()]
+
+    first = keys()
+    mve.run()
+    mve.export(3)
+    (failing, *_) = [key for key in keys() if key in first]
+    assert mve.run(FAIL=failing)[0].returncode == 1
+    mve.export(4)
+    done, calls = mve.run(FAIL=failing)
+    assert done.returncode == 0 and failing not in calls[:-1] and failing in calls[-1].split(), "its map of before came back"
+    mve.export(3)
+    assert failing in mve.run()[1][:-1] and not list((mve.folder / "older").glob("*.maps"))
 
 
 # What is called once per cluster

@@ -158,7 +158,7 @@ fn format_of(path: &Path) -> Option<(DepthMapFormat, u8)> {
         _ if unwanted => None,
         _ if name.ends_with(".geometric.bin") => Some((DepthMapFormat::ColmapGeometric, 0)),
         _ if name.ends_with(".photometric.bin") => Some((DepthMapFormat::ColmapPhotometric, 1)),
-        _ if is_dmap(name) => Some((DepthMapFormat::OpenMvs, 0)),
+        _ if is_dmap(name) && !is_unfinished(path) => Some((DepthMapFormat::OpenMvs, 0)),
         "depths_geom.dmb" => Some((DepthMapFormat::Dmb, 0)),
         "depths.dmb" => Some((DepthMapFormat::Dmb, 1)),
         _ if name.ends_with("_prob.pfm") || in_folder("confidence") => None,
@@ -166,6 +166,13 @@ fn format_of(path: &Path) -> Option<(DepthMapFormat, u8)> {
         _ if name.ends_with(".npy") => Some((DepthMapFormat::Npy, 0)),
         _ => None,
     }
+}
+
+/// `unfinished/0012-NAME/depth0012.dmap`: one that `integrations/openmvs/run.py` is making.
+fn is_unfinished(path: &Path) -> bool {
+    let mut above = path.ancestors().skip(1).filter_map(|folder| folder.file_name()?.to_str());
+    above.next().is_some_and(|name| name.starts_with(|c: char| c.is_ascii_digit()))
+        && above.next() == Some("unfinished")
 }
 
 /// `depth0012.dmap`, but not the `depth0012.geo.dmap` and `.filtered.dmap` that OpenMVS writes in between.
