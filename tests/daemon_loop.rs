@@ -22,7 +22,7 @@ use viewrank::{
         watch_roots,
     },
     formats::{colmap::ColmapModel, colmap_bin},
-    output::Disk,
+    output::{Disk, OutputError},
     scene::Scene,
     synthetic::Town,
 };
@@ -369,6 +369,49 @@ fn a_second_daemon_says_who_holds_the_root() {
             other => panic!("expected to be refused, got {other:?}"),
         }
     });
+}
+
+fn watch_once(root: &Path) -> Result<Summary, DaemonError> {
+    let options = Options { once: true, ..options(root) };
+    watch_roots(&options, &Counter::default(), &Disk::REAL, |_| {})
+}
+
+#[test]
+fn a_lock_that_is_not_the_daemons_is_refused_and_stays_as_it_is() {
+    let (_elsewhere, outside) = root();
+    let precious = outside.join("precious.txt");
+    fs::write(&precious, "precious").expect("a file");
+    let plant: [(&str, &dyn Fn(&Path)); 4] = [
+        ("link", &|lock| std::os::unix::fs::symlink(&precious, lock).expect("a link")),
+        ("second name", &|lock| fs::hard_link(&precious, lock).expect("a second name")),
+        ("file", &|lock| fs::write(lock, "precious").expect("a file")),
+        ("pipe", &|lock| drop(std::process::Command::new("mkfifo").arg(lock).status().expect("mkfifo"))),
+    ];
+    for (kind, plant) in plant {
+        let root = outside.join(kind);
+        fs::create_dir_all(root.join("viewrank")).expect("a folder");
+        plant(&root.join("viewrank/watch.lock"));
+        let refused = watch_once(&root);
+        assert!(matches!(refused, Err(DaemonError::Output(OutputError::Foreign { .. }))), "{kind}: {refused:?}");
+        assert_eq!(fs::read(&precious).expect("a file"), b"precious", "{kind}");
+        assert!(kind != "file" || fs::read(root.join("viewrank/watch.lock")).expect("a file") == b"precious");
+    }
+}
+
+#[test]
+fn neither_status_nor_lock_is_written_outside_of_the_root() {
+    let (_elsewhere, outside) = root();
+    let (_guard, root) = root();
+    std::os::unix::fs::symlink(&outside, root.join("viewrank")).expect("a link");
+    assert!(matches!(watch_once(&root), Err(DaemonError::Output(OutputError::Escapes { .. }))));
+    assert!(fs::read_dir(&outside).expect("a folder").next().is_none());
+
+    fs::remove_file(root.join("viewrank")).expect("a link");
+    fs::create_dir(root.join("outputs")).expect("a folder");
+    std::os::unix::fs::symlink("outputs", root.join("viewrank")).expect("a link");
+    watch_once(&root).expect("the root can be watched");
+    assert!(read_status(&root).is_some() && root.join("outputs/status.json").is_file());
+    watch_once(&root).expect("a lock of an earlier run is the daemon's own");
 }
 
 fn town() -> Scene {

@@ -162,6 +162,55 @@ fn links_out_of_the_root_are_not_followed() {
     assert_eq!(fs::read_link(root.join("b.before-viewrank")).unwrap(), outside.join("precious"));
 }
 
+#[cfg(unix)]
+#[test]
+fn a_lock_that_is_no_file_is_refused_and_nothing_is_made_through_it() {
+    for target in ["../../outside.txt", "../own.txt", "nowhere/at/all"] {
+        let folder = empty_folder();
+        let root = folder.path().join("root");
+        fs::create_dir_all(root.join("viewrank")).unwrap();
+        fs::write(root.join("own.txt"), "own").unwrap();
+        std::os::unix::fs::symlink(target, root.join("viewrank/.lock")).unwrap();
+        let refused = set(&root, &[("a", "a")]).write(&Disk::REAL);
+        assert!(matches!(refused, Err(OutputError::Foreign { .. })), "{target}: {refused:?}");
+        assert_eq!(tree(&root), texts(&[("own.txt", "own")]));
+        assert!(!folder.path().join("outside.txt").exists());
+    }
+    let folder = empty_folder();
+    fs::create_dir(folder.path().join("viewrank")).unwrap();
+    make_pipe(&folder.path().join("viewrank/.lock"));
+    assert!(matches!(set(folder.path(), &[("a", "a")]).write(&Disk::REAL), Err(OutputError::Foreign { .. })));
+}
+
+#[cfg(unix)]
+fn make_pipe(path: &Path) {
+    assert!(std::process::Command::new("mkfifo").arg(path).status().unwrap().success());
+}
+
+#[cfg(unix)]
+#[test]
+fn the_folder_of_outputs_may_be_a_link_inside_the_root_and_no_other() {
+    let folder = empty_folder();
+    let (root, outside) = (folder.path().join("root"), folder.path().join("outside"));
+    fs::create_dir_all(root.join("outputs")).unwrap();
+    fs::create_dir(&outside).unwrap();
+    let link = root.join("viewrank");
+    std::os::unix::fs::symlink(&outside, &link).unwrap();
+    for _ in 0..2 {
+        assert!(
+            matches!(set(&root, &[("a", "a")]).write(&Disk::REAL), Err(OutputError::Escapes { path, .. }) if path.ends_with("root/viewrank"))
+        );
+        assert!(fs::read_dir(&outside).unwrap().next().is_none());
+    }
+    fs::remove_file(&link).unwrap();
+    std::os::unix::fs::symlink("outputs", &link).unwrap();
+    let around = folder.path().join("around");
+    std::os::unix::fs::symlink(&root, &around).unwrap();
+    write(&around, &[("viewrank/a", "a")]);
+    assert_eq!(fs::read_to_string(root.join("outputs/a")).unwrap(), "a");
+    assert_eq!(write(&around, &[]).removed, ["viewrank/a"]);
+}
+
 #[test]
 fn a_file_in_the_place_of_a_folder_is_an_error_that_changes_nothing() {
     let folder = empty_folder();

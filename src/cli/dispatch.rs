@@ -17,7 +17,7 @@ use viewrank::{
         slurm::{self, Queue, Submission},
     },
     manifest::WrittenPlan,
-    output::{self, Contents, Disk, FileSet, Written},
+    output::{Contents, Disk, FileSet, Written},
     shell::{quoted, quoted_path},
 };
 
@@ -224,7 +224,7 @@ impl Arguments {
                     warn(&format!("what is there could not be measured: {reason}"));
                 }
                 // What it says is of depth maps that are gone, or of another plan: no task may stop for it.
-                output::remove(&follow::progress_file(root), &Disk::REAL)?;
+                follow::Progress::remove(root)?;
                 Ok(false)
             }
         }

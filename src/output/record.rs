@@ -2,14 +2,14 @@
 
 use std::{
     collections::{BTreeMap, BTreeSet},
-    fs::{self, File},
+    fs,
     io::{self, Read},
     path::Path,
 };
 
 use serde::{Deserialize, Serialize};
 
-use super::{OutputError, check_name};
+use super::{OutputError, check_name, open};
 
 /// Folder of the records, relative to the root.
 pub(super) const FOLDER: &str = "viewrank/.sets";
@@ -32,7 +32,8 @@ impl Records {
         let entries = fs::read_dir(root.join(FOLDER)).into_iter().flatten().flatten();
         let records = entries.filter_map(|entry| {
             let name = entry.file_name().to_str()?.strip_suffix(".json")?.to_owned();
-            let record: Record = serde_json::from_slice(&fs::read(entry.path()).ok()?).ok()?;
+            let bytes = open::read_own(root, &format!("{FOLDER}/{name}.json")).ok()?;
+            let record: Record = serde_json::from_slice(&bytes).ok()?;
             let sound = record.files.keys().chain(&record.folders).all(|path| check_name(path).is_ok());
             sound.then_some((name, record))
         });
@@ -87,7 +88,7 @@ pub(super) fn hash(path: &Path) -> io::Result<Option<String>> {
         }
         Ok(found) if found.is_file() => {
             let mut hasher = blake3::Hasher::new();
-            hasher.update_reader(File::open(path)?)?;
+            hasher.update_reader(open::existing(path)?)?;
             Ok(Some(hasher.finalize().to_string()))
         }
         Ok(_) => Ok(None),

@@ -2,16 +2,17 @@
 
 use std::{
     collections::BTreeSet,
-    fs::{self, File, Metadata},
+    fs::{self, Metadata},
     io,
     path::{Path, PathBuf},
 };
 
 use super::{
-    Contents, FileSet, OutputError, Written,
+    Contents, FileSet, OutputError, Written, open,
     record::{self, Record, Records},
     transaction::{Change, Root, Step},
 };
+use crate::input;
 
 /// Stages what differs from what is there, for all sets in one change.
 pub(super) fn stage(root: &Root, sets: &[&FileSet]) -> Result<(Change, Vec<Written>), OutputError> {
@@ -118,7 +119,7 @@ impl Staging<'_> {
     }
 
     fn copy(&self, from: &Path, to: &Path) -> Result<(), OutputError> {
-        let source = File::open(from).map_err(|error| OutputError::new(from, error))?;
+        let source = input::open(from).map_err(|error| OutputError::new(from, error))?;
         let executable = source.metadata().is_ok_and(|found| is_executable(&found));
         self.root.disk.write_new(to, source, executable)
     }
@@ -246,8 +247,8 @@ fn is_same(target: &Path, found: &Metadata, contents: &Contents, root: &Path) ->
         Contents::Link(to) if found.is_symlink() => Ok(fs::read_link(target)? == link_target(to, target, root)),
         _ if found.is_symlink() => Ok(false),
         Contents::Link(from) | Contents::Copy(from) => {
-            let source = File::open(from)?;
-            Ok(source.metadata()?.len() == found.len() && record::same_contents(source, File::open(target)?)?)
+            let source = input::open(from)?;
+            Ok(source.metadata()?.len() == found.len() && record::same_contents(source, open::existing(target)?)?)
         }
         Contents::Bytes(bytes) => is_bytes(target, found, bytes),
         Contents::Script(bytes) => Ok(is_executable(found) && is_bytes(target, found, bytes)?),
@@ -256,7 +257,7 @@ fn is_same(target: &Path, found: &Metadata, contents: &Contents, root: &Path) ->
 }
 
 fn is_bytes(target: &Path, found: &Metadata, bytes: &[u8]) -> io::Result<bool> {
-    Ok(found.len() == bytes.len() as u64 && record::same_contents(bytes, File::open(target)?)?)
+    Ok(found.len() == bytes.len() as u64 && record::same_contents(bytes, open::existing(target)?)?)
 }
 
 /// Relative where both lie under the root, so that the project can be moved; else absolute.

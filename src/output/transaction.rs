@@ -12,7 +12,7 @@ use std::{
 
 use serde::{Deserialize, Serialize};
 
-use super::{Disk, FileSet, OutputError, Written, check_name, staging};
+use super::{Disk, FileSet, OutputError, Written, check_name, open::check_links, staging};
 
 const FOLDER: &str = "viewrank";
 const STAGING: &str = "viewrank/.staging";
@@ -231,21 +231,4 @@ fn read_journal(path: &Path) -> Result<Journal, OutputError> {
     let mut names = change.steps.iter().map(|s| &s.path).chain(&change.new_folders).chain(&change.old_folders);
     names.try_for_each(|name| check_name(name))?;
     Ok(journal)
-}
-
-/// `root/path`, if no folder on the way is a symbolic link out of the root or a file.
-fn check_links(root: &Path, path: &str) -> Result<PathBuf, OutputError> {
-    let mut at = root.to_path_buf();
-    let mut parts = path.split('/').peekable();
-    while let Some(part) = parts.next() {
-        at.push(part);
-        let (Some(_), Ok(found)) = (parts.peek(), fs::symlink_metadata(&at)) else { continue };
-        if found.is_symlink() && !at.canonicalize().is_ok_and(|target| target.starts_with(root)) {
-            return Err(OutputError::Escapes { path: at, root: root.to_path_buf() });
-        }
-        if !at.is_dir() {
-            return Err(OutputError::InTheWay { path: at, folder: false });
-        }
-    }
-    Ok(at)
 }
