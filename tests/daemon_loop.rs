@@ -371,6 +371,10 @@ fn a_second_daemon_says_who_holds_the_root() {
     });
 }
 
+fn make_pipe(path: &Path) {
+    assert!(std::process::Command::new("mkfifo").arg(path).status().expect("mkfifo").success());
+}
+
 fn watch_once(root: &Path) -> Result<Summary, DaemonError> {
     let options = Options { once: true, ..options(root) };
     watch_roots(&options, &Counter::default(), &Disk::REAL, |_| {})
@@ -385,7 +389,7 @@ fn a_lock_that_is_not_the_daemons_is_refused_and_stays_as_it_is() {
         ("link", &|lock| std::os::unix::fs::symlink(&precious, lock).expect("a link")),
         ("second name", &|lock| fs::hard_link(&precious, lock).expect("a second name")),
         ("file", &|lock| fs::write(lock, "precious").expect("a file")),
-        ("pipe", &|lock| drop(std::process::Command::new("mkfifo").arg(lock).status().expect("mkfifo"))),
+        ("pipe", &make_pipe),
     ];
     for (kind, plant) in plant {
         let root = outside.join(kind);
@@ -604,7 +608,7 @@ fn settings_that_are_no_file_of_the_project_fail_it_alone() {
         let real = Real::new(&town());
         let settings = real.project.join("viewrank.toml");
         match kind {
-            "pipe" => drop(std::process::Command::new("mkfifo").arg(&settings).status().expect("mkfifo")),
+            "pipe" => make_pipe(&settings),
             _ => std::os::unix::fs::symlink("/dev/zero", &settings).expect("a link"),
         }
         match real.once(false) {

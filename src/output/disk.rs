@@ -60,6 +60,11 @@ impl<'a> Disk<'a> {
         })
     }
 
+    /// Makes a folder where nothing is.
+    pub(super) fn make_new_folder(&self, path: &Path) -> Result<(), OutputError> {
+        self.change(Operation::MakeFolder, path, || fs::create_dir(path))
+    }
+
     /// Opens a lock file and waits for its lock, which ends with the file or the process.
     pub(super) fn lock(&self, path: &Path) -> Result<File, OutputError> {
         self.before(Operation::Create, path)?;

@@ -5,9 +5,12 @@
 //! after, the next [`FileSet::write`] or [`recover`] finishes the work; a change that fails is undone. A record of each set
 //! (`record.rs`) says which files are ours, by path and content hash: what a later set of the same name no longer has is
 //! removed, a file of somebody else's that stands in the way is kept beside as `NAME.before-viewrank`, and nothing else is
-//! touched. No name and no symbolic link leads out of the set's root.
+//! touched. Journals and records are believed where they were written and nowhere else (`identity.rs`): those of a copy, or that a
+//! stranger put there, remove nothing and replace nothing outside of `viewrank/`. Files of ours are opened by `open.rs`. No name and no symbolic link leads out of the set's root.
 
 mod disk;
+mod found;
+mod identity;
 mod open;
 mod record;
 mod staging;
@@ -219,7 +222,9 @@ impl Hint for OutputError {
             Self::Full { .. } => "make room on that disk; nothing was changed".into(),
             Self::Denied { .. } => "get write permission there, or work on a copy; nothing was changed".into(),
             Self::Io { .. } => "see that the disk is there and in order; nothing was changed".into(),
-            Self::Journal { .. } => "remove that file and the folder .staging beside it, then plan again".into(),
+            Self::Journal { .. } => {
+                "run again, which goes on without it; what was staged is kept beside it in .staging.refused-N".into()
+            }
             Self::Interrupted { .. } => "mend the cause and run again: that puts a whole set in place".into(),
         })
     }

@@ -70,12 +70,12 @@ impl Staging<'_> {
         if found.is_dir() {
             return Err(OutputError::InTheWay { path: target, folder: true });
         }
-        let ours = self.records.hash_if_ours(&self.root.path, path)?;
+        let claim = self.records.claim(&self.root.path, path)?;
         if is_same(&target, &found, contents, &self.root.path).map_err(|error| OutputError::new(&target, error))? {
-            self.record.files.extend(ours.map(|hash| (path.to_owned(), hash)));
+            self.record.files.extend(claim.map(|claim| (path.to_owned(), claim.hash)));
             return Ok(());
         }
-        if ours.is_none() {
+        if !claim.is_some_and(|claim| claim.is_ours) {
             self.keep_beside(path, &target)?;
         }
         self.replace(path, contents, true)
@@ -94,14 +94,19 @@ impl Staging<'_> {
         let step = self.change.steps.len();
         let new = self.root.staged(step, "new");
         self.make(&new, &target, contents)?;
-        if has_old {
-            self.second_name(&target, &self.root.staged(step, "old"))?;
-        }
-        let hash = record::hash(&new).map_err(|error| OutputError::new(&new, error))?;
-        self.record.files.extend(hash.map(|hash| (path.to_owned(), hash)));
+        let old = if has_old { self.keep_old(&target)? } else { None };
+        let new = hash_of(&new)?;
+        self.record.files.extend(new.clone().map(|hash| (path.to_owned(), hash)));
         self.written.changed.push(path.into());
-        self.change.steps.push(Step { path: path.into(), has_new: true, has_old });
+        self.change.steps.push(Step { path: path.into(), new, old });
         Ok(())
+    }
+
+    /// A second name of what the next step replaces or removes, for an undo; its hash.
+    fn keep_old(&self, target: &Path) -> Result<Option<String>, OutputError> {
+        let old = self.root.staged(self.change.steps.len(), "old");
+        self.second_name(target, &old)?;
+        hash_of(&old)
     }
 
     fn make(&self, at: &Path, target: &Path, contents: &Contents) -> Result<(), OutputError> {
@@ -134,19 +139,18 @@ impl Staging<'_> {
 
     /// Somebody else's file gets a second name that stays, unless it has one already.
     fn keep_beside(&mut self, path: &str, target: &Path) -> Result<(), OutputError> {
-        let failed = |error| OutputError::new(target, error);
-        let original = record::hash(target).map_err(failed)?;
+        let original = hash_of(target)?;
         let names = std::iter::once(format!("{path}.before-viewrank"))
             .chain((2..).map(|n| format!("{path}.before-viewrank-{n}")));
         for name in names {
             let beside = self.root.locate(&name)?;
             if fs::symlink_metadata(&beside).is_err() {
                 self.second_name(target, &self.root.staged(self.change.steps.len(), "new"))?;
-                self.change.steps.push(Step { path: name.clone(), has_new: true, has_old: false });
+                self.change.steps.push(Step { path: name.clone(), new: original, old: None });
                 self.written.kept.push(name);
                 break;
             }
-            if record::hash(&beside).map_err(failed)? == original {
+            if hash_of(&beside)? == original {
                 break;
             }
         }
@@ -182,13 +186,13 @@ impl Staging<'_> {
             earlier.files.keys().filter(|path| !self.wanted.contains(path.as_str())).cloned().collect();
         for path in stale {
             let target = self.root.locate(&path)?;
-            if self.records.hash_if_ours(&self.root.path, &path)?.is_none()
+            if !self.records.claim(&self.root.path, &path)?.is_some_and(|claim| claim.is_ours)
                 || self.records.belongs_to_other(set, &self.root.path, &path)?
             {
                 continue;
             }
-            self.second_name(&target, &self.root.staged(self.change.steps.len(), "old"))?;
-            self.change.steps.push(Step { path: path.clone(), has_new: false, has_old: true });
+            let old = self.keep_old(&target)?;
+            self.change.steps.push(Step { path: path.clone(), new: None, old });
             self.written.removed.push(path);
         }
         Ok(())
@@ -208,6 +212,7 @@ impl Staging<'_> {
 
     /// The record changes together with what it records.
     fn record_itself(&mut self, set: &str, earlier: &Record) -> Result<(), OutputError> {
+        self.record.identity.clone_from(&self.root.identity);
         if self.record == *earlier {
             return Ok(());
         }
@@ -217,14 +222,16 @@ impl Staging<'_> {
         let step = self.change.steps.len();
         let mut text = serde_json::to_vec_pretty(&self.record).expect("strings are JSON");
         text.push(b'\n');
-        self.root.disk.write_new(&self.root.staged(step, "new"), text.as_slice(), false)?;
-        let has_old = fs::symlink_metadata(&target).is_ok();
-        if has_old {
-            self.second_name(&target, &self.root.staged(step, "old"))?;
-        }
-        self.change.steps.push(Step { path, has_new: true, has_old });
+        let new = self.root.staged(step, "new");
+        self.root.disk.write_new(&new, text.as_slice(), false)?;
+        let old = if fs::symlink_metadata(&target).is_ok() { self.keep_old(&target)? } else { None };
+        self.change.steps.push(Step { path, new: hash_of(&new)?, old });
         Ok(())
     }
+}
+
+fn hash_of(path: &Path) -> Result<Option<String>, OutputError> {
+    record::hash(path).map_err(|error| OutputError::new(path, error))
 }
 
 /// The folders that the files of a set lie in.
