@@ -378,6 +378,7 @@ fn around_finished(plan: Plan, project: &Project, job: &Job) -> Ended<Plan> {
         Err(WrittenPlanError::Io { source, .. }) if source.kind() != io::ErrorKind::NotFound => {
             return Err(unreadable(source));
         }
+        Err(error @ WrittenPlanError::Own(_)) => return Err(failed(error)),
         // Without an earlier plan nothing is known of the partners that the maps were made with.
         Err(_) => return Ok(plan),
     };

@@ -8,7 +8,7 @@ mod movement;
 
 use std::{
     collections::{BTreeMap, BTreeSet},
-    fs, io,
+    io,
     path::Path,
 };
 
@@ -20,7 +20,8 @@ use crate::{
     error::Hint,
     evaluate::{EvaluateError, Run, Task},
     fulfilment::GrowingTable,
-    manifest::{Recorded, WrittenPlanError},
+    input,
+    manifest::{self, Recorded, WrittenPlanError},
     partners::ViewCluster,
     plan::{Outdated, Plan, PlanError, PlannedView, PlannedViews},
     progress::{Cancelled, Watcher},
@@ -44,7 +45,7 @@ impl Earlier {
     pub fn read(project: &Project) -> Result<Self, WrittenPlanError> {
         let recorded = Recorded::read(project)?;
         let path = project.output_folder().join("planned_views.json");
-        let bytes = fs::read(&path).map_err(|source| WrittenPlanError::Io { path: path.clone(), source })?;
+        let bytes = manifest::read_own(project, "viewrank/planned_views.json")?;
         let views = serde_json::from_slice(&bytes)
             .map_err(|error| WrittenPlanError::Manifest { path, what: error.to_string() })?;
         let clusters = recorded.clusters.into_iter().map(|c| (c.key, c.partners)).collect();
@@ -195,7 +196,7 @@ fn look(plan: &Plan, earlier: &Earlier, maps: &Maps, watcher: &dyn Watcher) -> R
 }
 
 fn hash(file: &Path) -> io::Result<String> {
-    Ok(blake3::hash(&fs::read(file)?).to_string())
+    Ok(blake3::hash(&input::read(file, input::Kind::Picture)?).to_string())
 }
 
 /// A depth map with the cluster that it was made for.
