@@ -12,8 +12,10 @@ use std::{
 /// The kind of a file that is read whole, which decides how large it may be.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
-    /// `viewrank.toml` and lists that people write.
+    /// `viewrank.toml` and notes of a few lines.
     Settings,
+    /// A list of names, such as `clusters.txt`.
+    List,
     /// A trained model of the confidence.
     Trained,
     /// An image, a mask or a depth map.
@@ -29,8 +31,8 @@ impl Kind {
     /// The most bytes that are read.
     pub const fn limit(self) -> u64 {
         match self {
-            Self::Settings => 4 << 20,
-            Self::Trained => 256 << 20,
+            Self::Settings => 1 << 20,
+            Self::List | Self::Trained => 256 << 20,
             Self::State => 1 << 30,
             Self::Picture => 2 << 30,
             Self::Mesh => 16 << 30,
@@ -40,7 +42,8 @@ impl Kind {
 
     const fn name(self) -> &'static str {
         match self {
-            Self::Settings => "a text file of settings or names",
+            Self::Settings => "settings",
+            Self::List => "a list of names",
             Self::Trained => "a trained model",
             Self::Picture => "an image, a mask or a depth map",
             Self::Mesh => "a mesh",
@@ -129,6 +132,6 @@ mod tests {
         file.as_file().set_len(Kind::Settings.limit() + 1).expect("a length");
         let error = read(file.path(), Kind::Settings).expect_err("too large");
         assert_eq!(error.kind(), io::ErrorKind::FileTooLarge);
-        assert!(error.to_string().contains("4 MiB"), "{error}");
+        assert!(error.to_string().contains(" 1 MiB"), "{error}");
     }
 }

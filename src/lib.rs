@@ -14,7 +14,7 @@
 //! - [`plan`] runs the stages; [`evaluate`] method 8: real fulfilment, baselines; [`replan`] method 5.4; [`output`] makes files appear whole or not at all
 //! - [`doctor`] what is wrong with a project before it is planned
 //! - [`config`] every setting; [`progress`] progress and cancellation; [`error`] what errors say beside their message; [`shell`] commands to type
-//! - [`column`] columns of large tables, in memory or on disk; `connected` parts of a graph; `input` opens what a project names; `vector` inner loops for the processor at hand; `large_pages` for lists that are read all over
+//! - [`column`] columns of large tables, in memory or on disk; [`input`] opens what a project names; `connected` parts of a graph; `vector` inner loops for the processor at hand; `large_pages` for lists that are read all over
 
 pub mod backends;
 pub mod camera;
@@ -31,7 +31,7 @@ pub mod evaluate;
 pub mod formats;
 pub mod fulfilment;
 pub mod georeference;
-mod input;
+pub mod input;
 mod large_pages;
 pub mod manifest;
 pub mod output;

@@ -604,7 +604,7 @@ fn an_output_that_is_removed_is_noticed_at_once() {
 /// A pipe would be waited for, a device read without end.
 #[test]
 fn settings_that_are_no_file_of_the_project_fail_it_alone() {
-    for (kind, words) in [("pipe", "no regular file"), ("link", "is a symbolic link")] {
+    for (kind, words) in [("pipe", "not a regular file"), ("link", "is a symbolic link")] {
         let real = Real::new(&town());
         let settings = real.project.join("viewrank.toml");
         match kind {

@@ -6,6 +6,7 @@ use serde::Deserialize;
 
 use super::{BackendError, Export};
 use crate::{
+    input::{self, Kind},
     output::{FileSet, OutputError},
     project::{Project, ProjectError, slashes},
 };
@@ -75,7 +76,7 @@ fn earlier_backend(folder: &Path) -> Option<String> {
     struct Record {
         backend: String,
     }
-    let read = |name: &&str| serde_json::from_slice::<Record>(&std::fs::read(folder.join(name)).ok()?).ok();
+    let read = |name: &&str| serde_json::from_slice::<Record>(&input::read(&folder.join(name), Kind::State).ok()?).ok();
     RECORDS.iter().find_map(read).map(|record| record.backend)
 }
 

@@ -7,6 +7,7 @@ use std::{
 
 use clap::Args;
 use viewrank::{
+    input::{self, Kind},
     output::{Disk, FileSet},
     plan,
     progress::{Stage, Watcher},
@@ -59,7 +60,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
 
 /// Seconds that planning took, as `viewrank plan` wrote them down.
 fn planning_seconds(folder: &Path) -> Option<f64> {
-    let timings = std::fs::read(folder.join("timings.json")).ok()?;
+    let timings = input::read(&folder.join("timings.json"), Kind::State).ok()?;
     serde_json::from_slice::<serde_json::Value>(&timings).ok()?["total"].as_f64()
 }
 

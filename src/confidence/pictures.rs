@@ -1,7 +1,6 @@
 //! Looking at the pictures of a project: reading, predicting, keeping.
 
 use std::{
-    fs,
     io::ErrorKind,
     path::{Path, PathBuf},
     sync::atomic::{AtomicU64, Ordering},
@@ -16,6 +15,7 @@ use super::{
 };
 use crate::{
     camera::Camera,
+    input::{self, Kind},
     progress::{Cancelled, Stage, Watcher},
     project::Project,
     scene::{Scene, ViewIndex},
@@ -167,7 +167,7 @@ impl Files {
         predictor: Option<&dyn Predictor>,
         cache: &Cache,
     ) -> Result<Option<Entry>, ImageError> {
-        let read = |path: &Option<PathBuf>| path.as_deref().map(fs::read).transpose();
+        let read = |path: &Option<PathBuf>| path.as_deref().map(|path| input::read(path, Kind::Picture)).transpose();
         let (image, mask) = (read(&self.image)?, read(&self.mask)?);
         let now = self.inputs();
         let with = |stamp: Option<Stamp>, bytes: &Option<Vec<u8>>| Some(stamp?.with_content(bytes.as_deref()?));

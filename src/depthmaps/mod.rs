@@ -13,7 +13,12 @@ use std::path::{Path, PathBuf};
 
 use nalgebra::Point2;
 
-use crate::{camera::Camera, error::Hint, scene::Scene};
+use crate::{
+    camera::Camera,
+    error::Hint,
+    input::{self, Kind},
+    scene::Scene,
+};
 
 pub use find::{DepthMapFile, DepthMapSet, find, folder_of, folders, list, looks_like_one, places};
 
@@ -184,7 +189,7 @@ type Parsed<T> = Result<T, (usize, String)>;
 
 /// Reads one depth map.
 pub fn read(path: &Path, format: DepthMapFormat) -> Result<DepthMap, DepthMapError> {
-    let bytes = std::fs::read(path).map_err(|source| DepthMapError::Io { path: path.into(), source })?;
+    let bytes = input::read(path, Kind::Picture).map_err(|source| DepthMapError::Io { path: path.into(), source })?;
     parse(&bytes, format).map_err(|(byte, what)| DepthMapError::Format { path: path.into(), byte, what })
 }
 

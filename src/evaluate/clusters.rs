@@ -9,6 +9,7 @@ use walkdir::WalkDir;
 
 use crate::{
     error::Hint,
+    input::{self, Kind},
     partners::ViewCluster,
     scene::{Scene, ViewIndex},
 };
@@ -32,7 +33,7 @@ impl Hint for ClustersError {
 
 /// In the order of the lines.
 pub fn read(path: &Path, scene: &Scene) -> Result<Vec<ViewCluster>, ClustersError> {
-    let text = std::fs::read_to_string(path).map_err(|source| ClustersError::Io { path: path.into(), source })?;
+    let text = input::read_text(path, Kind::List).map_err(|source| ClustersError::Io { path: path.into(), source })?;
     let mut clusters = Vec::new();
     let mut keys = BTreeSet::new();
     for (line, content) in text.lines().enumerate().filter(|(_, l)| !l.trim().is_empty() && !l.starts_with('#')) {

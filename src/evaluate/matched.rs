@@ -12,6 +12,7 @@ use walkdir::WalkDir;
 use crate::{
     depthmaps::{self, DepthMapFile},
     error::Hint,
+    input::{self, Kind},
     partners::ViewCluster,
     scene::{Scene, ViewIndex},
 };
@@ -69,7 +70,7 @@ pub fn read_report(folder: &Path, scene: &Scene) -> Result<Report, ReportError> 
 }
 
 fn read_file(path: PathBuf, scene: &Scene) -> Result<Report, ReportError> {
-    let bytes = match std::fs::read(&path) {
+    let bytes = match input::read(&path, Kind::State) {
         Ok(bytes) => bytes,
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(Report::new()),
         Err(error) => return Err(ReportError { path, what: error.to_string() }),

@@ -12,6 +12,7 @@ pub use ellipsoid::{Geodetic, Zone};
 
 use crate::{
     config::FrameSettings,
+    input::{self, Kind},
     pictures::MapFrame,
     project::{ModelFormat, Project},
     scene::Scene,
@@ -113,12 +114,12 @@ struct Reconstruction {
 }
 
 fn read_json<T: serde::de::DeserializeOwned>(path: &Path) -> Option<T> {
-    serde_json::from_slice(&std::fs::read(path).ok()?).ok()
+    serde_json::from_slice(&input::read(path, Kind::Sparse).ok()?).ok()
 }
 
 /// `WGS84 UTM 15N`, then the offset of the model's coordinates.
 fn map_coordinates(path: &Path) -> Option<Georeference> {
-    let text = std::fs::read_to_string(path).ok()?;
+    let text = input::read_text(path, Kind::Settings).ok()?;
     let mut lines = text.lines();
     let zone = Zone::parse(lines.next()?.strip_prefix("WGS84 UTM ")?)?;
     let mut numbers = lines.next()?.split_whitespace().map(str::parse);

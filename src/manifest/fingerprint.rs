@@ -1,12 +1,11 @@
 //! Which input a plan was made from.
 
 use std::{
-    fs::{self, File},
-    io,
+    fs, io,
     path::{Path, PathBuf},
 };
 
-use crate::{error::Hint, project::Project, scene::Scene};
+use crate::{error::Hint, input, project::Project, scene::Scene};
 
 /// The input could not be read a second time.
 #[derive(Debug, thiserror::Error)]
@@ -30,7 +29,7 @@ pub fn fingerprint(project: &Project, scene: &Scene, mesh: Option<&Path>) -> Res
         // Lengths in front, so that no two lists of files give the same bytes.
         let length = fs::metadata(&path).map_err(failed)?.len();
         hasher.update(&length.to_le_bytes());
-        hasher.update_reader(File::open(&path).map_err(failed)?).map_err(failed)?;
+        hasher.update_reader(input::open(&path).map_err(failed)?).map_err(failed)?;
     }
     for view in &scene.views {
         hasher.update(&(view.name.len() as u64).to_le_bytes()).update(view.name.as_bytes());

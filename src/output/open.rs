@@ -70,7 +70,7 @@ fn regular_file(path: &Path, options: &mut OpenOptions) -> Result<File, OutputEr
     if found.is_file() { Ok(file) } else { Err(foreign(&found)) }
 }
 
-fn kind(found: &Metadata) -> &'static str {
+pub(super) fn kind(found: &Metadata) -> &'static str {
     match () {
         () if found.is_symlink() => "a symbolic link",
         () if found.is_dir() => "a folder",

@@ -70,6 +70,9 @@ impl Staging<'_> {
         if found.is_dir() {
             return Err(OutputError::InTheWay { path: target, folder: true });
         }
+        if !found.is_file() && !found.is_symlink() {
+            return Err(OutputError::Foreign { path: target, what: open::kind(&found) });
+        }
         let claim = self.records.claim(&self.root.path, path)?;
         if is_same(&target, &found, contents, &self.root.path).map_err(|error| OutputError::new(&target, error))? {
             self.record.files.extend(claim.map(|claim| (path.to_owned(), claim.hash)));

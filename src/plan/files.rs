@@ -6,8 +6,8 @@ use crate::{
     confidence,
     error::Hint,
     georeference::Georeference,
-    manifest::{FingerprintError, Manifest},
-    output::{Contents, FileSet},
+    manifest::{self, FingerprintError, Manifest},
+    output::{self, Contents, FileSet},
     pictures::{Curve, curve_svg, surface_ply, views_geojson},
     project::Project,
     report,
@@ -102,7 +102,7 @@ pub fn files(plan: &Plan, project: &Project) -> Result<PlanFiles, FilesError> {
 
 /// The page that shows another plan than this one goes.
 fn stale_page(project: &Project, manifest: &Manifest) -> Option<FileSet> {
-    let earlier = std::fs::read(project.output_folder().join("manifest.json"));
+    let earlier = output::read_own(&project.root, manifest::FILE);
     let shows_another = earlier.map_or(true, |earlier| earlier != manifest.to_json().as_bytes());
     let there = project.root.join(report::FILE).exists();
     (there && shows_another).then(|| FileSet::new(&project.root, report::SET))

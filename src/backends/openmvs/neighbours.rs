@@ -12,6 +12,7 @@ use super::{OpenMvs, dense_config, resolution};
 use crate::{
     backends::{BackendError, Export, ExportOptions, ExportRecord, Selection, capped_scale, selection::origin_among},
     formats::openmvs::{Mvs, NO_POSE},
+    input::{self, Kind},
     output::Contents,
     project::ProjectError,
     scene::ViewIndex,
@@ -90,7 +91,7 @@ pub fn export(selection: &Selection, options: &ExportOptions, path: &Path) -> Re
 }
 
 fn read(path: &Path) -> Result<Mvs, BackendError> {
-    let bytes = std::fs::read(path).map_err(|source| ProjectError::Io { path: path.into(), source })?;
+    let bytes = input::read(path, Kind::Sparse).map_err(|source| ProjectError::Io { path: path.into(), source })?;
     Ok(Mvs::read(&bytes).map_err(|fault| ProjectError::Fault { path: path.into(), fault })?)
 }
 
