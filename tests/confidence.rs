@@ -157,3 +157,46 @@ fn a_project_without_images_is_planned_with_a_warning() {
     let manifest = plan(project.path(), &[]);
     assert!(warnings(&manifest).contains("no image folder"), "{}", warnings(&manifest));
 }
+
+/// A device would be read without end, a pipe waited for.
+#[cfg(unix)]
+#[test]
+fn what_is_no_file_is_neither_waited_for_nor_read_without_end() {
+    let folder = project();
+    let pipe = folder.path().join("pipe");
+    let make_pipe = |path: &Path| assert!(Command::new("mkfifo").arg(path).status().unwrap().success());
+    make_pipe(&pipe);
+    let root = folder.path().to_str().unwrap();
+    for key in ["confidence.source", "surface.mesh"] {
+        for file in ["/dev/zero", "pipe"] {
+            fs::write(folder.path().join("viewrank.toml"), format!("{key} = \"{file}\"\n")).unwrap();
+            let output = viewrank(&["plan", root, "--quiet"]);
+            let message = String::from_utf8_lossy(&output.stderr).into_owned();
+            assert!(!output.status.success() && message.contains("not a regular file"), "{key} = {file}: {message}");
+        }
+    }
+    fs::remove_file(folder.path().join("viewrank.toml")).unwrap();
+    let [first, second, ..] = &images(folder.path())[..] else { panic!("no images") };
+    fs::remove_file(first).unwrap();
+    make_pipe(first);
+    fs::remove_file(second).unwrap();
+    std::os::unix::fs::symlink("/dev/zero", second).unwrap();
+    let manifest = plan(folder.path(), &[]);
+    assert_eq!(warnings(&manifest).matches("not a regular file").count(), 2, "{}", warnings(&manifest));
+
+    // What is ours is refused where it is something else.
+    for name in ["manifest.json", ".journal.json", ".lock"] {
+        let own = folder.path().join("viewrank").join(name);
+        let aside = folder.path().join("aside");
+        let was_there = fs::rename(&own, &aside).is_ok();
+        make_pipe(&own);
+        let output = viewrank(&["plan", root, "--quiet"]);
+        let message = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(!output.status.success() && message.contains(name), "{name}: {message}");
+        fs::remove_file(&own).unwrap();
+        if was_there {
+            fs::rename(&aside, &own).unwrap();
+        }
+    }
+    assert!(viewrank(&["plan", root, "--quiet"]).status.success());
+}

@@ -23,7 +23,7 @@ use viewrank::internals::{
         watch_roots,
     },
     formats::{colmap::ColmapModel, colmap_bin},
-    output::Disk,
+    output::{Disk, OutputError},
     scene::Scene,
     synthetic::Town,
 };
@@ -372,6 +372,53 @@ fn a_second_daemon_says_who_holds_the_root() {
     });
 }
 
+fn make_pipe(path: &Path) {
+    assert!(std::process::Command::new("mkfifo").arg(path).status().expect("mkfifo").success());
+}
+
+fn watch_once(root: &Path) -> Result<Summary, DaemonError> {
+    let options = Options { once: true, ..options(root) };
+    watch_roots(&options, &Counter::default(), &Disk::REAL, |_| {})
+}
+
+#[test]
+fn a_lock_that_is_not_the_daemons_is_refused_and_stays_as_it_is() {
+    let (_elsewhere, outside) = root();
+    let precious = outside.join("precious.txt");
+    fs::write(&precious, "precious").expect("a file");
+    let plant: [(&str, &dyn Fn(&Path)); 4] = [
+        ("link", &|lock| std::os::unix::fs::symlink(&precious, lock).expect("a link")),
+        ("second name", &|lock| fs::hard_link(&precious, lock).expect("a second name")),
+        ("file", &|lock| fs::write(lock, "precious").expect("a file")),
+        ("pipe", &make_pipe),
+    ];
+    for (kind, plant) in plant {
+        let root = outside.join(kind);
+        fs::create_dir_all(root.join("viewrank")).expect("a folder");
+        plant(&root.join("viewrank/watch.lock"));
+        let refused = watch_once(&root);
+        assert!(matches!(refused, Err(DaemonError::Output(OutputError::Foreign { .. }))), "{kind}: {refused:?}");
+        assert_eq!(fs::read(&precious).expect("a file"), b"precious", "{kind}");
+        assert!(kind != "file" || fs::read(root.join("viewrank/watch.lock")).expect("a file") == b"precious");
+    }
+}
+
+#[test]
+fn neither_status_nor_lock_is_written_outside_of_the_root() {
+    let (_elsewhere, outside) = root();
+    let (_guard, root) = root();
+    std::os::unix::fs::symlink(&outside, root.join("viewrank")).expect("a link");
+    assert!(matches!(watch_once(&root), Err(DaemonError::Output(OutputError::Escapes { .. }))));
+    assert!(fs::read_dir(&outside).expect("a folder").next().is_none());
+
+    fs::remove_file(root.join("viewrank")).expect("a link");
+    fs::create_dir(root.join("outputs")).expect("a folder");
+    std::os::unix::fs::symlink("outputs", root.join("viewrank")).expect("a link");
+    watch_once(&root).expect("the root can be watched");
+    assert!(read_status(&root).is_some() && root.join("outputs/status.json").is_file());
+    watch_once(&root).expect("a lock of an earlier run is the daemon's own");
+}
+
 fn town() -> Scene {
     let camera = Camera::new(1, CameraModel::Pinhole, 400, 300, vec![320.0, 320.0, 200.0, 150.0]).expect("a camera");
     Town { grid: 3, points: 400, tilt: None, side: 40.0, boxes: 1, ..Town::new(camera) }.scene()
@@ -558,11 +605,11 @@ fn an_output_that_is_removed_is_noticed_at_once() {
 /// A pipe would be waited for, a device read without end.
 #[test]
 fn settings_that_are_no_file_of_the_project_fail_it_alone() {
-    for (kind, words) in [("pipe", "no regular file"), ("link", "is a symbolic link")] {
+    for (kind, words) in [("pipe", "not a regular file"), ("link", "is a symbolic link")] {
         let real = Real::new(&town());
         let settings = real.project.join("viewrank.toml");
         match kind {
-            "pipe" => drop(std::process::Command::new("mkfifo").arg(&settings).status().expect("mkfifo")),
+            "pipe" => make_pipe(&settings),
             _ => std::os::unix::fs::symlink("/dev/zero", &settings).expect("a link"),
         }
         match real.once(false) {

@@ -14,6 +14,7 @@ use viewrank::internals::{
     files::files,
     formats::{colmap::ColmapModel, colmap_bin},
     fulfilment::FulfilmentTable,
+    manifest::{WrittenPlan, WrittenPlanError},
     output::Disk,
     plan::Plan,
     progress::Unwatched,
@@ -375,4 +376,42 @@ fn a_map_that_is_cut_off_says_nothing_about_the_others() {
     assert_eq!((plan.decision.finished.clusters, outdated), (0, keys));
     assert_eq!(plan.decision.finished.unreadable.len(), 2, "{:?}", plan.decision.finished.unreadable);
     assert!(plan.decision.finished.unreadable[0].contains("depth0009.dmap"));
+}
+
+#[test]
+fn a_manifest_that_contradicts_itself_is_refused_with_its_cluster() {
+    let planned = Planned::new(&town());
+    let root = planned.folder.path();
+    let path = root.join("viewrank/manifest.json");
+    let written: serde_json::Value = serde_json::from_slice(&fs::read(&path).unwrap()).unwrap();
+    WrittenPlan::read(root).unwrap();
+    let clusters = written["clusters"].as_array().unwrap();
+    let [first, second] = [0, 1].map(|i| clusters[i]["key"].clone());
+    let edits: [(&str, serde_json::Value, &str); 14] = [
+        ("/clusters/1/partners/0", second.clone(), "cluster 2 ("),
+        ("/clusters/1/partners", vec![first.clone(); 5].into(), "is a partner twice"),
+        ("/clusters/1/partners/0", "nobody.jpg".into(), "no view is called nobody.jpg"),
+        ("/clusters/1/key", first, "key view of an earlier cluster"),
+        ("/clusters/1/key", "nobody.jpg".into(), "no view is called so"),
+        ("/clusters/1/rank", (-1).into(), "cluster 2 ("),
+        ("/clusters/1/rank", 3.into(), "its rank is 3"),
+        ("/clusters/1/share", 17.into(), "its share is 17"),
+        ("/clusters/1/gain", (-0.5).into(), "its gain is -0.5"),
+        ("/clusters/1/fulfilment", 0.0.into(), "its fulfilment is 0"),
+        ("/clusters/1/finished", true.into(), "behind one that isn't"),
+        ("/cut/clusters", 1_000_000_000.into(), "the cut takes 1000000000"),
+        ("/cut/share", 17.into(), "the cut has a share of 17"),
+        ("/backend", "nobody".into(), "nobody"),
+    ];
+    for (place, value, words) in edits {
+        let mut edited = written.clone();
+        *edited.pointer_mut(place).unwrap() = value;
+        fs::write(&path, edited.to_string()).unwrap();
+        match WrittenPlan::read(root) {
+            Err(WrittenPlanError::Manifest { what, .. }) => assert!(what.contains(words), "{place}: {what}"),
+            other => panic!("{place}: {:?}", other.map(|plan| plan.clusters)),
+        }
+        let project = Project::open(root, None).unwrap();
+        assert!(matches!(Earlier::read(&project), Err(WrittenPlanError::Manifest { .. })), "{place}");
+    }
 }

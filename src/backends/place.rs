@@ -5,9 +5,12 @@ use std::path::{Component, Path, PathBuf};
 use serde::Deserialize;
 
 use super::{BackendError, Export};
-use crate::io::{
-    output::{FileSet, OutputError},
-    project::{Project, ProjectError, slashes},
+use crate::{
+    base::input::{self, Kind},
+    io::{
+        output::{FileSet, OutputError},
+        project::{Project, ProjectError, slashes},
+    },
 };
 
 /// Where an export has its record, and where its first tile has one.
@@ -75,7 +78,7 @@ fn earlier_backend(folder: &Path) -> Option<String> {
     struct Record {
         backend: String,
     }
-    let read = |name: &&str| serde_json::from_slice::<Record>(&std::fs::read(folder.join(name)).ok()?).ok();
+    let read = |name: &&str| serde_json::from_slice::<Record>(&input::read(&folder.join(name), Kind::State).ok()?).ok();
     RECORDS.iter().find_map(read).map(|record| record.backend)
 }
 

@@ -8,7 +8,11 @@ use super::{
     Selection, Trap,
     images::{ANY_PROGRAM, name_lines},
 };
-use crate::{io::output::Contents, model::scene::ViewIndex};
+use crate::{
+    base::input::{self, Kind},
+    io::output::Contents,
+    model::scene::ViewIndex,
+};
 
 pub struct RealityScan;
 
@@ -81,7 +85,8 @@ fn poses_beside(patient: &Patient) -> Option<Trap> {
     let images = patient.project.images.as_ref()?;
     let holds_pose = |view: &ViewIndex| {
         let path = images.join(format!("{}.xmp", stem(patient.scene.name(*view))));
-        std::fs::read_to_string(path).is_ok_and(|text| text.contains("xcr:PosePrior") || text.contains("xcr:Position"))
+        input::read_text(&path, Kind::List)
+            .is_ok_and(|text| text.contains("xcr:PosePrior") || text.contains("xcr:Position"))
     };
     let views: Vec<ViewIndex> = patient.scene.view_indices().filter(holds_pose).collect();
     (!views.is_empty()).then(|| Trap {

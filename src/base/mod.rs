@@ -3,6 +3,7 @@
 pub mod column;
 pub mod connected;
 pub mod error;
+pub mod input;
 pub mod large_pages;
 pub mod progress;
 pub mod shell;

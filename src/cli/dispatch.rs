@@ -15,7 +15,7 @@ use crate::{
     base::shell::{quoted, quoted_path},
     config::{Budget, DispatchSettings, Share, Typed},
     daemon::{follow, state::Outcome},
-    io::output::{self, Contents, Disk, FileSet, Written},
+    io::output::{Contents, Disk, FileSet, Written},
     show::manifest::WrittenPlan,
 };
 use clap::{Args, ValueEnum};
@@ -224,7 +224,7 @@ impl Arguments {
                     warn(&format!("what is there could not be measured: {reason}"));
                 }
                 // What it says is of depth maps that are gone, or of another plan: no task may stop for it.
-                output::remove(&follow::progress_file(root), &Disk::REAL)?;
+                follow::Progress::remove(root)?;
                 Ok(false)
             }
         }

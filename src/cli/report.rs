@@ -5,12 +5,17 @@ use std::{
     process::{Command, Stdio},
 };
 
-use crate::apps::replan;
-use crate::show::files::{REPORT_FILE, REPORT_SET};
 use crate::{
-    apps::report::{self, Contents, Finished},
-    base::progress::{Stage, Watcher},
+    apps::{
+        replan,
+        report::{self, Contents, Finished},
+    },
+    base::{
+        input::{self, Kind},
+        progress::{Stage, Watcher},
+    },
     io::output::{Disk, FileSet},
+    show::files::{REPORT_FILE, REPORT_SET},
 };
 use clap::Args;
 
@@ -60,7 +65,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
 
 /// Seconds that planning took, as `viewrank plan` wrote them down.
 fn planning_seconds(folder: &Path) -> Option<f64> {
-    let timings = std::fs::read(folder.join("timings.json")).ok()?;
+    let timings = input::read(&folder.join("timings.json"), Kind::State).ok()?;
     serde_json::from_slice::<serde_json::Value>(&timings).ok()?["total"].as_f64()
 }
 

@@ -2,7 +2,7 @@
 
 use std::{
     collections::BTreeMap,
-    fmt, fs, io,
+    fmt, io,
     path::{Path, PathBuf},
 };
 
@@ -11,7 +11,13 @@ use serde::Deserialize;
 use toml::{Table, Value, de::DeTable};
 
 use super::{Key, Settings, keys};
-use crate::{base::error::Hint, model::georeference::Zone};
+use crate::{
+    base::{
+        error::Hint,
+        input::{self, Kind},
+    },
+    model::georeference::Zone,
+};
 
 /// The proper name of the backend that somebody typed.
 pub type NameOf = fn(&str) -> Result<&'static str, UnknownBackend>;
@@ -171,24 +177,9 @@ impl Configuration {
     }
 }
 
-/// No file of settings is larger.
-const MOST_BYTES: u64 = 1 << 20;
-
-/// A pipe, or a device without end, is no file of settings.
-fn text_of(path: &Path) -> io::Result<String> {
-    let metadata = fs::metadata(path)?;
-    if !metadata.is_file() {
-        return Err(io::Error::new(io::ErrorKind::InvalidInput, "no regular file"));
-    }
-    if metadata.len() > MOST_BYTES {
-        return Err(io::Error::new(io::ErrorKind::FileTooLarge, format!("{} bytes are no settings", metadata.len())));
-    }
-    fs::read_to_string(path)
-}
-
 /// The entries of a file; none where there is no file.
 fn read(path: &Path) -> Result<Vec<Entry>, ConfigError> {
-    let text = match text_of(path) {
+    let text = match input::read_text(path, Kind::Settings) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),
         Err(source) => return Err(ConfigError::Read { path: path.into(), source }),
         Ok(text) => text,
@@ -203,9 +194,11 @@ fn read(path: &Path) -> Result<Vec<Entry>, ConfigError> {
     collect(DeTable::parse(&text).map_err(syntax)?.get_ref(), "", &mut |key, at| {
         let place = Place::File { path: path.into(), line: line_of(&text, at) };
         let value = key.split('.').try_fold(&values, |value, part| value.get(part));
-        entries.extend(value.map(|value| Entry { key: key.into(), value: from_file(key, value, path), place }));
+        let entry =
+            value.map(|value| Entry { key: key.into(), value: from_file(key, value, path), place: place.clone() });
+        entries.push(entry.ok_or_else(|| ConfigError::UnknownKey { place, key: key.into() }));
     });
-    Ok(entries)
+    entries.into_iter().collect()
 }
 
 /// A value of a file; what names another file does so from the folder of this one.
@@ -221,10 +214,13 @@ fn from_file(key: &str, value: &Value, file: &Path) -> Value {
     }
 }
 
-/// Calls `found` with each key that is no section, and the byte at which it stands.
+/// Calls `found` with each key that is no section, and the byte at which it is. A name with a dot stays in quotes: `"partners.k"` is no
+/// setting, however much it looks like one.
 fn collect(table: &DeTable, path: &str, found: &mut impl FnMut(&str, usize)) {
     for (name, value) in table {
-        let key = if path.is_empty() { name.get_ref().to_string() } else { format!("{path}.{}", name.get_ref()) };
+        let text = name.get_ref();
+        let text = if text.contains('.') { format!("\"{text}\"") } else { text.to_string() };
+        let key = if path.is_empty() { text } else { format!("{path}.{text}") };
         match value.get_ref().as_table() {
             Some(section) if is_section(&key) => collect(section, &key, found),
             _ => found(&key, name.span().start),
@@ -374,6 +370,8 @@ fn nearest(key: &str) -> Option<&'static str> {
 
 #[cfg(test)]
 mod tests {
+    use std::fs;
+
     use super::*;
     use crate::backends::canonical_name;
     use crate::model::scene::Units;
@@ -415,6 +413,19 @@ mod tests {
         assert!(both.source("target.accuracy").to_string().ends_with("user.toml:4"));
         assert!(both.source("partners.k").to_string().ends_with("project.toml:1"));
         assert_eq!(both.source("seed"), Source::Default);
+    }
+
+    #[test]
+    fn a_quoted_name_with_a_dot_is_no_setting() {
+        for text in
+            ["\"partners.k\" = 2\n", "[partners]\nk = 3\n[\"partners.k\"]\n", "[partners]\n\"k.k\" = 2\n", "'' = 1\n"]
+        {
+            let error = load("", text, Typed::default()).unwrap_err();
+            assert!(matches!(error, ConfigError::UnknownKey { .. }), "{text}: {error}");
+        }
+        let (message, hint) = refused("seed = 1\n\"partners.k\" = 2\n");
+        assert_eq!(message, "project.toml:2: there is no setting \"partners.k\"");
+        assert_eq!(hint, "did you mean partners.k?");
     }
 
     #[test]

@@ -10,7 +10,6 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::{
-    discover::OUTPUT_FOLDER,
     maps::{MapFiles, map_files},
     state::Outcome,
 };
@@ -31,6 +30,8 @@ use crate::{
 };
 
 const PROGRESS: &str = "progress.json";
+/// The same, relative to the project.
+const PROGRESS_FILE: &str = "viewrank/progress.json";
 /// A pause so many times longer than the usual time between two maps is not counted as time of matching.
 const PAUSE: f64 = 20.0;
 
@@ -86,7 +87,7 @@ impl Progress {
 
     /// What was said last of a project; `None` where nothing was.
     pub fn read(root: &Path) -> Option<Self> {
-        serde_json::from_slice(&fs::read(progress_file(root)).ok()?).ok()
+        serde_json::from_slice(&output::read_own(root, PROGRESS_FILE).ok()?).ok()
     }
 
     /// Takes over whether this target was announced before.
@@ -105,7 +106,12 @@ impl Progress {
 
     pub fn write(&self, root: &Path) -> Result<(), OutputError> {
         let text = serde_json::to_string_pretty(self).unwrap_or_default() + "\n";
-        output::replace(&progress_file(root), text.as_bytes(), &Disk::REAL)
+        output::replace(&output::own_path(root, PROGRESS_FILE)?, text.as_bytes(), &Disk::REAL)
+    }
+
+    /// Takes it away; it may be gone already.
+    pub fn remove(root: &Path) -> Result<(), OutputError> {
+        output::remove(&output::own_path(root, PROGRESS_FILE)?, &Disk::REAL)
     }
 }
 
@@ -117,7 +123,7 @@ pub(super) fn outdated_note(outdated: &[Outdated], file: &str) -> Option<String>
 
 /// Where the progress of a project is said.
 pub fn progress_file(root: &Path) -> PathBuf {
-    root.join(OUTPUT_FOLDER).join(PROGRESS)
+    root.join(PROGRESS_FILE)
 }
 
 /// Was the target reached when the depth maps were last measured?

@@ -2,7 +2,7 @@
 
 use std::{
     collections::BTreeMap,
-    fs, io,
+    io,
     path::{Path, PathBuf},
     process::{Child, Command, Stdio},
     sync::{
@@ -107,7 +107,7 @@ pub trait Planner: Sync {
 }
 
 /// Written with each plan: what it was made from, so that a new start of the daemon knows.
-const RECORD: &str = "planned_from.json";
+const RECORD: &str = "viewrank/planned_from.json";
 
 /// The record beside a plan.
 #[derive(Debug, Serialize, Deserialize)]
@@ -209,9 +209,11 @@ impl PlanJob {
         }
         // The depth maps are gone: nothing is finished or reached any more. What tells of them goes last, so that a run that is
         // killed on the way is made up for by the next.
-        output::remove(&job.project.join(OUTPUT_FOLDER).join(RECORD), &Disk::REAL).map_err(failed)?;
+        output::own_path(job.project, RECORD)
+            .and_then(|record| output::remove(&record, &Disk::REAL))
+            .map_err(failed)?;
         let outcome = self.plan_input(job)?;
-        output::remove(&progress, &Disk::REAL).map_err(failed)?;
+        Progress::remove(job.project).map_err(failed)?;
         Ok(outcome)
     }
 
@@ -391,6 +393,7 @@ fn around_finished(plan: Plan, project: &Project, job: &Job) -> Ended<Plan> {
         Err(WrittenPlanError::Io { source, .. }) if source.kind() != io::ErrorKind::NotFound => {
             return Err(unreadable(source));
         }
+        Err(error @ WrittenPlanError::Own(_)) => return Err(failed(error)),
         // Without an earlier plan nothing is known of the partners that the maps were made with.
         Err(_) => return Ok(plan),
     };
@@ -409,7 +412,7 @@ fn write(plan: &Plan, project: &Project, mut record: PlannedFrom, job: &Job) -> 
     record.files = sets.iter().flat_map(|set| files_in(set, job.project)).collect();
     let record = serde_json::to_string(&record).map_err(|_| Outcome::Abandoned)?;
     if let Some(own) = sets.first_mut().filter(|_| job.is_current()) {
-        own.add_text(format!("{OUTPUT_FOLDER}/{RECORD}"), record + "\n");
+        own.add_text(RECORD, record + "\n");
     }
     if !job.is_wanted() {
         return Err(Outcome::Abandoned);
@@ -427,7 +430,7 @@ fn files_in(set: &FileSet, project: &Path) -> Vec<String> {
 
 fn record_of(project: &Path) -> Option<PlannedFrom> {
     let folder = project.join(OUTPUT_FOLDER);
-    let record: PlannedFrom = serde_json::from_slice(&fs::read(folder.join(RECORD)).ok()?).ok()?;
+    let record: PlannedFrom = serde_json::from_slice(&output::read_own(project, RECORD).ok()?).ok()?;
     let is_there = |file: &String| project.join(file).exists();
     (folder.join("manifest.json").is_file() && record.files.iter().all(is_there)).then_some(record)
 }

@@ -14,6 +14,7 @@ use std::{
 };
 
 use super::discover::{self, InputFolders};
+use crate::base::input;
 
 /// What the file system says of one file or folder.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -251,7 +252,7 @@ impl HashCache {
 
     fn file(cache: &Mutex<Self>, path: &Path) -> io::Result<blake3::Hash> {
         let named = |error: io::Error| io::Error::new(error.kind(), format!("{}: {error}", path.display()));
-        let file = fs::File::open(path).map_err(named)?;
+        let file = input::open(path).map_err(named)?;
         // Of before the reading: what is written meanwhile has another stamp.
         let entry = Entry::of(&file.metadata().map_err(named)?);
         if let Some((_, hash)) = lock(cache).0.get(path).filter(|(known, _)| *known == entry) {

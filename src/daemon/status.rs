@@ -3,7 +3,7 @@
 use std::{
     collections::BTreeMap,
     fs::{File, TryLockError},
-    io::{self, Read, Write},
+    io::{self, Read, Seek, Write},
     path::{Path, PathBuf},
     thread,
     time::{Duration, Instant, SystemTime, UNIX_EPOCH},
@@ -12,11 +12,10 @@ use std::{
 use tracing::warn;
 
 use super::{
-    DaemonError,
-    discover::{self, OUTPUT_FOLDER},
+    DaemonError, discover,
     state::{Phase, ProjectStatus, Status, Tracked},
 };
-use crate::io::output::{self, Disk};
+use crate::io::output::{self, Disk, OutputError};
 
 /// The status is written at most so often.
 const PAUSE: Duration = Duration::from_secs(1);
@@ -24,6 +23,13 @@ const PAUSE: Duration = Duration::from_secs(1);
 const RETRY: Duration = Duration::from_secs(10);
 /// How often a lock is tried that nobody holds for long.
 const TRIES: u32 = 5;
+/// Relative to the root.
+const LOCK: &str = "viewrank/watch.lock";
+const STATUS: &str = "viewrank/status.json";
+/// The lock begins with it.
+const HOLDER: &str = "process ";
+/// Bytes of a lock with the longest name of a host.
+const LONGEST_NAME: u64 = 1024;
 /// Sentences that the status shows.
 const NOTICES: usize = 20;
 
@@ -43,11 +49,9 @@ impl Holder {
         if let Some(error) = root.ancestors().chain(inside).find_map(held) {
             return Err(error);
         }
-        output::make_folder(&root.join(OUTPUT_FOLDER), disk)?;
-        let path = lock_file(root);
-        let failed = |source| DaemonError::Root { path: path.clone(), source };
-        let open = File::options().read(true).write(true).create(true).truncate(false).open(&path);
-        let mut lock = open.map_err(failed)?;
+        output::make_own_folder(root, disk)?;
+        let failed = |source| DaemonError::Root { path: root.join(LOCK), source };
+        let mut lock = output::open_lock(root, LOCK)?;
         // Whoever asks at this instant whether it is held is gone in the next.
         for _ in 0..TRIES {
             match lock.try_lock() {
@@ -56,8 +60,13 @@ impl Holder {
                     if let Err(TryLockError::Error(error)) = locked {
                         warn!("{}: no locks here ({error}): see to it that no other daemon watches it", root.display());
                     }
-                    let name = format!("process {} on {}\n", std::process::id(), host());
-                    lock.set_len(0).and_then(|()| lock.write_all(name.as_bytes())).map_err(failed)?;
+                    if !is_name_of_holder(&mut lock).map_err(failed)? {
+                        let what = "a file of somebody else's";
+                        return Err(OutputError::Foreign { path: root.join(LOCK), what }.into());
+                    }
+                    let name = format!("{HOLDER}{} on {}\n", std::process::id(), host());
+                    let emptied = lock.set_len(0).and_then(|()| lock.rewind());
+                    emptied.and_then(|()| lock.write_all(name.as_bytes())).map_err(failed)?;
                     return Ok(Self { root: root.into(), _lock: lock });
                 }
             }
@@ -67,7 +76,7 @@ impl Holder {
 
     /// Did nobody remove the folder of outputs, and the lock with it?
     fn is_there(&self) -> bool {
-        lock_file(&self.root).is_file()
+        self.root.join(LOCK).symlink_metadata().is_ok_and(|found| found.is_file())
     }
 
     /// Takes the root again where the lock is gone.
@@ -80,17 +89,20 @@ impl Holder {
 
     /// The daemon that holds the root at this moment.
     fn of(root: &Path) -> Option<String> {
-        let mut lock = File::open(lock_file(root)).ok()?;
+        let lock = output::open_own(root, LOCK).ok()?;
         let Err(TryLockError::WouldBlock) = lock.try_lock_shared() else { return None };
         let mut name = String::new();
         // An empty name is better than none at all.
-        _ = lock.read_to_string(&mut name);
+        _ = lock.take(LONGEST_NAME).read_to_string(&mut name);
         Some(name.trim().into())
     }
 }
 
-fn lock_file(root: &Path) -> PathBuf {
-    root.join(OUTPUT_FOLDER).join("watch.lock")
+/// Is a lock file new or one of ours? Nothing else is ever emptied, by whatever name it is reached.
+fn is_name_of_holder(lock: &mut File) -> io::Result<bool> {
+    let mut text = Vec::new();
+    lock.take(LONGEST_NAME + 1).read_to_end(&mut text)?;
+    Ok(text.is_empty() || text.len() as u64 <= LONGEST_NAME && text.starts_with(HOLDER.as_bytes()))
 }
 
 fn host() -> String {
@@ -222,7 +234,7 @@ impl Pace {
 fn write_status(holder: &mut Holder, status: &Status, disk: &Disk) -> Result<(), DaemonError> {
     holder.hold_on(disk)?;
     let text = serde_json::to_vec_pretty(status).unwrap_or_default();
-    Ok(output::replace(&status_file(&holder.root), &text, disk)?)
+    Ok(output::replace(&output::own_path(&holder.root, STATUS)?, &text, disk)?)
 }
 
 impl RootStatus {
@@ -323,12 +335,12 @@ pub struct Line {
 
 /// Where the status of a root is.
 pub fn status_file(root: &Path) -> PathBuf {
-    root.join(OUTPUT_FOLDER).join("status.json")
+    root.join(STATUS)
 }
 
 /// Reads the status of a root; `None` where no daemon ever watched it, or where it can't be read.
 pub fn read_status(root: &Path) -> Option<Line> {
-    let text = std::fs::read(status_file(root)).ok()?;
+    let text = output::read_own(root, STATUS).ok()?;
     let status = serde_json::from_slice(&text).ok()?;
     Some(Line { running: Holder::of(root).is_some(), status })
 }

@@ -1,17 +1,17 @@
 //! What is written for a plan: the manifest, its table, the pair files, the pictures, and the files of backends.
 
 use super::outdated;
-use crate::plan::{self, Nothing, Plan, PlannedViews};
 use crate::{
     backends::{self, Backend, BackendError, Export, ExportOptions, Selection, place},
     base::{error::Hint, shell::quoted_path},
     io::{
-        output::{Contents, FileSet},
+        output::{self, Contents, FileSet},
         project::Project,
     },
     method::confidence,
+    plan::{self, Nothing, Plan, PlannedViews},
     show::{
-        manifest::{FingerprintError, Manifest},
+        manifest::{self, FingerprintError, Manifest},
         pictures::{Curve, curve_svg, surface_ply, views_geojson},
     },
 };
@@ -108,7 +108,7 @@ pub fn files(plan: &Plan, project: &Project) -> Result<PlanFiles, FilesError> {
 
 /// The page that shows another plan than this one goes.
 fn stale_page(project: &Project, manifest: &Manifest) -> Option<FileSet> {
-    let earlier = std::fs::read(project.output_folder().join("manifest.json"));
+    let earlier = output::read_own(&project.root, manifest::FILE);
     let shows_another = earlier.map_or(true, |earlier| earlier != manifest.to_json().as_bytes());
     let there = project.root.join(REPORT_FILE).exists();
     (there && shows_another).then(|| FileSet::new(&project.root, REPORT_SET))

@@ -2,14 +2,14 @@
 
 use serde::Deserialize;
 
-use crate::plan::Plan;
 use crate::{
     backends::{by_name, place},
     base::shell::quoted_path,
     io::{
-        output::{FileSet, recorded},
+        output::{FileSet, read_own, recorded},
         project::Project,
     },
+    plan::Plan,
 };
 
 /// The part of an `export.json` that is compared.
@@ -46,7 +46,7 @@ pub(super) fn exports(plan: &Plan, project: &Project, sets: &[FileSet]) -> Vec<S
 
 fn line(plan: &Plan, project: &Project, record: &str) -> Option<String> {
     let (folder, in_tiles) = place::folder_of_record(record)?;
-    let exported: Exported = serde_json::from_slice(&std::fs::read(project.root.join(record)).ok()?).ok()?;
+    let exported: Exported = serde_json::from_slice(&read_own(&project.root, record).ok()?).ok()?;
     let backend = by_name(&exported.backend).ok()?.name();
     if is_part(&exported, plan) {
         return None;

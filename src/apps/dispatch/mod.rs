@@ -18,9 +18,13 @@ use std::{
 
 use crate::{
     backends::{Backend, Export, Selection, TaskRunner, recipe},
-    base::{error::Hint, shell::quoted_path},
+    base::{
+        error::Hint,
+        input::{self, Kind},
+        shell::quoted_path,
+    },
     config::{DispatchSettings, Share},
-    io::output::{Contents, FileSet},
+    io::output::{self, Contents, Disk, FileSet, OutputError},
     model::cluster::RankedCluster,
 };
 
@@ -152,7 +156,7 @@ impl Dispatch {
 
     /// Markers and ranks of an older list, if it is still there.
     fn old_markers(&self, name: &str) -> Vec<(usize, String)> {
-        let text = fs::read_to_string(self.list_path(name)).unwrap_or_default();
+        let text = input::read_text(&self.list_path(name), Kind::List).unwrap_or_default();
         let entry = |line: &str| {
             let mut fields = line.split('\t');
             Some((fields.next()?.parse().ok()?, fields.next()?.to_owned()))
@@ -170,7 +174,7 @@ impl Dispatch {
         add("fuse.sh", script(include_str!("../../../integrations/slurm/fuse.sh")));
         add("logs", Contents::Folder);
         for old in old_lists {
-            if let Ok(bytes) = fs::read(self.list_path(old)) {
+            if let Ok(bytes) = input::read(&self.list_path(old), Kind::List) {
                 add(&format!("list-{old}.tsv"), Contents::Bytes(bytes));
             }
         }
@@ -202,7 +206,8 @@ impl Dispatch {
 
     /// Is the depth map of the task there, made from this key view and these partners as they lie now, or one that the plan stands around?
     pub fn is_done(&self, task: &Task) -> bool {
-        let noted = || fs::read_to_string(self.folder.join("done").join(&task.marker)).unwrap_or_default();
+        let noted =
+            || input::read_text(&self.folder.join("done").join(&task.marker), Kind::Settings).unwrap_or_default();
         (task.rank <= self.finished || noted().trim() == task.id)
             && fs::metadata(&task.map).is_ok_and(|map| map.len() > 0)
     }
@@ -214,10 +219,10 @@ impl Dispatch {
 
     /// Nobody else submits tasks of this project until the file is dropped.
     pub fn hold(&self) -> Result<File, DispatchError> {
-        let path = self.folder.join("lock");
-        let failed = |source| DispatchError::Lock { path: path.clone(), source };
-        fs::create_dir_all(&self.folder).map_err(failed)?;
-        let lock = File::options().create(true).truncate(false).write(true).open(&path).map_err(failed)?;
+        let name = format!("viewrank/dispatch/{}/lock", self.backend);
+        let path = output::own_path(&self.project, &name)?;
+        output::make_folder(path.parent().unwrap_or(&self.folder), &Disk::REAL)?;
+        let lock = output::open_lock(&self.project, &name)?;
         match lock.try_lock() {
             Err(TryLockError::WouldBlock) => Err(DispatchError::Busy(self.folder.clone())),
             // Where there are no locks, nothing can be held.
@@ -228,7 +233,7 @@ impl Dispatch {
     /// Was exactly what is done joined already?
     pub fn is_fused(&self) -> bool {
         let done: String = self.tasks.iter().filter(|t| self.is_done(t)).map(|t| format!("{}\n", t.id)).collect();
-        done.is_empty() || fs::read_to_string(self.folder.join("fused")).is_ok_and(|fused| fused == done)
+        done.is_empty() || input::read_text(&self.folder.join("fused"), Kind::List).is_ok_and(|fused| fused == done)
     }
 }
 
@@ -260,8 +265,8 @@ pub enum DispatchError {
     Stuck,
     #[error("{}: another viewrank dispatch is at work on it", .0.display())]
     Busy(PathBuf),
-    #[error("{}: {source}", path.display())]
-    Lock { path: PathBuf, source: io::Error },
+    #[error(transparent)]
+    Lock(#[from] OutputError),
     #[error("--target {wanted} is more than the plan's {planned}, at which tasks stop")]
     Target { wanted: Share, planned: Share },
 }
@@ -281,7 +286,7 @@ impl Hint for DispatchError {
             Self::Answer { .. } => "look whether that command works by itself".into(),
             Self::Stuck => "look with squeue, then try again".into(),
             Self::Busy(_) => "wait for it to end".into(),
-            Self::Lock { .. } => "make it writable".into(),
+            Self::Lock(error) => return error.hint(),
             Self::Target { wanted, .. } => format!("plan again with --target {wanted}"),
         })
     }

@@ -8,7 +8,10 @@ use std::{
 use walkdir::WalkDir;
 
 use crate::{
-    base::error::Hint,
+    base::{
+        error::Hint,
+        input::{self, Kind},
+    },
     model::{
         cluster::ViewCluster,
         scene::{Scene, ViewIndex},
@@ -34,7 +37,7 @@ impl Hint for ClustersError {
 
 /// In the order of the lines.
 pub fn read(path: &Path, scene: &Scene) -> Result<Vec<ViewCluster>, ClustersError> {
-    let text = std::fs::read_to_string(path).map_err(|source| ClustersError::Io { path: path.into(), source })?;
+    let text = input::read_text(path, Kind::List).map_err(|source| ClustersError::Io { path: path.into(), source })?;
     let mut clusters = Vec::new();
     let mut keys = BTreeSet::new();
     for (line, content) in text.lines().enumerate().filter(|(_, l)| !l.trim().is_empty() && !l.starts_with('#')) {

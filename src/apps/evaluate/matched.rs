@@ -10,7 +10,10 @@ use serde::Deserialize;
 use walkdir::WalkDir;
 
 use crate::{
-    base::error::Hint,
+    base::{
+        error::Hint,
+        input::{self, Kind},
+    },
     io::depthmaps::{self, DepthMapFile},
     model::{
         cluster::ViewCluster,
@@ -71,7 +74,7 @@ pub fn read_report(folder: &Path, scene: &Scene) -> Result<Report, ReportError> 
 }
 
 fn read_file(path: PathBuf, scene: &Scene) -> Result<Report, ReportError> {
-    let bytes = match std::fs::read(&path) {
+    let bytes = match input::read(&path, Kind::State) {
         Ok(bytes) => bytes,
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(Report::new()),
         Err(error) => return Err(ReportError { path, what: error.to_string() }),

@@ -9,7 +9,7 @@ mod movement;
 
 use std::{
     collections::{BTreeMap, BTreeSet},
-    fs, io,
+    io,
     path::Path,
 };
 
@@ -21,6 +21,7 @@ use crate::{
     apps::evaluate::{EvaluateError, Run, Task},
     base::{
         error::Hint,
+        input,
         progress::{Cancelled, Watcher},
     },
     io::{
@@ -30,7 +31,7 @@ use crate::{
     method::{fulfilment::GrowingTable, ranking::Beliefs},
     model::{cluster::ViewCluster, scene::ViewIndex},
     plan::{Finished, Outdated, Plan, PlanError, PlannedView, PlannedViews, Stages, decide},
-    show::manifest::{Recorded, WrittenPlanError},
+    show::manifest::{self, Recorded, WrittenPlanError},
 };
 
 /// The plan that finished depth maps were made for.
@@ -48,7 +49,7 @@ impl Earlier {
     pub fn read(project: &Project) -> Result<Self, WrittenPlanError> {
         let recorded = Recorded::read(project)?;
         let path = project.output_folder().join("planned_views.json");
-        let bytes = fs::read(&path).map_err(|source| WrittenPlanError::Io { path: path.clone(), source })?;
+        let bytes = manifest::read_own(project, "viewrank/planned_views.json")?;
         let views = serde_json::from_slice(&bytes)
             .map_err(|error| WrittenPlanError::Manifest { path, what: error.to_string() })?;
         let clusters = recorded.clusters.into_iter().map(|c| (c.key, c.partners)).collect();
@@ -210,7 +211,7 @@ fn look(plan: &Plan, earlier: &Earlier, maps: &Maps, watcher: &dyn Watcher) -> R
 }
 
 fn hash(file: &Path) -> io::Result<String> {
-    Ok(blake3::hash(&fs::read(file)?).to_string())
+    Ok(blake3::hash(&input::read(file, input::Kind::Picture)?).to_string())
 }
 
 /// A depth map with the cluster that it was made for.

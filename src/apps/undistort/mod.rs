@@ -7,7 +7,7 @@ mod camera;
 mod picture;
 
 use std::{
-    fs, io,
+    io,
     path::{Path, PathBuf},
 };
 
@@ -20,6 +20,7 @@ pub use picture::PictureError;
 use crate::{
     base::{
         error::Hint,
+        input::{self, Kind},
         progress::{Cancelled, Stage, Watcher},
     },
     io::{
@@ -190,12 +191,12 @@ impl<'a> Job<'a> {
 
     fn read(&self, view: ViewIndex) -> Result<Vec<u8>, UndistortError> {
         let path = self.images.join(self.scene.name(view));
-        fs::read(&path)
+        input::read(&path, Kind::Picture)
             .map_err(|source| UndistortError::Image { path, source: image::ImageError::IoError(source).into() })
     }
 
     fn is_there(&self, batch: usize, views: &[ViewIndex], note: &str) -> bool {
-        fs::read_to_string(self.out.join(note_path(batch))).is_ok_and(|there| there == note)
+        input::read_text(&self.out.join(note_path(batch)), Kind::State).is_ok_and(|there| there == note)
             && views.iter().all(|v| self.out.join("images").join(self.scene.name(*v)).exists())
     }
 
@@ -234,9 +235,9 @@ impl<'a> Job<'a> {
     /// Does the model of the workspace follow from the project's as it is now?
     fn has_model(&self) -> Result<bool, UndistortError> {
         let files = self.model()?;
-        Ok(files
-            .iter()
-            .all(|(name, bytes)| fs::read(self.out.join("sparse").join(name)).is_ok_and(|there| there == *bytes)))
+        Ok(files.iter().all(|(name, bytes)| {
+            input::read(&self.out.join("sparse").join(name), Kind::Sparse).is_ok_and(|there| there == *bytes)
+        }))
     }
 
     fn model(&self) -> Result<Vec<(&'static str, Vec<u8>)>, UndistortError> {

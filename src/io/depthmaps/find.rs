@@ -2,7 +2,6 @@
 
 use std::{
     collections::BTreeMap,
-    fs::File,
     io::Read,
     path::{Path, PathBuf},
 };
@@ -10,7 +9,10 @@ use std::{
 use walkdir::WalkDir;
 
 use super::{DepthMapError, DepthMapFormat, openmvs};
-use crate::model::scene::{Scene, ViewIndex};
+use crate::{
+    base::input::{self, Kind},
+    model::scene::{Scene, ViewIndex},
+};
 
 /// The bytes of a `.dmap` that hold its header.
 const DMAP_HEADER: u64 = 1 << 17;
@@ -210,7 +212,7 @@ fn by_suffix(scene: &Scene, path: &str, extension: &str) -> Option<ViewIndex> {
 fn dmap_image(path: &Path) -> Result<String, DepthMapError> {
     let io = |source| DepthMapError::Io { path: path.into(), source };
     let mut bytes = Vec::new();
-    File::open(path).map_err(io)?.take(DMAP_HEADER).read_to_end(&mut bytes).map_err(io)?;
+    input::open(path).map_err(io)?.take(DMAP_HEADER).read_to_end(&mut bytes).map_err(io)?;
     let header = openmvs::header(&bytes);
     header.map(|h| h.image.replace('\\', "/")).map_err(|(byte, what)| DepthMapError::Format {
         path: path.into(),
@@ -245,7 +247,8 @@ fn read_view_names(folder: &Path, scene: &Scene) -> Result<BTreeMap<u64, ViewInd
         path: folder.into(),
         what: "numbered depth maps, and no view_names.txt here or above says which views they are".into(),
     })?;
-    let text = std::fs::read_to_string(&path).map_err(|source| DepthMapError::Io { path: path.clone(), source })?;
+    let text =
+        input::read_text(&path, Kind::List).map_err(|source| DepthMapError::Io { path: path.clone(), source })?;
     let mut views = BTreeMap::new();
     for (line, content) in text.lines().enumerate().filter(|(_, l)| !l.is_empty() && !l.starts_with('#')) {
         let entry = content.split_once('\t').and_then(|(n, name)| Some((n.trim().parse().ok()?, name)));

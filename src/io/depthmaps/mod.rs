@@ -14,7 +14,10 @@ use std::path::{Path, PathBuf};
 use nalgebra::Point2;
 
 use crate::{
-    base::error::Hint,
+    base::{
+        error::Hint,
+        input::{self, Kind},
+    },
     model::{camera::Camera, scene::Scene},
 };
 
@@ -181,7 +184,7 @@ type Parsed<T> = Result<T, (usize, String)>;
 
 /// Reads one depth map.
 pub fn read(path: &Path, format: DepthMapFormat) -> Result<DepthMap, DepthMapError> {
-    let bytes = std::fs::read(path).map_err(|source| DepthMapError::Io { path: path.into(), source })?;
+    let bytes = input::read(path, Kind::Picture).map_err(|source| DepthMapError::Io { path: path.into(), source })?;
     parse(&bytes, format).map_err(|(byte, what)| DepthMapError::Format { path: path.into(), byte, what })
 }
 

@@ -6,7 +6,7 @@ use std::{
     path::Path,
 };
 
-use super::OutputError;
+use super::{OutputError, open};
 
 /// A change of the file system.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -42,7 +42,12 @@ impl<'a> Disk<'a> {
         path: &Path,
         act: impl FnOnce() -> io::Result<T>,
     ) -> Result<T, OutputError> {
-        (self.before)(operation, path).and_then(|()| act()).map_err(|error| OutputError::new(path, error))
+        self.before(operation, path)?;
+        act().map_err(|error| OutputError::new(path, error))
+    }
+
+    fn before(&self, operation: Operation, path: &Path) -> Result<(), OutputError> {
+        (self.before)(operation, path).map_err(|error| OutputError::new(path, error))
     }
 
     /// Makes one folder; one that is there already is fine.
@@ -55,12 +60,16 @@ impl<'a> Disk<'a> {
         })
     }
 
+    /// Makes a folder where nothing is.
+    pub(super) fn make_new_folder(&self, path: &Path) -> Result<(), OutputError> {
+        self.change(Operation::MakeFolder, path, || fs::create_dir(path))
+    }
+
     /// Opens a lock file and waits for its lock, which ends with the file or the process.
     pub(super) fn lock(&self, path: &Path) -> Result<File, OutputError> {
-        self.change(Operation::Create, path, || {
-            let file = File::options().write(true).create(true).truncate(false).open(path)?;
-            file.lock().map(|()| file)
-        })
+        self.before(Operation::Create, path)?;
+        let file = open::lock_file(path)?;
+        file.lock().map(|()| file).map_err(|error| OutputError::new(path, error))
     }
 
     /// Writes a new file and syncs it, 1 MiB at a time.

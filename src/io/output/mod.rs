@@ -5,9 +5,13 @@
 //! after, the next [`FileSet::write`] or [`recover`] finishes the work; a change that fails is undone. A record of each set
 //! (`record.rs`) says which files are ours, by path and content hash: what a later set of the same name no longer has is
 //! removed, a file of somebody else's that stands in the way is kept beside as `NAME.before-viewrank`, and nothing else is
-//! touched. No name and no symbolic link leads out of the set's root.
+//! touched. Journals and records are believed where they were written and nowhere else (`identity.rs`): those of a copy, or that a
+//! stranger put there, remove nothing and replace nothing outside of `viewrank/`. Files of ours are opened by `open.rs`. No name and no symbolic link leads out of the set's root.
 
 mod disk;
+mod found;
+mod identity;
+mod open;
 mod record;
 mod staging;
 mod transaction;
@@ -19,6 +23,7 @@ use std::{
 };
 
 pub use disk::{Disk, Operation};
+pub(crate) use open::{open_own, own_path, read_own};
 
 use crate::base::error::Hint;
 
@@ -147,6 +152,20 @@ pub fn make_folder(path: &Path, disk: &Disk) -> Result<(), OutputError> {
     transaction::make_folders(path, disk)
 }
 
+/// Makes the folder `viewrank` below a root.
+///
+/// # Errors
+/// [`OutputError::Escapes`] where it is a link out of the root.
+pub(crate) fn make_own_folder(root: &Path, disk: &Disk) -> Result<(), OutputError> {
+    let inside = own_path(root, "viewrank/any")?;
+    disk.make_folder(inside.parent().unwrap_or(root))
+}
+
+/// Opens a file that we lock, makes it if need be; neither locked nor changed yet. The folder must be there.
+pub(crate) fn open_lock(root: &Path, name: &str) -> Result<std::fs::File, OutputError> {
+    open::lock_file(&own_path(root, name)?)
+}
+
 /// A name is a path of plain components below the root, written the one way that there is.
 fn check_name(name: &str) -> Result<(), OutputError> {
     let plain = Path::new(name).components().all(|part| matches!(part, Component::Normal(_)));
@@ -161,6 +180,8 @@ pub enum OutputError {
     Name { name: String },
     #[error("{}: a symbolic link leads out of {}", path.display(), root.display())]
     Escapes { path: PathBuf, root: PathBuf },
+    #[error("{}: {what} in the place of a file of viewrank's own", path.display())]
+    Foreign { path: PathBuf, what: &'static str },
     #[error("{}: {} is in the way", path.display(), if *folder { "a folder" } else { "a file" })]
     InTheWay { path: PathBuf, folder: bool },
     #[error("{}: not on the same file system as {}", path.display(), staging.display())]
@@ -195,12 +216,15 @@ impl Hint for OutputError {
                 "rename the image in the model: names are relative, without \"..\" and empty parts".into()
             }
             Self::Escapes { .. } => "replace the link by a folder".into(),
+            Self::Foreign { .. } => "move it away: viewrank makes its own".into(),
             Self::InTheWay { .. } => "move it away, or name another".into(),
             Self::OtherFileSystem { .. } => "write to a folder of one file system with --out".into(),
             Self::Full { .. } => "make room on that disk; nothing was changed".into(),
             Self::Denied { .. } => "get write permission there, or work on a copy; nothing was changed".into(),
             Self::Io { .. } => "see that the disk is there and in order; nothing was changed".into(),
-            Self::Journal { .. } => "remove that file and the folder .staging beside it, then plan again".into(),
+            Self::Journal { .. } => {
+                "run again, which goes on without it; what was staged is kept beside it in .staging.refused-N".into()
+            }
             Self::Interrupted { .. } => "mend the cause and run again: that puts a whole set in place".into(),
         })
     }

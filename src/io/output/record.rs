@@ -1,18 +1,23 @@
 //! Which files under a root are ours: one record per set, `viewrank/.sets/NAME.json`.
+//!
+//! A record that was not written here (`identity.rs`) is believed about files below `viewrank/` only. Elsewhere a file that it claims
+//! becomes ours again as soon as a set wants it exactly as it is.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
-    fs::{self, File},
+    fs,
     io::{self, Read},
     path::Path,
 };
 
 use serde::{Deserialize, Serialize};
 
-use super::{OutputError, check_name};
+use super::{OutputError, check_name, identity::identity, open};
 
 /// Folder of the records, relative to the root.
 pub(super) const FOLDER: &str = "viewrank/.sets";
+/// Paths that begin with it are ours by their names.
+const OWN: &str = "viewrank/";
 
 /// What a set wrote; paths relative to the root.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -21,10 +26,24 @@ pub(super) struct Record {
     pub files: BTreeMap<String, String>,
     /// Folders that were made for it.
     pub folders: BTreeSet<String>,
+    /// Of the folder in which it was written, see [`identity`](super::identity::identity).
+    #[serde(default)]
+    pub identity: String,
 }
 
 /// The records of all sets under a root, by name of the set.
-pub(super) struct Records(BTreeMap<String, Record>);
+pub(super) struct Records {
+    of_sets: BTreeMap<String, Record>,
+    /// What the records that were written here have.
+    identity: Option<String>,
+}
+
+/// A file as some set recorded it.
+pub(super) struct Claim {
+    pub hash: String,
+    /// By a record that is believed.
+    pub is_ours: bool,
+}
 
 impl Records {
     /// Broken records are passed over: their files then count as somebody else's, which loses nothing.
@@ -32,27 +51,37 @@ impl Records {
         let entries = fs::read_dir(root.join(FOLDER)).into_iter().flatten().flatten();
         let records = entries.filter_map(|entry| {
             let name = entry.file_name().to_str()?.strip_suffix(".json")?.to_owned();
-            let record: Record = serde_json::from_slice(&fs::read(entry.path()).ok()?).ok()?;
+            let bytes = open::read_own(root, &format!("{FOLDER}/{name}.json")).ok()?;
+            let record: Record = serde_json::from_slice(&bytes).ok()?;
             let sound = record.files.keys().chain(&record.folders).all(|path| check_name(path).is_ok());
             sound.then_some((name, record))
         });
-        Self(records.collect())
+        Self { of_sets: records.collect(), identity: identity(&root.join("viewrank")).ok() }
     }
 
+    /// What is believed of the record of a set.
     pub fn of(&self, set: &str) -> Record {
-        self.0.get(set).cloned().unwrap_or_default()
+        let mut record = self.of_sets.get(set).cloned().unwrap_or_default();
+        if self.identity.as_ref() != Some(&record.identity) {
+            record.files.retain(|path, _| path.starts_with(OWN));
+            record.folders.retain(|path| path.starts_with(OWN));
+        }
+        record
     }
 
     /// Paths of the files of sets whose names begin so, sorted.
     pub fn paths(&self, prefix: &str) -> Vec<String> {
-        let sets = self.0.iter().filter(|(name, _)| name.starts_with(prefix));
+        let sets = self.of_sets.iter().filter(|(name, _)| name.starts_with(prefix));
         let paths: BTreeSet<&String> = sets.flat_map(|(_, record)| record.files.keys()).collect();
         paths.into_iter().cloned().collect()
     }
 
-    /// The hash of the file, if it was written by us and not changed since.
-    pub fn hash_if_ours(&self, root: &Path, path: &str) -> Result<Option<String>, OutputError> {
-        self.recorded_hash(root, path, |_| true)
+    /// The file, if it is as some record says.
+    pub fn claim(&self, root: &Path, path: &str) -> Result<Option<Claim>, OutputError> {
+        let Some(hash) = self.recorded_hash(root, path, |_| true)? else { return Ok(None) };
+        let believed = |r: &&Record| path.starts_with(OWN) || self.identity.as_ref() == Some(&r.identity);
+        let is_ours = self.of_sets.values().filter(believed).any(|r| r.files.get(path) == Some(&hash));
+        Ok(Some(Claim { hash, is_ours }))
     }
 
     /// Does another set than this one count on the file as it is?
@@ -62,12 +91,13 @@ impl Records {
 
     /// Was the folder made for another set than this one?
     pub fn other_has_folder(&self, set: &str, folder: &str) -> bool {
-        self.0.iter().any(|(name, record)| name != set && record.folders.contains(folder))
+        self.of_sets.iter().any(|(name, record)| name != set && record.folders.contains(folder))
     }
 
     /// The hash of the file, if one of those sets recorded it.
     fn recorded_hash(&self, root: &Path, path: &str, of: impl Fn(&str) -> bool) -> Result<Option<String>, OutputError> {
-        let mut hashes = self.0.iter().filter(|(name, _)| of(name)).filter_map(|(_, r)| r.files.get(path)).peekable();
+        let sets = self.of_sets.iter().filter(|(name, _)| of(name));
+        let mut hashes = sets.filter_map(|(_, record)| record.files.get(path)).peekable();
         if hashes.peek().is_none() {
             return Ok(None);
         }
@@ -87,7 +117,7 @@ pub(super) fn hash(path: &Path) -> io::Result<Option<String>> {
         }
         Ok(found) if found.is_file() => {
             let mut hasher = blake3::Hasher::new();
-            hasher.update_reader(File::open(path)?)?;
+            hasher.update_reader(open::existing(path)?)?;
             Ok(Some(hasher.finalize().to_string()))
         }
         Ok(_) => Ok(None),

@@ -2,16 +2,17 @@
 
 use std::{
     collections::BTreeSet,
-    fs::{self, File, Metadata},
+    fs::{self, Metadata},
     io,
     path::{Path, PathBuf},
 };
 
 use super::{
-    Contents, FileSet, OutputError, Written,
+    Contents, FileSet, OutputError, Written, open,
     record::{self, Record, Records},
     transaction::{Change, Root, Step},
 };
+use crate::base::input;
 
 /// Stages what differs from what is there, for all sets in one change.
 pub(super) fn stage(root: &Root, sets: &[&FileSet]) -> Result<(Change, Vec<Written>), OutputError> {
@@ -69,12 +70,15 @@ impl Staging<'_> {
         if found.is_dir() {
             return Err(OutputError::InTheWay { path: target, folder: true });
         }
-        let ours = self.records.hash_if_ours(&self.root.path, path)?;
+        if !found.is_file() && !found.is_symlink() {
+            return Err(OutputError::Foreign { path: target, what: open::kind(&found) });
+        }
+        let claim = self.records.claim(&self.root.path, path)?;
         if is_same(&target, &found, contents, &self.root.path).map_err(|error| OutputError::new(&target, error))? {
-            self.record.files.extend(ours.map(|hash| (path.to_owned(), hash)));
+            self.record.files.extend(claim.map(|claim| (path.to_owned(), claim.hash)));
             return Ok(());
         }
-        if ours.is_none() {
+        if !claim.is_some_and(|claim| claim.is_ours) {
             self.keep_beside(path, &target)?;
         }
         self.replace(path, contents, true)
@@ -93,14 +97,19 @@ impl Staging<'_> {
         let step = self.change.steps.len();
         let new = self.root.staged(step, "new");
         self.make(&new, &target, contents)?;
-        if has_old {
-            self.second_name(&target, &self.root.staged(step, "old"))?;
-        }
-        let hash = record::hash(&new).map_err(|error| OutputError::new(&new, error))?;
-        self.record.files.extend(hash.map(|hash| (path.to_owned(), hash)));
+        let old = if has_old { self.keep_old(&target)? } else { None };
+        let new = hash_of(&new)?;
+        self.record.files.extend(new.clone().map(|hash| (path.to_owned(), hash)));
         self.written.changed.push(path.into());
-        self.change.steps.push(Step { path: path.into(), has_new: true, has_old });
+        self.change.steps.push(Step { path: path.into(), new, old });
         Ok(())
+    }
+
+    /// A second name of what the next step replaces or removes, for an undo; its hash.
+    fn keep_old(&self, target: &Path) -> Result<Option<String>, OutputError> {
+        let old = self.root.staged(self.change.steps.len(), "old");
+        self.second_name(target, &old)?;
+        hash_of(&old)
     }
 
     fn make(&self, at: &Path, target: &Path, contents: &Contents) -> Result<(), OutputError> {
@@ -118,7 +127,7 @@ impl Staging<'_> {
     }
 
     fn copy(&self, from: &Path, to: &Path) -> Result<(), OutputError> {
-        let source = File::open(from).map_err(|error| OutputError::new(from, error))?;
+        let source = input::open(from).map_err(|error| OutputError::new(from, error))?;
         let executable = source.metadata().is_ok_and(|found| is_executable(&found));
         self.root.disk.write_new(to, source, executable)
     }
@@ -133,19 +142,18 @@ impl Staging<'_> {
 
     /// Somebody else's file gets a second name that stays, unless it has one already.
     fn keep_beside(&mut self, path: &str, target: &Path) -> Result<(), OutputError> {
-        let failed = |error| OutputError::new(target, error);
-        let original = record::hash(target).map_err(failed)?;
+        let original = hash_of(target)?;
         let names = std::iter::once(format!("{path}.before-viewrank"))
             .chain((2..).map(|n| format!("{path}.before-viewrank-{n}")));
         for name in names {
             let beside = self.root.locate(&name)?;
             if fs::symlink_metadata(&beside).is_err() {
                 self.second_name(target, &self.root.staged(self.change.steps.len(), "new"))?;
-                self.change.steps.push(Step { path: name.clone(), has_new: true, has_old: false });
+                self.change.steps.push(Step { path: name.clone(), new: original, old: None });
                 self.written.kept.push(name);
                 break;
             }
-            if record::hash(&beside).map_err(failed)? == original {
+            if hash_of(&beside)? == original {
                 break;
             }
         }
@@ -181,13 +189,13 @@ impl Staging<'_> {
             earlier.files.keys().filter(|path| !self.wanted.contains(path.as_str())).cloned().collect();
         for path in stale {
             let target = self.root.locate(&path)?;
-            if self.records.hash_if_ours(&self.root.path, &path)?.is_none()
+            if !self.records.claim(&self.root.path, &path)?.is_some_and(|claim| claim.is_ours)
                 || self.records.belongs_to_other(set, &self.root.path, &path)?
             {
                 continue;
             }
-            self.second_name(&target, &self.root.staged(self.change.steps.len(), "old"))?;
-            self.change.steps.push(Step { path: path.clone(), has_new: false, has_old: true });
+            let old = self.keep_old(&target)?;
+            self.change.steps.push(Step { path: path.clone(), new: None, old });
             self.written.removed.push(path);
         }
         Ok(())
@@ -207,6 +215,7 @@ impl Staging<'_> {
 
     /// The record changes together with what it records.
     fn record_itself(&mut self, set: &str, earlier: &Record) -> Result<(), OutputError> {
+        self.record.identity.clone_from(&self.root.identity);
         if self.record == *earlier {
             return Ok(());
         }
@@ -216,14 +225,16 @@ impl Staging<'_> {
         let step = self.change.steps.len();
         let mut text = serde_json::to_vec_pretty(&self.record).expect("strings are JSON");
         text.push(b'\n');
-        self.root.disk.write_new(&self.root.staged(step, "new"), text.as_slice(), false)?;
-        let has_old = fs::symlink_metadata(&target).is_ok();
-        if has_old {
-            self.second_name(&target, &self.root.staged(step, "old"))?;
-        }
-        self.change.steps.push(Step { path, has_new: true, has_old });
+        let new = self.root.staged(step, "new");
+        self.root.disk.write_new(&new, text.as_slice(), false)?;
+        let old = if fs::symlink_metadata(&target).is_ok() { self.keep_old(&target)? } else { None };
+        self.change.steps.push(Step { path, new: hash_of(&new)?, old });
         Ok(())
     }
+}
+
+fn hash_of(path: &Path) -> Result<Option<String>, OutputError> {
+    record::hash(path).map_err(|error| OutputError::new(path, error))
 }
 
 /// The folders that the files of a set lie in.
@@ -246,8 +257,8 @@ fn is_same(target: &Path, found: &Metadata, contents: &Contents, root: &Path) ->
         Contents::Link(to) if found.is_symlink() => Ok(fs::read_link(target)? == link_target(to, target, root)),
         _ if found.is_symlink() => Ok(false),
         Contents::Link(from) | Contents::Copy(from) => {
-            let source = File::open(from)?;
-            Ok(source.metadata()?.len() == found.len() && record::same_contents(source, File::open(target)?)?)
+            let source = input::open(from)?;
+            Ok(source.metadata()?.len() == found.len() && record::same_contents(source, open::existing(target)?)?)
         }
         Contents::Bytes(bytes) => is_bytes(target, found, bytes),
         Contents::Script(bytes) => Ok(is_executable(found) && is_bytes(target, found, bytes)?),
@@ -256,7 +267,7 @@ fn is_same(target: &Path, found: &Metadata, contents: &Contents, root: &Path) ->
 }
 
 fn is_bytes(target: &Path, found: &Metadata, bytes: &[u8]) -> io::Result<bool> {
-    Ok(found.len() == bytes.len() as u64 && record::same_contents(bytes, File::open(target)?)?)
+    Ok(found.len() == bytes.len() as u64 && record::same_contents(bytes, open::existing(target)?)?)
 }
 
 /// Relative where both lie under the root, so that the project can be moved; else absolute.

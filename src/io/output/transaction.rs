@@ -3,25 +3,29 @@
 //! Step `i` of the journal has its new file in `.staging/i.new` (none: the path goes) and a second name of what stood there
 //! before in `.staging/i.old` (none: nothing did). Every step may be repeated, so that a crash while finishing or undoing
 //! does no harm; the journal says which of the two is under way.
+//!
+//! A journal that is found is carried out only if it was written here (`identity.rs`) and each file that it would replace or
+//! remove is, by its hash, what stood there then or what it puts there. Else it is set aside together with what was staged, and
+//! no file is touched (`found.rs`).
 
 use std::{
     collections::BTreeSet,
-    fs::{self, File},
+    fs::File,
     path::{Path, PathBuf},
 };
 
 use serde::{Deserialize, Serialize};
 
-use super::{Disk, FileSet, OutputError, Written, check_name, staging};
+use super::{Disk, FileSet, OutputError, Written, found, identity::identity, open::check_links, staging};
 
-const FOLDER: &str = "viewrank";
-const STAGING: &str = "viewrank/.staging";
-const JOURNAL: &str = "viewrank/.journal.json";
+pub(super) const FOLDER: &str = "viewrank";
+pub(super) const STAGING: &str = "viewrank/.staging";
+pub(super) const JOURNAL: &str = "viewrank/.journal.json";
 const LOCK: &str = "viewrank/.lock";
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
-enum Direction {
+pub(super) enum Direction {
     Finish,
     Undo,
 }
@@ -40,14 +44,18 @@ pub(super) struct Change {
 #[derive(Debug, Serialize, Deserialize)]
 pub(super) struct Step {
     pub path: String,
-    pub has_new: bool,
-    pub has_old: bool,
+    /// Hash of the file that comes.
+    pub new: Option<String>,
+    /// Hash of the file that was there.
+    pub old: Option<String>,
 }
 
 #[derive(Serialize, Deserialize)]
-struct Journal {
-    direction: Direction,
-    change: Change,
+pub(super) struct Journal {
+    pub direction: Direction,
+    /// Of the folder in which it was written.
+    pub identity: String,
+    pub change: Change,
 }
 
 /// A root folder whose lock this process holds.
@@ -55,6 +63,8 @@ pub(super) struct Root<'a> {
     /// Without symbolic links.
     pub path: PathBuf,
     pub disk: &'a Disk<'a>,
+    /// Of the folder `viewrank`.
+    pub identity: String,
     _lock: File,
 }
 
@@ -73,8 +83,8 @@ pub(super) fn write(path: &Path, sets: &[&FileSet], disk: &Disk) -> Result<Vec<W
 }
 
 pub(super) fn recover(root: &Path, disk: &Disk) -> Result<(), OutputError> {
-    let announced = root.join(JOURNAL).exists();
-    if !announced && !root.join(STAGING).exists() {
+    let announced = is_there(&root.join(JOURNAL));
+    if !announced && !is_there(&root.join(STAGING)) {
         return Ok(());
     }
     let settled = Root::open(root, disk).and_then(|root| root.settle());
@@ -91,7 +101,8 @@ impl<'a> Root<'a> {
         check_links(&path, LOCK)?;
         disk.make_folder(&path.join(FOLDER))?;
         let lock = disk.lock(&path.join(LOCK))?;
-        Ok(Self { path, disk, _lock: lock })
+        let identity = identity(&path.join(FOLDER)).map_err(|error| OutputError::new(&path.join(FOLDER), error))?;
+        Ok(Self { path, disk, identity, _lock: lock })
     }
 
     /// Where a path of the set lies, after a look at the folders that lead there.
@@ -108,7 +119,7 @@ impl<'a> Root<'a> {
     }
 
     fn make_staging(&self) -> Result<(), OutputError> {
-        self.disk.make_folder(&self.staging())
+        self.disk.make_new_folder(&self.staging())
     }
 
     /// What stays behind if this fails is cleared by the next run; the set itself is whole.
@@ -118,9 +129,7 @@ impl<'a> Root<'a> {
 
     /// Finishes or undoes what an earlier process left.
     fn settle(&self) -> Result<(), OutputError> {
-        let path = self.path.join(JOURNAL);
-        if path.exists() {
-            let journal = read_journal(&path)?;
+        if let Some(journal) = found::journal(self)? {
             match journal.direction {
                 Direction::Finish => self.finish(&journal.change)?,
                 Direction::Undo => self.undo(&journal.change)?,
@@ -130,9 +139,9 @@ impl<'a> Root<'a> {
     }
 
     fn carry_out(&self, change: Change) -> Result<(), OutputError> {
-        let mut journal = Journal { direction: Direction::Finish, change };
+        let mut journal = Journal { direction: Direction::Finish, identity: self.identity.clone(), change };
         if let Err(failure) = self.announce(&journal)
-            && !self.path.join(JOURNAL).exists()
+            && !is_there(&self.path.join(JOURNAL))
         {
             self.clear_staging();
             return Err(failure);
@@ -169,7 +178,7 @@ impl<'a> Root<'a> {
         }
         for (i, step) in change.steps.iter().enumerate() {
             let target = self.locate(&step.path)?;
-            if step.has_new {
+            if step.new.is_some() {
                 self.disk.rename(&self.staged(i, "new"), &target)?;
             } else {
                 self.disk.remove(&target)?;
@@ -187,9 +196,9 @@ impl<'a> Root<'a> {
         }
         for (i, step) in change.steps.iter().enumerate().rev() {
             let target = self.locate(&step.path)?;
-            if step.has_old {
+            if step.old.is_some() {
                 self.disk.rename(&self.staged(i, "old"), &target)?;
-            } else if step.has_new && !self.staged(i, "new").exists() {
+            } else if step.new.is_some() && !is_there(&self.staged(i, "new")) {
                 self.disk.remove(&target)?;
             }
         }
@@ -222,30 +231,7 @@ pub(super) fn make_folders(path: &Path, disk: &Disk) -> Result<(), OutputError> 
     disk.make_folder(path)
 }
 
-/// The journal is believed no more than any other file in the user's folder.
-fn read_journal(path: &Path) -> Result<Journal, OutputError> {
-    let bytes = fs::read(path).map_err(|error| OutputError::new(path, error))?;
-    let broken = |why: String| OutputError::Journal { path: path.to_path_buf(), why };
-    let journal: Journal = serde_json::from_slice(&bytes).map_err(|error| broken(format!("no journal: {error}")))?;
-    let change = &journal.change;
-    let mut names = change.steps.iter().map(|s| &s.path).chain(&change.new_folders).chain(&change.old_folders);
-    names.try_for_each(|name| check_name(name))?;
-    Ok(journal)
-}
-
-/// `root/path`, if no folder on the way is a symbolic link out of the root or a file.
-fn check_links(root: &Path, path: &str) -> Result<PathBuf, OutputError> {
-    let mut at = root.to_path_buf();
-    let mut parts = path.split('/').peekable();
-    while let Some(part) = parts.next() {
-        at.push(part);
-        let (Some(_), Ok(found)) = (parts.peek(), fs::symlink_metadata(&at)) else { continue };
-        if found.is_symlink() && !at.canonicalize().is_ok_and(|target| target.starts_with(root)) {
-            return Err(OutputError::Escapes { path: at, root: root.to_path_buf() });
-        }
-        if !at.is_dir() {
-            return Err(OutputError::InTheWay { path: at, folder: false });
-        }
-    }
-    Ok(at)
+/// Is there anything of this name, a link that leads nowhere included?
+pub(super) fn is_there(path: &Path) -> bool {
+    path.symlink_metadata().is_ok()
 }

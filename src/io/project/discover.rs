@@ -13,7 +13,7 @@ use super::{
     files::{self, REQUIRED, colmap_file, read},
     foreign, images,
 };
-use crate::io::formats::colmap_text;
+use crate::{base::input, io::formats::colmap_text};
 
 pub(super) fn open(path: &Path, wanted: Option<&str>) -> Result<Project, ProjectError> {
     let parent = path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
@@ -119,7 +119,7 @@ fn registered(images: &Path, format: ModelFormat) -> u64 {
         return read(images).map_or(0, |bytes| colmap_text::count_images(&bytes));
     }
     let mut head = [0; 8];
-    let file = fs::File::open(images).and_then(|mut file| file.read_exact(&mut head).and(file.metadata()));
+    let file = input::open(images).and_then(|mut file| file.read_exact(&mut head).and(file.metadata()));
     // A count that the file has no room for is damaged, and must not win.
     let possible = |metadata: fs::Metadata| Some(u64::from_le_bytes(head)).filter(|n| *n <= metadata.len() / 73);
     file.ok().and_then(possible).unwrap_or(0)

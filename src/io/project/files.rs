@@ -2,14 +2,16 @@
 
 use std::{
     collections::BTreeSet,
-    fs::File,
-    io::{self, Read},
+    io::Read,
     path::{Path, PathBuf},
 };
 
 use super::{ModelFormat, ModelLocation, ProjectError};
 use crate::{
-    base::large_pages,
+    base::{
+        input::{self, Kind},
+        large_pages,
+    },
     io::formats::{Bytes, Fault, colmap::ColmapModel, colmap_bin, colmap_text},
     model::scene::Scene,
 };
@@ -20,14 +22,12 @@ pub(super) const REQUIRED: [&str; 3] = ["cameras", "images", "points3D"];
 /// The bytes of a regular file. They are not mapped: whoever cut the file meanwhile would end this process.
 pub(super) fn read(path: &Path) -> Result<Vec<u8>, ProjectError> {
     let fail = |source| ProjectError::Io { path: path.into(), source };
-    let mut file = File::open(path).map_err(fail)?;
-    let metadata = file.metadata().map_err(fail)?;
-    if !metadata.is_file() {
-        return Err(fail(io::Error::new(io::ErrorKind::InvalidInput, "not a regular file")));
-    }
-    let mut bytes =
-        large_pages::room_for(usize::try_from(metadata.len()).unwrap_or(usize::MAX)).map_err(|e| fail(e.into()))?;
-    file.read_to_end(&mut bytes).map_err(fail)?;
+    let file = input::open(path).map_err(fail)?;
+    let length = file.metadata().map_err(fail)?.len();
+    input::check_length(length, Kind::Sparse).map_err(fail)?;
+    let mut bytes = large_pages::room_for(usize::try_from(length).unwrap_or(usize::MAX)).map_err(|e| fail(e.into()))?;
+    file.take(Kind::Sparse.limit() + 1).read_to_end(&mut bytes).map_err(fail)?;
+    input::check_length(bytes.len() as u64, Kind::Sparse).map_err(fail)?;
     Ok(bytes)
 }
 

@@ -1,13 +1,13 @@
 //! Opening the models of programs other than COLMAP.
 
 use std::{
-    fs::File,
     io::Read,
     path::{Path, PathBuf},
 };
 
 use super::{ModelFormat, ModelLocation, ProjectError, files, images};
 use crate::{
+    base::input,
     io::{
         formats::{
             Fault, Place, Problem, alicevision, bundler, foreign::Foreign, nvm, openmvg, openmvs::Mvs, opensfm, sure,
@@ -76,7 +76,7 @@ pub(super) fn model_file(path: &Path) -> Option<ModelLocation> {
 
 fn json_format(path: &Path) -> Option<ModelFormat> {
     let mut head = Vec::new();
-    File::open(path).and_then(|file| file.take(4096).read_to_end(&mut head)).ok()?;
+    input::open(path).and_then(|file| file.take(4096).read_to_end(&mut head)).ok()?;
     let head = String::from_utf8_lossy(&head);
     if head.contains("\"sfm_data_version\"") {
         Some(ModelFormat::OpenMvg)
@@ -121,7 +121,7 @@ pub(super) fn files(root: &Path, model: &ModelLocation) -> Vec<PathBuf> {
 /// Reads the model.
 pub(super) fn read(root: &Path, model: &ModelLocation) -> Result<Foreign, ProjectError> {
     let candidates = images::candidates(root, &model.path);
-    let size_of = |name: &str| candidates.iter().find_map(|folder| image::image_dimensions(folder.join(name)).ok());
+    let size_of = |name: &str| candidates.iter().find_map(|folder| images::size_by_header(&folder.join(name)));
     let at = |path: &Path, fault| ProjectError::Fault { path: path.into(), fault };
     let path = &model.path;
     if model.format == ModelFormat::Sure {

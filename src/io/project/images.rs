@@ -13,6 +13,7 @@ use walkdir::WalkDir;
 
 use super::Project;
 use crate::{
+    base::input::{self, Kind},
     io::formats::foreign::Foreign,
     model::scene::{Scene, ViewIndex},
 };
@@ -59,7 +60,7 @@ pub(super) fn with_extension(folders: &[PathBuf], name: &str) -> String {
 
 /// `image_path` of the settings that COLMAP leaves beside a model.
 fn said_by_colmap(model: &Path) -> Option<PathBuf> {
-    let settings = std::fs::read_to_string(model.join("project.ini")).ok()?;
+    let settings = input::read_text(&model.join("project.ini"), Kind::Settings).ok()?;
     let value = settings.lines().find_map(|line| line.trim().strip_prefix("image_path")?.trim().strip_prefix('='))?;
     Some(model.join(value.trim()))
 }
@@ -168,7 +169,7 @@ const START_OF_SCAN: u8 = 0xda;
 /// Does a JPEG file lack the end of its image? In the data of a scan the mark of the end cannot occur by chance (ITU T.81, B.1.1.5), before
 /// it in another picture that the header holds.
 fn is_cut_off(path: &Path, length: u64) -> io::Result<bool> {
-    let mut file = BufReader::with_capacity(TAIL as usize, File::open(path)?);
+    let mut file = BufReader::with_capacity(TAIL as usize, input::open(path)?);
     if length > TAIL {
         file.seek(SeekFrom::Start(length - TAIL))?;
         if has_end(&mut file)? {
@@ -213,12 +214,18 @@ fn has_end(file: &mut impl BufRead) -> io::Result<bool> {
 fn dimensions(path: &Path, length: u64) -> Option<[u32; 2]> {
     let of_head = |bytes: u64| {
         let mut head = Vec::new();
-        File::open(path).ok()?.take(bytes).read_to_end(&mut head).ok()?;
+        input::open(path).ok()?.take(bytes).read_to_end(&mut head).ok()?;
         let reader = ImageReader::new(Cursor::new(head)).with_guessed_format().ok()?;
         reader.into_dimensions().ok()
     };
     let found = HEADS.into_iter().filter(|bytes| *bytes < length).find_map(of_head);
-    found.or_else(|| image::image_dimensions(path).ok()).map(|(width, height)| [width, height])
+    found.or_else(|| size_by_header(path)).map(|(width, height)| [width, height])
+}
+
+/// Width and height of an image file, wherever its header says so.
+pub(super) fn size_by_header(path: &Path) -> Option<(u32, u32)> {
+    let file = BufReader::new(input::open(path).ok()?);
+    ImageReader::new(file).with_guessed_format().ok()?.into_dimensions().ok()
 }
 
 /// Images of the folder that the scene has no view of, sorted; none where the folder holds no image of the scene, as one that a model from

@@ -1,7 +1,6 @@
 //! Looking at the pictures of a project: reading, predicting, keeping.
 
 use std::{
-    fs,
     io::ErrorKind,
     path::{Path, PathBuf},
     sync::atomic::{AtomicU64, Ordering},
@@ -15,7 +14,10 @@ use super::{
     image::{Image, ImageError, Mask, size_for_confidence},
 };
 use crate::{
-    base::progress::{Cancelled, Stage, Watcher},
+    base::{
+        input::{self, Kind},
+        progress::{Cancelled, Stage, Watcher},
+    },
     io::project::Project,
     model::{
         camera::Camera,
@@ -169,7 +171,7 @@ impl Files {
         predictor: Option<&dyn Predictor>,
         cache: &Cache,
     ) -> Result<Option<Entry>, ImageError> {
-        let read = |path: &Option<PathBuf>| path.as_deref().map(fs::read).transpose();
+        let read = |path: &Option<PathBuf>| path.as_deref().map(|path| input::read(path, Kind::Picture)).transpose();
         let (image, mask) = (read(&self.image)?, read(&self.mask)?);
         let now = self.inputs();
         let with = |stamp: Option<Stamp>, bytes: &Option<Vec<u8>>| Some(stamp?.with_content(bytes.as_deref()?));

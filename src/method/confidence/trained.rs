@@ -19,6 +19,7 @@ use crate::{
     base::{
         column::{self, Growing, TableError},
         error::Hint,
+        input::{self, Kind},
         progress::Watcher,
     },
     method::geometry::Geometry,
@@ -96,7 +97,8 @@ impl Trained {
     }
 
     pub fn read(path: &Path) -> Result<Self, TrainedError> {
-        let bytes = std::fs::read(path).map_err(|source| TrainedError::Io { path: path.into(), source })?;
+        let bytes =
+            input::read(path, Kind::Trained).map_err(|source| TrainedError::Io { path: path.into(), source })?;
         Self::parse(&bytes, path)
     }
 

@@ -30,6 +30,7 @@ use serde::{Deserialize, Serialize};
 use crate::{
     base::{
         error::Hint,
+        input::{self, Kind},
         progress::{Cancelled, Stage, Watcher},
         tiles,
     },
@@ -270,8 +271,8 @@ fn with_edges(
 }
 
 fn read_mesh(file: &MeshFile) -> Result<Surface, SurfaceError> {
-    let bytes =
-        std::fs::read(&file.path).map_err(|source| SurfaceError::MeshFile { path: file.path.clone(), source })?;
+    let bytes = input::read(&file.path, Kind::Mesh)
+        .map_err(|source| SurfaceError::MeshFile { path: file.path.clone(), source })?;
     let mesh = ply::read(&bytes).map_err(|source| SurfaceError::Mesh { path: file.path.clone(), source })?;
     Ok(Surface { kind: SurfaceKind::Mesh, vertices: mesh.vertices, triangles: mesh.triangles })
 }

@@ -1,12 +1,15 @@
 //! Which input a plan was made from.
 
 use std::{
-    fs::{self, File},
-    io,
+    fs, io,
     path::{Path, PathBuf},
 };
 
-use crate::{base::error::Hint, io::project::Project, model::scene::Scene};
+use crate::{
+    base::{error::Hint, input},
+    io::project::Project,
+    model::scene::Scene,
+};
 
 /// The input could not be read a second time.
 #[derive(Debug, thiserror::Error)]
@@ -30,7 +33,7 @@ pub fn fingerprint(project: &Project, scene: &Scene, mesh: Option<&Path>) -> Res
         // Lengths in front, so that no two lists of files give the same bytes.
         let length = fs::metadata(&path).map_err(failed)?.len();
         hasher.update(&length.to_le_bytes());
-        hasher.update_reader(File::open(&path).map_err(failed)?).map_err(failed)?;
+        hasher.update_reader(input::open(&path).map_err(failed)?).map_err(failed)?;
     }
     for view in &scene.views {
         hasher.update(&(view.name.len() as u64).to_le_bytes()).update(view.name.as_bytes());

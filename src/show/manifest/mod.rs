@@ -3,6 +3,7 @@
 //! The structs are the format: the JSON Schema under `schema/` is made from them and their comments. Same input, same bytes:
 //! nothing in it depends on the clock, the machine or the number of threads.
 
+mod check;
 mod fingerprint;
 mod written;
 
@@ -10,7 +11,7 @@ use schemars::{JsonSchema, Schema, schema_for};
 use serde::{Deserialize, Serialize};
 
 pub use fingerprint::{FingerprintError, fingerprint};
-pub(crate) use written::Recorded;
+pub(crate) use written::{FILE, Recorded, read_own};
 pub use written::{WrittenPlan, WrittenPlanError, planned_backend, planned_model};
 
 use crate::{

@@ -4,12 +4,15 @@ use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
 
-use super::{FingerprintError, VERSION, ViewEntry, fingerprint};
+use super::{FingerprintError, VERSION, ViewEntry, check::check, fingerprint};
 use crate::{
     backends::ExportRecord,
     base::{error::Hint, shell::quoted_path},
     config::{Budget, Settings, Share},
-    io::project::{Project, ProjectError},
+    io::{
+        output::{self, OutputError},
+        project::{Project, ProjectError},
+    },
     model::{
         cluster::RankedCluster,
         scene::{Scene, ViewIndex},
@@ -62,12 +65,26 @@ struct Input {
 
 #[derive(Debug, Deserialize)]
 pub(crate) struct Cluster {
+    pub rank: i64,
     pub key: String,
     pub partners: Vec<String>,
     pub gain: f64,
     pub fulfilment: f64,
-    share: f64,
+    pub share: f64,
     pub finished: bool,
+}
+
+/// The manifest, relative to the project.
+pub(crate) const FILE: &str = "viewrank/manifest.json";
+
+/// The bytes of a file of the plan.
+pub(crate) fn read_own(project: &Project, name: &str) -> Result<Vec<u8>, WrittenPlanError> {
+    output::read_own(&project.root, name).map_err(|error| match error {
+        OutputError::Io { path, source } | OutputError::Denied { path, source } => {
+            WrittenPlanError::Io { path, source }
+        }
+        error => WrittenPlanError::Own(error),
+    })
 }
 
 /// Name of the backend that the project's plan was made for; `None` without a plan.
@@ -116,14 +133,16 @@ impl Recorded {
 
     /// What `viewrank/manifest.json` of the project says, whether or not the input has changed since.
     pub fn read(project: &Project) -> Result<Self, WrittenPlanError> {
-        let path = project.output_folder().join("manifest.json");
-        let bytes = std::fs::read(&path).map_err(|source| WrittenPlanError::Io { path: path.clone(), source })?;
+        let path = project.root.join(FILE);
+        let bytes = read_own(project, FILE)?;
         let recorded: Self = serde_json::from_slice(&bytes)
             .map_err(|error| WrittenPlanError::Manifest { path: path.clone(), what: error.to_string() })?;
         match recorded.version {
-            VERSION => Ok(Self { path, ..recorded }),
-            version => Err(WrittenPlanError::Version { path, version }),
+            VERSION => {}
+            version => return Err(WrittenPlanError::Version { path, version }),
         }
+        check(&recorded).map_err(|what| WrittenPlanError::Manifest { path: path.clone(), what })?;
+        Ok(Self { path, ..recorded })
     }
 
     /// Are model and images those that were planned for?
@@ -183,6 +202,8 @@ pub enum WrittenPlanError {
     OtherInput(PathBuf),
     #[error("{}: another version of viewrank made this plan, and this one ranks otherwise", .0.display())]
     OtherPlan(PathBuf),
+    #[error("cannot read the plan: {0}")]
+    Own(OutputError),
     #[error(transparent)]
     Input(#[from] FingerprintError),
     #[error(transparent)]
@@ -200,6 +221,7 @@ impl Hint for WrittenPlanError {
                 let root = path.parent().and_then(Path::parent).unwrap_or(Path::new("."));
                 Some(format!("make the plan first: viewrank plan {}", quoted_path(root)))
             }
+            Self::Own(error) => error.hint(),
             Self::Input(error) => error.hint(),
             Self::Project(error) => error.hint(),
         }

@@ -1,5 +1,7 @@
 //! Sets of files appear whole or not at all, whatever fails and whenever the process dies.
 
+mod strangers;
+
 use std::{
     collections::BTreeMap,
     fs, io,
@@ -308,20 +310,4 @@ fn an_undo_that_is_killed_is_taken_up_again() {
             }
         }
     }
-}
-
-#[test]
-fn a_hostile_journal_is_refused() {
-    let folder = empty_folder();
-    let root = folder.path().join("root");
-    fs::create_dir_all(root.join("viewrank")).unwrap();
-    fs::write(folder.path().join("precious"), "precious").unwrap();
-    let step = r#"{"path":"../precious","has_new":false,"has_old":false}"#;
-    let journal =
-        format!(r#"{{"direction":"finish","change":{{"new_folders":[],"steps":[{step}],"old_folders":[]}}}}"#);
-    fs::write(root.join("viewrank/.journal.json"), journal).unwrap();
-    assert!(matches!(recover(&root, &Disk::REAL), Err(OutputError::Name { .. })));
-    fs::write(root.join("viewrank/.journal.json"), "{").unwrap();
-    assert!(matches!(recover(&root, &Disk::REAL), Err(OutputError::Journal { .. })));
-    assert_eq!(fs::read_to_string(folder.path().join("precious")).unwrap(), "precious");
 }

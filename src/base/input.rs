@@ -1,0 +1,137 @@
+//! Opens files that a project or the user names.
+//!
+//! A project may come from a stranger, and its settings name files. Links are followed, for images often live elsewhere, but
+//! only a regular file is read: a pipe would be waited for and a device read without end. What is read whole has a bound.
+
+use std::{
+    fs::{File, Metadata},
+    io::{self, Read},
+    path::Path,
+};
+
+/// The kind of a file that is read whole, which decides how large it may be.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
+    /// `viewrank.toml` and notes of a few lines.
+    Settings,
+    /// A list of names, such as `clusters.txt`.
+    List,
+    /// A trained model of the confidence.
+    Trained,
+    /// An image, a mask or a depth map.
+    Picture,
+    Mesh,
+    /// A file of a sparse model.
+    Sparse,
+    /// A file of viewrank's own.
+    State,
+}
+
+impl Kind {
+    /// The most bytes that are read.
+    pub const fn limit(self) -> u64 {
+        match self {
+            Self::Settings => 1 << 20,
+            Self::List | Self::Trained => 256 << 20,
+            Self::State => 1 << 30,
+            Self::Picture => 2 << 30,
+            Self::Mesh => 16 << 30,
+            Self::Sparse => 64 << 30,
+        }
+    }
+
+    const fn name(self) -> &'static str {
+        match self {
+            Self::Settings => "settings",
+            Self::List => "a list of names",
+            Self::Trained => "a trained model",
+            Self::Picture => "an image, a mask or a depth map",
+            Self::Mesh => "a mesh",
+            Self::Sparse => "a file of a sparse model",
+            Self::State => "a file of viewrank's own",
+        }
+    }
+}
+
+/// Opens a regular file, through links or not.
+///
+/// # Errors
+/// Of the kind `InvalidInput` where it is something else.
+pub fn open(path: &Path) -> io::Result<File> {
+    open_with_metadata(path).map(|(file, _)| file)
+}
+
+fn open_with_metadata(path: &Path) -> io::Result<(File, Metadata)> {
+    let mut options = File::options();
+    options.read(true);
+    #[cfg(unix)]
+    std::os::unix::fs::OpenOptionsExt::custom_flags(&mut options, libc::O_NONBLOCK);
+    let file = options.open(path)?;
+    let found = file.metadata()?;
+    if found.is_file() {
+        return Ok((file, found));
+    }
+    let what = if found.is_dir() { "a folder" } else { "a pipe or a device" };
+    Err(io::Error::new(io::ErrorKind::InvalidInput, format!("not a regular file but {what}: name a file")))
+}
+
+/// The bytes of a regular file that is no larger than its kind may be.
+pub fn read(path: &Path, kind: Kind) -> io::Result<Vec<u8>> {
+    read_all(open(path)?, kind)
+}
+
+/// The text of such a file.
+pub fn read_text(path: &Path, kind: Kind) -> io::Result<String> {
+    String::from_utf8(read(path, kind)?).map_err(|error| io::Error::new(io::ErrorKind::InvalidData, error.utf8_error()))
+}
+
+/// The bytes of an open file.
+pub fn read_all(file: File, kind: Kind) -> io::Result<Vec<u8>> {
+    let length = file.metadata()?.len();
+    check_length(length, kind)?;
+    let mut bytes = Vec::new();
+    bytes.try_reserve_exact(length as usize)?;
+    // It may grow meanwhile, and some system files don't say how long they are.
+    file.take(kind.limit() + 1).read_to_end(&mut bytes)?;
+    check_length(bytes.len() as u64, kind)?;
+    Ok(bytes)
+}
+
+/// Is a file of so many bytes no larger than its kind may be?
+pub fn check_length(length: u64, kind: Kind) -> io::Result<()> {
+    if length <= kind.limit() {
+        return Ok(());
+    }
+    let why = format!("larger than {} MiB, the limit for {}: give a smaller file", kind.limit() >> 20, kind.name());
+    Err(io::Error::new(io::ErrorKind::FileTooLarge, why))
+}
+
+#[cfg(all(test, unix))]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_regular_files_are_opened_links_to_them_included() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let [file, link, pipe] = ["file", "link", "pipe"].map(|name| folder.path().join(name));
+        std::fs::write(&file, "text").expect("a file");
+        std::os::unix::fs::symlink("file", &link).expect("a link");
+        assert!(std::process::Command::new("mkfifo").arg(&pipe).status().expect("mkfifo").success());
+        assert_eq!(read_text(&link, Kind::Settings).expect("the file"), "text");
+        for path in [&pipe, Path::new("/dev/zero"), folder.path()] {
+            let error = read(path, Kind::Settings).expect_err("refused");
+            assert_eq!(error.kind(), io::ErrorKind::InvalidInput, "{}", path.display());
+        }
+    }
+
+    #[test]
+    fn a_file_above_the_limit_is_not_read() {
+        let file = tempfile::NamedTempFile::new().expect("a temporary file");
+        file.as_file().set_len(Kind::Settings.limit()).expect("a length");
+        assert_eq!(read(file.path(), Kind::Settings).expect("just so").len() as u64, Kind::Settings.limit());
+        file.as_file().set_len(Kind::Settings.limit() + 1).expect("a length");
+        let error = read(file.path(), Kind::Settings).expect_err("too large");
+        assert_eq!(error.kind(), io::ErrorKind::FileTooLarge);
+        assert!(error.to_string().contains(" 1 MiB"), "{error}");
+    }
+}
