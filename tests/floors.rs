@@ -10,17 +10,8 @@ use std::{
 const FLOORS: [&str; 11] =
     ["base", "model", "io", "config", "method", "plan", "backends", "show", "apps", "daemon", "cli"];
 /// The sections of the method, from the ground up.
-const SECTIONS: [&str; 9] = [
-    "surface",
-    "visibility",
-    "target",
-    "geometry",
-    "confidence",
-    "fulfilment",
-    "partners",
-    "ranking",
-    "synthetic",
-];
+const SECTIONS: [&str; 9] =
+    ["surface", "visibility", "target", "geometry", "confidence", "fulfilment", "partners", "ranking", "synthetic"];
 
 /// The source files under a folder, tests left out.
 fn sources(folder: &Path) -> Vec<PathBuf> {
@@ -60,7 +51,8 @@ fn leaves(tree: &str) -> Vec<Vec<String>> {
         match c {
             '{' => depth += 1,
             ',' | '}' if depth == 0 => {
-                found.extend(Some(&inner[start..i]).filter(|part| !part.trim().is_empty()).into_iter().flat_map(leaves));
+                found
+                    .extend(Some(&inner[start..i]).filter(|part| !part.trim().is_empty()).into_iter().flat_map(leaves));
                 start = i + 1;
                 if c == '}' {
                     break;
@@ -92,7 +84,8 @@ fn each_floor_uses_only_those_below_it() {
     let mut climbs = Vec::new();
     for (height, floor) in FLOORS.iter().enumerate() {
         for path in sources(&source.join(floor)) {
-            let above = uses(&code(&path)).into_iter().filter(|(used, _)| FLOORS[height + 1..].contains(&used.as_str()));
+            let above =
+                uses(&code(&path)).into_iter().filter(|(used, _)| FLOORS[height + 1..].contains(&used.as_str()));
             climbs.extend(above.map(|(used, name)| format!("{}: {used}::{name}", path.display())));
         }
     }
