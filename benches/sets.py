@@ -4,9 +4,9 @@
     python3 benches/sets.py --list
     python3 benches/sets.py SET... [--source CLONE] [--jobs 2]
 
-Rendered sets need benches/render/requirements.txt, photographs benches/photographs/requirements.txt and git; `formats` needs git only. Photographs are cloned
-from their public repository; --source takes a clone that is there already. A set that is there already is kept; an unfinished one is made anew,
-except that views that have been rendered are kept.
+Rendered sets need benches/render/requirements.txt, photographs benches/photographs/requirements.txt and git, `survey` numpy, `formats` git.
+Photographs are cloned from their public repository; --source takes a clone that is there already. A set that is there already is kept; an
+unfinished one is made anew, except that views that have been rendered are kept.
 
 With the versions of the requirements the rendered images, depth and true poses have the same bytes every time. Sparse models come out alike, but
 not to the last digit, where structure from motion runs on several threads.
@@ -75,6 +75,24 @@ class Photographs(NamedTuple):
         (folder / "README.md").write_text("# %s\n\n%s\n" % (folder.name, about))
 
 
+class Synthetic(NamedTuple):
+    """A large sparse model without images."""
+
+    views: int
+    points: int
+    minutes: int
+
+    kind = "sparse model"
+    last = "points3D.bin"
+    source = "benches/aerial"
+    licence = "none attached"
+
+    def make(self, folder, options):
+        from aerial import model
+
+        model.make(folder, self.views, self.points)
+
+
 class Programs(NamedTuple):
     """Files that come with other programs, for the tests of their readers: (repository, commit, path, path here)."""
 
@@ -121,6 +139,8 @@ def git_show(clone, commit, path):
 
 CC_BY = 'CC BY 3.0, "Photos: Andrew Zaborowski", with attribution to OpenStreetMap-PL'
 OPENSFM = ("mapillary/OpenSfM", "238744cdf3b5d50149c50d136a87f7fea25ad5cd")
+BUNDLER = ("snavely/bundler_sfm", "a35a8f589b7b8419f43f9e41553a84522faa6f9e")
+OPENMVS = ("cdcseacave/openMVS", "ce03889e2055a3d6cbcae9dd5a93b5eeea94b909")
 ALICEVISION = ("alicevision/AliceVision", "ca8300f38998f1763d5fda7d47cbe0513ab3fa39")
 NEAR_DUPLICATES = """3007 3011 3013 3026 3032 3034 3036 3037 3038 3043 3058 3059 3087 3095 3097 3103 3107 3123 3124 3138 3139 3147 3151 3154
 3156 3166 3184 3186"""
@@ -147,15 +167,16 @@ SETS = dict(
             dropped=tuple("img_%s.jpg" % number for number in NEAR_DUPLICATES.split()),
         ),
     ),
+    survey=Synthetic(300, 250_000, 1),
     formats=Programs((
         (*OPENSFM, "data/berlin/reconstruction_example.json", "opensfm_berlin/reconstruction.json"),
         (*OPENSFM, "data/berlin/tracks_example.csv", "opensfm_berlin/tracks.csv"),
         (*OPENSFM, "data/berlin/rig_cameras_example.json", "opensfm_berlin/rig_cameras.json"),
         (*OPENSFM, "data/berlin/rig_assignments_example.json", "opensfm_berlin/rig_assignments.json"),
-        ("snavely/bundler_sfm", "a35a8f589b7b8419f43f9e41553a84522faa6f9e", "examples/kermit/results.example/bundle.out", "bundler_kermit/bundle.out"),
+        (*BUNDLER, "examples/kermit/results.example/bundle.out", "bundler_kermit/bundle.out"),
         (*ALICEVISION, "pyTests/data/small.sfm", "alicevision/small.sfm"),
         (*ALICEVISION, "src/aliceVision/sfmDataIO/compatibilityData/scene_v1.2.8.json", "alicevision/scene.json"),
-        ("cdcseacave/openMVS", "ce03889e2055a3d6cbcae9dd5a93b5eeea94b909", "apps/Tests/data/scene.mvs", "openmvs/scene.mvs"),
+        (*OPENMVS, "apps/Tests/data/scene.mvs", "openmvs/scene.mvs"),
     )),
 )  # fmt: skip
 

@@ -5,6 +5,9 @@ import numpy as np
 from .camera import View, look
 from .rays import Rays
 
+# Where to step when no direction is better than another.
+ASIDE = np.zeros(3)
+
 
 class Handheld:
     """Collects views, and steps aside where something is in the way."""
@@ -18,7 +21,7 @@ class Handheld:
         u, v = np.meshgrid(np.linspace(-0.5, 0.5, 9), np.linspace(-0.37, 0.37, 7))
         self.directions = np.stack([u / focal_to_width, v / focal_to_width, np.ones(u.shape)], -1).reshape(-1, 3)
 
-    def add(self, name, centre, target, least, away=np.zeros(3)):
+    def add(self, name, centre, target, least, away=ASIDE):
         """The nearest fifth of the picture is farther than `least`; `away` is where to step."""
         for _ in range(60):
             rotation = look(centre, target, np.array([0, 0, 1.0]) + self.rng.normal(0, 0.035, 3))

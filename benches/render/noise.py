@@ -44,15 +44,9 @@ def noise2(x, y, s):
 @kernel
 def noise3(x, y, z, s):
     """Value noise in [-1, 1] and its gradient."""
-    fx = math.floor(x)
-    fy = math.floor(y)
-    fz = math.floor(z)
-    i = int(fx)
-    j = int(fy)
-    k = int(fz)
-    u = x - fx
-    v = y - fy
-    w = z - fz
+    fx, fy, fz = math.floor(x), math.floor(y), math.floor(z)
+    i, j, k = int(fx), int(fy), int(fz)
+    u, v, w = x - fx, y - fy, z - fz
     du = 30 * u * u * (u - 1) * (u - 1)
     dv = 30 * v * v * (v - 1) * (v - 1)
     dw = 30 * w * w * (w - 1) * (w - 1)

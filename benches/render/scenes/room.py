@@ -12,7 +12,7 @@ from ..handheld import Handheld
 from ..materials import BOARD, CLOTH, GLOSS, MARBLE, PAINT, STONE, WALL, WINDOW
 from ..plants import Leaves
 from ..scene import Interior, Scene
-from ..shapes import UP, Mesh, add_turned, heading
+from ..shapes import Mesh, add_turned, heading
 from .layout import Indoors, scatter
 
 SALT = 21000
