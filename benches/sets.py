@@ -38,7 +38,7 @@ class Rendered(NamedTuple):
     features: int = 4000
 
     kind = "rendered"
-    # What is written when all is done.
+    # The file that is written last.
     last = "stats.json"
     source = "benches/render"
     licence = "none attached"

@@ -19,7 +19,7 @@ PINHOLE = 1
 
 
 def make(folder, views, points, seed=1):
-    """Writes a model of so many views and, at most, points."""
+    """Writes a model with that number of views, and at most that number of points."""
     rng = np.random.default_rng(seed)
     survey = Survey(views, rng)
     half = survey.side / 2 + BEYOND

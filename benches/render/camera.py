@@ -1,4 +1,4 @@
-"""A pinhole camera, where it looks, and what lens and sensor do to light."""
+"""A pinhole camera, its orientation, and the effects of lens and sensor."""
 
 from typing import NamedTuple
 

@@ -63,7 +63,7 @@ Arrays `lo`, `hi`, `mask` and indoors `fine` of uint8. `mask`: 0 none or sky, 1 
     depth = q * {step} where mask is 1 or 3
     depth += (fine - {half}) * {fine_step:g}    # where there is `fine`
 
-## What makes it hard
+## Difficulties
 
 {hard}
 There is no lens distortion, rolling shutter or motion blur; light is one source, light from all sides with baked occlusion, and one mirror bounce.

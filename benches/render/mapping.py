@@ -9,7 +9,7 @@ import numpy as np
 from . import colmap_model, depth_file
 from .pictures import depth_path
 
-# Every so many pixels of the depth a point is taken to judge overlap.
+# Pixels of the depth from one point that overlap is judged by to the next.
 STRIDE = 25
 PARTNERS = 32
 LEAST_OVERLAP = 0.12

@@ -1,4 +1,4 @@
-"""Numbers of the materials: those of the faces in `truth/scene.ply`, and what the shading chooses by."""
+"""Numbers of the materials, as the faces in `truth/scene.ply` have them."""
 
 TERRAIN, ROCK, PLASTER, ROOF, WINDOW, WOOD, WATER, BARK, LEAF, STONE, PAINT, BOARD = range(12)
 # Indoors. From WALL on: the shell of the building, which casts no shadow.

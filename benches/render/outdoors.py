@@ -18,7 +18,7 @@ def build(layout, seed, salt):
     for i, outcrop in enumerate(layout.outcrops):
         add_outcrop(mesh, ground, outcrop, ground.salt + 200 + 100 * i)
     add_pond(mesh, ground)
-    add_what_is_built(mesh, ground, rng)
+    add_buildings(mesh, ground, rng)
     Growth(mesh, leaves, ground, rng).fill()
     surface = mesh.whole()
     segments, found, angle = figures(layout, rng)
@@ -32,7 +32,7 @@ def build(layout, seed, salt):
     return Scene(layout, ground, surface, leaves.whole(), texture)
 
 
-def add_what_is_built(mesh, ground, rng):
+def add_buildings(mesh, ground, rng):
     layout = ground.layout
     for hut, pad in zip(layout.huts, ground.pads):
         Hut(mesh, hut, pad.level).add()
@@ -52,11 +52,11 @@ class Growth:
     def __init__(self, mesh, leaves, ground, rng):
         self.mesh, self.leaves, self.ground, self.rng = mesh, leaves, ground, rng
         self.layout = ground.layout
-        self.kept_free = self.around_what_is_there()
+        self.kept_free = self.around_outcrops_huts_pond()
         self.taken = []
         self.plants = 0
 
-    def around_what_is_there(self):
+    def around_outcrops_huts_pond(self):
         """Circles: x, y, radius."""
         layout, pond = self.layout, self.layout.pond
         circles = []

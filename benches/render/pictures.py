@@ -12,7 +12,7 @@ from .frame import Frame
 from .rays import bake_sky
 from .scenes import scene as scene_of
 
-# What every process renders.
+# The task of this process, under "now".
 TASK = {}
 
 

@@ -1,4 +1,4 @@
-"""Rays against the meshes by Embree, what they hit, and how much of the sky each vertex sees."""
+"""Rays against the meshes by Embree, the surface at their hits, and the share of the sky that each vertex sees."""
 
 import math
 from collections import namedtuple
@@ -8,7 +8,7 @@ import numpy as np
 from .materials import LEAF
 from .noise import shading
 
-# What a ray hit, in arrays over rays; material -1 where it hit nothing.
+# The surface at the hits, in arrays over rays; material -1 where a ray hit nothing.
 Hits = namedtuple("Hits", "place normal texture material obj sky")
 Static = namedtuple("Static", "vertices faces normals texture materials objects sky")
 Moving = namedtuple("Moving", "triangles normals texture shade")

@@ -1,4 +1,4 @@
-"""A scene: its layout, its mesh and leaves, and what the shading has to know."""
+"""A scene: its layout, its mesh and leaves, and the inputs of its textures."""
 
 from collections import namedtuple
 from dataclasses import dataclass
@@ -8,7 +8,7 @@ import numpy as np
 from .plants import Leaves
 from .shapes import Surface
 
-# What textures outdoors depend on. `mud_along` is the half length of the strip of mud around the pond, `blades` says how the grass is bent,
+# Inputs of the textures outdoors. `mud_along` is the half length of the strip of mud around the pond, `blades` says how the grass is bent,
 # in each image another way.
 Site = namedtuple(
     "Site", "pond_x pond_y mud_along pond_across pond_power grass paved path_half rock half salt blades path pads segments figures"

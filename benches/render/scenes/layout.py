@@ -79,7 +79,7 @@ class Outdoors:
     conifers: float
     rails: list
     boards: list
-    # What the rings of views are around: outcrops and huts, and the radii of the rings.
+    # Outcrops and huts that rings of views are around, and the radii of the rings.
     targets: list
     ring_radii: tuple
     path_half: float
@@ -113,6 +113,6 @@ class Indoors:
 
 
 def scatter(seed):
-    """What moves places from seed to seed, and the generator behind it."""
+    """The random generator of a seed, and a shift of places by up to `reach` metres drawn from it."""
     rng = np.random.default_rng(1000 + seed)
     return rng, lambda reach=0.6: rng.uniform(-reach, reach)
