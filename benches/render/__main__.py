@@ -16,7 +16,7 @@ from .scenes import NAMES
 
 
 def arguments():
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser = argparse.ArgumentParser("python3 -m benches.render", description=__doc__.split("\n")[0])
     parser.add_argument("out", type=Path)
     parser.add_argument("--scene", default="valley", choices=NAMES)
     parser.add_argument("--seed", type=int, default=1)
