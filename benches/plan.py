@@ -3,9 +3,9 @@
 
     cargo build --release && python benches/plan.py [--views 300 1200 5000 10000 50000] [-k 5] [--threads 2] [--max-memory 8G]
 
-Makes the models with synth_uav.py (--tool, by default ../shared/tools/synth_uav.py; needs numpy), those of more than 10,000 views as copies
-of that of 10,000 beside each other, in a folder that is kept between runs, plans each without images, and prints a table: wall time per view, core time per view of partners and ranking, peak memory and
-what was forecast, tiles of the surface, tables on disk. A plan that does not fit --max-memory has a line that says so.
+Makes the models (benches/aerial; needs numpy), those of more than 10,000 views as copies of that of 10,000 beside each other, in a folder
+that is kept between runs, plans each without images, and prints a table: wall time per view, core time per view of partners and ranking, peak
+memory and its forecast, tiles of the surface, tables on disk. A plan that does not fit --max-memory has a line that says so.
 """
 import argparse
 import json
@@ -14,12 +14,13 @@ import subprocess
 import sys
 from pathlib import Path
 
+import aerial.model
 import survey
 
 ROOT = Path(__file__).resolve().parents[1]
 # As in the survey of 1,200 views and 1,000,000 points.
 POINTS_PER_VIEW = 833
-# What synth_uav.py makes in a quarter of an hour.
+# Made in a quarter of an hour.
 LARGEST = 10_000
 
 
@@ -40,7 +41,6 @@ def parse():
     parser.add_argument("-k", default="5")
     parser.add_argument("--threads", default="2")
     parser.add_argument("--program", type=Path, default=ROOT / "target" / "release" / "viewrank")
-    parser.add_argument("--tool", type=Path, default=ROOT.parent / "shared" / "tools" / "synth_uav.py")
     parser.add_argument("--models", type=Path, default=ROOT / "target" / "surveys", help="where models are kept")
     return parser.parse_args()
 
@@ -53,8 +53,7 @@ def make(arguments, views):
     if not (folder / "points3D.bin").exists() and views > LARGEST:
         survey.beside_each_other(make(arguments, LARGEST), folder, views // LARGEST)
     elif not (folder / "points3D.bin").exists():
-        command = [sys.executable, arguments.tool, folder, "--views", str(views), "--points", str(points), "--quiet"]
-        subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+        aerial.model.make(folder, views, points)
     return folder
 
 

@@ -2,8 +2,8 @@
 //!
 //!     cargo bench --bench surface_truth -- [SETTINGS.toml...] FOLDER...
 //!
-//! Each folder holds a COLMAP model and `truth/scene.ply`, as `../shared/data/valley` and the output of `render_valley.py` do; each is
-//! measured with each file of settings, or with the defaults. Printed:
+//! Each folder holds a COLMAP model and `truth/scene.ply`, as the rendered sets of `benches/sets.py` do; each is measured with each file of
+//! settings, or with the defaults. Printed:
 //! - near: share of the surface's area within 3 g_d of the exact scene, and the median distance in g_d;
 //! - covered: share of what the views see of the exact scene that lies within 3 g_d of the surface, and the median distance;
 //! - precision and recall of (triangle, view) pairs, where a pair is right when the line of sight from the camera to the triangle's

@@ -330,20 +330,10 @@ fn a_folder_holds_the_plan_of_one_sub_model() {
 
 #[test]
 fn a_model_without_views_is_a_clear_error() {
-    let Some(data) = data() else { return };
-    let (code, stderr) = failure(&["plan", data.join("formats/empty/bin").to_str().unwrap(), "--dry-run"]);
+    let empty = concat!(env!("CARGO_MANIFEST_DIR"), "/fixtures/formats/empty/bin");
+    let (code, stderr) = failure(&["plan", empty, "--dry-run"]);
     assert_eq!(code, 1);
     assert!(stderr.contains("hint: "), "{stderr}");
-}
-
-/// The large data sets, where they are.
-fn data() -> Option<PathBuf> {
-    let default = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data");
-    let folder = std::env::var_os("VIEWRANK_DATA").map_or(default, PathBuf::from);
-    if !folder.is_dir() {
-        eprintln!("skipped: no data sets in {} (set VIEWRANK_DATA)", folder.display());
-    }
-    folder.is_dir().then_some(folder)
 }
 
 #[test]

@@ -13,15 +13,9 @@ use viewrank::internals::{
     scene::Scene,
 };
 
-/// The shared data sets, or `None` with a note where they are not to be had.
-fn data() -> Option<PathBuf> {
-    let there = std::env::var_os("VIEWRANK_DATA").map(PathBuf::from);
-    let data = there.unwrap_or_else(|| PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../shared/data"));
-    if !data.is_dir() {
-        eprintln!("skipped: no data at {}", data.display());
-        return None;
-    }
-    Some(data)
+/// Small models of every kind that COLMAP writes.
+fn formats() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/formats")
 }
 
 /// The folders of `formats/` with what pycolmap says of them.
@@ -63,7 +57,7 @@ fn assert_same(a: &Scene, b: &Scene, what: &str) {
 
 #[test]
 fn all_colmap_models_have_the_expected_counts() {
-    let Some(formats) = data().map(|data| data.join("formats")) else { return };
+    let formats = formats();
     let expected = expected(&formats);
     assert!(expected.len() > 50);
     for (folder, expected) in &expected {
@@ -83,7 +77,7 @@ fn all_colmap_models_have_the_expected_counts() {
 
 #[test]
 fn text_and_binary_are_the_same_model() {
-    let Some(formats) = data().map(|data| data.join("formats")) else { return };
+    let formats = formats();
     let expected = expected(&formats);
     let mut compared = 0;
     for folder in expected.keys().filter(|folder| folder.ends_with("bin")) {
@@ -102,7 +96,7 @@ fn text_and_binary_are_the_same_model() {
 
 #[test]
 fn colmap_text_name_cut() {
-    let Some(formats) = data().map(|data| data.join("formats")) else { return };
+    let formats = formats();
     let names =
         |folder: &str| -> Vec<String> { read(&formats.join(folder)).views.iter().map(|v| v.name.clone()).collect() };
     assert_eq!(names("names/txt"), names("names/bin"));
@@ -113,7 +107,7 @@ fn colmap_text_name_cut() {
 
 #[test]
 fn quaternions_are_normalised() {
-    let Some(formats) = data().map(|data| data.join("formats")) else { return };
+    let formats = formats();
     let (a, b) = (read(&formats.join("txt_unnormalised_quaternion")), read(&formats.join("ids_unordered/txt")));
     for (a, b) in a.views.iter().zip(&b.views) {
         assert!((a.cam_from_world.rotation.matrix() - b.cam_from_world.rotation.matrix()).norm() < 1e-12, "{}", a.name);
@@ -122,7 +116,7 @@ fn quaternions_are_normalised() {
 
 #[test]
 fn what_is_written_is_what_was_read() {
-    let Some(formats) = data().map(|data| data.join("formats")) else { return };
+    let formats = formats();
     for folder in expected(&formats).keys() {
         let project = open(&formats.join(folder));
         let files = project.colmap_files().unwrap();
@@ -148,7 +142,7 @@ fn what_is_written_is_what_was_read() {
 
 #[test]
 fn reduced_models_are_consistent() {
-    let Some(formats) = data().map(|data| data.join("formats")) else { return };
+    let formats = formats();
     for folder in ["base_colmap42_bin", "ids_unordered/bin", "many_cameras/txt", "rig_oblique5/bin"] {
         let files = open(&formats.join(folder)).colmap_files().unwrap();
         let model = files.model().unwrap();
@@ -223,7 +217,7 @@ fn pixels_whose_points_do_not_know_them_are_counted() {
 
 #[test]
 fn the_sub_model_with_most_images_is_taken() {
-    let Some(formats) = data().map(|data| data.join("formats")) else { return };
+    let formats = formats();
     let path = formats.join("project_two_models");
     let project = open(&path);
     assert_eq!((project.kind, project.model.name().as_str()), (ProjectKind::Colmap, "0"));
@@ -240,18 +234,24 @@ fn the_sub_model_with_most_images_is_taken() {
 
 #[test]
 fn unregistered_images_are_those_of_the_folder() {
-    let Some(data) = data() else { return };
-    let scene = read(&data.join("valley"));
-    assert_eq!(scene.views.len(), 111);
-    assert_eq!(scene.unregistered.len(), 1);
-    assert!(scene.find(&scene.unregistered[0]).is_none());
-    assert!(data.join("valley/images").join(&scene.unregistered[0]).is_file());
+    let folder = tempfile::tempdir().unwrap();
+    let (model, images) = (folder.path().join("sparse/0"), folder.path().join("images"));
+    [&model, &images].iter().for_each(|path| std::fs::create_dir_all(path).unwrap());
+    for file in ["cameras.bin", "images.bin", "points3D.bin"] {
+        std::fs::copy(formats().join("unregistered_colmap311/bin").join(file), model.join(file)).unwrap();
+    }
+    let all: Vec<String> = read(&formats().join("base_colmap38_bin")).views.iter().map(|v| v.name.clone()).collect();
+    all.iter().for_each(|name| std::fs::write(images.join(name), "").unwrap());
+    let scene = read(folder.path());
+    assert_eq!(scene.views.len(), 9);
+    let missing: Vec<_> = all.into_iter().filter(|name| scene.find(name).is_none()).collect();
+    assert_eq!((scene.unregistered.len(), &scene.unregistered), (3, &missing));
 }
 
 #[test]
 fn a_project_is_recognised_by_what_lies_in_it() {
-    let Some(formats) = data().map(|data| data.join("formats")) else { return };
-    let base = formats.join("base_colmap311_bin");
+    let formats = formats();
+    let base = formats.join("base_colmap38_bin");
     let folder = tempfile::tempdir().unwrap();
     let root = folder.path();
     let copy = |to: &str| {
@@ -311,7 +311,7 @@ fn a_project_is_recognised_by_what_lies_in_it() {
 
 #[test]
 fn inspect_prints_the_counts() {
-    let Some(formats) = data().map(|data| data.join("formats")) else { return };
+    let formats = formats();
     let inspect = |folder: &str, format: &str| {
         let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_viewrank"));
         let output = command.arg("inspect").arg(formats.join(folder)).args(["--format", format]).output().unwrap();

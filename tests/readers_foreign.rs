@@ -13,15 +13,15 @@ use viewrank::internals::{
     scene::{PointIndex, Scene, ViewIndex},
 };
 
-/// The shared data sets, or `None` with a note where they are not to be had.
-fn formats() -> Option<PathBuf> {
-    let there = std::env::var_os("VIEWRANK_DATA").map(PathBuf::from);
-    let data = there.unwrap_or_else(|| PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../shared/data"));
-    if !data.is_dir() {
-        eprintln!("skipped: no data at {}", data.display());
-        return None;
-    }
-    Some(data.join("formats"))
+/// Small models that are our own.
+fn formats() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/formats")
+}
+
+/// Files that come with other programs, under licences of their own: `benches/sets.py formats` fetches them.
+fn of_programs() -> PathBuf {
+    let default = || Path::new(env!("CARGO_MANIFEST_DIR")).join("target/data");
+    std::env::var_os("VIEWRANK_DATA").map_or_else(default, PathBuf::from).join("formats/others")
 }
 
 fn bytes(path: impl AsRef<Path>) -> Vec<u8> {
@@ -85,8 +85,8 @@ fn projections_apart(a: &Scene, b: &Scene) -> f64 {
 
 #[test]
 fn bundler_export_is_the_same_scene() {
-    let Some(formats) = formats() else { return };
-    let (exports, base) = (formats.join("base_colmap38_exports"), read(formats.join("base_colmap311_bin")));
+    let formats = formats();
+    let (exports, base) = (formats.join("base_colmap38_exports"), read(formats.join("base_colmap38_bin")));
     let (bundle, list) = (bytes(exports.join("model.bundle.out")), bytes(exports.join("model.list.txt")));
     let scene = bundler::read(&bundle, &list, &|_| Some((1000, 750))).unwrap().scene().unwrap();
     // Pixels and points are printed with six digits.
@@ -98,8 +98,8 @@ fn bundler_export_is_the_same_scene() {
 
 #[test]
 fn nvm_export_is_the_same_scene() {
-    let Some(formats) = formats() else { return };
-    let (exports, base) = (formats.join("base_colmap38_exports"), read(formats.join("base_colmap311_bin")));
+    let formats = formats();
+    let (exports, base) = (formats.join("base_colmap38_exports"), read(formats.join("base_colmap38_bin")));
     let nvm = nvm::read(&bytes(exports.join("model.nvm")), &|_| Some((1000, 750))).unwrap();
     let scene = nvm.scene().unwrap();
     // Pixels and points are printed with six digits.
@@ -109,8 +109,8 @@ fn nvm_export_is_the_same_scene() {
 
 #[test]
 fn openmvg_export_is_the_same_scene() {
-    let Some(formats) = formats() else { return };
-    let (path, base) = (formats.join("others/openmvg/sfm_data.json"), read(formats.join("base_colmap311_bin")));
+    let formats = formats();
+    let (path, base) = (formats.join("openmvg/sfm_data.json"), read(formats.join("base_colmap38_bin")));
     let scene = openmvg::read(&bytes(path)).unwrap().scene().unwrap();
     // The script that wrote it left pixels as in COLMAP, where OpenMVG has integer centres: all is half a pixel off.
     assert_is_base(&scene, &base, 1e-9, [0.5; 2]);
@@ -120,11 +120,27 @@ fn openmvg_export_is_the_same_scene() {
 
 #[test]
 fn folders_are_read_without_images() {
-    let Some(formats) = formats() else { return };
-    let open = |folder: &str| Project::open(&formats.join("others").join(folder), None).unwrap();
+    let base = read(formats().join("base_colmap38_bin"));
+    let bundler = tempfile::tempdir().unwrap();
+    for (export, name) in [("model.bundle.out", "bundle.out"), ("model.list.txt", "list.txt")] {
+        std::fs::copy(formats().join("base_colmap38_exports").join(export), bundler.path().join(name)).unwrap();
+    }
+    let openmvg = formats().join("openmvg");
+    for (folder, format) in [(bundler.path(), ModelFormat::Bundler), (&openmvg, ModelFormat::OpenMvg)] {
+        let project = Project::open(folder, None).unwrap();
+        assert_eq!(project.model.format, format);
+        let scene = project.read_scene().unwrap();
+        assert_eq!(counts(&scene), counts(&base), "{format:?}");
+        assert!(scene.mean_reprojection_error().unwrap() < 3.0, "{format:?}");
+    }
+}
+
+#[test]
+#[ignore = "needs VIEWRANK_DATA: formats"]
+fn files_of_the_programs_are_read_without_images() {
+    let open = |folder: &str| Project::open(&of_programs().join(folder), None).unwrap();
     for (folder, format, expected) in [
         ("bundler_kermit", ModelFormat::Bundler, [9, 634, 2039]),
-        ("openmvg", ModelFormat::OpenMvg, [12, 450, 2342]),
         ("opensfm_berlin", ModelFormat::OpenSfm, [3, 1430, 3219]),
         ("alicevision/small.sfm", ModelFormat::AliceVision, [0, 0, 0]),
         ("alicevision/scene_v1.2.8_cut.sfm", ModelFormat::AliceVision, [54, 300, 0]),
@@ -154,17 +170,17 @@ fn folders_are_read_without_images() {
 /// A dense workspace in the folder of another program's model was made from that model, and has images of its own.
 #[test]
 fn a_dense_workspace_does_not_hide_the_model_that_it_was_made_from() {
-    let Some(formats) = formats() else { return };
+    let formats = formats();
     let folder = tempfile::tempdir().unwrap();
     let root = folder.path();
     std::fs::create_dir_all(root.join("dense/sparse")).unwrap();
     ["images", "dense/images"].iter().for_each(|images| std::fs::create_dir(root.join(images)).unwrap());
     for name in ["cameras.bin", "images.bin", "points3D.bin"] {
-        std::fs::copy(formats.join("base_colmap311_bin").join(name), root.join("dense/sparse").join(name)).unwrap();
+        std::fs::copy(formats.join("base_colmap38_bin").join(name), root.join("dense/sparse").join(name)).unwrap();
     }
     let dense = Project::open(root, None).unwrap();
     assert_eq!((dense.model.format, dense.images.unwrap()), (ModelFormat::ColmapBinary, root.join("dense/images")));
-    std::fs::copy(formats.join("others/openmvg/sfm_data.json"), root.join("sfm_data.json")).unwrap();
+    std::fs::copy(formats.join("openmvg/sfm_data.json"), root.join("sfm_data.json")).unwrap();
     let foreign = Project::open(root, None).unwrap();
     assert_eq!((foreign.model.format, foreign.images.unwrap()), (ModelFormat::OpenMvg, root.join("images")));
     let of_dense = Project::open(&root.join("dense"), None).unwrap();
@@ -175,9 +191,9 @@ fn a_dense_workspace_does_not_hide_the_model_that_it_was_made_from() {
 }
 
 #[test]
+#[ignore = "needs VIEWRANK_DATA: formats"]
 fn alicevision_motions_of_one_pose_are_shared() {
-    let Some(formats) = formats() else { return };
-    let scene = read(formats.join("others/alicevision/scene_v1.2.8_cut.sfm"));
+    let scene = read(of_programs().join("alicevision/scene_v1.2.8_cut.sfm"));
     let centre = |v: usize| scene.views[v].cam_from_world.centre();
     let distinct = (0..54).filter(|&v| (0..v).all(|w| (centre(v) - centre(w)).norm() > 1e-9)).count();
     assert_eq!(distinct, 27);
@@ -280,11 +296,11 @@ fn bundler_rd_out_undistorted() {
 /// OpenMVG's own file has integer pixel centres; its export to COLMAP leaves out the half pixel, ours is there.
 #[test]
 fn openmvg_colmap_half_pixel() {
-    let Some(formats) = formats() else { return };
-    let sfm: serde_json::Value = serde_json::from_slice(&bytes(formats.join("others/openmvg/sfm_data.json"))).unwrap();
+    let formats = formats();
+    let sfm: serde_json::Value = serde_json::from_slice(&bytes(formats.join("openmvg/sfm_data.json"))).unwrap();
     let observation = &sfm["structure"][0]["value"]["observations"][0]["value"]["x"];
     let measured = [0, 1].map(|i: usize| observation[i].as_f64().unwrap());
-    let scene = openmvg::read(&bytes(formats.join("others/openmvg/sfm_data.json"))).unwrap().scene().unwrap();
+    let scene = openmvg::read(&bytes(formats.join("openmvg/sfm_data.json"))).unwrap().scene().unwrap();
     assert!(scene.track_pixels.contains(&measured.map(|c| c + 0.5)) && !scene.track_pixels.contains(&measured));
     let centre = sfm["intrinsics"][0]["value"]["ptr_wrapper"]["data"]["principal_point"][0].as_f64().unwrap();
     assert_eq!(scene.cameras[0].pinhole_part().1.x, centre + 0.5);
@@ -392,8 +408,8 @@ fn openmvs_scene_of_a_scene_is_the_scene() {
 
 #[test]
 fn sure_orientations_round_trip() {
-    let Some(formats) = formats() else { return };
-    let base = read(formats.join("base_colmap311_bin"));
+    let formats = formats();
+    let base = read(formats.join("base_colmap38_bin"));
     let camera = Camera::new(1, CameraModel::Pinhole, 1000, 750, vec![751.0, 752.0, 500.25, 374.0]).unwrap();
     for view in &base.views {
         let text = sure::write(&view.name, &camera, &view.cam_from_world).unwrap();
@@ -461,8 +477,8 @@ fn cameras_without_distortion_are_pinholes() {
 
 #[test]
 fn sure_projects_have_orientations_and_a_cloud() {
-    let Some(formats) = formats() else { return };
-    let base = read(formats.join("base_colmap311_bin"));
+    let formats = formats();
+    let base = read(formats.join("base_colmap38_bin"));
     let camera = Camera::new(1, CameraModel::Pinhole, 1000, 750, vec![751.0, 751.0, 500.0, 375.0]).unwrap();
     let folder = tempfile::tempdir().unwrap();
     let root = folder.path();
@@ -477,7 +493,7 @@ fn sure_projects_have_orientations_and_a_cloud() {
 
     std::fs::copy(formats.join("base_colmap38_exports/model.ply"), root.join("cloud.ply")).unwrap();
     let scene = read(root);
-    assert_eq!(scene.points.len(), 450);
+    assert_eq!(scene.points.len(), base.points.len());
     for p in 0..scene.points.len() {
         let x = &scene.points[p];
         let sees = |v: &ViewIndex| {
@@ -522,5 +538,6 @@ fn sure_projects_have_orientations_and_a_cloud() {
     let scene = read(root);
     // NVM holds one observation per point and image.
     let distinct = |p: usize| base.track_views(PointIndex(p as u32)).iter().collect::<BTreeSet<_>>().len();
-    assert_eq!(counts(&scene), [12, 450, (0..450).map(distinct).sum()]);
+    let points = base.points.len();
+    assert_eq!(counts(&scene), [12, points, (0..points).map(distinct).sum()]);
 }

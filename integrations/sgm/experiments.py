@@ -9,7 +9,7 @@ PROJECT (sparse/, images/) stays as it is; everything goes to DIR:
     reference22/   depth maps with the 22 most connected partners, the reference where there is no exact one (--reference: take these)
     rules/kK/RULE/ view clusters of each partner rule, and their depth maps
     results/       partners.csv, orders.csv, full.csv, gap.csv, results.json, and a picture of each
-    results-truth/ the same against exact depth (--truth: NAME.npz as ../shared/tools/render_valley.py writes them)
+    results-truth/ the same against exact depth (--truth: NAME.npz as in the rendered sets of benches/sets.py)
 
 Depth maps that are there already are kept, single pairs come from the cache, so a second run costs little.
 """

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """How good the maps of sgm.py are, and which pairs it can match.
 
-    measure.py maps OUT --workspace WORKSPACE --reference ../shared/data/valley/truth/depth
+    measure.py maps OUT --workspace WORKSPACE --reference target/data/valley/truth/depth
     measure.py pairs CACHE --workspace WORKSPACE --image-scale 0.5 --reference DIR     which pairs can be matched
     measure.py pixels CACHE --workspace WORKSPACE --image-scale 0.5 --reference DIR    where in a pair, and by how many partners
 

@@ -1,4 +1,4 @@
-"""What the tests share: the program (from VIEWRANK, else the debug build) and the data sets, where they are."""
+"""Fixtures of all tests: the program (from VIEWRANK, else the debug build), the small data of the repository, and the data sets."""
 import os
 import subprocess
 from pathlib import Path
@@ -29,8 +29,12 @@ def fixtures():
 
 @pytest.fixture(scope="session")
 def data():
-    """The large data sets (VIEWRANK_DATA, else ../shared/data); tests that need them are skipped where they aren't."""
-    folder = Path(os.environ.get("VIEWRANK_DATA", ROOT.parent / "shared" / "data"))
-    if not folder.is_dir():
-        pytest.skip(f"no data sets in {folder} (set VIEWRANK_DATA)")
+    """The folder of a data set in VIEWRANK_DATA, else in target/data; skips the test where the set is missing."""
+    root = Path(os.environ.get("VIEWRANK_DATA", ROOT / "target" / "data"))
+
+    def folder(name):
+        if not (root / name).is_dir():
+            pytest.skip(f"no data set {name} in {root}: make it by benches/sets.py {name.split('/')[0]}, or set VIEWRANK_DATA")
+        return root / name
+
     return folder

@@ -31,7 +31,7 @@ def test_what_plan_warns_of(viewrank, fixtures, tmp_path):
 
 @pytest.mark.parametrize("name", ["valley", "caliterra", "lewis", "boruszyn"])
 def test_the_data_sets_are_healthy(viewrank, data, name):
-    report = json.loads(viewrank("doctor", data / name, "--format", "json").stdout)
+    report = json.loads(viewrank("doctor", data(name), "--format", "json").stdout)
     assert all(finding["severity"] == "note" for finding in report["findings"]), report
 
 

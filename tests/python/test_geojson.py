@@ -149,7 +149,7 @@ def test_utm(viewrank, fixtures, tmp_path, zone, epsg, offset):
 def test_earth_centred_models_and_the_photographs_places(viewrank, data, tmp_path):
     """lewis, moved to earth-centred coordinates by its GPS origin: its views lie where the photographs were taken."""
     pycolmap = pytest.importorskip("pycolmap")
-    rows = [line.split(",") for line in (data / "lewis" / "gps.csv").read_text().splitlines()[1:]]
+    rows = [line.split(",") for line in (data("lewis") / "gps.csv").read_text().splitlines()[1:]]
     gps = {row[0]: [float(value) for value in row[1:7]] for row in rows}
     first = next(iter(gps.values()))
     # The origin of the local frame follows from any row: its place, less its east, north and up.
@@ -159,7 +159,7 @@ def test_earth_centred_models_and_the_photographs_places(viewrank, data, tmp_pat
                      [np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)]])
     place = np.array(to_ecef.transform(first[1], first[0], first[2]))
     origin = place - axes.T @ np.array(first[3:6])
-    reconstruction = pycolmap.Reconstruction(str(data / "lewis" / "sparse" / "0"))
+    reconstruction = pycolmap.Reconstruction(str(data("lewis") / "sparse" / "0"))
     reconstruction.transform(pycolmap.Sim3d(1.0, pycolmap.Rotation3d(axes.T), origin))
     model = tmp_path / "model" / "0"
     model.mkdir(parents=True)
@@ -173,10 +173,7 @@ def test_earth_centred_models_and_the_photographs_places(viewrank, data, tmp_pat
 
 
 def test_opensfm_says_where_it_is(viewrank, data, tmp_path):
-    source = next(iter(sorted((data / "formats" / "others").rglob("reconstruction.json"))), None)
-    if source is None:
-        pytest.skip("no OpenSfM model in the data")
-    shutil.copytree(source.parent, tmp_path / "opensfm")
+    shutil.copytree(data("formats/others/opensfm_berlin"), tmp_path / "opensfm", copy_function=shutil.copyfile)
     (tmp_path / "opensfm" / "reference_lla.json").write_text('{"latitude": 10.0, "longitude": 20.0, "altitude": 30.0}')
     # Three views that most programs cannot match.
     done = viewrank("plan", tmp_path / "opensfm", "--quiet", "--backend", "images", "--confidence", "none")

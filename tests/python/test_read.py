@@ -29,10 +29,20 @@ def read(tmp_path_factory):
     return run
 
 
-def models(data):
-    names = [f"formats/{name}" for name in json.loads((data / "formats/expected.json").read_text()) if name not in OTHERWISE]
-    sets = [name for name in ("valley", "caliterra", "lewis", "boruszyn") if (data / name).is_dir()]
-    return names + [f"{name}/sparse/0" for name in sets] + [f"{n}/distorted/sparse/0" for n in sets if (data / n / "distorted").is_dir()]
+SETS = ["valley", "caliterra", "lewis", "boruszyn"]
+
+
+@pytest.fixture(scope="session")
+def models(fixtures):
+    """The small models of every kind, and that of `valley`."""
+    formats = fixtures / "formats"
+    names = json.loads((formats / "expected.json").read_text()).keys() - OTHERWISE
+    return [fixtures / "valley/sparse/0", *(formats / name for name in sorted(names))]
+
+
+def of_set(folder):
+    """Model of the undistorted images, and where there is one that of the images as taken."""
+    return [model for model in (folder / "sparse/0", folder / "distorted/sparse/0") if model.is_dir()]
 
 
 def compare(read, folder):
@@ -69,21 +79,28 @@ def compare(read, folder):
             assert np.allclose(mine[2:], theirs_row[2:], rtol=0, atol=tolerance, equal_nan=True), (key, mine, theirs_row)
 
 
-def test_poses_and_reprojections_are_those_of_pycolmap(read, data):
-    compared = [compare(read, data / model) for model in models(data)]
+def compare_counts(viewrank, model):
+    theirs = pycolmap.Reconstruction(model)
+    found = json.loads(viewrank("inspect", model, "--format", "json").stdout)
+    assert (found["registered"], found["cameras"]) == (theirs.num_reg_images(), theirs.num_cameras()), model
+    assert (found["points"], found["observations"]) == (theirs.num_points3D(), theirs.compute_num_observations()), model
+    if theirs.num_points3D():
+        theirs.update_point_3d_errors()
+        assert abs(found["mean_reprojection_error_px"] - theirs.compute_mean_reprojection_error()) < 1e-6, model
+
+
+def test_poses_and_reprojections_are_those_of_pycolmap(read, models):
+    compared = [compare(read, model) for model in models]
     assert len(compared) > 50
 
 
-def test_fixture_is_read_as_pycolmap_reads_it(read, fixtures):
-    compare(read, fixtures / "valley/sparse/0")
+def test_inspect_counts_are_those_of_pycolmap(viewrank, models):
+    for model in models:
+        compare_counts(viewrank, model)
 
 
-def test_inspect_counts_are_those_of_pycolmap(viewrank, data):
-    for model in models(data):
-        theirs = pycolmap.Reconstruction(data / model)
-        found = json.loads(viewrank("inspect", data / model, "--format", "json").stdout)
-        assert (found["registered"], found["cameras"]) == (theirs.num_reg_images(), theirs.num_cameras()), model
-        assert (found["points"], found["observations"]) == (theirs.num_points3D(), theirs.compute_num_observations()), model
-        if theirs.num_points3D():
-            theirs.update_point_3d_errors()
-            assert abs(found["mean_reprojection_error_px"] - theirs.compute_mean_reprojection_error()) < 1e-6, model
+@pytest.mark.parametrize("name", SETS)
+def test_the_data_sets_are_read_as_pycolmap_reads_them(read, viewrank, data, name):
+    for model in of_set(data(name)):
+        compare(read, model)
+        compare_counts(viewrank, model)

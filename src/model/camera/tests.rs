@@ -1,18 +1,5 @@
-use std::path::PathBuf;
-
 use super::*;
 use proptest::prelude::*;
-
-/// The shared data sets, or `None` with a note where they are not to be had.
-fn data() -> Option<PathBuf> {
-    let there = std::env::var_os("VIEWRANK_DATA").map(PathBuf::from);
-    let data = there.unwrap_or_else(|| PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../shared/data"));
-    if !data.is_dir() {
-        eprintln!("skipped: no data at {}", data.display());
-        return None;
-    }
-    Some(data)
-}
 
 /// One camera of each model with typical parameters.
 fn cameras() -> Vec<Camera> {
@@ -62,8 +49,8 @@ fn models_have_colmaps_numbers_and_names() {
 
 #[test]
 fn projections_are_those_of_pycolmap() {
-    let Some(data) = data() else { return };
-    let text = std::fs::read_to_string(data.join("formats/camera_models/projections.json")).unwrap();
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/fixtures/formats/camera_models/projections.json");
+    let text = std::fs::read_to_string(path).unwrap();
     let all: serde_json::Map<String, serde_json::Value> = serde_json::from_str(&text).unwrap();
     assert_eq!(all.len(), 18);
     for (key, entry) in &all {
