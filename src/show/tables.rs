@@ -33,11 +33,7 @@ pub fn add(plan: &Plan, files: &mut FileSet) {
     table("candidates", indices(&plan.stages.candidates.views));
     table("candidate_offsets", offsets(&plan.stages.candidates.offsets));
     let partners: Vec<ViewIndex> = plan.stages.clusters.iter().flat_map(|c| c.partners.iter().copied()).collect();
-    let mut partner_offsets = vec![0];
-    partner_offsets.extend(plan.stages.clusters.iter().scan(0, |sum, c| {
-        *sum += c.partners.len();
-        Some(*sum)
-    }));
+    let partner_offsets = csr_offsets(plan.stages.clusters.iter().map(|c| c.partners.len()));
     table("partners", indices(&partners));
     table("partner_offsets", offsets(&partner_offsets));
     table("cluster_key", indices(&plan.stages.clusters.iter().map(|c| c.key).collect::<Vec<_>>()));
@@ -79,6 +75,15 @@ fn add_json(plan: &Plan, files: &mut FileSet) {
 /// Adds one table.
 pub(crate) fn add_table(files: &mut FileSet, name: &str, bytes: Vec<u8>) {
     files.add(format!("{name}.npy"), Contents::Bytes(bytes));
+}
+
+/// CSR offsets of rows with these lengths: 0, then the end of each row.
+pub(crate) fn csr_offsets(lengths: impl Iterator<Item = usize>) -> Vec<usize> {
+    let ends = lengths.scan(0, |sum, length| {
+        *sum += length;
+        Some(*sum)
+    });
+    std::iter::once(0).chain(ends).collect()
 }
 
 /// Pairs (row, column) of all entries of a CSR table, flattened.

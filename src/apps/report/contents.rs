@@ -34,7 +34,10 @@ use crate::{
         scene::{Units, ViewIndex},
     },
     plan::Plan,
-    show::pictures::{RAMP, REASON_NUMBERS, footprints, reason_number},
+    show::{
+        pictures::{RAMP, REASON_NUMBERS, footprints, reason_number},
+        tables::csr_offsets,
+    },
 };
 
 /// Holes that are listed.
@@ -211,13 +214,9 @@ fn title(root: &Path) -> String {
     whole.file_name().unwrap_or(whole.as_os_str()).to_string_lossy().into_owned()
 }
 
-/// CSR offsets of concatenated lists with these lengths.
+/// CSR offsets of concatenated lists with these lengths, as the page reads them.
 fn offsets(lengths: impl Iterator<Item = usize>) -> Vec<u32> {
-    let ends = lengths.scan(0, |sum, length| {
-        *sum += length as u32;
-        Some(*sum)
-    });
-    std::iter::once(0).chain(ends).collect()
+    csr_offsets(lengths).into_iter().map(|offset| offset as u32).collect()
 }
 
 fn in_frame<'a>(frame: &MapFrame, points: impl Iterator<Item = &'a Point3<f64>>) -> Vec<f32> {
