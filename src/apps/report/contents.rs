@@ -314,7 +314,7 @@ impl ShownHole {
 pub enum ReportError {
     #[error(transparent)]
     DepthMaps(#[from] EvaluateError),
-    #[error("there are no depth maps of this plan to hold against the reference {}", .0.display())]
+    #[error("cannot compare with the reference {}: no depth maps of this plan found", .0.display())]
     NothingToCompare(PathBuf),
     #[error(transparent)]
     Disk(#[from] DiskError),
@@ -326,7 +326,7 @@ impl Hint for ReportError {
     fn hint(&self) -> Option<String> {
         match self {
             Self::DepthMaps(error) => error.hint(),
-            Self::NothingToCompare(_) => Some("say where they are with --depth-maps".into()),
+            Self::NothingToCompare(_) => Some("name their folder with --depth-maps".into()),
             Self::Disk(error) => error.hint(),
             Self::Cancelled(error) => error.hint(),
         }

@@ -103,7 +103,7 @@ function setUpCurve() {
   const note = data.real
     ? `Dashed: what the ${counted(data.real.maps, 'depth map')} in ${data.real.folder} really ${data.real.maps === 1 ? 'reaches' : 'reach'}${data.real.reference ? ', held against the reference'
       : '; without a reference (--reference) every depth counts as right'}, over what all view clusters together ${data.finished ? 'reach, as the plan knows by now' : 'were predicted to reach'}.`
-    : 'Predicted, over what all view clusters together reach. Finished depth maps are shown beside it; where they lie elsewhere: viewrank report --depth-maps DIR.';
+    : 'Predicted, over what all view clusters together reach. Finished depth maps are added to the curve; for maps in another folder: viewrank report --depth-maps DIR.';
   byId('curve-note').textContent = around + note;
 }
 
