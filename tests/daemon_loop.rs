@@ -386,7 +386,8 @@ fn a_lock_that_is_not_the_daemons_is_refused_and_stays_as_it_is() {
     let (_elsewhere, outside) = root();
     let precious = outside.join("precious.txt");
     fs::write(&precious, "precious").expect("a file");
-    let plant: [(&str, &dyn Fn(&Path)); 4] = [
+    type Plant<'a> = &'a dyn Fn(&Path);
+    let plant: [(&str, Plant); 4] = [
         ("link", &|lock| std::os::unix::fs::symlink(&precious, lock).expect("a link")),
         ("second name", &|lock| fs::hard_link(&precious, lock).expect("a second name")),
         ("file", &|lock| fs::write(lock, "precious").expect("a file")),
