@@ -181,6 +181,19 @@ fn duration(text: &str) -> Result<Duration, String> {
     if duration > LONGEST { Err("at most 8760h, a year".into()) } else { Ok(duration) }
 }
 
+impl clap::ValueEnum for OnBusy {
+    fn value_variants<'a>() -> &'a [Self] {
+        &[Self::Restart, Self::Queue]
+    }
+
+    fn to_possible_value(&self) -> Option<PossibleValue> {
+        Some(match self {
+            Self::Restart => PossibleValue::new("restart").help("Cancel it and start again when the input is still"),
+            Self::Queue => PossibleValue::new("queue").help("Finish it, then plan once more"),
+        })
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -195,18 +208,5 @@ mod tests {
         }
         assert_eq!(pause("100ms"), Ok(Duration::from_millis(100)));
         assert!(pause("0s").is_err() && pause("9ms").is_err());
-    }
-}
-
-impl clap::ValueEnum for OnBusy {
-    fn value_variants<'a>() -> &'a [Self] {
-        &[Self::Restart, Self::Queue]
-    }
-
-    fn to_possible_value(&self) -> Option<PossibleValue> {
-        Some(match self {
-            Self::Restart => PossibleValue::new("restart").help("Cancel it and start again when the input is still"),
-            Self::Queue => PossibleValue::new("queue").help("Finish it, then plan once more"),
-        })
     }
 }
