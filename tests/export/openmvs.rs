@@ -214,7 +214,7 @@ fn openmvs_number_views_cuts_partners() {
     let limit: usize =
         files.lines("dense.cfg").iter().find_map(|l| l.strip_prefix("Max Views = ")).unwrap().parse().unwrap();
     assert!(limit * 3 / 4 >= 14, "above three quarters of the limit OpenMVS filters by angle and scale");
-    assert!(files.text("run.py").contains("\"--number-views\", \"0\""));
+    assert!(files.text("run.py").contains("\"number-views\": \"0\""));
 }
 
 #[test]
