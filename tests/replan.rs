@@ -140,8 +140,7 @@ fn without_failures_the_rest_is_ranked_as_by_prediction_behind_the_real_values()
     };
     let table = FulfilmentTable::new((0..before.stages.clusters.len()).map(expected));
     assert_eq!(again.stages.fulfilment, table);
-    let weights = ranking::weights(&before.stages.surface, before.stages.settings.ranking.weight);
-    let expected = ranking::rank_after(finished, &table, &weights, 1, &Unwatched).unwrap();
+    let expected = ranking::rank_after(finished, &table, &before.stages.objective, &Unwatched).unwrap();
     assert_eq!(again.decision.ranking, expected);
 }
 

@@ -24,7 +24,6 @@ use crate::{
         depthmaps::{self, DepthMapError},
         output::{self, Disk, OutputError},
     },
-    method::ranking,
     model::scene::ViewIndex,
     plan::{Decision, Outdated, Plan, Stages},
 };
@@ -47,15 +46,15 @@ pub struct Progress {
     pub done: usize,
     /// Key views up to the plan's cut, and those beyond it that have their depth map already.
     pub clusters: usize,
-    /// Real fulfilment of all finished depth maps over what all view clusters of the ranking together are expected to reach, 0 to 1;
+    /// What fusion keeps of all finished depth maps over what it is expected to keep of all clusters (`kept` over `reachable`), 0 to 1;
     /// null where they are only counted (`note` says why).
     pub share: Option<f64>,
     /// The share that is wanted, 0 to 1.
     pub target: f64,
-    /// Fulfilment f_o that the finished depth maps really have, 0 to 1; null where they are only counted. Every depth on the surface
-    /// counts as right.
-    pub fulfilment: Option<f64>,
-    /// Fulfilment f_o that all view clusters together are expected to have: real where finished, else predicted, with failures remembered.
+    /// Weight of the triangles that fusion keeps of the finished depth maps, over that of the whole surface, 0 to 1 (method 5.2); null where they
+    /// are only counted. Every depth on the surface counts as right.
+    pub kept: Option<f64>,
+    /// The same expected of all view clusters: real where finished, else predicted, with failures remembered.
     pub reachable: f64,
     /// Depth maps that have to be added along the list until the target is expected to be reached; null where the list is too short.
     pub clusters_to_target: Option<usize>,
@@ -203,8 +202,8 @@ impl Following<'_> {
             clusters: cut,
             share: Some(ahead.share),
             target,
-            fulfilment: Some(ahead.fulfilment),
-            reachable: plan.decision.ranking.total(),
+            kept: Some(ahead.kept),
+            reachable: plan.decision.ranking.total_kept(),
             clusters_to_target: ahead.to_target.map(|(clusters, _)| clusters),
             seconds_per_pair,
             seconds_to_target: ahead.to_target.and_then(|(_, pairs)| seconds(pairs)),
@@ -239,7 +238,7 @@ impl Following<'_> {
             done: finished.len(),
             clusters: listed.len(),
             target: settings.cut.target.map_or(cut.share, |share| share.0),
-            reachable: ranking.total(),
+            reachable: ranking.total_kept(),
             finished,
             note: Some(format!(
                 "counted, not measured: the maps are of undistorted images, the model has {model} cameras"
@@ -272,7 +271,7 @@ fn listed(plan: &Plan, written: &[ViewIndex]) -> Vec<u32> {
 
 /// What lies ahead along a list whose first clusters are finished.
 struct Ahead {
-    fulfilment: f64,
+    kept: f64,
     share: f64,
     /// Clusters and pairs to the target.
     to_target: Option<(usize, usize)>,
@@ -281,14 +280,12 @@ struct Ahead {
 
 impl Ahead {
     fn new(plan: &Plan, order: &[u32], cut: usize, target: f64) -> Self {
-        let weights = ranking::weights(&plan.stages.surface, plan.stages.settings.ranking.weight);
-        let support = plan.stages.settings.ranking.support.unwrap_or(1);
-        let curve = Curve::new(&plan.stages.fulfilment, &weights, support, &plan.stages.clusters, order);
-        let (done, total) = (plan.decision.finished.clusters, plan.decision.ranking.total());
+        let curve = Curve::new(&plan.stages.fulfilment, &plan.stages.objective, &plan.stages.clusters, order);
+        let (done, total) = (plan.decision.finished.clusters, plan.decision.ranking.total_kept());
         let reached = curve.clusters_for(target * total).filter(|&n| n <= cut.max(done));
         let pairs = |n: usize| curve.pairs[n].saturating_sub(curve.pairs[done]);
         Self {
-            fulfilment: curve.fulfilment[done],
+            kept: curve.kept[done],
             share: curve.share(done, total),
             to_target: reached.map(|n| (n.saturating_sub(done), pairs(n))),
             pairs_left: pairs(cut.min(order.len())),

@@ -299,7 +299,7 @@ fn metrics_text(projects: &BTreeMap<PathBuf, Tracked>) -> String {
     });
     gauge(
         "viewrank_share_reached",
-        "Real fulfilment over what all clusters together can reach.",
+        "What fusion keeps of the finished depth maps over what it would of all.",
         |phase| match phase {
             Phase::Computing { share, .. } => *share,
             Phase::Reached { share, .. } => Some(*share),

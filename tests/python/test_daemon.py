@@ -353,8 +353,8 @@ def test_the_backend_is_followed_to_the_target_and_the_user_s_command_runs_once(
             said = backend.progress()
             assert said["finished"] == [line.split("\t")[0] for line in clusters[:count]]
             assert said["clusters"] == len(clusters)
-            assert 0 < said["fulfilment"] <= said["reachable"] <= 1
-            assert abs(said["share"] - said["fulfilment"] / said["reachable"]) < 1e-9
+            assert 0 <= said["kept"] <= said["reachable"] <= 1
+            assert abs(said["share"] - said["kept"] / said["reachable"]) < 1e-9
             assert (said["seconds_per_pair"] is None) == (count == 1)
             assert said["target_reached"] == (said["share"] >= backend.target)
             if said["target_reached"]:
