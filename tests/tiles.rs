@@ -13,7 +13,6 @@ use viewrank::internals::{
     plan::{Plan, PlanError},
     progress::Unwatched,
     project::Project,
-    ranking,
     synthetic::Town,
 };
 
