@@ -112,7 +112,7 @@ pub struct Scene {
     pub track_pixels: Vec<[f64; 2]>,
     /// Images of the model or the image folder that have no pose, sorted by name.
     pub unregistered: Vec<String>,
-    /// What is odd about the model, though it could be read.
+    /// Oddities of a model that could be read all the same.
     pub warnings: Vec<ModelWarning>,
 }
 
@@ -162,13 +162,13 @@ impl Scene {
         (0..self.views.len() as u32).map(ViewIndex)
     }
 
-    /// The view of that name, by binary search.
+    /// Finds a view by name, with a binary search.
     pub fn find(&self, name: &str) -> Option<ViewIndex> {
         let found = self.views.binary_search_by(|v| v.name.as_str().cmp(name));
         found.ok().map(|i| ViewIndex(i as u32))
     }
 
-    /// Are names and poses of the views those of the other, to the digits that text files keep?
+    /// Returns whether both scenes have the same view names and poses, to the precision of text files.
     pub fn has_same_views(&self, other: &Self) -> bool {
         const DIGITS: f64 = 1e-5;
         let near = |a: &Pose, b: &Pose| {
@@ -226,7 +226,7 @@ impl Scene {
         median(gsds.collect())
     }
 
-    /// The scene in coordinates that count from `origin`.
+    /// Returns the scene with `origin` as the origin of world coordinates.
     pub fn moved(&self, origin: Vector3<f64>) -> Scene {
         let mut scene = self.clone();
         scene.points.iter_mut().for_each(|x| *x -= origin);
