@@ -232,7 +232,7 @@ fn a_plan_around_finished_maps_is_read_as_it_was_written() {
 fn shifted(scene: &Scene, name: &str, pixels: f64) -> Scene {
     let mut scene = scene.clone();
     let view = scene.find(name).unwrap();
-    scene.views[view.at()].cam_from_world.translation += Vector3::new(pixels * ALTITUDE / FOCAL, 0.0, 0.0);
+    scene.views[view.index()].cam_from_world.translation += Vector3::new(pixels * ALTITUDE / FOCAL, 0.0, 0.0);
     scene
 }
 
@@ -321,7 +321,7 @@ fn new_views_and_another_frame_leave_finished_maps_valid_and_another_scale_does_
 /// The scene without its last view.
 fn without(scene: &Scene, view: ViewIndex) -> Scene {
     let mut fewer = unobserved(scene, view);
-    assert_eq!(view.at(), fewer.views.len() - 1, "indices stay");
+    assert_eq!(view.index(), fewer.views.len() - 1, "indices stay");
     fewer.views.pop();
     fewer
 }

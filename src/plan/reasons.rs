@@ -51,12 +51,12 @@ impl Why<'_> {
         let views = self.model.scene.views.len();
         let mut status = vec![ViewStatus::Unused; views];
         let chosen_clusters = || chosen.iter().map(|&c| &self.clusters[c as usize]);
-        chosen_clusters().flat_map(|c| &c.partners).for_each(|p| status[p.at()] = ViewStatus::Partner);
-        chosen_clusters().for_each(|c| status[c.key.at()] = ViewStatus::Key);
+        chosen_clusters().flat_map(|c| &c.partners).for_each(|p| status[p.index()] = ViewStatus::Partner);
+        chosen_clusters().for_each(|c| status[c.key.index()] = ViewStatus::Key);
         let mut cluster_of = vec![None; views];
-        (0..self.clusters.len()).for_each(|c| cluster_of[self.clusters[c].key.at()] = Some(c));
+        (0..self.clusters.len()).for_each(|c| cluster_of[self.clusters[c].key.index()] = Some(c));
         let by_triangle = ByTriangle::new(self.fulfilment, chosen, self.model.surface.triangles.len())?;
-        let reason = |view: ViewIndex| match (status[view.at()], cluster_of[view.at()]) {
+        let reason = |view: ViewIndex| match (status[view.index()], cluster_of[view.index()]) {
             (ViewStatus::Key, Some(cluster)) => self.few_partners(cluster, settings),
             (_, Some(cluster)) => Some(self.not_taken(cluster, &by_triangle)),
             (_, None) => Some(self.no_cluster(view)),

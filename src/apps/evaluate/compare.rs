@@ -74,7 +74,7 @@ pub fn compare(plan: &Plan, runs: &[(String, Run)], watcher: &dyn Watcher) -> Re
     let mut reference = vec![0; plan.stages.scene.views.len()];
     for (_, run) in runs {
         for (cluster, quality) in run.clusters.iter().zip(&run.quality) {
-            reference[cluster.key.at()] = reference[cluster.key.at()].max(quality.reference);
+            reference[cluster.key.index()] = reference[cluster.key.index()].max(quality.reference);
         }
     }
     let one = |(name, run): &(String, Run)| {

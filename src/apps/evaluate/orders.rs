@@ -65,7 +65,7 @@ pub fn replan(mut beliefs: Beliefs, run: &Run, objective: &Objective) -> Vec<u32
 pub fn max_points(scene: &Scene, clusters: &[ViewCluster]) -> Vec<u32> {
     let points = scene.view_points();
     let mut cluster_of = vec![None; scene.views.len()];
-    clusters.iter().enumerate().for_each(|(c, cluster)| cluster_of[cluster.key.at()] = Some(c));
+    clusters.iter().enumerate().for_each(|(c, cluster)| cluster_of[cluster.key.index()] = Some(c));
     let mut uncovered: Vec<usize> = clusters.iter().map(|c| points.of(c.key).len()).collect();
     let mut covered = vec![false; scene.points.len()];
     let mut left: Vec<u32> = (0..clusters.len() as u32).collect();
@@ -75,14 +75,14 @@ pub fn max_points(scene: &Scene, clusters: &[ViewCluster]) -> Vec<u32> {
         let cluster = left.remove(best);
         order.push(cluster);
         for &point in points.of(clusters[cluster as usize].key) {
-            if std::mem::replace(&mut covered[point.at()], true) {
+            if std::mem::replace(&mut covered[point.index()], true) {
                 continue;
             }
             let mut last = None;
             for &view in scene.track_views(point) {
                 // A view that observes the point twice counts once.
                 if last.replace(view) != Some(view)
-                    && let Some(c) = cluster_of[view.at()]
+                    && let Some(c) = cluster_of[view.index()]
                 {
                     uncovered[c] -= 1;
                 }

@@ -49,7 +49,7 @@ fn with_ranking(plan: Plan, recorded: &Recorded, watcher: &dyn Watcher) -> Resul
     let mut decision = decide_as(&stages, finished, ranking, cut)?;
     for written in &recorded.views {
         if let Some(view) = stages.scene.find(&written.name) {
-            decision.views[view.at()] = (written.status, written.reason);
+            decision.views[view.index()] = (written.status, written.reason);
         }
     }
     Ok(Plan { stages, decision, timings })
