@@ -9,7 +9,6 @@ use std::{
     collections::{BTreeSet, HashSet},
     ffi::{OsStr, OsString},
     fs, io,
-    os::unix::fs::MetadataExt,
     path::{Path, PathBuf},
 };
 
@@ -58,8 +57,8 @@ struct Walk<'a> {
     found: Found,
     /// To folders, still to be followed, with their depth.
     links: Vec<(PathBuf, usize)>,
-    /// Device and inode, where links are followed.
-    entered: HashSet<(u64, u64)>,
+    /// Paths without links of all folders entered; used only where links are followed.
+    entered: HashSet<PathBuf>,
 }
 
 impl Walk<'_> {
@@ -96,7 +95,7 @@ impl Walk<'_> {
     }
 
     fn is_new(&mut self, folder: &Path) -> bool {
-        fs::metadata(folder).is_ok_and(|metadata| self.entered.insert((metadata.dev(), metadata.ino())))
+        folder.canonicalize().is_ok_and(|folder| self.entered.insert(folder))
     }
 }
 

@@ -4,7 +4,7 @@ use std::{
     collections::BTreeMap,
     io,
     path::{Path, PathBuf},
-    process::{Child, Command, Stdio},
+    process::{Child, Stdio},
     sync::{
         Mutex,
         atomic::{AtomicBool, AtomicU8, Ordering},
@@ -21,7 +21,7 @@ use super::{
     follow::{Following, Progress, failed, fullest_folder, outdated_note, progress_file},
     kept::KeptPlans,
     maps::{MapFiles, map_files},
-    queue,
+    platform, queue,
     settle::{Fingerprint, HashCache, Stamp, lock},
     state::{OnBusy, Outcome},
 };
@@ -334,7 +334,7 @@ impl PlanJob {
             },
         };
         let Some(command) = command else { return false };
-        match Command::new("sh").arg("-c").arg(command).env("VIEWRANK_PROJECT", project).stdin(Stdio::null()).spawn() {
+        match platform::shell(&command).env("VIEWRANK_PROJECT", project).stdin(Stdio::null()).spawn() {
             Ok(child) => {
                 let project = project.to_path_buf();
                 thread::spawn(move || wait_for(child, &project));

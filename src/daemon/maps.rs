@@ -34,12 +34,12 @@ impl Hint for Unseen {
 
 /// What looks like a depth map in the folders of the project.
 pub fn map_files(project: &Path, follow_links: bool) -> Result<MapFiles, Unseen> {
-    look(project, follow_links).1
+    scan(project, follow_links).1
 }
 
 /// Folders in which something must be noticed to know of depth maps (those that hold some, and those in which a folder of them may
 /// appear), and what looks like a depth map. Our own output folder is none.
-pub fn look(project: &Path, follow_links: bool) -> (Vec<PathBuf>, Result<MapFiles, Unseen>) {
+pub fn scan(project: &Path, follow_links: bool) -> (Vec<PathBuf>, Result<MapFiles, Unseen>) {
     let (mut folders, mut files, mut unseen) = (Vec::new(), MapFiles::new(), None);
     let mut seen = |path: &Path, found: io::Result<fs::Metadata>| match found {
         Ok(metadata) => Some(metadata),
@@ -190,7 +190,7 @@ mod tests {
         for folder in ["dense/0/stereo", "viewrank/openmvs/x", "sgm/depth_maps", "export"] {
             fs::create_dir_all(root.path().join(folder)).expect("a folder");
         }
-        let watched = look(root.path(), false).0;
+        let watched = scan(root.path(), false).0;
         let names: Vec<_> = watched.iter().map(|f| f.strip_prefix(root.path()).expect("below")).collect();
         let expected = [
             "dense",

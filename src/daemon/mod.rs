@@ -9,6 +9,7 @@ pub mod follow;
 mod job;
 mod kept;
 mod maps;
+pub mod platform;
 pub mod queue;
 pub mod run;
 pub mod settle;

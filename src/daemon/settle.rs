@@ -10,10 +10,13 @@ use std::{
     fs, io,
     path::{Path, PathBuf},
     sync::{Mutex, MutexGuard, PoisonError},
-    time::{Duration, Instant, SystemTime, UNIX_EPOCH},
+    time::{Duration, Instant, UNIX_EPOCH},
 };
 
-use super::discover::{self, InputFolders};
+use super::{
+    discover::{self, InputFolders},
+    platform,
+};
 use crate::base::input;
 
 /// What the file system says of one file or folder.
@@ -28,14 +31,12 @@ pub struct Entry {
 
 impl Entry {
     pub(super) fn of(metadata: &fs::Metadata) -> Self {
-        use std::os::unix::fs::MetadataExt;
         let modified = metadata.modified().unwrap_or(UNIX_EPOCH);
         let since = modified.duration_since(UNIX_EPOCH).unwrap_or_default();
         // The length of a folder says nothing that its time doesn't.
         let length = if metadata.is_dir() { 0 } else { metadata.len() };
-        let changed =
-            Duration::new(metadata.ctime().try_into().unwrap_or(0), metadata.ctime_nsec().try_into().unwrap_or(0));
-        Self { length, modified_ns: since.as_nanos(), changed_ns: changed.as_nanos(), inode: metadata.ino() }
+        let (changed_ns, inode) = platform::identity(metadata);
+        Self { length, modified_ns: since.as_nanos(), changed_ns, inode }
     }
 
     #[cfg(test)]
@@ -136,31 +137,6 @@ impl Stamp {
         let first = models.keys().any(|(first, _)| *first);
         models.iter().filter(|((of_first, _), _)| *of_first == first).map(|(_, bytes)| *bytes).max().unwrap_or(0)
     }
-
-    /// Since when the input has been as it is, if something was heard of it at `heard` and it looks like this at `looked`: what was
-    /// changed without being heard of is dated by the file system, as is what else was changed (`unheard`).
-    pub fn same_since(
-        &self,
-        heard: Instant,
-        unheard: Option<Changed>,
-        (looked, time): (Instant, SystemTime),
-    ) -> Instant {
-        let entries = self.files.values().chain(self.beside.values()).chain(self.folders.values());
-        let newest = entries.map(|entry| entry.changed_ns).chain(unheard.map(|changed| changed.0)).max().unwrap_or(0);
-        let newest = UNIX_EPOCH + Duration::from_nanos(u64::try_from(newest).unwrap_or(u64::MAX));
-        let ago = time.duration_since(newest).unwrap_or_default();
-        heard.max(looked.checked_sub(ago).unwrap_or(heard)).min(looked)
-    }
-}
-
-/// When something was changed, by the clock of its file system.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub struct Changed(u128);
-
-/// When the file of these folders that was changed last was changed: images are written for longer than their folders change.
-pub fn newest_entry(folders: &[PathBuf]) -> Option<Changed> {
-    let files = folders.iter().filter_map(|folder| fs::read_dir(folder).ok()).flatten().filter_map(Result::ok);
-    files.filter_map(|file| file.metadata().ok()).map(|metadata| Changed(Entry::of(&metadata).changed_ns)).max()
 }
 
 fn is_input_file(name: &str, with_cloud: bool) -> bool {
@@ -289,24 +265,6 @@ mod tests {
     }
 
     #[test]
-    fn an_image_that_is_written_after_its_name_dates_what_nobody_listened_to() {
-        let root = tempfile::tempdir().expect("a temporary folder");
-        let images = [root.path().to_path_buf()];
-        assert_eq!(newest_entry(&images), None);
-        std::fs::write(root.path().join("a.jpg"), "begun").expect("a file");
-        let begun = newest_entry(&images);
-        let folder = std::fs::metadata(root.path()).expect("a folder").modified().expect("a time");
-        std::thread::sleep(Duration::from_millis(20));
-        std::fs::write(root.path().join("a.jpg"), "more of it").expect("a file");
-        assert!(newest_entry(&images) > begun);
-        assert_eq!(std::fs::metadata(root.path()).expect("a folder").modified().expect("a time"), folder);
-        let (looked, time) = (Instant::now() + Duration::from_secs(7), SystemTime::now() + Duration::from_secs(7));
-        let heard = looked - Duration::from_secs(9);
-        let since = Stamp::default().same_since(heard, newest_entry(&images), (looked, time));
-        assert!(since > looked - Duration::from_secs(8) && since <= looked, "not as of the folder's change");
-    }
-
-    #[test]
     fn input_is_still_once_nothing_changed_for_the_settle_time() {
         let root = project();
         let (start, settle) = (Instant::now(), Duration::from_secs(2));
@@ -316,19 +274,6 @@ mod tests {
         assert!(still.observe(Stamp::of(root.path(), false), later));
         assert!(!still.observe(Stamp::of(root.path(), false), later + settle));
         assert_eq!(still.settled_at(settle), later + settle);
-    }
-
-    #[test]
-    fn what_was_written_without_being_heard_of_is_dated_by_the_file_system() {
-        let entry = |seconds: u128| Entry { changed_ns: seconds * 1_000_000_000, ..Entry::of_length(1) };
-        let files = BTreeMap::from([("a".into(), entry(100)), ("b".into(), entry(107))]);
-        let stamp = Stamp { files, ..Stamp::default() };
-        let (start, second) = (Instant::now() + Duration::from_secs(3600), Duration::from_secs(1));
-        let looked = (start + 10 * second, UNIX_EPOCH + 110 * second);
-        assert_eq!(stamp.same_since(start, None, looked), start + 7 * second, "written after it was heard of");
-        assert_eq!(stamp.same_since(start + 9 * second, None, looked), start + 9 * second, "moved there, old as it is");
-        let earlier = (looked.0, UNIX_EPOCH + 50 * second);
-        assert_eq!(stamp.same_since(start, None, earlier), looked.0, "by another machine's clock");
     }
 
     #[test]

@@ -13,6 +13,7 @@ use tracing::warn;
 
 use super::{
     DaemonError, discover,
+    platform::host,
     state::{Phase, ProjectStatus, Status, Tracked},
 };
 use crate::io::output::{self, Disk, OutputError};
@@ -105,11 +106,6 @@ fn is_name_of_holder(lock: &mut File) -> io::Result<bool> {
     Ok(text.is_empty() || text.len() as u64 <= LONGEST_NAME && text.starts_with(HOLDER.as_bytes()))
 }
 
-fn host() -> String {
-    let name = std::fs::read_to_string("/proc/sys/kernel/hostname").unwrap_or_default();
-    if name.trim().is_empty() { "this host".into() } else { name.trim().into() }
-}
-
 /// Writes the status files of all roots when something changed.
 pub struct StatusFiles {
     roots: Vec<RootStatus>,
@@ -154,7 +150,7 @@ impl StatusFiles {
     }
 
     /// A look at everything begins: what is not noticed again holds no longer.
-    pub fn begin_look(&mut self) {
+    pub fn begin_scan(&mut self) {
         self.said = std::mem::take(&mut self.notices);
     }
 
@@ -385,7 +381,7 @@ mod tests {
         let root = tempfile::tempdir().expect("a temporary folder");
         let mut files = files(&[&root], None);
         let publish = |texts: &[&str], files: &mut StatusFiles| {
-            files.begin_look();
+            files.begin_scan();
             texts.iter().for_each(|text| files.notice((*text).into()));
             files.publish(NONE, &Disk::REAL, Instant::now(), true);
         };
