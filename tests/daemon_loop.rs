@@ -16,10 +16,12 @@ use std::{
 use viewrank::internals::{
     camera::{Camera, CameraModel},
     daemon::{
-        DaemonError, Job, Options, PlanJob, PlanOptions, Planner, Signal, read_status,
+        DaemonError, Job, Options, PlanJob, PlanOptions, Planner, Signal,
+        phase::Phase,
+        read_status,
         run::Summary,
         settle::HashCache,
-        state::{OnBusy, Outcome, Phase},
+        state::{OnBusy, Outcome},
         watch_roots,
     },
     formats::{colmap::ColmapModel, colmap_bin},
@@ -320,7 +322,7 @@ fn once_ends_when_nothing_is_left_and_one_failure_touches_no_other_project() {
     let line = read_status(&root).expect("a status");
     assert!(!line.running);
     let phases: Vec<_> = line.status.projects.iter().map(|p| (p.project.as_str(), p.phase.to_string())).collect();
-    assert_eq!(phases[0], ("bad", "failed: broken (next try 10 s after it)".into()));
+    assert_eq!(phases[0], ("bad", "failed: broken (retry 10 s after the failure)".into()));
     assert_eq!(phases[1], ("good", "planned: 1 key views for 100 %".into()));
 }
 
@@ -554,7 +556,7 @@ fn maps_that_cannot_be_looked_at_are_not_taken_for_gone() {
     fs::rename(&maps, &aside).expect("moved");
     std::os::unix::fs::symlink(&maps, &maps).expect("a link");
     match real.once(false) {
-        Phase::Failed { reason, .. } => assert!(reason.contains("cannot look into"), "{reason}"),
+        Phase::Failed { reason, .. } => assert!(reason.contains("cannot read folder"), "{reason}"),
         phase => panic!("{phase}"),
     }
     assert_eq!(outdated(), Some(1), "nothing is forgotten");

@@ -218,7 +218,7 @@ impl PlanJob {
     }
 
     fn plan_input(&self, job: &Job) -> Ended<Outcome> {
-        if let Some(reason) = job.stamp.trouble() {
+        if let Some(reason) = job.stamp.read_error() {
             let hint = Some("let it be read by whoever runs viewrank".into());
             return Err(Outcome::Failed { reason, hint });
         }

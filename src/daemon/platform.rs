@@ -92,7 +92,7 @@ pub fn shell(command: &str) -> Command {
 }
 
 /// Identifies a file beyond length and modification time: when its content or name last changed, in ns since 1970 (no program can
-/// set that time), and its inode. Elsewhere than on Unix the time of creation takes the place of both.
+/// set that time), and its inode. Where the system has neither, the time of modification and 0.
 pub fn identity(metadata: &Metadata) -> (u128, u64) {
     #[cfg(unix)]
     {
@@ -102,8 +102,8 @@ pub fn identity(metadata: &Metadata) -> (u128, u64) {
     }
     #[cfg(not(unix))]
     {
-        let created = metadata.created().unwrap_or(std::time::UNIX_EPOCH);
-        (created.duration_since(std::time::UNIX_EPOCH).unwrap_or_default().as_nanos(), 0)
+        let modified = metadata.modified().unwrap_or(std::time::UNIX_EPOCH);
+        (modified.duration_since(std::time::UNIX_EPOCH).unwrap_or_default().as_nanos(), 0)
     }
 }
 

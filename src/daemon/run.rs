@@ -1,7 +1,7 @@
-//! The loop: changes and times in, looks at projects and jobs out.
+//! Main loop: takes events and deadlines, scans projects and starts jobs.
 //!
-//! One thread owns all state; jobs run in threads of their own and tell it how they end. Every look at the file system compares
-//! stamps, so that a lost, late or doubled event changes nothing but the time of the look.
+//! One thread owns all state; each job runs in a thread of its own and sends its outcome. Every scan compares stamps, so that a lost,
+//! late or duplicate event only changes when the scan happens.
 
 use std::{
     cell::Cell,
@@ -17,9 +17,10 @@ use tracing::{info, warn};
 
 use super::{
     DaemonError, Job, Options, Planner, Shown,
+    phase::Phase,
     platform::{self, Life, notify_supervisor},
     queue::{Full, Queue},
-    state::{Looked, Outcome, Phase, Tracked, Work},
+    state::{JobInput, Outcome, Tracked, Work},
     status::{Holder, StatusFiles},
     watch::{Change, Watches},
 };
@@ -29,21 +30,21 @@ mod scan;
 
 use scan::Scans;
 
-/// Network file systems are looked at so often when nothing else is said.
+/// Default scan interval on network file systems.
 const NETWORK_POLL: Duration = Duration::from_secs(10);
-/// The loop turns at least so often, for a watchdog's sake.
+/// Longest wait of the loop, for the watchdog's sake.
 const LONGEST_SLEEP: Duration = Duration::from_secs(20);
-/// A watchdog is told at most so often: its messages wait in a queue that is short.
+/// Shortest time between two messages to the watchdog, whose queue is short.
 const WATCHDOG_PAUSE: Duration = Duration::from_secs(10);
 
-/// What the system asks of the daemon.
+/// Request to the daemon.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Signal {
     Stop,
     Rescan,
 }
 
-/// How the projects stood at the end.
+/// Number of projects by state when the daemon ended.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Summary {
     pub projects: usize,
@@ -55,7 +56,7 @@ pub struct Summary {
 enum Event {
     Change(Change),
     Progress { project: PathBuf, job: u64, stage: String, percent: u8 },
-    Finished { project: PathBuf, job: u64, looked: Looked, outcome: Outcome },
+    Finished { project: PathBuf, job: u64, input: JobInput, outcome: Outcome },
     Signal(Signal),
 }
 
@@ -65,7 +66,7 @@ impl From<Change> for Event {
     }
 }
 
-/// Whoever started the daemon and watches over it: systemd, where it asked to be told.
+/// The supervisor of this process, such as systemd.
 struct Supervisor {
     next: Cell<Instant>,
 }
@@ -75,7 +76,7 @@ impl Supervisor {
         Self { next: Cell::new(Instant::now()) }
     }
 
-    /// Says from time to time that the loop turns.
+    /// Reports, at most every [`WATCHDOG_PAUSE`], that the loop still turns.
     fn alive(&self) {
         let now = Instant::now();
         if now >= self.next.get() {
@@ -85,8 +86,11 @@ impl Supervisor {
     }
 }
 
-/// Watches the roots until stopped (or, with [`Options::once`], until nothing is left to plan). `signals` is handed a function
-/// that tells the daemon of signals, to be called from any thread.
+/// Watches the roots until stopped or, with [`Options::once`], until nothing is left to plan. `signals` receives a function that sends
+/// signals to the daemon from any thread.
+///
+/// # Errors
+/// Roots that can't be read, written or locked, and metrics that can't be written.
 pub fn watch_roots(
     options: &Options,
     planner: &dyn Planner,
@@ -95,7 +99,7 @@ pub fn watch_roots(
 ) -> Result<Summary, DaemonError> {
     let (sender, events) = channel();
     let to_loop = sender.clone();
-    // The loop may have ended; then nobody waits for signals.
+    // Fails once the loop has ended.
     signals(Box::new(move |signal| _ = to_loop.send(Event::Signal(signal))));
     let found = options
         .roots
@@ -125,8 +129,8 @@ pub fn watch_roots(
     };
     for root in &daemon.roots {
         match daemon.poll {
-            Some(poll) => info!(root = %Shown(root), "watching, with a look every {} s", poll.as_secs_f64()),
-            None => info!(root = %Shown(root), "watching, by file events"),
+            Some(poll) => info!(root = %Shown(root), "watching, with a scan every {} s", poll.as_secs_f64()),
+            None => info!(root = %Shown(root), "watching for file events"),
         }
     }
     scope(|threads| daemon.run(threads, &events, disk))
@@ -134,7 +138,7 @@ pub fn watch_roots(
 
 struct Daemon<'a> {
     options: &'a Options,
-    /// Without symbolic links.
+    /// Canonical paths.
     roots: Vec<PathBuf>,
     planner: &'a dyn Planner,
     status: StatusFiles,
@@ -192,7 +196,7 @@ impl<'a> Daemon<'a> {
                     tracked.progress(job, stage, percent);
                 }
             }
-            Event::Finished { project, job, looked, outcome } => self.finish(&project, job, looked, outcome, now),
+            Event::Finished { project, job, input, outcome } => self.finish(&project, job, input, outcome, now),
             Event::Signal(Signal::Stop) => {
                 self.stopping = true;
                 self.projects.values().for_each(Tracked::cancel);
@@ -200,25 +204,26 @@ impl<'a> Daemon<'a> {
             }
             Event::Signal(Signal::Rescan) => {
                 self.scans.add_everything();
-                self.projects.values_mut().for_each(Tracked::look_again);
+                self.projects.values_mut().for_each(Tracked::recheck);
             }
         }
     }
 
-    fn finish(&mut self, project: &Path, job: u64, looked: Looked, outcome: Outcome, now: Instant) {
+    fn finish(&mut self, project: &Path, job: u64, input: JobInput, outcome: Outcome, now: Instant) {
         self.queue.release(job);
         let Some(tracked) = self.projects.get_mut(project) else {
-            // What the job learned of a project that is gone.
+            // The project is gone: drop what its job cached.
             return self.planner.forget(project);
         };
         let abandoned = outcome == Outcome::Abandoned;
-        let (looked_only, before) = (matches!(outcome, Outcome::Planned { anew: false, .. }), tracked.result().clone());
-        if !tracked.finish(job, looked, outcome, now) {
+        let (is_unchanged, before) =
+            (matches!(outcome, Outcome::Planned { anew: false, .. }), tracked.result().clone());
+        if !tracked.finish(job, input, outcome, now) {
             return;
         }
         match tracked.result() {
             _ if abandoned => {}
-            same if looked_only && *same == before => {}
+            same if is_unchanged && *same == before => {}
             Phase::Failed { reason, .. } => warn!(project = %Shown(project), %reason, "failed"),
             phase => info!(project = %Shown(project), "{phase}"),
         }
@@ -237,7 +242,7 @@ impl<'a> Daemon<'a> {
         let due = |t: &Tracked| t.due(self.options.settle).filter(|(at, _)| *at <= now);
         let waiting = self.projects.values().filter_map(|t| due(t).map(|(at, work)| (at, t.root.clone(), work)));
         let mut waiting: Vec<_> = waiting.collect();
-        // Plans before measurements: a backend waits for them.
+        // Plans before measurements, because backends wait for plans.
         waiting.sort_by(|a, b| (a.2, a.0, &a.1).cmp(&(b.2, b.0, &b.1)));
         self.queue.begin_round();
         for (_, project, work) in waiting {
@@ -252,51 +257,51 @@ impl<'a> Daemon<'a> {
         let Options { on_busy, follow_links, settle, .. } = *self.options;
         let Some(number) = self.admit(project, work, now) else { return };
         let Some(tracked) = self.projects.get_mut(project) else { return };
-        let (looked, cancel) = tracked.start(number, work, settle, now);
+        let (input, cancel) = tracked.start(number, work, settle, now);
         let (planner, sender, project) = (self.planner, self.sender.clone(), project.to_path_buf());
         let named = planner.named_files(&project);
         threads.spawn(move || {
             let progress = |stage: &str, percent| {
                 let event = Event::Progress { project: project.clone(), job: number, stage: stage.into(), percent };
-                // Progress that nobody reads any more is no loss.
+                // Fails once the loop has ended.
                 _ = sender.send(event);
             };
             let job = Job {
                 project: &project,
-                stamp: &looked.input,
+                stamp: &input.stamp,
                 named: &named,
                 on_busy,
                 follow_links,
-                maps: &looked.maps,
+                maps: &input.maps,
                 cancel: &cancel,
                 progress: &progress,
             };
             let outcome = outcome_of(planner, work, &job);
-            _ = sender.send(Event::Finished { project: project.clone(), job: number, looked, outcome });
+            _ = sender.send(Event::Finished { project: project.clone(), job: number, input, outcome });
         });
     }
 
-    /// The number of a job that may start; `None` where it has to wait, or would never fit.
+    /// Returns the number of a new job; `None` if it has to wait or doesn't fit into memory.
     fn admit(&mut self, project: &Path, work: Work, now: Instant) -> Option<u64> {
         let tracked = self.projects.get_mut(project)?;
         self.next_job += 1;
         let number = self.next_job;
         match self.queue.admit(number, self.planner.need(tracked.stamp())) {
             Ok(()) => return Some(number),
-            Err(Full::Jobs) => tracked.wait_for(Some("for a free job (--jobs)")),
-            Err(Full::Memory) => tracked.wait_for(Some("for memory (--max-memory)")),
+            Err(Full::Jobs) => tracked.wait_for(Some("a free job slot (--jobs)")),
+            Err(Full::Memory) => tracked.wait_for(Some("memory (--max-memory)")),
             Err(Full::Never { need, max }) => {
                 let mib = |bytes: u64| bytes.div_ceil(1 << 20);
-                let reason = format!("needs about {} MiB, --max-memory allows {} MiB", mib(need), mib(max));
-                let hint = Some("raise --max-memory, or plan it by itself with `viewrank plan`".into());
-                let (looked, _) = tracked.start(number, work, self.options.settle, now);
-                self.finish(project, number, looked, Outcome::Failed { reason, hint }, now);
+                let reason = format!("planning needs about {} MiB, --max-memory allows {} MiB", mib(need), mib(max));
+                let hint = Some("raise --max-memory, or run `viewrank plan` on it".into());
+                let (input, _) = tracked.start(number, work, self.options.settle, now);
+                self.finish(project, number, input, Outcome::Failed { reason, hint }, now);
             }
         }
         None
     }
 
-    /// How long there is nothing to do.
+    /// Time until there is something to do.
     fn sleep(&self, now: Instant) -> Duration {
         let due = self.projects.values().filter(|tracked| !tracked.is_queued());
         let due = due.filter_map(|t| t.due(self.options.settle)).map(|(at, _)| at).min();
@@ -322,14 +327,14 @@ impl<'a> Daemon<'a> {
     }
 }
 
-/// What a job came to; a fault of ours is a failure of that project alone.
+/// Runs a job and returns its outcome. A panic fails only this project.
 fn outcome_of(planner: &dyn Planner, work: Work, job: &Job) -> Outcome {
     let act = || match work {
         Work::Plan => planner.plan(job),
         Work::Follow => planner.follow(job),
     };
     catch_unwind(AssertUnwindSafe(act)).unwrap_or_else(|_| Outcome::Failed {
-        reason: "an internal error; see the log".into(),
-        hint: Some("run `viewrank plan` on it and report what it prints".into()),
+        reason: "internal error; see the log".into(),
+        hint: Some("run `viewrank plan` on it and report its output".into()),
     })
 }

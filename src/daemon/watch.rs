@@ -183,9 +183,10 @@ mod tests {
         let root = tempfile::tempdir().expect("a temporary folder");
         let (above, inner) = (root.path().join("a"), root.path().join("a/b"));
         std::fs::create_dir_all(&inner).expect("a folder");
-        for forget in
-            [|watches: &mut Watches<Change>, above: &Path| watches.remove(above), |watches, _| watches.renew()]
-        {
+        for forget in [
+            |watches: &mut Watches<Change>, above: &Path| watches.remove(above),
+            |watches: &mut Watches<Change>, _: &Path| watches.renew(),
+        ] {
             let (mut watches, changes) = watches();
             watches.add([&above, &inner]);
             watches.native.as_mut().expect("events").unwatch(&inner).expect("a watch");

@@ -518,7 +518,7 @@ def test_lost_events_are_made_up_for(root, config):
         SMALL_MODEL(root / "p/sparse/0", 0)
         daemon.process.send_signal(signal.SIGCONT)
         daemon.wait_planned("p")
-        daemon.wait(lambda: daemon.notices() == ["file events were lost; looked at everything"], "the word about it")
+        daemon.wait(lambda: daemon.notices() == ["file events were lost; scanned everything"], "the word about it")
 
 
 def test_without_enough_watches_the_folders_are_looked_at_in_turn(root, config):
@@ -582,7 +582,7 @@ def test_once_says_by_its_exit_code_whether_all_is_planned(root, config):
     metrics = root / "viewrank.prom"
     once(root, config, "--metrics", metrics, expect=0)
     assert 'viewrank_projects{state="planned"} 1' in metrics.read_text().splitlines()
-    assert "the metrics cannot be written" in once(root, config, "--metrics", root / "nowhere/viewrank.prom", expect=2).stderr
+    assert "cannot write metrics" in once(root, config, "--metrics", root / "nowhere/viewrank.prom", expect=2).stderr
     before = (root / "p/viewrank/manifest.json").stat().st_mtime_ns
     once(root, config, expect=0)
     assert (root / "p/viewrank/manifest.json").stat().st_mtime_ns == before, "it is planned already"

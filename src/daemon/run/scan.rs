@@ -1,10 +1,10 @@
 //! Scans of the roots: which are due, and what they find.
 
 use std::{
-    collections::BTreeSet,
+    collections::{BTreeMap, BTreeSet},
     mem,
     path::{Path, PathBuf},
-    time::{Duration, Instant},
+    time::{Duration, Instant, SystemTime},
 };
 
 use tracing::info;
@@ -15,7 +15,7 @@ use crate::{
         Options, Shown,
         discover::{self, InputFolders},
         maps,
-        settle::Stamp,
+        settle::{Stamp, newest_entry},
         state::Tracked,
         watch::Change,
     },
@@ -30,10 +30,10 @@ const LONGEST_REST: Duration = Duration::from_secs(2);
 
 /// Scans that are due.
 pub(super) struct Scans {
-    /// Projects in which something changed.
-    projects: BTreeSet<PathBuf>,
-    /// Something changed outside projects: the roots have to be searched for projects.
-    search: bool,
+    /// Projects in which something changed, with the time of the last event.
+    projects: BTreeMap<PathBuf, Instant>,
+    /// The last event outside projects: the roots must be searched for projects.
+    search: Option<Instant>,
     everything: bool,
     /// Events were lost since the last scan of everything.
     lost: bool,
@@ -45,8 +45,8 @@ pub(super) struct Scans {
 
 impl Scans {
     pub fn new(now: Instant) -> Self {
-        let (projects, search, everything, lost) = (BTreeSet::new(), false, true, false);
-        Self { projects, search, everything, lost, gather_until: None, rest_until: now, next_full: now }
+        let (projects, search) = (BTreeMap::new(), None);
+        Self { projects, search, everything: true, lost: false, gather_until: None, rest_until: now, next_full: now }
     }
 
     pub fn add_everything(&mut self) {
@@ -54,12 +54,12 @@ impl Scans {
     }
 
     pub fn add_project(&mut self, project: PathBuf, now: Instant) {
-        self.projects.insert(project);
+        self.projects.insert(project, now);
         self.gather(now);
     }
 
     fn add_search(&mut self, now: Instant) {
-        self.search = true;
+        self.search = Some(now);
         self.gather(now);
     }
 
@@ -68,7 +68,7 @@ impl Scans {
     }
 
     pub fn is_empty(&self) -> bool {
-        self.projects.is_empty() && !self.search && !self.everything
+        self.projects.is_empty() && self.search.is_none() && !self.everything
     }
 
     /// When the next scan is due.
@@ -115,7 +115,8 @@ impl Daemon<'_> {
         }
         // Folders inside one that was moved raise no events of their own.
         let moved = self.projects.range(path.to_path_buf()..).map(|(project, _)| project);
-        self.scans.projects.extend(moved.take_while(|project| project.starts_with(path)).cloned());
+        let moved = moved.take_while(|project| project.starts_with(path));
+        self.scans.projects.extend(moved.map(|project| (project.clone(), now)));
         self.scans.add_search(now);
     }
 
@@ -167,18 +168,20 @@ impl Daemon<'_> {
         }
         self.search(now);
         let projects: Vec<PathBuf> = self.projects.keys().cloned().collect();
-        projects.iter().for_each(|project| self.scan_project(project, now));
+        projects.iter().for_each(|project| self.scan_project(project, None, now));
         self.scans.next_full = now + self.pause();
     }
 
     fn scan_changed(&mut self, now: Instant) {
         self.scans.gather_until = None;
         let mut projects = mem::take(&mut self.scans.projects);
+        let search = self.scans.search.take();
         let is_project = |path: &PathBuf| discover::is_project(path, self.options.follow_links);
-        if mem::take(&mut self.scans.search) || !projects.iter().all(is_project) {
-            projects.append(&mut self.search(now));
+        if search.is_some() || !projects.keys().all(is_project) {
+            let new = self.search(now);
+            projects.extend(new.into_iter().map(|project| (project, search.unwrap_or(now))));
         }
-        projects.iter().for_each(|project| self.scan_project(project, now));
+        projects.iter().for_each(|(project, heard)| self.scan_project(project, Some(*heard), now));
     }
 
     /// Searches the roots for projects: forgets those that are gone, adds and returns the new ones.
@@ -205,27 +208,32 @@ impl Daemon<'_> {
         found
     }
 
-    /// Compares a project with what was last seen of it, and watches its folders.
-    fn scan_project(&mut self, project: &Path, now: Instant) {
+    /// Compares a project with the last scan of it, and watches its folders. `heard` is the time of its last event, where known.
+    fn scan_project(&mut self, project: &Path, heard: Option<Instant>, now: Instant) {
         self.supervisor.alive();
         let Some(tracked) = self.projects.get_mut(project) else { return };
         let Options { on_busy, follow_links, .. } = *self.options;
         let named = self.planner.named_files(project);
         let input = InputFolders::of(project, follow_links);
         let (map_folders, maps) = maps::scan(project, follow_links);
-        if self.watches.add(&folders_to_watch(project, &input, map_folders, &named)) {
-            // A folder may have come between the listing and the watch.
-            self.scans.add_project(project.into(), now);
-        }
+        let new_watches = self.watches.add(&folders_to_watch(project, &input, map_folders, &named));
         let stamp = Stamp::of_folders(&input).with(&named);
-        tracked.observe(stamp, Instant::now(), on_busy);
+        let scanned = (Instant::now(), SystemTime::now());
+        // Before the first watch there were no events.
+        let unheard = if new_watches { newest_entry(&input.images) } else { None };
+        let since = heard.map_or(now, |heard| stamp.same_since(heard, unheard, scanned));
+        tracked.observe(stamp, since, on_busy);
         match maps {
             Ok(maps) => tracked.observe_maps(maps, now),
             // Maps seen before may still be there.
             Err(unreadable) => self.status.notice(unreadable.to_string()),
         }
         if tracked.is_at_rest() && !self.planner.has_plan(project) {
-            tracked.look_again();
+            tracked.recheck();
+        }
+        if new_watches {
+            // A folder may have come between the listing and the watch.
+            self.scans.add_project(project.into(), now);
         }
     }
 
