@@ -5,7 +5,7 @@ use std::{env, error::Error, path::PathBuf};
 use viewrank::{
     Unwatched,
     evaluate::{Evaluation, Measure, Reached, Run, Task},
-    replan, triangle_weights,
+    replan,
 };
 
 fn main() -> Result<(), Box<dyn Error>> {
@@ -22,12 +22,12 @@ fn main() -> Result<(), Box<dyn Error>> {
     let task = Task { model, clusters: &clusters, depth_maps, reference: None, accuracy };
     let run = Run::new(&task, &Unwatched)?;
 
-    let weights = triangle_weights(&plan.stages.surface, settings.ranking.weight);
-    let measure = Measure { weights: &weights, support: settings.ranking.support.unwrap_or(1), baselines: false };
+    let measure = Measure { objective: &plan.stages.objective, baselines: false };
     let model = plan.stages.model();
     let reached = Reached::new(&model, &run);
     let evaluation = Evaluation::new(&model, &run, &reached, &measure, &Unwatched)?;
-    println!("fulfilment: predicted {:.3}, real {:.3}", evaluation.predicted, evaluation.real);
+    let kept = evaluation.kept;
+    println!("of what is wanted, fusion keeps {:.1} %; forecast: {:.1} %", 100.0 * kept.real, 100.0 * kept.predicted);
     println!(
         "completeness {:.3}, {} clusters without a depth map",
         evaluation.quality.completeness,

@@ -59,7 +59,7 @@ pub use io::{
 pub use method::{
     fulfilment::FulfilmentTable,
     partners::Candidates,
-    ranking::{Ranking, weights as triangle_weights},
+    ranking::{Objective, Ranking},
     surface::Surface,
     target::Target,
     visibility::Visibility,

@@ -1,4 +1,4 @@
-//! What is written for a plan: the manifest, its table, the pair files, the pictures, and the files of backends.
+//! Every file of a plan: the manifest, its table, the pair files, the pictures, and the files of the backends.
 
 use super::outdated;
 use crate::{
@@ -16,18 +16,18 @@ use crate::{
     },
 };
 
-/// Path of the report in its project, and the name of its set of files; a plan other than the one that it shows removes it.
+/// Path of the report in its project, and the name of its file set. Writing a plan removes the report of any other plan.
 pub const REPORT_FILE: &str = "viewrank/report.html";
 pub const REPORT_SET: &str = "report";
 
-/// What is to be written for a plan.
+/// The files to write for a plan.
 pub struct PlanFiles {
     pub manifest: Manifest,
-    /// The plan's own files first; then those of each backend, a set per folder, and what an earlier plan left; to be written together.
+    /// The plan's own files first, then those of each backend (one set per folder), the cache and outdated sets to remove; all are written together.
     pub sets: Vec<FileSet>,
-    /// Exports of earlier plans that stay in the project, a line each; no part of the plan.
+    /// Exports of earlier plans that stay in the project, one line each; not part of the plan.
     pub outdated_exports: Vec<String>,
-    /// What runs the first of the backends on its files, to be typed in a shell.
+    /// Shell command that runs the first backend on its files.
     pub command: Option<String>,
 }
 
@@ -52,10 +52,10 @@ impl Hint for FilesError {
     }
 }
 
-/// The files of the plan, to be written by [`output::write_all`](crate::io::output::write_all).
+/// Collects the files of the plan, for [`output::write_all`](crate::io::output::write_all).
 ///
 /// # Errors
-/// A plan that chooses nothing, names that a backend cannot take, a mesh that cannot be read any more.
+/// The plan chooses nothing, a backend cannot take a name, or a mesh can no longer be read.
 pub fn files(plan: &Plan, project: &Project) -> Result<PlanFiles, FilesError> {
     if let Some(nothing) = Nothing::of(plan) {
         return Err(nothing.into());
@@ -106,7 +106,7 @@ pub fn files(plan: &Plan, project: &Project) -> Result<PlanFiles, FilesError> {
     Ok(PlanFiles { manifest, sets, outdated_exports, command })
 }
 
-/// The page that shows another plan than this one goes.
+/// An empty set in place of a report that shows another plan, which removes it.
 fn stale_page(project: &Project, manifest: &Manifest) -> Option<FileSet> {
     let earlier = output::read_own(&project.root, manifest::FILE);
     let shows_another = earlier.map_or(true, |earlier| earlier != manifest.to_json().as_bytes());
@@ -114,7 +114,7 @@ fn stale_page(project: &Project, manifest: &Manifest) -> Option<FileSet> {
     (there && shows_another).then(|| FileSet::new(&project.root, REPORT_SET))
 }
 
-/// What the pictures showed, for the next plan, if there is something new.
+/// Image measurements cached for the next plan, if there are new ones.
 fn cache(plan: &Plan, project: &Project) -> Option<FileSet> {
     let bytes = plan.stages.pictures.cache.clone()?;
     let mut set = FileSet::new(&project.root, "cache");
@@ -122,14 +122,14 @@ fn cache(plan: &Plan, project: &Project) -> Option<FileSet> {
     Some(set)
 }
 
-/// The runner of an export, else its first command, from its folder.
+/// Shell command that enters the folder of the export and starts its runner, or else its first command.
 fn command(export: &Export) -> Option<String> {
     let folder = quoted_path(&export.files.root);
     let runner = export.record.runner.as_ref().map(|runner| format!("./{runner}"));
     Some(format!("cd {folder} && {}", runner.as_ref().or(export.record.commands.first())?))
 }
 
-/// The files of each backend. One that lacks something gets none, which a warning says: the plan is good without them.
+/// The files of each backend, and a warning for each backend without files: the plan is useful without them.
 fn exports(
     selection: &Selection,
     backends: &[&'static dyn Backend],
@@ -158,7 +158,7 @@ fn exports(
     Ok((exports, missing))
 }
 
-/// The backends that were asked for, else those that the project is set up for.
+/// The backends in the settings, or else those that the project is set up for.
 fn wanted(plan: &Plan, project: &Project) -> Result<Vec<&'static dyn Backend>, BackendError> {
     if plan.stages.settings.backends.is_empty() {
         return Ok(backends::all().iter().copied().filter(|backend| backend.serves(project)).collect());

@@ -1,4 +1,4 @@
-//! Exports of an earlier plan that still lie in the project: a new plan leaves them as they are and says so.
+//! Exports of an earlier plan in the project: a new plan leaves them unchanged and reports them.
 
 use serde::Deserialize;
 
@@ -12,7 +12,7 @@ use crate::{
     plan::Plan,
 };
 
-/// The part of an `export.json` that is compared.
+/// The part of `export.json` that is compared with the plan.
 #[derive(Deserialize)]
 struct Exported {
     backend: String,
@@ -30,7 +30,8 @@ struct View {
     name: String,
 }
 
-/// A line for each folder in the project with an export of another ranking, which `sets` will not replace; of many only for the first.
+/// One line for each folder in the project with an export of another ranking that `sets` does not replace. From three on, one line names the
+/// first and counts the others.
 pub(super) fn exports(plan: &Plan, project: &Project, sets: &[FileSet]) -> Vec<String> {
     let kept = |path: &String| sets.iter().all(|set| set.root != project.root || !set.files.contains_key(path));
     let records = recorded(&project.root, "export-").into_iter();
@@ -64,7 +65,7 @@ fn line(plan: &Plan, project: &Project, record: &str) -> Option<String> {
     ))
 }
 
-/// Are the clusters some of the plan's, in its order?
+/// Returns whether the clusters are a subsequence of the plan's ranking.
 fn is_part(exported: &Exported, plan: &Plan) -> bool {
     let name = |view| plan.stages.scene.name(view);
     let mut ranked = plan.ranked();

@@ -1,4 +1,4 @@
-//! The tables of a plan as NumPy files (method 6): for those who want to recompute, check or draw what viewrank computed.
+//! The tables of a plan as NumPy files (method 6), to recompute, check or plot results.
 
 use npyz::{AutoSerialize, WriterBuilder};
 use serde_json::json;
@@ -66,7 +66,7 @@ fn add_json(plan: &Plan, files: &mut FileSet) {
     let views: Vec<_> = plan.stages.scene.view_indices().map(view).collect();
     files.add_text("views.json", format!("{:#}\n", json!(views)));
     let mut settings = serde_json::to_value(&plan.stages.settings).expect("settings are JSON");
-    // What the settings leave to the data and the backend, but f depends on.
+    // f also depends on these, which the settings may leave to the data and the backend.
     settings["in_force"] = json!({
         "backend": plan.stages.backend,
         "accuracy_over_gsd": plan.stages.target.accuracy_over_gsd,
@@ -82,7 +82,7 @@ pub(crate) fn add_table(files: &mut FileSet, name: &str, bytes: Vec<u8>) {
     files.add(format!("{name}.npy"), Contents::Bytes(bytes));
 }
 
-/// (row, column) of every entry of a CSR table.
+/// Pairs (row, column) of all entries of a CSR table, flattened.
 pub(crate) fn rows<'a>(offsets: &'a [usize], columns: &'a [u32]) -> impl Iterator<Item = u32> + 'a {
     let of_row =
         |row: usize| columns[offsets[row]..offsets[row + 1]].iter().flat_map(move |&column| [row as u32, column]);

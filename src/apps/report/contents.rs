@@ -205,13 +205,13 @@ impl Contents {
     }
 }
 
-/// The folder's name, also of `.`.
+/// Name of the folder, with `.` resolved.
 fn title(root: &Path) -> String {
     let whole = root.canonicalize().unwrap_or_else(|_| root.into());
     whole.file_name().unwrap_or(whole.as_os_str()).to_string_lossy().into_owned()
 }
 
-/// Where each of the lists begins when they stand behind each other, and where the last one ends.
+/// CSR offsets of concatenated lists with these lengths.
 fn offsets(lengths: impl Iterator<Item = usize>) -> Vec<u32> {
     let ends = lengths.scan(0, |sum, length| {
         *sum += length as u32;
@@ -256,7 +256,7 @@ impl Views {
     }
 }
 
-/// Of views whose reason is the pairs that are refused.
+/// Explains the refused pairs of each view whose reason is about its pairs.
 fn partners(plan: &Plan) -> BTreeMap<u32, String> {
     let of_pairs = [Reason::NoSharedPoints, Reason::RotationOnly, Reason::NotMatchable];
     let lacks = |view: &ViewIndex| plan.decision.views[view.index()].1.is_some_and(|reason| of_pairs.contains(&reason));
@@ -314,7 +314,7 @@ impl ShownHole {
     }
 }
 
-/// Why there is no page.
+/// Errors of building the page.
 #[derive(Debug, thiserror::Error)]
 pub enum ReportError {
     #[error(transparent)]

@@ -1,19 +1,19 @@
-//! How the fulfilment of each shown triangle grows along the ranking, so that the page can be cut anywhere.
+//! Growth of the fulfilment of each shown triangle along the ranking, so that the page can show any cut.
 
 use super::shown::Shown;
 use crate::{plan::Plan, show::pictures};
 
 /// Clusters per triangle that are counted one by one; the page says "5 or more" beyond.
 pub const COUNTED: usize = 5;
-/// In place of a rank: there is no such cluster.
+/// Stands in for the rank of a missing cluster.
 const NEVER: u16 = u16::MAX;
 
-/// CSR by shown triangle. Ranks are from 1, those beyond what 16 bits hold are never shown.
+/// CSR by shown triangle. Ranks are 1-based; ranks above 65534 are dropped, because they are stored as u16.
 #[derive(Default)]
 pub struct History {
     /// Shown triangles + 1 entries.
     pub offsets: Vec<u32>,
-    /// Rank of each cluster that lets the triangle grow.
+    /// Rank of each cluster that increases the fulfilment of the triangle.
     pub ranks: Vec<u16>,
     /// Share of the triangle's reachable fulfilment from that rank on, in 255ths.
     pub shares: Vec<u8>,
@@ -49,7 +49,7 @@ impl History {
         history
     }
 
-    /// Adds a triangle; steps that cannot be told from those before are left out.
+    /// Adds a triangle; drops steps that round to the same 255th as the step before.
     fn push(&mut self, steps: &[(u16, f32)]) {
         let reachable = steps.last().map_or(0.0, |&(_, f)| f);
         let mut before = 0;
@@ -66,7 +66,7 @@ impl History {
     }
 }
 
-/// A number from 0 to 1 as a byte.
+/// Quantises a number from 0 to 1 to a byte.
 pub fn in_255ths(share: f32) -> u8 {
     (share.clamp(0.0, 1.0) * 255.0).round() as u8
 }

@@ -1,4 +1,4 @@
-//! Where one must fly again: regions of the surface that no view can fill.
+//! Regions of the surface that no cluster fulfils and that need new images.
 
 use std::cmp::Reverse;
 
@@ -24,13 +24,13 @@ pub struct Hole {
     /// Square scene units.
     pub area: f64,
     pub triangles: usize,
-    /// What fails on most of its area.
+    /// The reason that applies to most of its area.
     pub reason: Reason,
-    /// Mean of its triangles by area, world coordinates.
+    /// Area-weighted mean of its triangles' centroids, world coordinates.
     pub centre: Point3<f64>,
 }
 
-/// What fills such a hole.
+/// Advice on the images that would fill a hole with this reason.
 pub fn help(reason: Reason) -> &'static str {
     match reason {
         Reason::TooCoarse => "images from nearer, or with a longer lens",
@@ -45,20 +45,20 @@ pub fn help(reason: Reason) -> &'static str {
 pub struct Holes {
     /// The largest of those near the cameras, largest first.
     pub largest: Vec<Hole>,
-    /// Area of all, square scene units.
+    /// Area of all holes, square scene units.
     pub area: f64,
-    /// Area of what lies beyond the reach of the survey: no camera is near it, and none was meant to be.
+    /// Area of the background: holes farther than [`FAR`] usual distances from every camera; square scene units.
     pub far_area: f64,
     /// Median distance of the sparse points from the nearest of their views, scene units; 0 without points.
     pub usual_distance: f64,
 }
 
-/// Places with less than this share of the area of all that can be flown to are not named.
+/// Holes with less than this share of the area of all holes near the cameras are not listed.
 const LEAST_SHARE: f64 = 0.005;
-/// Places farther from every camera than so many usual distances (of a sparse point to the nearest view that observes it) are background.
+/// Places farther from every camera than this multiple of the usual distance (sparse point to the nearest view observing it) are background.
 pub const FAR: f64 = 4.0;
 
-/// The holes of a plan, with the `most` largest that can be flown to.
+/// Finds the holes of a plan and lists at most the `most` largest near the cameras.
 pub fn holes(plan: &Plan, most: usize) -> Holes {
     let open = plan.decision.triangle_reasons.iter().zip(0u32..).filter_map(|(reason, t)| reason.map(|_| t));
     let open: Vec<u32> = open.collect();
@@ -90,7 +90,7 @@ fn usual_distance(scene: &Scene) -> Option<f64> {
     upper_median((0..scene.points.len() as u32).filter_map(nearest))
 }
 
-/// Those triangles with a common edge together; in the order of their first triangles.
+/// Connected components of the open triangles by shared edges, ordered by their first triangle. `open` is sorted.
 fn regions(plan: &Plan, open: &[u32]) -> Vec<Vec<u32>> {
     let opposite = opposites(&plan.stages.surface);
     let beside = |i: u32| {

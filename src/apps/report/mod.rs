@@ -1,4 +1,4 @@
-//! `report.html`: the plan on one page that needs nothing else, for people who look before they believe.
+//! `report.html`: the plan on one self-contained page, to inspect before it is used.
 //!
 //! Everything on the page follows a slider for the cut, so the page holds the whole ranking and how each triangle's fulfilment grows along it
 //! (`history.rs`), on a surface that is made coarser where it would be too large (`shown.rs`); arrays travel as base64 of
@@ -20,7 +20,7 @@ pub use real::Finished;
 
 const PAGE: &str = include_str!("page/page.html");
 const STYLE: &str = include_str!("page/page.css");
-/// One script in the order in which its parts need each other.
+/// The scripts, concatenated in the order of their dependencies.
 const SCRIPT: &str = concat!(
     include_str!("page/data.js"),
     include_str!("page/surface.js"),
@@ -33,7 +33,7 @@ const SCRIPT: &str = concat!(
 
 /// The whole page.
 pub fn page(contents: &Contents) -> String {
-    // In a script element "</" would end it, and JSON may write every "<" so.
+    // "</" would end the script element; JSON allows "<" to be escaped anywhere.
     let data =
         serde_json::to_string(contents).expect("string keys and finite numbers are JSON").replace('<', "\\u003c");
     let mut page = String::with_capacity(PAGE.len() + STYLE.len() + SCRIPT.len() + data.len());

@@ -1,4 +1,4 @@
-//! The surface as it is drawn: itself, or a coarser one where it has too many triangles for a page.
+//! The surface as drawn: unchanged, or coarser if it has too many triangles for a page.
 
 use std::collections::{BTreeMap, btree_map::Entry};
 
@@ -6,7 +6,7 @@ use nalgebra::{Point3, Vector3};
 
 use crate::method::surface::Surface;
 
-/// Triangles of the page; with their histories about 2 MB.
+/// Largest number of triangles on the page, about 2 MB with their histories.
 const BUDGET: usize = 40_000;
 
 /// Triangles to draw, each with the triangle of the surface whose state it shows.
@@ -23,8 +23,8 @@ impl Shown {
         Self::within(surface, BUDGET)
     }
 
-    /// At most `budget` triangles: vertices of the same cube become one, with cubes as small as the budget allows by steps of a
-    /// tenth. Of the triangles that become the same the largest is shown.
+    /// Reduces the surface to at most `budget` triangles by vertex clustering: vertices in the same cube are merged. The edge of the cubes
+    /// grows by a tenth until the budget is met. Of triangles that coincide, the largest is kept.
     fn within(surface: &Surface, budget: usize) -> Self {
         if surface.triangles.len() <= budget {
             return Self {

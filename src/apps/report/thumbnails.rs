@@ -1,4 +1,4 @@
-//! Small pictures of the views.
+//! Thumbnails of the views.
 
 use std::{collections::BTreeMap, path::Path};
 
@@ -13,13 +13,13 @@ use crate::{
     plan::Plan,
 };
 
-/// Views beyond which only those first in the ranking get a picture, of some 3 kB each.
+/// Largest number of thumbnails, about 3 kB each; with more views, only the first in the ranking get one.
 pub const MOST: usize = 500;
 /// Long side, pixels.
 const SIDE: u32 = 112;
 const QUALITY: u8 = 55;
 
-/// JPEG files in base64 by view; images that are not there, or not to be read, have none.
+/// JPEG files in base64 by view. Views whose image is missing or cannot be read have no entry.
 pub fn thumbnails(plan: &Plan, images: &Path, watcher: &dyn Watcher) -> Result<BTreeMap<u32, String>, Cancelled> {
     let in_order = plan.ranked().map(|cluster| cluster.key);
     let views: Vec<ViewIndex> = match plan.stages.scene.views.len() <= MOST {
@@ -43,7 +43,7 @@ fn thumbnail(path: &Path) -> Option<Vec<u8>> {
     Some(jpeg)
 }
 
-/// The size with the longer side reduced to that.
+/// The size in pixels, reduced so that the longer side is at most `side`.
 fn within([width, height]: [u32; 2], side: u32) -> [u32; 2] {
     let scale = (f64::from(side) / f64::from(width.max(height))).min(1.0);
     [width, height].map(|side| ((f64::from(side) * scale).round() as u32).max(1))

@@ -1,4 +1,4 @@
-//! A picture beside what is predicted of it.
+//! An image next to the confidence predicted from it.
 
 use std::io::Cursor;
 
@@ -6,15 +6,15 @@ use image::{ImageFormat, Rgb, RgbImage};
 
 use crate::method::confidence::{ConfidenceMap, Image};
 
-/// Colours of 0, 1/4, 1/2, 3/4 and 1: dark to light, apart for the colour-blind too (five colours of matplotlib's viridis).
+/// Colours of 0, 1/4, 1/2, 3/4 and 1, dark to light, distinguishable by the colour-blind (five colours of matplotlib's viridis).
 const COLOURS: [[f32; 3]; 5] =
     [[68.0, 1.0, 84.0], [59.0, 82.0, 139.0], [33.0, 145.0, 140.0], [94.0, 201.0, 98.0], [253.0, 231.0, 37.0]];
 /// Width of the legend, pixels, and of its bar.
 const LEGEND: u32 = 60;
 const BAR: u32 = 16;
-/// Pixels of a dot of the legend's figures.
+/// Side of one dot of the legend's digits, pixels.
 const DOT: u32 = 3;
-/// The figures, rows of three dots.
+/// Bitmaps of the digits, in rows of three dots.
 const FIGURES: [(char, [u8; 5]); 4] = [
     ('0', [0b111, 0b101, 0b101, 0b101, 0b111]),
     ('1', [0b010, 0b110, 0b010, 0b010, 0b111]),
@@ -22,7 +22,7 @@ const FIGURES: [(char, [u8; 5]); 4] = [
     ('.', [0b000, 0b000, 0b000, 0b000, 0b010]),
 ];
 
-/// PNG: the picture, its confidence in colours over the same area, and the legend from 1 at the top to 0.
+/// PNG bytes: the image, its confidence in colour at the same scale to the right, then the legend from 1 (top) to 0.
 pub fn confidence_picture(image: &Image, map: &ConfidenceMap) -> Vec<u8> {
     let (width, height) = (image.width, image.height.max(40));
     let mut picture = RgbImage::from_pixel(2 * width + LEGEND, height, Rgb([255; 3]));

@@ -1,4 +1,4 @@
-//! `curve.svg`: how much of the reachable fulfilment how few key views, and pairs, give.
+//! `curve.svg`: share of the reachable fulfilment over key views and over matching pairs.
 
 use std::fmt::Write;
 
@@ -9,7 +9,7 @@ use crate::plan::Plan;
 pub struct Curve {
     /// Share of what all clusters together reach, 0 to 1.
     pub share: Vec<f64>,
-    /// Matching pairs so far.
+    /// Cumulative number of matching pairs.
     pub pairs: Vec<usize>,
     /// Clusters up to the cut.
     pub cut: usize,
@@ -44,7 +44,7 @@ const HEIGHT: f64 = 380.0;
 const PANEL_WIDTH: f64 = 340.0;
 const PANEL_HEIGHT: f64 = 240.0;
 const TOP: f64 = 80.0;
-/// Points of a polyline beyond which none would be seen.
+/// Points of a polyline; more would not be visible at this width.
 const MOST_POINTS: usize = 600;
 
 /// Two panels, share over key views and over pairs, with the cut marked.
@@ -130,7 +130,7 @@ fn panel(svg: &mut String, left: f64, label: &str, x: &[f64], curve: &Curve) {
     }
 }
 
-/// About `MOST_POINTS` indices below `count`, the last one among them.
+/// About `MOST_POINTS` evenly spaced indices below `count`, and the last index.
 fn thinned(count: usize) -> impl Iterator<Item = usize> {
     let step = count.div_ceil(MOST_POINTS).max(1);
     (0..count).filter(move |i| i % step == 0 || i + 1 == count)

@@ -1,4 +1,4 @@
-//! `views.geojson`: where the views are and what they see, for QGIS and other geographic programs (RFC 7946).
+//! `views.geojson`: positions and footprints of the views, for QGIS and other GIS programs (RFC 7946).
 
 use nalgebra::Point3;
 use rayon::prelude::*;
@@ -13,9 +13,9 @@ use crate::{
     plan::Plan,
 };
 
-/// A point where the camera is and a polygon round what it sees of the surface, for each view. In longitude and latitude where the place
-/// of the model on the earth is known; else in the model's own coordinates, turned where their third axis is not up, which `crs: null`,
-/// `frame` and `axes` say (a place there is `axes` times a point of the model).
+/// GeoJSON text with two features per view: a point at the camera, and a polygon around the surface that it sees. Coordinates are longitude
+/// and latitude if the model is georeferenced; otherwise they are the model's own, rotated so that the third axis is up, as `crs: null`,
+/// `frame` and `axes` state (a position is `axes` times a point of the model).
 pub fn views_geojson(plan: &Plan, place: &Georeference) -> String {
     let frame = MapFrame::new(&plan.stages.scene, plan.stages.settings.surface.up);
     let local = *place == Georeference::Local;
@@ -58,9 +58,9 @@ fn polygon(corners: Vec<[f64; 3]>) -> Value {
     json!({ "type": "Polygon", "coordinates": [closed(corners)] })
 }
 
-/// The polygon in longitude and latitude; one over the 180th meridian is cut there, as RFC 7946 (3.1.9) asks.
+/// The polygon in longitude and latitude, cut at the 180th meridian if it crosses it, as RFC 7946 (3.1.9) requires.
 fn polygon_on_the_earth(mut corners: Vec<[f64; 3]>) -> Value {
-    // On from the first corner, without a jump.
+    // Unwraps longitudes from the first corner, so that none jumps by 360 degrees.
     for i in 1..corners.len() {
         corners[i][0] -= 360.0 * ((corners[i][0] - corners[i - 1][0]) / 360.0).round();
     }
@@ -74,7 +74,7 @@ fn polygon_on_the_earth(mut corners: Vec<[f64; 3]>) -> Value {
     json!({ "type": "MultiPolygon", "coordinates": [[closed(inside)], [closed(outside)]] })
 }
 
-/// What of the convex ring lies on one side of the meridian: 1 for east of it, -1 for west (Sutherland and Hodgman 1974).
+/// Clips the convex ring to one side of the meridian: 1 for east, -1 for west (Sutherland and Hodgman 1974).
 fn part(ring: &[[f64; 3]], meridian: f64, side: f64) -> Vec<[f64; 3]> {
     let mut part = Vec::new();
     for (from, to) in ring.iter().zip(ring.iter().cycle().skip(1)) {
@@ -98,7 +98,7 @@ fn feature(geometry: Value, properties: Value) -> Value {
     json!({ "type": "Feature", "geometry": geometry, "properties": properties })
 }
 
-/// `rank`: from 0. Ranks in the file are from 1, as everywhere.
+/// `rank` is 0-based; ranks in the file are 1-based, as in all files.
 fn properties(plan: &Plan, view: ViewIndex, rank: Option<usize>, what: &str) -> Value {
     let (status, reason) = plan.decision.views[view.index()];
     json!({
@@ -112,7 +112,7 @@ fn properties(plan: &Plan, view: ViewIndex, rank: Option<usize>, what: &str) -> 
     })
 }
 
-/// More digits than a survey has say nothing.
+/// Rounds to the digits that a survey can have.
 fn rounded(number: f64, digits: i32) -> f64 {
     let scale = 10f64.powi(digits);
     (number * scale).round() / scale

@@ -1,4 +1,4 @@
-//! The surface and the views as seen on a map.
+//! Footprints of the views on a map.
 
 use nalgebra::Point3;
 
@@ -8,11 +8,11 @@ use crate::{
     model::{georeference::MapFrame, scene::ViewIndex},
 };
 
-/// Directions in which a footprint is sought to its end; it has at most as many corners.
+/// Directions in which the extreme point of a footprint is taken; also the largest number of its corners.
 const DIRECTIONS: u32 = 32;
 
-/// What each view sees of the surface, from above: the convex hull, counter-clockwise and not closed, as surface points in world
-/// coordinates. Empty where it sees nothing.
+/// Footprint of each view: the convex hull, seen from above, of the surface that the view sees, as surface points in world coordinates,
+/// counter-clockwise, not closed. Empty if the view sees nothing.
 pub fn footprints(surface: &Surface, visibility: &Visibility, frame: &MapFrame) -> Vec<Vec<Point3<f64>>> {
     let of_view = |&view: &ViewIndex| footprint(surface, visibility, view, frame);
     column::read_by_parts(&visibility.views(), of_view, || visibility.triangles.release())
@@ -26,7 +26,7 @@ fn footprint(surface: &Surface, visibility: &Visibility, view: ViewIndex, frame:
     let farthest = |i: u32| {
         let (sin, cos) = (f64::from(i) * std::f64::consts::TAU / f64::from(DIRECTIONS)).sin_cos();
         let along = |v: &usize| flat[*v][0] * cos + flat[*v][1] * sin;
-        // Of equals the one farthest ahead on the way round, so that no corner lies between two others.
+        // Ties go to the point farthest ahead counter-clockwise, so that no corner is on the edge between two others.
         let ahead = |v: &usize| flat[*v][1] * cos - flat[*v][0] * sin;
         (0..flat.len()).max_by(|a, b| along(a).total_cmp(&along(b)).then(ahead(a).total_cmp(&ahead(b))))
     };

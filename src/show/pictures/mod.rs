@@ -1,4 +1,4 @@
-//! Pictures of a plan: the curve, the surface with what is known of each triangle, the views on a map, and confidence beside the image
+//! Pictures of a plan: the curve, the surface with the state of each triangle, the views on a map, and confidence next to the image
 //! that it was predicted from.
 
 mod confidence;

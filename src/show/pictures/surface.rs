@@ -1,4 +1,4 @@
-//! `surface.ply`: the surface with scalar fields per triangle, which MeshLab shows, and at the vertices, which CloudCompare does.
+//! `surface.ply`: the surface with scalar fields per triangle (for MeshLab) and per vertex (for CloudCompare).
 
 use crate::{
     base::column,
@@ -8,7 +8,7 @@ use crate::{
     plan::Plan,
 };
 
-/// What the chosen clusters do for a triangle.
+/// Fulfilment of a triangle by the chosen clusters.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct TriangleState {
     /// Fulfilment by the chosen clusters (method 5.2).
@@ -20,13 +20,13 @@ pub struct TriangleState {
 }
 
 impl TriangleState {
-    /// How much of what can be reached is reached, 0 to 1; 0 where nothing can be.
+    /// Share of the reachable fulfilment that is reached, 0 to 1; 0 if nothing is reachable.
     pub fn share(&self) -> f32 {
         if self.reachable > 0.0 { self.fulfilment / self.reachable } else { 0.0 }
     }
 }
 
-/// The state of every triangle when the first `clusters` of the ranking are computed.
+/// State of every triangle after the first `clusters` of the ranking.
 pub fn triangle_states(plan: &Plan, clusters: usize) -> Vec<TriangleState> {
     let mut states = vec![TriangleState::default(); plan.stages.surface.triangles.len()];
     follow(plan, |rank, triangle, fulfilment| {
@@ -69,13 +69,13 @@ pub const REASON_NUMBERS: [Reason; 9] = [
     Reason::NoGainLeft,
 ];
 
-/// The number of a reason; 0: none.
+/// The number of a reason, from 1; 0 for `None`.
 pub fn reason_number(reason: Option<Reason>) -> u8 {
     let position = reason.and_then(|reason| REASON_NUMBERS.iter().position(|&r| r == reason));
     position.map_or(0, |i| i as u8 + 1)
 }
 
-/// Colours of a share of 0, 1/2 and 1, which colour-blind people tell apart too: red, yellow, blue.
+/// Colours of a share of 0, 1/2 and 1, distinguishable by the colour-blind: red, yellow, blue.
 pub const RAMP: [[u8; 3]; 3] = [[200, 72, 44], [236, 208, 108], [38, 122, 158]];
 
 /// The surface at the plan's cut: `quality` (share reached), `chosen_views`, `reason`, and colours from red (nothing) over yellow to
@@ -106,7 +106,7 @@ fn word(reason: Reason) -> String {
     serde_json::to_value(reason).ok().and_then(|v| v.as_str().map(str::to_owned)).unwrap_or_default()
 }
 
-/// [`RAMP`] by the share reached; grey where nothing can be.
+/// [`RAMP`] interpolated at the share reached; grey if nothing is reachable.
 fn colour(state: &TriangleState) -> [u8; 3] {
     if state.reachable <= 0.0 {
         return [150; 3];

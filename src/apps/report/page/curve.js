@@ -1,9 +1,9 @@
-// The curve of what is reached, predicted and, where there are depth maps, real.
+// The curve of the share reached: predicted and, if there are depth maps, real.
 'use strict';
 
 const plot = { left: 54, right: 546, top: 14, bottom: 262 };
 
-// What the curve can run over, and the values after i clusters.
+// The choices for the x axis, with the value after i clusters.
 const overs = {
   maps: { label: 'depth maps', one: 'depth map', at: cut => cut },
   pairs: { label: 'image pairs', one: 'image pair', at: cut => pairsUpTo[cut] },
@@ -18,7 +18,7 @@ function secondsFor(maps, pairs) {
   return (state.perMap || 0) * maps + (state.perPair || 0) * pairs;
 }
 
-// What has its depth map takes no more time.
+// Finished depth maps take no time.
 function secondsUpTo(cut) {
   const done = Math.min(cut, data.finished);
   return secondsFor(cut - done, pairsUpTo[cut] - pairsUpTo[done]);
@@ -46,7 +46,7 @@ function drawCurve() {
   parts.push(`<text x="${(plot.left + plot.right) / 2}" y="${plot.bottom + 35}" text-anchor="middle">${over().label}</text>`);
   parts.push(`<polyline class="predicted" points="${line(clusters, i => [x(at(i)), y(shareAt(i))])}"/>`);
   if (data.real) {
-    // Those that are no part of the ranking have no place here.
+    // Depth maps outside the ranking have no x value.
     const { ranks, share } = data.real, last = ranks.findLastIndex(rank => rank <= clusters);
     parts.push(`<polyline class="real" points="${x(0)},${y(0)} ${line(last, i => [x(at(ranks[i])), y(share[i])])}"/>`);
   }
@@ -64,7 +64,7 @@ function reachedText() {
   return `${percent(shareAt(state.cut))} with ${rounded(value)} ${value === 1 ? over().one : over().label}`;
 }
 
-// At most some hundred points of a line, the last one among them.
+// The points of a polyline, thinned to about 500; the last is always included.
 function line(last, point) {
   const points = [], step = Math.max(1, Math.ceil(last / 500));
   for (let i = 0; i <= last; i++) {

@@ -4,7 +4,7 @@
 let theme = {};
 // The numbers of the holes, on white in either theme.
 const HOLE = '#a8281a';
-// Holes that are numbered however small they are.
+// The first holes of the list are numbered whatever their size.
 const NUMBERED = 5;
 
 function readTheme() {
@@ -66,7 +66,7 @@ class Scene {
     element.addEventListener('pointercancel', () => { from = null; });
     element.addEventListener('pointerleave', () => { if (state.hovered >= 0) change({ hovered: -1 }); });
     element.addEventListener('wheel', event => {
-      // A page that is scrolled past must not get stuck here.
+      // Scrolling the page over a drawing must not zoom it.
       if (!event.ctrlKey && document.activeElement !== element) return;
       event.preventDefault();
       const box = element.getBoundingClientRect();
@@ -109,7 +109,7 @@ class Scene {
     return this.camera.screen(views.centres, 3 * view, this.width, this.height);
   }
 
-  // The camera at a pixel, -1 for none; of several the key view, then the better one.
+  // The camera nearest to a pixel, or -1; key views have precedence.
   nearest(x, y) {
     let best = -1, least = 16;
     for (let view = 0; view < views.count; view++) {
@@ -131,7 +131,7 @@ class Scene {
     return best;
   }
 
-  // Draws with the next frame; `repaint`: the colours have changed too.
+  // Draws in the next frame; `repaint`: the colours have changed too.
   draw(repaint = false) {
     this.repaint ||= repaint;
     if (this.asked) return;
@@ -158,7 +158,7 @@ class Scene {
     if (!this.turns) this.drawScale();
   }
 
-  // Key views last, so that they lie on top.
+  // Key views last, so that they are on top.
   drawCameras(size) {
     const { context } = this, paths = { unused: new Path2D(), partner: new Path2D(), key: new Path2D() };
     for (let view = 0; view < views.count; view++) {
@@ -170,7 +170,7 @@ class Scene {
     for (const [status, path] of Object.entries(paths)) {
       context.fillStyle = theme[status];
       if (status !== 'unused') context.fill(path);
-      // A white line round a dot, and under a ring: on a surface of any colour.
+      // A white outline keeps dots and rings visible on a surface of any colour.
       const lines = { key: [['#fff', 1.5]], partner: [['#fff', 1.2]], unused: [['#fff', 3.6], [theme.unused, 1.6]] };
       for (const [colour, width] of lines[status]) {
         context.strokeStyle = colour;
@@ -192,7 +192,7 @@ class Scene {
       lines.moveTo(ox + size + 3, oy);
       lines.arc(ox, oy, size + 3, 0, 7);
     }
-    // On a surface of any colour.
+    // White below, to be visible on a surface of any colour.
     for (const [colour, width] of [['#fff', 4], [theme.partner, 2]]) {
       context.strokeStyle = colour;
       context.lineWidth = width;
@@ -230,7 +230,7 @@ class Scene {
     context.setLineDash([]);
   }
 
-  // Numbers as in the list: of the first and the large ones, and of the one that was asked for, with a ring round it.
+  // Numbers as in the list, for the first holes, large holes and the selected hole, which also gets a ring.
   drawHoles() {
     const { context } = this;
     context.font = '700 13px system-ui, sans-serif';
