@@ -49,7 +49,7 @@ fn time_surface(project: &Path) -> Fallible<f64> {
     clock.total = 0.0;
     let gsd = 1.25 * scene.median_gsd().ok_or("the model has no points")?;
     let usable = points::usable_points(&scene);
-    let positions: Vec<_> = usable.iter().map(|p| scene.points[p.at()]).collect();
+    let positions: Vec<_> = usable.iter().map(|p| scene.points[p.index()]).collect();
     clock.step("points");
     let delaunay = Delaunay::triangulate(&positions, &Unwatched)?;
     clock.step(&format!("delaunay, {} cells", delaunay.cells.len()));

@@ -152,13 +152,13 @@ fn check(model: &ColmapModel, scene: &Scene) {
     assert!(scene.track_offsets.is_sorted());
     assert_eq!(*scene.track_offsets.last().unwrap(), scene.track_views.len());
     assert_eq!(scene.track_pixels.len(), scene.track_views.len());
-    assert!(scene.track_views.iter().all(|v| v.at() < scene.views.len()));
+    assert!(scene.track_views.iter().all(|v| v.index() < scene.views.len()));
     assert!(scene.track_pixels.iter().flatten().all(|c| c.is_finite()));
     assert!(scene.points.iter().all(|p| p.iter().all(|c| c.is_finite())));
     for view in &scene.views {
         let rotation = view.cam_from_world.rotation.matrix();
         assert!((rotation.determinant() - 1.0).abs() < 1e-9, "{rotation}");
-        assert!(view.camera.at() < scene.cameras.len());
+        assert!(view.camera.index() < scene.cameras.len());
     }
     let _ = (scene.median_gsd(), scene.mean_reprojection_error());
     again(scene, &colmap_bin::write(model), false);

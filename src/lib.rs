@@ -14,11 +14,23 @@
 //! # }
 //! ```
 //!
-//! [`plan`] gives a [`Plan`]: the value of each stage of the method ([`Stages`]) and what was decided on them ([`Decision`]).
-//! [`show::files()`] turns it into the files of a project, [`manifest`] reads them again, and [`backends`] knows the programs that match.
+//! # Where to start
 //!
-//! The source is built in floors, each of which knows only those before it: `base`, `model`, `io`, `config`, `method`, `plan`, `backends`, `show`,
-//! `apps`, `daemon`, `cli`. `ARCHITECTURE.md` has the picture, `docs/method.md` the mathematics.
+//! - [`Project::open`] finds the sparse model (COLMAP, OpenMVS, AliceVision, OpenSfM, ...) and the images of a folder.
+//! - [`plan`] computes a [`Plan`]: the result of each stage ([`Stages`]) and the ranking with its cut ([`Decision`]).
+//! - [`files::files`] turns a plan into the files of a project, and [`output::write_all`] writes them, all or none.
+//! - [`manifest::WrittenPlan`] reads a written plan, and [`evaluate`] compares it with finished depth maps.
+//! - [`backends`] lists the MVS programs and writes their input files.
+//!
+//! `examples/` has a short program for each: `plan.rs`, `inspect.rs` and `evaluate.rs`.
+//!
+//! # Conventions
+//!
+//! Poses map world to camera (`cam_from_world`: x right, y down, z forward). Lengths are in scene units, pixels have their centres at 0.5.
+//! The same input gives the same result with any number of threads. The library never prints and never exits; every error implements
+//! [`Hint`], which says what to do about it. A [`Watcher`] receives progress and can cancel a run.
+//!
+//! `docs/method.md` has the mathematics, `ARCHITECTURE.md` the structure of the source.
 
 mod apps;
 pub mod backends;
@@ -45,7 +57,11 @@ pub use io::{
     project::{Project, ProjectError},
 };
 pub use method::{
-    fulfilment::FulfilmentTable, partners::Candidates, ranking::Ranking, surface::Surface, target::Target,
+    fulfilment::FulfilmentTable,
+    partners::Candidates,
+    ranking::{Objective, Ranking},
+    surface::Surface,
+    target::Target,
     visibility::Visibility,
 };
 pub use model::{
@@ -59,7 +75,7 @@ pub use plan::{
 };
 pub use show::{files, manifest};
 
-/// Every floor's modules, for the tests, benchmarks and fuzz targets of this repository; no part of the interface.
+/// The modules of all layers, for the tests, benchmarks and fuzz targets of this repository; not part of the public interface.
 #[cfg(feature = "internals")]
 #[doc(hidden)]
 pub mod internals {

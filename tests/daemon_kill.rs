@@ -1,4 +1,4 @@
-//! The daemon killed at random instants, over projects that change: it ends where an undisturbed one ends, byte for byte.
+//! Kills the daemon at random instants while projects change: its final outputs equal those of an undisturbed run, byte for byte.
 //!
 //! 300 kills by default; VIEWRANK_KILLS sets another number.
 
@@ -21,17 +21,17 @@ use viewrank::internals::{
 };
 
 const PROJECTS: [&str; 3] = ["a", "deep/b", "with blank/c"];
-/// A project whose model stays and whose depth maps come and go.
+/// A project with a constant model whose depth maps come and go.
 const COMPUTED: &str = "computed";
-/// Models that a project may have.
+/// Number of models that a project may have.
 const VARIANTS: u64 = 2;
-/// Finished depth maps, when there are any.
+/// Number of finished depth maps, if there are any.
 const MAPS: usize = 2;
-/// Written by every run anew.
+/// Files that every run writes anew.
 const NOT_COMPARED: [&str; 2] = ["timings.json", ".lock"];
-/// No kill comes later than this.
+/// Latest time of a kill after the start.
 const LATEST: Duration = Duration::from_millis(500);
-/// A daemon that is to be killed while it writes must begin to within this.
+/// Time limit for a daemon to start writing.
 const PATIENCE: Duration = Duration::from_secs(30);
 
 fn model(variant: u64) -> Vec<(&'static str, Vec<u8>)> {
@@ -40,7 +40,7 @@ fn model(variant: u64) -> Vec<(&'static str, Vec<u8>)> {
     colmap_bin::write(&ColmapModel::from_scene(&town.scene()))
 }
 
-/// Replaces the model file by file, as a copying program does.
+/// Replaces the model file by file, like a copying program.
 fn put_model(project: &Path, variant: u64) {
     let folder = project.join("sparse/0");
     fs::create_dir_all(&folder).expect("a folder");
@@ -49,7 +49,7 @@ fn put_model(project: &Path, variant: u64) {
     }
 }
 
-/// Depth maps of these key views: half of what their images show is where the ground is.
+/// Writes depth maps of these key views; every second pixel has the depth of the ground, the others none.
 fn put_maps(project: &Path, keys: &[String]) {
     let folder = project.join("sgm/depth_maps");
     fs::create_dir_all(&folder).expect("a folder");
@@ -65,7 +65,7 @@ fn put_maps(project: &Path, keys: &[String]) {
         writer.finish().expect("a map");
         let path = folder.join(format!("{key}.npy"));
         fs::write(&path, bytes).expect("a file");
-        // The time per pair is taken from these.
+        // The time per pair is computed from these times.
         let time = UNIX_EPOCH + Duration::from_secs(1_700_000_000 + 60 * i as u64);
         fs::File::options().write(true).open(&path).and_then(|file| file.set_modified(time)).expect("a time");
     }
@@ -78,16 +78,16 @@ fn daemon(root: &Path, options: &[&str]) -> Child {
     command.env("XDG_CONFIG_HOME", nowhere).stderr(Stdio::null()).spawn().expect("the program starts")
 }
 
-/// Plans what is there, undisturbed.
+/// Plans all projects, undisturbed.
 fn finish(root: &Path) {
     let status = daemon(root, &["--once"]).wait().expect("the program ends");
     assert!(status.success(), "{status}");
 }
 
-/// All files of the project's output folder, but what differs from run to run. Where the project lies is left out of warnings.
+/// Reads all files of the project's output folder, except those that differ from run to run. The project's path in warnings is replaced.
 fn outputs(project: &Path) -> Outputs {
     let folder = project.join("viewrank");
-    // A daemon that runs may take away what is just being walked.
+    // A running daemon may remove files during the walk.
     let files = walkdir::WalkDir::new(&folder).into_iter().filter_map(Result::ok);
     let files = files.filter(|e| e.file_type().is_file() && !NOT_COMPARED.iter().any(|name| e.file_name() == *name));
     let read = |e: walkdir::DirEntry| {
@@ -100,35 +100,35 @@ fn outputs(project: &Path) -> Outputs {
     files.filter_map(read).collect()
 }
 
-/// The record of a set says what was written, hash of `timings.json` included; only its file names are compared.
+/// Clears the records of file sets: they contain the hash of `timings.json`, so that only their names are compared.
 fn without_hashes(mut outputs: Outputs) -> Outputs {
     outputs.iter_mut().filter(|(path, _)| path.starts_with(".sets")).for_each(|(_, bytes)| bytes.clear());
     outputs
 }
 
-/// The projects, what each has by now, and what undisturbed runs make of it.
+/// The projects, their current input, and the outputs of undisturbed runs for every input.
 struct Scene {
     root: tempfile::TempDir,
     random: Pcg64,
     variants: [u64; PROJECTS.len()],
     has_maps: bool,
-    /// Key views of the depth maps.
+    /// Key views with depth maps.
     keys: Vec<String>,
     planned: Vec<Outputs>,
     /// Without and with depth maps.
     computed: [Outputs; 2],
-    /// How long a run takes.
+    /// Duration of a run.
     length: Duration,
 }
 
 type Outputs = BTreeMap<PathBuf, Vec<u8>>;
 
-/// What a kill hit.
+/// Number of kills by what they interrupted.
 #[derive(Default, Debug)]
 struct Hits {
-    /// A set of files or a status was half written.
+    /// A file set or a status was half written.
     writing: u64,
-    /// What changed was not planned or measured yet.
+    /// The change was not planned or measured yet.
     unfinished: u64,
 }
 
@@ -152,7 +152,7 @@ impl Scene {
         self.random.next_u32().is_multiple_of(one_in)
     }
 
-    /// Changes a project, which it tells.
+    /// Changes a random project and returns it.
     fn change(&mut self) -> &'static str {
         if self.chance(3) {
             self.has_maps = !self.has_maps;
@@ -184,14 +184,14 @@ impl Scene {
         self.found(project) == *self.expected(project)
     }
 
-    /// One daemon from its start to its death.
+    /// Starts a daemon, changes a project and kills the daemon.
     fn kill_one(&mut self, hits: &mut Hits) {
         let mut running = daemon(self.root.path(), &[]);
         let changed = self.change();
         if self.chance(2) {
             let end = Instant::now() + PATIENCE;
             let folder = self.root.path().join(changed);
-            // Whether all is finished costs more to see and is asked seldom.
+            // Comparing all outputs is slow, so it is done rarely.
             let looks = (0..).take_while(|_| Instant::now() < end && !is_writing(&folder));
             looks.map(|look| look % 50 == 49 && self.is_finished(changed)).take_while(|finished| !finished).for_each(
                 |_| {
@@ -210,14 +210,14 @@ impl Scene {
     }
 }
 
-/// Is a set of files staged, or a draft of a status or of progress there?
+/// True if a file set is staged, or a draft of a status or progress file exists.
 fn is_writing(folder: &Path) -> bool {
     let unfinished = [".staging", ".journal.json", ".status.json.new", ".progress.json.new"];
     unfinished.iter().any(|name| folder.join("viewrank").join(name).exists())
 }
 
 #[test]
-fn a_daemon_killed_at_any_instant_ends_where_an_undisturbed_one_ends() {
+fn a_daemon_killed_at_any_instant_ends_with_the_outputs_of_an_undisturbed_one() {
     let kills: u64 = std::env::var("VIEWRANK_KILLS").ok().and_then(|n| n.parse().ok()).unwrap_or(300);
     let mut scene = Scene::new(kills);
     let mut hits = Hits::default();
@@ -235,8 +235,8 @@ fn a_daemon_killed_at_any_instant_ends_where_an_undisturbed_one_ends() {
     }
 }
 
-/// The outputs of a project with this model and depth maps of these views, by a daemon that nothing disturbs. The folder is called
-/// as one of the projects, for a manifest may name it.
+/// Returns the outputs of an undisturbed run on a project with this model and depth maps of these views. The folder has the name of
+/// one of the projects, because a manifest may contain it.
 fn undisturbed(variant: u64, maps: &[String]) -> Outputs {
     let root = tempfile::tempdir().expect("a temporary folder");
     let project = root.path().join(PROJECTS[0]);

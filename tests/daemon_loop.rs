@@ -1,4 +1,5 @@
-//! The daemon's loop on real folders, with a planner that only counts: each project is planned once its input is still, and only then.
+//! The daemon's loop on real folders: each project is planned once its input has settled, and only then. Most tests count plans
+//! instead of making them.
 
 use std::{
     collections::BTreeMap,
@@ -16,10 +17,12 @@ use std::{
 use viewrank::internals::{
     camera::{Camera, CameraModel},
     daemon::{
-        DaemonError, Job, Options, PlanJob, PlanOptions, Planner, Signal, read_status,
+        DaemonError, Job, Options, PlanJob, PlanOptions, Planner, Signal,
+        phase::Phase,
+        read_status,
         run::Summary,
         settle::HashCache,
-        state::{OnBusy, Outcome, Phase},
+        state::{OnBusy, Outcome},
         watch_roots,
     },
     formats::{colmap::ColmapModel, colmap_bin},
@@ -28,14 +31,14 @@ use viewrank::internals::{
     synthetic::Town,
 };
 
-/// Counts how often each content of each project was planned; a plan takes `length`.
+/// Planner that records the fingerprint of each plan by project; a plan takes `length`.
 #[derive(Default)]
 struct Counter {
     length: Duration,
     plans: Mutex<BTreeMap<PathBuf, Vec<String>>>,
     cancelled: Mutex<usize>,
-    /// Looks at projects.
-    looks: Mutex<usize>,
+    /// Number of scans of projects.
+    scans: Mutex<usize>,
     hashes: Mutex<HashCache>,
 }
 
@@ -47,7 +50,7 @@ impl Counter {
 
 impl Planner for Counter {
     fn named_files(&self, _: &Path) -> Vec<PathBuf> {
-        *self.looks.lock().expect("no panic") += 1;
+        *self.scans.lock().expect("no panic") += 1;
         Vec::new()
     }
 
@@ -104,7 +107,8 @@ fn options(root: &Path) -> Options {
 fn with_daemon(options: &Options, planner: &dyn Planner, script: impl FnOnce()) -> Summary {
     thread::scope(|threads| {
         let (sender, receiver) = channel::<Box<dyn Fn(Signal) + Send>>();
-        let daemon = threads.spawn(move || watch_roots(options, planner, &Disk::REAL, |signal| hand(&sender, signal)));
+        let daemon =
+            threads.spawn(move || watch_roots(options, planner, &Disk::REAL, |signal| pass_on(&sender, signal)));
         let signal = receiver.recv().expect("the daemon starts");
         let done = catch_unwind(AssertUnwindSafe(script));
         signal(Signal::Stop);
@@ -115,14 +119,14 @@ fn with_daemon(options: &Options, planner: &dyn Planner, script: impl FnOnce()) 
     })
 }
 
-fn hand(sender: &Sender<Box<dyn Fn(Signal) + Send>>, signal: Box<dyn Fn(Signal) + Send>) {
+fn pass_on(sender: &Sender<Box<dyn Fn(Signal) + Send>>, signal: Box<dyn Fn(Signal) + Send>) {
     sender.send(signal).expect("the test waits");
 }
 
 fn eventually(what: &str, condition: impl Fn() -> bool) {
     let end = Instant::now() + Duration::from_secs(30);
     while !condition() {
-        assert!(Instant::now() < end, "waited in vain for: {what}");
+        assert!(Instant::now() < end, "timed out waiting for: {what}");
         thread::sleep(Duration::from_millis(10));
     }
 }
@@ -142,7 +146,7 @@ fn root() -> (tempfile::TempDir, PathBuf) {
 }
 
 #[test]
-fn projects_there_at_the_start_and_later_ones_are_planned_once_each() {
+fn existing_and_later_projects_are_planned_once_each() {
     let (_guard, root) = root();
     write_model(&root.join("early"), "a");
     let planner = Counter::default();
@@ -167,7 +171,7 @@ fn a_folder_becomes_a_project_when_its_model_comes_last() {
     fs::create_dir_all(root.join("q/dense/images")).expect("a folder");
     let planner = Counter::default();
     let summary = with_daemon(&options(&root), &planner, || {
-        eventually("the first look", || read_status(&root).is_some());
+        eventually("the first scan", || read_status(&root).is_some());
         thread::sleep(Duration::from_millis(300));
         write_model(&root.join("p"), "a");
         eventually("the plan", || planner.plans_of(&root.join("p")) == 1);
@@ -176,14 +180,14 @@ fn a_folder_becomes_a_project_when_its_model_comes_last() {
         write_model(&root.join("q"), "c");
         eventually("the plan of the outer one", || planner.plans_of(&root.join("q")) == 1);
     });
-    assert_eq!(summary, Summary { projects: 2, planned: 2, failed: 0, waiting: 0 }, "q/dense is a part of q");
+    assert_eq!(summary, Summary { projects: 2, planned: 2, failed: 0, waiting: 0 }, "q/dense belongs to q");
 }
 
 #[test]
-fn a_slow_writer_is_waited_for() {
+fn a_slow_writer_delays_the_plan() {
     let (_guard, root) = root();
     let planner = Counter::default();
-    // Long against the pauses of the writer, however busy the machine is.
+    // Longer than the pauses of the writer even on a busy machine.
     let options = Options { settle: Duration::from_secs(3), ..options(&root) };
     with_daemon(&options, &planner, || {
         for length in 1..12 {
@@ -236,7 +240,7 @@ fn a_folder_deleted_and_made_again_is_watched_again() {
     let planner = Counter::default();
     with_daemon(&options(&root), &planner, || {
         eventually("the plan", || planner.plans_of(&root.join("p")) == 1);
-        // Two changes after each: the first may be seen by the look that the new folder itself leads to.
+        // Two changes each: the first may be found by the scan for the new folder itself.
         for (gone, content) in [("p", "b"), ("p/sparse", "d"), ("p/sparse/0", "f")] {
             let plans = planner.plans_of(&root.join("p"));
             fs::remove_dir_all(root.join(gone)).expect("removed");
@@ -256,7 +260,7 @@ fn a_folder_deleted_and_made_again_is_watched_again() {
 }
 
 #[test]
-fn the_job_of_a_folder_that_was_replaced_meanwhile_is_none_of_the_new_one_s() {
+fn the_job_of_a_replaced_folder_is_ignored() {
     let (_guard, root) = root();
     write_model(&root.join("p"), "a");
     let planner = Counter { length: Duration::from_millis(500), ..Counter::default() };
@@ -267,7 +271,7 @@ fn the_job_of_a_folder_that_was_replaced_meanwhile_is_none_of_the_new_one_s() {
         };
         eventually("the start", || state(|phase| matches!(phase, Phase::Planning { .. })));
         fs::rename(root.join("p"), root.join(".away")).expect("moved");
-        eventually("it to be missed", || !state(|_| true));
+        eventually("the project to go", || !state(|_| true));
         write_model(&root.join("p"), "b");
         eventually("the plan", || planner.plans_of(&root.join("p")) == 1);
         eventually("its status", || state(|phase| matches!(phase, Phase::Planned { .. })));
@@ -276,27 +280,27 @@ fn the_job_of_a_folder_that_was_replaced_meanwhile_is_none_of_the_new_one_s() {
 }
 
 #[test]
-fn what_viewrank_writes_where_depth_maps_may_be_leads_to_no_look() {
+fn files_that_viewrank_writes_where_depth_maps_may_be_trigger_no_scan() {
     let (_guard, root) = root();
     write_model(&root.join("p"), "a");
     let exported = root.join("p/viewrank/openmvs");
     fs::create_dir_all(&exported).expect("a folder");
     let planner = Counter::default();
-    let looks = || *planner.looks.lock().expect("no panic");
+    let scans = || *planner.scans.lock().expect("no panic");
     with_daemon(&options(&root), &planner, || {
         eventually("the plan", || planner.plans_of(&root.join("p")) == 1);
         thread::sleep(Duration::from_millis(500));
-        let before = looks();
+        let before = scans();
         fs::write(exported.join("scene.mvs"), "").expect("a file");
         thread::sleep(Duration::from_millis(500));
-        assert_eq!(looks(), before);
+        assert_eq!(scans(), before);
         fs::write(exported.join("depth0001.dmap"), "").expect("a file");
-        eventually("the look at the map", || looks() > before);
+        eventually("the scan of the map", || scans() > before);
     });
 }
 
 #[test]
-fn polling_finds_what_native_events_would() {
+fn polling_finds_the_same_changes_as_events() {
     let (_guard, root) = root();
     let planner = Counter::default();
     let options = Options { poll: Some(Duration::from_millis(100)), ..options(&root) };
@@ -309,7 +313,7 @@ fn polling_finds_what_native_events_would() {
 }
 
 #[test]
-fn once_ends_when_nothing_is_left_and_one_failure_touches_no_other_project() {
+fn once_ends_when_nothing_is_left_and_a_failure_affects_no_other_project() {
     let (_guard, root) = root();
     write_model(&root.join("good"), "a");
     write_model(&root.join("bad"), "broken");
@@ -320,12 +324,12 @@ fn once_ends_when_nothing_is_left_and_one_failure_touches_no_other_project() {
     let line = read_status(&root).expect("a status");
     assert!(!line.running);
     let phases: Vec<_> = line.status.projects.iter().map(|p| (p.project.as_str(), p.phase.to_string())).collect();
-    assert_eq!(phases[0], ("bad", "failed: broken (next try 10 s after it)".into()));
+    assert_eq!(phases[0], ("bad", "failed: broken (retry 10 s after the failure)".into()));
     assert_eq!(phases[1], ("good", "planned: 1 key views for 100 %".into()));
 }
 
 #[test]
-fn what_lies_in_a_folder_that_is_moved_moves_with_it() {
+fn projects_move_with_the_folder_that_contains_them() {
     let (_guard, root) = root();
     write_model(&root.join("group/p"), "a");
     let planner = Counter::default();
@@ -339,7 +343,7 @@ fn what_lies_in_a_folder_that_is_moved_moves_with_it() {
 }
 
 #[test]
-fn a_link_that_comes_while_it_watches_is_left_alone() {
+fn a_new_link_is_not_followed() {
     let (_outside, elsewhere) = root();
     write_model(&elsewhere.join("q"), "a");
     let (_guard, root) = root();
@@ -356,7 +360,7 @@ fn a_link_that_comes_while_it_watches_is_left_alone() {
 }
 
 #[test]
-fn a_second_daemon_says_who_holds_the_root() {
+fn a_second_daemon_names_the_holder_of_the_root() {
     let (_guard, root) = root();
     let planner = Counter::default();
     with_daemon(&options(&root), &planner, || {
@@ -382,11 +386,12 @@ fn watch_once(root: &Path) -> Result<Summary, DaemonError> {
 }
 
 #[test]
-fn a_lock_that_is_not_the_daemons_is_refused_and_stays_as_it_is() {
+fn a_file_in_place_of_the_lock_is_refused_and_left_unchanged() {
     let (_elsewhere, outside) = root();
     let precious = outside.join("precious.txt");
     fs::write(&precious, "precious").expect("a file");
-    let plant: [(&str, &dyn Fn(&Path)); 4] = [
+    type Plant<'a> = &'a dyn Fn(&Path);
+    let plant: [(&str, Plant); 4] = [
         ("link", &|lock| std::os::unix::fs::symlink(&precious, lock).expect("a link")),
         ("second name", &|lock| fs::hard_link(&precious, lock).expect("a second name")),
         ("file", &|lock| fs::write(lock, "precious").expect("a file")),
@@ -404,7 +409,7 @@ fn a_lock_that_is_not_the_daemons_is_refused_and_stays_as_it_is() {
 }
 
 #[test]
-fn neither_status_nor_lock_is_written_outside_of_the_root() {
+fn neither_status_nor_lock_is_written_outside_the_root() {
     let (_elsewhere, outside) = root();
     let (_guard, root) = root();
     std::os::unix::fs::symlink(&outside, root.join("viewrank")).expect("a link");
@@ -416,7 +421,7 @@ fn neither_status_nor_lock_is_written_outside_of_the_root() {
     std::os::unix::fs::symlink("outputs", root.join("viewrank")).expect("a link");
     watch_once(&root).expect("the root can be watched");
     assert!(read_status(&root).is_some() && root.join("outputs/status.json").is_file());
-    watch_once(&root).expect("a lock of an earlier run is the daemon's own");
+    watch_once(&root).expect("a lock of an earlier run may be taken");
 }
 
 fn town() -> Scene {
@@ -424,7 +429,7 @@ fn town() -> Scene {
     Town { grid: 3, points: 400, tilt: None, side: 40.0, boxes: 1, ..Town::new(camera) }.scene()
 }
 
-/// The project as the one project of a root.
+/// A real model as the only project of a root.
 struct Real {
     _guard: tempfile::TempDir,
     root: PathBuf,
@@ -448,7 +453,7 @@ impl Real {
         }
     }
 
-    /// A daemon that plans, or measures, what there is.
+    /// Runs a daemon once and returns the phase of the project.
     fn once(&self, replan: bool) -> Phase {
         let planner =
             PlanJob::new(PlanOptions { on_target: Some("true".into()), replan, cache: 0, follow_links: false });
@@ -466,7 +471,7 @@ impl Real {
         manifest["clusters"].as_array().expect("a list").iter().filter(|c| c["finished"] == true).count()
     }
 
-    /// A depth map of the first key view.
+    /// Writes a depth map of the first key view.
     fn put_map(&self, folder: &str) {
         let key = self.manifest()["clusters"][0]["key"].as_str().expect("a name").to_owned();
         let header = b"\x93NUMPY\x01\x00\x76\x00{'descr': '<f4', 'fortran_order': False, 'shape': (30, 40), }";
@@ -480,7 +485,7 @@ impl Real {
 }
 
 #[test]
-fn maps_that_cannot_be_told_apart_fail_the_plan_and_nothing_of_them_is_forgotten() {
+fn two_maps_of_one_view_fail_the_plan_and_the_earlier_plan_stays() {
     let mut scene = town();
     let real = Real::new(&scene);
     assert!(matches!(real.once(false), Phase::Planned { .. }));
@@ -501,9 +506,9 @@ fn maps_that_cannot_be_told_apart_fail_the_plan_and_nothing_of_them_is_forgotten
     assert_eq!(real.manifest()["outdated"].as_array().map(Vec::len), Some(1));
 }
 
-/// What a daemon leaves that is killed before it has forgotten the depth maps that are gone, in the order of its steps.
+/// Covers each state that a daemon may leave when killed while it forgets missing depth maps.
 #[test]
-fn maps_that_are_gone_are_forgotten_though_a_run_was_killed_on_the_way() {
+fn missing_maps_are_forgotten_even_if_a_run_was_killed_meanwhile() {
     let steps: [&[&str]; 3] = [&[], &["planned_from.json"], &["progress.json"]];
     for removed in steps {
         let real = Real::new(&town());
@@ -519,7 +524,7 @@ fn maps_that_are_gone_are_forgotten_though_a_run_was_killed_on_the_way() {
 }
 
 #[test]
-fn maps_beyond_the_list_are_counted_beside_it() {
+fn maps_beyond_the_cut_are_counted_in_addition() {
     let real = Real::new(&town());
     fs::write(real.project.join("viewrank.toml"), "[cut]\nbudget = 1\n").expect("a file");
     real.once(false);
@@ -536,9 +541,9 @@ fn maps_beyond_the_list_are_counted_beside_it() {
     assert_eq!(progress["finished"], serde_json::json!([second]));
 }
 
-/// A link that leads to itself can be looked into by nobody, not even by root.
+/// Uses a link to itself, which even root can't read.
 #[test]
-fn maps_that_cannot_be_looked_at_are_not_taken_for_gone() {
+fn unreadable_maps_are_not_taken_for_gone() {
     let mut scene = town();
     let real = Real::new(&scene);
     real.once(false);
@@ -554,10 +559,10 @@ fn maps_that_cannot_be_looked_at_are_not_taken_for_gone() {
     fs::rename(&maps, &aside).expect("moved");
     std::os::unix::fs::symlink(&maps, &maps).expect("a link");
     match real.once(false) {
-        Phase::Failed { reason, .. } => assert!(reason.contains("cannot look into"), "{reason}"),
+        Phase::Failed { reason, .. } => assert!(reason.contains("cannot read folder"), "{reason}"),
         phase => panic!("{phase}"),
     }
-    assert_eq!(outdated(), Some(1), "nothing is forgotten");
+    assert_eq!(outdated(), Some(1), "the outdated map is remembered");
     fs::remove_file(&maps).expect("a link");
     fs::rename(&aside, &maps).expect("moved");
     real.once(false);
@@ -565,7 +570,7 @@ fn maps_that_cannot_be_looked_at_are_not_taken_for_gone() {
 }
 
 #[test]
-fn a_dense_workspace_that_comes_later_gets_its_files_and_what_is_removed_comes_back() {
+fn a_later_dense_workspace_gets_its_files_and_removed_files_are_written_again() {
     let real = Real::new(&town());
     real.once(false);
     let dense = real.project.join("dense");
@@ -585,7 +590,7 @@ fn a_dense_workspace_that_comes_later_gets_its_files_and_what_is_removed_comes_b
 }
 
 #[test]
-fn an_output_that_is_removed_is_noticed_at_once() {
+fn a_removed_output_is_noticed_at_once() {
     let real = Real::new(&town());
     let planner = PlanJob::new(PlanOptions { on_target: None, replan: false, cache: 0, follow_links: false });
     let file = real.project.join("viewrank/clusters.txt");
@@ -602,9 +607,9 @@ fn an_output_that_is_removed_is_noticed_at_once() {
     });
 }
 
-/// A pipe would be waited for, a device read without end.
+/// Reading a pipe would block, and reading a device would never end.
 #[test]
-fn settings_that_are_no_file_of_the_project_fail_it_alone() {
+fn settings_that_are_not_a_regular_file_fail_only_their_project() {
     for (kind, words) in [("pipe", "not a regular file"), ("link", "is a symbolic link")] {
         let real = Real::new(&town());
         let settings = real.project.join("viewrank.toml");
@@ -620,14 +625,14 @@ fn settings_that_are_no_file_of_the_project_fail_it_alone() {
 }
 
 #[test]
-fn a_model_behind_a_link_waits_for_being_asked_for() {
+fn a_model_behind_a_link_is_planned_only_with_follow_links() {
     let elsewhere = Real::new(&town());
     let real = Real::new(&town());
     let file = real.project.join("sparse/0/images.bin");
     fs::remove_file(&file).expect("a file");
     std::os::unix::fs::symlink(elsewhere.project.join("sparse/0/images.bin"), &file).expect("a link");
     match real.once(false) {
-        Phase::Waiting { reason } => assert!(reason.contains("images.bin lies behind a symbolic link"), "{reason}"),
+        Phase::Waiting { reason } => assert!(reason.contains("images.bin is behind a symbolic link"), "{reason}"),
         phase => panic!("{phase}"),
     }
     assert!(!real.project.join("viewrank/manifest.json").exists());

@@ -197,7 +197,7 @@ fn alicevision_motions_of_one_pose_are_shared() {
     let centre = |v: usize| scene.views[v].cam_from_world.centre();
     let distinct = (0..54).filter(|&v| (0..v).all(|w| (centre(v) - centre(w)).norm() > 1e-9)).count();
     assert_eq!(distinct, 27);
-    assert!((centre(scene.find("view_0").unwrap().at()) - Point3::new(-1.0, -1.0, -1.0)).norm() < 1e-9);
+    assert!((centre(scene.find("view_0").unwrap().index()) - Point3::new(-1.0, -1.0, -1.0)).norm() < 1e-9);
 }
 
 #[test]

@@ -140,8 +140,7 @@ fn without_failures_the_rest_is_ranked_as_by_prediction_behind_the_real_values()
     };
     let table = FulfilmentTable::new((0..before.stages.clusters.len()).map(expected));
     assert_eq!(again.stages.fulfilment, table);
-    let weights = ranking::weights(&before.stages.surface, before.stages.settings.ranking.weight);
-    let expected = ranking::rank_after(finished, &table, &weights, 1, &Unwatched).unwrap();
+    let expected = ranking::rank_after(finished, &table, &before.stages.objective, &Unwatched).unwrap();
     assert_eq!(again.decision.ranking, expected);
 }
 
@@ -223,6 +222,7 @@ fn a_plan_around_finished_maps_is_read_as_it_was_written() {
     let path = planned.folder.path().join("viewrank/manifest.json");
     let mut manifest: serde_json::Value = serde_json::from_slice(&fs::read(&path).unwrap()).unwrap();
     manifest["clusters"][2]["partners"].as_array_mut().unwrap().pop();
+    manifest["cut"]["pairs"] = (manifest["cut"]["pairs"].as_u64().unwrap() - 1).into();
     fs::write(&path, manifest.to_string()).unwrap();
     let error = as_written(planned.folder.path(), &Unwatched).unwrap_err();
     assert!(error.to_string().contains("ranks otherwise"), "{error}");
@@ -232,7 +232,7 @@ fn a_plan_around_finished_maps_is_read_as_it_was_written() {
 fn shifted(scene: &Scene, name: &str, pixels: f64) -> Scene {
     let mut scene = scene.clone();
     let view = scene.find(name).unwrap();
-    scene.views[view.at()].cam_from_world.translation += Vector3::new(pixels * ALTITUDE / FOCAL, 0.0, 0.0);
+    scene.views[view.index()].cam_from_world.translation += Vector3::new(pixels * ALTITUDE / FOCAL, 0.0, 0.0);
     scene
 }
 
@@ -321,7 +321,7 @@ fn new_views_and_another_frame_leave_finished_maps_valid_and_another_scale_does_
 /// The scene without its last view.
 fn without(scene: &Scene, view: ViewIndex) -> Scene {
     let mut fewer = unobserved(scene, view);
-    assert_eq!(view.at(), fewer.views.len() - 1, "indices stay");
+    assert_eq!(view.index(), fewer.views.len() - 1, "indices stay");
     fewer.views.pop();
     fewer
 }

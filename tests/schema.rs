@@ -7,7 +7,7 @@ use std::{env, fs, path::Path};
 use schemars::{Schema, schema_for};
 use viewrank::internals::{
     config::Settings,
-    daemon::{follow::Progress, state::Status},
+    daemon::{follow::Progress, phase::Status},
     doctor::Diagnosis,
     manifest::Manifest,
 };

@@ -13,7 +13,6 @@ use viewrank::internals::{
     plan::{Plan, PlanError},
     progress::Unwatched,
     project::Project,
-    ranking,
     synthetic::Town,
 };
 
@@ -30,9 +29,7 @@ fn planned(project: &Project, change: impl FnOnce(&mut Settings)) -> Plan {
 /// f_o, on the whole surface, of the first i clusters of the tiled plan.
 fn on_the_whole(whole: &Plan, tiled: &Plan) -> Vec<f64> {
     let table = fulfilment::table(&whole.stages.model(), &tiled.stages.clusters, &Unwatched).unwrap();
-    let weights = ranking::weights(&whole.stages.surface, whole.stages.settings.ranking.weight);
-    let support = whole.stages.settings.ranking.support.unwrap();
-    Curve::new(&table, &weights, support, &tiled.stages.clusters, &tiled.decision.ranking.order).fulfilment
+    Curve::new(&table, &whole.stages.objective, &tiled.stages.clusters, &tiled.decision.ranking.order).fulfilment
 }
 
 /// Most fulfilment that the tiled order lacks at equal length, over what the whole one reaches with all.

@@ -129,7 +129,7 @@ def ranking(orders, folder):
         for order in evaluation["orders"]:
             rows += [[rule, order["name"], n["share"], n["clusters"], n["pairs"]] for n in order["needed"]]
             if rule == "ours":
-                lines[order["name"]] = [(i, 100 * f / evaluation["real"]) for i, f in enumerate(order["fulfilment"])]
+                lines[order["name"]] = [(i, 100 * kept / evaluation["kept"]["real"]) for i, kept in enumerate(order["kept"])]
     write_csv(folder / "orders.csv", ["partners", "order", "share", "key_views", "pairs"], rows)
     (folder / "orders.svg").write_text(plot(lines, "key views", "real fulfilment, %"))
 

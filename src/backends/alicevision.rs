@@ -69,7 +69,7 @@ impl Backend for AliceVision {
             script.cluster(&id, &recipe, &format!("depthMaps/{id}_depthMap.exr"), std::slice::from_ref(&call));
             record.commands.push(call);
             let shared = selection::shared_points(scene, &points, cluster.key);
-            let without = cluster.partners.iter().filter(|p| shared[p.at()] == 0);
+            let without = cluster.partners.iter().filter(|p| shared[p.index()] == 0);
             record.not_honoured.extend(without.map(|&p| {
                 let (key, partner) = (scene.name(cluster.key), scene.name(p));
                 format!("{key}: its partner {partner} shares no sparse point with it, without which AliceVision does not use it")
@@ -144,7 +144,7 @@ fn cluster_file(scene: &Scene, points: &ViewPoints, cluster: &RankedCluster) -> 
 
 fn all_landmarks(scene: &Scene, is_key: &[bool]) -> Vec<Landmark> {
     let points = (0..scene.points.len() as u32).map(PointIndex);
-    points.map(|p| (p, observers(scene, p, |v| is_key[v.at()]))).filter(|(_, v)| v.len() > 1).collect()
+    points.map(|p| (p, observers(scene, p, |v| is_key[v.index()]))).filter(|(_, v)| v.len() > 1).collect()
 }
 
 fn observers(scene: &Scene, point: PointIndex, among: impl Fn(ViewIndex) -> bool) -> Vec<ViewIndex> {
@@ -246,8 +246,8 @@ fn landmark_entry(scene: &Scene, id: usize, (point, views): &Landmark) -> Value 
     json!({
         "landmarkId": id.to_string(),
         "descType": "unknown",
-        "color": scene.colours[point.at()].map(|c| c.to_string()),
-        "X": numbers(scene.points[point.at()].coords.as_slice()),
+        "color": scene.colours[point.index()].map(|c| c.to_string()),
+        "X": numbers(scene.points[point.index()].coords.as_slice()),
         "observations": views.iter().map(observation).collect::<Vec<_>>(),
     })
 }

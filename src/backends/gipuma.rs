@@ -52,10 +52,10 @@ impl Backend for Gipuma {
             let name = format!("{:08}.jpg", selection.scene.view(view).image_id);
             files.add_text(format!("p/{name}.P"), pmvs::projection(selection.scene, view));
             files.add(format!("images/{name}"), Contents::Link(images.join(selection.scene.name(view))));
-            names[view.at()] = name;
+            names[view.index()] = name;
         }
         let points = selection.scene.view_points();
-        let mut record = ExportRecord::new(self, selection, |v| names[v.at()].clone());
+        let mut record = ExportRecord::new(self, selection, |v| names[v.index()].clone());
         record.moved(near.origin);
         record.runner = Some("run.sh".into());
         record.made_for = "Gipuma (f16dbfd) and fusibile".into();
@@ -64,7 +64,7 @@ impl Backend for Gipuma {
         for cluster in selection.clusters {
             let call = call(selection, cluster, &points, &names)?;
             let recipe = recipe(selection, cluster, &call);
-            let image = names[cluster.key.at()].trim_end_matches(".jpg");
+            let image = names[cluster.key.index()].trim_end_matches(".jpg");
             // As fusibile wants it: 2, date, time, image.
             let result = format!("2_{recipe}_{image}");
             script.line(&format!("back {result}"));
@@ -74,7 +74,7 @@ impl Backend for Gipuma {
         record.note_scale(selection, |_| 1.0);
         record.fusion = "fusibile, over the folders under results/".into();
         files.add("run.sh", script.finish(&[]));
-        let table = views.iter().map(|v| format!("{}\t{}\n", names[v.at()], selection.scene.name(*v)));
+        let table = views.iter().map(|v| format!("{}\t{}\n", names[v.index()], selection.scene.name(*v)));
         files.add_text("view_names.txt", table.collect::<String>());
         files.add_text("export.json", record.to_json());
         Ok(Export { files, record })
@@ -98,7 +98,7 @@ fn call(
         hint: "leave the view out of the model".into(),
     })?;
     let images: Vec<&str> =
-        std::iter::once(&key).chain(&cluster.partners).map(|v: &ViewIndex| names[v.at()].as_str()).collect();
+        std::iter::once(&key).chain(&cluster.partners).map(|v: &ViewIndex| names[v.index()].as_str()).collect();
     Ok(format!(
         "{} -images_folder images/ -p_folder p/ --depth_min={} --depth_max={}",
         images.join(" "),

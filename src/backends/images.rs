@@ -72,10 +72,10 @@ pub(super) fn listed_views(selection: &Selection, refs: Option<References>) -> V
     let clusters = selection.clusters.iter();
     let mut views: Vec<_> = clusters
         .flat_map(|c| std::iter::once(c.key).chain(c.partners.iter().copied().filter(move |_| with_partners)))
-        .filter(|v| !std::mem::replace(&mut listed[v.at()], true))
+        .filter(|v| !std::mem::replace(&mut listed[v.index()], true))
         .collect();
     if refs == Some(References::All) {
-        views.extend(selection.scene.view_indices().filter(|v| !listed[v.at()]));
+        views.extend(selection.scene.view_indices().filter(|v| !listed[v.index()]));
     }
     views
 }

@@ -56,8 +56,8 @@ impl Backend for Mve {
         let images = selection.undistorted_images(self.name())?;
         let views = selection.keys_first();
         let mut ids = vec![None; selection.scene.views.len()];
-        views.iter().enumerate().for_each(|(i, v)| ids[v.at()] = Some(i));
-        let id = |v: ViewIndex| ids[v.at()].expect("every view of a cluster has an id");
+        views.iter().enumerate().for_each(|(i, v)| ids[v.index()] = Some(i));
+        let id = |v: ViewIndex| ids[v.index()].expect("every view of a cluster has an id");
         let mut files = options.file_set(self, selection);
         for (i, &view) in views.iter().enumerate() {
             let name = selection.scene.name(view);
@@ -158,7 +158,7 @@ fn bundle(scene: &Scene, points: &ViewPoints, cluster: &RankedCluster, ids: &[Op
     let members: Vec<ViewIndex> = std::iter::once(cluster.key).chain(cluster.partners.iter().copied()).collect();
     let mut cameras = vec!["0 0 0\n".repeat(5); views];
     for &view in &members {
-        if let Some(id) = ids[view.at()] {
+        if let Some(id) = ids[view.index()] {
             cameras[id] = bundle_camera(scene, view);
         }
     }
@@ -171,9 +171,9 @@ fn bundle(scene: &Scene, points: &ViewPoints, cluster: &RankedCluster, ids: &[Op
         points.of(cluster.key).iter().map(|&p| (p, observers(p))).filter(|(_, views)| views.len() > 1).collect();
     let mut text = format!("drews 1.0\n{views} {}\n{}", shared.len(), cameras.concat());
     for (i, (p, observers)) in shared.iter().enumerate() {
-        let (x, [r, g, b]) = (scene.points[p.at()], scene.colours[p.at()]);
+        let (x, [r, g, b]) = (scene.points[p.index()], scene.colours[p.index()]);
         text += &format!("{} {} {}\n{r} {g} {b}\n{}", x.x, x.y, x.z, observers.len());
-        observers.iter().filter_map(|v| ids[v.at()]).for_each(|id| text += &format!(" {id} {i} 0"));
+        observers.iter().filter_map(|v| ids[v.index()]).for_each(|id| text += &format!(" {id} {i} 0"));
         text.push('\n');
     }
     text

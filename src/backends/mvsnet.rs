@@ -172,8 +172,8 @@ impl MvsNet {
 
     fn record(&self, selection: &Selection, lists: &Lists) -> ExportRecord {
         let mut numbers = vec![0; selection.scene.views.len()];
-        lists.views.iter().zip(&lists.numbers).for_each(|(v, number)| numbers[v.at()] = *number);
-        let mut record = ExportRecord::new(self, selection, |v| numbers[v.at()].to_string());
+        lists.views.iter().zip(&lists.numbers).for_each(|(v, number)| numbers[v.index()] = *number);
+        let mut record = ExportRecord::new(self, selection, |v| numbers[v.index()].to_string());
         let most = selection.most_partners();
         record.made_for = self.made_for.into();
         record.way = format!("dialect {}", self.name);
@@ -224,10 +224,10 @@ impl<'a> Lists<'a> {
         let scene = selection.scene;
         let points = scene.view_points();
         let mut index = vec![u32::MAX; scene.views.len()];
-        (0..).zip(views).for_each(|(i, v)| index[v.at()] = i);
+        (0..).zip(views).for_each(|(i, v)| index[v.index()] = i);
         // A score of 0 would drop the partner from ACMM's list.
         let scored = |shared: &[u32], partners: &mut dyn Iterator<Item = ViewIndex>| {
-            partners.map(|p| (index[p.at()], shared[p.at()].max(1))).collect::<Vec<_>>()
+            partners.map(|p| (index[p.index()], shared[p.index()].max(1))).collect::<Vec<_>>()
         };
         let key_row = |c: &super::RankedCluster| {
             let shared = selection::shared_points(scene, &points, c.key);
@@ -235,8 +235,8 @@ impl<'a> Lists<'a> {
         };
         let other_row = |&view: &ViewIndex| {
             let shared = selection::shared_points(scene, &points, view);
-            let mut partners: Vec<_> = views.iter().copied().filter(|v| shared[v.at()] > 0).collect();
-            partners.sort_by_key(|v| std::cmp::Reverse(shared[v.at()]));
+            let mut partners: Vec<_> = views.iter().copied().filter(|v| shared[v.index()] > 0).collect();
+            partners.sort_by_key(|v| std::cmp::Reverse(shared[v.index()]));
             scored(&shared, &mut partners.into_iter().take(selection.most_partners()))
         };
         let mut rows: Vec<_> = selection.clusters.iter().map(key_row).collect();

@@ -49,7 +49,7 @@ impl Backend for Pmvs {
         let images = selection.undistorted_images(self.name())?;
         let views = selection.keys_first();
         let mut index = vec![0; selection.scene.views.len()];
-        views.iter().enumerate().for_each(|(i, v)| index[v.at()] = i);
+        views.iter().enumerate().for_each(|(i, v)| index[v.index()] = i);
         let mut files = options.file_set(self, selection);
         for (i, &view) in views.iter().enumerate() {
             let name = selection.scene.name(view);
@@ -60,7 +60,7 @@ impl Backend for Pmvs {
         files.add("models", Contents::Folder);
         files.add_text("vis.dat", visibility(selection, &views, &index));
         files.add_text(OPTIONS, option_file(selection, views.len()));
-        let mut record = ExportRecord::new(self, selection, |v| index[v.at()].to_string());
+        let mut record = ExportRecord::new(self, selection, |v| index[v.index()].to_string());
         record.moved(near.origin);
         record.made_for = "PMVS2 (CMVS-PMVS)".into();
         record.way = "timages, oimages, vis.dat".into();
@@ -105,7 +105,7 @@ fn visibility(selection: &Selection, views: &[ViewIndex], index: &[usize]) -> St
     for i in 0..views.len() {
         let partners = selection.clusters.get(i).map_or(&[][..], |c| &c.partners);
         text += &format!("{i} {}", partners.len());
-        partners.iter().for_each(|p| text += &format!(" {}", index[p.at()]));
+        partners.iter().for_each(|p| text += &format!(" {}", index[p.index()]));
         text.push('\n');
     }
     text

@@ -121,14 +121,14 @@ impl Selection<'_> {
     /// Every view that takes part: the key views in rank order, then the other partners by name.
     pub fn keys_first(&self) -> Vec<ViewIndex> {
         let is_key = self.is_key();
-        let partners = self.views().into_iter().filter(|v| !is_key[v.at()]);
+        let partners = self.views().into_iter().filter(|v| !is_key[v.index()]);
         self.clusters.iter().map(|c| c.key).chain(partners).collect()
     }
 
     /// For each view of the scene: is it a key view?
     pub fn is_key(&self) -> Vec<bool> {
         let mut is_key = vec![false; self.scene.views.len()];
-        self.clusters.iter().for_each(|c| is_key[c.key.at()] = true);
+        self.clusters.iter().for_each(|c| is_key[c.key.index()] = true);
         is_key
     }
 
@@ -149,7 +149,7 @@ impl Selection<'_> {
             .map(|p| {
                 let mut views: Vec<_> = self.scene.track_views(crate::model::scene::PointIndex(p)).to_vec();
                 views.dedup();
-                views.iter().filter(|v| is_key[v.at()]).count()
+                views.iter().filter(|v| is_key[v.index()]).count()
             })
             .filter(|&n| n > 0)
             .collect();
@@ -194,7 +194,7 @@ fn centres(scene: &Scene) -> Vec<Vector3<f64>> {
 /// Depths of the points that the view observes, in front of it, ascending, scene units.
 pub fn depths(scene: &Scene, points: &ViewPoints, view: ViewIndex) -> Vec<f64> {
     let pose = &scene.view(view).cam_from_world;
-    let depth = |&p: &crate::model::scene::PointIndex| pose.camera_from_world(&scene.points[p.at()]).z;
+    let depth = |&p: &crate::model::scene::PointIndex| pose.camera_from_world(&scene.points[p.index()]).z;
     let mut depths: Vec<f64> = points.of(view).iter().map(depth).filter(|z| *z > 0.0).collect();
     depths.sort_unstable_by(f64::total_cmp);
     depths
@@ -218,9 +218,9 @@ pub fn shared_points(scene: &Scene, points: &ViewPoints, view: ViewIndex) -> Vec
     for &p in points.of(view) {
         let track = scene.track_views(p);
         for (i, v) in track.iter().enumerate() {
-            shared[v.at()] += u32::from(i == 0 || track[i - 1] != *v);
+            shared[v.index()] += u32::from(i == 0 || track[i - 1] != *v);
         }
     }
-    shared[view.at()] = 0;
+    shared[view.index()] = 0;
     shared
 }

@@ -149,9 +149,9 @@ fn world_from_nerf_camera(pose: &crate::model::scene::Pose) -> [[f64; 4]; 4] {
 fn seeds(selection: &Selection, views: &[ViewIndex]) -> Vec<u8> {
     let scene = selection.scene;
     let mut chosen = vec![false; scene.views.len()];
-    views.iter().for_each(|v| chosen[v.at()] = true);
+    views.iter().for_each(|v| chosen[v.index()] = true);
     let seen = |p: &PointIndex| {
-        let mut track: Vec<_> = scene.track_views(*p).iter().filter(|v| chosen[v.at()]).collect();
+        let mut track: Vec<_> = scene.track_views(*p).iter().filter(|v| chosen[v.index()]).collect();
         track.dedup();
         track.len() >= 2
     };
@@ -161,9 +161,9 @@ fn seeds(selection: &Selection, views: &[ViewIndex]) -> Vec<u8> {
     ["red", "green", "blue"].iter().for_each(|name| ply += &format!("property uchar {name}\n"));
     let mut bytes = (ply + "end_header\n").into_bytes();
     for p in points {
-        let x = scene.points[p.at()];
+        let x = scene.points[p.index()];
         [x.x, x.y, x.z, 0.0, 0.0, 0.0].iter().for_each(|v| bytes.extend((*v as f32).to_le_bytes()));
-        bytes.extend(scene.colours[p.at()]);
+        bytes.extend(scene.colours[p.index()]);
     }
     bytes
 }

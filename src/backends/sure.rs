@@ -75,11 +75,11 @@ impl Backend for Sure {
         let names = flat_names(selection)?;
         let mut files = options.file_set(self, selection);
         for view in selection.views() {
-            let name = &names[view.at()];
+            let name = &names[view.index()];
             files.add(format!("images/{name}"), Contents::Link(images.join(selection.scene.name(view))));
             files.add_text(format!("ori/{}.ori", stem(name)), orientation(selection, view, name));
         }
-        let [clusters, pairs, _] = lists_of_pairs(selection, |v| Ok(names[v.at()].as_str()))?;
+        let [clusters, pairs, _] = lists_of_pairs(selection, |v| Ok(names[v.index()].as_str()))?;
         for (name, text) in [clusters, pairs] {
             files.add_text(name, text);
         }
@@ -105,7 +105,7 @@ impl Backend for Sure {
 impl Sure {
     fn record(&self, selection: &Selection, names: &[String]) -> ExportRecord {
         let level = (1.0 / selection.image_scale).log2().round().max(0.0);
-        let mut record = ExportRecord::new(self, selection, |v| names[v.at()].clone());
+        let mut record = ExportRecord::new(self, selection, |v| names[v.index()].clone());
         record.runner = Some("run.sh".into());
         record.made_for = "SURE (from the vendor's public pages and public scripts for SURE 1.2; not run)".into();
         record.way = "one project per cluster; lists for a joint project beside".into();
@@ -169,7 +169,7 @@ fn flat_names(selection: &Selection) -> Result<Vec<String>, BackendError> {
             let why = format!("without folder and extension it is the same as {}", selection.scene.name(other));
             return Err(BackendError::Name { backend: "sure", name: name.into(), why });
         }
-        names[view.at()] = flat;
+        names[view.index()] = flat;
     }
     Ok(names)
 }
@@ -186,11 +186,11 @@ fn orientation(selection: &Selection, view: ViewIndex, name: &str) -> String {
 
 /// Images and orientations in the same order, which is what makes them belong together; and the base images.
 fn add_lists(files: &mut FileSet, folder: &str, names: &[String], views: &[ViewIndex], keys: &[ViewIndex]) {
-    let list = |line: &dyn Fn(&str) -> String| views.iter().map(|v| line(&names[v.at()])).collect::<String>();
+    let list = |line: &dyn Fn(&str) -> String| views.iter().map(|v| line(&names[v.index()])).collect::<String>();
     let up = "../".repeat(folder.matches('/').count());
     files.add_text(format!("{folder}images.txt"), list(&|name| format!("{up}images/{name}\n")));
     files.add_text(format!("{folder}ori.txt"), list(&|name| format!("{up}ori/{}.ori\n", stem(name))));
-    let keys = keys.iter().map(|k| format!("{}\n", stem(&names[k.at()])));
+    let keys = keys.iter().map(|k| format!("{}\n", stem(&names[k.index()])));
     files.add_text(format!("{folder}baseImages.txt"), keys.collect::<String>());
 }
 

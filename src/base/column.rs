@@ -1,5 +1,5 @@
-//! Columns of the large tables: rows are appended while a stage runs and only read from then on, in memory or, where memory is short, in a
-//! file without a name that the system reads page by page.
+//! Columns of the large tables: rows are appended while a stage runs and only read from then on, in memory or, where memory is short, in an
+//! unlinked temporary file that the system reads page by page.
 
 use std::{
     env,
@@ -21,11 +21,11 @@ use crate::base::{error::Hint, progress::Cancelled};
 pub enum Keep {
     #[default]
     Memory,
-    /// In a file without a name in `$TMPDIR`, or else in `/var/tmp`, which outlives no program.
+    /// In an unlinked temporary file in `$TMPDIR`, else in `/var/tmp`; the system frees it when the process ends.
     Disk,
 }
 
-/// A finished column: a slice, wherever it lies.
+/// A finished column, in memory or on disk; read as a slice.
 #[derive(Clone)]
 pub struct Column<T>(Kept<T>);
 
@@ -43,7 +43,7 @@ impl<T> Column<T> {
         }
     }
 
-    /// Bytes that it holds of this process's memory whatever happens.
+    /// Bytes of heap memory; 0 for a column on disk, whose pages the system may drop.
     pub fn bytes(&self) -> usize {
         match &self.0 {
             Kept::Memory(list) => size_of_val(&**list),
@@ -51,7 +51,7 @@ impl<T> Column<T> {
         }
     }
 
-    /// Gives back the memory that was read of a file; what is asked for again is read again.
+    /// Releases the resident pages of a column on disk; they are read again on the next access.
     pub fn release(&self) {
         #[cfg(unix)]
         if let Kept::Disk(map) = &self.0 {
@@ -61,11 +61,11 @@ impl<T> Column<T> {
     }
 }
 
-/// Rows of a column on disk that are read before the memory that they take is given back.
+/// Rows of a column on disk that are read between two releases of its pages.
 const PART: usize = 1 << 22;
 
 impl<T: Pod> Column<T> {
-    /// All rows in their order, read part by part.
+    /// Iterates over all rows in order and releases the pages of a column on disk after each part.
     pub fn by_parts(&self) -> impl Iterator<Item = &T> {
         let part = |part| {
             self.release();
@@ -116,7 +116,7 @@ impl<T: Pod + PartialEq> PartialEq for Column<T> {
     }
 }
 
-/// A column that grows.
+/// A column under construction, append only.
 pub struct Growing<T>(Grows<T>);
 
 enum Grows<T> {
@@ -137,19 +137,19 @@ impl<T: Pod> Growing<T> {
         Ok(Self(Grows::Disk { file, folder: folder.to_path_buf(), is_empty: true }))
     }
 
-    /// So many rows will come.
+    /// Reserves memory for `rows` more rows; does nothing on disk.
     pub fn reserve(&mut self, rows: usize) {
         if let Grows::Memory(list) = &mut self.0 {
             list.reserve_exact(rows);
         }
     }
 
-    /// Appends rows: as many at once as there are, for each call is a write.
+    /// Appends rows. Pass many at once: on disk each call is a write.
     pub fn extend(&mut self, rows: &[T]) -> Result<(), DiskError> {
         match &mut self.0 {
             Grows::Memory(list) => list.extend_from_slice(rows),
             Grows::Disk { file, folder, is_empty } => {
-                // Written and not mapped: a disk that is full is an error here, and a signal that ends the program there.
+                // Written, not mapped: a full disk is an error here but would be a fatal signal in a mapping.
                 file.write_all(bytemuck::cast_slice(rows)).map_err(|source| DiskError::new(folder, source))?;
                 *is_empty &= rows.is_empty();
             }
@@ -160,10 +160,10 @@ impl<T: Pod> Growing<T> {
     pub fn finish(self) -> Result<Column<T>, DiskError> {
         match self.0 {
             Grows::Memory(list) => Ok(list.into()),
-            // Nothing cannot be mapped everywhere.
+            // Some platforms cannot map empty files.
             Grows::Disk { is_empty: true, .. } => Ok(Column::default()),
             Grows::Disk { file, folder, .. } => {
-                // Some file systems find out only now that they are full.
+                // Some file systems report a full disk only on sync.
                 file.sync_data().map_err(|source| DiskError::new(&folder, source))?;
                 // SAFETY: the file has no name, and this is its last handle: nobody writes to it or shortens it.
                 let map = unsafe { Mmap::map(&file) }.map_err(|source| DiskError::new(&folder, source))?;
@@ -173,14 +173,14 @@ impl<T: Pod> Growing<T> {
     }
 }
 
-/// Where there is room for what memory has no room for: not `/tmp`, which lies in memory on many systems.
+/// The folder for spilled tables: not `/tmp`, which is in memory on many systems.
 fn folder() -> PathBuf {
     let usual = || Some(PathBuf::from("/var/tmp")).filter(|folder| folder.is_dir());
     env::var_os("TMPDIR").map(PathBuf::from).or_else(usual).unwrap_or_else(env::temp_dir)
 }
 
-/// What `work` makes of each item, taken in their order: so many items at a time side by side. `work` gets a value of `start`'s, or one that
-/// it has worked with before: some are as large as the surface and would take longer to make than to use.
+/// Maps `work` over `items` in parallel, `at_a_time` items per batch, and passes each batch's results to `take` in order. `work` gets scratch
+/// made by `start`, reused between items: some is as large as the surface and takes longer to make than to use.
 pub fn in_order<A: Sync, S: Send, R: Send>(
     items: &[A],
     at_a_time: usize,
@@ -202,10 +202,10 @@ pub fn in_order<A: Sync, S: Send, R: Send>(
     Ok(())
 }
 
-/// Views or clusters of which the rows are read before the memory that they took is given back, where a table lies on disk.
+/// Views or clusters whose rows are read between two releases of a table on disk.
 pub const READ_AT_ONCE: usize = 256;
 
-/// What `work` makes of each item by reading tables, in their order; `release` gives back what was read after each part.
+/// Maps `work` over items that read tables, in order; `release` is called after each part to free the pages read.
 pub fn read_by_parts<A: Sync, R: Send>(
     items: &[A],
     work: impl Fn(&A) -> R + Sync + Send,
@@ -219,7 +219,7 @@ pub fn read_by_parts<A: Sync, R: Send>(
     results
 }
 
-/// Why there is no table.
+/// Error of building a table.
 #[derive(Debug, thiserror::Error)]
 pub enum TableError {
     #[error(transparent)]
@@ -237,9 +237,9 @@ impl Hint for TableError {
     }
 }
 
-/// A table that does not fit into memory cannot be kept on disk either.
+/// A table that does not fit into memory cannot be written to disk.
 #[derive(Debug, thiserror::Error)]
-#[error("{}: a table that memory has no room for cannot be kept here: {source}", folder.display())]
+#[error("cannot spill table to {}: {source}", folder.display())]
 pub struct DiskError {
     folder: PathBuf,
     source: io::Error,

@@ -1,11 +1,11 @@
-//! Connected parts of a graph.
+//! Connected components of a graph.
 
-/// The nodes that hang together, as lists in ascending order; the lists by their first nodes. `beside`: the neighbours of a node; that one
-/// of two nodes has the other for a neighbour is enough.
-pub fn components<I: Iterator<Item = u32>>(nodes: usize, beside: impl Fn(u32) -> I) -> Vec<Vec<u32>> {
+/// Returns the connected components, each with its nodes ascending, sorted by their first nodes. `neighbours` gives the neighbours of a
+/// node; an edge may be listed at either end.
+pub fn components<I: Iterator<Item = u32>>(nodes: usize, neighbours: impl Fn(u32) -> I) -> Vec<Vec<u32>> {
     let mut first: Vec<u32> = (0..nodes as u32).collect();
     for node in 0..nodes as u32 {
-        for other in beside(node) {
+        for other in neighbours(node) {
             let (a, b) = (root(&mut first, node), root(&mut first, other));
             first[a.max(b) as usize] = a.min(b);
         }
@@ -23,13 +23,13 @@ pub fn components<I: Iterator<Item = u32>>(nodes: usize, beside: impl Fn(u32) ->
     parts
 }
 
-/// The first node of those known to hang together with this one.
-fn root(first: &mut [u32], mut of: u32) -> u32 {
-    while first[of as usize] != of {
-        first[of as usize] = first[first[of as usize] as usize];
-        of = first[of as usize];
+/// Returns the root of the node's set: its smallest node so far. Halves the path on the way.
+fn root(first: &mut [u32], mut node: u32) -> u32 {
+    while first[node as usize] != node {
+        first[node as usize] = first[first[node as usize] as usize];
+        node = first[node as usize];
     }
-    of
+    node
 }
 
 #[cfg(test)]

@@ -1,7 +1,7 @@
 //! Opens files that a project or the user names.
 //!
 //! A project may come from a stranger, and its settings name files. Links are followed, for images often live elsewhere, but
-//! only a regular file is read: a pipe would be waited for and a device read without end. What is read whole has a bound.
+//! only a regular file is read: a pipe would be waited for and a device read without end. Files that are read whole have a size limit.
 
 use std::{
     fs::{File, Metadata},
@@ -28,7 +28,7 @@ pub enum Kind {
 }
 
 impl Kind {
-    /// The most bytes that are read.
+    /// Size limit, bytes.
     pub const fn limit(self) -> u64 {
         match self {
             Self::Settings => 1 << 20,
@@ -75,17 +75,17 @@ fn open_with_metadata(path: &Path) -> io::Result<(File, Metadata)> {
     Err(io::Error::new(io::ErrorKind::InvalidInput, format!("not a regular file but {what}: name a file")))
 }
 
-/// The bytes of a regular file that is no larger than its kind may be.
+/// Reads a regular file whole, up to the limit of its kind.
 pub fn read(path: &Path, kind: Kind) -> io::Result<Vec<u8>> {
     read_all(open(path)?, kind)
 }
 
-/// The text of such a file.
+/// Reads a UTF-8 text file whole, up to the limit of its kind.
 pub fn read_text(path: &Path, kind: Kind) -> io::Result<String> {
     String::from_utf8(read(path, kind)?).map_err(|error| io::Error::new(io::ErrorKind::InvalidData, error.utf8_error()))
 }
 
-/// The bytes of an open file.
+/// Reads an open file whole, up to the limit of its kind.
 pub fn read_all(file: File, kind: Kind) -> io::Result<Vec<u8>> {
     let length = file.metadata()?.len();
     check_length(length, kind)?;
@@ -97,7 +97,7 @@ pub fn read_all(file: File, kind: Kind) -> io::Result<Vec<u8>> {
     Ok(bytes)
 }
 
-/// Is a file of so many bytes no larger than its kind may be?
+/// Checks that a file of `length` bytes is within the limit of its kind.
 pub fn check_length(length: u64, kind: Kind) -> io::Result<()> {
     if length <= kind.limit() {
         return Ok(());

@@ -1,8 +1,8 @@
-//! Memory in large pages: lists of hundreds of megabytes that are read all over cost more in looking up pages than in reading.
+//! Memory in huge pages: with random access to hundreds of megabytes, TLB misses cost more than the reads.
 
 use std::collections::TryReserveError;
 
-/// Room for so many elements, in large pages where the system has them. It is not touched yet.
+/// Allocates an empty list with room for `elements`, in huge pages where the system has them; the memory is not touched.
 pub fn room_for<T>(elements: usize) -> Result<Vec<T>, TryReserveError> {
     let mut room = Vec::new();
     room.try_reserve_exact(elements)?;
@@ -10,7 +10,7 @@ pub fn room_for<T>(elements: usize) -> Result<Vec<T>, TryReserveError> {
     Ok(room)
 }
 
-/// A list of so many equal elements.
+/// Returns a list of `elements` equal elements.
 pub fn filled<T: Clone>(elements: usize, with: T) -> Vec<T> {
     let mut list = room_for(elements).unwrap_or_default();
     list.resize(elements, with);

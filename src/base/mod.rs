@@ -1,4 +1,4 @@
-//! What every floor may use and what knows none of them: errors, progress, large columns, parts of space, inner loops.
+//! Shared by all layers, dependent on none: errors, progress, large columns, tiles of space, vectorised loops.
 
 pub mod column;
 pub mod connected;

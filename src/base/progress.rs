@@ -1,4 +1,4 @@
-//! Progress and cancellation: how a stage talks to whoever runs it. Terminal bars live in `cli/`, the state files in `daemon/`.
+//! Progress and cancellation: how a stage talks to whoever runs it. Terminal bars are in `cli/`, state files in `daemon/`.
 
 /// The stages of a plan, in the order in which they run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, serde::Serialize)]

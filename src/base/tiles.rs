@@ -1,7 +1,7 @@
 //! Space cut into tiles that hold about as many points each.
 //!
 //! The box around the points is halved across its longest side, at the median, until no part has too many; the outermost tiles reach to
-//! infinity, so that every place lies in exactly one tile.
+//! infinity, so that every point of space is in exactly one tile.
 
 use nalgebra::Point3;
 
@@ -19,7 +19,7 @@ impl Tile {
         (0..3).all(|axis| self.low[axis] <= point[axis] && point[axis] < self.high[axis])
     }
 
-    /// Is the point in the tile, or nearer to it than `margin` along each axis?
+    /// Returns whether the point is in the tile or within `margin` of it along each axis.
     pub fn is_near(&self, point: &Point3<f64>, margin: f64) -> bool {
         (0..3).all(|axis| self.low[axis] - margin <= point[axis] && point[axis] < self.high[axis] + margin)
     }
@@ -81,7 +81,7 @@ fn cut(points: &mut [Point3<f64>], rank: usize) -> Option<(usize, f64)> {
     if points.iter().any(|point| point[axis] < at) {
         return Some((axis, at));
     }
-    // So many share the least coordinate: at the next one.
+    // The points up to this rank share the smallest coordinate: cut at the next one.
     let beyond = points.iter().map(|point| point[axis]).filter(|x| *x > at);
     beyond.min_by(f64::total_cmp).map(|at| (axis, at))
 }

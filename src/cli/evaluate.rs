@@ -12,7 +12,6 @@ use crate::{
         output::{Contents, Disk, FileSet},
         project::Project,
     },
-    method::ranking,
     model::cluster::ViewCluster,
     plan::Plan,
 };
@@ -95,8 +94,7 @@ fn measure(
     let run = task(plan, &clusters, folder, arguments.reference.as_deref(), progress)?;
     let model = plan.stages.model();
     let reached = Reached::new(&model, &run);
-    let weights = ranking::weights(&plan.stages.surface, plan.stages.settings.ranking.weight);
-    let how = Measure { weights: &weights, support: support(plan), baselines: arguments.baselines };
+    let how = Measure { objective: &plan.stages.objective, baselines: arguments.baselines };
     let evaluation = Evaluation::new(&model, &run, &reached, &how, progress)?;
     let title = project.root.file_name().unwrap_or(project.root.as_os_str()).to_string_lossy();
     let out = arguments.out.clone().unwrap_or_else(|| project.output_folder().join("evaluation"));
@@ -119,10 +117,6 @@ fn measure(
 fn planned(plan: &Plan) -> Vec<ViewCluster> {
     let order = orders::completed(plan.decision.ranking.order.clone(), plan.stages.clusters.len());
     order.iter().map(|&c| plan.stages.clusters[c as usize].clone()).collect()
-}
-
-fn support(plan: &Plan) -> u32 {
-    plan.stages.settings.ranking.support.unwrap_or(1)
 }
 
 fn task(
@@ -164,7 +158,7 @@ fn compare(arguments: &Arguments, plan: &Plan, folder: &Path, progress: &Progres
         let name = path.strip_prefix(folder).unwrap_or(&path).to_string_lossy().into_owned();
         runs.push((name, task(plan, &clusters, &path, arguments.reference.as_deref(), progress)?));
     }
-    let compared = evaluate::compare(plan, &runs, support(plan), progress)?;
+    let compared = evaluate::compare(plan, &runs, progress)?;
     progress.finish();
     output(arguments, &compared, || compared_text(&compared))
 }

@@ -9,9 +9,9 @@ use std::{
 use crate::{
     base::{error::Hint, shell::quoted_path},
     daemon::{
-        Line, Shown, read_status,
-        state::{Phase, ProjectStatus},
-        status_file,
+        Line, Shown,
+        phase::{Phase, ProjectStatus},
+        read_status, status_file,
     },
 };
 use clap::Args;

@@ -5,6 +5,7 @@ use std::fmt::Write;
 use crate::{
     backends,
     base::shell::{quoted, quoted_path},
+    config::TriangleWeight,
     io::project::Project,
     model::scene::Units,
     plan::{Cut, Forecast, Memory, Plan, Timings},
@@ -55,6 +56,9 @@ pub struct Summary<'a> {
     chosen_for: &'static str,
     #[serde(skip)]
     manifest: &'a Manifest,
+    /// What the shares are weighed by.
+    #[serde(skip)]
+    weight: TriangleWeight,
     /// What the images are for where none is matched.
     #[serde(skip)]
     use_of_views: Option<&'static str>,
@@ -89,6 +93,7 @@ impl<'a> Summary<'a> {
                 _ => " (no --backend is named)",
             },
             manifest,
+            weight: plan.stages.settings.ranking.weight,
             use_of_views: backends::by_name(plan.stages.backend).ok().and_then(|backend| backend.use_of_views()),
         }
     }
@@ -124,10 +129,33 @@ impl<'a> Summary<'a> {
             None => format!("Compute {maps} of {all} depth maps, {pairs} image pairs instead of {all_pairs}"),
         };
         format!(
-            "\n{what}:\n{:.1} % of the quality that all of them together would give (predicted).\n{}",
+            "\n{what}:\n{:.1} % of what all of them together would give{}.\n{}{}",
             self.cut.share * 100.0,
+            self.weight(),
+            self.certificate(),
             self.done()
         )
+    }
+
+    /// What the share counts.
+    fn weight(&self) -> &'static str {
+        match self.weight {
+            TriangleWeight::Pixels => ", by the pixels that show it",
+            TriangleWeight::Area => ", by its area",
+            TriangleWeight::Count => ", by triangles",
+        }
+    }
+
+    /// What all give of what is wanted, and how far the choice can be from the best of its length (method 5.2).
+    fn certificate(&self) -> String {
+        let Cut { reachable, fulfilment, fulfilment_bound, .. } = self.cut;
+        let all = format!("All together give {:.0} % of what is wanted (predicted).\n", 100.0 * reachable);
+        if fulfilment > 0.0 {
+            let better = 100.0 * (fulfilment_bound / fulfilment - 1.0).max(0.0);
+            all + &format!("No choice of as many is more than {better:.0} % better.\n")
+        } else {
+            all
+        }
     }
 
     fn done(&self) -> String {
@@ -153,7 +181,7 @@ impl<'a> Summary<'a> {
         lengths.dedup();
         let matched = self.use_of_views.is_none();
         let mut text =
-            String::from(if matched { "\n  depth maps    pairs  quality\n" } else { "\n      images  quality\n" });
+            String::from(if matched { "\n  depth maps    pairs    share\n" } else { "\n      images    share\n" });
         for length in lengths {
             let pairs: usize = clusters[..length].iter().map(|c| c.partners.len()).sum();
             let quality = clusters[length - 1].share * 100.0;

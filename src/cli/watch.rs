@@ -5,7 +5,7 @@ use std::{io::IsTerminal, num::NonZeroUsize, path::PathBuf, process, thread, tim
 use crate::{
     base::error::Hint,
     config::Bytes,
-    daemon::{Options, PlanJob, PlanOptions, Signal, queue, state::OnBusy, watch_roots},
+    daemon::{Options, PlanJob, PlanOptions, Signal, platform, state::OnBusy, watch_roots},
     io::output::Disk,
 };
 use clap::{Args, ValueEnum, builder::PossibleValue};
@@ -80,7 +80,7 @@ enum LogFormat {
 
 pub fn run(arguments: Arguments) -> Result<(), Failure> {
     start_log(arguments.log_format);
-    queue::lower_priority();
+    platform::lower_priority();
     let once = arguments.once;
     let on_target = arguments.on_target.clone();
     let planner = PlanJob::new(PlanOptions {
@@ -106,7 +106,7 @@ impl Arguments {
             rescan: self.rescan,
             on_busy: self.on_busy,
             jobs: self.jobs.get(),
-            max_memory: self.max_memory.map_or_else(|| queue::machine_memory() / 2, |bytes| bytes.0),
+            max_memory: self.max_memory.map_or_else(|| platform::machine_memory() / 2, |bytes| bytes.0),
             follow_links: self.follow_links,
             once: self.once,
             metrics: self.metrics,
@@ -181,6 +181,19 @@ fn duration(text: &str) -> Result<Duration, String> {
     if duration > LONGEST { Err("at most 8760h, a year".into()) } else { Ok(duration) }
 }
 
+impl clap::ValueEnum for OnBusy {
+    fn value_variants<'a>() -> &'a [Self] {
+        &[Self::Restart, Self::Queue]
+    }
+
+    fn to_possible_value(&self) -> Option<PossibleValue> {
+        Some(match self {
+            Self::Restart => PossibleValue::new("restart").help("Cancel it and start again when the input is still"),
+            Self::Queue => PossibleValue::new("queue").help("Finish it, then plan once more"),
+        })
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -195,18 +208,5 @@ mod tests {
         }
         assert_eq!(pause("100ms"), Ok(Duration::from_millis(100)));
         assert!(pause("0s").is_err() && pause("9ms").is_err());
-    }
-}
-
-impl clap::ValueEnum for OnBusy {
-    fn value_variants<'a>() -> &'a [Self] {
-        &[Self::Restart, Self::Queue]
-    }
-
-    fn to_possible_value(&self) -> Option<PossibleValue> {
-        Some(match self {
-            Self::Restart => PossibleValue::new("restart").help("Cancel it and start again when the input is still"),
-            Self::Queue => PossibleValue::new("queue").help("Finish it, then plan once more"),
-        })
     }
 }

@@ -343,9 +343,13 @@ impl Default for ConfidenceSettings {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum TriangleWeight {
+    /// Pixels: the mean over the views that see it.
     #[default]
-    Count,
+    Pixels,
+    /// Its area.
     Area,
+    /// The same as every other, as in the paper.
+    Count,
 }
 
 /// Method 5.
@@ -355,7 +359,7 @@ pub struct RankingSettings {
     /// Depth maps that must see a triangle (m, method 5.2). Unset: the backend's.
     #[schemars(range(min = 1, max = 100), extend("unit" = "depth maps"))]
     pub support: Option<u32>,
-    /// What a triangle counts.
+    /// What a triangle of the surface counts in the plan: by default its pixels, so that the plan is for what the photographs show most of.
     pub weight: TriangleWeight,
     /// A finished depth map stays in the plan of a changed model while what it shows moved by no more than this in any image of its
     /// cluster.

@@ -1,44 +1,43 @@
-//! Finds the projects under a root, at any depth, and what of each is its input.
+//! Finds the projects under a root, at any depth, and their input folders.
 //!
-//! A folder is a project when it looks like one from outside: a COLMAP project or dense workspace (`sparse/`, with model files in it
-//! or one level below), a bare model (two of its files), an OpenMVS scene, a SURE project. Whether the model is whole is not asked
-//! here. A project's own folders are not searched for further projects; but a folder with several projects in it, or a root with one, is
-//! none, whatever files lie about there, unless it has a `sparse` of its own.
+//! The names of its files make a folder a project: a COLMAP project or dense workspace (`sparse/`, with model files in it or one level
+//! below), a bare model (at least two of its files), an OpenMVS scene, a SURE project. The model may be incomplete. Folders inside a
+//! project are not searched for further projects. A folder that contains several projects, or a root that contains one, is not a
+//! project, whatever stray files it has, unless it has a `sparse` of its own.
 
 use std::{
     collections::{BTreeSet, HashSet},
     ffi::{OsStr, OsString},
     fs, io,
-    os::unix::fs::MetadataExt,
     path::{Path, PathBuf},
 };
 
 use crate::method::confidence::MASKS;
 
-/// Names of the files of a COLMAP model, without their suffix.
+/// File names of a COLMAP model, without suffix.
 const MODEL_FILES: [&str; 5] = ["cameras", "images", "points3D", "rigs", "frames"];
-/// Where the outputs of a project and the daemon's own files of a root go; never looked at as input.
+/// Folder for the outputs of a project and the daemon's own files of a root; never input.
 pub const OUTPUT_FOLDER: &str = "viewrank";
-/// Dense workspaces of a project lie here.
+/// Folder for the dense workspaces of a project.
 pub const DENSE: &str = "dense";
-/// So many projects in a folder that has files of a model or scene lying about are no parts of one project.
+/// This many projects in a folder with stray files of a model or scene are separate projects.
 const SEVERAL: usize = 2;
-/// Deeper than this is a loop of mounts.
+/// Depth limit of a walk, against loops of mounts.
 const MAX_DEPTH: usize = 64;
 
-/// What a walk over a root found.
+/// Result of a walk over a folder.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Found {
     /// Project folders, sorted.
     pub projects: Vec<PathBuf>,
     /// Folders outside projects in which a project may appear, the root first.
     pub folders: Vec<PathBuf>,
-    /// Folders that could not be listed, with the reason.
+    /// Folders that could not be listed, with the error.
     pub unreadable: Vec<(PathBuf, String)>,
 }
 
-/// Walks a folder, one of the `roots` or below. Symbolic links are followed only where `follow_links` says so, after all else, and no folder is
-/// entered twice. `tick` is called for every folder.
+/// Walks a folder that is one of the `roots` or below. Symbolic links are followed only with `follow_links`, after all other folders; no
+/// folder is entered twice. `tick` is called for every folder.
 pub fn walk(folder: &Path, roots: &[PathBuf], follow_links: bool, tick: &dyn Fn()) -> Found {
     let (found, links) = Default::default();
     let mut walk = Walk { roots, follow_links, tick, found, links, entered: HashSet::new() };
@@ -56,10 +55,10 @@ struct Walk<'a> {
     follow_links: bool,
     tick: &'a dyn Fn(),
     found: Found,
-    /// To folders, still to be followed, with their depth.
+    /// Links to folders, still to follow, with their depth.
     links: Vec<(PathBuf, usize)>,
-    /// Device and inode, where links are followed.
-    entered: HashSet<(u64, u64)>,
+    /// Canonical paths of all folders entered; used only where links are followed.
+    entered: HashSet<PathBuf>,
 }
 
 impl Walk<'_> {
@@ -73,15 +72,15 @@ impl Walk<'_> {
         if depth > MAX_DEPTH || self.follow_links && !self.is_new(&folder) {
             return;
         }
-        let looks = listing.looks(&folder, self.follow_links);
-        if looks == Looks::Project {
+        let kind = listing.kind(&folder, self.follow_links);
+        if kind == FolderKind::Project {
             return self.found.projects.push(folder);
         }
         let before = (self.found.lengths(), self.links.len());
-        let may_be_one = looks == Looks::MayBeProject;
+        let may_be_one = kind == FolderKind::MayBeProject;
         let (own, others): (Vec<_>, Vec<_>) = listing.below().partition(|name| may_be_one && *name == DENSE);
         others.into_iter().for_each(|name| self.enter(folder.join(name), depth + 1));
-        // A root is where people keep projects.
+        // Roots are meant to contain projects.
         let several = if self.roots.contains(&folder) { 1 } else { SEVERAL };
         if may_be_one && self.found.projects.len() < before.0[0] + several {
             self.found.truncate(before.0);
@@ -96,7 +95,7 @@ impl Walk<'_> {
     }
 
     fn is_new(&mut self, folder: &Path) -> bool {
-        fs::metadata(folder).is_ok_and(|metadata| self.entered.insert((metadata.dev(), metadata.ino())))
+        folder.canonicalize().is_ok_and(|folder| self.entered.insert(folder))
     }
 }
 
@@ -112,31 +111,31 @@ impl Found {
     }
 }
 
-/// May there be projects in a folder of this name?
+/// True if projects are searched for in folders of this name.
 pub fn is_searched(name: &OsStr) -> bool {
     !name.as_encoded_bytes().starts_with(b".") && name != OUTPUT_FOLDER
 }
 
-/// Does the folder look like a project from outside, whatever lies in it?
+/// True if the names of its files make the folder a project, disregarding projects inside.
 pub fn is_project(folder: &Path, follow_links: bool) -> bool {
-    Listing::of(folder).is_ok_and(|listing| listing.looks(folder, follow_links) != Looks::Folder)
+    Listing::of(folder).is_ok_and(|listing| listing.kind(folder, follow_links) != FolderKind::Folder)
 }
 
-/// What a folder is, by the names in it.
+/// Kind of a folder by the names of its files.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Looks {
+enum FolderKind {
     Project,
-    /// Unless there are several projects in it.
+    /// A project unless it contains several projects.
     MayBeProject,
     Folder,
 }
 
-/// Names in a folder, sorted.
+/// Sorted names in a folder.
 #[derive(Debug, Default)]
 struct Listing {
     files: BTreeSet<OsString>,
     folders: BTreeSet<OsString>,
-    /// To folders.
+    /// Links to folders.
     links: BTreeSet<OsString>,
 }
 
@@ -157,39 +156,43 @@ impl Listing {
         Ok(listing)
     }
 
-    /// Folders to be searched for projects.
+    /// Folders to search for projects.
     fn below(&self) -> impl Iterator<Item = &OsString> {
         self.folders.iter().filter(|name| is_searched(name))
     }
 
-    fn looks(&self, folder: &Path, follow_links: bool) -> Looks {
+    fn kind(&self, folder: &Path, follow_links: bool) -> FolderKind {
         let named = |names: &BTreeSet<OsString>, name: &str| names.contains(OsStr::new(name));
         let sparse = || holds_model_below(&folder.join("sparse"), follow_links);
         if named(&self.folders, "sparse") && sparse() {
-            return Looks::Project;
+            return FolderKind::Project;
         }
         if named(&self.links, "sparse") && (!follow_links || sparse()) {
-            return Looks::Project;
+            return FolderKind::Project;
         }
         let scene = self.files.iter().any(|name| name.as_encoded_bytes().ends_with(b".mvs"));
         let bare_model = || self.model_files() >= 2 && !is_sub_model(folder);
-        if scene || self.holds_orientations(folder) || bare_model() { Looks::MayBeProject } else { Looks::Folder }
+        if scene || self.holds_orientations(folder) || bare_model() {
+            FolderKind::MayBeProject
+        } else {
+            FolderKind::Folder
+        }
     }
 
-    /// SURE's: here or in `ori`, which itself belongs to the project above.
+    /// True if there are SURE orientations here or in `ori`, which itself belongs to the project above.
     fn holds_orientations(&self, folder: &Path) -> bool {
         let here = || !folder.ends_with("ori") && self.files.iter().any(|f| f.as_encoded_bytes().ends_with(b".ori"));
         [&self.files, &self.folders, &self.links].iter().any(|names| names.contains(OsStr::new("ori"))) || here()
     }
 
-    /// How many of a COLMAP model's files are there, of whatever format.
+    /// Number of COLMAP model files by stem, in any format.
     fn model_files(&self) -> usize {
         let stems = self.files.iter().filter_map(|name| model_file(name.to_str()?));
         stems.collect::<BTreeSet<_>>().len()
     }
 }
 
-/// Does `sparse` or a folder in it hold files of a model? What can't be looked into may.
+/// True if `sparse` or a folder in it holds model files, or is unreadable and may hold some.
 fn holds_model_below(sparse: &Path, follow_links: bool) -> bool {
     let holds_model = |listing: io::Result<Listing>| match listing {
         Ok(listing) => listing.model_files() > 0,
@@ -202,19 +205,19 @@ fn holds_model_below(sparse: &Path, follow_links: bool) -> bool {
         || listing.links.iter().any(|name| !follow_links || in_folder(name))
 }
 
-/// `sparse/0` belongs to the project above.
+/// True for `sparse` and its folders, which belong to the project above.
 fn is_sub_model(folder: &Path) -> bool {
     let named = |path: &Path, name: &str| path.file_name().is_some_and(|n| n == name);
     named(folder, "sparse") || folder.parent().is_some_and(|above| named(above, "sparse"))
 }
 
-/// The stem of `cameras.bin`, `points3D.txt` and the like.
+/// Returns the stem of a COLMAP model file such as `cameras.bin` or `points3D.txt`.
 fn model_file(name: &str) -> Option<&str> {
     let stem = name.strip_suffix(".bin").or_else(|| name.strip_suffix(".txt"));
     stem.filter(|stem| MODEL_FILES.contains(stem))
 }
 
-/// Is it `cameras.bin`, `points3D.txt` or the like?
+/// True for names of COLMAP model files, such as `cameras.bin` and `points3D.txt`.
 pub fn is_model_file(name: &str) -> bool {
     model_file(name).is_some()
 }
@@ -224,16 +227,16 @@ pub fn is_model_file(name: &str) -> bool {
 pub struct InputFolders {
     /// The project folder and its models.
     pub models: Vec<PathBuf>,
-    /// `images/` and the folders below it; their entries, not their bytes, are input.
+    /// `images/` and the folders below it; their entries are input, the content of the images is not.
     pub images: Vec<PathBuf>,
     /// `masks/` and the folders below it.
     pub masks: Vec<PathBuf>,
-    /// Is it a SURE project?
+    /// The project is a SURE project.
     pub has_orientations: bool,
 }
 
 impl InputFolders {
-    /// Those that are there. Symbolic links are followed only where `follow_links` says so.
+    /// Lists the existing input folders. Symbolic links are followed only with `follow_links`.
     pub fn of(project: &Path, follow_links: bool) -> Self {
         let mut models = vec![project.to_path_buf()];
         for above in [project.to_path_buf(), project.join(DENSE)] {
@@ -252,13 +255,13 @@ impl InputFolders {
         folders
     }
 
-    /// All together.
+    /// All input folders.
     pub fn all(&self) -> impl Iterator<Item = &PathBuf> {
         self.models.iter().chain(&self.images).chain(&self.masks)
     }
 }
 
-/// Does no symbolic link lead from the project to its file or folder, or may links be followed?
+/// True if links may be followed, or no symbolic link is on the way from the project to its file or folder.
 pub fn may_enter(project: &Path, path: &Path, follow_links: bool) -> bool {
     follow_links || path.ancestors().take_while(|above| *above != project).all(|above| !above.is_symlink())
 }
@@ -291,7 +294,7 @@ mod tests {
     }
 
     #[test]
-    fn projects_of_every_kind_are_found_at_any_depth_and_not_inside_each_other() {
+    fn projects_of_every_kind_are_found_at_any_depth_but_not_inside_each_other() {
         let root = tempfile::tempdir().expect("a temporary folder");
         for path in [
             "a/sparse/0/cameras.bin",
@@ -322,7 +325,7 @@ mod tests {
     }
 
     #[test]
-    fn a_folder_of_projects_becomes_none_by_what_lies_about_in_it() {
+    fn stray_files_do_not_make_a_folder_of_projects_a_project() {
         let root = tempfile::tempdir().expect("a temporary folder");
         for path in ["group/a/sparse/0/cameras.bin", "group/b/scene.mvs"] {
             touch(root.path(), path);
@@ -337,17 +340,17 @@ mod tests {
     }
 
     #[test]
-    fn a_stray_file_in_a_root_hides_no_project() {
+    fn a_stray_file_in_a_root_does_not_hide_projects() {
         let root = tempfile::tempdir().expect("a temporary folder");
         touch(root.path(), "a/sparse/0/cameras.bin");
         touch(root.path(), "old.mvs");
         let of_roots = |roots: &[PathBuf]| walk(root.path(), roots, false, &|| {}).projects;
         assert_eq!(of_roots(&[root.path().into()]), [root.path().join("a")]);
-        assert_eq!(of_roots(&[]), [root.path()], "a scene with what it was made of");
+        assert_eq!(of_roots(&[]), [root.path()], "a scene and its inputs");
     }
 
     #[test]
-    fn a_folder_whose_name_is_no_utf_8_is_found() {
+    fn a_project_whose_name_is_not_utf_8_is_found() {
         let root = tempfile::tempdir().expect("a temporary folder");
         let project = root.path().join(OsString::from_vec(b"caf\xe9".to_vec()));
         touch(&project, "sparse/0/cameras.bin");
@@ -373,11 +376,15 @@ mod tests {
         assert!(!may_enter(&project, &project.join("sparse/1/images.bin"), false));
         fs::create_dir(root.path().join("all behind links")).expect("a folder");
         symlink(outside.path().join("p/sparse"), root.path().join("all behind links/sparse")).expect("a link");
-        assert_eq!(projects(root.path(), false), ["all behind links", "q"], "so that it can be said why it waits");
+        assert_eq!(
+            projects(root.path(), false),
+            ["all behind links", "q"],
+            "listed so that the status can give the reason"
+        );
     }
 
     #[test]
-    fn no_folder_is_entered_twice_however_many_links_lead_to_it() {
+    fn no_folder_is_entered_twice_through_links() {
         let root = tempfile::tempdir().expect("a temporary folder");
         for folder in ["a", "b"] {
             touch(root.path(), &format!("{folder}/p/sparse/0/cameras.bin"));

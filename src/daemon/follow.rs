@@ -1,4 +1,4 @@
-//! Follows the backend: measures what the finished depth maps really reach, and says when it is enough.
+//! Follows the backend: measures the fulfilment of the finished depth maps, and detects when the target is reached.
 
 use std::{
     fs,
@@ -24,114 +24,116 @@ use crate::{
         depthmaps::{self, DepthMapError},
         output::{self, Disk, OutputError},
     },
-    method::ranking,
     model::scene::ViewIndex,
     plan::{Decision, Outdated, Plan, Stages},
 };
 
 const PROGRESS: &str = "progress.json";
-/// The same, relative to the project.
+/// Path of the progress file, relative to the project.
 const PROGRESS_FILE: &str = "viewrank/progress.json";
-/// A pause so many times longer than the usual time between two maps is not counted as time of matching.
+/// A gap longer than this multiple of the median time between two maps is a pause, not time of matching.
 const PAUSE: f64 = 20.0;
 
-/// `viewrank/progress.json`: how far the backend is, for queues and people. Written by `viewrank watch` whenever depth maps have come.
+/// `viewrank/progress.json`: progress of the backend, for queues and people. `viewrank watch` writes it after each measurement.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default)]
 pub struct Progress {
     /// Version of this format.
     pub version: u32,
-    /// Is the share that is wanted reached in reality? Queues may stop then; `integrations/sgm` does.
+    /// The measured share has reached the target. Queues may stop then; `integrations/sgm` does.
     pub target_reached: bool,
-    /// Key views that have a depth map which counts.
+    /// Number of key views with a depth map that counts.
     pub done: usize,
-    /// Key views up to the plan's cut, and those beyond it that have their depth map already.
+    /// Number of key views up to the plan's cut, plus those beyond it that already have a depth map.
     pub clusters: usize,
-    /// Real fulfilment of all finished depth maps over what all view clusters of the ranking together are expected to reach, 0 to 1;
+    /// What fusion keeps of all finished depth maps over what it is expected to keep of all clusters (`kept` over `reachable`), 0 to 1;
     /// null where they are only counted (`note` says why).
     pub share: Option<f64>,
-    /// The share that is wanted, 0 to 1.
+    /// Target of `share`, 0 to 1.
     pub target: f64,
-    /// Fulfilment f_o that the finished depth maps really have, 0 to 1; null where they are only counted. Every depth on the surface
-    /// counts as right.
-    pub fulfilment: Option<f64>,
-    /// Fulfilment f_o that all view clusters together are expected to have: real where finished, else predicted, with failures remembered.
+    /// Weight of the triangles that fusion keeps of the finished depth maps, over that of the whole surface, 0 to 1 (method 5.2); null where they
+    /// are only counted. Every depth on the surface counts as right.
+    pub kept: Option<f64>,
+    /// The same expected of all view clusters: real where finished, else predicted, with failures remembered.
     pub reachable: f64,
-    /// Depth maps that have to be added along the list until the target is expected to be reached; null where the list is too short.
+    /// Number of further depth maps along the list until the target is expected to be reached; null where the list is too short.
     pub clusters_to_target: Option<usize>,
-    /// Seconds that a matching pair takes, by the times of the depth maps; null before the second map.
+    /// Seconds per matching pair, from the modification times of the depth maps; null before the second map.
     pub seconds_per_pair: Option<f64>,
-    /// Seconds until the target is expected to be reached; null where that is not known.
+    /// Seconds until the target is expected to be reached; null where unknown.
     pub seconds_to_target: Option<f64>,
-    /// Seconds to the end of the list; null where that is not known.
+    /// Seconds to the end of the list; null where unknown.
     pub seconds_left: Option<f64>,
     /// Key views with a finished depth map that counts, in the order of the plan.
     pub finished: Vec<String>,
     /// Finished depth maps that no longer fit the model; they count for nothing.
     pub outdated: Vec<Outdated>,
-    /// Why something was not measured; null where all was.
+    /// Reason why something was not measured; null where everything was.
     pub note: Option<String>,
-    /// Has the command for a reached target (`on_target`) been started? How it ended is in the log.
+    /// The command for a reached target (`on_target`) has been started. Its exit status is in the log.
     pub announced: bool,
 }
 
 impl Progress {
-    /// A new plan is about to be written: whether its target is reached is not known before its depth maps are measured. Nobody may stop for
-    /// the one of before.
-    pub(super) fn doubt(root: &Path) -> Result<(), OutputError> {
+    /// Clears `target_reached` before a new plan is written, so that no queue stops for the target of the old one.
+    pub(super) fn clear_target_reached(root: &Path) -> Result<(), OutputError> {
         match Self::read(root).filter(|progress| progress.target_reached) {
             Some(progress) => Self { target_reached: false, ..progress }.write(root),
             None => Ok(()),
         }
     }
 
-    /// What was said last of a project; `None` where nothing was.
+    /// Reads the last progress of a project; `None` where there is none or it is unreadable.
     pub fn read(root: &Path) -> Option<Self> {
         serde_json::from_slice(&output::read_own(root, PROGRESS_FILE).ok()?).ok()
     }
 
-    /// Takes over whether this target was announced before.
-    pub(super) fn remember_announced(&mut self, root: &Path) {
+    /// Keeps `announced` from the last progress if the target is the same and still reached.
+    pub(super) fn keep_announced(&mut self, root: &Path) {
         let same_target = |p: &Self| p.announced && p.target == self.target;
         self.announced = self.target_reached && Self::read(root).as_ref().is_some_and(same_target);
     }
 
-    /// With what should be known beside it.
-    pub(super) fn outcome(self, beside: Option<String>) -> Outcome {
+    /// Converts to the outcome of a job, with a further note.
+    pub(super) fn outcome(self, further: Option<String>) -> Outcome {
         let Self { done, clusters, share, target_reached: reached, note, outdated, .. } = self;
-        let notes: Vec<String> = [beside, note, outdated_note(&outdated, PROGRESS)].into_iter().flatten().collect();
+        let notes: Vec<String> = [further, note, outdated_note(&outdated, PROGRESS)].into_iter().flatten().collect();
         let note = (!notes.is_empty()).then(|| notes.join("; "));
         Outcome::Followed { done, clusters, share, reached, note }
     }
 
+    /// Writes the progress of a project.
+    ///
+    /// # Errors
+    /// Those of [`output::replace`].
     pub fn write(&self, root: &Path) -> Result<(), OutputError> {
         let text = serde_json::to_string_pretty(self).unwrap_or_default() + "\n";
         output::replace(&output::own_path(root, PROGRESS_FILE)?, text.as_bytes(), &Disk::REAL)
     }
 
-    /// Takes it away; it may be gone already.
+    /// Removes the progress of a project, if any.
     pub fn remove(root: &Path) -> Result<(), OutputError> {
         output::remove(&output::own_path(root, PROGRESS_FILE)?, &Disk::REAL)
     }
 }
 
-/// A word about finished depth maps that have to be made again, which that file names.
+/// Returns a note about outdated depth maps, which `file` lists; `None` where there are none.
 pub(super) fn outdated_note(outdated: &[Outdated], file: &str) -> Option<String> {
     let n = outdated.len();
     (n > 0).then(|| format!("{n} finished depth maps no longer fit the model (outdated in {file})"))
 }
 
-/// Where the progress of a project is said.
+/// Path of the progress file of a project.
 pub fn progress_file(root: &Path) -> PathBuf {
     root.join(PROGRESS_FILE)
 }
 
-/// Was the target reached when the depth maps were last measured?
+/// True if the target was reached at the last measurement.
 pub fn target_reached(root: &Path) -> bool {
     Progress::read(root).is_some_and(|progress| progress.target_reached)
 }
 
-/// Measures those of the depth maps that are there now which count, and writes `progress.json`; [`Outcome::Abandoned`] where there are none.
+/// Measures those of the present depth maps that count, and writes `progress.json`; [`Outcome::Abandoned`] where there are none.
 pub fn follow(root: &Path, counts: &dyn Fn(&Path) -> bool, watcher: &dyn Watcher) -> Outcome {
     follow_now(root, counts, watcher).unwrap_or_else(|ended| ended)
 }
@@ -148,7 +150,7 @@ fn follow_now(root: &Path, counts: &dyn Fn(&Path) -> bool, watcher: &dyn Watcher
     if progress.finished.is_empty() {
         return Ok(Outcome::Abandoned);
     }
-    progress.remember_announced(root);
+    progress.keep_announced(root);
     progress.write(root).map_err(failed)?;
     Ok(progress.outcome(None))
 }
@@ -157,26 +159,26 @@ pub(super) fn failed(error: impl Hint) -> Outcome {
     Outcome::Failed { reason: error.to_string(), hint: error.hint() }
 }
 
-/// The folder with most of these depth maps, the first of equals.
+/// Returns the folder with most of these depth maps, the first of equals.
 pub(super) fn fullest_folder(root: &Path, files: &MapFiles) -> Option<PathBuf> {
     let count = |folder: &PathBuf| files.keys().filter(|file| file.starts_with(folder)).count();
     let counted = depthmaps::folders(root).into_iter().map(|folder| (count(&folder), folder)).filter(|(n, _)| *n > 0);
     counted.reduce(|best, next| if next.0 > best.0 { next } else { best }).map(|(_, folder)| folder)
 }
 
-/// A plan and the depth maps that are there for it.
+/// A plan and the present depth maps.
 pub(super) struct Following<'a> {
-    /// By the prediction alone.
+    /// The plan by prediction alone.
     pub plan: Plan,
     pub earlier: &'a Earlier,
     pub folder: &'a Path,
     pub files: &'a MapFiles,
-    /// The rest of the list is to be ranked again.
+    /// Rank the rest of the list again.
     pub replan: bool,
 }
 
 impl Following<'_> {
-    /// The plan around what is finished, and how far it is.
+    /// Returns the plan around the finished depth maps, and its progress.
     pub fn measure(self, watcher: &dyn Watcher) -> Result<(Plan, Progress), ReplanError> {
         if let Some(counted) = self.count_undistorted()? {
             return Ok((self.plan, counted));
@@ -189,7 +191,7 @@ impl Following<'_> {
         let (plan, run) = replan(self.plan, self.earlier, &maps, watcher)?;
         let order = if self.replan { plan.decision.ranking.order.clone() } else { listed(&plan, &written) };
         let cut = if self.replan { plan.decision.cut.clusters } else { with_finished(&plan, &list) };
-        let ahead = Ahead::new(&plan, &order, cut, target);
+        let forecast = Forecast::new(&plan, &order, cut, target);
         let seconds_per_pair = run.as_ref().and_then(|run| seconds_per_pair(&plan, run, self.folder));
         let seconds = |pairs: usize| seconds_per_pair.map(|seconds| seconds * pairs as f64);
         let name = |&c: &u32| plan.stages.scene.name(plan.stages.clusters[c as usize].key).to_owned();
@@ -198,17 +200,17 @@ impl Following<'_> {
         let notes = &plan.decision.finished.unreadable;
         let progress = Progress {
             version: 1,
-            target_reached: !finished.is_empty() && ahead.share >= target,
+            target_reached: !finished.is_empty() && forecast.share >= target,
             done: finished.len(),
             clusters: cut,
-            share: Some(ahead.share),
+            share: Some(forecast.share),
             target,
-            fulfilment: Some(ahead.fulfilment),
-            reachable: plan.decision.ranking.total(),
-            clusters_to_target: ahead.to_target.map(|(clusters, _)| clusters),
+            kept: Some(forecast.kept),
+            reachable: plan.decision.ranking.total_kept(),
+            clusters_to_target: forecast.to_target.map(|(clusters, _)| clusters),
             seconds_per_pair,
-            seconds_to_target: ahead.to_target.and_then(|(_, pairs)| seconds(pairs)),
-            seconds_left: seconds(ahead.pairs_left),
+            seconds_to_target: forecast.to_target.and_then(|(_, pairs)| seconds(pairs)),
+            seconds_left: seconds(forecast.pairs_left),
             finished,
             outdated: plan.decision.finished.outdated.clone(),
             note: notes.first().map(|first| match notes.len() {
@@ -220,8 +222,8 @@ impl Following<'_> {
         Ok((plan, progress))
     }
 
-    /// The progress by number alone, where depth maps are of undistorted images and the model's are not: a pixel of such a map is no
-    /// pixel of the view.
+    /// Counts the depth maps where they belong to undistorted images and the model's images are distorted: pixels of such a map don't
+    /// correspond to pixels of the view. `None` where they can be measured.
     fn count_undistorted(&self) -> Result<Option<Progress>, DepthMapError> {
         let Plan { stages: Stages { scene, settings, .. }, decision: Decision { cut, ranking, .. }, .. } = &self.plan;
         let maps = depthmaps::list(self.folder, scene)?.maps;
@@ -239,24 +241,24 @@ impl Following<'_> {
             done: finished.len(),
             clusters: listed.len(),
             target: settings.cut.target.map_or(cut.share, |share| share.0),
-            reachable: ranking.total(),
+            reachable: ranking.total_kept(),
             finished,
             note: Some(format!(
-                "counted, not measured: the maps are of undistorted images, the model has {model} cameras"
+                "counted, not measured: the maps belong to undistorted images, but the model has {model} cameras"
             )),
             ..Progress::default()
         }))
     }
 }
 
-/// Key views of the list and those beyond it that are finished.
+/// Number of key views on the list, plus finished ones beyond it.
 fn with_finished(plan: &Plan, list: &[ViewIndex]) -> usize {
     let finished = &plan.decision.ranking.order[..plan.decision.finished.clusters];
     let is_finished = |key: &&ViewIndex| finished.iter().any(|&c| plan.stages.clusters[c as usize].key == **key);
     finished.len() + list.len() - list.iter().filter(is_finished).count()
 }
 
-/// What is finished, then the rest of the list as it was written, then the rest of the ranking.
+/// Orders the clusters: finished ones, the rest of the written list, the rest of the ranking.
 fn listed(plan: &Plan, written: &[ViewIndex]) -> Vec<u32> {
     let mut order = plan.decision.ranking.order[..plan.decision.finished.clusters].to_vec();
     let place = |key: &ViewIndex| plan.stages.clusters.binary_search_by_key(key, |cluster| cluster.key).ok();
@@ -270,25 +272,23 @@ fn listed(plan: &Plan, written: &[ViewIndex]) -> Vec<u32> {
     order
 }
 
-/// What lies ahead along a list whose first clusters are finished.
-struct Ahead {
-    fulfilment: f64,
+/// Forecast along a list whose first clusters are finished.
+struct Forecast {
+    kept: f64,
     share: f64,
-    /// Clusters and pairs to the target.
+    /// Numbers of clusters and pairs to the target.
     to_target: Option<(usize, usize)>,
     pairs_left: usize,
 }
 
-impl Ahead {
+impl Forecast {
     fn new(plan: &Plan, order: &[u32], cut: usize, target: f64) -> Self {
-        let weights = ranking::weights(&plan.stages.surface, plan.stages.settings.ranking.weight);
-        let support = plan.stages.settings.ranking.support.unwrap_or(1);
-        let curve = Curve::new(&plan.stages.fulfilment, &weights, support, &plan.stages.clusters, order);
-        let (done, total) = (plan.decision.finished.clusters, plan.decision.ranking.total());
+        let curve = Curve::new(&plan.stages.fulfilment, &plan.stages.objective, &plan.stages.clusters, order);
+        let (done, total) = (plan.decision.finished.clusters, plan.decision.ranking.total_kept());
         let reached = curve.clusters_for(target * total).filter(|&n| n <= cut.max(done));
         let pairs = |n: usize| curve.pairs[n].saturating_sub(curve.pairs[done]);
         Self {
-            fulfilment: curve.fulfilment[done],
+            kept: curve.kept[done],
             share: curve.share(done, total),
             to_target: reached.map(|n| (n.saturating_sub(done), pairs(n))),
             pairs_left: pairs(cut.min(order.len())),
@@ -296,7 +296,7 @@ impl Ahead {
     }
 }
 
-/// The time between maps over their pairs, without pauses.
+/// Computes the time between maps divided by their pairs, without pauses.
 fn seconds_per_pair(plan: &Plan, run: &Run, folder: &Path) -> Option<f64> {
     let maps = depthmaps::find(folder, &plan.stages.scene).ok()?.maps;
     let time = |path: &Path| fs::metadata(path).and_then(|m| m.modified()).ok();

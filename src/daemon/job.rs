@@ -1,10 +1,10 @@
-//! One job: plan one project, with the same functions as `viewrank plan`.
+//! Jobs: plan a project with the same functions as `viewrank plan`, or measure its depth maps.
 
 use std::{
     collections::BTreeMap,
     io,
     path::{Path, PathBuf},
-    process::{Child, Command, Stdio},
+    process::{Child, Stdio},
     sync::{
         Mutex,
         atomic::{AtomicBool, AtomicU8, Ordering},
@@ -21,7 +21,7 @@ use super::{
     follow::{Following, Progress, failed, fullest_folder, outdated_note, progress_file},
     kept::KeptPlans,
     maps::{MapFiles, map_files},
-    queue,
+    platform, queue,
     settle::{Fingerprint, HashCache, Stamp, lock},
     state::{OnBusy, Outcome},
 };
@@ -39,19 +39,19 @@ use crate::{
     show::{files, manifest::WrittenPlanError},
 };
 
-/// A project to plan.
+/// A project to plan or measure.
 pub struct Job<'a> {
     pub project: &'a Path,
-    /// The input that was still.
+    /// The input, which had settled.
     pub stamp: &'a Stamp,
-    /// Files beside model and images that are a part of it.
+    /// Files besides model and images that belong to the input.
     pub named: &'a [PathBuf],
     pub on_busy: OnBusy,
     pub follow_links: bool,
-    /// Depth maps that are written to their end.
+    /// Completely written depth maps.
     pub maps: &'a MapFiles,
     pub cancel: &'a AtomicBool,
-    /// Stage and percent.
+    /// Receives stage and percent.
     pub progress: &'a (dyn Fn(&str, u8) + Sync),
 }
 
@@ -60,12 +60,12 @@ impl Job<'_> {
         self.cancel.load(Ordering::Relaxed)
     }
 
-    /// Is the input still what it was when the job began?
+    /// True if the input is the same as when the job started.
     pub fn is_current(&self) -> bool {
         Stamp::of(self.project, self.follow_links).with(self.named) == *self.stamp
     }
 
-    /// May the plan be written? That of an input which has changed is, where the next one is queued behind it.
+    /// True if the plan may be written: the job isn't cancelled, and its input is unchanged or the next plan is queued behind it.
     pub fn is_wanted(&self) -> bool {
         let may_be_written = || match self.on_busy {
             OnBusy::Queue => is_project(self.project, self.follow_links),
@@ -75,52 +75,52 @@ impl Job<'_> {
     }
 }
 
-/// Plans projects.
+/// Plans and measures projects.
 pub trait Planner: Sync {
-    /// Bytes of memory that planning the input takes at its peak.
+    /// Estimates the peak memory in bytes of planning the input.
     fn need(&self, stamp: &Stamp) -> u64 {
         queue::need(stamp.bytes())
     }
 
-    /// Files beside model and images that a plan of the project depends on, whether they are there or not.
+    /// Lists files besides model and images that a plan of the project depends on, existing or not.
     fn named_files(&self, project: &Path) -> Vec<PathBuf> {
         let _ = project;
         Vec::new()
     }
 
-    /// Is what was written of the project's plan still there?
+    /// True if all files of the project's plan still exist.
     fn has_plan(&self, project: &Path) -> bool {
         let _ = project;
         true
     }
 
-    /// Plans the project and writes the plan, unless the one that is there is right already.
+    /// Plans the project and writes the plan, unless the existing one is current.
     fn plan(&self, job: &Job) -> Outcome;
 
     /// Measures the finished depth maps of the project's plan.
     fn follow(&self, job: &Job) -> Outcome;
 
-    /// The project is gone.
+    /// Drops all caches of a project that is gone.
     fn forget(&self, project: &Path) {
         let _ = project;
     }
 }
 
-/// Written with each plan: what it was made from, so that a new start of the daemon knows.
+/// Record of the input of a plan, written with it, so that a restarted daemon recognises a current plan.
 const RECORD: &str = "viewrank/planned_from.json";
 
-/// The record beside a plan.
+/// Content of [`RECORD`].
 #[derive(Debug, Serialize, Deserialize)]
 struct PlannedFrom {
     fingerprint: Fingerprint,
     clusters: usize,
     share: f64,
-    /// Does it stand around finished depth maps?
+    /// The plan is around finished depth maps.
     #[serde(default)]
     finished: bool,
-    /// Without what the data decide.
+    /// Settings without values that the data decide.
     settings: Settings,
-    /// What was written with it, relative to the project; where one of these is gone the plan is made again.
+    /// Files of the plan, relative to the project; if one is gone the plan is made again.
     #[serde(default)]
     files: Vec<String>,
 }
@@ -140,13 +140,13 @@ impl PlannedFrom {
     }
 }
 
-/// What the planner of `viewrank watch` is asked for.
+/// Options of the planner of `viewrank watch`.
 #[derive(Clone, Debug)]
 pub struct PlanOptions {
-    /// Run by the shell when a project's target is reached, with the project's folder in VIEWRANK_PROJECT. It comes from the user
-    /// who started the daemon, never from a project; `None`: the user's own `viewrank.toml` says it.
+    /// Shell command to run when a project's target is reached, with the project's folder in VIEWRANK_PROJECT. It comes from the user
+    /// who started the daemon, never from a project; `None`: taken from the user's own `viewrank.toml`.
     pub on_target: Option<String>,
-    /// Rank again what is left whenever depth maps have come (method 5.4).
+    /// Rank the remaining clusters again after each measurement (method 5.4).
     pub replan: bool,
     /// Bytes of the plans that are kept in memory while their depth maps come.
     pub cache: u64,
@@ -159,7 +159,7 @@ pub struct PlanJob {
     plans: Mutex<KeptPlans>,
     hashes: Mutex<HashCache>,
     /// The last settings of each project that could be read.
-    good_settings: Mutex<BTreeMap<PathBuf, Settings>>,
+    valid_settings: Mutex<BTreeMap<PathBuf, Settings>>,
 }
 
 /// Why a job ends early, or how it ended.
@@ -189,7 +189,7 @@ impl Planner for PlanJob {
 
     fn forget(&self, project: &Path) {
         lock(&self.hashes).forget(project);
-        lock(&self.good_settings).remove(project);
+        lock(&self.valid_settings).remove(project);
         lock(&self.plans).forget(project);
     }
 }
@@ -197,18 +197,18 @@ impl Planner for PlanJob {
 impl PlanJob {
     pub fn new(options: PlanOptions) -> Self {
         let plans = Mutex::new(KeptPlans::new(options.cache));
-        Self { options, plans, hashes: Mutex::default(), good_settings: Mutex::default() }
+        Self { options, plans, hashes: Mutex::default(), valid_settings: Mutex::default() }
     }
 
     fn try_plan(&self, job: &Job) -> Ended<Outcome> {
         output::recover(job.project, &Disk::REAL).map_err(failed)?;
         let progress = progress_file(job.project);
-        let says_of_maps = progress.is_file() || record_of(job.project).is_some_and(|record| record.finished);
-        if !says_of_maps || !map_files(job.project, job.follow_links).map_err(failed)?.is_empty() {
+        let had_maps = progress.is_file() || record_of(job.project).is_some_and(|record| record.finished);
+        if !had_maps || !map_files(job.project, job.follow_links).map_err(failed)?.is_empty() {
             return self.plan_input(job);
         }
-        // The depth maps are gone: nothing is finished or reached any more. What tells of them goes last, so that a run that is
-        // killed on the way is made up for by the next.
+        // The depth maps are gone: nothing is finished or reached any more. The progress is removed last, so that the next run completes
+        // one that was killed on the way.
         output::own_path(job.project, RECORD)
             .and_then(|record| output::remove(&record, &Disk::REAL))
             .map_err(failed)?;
@@ -218,24 +218,24 @@ impl PlanJob {
     }
 
     fn plan_input(&self, job: &Job) -> Ended<Outcome> {
-        if let Some(reason) = job.stamp.trouble() {
-            let hint = Some("let it be read by whoever runs viewrank".into());
+        if let Some(reason) = job.stamp.read_error() {
+            let hint = Some("make it readable for the user who runs viewrank".into());
             return Err(Outcome::Failed { reason, hint });
         }
         let (settings, note) = self.settings(job.project)?;
         let project = Project::open(job.project, None).map_err(incomplete)?;
-        // A workspace that comes later gets its files, too.
+        // A dense workspace that appears later gets its files, too.
         let decided_by = (settings.of_plan(), &project.dense_workspace);
         let as_text = serde_json::to_vec(&decided_by).map_err(|_| Outcome::Abandoned)?;
         let model = project.model_files();
         if let Some(file) = model.iter().find(|file| !may_enter(job.project, file, job.follow_links)) {
-            let reason = format!("{} lies behind a symbolic link (--follow-links)", file.display());
+            let reason = format!("{} is behind a symbolic link (--follow-links)", file.display());
             return Err(Outcome::Incomplete { reason });
         }
         let fingerprint =
             HashCache::fingerprint(&self.hashes, job.project, &model, job.stamp, &as_text).map_err(unreadable)?;
         if let Some(record) = record_of(job.project).filter(|record| record.fingerprint == fingerprint) {
-            // What was measured before still holds until it is measured again.
+            // The last measurement holds until the next one.
             let known = Progress::read(job.project).filter(|progress| progress.done > 0);
             let known = known.map(|progress| Box::new(progress.outcome(note.clone())));
             return Ok(Outcome::Planned {
@@ -256,7 +256,7 @@ impl PlanJob {
         let (clusters, share) = (plan.decision.cut.clusters, plan.decision.cut.share);
         let record = PlannedFrom::new(&plan, fingerprint.clone(), settings.of_plan());
         if job.is_wanted() {
-            Progress::doubt(job.project).map_err(failed)?;
+            Progress::clear_target_reached(job.project).map_err(failed)?;
         }
         write(&plan, &project, record, job)?;
         Ok(Outcome::Planned {
@@ -272,14 +272,14 @@ impl PlanJob {
     fn try_follow(&self, job: &Job) -> Ended<Outcome> {
         output::recover(job.project, &Disk::REAL).map_err(failed)?;
         let Some(folder) = fullest_folder(job.project, job.maps) else {
-            // Those that are there may have to settle yet.
+            // Present maps may not have settled yet.
             let none = map_files(job.project, job.follow_links).map_err(failed)?.is_empty();
             let gone = none && progress_file(job.project).is_file();
             return if gone { self.try_plan(job) } else { Err(Outcome::Abandoned) };
         };
         let record = match record_of(job.project) {
             Some(record) => record,
-            // The plan is gone, or another one was made by hand.
+            // The plan is gone, or was replaced by hand.
             None => {
                 let planned = self.try_plan(job)?;
                 record_of(job.project).ok_or(planned)?
@@ -294,7 +294,7 @@ impl PlanJob {
         if self.options.replan {
             write(&plan, &project, PlannedFrom::new(&plan, record.fingerprint, record.settings), job)?;
         }
-        progress.remember_announced(job.project);
+        progress.keep_announced(job.project);
         progress.write(job.project).map_err(failed)?;
         if progress.target_reached && !progress.announced {
             progress.announced = self.announce(job.project);
@@ -304,7 +304,7 @@ impl PlanJob {
         Ok(progress.outcome(note))
     }
 
-    /// The plan by the prediction alone, from memory where it is kept.
+    /// Returns the plan by prediction alone, from the cache if possible.
     fn plan_again(&self, root: &Path, fingerprint: &Fingerprint, watcher: &JobWatcher) -> Ended<(Project, Plan)> {
         if let Some(plan) = lock(&self.plans).get(root, fingerprint) {
             return Ok((Project::open(root, None).map_err(failed)?, plan));
@@ -317,7 +317,7 @@ impl PlanJob {
         Ok((project, plan))
     }
 
-    /// Runs the user's command for a reached target, without waiting for its end; false where there is none or it could not be run.
+    /// Starts the user's command for a reached target without waiting for it; false if there is none or it can't be started.
     fn announce(&self, project: &Path) -> bool {
         let command = match &self.options.on_target {
             Some(command) => Some(command.clone()),
@@ -328,26 +328,26 @@ impl PlanJob {
             ) {
                 Ok(configuration) => configuration.settings.on_target,
                 Err(error) => {
-                    warn!(%error, "cannot read which command is to be run for a reached target");
+                    warn!(%error, "cannot read the on_target command");
                     return false;
                 }
             },
         };
         let Some(command) = command else { return false };
-        match Command::new("sh").arg("-c").arg(command).env("VIEWRANK_PROJECT", project).stdin(Stdio::null()).spawn() {
+        match platform::shell(&command).env("VIEWRANK_PROJECT", project).stdin(Stdio::null()).spawn() {
             Ok(child) => {
                 let project = project.to_path_buf();
                 thread::spawn(move || wait_for(child, &project));
                 true
             }
             Err(error) => {
-                warn!(project = %Shown(project), %error, "cannot run the command for a reached target");
+                warn!(project = %Shown(project), %error, "cannot run the on_target command");
                 false
             }
         }
     }
 
-    /// The project's settings; the last good ones (at least those of its plan), and a word about it, where they can't be read now.
+    /// Returns the project's settings. Where they are invalid now, returns the last valid ones, at least those of its plan, with a note.
     fn settings(&self, project: &Path) -> Ended<(Settings, Option<String>)> {
         let own = project.join("viewrank.toml");
         let files = Files { user: user_file(), project: Some(own.clone()) };
@@ -362,13 +362,13 @@ impl PlanJob {
         match loaded {
             Ok(configuration) => {
                 let settings = configuration.settings;
-                lock(&self.good_settings).insert(project.into(), settings.clone());
+                lock(&self.valid_settings).insert(project.into(), settings.clone());
                 Ok((settings, None))
             }
             Err((error, failure)) => {
-                let known = lock(&self.good_settings).get(project).cloned();
+                let known = lock(&self.valid_settings).get(project).cloned();
                 match known.or_else(|| record_of(project).map(|record| record.settings)) {
-                    Some(good) => Ok((good, Some(format!("{error}; the last good settings hold")))),
+                    Some(valid) => Ok((valid, Some(format!("{error}; using the last valid settings")))),
                     None => Err(failure),
                 }
             }
@@ -376,16 +376,16 @@ impl PlanJob {
     }
 }
 
-/// Says how the command for a reached target ended.
+/// Waits for the on_target command and logs its exit status.
 fn wait_for(mut command: Child, project: &Path) {
     match command.wait() {
-        Ok(status) if status.success() => info!(project = %Shown(project), "ran the command for a reached target"),
-        Ok(status) => warn!(project = %Shown(project), %status, "the command for a reached target failed"),
-        Err(error) => warn!(project = %Shown(project), %error, "the command for a reached target is out of sight"),
+        Ok(status) if status.success() => info!(project = %Shown(project), "on_target command succeeded"),
+        Ok(status) => warn!(project = %Shown(project), %status, "on_target command failed"),
+        Err(error) => warn!(project = %Shown(project), %error, "lost track of the on_target command"),
     }
 }
 
-/// The plan around the finished depth maps of the plan before it (method 5.4), where there are any.
+/// Returns the plan around the finished depth maps of its predecessor (method 5.4), if there are any.
 fn around_finished(plan: Plan, project: &Project, job: &Job) -> Ended<Plan> {
     let Some(folder) = fullest_folder(job.project, job.maps) else { return Ok(plan) };
     let earlier = match Earlier::read(project) {
@@ -394,19 +394,19 @@ fn around_finished(plan: Plan, project: &Project, job: &Job) -> Ended<Plan> {
             return Err(unreadable(source));
         }
         Err(error @ WrittenPlanError::Own(_)) => return Err(failed(error)),
-        // Without an earlier plan nothing is known of the partners that the maps were made with.
+        // Without an earlier plan the partners of the maps are unknown.
         Err(_) => return Ok(plan),
     };
     let maps = Maps { folder: &folder, ready: &|path| job.maps.contains_key(path) };
     match replan(plan, &earlier, &maps, &JobWatcher::new(job)) {
         Ok((plan, _)) => Ok(plan),
         Err(ReplanError::Plan(error)) => Err(sort_out(error)),
-        // A plan without them would forget what they were made with, and outdated ones would count as good.
+        // A plan without the maps would lose their partners, and outdated maps would count as good.
         Err(error) => Err(failed(error)),
     }
 }
 
-/// Writes the plan, and the record of what it was made from unless the input has changed meanwhile.
+/// Writes the plan, with the record of its input unless that has changed meanwhile.
 fn write(plan: &Plan, project: &Project, mut record: PlannedFrom, job: &Job) -> Ended<()> {
     let mut sets = files::files(plan, project).map_err(failed)?.sets;
     record.files = sets.iter().flat_map(|set| files_in(set, job.project)).collect();
@@ -421,7 +421,7 @@ fn write(plan: &Plan, project: &Project, mut record: PlannedFrom, job: &Job) -> 
     output::write_all(&sets, &Disk::REAL).map(drop).map_err(failed)
 }
 
-/// Files of a set that lie in the project, but no caches.
+/// Files of a set inside the project, except caches.
 fn files_in(set: &FileSet, project: &Path) -> Vec<String> {
     let Ok(folder) = set.root.strip_prefix(project) else { return Vec::new() };
     let inside = set.files.keys().map(|name| folder.join(name)).filter(|name| !name.starts_with("viewrank/cache"));
@@ -435,24 +435,24 @@ fn record_of(project: &Path) -> Option<PlannedFrom> {
     (folder.join("manifest.json").is_file() && record.files.iter().all(is_there)).then_some(record)
 }
 
-/// A file that vanishes while it is hashed is a change, which raises its own event.
+/// Outcome of a read error. A file that vanishes while it is hashed is a change, which raises its own event.
 fn unreadable(error: io::Error) -> Outcome {
     match error.kind() {
         io::ErrorKind::NotFound => Outcome::Abandoned,
-        _ => Outcome::Failed { reason: format!("cannot read its files: {error}"), hint: None },
+        _ => Outcome::Failed { reason: format!("cannot read input files: {error}"), hint: None },
     }
 }
 
-/// A model that doesn't parse or fit together is taken for one that isn't there whole yet; a disk that can't be read is no such thing.
+/// Outcome of a model that can't be opened: incomplete if it doesn't parse or its files contradict each other, failed on read errors.
 fn incomplete(error: ProjectError) -> Outcome {
     match error {
-        ProjectError::Io { ref source, .. } if is_trouble(source) => failed(error),
+        ProjectError::Io { ref source, .. } if is_read_error(source) => failed(error),
         error => Outcome::Incomplete { reason: error.to_string() },
     }
 }
 
-/// Not because of what is there or not.
-fn is_trouble(error: &io::Error) -> bool {
+/// True for errors other than missing or invalid files.
+fn is_read_error(error: &io::Error) -> bool {
     !matches!(error.kind(), io::ErrorKind::NotFound | io::ErrorKind::InvalidInput | io::ErrorKind::NotADirectory)
 }
 
@@ -465,24 +465,24 @@ fn sort_out(error: PlanError) -> Outcome {
     }
 }
 
-/// Passes on progress, a percent at a time, and the wish to cancel.
+/// Forwards progress in steps of one percent, and requests to cancel.
 struct JobWatcher<'a> {
     job: &'a Job<'a>,
-    /// Stage and percent that were told last.
-    told: [AtomicU8; 2],
+    /// Stage and percent that were sent last.
+    sent: [AtomicU8; 2],
 }
 
 impl<'a> JobWatcher<'a> {
     fn new(job: &'a Job<'a>) -> Self {
-        Self { job, told: [AtomicU8::new(u8::MAX), AtomicU8::new(u8::MAX)] }
+        Self { job, sent: [AtomicU8::new(u8::MAX), AtomicU8::new(u8::MAX)] }
     }
 }
 
 impl Watcher for JobWatcher<'_> {
     fn progress(&self, stage: Stage, done: u64, total: u64) {
         let percent = (100 * done.min(total) / total.max(1)) as u8;
-        let same_stage = self.told[0].swap(stage as u8, Ordering::Relaxed) == stage as u8;
-        let same_percent = self.told[1].swap(percent, Ordering::Relaxed) == percent;
+        let same_stage = self.sent[0].swap(stage as u8, Ordering::Relaxed) == stage as u8;
+        let same_percent = self.sent[1].swap(percent, Ordering::Relaxed) == percent;
         if !(same_stage && same_percent) {
             let name = serde_json::to_value(stage).ok();
             (self.job.progress)(name.as_ref().and_then(|n| n.as_str()).unwrap_or("planning"), percent);

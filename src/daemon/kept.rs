@@ -1,11 +1,11 @@
-//! Plans with all their tables, kept between two looks at the depth maps of a project, up to a size.
+//! Cache of plans with all their tables, kept between measurements of a project's depth maps.
 
 use std::path::{Path, PathBuf};
 
 use super::settle::Fingerprint;
 use crate::plan::Plan;
 
-/// The plans that were used last.
+/// The most recently used plans, up to a size.
 #[derive(Debug)]
 pub struct KeptPlans {
     max_bytes: u64,
@@ -25,7 +25,7 @@ impl KeptPlans {
         Self { max_bytes, plans: Vec::new() }
     }
 
-    /// A copy of the plan that was made from this input.
+    /// Returns a copy of the plan that was made from this input.
     pub fn get(&mut self, project: &Path, fingerprint: &Fingerprint) -> Option<Plan> {
         let at = self.plans.iter().position(|kept| kept.project == project && kept.fingerprint == *fingerprint)?;
         let kept = self.plans.remove(at);
@@ -34,11 +34,11 @@ impl KeptPlans {
         Some(plan)
     }
 
-    /// Keeps a plan in the place of the project's last one; those that were not used for longest go.
+    /// Replaces the project's plan, and drops the least recently used plans beyond the size limit.
     pub fn put(&mut self, project: &Path, fingerprint: Fingerprint, plan: &Plan) {
         self.forget(project);
         if plan.stages.memory.disk > 0 {
-            // Nobody would know what fills the disk.
+            // Tables on disk would fill it unnoticed.
             return;
         }
         self.plans.push(Kept { project: project.into(), fingerprint, plan: plan.clone() });
@@ -47,6 +47,7 @@ impl KeptPlans {
         }
     }
 
+    /// Drops the plan of a project.
     pub fn forget(&mut self, project: &Path) {
         self.plans.retain(|kept| kept.project != project);
     }
@@ -68,7 +69,7 @@ mod tests {
     };
 
     #[test]
-    fn the_plan_that_was_not_used_for_longest_goes_when_there_is_no_room() {
+    fn the_least_recently_used_plan_is_dropped_first() {
         let camera =
             Camera::new(1, CameraModel::Pinhole, 400, 300, vec![320.0, 320.0, 200.0, 150.0]).expect("a camera");
         let town = Town { grid: 3, points: 300, tilt: None, side: 40.0, boxes: 1, ..Town::new(camera) };

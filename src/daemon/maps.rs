@@ -1,4 +1,4 @@
-//! The depth maps of a project as the file system shows them: which are written to their end, and which have been measured.
+//! Depth map files of a project: which are completely written, and which have been measured.
 
 use std::{
     collections::BTreeMap,
@@ -12,40 +12,40 @@ use walkdir::WalkDir;
 use super::{discover, settle::Entry};
 use crate::{base::error::Hint, io::depthmaps};
 
-/// After measuring the maps of a project there is a pause so many times as long.
+/// Pause after measuring the maps of a project, as a multiple of the time taken.
 const REST: u32 = 3;
 
-/// Depth maps by path.
+/// Depth map files by path.
 pub type MapFiles = BTreeMap<PathBuf, Entry>;
 
-/// A folder that may hold depth maps, and cannot be looked into: what is there is not known, and not gone.
+/// Error about an unreadable folder that may hold depth maps. Its maps must not be taken for gone.
 #[derive(Debug, thiserror::Error)]
-#[error("cannot look into {}: {source}", path.display())]
-pub struct Unseen {
+#[error("cannot read folder {}: {source}", path.display())]
+pub struct UnreadableMaps {
     path: PathBuf,
     source: io::Error,
 }
 
-impl Hint for Unseen {
+impl Hint for UnreadableMaps {
     fn hint(&self) -> Option<String> {
-        Some("let it be read by whoever runs viewrank: it may hold finished depth maps".into())
+        Some("make it readable for the user who runs viewrank: it may hold finished depth maps".into())
     }
 }
 
-/// What looks like a depth map in the folders of the project.
-pub fn map_files(project: &Path, follow_links: bool) -> Result<MapFiles, Unseen> {
-    look(project, follow_links).1
+/// Lists the depth map files of the project.
+pub fn map_files(project: &Path, follow_links: bool) -> Result<MapFiles, UnreadableMaps> {
+    scan(project, follow_links).1
 }
 
-/// Folders in which something must be noticed to know of depth maps (those that hold some, and those in which a folder of them may
-/// appear), and what looks like a depth map. Our own output folder is none.
-pub fn look(project: &Path, follow_links: bool) -> (Vec<PathBuf>, Result<MapFiles, Unseen>) {
-    let (mut folders, mut files, mut unseen) = (Vec::new(), MapFiles::new(), None);
+/// Returns the folders to watch for depth maps (those that hold some, and those in which such a folder may appear, except the output
+/// folder itself), and the depth map files.
+pub fn scan(project: &Path, follow_links: bool) -> (Vec<PathBuf>, Result<MapFiles, UnreadableMaps>) {
+    let (mut folders, mut files, mut unreadable) = (Vec::new(), MapFiles::new(), None);
     let mut seen = |path: &Path, found: io::Result<fs::Metadata>| match found {
         Ok(metadata) => Some(metadata),
         Err(source) if matches!(source.kind(), io::ErrorKind::NotFound | io::ErrorKind::NotADirectory) => None,
         Err(source) => {
-            unseen.get_or_insert(Unseen { path: path.into(), source });
+            unreadable.get_or_insert(UnreadableMaps { path: path.into(), source });
             None
         }
     };
@@ -78,24 +78,24 @@ pub fn look(project: &Path, follow_links: bool) -> (Vec<PathBuf>, Result<MapFile
     folders.retain(|folder| discover::may_enter(project, folder, follow_links));
     folders.sort();
     folders.dedup();
-    (folders, unseen.map_or(Ok(files), Err))
+    (folders, unreadable.map_or(Ok(files), Err))
 }
 
-/// The depth maps of a project over time.
+/// History of the depth map files of a project.
 #[derive(Debug, Default)]
 pub struct Maps {
-    /// Each map and since when it has been the same.
+    /// Each map and since when it has been unchanged.
     seen: BTreeMap<PathBuf, (Entry, Instant)>,
-    /// When a map last vanished.
+    /// When a map was last missed.
     vanished: Option<Instant>,
-    /// What was measured last.
-    followed: MapFiles,
-    /// Not before this they are measured again.
+    /// Maps of the last measurement.
+    measured: MapFiles,
+    /// Earliest time of the next measurement.
     rest_until: Option<Instant>,
 }
 
 impl Maps {
-    /// Takes a look at them; true when something changed.
+    /// Takes a new list of files; true if it differs.
     pub fn observe(&mut self, files: MapFiles, now: Instant) -> bool {
         let same = |(path, entry): (&PathBuf, &Entry)| self.seen.get(path).is_some_and(|(known, _)| known == entry);
         let changed = files.len() != self.seen.len() || !files.iter().all(same);
@@ -112,35 +112,35 @@ impl Maps {
         changed
     }
 
-    /// When there is next something to measure.
+    /// Returns when the next measurement is due.
     pub fn due(&self, settle: Duration) -> Option<Instant> {
-        let new = |path: &PathBuf, entry: &Entry| self.followed.get(path) != Some(entry);
+        let new = |path: &PathBuf, entry: &Entry| self.measured.get(path) != Some(entry);
         let settles = self.seen.iter().filter(|(path, (entry, _))| new(path, entry)).map(|(_, (_, since))| *since);
         let first = settles.chain(self.vanished).min()?;
         Some((first + settle).max(self.rest_until.unwrap_or(first)))
     }
 
-    /// How many came or changed since they were measured.
+    /// Number of files that are new or changed since the last measurement.
     pub fn unmeasured(&self) -> usize {
-        self.seen.iter().filter(|(path, (entry, _))| self.followed.get(*path) != Some(entry)).count()
+        self.seen.iter().filter(|(path, (entry, _))| self.measured.get(*path) != Some(entry)).count()
     }
 
-    /// Those that have been the same for `settle`.
+    /// Files that have been unchanged for `settle`.
     pub fn settled(&self, settle: Duration, now: Instant) -> MapFiles {
         let settled = self.seen.iter().filter(|(_, (_, since))| *since + settle <= now);
         settled.map(|(path, (entry, _))| (path.clone(), *entry)).collect()
     }
 
-    /// These were measured, which took so long.
-    pub fn measured(&mut self, files: MapFiles, took: Duration, now: Instant) {
-        self.followed = files;
+    /// Records that these files were measured, which took `took`.
+    pub fn record_measured(&mut self, files: MapFiles, took: Duration, now: Instant) {
+        self.measured = files;
         self.vanished = None;
         self.rest_until = Some(now + took * REST);
     }
 
-    /// All are to be measured again, for the plan is another one.
+    /// Lets all maps be measured again, because the plan changed.
     pub fn forget_measured(&mut self) {
-        self.followed.clear();
+        self.measured.clear();
     }
 }
 
@@ -151,13 +151,13 @@ mod tests {
     const SETTLE: Duration = Duration::from_secs(2);
     const SECOND: Duration = Duration::from_secs(1);
 
-    /// Maps by the length of their files.
+    /// Files of these names and lengths.
     fn files(lengths: &[(&str, u64)]) -> MapFiles {
         lengths.iter().map(|&(name, length)| (PathBuf::from(name), Entry::of_length(length))).collect()
     }
 
     #[test]
-    fn each_map_settles_by_itself_while_others_are_written() {
+    fn each_map_settles_while_others_are_written() {
         let start = Instant::now();
         let mut maps = Maps::default();
         assert_eq!(maps.due(SETTLE), None);
@@ -167,30 +167,30 @@ mod tests {
         maps.observe(files(&[("a", 1), ("b", 2)]), start + SETTLE);
         let settled = maps.settled(SETTLE, start + SETTLE);
         assert_eq!(settled, files(&[("a", 1)]));
-        maps.measured(settled, Duration::ZERO, start + SETTLE);
+        maps.record_measured(settled, Duration::ZERO, start + SETTLE);
         assert_eq!(maps.due(SETTLE), Some(start + SETTLE * 2));
-        maps.measured(files(&[("a", 1), ("b", 2)]), Duration::ZERO, start + SETTLE * 2);
+        maps.record_measured(files(&[("a", 1), ("b", 2)]), Duration::ZERO, start + SETTLE * 2);
         assert_eq!(maps.due(SETTLE), None);
         maps.observe(files(&[("b", 2)]), start + SETTLE * 3);
-        assert_eq!(maps.due(SETTLE), Some(start + SETTLE * 4), "a map that vanished counts no more");
+        assert_eq!(maps.due(SETTLE), Some(start + SETTLE * 4), "a missing map changes the result");
     }
 
     #[test]
     fn measuring_takes_at_most_a_quarter_of_the_time() {
         let start = Instant::now();
         let mut maps = Maps::default();
-        maps.measured(MapFiles::new(), SECOND, start);
+        maps.record_measured(MapFiles::new(), SECOND, start);
         maps.observe(files(&[("a", 1)]), start);
         assert_eq!(maps.due(SETTLE), Some(start + SECOND * 3));
     }
 
     #[test]
-    fn folders_in_which_maps_may_appear_are_watched_and_our_own_are_not() {
+    fn folders_in_which_maps_may_appear_are_watched_except_the_output_folder() {
         let root = tempfile::tempdir().expect("a temporary folder");
         for folder in ["dense/0/stereo", "viewrank/openmvs/x", "sgm/depth_maps", "export"] {
             fs::create_dir_all(root.path().join(folder)).expect("a folder");
         }
-        let watched = look(root.path(), false).0;
+        let watched = scan(root.path(), false).0;
         let names: Vec<_> = watched.iter().map(|f| f.strip_prefix(root.path()).expect("below")).collect();
         let expected = [
             "dense",
@@ -206,7 +206,7 @@ mod tests {
     }
 
     #[test]
-    fn maps_are_found_wherever_a_backend_is_told_to_put_them() {
+    fn maps_are_found_wherever_backends_write_them() {
         let root = tempfile::tempdir().expect("a temporary folder");
         let maps = [
             "dense/0/stereo/depth_maps/a.geometric.bin",

@@ -1,14 +1,17 @@
 //! `viewrank watch`: plans each project when its sparse model is complete, and follows the backend.
 //!
-//! [`discover`] finds projects, [`watch`] hints at changes, [`settle`] says whether the input is still and new, [`state`] is what is
-//! known of a project, [`queue`] bounds the work, [`run`] is the loop, `job` plans one project with the same
-//! functions as `viewrank plan`, `maps` says which depth maps are there, [`follow`] measures them.
+//! [`run`] is the main loop. [`watch`] reports file-system events, [`discover`] finds projects, [`settle`] detects input that is still and
+//! new, `maps` lists depth maps, [`state`] is the state machine of a project with its [`phase`], [`queue`] limits the work, `job` plans one
+//! project with the same functions as `viewrank plan`, [`follow`] measures depth maps, `status` writes the status files, [`platform`]
+//! holds what differs between operating systems.
 
 pub mod discover;
 pub mod follow;
 mod job;
 mod kept;
 mod maps;
+pub mod phase;
+pub mod platform;
 pub mod queue;
 pub mod run;
 pub mod settle;
@@ -28,35 +31,35 @@ pub use status::{Line, read_status, status_file};
 
 use crate::{base::error::Hint, io::output::OutputError};
 
-/// How `viewrank watch` works.
+/// Options of `viewrank watch`.
 #[derive(Clone, Debug)]
 pub struct Options {
     pub roots: Vec<PathBuf>,
-    /// A model is complete when its files have been still for so long.
+    /// A model is complete when its files have not changed for this time.
     pub settle: Duration,
-    /// Look at all folders so often instead of waiting for events; `None`: only on network file systems.
+    /// Interval of scanning all folders instead of waiting for events; `None`: scan only network file systems that way.
     pub poll: Option<Duration>,
-    /// A full look at everything, for what events lost.
+    /// Interval of full scans that make up for lost events.
     pub rescan: Duration,
     pub on_busy: state::OnBusy,
     pub jobs: usize,
-    /// Bytes of memory that all plans together may need.
+    /// Memory limit in bytes of all running plans together.
     pub max_memory: u64,
     pub follow_links: bool,
-    /// End when every project is planned or can't be.
+    /// Exit when every project is planned or has failed.
     pub once: bool,
-    /// Prometheus text file.
+    /// Prometheus text file to write.
     pub metrics: Option<PathBuf>,
 }
 
-/// What stops the daemon; everything else concerns one project and is told in the status.
+/// Errors that stop the daemon. All others concern one project and appear in the status.
 #[derive(Debug, thiserror::Error)]
 pub enum DaemonError {
     #[error("{}: {source}", path.display())]
     Root { path: PathBuf, source: std::io::Error },
     #[error("{} is already watched by {holder}", path.display())]
     Held { path: PathBuf, holder: String },
-    #[error("the metrics cannot be written: {0}")]
+    #[error("cannot write metrics: {0}")]
     Metrics(OutputError),
     #[error(transparent)]
     Output(#[from] OutputError),
@@ -65,9 +68,9 @@ pub enum DaemonError {
 impl Hint for DaemonError {
     fn hint(&self) -> Option<String> {
         match self {
-            Self::Root { .. } => Some("give a folder that may be read and written".into()),
-            Self::Held { .. } => Some("use that daemon (`viewrank status` shows it), or stop it first".into()),
-            Self::Metrics(_) => Some("give a file in a folder that may be written to".into()),
+            Self::Root { .. } => Some("choose a folder that you may read and write".into()),
+            Self::Held { .. } => Some("use that daemon (see `viewrank status`), or stop it first".into()),
+            Self::Metrics(_) => Some("choose a file in a folder that you may write to".into()),
             Self::Output(error) => error.hint(),
         }
     }
@@ -77,7 +80,7 @@ impl Hint for DaemonError {
     }
 }
 
-/// A path for people: on one line, whatever its name is.
+/// A path to show on one line, with control characters escaped.
 pub struct Shown<'a>(pub &'a Path);
 
 impl fmt::Display for Shown<'_> {
@@ -94,7 +97,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_name_with_a_line_break_stays_on_its_line() {
+    fn a_path_with_a_line_break_is_shown_on_one_line() {
         assert_eq!(Shown(Path::new("/a b/c\nd\x1b[2Jé")).to_string(), "/a b/c\\nd\\u{1b}[2Jé");
     }
 }

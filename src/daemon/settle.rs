@@ -1,8 +1,8 @@
-//! Is a project's input complete and still? And is it what was planned already?
+//! Detects input that is still, and input that was planned already.
 //!
-//! Two looks at the input. A [`Stamp`] is what the file system says of it (length, times, inode): cheap, and any difference means
-//! "not still yet". A [`Fingerprint`] is a hash of the content: it decides whether there is anything to plan, so that a
-//! `touch`, a copy over itself or a restart of the daemon plans nothing.
+//! A [`Stamp`] is the file-system metadata of the input (length, times, inode): cheap, and any difference means "not still yet". A
+//! [`Fingerprint`] is a hash of the content and decides whether there is anything to plan, so that a `touch`, a copy over itself or a
+//! restart of the daemon plans nothing.
 
 use std::{
     collections::BTreeMap,
@@ -13,29 +13,30 @@ use std::{
     time::{Duration, Instant, SystemTime, UNIX_EPOCH},
 };
 
-use super::discover::{self, InputFolders};
+use super::{
+    discover::{self, InputFolders},
+    platform,
+};
 use crate::base::input;
 
-/// What the file system says of one file or folder.
+/// Metadata of one file or folder.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Entry {
     length: u64,
     modified_ns: u128,
-    /// When content or name changed, which no program can set.
+    /// Last change of content or name, in ns since 1970; no program can set it.
     changed_ns: u128,
     inode: u64,
 }
 
 impl Entry {
     pub(super) fn of(metadata: &fs::Metadata) -> Self {
-        use std::os::unix::fs::MetadataExt;
         let modified = metadata.modified().unwrap_or(UNIX_EPOCH);
         let since = modified.duration_since(UNIX_EPOCH).unwrap_or_default();
-        // The length of a folder says nothing that its time doesn't.
+        // The modification time of a folder covers its length.
         let length = if metadata.is_dir() { 0 } else { metadata.len() };
-        let changed =
-            Duration::new(metadata.ctime().try_into().unwrap_or(0), metadata.ctime_nsec().try_into().unwrap_or(0));
-        Self { length, modified_ns: since.as_nanos(), changed_ns: changed.as_nanos(), inode: metadata.ino() }
+        let (changed_ns, inode) = platform::identity(metadata);
+        Self { length, modified_ns: since.as_nanos(), changed_ns, inode }
     }
 
     #[cfg(test)]
@@ -44,26 +45,26 @@ impl Entry {
     }
 }
 
-/// What a project's input looks like from outside.
+/// Metadata of a project's input.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Stamp {
     /// Model files and `viewrank.toml`.
     files: BTreeMap<PathBuf, Entry>,
-    /// Masks, and what the settings name.
+    /// Masks, and files named in the settings.
     beside: BTreeMap<PathBuf, Entry>,
-    /// Image folders: their entries count, not the bytes of the images.
+    /// Image folders: their entries are input, the content of the images is not.
     folders: BTreeMap<PathBuf, Entry>,
-    /// Folders that can't be looked into, and why.
+    /// Unreadable folders with the error.
     unreadable: BTreeMap<PathBuf, String>,
 }
 
 impl Stamp {
-    /// Looks at the project; what isn't there is left out.
+    /// Reads the metadata of a project's input; missing files are left out.
     pub fn of(project: &Path, follow_links: bool) -> Self {
         Self::of_folders(&InputFolders::of(project, follow_links))
     }
 
-    /// Looks into these folders.
+    /// Reads the metadata of the input in these folders.
     pub fn of_folders(folders: &InputFolders) -> Self {
         let mut stamp = Self::default();
         for folder in &folders.images {
@@ -72,7 +73,7 @@ impl Stamp {
             }
         }
         for folder in &folders.models {
-            // What lies beside orientations is their cloud, elsewhere it is what a backend made.
+            // Next to orientations a cloud is input; elsewhere a backend made it.
             let is_input =
                 |name: &OsStr| name.to_str().is_some_and(|name| is_input_file(name, folders.has_orientations));
             let files = stamp.entries(folder, is_input);
@@ -85,7 +86,7 @@ impl Stamp {
         stamp
     }
 
-    /// The files of a folder that are wanted by their names.
+    /// Returns the files of a folder whose names are `wanted`.
     fn entries(&mut self, folder: &Path, wanted: impl Fn(&OsStr) -> bool) -> Vec<(PathBuf, Entry)> {
         let entries = fs::read_dir(folder).and_then(|entries| entries.collect::<io::Result<Vec<_>>>());
         let entries = entries.unwrap_or_else(|error| {
@@ -100,7 +101,7 @@ impl Stamp {
         paths.filter_map(file).collect()
     }
 
-    /// The same with these files, as far as they are there.
+    /// Adds those of these files that exist.
     pub fn with(mut self, named: &[PathBuf]) -> Self {
         let entry = |path: &PathBuf| Some((path.clone(), Entry::of(&fs::metadata(path).ok()?)));
         self.beside.extend(named.iter().filter_map(entry));
@@ -111,21 +112,21 @@ impl Stamp {
         self.files.is_empty()
     }
 
-    /// What keeps the model from being seen, for people.
-    pub fn trouble(&self) -> Option<String> {
+    /// Returns the first error that keeps the model from being read.
+    pub fn read_error(&self) -> Option<String> {
         let (folder, reason) = self.unreadable.first_key_value()?;
-        Some(format!("cannot look into {}: {reason}", folder.display()))
+        Some(format!("cannot read folder {}: {reason}", folder.display()))
     }
 
-    /// Bytes of the largest model that may be planned: the project's COLMAP models go before scenes of other programs and before
-    /// the model of its dense workspace.
+    /// Size in bytes of the largest model that may be planned: the project's COLMAP models have priority over scenes of other programs
+    /// and over the model of its dense workspace.
     pub fn bytes(&self) -> u64 {
         let mut models: BTreeMap<(bool, PathBuf), u64> = BTreeMap::new();
         for (path, entry) in &self.files {
             let name = path.file_name().and_then(OsStr::to_str).unwrap_or("");
             let is_colmap = discover::is_model_file(name);
             let is_dense = path.components().any(|part| part.as_os_str() == discover::DENSE);
-            // A COLMAP model is the files of a folder in one format, a scene one file, a SURE model all that there is.
+            // A COLMAP model is all files of one format in a folder, an OpenMVS scene one file, a SURE model all other files.
             let model = match path.extension().and_then(OsStr::to_str) {
                 Some("mvs") => path.clone(),
                 Some(extension) if is_colmap => path.with_file_name(extension),
@@ -137,27 +138,27 @@ impl Stamp {
         models.iter().filter(|((of_first, _), _)| *of_first == first).map(|(_, bytes)| *bytes).max().unwrap_or(0)
     }
 
-    /// Since when the input has been as it is, if something was heard of it at `heard` and it looks like this at `looked`: what was
-    /// changed without being heard of is dated by the file system, as is what else was changed (`unheard`).
+    /// Returns since when the input has been as it was at `scanned`, given its last event at `heard`. Changes that raised no event
+    /// are dated by the file system, including `unheard` ones outside the stamp.
     pub fn same_since(
         &self,
         heard: Instant,
         unheard: Option<Changed>,
-        (looked, time): (Instant, SystemTime),
+        (scanned, time): (Instant, SystemTime),
     ) -> Instant {
         let entries = self.files.values().chain(self.beside.values()).chain(self.folders.values());
         let newest = entries.map(|entry| entry.changed_ns).chain(unheard.map(|changed| changed.0)).max().unwrap_or(0);
         let newest = UNIX_EPOCH + Duration::from_nanos(u64::try_from(newest).unwrap_or(u64::MAX));
         let ago = time.duration_since(newest).unwrap_or_default();
-        heard.max(looked.checked_sub(ago).unwrap_or(heard)).min(looked)
+        heard.max(scanned.checked_sub(ago).unwrap_or(heard)).min(scanned)
     }
 }
 
-/// When something was changed, by the clock of its file system.
+/// Time of a change by the clock of its file system.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Changed(u128);
 
-/// When the file of these folders that was changed last was changed: images are written for longer than their folders change.
+/// Returns the latest change of any file in these folders. Images may still be written after their folder last changed.
 pub fn newest_entry(folders: &[PathBuf]) -> Option<Changed> {
     let files = folders.iter().filter_map(|folder| fs::read_dir(folder).ok()).flatten().filter_map(Result::ok);
     files.filter_map(|file| file.metadata().ok()).map(|metadata| Changed(Entry::of(&metadata).changed_ns)).max()
@@ -169,7 +170,7 @@ fn is_input_file(name: &str, with_cloud: bool) -> bool {
     discover::is_model_file(name) || name == "viewrank.toml" || ends(&[".mvs", ".ori"]) || cloud
 }
 
-/// A stamp (of input or of depth maps) and since when it has been the same.
+/// A stamp and the time since when it has been unchanged.
 #[derive(Clone, Debug)]
 pub struct Stillness<S> {
     stamp: S,
@@ -181,7 +182,7 @@ impl<S: PartialEq> Stillness<S> {
         Self { stamp, since: now }
     }
 
-    /// Takes a new look; true when something changed.
+    /// Takes a new stamp; true if it differs.
     pub fn observe(&mut self, stamp: S, now: Instant) -> bool {
         let changed = stamp != self.stamp;
         if changed {
@@ -190,7 +191,7 @@ impl<S: PartialEq> Stillness<S> {
         changed
     }
 
-    /// The same stamp, but not still until then.
+    /// Keeps the stamp, but counts it as unchanged only from `then` on.
     pub fn restart(&mut self, then: Instant) {
         self.since = self.since.max(then);
     }
@@ -199,25 +200,28 @@ impl<S: PartialEq> Stillness<S> {
         &self.stamp
     }
 
-    /// When it will have been still for `settle`.
+    /// Returns when the stamp will have been unchanged for `settle`.
     pub fn settled_at(&self, settle: Duration) -> Instant {
         self.since + settle
     }
 }
 
-/// Hash of a project's input: the content of the model's files, of masks and of what the settings name, the names in the image
-/// folders, and the settings in force.
+/// Hash of a project's input: the content of model files, masks and files named in the settings, the names in the image folders,
+/// and the settings in force.
 #[derive(Clone, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(transparent)]
 pub struct Fingerprint(String);
 
-/// Hashes of files by their path and stamp, so that an unchanged file is read once.
+/// Hashes of files by path and metadata, so that an unchanged file is read once.
 #[derive(Debug, Default)]
 pub struct HashCache(BTreeMap<PathBuf, (Entry, blake3::Hash)>);
 
 impl HashCache {
-    /// The fingerprint of the input as it is now; `model` are the files of the model that is planned. Fails where a file vanishes
-    /// or can't be read meanwhile. Others may use the cache while files are read.
+    /// Computes the fingerprint of the current input; `model` are the files of the model to plan. The cache isn't locked while files
+    /// are read.
+    ///
+    /// # Errors
+    /// Files that vanish or can't be read.
     pub fn fingerprint(
         cache: &Mutex<Self>,
         project: &Path,
@@ -227,7 +231,7 @@ impl HashCache {
     ) -> io::Result<Fingerprint> {
         let mut hasher = blake3::Hasher::new();
         hasher.update(env!("CARGO_PKG_VERSION").as_bytes()).update(blake3::hash(settings).as_bytes());
-        // What `viewrank.toml` says is in the settings; a broken one says nothing.
+        // `settings` already holds the content of a valid `viewrank.toml`.
         let beside = stamp.beside.keys().filter(|path| !path.ends_with("viewrank.toml"));
         for path in model.iter().chain(beside) {
             let relative = path.strip_prefix(project).unwrap_or(path);
@@ -245,7 +249,7 @@ impl HashCache {
         Ok(Fingerprint(hasher.finalize().to_hex().to_string()))
     }
 
-    /// Forgets what is kept of a project.
+    /// Removes the hashes of a project.
     pub fn forget(&mut self, project: &Path) {
         self.0.retain(|path, _| !path.starts_with(project));
     }
@@ -253,7 +257,7 @@ impl HashCache {
     fn file(cache: &Mutex<Self>, path: &Path) -> io::Result<blake3::Hash> {
         let named = |error: io::Error| io::Error::new(error.kind(), format!("{}: {error}", path.display()));
         let file = input::open(path).map_err(named)?;
-        // Of before the reading: what is written meanwhile has another stamp.
+        // Taken before reading, so that a file written meanwhile gets another entry.
         let entry = Entry::of(&file.metadata().map_err(named)?);
         if let Some((_, hash)) = lock(cache).0.get(path).filter(|(known, _)| *known == entry) {
             return Ok(*hash);
@@ -264,7 +268,7 @@ impl HashCache {
     }
 }
 
-/// What is kept is whole between any two statements, whoever panicked.
+/// Locks a mutex even if a thread that held it panicked: the daemon's caches are consistent between any two statements.
 pub fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
@@ -289,7 +293,7 @@ mod tests {
     }
 
     #[test]
-    fn an_image_that_is_written_after_its_name_dates_what_nobody_listened_to() {
+    fn changes_without_events_include_images_written_after_their_folder_changed() {
         let root = tempfile::tempdir().expect("a temporary folder");
         let images = [root.path().to_path_buf()];
         assert_eq!(newest_entry(&images), None);
@@ -300,14 +304,14 @@ mod tests {
         std::fs::write(root.path().join("a.jpg"), "more of it").expect("a file");
         assert!(newest_entry(&images) > begun);
         assert_eq!(std::fs::metadata(root.path()).expect("a folder").modified().expect("a time"), folder);
-        let (looked, time) = (Instant::now() + Duration::from_secs(7), SystemTime::now() + Duration::from_secs(7));
-        let heard = looked - Duration::from_secs(9);
-        let since = Stamp::default().same_since(heard, newest_entry(&images), (looked, time));
-        assert!(since > looked - Duration::from_secs(8) && since <= looked, "not as of the folder's change");
+        let (scanned, time) = (Instant::now() + Duration::from_secs(7), SystemTime::now() + Duration::from_secs(7));
+        let heard = scanned - Duration::from_secs(9);
+        let since = Stamp::default().same_since(heard, newest_entry(&images), (scanned, time));
+        assert!(since > scanned - Duration::from_secs(8) && since <= scanned, "not as of the folder's change");
     }
 
     #[test]
-    fn input_is_still_once_nothing_changed_for_the_settle_time() {
+    fn input_has_settled_once_nothing_changed_for_the_settle_time() {
         let root = project();
         let (start, settle) = (Instant::now(), Duration::from_secs(2));
         let mut still = Stillness::new(Stamp::of(root.path(), false), start);
@@ -319,20 +323,24 @@ mod tests {
     }
 
     #[test]
-    fn what_was_written_without_being_heard_of_is_dated_by_the_file_system() {
+    fn changes_without_events_are_dated_by_the_file_system() {
         let entry = |seconds: u128| Entry { changed_ns: seconds * 1_000_000_000, ..Entry::of_length(1) };
         let files = BTreeMap::from([("a".into(), entry(100)), ("b".into(), entry(107))]);
         let stamp = Stamp { files, ..Stamp::default() };
         let (start, second) = (Instant::now() + Duration::from_secs(3600), Duration::from_secs(1));
-        let looked = (start + 10 * second, UNIX_EPOCH + 110 * second);
-        assert_eq!(stamp.same_since(start, None, looked), start + 7 * second, "written after it was heard of");
-        assert_eq!(stamp.same_since(start + 9 * second, None, looked), start + 9 * second, "moved there, old as it is");
-        let earlier = (looked.0, UNIX_EPOCH + 50 * second);
-        assert_eq!(stamp.same_since(start, None, earlier), looked.0, "by another machine's clock");
+        let scanned = (start + 10 * second, UNIX_EPOCH + 110 * second);
+        assert_eq!(stamp.same_since(start, None, scanned), start + 7 * second, "written after the last event");
+        assert_eq!(
+            stamp.same_since(start + 9 * second, None, scanned),
+            start + 9 * second,
+            "older files that were moved here"
+        );
+        let earlier = (scanned.0, UNIX_EPOCH + 50 * second);
+        assert_eq!(stamp.same_since(start, None, earlier), scanned.0, "dated by a clock that is ahead");
     }
 
     #[test]
-    fn a_file_rewritten_in_place_with_its_length_and_time_is_another() {
+    fn a_file_rewritten_with_its_old_length_and_time_has_another_fingerprint() {
         let root = project();
         let path = root.path().join("sparse/0/cameras.bin");
         let time = fs::metadata(&path).and_then(|m| m.modified()).expect("a time");
@@ -342,7 +350,7 @@ mod tests {
         };
         let before = Stamp::of(root.path(), false);
         let print_before = print(&before);
-        // Until the clock of the file system has gone on.
+        // Until the clock of the file system has advanced.
         let end = Instant::now() + Duration::from_secs(10);
         while Stamp::of(root.path(), false) == before && Instant::now() < end {
             fs::write(&path, "CAMERAS").expect("a file");
@@ -353,17 +361,17 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_looked_into_is_said() {
+    fn unreadable_folders_are_reported() {
         let root = project();
         let no_folder = root.path().join("sparse/0/cameras.bin");
         let stamp = |models| Stamp::of_folders(&InputFolders { models, ..InputFolders::default() });
-        let trouble = stamp(vec![no_folder.clone()]).trouble().expect("trouble");
-        assert!(trouble.starts_with(&format!("cannot look into {}: ", no_folder.display())), "{trouble}");
-        assert_eq!(stamp(vec![root.path().join("sparse/0"), root.path().join("gone")]).trouble(), None);
+        let read_error = stamp(vec![no_folder.clone()]).read_error().expect("read_error");
+        assert!(read_error.starts_with(&format!("cannot read folder {}: ", no_folder.display())), "{read_error}");
+        assert_eq!(stamp(vec![root.path().join("sparse/0"), root.path().join("gone")]).read_error(), None);
     }
 
     #[test]
-    fn memory_is_estimated_by_the_largest_model_that_may_be_planned() {
+    fn memory_is_estimated_from_the_largest_model_that_may_be_planned() {
         let bytes = |files: &[(&str, u64)]| {
             let entry = |&(path, length): &(&str, u64)| (Path::new("/p").join(path), Entry::of_length(length));
             Stamp { files: files.iter().map(entry).collect(), ..Stamp::default() }.bytes()
@@ -377,7 +385,7 @@ mod tests {
     }
 
     #[test]
-    fn outputs_are_not_input_and_new_images_are() {
+    fn new_images_are_input_and_outputs_are_not() {
         let root = project();
         let before = Stamp::of(root.path(), false);
         fs::write(root.path().join("viewrank/manifest.json"), "{}").expect("a file");
@@ -387,7 +395,7 @@ mod tests {
     }
 
     #[test]
-    fn clouds_are_input_beside_orientations_and_a_backend_s_elsewhere() {
+    fn clouds_are_input_only_next_to_orientations() {
         let root = project();
         let stamp = || Stamp::of(root.path(), false);
         let before = stamp();
@@ -398,7 +406,7 @@ mod tests {
     }
 
     #[test]
-    fn masks_and_what_the_settings_name_are_input() {
+    fn masks_and_files_named_in_the_settings_are_input() {
         let root = project();
         let mesh = root.path().join("mesh.ply");
         let stamp = || Stamp::of(root.path(), false).with(std::slice::from_ref(&mesh));

@@ -1,4 +1,4 @@
-//! The files that say how things stand: `ROOT/viewrank/status.json`, the metrics, and the lock that says who watches.
+//! The status file `ROOT/viewrank/status.json`, the metrics, and the lock of a watched root.
 
 use std::{
     collections::BTreeMap,
@@ -13,35 +13,40 @@ use tracing::warn;
 
 use super::{
     DaemonError, discover,
-    state::{Phase, ProjectStatus, Status, Tracked},
+    phase::{Phase, ProjectStatus, Status},
+    platform::host,
+    state::Tracked,
 };
 use crate::io::output::{self, Disk, OutputError};
 
-/// The status is written at most so often.
+/// Shortest time between two writes of the status.
 const PAUSE: Duration = Duration::from_secs(1);
-/// Where it could not be written, it is tried again after this.
+/// Pause before a failed write is retried.
 const RETRY: Duration = Duration::from_secs(10);
-/// How often a lock is tried that nobody holds for long.
+/// Tries to take a lock, which others may hold for an instant.
 const TRIES: u32 = 5;
-/// Relative to the root.
+/// Path of the lock, relative to the root.
 const LOCK: &str = "viewrank/watch.lock";
 const STATUS: &str = "viewrank/status.json";
-/// The lock begins with it.
+/// First word in the lock file.
 const HOLDER: &str = "process ";
-/// Bytes of a lock with the longest name of a host.
+/// Limit in bytes of a lock file, enough for the longest host name.
 const LONGEST_NAME: u64 = 1024;
-/// Sentences that the status shows.
+/// Limit of notices in the status.
 const NOTICES: usize = 20;
 
-/// Holds a root for this process; let go when dropped or when the process ends, however it ends.
+/// Lock on a root, released on drop or when the process ends, however it ends.
 pub struct Holder {
-    /// Without symbolic links.
+    /// Canonical path.
     pub root: PathBuf,
     _lock: File,
 }
 
 impl Holder {
-    /// Takes the root, or says who has it, a folder around it or one in it.
+    /// Locks the root.
+    ///
+    /// # Errors
+    /// [`DaemonError::Held`] where a daemon holds the root, a folder above it or one in it.
     pub fn take(root: &Path, disk: &Disk) -> Result<Self, DaemonError> {
         let held = |path: &Path| Some(DaemonError::Held { path: path.into(), holder: Self::of(path)? });
         let inside = discover::walk(root, &[root.to_path_buf()], false, &|| {});
@@ -52,16 +57,16 @@ impl Holder {
         output::make_own_folder(root, disk)?;
         let failed = |source| DaemonError::Root { path: root.join(LOCK), source };
         let mut lock = output::open_lock(root, LOCK)?;
-        // Whoever asks at this instant whether it is held is gone in the next.
+        // A process that only asks who holds the root locks it for an instant.
         for _ in 0..TRIES {
             match lock.try_lock() {
                 Err(TryLockError::WouldBlock) => thread::sleep(Duration::from_millis(10)),
                 locked => {
                     if let Err(TryLockError::Error(error)) = locked {
-                        warn!("{}: no locks here ({error}): see to it that no other daemon watches it", root.display());
+                        warn!("cannot lock {}: {error}; make sure that no other daemon watches it", root.display());
                     }
                     if !is_name_of_holder(&mut lock).map_err(failed)? {
-                        let what = "a file of somebody else's";
+                        let what = "another program's file";
                         return Err(OutputError::Foreign { path: root.join(LOCK), what }.into());
                     }
                     let name = format!("{HOLDER}{} on {}\n", std::process::id(), host());
@@ -74,63 +79,59 @@ impl Holder {
         Err(held(root).unwrap_or_else(|| failed(io::ErrorKind::WouldBlock.into())))
     }
 
-    /// Did nobody remove the folder of outputs, and the lock with it?
+    /// True unless the lock was removed, such as with the output folder.
     fn is_there(&self) -> bool {
         self.root.join(LOCK).symlink_metadata().is_ok_and(|found| found.is_file())
     }
 
-    /// Takes the root again where the lock is gone.
-    fn hold_on(&mut self, disk: &Disk) -> Result<(), DaemonError> {
+    /// Locks the root again if the lock is gone.
+    fn renew(&mut self, disk: &Disk) -> Result<(), DaemonError> {
         if self.root.is_dir() && !self.is_there() {
             *self = Self::take(&self.root, disk)?;
         }
         Ok(())
     }
 
-    /// The daemon that holds the root at this moment.
+    /// Returns the name of the daemon that holds the root now.
     fn of(root: &Path) -> Option<String> {
         let lock = output::open_own(root, LOCK).ok()?;
         let Err(TryLockError::WouldBlock) = lock.try_lock_shared() else { return None };
         let mut name = String::new();
-        // An empty name is better than none at all.
+        // A holder whose name is unreadable is still a holder.
         _ = lock.take(LONGEST_NAME).read_to_string(&mut name);
         Some(name.trim().into())
     }
 }
 
-/// Is a lock file new or one of ours? Nothing else is ever emptied, by whatever name it is reached.
+/// True if a lock file is new or written by viewrank. No other file may be emptied, however it is reached.
 fn is_name_of_holder(lock: &mut File) -> io::Result<bool> {
     let mut text = Vec::new();
     lock.take(LONGEST_NAME + 1).read_to_end(&mut text)?;
     Ok(text.is_empty() || text.len() as u64 <= LONGEST_NAME && text.starts_with(HOLDER.as_bytes()))
 }
 
-fn host() -> String {
-    let name = std::fs::read_to_string("/proc/sys/kernel/hostname").unwrap_or_default();
-    if name.trim().is_empty() { "this host".into() } else { name.trim().into() }
-}
-
-/// Writes the status files of all roots when something changed.
+/// Writer of the status files of all roots and of the metrics.
 pub struct StatusFiles {
     roots: Vec<RootStatus>,
     metrics: Option<Metrics>,
-    /// What holds since the last look at everything.
+    /// Notices since the last full scan.
     notices: Vec<String>,
-    /// What held before it.
-    said: Vec<String>,
+    /// Notices of the scan before that.
+    earlier: Vec<String>,
     due: Option<Instant>,
 }
 
-/// One root and what was said of it last.
+/// A root and its last written status.
 struct RootStatus {
     holder: Holder,
     written: Status,
     pace: Pace,
 }
 
-/// The metrics and whether they say how things stand.
+/// The metrics file.
 struct Metrics {
     path: PathBuf,
+    /// The file is up to date.
     fresh: bool,
     pace: Pace,
 }
@@ -148,39 +149,39 @@ impl StatusFiles {
             roots: roots.into_iter().map(root).collect(),
             metrics: metrics.map(|path| Metrics { path, fresh: false, pace: Pace::default() }),
             notices: Vec::new(),
-            said: Vec::new(),
+            earlier: Vec::new(),
             due: None,
         })
     }
 
-    /// A look at everything begins: what is not noticed again holds no longer.
-    pub fn begin_look(&mut self) {
-        self.said = std::mem::take(&mut self.notices);
+    /// Begins a full scan: notices that aren't repeated expire.
+    pub fn begin_scan(&mut self) {
+        self.earlier = std::mem::take(&mut self.notices);
     }
 
-    /// A sentence for people, logged where it did not hold before.
+    /// Adds a notice, and logs it if it is new since the last full scan.
     pub fn notice(&mut self, text: String) {
         if self.notices.contains(&text) {
             return;
         }
-        if !self.said.contains(&text) {
+        if !self.earlier.contains(&text) {
             warn!("{text}");
         }
         self.notices.push(text);
     }
 
-    /// When a change waits to be written.
+    /// When a delayed change has to be written.
     pub fn due(&self) -> Option<Instant> {
         self.due
     }
 
-    /// Writes what changed, but what changes all the time at most once a second unless it is the last time. A disk that can't be written to is tried again.
+    /// Writes the files that changed, each at most once a second unless this is the `last` call. Failed writes are retried.
     pub fn publish(&mut self, projects: &BTreeMap<PathBuf, Tracked>, disk: &Disk, now: Instant, last: bool) {
         self.due = None;
         let mut wait = |until: Option<Instant>| self.due = [self.due, until].into_iter().flatten().min();
         for root in &mut self.roots {
             let fresh = root.status(projects, &self.notices);
-            // Of a root that is gone there is nothing to say until it comes back.
+            // A root that is gone has no status until it comes back.
             if fresh == root.written && root.holder.is_there() || !root.holder.root.is_dir() {
                 root.pace.rest();
                 continue;
@@ -202,37 +203,37 @@ impl StatusFiles {
     }
 }
 
-/// When a file was written, and may be again.
+/// Limits how often a file is written.
 #[derive(Default)]
 struct Pace {
     next: Option<Instant>,
-    /// Why it could not be written; said once.
-    trouble: Option<String>,
+    /// The last error, logged once.
+    failure: Option<String>,
 }
 
 impl Pace {
-    /// There was nothing to write: the next change is written at once.
+    /// Lets the next change be written at once, because there was nothing to write.
     fn rest(&mut self) {
         self.next = None;
     }
 
-    /// Writes if it is time; true when that is done.
+    /// Writes if enough time has passed; true on success.
     fn write(&mut self, now: Instant, last: bool, write: impl FnOnce() -> Result<(), DaemonError>) -> bool {
         if self.next.is_some_and(|at| now < at) && !last {
             return false;
         }
-        let trouble = write().err().map(|error| error.to_string());
-        if let Some(text) = trouble.as_ref().filter(|_| trouble != self.trouble) {
-            warn!("cannot say how things stand: {text}");
+        let failure = write().err().map(|error| error.to_string());
+        if let Some(text) = failure.as_ref().filter(|_| failure != self.failure) {
+            warn!("cannot write status: {text}");
         }
-        self.next = Some(now + if trouble.is_none() { PAUSE } else { RETRY });
-        self.trouble = trouble;
-        self.trouble.is_none()
+        self.next = Some(now + if failure.is_none() { PAUSE } else { RETRY });
+        self.failure = failure;
+        self.failure.is_none()
     }
 }
 
 fn write_status(holder: &mut Holder, status: &Status, disk: &Disk) -> Result<(), DaemonError> {
-    holder.hold_on(disk)?;
+    holder.renew(disk)?;
     let text = serde_json::to_vec_pretty(status).unwrap_or_default();
     Ok(output::replace(&output::own_path(&holder.root, STATUS)?, &text, disk)?)
 }
@@ -269,7 +270,7 @@ fn seconds_now() -> u64 {
     SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_secs())
 }
 
-/// Projects by state, and how far each is that has depth maps, in Prometheus' text format.
+/// Formats the number of projects by state and the progress of those with depth maps as Prometheus text.
 fn metrics_text(projects: &BTreeMap<PathBuf, Tracked>) -> String {
     let mut counts: BTreeMap<&str, usize> =
         ["waiting", "queued", "planning", "planned", "computing", "reached", "failed"].map(|name| (name, 0)).into();
@@ -299,7 +300,7 @@ fn metrics_text(projects: &BTreeMap<PathBuf, Tracked>) -> String {
     });
     gauge(
         "viewrank_share_reached",
-        "Real fulfilment over what all clusters together can reach.",
+        "What fusion keeps of the finished depth maps over what it would of all.",
         |phase| match phase {
             Phase::Computing { share, .. } => *share,
             Phase::Reached { share, .. } => Some(*share),
@@ -309,7 +310,7 @@ fn metrics_text(projects: &BTreeMap<PathBuf, Tracked>) -> String {
     text
 }
 
-/// A path as the value of a label.
+/// Escapes a path for the value of a label.
 fn label(path: &Path) -> String {
     path.to_string_lossy().replace('\\', "\\\\").replace('"', "\\\"").replace('\n', "\\n")
 }
@@ -326,19 +327,19 @@ fn name_of(phase: &Phase) -> &'static str {
     }
 }
 
-/// The status of a root as it was last written, and whether a daemon runs there now.
+/// The last written status of a root, and whether a daemon runs there now.
 #[derive(Debug, PartialEq)]
 pub struct Line {
     pub running: bool,
     pub status: Status,
 }
 
-/// Where the status of a root is.
+/// Path of the status file of a root.
 pub fn status_file(root: &Path) -> PathBuf {
     root.join(STATUS)
 }
 
-/// Reads the status of a root; `None` where no daemon ever watched it, or where it can't be read.
+/// Reads the status of a root; `None` where no daemon has watched it yet or the file can't be read.
 pub fn read_status(root: &Path) -> Option<Line> {
     let text = output::read_own(root, STATUS).ok()?;
     let status = serde_json::from_slice(&text).ok()?;
@@ -361,7 +362,7 @@ mod tests {
     }
 
     #[test]
-    fn a_root_that_is_gone_or_cannot_be_written_keeps_no_other_from_being_told() {
+    fn a_root_that_is_gone_or_not_writable_does_not_delay_the_status_of_others() {
         let [gone, broken, well] = std::array::from_fn(|_| tempfile::tempdir().expect("a temporary folder"));
         let mut files = files(&[&gone, &broken, &well], None);
         std::fs::remove_dir_all(gone.path()).expect("removed");
@@ -381,11 +382,11 @@ mod tests {
     }
 
     #[test]
-    fn notices_last_as_long_as_they_hold() {
+    fn notices_expire_unless_a_full_scan_repeats_them() {
         let root = tempfile::tempdir().expect("a temporary folder");
         let mut files = files(&[&root], None);
         let publish = |texts: &[&str], files: &mut StatusFiles| {
-            files.begin_look();
+            files.begin_scan();
             texts.iter().for_each(|text| files.notice((*text).into()));
             files.publish(NONE, &Disk::REAL, Instant::now(), true);
         };
@@ -399,7 +400,7 @@ mod tests {
     }
 
     #[test]
-    fn metrics_that_cannot_be_written_are_refused_at_the_start() {
+    fn metrics_that_cannot_be_written_are_an_error_at_the_start() {
         let root = tempfile::tempdir().expect("a temporary folder");
         let holder = Holder::take(root.path(), &Disk::REAL).expect("nobody else");
         let metrics = root.path().join("no folder/viewrank.prom");
@@ -407,7 +408,7 @@ mod tests {
     }
 
     #[test]
-    fn a_root_is_refused_where_one_around_it_or_in_it_is_held() {
+    fn a_root_is_refused_if_one_above_or_inside_it_is_held() {
         let root = tempfile::tempdir().expect("a temporary folder");
         let (inner, above) = (root.path().join("a/b"), root.path().join("a"));
         std::fs::create_dir_all(inner.join("c")).expect("a folder");

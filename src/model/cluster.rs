@@ -17,7 +17,7 @@ pub struct RankedCluster {
     pub key: ViewIndex,
     /// Best first.
     pub partners: Vec<ViewIndex>,
-    /// Share of what all clusters together reach, after this one.
+    /// Fulfilment up to and including this cluster, as a share of what all clusters reach together, 0 to 1.
     pub share: f64,
 }
 
@@ -31,7 +31,7 @@ pub struct Gate {
     pub max_angle_deg: f64,
     /// Largest scale ratio of the two images, octaves.
     pub max_scale_octaves: f64,
-    /// May the centre of one camera be seen in the image of the other?
+    /// Whether one camera's centre may be inside the other's image.
     pub epipole_inside: bool,
 }
 

@@ -26,19 +26,22 @@ pub struct PointIndex(pub u32);
 pub struct CameraIndex(pub u32);
 
 impl ViewIndex {
-    pub fn at(self) -> usize {
+    /// The index as a `usize`, for slices.
+    pub fn index(self) -> usize {
         self.0 as usize
     }
 }
 
 impl PointIndex {
-    pub fn at(self) -> usize {
+    /// The index as a `usize`, for slices.
+    pub fn index(self) -> usize {
         self.0 as usize
     }
 }
 
 impl CameraIndex {
-    pub fn at(self) -> usize {
+    /// The index as a `usize`, for slices.
+    pub fn index(self) -> usize {
         self.0 as usize
     }
 }
@@ -109,7 +112,7 @@ pub struct Scene {
     pub track_pixels: Vec<[f64; 2]>,
     /// Images of the model or the image folder that have no pose, sorted by name.
     pub unregistered: Vec<String>,
-    /// What is odd about the model, though it could be read.
+    /// Oddities of a model that could be read all the same.
     pub warnings: Vec<ModelWarning>,
 }
 
@@ -144,28 +147,28 @@ pub enum WarningKind {
 
 impl Scene {
     pub fn camera_of(&self, view: ViewIndex) -> &Camera {
-        &self.cameras[self.views[view.at()].camera.at()]
+        &self.cameras[self.views[view.index()].camera.index()]
     }
 
     pub fn view(&self, view: ViewIndex) -> &View {
-        &self.views[view.at()]
+        &self.views[view.index()]
     }
 
     pub fn name(&self, view: ViewIndex) -> &str {
-        &self.views[view.at()].name
+        &self.views[view.index()].name
     }
 
     pub fn view_indices(&self) -> impl ExactSizeIterator<Item = ViewIndex> + Clone {
         (0..self.views.len() as u32).map(ViewIndex)
     }
 
-    /// The view of that name, by binary search.
+    /// Finds a view by name, with a binary search.
     pub fn find(&self, name: &str) -> Option<ViewIndex> {
         let found = self.views.binary_search_by(|v| v.name.as_str().cmp(name));
         found.ok().map(|i| ViewIndex(i as u32))
     }
 
-    /// Are names and poses of the views those of the other, to the digits that text files keep?
+    /// Returns whether both scenes have the same view names and poses, to the precision of text files.
     pub fn has_same_views(&self, other: &Self) -> bool {
         const DIGITS: f64 = 1e-5;
         let near = |a: &Pose, b: &Pose| {
@@ -182,7 +185,7 @@ impl Scene {
 
     /// Range of the observations of a point in `track_views` and `track_pixels`.
     pub fn track(&self, point: PointIndex) -> Range<usize> {
-        self.track_offsets[point.at()]..self.track_offsets[point.at() + 1]
+        self.track_offsets[point.index()]..self.track_offsets[point.index() + 1]
     }
 
     /// The views that observe the point, ascending; a view may occur twice.
@@ -194,7 +197,7 @@ impl Scene {
     /// belongs to; `None` where the camera does not project it (a point behind it).
     pub fn reprojection_error(&self, point: PointIndex, observation: usize) -> Option<f64> {
         let view = self.track_views[observation];
-        let x_cam = self.view(view).cam_from_world.camera_from_world(&self.points[point.at()]);
+        let x_cam = self.view(view).cam_from_world.camera_from_world(&self.points[point.index()]);
         self.camera_of(view).reprojection_error(&x_cam, &self.track_pixels[observation].into())
     }
 
@@ -216,14 +219,14 @@ impl Scene {
             let pose = &self.view(view).cam_from_world;
             let camera = self.camera_of(view);
             let points = view_points.of(view).iter();
-            let depths = points.map(|&p| camera.depth(&pose.camera_from_world(&self.points[p.at()])));
+            let depths = points.map(|&p| camera.depth(&pose.camera_from_world(&self.points[p.index()])));
             let depth = median(depths.filter(|&depth| depth > 0.0).collect())?;
             Some(depth / camera.mean_focal_length())
         });
         median(gsds.collect())
     }
 
-    /// The scene in coordinates that count from `origin`.
+    /// Returns the scene with `origin` as the origin of world coordinates.
     pub fn moved(&self, origin: Vector3<f64>) -> Scene {
         let mut scene = self.clone();
         scene.points.iter_mut().for_each(|x| *x -= origin);
@@ -272,7 +275,7 @@ impl ViewPoints {
             (0..track.len()).filter(move |&i| i == 0 || track[i] != track[i - 1]).map(move |i| track[i])
         };
         for p in 0..scene.points.len() {
-            distinct(p).for_each(|v| offsets[v.at() + 1] += 1);
+            distinct(p).for_each(|v| offsets[v.index() + 1] += 1);
         }
         for v in 0..scene.views.len() {
             offsets[v + 1] += offsets[v];
@@ -281,8 +284,8 @@ impl ViewPoints {
         let mut points = vec![PointIndex(0); offsets[scene.views.len()]];
         for p in 0..scene.points.len() {
             for v in distinct(p) {
-                points[next[v.at()]] = PointIndex(p as u32);
-                next[v.at()] += 1;
+                points[next[v.index()]] = PointIndex(p as u32);
+                next[v.index()] += 1;
             }
         }
         Self { offsets, points }
@@ -290,7 +293,7 @@ impl ViewPoints {
 
     /// The points that the view observes, ascending.
     pub fn of(&self, view: ViewIndex) -> &[PointIndex] {
-        &self.points[self.offsets[view.at()]..self.offsets[view.at() + 1]]
+        &self.points[self.offsets[view.index()]..self.offsets[view.index() + 1]]
     }
 }
 

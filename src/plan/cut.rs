@@ -16,14 +16,23 @@ pub struct Cut {
     pub clusters: usize,
     /// Their (key view, partner) pairs.
     pub pairs: usize,
-    /// Share of the fulfilment of all clusters together that they reach, 0 to 1.
+    /// What fusion keeps of them over what it keeps of all clusters (`kept` over `reachable`), 0 to 1.
     pub share: f64,
+    /// Weight of the triangles that fusion keeps of them, over that of the whole surface, 0 to 1.
+    #[serde(default)]
+    pub kept: f64,
+    /// The same of all clusters: what these photographs can give of what is wanted.
+    #[serde(default)]
+    pub reachable: f64,
     /// Their fulfilment f_o, 0 to 1.
     pub fulfilment: f64,
+    /// No other choice of as many clusters has a larger f_o than this: proven, not measured.
+    #[serde(default)]
+    pub fulfilment_bound: f64,
 }
 
 /// The shortest of the prefixes that the settings name, but all that is finished.
-pub(super) fn cut(settings: &CutSettings, cost: &Cost) -> Result<Cut, PlanError> {
+pub(super) fn cut(settings: &CutSettings, cost: &Cost, bound: impl Fn(usize) -> f64) -> Result<Cut, PlanError> {
     let ranking = cost.ranking;
     let mut clusters = ranking.order.len();
     if let Some(budget) = settings.budget {
@@ -44,7 +53,10 @@ pub(super) fn cut(settings: &CutSettings, cost: &Cost) -> Result<Cut, PlanError>
         clusters,
         pairs: cost.pairs(clusters),
         share: ranking.share(clusters),
+        kept: clusters.checked_sub(1).map_or(0.0, |last| ranking.kept[last]),
+        reachable: ranking.total_kept(),
         fulfilment: clusters.checked_sub(1).map_or(0.0, |last| ranking.fulfilment[last]),
+        fulfilment_bound: bound(clusters),
     })
 }
 

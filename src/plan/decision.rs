@@ -35,12 +35,11 @@ pub fn decide(
     timings: &mut Timings,
     watcher: &dyn Watcher,
 ) -> Result<Decision, PlanError> {
-    let weights = ranking::weights(&stages.surface, stages.settings.ranking.weight);
-    let support = stages.settings.ranking.support.unwrap_or(1);
     let finished = Finished { clusters: order.len(), ..finished };
     let ranking =
-        timings.time(Stage::Ranking, || ranking::rank_after(order, &stages.fulfilment, &weights, support, watcher))?;
-    let cut = cut::cut(&stages.settings.cut, &cost(stages, &stages.model(), &ranking, &finished))?;
+        timings.time(Stage::Ranking, || ranking::rank_after(order, &stages.fulfilment, &stages.objective, watcher))?;
+    let bound = |length| ranking::most_of_any(length, &stages.fulfilment, &stages.objective, &ranking.order);
+    let cut = cut::cut(&stages.settings.cut, &cost(stages, &stages.model(), &ranking, &finished), bound)?;
     let decision = decide_as(stages, finished, ranking, cut)?;
     watcher.check()?;
     Ok(decision)

@@ -1,15 +1,14 @@
 //! Method 5.5: why a view is not taken, a key view has few partners, or a triangle stays unfulfilled.
 
-use bytemuck::{Pod, Zeroable};
 use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::{
-    base::column::{self, Column, DiskError, Growing},
+    base::column::{self, DiskError},
     config::PartnerSettings,
     method::{
-        fulfilment::{self, Fulfilment, FulfilmentTable, Model},
+        fulfilment::{self, ByTriangle, Fulfilment, FulfilmentTable, Model},
         partners::Candidates,
     },
     model::{cluster::ViewCluster, reason::Reason, scene::ViewIndex},
@@ -52,19 +51,19 @@ impl Why<'_> {
         let views = self.model.scene.views.len();
         let mut status = vec![ViewStatus::Unused; views];
         let chosen_clusters = || chosen.iter().map(|&c| &self.clusters[c as usize]);
-        chosen_clusters().flat_map(|c| &c.partners).for_each(|p| status[p.at()] = ViewStatus::Partner);
-        chosen_clusters().for_each(|c| status[c.key.at()] = ViewStatus::Key);
+        chosen_clusters().flat_map(|c| &c.partners).for_each(|p| status[p.index()] = ViewStatus::Partner);
+        chosen_clusters().for_each(|c| status[c.key.index()] = ViewStatus::Key);
         let mut cluster_of = vec![None; views];
-        (0..self.clusters.len()).for_each(|c| cluster_of[self.clusters[c].key.at()] = Some(c));
-        let by_triangle = ChosenByTriangle::new(self.fulfilment, chosen, self.model.surface.triangles.len())?;
-        let reason = |view: ViewIndex| match (status[view.at()], cluster_of[view.at()]) {
+        (0..self.clusters.len()).for_each(|c| cluster_of[self.clusters[c].key.index()] = Some(c));
+        let by_triangle = ByTriangle::new(self.fulfilment, chosen, self.model.surface.triangles.len())?;
+        let reason = |view: ViewIndex| match (status[view.index()], cluster_of[view.index()]) {
             (ViewStatus::Key, Some(cluster)) => self.few_partners(cluster, settings),
             (_, Some(cluster)) => Some(self.not_taken(cluster, &by_triangle)),
             (_, None) => Some(self.no_cluster(view)),
         };
         let all: Vec<ViewIndex> = self.model.scene.view_indices().collect();
         let release = || {
-            by_triangle.entries.release();
+            by_triangle.release();
             self.fulfilment.release();
             self.model.release();
         };
@@ -89,7 +88,7 @@ impl Why<'_> {
     }
 
     /// Why a view with partners is no key view.
-    fn not_taken(&self, cluster: usize, chosen: &ChosenByTriangle) -> Reason {
+    fn not_taken(&self, cluster: usize, chosen: &ByTriangle) -> Reason {
         let ViewCluster { key, partners } = &self.clusters[cluster];
         let (triangles, values) = self.fulfilment.of(cluster);
         if triangles.is_empty() {
@@ -169,94 +168,10 @@ fn most_frequent(reasons: impl Iterator<Item = Reason>) -> Option<Reason> {
     counts.into_iter().max_by_key(|&(reason, count)| (count, std::cmp::Reverse(reason))).map(|(reason, _)| reason)
 }
 
-fn release_at(place: usize, table: &FulfilmentTable) {
-    if place.is_multiple_of(column::READ_AT_ONCE) {
-        table.release();
-    }
-}
-
-/// Which chosen clusters fulfil each triangle (CSR by triangle).
-struct ChosenByTriangle {
-    offsets: Vec<usize>,
-    entries: Column<ChosenEntry>,
-    chosen: usize,
-}
-
-/// Of a triangle.
-#[derive(Clone, Copy, Pod, Zeroable)]
-#[repr(C)]
-struct ChosenEntry {
-    /// Among the chosen clusters.
-    place: u32,
-    f: f32,
-}
-
-/// Entries that are put in order at a time.
-const ENTRIES_AT_ONCE: usize = 1 << 25;
-
-impl ChosenByTriangle {
-    /// Kept as the table is.
-    fn new(table: &FulfilmentTable, chosen: &[u32], triangles: usize) -> Result<Self, DiskError> {
-        let mut offsets = vec![0; triangles + 1];
-        for (place, &cluster) in chosen.iter().enumerate() {
-            table.of(cluster as usize).0.iter().for_each(|&t| offsets[t as usize + 1] += 1);
-            release_at(place, table);
-        }
-        (0..triangles).for_each(|t| offsets[t + 1] += offsets[t]);
-        let mut entries = Growing::new(table.triangles.kept())?;
-        entries.reserve(offsets[triangles]);
-        let mut from = 0;
-        while from < triangles {
-            // As many triangles as there is room for, but one at least.
-            let room = offsets[from] + ENTRIES_AT_ONCE;
-            let end = (offsets.partition_point(|&offset| offset <= room) - 1).clamp(from + 1, triangles);
-            entries.extend(&Self::entries(table, chosen, &offsets[from..=end], from as u32))?;
-            from = end;
-        }
-        Ok(Self { offsets, entries: entries.finish()?, chosen: chosen.len() })
-    }
-
-    /// The entries of the triangles from the first on that have these offsets.
-    fn entries(table: &FulfilmentTable, chosen: &[u32], offsets: &[usize], first: u32) -> Vec<ChosenEntry> {
-        let (start, triangles) = (offsets[0], offsets.len() - 1);
-        let mut entries = vec![ChosenEntry::zeroed(); offsets[triangles] - start];
-        let mut next: Vec<usize> = offsets[..triangles].iter().map(|offset| offset - start).collect();
-        for (place, &cluster) in chosen.iter().enumerate() {
-            let (of_cluster, values) = table.of(cluster as usize);
-            let rows = [first, first + triangles as u32].map(|bound| of_cluster.partition_point(|&t| t < bound));
-            let rows = rows[0]..rows[1];
-            for (&t, &f) in of_cluster[rows.clone()].iter().zip(&values[rows]) {
-                let next = &mut next[(t - first) as usize];
-                entries[*next] = ChosenEntry { place: place as u32, f };
-                *next += 1;
-            }
-            release_at(place, table);
-        }
-        entries
-    }
-
-    /// The most of these fulfilments that one single chosen cluster gives as well.
-    fn most_by_one(&self, triangles: &[u32], values: &[f32]) -> f64 {
-        self.given_by_each(triangles, values, self.chosen).into_iter().fold(0.0, f64::max)
-    }
-
-    /// How much of these fulfilments each of the first `end` chosen clusters gives as well.
-    fn given_by_each(&self, triangles: &[u32], values: &[f32], end: usize) -> Vec<f64> {
-        let mut given = vec![0.0; end];
-        for (&t, &own) in triangles.iter().zip(values) {
-            let entries = &self.entries[self.offsets[t as usize]..self.offsets[t as usize + 1]];
-            for entry in entries.iter().take_while(|entry| (entry.place as usize) < end) {
-                given[entry.place as usize] += f64::from(entry.f.min(own));
-            }
-        }
-        given
-    }
-}
-
 /// Of each cluster those ranked before it that do more of what it could by itself than any before them: the last of them within a cut
 /// is the likest there.
 pub(super) fn likest(table: &FulfilmentTable, order: &[u32], triangles: usize) -> Result<Vec<Vec<Likest>>, DiskError> {
-    let by_triangle = ChosenByTriangle::new(table, order, triangles)?;
+    let by_triangle = ByTriangle::new(table, order, triangles)?;
     let mut end = vec![order.len(); table.clusters()];
     order.iter().enumerate().for_each(|(rank, &cluster)| end[cluster as usize] = rank);
     let of_cluster = |cluster: usize| {
@@ -311,7 +226,7 @@ mod tests {
     fn a_duplicate_is_done_by_one_chosen_cluster() {
         // Clusters 0 and 1 share the triangles of cluster 2; neither does all of them.
         let table = FulfilmentTable::new([[(0, 0.5), (1, 0.5)], [(1, 0.9), (2, 0.2)], [(1, 0.6), (2, 0.6)]]);
-        let chosen = ChosenByTriangle::new(&table, &[0, 1], 3).unwrap();
+        let chosen = ByTriangle::new(&table, &[0, 1], 3).unwrap();
         let (triangles, values) = table.of(2);
         assert!((chosen.most_by_one(triangles, values) - 0.8).abs() < 1e-6);
         let likest = super::likest(&table, &[0, 1, 2], 3).unwrap();

@@ -10,6 +10,7 @@ use crate::{
         fulfilment::{FulfilmentTable, Model, Rule},
         geometry::Geometry,
         partners::{self, Candidates},
+        ranking::Objective,
         surface::{self, MeshFile, Surface, SurfaceError, SurfaceStats},
         target::{GSD_MARGIN, Target},
         visibility::{self, Visibility},
@@ -40,6 +41,8 @@ pub struct Stages {
     pub trained: Option<Trained>,
     /// g_d and a_d of each triangle (method 3.6).
     pub target: Target,
+    /// What the plan maximises (method 5.1).
+    pub objective: Objective,
     pub candidates: Candidates,
     /// One per view that can be a key view, in the order of views.
     pub clusters: Vec<ViewCluster>,
@@ -82,6 +85,8 @@ impl Stages {
             target: &target,
             image_scale: settings.image_scale,
         };
+        let support = settings.ranking.support.unwrap_or(matcher.numbers.support);
+        let objective = Objective::new(&geometry, settings.ranking.weight, support);
         let (pictures, unary) = timings.time(Stage::Confidence, || {
             let pictures = pictures(project, &scene, &source, trained.as_ref(), watcher)?;
             let unary = match (&trained, confidence) {
@@ -116,6 +121,7 @@ impl Stages {
             confidence,
             trained,
             target,
+            objective,
             candidates,
             clusters,
             fulfilment,

@@ -12,8 +12,8 @@ use crate::{
 const CONTRADICTIONS: f64 = 0.05;
 /// The wanted ground sampling distance is not so many times another than the images'.
 const WANTED_RATIO: f64 = 20.0;
-/// Fulfilment of all clusters together, below which the plan says so.
-const LITTLE: f64 = 0.1;
+/// Share of what is wanted that all clusters together give, below which the plan says so.
+const LITTLE: f64 = 0.5;
 /// Eastings of UTM coordinates, metres; a zone is no wider.
 const EASTINGS: std::ops::Range<f64> = 100_000.0..900_000.0;
 /// Depth maps that are named.
@@ -131,12 +131,12 @@ fn single_partner(stages: &Stages) -> Option<String> {
 
 /// The shares of the plan are of what all clusters reach together, which may be next to nothing.
 fn little_fulfilled(ranking: &Ranking) -> Option<String> {
-    let reached = ranking.total();
-    (reached > 0.0 && reached < LITTLE).then(|| {
+    let given = ranking.total_kept();
+    (!ranking.order.is_empty() && given < LITTLE).then(|| {
         format!(
-            "all view clusters together reach {:.1} % of what is wanted: see the reasons of the triangles in surface.ply, or ask for less \
-             with a coarser --gsd or --accuracy",
-            100.0 * reached
+            "all images together can give only {:.0} % of what is wanted, and shares are of that: surface.ply has the reason of each triangle; \
+             more partners (-k) or a coarser --gsd may give more",
+            100.0 * given
         )
     })
 }

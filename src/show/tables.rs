@@ -20,6 +20,7 @@ pub fn add(plan: &Plan, files: &mut FileSet) {
         array(&[plan.stages.surface.triangles.len(), 3], plan.stages.surface.triangles.iter().flatten().copied()),
     );
     table("triangle_gsd", array(&[plan.stages.target.gsd.len()], plan.stages.target.gsd.iter().copied()));
+    table("weight", array(&[plan.stages.objective.weights.len()], plan.stages.objective.weights.iter().copied()));
     let visible = rows(&plan.stages.visibility.offsets, &plan.stages.visibility.triangles);
     table("visible", array(&[plan.stages.visibility.triangles.len(), 2], visible));
     let unary = (0..plan.stages.visibility.triangles.len()).map(|row| plan.stages.unary.at(row));

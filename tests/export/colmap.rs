@@ -232,7 +232,7 @@ fn colmap_4x_mixed_width_sources() {
     let wide = Camera::new(8, CameraModel::Pinhole, 800, 600, vec![600.0, 600.0, 400.0, 300.0]).unwrap();
     fixture.scene.cameras.push(wide);
     let partner = fixture.clusters[2].partners[1];
-    fixture.scene.views[partner.at()].camera = CameraIndex(1);
+    fixture.scene.views[partner.index()].camera = CameraIndex(1);
     let files = fixture.export("colmap");
     assert!(files.says("differ in width") && files.says(fixture.name(fixture.clusters[2].key)));
 }
@@ -267,7 +267,7 @@ fn colmap_name_of_a_view_that_only_refs_all_lists() {
     let all = ExportOptions { refs: Some(References::All), ..Default::default() };
     let listed: BTreeSet<String> = fixture.named().into_iter().flat_map(|(k, p)| [vec![k], p].concat()).collect();
     let other = fixture.matchable().into_iter().find(|v| !listed.contains(fixture.name(*v))).unwrap();
-    fixture.scene.views[other.at()].name = "a,b.jpg".into();
+    fixture.scene.views[other.index()].name = "a,b.jpg".into();
     assert!(fixture.try_export("colmap", &ExportOptions::default()).is_ok());
     assert!(matches!(fixture.try_export("colmap", &all), Err(BackendError::Name { .. })));
 }

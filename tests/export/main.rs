@@ -73,11 +73,11 @@ impl Fixture {
     pub fn connected(&self, key: ViewIndex) -> Vec<ViewIndex> {
         let mut shared = vec![0; self.scene.views.len()];
         for &p in self.scene.view_points().of(key) {
-            self.scene.track_views(p).iter().for_each(|v| shared[v.at()] += 1);
+            self.scene.track_views(p).iter().for_each(|v| shared[v.index()] += 1);
         }
-        shared[key.at()] = 0;
-        let mut views: Vec<_> = self.scene.view_indices().filter(|v| shared[v.at()] > 0).collect();
-        views.sort_by_key(|v| std::cmp::Reverse(shared[v.at()]));
+        shared[key.index()] = 0;
+        let mut views: Vec<_> = self.scene.view_indices().filter(|v| shared[v.index()] > 0).collect();
+        views.sort_by_key(|v| std::cmp::Reverse(shared[v.index()]));
         views
     }
 

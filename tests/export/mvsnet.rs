@@ -162,7 +162,7 @@ fn mvsnet_depth_dialect() {
     let depths: Vec<f64> = points
         .of(fixture.clusters[0].key)
         .iter()
-        .map(|p| key.camera_from_world(&fixture.scene.points[p.at()]).z)
+        .map(|p| key.camera_from_world(&fixture.scene.points[p.index()]).z)
         .collect();
     let share_inside = |least: f64, greatest: f64| {
         depths.iter().filter(|z| (least..=greatest).contains(*z)).count() as f64 / depths.len() as f64

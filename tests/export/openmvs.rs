@@ -214,7 +214,7 @@ fn openmvs_number_views_cuts_partners() {
     let limit: usize =
         files.lines("dense.cfg").iter().find_map(|l| l.strip_prefix("Max Views = ")).unwrap().parse().unwrap();
     assert!(limit * 3 / 4 >= 14, "above three quarters of the limit OpenMVS filters by angle and scale");
-    assert!(files.text("run.py").contains("\"--number-views\", \"0\""));
+    assert!(files.text("run.py").contains("\"number-views\": \"0\""));
 }
 
 #[test]
@@ -420,7 +420,7 @@ fn odm_number_views_default() {
 fn openmvs_backslash_name() {
     let mut fixture = Fixture::new(3);
     let key = fixture.clusters[0].key;
-    fixture.scene.views[key.at()].name = r"b\15.jpg".into();
+    fixture.scene.views[key.index()].name = r"b\15.jpg".into();
     for backend in ["openmvs", "odm"] {
         let error = fixture.try_export(backend, &ExportOptions::default()).err().unwrap();
         assert!(matches!(error, BackendError::Name { .. }), "{backend}: {error}");
@@ -454,7 +454,7 @@ fn a_name_that_ends_another_one_is_told_from_it() {
     };
     let positions = [position(views[0]), position(views[1])];
     for ((view, position), name) in views.iter().zip(positions).zip(["0.jpg", "b/0.jpg"]) {
-        it.fixture.scene.views[view.at()].name = name.into();
+        it.fixture.scene.views[view.index()].name = name.into();
         it.mvs.images[position].name = format!("undistorted/{name}").into_bytes();
     }
     std::fs::write(it.folder.path().join("scene.mvs"), it.mvs.write()).unwrap();

@@ -267,20 +267,43 @@ def angles(model, key, partner, points):
 
 # --- method 5 ------------------------------------------------------------------------------------------------------------------
 
+SINGLE_MAP_CREDIT = 0.5
+
+
+def weights(model, tables):
+    """What each triangle counts: by default the mean of its pixels over the views that see it."""
+    triangles, kind = len(tables.triangles), tables.settings["ranking"]["weight"]
+    raw = np.ones(triangles) if kind == "count" else tables.areas.copy()
+    if kind == "pixels":
+        pixels, views = np.zeros(triangles), np.zeros(triangles)
+        for view, seen in enumerate(tables.seen):
+            pixels[seen] += pixels_per_area(model, tables, view, seen) * tables.areas[seen]
+            views[seen] += 1
+        raw = pixels / np.maximum(views, 1)
+    return raw / raw.sum()
+
+
+def worth(largest):
+    """What the m largest f of a triangle are worth; `largest` ascending."""
+    if largest.shape[1] == 1:
+        return largest[:, 0]
+    return (largest[:, 0] + SINGLE_MAP_CREDIT * largest[:, 1:].mean(axis=1)) / (1 + SINGLE_MAP_CREDIT)
+
+
+def with_one_more(largest, f):
+    return np.sort(np.column_stack([largest, f]), axis=1)[:, 1:]
+
+
 def greedy(tables, limit):
     """Plain greedy: every gain of every cluster anew in each round. Returns the first `limit` (cluster, gain)."""
-    support = tables.settings["ranking"]["support"]
     triangles, clusters = len(tables.triangles), len(tables.cluster_key)
     split = np.searchsorted(tables.fulfilment[:, 0], np.arange(clusters + 1))
     of = [(tables.fulfilment[a:b, 1], tables.fulfilment_value[a:b].astype(float)) for a, b in zip(split, split[1:])]
-    weight = tables.areas / tables.areas.sum()
-    if tables.settings["ranking"]["weight"] == "count":
-        weight = np.full(triangles, 1 / triangles)
-    best = np.zeros((triangles, support))
+    best = np.zeros((triangles, tables.settings["ranking"]["support"]))
     taken, order = set(), []
     while len(order) < limit:
         gains = [
-            -1.0 if c in taken else float((weight[t] * np.clip(f - best[t].min(axis=1), 0, None)).sum() / support)
+            -1.0 if c in taken else float((tables.weight[t] * (worth(with_one_more(best[t], f)) - worth(best[t]))).sum())
             for c, (t, f) in enumerate(of)
         ]
         most = int(np.argmax(gains))
@@ -289,6 +312,5 @@ def greedy(tables, limit):
         order.append((most, gains[most]))
         taken.add(most)
         t, f = of[most]
-        weakest = best[t].argmin(axis=1)
-        best[t, weakest] = np.maximum(best[t, weakest], f)
+        best[t] = with_one_more(best[t], f)
     return order

@@ -353,8 +353,8 @@ def test_the_backend_is_followed_to_the_target_and_the_user_s_command_runs_once(
             said = backend.progress()
             assert said["finished"] == [line.split("\t")[0] for line in clusters[:count]]
             assert said["clusters"] == len(clusters)
-            assert 0 < said["fulfilment"] <= said["reachable"] <= 1
-            assert abs(said["share"] - said["fulfilment"] / said["reachable"]) < 1e-9
+            assert 0 <= said["kept"] <= said["reachable"] <= 1
+            assert abs(said["share"] - said["kept"] / said["reachable"]) < 1e-9
             assert (said["seconds_per_pair"] is None) == (count == 1)
             assert said["target_reached"] == (said["share"] >= backend.target)
             if said["target_reached"]:
@@ -439,7 +439,7 @@ def test_a_command_that_fails_is_said(root, config):
     with Daemon(root, config, "--on-target", 'touch "$VIEWRANK_PROJECT/stop"; exit 3', settle="300ms") as daemon:
         daemon.wait_planned("p")
         put_in_place(project, (project / "viewrank/clusters.txt").read_text().splitlines())
-        daemon.wait(lambda: daemon.said("p", "the command for a reached target failed"), "the failure")
+        daemon.wait(lambda: daemon.said("p", "on_target command failed"), "the failure")
         assert (project / "stop").exists() and '"status":"exit status: 3"' in daemon.log.read_text()
 
 
@@ -462,9 +462,9 @@ def test_a_broken_file_of_settings_keeps_the_last_good_ones_also_after_a_restart
         daemon.wait_planned("p")
         before = outputs(root / "p")
         settings.write_text("partners.k = = 4\n")
-        daemon.wait(lambda: "the last good settings hold" in (daemon.status("p").get("note") or ""), "the note")
+        daemon.wait(lambda: "using the last valid settings" in (daemon.status("p").get("note") or ""), "the note")
     with Daemon(root, config, settle="100ms") as daemon:
-        daemon.wait(lambda: "the last good settings hold" in (daemon.status("p").get("note") or ""), "the note again")
+        daemon.wait(lambda: "using the last valid settings" in (daemon.status("p").get("note") or ""), "the note again")
         assert outputs(root / "p") == before
         settings.write_text("partners.k = 4\n")
         daemon.wait(lambda: outputs(root / "p") != before, "the new settings")
@@ -518,7 +518,7 @@ def test_lost_events_are_made_up_for(root, config):
         SMALL_MODEL(root / "p/sparse/0", 0)
         daemon.process.send_signal(signal.SIGCONT)
         daemon.wait_planned("p")
-        daemon.wait(lambda: daemon.notices() == ["file events were lost; looked at everything"], "the word about it")
+        daemon.wait(lambda: daemon.notices() == ["file events were lost; scanned everything"], "the word about it")
 
 
 def test_without_enough_watches_the_folders_are_looked_at_in_turn(root, config):
@@ -582,7 +582,7 @@ def test_once_says_by_its_exit_code_whether_all_is_planned(root, config):
     metrics = root / "viewrank.prom"
     once(root, config, "--metrics", metrics, expect=0)
     assert 'viewrank_projects{state="planned"} 1' in metrics.read_text().splitlines()
-    assert "the metrics cannot be written" in once(root, config, "--metrics", root / "nowhere/viewrank.prom", expect=2).stderr
+    assert "cannot write metrics" in once(root, config, "--metrics", root / "nowhere/viewrank.prom", expect=2).stderr
     before = (root / "p/viewrank/manifest.json").stat().st_mtime_ns
     once(root, config, expect=0)
     assert (root / "p/viewrank/manifest.json").stat().st_mtime_ns == before, "it is planned already"

@@ -58,7 +58,7 @@ def test_the_tables_have_the_shapes_and_types_that_are_promised(project):
     table = {path.stem: np.load(path) for path in (project / "tables").glob("*.npy")}
     views = len(json.loads((project / "tables" / "views.json").read_text()))
     expected = {
-        "vertices": ("<f8", 2), "triangles": ("<u4", 2), "visible": ("<u4", 2), "unary": ("<f4", 1), "candidates": ("<u4", 1),
+        "vertices": ("<f8", 2), "triangles": ("<u4", 2), "weight": ("<f8", 1), "visible": ("<u4", 2), "unary": ("<f4", 1), "candidates": ("<u4", 1),
         "candidate_offsets": ("<u8", 1), "partners": ("<u4", 1), "partner_offsets": ("<u8", 1), "cluster_key": ("<u4", 1),
         "fulfilment": ("<u4", 2), "fulfilment_value": ("<f4", 1), "order": ("<u4", 1), "gain": ("<f8", 1),
     }

@@ -59,6 +59,11 @@ def test_partners_are_candidates(planned):
         assert len(partners) == len(set(partners)) <= tables.settings["partners"]["k"]
 
 
+def test_a_triangle_counts_what_the_photographs_show_of_it(planned):
+    model, tables = planned
+    np.testing.assert_allclose(tables.weight, oracle.weights(model, tables), rtol=1e-5, atol=1e-10)
+
+
 def test_the_order_is_plain_greedys(planned):
     _, tables = planned
     expected = oracle.greedy(tables, len(tables.order))

@@ -117,7 +117,7 @@ fn overlap(visit: &Visit, view: ViewIndex, other: ViewIndex, sample: &[PointInde
     let [from, to] = [own.centre(), their.centre()];
     let upright = own.viewing_direction().dot(&their.viewing_direction()) > SIMILAR;
     let same_side = |p: &&PointIndex| {
-        let point = &scene.points[p.at()];
+        let point = &scene.points[p.index()];
         let (a, b) = (from - point, to - point);
         let (near, far) = (a.norm().min(b.norm()), a.norm().max(b.norm()));
         let pixel = scene.camera_of(other).project(&their.camera_from_world(point));
@@ -128,7 +128,7 @@ fn overlap(visit: &Visit, view: ViewIndex, other: ViewIndex, sample: &[PointInde
     let mut seen: Vec<(f64, bool)> = sample
         .iter()
         .filter(same_side)
-        .map(|&p| (own.camera_from_world(&scene.points[p.at()]), scene.track_views(p).contains(&other)))
+        .map(|&p| (own.camera_from_world(&scene.points[p.index()]), scene.track_views(p).contains(&other)))
         .map(|(x, shared)| (x.x / x.z, shared))
         .collect();
     if !upright || seen.len() < ENOUGH {

@@ -141,11 +141,11 @@ fn too_few(visit: &Visit, looked: &[Looked]) -> Option<Finding> {
 /// Share of the sparse points that only these views see.
 fn lost_share(visit: &Visit, none: &[&Looked]) -> f64 {
     let mut without = vec![false; visit.scene.views.len()];
-    none.iter().for_each(|l| without[l.view.at()] = true);
+    none.iter().for_each(|l| without[l.view.index()] = true);
     let tracks = || (0..visit.scene.points.len() as u32).map(|p| visit.scene.track_views(PointIndex(p)));
     // A point that one view alone observes is none of the surface (method 1.1).
     let sound = || tracks().filter(|views| views.len() > 1);
-    sound().filter(|views| views.iter().all(|v| without[v.at()])).count() as f64 / sound().count().max(1) as f64
+    sound().filter(|views| views.iter().all(|v| without[v.index()])).count() as f64 / sound().count().max(1) as f64
 }
 
 /// Key views with fewer than k partners.
@@ -173,7 +173,8 @@ fn one_position(visit: &Visit, looked: &[Looked]) -> Option<Finding> {
     let standing: usize = groups.iter().map(|views| views.len()).sum();
     let with = |views: &[ViewIndex]| format!("with {}", visit.scene.name(views[0]));
     let views = groups.iter().flat_map(|views| views[1..].iter().map(|&v| visit.of(v, with(views)))).collect();
-    let alone = groups.iter().flat_map(|views| views.iter()).filter(|v| looked[v.at()].partners < least(visit)).count();
+    let alone =
+        groups.iter().flat_map(|views| views.iter()).filter(|v| looked[v.index()].partners < least(visit)).count();
     let (severity, cure) = match alone {
         0 => (Severity::Note, "nothing: they are no partners of each other, and each has others"),
         n if n as f64 >= MOST * looked.len() as f64 => (Severity::Error, "photograph from different places"),

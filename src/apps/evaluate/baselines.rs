@@ -8,10 +8,10 @@ use super::{
     run::Run,
 };
 use crate::{
-    base::progress::{Cancelled, Watcher},
+    base::{column::TableError, progress::Watcher},
     method::{
         fulfilment::Model,
-        ranking::{Beliefs, Reached},
+        ranking::{Beliefs, Objective},
     },
 };
 
@@ -31,8 +31,8 @@ pub struct Order {
     pub needed: Vec<Needed>,
     /// Standard deviation of the key views over the seeds; empty for others than `random`.
     pub spread: Vec<f64>,
-    /// Real f_o after i clusters, from 0; a mean over the seeds of `random`.
-    pub fulfilment: Vec<f64>,
+    /// Weight of the triangles that fusion really keeps after i clusters, from 0; a mean over the seeds of `random`.
+    pub kept: Vec<f64>,
     /// Pairs after i clusters; a mean over the seeds of `random`.
     pub pairs: Vec<f64>,
 }
@@ -41,26 +41,24 @@ pub struct Order {
 pub fn compare(
     run: &Run,
     model: &Model,
-    weights: &[f64],
-    support: u32,
+    objective: &Objective,
     watcher: &dyn Watcher,
-) -> Result<Vec<Order>, Cancelled> {
+) -> Result<Vec<Order>, TableError> {
     let beliefs = Beliefs::new(model.scene, model.surface, &run.clusters, &run.predicted);
     let clusters = run.clusters.len();
-    let total = run.real_curve(weights, support, &run.order).total();
-    let one = |name, order: Vec<u32>| Order::new(name, &[run.real_curve(weights, support, &order)], total);
-    let random: Vec<Curve> = (0..orders::RANDOM_SEEDS)
-        .map(|seed| run.real_curve(weights, support, &orders::random(clusters, seed)))
-        .collect();
+    let total = run.real_curve(objective, &run.order).total_kept();
+    let one = |name, order: Vec<u32>| Order::new(name, &[run.real_curve(objective, &order)], total);
+    let random: Vec<Curve> =
+        (0..orders::RANDOM_SEEDS).map(|seed| run.real_curve(objective, &orders::random(clusters, seed))).collect();
     Ok(vec![
-        one("ours", orders::greedy(&run.predicted, weights, support, watcher)?),
-        one("nocp", orders::greedy(&run.nocp, weights, support, watcher)?),
-        one("realupdate", orders::real_update(&run.predicted, &run.real, weights, support)),
-        one("replan", orders::replan(beliefs, run, weights, support)),
+        one("ours", orders::greedy(&run.predicted, objective, watcher)?),
+        one("nocp", orders::greedy(&run.nocp, objective, watcher)?),
+        one("realupdate", orders::real_update(&run.predicted, &run.real, objective)),
+        one("replan", orders::replan(beliefs, run, objective)),
         one("maxpts", orders::max_points(model.scene, &run.clusters)),
-        Order::new("every n-th", &[every_nth(run, weights, support)], total),
+        Order::new("every n-th", &[every_nth(run, objective)], total),
         Order::new("random", &random, total),
-        one("optimum", orders::greedy(&run.real, weights, support, watcher)?),
+        one("optimum", orders::greedy(&run.real, objective, watcher)?),
     ])
 }
 
@@ -68,7 +66,7 @@ impl Order {
     /// From the curve of the order, or those of several seeds.
     fn new(name: &'static str, curves: &[Curve], total: f64) -> Self {
         let count = curves.len() as f64;
-        let last = |values: &Curve| values.fulfilment.len() - 1;
+        let last = |values: &Curve| values.kept.len() - 1;
         let clusters_for = |c: &Curve, share: f64| c.clusters_for(share * total).unwrap_or(last(c));
         let mean = |value: &dyn Fn(&Curve) -> f64| curves.iter().map(value).sum::<f64>() / count;
         let needed = SHARES.map(|share| Needed {
@@ -81,11 +79,11 @@ impl Order {
             squares.sqrt()
         };
         let spread = if curves.len() > 1 { needed.iter().map(deviation).collect() } else { Vec::new() };
-        let entries = 0..curves[0].fulfilment.len();
+        let entries = 0..curves[0].kept.len();
         Self {
             name,
             spread,
-            fulfilment: entries.clone().map(|i| mean(&|c| c.fulfilment[i])).collect(),
+            kept: entries.clone().map(|i| mean(&|c| c.kept[i])).collect(),
             pairs: entries.map(|i| mean(&|c| c.pairs[i] as f64)).collect(),
             needed: needed.to_vec(),
         }
@@ -93,20 +91,14 @@ impl Order {
 }
 
 /// After i clusters: those that are evenly spread when i are taken. What more clusters lose to fewer is not counted against them.
-fn every_nth(run: &Run, weights: &[f64], support: u32) -> Curve {
-    let mut curve = Curve { fulfilment: vec![0.0], pairs: vec![0] };
+fn every_nth(run: &Run, objective: &Objective) -> Curve {
+    let mut curve = Curve::start();
     for count in 1..=run.clusters.len() {
-        let mut reached = Reached::new(weights, support);
-        let (mut fulfilment, mut pairs) = (0.0, 0);
-        for c in orders::every_nth(run.clusters.len(), count) {
-            let cluster = run.real.of(c as usize);
-            fulfilment += reached.gain(cluster);
-            reached.take(cluster);
-            pairs += run.clusters[c as usize].partners.len();
-        }
-        let before = curve.total();
-        curve.fulfilment.push(fulfilment.max(before));
-        curve.pairs.push(if fulfilment > before { pairs } else { curve.pairs[count - 1] });
+        let taken = run.real_curve(objective, &orders::every_nth(run.clusters.len(), count));
+        let (kept, before) = (taken.total_kept(), curve.total_kept());
+        curve.fulfilment.push(taken.total().max(curve.total()));
+        curve.kept.push(kept.max(before));
+        curve.pairs.push(if kept > before { taken.pairs[count] } else { curve.pairs[count - 1] });
     }
     curve
 }

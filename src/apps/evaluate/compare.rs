@@ -4,12 +4,9 @@ use serde::Serialize;
 
 use super::{clusters, curve::Curve, evaluation::QualityRow, measure::Quality, orders, rules::RULES, run::Run};
 use crate::{
-    base::{
-        column::TableError,
-        progress::{Cancelled, Watcher},
-    },
+    base::{column::TableError, progress::Watcher},
     config::PartnerSettings,
-    method::{confidence::Confidence, partners, ranking},
+    method::{confidence::Confidence, partners},
     model::{cluster::ViewCluster, scene::ViewIndex},
     plan::Plan,
 };
@@ -27,13 +24,11 @@ pub fn choices(plan: &Plan, k: u32, watcher: &dyn Watcher) -> Result<Vec<Choice>
     let mut certain = model;
     certain.rule.confidence = Confidence::None;
     let settings = PartnerSettings { k, ..plan.stages.settings.partners.clone() };
-    let weights = ranking::weights(&plan.stages.surface, plan.stages.settings.ranking.weight);
-    let support = plan.stages.settings.ranking.support.unwrap_or(1);
     let mut choices = Vec::new();
     for (rule, model) in [("ours", &model), ("ours-nocp", &certain)] {
         let (clusters, table) =
             partners::choose(model, &plan.stages.candidates, &settings, plan.stages.settings.seed, watcher)?;
-        let order = orders::greedy(&table, &weights, support, watcher)?;
+        let order = orders::greedy(&table, &plan.stages.objective, watcher)?;
         let clusters = order.iter().map(|&c| clusters[c as usize].clone()).collect();
         choices.push(Choice { rule: rule.into(), clusters });
     }
@@ -66,31 +61,26 @@ pub struct Compared {
     /// f_o of all clusters.
     pub predicted: f64,
     pub real: f64,
-    /// Real f_o after i clusters in the choice's own order, and the pairs so far.
+    /// What is really reached after i clusters in the choice's own order, and the pairs so far.
     pub curve: Curve,
     /// The same in the greedy order on real results.
     pub optimum: Curve,
 }
 
 /// Measured runs of several choices side by side, by name.
-pub fn compare(
-    plan: &Plan,
-    runs: &[(String, Run)],
-    support: u32,
-    watcher: &dyn Watcher,
-) -> Result<Vec<Compared>, Cancelled> {
-    let weights = ranking::weights(&plan.stages.surface, plan.stages.settings.ranking.weight);
+pub fn compare(plan: &Plan, runs: &[(String, Run)], watcher: &dyn Watcher) -> Result<Vec<Compared>, TableError> {
+    let objective = &plan.stages.objective;
     // A view without partners has no map: what its reference shows counts as missing.
     let mut reference = vec![0; plan.stages.scene.views.len()];
     for (_, run) in runs {
         for (cluster, quality) in run.clusters.iter().zip(&run.quality) {
-            reference[cluster.key.at()] = reference[cluster.key.at()].max(quality.reference);
+            reference[cluster.key.index()] = reference[cluster.key.index()].max(quality.reference);
         }
     }
     let one = |(name, run): &(String, Run)| {
-        let predicted = Curve::new(&run.predicted, &weights, support, &run.clusters, &run.order);
-        let curve = run.real_curve(&weights, support, &run.order);
-        let best = orders::greedy(&run.real, &weights, support, watcher)?;
+        let predicted = Curve::new(&run.predicted, objective, &run.clusters, &run.order);
+        let curve = run.real_curve(objective, &run.order);
+        let best = orders::greedy(&run.real, objective, watcher)?;
         let quality = Quality { reference: reference.iter().sum(), ..run.pooled() };
         Ok(Compared {
             name: name.clone(),
@@ -100,7 +90,7 @@ pub fn compare(
             predicted: predicted.total(),
             real: curve.total(),
             curve,
-            optimum: run.real_curve(&weights, support, &best),
+            optimum: run.real_curve(objective, &best),
         })
     };
     runs.iter().map(one).collect()

@@ -1,38 +1,42 @@
 //! What an order of view clusters reaches, cluster by cluster (method 8).
 
 use crate::{
-    method::{fulfilment::FulfilmentTable, ranking::Reached},
+    method::{
+        fulfilment::FulfilmentTable,
+        ranking::{Objective, Reached},
+    },
     model::cluster::ViewCluster,
 };
 
-/// f_o and matching pairs of the first i clusters of an order; both begin with 0 at i = 0.
+/// What the first i clusters of an order reach, for i = 0, 1, ...; all begin with 0.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct Curve {
+    /// f_o (method 5.1).
     pub fulfilment: Vec<f64>,
+    /// Weight of the triangles that fusion keeps (method 5.2), 0 to 1: what shares are of.
+    pub kept: Vec<f64>,
+    /// (Key view, partner) pairs.
     pub pairs: Vec<usize>,
 }
 
 impl Curve {
-    /// Along `order` (indices into `clusters` and into the table's rows). `support`: m of method 5.2.
-    pub fn new(
-        table: &FulfilmentTable,
-        weights: &[f64],
-        support: u32,
-        clusters: &[ViewCluster],
-        order: &[u32],
-    ) -> Self {
-        let mut reached = Reached::new(weights, support);
-        let mut curve = Self { fulfilment: vec![0.0], pairs: vec![0] };
-        let (mut fulfilment, mut pairs) = (0.0, 0);
+    /// Along `order` (indices into `clusters` and into the table's rows).
+    pub fn new(table: &FulfilmentTable, objective: &Objective, clusters: &[ViewCluster], order: &[u32]) -> Self {
+        let (mut reached, mut pairs) = (Reached::new(objective), 0);
+        let mut curve = Self::start();
         for &c in order {
-            let cluster = table.of(c as usize);
-            fulfilment += reached.gain(cluster);
-            reached.take(cluster);
+            reached.take(table.of(c as usize));
             pairs += clusters[c as usize].partners.len();
-            curve.fulfilment.push(fulfilment);
+            curve.fulfilment.push(reached.fulfilment());
+            curve.kept.push(reached.kept());
             curve.pairs.push(pairs);
         }
         curve
+    }
+
+    /// Of no cluster.
+    pub(super) fn start() -> Self {
+        Self { fulfilment: vec![0.0], kept: vec![0.0], pairs: vec![0] }
     }
 
     /// f_o of the whole order.
@@ -40,21 +44,26 @@ impl Curve {
         self.fulfilment.last().copied().unwrap_or(0.0)
     }
 
-    /// The fewest first clusters that reach a fulfilment; `None` where all together do not.
-    pub fn clusters_for(&self, fulfilment: f64) -> Option<usize> {
-        let clusters = self.fulfilment.partition_point(|&f| f < fulfilment - ROUNDING);
-        (clusters < self.fulfilment.len()).then_some(clusters)
+    /// Weight of the triangles that fusion keeps of the whole order, 0 to 1.
+    pub fn total_kept(&self) -> f64 {
+        self.kept.last().copied().unwrap_or(0.0)
     }
 
-    /// Matching pairs of those clusters.
-    pub fn pairs_for(&self, fulfilment: f64) -> Option<usize> {
-        self.clusters_for(fulfilment).map(|clusters| self.pairs[clusters])
+    /// The fewest first clusters of which fusion keeps that much; `None` where it keeps less of all together.
+    pub fn clusters_for(&self, kept: f64) -> Option<usize> {
+        let clusters = self.kept.partition_point(|&k| k < kept - ROUNDING);
+        (clusters < self.kept.len()).then_some(clusters)
     }
 
-    /// Share of `total` that the first clusters reach; 0 where nothing can be reached.
+    /// Pairs of those clusters.
+    pub fn pairs_for(&self, kept: f64) -> Option<usize> {
+        self.clusters_for(kept).map(|clusters| self.pairs[clusters])
+    }
+
+    /// What fusion keeps of the first clusters as a share of `total`; 0 where that is 0.
     pub fn share(&self, clusters: usize, total: f64) -> f64 {
-        let fulfilment = self.fulfilment[clusters.min(self.fulfilment.len() - 1)];
-        if total > 0.0 { fulfilment / total } else { 0.0 }
+        let kept = self.kept[clusters.min(self.kept.len() - 1)];
+        if total > 0.0 { kept / total } else { 0.0 }
     }
 }
 
@@ -71,17 +80,18 @@ mod tests {
 
     #[test]
     fn counts_clusters_and_pairs_up_to_a_fulfilment() {
-        let table = FulfilmentTable::new([vec![(0, 1.0)], vec![(0, 0.5), (1, 0.5)], vec![(1, 1.0)]]);
+        let table = FulfilmentTable::new([vec![(0, 1.0)], vec![(0, 0.5), (1, 0.2)], vec![(1, 1.0)]]);
         let cluster = |key: u32, partners: u32| ViewCluster {
             key: ViewIndex(key),
             partners: (0..partners).map(|p| ViewIndex(10 + p)).collect(),
         };
         let clusters = [cluster(0, 2), cluster(1, 3), cluster(2, 4)];
-        let curve = Curve::new(&table, &[0.5, 0.5], 1, &clusters, &[1, 0, 2]);
-        assert_eq!(curve.fulfilment, [0.0, 0.5, 0.75, 1.0]);
+        let curve = Curve::new(&table, &Objective::weighing(vec![1.0; 2], 1), &clusters, &[1, 0, 2]);
+        assert!(curve.fulfilment.iter().zip([0.0, 0.35, 0.6, 1.0]).all(|(f, expected)| (f - expected).abs() < 1e-6));
+        assert_eq!(curve.kept, [0.0, 0.5, 0.5, 1.0]);
         assert_eq!(curve.pairs, [0, 3, 5, 9]);
         assert_eq!(curve.clusters_for(0.5), Some(1));
-        assert_eq!(curve.clusters_for(0.51), Some(2));
+        assert_eq!(curve.clusters_for(0.51), Some(3));
         assert_eq!(curve.pairs_for(0.76), Some(9));
         assert_eq!(curve.clusters_for(1.01), None);
         assert_eq!(curve.share(1, 1.0), 0.5);

@@ -12,8 +12,8 @@ use super::{
     run::Run,
 };
 use crate::{
-    base::progress::{Cancelled, Watcher},
-    method::fulfilment::Model,
+    base::{column::TableError, progress::Watcher},
+    method::{fulfilment::Model, ranking::Objective},
     model::scene::ViewIndex,
 };
 
@@ -33,6 +33,8 @@ pub struct Evaluation {
     /// f_o of all clusters together.
     pub predicted: f64,
     pub real: f64,
+    /// Weight of the triangles that fusion keeps of all clusters together, 0 to 1: what the shares below are of.
+    pub kept: Kept,
     /// Along the order of the clusters; entry i is after i clusters.
     pub curve: Curves,
     /// The curve read at predicted shares of 10, 20, ... 90 %.
@@ -75,9 +77,15 @@ impl From<&Quality> for QualityRow {
     }
 }
 
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct Kept {
+    pub predicted: f64,
+    pub real: f64,
+}
+
 #[derive(Clone, Debug, Serialize)]
 pub struct Curves {
-    /// Share of what all clusters together reach.
+    /// What fusion keeps, as a share of what it keeps of all clusters together.
     pub predicted: Vec<f64>,
     pub real: Vec<f64>,
     /// Real f_o.
@@ -109,8 +117,7 @@ pub struct KeyView {
 
 /// What to read the curves with.
 pub struct Measure<'a> {
-    pub weights: &'a [f64],
-    pub support: u32,
+    pub objective: &'a Objective,
     /// Compare with other orders?
     pub baselines: bool,
 }
@@ -130,23 +137,24 @@ impl Evaluation {
         reached: &Reached,
         measure: &Measure,
         watcher: &dyn Watcher,
-    ) -> Result<Self, Cancelled> {
-        let Measure { weights, support, baselines } = *measure;
-        let predicted = Curve::new(&run.predicted, weights, support, &run.clusters, &run.order);
-        let real = run.real_curve(weights, support, &run.order);
+    ) -> Result<Self, TableError> {
+        let Measure { objective, baselines } = *measure;
+        let predicted = Curve::new(&run.predicted, objective, &run.clusters, &run.order);
+        let real = run.real_curve(objective, &run.order);
         let names = |views: &[ViewIndex]| views.iter().map(|&v| model.scene.name(v).to_string()).collect();
         let orders = match baselines {
-            true => baselines::compare(run, model, weights, support, watcher)?,
+            true => baselines::compare(run, model, objective, watcher)?,
             false => Vec::new(),
         };
         Ok(Self {
             version: 1,
             reference: run.has_reference,
-            support,
+            support: objective.support,
             triangles: model.surface.triangles.len(),
             quality: (&run.pooled()).into(),
             predicted: predicted.total(),
             real: real.total(),
+            kept: Kept { predicted: predicted.total_kept(), real: real.total_kept() },
             gap: gaps(&predicted, &real),
             curve: Curves {
                 predicted: shares(&predicted),
@@ -164,18 +172,18 @@ impl Evaluation {
 }
 
 fn shares(curve: &Curve) -> Vec<f64> {
-    (0..curve.fulfilment.len()).map(|i| curve.share(i, curve.total())).collect()
+    (0..curve.kept.len()).map(|i| curve.share(i, curve.total_kept())).collect()
 }
 
 fn gaps(predicted: &Curve, real: &Curve) -> Vec<Gap> {
     let gap = |share: f64| {
-        let clusters = predicted.clusters_for(share * predicted.total())?;
+        let clusters = predicted.clusters_for(share * predicted.total_kept())?;
         Some(Gap {
             share,
             clusters,
             pairs: predicted.pairs[clusters],
-            predicted: predicted.share(clusters, predicted.total()),
-            real: real.share(clusters, real.total()),
+            predicted: predicted.share(clusters, predicted.total_kept()),
+            real: real.share(clusters, real.total_kept()),
         })
     };
     SHARES.iter().filter_map(|&share| gap(share)).collect()

@@ -5,10 +5,10 @@ use rand_pcg::Pcg64;
 
 use super::run::Run;
 use crate::{
-    base::progress::{Cancelled, Watcher},
+    base::{column::TableError, progress::Watcher},
     method::{
         fulfilment::FulfilmentTable,
-        ranking::{Beliefs, Reached, rank},
+        ranking::{Beliefs, Objective, Reached, rank},
     },
     model::{cluster::ViewCluster, scene::Scene},
 };
@@ -17,13 +17,8 @@ use crate::{
 pub const RANDOM_SEEDS: u64 = 20;
 
 /// The greedy order by a table, then the clusters that add nothing, by index: all clusters, each once.
-pub fn greedy(
-    table: &FulfilmentTable,
-    weights: &[f64],
-    support: u32,
-    watcher: &dyn Watcher,
-) -> Result<Vec<u32>, Cancelled> {
-    Ok(completed(rank(table, weights, support, watcher)?.order, table.clusters()))
+pub fn greedy(table: &FulfilmentTable, objective: &Objective, watcher: &dyn Watcher) -> Result<Vec<u32>, TableError> {
+    Ok(completed(rank(table, objective, watcher)?.order, table.clusters()))
 }
 
 /// An order of some clusters, and behind it the others by index.
@@ -35,8 +30,8 @@ pub fn completed(order: Vec<u32>, clusters: usize) -> Vec<u32> {
 }
 
 /// `realupdate`: the next cluster is the one whose predicted fulfilment exceeds most what is really reached.
-pub fn real_update(predicted: &FulfilmentTable, real: &FulfilmentTable, weights: &[f64], support: u32) -> Vec<u32> {
-    let mut reached = Reached::new(weights, support);
+pub fn real_update(predicted: &FulfilmentTable, real: &FulfilmentTable, objective: &Objective) -> Vec<u32> {
+    let mut reached = Reached::new(objective);
     let mut left: Vec<u32> = (0..predicted.clusters() as u32).collect();
     let mut order = Vec::with_capacity(left.len());
     while !left.is_empty() {
@@ -49,8 +44,8 @@ pub fn real_update(predicted: &FulfilmentTable, real: &FulfilmentTable, weights:
 }
 
 /// `replan` (method 5.4): as `realupdate`, but what failed is remembered. `beliefs` are of the clusters of the run.
-pub fn replan(mut beliefs: Beliefs, run: &Run, weights: &[f64], support: u32) -> Vec<u32> {
-    let mut reached = Reached::new(weights, support);
+pub fn replan(mut beliefs: Beliefs, run: &Run, objective: &Objective) -> Vec<u32> {
+    let mut reached = Reached::new(objective);
     let mut left: Vec<u32> = (0..run.clusters.len() as u32).collect();
     let mut order = Vec::with_capacity(left.len());
     while !left.is_empty() {
@@ -70,7 +65,7 @@ pub fn replan(mut beliefs: Beliefs, run: &Run, weights: &[f64], support: u32) ->
 pub fn max_points(scene: &Scene, clusters: &[ViewCluster]) -> Vec<u32> {
     let points = scene.view_points();
     let mut cluster_of = vec![None; scene.views.len()];
-    clusters.iter().enumerate().for_each(|(c, cluster)| cluster_of[cluster.key.at()] = Some(c));
+    clusters.iter().enumerate().for_each(|(c, cluster)| cluster_of[cluster.key.index()] = Some(c));
     let mut uncovered: Vec<usize> = clusters.iter().map(|c| points.of(c.key).len()).collect();
     let mut covered = vec![false; scene.points.len()];
     let mut left: Vec<u32> = (0..clusters.len() as u32).collect();
@@ -80,14 +75,14 @@ pub fn max_points(scene: &Scene, clusters: &[ViewCluster]) -> Vec<u32> {
         let cluster = left.remove(best);
         order.push(cluster);
         for &point in points.of(clusters[cluster as usize].key) {
-            if std::mem::replace(&mut covered[point.at()], true) {
+            if std::mem::replace(&mut covered[point.index()], true) {
                 continue;
             }
             let mut last = None;
             for &view in scene.track_views(point) {
                 // A view that observes the point twice counts once.
                 if last.replace(view) != Some(view)
-                    && let Some(c) = cluster_of[view.at()]
+                    && let Some(c) = cluster_of[view.index()]
                 {
                     uncovered[c] -= 1;
                 }
@@ -137,10 +132,14 @@ mod tests {
         FulfilmentTable::new(rows)
     }
 
+    fn even() -> Objective {
+        Objective::weighing(vec![1.0; 2], 1)
+    }
+
     #[test]
     fn greedy_ends_with_what_adds_nothing() {
         let table = table(&[&[(0, 0.5)], &[], &[(0, 1.0), (1, 0.1)], &[(0, 0.9)]]);
-        assert_eq!(greedy(&table, &[0.5, 0.5], 1, &Unwatched).unwrap(), [2, 0, 1, 3]);
+        assert_eq!(greedy(&table, &even(), &Unwatched).unwrap(), [2, 0, 1, 3]);
     }
 
     #[test]
@@ -148,8 +147,8 @@ mod tests {
         // Cluster 0 promises everything and fails; its neighbour 1 promises the same, 2 less elsewhere.
         let predicted = table(&[&[(0, 0.9)], &[(0, 0.8)], &[(1, 0.5)]]);
         let real = table(&[&[], &[(0, 0.8)], &[(1, 0.5)]]);
-        assert_eq!(real_update(&predicted, &real, &[0.5, 0.5], 1), [0, 1, 2]);
-        assert_eq!(real_update(&predicted, &predicted, &[0.5, 0.5], 1), [0, 2, 1]);
+        assert_eq!(real_update(&predicted, &real, &even()), [0, 1, 2]);
+        assert_eq!(real_update(&predicted, &predicted, &even()), [0, 2, 1]);
     }
 
     /// Views that observe the points of each list.

@@ -17,7 +17,7 @@ pub fn page(evaluation: &Evaluation, title: &str) -> String {
         escape(title)
     );
     html += &summary(evaluation);
-    html += "<h2>Share of the real fulfilment</h2>\n<div class=\"plots\">\n";
+    html += "<h2>Share of what all depth maps give</h2>\n<div class=\"plots\">\n";
     html += &plots(evaluation);
     html += "</div>\n";
     html += &gap_table(evaluation);
@@ -88,7 +88,8 @@ fn plots(e: &Evaluation) -> String {
         ];
         for (i, order) in e.orders.iter().enumerate().skip(1) {
             let x = if over_pairs { order.pairs.clone() } else { (0..order.pairs.len()).map(|i| i as f64).collect() };
-            let y: Vec<f64> = order.fulfilment.iter().map(|f| if e.real > 0.0 { f / e.real } else { 0.0 }).collect();
+            let y: Vec<f64> =
+                order.kept.iter().map(|kept| if e.kept.real > 0.0 { kept / e.kept.real } else { 0.0 }).collect();
             lines.push(line(order.name, COLOURS[i % COLOURS.len()], "", x, &y));
         }
         html += &plot(if over_pairs { "matching pairs" } else { "key views" }, &lines);

@@ -22,7 +22,7 @@ use crate::{
     method::{
         confidence::Confidence,
         fulfilment::{self, FulfilmentTable, Model},
-        ranking::Attempt,
+        ranking::{Attempt, Objective},
     },
     model::{cluster::ViewCluster, scene::ViewIndex},
 };
@@ -133,8 +133,8 @@ impl Run {
     }
 
     /// The real curve of an order of the clusters.
-    pub fn real_curve(&self, weights: &[f64], support: u32, order: &[u32]) -> Curve {
-        Curve::new(&self.real, weights, support, &self.clusters, order)
+    pub fn real_curve(&self, objective: &Objective, order: &[u32]) -> Curve {
+        Curve::new(&self.real, objective, &self.clusters, order)
     }
 }
 

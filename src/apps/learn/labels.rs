@@ -71,7 +71,7 @@ struct Other<'a> {
 impl<'a> Labelling<'a> {
     /// The judged pixels of a key view, row by row.
     pub fn labels(&self, key: ViewIndex) -> Vec<Label> {
-        let Some(finished) = &self.finished[key.at()] else { return Vec::new() };
+        let Some(finished) = &self.finished[key.index()] else { return Vec::new() };
         let map = &finished.map;
         let triangles = front(self.model.scene, self.model.surface, key, map.width, map.height);
         let others = self.others_of(key, finished);
@@ -114,7 +114,7 @@ impl<'a> Labelling<'a> {
             own.cluster.partners.contains(&other.cluster.key) && other.cluster.partners.contains(&key)
         };
         let of = |view: ViewIndex| {
-            let finished = self.finished[view.at()].as_ref().filter(|f| view != key && !shares_pair(f))?;
+            let finished = self.finished[view.index()].as_ref().filter(|f| view != key && !shares_pair(f))?;
             Some(Other { view, centre: self.model.scene.view(view).cam_from_world.centre(), finished })
         };
         (self.others)(key).into_iter().filter_map(of).take(MOST_OTHERS).collect()

@@ -222,7 +222,7 @@ impl Lesson<'_> {
         for (file, map) in self.maps.iter().zip(maps) {
             let cluster = self.clusters.iter().find(|c| c.key == file.view);
             let cluster = cluster.ok_or_else(|| TrainError::NoCluster(self.model.scene.name(file.view).into()))?;
-            finished[file.view.at()] = Some(Finished { cluster: cluster.clone(), map });
+            finished[file.view.index()] = Some(Finished { cluster: cluster.clone(), map });
         }
         Ok(finished)
     }
@@ -370,7 +370,7 @@ fn promises(
         let maps: Vec<Option<ConfidenceMap>> = looked.into_iter().map(|l| l.map(|l| l.0)).collect();
         let unary = Unary::new(scene, lesson.model.surface, lesson.model.visibility, &maps, watcher)?;
         let of_view = |&view: &ViewIndex| {
-            let known = maps[view.at()].is_some();
+            let known = maps[view.index()].is_some();
             lesson
                 .model
                 .visibility

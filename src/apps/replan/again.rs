@@ -41,6 +41,7 @@ fn with_ranking(plan: Plan, recorded: &Recorded, watcher: &dyn Watcher) -> Resul
         order: order.iter().filter_map(place).map(|c| c as u32).collect(),
         gains: recorded.clusters.iter().map(|cluster| cluster.gain).collect(),
         fulfilment: recorded.clusters.iter().map(|cluster| cluster.fulfilment).collect(),
+        kept: recorded.clusters.iter().map(|cluster| cluster.share * recorded.cut.reachable).collect(),
     };
     let finished =
         Finished { clusters: recorded.finished(), outdated: recorded.outdated.clone(), ..Finished::default() };
@@ -48,7 +49,7 @@ fn with_ranking(plan: Plan, recorded: &Recorded, watcher: &dyn Watcher) -> Resul
     let mut decision = decide_as(&stages, finished, ranking, cut)?;
     for written in &recorded.views {
         if let Some(view) = stages.scene.find(&written.name) {
-            decision.views[view.at()] = (written.status, written.reason);
+            decision.views[view.index()] = (written.status, written.reason);
         }
     }
     Ok(Plan { stages, decision, timings })

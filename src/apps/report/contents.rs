@@ -231,9 +231,13 @@ impl Views {
         let directions: Vec<f32> = directions.flat_map(|d| frame.direction(&d)).map(|x| x as f32).collect();
         let footprints = footprints(&plan.stages.surface, &plan.stages.visibility, frame);
         let mut rank = vec![0u32; plan.stages.scene.views.len()];
-        plan.ranked().enumerate().for_each(|(i, cluster)| rank[cluster.key.at()] = i as u32 + 1);
+        plan.ranked().enumerate().for_each(|(i, cluster)| rank[cluster.key.index()] = i as u32 + 1);
         let mut likest = vec![Vec::new(); rank.len()];
-        plan.stages.clusters.iter().zip(plan.likest()?).for_each(|(cluster, found)| likest[cluster.key.at()] = found);
+        plan.stages
+            .clusters
+            .iter()
+            .zip(plan.likest()?)
+            .for_each(|(cluster, found)| likest[cluster.key.index()] = found);
         Ok(Self {
             names: plan.stages.scene.views.iter().map(|view| view.name.clone()).collect(),
             centres: bytes(&in_frame(frame, centres.iter())),
@@ -254,7 +258,7 @@ impl Views {
 /// Explains the refused pairs of each view whose reason is about its pairs.
 fn partners(plan: &Plan) -> BTreeMap<u32, String> {
     let of_pairs = [Reason::NoSharedPoints, Reason::RotationOnly, Reason::NotMatchable];
-    let lacks = |view: &ViewIndex| plan.decision.views[view.at()].1.is_some_and(|reason| of_pairs.contains(&reason));
+    let lacks = |view: &ViewIndex| plan.decision.views[view.index()].1.is_some_and(|reason| of_pairs.contains(&reason));
     let Ok(backend) = backends::by_name(plan.stages.backend) else { return BTreeMap::new() };
     let points = plan.stages.scene.view_points();
     let views: Vec<ViewIndex> = plan.stages.scene.view_indices().filter(lacks).collect();

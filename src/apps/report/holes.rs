@@ -84,7 +84,7 @@ fn usual_distance(scene: &Scene) -> Option<f64> {
     let nearest = |p: u32| {
         let views = scene.track_views[scene.track(PointIndex(p))].iter();
         let distance =
-            |view: &ViewIndex| (scene.views[view.at()].cam_from_world.centre() - scene.points[p as usize]).norm();
+            |view: &ViewIndex| (scene.views[view.index()].cam_from_world.centre() - scene.points[p as usize]).norm();
         views.map(distance).min_by(f64::total_cmp)
     };
     upper_median((0..scene.points.len() as u32).filter_map(nearest))

@@ -12,7 +12,6 @@ use crate::{
         depthmaps::{self, DepthMapError},
         project::Project,
     },
-    method::ranking,
     model::cluster::ViewCluster,
     plan::Plan,
 };
@@ -85,9 +84,7 @@ impl Real {
 
     fn of(plan: &Plan, shown: &Shown, run: &Run, clusters: &[ViewCluster], folder: &Path) -> Self {
         let model = plan.stages.model();
-        let weights = ranking::weights(&plan.stages.surface, plan.stages.settings.ranking.weight);
-        let support = plan.stages.settings.ranking.support.unwrap_or(1);
-        let curve = Curve::new(&run.real, &weights, support, &run.clusters, &run.order);
+        let curve = Curve::new(&run.real, &plan.stages.objective, &run.clusters, &run.order);
         let rank = |&c: &u32| 1 + clusters.iter().take_while(|of| of.key != run.clusters[c as usize].key).count();
         let reached = Reached::new(&model, run);
         let shades: Vec<u8> = shown.original.iter().map(|&t| in_255ths(reached.fulfilment[t as usize])).collect();
@@ -96,7 +93,7 @@ impl Real {
             reference: run.has_reference,
             maps: run.clusters.len(),
             ranks: run.order.iter().map(rank).collect(),
-            share: (1..curve.fulfilment.len()).map(|i| curve.share(i, plan.decision.ranking.total())).collect(),
+            share: (1..curve.kept.len()).map(|i| curve.share(i, plan.decision.ranking.total_kept())).collect(),
             triangles: bytes(&shades),
         }
     }

@@ -151,7 +151,7 @@ impl<'a> Job<'a> {
     }
 
     fn target(&self, view: ViewIndex) -> &Camera {
-        &self.cameras[self.scene.view(view).camera.at()]
+        &self.cameras[self.scene.view(view).camera.index()]
     }
 
     /// Is the image right as it is?

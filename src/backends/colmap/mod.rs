@@ -223,7 +223,7 @@ impl Passes {
 
     /// Why there is no depth map of a key view.
     fn left_out(&self, cluster: &super::RankedCluster, with_points: &[bool]) -> &'static str {
-        if !with_points[cluster.key.at()] {
+        if !with_points[cluster.key.index()] {
             "it observes no sparse point in front of it, which COLMAP takes the depth range from"
         } else if cluster.partners.is_empty() {
             "it has no partner"
@@ -339,7 +339,7 @@ fn key_problems(selection: &Selection, with_points: &[bool]) -> Vec<Problem> {
         reference: name(c.key),
         sources: c.partners.iter().map(|&p| name(p)).collect(),
     };
-    selection.clusters.iter().filter(|c| with_points[c.key.at()] && !c.partners.is_empty()).map(problem).collect()
+    selection.clusters.iter().filter(|c| with_points[c.key.index()] && !c.partners.is_empty()).map(problem).collect()
 }
 
 /// Views that aren't key views but need a depth map, by name; their sources are those with most shared points that have maps too.
@@ -355,15 +355,16 @@ fn other_problems(selection: &Selection, refs: References, with_points: &[bool])
     let count = selection.most_partners().max(1);
     let problem = |&v: &ViewIndex| {
         let shared = selection::shared_points(scene, &points, v);
-        let mut sources: Vec<_> = views.iter().copied().filter(|s| shared[s.at()] > 0 && with_points[s.at()]).collect();
-        sources.sort_by_key(|s| std::cmp::Reverse(shared[s.at()]));
+        let mut sources: Vec<_> =
+            views.iter().copied().filter(|s| shared[s.index()] > 0 && with_points[s.index()]).collect();
+        sources.sort_by_key(|s| std::cmp::Reverse(shared[s.index()]));
         sources.truncate(count);
         Problem {
             reference: scene.name(v).into(),
             sources: sources.into_iter().map(|s| scene.name(s).to_owned()).collect(),
         }
     };
-    let others = views.iter().filter(|v| !is_key[v.at()] && with_points[v.at()]);
+    let others = views.iter().filter(|v| !is_key[v.index()] && with_points[v.index()]);
     others.map(problem).filter(|p| !p.sources.is_empty()).collect()
 }
 

@@ -229,9 +229,9 @@ fn common_project(selection: &Selection) -> (Vec<ViewIndex>, Vec<Vec<usize>>) {
     let overlaps = |i: usize| {
         let shared = selection::shared_points(selection.scene, &points, views[i]);
         let mut others: Vec<_> = (0..views.len()).filter(|&o| o != i).collect();
-        others.sort_by_key(|&o| std::cmp::Reverse(shared[views[o].at()]));
+        others.sort_by_key(|&o| std::cmp::Reverse(shared[views[o].index()]));
         // A list must not be empty; a view that overlaps nothing is compared with any other.
-        let overlapping = others.iter().filter(|&&o| shared[views[o].at()] > 0).count().max(1);
+        let overlapping = others.iter().filter(|&&o| shared[views[o].index()] > 0).count().max(1);
         others.truncate(overlapping.min(FUSED_WITH));
         others
     };

@@ -30,24 +30,24 @@ const SCALED_DEPTH: f64 = 10.0;
 pub fn export(selection: &Selection, options: &ExportOptions, path: &Path) -> Result<Export, BackendError> {
     let mvs = read(path)?;
     let positions = positions(selection, &mvs, path)?;
-    let centres: Vec<Vector3<f64>> = selection.views().iter().map(|v| pose_of(&mvs, positions[v.at()]).1).collect();
+    let centres: Vec<Vector3<f64>> = selection.views().iter().map(|v| pose_of(&mvs, positions[v.index()]).1).collect();
     let size_of_scene = size_of_scene(selection, &centres, path)?;
     let depths: Vec<Depths> = selection
         .clusters
         .iter()
-        .map(|c| Depths::of(&mvs, positions[c.key.at()], selection, c.key, size_of_scene))
+        .map(|c| Depths::of(&mvs, positions[c.key.index()], selection, c.key, size_of_scene))
         .collect();
     let scale = if options.scale { SCALED_DEPTH / median(depths.iter().map(|d| d.median)) } else { 1.0 };
     check_depths(&depths, scale, options.scale)?;
 
-    let mut record = ExportRecord::new(&OpenMvs, selection, |v| positions[v.at()].to_string());
+    let mut record = ExportRecord::new(&OpenMvs, selection, |v| positions[v.index()].to_string());
     record.made_for = "OpenMVS v2.0 to v2.3 and develop (run with v2.3.0)".into();
     record.pixel_shift = -0.5;
     record.scale = scale;
     let mut files = options.file_set(&OpenMvs, selection);
     let list = |c: &crate::model::cluster::RankedCluster| {
         let views = std::iter::once(&c.key).chain(&c.partners);
-        views.map(|v| positions[v.at()].to_string()).collect::<Vec<_>>().join(" ") + "\n"
+        views.map(|v| positions[v.index()].to_string()).collect::<Vec<_>>().join(" ") + "\n"
     };
     let lists: String = selection.clusters.iter().map(list).collect();
     let folder = std::path::absolute(path).ok().and_then(|p| p.parent().map(Path::to_path_buf)).unwrap_or_default();
@@ -117,7 +117,7 @@ fn positions(selection: &Selection, mvs: &Mvs, path: &Path) -> Result<Vec<usize>
                 hint: "give a scene of the same images, or leave --scene out".into(),
             });
         };
-        positions[view.at()] = position;
+        positions[view.index()] = position;
     }
     Ok(positions)
 }

@@ -114,7 +114,7 @@ impl<'a> Builder<'a> {
         let depth = |view: ViewIndex, x: &Point3<f64>| self.scene.view(view).cam_from_world.camera_from_world(x).z;
         let other = self.points.of(partner);
         let both = self.points.of(key).iter().filter(|p| other.binary_search(p).is_ok());
-        let points = both.map(|p| self.scene.points[p.at()]).filter(|x| depth(partner, x) > 0.0);
+        let points = both.map(|p| self.scene.points[p.index()]).filter(|x| depth(partner, x) > 0.0);
         points.map(|x| (x, depth(key, &x))).filter(|(_, z)| *z > 0.0).collect()
     }
 

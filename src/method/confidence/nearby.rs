@@ -69,13 +69,13 @@ impl Nearest {
     ) -> Result<Column<f32>, TableError> {
         let of_view = |observed: &mut Vec<bool>, view: ViewIndex| {
             watcher.check()?;
-            points.of(view).iter().for_each(|p| observed[p.at()] = true);
+            points.of(view).iter().for_each(|p| observed[p.index()] = true);
             let of_triangle = |&t: &u32| {
                 let around = self.of(t);
                 said(around.iter().filter(|&&p| observed[p as usize]).count() as f32 / around.len() as f32)
             };
             let row: Vec<f32> = visibility.of(view).iter().map(of_triangle).collect();
-            points.of(view).iter().for_each(|p| observed[p.at()] = false);
+            points.of(view).iter().for_each(|p| observed[p.index()] = false);
             Ok(row)
         };
         visibility.column(|| vec![false; scene.points.len()], of_view)

@@ -156,7 +156,7 @@ impl Trained {
         let of_view = |_: &mut (), &view: &ViewIndex| {
             watcher.check()?;
             let of_row = |row: usize| {
-                let promise = if maps[view.at()].is_some() { promised.at(row) } else { f32::NAN };
+                let promise = if maps[view.index()].is_some() { promised.at(row) } else { f32::NAN };
                 let numbers = places.numbers(view, row, promise);
                 let key = logistic(self.place.bias + curves::sum(&self.place.key, &numbers));
                 (key, curves::sum(&self.place.partner, &numbers))

@@ -4,11 +4,13 @@
 //! its definition in f64, one (cluster, triangle) at a time.
 
 pub(crate) mod block;
+mod by_triangle;
 mod lanes;
 
 use nalgebra::{Matrix3, Point3, Vector2};
 
 use self::block::{Block, Places};
+pub(crate) use self::by_triangle::ByTriangle;
 use crate::method::{geometry::Geometry, target::Target};
 use crate::{
     base::{

@@ -54,12 +54,12 @@ pub struct Candidates {
 
 impl Candidates {
     pub fn of(&self, view: ViewIndex) -> &[ViewIndex] {
-        &self.views[self.offsets[view.at()]..self.offsets[view.at() + 1]]
+        &self.views[self.offsets[view.index()]..self.offsets[view.index() + 1]]
     }
 
     /// Why other views that share points with this one are no candidates.
     pub fn refused(&self, view: ViewIndex) -> &[Refusal] {
-        &self.refusals[self.refusal_offsets[view.at()]..self.refusal_offsets[view.at() + 1]]
+        &self.refusals[self.refusal_offsets[view.index()]..self.refusal_offsets[view.index() + 1]]
     }
 }
 
@@ -135,7 +135,7 @@ impl<'a> PairGeometry<'a> {
         let centres = [key, partner].map(|v| scene.view(v).cam_from_world.centre());
         let focal = [key, partner].map(|v| scene.camera_of(v).mean_focal_length());
         let (mut cosines, mut ratios) = (Vec::with_capacity(shared.len()), Vec::with_capacity(shared.len()));
-        for point in shared.iter().map(|p| scene.points[p.at()]) {
+        for point in shared.iter().map(|p| scene.points[p.index()]) {
             let [a, b] = centres.map(|c| c - point);
             let (a2, b2) = (a.norm_squared(), b.norm_squared());
             cosines.push(a.dot(&b) / (a2 * b2).sqrt());
@@ -207,20 +207,20 @@ impl Neighbours {
 
     fn collect(&mut self, scene: &Scene, points: &ViewPoints, key: ViewIndex) {
         self.count(scene, points, key);
-        self.views.sort_unstable_by_key(|v| (Reverse(self.counts[v.at()]), *v));
+        self.views.sort_unstable_by_key(|v| (Reverse(self.counts[v.index()]), *v));
         let mut end = 0;
         self.ranges.clear();
         for view in &self.views {
-            let count = std::mem::replace(&mut self.counts[view.at()], end);
+            let count = std::mem::replace(&mut self.counts[view.index()], end);
             self.ranges.push(end..end + count);
             end += count;
         }
         self.points.resize(end, PointIndex(0));
         for &(point, view) in &self.shared {
-            self.points[self.counts[view.at()]] = point;
-            self.counts[view.at()] += 1;
+            self.points[self.counts[view.index()]] = point;
+            self.counts[view.index()] += 1;
         }
-        self.views.iter().for_each(|v| self.counts[v.at()] = 0);
+        self.views.iter().for_each(|v| self.counts[v.index()] = 0);
     }
 
     /// Finds the shared points, and the views in the order in which they turn up.
@@ -233,8 +233,8 @@ impl Neighbours {
             for &view in scene.track_views(point) {
                 if view != key && view != last {
                     self.shared.push((point, view));
-                    self.counts[view.at()] += 1;
-                    if self.counts[view.at()] == 1 {
+                    self.counts[view.index()] += 1;
+                    if self.counts[view.index()] == 1 {
                         self.views.push(view);
                     }
                 }

@@ -78,7 +78,7 @@ impl Rays {
     /// The camera centres that the vertex's rays come from.
     pub fn of(&self, vertex: u32) -> impl Iterator<Item = &Point3<f64>> {
         let range = self.offsets[vertex as usize] as usize..self.offsets[vertex as usize + 1] as usize;
-        self.views[range].iter().map(|v| &self.centres[v.at()])
+        self.views[range].iter().map(|v| &self.centres[v.index()])
     }
 }
 
@@ -93,11 +93,11 @@ struct RayChunk {
 
 impl RayChunk {
     fn add(&mut self, at: &Point3<f64>, views: &[ViewIndex], centres: &[Point3<f64>], focals: &[f64], most: usize) {
-        let direction = |v: &ViewIndex| (centres[v.at()] - at).try_normalize(0.0).unwrap_or_default();
+        let direction = |v: &ViewIndex| (centres[v.index()] - at).try_normalize(0.0).unwrap_or_default();
         let directions: Vec<Vector3<f64>> = views.iter().map(direction).collect();
         self.views.extend(extremes(&directions, most).into_iter().map(|i| views[i]));
         self.ends.push(self.views.len() as u32);
-        self.sigmas.extend(depth_sigma(at, views.iter().map(|v| (centres[v.at()], focals[v.at()]))));
+        self.sigmas.extend(depth_sigma(at, views.iter().map(|v| (centres[v.index()], focals[v.index()]))));
     }
 }
 

@@ -288,7 +288,7 @@ fn from_points(
     let points = points::usable_points(scene);
     stats.points = points.len();
     stats.points_dropped = scene.points.len() - points.len();
-    let positions: Vec<Point3<f64>> = points.iter().map(|p| scene.points[p.at()]).collect();
+    let positions: Vec<Point3<f64>> = points.iter().map(|p| scene.points[p.index()]).collect();
     let all = Part { scene, gsd, settings, everywhere: &positions };
     let tiles = match settings.tile_points {
         Some(most) if points.len() > most as usize => tiles::split(&positions, most as usize),

@@ -22,15 +22,15 @@ pub fn usable_points(scene: &Scene) -> Vec<PointIndex> {
         (0..scene.points.len() as u32).into_par_iter().map(|p| mean_error_px(scene, PointIndex(p))).collect();
     let Some(median) = upper_median(errors.iter().flatten().copied()) else { return Vec::new() };
     let limit = MAX_ERROR_PX.max(MAX_ERROR_MEDIANS * median);
-    let is_usable = |p: &PointIndex| errors[p.at()].is_some_and(|e| e <= limit);
+    let is_usable = |p: &PointIndex| errors[p.index()].is_some_and(|e| e <= limit);
     near(scene, (0..scene.points.len() as u32).map(PointIndex).filter(is_usable).collect())
 }
 
 /// Those of the points that are not [`MAX_DISTANCE_MEDIANS`] away.
 pub(super) fn near(scene: &Scene, mut points: Vec<PointIndex>) -> Vec<PointIndex> {
-    let along = |axis: usize| upper_median(points.iter().map(|p| scene.points[p.at()][axis]));
+    let along = |axis: usize| upper_median(points.iter().map(|p| scene.points[p.index()][axis]));
     let [Some(x), Some(y), Some(z)] = [0, 1, 2].map(along) else { return points };
-    let distance = |p: &PointIndex| (scene.points[p.at()] - Point3::new(x, y, z)).norm();
+    let distance = |p: &PointIndex| (scene.points[p.index()] - Point3::new(x, y, z)).norm();
     let limit = MAX_DISTANCE_MEDIANS * upper_median(points.iter().map(distance)).unwrap_or(0.0);
     // Where most points are one and the same there is no measure.
     points.retain(|p| limit == 0.0 || distance(p) <= limit);
@@ -54,7 +54,7 @@ fn mean_error_px(scene: &Scene, point: PointIndex) -> Option<f64> {
     }
     let (mut sum, mut count) = (0.0, 0u32);
     for (view, pixel) in views.iter().zip(&scene.track_pixels[track]) {
-        let x_cam = scene.view(*view).cam_from_world.camera_from_world(&scene.points[point.at()]);
+        let x_cam = scene.view(*view).cam_from_world.camera_from_world(&scene.points[point.index()]);
         let camera = scene.camera_of(*view);
         camera.project(&x_cam)?;
         // Of a picture of all directions the angle counts, across its seam too.

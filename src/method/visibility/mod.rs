@@ -60,13 +60,13 @@ impl Visibility {
 
     /// Range of the view's rows; tables beside this one (unary confidence) are indexed by row.
     pub fn rows(&self, view: ViewIndex) -> std::ops::Range<usize> {
-        self.offsets[view.at()]..self.offsets[view.at() + 1]
+        self.offsets[view.index()]..self.offsets[view.index() + 1]
     }
 
     /// The row of a triangle in a view, where the view sees it.
     pub fn row(&self, view: ViewIndex, triangle: u32) -> Option<usize> {
         let found = self.of(view).binary_search(&triangle).ok()?;
-        Some(self.offsets[view.at()] + found)
+        Some(self.offsets[view.index()] + found)
     }
 
     /// Is the triangle seen by at least one view?
@@ -378,7 +378,7 @@ impl<'a> Looking<'a> {
     }
 
     fn camera(&self, view: ViewIndex) -> (&Camera, &[Face]) {
-        let camera = self.scene.view(view).camera.at();
+        let camera = self.scene.view(view).camera.index();
         (&self.scene.cameras[camera], &self.faces[camera])
     }
 
@@ -386,15 +386,15 @@ impl<'a> Looking<'a> {
     fn observe(&self, view: ViewIndex, points: &[PointIndex], picture: &Picture, observations: &Observations) {
         let pose = &self.scene.view(view).cam_from_world;
         for &p in points {
-            let point = pose.camera_from_world(&self.scene.points[p.at()]);
+            let point = pose.camera_from_world(&self.scene.points[p.index()]);
             let mut faces = self.camera(view).1.iter().zip(&picture.buffers);
             let Some((_, front, own)) = faces.find_map(|(face, buffer)| buffer.at(face, &point, self.near)) else {
                 continue;
             };
             if self.tolerance.hides(front, own) {
-                observations.hidden[p.at()].fetch_add(1, Ordering::Relaxed);
+                observations.hidden[p.index()].fetch_add(1, Ordering::Relaxed);
             } else if !self.tolerance.hides(own, front) {
-                observations.on_surface[p.at()].store(true, Ordering::Relaxed);
+                observations.on_surface[p.index()].store(true, Ordering::Relaxed);
             }
         }
     }

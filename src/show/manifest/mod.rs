@@ -243,7 +243,7 @@ impl SurfaceSummary {
 
 impl ViewEntry {
     fn new(plan: &Plan, view: ViewIndex) -> Self {
-        let (status, reason) = plan.decision.views[view.at()];
+        let (status, reason) = plan.decision.views[view.index()];
         Self { name: plan.stages.scene.name(view).into(), status, reason }
     }
 }

@@ -24,14 +24,14 @@ pub fn views_geojson(plan: &Plan, place: &Georeference) -> String {
         None => frame.direction(&point.coords).map(|x| rounded(x, 6)),
     };
     let mut rank = vec![None; plan.stages.scene.views.len()];
-    plan.ranked().enumerate().for_each(|(i, cluster)| rank[cluster.key.at()] = Some(i));
+    plan.ranked().enumerate().for_each(|(i, cluster)| rank[cluster.key.index()] = Some(i));
     let footprints = footprints(&plan.stages.surface, &plan.stages.visibility, &frame);
     let features = |view: ViewIndex| {
-        let properties = |what: &str| properties(plan, view, rank[view.at()], what);
+        let properties = |what: &str| properties(plan, view, rank[view.index()], what);
         let centre = plan.stages.scene.view(view).cam_from_world.centre();
         let point = json!({ "type": "Point", "coordinates": position(&centre) });
         let mut features = vec![feature(point, properties("camera"))];
-        let corners: Vec<_> = footprints[view.at()].iter().map(&position).collect();
+        let corners: Vec<_> = footprints[view.index()].iter().map(&position).collect();
         if corners.len() >= 3 {
             let area = if local { polygon(corners) } else { polygon_on_the_earth(corners) };
             features.push(feature(area, properties("footprint")));
@@ -100,7 +100,7 @@ fn feature(geometry: Value, properties: Value) -> Value {
 
 /// `rank` is 0-based; ranks in the file are 1-based, as in all files.
 fn properties(plan: &Plan, view: ViewIndex, rank: Option<usize>, what: &str) -> Value {
-    let (status, reason) = plan.decision.views[view.at()];
+    let (status, reason) = plan.decision.views[view.index()];
     json!({
         "name": plan.stages.scene.name(view),
         "what": what,

@@ -3,6 +3,7 @@
 use crate::{
     base::column,
     io::ply::{self, FaceField},
+    method::ranking::Reached,
     model::reason::Reason,
     plan::Plan,
 };
@@ -10,7 +11,7 @@ use crate::{
 /// Fulfilment of a triangle by the chosen clusters.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct TriangleState {
-    /// Fulfilment by the chosen clusters (method 5, or 5.2 with its support).
+    /// Fulfilment by the chosen clusters (method 5.2).
     pub fulfilment: f32,
     /// Fulfilment by all clusters together.
     pub reachable: f32,
@@ -40,22 +41,17 @@ pub fn triangle_states(plan: &Plan, clusters: usize) -> Vec<TriangleState> {
 }
 
 /// Goes through the ranking and calls `visit` with the rank (from 0) of each cluster, each triangle that it fulfils at all, and the
-/// fulfilment of that triangle by the clusters up to this one (method 5, or 5.2 with its support).
+/// fulfilment of that triangle by the clusters up to this one (method 5.2).
 pub fn follow(plan: &Plan, mut visit: impl FnMut(usize, u32, f32)) {
-    let support = plan.stages.settings.ranking.support.unwrap_or(1).max(1) as usize;
-    // The largest values of each triangle so far, unordered.
-    let mut largest = vec![0f32; plan.stages.surface.triangles.len() * support];
+    let mut reached = Reached::new(&plan.stages.objective);
     for (rank, &cluster) in plan.decision.ranking.order.iter().enumerate() {
         if rank.is_multiple_of(column::READ_AT_ONCE) {
             plan.stages.fulfilment.release();
         }
         let (of_cluster, values) = plan.stages.fulfilment.of(cluster as usize);
         for (&t, &f) in of_cluster.iter().zip(values) {
-            let largest = &mut largest[t as usize * support..][..support];
-            if let Some(smallest) = largest.iter_mut().min_by(|a, b| a.total_cmp(b)) {
-                *smallest = smallest.max(f);
-            }
-            visit(rank, t, largest.iter().sum::<f32>() / support as f32);
+            reached.take_at(t, f);
+            visit(rank, t, reached.worth(t));
         }
     }
 }

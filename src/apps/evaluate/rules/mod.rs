@@ -67,7 +67,7 @@ impl<'a> Neighbourhood<'a> {
         let mut shared = vec![Vec::new(); scene.views.len()];
         for &point in points.of(key) {
             for &view in scene.track_views(point) {
-                let list: &mut Vec<PointIndex> = &mut shared[view.at()];
+                let list: &mut Vec<PointIndex> = &mut shared[view.index()];
                 if view != key && list.last() != Some(&point) {
                     list.push(point);
                 }
@@ -82,7 +82,7 @@ impl<'a> Neighbourhood<'a> {
     }
 
     fn point(&self, point: PointIndex) -> Point3<f64> {
-        self.scene.points[point.at()]
+        self.scene.points[point.index()]
     }
 
     /// How often the view observes the point; a feature may be found twice.

@@ -55,7 +55,7 @@ impl ColmapModel<'_> {
             let point = PointIndex(p as u32);
             let id = scene.point_ids[p];
             let track = scene.track(point).map(|o| {
-                let view = scene.track_views[o].at();
+                let view = scene.track_views[o].index();
                 lists[view].push(Point2d::new(scene.track_pixels[o], Some(id)));
                 TrackElement::new(image_id(view), lists[view].len() as u32 - 1)
             });
@@ -74,7 +74,7 @@ impl ColmapModel<'_> {
         let images = scene.views.iter().zip(lists).enumerate().map(|(v, (view, list))| ColmapImage {
             id: image_id(v),
             cam_from_world: (&view.cam_from_world).into(),
-            camera_id: scene.cameras[view.camera.at()].id,
+            camera_id: scene.cameras[view.camera.index()].id,
             name: Cow::Owned(view.name.clone()),
             points2d: Cow::Owned(list),
             at: Place::File,

@@ -77,14 +77,14 @@ impl Frame {
             let absent = Problem::Absent { what: "image", id: datum.id };
             let image_id = u32::try_from(datum.id).map_err(|_| absent.clone())?;
             let view = view_of_image.get(image_id).ok_or(absent)?.view;
-            if std::mem::replace(&mut seen[view.at()], true) {
+            if std::mem::replace(&mut seen[view.index()], true) {
                 return Err(Problem::Duplicate { what: "image", id: datum.id.to_string() });
             }
-            let view = &views[view.at()];
+            let view = &views[view.index()];
             let sensor = rig.sensors.iter().find(|(s, _)| *s == datum.sensor);
             let (_, sensor_from_rig) =
                 sensor.ok_or(Problem::Absent { what: "camera of the rig", id: datum.sensor.id.into() })?;
-            if cameras[view.camera.at()].id != datum.sensor.id {
+            if cameras[view.camera.index()].id != datum.sensor.id {
                 let message = format!("the frame takes image {image_id} with camera {}", datum.sensor.id);
                 return Err(Problem::Contradiction(format!("{message}, the images file with another")));
             }

@@ -1,0 +1,145 @@
+//! Phases of a project as they are shown, and the status file that `viewrank status` reads.
+
+use std::fmt;
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// State of a project as it is shown.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(tag = "state", rename_all = "lowercase")]
+pub enum Phase {
+    /// The input is incomplete or still changing.
+    Waiting {
+        /// The awaited condition.
+        reason: String,
+    },
+    /// Complete; waits for a job slot or for memory.
+    Queued {
+        /// The awaited condition.
+        reason: String,
+    },
+    /// A plan is being made.
+    Planning {
+        /// Stage of planning, as in `timings.json`.
+        stage: String,
+        /// Progress of the stage, 0 to 100.
+        percent: u8,
+    },
+    /// Planned; no depth maps yet.
+    Planned {
+        /// Number of key views up to the cut.
+        clusters: usize,
+        /// Their predicted share of the fulfilment of all view clusters, 0 to 1.
+        share: f64,
+        /// Remark about the result.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        note: Option<String>,
+    },
+    /// The backend is writing depth maps.
+    Computing {
+        /// Number of key views with a depth map.
+        done: usize,
+        /// Number of key views up to the cut, plus those beyond it with a depth map.
+        clusters: usize,
+        /// Their measured share of the fulfilment that all view clusters are expected to have, 0 to 1; null where depth maps are counted,
+        /// not measured.
+        share: Option<f64>,
+        /// Number of depth map files that are new or changed since the last measurement; left out where it is 0.
+        #[serde(default, skip_serializing_if = "is_zero")]
+        unmeasured: usize,
+        /// Remark about the result.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        note: Option<String>,
+    },
+    /// The target is reached as measured.
+    Reached {
+        /// Number of key views with a depth map.
+        done: usize,
+        /// Number of key views up to the cut, plus those beyond it with a depth map.
+        clusters: usize,
+        /// Their measured share of the fulfilment that all view clusters are expected to have, 0 to 1.
+        share: f64,
+        /// Remark about the result.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        note: Option<String>,
+    },
+    /// Planning or measuring failed; retried after a pause, or as soon as the input changes.
+    Failed {
+        /// The error and its location.
+        reason: String,
+        /// Suggested remedy.
+        hint: Option<String>,
+        /// Seconds from the failure to the next try.
+        retry_after_s: u64,
+    },
+}
+
+fn is_false(flag: &bool) -> bool {
+    !flag
+}
+
+fn is_zero(n: &usize) -> bool {
+    *n == 0
+}
+
+impl fmt::Display for Phase {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Waiting { reason } => write!(f, "waiting: {reason}"),
+            Self::Queued { reason } => write!(f, "queued: {reason}"),
+            Self::Planning { stage, percent } => write!(f, "planning: {stage} {percent} %"),
+            Self::Planned { clusters, share, note } => {
+                write!(f, "planned: {clusters} key views for {:.0} %", share * 100.0)?;
+                note.iter().try_for_each(|note| write!(f, "; {note}"))
+            }
+            Self::Computing { done, clusters, share, unmeasured, note } => {
+                write!(f, "computing: {done} of {clusters} depth maps")?;
+                // Rounded down: 89.9 % must not look like a reached target of 90 %.
+                share.iter().try_for_each(|share| write!(f, ", {:.0} % reached", (share * 100.0).floor()))?;
+                match *unmeasured {
+                    0 => {}
+                    1 => write!(f, ", 1 new file to measure")?,
+                    n => write!(f, ", {n} new files to measure")?,
+                }
+                note.iter().try_for_each(|note| write!(f, "; {note}"))
+            }
+            Self::Reached { done, share, note, .. } => {
+                write!(f, "reached: {:.0} % with {done} depth maps", share * 100.0)?;
+                note.iter().try_for_each(|note| write!(f, "; {note}"))
+            }
+            Self::Failed { reason, retry_after_s, .. } => {
+                write!(f, "failed: {reason} (retry {retry_after_s} s after the failure)")
+            }
+        }
+    }
+}
+
+/// `ROOT/viewrank/status.json`: all projects of a root, for `viewrank status`.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct Status {
+    /// Version of this format.
+    pub version: u32,
+    /// Process ID of the daemon that wrote the file.
+    pub pid: u32,
+    /// Host name of that process.
+    pub host: String,
+    /// Notices about the whole root: lost events, unreadable folders.
+    pub notices: Vec<String>,
+    /// All projects, sorted by path.
+    pub projects: Vec<ProjectStatus>,
+}
+
+/// Status of one project.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct ProjectStatus {
+    /// Path relative to the root, with `/` between folders; "." for the root itself.
+    pub project: String,
+    #[serde(flatten)]
+    pub phase: Phase,
+    /// Start of the phase, in seconds since 1970.
+    pub since: u64,
+    /// True while its depth maps are measured.
+    #[serde(default, skip_serializing_if = "is_false")]
+    pub measuring: bool,
+}

@@ -1,0 +1,101 @@
+//! The table of fulfilment by triangle.
+
+use bytemuck::{Pod, Zeroable};
+
+use super::FulfilmentTable;
+use crate::base::column::{self, Column, DiskError, Growing};
+
+/// The clusters of a list that fulfil each triangle (CSR by triangle).
+pub(crate) struct ByTriangle {
+    /// Triangles + 1 entries.
+    offsets: Vec<usize>,
+    entries: Column<Entry>,
+    /// Length of the list.
+    clusters: usize,
+}
+
+/// What a cluster does for a triangle.
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+#[repr(C)]
+pub(crate) struct Entry {
+    /// Place of the cluster in the list.
+    pub place: u32,
+    pub f: f32,
+}
+
+/// Entries that are put in order at a time.
+const ENTRIES_AT_ONCE: usize = 1 << 25;
+
+impl ByTriangle {
+    /// The rows of `clusters`, in memory or on disk as the table is.
+    pub(crate) fn new(table: &FulfilmentTable, clusters: &[u32], triangles: usize) -> Result<Self, DiskError> {
+        let mut offsets = vec![0; triangles + 1];
+        for (place, &cluster) in clusters.iter().enumerate() {
+            table.of(cluster as usize).0.iter().for_each(|&t| offsets[t as usize + 1] += 1);
+            release_at(place, table);
+        }
+        (0..triangles).for_each(|t| offsets[t + 1] += offsets[t]);
+        let mut entries = Growing::new(table.triangles.kept())?;
+        entries.reserve(offsets[triangles]);
+        let mut from = 0;
+        while from < triangles {
+            // As many triangles as there is room for, but one at least.
+            let room = offsets[from] + ENTRIES_AT_ONCE;
+            let end = (offsets.partition_point(|&offset| offset <= room) - 1).clamp(from + 1, triangles);
+            entries.extend(&Self::entries(table, clusters, &offsets[from..=end], from as u32))?;
+            from = end;
+        }
+        Ok(Self { offsets, entries: entries.finish()?, clusters: clusters.len() })
+    }
+
+    /// The entries of the triangles from the first on that have these offsets.
+    fn entries(table: &FulfilmentTable, clusters: &[u32], offsets: &[usize], first: u32) -> Vec<Entry> {
+        let (start, triangles) = (offsets[0], offsets.len() - 1);
+        let mut entries = vec![Entry::zeroed(); offsets[triangles] - start];
+        let mut next: Vec<usize> = offsets[..triangles].iter().map(|offset| offset - start).collect();
+        for (place, &cluster) in clusters.iter().enumerate() {
+            let (of_cluster, values) = table.of(cluster as usize);
+            let rows = [first, first + triangles as u32].map(|bound| of_cluster.partition_point(|&t| t < bound));
+            let rows = rows[0]..rows[1];
+            for (&t, &f) in of_cluster[rows.clone()].iter().zip(&values[rows]) {
+                let next = &mut next[(t - first) as usize];
+                entries[*next] = Entry { place: place as u32, f };
+                *next += 1;
+            }
+            release_at(place, table);
+        }
+        entries
+    }
+
+    /// The entries of a triangle, in the order of the list.
+    pub(crate) fn row(&self, triangle: u32) -> &[Entry] {
+        &self.entries[self.offsets[triangle as usize]..self.offsets[triangle as usize + 1]]
+    }
+
+    /// Gives back memory that can be read again.
+    pub(crate) fn release(&self) {
+        self.entries.release();
+    }
+
+    /// How much of these fulfilments each of the first `end` clusters of the list gives as well.
+    pub(crate) fn given_by_each(&self, triangles: &[u32], values: &[f32], end: usize) -> Vec<f64> {
+        let mut given = vec![0.0; end];
+        for (&t, &own) in triangles.iter().zip(values) {
+            for entry in self.row(t).iter().take_while(|entry| (entry.place as usize) < end) {
+                given[entry.place as usize] += f64::from(entry.f.min(own));
+            }
+        }
+        given
+    }
+
+    /// The most of these fulfilments that a single cluster of the list gives as well.
+    pub(crate) fn most_by_one(&self, triangles: &[u32], values: &[f32]) -> f64 {
+        self.given_by_each(triangles, values, self.clusters).into_iter().fold(0.0, f64::max)
+    }
+}
+
+fn release_at(place: usize, table: &FulfilmentTable) {
+    if place.is_multiple_of(column::READ_AT_ONCE) {
+        table.release();
+    }
+}

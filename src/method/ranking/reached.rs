@@ -1,0 +1,135 @@
+//! What a set of clusters reaches, one cluster at a time.
+
+use super::{KEPT, Objective, SINGLE_MAP_CREDIT};
+
+/// f_o in whole numbers of this part: sums of them are exact, so that gains can be kept up to date by differences, and neither the order of
+/// additions nor the number of threads shows.
+const UNIT: f64 = (1u64 << 60) as f64;
+
+/// A part of f_o, or of the weight that fusion keeps.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) struct Amount(pub(super) i64);
+
+impl Amount {
+    fn new(weight: f64, worth: f64) -> Self {
+        Self((weight * worth * UNIT).round() as i64)
+    }
+
+    pub(super) fn value(self) -> f64 {
+        self.0 as f64 / UNIT
+    }
+}
+
+/// The m largest f of each triangle over the clusters taken so far, and what they are worth.
+pub(crate) struct Reached<'a> {
+    pub(super) objective: &'a Objective,
+    /// m for each triangle, ascending.
+    largest: Vec<f32>,
+    fulfilment: i64,
+    kept: i64,
+}
+
+impl<'a> Reached<'a> {
+    pub(crate) fn new(objective: &'a Objective) -> Self {
+        let largest = vec![0.0; objective.support as usize * objective.weights.len()];
+        Self { objective, largest, fulfilment: 0, kept: 0 }
+    }
+
+    /// f_o of the clusters taken.
+    pub(crate) fn fulfilment(&self) -> f64 {
+        Amount(self.fulfilment).value()
+    }
+
+    /// Weight of the triangles that fusion keeps of them, 0 to 1.
+    pub(crate) fn kept(&self) -> f64 {
+        Amount(self.kept).value()
+    }
+
+    /// The m largest f of a triangle, ascending.
+    pub(super) fn largest(&self, triangle: u32) -> &[f32] {
+        let m = self.objective.support as usize;
+        &self.largest[triangle as usize * m..][..m]
+    }
+
+    /// What the clusters taken are worth at a triangle, 0 to 1.
+    pub(crate) fn worth(&self, triangle: u32) -> f32 {
+        Objective::worth(self.largest(triangle).iter().copied()) as f32
+    }
+
+    /// How much f_o grows by a cluster with these triangles and f.
+    pub(crate) fn gain(&self, row: (&[u32], &[f32])) -> f64 {
+        Amount(self.whole_gain(row)).value()
+    }
+
+    pub(super) fn whole_gain(&self, (triangles, values): (&[u32], &[f32])) -> i64 {
+        let one = |(&t, &f): (&u32, &f32)| self.gain_at(t, self.largest(t), f);
+        triangles.iter().zip(values).map(one).sum()
+    }
+
+    /// What one more f adds at a triangle with these largest ones.
+    #[inline]
+    pub(super) fn gain_at(&self, triangle: u32, largest: &[f32], f: f32) -> i64 {
+        if f <= largest[0] {
+            return 0;
+        }
+        let weight = self.objective.weights[triangle as usize];
+        Amount::new(weight, with(largest, f)).0 - Amount::new(weight, Objective::worth(largest.iter().copied())).0
+    }
+
+    pub(crate) fn take(&mut self, (triangles, values): (&[u32], &[f32])) {
+        triangles.iter().zip(values).for_each(|(&t, &f)| self.take_at(t, f));
+    }
+
+    pub(crate) fn take_at(&mut self, triangle: u32, f: f32) {
+        let largest = self.largest(triangle);
+        let place = largest.partition_point(|&l| l < f);
+        if place == 0 {
+            return;
+        }
+        let (gain, was_kept, m) = (self.gain_at(triangle, largest, f), largest[0] > KEPT, largest.len());
+        self.fulfilment += gain;
+        let largest = &mut self.largest[triangle as usize * m..][..m];
+        largest.copy_within(1..place, 0);
+        largest[place - 1] = f;
+        if !was_kept && largest[0] > KEPT {
+            self.kept += Amount::new(self.objective.weights[triangle as usize], 1.0).0;
+        }
+    }
+
+    /// An upper bound on what a cluster adds to f_o as one of any further clusters (method 5.2): whatever set of them comes, it adds no more than
+    /// the sum of its members' bounds.
+    pub(super) fn most_as_one_of_many(&self, (triangles, values): (&[u32], &[f32])) -> f64 {
+        let one = |(&t, &f): (&u32, &f32)| {
+            let largest = self.largest(t);
+            let least = f64::from(largest[0]);
+            let f = f64::from(f).max(least);
+            let more = match largest {
+                [_] => f - least,
+                [_, first] => {
+                    let first = f64::from(*first);
+                    let beyond = 0.5 * (1.0 + SINGLE_MAP_CREDIT) * (f - first).max(0.0);
+                    (f.min(first) - least + beyond) / (1.0 + SINGLE_MAP_CREDIT)
+                }
+                _ => (f - least) / (1.0 + SINGLE_MAP_CREDIT),
+            };
+            self.objective.weights[t as usize] * more
+        };
+        triangles.iter().zip(values).map(one).sum()
+    }
+}
+
+/// [`Objective::worth`] of the largest f with one more, which exceeds the least of them.
+#[inline]
+fn with(largest: &[f32], f: f32) -> f64 {
+    match *largest {
+        [_] => f64::from(f),
+        [_, first] => Objective::worth([f.min(first), f.max(first)].into_iter()),
+        _ => {
+            let mut largest = largest.to_vec();
+            let place = largest.partition_point(|&l| l < f);
+            largest.copy_within(1..place, 0);
+            largest[place - 1] = f;
+            Objective::worth(largest.into_iter())
+        }
+    }
+}

@@ -1,0 +1,158 @@
+use proptest::prelude::*;
+
+use super::*;
+use crate::base::progress::Unwatched;
+
+const TRIANGLES: u32 = 12;
+
+/// Triangles that all count the same.
+fn even(triangles: u32, support: u32) -> Objective {
+    Objective::weighing(vec![1.0; triangles as usize], support)
+}
+
+/// f of the chosen rows at a triangle, descending, with zeros behind.
+fn descending(rows: &[Vec<(u32, f32)>], chosen: &[usize], triangle: u32, support: usize) -> Vec<f64> {
+    let mut f: Vec<f64> =
+        chosen.iter().flat_map(|&c| &rows[c]).filter(|r| r.0 == triangle).map(|r| f64::from(r.1)).collect();
+    f.resize(f.len() + support, 0.0);
+    f.sort_by(|a, b| b.total_cmp(a));
+    f
+}
+
+/// f_o by its definition.
+fn fulfilment(rows: &[Vec<(u32, f32)>], chosen: &[usize], support: usize) -> f64 {
+    let of_triangle = |t: u32| {
+        let f = descending(rows, chosen, t, support);
+        let others = &f[..support - 1];
+        match others.len() {
+            0 => f[0],
+            n => {
+                (f[support - 1] + SINGLE_MAP_CREDIT * others.iter().sum::<f64>() / n as f64) / (1.0 + SINGLE_MAP_CREDIT)
+            }
+        }
+    };
+    (0..TRIANGLES).map(of_triangle).sum::<f64>() / f64::from(TRIANGLES)
+}
+
+/// The largest f_o of any clusters of each number, from 0.
+fn optima(rows: &[Vec<(u32, f32)>], support: usize) -> Vec<f64> {
+    let mut optima = vec![0f64; rows.len() + 1];
+    for set in 0u32..1 << rows.len() {
+        let members: Vec<usize> = (0..rows.len()).filter(|c| set >> c & 1 == 1).collect();
+        optima[members.len()] = optima[members.len()].max(fulfilment(rows, &members, support));
+    }
+    optima
+}
+
+/// Greedy with every gain added up afresh.
+fn plain_greedy(table: &FulfilmentTable, objective: &Objective) -> Vec<(u32, i64)> {
+    let (mut reached, nothing) = (Reached::new(objective), Reached::new(objective));
+    let mut left: Vec<u32> = (0..table.clusters() as u32).collect();
+    let mut order = Vec::new();
+    loop {
+        let of = |c: u32, reached: &Reached| reached.whole_gain(table.of(c as usize));
+        let rank = |c: u32| (of(c, &reached), of(c, &nothing), std::cmp::Reverse(c));
+        let Some(best) = left.iter().copied().max_by_key(|&c| rank(c)).filter(|&c| of(c, &reached) > 0) else {
+            return order;
+        };
+        order.push((best, of(best, &reached)));
+        reached.take(table.of(best as usize));
+        left.retain(|&c| c != best);
+    }
+}
+
+fn rows() -> impl Strategy<Value = Vec<Vec<(u32, f32)>>> {
+    // Few distinct values, so that ties are common.
+    let row = proptest::collection::btree_map(0..TRIANGLES, (1u8..8).prop_map(|v| f32::from(v) / 8.0), 0..10);
+    proptest::collection::vec(row.prop_map(|r| r.into_iter().collect()), 0..9)
+}
+
+proptest! {
+    #[test]
+    fn gains_kept_up_to_date_are_fresh_gains(rows in rows(), support in 1u32..4) {
+        let (table, objective) = (FulfilmentTable::new(&rows), even(TRIANGLES, support));
+        let ranking = rank(&table, &objective, &Unwatched).unwrap();
+        let plain = plain_greedy(&table, &objective);
+        prop_assert_eq!(&ranking.order, &plain.iter().map(|p| p.0).collect::<Vec<_>>());
+        prop_assert_eq!(&ranking.gains, &plain.iter().map(|p| Amount(p.1).value()).collect::<Vec<_>>());
+        let chosen: Vec<usize> = ranking.order.iter().map(|&c| c as usize).collect();
+        for n in 1..=chosen.len() {
+            let m = support as usize;
+            prop_assert!((ranking.fulfilment[n - 1] - fulfilment(&rows, &chosen[..n], m)).abs() < 1e-12);
+            let kept = (0..TRIANGLES).filter(|&t| descending(&rows, &chosen[..n], t, m)[m - 1] > f64::from(KEPT)).count();
+            prop_assert!((ranking.kept[n - 1] - kept as f64 / f64::from(TRIANGLES)).abs() < 1e-12);
+        }
+        let all: Vec<usize> = (0..rows.len()).collect();
+        prop_assert!((ranking.total() - fulfilment(&rows, &all, support as usize)).abs() < 1e-12);
+    }
+
+    #[test]
+    fn what_is_finished_comes_first_and_the_rest_is_greedy_behind_it(rows in rows(), support in 1u32..4) {
+        let (table, objective) = (FulfilmentTable::new(&rows), even(TRIANGLES, support));
+        let whole = rank(&table, &objective, &Unwatched).unwrap();
+        for length in 0..=whole.order.len() {
+            prop_assert_eq!(&rank_after(&whole.order[..length], &table, &objective, &Unwatched).unwrap(), &whole);
+        }
+        let last: Vec<u32> = (0..rows.len() as u32).rev().take(2).collect();
+        let after = rank_after(&last, &table, &objective, &Unwatched).unwrap();
+        prop_assert_eq!(&after.order[..last.len()], &last[..]);
+        prop_assert!((after.total() - whole.total()).abs() < 1e-12);
+    }
+
+    #[test]
+    fn greedy_keeps_its_guarantee(rows in rows(), support in 1u32..4) {
+        let objective = even(TRIANGLES, support);
+        let ranking = rank(&FulfilmentTable::new(&rows), &objective, &Unwatched).unwrap();
+        for (n, optimum) in optima(&rows, support as usize).into_iter().enumerate().skip(1).take(ranking.order.len()) {
+            prop_assert!(ranking.fulfilment[n - 1] >= objective.guarantee() * optimum - 1e-12);
+        }
+    }
+
+    #[test]
+    fn no_set_of_clusters_exceeds_the_bound(rows in rows(), support in 1u32..4) {
+        let (table, objective) = (FulfilmentTable::new(&rows), even(TRIANGLES, support));
+        let order = rank(&table, &objective, &Unwatched).unwrap().order;
+        for (n, optimum) in optima(&rows, support as usize).into_iter().enumerate() {
+            prop_assert!(most_of_any(n, &table, &objective, &order) >= optimum - 1e-12);
+        }
+    }
+}
+
+#[test]
+fn where_fusion_wants_two_maps_the_second_is_worth_more_than_a_first_elsewhere() {
+    // Clusters 0 and 1 see the first triangle, 2 the second, less well.
+    let rows = [vec![(0, 0.8f32)], vec![(0, 0.8)], vec![(1, 0.7)]];
+    let order = |support| rank(&FulfilmentTable::new(&rows), &even(2, support), &Unwatched).unwrap().order;
+    assert_eq!(order(1), [0, 2]);
+    assert_eq!(order(2), [0, 1, 2]);
+}
+
+#[test]
+fn a_map_alone_is_not_kept() {
+    let rows = [vec![(0, 0.8f32)], vec![(1, 0.8)], vec![(0, 0.8)]];
+    let ranking = rank(&FulfilmentTable::new(&rows), &even(2, 2), &Unwatched).unwrap();
+    assert_eq!((&ranking.order[..], &ranking.kept[..]), (&[0, 2, 1][..], &[0.0, 0.5, 0.5][..]));
+    assert_eq!([0, 1, 2, 3].map(|n| ranking.share(n)), [0.0, 0.0, 1.0, 1.0]);
+}
+
+#[test]
+fn the_prefix_for_a_share_is_the_shortest() {
+    let ranking = Ranking { kept: vec![0.5, 0.75, 0.75, 1.0], ..Ranking::default() };
+    assert_eq!([0.4, 0.5, 0.6, 0.75, 0.8, 1.0].map(|s| ranking.length_for_share(s)), [1, 1, 2, 2, 4, 4]);
+    assert_eq!(Ranking::default().length_for_share(0.9), 0);
+    assert_eq!(Ranking::default().share(3), 0.0);
+}
+
+#[test]
+fn where_nothing_is_kept_all_are_taken() {
+    let rows = [vec![(0, 0.2f32)], vec![(1, 0.1)]];
+    let ranking = rank(&FulfilmentTable::new(&rows), &even(2, 1), &Unwatched).unwrap();
+    assert_eq!((ranking.total_kept(), ranking.share(2), ranking.length_for_share(0.5)), (0.0, 0.0, 2));
+}
+
+#[test]
+fn a_gain_of_zero_ends_the_order() {
+    let rows = [vec![(0, 0.5f32), (1, 0.5)], vec![(0, 0.5)], vec![(1, 0.25)], vec![]];
+    let ranking = rank(&FulfilmentTable::new(&rows), &even(2, 1), &Unwatched).unwrap();
+    assert_eq!(ranking.order, [0]);
+}
