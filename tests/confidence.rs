@@ -61,17 +61,35 @@ fn warnings(manifest: &Value) -> String {
 }
 
 #[test]
-fn without_being_asked_the_shipped_model_serves_where_it_was_trained_for_the_backend_and_has_images() {
+fn auto_compares_the_pictures_where_there_are_any() {
     let project = project();
     let source = |manifest: &Value| manifest["settings"]["confidence"]["source"].as_str().unwrap().to_owned();
     let auto = |backend| plan(project.path(), &["--confidence", "auto", "--backend", backend]);
-    let shipped = auto("sgm");
-    assert_eq!(source(&shipped), "shipped");
-    assert_eq!(shipped["confidence_model"]["backend"], "sgm");
-    assert!(shipped["confidence_model"]["trained_on"].as_array().unwrap().len() > 1);
-    assert_eq!(source(&auto("sure")), "geometric");
+    assert_eq!(source(&auto("sgm")), "photometric");
+    assert_eq!(source(&auto("sure")), "photometric");
     fs::remove_dir_all(project.path().join("images")).unwrap();
     assert_eq!(source(&auto("sgm")), "geometric");
+}
+
+#[test]
+fn the_shipped_model_says_what_it_learnt_from() {
+    let project = project();
+    let shipped = plan(project.path(), &["--confidence", "shipped", "--backend", "sgm"]);
+    assert_eq!(shipped["confidence_model"]["backend"], "sgm");
+    assert!(shipped["confidence_model"]["trained_on"].as_array().unwrap().len() > 1);
+}
+
+#[test]
+fn views_without_a_picture_are_judged_by_their_geometry() {
+    let project = project();
+    let all = images(project.path());
+    fs::remove_file(&all[0]).unwrap();
+    fs::write(&all[1], "no image").unwrap();
+    let manifest = plan(project.path(), &["--confidence", "photometric", "--threads", "1"]);
+    let named = |image: &Path| warnings(&manifest).contains(image.file_name().unwrap().to_str().unwrap());
+    assert!(named(&all[0]) && named(&all[1]) && !named(&all[2]));
+    assert!(manifest["cut"]["reachable"].as_f64().unwrap() > 0.5);
+    assert!(plan(project.path(), &["--confidence", "photometric", "--threads", "2"]) == manifest, "on two threads");
 }
 
 #[test]

@@ -56,7 +56,8 @@ pub struct Arguments {
     /// How partners are chosen: sampled (the paper) or search [default: search]
     #[arg(long, value_name = "METHOD", value_parser = ["sampled", "search"], help_heading = "How")]
     partners: Option<String>,
-    /// What predicts success: none, geometric, proxy, shipped, auto or a model file [default: auto]
+    /// What predicts success: photometric, geometric, none, proxy, shipped, auto or a
+    /// model file [default: auto, which is photometric where there are images]
     #[arg(long, value_name = "SOURCE|FILE", help_heading = "How")]
     confidence: Option<String>,
     /// Surface: 3d, terrain (nadir flights) or auto [default: auto]

@@ -46,7 +46,7 @@ impl Hint for UnknownBackend {
 }
 
 /// Values of `confidence.source` that are no model files.
-pub const CONFIDENCE_WORDS: [&str; 6] = ["none", "geometric", "proxy", "auto", "shipped", "project"];
+pub const CONFIDENCE_WORDS: [&str; 7] = ["none", "geometric", "photometric", "proxy", "auto", "shipped", "project"];
 
 /// Where settings are written down; files that are not there are passed over.
 #[derive(Clone, Debug, Default)]

@@ -305,7 +305,8 @@ pub enum ConfidenceForm {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct ConfidenceSettings {
-    /// "none", "geometric", "proxy", "shipped", "auto" or a model file.
+    /// What predicts success: "photometric" (do the pictures agree on the surface?), "geometric" (angles and scales; needs no image), "none", "proxy",
+    /// "shipped", "project" or a model file. "auto": the project's own model, else photometric where there are images, else geometric.
     pub source: String,
     /// The chance of each pair, or the paper's mean of the two unary confidences.
     pub form: ConfidenceForm,

@@ -71,7 +71,7 @@ fn finest(scene: &Scene, surface: &Surface, visibility: &Visibility) -> Vec<f32>
 }
 
 /// Scene units per pixel of the model's image at a triangle's centroid, across the viewing direction.
-fn gsd_at(scene: &Scene, surface: &Surface, view: ViewIndex, triangle: u32) -> f64 {
+pub(super) fn gsd_at(scene: &Scene, surface: &Surface, view: ViewIndex, triangle: u32) -> f64 {
     let camera = scene.camera_of(view);
     let centroid = scene.view(view).cam_from_world.camera_from_world(&surface.centroid(triangle));
     camera.depth(&centroid) / camera.mean_focal_length()

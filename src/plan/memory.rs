@@ -42,6 +42,10 @@ const SCENE_PER_OBSERVATION: u64 = 24;
 /// A row of the table of visibility; with its confidence (by a trained model, which has the most numbers) and its fulfilment.
 const VISIBILITY_ROW: u64 = 4;
 const TABLES_ROW: u64 = 20;
+/// What a picture shows of a row, until pairs are compared: for each candidate a byte is left.
+const SAMPLES_ROW: u64 = 196;
+/// Bytes of these that memory holds: beyond them the system reads them from disk as fast while it has memory to spare.
+const MOST_SAMPLES: u64 = 1 << 30;
 /// Of a triangle while its confidence and its reasons are found: its nearest points, its factors and what is reached of it.
 const PER_TRIANGLE: u64 = 100;
 /// And for each thread: its place in the view at hand.
@@ -67,6 +71,9 @@ pub struct Memory {
     pub disk: u64,
     #[serde(skip)]
     limit: Option<Bytes>,
+    /// Bytes of tables for each row of visibility.
+    #[serde(skip)]
+    row: u64,
 }
 
 impl Memory {
@@ -75,7 +82,8 @@ impl Memory {
         let points = scene.points.len() as u64;
         let held = BASE + SCENE_PER_POINT * points + SCENE_PER_OBSERVATION * scene.observations() as u64;
         let limit = settings.max_memory;
-        let mut memory = Self { read: held, limit, ..Self::default() };
+        let row = TABLES_ROW + u64::from(settings.partners.candidates);
+        let mut memory = Self { read: held, limit, row, ..Self::default() };
         let finished = held + MESH_PER_POINT * points;
         if let (None, None, Some(limit)) = (&settings.surface.mesh, settings.surface.tile_points, limit)
             && held + SURFACE_PER_POINT * points > limit.0
@@ -112,15 +120,17 @@ impl Memory {
         let drawing = self.read + 2 * bytes(surface) + PER_POINT * points + threads * picture;
         let choosing = self.read + bytes(surface) + self.beside_tables(points, triangles);
         let fits = |need: u64| self.limit.is_none_or(|Bytes(limit)| need <= limit);
-        if fits(drawing + VISIBILITY_ROW * rows) && fits(choosing + TABLES_ROW * rows) {
+        if fits(drawing + VISIBILITY_ROW * rows)
+            && fits(choosing + self.row * rows + self.most_samples().min(SAMPLES_ROW * rows))
+        {
             self.visibility = drawing + VISIBILITY_ROW * rows;
             return Ok(Keep::Memory);
         }
         let views = scene.views.len().max(1) as u64;
         let at_once = rows * views.min(column::READ_AT_ONCE as u64) / views;
         self.visibility = drawing + VISIBILITY_ROW * at_once;
-        self.partners = choosing + TABLES_ROW * at_once;
-        self.disk = TABLES_ROW * rows;
+        self.partners = choosing + self.row * at_once + self.most_samples().min(SAMPLES_ROW * at_once);
+        self.disk = (self.row + SAMPLES_ROW) * rows;
         self.keep("model with its surface", self.visibility.max(self.partners))?;
         Ok(Keep::Disk)
     }
@@ -134,10 +144,16 @@ impl Memory {
     ) -> Result<(), PlanError> {
         if self.disk == 0 {
             let (points, triangles) = (scene.points.len() as u64, surface.triangles.len() as u64);
-            let tables = TABLES_ROW * visibility.triangles.len() as u64;
+            let rows = visibility.triangles.len() as u64;
+            let tables = self.row * rows + self.most_samples().min(SAMPLES_ROW * rows);
             self.partners = self.read + bytes(surface) + self.beside_tables(points, triangles) + tables;
         }
         self.keep("table of fulfilment", self.partners)
+    }
+
+    /// Bytes of samples of pictures that memory may hold; more are kept on disk.
+    pub(super) fn most_samples(&self) -> u64 {
+        self.limit.map_or(MOST_SAMPLES, |Bytes(limit)| MOST_SAMPLES.min(limit / 8))
     }
 
     /// Of what is known of points and triangles while partners are chosen.

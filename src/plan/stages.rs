@@ -6,7 +6,7 @@ use crate::{
     config::{Settings, Share},
     io::project::Project,
     method::{
-        confidence::{self, Confidence, Pictures, Predictor, Proxy, Source, Trained, Unary},
+        confidence::{self, Agreement, Confidence, Pictures, Predictor, Proxy, Source, Trained, Unary},
         fulfilment::{FulfilmentTable, Model, Rule},
         geometry::Geometry,
         partners::{self, Candidates},
@@ -34,6 +34,8 @@ pub struct Stages {
     pub visibility: Visibility,
     /// Unary confidence of each row of `visibility`.
     pub unary: Unary,
+    /// How well the pictures of candidate pairs agree, where confidence is photometric.
+    pub agreement: Agreement,
     /// What was seen in the pictures.
     pub pictures: confidence::Seen,
     /// What predicts success.
@@ -62,7 +64,7 @@ impl Stages {
         timings: &mut Timings,
         watcher: &dyn Watcher,
     ) -> Result<Self, PlanError> {
-        let source = Source::new(&settings.confidence.source, project, matcher.name);
+        let source = Source::new(&settings.confidence.source, project);
         let trained = source.trained(&project.root)?;
         let mut settings = in_force(project, settings, &scene, matcher, &source)?;
         let mut memory = Memory::before_surface(&scene, &mut settings)?;
@@ -93,7 +95,7 @@ impl Stages {
                 (Some(trained), Confidence::Trained(_)) => {
                     trained.unary(&geometry, &points, &pictures.maps, watcher)?
                 }
-                (_, Confidence::Pair(_)) => {
+                (_, Confidence::Pair(_) | Confidence::Photometric { .. }) => {
                     confidence::nearby(&scene, &points, &seen.surface, &seen.visibility, watcher)?.times(
                         Unary::new(&scene, &seen.surface, &seen.visibility, &pictures.maps, watcher)?,
                         &seen.visibility,
@@ -103,7 +105,19 @@ impl Stages {
             };
             Ok::<_, PlanError>((pictures, unary))
         })?;
-        let model = Model::new(geometry, &unary, rule(&settings, confidence));
+        let mut pictures = pictures;
+        let agreement = timings.time(Stage::Confidence, || match confidence {
+            Confidence::Photometric { .. } => {
+                let partners = |view| candidates.of(view);
+                let most = memory.most_samples();
+                let (agreement, troubles) =
+                    Agreement::new(&geometry, &Pictures::new(project), partners, most, watcher)?;
+                pictures.warnings.extend(confidence::picture_warnings(&scene, &troubles));
+                Ok::<_, PlanError>(agreement)
+            }
+            _ => Ok(Agreement::default()),
+        })?;
+        let model = Model::new(geometry, &unary, &agreement, rule(&settings, confidence));
         let (clusters, fulfilment) = timings.time(Stage::Partners, || {
             partners::choose(&model, &candidates, &settings.partners, settings.seed, watcher)
         })?;
@@ -117,6 +131,7 @@ impl Stages {
             settings,
             scene,
             unary,
+            agreement,
             pictures,
             confidence,
             trained,
@@ -146,6 +161,7 @@ impl Stages {
             visibility: &self.visibility,
             target: &self.target,
             unary: &self.unary,
+            agreement: &self.agreement,
             rule: rule(&self.settings, self.confidence),
         }
     }

@@ -107,7 +107,7 @@ fn other_backend(stages: &Stages) -> Option<String> {
 /// Settings of confidence that what predicts success here does not heed.
 fn without_effect(stages: &Stages) -> Option<String> {
     let set = &stages.settings.confidence;
-    let pair = matches!(stages.confidence, Confidence::Pair(_));
+    let pair = matches!(stages.confidence, Confidence::Pair(_) | Confidence::Photometric { .. });
     let paper = matches!(stages.confidence, Confidence::Paper { .. });
     let unheeded = [
         ("form", set.form == ConfidenceForm::Paper && !paper),

@@ -31,6 +31,12 @@ pub fn add(plan: &Plan, files: &mut FileSet) {
             array(&[plan.stages.unary.partner_odds.len()], plan.stages.unary.partner_odds.iter().copied()),
         );
     }
+    if let Confidence::Photometric { .. } = plan.stages.confidence {
+        let agreement = &plan.stages.agreement;
+        table("agreement_partners", indices(&agreement.partners));
+        table("agreement_offsets", offsets(&agreement.offsets));
+        table("agreement", array(&[agreement.values.len()], agreement.values.iter().copied()));
+    }
     table("candidates", indices(&plan.stages.candidates.views));
     table("candidate_offsets", offsets(&plan.stages.candidates.offsets));
     let partners: Vec<ViewIndex> = plan.stages.clusters.iter().flat_map(|c| c.partners.iter().copied()).collect();

@@ -140,6 +140,17 @@ class Tables:
     def partners_of(self, cluster):
         return self.partners[self.partner_offsets[cluster]:self.partner_offsets[cluster + 1]]
 
+    def agreement_of(self, key, partner):
+        """Agreement of the pictures of a pair on each triangle that the key view sees; None where they were not compared."""
+        rows = [len(seen) for seen in self.seen]
+        pairs = np.diff(self.agreement_offsets.astype(np.int64))
+        start = int(sum(pairs[v] * rows[v] for v in range(key)))
+        partners = self.agreement_partners[self.agreement_offsets[key]:self.agreement_offsets[key + 1]].tolist()
+        if partner not in partners:
+            return None
+        start += partners.index(partner) * rows[key]
+        return self.agreement[start:start + rows[key]]
+
     def candidates_of(self, view):
         return self.candidates[self.candidate_offsets[view]:self.candidate_offsets[view + 1]]
 
@@ -194,6 +205,10 @@ def f_conf(model, tables, key, partners, seen, sees):
     for i, partner in enumerate(partners):
         here = sees[i]
         row = np.searchsorted(tables.seen[partner], seen[here])
+        if settings["source"] == "photometric" and (agreement := tables.agreement_of(key, partner)) is not None:
+            agreed = agreement[here].astype(float)
+            chances[i, here] = np.where(agreed > 0, 0.95 * np.clip((agreed - 1) / 254 / 0.8, 0.02, 1), 0)
+            continue
         if "pair_curves" in settings_in_force:
             odds = trained_odds(model, tables, settings_in_force["pair_curves"], key, partner, seen[here])
             chances[i, here] = 1 / (1 + np.exp(-(odds + tables.seen_odds[partner][row])))

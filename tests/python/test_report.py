@@ -269,7 +269,7 @@ def test_no_place_to_fly_to_is_in_the_background(viewrank, data, tmp_path):
     """The hull of `lewis` reaches far beyond what its images are of."""
     pycolmap = pytest.importorskip("pycolmap")
     for folder in ("sparse", "images"):
-        (tmp_path / folder).symlink_to(data / "lewis" / folder)
+        (tmp_path / folder).symlink_to(data("lewis") / folder)
     viewrank("plan", tmp_path, "--quiet")
     viewrank("report", tmp_path)
     page = (tmp_path / "viewrank" / "report.html").read_text()

@@ -11,7 +11,7 @@ use crate::{
     config::{TargetMode, TargetSettings, VisibilitySettings},
     io::depthmaps::DepthMapError,
     method::{
-        confidence::{Confidence, Unary},
+        confidence::{Confidence, NO_AGREEMENT, Unary},
         fulfilment::{Model, Rule},
         ranking::Objective,
         surface::Surface,
@@ -59,6 +59,7 @@ impl Fixture {
             visibility: &self.visibility,
             target: &self.target,
             unary: &self.unary,
+            agreement: &NO_AGREEMENT,
             rule,
         }
     }

@@ -256,7 +256,7 @@ mod tests {
         config::{TargetSettings, VisibilitySettings},
         io::depthmaps::DepthMapFormat,
         method::{
-            confidence::{Confidence, Unary},
+            confidence::{Confidence, NO_AGREEMENT, Unary},
             fulfilment::Rule,
             synthetic::Town,
             target::Target,
@@ -315,7 +315,8 @@ mod tests {
         let target = Target::new(&scene, &surface, &visibility, &TargetSettings::default(), 0.3, 0.2);
         let rule = Rule { alpha: 0.5, sigma_px: 0.5, min_cameras: 2, image_scale: 0.2, confidence: Confidence::None };
         let (scene, surface, visibility) = (&scene, &surface, &visibility);
-        let model = Model { scene, surface, visibility, target: &target, unary: &unary, rule };
+        let model =
+            Model { scene, surface, visibility, target: &target, unary: &unary, agreement: &NO_AGREEMENT, rule };
         let views = scene.views.len() as u32;
         let next = |view: ViewIndex, by: u32| ViewIndex((view.0 + by) % views);
         let cluster = |key| ViewCluster { key, partners: vec![next(key, 1), next(key, 2)] };

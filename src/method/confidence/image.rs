@@ -8,6 +8,10 @@ use crate::base::input::{self, Kind};
 use fast_image_resize::{FilterType, PixelType, ResizeAlg, ResizeOptions, Resizer, images::Image as Pixels};
 use image::{ImageFormat, ImageReader, Limits};
 use jpeg_decoder::PixelFormat;
+use zune_jpeg::{
+    JpegDecoder,
+    zune_core::{bytestream::ZCursor, colorspace::ColorSpace, options::DecoderOptions},
+};
 
 /// A reduced picture has at least so many pixels, unless the file has fewer.
 const LEAST_PIXELS: f64 = 750_000.0;
@@ -38,6 +42,8 @@ pub enum ImageError {
     Unknown,
     #[error("broken JPEG: {0}")]
     Jpeg(#[from] jpeg_decoder::Error),
+    #[error("broken JPEG: {0:?}")]
+    JpegGrey(#[from] zune_jpeg::errors::DecodeErrors),
     #[error("broken image: {0}")]
     Other(#[from] image::ImageError),
     #[error("{width} x {height} pixels are too many")]
@@ -62,6 +68,28 @@ impl Image {
         Ok(image.shrunk(width, height))
     }
 
+    /// Decodes the bytes of an image file to grey levels, reduced to the size that is wanted of one of its width and height, and the size that it had.
+    pub fn decode_grey(
+        bytes: &[u8],
+        wanted: impl Fn([u32; 2]) -> [u32; 2],
+    ) -> Result<(GreyImage, [u32; 2]), ImageError> {
+        let (pixels, full) = match image::guess_format(bytes).map_err(|_| ImageError::Unknown)? {
+            ImageFormat::Jpeg => jpeg_grey(bytes)?,
+            _ => {
+                let image = open(bytes)?.into_luma8();
+                let full = [image.width(), image.height()];
+                (image.into_raw(), full)
+            }
+        };
+        let [width, height] = wanted(full);
+        let sized = "a byte a pixel, and the kind of pixels is the same";
+        let from = Pixels::from_vec_u8(full[0], full[1], pixels, PixelType::U8).expect(sized);
+        let mut to = Pixels::new(width, height, PixelType::U8);
+        let by_areas = ResizeOptions::new().resize_alg(ResizeAlg::Convolution(FilterType::Box));
+        Resizer::new().resize(&from, &mut to, &by_areas).expect(sized);
+        Ok((GreyImage { width, height, pixels: to.into_vec() }, full))
+    }
+
     /// By areas; as it is where it has that size already.
     fn shrunk(self, width: u32, height: u32) -> Self {
         if (self.width, self.height) == (width, height) {
@@ -73,6 +101,36 @@ impl Image {
         let by_areas = ResizeOptions::new().resize_alg(ResizeAlg::Convolution(FilterType::Box));
         Resizer::new().resize(&from, &mut to, &by_areas).expect(sized);
         Self { width, height, rgb: to.into_vec(), full: self.full }
+    }
+}
+
+/// Grey levels, row by row.
+pub struct GreyImage {
+    pub width: u32,
+    pub height: u32,
+    pub pixels: Vec<u8>,
+}
+
+/// Luma alone, without the work for colours, where the file has it.
+fn jpeg_grey(bytes: &[u8]) -> Result<(Vec<u8>, [u32; 2]), ImageError> {
+    let options = DecoderOptions::default()
+        .jpeg_set_out_colorspace(ColorSpace::Luma)
+        .set_max_width(65_535)
+        .set_max_height(65_535);
+    let mut decoder = JpegDecoder::new_with_options(ZCursor::new(bytes), options);
+    decoder.decode_headers()?;
+    let full = decoder.dimensions().map_or([1, 1], |(width, height)| [width, height].map(|side| side as u32));
+    if u64::from(full[0]) * u64::from(full[1]) > MOST_PIXELS {
+        return Err(ImageError::Large { width: full[0], height: full[1] });
+    }
+    match decoder.input_colorspace() {
+        Some(ColorSpace::YCbCr | ColorSpace::Luma) => Ok((decoder.decode()?, full)),
+        _ => {
+            let image = jpeg(bytes, &|full| full)?;
+            let luma =
+                |p: &[u8]| ((77 * u32::from(p[0]) + 150 * u32::from(p[1]) + 29 * u32::from(p[2]) + 128) >> 8) as u8;
+            Ok((image.rgb.chunks_exact(3).map(luma).collect(), full))
+        }
     }
 }
 
@@ -142,6 +200,13 @@ impl Mask {
         let pixels = open(bytes)?.into_luma16();
         let (width, height) = pixels.dimensions();
         Ok(Self { width, height, usable: pixels.pixels().map(|p| p.0[0] > 0).collect() })
+    }
+
+    /// Whether the pixel may be used that shows a place given as shares of the image's width and height.
+    pub fn allows(&self, x: f64, y: f64) -> bool {
+        let [column, row] = [(x, self.width), (y, self.height)]
+            .map(|(share, side)| ((share * f64::from(side)).max(0.0) as usize).min(side as usize - 1));
+        self.usable[row * self.width as usize + column]
     }
 
     /// Share of the pixels that may be used in a cell of a grid that covers the image.

@@ -9,6 +9,7 @@ pub mod features;
 mod geometric;
 pub mod image;
 mod nearby;
+pub mod photometric;
 mod pictures;
 pub mod place;
 mod proxy;
@@ -20,7 +21,8 @@ pub use curves::PairCurves;
 pub use geometric::{Constellation, PairConfidence};
 pub use image::{Image, ImageError, Mask, size_for_confidence};
 pub use nearby::nearby;
-pub use pictures::{CACHE, MASKS, Pictures, Seen};
+pub use photometric::{Agreement, NO_AGREEMENT, Photometric};
+pub use pictures::{CACHE, MASKS, Pictures, Seen, picture_warnings};
 pub use proxy::Proxy;
 pub use trained::{Trained, TrainedError, TrainedOn};
 pub use unary::Unary;
@@ -114,6 +116,8 @@ pub enum Source {
     None,
     /// The constellation and the sparse points around (method 7.2).
     Geometric,
+    /// Whether the pictures agree on the surface (method 7.4).
+    Photometric,
     /// The constellation and a training-free look at the picture (method 7.3).
     Proxy,
     /// The model that comes with the program: it learnt from depth maps of `integrations/sgm`.
@@ -128,19 +132,17 @@ pub enum Source {
 pub const PROJECT_MODEL: &str = "viewrank/confidence.model";
 
 impl Source {
-    /// `auto` is the project's own model if there is one, else the shipped one where it was trained for the backend and there are images
-    /// to look at, else `geometric`.
-    pub fn new(source: &str, project: &Project, backend: &str) -> Self {
-        let shipped =
-            || project.images.is_some() && Trained::shipped().is_some_and(|trained| trained.backend == backend);
+    /// `auto` is the project's own model if there is one, else `photometric` where there are images, else `geometric`.
+    pub fn new(source: &str, project: &Project) -> Self {
         match source {
             "none" => Self::None,
             "geometric" => Self::Geometric,
+            "photometric" => Self::Photometric,
             "proxy" => Self::Proxy,
             "shipped" => Self::Shipped,
             "project" => Self::Project,
             "auto" if project.root.join(PROJECT_MODEL).is_file() => Self::Project,
-            "auto" if shipped() => Self::Shipped,
+            "auto" if project.images.is_some() => Self::Photometric,
             "auto" => Self::Geometric,
             file => Self::Model(file.into()),
         }
@@ -149,7 +151,7 @@ impl Source {
     /// The trained model, where it is one.
     pub fn trained(&self, root: &Path) -> Result<Option<Trained>, TrainedError> {
         match self {
-            Self::None | Self::Geometric | Self::Proxy => Ok(None),
+            Self::None | Self::Geometric | Self::Photometric | Self::Proxy => Ok(None),
             Self::Shipped => Trained::shipped().map(Some).ok_or(TrainedError::NotShipped),
             Self::Project => Trained::read(&root.join(PROJECT_MODEL)).map(Some),
             Self::Model(path) => Trained::read(path).map(Some),
@@ -163,6 +165,7 @@ impl std::fmt::Display for Source {
         match self {
             Self::None => write!(f, "none"),
             Self::Geometric => write!(f, "geometric"),
+            Self::Photometric => write!(f, "photometric"),
             Self::Proxy => write!(f, "proxy"),
             Self::Shipped => write!(f, "shipped"),
             Self::Project => write!(f, "project"),
@@ -180,6 +183,8 @@ pub enum Confidence {
     Pair(PairConfidence),
     /// The mean of the two unary confidences.
     Paper { min_matches: u32 },
+    /// Method 7.4 where the pictures of both views are known, else method 7.2 times the mean of the two unary confidences.
+    Photometric { agreement: Photometric, otherwise: PairConfidence },
     /// Trained: the chance that the key view's place can be measured at all, times that of enough matches.
     Trained(PairCurves),
 }
@@ -196,6 +201,7 @@ impl Confidence {
         let min_matches = numbers.min_matches;
         match (source, settings.form, trained) {
             (Source::None, _, _) => Self::None,
+            (Source::Photometric, _, _) => Self::Photometric { agreement: Photometric::default(), otherwise: numbers },
             (Source::Proxy, ConfidenceForm::Paper, _) => Self::Paper { min_matches },
             (_, ConfidenceForm::Paper, Some(Trained { picture: Some(_), .. })) => Self::Paper { min_matches },
             (_, _, Some(Trained { pair, .. })) => {
@@ -213,7 +219,7 @@ impl Confidence {
             Self::None => {}
             Self::Trained(curves) => settings.min_matches = Some(curves.min_matches),
             Self::Paper { min_matches } => settings.min_matches = Some(*min_matches),
-            Self::Pair(numbers) => {
+            Self::Pair(numbers) | Self::Photometric { otherwise: numbers, .. } => {
                 settings.min_matches = Some(numbers.min_matches);
                 settings.p0 = Some(numbers.p0);
                 settings.cosine_power = Some(numbers.cosine_power);
@@ -227,7 +233,7 @@ impl Confidence {
     pub fn min_matches(&self) -> u32 {
         match self {
             Self::None => 0,
-            Self::Pair(numbers) => numbers.min_matches,
+            Self::Pair(numbers) | Self::Photometric { otherwise: numbers, .. } => numbers.min_matches,
             Self::Paper { min_matches } => *min_matches,
             Self::Trained(curves) => curves.min_matches,
         }
@@ -238,7 +244,9 @@ impl Confidence {
     pub fn pair(&self, constellation: &Constellation, key: f64, partner: f64) -> f64 {
         match self {
             Self::None => 1.0,
-            Self::Pair(numbers) => numbers.confidence(constellation) * 0.5 * (key + partner),
+            Self::Pair(numbers) | Self::Photometric { otherwise: numbers, .. } => {
+                numbers.confidence(constellation) * 0.5 * (key + partner)
+            }
             Self::Paper { .. } => 0.5 * (key + partner),
             Self::Trained(curves) => f64::from(trees::logistic(curves.odds(&constellation.numbers()) + partner as f32)),
         }

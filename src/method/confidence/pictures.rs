@@ -12,6 +12,7 @@ use super::{
     ConfidenceMap, Predicted, Predictor,
     cache::{Cache, Entry, Inputs, Stamp},
     image::{Image, ImageError, Mask, size_for_confidence},
+    photometric::{Grey, SPACING},
 };
 use crate::{
     base::{
@@ -73,6 +74,33 @@ impl Pictures {
         }
     }
 
+    pub fn have_images(&self) -> bool {
+        self.images.is_some()
+    }
+
+    /// The view's picture in grey at half the size at which it is matched, and its mask; `None` without an image folder.
+    pub(super) fn grey(
+        &self,
+        scene: &Scene,
+        view: ViewIndex,
+        image_scale: f64,
+    ) -> Result<Option<(Grey, Option<Mask>)>, ImageError> {
+        let Some(folder) = &self.images else { return Ok(None) };
+        let (name, camera) = (scene.name(view), scene.camera_of(view));
+        let wanted = |[width, height]: [u32; 2]| {
+            let scale = image_scale / SPACING * f64::from(camera.width) / f64::from(width);
+            [width, height].map(|side| ((f64::from(side) * scale.min(1.0)).round() as u32).max(2))
+        };
+        let (image, full) = Image::decode_grey(&input::read(&folder.join(name), Kind::Picture)?, wanted)?;
+        check_shape(full, camera)?;
+        let mask = self.masks.as_deref().and_then(|folder| mask_file(folder, name));
+        let mask = mask.map(|path| Mask::decode(&input::read(&path, Kind::Picture)?)).transpose()?;
+        if let Some(mask) = &mask {
+            check_shape([mask.width, mask.height], camera)?;
+        }
+        Ok(Some((Grey::new(image.width as usize, image.height as usize, image.pixels), mask)))
+    }
+
     pub fn have_masks(&self) -> bool {
         self.masks.is_some()
     }
@@ -132,22 +160,28 @@ impl Pictures {
         if predictor.is_some() && self.images.is_none() {
             return vec!["the project has no image folder: no picture was looked at".into()];
         }
-        let troubled = || scene.view_indices().zip(looked).filter_map(|(view, l)| Some((view, l.trouble.as_ref()?)));
-        let what = |trouble: &ImageError| match trouble {
-            ImageError::Io(error) if error.kind() == ErrorKind::NotFound => "there is no such image".into(),
-            other => other.to_string(),
-        };
-        let named = troubled().take(NAMED);
-        let mut warnings: Vec<String> = named
-            .map(|(view, trouble)| {
-                format!("{}: {}; this view is done without its picture", scene.name(view), what(trouble))
-            })
-            .collect();
-        if let Some(others) = troubled().count().checked_sub(NAMED).filter(|&n| n > 0) {
-            warnings.push(format!("{others} more images are missing or broken"));
-        }
-        warnings
+        let troubles: Vec<Option<&ImageError>> = looked.iter().map(|l| l.trouble.as_ref()).collect();
+        picture_warnings(scene, &troubles)
     }
+}
+
+/// The first views whose pictures cannot be used, and how many more there are.
+pub fn picture_warnings<E: std::borrow::Borrow<ImageError>>(scene: &Scene, troubles: &[Option<E>]) -> Vec<String> {
+    let troubled = || scene.view_indices().zip(troubles).filter_map(|(view, t)| Some((view, t.as_ref()?.borrow())));
+    let what = |trouble: &ImageError| match trouble {
+        ImageError::Io(error) if error.kind() == ErrorKind::NotFound => "there is no such image".into(),
+        other => other.to_string(),
+    };
+    let named = troubled().take(NAMED);
+    let mut warnings: Vec<String> = named
+        .map(|(view, trouble)| {
+            format!("{}: {}; this view is done without its picture", scene.name(view), what(trouble))
+        })
+        .collect();
+    if let Some(others) = troubled().count().checked_sub(NAMED).filter(|&n| n > 0) {
+        warnings.push(format!("{others} more images are missing or broken"));
+    }
+    warnings
 }
 
 /// What a view is looked at with.

@@ -257,7 +257,7 @@ impl Hint for TrainedError {
     fn hint(&self) -> Option<String> {
         Some(match self {
             Self::Io { .. } | Self::NotShipped => {
-                "give none, geometric, proxy, shipped, auto, or a model file that viewrank train has written".into()
+                "give none, geometric, photometric, proxy, shipped, auto, or a model file that viewrank train has written".into()
             }
             Self::Format { .. } => "train the model again with viewrank train".into(),
             Self::Version { version, .. } if *version > VERSION => {

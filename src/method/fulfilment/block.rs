@@ -43,6 +43,8 @@ pub struct Block<'a> {
     /// By partner, by place: mean of the two unary confidences, or the partner's log odds where the confidence is trained; empty where the
     /// mean is 1.
     unary: Vec<Vec<f32>>,
+    /// By partner: `unary` is the chance of a match itself (method 7.4).
+    agreed: Vec<bool>,
     /// By partner: as many groups of lanes as were needed so far.
     columns: Vec<Vec<PartnerLanes>>,
 }
@@ -99,6 +101,7 @@ impl<'a> Block<'a> {
             keys: vec![KeyLanes::EMPTY; all],
             sees: vec![vec![false; all * LANES]; partners.len()],
             unary: Vec::new(),
+            agreed: Vec::new(),
             columns: vec![Vec::new(); partners.len()],
         };
         block.place_triangles();
@@ -179,6 +182,24 @@ impl<'a> Block<'a> {
             self.unary.push(means);
         }
         seen.iter().for_each(|&t| place_of[t as usize] = EMPTY);
+        for partner in 0..self.partners.len() {
+            let chances = self.agreed_chances(partner);
+            self.agreed.push(chances.is_some());
+            if let Some(chances) = chances {
+                self.unary[partner] = chances;
+            }
+        }
+    }
+
+    /// By place: the chance of a match, where the pictures of the pair were compared.
+    fn agreed_chances(&self, partner: usize) -> Option<Vec<f32>> {
+        let Confidence::Photometric { agreement, .. } = self.model.rule.confidence else { return None };
+        let values = self.model.agreement.of_pair(self.key, self.partners[partner])?;
+        let mut chances = vec![0.0; self.len() * LANES];
+        for (&value, &place) in values.iter().zip(&self.places) {
+            chances[place as usize] = agreement.chance(value) as f32;
+        }
+        Some(chances)
     }
 
     fn own_unary(&self) -> Vec<f32> {
@@ -436,7 +457,10 @@ impl Column<'_, '_> {
         let chances = match &self.block.model.rule.confidence {
             Confidence::None => [1.0; LANES],
             Confidence::Paper { .. } => [1.0; LANES],
-            Confidence::Pair(numbers) => geometric(numbers, triangles, &rays),
+            Confidence::Photometric { .. } if self.block.agreed[self.partner] => [1.0; LANES],
+            Confidence::Pair(numbers) | Confidence::Photometric { otherwise: numbers, .. } => {
+                geometric(numbers, triangles, &rays)
+            }
             Confidence::Trained(curves) => trained(curves, triangles, &rays, unary, sees),
         };
         let factors =

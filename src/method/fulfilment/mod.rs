@@ -18,7 +18,7 @@ use crate::{
         progress::Watcher,
     },
     method::{
-        confidence::{Confidence, Constellation, Unary},
+        confidence::{Agreement, Confidence, Constellation, Unary},
         surface::Surface,
         visibility::Visibility,
     },
@@ -54,13 +54,15 @@ pub struct Model<'a> {
     pub visibility: &'a Visibility,
     pub target: &'a Target,
     pub unary: &'a Unary,
+    /// Of the pairs whose pictures were compared.
+    pub agreement: &'a Agreement,
     pub rule: Rule,
 }
 
 impl<'a> Model<'a> {
-    pub fn new(geometry: Geometry<'a>, unary: &'a Unary, rule: Rule) -> Self {
+    pub fn new(geometry: Geometry<'a>, unary: &'a Unary, agreement: &'a Agreement, rule: Rule) -> Self {
         let Geometry { scene, surface, visibility, target, .. } = geometry;
-        Self { scene, surface, visibility, target, unary, rule }
+        Self { scene, surface, visibility, target, unary, agreement, rule }
     }
 
     /// The part of it that confidence is made from.
@@ -73,6 +75,7 @@ impl<'a> Model<'a> {
     pub(crate) fn release(&self) {
         self.visibility.triangles.release();
         self.unary.release();
+        self.agreement.release();
     }
 }
 
@@ -212,6 +215,13 @@ impl Success {
         for (view, row) in rows {
             let (own, other) = (f64::from(model.unary.at(key_row)), f64::from(model.unary.as_partner(row)));
             seeing.push(view);
+            let first = model.visibility.rows(key).start;
+            if let Confidence::Photometric { agreement, .. } = rule.confidence
+                && let Some(values) = model.agreement.of_pair(key, view)
+            {
+                chances.push(agreement.chance(values[key_row - first]));
+                continue;
+            }
             chances.push(rule.confidence.pair(&Constellation::new(&model.geometry(), key, view, triangle), own, other));
         }
         let coverage = if 1 + seeing.len() >= rule.min_cameras as usize { 1.0 } else { 0.0 };

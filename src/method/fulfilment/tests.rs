@@ -10,7 +10,7 @@ use crate::{
     config::{TargetMode, TargetSettings, VisibilitySettings},
     method::{
         confidence::{
-            PairConfidence, PairCurves,
+            NO_AGREEMENT, PairConfidence, PairCurves,
             curves::{Curve, PAIR},
         },
         synthetic::Town,
@@ -52,7 +52,7 @@ impl Setting {
     fn model(&self, confidence: Confidence) -> Model<'_> {
         let rule = Rule { alpha: 0.5, sigma_px: 0.5, min_cameras: 3, image_scale: 1.0, confidence };
         let Self { scene, surface, visibility, target, unary } = self;
-        Model { scene, surface, visibility, target, unary, rule }
+        Model { scene, surface, visibility, target, unary, agreement: &NO_AGREEMENT, rule }
     }
 }
 

@@ -5,7 +5,7 @@ use crate::{
     base::{column::Keep, progress::Unwatched},
     config::{TargetSettings, VisibilitySettings},
     method::{
-        confidence::{Confidence, PairConfidence, Unary},
+        confidence::{Confidence, NO_AGREEMENT, PairConfidence, Unary},
         fulfilment::{self, Rule},
         surface::Surface,
         synthetic::Town,
@@ -58,7 +58,7 @@ impl Setting {
         let confidence = Confidence::Pair(numbers);
         let rule = Rule { alpha: 0.5, sigma_px: 0.5, min_cameras: 3, image_scale: 1.0, confidence };
         let Self { scene, surface, visibility, target, unary, .. } = self;
-        Model { scene, surface, visibility, target, unary, rule }
+        Model { scene, surface, visibility, target, unary, agreement: &NO_AGREEMENT, rule }
     }
 
     fn choose(&self, settings: &PartnerSettings) -> (Vec<ViewCluster>, FulfilmentTable) {

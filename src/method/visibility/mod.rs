@@ -104,7 +104,17 @@ impl Visibility {
         start: impl Fn() -> S + Sync + Send,
         of_view: impl Fn(&mut S, ViewIndex) -> Result<Vec<T>, Cancelled> + Sync + Send,
     ) -> Result<Column<T>, TableError> {
-        let mut column = Growing::new(self.triangles.kept())?;
+        self.column_kept(self.triangles.kept(), start, of_view)
+    }
+
+    /// The same, kept where `keep` says.
+    pub fn column_kept<T: Pod + Send, S: Send>(
+        &self,
+        keep: Keep,
+        start: impl Fn() -> S + Sync + Send,
+        of_view: impl Fn(&mut S, ViewIndex) -> Result<Vec<T>, Cancelled> + Sync + Send,
+    ) -> Result<Column<T>, TableError> {
+        let mut column = Growing::new(keep)?;
         column::in_order(
             &self.views(),
             column::READ_AT_ONCE,

@@ -1,0 +1,130 @@
+//! A grey picture at half, a quarter, ... of its size.
+
+/// Grey levels of a picture, row by row, and its pyramid.
+#[derive(Clone, Debug)]
+pub struct Grey {
+    /// From the largest; each has half the side of the one before.
+    levels: Vec<Level>,
+}
+
+#[derive(Clone, Debug)]
+struct Level {
+    width: usize,
+    height: usize,
+    pixels: Vec<u8>,
+}
+
+/// A pyramid ends where a side would have fewer pixels.
+const LEAST_SIDE: usize = 16;
+
+impl Grey {
+    /// `pixels`: width x height grey levels, row by row.
+    pub fn new(width: usize, height: usize, pixels: Vec<u8>) -> Self {
+        let mut levels = vec![Level { width, height, pixels }];
+        while let Some(half) = levels.last().and_then(Level::halved) {
+            levels.push(half);
+        }
+        Self { levels }
+    }
+
+    /// Width and height of the largest level.
+    pub fn size(&self) -> [usize; 2] {
+        [self.levels[0].width, self.levels[0].height]
+    }
+
+    pub fn levels(&self) -> usize {
+        self.levels.len()
+    }
+
+    /// Grey levels between the pixels of a level along a grid `N x N` around `centre`, with the steps `right` and `down`; all in pixels of the
+    /// largest level, whose first pixel has its centre at (0.5, 0.5). `None` where the grid leaves the picture.
+    pub fn sample<const N: usize>(
+        &self,
+        level: usize,
+        centre: [f32; 2],
+        right: [f32; 2],
+        down: [f32; 2],
+    ) -> Option<[[f32; N]; N]> {
+        let Level { width, height, ref pixels } = self.levels[level];
+        let scale = 1.0 / (1u32 << level) as f32;
+        let middle = (N - 1) as f32 / 2.0;
+        let [centre, right, down] = [centre, right, down].map(|v| v.map(|x| x * scale));
+        let reach = [0, 1].map(|axis| middle * (right[axis].abs() + down[axis].abs()));
+        let inside = |axis: usize, side: usize| {
+            let at = centre[axis] - 0.5;
+            at - reach[axis] >= 0.0 && at + reach[axis] < (side - 1) as f32
+        };
+        if !(inside(0, width) && inside(1, height)) {
+            return None;
+        }
+        let mut samples = [[0.0; N]; N];
+        for (i, line) in samples.iter_mut().enumerate() {
+            for (j, sample) in line.iter_mut().enumerate() {
+                let (a, b) = (j as f32 - middle, i as f32 - middle);
+                let x = centre[0] - 0.5 + a * right[0] + b * down[0];
+                let y = centre[1] - 0.5 + a * right[1] + b * down[1];
+                // Rounding may take a sample at the very edge beyond it by nothing that matters.
+                let (column, row) = ((x as usize).min(width - 2), (y as usize).min(height - 2));
+                let (fx, fy) = (x - column as f32, y - row as f32);
+                let upper = &pixels[row * width + column..][..2];
+                let lower = &pixels[(row + 1) * width + column..][..2];
+                let across = |pair: &[u8]| f32::from(pair[0]) + fx * (f32::from(pair[1]) - f32::from(pair[0]));
+                let (upper, lower) = (across(upper), across(lower));
+                *sample = upper + fy * (lower - upper);
+            }
+        }
+        Some(samples)
+    }
+}
+
+impl Level {
+    /// Means of two by two pixels; a last odd row or column is left out.
+    fn halved(&self) -> Option<Self> {
+        let (width, height) = (self.width / 2, self.height / 2);
+        if width.min(height) < LEAST_SIDE {
+            return None;
+        }
+        let mut pixels = Vec::with_capacity(width * height);
+        for row in 0..height {
+            let [upper, lower] = [2 * row, 2 * row + 1].map(|row| &self.pixels[row * self.width..][..2 * width]);
+            let pairs = upper.chunks_exact(2).zip(lower.chunks_exact(2));
+            let mean = |(a, b): (&[u8], &[u8])| {
+                ((u16::from(a[0]) + u16::from(a[1]) + u16::from(b[0]) + u16::from(b[1]) + 2) / 4) as u8
+            };
+            pixels.extend(pairs.map(mean));
+        }
+        Some(Self { width, height, pixels })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn samples_of_a_ramp_lie_on_it_at_every_level() {
+        // The centre of pixel (x, y) is at (x + 0.5, y + 0.5), where the ramp is x + 2 y.
+        let pixels = (0..64).flat_map(|y| (0..64).map(move |x| x + 2 * y)).collect();
+        let grey = Grey::new(64, 64, pixels);
+        assert_eq!((grey.levels(), grey.size()), (3, [64, 64]));
+        for level in 0..3 {
+            let samples = grey.sample::<3>(level, [32.0, 30.0], [2.0, 0.5], [-1.0, 3.0]).unwrap();
+            for (i, line) in samples.iter().enumerate() {
+                for (j, sample) in line.iter().enumerate() {
+                    let (a, b) = (j as f32 - 1.0, i as f32 - 1.0);
+                    let (x, y) = (32.0 + 2.0 * a - b, 30.0 + 0.5 * a + 3.0 * b);
+                    // A mean of four pixels is rounded to a whole number.
+                    assert!((sample - (x - 0.5 + 2.0 * (y - 0.5))).abs() < 0.01 + level as f32, "{level} {i} {j}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_grid_that_leaves_the_picture_has_no_samples() {
+        let grey = Grey::new(20, 20, vec![7; 400]);
+        assert!(grey.sample::<7>(0, [3.6, 10.0], [1.0, 0.0], [0.0, 1.0]).is_some());
+        assert!(grey.sample::<7>(0, [3.4, 10.0], [1.0, 0.0], [0.0, 1.0]).is_none());
+        assert!(grey.sample::<7>(0, [f32::NAN, 10.0], [1.0, 0.0], [0.0, 1.0]).is_none());
+    }
+}
