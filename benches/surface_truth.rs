@@ -160,7 +160,7 @@ impl Pairs {
             let view = ViewIndex(view);
             let mut pairs = Self::default();
             for t in (0..surface.triangles.len() as u32).step_by(5) {
-                let said = table.of(view).binary_search(&t).is_ok();
+                let said = table.triangles_seen_by(view).binary_search(&t).is_ok();
                 pairs.said += u64::from(said);
                 if !is_in_view(&exact.scene, surface, view, t, settings) {
                     continue;

@@ -84,7 +84,7 @@ impl Why<'_> {
     }
 
     fn no_cluster(&self, view: ViewIndex) -> Reason {
-        if self.model.visibility.of(view).is_empty() { Reason::Hidden } else { self.refused(view) }
+        if self.model.visibility.triangles_seen_by(view).is_empty() { Reason::Hidden } else { self.refused(view) }
     }
 
     /// Why a view with partners is no key view.
@@ -92,7 +92,7 @@ impl Why<'_> {
         let ViewCluster { key, partners } = &self.clusters[cluster];
         let (triangles, values) = self.fulfilment.of(cluster);
         if triangles.is_empty() {
-            let failures = self.model.visibility.of(*key).iter();
+            let failures = self.model.visibility.triangles_seen_by(*key).iter();
             let failures = failures.map(|&t| failure(&fulfilment::value(self.model, *key, partners, t)));
             return most_frequent(failures).unwrap_or(Reason::Hidden);
         }
@@ -128,7 +128,8 @@ impl Why<'_> {
     /// Of each triangle that is asked for the factors of the cluster that comes nearest to fulfilling it, the first of equals.
     fn nearest_to_success(&self, is_asked: impl Fn(usize) -> bool + Sync) -> Vec<Option<Fulfilment>> {
         let of_cluster = |cluster: &ViewCluster| -> Vec<(u32, Fulfilment)> {
-            let asked = self.model.visibility.of(cluster.key).iter().copied().filter(|&t| is_asked(t as usize));
+            let asked =
+                self.model.visibility.triangles_seen_by(cluster.key).iter().copied().filter(|&t| is_asked(t as usize));
             asked.map(|t| (t, fulfilment::value(self.model, cluster.key, &cluster.partners, t))).collect()
         };
         let nearness = |f: &Fulfilment| (f.coverage, f.value, f.confidence);

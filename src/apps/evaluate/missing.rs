@@ -72,7 +72,7 @@ impl Reached {
         let triangles = model.surface.triangles.len();
         let mut best = vec![Best::default(); triangles];
         for (c, cluster) in run.matched.iter().enumerate() {
-            model.visibility.of(cluster.key).iter().for_each(|&t| best[t as usize].seen = true);
+            model.visibility.triangles_seen_by(cluster.key).iter().for_each(|&t| best[t as usize].seen = true);
             let (seen, values) = run.attainable.of(c);
             let (real_seen, real) = run.real.of(c);
             for (&t, &attainable) in seen.iter().zip(values) {

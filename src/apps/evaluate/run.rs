@@ -203,7 +203,7 @@ impl Task<'_> {
     /// Attainable fulfilment times the measured share.
     fn real(&self, clusters: &[ViewCluster], attainable: &FulfilmentTable, measured: &[Measured]) -> FulfilmentTable {
         let of_cluster = |(c, cluster): (usize, &ViewCluster)| -> Vec<(u32, f32)> {
-            let seen = self.model.visibility.of(cluster.key);
+            let seen = self.model.visibility.triangles_seen_by(cluster.key);
             let share = |t| seen.binary_search(&t).map_or(0.0, |row| measured[c].shares[row]);
             let (triangles, values) = attainable.of(c);
             let real = triangles.iter().zip(values).map(|(&t, &f)| (t, f * share(t)));
@@ -221,7 +221,7 @@ impl Task<'_> {
         nocp: &FulfilmentTable,
         measured: &[Measured],
     ) -> Vec<Attempt> {
-        let seen = self.model.visibility.of(clusters[cluster].key);
+        let seen = self.model.visibility.triangles_seen_by(clusters[cluster].key);
         let (certain_triangles, certain) = nocp.of(cluster);
         let (triangles, values) = predicted.of(cluster);
         let attempt = |(&t, &f): (&u32, &f32)| {

@@ -250,7 +250,9 @@ impl Views {
             likest_offsets: bytes(&offsets(likest.iter().map(Vec::len))),
             likest: bytes(&likest.iter().flatten().map(|l| l.rank as u32 + 1).collect::<Vec<_>>()),
             likest_shares: bytes(&likest.iter().flatten().map(|l| l.share as f32).collect::<Vec<_>>()),
-            seen: bytes(&views().map(|view| plan.stages.visibility.of(view).len() as u32).collect::<Vec<_>>()),
+            seen: bytes(
+                &views().map(|view| plan.stages.visibility.triangles_seen_by(view).len() as u32).collect::<Vec<_>>(),
+            ),
             partners: partners(plan),
         })
     }

@@ -74,7 +74,7 @@ impl Nearest {
                 let around = self.of(t);
                 said(around.iter().filter(|&&p| observed[p as usize]).count() as f32 / around.len() as f32)
             };
-            let row: Vec<f32> = visibility.of(view).iter().map(of_triangle).collect();
+            let row: Vec<f32> = visibility.triangles_seen_by(view).iter().map(of_triangle).collect();
             points.of(view).iter().for_each(|p| observed[p.index()] = false);
             Ok(row)
         };
@@ -221,7 +221,7 @@ mod tests {
         let unary = nearby(&scene, &points, &surface, &visibility, &Unwatched).unwrap();
         let mut row = 0;
         for view in scene.view_indices() {
-            for &t in visibility.of(view) {
+            for &t in visibility.triangles_seen_by(view) {
                 let around = by_sorting(&scene.points, &surface.centroid(t));
                 let known = around.iter().filter(|&&p| points.of(view).iter().any(|o| o.0 == p)).count();
                 assert_eq!(unary.at(row), 0.5 + known as f32 / 16.0);

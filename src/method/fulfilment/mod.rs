@@ -174,7 +174,10 @@ pub fn table(model: &Model, clusters: &[ViewCluster], watcher: &dyn Watcher) -> 
         of_cluster,
         |batch, rows| {
             model.release();
-            batch.iter().zip(rows).try_for_each(|(cluster, f)| table.push(model.visibility.of(cluster.key), &f))
+            batch
+                .iter()
+                .zip(rows)
+                .try_for_each(|(cluster, f)| table.push(model.visibility.triangles_seen_by(cluster.key), &f))
         },
     )?;
     Ok(table.finish()?)

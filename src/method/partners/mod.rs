@@ -59,7 +59,7 @@ pub fn choose(
         |batch, chosen| {
             model.release();
             for (&key, (partners, values)) in batch.iter().zip(chosen) {
-                table.push(model.visibility.of(key), &values)?;
+                table.push(model.visibility.triangles_seen_by(key), &values)?;
                 clusters.push(ViewCluster { key, partners });
             }
             Ok(())

@@ -48,13 +48,13 @@ pub struct Visibility {
 }
 
 impl Visibility {
-    /// The views, each a row of [`Self::of`].
+    /// The views, each a row of [`Self::triangles_seen_by`].
     pub fn views(&self) -> Vec<ViewIndex> {
         (1..self.offsets.len()).map(|end| ViewIndex(end as u32 - 1)).collect()
     }
 
     /// The triangles that the view sees, ascending.
-    pub fn of(&self, view: ViewIndex) -> &[u32] {
+    pub fn triangles_seen_by(&self, view: ViewIndex) -> &[u32] {
         &self.triangles[self.rows(view)]
     }
 
@@ -65,7 +65,7 @@ impl Visibility {
 
     /// The row of a triangle in a view, where the view sees it.
     pub fn row(&self, view: ViewIndex, triangle: u32) -> Option<usize> {
-        let found = self.of(view).binary_search(&triangle).ok()?;
+        let found = self.triangles_seen_by(view).binary_search(&triangle).ok()?;
         Some(self.offsets[view.index()] + found)
     }
 
