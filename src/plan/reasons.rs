@@ -90,7 +90,7 @@ impl Why<'_> {
     /// Why a view with partners is no key view.
     fn not_taken(&self, cluster: usize, chosen: &ByTriangle) -> Reason {
         let ViewCluster { key, partners } = &self.clusters[cluster];
-        let (triangles, values) = self.fulfilment.of(cluster);
+        let (triangles, values) = self.fulfilment.row(cluster);
         if triangles.is_empty() {
             let failures = self.model.visibility.triangles_seen_by(*key).iter();
             let failures = failures.map(|&t| failure(&fulfilment::value(self.model, *key, partners, t)));
@@ -176,7 +176,7 @@ pub(super) fn likest(table: &FulfilmentTable, order: &[u32], triangles: usize) -
     let mut end = vec![order.len(); table.clusters()];
     order.iter().enumerate().for_each(|(rank, &cluster)| end[cluster as usize] = rank);
     let of_cluster = |cluster: usize| {
-        let (triangles, values) = table.of(cluster);
+        let (triangles, values) = table.row(cluster);
         let own: f64 = values.iter().map(|&f| f64::from(f)).sum();
         let mut likest = Vec::new();
         let mut most = 0.0;
@@ -228,7 +228,7 @@ mod tests {
         // Clusters 0 and 1 share the triangles of cluster 2; neither does all of them.
         let table = FulfilmentTable::new([[(0, 0.5), (1, 0.5)], [(1, 0.9), (2, 0.2)], [(1, 0.6), (2, 0.6)]]);
         let chosen = ByTriangle::new(&table, &[0, 1], 3).unwrap();
-        let (triangles, values) = table.of(2);
+        let (triangles, values) = table.row(2);
         assert!((chosen.most_by_one(triangles, values) - 0.8).abs() < 1e-6);
         let likest = super::likest(&table, &[0, 1, 2], 3).unwrap();
         let ranks = |of: usize| likest[of].iter().map(|l| l.rank).collect::<Vec<_>>();

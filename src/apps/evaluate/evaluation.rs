@@ -197,7 +197,7 @@ fn key_view(model: &Model, run: &Run, cluster: usize) -> KeyView {
         partners: names(&run.clusters[cluster].partners),
         matched: names(&run.matched[cluster].partners),
         quality: (&run.quality[cluster]).into(),
-        predicted: sum(run.predicted.of(cluster).1),
-        real: sum(run.real.of(cluster).1),
+        predicted: sum(run.predicted.row(cluster).1),
+        real: sum(run.real.row(cluster).1),
     }
 }

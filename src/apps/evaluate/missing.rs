@@ -73,8 +73,8 @@ impl Reached {
         let mut best = vec![Best::default(); triangles];
         for (c, cluster) in run.matched.iter().enumerate() {
             model.visibility.triangles_seen_by(cluster.key).iter().for_each(|&t| best[t as usize].seen = true);
-            let (seen, values) = run.attainable.of(c);
-            let (real_seen, real) = run.real.of(c);
+            let (seen, values) = run.attainable.row(c);
+            let (real_seen, real) = run.real.row(c);
             for (&t, &attainable) in seen.iter().zip(values) {
                 let real = real_seen.binary_search(&t).map_or(0.0, |i| real[i]);
                 best[t as usize].offer(c, attainable, real);

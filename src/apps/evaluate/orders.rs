@@ -35,9 +35,9 @@ pub fn real_update(predicted: &FulfilmentTable, real: &FulfilmentTable, objectiv
     let mut left: Vec<u32> = (0..predicted.clusters() as u32).collect();
     let mut order = Vec::with_capacity(left.len());
     while !left.is_empty() {
-        let best = first_largest(left.iter().map(|&c| reached.gain(predicted.of(c as usize))));
+        let best = first_largest(left.iter().map(|&c| reached.gain(predicted.row(c as usize))));
         let cluster = left.remove(best);
-        reached.take(real.of(cluster as usize));
+        reached.take(real.row(cluster as usize));
         order.push(cluster);
     }
     order
@@ -54,7 +54,7 @@ pub fn replan(mut beliefs: Beliefs, run: &Run, objective: &Objective) -> Vec<u32
             reached.gain((triangles, &believed))
         };
         let cluster = left.remove(first_largest(left.iter().map(gain)));
-        reached.take(run.real.of(cluster as usize));
+        reached.take(run.real.row(cluster as usize));
         beliefs.learn(run.clusters[cluster as usize].key, &run.attempts[cluster as usize]);
         order.push(cluster);
     }

@@ -205,7 +205,7 @@ impl Task<'_> {
         let of_cluster = |(c, cluster): (usize, &ViewCluster)| -> Vec<(u32, f32)> {
             let seen = self.model.visibility.triangles_seen_by(cluster.key);
             let share = |t| seen.binary_search(&t).map_or(0.0, |row| measured[c].shares[row]);
-            let (triangles, values) = attainable.of(c);
+            let (triangles, values) = attainable.row(c);
             let real = triangles.iter().zip(values).map(|(&t, &f)| (t, f * share(t)));
             real.filter(|(_, f)| *f > 0.0).collect()
         };
@@ -222,8 +222,8 @@ impl Task<'_> {
         measured: &[Measured],
     ) -> Vec<Attempt> {
         let seen = self.model.visibility.triangles_seen_by(clusters[cluster].key);
-        let (certain_triangles, certain) = nocp.of(cluster);
-        let (triangles, values) = predicted.of(cluster);
+        let (certain_triangles, certain) = nocp.row(cluster);
+        let (triangles, values) = predicted.row(cluster);
         let attempt = |(&t, &f): (&u32, &f32)| {
             let row = seen.binary_search(&t).ok()?;
             let without = certain[certain_triangles.binary_search(&t).ok()?];

@@ -210,7 +210,7 @@ fn what_does_not_fit_is_an_error_that_says_so() {
     town.write_maps(truth.path(), 1, |_, _, exact| exact);
     // A view without reference counts as wrong, not as right.
     let run = town.run(&town.clusters(2), maps.path(), Some(truth.path())).unwrap();
-    assert!(run.real.of(0).1.len() > 100 && run.real.of(1).1.is_empty());
+    assert!(run.real.row(0).1.len() > 100 && run.real.row(1).1.is_empty());
     let other = ViewCluster { key: ViewIndex(9), partners: vec![ViewIndex(1)] };
     assert!(matches!(town.run(&[other], maps.path(), None), Err(EvaluateError::NoClusters(_))));
     let path = maps.path().join(format!("{}.npy", town.scene.name(ViewIndex(0))));

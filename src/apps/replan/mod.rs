@@ -156,7 +156,7 @@ fn with_finished(stages: Stages, run: &Run, watcher: &dyn Watcher) -> Result<(St
     for (finished, at) in rows.values() {
         match finished {
             Some(_) => {
-                let (triangles, values) = run.real.of(*at);
+                let (triangles, values) = run.real.row(*at);
                 table.push(triangles, values)?;
                 clusters.push(run.clusters[*at].clone());
             }

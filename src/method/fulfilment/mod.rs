@@ -123,7 +123,7 @@ impl FulfilmentTable {
     }
 
     /// Triangles of a cluster and their fulfilment.
-    pub fn of(&self, cluster: usize) -> (&[u32], &[f32]) {
+    pub fn row(&self, cluster: usize) -> (&[u32], &[f32]) {
         let rows = self.offsets[cluster]..self.offsets[cluster + 1];
         (&self.triangles[rows.clone()], &self.values[rows])
     }

@@ -252,7 +252,7 @@ fn the_table_holds_what_the_definition_says() {
             let model = Model { target: &target, ..setting.model(confidence) };
             let table = table(&model, &clusters, &Unwatched).unwrap();
             for (c, cluster) in clusters.iter().enumerate() {
-                let (triangles, values) = table.of(c);
+                let (triangles, values) = table.row(c);
                 for &t in setting.visibility.triangles_seen_by(cluster.key) {
                     let expected = value(&model, cluster.key, &cluster.partners, t).value;
                     let ours = triangles.binary_search(&t).map_or(0.0, |i| f64::from(values[i]));

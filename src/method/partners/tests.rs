@@ -90,7 +90,7 @@ fn settings(k: u32, method: PartnerMethod) -> PartnerSettings {
 }
 
 fn sum(table: &FulfilmentTable, cluster: usize) -> f64 {
-    table.of(cluster).1.iter().map(|&f| f64::from(f)).sum()
+    table.row(cluster).1.iter().map(|&f| f64::from(f)).sum()
 }
 
 #[test]
