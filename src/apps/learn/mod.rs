@@ -201,7 +201,7 @@ impl Lesson<'_> {
         watcher: &dyn Watcher,
     ) -> Result<Vec<T>, TrainError> {
         let finished = self.finished(watcher)?;
-        let others = |view: ViewIndex| self.candidates.of(view).to_vec();
+        let others = |view: ViewIndex| self.candidates.candidates_of(view).to_vec();
         let labelling = Labelling { model: self.model, finished: &finished, others: &others };
         let of_map = |map: &DepthMapFile| {
             watcher.check()?;

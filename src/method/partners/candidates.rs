@@ -53,7 +53,7 @@ pub struct Candidates {
 }
 
 impl Candidates {
-    pub fn of(&self, view: ViewIndex) -> &[ViewIndex] {
+    pub fn candidates_of(&self, view: ViewIndex) -> &[ViewIndex] {
         &self.views[self.offsets[view.index()]..self.offsets[view.index() + 1]]
     }
 
@@ -281,7 +281,7 @@ mod tests {
             all.retain(|s| s.0 > 0);
             all.sort_by_key(|s| (Reverse(s.0), s.1));
             let expected: Vec<_> = all.iter().take(22).map(|s| s.1).collect();
-            assert_eq!(table.of(key), expected);
+            assert_eq!(table.candidates_of(key), expected);
         }
     }
 
@@ -297,8 +297,8 @@ mod tests {
                 let (_, shared) = around.iter().find(|(view, _)| *view == partner).unwrap();
                 PairGeometry::new(&scene, key, partner, shared).angle_deg
             };
-            let narrow: Vec<_> = all.of(key).iter().copied().filter(|&v| angle(v) <= 12.0).take(5).collect();
-            assert_eq!(table.of(key), narrow);
+            let narrow: Vec<_> = all.candidates_of(key).iter().copied().filter(|&v| angle(v) <= 12.0).take(5).collect();
+            assert_eq!(table.candidates_of(key), narrow);
             let wide = |r: &Refusal| angle(r.partner) > 12.0 && r.reason == Reason::NotMatchable;
             assert!(table.refused(key).iter().all(wide));
         }
@@ -310,7 +310,7 @@ mod tests {
         let mut scene = scene();
         scene.views[1].cam_from_world = scene.views[0].cam_from_world;
         let table = select_all(&scene, 60, &Gate::OPEN);
-        assert!(!table.of(ViewIndex(0)).contains(&ViewIndex(1)));
+        assert!(!table.candidates_of(ViewIndex(0)).contains(&ViewIndex(1)));
         let still = Refusal { partner: ViewIndex(1), reason: Reason::RotationOnly };
         assert!(table.refused(ViewIndex(0)).contains(&still));
     }

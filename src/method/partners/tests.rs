@@ -119,7 +119,7 @@ fn sampled_is_the_optimum_where_it_takes_all() {
     let (clusters, table) = setting.choose(&all_judge);
     let (_, searched) = setting.choose(&PartnerSettings { method: PartnerMethod::Search, ..all_judge });
     for (c, cluster) in clusters.iter().enumerate().step_by(7) {
-        let of = setting.candidates.of(cluster.key);
+        let of = setting.candidates.candidates_of(cluster.key);
         let sets = (0..64u32).filter(|s| s.count_ones() == 3);
         let every: Vec<ViewCluster> = sets
             .map(|s| ViewCluster {
@@ -139,7 +139,7 @@ fn the_table_is_that_of_the_clusters() {
     let setting = Setting::new();
     for method in [PartnerMethod::Sampled, PartnerMethod::Search] {
         let (clusters, table) = setting.choose(&settings(4, method));
-        assert!(clusters.iter().all(|c| c.partners.len() == 4.min(setting.candidates.of(c.key).len())));
+        assert!(clusters.iter().all(|c| c.partners.len() == 4.min(setting.candidates.candidates_of(c.key).len())));
         let again = fulfilment::table(&setting.model(), &clusters, &Unwatched).unwrap();
         assert_eq!((&table.offsets, &table.triangles), (&again.offsets, &again.triangles));
         // Partners are added up in another order.
