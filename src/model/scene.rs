@@ -218,7 +218,7 @@ impl Scene {
         let gsds = self.view_indices().filter_map(|view| {
             let pose = &self.view(view).cam_from_world;
             let camera = self.camera_of(view);
-            let points = view_points.of(view).iter();
+            let points = view_points.observed_by(view).iter();
             let depths = points.map(|&p| camera.depth(&pose.camera_from_world(&self.points[p.index()])));
             let depth = median(depths.filter(|&depth| depth > 0.0).collect())?;
             Some(depth / camera.mean_focal_length())
@@ -292,7 +292,7 @@ impl ViewPoints {
     }
 
     /// The points that the view observes, ascending.
-    pub fn of(&self, view: ViewIndex) -> &[PointIndex] {
+    pub fn observed_by(&self, view: ViewIndex) -> &[PointIndex] {
         &self.points[self.offsets[view.index()]..self.offsets[view.index() + 1]]
     }
 }

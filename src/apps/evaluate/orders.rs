@@ -66,7 +66,7 @@ pub fn max_points(scene: &Scene, clusters: &[ViewCluster]) -> Vec<u32> {
     let points = scene.view_points();
     let mut cluster_of = vec![None; scene.views.len()];
     clusters.iter().enumerate().for_each(|(c, cluster)| cluster_of[cluster.key.index()] = Some(c));
-    let mut uncovered: Vec<usize> = clusters.iter().map(|c| points.of(c.key).len()).collect();
+    let mut uncovered: Vec<usize> = clusters.iter().map(|c| points.observed_by(c.key).len()).collect();
     let mut covered = vec![false; scene.points.len()];
     let mut left: Vec<u32> = (0..clusters.len() as u32).collect();
     let mut order = Vec::with_capacity(left.len());
@@ -74,7 +74,7 @@ pub fn max_points(scene: &Scene, clusters: &[ViewCluster]) -> Vec<u32> {
         let best = first_largest(left.iter().map(|&c| uncovered[c as usize] as f64));
         let cluster = left.remove(best);
         order.push(cluster);
-        for &point in points.of(clusters[cluster as usize].key) {
+        for &point in points.observed_by(clusters[cluster as usize].key) {
             if std::mem::replace(&mut covered[point.index()], true) {
                 continue;
             }

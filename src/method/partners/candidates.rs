@@ -227,7 +227,7 @@ impl Neighbours {
     fn count(&mut self, scene: &Scene, points: &ViewPoints, key: ViewIndex) {
         self.shared.clear();
         self.views.clear();
-        for &point in points.of(key) {
+        for &point in points.observed_by(key) {
             // A view that observes the point twice stands twice in a row.
             let mut last = key;
             for &view in scene.track_views(point) {
@@ -267,8 +267,8 @@ mod tests {
 
     fn shared(scene: &Scene, a: ViewIndex, b: ViewIndex) -> usize {
         let points = scene.view_points();
-        let other: HashSet<_> = points.of(b).iter().collect();
-        points.of(a).iter().filter(|p| other.contains(p)).count()
+        let other: HashSet<_> = points.observed_by(b).iter().collect();
+        points.observed_by(a).iter().filter(|p| other.contains(p)).count()
     }
 
     #[test]
@@ -319,8 +319,8 @@ mod tests {
     fn geometry_of_a_pair_is_antisymmetric() {
         let scene = scene();
         let (a, b) = (ViewIndex(6), ViewIndex(32));
-        let other: HashSet<_> = scene.view_points().of(b).iter().copied().collect();
-        let both: Vec<_> = scene.view_points().of(a).iter().copied().filter(|p| other.contains(p)).collect();
+        let other: HashSet<_> = scene.view_points().observed_by(b).iter().copied().collect();
+        let both: Vec<_> = scene.view_points().observed_by(a).iter().copied().filter(|p| other.contains(p)).collect();
         let (ab, ba) = (PairGeometry::new(&scene, a, b, &both), PairGeometry::new(&scene, b, a, &both));
         assert!((ab.angle_deg - ba.angle_deg).abs() < 1e-9 && (ab.scale_octaves + ba.scale_octaves).abs() < 1e-9);
         assert!(ab.angle_deg > 1.0 && ab.still_share == 0.0);

@@ -139,7 +139,7 @@ pub fn estimate(
         stage.draw(view, picture);
         let mut seen: Vec<u32> = stage.visible(view, picture).collect();
         seen.sort_unstable();
-        stage.observe(view, points.of(view), picture, &observations);
+        stage.observe(view, points.observed_by(view), picture, &observations);
         watcher.progress(Stage::Visibility, 1 + done.fetch_add(1, Ordering::Relaxed), views.len() as u64);
         Ok(seen)
     };
