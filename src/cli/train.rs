@@ -110,7 +110,7 @@ fn prepare(arguments: &Arguments, root: &Path, progress: &Progress) -> Result<Pr
     let found = depthmaps::find(&folder, &scene)?.whole()?;
     settings.backends = vec![backend(arguments, &found.maps[0].format)];
     let plan =
-        Plan::of_scene(&project, scene, &settings, &planned_for(&project, &settings)?, Timings::start(), progress)?;
+        Plan::from_scene(&project, scene, &settings, &planned_for(&project, &settings)?, Timings::start(), progress)?;
     let ranked = |cluster: &RankedCluster| ViewCluster { key: cluster.key, partners: cluster.partners.clone() };
     let written: Vec<ViewCluster> =
         WrittenPlan::read(root).map(|written| written.clusters.iter().map(ranked).collect()).unwrap_or_default();

@@ -69,11 +69,11 @@ impl Plan {
         let scene = timings.time(Stage::Read, || project.read_scene())?;
         watcher.progress(Stage::Read, 1, 1);
         watcher.check()?;
-        Self::of_scene(project, scene, settings, matcher, timings, watcher)
+        Self::from_scene(project, scene, settings, matcher, timings, watcher)
     }
 
     /// As [`Plan::new`], for the project's scene that was read before, in the time that `timings` have.
-    pub fn of_scene(
+    pub fn from_scene(
         project: &Project,
         scene: Scene,
         settings: &Settings,
