@@ -98,7 +98,10 @@ fn tables_on_disk_change_nothing() {
         (&disk.decision.views, &disk.decision.triangle_reasons),
         (&memory.decision.views, &memory.decision.triangle_reasons)
     );
-    assert_eq!((disk.decision.forecast, disk.likest().unwrap()), (memory.decision.forecast, memory.likest().unwrap()));
+    assert_eq!(
+        (disk.decision.forecast, disk.best_substitutes().unwrap()),
+        (memory.decision.forecast, memory.best_substitutes().unwrap())
+    );
 }
 
 /// A synthetic survey of 300 views, the set `survey` of `benches/sets.py`.

@@ -170,30 +170,34 @@ fn most_frequent(reasons: impl Iterator<Item = Reason>) -> Option<Reason> {
 }
 
 /// Of each cluster those ranked before it that do more of what it could by itself than any before them: the last of them within a cut
-/// is the likest there.
-pub(super) fn likest(table: &FulfilmentTable, order: &[u32], triangles: usize) -> Result<Vec<Vec<Likest>>, DiskError> {
+/// is the best substitute there.
+pub(super) fn best_substitutes(
+    table: &FulfilmentTable,
+    order: &[u32],
+    triangles: usize,
+) -> Result<Vec<Vec<Substitute>>, DiskError> {
     let by_triangle = ByTriangle::new(table, order, triangles)?;
     let mut end = vec![order.len(); table.clusters()];
     order.iter().enumerate().for_each(|(rank, &cluster)| end[cluster as usize] = rank);
     let of_cluster = |cluster: usize| {
         let (triangles, values) = table.row(cluster);
         let own: f64 = values.iter().map(|&f| f64::from(f)).sum();
-        let mut likest = Vec::new();
+        let mut substitutes = Vec::new();
         let mut most = 0.0;
         for (rank, given) in by_triangle.given_by_each(triangles, values, end[cluster]).into_iter().enumerate() {
             if given > most {
                 most = given;
-                likest.push(Likest { rank, share: given / own });
+                substitutes.push(Substitute { rank, share: given / own });
             }
         }
-        likest
+        substitutes
     };
     Ok((0..table.clusters()).into_par_iter().map(of_cluster).collect())
 }
 
-/// A cluster that is like another one.
+/// A cluster that does much of what another one could do.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Likest {
+pub struct Substitute {
     /// From 0.
     pub rank: usize,
     /// Share of the other's own fulfilment that this one gives as well, 0 to 1.
@@ -230,9 +234,11 @@ mod tests {
         let chosen = ByTriangle::new(&table, &[0, 1], 3).unwrap();
         let (triangles, values) = table.row(2);
         assert!((chosen.most_by_one(triangles, values) - 0.8).abs() < 1e-6);
-        let likest = super::likest(&table, &[0, 1, 2], 3).unwrap();
-        let ranks = |of: usize| likest[of].iter().map(|l| l.rank).collect::<Vec<_>>();
+        let substitutes = super::best_substitutes(&table, &[0, 1, 2], 3).unwrap();
+        let ranks = |of: usize| substitutes[of].iter().map(|l| l.rank).collect::<Vec<_>>();
         assert_eq!([ranks(0), ranks(1), ranks(2)], [vec![], vec![0], vec![0, 1]]);
-        assert!((likest[2][0].share - 0.5 / 1.2).abs() < 1e-6 && (likest[2][1].share - 0.8 / 1.2).abs() < 1e-6);
+        assert!(
+            (substitutes[2][0].share - 0.5 / 1.2).abs() < 1e-6 && (substitutes[2][1].share - 0.8 / 1.2).abs() < 1e-6
+        );
     }
 }
