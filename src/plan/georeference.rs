@@ -5,7 +5,7 @@ use std::path::Path;
 use serde::Deserialize;
 
 use crate::{
-    base::input::{self, Kind},
+    base::input::{self, FileKind},
     config::FrameSettings,
     io::project::{ModelFormat, Project},
     model::{
@@ -61,12 +61,12 @@ struct Reconstruction {
 }
 
 fn read_json<T: serde::de::DeserializeOwned>(path: &Path) -> Option<T> {
-    serde_json::from_slice(&input::read(path, Kind::Sparse).ok()?).ok()
+    serde_json::from_slice(&input::read(path, FileKind::Sparse).ok()?).ok()
 }
 
 /// `WGS84 UTM 15N`, then the offset of the model's coordinates.
 fn map_coordinates(path: &Path) -> Option<Georeference> {
-    let text = input::read_text(path, Kind::Settings).ok()?;
+    let text = input::read_text(path, FileKind::Settings).ok()?;
     let mut lines = text.lines();
     let zone = Zone::parse(lines.next()?.strip_prefix("WGS84 UTM ")?)?;
     let mut numbers = lines.next()?.split_whitespace().map(str::parse);

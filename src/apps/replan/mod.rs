@@ -211,7 +211,7 @@ fn look(plan: &Plan, earlier: &Earlier, maps: &Maps, watcher: &dyn Watcher) -> R
 }
 
 fn hash(file: &Path) -> io::Result<String> {
-    Ok(blake3::hash(&input::read(file, input::Kind::Picture)?).to_string())
+    Ok(blake3::hash(&input::read(file, input::FileKind::Picture)?).to_string())
 }
 
 /// A depth map with the cluster that it was made for.

@@ -10,7 +10,7 @@ use walkdir::WalkDir;
 
 use super::{DepthMapError, DepthMapFormat, openmvs};
 use crate::{
-    base::input::{self, Kind},
+    base::input::{self, FileKind},
     model::scene::{Scene, ViewIndex},
 };
 
@@ -248,7 +248,7 @@ fn read_view_names(folder: &Path, scene: &Scene) -> Result<BTreeMap<u64, ViewInd
         what: "numbered depth maps, and no view_names.txt here or above says which views they are".into(),
     })?;
     let text =
-        input::read_text(&path, Kind::List).map_err(|source| DepthMapError::Io { path: path.clone(), source })?;
+        input::read_text(&path, FileKind::List).map_err(|source| DepthMapError::Io { path: path.clone(), source })?;
     let mut views = BTreeMap::new();
     for (line, content) in text.lines().enumerate().filter(|(_, l)| !l.is_empty() && !l.starts_with('#')) {
         let entry = content.split_once('\t').and_then(|(n, name)| Some((n.trim().parse().ok()?, name)));

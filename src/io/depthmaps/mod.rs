@@ -16,7 +16,7 @@ use nalgebra::Point2;
 use crate::{
     base::{
         error::Hint,
-        input::{self, Kind},
+        input::{self, FileKind},
     },
     model::{camera::Camera, scene::Scene},
 };
@@ -184,7 +184,8 @@ type Parsed<T> = Result<T, (usize, String)>;
 
 /// Reads one depth map.
 pub fn read(path: &Path, format: DepthMapFormat) -> Result<DepthMap, DepthMapError> {
-    let bytes = input::read(path, Kind::Picture).map_err(|source| DepthMapError::Io { path: path.into(), source })?;
+    let bytes =
+        input::read(path, FileKind::Picture).map_err(|source| DepthMapError::Io { path: path.into(), source })?;
     parse(&bytes, format).map_err(|(byte, what)| DepthMapError::Format { path: path.into(), byte, what })
 }
 

@@ -15,7 +15,7 @@ use super::{
 };
 use crate::{
     base::{
-        input::{self, Kind},
+        input::{self, FileKind},
         progress::{Cancelled, Stage, Watcher},
     },
     io::project::Project,
@@ -171,7 +171,8 @@ impl Files {
         predictor: Option<&dyn Predictor>,
         cache: &Cache,
     ) -> Result<Option<Entry>, ImageError> {
-        let read = |path: &Option<PathBuf>| path.as_deref().map(|path| input::read(path, Kind::Picture)).transpose();
+        let read =
+            |path: &Option<PathBuf>| path.as_deref().map(|path| input::read(path, FileKind::Picture)).transpose();
         let (image, mask) = (read(&self.image)?, read(&self.mask)?);
         let now = self.inputs();
         let with = |stamp: Option<Stamp>, bytes: &Option<Vec<u8>>| Some(stamp?.with_content(bytes.as_deref()?));

@@ -19,7 +19,7 @@ use crate::{
     base::{
         column::{self, Growing, TableError},
         error::Hint,
-        input::{self, Kind},
+        input::{self, FileKind},
         progress::Watcher,
     },
     method::geometry::Geometry,
@@ -98,7 +98,7 @@ impl Trained {
 
     pub fn read(path: &Path) -> Result<Self, TrainedError> {
         let bytes =
-            input::read(path, Kind::Trained).map_err(|source| TrainedError::Io { path: path.into(), source })?;
+            input::read(path, FileKind::Trained).map_err(|source| TrainedError::Io { path: path.into(), source })?;
         Self::parse(&bytes, path)
     }
 
