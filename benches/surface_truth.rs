@@ -14,7 +14,7 @@ use std::{path::Path, time::Instant};
 use nalgebra::{Point2, Point3, Vector3};
 use rayon::prelude::*;
 use viewrank::internals::{
-    column::Keep,
+    column::Storage,
     config::Settings,
     ply,
     progress::Unwatched,
@@ -80,7 +80,7 @@ fn evaluate(exact: &Exact, settings: &Settings) -> Fallible<()> {
         &surface,
         &settings.visibility,
         edge,
-        Keep::Memory,
+        Storage::Memory,
         &Unwatched,
     )?;
     let keep = table.seen(surface.triangles.len());

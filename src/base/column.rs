@@ -18,7 +18,7 @@ use crate::base::{error::Hint, progress::Cancelled};
 
 /// Where columns are kept.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Keep {
+pub enum Storage {
     #[default]
     Memory,
     /// In an unlinked temporary file in `$TMPDIR`, else in `/var/tmp`; the system frees it when the process ends.
@@ -36,10 +36,10 @@ enum Kept<T> {
 }
 
 impl<T> Column<T> {
-    pub fn kept(&self) -> Keep {
+    pub fn kept(&self) -> Storage {
         match self.0 {
-            Kept::Memory(_) => Keep::Memory,
-            Kept::Disk(_) => Keep::Disk,
+            Kept::Memory(_) => Storage::Memory,
+            Kept::Disk(_) => Storage::Disk,
         }
     }
 
@@ -125,10 +125,10 @@ enum Grows<T> {
 }
 
 impl<T: Pod> Growing<T> {
-    pub fn new(keep: Keep) -> Result<Self, DiskError> {
+    pub fn new(keep: Storage) -> Result<Self, DiskError> {
         match keep {
-            Keep::Memory => Ok(Self(Grows::Memory(Vec::new()))),
-            Keep::Disk => Self::in_folder(&folder()),
+            Storage::Memory => Ok(Self(Grows::Memory(Vec::new()))),
+            Storage::Disk => Self::in_folder(&folder()),
         }
     }
 
@@ -273,12 +273,12 @@ mod tests {
                 pieces.iter().for_each(|piece| column.extend(piece).unwrap());
                 column.finish().unwrap()
             };
-            let (memory, disk): (Column<u32>, Column<u32>) = (of(Keep::Memory), of(Keep::Disk));
+            let (memory, disk): (Column<u32>, Column<u32>) = (of(Storage::Memory), of(Storage::Disk));
             prop_assert_eq!(&*memory, &*pieces.concat());
             prop_assert_eq!(&memory, &disk);
             disk.release();
             prop_assert_eq!(&disk.clone(), &memory);
-            prop_assert_eq!(disk.kept(), if memory.is_empty() { Keep::Memory } else { Keep::Disk });
+            prop_assert_eq!(disk.kept(), if memory.is_empty() { Storage::Memory } else { Storage::Disk });
             prop_assert_eq!((disk.bytes(), memory.bytes()), (0, 4 * memory.len()));
         }
     }

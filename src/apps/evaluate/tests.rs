@@ -7,7 +7,7 @@ use npyz::WriterBuilder;
 
 use super::*;
 use crate::{
-    base::{column::Keep, progress::Unwatched},
+    base::{column::Storage, progress::Unwatched},
     config::{TargetMode, TargetSettings, VisibilitySettings},
     io::depthmaps::DepthMapError,
     method::{
@@ -44,7 +44,7 @@ impl Fixture {
         let (scene, surface) = (town.scene(), town.surface());
         let settings = VisibilitySettings::default();
         let visibility =
-            visibility::estimate(&scene, &scene.view_points(), &surface, &settings, 2.0, Keep::Memory, &Unwatched)
+            visibility::estimate(&scene, &scene.view_points(), &surface, &settings, 2.0, Storage::Memory, &Unwatched)
                 .unwrap();
         let wanted = TargetSettings { gsd: Some(GSD), accuracy: None, mode: TargetMode::Absolute };
         let target = Target::new(&scene, &surface, &visibility, &wanted, GSD, 1.0);

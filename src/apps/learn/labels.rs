@@ -308,7 +308,7 @@ mod tests {
             &surface,
             &settings,
             4.0,
-            crate::base::column::Keep::Memory,
+            crate::base::column::Storage::Memory,
             &Unwatched,
         )
         .unwrap();

@@ -214,7 +214,7 @@ mod tests {
             &surface,
             &Default::default(),
             3.0,
-            crate::base::column::Keep::Memory,
+            crate::base::column::Storage::Memory,
             &Unwatched,
         )
         .unwrap();

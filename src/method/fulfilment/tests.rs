@@ -6,7 +6,7 @@ use rand_pcg::Pcg64;
 
 use super::*;
 use crate::{
-    base::{column::Keep, progress::Unwatched},
+    base::{column::Storage, progress::Unwatched},
     config::{TargetMode, TargetSettings, VisibilitySettings},
     method::{
         confidence::{
@@ -35,7 +35,7 @@ impl Setting {
         let (scene, surface) = (town.scene(), town.surface());
         let settings = VisibilitySettings::default();
         let visibility =
-            visibility::estimate(&scene, &scene.view_points(), &surface, &settings, 4.0, Keep::Memory, &Unwatched)
+            visibility::estimate(&scene, &scene.view_points(), &surface, &settings, 4.0, Storage::Memory, &Unwatched)
                 .unwrap();
         let target = Target::new(&scene, &surface, &visibility, &TargetSettings::default(), 0.05, 1.0);
         Self { scene, surface, visibility, target, unary: Unary::certain() }

@@ -19,7 +19,7 @@ use self::{
 };
 use crate::{
     base::{
-        column::{self, Column, DiskError, Growing, Keep, TableError},
+        column::{self, Column, DiskError, Growing, Storage, TableError},
         progress::{Cancelled, Stage, Watcher},
     },
     config::VisibilitySettings,
@@ -126,7 +126,7 @@ pub fn estimate(
     surface: &Surface,
     settings: &VisibilitySettings,
     edge_length: f64,
-    keep: Keep,
+    keep: Storage,
     watcher: &dyn Watcher,
 ) -> Result<Visibility, TableError> {
     let stage = Looking::new(scene, surface, settings, edge_length);

@@ -63,7 +63,7 @@ mod tests {
             &surface,
             &settings,
             0.5,
-            crate::base::column::Keep::Memory,
+            crate::base::column::Storage::Memory,
             &Unwatched,
         )
         .unwrap();
