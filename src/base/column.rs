@@ -117,14 +117,14 @@ impl<T: Pod + PartialEq> PartialEq for Column<T> {
 }
 
 /// A column under construction, append only.
-pub struct Growing<T>(Grows<T>);
+pub struct ColumnBuilder<T>(Grows<T>);
 
 enum Grows<T> {
     Memory(Vec<T>),
     Disk { file: File, folder: PathBuf, is_empty: bool },
 }
 
-impl<T: Pod> Growing<T> {
+impl<T: Pod> ColumnBuilder<T> {
     pub fn new(keep: Storage) -> Result<Self, DiskError> {
         match keep {
             Storage::Memory => Ok(Self(Grows::Memory(Vec::new()))),
@@ -269,7 +269,7 @@ mod tests {
             pieces in proptest::collection::vec(proptest::collection::vec(any::<u32>(), 0..3000), 0..5),
         ) {
             let of = |keep| {
-                let mut column = Growing::new(keep).unwrap();
+                let mut column = ColumnBuilder::new(keep).unwrap();
                 pieces.iter().for_each(|piece| column.extend(piece).unwrap());
                 column.finish().unwrap()
             };
@@ -286,7 +286,7 @@ mod tests {
     #[test]
     fn nothing_is_left_in_the_folder() {
         let folder = tempfile::tempdir().unwrap();
-        let mut column = Growing::in_folder(folder.path()).unwrap();
+        let mut column = ColumnBuilder::in_folder(folder.path()).unwrap();
         column.extend(&[1.5f32; 5000]).unwrap();
         assert_eq!(folder.path().read_dir().unwrap().count(), 0);
         assert_eq!(column.finish().unwrap()[4999], 1.5);
@@ -295,7 +295,7 @@ mod tests {
     #[test]
     fn a_folder_that_takes_no_file_is_named() {
         let folder = tempfile::tempdir().unwrap().path().join("gone");
-        let Err(error) = Growing::<u32>::in_folder(&folder) else { panic!("there is no such folder") };
+        let Err(error) = ColumnBuilder::<u32>::in_folder(&folder) else { panic!("there is no such folder") };
         assert!(error.to_string().contains("gone") && error.hint().unwrap().contains("TMPDIR"), "{error}");
     }
 }

@@ -17,7 +17,7 @@ use super::{
 };
 use crate::{
     base::{
-        column::{self, Growing, TableError},
+        column::{self, ColumnBuilder, TableError},
         error::Hint,
         input::{self, FileKind},
         progress::Watcher,
@@ -165,7 +165,7 @@ impl Trained {
         };
         let views: Vec<ViewIndex> = geometry.scene.view_indices().collect();
         let keep = geometry.visibility.triangles.kept();
-        let (mut values, mut partner_odds) = (Growing::new(keep)?, Growing::new(keep)?);
+        let (mut values, mut partner_odds) = (ColumnBuilder::new(keep)?, ColumnBuilder::new(keep)?);
         column::in_order(
             &views,
             column::READ_AT_ONCE,

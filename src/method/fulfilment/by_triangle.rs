@@ -3,7 +3,7 @@
 use bytemuck::{Pod, Zeroable};
 
 use super::FulfilmentTable;
-use crate::base::column::{self, Column, DiskError, Growing};
+use crate::base::column::{self, Column, ColumnBuilder, DiskError};
 
 /// The clusters of a list that fulfil each triangle (CSR by triangle).
 pub(crate) struct ByTriangle {
@@ -35,7 +35,7 @@ impl ByTriangle {
             release_at(place, table);
         }
         (0..triangles).for_each(|t| offsets[t + 1] += offsets[t]);
-        let mut entries = Growing::new(table.triangles.kept())?;
+        let mut entries = ColumnBuilder::new(table.triangles.kept())?;
         entries.reserve(offsets[triangles]);
         let mut from = 0;
         while from < triangles {

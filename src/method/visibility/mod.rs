@@ -19,7 +19,7 @@ use self::{
 };
 use crate::{
     base::{
-        column::{self, Column, DiskError, Growing, Storage, TableError},
+        column::{self, Column, ColumnBuilder, DiskError, Storage, TableError},
         progress::{Cancelled, Stage, Watcher},
     },
     config::VisibilitySettings,
@@ -85,7 +85,7 @@ impl Visibility {
             kept
         };
         let numbers: Vec<u32> = keep.iter().map(number).collect();
-        let (mut offsets, mut triangles) = (vec![0], Growing::new(self.triangles.kept())?);
+        let (mut offsets, mut triangles) = (vec![0], ColumnBuilder::new(self.triangles.kept())?);
         for (view, rows) in self.offsets.windows(2).enumerate() {
             if view.is_multiple_of(column::READ_AT_ONCE) {
                 self.triangles.release();
@@ -104,7 +104,7 @@ impl Visibility {
         start: impl Fn() -> S + Sync + Send,
         of_view: impl Fn(&mut S, ViewIndex) -> Result<Vec<T>, Cancelled> + Sync + Send,
     ) -> Result<Column<T>, TableError> {
-        let mut column = Growing::new(self.triangles.kept())?;
+        let mut column = ColumnBuilder::new(self.triangles.kept())?;
         column::in_order(
             &self.views(),
             column::READ_AT_ONCE,
@@ -143,7 +143,7 @@ pub fn estimate(
         watcher.progress(Stage::Visibility, 1 + done.fetch_add(1, Ordering::Relaxed), views.len() as u64);
         Ok(seen)
     };
-    let (mut offsets, mut triangles) = (vec![0], Growing::new(keep)?);
+    let (mut offsets, mut triangles) = (vec![0], ColumnBuilder::new(keep)?);
     column::in_order(&views, column::READ_AT_ONCE, Picture::default, look, |_, rows| {
         for row in rows {
             triangles.extend(&row)?;
