@@ -4,7 +4,7 @@ use std::{env, error::Error, path::PathBuf};
 
 use viewrank::{
     Unwatched,
-    evaluate::{Evaluation, Measure, Reached, Run, Task},
+    evaluate::{Evaluation, EvaluationInput, Measure, Reached, Run},
     replan,
 };
 
@@ -19,7 +19,7 @@ fn main() -> Result<(), Box<dyn Error>> {
 
     // Without reference depths, every depth on the surface counts as right.
     let accuracy = model.target.accuracy_over_gsd * settings.target.gsd.ok_or("the plan has no GSD")?;
-    let task = Task { model, clusters: &clusters, depth_maps, reference: None, accuracy };
+    let task = EvaluationInput { model, clusters: &clusters, depth_maps, reference: None, accuracy };
     let run = Run::new(&task, &Unwatched)?;
 
     let measure = Measure { objective: &plan.stages.objective, baselines: false };

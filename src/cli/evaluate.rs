@@ -7,7 +7,7 @@ use std::{
 
 use crate::apps::replan;
 use crate::{
-    apps::evaluate::{self, Compared, Evaluation, Measure, Reached, Run, Task, clusters, orders},
+    apps::evaluate::{self, Compared, Evaluation, EvaluationInput, Measure, Reached, Run, clusters, orders},
     io::{
         output::{Contents, Disk, FileSet},
         project::Project,
@@ -129,7 +129,7 @@ fn task(
     let model = plan.stages.model();
     let gsd = plan.stages.settings.target.gsd.expect("a plan's settings are filled in");
     let accuracy = model.target.accuracy_over_gsd * gsd;
-    Ok(Run::new(&Task { model, clusters, depth_maps, reference, accuracy }, progress)?)
+    Ok(Run::new(&EvaluationInput { model, clusters, depth_maps, reference, accuracy }, progress)?)
 }
 
 fn write_baselines(arguments: &Arguments, plan: &Plan, folder: &Path, progress: &Progress) -> Result<(), Failure> {

@@ -26,4 +26,4 @@ pub use matched::{ReportError, tried};
 pub use measure::Quality;
 pub use missing::{Missing, Reached};
 pub use page::page;
-pub use run::{EvaluateError, Run, Task};
+pub use run::{EvaluateError, EvaluationInput, Run};

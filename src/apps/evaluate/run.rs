@@ -60,7 +60,7 @@ pub struct Run {
 }
 
 /// What to measure, and against what.
-pub struct Task<'a> {
+pub struct EvaluationInput<'a> {
     pub model: Model<'a>,
     /// In the order in which they were to be computed.
     pub clusters: &'a [ViewCluster],
@@ -71,7 +71,7 @@ pub struct Task<'a> {
 }
 
 impl Run {
-    pub fn new(task: &Task, watcher: &dyn Watcher) -> Result<Self, EvaluateError> {
+    pub fn new(task: &EvaluationInput, watcher: &dyn Watcher) -> Result<Self, EvaluateError> {
         let scene = task.model.scene;
         let maps = depthmaps::find(task.depth_maps, scene)?;
         let references = task.reference.map(|folder| depthmaps::find(folder, scene)?.whole()).transpose()?;
@@ -138,7 +138,7 @@ impl Run {
     }
 }
 
-impl Task<'_> {
+impl EvaluationInput<'_> {
     /// `reference`: `Some(None)`: there are references, but none of this view; then nothing in the map is right. A map that cannot be
     /// read, perhaps because it is being written, is an error of its own.
     fn measure(

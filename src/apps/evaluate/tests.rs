@@ -101,7 +101,7 @@ impl Fixture {
     }
 
     fn run(&self, clusters: &[ViewCluster], maps: &Path, reference: Option<&Path>) -> Result<Run, EvaluateError> {
-        let task = Task { model: self.model(), clusters, depth_maps: maps, reference, accuracy: GSD };
+        let task = EvaluationInput { model: self.model(), clusters, depth_maps: maps, reference, accuracy: GSD };
         Run::new(&task, &Unwatched)
     }
 }

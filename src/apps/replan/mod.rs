@@ -18,7 +18,7 @@ use rayon::prelude::*;
 pub use self::again::{AgainError, again, as_written};
 use self::movement::{Place, movement};
 use crate::{
-    apps::evaluate::{EvaluateError, Run, Task},
+    apps::evaluate::{EvaluateError, EvaluationInput, Run},
     base::{
         error::Hint,
         input,
@@ -124,7 +124,7 @@ pub fn replan(
 fn measure(plan: &Plan, clusters: &[ViewCluster], folder: &Path, watcher: &dyn Watcher) -> Result<Run, EvaluateError> {
     let model = plan.stages.model();
     let accuracy = model.target.accuracy_over_gsd * plan.stages.settings.target.gsd.unwrap_or(1.0);
-    Run::new(&Task { model, clusters, depth_maps: folder, reference: None, accuracy }, watcher)
+    Run::new(&EvaluationInput { model, clusters, depth_maps: folder, reference: None, accuracy }, watcher)
 }
 
 /// Puts the finished clusters in the place of those with the same key view, and ranks all again.

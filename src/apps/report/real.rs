@@ -6,7 +6,7 @@ use serde::Serialize;
 
 use super::{ReportError, bytes, history::in_255ths, shown::Shown};
 use crate::{
-    apps::evaluate::{EvaluateError, Reached, Run, Task, curve::Curve, orders},
+    apps::evaluate::{EvaluateError, EvaluationInput, Reached, Run, curve::Curve, orders},
     base::progress::Watcher,
     io::{
         depthmaps::{self, DepthMapError},
@@ -123,8 +123,13 @@ fn in_order(plan: &Plan) -> Vec<ViewCluster> {
     order.iter().map(|&c| plan.stages.clusters[c as usize].clone()).collect()
 }
 
-fn task<'a>(plan: &'a Plan, clusters: &'a [ViewCluster], depth_maps: &'a Path, finished: &'a Finished) -> Task<'a> {
+fn task<'a>(
+    plan: &'a Plan,
+    clusters: &'a [ViewCluster],
+    depth_maps: &'a Path,
+    finished: &'a Finished,
+) -> EvaluationInput<'a> {
     let model = plan.stages.model();
     let accuracy = model.target.accuracy_over_gsd * plan.stages.settings.target.gsd.unwrap_or(1.0);
-    Task { model, clusters, depth_maps, reference: finished.reference.as_deref(), accuracy }
+    EvaluationInput { model, clusters, depth_maps, reference: finished.reference.as_deref(), accuracy }
 }
