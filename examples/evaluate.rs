@@ -4,7 +4,7 @@ use std::{env, error::Error, path::PathBuf};
 
 use viewrank::{
     Unwatched,
-    evaluate::{Evaluation, EvaluationInput, Measure, Reached, Run},
+    evaluate::{Evaluation, EvaluationInput, Measure, MeasuredClusters, Reached},
     replan,
 };
 
@@ -20,7 +20,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     // Without reference depths, every depth on the surface counts as right.
     let accuracy = model.target.accuracy_over_gsd * settings.target.gsd.ok_or("the plan has no GSD")?;
     let task = EvaluationInput { model, clusters: &clusters, depth_maps, reference: None, accuracy };
-    let run = Run::new(&task, &Unwatched)?;
+    let run = MeasuredClusters::new(&task, &Unwatched)?;
 
     let measure = Measure { objective: &plan.stages.objective, baselines: false };
     let model = plan.stages.model();

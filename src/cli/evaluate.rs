@@ -7,7 +7,9 @@ use std::{
 
 use crate::apps::replan;
 use crate::{
-    apps::evaluate::{self, Compared, Evaluation, EvaluationInput, Measure, Reached, Run, clusters, orders},
+    apps::evaluate::{
+        self, Compared, Evaluation, EvaluationInput, Measure, MeasuredClusters, Reached, clusters, orders,
+    },
     io::{
         output::{Contents, Disk, FileSet},
         project::Project,
@@ -125,11 +127,11 @@ fn task(
     depth_maps: &Path,
     reference: Option<&Path>,
     progress: &Progress,
-) -> Result<Run, Failure> {
+) -> Result<MeasuredClusters, Failure> {
     let model = plan.stages.model();
     let gsd = plan.stages.settings.target.gsd.expect("a plan's settings are filled in");
     let accuracy = model.target.accuracy_over_gsd * gsd;
-    Ok(Run::new(&EvaluationInput { model, clusters, depth_maps, reference, accuracy }, progress)?)
+    Ok(MeasuredClusters::new(&EvaluationInput { model, clusters, depth_maps, reference, accuracy }, progress)?)
 }
 
 fn write_baselines(arguments: &Arguments, plan: &Plan, folder: &Path, progress: &Progress) -> Result<(), Failure> {
@@ -171,7 +173,7 @@ fn output(arguments: &Arguments, value: &impl Serialize, text: impl Fn() -> Stri
     }
 }
 
-fn warnings(evaluation: &Evaluation, run: &Run) {
+fn warnings(evaluation: &Evaluation, run: &MeasuredClusters) {
     let missing = evaluation.without_map.len();
     if missing > 0 {
         warn(&format!("{missing} of the clusters have no depth map; shares are of what the others reach"));

@@ -9,7 +9,7 @@ use super::{
     curve::{Curve, SHARES},
     measure::Quality,
     missing::{Missing, Reached},
-    run::Run,
+    run::MeasuredClusters,
 };
 use crate::{
     base::{column::TableError, progress::Watcher},
@@ -133,7 +133,7 @@ impl Evaluation {
 
     pub fn new(
         model: &Model,
-        run: &Run,
+        run: &MeasuredClusters,
         reached: &Reached,
         measure: &Measure,
         watcher: &dyn Watcher,
@@ -189,7 +189,7 @@ fn gaps(predicted: &Curve, real: &Curve) -> Vec<Gap> {
     SHARES.iter().filter_map(|&share| gap(share)).collect()
 }
 
-fn key_view(model: &Model, run: &Run, cluster: usize) -> KeyView {
+fn key_view(model: &Model, run: &MeasuredClusters, cluster: usize) -> KeyView {
     let names = |views: &[ViewIndex]| views.iter().map(|&v| model.scene.name(v).to_string()).collect();
     let sum = |values: &[f32]| values.iter().map(|&f| f64::from(f)).sum();
     KeyView {

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use super::run::Run;
+use super::run::MeasuredClusters;
 use crate::{
     io::ply::{self, FaceField},
     method::fulfilment::{self, Model},
@@ -68,7 +68,7 @@ pub struct Reached {
 }
 
 impl Reached {
-    pub fn new(model: &Model, run: &Run) -> Self {
+    pub fn new(model: &Model, run: &MeasuredClusters) -> Self {
         let triangles = model.surface.triangles.len();
         let mut best = vec![Best::default(); triangles];
         for (c, cluster) in run.matched.iter().enumerate() {
@@ -127,7 +127,7 @@ impl Best {
         }
     }
 
-    fn missing(&self, model: &Model, run: &Run, triangle: u32) -> Option<Missing> {
+    fn missing(&self, model: &Model, run: &MeasuredClusters, triangle: u32) -> Option<Missing> {
         if self.real >= ENOUGH {
             return None;
         }

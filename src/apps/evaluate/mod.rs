@@ -1,6 +1,6 @@
 //! Method 8: what finished depth maps really reach, against what was predicted and against other choices.
 //!
-//! A [`Run`] is a folder of depth maps of some view clusters, measured: `measure` holds a map against its reference, `matched` says which
+//! A [`MeasuredClusters`] is a folder of depth maps of some view clusters, measured: `measure` holds a map against its reference, `matched` says which
 //! partners were really used. [`orders`] and [`rules`] are the choices of others.
 
 mod baselines;
@@ -26,4 +26,4 @@ pub use matched::{ReportError, tried};
 pub use measure::Quality;
 pub use missing::{Missing, Reached};
 pub use page::page;
-pub use run::{EvaluateError, EvaluationInput, Run};
+pub use run::{EvaluateError, EvaluationInput, MeasuredClusters};

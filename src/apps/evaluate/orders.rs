@@ -3,7 +3,7 @@
 use rand_core::{Rng, SeedableRng};
 use rand_pcg::Pcg64;
 
-use super::run::Run;
+use super::run::MeasuredClusters;
 use crate::{
     base::{column::TableError, progress::Watcher},
     method::{
@@ -44,7 +44,7 @@ pub fn real_update(predicted: &FulfilmentTable, real: &FulfilmentTable, objectiv
 }
 
 /// `replan` (method 5.4): as `realupdate`, but what failed is remembered. `beliefs` are of the clusters of the run.
-pub fn replan(mut beliefs: Beliefs, run: &Run, objective: &Objective) -> Vec<u32> {
+pub fn replan(mut beliefs: Beliefs, run: &MeasuredClusters, objective: &Objective) -> Vec<u32> {
     let mut reached = Reached::new(objective);
     let mut left: Vec<u32> = (0..run.clusters.len() as u32).collect();
     let mut order = Vec::with_capacity(left.len());

@@ -29,7 +29,7 @@ use crate::{
 
 /// Finished view clusters and what really came of them. All tables have a row per cluster.
 #[derive(Clone, Debug)]
-pub struct Run {
+pub struct MeasuredClusters {
     /// Those with a depth map, by name of the key view.
     pub clusters: Vec<ViewCluster>,
     /// The order in which they were to be computed, indices into `clusters`.
@@ -70,7 +70,7 @@ pub struct EvaluationInput<'a> {
     pub accuracy: f64,
 }
 
-impl Run {
+impl MeasuredClusters {
     pub fn new(task: &EvaluationInput, watcher: &dyn Watcher) -> Result<Self, EvaluateError> {
         let scene = task.model.scene;
         let maps = depthmaps::find(task.depth_maps, scene)?;
@@ -168,7 +168,7 @@ impl EvaluationInput<'_> {
         measured: &[Measured],
         report: &Report,
         watcher: &dyn Watcher,
-    ) -> Result<Run, EvaluateError> {
+    ) -> Result<MeasuredClusters, EvaluateError> {
         let scene = self.model.scene;
         let matched = clusters.iter().zip(measured);
         let matched: Vec<ViewCluster> =
@@ -182,7 +182,7 @@ impl EvaluationInput<'_> {
             let tried = report.get(&c.key).map(|r| sorted(&r.tried));
             tried.is_some_and(|tried| tried != sorted(&c.partners))
         });
-        Ok(Run {
+        Ok(MeasuredClusters {
             has_reference: self.reference.is_some(),
             other_partners: other_partners.map(|c| c.key).collect(),
             quality: measured.iter().map(|m| m.quality).collect(),

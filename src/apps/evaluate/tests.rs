@@ -100,9 +100,14 @@ impl Fixture {
         normal.dot(&a.coords) / normal.dot(&ray) * ray.z
     }
 
-    fn run(&self, clusters: &[ViewCluster], maps: &Path, reference: Option<&Path>) -> Result<Run, EvaluateError> {
+    fn run(
+        &self,
+        clusters: &[ViewCluster],
+        maps: &Path,
+        reference: Option<&Path>,
+    ) -> Result<MeasuredClusters, EvaluateError> {
         let task = EvaluationInput { model: self.model(), clusters, depth_maps: maps, reference, accuracy: GSD };
-        Run::new(&task, &Unwatched)
+        MeasuredClusters::new(&task, &Unwatched)
     }
 }
 

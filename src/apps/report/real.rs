@@ -6,7 +6,7 @@ use serde::Serialize;
 
 use super::{ReportError, bytes, history::in_255ths, shown::Shown};
 use crate::{
-    apps::evaluate::{EvaluateError, EvaluationInput, Reached, Run, curve::Curve, orders},
+    apps::evaluate::{EvaluateError, EvaluationInput, MeasuredClusters, Reached, curve::Curve, orders},
     base::progress::Watcher,
     io::{
         depthmaps::{self, DepthMapError},
@@ -58,7 +58,7 @@ impl Real {
         };
         let mut left_out = Vec::new();
         for folder in &folders {
-            match Run::new(&task(plan, &clusters, folder, finished), watcher) {
+            match MeasuredClusters::new(&task(plan, &clusters, folder, finished), watcher) {
                 Ok(run) => {
                     left_out
                         .extend(run.unreadable.iter().map(|why| format!("not among what is really reached: {why}")));
@@ -82,7 +82,7 @@ impl Real {
         }
     }
 
-    fn of(plan: &Plan, shown: &Shown, run: &Run, clusters: &[ViewCluster], folder: &Path) -> Self {
+    fn of(plan: &Plan, shown: &Shown, run: &MeasuredClusters, clusters: &[ViewCluster], folder: &Path) -> Self {
         let model = plan.stages.model();
         let curve = Curve::new(&run.real, &plan.stages.objective, &run.clusters, &run.order);
         let rank = |&c: &u32| 1 + clusters.iter().take_while(|of| of.key != run.clusters[c as usize].key).count();
