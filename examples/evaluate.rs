@@ -4,7 +4,7 @@ use std::{env, error::Error, path::PathBuf};
 
 use viewrank::{
     Unwatched,
-    evaluate::{Evaluation, EvaluationInput, Measure, MeasuredClusters, Reached},
+    evaluate::{Evaluation, EvaluationInput, EvaluationOptions, MeasuredClusters, Reached},
     replan,
 };
 
@@ -22,7 +22,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let task = EvaluationInput { model, clusters: &clusters, depth_maps, reference: None, accuracy };
     let run = MeasuredClusters::new(&task, &Unwatched)?;
 
-    let measure = Measure { objective: &plan.stages.objective, baselines: false };
+    let measure = EvaluationOptions { objective: &plan.stages.objective, baselines: false };
     let model = plan.stages.model();
     let reached = Reached::new(&model, &run);
     let evaluation = Evaluation::new(&model, &run, &reached, &measure, &Unwatched)?;

@@ -116,7 +116,7 @@ pub struct KeyView {
 }
 
 /// What to read the curves with.
-pub struct Measure<'a> {
+pub struct EvaluationOptions<'a> {
     pub objective: &'a Objective,
     /// Compare with other orders?
     pub baselines: bool,
@@ -135,10 +135,10 @@ impl Evaluation {
         model: &Model,
         run: &MeasuredClusters,
         reached: &Reached,
-        measure: &Measure,
+        measure: &EvaluationOptions,
         watcher: &dyn Watcher,
     ) -> Result<Self, TableError> {
-        let Measure { objective, baselines } = *measure;
+        let EvaluationOptions { objective, baselines } = *measure;
         let predicted = Curve::new(&run.predicted, objective, &run.clusters, &run.order);
         let real = run.real_curve(objective, &run.order);
         let names = |views: &[ViewIndex]| views.iter().map(|&v| model.scene.name(v).to_string()).collect();

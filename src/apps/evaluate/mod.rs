@@ -21,7 +21,7 @@ pub mod tables;
 mod tests;
 
 pub use compare::{Choice, Compared, choices, compare};
-pub use evaluation::{Evaluation, Measure};
+pub use evaluation::{Evaluation, EvaluationOptions};
 pub use matched::{ReportError, tried};
 pub use measure::Quality;
 pub use missing::{Missing, Reached};
