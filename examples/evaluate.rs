@@ -4,7 +4,7 @@ use std::{env, error::Error, path::PathBuf};
 
 use viewrank::{
     Unwatched,
-    evaluate::{Evaluation, EvaluationInput, EvaluationOptions, MeasuredClusters, Reached},
+    evaluate::{Evaluation, EvaluationInput, EvaluationOptions, MeasuredClusters, MeasuredSurface},
     replan,
 };
 
@@ -24,7 +24,7 @@ fn main() -> Result<(), Box<dyn Error>> {
 
     let measure = EvaluationOptions { objective: &plan.stages.objective, baselines: false };
     let model = plan.stages.model();
-    let reached = Reached::new(&model, &run);
+    let reached = MeasuredSurface::new(&model, &run);
     let evaluation = Evaluation::new(&model, &run, &reached, &measure, &Unwatched)?;
     let kept = evaluation.kept;
     println!("of what is wanted, fusion keeps {:.1} %; forecast: {:.1} %", 100.0 * kept.real, 100.0 * kept.predicted);

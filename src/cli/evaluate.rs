@@ -8,7 +8,8 @@ use std::{
 use crate::apps::replan;
 use crate::{
     apps::evaluate::{
-        self, Compared, Evaluation, EvaluationInput, EvaluationOptions, MeasuredClusters, Reached, clusters, orders,
+        self, Compared, Evaluation, EvaluationInput, EvaluationOptions, MeasuredClusters, MeasuredSurface, clusters,
+        orders,
     },
     io::{
         output::{Contents, Disk, FileSet},
@@ -95,7 +96,7 @@ fn measure(
     };
     let run = task(plan, &clusters, folder, arguments.reference.as_deref(), progress)?;
     let model = plan.stages.model();
-    let reached = Reached::new(&model, &run);
+    let reached = MeasuredSurface::new(&model, &run);
     let how = EvaluationOptions { objective: &plan.stages.objective, baselines: arguments.baselines };
     let evaluation = Evaluation::new(&model, &run, &reached, &how, progress)?;
     let title = project.root.file_name().unwrap_or(project.root.as_os_str()).to_string_lossy();

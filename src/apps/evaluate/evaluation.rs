@@ -8,7 +8,7 @@ use super::{
     baselines::{self, Order},
     curve::{Curve, SHARES},
     measure::Quality,
-    missing::{Missing, Reached},
+    missing::{MeasuredSurface, Missing},
     run::MeasuredClusters,
 };
 use crate::{
@@ -134,7 +134,7 @@ impl Evaluation {
     pub fn new(
         model: &Model,
         run: &MeasuredClusters,
-        reached: &Reached,
+        reached: &MeasuredSurface,
         measure: &EvaluationOptions,
         watcher: &dyn Watcher,
     ) -> Result<Self, TableError> {

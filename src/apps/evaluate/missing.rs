@@ -60,14 +60,14 @@ impl Missing {
 
 /// The surface by what was really reached.
 #[derive(Clone, Debug)]
-pub struct Reached {
+pub struct MeasuredSurface {
     /// Best real fulfilment of each triangle.
     pub fulfilment: Vec<f32>,
     /// `None`: at least half fulfilled.
     pub missing: Vec<Option<Missing>>,
 }
 
-impl Reached {
+impl MeasuredSurface {
     pub fn new(model: &Model, run: &MeasuredClusters) -> Self {
         let triangles = model.surface.triangles.len();
         let mut best = vec![Best::default(); triangles];

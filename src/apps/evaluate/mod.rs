@@ -24,6 +24,6 @@ pub use compare::{Choice, Compared, choices, compare};
 pub use evaluation::{Evaluation, EvaluationOptions};
 pub use matched::{ReportError, tried};
 pub use measure::Quality;
-pub use missing::{Missing, Reached};
+pub use missing::{MeasuredSurface, Missing};
 pub use page::page;
 pub use run::{EvaluateError, EvaluationInput, MeasuredClusters};

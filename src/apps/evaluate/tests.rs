@@ -179,7 +179,7 @@ fn a_hole_takes_its_share_of_the_triangles_in_it() {
     let sum = |values: &[f32]| values.iter().map(|&f| f64::from(f)).sum::<f64>();
     let share = sum(&run.real.values) / sum(&run.attainable.values);
     assert!((0.4..0.9).contains(&share), "{share}");
-    let reached = Reached::new(&town.model(), &run);
+    let reached = MeasuredSurface::new(&town.model(), &run);
     assert!(reached.counts()[&Missing::MatchingFailed] > 0);
     // Without a reference each depth counts, holes do not.
     let blind = town.run(&town.clusters(2), maps.path(), None).unwrap();
@@ -202,7 +202,7 @@ fn the_report_takes_away_partners_that_were_not_matched() {
     assert_eq!(run.matched[0].partners, [ViewIndex(1)]);
     // One partner and the key view are fewer than x = 3.
     assert!(run.real.triangles.is_empty() && !run.predicted.triangles.is_empty());
-    let reached = Reached::new(&town.model(), &run);
+    let reached = MeasuredSurface::new(&town.model(), &run);
     assert!(reached.counts()[&Missing::TooFewPartners] > 0);
     assert!(run.other_partners.is_empty());
 }
@@ -235,7 +235,7 @@ fn the_page_is_whole_and_the_orders_agree_with_plain_sums() {
     let run = town.run(&town.clusters(12), maps.path(), Some(truth.path())).unwrap();
     let objective = Objective::weighing(vec![1.0; town.surface.triangles.len()], 1);
     let model = town.model();
-    let reached = Reached::new(&model, &run);
+    let reached = MeasuredSurface::new(&model, &run);
     let how = EvaluationOptions { objective: &objective, baselines: true };
     let evaluation = Evaluation::new(&model, &run, &reached, &how, &Unwatched).unwrap();
     let best: f64 = reached.fulfilment.iter().map(|&f| f64::from(f)).sum::<f64>() / objective.weights.len() as f64;

@@ -6,7 +6,7 @@ use serde::Serialize;
 
 use super::{ReportError, bytes, history::in_255ths, shown::Shown};
 use crate::{
-    apps::evaluate::{EvaluateError, EvaluationInput, MeasuredClusters, Reached, curve::Curve, orders},
+    apps::evaluate::{EvaluateError, EvaluationInput, MeasuredClusters, MeasuredSurface, curve::Curve, orders},
     base::progress::Watcher,
     io::{
         depthmaps::{self, DepthMapError},
@@ -86,7 +86,7 @@ impl Real {
         let model = plan.stages.model();
         let curve = Curve::new(&run.real, &plan.stages.objective, &run.clusters, &run.order);
         let rank = |&c: &u32| 1 + clusters.iter().take_while(|of| of.key != run.clusters[c as usize].key).count();
-        let reached = Reached::new(&model, run);
+        let reached = MeasuredSurface::new(&model, run);
         let shades: Vec<u8> = shown.original.iter().map(|&t| in_255ths(reached.fulfilment[t as usize])).collect();
         Self {
             folder: folder.display().to_string(),
