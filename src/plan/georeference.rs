@@ -24,7 +24,9 @@ fn said(settings: &FrameSettings) -> Option<Georeference> {
     let utm = settings.utm.as_deref().and_then(Zone::parse);
     let utm = utm.map(|zone| Georeference::Utm { zone, offset: settings.offset.unwrap_or_default() });
     utm.or_else(|| {
-        settings.origin.map(|[latitude, longitude, height]| Georeference::at(Geodetic { longitude, latitude, height }))
+        settings
+            .origin
+            .map(|[latitude, longitude, height]| Georeference::east_north_up(Geodetic { longitude, latitude, height }))
     })
 }
 
@@ -41,7 +43,7 @@ fn written(project: &Project) -> Option<Georeference> {
     let beside = read_json::<Reference>(&folder.join("reference_lla.json"));
     let inside = || read_json::<Vec<Reconstruction>>(&project.model.path)?.into_iter().next()?.reference_lla;
     let reference = beside.or_else(inside)?;
-    Some(Georeference::at(Geodetic {
+    Some(Georeference::east_north_up(Geodetic {
         longitude: reference.longitude,
         latitude: reference.latitude,
         height: reference.altitude,
