@@ -107,7 +107,7 @@ fn prepare(arguments: &Arguments, root: &Path, progress: &Progress) -> Result<Pr
     typed.set("train", "confidence.source", Some("geometric"));
     let mut settings = config::load(Some(&project.root), typed)?.settings;
     let scene = project.read_scene()?;
-    let found = depthmaps::find(&folder, &scene)?.whole()?;
+    let found = depthmaps::find(&folder, &scene)?.into_complete()?;
     settings.backends = vec![backend(arguments, &found.maps[0].format)];
     let plan =
         Plan::from_scene(&project, scene, &settings, &planned_for(&project, &settings)?, Timings::start(), progress)?;

@@ -126,7 +126,7 @@ impl Pixel {
     ) -> Self {
         let position = map.image_position(camera, column, row);
         Self {
-            depth: map.at(column, row),
+            depth: map.depth_at(column, row),
             reference: reference.map(|r| r.interpolated(camera, &position, SAME_SURFACE)),
             ray: camera.ray(&position).map_or(1.0, |ray| 1.0 / ray.z),
             shows_surface,

@@ -74,7 +74,7 @@ impl MeasuredClusters {
     pub fn new(task: &EvaluationInput, watcher: &dyn Watcher) -> Result<Self, EvaluateError> {
         let scene = task.model.scene;
         let maps = depthmaps::find(task.depth_maps, scene)?;
-        let references = task.reference.map(|folder| depthmaps::find(folder, scene)?.whole()).transpose()?;
+        let references = task.reference.map(|folder| depthmaps::find(folder, scene)?.into_complete()).transpose()?;
         let report = matched::read_report(task.depth_maps, scene)?;
         let of = |set: &DepthMapSet, view| set.maps.iter().find(|m| m.view == view).cloned();
         let mut found: Vec<(ViewCluster, DepthMapFile, u32)> = Vec::new();
@@ -119,7 +119,7 @@ impl MeasuredClusters {
         let unreadable = unreadable.chain(broken.iter().map(DepthMapError::to_string)).collect();
         task.tables(clusters, order, &measured, &report, watcher).map(|run| Self {
             without_map,
-            strangers: maps.strangers,
+            strangers: maps.unassigned,
             unreadable,
             ..run
         })
@@ -156,7 +156,7 @@ impl EvaluationInput<'_> {
         let reference = match reference {
             None => None,
             Some(Some(file)) => Some(depthmaps::read_of_view(&file, scene)?),
-            Some(None) => Some(map.emptied()),
+            Some(None) => Some(map.without_depths()),
         };
         Ok(Ok(measure(&self.model, key, map, reference.as_ref(), self.accuracy)))
     }

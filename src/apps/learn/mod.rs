@@ -216,7 +216,7 @@ impl Lesson<'_> {
         let read = |file: &DepthMapFile| {
             watcher.check()?;
             let map = depthmaps::read_of_view(file, self.model.scene)?;
-            Ok::<_, TrainError>(map.thinned(MOST_MAP_BYTES / self.maps.len().max(1)))
+            Ok::<_, TrainError>(map.subsampled(MOST_MAP_BYTES / self.maps.len().max(1)))
         };
         let maps: Vec<_> = self.maps.par_iter().map(read).collect::<Result<_, _>>()?;
         for (file, map) in self.maps.iter().zip(maps) {
