@@ -41,8 +41,8 @@ fn main() -> Fallible<()> {
     settings.confidence.source = "geometric".into();
     let plan = backends::plan(&project, &settings, &Unwatched)?;
     let clusters = evaluate::clusters::read(Path::new(clusters), &plan.stages.scene)?;
-    let found = depthmaps::find(Path::new(maps), &plan.stages.scene)?.whole()?;
-    let exact = depthmaps::find(Path::new(reference), &plan.stages.scene)?.whole()?;
+    let found = depthmaps::find(Path::new(maps), &plan.stages.scene)?.into_complete()?;
+    let exact = depthmaps::find(Path::new(reference), &plan.stages.scene)?.into_complete()?;
     let lesson = Lesson {
         name: "labels".into(),
         model: plan.stages.model(),
@@ -84,7 +84,8 @@ fn count(
         let truth = exact.interpolated(camera, &position, SAME_SURFACE);
         let along = camera.ray(&position).map_or(1.0, |ray| 1.0 / ray.z);
         let limit = RIGHT_WITHIN * model.target.accuracy(model.visibility.triangles[label.row]);
-        let is_near = |truth: f64| map.at(column, row).is_some_and(|depth| (depth - truth).abs() * along <= limit);
+        let is_near =
+            |truth: f64| map.depth_at(column, row).is_some_and(|depth| (depth - truth).abs() * along <= limit);
         let is_right = truth.is_some_and(|truth| is_near(truth) == label.success);
         let kinds: &[&str] = match (label.success, label.measured) {
             // The sky, edges, and what moves.

@@ -14,7 +14,7 @@ use std::{path::Path, time::Instant};
 use nalgebra::{Point2, Point3, Vector3};
 use rayon::prelude::*;
 use viewrank::internals::{
-    column::Keep,
+    column::Storage,
     config::Settings,
     ply,
     progress::Unwatched,
@@ -80,7 +80,7 @@ fn evaluate(exact: &Exact, settings: &Settings) -> Fallible<()> {
         &surface,
         &settings.visibility,
         edge,
-        Keep::Memory,
+        Storage::Memory,
         &Unwatched,
     )?;
     let keep = table.seen(surface.triangles.len());
@@ -160,7 +160,7 @@ impl Pairs {
             let view = ViewIndex(view);
             let mut pairs = Self::default();
             for t in (0..surface.triangles.len() as u32).step_by(5) {
-                let said = table.of(view).binary_search(&t).is_ok();
+                let said = table.triangles_seen_by(view).binary_search(&t).is_ok();
                 pairs.said += u64::from(said);
                 if !is_in_view(&exact.scene, surface, view, t, settings) {
                     continue;

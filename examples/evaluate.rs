@@ -4,7 +4,7 @@ use std::{env, error::Error, path::PathBuf};
 
 use viewrank::{
     Unwatched,
-    evaluate::{Evaluation, Measure, Reached, Run, Task},
+    evaluate::{Evaluation, EvaluationInput, EvaluationOptions, MeasuredClusters, MeasuredSurface},
     replan,
 };
 
@@ -19,12 +19,12 @@ fn main() -> Result<(), Box<dyn Error>> {
 
     // Without reference depths, every depth on the surface counts as right.
     let accuracy = model.target.accuracy_over_gsd * settings.target.gsd.ok_or("the plan has no GSD")?;
-    let task = Task { model, clusters: &clusters, depth_maps, reference: None, accuracy };
-    let run = Run::new(&task, &Unwatched)?;
+    let task = EvaluationInput { model, clusters: &clusters, depth_maps, reference: None, accuracy };
+    let run = MeasuredClusters::new(&task, &Unwatched)?;
 
-    let measure = Measure { objective: &plan.stages.objective, baselines: false };
+    let measure = EvaluationOptions { objective: &plan.stages.objective, baselines: false };
     let model = plan.stages.model();
-    let reached = Reached::new(&model, &run);
+    let reached = MeasuredSurface::new(&model, &run);
     let evaluation = Evaluation::new(&model, &run, &reached, &measure, &Unwatched)?;
     let kept = evaluation.kept;
     println!("of what is wanted, fusion keeps {:.1} %; forecast: {:.1} %", 100.0 * kept.real, 100.0 * kept.predicted);

@@ -1,4 +1,4 @@
-//! The program; see `cli`.
+//! The `viewrank` binary; everything is in `viewrank::cli`.
 
 fn main() -> std::process::ExitCode {
     viewrank::cli::main()

@@ -339,7 +339,7 @@ fn nvm_repeated_observation() {
     assert_eq!((views.len(), &scene.track_pixels[..2]), (3, &[[10.0, 5.0], [12.0, 6.0]][..]));
     views.dedup();
     assert_eq!(views.len(), 2);
-    assert_eq!(scene.view_points().of(ViewIndex(0)), [PointIndex(0)]);
+    assert_eq!(scene.view_points().observed_by(ViewIndex(0)), [PointIndex(0)]);
 }
 
 #[test]
@@ -526,7 +526,7 @@ fn sure_projects_have_orientations_and_a_cloud() {
     assert!(warned(
         "1 images of the sparse cloud are not oriented, so that their observations are missing: stranger.png"
     ));
-    assert_eq!(scene.view_indices().filter(|v| scene.view_points().of(*v).is_empty()).count(), 1);
+    assert_eq!(scene.view_indices().filter(|v| scene.view_points().observed_by(*v).is_empty()).count(), 1);
     std::fs::write(root.join("cloud.nvm"), nvm.replace("image", "picture").replace("img", "pic").replace("IMG", "PIC"))
         .unwrap();
     let error = Project::open(root, None).and_then(|project| project.read_scene()).unwrap_err().to_string();

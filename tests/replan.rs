@@ -135,7 +135,7 @@ fn without_failures_the_rest_is_ranked_as_by_prediction_behind_the_real_values()
     let finished = &before.decision.ranking.order[..3];
     let expected = |c: usize| -> Vec<(u32, f32)> {
         let from = if finished.contains(&(c as u32)) { &again.stages.fulfilment } else { &before.stages.fulfilment };
-        let (triangles, values) = from.of(c);
+        let (triangles, values) = from.row(c);
         triangles.iter().copied().zip(values.iter().copied()).collect()
     };
     let table = FulfilmentTable::new((0..before.stages.clusters.len()).map(expected));
@@ -152,7 +152,7 @@ fn what_failed_lowers_what_is_expected_of_its_neighbours_and_of_nobody_else() {
     let first = planned.plan.decision.ranking.order[0] as usize;
     let mut lowered = 0;
     for c in (0..again.stages.clusters.len()).filter(|&c| c != first) {
-        let (before, after) = (planned.plan.stages.fulfilment.of(c), again.stages.fulfilment.of(c));
+        let (before, after) = (planned.plan.stages.fulfilment.row(c), again.stages.fulfilment.row(c));
         assert_eq!(before.0, after.0);
         assert!(before.1.iter().zip(after.1).all(|(b, a)| a <= b));
         lowered += before.1.iter().zip(after.1).filter(|(b, a)| a < b).count();
@@ -166,8 +166,8 @@ fn what_failed_lowers_what_is_expected_of_its_neighbours_and_of_nobody_else() {
         picture.iter().enumerate().filter(left).map(|(_, t)| *t).collect()
     };
     for c in (0..again.stages.clusters.len()).filter(|&c| c != first) {
-        let (triangles, before) = planned.plan.stages.fulfilment.of(c);
-        for ((t, b), a) in triangles.iter().zip(before).zip(again.stages.fulfilment.of(c).1) {
+        let (triangles, before) = planned.plan.stages.fulfilment.row(c);
+        for ((t, b), a) in triangles.iter().zip(before).zip(again.stages.fulfilment.row(c).1) {
             assert!(a == b || failed.contains(t));
         }
     }

@@ -5,7 +5,7 @@ use std::{fs, path::Path};
 use viewrank::internals::{
     backends::plan,
     camera::{Camera, CameraModel},
-    column::Keep,
+    column::Storage,
     config::{Bytes, Settings},
     evaluate::curve::Curve,
     formats::{colmap::ColmapModel, colmap_bin},
@@ -87,7 +87,7 @@ fn tables_on_disk_change_nothing() {
             && disk.stages.memory.disk >= 16 * memory.stages.visibility.triangles.len() as u64
     );
     assert!(disk.stages.memory.peak() <= limit && disk.stages.surface_stats.tiles == 1);
-    assert_eq!([disk.stages.visibility.triangles.kept(), disk.stages.fulfilment.values.kept()], [Keep::Disk; 2]);
+    assert_eq!([disk.stages.visibility.triangles.kept(), disk.stages.fulfilment.values.kept()], [Storage::Disk; 2]);
     assert_eq!(disk.stages.visibility, memory.stages.visibility);
     assert_eq!((&disk.stages.unary, &disk.stages.fulfilment), (&memory.stages.unary, &memory.stages.fulfilment));
     assert_eq!(
@@ -98,7 +98,10 @@ fn tables_on_disk_change_nothing() {
         (&disk.decision.views, &disk.decision.triangle_reasons),
         (&memory.decision.views, &memory.decision.triangle_reasons)
     );
-    assert_eq!((disk.decision.forecast, disk.likest().unwrap()), (memory.decision.forecast, memory.likest().unwrap()));
+    assert_eq!(
+        (disk.decision.forecast, disk.best_substitutes().unwrap()),
+        (memory.decision.forecast, memory.best_substitutes().unwrap())
+    );
 }
 
 /// A synthetic survey of 300 views, the set `survey` of `benches/sets.py`.

@@ -129,7 +129,7 @@ type Landmark = (PointIndex, Vec<ViewIndex>);
 fn cluster_file(scene: &Scene, points: &ViewPoints, cluster: &RankedCluster) -> String {
     let members: Vec<_> = std::iter::once(cluster.key).chain(cluster.partners.iter().copied()).collect();
     let mut landmarks: Vec<Landmark> = points
-        .of(cluster.key)
+        .observed_by(cluster.key)
         .iter()
         .map(|&p| (p, observers(scene, p, |v| members.contains(&v))))
         .filter(|(_, v)| v.len() > 1)

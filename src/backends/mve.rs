@@ -167,8 +167,12 @@ fn bundle(scene: &Scene, points: &ViewPoints, cluster: &RankedCluster, ids: &[Op
         track.dedup();
         track
     };
-    let shared: Vec<_> =
-        points.of(cluster.key).iter().map(|&p| (p, observers(p))).filter(|(_, views)| views.len() > 1).collect();
+    let shared: Vec<_> = points
+        .observed_by(cluster.key)
+        .iter()
+        .map(|&p| (p, observers(p)))
+        .filter(|(_, views)| views.len() > 1)
+        .collect();
     let mut text = format!("drews 1.0\n{views} {}\n{}", shared.len(), cameras.concat());
     for (i, (p, observers)) in shared.iter().enumerate() {
         let (x, [r, g, b]) = (scene.points[p.index()], scene.colours[p.index()]);

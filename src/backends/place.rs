@@ -6,7 +6,7 @@ use serde::Deserialize;
 
 use super::{BackendError, Export};
 use crate::{
-    base::input::{self, Kind},
+    base::input::{self, FileKind},
     io::{
         output::{FileSet, OutputError},
         project::{Project, ProjectError, slashes},
@@ -78,7 +78,8 @@ fn earlier_backend(folder: &Path) -> Option<String> {
     struct Record {
         backend: String,
     }
-    let read = |name: &&str| serde_json::from_slice::<Record>(&input::read(&folder.join(name), Kind::State).ok()?).ok();
+    let read =
+        |name: &&str| serde_json::from_slice::<Record>(&input::read(&folder.join(name), FileKind::State).ok()?).ok();
     RECORDS.iter().find_map(read).map(|record| record.backend)
 }
 

@@ -9,7 +9,7 @@ use super::{
     images::{ANY_PROGRAM, name_lines},
 };
 use crate::{
-    base::input::{self, Kind},
+    base::input::{self, FileKind},
     io::output::Contents,
     model::scene::ViewIndex,
 };
@@ -85,7 +85,7 @@ fn poses_beside(patient: &Patient) -> Option<Trap> {
     let images = patient.project.images.as_ref()?;
     let holds_pose = |view: &ViewIndex| {
         let path = images.join(format!("{}.xmp", stem(patient.scene.name(*view))));
-        input::read_text(&path, Kind::List)
+        input::read_text(&path, FileKind::List)
             .is_ok_and(|text| text.contains("xcr:PosePrior") || text.contains("xcr:Position"))
     };
     let views: Vec<ViewIndex> = patient.scene.view_indices().filter(holds_pose).collect();

@@ -195,7 +195,7 @@ fn centres(scene: &Scene) -> Vec<Vector3<f64>> {
 pub fn depths(scene: &Scene, points: &ViewPoints, view: ViewIndex) -> Vec<f64> {
     let pose = &scene.view(view).cam_from_world;
     let depth = |&p: &crate::model::scene::PointIndex| pose.camera_from_world(&scene.points[p.index()]).z;
-    let mut depths: Vec<f64> = points.of(view).iter().map(depth).filter(|z| *z > 0.0).collect();
+    let mut depths: Vec<f64> = points.observed_by(view).iter().map(depth).filter(|z| *z > 0.0).collect();
     depths.sort_unstable_by(f64::total_cmp);
     depths
 }
@@ -215,7 +215,7 @@ pub fn depth_range(scene: &Scene, points: &ViewPoints, view: ViewIndex) -> Optio
 /// How many sparse points each view of the scene shares with `view`; 0 for itself.
 pub fn shared_points(scene: &Scene, points: &ViewPoints, view: ViewIndex) -> Vec<u32> {
     let mut shared = vec![0; scene.views.len()];
-    for &p in points.of(view) {
+    for &p in points.observed_by(view) {
         let track = scene.track_views(p);
         for (i, v) in track.iter().enumerate() {
             shared[v.index()] += u32::from(i == 0 || track[i - 1] != *v);

@@ -13,7 +13,7 @@ use crate::{
 pub fn clusters_by_area(selection: &Selection, count: usize) -> Vec<Vec<RankedCluster>> {
     let points = selection.scene.view_points();
     let home = |key: ViewIndex| {
-        let observed = points.of(key).iter().map(|p| selection.scene.points[p.index()].coords);
+        let observed = points.observed_by(key).iter().map(|p| selection.scene.points[p.index()].coords);
         let n = observed.len().max(1) as f64;
         Point3::from(observed.sum::<Vector3<f64>>() / n)
     };

@@ -18,7 +18,7 @@ use crate::base::{error::Hint, progress::Cancelled};
 
 /// Where columns are kept.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Keep {
+pub enum Storage {
     #[default]
     Memory,
     /// In an unlinked temporary file in `$TMPDIR`, else in `/var/tmp`; the system frees it when the process ends.
@@ -36,10 +36,10 @@ enum Kept<T> {
 }
 
 impl<T> Column<T> {
-    pub fn kept(&self) -> Keep {
+    pub fn kept(&self) -> Storage {
         match self.0 {
-            Kept::Memory(_) => Keep::Memory,
-            Kept::Disk(_) => Keep::Disk,
+            Kept::Memory(_) => Storage::Memory,
+            Kept::Disk(_) => Storage::Disk,
         }
     }
 
@@ -117,18 +117,18 @@ impl<T: Pod + PartialEq> PartialEq for Column<T> {
 }
 
 /// A column under construction, append only.
-pub struct Growing<T>(Grows<T>);
+pub struct ColumnBuilder<T>(Grows<T>);
 
 enum Grows<T> {
     Memory(Vec<T>),
     Disk { file: File, folder: PathBuf, is_empty: bool },
 }
 
-impl<T: Pod> Growing<T> {
-    pub fn new(keep: Keep) -> Result<Self, DiskError> {
+impl<T: Pod> ColumnBuilder<T> {
+    pub fn new(keep: Storage) -> Result<Self, DiskError> {
         match keep {
-            Keep::Memory => Ok(Self(Grows::Memory(Vec::new()))),
-            Keep::Disk => Self::in_folder(&folder()),
+            Storage::Memory => Ok(Self(Grows::Memory(Vec::new()))),
+            Storage::Disk => Self::in_folder(&folder()),
         }
     }
 
@@ -269,16 +269,16 @@ mod tests {
             pieces in proptest::collection::vec(proptest::collection::vec(any::<u32>(), 0..3000), 0..5),
         ) {
             let of = |keep| {
-                let mut column = Growing::new(keep).unwrap();
+                let mut column = ColumnBuilder::new(keep).unwrap();
                 pieces.iter().for_each(|piece| column.extend(piece).unwrap());
                 column.finish().unwrap()
             };
-            let (memory, disk): (Column<u32>, Column<u32>) = (of(Keep::Memory), of(Keep::Disk));
+            let (memory, disk): (Column<u32>, Column<u32>) = (of(Storage::Memory), of(Storage::Disk));
             prop_assert_eq!(&*memory, &*pieces.concat());
             prop_assert_eq!(&memory, &disk);
             disk.release();
             prop_assert_eq!(&disk.clone(), &memory);
-            prop_assert_eq!(disk.kept(), if memory.is_empty() { Keep::Memory } else { Keep::Disk });
+            prop_assert_eq!(disk.kept(), if memory.is_empty() { Storage::Memory } else { Storage::Disk });
             prop_assert_eq!((disk.bytes(), memory.bytes()), (0, 4 * memory.len()));
         }
     }
@@ -286,7 +286,7 @@ mod tests {
     #[test]
     fn nothing_is_left_in_the_folder() {
         let folder = tempfile::tempdir().unwrap();
-        let mut column = Growing::in_folder(folder.path()).unwrap();
+        let mut column = ColumnBuilder::in_folder(folder.path()).unwrap();
         column.extend(&[1.5f32; 5000]).unwrap();
         assert_eq!(folder.path().read_dir().unwrap().count(), 0);
         assert_eq!(column.finish().unwrap()[4999], 1.5);
@@ -295,7 +295,7 @@ mod tests {
     #[test]
     fn a_folder_that_takes_no_file_is_named() {
         let folder = tempfile::tempdir().unwrap().path().join("gone");
-        let Err(error) = Growing::<u32>::in_folder(&folder) else { panic!("there is no such folder") };
+        let Err(error) = ColumnBuilder::<u32>::in_folder(&folder) else { panic!("there is no such folder") };
         assert!(error.to_string().contains("gone") && error.hint().unwrap().contains("TMPDIR"), "{error}");
     }
 }

@@ -11,7 +11,7 @@ use std::{
 
 /// The kind of a file that is read whole, which decides how large it may be.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Kind {
+pub enum FileKind {
     /// `viewrank.toml` and notes of a few lines.
     Settings,
     /// A list of names, such as `clusters.txt`.
@@ -27,7 +27,7 @@ pub enum Kind {
     State,
 }
 
-impl Kind {
+impl FileKind {
     /// Size limit, bytes.
     pub const fn limit(self) -> u64 {
         match self {
@@ -76,17 +76,17 @@ fn open_with_metadata(path: &Path) -> io::Result<(File, Metadata)> {
 }
 
 /// Reads a regular file whole, up to the limit of its kind.
-pub fn read(path: &Path, kind: Kind) -> io::Result<Vec<u8>> {
+pub fn read(path: &Path, kind: FileKind) -> io::Result<Vec<u8>> {
     read_all(open(path)?, kind)
 }
 
 /// Reads a UTF-8 text file whole, up to the limit of its kind.
-pub fn read_text(path: &Path, kind: Kind) -> io::Result<String> {
+pub fn read_text(path: &Path, kind: FileKind) -> io::Result<String> {
     String::from_utf8(read(path, kind)?).map_err(|error| io::Error::new(io::ErrorKind::InvalidData, error.utf8_error()))
 }
 
 /// Reads an open file whole, up to the limit of its kind.
-pub fn read_all(file: File, kind: Kind) -> io::Result<Vec<u8>> {
+pub fn read_all(file: File, kind: FileKind) -> io::Result<Vec<u8>> {
     let length = file.metadata()?.len();
     check_length(length, kind)?;
     let mut bytes = Vec::new();
@@ -98,7 +98,7 @@ pub fn read_all(file: File, kind: Kind) -> io::Result<Vec<u8>> {
 }
 
 /// Checks that a file of `length` bytes is within the limit of its kind.
-pub fn check_length(length: u64, kind: Kind) -> io::Result<()> {
+pub fn check_length(length: u64, kind: FileKind) -> io::Result<()> {
     if length <= kind.limit() {
         return Ok(());
     }
@@ -117,9 +117,9 @@ mod tests {
         std::fs::write(&file, "text").expect("a file");
         std::os::unix::fs::symlink("file", &link).expect("a link");
         assert!(std::process::Command::new("mkfifo").arg(&pipe).status().expect("mkfifo").success());
-        assert_eq!(read_text(&link, Kind::Settings).expect("the file"), "text");
+        assert_eq!(read_text(&link, FileKind::Settings).expect("the file"), "text");
         for path in [&pipe, Path::new("/dev/zero"), folder.path()] {
-            let error = read(path, Kind::Settings).expect_err("refused");
+            let error = read(path, FileKind::Settings).expect_err("refused");
             assert_eq!(error.kind(), io::ErrorKind::InvalidInput, "{}", path.display());
         }
     }
@@ -127,10 +127,10 @@ mod tests {
     #[test]
     fn a_file_above_the_limit_is_not_read() {
         let file = tempfile::NamedTempFile::new().expect("a temporary file");
-        file.as_file().set_len(Kind::Settings.limit()).expect("a length");
-        assert_eq!(read(file.path(), Kind::Settings).expect("just so").len() as u64, Kind::Settings.limit());
-        file.as_file().set_len(Kind::Settings.limit() + 1).expect("a length");
-        let error = read(file.path(), Kind::Settings).expect_err("too large");
+        file.as_file().set_len(FileKind::Settings.limit()).expect("a length");
+        assert_eq!(read(file.path(), FileKind::Settings).expect("just so").len() as u64, FileKind::Settings.limit());
+        file.as_file().set_len(FileKind::Settings.limit() + 1).expect("a length");
+        let error = read(file.path(), FileKind::Settings).expect_err("too large");
         assert_eq!(error.kind(), io::ErrorKind::FileTooLarge);
         assert!(error.to_string().contains(" 1 MiB"), "{error}");
     }

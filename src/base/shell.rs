@@ -1,14 +1,14 @@
-//! Words of commands that somebody types or a script runs.
+//! Quotes words of shell commands.
 
 use std::path::Path;
 
-/// A word for sh, quoted where it must be.
+/// Quotes a word for POSIX sh, if it needs quotes.
 pub fn quoted(word: &str) -> String {
     let plain = !word.is_empty() && word.chars().all(|c| c.is_alphanumeric() || "/._-+=:,%@".contains(c));
     if plain { word.into() } else { format!("'{}'", word.replace('\'', r"'\''")) }
 }
 
-/// A path in a command that somebody is to type.
+/// Quotes a path for a command that a user is shown.
 pub fn quoted_path(path: &Path) -> String {
     quoted(&path.display().to_string())
 }
@@ -18,7 +18,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn paths_in_commands_are_one_word() {
+    fn a_quoted_path_is_one_word() {
         assert_eq!(quoted_path(Path::new("/a b/it's")), r"'/a b/it'\''s'");
         assert_eq!(quoted_path(Path::new("/a-b/c_1.x")), "/a-b/c_1.x");
     }

@@ -1,14 +1,14 @@
-//! Inner loops compiled for the vector instructions that the processor has.
+//! Inner loops compiled for several sets of vector instructions, chosen at run time.
 
-/// Something to be run by [`vectorised`]; `run`, and all that it calls in its loops, is to be inlined.
+/// An inner loop for [`vectorised`]. Mark `run`, and every function that it calls in its loops, `#[inline(always)]`: only inlined code is compiled
+/// for the vector instructions.
 pub trait Work {
     type Output;
 
     fn run(self) -> Self::Output;
 }
 
-/// Runs `work` compiled for AVX-512 or AVX2 where the processor has it. Nothing is contracted or reordered, so the result is the same to the
-/// bit.
+/// Runs `work`, compiled for AVX-512 or AVX2 if the processor has it. No operation is fused or reordered, so every variant gives the same bits.
 #[inline(always)]
 pub fn vectorised<R>(work: impl Work<Output = R>) -> R {
     #[cfg(target_arch = "x86_64")]
@@ -26,7 +26,7 @@ pub fn vectorised<R>(work: impl Work<Output = R>) -> R {
             && is_x86_feature_detected!("avx512dq")
             && is_x86_feature_detected!("avx512vl");
         if has_all {
-            // SAFETY: the processor has what the function was compiled for.
+            // SAFETY: the processor has the instructions for which the function was compiled.
             return unsafe { widest(work) };
         }
         if is_x86_feature_detected!("avx2") {

@@ -7,7 +7,10 @@ use std::{
 
 use crate::apps::replan;
 use crate::{
-    apps::evaluate::{self, Compared, Evaluation, Measure, Reached, Run, Task, clusters, orders},
+    apps::evaluate::{
+        self, Compared, Evaluation, EvaluationInput, EvaluationOptions, MeasuredClusters, MeasuredSurface, clusters,
+        orders,
+    },
     io::{
         output::{Contents, Disk, FileSet},
         project::Project,
@@ -93,8 +96,8 @@ fn measure(
     };
     let run = task(plan, &clusters, folder, arguments.reference.as_deref(), progress)?;
     let model = plan.stages.model();
-    let reached = Reached::new(&model, &run);
-    let how = Measure { objective: &plan.stages.objective, baselines: arguments.baselines };
+    let reached = MeasuredSurface::new(&model, &run);
+    let how = EvaluationOptions { objective: &plan.stages.objective, baselines: arguments.baselines };
     let evaluation = Evaluation::new(&model, &run, &reached, &how, progress)?;
     let title = project.root.file_name().unwrap_or(project.root.as_os_str()).to_string_lossy();
     let out = arguments.out.clone().unwrap_or_else(|| project.output_folder().join("evaluation"));
@@ -125,11 +128,11 @@ fn task(
     depth_maps: &Path,
     reference: Option<&Path>,
     progress: &Progress,
-) -> Result<Run, Failure> {
+) -> Result<MeasuredClusters, Failure> {
     let model = plan.stages.model();
     let gsd = plan.stages.settings.target.gsd.expect("a plan's settings are filled in");
     let accuracy = model.target.accuracy_over_gsd * gsd;
-    Ok(Run::new(&Task { model, clusters, depth_maps, reference, accuracy }, progress)?)
+    Ok(MeasuredClusters::new(&EvaluationInput { model, clusters, depth_maps, reference, accuracy }, progress)?)
 }
 
 fn write_baselines(arguments: &Arguments, plan: &Plan, folder: &Path, progress: &Progress) -> Result<(), Failure> {
@@ -171,7 +174,7 @@ fn output(arguments: &Arguments, value: &impl Serialize, text: impl Fn() -> Stri
     }
 }
 
-fn warnings(evaluation: &Evaluation, run: &Run) {
+fn warnings(evaluation: &Evaluation, run: &MeasuredClusters) {
     let missing = evaluation.without_map.len();
     if missing > 0 {
         warn(&format!("{missing} of the clusters have no depth map; shares are of what the others reach"));

@@ -11,7 +11,7 @@ use crate::{
         report::{self, Contents, Finished},
     },
     base::{
-        input::{self, Kind},
+        input::{self, FileKind},
         progress::{Stage, Watcher},
     },
     io::output::{Disk, FileSet},
@@ -65,7 +65,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
 
 /// Seconds that planning took, as `viewrank plan` wrote them down.
 fn planning_seconds(folder: &Path) -> Option<f64> {
-    let timings = input::read(&folder.join("timings.json"), Kind::State).ok()?;
+    let timings = input::read(&folder.join("timings.json"), FileKind::State).ok()?;
     serde_json::from_slice::<serde_json::Value>(&timings).ok()?["total"].as_f64()
 }
 

@@ -107,10 +107,10 @@ fn prepare(arguments: &Arguments, root: &Path, progress: &Progress) -> Result<Pr
     typed.set("train", "confidence.source", Some("geometric"));
     let mut settings = config::load(Some(&project.root), typed)?.settings;
     let scene = project.read_scene()?;
-    let found = depthmaps::find(&folder, &scene)?.whole()?;
+    let found = depthmaps::find(&folder, &scene)?.into_complete()?;
     settings.backends = vec![backend(arguments, &found.maps[0].format)];
     let plan =
-        Plan::of_scene(&project, scene, &settings, &planned_for(&project, &settings)?, Timings::start(), progress)?;
+        Plan::from_scene(&project, scene, &settings, &planned_for(&project, &settings)?, Timings::start(), progress)?;
     let ranked = |cluster: &RankedCluster| ViewCluster { key: cluster.key, partners: cluster.partners.clone() };
     let written: Vec<ViewCluster> =
         WrittenPlan::read(root).map(|written| written.clusters.iter().map(ranked).collect()).unwrap_or_default();

@@ -14,7 +14,7 @@ use super::{Key, Settings, keys};
 use crate::{
     base::{
         error::Hint,
-        input::{self, Kind},
+        input::{self, FileKind},
     },
     model::georeference::Zone,
 };
@@ -179,7 +179,7 @@ impl Configuration {
 
 /// The entries of a file; none where there is no file.
 fn read(path: &Path) -> Result<Vec<Entry>, ConfigError> {
-    let text = match input::read_text(path, Kind::Settings) {
+    let text = match input::read_text(path, FileKind::Settings) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),
         Err(source) => return Err(ConfigError::Read { path: path.into(), source }),
         Ok(text) => text,

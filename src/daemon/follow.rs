@@ -16,7 +16,7 @@ use super::{
 use crate::apps::replan;
 use crate::{
     apps::{
-        evaluate::{Run, curve::Curve},
+        evaluate::{MeasuredClusters, curve::Curve},
         replan::{Earlier, Maps, ReplanError, replan},
     },
     base::{error::Hint, progress::Watcher},
@@ -297,7 +297,7 @@ impl Forecast {
 }
 
 /// Computes the time between maps divided by their pairs, without pauses.
-fn seconds_per_pair(plan: &Plan, run: &Run, folder: &Path) -> Option<f64> {
+fn seconds_per_pair(plan: &Plan, run: &MeasuredClusters, folder: &Path) -> Option<f64> {
     let maps = depthmaps::find(folder, &plan.stages.scene).ok()?.maps;
     let time = |path: &Path| fs::metadata(path).and_then(|m| m.modified()).ok();
     let mut times: Vec<(SystemTime, usize)> = Vec::new();

@@ -49,7 +49,7 @@ pub fn scan(project: &Path, follow_links: bool) -> (Vec<PathBuf>, Result<MapFile
             None
         }
     };
-    for place in depthmaps::places(project) {
+    for place in depthmaps::default_folders(project) {
         if !place.starts_with(project.join(discover::OUTPUT_FOLDER)) {
             let above = place.ancestors().skip(1).take_while(|above| *above != project);
             folders.extend(above.filter(|above| above.is_dir()).map(Path::to_path_buf));
@@ -69,7 +69,7 @@ pub fn scan(project: &Path, follow_links: bool) -> (Vec<PathBuf>, Result<MapFile
             };
             if entry.file_type().is_dir() {
                 folders.push(entry.into_path());
-            } else if depthmaps::looks_like_one(entry.path()) {
+            } else if depthmaps::has_depth_map_name(entry.path()) {
                 let metadata = seen(entry.path(), fs::metadata(entry.path())).filter(fs::Metadata::is_file);
                 files.extend(metadata.map(|metadata| (entry.into_path(), Entry::of(&metadata))));
             }

@@ -240,6 +240,6 @@ mod tests {
         let mean_track = scene.observations() as f64 / scene.points.len() as f64;
         assert!((3.0..30.0).contains(&mean_track), "{mean_track}");
         let per_view = scene.view_points();
-        assert!(scene.view_indices().take(25).all(|v| per_view.of(v).len() > 50));
+        assert!(scene.view_indices().take(25).all(|v| per_view.observed_by(v).len() > 50));
     }
 }

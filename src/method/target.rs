@@ -60,7 +60,7 @@ impl Target {
 fn finest(scene: &Scene, surface: &Surface, visibility: &Visibility) -> Vec<f32> {
     let finest: Vec<AtomicU32> = surface.triangles.iter().map(|_| AtomicU32::new(f32::INFINITY.to_bits())).collect();
     let look = |&view: &ViewIndex| {
-        for &t in visibility.of(view) {
+        for &t in visibility.triangles_seen_by(view) {
             // The bits of numbers that are not negative are ordered as they are, and the least of them does not depend on who comes first.
             let gsd = (gsd_at(scene, surface, view, t) as f32).max(0.0);
             finest[t as usize].fetch_min(gsd.to_bits(), Ordering::Relaxed);

@@ -1,4 +1,4 @@
-//! View clusters: a key view with the views that it is matched against, and which pairs of views may be matched at all.
+//! View clusters (a key view with the views that it is matched against) and the limits on pairs of views.
 
 use serde::Serialize;
 
@@ -17,26 +17,27 @@ pub struct RankedCluster {
     pub key: ViewIndex,
     /// Best first.
     pub partners: Vec<ViewIndex>,
-    /// Fulfilment up to and including this cluster, as a share of what all clusters reach together, 0 to 1.
+    /// Fulfilment of the ranking up to and including this cluster, as a share of the fulfilment of all clusters, 0 to 1.
     pub share: f64,
 }
 
-/// Which pairs a backend can match at all (method 7.1).
+/// Limits on the pairs of views that a backend can match (method 7.1).
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Gate {
-    /// Sparse points that both views observe.
+    /// Least number of sparse points that both views observe.
     pub min_shared_points: usize,
-    /// Median triangulation angle at the shared points, degrees.
+    /// Least median triangulation angle at the shared points, degrees.
     pub min_angle_deg: f64,
+    /// Largest median triangulation angle, degrees.
     pub max_angle_deg: f64,
-    /// Largest scale ratio of the two images, octaves.
+    /// Largest scale ratio of the two images, octaves (log2).
     pub max_scale_octaves: f64,
-    /// Whether one camera's centre may be inside the other's image.
+    /// True if the centre of one camera may project into the image of the other.
     pub epipole_inside: bool,
 }
 
 impl Gate {
-    /// Lets every pair pass that shares points.
+    /// Admits every pair with a shared point.
     pub const OPEN: Gate = Gate {
         min_shared_points: 1,
         min_angle_deg: 0.0,

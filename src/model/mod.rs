@@ -1,4 +1,4 @@
-//! The sparse model: cameras, views, points and tracks, and its place on the earth.
+//! The sparse model: cameras, views, points and tracks, and its georeference.
 
 pub mod camera;
 pub mod cluster;

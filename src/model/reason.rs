@@ -1,45 +1,45 @@
-//! Method 5.5: the reasons why a pair, a view or a triangle gets less than it could.
+//! The reasons why a pair, a view or a triangle gets less fulfilment than it could (method 5.5).
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// One reason of a fixed list.
+/// The reason for a missing or reduced fulfilment.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Reason {
-    /// Too few sparse points in common with any other view.
+    /// It shares too few sparse points with every other view.
     NoSharedPoints,
-    /// No baseline: the other views stand at the same place.
+    /// There is no baseline: the other views are at the same position.
     RotationOnly,
-    /// A chosen key view does nearly all that this one could.
+    /// A chosen key view fulfils nearly everything that this one could.
     DuplicateOfBetterView,
-    /// Not enough cameras of a cluster see it.
+    /// Too few cameras of a cluster see it.
     TooFewCameras,
-    /// The view sees nothing of the surface.
+    /// The view sees no part of the surface.
     Hidden,
-    /// No view is near enough for the wanted resolution.
+    /// No view is close enough for the target resolution.
     TooCoarse,
-    /// The rays meet at angles too small for the wanted accuracy.
+    /// The triangulation angles are too small for the target accuracy.
     TooInaccurate,
-    /// The backend cannot match the pairs that there are.
+    /// The backend cannot match the available pairs: f_conf is the smallest factor, or the gate (method 7.1) refuses them.
     NotMatchable,
-    /// What it would add is nothing, or less than what was taken.
+    /// Its gain is 0 or below the cut.
     NoGainLeft,
 }
 
 impl Reason {
-    /// In words that follow "because".
+    /// A clause that follows "because".
     pub fn words(self) -> &'static str {
         match self {
-            Self::NoSharedPoints => "it has too few sparse points in common with any other view",
-            Self::RotationOnly => "there is no baseline: the other views stand at the same place",
-            Self::DuplicateOfBetterView => "a chosen key view does nearly all that it could",
-            Self::TooFewCameras => "not enough cameras of a view cluster see the same places",
-            Self::Hidden => "it sees nothing of the surface",
-            Self::TooCoarse => "no view is near enough for the wanted resolution",
-            Self::TooInaccurate => "the rays meet at angles too small for the wanted accuracy",
-            Self::NotMatchable => "the backend cannot match the pairs that there are",
-            Self::NoGainLeft => "what it would add is nothing, or less than what was taken",
+            Self::NoSharedPoints => "it shares too few sparse points with every other view",
+            Self::RotationOnly => "there is no baseline: the other views are at the same position",
+            Self::DuplicateOfBetterView => "a chosen key view fulfils nearly everything that it could",
+            Self::TooFewCameras => "too few cameras of a view cluster see the same places",
+            Self::Hidden => "it sees no part of the surface",
+            Self::TooCoarse => "no view is close enough for the target resolution",
+            Self::TooInaccurate => "the triangulation angles are too small for the target accuracy",
+            Self::NotMatchable => "the backend cannot match the available pairs",
+            Self::NoGainLeft => "its gain is zero or below the cut",
         }
     }
 }

@@ -1,8 +1,7 @@
-//! The sparse model that every reader makes and every stage reads.
+//! The sparse model: output of every reader, input of every stage.
 //!
-//! Arrays, not objects: 1,200 views with 6.6 million observations stay below 200 MB. Views are sorted by name, so
-//! that the order of [`ViewIndex`] is the order of names and every "ties by view name" is a comparison of indices.
-//! The ids of the file are kept beside for writing back.
+//! Flat arrays rather than objects: 1,200 views with 6.6 million observations take less than 200 MB. Views are sorted by name, so [`ViewIndex`]
+//! orders like the names, and "ties by view name" is a comparison of indices. The ids of the source file are kept for writing the model back.
 
 use std::ops::Range;
 
@@ -46,8 +45,8 @@ impl CameraIndex {
     }
 }
 
-/// Rigid motion from world to camera: `x_cam = rotation * x_world + translation` (COLMAP's `cam_from_world`).
-/// Camera axes: x right, y down, z in viewing direction.
+/// Rigid transform from world to camera: `x_cam = rotation * x_world + translation` (COLMAP's `cam_from_world`).
+/// Camera axes: x right, y down, z forward.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pose {
     pub rotation: Rotation3<f64>,
@@ -55,7 +54,7 @@ pub struct Pose {
 }
 
 impl Pose {
-    /// The point in camera coordinates, scene units.
+    /// Transforms a point from world to camera coordinates, scene units.
     pub fn camera_from_world(&self, x: &Point3<f64>) -> Point3<f64> {
         self.rotation * x + self.translation
     }
@@ -76,15 +75,15 @@ impl Pose {
 pub struct View {
     /// Name as in the model, relative to the image folder, `/` between folders.
     pub name: String,
-    /// Id in the file that the scene came from.
+    /// Image id in the source file.
     pub image_id: u32,
-    /// Position among the registered images of that file (what `fused.ply.vis` and OpenMVS count by).
+    /// Index among the registered images of that file, from 0; `fused.ply.vis` and OpenMVS refer to images by it.
     pub file_position: u32,
     pub camera: CameraIndex,
     pub cam_from_world: Pose,
 }
 
-/// Is the length of a scene unit known to be a metre?
+/// Units of the scene: metres (`metric`) or an arbitrary scale (`relative`).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Units {
@@ -92,7 +91,7 @@ pub enum Units {
     Relative,
 }
 
-/// Views, cameras, sparse points and their tracks. Immutable when made.
+/// Views, cameras, sparse points and their tracks. Readers build it; no stage changes it.
 #[derive(Clone, Debug, Default)]
 pub struct Scene {
     pub cameras: Vec<Camera>,
@@ -100,7 +99,7 @@ pub struct Scene {
     pub views: Vec<View>,
     /// World coordinates, scene units.
     pub points: Vec<Point3<f64>>,
-    /// Ids of the points in the file.
+    /// Point ids in the source file.
     pub point_ids: Vec<u64>,
     /// Colours of the points, R G B.
     pub colours: Vec<[u8; 3]>,
@@ -108,19 +107,19 @@ pub struct Scene {
     pub track_offsets: Vec<usize>,
     /// View of each observation; sorted by view within a track.
     pub track_views: Vec<ViewIndex>,
-    /// Measured pixel of each observation, COLMAP's convention (centre of the first pixel at 0.5, 0.5).
+    /// Measured image position of each observation, pixels, in COLMAP's convention (centre of the first pixel at 0.5, 0.5).
     pub track_pixels: Vec<[f64; 2]>,
-    /// Images of the model or the image folder that have no pose, sorted by name.
+    /// Images of the model or of the image folder without a pose, sorted by name.
     pub unregistered: Vec<String>,
-    /// Oddities of a model that could be read all the same.
+    /// Problems that did not prevent reading.
     pub warnings: Vec<ModelWarning>,
 }
 
-/// Something odd about a model, or about what lies beside it.
+/// A problem of a model, or of the files next to it, that does not prevent reading.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ModelWarning {
     pub kind: WarningKind,
-    /// A sentence for the user.
+    /// A sentence for users.
     pub text: String,
 }
 
@@ -130,18 +129,18 @@ impl ModelWarning {
     }
 }
 
-/// What a warning is about.
+/// Subject of a [`ModelWarning`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum WarningKind {
-    /// Something is missing, is too much, or contradicts the rest.
+    /// Data is missing, superfluous or contradictory.
     Damaged,
-    /// The format does not say it, or it is not read: good to know.
+    /// The format doesn't store something, or the reader ignores it.
     Format,
-    /// Other models of the project are not read.
+    /// The project has other models, which were not read.
     OtherModels,
-    /// A dense workspace belongs to another model.
+    /// A dense workspace was made from another model.
     OtherWorkspace,
-    /// Images are not there, so that something had to be guessed.
+    /// Images are missing, so a value was guessed.
     Guessed,
 }
 
@@ -162,7 +161,7 @@ impl Scene {
         (0..self.views.len() as u32).map(ViewIndex)
     }
 
-    /// Finds a view by name, with a binary search.
+    /// Finds a view by name, in O(log n).
     pub fn find(&self, name: &str) -> Option<ViewIndex> {
         let found = self.views.binary_search_by(|v| v.name.as_str().cmp(name));
         found.ok().map(|i| ViewIndex(i as u32))
@@ -188,21 +187,21 @@ impl Scene {
         self.track_offsets[point.index()]..self.track_offsets[point.index() + 1]
     }
 
-    /// The views that observe the point, ascending; a view may occur twice.
+    /// Views that observe the point, ascending; a view may occur more than once.
     pub fn track_views(&self, point: PointIndex) -> &[ViewIndex] {
         &self.track_views[self.track(point)]
     }
 
-    /// Distance in pixels between an observation (a position in `track_pixels`) and the projection of the point that it
-    /// belongs to; `None` where the camera does not project it (a point behind it).
+    /// Reprojection error, pixels, of an observation (an index into `track_pixels`) of `point`; `None` if the camera doesn't project the point
+    /// (e.g. from behind).
     pub fn reprojection_error(&self, point: PointIndex, observation: usize) -> Option<f64> {
         let view = self.track_views[observation];
         let x_cam = self.view(view).cam_from_world.camera_from_world(&self.points[point.index()]);
         self.camera_of(view).reprojection_error(&x_cam, &self.track_pixels[observation].into())
     }
 
-    /// The mean over points of the mean over their observations, pixels, as COLMAP states it; observations without
-    /// projection do not count. `None` without any.
+    /// Mean reprojection error, pixels, computed like COLMAP's: mean over points of the mean over each point's observations. Observations without
+    /// a projection are left out; `None` if no observation has one.
     pub fn mean_reprojection_error(&self) -> Option<f64> {
         let means = (0..self.points.len()).filter_map(|p| {
             let point = PointIndex(p as u32);
@@ -211,14 +210,14 @@ impl Scene {
         mean(means)
     }
 
-    /// The median over views of (median depth of the points that the view observes) / (mean focal length in pixels): scene
-    /// units per pixel. Without any view that observes a point in front of it, `None`.
+    /// Median ground sampling distance, scene units per pixel: median over views of (median depth of the observed points) / (mean focal length in
+    /// pixels). Points behind a view are left out; `None` if no view observes a point in front of it.
     pub fn median_gsd(&self) -> Option<f64> {
         let view_points = self.view_points();
         let gsds = self.view_indices().filter_map(|view| {
             let pose = &self.view(view).cam_from_world;
             let camera = self.camera_of(view);
-            let points = view_points.of(view).iter();
+            let points = view_points.observed_by(view).iter();
             let depths = points.map(|&p| camera.depth(&pose.camera_from_world(&self.points[p.index()])));
             let depth = median(depths.filter(|&depth| depth > 0.0).collect())?;
             Some(depth / camera.mean_focal_length())
@@ -226,7 +225,7 @@ impl Scene {
         median(gsds.collect())
     }
 
-    /// Returns the scene with `origin` as the origin of world coordinates.
+    /// Returns a copy of the scene whose world origin is at `origin`.
     pub fn moved(&self, origin: Vector3<f64>) -> Scene {
         let mut scene = self.clone();
         scene.points.iter_mut().for_each(|x| *x -= origin);
@@ -236,19 +235,19 @@ impl Scene {
         scene
     }
 
-    /// The transpose of the tracks: for each view the points that it observes, ascending, each once.
+    /// Transposes the tracks: for each view the points that it observes, ascending, without duplicates.
     pub fn view_points(&self) -> ViewPoints {
         ViewPoints::new(self)
     }
 }
 
-/// The mean, or `None` of nothing.
+/// Arithmetic mean; `None` without values.
 pub(crate) fn mean(values: impl Iterator<Item = f64>) -> Option<f64> {
     let (n, sum) = values.fold((0u64, 0.0), |(n, sum), value| (n + 1, sum + value));
     (n > 0).then(|| sum / n as f64)
 }
 
-/// The middle of the values, for an even number the mean of the two in the middle.
+/// Median, for an even number of values the mean of the two in the middle; `None` without values.
 fn median(mut values: Vec<f64>) -> Option<f64> {
     let middle = values.len() / 2;
     if values.is_empty() {
@@ -260,7 +259,7 @@ fn median(mut values: Vec<f64>) -> Option<f64> {
     Some(0.5 * (low + high))
 }
 
-/// Which points each view observes (CSR by view).
+/// The points that each view observes, CSR by view.
 #[derive(Clone, Debug)]
 pub struct ViewPoints {
     offsets: Vec<usize>,
@@ -291,8 +290,8 @@ impl ViewPoints {
         Self { offsets, points }
     }
 
-    /// The points that the view observes, ascending.
-    pub fn of(&self, view: ViewIndex) -> &[PointIndex] {
+    /// Points that the view observes, ascending.
+    pub fn observed_by(&self, view: ViewIndex) -> &[PointIndex] {
         &self.points[self.offsets[view.index()]..self.offsets[view.index() + 1]]
     }
 }
@@ -313,7 +312,7 @@ mod tests {
             camera: CameraIndex(0),
             cam_from_world: pose,
         };
-        // The point behind both cameras does not count, nor does the view that observes nothing.
+        // Neither the point behind both cameras nor the view without observations counts.
         let scene = Scene {
             cameras: vec![camera],
             views: vec![view("a"), view("b"), view("c")],
@@ -329,10 +328,10 @@ mod tests {
         // View a: depths 1 and 2; view b: 2 and 4.
         assert_eq!(scene.median_gsd(), Some(0.5 * (1.5 + 3.0) / 100.0));
         assert_eq!(Scene::default().median_gsd(), None);
-        // Nothing is behind a camera that looks everywhere: view a at distances 5, 1 and 2; view b: 5, 2 and 4.
-        let everywhere = Camera::new(1, CameraModel::Equirectangular, 1000, 500, vec![1000.0, 500.0]).unwrap();
-        let focal = everywhere.mean_focal_length();
-        let scene = Scene { cameras: vec![everywhere], ..scene };
+        // No point is behind an equirectangular camera: distances of view a 5, 1 and 2, of view b 5, 2 and 4.
+        let equirectangular = Camera::new(1, CameraModel::Equirectangular, 1000, 500, vec![1000.0, 500.0]).unwrap();
+        let focal = equirectangular.mean_focal_length();
+        let scene = Scene { cameras: vec![equirectangular], ..scene };
         assert!((scene.median_gsd().unwrap() - 3.0 / focal).abs() < 1e-12);
     }
 }

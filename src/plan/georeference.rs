@@ -5,7 +5,7 @@ use std::path::Path;
 use serde::Deserialize;
 
 use crate::{
-    base::input::{self, Kind},
+    base::input::{self, FileKind},
     config::FrameSettings,
     io::project::{ModelFormat, Project},
     model::{
@@ -24,7 +24,9 @@ fn said(settings: &FrameSettings) -> Option<Georeference> {
     let utm = settings.utm.as_deref().and_then(Zone::parse);
     let utm = utm.map(|zone| Georeference::Utm { zone, offset: settings.offset.unwrap_or_default() });
     utm.or_else(|| {
-        settings.origin.map(|[latitude, longitude, height]| Georeference::at(Geodetic { longitude, latitude, height }))
+        settings
+            .origin
+            .map(|[latitude, longitude, height]| Georeference::east_north_up(Geodetic { longitude, latitude, height }))
     })
 }
 
@@ -41,7 +43,7 @@ fn written(project: &Project) -> Option<Georeference> {
     let beside = read_json::<Reference>(&folder.join("reference_lla.json"));
     let inside = || read_json::<Vec<Reconstruction>>(&project.model.path)?.into_iter().next()?.reference_lla;
     let reference = beside.or_else(inside)?;
-    Some(Georeference::at(Geodetic {
+    Some(Georeference::east_north_up(Geodetic {
         longitude: reference.longitude,
         latitude: reference.latitude,
         height: reference.altitude,
@@ -61,12 +63,12 @@ struct Reconstruction {
 }
 
 fn read_json<T: serde::de::DeserializeOwned>(path: &Path) -> Option<T> {
-    serde_json::from_slice(&input::read(path, Kind::Sparse).ok()?).ok()
+    serde_json::from_slice(&input::read(path, FileKind::Sparse).ok()?).ok()
 }
 
 /// `WGS84 UTM 15N`, then the offset of the model's coordinates.
 fn map_coordinates(path: &Path) -> Option<Georeference> {
-    let text = input::read_text(path, Kind::Settings).ok()?;
+    let text = input::read_text(path, FileKind::Settings).ok()?;
     let mut lines = text.lines();
     let zone = Zone::parse(lines.next()?.strip_prefix("WGS84 UTM ")?)?;
     let mut numbers = lines.next()?.split_whitespace().map(str::parse);

@@ -1,7 +1,7 @@
 //! Memory of each stage, forecast before it runs from what is known by then, and what keeps it within a limit.
 //!
 //! A surface of more points than the limit takes is built in tiles, one after the other; tables of visibility, confidence and fulfilment that
-//! don't fit are kept on disk ([`Keep`]), which changes no number. What is left, the scene and what is known of each triangle, has to fit:
+//! don't fit are kept on disk ([`Storage`]), which changes no number. What is left, the scene and what is known of each triangle, has to fit:
 //! where it doesn't, that is said before it is made. The figures per point were measured with `viewrank plan` on `boruszyn` and
 //! `caliterra` (800 and 760 bytes), the rest are sizes of tables and of the threads' pictures.
 
@@ -9,7 +9,7 @@ use serde::Serialize;
 
 use super::PlanError;
 use crate::{
-    base::column::{self, Keep},
+    base::column::{self, Storage},
     config::{Bytes, Settings, VisibilitySettings},
     method::{
         fulfilment::FulfilmentTable,
@@ -112,7 +112,7 @@ impl Memory {
         scene: &Scene,
         surface: &Surface,
         settings: &VisibilitySettings,
-    ) -> Result<Keep, PlanError> {
+    ) -> Result<Storage, PlanError> {
         let (threads, points) = (rayon::current_num_threads() as u64, scene.points.len() as u64);
         let triangles = surface.triangles.len() as u64;
         let picture = visibility::picture_pixels(scene, settings) * BUFFER_PIXEL + PLACE * triangles;
@@ -124,7 +124,7 @@ impl Memory {
             && fits(choosing + self.row * rows + self.most_samples().min(SAMPLES_ROW * rows))
         {
             self.visibility = drawing + VISIBILITY_ROW * rows;
-            return Ok(Keep::Memory);
+            return Ok(Storage::Memory);
         }
         let views = scene.views.len().max(1) as u64;
         let at_once = rows * views.min(column::READ_AT_ONCE as u64) / views;
@@ -132,7 +132,7 @@ impl Memory {
         self.partners = choosing + self.row * at_once + self.most_samples().min(SAMPLES_ROW * at_once);
         self.disk = (self.row + SAMPLES_ROW) * rows;
         self.keep("model with its surface", self.visibility.max(self.partners))?;
-        Ok(Keep::Disk)
+        Ok(Storage::Disk)
     }
 
     /// With the rows that there are, where memory holds them.

@@ -26,7 +26,7 @@ pub use georeference::georeference;
 pub use memory::Memory;
 pub use nothing::Nothing;
 pub use numbers::{Matcher, PlanningNumbers};
-pub use reasons::{Likest, ViewStatus};
+pub use reasons::{Substitute, ViewStatus};
 pub use stages::Stages;
 pub use timings::Timings;
 pub use warnings::unlikely_gsd;
@@ -69,11 +69,11 @@ impl Plan {
         let scene = timings.time(Stage::Read, || project.read_scene())?;
         watcher.progress(Stage::Read, 1, 1);
         watcher.check()?;
-        Self::of_scene(project, scene, settings, matcher, timings, watcher)
+        Self::from_scene(project, scene, settings, matcher, timings, watcher)
     }
 
     /// As [`Plan::new`], for the project's scene that was read before, in the time that `timings` have.
-    pub fn of_scene(
+    pub fn from_scene(
         project: &Project,
         scene: Scene,
         settings: &Settings,
@@ -100,9 +100,9 @@ impl Plan {
     }
 
     /// For each cluster, those ranked before it that do more of what it could by itself than any before them.
-    pub fn likest(&self) -> Result<Vec<Vec<Likest>>, DiskError> {
+    pub fn best_substitutes(&self) -> Result<Vec<Vec<Substitute>>, DiskError> {
         let triangles = self.stages.surface.triangles.len();
-        reasons::likest(&self.stages.fulfilment, &self.decision.ranking.order, triangles)
+        reasons::best_substitutes(&self.stages.fulfilment, &self.decision.ranking.order, triangles)
     }
 
     /// The whole ranking, best first.

@@ -84,15 +84,15 @@ impl Why<'_> {
     }
 
     fn no_cluster(&self, view: ViewIndex) -> Reason {
-        if self.model.visibility.of(view).is_empty() { Reason::Hidden } else { self.refused(view) }
+        if self.model.visibility.triangles_seen_by(view).is_empty() { Reason::Hidden } else { self.refused(view) }
     }
 
     /// Why a view with partners is no key view.
     fn not_taken(&self, cluster: usize, chosen: &ByTriangle) -> Reason {
         let ViewCluster { key, partners } = &self.clusters[cluster];
-        let (triangles, values) = self.fulfilment.of(cluster);
+        let (triangles, values) = self.fulfilment.row(cluster);
         if triangles.is_empty() {
-            let failures = self.model.visibility.of(*key).iter();
+            let failures = self.model.visibility.triangles_seen_by(*key).iter();
             let failures = failures.map(|&t| failure(&fulfilment::value(self.model, *key, partners, t)));
             return most_frequent(failures).unwrap_or(Reason::Hidden);
         }
@@ -128,7 +128,8 @@ impl Why<'_> {
     /// Of each triangle that is asked for the factors of the cluster that comes nearest to fulfilling it, the first of equals.
     fn nearest_to_success(&self, is_asked: impl Fn(usize) -> bool + Sync) -> Vec<Option<Fulfilment>> {
         let of_cluster = |cluster: &ViewCluster| -> Vec<(u32, Fulfilment)> {
-            let asked = self.model.visibility.of(cluster.key).iter().copied().filter(|&t| is_asked(t as usize));
+            let asked =
+                self.model.visibility.triangles_seen_by(cluster.key).iter().copied().filter(|&t| is_asked(t as usize));
             asked.map(|t| (t, fulfilment::value(self.model, cluster.key, &cluster.partners, t))).collect()
         };
         let nearness = |f: &Fulfilment| (f.coverage, f.value, f.confidence);
@@ -169,30 +170,34 @@ fn most_frequent(reasons: impl Iterator<Item = Reason>) -> Option<Reason> {
 }
 
 /// Of each cluster those ranked before it that do more of what it could by itself than any before them: the last of them within a cut
-/// is the likest there.
-pub(super) fn likest(table: &FulfilmentTable, order: &[u32], triangles: usize) -> Result<Vec<Vec<Likest>>, DiskError> {
+/// is the best substitute there.
+pub(super) fn best_substitutes(
+    table: &FulfilmentTable,
+    order: &[u32],
+    triangles: usize,
+) -> Result<Vec<Vec<Substitute>>, DiskError> {
     let by_triangle = ByTriangle::new(table, order, triangles)?;
     let mut end = vec![order.len(); table.clusters()];
     order.iter().enumerate().for_each(|(rank, &cluster)| end[cluster as usize] = rank);
     let of_cluster = |cluster: usize| {
-        let (triangles, values) = table.of(cluster);
+        let (triangles, values) = table.row(cluster);
         let own: f64 = values.iter().map(|&f| f64::from(f)).sum();
-        let mut likest = Vec::new();
+        let mut substitutes = Vec::new();
         let mut most = 0.0;
         for (rank, given) in by_triangle.given_by_each(triangles, values, end[cluster]).into_iter().enumerate() {
             if given > most {
                 most = given;
-                likest.push(Likest { rank, share: given / own });
+                substitutes.push(Substitute { rank, share: given / own });
             }
         }
-        likest
+        substitutes
     };
     Ok((0..table.clusters()).into_par_iter().map(of_cluster).collect())
 }
 
-/// A cluster that is like another one.
+/// A cluster that does much of what another one could do.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Likest {
+pub struct Substitute {
     /// From 0.
     pub rank: usize,
     /// Share of the other's own fulfilment that this one gives as well, 0 to 1.
@@ -227,11 +232,13 @@ mod tests {
         // Clusters 0 and 1 share the triangles of cluster 2; neither does all of them.
         let table = FulfilmentTable::new([[(0, 0.5), (1, 0.5)], [(1, 0.9), (2, 0.2)], [(1, 0.6), (2, 0.6)]]);
         let chosen = ByTriangle::new(&table, &[0, 1], 3).unwrap();
-        let (triangles, values) = table.of(2);
+        let (triangles, values) = table.row(2);
         assert!((chosen.most_by_one(triangles, values) - 0.8).abs() < 1e-6);
-        let likest = super::likest(&table, &[0, 1, 2], 3).unwrap();
-        let ranks = |of: usize| likest[of].iter().map(|l| l.rank).collect::<Vec<_>>();
+        let substitutes = super::best_substitutes(&table, &[0, 1, 2], 3).unwrap();
+        let ranks = |of: usize| substitutes[of].iter().map(|l| l.rank).collect::<Vec<_>>();
         assert_eq!([ranks(0), ranks(1), ranks(2)], [vec![], vec![0], vec![0, 1]]);
-        assert!((likest[2][0].share - 0.5 / 1.2).abs() < 1e-6 && (likest[2][1].share - 0.8 / 1.2).abs() < 1e-6);
+        assert!(
+            (substitutes[2][0].share - 0.5 / 1.2).abs() < 1e-6 && (substitutes[2][1].share - 0.8 / 1.2).abs() < 1e-6
+        );
     }
 }

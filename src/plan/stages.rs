@@ -108,7 +108,7 @@ impl Stages {
         let mut pictures = pictures;
         let agreement = timings.time(Stage::Confidence, || match confidence {
             Confidence::Photometric { .. } => {
-                let partners = |view| candidates.of(view);
+                let partners = |view| candidates.candidates_of(view);
                 let most = memory.most_samples();
                 let (agreement, troubles) =
                     Agreement::new(&geometry, &Pictures::new(project), partners, most, watcher)?;

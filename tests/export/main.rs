@@ -72,7 +72,7 @@ impl Fixture {
     /// The views that share points with this one, most first.
     pub fn connected(&self, key: ViewIndex) -> Vec<ViewIndex> {
         let mut shared = vec![0; self.scene.views.len()];
-        for &p in self.scene.view_points().of(key) {
+        for &p in self.scene.view_points().observed_by(key) {
             self.scene.track_views(p).iter().for_each(|v| shared[v.index()] += 1);
         }
         shared[key.index()] = 0;

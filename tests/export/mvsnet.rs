@@ -160,7 +160,7 @@ fn mvsnet_depth_dialect() {
     let key = &fixture.scene.view(fixture.clusters[0].key).cam_from_world;
     let points = fixture.scene.view_points();
     let depths: Vec<f64> = points
-        .of(fixture.clusters[0].key)
+        .observed_by(fixture.clusters[0].key)
         .iter()
         .map(|p| key.camera_from_world(&fixture.scene.points[p.index()]).z)
         .collect();

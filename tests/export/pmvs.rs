@@ -98,7 +98,7 @@ fn pmvs_half_pixel() {
     assert_eq!(files.0.record.pixel_shift, 0.0, "as COLMAP's own export, and written down");
     let p = numbers(&files.lines("txt/00000000.txt")[1..].join(" "));
     let view = fixture.clusters[0].key;
-    let point = fixture.scene.points[fixture.scene.view_points().of(view)[0].index()];
+    let point = fixture.scene.points[fixture.scene.view_points().observed_by(view)[0].index()];
     let row = |i: usize| p[4 * i] * point.x + p[4 * i + 1] * point.y + p[4 * i + 2] * point.z + p[4 * i + 3];
     let pixel = fixture
         .scene

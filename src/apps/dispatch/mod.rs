@@ -20,7 +20,7 @@ use crate::{
     backends::{Backend, Export, Selection, TaskRunner, recipe},
     base::{
         error::Hint,
-        input::{self, Kind},
+        input::{self, FileKind},
         shell::quoted_path,
     },
     config::{DispatchSettings, Share},
@@ -156,7 +156,7 @@ impl Dispatch {
 
     /// Markers and ranks of an older list, if it is still there.
     fn old_markers(&self, name: &str) -> Vec<(usize, String)> {
-        let text = input::read_text(&self.list_path(name), Kind::List).unwrap_or_default();
+        let text = input::read_text(&self.list_path(name), FileKind::List).unwrap_or_default();
         let entry = |line: &str| {
             let mut fields = line.split('\t');
             Some((fields.next()?.parse().ok()?, fields.next()?.to_owned()))
@@ -174,7 +174,7 @@ impl Dispatch {
         add("fuse.sh", script(include_str!("../../../integrations/slurm/fuse.sh")));
         add("logs", Contents::Folder);
         for old in old_lists {
-            if let Ok(bytes) = input::read(&self.list_path(old), Kind::List) {
+            if let Ok(bytes) = input::read(&self.list_path(old), FileKind::List) {
                 add(&format!("list-{old}.tsv"), Contents::Bytes(bytes));
             }
         }
@@ -207,7 +207,7 @@ impl Dispatch {
     /// Is the depth map of the task there, made from this key view and these partners as they lie now, or one that the plan stands around?
     pub fn is_done(&self, task: &Task) -> bool {
         let noted =
-            || input::read_text(&self.folder.join("done").join(&task.marker), Kind::Settings).unwrap_or_default();
+            || input::read_text(&self.folder.join("done").join(&task.marker), FileKind::Settings).unwrap_or_default();
         (task.rank <= self.finished || noted().trim() == task.id)
             && fs::metadata(&task.map).is_ok_and(|map| map.len() > 0)
     }
@@ -233,7 +233,7 @@ impl Dispatch {
     /// Was exactly what is done joined already?
     pub fn is_fused(&self) -> bool {
         let done: String = self.tasks.iter().filter(|t| self.is_done(t)).map(|t| format!("{}\n", t.id)).collect();
-        done.is_empty() || input::read_text(&self.folder.join("fused"), Kind::List).is_ok_and(|fused| fused == done)
+        done.is_empty() || input::read_text(&self.folder.join("fused"), FileKind::List).is_ok_and(|fused| fused == done)
     }
 }
 

@@ -96,7 +96,7 @@ fn overlaps(visit: &Visit, view: ViewIndex) -> (ViewIndex, Vec<Overlap>) {
     let centre = scene.view(view).cam_from_world.centre();
     let mut others: Vec<(f64, ViewIndex)> = scene
         .view_indices()
-        .filter(|&v| v != view && !visit.points.of(v).is_empty())
+        .filter(|&v| v != view && !visit.points.observed_by(v).is_empty())
         .map(|v| ((scene.view(v).cam_from_world.centre() - centre).norm_squared(), v))
         .collect();
     let nearer = |a: &(f64, ViewIndex), b: &(f64, ViewIndex)| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1));
@@ -105,7 +105,7 @@ fn overlaps(visit: &Visit, view: ViewIndex) -> (ViewIndex, Vec<Overlap>) {
         others.truncate(NEAREST);
     }
     others.sort_by(nearer);
-    let all = visit.points.of(view);
+    let all = visit.points.observed_by(view);
     let sample: Vec<PointIndex> = all.iter().step_by(all.len().div_ceil(SAMPLE).max(1)).copied().collect();
     let found = others.iter().filter_map(|&(_, other)| overlap(visit, view, other, &sample)).collect();
     (view, found)

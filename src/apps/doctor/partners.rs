@@ -42,7 +42,7 @@ impl Refused {
 }
 
 /// What the other views are to one.
-struct Looked {
+struct PartnerCheck {
     view: ViewIndex,
     partners: usize,
     refused: BTreeMap<Refused, usize>,
@@ -52,10 +52,10 @@ struct Looked {
 
 pub fn findings(visit: &Visit) -> Vec<Finding> {
     let views: Vec<ViewIndex> = visit.scene.view_indices().collect();
-    let looked: Vec<Looked> =
-        views.par_iter().map(|&view| look(visit.scene, visit.points, visit.backend, view)).collect();
-    let fewer = [too_few(visit, &looked), fewer_than_wanted(visit, &looked)];
-    fewer.into_iter().flatten().chain(one_position(visit, &looked)).collect()
+    let checks: Vec<PartnerCheck> =
+        views.par_iter().map(|&view| check_partners(visit.scene, visit.points, visit.backend, view)).collect();
+    let fewer = [too_few(visit, &checks), fewer_than_wanted(visit, &checks)];
+    fewer.into_iter().flatten().chain(one_position(visit, &checks)).collect()
 }
 
 /// Partners below which nothing is fulfilled with a view as key view.
@@ -66,29 +66,29 @@ fn least(visit: &Visit) -> usize {
 
 /// How many of the views that share points with this one the backend can match with it, and why the others not.
 pub fn partners_in_words(scene: &Scene, points: &ViewPoints, backend: &dyn Backend, view: ViewIndex) -> String {
-    look(scene, points, backend, view).words()
+    check_partners(scene, points, backend, view).words()
 }
 
-fn look(scene: &Scene, points: &ViewPoints, backend: &dyn Backend, view: ViewIndex) -> Looked {
+fn check_partners(scene: &Scene, points: &ViewPoints, backend: &dyn Backend, view: ViewIndex) -> PartnerCheck {
     let around = neighbours(scene, points, view);
     let pairs: Vec<PairGeometry> =
         around.iter().map(|(other, shared)| PairGeometry::new(scene, view, *other, shared)).collect();
     let (still, moving): (Vec<_>, Vec<_>) = pairs.into_iter().partition(PairGeometry::has_no_baseline);
     let gate = backend.planning().gate;
     let obstacles: Vec<Obstacle> = moving.iter().filter_map(|pair| gate.obstacle(pair)).collect();
-    let mut looked = Looked {
+    let mut check = PartnerCheck {
         view,
         partners: moving.len() - obstacles.len(),
         refused: BTreeMap::new(),
         still: still.iter().map(|pair| pair.partner).collect(),
     };
     for reason in obstacles.into_iter().map(Refused::Limit).chain(still.iter().map(|_| Refused::NoBaseline)) {
-        *looked.refused.entry(reason).or_default() += 1;
+        *check.refused.entry(reason).or_default() += 1;
     }
-    looked
+    check
 }
 
-impl Looked {
+impl PartnerCheck {
     fn words(&self) -> String {
         if self.partners == 0 && self.refused.is_empty() {
             return Reason::NoSharedPoints.words().into();
@@ -105,11 +105,11 @@ impl Looked {
 }
 
 /// Views that can be no key view. How bad that is shows in what is lost with them: points that no other view sees.
-fn too_few(visit: &Visit, looked: &[Looked]) -> Option<Finding> {
+fn too_few(visit: &Visit, checks: &[PartnerCheck]) -> Option<Finding> {
     let least = least(visit);
-    let none: Vec<&Looked> = looked.iter().filter(|l| l.partners < least).collect();
+    let none: Vec<&PartnerCheck> = checks.iter().filter(|check| check.partners < least).collect();
     let lost = lost_share(visit, &none);
-    let share = none.len() as f64 / looked.len().max(1) as f64;
+    let share = none.len() as f64 / checks.len().max(1) as f64;
     let severity = if share.max(lost) >= MOST {
         Severity::Error
     } else if lost >= LOST || share >= FEW {
@@ -131,7 +131,7 @@ fn too_few(visit: &Visit, looked: &[Looked]) -> Option<Finding> {
         let what = format!(
             "{} of {} with fewer than {least} partners that {} can match: these can be no key views; {and}",
             none.len(),
-            counted(looked.len(), "view"),
+            counted(checks.len(), "view"),
             visit.backend.name()
         );
         Finding::new(severity, "too-few-partners", what, cure).of_views(words(visit, none))
@@ -139,9 +139,9 @@ fn too_few(visit: &Visit, looked: &[Looked]) -> Option<Finding> {
 }
 
 /// Share of the sparse points that only these views see.
-fn lost_share(visit: &Visit, none: &[&Looked]) -> f64 {
+fn lost_share(visit: &Visit, none: &[&PartnerCheck]) -> f64 {
     let mut without = vec![false; visit.scene.views.len()];
-    none.iter().for_each(|l| without[l.view.index()] = true);
+    none.iter().for_each(|check| without[check.view.index()] = true);
     let tracks = || (0..visit.scene.points.len() as u32).map(|p| visit.scene.track_views(PointIndex(p)));
     // A point that one view alone observes is none of the surface (method 1.1).
     let sound = || tracks().filter(|views| views.len() > 1);
@@ -149,35 +149,35 @@ fn lost_share(visit: &Visit, none: &[&Looked]) -> f64 {
 }
 
 /// Key views with fewer than k partners.
-fn fewer_than_wanted(visit: &Visit, looked: &[Looked]) -> Option<Finding> {
+fn fewer_than_wanted(visit: &Visit, checks: &[PartnerCheck]) -> Option<Finding> {
     let (least, wanted) = (least(visit), visit.settings.partners.k as usize);
-    let few: Vec<&Looked> = looked.iter().filter(|l| (least..wanted).contains(&l.partners)).collect();
+    let few: Vec<&PartnerCheck> = checks.iter().filter(|check| (least..wanted).contains(&check.partners)).collect();
     (!few.is_empty()).then(|| {
         let what = format!("{} with fewer than the {wanted} partners that are wanted", counted(few.len(), "view"));
-        let fewest = few.iter().map(|l| l.partners).min().unwrap_or(least);
+        let fewest = few.iter().map(|check| check.partners).min().unwrap_or(least);
         let cure =
             format!("nothing, they get those that there are; partners.k = {fewest} in viewrank.toml asks for no more");
         Finding::new(Severity::Note, "fewer-partners-than-k", what, cure).of_views(words(visit, few))
     })
 }
 
-fn words(visit: &Visit, looked: Vec<&Looked>) -> Vec<ViewFinding> {
-    looked.into_iter().map(|l| visit.of(l.view, l.words())).collect()
+fn words(visit: &Visit, checks: Vec<&PartnerCheck>) -> Vec<ViewFinding> {
+    checks.into_iter().map(|check| visit.of(check.view, check.words())).collect()
 }
 
 /// Groups of views that share points but no baseline; as in rigs and panoramas that is as it should be where each has partners elsewhere.
-fn one_position(visit: &Visit, looked: &[Looked]) -> Option<Finding> {
-    let beside = |view: u32| looked[view as usize].still.iter().map(|other| other.0);
-    let groups = components(looked.len(), beside).into_iter().filter(|group| group.len() > 1);
+fn one_position(visit: &Visit, checks: &[PartnerCheck]) -> Option<Finding> {
+    let beside = |view: u32| checks[view as usize].still.iter().map(|other| other.0);
+    let groups = components(checks.len(), beside).into_iter().filter(|group| group.len() > 1);
     let groups: Vec<Vec<ViewIndex>> = groups.map(|group| group.into_iter().map(ViewIndex).collect()).collect();
     let standing: usize = groups.iter().map(|views| views.len()).sum();
     let with = |views: &[ViewIndex]| format!("with {}", visit.scene.name(views[0]));
     let views = groups.iter().flat_map(|views| views[1..].iter().map(|&v| visit.of(v, with(views)))).collect();
     let alone =
-        groups.iter().flat_map(|views| views.iter()).filter(|v| looked[v.index()].partners < least(visit)).count();
+        groups.iter().flat_map(|views| views.iter()).filter(|v| checks[v.index()].partners < least(visit)).count();
     let (severity, cure) = match alone {
         0 => (Severity::Note, "nothing: they are no partners of each other, and each has others"),
-        n if n as f64 >= MOST * looked.len() as f64 => (Severity::Error, "photograph from different places"),
+        n if n as f64 >= MOST * checks.len() as f64 => (Severity::Error, "photograph from different places"),
         _ => (
             Severity::Warning,
             "photograph from different places: they are no partners of each other, and some have no others",

@@ -125,7 +125,7 @@ fn cameras(visit: &Visit) -> Option<Finding> {
 fn behind(visit: &Visit) -> Option<Finding> {
     let scene = visit.scene;
     let share = |view: ViewIndex| {
-        let (pose, points) = (&scene.view(view).cam_from_world, visit.points.of(view));
+        let (pose, points) = (&scene.view(view).cam_from_world, visit.points.observed_by(view));
         let camera = scene.camera_of(view);
         let is_behind = |p: &&PointIndex| camera.depth(&pose.camera_from_world(&scene.points[p.index()])) <= 0.0;
         let behind = points.iter().filter(is_behind).count();

@@ -151,7 +151,7 @@ fn a_view_without_shared_points() {
     let findings = visit(&scene, "sure", &Settings::default());
     let finding = found(&findings, "too-few-partners");
     assert_eq!((finding.views.len(), finding.severity), (1, Severity::Note), "one of many");
-    assert!(said(finding, "far.jpg").contains("too few sparse points in common"));
+    assert!(said(finding, "far.jpg").contains("too few sparse points with every other"));
 }
 
 #[test]

@@ -5,7 +5,7 @@ use serde::Serialize;
 use super::{
     curve::{Curve, SHARES},
     orders,
-    run::Run,
+    run::MeasuredClusters,
 };
 use crate::{
     base::{column::TableError, progress::Watcher},
@@ -39,7 +39,7 @@ pub struct Order {
 
 /// Ours (greedy by the prediction) first, the optimum last.
 pub fn compare(
-    run: &Run,
+    run: &MeasuredClusters,
     model: &Model,
     objective: &Objective,
     watcher: &dyn Watcher,
@@ -91,7 +91,7 @@ impl Order {
 }
 
 /// After i clusters: those that are evenly spread when i are taken. What more clusters lose to fewer is not counted against them.
-fn every_nth(run: &Run, objective: &Objective) -> Curve {
+fn every_nth(run: &MeasuredClusters, objective: &Objective) -> Curve {
     let mut curve = Curve::start();
     for count in 1..=run.clusters.len() {
         let taken = run.real_curve(objective, &orders::every_nth(run.clusters.len(), count));

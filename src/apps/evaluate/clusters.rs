@@ -10,7 +10,7 @@ use walkdir::WalkDir;
 use crate::{
     base::{
         error::Hint,
-        input::{self, Kind},
+        input::{self, FileKind},
     },
     model::{
         cluster::ViewCluster,
@@ -37,7 +37,8 @@ impl Hint for ClustersError {
 
 /// In the order of the lines.
 pub fn read(path: &Path, scene: &Scene) -> Result<Vec<ViewCluster>, ClustersError> {
-    let text = input::read_text(path, Kind::List).map_err(|source| ClustersError::Io { path: path.into(), source })?;
+    let text =
+        input::read_text(path, FileKind::List).map_err(|source| ClustersError::Io { path: path.into(), source })?;
     let mut clusters = Vec::new();
     let mut keys = BTreeSet::new();
     for (line, content) in text.lines().enumerate().filter(|(_, l)| !l.trim().is_empty() && !l.starts_with('#')) {

@@ -2,7 +2,9 @@
 
 use serde::Serialize;
 
-use super::{clusters, curve::Curve, evaluation::QualityRow, measure::Quality, orders, rules::RULES, run::Run};
+use super::{
+    clusters, curve::Curve, evaluation::QualityRow, measure::Quality, orders, rules::RULES, run::MeasuredClusters,
+};
 use crate::{
     base::{column::TableError, progress::Watcher},
     config::PartnerSettings,
@@ -68,7 +70,11 @@ pub struct Compared {
 }
 
 /// Measured runs of several choices side by side, by name.
-pub fn compare(plan: &Plan, runs: &[(String, Run)], watcher: &dyn Watcher) -> Result<Vec<Compared>, TableError> {
+pub fn compare(
+    plan: &Plan,
+    runs: &[(String, MeasuredClusters)],
+    watcher: &dyn Watcher,
+) -> Result<Vec<Compared>, TableError> {
     let objective = &plan.stages.objective;
     // A view without partners has no map: what its reference shows counts as missing.
     let mut reference = vec![0; plan.stages.scene.views.len()];
@@ -77,7 +83,7 @@ pub fn compare(plan: &Plan, runs: &[(String, Run)], watcher: &dyn Watcher) -> Re
             reference[cluster.key.index()] = reference[cluster.key.index()].max(quality.reference);
         }
     }
-    let one = |(name, run): &(String, Run)| {
+    let one = |(name, run): &(String, MeasuredClusters)| {
         let predicted = Curve::new(&run.predicted, objective, &run.clusters, &run.order);
         let curve = run.real_curve(objective, &run.order);
         let best = orders::greedy(&run.real, objective, watcher)?;

@@ -25,7 +25,7 @@ impl Curve {
         let (mut reached, mut pairs) = (Reached::new(objective), 0);
         let mut curve = Self::start();
         for &c in order {
-            reached.take(table.of(c as usize));
+            reached.take(table.row(c as usize));
             pairs += clusters[c as usize].partners.len();
             curve.fulfilment.push(reached.fulfilment());
             curve.kept.push(reached.kept());

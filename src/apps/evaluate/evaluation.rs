@@ -8,8 +8,8 @@ use super::{
     baselines::{self, Order},
     curve::{Curve, SHARES},
     measure::Quality,
-    missing::{Missing, Reached},
-    run::Run,
+    missing::{MeasuredSurface, Missing},
+    run::MeasuredClusters,
 };
 use crate::{
     base::{column::TableError, progress::Watcher},
@@ -116,7 +116,7 @@ pub struct KeyView {
 }
 
 /// What to read the curves with.
-pub struct Measure<'a> {
+pub struct EvaluationOptions<'a> {
     pub objective: &'a Objective,
     /// Compare with other orders?
     pub baselines: bool,
@@ -133,12 +133,12 @@ impl Evaluation {
 
     pub fn new(
         model: &Model,
-        run: &Run,
-        reached: &Reached,
-        measure: &Measure,
+        run: &MeasuredClusters,
+        reached: &MeasuredSurface,
+        measure: &EvaluationOptions,
         watcher: &dyn Watcher,
     ) -> Result<Self, TableError> {
-        let Measure { objective, baselines } = *measure;
+        let EvaluationOptions { objective, baselines } = *measure;
         let predicted = Curve::new(&run.predicted, objective, &run.clusters, &run.order);
         let real = run.real_curve(objective, &run.order);
         let names = |views: &[ViewIndex]| views.iter().map(|&v| model.scene.name(v).to_string()).collect();
@@ -189,7 +189,7 @@ fn gaps(predicted: &Curve, real: &Curve) -> Vec<Gap> {
     SHARES.iter().filter_map(|&share| gap(share)).collect()
 }
 
-fn key_view(model: &Model, run: &Run, cluster: usize) -> KeyView {
+fn key_view(model: &Model, run: &MeasuredClusters, cluster: usize) -> KeyView {
     let names = |views: &[ViewIndex]| views.iter().map(|&v| model.scene.name(v).to_string()).collect();
     let sum = |values: &[f32]| values.iter().map(|&f| f64::from(f)).sum();
     KeyView {
@@ -197,7 +197,7 @@ fn key_view(model: &Model, run: &Run, cluster: usize) -> KeyView {
         partners: names(&run.clusters[cluster].partners),
         matched: names(&run.matched[cluster].partners),
         quality: (&run.quality[cluster]).into(),
-        predicted: sum(run.predicted.of(cluster).1),
-        real: sum(run.real.of(cluster).1),
+        predicted: sum(run.predicted.row(cluster).1),
+        real: sum(run.real.row(cluster).1),
     }
 }

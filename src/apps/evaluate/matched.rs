@@ -12,7 +12,7 @@ use walkdir::WalkDir;
 use crate::{
     base::{
         error::Hint,
-        input::{self, Kind},
+        input::{self, FileKind},
     },
     io::depthmaps::{self, DepthMapFile},
     model::{
@@ -74,7 +74,7 @@ pub fn read_report(folder: &Path, scene: &Scene) -> Result<Report, ReportError> 
 }
 
 fn read_file(path: PathBuf, scene: &Scene) -> Result<Report, ReportError> {
-    let bytes = match input::read(&path, Kind::State) {
+    let bytes = match input::read(&path, FileKind::State) {
         Ok(bytes) => bytes,
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(Report::new()),
         Err(error) => return Err(ReportError { path, what: error.to_string() }),

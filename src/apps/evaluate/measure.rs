@@ -75,7 +75,7 @@ pub struct Measured {
 pub fn measure(model: &Model, key: ViewIndex, map: DepthMap, reference: Option<&DepthMap>, elsewhere: f64) -> Measured {
     let camera = model.scene.camera_of(key);
     let picture = front(model.scene, model.surface, key, map.width, map.height);
-    let seen = model.visibility.of(key);
+    let seen = model.visibility.triangles_seen_by(key);
     let mut quality = Quality::default();
     let mut right = vec![false; picture.len()];
     let mut counts = vec![(0u32, 0u32); seen.len()];
@@ -126,7 +126,7 @@ impl Pixel {
     ) -> Self {
         let position = map.image_position(camera, column, row);
         Self {
-            depth: map.at(column, row),
+            depth: map.depth_at(column, row),
             reference: reference.map(|r| r.interpolated(camera, &position, SAME_SURFACE)),
             ray: camera.ray(&position).map_or(1.0, |ray| 1.0 / ray.z),
             shows_surface,

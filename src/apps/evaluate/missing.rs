@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use super::run::Run;
+use super::run::MeasuredClusters;
 use crate::{
     io::ply::{self, FaceField},
     method::fulfilment::{self, Model},
@@ -60,21 +60,21 @@ impl Missing {
 
 /// The surface by what was really reached.
 #[derive(Clone, Debug)]
-pub struct Reached {
+pub struct MeasuredSurface {
     /// Best real fulfilment of each triangle.
     pub fulfilment: Vec<f32>,
     /// `None`: at least half fulfilled.
     pub missing: Vec<Option<Missing>>,
 }
 
-impl Reached {
-    pub fn new(model: &Model, run: &Run) -> Self {
+impl MeasuredSurface {
+    pub fn new(model: &Model, run: &MeasuredClusters) -> Self {
         let triangles = model.surface.triangles.len();
         let mut best = vec![Best::default(); triangles];
         for (c, cluster) in run.matched.iter().enumerate() {
-            model.visibility.of(cluster.key).iter().for_each(|&t| best[t as usize].seen = true);
-            let (seen, values) = run.attainable.of(c);
-            let (real_seen, real) = run.real.of(c);
+            model.visibility.triangles_seen_by(cluster.key).iter().for_each(|&t| best[t as usize].seen = true);
+            let (seen, values) = run.attainable.row(c);
+            let (real_seen, real) = run.real.row(c);
             for (&t, &attainable) in seen.iter().zip(values) {
                 let real = real_seen.binary_search(&t).map_or(0.0, |i| real[i]);
                 best[t as usize].offer(c, attainable, real);
@@ -127,7 +127,7 @@ impl Best {
         }
     }
 
-    fn missing(&self, model: &Model, run: &Run, triangle: u32) -> Option<Missing> {
+    fn missing(&self, model: &Model, run: &MeasuredClusters, triangle: u32) -> Option<Missing> {
         if self.real >= ENOUGH {
             return None;
         }

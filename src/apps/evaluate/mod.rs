@@ -1,7 +1,7 @@
 //! Method 8: what finished depth maps really reach, against what was predicted and against other choices.
 //!
-//! A [`Run`] is a folder of depth maps of some view clusters, measured: `measure` holds a map against its reference, `matched` says which
-//! partners were really used. [`orders`] and [`rules`] are the choices of others.
+//! [`MeasuredClusters`] holds the measured depth maps of one folder: `measure` compares a map with its reference, `matched` reads which
+//! partners were really matched. [`orders`] and [`rules`] are the choices of other authors.
 
 mod baselines;
 pub mod clusters;
@@ -21,9 +21,9 @@ pub mod tables;
 mod tests;
 
 pub use compare::{Choice, Compared, choices, compare};
-pub use evaluation::{Evaluation, Measure};
+pub use evaluation::{Evaluation, EvaluationOptions};
 pub use matched::{ReportError, tried};
 pub use measure::Quality;
-pub use missing::{Missing, Reached};
+pub use missing::{MeasuredSurface, Missing};
 pub use page::page;
-pub use run::{EvaluateError, Run, Task};
+pub use run::{EvaluateError, EvaluationInput, MeasuredClusters};

@@ -3,7 +3,7 @@
 use rand_core::{Rng, SeedableRng};
 use rand_pcg::Pcg64;
 
-use super::run::Run;
+use super::run::MeasuredClusters;
 use crate::{
     base::{column::TableError, progress::Watcher},
     method::{
@@ -35,16 +35,16 @@ pub fn real_update(predicted: &FulfilmentTable, real: &FulfilmentTable, objectiv
     let mut left: Vec<u32> = (0..predicted.clusters() as u32).collect();
     let mut order = Vec::with_capacity(left.len());
     while !left.is_empty() {
-        let best = first_largest(left.iter().map(|&c| reached.gain(predicted.of(c as usize))));
+        let best = first_largest(left.iter().map(|&c| reached.gain(predicted.row(c as usize))));
         let cluster = left.remove(best);
-        reached.take(real.of(cluster as usize));
+        reached.take(real.row(cluster as usize));
         order.push(cluster);
     }
     order
 }
 
 /// `replan` (method 5.4): as `realupdate`, but what failed is remembered. `beliefs` are of the clusters of the run.
-pub fn replan(mut beliefs: Beliefs, run: &Run, objective: &Objective) -> Vec<u32> {
+pub fn replan(mut beliefs: Beliefs, run: &MeasuredClusters, objective: &Objective) -> Vec<u32> {
     let mut reached = Reached::new(objective);
     let mut left: Vec<u32> = (0..run.clusters.len() as u32).collect();
     let mut order = Vec::with_capacity(left.len());
@@ -54,7 +54,7 @@ pub fn replan(mut beliefs: Beliefs, run: &Run, objective: &Objective) -> Vec<u32
             reached.gain((triangles, &believed))
         };
         let cluster = left.remove(first_largest(left.iter().map(gain)));
-        reached.take(run.real.of(cluster as usize));
+        reached.take(run.real.row(cluster as usize));
         beliefs.learn(run.clusters[cluster as usize].key, &run.attempts[cluster as usize]);
         order.push(cluster);
     }
@@ -66,7 +66,7 @@ pub fn max_points(scene: &Scene, clusters: &[ViewCluster]) -> Vec<u32> {
     let points = scene.view_points();
     let mut cluster_of = vec![None; scene.views.len()];
     clusters.iter().enumerate().for_each(|(c, cluster)| cluster_of[cluster.key.index()] = Some(c));
-    let mut uncovered: Vec<usize> = clusters.iter().map(|c| points.of(c.key).len()).collect();
+    let mut uncovered: Vec<usize> = clusters.iter().map(|c| points.observed_by(c.key).len()).collect();
     let mut covered = vec![false; scene.points.len()];
     let mut left: Vec<u32> = (0..clusters.len() as u32).collect();
     let mut order = Vec::with_capacity(left.len());
@@ -74,7 +74,7 @@ pub fn max_points(scene: &Scene, clusters: &[ViewCluster]) -> Vec<u32> {
         let best = first_largest(left.iter().map(|&c| uncovered[c as usize] as f64));
         let cluster = left.remove(best);
         order.push(cluster);
-        for &point in points.of(clusters[cluster as usize].key) {
+        for &point in points.observed_by(clusters[cluster as usize].key) {
             if std::mem::replace(&mut covered[point.index()], true) {
                 continue;
             }

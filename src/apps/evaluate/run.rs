@@ -29,7 +29,7 @@ use crate::{
 
 /// Finished view clusters and what really came of them. All tables have a row per cluster.
 #[derive(Clone, Debug)]
-pub struct Run {
+pub struct MeasuredClusters {
     /// Those with a depth map, by name of the key view.
     pub clusters: Vec<ViewCluster>,
     /// The order in which they were to be computed, indices into `clusters`.
@@ -60,7 +60,7 @@ pub struct Run {
 }
 
 /// What to measure, and against what.
-pub struct Task<'a> {
+pub struct EvaluationInput<'a> {
     pub model: Model<'a>,
     /// In the order in which they were to be computed.
     pub clusters: &'a [ViewCluster],
@@ -70,11 +70,11 @@ pub struct Task<'a> {
     pub accuracy: f64,
 }
 
-impl Run {
-    pub fn new(task: &Task, watcher: &dyn Watcher) -> Result<Self, EvaluateError> {
+impl MeasuredClusters {
+    pub fn new(task: &EvaluationInput, watcher: &dyn Watcher) -> Result<Self, EvaluateError> {
         let scene = task.model.scene;
         let maps = depthmaps::find(task.depth_maps, scene)?;
-        let references = task.reference.map(|folder| depthmaps::find(folder, scene)?.whole()).transpose()?;
+        let references = task.reference.map(|folder| depthmaps::find(folder, scene)?.into_complete()).transpose()?;
         let report = matched::read_report(task.depth_maps, scene)?;
         let of = |set: &DepthMapSet, view| set.maps.iter().find(|m| m.view == view).cloned();
         let mut found: Vec<(ViewCluster, DepthMapFile, u32)> = Vec::new();
@@ -119,7 +119,7 @@ impl Run {
         let unreadable = unreadable.chain(broken.iter().map(DepthMapError::to_string)).collect();
         task.tables(clusters, order, &measured, &report, watcher).map(|run| Self {
             without_map,
-            strangers: maps.strangers,
+            strangers: maps.unassigned,
             unreadable,
             ..run
         })
@@ -138,7 +138,7 @@ impl Run {
     }
 }
 
-impl Task<'_> {
+impl EvaluationInput<'_> {
     /// `reference`: `Some(None)`: there are references, but none of this view; then nothing in the map is right. A map that cannot be
     /// read, perhaps because it is being written, is an error of its own.
     fn measure(
@@ -156,7 +156,7 @@ impl Task<'_> {
         let reference = match reference {
             None => None,
             Some(Some(file)) => Some(depthmaps::read_of_view(&file, scene)?),
-            Some(None) => Some(map.emptied()),
+            Some(None) => Some(map.without_depths()),
         };
         Ok(Ok(measure(&self.model, key, map, reference.as_ref(), self.accuracy)))
     }
@@ -168,7 +168,7 @@ impl Task<'_> {
         measured: &[Measured],
         report: &Report,
         watcher: &dyn Watcher,
-    ) -> Result<Run, EvaluateError> {
+    ) -> Result<MeasuredClusters, EvaluateError> {
         let scene = self.model.scene;
         let matched = clusters.iter().zip(measured);
         let matched: Vec<ViewCluster> =
@@ -182,7 +182,7 @@ impl Task<'_> {
             let tried = report.get(&c.key).map(|r| sorted(&r.tried));
             tried.is_some_and(|tried| tried != sorted(&c.partners))
         });
-        Ok(Run {
+        Ok(MeasuredClusters {
             has_reference: self.reference.is_some(),
             other_partners: other_partners.map(|c| c.key).collect(),
             quality: measured.iter().map(|m| m.quality).collect(),
@@ -203,9 +203,9 @@ impl Task<'_> {
     /// Attainable fulfilment times the measured share.
     fn real(&self, clusters: &[ViewCluster], attainable: &FulfilmentTable, measured: &[Measured]) -> FulfilmentTable {
         let of_cluster = |(c, cluster): (usize, &ViewCluster)| -> Vec<(u32, f32)> {
-            let seen = self.model.visibility.of(cluster.key);
+            let seen = self.model.visibility.triangles_seen_by(cluster.key);
             let share = |t| seen.binary_search(&t).map_or(0.0, |row| measured[c].shares[row]);
-            let (triangles, values) = attainable.of(c);
+            let (triangles, values) = attainable.row(c);
             let real = triangles.iter().zip(values).map(|(&t, &f)| (t, f * share(t)));
             real.filter(|(_, f)| *f > 0.0).collect()
         };
@@ -221,9 +221,9 @@ impl Task<'_> {
         nocp: &FulfilmentTable,
         measured: &[Measured],
     ) -> Vec<Attempt> {
-        let seen = self.model.visibility.of(clusters[cluster].key);
-        let (certain_triangles, certain) = nocp.of(cluster);
-        let (triangles, values) = predicted.of(cluster);
+        let seen = self.model.visibility.triangles_seen_by(clusters[cluster].key);
+        let (certain_triangles, certain) = nocp.row(cluster);
+        let (triangles, values) = predicted.row(cluster);
         let attempt = |(&t, &f): (&u32, &f32)| {
             let row = seen.binary_search(&t).ok()?;
             let without = certain[certain_triangles.binary_search(&t).ok()?];

@@ -1,6 +1,6 @@
 //! Real fulfilment as NumPy files beside the plan's tables (method 6).
 
-use super::run::Run;
+use super::run::MeasuredClusters;
 use crate::{
     io::output::FileSet,
     plan::Plan,
@@ -11,7 +11,7 @@ use crate::{
 /// row's key view is `real_key.npy` and the partners that were really matched are `real_partners.npy`, `real_partner_offsets.npy`
 /// (CSR); `real_order.npy`: rows in the order of the clusters; the same rows as predicted (`real_predicted*.npy`), as predicted with f_conf = 1
 /// (`real_nocp*.npy`), and as they would be if every pixel were right (`real_attainable*.npy`).
-pub fn add(plan: &Plan, run: &Run, files: &mut FileSet) {
+pub fn add(plan: &Plan, run: &MeasuredClusters, files: &mut FileSet) {
     tables::add(plan, files);
     let partners: Vec<_> = run.matched.iter().flat_map(|c| c.partners.iter().copied()).collect();
     let ends = run.matched.iter().scan(0, |sum, c| {

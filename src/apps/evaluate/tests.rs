@@ -7,7 +7,7 @@ use npyz::WriterBuilder;
 
 use super::*;
 use crate::{
-    base::{column::Keep, progress::Unwatched},
+    base::{column::Storage, progress::Unwatched},
     config::{TargetMode, TargetSettings, VisibilitySettings},
     io::depthmaps::DepthMapError,
     method::{
@@ -44,7 +44,7 @@ impl Fixture {
         let (scene, surface) = (town.scene(), town.surface());
         let settings = VisibilitySettings::default();
         let visibility =
-            visibility::estimate(&scene, &scene.view_points(), &surface, &settings, 2.0, Keep::Memory, &Unwatched)
+            visibility::estimate(&scene, &scene.view_points(), &surface, &settings, 2.0, Storage::Memory, &Unwatched)
                 .unwrap();
         let wanted = TargetSettings { gsd: Some(GSD), accuracy: None, mode: TargetMode::Absolute };
         let target = Target::new(&scene, &surface, &visibility, &wanted, GSD, 1.0);
@@ -101,9 +101,14 @@ impl Fixture {
         normal.dot(&a.coords) / normal.dot(&ray) * ray.z
     }
 
-    fn run(&self, clusters: &[ViewCluster], maps: &Path, reference: Option<&Path>) -> Result<Run, EvaluateError> {
-        let task = Task { model: self.model(), clusters, depth_maps: maps, reference, accuracy: GSD };
-        Run::new(&task, &Unwatched)
+    fn run(
+        &self,
+        clusters: &[ViewCluster],
+        maps: &Path,
+        reference: Option<&Path>,
+    ) -> Result<MeasuredClusters, EvaluateError> {
+        let task = EvaluationInput { model: self.model(), clusters, depth_maps: maps, reference, accuracy: GSD };
+        MeasuredClusters::new(&task, &Unwatched)
     }
 }
 
@@ -175,7 +180,7 @@ fn a_hole_takes_its_share_of_the_triangles_in_it() {
     let sum = |values: &[f32]| values.iter().map(|&f| f64::from(f)).sum::<f64>();
     let share = sum(&run.real.values) / sum(&run.attainable.values);
     assert!((0.4..0.9).contains(&share), "{share}");
-    let reached = Reached::new(&town.model(), &run);
+    let reached = MeasuredSurface::new(&town.model(), &run);
     assert!(reached.counts()[&Missing::MatchingFailed] > 0);
     // Without a reference each depth counts, holes do not.
     let blind = town.run(&town.clusters(2), maps.path(), None).unwrap();
@@ -198,7 +203,7 @@ fn the_report_takes_away_partners_that_were_not_matched() {
     assert_eq!(run.matched[0].partners, [ViewIndex(1)]);
     // One partner and the key view are fewer than x = 3.
     assert!(run.real.triangles.is_empty() && !run.predicted.triangles.is_empty());
-    let reached = Reached::new(&town.model(), &run);
+    let reached = MeasuredSurface::new(&town.model(), &run);
     assert!(reached.counts()[&Missing::TooFewPartners] > 0);
     assert!(run.other_partners.is_empty());
 }
@@ -211,7 +216,7 @@ fn what_does_not_fit_is_an_error_that_says_so() {
     town.write_maps(truth.path(), 1, |_, _, exact| exact);
     // A view without reference counts as wrong, not as right.
     let run = town.run(&town.clusters(2), maps.path(), Some(truth.path())).unwrap();
-    assert!(run.real.of(0).1.len() > 100 && run.real.of(1).1.is_empty());
+    assert!(run.real.row(0).1.len() > 100 && run.real.row(1).1.is_empty());
     let other = ViewCluster { key: ViewIndex(9), partners: vec![ViewIndex(1)] };
     assert!(matches!(town.run(&[other], maps.path(), None), Err(EvaluateError::NoClusters(_))));
     let path = maps.path().join(format!("{}.npy", town.scene.name(ViewIndex(0))));
@@ -231,8 +236,8 @@ fn the_page_is_whole_and_the_orders_agree_with_plain_sums() {
     let run = town.run(&town.clusters(12), maps.path(), Some(truth.path())).unwrap();
     let objective = Objective::weighing(vec![1.0; town.surface.triangles.len()], 1);
     let model = town.model();
-    let reached = Reached::new(&model, &run);
-    let how = Measure { objective: &objective, baselines: true };
+    let reached = MeasuredSurface::new(&model, &run);
+    let how = EvaluationOptions { objective: &objective, baselines: true };
     let evaluation = Evaluation::new(&model, &run, &reached, &how, &Unwatched).unwrap();
     let best: f64 = reached.fulfilment.iter().map(|&f| f64::from(f)).sum::<f64>() / objective.weights.len() as f64;
     assert!((evaluation.real - best).abs() < 1e-9);

@@ -95,7 +95,7 @@ impl<'a> Labelling<'a> {
                     x: (column as f32 + 0.5) / map.width as f32,
                     y: (row as f32 + 0.5) / map.height as f32,
                     success,
-                    measured: map.at(column, row).is_some(),
+                    measured: map.depth_at(column, row).is_some(),
                 });
             }
         }
@@ -130,7 +130,7 @@ impl<'a> Labelling<'a> {
         let centre = pose.centre();
         let towards = pose.rotation.inverse() * ray.into_inner();
         let on_surface = self.on_triangle(&centre, &towards, pixel.triangle)?;
-        let depth = pixel.map.at(pixel.column, pixel.row);
+        let depth = pixel.map.depth_at(pixel.column, pixel.row);
         let point = depth.map_or(on_surface, |z| centre + towards * (z / ray.z));
         let looking = |other: &&Other| {
             let seen = self.model.visibility.row(other.view, pixel.triangle).is_some();
@@ -227,7 +227,7 @@ fn around<'a>(
     let (column, row) = map.pixel_at(camera, position).unwrap_or((0, 0));
     let columns = column.saturating_sub(1)..(column + 2).min(map.width);
     let rows = row.saturating_sub(1)..(row + 2).min(map.height);
-    rows.flat_map(move |r| columns.clone().map(move |c| (c, r))).filter_map(|(c, r)| map.at(c, r))
+    rows.flat_map(move |r| columns.clone().map(move |c| (c, r))).filter_map(|(c, r)| map.depth_at(c, r))
 }
 
 /// Covariances of a cluster's measurements, method 3.3, made where they are asked for.
@@ -308,7 +308,7 @@ mod tests {
             &surface,
             &settings,
             4.0,
-            crate::base::column::Keep::Memory,
+            crate::base::column::Storage::Memory,
             &Unwatched,
         )
         .unwrap();

@@ -201,7 +201,7 @@ impl Lesson<'_> {
         watcher: &dyn Watcher,
     ) -> Result<Vec<T>, TrainError> {
         let finished = self.finished(watcher)?;
-        let others = |view: ViewIndex| self.candidates.of(view).to_vec();
+        let others = |view: ViewIndex| self.candidates.candidates_of(view).to_vec();
         let labelling = Labelling { model: self.model, finished: &finished, others: &others };
         let of_map = |map: &DepthMapFile| {
             watcher.check()?;
@@ -216,7 +216,7 @@ impl Lesson<'_> {
         let read = |file: &DepthMapFile| {
             watcher.check()?;
             let map = depthmaps::read_of_view(file, self.model.scene)?;
-            Ok::<_, TrainError>(map.thinned(MOST_MAP_BYTES / self.maps.len().max(1)))
+            Ok::<_, TrainError>(map.subsampled(MOST_MAP_BYTES / self.maps.len().max(1)))
         };
         let maps: Vec<_> = self.maps.par_iter().map(read).collect::<Result<_, _>>()?;
         for (file, map) in self.maps.iter().zip(maps) {

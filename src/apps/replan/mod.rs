@@ -18,7 +18,7 @@ use rayon::prelude::*;
 pub use self::again::{AgainError, again, as_written};
 use self::movement::{Place, movement};
 use crate::{
-    apps::evaluate::{EvaluateError, Run, Task},
+    apps::evaluate::{EvaluateError, EvaluationInput, MeasuredClusters},
     base::{
         error::Hint,
         input,
@@ -96,7 +96,7 @@ pub fn replan(
     earlier: &Earlier,
     maps: &Maps,
     watcher: &dyn Watcher,
-) -> Result<(Plan, Option<Run>), ReplanError> {
+) -> Result<(Plan, Option<MeasuredClusters>), ReplanError> {
     let (mut clusters, mut finished) = (Vec::new(), Finished::default());
     for found in look(&plan, earlier, maps, watcher)? {
         match found {
@@ -121,14 +121,24 @@ pub fn replan(
     Ok((rank_around(plan, finished, run.as_ref(), watcher)?, run))
 }
 
-fn measure(plan: &Plan, clusters: &[ViewCluster], folder: &Path, watcher: &dyn Watcher) -> Result<Run, EvaluateError> {
+fn measure(
+    plan: &Plan,
+    clusters: &[ViewCluster],
+    folder: &Path,
+    watcher: &dyn Watcher,
+) -> Result<MeasuredClusters, EvaluateError> {
     let model = plan.stages.model();
     let accuracy = model.target.accuracy_over_gsd * plan.stages.settings.target.gsd.unwrap_or(1.0);
-    Run::new(&Task { model, clusters, depth_maps: folder, reference: None, accuracy }, watcher)
+    MeasuredClusters::new(&EvaluationInput { model, clusters, depth_maps: folder, reference: None, accuracy }, watcher)
 }
 
 /// Puts the finished clusters in the place of those with the same key view, and ranks all again.
-fn rank_around(plan: Plan, finished: Finished, run: Option<&Run>, watcher: &dyn Watcher) -> Result<Plan, PlanError> {
+fn rank_around(
+    plan: Plan,
+    finished: Finished,
+    run: Option<&MeasuredClusters>,
+    watcher: &dyn Watcher,
+) -> Result<Plan, PlanError> {
     let Plan { mut timings, stages, .. } = plan;
     let (stages, order) = match run {
         Some(run) => with_finished(stages, run, watcher)?,
@@ -140,7 +150,11 @@ fn rank_around(plan: Plan, finished: Finished, run: Option<&Run>, watcher: &dyn 
 
 /// The stages with the finished clusters and what they really fulfil, the others believed as far as the finished ones let them be; and the finished
 /// ones in their order.
-fn with_finished(stages: Stages, run: &Run, watcher: &dyn Watcher) -> Result<(Stages, Vec<u32>), PlanError> {
+fn with_finished(
+    stages: Stages,
+    run: &MeasuredClusters,
+    watcher: &dyn Watcher,
+) -> Result<(Stages, Vec<u32>), PlanError> {
     stages.memory.before_beliefs(&stages.fulfilment)?;
     let mut beliefs = Beliefs::new(&stages.scene, &stages.surface, &stages.clusters, &stages.fulfilment);
     for (cluster, attempts) in run.clusters.iter().zip(&run.attempts) {
@@ -156,7 +170,7 @@ fn with_finished(stages: Stages, run: &Run, watcher: &dyn Watcher) -> Result<(St
     for (finished, at) in rows.values() {
         match finished {
             Some(_) => {
-                let (triangles, values) = run.real.of(*at);
+                let (triangles, values) = run.real.row(*at);
                 table.push(triangles, values)?;
                 clusters.push(run.clusters[*at].clone());
             }
@@ -211,7 +225,7 @@ fn look(plan: &Plan, earlier: &Earlier, maps: &Maps, watcher: &dyn Watcher) -> R
 }
 
 fn hash(file: &Path) -> io::Result<String> {
-    Ok(blake3::hash(&input::read(file, input::Kind::Picture)?).to_string())
+    Ok(blake3::hash(&input::read(file, input::FileKind::Picture)?).to_string())
 }
 
 /// A depth map with the cluster that it was made for.

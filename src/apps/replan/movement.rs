@@ -53,7 +53,7 @@ pub(super) fn movement(map: &DepthMap, key: &Place, partner: &Place) -> f64 {
 
 /// Where a pixel of the depth map appears in the partner's image.
 fn shown(map: &DepthMap, pixel: (u32, u32), key: &(Camera, Pose), partner: &(Camera, Pose)) -> Option<Point2<f64>> {
-    let depth = map.at(pixel.0, pixel.1)?;
+    let depth = map.depth_at(pixel.0, pixel.1)?;
     let ray = key.0.ray(&map.image_position(&key.0, pixel.0, pixel.1))?;
     let in_key = ray.into_inner() * (depth / ray.z);
     let in_world = key.1.rotation.inverse() * (in_key - key.1.translation);

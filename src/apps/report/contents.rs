@@ -232,12 +232,12 @@ impl Views {
         let footprints = footprints(&plan.stages.surface, &plan.stages.visibility, frame);
         let mut rank = vec![0u32; plan.stages.scene.views.len()];
         plan.ranked().enumerate().for_each(|(i, cluster)| rank[cluster.key.index()] = i as u32 + 1);
-        let mut likest = vec![Vec::new(); rank.len()];
+        let mut substitutes = vec![Vec::new(); rank.len()];
         plan.stages
             .clusters
             .iter()
-            .zip(plan.likest()?)
-            .for_each(|(cluster, found)| likest[cluster.key.index()] = found);
+            .zip(plan.best_substitutes()?)
+            .for_each(|(cluster, found)| substitutes[cluster.key.index()] = found);
         Ok(Self {
             names: plan.stages.scene.views.iter().map(|view| view.name.clone()).collect(),
             centres: bytes(&in_frame(frame, centres.iter())),
@@ -246,10 +246,12 @@ impl Views {
             footprint_offsets: bytes(&offsets(footprints.iter().map(Vec::len))),
             rank: bytes(&rank),
             reason: bytes(&plan.decision.views.iter().map(|&(_, reason)| reason_number(reason)).collect::<Vec<_>>()),
-            likest_offsets: bytes(&offsets(likest.iter().map(Vec::len))),
-            likest: bytes(&likest.iter().flatten().map(|l| l.rank as u32 + 1).collect::<Vec<_>>()),
-            likest_shares: bytes(&likest.iter().flatten().map(|l| l.share as f32).collect::<Vec<_>>()),
-            seen: bytes(&views().map(|view| plan.stages.visibility.of(view).len() as u32).collect::<Vec<_>>()),
+            likest_offsets: bytes(&offsets(substitutes.iter().map(Vec::len))),
+            likest: bytes(&substitutes.iter().flatten().map(|l| l.rank as u32 + 1).collect::<Vec<_>>()),
+            likest_shares: bytes(&substitutes.iter().flatten().map(|l| l.share as f32).collect::<Vec<_>>()),
+            seen: bytes(
+                &views().map(|view| plan.stages.visibility.triangles_seen_by(view).len() as u32).collect::<Vec<_>>(),
+            ),
             partners: partners(plan),
         })
     }

@@ -6,7 +6,7 @@ use serde::Serialize;
 
 use super::{ReportError, bytes, history::in_255ths, shown::Shown};
 use crate::{
-    apps::evaluate::{EvaluateError, Reached, Run, Task, curve::Curve, orders},
+    apps::evaluate::{EvaluateError, EvaluationInput, MeasuredClusters, MeasuredSurface, curve::Curve, orders},
     base::progress::Watcher,
     io::{
         depthmaps::{self, DepthMapError},
@@ -58,7 +58,7 @@ impl Real {
         };
         let mut left_out = Vec::new();
         for folder in &folders {
-            match Run::new(&task(plan, &clusters, folder, finished), watcher) {
+            match MeasuredClusters::new(&task(plan, &clusters, folder, finished), watcher) {
                 Ok(run) => {
                     left_out
                         .extend(run.unreadable.iter().map(|why| format!("not among what is really reached: {why}")));
@@ -82,11 +82,11 @@ impl Real {
         }
     }
 
-    fn of(plan: &Plan, shown: &Shown, run: &Run, clusters: &[ViewCluster], folder: &Path) -> Self {
+    fn of(plan: &Plan, shown: &Shown, run: &MeasuredClusters, clusters: &[ViewCluster], folder: &Path) -> Self {
         let model = plan.stages.model();
         let curve = Curve::new(&run.real, &plan.stages.objective, &run.clusters, &run.order);
         let rank = |&c: &u32| 1 + clusters.iter().take_while(|of| of.key != run.clusters[c as usize].key).count();
-        let reached = Reached::new(&model, run);
+        let reached = MeasuredSurface::new(&model, run);
         let shades: Vec<u8> = shown.original.iter().map(|&t| in_255ths(reached.fulfilment[t as usize])).collect();
         Self {
             folder: folder.display().to_string(),
@@ -123,8 +123,13 @@ fn in_order(plan: &Plan) -> Vec<ViewCluster> {
     order.iter().map(|&c| plan.stages.clusters[c as usize].clone()).collect()
 }
 
-fn task<'a>(plan: &'a Plan, clusters: &'a [ViewCluster], depth_maps: &'a Path, finished: &'a Finished) -> Task<'a> {
+fn task<'a>(
+    plan: &'a Plan,
+    clusters: &'a [ViewCluster],
+    depth_maps: &'a Path,
+    finished: &'a Finished,
+) -> EvaluationInput<'a> {
     let model = plan.stages.model();
     let accuracy = model.target.accuracy_over_gsd * plan.stages.settings.target.gsd.unwrap_or(1.0);
-    Task { model, clusters, depth_maps, reference: finished.reference.as_deref(), accuracy }
+    EvaluationInput { model, clusters, depth_maps, reference: finished.reference.as_deref(), accuracy }
 }

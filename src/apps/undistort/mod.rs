@@ -20,7 +20,7 @@ pub use picture::PictureError;
 use crate::{
     base::{
         error::Hint,
-        input::{self, Kind},
+        input::{self, FileKind},
         progress::{Cancelled, Stage, Watcher},
     },
     io::{
@@ -191,12 +191,12 @@ impl<'a> Job<'a> {
 
     fn read(&self, view: ViewIndex) -> Result<Vec<u8>, UndistortError> {
         let path = self.images.join(self.scene.name(view));
-        input::read(&path, Kind::Picture)
+        input::read(&path, FileKind::Picture)
             .map_err(|source| UndistortError::Image { path, source: image::ImageError::IoError(source).into() })
     }
 
     fn is_there(&self, batch: usize, views: &[ViewIndex], note: &str) -> bool {
-        input::read_text(&self.out.join(note_path(batch)), Kind::State).is_ok_and(|there| there == note)
+        input::read_text(&self.out.join(note_path(batch)), FileKind::State).is_ok_and(|there| there == note)
             && views.iter().all(|v| self.out.join("images").join(self.scene.name(*v)).exists())
     }
 
@@ -236,7 +236,7 @@ impl<'a> Job<'a> {
     fn has_model(&self) -> Result<bool, UndistortError> {
         let files = self.model()?;
         Ok(files.iter().all(|(name, bytes)| {
-            input::read(&self.out.join("sparse").join(name), Kind::Sparse).is_ok_and(|there| there == *bytes)
+            input::read(&self.out.join("sparse").join(name), FileKind::Sparse).is_ok_and(|there| there == *bytes)
         }))
     }
 

@@ -5,7 +5,7 @@
 use std::{collections::BTreeMap, path::Path};
 
 use super::{cfg, cfg::Problem};
-use crate::base::input::{self, Kind};
+use crate::base::input::{self, FileKind};
 
 /// Path of the lists in the workspace. Exports put files in place by their names, this one after the lists for COLMAP: a run that begins
 /// meanwhile notes the older one, and its maps are made anew at worst.
@@ -59,10 +59,10 @@ impl Lists {
     /// The lists that the maps of the workspace were made by up to now. Without ours these are the lists of `patch-match.cfg`, run with
     /// COLMAP's default options.
     fn before(workspace: &Path) -> Self {
-        if let Ok(text) = input::read_text(&workspace.join(MAPS), Kind::List) {
+        if let Ok(text) = input::read_text(&workspace.join(MAPS), FileKind::List) {
             return Self::read(&text);
         }
-        let text = input::read_text(&workspace.join("stereo/patch-match.cfg"), Kind::List).unwrap_or_default();
+        let text = input::read_text(&workspace.join("stereo/patch-match.cfg"), FileKind::List).unwrap_or_default();
         let kinds =
             |p: Problem| ["photometric", "geometric"].map(|k| (map_name(&p.reference, k), Made::new(&p, false, None)));
         Self::new(cfg::read_patch_match(&text).into_iter().flat_map(kinds))
@@ -88,7 +88,7 @@ impl Lists {
         let folder = workspace.join("stereo/depth_maps");
         self.0.retain(|map, entry| {
             let earlier = before.0.get(map).cloned().unwrap_or_default();
-            let noted = input::read_text(&folder.join(format!("{map}.made")), Kind::List).ok();
+            let noted = input::read_text(&folder.join(format!("{map}.made")), FileKind::List).ok();
             let made = noted.map(|note| note.trim().to_owned()).or(earlier.made).or(earlier.wanted);
             entry.made = folder.join(map).is_file().then(|| made.unwrap_or(UNKNOWN.into()));
             entry.wanted.is_some() || entry.made.is_some()

@@ -11,7 +11,7 @@ use nalgebra::{Matrix3, Vector3};
 use super::{OpenMvs, dense_config, resolution};
 use crate::{
     backends::{BackendError, Export, ExportOptions, ExportRecord, Selection, capped_scale, selection::origin_among},
-    base::input::{self, Kind},
+    base::input::{self, FileKind},
     io::{
         formats::openmvs::{Mvs, NO_POSE},
         output::Contents,
@@ -93,7 +93,7 @@ pub fn export(selection: &Selection, options: &ExportOptions, path: &Path) -> Re
 }
 
 fn read(path: &Path) -> Result<Mvs, BackendError> {
-    let bytes = input::read(path, Kind::Sparse).map_err(|source| ProjectError::Io { path: path.into(), source })?;
+    let bytes = input::read(path, FileKind::Sparse).map_err(|source| ProjectError::Io { path: path.into(), source })?;
     Ok(Mvs::read(&bytes).map_err(|fault| ProjectError::Fault { path: path.into(), fault })?)
 }
 

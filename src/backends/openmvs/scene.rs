@@ -112,8 +112,8 @@ impl<'a> Builder<'a> {
     /// Points in front of both that both observe, with their depths in the first.
     fn shared(&self, key: ViewIndex, partner: ViewIndex) -> Vec<(Point3<f64>, f64)> {
         let depth = |view: ViewIndex, x: &Point3<f64>| self.scene.view(view).cam_from_world.camera_from_world(x).z;
-        let other = self.points.of(partner);
-        let both = self.points.of(key).iter().filter(|p| other.binary_search(p).is_ok());
+        let other = self.points.observed_by(partner);
+        let both = self.points.observed_by(key).iter().filter(|p| other.binary_search(p).is_ok());
         let points = both.map(|p| self.scene.points[p.index()]).filter(|x| depth(partner, x) > 0.0);
         points.map(|x| (x, depth(key, &x))).filter(|(_, z)| *z > 0.0).collect()
     }

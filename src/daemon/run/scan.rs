@@ -251,7 +251,7 @@ impl Daemon<'_> {
 fn is_own_output(project: &Path, path: &Path, is_gone: bool) -> bool {
     let Ok(inside) = path.strip_prefix(project.join(discover::OUTPUT_FOLDER)) else { return false };
     let is_hidden = inside.components().any(|part| part.as_os_str().as_encoded_bytes().starts_with(b"."));
-    is_hidden || !is_gone && path.extension().is_some() && !depthmaps::looks_like_one(path)
+    is_hidden || !is_gone && path.extension().is_some() && !depthmaps::has_depth_map_name(path)
 }
 
 /// Folders whose changes concern the project; `named` are the files that it depends on besides model and images.

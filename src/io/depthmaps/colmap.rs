@@ -1,4 +1,4 @@
-//! COLMAP's `NAME.geometric.bin`: ASCII `W&H&C&`, then W x H x C little-endian float32, rows first within a plane.
+//! COLMAP's `NAME.geometric.bin`: ASCII `W&H&C&`, then W x H x C little-endian float32, plane by plane, row-major.
 
 use super::{DepthMap, DepthMapFormat, Parsed, floats};
 
@@ -7,12 +7,12 @@ pub(super) fn parse(bytes: &[u8], format: DepthMapFormat) -> Parsed<DepthMap> {
     let (height, at) = number(bytes, at)?;
     let (channels, at) = number(bytes, at)?;
     if channels != 1 {
-        return Err((0, format!("{channels} channels, a depth map has 1 (is this a normal map?)")));
+        return Err((0, format!("{channels} channels, expected 1 (is this a normal map?)")));
     }
     Ok(DepthMap { format, width, height, depth: floats(bytes, at, width, height)?, ids: Vec::new() })
 }
 
-/// Decimal digits up to `&`, and where the next begin.
+/// Parses decimal digits up to `&`; returns the number and the offset after the `&`.
 fn number(bytes: &[u8], start: usize) -> Parsed<(u32, usize)> {
     let bad = || (start, "expected `WIDTH&HEIGHT&CHANNELS&`".to_string());
     let rest = bytes.get(start..).ok_or_else(bad)?;

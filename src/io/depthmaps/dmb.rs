@@ -5,7 +5,7 @@ use super::{DepthMap, DepthMapFormat, Parsed, floats, u32_at};
 pub(super) fn parse(bytes: &[u8]) -> Parsed<DepthMap> {
     let (kind, height, width, channels) = (u32_at(bytes, 0)?, u32_at(bytes, 4)?, u32_at(bytes, 8)?, u32_at(bytes, 12)?);
     if kind != 1 || channels != 1 {
-        return Err((0, format!("type {kind} with {channels} channels; a depth map has type 1 and 1 channel")));
+        return Err((0, format!("type {kind} with {channels} channels, expected type 1 with 1 channel")));
     }
     Ok(DepthMap {
         format: DepthMapFormat::Dmb,

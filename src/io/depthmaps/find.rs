@@ -1,4 +1,4 @@
-//! Which depth map belongs to which view: by name, by number through `view_names.txt`, or by the image path in the file.
+//! Assigns depth map files to views: by name, by number through `view_names.txt`, or by the image path in the file.
 
 use std::{
     collections::BTreeMap,
@@ -10,16 +10,16 @@ use walkdir::WalkDir;
 
 use super::{DepthMapError, DepthMapFormat, openmvs};
 use crate::{
-    base::input::{self, Kind},
+    base::input::{self, FileKind},
     model::scene::{Scene, ViewIndex},
 };
 
-/// The bytes of a `.dmap` that hold its header.
+/// Bytes read from a `.dmap` to get its header.
 const DMAP_HEADER: u64 = 1 << 17;
 
-/// Where COLMAP writes its depth maps, below a dense workspace.
+/// COLMAP's folder of depth maps in a dense workspace.
 const COLMAP: &str = "stereo/depth_maps";
-/// Programs whose depth maps lie in a folder of their name: in the project, in viewrank's output folder or in `export`.
+/// Programs with a depth map folder of their own name: in the project, in viewrank's output folder or in `export`.
 const BY_NAME: [&str; 5] = ["sgm", "openmvs", "mvsnet", "patchmatchnet", "acmm"];
 
 /// A finished depth map of a view.
@@ -30,41 +30,42 @@ pub struct DepthMapFile {
     pub format: DepthMapFormat,
 }
 
-/// The depth maps found under a folder, one per view, ascending by view.
+/// The depth maps found under a folder.
 #[derive(Debug, Default)]
 pub struct DepthMapSet {
+    /// One per view, ascending by view.
     pub maps: Vec<DepthMapFile>,
-    /// Files that look like depth maps but belong to no view, ascending.
-    pub strangers: Vec<PathBuf>,
-    /// Files that don't say which view they belong to, and why: damaged, half written, or without their list of names. Ascending.
+    /// Files with names of depth maps that belong to no view, ascending.
+    pub unassigned: Vec<PathBuf>,
+    /// Files whose view cannot be determined (damaged, incomplete, or without their list of names), with the error; ascending.
     pub unreadable: Vec<(PathBuf, DepthMapError)>,
 }
 
 impl DepthMapSet {
-    /// The set where every file of it could be read.
+    /// Returns the set if no file is unreadable.
     ///
     /// # Errors
-    /// What is wrong with the first that could not.
-    pub fn whole(mut self) -> Result<Self, DepthMapError> {
+    /// The error of the first unreadable file.
+    pub fn into_complete(mut self) -> Result<Self, DepthMapError> {
         if self.unreadable.is_empty() { Ok(self) } else { Err(self.unreadable.swap_remove(0).1) }
     }
 }
 
-/// Where backends write their depth maps in a project, whether there are any or not: in the project or a dense workspace of it
-/// (`dense`, `dense/N`) as COLMAP does, else in a folder of the program's name.
-pub fn places(project: &Path) -> Vec<PathBuf> {
+/// Folders in which backends write their depth maps, existing or not: COLMAP's in the project or its dense workspaces (`dense`, `dense/N`),
+/// other programs' in a folder of their name.
+pub fn default_folders(project: &Path) -> Vec<PathBuf> {
     let mut workspaces = vec![project.to_path_buf(), project.join("dense")];
     workspaces.extend(sub_folders(&project.join("dense")));
     workspaces.push(project.join("viewrank/colmap"));
-    let mut places: Vec<PathBuf> = workspaces.iter().map(|workspace| workspace.join(COLMAP)).collect();
-    places.extend(BY_NAME.iter().flat_map(|kind| folders_by_name(project, kind)));
-    places.push(project.join("depth_maps"));
-    places
+    let mut folders: Vec<PathBuf> = workspaces.iter().map(|workspace| workspace.join(COLMAP)).collect();
+    folders.extend(BY_NAME.iter().flat_map(|kind| folders_by_name(project, kind)));
+    folders.push(project.join("depth_maps"));
+    folders
 }
 
-/// The folders of a project that may hold depth maps, as far as they are there.
+/// The existing ones of the [`default_folders`] of a project.
 pub fn folders(project: &Path) -> Vec<PathBuf> {
-    places(project).into_iter().filter(|folder| folder.is_dir()).collect()
+    default_folders(project).into_iter().filter(|folder| folder.is_dir()).collect()
 }
 
 fn folders_by_name(project: &Path, kind: &str) -> [PathBuf; 3] {
@@ -78,7 +79,8 @@ fn sub_folders(folder: &Path) -> Vec<PathBuf> {
     folders
 }
 
-/// Where the depth maps of a kind of program lie in a project (`dense`: its dense workspace); of another word, the folder of that name.
+/// Depth map folder of a program in a project (`dense`: its dense workspace): the first that exists, or the first candidate. Any other `kind`
+/// is a folder in the project.
 pub fn folder_of(project: &Path, dense: Option<&Path>, kind: &str) -> PathBuf {
     let candidates: Vec<PathBuf> = match kind {
         "colmap" => dense.map(|dense| dense.join(COLMAP)).into_iter().collect(),
@@ -92,19 +94,23 @@ pub fn folder_of(project: &Path, dense: Option<&Path>, kind: &str) -> PathBuf {
 /// Finds the depth maps under `folder` as [`list`] does.
 ///
 /// # Errors
-/// Those of [`list`], and where there is no map: what is wrong with the first file that could not be read, if there is one.
+/// As [`list`]; without any map, the error of the first unreadable file or [`DepthMapError::None`].
 pub fn find(folder: &Path, scene: &Scene) -> Result<DepthMapSet, DepthMapError> {
     let set = list(folder, scene)?;
-    if set.maps.is_empty() { Err(set.whole().err().unwrap_or(DepthMapError::None(folder.into()))) } else { Ok(set) }
+    if set.maps.is_empty() {
+        Err(set.into_complete().err().unwrap_or(DepthMapError::None(folder.into())))
+    } else {
+        Ok(set)
+    }
 }
 
-/// Lists the depth maps under `folder`. Of a photometric and a geometric map (COLMAP, ACMM) the geometric one is taken.
+/// Lists the depth maps under `folder`. A geometric map replaces the photometric map of the same view (COLMAP, ACMM).
 ///
 /// # Errors
-/// A folder that can't be walked, two maps of one view.
+/// If the folder cannot be listed, or a view has two maps.
 pub fn list(folder: &Path, scene: &Scene) -> Result<DepthMapSet, DepthMapError> {
     let mut best: BTreeMap<ViewIndex, (u8, PathBuf, DepthMapFormat)> = BTreeMap::new();
-    let (mut strangers, mut unreadable) = (Vec::new(), Vec::new());
+    let (mut unassigned, mut unreadable) = (Vec::new(), Vec::new());
     let mut numbers = Numbers { folder, scene, views: None };
     for entry in WalkDir::new(folder).sort_by_file_name() {
         let entry = match entry {
@@ -117,7 +123,7 @@ pub fn list(folder: &Path, scene: &Scene) -> Result<DepthMapSet, DepthMapError> 
         let view = match view_of(path, format, &mut numbers) {
             Ok(Some(view)) => view,
             Ok(None) => {
-                strangers.push(path.to_path_buf());
+                unassigned.push(path.to_path_buf());
                 continue;
             }
             Err(error) => {
@@ -128,36 +134,36 @@ pub fn list(folder: &Path, scene: &Scene) -> Result<DepthMapSet, DepthMapError> 
         let found = (rank, path.to_path_buf(), format);
         match best.get_mut(&view) {
             None => drop(best.insert(view, found)),
-            Some(kept) if kept.0 == rank => return Err(twice(scene, view, &kept.1, path)),
+            Some(kept) if kept.0 == rank => return Err(duplicate(scene, view, &kept.1, path)),
             Some(kept) if kept.0 > rank => *kept = found,
             Some(_) => {}
         }
     }
     let maps = best.into_iter().map(|(view, (_, path, format))| DepthMapFile { view, path, format }).collect();
-    Ok(DepthMapSet { maps, strangers, unreadable })
+    Ok(DepthMapSet { maps, unassigned, unreadable })
 }
 
-/// A map that a backend takes away while its folder is walked is no map.
+/// Returns whether the file was removed while its folder was being listed, as backends do.
 fn is_gone(error: &std::io::Error) -> bool {
     error.kind() == std::io::ErrorKind::NotFound
 }
 
-fn twice(scene: &Scene, view: ViewIndex, first: &Path, second: &Path) -> DepthMapError {
-    DepthMapError::Twice { view: scene.name(view).into(), first: first.into(), second: second.into() }
+fn duplicate(scene: &Scene, view: ViewIndex, first: &Path, second: &Path) -> DepthMapError {
+    DepthMapError::Duplicate { view: scene.name(view).into(), first: first.into(), second: second.into() }
 }
 
-/// Could the file be a depth map, by its name?
-pub fn looks_like_one(path: &Path) -> bool {
+/// Returns whether a file has the name of a depth map.
+pub fn has_depth_map_name(path: &Path) -> bool {
     format_of(path).is_some()
 }
 
-/// The format by the file's path below the folder, and its rank among the maps of one view (0 is taken first).
+/// Determines the format from the path below the folder, and the rank among maps of the same view (0 is best).
 fn format_of(path: &Path) -> Option<(DepthMapFormat, u8)> {
     let name = path.file_name()?.to_str()?;
     let in_folder = |word: &str| path.parent().is_some_and(|p| p.components().any(|c| c.as_os_str() == word));
-    let unwanted = in_folder("normal_maps") || in_folder("consistency_graphs") || in_folder("counts");
+    let is_other_map = in_folder("normal_maps") || in_folder("consistency_graphs") || in_folder("counts");
     match name {
-        _ if unwanted => None,
+        _ if is_other_map => None,
         _ if name.ends_with(".geometric.bin") => Some((DepthMapFormat::ColmapGeometric, 0)),
         _ if name.ends_with(".photometric.bin") => Some((DepthMapFormat::ColmapPhotometric, 1)),
         _ if is_dmap(name) && !is_unfinished(path) => Some((DepthMapFormat::OpenMvs, 0)),
@@ -170,14 +176,14 @@ fn format_of(path: &Path) -> Option<(DepthMapFormat, u8)> {
     }
 }
 
-/// `unfinished/0012-NAME/depth0012.dmap`: one that `integrations/openmvs/run.py` is making.
+/// Returns whether `integrations/openmvs/run.py` is still writing the map (`unfinished/0012-NAME/depth0012.dmap`).
 fn is_unfinished(path: &Path) -> bool {
     let mut above = path.ancestors().skip(1).filter_map(|folder| folder.file_name()?.to_str());
     above.next().is_some_and(|name| name.starts_with(|c: char| c.is_ascii_digit()))
         && above.next() == Some("unfinished")
 }
 
-/// `depth0012.dmap`, but not the `depth0012.geo.dmap` and `.filtered.dmap` that OpenMVS writes in between.
+/// Accepts `depth0012.dmap`, but not OpenMVS's intermediate `depth0012.geo.dmap` and `depth0012.filtered.dmap`.
 fn is_dmap(name: &str) -> bool {
     let digits = name.strip_prefix("depth").and_then(|n| n.strip_suffix(".dmap"));
     digits.is_some_and(|d| !d.is_empty() && d.bytes().all(|b| b.is_ascii_digit()))
@@ -202,7 +208,7 @@ fn view_of(path: &Path, format: DepthMapFormat, numbers: &mut Numbers) -> Result
     })
 }
 
-/// The view whose name is the longest tail of the path without its extension.
+/// Finds the view whose name is the longest suffix of the path without its extension.
 fn by_suffix(scene: &Scene, path: &str, extension: &str) -> Option<ViewIndex> {
     let path = path.strip_suffix(extension)?;
     let mut starts = std::iter::once(0).chain(path.match_indices('/').map(|(i, _)| i + 1));
@@ -221,7 +227,7 @@ fn dmap_image(path: &Path) -> Result<String, DepthMapError> {
     })
 }
 
-/// The numbers of `view_names.txt`, read when the first numbered map is met.
+/// The numbers of `view_names.txt`, read at the first numbered map.
 struct Numbers<'a> {
     folder: &'a Path,
     scene: &'a Scene,
@@ -229,7 +235,7 @@ struct Numbers<'a> {
 }
 
 impl Numbers<'_> {
-    /// The view of a number such as `00000012` or `00000012_init`.
+    /// Finds the view of a number such as `00000012` or `00000012_init`.
     fn view(&mut self, stem: Option<&str>) -> Result<Option<ViewIndex>, DepthMapError> {
         let digits: String = stem.unwrap_or("").chars().take_while(char::is_ascii_digit).collect();
         let Ok(number) = digits.parse::<u64>() else { return Ok(None) };
@@ -240,15 +246,15 @@ impl Numbers<'_> {
     }
 }
 
-/// `view_names.txt` in the folder or up to three above it: lines of number, tab, name.
+/// Reads `view_names.txt` in the folder or in one of the three above it: lines of number, tab, name.
 fn read_view_names(folder: &Path, scene: &Scene) -> Result<BTreeMap<u64, ViewIndex>, DepthMapError> {
     let path = folder.ancestors().take(4).map(|f| f.join("view_names.txt")).find(|p| p.is_file());
     let path = path.ok_or_else(|| DepthMapError::Names {
         path: folder.into(),
-        what: "numbered depth maps, and no view_names.txt here or above says which views they are".into(),
+        what: "numbered depth maps need a view_names.txt, which is missing here and in the three folders above".into(),
     })?;
     let text =
-        input::read_text(&path, Kind::List).map_err(|source| DepthMapError::Io { path: path.clone(), source })?;
+        input::read_text(&path, FileKind::List).map_err(|source| DepthMapError::Io { path: path.clone(), source })?;
     let mut views = BTreeMap::new();
     for (line, content) in text.lines().enumerate().filter(|(_, l)| !l.is_empty() && !l.starts_with('#')) {
         let entry = content.split_once('\t').and_then(|(n, name)| Some((n.trim().parse().ok()?, name)));

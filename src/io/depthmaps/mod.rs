@@ -1,4 +1,4 @@
-//! Finished depth maps of the backends, one file per format: bytes -> [`DepthMap`], and which file belongs to which view.
+//! Readers for the depth maps of the backends, one module per format, and the assignment of files to views.
 
 mod colmap;
 mod dmb;
@@ -16,14 +16,14 @@ use nalgebra::Point2;
 use crate::{
     base::{
         error::Hint,
-        input::{self, Kind},
+        input::{self, FileKind},
     },
     model::{camera::Camera, scene::Scene},
 };
 
-pub use find::{DepthMapFile, DepthMapSet, find, folder_of, folders, list, looks_like_one, places};
+pub use find::{DepthMapFile, DepthMapSet, default_folders, find, folder_of, folders, has_depth_map_name, list};
 
-/// Formats of depth maps.
+/// Depth map formats.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum DepthMapFormat {
@@ -41,38 +41,38 @@ pub enum DepthMapFormat {
     Npy,
 }
 
-/// Depth along the optical axis for the pixels of a (reduced) image.
+/// Depth along the optical axis for each pixel of an image, possibly reduced.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DepthMap {
     pub format: DepthMapFormat,
     pub width: u32,
     pub height: u32,
-    /// z in camera coordinates, scene units; 0 where there is none. Row-major, `width` x `height`, finite, not negative.
+    /// z in camera coordinates, scene units; `height` x `width`, row-major; finite, at least 0, 0 for no depth.
     pub depth: Vec<f32>,
-    /// The key view and the partners that the file itself names, as ids of the backend; empty where the format has none.
+    /// Backend ids of the key view and its partners, as stored in the file; empty for formats without ids.
     pub ids: Vec<u32>,
 }
 
 impl DepthMap {
-    /// The depth of a map pixel; `None` where nothing was measured.
-    pub fn at(&self, column: u32, row: u32) -> Option<f64> {
+    /// Depth at a map pixel, scene units; `None` without a measurement. Panics outside the map.
+    pub fn depth_at(&self, column: u32, row: u32) -> Option<f64> {
         let z = self.depth[row as usize * self.width as usize + column as usize];
         (z > 0.0).then(|| f64::from(z))
     }
 
-    /// Size of the map's pixels in pixels of the camera's image, along x and y.
+    /// Size of a map pixel along x and y, in pixels of the camera's image.
     pub fn pixel_size(&self, camera: &Camera) -> (f64, f64) {
         (f64::from(camera.width) / f64::from(self.width), f64::from(camera.height) / f64::from(self.height))
     }
 
-    /// The centre of a map pixel in pixels of the camera's image: what is matched there is the picture around that place, also
-    /// where a program (COLMAP, ACMM) back-projects the integer column and row.
+    /// Centre of a map pixel, in pixels of the camera's image. It is the centre of the matched patch even for programs that back-project the
+    /// integer column and row (COLMAP, ACMM).
     pub fn image_position(&self, camera: &Camera, column: u32, row: u32) -> Point2<f64> {
         let (sx, sy) = self.pixel_size(camera);
         Point2::new((f64::from(column) + 0.5) * sx, (f64::from(row) + 0.5) * sy)
     }
 
-    /// The map pixel that holds an image position; `None` outside.
+    /// Column and row of the map pixel that contains an image position; `None` outside the image.
     pub fn pixel_at(&self, camera: &Camera, position: &Point2<f64>) -> Option<(u32, u32)> {
         let (sx, sy) = self.pixel_size(camera);
         let (x, y) = (position.x / sx, position.y / sy);
@@ -80,11 +80,11 @@ impl DepthMap {
         inside.then_some((x as u32, y as u32))
     }
 
-    /// Depth at an image position: inverse depth between the four pixels around it where they lie on one surface (within
-    /// `same_surface`, a share of the depth), else that of the nearest pixel.
+    /// Depth at an image position, scene units: bilinear interpolation of inverse depth if all four neighbours have a depth and the result is
+    /// within `same_surface` (a fraction of the depth) of the nearest pixel; otherwise the depth of the nearest pixel.
     pub fn interpolated(&self, camera: &Camera, position: &Point2<f64>, same_surface: f64) -> Option<f64> {
         let (column, row) = self.pixel_at(camera, position)?;
-        let nearest = self.at(column, row);
+        let nearest = self.depth_at(column, row);
         let (sx, sy) = self.pixel_size(camera);
         let (x, y) = (position.x / sx - 0.5, position.y / sy - 0.5);
         let (left, top) = (x.floor(), y.floor());
@@ -92,7 +92,7 @@ impl DepthMap {
         let inverse = |dx: f64, dy: f64| {
             let (column, row) = (left + dx, top + dy);
             let inside = column >= 0.0 && row >= 0.0 && column < f64::from(self.width) && row < f64::from(self.height);
-            inside.then(|| self.at(column as u32, row as u32)).flatten().map(f64::recip)
+            inside.then(|| self.depth_at(column as u32, row as u32)).flatten().map(f64::recip)
         };
         let corners = [
             (inverse(0.0, 0.0), (1.0 - right) * (1.0 - down)),
@@ -100,7 +100,7 @@ impl DepthMap {
             (inverse(0.0, 1.0), (1.0 - right) * down),
             (inverse(1.0, 1.0), right * down),
         ];
-        // At the centre of a pixel its neighbours have no weight and need no depth.
+        // At a pixel centre the other corners have weight 0 and need no depth.
         let used = corners.iter().filter(|(_, weight)| *weight > 1e-9);
         let depth = used.map(|(inverse, weight)| inverse.map(|i| i * weight)).sum::<Option<f64>>().map(f64::recip);
         match (depth, nearest) {
@@ -109,15 +109,15 @@ impl DepthMap {
         }
     }
 
-    /// Is the map a scaled image of the camera, to the rounding of its size?
+    /// Returns whether the map has the aspect ratio of the camera's image, up to rounding of its size.
     pub fn fits(&self, camera: &Camera) -> bool {
         let (sx, sy) = self.pixel_size(camera);
         let rounding = 1.0 / f64::from(self.width) + 1.0 / f64::from(self.height);
         (sx / sy - 1.0).abs() <= rounding
     }
 
-    /// Every so many rows and columns of the map, so that its depths need no more than `bytes`.
-    pub fn thinned(self, bytes: usize) -> Self {
+    /// Subsamples the map with the smallest stride at which its depths take at most `bytes`.
+    pub fn subsampled(self, bytes: usize) -> Self {
         let fits = |step: u32| {
             (self.width.div_ceil(step) as usize * self.height.div_ceil(step) as usize).saturating_mul(4) <= bytes
         };
@@ -125,27 +125,28 @@ impl DepthMap {
         if step == 1 {
             return self;
         }
-        // The pixel in the middle of those that it stands for.
-        let places = |length: u32| (0..length / step).map(move |i| (i * step + step / 2) as usize);
+        // The middle pixel of each block.
+        let positions = |length: u32| (0..length / step).map(move |i| (i * step + step / 2) as usize);
         let (width, height) = (self.width / step, self.height / step);
         if width == 0 || height == 0 {
             return self;
         }
-        let row = |y: usize| places(self.width).map(move |x| (x, y));
-        let depth = places(self.height).flat_map(row).map(|(x, y)| self.depth[y * self.width as usize + x]).collect();
+        let row = |y: usize| positions(self.width).map(move |x| (x, y));
+        let depth =
+            positions(self.height).flat_map(row).map(|(x, y)| self.depth[y * self.width as usize + x]).collect();
         Self { format: self.format, width, height, depth, ids: self.ids }
     }
 
-    /// The same map without any depth.
-    pub fn emptied(&self) -> Self {
+    /// Returns a map of the same size without any depth.
+    pub fn without_depths(&self) -> Self {
         Self { depth: vec![0.0; self.depth.len()], ids: Vec::new(), ..*self }
     }
 }
 
-/// Why a depth map can't be read.
+/// Error of finding or reading depth maps.
 #[derive(Debug, thiserror::Error)]
 pub enum DepthMapError {
-    #[error("{path}: {source}")]
+    #[error("cannot read {path}: {source}")]
     Io { path: PathBuf, source: std::io::Error },
     #[error("{path}: byte {byte}: {what}")]
     Format { path: PathBuf, byte: usize, what: String },
@@ -154,41 +155,45 @@ pub enum DepthMapError {
     #[error("{path}: {what}")]
     Names { path: PathBuf, what: String },
     #[error("two depth maps of view {view}: {first} and {second}")]
-    Twice { view: String, first: PathBuf, second: PathBuf },
-    #[error("view {view} has a {model} camera, depth maps are of undistorted images")]
+    Duplicate { view: String, first: PathBuf, second: PathBuf },
+    #[error("depth maps need undistorted images, but view {view} has a {model} camera")]
     Distorted { view: String, model: &'static str },
-    #[error("{}: {} x {} pixels do not have the shape of {view}, {} x {}", .path.display(), .map[0], .map[1], .image[0], .image[1])]
+    #[error("{}: {} x {} pixels don't have the aspect ratio of {view}, {} x {}", .path.display(), .map[0], .map[1], .image[0], .image[1])]
     Shape { path: PathBuf, map: [u32; 2], view: String, image: [u32; 2] },
 }
 
 impl Hint for DepthMapError {
     fn hint(&self) -> Option<String> {
         let hint = match self {
-            Self::Io { .. } => "check that the file is there and may be read",
-            Self::Format { .. } => "compute this depth map again or take it away: it is damaged or still being written",
+            Self::Io { .. } => "check that the file exists and is readable",
+            Self::Format { .. } => "compute this depth map again or remove it: it is damaged or still being written",
             Self::None(_) => {
-                "give the folder that holds COLMAP's stereo/depth_maps, OpenMVS's depthNNNN.dmap, MVSNet's NNNNNNNN.pfm, ACMM's \
+                "name the folder with COLMAP's stereo/depth_maps, OpenMVS's depthNNNN.dmap, MVSNet's NNNNNNNN.pfm, ACMM's \
                  2333_NNNNNNNN/depths.dmb, or NAME.npy of integrations/sgm"
             }
-            Self::Names { .. } => "give the view_names.txt that `viewrank export` writes beside pair.txt",
-            Self::Twice { .. } => "give a folder that holds the depth maps of one run",
-            Self::Distorted { .. } => "work in the undistorted workspace that the depth maps were made in",
-            Self::Shape { .. } => "give depth maps of these images, whole and not cropped",
+            Self::Names { .. } => "copy the view_names.txt that `viewrank export` writes next to pair.txt",
+            Self::Duplicate { .. } => "name a folder with the depth maps of one run",
+            Self::Distorted { .. } => "use the undistorted workspace in which the depth maps were made",
+            Self::Shape { .. } => "use uncropped depth maps of these images",
         };
         Some(hint.into())
     }
 }
 
-/// What is wrong at which byte; the path is added where the file is known.
+/// A parse result; an error has the byte offset and the problem, the caller adds the path.
 type Parsed<T> = Result<T, (usize, String)>;
 
 /// Reads one depth map.
 pub fn read(path: &Path, format: DepthMapFormat) -> Result<DepthMap, DepthMapError> {
-    let bytes = input::read(path, Kind::Picture).map_err(|source| DepthMapError::Io { path: path.into(), source })?;
+    let bytes =
+        input::read(path, FileKind::Picture).map_err(|source| DepthMapError::Io { path: path.into(), source })?;
     parse(&bytes, format).map_err(|(byte, what)| DepthMapError::Format { path: path.into(), byte, what })
 }
 
-/// Reads the depth map of a view of the scene: a pinhole view, and a map of its image's shape.
+/// Reads the depth map of a view of the scene.
+///
+/// # Errors
+/// As [`read`], and if the view isn't a pinhole view or the map doesn't have the aspect ratio of its image.
 pub fn read_of_view(file: &DepthMapFile, scene: &Scene) -> Result<DepthMap, DepthMapError> {
     let camera = scene.camera_of(file.view);
     let view = || scene.name(file.view).to_string();
@@ -203,7 +208,7 @@ pub fn read_of_view(file: &DepthMapFile, scene: &Scene) -> Result<DepthMap, Dept
     Ok(map)
 }
 
-/// Parses the bytes of one depth map; memory is bounded by the length of the bytes.
+/// Parses the bytes of one depth map. Allocates memory proportional to the length of `bytes`.
 pub fn parse(bytes: &[u8], format: DepthMapFormat) -> Parsed<DepthMap> {
     let mut map = match format {
         DepthMapFormat::ColmapGeometric | DepthMapFormat::ColmapPhotometric => colmap::parse(bytes, format),
@@ -220,12 +225,12 @@ pub fn parse(bytes: &[u8], format: DepthMapFormat) -> Parsed<DepthMap> {
     Ok(map)
 }
 
-/// `width` x `height` little-endian floats from `start`; wrong sizes are found before anything is allocated.
+/// Reads `width` x `height` little-endian f32 from `start`; checks the size before it allocates.
 fn floats(bytes: &[u8], start: usize, width: u32, height: u32) -> Parsed<Vec<f32>> {
     let pixels = u64::from(width) * u64::from(height);
     let left = bytes.len().saturating_sub(start) as u64;
     if pixels == 0 {
-        return Err((0, "a map of no pixels".into()));
+        return Err((0, "the map has no pixels".into()));
     }
     if left < pixels.saturating_mul(4) {
         return Err((
@@ -237,9 +242,9 @@ fn floats(bytes: &[u8], start: usize, width: u32, height: u32) -> Parsed<Vec<f32
     Ok(data.chunks_exact(4).map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect())
 }
 
-/// The little-endian u32 at a byte.
+/// Reads the little-endian u32 at a byte offset.
 fn u32_at(bytes: &[u8], at: usize) -> Parsed<u32> {
     let four = at.checked_add(4).and_then(|end| bytes.get(at..end));
-    let four = four.ok_or_else(|| (at, "the file ends here, 4 more bytes expected".to_string()))?;
+    let four = four.ok_or_else(|| (at, "unexpected end of file, expected 4 bytes".to_string()))?;
     Ok(u32::from_le_bytes([four[0], four[1], four[2], four[3]]))
 }

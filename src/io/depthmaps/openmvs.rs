@@ -1,5 +1,5 @@
-//! OpenMVS's `depthNNNN.dmap`: header, image path, ids (key view first, then the partners used), K R C, depth plane; the
-//! planes behind it (normals, confidence, views) are not read.
+//! OpenMVS's `depthNNNN.dmap`: header, image path, ids (key view first, then the partners used), K R C, depth plane. The
+//! planes after it (normals, confidence, views) are ignored.
 
 use super::{DepthMap, DepthMapFormat, Parsed, floats, u32_at};
 
@@ -7,7 +7,7 @@ use super::{DepthMap, DepthMapFormat, Parsed, floats, u32_at};
 const FIXED: usize = 28;
 /// K, R and C in f64.
 const MATRICES: usize = (9 + 9 + 3) * 8;
-/// OpenMVS uses 12 partners by default; more than this is no list of partners.
+/// Largest plausible number of ids; OpenMVS uses 12 partners by default.
 const MOST_IDS: u32 = 4096;
 
 pub(super) fn parse(bytes: &[u8]) -> Parsed<DepthMap> {
@@ -21,31 +21,33 @@ pub(super) fn parse(bytes: &[u8]) -> Parsed<DepthMap> {
     })
 }
 
-/// What stands before the depth plane.
+/// Everything before the depth plane.
 pub(super) struct Header {
     pub width: u32,
     pub height: u32,
     /// Path of the image, relative to the map's folder.
     pub image: String,
     pub ids: Vec<u32>,
-    /// Bytes before the depth plane.
+    /// Offset of the depth plane, bytes.
     pub length: usize,
 }
 
 pub(super) fn header(bytes: &[u8]) -> Parsed<Header> {
     if bytes.len() < FIXED + 2 || &bytes[..2] != b"DR" {
-        return Err((0, "not a .dmap (`DR` expected)".into()));
+        return Err((0, "not a .dmap file, expected `DR`".into()));
     }
     if bytes[2] & 1 == 0 {
-        return Err((2, "the file holds no depth plane".into()));
+        return Err((2, "the file has no depth plane".into()));
     }
     let (width, height) = (u32_at(bytes, 12)?, u32_at(bytes, 16)?);
     let name_length = usize::from(u16::from_le_bytes([bytes[FIXED], bytes[FIXED + 1]]));
     let name_end = FIXED + 2 + name_length;
-    let name = bytes.get(FIXED + 2..name_end).ok_or_else(|| (FIXED, "the image path is cut".to_string()))?;
+    let name = bytes
+        .get(FIXED + 2..name_end)
+        .ok_or_else(|| (FIXED, "unexpected end of file in the image path".to_string()))?;
     let count = u32_at(bytes, name_end)?;
     if count > MOST_IDS {
-        return Err((name_end, format!("{count} ids of partners")));
+        return Err((name_end, format!("{count} ids of views, at most {MOST_IDS} are plausible")));
     }
     let ids = (0..count as usize).map(|i| u32_at(bytes, name_end + 4 + 4 * i)).collect::<Parsed<Vec<u32>>>()?;
     let length = name_end + 4 + 4 * ids.len() + MATRICES;

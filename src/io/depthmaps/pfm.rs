@@ -1,11 +1,11 @@
-//! Portable float map: `Pf`, width and height, scale (negative: little-endian), then rows from the bottom to the top.
+//! Portable float map: `Pf`, width and height, scale (negative: little-endian), then rows from bottom to top.
 
 use super::{DepthMap, DepthMapFormat, Parsed, floats};
 
 pub(super) fn parse(bytes: &[u8]) -> Parsed<DepthMap> {
     let (magic, at) = word(bytes, 0)?;
     if magic != "Pf" {
-        return Err((0, "expected `Pf` (a map of one channel)".into()));
+        return Err((0, "expected `Pf` (one channel)".into()));
     }
     let (width, at) = number::<u32>(bytes, at)?;
     let (height, at) = number::<u32>(bytes, at)?;
@@ -20,11 +20,11 @@ pub(super) fn parse(bytes: &[u8]) -> Parsed<DepthMap> {
 
 fn number<T: std::str::FromStr>(bytes: &[u8], start: usize) -> Parsed<(T, usize)> {
     let (text, next) = word(bytes, start)?;
-    let value = text.parse().map_err(|_| (start, format!("`{text}` is no number")))?;
+    let value = text.parse().map_err(|_| (start, format!("`{text}` isn't a number")))?;
     Ok((value, next))
 }
 
-/// The next word, which ends at one white-space byte, and where the rest begins.
+/// The next word, up to a white-space byte, and the offset after that byte.
 fn word(bytes: &[u8], start: usize) -> Parsed<(&str, usize)> {
     let rest = &bytes[start.min(bytes.len())..];
     let end = rest.iter().take(40).position(u8::is_ascii_whitespace);

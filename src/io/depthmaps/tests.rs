@@ -1,4 +1,4 @@
-//! Literal bytes of each format, files of the programs themselves (`fixtures/depthmaps`), and hostile bytes.
+//! Tests on literal bytes of each format, on files that the programs wrote (`fixtures/depthmaps`), and on corrupted bytes.
 
 use std::path::PathBuf;
 
@@ -28,13 +28,13 @@ fn floats_le(values: &[f32]) -> Vec<u8> {
     values.iter().flat_map(|v| v.to_le_bytes()).collect()
 }
 
-/// 10 + row + column / 8 with a hole, as `fixtures/depthmaps/make.py` writes it.
+/// Expects depths of 10 + row + column / 8 with one hole, as `fixtures/depthmaps/make.py` writes them.
 fn assert_is_ramp(map: &DepthMap) {
     assert_eq!((map.width, map.height), (6, 4));
     for (row, column) in (0..4).flat_map(|r| (0..6).map(move |c| (r, c))) {
         let expected = (row, column) != (1, 2);
         let depth = f64::from(row) + f64::from(column) / 8.0 + 10.0;
-        assert_eq!(map.at(column, row), expected.then_some(depth), "row {row}, column {column}");
+        assert_eq!(map.depth_at(column, row), expected.then_some(depth), "row {row}, column {column}");
     }
 }
 
@@ -54,10 +54,10 @@ fn reads_a_file_of_openmvs() {
     let map = read(&fixture("depth0040.dmap"), DepthMapFormat::OpenMvs).unwrap();
     assert_eq!((map.width, map.height), (62, 46));
     assert_eq!(map.ids, [40, 43, 39, 41, 56]);
-    // As read by a reader in Python.
+    // Values from an independent reader in Python.
     assert_eq!(map.depth.iter().filter(|&&z| z > 0.0).count(), 1806);
-    assert_eq!(map.at(31, 23), Some(f64::from(55.46964f32)));
-    assert_eq!(map.at(0, 0), None);
+    assert_eq!(map.depth_at(31, 23), Some(f64::from(55.46964f32)));
+    assert_eq!(map.depth_at(0, 0), None);
 }
 
 #[test]
@@ -80,18 +80,18 @@ fn reads_big_endian_pfm_from_the_bottom_up() {
 }
 
 #[test]
-fn normal_maps_and_cut_files_are_named_as_such() {
+fn errors_identify_normal_maps_and_truncated_files() {
     let mut normals = b"2&1&3&".to_vec();
     normals.extend(floats_le(&[0.0; 6]));
     assert!(parse(&normals, DepthMapFormat::ColmapGeometric).unwrap_err().1.contains("normal map"));
-    let mut cut = b"2&2&1&".to_vec();
-    cut.extend(floats_le(&[1.0; 3]));
-    let (byte, what) = parse(&cut, DepthMapFormat::ColmapGeometric).unwrap_err();
+    let mut truncated = b"2&2&1&".to_vec();
+    truncated.extend(floats_le(&[1.0; 3]));
+    let (byte, what) = parse(&truncated, DepthMapFormat::ColmapGeometric).unwrap_err();
     assert_eq!((byte, what.as_str()), (6, "2 x 2 pixels need 16 bytes, 12 are left"));
 }
 
 #[test]
-fn sizes_beyond_the_file_allocate_nothing() {
+fn sizes_larger_than_the_file_are_refused() {
     let hostile: [(&[u8], DepthMapFormat); 4] = [
         (b"4294967295&4294967295&1&\0\0\0\0", DepthMapFormat::ColmapGeometric),
         (b"Pf\n4294967295 4294967295\n-1\n\0\0\0\0", DepthMapFormat::Pfm),
@@ -111,7 +111,7 @@ fn deep_nesting_in_a_numpy_header_is_refused() {
     let mut bytes = b"\x93NUMPY\x02\0\0\0\x01\0".to_vec();
     bytes.extend(std::iter::repeat_n(b'(', 1 << 16));
     assert!(parse(&bytes, DepthMapFormat::Npy).unwrap_err().1.contains("longer"));
-    // The longest that is parsed.
+    // The longest header that is parsed.
     let mut bytes = b"\x93NUMPY\x01\0\0\x02".to_vec();
     bytes.extend(std::iter::repeat_n(b'(', 512));
     assert!(parse(&bytes, DepthMapFormat::Npy).is_err());
@@ -119,14 +119,14 @@ fn deep_nesting_in_a_numpy_header_is_refused() {
 
 proptest! {
     #[test]
-    fn no_bytes_make_a_reader_panic(bytes in proptest::collection::vec(any::<u8>(), 0..200)) {
+    fn no_reader_panics_on_random_bytes(bytes in proptest::collection::vec(any::<u8>(), 0..200)) {
         for format in ALL {
             let _ = parse(&bytes, format);
         }
     }
 
     #[test]
-    fn no_damage_to_a_real_file_makes_a_reader_panic(at in 0usize..240, byte: u8, keep in 0usize..240) {
+    fn no_reader_panics_on_a_damaged_file(at in 0usize..240, byte: u8, keep in 0usize..240) {
         for (name, format) in [
             ("depth_maps/IMG_9394.jpg.geometric.bin", DepthMapFormat::ColmapGeometric),
             ("00000003.pfm", DepthMapFormat::Pfm),
@@ -165,7 +165,7 @@ fn scene(names: &[&str]) -> Scene {
 }
 
 #[test]
-fn map_pixels_and_image_positions_are_each_others_inverse() {
+fn pixel_at_inverts_image_position() {
     let map = read(&fixture("00000003.pfm"), DepthMapFormat::Pfm).unwrap();
     assert_eq!(map.pixel_size(&camera()), (2.0, 2.0));
     assert_eq!(map.image_position(&camera(), 0, 0), Point2::new(1.0, 1.0));
@@ -177,7 +177,7 @@ fn map_pixels_and_image_positions_are_each_others_inverse() {
     assert_eq!(map.pixel_at(&camera(), &Point2::new(-0.1, 3.0)), None);
 }
 
-/// A folder with these files, each a copy of the fixture behind it.
+/// A folder with these files (name, fixture to copy).
 fn folder(files: &[(&str, &str)]) -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
     for (name, from) in files {
@@ -195,7 +195,7 @@ fn found(set: &DepthMapSet) -> Vec<(u32, DepthMapFormat)> {
 const BIN: &str = "depth_maps/IMG_9394.jpg.geometric.bin";
 
 #[test]
-fn finds_colmaps_geometric_maps_first_and_no_normal_maps() {
+fn prefers_colmaps_geometric_maps_and_ignores_normal_maps() {
     let scene = scene(&["IMG_9394.jpg", "flight 1/IMG_9394.jpg"]);
     let folder = folder(&[
         ("depth_maps/IMG_9394.jpg.photometric.bin", BIN),
@@ -206,7 +206,7 @@ fn finds_colmaps_geometric_maps_first_and_no_normal_maps() {
     ]);
     let set = find(folder.path(), &scene).unwrap();
     assert_eq!(found(&set), [(0, DepthMapFormat::ColmapGeometric), (1, DepthMapFormat::ColmapPhotometric)]);
-    assert_eq!(set.strangers, [folder.path().join("depth_maps/other.jpg.photometric.bin")]);
+    assert_eq!(set.unassigned, [folder.path().join("depth_maps/other.jpg.photometric.bin")]);
 }
 
 #[test]
@@ -234,13 +234,13 @@ fn two_maps_of_one_view_are_an_error_that_names_both() {
     let folder =
         folder(&[("a/IMG_9394.jpg.npy", npy), ("b/IMG_9394.jpg.npy", npy), ("b/counts/IMG_9394.jpg.npy", npy)]);
     let error = find(folder.path(), &scene).unwrap_err();
-    let DepthMapError::Twice { view, first, second } = &error else { panic!("{error}") };
+    let DepthMapError::Duplicate { view, first, second } = &error else { panic!("{error}") };
     assert_eq!(view, "IMG_9394.jpg");
     assert!(first.ends_with("a/IMG_9394.jpg.npy") && second.ends_with("b/IMG_9394.jpg.npy"));
 }
 
 #[test]
-fn a_map_that_cannot_be_read_is_named_and_hides_no_other() {
+fn an_unreadable_map_is_listed_without_hiding_the_others() {
     let scene = scene(&["IMG_9394.jpg", "IMG_9395.jpg"]);
     let folder = folder(&[("depth0040.dmap", "depth0040.dmap"), ("IMG_9394.jpg.npy", "IMG_9394.jpg.npy")]);
     std::fs::write(folder.path().join("depth0001.dmap"), "DR").unwrap();
@@ -249,7 +249,7 @@ fn a_map_that_cannot_be_read_is_named_and_hides_no_other() {
     assert_eq!(found(&set), [(0, DepthMapFormat::Npy), (1, DepthMapFormat::OpenMvs)]);
     let unreadable: Vec<_> = set.unreadable.iter().map(|(path, _)| path.file_name().unwrap()).collect();
     assert_eq!(unreadable, ["00000007.pfm", "depth0001.dmap"]);
-    assert!(matches!(set.whole(), Err(DepthMapError::Names { .. })));
+    assert!(matches!(set.into_complete(), Err(DepthMapError::Names { .. })));
     for name in ["depth0040.dmap", "IMG_9394.jpg.npy", "00000007.pfm"] {
         std::fs::remove_file(folder.path().join(name)).unwrap();
     }
@@ -258,7 +258,7 @@ fn a_map_that_cannot_be_read_is_named_and_hides_no_other() {
 }
 
 #[test]
-fn no_maps_at_all_is_an_error() {
+fn a_folder_without_maps_is_an_error() {
     let folder = folder(&[("else.txt", BIN)]);
     assert!(matches!(find(folder.path(), &scene(&["a.jpg"])), Err(DepthMapError::None(_))));
     assert!(matches!(find(&folder.path().join("no"), &scene(&["a.jpg"])), Err(DepthMapError::Io { .. })));

@@ -14,7 +14,7 @@ use std::{
 };
 
 use super::OutputError;
-use crate::base::input::{self, Kind};
+use crate::base::input::{self, FileKind};
 
 /// `root/name` without symbolic links in `root`, if no folder on the way is a link out of it or a file.
 pub fn own_path(root: &Path, name: &str) -> Result<PathBuf, OutputError> {
@@ -36,7 +36,7 @@ pub fn open_own(root: &Path, name: &str) -> Result<File, OutputError> {
 /// The bytes of a file of ours; errors as of [`open_own`], and where it is larger than any that we write.
 pub fn read_own(root: &Path, name: &str) -> Result<Vec<u8>, OutputError> {
     let file = open_own(root, name)?;
-    input::read_all(file, Kind::State).map_err(|error| OutputError::new(&root.join(name), error))
+    input::read_all(file, FileKind::State).map_err(|error| OutputError::new(&root.join(name), error))
 }
 
 /// Opens the lock file at `path`, which may be new; what is in it stays.

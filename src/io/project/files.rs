@@ -9,7 +9,7 @@ use std::{
 use super::{ModelFormat, ModelLocation, ProjectError};
 use crate::{
     base::{
-        input::{self, Kind},
+        input::{self, FileKind},
         large_pages,
     },
     io::formats::{Bytes, Fault, colmap::ColmapModel, colmap_bin, colmap_text},
@@ -24,10 +24,10 @@ pub(super) fn read(path: &Path) -> Result<Vec<u8>, ProjectError> {
     let fail = |source| ProjectError::Io { path: path.into(), source };
     let file = input::open(path).map_err(fail)?;
     let length = file.metadata().map_err(fail)?.len();
-    input::check_length(length, Kind::Sparse).map_err(fail)?;
+    input::check_length(length, FileKind::Sparse).map_err(fail)?;
     let mut bytes = large_pages::room_for(usize::try_from(length).unwrap_or(usize::MAX)).map_err(|e| fail(e.into()))?;
-    file.take(Kind::Sparse.limit() + 1).read_to_end(&mut bytes).map_err(fail)?;
-    input::check_length(bytes.len() as u64, Kind::Sparse).map_err(fail)?;
+    file.take(FileKind::Sparse.limit() + 1).read_to_end(&mut bytes).map_err(fail)?;
+    input::check_length(bytes.len() as u64, FileKind::Sparse).map_err(fail)?;
     Ok(bytes)
 }
 

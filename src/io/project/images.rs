@@ -13,7 +13,7 @@ use walkdir::WalkDir;
 
 use super::Project;
 use crate::{
-    base::input::{self, Kind},
+    base::input::{self, FileKind},
     io::formats::foreign::Foreign,
     model::scene::{Scene, ViewIndex},
 };
@@ -60,7 +60,7 @@ pub(super) fn with_extension(folders: &[PathBuf], name: &str) -> String {
 
 /// `image_path` of the settings that COLMAP leaves beside a model.
 fn said_by_colmap(model: &Path) -> Option<PathBuf> {
-    let settings = input::read_text(&model.join("project.ini"), Kind::Settings).ok()?;
+    let settings = input::read_text(&model.join("project.ini"), FileKind::Settings).ok()?;
     let value = settings.lines().find_map(|line| line.trim().strip_prefix("image_path")?.trim().strip_prefix('='))?;
     Some(model.join(value.trim()))
 }

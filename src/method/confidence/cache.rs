@@ -13,7 +13,7 @@ use std::{
 use serde::{Deserialize, Serialize};
 
 use super::{ConfidenceMap, Predicted};
-use crate::base::input::{self, Kind};
+use crate::base::input::{self, FileKind};
 
 const MAGIC: &[u8] = b"viewrank confidence maps 1\n";
 
@@ -109,7 +109,7 @@ impl Cache {
 
     /// Empty where there is no whole file of this predictor.
     pub fn read(path: &Path, predictor: &str) -> Self {
-        input::read(path, Kind::State).ok().and_then(|bytes| Self::parse(&bytes, predictor)).unwrap_or_default()
+        input::read(path, FileKind::State).ok().and_then(|bytes| Self::parse(&bytes, predictor)).unwrap_or_default()
     }
 
     /// The entry of a view whose files nobody has written to.

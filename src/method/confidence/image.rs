@@ -4,7 +4,7 @@
 
 use std::{io::Cursor, path::Path};
 
-use crate::base::input::{self, Kind};
+use crate::base::input::{self, FileKind};
 use fast_image_resize::{FilterType, PixelType, ResizeAlg, ResizeOptions, Resizer, images::Image as Pixels};
 use image::{ImageFormat, ImageReader, Limits};
 use jpeg_decoder::PixelFormat;
@@ -55,7 +55,7 @@ pub enum ImageError {
 impl Image {
     /// Reads an image file and reduces it to the size that is wanted of one of its width and height.
     pub fn read(path: &Path, wanted: impl Fn([u32; 2]) -> [u32; 2]) -> Result<Self, ImageError> {
-        Self::decode(&input::read(path, Kind::Picture)?, wanted)
+        Self::decode(&input::read(path, FileKind::Picture)?, wanted)
     }
 
     /// Decodes the bytes of an image file and reduces it to the size that is wanted of one of its width and height.

@@ -69,13 +69,13 @@ impl Nearest {
     ) -> Result<Column<f32>, TableError> {
         let of_view = |observed: &mut Vec<bool>, view: ViewIndex| {
             watcher.check()?;
-            points.of(view).iter().for_each(|p| observed[p.index()] = true);
+            points.observed_by(view).iter().for_each(|p| observed[p.index()] = true);
             let of_triangle = |&t: &u32| {
                 let around = self.of(t);
                 said(around.iter().filter(|&&p| observed[p as usize]).count() as f32 / around.len() as f32)
             };
-            let row: Vec<f32> = visibility.of(view).iter().map(of_triangle).collect();
-            points.of(view).iter().for_each(|p| observed[p.index()] = false);
+            let row: Vec<f32> = visibility.triangles_seen_by(view).iter().map(of_triangle).collect();
+            points.observed_by(view).iter().for_each(|p| observed[p.index()] = false);
             Ok(row)
         };
         visibility.column(|| vec![false; scene.points.len()], of_view)
@@ -214,16 +214,16 @@ mod tests {
             &surface,
             &Default::default(),
             3.0,
-            crate::base::column::Keep::Memory,
+            crate::base::column::Storage::Memory,
             &Unwatched,
         )
         .unwrap();
         let unary = nearby(&scene, &points, &surface, &visibility, &Unwatched).unwrap();
         let mut row = 0;
         for view in scene.view_indices() {
-            for &t in visibility.of(view) {
+            for &t in visibility.triangles_seen_by(view) {
                 let around = by_sorting(&scene.points, &surface.centroid(t));
-                let known = around.iter().filter(|&&p| points.of(view).iter().any(|o| o.0 == p)).count();
+                let known = around.iter().filter(|&&p| points.observed_by(view).iter().any(|o| o.0 == p)).count();
                 assert_eq!(unary.at(row), 0.5 + known as f32 / 16.0);
                 assert!(view.0 != 0 || unary.at(row) == 0.5);
                 row += 1;

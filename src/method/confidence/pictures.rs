@@ -16,7 +16,7 @@ use super::{
 };
 use crate::{
     base::{
-        input::{self, Kind},
+        input::{self, FileKind},
         progress::{Cancelled, Stage, Watcher},
     },
     io::project::Project,
@@ -91,10 +91,10 @@ impl Pictures {
             let scale = image_scale / SPACING * f64::from(camera.width) / f64::from(width);
             [width, height].map(|side| ((f64::from(side) * scale.min(1.0)).round() as u32).max(2))
         };
-        let (image, full) = Image::decode_grey(&input::read(&folder.join(name), Kind::Picture)?, wanted)?;
+        let (image, full) = Image::decode_grey(&input::read(&folder.join(name), FileKind::Picture)?, wanted)?;
         check_shape(full, camera)?;
         let mask = self.masks.as_deref().and_then(|folder| mask_file(folder, name));
-        let mask = mask.map(|path| Mask::decode(&input::read(&path, Kind::Picture)?)).transpose()?;
+        let mask = mask.map(|path| Mask::decode(&input::read(&path, FileKind::Picture)?)).transpose()?;
         if let Some(mask) = &mask {
             check_shape([mask.width, mask.height], camera)?;
         }
@@ -205,7 +205,8 @@ impl Files {
         predictor: Option<&dyn Predictor>,
         cache: &Cache,
     ) -> Result<Option<Entry>, ImageError> {
-        let read = |path: &Option<PathBuf>| path.as_deref().map(|path| input::read(path, Kind::Picture)).transpose();
+        let read =
+            |path: &Option<PathBuf>| path.as_deref().map(|path| input::read(path, FileKind::Picture)).transpose();
         let (image, mask) = (read(&self.image)?, read(&self.mask)?);
         let now = self.inputs();
         let with = |stamp: Option<Stamp>, bytes: &Option<Vec<u8>>| Some(stamp?.with_content(bytes.as_deref()?));

@@ -17,9 +17,9 @@ use super::{
 };
 use crate::{
     base::{
-        column::{self, Growing, TableError},
+        column::{self, ColumnBuilder, TableError},
         error::Hint,
-        input::{self, Kind},
+        input::{self, FileKind},
         progress::Watcher,
     },
     method::geometry::Geometry,
@@ -98,7 +98,7 @@ impl Trained {
 
     pub fn read(path: &Path) -> Result<Self, TrainedError> {
         let bytes =
-            input::read(path, Kind::Trained).map_err(|source| TrainedError::Io { path: path.into(), source })?;
+            input::read(path, FileKind::Trained).map_err(|source| TrainedError::Io { path: path.into(), source })?;
         Self::parse(&bytes, path)
     }
 
@@ -165,7 +165,7 @@ impl Trained {
         };
         let views: Vec<ViewIndex> = geometry.scene.view_indices().collect();
         let keep = geometry.visibility.triangles.kept();
-        let (mut values, mut partner_odds) = (Growing::new(keep)?, Growing::new(keep)?);
+        let (mut values, mut partner_odds) = (ColumnBuilder::new(keep)?, ColumnBuilder::new(keep)?);
         column::in_order(
             &views,
             column::READ_AT_ONCE,

@@ -71,7 +71,7 @@ impl Unary {
         }
         let of_view = |_: &mut (), view: ViewIndex| {
             watcher.check()?;
-            let triangles = visibility.of(view);
+            let triangles = visibility.triangles_seen_by(view);
             Ok(match &maps[view.index()] {
                 None => vec![1.0; triangles.len()],
                 Some(map) => triangles.iter().map(|&t| mean_over(scene, surface, view, t, map)).collect(),

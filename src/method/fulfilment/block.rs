@@ -77,7 +77,7 @@ impl<'a> Block<'a> {
         places: &mut Places,
     ) -> Self {
         let rule = &model.rule;
-        let seen = model.visibility.of(key);
+        let seen = model.visibility.triangles_seen_by(key);
         let count = seen.iter().filter(|&&t| is_first(t)).count();
         let (first, all) = (count.div_ceil(LANES), count.div_ceil(LANES) + (seen.len() - count).div_ceil(LANES));
         let mut next = [0, (first * LANES) as u32];
@@ -125,7 +125,7 @@ impl<'a> Block<'a> {
         let (camera, pose) = (model.scene.camera_of(self.key), &model.scene.view(self.key).cam_from_world);
         let centre = pose.centre();
         let rows = model.visibility.rows(self.key);
-        for ((row, &t), &place) in rows.zip(model.visibility.of(self.key)).zip(&self.places) {
+        for ((row, &t), &place) in rows.zip(model.visibility.triangles_seen_by(self.key)).zip(&self.places) {
             let (group, lane) = (place as usize / LANES, place as usize % LANES);
             let centroid = model.surface.centroid(t);
             let ray = centroid - centre;
@@ -162,13 +162,13 @@ impl<'a> Block<'a> {
     /// Which partner sees what, and how sure it is.
     fn place_views(&mut self, place_of: &mut [u32]) {
         let model = &self.model;
-        let seen = model.visibility.of(self.key);
+        let seen = model.visibility.triangles_seen_by(self.key);
         seen.iter().zip(&self.places).for_each(|(&t, &place)| place_of[t as usize] = place);
         let trained = matches!(model.rule.confidence, Confidence::Trained(_));
         let own: Vec<f32> = if model.unary.values.is_empty() { Vec::new() } else { self.own_unary() };
         for (&partner, sees) in self.partners.iter().zip(&mut self.sees) {
             let mut means = vec![0.0; own.len()];
-            for (row, &t) in model.visibility.rows(partner).zip(model.visibility.of(partner)) {
+            for (row, &t) in model.visibility.rows(partner).zip(model.visibility.triangles_seen_by(partner)) {
                 let place = place_of[t as usize];
                 if place != EMPTY {
                     sees[place as usize] = true;

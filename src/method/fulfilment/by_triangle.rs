@@ -3,7 +3,7 @@
 use bytemuck::{Pod, Zeroable};
 
 use super::FulfilmentTable;
-use crate::base::column::{self, Column, DiskError, Growing};
+use crate::base::column::{self, Column, ColumnBuilder, DiskError};
 
 /// The clusters of a list that fulfil each triangle (CSR by triangle).
 pub(crate) struct ByTriangle {
@@ -31,11 +31,11 @@ impl ByTriangle {
     pub(crate) fn new(table: &FulfilmentTable, clusters: &[u32], triangles: usize) -> Result<Self, DiskError> {
         let mut offsets = vec![0; triangles + 1];
         for (place, &cluster) in clusters.iter().enumerate() {
-            table.of(cluster as usize).0.iter().for_each(|&t| offsets[t as usize + 1] += 1);
+            table.row(cluster as usize).0.iter().for_each(|&t| offsets[t as usize + 1] += 1);
             release_at(place, table);
         }
         (0..triangles).for_each(|t| offsets[t + 1] += offsets[t]);
-        let mut entries = Growing::new(table.triangles.kept())?;
+        let mut entries = ColumnBuilder::new(table.triangles.kept())?;
         entries.reserve(offsets[triangles]);
         let mut from = 0;
         while from < triangles {
@@ -54,7 +54,7 @@ impl ByTriangle {
         let mut entries = vec![Entry::zeroed(); offsets[triangles] - start];
         let mut next: Vec<usize> = offsets[..triangles].iter().map(|offset| offset - start).collect();
         for (place, &cluster) in clusters.iter().enumerate() {
-            let (of_cluster, values) = table.of(cluster as usize);
+            let (of_cluster, values) = table.row(cluster as usize);
             let rows = [first, first + triangles as u32].map(|bound| of_cluster.partition_point(|&t| t < bound));
             let rows = rows[0]..rows[1];
             for (&t, &f) in of_cluster[rows.clone()].iter().zip(&values[rows]) {

@@ -14,7 +14,7 @@ pub(crate) use self::by_triangle::ByTriangle;
 use crate::method::{geometry::Geometry, target::Target};
 use crate::{
     base::{
-        column::{self, Column, DiskError, Growing, TableError},
+        column::{self, Column, ColumnBuilder, DiskError, TableError},
         progress::Watcher,
     },
     method::{
@@ -126,7 +126,7 @@ impl FulfilmentTable {
     }
 
     /// Triangles of a cluster and their fulfilment.
-    pub fn of(&self, cluster: usize) -> (&[u32], &[f32]) {
+    pub fn row(&self, cluster: usize) -> (&[u32], &[f32]) {
         let rows = self.offsets[cluster]..self.offsets[cluster + 1];
         (&self.triangles[rows.clone()], &self.values[rows])
     }
@@ -135,15 +135,15 @@ impl FulfilmentTable {
 /// A table of fulfilment to which clusters are added.
 pub(crate) struct GrowingTable {
     offsets: Vec<usize>,
-    triangles: Growing<u32>,
-    values: Growing<f32>,
+    triangles: ColumnBuilder<u32>,
+    values: ColumnBuilder<f32>,
 }
 
 impl GrowingTable {
     /// `visibility`: a table that is kept as this one is to be.
     pub(crate) fn beside(visibility: &Visibility) -> Result<Self, DiskError> {
         let keep = visibility.triangles.kept();
-        Ok(Self { offsets: vec![0], triangles: Growing::new(keep)?, values: Growing::new(keep)? })
+        Ok(Self { offsets: vec![0], triangles: ColumnBuilder::new(keep)?, values: ColumnBuilder::new(keep)? })
     }
 
     /// Adds a cluster with the f of each triangle that its key view sees.
@@ -177,7 +177,10 @@ pub fn table(model: &Model, clusters: &[ViewCluster], watcher: &dyn Watcher) -> 
         of_cluster,
         |batch, rows| {
             model.release();
-            batch.iter().zip(rows).try_for_each(|(cluster, f)| table.push(model.visibility.of(cluster.key), &f))
+            batch
+                .iter()
+                .zip(rows)
+                .try_for_each(|(cluster, f)| table.push(model.visibility.triangles_seen_by(cluster.key), &f))
         },
     )?;
     Ok(table.finish()?)

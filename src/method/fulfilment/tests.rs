@@ -6,7 +6,7 @@ use rand_pcg::Pcg64;
 
 use super::*;
 use crate::{
-    base::{column::Keep, progress::Unwatched},
+    base::{column::Storage, progress::Unwatched},
     config::{TargetMode, TargetSettings, VisibilitySettings},
     method::{
         confidence::{
@@ -35,7 +35,7 @@ impl Setting {
         let (scene, surface) = (town.scene(), town.surface());
         let settings = VisibilitySettings::default();
         let visibility =
-            visibility::estimate(&scene, &scene.view_points(), &surface, &settings, 4.0, Keep::Memory, &Unwatched)
+            visibility::estimate(&scene, &scene.view_points(), &surface, &settings, 4.0, Storage::Memory, &Unwatched)
                 .unwrap();
         let target = Target::new(&scene, &surface, &visibility, &TargetSettings::default(), 0.05, 1.0);
         Self { scene, surface, visibility, target, unary: Unary::certain() }
@@ -93,7 +93,7 @@ fn uncertainty_is_that_of_a_monte_carlo_triangulation() {
         let model = Model { target: &target, ..setting.model(Confidence::None) };
         let mut random = Pcg64::seed_from_u64(7);
         let key = ViewIndex(12);
-        let triangle = model.visibility.of(key)[40];
+        let triangle = model.visibility.triangles_seen_by(key)[40];
         let others = model.scene.view_indices().filter(|&v| v != key && model.visibility.row(v, triangle).is_some());
         let partners: Vec<ViewIndex> = others.step_by(3).take(3).collect();
         let views = [&[key], &partners[..]].concat();
@@ -118,7 +118,7 @@ fn resolution_is_that_of_many_small_pieces() {
         let model = setting.model(Confidence::None);
         let (key, n) = (ViewIndex(12), 40);
         let (camera, pose) = (model.scene.camera_of(key), &model.scene.view(key).cam_from_world);
-        for &t in model.visibility.of(key).iter().step_by(17) {
+        for &t in model.visibility.triangles_seen_by(key).iter().step_by(17) {
             let [a, b, c] = model.surface.corners(t);
             let at = |i: u32, j: u32| {
                 let (u, v) = (f64::from(i) / f64::from(n), f64::from(j) / f64::from(n));
@@ -143,7 +143,7 @@ fn information_is_that_of_finite_differences() {
         let model = setting.model(Confidence::None);
         let view = ViewIndex(37);
         let (camera, pose) = (model.scene.camera_of(view), &model.scene.view(view).cam_from_world);
-        for &t in model.visibility.of(view).iter().step_by(29) {
+        for &t in model.visibility.triangles_seen_by(view).iter().step_by(29) {
             let centroid = model.surface.centroid(t);
             let mut jacobian = nalgebra::Matrix2x3::zeros();
             for axis in 0..3 {
@@ -163,7 +163,7 @@ fn a_cluster_without_enough_cameras_fulfils_nothing() {
     let setting = Setting::pinhole();
     let model = setting.model(Confidence::None);
     let key = ViewIndex(12);
-    let triangle = setting.visibility.of(key)[10];
+    let triangle = setting.visibility.triangles_seen_by(key)[10];
     assert_eq!(value(&model, key, &[ViewIndex(11)], triangle).value, 0.0);
     let unseen = (0..).find(|&t| setting.visibility.row(key, t).is_none()).unwrap();
     assert_eq!(value(&model, key, &[ViewIndex(11), ViewIndex(13)], unseen), Fulfilment::default());
@@ -175,7 +175,7 @@ fn smaller_images_resolve_less() {
     let full = setting.model(Confidence::None);
     let half = Model { rule: Rule { image_scale: 0.5, ..full.rule }, ..full };
     let (key, partners) = (ViewIndex(12), [ViewIndex(11), ViewIndex(17)]);
-    let triangle = setting.visibility.of(key)[40];
+    let triangle = setting.visibility.triangles_seen_by(key)[40];
     let target = Target { gsd: vec![0.01; setting.surface.triangles.len()], ..setting.target.clone() };
     let f = |model: Model| value(&Model { target: &target, ..model }, key, &partners, triangle);
     assert!((f(half).resolution / f(full).resolution - 0.25).abs() < 1e-9);
@@ -190,7 +190,7 @@ fn the_best_target_is_reached_by_the_nearest_view() {
     // Straight below the camera the nearest view resolves 1.25 times finer than wanted.
     let below = setting.scene.view(key).cam_from_world.centre();
     let nearest = |&t: &u32| (setting.surface.centroid(t).xy() - below.xy()).norm();
-    let seen = setting.visibility.of(key).iter().copied();
+    let seen = setting.visibility.triangles_seen_by(key).iter().copied();
     let triangle = seen.min_by(|a, b| nearest(a).total_cmp(&nearest(b))).unwrap();
     assert_eq!(value(&setting.model(Confidence::None), key, &[], triangle).resolution, 1.0);
     let typed = TargetSettings { gsd: Some(0.02), accuracy: Some(0.03), ..Default::default() };
@@ -207,7 +207,7 @@ fn pair_and_paper_confidence_differ_in_p() {
         PairConfidence { min_matches: 1, p0: 0.8, cosine_power: 0.0, scale_octaves: None, full_angle_deg: None };
     let (key, partners) = (ViewIndex(12), [ViewIndex(11), ViewIndex(17)]);
     let everyone = |t: &&u32| partners.iter().all(|&p| setting.visibility.row(p, **t).is_some());
-    let triangle = *setting.visibility.of(key).iter().find(everyone).unwrap();
+    let triangle = *setting.visibility.triangles_seen_by(key).iter().find(everyone).unwrap();
     let confidence = |c: Confidence| value(&setting.model(c), key, &partners, triangle).confidence;
     assert!((confidence(Confidence::Paper { min_matches: 1 }) - 0.75).abs() < 1e-12);
     assert!((confidence(Confidence::Pair(numbers)) - (1.0 - 0.6 * 0.6)).abs() < 1e-12);
@@ -252,8 +252,8 @@ fn the_table_holds_what_the_definition_says() {
             let model = Model { target: &target, ..setting.model(confidence) };
             let table = table(&model, &clusters, &Unwatched).unwrap();
             for (c, cluster) in clusters.iter().enumerate() {
-                let (triangles, values) = table.of(c);
-                for &t in setting.visibility.of(cluster.key) {
+                let (triangles, values) = table.row(c);
+                for &t in setting.visibility.triangles_seen_by(cluster.key) {
                     let expected = value(&model, cluster.key, &cluster.partners, t).value;
                     let ours = triangles.binary_search(&t).map_or(0.0, |i| f64::from(values[i]));
                     assert!(

@@ -53,7 +53,7 @@ pub struct Candidates {
 }
 
 impl Candidates {
-    pub fn of(&self, view: ViewIndex) -> &[ViewIndex] {
+    pub fn candidates_of(&self, view: ViewIndex) -> &[ViewIndex] {
         &self.views[self.offsets[view.index()]..self.offsets[view.index() + 1]]
     }
 
@@ -227,7 +227,7 @@ impl Neighbours {
     fn count(&mut self, scene: &Scene, points: &ViewPoints, key: ViewIndex) {
         self.shared.clear();
         self.views.clear();
-        for &point in points.of(key) {
+        for &point in points.observed_by(key) {
             // A view that observes the point twice stands twice in a row.
             let mut last = key;
             for &view in scene.track_views(point) {
@@ -267,8 +267,8 @@ mod tests {
 
     fn shared(scene: &Scene, a: ViewIndex, b: ViewIndex) -> usize {
         let points = scene.view_points();
-        let other: HashSet<_> = points.of(b).iter().collect();
-        points.of(a).iter().filter(|p| other.contains(p)).count()
+        let other: HashSet<_> = points.observed_by(b).iter().collect();
+        points.observed_by(a).iter().filter(|p| other.contains(p)).count()
     }
 
     #[test]
@@ -281,7 +281,7 @@ mod tests {
             all.retain(|s| s.0 > 0);
             all.sort_by_key(|s| (Reverse(s.0), s.1));
             let expected: Vec<_> = all.iter().take(22).map(|s| s.1).collect();
-            assert_eq!(table.of(key), expected);
+            assert_eq!(table.candidates_of(key), expected);
         }
     }
 
@@ -297,8 +297,8 @@ mod tests {
                 let (_, shared) = around.iter().find(|(view, _)| *view == partner).unwrap();
                 PairGeometry::new(&scene, key, partner, shared).angle_deg
             };
-            let narrow: Vec<_> = all.of(key).iter().copied().filter(|&v| angle(v) <= 12.0).take(5).collect();
-            assert_eq!(table.of(key), narrow);
+            let narrow: Vec<_> = all.candidates_of(key).iter().copied().filter(|&v| angle(v) <= 12.0).take(5).collect();
+            assert_eq!(table.candidates_of(key), narrow);
             let wide = |r: &Refusal| angle(r.partner) > 12.0 && r.reason == Reason::NotMatchable;
             assert!(table.refused(key).iter().all(wide));
         }
@@ -310,7 +310,7 @@ mod tests {
         let mut scene = scene();
         scene.views[1].cam_from_world = scene.views[0].cam_from_world;
         let table = select_all(&scene, 60, &Gate::OPEN);
-        assert!(!table.of(ViewIndex(0)).contains(&ViewIndex(1)));
+        assert!(!table.candidates_of(ViewIndex(0)).contains(&ViewIndex(1)));
         let still = Refusal { partner: ViewIndex(1), reason: Reason::RotationOnly };
         assert!(table.refused(ViewIndex(0)).contains(&still));
     }
@@ -319,8 +319,8 @@ mod tests {
     fn geometry_of_a_pair_is_antisymmetric() {
         let scene = scene();
         let (a, b) = (ViewIndex(6), ViewIndex(32));
-        let other: HashSet<_> = scene.view_points().of(b).iter().copied().collect();
-        let both: Vec<_> = scene.view_points().of(a).iter().copied().filter(|p| other.contains(p)).collect();
+        let other: HashSet<_> = scene.view_points().observed_by(b).iter().copied().collect();
+        let both: Vec<_> = scene.view_points().observed_by(a).iter().copied().filter(|p| other.contains(p)).collect();
         let (ab, ba) = (PairGeometry::new(&scene, a, b, &both), PairGeometry::new(&scene, b, a, &both));
         assert!((ab.angle_deg - ba.angle_deg).abs() < 1e-9 && (ab.scale_octaves + ba.scale_octaves).abs() < 1e-9);
         assert!(ab.angle_deg > 1.0 && ab.still_share == 0.0);

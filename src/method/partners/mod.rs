@@ -39,14 +39,15 @@ pub fn choose(
     watcher: &dyn Watcher,
 ) -> Result<(Vec<ViewCluster>, FulfilmentTable), TableError> {
     let judges = sampled::judging_triangles(model.surface.triangles.len(), settings.triangle_fraction, seed);
-    let keys: Vec<ViewIndex> = model.scene.view_indices().filter(|&v| !candidates.of(v).is_empty()).collect();
+    let keys: Vec<ViewIndex> =
+        model.scene.view_indices().filter(|&v| !candidates.candidates_of(v).is_empty()).collect();
     let (done, total) = (AtomicU64::new(0), keys.len() as u64);
     watcher.progress(Stage::Partners, 0, total);
     let choose_one = |places: &mut Places, &key: &ViewIndex| {
         watcher.check()?;
         let is_judge = |t: u32| judges[t as usize];
-        let mut block = Block::new(model, key, candidates.of(key), is_judge, places);
-        let choice = choose_for(&mut block, model, key, candidates.of(key), settings, seed);
+        let mut block = Block::new(model, key, candidates.candidates_of(key), is_judge, places);
+        let choice = choose_for(&mut block, model, key, candidates.candidates_of(key), settings, seed);
         watcher.progress(Stage::Partners, 1 + done.fetch_add(1, Ordering::Relaxed), total);
         Ok(choice)
     };
@@ -59,7 +60,7 @@ pub fn choose(
         |batch, chosen| {
             model.release();
             for (&key, (partners, values)) in batch.iter().zip(chosen) {
-                table.push(model.visibility.of(key), &values)?;
+                table.push(model.visibility.triangles_seen_by(key), &values)?;
                 clusters.push(ViewCluster { key, partners });
             }
             Ok(())

@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::{
-    base::{column::Keep, progress::Unwatched},
+    base::{column::Storage, progress::Unwatched},
     config::{TargetSettings, VisibilitySettings},
     method::{
         confidence::{Confidence, NO_AGREEMENT, PairConfidence, Unary},
@@ -30,10 +30,10 @@ struct Setting {
 
 impl Setting {
     fn new() -> Self {
-        Self::kept(Keep::Memory)
+        Self::kept(Storage::Memory)
     }
 
-    fn kept(keep: Keep) -> Self {
+    fn kept(keep: Storage) -> Self {
         let camera = Camera::new(1, CameraModel::Pinhole, 1000, 750, vec![850.0, 850.0, 500.0, 375.0]).unwrap();
         let town = Town { edge: 3.0, points: 300, ..Town::new(camera) };
         let (scene, surface) = (town.scene(), town.surface());
@@ -68,7 +68,7 @@ impl Setting {
 
 #[test]
 fn tables_on_disk_hold_what_tables_in_memory_hold() {
-    let [mut memory, mut disk] = [Keep::Memory, Keep::Disk].map(Setting::kept);
+    let [mut memory, mut disk] = [Storage::Memory, Storage::Disk].map(Setting::kept);
     for setting in [&mut memory, &mut disk] {
         let points = setting.scene.view_points();
         let Setting { scene, surface, visibility, .. } = &*setting;
@@ -81,8 +81,8 @@ fn tables_on_disk_hold_what_tables_in_memory_hold() {
     let (chosen, expected) = (disk.choose(&settings), memory.choose(&settings));
     assert_eq!(chosen, expected);
     let kept = |s: &Setting, t: &FulfilmentTable| [&s.visibility.triangles, &t.triangles].map(|column| column.kept());
-    assert_eq!(kept(&disk, &chosen.1), [Keep::Disk; 2]);
-    assert_eq!(kept(&memory, &expected.1), [Keep::Memory; 2]);
+    assert_eq!(kept(&disk, &chosen.1), [Storage::Disk; 2]);
+    assert_eq!(kept(&memory, &expected.1), [Storage::Memory; 2]);
 }
 
 fn settings(k: u32, method: PartnerMethod) -> PartnerSettings {
@@ -90,7 +90,7 @@ fn settings(k: u32, method: PartnerMethod) -> PartnerSettings {
 }
 
 fn sum(table: &FulfilmentTable, cluster: usize) -> f64 {
-    table.of(cluster).1.iter().map(|&f| f64::from(f)).sum()
+    table.row(cluster).1.iter().map(|&f| f64::from(f)).sum()
 }
 
 #[test]
@@ -119,7 +119,7 @@ fn sampled_is_the_optimum_where_it_takes_all() {
     let (clusters, table) = setting.choose(&all_judge);
     let (_, searched) = setting.choose(&PartnerSettings { method: PartnerMethod::Search, ..all_judge });
     for (c, cluster) in clusters.iter().enumerate().step_by(7) {
-        let of = setting.candidates.of(cluster.key);
+        let of = setting.candidates.candidates_of(cluster.key);
         let sets = (0..64u32).filter(|s| s.count_ones() == 3);
         let every: Vec<ViewCluster> = sets
             .map(|s| ViewCluster {
@@ -139,7 +139,7 @@ fn the_table_is_that_of_the_clusters() {
     let setting = Setting::new();
     for method in [PartnerMethod::Sampled, PartnerMethod::Search] {
         let (clusters, table) = setting.choose(&settings(4, method));
-        assert!(clusters.iter().all(|c| c.partners.len() == 4.min(setting.candidates.of(c.key).len())));
+        assert!(clusters.iter().all(|c| c.partners.len() == 4.min(setting.candidates.candidates_of(c.key).len())));
         let again = fulfilment::table(&setting.model(), &clusters, &Unwatched).unwrap();
         assert_eq!((&table.offsets, &table.triangles), (&again.offsets, &again.triangles));
         // Partners are added up in another order.

@@ -88,7 +88,7 @@ impl<'a> Beliefs<'a> {
 
     /// Triangles of a cluster and what is now expected of it there.
     pub fn row(&self, cluster: usize) -> (&'a [u32], Vec<f32>) {
-        let (triangles, values) = self.predicted.of(cluster);
+        let (triangles, values) = self.predicted.row(cluster);
         let first = self.predicted.offsets[cluster];
         let believed = values.iter().enumerate().map(|(i, f)| f * self.mean(first + i)).collect();
         (triangles, believed)
@@ -180,7 +180,7 @@ mod tests {
         beliefs.learn(ViewIndex(0), &[Attempt::new(0, 40, 0.7, 0.7), Attempt::new(1, 3, 0.2, 1.0)]);
         for cluster in 0..fixture.clusters.len() {
             let (triangles, row) = beliefs.row(cluster);
-            assert_eq!((triangles, row.as_slice()), fixture.predicted.of(cluster));
+            assert_eq!((triangles, row.as_slice()), fixture.predicted.row(cluster));
         }
     }
 

@@ -17,13 +17,13 @@ pub fn most_of_any(length: usize, table: &FulfilmentTable, objective: &Objective
     let (mut taken, mut least) = (0, f64::INFINITY);
     for part in AT {
         let end = ((part * length as f64).round() as usize).min(order.len());
-        order[taken..end].iter().for_each(|&c| reached.take(table.of(c as usize)));
+        order[taken..end].iter().for_each(|&c| reached.take(table.row(c as usize)));
         taken = end;
-        let most = |&c: &usize| reached.most_as_one_of_many(table.of(c));
+        let most = |&c: &usize| reached.most_as_one_of_many(table.row(c));
         let mut most = column::read_by_parts(&clusters, most, || table.release());
         most.sort_unstable_by(|a, b| b.total_cmp(a));
         least = least.min(reached.fulfilment() + most.iter().take(length).sum::<f64>());
     }
-    order[taken..].iter().for_each(|&c| reached.take(table.of(c as usize)));
+    order[taken..].iter().for_each(|&c| reached.take(table.row(c as usize)));
     least.min(reached.fulfilment())
 }

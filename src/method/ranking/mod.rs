@@ -121,7 +121,7 @@ impl<'a> Greedy<'a> {
         let left: Vec<u32> = (0..table.clusters() as u32).collect();
         let by_triangle = ByTriangle::new(table, &left, objective.weights.len())?;
         let reached = Reached::new(objective);
-        let gain = |&c: &u32| reached.whole_gain(table.of(c as usize));
+        let gain = |&c: &u32| reached.whole_gain(table.row(c as usize));
         let gains = column::read_by_parts(&left, gain, || table.release());
         Ok(Self { table, by_triangle, left, alone: gains.clone(), gains, reached })
     }
@@ -135,7 +135,7 @@ impl<'a> Greedy<'a> {
     fn take(&mut self, cluster: u32, ranking: &mut Ranking) {
         let gain = self.gains[cluster as usize];
         self.left.retain(|&c| c != cluster);
-        let (triangles, values) = self.table.of(cluster as usize);
+        let (triangles, values) = self.table.row(cluster as usize);
         let mut before = Vec::with_capacity(self.reached.objective.support as usize);
         for (&t, &f) in triangles.iter().zip(values) {
             before.clear();

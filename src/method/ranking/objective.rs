@@ -78,7 +78,7 @@ fn mean_pixels(geometry: &Geometry) -> Vec<f64> {
     let seen: Vec<[AtomicU64; 2]> = surface.triangles.iter().map(|_| Default::default()).collect();
     let add = |&view: &ViewIndex| {
         let (camera, pose) = (scene.camera_of(view), &scene.view(view).cam_from_world);
-        for &t in visibility.of(view) {
+        for &t in visibility.triangles_seen_by(view) {
             let pixels = projected_area(camera, &surface.corners(t).map(|corner| pose.camera_from_world(&corner)));
             let [sum, views] = &seen[t as usize];
             sum.fetch_add((pixels.min(1e9) * PARTS) as u64, Ordering::Relaxed);

@@ -50,13 +50,13 @@ fn plain_greedy(table: &FulfilmentTable, objective: &Objective) -> Vec<(u32, i64
     let mut left: Vec<u32> = (0..table.clusters() as u32).collect();
     let mut order = Vec::new();
     loop {
-        let of = |c: u32, reached: &Reached| reached.whole_gain(table.of(c as usize));
+        let of = |c: u32, reached: &Reached| reached.whole_gain(table.row(c as usize));
         let rank = |c: u32| (of(c, &reached), of(c, &nothing), std::cmp::Reverse(c));
         let Some(best) = left.iter().copied().max_by_key(|&c| rank(c)).filter(|&c| of(c, &reached) > 0) else {
             return order;
         };
         order.push((best, of(best, &reached)));
-        reached.take(table.of(best as usize));
+        reached.take(table.row(best as usize));
         left.retain(|&c| c != best);
     }
 }

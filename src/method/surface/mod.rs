@@ -30,7 +30,7 @@ use serde::{Deserialize, Serialize};
 use crate::{
     base::{
         error::Hint,
-        input::{self, Kind},
+        input::{self, FileKind},
         progress::{Cancelled, Stage, Watcher},
         tiles,
     },
@@ -271,7 +271,7 @@ fn with_edges(
 }
 
 fn read_mesh(file: &MeshFile) -> Result<Surface, SurfaceError> {
-    let bytes = input::read(&file.path, Kind::Mesh)
+    let bytes = input::read(&file.path, FileKind::Mesh)
         .map_err(|source| SurfaceError::MeshFile { path: file.path.clone(), source })?;
     let mesh = ply::read(&bytes).map_err(|source| SurfaceError::Mesh { path: file.path.clone(), source })?;
     Ok(Surface { kind: SurfaceKind::Mesh, vertices: mesh.vertices, triangles: mesh.triangles })

@@ -19,7 +19,7 @@ use self::{
 };
 use crate::{
     base::{
-        column::{self, Column, DiskError, Growing, Keep, TableError},
+        column::{self, Column, ColumnBuilder, DiskError, Storage, TableError},
         progress::{Cancelled, Stage, Watcher},
     },
     config::VisibilitySettings,
@@ -48,13 +48,13 @@ pub struct Visibility {
 }
 
 impl Visibility {
-    /// The views, each a row of [`Self::of`].
+    /// The views, each a row of [`Self::triangles_seen_by`].
     pub fn views(&self) -> Vec<ViewIndex> {
         (1..self.offsets.len()).map(|end| ViewIndex(end as u32 - 1)).collect()
     }
 
     /// The triangles that the view sees, ascending.
-    pub fn of(&self, view: ViewIndex) -> &[u32] {
+    pub fn triangles_seen_by(&self, view: ViewIndex) -> &[u32] {
         &self.triangles[self.rows(view)]
     }
 
@@ -65,7 +65,7 @@ impl Visibility {
 
     /// The row of a triangle in a view, where the view sees it.
     pub fn row(&self, view: ViewIndex, triangle: u32) -> Option<usize> {
-        let found = self.of(view).binary_search(&triangle).ok()?;
+        let found = self.triangles_seen_by(view).binary_search(&triangle).ok()?;
         Some(self.offsets[view.index()] + found)
     }
 
@@ -85,7 +85,7 @@ impl Visibility {
             kept
         };
         let numbers: Vec<u32> = keep.iter().map(number).collect();
-        let (mut offsets, mut triangles) = (vec![0], Growing::new(self.triangles.kept())?);
+        let (mut offsets, mut triangles) = (vec![0], ColumnBuilder::new(self.triangles.kept())?);
         for (view, rows) in self.offsets.windows(2).enumerate() {
             if view.is_multiple_of(column::READ_AT_ONCE) {
                 self.triangles.release();
@@ -110,11 +110,11 @@ impl Visibility {
     /// The same, kept where `keep` says.
     pub fn column_kept<T: Pod + Send, S: Send>(
         &self,
-        keep: Keep,
+        keep: Storage,
         start: impl Fn() -> S + Sync + Send,
         of_view: impl Fn(&mut S, ViewIndex) -> Result<Vec<T>, Cancelled> + Sync + Send,
     ) -> Result<Column<T>, TableError> {
-        let mut column = Growing::new(keep)?;
+        let mut column = ColumnBuilder::new(keep)?;
         column::in_order(
             &self.views(),
             column::READ_AT_ONCE,
@@ -136,7 +136,7 @@ pub fn estimate(
     surface: &Surface,
     settings: &VisibilitySettings,
     edge_length: f64,
-    keep: Keep,
+    keep: Storage,
     watcher: &dyn Watcher,
 ) -> Result<Visibility, TableError> {
     let stage = Looking::new(scene, surface, settings, edge_length);
@@ -149,11 +149,11 @@ pub fn estimate(
         stage.draw(view, picture);
         let mut seen: Vec<u32> = stage.visible(view, picture).collect();
         seen.sort_unstable();
-        stage.observe(view, points.of(view), picture, &observations);
+        stage.observe(view, points.observed_by(view), picture, &observations);
         watcher.progress(Stage::Visibility, 1 + done.fetch_add(1, Ordering::Relaxed), views.len() as u64);
         Ok(seen)
     };
-    let (mut offsets, mut triangles) = (vec![0], Growing::new(keep)?);
+    let (mut offsets, mut triangles) = (vec![0], ColumnBuilder::new(keep)?);
     column::in_order(&views, column::READ_AT_ONCE, Picture::default, look, |_, rows| {
         for row in rows {
             triangles.extend(&row)?;

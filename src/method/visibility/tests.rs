@@ -30,7 +30,7 @@ fn agreement(town: &Town, edge_length: f64) -> (f64, f64) {
     let (scene, surface) = (town.scene(), town.surface());
     let settings = VisibilitySettings::default();
     let table =
-        estimate(&scene, &scene.view_points(), &surface, &settings, edge_length, Keep::Memory, &Unwatched).unwrap();
+        estimate(&scene, &scene.view_points(), &surface, &settings, edge_length, Storage::Memory, &Unwatched).unwrap();
     let (mut both, mut said, mut true_ones) = (0.0, 0.0, 0.0);
     for view in scene.view_indices().step_by(17) {
         for t in 0..surface.triangles.len() as u32 {

@@ -1,20 +1,19 @@
-//! The mathematics of the camera models. Each is three steps:
+//! The mathematics of the camera models, each composed of three steps:
 //!
-//! 1. [`Base`]: a point in camera coordinates to a plane (perspective division, equidistant fisheye, ...),
+//! 1. [`Base`]: from camera coordinates to a plane (perspective division, equidistant fisheye, ...),
 //! 2. [`Warp`]: distortion within that plane,
 //! 3. focal lengths and principal point.
 //!
-//! The formulas are those by which COLMAP optimises and reprojects, its approximations for small angles included, so that
-//! reprojections agree.
+//! Formulas and small-angle approximations are COLMAP's, so reprojections agree with it.
 
 use nalgebra::{Matrix2, Matrix2x3, Point3, Unit, Vector2, Vector3};
 use std::f64::consts::{FRAC_PI_2, PI};
 
 use super::CameraModel;
 
-/// Smallest depth that counts as in front of the camera, as in COLMAP.
+/// Least depth of a point in front of the camera, as in COLMAP.
 const MIN_DEPTH: f64 = f64::EPSILON;
-/// Below this squared radius or squared omega the FOV model is a power series in COLMAP.
+/// Squared radius or squared omega below which COLMAP evaluates the FOV model as a power series.
 const FOV_SERIES: f64 = 1e-4;
 
 /// A camera model with its parameters.
@@ -36,7 +35,7 @@ enum Base {
     Perspective,
     /// (x, y)/ρ · atan(ρ/z), ρ the distance from the axis
     Equidistant,
-    /// Fitzgibbon 2001: the plane point p is that for which (p, 1 + k p²) is parallel to the ray
+    /// Fitzgibbon 2001: the plane point p such that (p, 1 + k p²) is parallel to the ray
     Division { k: f64 },
     /// Khomutenko, Garcia, Martinet 2016
     Eucm { alpha: f64, beta: f64 },
@@ -63,14 +62,14 @@ struct Brown {
     denominator: [f64; 3],
     /// p1, p2 of OpenCV
     tangential: [f64; 2],
-    /// Of x: s, s²; of y: s, s²
+    /// Coefficients of s and s², first of x, then of y
     prism: [f64; 4],
-    /// q is the radially distorted point (Project Aria's model), else p itself.
+    /// True: q is the radially distorted point (Project Aria's model); false: q = p.
     after_radial: bool,
 }
 
 impl Lens {
-    /// `params` has as many entries as the model takes.
+    /// Makes a lens; the length of `params` must be the model's parameter count.
     pub fn new(model: CameraModel, params: &[f64]) -> Self {
         if model == CameraModel::Equirectangular {
             let (w, h) = (params[0], params[1]);
@@ -82,7 +81,7 @@ impl Lens {
         let centre = Vector2::new(params[n], params[n + 1]);
         let (base, warp) = base_and_warp(model, &params[n + 2..]);
         let limit = match base {
-            // COLMAP projects only what lies in front of the camera.
+            // COLMAP projects only points in front of the camera.
             Base::Equidistant => warp.radial_limit().min(FRAC_PI_2 * FRAC_PI_2),
             _ => warp.radial_limit(),
         };
@@ -121,13 +120,12 @@ impl Lens {
         self.focal.component_mul(plane) + self.centre
     }
 
-    /// Is the warp one to one up to this plane point?
+    /// Returns whether the warp is one to one up to this plane point.
     fn in_field(&self, plane: &Vector2<f64>, jacobian: &Matrix2<f64>) -> bool {
         plane.norm_squared() < self.limit && jacobian.determinant() > 0.0
     }
 
-    /// The plane point within the field that the warp takes to `warped`: the radial part by bracketing, the rest by
-    /// Newton's method from there.
+    /// Inverts the warp within the field: bracketing for the radial part, then Newton's method for the whole.
     fn unwarp(&self, warped: &Vector2<f64>) -> Option<Vector2<f64>> {
         if self.warp == Warp::None {
             return warped.iter().all(|c| c.is_finite()).then_some(*warped);
@@ -155,7 +153,7 @@ impl Lens {
         None
     }
 
-    /// Radius that the radial part alone takes to `warped`, at most the limit of the field.
+    /// Inverts the radial part of the warp by bisection; at most the limit of the field.
     fn unwarp_radius(&self, warped: f64) -> Option<f64> {
         let mut high = self.limit.sqrt();
         if high.is_infinite() {
@@ -206,7 +204,7 @@ fn base_and_warp(model: CameraModel, extra: &[f64]) -> (Base, Warp) {
             (Base::Equidistant, Warp::Brown(Brown { tangential, prism, ..brown(&radial) }))
         }
         RadTanThinPrismFisheye => {
-            // p0 and p1 change places against OpenCV's p1 and p2.
+            // p0 and p1 are OpenCV's p2 and p1.
             let (tangential, prism) = ([extra[7], extra[6]], [extra[8], extra[9], extra[10], extra[11]]);
             let warp = Brown { tangential, prism, after_radial: true, ..brown(&extra[..6]) };
             (Base::Equidistant, Warp::Brown(warp))
@@ -217,7 +215,7 @@ fn base_and_warp(model: CameraModel, extra: &[f64]) -> (Base, Warp) {
 }
 
 impl Base {
-    /// The plane point of a point in camera coordinates, where there is one.
+    /// Maps a point in camera coordinates to the plane, if it has a plane point.
     fn to_plane(self, x: &Point3<f64>) -> Option<Vector2<f64>> {
         let xy = Vector2::new(x.x, x.y);
         match self {
@@ -230,7 +228,7 @@ impl Base {
             Base::Division { k } => {
                 let axis = x.x.hypot(x.y);
                 let root = (x.z * x.z - 4.0 * k * axis * axis).sqrt();
-                // Not true of NaN: no real solution. Zero and less: the other branch of the solution.
+                // NaN (no real solution) fails the comparison, too; 0 and below is the other branch of the solution.
                 (x.z + root > 0.0).then(|| xy * (2.0 / (x.z + root)))
             }
             Base::Eucm { .. } => {
@@ -245,7 +243,7 @@ impl Base {
         }
     }
 
-    /// Denominator of the enhanced unified model, and whether the radius in the plane still grows with that of the ray.
+    /// Denominator of the enhanced unified model, and true where the plane radius grows with the angle of the ray to the axis.
     fn eucm_denominator(self, x: &Point3<f64>) -> Option<(f64, bool)> {
         let Base::Eucm { alpha, beta } = self else { return None };
         let rho = (beta * (x.x * x.x + x.y * x.y) + x.z * x.z).sqrt();
@@ -254,11 +252,11 @@ impl Base {
         in_front.then(|| (denominator, alpha * x.z / rho + 1.0 - alpha > 0.0))
     }
 
-    /// Derivative of [`Base::to_plane`] by the point.
+    /// Jacobian of [`Base::to_plane`] with respect to the point.
     fn jacobian(self, x: &Point3<f64>) -> Option<Matrix2x3<f64>> {
         let xy = Vector2::new(x.x, x.y);
         let axis_squared = xy.norm_squared();
-        // The first four are `xy * q` with q a function of ρ² and z: the derivative is q·I and xy times the gradient of q.
+        // The first four are `xy * q` with q a function of ρ² and z: the Jacobian is q·I plus xy times the gradient of q.
         let (q, by_axis, by_z) = match self {
             Base::Perspective => (1.0 / x.z, 0.0, -1.0 / (x.z * x.z)),
             Base::Equidistant => equidistant_factor(axis_squared.sqrt(), x.z),
@@ -281,7 +279,7 @@ impl Base {
         jacobian.iter().all(|v| v.is_finite()).then_some(jacobian)
     }
 
-    /// A vector along the ray of a plane point; the inverse of [`Base::to_plane`].
+    /// Maps a plane point to a vector along its ray: the inverse of [`Base::to_plane`].
     fn to_ray(self, plane: &Vector2<f64>) -> Option<Vector3<f64>> {
         let r2 = plane.norm_squared();
         match self {
@@ -352,7 +350,7 @@ impl Warp {
         }
     }
 
-    /// The radius that the radial part makes of a radius.
+    /// Radius after the radial part of the warp.
     fn radius(&self, r: f64) -> f64 {
         match self {
             Warp::None => r,
@@ -361,7 +359,7 @@ impl Warp {
         }
     }
 
-    /// Squared radius up to which the radial part grows.
+    /// Squared radius up to which the radial part is monotonic.
     fn radial_limit(&self) -> f64 {
         match self {
             Warp::None => f64::INFINITY,
@@ -401,7 +399,7 @@ impl Brown {
         (n / d, (dn * d - n * dd) / (d * d))
     }
 
-    /// The tangential and the thin-prism part.
+    /// The tangential and thin-prism terms.
     fn decentring(&self, q: &Vector2<f64>) -> Vector2<f64> {
         let [p1, p2] = self.tangential;
         let [sx1, sx2, sy1, sy2] = self.prism;
@@ -426,7 +424,7 @@ impl Brown {
         )
     }
 
-    /// The first positive root of d(r R)/dr, whose numerator is `N D + 2 s (N' D - N D')`, or of D.
+    /// The smaller of the first positive roots, in s, of d(r R)/dr, whose numerator is `N D + 2 s (N' D - N D')`, and of D.
     fn radial_limit(&self) -> f64 {
         let n = [&[1.0], &self.radial[..]].concat();
         let d = [&[1.0], &self.denominator[..]].concat();
@@ -451,8 +449,8 @@ fn one_plus_series(c: &[f64], s: f64) -> (f64, f64) {
     (1.0 + value * s, derivative * s + value)
 }
 
-/// The factor of the FOV model at squared radius s, and its derivative by s. COLMAP's power series for small omega has the
-/// sign of the inverse; models were optimised with it, so it is kept.
+/// Factor of the FOV model at squared radius s, and its derivative by s. COLMAP's power series for small omega has the sign of the inverse;
+/// its models were optimised with that sign, so it is kept here.
 fn fov_factor(omega: f64, s: f64) -> (f64, f64) {
     let omega2 = omega * omega;
     if omega2 < FOV_SERIES {
@@ -468,14 +466,13 @@ fn fov_factor(omega: f64, s: f64) -> (f64, f64) {
     (angle / (r * omega), (by_r - angle / r) / (2.0 * s * omega))
 }
 
-/// The positive roots with a change of sign, ascending, of `Σ c_i s^i`: between the roots of the derivative there is at
-/// most one each.
+/// Positive roots of `Σ c_i s^i` where it changes sign, ascending. Between two neighbouring roots of the derivative there is at most one.
 fn positive_roots(c: &[f64]) -> Vec<f64> {
     let Some(last) = c.iter().rposition(|&c| c != 0.0).filter(|&last| last > 0) else { return Vec::new() };
     let c = &c[..=last];
     let value = |s: f64| c.iter().rev().fold(0.0, |sum, c| sum * s + c);
     let derivative: Vec<f64> = c.iter().enumerate().skip(1).map(|(i, c)| i as f64 * c).collect();
-    // Cauchy: no root lies beyond.
+    // Cauchy's bound on the roots.
     let bound = 1.0 + c[..last].iter().fold(0.0f64, |max, a| max.max((a / c[last]).abs()));
     let mut stops = vec![0.0];
     stops.extend(positive_roots(&derivative).into_iter().filter(|&s| s < bound));

@@ -1,5 +1,5 @@
-//! Camera models: projection, its Jacobian, undistortion. The models and their parameter order are COLMAP's
-//! (`sensor/models.h`); this file knows the list, [`lens`] the mathematics.
+//! Camera models: projection, its Jacobian, undistortion. Models and parameter order are COLMAP's (`sensor/models.h`); [`lens`] has the
+//! mathematics.
 
 mod lens;
 
@@ -7,7 +7,7 @@ use nalgebra::{Matrix2x3, Point2, Point3, Unit, Vector2, Vector3};
 
 use lens::Lens;
 
-/// COLMAP's camera models, by their number.
+/// COLMAP's camera models, numbered as in its binary files.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 #[repr(u32)]
 pub enum CameraModel {
@@ -60,12 +60,12 @@ impl CameraModel {
         MODELS.iter().map(|m| m.0)
     }
 
-    /// The model of that number in COLMAP's binary files.
+    /// Finds a model by its number in COLMAP's binary files.
     pub fn from_id(id: u32) -> Option<Self> {
         MODELS.get(id as usize).map(|m| m.0)
     }
 
-    /// The model of that name in COLMAP's text files.
+    /// Finds a model by its name in COLMAP's text files.
     pub fn from_name(name: &str) -> Option<Self> {
         MODELS.iter().find(|m| m.1 == name).map(|m| m.0)
     }
@@ -84,40 +84,43 @@ impl CameraModel {
         focal_lengths + 2 + extra
     }
 
-    /// 1 (one focal length for both axes), 2, or 0 (equirectangular).
+    /// Number of focal lengths: 1 (the same for both axes), 2, or 0 (equirectangular).
     pub fn focal_length_count(self) -> usize {
         MODELS[self as usize].2
     }
 }
 
-/// What is wrong with a set of intrinsics.
+/// Invalid intrinsics.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum CameraError {
-    #[error("{model} takes {expected} parameters, here are {found}")]
+    #[error("{model} takes {expected} parameters, found {found}")]
     ParameterCount { model: &'static str, expected: usize, found: usize },
     #[error("parameter {index} is {value}, not a finite number")]
     NotFinite { index: usize, value: f64 },
-    #[error("focal length {0} is not above zero")]
+    #[error("focal length {0} is not positive")]
     FocalLength(f64),
-    #[error("the image is {width} x {height} pixels, which must be 1 to 4294967295 each")]
+    #[error("image size {width} x {height} is outside 1 to 4294967295 pixels")]
     ImageSize { width: u64, height: u64 },
 }
 
-/// A set of intrinsics: pixels of an image of `width` x `height`; the centre of the first pixel is at (0.5, 0.5).
+/// Intrinsics of an image of `width` x `height` pixels; the centre of the first pixel is at (0.5, 0.5).
 #[derive(Clone, Debug, PartialEq)]
 pub struct Camera {
-    /// Id in the file.
+    /// Camera id in the source file.
     pub id: u32,
     pub width: u32,
     pub height: u32,
     model: CameraModel,
     params: Vec<f64>,
-    /// The parameters made ready for projection.
+    /// `params`, prepared for projection.
     lens: Lens,
 }
 
 impl Camera {
-    /// Checks the parameters, which are in COLMAP's order for the model.
+    /// Makes a camera from parameters in COLMAP's order for the model.
+    ///
+    /// # Errors
+    /// If the number of parameters, one of their values or the image size is invalid.
     pub fn new(id: u32, model: CameraModel, width: u64, height: u64, params: Vec<f64>) -> Result<Self, CameraError> {
         let expected = model.parameter_count();
         if params.len() != expected {
@@ -143,31 +146,32 @@ impl Camera {
         self.model
     }
 
-    /// In COLMAP's order for the model; finite, as many as the model has.
+    /// Parameters in COLMAP's order for the model; all finite.
     pub fn params(&self) -> &[f64] {
         &self.params
     }
 
-    /// Pixel of a point in camera coordinates; `None` where the model does not project it (behind the camera, or outside
-    /// the field in which the projection is one to one).
+    /// Projects a point in camera coordinates to a pixel; `None` if it is behind the camera or outside the field in which the projection is one
+    /// to one.
     pub fn project(&self, x_cam: &Point3<f64>) -> Option<Point2<f64>> {
         self.lens.project(x_cam).map(Point2::from)
     }
 
-    /// Pixel and the derivative of the pixel by the point in camera coordinates (px per scene unit).
+    /// Projects a point and returns the Jacobian of the pixel with respect to the point in camera coordinates, pixels per scene unit; `None` as
+    /// for [`Camera::project`].
     pub fn project_with_jacobian(&self, x_cam: &Point3<f64>) -> Option<(Point2<f64>, Matrix2x3<f64>)> {
         self.lens.project_with_jacobian(x_cam).map(|(p, j)| (Point2::from(p), j))
     }
 
-    /// The formula of the model taken beyond the field in which it is one to one, as COLMAP's `img_from_cam` does it:
-    /// for the reprojection error of an observation that is there; not for asking whether a point is seen.
+    /// Projects a point even outside the field in which the model is one to one, like COLMAP's `img_from_cam`. For reprojection errors of
+    /// measured observations, not for visibility tests.
     pub fn project_beyond_field(&self, x_cam: &Point3<f64>) -> Option<Point2<f64>> {
         self.lens.project_beyond_field(x_cam).map(Point2::from)
     }
 
-    /// Distance in pixels between a measured pixel and the projection of a point, beyond the field too; `None` where there is
-    /// no projection. Equirectangular images, whose pixels have no common scale, take the angle times the pixels per
-    /// radian at the equator, as COLMAP does.
+    /// Distance in pixels between a measured pixel and the projection of a point ([`Camera::project_beyond_field`]); `None` without a projection.
+    /// Pixels of equirectangular images have no common scale: there the error is the angle between the rays times the pixels per radian at the
+    /// equator, as in COLMAP.
     pub fn reprojection_error(&self, x_cam: &Point3<f64>, measured: &Point2<f64>) -> Option<f64> {
         if self.model == CameraModel::Equirectangular {
             let angle = self.ray(measured)?.angle(&x_cam.coords);
@@ -176,36 +180,35 @@ impl Camera {
         Some((self.project_beyond_field(x_cam)? - measured).norm())
     }
 
-    /// Direction in camera coordinates (unit length) of the ray through a pixel; `None` where there is none.
-    /// The inverse of [`Camera::project`] within its field.
+    /// Unit direction, in camera coordinates, of the ray through a pixel: the inverse of [`Camera::project`]. `None` if no point of the field
+    /// projects to the pixel.
     pub fn ray(&self, pixel: &Point2<f64>) -> Option<Unit<Vector3<f64>>> {
         self.lens.ray(pixel.coords)
     }
 
-    /// What is divided by the focal length for the size of a pixel at a point: its z, or its distance in pictures of all directions (where
-    /// nothing is behind the camera).
+    /// Depth of a point, scene units; divided by the focal length it gives the size of a pixel there. It is z, and the distance from the centre for
+    /// equirectangular images, where no point is behind the camera.
     pub fn depth(&self, x_cam: &Point3<f64>) -> f64 {
         if self.model == CameraModel::Equirectangular { x_cam.coords.norm() } else { x_cam.z }
     }
 
-    /// Does the pixel lie in the image?
+    /// Returns whether the pixel is inside the image.
     pub fn contains(&self, pixel: &Point2<f64>) -> bool {
         pixel.x >= 0.0 && pixel.y >= 0.0 && pixel.x < f64::from(self.width) && pixel.y < f64::from(self.height)
     }
 
-    /// The mean focal length in pixels (equirectangular: pixels per radian).
+    /// Mean of the two focal lengths, pixels (equirectangular: pixels per radian).
     pub fn mean_focal_length(&self) -> f64 {
         let (focal, _) = self.pinhole_part();
         0.5 * (focal.x + focal.y)
     }
 
-    /// Focal lengths and principal point of the pinhole part, without distortion (equirectangular: pixels per radian and
-    /// the centre of the image).
+    /// Focal lengths and principal point, pixels: the camera without its distortion (equirectangular: pixels per radian and the image centre).
     pub fn pinhole_part(&self) -> (Vector2<f64>, Point2<f64>) {
         (self.lens.focal, Point2::from(self.lens.centre))
     }
 
-    /// PINHOLE or SIMPLE_PINHOLE: no distortion at all.
+    /// Returns whether the model is PINHOLE or SIMPLE_PINHOLE, without distortion.
     pub fn is_pinhole(&self) -> bool {
         matches!(self.model, CameraModel::SimplePinhole | CameraModel::Pinhole)
     }

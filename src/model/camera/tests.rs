@@ -1,7 +1,7 @@
 use super::*;
 use proptest::prelude::*;
 
-/// One camera of each model with typical parameters.
+/// One camera per model with typical parameters.
 fn cameras() -> Vec<Camera> {
     let extra: [&[f64]; 18] = [
         &[],
@@ -48,7 +48,7 @@ fn models_have_colmaps_numbers_and_names() {
 }
 
 #[test]
-fn projections_are_those_of_pycolmap() {
+fn projections_agree_with_pycolmap() {
     let path = concat!(env!("CARGO_MANIFEST_DIR"), "/fixtures/formats/camera_models/projections.json");
     let text = std::fs::read_to_string(path).unwrap();
     let all: serde_json::Map<String, serde_json::Value> = serde_json::from_str(&text).unwrap();
@@ -76,7 +76,7 @@ fn projections_are_those_of_pycolmap() {
     }
 }
 
-/// Central differences of the projection.
+/// Jacobian of the projection by central differences.
 fn differences(camera: &Camera, x: &Point3<f64>) -> Option<Matrix2x3<f64>> {
     let mut jacobian = Matrix2x3::zeros();
     for axis in 0..3 {
@@ -100,7 +100,7 @@ proptest! {
         let expected = differences(camera, &x).unwrap();
         let error = (jacobian - expected).norm() / expected.norm();
         prop_assert!(error < 1e-6, "{} at {x}: {error}", camera.model().name());
-        // Moving along the ray moves nothing.
+        // A step along the ray does not move the pixel.
         prop_assert!((jacobian * x.coords).norm() < 1e-9 * 750.0);
     }
 
@@ -121,8 +121,7 @@ proptest! {
         prop_assert!((pixel - Point2::new(x, y)).norm() < 1e-8, "{}", camera.model().name());
     }
 
-    /// Whatever the parameters: no panic, the ray leads back to the pixel, and where the distortion is purely radial it is
-    /// the ray that we came by.
+    /// For any parameters: no panic, the ray projects to the pixel, and with purely radial distortion it passes through the point.
     #[test]
     fn any_parameters_are_safe(
         m in 0u32..18,
@@ -158,7 +157,7 @@ fn jacobian_on_the_axis() {
 }
 
 #[test]
-fn strong_distortion_has_a_field() {
+fn strong_distortion_limits_the_field() {
     // r (1 - 0.3 r²) turns back at r = 1/√0.9.
     let turn = (1.0f64 / 0.9).sqrt();
     let camera = Camera::new(1, CameraModel::SimpleRadial, 1000, 1000, vec![500.0, 500.0, 500.0, -0.3]).unwrap();
@@ -172,7 +171,7 @@ fn strong_distortion_has_a_field() {
 }
 
 #[test]
-fn behind_the_camera_is_nothing() {
+fn points_behind_the_camera_have_no_projection() {
     for camera in cameras() {
         let projected = camera.project(&Point3::new(0.1, 0.2, -1.0));
         let sees_behind = matches!(camera.model(), CameraModel::Equirectangular | CameraModel::SimpleDivision);
@@ -183,7 +182,7 @@ fn behind_the_camera_is_nothing() {
 }
 
 #[test]
-fn equirectangular_sees_all_around() {
+fn equirectangular_projects_every_direction() {
     let camera = Camera::new(1, CameraModel::Equirectangular, 1000, 500, vec![1000.0, 500.0]).unwrap();
     for x in [Point3::new(-0.3, 0.1, -2.0), Point3::new(1.0, 0.0, 0.0), Point3::new(0.1, -5.0, 0.1)] {
         let pixel = camera.project(&x).unwrap();
@@ -206,6 +205,6 @@ fn bad_parameters_are_refused() {
     ));
     assert_eq!(camera(CameraModel::SimplePinhole, &[0.0, 1.0, 1.0]), Err(CameraError::FocalLength(0.0)));
     assert_eq!(camera(CameraModel::Equirectangular, &[4.0, -1.0]), Err(CameraError::FocalLength(-1.0)));
-    let none = Camera::new(1, CameraModel::SimplePinhole, 0, 1 << 40, vec![1.0, 1.0, 1.0]);
-    assert_eq!(none, Err(CameraError::ImageSize { width: 0, height: 1 << 40 }));
+    let empty = Camera::new(1, CameraModel::SimplePinhole, 0, 1 << 40, vec![1.0, 1.0, 1.0]);
+    assert_eq!(empty, Err(CameraError::ImageSize { width: 0, height: 1 << 40 }));
 }

@@ -20,7 +20,7 @@ pub struct Geodetic {
 }
 
 impl Geodetic {
-    /// Earth-centred, earth-fixed coordinates.
+    /// Converts to earth-centred, earth-fixed (ECEF) coordinates, metres.
     pub fn to_ecef(self) -> Vector3<f64> {
         let (sin_lat, cos_lat) = self.latitude.to_radians().sin_cos();
         let (sin_lon, cos_lon) = self.longitude.to_radians().sin_cos();
@@ -29,8 +29,8 @@ impl Geodetic {
         Vector3::new(r * cos_lon, r * sin_lon, (n * (1.0 - E2) + self.height) * sin_lat)
     }
 
-    /// From earth-centred coordinates, by Bowring's formula (1976), applied until it stands still: exact to a micrometre from the
-    /// deep sea to a satellite.
+    /// Converts from ECEF coordinates, metres, by four iterations of Bowring's formula (1976): accurate to a micrometre from the deep sea to
+    /// satellite orbits.
     pub fn from_ecef(x: &Vector3<f64>) -> Self {
         let p = x.x.hypot(x.y);
         let b = A * (1.0 - F);
@@ -49,7 +49,7 @@ impl Geodetic {
         Self { longitude: x.y.atan2(x.x).to_degrees(), latitude: latitude.to_degrees(), height }
     }
 
-    /// East, north and up at this place: the columns, in earth-centred coordinates.
+    /// Axes of the local frame here: columns east, north and up, unit vectors in ECEF coordinates.
     pub fn east_north_up(self) -> Matrix3<f64> {
         let (sin_lat, cos_lat) = self.latitude.to_radians().sin_cos();
         let (sin_lon, cos_lon) = self.longitude.to_radians().sin_cos();
@@ -60,8 +60,8 @@ impl Geodetic {
         ])
     }
 
-    /// From UTM coordinates, by the series of Krüger (1912) to the fourth power of the third flattening: exact to a tenth of a
-    /// millimetre within the zone and its neighbours.
+    /// Converts from UTM coordinates, metres, by the series of Krüger (1912) to the fourth power of the third flattening: accurate to 0.1 mm
+    /// within the zone and its neighbours.
     pub fn from_utm(zone: Zone, easting: f64, northing: f64, height: f64) -> Self {
         let n = F / (2.0 - F);
         let [n2, n3, n4] = [n * n, n.powi(3), n.powi(4)];
@@ -91,23 +91,23 @@ impl Geodetic {
         let latitude: f64 =
             chi + conformal.iter().zip(1..).map(|(d, j)| d * (2.0 * f64::from(j) * chi).sin()).sum::<f64>();
         let longitude = zone.meridian() + eta0.sinh().atan2(xi0.cos()).to_degrees();
-        // Zones 1 and 60 reach over the 180th meridian.
+        // Zones 1 and 60 extend across the 180th meridian.
         let longitude = longitude - 360.0 * (longitude / 360.0).round();
         Self { longitude, latitude: latitude.to_degrees(), height }
     }
 }
 
-/// A zone of UTM.
+/// A UTM zone.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Zone {
     /// 1 to 60.
     number: u8,
-    /// On the northern hemisphere?
+    /// True on the northern hemisphere, false on the southern.
     north: bool,
 }
 
 impl Zone {
-    /// From `33N`, `33 N` or `18S`: number and hemisphere.
+    /// Parses a number and a hemisphere, such as `33N`, `33 N` or `18S`.
     pub fn parse(text: &str) -> Option<Self> {
         let text = text.trim();
         let north = match text.chars().last()? {
@@ -130,7 +130,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn earth_centred_coordinates_come_back() {
+    fn ecef_coordinates_round_trip() {
         for latitude in [-89.9, -45.0, -0.1, 0.0, 30.0, 57.3, 90.0] {
             for (longitude, height) in [(-179.5, -4000.0), (0.0, 0.0), (98.0, 12_000.0)] {
                 let place = Geodetic { longitude, latitude, height };
@@ -138,16 +138,16 @@ mod tests {
                 assert!((back.to_ecef() - place.to_ecef()).norm() < 1e-6, "{place:?} {back:?}");
             }
         }
-        // On the equator and at the pole the axes themselves.
+        // On the equator and at the pole the distance is that semi-axis.
         assert!((Geodetic { longitude: 90.0, latitude: 0.0, height: 7.0 }.to_ecef().y - A - 7.0).abs() < 1e-6);
         assert!(
             (Geodetic { longitude: 0.0, latitude: 90.0, height: 0.0 }.to_ecef().z - 6_356_752.314_245).abs() < 1e-5
         );
     }
 
-    /// A metre along an axis of UTM is 0.9996 m on the central meridian, and its direction is east or north.
+    /// On the central meridian a metre along an axis of UTM is 1 m / 0.9996 on the ground; the axes are perpendicular everywhere.
     #[test]
-    fn utm_is_conformal_and_of_its_scale() {
+    fn utm_is_conformal_with_the_documented_scale() {
         let zone = Zone::parse("33N").unwrap();
         let at = |east: f64, north: f64| Geodetic::from_utm(zone, east, north, 0.0).to_ecef();
         for (east, north) in [(500_000.0, 5_400_000.0), (690_000.0, 5_400_000.0), (500_000.0, 100_000.0)] {
@@ -159,7 +159,7 @@ mod tests {
         }
         let middle = Geodetic::from_utm(zone, 500_000.0, 0.0, 3.0);
         assert!((middle.longitude - 15.0).abs() < 1e-12 && middle.latitude.abs() < 1e-12);
-        // The quarter of the meridian is 10,001,965.729 m long.
+        // The distance from the equator to a pole along a meridian is 10,001,965.729 m.
         let pole = Geodetic::from_utm(zone, 500_000.0, K0 * 10_001_965.729, 0.0);
         assert!((pole.latitude - 90.0).abs() < 1e-8, "{pole:?}");
         let south = Geodetic::from_utm(Zone::parse("33 S").unwrap(), 500_000.0, 10_000_000.0, 0.0);
@@ -167,7 +167,7 @@ mod tests {
     }
 
     #[test]
-    fn longitudes_end_at_180_degrees() {
+    fn longitudes_are_wrapped_at_180_degrees() {
         let at = |zone: &str, easting: f64| Geodetic::from_utm(Zone::parse(zone).unwrap(), easting, 8_000_000.0, 0.0);
         for (zone, neighbour, easting) in [("60S", "1S", 850_000.0), ("1S", "60S", 150_000.0)] {
             let place = at(zone, easting);

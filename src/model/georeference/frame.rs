@@ -1,16 +1,16 @@
-//! Which way is up in a model, and frames that stand on it: for terrain surfaces and for maps.
+//! Estimates which way is up in a model; upright frames for terrain surfaces and for maps.
 
 use nalgebra::{Matrix3, Point3, Vector3};
 
 use crate::model::scene::Scene;
 
-/// Ratio of the two smaller standard deviations of the points, below which their plane says what is up.
+/// Largest ratio of the two smaller standard deviations at which the points are flat, so their plane's normal is up.
 const FLAT_RATIO: f64 = 0.3;
-/// Length of the mean of the viewing directions from which on all views look the same way.
+/// Least length of the mean viewing direction at which all views count as looking the same way.
 const ONE_DIRECTION: f64 = 0.8;
-/// Cosine of the angle to the longest axis of the points, beyond which views look along the scene and not upon it.
+/// Cosine of the angle to the longest axis of the points, from which on the views look along the scene rather than at it.
 const ALONG: f64 = 0.7;
-/// Cosine of the angle between the tops of the images and the third axis of the world, from which on they agree on what is up.
+/// Cosine of the angle between the mean image top and the world's third axis, above which that axis is up in the images.
 const UPRIGHT: f64 = 0.9;
 
 /// Cosine of the angle within which the third axis of the model counts as up.
@@ -23,9 +23,14 @@ pub struct UprightFrame {
 }
 
 impl UprightFrame {
-    /// Up is as given, or the normal of the points' plane on the side of the cameras where the points are flat; or else, where all views
-    /// look upon the scene in one direction (a nadir flight of one heading has no image whose top is up), against that direction, and else
-    /// the mean upward direction of the images; this first where it is the third axis of the world.
+    /// Makes a frame whose up is `up`, if given; otherwise the first that applies of:
+    ///
+    /// 1. flat points: the normal of their plane, towards the cameras;
+    /// 2. images whose mean top is near the world's third axis: that mean;
+    /// 3. all views looking at the scene in one direction, such as a nadir flight of one heading, whose image tops are not up: the opposite
+    ///    direction;
+    /// 4. the mean top of the images;
+    /// 5. as for flat points.
     pub fn new(points: &[Point3<f64>], scene: &Scene, up: Option<[f64; 3]>) -> Self {
         let (origin, spread) = plane_fit(points);
         let up =
@@ -34,28 +39,28 @@ impl UprightFrame {
         Self { origin, axes: [first, up.cross(&first), up] }
     }
 
-    /// Unit vector, world coordinates.
+    /// Up, a unit vector in world coordinates.
     pub fn up(&self) -> Vector3<f64> {
         self.axes[2]
     }
 
-    /// Among the points, world coordinates.
+    /// Origin: the mean of the points, world coordinates.
     pub fn origin(&self) -> Point3<f64> {
         self.origin
     }
 
-    /// The point in this frame, scene units.
+    /// Converts a point from world to frame coordinates, scene units.
     pub fn local(&self, point: &Point3<f64>) -> [f64; 3] {
         self.axes.map(|axis| axis.dot(&(point - self.origin)))
     }
 
-    /// World coordinates of a point of this frame.
+    /// Converts a point from frame to world coordinates, scene units.
     pub fn world(&self, local: [f64; 3]) -> Point3<f64> {
         self.origin + self.axes[0] * local[0] + self.axes[1] * local[1] + self.axes[2] * local[2]
     }
 }
 
-/// Principal directions of points about their mean, with the standard deviation along each; the smallest first.
+/// Standard deviation along each principal direction of points about their mean, with the direction; ascending.
 type Spread = [(f64, Vector3<f64>); 3];
 
 fn plane_fit(points: &[Point3<f64>]) -> (Point3<f64>, Spread) {
@@ -70,7 +75,7 @@ fn plane_fit(points: &[Point3<f64>]) -> (Point3<f64>, Spread) {
     (Point3::from(mean), spread)
 }
 
-/// Standard deviations of points along their three principal directions, the smallest first.
+/// Standard deviations of points along their three principal directions, scene units, ascending.
 pub fn spread(points: &[Point3<f64>]) -> [f64; 3] {
     plane_fit(points).1.map(|(deviation, _)| deviation)
 }
@@ -80,14 +85,14 @@ fn fitted_up(scene: &Scene, origin: Point3<f64>, spread: &Spread) -> Vector3<f64
     let towards: Vector3<f64> = scene.views.iter().map(|v| v.cam_from_world.centre() - origin).sum();
     if thickness > FLAT_RATIO * width {
         let count = scene.views.len() as f64;
-        // Axis of the images: 1 points down in them, 2 ahead.
+        // Camera axes: 1 points down in the image, 2 forward.
         let mean_axis = |axis: usize| -> Vector3<f64> {
             scene.views.iter().map(|v| v.cam_from_world.rotation.matrix().row(axis).transpose()).sum()
         };
         let below_images = mean_axis(1).try_normalize(0.5 * count);
         let ahead = mean_axis(2).try_normalize(ONE_DIRECTION * count);
         let upon = ahead.filter(|ahead| ahead.dot(&longest).abs() < ALONG);
-        // A front seen from one side, in a model whose third axis is up.
+        // A façade photographed from one side, in a model whose third axis is up: its views agree on a direction, too.
         let upright = below_images.filter(|down| -down.z > UPRIGHT);
         if let Some(down) = upright.or(upon).or(below_images) {
             return -down;
@@ -96,17 +101,17 @@ fn fitted_up(scene: &Scene, origin: Point3<f64>, spread: &Spread) -> Vector3<f64
     if normal.dot(&towards) < 0.0 { -normal } else { normal }
 }
 
-/// A right-handed frame for maps: the second axis of the model points up the sheet, the third towards the reader.
+/// A right-handed frame for maps seen from above, with the model's second axis pointing up the sheet.
 #[derive(Clone, Copy, Debug)]
 pub struct MapFrame {
-    /// World coordinates, among the points.
+    /// Mean of the points, world coordinates.
     pub origin: Point3<f64>,
-    /// Right, up the sheet, towards the reader; unit vectors in world coordinates.
+    /// Unit vectors in world coordinates: right, up the sheet, towards the reader (up in the model).
     pub axes: [Vector3<f64>; 3],
 }
 
 impl MapFrame {
-    /// Up is the model's third axis where that is nearly so, else as for a terrain surface (method 1.7).
+    /// Makes a frame whose up is that of a terrain surface (method 1.7), or the model's third axis if that is within 11° of it.
     pub fn new(scene: &Scene, up: Option<[f64; 3]>) -> Self {
         let frame = UprightFrame::new(&scene.points, scene, up);
         let up = if frame.up().z > NEARLY_UP { Vector3::z() } else { frame.up() };
@@ -115,12 +120,12 @@ impl MapFrame {
         Self { origin: frame.origin(), axes: [right, up.cross(&right), up] }
     }
 
-    /// The point in this frame, scene units.
+    /// Converts a point from world to frame coordinates, scene units.
     pub fn local(&self, point: &Point3<f64>) -> [f64; 3] {
         self.direction(&(point - self.origin))
     }
 
-    /// The direction in this frame.
+    /// Converts a direction from world to frame coordinates.
     pub fn direction(&self, direction: &Vector3<f64>) -> [f64; 3] {
         self.axes.map(|axis| axis.dot(direction))
     }

@@ -1,4 +1,4 @@
-//! Places a model on the WGS 84 ellipsoid, and says which way is up in it.
+//! Georeference of a model on the WGS 84 ellipsoid, and its upright frames.
 
 mod ellipsoid;
 mod frame;
@@ -10,36 +10,36 @@ pub use frame::{MapFrame, UprightFrame, spread};
 
 use super::scene::Scene;
 
-/// How the coordinates of a model lie on the WGS 84 ellipsoid.
+/// Coordinate system of a model relative to the WGS 84 ellipsoid; lengths in metres except in `Local`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Georeference {
-    /// Not known: coordinates are the model's own.
+    /// Unknown: the model has local coordinates.
     Local,
     /// Earth-centred, earth-fixed.
     Ecef,
-    /// East, north, up at an origin.
+    /// East, north, up of an origin; `origin` and the columns of `axes` are in ECEF coordinates.
     EastNorthUp { origin: Vector3<f64>, axes: Matrix3<f64> },
-    /// UTM; the offset is added to x and y.
+    /// UTM: x + `offset[0]` is the easting, y + `offset[1]` the northing.
     Utm { zone: Zone, offset: [f64; 2] },
 }
 
-/// Heights of survey cameras above the ellipsoid, metres.
+/// Plausible heights of cameras above the ellipsoid, metres.
 const HEIGHTS: std::ops::RangeInclusive<f64> = -1000.0..=15_000.0;
-/// Least cosine between what is up by the cameras and by the ellipsoid.
+/// Least cosine of the angle between up in the model and up on the ellipsoid.
 pub const UPRIGHT: f64 = 0.7;
 
 impl Georeference {
-    /// Earth-centred where the coordinates say so, else not known.
+    /// Returns `Ecef` if the camera positions are plausible ECEF coordinates, otherwise `Local`.
     pub fn from_coordinates(scene: &Scene) -> Self {
         if is_ecef(scene) { Self::Ecef } else { Self::Local }
     }
 
-    /// East, north and up at a place.
-    pub fn at(origin: Geodetic) -> Self {
+    /// Local east, north, up coordinates with their origin at `origin`.
+    pub fn east_north_up(origin: Geodetic) -> Self {
         Self::EastNorthUp { origin: origin.to_ecef(), axes: origin.east_north_up() }
     }
 
-    /// Where a point of the model is; `None` where the model's place is not known.
+    /// Converts a point of the model to geodetic coordinates; `None` for `Local`.
     pub fn geodetic(&self, point: &Point3<f64>) -> Option<Geodetic> {
         match *self {
             Self::Local => None,
@@ -51,12 +51,12 @@ impl Georeference {
         }
     }
 
-    /// What the coordinates of the model are, for people.
+    /// Describes the coordinates for users.
     pub fn words(&self) -> &'static str {
         match self {
             Self::Local => {
-                "a local frame, x to the right and y up the map, scene units: where the model lies on the earth is not known \
-                 (frame.origin or frame.utm says it)"
+                "a local frame, x to the right and y up the map, scene units: the model has no georeference \
+                 (set frame.origin or frame.utm)"
             }
             Self::Ecef => "earth-centred coordinates",
             Self::EastNorthUp { .. } => "metres east, north and up of an origin",
@@ -65,8 +65,8 @@ impl Georeference {
     }
 }
 
-/// Earth-centred coordinates betray themselves: every camera lies near the ellipsoid, and up is away from the earth's centre. The latter
-/// tells them from UTM coordinates whose northing happens to be an earth radius.
+/// Returns whether every camera is near the ellipsoid and up points away from the earth's centre. The second condition excludes UTM
+/// coordinates whose northing happens to be near the earth's radius.
 fn is_ecef(scene: &Scene) -> bool {
     let near = scene.views.iter().all(|view| {
         let centre = view.cam_from_world.centre().coords;
@@ -95,8 +95,8 @@ mod tests {
         Town { points: 300, ..Town::new(camera) }.scene()
     }
 
-    /// The scene turned and moved.
-    fn moved(mut scene: Scene, rotation: Matrix3<f64>, translation: Vector3<f64>) -> Scene {
+    /// Rotates and translates a scene.
+    fn transformed(mut scene: Scene, rotation: Matrix3<f64>, translation: Vector3<f64>) -> Scene {
         let rotation = Rotation3::from_matrix_unchecked(rotation);
         scene.points.iter_mut().for_each(|p| *p = rotation * *p + translation);
         for view in &mut scene.views {
@@ -108,17 +108,17 @@ mod tests {
     }
 
     #[test]
-    fn earth_centred_models_are_known_by_their_coordinates() {
+    fn ecef_models_are_recognised_by_their_coordinates() {
         let place = Geodetic { longitude: -81.89, latitude: 41.4, height: 300.0 };
         assert!(!is_ecef(&town()));
-        assert!(is_ecef(&moved(town(), place.east_north_up(), place.to_ecef())));
-        let utm = moved(town(), Matrix3::identity(), Vector3::new(500_000.0, 6_355_000.0, 100.0));
-        assert!(!is_ecef(&utm), "a northing of an earth radius");
+        assert!(is_ecef(&transformed(town(), place.east_north_up(), place.to_ecef())));
+        let utm = transformed(town(), Matrix3::identity(), Vector3::new(500_000.0, 6_355_000.0, 100.0));
+        assert!(!is_ecef(&utm), "a northing near the earth's radius");
     }
 
     #[test]
-    fn a_point_east_of_the_origin_lies_east_of_it() {
-        let frame = Georeference::at(Geodetic { latitude: 30.171208, longitude: -98.089669, height: 394.0 });
+    fn a_point_100_m_east_has_a_greater_longitude() {
+        let frame = Georeference::east_north_up(Geodetic { latitude: 30.171208, longitude: -98.089669, height: 394.0 });
         let origin = frame.geodetic(&Point3::origin()).unwrap();
         assert!((origin.latitude - 30.171208).abs() < 1e-12 && (origin.height - 394.0).abs() < 1e-6);
         let east = frame.geodetic(&Point3::new(100.0, 0.0, 0.0)).unwrap();

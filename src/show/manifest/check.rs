@@ -3,7 +3,7 @@
 
 use std::collections::BTreeSet;
 
-use super::written::{Cluster, Recorded};
+use super::written::{ClusterEntry, Recorded};
 use crate::{backends, base::error::Hint};
 
 /// Sums of gains are rounded differently by other programs.
@@ -53,7 +53,7 @@ fn check_cut(manifest: &Recorded) -> Result<(), String> {
 }
 
 /// Are key and partners views of the model, each once?
-fn check_views(cluster: &Cluster, names: &BTreeSet<&str>) -> Result<(), String> {
+fn check_views(cluster: &ClusterEntry, names: &BTreeSet<&str>) -> Result<(), String> {
     let mut seen = BTreeSet::from([cluster.key.as_str()]);
     if !names.contains(cluster.key.as_str()) {
         return Err("no view is called so".into());
@@ -80,8 +80,8 @@ struct Before {
 }
 
 impl Before {
-    fn check(&self, cluster: &Cluster) -> Result<(), String> {
-        let Cluster { gain, fulfilment, share, finished, .. } = cluster;
+    fn check(&self, cluster: &ClusterEntry) -> Result<(), String> {
+        let ClusterEntry { gain, fulfilment, share, finished, .. } = cluster;
         for (name, value) in [("gain", gain), ("fulfilment", fulfilment), ("share", share)] {
             if !is_share(*value) {
                 return Err(format!("its {name} is {value}, not from 0 to 1"));

@@ -51,7 +51,7 @@ pub struct Manifest {
     pub confidence_model: Option<ConfidenceModel>,
     pub surface: SurfaceSummary,
     /// The whole ranking, best first; those up to `cut` are to be computed.
-    pub clusters: Vec<Cluster>,
+    pub clusters: Vec<ClusterEntry>,
     /// Where the ranking is cut.
     pub cut: Cut,
     /// Each registered view once, by name.
@@ -127,7 +127,7 @@ pub struct SurfaceSummary {
 
 /// A view cluster in its place of the ranking.
 #[derive(Clone, Debug, Serialize, JsonSchema)]
-pub struct Cluster {
+pub struct ClusterEntry {
     /// From 1.
     pub rank: usize,
     /// Name of the key view, which gets a depth map.
@@ -248,10 +248,10 @@ impl ViewEntry {
     }
 }
 
-fn clusters(plan: &Plan) -> Vec<Cluster> {
+fn clusters(plan: &Plan) -> Vec<ClusterEntry> {
     let name = |view: ViewIndex| plan.stages.scene.name(view).to_owned();
     let ranked = plan.ranked().enumerate();
-    let entry = |(i, cluster): (usize, RankedCluster)| Cluster {
+    let entry = |(i, cluster): (usize, RankedCluster)| ClusterEntry {
         rank: i + 1,
         key: name(cluster.key),
         partners: cluster.partners.into_iter().map(name).collect(),

@@ -46,7 +46,7 @@ pub(crate) struct Recorded {
     pub backend: String,
     pub settings: Settings,
     /// The whole ranking, best first; what is finished comes first.
-    pub clusters: Vec<Cluster>,
+    pub clusters: Vec<ClusterEntry>,
     pub views: Vec<ViewEntry>,
     pub outdated: Vec<Outdated>,
     pub cut: Cut,
@@ -64,7 +64,7 @@ struct Input {
 }
 
 #[derive(Debug, Deserialize)]
-pub(crate) struct Cluster {
+pub(crate) struct ClusterEntry {
     pub rank: i64,
     pub key: String,
     pub partners: Vec<String>,
@@ -161,7 +161,7 @@ impl Recorded {
     /// The whole ranking, best first.
     pub fn ranked(&self, scene: &Scene) -> Result<Vec<RankedCluster>, WrittenPlanError> {
         let view = |name: &String| scene.find(name).ok_or_else(|| WrittenPlanError::OtherInput(self.path.clone()));
-        let cluster = |c: &Cluster| {
+        let cluster = |c: &ClusterEntry| {
             let partners: Result<Vec<ViewIndex>, _> = c.partners.iter().map(view).collect();
             Ok(RankedCluster { key: view(&c.key)?, partners: partners?, share: c.share })
         };

@@ -19,7 +19,8 @@ pub fn footprints(surface: &Surface, visibility: &Visibility, frame: &MapFrame) 
 }
 
 fn footprint(surface: &Surface, visibility: &Visibility, view: ViewIndex, frame: &MapFrame) -> Vec<Point3<f64>> {
-    let mut vertices: Vec<u32> = visibility.of(view).iter().flat_map(|&t| surface.triangles[t as usize]).collect();
+    let mut vertices: Vec<u32> =
+        visibility.triangles_seen_by(view).iter().flat_map(|&t| surface.triangles[t as usize]).collect();
     vertices.sort_unstable();
     vertices.dedup();
     let flat: Vec<[f64; 3]> = vertices.iter().map(|&v| frame.local(&surface.vertices[v as usize])).collect();
@@ -62,7 +63,7 @@ mod tests {
             &surface,
             &settings,
             0.5,
-            crate::base::column::Keep::Memory,
+            crate::base::column::Storage::Memory,
             &Unwatched,
         )
         .unwrap();

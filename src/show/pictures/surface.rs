@@ -48,7 +48,7 @@ pub fn follow(plan: &Plan, mut visit: impl FnMut(usize, u32, f32)) {
         if rank.is_multiple_of(column::READ_AT_ONCE) {
             plan.stages.fulfilment.release();
         }
-        let (of_cluster, values) = plan.stages.fulfilment.of(cluster as usize);
+        let (of_cluster, values) = plan.stages.fulfilment.row(cluster as usize);
         for (&t, &f) in of_cluster.iter().zip(values) {
             reached.take_at(t, f);
             visit(rank, t, reached.worth(t));

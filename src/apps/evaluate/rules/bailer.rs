@@ -19,7 +19,7 @@ pub(super) fn choose(hood: &Neighbourhood, k: usize) -> Vec<ViewIndex> {
 
 fn weight(hood: &Neighbourhood, view: ViewIndex, point: PointIndex, taken: &[ViewIndex]) -> f64 {
     let angle = |other, full: f64| (hood.angle(point, other, view).to_degrees() / full).min(1.0).powf(ANGLE_POWER);
-    let seeing = taken.iter().filter(|v| hood.points.of(**v).binary_search(&point).is_ok());
+    let seeing = taken.iter().filter(|v| hood.points.observed_by(**v).binary_search(&point).is_ok());
     let among: f64 = seeing.clone().map(|&v| angle(v, FULL_ANGLE_PARTNERS)).product();
     let coverage = 1.0 / (1.0 + seeing.count() as f64);
     let ratio = hood.footprint(point, hood.key) / hood.footprint(point, view);

@@ -17,7 +17,7 @@ pub(super) fn choose(hood: &Neighbourhood, k: usize) -> Vec<ViewIndex> {
 }
 
 fn weight(hood: &Neighbourhood, view: ViewIndex, point: PointIndex, taken: &[ViewIndex]) -> f64 {
-    let seen_by = |v: &&ViewIndex| hood.points.of(**v).binary_search(&point).is_ok();
+    let seen_by = |v: &&ViewIndex| hood.points.observed_by(**v).binary_search(&point).is_ok();
     let angle = |&other: &ViewIndex| (hood.angle(point, other, view).to_degrees() / FULL_ANGLE).min(1.0).powi(2);
     let angles: f64 = taken.iter().filter(seen_by).chain([&hood.key]).map(angle).product();
     angles * scale(hood.footprint(point, hood.key) / hood.footprint(point, view))

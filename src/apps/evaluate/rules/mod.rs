@@ -65,7 +65,7 @@ struct Neighbourhood<'a> {
 impl<'a> Neighbourhood<'a> {
     fn new(scene: &'a Scene, points: &'a ViewPoints, key: ViewIndex) -> Self {
         let mut shared = vec![Vec::new(); scene.views.len()];
-        for &point in points.of(key) {
+        for &point in points.observed_by(key) {
             for &view in scene.track_views(point) {
                 let list: &mut Vec<PointIndex> = &mut shared[view.index()];
                 if view != key && list.last() != Some(&point) {

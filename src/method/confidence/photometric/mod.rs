@@ -14,7 +14,7 @@ use self::stacks::{STACK, Spacing, correlation, stacks};
 use super::{image::ImageError, pictures::Pictures};
 use crate::{
     base::{
-        column::{Column, Keep, TableError},
+        column::{Column, Storage, TableError},
         progress::{Stage, Watcher},
     },
     method::geometry::Geometry,
@@ -101,10 +101,10 @@ impl Agreement {
                 None
             });
             watcher.progress(Stage::Confidence, 1 + done.fetch_add(1, Ordering::Relaxed), total);
-            Ok(sampled.unwrap_or_else(|| vec![stacks::NOT_SEEN; visibility.of(view).len() * STACK]))
+            Ok(sampled.unwrap_or_else(|| vec![stacks::NOT_SEEN; visibility.triangles_seen_by(view).len() * STACK]))
         };
         let keep = match visibility.triangles.len() as u64 * STACK as u64 > most_samples {
-            true => Keep::Disk,
+            true => Storage::Disk,
             false => visibility.triangles.kept(),
         };
         let samples: Column<i8> = visibility.column_kept(keep, || (), of_view)?;
@@ -116,7 +116,7 @@ impl Agreement {
         let mut table = Self { offsets: vec![0], ..Self::default() };
         let mut start = 0;
         for key in scene.view_indices() {
-            let rows = visibility.of(key).len();
+            let rows = visibility.triangles_seen_by(key).len();
             table.keys.push((start, rows));
             if has_picture(&key) {
                 let partners = partners_of(key).iter().copied().filter(has_picture);
@@ -173,11 +173,11 @@ fn compared(
     places: &mut [u32],
 ) -> Vec<u8> {
     let visibility = geometry.visibility;
-    let (own, seen) = (visibility.rows(key), visibility.of(key));
+    let (own, seen) = (visibility.rows(key), visibility.triangles_seen_by(key));
     seen.iter().enumerate().for_each(|(row, &t)| places[t as usize] = row as u32);
     let mut values = vec![0; partners.len() * seen.len()];
     for (partner, values) in partners.iter().zip(values.chunks_exact_mut(seen.len().max(1))) {
-        for (row, &t) in visibility.rows(*partner).zip(visibility.of(*partner)) {
+        for (row, &t) in visibility.rows(*partner).zip(visibility.triangles_seen_by(*partner)) {
             let place = places[t as usize];
             if place != u32::MAX {
                 let [a, b] = [own.start + place as usize, row].map(|row| &samples[row * STACK..][..STACK]);

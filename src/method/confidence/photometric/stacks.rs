@@ -43,7 +43,7 @@ impl Spacing {
         const PARTS: f64 = (1u64 << 32) as f64;
         let sums: Vec<(AtomicI64, AtomicU32)> = surface.triangles.iter().map(|_| Default::default()).collect();
         let add = |&view: &ViewIndex| {
-            for &t in visibility.of(view) {
+            for &t in visibility.triangles_seen_by(view) {
                 let gsd = gsd_at(scene, surface, view, t).max(f64::MIN_POSITIVE);
                 let (sum, views) = &sums[t as usize];
                 sum.fetch_add((gsd.log2() * PARTS) as i64, Ordering::Relaxed);
@@ -67,7 +67,7 @@ pub(super) fn stacks(
     grey: &Grey,
     mask: Option<&Mask>,
 ) -> Vec<i8> {
-    let seen = geometry.visibility.of(view);
+    let seen = geometry.visibility.triangles_seen_by(view);
     let mut stacks = vec![NOT_SEEN; seen.len() * STACK];
     let sampler = Sampler::new(geometry, view, grey, mask);
     for (&t, stack) in seen.iter().zip(stacks.chunks_exact_mut(STACK)) {
