@@ -1,7 +1,7 @@
-//! Decides which depth maps are worth making: runs the stages of the method and ranks what comes out of them.
+//! Decides which depth maps are worth computing: runs the stages of the method and ranks the view clusters.
 //!
-//! [`Stages::run`] builds the surface, finds which view sees what, and chooses view clusters; [`decide`] ranks them, cuts the ranking, forecasts its
-//! cost, and says why the rest is not taken. A [`Plan`] is both. Nothing is written here.
+//! [`Stages::run`] builds the surface, computes visibility, and chooses view clusters; [`decide`] ranks them, cuts the ranking, forecasts
+//! its cost, and gives a reason for everything left out. A [`Plan`] holds both results. This module writes no files.
 
 mod cut;
 mod decision;
@@ -26,7 +26,7 @@ pub use georeference::georeference;
 pub use memory::Memory;
 pub use nothing::Nothing;
 pub use numbers::{Matcher, PlanningNumbers};
-pub use reasons::{Likest, ViewStatus};
+pub use reasons::{Substitute, ViewStatus};
 pub use stages::Stages;
 pub use timings::Timings;
 pub use warnings::unlikely_gsd;
@@ -44,17 +44,17 @@ use crate::{
     },
 };
 
-/// A ranking of view clusters with everything that it was made from.
+/// A ranking of view clusters with all intermediate results.
 #[derive(Clone, Debug)]
 pub struct Plan {
     pub stages: Stages,
     pub decision: Decision,
-    /// Not part of what was planned: differs from run to run.
+    /// Differs from run to run, unlike everything else in the plan.
     pub timings: Timings,
 }
 
 impl Plan {
-    /// Plans which views of the project become key views, with which partners, in which order, for the MVS program that will match them.
+    /// Chooses the project's key views, their partners and their order for the MVS program that will match them.
     pub fn new(
         project: &Project,
         settings: &Settings,
@@ -72,7 +72,7 @@ impl Plan {
         Self::of_scene(project, scene, settings, matcher, timings, watcher)
     }
 
-    /// As [`Plan::new`], for the project's scene that was read before, in the time that `timings` have.
+    /// Plans as [`Plan::new`] does, for a scene of the project that is already read; `timings` are running since before reading.
     pub fn of_scene(
         project: &Project,
         scene: Scene,
@@ -92,17 +92,18 @@ impl Plan {
         self.decision.ranking.order[..self.decision.cut.clusters].iter().map(|&c| &self.stages.clusters[c as usize])
     }
 
-    /// Pixels that the depth map of each cluster of the ranking will measure, before fusion.
+    /// Pixels that the depth map of each cluster will measure, before fusion, in the order of the ranking.
     pub fn points_by_rank(&self) -> Vec<f64> {
         let Decision { ranking, finished, .. } = &self.decision;
         let model = self.stages.model();
         forecast::points(&decision::cost(&self.stages, &model, ranking, finished), ranking.order.len())
     }
 
-    /// For each cluster, those ranked before it that do more of what it could by itself than any before them.
-    pub fn likest(&self) -> Result<Vec<Vec<Likest>>, DiskError> {
+    /// For each cluster, the earlier-ranked clusters that could replace it, each better than all ranked before; the last one within a cut
+    /// is the best substitute there.
+    pub fn likest(&self) -> Result<Vec<Vec<Substitute>>, DiskError> {
         let triangles = self.stages.surface.triangles.len();
-        reasons::likest(&self.stages.fulfilment, &self.decision.ranking.order, triangles)
+        reasons::best_substitutes(&self.stages.fulfilment, &self.decision.ranking.order, triangles)
     }
 
     /// The whole ranking, best first.

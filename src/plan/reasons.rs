@@ -1,4 +1,4 @@
-//! Method 5.5: why a view is not taken, a key view has few partners, or a triangle stays unfulfilled.
+//! Method 5.5: finds why a view is not chosen, a key view has few partners, or a triangle stays unfulfilled.
 
 use bytemuck::{Pod, Zeroable};
 use rayon::prelude::*;
@@ -15,35 +15,35 @@ use crate::{
     model::{cluster::ViewCluster, reason::Reason, scene::ViewIndex},
 };
 
-/// What becomes of a registered view.
+/// Role of a registered view in the plan.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum ViewStatus {
     /// Gets a depth map.
     Key,
-    /// Gets none, but one or more key views are matched against it.
+    /// Gets no depth map, but one or more key views are matched against it.
     Partner,
     /// Takes no part.
     Unused,
 }
 
-/// A triangle with less than this is called unfulfilled.
+/// A triangle is unfulfilled below this fulfilment.
 const FULFILLED: f64 = 0.1;
-/// Clusters of which all factors are held at a time.
+/// Clusters whose factors are all in memory at a time.
 const CLUSTERS_AT_ONCE: usize = 64;
-/// A view is a duplicate where another does this share of what it could do.
+/// A view is a duplicate where one chosen cluster gives at least this share of its fulfilment.
 const DUPLICATE: f64 = 0.9;
 
-/// What the reasons are read from.
-pub(super) struct Why<'a> {
+/// Inputs of the reasons.
+pub(super) struct Reasons<'a> {
     pub model: &'a Model<'a>,
     pub candidates: &'a Candidates,
     pub clusters: &'a [ViewCluster],
     pub fulfilment: &'a FulfilmentTable,
 }
 
-impl Why<'_> {
-    /// Status of each view, and the reason of those that are no key view, or a key view with fewer than k partners.
+impl Reasons<'_> {
+    /// Status of each view; with a reason if it is not a key view, or has fewer than k partners.
     pub fn views(
         &self,
         chosen: &[u32],
@@ -75,20 +75,20 @@ impl Why<'_> {
     fn few_partners(&self, cluster: usize, settings: &PartnerSettings) -> Option<Reason> {
         let ViewCluster { key, partners } = &self.clusters[cluster];
         let possible = (settings.k as usize).min(self.model.scene.views.len() - 1);
-        (partners.len() < possible).then(|| self.refused(*key))
+        (partners.len() < possible).then(|| self.main_refusal(*key))
     }
 
-    /// What most of the pairs were refused for.
-    fn refused(&self, view: ViewIndex) -> Reason {
+    /// The most frequent reason why pairs of the view were refused.
+    fn main_refusal(&self, view: ViewIndex) -> Reason {
         most_frequent(self.candidates.refused(view).iter().map(|refusal| refusal.reason))
             .unwrap_or(Reason::NoSharedPoints)
     }
 
     fn no_cluster(&self, view: ViewIndex) -> Reason {
-        if self.model.visibility.of(view).is_empty() { Reason::Hidden } else { self.refused(view) }
+        if self.model.visibility.of(view).is_empty() { Reason::Hidden } else { self.main_refusal(view) }
     }
 
-    /// Why a view with partners is no key view.
+    /// The reason why a view with partners is not a key view.
     fn not_taken(&self, cluster: usize, chosen: &ChosenByTriangle) -> Reason {
         let ViewCluster { key, partners } = &self.clusters[cluster];
         let (triangles, values) = self.fulfilment.of(cluster);
@@ -105,7 +105,7 @@ impl Why<'_> {
         }
     }
 
-    /// The reason of each triangle that no cluster fulfils to a tenth.
+    /// Per triangle, why no cluster fulfils it to 0.1; `None` where one does.
     pub fn triangles(&self) -> Vec<Option<Reason>> {
         let triangles = self.model.surface.triangles.len();
         let mut best = vec![0f32; triangles];
@@ -126,7 +126,7 @@ impl Why<'_> {
         (0..triangles).map(reason).collect()
     }
 
-    /// Of each triangle that is asked for the factors of the cluster that comes nearest to fulfilling it, the first of equals.
+    /// For each triangle that passes `is_asked`, the factors of the cluster that comes nearest to fulfilling it; ties go to the first cluster.
     fn nearest_to_success(&self, is_asked: impl Fn(usize) -> bool + Sync) -> Vec<Option<Fulfilment>> {
         let of_cluster = |cluster: &ViewCluster| -> Vec<(u32, Fulfilment)> {
             let asked = self.model.visibility.of(cluster.key).iter().copied().filter(|&t| is_asked(t as usize));
@@ -148,7 +148,7 @@ impl Why<'_> {
     }
 }
 
-/// The factor that a triangle fails by.
+/// The reason that belongs to the smallest factor.
 fn failure(fulfilment: &Fulfilment) -> Reason {
     let Fulfilment { coverage, resolution, uncertainty, confidence, .. } = *fulfilment;
     if coverage == 0.0 {
@@ -162,52 +162,52 @@ fn failure(fulfilment: &Fulfilment) -> Reason {
     }
 }
 
-/// The reason that occurs most often; of equals the first of the list.
+/// The most frequent reason; ties go to the first in the order of [`Reason`].
 fn most_frequent(reasons: impl Iterator<Item = Reason>) -> Option<Reason> {
     let mut counts = std::collections::BTreeMap::new();
     reasons.for_each(|reason| *counts.entry(reason).or_insert(0u32) += 1);
     counts.into_iter().max_by_key(|&(reason, count)| (count, std::cmp::Reverse(reason))).map(|(reason, _)| reason)
 }
 
-fn release_at(place: usize, table: &FulfilmentTable) {
-    if place.is_multiple_of(column::READ_AT_ONCE) {
+fn release_at(rank: usize, table: &FulfilmentTable) {
+    if rank.is_multiple_of(column::READ_AT_ONCE) {
         table.release();
     }
 }
 
-/// Which chosen clusters fulfil each triangle (CSR by triangle).
+/// The chosen clusters that fulfil each triangle (CSR by triangle).
 struct ChosenByTriangle {
     offsets: Vec<usize>,
     entries: Column<ChosenEntry>,
     chosen: usize,
 }
 
-/// Of a triangle.
+/// A chosen cluster that fulfils a triangle.
 #[derive(Clone, Copy, Pod, Zeroable)]
 #[repr(C)]
 struct ChosenEntry {
-    /// Among the chosen clusters.
-    place: u32,
+    /// Index among the chosen clusters.
+    rank: u32,
     f: f32,
 }
 
-/// Entries that are put in order at a time.
+/// Entries sorted at a time.
 const ENTRIES_AT_ONCE: usize = 1 << 25;
 
 impl ChosenByTriangle {
-    /// Kept as the table is.
+    /// Builds the table, in memory or on disk as `table` is.
     fn new(table: &FulfilmentTable, chosen: &[u32], triangles: usize) -> Result<Self, DiskError> {
         let mut offsets = vec![0; triangles + 1];
-        for (place, &cluster) in chosen.iter().enumerate() {
+        for (rank, &cluster) in chosen.iter().enumerate() {
             table.of(cluster as usize).0.iter().for_each(|&t| offsets[t as usize + 1] += 1);
-            release_at(place, table);
+            release_at(rank, table);
         }
         (0..triangles).for_each(|t| offsets[t + 1] += offsets[t]);
         let mut entries = Growing::new(table.triangles.kept())?;
         entries.reserve(offsets[triangles]);
         let mut from = 0;
         while from < triangles {
-            // As many triangles as there is room for, but one at least.
+            // As many triangles as fit, but at least one.
             let room = offsets[from] + ENTRIES_AT_ONCE;
             let end = (offsets.partition_point(|&offset| offset <= room) - 1).clamp(from + 1, triangles);
             entries.extend(&Self::entries(table, chosen, &offsets[from..=end], from as u32))?;
@@ -216,71 +216,75 @@ impl ChosenByTriangle {
         Ok(Self { offsets, entries: entries.finish()?, chosen: chosen.len() })
     }
 
-    /// The entries of the triangles from the first on that have these offsets.
+    /// The entries of consecutive triangles from `first` on; `offsets` are theirs, with the end.
     fn entries(table: &FulfilmentTable, chosen: &[u32], offsets: &[usize], first: u32) -> Vec<ChosenEntry> {
         let (start, triangles) = (offsets[0], offsets.len() - 1);
         let mut entries = vec![ChosenEntry::zeroed(); offsets[triangles] - start];
         let mut next: Vec<usize> = offsets[..triangles].iter().map(|offset| offset - start).collect();
-        for (place, &cluster) in chosen.iter().enumerate() {
+        for (rank, &cluster) in chosen.iter().enumerate() {
             let (of_cluster, values) = table.of(cluster as usize);
             let rows = [first, first + triangles as u32].map(|bound| of_cluster.partition_point(|&t| t < bound));
             let rows = rows[0]..rows[1];
             for (&t, &f) in of_cluster[rows.clone()].iter().zip(&values[rows]) {
                 let next = &mut next[(t - first) as usize];
-                entries[*next] = ChosenEntry { place: place as u32, f };
+                entries[*next] = ChosenEntry { rank: rank as u32, f };
                 *next += 1;
             }
-            release_at(place, table);
+            release_at(rank, table);
         }
         entries
     }
 
-    /// The most of these fulfilments that one single chosen cluster gives as well.
+    /// The largest part of the given fulfilments that a single chosen cluster also gives.
     fn most_by_one(&self, triangles: &[u32], values: &[f32]) -> f64 {
         self.given_by_each(triangles, values, self.chosen).into_iter().fold(0.0, f64::max)
     }
 
-    /// How much of these fulfilments each of the first `end` chosen clusters gives as well.
+    /// For each of the first `end` chosen clusters, the part of the given fulfilments that it also gives.
     fn given_by_each(&self, triangles: &[u32], values: &[f32], end: usize) -> Vec<f64> {
         let mut given = vec![0.0; end];
         for (&t, &own) in triangles.iter().zip(values) {
             let entries = &self.entries[self.offsets[t as usize]..self.offsets[t as usize + 1]];
-            for entry in entries.iter().take_while(|entry| (entry.place as usize) < end) {
-                given[entry.place as usize] += f64::from(entry.f.min(own));
+            for entry in entries.iter().take_while(|entry| (entry.rank as usize) < end) {
+                given[entry.rank as usize] += f64::from(entry.f.min(own));
             }
         }
         given
     }
 }
 
-/// Of each cluster those ranked before it that do more of what it could by itself than any before them: the last of them within a cut
-/// is the likest there.
-pub(super) fn likest(table: &FulfilmentTable, order: &[u32], triangles: usize) -> Result<Vec<Vec<Likest>>, DiskError> {
+/// For each cluster, the earlier-ranked clusters that give more of its fulfilment than all ranked before them; the last one within a cut
+/// is the best substitute there.
+pub(super) fn best_substitutes(
+    table: &FulfilmentTable,
+    order: &[u32],
+    triangles: usize,
+) -> Result<Vec<Vec<Substitute>>, DiskError> {
     let by_triangle = ChosenByTriangle::new(table, order, triangles)?;
     let mut end = vec![order.len(); table.clusters()];
     order.iter().enumerate().for_each(|(rank, &cluster)| end[cluster as usize] = rank);
     let of_cluster = |cluster: usize| {
         let (triangles, values) = table.of(cluster);
         let own: f64 = values.iter().map(|&f| f64::from(f)).sum();
-        let mut likest = Vec::new();
+        let mut substitutes = Vec::new();
         let mut most = 0.0;
         for (rank, given) in by_triangle.given_by_each(triangles, values, end[cluster]).into_iter().enumerate() {
             if given > most {
                 most = given;
-                likest.push(Likest { rank, share: given / own });
+                substitutes.push(Substitute { rank, share: given / own });
             }
         }
-        likest
+        substitutes
     };
     Ok((0..table.clusters()).into_par_iter().map(of_cluster).collect())
 }
 
-/// A cluster that is like another one.
+/// A cluster that could replace another one ranked after it.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Likest {
-    /// From 0.
+pub struct Substitute {
+    /// Rank, from 0.
     pub rank: usize,
-    /// Share of the other's own fulfilment that this one gives as well, 0 to 1.
+    /// Share of the other's fulfilment that this one also gives, 0 to 1.
     pub share: f64,
 }
 
@@ -308,15 +312,17 @@ mod tests {
     }
 
     #[test]
-    fn a_duplicate_is_done_by_one_chosen_cluster() {
-        // Clusters 0 and 1 share the triangles of cluster 2; neither does all of them.
+    fn one_chosen_cluster_makes_a_duplicate() {
+        // Clusters 0 and 1 share the triangles of cluster 2; neither covers all of them.
         let table = FulfilmentTable::new([[(0, 0.5), (1, 0.5)], [(1, 0.9), (2, 0.2)], [(1, 0.6), (2, 0.6)]]);
         let chosen = ChosenByTriangle::new(&table, &[0, 1], 3).unwrap();
         let (triangles, values) = table.of(2);
         assert!((chosen.most_by_one(triangles, values) - 0.8).abs() < 1e-6);
-        let likest = super::likest(&table, &[0, 1, 2], 3).unwrap();
-        let ranks = |of: usize| likest[of].iter().map(|l| l.rank).collect::<Vec<_>>();
+        let substitutes = best_substitutes(&table, &[0, 1, 2], 3).unwrap();
+        let ranks = |cluster: usize| substitutes[cluster].iter().map(|s| s.rank).collect::<Vec<_>>();
         assert_eq!([ranks(0), ranks(1), ranks(2)], [vec![], vec![0], vec![0, 1]]);
-        assert!((likest[2][0].share - 0.5 / 1.2).abs() < 1e-6 && (likest[2][1].share - 0.8 / 1.2).abs() < 1e-6);
+        assert!(
+            (substitutes[2][0].share - 0.5 / 1.2).abs() < 1e-6 && (substitutes[2][1].share - 0.8 / 1.2).abs() < 1e-6
+        );
     }
 }
