@@ -126,5 +126,5 @@ fn expected_pixels(model: &Model, cluster: &ViewCluster, places: &mut Places) ->
         if chance > 0.0 { f64::from(chance) * fulfilment::projected_area(camera, &corners) } else { 0.0 }
     };
     let reduced = model.rule.image_scale.powi(2);
-    reduced * model.visibility.of(cluster.key).iter().zip(chances).map(pixels).sum::<f64>()
+    reduced * model.visibility.triangles_seen_by(cluster.key).iter().zip(chances).map(pixels).sum::<f64>()
 }

@@ -1,7 +1,7 @@
 //! Forecasts the memory of each stage before it runs, and keeps it within a limit.
 //!
 //! A surface with more points than fit is built in tiles, one after the other; tables of visibility, confidence and fulfilment that don't
-//! fit are kept on disk ([`Keep`]), which changes no number. The rest, the scene and the data per triangle, must fit; otherwise the plan
+//! fit are kept on disk ([`Storage`]), which changes no number. The rest, the scene and the data per triangle, must fit; otherwise the plan
 //! fails before allocating it. The figures per point were measured with `viewrank plan` on `boruszyn` and `caliterra` (800 and 760
 //! bytes); the others are sizes of tables and of the threads' id buffers.
 
@@ -9,7 +9,7 @@ use serde::Serialize;
 
 use super::PlanError;
 use crate::{
-    base::column::{self, Keep},
+    base::column::{self, Storage},
     config::{Bytes, Settings, VisibilitySettings},
     method::{
         fulfilment::FulfilmentTable,
@@ -104,7 +104,7 @@ impl Memory {
         scene: &Scene,
         surface: &Surface,
         settings: &VisibilitySettings,
-    ) -> Result<Keep, PlanError> {
+    ) -> Result<Storage, PlanError> {
         let (threads, points) = (rayon::current_num_threads() as u64, scene.points.len() as u64);
         let triangles = surface.triangles.len() as u64;
         let buffer = visibility::picture_pixels(scene, settings) * BUFFER_PIXEL + ROW_INDEX * triangles;
@@ -114,7 +114,7 @@ impl Memory {
         let fits = |need: u64| self.limit.is_none_or(|Bytes(limit)| need <= limit);
         if fits(drawing + VISIBILITY_ROW * rows) && fits(choosing + TABLES_ROW * rows) {
             self.visibility = drawing + VISIBILITY_ROW * rows;
-            return Ok(Keep::Memory);
+            return Ok(Storage::Memory);
         }
         let views = scene.views.len().max(1) as u64;
         let at_once = rows * views.min(column::READ_AT_ONCE as u64) / views;
@@ -122,7 +122,7 @@ impl Memory {
         self.partners = choosing + TABLES_ROW * at_once;
         self.disk = TABLES_ROW * rows;
         self.check_limit("model with its surface", self.visibility.max(self.partners))?;
-        Ok(Keep::Disk)
+        Ok(Storage::Disk)
     }
 
     /// Forecasts partners and fulfilment from the real number of rows, if the tables are in memory.

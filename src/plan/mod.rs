@@ -69,11 +69,11 @@ impl Plan {
         let scene = timings.time(Stage::Read, || project.read_scene())?;
         watcher.progress(Stage::Read, 1, 1);
         watcher.check()?;
-        Self::of_scene(project, scene, settings, matcher, timings, watcher)
+        Self::from_scene(project, scene, settings, matcher, timings, watcher)
     }
 
     /// Plans as [`Plan::new`] does, for a scene of the project that is already read; `timings` are running since before reading.
-    pub fn of_scene(
+    pub fn from_scene(
         project: &Project,
         scene: Scene,
         settings: &Settings,
@@ -101,7 +101,7 @@ impl Plan {
 
     /// For each cluster, the earlier-ranked clusters that could replace it, each better than all ranked before; the last one within a cut
     /// is the best substitute there.
-    pub fn likest(&self) -> Result<Vec<Vec<Substitute>>, DiskError> {
+    pub fn best_substitutes(&self) -> Result<Vec<Vec<Substitute>>, DiskError> {
         let triangles = self.stages.surface.triangles.len();
         reasons::best_substitutes(&self.stages.fulfilment, &self.decision.ranking.order, triangles)
     }

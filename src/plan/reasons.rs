@@ -6,7 +6,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::{
-    base::column::{self, Column, DiskError, Growing},
+    base::column::{self, Column, DiskError, ColumnBuilder},
     config::PartnerSettings,
     method::{
         fulfilment::{self, Fulfilment, FulfilmentTable, Model},
@@ -52,12 +52,12 @@ impl Reasons<'_> {
         let views = self.model.scene.views.len();
         let mut status = vec![ViewStatus::Unused; views];
         let chosen_clusters = || chosen.iter().map(|&c| &self.clusters[c as usize]);
-        chosen_clusters().flat_map(|c| &c.partners).for_each(|p| status[p.at()] = ViewStatus::Partner);
-        chosen_clusters().for_each(|c| status[c.key.at()] = ViewStatus::Key);
+        chosen_clusters().flat_map(|c| &c.partners).for_each(|p| status[p.index()] = ViewStatus::Partner);
+        chosen_clusters().for_each(|c| status[c.key.index()] = ViewStatus::Key);
         let mut cluster_of = vec![None; views];
-        (0..self.clusters.len()).for_each(|c| cluster_of[self.clusters[c].key.at()] = Some(c));
+        (0..self.clusters.len()).for_each(|c| cluster_of[self.clusters[c].key.index()] = Some(c));
         let by_triangle = ChosenByTriangle::new(self.fulfilment, chosen, self.model.surface.triangles.len())?;
-        let reason = |view: ViewIndex| match (status[view.at()], cluster_of[view.at()]) {
+        let reason = |view: ViewIndex| match (status[view.index()], cluster_of[view.index()]) {
             (ViewStatus::Key, Some(cluster)) => self.few_partners(cluster, settings),
             (_, Some(cluster)) => Some(self.not_taken(cluster, &by_triangle)),
             (_, None) => Some(self.no_cluster(view)),
@@ -85,15 +85,15 @@ impl Reasons<'_> {
     }
 
     fn no_cluster(&self, view: ViewIndex) -> Reason {
-        if self.model.visibility.of(view).is_empty() { Reason::Hidden } else { self.main_refusal(view) }
+        if self.model.visibility.triangles_seen_by(view).is_empty() { Reason::Hidden } else { self.main_refusal(view) }
     }
 
     /// The reason why a view with partners is not a key view.
     fn not_taken(&self, cluster: usize, chosen: &ChosenByTriangle) -> Reason {
         let ViewCluster { key, partners } = &self.clusters[cluster];
-        let (triangles, values) = self.fulfilment.of(cluster);
+        let (triangles, values) = self.fulfilment.row(cluster);
         if triangles.is_empty() {
-            let failures = self.model.visibility.of(*key).iter();
+            let failures = self.model.visibility.triangles_seen_by(*key).iter();
             let failures = failures.map(|&t| failure(&fulfilment::value(self.model, *key, partners, t)));
             return most_frequent(failures).unwrap_or(Reason::Hidden);
         }
@@ -129,7 +129,7 @@ impl Reasons<'_> {
     /// For each triangle that passes `is_asked`, the factors of the cluster that comes nearest to fulfilling it; ties go to the first cluster.
     fn nearest_to_success(&self, is_asked: impl Fn(usize) -> bool + Sync) -> Vec<Option<Fulfilment>> {
         let of_cluster = |cluster: &ViewCluster| -> Vec<(u32, Fulfilment)> {
-            let asked = self.model.visibility.of(cluster.key).iter().copied().filter(|&t| is_asked(t as usize));
+            let asked = self.model.visibility.triangles_seen_by(cluster.key).iter().copied().filter(|&t| is_asked(t as usize));
             asked.map(|t| (t, fulfilment::value(self.model, cluster.key, &cluster.partners, t))).collect()
         };
         let nearness = |f: &Fulfilment| (f.coverage, f.value, f.confidence);
@@ -199,11 +199,11 @@ impl ChosenByTriangle {
     fn new(table: &FulfilmentTable, chosen: &[u32], triangles: usize) -> Result<Self, DiskError> {
         let mut offsets = vec![0; triangles + 1];
         for (rank, &cluster) in chosen.iter().enumerate() {
-            table.of(cluster as usize).0.iter().for_each(|&t| offsets[t as usize + 1] += 1);
+            table.row(cluster as usize).0.iter().for_each(|&t| offsets[t as usize + 1] += 1);
             release_at(rank, table);
         }
         (0..triangles).for_each(|t| offsets[t + 1] += offsets[t]);
-        let mut entries = Growing::new(table.triangles.kept())?;
+        let mut entries = ColumnBuilder::new(table.triangles.kept())?;
         entries.reserve(offsets[triangles]);
         let mut from = 0;
         while from < triangles {
@@ -222,7 +222,7 @@ impl ChosenByTriangle {
         let mut entries = vec![ChosenEntry::zeroed(); offsets[triangles] - start];
         let mut next: Vec<usize> = offsets[..triangles].iter().map(|offset| offset - start).collect();
         for (rank, &cluster) in chosen.iter().enumerate() {
-            let (of_cluster, values) = table.of(cluster as usize);
+            let (of_cluster, values) = table.row(cluster as usize);
             let rows = [first, first + triangles as u32].map(|bound| of_cluster.partition_point(|&t| t < bound));
             let rows = rows[0]..rows[1];
             for (&t, &f) in of_cluster[rows.clone()].iter().zip(&values[rows]) {
@@ -264,7 +264,7 @@ pub(super) fn best_substitutes(
     let mut end = vec![order.len(); table.clusters()];
     order.iter().enumerate().for_each(|(rank, &cluster)| end[cluster as usize] = rank);
     let of_cluster = |cluster: usize| {
-        let (triangles, values) = table.of(cluster);
+        let (triangles, values) = table.row(cluster);
         let own: f64 = values.iter().map(|&f| f64::from(f)).sum();
         let mut substitutes = Vec::new();
         let mut most = 0.0;
@@ -316,7 +316,7 @@ mod tests {
         // Clusters 0 and 1 share the triangles of cluster 2; neither covers all of them.
         let table = FulfilmentTable::new([[(0, 0.5), (1, 0.5)], [(1, 0.9), (2, 0.2)], [(1, 0.6), (2, 0.6)]]);
         let chosen = ChosenByTriangle::new(&table, &[0, 1], 3).unwrap();
-        let (triangles, values) = table.of(2);
+        let (triangles, values) = table.row(2);
         assert!((chosen.most_by_one(triangles, values) - 0.8).abs() < 1e-6);
         let substitutes = best_substitutes(&table, &[0, 1, 2], 3).unwrap();
         let ranks = |cluster: usize| substitutes[cluster].iter().map(|s| s.rank).collect::<Vec<_>>();

@@ -96,7 +96,7 @@ fn overlaps(inputs: &Inputs, view: ViewIndex) -> (ViewIndex, Vec<Overlap>) {
     let centre = scene.view(view).cam_from_world.centre();
     let mut others: Vec<(f64, ViewIndex)> = scene
         .view_indices()
-        .filter(|&v| v != view && !inputs.points.of(v).is_empty())
+        .filter(|&v| v != view && !inputs.points.observed_by(v).is_empty())
         .map(|v| ((scene.view(v).cam_from_world.centre() - centre).norm_squared(), v))
         .collect();
     let nearer = |a: &(f64, ViewIndex), b: &(f64, ViewIndex)| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1));
@@ -105,7 +105,7 @@ fn overlaps(inputs: &Inputs, view: ViewIndex) -> (ViewIndex, Vec<Overlap>) {
         others.truncate(NEAREST);
     }
     others.sort_by(nearer);
-    let all = inputs.points.of(view);
+    let all = inputs.points.observed_by(view);
     let sample: Vec<PointIndex> = all.iter().step_by(all.len().div_ceil(SAMPLE).max(1)).copied().collect();
     let found = others.iter().filter_map(|&(_, other)| overlap(inputs, view, other, &sample)).collect();
     (view, found)
@@ -117,7 +117,7 @@ fn overlap(inputs: &Inputs, view: ViewIndex, other: ViewIndex, sample: &[PointIn
     let [from, to] = [own.centre(), their.centre()];
     let upright = own.viewing_direction().dot(&their.viewing_direction()) > SIMILAR;
     let same_side = |p: &&PointIndex| {
-        let point = &scene.points[p.at()];
+        let point = &scene.points[p.index()];
         let (a, b) = (from - point, to - point);
         let (near, far) = (a.norm().min(b.norm()), a.norm().max(b.norm()));
         let pixel = scene.camera_of(other).project(&their.camera_from_world(point));
@@ -128,7 +128,7 @@ fn overlap(inputs: &Inputs, view: ViewIndex, other: ViewIndex, sample: &[PointIn
     let mut seen: Vec<(f64, bool)> = sample
         .iter()
         .filter(same_side)
-        .map(|&p| (own.camera_from_world(&scene.points[p.at()]), scene.track_views(p).contains(&other)))
+        .map(|&p| (own.camera_from_world(&scene.points[p.index()]), scene.track_views(p).contains(&other)))
         .map(|(x, shared)| (x.x / x.z, shared))
         .collect();
     if !upright || seen.len() < ENOUGH {

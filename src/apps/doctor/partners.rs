@@ -142,11 +142,11 @@ fn too_few(inputs: &Inputs, counts: &[PartnerCount]) -> Option<Finding> {
 /// Share of the sparse points that only these views see.
 fn lost_share(inputs: &Inputs, few: &[&PartnerCount]) -> f64 {
     let mut is_lost = vec![false; inputs.scene.views.len()];
-    few.iter().for_each(|count| is_lost[count.view.at()] = true);
+    few.iter().for_each(|count| is_lost[count.view.index()] = true);
     let tracks = || (0..inputs.scene.points.len() as u32).map(|p| inputs.scene.track_views(PointIndex(p)));
     // The surface leaves out points that a single view observes (method 1.1).
     let sound = || tracks().filter(|views| views.len() > 1);
-    sound().filter(|views| views.iter().all(|v| is_lost[v.at()])).count() as f64 / sound().count().max(1) as f64
+    sound().filter(|views| views.iter().all(|v| is_lost[v.index()])).count() as f64 / sound().count().max(1) as f64
 }
 
 /// Reports key views with fewer than k partners.
@@ -175,7 +175,7 @@ fn one_position(inputs: &Inputs, counts: &[PartnerCount]) -> Option<Finding> {
     let views =
         groups.iter().flat_map(|views| views[1..].iter().map(|&v| inputs.view_finding(v, with(views)))).collect();
     let alone =
-        groups.iter().flat_map(|views| views.iter()).filter(|v| counts[v.at()].partners < least(inputs)).count();
+        groups.iter().flat_map(|views| views.iter()).filter(|v| counts[v.index()].partners < least(inputs)).count();
     let (severity, cure) = match alone {
         0 => (Severity::Note, "no action needed; each has partners elsewhere"),
         n if n as f64 >= MOST * counts.len() as f64 => (Severity::Error, "take photographs from different positions"),

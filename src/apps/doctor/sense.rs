@@ -126,9 +126,9 @@ fn cameras(inputs: &Inputs) -> Option<Finding> {
 fn behind(inputs: &Inputs) -> Option<Finding> {
     let scene = inputs.scene;
     let share = |view: ViewIndex| {
-        let (pose, points) = (&scene.view(view).cam_from_world, inputs.points.of(view));
+        let (pose, points) = (&scene.view(view).cam_from_world, inputs.points.observed_by(view));
         let camera = scene.camera_of(view);
-        let is_behind = |p: &&PointIndex| camera.depth(&pose.camera_from_world(&scene.points[p.at()])) <= 0.0;
+        let is_behind = |p: &&PointIndex| camera.depth(&pose.camera_from_world(&scene.points[p.index()])) <= 0.0;
         let behind = points.iter().filter(is_behind).count();
         behind as f64 / points.len().max(1) as f64
     };
@@ -150,11 +150,11 @@ fn residuals(inputs: &Inputs) -> Option<Finding> {
     for point in (0..scene.points.len() as u32).map(PointIndex) {
         for observation in scene.track(point) {
             let error = scene.reprojection_error(point, observation);
-            of_view[scene.track_views[observation].at()].extend(error);
+            of_view[scene.track_views[observation].index()].extend(error);
         }
     }
     let medians: Vec<Option<f64>> = of_view.into_iter().map(|errors| upper_median(errors.into_iter())).collect();
-    let wrong = |view: &ViewIndex| medians[view.at()].is_some_and(|error| error > ERROR_PX);
+    let wrong = |view: &ViewIndex| medians[view.index()].is_some_and(|error| error > ERROR_PX);
     let views: Vec<ViewIndex> = scene.view_indices().filter(wrong).collect();
     let known = medians.iter().flatten().count();
     let (severity, cure) = match 2 * views.len() > known {
@@ -173,7 +173,7 @@ fn residuals(inputs: &Inputs) -> Option<Finding> {
             counted(views.len(), "view")
         );
         let words =
-            views.iter().map(|&view| inputs.view_finding(view, format!("{:.1} px", medians[view.at()].unwrap_or(0.0))));
+            views.iter().map(|&view| inputs.view_finding(view, format!("{:.1} px", medians[view.index()].unwrap_or(0.0))));
         Finding::new(severity, "large-reprojection-error", what, cure).of_views(words.collect())
     })
 }
