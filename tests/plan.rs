@@ -281,7 +281,7 @@ fn coordinates_that_no_utm_zone_has_are_warned_of() {
     for (offset, warned) in [("[0.0, 0.0]", true), ("[500000.0, 5500000.0]", false)] {
         fs::write(folder.path().join("viewrank.toml"), format!("[frame]\nutm = \"34N\"\noffset = {offset}\n")).unwrap();
         plan(folder.path(), &["--quiet"]);
-        assert_eq!(manifest(folder.path())["warnings"].to_string().contains("which no zone has"), warned);
+        assert_eq!(manifest(folder.path())["warnings"].to_string().contains("outside every zone"), warned);
     }
 }
 
@@ -295,12 +295,12 @@ fn a_plan_of_nothing_takes_no_plans_place() {
     let before = files(folder.path());
     for (options, said) in [
         (&["--points", "1"][..], "points 1"),
-        (&["--target", "50%", "--points", "2"], "none of "),
+        (&["--target", "50%", "--points", "2"], "exclude all "),
         (
             &["--confidence", "none", "-k", "2"],
-            "6 cameras must see a place (coverage.min_cameras), so take -k 5 at least",
+            "use -k 5 or more: coverage.min_cameras wants each place seen by 6 cameras",
         ),
-        (&["--confidence", "geometric", "-k", "1"], "hint: sure needs 2 matches that agree, so take -k 2 at least"),
+        (&["--confidence", "geometric", "-k", "1"], "hint: use -k 2 or more: sure needs 2 matches that agree"),
     ] {
         let (code, stderr) = failure(&[&["plan", root], options].concat());
         assert!(code == 1 && stderr.contains(said) && stderr.contains("hint: "), "{stderr}");

@@ -1,4 +1,4 @@
-//! Method 5.3: how much of the ranking is to be computed.
+//! Method 5.3: cuts the ranking.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -6,13 +6,13 @@ use serde::{Deserialize, Serialize};
 use super::{PlanError, forecast::Cost};
 use crate::{config::CutSettings, method::fulfilment::block::Places};
 
-/// Share of what all clusters together reach, where nothing else is wanted.
+/// Default target: a share of what all clusters together reach.
 pub(super) const DEFAULT_TARGET: f64 = 0.9;
 
-/// How much of the ranking is to be computed.
+/// The part of the ranking to compute.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Cut {
-    /// Clusters: so many from the start of the ranking.
+    /// Number of clusters to compute, from the start of the ranking.
     pub clusters: usize,
     /// Their (key view, partner) pairs.
     pub pairs: usize,
@@ -60,7 +60,7 @@ pub(super) fn cut(settings: &CutSettings, cost: &Cost, bound: impl Fn(usize) -> 
     })
 }
 
-/// The longest prefix of at most `most` clusters whose costs add up to no more than `limit`.
+/// Returns the length of the longest prefix of at most `most` clusters whose costs add up to no more than `limit`.
 fn longest_within(
     most: usize,
     limit: f64,

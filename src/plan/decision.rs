@@ -1,4 +1,4 @@
-//! Ranks the clusters, cuts the ranking, and says what follows from both.
+//! Ranks the clusters, cuts the ranking, and derives forecast, reasons and warnings.
 
 use super::{Cut, Finished, Forecast, PlanError, Stages, Timings, ViewStatus, cut, forecast, reasons, warnings};
 use crate::{
@@ -10,24 +10,24 @@ use crate::{
     model::reason::Reason,
 };
 
-/// Which clusters are computed, in which order, and what that will cost and leave undone.
+/// The ranking, its cut, the forecast cost, and the reasons for everything left out.
 #[derive(Clone, Debug)]
 pub struct Decision {
     pub ranking: Ranking,
-    /// What is done already; nothing in a fresh plan.
+    /// The part that is done already; empty in a fresh plan.
     pub finished: Finished,
     pub cut: Cut,
     pub forecast: Forecast,
     /// Status and reason of each view.
     pub views: Vec<(ViewStatus, Option<Reason>)>,
-    /// Reason of each triangle that no cluster fulfils to a tenth.
+    /// Per triangle, why no cluster fulfils it to 0.1; `None` where one does.
     pub triangle_reasons: Vec<Option<Reason>>,
     pub warnings: Vec<String>,
 }
 
-/// Ranks the clusters by their fulfilment behind the finished ones, which come first in the given order, and cuts the ranking as the settings say.
+/// Ranks the clusters by their fulfilment and cuts the ranking as set. The finished clusters come first, as listed in `order`.
 ///
-/// `finished.clusters` is overwritten by the number of those in `order`.
+/// `finished.clusters` is replaced by the length of `order`.
 pub fn decide(
     stages: &Stages,
     finished: Finished,
@@ -45,18 +45,18 @@ pub fn decide(
     Ok(decision)
 }
 
-/// What follows from a ranking and a cut that are decided.
+/// Derives forecast, reasons and warnings from a given ranking and cut.
 pub fn decide_as(stages: &Stages, finished: Finished, ranking: Ranking, cut: Cut) -> Result<Decision, PlanError> {
     let model = stages.model();
     let forecast = forecast::forecast(&cost(stages, &model, &ranking, &finished), cut.clusters);
-    let why = reasons::Why {
+    let all_reasons = reasons::Reasons {
         model: &model,
         candidates: &stages.candidates,
         clusters: &stages.clusters,
         fulfilment: &stages.fulfilment,
     };
-    let views = why.views(&ranking.order[..cut.clusters], &stages.settings.partners)?;
-    let triangle_reasons = why.triangles();
+    let views = all_reasons.views(&ranking.order[..cut.clusters], &stages.settings.partners)?;
+    let triangle_reasons = all_reasons.triangles();
     let warnings = warnings::warnings(stages, &ranking, &finished);
     Ok(Decision { ranking, finished, cut, forecast, views, triangle_reasons, warnings })
 }

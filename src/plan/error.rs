@@ -1,4 +1,4 @@
-//! Why there is no plan.
+//! The errors of planning.
 
 use super::memory;
 use crate::{
@@ -12,14 +12,14 @@ use crate::{
     method::{confidence::TrainedError, surface::SurfaceError},
 };
 
-/// Why there is no plan.
+/// Planning failed.
 #[derive(Debug, thiserror::Error)]
 pub enum PlanError {
     #[error(transparent)]
     Project(#[from] ProjectError),
     #[error("{}: the model has no registered image", _0.display())]
     NoViews(std::path::PathBuf),
-    #[error("no view observes a sparse point in front of it, so that no ground sampling distance is known")]
+    #[error("cannot derive the ground sampling distance: no view observes a sparse point in front of it")]
     NoScale,
     #[error(transparent)]
     Surface(#[from] SurfaceError),
@@ -27,10 +27,10 @@ pub enum PlanError {
     Backend(#[from] UnknownBackend),
     #[error(transparent)]
     Trained(#[from] TrainedError),
-    #[error("how long matching takes is not known, so that the time limit cannot be kept to")]
+    #[error("the time limit needs forecast.seconds_per_map or forecast.seconds_per_pair")]
     NoTimes,
     #[error(
-        "the {stage} would need about {} of memory, but max_memory is {}",
+        "the {stage} needs about {} of memory, but max_memory is {}",
         memory::readable(*need),
         memory::readable(*limit)
     )]
@@ -54,18 +54,18 @@ impl Hint for PlanError {
     fn hint(&self) -> Option<String> {
         Some(match self {
             Self::Project(error) => return error.hint(),
-            Self::NoViews(_) => "run structure from motion first, or take another model with --model".into(),
-            Self::NoScale => "say what is wanted with --gsd, or give a model with points".into(),
+            Self::NoViews(_) => "run structure from motion first, or choose another model with --model".into(),
+            Self::NoScale => "set --gsd, or give a model with points".into(),
             Self::Surface(error) => return error.hint(),
             Self::Backend(error) => return error.hint(),
             Self::Trained(error) => return error.hint(),
-            Self::NoTimes => "time one depth map and set forecast.seconds_per_map or .seconds_per_pair".into(),
+            Self::NoTimes => "time one depth map and set one of the two".into(),
             Self::Memory { stage: memory::SURFACE, need, .. } => format!(
-                "give --max-memory {} or more: what the tables need besides is known once the surface is built",
+                "give --max-memory {} or more; the tables need more, forecast once the surface is built",
                 memory::readable(need + need / 20)
             ),
             Self::Memory { need, .. } => format!(
-                "give --max-memory {}, or have fewer triangles with a coarser --gsd or a larger surface.edge_factor",
+                "give --max-memory {}, or reduce the triangles with a coarser --gsd or a larger surface.edge_factor",
                 memory::readable(need + need / 20)
             ),
             Self::Disk(error) => return error.hint(),

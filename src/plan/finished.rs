@@ -1,4 +1,4 @@
-//! What of a plan is done already, and where its views were when it was made.
+//! The finished part of a plan, and the camera and pose of its views when it was made.
 
 use std::collections::BTreeMap;
 
@@ -14,30 +14,30 @@ use crate::model::{
 /// The part of a plan that is done.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Finished {
-    /// The first so many of the ranking have their depth map; their fulfilment is the real one (method 5.4).
+    /// Number of clusters at the start of the ranking that have their depth map; their fulfilment is measured, not predicted (method 5.4).
     pub clusters: usize,
     /// Depth maps that no longer fit the model, by key view.
     pub outdated: Vec<Outdated>,
-    /// Depth maps that cannot be read, in sentences.
+    /// A sentence for each depth map that cannot be read.
     pub unreadable: Vec<String>,
-    /// Of depth maps that were made with an earlier model: the views of their clusters as they were then, by key view and name.
+    /// For depth maps made with an earlier model, the views of their clusters in that model, by key view, then by name.
     pub made_with: BTreeMap<String, BTreeMap<String, PlannedView>>,
-    /// BLAKE3 of each outdated depth map, by key view: a new one of the same view is not outdated.
+    /// BLAKE3 of each outdated depth map, by key view, to tell it from a new one of the same view.
     pub outdated_files: BTreeMap<String, String>,
 }
 
-/// A finished depth map whose views are not where they were when it was made.
+/// A finished depth map whose views have moved since it was made.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Outdated {
     /// The key view.
     pub key: String,
     /// The view of its cluster that moved most.
     pub view: String,
-    /// How far what the depth map shows moved in that view, px of the model's image; null where the view is no longer in the model.
+    /// Displacement of the depth map's points in that view, px of the model's image; null where the view is no longer in the model.
     pub moved_px: Option<f64>,
 }
 
-/// `viewrank/planned_views.json`: where the views were, so that a later plan can say which depth maps still fit.
+/// `viewrank/planned_views.json`: the views as planned, so that a later plan can tell which depth maps still fit.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct PlannedViews {
     pub version: u32,
@@ -53,7 +53,7 @@ pub struct PlannedViews {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PlannedView {
     camera: PlannedCamera,
-    /// cam_from_world: w, x, y, z.
+    /// cam_from_world, quaternion w, x, y, z.
     rotation: [f64; 4],
     /// cam_from_world, scene units.
     translation: [f64; 3],
@@ -61,7 +61,7 @@ pub struct PlannedView {
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 struct PlannedCamera {
-    /// COLMAP's name.
+    /// COLMAP's name of the camera model.
     model: String,
     width: u32,
     height: u32,
@@ -96,7 +96,7 @@ impl PlannedView {
         }
     }
 
-    /// `None` where the record is broken.
+    /// The recorded camera and pose; `None` where the record is invalid.
     pub fn camera_and_pose(&self) -> Option<(Camera, Pose)> {
         let PlannedCamera { model, width, height, params } = &self.camera;
         let model = CameraModel::from_name(model)?;

@@ -1,4 +1,4 @@
-//! Methods 5.3 and 5.6: what the chosen clusters will cost, and what all would.
+//! Methods 5.3 and 5.6: forecasts the cost of the chosen clusters and of all clusters.
 
 use rayon::prelude::*;
 use schemars::JsonSchema;
@@ -17,7 +17,7 @@ use crate::{
     model::cluster::ViewCluster,
 };
 
-/// What the backend will have to do, and how long it takes where that is known.
+/// The backend's work for the plan, with its duration where the times per map or pair are set.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, JsonSchema)]
 pub struct Forecast {
     /// Depth maps of the chosen clusters.
@@ -26,37 +26,37 @@ pub struct Forecast {
     pub pairs: usize,
     /// Pixels that these maps will measure, before fusion.
     pub points: u64,
-    /// Seconds of matching what is not finished; absent where `forecast.seconds_per_pair` and `.seconds_per_map` are unset.
+    /// Seconds of matching, without finished maps; absent where `forecast.seconds_per_pair` and `.seconds_per_map` are unset.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub seconds: Option<f64>,
     /// Depth maps if every view that can be a key view gets one.
     pub all_maps: usize,
     /// Their pairs.
     pub all_pairs: usize,
-    /// Seconds of matching for all of them that are not finished.
+    /// Seconds of matching for all of them, without finished maps.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub all_seconds: Option<f64>,
 }
 
 impl Forecast {
-    /// Method 5.6: how many times faster the chosen clusters are than all, both without what is finished, when planning takes `planning` seconds.
+    /// Speed-up of the chosen clusters over all, both without finished maps, when planning takes `planning` seconds (method 5.6).
     pub fn speed_up(&self, planning: f64) -> Option<f64> {
         Some(self.all_seconds? / (self.seconds? + planning))
     }
 
-    /// Seconds that a depth map must take at least for the plan to save any time.
+    /// Seconds per depth map above which planning, `planning` seconds long, saves time; `None` if the plan takes every map.
     pub fn break_even(&self, planning: f64) -> Option<f64> {
         let saved = self.all_maps.saturating_sub(self.maps);
         (saved > 0).then(|| planning / saved as f64)
     }
 }
 
-/// What a cluster costs, by its rank (from 0).
+/// Computes the cost of a cluster by its rank (from 0).
 pub(super) struct Cost<'a> {
     pub model: &'a Model<'a>,
     pub clusters: &'a [ViewCluster],
     pub ranking: &'a Ranking,
-    /// The first so many are done and take no more time.
+    /// Number of clusters at the start of the ranking that are done and take no more time.
     pub finished: usize,
     pub settings: &'a ForecastSettings,
 }
@@ -66,12 +66,12 @@ impl Cost<'_> {
         &self.clusters[self.ranking.order[rank] as usize]
     }
 
-    /// Pairs of the first `clusters` clusters.
+    /// Number of pairs of the first `clusters` clusters.
     pub fn pairs(&self, clusters: usize) -> usize {
         (0..clusters).map(|rank| self.cluster(rank).partners.len()).sum()
     }
 
-    /// Seconds of matching, where they are known; none for what is finished.
+    /// Seconds of matching; 0 for a finished cluster, `None` where the times are unset.
     pub fn seconds(&self, rank: usize) -> Option<f64> {
         let one = self.seconds_of(1, self.cluster(rank).partners.len());
         if rank < self.finished { one.map(|_| 0.0) } else { one }
@@ -104,7 +104,7 @@ pub(super) fn forecast(cost: &Cost, clusters: usize) -> Forecast {
     }
 }
 
-/// Pixels that the depth map of each of the first clusters will measure.
+/// Pixels that the depth map of each of the first `clusters` clusters will measure.
 pub(super) fn points(cost: &Cost, clusters: usize) -> Vec<f64> {
     let places = || Places::new(cost.model);
     let ranks: Vec<usize> = (0..clusters).collect();
@@ -116,7 +116,7 @@ pub(super) fn points(cost: &Cost, clusters: usize) -> Vec<f64> {
     points
 }
 
-/// Pixels of the matched image on each triangle that is covered, times the chance that they are measured.
+/// Sums, over the covered triangles, the pixels of the matched image times the chance that they are measured.
 fn expected_pixels(model: &Model, cluster: &ViewCluster, places: &mut Places) -> f64 {
     let (pose, camera) = (&model.scene.view(cluster.key).cam_from_world, model.scene.camera_of(cluster.key));
     let partners: Vec<usize> = (0..cluster.partners.len()).collect();

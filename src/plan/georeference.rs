@@ -1,4 +1,4 @@
-//! Finds where on the earth a project's model is: in the settings, in the files that the program which made it left, or in its coordinates.
+//! Georeferences a project's model from the settings, the files of the program that made it, or its coordinates.
 
 use std::path::Path;
 
@@ -14,13 +14,12 @@ use crate::{
     },
 };
 
-/// The georeference of the project's model; [`Georeference::Local`] where nothing is known.
+/// The georeference of the project's model; [`Georeference::Local`] if unknown.
 pub fn georeference(project: &Project, scene: &Scene, settings: &FrameSettings) -> Georeference {
-    said(settings).or_else(|| written(project)).unwrap_or_else(|| Georeference::from_coordinates(scene))
+    from_settings(settings).or_else(|| from_files(project)).unwrap_or_else(|| Georeference::from_coordinates(scene))
 }
 
-/// By the settings.
-fn said(settings: &FrameSettings) -> Option<Georeference> {
+fn from_settings(settings: &FrameSettings) -> Option<Georeference> {
     let utm = settings.utm.as_deref().and_then(Zone::parse);
     let utm = utm.map(|zone| Georeference::Utm { zone, offset: settings.offset.unwrap_or_default() });
     utm.or_else(|| {
@@ -30,13 +29,13 @@ fn said(settings: &FrameSettings) -> Option<Georeference> {
     })
 }
 
-/// By the files that OpenSfM and OpenDroneMap leave beside their models.
-fn written(project: &Project) -> Option<Georeference> {
+/// Reads the files that OpenSfM and OpenDroneMap write next to their models.
+fn from_files(project: &Project) -> Option<Georeference> {
     if project.model.format != ModelFormat::OpenSfm {
         return None;
     }
     let folder = project.model.path.parent()?;
-    // OpenDroneMap keeps the model of before it moved to map coordinates under this name.
+    // OpenDroneMap keeps the model under this name when it moves it to map coordinates.
     if folder.join("reconstruction.topocentric.json").is_file() {
         return map_coordinates(&folder.parent()?.join("odm_georeferencing/coords.txt"));
     }
@@ -66,7 +65,7 @@ fn read_json<T: serde::de::DeserializeOwned>(path: &Path) -> Option<T> {
     serde_json::from_slice(&input::read(path, FileKind::Sparse).ok()?).ok()
 }
 
-/// `WGS84 UTM 15N`, then the offset of the model's coordinates.
+/// Parses `coords.txt`: a line like `WGS84 UTM 15N`, then the offset of the model's coordinates.
 fn map_coordinates(path: &Path) -> Option<Georeference> {
     let text = input::read_text(path, FileKind::Settings).ok()?;
     let mut lines = text.lines();

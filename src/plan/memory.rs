@@ -1,4 +1,4 @@
-//! Memory of each stage, forecast before it runs from what is known by then, and what keeps it within a limit.
+//! Forecasts the memory of each stage before it runs, and keeps it within a limit.
 //!
 //! A surface of more points than the limit takes is built in tiles, one after the other; tables of visibility, confidence and fulfilment that
 //! don't fit are kept on disk ([`Storage`]), which changes no number. What is left, the scene and what is known of each triangle, has to fit:
@@ -22,24 +22,24 @@ use crate::{
     model::scene::Scene,
 };
 
-/// The first stage that may need too much.
+/// The stage whose limit error has its own hint, since later stages are not yet forecast.
 pub(super) const SURFACE: &str = "surface";
-/// A pixel of the id buffer that each thread draws into.
+/// Bytes per pixel of the id buffer that each thread draws into.
 const BUFFER_PIXEL: u64 = 8;
-/// The program, and what is small.
+/// Bytes of the program and of small data.
 const BASE: u64 = 100 << 20;
-/// Of the surface, at its peak (cells, rays and the cut), per sparse point.
+/// Bytes of the surface at its peak (cells, rays and the cut), per sparse point.
 const SURFACE_PER_POINT: u64 = 1000;
-/// Of the finished surface, per sparse point: a vertex and two triangles.
+/// Bytes of the finished surface, per sparse point: a vertex and two triangles.
 const MESH_PER_POINT: u64 = 48;
-/// A tile with the points around it has this many times its own points: what a tile of the least size may take in.
+/// Ratio of a tile's points including its margin to its own points, for a tile of the least size.
 const OVERLAP: u64 = 2;
-/// Tiles of fewer points are mostly seams: one of 10,000 takes in almost four times as many (synth_uav.py, 300 views).
+/// Points per tile at least: smaller tiles are mostly margin, almost four times as many points for one of 10,000 (synth_uav.py, 300 views).
 const LEAST_TILE: u64 = 60_000;
-/// A point, and an observation, of the scene; with the table of the points of each view.
+/// Bytes of the scene per point and per observation, including the table of each view's points.
 const SCENE_PER_POINT: u64 = 43;
 const SCENE_PER_OBSERVATION: u64 = 24;
-/// A row of the table of visibility; with its confidence (by a trained model, which has the most numbers) and its fulfilment.
+/// Bytes per row of the visibility table, alone, and with confidence (of a trained model, the largest) and fulfilment.
 const VISIBILITY_ROW: u64 = 4;
 const TABLES_ROW: u64 = 20;
 /// What a picture shows of a row, until pairs are compared: for each candidate a byte is left.
@@ -48,18 +48,18 @@ const SAMPLES_ROW: u64 = 196;
 const MOST_SAMPLES: u64 = 1 << 30;
 /// Of a triangle while its confidence and its reasons are found: its nearest points, its factors and what is reached of it.
 const PER_TRIANGLE: u64 = 100;
-/// And for each thread: its place in the view at hand.
-const PLACE: u64 = 4;
-/// Of a sparse point while visibility is contradicted and nearest points are looked for; and for each thread: is it observed?
+/// Bytes per triangle and thread: its row in the current view.
+const ROW_INDEX: u64 = 4;
+/// Bytes per sparse point while contradictions and nearest points are computed; and per point and thread, whether it is observed.
 const PER_POINT: u64 = 5;
 const OBSERVED: u64 = 1;
-/// What is believed of a row of fulfilment once others have failed.
+/// Bytes per row of fulfilment for the belief about it after failures of others.
 const BELIEF_ROW: u64 = 24;
-/// Views and triangles that foretell the rows of visibility.
+/// Samples of views and triangles from which the rows of visibility are estimated.
 const SAMPLED_VIEWS: usize = 32;
 const SAMPLED_TRIANGLES: usize = 20_000;
 
-/// Forecast bytes at the peak of each stage, with all that is held by then; 0 where a stage has not begun.
+/// Forecast bytes at the peak of each stage, including everything already in memory; 0 where a stage has not begun.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Memory {
     pub read: u64,
@@ -67,7 +67,7 @@ pub struct Memory {
     pub visibility: u64,
     /// Partners, fulfilment and ranking.
     pub partners: u64,
-    /// Of tables on disk; 0 where memory holds them.
+    /// Tables on disk; 0 if they fit in memory.
     pub disk: u64,
     #[serde(skip)]
     limit: Option<Bytes>,
@@ -77,7 +77,7 @@ pub struct Memory {
 }
 
 impl Memory {
-    /// Forecasts the surface; where that is too much, chooses tiles in the settings.
+    /// Forecasts the surface; sets a tile size in the settings if it is too large.
     pub(super) fn before_surface(scene: &Scene, settings: &mut Settings) -> Result<Self, PlanError> {
         let points = scene.points.len() as u64;
         let held = BASE + SCENE_PER_POINT * points + SCENE_PER_OBSERVATION * scene.observations() as u64;
@@ -97,11 +97,11 @@ impl Memory {
             (None, None) => points,
         };
         memory.surface = (held + SURFACE_PER_POINT * at_once).max(finished);
-        memory.keep(SURFACE, memory.surface)?;
+        memory.check_limit(SURFACE, memory.surface)?;
         Ok(memory)
     }
 
-    /// That a surface may have while it is refined.
+    /// Maximum number of triangles while the surface is refined.
     pub(super) fn most_triangles(&self) -> u64 {
         let room = self.limit.map(|Bytes(limit)| limit.saturating_sub(self.read) / TRIANGLE_BYTES);
         room.map_or(MAX_TRIANGLES, |room| room.min(MAX_TRIANGLES))
@@ -115,10 +115,10 @@ impl Memory {
     ) -> Result<Storage, PlanError> {
         let (threads, points) = (rayon::current_num_threads() as u64, scene.points.len() as u64);
         let triangles = surface.triangles.len() as u64;
-        let picture = visibility::picture_pixels(scene, settings) * BUFFER_PIXEL + PLACE * triangles;
+        let buffer = visibility::picture_pixels(scene, settings) * BUFFER_PIXEL + ROW_INDEX * triangles;
         let rows = expected_rows(scene, surface);
-        let drawing = self.read + 2 * bytes(surface) + PER_POINT * points + threads * picture;
-        let choosing = self.read + bytes(surface) + self.beside_tables(points, triangles);
+        let drawing = self.read + 2 * bytes(surface) + PER_POINT * points + threads * buffer;
+        let choosing = self.read + bytes(surface) + self.outside_tables(points, triangles);
         let fits = |need: u64| self.limit.is_none_or(|Bytes(limit)| need <= limit);
         if fits(drawing + VISIBILITY_ROW * rows)
             && fits(choosing + self.row * rows + self.most_samples().min(SAMPLES_ROW * rows))
@@ -131,11 +131,11 @@ impl Memory {
         self.visibility = drawing + VISIBILITY_ROW * at_once;
         self.partners = choosing + self.row * at_once + self.most_samples().min(SAMPLES_ROW * at_once);
         self.disk = (self.row + SAMPLES_ROW) * rows;
-        self.keep("model with its surface", self.visibility.max(self.partners))?;
+        self.check_limit("model with its surface", self.visibility.max(self.partners))?;
         Ok(Storage::Disk)
     }
 
-    /// With the rows that there are, where memory holds them.
+    /// Forecasts partners and fulfilment from the real number of rows, if the tables are in memory.
     pub(super) fn before_partners(
         &mut self,
         scene: &Scene,
@@ -146,9 +146,9 @@ impl Memory {
             let (points, triangles) = (scene.points.len() as u64, surface.triangles.len() as u64);
             let rows = visibility.triangles.len() as u64;
             let tables = self.row * rows + self.most_samples().min(SAMPLES_ROW * rows);
-            self.partners = self.read + bytes(surface) + self.beside_tables(points, triangles) + tables;
+            self.partners = self.read + bytes(surface) + self.outside_tables(points, triangles) + tables;
         }
-        self.keep("table of fulfilment", self.partners)
+        self.check_limit("fulfilment table", self.partners)
     }
 
     /// Bytes of samples of pictures that memory may hold; more are kept on disk.
@@ -157,29 +157,29 @@ impl Memory {
     }
 
     /// Of what is known of points and triangles while partners are chosen.
-    fn beside_tables(&self, points: u64, triangles: u64) -> u64 {
+    fn outside_tables(&self, points: u64, triangles: u64) -> u64 {
         let threads = rayon::current_num_threads() as u64;
-        (PER_POINT + threads * OBSERVED) * points + (PER_TRIANGLE + threads * PLACE) * triangles
+        (PER_POINT + threads * OBSERVED) * points + (PER_TRIANGLE + threads * ROW_INDEX) * triangles
     }
 
-    /// A plan around finished depth maps remembers what failed of each row of fulfilment, in memory.
+    /// Checks the belief about each row of fulfilment, which a plan around finished depth maps keeps in memory.
     pub(crate) fn before_beliefs(&self, fulfilment: &FulfilmentTable) -> Result<(), PlanError> {
-        self.keep("memory of what failed", self.partners + BELIEF_ROW * fulfilment.triangles.len() as u64)
+        self.check_limit("table of failures", self.partners + BELIEF_ROW * fulfilment.triangles.len() as u64)
     }
 
-    fn keep(&self, stage: &'static str, need: u64) -> Result<(), PlanError> {
+    fn check_limit(&self, stage: &'static str, need: u64) -> Result<(), PlanError> {
         match self.limit {
             Some(Bytes(limit)) if need > limit => Err(PlanError::Memory { stage, need, limit }),
             _ => Ok(()),
         }
     }
 
-    /// What tables on disk take at most, for people; `None`: memory holds them.
+    /// Maximum size of the tables on disk, formatted as "1.5G"; `None` if they fit in memory.
     pub fn on_disk(&self) -> Option<String> {
         (self.disk > 0).then(|| readable(self.disk))
     }
 
-    /// Of all stages.
+    /// Peak over all stages, bytes.
     pub fn peak(&self) -> u64 {
         self.read.max(self.surface).max(self.visibility).max(self.partners)
     }
@@ -189,7 +189,7 @@ fn bytes(surface: &Surface) -> u64 {
     (size_of_val(&*surface.vertices) + size_of_val(&*surface.triangles)) as u64
 }
 
-/// Rows of visibility if nothing hid anything: triangles that face a view and have their centroid in its image, counted on a sample.
+/// Estimates the rows of visibility without occlusion: triangles that face a view and have their centroid in its image, on a sample.
 fn expected_rows(scene: &Scene, surface: &Surface) -> u64 {
     let (views, triangles) = (scene.views.len(), surface.triangles.len());
     let sampled_views = || scene.view_indices().step_by(views.div_ceil(SAMPLED_VIEWS).max(1));
@@ -209,7 +209,7 @@ fn expected_rows(scene: &Scene, surface: &Surface) -> u64 {
     (share * views as f64 * triangles as f64).ceil() as u64
 }
 
-/// In units that people read.
+/// Formats bytes as "1.5G", "20M" or "300 bytes".
 pub(super) fn readable(bytes: u64) -> String {
     match bytes as f64 / 1024f64.powi(3) {
         gibibytes if gibibytes >= 1.0 => format!("{gibibytes:.1}G"),

@@ -1,7 +1,7 @@
-//! Decides which depth maps are worth making: runs the stages of the method and ranks what comes out of them.
+//! Decides which depth maps are worth computing: runs the stages of the method and ranks the view clusters.
 //!
-//! [`Stages::run`] builds the surface, finds which view sees what, and chooses view clusters; [`decide`] ranks them, cuts the ranking, forecasts its
-//! cost, and says why the rest is not taken. A [`Plan`] is both. Nothing is written here.
+//! [`Stages::run`] builds the surface, computes visibility, and chooses view clusters; [`decide`] ranks them, cuts the ranking, forecasts
+//! its cost, and gives a reason for everything left out. A [`Plan`] holds both results. This module writes no files.
 
 mod cut;
 mod decision;
@@ -44,17 +44,17 @@ use crate::{
     },
 };
 
-/// A ranking of view clusters with everything that it was made from.
+/// A ranking of view clusters with all intermediate results.
 #[derive(Clone, Debug)]
 pub struct Plan {
     pub stages: Stages,
     pub decision: Decision,
-    /// Not part of what was planned: differs from run to run.
+    /// Differs from run to run, unlike everything else in the plan.
     pub timings: Timings,
 }
 
 impl Plan {
-    /// Plans which views of the project become key views, with which partners, in which order, for the MVS program that will match them.
+    /// Chooses the project's key views, their partners and their order for the MVS program that will match them.
     pub fn new(
         project: &Project,
         settings: &Settings,
@@ -92,7 +92,7 @@ impl Plan {
         self.decision.ranking.order[..self.decision.cut.clusters].iter().map(|&c| &self.stages.clusters[c as usize])
     }
 
-    /// Pixels that the depth map of each cluster of the ranking will measure, before fusion.
+    /// Pixels that the depth map of each cluster will measure, before fusion, in the order of the ranking.
     pub fn points_by_rank(&self) -> Vec<f64> {
         let Decision { ranking, finished, .. } = &self.decision;
         let model = self.stages.model();

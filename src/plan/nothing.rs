@@ -1,22 +1,23 @@
-//! A plan that chooses nothing is no plan: why, and what to do about it.
+//! Rejects a plan that chooses no cluster, with the reason and a remedy.
 
 use std::{cmp::Reverse, collections::BTreeMap};
 
 use super::Plan;
 use crate::{base::error::Hint, model::reason::Reason};
 
-/// Why nothing is chosen.
+/// The plan chooses no cluster.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Nothing {
-    /// No view cluster fulfils anything.
-    #[error("no view cluster fulfils anything, most often ({of} of {views} views) because {}", reason.words())]
+    /// No view cluster fulfils anything; `reason` holds for `of` of `views` views, more than any other.
+    #[error("no view cluster fulfils anything; most common reason ({of} of {views} views): {}", reason.words())]
     Fulfilled { reason: Reason, of: usize, views: usize, cure: Option<String> },
-    #[error("what was asked for allows none of {ranked} view clusters: {limits}")]
+    /// The limits of the cut exclude every ranked cluster.
+    #[error("the limits exclude all {ranked} view clusters: {limits}")]
     Allowed { ranked: usize, limits: String },
 }
 
 impl Nothing {
-    /// `None`: something is chosen.
+    /// Checks whether the plan chooses nothing; `None` if it chooses at least one cluster.
     pub fn of(plan: &Plan) -> Option<Self> {
         let ranked = plan.decision.ranking.order.len();
         match plan.decision.cut.clusters {
@@ -39,21 +40,21 @@ impl Nothing {
     }
 }
 
-/// k too small for what is asked of a cluster.
+/// Returns a remedy if k is too small for `coverage.min_cameras` or for the backend's matches.
 fn too_few_partners(plan: &Plan) -> Option<String> {
     let k = plan.stages.settings.partners.k;
     let cameras = plan.stages.settings.coverage.min_cameras;
     let matches = plan.stages.confidence.min_matches();
     if k < cameras.saturating_sub(1) {
-        Some(format!("{cameras} cameras must see a place (coverage.min_cameras), so take -k {} at least", cameras - 1))
+        Some(format!("use -k {} or more: coverage.min_cameras wants each place seen by {cameras} cameras", cameras - 1))
     } else if k < matches {
-        Some(format!("{} needs {matches} matches that agree, so take -k {matches} at least", plan.stages.backend))
+        Some(format!("use -k {matches} or more: {} needs {matches} matches that agree", plan.stages.backend))
     } else {
         None
     }
 }
 
-/// The limits of the cut, as they are set.
+/// The limits of the cut that are set, as "budget 5, time 60".
 fn limits(plan: &Plan) -> String {
     let cut = &plan.stages.settings.cut;
     let set = [
@@ -68,10 +69,8 @@ impl Hint for Nothing {
     fn hint(&self) -> Option<String> {
         Some(match self {
             Self::Fulfilled { cure: Some(cure), .. } => cure.clone(),
-            Self::Fulfilled { .. } => {
-                "viewrank doctor says what is wrong with the project; masks and --confidence count too".into()
-            }
-            Self::Allowed { .. } => "allow more".into(),
+            Self::Fulfilled { .. } => "run viewrank doctor; check the masks and --confidence, too".into(),
+            Self::Allowed { .. } => "raise the limit".into(),
         })
     }
 }

@@ -1,4 +1,4 @@
-//! Method 5.5: why a view is not taken, a key view has few partners, or a triangle stays unfulfilled.
+//! Method 5.5: finds why a view is not chosen, a key view has few partners, or a triangle stays unfulfilled.
 
 use rayon::prelude::*;
 use schemars::JsonSchema;
@@ -14,35 +14,35 @@ use crate::{
     model::{cluster::ViewCluster, reason::Reason, scene::ViewIndex},
 };
 
-/// What becomes of a registered view.
+/// Role of a registered view in the plan.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum ViewStatus {
     /// Gets a depth map.
     Key,
-    /// Gets none, but one or more key views are matched against it.
+    /// Gets no depth map, but one or more key views are matched against it.
     Partner,
     /// Takes no part.
     Unused,
 }
 
-/// A triangle with less than this is called unfulfilled.
+/// A triangle is unfulfilled below this fulfilment.
 const FULFILLED: f64 = 0.1;
-/// Clusters of which all factors are held at a time.
+/// Clusters whose factors are all in memory at a time.
 const CLUSTERS_AT_ONCE: usize = 64;
-/// A view is a duplicate where another does this share of what it could do.
+/// A view is a duplicate where one chosen cluster gives at least this share of its fulfilment.
 const DUPLICATE: f64 = 0.9;
 
-/// What the reasons are read from.
-pub(super) struct Why<'a> {
+/// Inputs of the reasons.
+pub(super) struct Reasons<'a> {
     pub model: &'a Model<'a>,
     pub candidates: &'a Candidates,
     pub clusters: &'a [ViewCluster],
     pub fulfilment: &'a FulfilmentTable,
 }
 
-impl Why<'_> {
-    /// Status of each view, and the reason of those that are no key view, or a key view with fewer than k partners.
+impl Reasons<'_> {
+    /// Status of each view; with a reason if it is not a key view, or has fewer than k partners.
     pub fn views(
         &self,
         chosen: &[u32],
@@ -74,17 +74,17 @@ impl Why<'_> {
     fn few_partners(&self, cluster: usize, settings: &PartnerSettings) -> Option<Reason> {
         let ViewCluster { key, partners } = &self.clusters[cluster];
         let possible = (settings.k as usize).min(self.model.scene.views.len() - 1);
-        (partners.len() < possible).then(|| self.refused(*key))
+        (partners.len() < possible).then(|| self.main_refusal(*key))
     }
 
-    /// What most of the pairs were refused for.
-    fn refused(&self, view: ViewIndex) -> Reason {
+    /// The most frequent reason why pairs of the view were refused.
+    fn main_refusal(&self, view: ViewIndex) -> Reason {
         most_frequent(self.candidates.refused(view).iter().map(|refusal| refusal.reason))
             .unwrap_or(Reason::NoSharedPoints)
     }
 
     fn no_cluster(&self, view: ViewIndex) -> Reason {
-        if self.model.visibility.triangles_seen_by(view).is_empty() { Reason::Hidden } else { self.refused(view) }
+        if self.model.visibility.triangles_seen_by(view).is_empty() { Reason::Hidden } else { self.main_refusal(view) }
     }
 
     /// Why a view with partners is no key view.
@@ -104,7 +104,7 @@ impl Why<'_> {
         }
     }
 
-    /// The reason of each triangle that no cluster fulfils to a tenth.
+    /// Per triangle, why no cluster fulfils it to 0.1; `None` where one does.
     pub fn triangles(&self) -> Vec<Option<Reason>> {
         let triangles = self.model.surface.triangles.len();
         let mut best = vec![0f32; triangles];
@@ -125,7 +125,7 @@ impl Why<'_> {
         (0..triangles).map(reason).collect()
     }
 
-    /// Of each triangle that is asked for the factors of the cluster that comes nearest to fulfilling it, the first of equals.
+    /// For each triangle that passes `is_asked`, the factors of the cluster that comes nearest to fulfilling it; ties go to the first cluster.
     fn nearest_to_success(&self, is_asked: impl Fn(usize) -> bool + Sync) -> Vec<Option<Fulfilment>> {
         let of_cluster = |cluster: &ViewCluster| -> Vec<(u32, Fulfilment)> {
             let asked =
@@ -148,7 +148,7 @@ impl Why<'_> {
     }
 }
 
-/// The factor that a triangle fails by.
+/// The reason that belongs to the smallest factor.
 fn failure(fulfilment: &Fulfilment) -> Reason {
     let Fulfilment { coverage, resolution, uncertainty, confidence, .. } = *fulfilment;
     if coverage == 0.0 {
@@ -162,7 +162,7 @@ fn failure(fulfilment: &Fulfilment) -> Reason {
     }
 }
 
-/// The reason that occurs most often; of equals the first of the list.
+/// The most frequent reason; ties go to the first in the order of [`Reason`].
 fn most_frequent(reasons: impl Iterator<Item = Reason>) -> Option<Reason> {
     let mut counts = std::collections::BTreeMap::new();
     reasons.for_each(|reason| *counts.entry(reason).or_insert(0u32) += 1);
@@ -200,7 +200,7 @@ pub(super) fn best_substitutes(
 pub struct Substitute {
     /// From 0.
     pub rank: usize,
-    /// Share of the other's own fulfilment that this one gives as well, 0 to 1.
+    /// Share of the other's fulfilment that this one also gives, 0 to 1.
     pub share: f64,
 }
 
@@ -228,8 +228,8 @@ mod tests {
     }
 
     #[test]
-    fn a_duplicate_is_done_by_one_chosen_cluster() {
-        // Clusters 0 and 1 share the triangles of cluster 2; neither does all of them.
+    fn one_chosen_cluster_makes_a_duplicate() {
+        // Clusters 0 and 1 share the triangles of cluster 2; neither covers all of them.
         let table = FulfilmentTable::new([[(0, 0.5), (1, 0.5)], [(1, 0.9), (2, 0.2)], [(1, 0.6), (2, 0.6)]]);
         let chosen = ByTriangle::new(&table, &[0, 1], 3).unwrap();
         let (triangles, values) = table.row(2);

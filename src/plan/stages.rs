@@ -1,4 +1,4 @@
-//! Runs the stages of the method that come before the ranking, and keeps the value of each.
+//! Runs the stages of the method before the ranking, and keeps the result of each.
 
 use super::{Matcher, Memory, PlanError, Timings, cut};
 use crate::{
@@ -21,10 +21,10 @@ use crate::{
     },
 };
 
-/// The value of each stage of the method up to the view clusters and what each of them fulfils.
+/// Results of the stages of the method, up to the view clusters and their fulfilment.
 #[derive(Clone, Debug)]
 pub struct Stages {
-    /// All settings in force; what was chosen from the data or by the backend is filled in.
+    /// All settings in force, with those chosen from the data or by the backend filled in.
     pub settings: Settings,
     /// Name of the backend that the plan is made for.
     pub backend: &'static str,
@@ -38,7 +38,7 @@ pub struct Stages {
     pub agreement: Agreement,
     /// What was seen in the pictures.
     pub pictures: confidence::Seen,
-    /// What predicts success.
+    /// The predictor of matching success.
     pub confidence: Confidence,
     pub trained: Option<Trained>,
     /// g_d and a_d of each triangle (method 3.6).
@@ -46,16 +46,16 @@ pub struct Stages {
     /// What the plan maximises (method 5.1).
     pub objective: Objective,
     pub candidates: Candidates,
-    /// One per view that can be a key view, in the order of views.
+    /// One per view that can be a key view, in the order of the views.
     pub clusters: Vec<ViewCluster>,
-    /// f of each cluster: predicted; real where the cluster is finished.
+    /// f of each cluster: predicted, or measured where the cluster is finished.
     pub fulfilment: FulfilmentTable,
-    /// What was forecast before each stage.
+    /// Memory forecast before each stage.
     pub memory: Memory,
 }
 
 impl Stages {
-    /// Runs the stages on the project's scene for the MVS program that will match them; `timings` takes the seconds of each.
+    /// Runs the stages on the project's scene, for the MVS program that will match the clusters; records their seconds in `timings`.
     pub fn run(
         project: &Project,
         scene: Scene,
@@ -69,9 +69,9 @@ impl Stages {
         let mut settings = in_force(project, settings, &scene, matcher, &source)?;
         let mut memory = Memory::before_surface(&scene, &mut settings)?;
         let points = scene.view_points();
-        // Parts of the surface are made by one thread: the others find candidates meanwhile.
+        // Parts of the surface are built by one thread; the others find candidates meanwhile.
         let (seen, candidates) = rayon::join(
-            || seen_surface(&scene, &points, &settings, watcher, timings, &mut memory),
+            || visible_surface(&scene, &points, &settings, watcher, timings, &mut memory),
             || partners::candidates(&scene, &points, &settings.partners, &matcher.numbers.gate, watcher),
         );
         let (seen, candidates) = (seen?, candidates?);
@@ -143,7 +143,7 @@ impl Stages {
         })
     }
 
-    /// Memory that the tables take, bytes, about.
+    /// Approximate memory of the tables, surface and scene, bytes.
     pub fn bytes(&self) -> u64 {
         let unary = self.unary.values.bytes() + self.unary.partner_odds.bytes();
         let fulfilment = self.fulfilment.triangles.bytes() + self.fulfilment.values.bytes();
@@ -153,7 +153,7 @@ impl Stages {
         (tables + surface + scene) as u64
     }
 
-    /// What f depends on; with it any view clusters can be looked at.
+    /// The inputs of f, with which any view cluster can be evaluated.
     pub fn model(&self) -> Model<'_> {
         Model {
             scene: &self.scene,
@@ -167,7 +167,7 @@ impl Stages {
     }
 }
 
-/// The settings with what is left to the data and the backend filled in.
+/// Fills in the settings that depend on the data and the backend.
 fn in_force(
     project: &Project,
     settings: &Settings,
@@ -200,7 +200,7 @@ fn in_force(
     Ok(all)
 }
 
-/// What the pictures say; masks count wherever confidence does.
+/// Reads masks and predicts confidence from the images. Masks apply with every confidence source but `none`.
 fn pictures(
     project: &Project,
     scene: &Scene,
@@ -214,29 +214,29 @@ fn pictures(
         (_, Some(trained)) => trained.picture.as_ref().map(|picture| picture as &dyn Predictor),
         _ => None,
     };
-    let unasked = *source == Source::None || predictor.is_none() && !pictures.have_masks();
-    if unasked {
+    let is_needless = *source == Source::None || predictor.is_none() && !pictures.have_masks();
+    if is_needless {
         return Ok(confidence::Seen { maps: vec![None; scene.views.len()], ..Default::default() });
     }
     Ok(pictures.look(scene, predictor, watcher)?)
 }
 
-/// A surface of triangles that at least one view sees.
-struct SeenSurface {
+/// The surface, reduced to triangles that at least one view sees, with its visibility.
+struct VisibleSurface {
     surface: Surface,
     stats: SurfaceStats,
     visibility: Visibility,
     gsd: f64,
 }
 
-fn seen_surface(
+fn visible_surface(
     scene: &Scene,
     points: &ViewPoints,
     settings: &Settings,
     watcher: &dyn Watcher,
     timings: &mut Timings,
     memory: &mut Memory,
-) -> Result<SeenSurface, PlanError> {
+) -> Result<VisibleSurface, PlanError> {
     let gsd = settings.target.gsd.ok_or(PlanError::NoScale)?;
     let mesh = settings.surface.mesh.clone().map(|path| MeshFile { path, as_is: settings.surface.mesh_as_is });
     let most = memory.most_triangles();
@@ -251,10 +251,10 @@ fn seen_surface(
     if !seen.contains(&true) {
         return Err(SurfaceError::Empty.into());
     }
-    Ok(SeenSurface { surface: surface.keep(&seen), stats, visibility: visibility.keep(&seen)?, gsd })
+    Ok(VisibleSurface { surface: surface.keep(&seen), stats, visibility: visibility.keep(&seen)?, gsd })
 }
 
-fn target(scene: &Scene, seen: &SeenSurface, settings: &Settings) -> Target {
+fn target(scene: &Scene, seen: &VisibleSurface, settings: &Settings) -> Target {
     Target::new(scene, &seen.surface, &seen.visibility, &settings.target, seen.gsd, settings.image_scale)
 }
 

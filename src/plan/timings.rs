@@ -1,4 +1,4 @@
-//! How long each stage took: for `timings.json` and the question whether planning was worth it.
+//! Wall time of each stage, for `timings.json` and for comparing the cost of planning with the matching time that it saves.
 
 use std::time::Instant;
 
@@ -6,7 +6,7 @@ use serde::{Serialize, Serializer, ser::SerializeMap};
 
 use crate::base::progress::Stage;
 
-/// Seconds of wall time per stage, in the order in which they ran, and from start to end.
+/// Wall time in seconds, per stage in the order of execution, and in total.
 #[derive(Clone, Debug)]
 pub struct Timings {
     start: Instant,
@@ -19,7 +19,7 @@ impl Timings {
         Self { start: Instant::now(), stages: Vec::new(), total: 0.0 }
     }
 
-    /// Runs a stage and notes its time; a stage that ran before took both times.
+    /// Runs a stage and records its time; a stage that runs again accumulates.
     pub fn time<T>(&mut self, stage: Stage, run: impl FnOnce() -> T) -> T {
         let start = Instant::now();
         let result = run();
@@ -31,12 +31,12 @@ impl Timings {
         result
     }
 
-    /// Everything is done.
+    /// Stops the clock.
     pub fn end(&mut self) {
         self.total = self.start.elapsed().as_secs_f64();
     }
 
-    /// From start to end, seconds; more than the stages together.
+    /// Seconds from start to end, more than the sum of the stages.
     pub fn total(&self) -> f64 {
         self.total
     }

@@ -1,4 +1,4 @@
-//! What the user should know of a plan before relying on it.
+//! Warnings that the user should read before relying on a plan.
 
 use super::{Finished, Stages};
 use crate::method::ranking::Ranking;
@@ -10,13 +10,13 @@ use crate::{
 
 /// Share of the observations of a table that may contradict it.
 const CONTRADICTIONS: f64 = 0.05;
-/// The wanted ground sampling distance is not so many times another than the images'.
+/// Ratio, either way, of the wanted to the images' own ground sampling distance beyond which the unit is probably wrong.
 const WANTED_RATIO: f64 = 20.0;
 /// Share of what is wanted that all clusters together give, below which the plan says so.
 const LITTLE: f64 = 0.5;
 /// Eastings of UTM coordinates, metres; a zone is no wider.
 const EASTINGS: std::ops::Range<f64> = 100_000.0..900_000.0;
-/// Depth maps that are named.
+/// Depth maps that a warning names.
 const NAMED: usize = 3;
 
 pub(super) fn warnings(stages: &Stages, ranking: &Ranking, finished: &Finished) -> Vec<String> {
@@ -37,7 +37,7 @@ pub(super) fn warnings(stages: &Stages, ranking: &Ranking, finished: &Finished) 
     warnings
 }
 
-/// A wanted ground sampling distance that is far from the images' own: another unit, most likely.
+/// Warns of a wanted ground sampling distance far from the images' own, most likely given in another unit.
 pub fn unlikely_gsd(scene: &Scene, settings: &Settings) -> Option<String> {
     let (gsd, target) = (scene.median_gsd()?, settings.target.gsd?);
     let ratio = target / (gsd / settings.image_scale);
@@ -47,41 +47,42 @@ pub fn unlikely_gsd(scene: &Scene, settings: &Settings) -> Option<String> {
         _ => return None,
     };
     Some(format!(
-        "the wanted ground sampling distance, {target}, is {than} than the images' own, {gsd:.3e} units per pixel; it is in units of the model"
+        "the wanted ground sampling distance ({target}) is {than} than the images' own ({gsd:.3e} model units per pixel); give it in units of \
+         the model"
     ))
 }
 
-/// A model that is to be in UTM coordinates, and lies where no zone has its eastings.
+/// Warns of a model set to UTM whose eastings no zone has.
 fn no_utm_coordinates(stages: &Stages) -> Option<String> {
     let frame = &stages.settings.frame;
     let zone = frame.utm.as_ref()?;
     let easting = stages.scene.points.first()?.x + frame.offset.unwrap_or_default()[0];
     (!EASTINGS.contains(&easting)).then(|| {
         format!(
-            "frame.utm is {zone}, but a point of the model has an easting of {easting:.0} m, which no zone has: what is to be added to x \
-             and y is frame.offset"
+            "frame.utm is {zone}, but a point of the model has an easting of {easting:.0} m, outside every zone; set frame.offset to what must be \
+             added to x and y"
         )
     })
 }
 
-/// A surface that was to be carved, of points that enclose nothing.
+/// Warns of a terrain built where a carved surface was asked for, because the points enclose no volume.
 fn no_3d_surface(stages: &Stages) -> Option<String> {
     let settings = &stages.settings.surface;
     let other = settings.mesh.is_none()
         && settings.kind == SurfaceChoice::Carved
         && stages.surface.kind == SurfaceKind::Terrain;
-    other.then(|| "the sparse points lie in a plane: the surface is a terrain, though a 3D one was asked for".into())
+    other.then(|| "the sparse points are coplanar: the surface is a terrain although surface.kind is 3d".into())
 }
 
-/// Finished depth maps that have to be made again.
+/// Warns of finished depth maps that must be computed again.
 fn outdated(stages: &Stages, finished: &Finished) -> Option<String> {
     let outdated = &finished.outdated;
     let names: Vec<&str> = outdated.iter().take(NAMED).map(|o| o.key.as_str()).collect();
     let more = if outdated.len() > NAMED { ", ..." } else { "" };
     (!outdated.is_empty()).then(|| {
         format!(
-            "{} finished depth maps no longer fit the model, whose views moved by more than {} px: {}{more}; remove them so that \
-             the backend makes them again",
+            "{} finished depth maps no longer fit the model (their views moved by more than {} px): {}{more}; delete them to have them \
+             computed again",
             outdated.len(),
             stages.settings.ranking.keep_px,
             names.join(", ")
@@ -89,27 +90,30 @@ fn outdated(stages: &Stages, finished: &Finished) -> Option<String> {
     })
 }
 
-/// Pictures that the model has not seen the like of.
+/// Warns of images unlike those that the trained model has seen.
 fn unlike_pictures(stages: &Stages) -> Option<String> {
     let distance = stages.pictures.distance.filter(|&distance| distance > 1.0 && stages.trained.is_some())?;
     Some(format!(
-        "the pictures are unlike those that the confidence was trained on ({distance:.1} times as far as those are from each other): \
-         compute some depth maps and train on them (viewrank train), or take --confidence geometric"
+        "the images are unlike those that the confidence was trained on (distance {distance:.1}, within 1 for 95 % of the training images): \
+         compute some depth maps and train on them (viewrank train), or use --confidence geometric"
     ))
 }
 
-/// A model that learnt from another program's depth maps.
+/// Warns of a model trained on another backend's depth maps.
 fn other_backend(stages: &Stages) -> Option<String> {
     let trained = stages.trained.as_ref().filter(|trained| trained.backend != stages.backend)?;
-    Some(format!("the confidence was trained on depth maps of {}, the plan is for {}", trained.backend, stages.backend))
+    Some(format!(
+        "the confidence was trained on {} depth maps, but the plan is for {}",
+        trained.backend, stages.backend
+    ))
 }
 
-/// Settings of confidence that what predicts success here does not heed.
+/// Warns of confidence settings that the confidence source in force ignores.
 fn without_effect(stages: &Stages) -> Option<String> {
     let set = &stages.settings.confidence;
     let pair = matches!(stages.confidence, Confidence::Pair(_) | Confidence::Photometric { .. });
     let paper = matches!(stages.confidence, Confidence::Paper { .. });
-    let unheeded = [
+    let ignored = [
         ("form", set.form == ConfidenceForm::Paper && !paper),
         ("p0", set.p0.is_some() && !pair),
         ("cosine_power", set.cosine_power.is_some() && !pair),
@@ -118,18 +122,19 @@ fn without_effect(stages: &Stages) -> Option<String> {
         ("min_matches", set.min_matches.is_some() && stages.confidence == Confidence::None),
     ];
     let names: Vec<String> =
-        unheeded.into_iter().filter(|(_, is)| *is).map(|(name, _)| format!("confidence.{name}")).collect();
+        ignored.into_iter().filter(|(_, is)| *is).map(|(name, _)| format!("confidence.{name}")).collect();
     let source = &set.source;
-    (!names.is_empty()).then(|| format!("set, but without effect where confidence is {source}: {}", names.join(", ")))
+    (!names.is_empty())
+        .then(|| format!("confidence.source = {source} ignores {}; remove the setting", names.join(", ")))
 }
 
-/// Fewer cameras than the method wants to see a place.
+/// Warns of k = 1, which leaves out the third camera of the method.
 fn single_partner(stages: &Stages) -> Option<String> {
     (stages.settings.partners.k == 1)
-        .then(|| "with k = 1 a place counts where two cameras see it; no third one confirms what they match".into())
+        .then(|| "with k = 1 a place counts once two cameras see it; no third camera confirms the match".into())
 }
 
-/// The shares of the plan are of what all clusters reach together, which may be next to nothing.
+/// Warns where all clusters together reach next to nothing: the plan's shares are relative to that.
 fn little_fulfilled(ranking: &Ranking) -> Option<String> {
     let given = ranking.total_kept();
     (!ranking.order.is_empty() && given < LITTLE).then(|| {
@@ -145,8 +150,8 @@ fn contradictions(stages: &Stages) -> Option<String> {
     let share = stages.visibility.contradictions as f64 / stages.scene.observations().max(1) as f64;
     (share > CONTRADICTIONS).then(|| {
         format!(
-            "{:.0} % of the observations contradict the surface: views observe points that it hides from them; \
-             a better surface can be given with --mesh",
+            "{:.0} % of the observations contradict the surface (views observe points that it hides from them); \
+             give a better surface with --mesh",
             share * 100.0
         )
     })
@@ -156,7 +161,7 @@ fn tiled(stages: &Stages) -> Option<String> {
     let tiles = stages.surface_stats.tiles;
     (tiles > 1).then(|| {
         format!(
-            "the surface was built in {tiles} tiles of at most {} points; where they meet its triangles are not those of a whole surface",
+            "the surface was built in {tiles} tiles of at most {} points; triangles at the seams differ from those of an untiled surface",
             stages.settings.surface.tile_points.unwrap_or_default()
         )
     })

@@ -1,73 +1,73 @@
-//! Links between views that are weak or suspicious: a model in parts, far fewer shared points than the overlap promises, shared points on
-//! one side of the overlap only.
+//! Weak or suspicious links between views: a model in parts, far fewer shared points than the overlap suggests, shared points on one side
+//! of the overlap only.
 
 use rayon::prelude::*;
 
-use super::{Finding, Severity, ViewFinding, Visit, counted};
+use super::{Finding, Inputs, Severity, ViewFinding, counted};
 use crate::{
     base::connected::components,
     method::partners::neighbours,
     model::scene::{PointIndex, ViewIndex},
 };
 
-/// Shared points that hold two views together.
-const HOLDING: usize = 15;
-/// Points of a view that are looked at.
+/// Shared points that link two views.
+const LINK: usize = 15;
+/// Points sampled per view.
 const SAMPLE: usize = 400;
-/// Neighbours by position that are looked at.
+/// Nearest neighbours examined per view.
 const NEAREST: usize = 6;
-/// Points in the overlap below which nothing is said.
+/// Least number of points in an overlap to judge it.
 const ENOUGH: usize = 80;
-/// Largest angle between the rays at which any matcher finds its features again, as a cosine (25 degrees).
+/// Cosine of the largest angle between rays at which feature matchers are reliable (25 degrees).
 const SIMILAR: f64 = 0.906;
-/// Largest ratio of distances.
+/// Largest ratio of the distances of two views from a point.
 const SAME_SCALE: f64 = 1.4;
-/// Less than this share of the points in the overlap is far too little.
+/// Below this share of the points in the overlap, far too few are shared.
 const FAR_TOO_FEW: f64 = 0.01;
-/// A side has its points where this share is shared, and none below the one above.
+/// A side of the overlap is linked from this share on, and unlinked below `FAR_TOO_FEW`.
 const PRESENT: f64 = 0.2;
 
-pub fn findings(visit: &Visit) -> Vec<Finding> {
-    let views: Vec<ViewIndex> = visit.scene.view_indices().collect();
-    let judged: Vec<(ViewIndex, Vec<Overlap>)> = views.par_iter().map(|&view| overlaps(visit, view)).collect();
-    let mut findings: Vec<Finding> = parts(visit).into_iter().collect();
-    let of = |wrong: &dyn Fn(&Overlap) -> bool| -> Vec<ViewFinding> {
-        let most = |(_, found): &&(ViewIndex, Vec<Overlap>)| {
+pub fn findings(inputs: &Inputs) -> Vec<Finding> {
+    let views: Vec<ViewIndex> = inputs.scene.view_indices().collect();
+    let judged: Vec<(ViewIndex, Vec<Overlap>)> = views.par_iter().map(|&view| overlaps(inputs, view)).collect();
+    let mut findings: Vec<Finding> = parts(inputs).into_iter().collect();
+    let views_where = |wrong: &dyn Fn(&Overlap) -> bool| -> Vec<ViewFinding> {
+        let mostly = |(_, found): &&(ViewIndex, Vec<Overlap>)| {
             let bad = found.iter().filter(|overlap| wrong(overlap)).count();
             bad > 0 && 2 * bad > found.len()
         };
         let words = |(view, found): &(ViewIndex, Vec<Overlap>)| {
-            let of = found.iter().find(|overlap| wrong(overlap)).map(|o| o.words(visit)).unwrap_or_default();
-            visit.of(*view, of)
+            let example = found.iter().find(|overlap| wrong(overlap)).map(|o| o.words(inputs)).unwrap_or_default();
+            inputs.view_finding(*view, example)
         };
-        judged.iter().filter(most).map(words).collect()
+        judged.iter().filter(mostly).map(words).collect()
     };
-    let few = of(&Overlap::far_too_few);
+    let few = views_where(&Overlap::far_too_few);
     if !few.is_empty() {
         let views = counted(few.len(), "view");
-        let what = format!(
-            "{views} with far fewer shared points than the overlap with the neighbours: perhaps in a wrong place"
-        );
-        let cure = "look at them in the model; match them again with their neighbours, or take them out (colmap image_deleter)";
+        let what = format!("{views} with far fewer shared points than the overlap suggests; the poses may be wrong");
+        let cure =
+            "inspect them in the model; match them again with their neighbours, or remove them (colmap image_deleter)";
         findings.push(Finding::new(Severity::Warning, "far-too-few-shared-points", what, cure).of_views(few));
     }
-    let aside = of(&Overlap::one_sided);
-    if !aside.is_empty() {
-        let views = counted(aside.len(), "view");
+    let one_sided = views_where(&Overlap::one_sided);
+    if !one_sided.is_empty() {
+        let views = counted(one_sided.len(), "view");
         let what = format!(
-            "{views} with points shared with most neighbours on one side of the overlap only: the model may be bent there"
+            "{views} sharing points with most neighbours on one side of the overlap only; the model may be bent there"
         );
-        let cure = "look at the model there; bundle adjustment with more matches or ground control straightens it";
-        findings.push(Finding::new(Severity::Warning, "one-sided-links", what, cure).of_views(aside));
+        let cure = "inspect the model there; straighten it by bundle adjustment with more matches or ground control";
+        findings.push(Finding::new(Severity::Warning, "one-sided-links", what, cure).of_views(one_sided));
     }
     findings
 }
 
-/// What two views have in common by geometry and by the tracks.
+/// Overlap of two views by geometry and by tracks.
 struct Overlap {
     other: ViewIndex,
-    /// Points of the one in sight of the other, in the left and right third of them, and those of them that both observe.
+    /// Points of the first view within sight of the other, in the left and the right third of them.
     seen: [usize; 2],
+    /// The part of `seen` that both views observe.
     shared: [usize; 2],
 }
 
@@ -84,19 +84,19 @@ impl Overlap {
             && share[0].min(share[1]) < FAR_TOO_FEW
     }
 
-    fn words(&self, visit: &Visit) -> String {
+    fn words(&self, inputs: &Inputs) -> String {
         let (shared, seen) = (self.shared.iter().sum::<usize>(), self.seen.iter().sum::<usize>());
-        format!("{shared} of {seen} points that {} should see too", visit.scene.name(self.other))
+        format!("{shared} of {seen} points that {} should also see", inputs.scene.name(self.other))
     }
 }
 
 /// The overlaps of a view with its nearest neighbours of similar direction and scale.
-fn overlaps(visit: &Visit, view: ViewIndex) -> (ViewIndex, Vec<Overlap>) {
-    let scene = visit.scene;
+fn overlaps(inputs: &Inputs, view: ViewIndex) -> (ViewIndex, Vec<Overlap>) {
+    let scene = inputs.scene;
     let centre = scene.view(view).cam_from_world.centre();
     let mut others: Vec<(f64, ViewIndex)> = scene
         .view_indices()
-        .filter(|&v| v != view && !visit.points.observed_by(v).is_empty())
+        .filter(|&v| v != view && !inputs.points.observed_by(v).is_empty())
         .map(|v| ((scene.view(v).cam_from_world.centre() - centre).norm_squared(), v))
         .collect();
     let nearer = |a: &(f64, ViewIndex), b: &(f64, ViewIndex)| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1));
@@ -105,14 +105,14 @@ fn overlaps(visit: &Visit, view: ViewIndex) -> (ViewIndex, Vec<Overlap>) {
         others.truncate(NEAREST);
     }
     others.sort_by(nearer);
-    let all = visit.points.observed_by(view);
+    let all = inputs.points.observed_by(view);
     let sample: Vec<PointIndex> = all.iter().step_by(all.len().div_ceil(SAMPLE).max(1)).copied().collect();
-    let found = others.iter().filter_map(|&(_, other)| overlap(visit, view, other, &sample)).collect();
+    let found = others.iter().filter_map(|&(_, other)| overlap(inputs, view, other, &sample)).collect();
     (view, found)
 }
 
-fn overlap(visit: &Visit, view: ViewIndex, other: ViewIndex, sample: &[PointIndex]) -> Option<Overlap> {
-    let scene = visit.scene;
+fn overlap(inputs: &Inputs, view: ViewIndex, other: ViewIndex, sample: &[PointIndex]) -> Option<Overlap> {
+    let scene = inputs.scene;
     let [own, their] = [view, other].map(|v| &scene.view(v).cam_from_world);
     let [from, to] = [own.centre(), their.centre()];
     let upright = own.viewing_direction().dot(&their.viewing_direction()) > SIMILAR;
@@ -141,25 +141,25 @@ fn overlap(visit: &Visit, view: ViewIndex, other: ViewIndex, sample: &[PointInde
     Some(Overlap { other, seen: [left.len(), right.len()], shared })
 }
 
-/// Does the model hold together?
-fn parts(visit: &Visit) -> Option<Finding> {
-    let beside = |view: u32| {
-        let around = neighbours(visit.scene, visit.points, ViewIndex(view)).into_iter();
-        around.filter(|(_, shared)| shared.len() >= HOLDING).map(|(other, _)| other.0)
+/// Reports a model of several connected components.
+fn parts(inputs: &Inputs) -> Option<Finding> {
+    let linked = |view: u32| {
+        let around = neighbours(inputs.scene, inputs.points, ViewIndex(view)).into_iter();
+        around.filter(|(_, shared)| shared.len() >= LINK).map(|(other, _)| other.0)
     };
-    let mut sizes = components(visit.scene.views.len(), beside);
-    sizes.sort_by_key(|members| (std::cmp::Reverse(members.len()), members[0]));
-    // Single views have too few partners, which is said elsewhere.
-    let whole: Vec<&Vec<u32>> = sizes.iter().filter(|members| members.len() > 1).collect();
-    (whole.len() > 1).then(|| {
-        let list: Vec<String> = whole.iter().take(5).map(|members| members.len().to_string()).collect();
+    let mut components = components(inputs.scene.views.len(), linked);
+    components.sort_by_key(|members| (std::cmp::Reverse(members.len()), members[0]));
+    // Single views are reported for too few partners.
+    let parts: Vec<&Vec<u32>> = components.iter().filter(|members| members.len() > 1).collect();
+    (parts.len() > 1).then(|| {
+        let sizes: Vec<String> = parts.iter().take(5).map(|members| members.len().to_string()).collect();
         let what = format!(
-            "the model falls into {} parts of {} views that share fewer than {HOLDING} points: how they lie to each other is not known well",
-            whole.len(),
-            list.join(", ")
+            "the model has {} parts of {} views, linked by fewer than {LINK} shared points: their relative position is uncertain",
+            parts.len(),
+            sizes.join(", ")
         );
-        let cure = "match the images between the parts again, or plan them apart";
-        let others = whole[1..].iter().flat_map(|members| members.iter().map(|&view| ViewIndex(view)));
-        Finding::new(Severity::Warning, "model-in-parts", what, cure).of_views(visit.named(others))
+        let cure = "match images between the parts again, or plan each part separately";
+        let others = parts[1..].iter().flat_map(|members| members.iter().map(|&view| ViewIndex(view)));
+        Finding::new(Severity::Warning, "model-in-parts", what, cure).of_views(inputs.named(others))
     })
 }

@@ -1,5 +1,5 @@
-//! What is wrong with a project before anything is planned: which views can't be matched and why, links that are weak, units that can't be
-//! true, and which backends would stumble over it. Reads the model and the images' headers, never the images.
+//! Diagnoses a project before planning: views that cannot be matched and why, weak links, implausible units, and traps of the backends.
+//! Reads the model and the images' headers, never their pixels.
 
 mod links;
 mod model;
@@ -20,15 +20,15 @@ use crate::{
     model::scene::{Scene, ViewIndex, ViewPoints},
 };
 
-/// How bad a finding is.
+/// Severity of a finding.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Severity {
-    /// Good to know; every large project has some.
+    /// No harm expected; every large project has some.
     Note,
     /// The result will be worse than it could be.
     Warning,
-    /// The result will be wrong, or there will be none.
+    /// The result will be wrong or missing.
     Error,
 }
 
@@ -39,15 +39,15 @@ pub struct Diagnosis {
     pub version: u32,
     /// The backend that partners were judged for.
     pub backend: &'static str,
-    /// The worst first.
+    /// All findings, most severe first.
     pub findings: Vec<Finding>,
 }
 
-/// A view that a finding is of.
+/// A view that a finding concerns.
 #[derive(Clone, Debug, PartialEq, Serialize, JsonSchema)]
 pub struct ViewFinding {
     pub name: String,
-    /// What is to be said of it; empty where the finding says all.
+    /// Detail of this view; empty where the finding says it all.
     pub why: String,
 }
 
@@ -61,15 +61,15 @@ impl ViewFinding {
 #[derive(Clone, Debug, PartialEq, Serialize, JsonSchema)]
 pub struct Finding {
     pub severity: Severity,
-    /// The same for the same kind of finding.
+    /// Identifier of the kind of finding.
     pub check: &'static str,
-    /// Backends that it concerns; empty: all.
+    /// Backends concerned; empty means all.
     pub backends: Vec<&'static str>,
-    /// A sentence.
+    /// The finding in a sentence.
     pub what: String,
-    /// What to type or do.
+    /// The remedy: a command or an action.
     pub cure: String,
-    /// The views concerned; empty: the whole project.
+    /// Views concerned; empty means the whole project.
     pub views: Vec<ViewFinding>,
 }
 
@@ -84,7 +84,7 @@ impl Finding {
     }
 }
 
-/// From this share of all on it is no longer a few.
+/// Shares below this are a few.
 const FEW: f64 = 0.1;
 
 /// "1 view", "2 views".
@@ -92,35 +92,35 @@ fn counted(number: usize, what: &str) -> String {
     format!("{number} {what}{}", if number == 1 { "" } else { "s" })
 }
 
-/// Everything that is looked at.
-struct Visit<'a> {
+/// Inputs of all checks.
+struct Inputs<'a> {
     project: &'a Project,
     scene: &'a Scene,
     points: &'a ViewPoints,
     settings: &'a Settings,
-    /// The one that would be planned for.
+    /// The backend that would be planned for.
     backend: &'a dyn Backend,
-    /// Those whose traps are looked for.
+    /// Backends whose traps are checked.
     backends: &'a [&'a dyn Backend],
     images: &'a ImageFaults,
 }
 
-impl Visit<'_> {
-    fn of(&self, view: ViewIndex, why: impl Into<String>) -> ViewFinding {
+impl Inputs<'_> {
+    fn view_finding(&self, view: ViewIndex, why: impl Into<String>) -> ViewFinding {
         ViewFinding::new(self.scene.name(view), why)
     }
 
     fn named(&self, views: impl IntoIterator<Item = ViewIndex>) -> Vec<ViewFinding> {
-        views.into_iter().map(|view| self.of(view, "")).collect()
+        views.into_iter().map(|view| self.view_finding(view, "")).collect()
     }
 }
 
-/// Looks at the project. The plan would be made for the first of `backends`; the traps of all of them are looked for.
+/// Examines the project: partners for the first of `backends`, traps for all of them.
 pub fn examine(project: &Project, scene: &Scene, settings: &Settings, backends: &[&dyn Backend]) -> Diagnosis {
     let backend = backends.first().copied().unwrap_or_else(|| backends::for_project(project));
     let mut findings = match scene.views.is_empty() {
         true => vec![no_views()],
-        false => of_scene(&Visit {
+        false => scene_findings(&Inputs {
             project,
             scene,
             points: &scene.view_points(),
@@ -135,32 +135,32 @@ pub fn examine(project: &Project, scene: &Scene, settings: &Settings, backends: 
 }
 
 fn no_views() -> Finding {
-    let cure = "register the images first; viewrank inspect shows what the model holds";
+    let cure = "register the images first (viewrank inspect shows the model's contents)";
     Finding::new(Severity::Error, "no-views", "no image of the model is registered", cure)
 }
 
-fn of_scene(visit: &Visit) -> Vec<Finding> {
-    let mut findings = sense::of_model(visit);
-    findings.extend(model::findings(visit));
-    // In a model that makes no sense partners and links say nothing.
+fn scene_findings(inputs: &Inputs) -> Vec<Finding> {
+    let mut findings = sense::of_model(inputs);
+    findings.extend(model::findings(inputs));
+    // Partners and links mean nothing in a model with errors.
     if findings.iter().all(|finding| finding.severity < Severity::Error) {
-        findings.extend(partners::findings(visit));
-        findings.extend(links::findings(visit));
+        findings.extend(partners::findings(inputs));
+        findings.extend(links::findings(inputs));
     }
-    findings.extend(sense::of_images(visit));
-    findings.extend(traps(visit));
+    findings.extend(sense::of_images(inputs));
+    findings.extend(traps(inputs));
     findings
 }
 
-/// Traps of the backends; those of the planned one are warnings, those of others notes.
-fn traps(visit: &Visit) -> Vec<Finding> {
-    let patient = Patient { project: visit.project, scene: visit.scene, points: visit.points };
-    let mut findings: Vec<Finding> = distorted(visit).into_iter().collect();
-    for backend in visit.backends {
-        let planned = backend.name() == visit.backend.name();
+/// Traps of the backends: warnings for the planned backend, notes for the others.
+fn traps(inputs: &Inputs) -> Vec<Finding> {
+    let patient = Patient { project: inputs.project, scene: inputs.scene, points: inputs.points };
+    let mut findings: Vec<Finding> = distorted(inputs).into_iter().collect();
+    for backend in inputs.backends {
+        let planned = backend.name() == inputs.backend.name();
         let severity = if planned { Severity::Warning } else { Severity::Note };
         for trap in backend.traps(&patient) {
-            let views = visit.named(trap.views);
+            let views = inputs.named(trap.views);
             match findings.iter_mut().find(|f| f.check == trap.name && f.what == trap.what) {
                 Some(same) => same.backends.push(backend.name()),
                 None => {
@@ -173,17 +173,17 @@ fn traps(visit: &Visit) -> Vec<Finding> {
     findings
 }
 
-/// Programs that want images without lens distortion.
-fn distorted(visit: &Visit) -> Option<Finding> {
-    let of_view = |v: &ViewIndex| !visit.scene.camera_of(*v).is_pinhole();
-    let camera = visit.scene.camera_of(visit.scene.view_indices().find(of_view)?).model().name();
-    let refuse: Vec<&'static str> = visit.backends.iter().filter(|b| !b.takes_distorted()).map(|b| b.name()).collect();
-    let (root, own) = (visit.project.as_argument(), quoted_path(&visit.project.root.join("dense")));
-    let cure = match &visit.project.dense_workspace {
-        Some(dense) if *dense != visit.project.root => format!("viewrank plan {}", quoted_path(dense)),
+/// Reports backends that need undistorted images where the cameras have lens distortion.
+fn distorted(inputs: &Inputs) -> Option<Finding> {
+    let of_view = |v: &ViewIndex| !inputs.scene.camera_of(*v).is_pinhole();
+    let camera = inputs.scene.camera_of(inputs.scene.view_indices().find(of_view)?).model().name();
+    let refuse: Vec<&'static str> = inputs.backends.iter().filter(|b| !b.takes_distorted()).map(|b| b.name()).collect();
+    let (root, own) = (inputs.project.as_argument(), quoted_path(&inputs.project.root.join("dense")));
+    let cure = match &inputs.project.dense_workspace {
+        Some(dense) if *dense != inputs.project.root => format!("viewrank plan {}", quoted_path(dense)),
         _ => format!("viewrank undistort {root}, then viewrank plan {own}"),
     };
-    let what = format!("the cameras are {camera}, and these programs want images without lens distortion");
+    let what = format!("the cameras are {camera}, but these programs need images without lens distortion");
     let finding = Finding::new(Severity::Note, "distorted-images", what, cure);
     (!refuse.is_empty()).then_some(Finding { backends: refuse, ..finding })
 }

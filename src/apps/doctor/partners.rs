@@ -1,10 +1,10 @@
-//! Which views can't get enough matching partners, and why; views that stand at one position.
+//! Views with too few matching partners, and why; groups of views at one position.
 
 use std::collections::BTreeMap;
 
 use rayon::prelude::*;
 
-use super::{FEW, Finding, Severity, ViewFinding, Visit, counted};
+use super::{FEW, Finding, Inputs, Severity, ViewFinding, counted};
 use crate::{
     backends::Backend,
     base::connected::components,
@@ -15,20 +15,19 @@ use crate::{
     },
 };
 
-/// Share of the sparse points that only views without partners see, from which on their loss is no longer the usual border of a
-/// block.
+/// Share of the sparse points seen only by views without partners: from this share on, the loss exceeds the usual border of a block.
 const LOST: f64 = 0.01;
-/// From this share on, of either, there is next to nothing to plan.
+/// From this share of points or views on, there is next to nothing to plan.
 const MOST: f64 = 0.5;
 
-/// Why a pair cannot be matched.
+/// Reason why a pair cannot be matched.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-enum Refused {
+enum Refusal {
     NoBaseline,
     Limit(Obstacle),
 }
 
-impl Refused {
+impl Refusal {
     fn words(self) -> &'static str {
         match self {
             Self::NoBaseline => "no baseline",
@@ -36,64 +35,66 @@ impl Refused {
             Self::Limit(Obstacle::SmallAngle) => "angle too small",
             Self::Limit(Obstacle::LargeAngle) => "angle too large",
             Self::Limit(Obstacle::Scale) => "scale too different",
-            Self::Limit(Obstacle::Epipole) => "flying along the line of sight",
+            Self::Limit(Obstacle::Epipole) => "motion along the line of sight",
         }
     }
 }
 
-/// What the other views are to one.
-struct PartnerCheck {
+/// Partners of a view, and the reasons of the pairs that were refused.
+struct PartnerCount {
     view: ViewIndex,
     partners: usize,
-    refused: BTreeMap<Refused, usize>,
+    refused: BTreeMap<Refusal, usize>,
     /// Views at the same position.
-    still: Vec<ViewIndex>,
+    same_position: Vec<ViewIndex>,
 }
 
-pub fn findings(visit: &Visit) -> Vec<Finding> {
-    let views: Vec<ViewIndex> = visit.scene.view_indices().collect();
-    let checks: Vec<PartnerCheck> =
-        views.par_iter().map(|&view| check_partners(visit.scene, visit.points, visit.backend, view)).collect();
-    let fewer = [too_few(visit, &checks), fewer_than_wanted(visit, &checks)];
-    fewer.into_iter().flatten().chain(one_position(visit, &checks)).collect()
+pub fn findings(inputs: &Inputs) -> Vec<Finding> {
+    let views: Vec<ViewIndex> = inputs.scene.view_indices().collect();
+    let counts: Vec<PartnerCount> =
+        views.par_iter().map(|&view| count_partners(inputs.scene, inputs.points, inputs.backend, view)).collect();
+    let few = [too_few(inputs, &counts), fewer_than_wanted(inputs, &counts)];
+    few.into_iter().flatten().chain(one_position(inputs, &counts)).collect()
 }
 
-/// Partners below which nothing is fulfilled with a view as key view.
-fn least(visit: &Visit) -> usize {
-    let settings = &visit.settings;
+/// Least number of partners with which a key view can fulfil anything.
+fn least(inputs: &Inputs) -> usize {
+    let settings = &inputs.settings;
     settings.coverage.min_cameras.saturating_sub(1).clamp(1, settings.partners.k.max(1)) as usize
 }
 
-/// How many of the views that share points with this one the backend can match with it, and why the others not.
+/// Describes how many of the views that share points with this one the backend can match, and why it refuses the others.
 pub fn partners_in_words(scene: &Scene, points: &ViewPoints, backend: &dyn Backend, view: ViewIndex) -> String {
-    check_partners(scene, points, backend, view).words()
+    count_partners(scene, points, backend, view).words()
 }
 
-fn check_partners(scene: &Scene, points: &ViewPoints, backend: &dyn Backend, view: ViewIndex) -> PartnerCheck {
+fn count_partners(scene: &Scene, points: &ViewPoints, backend: &dyn Backend, view: ViewIndex) -> PartnerCount {
     let around = neighbours(scene, points, view);
     let pairs: Vec<PairGeometry> =
         around.iter().map(|(other, shared)| PairGeometry::new(scene, view, *other, shared)).collect();
-    let (still, moving): (Vec<_>, Vec<_>) = pairs.into_iter().partition(PairGeometry::has_no_baseline);
+    let (without_baseline, with_baseline): (Vec<_>, Vec<_>) =
+        pairs.into_iter().partition(PairGeometry::has_no_baseline);
     let gate = backend.planning().gate;
-    let obstacles: Vec<Obstacle> = moving.iter().filter_map(|pair| gate.obstacle(pair)).collect();
-    let mut check = PartnerCheck {
+    let obstacles: Vec<Obstacle> = with_baseline.iter().filter_map(|pair| gate.obstacle(pair)).collect();
+    let mut count = PartnerCount {
         view,
-        partners: moving.len() - obstacles.len(),
+        partners: with_baseline.len() - obstacles.len(),
         refused: BTreeMap::new(),
-        still: still.iter().map(|pair| pair.partner).collect(),
+        same_position: without_baseline.iter().map(|pair| pair.partner).collect(),
     };
-    for reason in obstacles.into_iter().map(Refused::Limit).chain(still.iter().map(|_| Refused::NoBaseline)) {
-        *check.refused.entry(reason).or_default() += 1;
+    let refusals = obstacles.into_iter().map(Refusal::Limit);
+    for refusal in refusals.chain(without_baseline.iter().map(|_| Refusal::NoBaseline)) {
+        *count.refused.entry(refusal).or_default() += 1;
     }
-    check
+    count
 }
 
-impl PartnerCheck {
+impl PartnerCount {
     fn words(&self) -> String {
         if self.partners == 0 && self.refused.is_empty() {
             return Reason::NoSharedPoints.words().into();
         }
-        let mut refused: Vec<(&Refused, &usize)> = self.refused.iter().collect();
+        let mut refused: Vec<(&Refusal, &usize)> = self.refused.iter().collect();
         refused.sort_by_key(|(reason, count)| (std::cmp::Reverse(**count), **reason));
         let refused: Vec<String> =
             refused.iter().map(|(reason, count)| format!("{count} {}", reason.words())).collect();
@@ -104,12 +105,12 @@ impl PartnerCheck {
     }
 }
 
-/// Views that can be no key view. How bad that is shows in what is lost with them: points that no other view sees.
-fn too_few(visit: &Visit, checks: &[PartnerCheck]) -> Option<Finding> {
-    let least = least(visit);
-    let none: Vec<&PartnerCheck> = checks.iter().filter(|check| check.partners < least).collect();
-    let lost = lost_share(visit, &none);
-    let share = none.len() as f64 / checks.len().max(1) as f64;
+/// Reports views that cannot be key views; the severity depends on their share, and on the share of points that no other view sees.
+fn too_few(inputs: &Inputs, counts: &[PartnerCount]) -> Option<Finding> {
+    let least = least(inputs);
+    let few: Vec<&PartnerCount> = counts.iter().filter(|count| count.partners < least).collect();
+    let lost = lost_share(inputs, &few);
+    let share = few.len() as f64 / counts.len().max(1) as f64;
     let severity = if share.max(lost) >= MOST {
         Severity::Error
     } else if lost >= LOST || share >= FEW {
@@ -117,75 +118,74 @@ fn too_few(visit: &Visit, checks: &[PartnerCheck]) -> Option<Finding> {
     } else {
         Severity::Note
     };
-    let and = match lost > 0.0 {
-        true => format!("{:.1} % of the sparse points are seen by no others", 100.0 * lost),
-        false => "what points they have, others see too".into(),
+    let loss = match lost > 0.0 {
+        true => format!("{:.1} % of the sparse points are seen by no other view", 100.0 * lost),
+        false => "other views see all their points".into(),
     };
     let cure = match severity {
-        Severity::Note => "nothing: they get no depth map, and others fill their places",
+        Severity::Note => "no action needed; other views cover for them",
         _ => {
-            "match these images with more others in structure from motion; where there is no baseline, photograph from other places"
+            "match these images with more others in structure from motion; without a baseline, take photographs from other positions"
         }
     };
-    (!none.is_empty()).then(|| {
+    (!few.is_empty()).then(|| {
         let what = format!(
-            "{} of {} with fewer than {least} partners that {} can match: these can be no key views; {and}",
-            none.len(),
-            counted(checks.len(), "view"),
-            visit.backend.name()
+            "{} of {} cannot be key views, with fewer than {least} partners that {} can match; {loss}",
+            few.len(),
+            counted(counts.len(), "view"),
+            inputs.backend.name()
         );
-        Finding::new(severity, "too-few-partners", what, cure).of_views(words(visit, none))
+        Finding::new(severity, "too-few-partners", what, cure).of_views(words(inputs, few))
     })
 }
 
 /// Share of the sparse points that only these views see.
-fn lost_share(visit: &Visit, none: &[&PartnerCheck]) -> f64 {
-    let mut without = vec![false; visit.scene.views.len()];
-    none.iter().for_each(|check| without[check.view.index()] = true);
-    let tracks = || (0..visit.scene.points.len() as u32).map(|p| visit.scene.track_views(PointIndex(p)));
-    // A point that one view alone observes is none of the surface (method 1.1).
+fn lost_share(inputs: &Inputs, few: &[&PartnerCount]) -> f64 {
+    let mut is_lost = vec![false; inputs.scene.views.len()];
+    few.iter().for_each(|count| is_lost[count.view.index()] = true);
+    let tracks = || (0..inputs.scene.points.len() as u32).map(|p| inputs.scene.track_views(PointIndex(p)));
+    // The surface leaves out points that a single view observes (method 1.1).
     let sound = || tracks().filter(|views| views.len() > 1);
-    sound().filter(|views| views.iter().all(|v| without[v.index()])).count() as f64 / sound().count().max(1) as f64
+    sound().filter(|views| views.iter().all(|v| is_lost[v.index()])).count() as f64 / sound().count().max(1) as f64
 }
 
-/// Key views with fewer than k partners.
-fn fewer_than_wanted(visit: &Visit, checks: &[PartnerCheck]) -> Option<Finding> {
-    let (least, wanted) = (least(visit), visit.settings.partners.k as usize);
-    let few: Vec<&PartnerCheck> = checks.iter().filter(|check| (least..wanted).contains(&check.partners)).collect();
+/// Reports key views with fewer than k partners.
+fn fewer_than_wanted(inputs: &Inputs, counts: &[PartnerCount]) -> Option<Finding> {
+    let (least, wanted) = (least(inputs), inputs.settings.partners.k as usize);
+    let few: Vec<&PartnerCount> = counts.iter().filter(|count| (least..wanted).contains(&count.partners)).collect();
     (!few.is_empty()).then(|| {
-        let what = format!("{} with fewer than the {wanted} partners that are wanted", counted(few.len(), "view"));
-        let fewest = few.iter().map(|check| check.partners).min().unwrap_or(least);
-        let cure =
-            format!("nothing, they get those that there are; partners.k = {fewest} in viewrank.toml asks for no more");
-        Finding::new(Severity::Note, "fewer-partners-than-k", what, cure).of_views(words(visit, few))
+        let what = format!("{} with fewer than {wanted} partners (partners.k)", counted(few.len(), "view"));
+        let fewest = few.iter().map(|count| count.partners).min().unwrap_or(least);
+        let cure = format!("no action needed; set partners.k = {fewest} to silence");
+        Finding::new(Severity::Note, "fewer-partners-than-k", what, cure).of_views(words(inputs, few))
     })
 }
 
-fn words(visit: &Visit, checks: Vec<&PartnerCheck>) -> Vec<ViewFinding> {
-    checks.into_iter().map(|check| visit.of(check.view, check.words())).collect()
+fn words(inputs: &Inputs, counts: Vec<&PartnerCount>) -> Vec<ViewFinding> {
+    counts.into_iter().map(|count| inputs.view_finding(count.view, count.words())).collect()
 }
 
-/// Groups of views that share points but no baseline; as in rigs and panoramas that is as it should be where each has partners elsewhere.
-fn one_position(visit: &Visit, checks: &[PartnerCheck]) -> Option<Finding> {
-    let beside = |view: u32| checks[view as usize].still.iter().map(|other| other.0);
-    let groups = components(checks.len(), beside).into_iter().filter(|group| group.len() > 1);
+/// Reports groups of views that share points but no baseline; normal in rigs and panoramas where each view has partners elsewhere.
+fn one_position(inputs: &Inputs, counts: &[PartnerCount]) -> Option<Finding> {
+    let same_position = |view: u32| counts[view as usize].same_position.iter().map(|other| other.0);
+    let groups = components(counts.len(), same_position).into_iter().filter(|group| group.len() > 1);
     let groups: Vec<Vec<ViewIndex>> = groups.map(|group| group.into_iter().map(ViewIndex).collect()).collect();
-    let standing: usize = groups.iter().map(|views| views.len()).sum();
-    let with = |views: &[ViewIndex]| format!("with {}", visit.scene.name(views[0]));
-    let views = groups.iter().flat_map(|views| views[1..].iter().map(|&v| visit.of(v, with(views)))).collect();
+    let grouped: usize = groups.iter().map(|views| views.len()).sum();
+    let with = |views: &[ViewIndex]| format!("with {}", inputs.scene.name(views[0]));
+    let views =
+        groups.iter().flat_map(|views| views[1..].iter().map(|&v| inputs.view_finding(v, with(views)))).collect();
     let alone =
-        groups.iter().flat_map(|views| views.iter()).filter(|v| checks[v.index()].partners < least(visit)).count();
+        groups.iter().flat_map(|views| views.iter()).filter(|v| counts[v.index()].partners < least(inputs)).count();
     let (severity, cure) = match alone {
-        0 => (Severity::Note, "nothing: they are no partners of each other, and each has others"),
-        n if n as f64 >= MOST * checks.len() as f64 => (Severity::Error, "photograph from different places"),
-        _ => (
-            Severity::Warning,
-            "photograph from different places: they are no partners of each other, and some have no others",
-        ),
+        0 => (Severity::Note, "no action needed; each has partners elsewhere"),
+        n if n as f64 >= MOST * counts.len() as f64 => (Severity::Error, "take photographs from different positions"),
+        _ => {
+            (Severity::Warning, "take photographs from different positions; some of these views have no other partners")
+        }
     };
     (!groups.is_empty()).then(|| {
-        let (standing, positions) = (counted(standing, "view"), counted(groups.len(), "position"));
-        let what = format!("{standing} at {positions}: between views at one position there is no depth");
+        let (grouped, positions) = (counted(grouped, "view"), counted(groups.len(), "position"));
+        let what = format!("{grouped} at {positions}: views at one position give each other no depth");
         Finding::new(severity, "one-position", what, cure).of_views(views)
     })
 }

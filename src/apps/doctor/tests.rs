@@ -1,4 +1,4 @@
-//! One broken project for each reason and trap, and a healthy one.
+//! A broken project for each reason and trap, and a healthy project.
 
 use std::{fs, path::Path};
 
@@ -33,7 +33,7 @@ fn down(name: &str, x: f64, y: f64, z: f64) -> View {
     view(name, [x, y, z], [x, y, 0.0])
 }
 
-/// Gentle hills.
+/// A point on gentle hills.
 fn ground(x: f64, y: f64) -> Point3<f64> {
     Point3::new(x, y, (0.3 * x).sin() + (0.2 * y).cos())
 }
@@ -42,7 +42,7 @@ fn square(middle: f64, half: i32) -> impl Iterator<Item = Point3<f64>> {
     (-half..=half).flat_map(move |i| (-half..=half).map(move |j| ground(middle + f64::from(i), f64::from(j))))
 }
 
-/// Every view observes every point that its image holds, unless `lost` says otherwise (view by its name, and the point).
+/// A scene in which every view observes every point within its image, except where `lost` (view name, point) is true.
 fn scene_of(
     mut views: Vec<View>,
     points: impl Iterator<Item = Point3<f64>>,
@@ -101,13 +101,13 @@ fn project(format: ModelFormat) -> (TempDir, Project) {
     (folder, project)
 }
 
-/// What is found, partners judged for one backend; that these projects have no images is not said each time.
-fn visit(scene: &Scene, backend: &str, settings: &Settings) -> Vec<Finding> {
+/// The findings for a scene without images and one backend, apart from `no-images`.
+fn diagnose(scene: &Scene, backend: &str, settings: &Settings) -> Vec<Finding> {
     let (_folder, project) = project(ModelFormat::ColmapBinary);
-    look(&project, scene, settings, &[backends::by_name(backend).unwrap()])
+    diagnose_project(&project, scene, settings, &[backends::by_name(backend).unwrap()])
 }
 
-fn look(project: &Project, scene: &Scene, settings: &Settings, backends: &[&dyn Backend]) -> Vec<Finding> {
+fn diagnose_project(project: &Project, scene: &Scene, settings: &Settings, backends: &[&dyn Backend]) -> Vec<Finding> {
     let mut findings = examine(project, scene, settings, backends).findings;
     findings.retain(|finding| finding.check != "no-images");
     findings
@@ -118,13 +118,13 @@ fn found<'a>(findings: &'a [Finding], check: &str) -> &'a Finding {
     found.unwrap_or_else(|| panic!("no {check} in {findings:#?}"))
 }
 
-/// What is said of one view in a finding.
-fn said<'a>(finding: &'a Finding, view: &str) -> &'a str {
+/// The detail of a view in a finding.
+fn detail<'a>(finding: &'a Finding, view: &str) -> &'a str {
     let found = finding.views.iter().find(|of| of.name == view);
-    &found.unwrap_or_else(|| panic!("nothing of {view} in {finding:#?}")).why
+    &found.unwrap_or_else(|| panic!("no view {view} in {finding:#?}")).why
 }
 
-/// The healthy block with more views.
+/// The healthy block with additional views.
 fn block_with(more: Vec<View>) -> Scene {
     scene_of(block(0.0, "n").into_iter().chain(more).collect(), square(0.0, 34), |_, _| false)
 }
@@ -134,13 +134,13 @@ fn a_healthy_project_has_no_findings() {
     let (_folder, project) = project(ModelFormat::ColmapBinary);
     for backend in backends::all() {
         let order: Vec<&dyn Backend> = std::iter::once(*backend).chain(backends::all().iter().copied()).collect();
-        assert_eq!(look(&project, &healthy(), &Settings::default(), &order), [], "{}", backend.name());
+        assert_eq!(diagnose_project(&project, &healthy(), &Settings::default(), &order), [], "{}", backend.name());
     }
 }
 
 #[test]
 fn a_model_without_views() {
-    let findings = visit(&scene_of(Vec::new(), square(0.0, 3), |_, _| false), "sure", &Settings::default());
+    let findings = diagnose(&scene_of(Vec::new(), square(0.0, 3), |_, _| false), "sure", &Settings::default());
     assert_eq!((findings.len(), found(&findings, "no-views").severity), (1, Severity::Error));
 }
 
@@ -148,21 +148,21 @@ fn a_model_without_views() {
 fn a_view_without_shared_points() {
     let views = block(0.0, "n").into_iter().chain([down("far.jpg", 500.0, 0.0, 40.0)]).collect();
     let scene = scene_of(views, square(0.0, 34).chain(square(500.0, 20)), |_, _| false);
-    let findings = visit(&scene, "sure", &Settings::default());
+    let findings = diagnose(&scene, "sure", &Settings::default());
     let finding = found(&findings, "too-few-partners");
     assert_eq!((finding.views.len(), finding.severity), (1, Severity::Note), "one of many");
-    assert!(said(finding, "far.jpg").contains("too few sparse points with every other"));
+    assert!(detail(finding, "far.jpg").contains("too few sparse points in common"));
 }
 
 #[test]
 fn views_at_one_position() {
     let turned = |name: &str, aside: f64| view(name, [0.0, 0.0, 40.0], [aside, 3.0, 0.0]);
     let findings =
-        visit(&block_with(vec![turned("p1.jpg", 2.0), turned("p2.jpg", -4.0)]), "sure", &Settings::default());
+        diagnose(&block_with(vec![turned("p1.jpg", 2.0), turned("p2.jpg", -4.0)]), "sure", &Settings::default());
     let finding = found(&findings, "one-position");
-    assert_eq!(said(finding, "p1.jpg"), "with n12.jpg");
+    assert_eq!(detail(finding, "p1.jpg"), "with n12.jpg");
     assert_eq!(
-        (said(finding, "p2.jpg"), finding.severity),
+        (detail(finding, "p2.jpg"), finding.severity),
         ("with n12.jpg", Severity::Note),
         "each has other partners"
     );
@@ -170,25 +170,28 @@ fn views_at_one_position() {
     let aside =
         block(300.0, "z").into_iter().take(1).chain([view("z1.jpg", [284.0, -16.0, 40.0], [286.0, -16.0, 0.0])]);
     let views = block(0.0, "n").into_iter().chain(aside).collect();
-    let findings =
-        visit(&scene_of(views, square(0.0, 34).chain(square(284.0, 34)), |_, _| false), "sure", &Settings::default());
+    let findings = diagnose(
+        &scene_of(views, square(0.0, 34).chain(square(284.0, 34)), |_, _| false),
+        "sure",
+        &Settings::default(),
+    );
     assert_eq!(found(&findings, "one-position").severity, Severity::Warning, "two have no others");
     assert_eq!(found(&findings, "too-few-partners").severity, Severity::Warning, "and their points are lost");
 
     let panorama = (0..6).map(|i| turned(&format!("p{i}.jpg"), f64::from(i))).collect();
-    let findings = visit(&scene_of(panorama, square(0.0, 34), |_, _| false), "sure", &Settings::default());
+    let findings = diagnose(&scene_of(panorama, square(0.0, 34), |_, _| false), "sure", &Settings::default());
     assert_eq!(found(&findings, "one-position").severity, Severity::Error);
     let alone = found(&findings, "too-few-partners");
     assert_eq!((alone.views.len(), alone.severity), (6, Severity::Error));
-    assert!(said(alone, "p3.jpg").contains("5 no baseline"));
+    assert!(detail(alone, "p3.jpg").contains("5 no baseline"));
 }
 
-/// Two views that one limit of the backend keeps apart.
+/// Asserts that a limit of the backend is the reason why two views are not partners.
 #[track_caller]
 fn kept_apart(views: [View; 2], backend: &str, reason: &str) {
     let name = views[0].name.clone();
-    let findings = visit(&scene_of(views.into(), square(0.0, 60), |_, _| false), backend, &Settings::default());
-    let words = said(found(&findings, "too-few-partners"), &name).to_owned();
+    let findings = diagnose(&scene_of(views.into(), square(0.0, 60), |_, _| false), backend, &Settings::default());
+    let words = detail(found(&findings, "too-few-partners"), &name).to_owned();
     assert_eq!(words, format!("0 partners; refused: 1 {reason}"));
 }
 
@@ -199,19 +202,19 @@ fn the_reasons_of_refused_pairs() {
     kept_apart([middle(), down("b.jpg", 8.0, 0.0, 150.0)], "colmap", "scale too different");
     let aside = |name: &str, x: f64| view(name, [x, 0.0, 30.0], [0.0, 0.0, 0.0]);
     kept_apart([aside("a.jpg", -28.0), aside("b.jpg", 28.0)], "colmap", "angle too large");
-    kept_apart([middle(), down("b.jpg", 0.0, 0.0, 35.0)], "sure", "flying along the line of sight");
+    kept_apart([middle(), down("b.jpg", 0.0, 0.0, 35.0)], "sure", "motion along the line of sight");
 }
 
 #[test]
 fn fewer_partners_than_wanted() {
     let row = (0..4).map(|i| down(&format!("{i}.jpg"), 8.0 * f64::from(i), 0.0, 40.0)).collect();
-    let findings = visit(&scene_of(row, square(0.0, 60), |_, _| false), "colmap", &Settings::default());
+    let findings = diagnose(&scene_of(row, square(0.0, 60), |_, _| false), "colmap", &Settings::default());
     let finding = found(&findings, "fewer-partners-than-k");
     assert_eq!((finding.views.len(), finding.severity), (4, Severity::Note));
-    assert!(said(finding, "0.jpg").starts_with("3 partners"));
+    assert!(detail(finding, "0.jpg").starts_with("3 partners"));
 }
 
-/// A view whose points on the side of `copied` are copies that nobody else observes.
+/// The healthy scene, where the points of view n12 that satisfy `copied` are copies that no other view observes.
 fn with_copies(copied: impl Fn(&Point3<f64>) -> bool) -> Scene {
     let mut scene = scene_of(block(0.0, "n"), square(0.0, 34), |name, point| name == "n12.jpg" && copied(point));
     for point in square(0.0, 34).filter(|point| copied(point)) {
@@ -223,15 +226,15 @@ fn with_copies(copied: impl Fn(&Point3<f64>) -> bool) -> Scene {
 #[test]
 fn far_too_few_shared_points() {
     let hold = |point: &Point3<f64>| (point.x as i32) % 13 == 0 && (point.y as i32) % 13 == 0;
-    let findings = visit(&with_copies(|point| !hold(point)), "sure", &Settings::default());
+    let findings = diagnose(&with_copies(|point| !hold(point)), "sure", &Settings::default());
     let finding = found(&findings, "far-too-few-shared-points");
     assert_eq!((finding.views.len(), finding.severity), (1, Severity::Warning));
-    assert!(said(finding, "n12.jpg").contains(" points that n"));
+    assert!(detail(finding, "n12.jpg").contains(" points that n"));
 }
 
 #[test]
 fn shared_points_on_one_side_only() {
-    let findings = visit(&with_copies(|point| point.x > 0.0), "sure", &Settings::default());
+    let findings = diagnose(&with_copies(|point| point.x > 0.0), "sure", &Settings::default());
     let finding = found(&findings, "one-sided-links");
     assert!(finding.views.iter().any(|of| of.name == "n12.jpg") && finding.views.len() < 4, "{finding:#?}");
 }
@@ -240,25 +243,25 @@ fn shared_points_on_one_side_only() {
 fn a_model_in_parts() {
     let views = block(0.0, "n").into_iter().chain(block(500.0, "z").into_iter().take(10)).collect();
     let scene = scene_of(views, square(0.0, 34).chain(square(500.0, 34)), |_, _| false);
-    let findings = visit(&scene, "sure", &Settings::default());
+    let findings = diagnose(&scene, "sure", &Settings::default());
     let finding = found(&findings, "model-in-parts");
     assert!(finding.what.contains("2 parts of 25, 10 views") && finding.views.len() == 10, "{finding:#?}");
 }
 
 #[test]
-fn units_that_cannot_be_true() {
+fn implausible_units() {
     let mut far = healthy();
     far.points.iter_mut().for_each(|p| p.coords *= 1e5);
     far.views.iter_mut().for_each(|v| v.cam_from_world.translation *= 1e5);
     let metric = Settings { units: Some(Units::Metric), ..Default::default() };
-    assert_eq!(found(&visit(&far, "sure", &metric), "impossible-units").severity, Severity::Error);
-    assert_eq!(visit(&far, "sure", &Settings::default()), [], "without metres any unit is as good as another");
-    assert_eq!(visit(&healthy(), "sure", &metric), []);
+    assert_eq!(found(&diagnose(&far, "sure", &metric), "impossible-units").severity, Severity::Error);
+    assert_eq!(diagnose(&far, "sure", &Settings::default()), [], "any unit is plausible without metres");
+    assert_eq!(diagnose(&healthy(), "sure", &metric), []);
     let scaled = |scale: f64| {
         let mut scene = healthy();
         scene.points.iter_mut().for_each(|p| p.coords *= scale);
         scene.views.iter_mut().for_each(|v| v.cam_from_world.translation *= scale);
-        visit(&scene, "sure", &metric)
+        diagnose(&scene, "sure", &metric)
     };
     // A pixel is 47 mm.
     assert_eq!(found(&scaled(1e-3), "impossible-units").severity, Severity::Warning);
@@ -267,48 +270,48 @@ fn units_that_cannot_be_true() {
     assert_eq!(scaled(0.01), [], "a model of a small thing");
     let utm = |offset| {
         let frame = FrameSettings { utm: Some("33N".into()), offset, ..Default::default() };
-        visit(&healthy(), "sure", &Settings { frame, ..Default::default() })
+        diagnose(&healthy(), "sure", &Settings { frame, ..Default::default() })
     };
     assert!(found(&utm(None), "impossible-frame").what.contains("easting"), "the model's own coordinates");
     assert_eq!(utm(Some([412_000.0, 5_400_000.0])), []);
     let target = TargetSettings { gsd: Some(5.0), ..Default::default() };
-    let findings = visit(&healthy(), "sure", &Settings { target, ..Default::default() });
+    let findings = diagnose(&healthy(), "sure", &Settings { target, ..Default::default() });
     assert!(found(&findings, "impossible-target").what.contains("times coarser"));
 }
 
 #[test]
-fn cameras_and_poses_that_cannot_be_true() {
+fn impossible_cameras_and_poses() {
     let mut scene = healthy();
     scene.cameras[0] = Camera::new(1, CameraModel::Pinhole, 1000, 750, vec![24.0, 24.0, 500.0, 375.0]).unwrap();
-    let finding = visit(&scene, "sure", &Settings::default());
+    let finding = diagnose(&scene, "sure", &Settings::default());
     assert!(found(&finding, "impossible-camera").what.contains("24.0"), "millimetres");
 
     let mut scene = healthy();
     let turn = Rotation3::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI);
     let pose = &mut scene.views[3].cam_from_world;
     (pose.rotation, pose.translation) = (turn * pose.rotation, turn * pose.translation);
-    let findings = visit(&scene, "sure", &Settings::default());
+    let findings = diagnose(&scene, "sure", &Settings::default());
     assert_eq!(found(&findings, "points-behind-cameras").views, [ViewFinding::new("n03.jpg", "")]);
 
     let mut scene = healthy();
     scene.track_pixels.iter_mut().for_each(|pixel| pixel[0] += 30.0);
-    let findings = visit(&scene, "sure", &Settings::default());
+    let findings = diagnose(&scene, "sure", &Settings::default());
     let finding = found(&findings, "large-reprojection-error");
     assert_eq!((finding.severity, finding.views.len()), (Severity::Error, 25));
-    assert_eq!(said(finding, "n04.jpg"), "30.0 px");
+    assert_eq!(detail(finding, "n04.jpg"), "30.0 px");
 }
 
 #[test]
-fn images_that_are_not_the_models() {
+fn images_of_another_model() {
     let (folder, mut project) = project(ModelFormat::ColmapBinary);
     let images = folder.path().join("images");
     fs::create_dir(&images).unwrap();
     project.images = Some(images.clone());
     let sure = [backends::by_name("sure").unwrap()];
-    let findings = look(&project, &healthy(), &Settings::default(), &sure);
+    let findings = diagnose_project(&project, &healthy(), &Settings::default(), &sure);
     assert_eq!(found(&findings, "missing-images").views.len(), 25);
     image::RgbImage::new(20, 10).save(images.join("n00.jpg")).unwrap();
-    let findings = look(&project, &healthy(), &Settings::default(), &sure);
+    let findings = diagnose_project(&project, &healthy(), &Settings::default(), &sure);
     assert!(found(&findings, "images-of-another-size").what.contains("20 x 10 px"));
 }
 
@@ -326,7 +329,7 @@ fn images_that_cannot_be_read() {
         .write_to(&mut whole, image::ImageFormat::Jpeg)
         .unwrap();
     let whole = whole.into_inner();
-    assert!(whole.len() > 100_000, "longer than what is looked at first");
+    assert!(whole.len() > 100_000, "longer than the header that is read first");
     let put = |number: usize, bytes: &[u8]| fs::write(images.join(format!("n{number:02}.jpg")), bytes).unwrap();
     (0..25).for_each(|number| put(number, &whole));
     assert_eq!(of_healthy(&project), []);
@@ -338,21 +341,21 @@ fn images_that_cannot_be_read() {
     let findings = of_healthy(&project);
     let views = &found(&findings, "unreadable-images").views;
     let expected = [("n04.jpg", "empty"), ("n05.jpg", "no image"), ("n06.jpg", "cut off"), ("n07.jpg", "cut off")];
-    assert_eq!(*views, expected.map(|(name, why)| ViewFinding::new(name, why)), "what follows the end is no harm");
+    assert_eq!(*views, expected.map(|(name, why)| ViewFinding::new(name, why)), "trailing bytes are harmless");
     assert_eq!(findings.len(), 1);
 }
 
 #[test]
-fn what_the_model_leaves_out() {
+fn parts_that_the_model_leaves_out() {
     let mut scene = healthy();
     scene.unregistered = (0..2).map(|i| format!("x{i}.jpg")).collect();
     let text = "points3D.bin: 4 bytes after the last of 100 records are ignored";
     scene.warnings = vec![ModelWarning::new(WarningKind::Damaged, text)];
-    let findings = visit(&scene, "sure", &Settings::default());
+    let findings = diagnose(&scene, "sure", &Settings::default());
     assert_eq!(found(&findings, "unregistered-images").severity, Severity::Note, "2 of 27");
     assert!(found(&findings, "model-not-as-it-should-be").what.contains("points3D.bin: 4 bytes"));
     scene.unregistered = (0..50).map(|i| format!("x{i:02}.jpg")).collect();
-    let findings = visit(&scene, "sure", &Settings::default());
+    let findings = diagnose(&scene, "sure", &Settings::default());
     let finding = found(&findings, "unregistered-images");
     assert_eq!((finding.severity, finding.views.len()), (Severity::Warning, 50));
     assert!(finding.what.starts_with("50 of 75 images"));
@@ -372,7 +375,7 @@ fn several_sub_models() {
         }
         let project = Project::open(folder.path(), None).unwrap();
         let scene = project.read_scene().unwrap();
-        let findings = look(&project, &scene, &Settings::default(), &[backends::by_name("sure").unwrap()]);
+        let findings = diagnose_project(&project, &scene, &Settings::default(), &[backends::by_name("sure").unwrap()]);
         assert_eq!(findings.len(), 1, "{findings:#?}");
         (findings[0].check, findings[0].severity)
     };
@@ -388,14 +391,14 @@ fn several_sub_models() {
 
 #[test]
 fn a_model_without_common_points() {
-    let views = |scene: &Scene| visit(scene, "sure", &Settings::default());
+    let views = |scene: &Scene| diagnose(scene, "sure", &Settings::default());
     for scene in [
         scene_of(block(0.0, "n"), std::iter::empty(), |_, _| false),
         scene_of(vec![down("a.jpg", 0.0, 0.0, 40.0)], square(0.0, 20), |_, _| false),
     ] {
         let findings = views(&scene);
         assert_eq!(found(&findings, "no-common-points").severity, Severity::Error);
-        assert_eq!(findings.len(), 1, "nothing is said of each view: {findings:#?}");
+        assert_eq!(findings.len(), 1, "no finding per view: {findings:#?}");
     }
 }
 
@@ -403,17 +406,17 @@ fn a_model_without_common_points() {
 fn a_view_in_a_wrong_place() {
     let mut scene = healthy();
     scene.views[8].cam_from_world.translation.x += 2.0;
-    let findings = visit(&scene, "sure", &Settings::default());
+    let findings = diagnose(&scene, "sure", &Settings::default());
     let finding = found(&findings, "large-reprojection-error");
     assert_eq!((finding.views.len(), finding.severity), (1, Severity::Warning));
-    assert!(said(finding, "n08.jpg").ends_with(" px"));
+    assert!(detail(finding, "n08.jpg").ends_with(" px"));
 }
 
 #[test]
-fn views_without_points_are_no_fault_of_their_neighbours() {
+fn views_without_points_are_not_held_against_their_neighbours() {
     let without = ["n06.jpg", "n07.jpg", "n08.jpg", "n11.jpg", "n13.jpg", "n16.jpg", "n17.jpg", "n18.jpg"];
     let scene = scene_of(block(0.0, "n"), square(0.0, 34), |name, _| without.contains(&name));
-    let findings = visit(&scene, "sure", &Settings::default());
+    let findings = diagnose(&scene, "sure", &Settings::default());
     let few = findings.iter().filter(|finding| finding.check == "far-too-few-shared-points");
     assert_eq!(few.count(), 0, "{findings:#?}");
 }
@@ -422,17 +425,17 @@ fn views_without_points_are_no_fault_of_their_neighbours() {
 fn distorted_cameras_are_undistorted_first() {
     let mut scene = healthy();
     scene.cameras[0] = Camera::new(1, CameraModel::SimpleRadial, 1000, 750, vec![850.0, 500.0, 375.0, 1e-9]).unwrap();
-    let findings = visit(&scene, "colmap", &Settings::default());
+    let findings = diagnose(&scene, "colmap", &Settings::default());
     assert!(found(&findings, "distorted-images").cure.starts_with("viewrank undistort "));
-    assert_eq!(visit(&scene, "micmac", &Settings::default()), [], "MicMac has its own calibrations");
+    assert_eq!(diagnose(&scene, "micmac", &Settings::default()), [], "MicMac has its own calibrations");
 }
 
-/// The trap that a backend reports of a project with these names for the first views; every other finding is none of its.
+/// The trap that a backend reports for a project whose first views have these names.
 #[track_caller]
 fn trapped(backend: &str, names: &[&str], trap: &str) -> Finding {
     let mut scene = healthy();
     scene.views.iter_mut().zip(names).for_each(|(view, name)| view.name = (*name).into());
-    let findings = visit(&scene, backend, &Settings::default());
+    let findings = diagnose(&scene, backend, &Settings::default());
     let finding = found(&findings, trap);
     assert!(!finding.cure.is_empty() && finding.backends == [backend] && finding.severity == Severity::Warning);
     finding.clone()
@@ -463,7 +466,7 @@ fn a_view_without_points_stops_some_backends() {
         ("gipuma", "gipuma-depth-range-mandatory"),
         ("mvsnet", "mvsnet-depth-range"),
     ] {
-        let findings = visit(&scene, backend, &Settings::default());
+        let findings = diagnose(&scene, backend, &Settings::default());
         assert_eq!(found(&findings, trap).views, [ViewFinding::new("n07.jpg", "")]);
     }
 }
@@ -473,17 +476,17 @@ fn images_of_several_widths_and_colmap_4() {
     let mut scene = healthy();
     scene.cameras.push(Camera::new(2, CameraModel::Pinhole, 900, 750, vec![850.0, 850.0, 500.0, 375.0]).unwrap());
     scene.views[4].camera = CameraIndex(1);
-    let findings = visit(&scene, "colmap", &Settings::default());
+    let findings = diagnose(&scene, "colmap", &Settings::default());
     assert_eq!(found(&findings, "colmap-4x-mixed-width-sources").views.len(), 1);
     let guessed = traps_in(ModelFormat::Bundler, "colmap", &scene, |_, _| {});
     assert_eq!(guessed, [], "the format holds no sizes, and there are no images");
 }
 
-/// The traps of a project whose files `prepare` has made.
+/// The traps of a project whose files `prepare` creates.
 fn traps_in(format: ModelFormat, backend: &str, scene: &Scene, prepare: impl Fn(&Path, &mut Project)) -> Vec<Finding> {
     let (folder, mut project) = project(format);
     prepare(folder.path(), &mut project);
-    look(&project, scene, &Settings::default(), &[backends::by_name(backend).unwrap()])
+    diagnose_project(&project, scene, &Settings::default(), &[backends::by_name(backend).unwrap()])
 }
 
 fn write(path: std::path::PathBuf, text: &str) {
@@ -492,7 +495,7 @@ fn write(path: std::path::PathBuf, text: &str) {
 }
 
 #[test]
-fn files_that_lie_in_the_way() {
+fn leftover_files() {
     let healthy = healthy();
     let dense = "opensfm/undistorted/openmvs/scene_dense_dense_filtered.ply";
     let findings = traps_in(ModelFormat::OpenSfm, "odm", &healthy, |root, _| write(root.join(dense), ""));
@@ -560,8 +563,9 @@ fn finished_maps_of_another_plan() {
         fs::create_dir_all(path.parent().unwrap()).unwrap();
         fs::write(path, "").unwrap();
     };
-    let traps =
-        |backend: &str| look(&project, &healthy(), &Settings::default(), &[backends::by_name(backend).unwrap()]);
+    let traps = |backend: &str| {
+        diagnose_project(&project, &healthy(), &Settings::default(), &[backends::by_name(backend).unwrap()])
+    };
     for (backend, trap, map) in [
         ("colmap", "colmap-stale-maps-skipped", "dense/stereo/depth_maps/a/n00.jpg.photometric.bin"),
         ("openmvs", "openmvs-existing-dmap-kept", "depth0001.dmap"),
