@@ -151,7 +151,7 @@ fn a_view_without_shared_points() {
     let findings = diagnose(&scene, "sure", &Settings::default());
     let finding = found(&findings, "too-few-partners");
     assert_eq!((finding.views.len(), finding.severity), (1, Severity::Note), "one of many");
-    assert!(detail(finding, "far.jpg").contains("too few sparse points in common"));
+    assert!(detail(finding, "far.jpg").contains("too few sparse points"));
 }
 
 #[test]
