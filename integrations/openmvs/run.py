@@ -242,7 +242,7 @@ def workplace(row):
 
 
 def lines_of(done):
-    """What the program said, without the time and the part that says it."""
+    """Lines of the program's log, without time and component."""
     return [line.split("] ", 1)[-1].strip() for line in done.stdout.splitlines() if line.strip() and "Command line:" not in line]
 
 
@@ -254,7 +254,7 @@ def last_words(done):
 
 
 def check(row, path):
-    """What came out for a key view."""
+    """Result for a key view."""
     if not path.exists():
         return {"problems": ["no depth map"], "partner_ids": [], "filled": 0.0}
     try:

@@ -1,4 +1,4 @@
-//! `viewrank status`: how the projects under a root stand, from the file that the daemon keeps.
+//! `viewrank status`: the state of the projects under a root, from the daemon's status file.
 
 use std::{
     path::{Path, PathBuf},
