@@ -99,7 +99,7 @@ struct Tile {
     record: ExportRecord,
 }
 
-/// What is to be written for a backend: one export, or one per tile.
+/// Exports to write for a backend: one, or one per tile.
 struct Made {
     folder: PathBuf,
     exports: Vec<Export>,

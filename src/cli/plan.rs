@@ -143,7 +143,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
 }
 
 impl Arguments {
-    /// What was typed, as settings.
+    /// Command-line options as settings.
     fn typed(&self) -> Typed {
         let mut typed = Typed::default();
         let path = |path: &PathBuf| std::path::absolute(path).unwrap_or(path.clone()).to_string_lossy().into_owned();

@@ -40,7 +40,7 @@ pub struct Arguments {
     /// Scan all folders at this interval as well, in case file events were lost.
     #[arg(long, default_value = "10min", value_parser = pause, value_name = "TIME")]
     rescan: Duration,
-    /// What to do when a model changes while it is planned.
+    /// Reaction to a model that changes while it is being planned.
     #[arg(long, default_value = "restart", value_name = "WHAT")]
     on_busy: OnBusy,
     /// Projects to plan at once.
