@@ -79,7 +79,7 @@ fn verdict(findings: &[Finding]) -> Result<(), Failure> {
         (0, _) => Exit::Warnings,
         _ => Exit::Errors,
     };
-    Err(Failure::told(exit))
+    Err(Failure::already_printed(exit))
 }
 
 fn text(findings: &[Finding], listed: usize) -> String {

@@ -63,7 +63,7 @@ pub struct Failure {
 
 impl Failure {
     /// A failure whose message is already printed.
-    fn told(exit: Exit) -> Self {
+    fn already_printed(exit: Exit) -> Self {
         Self { exit, message: String::new(), hint: None }
     }
 
