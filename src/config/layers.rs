@@ -323,9 +323,9 @@ pub enum ConfigError {
     Read { path: PathBuf, source: io::Error },
     #[error("{place}: {why}")]
     Syntax { place: Place, why: String },
-    #[error("{place}: there is no setting {key}")]
+    #[error("{place}: unknown setting {key}")]
     UnknownKey { place: Place, key: String },
-    #[error("{place}: {key} has commands run, which a project's file must not")]
+    #[error("{place}: {key} runs commands, so a project's file may not set it")]
     UserOnly { place: Place, key: String },
     #[error("{place}: {error}")]
     Backend { place: Place, error: UnknownBackend },
@@ -424,7 +424,7 @@ mod tests {
             assert!(matches!(error, ConfigError::UnknownKey { .. }), "{text}: {error}");
         }
         let (message, hint) = refused("seed = 1\n\"partners.k\" = 2\n");
-        assert_eq!(message, "project.toml:2: there is no setting \"partners.k\"");
+        assert_eq!(message, "project.toml:2: unknown setting \"partners.k\"");
         assert_eq!(hint, "did you mean partners.k?");
     }
 
@@ -438,10 +438,10 @@ mod tests {
     #[test]
     fn unknown_keys_name_the_line_and_the_nearest() {
         for (text, message, hint) in [
-            ("\n[partner]\nk = 3\n", "project.toml:2: there is no setting partner", "did you mean partners.k?"),
-            ("gsd = 1\n", "project.toml:1: there is no setting gsd", "did you mean target.gsd?"),
-            ("[target]\ngds = 1\n", "project.toml:2: there is no setting target.gds", "did you mean target.gsd?"),
-            ("xyzzy = 1\n", "project.toml:1: there is no setting xyzzy", "run viewrank config to list all settings"),
+            ("\n[partner]\nk = 3\n", "project.toml:2: unknown setting partner", "did you mean partners.k?"),
+            ("gsd = 1\n", "project.toml:1: unknown setting gsd", "did you mean target.gsd?"),
+            ("[target]\ngds = 1\n", "project.toml:2: unknown setting target.gds", "did you mean target.gsd?"),
+            ("xyzzy = 1\n", "project.toml:1: unknown setting xyzzy", "run viewrank config to list all settings"),
         ] {
             assert_eq!(refused(text), (message.to_owned(), hint.to_owned()));
         }
@@ -473,10 +473,10 @@ mod tests {
             (both.dispatch.setup.as_str(), both.dispatch.partition.as_deref()),
             ("module load colmap", Some("mvs"))
         );
-        let refusal = "project.toml:1: dispatch.setup has commands run, which a project's file must not";
+        let refusal = "project.toml:1: dispatch.setup runs commands, so a project's file may not set it";
         assert_eq!(refused("dispatch.setup = \"rm -rf /\"").0, refusal);
         assert!(load("", "[dispatch]\noptions = [\"--wrap=id\"]", Typed::default()).is_err());
-        assert!(refused("\non_target = \"rm -r /\"").0.starts_with("project.toml:2: on_target has commands run"));
+        assert!(refused("\non_target = \"rm -r /\"").0.starts_with("project.toml:2: on_target runs commands"));
     }
 
     #[test]
