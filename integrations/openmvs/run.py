@@ -201,7 +201,7 @@ def map_of(row):
 
 
 def digest_of(row, program):
-    """Of all that makes a map what it is: its scene and the options."""
+    """SHA-256 of everything that determines a map: its scene and the options."""
     return hashlib.sha256((HERE / row["scene"]).read_bytes() + repr(program.options).encode()).hexdigest()
 
 
@@ -242,19 +242,19 @@ def workplace(row):
 
 
 def lines_of(done):
-    """What the program said, without the time and the part that says it."""
+    """Lines of the program's log, without time and component."""
     return [line.split("] ", 1)[-1].strip() for line in done.stdout.splitlines() if line.strip() and "Command line:" not in line]
 
 
 def last_words(done):
-    """How a run of the program ended: what it calls errors, else its last lines."""
+    """Exit code of the program with its first error lines, else its last lines."""
     lines = lines_of(done)
     errors = [line for line in lines if line.startswith("error")]
     return " | ".join([f"DensifyPointCloud ended with {done.returncode}", *(errors[:3] or lines[-3:])])
 
 
 def check(row, path):
-    """What came out for a key view."""
+    """Result for a key view."""
     if not path.exists():
         return {"problems": ["no depth map"], "partner_ids": [], "filled": 0.0}
     try:
@@ -419,7 +419,7 @@ def fuse(run, program, report):
 
 
 def fuse_maps(run, there, agree, program):
-    """How the program ended, and points of the new fused.ply; without any the files of before stay."""
+    """Exit status of the program, and the number of points of the new fused.ply; with none, the earlier files stay."""
     # A list must not be empty: a map that none overlaps is compared with any image of the scene.
     partners = {i: [o for o in run["overlaps"][i] if o in there] or sorted(there - {i})[:1] or [int(i == 0)] for i in there}
     (HERE / "fuse.txt").write_text("".join(" ".join(map(str, [i, *partners[i]])) + "\n" for i in sorted(there)))

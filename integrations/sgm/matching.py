@@ -49,7 +49,7 @@ def semi_global(left, right, low, count):
 
 
 def shown(disparity, in_partner):
-    """Whether the matched place lies in the partner's picture."""
+    """True where the match is inside the partner's image."""
     h, w = disparity.shape
     column = np.arange(w)[None, :] - np.rint(np.nan_to_num(disparity)).astype(np.int32)
     return np.take_along_axis(in_partner, column.clip(0, w - 1), 1) & (column >= 0) & (column < w) & np.isfinite(disparity)

@@ -188,7 +188,7 @@ INCIDENCES = [0, 30, 45, 60, 75, 85]
 
 
 def pixel_columns(workspace, pair, key, partner, here, folder, sample):
-    """Of the sampled pixels: seen by the partner, right, incidence in the key view, the worse of both, octaves, triangulation angle."""
+    """Arrays over the sampled pixels: seen by the partner, right, incidence in the key view, the worse of both, octaves, triangulation angle."""
     a, b = workspace.views[key], workspace.views[partner]
     there = read_reference(folder, partner)
     if there is None:

@@ -94,7 +94,7 @@ class Pairs:
 
 
 def fingerprint(workspace, a, b, shared):
-    """Of all that the pair's map depends on."""
+    """SHA-256 of everything that the pair's map depends on."""
     parts = [str(VERSION).encode(), shared.tobytes()]
     for v in (a, b):
         parts += [v.K.tobytes(), v.R.tobytes(), v.t.tobytes(), str(v.size).encode()]
@@ -104,7 +104,7 @@ def fingerprint(workspace, a, b, shared):
 
 
 def made_of(workspace, key, partners):
-    """Of the views of a cluster as they lie now."""
+    """Digest of the current cameras and poses of a cluster's views, 16 hex digits."""
     views = [workspace.views[name] for name in (key, *partners)]
     return hashlib.sha256(b"|".join(part.tobytes() for v in views for part in (v.K, v.R, v.t))).hexdigest()[:16]
 

@@ -30,7 +30,7 @@ class Refused(Exception):
 
 @dataclass
 class Parallax:
-    """What turns disparities of a pair into inverse depths. Pixels are matched pixels of the key view."""
+    """Parameters that convert disparities of a pair to inverse depths. Pixels are matched pixels of the key view."""
 
     plane: np.ndarray  # inverse depth of the dominant plane at pixel (u, v): plane . (u, v, 1)
     epipole: np.ndarray  # E

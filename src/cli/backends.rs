@@ -9,11 +9,12 @@ use serde::Serialize;
 
 use super::{Failure, Format, json, print};
 
-/// List the MVS programs that plans are written for: what each honours and what it contributes to planning.
+/// List the supported MVS programs, what each honours and its planning numbers.
 #[derive(Args)]
 pub struct Arguments {
-    /// Only this one, with its notes
+    /// Show only this program, with its notes
     name: Option<String>,
+    /// Format of the list on stdout
     #[arg(long, value_enum, default_value_t)]
     format: Format,
 }

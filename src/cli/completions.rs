@@ -5,7 +5,7 @@ use clap_complete::Shell;
 
 use super::{Failure, print};
 
-/// Print the completion script of a shell.
+/// Print the completion script for a shell.
 ///
 /// For bash: viewrank completions bash > ~/.local/share/bash-completion/completions/viewrank
 #[derive(Args)]
@@ -13,12 +13,12 @@ pub struct Arguments {
     shell: Shell,
 }
 
-/// Print the manual page, of the program or of one subcommand.
+/// Print the manual page of the program or a subcommand.
 ///
 /// To read it: viewrank man plan | man -l -
 #[derive(Args)]
 pub struct ManArguments {
-    /// Subcommand; without it the page of the program.
+    /// Subcommand [default: the program itself].
     subcommand: Option<String>,
 }
 

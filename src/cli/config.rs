@@ -15,10 +15,10 @@ use super::{COLUMNS, Failure, Format, print};
 
 /// Print all settings in force: value, unit, default, and where each value comes from.
 ///
-/// What is printed is a whole settings file: viewrank config > PROJECT/viewrank.toml
+/// The output is a complete settings file: viewrank config > PROJECT/viewrank.toml
 #[derive(Args)]
 pub struct Arguments {
-    /// Project whose viewrank.toml counts; without it only the user's own settings do.
+    /// Project whose viewrank.toml is read [default: only the user's own settings].
     project: Option<PathBuf>,
     #[arg(long, value_enum, default_value_t)]
     format: Format,
@@ -38,7 +38,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     }
 }
 
-/// Defaults, the user's file, the project's file, the command line: wrong settings are wrong usage.
+/// Defaults, the user's file, the project's file, the command line. Wrong settings are a usage error.
 pub fn load(project: Option<&Path>, typed: Typed) -> Result<Configuration, Failure> {
     let files = Files { user: user_file(), project: project.map(|folder| folder.join("viewrank.toml")) };
     Ok(Configuration::load(&files, typed, backends::canonical_name)?)
@@ -88,7 +88,7 @@ fn as_toml(configuration: &Configuration, values: &Value) -> String {
     text + "\n"
 }
 
-/// Unit, range and default in a line.
+/// Formats unit, range and default on one line.
 fn facts(key: &Key, units: Option<Units>) -> String {
     let unit = key.unit(units).map(|unit| format!("Unit: {unit}."));
     let range = key.range().map(|range| format!("Range: {range}."));

@@ -23,10 +23,10 @@ use serde::Serialize;
 
 use super::{Failure, Format, config, json, print, progress::Progress, warn};
 
-/// Hand the view clusters of a plan to a queue: a task per depth map, best first, and a task that joins them.
+/// Submit the view clusters of a plan to a queue: a task per depth map, best first, and a task that joins them.
 ///
-/// Call it again at any time: what is finished or on its way stays, what is missing is submitted again, what waits is cancelled when the
-/// target is reached by the depth maps that are there. What a task asks for can stand in viewrank.toml, section dispatch.
+/// Can be run again at any time: finished, queued and running tasks are kept, missing ones submitted again, waiting ones cancelled once the
+/// existing depth maps reach the target. Defaults for the resources of a task come from viewrank.toml, section dispatch.
 #[derive(Args)]
 pub struct Arguments {
     project: PathBuf,
@@ -34,13 +34,13 @@ pub struct Arguments {
     /// slurm: job arrays. shell: only the scripts, for GNU parallel or a plain loop
     #[arg(long, value_enum)]
     scheduler: Scheduler,
-    /// Program that computes the depth maps [default: the one that the plan was made for]
+    /// Backend that computes the depth maps [default: the plan's]
     #[arg(long, value_name = "NAME")]
     backend: Option<String>,
-    /// The first N view clusters, or as many as P % of the registered views [default: the plan's cut]
+    /// Take the first N view clusters, or P % of the number of registered views [default: the plan's cut]
     #[arg(long, value_name = "N|P%")]
     budget: Option<Budget>,
-    /// The fewest view clusters that reach P % of what all together reach [default: the plan's cut]
+    /// Take the fewest view clusters that reach P % of what all together reach [default: the plan's cut]
     #[arg(long, value_name = "P%")]
     target: Option<Share>,
     /// The backend's program: sgm.py, DensifyPointCloud, colmap [default: $SGM, $DENSIFY, $COLMAP, else from the PATH]
@@ -50,31 +50,31 @@ pub struct Arguments {
     /// Partition of the queue
     #[arg(long, help_heading = "A task")]
     partition: Option<String>,
-    /// Account that the work is charged to
+    /// Account to charge
     #[arg(long, help_heading = "A task")]
     account: Option<String>,
     /// Quality of service
     #[arg(long, help_heading = "A task")]
     qos: Option<String>,
-    /// Longest time that a depth map may take, such as 2h
+    /// Time limit per depth map, such as 2h or 1d6h
     #[arg(long, value_name = "T", help_heading = "A task")]
     time: Option<String>,
-    /// Memory, such as 8G
+    /// Memory per task, such as 8G
     #[arg(long, value_name = "SIZE", help_heading = "A task")]
     memory: Option<String>,
-    /// CPUs, and threads of the backend [default: 1]
+    /// CPUs per task, and threads of the backend [default: 1]
     #[arg(long, value_name = "N", help_heading = "A task")]
     cpus: Option<i64>,
-    /// GPUs
+    /// GPUs per task
     #[arg(long, value_name = "N", help_heading = "A task")]
     gpus: Option<i64>,
-    /// Tasks that may run at once [default: as many as the queue lets]
+    /// Largest number of tasks that run at once [default: the queue's limit]
     #[arg(long, value_name = "N", help_heading = "A task")]
     at_once: Option<i64>,
-    /// A further option of sbatch; may be given several times
+    /// Further option of sbatch; repeatable
     #[arg(long, value_name = "OPTION", allow_hyphen_values = true, help_heading = "A task")]
     option: Vec<String>,
-    /// Lines of sh that each task begins with, such as "module load colmap"
+    /// Lines of sh to run at the start of each task, such as "module load colmap"
     #[arg(long, value_name = "LINES", help_heading = "A task")]
     setup: Option<String>,
 
@@ -91,7 +91,7 @@ enum Scheduler {
     Shell,
 }
 
-/// What was done, for programs.
+/// JSON output: actions taken.
 #[derive(Serialize)]
 struct Report<'a> {
     backend: &'a str,
@@ -170,16 +170,16 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     }
 }
 
-/// The queue as it is; an empty one where it cannot be asked.
+/// Reads the state of the queue; empty, with a warning, if the query fails.
 fn queue_or_empty(dispatch: &Dispatch) -> Queue {
     Queue::read(dispatch).unwrap_or_else(|error| {
-        warn(&format!("the queue is taken for empty: {error}"));
+        warn(&format!("cannot query the queue, assuming it is empty: {error}"));
         Queue::empty(dispatch)
     })
 }
 
 impl Arguments {
-    /// What was typed, as settings.
+    /// Command-line options as settings.
     fn typed(&self) -> Typed {
         let mut typed = Typed::default();
         typed.set("--partition", "dispatch.partition", self.partition.clone());
@@ -207,7 +207,7 @@ impl Arguments {
         }
     }
 
-    /// Do the depth maps that are there reach the target? Measured, so that tasks which start now find it in `progress.json`.
+    /// Returns whether the existing depth maps reach the target. Measured, so that tasks which start now find it in `progress.json`.
     fn target_reached(&self, root: &Path, dispatch: &Dispatch) -> Result<bool, Failure> {
         if self.dry_run {
             return Ok(follow::target_reached(root));
@@ -221,7 +221,7 @@ impl Arguments {
             Outcome::Followed { reached, .. } => Ok(reached),
             other => {
                 if let Outcome::Failed { reason, .. } = other {
-                    warn(&format!("what is there could not be measured: {reason}"));
+                    warn(&format!("cannot measure the existing depth maps: {reason}"));
                 }
                 // What it says is of depth maps that are gone, or of another plan: no task may stop for it.
                 follow::Progress::remove(root)?;
@@ -281,7 +281,7 @@ impl Report<'_> {
     }
 }
 
-/// How the scripts are started without a queue.
+/// Commands that start the scripts without a queue.
 fn by_hand(dispatch: &Dispatch, at_once: Option<u32>) -> String {
     let script = |name: &str| quoted_path(&dispatch.folder.join(name));
     let (task, fuse) = (script("task.sh"), script("fuse.sh"));

@@ -12,24 +12,24 @@ use clap::Args;
 
 use super::{Exit, Failure, Format, config, json, print, wrapped};
 
-/// Views that are named before the rest is only counted.
+/// Number of views listed by name; further ones are only counted.
 const LISTED: usize = 6;
 
-/// Say what is wrong with a project: views without partners and why, weak links, impossible units, traps of MVS programs.
+/// Find problems of a project: views without partners and why, weak links, impossible units, traps of MVS programs.
 ///
-/// Needs no plan. Exit code 0: nothing, or only notes; 3: warnings; 4: errors. Views without partners, as at the border of a block, are a
-/// note while others see their places, a warning from 1 % of the sparse points lost or a tenth of the views, an error from half of either.
+/// Needs no plan. Exit code 0: no findings, or only notes; 3: warnings; 4: errors. Views without partners (at the border of a block, say)
+/// are a note if other views see their area, a warning from 1 % of the sparse points lost or 10 % of the views, an error from 50 % of either.
 #[derive(Args)]
 pub struct Arguments {
     project: PathBuf,
 
-    /// Programs to look at; partners are judged for the first [default: all, partners for the one that it was planned or is set up for]
+    /// Backends to check; partners are checked for the first [default: all; partners for the planned one, else the one set up]
     #[arg(long, value_name = "NAME,...", value_delimiter = ',')]
     backend: Vec<String>,
-    /// Sub-model to look at [default: the one with most images]
+    /// Sub-model to check [default: the one with most images]
     #[arg(long, value_name = "N")]
     model: Option<String>,
-    /// Name every view, not only the first few
+    /// List every view, not only the first few
     #[arg(long)]
     all: bool,
     #[arg(long, value_enum, default_value_t)]
@@ -79,7 +79,7 @@ fn verdict(findings: &[Finding]) -> Result<(), Failure> {
         (0, _) => Exit::Warnings,
         _ => Exit::Errors,
     };
-    Err(Failure::told(exit))
+    Err(Failure::already_printed(exit))
 }
 
 fn text(findings: &[Finding], listed: usize) -> String {
@@ -110,7 +110,7 @@ fn text(findings: &[Finding], listed: usize) -> String {
     text + &counts(findings)
 }
 
-/// How many of each kind there are, in a line.
+/// Counts findings by severity, on one line.
 fn counts(findings: &[Finding]) -> String {
     let kinds = [(Severity::Error, "error"), (Severity::Warning, "warning"), (Severity::Note, "note")];
     let count = |(severity, name): (Severity, &str)| {

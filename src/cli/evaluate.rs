@@ -23,9 +23,9 @@ use serde::Serialize;
 
 use super::{Failure, Format, json, print, progress::Progress, use_threads, warn};
 
-/// Measure finished depth maps: what was really reached, what is missing and why.
+/// Measure finished depth maps: quality reached, what is missing and why.
 ///
-/// PROJECT has been planned with viewrank plan. The depth maps are those of COLMAP (stereo/depth_maps), OpenMVS, MVSNet, ACMM
+/// Needs a plan of PROJECT (viewrank plan). The depth maps are those of COLMAP (stereo/depth_maps), OpenMVS, MVSNet, ACMM
 /// or integrations/sgm. Writes PROJECT/viewrank/evaluation/: evaluation.html, evaluation.json, evaluation.ply.
 #[derive(Args)]
 pub struct Arguments {
@@ -34,10 +34,10 @@ pub struct Arguments {
     /// Folder of the finished depth maps
     #[arg(long, value_name = "DIR", required_unless_present_any = ["write_baselines", "compare"])]
     depth_maps: Option<PathBuf>,
-    /// Folder of depth maps that count as true, such as those with all partners; without it every depth counts as right
+    /// Folder of reference depth maps, such as those with all partners [default: every depth counts as right]
     #[arg(long, value_name = "DIR")]
     reference: Option<PathBuf>,
-    /// The view clusters that the maps were made for, in their order [default: the plan's]
+    /// File of the view clusters that the maps were made for, in order [default: the plan's]
     #[arg(long, value_name = "FILE", requires = "depth_maps")]
     clusters: Option<PathBuf>,
     /// Also compare the order with others: nocp, realupdate, replan, maxpts, every n-th, random, optimum
@@ -57,7 +57,7 @@ pub struct Arguments {
     /// Also write the tables of the plan and of the real fulfilment as NumPy files
     #[arg(long, value_name = "DIR", requires = "depth_maps")]
     dump_tables: Option<PathBuf>,
-    /// Where the results go [default: PROJECT/viewrank/evaluation]
+    /// Folder for the results [default: PROJECT/viewrank/evaluation]
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
     /// Threads to use [default: all]
@@ -66,7 +66,7 @@ pub struct Arguments {
     /// No progress and no summary
     #[arg(long, short)]
     quiet: bool,
-    /// How the results are printed on stdout
+    /// Format of the results on stdout
     #[arg(long, value_enum, default_value_t)]
     format: Format,
 }
@@ -177,7 +177,7 @@ fn output(arguments: &Arguments, value: &impl Serialize, text: impl Fn() -> Stri
 fn warnings(evaluation: &Evaluation, run: &MeasuredClusters) {
     let missing = evaluation.without_map.len();
     if missing > 0 {
-        warn(&format!("{missing} of the clusters have no depth map; shares are of what the others reach"));
+        warn(&format!("{missing} of the clusters have no depth map; shares are relative to the others"));
     }
     if let Some(view) = evaluation.other_partners.first() {
         let count = evaluation.other_partners.len();
@@ -185,7 +185,7 @@ fn warnings(evaluation: &Evaluation, run: &MeasuredClusters) {
     }
     run.unreadable.iter().for_each(|why| warn(&format!("left out: {why}")));
     if let Some(file) = run.strangers.first() {
-        warn(&format!("{} files belong to no view, the first is {}", run.strangers.len(), file.display()));
+        warn(&format!("{} files match no view, the first is {}", run.strangers.len(), file.display()));
     }
 }
 

@@ -18,29 +18,29 @@ use serde::Serialize;
 
 use super::{Failure, Format, json, print};
 
-/// Write what MVS programs need to compute the chosen view clusters of a plan.
+/// Write the input files of MVS programs for the chosen view clusters of a plan.
 ///
-/// Takes the ranking of PROJECT/viewrank/manifest.json (viewrank plan makes it); viewrank backends lists the programs. Without --out the
+/// Reads the ranking from PROJECT/viewrank/manifest.json (written by viewrank plan); viewrank backends lists the programs. Without --out the
 /// files go to PROJECT/viewrank/NAME, those for COLMAP into the project's dense workspace where there is one.
 #[derive(Args)]
 pub struct Arguments {
     project: PathBuf,
 
-    /// Programs to write for [default: the one that the plan was made for]
+    /// Backends to write for [default: the plan's]
     #[arg(long, value_name = "NAME,...", value_delimiter = ',')]
     backend: Vec<String>,
-    /// The first N view clusters, or as many as P % of the registered views [default: the plan's cut]
+    /// Take the first N view clusters, or P % of the number of registered views [default: the plan's cut]
     #[arg(long, value_name = "N|P%")]
     budget: Option<Budget>,
-    /// The fewest view clusters that reach P % of what all together reach [default: the plan's cut]
+    /// Take the fewest view clusters that reach P % of what all together reach [default: the plan's cut]
     #[arg(long, value_name = "P%")]
     target: Option<Share>,
     /// Folder to write to; with several backends each gets a folder of its name in it
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
 
-    /// Part the view clusters by area: a project for each of N tiles of about as many clusters (fewer tiles where there are fewer
-    /// clusters), in OUT/tile_01 and so on, with the partners from beyond its borders
+    /// Split the view clusters by area into N projects of about equal size (at most one per cluster), in OUT/tile_01 and so on, each with
+    /// the partners from beyond its borders
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..), conflicts_with = "scene")]
     tiles: Option<u32>,
 
@@ -57,7 +57,7 @@ pub struct Arguments {
     #[arg(long, requires = "scene", help_heading = "Of some backends")]
     scale: bool,
 
-    /// Say what would be written, and write nothing
+    /// Print what would be written; write nothing
     #[arg(long, help_heading = "Output")]
     dry_run: bool,
     #[arg(long, value_enum, default_value_t, help_heading = "Output")]
@@ -72,13 +72,13 @@ fn switch(text: &str) -> Result<bool, String> {
     }
 }
 
-/// What was written for a backend, for programs.
+/// JSON output: files written for a backend.
 #[derive(Serialize)]
 struct Report {
     folder: PathBuf,
     files: usize,
     written: Written,
-    /// Options that were typed and that the backend has no use for.
+    /// Given options that the backend does not use.
     unheeded: Vec<&'static str>,
     #[serde(flatten)]
     what: What,
@@ -99,7 +99,7 @@ struct Tile {
     record: ExportRecord,
 }
 
-/// What is to be written for a backend: one export, or one per tile.
+/// Exports to write for a backend: one, or one per tile.
 struct Made {
     folder: PathBuf,
     exports: Vec<Export>,
@@ -221,7 +221,7 @@ impl Report {
             let count = self.written.removed.len();
             text += &format!("  removed      {count} files of an earlier export: {first}{more}\n");
         }
-        self.written.kept.iter().for_each(|kept| text += &format!("  kept         {kept}: a file that was not ours\n"));
+        self.written.kept.iter().for_each(|kept| text += &format!("  kept         {kept}: not written by viewrank\n"));
         text
     }
 }

@@ -11,7 +11,7 @@ use serde::Serialize;
 
 use super::{Failure, Format, config, json, print, wrapped};
 
-/// How many names are listed in the text before the rest is only counted.
+/// Number of names listed in the text; further ones are only counted.
 const LISTED: usize = 5;
 
 /// Print what a sparse model holds: views, cameras, points, observations, errors, units, sub-models.
@@ -19,7 +19,7 @@ const LISTED: usize = 5;
 pub struct Arguments {
     /// Project folder, model folder or model file.
     model: PathBuf,
-    /// Sub-model to look at, such as 1 for sparse/1; without it the one with most registered images.
+    /// Sub-model, such as 1 for sparse/1 [default: the one with most registered images].
     #[arg(long = "model", value_name = "N")]
     sub_model: Option<String>,
     #[arg(long, value_enum, default_value_t)]
@@ -34,7 +34,7 @@ struct Inspection {
     kind: ProjectKind,
     image_folder: Option<PathBuf>,
     registered: usize,
-    /// Images of the image folder that the model has no pose of.
+    /// Images in the image folder without a pose in the model.
     unregistered: Vec<String>,
     cameras: usize,
     /// Number of cameras of each model.
@@ -45,7 +45,7 @@ struct Inspection {
     mean_reprojection_error_px: Option<f64>,
     /// Scene units per pixel.
     median_gsd: Option<f64>,
-    /// `metric`, `relative`, or null where nothing says.
+    /// `metric`, `relative`, or null if unknown.
     units: Option<Units>,
     sub_models: Vec<SubModel>,
     warnings: Vec<String>,

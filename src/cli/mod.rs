@@ -30,20 +30,20 @@ use crate::base::error::Hint;
 use clap::{Parser, Subcommand};
 use rayon::ThreadPoolBuilder;
 
-/// Width of what is printed for people.
+/// Width of text output, characters.
 const COLUMNS: usize = 80;
 
-/// How the program ends.
+/// Exit code of the program.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Exit {
     Success = 0,
-    /// The input, the disk or the run: what was asked for could not be done.
+    /// Input, disk or the run itself failed.
     Failed = 1,
-    /// Arguments or settings are wrong; nothing was tried.
+    /// Arguments or settings are wrong; nothing was started.
     Usage = 2,
-    /// `doctor` has warnings, and no errors.
+    /// `doctor` found warnings, but no errors.
     Warnings = 3,
-    /// `doctor` has errors.
+    /// `doctor` found errors.
     Errors = 4,
 }
 
@@ -53,7 +53,7 @@ impl From<Exit> for ExitCode {
     }
 }
 
-/// Why the program ends without success, as it is printed.
+/// Error that ends the program, as printed: message, hint, exit code.
 #[derive(Debug)]
 pub struct Failure {
     pub exit: Exit,
@@ -62,8 +62,8 @@ pub struct Failure {
 }
 
 impl Failure {
-    /// What is wrong was printed already.
-    fn told(exit: Exit) -> Self {
+    /// A failure whose message is already printed.
+    fn already_printed(exit: Exit) -> Self {
         Self { exit, message: String::new(), hint: None }
     }
 
@@ -85,7 +85,7 @@ impl<E: Hint> From<E> for Failure {
     }
 }
 
-/// Writes data to stdout; a reader that closes the pipe early (`| head`) has had enough, which is no failure.
+/// Writes data to stdout. A reader that closes the pipe early (`| head`) is not an error.
 fn print(text: &str) -> Result<(), Failure> {
     let mut stdout = std::io::stdout().lock();
     match stdout.write_all(text.as_bytes()).and_then(|()| stdout.flush()) {
@@ -96,12 +96,12 @@ fn print(text: &str) -> Result<(), Failure> {
     }
 }
 
-/// Writes a line to stderr; where nobody reads it, that is no failure.
+/// Writes a line to stderr; a closed stderr is not an error.
 fn complain(line: &str) {
     _ = writeln!(std::io::stderr(), "{line}");
 }
 
-/// A warning: broken into lines for people, a single one for what else reads it.
+/// Prints a warning to stderr: wrapped on a terminal, else on a single line.
 fn warn(warning: &str) {
     match std::io::stderr().is_terminal() {
         true => complain(wrapped("warning: ", warning).trim_end()),
@@ -109,7 +109,7 @@ fn warn(warning: &str) {
     }
 }
 
-/// The words behind a heading, broken at the width of the page; a word that is longer stays whole, so that it can be copied.
+/// Wraps `words` after `heading` at [`COLUMNS`]; a longer word stays whole, so that it can be copied.
 fn wrapped(heading: &str, words: &str) -> String {
     let indent = " ".repeat(heading.len());
     let (mut text, mut line) = (String::new(), heading.to_owned());
@@ -130,7 +130,7 @@ fn wrapped(heading: &str, words: &str) -> String {
     text + &line + "\n"
 }
 
-/// Makes the pool of threads that everything runs on, of the size that was typed; without one it has a thread per core.
+/// Sets the size of the global thread pool; `None`: a thread per core.
 fn use_threads(threads: Option<u16>) {
     if let Some(threads) = threads {
         let pool = ThreadPoolBuilder::new().num_threads(threads.into()).build_global();
@@ -138,7 +138,7 @@ fn use_threads(threads: Option<u16>) {
     }
 }
 
-/// How results are printed on stdout.
+/// Format of results on stdout.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
 enum Format {
     /// For people.
@@ -148,7 +148,7 @@ enum Format {
     Json,
 }
 
-/// A value as the JSON text that is printed.
+/// Formats a value as indented JSON with a final newline.
 fn json(value: &impl serde::Serialize) -> String {
     serde_json::to_string_pretty(value).expect("what is printed is JSON") + "\n"
 }
@@ -181,7 +181,7 @@ enum Command {
     Man(completions::ManArguments),
 }
 
-/// Runs the program: parses arguments, prints errors, gives the exit code.
+/// Runs the program: parses arguments, prints errors, returns the exit code.
 pub fn main() -> ExitCode {
     match run() {
         Ok(()) => Exit::Success.into(),
@@ -192,7 +192,7 @@ pub fn main() -> ExitCode {
     }
 }
 
-/// Runs the subcommand that was typed. Wrong arguments, `--help` and `--version` end the program inside clap (exit codes 2, 0, 0).
+/// Runs the subcommand. Wrong arguments, `--help` and `--version` end the program inside clap (exit codes 2, 0, 0).
 fn run() -> Result<(), Failure> {
     match Arguments::parse().command {
         Command::Plan(arguments) => plan::run(&arguments),
@@ -219,11 +219,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn lines_end_at_the_width_of_the_page() {
+    fn lines_wrap_at_the_output_width() {
         let text = wrapped("warning ", &"word ".repeat(60));
         assert!(text.lines().all(|line| line.chars().count() <= COLUMNS) && text.lines().count() > 3);
         assert_eq!(wrapped("- ", "one"), "- one\n");
         let long = "x".repeat(100);
-        assert_eq!(wrapped("- ", &long), format!("- {long}\n"), "what is to be copied stays whole");
+        assert_eq!(wrapped("- ", &long), format!("- {long}\n"), "long words stay whole");
     }
 }

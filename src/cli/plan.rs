@@ -24,19 +24,20 @@ use super::{Exit, Failure, Format, config, json, print, progress::Progress, summ
 
 /// Rank the view clusters of a project and write the plan to PROJECT/viewrank.
 ///
-/// PROJECT is a COLMAP project (sparse/, images/), a dense workspace (sparse/, images/, stereo/), the folder of a sparse model, or a model of
-/// Bundler, VisualSFM (.nvm), OpenMVG, OpenSfM, OpenDroneMap, AliceVision, OpenMVS (.mvs) or SURE (.ori), or its folder. Lengths are in units of the model; they are metres if it is metric (units = "metric" in viewrank.toml).
+/// PROJECT is a COLMAP project (sparse/, images/), a dense workspace (sparse/, images/, stereo/), the folder of a sparse model, or a model
+/// (or its folder) of Bundler, VisualSFM (.nvm), OpenMVG, OpenSfM, OpenDroneMap, AliceVision, OpenMVS (.mvs) or SURE (.ori). Lengths are in
+/// model units, which are metres if viewrank.toml says units = "metric".
 #[derive(Args)]
 pub struct Arguments {
     project: PathBuf,
 
-    /// Matching partners per key view [default: 5]
+    /// Matching partners per key view; more give more image pairs to match [default: 5]
     #[arg(short, value_name = "N", help_heading = "What is chosen")]
     k: Option<String>,
     /// Stop after N view clusters, or after P % of the registered views
     #[arg(long, value_name = "N|P%", help_heading = "What is chosen")]
     budget: Option<String>,
-    /// Stop at P % of what all view clusters together reach [default: 90%, where nothing else says where to stop]
+    /// Stop at P % of what all view clusters together reach [default: 90%, if no other limit is set]
     #[arg(long, value_name = "P%", help_heading = "What is chosen")]
     target: Option<String>,
     /// Stop before the forecast time of matching exceeds T, such as 2h or 90min
@@ -46,17 +47,17 @@ pub struct Arguments {
     #[arg(long, value_name = "N", help_heading = "What is chosen")]
     points: Option<String>,
 
-    /// Wanted ground sampling distance, units of the model per pixel [default: from the model]
+    /// Wanted ground sampling distance, model units per pixel [default: from the model]
     #[arg(long, value_name = "L", allow_negative_numbers = true, help_heading = "What is wanted")]
     gsd: Option<f64>,
-    /// Wanted accuracy of a point, units of the model [default: as --gsd]
+    /// Wanted accuracy of a point, model units [default: as --gsd]
     #[arg(long, value_name = "L", allow_negative_numbers = true, help_heading = "What is wanted")]
     accuracy: Option<f64>,
 
-    /// How partners are chosen: sampled (the paper) or search [default: search]
+    /// Choice of partners: sampled (the paper) or search [default: search]
     #[arg(long, value_name = "METHOD", value_parser = ["sampled", "search"], help_heading = "How")]
     partners: Option<String>,
-    /// What predicts success: photometric, geometric, none, proxy, shipped, auto or a
+    /// Source of confidence: photometric, geometric, none, proxy, shipped, auto or a
     /// model file [default: auto, which is photometric where there are images]
     #[arg(long, value_name = "SOURCE|FILE", help_heading = "How")]
     confidence: Option<String>,
@@ -66,10 +67,10 @@ pub struct Arguments {
     /// Up direction of the terrain surface [default: from the cameras]
     #[arg(long, value_name = "X,Y,Z", value_parser = direction, allow_hyphen_values = true, help_heading = "How")]
     up: Option<[f64; 3]>,
-    /// Take the surface from a PLY file
+    /// Use the surface in this PLY file
     #[arg(long, value_name = "FILE", help_heading = "How")]
     mesh: Option<PathBuf>,
-    /// Take the mesh as it is, neither simplified nor refined
+    /// Use the mesh as it is, neither simplified nor refined
     #[arg(long, requires = "mesh", help_heading = "How")]
     mesh_as_is: bool,
     /// Write for these backends; the plan is made for the first [default: as the project is set up, else sure]
@@ -78,14 +79,13 @@ pub struct Arguments {
     /// Sub-model to plan for [default: the one with most images]
     #[arg(long, value_name = "N", help_heading = "How")]
     model: Option<String>,
-    /// Keep the finished depth maps in this folder, which were made for an earlier plan of PROJECT, and rank the rest again around what
-    /// they really reach
+    /// Keep the finished depth maps in this folder, made for an earlier plan of PROJECT, and re-rank the rest by their measured quality
     #[arg(long, value_name = "DIR", help_heading = "How")]
     finished: Option<PathBuf>,
     /// Seed of all random choices [default: 0]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(i64).range(0..), help_heading = "How")]
     seed: Option<i64>,
-    /// Memory that planning may take, such as 8G: where it needs more the surface is built in tiles, and tables are kept on disk [default: no limit]
+    /// Memory limit, such as 8G; larger surfaces are built in tiles, larger tables kept on disk [default: no limit]
     #[arg(long, value_name = "SIZE", help_heading = "How")]
     max_memory: Option<String>,
     /// Threads to use; the plan is the same for any number [default: all]
@@ -104,7 +104,7 @@ pub struct Arguments {
     /// No progress and no summary; warnings and errors only
     #[arg(long, short, help_heading = "Output")]
     quiet: bool,
-    /// How the summary is printed on stdout
+    /// Format of the summary on stdout
     #[arg(long, value_enum, default_value_t, help_heading = "Output")]
     format: Format,
 }
@@ -144,7 +144,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
 }
 
 impl Arguments {
-    /// What was typed, as settings.
+    /// Command-line options as settings.
     fn typed(&self) -> Typed {
         let mut typed = Typed::default();
         let path = |path: &PathBuf| std::path::absolute(path).unwrap_or(path.clone()).to_string_lossy().into_owned();

@@ -14,7 +14,7 @@ use rayon::prelude::*;
 
 use super::{Failure, print};
 
-/// Write confidence pictures: where will a backend succeed, by the picture alone.
+/// Draw where a backend is expected to succeed, from single images.
 ///
 /// DIR gets NAME.png, the image beside its confidence in colours with a legend, and NAME.npy, the confidence as float32 (rows x columns of a grid
 /// that covers the image).
@@ -26,10 +26,10 @@ pub struct Arguments {
     /// Folder for the pictures
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// What predicts: proxy, shipped or a model file [default: shipped if there is one, else proxy]
+    /// Source of confidence: proxy, shipped or a model file [default: shipped if there is one, else proxy]
     #[arg(long, value_name = "SOURCE|FILE")]
     confidence: Option<String>,
-    /// No list of what was written
+    /// Don't list the written files
     #[arg(long, short)]
     quiet: bool,
 }
@@ -92,7 +92,7 @@ impl Hint for Unreadable {
 }
 
 #[derive(Debug, thiserror::Error)]
-#[error("two of the images are named {0}")]
+#[error("two images have the same name: {0}")]
 struct Same(String);
 
 impl Hint for Same {

@@ -80,19 +80,19 @@ fn bar(stage: Stage) -> ProgressBar {
     bar
 }
 
-/// What the program is doing.
+/// Describes a stage for the progress display.
 fn words(stage: Stage) -> &'static str {
     match stage {
         Stage::Read => "reading the model",
         Stage::Surface => "building the surface",
-        Stage::Visibility => "seeing which view sees what",
-        Stage::Confidence => "looking at the images",
+        Stage::Visibility => "computing visibility",
+        Stage::Confidence => "reading the images",
         Stage::Partners => "choosing matching partners",
         Stage::Ranking => "ranking view clusters",
         Stage::Evaluate => "measuring depth maps",
         Stage::Undistort => "undistorting images",
-        Stage::Labels => "holding depth maps against others",
-        Stage::Train => "learning",
+        Stage::Labels => "comparing depth maps",
+        Stage::Train => "training",
         Stage::Write => "writing",
     }
 }

@@ -21,11 +21,10 @@ use clap::Args;
 
 use super::{Failure, print, progress::Progress};
 
-/// Write a page on a plan to PROJECT/viewrank/report.html, to be looked at in any browser.
+/// Write a page about a plan to PROJECT/viewrank/report.html, for any browser.
 ///
-/// It shows the curve, a map, the surface, the ranked views with their reasons and where one must fly again, for any cut. It needs no network and
-/// can be sent to others. viewrank plan makes the plan first; a new plan removes the page of the one before. The tables that the page is made
-/// from are computed again, which takes as long as planning did.
+/// Shows the curve, a map, the surface, the ranked views with their reasons and where to fly again, for any cut. The page needs no network.
+/// Run viewrank plan first; a new plan removes the old page. The tables are computed again, which takes as long as planning did.
 #[derive(Args)]
 pub struct Arguments {
     project: PathBuf,
@@ -33,13 +32,13 @@ pub struct Arguments {
     /// Open the page in the browser
     #[arg(long)]
     open: bool,
-    /// Finished depth maps to show beside the prediction [default: where the backends write theirs]
+    /// Finished depth maps to compare with the prediction [default: where the backends write theirs]
     #[arg(long, value_name = "DIR")]
     depth_maps: Option<PathBuf>,
-    /// Exact or better depth maps, which say what is right
+    /// Exact or better depth maps to use as reference
     #[arg(long, value_name = "DIR")]
     reference: Option<PathBuf>,
-    /// No progress, and no word about the page
+    /// No progress and no summary
     #[arg(long, short)]
     quiet: bool,
 }

@@ -1,4 +1,4 @@
-//! `viewrank status`: how the projects under a root stand, from the file that the daemon keeps.
+//! `viewrank status`: the state of the projects under a root, from the daemon's status file.
 
 use std::{
     path::{Path, PathBuf},
@@ -18,7 +18,7 @@ use clap::Args;
 
 use super::{Failure, print};
 
-/// Show how the projects under a watched folder stand; works while the daemon is down, too.
+/// Show the state of the projects under a watched folder, even while the daemon is down.
 #[derive(Args)]
 pub struct Arguments {
     /// The watched folder, or any folder below it.
@@ -27,12 +27,12 @@ pub struct Arguments {
     /// Print the status as JSON.
     #[arg(long)]
     json: bool,
-    /// Print again whenever something changes (with --json a line each time).
+    /// Keep printing changes (with --json, one line each).
     #[arg(long)]
     follow: bool,
 }
 
-/// How often `--follow` looks.
+/// Polling interval of `--follow`.
 const FOLLOW: Duration = Duration::from_millis(500);
 
 pub fn run(arguments: &Arguments) -> Result<(), Failure> {
@@ -55,7 +55,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     }
 }
 
-/// The nearest folder, from here upwards, that a daemon watched.
+/// Finds the nearest folder, from here upwards, that a daemon watched.
 fn watched_root(from: &Path) -> Result<PathBuf, NoStatus> {
     let absolute = from.canonicalize().unwrap_or_else(|_| from.into());
     let found = absolute.ancestors().find(|folder| status_file(folder).symlink_metadata().is_ok());
@@ -112,7 +112,7 @@ fn as_text(root: &Path, line: &Line) -> String {
     text
 }
 
-/// For how long the project has been in its state.
+/// Formats the time since the project entered its state.
 fn age(project: &ProjectStatus) -> String {
     let now = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_secs());
     match now.saturating_sub(project.since) {

@@ -56,10 +56,10 @@ pub struct Summary<'a> {
     chosen_for: &'static str,
     #[serde(skip)]
     manifest: &'a Manifest,
-    /// What the shares are weighed by.
+    /// Weight of triangles in the shares.
     #[serde(skip)]
     weight: TriangleWeight,
-    /// What the images are for where none is matched.
+    /// Use of the images, for a backend that matches none.
     #[serde(skip)]
     use_of_views: Option<&'static str>,
 }
@@ -137,7 +137,7 @@ impl<'a> Summary<'a> {
         )
     }
 
-    /// What the share counts.
+    /// Words for the weight of the share.
     fn weight(&self) -> &'static str {
         match self.weight {
             TriangleWeight::Pixels => ", by the pixels that show it",
@@ -146,7 +146,7 @@ impl<'a> Summary<'a> {
         }
     }
 
-    /// What all give of what is wanted, and how far the choice can be from the best of its length (method 5.2).
+    /// Formats the share of the target that all depth maps reach, and the proven bound on any better choice of equal length (method 5.2).
     fn certificate(&self) -> String {
         let Cut { reachable, fulfilment, fulfilment_bound, .. } = self.cut;
         let all = format!("All together give {:.0} % of what is wanted (predicted).\n", 100.0 * reachable);

@@ -25,7 +25,7 @@ use clap::Args;
 
 use super::{Failure, Format, config, json, print, progress::Progress, use_threads};
 
-/// Learn from finished depth maps where a backend succeeds.
+/// Train a confidence model on finished depth maps.
 ///
 /// No ground truth is needed: a depth is right where depth maps from other viewpoints agree with it, wrong where they saw through it. The
 /// partners that each map was matched with are those of the matcher's report, of the maps themselves (OpenMVS), or of the
@@ -36,10 +36,10 @@ pub struct Arguments {
     #[arg(required = true, value_name = "PROJECT")]
     projects: Vec<PathBuf>,
 
-    /// Which depth maps: colmap, openmvs, mvsnet, acmm, sgm, or a folder in each project
+    /// Depth maps to learn from: colmap, openmvs, mvsnet, acmm, sgm, or a folder in each project
     #[arg(long, value_name = "KIND|DIR")]
     depth_maps: String,
-    /// The model file to write
+    /// Model file to write
     #[arg(long, value_name = "MODEL")]
     out: PathBuf,
     /// Backend that made the depth maps [default: by their format]
@@ -54,7 +54,7 @@ pub struct Arguments {
     /// No progress and no summary
     #[arg(long, short)]
     quiet: bool,
-    /// How the figures are printed on stdout
+    /// Format of the figures on stdout
     #[arg(long, value_enum, default_value_t)]
     format: Format,
 }
@@ -91,7 +91,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     }
 }
 
-/// What stands at the place of the model is a model, or nothing: any other file is the user's.
+/// Refuses to replace any existing file except a model: it is the user's.
 fn refuse_to_replace(out: &Path) -> Result<(), Failure> {
     let is_other = match Trained::read(out) {
         Ok(_) | Err(TrainedError::Version { .. }) => false,

@@ -13,12 +13,12 @@ use super::{Failure, Format, json, print, progress::Progress};
 
 /// Make the undistorted images that most MVS programs need, as a COLMAP dense workspace.
 ///
-/// Cameras become PINHOLE, and pixels are those of COLMAP's image_undistorter with the same options. A run that was stopped goes on where it
-/// was. Then plan and export the workspace: viewrank plan PROJECT/dense.
+/// Cameras become PINHOLE, and pixels are those of COLMAP's image_undistorter with the same options. An interrupted run resumes where it
+/// stopped. Then plan and export the workspace: viewrank plan PROJECT/dense.
 #[derive(Args)]
 pub struct Arguments {
     project: PathBuf,
-    /// Sub-model, such as 1 for sparse/1; without it the one with most registered images
+    /// Sub-model, such as 1 for sparse/1 [default: the one with most registered images]
     #[arg(long, value_name = "N")]
     model: Option<String>,
     /// Folder of the workspace [default: PROJECT/dense]
@@ -28,10 +28,10 @@ pub struct Arguments {
     /// 0: no blank pixels, 1: no pixel of the image is lost
     #[arg(long, value_name = "SHARE", default_value_t = 0.0, value_parser = share, help_heading = "As in COLMAP")]
     blank_pixels: f64,
-    /// Least size over that of the distorted image
+    /// Smallest size relative to the distorted image
     #[arg(long, value_name = "FACTOR", default_value_t = 0.2, value_parser = factor, help_heading = "As in COLMAP")]
     min_scale: f64,
-    /// Greatest size over that of the distorted image
+    /// Largest size relative to the distorted image
     #[arg(long, value_name = "FACTOR", default_value_t = 2.0, value_parser = factor, help_heading = "As in COLMAP")]
     max_scale: f64,
     /// Longest side of the undistorted images
@@ -43,7 +43,7 @@ pub struct Arguments {
 
     #[arg(long, value_enum, default_value_t, help_heading = "Output")]
     format: Format,
-    /// Say nothing but errors
+    /// Print errors only
     #[arg(short, long, help_heading = "Output")]
     quiet: bool,
 }
@@ -79,7 +79,7 @@ impl Arguments {
 
 fn text(done: &Undistorted) -> String {
     let folder = done.folder.display();
-    let kept = done.kept.iter().map(|kept| format!("kept {kept}: a file that was not ours\n"));
+    let kept = done.kept.iter().map(|kept| format!("kept {kept}: not written by viewrank\n"));
     format!(
         "{} images in {folder}, {} of them computed now.\n{}Next: viewrank plan {}\n",
         done.images,

@@ -4,7 +4,7 @@ use std::{io::IsTerminal, num::NonZeroUsize, path::PathBuf, process, thread, tim
 
 use crate::{
     base::error::Hint,
-    config::Bytes,
+    config::{self, Bytes},
     daemon::{Options, PlanJob, PlanOptions, Signal, platform, state::OnBusy, watch_roots},
     io::output::Disk,
 };
@@ -16,58 +16,59 @@ use signal_hook::{
 
 use super::Failure;
 
-/// Between two looks at everything.
+/// Between two scans of all projects.
 const SHORTEST_PAUSE: Duration = Duration::from_millis(10);
-/// Longer than anybody waits.
+/// Upper limit of every time on the command line.
 const LONGEST: Duration = Duration::from_secs(365 * 24 * 3600);
-/// After a signal to stop the process ends within this.
+/// Time from a stop signal to the end of the process.
 const LONGEST_STOP: Duration = Duration::from_millis(1500);
 
 /// Plan every project under some folders when its sparse model is complete, and follow the backend.
 ///
-/// Runs until stopped (Ctrl-C or SIGTERM); SIGHUP looks at everything again. `viewrank status` shows how things stand.
+/// Runs until stopped (Ctrl-C or SIGTERM); SIGHUP scans all projects again. `viewrank status` shows the state of each.
 #[derive(Args)]
 pub struct Arguments {
     /// Folders to watch, projects at any depth.
     #[arg(required = true, value_name = "ROOT")]
     roots: Vec<PathBuf>,
-    /// A model is complete when its files have been still for so long.
+    /// A model is complete when its files have not changed for this time, as 500ms, 2s or 1d6h.
     #[arg(long, default_value = "2s", value_parser = duration, value_name = "TIME")]
     settle: Duration,
-    /// Look at all folders so often instead of waiting for file events [default: 10s on network file systems].
+    /// Scan all folders at this interval instead of waiting for file events [default: 10s on network file systems].
     #[arg(long, value_parser = pause, value_name = "TIME")]
     poll: Option<Duration>,
-    /// Look at everything so often, for events that were lost.
+    /// Scan all folders at this interval as well, in case file events were lost.
     #[arg(long, default_value = "10min", value_parser = pause, value_name = "TIME")]
     rescan: Duration,
-    /// What to do when a model changes while it is planned.
+    /// Reaction to a model that changes while it is being planned.
     #[arg(long, default_value = "restart", value_name = "WHAT")]
     on_busy: OnBusy,
     /// Projects to plan at once.
     #[arg(long, default_value = "1", value_name = "N")]
     jobs: NonZeroUsize,
-    /// Memory that all plans together may take, as 4G or 800M [default: half of this machine's].
+    /// Memory limit for all plans together, as 4G or 800M [default: half of this machine's memory].
     #[arg(long, value_name = "SIZE")]
     max_memory: Option<Bytes>,
     /// Follow symbolic links that lead out of the roots.
     #[arg(long)]
     follow_links: bool,
-    /// End when every project is planned (for cron and CI); exit code 1 if one could not be.
+    /// Exit when every project is planned (for cron and CI), with code 1 if any failed.
     #[arg(long)]
     once: bool,
-    /// Write a Prometheus text file.
+    /// Write metrics to this file, in the Prometheus text format.
     #[arg(long, value_name = "FILE")]
     metrics: Option<PathBuf>,
-    /// Rank again what is left whenever depth maps have come, by what they really reach; what is finished stays first.
+    /// Re-rank the remaining clusters as depth maps finish, by their measured quality; finished clusters stay first.
     #[arg(long)]
     replan: bool,
-    /// Run this by the shell once when a project's target is reached by its depth maps; its folder is in VIEWRANK_PROJECT [default:
-    /// on_target of your own viewrank.toml; that of a project is refused].
+    /// Run this shell command once per project when its depth maps reach the target; VIEWRANK_PROJECT holds the project's folder
+    /// [default: on_target of your own viewrank.toml; a project's own viewrank.toml may not set it].
     #[arg(long, value_name = "COMMAND", value_parser = clap::builder::NonEmptyStringValueParser::new())]
     on_target: Option<String>,
-    /// Memory for plans whose depth maps are coming, so that they needn't be made again for each.
+    /// Memory for keeping plans while their depth maps arrive; a larger cache recomputes fewer plans.
     #[arg(long, default_value = "256M", value_name = "SIZE")]
     cache: Bytes,
+    /// Format of the log on standard error.
     #[arg(long, default_value = "text", value_name = "FORMAT")]
     log_format: LogFormat,
 }
@@ -127,7 +128,7 @@ impl Hint for Failed {
     }
 }
 
-/// The level is set by RUST_LOG; times are left to the journal where there is one.
+/// Starts the log on standard error. RUST_LOG sets the level; under systemd the journal adds the times.
 fn start_log(format: LogFormat) {
     let filter = tracing_subscriber::EnvFilter::try_from_default_env().unwrap_or_else(|_| "viewrank=info".into());
     let log = tracing_subscriber::fmt().with_env_filter(filter).with_target(false).with_writer(std::io::stderr);
@@ -152,33 +153,24 @@ fn forward_signals(to_daemon: Box<dyn Fn(Signal) + Send>) {
     });
 }
 
-/// Ends the process though a job has not noticed yet that it is cancelled (it reads a large file, say): what is written is whole at
-/// any instant.
+/// Exits even if a job has not noticed its cancellation yet (while reading a large file, say). Safe because output files are complete
+/// at any instant.
 fn end_in_time() {
     thread::sleep(LONGEST_STOP);
     process::exit(0);
 }
 
-/// A duration between two looks.
+/// Parses a time between two scans: a [`duration`] of at least 10 ms.
 fn pause(text: &str) -> Result<Duration, String> {
     let pause = duration(text)?;
     if pause < SHORTEST_PAUSE { Err("at least 10ms".into()) } else { Ok(pause) }
 }
 
-/// `2s`, `500ms`, `10min`, `1h`; at most a year.
+/// Parses a time as in the settings (`500ms`, `10min`, `1d6h`), at most a year.
 fn duration(text: &str) -> Result<Duration, String> {
-    let split = text.find(|c: char| !c.is_ascii_digit() && c != '.').unwrap_or(text.len());
-    let (number, unit) = text.split_at(split);
-    let seconds = match unit {
-        "ms" => 0.001,
-        "s" => 1.0,
-        "m" | "min" => 60.0,
-        "h" => 3600.0,
-        _ => return Err("a number and ms, s, min or h, as in 2s".into()),
-    };
-    let number: f64 = number.parse().map_err(|_| "a number and ms, s, min or h, as in 2s".to_string())?;
-    let duration = Duration::try_from_secs_f64(number * seconds).map_err(|error| error.to_string())?;
-    if duration > LONGEST { Err("at most 8760h, a year".into()) } else { Ok(duration) }
+    let amount = text.parse::<config::Duration>().map_err(|error| error.to_string())?;
+    // Compared before the conversion, which panics on what a clock cannot count.
+    if amount.0 > LONGEST.as_secs_f64() { Err("at most 365d".into()) } else { Ok(Duration::from_secs_f64(amount.0)) }
 }
 
 impl clap::ValueEnum for OnBusy {
@@ -188,8 +180,10 @@ impl clap::ValueEnum for OnBusy {
 
     fn to_possible_value(&self) -> Option<PossibleValue> {
         Some(match self {
-            Self::Restart => PossibleValue::new("restart").help("Cancel it and start again when the input is still"),
-            Self::Queue => PossibleValue::new("queue").help("Finish it, then plan once more"),
+            Self::Restart => {
+                PossibleValue::new("restart").help("Cancel the plan and start again when the input has settled")
+            }
+            Self::Queue => PossibleValue::new("queue").help("Finish the plan, then plan once more"),
         })
     }
 }
@@ -199,11 +193,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn times_that_no_clock_can_wait_for_are_refused() {
+    fn times_are_read_as_in_the_settings_up_to_a_year() {
         assert_eq!(duration("1.5min"), Ok(Duration::from_secs(90)));
         assert_eq!(duration("8760h"), Ok(LONGEST));
+        assert_eq!(duration("1d6h"), Ok(Duration::from_secs(30 * 3600)));
         assert_eq!(duration("0s"), Ok(Duration::ZERO));
-        for text in ["8761h", "4000000000000000h", "1e400h", "-1s", "s", "5", "5 s"] {
+        for text in ["8761h", "4000000000000000h", "1e400h", "-1s", "s", "5"] {
             assert!(duration(text).is_err(), "{text}");
         }
         assert_eq!(pause("100ms"), Ok(Duration::from_millis(100)));

@@ -5,7 +5,7 @@ use std::{fmt, str::FromStr};
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::{Deserialize, Serialize};
 
-/// How much of a ranking is taken: so many clusters, or a share of the registered views.
+/// Length of a plan: a number of view clusters, or a share of the registered views.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "Written", into = "String")]
 pub enum Budget {
@@ -14,11 +14,11 @@ pub enum Budget {
 }
 
 impl Budget {
-    /// Clusters that it allows where so many views are registered; part of a cluster counts as one.
+    /// Number of clusters allowed for a number of registered `views`; a fraction is rounded up.
     pub fn clusters(self, views: usize) -> usize {
         match self {
             Self::Clusters(n) => usize::try_from(n).unwrap_or(usize::MAX),
-            // A share in per cent is no binary fraction: 7 % of 100 comes out a little above 7.
+            // 0.07 has no exact binary form: 7 % of 100 comes out slightly above 7 and would round up to 8.
             Self::Views(share) => (share.0 * views as f64 - 1e-9).ceil().max(0.0) as usize,
         }
     }
@@ -29,17 +29,17 @@ impl Budget {
 #[serde(try_from = "Written", into = "String")]
 pub struct Share(pub f64);
 
-/// A length of time in seconds; written in days, hours, minutes and seconds.
+/// A length of time in seconds; written in days, hours, minutes, seconds and milliseconds.
 #[derive(Clone, Copy, Debug, PartialEq, PartialOrd, Serialize, Deserialize)]
 #[serde(try_from = "Written", into = "String")]
 pub struct Duration(pub f64);
 
-/// A number of things; written with k, M or G for thousands, millions, milliards.
+/// A number of things; suffixes k, M, G for 10^3, 10^6, 10^9.
 #[derive(Clone, Copy, Debug, PartialEq, PartialOrd, Serialize, Deserialize)]
 #[serde(try_from = "Written", into = "String")]
 pub struct Count(pub f64);
 
-/// A size of memory in bytes; written with K, M, G or T for powers of 1024.
+/// A memory size in bytes; suffixes K, M, G, T for 1024, 1024^2, 1024^3, 1024^4.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Serialize, Deserialize)]
 #[serde(try_from = "Written", into = "String")]
 pub struct Bytes(pub u64);
@@ -51,10 +51,11 @@ pub struct AmountError {
     wanted: &'static str,
 }
 
-/// What all of them share: the texts that they are written as.
+/// The text form of an amount.
 pub trait Amount: FromStr<Err = AmountError> + fmt::Display {
+    /// The accepted form with an example, for errors.
     const WANTED: &'static str;
-    /// The same in a schema.
+    /// Regular expression for the JSON schema.
     const PATTERN: &'static str;
 
     fn refuse(text: &str) -> AmountError {
@@ -73,8 +74,8 @@ impl Amount for Share {
 }
 
 impl Amount for Duration {
-    const WANTED: &'static str = "a time such as 2h, 90min, 45s or 1d6h";
-    const PATTERN: &'static str = "^([0-9.]+ ?(d|h|min|m|s) ?)+$";
+    const WANTED: &'static str = "a time such as 2h, 90min, 45s, 500ms or 1d6h";
+    const PATTERN: &'static str = "^([0-9.]+ ?(d|h|min|m|s|ms) ?)+$";
 }
 
 impl Amount for Count {
@@ -116,11 +117,11 @@ impl FromStr for Duration {
         let mut rest = text.trim();
         let mut seconds = 0.0;
         while !rest.is_empty() {
-            let (number, behind) = split(rest, |c| c.is_ascii_digit() || c == '.');
-            let (unit, behind) = split(behind.trim_start(), char::is_alphabetic);
+            let (number, after) = split(rest, |c| c.is_ascii_digit() || c == '.');
+            let (unit, after) = split(after.trim_start(), char::is_alphabetic);
             let second = seconds_of(unit).ok_or_else(|| Self::refuse(text))?;
             seconds += second * non_negative(number).ok_or_else(|| Self::refuse(text))?;
-            rest = behind.trim_start();
+            rest = after.trim_start();
         }
         if text.trim().is_empty() { Err(Self::refuse(text)) } else { Ok(Self(seconds)) }
     }
@@ -163,6 +164,7 @@ fn seconds_of(unit: &str) -> Option<f64> {
         "h" => 3_600.0,
         "min" | "m" => 60.0,
         "s" => 1.0,
+        "ms" => 0.001,
         _ => return None,
     })
 }
@@ -172,9 +174,9 @@ fn non_negative(number: &str) -> Option<f64> {
     number.parse().ok().filter(|n: &f64| digits && n.is_finite())
 }
 
-/// The longest beginning of such characters, and the rest.
-fn split(text: &str, of: impl Fn(char) -> bool) -> (&str, &str) {
-    text.split_at(text.find(|c| !of(c)).unwrap_or(text.len()))
+/// Splits `text` after its longest prefix of characters that `belongs` accepts.
+fn split(text: &str, belongs: impl Fn(char) -> bool) -> (&str, &str) {
+    text.split_at(text.find(|c| !belongs(c)).unwrap_or(text.len()))
 }
 
 impl fmt::Display for Budget {
@@ -188,7 +190,7 @@ impl fmt::Display for Budget {
 
 impl fmt::Display for Share {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
-        // Per cent to nine places: 0.07 is 7.000000000000001 % in binary.
+        // Rounded to nine places: 0.07 would print as 7.000000000000001 %.
         write!(f, "{}%", (self.0 * 1e11).round() / 1e9)
     }
 }
@@ -227,7 +229,7 @@ impl fmt::Display for Bytes {
     }
 }
 
-/// A TOML value that stands for an amount: "40" as well as 40.
+/// An amount in TOML: a string ("40") or an integer (40).
 #[derive(Deserialize)]
 #[serde(untagged)]
 enum Written {
@@ -286,6 +288,7 @@ mod tests {
         assert_eq!("2h".parse(), Ok(Duration(7200.0)));
         assert_eq!("1d 6h".parse(), Ok(Duration(108_000.0)));
         assert_eq!("1.5min".parse(), Ok(Duration(90.0)));
+        assert_eq!("1s 500ms".parse(), Ok(Duration(1.5)));
         assert_eq!("50M".parse(), Ok(Count(50e6)));
         assert_eq!("800 k".parse(), Ok(Count(8e5)));
         assert_eq!("1.5G".parse(), Ok(Bytes(3 << 29)));
@@ -293,7 +296,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_meant_is_refused() {
+    fn malformed_amounts_are_refused() {
         assert!(["", "-3", "4.5", "x", "101%"].iter().all(|text| text.parse::<Budget>().is_err()));
         assert!(["", "0.8", "80", "1e1%", "-1%", "nan%"].iter().all(|text| text.parse::<Share>().is_err()));
         assert!(["", "2", "h", "2 weeks", "inf h", "1h30"].iter().all(|text| text.parse::<Duration>().is_err()));
@@ -302,7 +305,7 @@ mod tests {
     }
 
     #[test]
-    fn written_and_read_again() {
+    fn amounts_survive_a_round_trip() {
         for text in ["40", "7%", "0.5%"] {
             assert_eq!(text.parse::<Budget>().unwrap().to_string(), text);
         }

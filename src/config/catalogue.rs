@@ -11,22 +11,22 @@ use crate::model::scene::Units;
 /// A key of `viewrank.toml`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Key {
-    /// With its sections: `target.gsd`.
+    /// Full name with sections: `target.gsd`.
     pub name: String,
     pub doc: String,
     unit: Option<String>,
-    /// `Null`: unset, chosen from the data or by the backend.
+    /// Default; `Null`: chosen from the data or by the backend.
     pub default: Value,
-    /// The values of a key that takes one of a few words.
+    /// Accepted words of an enumerated key.
     pub words: Vec<String>,
-    /// It has commands run: a project's file, which may come from anybody, must not set it.
+    /// Runs commands, so that a project's file, which may come from anybody, must not set it.
     pub user_only: bool,
     above: Option<f64>,
     min: Option<f64>,
     max: Option<f64>,
 }
 
-/// All keys, in the order of the definition.
+/// Lists all keys, in the order of the definition.
 pub fn keys() -> &'static [Key] {
     static KEYS: LazyLock<Vec<Key>> = LazyLock::new(|| {
         let mut keys = Vec::new();
@@ -43,7 +43,7 @@ impl Key {
         self.unit.as_ref().map(|unit| unit.replace("length", length))
     }
 
-    /// The values that make sense, in words; `None` where any does.
+    /// Describes the accepted range in words; `None`: any value.
     pub fn range(&self) -> Option<String> {
         match (self.above, self.min, self.max) {
             (Some(above), _, Some(max)) => Some(format!("above {above}, at most {max}")),
@@ -73,7 +73,7 @@ fn default() -> Value {
     serde_json::to_value(Settings::default()).expect("settings are JSON")
 }
 
-/// Appends the keys of a section, `path` in front of them.
+/// Appends the keys of a section, prefixed with `path`.
 fn collect(section: &Value, defaults: &Value, path: &str, keys: &mut Vec<Key>) {
     for (name, schema) in section["properties"].as_object().into_iter().flatten() {
         let name = if path.is_empty() { name.clone() } else { format!("{path}.{name}") };
@@ -102,7 +102,7 @@ fn key(name: String, schema: &Map<String, Value>, default: &Value) -> Key {
     }
 }
 
-/// The constants of an enum, wherever schemars put them.
+/// Collects the constants of an enum from each form in which schemars writes them.
 fn words(schema: &Map<String, Value>) -> Vec<String> {
     let mut words: Vec<String> = schema.get("const").and_then(Value::as_str).map(String::from).into_iter().collect();
     words.extend(

@@ -19,18 +19,18 @@ use crate::{
     model::georeference::Zone,
 };
 
-/// The proper name of the backend that somebody typed.
+/// Resolves a typed backend name to its canonical name.
 pub type NameOf = fn(&str) -> Result<&'static str, UnknownBackend>;
 
-/// A backend that nobody knows.
+/// Unknown backend name.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("no backend \"{name}\"")]
 pub struct UnknownBackend {
     /// As it was typed.
     pub name: String,
-    /// The backend that was probably meant.
+    /// Nearest known name.
     pub meant: Option<&'static str>,
-    /// All that there are.
+    /// All known names.
     pub known: Vec<&'static str>,
 }
 
@@ -45,27 +45,27 @@ impl Hint for UnknownBackend {
     }
 }
 
-/// Values of `confidence.source` that are no model files.
+/// Values of `confidence.source` that are not model files.
 pub const CONFIDENCE_WORDS: [&str; 7] = ["none", "geometric", "photometric", "proxy", "auto", "shipped", "project"];
 
-/// Where settings are written down; files that are not there are passed over.
+/// Settings files; missing ones are skipped.
 #[derive(Clone, Debug, Default)]
 pub struct Files {
     pub user: Option<PathBuf>,
     pub project: Option<PathBuf>,
 }
 
-/// `viewrank/viewrank.toml` in the user's folder for configuration (`$XDG_CONFIG_HOME`, `~/.config`).
+/// Path of `viewrank/viewrank.toml` in the user's configuration folder (`$XDG_CONFIG_HOME`, `~/.config`).
 pub fn user_file() -> Option<PathBuf> {
     etcetera::choose_base_strategy().ok().map(|folders| folders.config_dir().join("viewrank/viewrank.toml"))
 }
 
-/// Settings that were typed: option, key, value.
+/// Settings from the command line: option, key, value.
 #[derive(Clone, Debug, Default)]
 pub struct Typed(Vec<Entry>);
 
 impl Typed {
-    /// Notes the value of an option, if it was given.
+    /// Records the value of an option, if given.
     pub fn set(&mut self, option: &'static str, key: &str, value: Option<impl Into<Value>>) {
         if let Some(value) = value {
             self.0.push(Entry { key: key.into(), value: value.into(), place: Place::Option(option) });
@@ -73,14 +73,14 @@ impl Typed {
     }
 }
 
-/// Where a value was written.
+/// Location of a value: file and line, or option.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Place {
     File { path: PathBuf, line: usize },
     Option(&'static str),
 }
 
-/// Where a value in force comes from.
+/// Origin of a value in force.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Source {
     Default,
@@ -105,7 +105,7 @@ impl fmt::Display for Source {
     }
 }
 
-/// One value that somebody wrote.
+/// A value with its key and location.
 #[derive(Clone, Debug)]
 struct Entry {
     key: String,
@@ -113,7 +113,7 @@ struct Entry {
     place: Place,
 }
 
-/// All settings in force and where each comes from.
+/// All settings in force, with the origin of each.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Configuration {
     pub settings: Settings,
@@ -121,7 +121,7 @@ pub struct Configuration {
 }
 
 impl Configuration {
-    /// The settings of the files and of the command line; `backend` is asked for the proper name of each backend.
+    /// Loads the settings of the files and the command line; `backend` resolves the name of each backend.
     pub fn load(files: &Files, typed: Typed, backend: NameOf) -> Result<Self, ConfigError> {
         let mut entries = files.user.as_deref().map_or(Ok(Vec::new()), read)?;
         let project = files.project.as_deref().map_or(Ok(Vec::new()), read)?;
@@ -131,7 +131,7 @@ impl Configuration {
         Self::over_defaults(entries, backend)
     }
 
-    /// Later entries win.
+    /// Merges entries over the defaults; later ones win.
     fn over_defaults(entries: Vec<Entry>, backend: NameOf) -> Result<Self, ConfigError> {
         let mut table = Table::new();
         let mut places = BTreeMap::new();
@@ -151,7 +151,7 @@ impl Configuration {
         self.places.get(key).cloned().map_or(Source::Default, Source::Written)
     }
 
-    /// What no value by itself can say.
+    /// Checks that depend on several values or on more than type and range.
     fn check_together(&self) -> Result<(), ConfigError> {
         let surface = &self.settings.surface;
         if surface.max_edge_factor < surface.edge_factor {
@@ -177,7 +177,7 @@ impl Configuration {
     }
 }
 
-/// The entries of a file; none where there is no file.
+/// Reads the entries of a file; empty if it does not exist.
 fn read(path: &Path) -> Result<Vec<Entry>, ConfigError> {
     let text = match input::read_text(path, FileKind::Settings) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),
@@ -201,7 +201,7 @@ fn read(path: &Path) -> Result<Vec<Entry>, ConfigError> {
     entries.into_iter().collect()
 }
 
-/// A value of a file; what names another file does so from the folder of this one.
+/// Converts a value of `file`; relative paths are resolved against its folder.
 fn from_file(key: &str, value: &Value, file: &Path) -> Value {
     let names_file = |text: &&str| match key {
         "surface.mesh" => true,
@@ -214,8 +214,8 @@ fn from_file(key: &str, value: &Value, file: &Path) -> Value {
     }
 }
 
-/// Calls `found` with each key that is no section, and the byte at which it is. A name with a dot stays in quotes: `"partners.k"` is no
-/// setting, however much it looks like one.
+/// Calls `found` with each key that is not a section, and its byte offset. A name with a dot keeps its quotes: `"partners.k"` is not the
+/// setting `partners.k`.
 fn collect(table: &DeTable, path: &str, found: &mut impl FnMut(&str, usize)) {
     for (name, value) in table {
         let text = name.get_ref();
@@ -232,7 +232,7 @@ fn is_section(key: &str) -> bool {
     keys().iter().any(|known| known.name.strip_prefix(key).is_some_and(|rest| rest.starts_with('.')))
 }
 
-/// A project's file may come from anybody: it must not have commands run.
+/// Refuses settings that run commands in a project's file, which may come from anybody.
 fn refuse_commands(entry: &Entry) -> Result<(), ConfigError> {
     let user_only = keys().iter().any(|key| key.name == entry.key && key.user_only);
     let refusal = || ConfigError::UserOnly { place: entry.place.clone(), key: entry.key.clone() };
@@ -243,7 +243,7 @@ fn line_of(text: &str, byte: usize) -> usize {
     1 + text.bytes().take(byte).filter(|&b| b == b'\n').count()
 }
 
-/// The proper names of backends, in their order, each once.
+/// Resolves backend names, keeping the order and dropping duplicates.
 fn proper_names(names: &[String], backend: NameOf) -> Result<Vec<String>, UnknownBackend> {
     let mut proper: Vec<String> = Vec::new();
     for name in names {
@@ -255,7 +255,7 @@ fn proper_names(names: &[String], backend: NameOf) -> Result<Vec<String>, Unknow
     Ok(proper)
 }
 
-/// Is the key known, and the value of its type and in its range?
+/// Checks that the key is known and the value has its type and range.
 fn check(entry: &Entry, backend: NameOf) -> Result<(), ConfigError> {
     let refuse = |why: String| ConfigError::Value {
         from: Source::Written(entry.place.clone()),
@@ -284,7 +284,7 @@ fn check(entry: &Entry, backend: NameOf) -> Result<(), ConfigError> {
     proper_names(&settings.backends, backend).map(drop).map_err(unknown)
 }
 
-/// What is wanted, in words: range and unit.
+/// Describes the accepted values: range and unit.
 fn wanted(key: &Key) -> String {
     let range = key.range().unwrap_or_else(|| "a number".into());
     key.unit(None).map_or(range.clone(), |unit| format!("{range} ({unit})"))
@@ -316,16 +316,16 @@ fn insert(table: &mut Table, key: &str, value: Value) {
     }
 }
 
-/// Why settings cannot be used.
+/// Error in settings: each variant has the location.
 #[derive(Debug, thiserror::Error)]
 pub enum ConfigError {
     #[error("{}: {source}", path.display())]
     Read { path: PathBuf, source: io::Error },
     #[error("{place}: {why}")]
     Syntax { place: Place, why: String },
-    #[error("{place}: there is no setting {key}")]
+    #[error("{place}: unknown setting {key}")]
     UnknownKey { place: Place, key: String },
-    #[error("{place}: {key} has commands run, which a project's file must not")]
+    #[error("{place}: {key} runs commands, so a project's file may not set it")]
     UserOnly { place: Place, key: String },
     #[error("{place}: {error}")]
     Backend { place: Place, error: UnknownBackend },
@@ -337,19 +337,19 @@ impl Hint for ConfigError {
     fn hint(&self) -> Option<String> {
         Some(match self {
             Self::Read { .. } => "make the file readable, or move it away".into(),
-            Self::Syntax { .. } => "see https://toml.io for the grammar; texts stand in quotes".into(),
+            Self::Syntax { .. } => "see https://toml.io for the grammar; put text in quotes".into(),
             Self::UnknownKey { key, .. } => match nearest(key) {
                 Some(known) => format!("did you mean {known}?"),
-                None => "type viewrank config for the settings that there are".into(),
+                None => "run viewrank config to list all settings".into(),
             },
             Self::UserOnly { .. } => match user_file() {
-                Some(path) => format!("write it into {}, or type it", path.display()),
-                None => "type it".into(),
+                Some(path) => format!("set it in {}, or on the command line", path.display()),
+                None => "set it on the command line".into(),
             },
             Self::Backend { error, .. } => return error.hint(),
             Self::Value { key, .. } => match keys().iter().find(|known| known.name == *key) {
                 Some(known) => format!("{key}: {}", known.doc),
-                None => "type viewrank config for the settings that there are".into(),
+                None => "run viewrank config to list all settings".into(),
             },
         })
     }
@@ -359,7 +359,7 @@ impl Hint for ConfigError {
     }
 }
 
-/// The known key that was probably meant: alike as a whole, or alike in its last part.
+/// Finds the known key nearest to a misspelt one: similar as a whole, or in its last part.
 fn nearest(key: &str) -> Option<&'static str> {
     let last = |key: &'_ str| key.rsplit('.').next().unwrap_or_default().to_owned();
     let likeness =
@@ -376,7 +376,7 @@ mod tests {
     use crate::backends::canonical_name;
     use crate::model::scene::Units;
 
-    /// The configuration of a user's and a project's file and typed options.
+    /// Loads a user's file, a project's file and command-line options.
     fn load(user: &str, project: &str, typed: Typed) -> Result<Configuration, ConfigError> {
         let folder = tempfile::tempdir().unwrap();
         let write = |name: &str, text: &str| {
@@ -424,7 +424,7 @@ mod tests {
             assert!(matches!(error, ConfigError::UnknownKey { .. }), "{text}: {error}");
         }
         let (message, hint) = refused("seed = 1\n\"partners.k\" = 2\n");
-        assert_eq!(message, "project.toml:2: there is no setting \"partners.k\"");
+        assert_eq!(message, "project.toml:2: unknown setting \"partners.k\"");
         assert_eq!(hint, "did you mean partners.k?");
     }
 
@@ -438,14 +438,10 @@ mod tests {
     #[test]
     fn unknown_keys_name_the_line_and_the_nearest() {
         for (text, message, hint) in [
-            ("\n[partner]\nk = 3\n", "project.toml:2: there is no setting partner", "did you mean partners.k?"),
-            ("gsd = 1\n", "project.toml:1: there is no setting gsd", "did you mean target.gsd?"),
-            ("[target]\ngds = 1\n", "project.toml:2: there is no setting target.gds", "did you mean target.gsd?"),
-            (
-                "xyzzy = 1\n",
-                "project.toml:1: there is no setting xyzzy",
-                "type viewrank config for the settings that there are",
-            ),
+            ("\n[partner]\nk = 3\n", "project.toml:2: unknown setting partner", "did you mean partners.k?"),
+            ("gsd = 1\n", "project.toml:1: unknown setting gsd", "did you mean target.gsd?"),
+            ("[target]\ngds = 1\n", "project.toml:2: unknown setting target.gds", "did you mean target.gsd?"),
+            ("xyzzy = 1\n", "project.toml:1: unknown setting xyzzy", "run viewrank config to list all settings"),
         ] {
             assert_eq!(refused(text), (message.to_owned(), hint.to_owned()));
         }
@@ -477,10 +473,10 @@ mod tests {
             (both.dispatch.setup.as_str(), both.dispatch.partition.as_deref()),
             ("module load colmap", Some("mvs"))
         );
-        let refusal = "project.toml:1: dispatch.setup has commands run, which a project's file must not";
+        let refusal = "project.toml:1: dispatch.setup runs commands, so a project's file may not set it";
         assert_eq!(refused("dispatch.setup = \"rm -rf /\"").0, refusal);
         assert!(load("", "[dispatch]\noptions = [\"--wrap=id\"]", Typed::default()).is_err());
-        assert!(refused("\non_target = \"rm -r /\"").0.starts_with("project.toml:2: on_target has commands run"));
+        assert!(refused("\non_target = \"rm -r /\"").0.starts_with("project.toml:2: on_target runs commands"));
     }
 
     #[test]

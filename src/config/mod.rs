@@ -26,18 +26,18 @@ use crate::model::scene::Units;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Settings {
-    /// Is a scene unit a metre? Unset: "relative", its length is not known.
+    /// "metric" if a scene unit is a metre. Unset: "relative", of unknown length.
     pub units: Option<Units>,
-    /// Size of the matched images over the model's images.
+    /// Size of the matched images over the model's images. A higher value matches at finer resolution.
     #[schemars(range(max = 16), extend("unit" = "matched px per model px", "exclusiveMinimum" = 0))]
     pub image_scale: f64,
     /// Seed of all random choices.
     pub seed: u64,
-    /// Memory that planning may take ("8G"): what needs more is built in tiles, kept on disk, or refused. Unset: no limit.
+    /// Memory limit of planning ("8G"): larger surfaces are built in tiles, larger tables kept on disk, the rest refused. Unset: no limit.
     pub max_memory: Option<Bytes>,
     /// Backends to write files for; the plan is made for the first. Empty: the one that the project is set up for, else "sure".
     pub backends: Vec<String>,
-    /// What `viewrank watch` has the shell run once when a project's target is reached by its depth maps. In the user's own file only.
+    /// Shell command that `viewrank watch` runs once when a project's depth maps reach its target. In the user's own file only.
     #[schemars(extend("userOnly" = true))]
     pub on_target: Option<String>,
     pub target: TargetSettings,
@@ -55,7 +55,7 @@ pub struct Settings {
 }
 
 impl Settings {
-    /// Those that a plan follows from; the others have their defaults.
+    /// Returns the settings that affect a plan; the others have their defaults.
     pub fn of_plan(&self) -> Self {
         Self { dispatch: DispatchSettings::default(), on_target: None, ..self.clone() }
     }
@@ -86,14 +86,14 @@ impl Default for Settings {
     }
 }
 
-/// What is wanted on the surface.
+/// Target quality on the surface.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct TargetSettings {
-    /// Wanted ground sampling distance g_d. Unset: 1.25 x the model's median.
+    /// Wanted ground sampling distance g_d. A higher value asks for less detail. Unset: 1.25 x the model's median.
     #[schemars(extend("unit" = "length/px", "exclusiveMinimum" = 0))]
     pub gsd: Option<f64>,
-    /// Wanted accuracy a_d: standard deviation of a point. Unset: as `gsd`.
+    /// Wanted accuracy a_d: standard deviation of a point. A higher value accepts less exact points. Unset: as `gsd`.
     #[schemars(extend("unit" = "length", "exclusiveMinimum" = 0))]
     pub accuracy: Option<f64>,
     /// One target for all ("absolute") or the best that any view has at the place ("best", method 3.6).
@@ -103,7 +103,7 @@ pub struct TargetSettings {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum TargetMode {
-    /// `best` where no `gsd` is given, else `absolute`.
+    /// `absolute` if `gsd` or `accuracy` is set, else `best`.
     #[default]
     Auto,
     Absolute,
@@ -111,10 +111,10 @@ pub enum TargetMode {
 }
 
 impl TargetMode {
-    /// What `auto` means where a ground sampling distance is given, or not.
-    pub fn in_force(self, gsd_is_given: bool) -> Self {
+    /// Resolves `auto`; `target_is_given`: `gsd` or `accuracy` is set.
+    pub fn in_force(self, target_is_given: bool) -> Self {
         match self {
-            Self::Auto if gsd_is_given => Self::Absolute,
+            Self::Auto if target_is_given => Self::Absolute,
             Self::Auto => Self::Best,
             chosen => chosen,
         }
@@ -125,7 +125,7 @@ impl TargetMode {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct CoverageSettings {
-    /// Cameras that must see a triangle, the key view included (x). With k = 1: 2.
+    /// Cameras that must see a triangle, the key view included (x). A higher value demands more overlap. With k = 1: 2.
     #[schemars(range(min = 2), extend("unit" = "cameras"))]
     pub min_cameras: u32,
 }
@@ -140,10 +140,10 @@ impl Default for CoverageSettings {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct FulfilmentSettings {
-    /// Weight of resolution against uncertainty, 0 to 1 (alpha).
+    /// Weight of resolution against uncertainty, 0 to 1 (alpha). A higher value counts resolution more.
     #[schemars(range(min = 0, max = 1))]
     pub alpha: f64,
-    /// Standard deviation of a match, pixels of the matched image (sigma_px).
+    /// Standard deviation of a match, pixels of the matched image (sigma_px). A higher value predicts less accurate points.
     #[schemars(extend("unit" = "px", "exclusiveMinimum" = 0))]
     pub sigma_px: f64,
 }
@@ -154,7 +154,7 @@ impl Default for FulfilmentSettings {
     }
 }
 
-/// Which surface is built.
+/// Kind of surface to build.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum SurfaceChoice {
@@ -171,10 +171,10 @@ pub enum SurfaceChoice {
 pub struct SurfaceSettings {
     /// Carved from the 3D Delaunay triangulation of the points ("3d"), or 2.5D for nadir flights ("terrain").
     pub kind: SurfaceChoice,
-    /// Simplification: 95 % of the edges above `edge_factor` x g_d (r).
+    /// Simplification: 95 % of the edges above `edge_factor` x g_d (r). A higher value gives larger triangles and a faster plan.
     #[schemars(extend("unit" = "g_d", "exclusiveMinimum" = 0))]
     pub edge_factor: f64,
-    /// Refinement: every edge below `max_edge_factor` x g_d (e).
+    /// Refinement: every edge below `max_edge_factor` x g_d (e). A higher value allows longer edges.
     #[schemars(extend("unit" = "g_d", "exclusiveMinimum" = 0))]
     pub max_edge_factor: f64,
     /// Weight of one ray in the cut (alpha_vis).
@@ -186,19 +186,19 @@ pub struct SurfaceSettings {
     /// Distance behind a point, in sigma, at which the inside begins (k).
     #[schemars(extend("unit" = "sigma", "exclusiveMinimum" = 0))]
     pub behind_sigma: f64,
-    /// Weight of the facets' quality in the cut (lambda).
+    /// Weight of the facets' quality in the cut (lambda). A higher value gives a smoother surface.
     #[schemars(range(min = 0))]
     pub quality_weight: f64,
-    /// Most rays per point that the cut uses; the angular extremes are kept.
+    /// Largest number of rays per point in the cut; the angular extremes are kept. A higher value takes longer.
     #[schemars(range(min = 1), extend("unit" = "rays"))]
     pub rays_per_point: u32,
-    /// A PLY file in the frame of the model that is taken instead of a surface from the points.
+    /// PLY file, in the frame of the model, to use instead of a surface from the points.
     pub mesh: Option<PathBuf>,
-    /// Take the mesh as it is, neither simplified nor refined.
+    /// Use the mesh as it is, neither simplified nor refined.
     pub mesh_as_is: bool,
     /// Up direction of the terrain surface, world coordinates. Unset: from the cameras and the points.
     pub up: Option<[f64; 3]>,
-    /// Most points of a tile; a surface of more is built in overlapping tiles. Unset: as `max_memory` wants it, else all in one.
+    /// Largest number of points of a tile; a surface with more points is built in overlapping tiles. Unset: as `max_memory` requires, else one tile.
     #[schemars(range(min = 1), extend("unit" = "points"))]
     pub tile_points: Option<u32>,
 }
@@ -226,10 +226,10 @@ impl Default for SurfaceSettings {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct VisibilitySettings {
-    /// Largest angle between a triangle's normal and the direction to the camera, degrees.
+    /// Largest angle between a triangle's normal and the direction to the camera, degrees. A higher value admits more oblique views.
     #[schemars(range(max = 90), extend("unit" = "degrees", "exclusiveMinimum" = 0))]
     pub max_incidence_deg: f64,
-    /// Share of the samples of a triangle that must be free.
+    /// Share of a triangle's samples that must be unoccluded. A higher value counts fewer views as seeing it.
     #[schemars(range(min = 0, max = 1))]
     pub min_free_share: f64,
     /// Tolerance in front of a triangle, in units of `surface.edge_factor` x g_d.
@@ -238,7 +238,7 @@ pub struct VisibilitySettings {
     /// Tolerance in front of a triangle, share of the depth; the larger of the two counts.
     #[schemars(range(min = 0), extend("unit" = "of the depth"))]
     pub tolerance_depth: f64,
-    /// Long side of the id buffer, pixels.
+    /// Long side of the id buffer, pixels. A higher value resolves smaller occlusions and takes longer.
     #[schemars(range(min = 16, max = 4096), extend("unit" = "px"))]
     pub buffer_px: u32,
 }
@@ -258,9 +258,9 @@ impl Default for VisibilitySettings {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum PartnerMethod {
-    /// The paper's drawn combinations.
+    /// The paper's random combinations.
     Sampled,
-    /// Exchange from the best of `sampled` and greedy addition.
+    /// Local search by exchange, from the better of `sampled` and greedy addition.
     #[default]
     Search,
 }
@@ -269,19 +269,19 @@ pub enum PartnerMethod {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct PartnerSettings {
-    /// Partners per key view (k).
+    /// Partners per key view (k). A higher value matches more pairs per depth map.
     #[schemars(range(min = 1), extend("unit" = "partners"))]
     pub k: u32,
-    /// Candidates per key view, by shared points (n).
+    /// Candidates per key view, by shared points (n). A higher value offers more choice and takes longer.
     #[schemars(range(min = 1), extend("unit" = "views"))]
     pub candidates: u32,
-    /// Combinations drawn (y).
+    /// Random combinations per key view (y). A higher value takes longer.
     #[schemars(range(min = 1, max = 100_000), extend("unit" = "combinations"))]
     pub draws: u32,
-    /// One of so many triangles judges the draws (z).
+    /// Every z-th triangle rates the combinations (z). A higher value is faster and less exact.
     #[schemars(range(min = 1), extend("unit" = "triangles"))]
     pub triangle_fraction: u32,
-    /// How partners are chosen: the paper's drawn combinations, or search from the best of them on.
+    /// Choice of partners: the paper's random combinations ("sampled"), or local search that starts from the best of them ("search").
     pub method: PartnerMethod,
 }
 
@@ -301,28 +301,28 @@ pub enum ConfidenceForm {
     Paper,
 }
 
-/// Method 7. Unset numbers are the backend's; in a manifest those that what predicts success does not heed.
+/// Method 7. Unset numbers are the backend's; in a manifest, numbers that the source of confidence does not use are unset.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct ConfidenceSettings {
     /// What predicts success: "photometric" (do the pictures agree on the surface?), "geometric" (angles and scales; needs no image), "none", "proxy",
     /// "shipped", "project" or a model file. "auto": the project's own model, else photometric where there are images, else geometric.
     pub source: String,
-    /// The chance of each pair, or the paper's mean of the two unary confidences.
+    /// Probability of each pair ("pair"), or the paper's mean of the two unary confidences ("paper").
     pub form: ConfidenceForm,
-    /// Chance of a match in the best constellation.
+    /// Probability of a match in the best constellation.
     #[schemars(range(max = 1), extend("exclusiveMinimum" = 0))]
     pub p0: Option<f64>,
-    /// Power of the cosine of incidence (gamma).
+    /// Power of the cosine of incidence (gamma). A higher value penalises oblique views more.
     #[schemars(range(min = 0))]
     pub cosine_power: Option<f64>,
-    /// Standard deviation of the scale ratio, octaves (s); 0: scale does no harm.
+    /// Standard deviation of the scale ratio, octaves (s). A higher value tolerates larger differences of scale; 0: scale is ignored.
     #[schemars(range(min = 0), extend("unit" = "octaves"))]
     pub scale_octaves: Option<f64>,
-    /// Triangulation angle from which a match is as good as any, degrees (a); 0: none.
+    /// Triangulation angle from which a match has full confidence, degrees (a). A higher value penalises short baselines more; 0: no penalty.
     #[schemars(range(min = 0, max = 180), extend("unit" = "degrees"))]
     pub full_angle: Option<f64>,
-    /// Matches that must succeed for a pixel, 1 to 3.
+    /// Matches that must succeed for a pixel, 1 to 3. A higher value is stricter.
     #[schemars(range(min = 1, max = 3), extend("unit" = "matches"))]
     pub min_matches: Option<u32>,
 }
@@ -344,12 +344,12 @@ impl Default for ConfidenceSettings {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum TriangleWeight {
-    /// Pixels: the mean over the views that see it.
+    /// Its number of pixels, averaged over the views that see it.
     #[default]
     Pixels,
     /// Its area.
     Area,
-    /// The same as every other, as in the paper.
+    /// The same for every triangle, as in the paper.
     Count,
 }
 
@@ -357,13 +357,13 @@ pub enum TriangleWeight {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct RankingSettings {
-    /// Depth maps that must see a triangle (m, method 5.2). Unset: the backend's.
+    /// Depth maps that must see a triangle (m, method 5.2). A higher value asks for more overlap. Unset: the backend's.
     #[schemars(range(min = 1, max = 100), extend("unit" = "depth maps"))]
     pub support: Option<u32>,
-    /// What a triangle of the surface counts in the plan: by default its pixels, so that the plan is for what the photographs show most of.
+    /// Weight of a triangle in the plan: "pixels" favours what the photographs show most of, "area" large surfaces, "count" none.
     pub weight: TriangleWeight,
-    /// A finished depth map stays in the plan of a changed model while what it shows moved by no more than this in any image of its
-    /// cluster.
+    /// Largest shift, in any image of its cluster, with which a finished depth map stays in the plan of a changed model. A higher value
+    /// keeps more maps.
     #[schemars(range(min = 0), extend("unit" = "px"))]
     pub keep_px: f64,
 }
@@ -374,7 +374,7 @@ impl Default for RankingSettings {
     }
 }
 
-/// Method 5.3; the first that is reached cuts. All unset: a target of 90 %.
+/// Method 5.3; the first limit reached ends the plan. All unset: a target of 90 %.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct CutSettings {
@@ -388,29 +388,29 @@ pub struct CutSettings {
     pub points: Option<Count>,
 }
 
-/// What the forecast of time and points is made from; unset where unknown.
+/// Inputs to the forecast of time and points; unset where unknown.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct ForecastSettings {
     /// Seconds of matching per (key view, partner) pair.
     #[schemars(range(min = 0), extend("unit" = "s"))]
     pub seconds_per_pair: Option<f64>,
-    /// Seconds of matching per depth map beside its pairs.
+    /// Seconds of matching per depth map, in addition to its pairs.
     #[schemars(range(min = 0), extend("unit" = "s"))]
     pub seconds_per_map: Option<f64>,
-    /// Points that a depth map has before fusion. Unset: the pixels that are expected to be measured.
+    /// Points of a depth map before fusion. Unset: the predicted number of measured pixels.
     #[schemars(extend("unit" = "points", "exclusiveMinimum" = 0))]
     pub points_per_map: Option<f64>,
 }
 
 impl ForecastSettings {
-    /// Is it known how long matching takes?
+    /// Returns whether matching times can be forecast.
     pub fn knows_times(&self) -> bool {
         self.seconds_per_map.is_some() || self.seconds_per_pair.is_some()
     }
 }
 
-/// What `viewrank dispatch` asks of a queue for each view cluster. No part of a plan: manifests hold the defaults.
+/// Resources that `viewrank dispatch` requests for each view cluster. They don't affect plans: manifests hold the defaults.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct DispatchSettings {
@@ -420,7 +420,7 @@ pub struct DispatchSettings {
     pub account: Option<String>,
     /// Quality of service.
     pub qos: Option<String>,
-    /// Longest time that a depth map may take ("2h").
+    /// Time limit of a depth map ("2h").
     pub time: Option<Duration>,
     /// Memory of a task ("8G").
     pub memory: Option<Bytes>,
@@ -430,13 +430,13 @@ pub struct DispatchSettings {
     /// GPUs of a task.
     #[schemars(range(min = 1), extend("unit" = "GPUs"))]
     pub gpus: Option<u32>,
-    /// Tasks that may run at once. Unset: as many as the queue lets.
+    /// Largest number of tasks that run at once. Unset: the queue's limit.
     #[schemars(range(min = 1), extend("unit" = "tasks"))]
     pub at_once: Option<u32>,
     /// Further options of `sbatch`. In the user's own file only.
     #[schemars(extend("userOnly" = true))]
     pub options: Vec<String>,
-    /// Lines of sh that each task begins with, such as "module load colmap". In the user's own file only.
+    /// Lines of sh to run at the start of each task, such as "module load colmap". In the user's own file only.
     #[schemars(extend("userOnly" = true))]
     pub setup: String,
 }
@@ -458,8 +458,8 @@ impl Default for DispatchSettings {
     }
 }
 
-/// Where on the earth the model lies. Unset: as OpenSfM or OpenDroneMap say beside their models, or earth-centred coordinates are known by
-/// their size; else it is not known.
+/// Georeference of the model. Unset: from the files of OpenSfM or OpenDroneMap, or recognised from the size of earth-centred coordinates;
+/// else unknown.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct FrameSettings {

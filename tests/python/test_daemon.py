@@ -448,7 +448,7 @@ def test_a_project_may_not_name_a_command(source, root, config, tmp_path):
     (root / "p/viewrank.toml").write_text(f'on_target = "touch {tmp_path}/harm"\n')
     with Daemon(root, config, settle="100ms") as daemon:
         daemon.wait(lambda: daemon.said("p", "failed"), "the refusal")
-        assert "on_target has commands run, which a project's file must not" in daemon.log.read_text()
+        assert "on_target runs commands, so a project's file may not set it" in daemon.log.read_text()
         (root / "p/viewrank.toml").unlink()
         daemon.wait_planned("p")
     assert not (tmp_path / "harm").exists()
