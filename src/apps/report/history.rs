@@ -29,7 +29,7 @@ impl History {
         shown.original.iter().enumerate().for_each(|(i, &t)| place[t as usize] = i as u32);
         let mut steps: Vec<Vec<(u16, f32)>> = vec![Vec::new(); shown.original.len()];
         let mut first: Vec<Vec<u16>> = vec![Vec::with_capacity(COUNTED); shown.original.len()];
-        pictures::follow(plan, |rank, triangle, fulfilment| {
+        pictures::for_each_step(plan, |rank, triangle, fulfilment| {
             let place = place[triangle as usize] as usize;
             let Some(rank) = u16::try_from(rank + 1).ok().filter(|&rank| rank != NEVER) else { return };
             let (Some(of), Some(counted)) = (steps.get_mut(place), first.get_mut(place)) else { return };
