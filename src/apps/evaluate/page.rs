@@ -78,9 +78,9 @@ fn plots(e: &Evaluation) -> String {
             let x = if over_pairs { order.pairs.clone() } else { (0..order.pairs.len()).map(|i| i as f64).collect() };
             let y: Vec<f64> =
                 order.kept.iter().map(|kept| if e.kept.real > 0.0 { kept / e.kept.real } else { 0.0 }).collect();
-            // Beyond the number of colours the dots tell lines apart.
-            let dash = if i < COLOURS.len() { "" } else { DOTTED };
-            lines.push(line(order.name, COLOURS[i % COLOURS.len()], dash, &x, &y));
+            // Colours are used again with dots, except the first, that of the plan.
+            let (round, colour) = ((i - 1) / (COLOURS.len() - 1), 1 + (i - 1) % (COLOURS.len() - 1));
+            lines.push(line(order.name, COLOURS[colour], if round == 0 { "" } else { DOTTED }, &x, &y));
         }
         let over = if over_pairs { "matching pairs" } else { "key views" };
         let plot = Plot { over, share_of: SHARE_LABEL, lines: &lines, cut: None };

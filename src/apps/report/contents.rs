@@ -25,6 +25,7 @@ use crate::{
         column::DiskError,
         error::Hint,
         progress::{Cancelled, Watcher},
+        rows::Offsets,
     },
     config::ForecastSettings,
     io::project::Project,
@@ -34,10 +35,7 @@ use crate::{
         scene::{Units, ViewIndex},
     },
     plan::Plan,
-    show::{
-        pictures::{RAMP, REASON_NUMBERS, footprints, reason_number},
-        tables::csr_offsets,
-    },
+    show::pictures::{RAMP, REASON_NUMBERS, footprints, reason_number},
 };
 
 /// Holes that are listed.
@@ -214,9 +212,9 @@ fn title(root: &Path) -> String {
     whole.file_name().unwrap_or(whole.as_os_str()).to_string_lossy().into_owned()
 }
 
-/// CSR offsets of concatenated lists with these lengths, as the page reads them.
-fn offsets(lengths: impl Iterator<Item = usize>) -> Vec<u32> {
-    csr_offsets(lengths).into_iter().map(|offset| offset as u32).collect()
+/// CSR offsets as the page reads them: u32 in base64.
+fn offset_bytes(offsets: &Offsets) -> String {
+    bytes(&offsets.as_slice().iter().map(|&offset| offset as u32).collect::<Vec<_>>())
 }
 
 fn in_frame<'a>(frame: &MapFrame, points: impl Iterator<Item = &'a Point3<f64>>) -> Vec<f32> {
@@ -243,10 +241,10 @@ impl Views {
             centres: bytes(&in_frame(frame, centres.iter())),
             directions: bytes(&directions),
             footprints: bytes(&in_frame(frame, footprints.iter().flatten())),
-            footprint_offsets: bytes(&offsets(footprints.iter().map(Vec::len))),
+            footprint_offsets: offset_bytes(&Offsets::from_lengths(footprints.iter().map(Vec::len))),
             rank: bytes(&rank),
             reason: bytes(&plan.decision.views.iter().map(|&(_, reason)| reason_number(reason)).collect::<Vec<_>>()),
-            likest_offsets: bytes(&offsets(likest.iter().map(Vec::len))),
+            likest_offsets: offset_bytes(&Offsets::from_lengths(likest.iter().map(Vec::len))),
             likest: bytes(&likest.iter().flatten().map(|l| l.rank as u32 + 1).collect::<Vec<_>>()),
             likest_shares: bytes(&likest.iter().flatten().map(|l| l.share as f32).collect::<Vec<_>>()),
             seen: bytes(&views().map(|view| plan.stages.visibility.of(view).len() as u32).collect::<Vec<_>>()),
@@ -272,7 +270,7 @@ impl Ranked {
         let shares: Vec<f64> = plan.ranked().map(|cluster| cluster.share).collect();
         Self {
             keys: numbers(plan.ranked().map(|cluster| cluster.key).collect()),
-            partner_offsets: bytes(&offsets(plan.ranked().map(|cluster| cluster.partners.len()))),
+            partner_offsets: offset_bytes(&Offsets::from_lengths(plan.ranked().map(|cluster| cluster.partners.len()))),
             partners: numbers(plan.ranked().flat_map(|cluster| cluster.partners).collect()),
             gains: bytes(&plan.decision.ranking.gains),
             shares: bytes(&shares),
@@ -288,7 +286,7 @@ impl Drawn {
         Self {
             vertices: bytes(&in_frame(frame, shown.vertices.iter())),
             triangles: bytes(&shown.triangles),
-            offsets: bytes(&history.offsets),
+            offsets: offset_bytes(&history.offsets),
             ranks: bytes(&history.ranks),
             shares: bytes(&history.shares),
             first: bytes(&history.first),

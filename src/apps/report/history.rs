@@ -1,7 +1,7 @@
 //! Growth of the fulfilment of each shown triangle along the ranking, so that the page can show any cut.
 
 use super::shown::Shown;
-use crate::{plan::Plan, show::pictures};
+use crate::{base::rows::Offsets, plan::Plan, show::pictures};
 
 /// Clusters per triangle that are counted one by one; the page says "5 or more" beyond.
 pub const COUNTED: usize = 5;
@@ -11,8 +11,7 @@ const NEVER: u16 = u16::MAX;
 /// CSR by shown triangle. Ranks are 1-based; ranks above 65534 are dropped, because they are stored as u16.
 #[derive(Default)]
 pub struct History {
-    /// Shown triangles + 1 entries.
-    pub offsets: Vec<u32>,
+    pub offsets: Offsets,
     /// Rank of each cluster that increases the fulfilment of the triangle.
     pub ranks: Vec<u16>,
     /// Share of the triangle's reachable fulfilment from that rank on, in 255ths.
@@ -40,7 +39,7 @@ impl History {
                 of.push((rank, fulfilment));
             }
         });
-        let mut history = Self { offsets: vec![0], ..Default::default() };
+        let mut history = Self::default();
         for (steps, mut counted) in steps.into_iter().zip(first) {
             counted.resize(COUNTED, NEVER);
             history.first.extend(counted);
@@ -52,7 +51,7 @@ impl History {
     /// Adds a triangle; drops steps that round to the same 255th as the step before.
     fn push(&mut self, steps: &[(u16, f32)]) {
         let reachable = steps.last().map_or(0.0, |&(_, f)| f);
-        let mut before = 0;
+        let (mut before, start) = (0, self.ranks.len());
         for &(rank, fulfilment) in steps {
             let share = in_255ths(fulfilment / reachable);
             if share > before {
@@ -62,7 +61,7 @@ impl History {
             }
         }
         self.reachable.push(in_255ths(reachable));
-        self.offsets.push(self.ranks.len() as u32);
+        self.offsets.push(self.ranks.len() - start);
     }
 }
 
@@ -77,11 +76,11 @@ mod tests {
 
     #[test]
     fn steps_end_at_the_whole_and_grow() {
-        let mut history = History { offsets: vec![0], ..Default::default() };
+        let mut history = History::default();
         history.push(&[(1, 0.2), (4, 0.2004), (9, 0.4)]);
         history.push(&[]);
         assert_eq!(history.ranks, [1, 9], "a step of less than a 255th is left out");
         assert_eq!(history.shares, [128, 255]);
-        assert_eq!((history.offsets, history.reachable), (vec![0, 2, 2], vec![102, 0]));
+        assert_eq!((history.offsets, history.reachable), (Offsets::from_lengths([2, 0]), vec![102, 0]));
     }
 }

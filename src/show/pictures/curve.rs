@@ -72,7 +72,7 @@ const HEADER: f64 = 64.0;
 pub fn curve_svg(curve: &FulfilmentCurve) -> String {
     let title = curve.title();
     let mut content = format!(
-        "<text x=\"20\" y=\"30\" font-size=\"16\" font-weight=\"600\">{title}</text>\n\
+        "<text x=\"20\" y=\"30\" font-size=\"15\" font-weight=\"600\">{title}</text>\n\
          <text x=\"20\" y=\"52\" fill=\"#666\">{}</text>\n",
         curve.subtitle()
     );

@@ -86,8 +86,9 @@ impl Plot<'_> {
             let (x, _) = scale.at((tick, 0.0));
             let _ = writeln!(
                 svg,
-                "<path d=\"M{x:.1} {BOTTOM}v5\" stroke=\"#888\"/><text x=\"{x:.1}\" y=\"{:.1}\" text-anchor=\"middle\">{tick}</text>",
-                BOTTOM + 20.0
+                "<path d=\"M{x:.1} {BOTTOM}v5\" stroke=\"#888\"/><text x=\"{x:.1}\" y=\"{:.1}\" text-anchor=\"middle\">{}</text>",
+                BOTTOM + 20.0,
+                short(tick)
             );
         }
         let _ = writeln!(
@@ -189,6 +190,15 @@ fn tick_step(most: f64) -> f64 {
     [1.0, 2.0, 5.0, 10.0].map(|m| m * power).into_iter().find(|s| *s >= rough).unwrap_or(10.0 * power)
 }
 
+/// A round number with at most four digits, as 2000, 20k or 1.2M.
+fn short(tick: f64) -> String {
+    match tick {
+        1e6.. => format!("{}M", tick / 1e6),
+        1e4.. => format!("{}k", tick / 1e3),
+        _ => tick.to_string(),
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -196,6 +206,7 @@ mod tests {
     #[test]
     fn ticks_are_round_numbers() {
         assert_eq!([7.0, 62.0, 1236.0].map(tick_step), [2.0, 20.0, 500.0]);
+        assert_eq!([500.0, 6000.0, 20_000.0, 1_200_000.0].map(short), ["500", "6000", "20k", "1.2M"]);
     }
 
     #[test]
