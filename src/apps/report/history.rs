@@ -1,6 +1,6 @@
-//! Growth of the fulfilment of each shown triangle along the ranking, so that the page can show any cut.
+//! Growth of the fulfilment of each drawn triangle along the ranking, so that the page can show any cut.
 
-use super::shown::Shown;
+use super::shown::DrawnSurface;
 use crate::{base::rows::Offsets, plan::Plan, show::pictures};
 
 /// Clusters per triangle that are counted one by one; the page says "5 or more" beyond.
@@ -8,7 +8,7 @@ pub const COUNTED: usize = 5;
 /// Stands in for the rank of a missing cluster.
 const NEVER: u16 = u16::MAX;
 
-/// CSR by shown triangle. Ranks are 1-based; ranks above 65534 are dropped, because they are stored as u16.
+/// CSR by drawn triangle. Ranks are 1-based; ranks above 65534 are dropped, because they are stored as u16.
 #[derive(Default)]
 pub struct History {
     pub offsets: Offsets,
@@ -23,11 +23,11 @@ pub struct History {
 }
 
 impl History {
-    pub fn new(plan: &Plan, shown: &Shown) -> Self {
+    pub fn new(plan: &Plan, drawn: &DrawnSurface) -> Self {
         let mut place = vec![u32::MAX; plan.stages.surface.triangles.len()];
-        shown.original.iter().enumerate().for_each(|(i, &t)| place[t as usize] = i as u32);
-        let mut steps: Vec<Vec<(u16, f32)>> = vec![Vec::new(); shown.original.len()];
-        let mut first: Vec<Vec<u16>> = vec![Vec::with_capacity(COUNTED); shown.original.len()];
+        drawn.original.iter().enumerate().for_each(|(i, &t)| place[t as usize] = i as u32);
+        let mut steps: Vec<Vec<(u16, f32)>> = vec![Vec::new(); drawn.original.len()];
+        let mut first: Vec<Vec<u16>> = vec![Vec::with_capacity(COUNTED); drawn.original.len()];
         pictures::for_each_step(plan, |rank, triangle, fulfilment| {
             let place = place[triangle as usize] as usize;
             let Some(rank) = u16::try_from(rank + 1).ok().filter(|&rank| rank != NEVER) else { return };
