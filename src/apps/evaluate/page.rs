@@ -13,7 +13,7 @@ fn escape(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }
 
-/// The whole page. `title`: the project.
+/// Returns the page. `title`: name of the project.
 pub fn page(evaluation: &Evaluation, title: &str) -> String {
     let mut html = format!(
         "<!DOCTYPE html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"><meta name=\"viewport\" content=\"width=device-width\">\
@@ -41,9 +41,9 @@ const STYLE: &str = "body{font:15px/1.45 system-ui,sans-serif;max-width:72rem;ma
 
 fn summary(e: &Evaluation) -> String {
     let truth = if e.reference {
-        "held against the reference"
+        "compared with the reference"
     } else {
-        "no reference was given: every depth on the surface counts as right"
+        "without a reference, every depth on the surface counts as right"
     };
     let mut html = format!(
         "<p>{} depth maps, {truth}. Completeness {:.1} %{}. Fulfilment of all clusters: {:.3} predicted, {:.3} real.</p>\n",
@@ -56,7 +56,7 @@ fn summary(e: &Evaluation) -> String {
     if !e.without_map.is_empty() {
         let _ = writeln!(
             html,
-            "<p>{} of the planned clusters have no depth map here; shares are of what the others reach.</p>",
+            "<p>{} planned clusters have no depth map; shares refer to the others.</p>",
             e.without_map.len()
         );
     }
@@ -119,7 +119,10 @@ fn gap_table(e: &Evaluation) -> String {
 fn order_tables(e: &Evaluation) -> String {
     let mut html = String::from("<h2>Orders</h2>\n");
     for (what, pairs) in [("Key views", false), ("Pairs", true)] {
-        let _ = write!(html, "<p>{what} for a share of what all clusters really reach:</p>\n<table><tr><th>order</th>");
+        let _ = write!(
+            html,
+            "<p>{what} needed for a share of what all depth maps give (measured):</p>\n<table><tr><th>order</th>"
+        );
         e.orders[0].needed.iter().for_each(|n| html += &format!("<th>{:.0} %</th>", 100.0 * n.share));
         html += "</tr>\n";
         for order in &e.orders {
@@ -138,8 +141,8 @@ fn order_tables(e: &Evaluation) -> String {
 
 fn missing_table(e: &Evaluation) -> String {
     let mut html = format!(
-        "<h2>What is missing</h2>\n<p>Of {} triangles those with less than half of their fulfilment, coloured in <code>evaluation.ply</code>:\
-         </p>\n<table><tr><th>reason</th><th>triangles</th><th>share</th></tr>\n",
+        "<h2>Missing fulfilment</h2>\n<p>Triangles with less than half of their fulfilment, of {} in total, coloured in \
+         <code>evaluation.ply</code>:</p>\n<table><tr><th>reason</th><th>triangles</th><th>share</th></tr>\n",
         e.triangles
     );
     for (missing, count) in &e.missing {

@@ -40,8 +40,8 @@ pub fn triangle_states(plan: &Plan, clusters: usize) -> Vec<TriangleState> {
     states
 }
 
-/// Goes through the ranking and calls `visit` with the rank (from 0) of each cluster, each triangle that it fulfils at all, and the
-/// fulfilment of that triangle by the clusters up to this one (method 5.2).
+/// Calls `visit` along the ranking for each cluster and each triangle that it fulfils at all, with the rank (from 0), the triangle, and its
+/// fulfilment by the clusters up to this one (method 5.2).
 pub fn for_each_step(plan: &Plan, mut visit: impl FnMut(usize, u32, f32)) {
     let mut reached = Reached::new(&plan.stages.objective);
     for (rank, &cluster) in plan.decision.ranking.order.iter().enumerate() {

@@ -1,4 +1,4 @@
-// The curve of the share reached: predicted and, if there are depth maps, real.
+// The curve of shares: predicted and, with finished depth maps, measured.
 'use strict';
 
 const plot = { left: 54, right: 546, top: 28, bottom: 262 };
