@@ -94,12 +94,12 @@ mod tests {
     fn a_coarser_surface_keeps_its_place_and_its_size() {
         let camera = Camera::new(1, CameraModel::Pinhole, 1000, 750, vec![850.0, 850.0, 500.0, 375.0]).unwrap();
         let surface = Town { boxes: 0, edge: 0.5, ..Town::new(camera) }.surface();
-        let drawn = DrawnSurface::within(&surface, 5000);
-        assert!((2500..=5000).contains(&drawn.triangles.len()), "{}", drawn.triangles.len());
-        let drawn = Surface { kind: surface.kind, vertices: drawn.vertices, triangles: drawn.triangles };
+        let coarse = DrawnSurface::within(&surface, 5000);
+        assert!((2500..=5000).contains(&coarse.triangles.len()), "{}", coarse.triangles.len());
+        let drawn = Surface { kind: surface.kind, vertices: coarse.vertices, triangles: coarse.triangles };
         let area = |s: &Surface| (0..s.triangles.len() as u32).map(|t| s.area(t)).sum::<f64>();
         assert!((area(&drawn) / area(&surface) - 1.0).abs() < 0.05);
-        for (t, &original) in drawn.original.iter().enumerate() {
+        for (t, &original) in coarse.original.iter().enumerate() {
             assert!((drawn.centroid(t as u32) - surface.centroid(original)).norm() < 3.0);
         }
     }
