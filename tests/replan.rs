@@ -225,7 +225,7 @@ fn a_plan_around_finished_maps_is_read_as_it_was_written() {
     manifest["cut"]["pairs"] = (manifest["cut"]["pairs"].as_u64().unwrap() - 1).into();
     fs::write(&path, manifest.to_string()).unwrap();
     let error = as_written(planned.folder.path(), &Unwatched).unwrap_err();
-    assert!(error.to_string().contains("ranks otherwise"), "{error}");
+    assert!(error.to_string().contains("ranks differently"), "{error}");
 }
 
 /// The model with a view moved along its image by so many pixels at the ground.
@@ -389,18 +389,18 @@ fn a_manifest_that_contradicts_itself_is_refused_with_its_cluster() {
     let [first, second] = [0, 1].map(|i| clusters[i]["key"].clone());
     let edits: [(&str, serde_json::Value, &str); 14] = [
         ("/clusters/1/partners/0", second.clone(), "cluster 2 ("),
-        ("/clusters/1/partners", vec![first.clone(); 5].into(), "is a partner twice"),
-        ("/clusters/1/partners/0", "nobody.jpg".into(), "no view is called nobody.jpg"),
+        ("/clusters/1/partners", vec![first.clone(); 5].into(), " twice"),
+        ("/clusters/1/partners/0", "nobody.jpg".into(), "partner nobody.jpg"),
         ("/clusters/1/key", first, "key view of an earlier cluster"),
-        ("/clusters/1/key", "nobody.jpg".into(), "no view is called so"),
+        ("/clusters/1/key", "nobody.jpg".into(), "no view has this name"),
         ("/clusters/1/rank", (-1).into(), "cluster 2 ("),
         ("/clusters/1/rank", 3.into(), "its rank is 3"),
         ("/clusters/1/share", 17.into(), "its share is 17"),
         ("/clusters/1/gain", (-0.5).into(), "its gain is -0.5"),
         ("/clusters/1/fulfilment", 0.0.into(), "its fulfilment is 0"),
-        ("/clusters/1/finished", true.into(), "behind one that isn't"),
-        ("/cut/clusters", 1_000_000_000.into(), "the cut takes 1000000000"),
-        ("/cut/share", 17.into(), "the cut has a share of 17"),
+        ("/clusters/1/finished", true.into(), "the cluster before is not"),
+        ("/cut/clusters", 1_000_000_000.into(), "the cut has 1000000000"),
+        ("/cut/share", 17.into(), "the share of the cut is 17"),
         ("/backend", "nobody".into(), "nobody"),
     ];
     for (place, value, words) in edits {

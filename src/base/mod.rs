@@ -1,4 +1,4 @@
-//! Shared by all layers, dependent on none: errors, progress, large columns, tiles of space, vectorised loops.
+//! Shared by all layers, dependent on none: errors, progress, large columns, CSR offsets, tiles of space, vectorised loops.
 
 pub mod column;
 pub mod connected;
@@ -6,6 +6,7 @@ pub mod error;
 pub mod input;
 pub mod large_pages;
 pub mod progress;
+pub mod rows;
 pub mod shell;
 pub mod tiles;
 pub mod vector;

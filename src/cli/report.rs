@@ -8,7 +8,7 @@ use std::{
 use crate::{
     apps::{
         replan,
-        report::{self, Contents, Finished},
+        report::{self, Contents, DepthMapFolders},
     },
     base::{
         input::{self, FileKind},
@@ -46,9 +46,9 @@ pub struct Arguments {
 pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let progress = Progress::new(arguments.quiet);
     let (project, plan) = replan::as_written(&arguments.project, &progress)?;
-    let finished = Finished { depth_maps: arguments.depth_maps.clone(), reference: arguments.reference.clone() };
+    let folders = DepthMapFolders { depth_maps: arguments.depth_maps.clone(), reference: arguments.reference.clone() };
     let seconds = planning_seconds(&project.output_folder());
-    let contents = Contents::new(&plan, &project, &finished, seconds, &progress)?;
+    let contents = Contents::new(&plan, &project, &folders, seconds, &progress)?;
     progress.progress(Stage::Write, 0, 1);
     let mut files = FileSet::new(&project.root, REPORT_SET);
     files.add_text(REPORT_FILE, report::page(&contents));

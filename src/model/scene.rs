@@ -8,7 +8,7 @@ use std::ops::Range;
 use nalgebra::{Point3, Rotation3, Vector3};
 use serde::{Deserialize, Serialize};
 
-use crate::model::camera::Camera;
+use crate::{base::rows::Offsets, model::camera::Camera};
 
 /// Index of a view in [`Scene::views`]; ordered like the names.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
@@ -262,25 +262,21 @@ fn median(mut values: Vec<f64>) -> Option<f64> {
 /// The points that each view observes, CSR by view.
 #[derive(Clone, Debug)]
 pub struct ViewPoints {
-    offsets: Vec<usize>,
+    offsets: Offsets,
     points: Vec<PointIndex>,
 }
 
 impl ViewPoints {
     fn new(scene: &Scene) -> Self {
-        let mut offsets = vec![0usize; scene.views.len() + 1];
         let distinct = |p: usize| {
             let track = &scene.track_views[scene.track_offsets[p]..scene.track_offsets[p + 1]];
             (0..track.len()).filter(move |&i| i == 0 || track[i] != track[i - 1]).map(move |i| track[i])
         };
-        for p in 0..scene.points.len() {
-            distinct(p).for_each(|v| offsets[v.index() + 1] += 1);
-        }
-        for v in 0..scene.views.len() {
-            offsets[v + 1] += offsets[v];
-        }
-        let mut next = offsets.clone();
-        let mut points = vec![PointIndex(0); offsets[scene.views.len()]];
+        let mut counts = vec![0usize; scene.views.len()];
+        (0..scene.points.len()).flat_map(distinct).for_each(|v| counts[v.index()] += 1);
+        let offsets = Offsets::from_lengths(counts);
+        let mut next = offsets.as_slice().to_vec();
+        let mut points = vec![PointIndex(0); offsets.entries()];
         for p in 0..scene.points.len() {
             for v in distinct(p) {
                 points[next[v.index()]] = PointIndex(p as u32);
@@ -290,9 +286,9 @@ impl ViewPoints {
         Self { offsets, points }
     }
 
-    /// Points that the view observes, ascending.
+    /// The points that the view observes, ascending.
     pub fn observed_by(&self, view: ViewIndex) -> &[PointIndex] {
-        &self.points[self.offsets[view.index()]..self.offsets[view.index() + 1]]
+        &self.points[self.offsets.row(view.index())]
     }
 }
 

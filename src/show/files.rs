@@ -1,4 +1,4 @@
-//! Every file of a plan: the manifest, its table, the pair files, the pictures, and the files of the backends.
+//! The files of a plan: manifest and its table, pair files, pictures, and the files of the backends.
 
 use super::outdated;
 use crate::{
@@ -12,7 +12,7 @@ use crate::{
     plan::{self, Nothing, Plan, PlannedViews},
     show::{
         manifest::{self, FingerprintError, Manifest},
-        pictures::{Curve, curve_svg, surface_ply, views_geojson},
+        pictures::{FulfilmentCurve, curve_svg, surface_ply, views_geojson},
     },
 };
 
@@ -31,7 +31,7 @@ pub struct PlanFiles {
     pub command: Option<String>,
 }
 
-/// Why a plan cannot be written down.
+/// Errors of collecting the files of a plan.
 #[derive(Debug, thiserror::Error)]
 pub enum FilesError {
     #[error(transparent)]
@@ -74,7 +74,7 @@ pub fn files(plan: &Plan, project: &Project) -> Result<PlanFiles, FilesError> {
     let pair_files = backends::pair_files("the list of view clusters", &selection).map(Vec::from);
     let pair_files = pair_files.or_else(|error| match error {
         BackendError::Name { .. } => {
-            missing.push(format!("no clusters.txt, pairs.txt and baseImages.txt: {error}"));
+            missing.push(format!("did not write clusters.txt, pairs.txt and baseImages.txt: {error}"));
             Ok(Vec::new())
         }
         error => Err(error),
@@ -92,7 +92,7 @@ pub fn files(plan: &Plan, project: &Project) -> Result<PlanFiles, FilesError> {
     pair_files.into_iter().for_each(|(name, text)| add(name, text));
     let planned_views = PlannedViews::new(&plan.stages.scene, &plan.decision.finished);
     add("planned_views.json", serde_json::to_string(&planned_views).expect("numbers and texts are JSON") + "\n");
-    add("curve.svg", curve_svg(&Curve::predicted(plan)));
+    add("curve.svg", curve_svg(&FulfilmentCurve::predicted(plan)));
     let place = plan::georeference(project, &plan.stages.scene, &plan.stages.settings.frame);
     add("views.geojson", views_geojson(plan, &place));
     add("timings.json", serde_json::to_string_pretty(&plan.timings).expect("numbers by name are JSON") + "\n");
@@ -142,7 +142,7 @@ fn exports(
         match checked {
             Ok(export) => exports.push(export),
             Err(BackendError::Needs { backend, what, hint }) => {
-                missing.push(format!("no files for {backend}, which needs {what}: {hint}"));
+                missing.push(format!("did not export to {backend}, which needs {what}: {hint}"));
             }
             Err(
                 error @ (BackendError::OtherExport { .. }
@@ -150,7 +150,7 @@ fn exports(
                 | BackendError::OwnFile(_)
                 | BackendError::Place(_)),
             ) => {
-                missing.push(format!("no files for {}: {error}", backend.name()));
+                missing.push(format!("did not export to {}: {error}", backend.name()));
             }
             Err(error) => return Err(error),
         }

@@ -30,7 +30,7 @@ struct View {
     name: String,
 }
 
-/// One line for each folder in the project with an export of another ranking that `sets` does not replace. From three on, one line names the
+/// One line for each folder in the project with an export of another ranking that `sets` does not replace. Three or more are one line that names the
 /// first and counts the others.
 pub(super) fn exports(plan: &Plan, project: &Project, sets: &[FileSet]) -> Vec<String> {
     let kept = |path: &String| sets.iter().all(|set| set.root != project.root || !set.files.contains_key(path));
@@ -40,7 +40,7 @@ pub(super) fn exports(plan: &Plan, project: &Project, sets: &[FileSet]) -> Vec<S
     lines.dedup();
     if let [first, _, _, ..] = &lines[..] {
         let others = lines.len() - 1;
-        lines = vec![format!("{first}; {others} other folders hold such exports, too")];
+        lines = vec![format!("{first}; {others} more folders hold such exports")];
     }
     lines
 }
@@ -59,7 +59,7 @@ fn line(plan: &Plan, project: &Project, record: &str) -> Option<String> {
     let is_default = own.contains(&folder) || workspace.is_some_and(|workspace| place::is_same(workspace, &folder));
     let out = if is_default { String::new() } else { format!(" --out {}", quoted_path(&folder)) };
     Some(format!(
-        "{} holds an export of an earlier plan for {backend}; of this one: viewrank export {} --backend {backend}{tiles}{out}",
+        "{} holds an export of an earlier plan for {backend}; to export this plan: viewrank export {} --backend {backend}{tiles}{out}",
         folder.display(),
         quoted_path(&project.root)
     ))

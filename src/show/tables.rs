@@ -4,6 +4,7 @@ use npyz::{AutoSerialize, WriterBuilder};
 use serde_json::json;
 
 use crate::{
+    base::rows::Offsets,
     io::output::{Contents, FileSet},
     method::confidence::Confidence,
     model::scene::ViewIndex,
@@ -21,7 +22,7 @@ pub fn add(plan: &Plan, files: &mut FileSet) {
     );
     table("triangle_gsd", array(&[plan.stages.target.gsd.len()], plan.stages.target.gsd.iter().copied()));
     table("weight", array(&[plan.stages.objective.weights.len()], plan.stages.objective.weights.iter().copied()));
-    let visible = rows(&plan.stages.visibility.offsets, &plan.stages.visibility.triangles);
+    let visible = rows(plan.stages.visibility.offsets.as_slice(), &plan.stages.visibility.triangles);
     table("visible", array(&[plan.stages.visibility.triangles.len(), 2], visible));
     let unary = (0..plan.stages.visibility.triangles.len()).map(|row| plan.stages.unary.at(row));
     table("unary", array(&[plan.stages.visibility.triangles.len()], unary));
@@ -38,11 +39,11 @@ pub fn add(plan: &Plan, files: &mut FileSet) {
         table("agreement", array(&[agreement.values.len()], agreement.values.iter().copied()));
     }
     table("candidates", indices(&plan.stages.candidates.views));
-    table("candidate_offsets", offsets(&plan.stages.candidates.offsets));
+    table("candidate_offsets", offsets(plan.stages.candidates.offsets.as_slice()));
     let partners: Vec<ViewIndex> = plan.stages.clusters.iter().flat_map(|c| c.partners.iter().copied()).collect();
-    let partner_offsets = csr_offsets(plan.stages.clusters.iter().map(|c| c.partners.len()));
+    let partner_offsets = Offsets::from_lengths(plan.stages.clusters.iter().map(|c| c.partners.len()));
     table("partners", indices(&partners));
-    table("partner_offsets", offsets(&partner_offsets));
+    table("partner_offsets", offsets(partner_offsets.as_slice()));
     table("cluster_key", indices(&plan.stages.clusters.iter().map(|c| c.key).collect::<Vec<_>>()));
     let fulfilment = rows(&plan.stages.fulfilment.offsets, &plan.stages.fulfilment.triangles);
     table("fulfilment", array(&[plan.stages.fulfilment.triangles.len(), 2], fulfilment));
@@ -82,15 +83,6 @@ fn add_json(plan: &Plan, files: &mut FileSet) {
 /// Adds one table.
 pub(crate) fn add_table(files: &mut FileSet, name: &str, bytes: Vec<u8>) {
     files.add(format!("{name}.npy"), Contents::Bytes(bytes));
-}
-
-/// CSR offsets of rows with these lengths: 0, then the end of each row.
-pub(crate) fn csr_offsets(lengths: impl Iterator<Item = usize>) -> Vec<usize> {
-    let ends = lengths.scan(0, |sum, length| {
-        *sum += length;
-        Some(*sum)
-    });
-    std::iter::once(0).chain(ends).collect()
 }
 
 /// Pairs (row, column) of all entries of a CSR table, flattened.

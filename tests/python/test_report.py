@@ -124,7 +124,7 @@ def test_everything_follows_the_slider(browser, page, manifest):
         verdict = text(browser, "#verdict")
         assert f"{cut} of {views} views" in verdict and f"{pairs} image pairs" in verdict
         reached = f"{100 * clusters[cut - 1]['share']:.1f} % with {cut} depth map{'s' if cut > 1 else ''}"
-        assert verdict.endswith(f"{reached.split(' with')[0]} of what all together would give.")
+        assert verdict.endswith(f"{reached.split(' with')[0]} of what all depth maps give.")
         assert reached in text(browser, "#curve")
         assert reached in browser.script("document.getElementById('curve').getAttribute('aria-label')").replace("\u00a0", " ")
         rows = text(browser, "#forecast").splitlines()
@@ -167,14 +167,14 @@ def test_why_a_view_is_in_and_another_is_not(browser, page, manifest, project):
     cut = manifest["cut"]["clusters"]
     taken, left = manifest["clusters"][2], manifest["clusters"][cut + 3]
     answer = ask(taken["key"])
-    assert taken["key"] in answer and "In: it is number 3" in answer
+    assert taken["key"] in answer and "Chosen: rank 3 of" in answer
     assert all(partner in answer for partner in taken["partners"])
     answer = ask(left["key"])
-    assert "Not in" in answer and f"its turn comes at {left['rank']}" in answer and " % of what it could do by itself" in answer
-    shown = browser.script("(view => { const { rank, share } = likestAt(view, state.cut); return [rank, share]; })(state.selected)")
+    assert "Not chosen" in answer and f"its rank is {left['rank']}" in answer and " % of what it could do by itself" in answer
+    shown = browser.script("(view => { const { rank, share } = substituteAt(view, state.cut); return [rank, share]; })(state.selected)")
     assert shown == pytest.approx(likest(project, left["rank"] - 1, cut), abs=1e-6)
     browser.script("document.querySelector('#why button').click()")
-    assert "In: it is number" in text(browser, "#why-box"), "the cut moves to it"
+    assert "Chosen: rank" in text(browser, "#why-box"), "the cut moves to it"
 
 
 def test_the_keyboard_reaches_everything(browser, page, manifest):
@@ -374,7 +374,7 @@ def test_depth_maps_that_cannot_be_read_are_named_and_the_others_shown(viewrank,
     for path in maps.iterdir():
         path.write_bytes(b"")
     assert reported(viewrank, browser, project) is None
-    assert "sgm is not looked at" in text(browser, "#warnings")
+    assert "cannot show the depth maps in" in text(browser, "#warnings")
     write([])
     assert reported(viewrank, browser, project) is None
     assert browser.script("data.warnings") == warned(manifest), "an empty folder is no fault"
@@ -409,7 +409,7 @@ def test_a_plan_around_finished_depth_maps_is_the_one_that_is_shown(viewrank, br
     left = manifest["forecast"]["all_maps"] - 3
     faster = 60 * left / (60 * (cut - 3) + browser.script("data.planning_seconds"))
     assert f"{faster:.1f} times faster" in text(browser, "#worth") and f"each of the {left} views" in text(browser, "#worth")
-    for rank, words in ((1, "In: its depth map is finished"), (4, "In: it is number 4 of")):
+    for rank, words in ((1, "Chosen: its depth map is finished"), (4, "Chosen: rank 4 of")):
         browser.script(f"change({{ selected: ranking.keys[{rank - 1}] }})")
         assert words in text(browser, "#why-box")
 
@@ -429,7 +429,7 @@ def test_the_page_in_firefox(page, manifest, tmp_path):
         slide(firefox, 2)
         assert f"{100 * manifest['clusters'][1]['share']:.1f} %" in text(firefox, "#verdict")
         firefox.script("change({ selected: ranking.keys[0] })")
-        assert "In: it is number 1 of 2" in text(firefox, "#why-box")
+        assert "Chosen: rank 1 of 2" in text(firefox, "#why-box")
         assert firefox.complaints == []
     finally:
         firefox.close()
@@ -507,7 +507,7 @@ def test_a_page_of_five_thousand_views(browser, page, tmp_path):
     browser.drawn()
     assert browser.script("document.querySelector('#list .row.on').getAttribute('aria-posinset')") == "4001"
     chosen = browser.script("statusOf(inOrder[4000], state.cut)")
-    assert chosen == "key" and "In: it is number 4001" in text(browser, "#why-box")
+    assert chosen == "key" and "Chosen: rank 4001" in text(browser, "#why-box")
 
 
 def test_a_report_needs_a_plan_of_the_same_model(viewrank, fixtures, tmp_path):

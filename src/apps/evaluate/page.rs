@@ -1,15 +1,19 @@
-//! `evaluation.html`: the curves and tables of an evaluation on one page that needs nothing else.
+//! `evaluation.html`: the curves and tables of an evaluation on one page without external files.
 
 use std::fmt::Write;
 
 use super::evaluation::{Evaluation, KeyView};
+use crate::show::pictures::{
+    SHARE_LABEL,
+    plot::{self, COLOURS, Line, Plot},
+};
 
-/// Marks text as HTML.
+/// Escapes text for HTML.
 fn escape(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }
 
-/// The whole page. `title`: the project.
+/// Returns the page. `title`: name of the project.
 pub fn page(evaluation: &Evaluation, title: &str) -> String {
     let mut html = format!(
         "<!DOCTYPE html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"><meta name=\"viewport\" content=\"width=device-width\">\
@@ -37,9 +41,9 @@ const STYLE: &str = "body{font:15px/1.45 system-ui,sans-serif;max-width:72rem;ma
 
 fn summary(e: &Evaluation) -> String {
     let truth = if e.reference {
-        "held against the reference"
+        "compared with the reference"
     } else {
-        "no reference was given: every depth on the surface counts as right"
+        "without a reference, every depth on the surface counts as right"
     };
     let mut html = format!(
         "<p>{} depth maps, {truth}. Completeness {:.1} %{}. Fulfilment of all clusters: {:.3} predicted, {:.3} real.</p>\n",
@@ -52,30 +56,14 @@ fn summary(e: &Evaluation) -> String {
     if !e.without_map.is_empty() {
         let _ = writeln!(
             html,
-            "<p>{} of the planned clusters have no depth map here; shares are of what the others reach.</p>",
+            "<p>{} planned clusters have no depth map; shares refer to the others.</p>",
             e.without_map.len()
         );
     }
     html
 }
 
-/// A line of a plot.
-struct Line {
-    label: String,
-    colour: &'static str,
-    dash: &'static str,
-    points: Vec<(f64, f64)>,
-}
-
-const COLOURS: [&str; 8] = ["#1668a8", "#2a9d6f", "#8e5bb5", "#c0392b", "#b8860b", "#777777", "#222222", "#17becf"];
-
 fn plots(e: &Evaluation) -> String {
-    let line = |label: &str, colour, dash, x: Vec<f64>, y: &[f64]| Line {
-        label: label.into(),
-        colour,
-        dash,
-        points: x.into_iter().zip(y.iter().copied()).collect(),
-    };
     let mut html = String::new();
     for over_pairs in [false, true] {
         let x: Vec<f64> = match over_pairs {
@@ -83,78 +71,31 @@ fn plots(e: &Evaluation) -> String {
             false => (0..e.curve.real.len()).map(|i| i as f64).collect(),
         };
         let mut lines = vec![
-            line("predicted", "#1668a8", "5 4", x.clone(), &e.curve.predicted),
-            line("real", "#1668a8", "", x, &e.curve.real),
+            line("predicted", COLOURS[0], DASHED, &x, &e.curve.predicted),
+            line("real", COLOURS[0], "", &x, &e.curve.real),
         ];
         for (i, order) in e.orders.iter().enumerate().skip(1) {
             let x = if over_pairs { order.pairs.clone() } else { (0..order.pairs.len()).map(|i| i as f64).collect() };
             let y: Vec<f64> =
                 order.kept.iter().map(|kept| if e.kept.real > 0.0 { kept / e.kept.real } else { 0.0 }).collect();
-            lines.push(line(order.name, COLOURS[i % COLOURS.len()], "", x, &y));
+            // Colours are used again with dots, except the first, that of the plan.
+            let (round, colour) = ((i - 1) / (COLOURS.len() - 1), 1 + (i - 1) % (COLOURS.len() - 1));
+            lines.push(line(order.name, COLOURS[colour], if round == 0 { "" } else { DOTTED }, &x, &y));
         }
-        html += &plot(if over_pairs { "matching pairs" } else { "key views" }, &lines);
+        let over = if over_pairs { "matching pairs" } else { "key views" };
+        let plot = Plot { over, share_of: SHARE_LABEL, lines: &lines, cut: None };
+        let mut svg = String::new();
+        plot.draw(&mut svg, 0.0, 0.0);
+        html += &plot::document(plot::WIDTH, plot.height(), &format!("{SHARE_LABEL} over {over}"), &svg);
     }
     html
 }
 
-/// A plot of shares, 0 to 1, as SVG.
-fn plot(label: &str, lines: &[Line]) -> String {
-    const WIDTH: f64 = 520.0;
-    const HEIGHT: f64 = 340.0;
-    const LEFT: f64 = 50.0;
-    const BOTTOM: f64 = 290.0;
-    const TOP: f64 = 15.0;
-    let most = lines.iter().flat_map(|l| &l.points).map(|p| p.0).fold(1.0, f64::max);
-    let at = |(x, y): (f64, f64)| (LEFT + (WIDTH - LEFT - 15.0) * x / most, BOTTOM - (BOTTOM - TOP) * y);
-    let mut svg = format!(
-        "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {WIDTH} {HEIGHT}\" width=\"{WIDTH}\" height=\"{HEIGHT}\" \
-         font-size=\"12\" font-family=\"system-ui,sans-serif\" role=\"img\" aria-label=\"share over {label}\">\n"
-    );
-    for tenth in 0..=5 {
-        let y = f64::from(tenth) / 5.0;
-        let (_, py) = at((0.0, y));
-        let _ = writeln!(
-            svg,
-            "<path d=\"M{LEFT} {py:.1}H{}\" stroke=\"#ddd\"/><text x=\"{}\" y=\"{:.1}\" text-anchor=\"end\">{:.0} %</text>",
-            WIDTH - 15.0,
-            LEFT - 6.0,
-            py + 4.0,
-            100.0 * y
-        );
-    }
-    let step = (most / 5.0).ceil();
-    for tick in (0..=5).map(|i| f64::from(i) * step).filter(|&tick| tick <= most) {
-        let (px, _) = at((tick, 0.0));
-        let _ = writeln!(svg, "<text x=\"{px:.1}\" y=\"{}\" text-anchor=\"middle\">{tick:.0}</text>", BOTTOM + 17.0);
-    }
-    for (i, line) in lines.iter().enumerate() {
-        let points: Vec<String> = line.points.iter().map(|&p| at(p)).map(|(x, y)| format!("{x:.1},{y:.1}")).collect();
-        let _ = writeln!(
-            svg,
-            "<polyline points=\"{}\" fill=\"none\" stroke=\"{}\" stroke-width=\"1.8\" stroke-dasharray=\"{}\"/>",
-            points.join(" "),
-            line.colour,
-            line.dash
-        );
-        let y = BOTTOM - 12.0 - 15.0 * (lines.len() - 1 - i) as f64;
-        let _ = writeln!(
-            svg,
-            "<path d=\"M{} {y}h22\" stroke=\"{}\" stroke-width=\"2\" stroke-dasharray=\"{}\"/><text x=\"{}\" y=\"{}\">{}</text>",
-            WIDTH - 140.0,
-            line.colour,
-            line.dash,
-            WIDTH - 112.0,
-            y + 4.0,
-            escape(&line.label)
-        );
-    }
-    let _ = writeln!(
-        svg,
-        "<text x=\"{}\" y=\"{}\" text-anchor=\"middle\">{label}</text>\n</svg>",
-        (LEFT + WIDTH) / 2.0,
-        HEIGHT - 12.0
-    );
-    svg
+const DASHED: &str = "6 4";
+const DOTTED: &str = "2 3";
+
+fn line(label: &'static str, colour: &'static str, dash: &'static str, x: &[f64], y: &[f64]) -> Line {
+    Line { label, colour, dash, points: x.iter().copied().zip(y.iter().copied()).collect() }
 }
 
 fn gap_table(e: &Evaluation) -> String {
@@ -178,7 +119,10 @@ fn gap_table(e: &Evaluation) -> String {
 fn order_tables(e: &Evaluation) -> String {
     let mut html = String::from("<h2>Orders</h2>\n");
     for (what, pairs) in [("Key views", false), ("Pairs", true)] {
-        let _ = write!(html, "<p>{what} for a share of what all clusters really reach:</p>\n<table><tr><th>order</th>");
+        let _ = write!(
+            html,
+            "<p>{what} needed for a share of what all depth maps give (measured):</p>\n<table><tr><th>order</th>"
+        );
         e.orders[0].needed.iter().for_each(|n| html += &format!("<th>{:.0} %</th>", 100.0 * n.share));
         html += "</tr>\n";
         for order in &e.orders {
@@ -197,8 +141,8 @@ fn order_tables(e: &Evaluation) -> String {
 
 fn missing_table(e: &Evaluation) -> String {
     let mut html = format!(
-        "<h2>What is missing</h2>\n<p>Of {} triangles those with less than half of their fulfilment, coloured in <code>evaluation.ply</code>:\
-         </p>\n<table><tr><th>reason</th><th>triangles</th><th>share</th></tr>\n",
+        "<h2>Missing fulfilment</h2>\n<p>Triangles with less than half of their fulfilment, of {} in total, coloured in \
+         <code>evaluation.ply</code>:</p>\n<table><tr><th>reason</th><th>triangles</th><th>share</th></tr>\n",
         e.triangles
     );
     for (missing, count) in &e.missing {

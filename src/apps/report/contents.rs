@@ -1,4 +1,4 @@
-//! What the page knows.
+//! Contents of the page.
 
 use std::{
     collections::BTreeMap,
@@ -12,12 +12,11 @@ use serde::Serialize;
 use super::{
     bytes,
     history::History,
-    holes::{FAR, Hole, help, holes},
-    real::{Finished, Real},
-    shown::Shown,
+    holes::{FAR, Hole, advice, holes},
+    real::{DepthMapFolders, Real},
+    shown::DrawnSurface,
     thumbnails::{MOST, thumbnails},
 };
-use crate::plan;
 use crate::{
     apps::{doctor::partners_in_words, evaluate::EvaluateError},
     backends,
@@ -25,6 +24,7 @@ use crate::{
         column::DiskError,
         error::Hint,
         progress::{Cancelled, Watcher},
+        rows::Offsets,
     },
     config::ForecastSettings,
     io::project::Project,
@@ -33,18 +33,15 @@ use crate::{
         reason::Reason,
         scene::{Units, ViewIndex},
     },
-    plan::Plan,
-    show::{
-        pictures::{RAMP, REASON_NUMBERS, footprints, reason_number},
-        tables::csr_offsets,
-    },
+    plan::{self, Cut, Plan},
+    show::pictures::{RAMP, REASON_NUMBERS, footprints, reason_number},
 };
 
-/// Holes that are listed.
+/// Largest number of holes that are listed.
 const HOLES: usize = 20;
 
-/// Everything that the page shows, as its script reads it. Points are in the frame of the map: x to the right, y up the sheet, z
-/// up, scene units. Numbers of views are indices in the order of names; ranks are from 1.
+/// Everything on the page, as its script reads it. Points are in the map frame: x to the right, y up the sheet, z up, scene units. Views are
+/// indices in the order of names; ranks are 1-based; arrays are little-endian in base64.
 #[derive(Serialize)]
 pub struct Contents {
     title: String,
@@ -52,45 +49,46 @@ pub struct Contents {
     backend: &'static str,
     metric: bool,
     gsd: f64,
-    /// k.
+    /// Partners wanted per key view, k.
     wanted_partners: u32,
     points: usize,
     triangles: usize,
     area: f64,
     cut: usize,
-    /// So many from the start of the ranking had their depth maps when it was made: their gains and shares are real.
+    /// Clusters at the start of the ranking whose depth maps were finished when it was made; their gains and shares are measured.
     finished: usize,
+    limits: Limits,
     warnings: Vec<String>,
     unregistered: Vec<String>,
-    /// Colours of the surface where nothing, half and all is reached.
+    /// Colours of the surface at shares of 0, 1/2 and 1 of what all clusters give.
     ramp: [[u8; 3]; 3],
     reasons: Vec<&'static str>,
-    /// What would help, per reason.
-    helps: Vec<&'static str>,
+    /// New images that would fill a hole, per reason.
+    advice: Vec<&'static str>,
     forecast: ForecastSettings,
-    /// Seconds that planning took; absent where nobody wrote them down.
+    /// Seconds that planning took; absent if not recorded.
     planning_seconds: Option<f64>,
     clusters_total: usize,
     pairs_total: usize,
-    views: Views,
-    ranking: Ranked,
-    surface: Drawn,
-    holes: Vec<ShownHole>,
-    /// Of all holes.
+    views: ViewData,
+    ranking: RankingData,
+    surface: SurfaceData,
+    holes: Vec<HoleData>,
+    /// Area of all holes, square scene units.
     holes_area: f64,
-    /// Of what lies more than `far` usual distances from every camera.
+    /// Area of the holes farther than `far` usual distances from every camera, square scene units.
     far_area: f64,
     far: f64,
-    /// Of the sparse points from the nearest of their views, scene units.
+    /// Median distance of the sparse points from the nearest of their views, scene units.
     usual_distance: f64,
     real: Option<Real>,
     thumbnails: BTreeMap<u32, String>,
-    /// Views beyond which only the first of the ranking have a small picture.
+    /// Largest number of thumbnails; with more views, only the first of the ranking have one.
     most_thumbnails: usize,
 }
 
 #[derive(Serialize)]
-struct Views {
+struct ViewData {
     names: Vec<String>,
     /// f32, 3 per view.
     centres: String,
@@ -101,24 +99,24 @@ struct Views {
     footprint_offsets: String,
     /// Rank, u32; 0: not in the ranking.
     rank: String,
-    /// Number of the reason + 1, u8; 0: none.
+    /// Number of the reason + 1, u8; 0 without a reason.
     reason: String,
-    /// CSR by view: ranks (u32) of the clusters before its own that do more of what this view could than any before them, and
-    /// their shares of that, f32.
+    /// CSR by view: best substitutes so far. Ranks (u32) of the earlier clusters that give a larger share of what this view could give than any
+    /// cluster before them, and these shares, f32.
     likest_offsets: String,
     likest: String,
     likest_shares: String,
-    /// Triangles that the view sees, u32.
+    /// Number of triangles that the view sees, u32.
     seen: String,
-    /// Of views that lack partners: how many there are, and why others are none.
+    /// For views that lack partners: how many they have, and why other views are refused.
     partners: BTreeMap<u32, String>,
 }
 
 #[derive(Serialize)]
-struct Ranked {
+struct RankingData {
     /// u32.
     keys: String,
-    /// CSR by rank.
+    /// u32, CSR by rank.
     partners: String,
     partner_offsets: String,
     /// f64 each.
@@ -128,7 +126,7 @@ struct Ranked {
 }
 
 #[derive(Serialize)]
-struct Drawn {
+struct SurfaceData {
     /// f32, 3 per vertex.
     vertices: String,
     /// u32, 3 per triangle.
@@ -138,34 +136,34 @@ struct Drawn {
     shares: String,
     first: String,
     reachable: String,
-    /// Number of the reason + 1, u8; 0: some cluster fulfils it.
+    /// Number of the reason + 1, u8; 0 if some cluster fulfils the triangle.
     reason: String,
-    /// Is the surface drawn coarser than it was planned on?
+    /// True if the surface is drawn with fewer triangles than in the plan.
     coarser: bool,
 }
 
 #[derive(Serialize)]
-struct ShownHole {
+struct HoleData {
     area: f64,
     triangles: usize,
     reason: usize,
     centre: [f64; 3],
-    /// Latitude and longitude, where they are known.
+    /// Latitude and longitude, degrees, if the scene is georeferenced.
     place: Option<[f64; 2]>,
 }
 
 impl Contents {
-    /// `planning_seconds`: what the plan took when it was made.
+    /// `planning_seconds`: time that planning took.
     pub fn new(
         plan: &Plan,
         project: &Project,
-        finished: &Finished,
+        folders: &DepthMapFolders,
         planning_seconds: Option<f64>,
         watcher: &dyn Watcher,
     ) -> Result<Self, ReportError> {
         let frame = MapFrame::new(&plan.stages.scene, plan.stages.settings.surface.up);
-        let shown = Shown::new(&plan.stages.surface);
-        let (real, left_out) = Real::new(plan, project, &shown, finished, watcher)?;
+        let surface = DrawnSurface::new(&plan.stages.surface);
+        let (real, left_out) = Real::new(plan, project, &surface, folders, watcher)?;
         let thumbnails = match &project.images {
             Some(images) => thumbnails(plan, images, watcher)?,
             None => BTreeMap::new(),
@@ -184,18 +182,19 @@ impl Contents {
             area: (0..plan.stages.surface.triangles.len() as u32).map(|t| plan.stages.surface.area(t)).sum(),
             cut: plan.decision.cut.clusters,
             finished: plan.decision.finished.clusters,
+            limits: Limits::new(&plan.decision.cut),
             warnings: plan.decision.warnings.iter().cloned().chain(left_out).collect(),
             unregistered: plan.stages.scene.unregistered.clone(),
             reasons: REASON_NUMBERS.iter().map(|r| r.words()).collect(),
-            helps: REASON_NUMBERS.iter().map(|&r| help(r)).collect(),
+            advice: REASON_NUMBERS.iter().map(|&r| advice(r)).collect(),
             forecast: plan.stages.settings.forecast.clone(),
             planning_seconds,
             clusters_total: plan.decision.forecast.all_maps,
             pairs_total: plan.decision.forecast.all_pairs,
-            views: Views::new(plan, &frame)?,
-            ranking: Ranked::new(plan),
-            surface: Drawn::new(plan, &shown, &frame),
-            holes: holes.largest.iter().map(|hole| ShownHole::new(hole, &frame, &place)).collect(),
+            views: ViewData::new(plan, &frame)?,
+            ranking: RankingData::new(plan),
+            surface: SurfaceData::new(plan, &surface, &frame),
+            holes: holes.largest.iter().map(|hole| HoleData::new(hole, &frame, &place)).collect(),
             holes_area: holes.area,
             far_area: holes.far_area,
             far: FAR,
@@ -208,22 +207,40 @@ impl Contents {
     }
 }
 
+/// What limits the plan (method 5.2).
+#[derive(Serialize)]
+struct Limits {
+    /// Weight of the triangles that fusion keeps of all clusters, 0 to 1.
+    reachable: f64,
+    /// f_o at the plan's cut, 0 to 1.
+    fulfilment: f64,
+    /// Upper bound on f_o of any choice of as many clusters.
+    fulfilment_bound: f64,
+}
+
+impl Limits {
+    fn new(cut: &Cut) -> Self {
+        let Cut { reachable, fulfilment, fulfilment_bound, .. } = *cut;
+        Self { reachable, fulfilment, fulfilment_bound }
+    }
+}
+
 /// Name of the folder, with `.` resolved.
 fn title(root: &Path) -> String {
     let whole = root.canonicalize().unwrap_or_else(|_| root.into());
     whole.file_name().unwrap_or(whole.as_os_str()).to_string_lossy().into_owned()
 }
 
-/// CSR offsets of concatenated lists with these lengths, as the page reads them.
-fn offsets(lengths: impl Iterator<Item = usize>) -> Vec<u32> {
-    csr_offsets(lengths).into_iter().map(|offset| offset as u32).collect()
+/// CSR offsets as the page reads them: u32 in base64.
+fn offset_bytes(offsets: &Offsets) -> String {
+    bytes(&offsets.as_slice().iter().map(|&offset| offset as u32).collect::<Vec<_>>())
 }
 
 fn in_frame<'a>(frame: &MapFrame, points: impl Iterator<Item = &'a Point3<f64>>) -> Vec<f32> {
     points.flat_map(|point| frame.local(point)).map(|x| x as f32).collect()
 }
 
-impl Views {
+impl ViewData {
     fn new(plan: &Plan, frame: &MapFrame) -> Result<Self, DiskError> {
         let views = || plan.stages.scene.view_indices();
         let centres: Vec<Point3<f64>> = plan.stages.scene.views.iter().map(|v| v.cam_from_world.centre()).collect();
@@ -243,10 +260,10 @@ impl Views {
             centres: bytes(&in_frame(frame, centres.iter())),
             directions: bytes(&directions),
             footprints: bytes(&in_frame(frame, footprints.iter().flatten())),
-            footprint_offsets: bytes(&offsets(footprints.iter().map(Vec::len))),
+            footprint_offsets: offset_bytes(&Offsets::from_lengths(footprints.iter().map(Vec::len))),
             rank: bytes(&rank),
             reason: bytes(&plan.decision.views.iter().map(|&(_, reason)| reason_number(reason)).collect::<Vec<_>>()),
-            likest_offsets: bytes(&offsets(substitutes.iter().map(Vec::len))),
+            likest_offsets: offset_bytes(&Offsets::from_lengths(substitutes.iter().map(Vec::len))),
             likest: bytes(&substitutes.iter().flatten().map(|l| l.rank as u32 + 1).collect::<Vec<_>>()),
             likest_shares: bytes(&substitutes.iter().flatten().map(|l| l.share as f32).collect::<Vec<_>>()),
             seen: bytes(
@@ -268,13 +285,13 @@ fn partners(plan: &Plan) -> BTreeMap<u32, String> {
     views.par_iter().map(words).collect()
 }
 
-impl Ranked {
+impl RankingData {
     fn new(plan: &Plan) -> Self {
         let numbers = |views: Vec<ViewIndex>| bytes(&views.iter().map(|v| v.0).collect::<Vec<_>>());
         let shares: Vec<f64> = plan.ranked().map(|cluster| cluster.share).collect();
         Self {
             keys: numbers(plan.ranked().map(|cluster| cluster.key).collect()),
-            partner_offsets: bytes(&offsets(plan.ranked().map(|cluster| cluster.partners.len()))),
+            partner_offsets: offset_bytes(&Offsets::from_lengths(plan.ranked().map(|cluster| cluster.partners.len()))),
             partners: numbers(plan.ranked().flat_map(|cluster| cluster.partners).collect()),
             gains: bytes(&plan.decision.ranking.gains),
             shares: bytes(&shares),
@@ -283,25 +300,25 @@ impl Ranked {
     }
 }
 
-impl Drawn {
-    fn new(plan: &Plan, shown: &Shown, frame: &MapFrame) -> Self {
-        let history = History::new(plan, shown);
+impl SurfaceData {
+    fn new(plan: &Plan, surface: &DrawnSurface, frame: &MapFrame) -> Self {
+        let history = History::new(plan, surface);
         let reason = |&t: &u32| reason_number(plan.decision.triangle_reasons[t as usize]);
         Self {
-            vertices: bytes(&in_frame(frame, shown.vertices.iter())),
-            triangles: bytes(&shown.triangles),
-            offsets: bytes(&history.offsets),
+            vertices: bytes(&in_frame(frame, surface.vertices.iter())),
+            triangles: bytes(&surface.triangles),
+            offsets: offset_bytes(&history.offsets),
             ranks: bytes(&history.ranks),
             shares: bytes(&history.shares),
             first: bytes(&history.first),
             reachable: bytes(&history.reachable),
-            reason: bytes(&shown.original.iter().map(reason).collect::<Vec<_>>()),
-            coarser: shown.triangles.len() < plan.stages.surface.triangles.len(),
+            reason: bytes(&surface.original.iter().map(reason).collect::<Vec<_>>()),
+            coarser: surface.triangles.len() < plan.stages.surface.triangles.len(),
         }
     }
 }
 
-impl ShownHole {
+impl HoleData {
     fn new(hole: &Hole, frame: &MapFrame, place: &Georeference) -> Self {
         let Hole { area, triangles, reason, centre } = hole;
         let place = place.geodetic(centre).map(|at| [at.latitude, at.longitude]);

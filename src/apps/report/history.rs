@@ -1,18 +1,17 @@
-//! Growth of the fulfilment of each shown triangle along the ranking, so that the page can show any cut.
+//! Growth of the fulfilment of each drawn triangle along the ranking, so that the page can show any cut.
 
-use super::shown::Shown;
-use crate::{plan::Plan, show::pictures};
+use super::shown::DrawnSurface;
+use crate::{base::rows::Offsets, plan::Plan, show::pictures};
 
 /// Clusters per triangle that are counted one by one; the page says "5 or more" beyond.
 pub const COUNTED: usize = 5;
 /// Stands in for the rank of a missing cluster.
 const NEVER: u16 = u16::MAX;
 
-/// CSR by shown triangle. Ranks are 1-based; ranks above 65534 are dropped, because they are stored as u16.
+/// CSR by drawn triangle. Ranks are 1-based; ranks above 65534 are dropped, because they are stored as u16.
 #[derive(Default)]
 pub struct History {
-    /// Shown triangles + 1 entries.
-    pub offsets: Vec<u32>,
+    pub offsets: Offsets,
     /// Rank of each cluster that increases the fulfilment of the triangle.
     pub ranks: Vec<u16>,
     /// Share of the triangle's reachable fulfilment from that rank on, in 255ths.
@@ -24,12 +23,12 @@ pub struct History {
 }
 
 impl History {
-    pub fn new(plan: &Plan, shown: &Shown) -> Self {
+    pub fn new(plan: &Plan, drawn: &DrawnSurface) -> Self {
         let mut place = vec![u32::MAX; plan.stages.surface.triangles.len()];
-        shown.original.iter().enumerate().for_each(|(i, &t)| place[t as usize] = i as u32);
-        let mut steps: Vec<Vec<(u16, f32)>> = vec![Vec::new(); shown.original.len()];
-        let mut first: Vec<Vec<u16>> = vec![Vec::with_capacity(COUNTED); shown.original.len()];
-        pictures::follow(plan, |rank, triangle, fulfilment| {
+        drawn.original.iter().enumerate().for_each(|(i, &t)| place[t as usize] = i as u32);
+        let mut steps: Vec<Vec<(u16, f32)>> = vec![Vec::new(); drawn.original.len()];
+        let mut first: Vec<Vec<u16>> = vec![Vec::with_capacity(COUNTED); drawn.original.len()];
+        pictures::for_each_step(plan, |rank, triangle, fulfilment| {
             let place = place[triangle as usize] as usize;
             let Some(rank) = u16::try_from(rank + 1).ok().filter(|&rank| rank != NEVER) else { return };
             let (Some(of), Some(counted)) = (steps.get_mut(place), first.get_mut(place)) else { return };
@@ -40,7 +39,7 @@ impl History {
                 of.push((rank, fulfilment));
             }
         });
-        let mut history = Self { offsets: vec![0], ..Default::default() };
+        let mut history = Self::default();
         for (steps, mut counted) in steps.into_iter().zip(first) {
             counted.resize(COUNTED, NEVER);
             history.first.extend(counted);
@@ -52,7 +51,7 @@ impl History {
     /// Adds a triangle; drops steps that round to the same 255th as the step before.
     fn push(&mut self, steps: &[(u16, f32)]) {
         let reachable = steps.last().map_or(0.0, |&(_, f)| f);
-        let mut before = 0;
+        let (mut before, start) = (0, self.ranks.len());
         for &(rank, fulfilment) in steps {
             let share = in_255ths(fulfilment / reachable);
             if share > before {
@@ -62,7 +61,7 @@ impl History {
             }
         }
         self.reachable.push(in_255ths(reachable));
-        self.offsets.push(self.ranks.len() as u32);
+        self.offsets.push(self.ranks.len() - start);
     }
 }
 
@@ -77,11 +76,11 @@ mod tests {
 
     #[test]
     fn steps_end_at_the_whole_and_grow() {
-        let mut history = History { offsets: vec![0], ..Default::default() };
+        let mut history = History::default();
         history.push(&[(1, 0.2), (4, 0.2004), (9, 0.4)]);
         history.push(&[]);
         assert_eq!(history.ranks, [1, 9], "a step of less than a 255th is left out");
         assert_eq!(history.shares, [128, 255]);
-        assert_eq!((history.offsets, history.reachable), (vec![0, 2, 2], vec![102, 0]));
+        assert_eq!((history.offsets, history.reachable), (Offsets::from_lengths([2, 0]), vec![102, 0]));
     }
 }

@@ -30,13 +30,13 @@ pub struct Hole {
     pub centre: Point3<f64>,
 }
 
-/// Advice on the images that would fill a hole with this reason.
-pub fn help(reason: Reason) -> &'static str {
+/// Advice on the images to take to fill a hole with this reason.
+pub fn advice(reason: Reason) -> &'static str {
     match reason {
-        Reason::TooCoarse => "images from nearer, or with a longer lens",
-        Reason::TooInaccurate | Reason::RotationOnly => "images from places farther apart",
-        Reason::NotMatchable => "images that look at it less slantingly, and from directions and distances more alike",
-        _ => "more images that see it, with more overlap",
+        Reason::TooCoarse => "closer images, or a longer lens",
+        Reason::TooInaccurate | Reason::RotationOnly => "images taken farther apart",
+        Reason::NotMatchable => "images at smaller angles of incidence, from more similar directions and distances",
+        _ => "more images of it, with more overlap",
     }
 }
 

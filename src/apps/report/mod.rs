@@ -16,7 +16,7 @@ use bytemuck::NoUninit;
 
 pub use contents::{Contents, ReportError};
 pub use holes::{Hole, Holes, holes};
-pub use real::Finished;
+pub use real::DepthMapFolders;
 
 const PAGE: &str = include_str!("page/page.html");
 const STYLE: &str = include_str!("page/page.css");

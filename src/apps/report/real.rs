@@ -1,10 +1,10 @@
-//! What finished depth maps really reach, beside what was predicted.
+//! Measured fulfilment of finished depth maps, to compare with the prediction.
 
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
-use super::{ReportError, bytes, history::in_255ths, shown::Shown};
+use super::{ReportError, bytes, history::in_255ths, shown::DrawnSurface};
 use crate::{
     apps::evaluate::{EvaluateError, EvaluationInput, MeasuredClusters, MeasuredSurface, curve::Curve, orders},
     base::progress::Watcher,
@@ -16,12 +16,12 @@ use crate::{
     plan::Plan,
 };
 
-/// Where finished depth maps are, and what is right.
+/// Folders of finished depth maps and of their reference.
 #[derive(Clone, Debug, Default)]
-pub struct Finished {
-    /// Unset: where the backends write theirs.
+pub struct DepthMapFolders {
+    /// Unset: the folders that the backends write to.
     pub depth_maps: Option<PathBuf>,
-    /// Exact or better depth maps; without them every depth counts as right.
+    /// Exact or better depth maps; without them every depth on the surface counts as right.
     pub reference: Option<PathBuf>,
 }
 
@@ -33,61 +33,61 @@ pub struct Real {
     maps: usize,
     /// Rank (from 1) of each finished cluster.
     ranks: Vec<usize>,
-    /// Real fulfilment up to that cluster, over what all clusters together were predicted to reach.
+    /// Measured weight kept by fusion up to that cluster, over what it is predicted to keep of all clusters (method 5.2).
     share: Vec<f64>,
-    /// Real fulfilment of each shown triangle, in 255ths.
+    /// Measured fulfilment of each drawn triangle, in 255ths.
     triangles: String,
 }
 
 impl Real {
-    /// `None` where there are no depth maps of this plan. And what is left out or is not as planned, in sentences.
+    /// Measures the depth maps of this plan, `None` if there are none; also warnings about what is left out or not as planned.
     pub fn new(
         plan: &Plan,
         project: &Project,
-        shown: &Shown,
-        finished: &Finished,
+        drawn: &DrawnSurface,
+        asked: &DepthMapFolders,
         watcher: &dyn Watcher,
     ) -> Result<(Option<Self>, Vec<String>), ReportError> {
-        if let Some(reference) = &finished.reference {
+        if let Some(reference) = &asked.reference {
             depthmaps::find(reference, &plan.stages.scene).map_err(EvaluateError::from)?;
         }
         let clusters = in_order(plan);
-        let (of_project, folders) = match &finished.depth_maps {
+        let (of_project, folders) = match &asked.depth_maps {
             Some(folder) => (false, vec![folder.clone()]),
             None => (true, folders_of(plan, project)),
         };
         let mut left_out = Vec::new();
         for folder in &folders {
-            match MeasuredClusters::new(&task(plan, &clusters, folder, finished), watcher) {
+            match MeasuredClusters::new(&task(plan, &clusters, folder, asked), watcher) {
                 Ok(run) => {
                     left_out
-                        .extend(run.unreadable.iter().map(|why| format!("not among what is really reached: {why}")));
+                        .extend(run.unreadable.iter().map(|why| format!("left out of the measured fulfilment: {why}")));
                     left_out.extend(run.other_partners.first().map(|&first| {
                         let (count, name) = (run.other_partners.len(), plan.stages.scene.name(first));
-                        format!("{count} depth maps were made with other partners than planned, the first is {name}")
+                        format!("{count} depth maps were made with other partners than planned; the first is {name}")
                     }));
                     left_out.extend(others_of(plan, folder, &folders));
-                    return Ok((Some(Self::of(plan, shown, &run, &clusters, folder)), left_out));
+                    return Ok((Some(Self::of(plan, drawn, &run, &clusters, folder)), left_out));
                 }
                 Err(EvaluateError::Cancelled(cancelled)) => return Err(cancelled.into()),
                 Err(error) if !of_project => return Err(error.into()),
-                // Nobody asked for this folder: it may hold the maps of another plan.
+                // A folder found by viewrank may hold the maps of another plan.
                 Err(EvaluateError::NoClusters(_) | EvaluateError::DepthMap(DepthMapError::None(_))) => {}
-                Err(error) => left_out.push(format!("{} is not looked at: {error}", folder.display())),
+                Err(error) => left_out.push(format!("cannot show the depth maps in {}: {error}", folder.display())),
             }
         }
-        match &finished.reference {
+        match &asked.reference {
             Some(reference) => Err(ReportError::NothingToCompare(reference.clone())),
             None => Ok((None, left_out)),
         }
     }
 
-    fn of(plan: &Plan, shown: &Shown, run: &MeasuredClusters, clusters: &[ViewCluster], folder: &Path) -> Self {
+    fn of(plan: &Plan, drawn: &DrawnSurface, run: &MeasuredClusters, clusters: &[ViewCluster], folder: &Path) -> Self {
         let model = plan.stages.model();
         let curve = Curve::new(&run.real, &plan.stages.objective, &run.clusters, &run.order);
         let rank = |&c: &u32| 1 + clusters.iter().take_while(|of| of.key != run.clusters[c as usize].key).count();
         let reached = MeasuredSurface::new(&model, run);
-        let shades: Vec<u8> = shown.original.iter().map(|&t| in_255ths(reached.fulfilment[t as usize])).collect();
+        let shades: Vec<u8> = drawn.original.iter().map(|&t| in_255ths(reached.fulfilment[t as usize])).collect();
         Self {
             folder: folder.display().to_string(),
             reference: run.has_reference,
@@ -99,7 +99,7 @@ impl Real {
     }
 }
 
-/// Where depth maps may lie, first where the backend of the plan writes its own.
+/// Folders that may hold depth maps, that of the plan's backend first.
 fn folders_of(plan: &Plan, project: &Project) -> Vec<PathBuf> {
     let own = depthmaps::folder_of(&project.root, project.dense_workspace.as_deref(), plan.stages.backend);
     let mut folders = depthmaps::folders(&project.root);
@@ -107,17 +107,17 @@ fn folders_of(plan: &Plan, project: &Project) -> Vec<PathBuf> {
     folders
 }
 
-/// Further folders with depth maps of the plan's views: only one is measured.
+/// Warns of further folders with depth maps of the plan's views, which are not measured.
 fn others_of(plan: &Plan, measured: &Path, folders: &[PathBuf]) -> Vec<String> {
     let others = folders.iter().filter(|folder| *folder != measured);
     let has_maps = |folder: &&PathBuf| depthmaps::find(folder, &plan.stages.scene).is_ok();
     let words = |folder: &PathBuf| {
-        format!("there are depth maps in {}, too; those in {} are shown", folder.display(), measured.display())
+        format!("ignored the depth maps in {}; those in {} are shown", folder.display(), measured.display())
     };
     others.filter(has_maps).map(words).collect()
 }
 
-/// All clusters, those without predicted gain last.
+/// All clusters in rank order, those without predicted gain last.
 fn in_order(plan: &Plan) -> Vec<ViewCluster> {
     let order = orders::completed(plan.decision.ranking.order.clone(), plan.stages.clusters.len());
     order.iter().map(|&c| plan.stages.clusters[c as usize].clone()).collect()
@@ -127,9 +127,9 @@ fn task<'a>(
     plan: &'a Plan,
     clusters: &'a [ViewCluster],
     depth_maps: &'a Path,
-    finished: &'a Finished,
+    asked: &'a DepthMapFolders,
 ) -> EvaluationInput<'a> {
     let model = plan.stages.model();
     let accuracy = model.target.accuracy_over_gsd * plan.stages.settings.target.gsd.unwrap_or(1.0);
-    EvaluationInput { model, clusters, depth_maps, reference: finished.reference.as_deref(), accuracy }
+    EvaluationInput { model, clusters, depth_maps, reference: asked.reference.as_deref(), accuracy }
 }

@@ -9,16 +9,16 @@ use crate::method::surface::Surface;
 /// Largest number of triangles on the page, about 2 MB with their histories.
 const BUDGET: usize = 40_000;
 
-/// Triangles to draw, each with the triangle of the surface whose state it shows.
-pub struct Shown {
+/// The surface to draw; each triangle shows the state of one triangle of the plan's surface.
+pub struct DrawnSurface {
     /// World coordinates.
     pub vertices: Vec<Point3<f64>>,
     pub triangles: Vec<[u32; 3]>,
-    /// Triangle of the surface, per shown one.
+    /// Index of the surface's triangle, per drawn triangle.
     pub original: Vec<u32>,
 }
 
-impl Shown {
+impl DrawnSurface {
     pub fn new(surface: &Surface) -> Self {
         Self::within(surface, BUDGET)
     }
@@ -36,9 +36,9 @@ impl Shown {
         let area: f64 = (0..surface.triangles.len() as u32).map(|t| surface.area(t)).sum();
         let mut cube = (area / budget as f64).sqrt().max(f64::MIN_POSITIVE);
         loop {
-            let shown = Self::in_cubes(surface, cube);
-            if shown.triangles.len() <= budget {
-                return shown;
+            let drawn = Self::in_cubes(surface, cube);
+            if drawn.triangles.len() <= budget {
+                return drawn;
             }
             cube *= 1.1;
         }
@@ -94,12 +94,12 @@ mod tests {
     fn a_coarser_surface_keeps_its_place_and_its_size() {
         let camera = Camera::new(1, CameraModel::Pinhole, 1000, 750, vec![850.0, 850.0, 500.0, 375.0]).unwrap();
         let surface = Town { boxes: 0, edge: 0.5, ..Town::new(camera) }.surface();
-        let shown = Shown::within(&surface, 5000);
-        assert!((2500..=5000).contains(&shown.triangles.len()), "{}", shown.triangles.len());
-        let drawn = Surface { kind: surface.kind, vertices: shown.vertices, triangles: shown.triangles };
+        let coarse = DrawnSurface::within(&surface, 5000);
+        assert!((2500..=5000).contains(&coarse.triangles.len()), "{}", coarse.triangles.len());
+        let drawn = Surface { kind: surface.kind, vertices: coarse.vertices, triangles: coarse.triangles };
         let area = |s: &Surface| (0..s.triangles.len() as u32).map(|t| s.area(t)).sum::<f64>();
         assert!((area(&drawn) / area(&surface) - 1.0).abs() < 0.05);
-        for (t, &original) in shown.original.iter().enumerate() {
+        for (t, &original) in coarse.original.iter().enumerate() {
             assert!((drawn.centroid(t as u32) - surface.centroid(original)).norm() < 3.0);
         }
     }
@@ -108,8 +108,8 @@ mod tests {
     fn a_small_surface_is_shown_as_it_is() {
         let camera = Camera::new(1, CameraModel::Pinhole, 1000, 750, vec![850.0, 850.0, 500.0, 375.0]).unwrap();
         let surface = Town::new(camera).surface();
-        let shown = Shown::new(&surface);
-        assert_eq!(shown.triangles, surface.triangles);
-        assert!(shown.original.iter().enumerate().all(|(i, &t)| i == t as usize));
+        let drawn = DrawnSurface::new(&surface);
+        assert_eq!(drawn.triangles, surface.triangles);
+        assert!(drawn.original.iter().enumerate().all(|(i, &t)| i == t as usize));
     }
 }

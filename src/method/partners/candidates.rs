@@ -6,7 +6,10 @@ use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
 
 use crate::{
-    base::progress::{Cancelled, Watcher},
+    base::{
+        progress::{Cancelled, Watcher},
+        rows::Offsets,
+    },
     config::PartnerSettings,
     model::{
         cluster::Gate,
@@ -43,23 +46,21 @@ pub struct Refusal {
 /// The candidates of every view, best first, CSR by view; only pairs that the backend can match.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Candidates {
-    /// Views + 1 entries.
-    pub offsets: Vec<usize>,
+    pub offsets: Offsets,
     pub views: Vec<ViewIndex>,
-    /// Views + 1 entries.
-    pub refusal_offsets: Vec<usize>,
+    pub refusal_offsets: Offsets,
     /// Pairs with shared points that were refused, most shared points first, CSR by view.
     pub refusals: Vec<Refusal>,
 }
 
 impl Candidates {
     pub fn candidates_of(&self, view: ViewIndex) -> &[ViewIndex] {
-        &self.views[self.offsets[view.index()]..self.offsets[view.index() + 1]]
+        &self.views[self.offsets.row(view.index())]
     }
 
     /// Why other views that share points with this one are no candidates.
     pub fn refused(&self, view: ViewIndex) -> &[Refusal] {
-        &self.refusals[self.refusal_offsets[view.index()]..self.refusal_offsets[view.index() + 1]]
+        &self.refusals[self.refusal_offsets.row(view.index())]
     }
 }
 
@@ -86,12 +87,12 @@ pub fn candidates(
         .par_iter()
         .map_init(|| Neighbours::new(scene), |neighbours, &key| of_view(neighbours, key))
         .collect::<Result<Vec<_>, _>>()?;
-    let mut table = Candidates { offsets: vec![0], refusal_offsets: vec![0], ..Default::default() };
+    let mut table = Candidates::default();
     for (chosen, refused) in all {
+        table.offsets.push(chosen.len());
         table.views.extend(chosen);
-        table.offsets.push(table.views.len());
+        table.refusal_offsets.push(refused.len());
         table.refusals.extend(refused);
-        table.refusal_offsets.push(table.refusals.len());
     }
     Ok(table)
 }

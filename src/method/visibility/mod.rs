@@ -21,6 +21,7 @@ use crate::{
     base::{
         column::{self, Column, ColumnBuilder, DiskError, Storage, TableError},
         progress::{Cancelled, Stage, Watcher},
+        rows::Offsets,
     },
     config::VisibilitySettings,
     method::surface::Surface,
@@ -38,8 +39,7 @@ const NEAR_EDGES: f64 = 0.05;
 /// The sparse table of (view, triangle), CSR by view, triangles ascending within a view.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Visibility {
-    /// Views + 1 entries.
-    pub offsets: Vec<usize>,
+    pub offsets: Offsets,
     /// Triangles, ascending within a view.
     pub triangles: Column<u32>,
     /// Observations that contradict the table: the view observes a sparse point that lies on the surface in another view of its
@@ -50,7 +50,7 @@ pub struct Visibility {
 impl Visibility {
     /// The views, each a row of [`Self::triangles_seen_by`].
     pub fn views(&self) -> Vec<ViewIndex> {
-        (1..self.offsets.len()).map(|end| ViewIndex(end as u32 - 1)).collect()
+        (0..self.offsets.rows()).map(|row| ViewIndex(row as u32)).collect()
     }
 
     /// The triangles that the view sees, ascending.
@@ -60,13 +60,13 @@ impl Visibility {
 
     /// Range of the view's rows; tables beside this one (unary confidence) are indexed by row.
     pub fn rows(&self, view: ViewIndex) -> std::ops::Range<usize> {
-        self.offsets[view.index()]..self.offsets[view.index() + 1]
+        self.offsets.row(view.index())
     }
 
     /// The row of a triangle in a view, where the view sees it.
     pub fn row(&self, view: ViewIndex, triangle: u32) -> Option<usize> {
         let found = self.triangles_seen_by(view).binary_search(&triangle).ok()?;
-        Some(self.offsets[view.index()] + found)
+        Some(self.rows(view).start + found)
     }
 
     /// Is the triangle seen by at least one view?
@@ -85,15 +85,15 @@ impl Visibility {
             kept
         };
         let numbers: Vec<u32> = keep.iter().map(number).collect();
-        let (mut offsets, mut triangles) = (vec![0], ColumnBuilder::new(self.triangles.kept())?);
-        for (view, rows) in self.offsets.windows(2).enumerate() {
+        let (mut offsets, mut triangles) = (Offsets::default(), ColumnBuilder::new(self.triangles.kept())?);
+        for view in 0..self.offsets.rows() {
             if view.is_multiple_of(column::READ_AT_ONCE) {
                 self.triangles.release();
             }
-            let view = self.triangles[rows[0]..rows[1]].iter();
+            let view = self.triangles[self.offsets.row(view)].iter();
             let view: Vec<u32> = view.map(|&t| numbers[t as usize]).filter(|&t| t != u32::MAX).collect();
             triangles.extend(&view)?;
-            offsets.push(offsets.last().expect("starts with one") + view.len());
+            offsets.push(view.len());
         }
         Ok(Self { offsets, triangles: triangles.finish()?, contradictions: self.contradictions })
     }
@@ -153,11 +153,11 @@ pub fn estimate(
         watcher.progress(Stage::Visibility, 1 + done.fetch_add(1, Ordering::Relaxed), views.len() as u64);
         Ok(seen)
     };
-    let (mut offsets, mut triangles) = (vec![0], ColumnBuilder::new(keep)?);
+    let (mut offsets, mut triangles) = (Offsets::default(), ColumnBuilder::new(keep)?);
     column::in_order(&views, column::READ_AT_ONCE, Picture::default, look, |_, rows| {
         for row in rows {
             triangles.extend(&row)?;
-            offsets.push(offsets.last().expect("starts with one") + row.len());
+            offsets.push(row.len());
         }
         Ok(())
     })?;

@@ -1,4 +1,4 @@
-//! Which input a plan was made from.
+//! Fingerprint of a plan's input.
 
 use std::{
     fs, io,
@@ -11,9 +11,9 @@ use crate::{
     model::scene::Scene,
 };
 
-/// The input could not be read a second time.
+/// The input cannot be read to compute its fingerprint.
 #[derive(Debug, thiserror::Error)]
-#[error("{}: {source}", path.display())]
+#[error("cannot read {}: {source}", path.display())]
 pub struct FingerprintError {
     path: PathBuf,
     source: io::Error,
@@ -21,16 +21,16 @@ pub struct FingerprintError {
 
 impl Hint for FingerprintError {
     fn hint(&self) -> Option<String> {
-        Some("leave the model as it is while it is planned for, then plan again".into())
+        Some("plan again, and do not change the model meanwhile".into())
     }
 }
 
-/// BLAKE3, in hexadecimal, over the model's files, the mesh that is taken for its surface, and the name and size of each registered image.
+/// Computes the BLAKE3 hash, in hexadecimal, of the model's files, the mesh used as its surface, and the name and size of each registered image.
 pub fn fingerprint(project: &Project, scene: &Scene, mesh: Option<&Path>) -> Result<String, FingerprintError> {
     let mut hasher = blake3::Hasher::new();
     for path in project.model_files().into_iter().chain(mesh.map(Path::to_path_buf)) {
         let failed = |source| FingerprintError { path: path.clone(), source };
-        // Lengths in front, so that no two lists of files give the same bytes.
+        // Length prefixes keep different lists of files from giving the same bytes.
         let length = fs::metadata(&path).map_err(failed)?.len();
         hasher.update(&length.to_le_bytes());
         hasher.update_reader(input::open(&path).map_err(failed)?).map_err(failed)?;

@@ -1,7 +1,7 @@
-//! `manifest.json`: the ranking and everything that is to be known about it (method 6), for other programs.
+//! `manifest.json`: the ranking and its context (method 6), for other programs.
 //!
-//! The structs are the format: the JSON Schema under `schema/` is made from them and their comments. Same input, same bytes:
-//! nothing in it depends on the clock, the machine or the number of threads.
+//! The structs define the format; the JSON Schema under `schema/` is generated from them and their comments. Same input, same bytes:
+//! nothing depends on the clock, the machine or the number of threads.
 
 mod check;
 mod fingerprint;
@@ -30,7 +30,7 @@ use crate::{
     plan::{Cut, Forecast, Outdated, Plan, ViewStatus},
 };
 
-/// Version of the format; a reader of this version reads every manifest with the same number.
+/// Version of the format; readers accept only manifests with this number.
 pub(crate) const VERSION: u32 = 1;
 
 /// A ranking of view clusters: which key views get depth maps, with which matching partners, in which order.
@@ -41,33 +41,33 @@ pub struct Manifest {
     /// Program and version that wrote it.
     pub tool: String,
     pub input: Input,
-    /// "metric": a scene unit is a metre. "relative": its length is not known.
+    /// "metric": a scene unit is a metre. "relative": its length is unknown.
     pub units: Units,
-    /// Backend that the plan is made for: pairs that it cannot match are no candidates, and the numbers of its confidence and support are in `settings`.
+    /// Backend that the plan is for. Pairs that it cannot match are not candidates; the values of its confidence and support are in `settings`.
     pub backend: String,
-    /// All settings in force, nested as in viewrank.toml; what the data or the backend decided is filled in.
+    /// All settings in force, nested as in viewrank.toml, with the values that the data or the backend decided.
     pub settings: Settings,
-    /// The trained model that predicts success; null where nothing was trained (`settings.confidence.source` says what predicts).
+    /// Trained model that predicts success; null if an untrained source does (`settings.confidence.source`).
     pub confidence_model: Option<ConfidenceModel>,
     pub surface: SurfaceSummary,
-    /// The whole ranking, best first; those up to `cut` are to be computed.
+    /// The whole ranking, best first; the clusters up to `cut` are to be computed.
     pub clusters: Vec<ClusterEntry>,
-    /// Where the ranking is cut.
+    /// Position of the cut in the ranking, and its results.
     pub cut: Cut,
-    /// Each registered view once, by name.
+    /// All registered views, by name.
     pub views: Vec<ViewEntry>,
     /// Images without a pose, by name.
     pub unregistered: Vec<String>,
-    /// Finished depth maps that no longer fit the model, by key view; they count for nothing and have to be made again.
+    /// Finished depth maps that no longer fit the model, by key view; they are ignored and must be recomputed.
     pub outdated: Vec<Outdated>,
     pub forecast: Forecast,
-    /// What was written for each backend, and what it will not honour.
+    /// Files written for each backend, and parts of the plan that it does not honour.
     pub exports: Vec<ExportRecord>,
-    /// What should be known before relying on the plan, in sentences.
+    /// Warnings to read before relying on the plan, in sentences.
     pub warnings: Vec<String>,
 }
 
-/// The warnings of a plan, `further` ones, then what each of its exports warns of and does not honour.
+/// Joins the warnings of a plan, `further` ones, and those of its exports with the parts of the plan that they do not honour.
 pub fn warnings_with(of_plan: &[String], exports: &[ExportRecord], further: &[String]) -> Vec<String> {
     let mut warnings: Vec<String> = of_plan.iter().chain(further).cloned().collect();
     for ExportRecord { backend, warnings: own, not_honoured, .. } in exports {
@@ -78,14 +78,14 @@ pub fn warnings_with(of_plan: &[String], exports: &[ExportRecord], further: &[St
     warnings
 }
 
-/// What was planned for.
+/// Input of the plan.
 #[derive(Clone, Debug, Serialize, JsonSchema)]
 pub struct Input {
     /// Format of the sparse model.
     pub format: String,
-    /// The model, relative to the project folder; "." is the folder itself.
+    /// Folder of the model, relative to the project folder; "." is the folder itself.
     pub model: String,
-    /// BLAKE3 over the model's files and the names and sizes of the registered images: the same input has the same.
+    /// BLAKE3 hash of the model's files and the names and sizes of the registered images; equal for equal input.
     pub fingerprint: String,
     /// Registered images.
     pub views: usize,
@@ -100,63 +100,63 @@ pub struct Input {
 pub struct ConfidenceModel {
     /// BLAKE3 of the model.
     pub fingerprint: String,
-    /// Backend whose depth maps it learnt from.
+    /// Backend whose depth maps it was trained on.
     pub backend: String,
-    /// The projects that it learnt from.
+    /// Projects that it was trained on.
     pub trained_on: Vec<TrainedOn>,
-    /// Median over the images of how far they are from the training images, 1 being as far as nineteen of twenty of those; null without images.
+    /// Median distance of the images from the training images; 19 of 20 training images have a distance below 1. Null without images.
     pub distance: Option<f32>,
 }
 
-/// The surface that was planned on.
+/// Surface of the plan.
 #[derive(Clone, Debug, Serialize, JsonSchema)]
 pub struct SurfaceSummary {
     /// "3d": carved from the tetrahedra of the points. "terrain": 2.5D. "mesh": from a file.
     pub kind: SurfaceKind,
-    /// Vertices of those triangles.
+    /// Vertices of the triangles.
     pub vertices: usize,
     /// Triangles that at least one view sees.
     pub triangles: usize,
     /// Square scene units.
     pub area: f64,
-    /// Triangles that no cluster fulfils to a tenth, by themselves: the best f is below 0.1.
+    /// Triangles that no single cluster fulfils to a tenth (best f below 0.1).
     pub unfulfilled: usize,
-    /// How it came about.
+    /// Statistics of its reconstruction.
     pub made: SurfaceStats,
 }
 
-/// A view cluster in its place of the ranking.
+/// A view cluster with its rank.
 #[derive(Clone, Debug, Serialize, JsonSchema)]
 pub struct ClusterEntry {
-    /// From 1.
+    /// Rank, from 1.
     pub rank: usize,
     /// Name of the key view, which gets a depth map.
     pub key: String,
-    /// Names of the views that it is matched against, best first.
+    /// Names of the views that the key view is matched against, best first.
     pub partners: Vec<String>,
-    /// What it adds to the fulfilment.
+    /// Fulfilment f_o that it adds to the clusters before it.
     pub gain: f64,
-    /// Fulfilment of the ranking up to here, 0 to 1.
+    /// Fulfilment f_o of the clusters up to this one, 0 to 1.
     pub fulfilment: f64,
-    /// The same as a share of what all clusters together reach.
+    /// Weight of the triangles that fusion keeps of the clusters up to this one, over that of all clusters, 0 to 1.
     pub share: f64,
-    /// It has its depth map, and gain and fulfilment are what that really reaches; all that is finished comes first.
+    /// True if its depth map is finished; gain and fulfilment are then measured. Finished clusters come first.
     pub finished: bool,
 }
 
-/// What becomes of a registered view.
+/// Status of a registered view.
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 pub struct ViewEntry {
-    /// As in the model, relative to the image folder.
+    /// Name in the model, relative to the image folder.
     pub name: String,
-    /// What becomes of it.
+    /// Key view, partner or unused.
     pub status: ViewStatus,
-    /// Why it is no key view, or a key view with fewer than k partners; null where there is nothing to explain.
+    /// Reason why it is not a key view, or has fewer than k partners; null without one.
     pub reason: Option<Reason>,
 }
 
 impl Manifest {
-    /// `exports`: what is written for backends together with the plan.
+    /// `exports`: records of the exports written together with the plan.
     pub fn new(plan: &Plan, project: &Project, exports: Vec<ExportRecord>) -> Result<Self, FingerprintError> {
         Ok(Self {
             version: VERSION,
@@ -183,12 +183,12 @@ impl Manifest {
         })
     }
 
-    /// The contents of `manifest.json`.
+    /// Returns the contents of `manifest.json`.
     pub fn to_json(&self) -> String {
         serde_json::to_string_pretty(self).expect("a manifest has string keys and finite numbers") + "\n"
     }
 
-    /// The contents of `manifest.csv`: a line per cluster, for spreadsheets.
+    /// Returns the contents of `manifest.csv`: a line per cluster, for spreadsheets.
     pub fn to_csv(&self) -> String {
         let most = self.clusters.iter().map(|cluster| cluster.partners.len()).max().unwrap_or(0);
         let partners = (1..=most).map(|n| format!("partner_{n}"));
@@ -206,7 +206,7 @@ impl Manifest {
         String::from_utf8(lines.into_inner().expect("written to memory")).expect("written from texts")
     }
 
-    /// The JSON Schema of the format.
+    /// Returns the JSON Schema of the format.
     pub fn schema() -> Schema {
         schema_for!(Self)
     }

@@ -1,4 +1,4 @@
-//! A plan that was written before, without planning again: the ranking from `manifest.json`, the scene from the model.
+//! Reads a written plan instead of planning again: the ranking from `manifest.json`, the scene from the model.
 
 use std::path::{Path, PathBuf};
 
@@ -20,7 +20,7 @@ use crate::{
     plan::{Cut, Outdated, Plan},
 };
 
-/// A ranking with the project and the scene that it belongs to.
+/// A written ranking with its project and scene.
 #[derive(Debug)]
 pub struct WrittenPlan {
     pub project: Project,
@@ -30,29 +30,29 @@ pub struct WrittenPlan {
     pub settings: Settings,
     /// The whole ranking, best first.
     pub clusters: Vec<RankedCluster>,
-    /// Clusters that the plan's own cut takes.
+    /// Clusters up to the plan's own cut.
     pub cut: usize,
-    /// So many of the first have a depth map that the plan stands around, whatever its views moved by since.
+    /// Number of clusters at the start that had a finished depth map when the plan was made, even if their views have moved since.
     pub finished: usize,
-    /// The share that the plan's cut was made for, or that it reaches.
+    /// Target share of the plan's cut, or else the share at the cut.
     pub target: Share,
 }
 
-/// The part of a manifest that its readers need, by name.
+/// The part of a manifest that viewrank reads back; views are names.
 #[derive(Debug, Deserialize)]
 pub(crate) struct Recorded {
     version: u32,
     input: Input,
     pub backend: String,
     pub settings: Settings,
-    /// The whole ranking, best first; what is finished comes first.
+    /// The whole ranking, best first, but after the finished clusters.
     pub clusters: Vec<ClusterEntry>,
     pub views: Vec<ViewEntry>,
     pub outdated: Vec<Outdated>,
     pub cut: Cut,
     pub exports: Vec<ExportRecord>,
     pub warnings: Vec<String>,
-    /// Where it was read from.
+    /// Path of the manifest.
     #[serde(skip)]
     path: PathBuf,
 }
@@ -74,10 +74,10 @@ pub(crate) struct ClusterEntry {
     pub finished: bool,
 }
 
-/// The manifest, relative to the project.
+/// Path of the manifest, relative to the project.
 pub(crate) const FILE: &str = "viewrank/manifest.json";
 
-/// The bytes of a file of the plan.
+/// Reads a file of the plan that viewrank wrote.
 pub(crate) fn read_own(project: &Project, name: &str) -> Result<Vec<u8>, WrittenPlanError> {
     output::read_own(&project.root, name).map_err(|error| match error {
         OutputError::Io { path, source } | OutputError::Denied { path, source } => {
@@ -87,18 +87,21 @@ pub(crate) fn read_own(project: &Project, name: &str) -> Result<Vec<u8>, Written
     })
 }
 
-/// Name of the backend that the project's plan was made for; `None` without a plan.
+/// Returns the name of the backend that the project's plan is for; `None` without a plan.
 pub fn planned_backend(project: &Project) -> Option<String> {
     Recorded::read(project).ok().map(|recorded| recorded.backend)
 }
 
-/// Name of the sub-model that the project's plan was made for; `None` without a plan.
+/// Returns the name of the sub-model that the project's plan is for; `None` without a plan.
 pub fn planned_model(project: &Project) -> Option<String> {
     Recorded::read(project).ok()?.model_name()
 }
 
 impl WrittenPlan {
-    /// Reads `viewrank/manifest.json` of the project; an error where model or images have changed since.
+    /// Reads `viewrank/manifest.json` of the project.
+    ///
+    /// # Errors
+    /// The manifest cannot be read, contradicts itself, or belongs to other model files or images.
     pub fn read(root: &Path) -> Result<Self, WrittenPlanError> {
         let (project, recorded) = Recorded::open(root)?;
         let scene = project.read_scene()?;
@@ -110,7 +113,8 @@ impl WrittenPlan {
         Ok(Self { project, backend: recorded.backend, settings, clusters, cut, finished, target, scene })
     }
 
-    /// How many clusters another cut takes: so many, or the fewest that reach the share.
+    /// Returns the number of clusters up to another cut: the shorter of the budget and the shortest prefix that reaches the share; without
+    /// either, the plan's own cut.
     pub fn cut_at(&self, budget: Option<Budget>, target: Option<Share>) -> usize {
         let all = self.clusters.len();
         let by_budget = budget.map_or(all, |budget| budget.clusters(self.scene.views.len()));
@@ -120,7 +124,7 @@ impl WrittenPlan {
 }
 
 impl Recorded {
-    /// The project with the model that was planned for, and what was planned.
+    /// Opens the project with the model of its plan, and reads the plan.
     pub fn open(root: &Path) -> Result<(Project, Self), WrittenPlanError> {
         let any_model = Project::open(root, None)?;
         let recorded = Self::read(&any_model)?;
@@ -131,7 +135,7 @@ impl Recorded {
         Ok((project, recorded))
     }
 
-    /// What `viewrank/manifest.json` of the project says, whether or not the input has changed since.
+    /// Reads `viewrank/manifest.json` of the project without checking its input.
     pub fn read(project: &Project) -> Result<Self, WrittenPlanError> {
         let path = project.root.join(FILE);
         let bytes = read_own(project, FILE)?;
@@ -145,7 +149,7 @@ impl Recorded {
         Ok(Self { path, ..recorded })
     }
 
-    /// Are model and images those that were planned for?
+    /// Returns an error if the model or the images have changed since the plan was made.
     pub fn check_input(&self, project: &Project, scene: &Scene) -> Result<(), WrittenPlanError> {
         let same = fingerprint(project, scene, self.settings.surface.mesh.as_deref())? == self.input.fingerprint;
         if same { Ok(()) } else { Err(WrittenPlanError::OtherInput(self.path.clone())) }
@@ -153,12 +157,12 @@ impl Recorded {
 }
 
 impl Recorded {
-    /// Of the sub-model that was planned for.
+    /// Name of the planned sub-model.
     fn model_name(&self) -> Option<String> {
         Path::new(&self.input.model).file_name().map(|name| name.to_string_lossy().into_owned())
     }
 
-    /// The whole ranking, best first.
+    /// Returns the whole ranking, best first, with indices of views.
     pub fn ranked(&self, scene: &Scene) -> Result<Vec<RankedCluster>, WrittenPlanError> {
         let view = |name: &String| scene.find(name).ok_or_else(|| WrittenPlanError::OtherInput(self.path.clone()));
         let cluster = |c: &ClusterEntry| {
@@ -168,13 +172,13 @@ impl Recorded {
         self.clusters.iter().map(cluster).collect()
     }
 
-    /// How many of the ranking, from its start, have their depth map.
+    /// Returns the number of finished clusters; they are first in the ranking.
     pub fn finished(&self) -> usize {
         self.clusters.iter().take_while(|cluster| cluster.finished).count()
     }
 
-    /// Is this what was written? Around finished depth maps the order is what they made of it, and their own partners are those of
-    /// an earlier plan; the other clusters are the plan's in any order.
+    /// Returns an error if the ranking is not the plan's. With finished depth maps, their partners are those of an earlier plan and they change
+    /// the order, so only the partners of the other clusters are compared.
     pub fn check_ranking(&self, plan: &Plan) -> Result<(), WrittenPlanError> {
         let ranked = self.ranked(&plan.stages.scene)?;
         let same = match self.finished() {
@@ -189,18 +193,18 @@ impl Recorded {
     }
 }
 
-/// Why there is no plan to go on with.
+/// Errors of reading a written plan.
 #[derive(Debug, thiserror::Error)]
 pub enum WrittenPlanError {
-    #[error("there is no plan: {}: {source}", path.display())]
+    #[error("cannot read the plan {}: {source}", path.display())]
     Io { path: PathBuf, source: std::io::Error },
-    #[error("{}: {what}", path.display())]
+    #[error("cannot use the plan {}: {what}", path.display())]
     Manifest { path: PathBuf, what: String },
-    #[error("{}: a manifest of version {version}, this program reads {VERSION}", path.display())]
+    #[error("cannot use the plan {}: its version is {version}, this program reads {VERSION}", path.display())]
     Version { path: PathBuf, version: u32 },
-    #[error("{}: the model or the images have changed since this plan was made", .0.display())]
+    #[error("cannot use the plan {}: the model or the images have changed since it was made", .0.display())]
     OtherInput(PathBuf),
-    #[error("{}: another version of viewrank made this plan, and this one ranks otherwise", .0.display())]
+    #[error("cannot use the plan {}: another version of viewrank made it, and this version ranks differently", .0.display())]
     OtherPlan(PathBuf),
     #[error("cannot read the plan: {0}")]
     Own(OutputError),

@@ -5,10 +5,11 @@ mod confidence;
 mod curve;
 mod geojson;
 mod map;
+pub mod plot;
 mod surface;
 
 pub use confidence::confidence_picture;
-pub use curve::{Curve, curve_svg};
+pub use curve::{FulfilmentCurve, SHARE_LABEL, curve_svg};
 pub use geojson::views_geojson;
 pub use map::footprints;
-pub use surface::{RAMP, REASON_NUMBERS, follow, reason_number, surface_ply};
+pub use surface::{RAMP, REASON_NUMBERS, for_each_step, reason_number, surface_ply};

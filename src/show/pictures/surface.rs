@@ -29,7 +29,7 @@ impl TriangleState {
 /// State of every triangle after the first `clusters` of the ranking.
 pub fn triangle_states(plan: &Plan, clusters: usize) -> Vec<TriangleState> {
     let mut states = vec![TriangleState::default(); plan.stages.surface.triangles.len()];
-    follow(plan, |rank, triangle, fulfilment| {
+    for_each_step(plan, |rank, triangle, fulfilment| {
         let state = &mut states[triangle as usize];
         state.reachable = fulfilment;
         if rank < clusters {
@@ -40,9 +40,9 @@ pub fn triangle_states(plan: &Plan, clusters: usize) -> Vec<TriangleState> {
     states
 }
 
-/// Goes through the ranking and calls `visit` with the rank (from 0) of each cluster, each triangle that it fulfils at all, and the
-/// fulfilment of that triangle by the clusters up to this one (method 5.2).
-pub fn follow(plan: &Plan, mut visit: impl FnMut(usize, u32, f32)) {
+/// Calls `visit` along the ranking for each cluster and each triangle that it fulfils at all, with the rank (from 0), the triangle, and its
+/// fulfilment by the clusters up to this one (method 5.2).
+pub fn for_each_step(plan: &Plan, mut visit: impl FnMut(usize, u32, f32)) {
     let mut reached = Reached::new(&plan.stages.objective);
     for (rank, &cluster) in plan.decision.ranking.order.iter().enumerate() {
         if rank.is_multiple_of(column::READ_AT_ONCE) {

@@ -1,9 +1,9 @@
-// The curve of the share reached: predicted and, if there are depth maps, real.
+// The curve of shares: predicted and, with finished depth maps, measured.
 'use strict';
 
-const plot = { left: 54, right: 546, top: 14, bottom: 262 };
+const plot = { left: 54, right: 546, top: 28, bottom: 262 };
 
-// The choices for the x axis, with the value after i clusters.
+// Choices for the x axis; `at(i)`: value after i clusters.
 const overs = {
   maps: { label: 'depth maps', one: 'depth map', at: cut => cut },
   pairs: { label: 'image pairs', one: 'image pair', at: cut => pairsUpTo[cut] },
@@ -43,6 +43,7 @@ function drawCurve() {
   for (let tick = 0; tick <= most * 1.0001; tick += step) {
     parts.push(`<text x="${x(tick)}" y="${plot.bottom + 18}" text-anchor="middle">${rounded(tick)}</text>`);
   }
+  parts.push(`<text x="8" y="13">share of what all depth maps give</text>`);
   parts.push(`<text x="${(plot.left + plot.right) / 2}" y="${plot.bottom + 35}" text-anchor="middle">${over().label}</text>`);
   parts.push(`<polyline class="predicted" points="${line(clusters, i => [x(at(i)), y(shareAt(i))])}"/>`);
   if (data.real) {
@@ -56,7 +57,7 @@ function drawCurve() {
   parts.push(`<text class="strong" x="${cx + (left ? -10 : 10)}" y="${Math.min(cy + 20, plot.bottom - 8)}" text-anchor="${left ? 'end' : 'start'}">`
     + `${reachedText()}</text>`);
   byId('curve').innerHTML = parts.join('');
-  byId('curve').setAttribute('aria-label', `Share reached over ${over().label}: ${reachedText()}, ${percent(shareAt(clusters))} with ${rounded(most)}`);
+  byId('curve').setAttribute('aria-label', `Share of what all depth maps give, over ${over().label}: ${reachedText()}, ${percent(shareAt(clusters))} with ${rounded(most)}`);
 }
 
 function reachedText() {
@@ -64,7 +65,7 @@ function reachedText() {
   return `${percent(shareAt(state.cut))} with ${rounded(value)} ${value === 1 ? over().one : over().label}`;
 }
 
-// The points of a polyline, thinned to about 500; the last is always included.
+// Points of a polyline, thinned to about 500 including the last.
 function line(last, point) {
   const points = [], step = Math.max(1, Math.ceil(last / 500));
   for (let i = 0; i <= last; i++) {
@@ -79,7 +80,7 @@ function tickStep(most) {
   return [1, 2, 5, 10].map(m => m * power).find(step => most / step <= 7);
 }
 
-// The cut at a place of the drawing.
+// The cut nearest to a pointer event in the plot.
 function cutAt(event) {
   const box = byId('curve').getBoundingClientRect(), inside = (event.clientX - box.left) / box.width * 560;
   const wanted = over().at(clusters) * (inside - plot.left) / (plot.right - plot.left), at = over().at;
@@ -99,12 +100,21 @@ function setUpCurve() {
   });
   curve.addEventListener('pointermove', event => { if (event.buttons & 1) change({ cut: cutAt(event) }); });
   byId('over').addEventListener('change', drawCurve);
-  const around = data.finished ? `Ranked around ${counted(data.finished, 'finished depth map')}: up to there the curve is what they really reach. ` : '';
+  const around = data.finished ? `Ranked around ${counted(data.finished, 'finished depth map')}: up to there the curve is measured. ` : '';
   const note = data.real
-    ? `Dashed: what the ${counted(data.real.maps, 'depth map')} in ${data.real.folder} really ${data.real.maps === 1 ? 'reaches' : 'reach'}${data.real.reference ? ', held against the reference'
-      : '; without a reference (--reference) every depth counts as right'}, over what all view clusters together ${data.finished ? 'reach, as the plan knows by now' : 'were predicted to reach'}.`
-    : 'Predicted, over what all view clusters together reach. Finished depth maps are added to the curve; for maps in another folder: viewrank report --depth-maps DIR.';
+    ? `Dashed: measured on the ${counted(data.real.maps, 'depth map')} in ${data.real.folder}${data.real.reference ? ' against the reference'
+      : ' (without --reference every depth counts as right)'}, as a share of what all depth maps are predicted to give${data.finished ? ' around the finished ones' : ''}.`
+    : 'Predicted. To add finished depth maps from another folder to the curve: viewrank report --depth-maps DIR.';
   byId('curve-note').textContent = around + note;
+  byId('bound').textContent = boundText();
+}
+
+// What all depth maps give, and the bound of method 5.2 for the plan's cut.
+function boundText() {
+  const { reachable, fulfilment, fulfilment_bound: bound } = data.limits;
+  if (!(fulfilment > 0)) return '';
+  const better = Math.max(0, bound / fulfilment - 1);
+  return `All depth maps give ${percent(reachable, 0)} of what is wanted. No other choice of ${grouped.format(data.cut)} has a fulfilment more than ${percent(better, 0)} higher than the plan's.`;
 }
 
 function fillOver() {

@@ -1,4 +1,4 @@
-// What the page holds: the JSON of src/report/contents.rs, its arrays decoded.
+// Contents of the page: the JSON of src/apps/report/contents.rs with its arrays decoded.
 'use strict';
 
 const data = JSON.parse(document.getElementById('data').textContent);
@@ -48,7 +48,7 @@ const COUNTED = surface.count ? surface.first.length / surface.count : 0;
 const clusters = ranking.keys.length;
 const total = clusters ? ranking.gains.reduce((sum, gain) => sum + gain, 0) : 0;
 
-// Rank (from 1) from which on a view is a partner of some key view.
+// Rank (from 1) of the first key view that each view is a partner of.
 const partnerFrom = new Uint32Array(views.count).fill(0xffffffff);
 // Sums over the first i clusters.
 const pairsUpTo = new Float64Array(clusters + 1), pointsUpTo = new Float64Array(clusters + 1);
@@ -62,8 +62,8 @@ function partnersOf(rank) {
   return ranking.partners.subarray(ranking.partnerOffsets[rank - 1], ranking.partnerOffsets[rank]);
 }
 
-// The rank, up to the cut, of the view that does most of what this one could by itself, and how much of it; undefined for none.
-function likestAt(view, cut) {
+// The cluster up to the cut that best substitutes for the view: its rank, and the share of the view's own fulfilment that it gives; or undefined.
+function substituteAt(view, cut) {
   const end = views.likestOffsets[view + 1];
   let at = views.likestOffsets[view];
   while (at < end && views.likest[at] <= cut) at++;
@@ -74,7 +74,7 @@ function shareAt(cut) {
   return cut > 0 ? ranking.shares[cut - 1] : 0;
 }
 
-// The fewest depth maps that reach a share.
+// The smallest number of depth maps that reaches a share.
 function cutFor(share) {
   let low = 0, high = clusters;
   while (low < high) {
@@ -89,7 +89,7 @@ function statusOf(view, cut) {
   return partnerFrom[view] <= cut ? 'partner' : 'unused';
 }
 
-// What everything on the page follows.
+// State of the page; listeners redraw what depends on the changed keys.
 const state = { cut: data.cut, selected: -1, hovered: -1, colour: 'share', perPair: data.forecast.seconds_per_pair, perMap: data.forecast.seconds_per_map };
 const listeners = [];
 
@@ -104,7 +104,7 @@ function percent(share, digits = 1) {
   return `${(100 * share).toFixed(digits)}\u00a0%`;
 }
 
-// A gain, which may be very small.
+// Share added by a cluster, with more digits where it is small.
 function gainText(rank) {
   const share = total ? ranking.gains[rank - 1] / total : 0;
   return `+${percent(share, share >= 0.001 ? 2 : 4)}`;
@@ -112,7 +112,7 @@ function gainText(rank) {
 
 function short(number) {
   if (number < 9999.5) return grouped.format(Math.round(number));
-  // What is rounded up to the next power counts by it.
+  // 0.9995 of a power rounds up to the power itself.
   const [power, letter] = [[1e9, 'G'], [1e6, 'M'], [1e3, 'k']].find(([power]) => number >= 0.9995 * power);
   return `${(number / power).toPrecision(3)} ${letter}`;
 }
@@ -138,7 +138,7 @@ function rounded(number) {
 
 const unit = data.metric ? 'm' : 'units';
 
-// An element with attributes and children.
+// Creates an element; `onclick` is a listener, other attributes are text.
 function make(tag, attributes = {}, ...children) {
   const element = document.createElement(tag);
   for (const [name, value] of Object.entries(attributes)) {

@@ -1,9 +1,9 @@
-// The ranked list: only the rows in sight are in the page, so that thousands of views scroll well.
+// The ranked list. Only visible rows are elements, so that thousands of views scroll smoothly.
 'use strict';
 
 const ROW = 64;
 const collator = new Intl.Collator('en', { numeric: true });
-// In rank order, then those without a rank by name.
+// By rank; views without a rank last, by name.
 const inOrder = Array.from({ length: views.count }, (_, view) => view)
   .sort((a, b) => (views.rank[a] || Infinity) - (views.rank[b] || Infinity) || collator.compare(names[a], names[b]));
 let listed = inOrder;
@@ -28,7 +28,7 @@ function drawList() {
 
 function emptyText() {
   const wanted = byId('search').value.trim(), found = data.unregistered.find(name => name.toLowerCase().includes(wanted.toLowerCase()));
-  return found && wanted ? `${found} has no pose: the sparse model could not place it, so that it can take no part.` : 'No such view.';
+  return found && wanted ? `${found} has no pose in the sparse model and cannot be used.` : 'No such view.';
 }
 
 function listRow(place) {
@@ -41,7 +41,7 @@ function listRow(place) {
     make('span', { class: 'rank' }, rank ? String(rank) : '–'), picture,
     make('span', {}, make('div', { class: 'name', title: names[view] }, make('bdi', {}, names[view])),
       make('div', { class: 'because' }, make('span', { class: `tag ${status}` }, status === 'key' ? 'key view' : status), ` ${becauseShort(view)}`)),
-    make('span', { class: 'gain', title: 'What it adds at its turn, of what all view clusters together reach' }, rank ? gainText(rank) : '0'));
+    make('span', { class: 'gain', title: 'Share of what all depth maps give that it adds at its rank' }, rank ? gainText(rank) : '0'));
   row.style.top = `${place * ROW}px`;
   if (view === state.selected) row.classList.add('on');
   if (rank === state.cut + 1) row.classList.add('first-left-out');
@@ -51,7 +51,7 @@ function listRow(place) {
   return row;
 }
 
-// Brings the selected view into sight.
+// Scrolls to the selected view.
 function showInList() {
   const list = byId('list'), place = listed.indexOf(state.selected);
   if (place < 0) return;

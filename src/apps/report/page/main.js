@@ -1,17 +1,17 @@
-// Puts the page together: the cut, the costs, the holes, and who is told of what.
+// Sets up the page: cut, costs, holes, legends, and which parts are redrawn on a change.
 'use strict';
 
 const map = new Scene(byId('map'), new Camera(0, 90), false);
 const turn = new Scene(byId('turn'), new Camera(25, 38), true);
 const scenes = [map, turn];
-const colours = { share: 'share reached', count: 'number of key views', reason: 'reason that nothing is reached', ...(data.real ? { real: 'really reached' } : {}) };
+const colours = { share: 'share reached', count: 'number of key views', reason: 'reason for holes', ...(data.real ? { real: 'measured fulfilment' } : {}) };
 
 function drawCut() {
   const { cut } = state;
   byId('slider').value = byId('number').value = cut;
   byId('slider').setAttribute('aria-valuetext', `${cut} depth maps, ${percent(shareAt(cut))}`);
   byId('verdict').replaceChildren(make('b', {}, `${grouped.format(cut)} of ${grouped.format(views.count)} views`), ' get a depth map, ',
-    make('b', {}, `${grouped.format(pairsUpTo[cut])} image pairs`), `: ${percent(shareAt(cut))} of what all together would give.`);
+    make('b', {}, `${grouped.format(pairsUpTo[cut])} image pairs`), `: ${percent(shareAt(cut))} of what all depth maps give.`);
   for (const button of byId('jumps').children) button.setAttribute('aria-pressed', Number(button.dataset.cut) === cut);
 }
 
@@ -45,12 +45,12 @@ function worth(cut) {
   const planning = data.planning_seconds, saved = data.clusters_total - cut;
   if (planning == null || !clusters || !cut) return '';
   if (!timesKnown()) {
-    return saved > 0 ? `Worth it? Planning took ${duration(planning)}: it pays if a depth map takes more than ${rounded(planning / saved)} s.` : '';
+    return saved > 0 ? `Planning took ${duration(planning)}; it pays off if a depth map takes more than ${rounded(planning / saved)} s.` : '';
   }
   const chosen = secondsUpTo(cut) + planning, left = data.clusters_total - data.finished;
   const all = secondsFor(left, data.pairs_total - pairsUpTo[data.finished]);
-  return chosen < all ? `Worth it: ${(all / chosen).toFixed(1)} times faster than a depth map of each of the ${left} views that can have one${data.finished ? ' and have none yet' : ''}, the ${duration(planning)} of planning included.`
-    : 'Not worth it: computing everything is as fast as planning and computing these.';
+  return chosen < all ? `${(all / chosen).toFixed(1)} times faster than computing depth maps for each of the ${left} views ${data.finished ? 'still without one' : 'that can have one'}, including ${duration(planning)} of planning.`
+    : 'Computing all depth maps is as fast as planning and computing these.';
 }
 
 function setUpForecast() {
@@ -64,12 +64,12 @@ function setUpForecast() {
 function drawLegends() {
   const swatch = (colour, text) => make('span', {}, Object.assign(make('i'), { style: `background: rgb(${colour})` }), text);
   const lists = {
-    share: () => [rampSwatch('0', 'all that can be reached'), swatch(NOWHERE, 'no view can')],
-    real: () => [rampSwatch('0', '1, really'), swatch(NOWHERE, 'no view can')],
-    count: () => [...COUNT_COLOURS.map((colour, n) => swatch(colour, n === COUNTED ? `${n} or more` : n)), swatch(NOWHERE, 'no view can')],
+    share: () => [rampSwatch('0', 'as much as all depth maps give'), swatch(NOWHERE, 'no cluster fulfils it')],
+    real: () => [rampSwatch('0', '1, measured'), swatch(NOWHERE, 'no cluster fulfils it')],
+    count: () => [...COUNT_COLOURS.map((colour, n) => swatch(colour, n === COUNTED ? `${n} or more` : n)), swatch(NOWHERE, 'no cluster fulfils it')],
     reason: () => {
       const used = new Set(surface.reason);
-      return [swatch(REASON_COLOURS[0], 'some view can'), ...data.reasons.flatMap((text, i) => used.has(i + 1) ? [swatch(REASON_COLOURS[i + 1], text)] : [])];
+      return [swatch(REASON_COLOURS[0], 'some cluster fulfils it'), ...data.reasons.flatMap((text, i) => used.has(i + 1) ? [swatch(REASON_COLOURS[i + 1], text)] : [])];
     },
   };
   const cameras = [['key', 'key view'], ['partner', 'partner'], ['unused', 'unused']].map(([status, text]) =>
@@ -92,25 +92,25 @@ function setUpColours() {
 function drawHoles() {
   const area = size => `${rounded(size)} ${unit}²`;
   const share = data.area > 0 ? percent(data.holes_area / data.area) : percent(0);
-  const background = `more than ${data.far} times farther from every camera than the sparse points usually are`;
+  const background = `more than ${data.far} times the usual camera distance of sparse points away from every camera`;
   if (!data.holes.length) {
     byId('holes').replaceChildren(make('p', {}, data.far_area > 0
-      ? `Nothing within reach: what no view cluster can reconstruct (${share} of the surface, grey on the map) lies ${background}.`
-      : 'Nothing: wherever the sparse points make a surface, some view cluster can reconstruct it.'));
+      ? `No holes near the cameras: the surface that no view cluster can reconstruct (${share}, grey on the map) is ${background}.`
+      : 'No holes: some view cluster can reconstruct every part of the surface.'));
     return;
   }
-  const where = (hole, i) => hole.place ? `${i + 1}: ${hole.place.map(degrees => degrees.toFixed(6)).join(', ')}` : `place ${i + 1}`;
+  const where = (hole, i) => hole.place ? `${i + 1}: ${hole.place.map(degrees => degrees.toFixed(6)).join(', ')}` : `hole ${i + 1}`;
   const rows = data.holes.map((hole, i) => make('tr', {},
     make('td', {}, make('button', { type: 'button', class: 'link', onclick: () => showHole(hole) }, where(hole, i))),
     make('td', {}, area(hole.area)), make('td', {}, data.reasons[hole.reason - 1])));
   const reasons = [...new Set(data.holes.map(hole => hole.reason - 1))];
   byId('holes').replaceChildren(
-    make('p', {}, `${share} of the surface (${area(data.holes_area)} of ${area(data.area)}) gets less than a tenth of what is wanted from any of the images`
-      + ` (grey on the map). ${data.far_area > 0 ? `Of it ${area(data.far_area)} are background, ${background}. ` : ''}`
-      + 'The largest places within reach, the first of them with their numbers on the map:'),
-    make('table', {}, make('tr', {}, ...['where', 'area', 'because'].map(text => make('th', {}, text))), ...rows),
-    make('p', {}, 'What helps:'), make('ul', {}, ...reasons.map(reason => make('li', {}, `where ${data.reasons[reason]}: ${data.helps[reason]}.`))),
-    make('p', { class: 'note' }, 'Where the sparse model has no points there is no surface, and nothing is known.'));
+    make('p', {}, `${share} of the surface (${area(data.holes_area)} of ${area(data.area)}) is fulfilled by less than a tenth by every view cluster`
+      + ` (grey on the map). ${data.far_area > 0 ? `${area(data.far_area)} of that is background, ${background}. ` : ''}`
+      + 'The largest holes near the cameras, numbered on the map:'),
+    make('table', {}, make('tr', {}, ...['where', 'area', 'reason'].map(text => make('th', {}, text))), ...rows),
+    make('p', {}, 'New images that would fill them:'), make('ul', {}, ...reasons.map(reason => make('li', {}, `where ${data.reasons[reason]}: ${data.advice[reason]}.`))),
+    make('p', { class: 'note' }, 'Parts of the scene without sparse points have no surface and are not listed.'));
 }
 
 function showHole(hole) {
@@ -127,7 +127,7 @@ function showHole(hole) {
 
 function drawPointer() {
   const view = state.hovered >= 0 ? state.hovered : state.selected;
-  byId('under-pointer').replaceChildren(...(view < 0 ? ['Point at a camera, or go from one to the next with the arrow keys.']
+  byId('under-pointer').replaceChildren(...(view < 0 ? ['Point at a camera, or move between cameras with the arrow keys.']
     : [make('a', { href: '#why-box' }, names[view]), `: ${becauseShort(view)}`]));
 }
 
@@ -137,10 +137,10 @@ function drawFacts() {
   const left = data.unregistered.length ? `, ${counted(data.unregistered.length, 'image')} without a pose` : '';
   byId('facts').textContent = `${grouped.format(views.count)} views${left}, ${grouped.format(data.points)} sparse points, a surface of ${grouped.format(data.triangles)} triangles;`
     + ` planned for the backend ${data.backend}, ${rounded(data.gsd)} ${unit} per pixel wanted`;
-  byId('footer').textContent = `${data.tool}. ${data.surface.coarser ? 'The surface is drawn coarser than it was planned on. ' : ''}`
-    + (views.count > data.most_thumbnails ? `Only the first ${data.most_thumbnails} of the ranking have small pictures. ` : '')
-    + (data.finished || data.real ? 'On the surface everything is as predicted, but for what is called real' : 'Predicted before any depth map was computed')
-    + '; see viewrank/manifest.json for all of it.';
+  byId('footer').textContent = `${data.tool}. ${data.surface.coarser ? 'The surface is drawn with fewer triangles than in the plan. ' : ''}`
+    + (views.count > data.most_thumbnails ? `Only the first ${data.most_thumbnails} of the ranking have thumbnails. ` : '')
+    + (data.finished || data.real ? 'Colours of the surface are predicted unless labelled measured' : 'Predicted before any depth map was computed')
+    + '; viewrank/manifest.json has the whole plan.';
 }
 
 listeners.push(what => {
@@ -149,7 +149,7 @@ listeners.push(what => {
   if (any('cut', 'perPair', 'perMap')) { fillOver(); drawCurve(); drawForecast(); }
   if (any('cut') && byId('which').value !== 'all') filterList();
   if (any('selected')) { if (state.selected >= 0 && !listed.includes(state.selected)) clearFilter(); showInList(); }
-  // Another view is read out; that its words follow the slider is not, as the verdict is.
+  // Screen readers announce a newly selected view, but not its changes with the slider: the verdict is announced then.
   byId('why-box').setAttribute('aria-live', any('selected') && !any('cut') ? 'polite' : 'off');
   if (any('cut', 'selected')) { drawList(); drawWhy(); }
   if (any('colour')) {

@@ -1,10 +1,10 @@
-// The two drawings of the surface, with cameras, partners and footprints over it.
+// The two drawings of the surface, overlaid with cameras, partners and footprints.
 'use strict';
 
 let theme = {};
-// The numbers of the holes, on white in either theme.
+// Colour of the holes' numbers, which have a white outline in both themes.
 const HOLE = '#a8281a';
-// The first holes of the list are numbered whatever their size.
+// Holes that are numbered whatever their size.
 const NUMBERED = 5;
 
 function readTheme() {
@@ -131,7 +131,7 @@ class Scene {
     return best;
   }
 
-  // Draws in the next frame; `repaint`: the colours have changed too.
+  // Draws in the next frame; `repaint`: triangle colours have changed.
   draw(repaint = false) {
     this.repaint ||= repaint;
     if (this.asked) return;
@@ -192,7 +192,7 @@ class Scene {
       lines.moveTo(ox + size + 3, oy);
       lines.arc(ox, oy, size + 3, 0, 7);
     }
-    // White below, to be visible on a surface of any colour.
+    // The white outline keeps lines visible on a surface of any colour.
     for (const [colour, width] of [['#fff', 4], [theme.partner, 2]]) {
       context.strokeStyle = colour;
       context.lineWidth = width;
@@ -273,7 +273,7 @@ class Scene {
   }
 }
 
-// The chosen key views that a view is a partner of, best first.
+// Chosen key views with this partner, best first.
 function keysWith(view, cut) {
   const found = [];
   for (let rank = partnerFrom[view]; rank <= cut; rank++) {

@@ -1,10 +1,10 @@
-// Draws the surface, by WebGL or, where there is none, triangle by triangle on a plain canvas.
+// Draws the surface with WebGL, or without it triangle by triangle on a 2D canvas.
 'use strict';
 
 const NOWHERE = [148, 148, 152];
 const COUNT_COLOURS = [[200, 72, 44], [222, 140, 70], [236, 208, 108], [140, 178, 130], [76, 148, 150], [38, 122, 158]];
-// By the number of the reason; of a place these four only: too few cameras, too coarse, too inaccurate, cannot be matched. Colour-blind
-// people tell them apart too.
+// By number of the reason. Triangles have only four: too few cameras, too coarse, too inaccurate, cannot be matched; colours that the
+// colour-blind can tell apart.
 const REASON_COLOURS = Array(10).fill([150, 150, 150]);
 REASON_COLOURS[0] = [200, 205, 209];
 REASON_COLOURS[4] = [70, 60, 90];
@@ -12,7 +12,7 @@ REASON_COLOURS[6] = [70, 130, 200];
 REASON_COLOURS[7] = [240, 205, 60];
 REASON_COLOURS[8] = [200, 70, 40];
 const IMPROVED = [176, 58, 134];
-// Triangles up to which edges are drawn smoothly.
+// Surfaces with fewer triangles are antialiased.
 const SMOOTH = 10000;
 
 function ramp(share) {
@@ -21,7 +21,7 @@ function ramp(share) {
   return from.map((value, i) => value + t * (to[i] - value));
 }
 
-// Place in the triangle's steps after the first `cut` clusters; its first place where none of them helps.
+// End of the triangle's steps by the first `cut` clusters; the start of its steps if there are none.
 function stepsUpTo(triangle, cut) {
   let end = surface.offsets[triangle];
   const last = surface.offsets[triangle + 1];
@@ -68,7 +68,7 @@ const triangleColours = (() => {
   };
 })();
 
-// How bright each triangle is under a light from the upper left.
+// Brightness of each triangle under a light from the upper left.
 const shading = (() => {
   const light = [-0.35, 0.35, 0.87], shades = new Float32Array(surface.count), { vertices: p, triangles } = surface;
   for (let t = 0; t < surface.count; t++) {
@@ -81,7 +81,7 @@ const shading = (() => {
   return shades;
 })();
 
-// A box round points of lists, each point by where it begins.
+// Bounding box of points, each given as (list, offset).
 function boxOf(points) {
   const low = [Infinity, Infinity, Infinity], high = [-Infinity, -Infinity, -Infinity];
   for (const [list, from] of points) {
@@ -103,12 +103,12 @@ function* points() {
   for (let corner = 0; corner < 3 * surface.count; corner++) yield [surface.vertices, 3 * surface.triangles[corner]];
 }
 
-// The box with so much room on every side.
+// The box enlarged by `room` on every side.
 function padded({ low, high }, room) {
   return { low: low.map(x => x - room), high: high.map(x => x + room), span: Math.hypot(...low.map((x, i) => high[i] - x + 2 * room)) || 1 };
 }
 
-// What is to be seen first: the cameras, and what lies as near to them as the sparse points usually do; not what lies far off.
+// The initial view: the cameras and the surface near them, without the distant background.
 const bounds = padded(boxOf(cameras()), data.usual_distance), all = boxOf(points());
 
 const VERTEX = `
@@ -116,10 +116,10 @@ const VERTEX = `
   void main() { gl_Position = view * vec4(place, 1.0); shade = colour; }`;
 const FRAGMENT = 'precision mediump float; varying vec3 shade; void main() { gl_FragColor = vec4(shade, 1.0); }';
 
-// The surface on one canvas by WebGL.
+// Draws the surface with WebGL.
 class GlPainter {
   constructor(canvas) {
-    // Where there is no GPU, smooth edges of many triangles would take as long as everything else.
+    // Without a GPU, antialiasing many triangles would double the time of drawing.
     const gl = canvas.getContext('webgl', { alpha: true, antialias: surface.count < SMOOTH, preserveDrawingBuffer: true });
     if (!gl) throw new Error('no WebGL');
     this.gl = gl;
@@ -182,7 +182,7 @@ class GlPainter {
   }
 }
 
-// The same on a plain canvas, far triangles first.
+// Draws the surface on a 2D canvas, far triangles first.
 class PlainPainter {
   constructor(canvas) {
     this.context = canvas.getContext('2d');
@@ -224,7 +224,7 @@ function painterFor(canvas) {
   }
 }
 
-// A parallel projection: `pitch` 90 degrees looks straight down with y up the screen.
+// Parallel projection; a pitch of 90 degrees looks straight down, with y up the screen.
 class Camera {
   constructor(yaw, pitch) {
     Object.assign(this, { yaw, pitch, scale: 1, centre: [0, 1, 2].map(i => 0.5 * (bounds.low[i] + bounds.high[i])) });
@@ -242,7 +242,7 @@ class Camera {
     this.towards = [Math.sin(a) * Math.cos(p), -Math.cos(a) * Math.cos(p), Math.sin(p)];
   }
 
-  // Everything in sight.
+  // Fits the initial view into the canvas.
   fit(width, height) {
     this.turn(this.home.yaw - this.yaw, this.home.pitch - this.pitch);
     const spans = [this.right, this.up].map(axis => {
@@ -258,7 +258,7 @@ class Camera {
     this.scale = this.whole = 0.94 * Math.min(width / spans[0], height / spans[1]);
   }
 
-  // Pixel and nearness of the point at `offset` of a list.
+  // Pixel of the point at `offset` of a list, and its nearness (larger is nearer).
   screen(points, offset, width, height) {
     const { right: r, up: u, towards: d, centre: c, scale } = this;
     const x = points[offset] - c[0], y = points[offset + 1] - c[1], z = points[offset + 2] - c[2];

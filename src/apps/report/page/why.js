@@ -1,71 +1,71 @@
-// Why a view is in, or is not.
+// Explains why a view is a chosen key view or not.
 'use strict';
 
 function reasonOf(view) {
   return views.reason[view] ? data.reasons[views.reason[view] - 1] : '';
 }
 
-// What is known of its pairs, where they are the reason.
+// Explains the view's refused pairs if they are the reason.
 function pairsOf(view) {
   return data.views.partners[view] ? ` (${data.views.partners[view]})` : '';
 }
 
-// In a few words, for the list.
+// One line for the list.
 function becauseShort(view) {
   const rank = views.rank[view];
-  if (rank && rank <= data.finished) return `its depth map is finished, ${percent(shareAt(rank))} with those before it`;
-  if (rank && rank <= state.cut) return `reaches ${percent(shareAt(rank))} with those before it`;
-  const likest = likestAt(view, state.cut);
-  if (likest && likest.share >= 0.5) return `${names[ranking.keys[likest.rank - 1]]} does ${percent(likest.share, 0)} of what it could`;
-  if (rank) return `its turn comes after the cut, at ${rank}`;
-  return reasonOf(view) || 'it would add nothing to those before it';
+  if (rank && rank <= data.finished) return `its depth map is finished, ${percent(shareAt(rank))} up to here`;
+  if (rank && rank <= state.cut) return `${percent(shareAt(rank))} up to here`;
+  const substitute = substituteAt(view, state.cut);
+  if (substitute && substitute.share >= 0.5) return `${names[ranking.keys[substitute.rank - 1]]} gives ${percent(substitute.share, 0)} of what it could`;
+  if (rank) return `after the cut, at rank ${rank}`;
+  return reasonOf(view) || 'adds nothing to the views before it';
 }
 
 function drawWhy() {
   const view = state.selected, box = byId('why-box');
   box.classList.toggle('chosen', view >= 0);
-  byId('why-name').textContent = view < 0 ? 'Why is a view in, or not?' : names[view];
+  byId('why-name').textContent = view < 0 ? 'Why is a view chosen or not?' : names[view];
   if (view < 0) {
-    byId('why').replaceChildren(make('p', {}, 'Choose a view in the list or on the map, or search it by its name.'), summary());
+    byId('why').replaceChildren(make('p', {}, 'Select a view in the list or on the map, or search by name.'), summary());
     return;
   }
   const parts = [];
-  if (data.thumbnails[view]) parts.push(make('img', { src: `data:image/jpeg;base64,${data.thumbnails[view]}`, alt: `Small picture of ${names[view]}` }));
+  if (data.thumbnails[view]) parts.push(make('img', { src: `data:image/jpeg;base64,${data.thumbnails[view]}`, alt: `Thumbnail of ${names[view]}` }));
   const status = statusOf(view, state.cut);
   parts.push(make('p', {}, make('span', { class: `tag ${status}` }, { key: 'key view', partner: 'partner only', unused: 'unused' }[status])));
   parts.push(...(status === 'key' ? whyIn(view) : whyNot(view)));
   const keys = keysWith(view, state.cut);
   if (keys.length) parts.push(make('p', {}, `${keys.length} chosen key view${keys.length > 1 ? 's are' : ' is'} matched against it:`), viewList(keys));
-  parts.push(make('p', { class: 'note' }, `It sees ${grouped.format(views.seen[view])} of the ${grouped.format(data.triangles)} triangles; the dashed line on the map is round them.`));
+  parts.push(make('p', { class: 'note' }, `It sees ${grouped.format(views.seen[view])} of the ${grouped.format(data.triangles)} triangles; the dashed line on the map outlines them.`));
   byId('why').replaceChildren(...parts);
 }
 
 function whyIn(view) {
   const rank = views.rank[view], partners = Array.from(partnersOf(rank));
-  const why = rank <= data.finished ? 'In: its depth map is finished, and the others are ranked behind it. Really it brings'
-    : `In: it is number ${rank} of ${state.cut} because at its turn no other view adds more. It brings`;
+  const why = rank <= data.finished ? 'Chosen: its depth map is finished, and the others are ranked after it. Measured, it adds'
+    : `Chosen: rank ${rank} of ${state.cut}, because no other view adds more at that rank. It adds`;
   const parts = [
-    make('p', { class: 'answer' }, `${why} ${gainText(rank)} of what all views together give, from ${percent(shareAt(rank - 1))} to ${percent(shareAt(rank))}.`
-      + ' On the map, what it improves is purple.'),
+    make('p', { class: 'answer' }, `${why} ${gainText(rank)} of what all depth maps give, from ${percent(shareAt(rank - 1))} to ${percent(shareAt(rank))}.`
+      + ' Triangles that it improves are purple on the map.'),
     make('p', {}, `It is matched against ${partners.length} partner${partners.length === 1 ? '' : 's'}, best first:`), viewList(partners)];
   if (partners.length < data.wanted_partners) {
-    parts.push(make('p', {}, `That is fewer than the ${data.wanted_partners} that are wanted because ${reasonOf(view) || 'there are no others'}${pairsOf(view)}.`));
+    parts.push(make('p', {}, `Fewer than the ${data.wanted_partners} wanted, because ${reasonOf(view) || 'there are no others'}${pairsOf(view)}.`));
   }
   return parts;
 }
 
 function whyNot(view) {
-  const rank = views.rank[view], likest = likestAt(view, state.cut), reason = reasonOf(view), parts = [];
+  const rank = views.rank[view], substitute = substituteAt(view, state.cut), reason = reasonOf(view), parts = [];
   if (rank) {
-    parts.push(make('p', { class: 'answer' }, `Not in: its turn comes at ${rank}, and the cut is at ${state.cut}. There it would add ${gainText(rank)}.`),
+    parts.push(make('p', { class: 'answer' }, `Not chosen: its rank is ${rank}, and the cut is at ${state.cut}. It would add ${gainText(rank)}.`),
       make('button', { type: 'button', onclick: () => change({ cut: rank }) }, `Move the cut to ${rank}`));
   } else {
-    parts.push(make('p', { class: 'answer' }, reason ? `Not in, because ${reason}${pairsOf(view)}.` : 'Not in: at any time others add more, and in the end it adds nothing.'));
+    parts.push(make('p', { class: 'answer' }, reason ? `Not chosen, because ${reason}${pairsOf(view)}.` : 'Not chosen: other views add more at every rank, until it adds nothing.'));
   }
-  if (likest) {
-    parts.push(make('p', {}, viewButton(ranking.keys[likest.rank - 1]), ` (key view ${likest.rank}) does ${percent(likest.share, 0)} of what it could do by itself.`));
+  if (substitute) {
+    parts.push(make('p', {}, viewButton(ranking.keys[substitute.rank - 1]), ` (key view ${substitute.rank}) gives ${percent(substitute.share, 0)} of what it could do by itself.`));
   }
-  if (rank && reason && state.cut === data.cut) parts.push(make('p', {}, `At the plan's cut it is left out because ${reason}${pairsOf(view)}.`));
+  if (rank && reason && state.cut === data.cut) parts.push(make('p', {}, `At the plan's cut it is not chosen because ${reason}${pairsOf(view)}.`));
   return parts;
 }
 
@@ -75,7 +75,7 @@ function viewList(list) {
   return make('ul', {}, ...list.slice(0, 12).map(button), ...rest);
 }
 
-// How many views are what, and for which reasons the rest is not taken.
+// Counts the views by status, and at the plan's cut by reason.
 function summary() {
   const counts = { key: 0, partner: 0, unused: 0 }, reasons = new Map();
   for (let view = 0; view < views.count; view++) {
@@ -88,5 +88,5 @@ function summary() {
   const table = make('table', {}, ...rows.map(([what, n]) => make('tr', {}, make('td', {}, what), make('td', {}, grouped.format(n)))));
   if (state.cut !== data.cut || !reasons.size) return table;
   const why = [...reasons].sort((a, b) => b[1] - a[1]).map(([reason, n]) => make('li', {}, `${grouped.format(n)}: ${reason}`));
-  return make('div', {}, table, make('p', {}, 'The views that get no depth map, by reason:'), make('ul', {}, ...why));
+  return make('div', {}, table, make('p', {}, 'Views without a depth map, by reason:'), make('ul', {}, ...why));
 }

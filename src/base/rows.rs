@@ -1,0 +1,66 @@
+//! Offsets of a table in compressed sparse row (CSR) form.
+
+use std::ops::Range;
+
+/// CSR offsets: 0, then the end of each row in the table's flat arrays.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Offsets(Vec<usize>);
+
+impl Default for Offsets {
+    /// No rows.
+    fn default() -> Self {
+        Self(vec![0])
+    }
+}
+
+impl Offsets {
+    /// Rows with these numbers of entries.
+    pub fn from_lengths(lengths: impl IntoIterator<Item = usize>) -> Self {
+        let mut offsets = Self::default();
+        lengths.into_iter().for_each(|length| offsets.push(length));
+        offsets
+    }
+
+    /// Adds a row.
+    pub fn push(&mut self, length: usize) {
+        self.0.push(self.entries() + length);
+    }
+
+    /// Entries of a row; panics if there is no such row.
+    pub fn row(&self, row: usize) -> Range<usize> {
+        self.0[row]..self.0[row + 1]
+    }
+
+    /// Number of rows.
+    pub fn rows(&self) -> usize {
+        self.0.len() - 1
+    }
+
+    /// Number of entries of all rows.
+    pub fn entries(&self) -> usize {
+        self.0[self.0.len() - 1]
+    }
+
+    /// The rows + 1 offsets, as files store them.
+    pub fn as_slice(&self) -> &[usize] {
+        &self.0
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rows_follow_each_other_without_gaps() {
+        let mut offsets = Offsets::from_lengths([2, 0]);
+        offsets.push(3);
+        assert_eq!((0..offsets.rows()).map(|row| offsets.row(row)).collect::<Vec<_>>(), [0..2, 2..2, 2..5]);
+        assert_eq!((offsets.entries(), offsets.as_slice()), (5, &[0, 2, 2, 5][..]));
+    }
+
+    #[test]
+    fn an_empty_table_has_one_offset() {
+        assert_eq!((Offsets::default().rows(), Offsets::default().as_slice()), (0, &[0][..]));
+    }
+}
