@@ -517,7 +517,7 @@ fn sure_projects_have_orientations_and_a_cloud() {
     let warned = |what: &str| scene.warnings.iter().any(|w| w.text.contains(what));
     assert!(
         warned(&format!(
-            "1 oriented images are not in the sparse cloud, so that their observations are missing: {}",
+            "1 oriented images are not in the sparse cloud, so their observations are missing: {}",
             name(3)
         )),
         "{:?}",
