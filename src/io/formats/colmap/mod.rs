@@ -39,7 +39,7 @@ pub struct ColmapImage<'a> {
     pub camera_id: u32,
     pub name: Cow<'a, str>,
     pub points2d: Cow<'a, [Point2d]>,
-    /// Where its record is.
+    /// Position of its record.
     pub at: Place,
 }
 
@@ -52,7 +52,7 @@ pub struct ColmapPoint<'a> {
     /// Mean reprojection error as stored, pixels; -1 if unknown.
     pub error: f64,
     pub track: Cow<'a, [TrackElement]>,
-    /// Where its record is.
+    /// Position of its record.
     pub at: Place,
 }
 

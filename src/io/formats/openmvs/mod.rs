@@ -212,7 +212,7 @@ mod tests {
 
     /// Sizes measured with OpenMVS's own header, compiled for each version.
     #[test]
-    fn versions_grow_as_in_openmvs() {
+    fn file_sizes_of_all_versions_agree_with_openmvs() {
         let sizes: Vec<usize> = (1..=NEWEST).map(|v| small(v).write().len()).collect();
         let grown: Vec<usize> = sizes.windows(2).map(|w| w[1] - w[0]).collect();
         assert_eq!(grown, [128, 12, 8, 24, 120, 204]);
@@ -228,7 +228,7 @@ mod tests {
     }
 
     #[test]
-    fn openmvs_version_too_new() {
+    fn a_newer_version_is_refused() {
         let mut bytes = small(7).write();
         bytes[4] = 8;
         assert!(Mvs::read(&bytes).is_err_and(|e| e.to_string().contains("version 8")));
