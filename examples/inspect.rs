@@ -1,4 +1,6 @@
-//! Inspects the manifest of a planned project: `cargo run --example inspect -- fixtures/valley` (after `--example plan`).
+//! Prints the ranking of a plan (from `--example plan` or `viewrank plan`).
+//!
+//!     cargo run --example inspect -- valley
 
 use std::{env, error::Error, path::PathBuf};
 
@@ -7,11 +9,11 @@ use viewrank::manifest::WrittenPlan;
 fn main() -> Result<(), Box<dyn Error>> {
     let folder: PathBuf = env::args_os().nth(1).ok_or("usage: inspect PROJECT")?.into();
 
-    // An error if the model or the images have changed since the plan was written.
+    // Fails if the model or the images have changed since planning.
     let plan = WrittenPlan::read(&folder)?;
     println!("planned for {}: {} of {} view clusters chosen", plan.backend, plan.cut, plan.clusters.len());
 
-    // The manifest holds the whole ranking, so that it can be cut elsewhere without planning again.
+    // The manifest has the whole ranking, so another cut needs no new plan.
     for (i, cluster) in plan.clusters.iter().enumerate() {
         let mark = if i < plan.cut { ' ' } else { '-' };
         let name = plan.scene.name(cluster.key);

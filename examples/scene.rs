@@ -1,8 +1,8 @@
-//! What the library reads of a sparse model, for comparison with other readers of it.
+//! Dumps a sparse model as viewrank reads it, for comparison with other readers (`tests/python/test_read.py`).
 //!
-//! `scene MODEL` prints the number of views, points and observations, and the seconds that reading took. `scene MODEL DIR` writes the
-//! names of the views (`views.json`), their poses (`poses.npy`: rotation row by row, translation), the observations (`observations.npy`: view, id
-//! of the point) and their pixels (`pixels.npy`: measured x and y, projected x and y, not a number where there is no projection).
+//! `scene MODEL` prints the numbers of views, points and observations, and the reading time in seconds. `scene MODEL DIR` writes view names
+//! (`views.json`), poses (`poses.npy`: rotation, row-major, and translation), observations (`observations.npy`: view, point id) and pixels
+//! (`pixels.npy`: measured x and y, projected x and y, NaN without a projection).
 
 use std::{env, error::Error, fs, fs::File, path::Path, time::Instant};
 
@@ -14,7 +14,7 @@ use viewrank::internals::{
 
 fn main() -> Result<(), Box<dyn Error>> {
     let arguments: Vec<String> = env::args().skip(1).collect();
-    let Some(model) = arguments.first() else { return Err("scene MODEL [DIR]".into()) };
+    let Some(model) = arguments.first() else { return Err("usage: scene MODEL [DIR]".into()) };
     let start = Instant::now();
     let scene = Project::open(Path::new(model), None)?.read_scene()?;
     let seconds = start.elapsed().as_secs_f64();

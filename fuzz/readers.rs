@@ -1,5 +1,5 @@
-//! What the fuzzers do with bytes: they take the place of one file of a small valid model, and whatever is read must be whole and
-//! must be the same again after writing. Used by the targets of `cargo fuzz` and by `tests/fuzz_readers.rs`.
+//! Shared code of the fuzz targets and of `tests/fuzz_readers.rs`: replaces one file of a small valid model by the fuzzer's bytes, and checks that
+//! a model that can be read is consistent and round-trips.
 
 use viewrank::internals::{
     formats::{
@@ -9,10 +9,10 @@ use viewrank::internals::{
     scene::Scene,
 };
 
-/// The files of a model, by their names.
+/// The files of a model: names and contents.
 pub type Files = Vec<(&'static str, Vec<u8>)>;
 
-/// Names of all targets: the file that is replaced.
+/// COLMAP files to replace, one fuzz target each.
 pub const TARGETS: [&str; 10] = [
     "cameras.bin",
     "images.bin",
@@ -26,11 +26,11 @@ pub const TARGETS: [&str; 10] = [
     "frames.txt",
 ];
 
-/// Files of other programs, each the whole model.
+/// Model files of other programs, one fuzz target each.
 pub const FOREIGN: [&str; 7] =
     ["bundle.out", "model.nvm", "sfm_data.json", "reconstruction.json", "scene.sfm", "scene.mvs", "image.ori"];
 
-/// A small valid file of another program.
+/// A small valid model file of another program.
 pub fn foreign_model(name: &str) -> Vec<u8> {
     let text: &str = match name {
         "bundle.out" => {
@@ -56,7 +56,7 @@ pub fn foreign_model(name: &str) -> Vec<u8> {
     text.as_bytes().to_vec()
 }
 
-/// A scene of OpenMVS with two images, one of them calibrated, and a point.
+/// An OpenMVS scene with two images, one of them calibrated, and one point.
 fn mvs() -> openmvs::Mvs {
     let unit = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
     let image = |name: &str, id, pose| openmvs::Image {
@@ -84,7 +84,7 @@ fn mvs() -> openmvs::Mvs {
     }
 }
 
-/// Reads a file of another program.
+/// Reads a model file of another program and checks the result.
 pub fn read_foreign(name: &str, data: &[u8]) {
     let size = |_: &str| Some((100, 80));
     let found = match name {
@@ -102,7 +102,7 @@ pub fn read_foreign(name: &str, data: &[u8]) {
     }
 }
 
-/// Three images of a rig of two cameras, and a third camera; four points.
+/// A COLMAP model: three images, a rig of two cameras, a third camera, and four points.
 pub fn model(text: bool) -> Files {
     const CAMERAS: &[u8] =
         b"1 OPENCV 100 80 90 91 50 40 0.01 0.02 0 0\n2 SIMPLE_RADIAL 100 80 90 50 40 0.1\n9 PINHOLE 10 8 9 9 5 4\n";
@@ -116,11 +116,11 @@ pub fn model(text: bool) -> Files {
     if text { colmap_text::write(&model).expect("no blanks in names") } else { colmap_bin::write(&model) }
 }
 
-/// Reads the model with one of its files replaced.
+/// Reads the model with the file `target` replaced by `data`, and checks the result.
 pub fn replace(target: &str, data: &[u8], files: &Files) {
     let file = |name: &str| {
         let stem_matches = |f: &&(&str, Vec<u8>)| f.0.split('.').next() == Some(name);
-        let found = files.iter().find(stem_matches).expect("all files are there");
+        let found = files.iter().find(stem_matches).expect("the model has every file");
         if found.0 == target { data } else { &found.1 }
     };
     let bytes = Bytes {
@@ -130,7 +130,7 @@ pub fn replace(target: &str, data: &[u8], files: &Files) {
         rigs: Some(file("rigs")),
         frames: Some(file("frames")),
     };
-    // Without rigs and frames nothing contradicts the images: more is read to the end.
+    // Also without rigs and frames: fewer contradictions, so more inputs are read to the end.
     for bytes in [bytes, Bytes { rigs: None, frames: None, ..bytes }] {
         match read(&bytes, target.ends_with("txt")) {
             Ok((model, scene)) => check(&model, &scene),
@@ -161,16 +161,16 @@ fn check(model: &ColmapModel, scene: &Scene) {
         assert!(view.camera.index() < scene.cameras.len());
     }
     let _ = (scene.median_gsd(), scene.mean_reprojection_error());
-    again(scene, &colmap_bin::write(model), false);
+    assert_round_trip(scene, &colmap_bin::write(model), false);
     if let Ok(files) = colmap_text::write(model) {
-        again(scene, &files, true);
+        assert_round_trip(scene, &files, true);
     }
-    let reduced = model.reduced(|image| image.id % 2 == 1, 2).expect("what was read can be reduced");
+    let reduced = model.reduced(|image| image.id % 2 == 1, 2).expect("a valid model can be reduced");
     reduced.scene().expect("a reduced model is consistent");
 }
 
-/// What is written gives the same scene.
-fn again(scene: &Scene, files: &Files, text: bool) {
+/// Checks that the written files give the same scene.
+fn assert_round_trip(scene: &Scene, files: &Files, text: bool) {
     let file = |name: &str| files.iter().find(|f| f.0.split('.').next() == Some(name)).map(|f| &f.1[..]);
     let required = |name| file(name).expect("written");
     let (rigs, frames) = (file("rigs"), file("frames"));
@@ -181,7 +181,7 @@ fn again(scene: &Scene, files: &Files, text: bool) {
         rigs,
         frames,
     };
-    let (_, other) = read(&bytes, text).expect("what is written can be read");
+    let (_, other) = read(&bytes, text).expect("a written model can be read");
     assert_eq!((&other.cameras, &other.points, &other.point_ids), (&scene.cameras, &scene.points, &scene.point_ids));
     assert_eq!((&other.track_views, &other.track_pixels), (&scene.track_views, &scene.track_pixels));
     let views = |s: &Scene| s.views.iter().map(|v| (v.name.clone(), v.image_id, v.cam_from_world)).collect::<Vec<_>>();

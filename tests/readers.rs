@@ -284,7 +284,7 @@ fn a_project_is_recognised_by_what_lies_in_it() {
     let other = open(root);
     assert_eq!(other.dense_workspace, None);
     let warnings = other.read_scene().unwrap().warnings;
-    assert!(warnings.iter().any(|w| w.text.contains("nothing is written into it")), "{warnings:?}");
+    assert!(warnings.iter().any(|w| w.text.contains("writes nothing into it")), "{warnings:?}");
     assert_eq!(open(&root.join("sparse/10")).kind, ProjectKind::BareModel);
     assert_eq!(open(&root.join("sparse/10")).images, Some(root.join("images")));
     assert_eq!(open(&root.join("sparse/10/cameras.bin")).model.path, root.join("sparse/10"));

@@ -354,7 +354,7 @@ impl ExportRecord {
             key: view(c.key),
             partners: c.partners.iter().map(|&p| view(p)).collect(),
         };
-        let faults = selection.image_faults.of(&selection.views());
+        let faults = selection.image_faults.among(&selection.views());
         Self {
             backend: backend.name().into(),
             key_maps: selection.clusters.len(),

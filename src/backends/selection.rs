@@ -77,7 +77,7 @@ impl Selection<'_> {
             return Err(needs("the images, and there is no image folder".into(), &self.project.root.join("images")));
         };
         let views = self.views();
-        if !views.is_empty() && self.image_faults.of(&views).missing.len() == views.len() {
+        if !views.is_empty() && self.image_faults.among(&views).missing.len() == views.len() {
             return Err(needs(format!("the images, and none of them is in {}", folder.display()), folder));
         }
         Ok(folder)

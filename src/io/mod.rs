@@ -1,4 +1,4 @@
-//! Files: sparse models, meshes and depth maps to read, project folders, and whole-or-nothing sets of files to write.
+//! Files: readers of sparse models, meshes and depth maps, project folders, and atomic writes of sets of files.
 
 pub mod depthmaps;
 pub mod formats;

@@ -1,19 +1,19 @@
 //! PLY meshes (Turk, "The PLY Polygon File Format", 1994): reads ASCII and both binary byte orders, writes binary little-endian.
 //!
-//! The reader wants an element `vertex` with `x`, `y`, `z` and an element `face` with a list `vertex_indices` or `vertex_index`; other
-//! elements and properties are skipped, polygons are cut into fans. Every count is checked against the bytes that are there.
+//! The reader requires an element `vertex` with `x`, `y`, `z` and an element `face` with a list `vertex_indices` or `vertex_index`. It skips other
+//! elements and properties, and splits polygons into triangle fans. Every count is checked against the remaining bytes.
 
 use nalgebra::Point3;
 
-/// A triangle mesh as files hold it.
+/// A triangle mesh.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Mesh {
     pub vertices: Vec<Point3<f64>>,
-    /// Indices of vertices.
+    /// Vertex indices.
     pub triangles: Vec<[u32; 3]>,
 }
 
-/// What is wrong with a PLY file, and where.
+/// Error in a PLY file, with its position.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum PlyError {
     #[error("line {line}: {what}")]
@@ -70,7 +70,7 @@ impl Scalar {
 struct Property {
     name: String,
     value: Scalar,
-    /// Type of the count, for lists.
+    /// Type of the count of a list; `None` for a scalar.
     count: Option<Scalar>,
 }
 
@@ -84,11 +84,11 @@ struct Element {
 struct Header {
     encoding: Encoding,
     elements: Vec<Element>,
-    /// Where the body begins.
+    /// Offset of the body, bytes.
     body: usize,
 }
 
-/// Reads a mesh, vertices and triangles in the order of the file.
+/// Reads a mesh; vertices and triangles keep the order of the file.
 pub fn read(bytes: &[u8]) -> Result<Mesh, PlyError> {
     let header = read_header(bytes)?;
     let mut body = Body { bytes, at: header.body, encoding: header.encoding };
@@ -103,7 +103,7 @@ pub fn read(bytes: &[u8]) -> Result<Mesh, PlyError> {
     }
     let count = mesh.vertices.len() as u64;
     match mesh.triangles.iter().flatten().find(|&&v| u64::from(v) >= count) {
-        Some(v) => Err(body.error(format!("a face names vertex {v}, but there are {count}"))),
+        Some(v) => Err(body.error(format!("a face refers to vertex {v}, but there are {count}"))),
         None => Ok(mesh),
     }
 }
@@ -128,7 +128,7 @@ fn read_header(bytes: &[u8]) -> Result<Header, PlyError> {
             ["format", name, _] => encoding = Some(parse_encoding(name).ok_or_else(|| fail("unknown format"))?),
             ["comment" | "obj_info", ..] | [] => {}
             ["element", name, count] => {
-                let count = count.parse().map_err(|_| fail("the count of the element is no number"))?;
+                let count = count.parse().map_err(|_| fail("the element count is not a number"))?;
                 elements.push(Element { name: name.into(), count, properties: Vec::new() });
             }
             ["property", ..] => {
@@ -164,7 +164,7 @@ fn parse_property(words: &[&str]) -> Option<Property> {
     }
 }
 
-/// Reads values one by one.
+/// The body of a file, read value by value.
 struct Body<'a> {
     bytes: &'a [u8],
     at: usize,
@@ -176,25 +176,25 @@ impl Body<'_> {
         PlyError::Body { byte: self.at, what: what.into() }
     }
 
-    /// Could the element fit into the bytes that are left? So nothing is reserved or looped over for counts that lie.
+    /// Checks that the element can fit in the remaining bytes, so a false count neither reserves memory nor loops.
     fn check_room(&self, element: &Element) -> Result<(), PlyError> {
         let smallest = |p: &Property| match self.encoding {
             Encoding::Ascii => 2,
             _ => p.count.unwrap_or(p.value).size(),
         };
         let each = element.properties.iter().map(smallest).sum::<usize>().max(1) as u64;
-        // The last line of an ASCII file may lack its line end.
+        // The last line of an ASCII file may have no line end.
         let left = (self.bytes.len() - self.at) as u64 + 1;
         match element.count.checked_mul(each) {
             Some(needed) if needed <= left => Ok(()),
             _ => {
                 Err(self
-                    .error(format!("{} x {} do not fit into the file; is it cut off?", element.count, element.name)))
+                    .error(format!("{} x {} do not fit into the file; is it truncated?", element.count, element.name)))
             }
         }
     }
 
-    /// The next number; integers up to 2^32 are exact.
+    /// Reads the next number; integers up to 2^32 are exact.
     fn number(&mut self, scalar: Scalar) -> Result<f64, PlyError> {
         if self.encoding == Encoding::Ascii {
             return self.word();
@@ -231,7 +231,7 @@ impl Body<'_> {
         Ok(value)
     }
 
-    /// The length of a list whose items need at least a byte each.
+    /// Reads the length of a list with items of at least one byte each.
     fn list_length(&mut self, count: Scalar) -> Result<usize, PlyError> {
         let length = self.number(count)?;
         let left = (self.bytes.len() - self.at) as f64;
@@ -294,14 +294,14 @@ fn read_polygon(body: &mut Body, count: Scalar, value: Scalar, polygon: &mut Vec
     for _ in 0..body.list_length(count)? {
         let index = body.number(value)?;
         if !(index >= 0.0 && index < f64::from(u32::MAX) && index.fract() == 0.0) {
-            return Err(body.error(format!("{index} is no index of a vertex")));
+            return Err(body.error(format!("{index} is not a vertex index")));
         }
         polygon.push(index as u32);
     }
     Ok(())
 }
 
-/// A number or colour per triangle that viewers can show.
+/// A number or colour per triangle, for viewers.
 pub enum FaceField<'a> {
     Float(&'a str, &'a [f32]),
     Byte(&'a str, &'a [u8]),
@@ -310,8 +310,8 @@ pub enum FaceField<'a> {
 }
 
 impl FaceField<'_> {
-    /// The name of a number at the vertices, as CloudCompare wants it, which reads none at faces; and its value at each vertex: the mean of
-    /// the triangles there, or of whole numbers the largest.
+    /// Converts the field to a scalar per vertex for CloudCompare, which ignores scalars of faces: its name, and at each vertex the mean of the
+    /// adjacent triangles (floats) or their maximum (bytes). `None` for colours.
     fn at_vertices(&self, vertices: usize, triangles: &[[u32; 3]]) -> Option<(String, Vec<f32>)> {
         let mut values = vec![0f32; vertices];
         let corners = || triangles.iter().enumerate().flat_map(|(t, vertices)| vertices.map(|v| (t, v as usize)));
@@ -335,9 +335,9 @@ impl FaceField<'_> {
     }
 }
 
-/// The surface as binary little-endian PLY with the fields per triangle, each as long as the triangles, and numbers at the vertices too: MeshLab
-/// shows colours and the field named `quality` of the triangles, CloudCompare every `scalar_` of the vertices. Vertices are `float` where that moves none by more than a thousandth of the
-/// mean edge, else `double`. Each comment is one line.
+/// Serialises a surface as binary little-endian PLY. `fields` have one value per triangle and are written for the triangles and, except colours,
+/// for the vertices: MeshLab shows colours and the field `quality` of triangles, CloudCompare every `scalar_` field of vertices. Vertices are
+/// `float` if rounding moves none by more than a thousandth of the mean edge length, otherwise `double`. Each comment becomes one line.
 pub fn write(vertices: &[Point3<f64>], triangles: &[[u32; 3]], fields: &[FaceField], comments: &[String]) -> Vec<u8> {
     let double = !fits_float(vertices, triangles);
     let scalars: Vec<(String, Vec<f32>)> =
@@ -406,7 +406,7 @@ mod tests {
         element edge 1\r\nproperty int a\r\nend_header\r\n0 0 0 9\r\n1 0 0 9\r\n1 1 0 9\r\n0 1 5e-1 9\r\n4 0 1 2 3 0.25\r\n7\r\n";
 
     #[test]
-    fn reads_polygons_and_skips_what_it_does_not_need() {
+    fn reads_polygons_and_skips_other_properties() {
         let surface = read(ASCII.as_bytes()).unwrap();
         assert_eq!(surface.triangles, [[0, 1, 2], [0, 2, 3]]);
         assert_eq!(surface.vertices[3], Point3::new(0.0, 1.0, 0.5));
@@ -427,9 +427,9 @@ mod tests {
         assert_eq!((surface.vertices[0], &surface.triangles[..]), (Point3::new(0.5, 1.0, -3.0), &[[0, 1, 2]][..]));
     }
 
-    /// Near the origin vertices are floats, at map coordinates doubles; fields follow each face.
+    /// Vertices are floats near the origin and doubles at map coordinates; fields follow each face.
     #[test]
-    fn writes_what_it_reads() {
+    fn written_meshes_round_trip() {
         for (offset, digits) in [(0.0, 1e-6), (5.8e6, 0.0)] {
             let mut surface = shapes::torus(9);
             surface.vertices.iter_mut().for_each(|v| v.x += offset);
@@ -448,23 +448,23 @@ mod tests {
     }
 
     #[test]
-    fn errors_say_where() {
+    fn errors_have_a_position() {
         let replaced = |from: &str, to: &str| read(ASCII.replace(from, to).as_bytes()).unwrap_err().to_string();
         assert_eq!(replaced("ply\r\n", "plyx\n"), "line 1: the file does not begin with \"ply\"");
         assert_eq!(replaced("ascii", "utf8"), "line 2: unknown format");
         assert!(replaced("vertex 4", "vertex 1152921504606846976").contains("do not fit into the file"));
         assert!(replaced("face 1", "face 99999999999999999999").starts_with("line 9"));
-        assert!(replaced("4 0 1 2 3", "4 0 1 2 9").contains("names vertex 9, but there are 4"));
-        assert!(replaced("4 0 1 2 3", "4 0 1 2 -3").contains("-3 is no index"));
+        assert!(replaced("4 0 1 2 3", "4 0 1 2 9").contains("refers to vertex 9, but there are 4"));
+        assert!(replaced("4 0 1 2 3", "4 0 1 2 -3").contains("-3 is not a vertex index"));
         assert!(replaced("4 0 1 2 3", "1e9 0 1 2 3").contains("a list of 1000000000 items"));
         assert!(replaced("5e-1", "nan").contains("vertex 3 is not finite"));
         assert!(replaced("end_header", "").starts_with("line 15: unknown header line"));
     }
 
     proptest! {
-        /// Whatever is cut off or flipped, reading ends with a mesh or an error.
+        /// Reading a truncated or modified file returns a mesh or an error.
         #[test]
-        fn damaged_files_do_no_harm(cut in 0usize..700, at in 0usize..700, byte: u8, binary: bool) {
+        fn no_damaged_file_causes_a_panic(cut in 0usize..700, at in 0usize..700, byte: u8, binary: bool) {
             let mut bytes = if binary { { let sphere = shapes::sphere(0); write(&sphere.vertices, &sphere.triangles, &[], &[]) } } else { ASCII.as_bytes().to_vec() };
             let position = at % bytes.len();
             bytes[position] = byte;

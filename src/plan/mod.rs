@@ -72,7 +72,7 @@ impl Plan {
         Self::from_scene(project, scene, settings, matcher, timings, watcher)
     }
 
-    /// As [`Plan::new`], for the project's scene that was read before, in the time that `timings` have.
+    /// As [`Plan::new`], for a scene of the project that was read before; `timings` continues its measurement.
     pub fn from_scene(
         project: &Project,
         scene: Scene,
@@ -99,7 +99,8 @@ impl Plan {
         forecast::points(&decision::cost(&self.stages, &model, ranking, finished), ranking.order.len())
     }
 
-    /// For each cluster, those ranked before it that do more of what it could by itself than any before them.
+    /// For each cluster, the clusters ranked before it that give more of its own fulfilment than all before them, by rank: the last one within a
+    /// cut is the best substitute there.
     pub fn best_substitutes(&self) -> Result<Vec<Vec<Substitute>>, DiskError> {
         let triangles = self.stages.surface.triangles.len();
         reasons::best_substitutes(&self.stages.fulfilment, &self.decision.ranking.order, triangles)

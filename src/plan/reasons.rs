@@ -169,8 +169,8 @@ fn most_frequent(reasons: impl Iterator<Item = Reason>) -> Option<Reason> {
     counts.into_iter().max_by_key(|&(reason, count)| (count, std::cmp::Reverse(reason))).map(|(reason, _)| reason)
 }
 
-/// Of each cluster those ranked before it that do more of what it could by itself than any before them: the last of them within a cut
-/// is the best substitute there.
+/// For each cluster, the clusters ranked before it that give more of its own fulfilment than all before them, by rank: the last one within a
+/// cut is the best substitute there.
 pub(super) fn best_substitutes(
     table: &FulfilmentTable,
     order: &[u32],
@@ -195,7 +195,7 @@ pub(super) fn best_substitutes(
     Ok((0..table.clusters()).into_par_iter().map(of_cluster).collect())
 }
 
-/// A cluster that does much of what another one could do.
+/// A cluster ranked before another one, whose fulfilment it partly gives as well.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Substitute {
     /// From 0.

@@ -50,7 +50,7 @@ fn reads_the_files_of_colmap_opencv_and_numpy() {
 }
 
 #[test]
-fn reads_a_file_of_openmvs() {
+fn reads_a_dmap_written_by_openmvs() {
     let map = read(&fixture("depth0040.dmap"), DepthMapFormat::OpenMvs).unwrap();
     assert_eq!((map.width, map.height), (62, 46));
     assert_eq!(map.ids, [40, 43, 39, 41, 56]);

@@ -1,8 +1,8 @@
 //! AliceVision's SfMData (`.sfm`, `.json`; Meshroom), versions 1.0 to 1.2: JSON in which every number is a string.
 //!
-//! World to camera by a rotation in *column* order and a centre; axes as in COLMAP; the centre of the first pixel is (0, 0).
-//! Focal lengths are in millimetres of the sensor's width since 1.2.2, principal points relative to the image's centre since
-//! 1.2.1. Views of a rig have the rig's pose and a pose within the rig.
+//! Poses are a world-to-camera rotation in *column-major* order and a centre; axes as in COLMAP; the centre of the first pixel is (0, 0).
+//! Since 1.2.2 focal lengths are in millimetres on the sensor, since 1.2.1 principal points are relative to the image centre. Views of a rig have
+//! the rig's pose and a pose within the rig.
 
 use std::{collections::HashMap, fmt, marker::PhantomData, str::FromStr};
 
@@ -119,7 +119,7 @@ struct Observation {
     x: List<Number<f64>>,
 }
 
-/// A number, maybe in quotes.
+/// A number, possibly in quotes.
 #[derive(Clone, Copy, Debug)]
 struct Number<T>(T);
 
@@ -129,10 +129,10 @@ impl<'de, T: FromStr> Deserialize<'de> for Number<T> {
         impl<T: FromStr> Visitor<'_> for Quoted<T> {
             type Value = Number<T>;
             fn expecting(&self, f: &mut fmt::Formatter) -> fmt::Result {
-                f.write_str("a number, maybe in quotes")
+                f.write_str("a number, possibly in quotes")
             }
             fn visit_str<E: Error>(self, text: &str) -> Result<Self::Value, E> {
-                // Truth values are written 0 and 1 as well.
+                // Booleans are also written as 0 and 1.
                 let text = match text {
                     "0" | "1" if size_of::<T>() == 1 => {
                         if text == "1" {
@@ -143,7 +143,7 @@ impl<'de, T: FromStr> Deserialize<'de> for Number<T> {
                     }
                     _ => text,
                 };
-                text.parse().map(Number).map_err(|_| E::custom(format!("{text:?} is not a number of the right kind")))
+                text.parse().map(Number).map_err(|_| E::custom(format!("{text:?} is not a valid number")))
             }
             fn visit_bool<E: Error>(self, value: bool) -> Result<Self::Value, E> {
                 self.visit_str(&value.to_string())
@@ -203,7 +203,7 @@ impl List<Number<f64>> {
     }
 }
 
-/// One focal length up to 1.1, then a list of two.
+/// Focal length: one number up to version 1.1, a list of two since.
 #[derive(Deserialize)]
 #[serde(untagged)]
 enum OneOrTwo {
@@ -251,7 +251,7 @@ pub fn read(bytes: &[u8]) -> Result<Foreign, Fault> {
         foreign.add_image(id, name, camera_id, pose, Place::File);
     }
     if nameless > 0 {
-        foreign.warn(WarningKind::Format, format!("{nameless} views have no path; they are named by their ids"));
+        foreign.warn(WarningKind::Format, format!("{nameless} views without a path are named by their ids"));
     }
     for landmark in &data.structure.0 {
         let id = landmark.landmark_id.0;
@@ -263,9 +263,9 @@ pub fn read(bytes: &[u8]) -> Result<Foreign, Fault> {
 }
 
 impl View {
-    /// Rotation and centre; `None` without pose.
+    /// Rotation and centre of a view; `None` without a pose.
     fn motion(&self, poses: &HashMap<u32, &Motion>, rigs: &HashMap<u32, &Rig>) -> Result<Option<RigidMotion>, Problem> {
-        // A view without pose id has the pose of its own id.
+        // Without a pose id, the view's own id is its pose's id.
         let pose_id = self.pose_id.unwrap_or(self.view_id).0;
         let Some(motion) = poses.get(&pose_id) else { return Ok(None) };
         let (rotation, centre) = motion.rotation_and_centre()?;
@@ -318,11 +318,11 @@ impl Intrinsic {
             Some(OneOrTwo::Two(list)) => return list.numbers("pxFocalLength"),
             None => {}
         }
-        let missing = || Problem::Json("there is no focalLength".into());
+        let missing = || Problem::Json("focalLength is missing".into());
         let pixels_per_mm = self.width.0 as f64 / self.sensor_width.map_or(36.0, |w| w.0);
         let f = self.focal_length.ok_or_else(missing)?.0 * pixels_per_mm;
         let ratio = self.pixel_ratio.map_or(1.0, |r| r.0);
-        // The ratio changed its meaning twice.
+        // The meaning of the ratio changed twice.
         Ok(match version {
             v if v < &[1, 2, 5][..] => [f, f / ratio],
             v if v < &[1, 2, 11][..] => [f, f * ratio],
@@ -360,7 +360,7 @@ impl Intrinsic {
                 (CameraModel::Fov, vec![fx, fy, cx, cy, list.numbers::<1>("distortionParams")?[0]])
             }
             ("equidistant", "" | "none") => {
-                // The scale is that of a radius of one at half of the field of view.
+                // The scale maps half of the field of view to a radius of 1.
                 let (sensor_width, sensor_height) =
                     (self.sensor_width.map_or(36.0, |w| w.0), self.sensor_height.map_or(24.0, |h| h.0));
                 let longest = self.width.0.max(self.height.0) as f64;

@@ -7,8 +7,8 @@
 //! point   X   r g b   n (camera key x y) ...
 //! ```
 //!
-//! World to camera; x right, y up, z backward; pixels are relative to the centre of the image, y up; distortion
-//! `f (1 + k1 r² + k2 r⁴)` of the undistorted radius, as in RADIAL. Sizes of images are not in the file.
+//! Poses are world to camera with x right, y up, z backward; pixels are relative to the image centre, y up; distortion is
+//! `f (1 + k1 r² + k2 r⁴)` of the undistorted radius, as in RADIAL. The file doesn't store image sizes.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -19,7 +19,7 @@ use super::{
 };
 use crate::model::camera::{Camera, CameraModel};
 
-/// Bytes of the shortest camera: 15 one-digit numbers; of a point: 7.
+/// Least number of bytes of a camera (15 one-digit numbers) and of a point (7).
 const SMALLEST: [usize; 2] = [30, 14];
 
 struct BundlerCamera {
@@ -38,7 +38,7 @@ struct BundlerPoint {
     at: Place,
 }
 
-/// Reads `bundle.out` and its list, a line per image: the name, and maybe two numbers more.
+/// Reads `bundle.out` and its image list: one line per image with the name, sometimes followed by two numbers.
 pub fn read(bundle: &[u8], list: &[u8], size_of: SizeOf) -> Result<Foreign, Fault> {
     let names = names(list)?;
     let mut words = Words::new(bundle);
@@ -48,7 +48,7 @@ pub fn read(bundle: &[u8], list: &[u8], size_of: SizeOf) -> Result<Foreign, Faul
     let cameras = words.count("cameras", SMALLEST[0])?;
     let points = words.count("points", SMALLEST[1])?;
     if names.len() != cameras {
-        let message = format!("the list names {} images, the bundle file has {cameras} cameras", names.len());
+        let message = format!("{} images in the list, but {cameras} cameras in the bundle file", names.len());
         return Err(words.fault(Problem::Contradiction(message)));
     }
     let numbered = |what: &'static str, n: usize| move || format!("{what} {}", n + 1);
@@ -82,7 +82,7 @@ fn names(list: &[u8]) -> Result<Vec<String>, Fault> {
     let lines = list.split(|&b| b == b'\n').enumerate().filter(|(_, line)| !line.trim_ascii().is_empty());
     let name = |(n, line): (usize, &[u8])| {
         let line = line.trim_ascii();
-        // "NAME 0 FOCAL" where the focal length was known beforehand.
+        // "NAME 0 FOCAL" if the focal length was known.
         let name = super::words::name_and_numbers::<2>(line).map_or(line, |(name, _)| name);
         let text = std::str::from_utf8(name).map_err(|_| {
             fault(n, Problem::Name { name: String::from_utf8_lossy(name).into_owned(), why: "is not UTF-8" })
@@ -103,7 +103,7 @@ fn assemble(
     for &(camera, [x, y]) in points.iter().flat_map(|point| &point.observations) {
         farthest[camera] = [farthest[camera][0].max(x.abs()), farthest[camera][1].max(y.abs())];
     }
-    // Position among the registered images, and half the size.
+    // Index among the registered images, and half the image size.
     let mut registered = vec![None; cameras.len()];
     let mut guessed = 0;
     for (n, bundler) in cameras.iter().enumerate() {

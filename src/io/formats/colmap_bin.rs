@@ -1,8 +1,7 @@
-//! COLMAP's binary model files (`cameras.bin`, `images.bin`, `points3D.bin`; since 4.0 `rigs.bin`, `frames.bin`):
-//! little-endian, no padding, a u64 count and then the records.
+//! COLMAP's binary model files (`cameras.bin`, `images.bin`, `points3D.bin`; since 4.0 `rigs.bin`, `frames.bin`): little-endian, no padding, a
+//! u64 count followed by the records.
 //!
-//! Nothing is allocated for a count before it is compared with the bytes that are left, and 2D points and tracks are not
-//! copied: they point into the bytes given.
+//! Counts are checked against the remaining bytes before anything is allocated. 2D points and tracks are borrowed from the input.
 
 use std::{borrow::Cow, collections::BTreeSet};
 
@@ -22,7 +21,7 @@ use crate::model::{
     scene::{ModelWarning, WarningKind},
 };
 
-/// Reads a model; the cross-references are checked by [`ColmapModel::scene`].
+/// Reads a model; [`ColmapModel::scene`] checks its cross-references.
 pub fn read<'a>(bytes: &Bytes<'a>) -> Result<ColmapModel<'a>, Fault> {
     let mut warnings = Vec::new();
     Ok(ColmapModel {
@@ -35,13 +34,13 @@ pub fn read<'a>(bytes: &Bytes<'a>) -> Result<ColmapModel<'a>, Fault> {
     })
 }
 
-/// Names of the images in `images.bin`.
+/// Reads the names of the images in `images.bin`.
 pub fn image_names(images: &[u8]) -> Result<BTreeSet<String>, Fault> {
     let images = records("images", images, "image", 73, image, &mut Vec::new())?;
     Ok(images.into_iter().map(|image| image.name.into_owned()).collect())
 }
 
-/// A whole file: the count, then as many records of at least `smallest` bytes.
+/// Reads a whole file: the count, and that number of records of at least `smallest` bytes each.
 fn records<'a, T>(
     file: &'static str,
     bytes: &'a [u8],
@@ -64,7 +63,7 @@ fn records<'a, T>(
     Ok(all)
 }
 
-/// The bytes of a file that are not read yet.
+/// The unread bytes of a file.
 struct Reader<'a> {
     file: &'static str,
     whole: &'a [u8],
@@ -72,7 +71,7 @@ struct Reader<'a> {
 }
 
 impl<'a> Reader<'a> {
-    /// Applies a parser; it fails only where the bytes end.
+    /// Applies a parser, which can fail only at the end of the file.
     fn take<T>(
         &mut self,
         what: &'static str,
@@ -87,7 +86,7 @@ impl<'a> Reader<'a> {
         }
     }
 
-    /// A u64 count of records of at least `smallest` bytes, all of which fit in the rest of the file.
+    /// Reads a u64 count of records of at least `smallest` bytes each, and checks that they fit in the rest of the file.
     fn count(&mut self, what: &'static str, smallest: usize) -> Result<usize, Fault> {
         let at = self.place();
         let count = self.take("a count", le_u64)?;
@@ -99,7 +98,7 @@ impl<'a> Reader<'a> {
         usize::try_from(count).ok().filter(|&n| n <= room).ok_or(Problem::Count { what, count, room: room as u64 })
     }
 
-    /// `count` elements of a type without padding or alignment, not copied.
+    /// Borrows `count` elements of a type without padding or alignment.
     fn slice<T: bytemuck::AnyBitPattern>(&mut self, what: &'static str, count: usize) -> Result<&'a [T], Fault> {
         self.take(what, take(count * size_of::<T>())).map(bytemuck::cast_slice)
     }
@@ -180,7 +179,7 @@ fn frame(reader: &mut Reader) -> Result<Frame, Fault> {
     Ok(Frame { id, rig_id, rig_from_world, data, at })
 }
 
-/// The files of a model, as COLMAP 3.x and 4.x read them.
+/// Writes the files of a model for COLMAP 3.x and 4.x.
 pub fn write(model: &ColmapModel) -> Vec<(&'static str, Vec<u8>)> {
     let mut files = vec![
         ("cameras.bin", file(&model.cameras, write_camera)),

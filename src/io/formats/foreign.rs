@@ -1,5 +1,5 @@
-//! What the readers of other programs' formats have in common: they put a model together in COLMAP's conventions, and the checks
-//! and the scene are those of a COLMAP model.
+//! Shared code of the readers of other programs' formats: each builds a model in COLMAP's conventions, which is then checked and converted to a
+//! scene like a COLMAP model.
 
 use std::borrow::Cow;
 
@@ -14,16 +14,16 @@ use crate::model::{
     scene::{ModelWarning, Scene, WarningKind},
 };
 
-/// How far from orthonormal a rotation matrix may be: some programs print six digits.
+/// Largest deviation of a rotation matrix from orthonormality (Frobenius norm of R Rᵀ - I); some programs print six digits.
 const ROTATION_TOLERANCE: f64 = 1e-3;
 
-/// A model in COLMAP's conventions and what its format says beside.
+/// A model in COLMAP's conventions, with the additional data of its format.
 #[derive(Clone, Debug, Default)]
 pub struct Foreign {
     pub model: ColmapModel<'static>,
     /// Names of images without a pose.
     pub unregistered: Vec<String>,
-    /// The folder that names are relative to, where the format names one.
+    /// The folder to which image names are relative, for formats that store it.
     pub image_folder: Option<String>,
 }
 
@@ -41,7 +41,7 @@ impl Foreign {
         self.model.images.push(ColmapImage { id, cam_from_world, camera_id, name: Cow::Owned(name), points2d, at });
     }
 
-    /// Adds a point with its observations: position of the image in `model.images`, pixel.
+    /// Adds a point with its observations (index of the image in `model.images`, pixel).
     pub(super) fn add_point(
         &mut self,
         id: u64,
@@ -60,13 +60,13 @@ impl Foreign {
         self.model.points.push(ColmapPoint { id, xyz, colour, error: -1.0, track, at });
     }
 
-    /// For formats that do not say how large images are.
+    /// Warns of guessed image sizes, for formats that don't store them.
     pub(super) fn warn_of_guessed_sizes(&mut self, guessed: usize) {
         if guessed > 0 {
             let all = self.model.images.len();
             let text = format!(
-                "{guessed} of {all} images are not there, so their sizes are guessed from the measured pixels; put the images \
-                 beside the model"
+                "{guessed} of {all} images are missing, so their sizes are guessed from the measured pixels; copy the images \
+                 next to the model"
             );
             self.warn(WarningKind::Guessed, text);
         }
@@ -76,7 +76,7 @@ impl Foreign {
         self.model.warnings.push(ModelWarning::new(kind, text));
     }
 
-    /// Makes absolute names relative to the folder that they have in common, which becomes the image folder.
+    /// Makes absolute names relative to their common folder, which becomes the image folder.
     pub(super) fn shorten_names(&mut self) {
         let names =
             || self.model.images.iter().map(|image| &*image.name).chain(self.unregistered.iter().map(String::as_str));
@@ -96,39 +96,39 @@ impl Foreign {
     }
 }
 
-/// A pose from a rotation matrix, world to camera, and a translation.
+/// Makes a pose from a rotation matrix (world to camera) and a translation; orthonormalises the rotation.
 pub(super) fn pose(rotation: Matrix3<f64>, translation: Vector3<f64>) -> Result<StoredPose, Problem> {
     if !rotation.iter().chain(translation.iter()).all(|v| v.is_finite()) {
         return Err(Problem::NotFinite("the pose"));
     }
     let off = (rotation * rotation.transpose() - Matrix3::identity()).norm();
     if off > ROTATION_TOLERANCE || rotation.determinant() < 0.0 {
-        return Err(Problem::Contradiction("the rotation matrix is none: its rows are not orthonormal".into()));
+        return Err(Problem::Contradiction("the rows of the rotation matrix are not orthonormal".into()));
     }
-    // Orthonormal to the last digit by the polar decomposition.
+    // Orthonormalised by the polar decomposition.
     let svd = rotation.svd(true, true);
     let rotation = svd.u.zip(svd.v_t).map_or(rotation, |(u, v_t)| u * v_t);
     let q = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(rotation));
     Ok(StoredPose { quaternion: [q.w, q.i, q.j, q.k], translation: translation.into() })
 }
 
-/// A pose from a rotation matrix, world to camera, and the camera's centre.
+/// Makes a pose from a rotation matrix (world to camera) and the camera centre.
 pub(super) fn pose_with_centre(rotation: Matrix3<f64>, centre: Vector3<f64>) -> Result<StoredPose, Problem> {
     pose(rotation, -(rotation * centre))
 }
 
-/// Adds half a pixel: from "the centre of the first pixel is (0, 0)" to COLMAP's (0.5, 0.5).
+/// Adds half a pixel: converts from pixel centres at integers to COLMAP's convention (first centre at 0.5, 0.5).
 pub(super) fn shift(pixel: [f64; 2]) -> [f64; 2] {
     pixel.map(|c| c + 0.5)
 }
 
-/// A camera, or the fault in it. Programs that write undistorted images leave the distortion in the file, as zeros: without any it is a
-/// pinhole, which every backend takes.
+/// Returns the camera, as a pinhole camera if its distortion is zero, or the fault. Programs that undistort images write models with zero
+/// distortion, but some backends take pinhole cameras only.
 pub(super) fn camera(camera: Result<Camera, CameraError>, what: impl FnOnce() -> String) -> Result<Camera, Fault> {
-    camera.and_then(without_no_distortion).map_err(|error| Fault::new("", Place::File, error.into()).in_record(what))
+    camera.and_then(simplified).map_err(|error| Fault::new("", Place::File, error.into()).in_record(what))
 }
 
-fn without_no_distortion(camera: Camera) -> Result<Camera, CameraError> {
+fn simplified(camera: Camera) -> Result<Camera, CameraError> {
     use CameraModel::{FullOpenCv, OpenCv, Radial, SimpleRadial};
     let size = (u64::from(camera.width), u64::from(camera.height));
     match (camera.model(), camera.params()) {
@@ -142,19 +142,19 @@ fn without_no_distortion(camera: Camera) -> Result<Camera, CameraError> {
     }
 }
 
-/// Where an image's size is not in the file: looks it up by name.
+/// Returns the width and height of an image by name, for formats that don't store them.
 pub type SizeOf<'a> = &'a dyn Fn(&str) -> Option<(u32, u32)>;
 
-/// A size that holds all measured pixels, for images that are not there. `farthest` is the largest distance of a pixel from the
-/// centre along each axis, where the centre is known to be the origin, else the largest coordinate.
+/// Guesses the width and height of a missing image so that it contains all measured pixels. `farthest`: largest coordinate along each axis,
+/// absolute and relative to the image centre if `from_centre`.
 pub(super) fn guessed_size(farthest: [f64; 2], from_centre: bool) -> (u32, u32) {
     let factor = if from_centre { 2.0 } else { 1.0 };
     let [w, h] = farthest.map(|c| (c * factor).ceil().clamp(1.0, 1e6) as u32);
-    // Even, so that the centre of the guess is a whole number of pixels.
+    // Even, so the centre has integer coordinates.
     (w + w % 2, h + h % 2)
 }
 
-/// The JSON of a file as a value, or the line of the fault in it.
+/// Parses JSON; a fault has its line.
 pub(super) fn json<'a, T: serde::Deserialize<'a>>(bytes: &'a [u8]) -> Result<T, Fault> {
     serde_json::from_slice(bytes).map_err(|error| {
         let place = if error.line() > 0 { Place::Line(error.line() as u64) } else { Place::File };

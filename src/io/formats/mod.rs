@@ -1,5 +1,5 @@
-//! File formats of sparse models, one file each: bytes <-> [`crate::model::scene::Scene`], no file system logic. Each format's
-//! conventions (axes, pixel centre, distortion) are known in its file and nowhere else.
+//! File formats of sparse models, one module each: bytes <-> [`crate::model::scene::Scene`], without file access. Conventions of a format (axes,
+//! pixel centre, distortion) don't leave its module.
 
 pub mod alicevision;
 pub mod bundler;
@@ -18,7 +18,7 @@ use std::fmt;
 
 use crate::model::camera::CameraError;
 
-/// The contents of the files of a COLMAP model, binary or text.
+/// Contents of the files of a COLMAP model, binary or text.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Bytes<'a> {
     pub cameras: &'a [u8],
@@ -28,14 +28,14 @@ pub struct Bytes<'a> {
     pub frames: Option<&'a [u8]>,
 }
 
-/// What is wrong in a file, and where.
+/// A fault in a model file, with its position.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error("{place}{}: {problem}", record.iter().map(|r| format!(" ({r})")).collect::<String>())]
 pub struct Fault {
-    /// Which of the model's files: the stem of a COLMAP file (`images`), empty where the model is one file.
+    /// Stem of the COLMAP file, such as `images`; empty for models of one file.
     pub file: &'static str,
     pub place: Place,
-    /// The record, such as `image 3 of 12`.
+    /// The record at fault, such as `image 3 of 12`.
     pub record: Option<String>,
     pub problem: Problem,
 }
@@ -45,19 +45,19 @@ impl Fault {
         Self { file, place, record: None, problem }
     }
 
-    /// Names the record unless one is named already.
+    /// Adds the record, unless there is one.
     pub fn in_record(mut self, record: impl FnOnce() -> String) -> Self {
         self.record.get_or_insert_with(record);
         self
     }
 }
 
-/// Where in a file.
+/// Position in a file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Place {
     /// Offset from the start of the file.
     Byte(u64),
-    /// Counted from 1.
+    /// Line number, from 1.
     Line(u64),
     /// The file as a whole.
     File,
@@ -73,32 +73,32 @@ impl fmt::Display for Place {
     }
 }
 
-/// What can be wrong with the contents of a model.
+/// A problem with the contents of a model file.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum Problem {
     #[error("the file ends within {0}")]
     Truncated(&'static str),
-    #[error("{count} {what} are announced, but the rest of the file has room for {room} at most")]
+    #[error("{count} {what} declared, but at most {room} fit in the rest of the file")]
     Count { what: &'static str, count: u64, room: u64 },
     #[error("expected {expected}, found {found:?}")]
     Syntax { expected: &'static str, found: String },
     #[error("{0}")]
     Json(String),
-    #[error("there is no camera model {0}")]
+    #[error("unknown camera model {0}")]
     CameraModel(String),
     #[error(transparent)]
     Camera(#[from] CameraError),
-    #[error("{what} {id} occurs a second time")]
+    #[error("duplicate {what} {id}")]
     Duplicate { what: &'static str, id: String },
-    #[error("it refers to {what} {id}, which is not in the model")]
+    #[error("reference to {what} {id}, which is not in the model")]
     Absent { what: &'static str, id: u64 },
     #[error("{0} is not a finite number")]
     NotFinite(&'static str),
-    #[error("the rotation is a quaternion of length zero")]
+    #[error("the rotation is a quaternion of length 0")]
     ZeroQuaternion,
     #[error("the image name {name:?} {why}")]
     Name { name: String, why: &'static str },
-    #[error("its track names 2D point {index} of image {image}, {why}")]
+    #[error("the track refers to 2D point {index} of image {image}, {why}")]
     TrackIndex { image: u32, index: u32, why: String },
     #[error("{0}")]
     Contradiction(String),
@@ -107,34 +107,31 @@ pub enum Problem {
 }
 
 impl Problem {
-    /// What to do about it.
+    /// Hint: what to do about the problem.
     pub fn hint(&self) -> &'static str {
         match self {
-            Self::Truncated(_) | Self::Count { .. } => {
-                "Copy the file again or export the model again: it is incomplete or damaged."
-            }
-            Self::Syntax { .. } | Self::Json(_) => "Export the model again, or mend the line by hand.",
+            Self::Truncated(_) | Self::Count { .. } => "copy or export the file again: it is incomplete or damaged",
+            Self::Syntax { .. } | Self::Json(_) => "export the model again, or correct the line by hand",
             Self::CameraModel(_) => {
-                "Convert the cameras to a model that COLMAP 4.2 knows, or check that the file is what its name says."
+                "convert the cameras to a model that COLMAP 4.2 supports, or check that the file has the format of its name"
             }
-            Self::Camera(_) => "Correct the intrinsics, or export the model again.",
-            Self::Duplicate { .. } => "Give each record its own id and each image its own name.",
-            Self::Absent { .. } => "Export all files of the model at the same time: they do not belong together.",
+            Self::Camera(_) => "correct the intrinsics, or export the model again",
+            Self::Duplicate { .. } => "make ids and image names unique",
+            Self::Absent { .. } => "export all files of the model together: they don't match",
             Self::NotFinite(_) | Self::ZeroQuaternion => {
-                "Remove the record with the program that made the model; its bundle adjustment has probably failed there."
+                "remove the record in the program that made the model, whose bundle adjustment has probably failed"
             }
-            Self::Name { .. } => "Rename the image, in the image folder and in the model.",
+            Self::Name { .. } => "rename the image, in the image folder and in the model",
             Self::TrackIndex { .. } | Self::Contradiction(_) => {
-                "Export all files of the model at the same time; delete rigs and frames files left by another model."
+                "export all files of the model together; delete rigs and frames files of other models"
             }
             Self::Unsupported { hint, .. } => hint,
         }
     }
 }
 
-/// Checks an image name, which is relative to the image folder: not empty, and not leading to places that have nothing to do
-/// with the project. `../other/a.jpg` is met in practice and allowed; further up than the folder that holds the image
-/// folder, or an absolute path, is not.
+/// Checks an image name relative to the image folder: not empty, not absolute, and not outside the parent of the image folder.
+/// `../other/a.jpg` occurs in practice and is allowed.
 pub fn check_name(name: &str) -> Result<(), Problem> {
     let refuse = |why| Err(Problem::Name { name: name.into(), why });
     if name.is_empty() {
@@ -154,7 +151,7 @@ pub fn check_name(name: &str) -> Result<(), Problem> {
             _ => depth += 1,
         }
         if depth < -1 {
-            return refuse("leads out of the folder that holds the image folder");
+            return refuse("is outside the parent of the image folder");
         }
     }
     Ok(())
@@ -165,7 +162,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn names_stay_in_the_project() {
+    fn names_outside_the_project_are_refused() {
         for name in ["a.jpg", "../up/one.jpg", "./dot.jpg", "back\\slash.jpg", "a/../../b.jpg", "日本/写真 2.png"] {
             assert_eq!(check_name(name), Ok(()), "{name}");
         }

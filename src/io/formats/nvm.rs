@@ -6,10 +6,9 @@
 //! POINTS    then per line: X Y Z  r g b  n (camera key x y) ...
 //! ```
 //!
-//! World to camera, axes as in COLMAP, C the camera's centre. Measurements are relative to the centre of the image (VisualSFM) or
-//! to its corner (COLMAP, OpenMVG): in a file where one is below zero, the former. The distortion r applies to the *measured*
-//! side; to first order it is SIMPLE_RADIAL with k = -r, as which COLMAP writes it. Sizes of images are not in the file. Only
-//! the first model of a file is read.
+//! Quaternions are world to camera, axes as in COLMAP, C is the camera centre. Pixels are relative to the image centre (VisualSFM) or corner
+//! (COLMAP, OpenMVG); a negative one in the file means the former. The distortion r applies to *measured* pixels; to first order it is
+//! SIMPLE_RADIAL with k = -r, which is how COLMAP writes it. The file doesn't store image sizes. Only the first model of a file is read.
 
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
@@ -50,7 +49,10 @@ pub fn read(nvm: &[u8], size_of: SizeOf) -> Result<Foreign, Fault> {
     let points = (0..count).map(each).collect::<Result<Vec<_>, _>>()?;
     let mut foreign = assemble(&cameras, &points, size_of)?;
     if !fixed.trim_ascii().is_empty() {
-        foreign.warn(WarningKind::Format, "FixedK of the NVM file is not used: the focal length of each camera is");
+        foreign.warn(
+            WarningKind::Format,
+            "FixedK of the NVM file is ignored in favour of the focal length of each camera",
+        );
     }
     if words.number::<u64>("").is_ok_and(|more| more > 0) {
         foreign.warn(WarningKind::OtherModels, "only the first of several models of the NVM file is read");

@@ -1,7 +1,7 @@
 //! OpenMVG's `sfm_data.json`, versions 0.2 and 0.3 (cereal JSON).
 //!
-//! World to camera by rotation (rows) and centre; axes as in COLMAP; the centre of the first pixel is (0, 0). Radial, Brown and
-//! fisheye distortion are COLMAP's formulas.
+//! Poses are a world-to-camera rotation (row-major) and a centre; axes as in COLMAP; the centre of the first pixel is (0, 0). Radial, Brown and
+//! fisheye distortion have COLMAP's formulas.
 
 use std::collections::HashMap;
 
@@ -14,7 +14,7 @@ use super::{
 };
 use crate::model::camera::{Camera, CameraModel};
 
-/// cereal's mark of a type name that was given before.
+/// cereal's flag for a type whose name occurred before.
 const SEEN_BEFORE: u64 = 0x8000_0000;
 
 #[derive(Deserialize)]
@@ -92,7 +92,7 @@ pub fn read(bytes: &[u8]) -> Result<Foreign, Fault> {
     let data: SfmData = json(bytes)?;
     let mut foreign =
         Foreign { image_folder: Some(data.root_path).filter(|path| !path.is_empty()), ..Foreign::default() };
-    // The name of a type stands only where it occurs first.
+    // cereal writes a type name only at its first occurrence.
     let mut type_names = HashMap::new();
     for Entry { key, value } in &data.intrinsics {
         let number = value.polymorphic_id & !SEEN_BEFORE;
@@ -138,7 +138,7 @@ fn intrinsic(id: u32, kind: &str, data: &Intrinsic) -> Result<Camera, Fault> {
     let parameters = |list: &Option<Vec<f64>>, n: usize| {
         let list = list.clone().filter(|list| list.len() == n);
         list.ok_or_else(|| {
-            let message = format!("{kind} lacks its {n} distortion parameters");
+            let message = format!("{kind} without its {n} distortion parameters");
             Fault::new("", Place::File, Problem::Json(message)).in_record(|| format!("intrinsic {id}"))
         })
     };

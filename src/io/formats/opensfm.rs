@@ -1,8 +1,8 @@
 //! OpenSfM's `reconstruction.json` with its `tracks.csv` (also OpenDroneMap's).
 //!
-//! World to camera by an angle-axis rotation and a translation; axes as in COLMAP. Pixels are normalised:
-//! `(u - w/2) / max(w, h)` with COLMAP's u. Focal lengths and principal points are in the same unit. Of several
-//! reconstructions the one with most shots is read, ties by position.
+//! Poses are world-to-camera angle-axis rotations and translations; axes as in COLMAP. Pixels are normalised: `(u - w/2) / max(w, h)` with
+//! COLMAP's u; focal lengths and principal points have the same unit. Of several reconstructions the one with the most shots is read, ties by
+//! position in the file.
 
 use std::collections::HashMap;
 
@@ -28,7 +28,7 @@ struct Reconstruction {
     points: Ordered<Point>,
 }
 
-/// A JSON object, by name.
+/// A JSON object as a map.
 type Ordered<T> = std::collections::BTreeMap<String, T>;
 
 #[derive(Deserialize)]
@@ -75,10 +75,10 @@ struct Point {
     color: [f64; 3],
 }
 
-/// By track: position of the image, pixel.
+/// Observations by track: index of the image, and pixel.
 type Observations<'a> = HashMap<&'a [u8], Vec<(usize, [f64; 2])>>;
 
-/// Reads the reconstruction and, where they are there, the tracks; without them the points have no observations.
+/// Reads the reconstruction and the tracks; without tracks, points have no observations.
 pub fn read(reconstruction: &[u8], tracks: Option<&[u8]>) -> Result<Foreign, Fault> {
     let reconstructions: Vec<Reconstruction> = json(reconstruction)?;
     let all = reconstructions.len();
@@ -87,7 +87,7 @@ pub fn read(reconstruction: &[u8], tracks: Option<&[u8]>) -> Result<Foreign, Fau
     let Some(largest) = largest else { return Ok(foreign) };
     if all > 1 {
         let shots = largest.shots.len();
-        let text = format!("of {all} reconstructions the one with most shots ({shots}) is read");
+        let text = format!("of {all} reconstructions only the one with the most shots ({shots}) is read");
         foreign.warn(WarningKind::OtherModels, text);
     }
     let mut camera_ids = HashMap::new();
@@ -98,7 +98,7 @@ pub fn read(reconstruction: &[u8], tracks: Option<&[u8]>) -> Result<Foreign, Fau
     let mut shots = HashMap::new();
     for (n, (name, shot)) in largest.shots.iter().enumerate() {
         let fault = |problem| Fault::new("", Place::File, problem).in_record(|| format!("shot {name:?}"));
-        let unknown = || fault(Problem::Json(format!("there is no camera {:?}", shot.camera)));
+        let unknown = || fault(Problem::Json(format!("unknown camera {:?}", shot.camera)));
         let &(camera_id, camera) = camera_ids.get(shot.camera.as_str()).ok_or_else(unknown)?;
         let rotation = Rotation3::new(Vector3::from(shot.rotation));
         let q = UnitQuaternion::from_rotation_matrix(&rotation);
@@ -109,13 +109,13 @@ pub fn read(reconstruction: &[u8], tracks: Option<&[u8]>) -> Result<Foreign, Fau
     let observations = tracks.map_or(Ok(HashMap::new()), |tracks| observations(tracks, &shots))?;
     add_points(&mut foreign, &largest.points, &observations);
     if tracks.is_none() && !largest.points.is_empty() {
-        let text = "there is no tracks.csv beside the reconstruction: points have no observations";
+        let text = "points have no observations: tracks.csv is missing next to the reconstruction";
         foreign.warn(WarningKind::Damaged, text);
     }
     Ok(foreign)
 }
 
-/// Points keep their ids where all are numbers.
+/// Point ids: those of the file if all are numbers, otherwise 1, 2, ...
 fn add_points(foreign: &mut Foreign, points: &Ordered<Point>, observations: &Observations) {
     let ids: Option<Vec<u64>> = points.keys().map(|id| id.parse().ok()).collect();
     let mut order: Vec<_> = points
@@ -131,7 +131,7 @@ fn add_points(foreign: &mut Foreign, points: &Ordered<Point>, observations: &Obs
     }
 }
 
-/// Rows `shot, track, feature, x, y, ...` separated by tabs.
+/// Parses rows of `shot, track, feature, x, y, ...`, separated by tabs.
 fn observations<'a>(
     tracks: &'a [u8],
     shots: &HashMap<&[u8], (usize, &OpenSfmCamera)>,
@@ -169,7 +169,7 @@ fn intrinsics(id: u32, name: &str, c: &OpenSfmCamera) -> Result<Camera, Fault> {
         "brown" => (CameraModel::FullOpenCv, vec![fx, fy, cx, cy, c.k1, c.k2, c.p1, c.p2, c.k3, 0.0, 0.0, 0.0]),
         "fisheye" => (CameraModel::RadialFisheye, vec![fx, cx, cy, c.k1, c.k2]),
         "fisheye_opencv" => (CameraModel::OpenCvFisheye, vec![fx, fy, cx, cy, c.k1, c.k2, c.k3, c.k4]),
-        // Its tangential part acts beside the radial one, for which COLMAP has four coefficients.
+        // Tangential plus radial distortion, for which COLMAP has four radial coefficients.
         "fisheye62" if c.k5 == 0.0 && c.k6 == 0.0 => {
             (CameraModel::ThinPrismFisheye, vec![fx, fy, cx, cy, c.k1, c.k2, c.p1, c.p2, c.k3, c.k4, 0.0, 0.0])
         }

@@ -1,8 +1,7 @@
 //! SURE's `.ori`: interior and exterior orientation of one image, a text file of keys and values.
 //!
-//! World to camera; the "translation vector" is the camera's *centre*; axes as in COLMAP; the centre of the first pixel is (0, 0).
-//! Focal length in mm and pixel size are not used: the camera matrix is in pixels. Distortion is `NONE`, or `Brown5` with
-//! K1 K2 K3 T1 T2.
+//! The rotation is world to camera, the "translation vector" is the camera *centre*; axes as in COLMAP; the centre of the first pixel is (0, 0).
+//! The camera matrix is in pixels, so the focal length in mm and the pixel size are ignored. Distortion is `NONE`, or `Brown5` with K1 K2 K3 T1 T2.
 
 use std::collections::{HashMap, HashSet};
 
@@ -23,9 +22,9 @@ use crate::model::{
 /// One oriented image.
 #[derive(Clone, Debug)]
 pub struct Orientation {
-    /// The image's file name.
+    /// File name of the image.
     pub image: String,
-    /// In COLMAP's conventions.
+    /// Pose in COLMAP's conventions.
     pub camera: Camera,
     pub cam_from_world: StoredPose,
 }
@@ -56,13 +55,13 @@ pub fn read(bytes: &[u8], id: u32) -> Result<Orientation, Fault> {
     Ok(Orientation { image: image.to_owned(), camera, cam_from_world })
 }
 
-/// A key and the lines below it.
+/// The lines after a key.
 struct Entry<'a> {
     at: Place,
     lines: Vec<&'a [u8]>,
 }
 
-/// By key: what stands between `$` and the first run of underscores or bracket.
+/// Entries by key: the text between `$` and the first bracket or run of underscores.
 fn entries(bytes: &[u8]) -> Result<HashMap<String, Entry<'_>>, Fault> {
     let mut entries: HashMap<String, Entry> = HashMap::new();
     let mut current = None;
@@ -110,7 +109,7 @@ fn distortion(entries: &HashMap<String, Entry>, [fx, fy, cx, cy]: [f64; 4]) -> R
     }
 }
 
-/// The model of oriented images, without points. `name_of` finds the image's name, for the file may leave the extension out.
+/// Makes a model of oriented images, without points. `name_of` completes image names: the file may omit the extension.
 pub fn model(oriented: Vec<Orientation>, name_of: impl Fn(&str) -> String) -> Foreign {
     let mut foreign = Foreign::default();
     for Orientation { image, camera, cam_from_world } in oriented {
@@ -121,14 +120,14 @@ pub fn model(oriented: Vec<Orientation>, name_of: impl Fn(&str) -> String) -> Fo
     foreign
 }
 
-/// Most points of a cloud without tracks that are used, and most observations that may come of them.
+/// Largest number of points used from a cloud without tracks, and largest number of observations made from them.
 const CLOUD_POINTS: usize = 1 << 20;
 const CLOUD_OBSERVATIONS: usize = 20_000_000;
-/// Points that tell how many views see one.
+/// Number of points sampled to estimate how many views a point projects into.
 const CLOUD_SAMPLE: usize = 1 << 12;
 
-/// Adds points that nothing is known of but their places: each is taken as seen by all views that it projects into, hidden or
-/// not; pixels are the projections. Of a huge cloud a part is taken, the same at each reading.
+/// Adds points without tracks: all views into which a point projects are taken to observe it, even if it is hidden there; pixels are the
+/// projections. A huge cloud is subsampled, in the same way at each reading.
 pub fn add_cloud(foreign: &mut Foreign, points: &[Point3<f64>]) {
     let cameras: HashMap<u32, Camera> = foreign.model.cameras.iter().map(|c| (c.id, c.clone())).collect();
     let poses =
@@ -149,16 +148,17 @@ pub fn add_cloud(foreign: &mut Foreign, points: &[Point3<f64>]) {
     for (n, (x, track)) in used.iter().zip(tracks).enumerate() {
         foreign.add_point(n as u64 + 1, (**x).into(), [255; 3], track, Place::File);
     }
-    let text = "the points of the PLY file have no tracks: all views that they project into count";
+    let text =
+        "the points of the PLY file have no tracks: every view into which a point projects counts as observing it";
     foreign.warn(WarningKind::Format, text);
     if used.len() < points.len() {
         let (all, used) = (points.len(), used.len());
-        let text = format!("the PLY file holds {all} points; {used} of them, spread over it, are used");
+        let text = format!("the PLY file has {all} points, of which a random {used} are used");
         foreign.warn(WarningKind::Format, text);
     }
 }
 
-/// About `most` of the points, chosen by a hash of their position in the list: every n-th of a grid would be lines of it.
+/// Chooses about `most` points by a hash of their index: with a fixed stride, only some lines of a grid would remain.
 fn thinned(points: &[Point3<f64>], most: usize) -> Vec<&Point3<f64>> {
     // SplitMix64.
     let hash = |n: usize| {
@@ -172,8 +172,8 @@ fn thinned(points: &[Point3<f64>], most: usize) -> Vec<&Point3<f64>> {
     points.iter().enumerate().filter(|(n, _)| all || (hash(*n) as f64) < limit).map(|(_, x)| x).collect()
 }
 
-/// Adds the points of another model of the same images, found by their names: extensions aside, and folders too where that is
-/// unambiguous, as SURE knows neither. Pixels are as measured there.
+/// Adds the points and measured pixels of another model of the same images. Images are matched by name without extensions and, if that is
+/// unambiguous, without folders: SURE's files may have neither.
 pub fn add_tracks(foreign: &mut Foreign, cloud: &Foreign) -> Result<(), Problem> {
     let images = &cloud.model.images;
     let own = positions(foreign, images.iter().map(|image| &*image.name));
@@ -190,7 +190,7 @@ pub fn add_tracks(foreign: &mut Foreign, cloud: &Foreign) -> Result<(), Problem>
     Ok(())
 }
 
-/// For each of the names, the position of the oriented image that it means.
+/// Index of the oriented image for each name.
 fn positions<'a>(oriented: &Foreign, names: impl Iterator<Item = &'a str>) -> Vec<Option<usize>> {
     let stem = |name: &str| {
         let name = name.replace('\\', "/");
@@ -214,7 +214,7 @@ fn positions<'a>(oriented: &Foreign, names: impl Iterator<Item = &'a str>) -> Ve
     names.iter().map(|stem| by_stem.get(stem).copied().or_else(|| by_file(stem))).collect()
 }
 
-/// Names the images that have no counterpart; where none has one, the two models do not belong together.
+/// Warns of images without a counterpart; an error if no image has one, since the two models then don't match.
 fn report_unmatched(foreign: &mut Foreign, cloud: &Foreign, own: &[Option<usize>]) -> Result<(), Problem> {
     let matched: HashSet<usize> = own.iter().flatten().copied().collect();
     let name = |(n, image): (usize, &ColmapImage)| (!matched.contains(&n)).then(|| image.name.to_string());
@@ -223,7 +223,7 @@ fn report_unmatched(foreign: &mut Foreign, cloud: &Foreign, own: &[Option<usize>
     let others: Vec<String> = cloud.model.images.iter().zip(own).filter_map(other).collect();
     if let (true, [first, ..], [other, ..]) = (matched.is_empty(), &oriented[..], &others[..]) {
         return Err(Problem::Contradiction(format!(
-            "none of the images of the sparse cloud (as {other}) is one of the oriented images (as {first})"
+            "no image of the sparse cloud (e.g. {other}) is among the oriented images (e.g. {first})"
         )));
     }
     for (names, what) in [
@@ -233,14 +233,14 @@ fn report_unmatched(foreign: &mut Foreign, cloud: &Foreign, own: &[Option<usize>
         if !names.is_empty() {
             let more = if names.len() > 3 { ", ..." } else { "" };
             let some = names.iter().take(3).map(String::as_str).collect::<Vec<_>>().join(", ");
-            let text = format!("{} {what}, so that their observations are missing: {some}{more}", names.len());
+            let text = format!("{} {what}, so their observations are missing: {some}{more}", names.len());
             foreign.warn(WarningKind::Damaged, text);
         }
     }
     Ok(())
 }
 
-/// The `.ori` file of an undistorted image; `None` for cameras with distortion.
+/// Text of the `.ori` file of an undistorted image; `None` for cameras with distortion.
 pub fn write(image: &str, camera: &Camera, cam_from_world: &Pose) -> Option<String> {
     if !camera.is_pinhole() {
         return None;

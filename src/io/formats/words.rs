@@ -1,4 +1,4 @@
-//! Text files whose fields are separated by any white space, line ends included.
+//! Tokenizer for text files whose fields are separated by white space, including line ends.
 
 use std::{cell::Cell, str::FromStr};
 
@@ -12,14 +12,14 @@ use nom::{
 
 use super::{Fault, Place, Problem};
 
-/// Position of the camera in the file, pixel.
+/// Index of the camera in the file, and pixel.
 pub(super) type Observation = (usize, [f64; 2]);
 
-/// The part of a text file that is not read yet.
+/// The unread part of a text file.
 pub(super) struct Words<'a> {
     whole: &'a [u8],
     rest: &'a [u8],
-    /// An offset and the line that it lies in: lines are counted on from there.
+    /// An offset and its line number, from which to continue counting lines.
     counted: Cell<(usize, u64)>,
 }
 
@@ -28,7 +28,7 @@ impl<'a> Words<'a> {
         Self { whole, rest: whole, counted: Cell::new((0, 1)) }
     }
 
-    /// The next field.
+    /// Parses the next field.
     pub fn number<T: FromStr>(&mut self, expected: &'static str) -> Result<T, Fault> {
         match number(self.rest) {
             Ok((rest, value)) => {
@@ -47,7 +47,7 @@ impl<'a> Words<'a> {
         Ok(values)
     }
 
-    /// What is left of the line, without white space at its ends; `None` at the end of the file.
+    /// Returns the rest of the line, trimmed; `None` at the end of the file.
     pub fn line(&mut self) -> Option<&'a [u8]> {
         if self.rest.is_empty() {
             return None;
@@ -58,23 +58,23 @@ impl<'a> Words<'a> {
         Some(line.trim_ascii())
     }
 
-    /// The next line that is not blank.
+    /// Returns the next line that is not blank.
     pub fn full_line(&mut self) -> Option<&'a [u8]> {
         std::iter::from_fn(|| self.line()).find(|line| !line.is_empty())
     }
 
-    /// A count of records that take at least `smallest` bytes each.
+    /// Parses a number of records, at least `smallest` bytes each; refuses one too large for the rest of the file.
     pub fn count(&mut self, what: &'static str, smallest: usize) -> Result<usize, Fault> {
         let at = self.place();
         let count: u64 = self.number(what)?;
-        // The last field of the file has no blank after it.
+        // The last field of a file needs no separator after it.
         let room = (self.rest.len() + 1) / smallest;
         let fits = usize::try_from(count).ok().filter(|&n| n <= room);
         fits.ok_or(Fault::new("", at, Problem::Count { what, count, room: room as u64 }))
     }
 
-    /// Observations of a point, as Bundler and VisualSFM write them: their count, then camera, key, x and y of each. Camera and pixel are
-    /// returned.
+    /// Parses the observations of a point in the format of Bundler and VisualSFM: their number, then camera, key, x and y of each. The key is
+    /// dropped.
     pub fn observations(&mut self, cameras: usize) -> Result<Vec<Observation>, Fault> {
         let count = self.count("observations", 8)?;
         let mut observations = Vec::with_capacity(count);
@@ -94,7 +94,7 @@ impl<'a> Words<'a> {
         self.rest.trim_ascii().is_empty()
     }
 
-    /// The line of the next field.
+    /// Line of the next field.
     pub fn place(&self) -> Place {
         let (from, line) = self.counted.get();
         let to = self.whole.len() - self.rest.trim_ascii_start().len();
@@ -125,12 +125,12 @@ fn number<T: FromStr>(input: &[u8]) -> IResult<&[u8], T> {
     map_res(token, parse).parse(input)
 }
 
-/// A field as a number.
+/// Parses a field as a number.
 pub(super) fn parse<T: FromStr>(field: &[u8]) -> Result<T, ()> {
     std::str::from_utf8(field).map_err(drop).and_then(|text| text.parse().map_err(drop))
 }
 
-/// A line whose first field, a name that may hold blanks, is followed by `N` numbers.
+/// Splits a line into a name, which may contain white space, and the `N` numbers after it.
 pub(super) fn name_and_numbers<const N: usize>(line: &[u8]) -> Option<(&[u8], [f64; N])> {
     let mut numbers = [0.0; N];
     let mut left = line.trim_ascii();

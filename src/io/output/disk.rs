@@ -1,4 +1,4 @@
-//! The seam to the file system: each call that changes something passes here, and a test can make each fail.
+//! All changes to the file system, in one place where tests can make each of them fail.
 
 use std::{
     fs::{self, File},
@@ -8,7 +8,7 @@ use std::{
 
 use super::{OutputError, open};
 
-/// A change of the file system.
+/// A kind of change to the file system.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Operation {
     MakeFolder,
@@ -21,7 +21,7 @@ pub enum Operation {
     RemoveFolder,
 }
 
-/// The file system. `before` is asked ahead of each change and may refuse it; the program's own disk refuses nothing.
+/// The file system. `before` is called ahead of each change and may refuse it; [`Disk::REAL`] refuses none.
 pub struct Disk<'a> {
     before: &'a (dyn Fn(Operation, &Path) -> io::Result<()> + Sync),
 }
@@ -31,7 +31,7 @@ impl Disk<'static> {
 }
 
 impl<'a> Disk<'a> {
-    /// A disk on which `before` decides whether a change takes place: for tests of what a failure leaves behind.
+    /// A disk on which `before` can refuse changes, to test failures.
     pub fn guarded(before: &'a (dyn Fn(Operation, &Path) -> io::Result<()> + Sync)) -> Self {
         Self { before }
     }
@@ -50,7 +50,7 @@ impl<'a> Disk<'a> {
         (self.before)(operation, path).map_err(|error| OutputError::new(path, error))
     }
 
-    /// Makes one folder; one that is there already is fine.
+    /// Creates one folder; no error if it exists.
     pub(super) fn make_folder(&self, path: &Path) -> Result<(), OutputError> {
         if path.is_dir() {
             return Ok(());
@@ -60,19 +60,19 @@ impl<'a> Disk<'a> {
         })
     }
 
-    /// Makes a folder where nothing is.
+    /// Creates one folder; an error if the path exists.
     pub(super) fn make_new_folder(&self, path: &Path) -> Result<(), OutputError> {
         self.change(Operation::MakeFolder, path, || fs::create_dir(path))
     }
 
-    /// Opens a lock file and waits for its lock, which ends with the file or the process.
+    /// Opens a lock file and waits for its lock, which is released when the file is dropped or the process ends.
     pub(super) fn lock(&self, path: &Path) -> Result<File, OutputError> {
         self.before(Operation::Create, path)?;
         let file = open::lock_file(path)?;
         file.lock().map(|()| file).map_err(|error| OutputError::new(path, error))
     }
 
-    /// Writes a new file and syncs it, 1 MiB at a time.
+    /// Writes a new file in blocks of 1 MiB and syncs it.
     pub(super) fn write_new(&self, path: &Path, mut contents: impl Read, executable: bool) -> Result<(), OutputError> {
         let mut file = self.change(Operation::Create, path, || create_new(path, executable))?;
         let mut block = vec![0; 1 << 20];
@@ -86,7 +86,7 @@ impl<'a> Disk<'a> {
         self.change(Operation::Sync, path, || file.sync_all())
     }
 
-    /// A second name for the file `from` (a symbolic link is not followed).
+    /// Creates a hard link `to` for the file `from`; doesn't follow a symbolic link.
     pub(super) fn hard_link(&self, from: &Path, to: &Path) -> Result<(), OutputError> {
         self.change(Operation::Link, to, || fs::hard_link(from, to))
     }
@@ -95,7 +95,7 @@ impl<'a> Disk<'a> {
         self.change(Operation::Link, at, || make_symbolic_link(target, at))
     }
 
-    /// Puts `from` in the place of `to`; `Ok(false)` where `from` is gone.
+    /// Renames `from` to `to`, replacing it; `Ok(false)` if `from` doesn't exist.
     pub(super) fn rename(&self, from: &Path, to: &Path) -> Result<bool, OutputError> {
         if fs::symlink_metadata(from).is_err() {
             return Ok(false);
@@ -103,7 +103,7 @@ impl<'a> Disk<'a> {
         self.change(Operation::Rename, to, || fs::rename(from, to)).map(|()| true)
     }
 
-    /// Removes a file or a link; one that is gone already is fine.
+    /// Removes a file or a link; no error if it doesn't exist.
     pub(super) fn remove(&self, path: &Path) -> Result<(), OutputError> {
         if fs::symlink_metadata(path).is_err() {
             return Ok(());
@@ -111,13 +111,13 @@ impl<'a> Disk<'a> {
         self.change(Operation::Remove, path, || fs::remove_file(path))
     }
 
-    /// Removes a folder if it is there and empty.
+    /// Removes a folder if it exists and is empty.
     pub(super) fn remove_empty_folder(&self, path: &Path) -> Result<(), OutputError> {
         let empty = fs::read_dir(path).is_ok_and(|mut entries| entries.next().is_none());
         if empty { self.change(Operation::RemoveFolder, path, || fs::remove_dir(path)) } else { Ok(()) }
     }
 
-    /// Removes a folder of files.
+    /// Removes a folder with its contents; no error if it doesn't exist.
     pub(super) fn remove_folder(&self, path: &Path) -> Result<(), OutputError> {
         if fs::symlink_metadata(path).is_err() {
             return Ok(());
@@ -125,10 +125,10 @@ impl<'a> Disk<'a> {
         self.change(Operation::RemoveFolder, path, || fs::remove_dir_all(path))
     }
 
-    /// Makes the names in a folder durable.
+    /// Syncs the directory entries of a folder.
     pub(super) fn sync_folder(&self, path: &Path) -> Result<(), OutputError> {
         self.change(Operation::Sync, path, || match File::open(path)?.sync_all() {
-            // Some network file systems cannot sync a folder; they order its changes themselves.
+            // Some network file systems cannot sync a folder, but keep its changes in order.
             Err(error) if error.kind() == io::ErrorKind::InvalidInput => Ok(()),
             done => done,
         })

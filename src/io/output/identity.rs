@@ -1,15 +1,15 @@
-//! Was a file written here, or did it come with a copy? Journals and records carry the identity of the folder `viewrank` in which they
-//! were written, and are believed in that folder only.
+//! Tells files written in this folder from copied ones. Journals and records store the identity of the `viewrank` folder in which they were
+//! written, and are valid in that folder only.
 //!
-//! The identity is the instant at which the folder was made, which neither an archive nor a copy can bring along on Linux; where
-//! the file system does not know that instant, or on other systems, the number of the folder (inode) decides as well. It holds
-//! for all users, hosts and containers that see the folder, and needs no secret and no file elsewhere.
+//! The identity is the creation time of the folder, which on Linux neither archives nor copies preserve. On other systems, and on file systems
+//! without creation times, it includes the inode number. It is the same for all users, hosts and containers that see the folder, and needs
+//! neither a secret nor a file elsewhere.
 //!
-//! Limits. It is no defence against somebody who can write below the root while viewrank is used here: they see the identity,
-//! and can remove files themselves. An inode alone could be guessed on a small file system. A project that was copied, restored
-//! or handed on is unknown at first: its journal is refused, and its files outside of `viewrank/` count as somebody else's, so
-//! they are kept beside when they change and stay when they go stale. The same holds after each mount of a file system whose
-//! inodes and times are made up at the mount (some of FUSE). All of that keeps files; none of it loses any.
+//! Limits. This doesn't protect against someone with write access below the root: they can read the identity, and remove files anyway. An inode
+//! number alone could be guessed on a small file system. In a project that was copied or restored from a backup the identity is unknown at first:
+//! the journal is refused, and viewrank's files outside `viewrank/` count as the user's, so they are kept when they change or become stale. The
+//! same happens at each mount of a file system that invents inodes and times (some FUSE file systems). In all these cases files are kept, never
+//! lost.
 
 use std::{
     fs::{self, Metadata},
@@ -18,7 +18,7 @@ use std::{
     time::UNIX_EPOCH,
 };
 
-/// The identity of a folder.
+/// Identity of a folder: creation time, inode number, or both.
 pub(super) fn identity(folder: &Path) -> io::Result<String> {
     let found = fs::metadata(folder)?;
     let made = found.created().ok().and_then(|time| time.duration_since(UNIX_EPOCH).ok());

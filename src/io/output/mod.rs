@@ -1,12 +1,14 @@
-//! Whole-or-nothing sets of files: everything that viewrank writes goes through here.
+//! Atomic writes of sets of files; all output of viewrank goes through this module.
 //!
-//! A set may have many files in many folders. It is staged in `viewrank/.staging` (`staging.rs`), synced, announced by a journal, moved into
-//! place by renames, and the journal removed (`transaction.rs`). Killed before the journal stands, nothing has happened; killed
-//! after, the next [`FileSet::write`] or [`recover`] finishes the work; a change that fails is undone. A record of each set
-//! (`record.rs`) says which files are ours, by path and content hash: what a later set of the same name no longer has is
-//! removed, a file of somebody else's that stands in the way is kept beside as `NAME.before-viewrank`, and nothing else is
-//! touched. Journals and records are believed where they were written and nowhere else (`identity.rs`): those of a copy, or that a
-//! stranger put there, remove nothing and replace nothing outside of `viewrank/`. Files of ours are opened by `open.rs`. No name and no symbolic link leads out of the set's root.
+//! - A set may have many files in many folders. It is staged in `viewrank/.staging` (`staging.rs`) and synced; then a journal is written, the
+//!   files are renamed into place, and the journal is removed (`transaction.rs`).
+//! - A process killed before the journal exists has changed nothing; one killed later leaves a journal that the next [`FileSet::write`] or
+//!   [`recover`] completes. A change that fails is undone.
+//! - A record of each set (`record.rs`) lists viewrank's files by path and content hash. Files that a later set of the same name lacks are
+//!   removed; a user's file at the path of a new one is kept as `NAME.before-viewrank`; no other file is touched.
+//! - Journals and records are valid only in the folder in which they were written (`identity.rs`): a copied or planted one removes and
+//!   replaces nothing outside `viewrank/`.
+//! - `open.rs` opens viewrank's own files. Neither a name nor a symbolic link can lead out of the set's root.
 
 mod disk;
 mod found;
@@ -27,37 +29,37 @@ pub(crate) use open::{open_own, own_path, read_own};
 
 use crate::base::error::Hint;
 
-/// What a file is made of.
+/// Contents of an entry of a [`FileSet`].
 #[derive(Clone, Debug)]
 pub enum Contents {
     Bytes(Vec<u8>),
-    /// As `Bytes`, with the executable bit (runner scripts).
+    /// As `Bytes`, with the executable bit set (runner scripts).
     Script(Vec<u8>),
-    /// A copy of that file.
+    /// A copy of this file.
     Copy(PathBuf),
-    /// A symbolic link to that file (relative where both lie under the root); a copy where links are not to be had.
+    /// A symbolic link to this file, relative if both are below the root; a copy if the file system has no links.
     Link(PathBuf),
     /// An empty folder.
     Folder,
 }
 
-/// Files that appear together or not at all. Paths are relative to `root`, `/` between folders, never absolute, never with `..`.
+/// Files that are written together or not at all. Paths are relative to `root`, with `/` between folders and without `..`.
 #[derive(Clone, Debug)]
 pub struct FileSet {
     pub root: PathBuf,
-    /// Name of the set; an earlier set of the same name under the same root is replaced and its stale files removed.
+    /// Name of the set; it replaces an earlier set of the same name below the same root, whose stale files are removed.
     pub name: String,
     pub files: BTreeMap<String, Contents>,
 }
 
-/// What writing a set did; paths relative to the root.
+/// Changes made by writing a set; paths relative to the root.
 #[derive(Clone, Debug, Default, PartialEq, Eq, serde::Serialize)]
 pub struct Written {
-    /// New or with other contents than before.
+    /// New files, and files with new contents.
     pub changed: Vec<String>,
-    /// Files of an earlier set that are gone.
+    /// Files of an earlier set that were removed.
     pub removed: Vec<String>,
-    /// Files of somebody else's that were in the way, under the names that they have now.
+    /// New names of the user's files that were in the way.
     pub kept: Vec<String>,
 }
 
@@ -74,14 +76,14 @@ impl FileSet {
         self.add(path, Contents::Bytes(text.into().into_bytes()));
     }
 
-    /// Makes the set appear, whole or not at all. Files that are there with the same contents are left as they are.
+    /// Writes the set, completely or not at all. Files that already have their contents are not touched.
     pub fn write(&self, disk: &Disk) -> Result<Written, OutputError> {
         let mut written = write_all(std::slice::from_ref(self), disk)?;
         Ok(written.pop().unwrap_or_default())
     }
 }
 
-/// Makes all sets appear; those of one root whole or not at all, roots in the reverse of the order in which they come first.
+/// Writes all sets; those of one root together or not at all. Roots are written in reverse order of first occurrence.
 pub fn write_all(sets: &[FileSet], disk: &Disk) -> Result<Vec<Written>, OutputError> {
     sets.iter().flat_map(|set| set.files.keys()).try_for_each(|path| check_name(path))?;
     let mut roots: Vec<&Path> = Vec::new();
@@ -101,21 +103,21 @@ pub fn write_all(sets: &[FileSet], disk: &Disk) -> Result<Vec<Written>, OutputEr
     Ok(written)
 }
 
-/// Paths, relative to the root, of the files of all sets below it whose names begin with `prefix`, sorted.
+/// Lists the files of all sets below `root` whose names begin with `prefix`: paths relative to the root, sorted.
 pub fn recorded(root: &Path, prefix: &str) -> Vec<String> {
     record::Records::read(root).paths(prefix)
 }
 
-/// Finishes or undoes the set that a killed run left half in place under `root`, and clears what it staged; for those who read what was
-/// written.
+/// Completes or undoes the change that a killed process left unfinished below `root`, and removes its staged files; called before reading
+/// what was written.
 pub fn recover(root: &Path, disk: &Disk) -> Result<(), OutputError> {
     transaction::recover(root, disk)
 }
 
-/// Is `path` a new file in a folder that is there? What a user names on the command line may be a file of theirs.
+/// Checks that `path` doesn't exist and its folder does, so an output path from the command line can't replace a user's file.
 ///
 /// # Errors
-/// [`OutputError::InTheWay`], and where there is no such folder.
+/// [`OutputError::InTheWay`] if `path` exists, [`OutputError::Io`] or [`OutputError::Denied`] if its folder isn't accessible.
 pub fn refuse_to_replace(path: &Path) -> Result<(), OutputError> {
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     match (path.symlink_metadata(), folder.metadata()) {
@@ -125,62 +127,63 @@ pub fn refuse_to_replace(path: &Path) -> Result<(), OutputError> {
     }
 }
 
-/// Can files be made in `folder` or, while it isn't there, in the nearest folder above it? Asked before long work; leaves nothing behind.
+/// Checks that files can be created in `folder` or, if it doesn't exist, in its nearest existing ancestor. For early failure before long work;
+/// leaves no file behind.
 pub fn refuse_unwritable(folder: &Path) -> Result<(), OutputError> {
     let absolute = std::path::absolute(folder).unwrap_or_else(|_| folder.to_path_buf());
     let there = absolute.ancestors().find(|above| above.exists()).unwrap_or(&absolute);
     tempfile::tempfile_in(there).map(drop).map_err(|source| OutputError::new(there, source))
 }
 
-/// Puts one file in place of another in one step: for files that are ours alone and change often (a status, a log of progress).
+/// Replaces a file atomically, without a record: for viewrank's own files that change often (status, progress).
 pub fn replace(path: &Path, bytes: &[u8], disk: &Disk) -> Result<(), OutputError> {
     let name = path.file_name().ok_or_else(|| OutputError::Name { name: path.display().to_string() })?;
     let draft = path.with_file_name(format!(".{}.new", name.to_string_lossy()));
-    // A killed run may have left its draft.
+    // A killed process may have left its draft.
     disk.remove(&draft)?;
     let written = disk.write_new(&draft, bytes, false).and_then(|()| disk.rename(&draft, path));
     written.map(|_| ()).inspect_err(|_| _ = disk.remove(&draft))
 }
 
-/// Takes one such file away; it may be gone already.
+/// Removes a file written by [`replace`]; no error if it doesn't exist.
 pub fn remove(path: &Path, disk: &Disk) -> Result<(), OutputError> {
     disk.remove(path)
 }
 
-/// Makes a folder and those above it.
+/// Creates a folder and its missing ancestors.
 pub fn make_folder(path: &Path, disk: &Disk) -> Result<(), OutputError> {
     transaction::make_folders(path, disk)
 }
 
-/// Makes the folder `viewrank` below a root.
+/// Creates the folder `viewrank` below a root.
 ///
 /// # Errors
-/// [`OutputError::Escapes`] where it is a link out of the root.
+/// [`OutputError::Escapes`] if it is a link out of the root.
 pub(crate) fn make_own_folder(root: &Path, disk: &Disk) -> Result<(), OutputError> {
     let inside = own_path(root, "viewrank/any")?;
     disk.make_folder(inside.parent().unwrap_or(root))
 }
 
-/// Opens a file that we lock, makes it if need be; neither locked nor changed yet. The folder must be there.
+/// Opens a lock file, creating it if necessary; doesn't lock or change it. Its folder must exist.
 pub(crate) fn open_lock(root: &Path, name: &str) -> Result<std::fs::File, OutputError> {
     open::lock_file(&own_path(root, name)?)
 }
 
-/// A name is a path of plain components below the root, written the one way that there is.
+/// Checks that a name is a relative path of plain components in canonical form.
 fn check_name(name: &str) -> Result<(), OutputError> {
     let plain = Path::new(name).components().all(|part| matches!(part, Component::Normal(_)));
     let canonical = name.split('/').all(|part| !part.is_empty() && part != "." && !part.contains('\0'));
     if plain && canonical { Ok(()) } else { Err(OutputError::Name { name: name.into() }) }
 }
 
-/// Why a set could not be written; the files of before are in place unless it is [`OutputError::Interrupted`].
+/// Error of writing a set. The earlier files are in place unless it is [`OutputError::Interrupted`].
 #[derive(Debug, thiserror::Error)]
 pub enum OutputError {
-    #[error("\"{name}\" is no name for a file below the output folder")]
+    #[error("\"{name}\" is not a valid file name below the output folder")]
     Name { name: String },
     #[error("{}: a symbolic link leads out of {}", path.display(), root.display())]
     Escapes { path: PathBuf, root: PathBuf },
-    #[error("{}: {what} in the place of a file of viewrank's own", path.display())]
+    #[error("{}: {what} in place of a file of viewrank's", path.display())]
     Foreign { path: PathBuf, what: &'static str },
     #[error("{}: {} is in the way", path.display(), if *folder { "a folder" } else { "a file" })]
     InTheWay { path: PathBuf, folder: bool },
@@ -194,7 +197,7 @@ pub enum OutputError {
     Io { path: PathBuf, source: io::Error },
     #[error("{}: {why}", path.display())]
     Journal { path: PathBuf, why: String },
-    #[error("{failure}; putting the earlier files back failed as well: {undoing}")]
+    #[error("{failure}; cannot restore the earlier files, either: {undoing}")]
     Interrupted { failure: Box<OutputError>, undoing: Box<OutputError> },
 }
 
@@ -213,19 +216,19 @@ impl Hint for OutputError {
     fn hint(&self) -> Option<String> {
         Some(match self {
             Self::Name { .. } => {
-                "rename the image in the model: names are relative, without \"..\" and empty parts".into()
+                "rename the image in the model: names are relative, without \"..\" or empty parts".into()
             }
-            Self::Escapes { .. } => "replace the link by a folder".into(),
-            Self::Foreign { .. } => "move it away: viewrank makes its own".into(),
-            Self::InTheWay { .. } => "move it away, or name another".into(),
-            Self::OtherFileSystem { .. } => "write to a folder of one file system with --out".into(),
-            Self::Full { .. } => "make room on that disk; nothing was changed".into(),
+            Self::Escapes { .. } => "replace the link with a folder".into(),
+            Self::Foreign { .. } => "move it away: viewrank creates its own".into(),
+            Self::InTheWay { .. } => "move it away, or choose another name".into(),
+            Self::OtherFileSystem { .. } => "choose a folder on a single file system with --out".into(),
+            Self::Full { .. } => "free some space on that disk; nothing was changed".into(),
             Self::Denied { .. } => "get write permission there, or work on a copy; nothing was changed".into(),
-            Self::Io { .. } => "see that the disk is there and in order; nothing was changed".into(),
+            Self::Io { .. } => "check that the disk is mounted and works; nothing was changed".into(),
             Self::Journal { .. } => {
-                "run again, which goes on without it; what was staged is kept beside it in .staging.refused-N".into()
+                "run again to continue without it; its staged files are kept next to it in .staging.refused-N".into()
             }
-            Self::Interrupted { .. } => "mend the cause and run again: that puts a whole set in place".into(),
+            Self::Interrupted { .. } => "fix the cause and run again: that completes the set".into(),
         })
     }
 }

@@ -1,11 +1,11 @@
-//! The way to every file of ours: locks, journals, records, the manifest, the status and their like.
+//! Opens viewrank's own files: locks, journals, records, the manifest, the status and so on.
 //!
-//! A project may come from a stranger. So a path is followed only while it stays below its root, and only a regular file is
-//! opened: no symbolic link, whose target would be emptied or read in our name, and no pipe, which would be waited for. Links
-//! inside the root are fine on the way to a file (`viewrank -> outputs`), and so is a root that is itself reached through links.
+//! Projects may be untrusted. A path is therefore followed only while it stays below its root, and only regular files are opened: not symbolic
+//! links, whose target would be truncated or read with the user's permissions, and not pipes, which would block. Folders on the path may be links
+//! inside the root (`viewrank -> outputs`), and the root itself may be reached through links.
 //!
-//! Who may write below the root at the same instant can still exchange a folder between the look and the opening; such a
-//! person needs no help from us to do harm there.
+//! A process with write access below the root can still exchange a folder between the check and the opening; it could do the same harm without
+//! viewrank.
 
 use std::{
     fs::{self, File, Metadata, OpenOptions},
@@ -16,35 +16,41 @@ use std::{
 use super::OutputError;
 use crate::base::input::{self, FileKind};
 
-/// `root/name` without symbolic links in `root`, if no folder on the way is a link out of it or a file.
+/// Returns `root/name` with the symbolic links of `root` resolved.
+///
+/// # Errors
+/// If a folder on the path is a link out of the root, or a file.
 pub fn own_path(root: &Path, name: &str) -> Result<PathBuf, OutputError> {
     let real = root.canonicalize().map_err(|error| OutputError::new(root, error))?;
     check_links(&real, name)
 }
 
-/// Opens a file of ours for reading.
+/// Opens one of viewrank's files for reading.
 ///
 /// # Errors
-/// [`OutputError::Io`] with `NotFound` where it isn't there, [`OutputError::Escapes`], [`OutputError::Foreign`].
+/// [`OutputError::Io`] with `NotFound` if it doesn't exist, [`OutputError::Escapes`], [`OutputError::Foreign`].
 pub fn open_own(root: &Path, name: &str) -> Result<File, OutputError> {
     let path = root.join(name);
-    // Most of those that are asked for in a walk aren't there.
+    // Fast path: most files that a scan of a folder tree asks for don't exist.
     fs::symlink_metadata(&path).map_err(|error| OutputError::new(&path, error))?;
     regular_file(&own_path(root, name)?, File::options().read(true))
 }
 
-/// The bytes of a file of ours; errors as of [`open_own`], and where it is larger than any that we write.
+/// Reads one of viewrank's files.
+///
+/// # Errors
+/// As [`open_own`], and if the file is larger than any that viewrank writes.
 pub fn read_own(root: &Path, name: &str) -> Result<Vec<u8>, OutputError> {
     let file = open_own(root, name)?;
     input::read_all(file, FileKind::State).map_err(|error| OutputError::new(&root.join(name), error))
 }
 
-/// Opens the lock file at `path`, which may be new; what is in it stays.
+/// Opens the lock file at `path`, creating it if necessary, without truncating it.
 pub(super) fn lock_file(path: &Path) -> Result<File, OutputError> {
     regular_file(path, File::options().read(true).write(true).create(true).truncate(false))
 }
 
-/// Opens `path` itself for reading, if it is a regular file.
+/// Opens `path` for reading if it is a regular file.
 pub(super) fn existing(path: &Path) -> io::Result<File> {
     regular_file(path, File::options().read(true)).map_err(|error| match error {
         OutputError::Io { source, .. } | OutputError::Denied { source, .. } => source,
@@ -52,7 +58,7 @@ pub(super) fn existing(path: &Path) -> io::Result<File> {
     })
 }
 
-/// Opens `path` itself, never what it links to and never anything that could be waited for.
+/// Opens a regular file; never follows a link at `path` and never blocks on a pipe.
 fn regular_file(path: &Path, options: &mut OpenOptions) -> Result<File, OutputError> {
     let foreign = |found: &Metadata| OutputError::Foreign { path: path.into(), what: kind(found) };
     let before = fs::symlink_metadata(path).ok();
@@ -78,7 +84,7 @@ pub(super) fn kind(found: &Metadata) -> &'static str {
     }
 }
 
-/// `root/path`, if no folder on the way is a symbolic link out of the root or a file.
+/// Returns `root/path` after checking that no folder on the path is a file or a symbolic link out of the root.
 pub(super) fn check_links(root: &Path, path: &str) -> Result<PathBuf, OutputError> {
     let mut at = root.to_path_buf();
     let mut parts = path.split('/').peekable();

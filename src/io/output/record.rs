@@ -1,7 +1,7 @@
-//! Which files under a root are ours: one record per set, `viewrank/.sets/NAME.json`.
+//! Records of the files that viewrank wrote below a root: one per set, `viewrank/.sets/NAME.json`.
 //!
-//! A record that was not written here (`identity.rs`) is believed about files below `viewrank/` only. Elsewhere a file that it claims
-//! becomes ours again as soon as a set wants it exactly as it is.
+//! A record that was not written in this folder (`identity.rs`) is trusted only for files below `viewrank/`. A file elsewhere counts as viewrank's
+//! again once a set contains it with the same contents.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -16,37 +16,38 @@ use super::{OutputError, check_name, identity::identity, open};
 
 /// Folder of the records, relative to the root.
 pub(super) const FOLDER: &str = "viewrank/.sets";
-/// Paths that begin with it are ours by their names.
+/// Files with this prefix are always viewrank's.
 const OWN: &str = "viewrank/";
 
-/// What a set wrote; paths relative to the root.
+/// Files and folders written for a set; paths relative to the root.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(super) struct Record {
     /// BLAKE3 of each file, see [`hash`].
     pub files: BTreeMap<String, String>,
-    /// Folders that were made for it.
+    /// Folders created for the set.
     pub folders: BTreeSet<String>,
-    /// Of the folder in which it was written, see [`identity`](super::identity::identity).
+    /// Identity of the folder in which the record was written, see [`identity`](super::identity::identity).
     #[serde(default)]
     pub identity: String,
 }
 
-/// The records of all sets under a root, by name of the set.
+/// The records of all sets below a root.
 pub(super) struct Records {
-    of_sets: BTreeMap<String, Record>,
-    /// What the records that were written here have.
+    /// By name of the set.
+    by_set: BTreeMap<String, Record>,
+    /// Identity of this folder.
     identity: Option<String>,
 }
 
-/// A file as some set recorded it.
+/// A file that is as some set recorded it.
 pub(super) struct Claim {
     pub hash: String,
-    /// By a record that is believed.
+    /// True if a trusted record lists it.
     pub is_ours: bool,
 }
 
 impl Records {
-    /// Broken records are passed over: their files then count as somebody else's, which loses nothing.
+    /// Reads all records. Damaged ones are skipped: their files count as the user's and are kept.
     pub fn read(root: &Path) -> Self {
         let entries = fs::read_dir(root.join(FOLDER)).into_iter().flatten().flatten();
         let records = entries.filter_map(|entry| {
@@ -56,12 +57,12 @@ impl Records {
             let sound = record.files.keys().chain(&record.folders).all(|path| check_name(path).is_ok());
             sound.then_some((name, record))
         });
-        Self { of_sets: records.collect(), identity: identity(&root.join("viewrank")).ok() }
+        Self { by_set: records.collect(), identity: identity(&root.join("viewrank")).ok() }
     }
 
-    /// What is believed of the record of a set.
-    pub fn of(&self, set: &str) -> Record {
-        let mut record = self.of_sets.get(set).cloned().unwrap_or_default();
+    /// The trusted part of the record of a set.
+    pub fn trusted(&self, set: &str) -> Record {
+        let mut record = self.by_set.get(set).cloned().unwrap_or_default();
         if self.identity.as_ref() != Some(&record.identity) {
             record.files.retain(|path, _| path.starts_with(OWN));
             record.folders.retain(|path| path.starts_with(OWN));
@@ -69,34 +70,39 @@ impl Records {
         record
     }
 
-    /// Paths of the files of sets whose names begin so, sorted.
+    /// Paths of the files of sets whose names begin with `prefix`, sorted.
     pub fn paths(&self, prefix: &str) -> Vec<String> {
-        let sets = self.of_sets.iter().filter(|(name, _)| name.starts_with(prefix));
+        let sets = self.by_set.iter().filter(|(name, _)| name.starts_with(prefix));
         let paths: BTreeSet<&String> = sets.flat_map(|(_, record)| record.files.keys()).collect();
         paths.into_iter().cloned().collect()
     }
 
-    /// The file, if it is as some record says.
+    /// Returns a claim if the file has the contents that some record lists.
     pub fn claim(&self, root: &Path, path: &str) -> Result<Option<Claim>, OutputError> {
         let Some(hash) = self.recorded_hash(root, path, |_| true)? else { return Ok(None) };
-        let believed = |r: &&Record| path.starts_with(OWN) || self.identity.as_ref() == Some(&r.identity);
-        let is_ours = self.of_sets.values().filter(believed).any(|r| r.files.get(path) == Some(&hash));
+        let is_trusted = |r: &&Record| path.starts_with(OWN) || self.identity.as_ref() == Some(&r.identity);
+        let is_ours = self.by_set.values().filter(is_trusted).any(|r| r.files.get(path) == Some(&hash));
         Ok(Some(Claim { hash, is_ours }))
     }
 
-    /// Does another set than this one count on the file as it is?
+    /// Returns whether a set other than `set` recorded the file with its current contents.
     pub fn belongs_to_other(&self, set: &str, root: &Path, path: &str) -> Result<bool, OutputError> {
         Ok(self.recorded_hash(root, path, |name| name != set)?.is_some())
     }
 
-    /// Was the folder made for another set than this one?
+    /// Returns whether the folder was created for a set other than `set`.
     pub fn other_has_folder(&self, set: &str, folder: &str) -> bool {
-        self.of_sets.iter().any(|(name, record)| name != set && record.folders.contains(folder))
+        self.by_set.iter().any(|(name, record)| name != set && record.folders.contains(folder))
     }
 
-    /// The hash of the file, if one of those sets recorded it.
-    fn recorded_hash(&self, root: &Path, path: &str, of: impl Fn(&str) -> bool) -> Result<Option<String>, OutputError> {
-        let sets = self.of_sets.iter().filter(|(name, _)| of(name));
+    /// Returns the hash of the file if a set whose name passes `filter` recorded it.
+    fn recorded_hash(
+        &self,
+        root: &Path,
+        path: &str,
+        filter: impl Fn(&str) -> bool,
+    ) -> Result<Option<String>, OutputError> {
+        let sets = self.by_set.iter().filter(|(name, _)| filter(name));
         let mut hashes = sets.filter_map(|(_, record)| record.files.get(path)).peekable();
         if hashes.peek().is_none() {
             return Ok(None);
@@ -106,7 +112,7 @@ impl Records {
     }
 }
 
-/// BLAKE3 of a file's contents, or of the target of a symbolic link; `None` where there is neither.
+/// BLAKE3 of the contents of a file or of the target of a symbolic link; `None` if the path is neither.
 pub(super) fn hash(path: &Path) -> io::Result<Option<String>> {
     match fs::symlink_metadata(path) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
@@ -124,7 +130,7 @@ pub(super) fn hash(path: &Path) -> io::Result<Option<String>> {
     }
 }
 
-/// Have both the same contents?
+/// Returns whether both readers give the same bytes.
 pub(super) fn same_contents(mut one: impl Read, mut other: impl Read) -> io::Result<bool> {
     let (mut a, mut b) = (vec![0; 1 << 16], vec![0; 1 << 16]);
     loop {
@@ -138,7 +144,7 @@ pub(super) fn same_contents(mut one: impl Read, mut other: impl Read) -> io::Res
     }
 }
 
-/// Fills the block unless the end comes first.
+/// Fills `block`, or stops at the end of the input; returns the number of bytes read.
 fn read_full(from: &mut impl Read, block: &mut [u8]) -> io::Result<usize> {
     let mut length = 0;
     while length < block.len() {

@@ -1,4 +1,4 @@
-//! What has to change so that a set stands as wanted: its new files, staged; what they replace; what is stale.
+//! Stages a change: the new files of the sets, the files that they replace, and the stale files to remove.
 
 use std::{
     collections::BTreeSet,
@@ -14,7 +14,7 @@ use super::{
 };
 use crate::base::input;
 
-/// Stages what differs from what is there, for all sets in one change.
+/// Stages the differences between the sets and the files on disk, as one change for all sets.
 pub(super) fn stage(root: &Root, sets: &[&FileSet]) -> Result<(Change, Vec<Written>), OutputError> {
     let records = Records::read(&root.path);
     let wanted: BTreeSet<&str> = sets.iter().flat_map(|set| set.files.keys()).map(String::as_str).collect();
@@ -38,9 +38,9 @@ pub(super) fn stage(root: &Root, sets: &[&FileSet]) -> Result<(Change, Vec<Writt
 struct Staging<'a> {
     root: &'a Root<'a>,
     records: &'a Records,
-    /// Paths of all sets.
+    /// Paths of all sets in this change.
     wanted: &'a BTreeSet<&'a str>,
-    /// What will be ours, of the set at hand.
+    /// New record of the current set.
     record: Record,
     change: Change,
     written: Written,
@@ -48,7 +48,7 @@ struct Staging<'a> {
 
 impl Staging<'_> {
     fn set(&mut self, set: &FileSet) -> Result<Written, OutputError> {
-        let earlier = self.records.of(&set.name);
+        let earlier = self.records.trusted(&set.name);
         for (path, contents) in &set.files {
             self.file(path, contents)?;
         }
@@ -79,7 +79,7 @@ impl Staging<'_> {
             return Ok(());
         }
         if !claim.is_some_and(|claim| claim.is_ours) {
-            self.keep_beside(path, &target)?;
+            self.keep_original(path, &target)?;
         }
         self.replace(path, contents, true)
     }
@@ -91,7 +91,7 @@ impl Staging<'_> {
         self.missing_folders(&format!("{path}/"))
     }
 
-    /// The new file, and a second name of what stands there now.
+    /// Stages the new file, and a link to the current one.
     fn replace(&mut self, path: &str, contents: &Contents, has_old: bool) -> Result<(), OutputError> {
         let target = self.root.locate(path)?;
         let step = self.change.steps.len();
@@ -105,10 +105,10 @@ impl Staging<'_> {
         Ok(())
     }
 
-    /// A second name of what the next step replaces or removes, for an undo; its hash.
+    /// Stages a link to the file that the next step replaces or removes, for undo; returns its hash.
     fn keep_old(&self, target: &Path) -> Result<Option<String>, OutputError> {
         let old = self.root.staged(self.change.steps.len(), "old");
-        self.second_name(target, &old)?;
+        self.link_or_copy(target, &old)?;
         hash_of(&old)
     }
 
@@ -132,36 +132,36 @@ impl Staging<'_> {
         self.root.disk.write_new(to, source, executable)
     }
 
-    /// A hard link, or a copy where the file system has none or forbids it.
-    fn second_name(&self, of: &Path, at: &Path) -> Result<(), OutputError> {
-        self.root.disk.hard_link(of, at).or_else(|_| match fs::read_link(of) {
-            Ok(target) => self.root.disk.symbolic_link(&target, at),
-            Err(_) => self.copy(of, at),
+    /// Makes a hard link, or a copy if the file system has none or forbids it.
+    fn link_or_copy(&self, from: &Path, to: &Path) -> Result<(), OutputError> {
+        self.root.disk.hard_link(from, to).or_else(|_| match fs::read_link(from) {
+            Ok(target) => self.root.disk.symbolic_link(&target, to),
+            Err(_) => self.copy(from, to),
         })
     }
 
-    /// Somebody else's file gets a second name that stays, unless it has one already.
-    fn keep_beside(&mut self, path: &str, target: &Path) -> Result<(), OutputError> {
+    /// Keeps a user's file under a new name, unless an earlier run has done so.
+    fn keep_original(&mut self, path: &str, target: &Path) -> Result<(), OutputError> {
         let original = hash_of(target)?;
         let names = std::iter::once(format!("{path}.before-viewrank"))
             .chain((2..).map(|n| format!("{path}.before-viewrank-{n}")));
         for name in names {
-            let beside = self.root.locate(&name)?;
-            if fs::symlink_metadata(&beside).is_err() {
-                self.second_name(target, &self.root.staged(self.change.steps.len(), "new"))?;
+            let backup = self.root.locate(&name)?;
+            if fs::symlink_metadata(&backup).is_err() {
+                self.link_or_copy(target, &self.root.staged(self.change.steps.len(), "new"))?;
                 self.change.steps.push(Step { path: name.clone(), new: original, old: None });
                 self.written.kept.push(name);
                 break;
             }
-            if hash_of(&beside)? == original {
+            if hash_of(&backup)? == original {
                 break;
             }
         }
         Ok(())
     }
 
-    /// Notes the folders above `path` that have to be made. All must lie on the file system of the staging folder, for a
-    /// rename does not cross its border.
+    /// Adds the missing folders above `path` to the change. All must be on the file system of the staging folder: renames cannot cross file
+    /// systems.
     fn missing_folders(&mut self, path: &str) -> Result<(), OutputError> {
         for folder in folders_above(path) {
             let at = self.root.locate(folder)?;
@@ -183,7 +183,7 @@ impl Staging<'_> {
         Err(OutputError::OtherFileSystem { path: folder.to_path_buf(), staging })
     }
 
-    /// What the earlier set of this name had and this one has not, as long as it is as we wrote it and no other set has it.
+    /// Removes the files of the earlier set that no set in this change has, if they are unmodified and belong to no other set.
     fn stale_files(&mut self, set: &str, earlier: &Record) -> Result<(), OutputError> {
         let stale: Vec<String> =
             earlier.files.keys().filter(|path| !self.wanted.contains(path.as_str())).cloned().collect();
@@ -201,19 +201,19 @@ impl Staging<'_> {
         Ok(())
     }
 
-    /// Which folders are ours, and which of ours nothing of the set needs any more.
+    /// Records the set's folders, and removes those that it no longer needs.
     fn folders(&mut self, set: &FileSet, earlier: &Record) {
         let needed = needed_folders(set);
-        let made = self.change.new_folders.iter().filter(|folder| needed.contains(*folder));
-        self.record.folders = earlier.folders.intersection(&needed).chain(made).cloned().collect();
-        let gone = earlier
+        let new = self.change.new_folders.iter().filter(|folder| needed.contains(*folder));
+        self.record.folders = earlier.folders.intersection(&needed).chain(new).cloned().collect();
+        let unneeded = earlier
             .folders
             .difference(&needed)
             .filter(|folder| !self.records.other_has_folder(&set.name, folder) && self.root.path.join(folder).is_dir());
-        self.change.old_folders.extend(gone.cloned());
+        self.change.old_folders.extend(unneeded.cloned());
     }
 
-    /// The record changes together with what it records.
+    /// Stages the record in the same change as the files that it lists.
     fn record_itself(&mut self, set: &str, earlier: &Record) -> Result<(), OutputError> {
         self.record.identity.clone_from(&self.root.identity);
         if self.record == *earlier {
@@ -237,7 +237,7 @@ fn hash_of(path: &Path) -> Result<Option<String>, OutputError> {
     record::hash(path).map_err(|error| OutputError::new(path, error))
 }
 
-/// The folders that the files of a set lie in.
+/// All folders above the files of a set.
 fn needed_folders(set: &FileSet) -> BTreeSet<String> {
     let ends = set.files.iter().map(|(path, contents)| match contents {
         Contents::Folder => format!("{path}/"),
@@ -246,12 +246,12 @@ fn needed_folders(set: &FileSet) -> BTreeSet<String> {
     ends.flat_map(|p| folders_above(&p).map(String::from).collect::<Vec<_>>()).collect()
 }
 
-/// `a` and `a/b` for `a/b/c`; `a/b/c` as well for `a/b/c/`.
+/// `a` and `a/b` for `a/b/c`; also `a/b/c` for `a/b/c/`.
 fn folders_above(path: &str) -> impl Iterator<Item = &str> {
     path.match_indices('/').map(|(end, _)| &path[..end])
 }
 
-/// Is what is there what is wanted?
+/// Returns whether the existing file has the wanted contents.
 fn is_same(target: &Path, found: &Metadata, contents: &Contents, root: &Path) -> io::Result<bool> {
     match contents {
         Contents::Link(to) if found.is_symlink() => Ok(fs::read_link(target)? == link_target(to, target, root)),
@@ -270,7 +270,7 @@ fn is_bytes(target: &Path, found: &Metadata, bytes: &[u8]) -> io::Result<bool> {
     Ok(found.len() == bytes.len() as u64 && record::same_contents(bytes, open::existing(target)?)?)
 }
 
-/// Relative where both lie under the root, so that the project can be moved; else absolute.
+/// Target of a link: relative if both ends are below the root, so the project can be moved; otherwise absolute.
 fn link_target(to: &Path, from: &Path, root: &Path) -> PathBuf {
     let absolute = std::path::absolute(to).unwrap_or_else(|_| to.to_path_buf());
     let real = match (absolute.parent().and_then(|folder| folder.canonicalize().ok()), absolute.file_name()) {

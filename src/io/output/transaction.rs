@@ -1,12 +1,12 @@
-//! The journalled change: staged, announced, moved into place; finished or undone after a crash, undone after a failure.
+//! Journalled changes: staged, journalled, renamed into place; completed or undone after a crash, undone after a failure.
 //!
-//! Step `i` of the journal has its new file in `.staging/i.new` (none: the path goes) and a second name of what stood there
-//! before in `.staging/i.old` (none: nothing did). Every step may be repeated, so that a crash while finishing or undoing
-//! does no harm; the journal says which of the two is under way.
+//! Step `i` of the journal has its new file in `.staging/i.new` (none: the path is removed) and a link to the old file in `.staging/i.old`
+//! (none: the path was free). Every step is idempotent, so a crash while finishing or undoing does no harm; the journal stores which of the two
+//! is in progress.
 //!
-//! A journal that is found is carried out only if it was written here (`identity.rs`) and each file that it would replace or
-//! remove is, by its hash, what stood there then or what it puts there. Else it is set aside together with what was staged, and
-//! no file is touched (`found.rs`).
+//! The journal of an earlier process is carried out only if it was written in this folder (`identity.rs`) and each file that it would replace or
+//! remove has the hash from before or after the change. Otherwise the journal and its staged files are set aside, and no file is touched
+//! (`found.rs`).
 
 use std::{
     collections::BTreeSet,
@@ -33,42 +33,42 @@ pub(super) enum Direction {
 /// A change of a set of files; paths relative to the root.
 #[derive(Debug, Default, Serialize, Deserialize)]
 pub(super) struct Change {
-    /// Folders that are missing, outer before inner.
+    /// Folders to create, outer before inner.
     pub new_folders: Vec<String>,
     pub steps: Vec<Step>,
-    /// Folders that go if they are empty then, inner before outer.
+    /// Folders to remove if they are empty by then, inner before outer.
     pub old_folders: Vec<String>,
 }
 
-/// What happens at one path.
+/// The change at one path.
 #[derive(Debug, Serialize, Deserialize)]
 pub(super) struct Step {
     pub path: String,
-    /// Hash of the file that comes.
+    /// Hash of the new file; `None`: the path is removed.
     pub new: Option<String>,
-    /// Hash of the file that was there.
+    /// Hash of the old file; `None`: the path was free.
     pub old: Option<String>,
 }
 
 #[derive(Serialize, Deserialize)]
 pub(super) struct Journal {
     pub direction: Direction,
-    /// Of the folder in which it was written.
+    /// Identity of the folder in which it was written.
     pub identity: String,
     pub change: Change,
 }
 
-/// A root folder whose lock this process holds.
+/// A locked root folder.
 pub(super) struct Root<'a> {
-    /// Without symbolic links.
+    /// Canonical path.
     pub path: PathBuf,
     pub disk: &'a Disk<'a>,
-    /// Of the folder `viewrank`.
+    /// Identity of the folder `viewrank`.
     pub identity: String,
     _lock: File,
 }
 
-/// Sets of one root.
+/// Writes the sets of one root.
 pub(super) fn write(path: &Path, sets: &[&FileSet], disk: &Disk) -> Result<Vec<Written>, OutputError> {
     let root = Root::open(path, disk)?;
     root.settle()?;
@@ -83,17 +83,17 @@ pub(super) fn write(path: &Path, sets: &[&FileSet], disk: &Disk) -> Result<Vec<W
 }
 
 pub(super) fn recover(root: &Path, disk: &Disk) -> Result<(), OutputError> {
-    let announced = is_there(&root.join(JOURNAL));
-    if !announced && !is_there(&root.join(STAGING)) {
+    let has_journal = is_there(&root.join(JOURNAL));
+    if !has_journal && !is_there(&root.join(STAGING)) {
         return Ok(());
     }
     let settled = Root::open(root, disk).and_then(|root| root.settle());
-    // What was staged and never announced is in nobody's way.
-    if announced { settled } else { Ok(()) }
+    // Staged files without a journal do no harm, so an error in removing them is ignored.
+    if has_journal { settled } else { Ok(()) }
 }
 
 impl<'a> Root<'a> {
-    /// Makes the folder if need be and waits until no other process writes below it.
+    /// Creates the folder if necessary and waits for its lock.
     fn open(path: &Path, disk: &'a Disk<'a>) -> Result<Self, OutputError> {
         let failed = |error| OutputError::new(path, error);
         make_folders(&std::path::absolute(path).map_err(failed)?, disk)?;
@@ -105,7 +105,7 @@ impl<'a> Root<'a> {
         Ok(Self { path, disk, identity, _lock: lock })
     }
 
-    /// Where a path of the set lies, after a look at the folders that lead there.
+    /// Path of a file of the set, after checking the folders above it.
     pub fn locate(&self, path: &str) -> Result<PathBuf, OutputError> {
         check_links(&self.path, path)
     }
@@ -122,12 +122,12 @@ impl<'a> Root<'a> {
         self.disk.make_new_folder(&self.staging())
     }
 
-    /// What stays behind if this fails is cleared by the next run; the set itself is whole.
+    /// Removes the staged files. Errors are ignored: the set is complete, and the next run removes the rest.
     fn clear_staging(&self) {
         let _ = self.disk.remove_folder(&self.staging());
     }
 
-    /// Finishes or undoes what an earlier process left.
+    /// Completes or undoes the change of an earlier process.
     fn settle(&self) -> Result<(), OutputError> {
         if let Some(journal) = found::journal(self)? {
             match journal.direction {
@@ -140,7 +140,7 @@ impl<'a> Root<'a> {
 
     fn carry_out(&self, change: Change) -> Result<(), OutputError> {
         let mut journal = Journal { direction: Direction::Finish, identity: self.identity.clone(), change };
-        if let Err(failure) = self.announce(&journal)
+        if let Err(failure) = self.write_journal(&journal)
             && !is_there(&self.path.join(JOURNAL))
         {
             self.clear_staging();
@@ -148,7 +148,7 @@ impl<'a> Root<'a> {
         }
         let done = self.finish(&journal.change).map_err(|failure| {
             journal.direction = Direction::Undo;
-            match self.announce(&journal).and_then(|()| self.undo(&journal.change)) {
+            match self.write_journal(&journal).and_then(|()| self.undo(&journal.change)) {
                 Ok(()) => failure,
                 Err(undoing) => OutputError::Interrupted { failure: failure.into(), undoing: undoing.into() },
             }
@@ -159,8 +159,8 @@ impl<'a> Root<'a> {
         done
     }
 
-    /// From here on the change will be carried out, or undone, whatever happens to this process.
-    fn announce(&self, journal: &Journal) -> Result<(), OutputError> {
+    /// Writes the journal: from now on the change will be completed or undone, even if this process is killed.
+    fn write_journal(&self, journal: &Journal) -> Result<(), OutputError> {
         let draft = self.staging().join(match journal.direction {
             Direction::Finish => "finish",
             Direction::Undo => "undo",
@@ -208,7 +208,7 @@ impl<'a> Root<'a> {
         self.close(change)
     }
 
-    /// Makes the change durable, then forgets it.
+    /// Syncs the changed folders, then removes the journal.
     fn close(&self, change: &Change) -> Result<(), OutputError> {
         let paths = change.steps.iter().map(|s| &s.path).chain(&change.new_folders).chain(&change.old_folders);
         let parents: BTreeSet<PathBuf> =
@@ -231,7 +231,7 @@ pub(super) fn make_folders(path: &Path, disk: &Disk) -> Result<(), OutputError> 
     disk.make_folder(path)
 }
 
-/// Is there anything of this name, a link that leads nowhere included?
+/// Returns whether the path exists, even as a broken link.
 pub(super) fn is_there(path: &Path) -> bool {
     path.symlink_metadata().is_ok()
 }

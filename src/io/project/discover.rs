@@ -1,4 +1,4 @@
-//! Finding out what lies at a path.
+//! Finds the models of a project folder, chooses one, and finds its images and dense workspace.
 
 use std::{
     cmp::Reverse,
@@ -28,7 +28,7 @@ pub(super) fn open(path: &Path, wanted: Option<&str>) -> Result<Project, Project
             Some(model) => vec![model],
             None => foreign_or_dense(root)?,
         },
-        // Part of a COLMAP model is no reason to refuse another program's.
+        // An incomplete COLMAP model doesn't prevent using another program's model.
         Err(error) => foreign_or_dense(root).ok().filter(|models| !models.is_empty()).ok_or(error)?,
         Ok(models) => models,
     };
@@ -49,7 +49,7 @@ pub(super) fn open(path: &Path, wanted: Option<&str>) -> Result<Project, Project
     Ok(Project { root: root.into(), kind, model, model_is_named, other_models, images, dense_workspace })
 }
 
-/// The COLMAP models of a folder: itself, `sparse`, the folders in `sparse`, or, without all these, its own sub-folders.
+/// Finds the COLMAP models in a folder, in `sparse` and in the sub-folders of `sparse`; if there are none, in the folder's own sub-folders.
 fn colmap_models(root: &Path) -> Result<Vec<ModelLocation>, ProjectError> {
     let first = colmap_models_among(&[vec![root.into()], with_sub_folders(&root.join("sparse"))].concat());
     match (first, colmap_models_among(&sub_folders(root))) {
@@ -60,13 +60,13 @@ fn colmap_models(root: &Path) -> Result<Vec<ModelLocation>, ProjectError> {
     }
 }
 
-/// The models of other programs, or, without all these, those of the dense workspace, which is made from the others.
+/// Finds the models of other programs; if there are none, those of the dense workspace (which is made from another model).
 fn foreign_or_dense(root: &Path) -> Result<Vec<ModelLocation>, ProjectError> {
     let models = foreign::models(root);
     if models.is_empty() { colmap_models_among(&with_sub_folders(&root.join("dense/sparse"))) } else { Ok(models) }
 }
 
-/// A folder with a part of a model only counts when there is no other.
+/// Finds the COLMAP models among `folders`. An incomplete model is an error only if no other is complete.
 fn colmap_models_among(folders: &[PathBuf]) -> Result<Vec<ModelLocation>, ProjectError> {
     let (mut models, mut incomplete) = (Vec::new(), None);
     for folder in folders {
@@ -89,7 +89,7 @@ fn sub_folders(folder: &Path) -> Vec<PathBuf> {
     folders
 }
 
-/// The model of a folder; binary wins over text, as in COLMAP.
+/// Finds the model of a folder; prefers binary to text, like COLMAP.
 fn colmap_model(folder: &Path) -> Result<Option<ModelLocation>, ProjectError> {
     let mut incomplete = None;
     for format in [ModelFormat::ColmapBinary, ModelFormat::ColmapText] {
@@ -113,19 +113,19 @@ fn colmap_model(folder: &Path) -> Result<Option<ModelLocation>, ProjectError> {
     }
 }
 
-/// Number of registered images without reading the model, or 0 where that fails: reading will tell why.
+/// Number of registered images, without reading the model; 0 if that fails (reading the model reports why).
 fn registered(images: &Path, format: ModelFormat) -> u64 {
     if format == ModelFormat::ColmapText {
         return read(images).map_or(0, |bytes| colmap_text::count_images(&bytes));
     }
     let mut head = [0; 8];
     let file = input::open(images).and_then(|mut file| file.read_exact(&mut head).and(file.metadata()));
-    // A count that the file has no room for is damaged, and must not win.
+    // A count too large for the file is damaged, and must not win the choice. A record has at least 73 bytes.
     let possible = |metadata: fs::Metadata| Some(u64::from_le_bytes(head)).filter(|n| *n <= metadata.len() / 73);
     file.ok().and_then(possible).unwrap_or(0)
 }
 
-/// The model to take and the others.
+/// Chooses a model; returns it and the others.
 fn choose(
     path: &Path,
     mut models: Vec<ModelLocation>,
@@ -142,8 +142,7 @@ fn choose(
         return Err(ProjectError::NoModel { path: path.into(), looked_for });
     }
     if position == models.len() {
-        let names = models.iter().map(ModelLocation::name).collect::<Vec<_>>().join(", ");
-        let present = if models.len() == 1 { format!("is only {names}") } else { format!("are {names}") };
+        let present = models.iter().map(ModelLocation::name).collect::<Vec<_>>().join(", ");
         let wanted = wanted.unwrap_or_default().into();
         return Err(ProjectError::NoSuchModel { path: path.into(), wanted, present });
     }
@@ -151,36 +150,36 @@ fn choose(
     Ok((model, models))
 }
 
-/// Most registered images first, then by name.
+/// Sort key: most registered images first, then by name.
 fn order(model: &ModelLocation) -> (Reverse<u64>, (u64, String)) {
     (Reverse(model.registered), by_number(&model.name()))
 }
 
-/// Is it the one that is taken where none is named?
+/// Returns whether this is the model that is used by default.
 pub(super) fn is_first(model: &ModelLocation, others: &[ModelLocation]) -> bool {
     others.iter().all(|other| order(model) <= order(other))
 }
 
-/// Sorts 2 before 10, and numbers before words.
+/// Sort key: 2 before 10, numbers before words.
 fn by_number(name: &str) -> (u64, String) {
     (name.parse().unwrap_or(u64::MAX), name.into())
 }
 
-/// The workspace of the model: that which it lies in, or one below `dense` that has its images.
+/// Finds the dense workspace of the model: the project folder itself, or the first one below `dense` that has all its images.
 fn dense_workspace(root: &Path, model: &ModelLocation) -> Option<PathBuf> {
     if root.join("stereo").is_dir() {
         return Some(root.into());
     }
-    let below = dense_folders(root, model);
-    let names = if below.is_empty() { None } else { image_names(root, model) }?;
+    let workspaces = dense_folders(root, model);
+    let names = if workspaces.is_empty() { None } else { image_names(root, model) }?;
     let has_the_images = |folder: &PathBuf| {
         let there = colmap_model(&folder.join("sparse")).ok().flatten();
         there.and_then(|dense| image_names(root, &dense)).is_some_and(|there| names.is_subset(&there))
     };
-    below.into_iter().find(has_the_images)
+    workspaces.into_iter().find(has_the_images)
 }
 
-/// The folders below `dense` that are set up for patch match, that of the model's name first.
+/// Dense workspaces below `dense` (folders with `stereo`), the one with the model's name first.
 pub(super) fn dense_folders(root: &Path, model: &ModelLocation) -> Vec<PathBuf> {
     let dense = root.join("dense");
     let mut folders = [vec![dense.join(model.name()), dense.clone()], sub_folders(&dense)].concat();
@@ -189,7 +188,7 @@ pub(super) fn dense_folders(root: &Path, model: &ModelLocation) -> Vec<PathBuf> 
     folders
 }
 
-/// Names of the registered images; `None` where the model cannot be read, which reading it will tell.
+/// Names of the registered images; `None` if the model cannot be read.
 pub(super) fn image_names(root: &Path, model: &ModelLocation) -> Option<BTreeSet<String>> {
     match model.format.is_colmap() {
         true => files::image_names(model),

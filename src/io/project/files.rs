@@ -1,4 +1,4 @@
-//! Reading the files of a model.
+//! Reads the files of a COLMAP model.
 
 use std::{
     collections::BTreeSet,
@@ -16,10 +16,10 @@ use crate::{
     model::scene::Scene,
 };
 
-/// The three files without which there is no COLMAP model.
+/// Required files of a COLMAP model.
 pub(super) const REQUIRED: [&str; 3] = ["cameras", "images", "points3D"];
 
-/// The bytes of a regular file. They are not mapped: whoever cut the file meanwhile would end this process.
+/// Reads a regular file. It is not memory-mapped: another process that truncated it would crash this one.
 pub(super) fn read(path: &Path) -> Result<Vec<u8>, ProjectError> {
     let fail = |source| ProjectError::Io { path: path.into(), source };
     let file = input::open(path).map_err(fail)?;
@@ -31,7 +31,7 @@ pub(super) fn read(path: &Path) -> Result<Vec<u8>, ProjectError> {
     Ok(bytes)
 }
 
-/// Names of the images of a COLMAP model, without a look at the rest of it; `None` where they cannot be read.
+/// Names of the images of a COLMAP model, without reading the rest of it; `None` if they cannot be read.
 pub(super) fn image_names(model: &ModelLocation) -> Option<BTreeSet<String>> {
     let images = read(&colmap_file(&model.path, "images", model.format)).ok()?;
     let is_text = model.format == ModelFormat::ColmapText;
@@ -69,7 +69,7 @@ impl ColmapFiles {
         })
     }
 
-    /// All that the files hold.
+    /// Parses the files.
     pub fn model(&self) -> Result<ColmapModel<'_>, ProjectError> {
         let bytes = Bytes {
             cameras: &self.cameras,
@@ -92,14 +92,14 @@ impl ColmapFiles {
     }
 }
 
-/// The files of a COLMAP model that are there.
+/// The existing files of a COLMAP model.
 pub(super) fn all(model: &ModelLocation) -> Vec<PathBuf> {
     let files =
         ["cameras", "images", "points3D", "rigs", "frames"].map(|stem| colmap_file(&model.path, stem, model.format));
     files.into_iter().filter(|path| path.is_file()).collect()
 }
 
-/// Path of one file of a COLMAP model.
+/// Path of a file of a COLMAP model.
 pub(super) fn colmap_file(folder: &Path, stem: &str, format: ModelFormat) -> PathBuf {
     let extension = if format == ModelFormat::ColmapText { "txt" } else { "bin" };
     folder.join(format!("{stem}.{extension}"))

@@ -1,4 +1,4 @@
-//! Opening the models of programs other than COLMAP.
+//! Finds and reads the models of programs other than COLMAP.
 
 use std::{
     io::Read,
@@ -17,7 +17,7 @@ use crate::{
     model::scene::WarningKind,
 };
 
-/// Places of model files in a project folder, in the order in which they are taken.
+/// Model files in a project folder, in order of preference.
 const PLACES: [(&str, ModelFormat); 10] = [
     ("scene.mvs", ModelFormat::OpenMvs),
     ("sfm_data.json", ModelFormat::OpenMvg),
@@ -31,11 +31,11 @@ const PLACES: [(&str, ModelFormat); 10] = [
     ("*.out", ModelFormat::Bundler),
 ];
 
-/// Said where no model is found.
+/// Description of these files for the error without any model.
 pub(super) const LOOKED_FOR: &str =
     "*.mvs, sfm_data.json, reconstruction.json, *.sfm, *.nvm, *bundle.out, and ori/*.ori";
 
-/// The models of a folder that are not COLMAP's.
+/// Finds the models of other programs in a folder.
 pub(super) fn models(root: &Path) -> Vec<ModelLocation> {
     let files = file_names(root);
     let mut models: Vec<ModelLocation> = Vec::new();
@@ -52,14 +52,14 @@ pub(super) fn models(root: &Path) -> Vec<ModelLocation> {
     }
     let ori = [root.join("ori"), root.into()].into_iter().find(|folder| !orientations(folder).is_empty());
     if let Some(folder) = ori {
-        // What lies beside orientations is their cloud.
+        // NVM and Bundler files next to orientations are their sparse cloud.
         models.retain(|model| !matches!(model.format, ModelFormat::Nvm | ModelFormat::Bundler));
         models.push(location(root, ModelFormat::Sure, folder));
     }
     models
 }
 
-/// The model in a file, by its name or its beginning.
+/// Recognises a model file by its extension or its first bytes.
 pub(super) fn model_file(path: &Path) -> Option<ModelLocation> {
     let root = path.parent()?;
     let format = match path.extension()?.to_str()? {
@@ -104,7 +104,7 @@ fn orientations(folder: &Path) -> Vec<PathBuf> {
     file_names(folder).iter().filter(|name| name.ends_with(".ori")).map(|name| folder.join(name)).collect()
 }
 
-/// The files that the model is read from.
+/// The existing files of the model.
 pub(super) fn files(root: &Path, model: &ModelLocation) -> Vec<PathBuf> {
     let beside = match model.format {
         ModelFormat::Bundler => bundler_list(&model.path),
@@ -118,7 +118,7 @@ pub(super) fn files(root: &Path, model: &ModelLocation) -> Vec<PathBuf> {
     [Some(model.path.clone()), beside].into_iter().flatten().filter(|path| path.is_file()).collect()
 }
 
-/// Reads the model.
+/// Reads the model; its image sizes come from the image files for formats that don't store them.
 pub(super) fn read(root: &Path, model: &ModelLocation) -> Result<Foreign, ProjectError> {
     let candidates = images::candidates(root, &model.path);
     let size_of = |name: &str| candidates.iter().find_map(|folder| images::size_by_header(&folder.join(name)));
@@ -149,7 +149,8 @@ pub(super) fn read(root: &Path, model: &ModelLocation) -> Result<Foreign, Projec
     Ok(foreign)
 }
 
-/// The list of images of a bundle file: `X.list.txt` of `X.bundle.out`, else `list.txt` beside it or one folder up.
+/// Finds the image list of a bundle file: `list.rd.txt` for `*.rd.out`, `X.list.txt` for `X.bundle.out`, otherwise `list.txt` in its folder or
+/// the one above.
 fn bundler_list(bundle: &Path) -> Option<PathBuf> {
     let name = bundle.file_name()?.to_string_lossy();
     let own = name.strip_suffix("bundle.out").map(|stem| bundle.with_file_name(format!("{stem}list.txt")));
@@ -159,7 +160,7 @@ fn bundler_list(bundle: &Path) -> Option<PathBuf> {
     lists.into_iter().flatten().find(|path| path.is_file())
 }
 
-/// The sparse cloud of a SURE project.
+/// Finds the sparse cloud of a SURE project: NVM, Bundler or PLY.
 fn sure_cloud(root: &Path) -> Option<(PathBuf, ModelFormat)> {
     let names = file_names(root);
     let endings = [(".nvm", ModelFormat::Nvm), (".out", ModelFormat::Bundler), (".ply", ModelFormat::Sure)];
@@ -167,7 +168,7 @@ fn sure_cloud(root: &Path) -> Option<(PathBuf, ModelFormat)> {
     endings.into_iter().find_map(|(ending, format)| Some((first(ending)?, format)))
 }
 
-/// Oriented images, and points from an NVM or Bundler file with tracks, or from a PLY file without.
+/// Reads oriented images, and points from an NVM or Bundler file (with tracks) or a PLY file (without).
 fn read_sure(root: &Path, folder: &Path) -> Result<Foreign, ProjectError> {
     let mut oriented = Vec::new();
     for (n, path) in orientations(folder).iter().enumerate() {
@@ -178,8 +179,8 @@ fn read_sure(root: &Path, folder: &Path) -> Result<Foreign, ProjectError> {
     let mut foreign = sure::model(oriented, |name| images::with_extension(&candidates, name));
     match sure_cloud(root) {
         None => {
-            let text = "no points: put a sparse cloud (*.nvm, *.out or *.ply) or a mesh (*.ply) into the project's folder; where only the \
-                        height of the ground is known, integrations/sure/ground.py writes a ground.ply";
+            let text = "no points: copy a sparse cloud (*.nvm, *.out or *.ply) or a mesh (*.ply) into the project's folder; if only the \
+                        height of the ground is known, make a ground.ply with integrations/sure/ground.py";
             foreign.warn(WarningKind::Damaged, text)
         }
         Some((path, ModelFormat::Sure)) => {

@@ -1,4 +1,4 @@
-//! The image folder of a project.
+//! Finds the image folder of a project and checks the images in it.
 
 use std::{
     collections::HashSet,
@@ -18,27 +18,27 @@ use crate::{
     model::scene::{Scene, ViewIndex},
 };
 
-/// Extensions of images, lower case.
+/// Extensions of image files, lower case.
 const EXTENSIONS: [&str; 10] = ["jpg", "jpeg", "png", "tif", "tiff", "bmp", "ppm", "pgm", "webp", "jp2"];
 
-/// Names that are looked for when an image folder is chosen.
+/// Number of image names that are tried on a candidate for the image folder.
 const PROBED: usize = 20;
 
-/// The folders that names of a model may be relative to, best first: the nearest `images`, what the model's own `project.ini`
-/// says, and, for other programs' models, where the model and the project are.
+/// Existing folders to which the model's image names may be relative, best first: the nearest `images`, the image path in the model's
+/// `project.ini`, the project folder and the model's folder.
 pub(super) fn candidates(root: &Path, model: &Path) -> Vec<PathBuf> {
     let up = |levels: usize| model.ancestors().nth(levels).map(|folder| folder.join("images"));
-    let named = [up(0), up(1), up(2), Some(root.join("images")), said_by_colmap(model)];
+    let named = [up(0), up(1), up(2), Some(root.join("images")), colmap_image_path(model)];
     let bare = [Some(root.into()), model.parent().map(Path::to_path_buf)];
     named.into_iter().chain(bare).flatten().filter(|folder| folder.is_dir()).collect()
 }
 
-/// The image folder of a COLMAP model.
+/// Finds the image folder of a COLMAP model.
 pub(super) fn find(root: &Path, model: &Path) -> Option<PathBuf> {
     candidates(root, model).into_iter().find(|folder| folder.as_path() != root && !model.starts_with(folder))
 }
 
-/// The image folder of a model of another program: the first candidate that one of its images lies in.
+/// Finds the image folder of another program's model: the first candidate that contains one of its images.
 pub(super) fn find_by_names(root: &Path, model: &Path, foreign: &Foreign) -> Option<PathBuf> {
     let named = foreign.image_folder.as_ref().map(|folder| root.join(folder)).filter(|folder| folder.is_dir());
     let folders: Vec<PathBuf> = named.into_iter().chain(candidates(root, model)).collect();
@@ -47,7 +47,7 @@ pub(super) fn find_by_names(root: &Path, model: &Path, foreign: &Foreign) -> Opt
     folders.iter().find(holds_one).or_else(|| folders.iter().find(|folder| folder.ends_with("images"))).cloned()
 }
 
-/// The name itself, or with the extension of an image that is there.
+/// Returns `name` if that image exists in one of the folders; otherwise `name` with the extension of an image that exists, if any.
 pub(super) fn with_extension(folders: &[PathBuf], name: &str) -> String {
     if folders.iter().any(|folder| folder.join(name).is_file()) {
         return name.into();
@@ -58,35 +58,35 @@ pub(super) fn with_extension(folders: &[PathBuf], name: &str) -> String {
     there.next().unwrap_or_else(|| name.into())
 }
 
-/// `image_path` of the settings that COLMAP leaves beside a model.
-fn said_by_colmap(model: &Path) -> Option<PathBuf> {
+/// `image_path` of the `project.ini` that COLMAP writes next to a model.
+fn colmap_image_path(model: &Path) -> Option<PathBuf> {
     let settings = input::read_text(&model.join("project.ini"), FileKind::Settings).ok()?;
     let value = settings.lines().find_map(|line| line.trim().strip_prefix("image_path")?.trim().strip_prefix('='))?;
     Some(model.join(value.trim()))
 }
 
-/// Bytes of an image that its header is looked for in, before the whole file is.
+/// Numbers of leading bytes of an image to parse for its header, before trying the whole file.
 const HEADS: [u64; 2] = [1 << 16, 1 << 20];
 
-/// What is wrong with the image files of a scene, by their names and headers.
+/// Faults of the image files of a scene, according to their names and headers.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct ImageFaults {
     /// Views without a file.
     pub missing: Vec<ViewIndex>,
-    /// Views whose file has another width and height than the camera, and these.
+    /// Views whose image size differs from the camera's, with the width and height of the image.
     pub other_size: Vec<(ViewIndex, [u32; 2])>,
-    /// Views whose file is empty, cut off or no image, and which of these.
+    /// Views whose file is empty, truncated or not an image, with that word.
     pub unreadable: Vec<(ViewIndex, &'static str)>,
 }
 
 impl ImageFaults {
-    /// Looks at the files of all views.
+    /// Checks the image files of all views, in parallel.
     pub(super) fn find(folder: &Path, scene: &Scene) -> Self {
         let views: Vec<ViewIndex> = scene.view_indices().collect();
-        let look = |view: &ViewIndex| {
+        let check = |view: &ViewIndex| {
             let (path, view) = (folder.join(scene.name(*view)), *view);
             let camera = scene.camera_of(view);
-            match look(&path) {
+            match probe(&path) {
                 Ok(Some(size)) if size != [camera.width, camera.height] => {
                     Self { other_size: vec![(view, size)], ..Self::default() }
                 }
@@ -95,7 +95,7 @@ impl ImageFaults {
                 Err(Unread::Broken(why)) => Self { unreadable: vec![(view, why)], ..Self::default() },
             }
         };
-        let found: Vec<Self> = views.par_iter().map(look).collect();
+        let found: Vec<Self> = views.par_iter().map(check).collect();
         let mut all = Self::default();
         for faults in found {
             all.missing.extend(faults.missing);
@@ -105,70 +105,70 @@ impl ImageFaults {
         all
     }
 
-    /// The part that concerns these views, which ascend.
-    pub fn of(&self, views: &[ViewIndex]) -> Self {
-        let concerns = |view: &ViewIndex| views.binary_search(view).is_ok();
+    /// The faults of these views, which must be ascending.
+    pub fn among(&self, views: &[ViewIndex]) -> Self {
+        let is_among = |view: &ViewIndex| views.binary_search(view).is_ok();
         Self {
-            missing: self.missing.iter().copied().filter(concerns).collect(),
-            other_size: self.other_size.iter().copied().filter(|(view, _)| concerns(view)).collect(),
-            unreadable: self.unreadable.iter().copied().filter(|(view, _)| concerns(view)).collect(),
+            missing: self.missing.iter().copied().filter(is_among).collect(),
+            other_size: self.other_size.iter().copied().filter(|(view, _)| is_among(view)).collect(),
+            unreadable: self.unreadable.iter().copied().filter(|(view, _)| is_among(view)).collect(),
         }
     }
 
-    /// A line for each kind of fault.
+    /// One warning per kind of fault.
     pub fn warnings(&self, project: &Project, scene: &Scene) -> Vec<String> {
         let Some(folder) = &project.images else { return Vec::new() };
         let doctor = format!("viewrank doctor {}", project.as_argument());
         let all = scene.views.len();
         let missing = self.missing.first().map(|first| {
             let (count, name) = (self.missing.len(), scene.name(*first));
-            format!("{count} of {all} images are not in {}, as {name}: {doctor}", folder.display())
+            format!("{count} of {all} images are missing from {}, e.g. {name}: {doctor}", folder.display())
         });
         let other = self.other_size.first().map(|(first, [width, height])| {
             let (camera, name, count) = (scene.camera_of(*first), scene.name(*first), self.other_size.len());
             format!(
-                "{count} of {all} images have another size than their cameras, as {name}, {width} x {height} and not {} x {}: {doctor}",
+                "{count} of {all} images don't have the size of their cameras, e.g. {name} with {width} x {height} instead of {} x {}: {doctor}",
                 camera.width, camera.height
             )
         });
         let unreadable = self.unreadable.first().map(|(first, why)| {
             let (count, name) = (self.unreadable.len(), scene.name(*first));
-            format!("{count} of {all} images cannot be read, as {name} ({why}): {doctor}")
+            format!("{count} of {all} images cannot be read, e.g. {name} ({why}): {doctor}")
         });
         missing.into_iter().chain(other).chain(unreadable).collect()
     }
 }
 
-/// Why nothing is known of an image.
+/// Reason why the size of an image cannot be determined.
 enum Unread {
     Missing,
     Broken(&'static str),
 }
 
-/// Width and height of an image; `None` where its kind of file is not known here.
-fn look(path: &Path) -> Result<Option<[u32; 2]>, Unread> {
+/// Reads the width and height of an image; `None` for formats that cannot be checked.
+fn probe(path: &Path) -> Result<Option<[u32; 2]>, Unread> {
     let length = path.metadata().ok().filter(std::fs::Metadata::is_file).ok_or(Unread::Missing)?.len();
     if length == 0 {
         return Err(Unread::Broken("empty"));
     }
-    let of_name = ImageFormat::from_path(path).ok().filter(ImageFormat::reading_enabled);
+    let by_name = ImageFormat::from_path(path).ok().filter(ImageFormat::reading_enabled);
     match dimensions(path, length) {
-        None if of_name.is_some() => Err(Unread::Broken("no image")),
-        Some(_) if of_name == Some(ImageFormat::Jpeg) && is_cut_off(path, length).unwrap_or(false) => {
-            Err(Unread::Broken("cut off"))
+        None if by_name.is_some() => Err(Unread::Broken("not an image")),
+        Some(_) if by_name == Some(ImageFormat::Jpeg) && is_truncated(path, length).unwrap_or(false) => {
+            Err(Unread::Broken("truncated"))
         }
         found => Ok(found),
     }
 }
 
-/// Bytes at the end of a JPEG file in which its end is looked for, before it is from the first scan on.
+/// Bytes at the end of a JPEG file to search for the end-of-image marker, before searching from the first scan on.
 const TAIL: u64 = 1 << 16;
 const END_OF_IMAGE: [u8; 2] = [0xff, 0xd9];
 const START_OF_SCAN: u8 = 0xda;
 
-/// Does a JPEG file lack the end of its image? In the data of a scan the mark of the end cannot occur by chance (ITU T.81, B.1.1.5), before
-/// it in another picture that the header holds.
-fn is_cut_off(path: &Path, length: u64) -> io::Result<bool> {
+/// Returns whether a JPEG file lacks its end-of-image marker. The marker cannot occur by chance in scan data (ITU T.81, B.1.1.5), but it can
+/// occur before the first scan, in an embedded thumbnail.
+fn is_truncated(path: &Path, length: u64) -> io::Result<bool> {
     let mut file = BufReader::with_capacity(TAIL as usize, input::open(path)?);
     if length > TAIL {
         file.seek(SeekFrom::Start(length - TAIL))?;
@@ -176,12 +176,12 @@ fn is_cut_off(path: &Path, length: u64) -> io::Result<bool> {
             return Ok(false);
         }
     }
-    go_to_first_scan(&mut file)?;
+    seek_first_scan(&mut file)?;
     Ok(!has_end(&mut file)?)
 }
 
-/// To the data of the first scan; where there is none, behind the last whole segment.
-fn go_to_first_scan(file: &mut BufReader<File>) -> io::Result<()> {
+/// Seeks to the data of the first scan or, without a scan, past the last complete segment.
+fn seek_first_scan(file: &mut BufReader<File>) -> io::Result<()> {
     file.seek(SeekFrom::Start(2))?;
     loop {
         let mut segment = Vec::new();
@@ -195,7 +195,7 @@ fn go_to_first_scan(file: &mut BufReader<File>) -> io::Result<()> {
     }
 }
 
-/// Is the mark of the end in what is left of the file?
+/// Returns whether the rest of the file contains the end-of-image marker.
 fn has_end(file: &mut impl BufRead) -> io::Result<bool> {
     let mut last = 0;
     loop {
@@ -210,26 +210,26 @@ fn has_end(file: &mut impl BufRead) -> io::Result<bool> {
     }
 }
 
-/// Width and height by the header, reading no more of the file than it takes.
+/// Width and height from the header; reads as little of the file as possible.
 fn dimensions(path: &Path, length: u64) -> Option<[u32; 2]> {
-    let of_head = |bytes: u64| {
+    let from_head = |bytes: u64| {
         let mut head = Vec::new();
         input::open(path).ok()?.take(bytes).read_to_end(&mut head).ok()?;
         let reader = ImageReader::new(Cursor::new(head)).with_guessed_format().ok()?;
         reader.into_dimensions().ok()
     };
-    let found = HEADS.into_iter().filter(|bytes| *bytes < length).find_map(of_head);
+    let found = HEADS.into_iter().filter(|bytes| *bytes < length).find_map(from_head);
     found.or_else(|| size_by_header(path)).map(|(width, height)| [width, height])
 }
 
-/// Width and height of an image file, wherever its header says so.
+/// Width and height of an image file, wherever they are in it.
 pub(super) fn size_by_header(path: &Path) -> Option<(u32, u32)> {
     let file = BufReader::new(input::open(path).ok()?);
     ImageReader::new(file).with_guessed_format().ok()?.into_dimensions().ok()
 }
 
-/// Images of the folder that the scene has no view of, sorted; none where the folder holds no image of the scene, as one that a model from
-/// elsewhere names may be anything.
+/// Images of the folder without a view in the scene, sorted; none if the folder has no image of the scene, since a foreign model may name an
+/// unrelated folder.
 pub(super) fn unregistered(folder: &Path, scene: &Scene) -> Vec<String> {
     if !scene.views.iter().take(PROBED).any(|view| folder.join(&*view.name).is_file()) {
         return Vec::new();
@@ -248,12 +248,12 @@ fn is_image(path: &Path) -> bool {
     extension.is_some_and(|e| EXTENSIONS.contains(&e.as_str()))
 }
 
-/// Without `.` components.
+/// Removes `.` components.
 fn normal(name: &Path) -> PathBuf {
     name.components().filter(|c| !matches!(c, std::path::Component::CurDir)).collect()
 }
 
-/// A path with `/` between its parts, as names are written.
+/// Formats a path with `/` as the separator, like image names.
 pub fn slashes(path: &Path) -> String {
     path.components().map(|c| c.as_os_str().to_string_lossy()).collect::<Vec<_>>().join("/")
 }

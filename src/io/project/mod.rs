@@ -1,4 +1,4 @@
-//! What kind of project a folder is, and where its model, images and depth maps are.
+//! Projects: folders with a sparse model, and where their images and dense workspace are.
 
 mod discover;
 mod files;
@@ -22,7 +22,7 @@ use crate::{
     model::scene::{ModelWarning, Scene, WarningKind},
 };
 
-/// Formats of sparse models.
+/// Sparse model formats.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ModelFormat {
@@ -38,17 +38,17 @@ pub enum ModelFormat {
 }
 
 impl ModelFormat {
-    /// Does COLMAP itself read it?
+    /// Returns whether COLMAP reads the format.
     pub fn is_colmap(self) -> bool {
         matches!(self, Self::ColmapBinary | Self::ColmapText)
     }
 
-    /// Does it say where in the images the points are observed? Else they are put where they project.
+    /// Returns whether the format stores measured pixels. Without them, observations are placed at the projections of their points.
     pub fn has_pixels(self) -> bool {
         !matches!(self, Self::OpenMvs | Self::Sure)
     }
 
-    /// As people write it.
+    /// Display name.
     pub fn name(self) -> &'static str {
         match self {
             Self::ColmapBinary => "COLMAP binary",
@@ -64,24 +64,24 @@ impl ModelFormat {
     }
 }
 
-/// Where a sparse model lies.
+/// Location of a sparse model.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ModelLocation {
     pub format: ModelFormat,
     /// Folder of a COLMAP model; the file of other formats.
     pub path: PathBuf,
-    /// Registered images by a first look, without reading the model.
+    /// Number of registered images according to a quick check of the file; 0 if that fails.
     pub registered: u64,
 }
 
 impl ModelLocation {
-    /// What `--model` takes: the name of the folder or file.
+    /// Name of the folder or file, as passed to `--model`.
     pub fn name(&self) -> String {
         self.path.file_name().unwrap_or(self.path.as_os_str()).to_string_lossy().into_owned()
     }
 }
 
-/// What the folder is set up for.
+/// Layout of the project folder.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ProjectKind {
@@ -89,7 +89,7 @@ pub enum ProjectKind {
     Colmap,
     /// `sparse/*.bin`, `images/`, `stereo/`.
     ColmapDense,
-    /// A folder or file that holds a model and nothing else.
+    /// A model without a project around it.
     BareModel,
     OpenMvs,
     Sure,
@@ -102,24 +102,27 @@ pub struct Project {
     pub kind: ProjectKind,
     /// The model to plan for.
     pub model: ModelLocation,
-    /// Was it asked for by name?
+    /// True if the user named the model.
     pub model_is_named: bool,
-    /// Other sub-models of the same project, not used.
+    /// Other sub-models of the project, which are not used.
     pub other_models: Vec<ModelLocation>,
-    /// The image folder that names are relative to.
+    /// The folder to which image names are relative.
     pub images: Option<PathBuf>,
     /// The COLMAP dense workspace: `root` itself, `root/dense` or `root/dense/N`.
     pub dense_workspace: Option<PathBuf>,
 }
 
 impl Project {
-    /// Finds out what lies at a path: a project folder, a model folder, or a model file. Of several sub-models the one with
-    /// most registered images is taken, ties by name, unless `model` names one.
+    /// Opens a project folder, a model folder or a model file. Of several sub-models it takes the one named by `model`, or the one with the most
+    /// registered images, ties by name.
+    ///
+    /// # Errors
+    /// If there is no complete model, or no sub-model of that name.
     pub fn open(path: &Path, model: Option<&str>) -> Result<Self, ProjectError> {
         discover::open(path, model)
     }
 
-    /// The project as commands take it: its folder, and `--model` where another sub-model would be taken without.
+    /// Command line argument for the project: its folder, and `--model` unless the sub-model is the default.
     pub fn as_argument(&self) -> String {
         let root = quoted_path(&self.root);
         match discover::is_first(&self.model, &self.other_models) {
@@ -128,12 +131,12 @@ impl Project {
         }
     }
 
-    /// Where viewrank writes: `root/viewrank`.
+    /// viewrank's output folder: `root/viewrank`.
     pub fn output_folder(&self) -> PathBuf {
         self.root.join("viewrank")
     }
 
-    /// Reads the model, and which images of the image folder it lacks.
+    /// Reads the model, and adds the images of the image folder that it lacks to `unregistered`.
     pub fn read_scene(&self) -> Result<Scene, ProjectError> {
         let mut scene = match self.model.format {
             ModelFormat::ColmapBinary | ModelFormat::ColmapText => self.colmap_files()?.scene()?,
@@ -146,7 +149,7 @@ impl Project {
         scene.warnings.extend(others.map(|text| ModelWarning::new(WarningKind::OtherModels, text)));
         let workspace = self.other_workspace_warning();
         scene.warnings.extend(workspace.map(|text| ModelWarning::new(WarningKind::OtherWorkspace, text)));
-        // Where images lie beside everything else, not every picture belongs to the survey.
+        // If the project folder itself is the image folder, an image in it need not belong to the survey.
         if let Some(images) = self.images.as_ref().filter(|images| **images != self.root) {
             scene.unregistered.extend(images::unregistered(images, &scene));
             scene.unregistered.sort_unstable();
@@ -155,17 +158,17 @@ impl Project {
         Ok(scene)
     }
 
-    /// What is wrong with the image files of the scene; nothing where there is no image folder.
+    /// Checks the image files of the scene; finds no faults without an image folder.
     pub fn image_faults(&self, scene: &Scene) -> ImageFaults {
         self.images.as_deref().map_or_else(ImageFaults::default, |folder| ImageFaults::find(folder, scene))
     }
 
-    /// The files of a COLMAP model as they are, for writing a part of them.
+    /// Reads the files of a COLMAP model unchanged, to write a part of the model.
     pub fn colmap_files(&self) -> Result<ColmapFiles, ProjectError> {
         ColmapFiles::open(&self.model)
     }
 
-    /// Does the folder of a binary COLMAP model hold another one as text: other images, or other poses?
+    /// Returns whether the folder of a binary COLMAP model also has a text model with other images or poses, or one that cannot be read.
     pub fn has_other_text_model(&self, scene: &Scene) -> bool {
         let location = ModelLocation { format: ModelFormat::ColmapText, ..self.model.clone() };
         if self.model.format != ModelFormat::ColmapBinary || !self.model.path.join("images.txt").is_file() {
@@ -174,7 +177,7 @@ impl Project {
         ColmapFiles::open(&location).and_then(|files| files.scene()).map_or(true, |text| !text.has_same_views(scene))
     }
 
-    /// Hands the model on as COLMAP's files hold it: the project's own files, else the model of the scene.
+    /// Calls `use_model` with the COLMAP model in the project's files, or with one made from the scene for other formats.
     pub fn with_colmap_model<T>(
         &self,
         scene: &Scene,
@@ -186,7 +189,7 @@ impl Project {
         })
     }
 
-    /// All files that the model is read from, in a fixed order.
+    /// All files of the model, in a fixed order.
     pub fn model_files(&self) -> Vec<PathBuf> {
         match self.model.format {
             ModelFormat::ColmapBinary | ModelFormat::ColmapText => files::all(&self.model),
@@ -194,7 +197,7 @@ impl Project {
         }
     }
 
-    /// Other models whose images are mostly those of the scene: copies of the model, in other coordinates perhaps.
+    /// Other models at least half of whose images are in the scene: copies of the model, possibly in other coordinates.
     pub fn copies(&self, scene: &Scene) -> Vec<&ModelLocation> {
         let is_copy = |model: &&ModelLocation| {
             let names = discover::image_names(&self.root, model).unwrap_or_default();
@@ -204,25 +207,25 @@ impl Project {
         self.other_models.iter().filter(is_copy).collect()
     }
 
-    /// A workspace of another model is none of this one's.
+    /// Warns of a dense workspace that was made from another model.
     fn other_workspace_warning(&self) -> Option<String> {
         let others = discover::dense_folders(&self.root, &self.model);
         let other = others.first().filter(|_| self.dense_workspace.is_none())?;
         Some(format!(
-            "{} lacks images of this model, or its own model cannot be read: nothing is written into it",
+            "{} lacks images of this model, or its own model cannot be read; viewrank writes nothing into it",
             other.display()
         ))
     }
 
-    /// Which of several models is read, and which are not.
+    /// Names the model that is used, and the others.
     fn sub_model_warning(&self, registered: usize) -> Option<String> {
         let others = self.other_models.iter().map(|m| format!("{} ({} images)", m.name(), m.registered));
         let others: Vec<String> = others.collect();
         (!others.is_empty() && !self.model_is_named).then(|| {
             let used = self.model.name();
             let how = match self.model.path.is_dir() {
-                true => format!("viewrank plan {} plans one by itself", quoted_path(&self.other_models[0].path)),
-                false => "--model takes another".into(),
+                true => format!("`viewrank plan {}` plans another one", quoted_path(&self.other_models[0].path)),
+                false => "choose another one with --model".into(),
             };
             format!(
                 "of several sub-models {used} ({registered} images) is used; not used: {}; {how}",
@@ -232,39 +235,37 @@ impl Project {
     }
 }
 
-/// Why a project cannot be opened or its model not be read.
+/// Error of opening a project or reading its model.
 #[derive(Debug, thiserror::Error)]
 pub enum ProjectError {
     #[error("{0}: no such file or folder")]
     NotFound(PathBuf),
     #[error("no sparse model under {path}; looked for {looked_for}")]
     NoModel { path: PathBuf, looked_for: String },
-    #[error("{folder} holds part of a COLMAP model, but not {missing}")]
+    #[error("incomplete COLMAP model in {folder}: {missing} missing")]
     IncompleteModel { folder: PathBuf, missing: String },
-    #[error("there is no sub-model {wanted:?} in {path}; there {present}")]
+    #[error("no sub-model {wanted:?} in {path}, only {present}")]
     NoSuchModel { path: PathBuf, wanted: String, present: String },
-    #[error("{path}: {source}")]
+    #[error("cannot read {path}: {source}")]
     Io { path: PathBuf, source: io::Error },
     #[error("{path}, {fault}")]
     Fault { path: PathBuf, fault: Fault },
-    #[error("{0}: there is no list of images (list.txt) beside it or one folder up")]
+    #[error("no image list (list.txt) for {0} in its folder or the one above")]
     NoImageList(PathBuf),
 }
 
 impl Hint for ProjectError {
     fn hint(&self) -> Option<String> {
         Some(match self {
-            Self::NotFound(_) => "Give the folder of the project, the one that holds `sparse` and `images`.".into(),
-            Self::NoModel { .. } => "Give a folder that holds `sparse`, or the folder of the model itself.".into(),
+            Self::NotFound(_) => "name the project folder, which contains `sparse` and `images`".into(),
+            Self::NoModel { .. } => "name a folder that contains `sparse`, or the folder of the model itself".into(),
             Self::IncompleteModel { .. } => {
-                "Export the model again, with all of cameras, images and points3D in one format, binary or text.".into()
+                "export the model again, with cameras, images and points3D in one format, binary or text".into()
             }
-            Self::NoSuchModel { .. } => "Give such a name to --model, or leave it out.".into(),
-            Self::Io { .. } => "Check that the file is there and may be read.".into(),
+            Self::NoSuchModel { .. } => "pass one of these names to --model, or omit it".into(),
+            Self::Io { .. } => "check that the file exists and is readable".into(),
             Self::Fault { fault, .. } => fault.problem.hint().into(),
-            Self::NoImageList(_) => {
-                "Put the list that Bundler was given there: a line per camera, the image's name.".into()
-            }
+            Self::NoImageList(_) => "copy Bundler's image list there: one line per camera with the image name".into(),
         })
     }
 

@@ -1,8 +1,7 @@
-//! A COLMAP model as its files hold it, whether binary or text, and the [`Scene`] made from it.
+//! A COLMAP model as stored in its files, binary or text, and its conversion to a [`Scene`].
 //!
-//! Cross-references are checked here: COLMAP's own rules (`reconstruction.cc`), with two differences. Quaternions are
-//! normalised. And where a track names another 2D point than the image's own list does, the list decides: OpenMVG and
-//! AliceVision write the number of the *feature* into the tracks.
+//! The conversion checks cross-references by COLMAP's rules (`reconstruction.cc`), with two differences: quaternions are normalised, and if a
+//! track and the image's list of 2D points disagree, the list wins, because OpenMVG and AliceVision write *feature* numbers into the tracks.
 
 mod reduce;
 mod rigs;
@@ -20,16 +19,16 @@ use crate::model::{
     scene::{CameraIndex, ModelWarning, Pose, Scene, View},
 };
 
-/// All files of a model, in file order, nothing dropped. Lists of 2D points and tracks may point into the files' bytes.
+/// The complete contents of the files of a model, in file order. Lists of 2D points and tracks may borrow from the files' bytes.
 #[derive(Clone, Debug, Default)]
 pub struct ColmapModel<'a> {
     pub cameras: Vec<Camera>,
     pub images: Vec<ColmapImage<'a>>,
     pub points: Vec<ColmapPoint<'a>>,
-    /// `None` where there is no such file (before COLMAP 4.0).
+    /// `None` without such a file (before COLMAP 4.0).
     pub rigs: Option<Vec<Rig>>,
     pub frames: Option<Vec<Frame>>,
-    /// What was odd, but readable.
+    /// Problems that did not prevent reading.
     pub warnings: Vec<ModelWarning>,
 }
 
@@ -40,7 +39,7 @@ pub struct ColmapImage<'a> {
     pub camera_id: u32,
     pub name: Cow<'a, str>,
     pub points2d: Cow<'a, [Point2d]>,
-    /// Where its record is.
+    /// Position of its record.
     pub at: Place,
 }
 
@@ -50,14 +49,14 @@ pub struct ColmapPoint<'a> {
     pub xyz: [f64; 3],
     /// R G B
     pub colour: [u8; 3],
-    /// Mean reprojection error in pixels as stored; -1 where unknown.
+    /// Mean reprojection error as stored, pixels; -1 if unknown.
     pub error: f64,
     pub track: Cow<'a, [TrackElement]>,
-    /// Where its record is.
+    /// Position of its record.
     pub at: Place,
 }
 
-/// A rigid motion as the files hold it: w x y z, not necessarily of length one, and a translation.
+/// A rigid transform as stored: a quaternion w x y z, not necessarily of unit length, and a translation.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StoredPose {
     pub quaternion: [f64; 4],
@@ -67,12 +66,12 @@ pub struct StoredPose {
 impl StoredPose {
     pub const IDENTITY: Self = Self { quaternion: [1.0, 0.0, 0.0, 0.0], translation: [0.0; 3] };
 
-    /// With the quaternion normalised.
+    /// Normalises the quaternion.
     pub fn pose(&self) -> Result<Pose, Problem> {
         if !self.translation.iter().chain(&self.quaternion).all(|v| v.is_finite()) {
             return Err(Problem::NotFinite("the pose"));
         }
-        // The largest component first: the squares of tiny or huge ones leave the range of numbers.
+        // Divided by the largest component first: squares of tiny or huge components would underflow or overflow.
         let scale = self.quaternion.iter().fold(0.0f64, |max, q| max.max(q.abs()));
         if scale == 0.0 {
             return Err(Problem::ZeroQuaternion);
@@ -90,7 +89,7 @@ impl From<&Pose> for StoredPose {
     }
 }
 
-/// An entry of an image's list of 2D points, as the 24 bytes of the binary file.
+/// An entry of an image's list of 2D points; laid out as in the binary file (24 bytes).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, bytemuck::Pod, bytemuck::Zeroable)]
 #[repr(C)]
 pub struct Point2d {
@@ -100,7 +99,7 @@ pub struct Point2d {
 }
 
 impl Point2d {
-    /// COLMAP's number for "no point".
+    /// COLMAP's value for "no point".
     const NO_POINT: u64 = u64::MAX;
 
     pub fn new(pixel: [f64; 2], point: Option<u64>) -> Self {
@@ -112,13 +111,13 @@ impl Point2d {
         [f64::from_le_bytes(self.x), f64::from_le_bytes(self.y)]
     }
 
-    /// Id of the sparse point that it observes.
+    /// Id of the observed sparse point.
     pub fn point(&self) -> Option<u64> {
         Some(u64::from_le_bytes(self.point)).filter(|&id| id != Self::NO_POINT)
     }
 }
 
-/// An entry of a track, as the 8 bytes of the binary file: an image id and a position in that image's list of 2D points.
+/// An entry of a track: an image id and an index into that image's list of 2D points; laid out as in the binary file (8 bytes).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, bytemuck::Pod, bytemuck::Zeroable)]
 #[repr(C)]
 pub struct TrackElement {
@@ -140,7 +139,7 @@ impl TrackElement {
     }
 }
 
-/// A camera or another instrument of a rig.
+/// A camera or other sensor of a rig.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Sensor {
     /// [`Sensor::CAMERA`], 1 for an IMU.
@@ -157,7 +156,7 @@ impl Sensor {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Rig {
     pub id: u32,
-    /// The reference sensor first; `sensor_from_rig` of the others where it is known.
+    /// The reference sensor first; `sensor_from_rig` of the others, if known.
     pub sensors: Vec<(Sensor, Option<StoredPose>)>,
     pub at: Place,
 }
@@ -179,7 +178,10 @@ pub struct FrameData {
 }
 
 impl ColmapModel<'_> {
-    /// The scene, with all references checked.
+    /// Converts the model to a scene.
+    ///
+    /// # Errors
+    /// The first invalid reference, pose or name.
     pub fn scene(&self) -> Result<Scene, Fault> {
         let mut warnings = self.warnings.clone();
         let cameras = self.cameras_by_id()?;
@@ -215,7 +217,7 @@ impl ColmapModel<'_> {
         Ok(by_id)
     }
 
-    /// The views sorted by name, and for each image id the position of the image in the file and its view.
+    /// The views sorted by name, and for each image id the index of the image in the file and its view.
     fn views(&self, cameras: &HashMap<u32, CameraIndex>) -> Result<(Vec<View>, ImageIds), Fault> {
         let mut views = Vec::with_capacity(self.images.len());
         for (position, image) in self.images.iter().enumerate() {

@@ -1,4 +1,4 @@
-//! Models to be written: a part of a model, and the model of a scene from elsewhere.
+//! Makes models to write: a part of a model, or the model of a scene in another format.
 
 use std::{borrow::Cow, collections::HashSet};
 
@@ -11,9 +11,9 @@ use crate::{
 };
 
 impl ColmapModel<'_> {
-    /// The model reduced to some of its images. Ids stay, and so do the kept images' lists of 2D points, in which dropped
-    /// points become "no point"; points keep the kept part of their tracks and go when fewer than `min_views` kept images
-    /// observe them; cameras that no image uses go. Rigs and frames are left out: those of the whole model would contradict.
+    /// Reduces the model to some of its images. Ids don't change. The kept images keep their lists of 2D points, in which removed points become
+    /// "no point". Points keep the track elements of kept images; those that fewer than `min_views` kept images observe are removed, as are
+    /// unused cameras. Rigs and frames are removed: those of the whole model would contradict the rest.
     pub fn reduced(&self, keep: impl Fn(&ColmapImage) -> bool, min_views: usize) -> Result<ColmapModel<'_>, Fault> {
         let (_, view_of_image) = self.views(&self.cameras_by_id()?)?;
         let lists = ImageLists::new(&self.images, &view_of_image);
@@ -28,7 +28,7 @@ impl ColmapModel<'_> {
         Ok(ColmapModel { cameras, images, points, rigs: None, frames: None, warnings: self.warnings.clone() })
     }
 
-    /// The model in coordinates that count from `origin`.
+    /// Returns a copy of the model whose world origin is at `origin`.
     pub fn moved(mut self, origin: Vector3<f64>) -> Result<Self, Fault> {
         if origin == Vector3::zeros() {
             return Ok(self);
@@ -43,8 +43,8 @@ impl ColmapModel<'_> {
         Ok(self)
     }
 
-    /// The model of a scene from elsewhere: image ids are those of the scene where they are above 0 and unique, else 1, 2, ...
-    /// in the order of names; the images' lists hold what the tracks observe.
+    /// Makes the model of a scene. Image ids are the scene's if they are positive and unique, otherwise 1, 2, ... by name; the images' lists of 2D
+    /// points are their observations.
     pub fn from_scene(scene: &Scene) -> ColmapModel<'static> {
         let given: HashSet<u32> = scene.views.iter().map(|view| view.image_id).collect();
         let keep_ids = given.len() == scene.views.len() && !given.contains(&0);
@@ -85,7 +85,7 @@ impl ColmapModel<'_> {
 }
 
 impl ColmapImage<'_> {
-    /// With only these points linked.
+    /// Returns the image with links to these points only.
     fn reduced(&self, points: &HashSet<u64>) -> ColmapImage<'_> {
         let relink = |p: &Point2d| Point2d::new(p.pixel(), p.point().filter(|id| points.contains(id)));
         let points2d = Cow::Owned(self.points2d.iter().map(relink).collect());
@@ -94,7 +94,7 @@ impl ColmapImage<'_> {
 }
 
 impl ColmapPoint<'_> {
-    /// The part of the point that the kept images (in file order) observe.
+    /// Returns the point with the track elements of the kept images (in file order).
     fn reduced(
         &self,
         lists: &ImageLists,

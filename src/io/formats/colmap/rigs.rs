@@ -1,4 +1,4 @@
-//! Rigs and frames compared with the poses of the images.
+//! Checks rigs and frames against the poses of the images.
 
 use std::collections::HashMap;
 
@@ -11,11 +11,11 @@ use crate::{
     },
 };
 
-/// Rotation (radians) and position (relative to the size of the translation) by which a rig's pose may differ from the image's.
+/// Largest differences between the pose by the rig and that of the image: rotation in radians, translation relative to its length.
 const RIG_TOLERANCE: f64 = 1e-6;
 
 impl ColmapModel<'_> {
-    /// Compares rigs and frames, where there are both, with the poses of the images, which decide.
+    /// Checks rigs and frames, if the model has both, against the poses of the images, which are the ones used.
     pub(super) fn check_rigs(
         &self,
         views: &[View],
@@ -27,7 +27,7 @@ impl ColmapModel<'_> {
             (Some(rigs), Some(frames)) => (rigs, frames),
             (None, None) => return Ok(()),
             _ => {
-                let text = "only one of the rigs and the frames file is there; it is ignored";
+                let text = "the model has only one of the rigs and frames files, which is ignored";
                 warnings.push(ModelWarning::new(WarningKind::Damaged, text));
                 return Ok(());
             }
@@ -55,14 +55,14 @@ impl ColmapModel<'_> {
             None => Ok(()),
             Some(view) => {
                 let image = &self.images[views[view].file_position as usize];
-                Err(image.fault(Problem::Contradiction("no frame of the frames file holds this image".into())))
+                Err(image.fault(Problem::Contradiction("the image is in no frame of the frames file".into())))
             }
         }
     }
 }
 
 impl Frame {
-    /// Compares the frame's pose with those of its images, and marks them as seen.
+    /// Checks the frame's pose against those of its images, and marks the images as seen.
     fn check(
         &self,
         rigs: &HashMap<u32, &Rig>,
@@ -85,13 +85,14 @@ impl Frame {
             let (_, sensor_from_rig) =
                 sensor.ok_or(Problem::Absent { what: "camera of the rig", id: datum.sensor.id.into() })?;
             if cameras[view.camera.index()].id != datum.sensor.id {
-                let message = format!("the frame takes image {image_id} with camera {}", datum.sensor.id);
-                return Err(Problem::Contradiction(format!("{message}, the images file with another")));
+                let message = format!("image {image_id} has camera {} in the frames file", datum.sensor.id);
+                return Err(Problem::Contradiction(format!("{message}, but another one in the images file")));
             }
             let Some(sensor_from_rig) = sensor_from_rig else { continue };
             let composed = compose(&sensor_from_rig.pose()?, &rig_from_world);
             if !nearly_equal(&composed, &view.cam_from_world) {
-                let message = format!("the pose of image {image_id} by rig and frame is not that of the images file");
+                let message =
+                    format!("the pose of image {image_id} from rig and frame differs from that in the images file");
                 return Err(Problem::Contradiction(message));
             }
         }

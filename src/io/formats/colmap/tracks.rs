@@ -1,4 +1,4 @@
-//! From track elements to observations: views and measured pixels.
+//! Converts track elements to observations: views and measured pixels.
 
 use std::{
     collections::HashMap,
@@ -17,28 +17,29 @@ use crate::{
     model::scene::{ModelWarning, View, ViewIndex, WarningKind},
 };
 
-/// Points per piece of work.
+/// Points per parallel work item.
 const CHUNK: usize = 4096;
-/// Points whose 2D points are brought into the processor's cache at a time: a few hundred kilobytes.
+/// Points whose 2D points are prefetched at a time: a few hundred kilobytes.
 const WARMED: usize = 256;
 
-/// Where an image id leads to.
+/// The image and view of an image id.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct ImageView {
-    /// In the file.
+    /// Index of the image in the file.
     pub position: u32,
     pub view: ViewIndex,
 }
 
-/// All image ids of a model.
+/// Lookup by image id.
 pub(super) struct ImageIds {
-    /// By id, as far as the ids are dense: looked up for each track element.
+    /// Array indexed by id, for the dense range of ids: it is accessed for each track element.
     dense: Vec<Option<ImageView>>,
     sparse: HashMap<u32, ImageView>,
 }
 
 impl ImageIds {
-    /// The error is the position of the first view whose image id was there before.
+    /// # Errors
+    /// The index of the first view with a duplicate image id.
     pub(super) fn new(views: &[View]) -> Result<Self, u32> {
         let mut ids = Self { dense: vec![None; 1024 + 4 * views.len()], sparse: HashMap::new() };
         for (index, view) in views.iter().enumerate() {
@@ -69,12 +70,12 @@ pub(super) struct Tracks {
     pub pixels: Vec<[f64; 2]>,
 }
 
-/// The images' lists of 2D points, which the tracks refer to.
+/// The images' lists of 2D points, to which tracks refer.
 pub(super) struct ImageLists<'m> {
     view_of_image: &'m ImageIds,
     /// In file order.
     pub links: Vec<Links<'m>>,
-    /// How many track elements named another 2D point than the lists did.
+    /// Number of track elements that disagreed with the lists.
     followed: AtomicUsize,
 }
 
@@ -84,8 +85,8 @@ impl<'m> ImageLists<'m> {
         Self { view_of_image, links, followed: AtomicUsize::new(0) }
     }
 
-    /// Touches the 2D points of some points, which lie all over the file: without anything else between, the processor waits
-    /// for many of them at the same time. That saves more than half of the time of reading.
+    /// Prefetches the 2D points of some points, which are scattered over the file: in a loop without other work the processor overlaps the cache
+    /// misses. That saves more than half of the reading time.
     fn warm(&self, points: &[ColmapPoint]) {
         let mut seen = 0;
         for element in points.iter().flat_map(|point| point.track.iter()) {
@@ -111,7 +112,7 @@ impl<'m> ImageLists<'m> {
 }
 
 impl ImageLists<'_> {
-    /// 2D points that name a sparse point which does not name them; COLMAP counts them, but nothing follows from them.
+    /// Number of 2D points that refer to a sparse point whose track lacks them; COLMAP counts them, but they have no effect.
     pub(super) fn unanswered(&self, elements: usize) -> Option<ModelWarning> {
         let linked = |links: &Links| links.image.points2d.iter().filter(|p| p.point().is_some()).count();
         let linked: usize = self.links.par_iter().map(linked).sum();
@@ -125,14 +126,14 @@ impl ImageLists<'_> {
     }
 }
 
-/// An image's 2D points by the sparse point that they observe, sorted when first asked for.
+/// An image's 2D points by observed sparse point, sorted at first use.
 pub(super) struct Links<'m> {
     pub image: &'m ColmapImage<'m>,
     by_point: OnceLock<Vec<(u64, u32)>>,
 }
 
 impl<'m> Links<'m> {
-    /// The n-th 2D point of the image that observes the point, and its position in the list.
+    /// The n-th 2D point of the image that observes the point, with its index in the list.
     fn nth(&self, point: u64, n: usize) -> Option<(u32, &'m Point2d)> {
         let by_point = self.by_point.get_or_init(|| {
             let linked = self.image.points2d.iter().enumerate();
@@ -147,7 +148,7 @@ impl<'m> Links<'m> {
 }
 
 impl ColmapModel<'_> {
-    /// Views and pixels of all observations; pieces of the arrays are filled in parallel.
+    /// Computes the views and pixels of all observations; parts of the arrays are filled in parallel.
     pub(super) fn tracks(&self, lists: &ImageLists) -> Result<Tracks, Fault> {
         let mut offsets = Vec::with_capacity(self.points.len() + 1);
         offsets.push(0);
@@ -167,13 +168,13 @@ impl ColmapModel<'_> {
         }
         let fill = |(points, views, pixels)| fill_piece(points, lists, views, pixels);
         let results: Vec<Result<(), Fault>> = pieces.into_par_iter().map(fill).collect();
-        // The first fault of the file, whichever thread was first.
+        // The first fault in file order, independent of the threads.
         results.into_iter().collect::<Result<(), Fault>>()?;
         Ok(Tracks { offsets, views, pixels })
     }
 }
 
-/// Fills the views and pixels of some points, one after the other.
+/// Fills the views and pixels of a range of points.
 fn fill_piece(
     points: &[ColmapPoint],
     lists: &ImageLists,
@@ -202,7 +203,7 @@ impl ColmapPoint<'_> {
         lists: &ImageLists<'m>,
         mut each: impl FnMut(ImageView, u32, &'m Point2d) -> Result<(), Fault>,
     ) -> Result<(), Fault> {
-        // By image: elements among the first `counted` of this track; counted on only where an index has to be found.
+        // Number of elements per image among the first `counted` of this track; counting continues only when an index must be found.
         let (mut counts, mut counted) = (HashMap::<u32, usize>::new(), 0);
         for (n, element) in self.track.iter().enumerate() {
             let absent = || self.fault(Problem::Absent { what: "image", id: element.image().into() });
@@ -227,7 +228,7 @@ impl ColmapPoint<'_> {
         Ok(())
     }
 
-    /// View and pixel of each element of the track, sorted by view.
+    /// Computes view and pixel of each element of the track, sorted by view.
     fn observations(&self, lists: &ImageLists, observations: &mut Vec<(ViewIndex, [f64; 2])>) -> Result<(), Fault> {
         observations.clear();
         if !self.xyz.iter().all(|v| v.is_finite()) {

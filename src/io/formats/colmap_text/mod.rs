@@ -1,7 +1,7 @@
-//! COLMAP's text model files (`cameras.txt`, `images.txt`, `points3D.txt`; since 4.0 `rigs.txt`, `frames.txt`): a record per
-//! line, two lines per image, fields separated by blanks, `#` starts a comment line.
+//! COLMAP's text model files (`cameras.txt`, `images.txt`, `points3D.txt`; since 4.0 `rigs.txt`, `frames.txt`): one line
+//! per record, two lines per image, fields separated by blanks; lines that begin with `#` are comments.
 //!
-//! An image name is the rest of its line, blanks included; COLMAP itself ends it at the first blank.
+//! An image name is the rest of its line, including blanks; COLMAP itself stops at the first blank.
 
 #[cfg(any(test, feature = "internals"))]
 mod write;
@@ -25,7 +25,7 @@ use crate::model::{
     scene::{ModelWarning, WarningKind},
 };
 
-/// Reads a model; the cross-references are checked by [`ColmapModel::scene`].
+/// Reads a model; [`ColmapModel::scene`] checks its cross-references.
 pub fn read<'a>(bytes: &Bytes<'a>) -> Result<ColmapModel<'a>, Fault> {
     let mut warnings = Vec::new();
     Ok(ColmapModel {
@@ -38,7 +38,7 @@ pub fn read<'a>(bytes: &Bytes<'a>) -> Result<ColmapModel<'a>, Fault> {
     })
 }
 
-/// A line of a file, read field by field.
+/// A line of a file, parsed field by field.
 #[derive(Clone, Copy)]
 struct Line<'a> {
     file: &'static str,
@@ -46,9 +46,9 @@ struct Line<'a> {
     rest: &'a [u8],
 }
 
-/// All lines, without white space at their ends (COLMAP trims, and Windows ends them with CR LF).
+/// All lines, trimmed (like COLMAP; Windows has CR LF).
 fn lines<'a>(file: &'static str, bytes: &'a [u8]) -> impl Iterator<Item = Line<'a>> {
-    // What follows the last line end is a line only if there is something.
+    // An empty rest after the last line end is not a line.
     let bytes = bytes.strip_suffix(b"\n").unwrap_or(bytes);
     let lines = bytes.split(|&b| b == b'\n').zip(1..);
     lines.map(move |(line, number)| Line { file, number, rest: line.trim_ascii() })
@@ -105,7 +105,7 @@ impl<'a> Line<'a> {
         self.fault(Problem::Syntax { expected, found })
     }
 
-    /// Nothing may be left.
+    /// Checks that the line ends here.
     fn end<T>(&self, value: T) -> Result<T, Fault> {
         if self.at_end() { Ok(value) } else { Err(self.unexpected("the end of the line")) }
     }
@@ -120,7 +120,7 @@ fn number<T: FromStr>(input: &[u8]) -> IResult<&[u8], T> {
         .parse(input)
 }
 
-/// A file with a record per line. The first fault of the file is the one returned, whichever thread was first.
+/// Parses a file with one record per line, in parallel; returns the first fault in file order.
 fn records<'a, T: Send>(
     file: &'static str,
     bytes: &'a [u8],
@@ -145,7 +145,7 @@ fn camera(mut line: Line) -> Result<Camera, Fault> {
     Camera::new(id, model, width, height, params).map_err(|error| line.fault(error.into()))
 }
 
-/// Two lines per image; of the second, which may be empty, neither blank lines nor comments are skipped.
+/// Pairs the two lines of each image. The second may be empty, so blank lines and comments are not skipped before it.
 fn image_lines(bytes: &[u8]) -> impl Iterator<Item = (Line<'_>, Option<Line<'_>>)> {
     let mut lines = lines("images", bytes);
     std::iter::from_fn(move || {
@@ -154,12 +154,12 @@ fn image_lines(bytes: &[u8]) -> impl Iterator<Item = (Line<'_>, Option<Line<'_>>
     })
 }
 
-/// Number of images in `images.txt`, by its lines.
+/// Number of images in `images.txt`, from its number of lines.
 pub fn count_images(bytes: &[u8]) -> u64 {
     image_lines(bytes).count() as u64
 }
 
-/// Names of the images in `images.txt`.
+/// Reads the names of the images in `images.txt`.
 pub fn image_names(images: &[u8]) -> Result<BTreeSet<String>, Fault> {
     image_lines(images).map(|(head, _)| Ok(image(head, None)?.name.into_owned())).collect()
 }
@@ -193,9 +193,9 @@ fn points2d(mut line: Line) -> Result<Vec<Point2d>, Fault> {
     let mut points = Vec::new();
     while !line.at_end() {
         let pixel = line.numbers::<2>("the x and y of a 2D point")?;
-        let expected = "the id of the point that is observed, or -1";
+        let expected = "the id of the observed point, or -1";
         let before = line;
-        // COLMAP reads a signed number; ids beyond its range are written by others.
+        // COLMAP reads a signed number; other programs write ids beyond its range.
         let point = match line.number::<i64>(expected) {
             Ok(-1) => None,
             Ok(id) => Some(u64::try_from(id).map_err(|_| before.unexpected(expected))?),

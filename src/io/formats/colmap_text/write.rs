@@ -8,10 +8,10 @@ use crate::{
     model::camera::Camera,
 };
 
-/// The files of a model. COLMAP cannot read names with blanks from text files, so these are refused.
+/// Text files of a model. Image names with blanks are refused, since COLMAP cannot read them.
 pub fn write(model: &ColmapModel) -> Result<Vec<(&'static str, Vec<u8>)>, Problem> {
     if let Some(image) = model.images.iter().find(|image| image.name.contains(char::is_whitespace)) {
-        let why = "has a blank, which COLMAP's text models cannot hold";
+        let why = "contains a blank, which COLMAP's text models don't support";
         return Err(Problem::Name { name: image.name.clone().into_owned(), why });
     }
     let mut files = vec![

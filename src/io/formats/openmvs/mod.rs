@@ -1,6 +1,6 @@
-//! OpenMVS's `scene.mvs` in its interface form ("MVSI", versions 1 to 7), as libs/MVS/Interface.h defines it.
+//! OpenMVS's `scene.mvs` in its interface form ("MVSI", versions 1 to 7), defined in libs/MVS/Interface.h.
 //!
-//! Little-endian, no padding; `str` = u64 length and bytes, `arr(T)` = u64 count and elements, matrices row by row in f64:
+//! Little-endian, no padding; `str` = u64 length and bytes, `arr(T)` = u64 count and elements, matrices f64 row-major:
 //!
 //! ```text
 //! header    "MVSI"  u32 version  u32 0
@@ -17,22 +17,22 @@
 //! ```
 //!
 //! Pixel centres are integers: cx is COLMAP's minus 0.5. World to camera: `x = R (X - C)`; a camera's R and C are relative to its
-//! platform's pose. There are no measured pixels.
+//! platform's pose. The file has no measured pixels.
 
 mod read;
 mod scene;
 mod write;
 
-/// The pose index of an image that is not calibrated.
+/// Pose index of an uncalibrated image.
 pub const NO_POSE: u32 = u32::MAX;
 
-/// The ID of an image without one; its index is used instead.
+/// ID of an image without an ID; its index is used instead.
 pub const NO_ID: u32 = u32::MAX;
 
-/// The newest supported version.
+/// Newest supported version.
 pub const NEWEST: u32 = 7;
 
-/// The contents of the file; fields that its version lacks have their defaults.
+/// Contents of the file; fields that its version lacks have default values.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Mvs {
     pub version: u32,
@@ -45,9 +45,9 @@ pub struct Mvs {
     pub lines: Vec<Line>,
     pub line_normals: Vec<[f32; 3]>,
     pub line_colours: Vec<[u8; 3]>,
-    /// Row by row; stored, never applied by OpenMVS.
+    /// Row-major; OpenMVS stores it but never applies it.
     pub transform: [f64; 16],
-    /// Rotation, least and greatest corner; no region where the corners are not in order.
+    /// Rotation, minimum and maximum corner; no region if a minimum exceeds its maximum.
     pub region: [f64; 15],
 }
 
@@ -62,7 +62,7 @@ pub struct Platform {
 pub struct Camera {
     pub name: Vec<u8>,
     pub band: Vec<u8>,
-    /// 0 where K is normalised by the larger side.
+    /// Width, pixels; 0 if K is normalised by the longer side of the image.
     pub width: u32,
     pub height: u32,
     pub k: [f64; 9],
@@ -83,18 +83,18 @@ pub struct Image {
     pub mask: Vec<u8>,
     pub platform: u32,
     pub camera: u32,
-    /// [`NO_POSE`] where not calibrated.
+    /// [`NO_POSE`] if uncalibrated.
     pub pose: u32,
-    /// Names the depth map's file; the index where the file has none (before version 3, or [`NO_ID`]).
+    /// Number in the name of the depth map; the index of the image if the file has none (before version 3, or [`NO_ID`]).
     pub id: u32,
-    /// Least, mean and greatest depth.
+    /// Minimum, mean and maximum depth.
     pub depths: [f32; 3],
     pub view_scores: Vec<ViewScore>,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ViewScore {
-    /// Index of the neighbour in the list of images.
+    /// Index of the neighbour in `images`.
     pub index: u32,
     pub points: u32,
     pub scale: f32,
@@ -112,7 +112,7 @@ pub struct Vertex {
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct VertexView {
-    /// Index in the list of images.
+    /// Index in `images`.
     pub image: u32,
     pub confidence: f32,
 }
@@ -124,7 +124,7 @@ pub struct Line {
 }
 
 impl Default for Mvs {
-    /// An empty scene of the newest version, without transform or region.
+    /// Makes an empty scene of the newest version, without transform or region.
     fn default() -> Self {
         let mut transform = [0.0; 16];
         (0..4).for_each(|i| transform[5 * i] = 1.0);
@@ -149,7 +149,7 @@ impl Default for Mvs {
 }
 
 impl Mvs {
-    /// The cameras and images alone.
+    /// Returns a copy with cameras and images only.
     pub fn without_points(self) -> Self {
         let Self { version, platforms, images, transform, region, .. } = self;
         Self { version, platforms, images, transform, region, ..Self::default() }
@@ -163,7 +163,7 @@ mod tests {
     use super::*;
     use crate::io::formats::{Fault, Place, Problem};
 
-    /// A camera, three images and four points that all see.
+    /// One camera, and three images that all observe four points.
     fn small(version: u32) -> Mvs {
         let camera = Camera { name: b"c".into(), width: 4, height: 3, k: [1.0; 9], ..Camera::default() };
         let poses = (0..3).map(|i| Pose { r: [f64::from(i); 9], c: [0.5; 3] }).collect();
@@ -190,7 +190,7 @@ mod tests {
     }
 
     #[test]
-    fn every_version_is_read_back() {
+    fn every_version_round_trips() {
         for version in 1..=NEWEST {
             let bytes = small(version).write();
             let read = Mvs::read(&bytes).unwrap();
@@ -199,7 +199,7 @@ mod tests {
         }
     }
 
-    /// As OpenMVS does when it loads a scene.
+    /// Like OpenMVS when it loads a scene.
     #[test]
     fn an_image_without_id_has_its_index() {
         for version in 1..=NEWEST {
@@ -210,16 +210,16 @@ mod tests {
         }
     }
 
-    /// Measured with OpenMVS's own header, one version compiled after the other.
+    /// Sizes measured with OpenMVS's own header, compiled for each version.
     #[test]
-    fn versions_grow_as_in_openmvs() {
+    fn file_sizes_of_all_versions_agree_with_openmvs() {
         let sizes: Vec<usize> = (1..=NEWEST).map(|v| small(v).write().len()).collect();
         let grown: Vec<usize> = sizes.windows(2).map(|w| w[1] - w[0]).collect();
         assert_eq!(grown, [128, 12, 8, 24, 120, 204]);
     }
 
     #[test]
-    fn every_cut_is_an_error() {
+    fn every_truncation_is_an_error() {
         let bytes = small(7).write();
         for length in 0..bytes.len() {
             assert!(Mvs::read(&bytes[..length]).is_err(), "{length} bytes");
@@ -228,7 +228,7 @@ mod tests {
     }
 
     #[test]
-    fn openmvs_version_too_new() {
+    fn a_newer_version_is_refused() {
         let mut bytes = small(7).write();
         bytes[4] = 8;
         assert!(Mvs::read(&bytes).is_err_and(|e| e.to_string().contains("version 8")));
@@ -243,18 +243,18 @@ mod tests {
     }
 
     #[test]
-    fn an_index_out_of_range_is_named() {
+    fn the_error_names_an_index_out_of_range() {
         let mut scene = small(7);
         scene.images[1].pose = 3;
         assert_eq!(
             Mvs::read(&scene.write()).unwrap_err().to_string(),
-            "whole file (image 1): it refers to pose 3, which is not in the model"
+            "whole file (image 1): reference to pose 3, which is not in the model"
         );
         let mut scene = small(7);
         scene.vertices[2].views[0].image = 3;
         assert_eq!(
             Mvs::read(&scene.write()).unwrap_err().to_string(),
-            "whole file (vertex 2): it refers to image 3, which is not in the model"
+            "whole file (vertex 2): reference to image 3, which is not in the model"
         );
     }
 

@@ -1,4 +1,4 @@
-//! Reads the interface form. Counts and indices are checked, so that no reader of [`Mvs`] has to.
+//! Reads the interface form. Checks all counts and indices, so users of [`Mvs`] need not.
 
 use nom::{
     IResult, Parser,
@@ -14,7 +14,7 @@ impl Mvs {
     /// Reads a scene and checks that all its indices are valid.
     ///
     /// # Errors
-    /// Where the bytes are truncated, of a version that is not supported, or contradict themselves.
+    /// If the bytes are truncated or inconsistent, or have an unsupported version.
     pub fn read(bytes: &[u8]) -> Result<Self, Fault> {
         let mut reader = Reader { all: bytes.len(), rest: bytes, version: 0 };
         if bytes.get(..4) != Some(b"MVSI") {
@@ -23,8 +23,8 @@ impl Mvs {
         reader.u32("the header")?;
         reader.version = reader.u32("the header")?;
         if !(1..=NEWEST).contains(&reader.version) {
-            let what = format!("interface version {}, and versions 1 to {NEWEST} are read", reader.version);
-            let hint = "Write the scene with an OpenMVS from v1.0 to v2.3.";
+            let what = format!("unsupported interface version {} (supported: 1 to {NEWEST})", reader.version);
+            let hint = "write the scene with OpenMVS v1.0 to v2.3";
             return Err(Fault::new("", Place::Byte(4), Problem::Unsupported { what, hint }));
         }
         reader.u32("the header")?;
@@ -67,12 +67,12 @@ impl Mvs {
     }
 }
 
-/// The error for bytes that do not begin with "MVSI".
+/// Error for bytes that don't begin with "MVSI".
 fn foreign(bytes: &[u8]) -> Problem {
     let start = String::from_utf8_lossy(&bytes[..bytes.len().min(4)]);
     Problem::Unsupported {
-        what: format!("not a scene of OpenMVS in its interface form: it begins with {start:?}, not with \"MVSI\""),
-        hint: "Import the model into OpenMVS again; its own archives (--archive-type 1 and 2) cannot be read.",
+        what: format!("not an OpenMVS scene in interface form: it begins with {start:?} instead of \"MVSI\""),
+        hint: "import the model into OpenMVS again; its own archives (--archive-type 1 and 2) aren't supported",
     }
 }
 
@@ -112,7 +112,7 @@ impl<'a> Reader<'a> {
         })
     }
 
-    /// A counted list. `least` is the size of the smallest element: a count beyond the end of the file allocates nothing.
+    /// Reads a counted list. `least`: bytes of the smallest element, to refuse a count too large for the file before allocating.
     fn list<T>(
         &mut self,
         what: &'static str,

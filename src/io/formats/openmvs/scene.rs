@@ -1,4 +1,4 @@
-//! A scene of OpenMVS as a model in COLMAP's conventions.
+//! Converts an OpenMVS scene to a model in COLMAP's conventions.
 
 use std::collections::HashMap;
 
@@ -17,12 +17,12 @@ use crate::{
 };
 
 impl Mvs {
-    /// The model of the scene. Image ids are the scene's; pixels of observations are projections, since the scene has no
-    /// measured ones; `size_of` is asked where intrinsics are stored without a resolution.
+    /// Converts the scene. Image ids are the scene's. Pixels of observations are projections, since the scene has no measured ones. `size_of` is
+    /// called for intrinsics without a resolution.
     pub fn model(&self, size_of: SizeOf) -> Result<Foreign, Fault> {
         let mut foreign = Foreign::default();
         let mut cameras = HashMap::new();
-        // Position in the list of images to position in the model.
+        // Index in the scene's list of images to index in the model.
         let mut calibrated = vec![None; self.images.len()];
         for (n, image) in self.images.iter().enumerate() {
             let fault = |problem| Fault::new("", Place::File, problem).in_record(|| format!("image {n}"));
@@ -54,9 +54,9 @@ impl Mvs {
         let mvs = &self.platforms[image.platform as usize].cameras[image.camera as usize];
         let k = mvs.k;
         let known = (mvs.width > 0 && mvs.height > 0).then_some((mvs.width, mvs.height));
-        // Without a resolution K is in units of the larger side.
+        // Without a resolution, K is in units of the longer side of the image.
         let size = known.or_else(|| size_of(name)).ok_or_else(|| {
-            let message = "its intrinsics are normalised and the image is not there, so their scale is unknown";
+            let message = "the scale of its normalised intrinsics is unknown because the image is missing";
             Fault::new("", Place::File, Problem::Contradiction(message.into())).in_record(|| format!("image {name:?}"))
         })?;
         let scale = if known.is_some() { 1.0 } else { f64::from(size.0.max(size.1)) };
@@ -67,7 +67,7 @@ impl Mvs {
         })
     }
 
-    /// World to camera: the camera's pose on its platform after the platform's.
+    /// World-to-camera pose: that of the platform, followed by that of the camera on the platform.
     fn rotation_and_centre(&self, image: &Image) -> (Matrix3<f64>, Vector3<f64>) {
         let platform = &self.platforms[image.platform as usize];
         let (camera, pose) = (&platform.cameras[image.camera as usize], &platform.poses[image.pose as usize]);
@@ -99,7 +99,7 @@ impl Mvs {
             foreign.add_point(n as u64, x.into(), [r, g, b], track, Place::File);
         }
         if behind > 0 {
-            let text = format!("{behind} views of points are left out: the points lie behind them");
+            let text = format!("{behind} observations of points behind their views are left out");
             foreign.warn(WarningKind::Damaged, text);
         }
         Ok(())

@@ -3,7 +3,7 @@
 use super::{Camera, Image, Mvs, Platform, VertexView};
 
 impl Mvs {
-    /// The bytes of the file, in the form of `version`.
+    /// Serialises the scene in the form of `version`.
     pub fn write(&self) -> Vec<u8> {
         let mut w = Writer { bytes: b"MVSI".to_vec(), version: self.version };
         w.u32(self.version);
