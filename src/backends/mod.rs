@@ -183,6 +183,7 @@ pub struct Capabilities {
 
 /// The numbers of OpenMVS, for PatchMatch programs that nobody has measured; `support` 2, since they join depth maps that agree.
 const PATCH_MATCH: PlanningNumbers = PlanningNumbers {
+    refuses: None,
     gate: Gate {
         min_shared_points: 1,
         min_angle_deg: 3.0,

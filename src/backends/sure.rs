@@ -21,6 +21,7 @@ pub struct Sure;
 
 /// The numbers of a matcher of rectified pairs (method 7.1 and 7.2).
 const RECTIFYING: PlanningNumbers = PlanningNumbers {
+    refuses: None,
     // Scale ratio 1.7.
     gate: Gate {
         min_shared_points: 1,

@@ -2,13 +2,19 @@
 
 use serde::Serialize;
 
-use crate::{method::confidence::PairConfidence, model::cluster::Gate};
+use crate::{
+    method::{confidence::PairConfidence, partners::PairGeometry},
+    model::{cluster::Gate, scene::ViewPoints},
+};
 
 /// Numbers that a backend contributes to planning.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct PlanningNumbers {
     /// Method 7.1.
     pub gate: Gate,
+    /// True for pairs that the program refuses outright, by its own rule; images are matched at this share of the model's size.
+    #[serde(skip)]
+    pub refuses: Option<fn(&PairGeometry, &ViewPoints, f64) -> bool>,
     /// Method 7.2.
     pub confidence: PairConfidence,
     /// Number of depth maps that must see a triangle (m, method 5.2).

@@ -9,7 +9,7 @@ use crate::{
         confidence::{self, Agreement, Confidence, Pictures, Predictor, Proxy, Source, Trained, Unary},
         fulfilment::{FulfilmentTable, Model, Rule},
         geometry::Geometry,
-        partners::{self, Candidates},
+        partners::{self, Candidates, Limits, PairGeometry},
         ranking::Objective,
         surface::{self, MeshFile, Surface, SurfaceError, SurfaceStats},
         target::{GSD_MARGIN, Target},
@@ -69,10 +69,14 @@ impl Stages {
         let mut settings = in_force(project, settings, &scene, matcher, &source)?;
         let mut memory = Memory::before_surface(&scene, &mut settings)?;
         let points = scene.view_points();
+        let numbers = &matcher.numbers;
+        let refuses =
+            |pair: &PairGeometry| numbers.refuses.is_some_and(|refuses| refuses(pair, &points, settings.image_scale));
+        let limits = Limits { gate: &numbers.gate, refuses: &refuses };
         // Parts of the surface are built by one thread; the others find candidates meanwhile.
         let (seen, candidates) = rayon::join(
             || visible_surface(&scene, &points, &settings, watcher, timings, &mut memory),
-            || partners::candidates(&scene, &points, &settings.partners, &matcher.numbers.gate, watcher),
+            || partners::candidates(&scene, &points, &settings.partners, &limits, watcher),
         );
         let (seen, candidates) = (seen?, candidates?);
         memory.before_partners(&scene, &seen.surface, &seen.visibility)?;

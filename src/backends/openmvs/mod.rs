@@ -57,6 +57,7 @@ impl Backend for OpenMvs {
 
     fn planning(&self) -> PlanningNumbers {
         PlanningNumbers {
+            refuses: None,
             gate: Gate {
                 min_shared_points: 4,
                 min_angle_deg: 5.0,

@@ -48,6 +48,8 @@ pub struct Refusal {
 pub struct Candidates {
     pub offsets: Offsets,
     pub views: Vec<ViewIndex>,
+    /// By view: how many of its last candidates are beyond the backend's gate, taken since there are not enough others.
+    pub beyond: Vec<usize>,
     pub refusal_offsets: Offsets,
     /// Pairs with shared points that were refused, most shared points first, CSR by view.
     pub refusals: Vec<Refusal>,
@@ -58,9 +60,30 @@ impl Candidates {
         &self.views[self.offsets.row(view.index())]
     }
 
+    /// Those of the candidates that are beyond the backend's gate.
+    pub fn beyond_gate(&self, view: ViewIndex) -> &[ViewIndex] {
+        let candidates = self.candidates_of(view);
+        &candidates[candidates.len() - self.beyond[view.index()]..]
+    }
+
     /// Why other views that share points with this one are no candidates.
     pub fn refused(&self, view: ViewIndex) -> &[Refusal] {
         &self.refusals[self.refusal_offsets.row(view.index())]
+    }
+}
+
+/// Which pairs a backend can match.
+pub struct Limits<'a> {
+    /// Beyond it matching usually fails (method 7.1).
+    pub gate: &'a Gate,
+    /// True for pairs that the program refuses to match at all.
+    pub refuses: &'a (dyn Fn(&PairGeometry) -> bool + Sync),
+}
+
+impl<'a> Limits<'a> {
+    /// Nothing is refused outright.
+    pub fn gate(gate: &'a Gate) -> Self {
+        Self { gate, refuses: &|_| false }
     }
 }
 
@@ -69,18 +92,19 @@ const STILL_DEG: f64 = 0.5;
 /// Two views have no baseline where they stand still at more than this share of the shared points.
 const STILL_SHARE: f64 = 0.5;
 
-/// The n views with the most shared points of those that have a baseline and that the backend's gate lets pass, ties by name.
+/// The n views with the most shared points of those that have a baseline and that the backend can match, ties by name; where that leaves
+/// fewer than k, behind them the most connected beyond the gate that the program does not refuse.
 pub fn candidates(
     scene: &Scene,
     points: &ViewPoints,
     settings: &PartnerSettings,
-    gate: &Gate,
+    limits: &Limits,
     watcher: &dyn Watcher,
 ) -> Result<Candidates, Cancelled> {
     let of_view = |neighbours: &mut Neighbours, key: ViewIndex| {
         watcher.check()?;
         neighbours.collect(scene, points, key);
-        Ok(select(scene, neighbours, key, settings.candidates as usize, gate))
+        Ok(select(scene, neighbours, key, settings, limits))
     };
     let views: Vec<ViewIndex> = scene.view_indices().collect();
     let all = views
@@ -88,11 +112,12 @@ pub fn candidates(
         .map_init(|| Neighbours::new(scene), |neighbours, &key| of_view(neighbours, key))
         .collect::<Result<Vec<_>, _>>()?;
     let mut table = Candidates::default();
-    for (chosen, refused) in all {
-        table.offsets.push(chosen.len());
-        table.views.extend(chosen);
-        table.refusal_offsets.push(refused.len());
-        table.refusals.extend(refused);
+    for selected in all {
+        table.offsets.push(selected.views.len());
+        table.views.extend(selected.views);
+        table.beyond.push(selected.beyond);
+        table.refusal_offsets.push(selected.refused.len());
+        table.refusals.extend(selected.refused);
     }
     Ok(table)
 }
@@ -104,30 +129,52 @@ pub fn neighbours(scene: &Scene, points: &ViewPoints, view: ViewIndex) -> Vec<(V
     neighbours.pairs().map(|(other, shared)| (other, shared.to_vec())).collect()
 }
 
-/// The candidates of one view and what was refused before there were `n` of them.
+/// The candidates of one view.
+#[derive(Default)]
+struct Selected {
+    views: Vec<ViewIndex>,
+    /// How many of the last are beyond the gate.
+    beyond: usize,
+    /// What was refused before there were enough of them.
+    refused: Vec<Refusal>,
+}
+
 fn select(
     scene: &Scene,
     neighbours: &Neighbours,
     key: ViewIndex,
-    n: usize,
-    gate: &Gate,
-) -> (Vec<ViewIndex>, Vec<Refusal>) {
+    settings: &PartnerSettings,
+    limits: &Limits,
+) -> Selected {
     let pairs: Vec<PairGeometry> =
         neighbours.pairs().map(|(v, shared)| PairGeometry::new(scene, key, v, shared)).collect();
     let (still, moving): (Vec<_>, Vec<_>) = pairs.into_iter().partition(PairGeometry::has_no_baseline);
-    let verdicts = moving.iter().map(|pair| gate.refusal(pair));
+    let verdicts = moving.iter().map(|pair| limits.gate.refusal(pair));
     let still = still.iter().map(|pair| (pair, Some(Reason::RotationOnly)));
     let mut judged: Vec<_> = moving.iter().zip(verdicts).chain(still).collect();
     judged.sort_by_key(|(pair, _)| (Reverse(pair.shared.len()), pair.partner));
-    let (mut chosen, mut refused) = (Vec::new(), Vec::new());
+    let (mut selected, mut unlikely) = (Selected::default(), Vec::new());
     for (pair, refusal) in judged {
         match refusal {
-            Some(reason) => refused.push(Refusal { partner: pair.partner, reason }),
-            None if chosen.len() < n => chosen.push(pair.partner),
-            None => break,
+            Some(reason) => {
+                selected.refused.push(Refusal { partner: pair.partner, reason });
+                unlikely.extend((reason == Reason::NotMatchable).then_some(pair));
+            }
+            None if selected.views.len() == settings.candidates as usize => break,
+            None if (limits.refuses)(pair) => {
+                selected.refused.push(Refusal { partner: pair.partner, reason: Reason::NotMatchable });
+            }
+            None => selected.views.push(pair.partner),
         }
     }
-    (chosen, refused)
+    // The gate is where matching usually fails: rather a partner beyond it than none.
+    let empty = (settings.k as usize).saturating_sub(selected.views.len());
+    let filled: Vec<ViewIndex> =
+        unlikely.into_iter().filter(|pair| !(limits.refuses)(pair)).take(empty).map(|pair| pair.partner).collect();
+    selected.beyond = filled.len();
+    selected.refused.retain(|refusal| !filled.contains(&refusal.partner));
+    selected.views.extend(filled);
+    selected
 }
 
 impl<'a> PairGeometry<'a> {

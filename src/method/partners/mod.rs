@@ -12,7 +12,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use self::search::Choice;
 pub use self::{
-    candidates::{Candidates, PairGeometry, candidates, neighbours},
+    candidates::{Candidates, Limits, PairGeometry, candidates, neighbours},
     gate::Obstacle,
 };
 use crate::{

@@ -1,5 +1,7 @@
 //! The reference matcher of this repository, `integrations/sgm`: semi-global matching along epipolar lines.
 
+mod refusal;
+
 use super::{
     Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, PlanningNumbers, Selection,
     TaskRunner, place, sure,
@@ -22,6 +24,7 @@ const NUMBERS: PlanningNumbers = PlanningNumbers {
         max_scale_octaves: 1.6,
         epipole_inside: true,
     },
+    refuses: Some(refusal::refuses),
     confidence: CONFIDENCE,
     support: 1,
     measured: "valley, 2 more",
@@ -31,12 +34,12 @@ const NUMBERS: PlanningNumbers = PlanningNumbers {
 
 /// The matcher itself goes with its lists.
 const MATCHER: [(&str, &str); 6] = [
-    ("sgm.py", include_str!("../../integrations/sgm/sgm.py")),
-    ("matching.py", include_str!("../../integrations/sgm/matching.py")),
-    ("merge.py", include_str!("../../integrations/sgm/merge.py")),
-    ("pairs.py", include_str!("../../integrations/sgm/pairs.py")),
-    ("rectify.py", include_str!("../../integrations/sgm/rectify.py")),
-    ("workspace.py", include_str!("../../integrations/sgm/workspace.py")),
+    ("sgm.py", include_str!("../../../integrations/sgm/sgm.py")),
+    ("matching.py", include_str!("../../../integrations/sgm/matching.py")),
+    ("merge.py", include_str!("../../../integrations/sgm/merge.py")),
+    ("pairs.py", include_str!("../../../integrations/sgm/pairs.py")),
+    ("rectify.py", include_str!("../../../integrations/sgm/rectify.py")),
+    ("workspace.py", include_str!("../../../integrations/sgm/workspace.py")),
 ];
 
 impl Backend for Sgm {

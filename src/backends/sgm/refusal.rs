@@ -1,0 +1,162 @@
+//! Which pairs `integrations/sgm` refuses: its rule (`rectify.py`), computed from the same sparse points.
+//!
+//! It brings a pair onto a canvas on which the dominant plane of the shared points does not move, and searches the disparities that the points around
+//! have there. Where they need more than it can search, it does not match: too deep a scene for the baseline.
+
+use nalgebra::{Matrix3, Point3, Vector2, Vector3};
+
+use crate::{
+    method::partners::PairGeometry,
+    model::scene::{PointIndex, Scene, ViewIndex, ViewPoints},
+};
+
+/// Sparse points without which neither the plane nor the search range is known.
+const MIN_SHARED: usize = 8;
+/// Searched disparities, as a share of the image's longer side.
+const MAX_DISPARITIES: f64 = 0.4;
+/// Share of the sparse points that the searched disparities must hold.
+const MIN_HELD: f64 = 0.7;
+/// Added to both ends of the search range: share of it, and pixels.
+const RANGE_MARGIN: f64 = 0.1;
+const RANGE_PIXELS: f64 = 5.0;
+/// An epipole farther away than this times its height is put there.
+const FAR: f64 = 1e6;
+/// Disparities come in groups.
+const GROUP: f64 = 16.0;
+
+/// True where the matcher gives up before it looks at a picture.
+pub fn refuses(pair: &PairGeometry, points: &ViewPoints, image_scale: f64) -> bool {
+    let [key, partner] = [pair.key, pair.partner].map(|view| Reduced::new(pair.scene, view, image_scale));
+    let position = |point: &PointIndex| pair.scene.points[point.index()];
+    let shared: Vec<Point3<f64>> = pair.shared.iter().map(position).collect();
+    let Some(parallax) = Parallax::new(&key, &partner, &shared) else { return true };
+    let (of_key, of_partner) = (points.observed_by(pair.key), points.observed_by(pair.partner));
+    let others = of_partner.iter().filter(|point| of_key.binary_search(point).is_err());
+    let around = of_key.iter().chain(others).map(position);
+    !parallax.can_be_searched(&key, &partner, around)
+}
+
+/// A view as it is matched: reduced, the centre of the first pixel at (0, 0).
+struct Reduced {
+    size: Vector2<f64>,
+    intrinsics: Matrix3<f64>,
+    rotation: Matrix3<f64>,
+    translation: Vector3<f64>,
+}
+
+impl Reduced {
+    fn new(scene: &Scene, view: ViewIndex, image_scale: f64) -> Self {
+        let (camera, pose) = (scene.camera_of(view), &scene.view(view).cam_from_world);
+        let full = Vector2::new(f64::from(camera.width), f64::from(camera.height));
+        let size = full.map(|side| (side * image_scale).round_ties_even().max(1.0));
+        let (focal, centre) = camera.pinhole_part();
+        let reduced = size.component_div(&full);
+        let (focal, centre) = (focal.component_mul(&reduced), centre.coords.component_mul(&reduced));
+        Self {
+            size,
+            intrinsics: Matrix3::new(focal.x, 0.0, centre.x - 0.5, 0.0, focal.y, centre.y - 0.5, 0.0, 0.0, 1.0),
+            rotation: *pose.rotation.matrix(),
+            translation: pose.translation,
+        }
+    }
+
+    /// Pixel and depth.
+    fn project(&self, point: &Point3<f64>) -> (Vector2<f64>, f64) {
+        let there = self.intrinsics * (self.rotation * point.coords + self.translation);
+        (there.xy() / there.z, there.z)
+    }
+
+    /// Pixel and depth of a point in front of the view and in its image.
+    fn shows(&self, point: &Point3<f64>) -> Option<(Vector2<f64>, f64)> {
+        let (pixel, depth) = self.project(point);
+        let inside = |axis: usize| pixel[axis] > -0.5 && pixel[axis] < self.size[axis] - 0.5;
+        (depth > 0.0 && inside(0) && inside(1)).then_some((pixel, depth))
+    }
+}
+
+/// What turns inverse depths of a pair into disparities.
+struct Parallax {
+    /// Inverse depth of the dominant plane at pixel (u, v): plane . (u, v, 1).
+    plane: Vector3<f64>,
+    epipole: Vector2<f64>,
+    gain: f64,
+}
+
+impl Parallax {
+    fn new(key: &Reduced, partner: &Reduced, shared: &[Point3<f64>]) -> Option<Self> {
+        let in_front = shared.iter().filter(|point| partner.project(point).1 > 0.0);
+        let samples: Vec<(Vector2<f64>, f64)> =
+            in_front.map(|point| key.project(point)).filter(|(_, z)| *z > 0.0).map(|(p, z)| (p, 1.0 / z)).collect();
+        if samples.len() < MIN_SHARED {
+            return None;
+        }
+        let rotation = partner.rotation * key.rotation.transpose();
+        let translation = partner.translation - rotation * key.translation;
+        let centre = -rotation.transpose() * translation;
+        let level = Vector3::new(0.0, 0.0, median(samples.iter().map(|s| s.1).collect()));
+        let bend = |plane: &Vector3<f64>| 1.0 - plane.dot(&(key.intrinsics * centre));
+        let planes = [dominant_plane(&samples)?, level];
+        let plane = planes.into_iter().find(|plane| bend(plane) > 0.1).filter(|_| centre.norm() > 0.0)?;
+        let e = -key.intrinsics * centre;
+        let height = e.z.abs().max(e.xy().norm() / FAR).copysign(e.z);
+        Some(Self { plane, epipole: e.xy() / height, gain: height / bend(&plane) })
+    }
+
+    fn disparity(&self, pixel: Vector2<f64>, inverse: f64) -> f64 {
+        let radius = (pixel - self.epipole).norm();
+        let off = self.gain * (inverse - self.plane.dot(&pixel.push(1.0)));
+        radius * off / (1.0 + off)
+    }
+
+    /// Whether a window of disparities that the matcher can search holds enough of the points that both images show.
+    fn can_be_searched(&self, key: &Reduced, partner: &Reduced, around: impl Iterator<Item = Point3<f64>>) -> bool {
+        let in_both = around.filter(|point| partner.shows(point).is_some());
+        let mut disparities: Vec<f64> =
+            in_both.filter_map(|point| key.shows(&point)).map(|(pixel, z)| self.disparity(pixel, 1.0 / z)).collect();
+        disparities.sort_unstable_by(f64::total_cmp);
+        if disparities.len() < MIN_SHARED {
+            return false;
+        }
+        let [low, high] = [0.5, 99.5].map(|percent| percentile(&disparities, percent));
+        let margin = RANGE_MARGIN * (high - low) + RANGE_PIXELS;
+        let searched = (high + margin).ceil() - (low - margin).floor();
+        let room = GROUP * (MAX_DISPARITIES * key.size.max() / GROUP).round_ties_even();
+        let held = |(i, d): (usize, &f64)| disparities.partition_point(|x| *x <= d + room - 2.0 * RANGE_PIXELS) - i;
+        let most = || disparities.iter().enumerate().map(held).max().unwrap_or(0);
+        searched <= room || most() as f64 >= MIN_HELD * disparities.len() as f64
+    }
+}
+
+/// Robust fit of inverse depth = plane . (u, v, 1): least squares, reweighted (Cauchy), slightly damped towards a level plane.
+fn dominant_plane(samples: &[(Vector2<f64>, f64)]) -> Option<Vector3<f64>> {
+    let count = samples.len() as f64;
+    let centre = samples.iter().map(|s| s.0).sum::<Vector2<f64>>() / count;
+    let variance = samples.iter().map(|s| (s.0 - centre).map(|x| x * x)).sum::<Vector2<f64>>() / count;
+    let spread = variance.map(|v| v.sqrt() + 1e-9);
+    let rows: Vec<Vector3<f64>> = samples.iter().map(|s| (s.0 - centre).component_div(&spread).push(1.0)).collect();
+    let damping = Matrix3::from_diagonal(&(Vector3::new(0.0025, 0.0025, 0.0) * count));
+    let (mut weights, mut fit) = (vec![1.0; samples.len()], Vector3::zeros());
+    for _ in 0..20 {
+        let weighted = || rows.iter().zip(samples).zip(&weights);
+        let normal = weighted().map(|((row, _), w)| row * row.transpose() * *w).sum::<Matrix3<f64>>() + damping;
+        let right = weighted().map(|((row, s), w)| row * (w * s.1)).sum::<Vector3<f64>>();
+        fit = normal.lu().solve(&right)?;
+        let residuals: Vec<f64> = rows.iter().zip(samples).map(|(row, s)| (row.dot(&fit) - s.1).abs()).collect();
+        let scale = 1.5 * median(residuals.clone()) + 1e-12;
+        weights = residuals.iter().map(|r| 1.0 / (1.0 + (r / scale).powi(2))).collect();
+    }
+    let slopes = fit.xy().component_div(&spread);
+    Some(slopes.push(fit.z - slopes.dot(&centre)))
+}
+
+fn median(mut values: Vec<f64>) -> f64 {
+    values.sort_unstable_by(f64::total_cmp);
+    percentile(&values, 50.0)
+}
+
+/// Of ascending values, linear between them.
+fn percentile(sorted: &[f64], percent: f64) -> f64 {
+    let place = percent / 100.0 * (sorted.len() - 1) as f64;
+    let (below, above) = (sorted[place.floor() as usize], sorted[place.ceil() as usize]);
+    below + place.fract() * (above - below)
+}
