@@ -310,7 +310,7 @@ mod tests {
 
     fn select_all(scene: &Scene, n: u32, gate: &Gate) -> Candidates {
         let settings = PartnerSettings { candidates: n, ..Default::default() };
-        candidates(scene, &scene.view_points(), &settings, gate, &Unwatched).unwrap()
+        candidates(scene, &scene.view_points(), &settings, &Limits::gate(gate), &Unwatched).unwrap()
     }
 
     fn shared(scene: &Scene, a: ViewIndex, b: ViewIndex) -> usize {
