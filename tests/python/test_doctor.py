@@ -56,7 +56,7 @@ def test_settings_that_cannot_be_true(viewrank, fixtures, tmp_path):
     (folder / "viewrank.toml").write_text("target.gsd = 40.0\n")
     assert "--gsd" in viewrank("doctor", folder, expect=3).stdout
     (folder / "viewrank.toml").write_text('frame.utm = "33N"\n')
-    assert "no UTM coordinates" in viewrank("doctor", folder, expect=3).stdout
+    assert "not UTM coordinates" in viewrank("doctor", folder, expect=3).stdout
     (folder / "viewrank.toml").write_text("frame.origin = [48.0, 16.0, 200.0]\n")
     assert viewrank("doctor", folder).stdout.count("impossible") == 0
     assert viewrank("doctor", folder, "--backend", "nothing", expect=2).stdout == ""

@@ -334,7 +334,7 @@ mod tests {
     }
 
     #[test]
-    fn refused_pairs_make_room_for_others() {
+    fn refused_pairs_make_room_for_others_and_stand_in_where_there_are_none() {
         let scene = scene();
         let gate = Gate { max_angle_deg: 12.0, ..Gate::OPEN };
         let (all, table) = (select_all(&scene, 60, &Gate::OPEN), select_all(&scene, 5, &gate));
@@ -345,8 +345,11 @@ mod tests {
                 let (_, shared) = around.iter().find(|(view, _)| *view == partner).unwrap();
                 PairGeometry::new(&scene, key, partner, shared).angle_deg
             };
-            let narrow: Vec<_> = all.candidates_of(key).iter().copied().filter(|&v| angle(v) <= 12.0).take(5).collect();
-            assert_eq!(table.candidates_of(key), narrow);
+            let (narrow, wide): (Vec<_>, Vec<_>) =
+                all.candidates_of(key).iter().copied().partition(|&v| angle(v) <= 12.0);
+            let expected: Vec<ViewIndex> = narrow.iter().chain(&wide).copied().take(5).collect();
+            assert_eq!(table.candidates_of(key), expected);
+            assert_eq!(table.beyond_gate(key), &expected[narrow.len().min(5)..]);
             let wide = |r: &Refusal| angle(r.partner) > 12.0 && r.reason == Reason::NotMatchable;
             assert!(table.refused(key).iter().all(wide));
         }
