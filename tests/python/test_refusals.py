@@ -1,0 +1,57 @@
+"""Which pairs integrations/sgm refuses is known when it is planned: the matcher's own rule is asked about every pair."""
+
+import shutil
+import sys
+
+import numpy as np
+import oracle
+import pytest
+from conftest import ROOT
+
+sys.path.insert(0, str(ROOT / "integrations/sgm"))
+pytest.importorskip("cv2")
+import rectify  # noqa: E402
+from workspace import Workspace  # noqa: E402
+
+SCALE = 0.5
+
+
+def refusal(workspace, key, partner):
+    a, b = workspace.views[key], workspace.views[partner]
+    shared = workspace.xyz[np.intersect1d(a.points, b.points, assume_unique=True)]
+    if len(shared) < rectify.MIN_SHARED:
+        return "few", shared
+    try:
+        rectify.rectify(a, b, shared, workspace.xyz[np.union1d(a.points, b.points)])
+    except rectify.Refused as reason:
+        return str(reason), shared
+    return "", shared
+
+
+@pytest.mark.parametrize("name", ["fixture", "statue"])
+def test_no_pair_is_planned_that_the_matcher_refuses_and_none_is_left_out_that_it_takes(name, viewrank, fixtures, data, tmp_path):
+    source = fixtures / "valley" if name == "fixture" else data(name)
+    for part in ("sparse", "images"):
+        (tmp_path / part).symlink_to(source / part)
+    (tmp_path / "viewrank.toml").write_text(f'image_scale = {SCALE}\n[partners]\ncandidates = 1000\nk = 2\n[confidence]\nsource = "geometric"\n')
+    viewrank("plan", tmp_path, "--backend", "sgm", "--dump-tables", tmp_path / "tables")
+    tables, workspace = oracle.Tables(tmp_path / "tables"), Workspace(source, SCALE)
+    names = [view["name"] for view in tables.views]
+    planned = refused = left_out = 0
+    for key, own in enumerate(names):
+        candidates = set(tables.candidates_of(key).tolist())
+        for other, partner in enumerate(names):
+            if other == key:
+                continue
+            why, shared = refusal(workspace, own, partner)
+            if other in candidates:
+                assert not why, f"{own} with {partner}: {why}"
+                planned += 1
+            elif why and "disparities" in why:
+                refused += 1
+            elif not why and len(shared) >= 8:
+                angle, octaves = rectify.geometry(workspace.views[own], workspace.views[partner], shared)
+                left_out += 3 < angle < 55 and abs(octaves) < 1.4
+    assert planned > 50 and left_out == 0
+    assert name == "fixture" or refused > 100, "statue has deep scenes"
+    shutil.rmtree(tmp_path / "tables")
