@@ -31,7 +31,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "integrations/sg
 from measure import read_reference, resized  # noqa: E402
 from workspace import Workspace  # noqa: E402
 
-SOURCES = ["none", "geometric", "proxy", "trained"]
+SOURCES = ["none", "geometric", "photometric", "proxy", "trained"]
 # A triangle may come out right in part, so that even who knows the shares has no area of 1.
 KNOWN = "known shares, optimum"
 SHARES = [0.5, 0.7, 0.8]
