@@ -145,7 +145,7 @@ fn broken_and_newer_models_are_refused_with_a_hint() {
         assert!(stderr.contains(message) && stderr.contains(hint), "{stderr}");
     }
     let (code, stderr) = failure(&["plan", fixture.to_str().unwrap(), "--confidence", "nowhere.model", "--dry-run"]);
-    assert!(code == 2 && stderr.contains("none, geometric, proxy, shipped, auto"), "{stderr}");
+    assert!(code == 2 && stderr.contains("none, geometric, photometric, proxy, shipped, auto"), "{stderr}");
 }
 
 #[test]

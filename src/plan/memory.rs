@@ -74,6 +74,9 @@ pub struct Memory {
     /// Bytes of tables for each row of visibility.
     #[serde(skip)]
     row: u64,
+    /// And of samples of its picture, until pairs are compared.
+    #[serde(skip)]
+    samples_row: u64,
 }
 
 impl Memory {
@@ -82,8 +85,10 @@ impl Memory {
         let points = scene.points.len() as u64;
         let held = BASE + SCENE_PER_POINT * points + SCENE_PER_OBSERVATION * scene.observations() as u64;
         let limit = settings.max_memory;
-        let row = TABLES_ROW + u64::from(settings.partners.candidates);
-        let mut memory = Self { read: held, limit, row, ..Self::default() };
+        let compared = settings.confidence.source == "photometric";
+        let row = TABLES_ROW + if compared { u64::from(settings.partners.candidates) } else { 0 };
+        let samples_row = if compared { SAMPLES_ROW } else { 0 };
+        let mut memory = Self { read: held, limit, row, samples_row, ..Self::default() };
         let finished = held + MESH_PER_POINT * points;
         if let (None, None, Some(limit)) = (&settings.surface.mesh, settings.surface.tile_points, limit)
             && held + SURFACE_PER_POINT * points > limit.0
@@ -121,7 +126,7 @@ impl Memory {
         let choosing = self.read + bytes(surface) + self.outside_tables(points, triangles);
         let fits = |need: u64| self.limit.is_none_or(|Bytes(limit)| need <= limit);
         if fits(drawing + VISIBILITY_ROW * rows)
-            && fits(choosing + self.row * rows + self.most_samples().min(SAMPLES_ROW * rows))
+            && fits(choosing + self.row * rows + self.most_samples().min(self.samples_row * rows))
         {
             self.visibility = drawing + VISIBILITY_ROW * rows;
             return Ok(Storage::Memory);
@@ -129,8 +134,8 @@ impl Memory {
         let views = scene.views.len().max(1) as u64;
         let at_once = rows * views.min(column::READ_AT_ONCE as u64) / views;
         self.visibility = drawing + VISIBILITY_ROW * at_once;
-        self.partners = choosing + self.row * at_once + self.most_samples().min(SAMPLES_ROW * at_once);
-        self.disk = (self.row + SAMPLES_ROW) * rows;
+        self.partners = choosing + self.row * at_once + self.most_samples().min(self.samples_row * at_once);
+        self.disk = (self.row + self.samples_row) * rows;
         self.check_limit("model with its surface", self.visibility.max(self.partners))?;
         Ok(Storage::Disk)
     }
@@ -145,7 +150,7 @@ impl Memory {
         if self.disk == 0 {
             let (points, triangles) = (scene.points.len() as u64, surface.triangles.len() as u64);
             let rows = visibility.triangles.len() as u64;
-            let tables = self.row * rows + self.most_samples().min(SAMPLES_ROW * rows);
+            let tables = self.row * rows + self.most_samples().min(self.samples_row * rows);
             self.partners = self.read + bytes(surface) + self.outside_tables(points, triangles) + tables;
         }
         self.check_limit("fulfilment table", self.partners)
