@@ -94,8 +94,14 @@ fn views_without_a_picture_are_judged_by_their_geometry() {
 
 #[test]
 fn a_second_plan_reads_no_image() {
+    for source in ["proxy", "photometric"] {
+        reads_images_once(&["--confidence", source]);
+    }
+}
+
+fn reads_images_once(options: &[&str]) {
     let project = project();
-    let first = plan(project.path(), &[]);
+    let first = plan(project.path(), options);
     // Between head and end the images hold no picture now, but nobody can see that without decoding them.
     for image in images(project.path()) {
         let mut bytes = fs::read(&image).unwrap();
@@ -105,25 +111,41 @@ fn a_second_plan_reads_no_image() {
         fs::write(&image, bytes).unwrap();
         fs::OpenOptions::new().write(true).open(&image).unwrap().set_modified(time).unwrap();
     }
-    assert_eq!(plan(project.path(), &[]), first);
+    assert_eq!(plan(project.path(), options), first, "{options:?}");
     // Once they are known to have changed, they are read.
     for image in images(project.path()) {
         fs::write(&image, "no image").unwrap();
     }
-    let manifest = plan(project.path(), &[]);
+    let manifest = plan(project.path(), options);
     assert!(warnings(&manifest).contains("no JPEG, PNG or TIFF"), "{}", warnings(&manifest));
     assert!(warnings(&manifest).contains("25 more images"), "{}", warnings(&manifest));
 }
 
 #[test]
 fn a_damaged_cache_is_made_again() {
+    for (source, file) in [("proxy", "confidence.maps"), ("photometric", "agreement.table")] {
+        let project = project();
+        let plan = |threads| plan(project.path(), &["--confidence", source, "--threads", threads]);
+        let first = plan("1");
+        let cache = project.path().join("viewrank/cache").join(file);
+        let good = fs::read(&cache).unwrap();
+        let mut changed = good.clone();
+        changed[good.len() * 3 / 4] ^= 1;
+        for damaged in [&good[..good.len() / 2], &changed] {
+            fs::write(&cache, damaged).unwrap();
+            assert_eq!(plan("4"), first);
+            assert_eq!(fs::read(&cache).unwrap(), good);
+        }
+    }
+}
+
+#[test]
+fn other_candidates_are_compared_anew() {
     let project = project();
-    let first = plan(project.path(), &["--threads", "1"]);
-    let cache = project.path().join("viewrank/cache/confidence.maps");
-    let good = fs::read(&cache).unwrap();
-    fs::write(&cache, &good[..good.len() / 2]).unwrap();
-    assert_eq!(plan(project.path(), &["--threads", "4"]), first);
-    assert_eq!(fs::read(&cache).unwrap(), good);
+    let photometric = |k| plan(project.path(), &["--confidence", "photometric", "-k", k]);
+    let (few, many) = (photometric("2"), photometric("8"));
+    fs::remove_dir_all(project.path().join("viewrank")).unwrap();
+    assert!(photometric("8")["clusters"] == many["clusters"] && few["clusters"] != many["clusters"]);
 }
 
 #[test]

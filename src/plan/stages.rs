@@ -114,9 +114,8 @@ impl Stages {
             Confidence::Photometric { .. } => {
                 let partners = |view| candidates.candidates_of(view);
                 let most = memory.most_samples();
-                let (agreement, troubles) =
-                    Agreement::new(&geometry, &Pictures::new(project), partners, most, watcher)?;
-                pictures.warnings.extend(confidence::picture_warnings(&scene, &troubles));
+                let agreement = Agreement::new(&geometry, &Pictures::new(project), partners, most, watcher)?;
+                pictures.warnings.extend(agreement.warnings.iter().cloned());
                 Ok::<_, PlanError>(agreement)
             }
             _ => Ok(Agreement::default()),

@@ -101,7 +101,7 @@ pub fn files(plan: &Plan, project: &Project) -> Result<PlanFiles, FilesError> {
         let folder = export.files.root.clone();
         place::set_of_folder(&folder, [export.files], project)
     });
-    let sets: Vec<FileSet> = std::iter::once(own).chain(exports).chain(cache(plan, project)).chain(stale).collect();
+    let sets: Vec<FileSet> = std::iter::once(own).chain(exports).chain(caches(plan, project)).chain(stale).collect();
     let outdated_exports = outdated::exports(plan, project, &sets);
     Ok(PlanFiles { manifest, sets, outdated_exports, command })
 }
@@ -114,12 +114,19 @@ fn stale_page(project: &Project, manifest: &Manifest) -> Option<FileSet> {
     (there && shows_another).then(|| FileSet::new(&project.root, REPORT_SET))
 }
 
-/// Image measurements cached for the next plan, if there are new ones.
-fn cache(plan: &Plan, project: &Project) -> Option<FileSet> {
-    let bytes = plan.stages.pictures.cache.clone()?;
-    let mut set = FileSet::new(&project.root, "cache");
-    set.add(confidence::CACHE, Contents::Bytes(bytes));
-    Some(set)
+/// Image measurements cached for the next plan, where there are new ones.
+fn caches(plan: &Plan, project: &Project) -> impl Iterator<Item = FileSet> {
+    let stages = &plan.stages;
+    let maps = stages.pictures.cache.clone().map(|bytes| ("cache", confidence::CACHE, Contents::Bytes(bytes)));
+    let agreement = stages.agreement.cache_head.clone().map(|head| {
+        let contents = Contents::Table { head, rows: stages.agreement.values.clone() };
+        ("agreement", confidence::AGREEMENT_CACHE, contents)
+    });
+    maps.into_iter().chain(agreement).map(|(name, path, contents)| {
+        let mut set = FileSet::new(&project.root, name);
+        set.add(path, contents);
+        set
+    })
 }
 
 /// Shell command that enters the folder of the export and starts its runner, or else its first command.

@@ -3,7 +3,7 @@
 use std::{
     collections::BTreeSet,
     fs::{self, Metadata},
-    io,
+    io::{self, Read},
     path::{Path, PathBuf},
 };
 
@@ -116,6 +116,7 @@ impl Staging<'_> {
         let disk = self.root.disk;
         match contents {
             Contents::Bytes(bytes) => disk.write_new(at, bytes.as_slice(), false),
+            Contents::Table { head, rows } => disk.write_new(at, head.chain(&rows[..]), false),
             Contents::Script(bytes) => disk.write_new(at, bytes.as_slice(), true),
             Contents::Copy(from) => self.copy(from, at),
             Contents::Link(to) => {
@@ -261,6 +262,8 @@ fn is_same(target: &Path, found: &Metadata, contents: &Contents, root: &Path) ->
             Ok(source.metadata()?.len() == found.len() && record::same_contents(source, open::existing(target)?)?)
         }
         Contents::Bytes(bytes) => is_bytes(target, found, bytes),
+        Contents::Table { head, rows } => Ok(found.len() == (head.len() + rows.len()) as u64
+            && record::same_contents(head.chain(&rows[..]), open::existing(target)?)?),
         Contents::Script(bytes) => Ok(is_executable(found) && is_bytes(target, found, bytes)?),
         Contents::Folder => Ok(found.is_dir()),
     }

@@ -59,6 +59,11 @@ impl Inputs {
         [(&self.image, &other.image), (&self.mask, &other.mask)]
     }
 
+    /// Whether the file system says when each was changed.
+    pub fn are_dated(&self) -> bool {
+        [&self.image, &self.mask].into_iter().flatten().all(|stamp| stamp.nanoseconds != 0)
+    }
+
     /// Without looking at contents.
     fn are_untouched(&self, now: &Self) -> bool {
         self.each(now).iter().all(|pair| match pair {

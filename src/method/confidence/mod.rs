@@ -21,8 +21,10 @@ pub use curves::PairCurves;
 pub use geometric::{Constellation, PairConfidence};
 pub use image::{Image, ImageError, Mask, size_for_confidence};
 pub use nearby::nearby;
-pub use photometric::{Agreement, NO_AGREEMENT, Photometric};
-pub use pictures::{CACHE, MASKS, Pictures, Seen, picture_warnings};
+#[cfg(test)]
+pub use photometric::NO_AGREEMENT;
+pub use photometric::{AGREEMENT_CACHE, Agreement, Photometric};
+pub use pictures::{CACHE, MASKS, Pictures, Seen};
 pub use proxy::Proxy;
 pub use trained::{Trained, TrainedError, TrainedOn};
 pub use unary::Unary;

@@ -39,7 +39,7 @@ pub struct Pictures {
     images: Option<PathBuf>,
     /// COLMAP's `mask_path`: `NAME.png` for the image NAME, black where the image may not be used.
     masks: Option<PathBuf>,
-    cache: PathBuf,
+    project: PathBuf,
 }
 
 /// What was seen in the pictures.
@@ -70,12 +70,23 @@ impl Pictures {
         Self {
             images: project.images.clone(),
             masks: masks.into_iter().find(|folder| folder.is_dir()),
-            cache: project.root.join(CACHE),
+            project: project.root.clone(),
         }
     }
 
     pub fn have_images(&self) -> bool {
         self.images.is_some()
+    }
+
+    pub(super) fn project_file(&self, path: &str) -> PathBuf {
+        self.project.join(path)
+    }
+
+    /// Size and time of change of a view's image and mask; `None` where a file's time of change is not known.
+    pub(super) fn stamps(&self, name: &str) -> Option<Inputs> {
+        let image = self.images.as_deref().map(|folder| folder.join(name));
+        let stamps = Files { image, mask: self.masks.as_deref().and_then(|folder| mask_file(folder, name)) }.inputs();
+        stamps.are_dated().then_some(stamps)
     }
 
     /// The view's picture in grey at half the size at which it is matched, and its mask; `None` without an image folder.
@@ -113,7 +124,7 @@ impl Pictures {
         watcher: &dyn Watcher,
     ) -> Result<Seen, Cancelled> {
         let fingerprint = predictor.map_or_else(|| "masks alone".into(), |p| p.fingerprint().to_string());
-        let cache = Cache::read(&self.cache, &fingerprint);
+        let cache = Cache::read(&self.project_file(CACHE), &fingerprint);
         let views: Vec<ViewIndex> = scene.view_indices().collect();
         let done = AtomicU64::new(0);
         watcher.progress(Stage::Confidence, 0, views.len() as u64);

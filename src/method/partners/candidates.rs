@@ -80,6 +80,7 @@ pub struct Limits<'a> {
     pub refuses: &'a (dyn Fn(&PairGeometry) -> bool + Sync),
 }
 
+#[cfg(test)]
 impl<'a> Limits<'a> {
     /// Nothing is refused outright.
     pub fn gate(gate: &'a Gate) -> Self {

@@ -3,19 +3,24 @@
 //! Each view samples its picture at fixed places of every triangle that it sees. Where the samples of two views correlate, a backend will find the match
 //! too; where they don't (no texture, leaves, gloss, a wrong surface), it won't.
 
+mod cache;
+mod compare;
 mod grey;
 mod stacks;
 
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::Arc;
 
-pub use self::grey::Grey;
 pub(super) use self::stacks::SPACING;
-use self::stacks::{STACK, Spacing, correlation, stacks};
-use super::{image::ImageError, pictures::Pictures};
+pub use self::{cache::AGREEMENT_CACHE, grey::Grey};
+use self::{
+    cache::Cache,
+    compare::{compared, samples},
+};
+use super::pictures::{Pictures, picture_warnings};
 use crate::{
     base::{
-        column::{Column, Storage, TableError},
-        progress::{Stage, Watcher},
+        column::{Column, TableError},
+        progress::Watcher,
     },
     method::geometry::Geometry,
     model::scene::ViewIndex,
@@ -70,69 +75,70 @@ pub struct Agreement {
     pub offsets: Vec<usize>,
     pub partners: Vec<ViewIndex>,
     /// By key view, by partner, by row of the key view: 0 where the pictures do not both show a patch, else 1 + 254 times the correlation.
-    pub values: Column<u8>,
+    pub values: Arc<Column<u8>>,
+    /// Pictures that cannot be used, in words.
+    pub warnings: Vec<String>,
+    /// The first bytes of [`AGREEMENT_CACHE`], which the values follow; `None` where that file holds this table, or a picture has no time of change.
+    pub cache_head: Option<Vec<u8>>,
 }
 
-/// Of pictures that were not compared.
+/// The table of a plan that compares no pictures.
+#[cfg(test)]
 pub static NO_AGREEMENT: std::sync::LazyLock<Agreement> = std::sync::LazyLock::new(Agreement::default);
 
 impl Agreement {
-    /// Samples the pictures and compares those of each view with those of its partners. Views without a picture have no values; the second value says
-    /// why by view. `most_samples`: bytes of samples that memory may hold; more are kept on disk.
+    /// Compares the picture of each view with those of its partners, or reads what an earlier plan found in the same pictures on the same surface.
+    /// Views without a usable picture have no values. `most_samples`: bytes of samples that memory may hold; more are kept on disk.
     pub fn new<'p>(
         geometry: &Geometry,
         pictures: &Pictures,
         partners_of: impl Fn(ViewIndex) -> &'p [ViewIndex] + Sync,
         most_samples: u64,
         watcher: &dyn Watcher,
-    ) -> Result<(Self, Vec<Option<ImageError>>), TableError> {
-        let Geometry { scene, visibility, .. } = *geometry;
-        let spacing = Spacing::new(geometry);
-        let (done, total) = (AtomicU64::new(0), scene.views.len() as u64);
-        watcher.progress(Stage::Confidence, 0, total);
-        let troubles = std::sync::Mutex::new(Vec::new());
-        let of_view = |_: &mut (), view: ViewIndex| {
-            watcher.check()?;
-            let sampled = pictures
-                .grey(scene, view, geometry.image_scale)
-                .map(|picture| picture.map(|(grey, mask)| stacks(geometry, &spacing, view, &grey, mask.as_ref())));
-            let sampled = sampled.unwrap_or_else(|trouble| {
-                troubles.lock().map(|mut troubles| troubles.push((view, trouble))).ok();
-                None
-            });
-            watcher.progress(Stage::Confidence, 1 + done.fetch_add(1, Ordering::Relaxed), total);
-            Ok(sampled.unwrap_or_else(|| vec![stacks::NOT_SEEN; visibility.triangles_seen_by(view).len() * STACK]))
-        };
-        let keep = match visibility.triangles.len() as u64 * STACK as u64 > most_samples {
-            true => Storage::Disk,
-            false => visibility.triangles.kept(),
-        };
-        let samples: Column<i8> = visibility.column_kept(keep, || (), of_view)?;
-        let mut without: Vec<Option<ImageError>> = scene.view_indices().map(|_| None).collect();
-        for (view, trouble) in troubles.into_inner().unwrap_or_default() {
-            without[view.index()] = Some(trouble);
+    ) -> Result<Self, TableError> {
+        let cache = Cache::new(geometry, pictures, &partners_of);
+        if let Some(cache) = &cache
+            && let Some((without, warnings, values)) = cache.read(geometry, &partners_of)?
+        {
+            let layout = Self::laid_out(geometry, &partners_of, &without);
+            return Ok(Self { values: Arc::new(values), warnings, ..layout });
         }
-        let has_picture = |view: &ViewIndex| pictures.have_images() && without[view.index()].is_none();
-        let mut table = Self { offsets: vec![0], ..Self::default() };
-        let mut start = 0;
-        for key in scene.view_indices() {
-            let rows = visibility.triangles_seen_by(key).len();
-            table.keys.push((start, rows));
-            if has_picture(&key) {
-                let partners = partners_of(key).iter().copied().filter(has_picture);
-                let before = table.partners.len();
-                table.partners.extend(partners);
-                start += rows * (table.partners.len() - before);
-            }
-            table.offsets.push(table.partners.len());
-        }
+        let (samples, troubles) = samples(geometry, pictures, most_samples, watcher)?;
+        let without: Vec<bool> = troubles.iter().map(|t| t.is_some() || !pictures.have_images()).collect();
+        let mut table = Self::laid_out(geometry, &partners_of, &without);
         let compare = |places: &mut Vec<u32>, key: ViewIndex| {
             watcher.check()?;
             places.resize(geometry.surface.triangles.len(), u32::MAX);
             Ok(compared(geometry, &samples, key, table.partners_of(key), places))
         };
-        table.values = visibility.column(Vec::new, compare)?;
-        Ok((table, without))
+        table.values = Arc::new(geometry.visibility.column(Vec::new, compare)?);
+        table.warnings = picture_warnings(geometry.scene, &troubles);
+        table.cache_head = cache.map(|cache| cache.head(&without, &table.warnings, &table.values));
+        Ok(table)
+    }
+
+    /// The table without its values; `without`: by view, whether there is no usable picture.
+    fn laid_out<'p>(geometry: &Geometry, partners_of: impl Fn(ViewIndex) -> &'p [ViewIndex], without: &[bool]) -> Self {
+        let has_picture = |view: &ViewIndex| !without[view.index()];
+        let mut table = Self { offsets: vec![0], ..Self::default() };
+        let mut start = 0;
+        for key in geometry.scene.view_indices() {
+            let rows = geometry.visibility.triangles_seen_by(key).len();
+            table.keys.push((start, rows));
+            if has_picture(&key) {
+                let before = table.partners.len();
+                table.partners.extend(partners_of(key).iter().copied().filter(has_picture));
+                start += rows * (table.partners.len() - before);
+            }
+            table.offsets.push(table.partners.len());
+        }
+        table
+    }
+
+    /// Number of values.
+    fn len(&self) -> usize {
+        let last = self.keys.len().checked_sub(1).map(|last| ViewIndex(last as u32));
+        last.map_or(0, |last| self.keys[last.index()].0 + self.keys[last.index()].1 * self.partners_of(last).len())
     }
 
     fn partners_of(&self, key: ViewIndex) -> &[ViewIndex] {
@@ -162,29 +168,4 @@ impl Agreement {
     pub fn bytes(&self) -> usize {
         self.values.bytes() + 4 * self.partners.len()
     }
-}
-
-/// Agreement of the key view with each partner, by partner, by row of the key view.
-fn compared(
-    geometry: &Geometry,
-    samples: &Column<i8>,
-    key: ViewIndex,
-    partners: &[ViewIndex],
-    places: &mut [u32],
-) -> Vec<u8> {
-    let visibility = geometry.visibility;
-    let (own, seen) = (visibility.rows(key), visibility.triangles_seen_by(key));
-    seen.iter().enumerate().for_each(|(row, &t)| places[t as usize] = row as u32);
-    let mut values = vec![0; partners.len() * seen.len()];
-    for (partner, values) in partners.iter().zip(values.chunks_exact_mut(seen.len().max(1))) {
-        for (row, &t) in visibility.rows(*partner).zip(visibility.triangles_seen_by(*partner)) {
-            let place = places[t as usize];
-            if place != u32::MAX {
-                let [a, b] = [own.start + place as usize, row].map(|row| &samples[row * STACK..][..STACK]);
-                values[place as usize] = packed(correlation(a, b));
-            }
-        }
-    }
-    seen.iter().for_each(|&t| places[t as usize] = u32::MAX);
-    values
 }

@@ -1,0 +1,81 @@
+//! Samples of all pictures, and the agreement of pairs.
+
+use std::sync::{
+    Mutex,
+    atomic::{AtomicU64, Ordering},
+};
+
+use super::{
+    super::{image::ImageError, pictures::Pictures},
+    packed,
+    stacks::{self, STACK, Spacing, correlation, stacks},
+};
+use crate::{
+    base::{
+        column::{Column, Storage, TableError},
+        progress::{Stage, Watcher},
+    },
+    method::geometry::Geometry,
+    model::scene::ViewIndex,
+};
+
+/// [`STACK`] numbers for each row of visibility, on disk if they are more than `most_samples` bytes; and why a view has none, by view.
+pub(super) fn samples(
+    geometry: &Geometry,
+    pictures: &Pictures,
+    most_samples: u64,
+    watcher: &dyn Watcher,
+) -> Result<(Column<i8>, Vec<Option<ImageError>>), TableError> {
+    let Geometry { scene, visibility, .. } = *geometry;
+    let spacing = Spacing::new(geometry);
+    let (done, total) = (AtomicU64::new(0), scene.views.len() as u64);
+    watcher.progress(Stage::Confidence, 0, total);
+    let failures = Mutex::new(Vec::new());
+    let of_view = |_: &mut (), view: ViewIndex| {
+        watcher.check()?;
+        let sampled = pictures
+            .grey(scene, view, geometry.image_scale)
+            .map(|picture| picture.map(|(grey, mask)| stacks(geometry, &spacing, view, &grey, mask.as_ref())));
+        let sampled = sampled.unwrap_or_else(|failure| {
+            failures.lock().map(|mut failures| failures.push((view, failure))).ok();
+            None
+        });
+        watcher.progress(Stage::Confidence, 1 + done.fetch_add(1, Ordering::Relaxed), total);
+        Ok(sampled.unwrap_or_else(|| vec![stacks::NOT_SEEN; visibility.triangles_seen_by(view).len() * STACK]))
+    };
+    let keep = match visibility.triangles.len() as u64 * STACK as u64 > most_samples {
+        true => Storage::Disk,
+        false => visibility.triangles.kept(),
+    };
+    let samples = visibility.column_kept(keep, || (), of_view)?;
+    let mut by_view: Vec<Option<ImageError>> = scene.view_indices().map(|_| None).collect();
+    for (view, failure) in failures.into_inner().unwrap_or_default() {
+        by_view[view.index()] = Some(failure);
+    }
+    Ok((samples, by_view))
+}
+
+/// Agreement of the key view with each partner, by partner, by row of the key view.
+pub(super) fn compared(
+    geometry: &Geometry,
+    samples: &Column<i8>,
+    key: ViewIndex,
+    partners: &[ViewIndex],
+    places: &mut [u32],
+) -> Vec<u8> {
+    let visibility = geometry.visibility;
+    let (own, seen) = (visibility.rows(key), visibility.triangles_seen_by(key));
+    seen.iter().enumerate().for_each(|(row, &t)| places[t as usize] = row as u32);
+    let mut values = vec![0; partners.len() * seen.len()];
+    for (partner, values) in partners.iter().zip(values.chunks_exact_mut(seen.len().max(1))) {
+        for (row, &t) in visibility.rows(*partner).zip(visibility.triangles_seen_by(*partner)) {
+            let place = places[t as usize];
+            if place != u32::MAX {
+                let [a, b] = [own.start + place as usize, row].map(|row| &samples[row * STACK..][..STACK]);
+                values[place as usize] = packed(correlation(a, b));
+            }
+        }
+    }
+    seen.iter().for_each(|&t| places[t as usize] = u32::MAX);
+    values
+}
