@@ -15,7 +15,8 @@ use viewrank::internals::{
     config::SurfaceSettings,
     progress::Unwatched,
     project::Project,
-    surface::{carve, clean, cut::minimum_cut, delaunay::Delaunay, points, refine, simplify},
+    surface::{WantedGsd, carve, clean, cut::minimum_cut, delaunay::Delaunay, points, refine, simplify},
+    target::GSD_MARGIN,
 };
 
 type Fallible<T> = Result<T, Box<dyn std::error::Error>>;
@@ -47,7 +48,7 @@ fn time_surface(project: &Path) -> Fallible<f64> {
     let scene = Project::open(project, None)?.read_scene()?;
     clock.step("read");
     clock.total = 0.0;
-    let gsd = 1.25 * scene.median_gsd().ok_or("the model has no points")?;
+    let gsd = GSD_MARGIN * scene.median_gsd().ok_or("the model has no points")?;
     let usable = points::usable_points(&scene);
     let positions: Vec<_> = usable.iter().map(|p| scene.points[p.index()]).collect();
     clock.step("points");
@@ -65,9 +66,12 @@ fn time_surface(project: &Path) -> Fallible<f64> {
     let total = clock.total;
     let surface = clean::clean(&raw.surface, &raw.seen);
     clock.step("clean");
-    let surface = simplify::simplify(surface, settings.edge_factor * gsd, &Unwatched)?;
+    let wanted = WantedGsd::finest(&scene, gsd, GSD_MARGIN);
+    let shortest = wanted.lengths(&surface.vertices, settings.edge_factor);
+    let surface = simplify::simplify(surface, shortest, &Unwatched)?;
     clock.step(&format!("simplify, {}", surface.triangles.len()));
-    let surface = refine::refine(surface, settings.max_edge_factor * gsd, refine::MAX_TRIANGLES, &Unwatched)?;
+    let longest = wanted.lengths(&surface.vertices, settings.max_edge_factor);
+    let surface = refine::refine(surface, longest, refine::MAX_TRIANGLES, &Unwatched)?;
     clock.step(&format!("refine, {}", surface.triangles.len()));
     println!("  raw surface {total:.2} s, whole surface {:.2} s", clock.total);
     Ok(total)

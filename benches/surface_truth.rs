@@ -20,7 +20,8 @@ use viewrank::internals::{
     progress::Unwatched,
     project::Project,
     scene::{Scene, ViewIndex},
-    surface::{self, Surface, SurfaceKind, refine::MAX_TRIANGLES},
+    surface::{self, Surface, SurfaceKind, WantedGsd, refine::MAX_TRIANGLES},
+    target::GSD_MARGIN,
     visibility::{self, Visibility},
 };
 
@@ -69,9 +70,10 @@ impl Exact {
 
 fn evaluate(exact: &Exact, settings: &Settings) -> Fallible<()> {
     let scene = &exact.scene;
-    let gsd = 1.25 * scene.median_gsd().ok_or("the model has no points")?;
+    let gsd = GSD_MARGIN * scene.median_gsd().ok_or("the model has no points")?;
     let start = Instant::now();
-    let (surface, stats) = surface::build(scene, gsd, &settings.surface, None, MAX_TRIANGLES, &Unwatched)?;
+    let wanted = WantedGsd::finest(scene, gsd, GSD_MARGIN);
+    let (surface, stats) = surface::build(scene, &wanted, &settings.surface, None, MAX_TRIANGLES, &Unwatched)?;
     let seconds = start.elapsed().as_secs_f64();
     let edge = settings.surface.edge_factor * gsd;
     let table = visibility::estimate(

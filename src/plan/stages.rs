@@ -3,7 +3,7 @@
 use super::{Matcher, Memory, PlanError, Timings, cut};
 use crate::{
     base::progress::{Stage, Watcher},
-    config::{Settings, Share},
+    config::{Settings, Share, TargetMode},
     io::project::Project,
     method::{
         confidence::{self, Agreement, Confidence, Pictures, Predictor, Proxy, Source, Trained, Unary},
@@ -11,7 +11,7 @@ use crate::{
         geometry::Geometry,
         partners::{self, Candidates, Limits, PairGeometry},
         ranking::Objective,
-        surface::{self, MeshFile, Surface, SurfaceError, SurfaceStats},
+        surface::{self, MeshFile, Surface, SurfaceError, SurfaceStats, WantedGsd},
         target::{GSD_MARGIN, Target},
         visibility::{self, Visibility},
     },
@@ -243,8 +243,13 @@ fn visible_surface(
     let gsd = settings.target.gsd.ok_or(PlanError::NoScale)?;
     let mesh = settings.surface.mesh.clone().map(|path| MeshFile { path, as_is: settings.surface.mesh_as_is });
     let most = memory.most_triangles();
-    let (surface, stats) =
-        timings.time(Stage::Surface, || surface::build(scene, gsd, &settings.surface, mesh.as_ref(), most, watcher))?;
+    let (surface, stats) = timings.time(Stage::Surface, || {
+        let wanted = match settings.target.mode {
+            TargetMode::Best => WantedGsd::finest(scene, gsd, GSD_MARGIN / settings.image_scale),
+            _ => WantedGsd::uniform(gsd),
+        };
+        surface::build(scene, &wanted, &settings.surface, mesh.as_ref(), most, watcher)
+    })?;
     let keep = memory.before_visibility(scene, &surface, &settings.visibility)?;
     let edge_length = settings.surface.edge_factor * gsd;
     let visibility = timings.time(Stage::Visibility, || {

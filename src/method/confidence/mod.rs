@@ -23,7 +23,7 @@ pub use image::{Image, ImageError, Mask, size_for_confidence};
 pub use nearby::nearby;
 #[cfg(test)]
 pub use photometric::NO_AGREEMENT;
-pub use photometric::{AGREEMENT_CACHE, Agreement, Photometric};
+pub use photometric::{AGREEMENT_CACHE, Agreement, PairAgreement, Photometric};
 pub use pictures::{CACHE, MASKS, Pictures, Seen};
 pub use proxy::Proxy;
 pub use trained::{Trained, TrainedError, TrainedOn};

@@ -10,7 +10,7 @@ use super::{
 };
 use crate::{
     base::vector::{Work, vectorised},
-    method::confidence::{Confidence, Constellation, PairConfidence, PairCurves, trees::logistic},
+    method::confidence::{Confidence, Constellation, PairAgreement, PairConfidence, PairCurves, trees::logistic},
     model::{camera::Camera, scene::ViewIndex},
 };
 
@@ -194,10 +194,15 @@ impl<'a> Block<'a> {
     /// By place: the chance of a match, where the pictures of the pair were compared.
     fn agreed_chances(&self, partner: usize) -> Option<Vec<f32>> {
         let Confidence::Photometric { agreement, .. } = self.model.rule.confidence else { return None };
-        let values = self.model.agreement.of_pair(self.key, self.partners[partner])?;
         let mut chances = vec![0.0; self.len() * LANES];
-        for (&value, &place) in values.iter().zip(&self.places) {
-            chances[place as usize] = agreement.chance(value) as f32;
+        match self.model.agreement.of_pair(self.key, self.partners[partner]) {
+            PairAgreement::NoPicture => return None,
+            PairAgreement::NoCandidate => {}
+            PairAgreement::Compared(values) => {
+                for (&value, &place) in values.iter().zip(&self.places) {
+                    chances[place as usize] = agreement.chance(value) as f32;
+                }
+            }
         }
         Some(chances)
     }

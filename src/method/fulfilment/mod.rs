@@ -18,7 +18,7 @@ use crate::{
         progress::Watcher,
     },
     method::{
-        confidence::{Agreement, Confidence, Constellation, Unary},
+        confidence::{Agreement, Confidence, Constellation, PairAgreement, Unary},
         surface::Surface,
         visibility::Visibility,
     },
@@ -219,13 +219,15 @@ impl Success {
             let (own, other) = (f64::from(model.unary.at(key_row)), f64::from(model.unary.as_partner(row)));
             seeing.push(view);
             let first = model.visibility.rows(key).start;
-            if let Confidence::Photometric { agreement, .. } = rule.confidence
-                && let Some(values) = model.agreement.of_pair(key, view)
-            {
-                chances.push(agreement.chance(values[key_row - first]));
-                continue;
-            }
-            chances.push(rule.confidence.pair(&Constellation::new(&model.geometry(), key, view, triangle), own, other));
+            let by_geometry =
+                || rule.confidence.pair(&Constellation::new(&model.geometry(), key, view, triangle), own, other);
+            chances.push(match (rule.confidence, model.agreement.of_pair(key, view)) {
+                (Confidence::Photometric { agreement, .. }, PairAgreement::Compared(values)) => {
+                    agreement.chance(values[key_row - first])
+                }
+                (Confidence::Photometric { .. }, PairAgreement::NoCandidate) => 0.0,
+                _ => by_geometry(),
+            });
         }
         let coverage = if 1 + seeing.len() >= rule.min_cameras as usize { 1.0 } else { 0.0 };
         let measurable = f64::from(rule.confidence.measurable(model.unary.at(key_row)));

@@ -20,6 +20,7 @@ pub mod simplify;
 pub mod terrain;
 #[cfg(test)]
 mod tests;
+mod wanted;
 
 use std::path::PathBuf;
 
@@ -42,6 +43,7 @@ use crate::{
     },
 };
 use delaunay::{Delaunay, DelaunayError, Dimension};
+pub use wanted::WantedGsd;
 
 /// Fewer points than this make a terrain.
 const MIN_CARVED_POINTS: usize = 100;
@@ -208,19 +210,19 @@ impl From<refine::RefineError> for SurfaceError {
     }
 }
 
-/// Builds the surface of the scene, or takes the mesh, with edges as `gsd` (g_d, scene units per pixel) and the settings want them, of at
-/// most about `most` triangles. What no view sees is yet to be taken away by [`Surface::keep`].
+/// Builds the surface of the scene, or takes the mesh, with edges as `wanted` and the settings want them, of at most about `most` triangles. What no view sees is yet to be taken away by [`Surface::keep`].
 ///
 /// # Errors
 /// Too few points, a mesh that cannot be read, a target far too fine, cancellation.
 pub fn build(
     scene: &Scene,
-    gsd: f64,
+    wanted: &WantedGsd,
     settings: &SurfaceSettings,
     mesh: Option<&MeshFile>,
     most: u64,
     watcher: &dyn Watcher,
 ) -> Result<(Surface, SurfaceStats), SurfaceError> {
+    let gsd = wanted.everywhere();
     if !(gsd.is_finite() && gsd > 0.0) {
         return Err(SurfaceError::Gsd(gsd));
     }
@@ -231,9 +233,9 @@ pub fn build(
         Some(file) => {
             let surface = clean::make_manifold(read_mesh(file)?);
             stats.cleaned_triangles = surface.triangles.len();
-            if file.as_is { surface } else { with_edges(surface, gsd, settings, &mut stats, &whole)? }
+            if file.as_is { surface } else { with_edges(surface, wanted, settings, &mut stats, &whole)? }
         }
-        None => from_points(scene, gsd, settings, &mut stats, &whole)?,
+        None => from_points(scene, wanted, settings, &mut stats, &whole)?,
     };
     stats.triangles = surface.triangles.len();
     watcher.progress(Stage::Surface, 1, 1);
@@ -258,16 +260,18 @@ impl Steps<'_> {
 /// Simplifies and refines a cleaned surface (method 1.5 and 1.6).
 fn with_edges(
     surface: Surface,
-    gsd: f64,
+    wanted: &WantedGsd,
     settings: &SurfaceSettings,
     stats: &mut SurfaceStats,
     steps: &Steps,
 ) -> Result<Surface, SurfaceError> {
     steps.reached(4);
-    let surface = simplify::simplify(surface, settings.edge_factor * gsd, steps.watcher)?;
+    let shortest = wanted.lengths(&surface.vertices, settings.edge_factor);
+    let surface = simplify::simplify(surface, shortest, steps.watcher)?;
     stats.simplified_triangles += surface.triangles.len();
     steps.reached(5);
-    Ok(refine::refine(surface, settings.max_edge_factor * gsd, steps.most, steps.watcher)?)
+    let longest = wanted.lengths(&surface.vertices, settings.max_edge_factor);
+    Ok(refine::refine(surface, longest, steps.most, steps.watcher)?)
 }
 
 fn read_mesh(file: &MeshFile) -> Result<Surface, SurfaceError> {
@@ -280,7 +284,7 @@ fn read_mesh(file: &MeshFile) -> Result<Surface, SurfaceError> {
 /// The surface of the sparse points: whole, or tile by tile, each from the points in it and around it, and cut off where the next begins.
 fn from_points(
     scene: &Scene,
-    gsd: f64,
+    wanted: &WantedGsd,
     settings: &SurfaceSettings,
     stats: &mut SurfaceStats,
     whole: &Steps,
@@ -289,13 +293,13 @@ fn from_points(
     stats.points = points.len();
     stats.points_dropped = scene.points.len() - points.len();
     let positions: Vec<Point3<f64>> = points.iter().map(|p| scene.points[p.index()]).collect();
-    let all = Part { scene, gsd, settings, everywhere: &positions };
+    let all = Part { scene, wanted, settings, everywhere: &positions };
     let tiles = match settings.tile_points {
         Some(most) if points.len() > most as usize => tiles::split(&positions, most as usize),
         _ => return all.surface(&points, &positions, stats, whole),
     };
     stats.tiles = tiles.len();
-    let margin = MARGIN_EDGES * settings.max_edge_factor * gsd;
+    let margin = MARGIN_EDGES * settings.max_edge_factor * wanted.everywhere();
     let mut merged: Option<Surface> = None;
     for (i, tile) in tiles.iter().enumerate() {
         whole.watcher.check()?;
@@ -323,7 +327,7 @@ fn from_points(
 /// What the tiles of a surface have in common.
 struct Part<'a> {
     scene: &'a Scene,
-    gsd: f64,
+    wanted: &'a WantedGsd,
     settings: &'a SurfaceSettings,
     /// Positions of the points of all tiles.
     everywhere: &'a [Point3<f64>],
@@ -338,7 +342,8 @@ impl Part<'_> {
         stats: &mut SurfaceStats,
         steps: &Steps,
     ) -> Result<Surface, SurfaceError> {
-        let Self { scene, gsd, settings, everywhere } = *self;
+        let Self { scene, wanted, settings, everywhere } = *self;
+        let gsd = wanted.everywhere();
         let distinct = distinct_up_to_four(positions);
         if distinct < 4 {
             return Err(SurfaceError::TooFewPoints { distinct, dropped: stats.points_dropped });
@@ -366,7 +371,7 @@ impl Part<'_> {
             carved(scene, points, positions, settings, stats, steps)?
         };
         stats.cleaned_triangles += cleaned.triangles.len();
-        with_edges(cleaned, gsd, settings, stats, steps)
+        with_edges(cleaned, wanted, settings, stats, steps)
     }
 }
 

@@ -1,5 +1,5 @@
-//! Method 1.6: splits the longest edge at its midpoint until every edge is short enough, both triangles at an edge together, so that no
-//! vertex ever lies on another triangle's edge.
+//! Method 1.6: splits the edge that is farthest above its limit at its midpoint until every edge is short enough, both triangles at an edge together,
+//! so that no vertex ever lies on another triangle's edge.
 
 use std::collections::BinaryHeap;
 
@@ -29,13 +29,15 @@ pub enum RefineError {
     Cancelled(#[from] Cancelled),
 }
 
-/// Splits edges until each is shorter than `limit` (scene units), the longest first; into at most about `most` triangles.
-pub fn refine(surface: Surface, limit: f64, most: u64, watcher: &dyn Watcher) -> Result<Surface, RefineError> {
-    let triangles: f64 = (0..surface.triangles.len() as u32).map(|t| expected_pieces(&surface, t, limit)).sum();
+/// Splits edges until each is shorter than the mean limit of its ends, those farthest above it first; into at most about `most` triangles.
+/// `limits`: by vertex, scene units, above 0.
+pub fn refine(surface: Surface, limits: Vec<f64>, most: u64, watcher: &dyn Watcher) -> Result<Surface, RefineError> {
+    let triangles: f64 = (0..surface.triangles.len() as u32).map(|t| expected_pieces(&surface, &limits, t)).sum();
     if triangles.is_nan() || triangles > most as f64 {
+        let limit = limits.iter().copied().fold(f64::INFINITY, f64::min);
         return Err(RefineError::TooFine { limit, triangles, most });
     }
-    let mut mesh = Splitting::new(surface, limit);
+    let mut mesh = Splitting::new(surface, limits);
     let mut splits = 0usize;
     while let Some(edge) = mesh.queue.pop() {
         splits += usize::from(mesh.split_if_fresh(edge));
@@ -46,18 +48,22 @@ pub fn refine(surface: Surface, limit: f64, most: u64, watcher: &dyn Watcher) ->
     Ok(mesh.surface)
 }
 
-/// About how many triangles with sides of at most `limit` the triangle falls into; never under the true count by much.
-fn expected_pieces(surface: &Surface, triangle: u32, limit: f64) -> f64 {
+/// About how many triangles with short enough sides the triangle falls into; never under the true count by much.
+fn expected_pieces(surface: &Surface, limits: &[f64], triangle: u32) -> f64 {
     let [a, b, c] = surface.corners(triangle);
     let longest = (b - a).norm().max((c - b).norm()).max((a - c).norm());
-    1.0 + longest / limit + 8.0 * surface.area(triangle) / (limit * limit)
+    let corners = surface.triangles[triangle as usize].map(|v| limits[v as usize]);
+    let middle = corners.iter().sum::<f64>() / 3.0;
+    // Limits change linearly over the triangle: the rule that is exact for cubic functions, from the corners and the centroid.
+    let per_area = 0.75 / (middle * middle) + corners.iter().map(|limit| 1.0 / (12.0 * limit * limit)).sum::<f64>();
+    1.0 + longest / middle + 8.0 * surface.area(triangle) * per_area
 }
 
-/// An edge that is too long; ordered by length, then by the corner that faces it.
+/// An edge that is too long; ordered by its length over its limit, then by the corner that faces it.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 struct LongEdge {
-    /// Bits of the length, ordered like the length.
-    length: u64,
+    /// Bits of length over limit, ordered like that.
+    excess: u64,
     corner: u32,
 }
 
@@ -65,31 +71,43 @@ struct Splitting {
     surface: Surface,
     opposite: Vec<u32>,
     queue: BinaryHeap<LongEdge>,
-    limit: f64,
+    /// By vertex.
+    limits: Vec<f64>,
 }
 
 impl Splitting {
-    fn new(surface: Surface, limit: f64) -> Self {
+    fn new(surface: Surface, limits: Vec<f64>) -> Self {
         let opposite = opposites(&surface);
-        let mut mesh = Self { surface, opposite, queue: BinaryHeap::new(), limit };
+        let mut mesh = Self { surface, opposite, queue: BinaryHeap::new(), limits };
         let corners = 0..mesh.opposite.len() as u32;
         corners.filter(|&c| c < mesh.opposite[c as usize]).collect::<Vec<_>>().into_iter().for_each(|c| mesh.push(c));
         mesh
     }
 
+    /// Vertices of the edge that the corner faces.
+    fn edge(&self, corner: u32) -> [usize; 2] {
+        [next(corner), prev(corner)].map(|c| vertex(&self.surface.triangles, c) as usize)
+    }
+
     fn ends(&self, corner: u32) -> [Point3<f64>; 2] {
-        [next(corner), prev(corner)].map(|c| self.surface.vertices[vertex(&self.surface.triangles, c) as usize])
+        self.edge(corner).map(|v| self.surface.vertices[v])
+    }
+
+    /// Mean limit of the ends.
+    fn limit(&self, corner: u32) -> f64 {
+        let [a, b] = self.edge(corner).map(|v| self.limits[v]);
+        (a + b) / 2.0
     }
 
     fn long_edge(&self, corner: u32) -> LongEdge {
         let [a, b] = self.ends(corner);
-        LongEdge { length: (b - a).norm().to_bits(), corner }
+        LongEdge { excess: ((b - a).norm() / self.limit(corner)).to_bits(), corner }
     }
 
     /// Queues the edge that the corner faces if it is too long, and its coordinates leave room for a point between its ends.
     fn push(&mut self, corner: u32) {
         let edge = self.long_edge(corner);
-        if f64::from_bits(edge.length) < self.limit {
+        if f64::from_bits(edge.excess) < 1.0 {
             return;
         }
         let [a, b] = self.ends(corner);
@@ -111,6 +129,7 @@ impl Splitting {
         let [a, b] = self.ends(corner);
         let middle_vertex = self.surface.vertices.len() as u32;
         self.surface.vertices.push(middle(&a, &b));
+        self.limits.push(self.limit(corner));
         let across = self.opposite[corner as usize];
         let far = self.halve(corner, middle_vertex);
         let halves = if across == BORDER {
@@ -166,13 +185,18 @@ mod tests {
         method::surface::{manifold::check_manifold, shapes},
     };
 
+    fn refine_evenly(surface: Surface, limit: f64, most: u64) -> Result<Surface, RefineError> {
+        let limits = vec![limit; surface.vertices.len()];
+        refine(surface, limits, most, &Unwatched)
+    }
+
     /// Area, volume and topology stay; every edge is short; no new vertex lies off the old surface.
     #[test]
     fn splits_until_short_and_changes_no_shape() {
         for surface in [shapes::sphere(1), shapes::torus(5), shapes::terrain(2, |x, y| x * y)] {
             let (before, area, volume) =
                 (check_manifold(&surface), shapes::total_area(&surface), shapes::volume(&surface));
-            let refined = refine(surface, 0.11, MAX_TRIANGLES, &Unwatched).unwrap();
+            let refined = refine_evenly(surface, 0.11, MAX_TRIANGLES).unwrap();
             let after = check_manifold(&refined);
             assert_eq!(after.map(|t| (t.euler, t.components)), before.map(|t| (t.euler, t.components)));
             assert!(shapes::sides(&refined).all(|s| s < 0.11));
@@ -183,15 +207,35 @@ mod tests {
 
     #[test]
     fn leaves_short_edges_alone() {
-        let refined = refine(shapes::sphere(2), 1.0, MAX_TRIANGLES, &Unwatched).unwrap();
+        let refined = refine_evenly(shapes::sphere(2), 1.0, MAX_TRIANGLES).unwrap();
         assert_eq!(refined.triangles, shapes::sphere(2).triangles);
     }
 
     #[test]
     fn refuses_what_would_not_fit_into_memory() {
         for (limit, most) in [(1e-9, MAX_TRIANGLES), (0.1, 1000)] {
-            let refused = refine(shapes::sphere(0), limit, most, &Unwatched);
+            let refused = refine_evenly(shapes::sphere(0), limit, most);
             assert!(matches!(refused, Err(RefineError::TooFine { .. })), "{refused:?}");
         }
+    }
+
+    /// Each edge is below the limits of its ends, and no triangle is much smaller than they ask for.
+    #[test]
+    fn follows_limits_that_differ() {
+        let limit = |x: f64| 0.02 + 0.3 * x;
+        let surface = shapes::terrain(1, |_, _| 0.0);
+        let limits: Vec<f64> = surface.vertices.iter().map(|v| limit(v.x)).collect();
+        let expected: f64 = (0..2).map(|t| expected_pieces(&surface, &limits, t)).sum();
+        let refined = refine(surface.clone(), limits, MAX_TRIANGLES, &Unwatched).unwrap();
+        for t in 0..refined.triangles.len() as u32 {
+            let [a, b, c] = refined.corners(t);
+            assert!([(a, b), (b, c), (c, a)].iter().all(|(a, b)| (a - b).norm() < limit((a.x + b.x) / 2.0) + 1e-12));
+            let [x, area] = [refined.centroid(t).x, refined.area(t)];
+            assert!(area > 0.005 * limit(x).powi(2), "{area} at {x}");
+        }
+        let evenly = refine_evenly(surface, limit(0.0), MAX_TRIANGLES).unwrap();
+        let count = refined.triangles.len();
+        assert!(count < evenly.triangles.len() / 5, "{count} of {}", evenly.triangles.len());
+        assert!(expected > count as f64 && expected < 8.0 * count as f64, "{expected} for {count}");
     }
 }

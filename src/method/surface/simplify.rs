@@ -26,10 +26,10 @@ const MIN_TURN_COSINE: f64 = 0.173_648_177_666_930_33;
 /// Collapses between two questions to the watcher, well under 50 ms.
 const CHECK_INTERVAL: usize = 4096;
 
-/// Collapses edges until 95 % of them are at least `target` long (scene units) or none can be collapsed. The surface must be an oriented
-/// manifold with borders, and is one afterwards.
-pub fn simplify(surface: Surface, target: f64, watcher: &dyn Watcher) -> Result<Surface, Cancelled> {
-    let mut mesh = Collapsing::new(surface, target);
+/// Collapses edges until 95 % of them are at least as long as the mean target of their ends or none can be collapsed. `targets`: by vertex, scene
+/// units. The surface must be an oriented manifold with borders, and is one afterwards.
+pub fn simplify(surface: Surface, targets: Vec<f64>, watcher: &dyn Watcher) -> Result<Surface, Cancelled> {
+    let mut mesh = Collapsing::new(surface, targets);
     // A collapse that was refused may be allowed once its neighbourhood has changed, hence rounds.
     while !mesh.is_done() && mesh.collapse_round(watcher)? > 0 {}
     Ok(mesh.finish())
@@ -67,14 +67,15 @@ struct Collapsing {
     stamps: Vec<u32>,
     /// Of four children each: half as many levels, each a line of the cache.
     queue: QuaternaryHeap<Reverse<Candidate>>,
-    target: f64,
+    /// By vertex.
+    targets: Vec<f64>,
     edges: usize,
     long_edges: usize,
     marks: Marks,
 }
 
 impl Collapsing {
-    fn new(mut surface: Surface, target: f64) -> Self {
+    fn new(mut surface: Surface, targets: Vec<f64>) -> Self {
         let opposite = opposites(&surface);
         let shift = surface.vertices.first().map_or(Vector3::zeros(), |v| v.coords);
         surface.vertices.iter_mut().for_each(|v| *v -= shift);
@@ -95,7 +96,7 @@ impl Collapsing {
             is_kept: vec![true; surface.triangles.len()],
             stamps: vec![0; vertices],
             queue: QuaternaryHeap::new(),
-            target,
+            targets,
             edges: 0,
             long_edges: 0,
             marks: Marks::new(vertices),
@@ -104,7 +105,8 @@ impl Collapsing {
             surface,
         };
         for c in mesh.edge_corners().collect::<Vec<_>>() {
-            mesh.count_edge(mesh.length(c), 1);
+            let (a, b) = mesh.ends(c);
+            mesh.count_edge(a, b, 1);
         }
         mesh
     }
@@ -127,15 +129,15 @@ impl Collapsing {
         self.surface.vertices[vertex as usize]
     }
 
-    /// Length of the edge that the corner faces.
-    fn length(&self, corner: u32) -> f64 {
-        let (a, b) = self.ends(corner);
-        (self.position(a) - self.position(b)).norm()
+    /// Length of the edge between two vertices over its target.
+    fn relative_length(&self, a: u32, b: u32) -> f64 {
+        let target = (self.targets[a as usize] + self.targets[b as usize]) / 2.0;
+        (self.position(a) - self.position(b)).norm() / target
     }
 
-    fn count_edge(&mut self, length: f64, change: isize) {
+    fn count_edge(&mut self, a: u32, b: u32, change: isize) {
         self.edges = self.edges.wrapping_add_signed(change);
-        if length >= self.target {
+        if self.relative_length(a, b) >= 1.0 {
             self.long_edges = self.long_edges.wrapping_add_signed(change);
         }
     }
@@ -161,7 +163,7 @@ impl Collapsing {
 
     /// The edge between two vertices, unless it is too long.
     fn candidate(&self, (a, b): (u32, u32)) -> Option<Candidate> {
-        if (self.position(a) - self.position(b)).norm() >= CANDIDATE_FACTOR * self.target {
+        if self.relative_length(a, b) >= CANDIDATE_FACTOR {
             return None;
         }
         let (from, to) = (a.min(b), a.max(b));
@@ -297,6 +299,7 @@ impl Collapsing {
         self.quadrics[from as usize].add(&absorbed);
         self.stamps[from as usize] = self.stamps_of(from, to).wrapping_add(1);
         self.surface.vertices[from as usize] = place;
+        self.targets[from as usize] = (self.targets[from as usize] + self.targets[to as usize]) / 2.0;
         let ring = self.ring(from);
         self.count_ring_edges(&ring, from, None, 1);
         self.for_ring_neighbours(&ring, |mesh, v| {
@@ -319,7 +322,7 @@ impl Collapsing {
     fn count_ring_edges(&mut self, ring: &[u32], at: u32, except: Option<u32>, change: isize) {
         self.for_ring_neighbours(ring, |mesh, v| {
             if Some(v) != except {
-                mesh.count_edge((mesh.position(at) - mesh.position(v)).norm(), change);
+                mesh.count_edge(at, v, change);
             }
         });
     }
@@ -384,6 +387,11 @@ mod tests {
         method::surface::{manifold::check_manifold, shapes},
     };
 
+    fn evenly(surface: Surface, target: f64) -> Surface {
+        let targets = vec![target; surface.vertices.len()];
+        simplify(surface, targets, &Unwatched).unwrap()
+    }
+
     fn long_share(surface: &Surface, target: f64) -> f64 {
         let (long, all) = shapes::sides(surface).fold((0, 0), |(l, n), s| (l + u32::from(s >= target), n + 1));
         f64::from(long) / f64::from(all)
@@ -393,7 +401,7 @@ mod tests {
     fn a_sphere_keeps_topology_and_volume() {
         let surface = shapes::sphere(5);
         let volume = shapes::volume(&surface);
-        let simple = simplify(surface, 0.2, &Unwatched).unwrap();
+        let simple = evenly(surface, 0.2);
         assert_eq!(check_manifold(&simple).map(|t| (t.euler, t.border_edges)), Ok((2, 0)));
         assert!(long_share(&simple, 0.2) >= 0.95);
         // Triangles of side s with their corners on the sphere would lose 3/8 s² of it.
@@ -404,13 +412,13 @@ mod tests {
 
     #[test]
     fn a_torus_stays_a_torus() {
-        let simple = simplify(shapes::torus(60), 0.15, &Unwatched).unwrap();
+        let simple = evenly(shapes::torus(60), 0.15);
         assert_eq!(check_manifold(&simple).map(|t| (t.euler, t.border_edges, t.components)), Ok((0, 0, 1)));
     }
 
     #[test]
     fn a_plane_stays_plane_and_keeps_its_outline() {
-        let simple = simplify(shapes::terrain(40, |_, _| 0.0), 0.12, &Unwatched).unwrap();
+        let simple = evenly(shapes::terrain(40, |_, _| 0.0), 0.12);
         assert_eq!(check_manifold(&simple).map(|t| (t.euler, t.components)), Ok((1, 1)));
         assert!(simple.vertices.iter().all(|v| v.z.abs() < 1e-12));
         assert!((shapes::total_area(&simple) - 1.0).abs() < 0.02, "{}", shapes::total_area(&simple));
@@ -426,14 +434,14 @@ mod tests {
         tetrahedron.triangles = vec![[0, 1, 2], [1, 0, 3], [2, 1, 3], [0, 2, 3]];
         let lone = shapes::terrain(1, |_, _| 0.0).keep(&[true, false]);
         for surface in [tetrahedron, lone] {
-            let simple = simplify(surface.clone(), 100.0, &Unwatched).unwrap();
+            let simple = evenly(surface.clone(), 100.0);
             assert_eq!(simple.triangles.len(), surface.triangles.len());
         }
     }
 
     #[test]
     fn a_roof_ridge_is_kept_while_its_sides_are_thinned() {
-        let simple = simplify(shapes::terrain(40, |x, _| (x - 0.5).abs()), 0.15, &Unwatched).unwrap();
+        let simple = evenly(shapes::terrain(40, |x, _| (x - 0.5).abs()), 0.15);
         let height_error = simple.vertices.iter().map(|v| (v.z - (v.x - 0.5).abs()).abs()).fold(0.0, f64::max);
         assert!(height_error < 0.01, "{height_error}");
     }
@@ -441,10 +449,10 @@ mod tests {
     #[test]
     fn large_offsets_change_nothing() {
         let offset = Vector3::new(400_000.0, 5_800_000.0, 100.0);
-        let here = simplify(shapes::torus(40), 0.2, &Unwatched).unwrap();
+        let here = evenly(shapes::torus(40), 0.2);
         let mut there = shapes::torus(40);
         there.vertices.iter_mut().for_each(|v| *v += offset);
-        let there = simplify(there, 0.2, &Unwatched).unwrap();
+        let there = evenly(there, 0.2);
         assert_eq!(check_manifold(&there).map(|t| t.euler), Ok(0));
         let (a, b) = (shapes::total_area(&here), shapes::total_area(&there));
         assert!((a - b).abs() < 0.02 * a, "{a} {b}");

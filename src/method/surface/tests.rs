@@ -100,7 +100,7 @@ fn settings(kind: SurfaceChoice) -> SurfaceSettings {
 }
 
 fn built(shape: &Shape, gsd: f64, kind: SurfaceChoice) -> (Surface, SurfaceStats) {
-    build(&shape.scene(), gsd, &settings(kind), None, refine::MAX_TRIANGLES, &Unwatched).unwrap()
+    build(&shape.scene(), &WantedGsd::uniform(gsd), &settings(kind), None, refine::MAX_TRIANGLES, &Unwatched).unwrap()
 }
 
 #[test]
@@ -203,9 +203,16 @@ fn few_points_and_lines_are_refused_with_a_cure() {
     let mut few = ball(3);
     few.points.extend(few.points.clone());
     let message = |shape: &Shape| {
-        build(&shape.scene(), 0.01, &settings(SurfaceChoice::Auto), None, refine::MAX_TRIANGLES, &Unwatched)
-            .unwrap_err()
-            .to_string()
+        build(
+            &shape.scene(),
+            &WantedGsd::uniform(0.01),
+            &settings(SurfaceChoice::Auto),
+            None,
+            refine::MAX_TRIANGLES,
+            &Unwatched,
+        )
+        .unwrap_err()
+        .to_string()
     };
     assert!(message(&few).starts_with("only 3 different sparse points"), "{}", message(&few));
     assert!(message(&ball(0)).starts_with("only 0 different"));
@@ -260,7 +267,7 @@ fn a_mesh_from_a_file_is_simplified_refined_or_left() {
     let from = |as_is| {
         build(
             &scene,
-            0.01,
+            &WantedGsd::uniform(0.01),
             &SurfaceSettings::default(),
             Some(&MeshFile { path: path.clone(), as_is }),
             refine::MAX_TRIANGLES,
@@ -293,7 +300,7 @@ proptest! {
             .map(|&(x, y, z)| (Point3::new(f64::from(x), f64::from(y), f64::from(z)) * scale, Vector3::z()))
             .collect();
         let kind = if carved { SurfaceChoice::Carved } else { SurfaceChoice::Auto };
-        if let Ok((surface, _)) = build(&shape.scene(), 0.02 * scale, &settings(kind), None, refine::MAX_TRIANGLES, &Unwatched) {
+        if let Ok((surface, _)) = build(&shape.scene(), &WantedGsd::uniform(0.02 * scale), &settings(kind), None, refine::MAX_TRIANGLES, &Unwatched) {
             check_manifold(&surface).map_err(|e| TestCaseError::fail(e.to_string()))?;
         }
     }

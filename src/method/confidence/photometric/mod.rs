@@ -74,12 +74,24 @@ pub struct Agreement {
     /// Partners of each key view, in the order of their values: CSR by view.
     pub offsets: Vec<usize>,
     pub partners: Vec<ViewIndex>,
+    /// By view: whether its picture was compared.
+    compared: Vec<bool>,
     /// By key view, by partner, by row of the key view: 0 where the pictures do not both show a patch, else 1 + 254 times the correlation.
     pub values: Arc<Column<u8>>,
     /// Pictures that cannot be used, in words.
     pub warnings: Vec<String>,
     /// The first bytes of [`AGREEMENT_CACHE`], which the values follow; `None` where that file holds this table, or a picture has no time of change.
     pub cache_head: Option<Vec<u8>>,
+}
+
+/// What is known of the pictures of a pair.
+pub enum PairAgreement<'a> {
+    /// A value for each row of the key view.
+    Compared(&'a [u8]),
+    /// The backend is not expected to match the pair, which was not compared: only clusters made elsewhere have such pairs.
+    NoCandidate,
+    /// One of the two has no usable picture.
+    NoPicture,
 }
 
 /// The table of a plan that compares no pictures.
@@ -120,7 +132,8 @@ impl Agreement {
     /// The table without its values; `without`: by view, whether there is no usable picture.
     fn laid_out<'p>(geometry: &Geometry, partners_of: impl Fn(ViewIndex) -> &'p [ViewIndex], without: &[bool]) -> Self {
         let has_picture = |view: &ViewIndex| !without[view.index()];
-        let mut table = Self { offsets: vec![0], ..Self::default() };
+        let compared = without.iter().map(|without| !without).collect();
+        let mut table = Self { offsets: vec![0], compared, ..Self::default() };
         let mut start = 0;
         for key in geometry.scene.view_indices() {
             let rows = geometry.visibility.triangles_seen_by(key).len();
@@ -148,11 +161,19 @@ impl Agreement {
         }
     }
 
-    /// The agreement of a pair on each triangle that the key view sees, in the order of its rows; `None` where it is not known.
-    pub fn of_pair(&self, key: ViewIndex, partner: ViewIndex) -> Option<&[u8]> {
-        let place = self.partners_of(key).iter().position(|&p| p == partner)?;
-        let (start, rows) = self.keys[key.index()];
-        Some(&self.values[start + place * rows..][..rows])
+    /// The agreement of a pair on each triangle that the key view sees, in the order of its rows.
+    pub fn of_pair(&self, key: ViewIndex, partner: ViewIndex) -> PairAgreement<'_> {
+        let is_compared = |view: ViewIndex| self.compared.get(view.index()).is_some_and(|&compared| compared);
+        if !is_compared(key) || !is_compared(partner) {
+            return PairAgreement::NoPicture;
+        }
+        match self.partners_of(key).iter().position(|&p| p == partner) {
+            Some(place) => {
+                let (start, rows) = self.keys[key.index()];
+                PairAgreement::Compared(&self.values[start + place * rows..][..rows])
+            }
+            None => PairAgreement::NoCandidate,
+        }
     }
 
     pub fn is_empty(&self) -> bool {
