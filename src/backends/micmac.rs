@@ -4,70 +4,65 @@
 use quick_xml::escape::escape;
 
 use super::{
-    Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, PATCH_MATCH, Patient,
-    PlanningNumbers, Selection, Trap,
+    Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, PATCH_MATCH, Patient, Selection,
+    Trap,
     clusters::{ClusterScript, recipe},
 };
 use crate::{base::shell::quoted, io::output::Contents, model::cluster::RankedCluster};
 
-pub struct MicMac;
+pub static BACKEND: Backend = Backend {
+    name: "micmac",
+    aliases: &["mm3d"],
+    capabilities: Capabilities {
+        partners: Honours::Yes,
+        key_subset: Honours::Yes,
+        order: Honours::Yes,
+        fusion: "MicMac's own tools (MergeCloud)",
+        notes: "Malt GeomImage, one call per key view; with the pair file (C3DC, PIMs) pairs are undirected and the order is lost",
+    },
+    planning: PATCH_MATCH,
+    options: &[],
+    use_of_views: None,
+    takes_distorted: true,
+    serves: |_| false,
+    tasks: |_, _| None,
+    traps,
+    export,
+};
 
-impl Backend for MicMac {
-    fn name(&self) -> &'static str {
-        "micmac"
-    }
+fn traps(patient: &Patient) -> Vec<Trap> {
+    patient.bad_names("micmac-name", check_name).into_iter().collect()
+}
 
-    fn capabilities(&self) -> Capabilities {
-        Capabilities {
-            partners: Honours::Yes,
-            key_subset: Honours::Yes,
-            order: Honours::Yes,
-            fusion: "MicMac's own tools (MergeCloud)",
-            notes: "Malt GeomImage, one call per key view; with the pair file (C3DC, PIMs) pairs are undirected and the order is lost",
-        }
+fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {
+    for view in selection.views() {
+        check_name(selection.scene.name(view))?;
     }
-
-    fn planning(&self) -> PlanningNumbers {
-        PATCH_MATCH
+    let images = selection.images(BACKEND.name)?;
+    let mut files = options.file_set(&BACKEND, selection);
+    for view in selection.views() {
+        let name = selection.scene.name(view);
+        files.add(name, Contents::Link(images.join(name)));
     }
-
-    fn takes_distorted(&self) -> bool {
-        true
+    files.add_text("pairs.xml", pair_file(selection));
+    for cluster in selection.clusters {
+        let name = selection.scene.name(cluster.key);
+        files.add_text(format!("ImSec/ImSec-{name}.xml"), secondary_images(selection, cluster));
     }
-
-    fn traps(&self, patient: &Patient) -> Vec<Trap> {
-        patient.bad_names("micmac-name", check_name).into_iter().collect()
-    }
-
-    fn export(&self, selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {
-        for view in selection.views() {
-            check_name(selection.scene.name(view))?;
-        }
-        let images = selection.images(self.name())?;
-        let mut files = options.file_set(self, selection);
-        for view in selection.views() {
-            let name = selection.scene.name(view);
-            files.add(name, Contents::Link(images.join(name)));
-        }
-        files.add_text("pairs.xml", pair_file(selection));
-        for cluster in selection.clusters {
-            let name = selection.scene.name(cluster.key);
-            files.add_text(format!("ImSec/ImSec-{name}.xml"), secondary_images(selection, cluster));
-        }
-        files.add_text("ImSec/FileImSel.xml", masters(selection));
-        let mut record = ExportRecord::new(self, selection, |v| selection.scene.name(v).into());
-        record.made_for = "MicMac (f8fe432; read, not run)".into();
-        record.way = "ImSec files, one Malt call per master; pair file beside".into();
-        record.commands = vec!["./run.sh \"${ORI:?the Ori- folder of the MicMac project}\"".into()];
-        record.warnings.extend([
-            "orientations are not written: run.sh takes the Ori- folder of the MicMac project that the model comes from".into(),
-        ]);
-        record.note_scale(selection, |_| 1.0);
-        record.fusion = "MicMac's MergeCloud, by hand".into();
-        files.add("run.sh", runner(selection));
-        files.add_text("export.json", record.to_json());
-        Ok(Export { files, record })
-    }
+    files.add_text("ImSec/FileImSel.xml", masters(selection));
+    let mut record = ExportRecord::new(&BACKEND, selection, |v| selection.scene.name(v).into());
+    record.made_for = "MicMac (f8fe432; read, not run)".into();
+    record.way = "ImSec files, one Malt call per master; pair file beside".into();
+    record.commands = vec!["./run.sh \"${ORI:?the Ori- folder of the MicMac project}\"".into()];
+    record.warnings.extend([
+        "orientations are not written: run.sh takes the Ori- folder of the MicMac project that the model comes from"
+            .into(),
+    ]);
+    record.note_scale(selection, |_| 1.0);
+    record.fusion = "MicMac's MergeCloud, by hand".into();
+    files.add("run.sh", runner(selection));
+    files.add_text("export.json", record.to_json());
+    Ok(Export { files, record })
 }
 
 /// Names are relative to the working folder and a blank separates two of them.
@@ -75,7 +70,7 @@ fn check_name(name: &str) -> Result<(), BackendError> {
     let why = if name.contains(char::is_whitespace) {
         "a blank separates the two names of a pair"
     } else if name.contains('/') {
-        "images lie in the working folder itself"
+        "images are in the working folder itself"
     } else {
         return Ok(());
     };

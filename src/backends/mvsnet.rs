@@ -2,30 +2,30 @@
 //! the readers differ in the depth line of a camera and in which views they expect.
 
 use super::{
-    Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, PATCH_MATCH, Patient,
-    PlanningNumbers, Selection, Trap, selection,
+    Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, PATCH_MATCH, Patient, Selection,
+    Trap, selection,
 };
 use crate::{
     io::output::Contents,
     model::{
         camera::Camera,
+        cluster::RankedCluster,
         scene::{ViewIndex, ViewPoints},
     },
 };
 
 /// A dialect of the family.
-pub struct MvsNet {
-    name: &'static str,
+struct Dialect {
+    backend: &'static Backend,
     made_for: &'static str,
     depths: DepthLine,
-    /// ACMM and its like look partners up by position and fuse with the maps of all partners: every image is a problem.
+    /// True for ACMM and its like: they look partners up by position and fuse with the maps of all partners, so every image is a problem.
     all_are_problems: bool,
-    notes: &'static str,
     /// With VIEWS (partners and key view), PARTNERS, WIDTH and HEIGHT (no image is smaller), AGREEING (partners that may have to agree).
     commands: &'static [&'static str],
 }
 
-/// Meaning of the last line of a camera file.
+/// Last line of a camera file.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum DepthLine {
     /// Least, interval, number, greatest.
@@ -41,12 +41,28 @@ const MOST_AGREEING: usize = 5;
 /// Most partners of ACMH, ACMM, ACMP and ACMMP: a 32 bit mask.
 const ACM_PARTNERS: usize = 32;
 
-pub const MVSNET: MvsNet = MvsNet {
+pub static MVSNET: Backend = Backend {
     name: "mvsnet",
+    aliases: &["casmvsnet"],
+    capabilities: Capabilities {
+        notes: "takes the first view_num - 1 partners: call it with view_num = partners + 1; fusion needs pair_fuse.txt",
+        ..CAPABILITIES
+    },
+    planning: PATCH_MATCH,
+    options: &[],
+    use_of_views: None,
+    takes_distorted: false,
+    serves: |_| false,
+    tasks: |_, _| None,
+    traps,
+    export: |selection, options| MVSNET_DIALECT.export(selection, options),
+};
+
+const MVSNET_DIALECT: Dialect = Dialect {
+    backend: &MVSNET,
     made_for: "MVSNet, CasMVSNet and readers of their four-number depth line",
     depths: DepthLine::Interval,
     all_are_problems: false,
-    notes: "takes the first view_num - 1 partners: call it with view_num = partners + 1; fusion needs pair_fuse.txt",
     commands: &[
         "(here=$PWD && cd \"${MVSNET:?folder of its test.py}\" && python test.py --dense_folder \"$here\" --view_num VIEWS \
                  --max_w WIDTH --max_h HEIGHT --interval_scale 1 --pretrained_model_ckpt_path \"${CHECKPOINT:?path of model.ckpt}\" \
@@ -54,12 +70,22 @@ pub const MVSNET: MvsNet = MvsNet {
     ],
 };
 
-pub const PATCHMATCHNET: MvsNet = MvsNet {
+pub static PATCHMATCHNET: Backend = Backend {
     name: "patchmatchnet",
+    aliases: &["patchmatch"],
+    capabilities: Capabilities {
+        notes: "its own filter opens the maps of all partners: swap in pair_fuse.txt for it",
+        ..CAPABILITIES
+    },
+    export: |selection, options| PATCHMATCHNET_DIALECT.export(selection, options),
+    ..MVSNET
+};
+
+const PATCHMATCHNET_DIALECT: Dialect = Dialect {
+    backend: &PATCHMATCHNET,
     made_for: "PatchmatchNet and readers of its two-number depth line",
     depths: DepthLine::Range,
     all_are_problems: false,
-    notes: "its own filter opens the maps of all partners: swap in pair_fuse.txt for it",
     commands: &[
         "(here=$PWD && cd \"${PATCHMATCHNET:?its folder}\" && python eval.py --input_folder \"$here\" --output_folder \"$here/depths\" \
          --checkpoint_path \"${CHECKPOINT:-checkpoints/params_000007.ckpt}\" --num_views PARTNERS --output_type depth)",
@@ -69,50 +95,49 @@ pub const PATCHMATCHNET: MvsNet = MvsNet {
     ],
 };
 
-pub const ACMM: MvsNet = MvsNet {
+pub static ACMM: Backend = Backend {
     name: "acmm",
+    aliases: &["acmh", "acmp", "acmmp"],
+    capabilities: Capabilities {
+        key_subset: Honours::No,
+        order: Honours::Partly,
+        fusion: "built in, over all views",
+        notes: "makes maps of the partners too, with partners of their own, in several passes over all; fuse the key views' maps \
+                elsewhere",
+        ..CAPABILITIES
+    },
+    export: |selection, options| ACMM_DIALECT.export(selection, options),
+    ..MVSNET
+};
+
+const ACMM_DIALECT: Dialect = Dialect {
+    backend: &ACMM,
     made_for: "ACMH, ACMM, ACMP, ACMMP",
     depths: DepthLine::Interval,
     all_are_problems: true,
-    notes: "makes maps of the partners too, with partners of their own, in several passes over all; fuse the key views' maps \
-            elsewhere",
     commands: &["\"${ACMM:-ACMM}\" ."],
 };
 
-impl Backend for MvsNet {
-    fn name(&self) -> &'static str {
-        self.name
-    }
+const CAPABILITIES: Capabilities = Capabilities {
+    partners: Honours::Yes,
+    key_subset: Honours::Yes,
+    order: Honours::Yes,
+    fusion: "the reader's own filter, with pair_fuse.txt",
+    notes: "",
+};
 
-    fn capabilities(&self) -> Capabilities {
-        Capabilities {
-            partners: Honours::Yes,
-            key_subset: if self.all_are_problems { Honours::No } else { Honours::Yes },
-            order: if self.all_are_problems { Honours::Partly } else { Honours::Yes },
-            fusion: if self.all_are_problems {
-                "built in, over all views"
-            } else {
-                "the reader's own filter, with pair_fuse.txt"
-            },
-            notes: self.notes,
-        }
-    }
+fn traps(patient: &Patient) -> Vec<Trap> {
+    patient.without_points("mvsnet-depth-range", "its depth line cannot be written").into_iter().collect()
+}
 
-    fn planning(&self) -> PlanningNumbers {
-        PATCH_MATCH
-    }
-
-    fn traps(&self, patient: &Patient) -> Vec<Trap> {
-        patient.without_points("mvsnet-depth-range", "its depth line cannot be written").into_iter().collect()
-    }
-
+impl Dialect {
     fn export(&self, selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {
         let near = selection.near_origin();
         let selection = &near.selection();
-        let images = selection.undistorted_images(self.name)?;
+        let images = selection.undistorted_images(self.backend.name)?;
         let views = selection.keys_first();
         let lists = Lists::new(self, selection, &views);
-        let mut files = options.file_set(self, selection);
+        let mut files = options.file_set(self.backend, selection);
         let keys = selection.clusters.len();
         files.add_text("pair.txt", lists.text(lists.rows.len(), |_| true));
         files.add_text("pair_fuse.txt", lists.text(keys, |partner| (partner as usize) < keys));
@@ -128,9 +153,7 @@ impl Backend for MvsNet {
         files.add_text("export.json", record.to_json());
         Ok(Export { files, record })
     }
-}
 
-impl MvsNet {
     /// Line 0 `extrinsic`, 1-4 world to camera, 6 `intrinsic`, 7-9 K, 11 depths; lines 5 and 10 are empty.
     fn camera(&self, selection: &Selection, points: &ViewPoints, view: ViewIndex) -> Result<String, BackendError> {
         let scene = selection.scene;
@@ -142,8 +165,8 @@ impl MvsNet {
         let (f, c) = scene.camera_of(view).pinhole_part();
         let depths =
             self.depth_line(selection::depth_range(scene, points, view).ok_or_else(|| BackendError::Needs {
-                backend: self.name,
-                what: format!("a depth range, and no sparse point lies in front of {}", scene.name(view)),
+                backend: self.backend.name,
+                what: format!("a depth range, and {} observes no sparse point in front of it", scene.name(view)),
                 hint: "leave the view out of the model".into(),
             })?);
         Ok(format!(
@@ -173,10 +196,10 @@ impl MvsNet {
     fn record(&self, selection: &Selection, lists: &Lists) -> ExportRecord {
         let mut numbers = vec![0; selection.scene.views.len()];
         lists.views.iter().zip(&lists.numbers).for_each(|(v, number)| numbers[v.index()] = *number);
-        let mut record = ExportRecord::new(self, selection, |v| numbers[v.index()].to_string());
+        let mut record = ExportRecord::new(self.backend, selection, |v| numbers[v.index()].to_string());
         let most = selection.most_partners();
         record.made_for = self.made_for.into();
-        record.way = format!("dialect {}", self.name);
+        record.way = format!("dialect {}", self.backend.name);
         let least = |side: fn(&Camera) -> u32| {
             let sides = lists.views.iter().map(|&v| side(selection.scene.camera_of(v)));
             (f64::from(sides.min().unwrap_or(0)) * selection.image_scale.min(1.0)) as u32
@@ -209,18 +232,18 @@ impl MvsNet {
     }
 }
 
-/// Key views with their partners as positions in `views`, and how many points they share.
+/// Key views with their partners (positions in `views`) and the number of points they share.
 struct Lists<'a> {
     views: &'a [ViewIndex],
-    /// By which the files know the views: ids of images, the same in each plan, so that no map that is left is taken for that of another
-    /// image; positions for the programs that demand these.
+    /// Number of each view in the files: its image id, the same in each plan, so that no old map is taken for that of another image;
+    /// its position for programs that demand it.
     numbers: Vec<u32>,
     points: ViewPoints,
     rows: Vec<Vec<(u32, u32)>>,
 }
 
 impl<'a> Lists<'a> {
-    fn new(dialect: &MvsNet, selection: &Selection, views: &'a [ViewIndex]) -> Self {
+    fn new(dialect: &Dialect, selection: &Selection, views: &'a [ViewIndex]) -> Self {
         let scene = selection.scene;
         let points = scene.view_points();
         let mut index = vec![u32::MAX; scene.views.len()];
@@ -229,7 +252,7 @@ impl<'a> Lists<'a> {
         let scored = |shared: &[u32], partners: &mut dyn Iterator<Item = ViewIndex>| {
             partners.map(|p| (index[p.index()], shared[p.index()].max(1))).collect::<Vec<_>>()
         };
-        let key_row = |c: &super::RankedCluster| {
+        let key_row = |c: &RankedCluster| {
             let shared = selection::shared_points(scene, &points, c.key);
             scored(&shared, &mut c.partners.iter().copied())
         };
@@ -254,7 +277,7 @@ impl<'a> Lists<'a> {
         self.rows[..keys].iter().map(fused).filter(|n| *n > 0).min().unwrap_or(0)
     }
 
-    /// `pair.txt` of the first views, with those partners that are kept.
+    /// `pair.txt` of the first `views` views, with the partners that `keep` accepts.
     fn text(&self, views: usize, keep: impl Fn(u32) -> bool) -> String {
         let mut text = format!("{views}\n");
         for (key, row) in self.numbers.iter().zip(&self.rows[..views]) {

@@ -98,7 +98,7 @@ fn micmac_pairs_undirected() {
     let pairs: Vec<String> =
         fixture.named().iter().flat_map(|(k, p)| p.iter().map(move |p| format!("{k} {p}"))).collect();
     assert_eq!(texts(files.text("pairs.xml"), "Cple"), pairs);
-    assert!(viewrank::internals::backends::by_name("micmac").unwrap().capabilities().notes.contains("undirected"));
+    assert!(viewrank::internals::backends::by_name("micmac").unwrap().capabilities.notes.contains("undirected"));
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! Scenes of OpenMVS made of views of ours.
+//! Builds OpenMVS scenes from our views.
 
 use nalgebra::Point3;
 
@@ -14,7 +14,7 @@ use crate::{
 /// A partner needs three shared points to be a neighbour at all, the key view more than three points in total.
 const LEAST_SHARED: usize = 4;
 
-/// What all scenes of an export have in common.
+/// Inputs that all scenes of an export share.
 pub struct Builder<'a> {
     scene: &'a Scene,
     points: ViewPoints,
