@@ -58,45 +58,57 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     let mut record = ExportRecord::new(&BACKEND, selection, |v| scene.view(v).image_id.to_string());
     record.not_honoured = vec!["the order of the partners of a key view".into()];
     record.moved(near.origin);
-    let mut script = ClusterScript::new("mkdir -p depthMaps filtered || exit 1\n");
+    let mut script = ClusterScript::new(RUNNER_HEAD);
     for (i, cluster) in selection.clusters.iter().enumerate() {
         let path = format!("clusters/{:04}.sfm", i + 1);
         files.add_text(&*path, cluster_file(scene, &points, cluster));
-        let (id, call) = (scene.view(cluster.key).image_id.to_string(), estimation(selection, cluster, &path));
+        let (id, options) = (scene.view(cluster.key).image_id.to_string(), estimation(selection, cluster, &path));
         let recipe = recipe(selection, cluster, &downscale(selection).to_string());
-        script.cluster(&id, &recipe, &format!("depthMaps/{id}_depthMap.exr"), std::slice::from_ref(&call));
-        record.commands.push(call);
-        let shared = selection::shared_points(scene, &points, cluster.key);
-        let without = cluster.partners.iter().filter(|p| shared[p.index()] == 0);
-        record.not_honoured.extend(without.map(|&p| {
-            let (key, partner) = (scene.name(cluster.key), scene.name(p));
-            format!(
-                "{key}: its partner {partner} shares no sparse point with it, without which AliceVision does not use it"
-            )
-        }));
+        script.line(&format!("back {id} {recipe}"));
+        script.cluster(&id, &recipe, &format!("depthMaps/{id}_depthMap.exr"), &[format!("map {id} {options}")]);
+        record.commands.push(format!("aliceVision_depthMapEstimation {options} -o depthMaps"));
+        record.not_honoured.extend(dropped_partners(scene, &points, cluster));
     }
     let keys: Vec<_> = selection.clusters.iter().map(|c| c.key).collect();
     files.add_text("keys.sfm", scene_file(scene, &keys, &all_landmarks(scene, &selection.is_key())));
-    record.commands.push(
-        "aliceVision_depthMapFiltering -i keys.sfm --depthMapsFolder depthMaps -o filtered --minNumOfConsistentCams 1 \
-     --minNumOfConsistentCamsWithLowSimilarity 2"
+    files.add("finished.py", Contents::Script(include_bytes!("../../integrations/alicevision/finished.py").to_vec()));
+    record.commands.extend([
+        "python3 finished.py".into(),
+        "rm -rf filtered && mkdir filtered".into(),
+        format!("aliceVision_depthMapFiltering -i finished.sfm --depthMapsFolder depthMaps -o filtered {FILTERING}"),
+        // `-o` is short for two options here.
+        "aliceVision_meshing -i finished.sfm --depthMapsFolder filtered --output dense.abc --outputMesh mesh.obj"
             .into(),
-    );
-    record
-        .commands
-        .push("aliceVision_meshing -i keys.sfm --depthMapsFolder filtered -o dense.abc --outputMesh mesh.obj".into());
+    ]);
     record.runner = Some("run.sh".into());
     record.pixel_shift = PIXEL_SHIFT;
     record.made_for = "AliceVision (ca8300f; read, not run)".into();
     record.way = "one scene file and one call per cluster".into();
     record.note_scale(selection, |_| 1.0 / downscale(selection));
     record.fusion = "minNumOfConsistentCams 1: only key views have maps, 3 of them rarely agree".into();
-    files.add("run.sh", script.finish(&record.commands[selection.clusters.len()..]));
+    files.add("run.sh", script.finish(&[format!("join {FILTERING}")]));
     files.add_text("export.json", record.to_json());
     Ok(Export { files, record })
 }
 
-/// The call for the key view, by its position among the views of the file, which count by ascending id. No angle is too small or too large and
+const RUNNER_HEAD: &str = include_str!("../../integrations/alicevision/run_head.sh");
+/// Only key views have maps, and three of them rarely agree.
+const FILTERING: &str = "--minNumOfConsistentCams 1 --minNumOfConsistentCamsWithLowSimilarity 2";
+
+/// Names the partners that share no sparse point with the key view.
+fn dropped_partners(scene: &Scene, points: &ViewPoints, cluster: &RankedCluster) -> Vec<String> {
+    let shared = selection::shared_points(scene, points, cluster.key);
+    let key = scene.name(cluster.key);
+    let dropped = cluster.partners.iter().filter(|p| shared[p.index()] == 0).map(|&p| {
+        let partner = scene.name(p);
+        format!(
+            "{key}: its partner {partner} shares no sparse point with it, without which AliceVision does not use it"
+        )
+    });
+    dropped.collect()
+}
+
+/// Options for the key view, by its position among the views of the file, which count by ascending id. No angle is too small or too large and
 /// no tile chooses for itself, so that every partner counts.
 fn estimation(selection: &Selection, cluster: &RankedCluster, path: &str) -> String {
     let id = |v: &ViewIndex| selection.scene.view(*v).image_id;
@@ -104,7 +116,7 @@ fn estimation(selection: &Selection, cluster: &RankedCluster, path: &str) -> Str
     let k = cluster.partners.len();
     let downscale = downscale(selection);
     format!(
-        "aliceVision_depthMapEstimation -i {path} --imagesFolder images -o depthMaps --rangeStart {position} --rangeSize 1 \
+        "-i {path} --imagesFolder images --rangeStart {position} --rangeSize 1 \
          --minViewAngle 0 --maxViewAngle 180 --maxTCams {k} --chooseTCamsPerTile 0 --sgmMaxTCamsPerTile {k} --refineMaxTCamsPerTile {k} \
          --downscale {downscale}"
     )

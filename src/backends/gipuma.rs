@@ -71,13 +71,16 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
         record.commands.push(format!("gipuma {call} -output_folder results/"));
     }
     record.note_scale(selection, |_| 1.0);
-    record.fusion = "fusibile, over the folders under results/".into();
+    record.fusion = format!("{FUSIBILE}: its default of 2 other views leaves little of the maps of key views alone");
     files.add("run.sh", script.finish(&[]));
     let table = views.iter().map(|v| format!("{}\t{}\n", names[v.index()], selection.scene.name(*v)));
     files.add_text("view_names.txt", table.collect::<String>());
     files.add_text("export.json", record.to_json());
     Ok(Export { files, record })
 }
+
+/// Joins the maps where two agree, as the plan assumes (support 2): `num_consistent` counts the other one.
+const FUSIBILE: &str = "fusibile -input_folder results/ -p_folder p/ -images_folder images/ --num_consistent=1";
 
 const RUNNER_HEAD: &str = include_str!("../../integrations/gipuma/run_head.sh");
 

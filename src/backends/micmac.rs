@@ -65,12 +65,15 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     Ok(Export { files, record })
 }
 
-/// Names are relative to the working folder and a blank separates two of them.
+/// Names are relative to the working folder, a blank separates two of them, and Malt takes them as regular expressions and hands them to a
+/// shell without quotes.
 fn check_name(name: &str) -> Result<(), BackendError> {
     let why = if name.contains(char::is_whitespace) {
         "a blank separates the two names of a pair"
     } else if name.contains('/') {
         "images are in the working folder itself"
+    } else if name.contains(|c: char| c.is_ascii() && !c.is_ascii_alphanumeric() && !"._-".contains(c)) {
+        "Malt takes names as regular expressions and hands them to a shell: letters, digits, '.', '_' and '-' only"
     } else {
         return Ok(());
     };
@@ -104,26 +107,17 @@ fn masters(selection: &Selection) -> String {
     format!("<?xml version=\"1.0\" ?>\n<ListOfName>\n{}</ListOfName>\n", names.collect::<String>())
 }
 
-/// The script: see its head. Patterns are regular expressions.
+/// The script: see its head. Malt takes the pattern of images for the name of the master, so the pattern is the name itself.
 fn runner(selection: &Selection) -> Contents {
     let mut script = ClusterScript::new(RUNNER_HEAD);
     for cluster in selection.clusters {
         let name = selection.scene.name(cluster.key);
-        let pattern: String = name.chars().flat_map(escaped).collect();
-        let call = format!("\"${{MM3D:-mm3d}}\" Malt GeomImage {} viewrank Master=AUTO", quoted(&pattern));
-        // Malt's folder is named by itself; that it ended with success has to do.
+        let call = format!("\"${{MM3D:-mm3d}}\" Malt GeomImage {} viewrank Master=AUTO", quoted(name));
         let recipe = recipe(selection, cluster, "") + "-$orientations";
-        script.cluster(name, &recipe, ".", &[call]);
+        let stem = name.rsplit_once('.').map_or(name, |(stem, _)| stem);
+        script.cluster(name, &recipe, &format!("MM-Malt-Img-{stem}"), &[call]);
     }
     script.finish(&[])
 }
 
 const RUNNER_HEAD: &str = include_str!("../../integrations/micmac/run_head.sh");
-
-/// The character in a regular expression.
-fn escaped(c: char) -> Vec<char> {
-    match c {
-        '.' | '+' | '*' | '?' | '(' | ')' | '[' | ']' | '{' | '}' | '^' | '$' | '|' | '\\' => vec!['\\', c],
-        _ => vec![c],
-    }
-}

@@ -17,8 +17,8 @@ use crate::{
     },
 };
 
-/// Views that must agree on a patch, dmrecon's default. With fewer partners the map would come out empty, with success.
-const LOCAL_NEIGHBOURS: usize = 4;
+/// Partners that must agree on each patch. dmrecon's default of 4 is meant for 20 neighbours: of 5 partners, 4 rarely see the same place.
+const LOCAL_NEIGHBOURS: usize = 2;
 
 pub static BACKEND: Backend = Backend {
     name: "mve",

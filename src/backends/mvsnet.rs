@@ -21,8 +21,10 @@ struct Dialect {
     depths: DepthLine,
     /// True for ACMM and its like: they look partners up by position and fuse with the maps of all partners, so every image is a problem.
     all_are_problems: bool,
-    /// With VIEWS (partners and key view), PARTNERS, WIDTH and HEIGHT (no image is smaller), AGREEING (partners that may have to agree).
+    /// With VIEWS (partners and key view), PARTNERS, WIDTH and HEIGHT (no image is smaller), AGREEING (partners that must agree).
     commands: &'static [&'static str],
+    /// Names and contents of scripts that the commands call.
+    scripts: &'static [(&'static str, &'static str)],
 }
 
 /// Last line of a camera file.
@@ -36,8 +38,8 @@ enum DepthLine {
 
 /// Planes between the least and the greatest depth.
 const PLANES: u32 = 192;
-/// The filters' own number of partners that must agree.
-const MOST_AGREEING: usize = 5;
+/// Partners that must agree on a depth: with the key view, the number of maps that the plan asks for.
+const AGREEING: u32 = PATCH_MATCH.support - 1;
 /// Most partners of ACMH, ACMM, ACMP and ACMMP: a 32 bit mask.
 const ACM_PARTNERS: usize = 32;
 
@@ -68,6 +70,7 @@ const MVSNET_DIALECT: Dialect = Dialect {
                  --max_w WIDTH --max_h HEIGHT --interval_scale 1 --pretrained_model_ckpt_path \"${CHECKPOINT:?path of model.ckpt}\" \
                  --ckpt_step \"${STEP:?its step}\")",
     ],
+    scripts: &[],
 };
 
 pub static PATCHMATCHNET: Backend = Backend {
@@ -89,10 +92,11 @@ const PATCHMATCHNET_DIALECT: Dialect = Dialect {
     commands: &[
         "(here=$PWD && cd \"${PATCHMATCHNET:?its folder}\" && python eval.py --input_folder \"$here\" --output_folder \"$here/depths\" \
          --checkpoint_path \"${CHECKPOINT:-checkpoints/params_000007.ckpt}\" --num_views PARTNERS --output_type depth)",
-        "mkdir -p fuse && cp pair_fuse.txt fuse/pair.txt && ln -sfn ../cams ../images fuse/",
+        "python3 finished.py",
         "(here=$PWD && cd \"$PATCHMATCHNET\" && python eval.py --input_folder \"$here/fuse\" --output_folder \"$here/depths\" \
          --checkpoint_path \"${CHECKPOINT:-checkpoints/params_000007.ckpt}\" --output_type fusion --geo_mask_thres AGREEING)",
     ],
+    scripts: &[("finished.py", include_str!("../../integrations/mvsnet/finished.py"))],
 };
 
 pub static ACMM: Backend = Backend {
@@ -116,6 +120,7 @@ const ACMM_DIALECT: Dialect = Dialect {
     depths: DepthLine::Interval,
     all_are_problems: true,
     commands: &["\"${ACMM:-ACMM}\" ."],
+    scripts: &[],
 };
 
 const CAPABILITIES: Capabilities = Capabilities {
@@ -148,6 +153,9 @@ impl Dialect {
             names += &format!("{i}\t{}\n", selection.scene.name(view));
         }
         files.add_text("view_names.txt", names);
+        for (name, script) in self.scripts {
+            files.add(*name, Contents::Script(script.as_bytes().to_vec()));
+        }
         let mut record = self.record(selection, &lists);
         record.moved(near.origin);
         files.add_text("export.json", record.to_json());
@@ -209,7 +217,7 @@ impl Dialect {
             ("PARTNERS", most as u32),
             ("WIDTH", least(|camera| camera.width)),
             ("HEIGHT", least(|camera| camera.height)),
-            ("AGREEING", lists.least_fused(selection.clusters.len()).clamp(1, MOST_AGREEING) as u32),
+            ("AGREEING", AGREEING),
         ];
         let filled = |command: &&str| {
             words.iter().fold(String::from(*command), |text, (word, number)| text.replace(word, &number.to_string()))
@@ -217,9 +225,11 @@ impl Dialect {
         record.commands = self.commands.iter().map(filled).collect();
         record.note_own_scale(selection);
         record.other_maps = lists.rows.len() - selection.clusters.len();
-        record.fusion = "thresholds on agreeing partners (PatchmatchNet: geo_mask_thres, CasMVSNet: thres_view, 5 by default) must not \
-                         exceed the lengths of the lists in pair_fuse.txt"
-            .into();
+        record.fusion = format!(
+            "{AGREEING} agreeing partner (PatchmatchNet: geo_mask_thres, CasMVSNet: thres_view, 5 by default): the plan asks for {} maps of a \
+             place, and the lists in pair_fuse.txt are short",
+            AGREEING + 1
+        );
         if self.all_are_problems {
             record.not_honoured.push("depth maps of key views only: every view of a cluster gets one".into());
             record.warnings.push("ACMH takes the second GPU and fails where there is one only".into());
@@ -269,12 +279,6 @@ impl<'a> Lists<'a> {
         }
         let number = |(i, v): (u32, &ViewIndex)| if dialect.all_are_problems { i } else { scene.view(*v).image_id };
         Self { views, numbers: (0..).zip(views).map(number).collect(), points, rows }
-    }
-
-    /// The least number of those partners of a key view that are key views too, where it has any.
-    fn least_fused(&self, keys: usize) -> usize {
-        let fused = |row: &Vec<(u32, u32)>| row.iter().filter(|(partner, _)| (*partner as usize) < keys).count();
-        self.rows[..keys].iter().map(fused).filter(|n| *n > 0).min().unwrap_or(0)
     }
 
     /// `pair.txt` of the first `views` views, with the partners that `keep` accepts.

@@ -1,5 +1,5 @@
-//! OpenDroneMap: `docs/backends.md` 11. Read, not run. ODM keeps an `openmvs/scene.mvs` that is there; ours holds, for each key view, only the
-//! points that it shares with its partners, and leaves the other images out by a neighbour of score 0.
+//! OpenDroneMap: `docs/backends.md` 11. Read, not run. ODM keeps an existing `openmvs/scene.mvs`; in ours each key view shares points with its
+//! partners only, and every other image is too poorly connected to be computed.
 
 use super::{
     Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, Patient, Selection, Trap,
@@ -22,8 +22,8 @@ pub static BACKEND: Backend = Backend {
         key_subset: Honours::Yes,
         order: Honours::No,
         fusion: "OpenMVS, as ODM calls it",
-        notes: "two key views that are partners of each other share them; more than 5 partners (8 with CUDA) are cut; ODM's own OpenMVS must \
-                read interface version 7",
+        notes: "two key views that are partners of each other share them; more than 5 partners (8 with CUDA) are cut; a partner of several key \
+                views is loaded for each of them",
     },
     planning: openmvs::PLANNING,
     options: &[],
@@ -80,18 +80,17 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     record.not_honoured = vec!["the rank order".into(), "partners beyond the fifth (CUDA: eighth)".into()];
     record.note_own_scale(selection);
     record.warnings.extend([
-    "ODM must be run the second time without any --rerun, which would delete the scene".into(),
-    "opensfm/undistorted/openmvs must hold nothing older: with a scene_dense_dense_filtered.ply the stage is skipped, and old depth maps \
-     are kept"
-        .into(),
-    "whether ODM's OpenMVS reads interface version 7 was not tested".into(),
-]);
+        "ODM must be run the second time without any --rerun, which would delete the scene".into(),
+        "opensfm/undistorted/openmvs must hold nothing older: with a scene_dense_dense_filtered.ply the stage is skipped, and old depth \
+         maps are kept"
+            .into(),
+    ]);
     if selection.project.model.format != ModelFormat::OpenSfm {
         record.warnings.push(
-        "ODM takes the points as they are: the model must be in the coordinates of ODM's own reconstruction, as that in \
-         ODM_PROJECT/opensfm/undistorted is"
-            .into(),
-    );
+            "ODM takes the points as they are: the model must be in the coordinates of ODM's own reconstruction, as that in \
+             ODM_PROJECT/opensfm/undistorted is"
+                .into(),
+        );
     }
     let ruined = |rounding| format!("{rounding}: the cloud would be ruined, and ODM's own coordinates are smaller");
     record.warnings.extend(selection::rounding(selection.scene).map(ruined));
