@@ -1,8 +1,6 @@
 //! MicMac: `docs/backends.md` 7. Read, not run. `pairs.xml` is a pair file for C3DC, PIMs and MMByP; `ImSec/` names the secondary images of each
 //! master for Malt GeomImage, one call per key view. Orientations stay those of the user's own `Ori-` folder.
 
-use quick_xml::escape::escape;
-
 use super::{
     Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, PATCH_MATCH, Patient, Selection,
     Trap,
@@ -66,7 +64,7 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
 }
 
 /// Names are relative to the working folder, a blank separates two of them, and Malt takes them as regular expressions and hands them to a
-/// shell without quotes.
+/// shell without quotes. What is left needs no escape in XML.
 fn check_name(name: &str) -> Result<(), BackendError> {
     let why = if name.contains(char::is_whitespace) {
         "a blank separates the two names of a pair"
@@ -84,7 +82,7 @@ fn pair_file(selection: &Selection) -> String {
     let mut xml = String::from("<?xml version=\"1.0\" ?>\n<SauvegardeNamedRel>\n");
     for cluster in selection.clusters {
         for &partner in &cluster.partners {
-            let (key, partner) = (escape(selection.scene.name(cluster.key)), escape(selection.scene.name(partner)));
+            let (key, partner) = (selection.scene.name(cluster.key), selection.scene.name(partner));
             xml += &format!("  <Cple>{key} {partner}</Cple>\n");
         }
     }
@@ -93,7 +91,7 @@ fn pair_file(selection: &Selection) -> String {
 
 /// A single solution with a positive score: it is the one that is taken.
 fn secondary_images(selection: &Selection, cluster: &RankedCluster) -> String {
-    let name = |v| escape(selection.scene.name(v));
+    let name = |v| selection.scene.name(v);
     let images: String = cluster.partners.iter().map(|&p| format!("    <Images>{}</Images>\n", name(p))).collect();
     format!(
         "<?xml version=\"1.0\" ?>\n<ImSecOfMaster>\n  <Master>{}</Master>\n  <Sols>\n{images}    <Coverage>1</Coverage>\n    <Score>1</Score>\n  \
@@ -103,7 +101,7 @@ fn secondary_images(selection: &Selection, cluster: &RankedCluster) -> String {
 }
 
 fn masters(selection: &Selection) -> String {
-    let names = selection.clusters.iter().map(|c| format!("  <Name>{}</Name>\n", escape(selection.scene.name(c.key))));
+    let names = selection.clusters.iter().map(|c| format!("  <Name>{}</Name>\n", selection.scene.name(c.key)));
     format!("<?xml version=\"1.0\" ?>\n<ListOfName>\n{}</ListOfName>\n", names.collect::<String>())
 }
 
