@@ -72,16 +72,23 @@ class Pairs:
         return result
 
     def match(self, a, b, shared):
+        """The pair, or why it is refused.
+
+        Raises InputError where the key view's image cannot be read: no pair of that key view says anything then."""
         if len(shared) < rectify.MIN_SHARED:
             return PairMap(f"only {len(shared)} shared sparse points, fewer than {rectify.MIN_SHARED}")
         angle, octaves = rectify.geometry(a, b, shared)
         try:
             around = self.workspace.xyz[np.union1d(a.points, b.points)]
             pair = rectify.rectify(a, b, shared, around)
-            images = self.image(a.name), self.image(b.name)
-        except (Refused, InputError) as reason:
+        except Refused as reason:
             return PairMap(str(reason), angle=angle, octaves=octaves)
-        code, low, step = encode(matching.match(pair, *images))
+        image = self.image(a.name)
+        try:
+            other = self.image(b.name)
+        except InputError as reason:
+            return PairMap(str(reason), angle=angle, octaves=octaves)
+        code, low, step = encode(matching.match(pair, image, other))
         return PairMap("", code, low, step, pair.parallax, angle, octaves)
 
     def image(self, name):

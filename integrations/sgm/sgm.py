@@ -89,9 +89,14 @@ def wanted(args, workspace):
 
 
 def compute(pairs, key, partners, out):
-    """Matches and merges one view cluster, writes its maps if `out` is given, and returns its row of the report."""
+    """Matches and merges one view cluster, writes its maps if `out` is given, and returns its row of the report.
+
+    Without the key view's image nothing is written, and the row is {"key", "failed": reason}."""
     start = time.perf_counter()
-    found = [pairs.get(key, partner) for partner in partners]
+    try:
+        found = [pairs.get(key, partner) for partner in partners]
+    except InputError as error:
+        return {"key": key, "failed": str(error)}
     usable = [pair for pair in found if pair.matched]
     width, height = pairs.workspace.views[key].size
     row = {"key": key, "width": width, "height": height, "made_of": made_of(pairs.workspace, key, partners), "partners": [partner_row(*p) for p in zip(partners, found, strict=True)]}
@@ -125,7 +130,7 @@ class Report:
     def __init__(self, out, settings, kept, single=False):
         """`kept`: key views whose maps the plan stands around."""
         self.path, self.out, self.settings, self.rows, self.stopped, self.single = out / "report.json", out, settings, {}, "", single
-        self.kept = kept
+        self.kept, self.before = kept, {}
         for path in (self.path, *sorted((out / "rows").rglob("*.json"))):
             try:
                 old = json.loads(path.read_text(encoding="utf-8"))
@@ -143,14 +148,22 @@ class Report:
         return there and same and (key in self.kept or row.get("made_of") == made)
 
     def begin(self, keys):
-        """Forgets the rows of key views whose maps are about to be replaced."""
+        """Takes out the rows of key views whose maps are about to be replaced."""
         for key in keys:
-            self.rows.pop(key, None)
+            if key in self.rows:
+                self.before[key] = self.rows.pop(key)
             if self.single:  # report.json is not ours alone; this row counts more than one there
                 self.write_row({"key": key, "partners": []})
             else:
                 (self.out / "rows" / (key + ".json")).unlink(missing_ok=True)
         self.write()
+
+    def restore(self, key):
+        """Puts back the row of a key view whose maps were not replaced."""
+        if key in self.before:
+            self.add(self.before[key])
+        elif self.single:
+            (self.out / "rows" / (key + ".json")).unlink(missing_ok=True)
 
     def add(self, row):
         self.rows[row["key"]] = row
@@ -220,7 +233,7 @@ def work(cluster):
 
 
 def run(clusters, args, out, stop, done):
-    """Computes clusters in order on `args.jobs` processes until `stop` says so; `done` gets each row. Returns why it stopped."""
+    """Computes clusters in order on `args.jobs` processes until `stop` says so; `done` gets the row of each. Returns why it stopped."""
     fresh = multiprocessing.get_context("spawn")  # a fork would inherit OpenCV's threads, and hang
     with concurrent.futures.ProcessPoolExecutor(args.jobs, fresh, start_worker, (args.workspace, args.image_scale, args.cache, out)) as pool:
         waiting, running, reason = iter(clusters), set(), ""
@@ -252,7 +265,7 @@ def match(args):
     line = Line(len(todo))
 
     def done(row):
-        report.add(row)
+        report.restore(row["key"]) if "failed" in row else report.add(row)
         line.step(row)
 
     report.stopped = "interrupted"
@@ -261,6 +274,7 @@ def match(args):
     finally:
         report.write()
     print(summary(report, [key for key, _ in all_clusters]), file=sys.stderr)
+    return line.failed
 
 
 def kept_by_plan(workspace):
@@ -283,6 +297,7 @@ def fill(args):
     clusters = wanted(args, workspace)
     line = Line(len(clusters))
     run(clusters, args, None, Stop(None, None), line.step)
+    return line.failed
 
 
 def interrupt(*_):
@@ -290,14 +305,17 @@ def interrupt(*_):
 
 
 class Line:
-    """A line of progress every ten seconds, and at the end."""
+    """A line of progress every ten seconds, and at the end; one for each key view that failed."""
 
     def __init__(self, total):
-        self.total, self.count, self.begin, self.last = total, 0, time.time(), 0.0
+        self.total, self.count, self.failed, self.begin, self.last = total, 0, 0, time.time(), 0.0
 
     def step(self, row):
         self.count += 1
         now = time.time()
+        if "failed" in row:
+            self.failed += 1
+            print(f"error: no depth map of {row['key']}: {row['failed']}", file=sys.stderr, flush=True)
         if now - self.last > 10 or self.count == self.total:
             self.last = now
             left = (now - self.begin) / self.count * (self.total - self.count)
@@ -349,11 +367,13 @@ def main(argv=None):
     args = arguments(argv)
     signal.signal(signal.SIGTERM, interrupt)  # or the workers would outlive us
     try:
-        match(args) if args.command == "match" else fill(args)
+        failed = match(args) if args.command == "match" else fill(args)
     except InputError as error:
         sys.exit(f"error: {error}")
     except KeyboardInterrupt:
         sys.exit("interrupted; finished maps stay, run again to go on")
+    if failed:
+        sys.exit(f"error: {failed} key views have no new depth map; what they had before stays")
 
 
 if __name__ == "__main__":

@@ -351,6 +351,28 @@ def test_a_damaged_workspace_is_refused_with_a_reason(planes, tmp_path, change, 
         Workspace(damaged(planes, tmp_path / "w", change))
 
 
+@pytest.mark.parametrize("single", [False, True])
+def test_the_maps_of_a_key_view_stay_where_its_image_is_lost(planes, tmp_path, single, capsys):
+    folder = shutil.copytree(planes, tmp_path / "planes")
+    lists = tmp_path / "clusters.txt"
+    partners = "sub folder/left.png\tsub folder/right ü.png"
+    lists.write_text(f"key.png\t{partners}\nforward.png\t{partners}\n", encoding="utf-8")
+    match = ["match", str(folder), "--out", str(tmp_path / "out"), "--clusters", str(lists)]
+    sgm.main(match)
+    lists.write_text(f"key.png\t{partners}\tforward.png\nforward.png\t{partners}\tkey.png\n", encoding="utf-8")
+    (folder / "images/key.png").unlink()
+    maps = {path: path.read_bytes() for path in (tmp_path / "out").rglob("key.png.npy")}
+    assert len(maps) == 2
+    with pytest.raises(SystemExit) as ended:
+        sgm.main([*match, *(["--rank", "1"] if single else [])])
+    assert ended.value.code not in (0, None) and "key.png" in capsys.readouterr().err
+    assert maps == {path: path.read_bytes() for path in (tmp_path / "out").rglob("key.png.npy")}
+    report = tmp_path / "out" / ("rows/key.png.json" if single else "report.json")
+    rows = {row["key"]: row for row in json.loads(report.read_text(encoding="utf-8"))["clusters"]}
+    assert len(rows["key.png"]["partners"]) == 2, "the row is still that of the maps"
+    assert single or len(rows["forward.png"]["partners"]) == 3, "the others are computed"
+
+
 @pytest.mark.parametrize("change, words", [
     (lambda path: cv2.imwrite(str(path), np.zeros((9, 9), np.uint8)), "9 x 9, but the model says 320 x 240"),
     (lambda path: path.write_bytes(path.read_bytes()[:30]), "no image that OpenCV can read"),

@@ -1,4 +1,4 @@
-//! AliceVision and Meshroom: `docs/backends.md` 8. Read, not run. There is no list of views and none of partners: each cluster becomes a scene
+//! AliceVision and Meshroom: `docs/backends.md` 8. Read, not run. AliceVision takes lists of neither views nor partners: each cluster becomes a scene
 //! file in which the key view shares landmarks with its partners only, and the key view is named by its position.
 
 use std::{fmt::Write, path::Path};
@@ -6,8 +6,7 @@ use std::{fmt::Write, path::Path};
 use serde_json::{Value, json};
 
 use super::{
-    Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, PATCH_MATCH, PlanningNumbers,
-    Selection,
+    Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, PATCH_MATCH, Selection,
     clusters::{ClusterScript, recipe},
     selection,
 };
@@ -19,8 +18,6 @@ use crate::{
     },
 };
 
-pub struct AliceVision;
-
 /// A view with fewer common landmarks is no neighbour: the count must exceed 20.
 const LEAST_LANDMARKS: usize = 21;
 /// From COLMAP's pixel coordinates to those of `formats::alicevision`.
@@ -28,76 +25,90 @@ const PIXEL_SHIFT: f64 = -0.5;
 /// Any sensor width does, as focal lengths are given in its units.
 const SENSOR_MM: f64 = 36.0;
 
-impl Backend for AliceVision {
-    fn name(&self) -> &'static str {
-        "alicevision"
-    }
+pub static BACKEND: Backend = Backend {
+    name: "alicevision",
+    aliases: &["meshroom"],
+    capabilities: Capabilities {
+        partners: Honours::Yes,
+        key_subset: Honours::Yes,
+        order: Honours::Yes,
+        fusion: "depthMapFiltering and meshing",
+        notes: "one call per key view, partners by the landmarks of a scene file of its own; their order is that of common landmarks",
+    },
+    planning: PATCH_MATCH,
+    options: &[],
+    use_of_views: None,
+    takes_distorted: false,
+    serves: |_| false,
+    tasks: |_, _| None,
+    traps: |_| Vec::new(),
+    export,
+};
 
-    fn capabilities(&self) -> Capabilities {
-        Capabilities {
-            partners: Honours::Yes,
-            key_subset: Honours::Yes,
-            order: Honours::Yes,
-            fusion: "depthMapFiltering and meshing",
-            notes: "one call per key view, partners by the landmarks of a scene file of its own; their order is that of common landmarks",
-        }
+fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {
+    let near = selection.near_origin();
+    let selection = &near.selection();
+    let images = selection.undistorted_images(BACKEND.name)?;
+    let scene = selection.scene;
+    let mut files = options.file_set(&BACKEND, selection);
+    for view in selection.views() {
+        files.add(image_path(scene, view), Contents::Link(images.join(scene.name(view))));
     }
-
-    fn planning(&self) -> PlanningNumbers {
-        PATCH_MATCH
+    let points = scene.view_points();
+    let mut record = ExportRecord::new(&BACKEND, selection, |v| scene.view(v).image_id.to_string());
+    record.not_honoured = vec!["the order of the partners of a key view".into()];
+    record.moved(near.origin);
+    let mut script = ClusterScript::new(RUNNER_HEAD);
+    for (i, cluster) in selection.clusters.iter().enumerate() {
+        let path = format!("clusters/{:04}.sfm", i + 1);
+        files.add_text(&*path, cluster_file(scene, &points, cluster));
+        let (id, options) = (scene.view(cluster.key).image_id.to_string(), estimation(selection, cluster, &path));
+        let recipe = recipe(selection, cluster, &downscale(selection).to_string());
+        script.line(&format!("back {id} {recipe}"));
+        script.cluster(&id, &recipe, &format!("depthMaps/{id}_depthMap.exr"), &[format!("map {id} {options}")]);
+        record.commands.push(format!("aliceVision_depthMapEstimation {options} -o depthMaps"));
+        record.not_honoured.extend(dropped_partners(scene, &points, cluster));
     }
-
-    fn export(&self, selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {
-        let near = selection.near_origin();
-        let selection = &near.selection();
-        let images = selection.undistorted_images(self.name())?;
-        let scene = selection.scene;
-        let mut files = options.file_set(self, selection);
-        for view in selection.views() {
-            files.add(image_path(scene, view), Contents::Link(images.join(scene.name(view))));
-        }
-        let points = scene.view_points();
-        let mut record = ExportRecord::new(self, selection, |v| scene.view(v).image_id.to_string());
-        record.not_honoured = vec!["the order of the partners of a key view".into()];
-        record.moved(near.origin);
-        let mut script = ClusterScript::new("mkdir -p depthMaps filtered || exit 1\n");
-        for (i, cluster) in selection.clusters.iter().enumerate() {
-            let path = format!("clusters/{:04}.sfm", i + 1);
-            files.add_text(&*path, cluster_file(scene, &points, cluster));
-            let (id, call) = (scene.view(cluster.key).image_id.to_string(), estimation(selection, cluster, &path));
-            let recipe = recipe(selection, cluster, &downscale(selection).to_string());
-            script.cluster(&id, &recipe, &format!("depthMaps/{id}_depthMap.exr"), std::slice::from_ref(&call));
-            record.commands.push(call);
-            let shared = selection::shared_points(scene, &points, cluster.key);
-            let without = cluster.partners.iter().filter(|p| shared[p.index()] == 0);
-            record.not_honoured.extend(without.map(|&p| {
-                let (key, partner) = (scene.name(cluster.key), scene.name(p));
-                format!("{key}: its partner {partner} shares no sparse point with it, without which AliceVision does not use it")
-            }));
-        }
-        let keys: Vec<_> = selection.clusters.iter().map(|c| c.key).collect();
-        files.add_text("keys.sfm", scene_file(scene, &keys, &all_landmarks(scene, &selection.is_key())));
-        record.commands.push(
-            "aliceVision_depthMapFiltering -i keys.sfm --depthMapsFolder depthMaps -o filtered --minNumOfConsistentCams 1 \
-             --minNumOfConsistentCamsWithLowSimilarity 2"
-                .into(),
-        );
-        record.commands.push(
-            "aliceVision_meshing -i keys.sfm --depthMapsFolder filtered -o dense.abc --outputMesh mesh.obj".into(),
-        );
-        record.runner = Some("run.sh".into());
-        record.pixel_shift = PIXEL_SHIFT;
-        record.made_for = "AliceVision (ca8300f; read, not run)".into();
-        record.way = "one scene file and one call per cluster".into();
-        record.note_scale(selection, |_| 1.0 / downscale(selection));
-        record.fusion = "minNumOfConsistentCams 1: only key views have maps, 3 of them rarely agree".into();
-        files.add("run.sh", script.finish(&record.commands[selection.clusters.len()..]));
-        files.add_text("export.json", record.to_json());
-        Ok(Export { files, record })
-    }
+    let keys: Vec<_> = selection.clusters.iter().map(|c| c.key).collect();
+    files.add_text("keys.sfm", scene_file(scene, &keys, &all_landmarks(scene, &selection.is_key())));
+    files.add("finished.py", Contents::Script(include_bytes!("../../integrations/alicevision/finished.py").to_vec()));
+    record.commands.extend([
+        "python3 finished.py".into(),
+        "rm -rf filtered && mkdir filtered".into(),
+        format!("aliceVision_depthMapFiltering -i finished.sfm --depthMapsFolder depthMaps -o filtered {FILTERING}"),
+        // `-o` is short for two options here.
+        "aliceVision_meshing -i finished.sfm --depthMapsFolder filtered --output dense.abc --outputMesh mesh.obj"
+            .into(),
+    ]);
+    record.runner = Some("run.sh".into());
+    record.pixel_shift = PIXEL_SHIFT;
+    record.made_for = "AliceVision (ca8300f; read, not run)".into();
+    record.way = "one scene file and one call per cluster".into();
+    record.note_scale(selection, |_| 1.0 / downscale(selection));
+    record.fusion = "minNumOfConsistentCams 1: only key views have maps, 3 of them rarely agree".into();
+    files.add("run.sh", script.finish(&[format!("join {FILTERING}")]));
+    files.add_text("export.json", record.to_json());
+    Ok(Export { files, record })
 }
 
-/// The call for the key view, by its position among the views of the file, which count by ascending id. No angle is too small or too large and
+const RUNNER_HEAD: &str = include_str!("../../integrations/alicevision/run_head.sh");
+/// Only key views have maps, and three of them rarely agree.
+const FILTERING: &str = "--minNumOfConsistentCams 1 --minNumOfConsistentCamsWithLowSimilarity 2";
+
+/// Names the partners that share no sparse point with the key view.
+fn dropped_partners(scene: &Scene, points: &ViewPoints, cluster: &RankedCluster) -> Vec<String> {
+    let shared = selection::shared_points(scene, points, cluster.key);
+    let key = scene.name(cluster.key);
+    let dropped = cluster.partners.iter().filter(|p| shared[p.index()] == 0).map(|&p| {
+        let partner = scene.name(p);
+        format!(
+            "{key}: its partner {partner} shares no sparse point with it, without which AliceVision does not use it"
+        )
+    });
+    dropped.collect()
+}
+
+/// Options for the key view, by its position among the views of the file, which count by ascending id. No angle is too small or too large and
 /// no tile chooses for itself, so that every partner counts.
 fn estimation(selection: &Selection, cluster: &RankedCluster, path: &str) -> String {
     let id = |v: &ViewIndex| selection.scene.view(*v).image_id;
@@ -105,7 +116,7 @@ fn estimation(selection: &Selection, cluster: &RankedCluster, path: &str) -> Str
     let k = cluster.partners.len();
     let downscale = downscale(selection);
     format!(
-        "aliceVision_depthMapEstimation -i {path} --imagesFolder images -o depthMaps --rangeStart {position} --rangeSize 1 \
+        "-i {path} --imagesFolder images --rangeStart {position} --rangeSize 1 \
          --minViewAngle 0 --maxViewAngle 180 --maxTCams {k} --chooseTCamsPerTile 0 --sgmMaxTCamsPerTile {k} --refineMaxTCamsPerTile {k} \
          --downscale {downscale}"
     )

@@ -1,8 +1,8 @@
 //! Gipuma: `docs/backends.md` 6. One call per key view; the first image is the key view, the others its partners.
 
 use super::{
-    Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, PATCH_MATCH, Patient,
-    PlanningNumbers, Selection, Trap,
+    Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, PATCH_MATCH, Patient, Selection,
+    Trap,
     clusters::{ClusterScript, recipe},
     pmvs, selection,
 };
@@ -14,72 +14,73 @@ use crate::{
     },
 };
 
-pub struct Gipuma;
+pub static BACKEND: Backend = Backend {
+    name: "gipuma",
+    aliases: &["fusibile"],
+    capabilities: Capabilities {
+        partners: Honours::Yes,
+        key_subset: Honours::Yes,
+        order: Honours::Yes,
+        fusion: "another program, fusibile, over all result folders",
+        notes: "one call per key view",
+    },
+    planning: PATCH_MATCH,
+    options: &[],
+    use_of_views: None,
+    takes_distorted: false,
+    serves: |_| false,
+    tasks: |_, _| None,
+    traps,
+    export,
+};
 
-impl Backend for Gipuma {
-    fn name(&self) -> &'static str {
-        "gipuma"
-    }
-
-    fn capabilities(&self) -> Capabilities {
-        Capabilities {
-            partners: Honours::Yes,
-            key_subset: Honours::Yes,
-            order: Honours::Yes,
-            fusion: "another program, fusibile, over all result folders",
-            notes: "one call per key view",
-        }
-    }
-
-    fn planning(&self) -> PlanningNumbers {
-        PATCH_MATCH
-    }
-
-    fn traps(&self, patient: &Patient) -> Vec<Trap> {
-        patient.without_points("gipuma-depth-range-mandatory", "its depth range is not known").into_iter().collect()
-    }
-
-    fn export(&self, selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {
-        let near = selection.near_origin();
-        let selection = &near.selection();
-        let images = selection.undistorted_images(self.name())?;
-        let views = selection.keys_first();
-        let mut names = vec![String::new(); selection.scene.views.len()];
-        let mut files = options.file_set(self, selection);
-        for &view in &views {
-            // Result folders are named by the name less four characters: an extension of three letters. The id of the image is the
-            // same in each plan, so that no result is taken for that of another image.
-            let name = format!("{:08}.jpg", selection.scene.view(view).image_id);
-            files.add_text(format!("p/{name}.P"), pmvs::projection(selection.scene, view));
-            files.add(format!("images/{name}"), Contents::Link(images.join(selection.scene.name(view))));
-            names[view.index()] = name;
-        }
-        let points = selection.scene.view_points();
-        let mut record = ExportRecord::new(self, selection, |v| names[v.index()].clone());
-        record.moved(near.origin);
-        record.runner = Some("run.sh".into());
-        record.made_for = "Gipuma (f16dbfd) and fusibile".into();
-        record.way = "one call per key view".into();
-        let mut script = ClusterScript::new(RUNNER_HEAD);
-        for cluster in selection.clusters {
-            let call = call(selection, cluster, &points, &names)?;
-            let recipe = recipe(selection, cluster, &call);
-            let image = names[cluster.key.index()].trim_end_matches(".jpg");
-            // As fusibile wants it: 2, date, time, image.
-            let result = format!("2_{recipe}_{image}");
-            script.line(&format!("back {result}"));
-            script.cluster(&result, &recipe, &format!("results/{result}"), &[format!("map {result} {call}")]);
-            record.commands.push(format!("gipuma {call} -output_folder results/"));
-        }
-        record.note_scale(selection, |_| 1.0);
-        record.fusion = "fusibile, over the folders under results/".into();
-        files.add("run.sh", script.finish(&[]));
-        let table = views.iter().map(|v| format!("{}\t{}\n", names[v.index()], selection.scene.name(*v)));
-        files.add_text("view_names.txt", table.collect::<String>());
-        files.add_text("export.json", record.to_json());
-        Ok(Export { files, record })
-    }
+fn traps(patient: &Patient) -> Vec<Trap> {
+    patient.without_points("gipuma-depth-range-mandatory", "its depth range is not known").into_iter().collect()
 }
+
+fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {
+    let near = selection.near_origin();
+    let selection = &near.selection();
+    let images = selection.undistorted_images(BACKEND.name)?;
+    let views = selection.keys_first();
+    let mut names = vec![String::new(); selection.scene.views.len()];
+    let mut files = options.file_set(&BACKEND, selection);
+    for &view in &views {
+        // Result folders are named by the name less four characters: an extension of three letters. The id of the image is the
+        // same in each plan, so that no result is taken for that of another image.
+        let name = format!("{:08}.jpg", selection.scene.view(view).image_id);
+        files.add_text(format!("p/{name}.P"), pmvs::projection(selection.scene, view));
+        files.add(format!("images/{name}"), Contents::Link(images.join(selection.scene.name(view))));
+        names[view.index()] = name;
+    }
+    let points = selection.scene.view_points();
+    let mut record = ExportRecord::new(&BACKEND, selection, |v| names[v.index()].clone());
+    record.moved(near.origin);
+    record.runner = Some("run.sh".into());
+    record.made_for = "Gipuma (f16dbfd) and fusibile".into();
+    record.way = "one call per key view".into();
+    let mut script = ClusterScript::new(RUNNER_HEAD);
+    for cluster in selection.clusters {
+        let call = call(selection, cluster, &points, &names)?;
+        let recipe = recipe(selection, cluster, &call);
+        let image = names[cluster.key.index()].trim_end_matches(".jpg");
+        // As fusibile wants it: 2, date, time, image.
+        let result = format!("2_{recipe}_{image}");
+        script.line(&format!("back {result}"));
+        script.cluster(&result, &recipe, &format!("results/{result}"), &[format!("map {result} {call}")]);
+        record.commands.push(format!("gipuma {call} -output_folder results/"));
+    }
+    record.note_scale(selection, |_| 1.0);
+    record.fusion = format!("{FUSIBILE}: its default of 2 other views leaves little of the maps of key views alone");
+    files.add("run.sh", script.finish(&[]));
+    let table = views.iter().map(|v| format!("{}\t{}\n", names[v.index()], selection.scene.name(*v)));
+    files.add_text("view_names.txt", table.collect::<String>());
+    files.add_text("export.json", record.to_json());
+    Ok(Export { files, record })
+}
+
+/// Joins the maps where two agree, as the plan assumes (support 2): `num_consistent` counts the other one.
+const FUSIBILE: &str = "fusibile -input_folder results/ -p_folder p/ -images_folder images/ --num_consistent=1";
 
 const RUNNER_HEAD: &str = include_str!("../../integrations/gipuma/run_head.sh");
 
@@ -94,7 +95,7 @@ fn call(
     let key = cluster.key;
     let range = selection::depth_range(selection.scene, points, key).ok_or_else(|| BackendError::Needs {
         backend: "gipuma",
-        what: format!("a depth range, and no sparse point lies in front of {}", selection.scene.name(key)),
+        what: format!("a depth range, and {} observes no sparse point in front of it", selection.scene.name(key)),
         hint: "leave the view out of the model".into(),
     })?;
     let images: Vec<&str> =

@@ -6,54 +6,40 @@ use super::{
 };
 use crate::model::{cluster::Gate, scene::ViewIndex};
 
-pub struct Images;
+pub static BACKEND: Backend = Backend {
+    name: "images",
+    aliases: &["image", "list", "imagelist"],
+    capabilities: Capabilities {
+        partners: Honours::No,
+        key_subset: Honours::Yes,
+        order: Honours::Yes,
+        fusion: "the program's own",
+        notes: "a list of names, best first; --refs keys+partners lists the partners too",
+    },
+    planning: ANY_PROGRAM,
+    options: &["--refs"],
+    use_of_views: Some("Take"),
+    takes_distorted: true,
+    serves: |_| false,
+    tasks: |_, _| None,
+    traps: |_| Vec::new(),
+    export,
+};
 
-impl Backend for Images {
-    fn name(&self) -> &'static str {
-        "images"
-    }
-
-    fn capabilities(&self) -> Capabilities {
-        Capabilities {
-            partners: Honours::No,
-            key_subset: Honours::Yes,
-            order: Honours::Yes,
-            fusion: "the program's own",
-            notes: "a list of names, best first; --refs keys+partners lists the partners too",
-        }
-    }
-
-    fn planning(&self) -> PlanningNumbers {
-        ANY_PROGRAM
-    }
-
-    fn options(&self) -> &'static [&'static str] {
-        &["--refs"]
-    }
-
-    fn use_of_views(&self) -> Option<&'static str> {
-        Some("Take")
-    }
-
-    fn takes_distorted(&self) -> bool {
-        true
-    }
-
-    fn export(&self, selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {
-        let views = listed_views(selection, options.refs);
-        let mut record = ExportRecord::new(self, selection, |v| selection.scene.name(v).into());
-        record.made_for = "any program".into();
-        record.way = format!("{} images, best first", views.len());
-        record.not_honoured = vec!["matching partners".into()];
-        record.fusion = "the program's own".into();
-        let folder = selection.images_in_commands();
-        record.commands =
-            vec![format!("rsync -a --files-from=images.txt {folder}/ \"${{CHOSEN:?folder for the chosen images}}\"/")];
-        let mut files = options.file_set(self, selection);
-        files.add_text("images.txt", name_lines(selection, &views));
-        files.add_text("export.json", record.to_json());
-        Ok(Export { files, record })
-    }
+fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {
+    let views = listed_views(selection, options.refs);
+    let mut record = ExportRecord::new(&BACKEND, selection, |v| selection.scene.name(v).into());
+    record.made_for = "any program".into();
+    record.way = format!("{} images, best first", views.len());
+    record.not_honoured = vec!["matching partners".into()];
+    record.fusion = "the program's own".into();
+    let folder = selection.images_in_commands();
+    record.commands =
+        vec![format!("rsync -a --files-from=images.txt {folder}/ \"${{CHOSEN:?folder for the chosen images}}\"/")];
+    let mut files = options.file_set(&BACKEND, selection);
+    files.add_text("images.txt", name_lines(selection, &views));
+    files.add_text("export.json", record.to_json());
+    Ok(Export { files, record })
 }
 
 /// For programs that choose pairs themselves: every pair may be tried, and a place should be seen by more than one of the images.

@@ -9,65 +9,53 @@ use super::{
 };
 use crate::io::output::Contents;
 
-pub struct Metashape;
+pub static BACKEND: Backend = Backend {
+    name: "metashape",
+    aliases: &["photoscan", "agisoft"],
+    capabilities: Capabilities {
+        partners: Honours::No,
+        key_subset: Honours::Yes,
+        order: Honours::No,
+        fusion: "buildPointCloud",
+        notes: "partners are Metashape's own choice among the enabled cameras: key views and chosen partners",
+    },
+    planning: PlanningNumbers { support: 2, ..ANY_PROGRAM },
+    options: &[],
+    use_of_views: None,
+    takes_distorted: true,
+    serves: |_| false,
+    tasks: |_, _| None,
+    traps,
+    export,
+};
 
-impl Backend for Metashape {
-    fn name(&self) -> &'static str {
-        "metashape"
-    }
+/// Cameras are found by their labels, which are file names.
+fn traps(patient: &Patient) -> Vec<Trap> {
+    let label = |name: &str| name.rsplit('/').next().unwrap_or(name).to_owned();
+    patient.same_names("metashape-duplicate-labels", "the same camera label in Metashape", label).into_iter().collect()
+}
 
-    fn capabilities(&self) -> Capabilities {
-        Capabilities {
-            partners: Honours::No,
-            key_subset: Honours::Yes,
-            order: Honours::No,
-            fusion: "buildPointCloud",
-            notes: "partners are Metashape's own choice among the enabled cameras: key views and chosen partners",
-        }
-    }
-
-    fn planning(&self) -> PlanningNumbers {
-        PlanningNumbers { support: 2, ..ANY_PROGRAM }
-    }
-
-    fn takes_distorted(&self) -> bool {
-        true
-    }
-
-    /// Cameras are found by their labels, which are file names.
-    fn traps(&self, patient: &Patient) -> Vec<Trap> {
-        let label = |name: &str| name.rsplit('/').next().unwrap_or(name).to_owned();
-        patient
-            .same_names("metashape-duplicate-labels", "the same camera label in Metashape", label)
-            .into_iter()
-            .collect()
-    }
-
-    fn export(&self, selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {
-        let downscale = (1.0 / selection.image_scale).log2().round().max(0.0).exp2();
-        let names = |views: &mut dyn Iterator<Item = crate::model::scene::ViewIndex>| {
-            views.map(|v| selection.scene.name(v).to_owned()).collect::<Vec<_>>()
-        };
-        let list = json!({
-            "keys": names(&mut selection.clusters.iter().map(|c| c.key)),
-            "enabled": names(&mut selection.views().into_iter()),
-            "max_neighbors": selection.most_partners(),
-            "downscale": downscale,
-        });
-        let mut files = options.file_set(self, selection);
-        files.add_text("clusters.json", serde_json::to_string_pretty(&list).expect("string keys") + "\n");
-        files.add(
-            "depth_maps.py",
-            Contents::Script(include_bytes!("../../integrations/metashape/depth_maps.py").to_vec()),
-        );
-        let mut record = ExportRecord::new(self, selection, |v| selection.scene.name(v).into());
-        record.made_for = "Metashape 1.6 to 2.x (from its reference; not run)".into();
-        record.way = "script, cameras by label".into();
-        record.commands = vec!["metashape.sh -r depth_maps.py \"${PSX:?the Metashape project, a .psx file}\"".into()];
-        record.not_honoured = vec!["matching partners (only how many)".into(), "the rank order".into()];
-        record.note_scale(selection, |_| 1.0 / downscale);
-        record.fusion = "buildPointCloud (buildDenseCloud before 2.0)".into();
-        files.add_text("export.json", record.to_json());
-        Ok(Export { files, record })
-    }
+fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {
+    let downscale = (1.0 / selection.image_scale).log2().round().max(0.0).exp2();
+    let names = |views: &mut dyn Iterator<Item = crate::model::scene::ViewIndex>| {
+        views.map(|v| selection.scene.name(v).to_owned()).collect::<Vec<_>>()
+    };
+    let list = json!({
+        "keys": names(&mut selection.clusters.iter().map(|c| c.key)),
+        "enabled": names(&mut selection.views().into_iter()),
+        "max_neighbors": selection.most_partners(),
+        "downscale": downscale,
+    });
+    let mut files = options.file_set(&BACKEND, selection);
+    files.add_text("clusters.json", serde_json::to_string_pretty(&list).expect("string keys") + "\n");
+    files.add("depth_maps.py", Contents::Script(include_bytes!("../../integrations/metashape/depth_maps.py").to_vec()));
+    let mut record = ExportRecord::new(&BACKEND, selection, |v| selection.scene.name(v).into());
+    record.made_for = "Metashape 1.6 to 2.x (from its reference; not run)".into();
+    record.way = "script, cameras by label".into();
+    record.commands = vec!["metashape.sh -r depth_maps.py \"${PSX:?the Metashape project, a .psx file}\"".into()];
+    record.not_honoured = vec!["matching partners (only how many)".into(), "the rank order".into()];
+    record.note_scale(selection, |_| 1.0 / downscale);
+    record.fusion = "buildPointCloud (buildDenseCloud before 2.0)".into();
+    files.add_text("export.json", record.to_json());
+    Ok(Export { files, record })
 }

@@ -1,81 +1,77 @@
 //! MicMac: `docs/backends.md` 7. Read, not run. `pairs.xml` is a pair file for C3DC, PIMs and MMByP; `ImSec/` names the secondary images of each
 //! master for Malt GeomImage, one call per key view. Orientations stay those of the user's own `Ori-` folder.
 
-use quick_xml::escape::escape;
-
 use super::{
-    Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, PATCH_MATCH, Patient,
-    PlanningNumbers, Selection, Trap,
+    Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, PATCH_MATCH, Patient, Selection,
+    Trap,
     clusters::{ClusterScript, recipe},
 };
 use crate::{base::shell::quoted, io::output::Contents, model::cluster::RankedCluster};
 
-pub struct MicMac;
+pub static BACKEND: Backend = Backend {
+    name: "micmac",
+    aliases: &["mm3d"],
+    capabilities: Capabilities {
+        partners: Honours::Yes,
+        key_subset: Honours::Yes,
+        order: Honours::Yes,
+        fusion: "MicMac's own tools (MergeCloud)",
+        notes: "Malt GeomImage, one call per key view; with the pair file (C3DC, PIMs) pairs are undirected and the order is lost",
+    },
+    planning: PATCH_MATCH,
+    options: &[],
+    use_of_views: None,
+    takes_distorted: true,
+    serves: |_| false,
+    tasks: |_, _| None,
+    traps,
+    export,
+};
 
-impl Backend for MicMac {
-    fn name(&self) -> &'static str {
-        "micmac"
-    }
-
-    fn capabilities(&self) -> Capabilities {
-        Capabilities {
-            partners: Honours::Yes,
-            key_subset: Honours::Yes,
-            order: Honours::Yes,
-            fusion: "MicMac's own tools (MergeCloud)",
-            notes: "Malt GeomImage, one call per key view; with the pair file (C3DC, PIMs) pairs are undirected and the order is lost",
-        }
-    }
-
-    fn planning(&self) -> PlanningNumbers {
-        PATCH_MATCH
-    }
-
-    fn takes_distorted(&self) -> bool {
-        true
-    }
-
-    fn traps(&self, patient: &Patient) -> Vec<Trap> {
-        patient.bad_names("micmac-name", check_name).into_iter().collect()
-    }
-
-    fn export(&self, selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {
-        for view in selection.views() {
-            check_name(selection.scene.name(view))?;
-        }
-        let images = selection.images(self.name())?;
-        let mut files = options.file_set(self, selection);
-        for view in selection.views() {
-            let name = selection.scene.name(view);
-            files.add(name, Contents::Link(images.join(name)));
-        }
-        files.add_text("pairs.xml", pair_file(selection));
-        for cluster in selection.clusters {
-            let name = selection.scene.name(cluster.key);
-            files.add_text(format!("ImSec/ImSec-{name}.xml"), secondary_images(selection, cluster));
-        }
-        files.add_text("ImSec/FileImSel.xml", masters(selection));
-        let mut record = ExportRecord::new(self, selection, |v| selection.scene.name(v).into());
-        record.made_for = "MicMac (f8fe432; read, not run)".into();
-        record.way = "ImSec files, one Malt call per master; pair file beside".into();
-        record.commands = vec!["./run.sh \"${ORI:?the Ori- folder of the MicMac project}\"".into()];
-        record.warnings.extend([
-            "orientations are not written: run.sh takes the Ori- folder of the MicMac project that the model comes from".into(),
-        ]);
-        record.note_scale(selection, |_| 1.0);
-        record.fusion = "MicMac's MergeCloud, by hand".into();
-        files.add("run.sh", runner(selection));
-        files.add_text("export.json", record.to_json());
-        Ok(Export { files, record })
-    }
+fn traps(patient: &Patient) -> Vec<Trap> {
+    patient.bad_names("micmac-name", check_name).into_iter().collect()
 }
 
-/// Names are relative to the working folder and a blank separates two of them.
+fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {
+    for view in selection.views() {
+        check_name(selection.scene.name(view))?;
+    }
+    let images = selection.images(BACKEND.name)?;
+    let mut files = options.file_set(&BACKEND, selection);
+    for view in selection.views() {
+        let name = selection.scene.name(view);
+        files.add(name, Contents::Link(images.join(name)));
+    }
+    files.add_text("pairs.xml", pair_file(selection));
+    for cluster in selection.clusters {
+        let name = selection.scene.name(cluster.key);
+        files.add_text(format!("ImSec/ImSec-{name}.xml"), secondary_images(selection, cluster));
+    }
+    files.add_text("ImSec/FileImSel.xml", masters(selection));
+    let mut record = ExportRecord::new(&BACKEND, selection, |v| selection.scene.name(v).into());
+    record.made_for = "MicMac (f8fe432; read, not run)".into();
+    record.way = "ImSec files, one Malt call per master; pair file beside".into();
+    record.commands = vec!["./run.sh \"${ORI:?the Ori- folder of the MicMac project}\"".into()];
+    record.warnings.extend([
+        "orientations are not written: run.sh takes the Ori- folder of the MicMac project that the model comes from"
+            .into(),
+    ]);
+    record.note_scale(selection, |_| 1.0);
+    record.fusion = "MicMac's MergeCloud, by hand".into();
+    files.add("run.sh", runner(selection));
+    files.add_text("export.json", record.to_json());
+    Ok(Export { files, record })
+}
+
+/// Names are relative to the working folder, a blank separates two of them, and Malt takes them as regular expressions and hands them to a
+/// shell without quotes. What is left needs no escape in XML.
 fn check_name(name: &str) -> Result<(), BackendError> {
     let why = if name.contains(char::is_whitespace) {
         "a blank separates the two names of a pair"
     } else if name.contains('/') {
-        "images lie in the working folder itself"
+        "images are in the working folder itself"
+    } else if name.contains(|c: char| c.is_ascii() && !c.is_ascii_alphanumeric() && !"._-".contains(c)) {
+        "Malt takes names as regular expressions and hands them to a shell: letters, digits, '.', '_' and '-' only"
     } else {
         return Ok(());
     };
@@ -86,7 +82,7 @@ fn pair_file(selection: &Selection) -> String {
     let mut xml = String::from("<?xml version=\"1.0\" ?>\n<SauvegardeNamedRel>\n");
     for cluster in selection.clusters {
         for &partner in &cluster.partners {
-            let (key, partner) = (escape(selection.scene.name(cluster.key)), escape(selection.scene.name(partner)));
+            let (key, partner) = (selection.scene.name(cluster.key), selection.scene.name(partner));
             xml += &format!("  <Cple>{key} {partner}</Cple>\n");
         }
     }
@@ -95,7 +91,7 @@ fn pair_file(selection: &Selection) -> String {
 
 /// A single solution with a positive score: it is the one that is taken.
 fn secondary_images(selection: &Selection, cluster: &RankedCluster) -> String {
-    let name = |v| escape(selection.scene.name(v));
+    let name = |v| selection.scene.name(v);
     let images: String = cluster.partners.iter().map(|&p| format!("    <Images>{}</Images>\n", name(p))).collect();
     format!(
         "<?xml version=\"1.0\" ?>\n<ImSecOfMaster>\n  <Master>{}</Master>\n  <Sols>\n{images}    <Coverage>1</Coverage>\n    <Score>1</Score>\n  \
@@ -105,30 +101,21 @@ fn secondary_images(selection: &Selection, cluster: &RankedCluster) -> String {
 }
 
 fn masters(selection: &Selection) -> String {
-    let names = selection.clusters.iter().map(|c| format!("  <Name>{}</Name>\n", escape(selection.scene.name(c.key))));
+    let names = selection.clusters.iter().map(|c| format!("  <Name>{}</Name>\n", selection.scene.name(c.key)));
     format!("<?xml version=\"1.0\" ?>\n<ListOfName>\n{}</ListOfName>\n", names.collect::<String>())
 }
 
-/// The script: see its head. Patterns are regular expressions.
+/// The script: see its head. Malt takes the pattern of images for the name of the master, so the pattern is the name itself.
 fn runner(selection: &Selection) -> Contents {
     let mut script = ClusterScript::new(RUNNER_HEAD);
     for cluster in selection.clusters {
         let name = selection.scene.name(cluster.key);
-        let pattern: String = name.chars().flat_map(escaped).collect();
-        let call = format!("\"${{MM3D:-mm3d}}\" Malt GeomImage {} viewrank Master=AUTO", quoted(&pattern));
-        // Malt's folder is named by itself; that it ended with success has to do.
+        let call = format!("\"${{MM3D:-mm3d}}\" Malt GeomImage {} viewrank Master=AUTO", quoted(name));
         let recipe = recipe(selection, cluster, "") + "-$orientations";
-        script.cluster(name, &recipe, ".", &[call]);
+        let stem = name.rsplit_once('.').map_or(name, |(stem, _)| stem);
+        script.cluster(name, &recipe, &format!("MM-Malt-Img-{stem}"), &[call]);
     }
     script.finish(&[])
 }
 
 const RUNNER_HEAD: &str = include_str!("../../integrations/micmac/run_head.sh");
-
-/// The character in a regular expression.
-fn escaped(c: char) -> Vec<char> {
-    match c {
-        '.' | '+' | '*' | '?' | '(' | ')' | '[' | ']' | '{' | '}' | '^' | '$' | '|' | '\\' => vec!['\\', c],
-        _ => vec![c],
-    }
-}

@@ -1,11 +1,11 @@
 //! MVE's dmrecon: `docs/backends.md` 5. It takes no partner lists but chooses by shared features, so each cluster gets a bundle in which only its
-//! partners share features with the key view. The views lie in one scene; `run.sh` puts one bundle after the other in place.
+//! partners share features with the key view. The views share one scene; `run.sh` installs one bundle after the other.
 
 use std::path::Path;
 
 use super::{
-    Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, PATCH_MATCH, Patient,
-    PlanningNumbers, Selection, Trap,
+    Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, PATCH_MATCH, Patient, Selection,
+    Trap,
     clusters::{ClusterScript, recipe},
 };
 use crate::{
@@ -17,94 +17,91 @@ use crate::{
     },
 };
 
-pub struct Mve;
+/// Partners that must agree on each patch. dmrecon's default of 4 is meant for 20 neighbours: of 5 partners, 4 rarely see the same place.
+const LOCAL_NEIGHBOURS: usize = 2;
 
-/// Views that must agree on a patch, dmrecon's default. With fewer partners the map would come out empty, with success.
-const LOCAL_NEIGHBOURS: usize = 4;
+pub static BACKEND: Backend = Backend {
+    name: "mve",
+    aliases: &["dmrecon"],
+    capabilities: Capabilities {
+        partners: Honours::Partly,
+        key_subset: Honours::Yes,
+        order: Honours::Yes,
+        fusion: "scene2pset and fssrecon",
+        notes: "only the partners can be chosen, but dmrecon may leave some of them out",
+    },
+    planning: PATCH_MATCH,
+    options: &[],
+    use_of_views: None,
+    takes_distorted: false,
+    serves: |_| false,
+    tasks: |_, _| None,
+    traps,
+    export,
+};
 
-impl Backend for Mve {
-    fn name(&self) -> &'static str {
-        "mve"
+fn traps(patient: &Patient) -> Vec<Trap> {
+    let views = patient.project.root.join("views");
+    let is_map = |name: &str| name.starts_with("depth-L") && name.ends_with(".mvei");
+    let cure = format!("export into a folder of its own, or remove them: rm {}/*/depth-L*.mvei", quoted_path(&views));
+    let maps = patient.finished_maps("mve-existing-depth-skipped", &views, 2, is_map, cure);
+    patient.bad_names("mve-extension", extension).into_iter().chain(maps).collect()
+}
+
+fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {
+    let near = selection.near_origin();
+    let selection = &near.selection();
+    let images = selection.undistorted_images(BACKEND.name)?;
+    let views = selection.keys_first();
+    let mut ids = vec![None; selection.scene.views.len()];
+    views.iter().enumerate().for_each(|(i, v)| ids[v.index()] = Some(i));
+    let id = |v: ViewIndex| ids[v.index()].expect("every view of a cluster has an id");
+    let mut files = options.file_set(&BACKEND, selection);
+    for (i, &view) in views.iter().enumerate() {
+        let name = selection.scene.name(view);
+        let folder = format!("views/{}", folder(selection.scene, view));
+        files.add_text(format!("{folder}/meta.ini"), meta(selection.scene, view, i));
+        files.add(format!("{folder}/undistorted.{}", extension(name)?), Contents::Link(images.join(name)));
     }
-
-    fn capabilities(&self) -> Capabilities {
-        Capabilities {
-            partners: Honours::Partly,
-            key_subset: Honours::Yes,
-            order: Honours::Yes,
-            fusion: "scene2pset and fssrecon",
-            notes: "only the partners can be chosen, but dmrecon may leave some of them out",
-        }
+    let points = selection.scene.view_points();
+    for (i, cluster) in selection.clusters.iter().enumerate() {
+        files.add_text(
+            format!("bundles/{:04}.out", i + 1),
+            bundle(selection.scene, &points, cluster, &ids, views.len()),
+        );
     }
-
-    fn planning(&self) -> PlanningNumbers {
-        PATCH_MATCH
+    let scale = (1.0 / selection.image_scale).log2().round().max(0.0);
+    let mut record = ExportRecord::new(&BACKEND, selection, |v| id(v).to_string());
+    record.moved(near.origin);
+    record.runner = Some("run.sh".into());
+    record.made_for = "MVE (bf2279f)".into();
+    record.way = "one bundle per cluster in one scene".into();
+    let mut script = ClusterScript::new(RUNNER_HEAD);
+    for (i, cluster) in selection.clusters.iter().enumerate() {
+        let (partners, key) = (cluster.partners.len(), id(cluster.key));
+        let local = partners.min(LOCAL_NEIGHBOURS);
+        let bundle = format!("{:04}.out", i + 1);
+        let choice = format!("--neighbors={partners} --local-neighbors={local}");
+        let options = format!("-s{scale} -m{key} {choice}");
+        let folder = folder(selection.scene, cluster.key);
+        let recipe = recipe(selection, cluster, &format!("-s{scale} {choice}"));
+        let result = format!("views/{folder}/depth-L{scale}.mvei");
+        let name = folder.trim_end_matches(".mve");
+        script.line(&format!("back {name} {recipe}"));
+        script.cluster(name, &recipe, &result, &[format!("map {folder} {bundle} {options}")]);
+        record.commands.push(format!("cp bundles/{bundle} synth_0.out"));
+        record.commands.push(format!("dmrecon {options} ."));
     }
-
-    fn traps(&self, patient: &Patient) -> Vec<Trap> {
-        let views = patient.project.root.join("views");
-        let is_map = |name: &str| name.starts_with("depth-L") && name.ends_with(".mvei");
-        let cure =
-            format!("export into a folder of its own, or remove them: rm {}/*/depth-L*.mvei", quoted_path(&views));
-        let maps = patient.finished_maps("mve-existing-depth-skipped", &views, 2, is_map, cure);
-        patient.bad_names("mve-extension", extension).into_iter().chain(maps).collect()
-    }
-
-    fn export(&self, selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {
-        let near = selection.near_origin();
-        let selection = &near.selection();
-        let images = selection.undistorted_images(self.name())?;
-        let views = selection.keys_first();
-        let mut ids = vec![None; selection.scene.views.len()];
-        views.iter().enumerate().for_each(|(i, v)| ids[v.index()] = Some(i));
-        let id = |v: ViewIndex| ids[v.index()].expect("every view of a cluster has an id");
-        let mut files = options.file_set(self, selection);
-        for (i, &view) in views.iter().enumerate() {
-            let name = selection.scene.name(view);
-            let folder = format!("views/{}", folder(selection.scene, view));
-            files.add_text(format!("{folder}/meta.ini"), meta(selection.scene, view, i));
-            files.add(format!("{folder}/undistorted.{}", extension(name)?), Contents::Link(images.join(name)));
-        }
-        let points = selection.scene.view_points();
-        for (i, cluster) in selection.clusters.iter().enumerate() {
-            files.add_text(
-                format!("bundles/{:04}.out", i + 1),
-                bundle(selection.scene, &points, cluster, &ids, views.len()),
-            );
-        }
-        let scale = (1.0 / selection.image_scale).log2().round().max(0.0);
-        let mut record = ExportRecord::new(self, selection, |v| id(v).to_string());
-        record.moved(near.origin);
-        record.runner = Some("run.sh".into());
-        record.made_for = "MVE (bf2279f)".into();
-        record.way = "one bundle per cluster in one scene".into();
-        let mut script = ClusterScript::new(RUNNER_HEAD);
-        for (i, cluster) in selection.clusters.iter().enumerate() {
-            let (partners, key) = (cluster.partners.len(), id(cluster.key));
-            let local = partners.min(LOCAL_NEIGHBOURS);
-            let bundle = format!("{:04}.out", i + 1);
-            let choice = format!("--neighbors={partners} --local-neighbors={local}");
-            let options = format!("-s{scale} -m{key} {choice}");
-            let folder = folder(selection.scene, cluster.key);
-            let recipe = recipe(selection, cluster, &format!("-s{scale} {choice}"));
-            let result = format!("views/{folder}/depth-L{scale}.mvei");
-            let name = folder.trim_end_matches(".mve");
-            script.line(&format!("back {name} {recipe}"));
-            script.cluster(name, &recipe, &result, &[format!("map {folder} {bundle} {options}")]);
-            record.commands.push(format!("cp bundles/{bundle} synth_0.out"));
-            record.commands.push(format!("dmrecon {options} ."));
-        }
-        record.note_scale(selection, |_| (-scale).exp2());
-        let keys: Vec<String> = (0..selection.clusters.len()).map(|i| i.to_string()).collect();
-        record.commands.push(format!("scene2pset -F{scale} -v{} . fused.ply", keys.join(",")));
-        record.not_honoured.push("that every partner is used: dmrecon chooses among them".into());
-        record.fusion =
-            "depth-L maps hold the length of the ray, not z; scene2pset joins them with confidences and scales; fssrecon fused.ply surface.ply makes the surface"
-                .into();
-        files.add("run.sh", script.finish(&record.commands[record.commands.len() - 1..]));
-        files.add_text("export.json", record.to_json());
-        Ok(Export { files, record })
-    }
+    record.note_scale(selection, |_| (-scale).exp2());
+    let keys: Vec<String> = (0..selection.clusters.len()).map(|i| i.to_string()).collect();
+    record.commands.push(format!("scene2pset -F{scale} -v{} . fused.ply", keys.join(",")));
+    record.not_honoured.push("that every partner is used: dmrecon chooses among them".into());
+    record.fusion =
+    "depth-L maps hold the length of the ray, not z; scene2pset joins them with confidences and scales; fssrecon fused.ply surface.ply makes the surface"
+        .into();
+    files.add("run.sh", script.finish(&record.commands[record.commands.len() - 1..]));
+    files.add_text("export.json", record.to_json());
+    Ok(Export { files, record })
 }
 
 const RUNNER_HEAD: &str = include_str!("../../integrations/mve/run_head.sh");

@@ -2,30 +2,32 @@
 //! the readers differ in the depth line of a camera and in which views they expect.
 
 use super::{
-    Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, PATCH_MATCH, Patient,
-    PlanningNumbers, Selection, Trap, selection,
+    Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, PATCH_MATCH, Patient, Selection,
+    Trap, selection,
 };
 use crate::{
     io::output::Contents,
     model::{
         camera::Camera,
+        cluster::RankedCluster,
         scene::{ViewIndex, ViewPoints},
     },
 };
 
 /// A dialect of the family.
-pub struct MvsNet {
-    name: &'static str,
+struct Dialect {
+    backend: &'static Backend,
     made_for: &'static str,
     depths: DepthLine,
-    /// ACMM and its like look partners up by position and fuse with the maps of all partners: every image is a problem.
+    /// True for ACMM and its like: they look partners up by position and fuse with the maps of all partners, so every image is a problem.
     all_are_problems: bool,
-    notes: &'static str,
-    /// With VIEWS (partners and key view), PARTNERS, WIDTH and HEIGHT (no image is smaller), AGREEING (partners that may have to agree).
+    /// With VIEWS (partners and key view), PARTNERS, WIDTH and HEIGHT (no image is smaller), AGREEING (partners that must agree).
     commands: &'static [&'static str],
+    /// Names and contents of scripts that the commands call.
+    scripts: &'static [(&'static str, &'static str)],
 }
 
-/// Meaning of the last line of a camera file.
+/// Last line of a camera file.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum DepthLine {
     /// Least, interval, number, greatest.
@@ -36,83 +38,111 @@ enum DepthLine {
 
 /// Planes between the least and the greatest depth.
 const PLANES: u32 = 192;
-/// The filters' own number of partners that must agree.
-const MOST_AGREEING: usize = 5;
+/// Partners that must agree on a depth: with the key view, the number of maps that the plan asks for.
+const AGREEING: u32 = PATCH_MATCH.support - 1;
 /// Most partners of ACMH, ACMM, ACMP and ACMMP: a 32 bit mask.
 const ACM_PARTNERS: usize = 32;
 
-pub const MVSNET: MvsNet = MvsNet {
+pub static MVSNET: Backend = Backend {
     name: "mvsnet",
+    aliases: &["casmvsnet"],
+    capabilities: Capabilities {
+        notes: "takes the first view_num - 1 partners: call it with view_num = partners + 1; fusion needs pair_fuse.txt",
+        ..CAPABILITIES
+    },
+    planning: PATCH_MATCH,
+    options: &[],
+    use_of_views: None,
+    takes_distorted: false,
+    serves: |_| false,
+    tasks: |_, _| None,
+    traps,
+    export: |selection, options| MVSNET_DIALECT.export(selection, options),
+};
+
+const MVSNET_DIALECT: Dialect = Dialect {
+    backend: &MVSNET,
     made_for: "MVSNet, CasMVSNet and readers of their four-number depth line",
     depths: DepthLine::Interval,
     all_are_problems: false,
-    notes: "takes the first view_num - 1 partners: call it with view_num = partners + 1; fusion needs pair_fuse.txt",
     commands: &[
         "(here=$PWD && cd \"${MVSNET:?folder of its test.py}\" && python test.py --dense_folder \"$here\" --view_num VIEWS \
                  --max_w WIDTH --max_h HEIGHT --interval_scale 1 --pretrained_model_ckpt_path \"${CHECKPOINT:?path of model.ckpt}\" \
                  --ckpt_step \"${STEP:?its step}\")",
     ],
+    scripts: &[],
 };
 
-pub const PATCHMATCHNET: MvsNet = MvsNet {
+pub static PATCHMATCHNET: Backend = Backend {
     name: "patchmatchnet",
+    aliases: &["patchmatch"],
+    capabilities: Capabilities {
+        notes: "its own filter opens the maps of all partners: swap in pair_fuse.txt for it",
+        ..CAPABILITIES
+    },
+    export: |selection, options| PATCHMATCHNET_DIALECT.export(selection, options),
+    ..MVSNET
+};
+
+const PATCHMATCHNET_DIALECT: Dialect = Dialect {
+    backend: &PATCHMATCHNET,
     made_for: "PatchmatchNet and readers of its two-number depth line",
     depths: DepthLine::Range,
     all_are_problems: false,
-    notes: "its own filter opens the maps of all partners: swap in pair_fuse.txt for it",
     commands: &[
         "(here=$PWD && cd \"${PATCHMATCHNET:?its folder}\" && python eval.py --input_folder \"$here\" --output_folder \"$here/depths\" \
          --checkpoint_path \"${CHECKPOINT:-checkpoints/params_000007.ckpt}\" --num_views PARTNERS --output_type depth)",
-        "mkdir -p fuse && cp pair_fuse.txt fuse/pair.txt && ln -sfn ../cams ../images fuse/",
+        "python3 finished.py",
         "(here=$PWD && cd \"$PATCHMATCHNET\" && python eval.py --input_folder \"$here/fuse\" --output_folder \"$here/depths\" \
          --checkpoint_path \"${CHECKPOINT:-checkpoints/params_000007.ckpt}\" --output_type fusion --geo_mask_thres AGREEING)",
     ],
+    scripts: &[("finished.py", include_str!("../../integrations/mvsnet/finished.py"))],
 };
 
-pub const ACMM: MvsNet = MvsNet {
+pub static ACMM: Backend = Backend {
     name: "acmm",
+    aliases: &["acmh", "acmp", "acmmp"],
+    capabilities: Capabilities {
+        key_subset: Honours::No,
+        order: Honours::Partly,
+        fusion: "built in, over all views",
+        notes: "makes maps of the partners too, with partners of their own, in several passes over all; fuse the key views' maps \
+                elsewhere",
+        ..CAPABILITIES
+    },
+    export: |selection, options| ACMM_DIALECT.export(selection, options),
+    ..MVSNET
+};
+
+const ACMM_DIALECT: Dialect = Dialect {
+    backend: &ACMM,
     made_for: "ACMH, ACMM, ACMP, ACMMP",
     depths: DepthLine::Interval,
     all_are_problems: true,
-    notes: "makes maps of the partners too, with partners of their own, in several passes over all; fuse the key views' maps \
-            elsewhere",
     commands: &["\"${ACMM:-ACMM}\" ."],
+    scripts: &[],
 };
 
-impl Backend for MvsNet {
-    fn name(&self) -> &'static str {
-        self.name
-    }
+const CAPABILITIES: Capabilities = Capabilities {
+    partners: Honours::Yes,
+    key_subset: Honours::Yes,
+    order: Honours::Yes,
+    fusion: "the reader's own filter, with pair_fuse.txt",
+    notes: "",
+};
 
-    fn capabilities(&self) -> Capabilities {
-        Capabilities {
-            partners: Honours::Yes,
-            key_subset: if self.all_are_problems { Honours::No } else { Honours::Yes },
-            order: if self.all_are_problems { Honours::Partly } else { Honours::Yes },
-            fusion: if self.all_are_problems {
-                "built in, over all views"
-            } else {
-                "the reader's own filter, with pair_fuse.txt"
-            },
-            notes: self.notes,
-        }
-    }
+fn traps(patient: &Patient) -> Vec<Trap> {
+    patient.without_points("mvsnet-depth-range", "its depth line cannot be written").into_iter().collect()
+}
 
-    fn planning(&self) -> PlanningNumbers {
-        PATCH_MATCH
-    }
-
-    fn traps(&self, patient: &Patient) -> Vec<Trap> {
-        patient.without_points("mvsnet-depth-range", "its depth line cannot be written").into_iter().collect()
-    }
-
+impl Dialect {
     fn export(&self, selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {
         let near = selection.near_origin();
         let selection = &near.selection();
-        let images = selection.undistorted_images(self.name)?;
+        let images = selection.undistorted_images(self.backend.name)?;
         let views = selection.keys_first();
         let lists = Lists::new(self, selection, &views);
-        let mut files = options.file_set(self, selection);
+        let mut files = options.file_set(self.backend, selection);
         let keys = selection.clusters.len();
         files.add_text("pair.txt", lists.text(lists.rows.len(), |_| true));
         files.add_text("pair_fuse.txt", lists.text(keys, |partner| (partner as usize) < keys));
@@ -123,14 +153,15 @@ impl Backend for MvsNet {
             names += &format!("{i}\t{}\n", selection.scene.name(view));
         }
         files.add_text("view_names.txt", names);
+        for (name, script) in self.scripts {
+            files.add(*name, Contents::Script(script.as_bytes().to_vec()));
+        }
         let mut record = self.record(selection, &lists);
         record.moved(near.origin);
         files.add_text("export.json", record.to_json());
         Ok(Export { files, record })
     }
-}
 
-impl MvsNet {
     /// Line 0 `extrinsic`, 1-4 world to camera, 6 `intrinsic`, 7-9 K, 11 depths; lines 5 and 10 are empty.
     fn camera(&self, selection: &Selection, points: &ViewPoints, view: ViewIndex) -> Result<String, BackendError> {
         let scene = selection.scene;
@@ -142,8 +173,8 @@ impl MvsNet {
         let (f, c) = scene.camera_of(view).pinhole_part();
         let depths =
             self.depth_line(selection::depth_range(scene, points, view).ok_or_else(|| BackendError::Needs {
-                backend: self.name,
-                what: format!("a depth range, and no sparse point lies in front of {}", scene.name(view)),
+                backend: self.backend.name,
+                what: format!("a depth range, and {} observes no sparse point in front of it", scene.name(view)),
                 hint: "leave the view out of the model".into(),
             })?);
         Ok(format!(
@@ -173,10 +204,10 @@ impl MvsNet {
     fn record(&self, selection: &Selection, lists: &Lists) -> ExportRecord {
         let mut numbers = vec![0; selection.scene.views.len()];
         lists.views.iter().zip(&lists.numbers).for_each(|(v, number)| numbers[v.index()] = *number);
-        let mut record = ExportRecord::new(self, selection, |v| numbers[v.index()].to_string());
+        let mut record = ExportRecord::new(self.backend, selection, |v| numbers[v.index()].to_string());
         let most = selection.most_partners();
         record.made_for = self.made_for.into();
-        record.way = format!("dialect {}", self.name);
+        record.way = format!("dialect {}", self.backend.name);
         let least = |side: fn(&Camera) -> u32| {
             let sides = lists.views.iter().map(|&v| side(selection.scene.camera_of(v)));
             (f64::from(sides.min().unwrap_or(0)) * selection.image_scale.min(1.0)) as u32
@@ -186,7 +217,7 @@ impl MvsNet {
             ("PARTNERS", most as u32),
             ("WIDTH", least(|camera| camera.width)),
             ("HEIGHT", least(|camera| camera.height)),
-            ("AGREEING", lists.least_fused(selection.clusters.len()).clamp(1, MOST_AGREEING) as u32),
+            ("AGREEING", AGREEING),
         ];
         let filled = |command: &&str| {
             words.iter().fold(String::from(*command), |text, (word, number)| text.replace(word, &number.to_string()))
@@ -194,9 +225,11 @@ impl MvsNet {
         record.commands = self.commands.iter().map(filled).collect();
         record.note_own_scale(selection);
         record.other_maps = lists.rows.len() - selection.clusters.len();
-        record.fusion = "thresholds on agreeing partners (PatchmatchNet: geo_mask_thres, CasMVSNet: thres_view, 5 by default) must not \
-                         exceed the lengths of the lists in pair_fuse.txt"
-            .into();
+        record.fusion = format!(
+            "{AGREEING} agreeing partner (PatchmatchNet: geo_mask_thres, CasMVSNet: thres_view, 5 by default): the plan asks for {} maps of a \
+             place, and the lists in pair_fuse.txt are short",
+            AGREEING + 1
+        );
         if self.all_are_problems {
             record.not_honoured.push("depth maps of key views only: every view of a cluster gets one".into());
             record.warnings.push("ACMH takes the second GPU and fails where there is one only".into());
@@ -209,18 +242,18 @@ impl MvsNet {
     }
 }
 
-/// Key views with their partners as positions in `views`, and how many points they share.
+/// Key views with their partners (positions in `views`) and the number of points they share.
 struct Lists<'a> {
     views: &'a [ViewIndex],
-    /// By which the files know the views: ids of images, the same in each plan, so that no map that is left is taken for that of another
-    /// image; positions for the programs that demand these.
+    /// Number of each view in the files: its image id, the same in each plan, so that no old map is taken for that of another image;
+    /// its position for programs that demand it.
     numbers: Vec<u32>,
     points: ViewPoints,
     rows: Vec<Vec<(u32, u32)>>,
 }
 
 impl<'a> Lists<'a> {
-    fn new(dialect: &MvsNet, selection: &Selection, views: &'a [ViewIndex]) -> Self {
+    fn new(dialect: &Dialect, selection: &Selection, views: &'a [ViewIndex]) -> Self {
         let scene = selection.scene;
         let points = scene.view_points();
         let mut index = vec![u32::MAX; scene.views.len()];
@@ -229,7 +262,7 @@ impl<'a> Lists<'a> {
         let scored = |shared: &[u32], partners: &mut dyn Iterator<Item = ViewIndex>| {
             partners.map(|p| (index[p.index()], shared[p.index()].max(1))).collect::<Vec<_>>()
         };
-        let key_row = |c: &super::RankedCluster| {
+        let key_row = |c: &RankedCluster| {
             let shared = selection::shared_points(scene, &points, c.key);
             scored(&shared, &mut c.partners.iter().copied())
         };
@@ -248,13 +281,7 @@ impl<'a> Lists<'a> {
         Self { views, numbers: (0..).zip(views).map(number).collect(), points, rows }
     }
 
-    /// The least number of those partners of a key view that are key views too, where it has any.
-    fn least_fused(&self, keys: usize) -> usize {
-        let fused = |row: &Vec<(u32, u32)>| row.iter().filter(|(partner, _)| (*partner as usize) < keys).count();
-        self.rows[..keys].iter().map(fused).filter(|n| *n > 0).min().unwrap_or(0)
-    }
-
-    /// `pair.txt` of the first views, with those partners that are kept.
+    /// `pair.txt` of the first `views` views, with the partners that `keep` accepts.
     fn text(&self, views: usize, keep: impl Fn(u32) -> bool) -> String {
         let mut text = format!("{views}\n");
         for (key, row) in self.numbers.iter().zip(&self.rows[..views]) {

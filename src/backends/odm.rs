@@ -1,107 +1,101 @@
-//! OpenDroneMap: `docs/backends.md` 11. Read, not run. ODM keeps an `openmvs/scene.mvs` that is there; ours holds, for each key view, only the
-//! points that it shares with its partners, and leaves the other images out by a neighbour of score 0.
+//! OpenDroneMap: `docs/backends.md` 11. Read, not run. ODM keeps an existing `openmvs/scene.mvs`; in ours each key view shares points with its
+//! partners only, and every other image is too poorly connected to be computed.
 
 use super::{
-    Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, Patient, PlanningNumbers,
-    Selection, Trap,
-    openmvs::{self, OpenMvs},
-    selection,
+    Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, Patient, Selection, Trap,
+    openmvs, selection,
 };
 use crate::{
     base::shell::quoted_path,
     io::{output::Contents, project::ModelFormat},
 };
 
-pub struct Odm;
-
-/// ODM on one of the projects of a folder.
-/// What the commands ask for where it is not set.
+/// Environment variables of the commands, which ask for them where they are unset.
 const DATASETS: &str = "${DATASETS:?folder of the ODM projects, whole path}";
 const NAME: &str = "${NAME:?name of the ODM project}";
 
-impl Backend for Odm {
-    fn name(&self) -> &'static str {
-        "odm"
-    }
+pub static BACKEND: Backend = Backend {
+    name: "odm",
+    aliases: &["opendronemap", "webodm"],
+    capabilities: Capabilities {
+        partners: Honours::Partly,
+        key_subset: Honours::Yes,
+        order: Honours::No,
+        fusion: "OpenMVS, as ODM calls it",
+        notes: "two key views that are partners of each other share them; more than 5 partners (8 with CUDA) are cut; a partner of several key \
+                views is loaded for each of them",
+    },
+    planning: openmvs::PLANNING,
+    options: &[],
+    use_of_views: None,
+    takes_distorted: false,
+    serves: |_| false,
+    tasks: |_, _| None,
+    traps,
+    export,
+};
 
-    fn capabilities(&self) -> Capabilities {
-        Capabilities {
-            partners: Honours::Partly,
-            key_subset: Honours::Yes,
-            order: Honours::No,
-            fusion: "OpenMVS, as ODM calls it",
-            notes: "two key views that are partners of each other share them; more than 5 partners (8 with CUDA) are cut; ODM's own OpenMVS must \
-                    read interface version 7",
-        }
-    }
+fn traps(patient: &Patient) -> Vec<Trap> {
+    let root = &patient.project.root;
+    let [inside, below] = ["openmvs", "opensfm/undistorted/openmvs"].map(|folder| root.join(folder));
+    let folder = if inside.is_dir() { inside } else { below };
+    let [dense, scene] = ["scene_dense_dense_filtered.ply", "scene.mvs"].map(|file| folder.join(file));
+    let there = |name, path: &std::path::Path, what: &str, cure: &str| {
+        path.is_file().then(|| Trap {
+            name,
+            what: format!("{} is there, {what}", path.display()),
+            cure: format!("{cure} {}", quoted_path(path)),
+            views: Vec::new(),
+        })
+    };
+    let skipped = there("odm-existing-model-skips-stage", &dense, "so that ODM skips the dense stage", "rm");
+    let kept =
+        there("odm-existing-scene", &scene, "and ODM takes it unless ours replaces it", "put our scene.mvs over");
+    skipped.or(kept).into_iter().collect()
+}
 
-    fn planning(&self) -> PlanningNumbers {
-        OpenMvs.planning()
+fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {
+    openmvs::check_names(BACKEND.name, selection)?;
+    let images = selection.undistorted_images(BACKEND.name)?;
+    let mut files = options.file_set(&BACKEND, selection);
+    // ODM calls OpenMVS with the working folder openmvs/depthmaps, wherever a container has it.
+    let mvs = openmvs::joint_scene(selection, |name| format!("../images/{name}"));
+    files.add("openmvs/scene.mvs", Contents::Bytes(mvs.write()));
+    for view in selection.views() {
+        let name = selection.scene.name(view);
+        files.add(format!("openmvs/images/{name}"), Contents::Link(images.join(name)));
     }
-
-    fn traps(&self, patient: &Patient) -> Vec<Trap> {
-        let root = &patient.project.root;
-        let [inside, below] = ["openmvs", "opensfm/undistorted/openmvs"].map(|folder| root.join(folder));
-        let folder = if inside.is_dir() { inside } else { below };
-        let [dense, scene] = ["scene_dense_dense_filtered.ply", "scene.mvs"].map(|file| folder.join(file));
-        let there = |name, path: &std::path::Path, what: &str, cure: &str| {
-            path.is_file().then(|| Trap {
-                name,
-                what: format!("{} is there, {what}", path.display()),
-                cure: format!("{cure} {}", quoted_path(path)),
-                views: Vec::new(),
-            })
-        };
-        let skipped = there("odm-existing-model-skips-stage", &dense, "so that ODM skips the dense stage", "rm");
-        let kept =
-            there("odm-existing-scene", &scene, "and ODM takes it unless ours replaces it", "put our scene.mvs over");
-        skipped.or(kept).into_iter().collect()
-    }
-
-    fn export(&self, selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {
-        openmvs::check_names(self.name(), selection)?;
-        let images = selection.undistorted_images(self.name())?;
-        let mut files = options.file_set(self, selection);
-        // ODM calls OpenMVS with the working folder openmvs/depthmaps, wherever a container has it.
-        let mvs = openmvs::joint_scene(selection, |name| format!("../images/{name}"));
-        files.add("openmvs/scene.mvs", Contents::Bytes(mvs.write()));
-        for view in selection.views() {
-            let name = selection.scene.name(view);
-            files.add(format!("openmvs/images/{name}"), Contents::Link(images.join(name)));
-        }
-        let mut record =
-            ExportRecord::new(self, selection, |v| format!("depth{:04}.dmap", selection.scene.view(v).image_id));
-        record.made_for = "OpenDroneMap (32cfaac; read, not run)".into();
-        record.way = "openmvs/scene.mvs in place of ODM's own".into();
-        record.commands = vec![
-            format!("rm -rf \"{DATASETS}/{NAME}/opensfm/undistorted/openmvs\""),
-            format!("cp -rL openmvs \"{DATASETS}/{NAME}/opensfm/undistorted/\""),
-            format!("docker run --rm -v \"{DATASETS}\":/datasets opendronemap/odm --project-path /datasets \"{NAME}\""),
-        ];
-        record.runner = Some("run.sh".into());
-        let script = format!("#!/bin/sh\nset -eu\ncd \"$(dirname \"$0\")\"\n{}\n", record.commands.join("\n"));
-        files.add("run.sh", Contents::Script(script.into_bytes()));
-        record.not_honoured = vec!["the rank order".into(), "partners beyond the fifth (CUDA: eighth)".into()];
-        record.note_own_scale(selection);
-        record.warnings.extend([
-            "ODM must be run the second time without any --rerun, which would delete the scene".into(),
-            "opensfm/undistorted/openmvs must hold nothing older: with a scene_dense_dense_filtered.ply the stage is skipped, and old depth maps \
-             are kept"
+    let mut record =
+        ExportRecord::new(&BACKEND, selection, |v| format!("depth{:04}.dmap", selection.scene.view(v).image_id));
+    record.made_for = "OpenDroneMap (32cfaac; read, not run)".into();
+    record.way = "openmvs/scene.mvs in place of ODM's own".into();
+    record.commands = vec![
+        format!("rm -rf \"{DATASETS}/{NAME}/opensfm/undistorted/openmvs\""),
+        format!("cp -rL openmvs \"{DATASETS}/{NAME}/opensfm/undistorted/\""),
+        format!("docker run --rm -v \"{DATASETS}\":/datasets opendronemap/odm --project-path /datasets \"{NAME}\""),
+    ];
+    record.runner = Some("run.sh".into());
+    let script = format!("#!/bin/sh\nset -eu\ncd \"$(dirname \"$0\")\"\n{}\n", record.commands.join("\n"));
+    files.add("run.sh", Contents::Script(script.into_bytes()));
+    record.not_honoured = vec!["the rank order".into(), "partners beyond the fifth (CUDA: eighth)".into()];
+    record.note_own_scale(selection);
+    record.warnings.extend([
+        "ODM must be run the second time without any --rerun, which would delete the scene".into(),
+        "opensfm/undistorted/openmvs must hold nothing older: with a scene_dense_dense_filtered.ply the stage is skipped, and old depth \
+         maps are kept"
+            .into(),
+    ]);
+    if selection.project.model.format != ModelFormat::OpenSfm {
+        record.warnings.push(
+            "ODM takes the points as they are: the model must be in the coordinates of ODM's own reconstruction, as that in \
+             ODM_PROJECT/opensfm/undistorted is"
                 .into(),
-            "whether ODM's OpenMVS reads interface version 7 was not tested".into(),
-        ]);
-        if selection.project.model.format != ModelFormat::OpenSfm {
-            record.warnings.push(
-                "ODM takes the points as they are: the model must be in the coordinates of ODM's own reconstruction, as that in \
-                 ODM_PROJECT/opensfm/undistorted is"
-                    .into(),
-            );
-        }
-        let ruined = |rounding| format!("{rounding}: the cloud would be ruined, and ODM's own coordinates are smaller");
-        record.warnings.extend(selection::rounding(selection.scene).map(ruined));
-        record.pixel_shift = -0.5;
-        record.fusion = "ODM's own options: number-views-fuse 2".into();
-        files.add_text("export.json", record.to_json());
-        Ok(Export { files, record })
+        );
     }
+    let ruined = |rounding| format!("{rounding}: the cloud would be ruined, and ODM's own coordinates are smaller");
+    record.warnings.extend(selection::rounding(selection.scene).map(ruined));
+    record.pixel_shift = -0.5;
+    record.fusion = "ODM's own options: number-views-fuse 2".into();
+    files.add_text("export.json", record.to_json());
+    Ok(Export { files, record })
 }

@@ -1,4 +1,4 @@
-//! Where the files of exports go: one set of files per folder, whoever writes it, and what an export must not touch.
+//! Places of exports: one set of files per folder, whoever writes it, and the files that an export must not touch.
 
 use std::path::{Component, Path, PathBuf};
 
@@ -13,12 +13,12 @@ use crate::{
     },
 };
 
-/// Where an export has its record, and where its first tile has one.
+/// Paths of the record of an export, and of its first tile.
 const RECORDS: [&str; 4] =
     ["export.json", "stereo/viewrank/export.json", "tile_01/export.json", "tile_01/stereo/viewrank/export.json"];
 
-/// The folder of the export that has its record at a path, relative to what the path is, and whether it is in tiles; `None` where no
-/// export has it there.
+/// The folder of the export whose record has this path, relative to the same folder, and whether the export is in tiles; `None` if no
+/// export has its record there.
 pub fn folder_of_record(record: &str) -> Option<(&str, bool)> {
     let below = |name: &&str| record.strip_suffix(*name).filter(|folder| folder.is_empty() || folder.ends_with('/'));
     let folder = RECORDS[..2].iter().rev().find_map(below)?.trim_end_matches('/');
@@ -28,8 +28,8 @@ pub fn folder_of_record(record: &str) -> Option<(&str, bool)> {
     })
 }
 
-/// The files of exports below one folder, to appear together. Below the project they are a set of the project, so that links stay within it;
-/// a later set of the same folder takes the place of this one, and no other.
+/// The files of exports below one folder, to appear together. Below the project they are a set of the project, so that links stay within it.
+/// A later set of the same folder replaces this one only.
 pub fn set_of_folder(folder: &Path, parts: impl IntoIterator<Item = FileSet>, project: &Project) -> FileSet {
     let (root, real_folder) = (real(&project.root), real(folder));
     let (mut set, base) = match real_folder.strip_prefix(&root) {
@@ -72,7 +72,7 @@ pub fn check(folder: &Path, exports: &[Export], project: &Project) -> Result<(),
     Ok(())
 }
 
-/// The backend whose export lies in the folder.
+/// The backend whose export the folder holds.
 fn earlier_backend(folder: &Path) -> Option<String> {
     #[derive(Deserialize)]
     struct Record {
@@ -93,8 +93,8 @@ fn refuse_mixed_models(files: &FileSet) -> Result<(), BackendError> {
     folders.find_map(other).map_or(Ok(()), |path| Err(BackendError::OtherModel(path)))
 }
 
-/// Refuses what would lie among the images of the project or in place of its model: links to images would lead in circles there, and the next
-/// plan would be made from the model of this one.
+/// Refuses files among the images of the project or in place of its model: links to images would lead in circles there, and the next
+/// plan would read the model of this export.
 fn spare_own_files(files: &FileSet, project: &Project) -> Result<(), BackendError> {
     let place = |path: &Path| match (path.parent(), path.file_name()) {
         (Some(folder), Some(name)) => real(folder).join(name),
@@ -115,7 +115,7 @@ fn spare_own_files(files: &FileSet, project: &Project) -> Result<(), BackendErro
     }
 }
 
-/// The way from a folder to one above it, so that both can be moved together; the whole path where it isn't above.
+/// The relative path from a folder to one above it, so that both can be moved together; the whole path if it isn't above.
 pub(super) fn path_from(folder: &Path, above: &Path) -> PathBuf {
     let (folder, above) = (real(folder), real(above));
     match folder.strip_prefix(&above) {
@@ -130,7 +130,7 @@ pub fn is_same(one: &Path, other: &Path) -> bool {
     real(one) == real(other)
 }
 
-/// The path without links and `..`, also of something that isn't there yet.
+/// The path without links and `..`, also of a file that doesn't exist yet.
 fn real(path: &Path) -> PathBuf {
     let absolute = std::path::absolute(path).unwrap_or_else(|_| path.to_path_buf());
     let there = absolute.ancestors().find_map(|above| Some((above, above.canonicalize().ok()?)));
@@ -149,7 +149,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn records_lie_where_exports_are_found() {
+    fn a_record_gives_the_folder_of_its_export() {
         for (record, found) in [
             ("viewrank/openmvs/export.json", Some(("viewrank/openmvs", false))),
             ("dense/stereo/viewrank/export.json", Some(("dense", false))),
@@ -163,7 +163,7 @@ mod tests {
     }
 
     #[test]
-    fn a_path_is_real_before_it_is_there() {
+    fn a_path_is_resolved_before_it_exists() {
         let folder = tempfile::tempdir().unwrap();
         let home = folder.path().canonicalize().unwrap();
         std::fs::create_dir(home.join("a")).unwrap();

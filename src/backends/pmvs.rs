@@ -11,67 +11,65 @@ use crate::{
     model::scene::{Scene, ViewIndex},
 };
 
-pub struct Pmvs;
-
 /// Name of the option file. The plain `viewrank` is the folder of our records, in a folder of one's own.
 const OPTIONS: &str = "option-viewrank";
 
-impl Backend for Pmvs {
-    fn name(&self) -> &'static str {
-        "pmvs"
-    }
+pub static BACKEND: Backend = Backend {
+    name: "pmvs",
+    aliases: &["pmvs2", "cmvs"],
+    capabilities: Capabilities {
+        partners: Honours::Yes,
+        key_subset: Honours::Yes,
+        order: Honours::No,
+        fusion: "none needed: it makes patches, not depth maps",
+        notes: "patches start in the key views and are matched in their partners; the order of key views is PMVS2's own",
+    },
+    planning: PlanningNumbers {
+        support: 1,
+        source: "not measured: the numbers of OpenMVS, also a PatchMatch; support 1: patches are not checked against depth maps",
+        ..PATCH_MATCH
+    },
+    options: &[],
+    use_of_views: None,
+    takes_distorted: false,
+    serves: |_| false,
+    tasks: |_, _| None,
+    traps,
+    export,
+};
 
-    fn capabilities(&self) -> Capabilities {
-        Capabilities {
-            partners: Honours::Yes,
-            key_subset: Honours::Yes,
-            order: Honours::No,
-            fusion: "none needed: it makes patches, not depth maps",
-            notes: "patches start in the key views and are matched in their partners; the order of key views is PMVS2's own",
-        }
-    }
+fn traps(patient: &Patient) -> Vec<Trap> {
+    patient.bad_names("pmvs-extension", extension).into_iter().collect()
+}
 
-    fn planning(&self) -> PlanningNumbers {
-        PlanningNumbers {
-            support: 1,
-            source: "not measured: the numbers of OpenMVS, also a PatchMatch; support 1: patches are not checked against depth maps",
-            ..PATCH_MATCH
-        }
+fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {
+    let near = selection.near_origin();
+    let selection = &near.selection();
+    let images = selection.undistorted_images(BACKEND.name)?;
+    let views = selection.keys_first();
+    let mut index = vec![0; selection.scene.views.len()];
+    views.iter().enumerate().for_each(|(i, v)| index[v.index()] = i);
+    let mut files = options.file_set(&BACKEND, selection);
+    for (i, &view) in views.iter().enumerate() {
+        let name = selection.scene.name(view);
+        let extension = extension(name)?;
+        files.add_text(format!("txt/{i:08}.txt"), format!("CONTOUR\n{}", projection(selection.scene, view)));
+        files.add(format!("visualize/{i:08}.{extension}"), Contents::Link(images.join(name)));
     }
-
-    fn traps(&self, patient: &Patient) -> Vec<Trap> {
-        patient.bad_names("pmvs-extension", extension).into_iter().collect()
-    }
-
-    fn export(&self, selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {
-        let near = selection.near_origin();
-        let selection = &near.selection();
-        let images = selection.undistorted_images(self.name())?;
-        let views = selection.keys_first();
-        let mut index = vec![0; selection.scene.views.len()];
-        views.iter().enumerate().for_each(|(i, v)| index[v.index()] = i);
-        let mut files = options.file_set(self, selection);
-        for (i, &view) in views.iter().enumerate() {
-            let name = selection.scene.name(view);
-            let extension = extension(name)?;
-            files.add_text(format!("txt/{i:08}.txt"), format!("CONTOUR\n{}", projection(selection.scene, view)));
-            files.add(format!("visualize/{i:08}.{extension}"), Contents::Link(images.join(name)));
-        }
-        files.add("models", Contents::Folder);
-        files.add_text("vis.dat", visibility(selection, &views, &index));
-        files.add_text(OPTIONS, option_file(selection, views.len()));
-        let mut record = ExportRecord::new(self, selection, |v| index[v.index()].to_string());
-        record.moved(near.origin);
-        record.made_for = "PMVS2 (CMVS-PMVS)".into();
-        record.way = "timages, oimages, vis.dat".into();
-        // The folder is put in front of file names as it is: without the slash nothing is found.
-        record.commands = vec![format!("pmvs2 ./ {OPTIONS}")];
-        record.not_honoured = vec!["the rank order".into()];
-        record.note_scale(selection, |_| (-level(selection)).exp2());
-        record.fusion = format!("none; models/{OPTIONS}.ply");
-        files.add_text("export.json", record.to_json());
-        Ok(Export { files, record })
-    }
+    files.add("models", Contents::Folder);
+    files.add_text("vis.dat", visibility(selection, &views, &index));
+    files.add_text(OPTIONS, option_file(selection, views.len()));
+    let mut record = ExportRecord::new(&BACKEND, selection, |v| index[v.index()].to_string());
+    record.moved(near.origin);
+    record.made_for = "PMVS2 (CMVS-PMVS)".into();
+    record.way = "timages, oimages, vis.dat".into();
+    // The folder is put in front of file names as it is: without the slash nothing is found.
+    record.commands = vec![format!("pmvs2 ./ {OPTIONS}")];
+    record.not_honoured = vec!["the rank order".into()];
+    record.note_scale(selection, |_| (-level(selection)).exp2());
+    record.fusion = format!("none; models/{OPTIONS}.ply");
+    files.add_text("export.json", record.to_json());
+    Ok(Export { files, record })
 }
 
 /// P = K [R | t], row by row, in COLMAP's pixel convention (as COLMAP's own export for PMVS).

@@ -4,8 +4,7 @@
 use std::collections::HashMap;
 
 use super::{
-    Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, Patient, PlanningNumbers,
-    Selection, Trap,
+    Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, Patient, Selection, Trap,
     images::{ANY_PROGRAM, name_lines},
 };
 use crate::{
@@ -14,70 +13,65 @@ use crate::{
     model::scene::ViewIndex,
 };
 
-pub struct RealityScan;
+pub static BACKEND: Backend = Backend {
+    name: "realityscan",
+    aliases: &["realitycapture"],
+    capabilities: Capabilities {
+        partners: Honours::No,
+        key_subset: Honours::Partly,
+        order: Honours::No,
+        fusion: "internal",
+        notes: "an image is either used for meshing or not: key views and partners together",
+    },
+    planning: ANY_PROGRAM,
+    options: &[],
+    use_of_views: None,
+    takes_distorted: true,
+    serves: |_| false,
+    tasks: |_, _| None,
+    traps,
+    export,
+};
 
-impl Backend for RealityScan {
-    fn name(&self) -> &'static str {
-        "realityscan"
-    }
+fn traps(patient: &Patient) -> Vec<Trap> {
+    let same =
+        patient.same_names("realityscan-xmp-same-stem", "the same side file (.xmp)", |name| stem(name).to_owned());
+    same.into_iter().chain(poses_beside(patient)).collect()
+}
 
-    fn capabilities(&self) -> Capabilities {
-        Capabilities {
-            partners: Honours::No,
-            key_subset: Honours::Partly,
-            order: Honours::No,
-            fusion: "internal",
-            notes: "an image is either used for meshing or not: key views and partners together",
+fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {
+    let (scene, used) = (selection.scene, selection.views());
+    let mut files = options.file_set(&BACKEND, selection);
+    let mut by_stem: HashMap<&str, &str> = HashMap::new();
+    for view in scene.view_indices() {
+        let name = scene.name(view);
+        let stem = stem(name);
+        if let Some(other) = by_stem.insert(stem, name) {
+            let why = format!("its side file would be that of {other} too");
+            return Err(BackendError::Name { backend: BACKEND.name, name: name.into(), why });
         }
+        files.add_text(format!("xmp/{stem}.xmp"), side_file(used.binary_search(&view).is_ok()));
     }
-
-    fn planning(&self) -> PlanningNumbers {
-        ANY_PROGRAM
-    }
-
-    fn takes_distorted(&self) -> bool {
-        true
-    }
-
-    fn traps(&self, patient: &Patient) -> Vec<Trap> {
-        let same =
-            patient.same_names("realityscan-xmp-same-stem", "the same side file (.xmp)", |name| stem(name).to_owned());
-        same.into_iter().chain(poses_beside(patient)).collect()
-    }
-
-    fn export(&self, selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {
-        let (scene, used) = (selection.scene, selection.views());
-        let mut files = options.file_set(self, selection);
-        let mut by_stem: HashMap<&str, &str> = HashMap::new();
-        for view in scene.view_indices() {
-            let name = scene.name(view);
-            let stem = stem(name);
-            if let Some(other) = by_stem.insert(stem, name) {
-                let why = format!("its side file would be that of {other} too");
-                return Err(BackendError::Name { backend: self.name(), name: name.into(), why });
-            }
-            files.add_text(format!("xmp/{stem}.xmp"), side_file(used.binary_search(&view).is_ok()));
-        }
-        files.add_text("images.txt", name_lines(selection, &used));
-        let mut record = ExportRecord::new(self, selection, |v| format!("xmp/{}.xmp", stem(scene.name(v))));
-        record.made_for = "RealityScan, RealityCapture (from the vendor's pages; not run)".into();
-        record.way = "side files that switch meshing, to lie beside the images before these are added".into();
-        files.add("switch.py", Contents::Script(include_bytes!("../../integrations/realityscan/switch.py").to_vec()));
-        record.commands = vec![format!("python3 switch.py {}", selection.images_in_commands())];
-        record.not_honoured = vec![
-            "matching partners".into(),
-            "depth maps of key views only: partners take part in meshing as well".into(),
-            "the rank order".into(),
-        ];
-        record.note_own_scale(selection);
-        record.warnings.extend([
-            "side files beside the images that hold poses are left as they are, and named: add the two switches to them".into(),
-        ]);
-        record.other_maps = used.len() - selection.clusters.len();
-        record.fusion = "internal".into();
-        files.add_text("export.json", record.to_json());
-        Ok(Export { files, record })
-    }
+    files.add_text("images.txt", name_lines(selection, &used));
+    let mut record = ExportRecord::new(&BACKEND, selection, |v| format!("xmp/{}.xmp", stem(scene.name(v))));
+    record.made_for = "RealityScan, RealityCapture (from the vendor's pages; not run)".into();
+    record.way = "side files that switch meshing, to lie beside the images before these are added".into();
+    files.add("switch.py", Contents::Script(include_bytes!("../../integrations/realityscan/switch.py").to_vec()));
+    record.commands = vec![format!("python3 switch.py {}", selection.images_in_commands())];
+    record.not_honoured = vec![
+        "matching partners".into(),
+        "depth maps of key views only: partners take part in meshing as well".into(),
+        "the rank order".into(),
+    ];
+    record.note_own_scale(selection);
+    record.warnings.extend([
+        "side files beside the images that hold poses are left as they are, and named: add the two switches to them"
+            .into(),
+    ]);
+    record.other_maps = used.len() - selection.clusters.len();
+    record.fusion = "internal".into();
+    files.add_text("export.json", record.to_json());
+    Ok(Export { files, record })
 }
 
 /// Side files beside the images that hold poses already.

@@ -1,4 +1,4 @@
-//! What a backend is handed: the scene and the chosen view clusters in rank order.
+//! The input of a backend: the scene and the chosen view clusters in rank order.
 
 use std::{
     borrow::Cow,
@@ -28,11 +28,11 @@ pub struct Selection<'a> {
     pub image_scale: f64,
     /// Name of the backend that the plan was made for.
     pub planned_for: &'a str,
-    /// What is wrong with the image files of the scene.
+    /// Faults of the scene's image files.
     pub image_faults: &'a ImageFaults,
 }
 
-/// A selection whose scene lies near its origin: for programs that count in 32 bits.
+/// A selection whose scene is near its origin, for programs that count in f32.
 pub struct NearOrigin<'a> {
     selection: Selection<'a>,
     scene: Cow<'a, Scene>,
@@ -47,7 +47,7 @@ impl NearOrigin<'_> {
 }
 
 impl<'a> Selection<'a> {
-    /// The same near the origin; as it is where 32 bits hold its coordinates.
+    /// Moves the scene near its origin, unless f32 holds its coordinates as they are.
     pub fn near_origin(&self) -> NearOrigin<'a> {
         let origin = origin_among(&centres(self.scene), self.scene.median_gsd());
         let moved = origin != Vector3::zeros();
@@ -83,13 +83,16 @@ impl Selection<'_> {
         Ok(folder)
     }
 
-    /// The folder of the images as a command names it, from whatever folder it is run; where it is not known the command asks for it.
+    /// The folder of the images for a command that may run in any folder; the command asks for it where it is unknown.
     pub fn images_in_commands(&self) -> String {
         let absolute = |folder: &PathBuf| quoted_path(&std::path::absolute(folder).unwrap_or_else(|_| folder.clone()));
         self.project.images.as_ref().map_or("\"${IMAGES:?folder of the images}\"".into(), absolute)
     }
 
-    /// The folder of the images, where these are undistorted; else what to do.
+    /// The folder of the images if these are undistorted.
+    ///
+    /// # Errors
+    /// Distorted cameras, with the command that undistorts as the hint; a folder without images.
     pub fn undistorted_images(&self, backend: &'static str) -> Result<&Path, BackendError> {
         let distorted = self.views().into_iter().find(|v| !self.scene.camera_of(*v).is_pinhole());
         let Some(view) = distorted else { return self.images(backend) };
@@ -158,10 +161,10 @@ impl Selection<'_> {
     }
 }
 
-/// Steps of numbers of 32 bits that are too coarse, pixels on the ground.
+/// Smallest step of f32 that is too coarse, pixels on the ground.
 const COARSE_PX: f64 = 0.1;
 
-/// What numbers of 32 bits do to the coordinates, where they are too coarse for them.
+/// Describes how f32 rounds the coordinates, where it is too coarse for them.
 pub fn rounding(scene: &Scene) -> Option<String> {
     let gsd = scene.median_gsd();
     let (largest, step) = too_coarse(&centres(scene), gsd)?;
@@ -171,8 +174,7 @@ pub fn rounding(scene: &Scene) -> Option<String> {
     ))
 }
 
-/// The origin from which coordinates near these camera centres are to count: the mean of these, in whole units, where numbers of 32 bits are
-/// too coarse for them, else that of the coordinates. `gsd`: units per pixel.
+/// The origin for coordinates near these camera centres: their mean in whole units where f32 is too coarse for them, else zero. `gsd`: units per pixel.
 pub fn origin_among(centres: &[Vector3<f64>], gsd: Option<f64>) -> Vector3<f64> {
     match too_coarse(centres, gsd) {
         Some(_) => (centres.iter().sum::<Vector3<f64>>() / centres.len() as f64).map(f64::round),
@@ -180,7 +182,7 @@ pub fn origin_among(centres: &[Vector3<f64>], gsd: Option<f64>) -> Vector3<f64> 
     }
 }
 
-/// The largest coordinate and the step of numbers of 32 bits there, where it is too coarse.
+/// The largest coordinate and the step of f32 there, where that is too coarse.
 fn too_coarse(centres: &[Vector3<f64>], gsd: Option<f64>) -> Option<(f64, f64)> {
     let largest = centres.iter().map(|centre| centre.amax()).fold(0.0, f64::max);
     let step = largest * f64::from(f32::EPSILON);
@@ -200,7 +202,7 @@ pub fn depths(scene: &Scene, points: &ViewPoints, view: ViewIndex) -> Vec<f64> {
     depths
 }
 
-/// Depths that the 1 % and 99 % quantiles of the view's sparse points have; where it observes none, those of all points in front of it.
+/// The 1 % and 99 % quantiles of the depths of the view's sparse points; if it observes none, of all points in front of it.
 pub fn depth_range(scene: &Scene, points: &ViewPoints, view: ViewIndex) -> Option<[f64; 2]> {
     let mut all = depths(scene, points, view);
     if all.is_empty() {
@@ -212,7 +214,7 @@ pub fn depth_range(scene: &Scene, points: &ViewPoints, view: ViewIndex) -> Optio
     Some([at(0.01)?, at(0.99)?])
 }
 
-/// How many sparse points each view of the scene shares with `view`; 0 for itself.
+/// Number of sparse points that each view of the scene shares with `view`; 0 for itself.
 pub fn shared_points(scene: &Scene, points: &ViewPoints, view: ViewIndex) -> Vec<u32> {
     let mut shared = vec![0; scene.views.len()];
     for &p in points.observed_by(view) {

@@ -7,8 +7,7 @@ use nalgebra::{Matrix3, Matrix4};
 use serde_json::json;
 
 use super::{
-    Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, Patient, PlanningNumbers,
-    Selection, Trap,
+    Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, Patient, Selection, Trap,
     images::{ANY_PROGRAM, listed_views, name_lines},
     workspace::add_workspace,
 };
@@ -18,71 +17,58 @@ use crate::{
     model::scene::{PointIndex, ViewIndex},
 };
 
-pub struct Splat;
-
-/// Of so many images one is also looked at for judging.
+/// Every such image is also in the test lists.
 const JUDGED: usize = 8;
 
-impl Backend for Splat {
-    fn name(&self) -> &'static str {
-        "splat"
-    }
+pub static BACKEND: Backend = Backend {
+    name: "splat",
+    aliases: &["3dgs", "gaussiansplatting", "splatting", "splats", "gsplat", "brush", "nerf", "nerfstudio"],
+    capabilities: Capabilities {
+        partners: Honours::No,
+        key_subset: Honours::Yes,
+        order: Honours::No,
+        fusion: "none: the images train one model",
+        notes: "key views train; --refs keys+partners adds their partners",
+    },
+    planning: ANY_PROGRAM,
+    options: &["--refs"],
+    use_of_views: Some("Train on"),
+    takes_distorted: true,
+    serves: |_| false,
+    tasks: |_, _| None,
+    traps,
+    export,
+};
 
-    fn capabilities(&self) -> Capabilities {
-        Capabilities {
-            partners: Honours::No,
-            key_subset: Honours::Yes,
-            order: Honours::No,
-            fusion: "none: the images train one model",
-            notes: "key views train; --refs keys+partners adds their partners",
-        }
-    }
+fn traps(patient: &Patient) -> Vec<Trap> {
+    let same = "the same image to gaussian-splatting, which cuts folders and what follows the first dot";
+    patient.same_names("splat-duplicate-names", same, |name| short_name(name).to_owned()).into_iter().collect()
+}
 
-    fn planning(&self) -> PlanningNumbers {
-        ANY_PROGRAM
-    }
-
-    fn options(&self) -> &'static [&'static str] {
-        &["--refs"]
-    }
-
-    fn use_of_views(&self) -> Option<&'static str> {
-        Some("Train on")
-    }
-
-    fn takes_distorted(&self) -> bool {
-        true
-    }
-
-    fn traps(&self, patient: &Patient) -> Vec<Trap> {
-        let same = "the same image to gaussian-splatting, which cuts folders and what follows the first dot";
-        patient.same_names("splat-duplicate-names", same, |name| short_name(name).to_owned()).into_iter().collect()
-    }
-
-    fn export(&self, selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {
-        let near = selection.near_origin();
-        let views = listed_views(selection, options.refs);
-        let mut files = options.file_set(self, selection);
-        add_workspace(self.name(), &mut files, selection, &views, "sparse/0", 2, near.origin)?;
-        let selection = &near.selection();
-        files.add("sparse/0/points3D.ply", Contents::Bytes(seeds(selection, &views)));
-        add_lists(&mut files, selection, &views);
-        let mut record = ExportRecord::new(self, selection, |v| format!("images/{}", selection.scene.name(v)));
-        record.moved(near.origin);
-        record.made_for = "gaussian-splatting, gsplat, brush, nerfstudio".into();
-        record.way = format!("reduced model of {} images", views.len());
-        record.commands = commands(selection, &views);
-        record.not_honoured = vec!["matching partners".into(), "the rank order".into()];
-        let first = views.iter().min().map(|&v| {
-            format!("{}: gsplat holds the first image by name out of training, always", selection.scene.name(v))
-        });
-        record.not_honoured.extend(first);
-        record.note_own_scale(selection);
-        record.fusion = "none".into();
-        record.warnings.extend(warnings(selection, &views));
-        files.add_text("export.json", record.to_json());
-        Ok(Export { files, record })
-    }
+fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {
+    let near = selection.near_origin();
+    let views = listed_views(selection, options.refs);
+    let mut files = options.file_set(&BACKEND, selection);
+    add_workspace(BACKEND.name, &mut files, selection, &views, "sparse/0", 2, near.origin)?;
+    let selection = &near.selection();
+    files.add("sparse/0/points3D.ply", Contents::Bytes(seeds(selection, &views)));
+    add_lists(&mut files, selection, &views);
+    let mut record = ExportRecord::new(&BACKEND, selection, |v| format!("images/{}", selection.scene.name(v)));
+    record.moved(near.origin);
+    record.made_for = "gaussian-splatting, gsplat, brush, nerfstudio".into();
+    record.way = format!("reduced model of {} images", views.len());
+    record.commands = commands(selection, &views);
+    record.not_honoured = vec!["matching partners".into(), "the rank order".into()];
+    let first = views
+        .iter()
+        .min()
+        .map(|&v| format!("{}: gsplat holds the first image by name out of training, always", selection.scene.name(v)));
+    record.not_honoured.extend(first);
+    record.note_own_scale(selection);
+    record.fusion = "none".into();
+    record.warnings.extend(warnings(selection, &views));
+    files.add_text("export.json", record.to_json());
+    Ok(Export { files, record })
 }
 
 /// One for each program; gaussian-splatting only where it can be run.
@@ -168,7 +154,7 @@ fn seeds(selection: &Selection, views: &[ViewIndex]) -> Vec<u8> {
     bytes
 }
 
-/// What gaussian-splatting knows an image by.
+/// The name of an image in gaussian-splatting.
 fn short_name(name: &str) -> &str {
     let file = name.rsplit('/').next().unwrap_or(name);
     file.split('.').next().unwrap_or(file)

@@ -12,12 +12,10 @@ use crate::{
     io::{
         formats::sure,
         output::{Contents, FileSet},
-        project::{Project, ProjectKind},
+        project::ProjectKind,
     },
     model::{cluster::Gate, scene::ViewIndex},
 };
-
-pub struct Sure;
 
 /// The numbers of a matcher of rectified pairs (method 7.1 and 7.2).
 const RECTIFYING: PlanningNumbers = PlanningNumbers {
@@ -38,103 +36,96 @@ const RECTIFYING: PlanningNumbers = PlanningNumbers {
              run; support 1: a depth map is checked against its own pairs",
 };
 
-impl Backend for Sure {
-    fn name(&self) -> &'static str {
-        "sure"
-    }
+pub static BACKEND: Backend = Backend {
+    name: "sure",
+    aliases: &["nframes"],
+    capabilities: Capabilities {
+        partners: Honours::Partly,
+        key_subset: Honours::Yes,
+        order: Honours::Partly,
+        fusion: "built in; each depth map is checked against its own pairs",
+        notes: "no public file names pairs: exact partners need one project per cluster",
+    },
+    planning: RECTIFYING,
+    options: &[],
+    use_of_views: None,
+    takes_distorted: false,
+    serves: |project| project.kind == ProjectKind::Sure,
+    tasks: |_, _| None,
+    traps,
+    export,
+};
 
-    fn capabilities(&self) -> Capabilities {
-        Capabilities {
-            partners: Honours::Partly,
-            key_subset: Honours::Yes,
-            order: Honours::Partly,
-            fusion: "built in; each depth map is checked against its own pairs",
-            notes: "no public file names pairs: exact partners need one project per cluster",
-        }
-    }
-
-    fn planning(&self) -> PlanningNumbers {
-        RECTIFYING
-    }
-
-    fn serves(&self, project: &Project) -> bool {
-        project.kind == ProjectKind::Sure
-    }
-
-    fn traps(&self, patient: &Patient) -> Vec<Trap> {
-        let same = patient.same_names(
-            "sure-same-stem",
-            "the same image to SURE, which ignores folders and extensions",
-            |name| stem(&name.replace('/', "_")).to_lowercase(),
-        );
-        let bad = patient.bad_names("sure-name", |name| checked_name("sure", name).map(|_| ()));
-        same.into_iter().chain(bad).collect()
-    }
-
-    fn export(&self, selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {
-        let images = selection.undistorted_images(self.name())?;
-        let names = flat_names(selection)?;
-        let mut files = options.file_set(self, selection);
-        for view in selection.views() {
-            let name = &names[view.index()];
-            files.add(format!("images/{name}"), Contents::Link(images.join(selection.scene.name(view))));
-            files.add_text(format!("ori/{}.ori", stem(name)), orientation(selection, view, name));
-        }
-        let [clusters, pairs, _] = lists_of_pairs(selection, |v| Ok(names[v.index()].as_str()))?;
-        for (name, text) in [clusters, pairs] {
-            files.add_text(name, text);
-        }
-        add_lists(
-            &mut files,
-            "",
-            &names,
-            &selection.views(),
-            &selection.clusters.iter().map(|c| c.key).collect::<Vec<_>>(),
-        );
-        for (i, cluster) in selection.clusters.iter().enumerate() {
-            let views: Vec<_> = std::iter::once(cluster.key).chain(cluster.partners.iter().copied()).collect();
-            add_lists(&mut files, &format!("clusters/{:04}/", i + 1), &names, &views, &[cluster.key]);
-        }
-        let record = self.record(selection, &names);
-        files.add("run.sh", shell_script(selection, &record.commands));
-        files.add_text("run.bat", batch_script(&record.commands));
-        files.add_text("export.json", record.to_json());
-        Ok(Export { files, record })
-    }
+fn traps(patient: &Patient) -> Vec<Trap> {
+    let same =
+        patient.same_names("sure-same-stem", "the same image to SURE, which ignores folders and extensions", |name| {
+            stem(&name.replace('/', "_")).to_lowercase()
+        });
+    let bad = patient.bad_names("sure-name", |name| checked_name("sure", name).map(|_| ()));
+    same.into_iter().chain(bad).collect()
 }
 
-impl Sure {
-    fn record(&self, selection: &Selection, names: &[String]) -> ExportRecord {
-        let level = (1.0 / selection.image_scale).log2().round().max(0.0);
-        let mut record = ExportRecord::new(self, selection, |v| names[v.index()].clone());
-        record.runner = Some("run.sh".into());
-        record.made_for = "SURE (from the vendor's public pages and public scripts for SURE 1.2; not run)".into();
-        record.way = "one project per cluster; lists for a joint project beside".into();
-        for (i, cluster) in selection.clusters.iter().enumerate() {
-            let folder = format!("clusters/{:04}", i + 1);
-            let lists = format!("-img {folder}/images.txt -ori {folder}/ori.txt -select {folder}/baseImages.txt");
-            let partners = cluster.partners.len();
-            record.commands.push(format!(
-                "sure -basepath {folder} {lists} -fold {} -pyr {level} -maxmodels {partners} -prep",
-                partners.clamp(1, 2)
-            ));
-            record.commands.push(format!("sure -basepath {folder}"));
-        }
-        record.not_honoured = vec![
-            "partners in a joint project (images.txt, ori.txt, baseImages.txt): no public file names pairs".into(),
-            "partners that SURE itself rejects by angle or overlap".into(),
-        ];
-        record.warnings.extend([
-            "whether the releases of today keep -select and -maxmodels is not publicly documented".into(),
-            "pixels that are exactly black count as invalid".into(),
-            "lists name files from their own folder on; where a release reads them from elsewhere, make them absolute"
-                .into(),
-        ]);
-        record.note_scale(selection, |_| (-level).exp2());
-        record.pixel_shift = -0.5;
-        record.fusion = "each project gives points of its key view; one DSM or mesh run joins them".into();
-        record
+fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {
+    let images = selection.undistorted_images(BACKEND.name)?;
+    let names = flat_names(selection)?;
+    let mut files = options.file_set(&BACKEND, selection);
+    for view in selection.views() {
+        let name = &names[view.index()];
+        files.add(format!("images/{name}"), Contents::Link(images.join(selection.scene.name(view))));
+        files.add_text(format!("ori/{}.ori", stem(name)), orientation(selection, view, name));
     }
+    let [clusters, pairs, _] = lists_of_pairs(selection, |v| Ok(names[v.index()].as_str()))?;
+    for (name, text) in [clusters, pairs] {
+        files.add_text(name, text);
+    }
+    add_lists(
+        &mut files,
+        "",
+        &names,
+        &selection.views(),
+        &selection.clusters.iter().map(|c| c.key).collect::<Vec<_>>(),
+    );
+    for (i, cluster) in selection.clusters.iter().enumerate() {
+        let views: Vec<_> = std::iter::once(cluster.key).chain(cluster.partners.iter().copied()).collect();
+        add_lists(&mut files, &format!("clusters/{:04}/", i + 1), &names, &views, &[cluster.key]);
+    }
+    let record = record_of(selection, &names);
+    files.add("run.sh", shell_script(selection, &record.commands));
+    files.add_text("run.bat", batch_script(&record.commands));
+    files.add_text("export.json", record.to_json());
+    Ok(Export { files, record })
+}
+
+fn record_of(selection: &Selection, names: &[String]) -> ExportRecord {
+    let level = (1.0 / selection.image_scale).log2().round().max(0.0);
+    let mut record = ExportRecord::new(&BACKEND, selection, |v| names[v.index()].clone());
+    record.runner = Some("run.sh".into());
+    record.made_for = "SURE (from the vendor's public pages and public scripts for SURE 1.2; not run)".into();
+    record.way = "one project per cluster; lists for a joint project beside".into();
+    for (i, cluster) in selection.clusters.iter().enumerate() {
+        let folder = format!("clusters/{:04}", i + 1);
+        let lists = format!("-img {folder}/images.txt -ori {folder}/ori.txt -select {folder}/baseImages.txt");
+        let partners = cluster.partners.len();
+        record.commands.push(format!(
+            "sure -basepath {folder} {lists} -fold {} -pyr {level} -maxmodels {partners} -prep",
+            partners.clamp(1, 2)
+        ));
+        record.commands.push(format!("sure -basepath {folder}"));
+    }
+    record.not_honoured = vec![
+        "partners in a joint project (images.txt, ori.txt, baseImages.txt): no public file names pairs".into(),
+        "partners that SURE itself rejects by angle or overlap".into(),
+    ];
+    record.warnings.extend([
+        "whether the releases of today keep -select and -maxmodels is not publicly documented".into(),
+        "pixels that are exactly black count as invalid".into(),
+        "lists name files from their own folder on; where a release reads them from elsewhere, make them absolute"
+            .into(),
+    ]);
+    record.note_scale(selection, |_| (-level).exp2());
+    record.pixel_shift = -0.5;
+    record.fusion = "each project gives points of its key view; one DSM or mesh run joins them".into();
+    record
 }
 
 /// `run.sh`. Two commands make a cluster.

@@ -1,4 +1,4 @@
-//! What of a project would go wrong with a backend, before anything is planned: for `viewrank doctor`.
+//! Faults of a project that would trip a backend, found before anything is planned, for `viewrank doctor`.
 
 use std::{collections::BTreeMap, path::Path};
 
@@ -10,21 +10,21 @@ use crate::{
     model::scene::{Scene, ViewIndex, ViewPoints},
 };
 
-/// The project that is looked at.
+/// The project under examination.
 pub struct Patient<'a> {
     pub project: &'a Project,
     pub scene: &'a Scene,
     pub points: &'a ViewPoints,
 }
 
-/// Something that a backend would stumble over.
+/// A fault that would trip a backend.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Trap {
-    /// The same for the same trap, for programs.
+    /// Stable name, for programs.
     pub name: &'static str,
-    /// What would happen.
+    /// The consequence.
     pub what: String,
-    /// What to type or do against it.
+    /// The cure, as an imperative or a command.
     pub cure: String,
     /// The views concerned; empty: all of the project.
     pub views: Vec<ViewIndex>,
@@ -73,7 +73,7 @@ impl Patient<'_> {
         })
     }
 
-    /// Views that become the same by what the backend knows them by.
+    /// Views that the backend cannot tell apart.
     pub(super) fn same_names(&self, trap: &'static str, same: &str, known_by: impl Fn(&str) -> String) -> Option<Trap> {
         let mut by_key: BTreeMap<String, Vec<ViewIndex>> = BTreeMap::new();
         for view in self.scene.view_indices() {

@@ -122,7 +122,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         planned_for: &plan.backend,
         image_faults: &plan.project.image_faults(&plan.scene),
     };
-    let exported = backend.export(&selection, &Default::default())?;
+    let exported = (backend.export)(&selection, &Default::default())?;
     let dispatch = Dispatch::new(backend, &selection, &exported, plan.finished)?;
     let _held = if arguments.dry_run { None } else { Some(dispatch.hold()?) };
     let tools = arguments.tools(&dispatch, &settings)?;

@@ -55,15 +55,15 @@ fn backends_to_visit(
     project: &Project,
     wanted: &[String],
     others: bool,
-) -> Result<Vec<&'static dyn Backend>, BackendError> {
+) -> Result<Vec<&'static Backend>, BackendError> {
     let mut visited = backends::by_names(wanted)?;
     if visited.is_empty() {
         let planned = planned_backend(project).and_then(|name| backends::by_name(&name).ok());
         visited.push(planned.unwrap_or_else(|| backends::for_project(project)));
     }
-    let rest = backends::all().iter().copied().filter(|_| others);
+    let rest = backends::BACKENDS.iter().copied().filter(|_| others);
     for backend in rest {
-        if visited.iter().all(|v: &&dyn Backend| v.name() != backend.name()) {
+        if visited.iter().all(|v: &&Backend| v.name != backend.name) {
             visited.push(backend);
         }
     }

@@ -120,7 +120,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     };
     let tiles = arguments.tiles.map(|count| clusters_by_area(&selection, count as usize));
     // All are made and looked at before any is written: what one of them cannot take stops the others too.
-    let make = |backend: &&dyn Backend| arguments.make(*backend, backends.len(), &selection, tiles.as_deref());
+    let make = |backend: &&Backend| arguments.make(*backend, backends.len(), &selection, tiles.as_deref());
     let made: Vec<Made> = backends.iter().map(make).collect::<Result<_, BackendError>>()?;
     made.iter().try_for_each(|made| place::check(&made.folder, &made.exports, &plan.project))?;
     let reports = made.into_iter().map(|made| made.write(&plan.project, tiles.is_some(), arguments.dry_run));
@@ -132,12 +132,12 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
 }
 
 impl Arguments {
-    fn backends(&self, plan: &WrittenPlan) -> Result<Vec<&'static dyn Backend>, BackendError> {
+    fn backends(&self, plan: &WrittenPlan) -> Result<Vec<&'static Backend>, BackendError> {
         let planned_for = std::slice::from_ref(&plan.backend);
         let names = if self.backend.is_empty() { planned_for } else { &self.backend };
         let backends = backends::by_names(names)?;
         for option in self.given() {
-            if !backends.iter().any(|b| b.options().contains(&option)) {
+            if !backends.iter().any(|b| b.options.contains(&option)) {
                 return Err(BackendError::Option { option, backends: names.join(", ") });
             }
         }
@@ -154,30 +154,30 @@ impl Arguments {
         all.into_iter().filter(|(_, given)| *given).map(|(option, _)| option)
     }
 
-    fn options(&self, backend: &dyn Backend, backends: usize) -> ExportOptions {
-        let out = self.out.as_ref().map(|out| if backends > 1 { out.join(backend.name()) } else { out.clone() });
+    fn options(&self, backend: &Backend, backends: usize) -> ExportOptions {
+        let out = self.out.as_ref().map(|out| if backends > 1 { out.join(backend.name) } else { out.clone() });
         let scene = self.scene.clone();
         ExportOptions { out, refs: self.refs, geometric: self.geometric, scene, scale: self.scale }
     }
 
     fn make(
         &self,
-        backend: &dyn Backend,
+        backend: &Backend,
         backends: usize,
         selection: &Selection,
         tiles: Option<&[Vec<RankedCluster>]>,
     ) -> Result<Made, BackendError> {
         let options = self.options(backend, backends);
-        let unheeded = self.given().filter(|option| !backend.options().contains(option)).collect();
+        let unheeded = self.given().filter(|option| !backend.options.contains(option)).collect();
         let Some(tiles) = tiles else {
-            let export = backend.export(selection, &options)?;
+            let export = (backend.export)(selection, &options)?;
             return Ok(Made { folder: export.files.root.clone(), exports: vec![export], unheeded });
         };
-        let own = || selection.project.output_folder().join(format!("{}-tiles", backend.name()));
+        let own = || selection.project.output_folder().join(format!("{}-tiles", backend.name));
         let folder = options.out.clone().unwrap_or_else(own);
         let export = |(i, clusters): (usize, &Vec<RankedCluster>)| {
             let out = Some(folder.join(format!("tile_{:02}", i + 1)));
-            backend.export(&Selection { clusters, ..*selection }, &ExportOptions { out, ..options.clone() })
+            (backend.export)(&Selection { clusters, ..*selection }, &ExportOptions { out, ..options.clone() })
         };
         let exports = tiles.iter().enumerate().map(export).collect::<Result<_, _>>()?;
         Ok(Made { folder, exports, unheeded })
@@ -229,7 +229,7 @@ impl Report {
 fn described(r: &ExportRecord, files: usize, folder: &Path, dry_run: bool) -> String {
     let would = if dry_run { "would be " } else { "" };
     let folder = folder.display();
-    let matched = backends::by_name(&r.backend).is_ok_and(|backend| backend.use_of_views().is_none());
+    let matched = backends::by_name(&r.backend).is_ok_and(|backend| backend.use_of_views.is_none());
     let what = if matched { "view clusters" } else { "key views" };
     let what = if r.clusters.len() == 1 { what.trim_end_matches('s') } else { what };
     let mut text = format!("{}: {} {what}, {files} files {would}in {folder}\n", r.backend, r.clusters.len());

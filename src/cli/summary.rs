@@ -89,12 +89,12 @@ impl<'a> Summary<'a> {
             tiles: plan.stages.surface_stats.tiles,
             chosen_for: match backends::by_name(plan.stages.backend) {
                 _ if !plan.stages.settings.backends.is_empty() => "",
-                Ok(backend) if backend.serves(project) => " (as the project is set up)",
+                Ok(backend) if (backend.serves)(project) => " (as the project is set up)",
                 _ => " (no --backend is named)",
             },
             manifest,
             weight: plan.stages.settings.ranking.weight,
-            use_of_views: backends::by_name(plan.stages.backend).ok().and_then(|backend| backend.use_of_views()),
+            use_of_views: backends::by_name(plan.stages.backend).ok().and_then(|backend| backend.use_of_views),
         }
     }
 
@@ -247,7 +247,7 @@ impl<'a> Summary<'a> {
 fn next(project: &Project, plan: &Plan, files: &PlanFiles, dry_run: bool) -> String {
     let root = project.as_argument();
     let distorted = || plan.stages.scene.view_indices().any(|view| !plan.stages.scene.camera_of(view).is_pinhole());
-    let takes_distorted = backends::by_name(plan.stages.backend).is_ok_and(|backend| backend.takes_distorted());
+    let takes_distorted = backends::by_name(plan.stages.backend).is_ok_and(|backend| backend.takes_distorted);
     match &files.command {
         _ if dry_run => {
             let typed = std::env::args().skip(1).filter(|argument| argument != "--dry-run");

@@ -76,8 +76,8 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let name = backend(arguments, &prepared[0].maps.maps[0].format);
     let backend = backends::by_name(&name)?;
     let lessons: Vec<Lesson> = prepared.iter().map(lesson).collect();
-    let min_matches = backend.planning().confidence.min_matches;
-    let course = Course { backend: backend.name().into(), min_matches, seed: arguments.seed };
+    let min_matches = backend.planning.confidence.min_matches;
+    let course = Course { backend: backend.name.into(), min_matches, seed: arguments.seed };
     let trained = learn::train(&lessons, &course, &progress)?;
     if let Some(folder) = arguments.out.parent().filter(|folder| !folder.as_os_str().is_empty()) {
         output::make_folder(folder, &Disk::REAL)?;

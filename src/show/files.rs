@@ -137,13 +137,10 @@ fn command(export: &Export) -> Option<String> {
 }
 
 /// The files of each backend, and a warning for each backend without files: the plan is useful without them.
-fn exports(
-    selection: &Selection,
-    backends: &[&'static dyn Backend],
-) -> Result<(Vec<Export>, Vec<String>), BackendError> {
+fn exports(selection: &Selection, backends: &[&'static Backend]) -> Result<(Vec<Export>, Vec<String>), BackendError> {
     let (mut exports, mut missing) = (Vec::new(), Vec::new());
     for backend in backends {
-        let checked = backend.export(selection, &ExportOptions::default()).and_then(|export| {
+        let checked = (backend.export)(selection, &ExportOptions::default()).and_then(|export| {
             place::check(&export.files.root, std::slice::from_ref(&export), selection.project).map(|()| export)
         });
         match checked {
@@ -157,7 +154,7 @@ fn exports(
                 | BackendError::OwnFile(_)
                 | BackendError::Place(_)),
             ) => {
-                missing.push(format!("did not export to {}: {error}", backend.name()));
+                missing.push(format!("did not export to {}: {error}", backend.name));
             }
             Err(error) => return Err(error),
         }
@@ -166,9 +163,9 @@ fn exports(
 }
 
 /// The backends in the settings, or else those that the project is set up for.
-fn wanted(plan: &Plan, project: &Project) -> Result<Vec<&'static dyn Backend>, BackendError> {
+fn wanted(plan: &Plan, project: &Project) -> Result<Vec<&'static Backend>, BackendError> {
     if plan.stages.settings.backends.is_empty() {
-        return Ok(backends::all().iter().copied().filter(|backend| backend.serves(project)).collect());
+        return Ok(backends::BACKENDS.iter().copied().filter(|backend| (backend.serves)(project)).collect());
     }
     Ok(backends::by_names(&plan.stages.settings.backends)?)
 }

@@ -48,7 +48,7 @@ pub(super) fn exports(plan: &Plan, project: &Project, sets: &[FileSet]) -> Vec<S
 fn line(plan: &Plan, project: &Project, record: &str) -> Option<String> {
     let (folder, in_tiles) = place::folder_of_record(record)?;
     let exported: Exported = serde_json::from_slice(&read_own(&project.root, record).ok()?).ok()?;
-    let backend = by_name(&exported.backend).ok()?.name();
+    let backend = by_name(&exported.backend).ok()?.name;
     if is_part(&exported, plan) {
         return None;
     }

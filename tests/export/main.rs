@@ -103,10 +103,10 @@ impl Fixture {
             scene: &self.scene,
             clusters: &self.clusters,
             image_scale: self.image_scale,
-            planned_for: backend.name(),
+            planned_for: backend.name,
             image_faults: &self.image_faults,
         };
-        backend.export(&selection, options)
+        (backend.export)(&selection, options)
     }
 
     pub fn export(&self, backend: &str) -> Files {
@@ -189,23 +189,19 @@ fn every_backend_takes_the_fixture_and_says_what_it_wrote() {
     for (i, view) in fixture.scene.views.iter_mut().enumerate() {
         view.name = format!("img{i:03}.jpg");
     }
-    for backend in viewrank::internals::backends::all() {
-        let files = fixture.export(backend.name());
+    for backend in viewrank::internals::backends::BACKENDS {
+        let files = fixture.export(backend.name);
         let record = &files.0.record;
-        assert_eq!(record.backend, backend.name());
+        assert_eq!(record.backend, backend.name);
         assert_eq!(record.clusters.len(), 4);
-        assert!(
-            !record.made_for.is_empty() && !record.way.is_empty() && !record.fusion.is_empty(),
-            "{}",
-            backend.name()
-        );
-        assert!(!record.commands.is_empty() || backend.name() == "images", "{}", backend.name());
+        assert!(!record.made_for.is_empty() && !record.way.is_empty() && !record.fusion.is_empty(), "{}", backend.name);
+        assert!(!record.commands.is_empty() || backend.name == "images", "{}", backend.name);
         let notes = files.names().into_iter().find(|n| n.ends_with("export.json")).unwrap().to_owned();
         let read: viewrank::internals::backends::ExportRecord = serde_json::from_slice(files.bytes(&notes)).unwrap();
-        assert_eq!(&read, record, "{}", backend.name());
-        let partly = [backend.capabilities().partners, backend.capabilities().key_subset, backend.capabilities().order];
+        assert_eq!(&read, record, "{}", backend.name);
+        let partly = [backend.capabilities.partners, backend.capabilities.key_subset, backend.capabilities.order];
         if partly.contains(&viewrank::internals::backends::Honours::No) {
-            assert!(!record.not_honoured.is_empty(), "{} says what it does not honour", backend.name());
+            assert!(!record.not_honoured.is_empty(), "{} says what it does not honour", backend.name);
         }
         let outside = files
             .names()
@@ -248,8 +244,8 @@ fn distorted_images_are_refused_with_the_command_that_makes_them() {
 fn an_export_of_nothing_says_so() {
     let mut fixture = Fixture::new(3);
     fixture.clusters.clear();
-    for backend in viewrank::internals::backends::all() {
-        assert!(fixture.export(backend.name()).says("nothing to compute"), "{}", backend.name());
+    for backend in viewrank::internals::backends::BACKENDS {
+        assert!(fixture.export(backend.name).says("nothing to compute"), "{}", backend.name);
     }
 }
 

@@ -102,10 +102,13 @@ fn mvsnet_index_mapping_differs() {
 fn mvsnet_geo_threshold() {
     let files = Fixture::new(3).export("patchmatchnet");
     let threshold = files.0.record.commands[2].split("--geo_mask_thres ").nth(1).unwrap().trim_end_matches(')');
-    let threshold: usize = threshold.parse().unwrap();
-    let lists = files.lines("pair_fuse.txt");
-    let lengths = lists[1..].chunks(2).map(|pair| pair[1].split(' ').next().unwrap().parse::<usize>().unwrap());
-    assert!(threshold >= 1 && lengths.filter(|n| *n > 0).all(|n| threshold <= n), "{threshold}: {lists:?}");
+    let support = viewrank::internals::backends::by_name("patchmatchnet").unwrap().planning.support;
+    assert_eq!(
+        threshold.parse::<u32>().unwrap() + 1,
+        support,
+        "as many maps as the plan asks for, the key view's own among them"
+    );
+    assert!(files.names().contains(&"finished.py") && files.0.record.commands[1].contains("finished.py"));
 }
 
 /// The camera file of the first key view.

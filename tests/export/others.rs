@@ -4,7 +4,10 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use quick_xml::events::Event;
 use serde_json::Value;
-use viewrank::internals::{backends::ExportOptions, scene::ViewIndex};
+use viewrank::internals::{
+    backends::{BackendError, ExportOptions},
+    scene::ViewIndex,
+};
 
 use crate::{Fixture, numbers, table};
 
@@ -41,6 +44,13 @@ fn gipuma_depth_range_mandatory() {
     }
 }
 
+/// fusibile wants two other views by default, which few places have where only key views have maps.
+#[test]
+fn gipuma_fusibile_num_consistent() {
+    let record = Fixture::new(3).export("gipuma").0.record;
+    assert!(record.fusion.contains(" --num_consistent=1"), "{}", record.fusion);
+}
+
 #[test]
 fn gipuma_four_letter_extension() {
     let mut fixture = Fixture::new(3);
@@ -57,7 +67,7 @@ fn gipuma_four_letter_extension() {
 fn plain_names() -> Fixture {
     let mut fixture = Fixture::new(3);
     for (i, view) in fixture.scene.views.iter_mut().enumerate() {
-        view.name = format!("img&{i:03}.jpg");
+        view.name = format!("img_{i:03}.jpg");
     }
     fixture
 }
@@ -91,6 +101,19 @@ fn micmac_blank_in_name() {
     assert!(error.to_string().contains("flight"), "{error}");
 }
 
+/// Malt takes the pattern of images for the name of the master, and puts it into a command without quotes: `img\.jpg +FileIm1=...` would reach
+/// MicMac as one word.
+#[test]
+fn micmac_pattern_is_the_masters_name() {
+    for name in ["a+b.jpg", "a(1).jpg", "a'b.jpg", "a&b.jpg", "a\\b.jpg", "$a.jpg"] {
+        let mut fixture = plain_names();
+        let key = fixture.clusters[0].key;
+        fixture.scene.views[key.index()].name = name.into();
+        let error = fixture.try_export("micmac", &ExportOptions::default()).err().unwrap();
+        assert!(matches!(error, BackendError::Name { .. }), "{name}: {error}");
+    }
+}
+
 #[test]
 fn micmac_pairs_undirected() {
     let fixture = plain_names();
@@ -98,7 +121,7 @@ fn micmac_pairs_undirected() {
     let pairs: Vec<String> =
         fixture.named().iter().flat_map(|(k, p)| p.iter().map(move |p| format!("{k} {p}"))).collect();
     assert_eq!(texts(files.text("pairs.xml"), "Cple"), pairs);
-    assert!(viewrank::internals::backends::by_name("micmac").unwrap().capabilities().notes.contains("undirected"));
+    assert!(viewrank::internals::backends::by_name("micmac").unwrap().capabilities.notes.contains("undirected"));
 }
 
 #[test]
@@ -147,7 +170,7 @@ fn micmac_one_malt_call_per_master() {
     let wanted: Vec<String> = fixture
         .named()
         .iter()
-        .map(|(k, _)| format!("\"${{MM3D:-mm3d}}\" Malt GeomImage '{}' viewrank Master=AUTO", k.replace('.', "\\.")))
+        .map(|(k, _)| format!("\"${{MM3D:-mm3d}}\" Malt GeomImage {k} viewrank Master=AUTO"))
         .collect();
     assert_eq!(calls, wanted);
 }
@@ -236,6 +259,17 @@ fn alicevision_partners_symmetric() {
     let landmarks = json["structure"].as_array().unwrap();
     assert!(landmarks.iter().all(|l| l["observations"].as_array().unwrap().iter().any(|o| o["observationId"] == key)));
     assert_eq!(json["views"].as_array().unwrap().len(), 4, "a file per key view, with its partners only");
+}
+
+/// `-o` is short for both `--output` and `--outputMesh` of the meshing, which refuses it.
+#[test]
+fn alicevision_meshing_output_is_ambiguous() {
+    let files = Fixture::new(3).export("alicevision");
+    let meshing =
+        |text: &str| text.lines().filter(|l| l.contains("aliceVision_meshing")).map(str::to_owned).collect::<Vec<_>>();
+    let calls = [meshing(&files.0.record.commands.join("\n")), meshing(files.text("run.sh"))].concat();
+    assert_eq!(calls.len(), 2);
+    assert!(calls.iter().all(|call| call.contains(" --output ") && !call.contains(" -o ")), "{calls:?}");
 }
 
 #[test]

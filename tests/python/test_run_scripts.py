@@ -341,24 +341,66 @@ call = Path(sys.argv[0]).name + " " + " ".join(sys.argv[1:])
 print(call, file=open("calls.txt", "a"))
 if os.environ.get("FAIL", "-") in sys.argv:
     sys.exit(1)
+if "GeomImage" in sys.argv:  # the pattern is the name of the master, and of the folder
+    Path("MM-Malt-Img-" + sys.argv[3].rsplit(".", 1)[0]).mkdir(exist_ok=True)
+"""
+
+ALICEVISION = FAILING + """
+import json
+value = lambda option: sys.argv[sys.argv.index(option) + 1]
+views = sorted(int(view["viewId"]) for view in json.loads(Path(value("-i")).read_text())["views"])
 if "--rangeStart" in sys.argv:
-    import json
-    views = sorted(int(view["viewId"]) for view in json.loads(Path(sys.argv[sys.argv.index("-i") + 1]).read_text())["views"])
-    Path(f"depthMaps/{views[int(sys.argv[sys.argv.index('--rangeStart') + 1])]}_depthMap.exr").touch()
+    view = views[int(value("--rangeStart"))]
+    for kind in ("depthMap", "simMap"):
+        Path(value("-o"), f"{view}_{kind}.exr").write_text(f"{view} {len(views)}")
+elif "--depthMapsFolder" in sys.argv and "-o" in sys.argv:  # the filtering: Fuser.cpp keeps the nmodMap that it finds
+    for view in views:
+        Path(value("-o"), f"{view}_nmodMap.png").open("x").write(Path(value("--depthMapsFolder"), f"{view}_depthMap.exr").read_text())
+else:  # the meshing; -o would be short for two options
+    text = "".join(Path(value("--depthMapsFolder"), f"{view}_nmodMap.png").read_text() + "\\n" for view in views)
+    Path(value("--output")).write_text(text)
+    Path(value("--outputMesh")).write_text(text)
 """
 
 
-def test_alicevision_tries_every_cluster(work):
-    programs = ("depthMapEstimation", "depthMapFiltering", "meshing")
-    alice = work("alicevision", {f"aliceVision_{name}": FAILING for name in programs})
+@pytest.fixture
+def alice(work):
+    return work("alicevision", {f"aliceVision_{name}": ALICEVISION for name in ("depthMapEstimation", "depthMapFiltering", "meshing")})
+
+
+def joined(alice):
+    """Key views in the mesh, by id, with the number of views that their maps were made of."""
+    return dict(line.split() for line in (alice.folder / "mesh.obj").read_text().splitlines())
+
+
+def views_of(alice):
+    return {target: str(1 + count) for target, count in alice.partners().items()}
+
+
+def test_alicevision_tries_every_cluster_and_joins_what_there_is(alice):
     joining = ["aliceVision_depthMapFiltering", "aliceVision_meshing"]
+    first = alice.targets()[0]
     done, calls = alice.run(FAIL="clusters/0001.sfm")
-    assert done.returncode == 1 and [call.split()[0] for call in calls[len(alice.targets()) :]] == joining and f"{alice.targets()[0]} failed" in done.stderr
+    assert done.returncode == 1 and [call.split()[0] for call in calls[len(alice.targets()) :]] == joining and f"{first} failed" in done.stderr
+    assert joined(alice) == {target: count for target, count in views_of(alice).items() if target != first}
     done, calls = alice.run()
     assert done.returncode == 0 and "clusters/0001.sfm" in calls[0] and [call.split()[0] for call in calls[1:]] == joining
-    assert {path.name.split("_")[0] for path in (alice.folder / "depthMaps").iterdir()} == set(alice.targets())
-    done, calls = alice.run(FAIL="keys.sfm")
-    assert done.returncode == 1 and "the fusion failed" in done.stderr and len(calls) == 1
+    assert joined(alice) == views_of(alice)
+    before = (alice.folder / "mesh.obj").read_text()
+    done, calls = alice.run(FAIL="finished.sfm")
+    assert done.returncode == 1 and "the fusion failed" in done.stderr and len(calls) == 1 and (alice.folder / "mesh.obj").read_text() == before
+
+
+def test_alicevision_joins_maps_of_this_plan_only(alice):
+    """Maps and counts of agreeing views that an older plan left; maps come back when a plan asks for them again."""
+    alice.run()
+    alice.export(3)
+    failing = alice.targets()[0]
+    done, _ = alice.run(FAIL="clusters/0001.sfm")
+    assert done.returncode == 1 and joined(alice) == {target: count for target, count in views_of(alice).items() if target != failing}
+    alice.export(4)
+    done, calls = alice.run()
+    assert done.returncode == 0 and not any("depthMapEstimation" in call for call in calls) and joined(alice) == views_of(alice)
 
 
 def test_sure_tries_every_cluster(work):
@@ -375,10 +417,46 @@ def test_micmac_tries_every_cluster(work, tmp_path):
     micmac = work("micmac", {"mm3d": FAILING})
     (tmp_path / "Ori-a").mkdir()
     (tmp_path / "Ori-a/Orientation-a.xml").write_text("<x/>")
-    first = micmac.targets()[0].replace(".", "\\.")
+    first = micmac.targets()[0]
     done, calls = micmac.run(tmp_path / "Ori-a", FAIL=first)
     assert done.returncode == 1 and len(calls) == len(micmac.targets()) and f"{micmac.targets()[0]} failed" in done.stderr
     done, calls = micmac.run(tmp_path / "Ori-a")
     assert done.returncode == 0 and len(calls) == 1 and first in calls[0]
     (tmp_path / "Ori-a/Orientation-a.xml").write_text("<y/>")
     assert len(micmac.run(tmp_path / "Ori-a")[1]) == len(micmac.targets()), "other orientations, other maps"
+
+
+# PatchmatchNet's fusion
+
+
+def pfm(path, width=3, height=2):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(f"Pf\n{width} {height}\n-1.000000\n".encode() + bytes(4 * width * height))
+
+
+def test_patchmatchnet_joins_the_maps_that_are_complete(work):
+    """eval.py opens the maps of every view in the list, and ends at the first that is missing."""
+    net = work("patchmatchnet", {})
+    keys = [int(target) for target in net.targets()]
+
+    def fused():
+        done = subprocess.run([sys.executable, "finished.py"], cwd=net.folder, capture_output=True, text=True)
+        if done.returncode:
+            return done.stderr
+        lines = (net.folder / "fuse/pair.txt").read_text().splitlines()
+        lists = {int(key): [int(word) for word in line.split()[1::2]] for key, line in zip(lines[1::2], lines[2::2])}
+        assert len(lists) == int(lines[0]) and all(len(line.split()) == 1 + 2 * int(line.split()[0]) for line in lines[2::2])
+        return lists
+
+    assert "nothing to join" in fused()
+    for key in keys:
+        pfm(net.folder / f"depths/depth_est/{key:08}.pfm")
+        pfm(net.folder / f"depths/confidence/{key:08}.pfm")
+    lists = fused()
+    assert set(lists) <= set(keys) and len(lists) > 2 and all(partner in keys for partners in lists.values() for partner in partners)
+    assert (net.folder / "fuse/cams").resolve() == (net.folder / "cams").resolve()
+    lost = next(iter(lists))
+    confidence = net.folder / f"depths/confidence/{lost:08}.pfm"
+    confidence.write_bytes(confidence.read_bytes()[:-1])
+    left = fused()
+    assert lost not in left and all(lost not in partners for partners in left.values()) and set(left) <= set(lists) - {lost}

@@ -107,17 +107,17 @@ fn absolute(path: &Path) -> PathBuf {
 impl Dispatch {
     /// The tasks of an export with the default options; the plan stands around the first `finished` depth maps.
     pub fn new(
-        backend: &'static dyn Backend,
+        backend: &'static Backend,
         selection: &Selection,
         export: &Export,
         finished: usize,
     ) -> Result<Self, DispatchError> {
         let project = absolute(&selection.project.root);
-        let runner = backend.tasks(selection, export).ok_or(DispatchError::NoTasks(backend.name()))?;
+        let runner = (backend.tasks)(selection, export).ok_or(DispatchError::NoTasks(backend.name))?;
         let task = |(i, cluster): (usize, &RankedCluster)| {
             let map = runner.maps[i].clone()?;
             let key = selection.scene.name(cluster.key);
-            let options = format!("{} {}", backend.name(), selection.image_scale);
+            let options = format!("{} {}", backend.name, selection.image_scale);
             let (marker, id) = (hash([key]), recipe(selection, cluster, &options));
             Some(Task { rank: i + 1, marker, id, map: absolute(&map), key: key.into() })
         };
@@ -125,11 +125,11 @@ impl Dispatch {
         if let Some(task) = tasks.iter().find(|t| t.map.to_string_lossy().contains(['\t', '\n'])) {
             return Err(DispatchError::Path(task.map.clone()));
         }
-        let folder = project.join("viewrank/dispatch").join(backend.name());
+        let folder = project.join("viewrank/dispatch").join(backend.name);
         let workplace = absolute(&export.files.root);
         let brings_program = export.files.files.contains_key(runner.program);
         let exported_program = brings_program.then(|| workplace.join(runner.program));
-        Ok(Self { project, backend: backend.name(), folder, tasks, finished, workplace, exported_program, runner })
+        Ok(Self { project, backend: backend.name, folder, tasks, finished, workplace, exported_program, runner })
     }
 
     pub fn runner(&self) -> &TaskRunner {

@@ -99,9 +99,9 @@ struct Inputs<'a> {
     points: &'a ViewPoints,
     settings: &'a Settings,
     /// The backend that would be planned for.
-    backend: &'a dyn Backend,
+    backend: &'a Backend,
     /// Backends whose traps are checked.
-    backends: &'a [&'a dyn Backend],
+    backends: &'a [&'a Backend],
     images: &'a ImageFaults,
 }
 
@@ -116,7 +116,7 @@ impl Inputs<'_> {
 }
 
 /// Examines the project: partners for the first of `backends`, traps for all of them.
-pub fn examine(project: &Project, scene: &Scene, settings: &Settings, backends: &[&dyn Backend]) -> Diagnosis {
+pub fn examine(project: &Project, scene: &Scene, settings: &Settings, backends: &[&Backend]) -> Diagnosis {
     let backend = backends.first().copied().unwrap_or_else(|| backends::for_project(project));
     let mut findings = match scene.views.is_empty() {
         true => vec![no_views()],
@@ -131,7 +131,7 @@ pub fn examine(project: &Project, scene: &Scene, settings: &Settings, backends: 
         }),
     };
     findings.sort_by_key(|finding| std::cmp::Reverse(finding.severity));
-    Diagnosis { version: 1, backend: backend.name(), findings }
+    Diagnosis { version: 1, backend: backend.name, findings }
 }
 
 fn no_views() -> Finding {
@@ -157,15 +157,15 @@ fn traps(inputs: &Inputs) -> Vec<Finding> {
     let patient = Patient { project: inputs.project, scene: inputs.scene, points: inputs.points };
     let mut findings: Vec<Finding> = distorted(inputs).into_iter().collect();
     for backend in inputs.backends {
-        let planned = backend.name() == inputs.backend.name();
+        let planned = backend.name == inputs.backend.name;
         let severity = if planned { Severity::Warning } else { Severity::Note };
-        for trap in backend.traps(&patient) {
+        for trap in (backend.traps)(&patient) {
             let views = inputs.named(trap.views);
             match findings.iter_mut().find(|f| f.check == trap.name && f.what == trap.what) {
-                Some(same) => same.backends.push(backend.name()),
+                Some(same) => same.backends.push(backend.name),
                 None => {
                     let finding = Finding::new(severity, trap.name, trap.what, trap.cure).of_views(views);
-                    findings.push(Finding { backends: vec![backend.name()], ..finding });
+                    findings.push(Finding { backends: vec![backend.name], ..finding });
                 }
             }
         }
@@ -177,7 +177,7 @@ fn traps(inputs: &Inputs) -> Vec<Finding> {
 fn distorted(inputs: &Inputs) -> Option<Finding> {
     let of_view = |v: &ViewIndex| !inputs.scene.camera_of(*v).is_pinhole();
     let camera = inputs.scene.camera_of(inputs.scene.view_indices().find(of_view)?).model().name();
-    let refuse: Vec<&'static str> = inputs.backends.iter().filter(|b| !b.takes_distorted()).map(|b| b.name()).collect();
+    let refuse: Vec<&'static str> = inputs.backends.iter().filter(|b| !b.takes_distorted).map(|b| b.name).collect();
     let (root, own) = (inputs.project.as_argument(), quoted_path(&inputs.project.root.join("dense")));
     let cure = match &inputs.project.dense_workspace {
         Some(dense) if *dense != inputs.project.root => format!("viewrank plan {}", quoted_path(dense)),

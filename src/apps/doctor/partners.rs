@@ -64,17 +64,17 @@ fn least(inputs: &Inputs) -> usize {
 }
 
 /// Describes how many of the views that share points with this one the backend can match, and why it refuses the others.
-pub fn partners_in_words(scene: &Scene, points: &ViewPoints, backend: &dyn Backend, view: ViewIndex) -> String {
+pub fn partners_in_words(scene: &Scene, points: &ViewPoints, backend: &Backend, view: ViewIndex) -> String {
     count_partners(scene, points, backend, view).words()
 }
 
-fn count_partners(scene: &Scene, points: &ViewPoints, backend: &dyn Backend, view: ViewIndex) -> PartnerCount {
+fn count_partners(scene: &Scene, points: &ViewPoints, backend: &Backend, view: ViewIndex) -> PartnerCount {
     let around = neighbours(scene, points, view);
     let pairs: Vec<PairGeometry> =
         around.iter().map(|(other, shared)| PairGeometry::new(scene, view, *other, shared)).collect();
     let (without_baseline, with_baseline): (Vec<_>, Vec<_>) =
         pairs.into_iter().partition(PairGeometry::has_no_baseline);
-    let gate = backend.planning().gate;
+    let gate = backend.planning.gate;
     let obstacles: Vec<Obstacle> = with_baseline.iter().filter_map(|pair| gate.obstacle(pair)).collect();
     let mut count = PartnerCount {
         view,
@@ -133,7 +133,7 @@ fn too_few(inputs: &Inputs, counts: &[PartnerCount]) -> Option<Finding> {
             "{} of {} cannot be key views, with fewer than {least} partners that {} can match; {loss}",
             few.len(),
             counted(counts.len(), "view"),
-            inputs.backend.name()
+            inputs.backend.name
         );
         Finding::new(severity, "too-few-partners", what, cure).of_views(words(inputs, few))
     })

@@ -22,7 +22,7 @@ pub fn write_patch_match(heading: &[String], problems: &[Problem]) -> String {
     text
 }
 
-/// What COLMAP understands of a `patch-match.cfg`. A last reference without a line of sources is dropped, as there.
+/// A `patch-match.cfg` as COLMAP reads it: it drops a last reference without a line of sources.
 pub fn read_patch_match(text: &str) -> Vec<Problem> {
     let lines: Vec<&str> = text.lines().map(trim).filter(|l| !l.is_empty() && !l.starts_with('#')).collect();
     let problem = |pair: &[&str]| Problem {

@@ -10,7 +10,7 @@ use crate::base::input::{self, FileKind};
 /// Path of the lists in the workspace. Exports put files in place by their names, this one after the lists for COLMAP: a run that begins
 /// meanwhile notes the older one, and its maps are made anew at worst.
 pub const MAPS: &str = "stereo/viewrank/maps.tsv";
-/// What stands for "none" in the lists, and for a map that nobody knows the making of.
+/// Mark of an empty list, and of a map of unknown origin.
 const NONE: &str = "-";
 const UNKNOWN: &str = "?";
 
@@ -139,7 +139,7 @@ mod tests {
         stale.len()
     }
 
-    /// What `run.sh` does before it computes the map.
+    /// Decision of `run.sh` before it computes the map.
     fn begin(workspace: &Path) {
         let lists = Lists::before(workspace);
         let wanted = lists.0.values().find_map(|entry| entry.wanted.clone()).unwrap();

@@ -23,126 +23,112 @@ use self::{
 };
 use super::{
     Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, PATCH_MATCH, Patient,
-    PlanningNumbers, References, Selection, TaskRunner, Trap, capped_scale, selection, workspace::add_workspace,
+    PlanningNumbers, References, Selection, TaskRunner, Trap, record::capped_scale, selection,
+    workspace::add_workspace,
 };
 use crate::{
-    io::{
-        output::{Contents, FileSet},
-        project::Project,
-    },
-    model::scene::ViewIndex,
+    io::output::{Contents, FileSet},
+    model::{cluster::RankedCluster, scene::ViewIndex},
 };
 
 mod cfg;
 mod finished;
+mod script;
 mod traps;
-
-pub struct Colmap;
 
 /// Where the cloud goes: `fused.ply` in the workspace itself may be somebody's.
 const FUSED: &str = "stereo/viewrank/fused.ply";
 /// Key views per batch of a run with geometric consistency.
 const BATCH: usize = 10;
 
-impl Backend for Colmap {
-    fn name(&self) -> &'static str {
-        "colmap"
-    }
+pub static BACKEND: Backend = Backend {
+    name: "colmap",
+    aliases: &[],
+    capabilities: Capabilities {
+        partners: Honours::Yes,
+        key_subset: Honours::Yes,
+        order: Honours::Yes,
+        fusion: "stereo_fusion of the key views' maps, by stereo/fusion.cfg",
+        notes: "partners are a set, their order is lost; the order of key views is exact with one GPU; geometric consistency \
+                needs photometric maps of the partners too (--refs keys+partners)",
+    },
+    planning: PlanningNumbers {
+        source: "3 degrees is COLMAP's filter_min_triangulation_angle; the rest was measured with OpenMVS, the other PatchMatch \
+                 (method 7.1, 7.2), not with COLMAP; support 2: stereo_fusion joins what at least min_num_pixels maps see, \
+                 which the runner sets to 2 to 5",
+        ..PATCH_MATCH
+    },
+    options: &["--refs", "--geometric"],
+    use_of_views: None,
+    takes_distorted: false,
+    serves: |project| project.dense_workspace.is_some(),
+    tasks,
+    traps,
+    export,
+};
 
-    fn capabilities(&self) -> Capabilities {
-        Capabilities {
-            partners: Honours::Yes,
-            key_subset: Honours::Yes,
-            order: Honours::Yes,
-            fusion: "stereo_fusion of the key views' maps, by stereo/fusion.cfg",
-            notes: "partners are a set, their order is lost; the order of key views is exact with one GPU; geometric consistency \
-                    needs photometric maps of the partners too (--refs keys+partners)",
-        }
-    }
-
-    fn planning(&self) -> PlanningNumbers {
-        PlanningNumbers {
-            source: "3 degrees is COLMAP's filter_min_triangulation_angle; the rest was measured with OpenMVS, the other PatchMatch \
-                     (method 7.1, 7.2), not with COLMAP; support 2: stereo_fusion joins what at least min_num_pixels maps see, \
-                     which the runner sets to 2 to 5",
-            ..PATCH_MATCH
-        }
-    }
-
-    fn serves(&self, project: &Project) -> bool {
-        project.dense_workspace.is_some()
-    }
-
-    fn options(&self) -> &'static [&'static str] {
-        &["--refs", "--geometric"]
-    }
-
-    fn tasks(&self, selection: &Selection, export: &Export) -> Option<TaskRunner> {
-        let passes = Passes::new(selection, &ExportOptions::default());
-        let made: HashSet<&str> = passes.last.iter().map(|problem| &*problem.reference).collect();
-        let map = |c: &super::RankedCluster| {
-            let name = selection.scene.name(c.key);
-            let path = format!("stereo/depth_maps/{}", map_name(name, "photometric"));
-            made.contains(name).then(|| export.files.root.join(path))
-        };
-        Some(TaskRunner {
-            program: "colmap",
-            variable: "COLMAP",
-            compute: "COLMAP=$program stereo/viewrank/run.sh --rank \"$rank\"".into(),
-            fuse: "COLMAP=$program stereo/viewrank/run.sh --fuse".into(),
-            maps: selection.clusters.iter().map(map).collect(),
-        })
-    }
-
-    fn traps(&self, patient: &Patient) -> Vec<Trap> {
-        traps::all(patient)
-    }
-
-    fn export(&self, selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {
-        let passes = Passes::new(selection, options);
-        passes.names().try_for_each(|name| cfg::check_name(self.name(), name))?;
-        let mut record = ExportRecord::new(self, selection, |v| selection.scene.name(v).into());
-        passes.describe(selection, &mut record);
-        let mut files = match (&options.out, &selection.project.dense_workspace) {
-            (None, Some(workspace)) => {
-                record.warnings.extend(traps::rounded(selection.scene));
-                FileSet::new(workspace, self.name())
-            }
-            _ => {
-                let origin = selection.near_origin().origin;
-                record.moved(origin);
-                self.workspace(selection, options, passes.refs, origin)?
-            }
-        };
-        passes.add_files(selection, &mut files, &mut record);
-        add_lists(passes.lists(max_image_size(selection)), &mut files, &mut record);
-        files.add_text("stereo/viewrank/export.json", record.to_json());
-        Ok(Export { files, record })
-    }
+fn tasks(selection: &Selection, export: &Export) -> Option<TaskRunner> {
+    let passes = Passes::new(selection, &ExportOptions::default());
+    let made: HashSet<&str> = passes.last.iter().map(|problem| &*problem.reference).collect();
+    let map = |c: &RankedCluster| {
+        let name = selection.scene.name(c.key);
+        let path = format!("stereo/depth_maps/{}", map_name(name, "photometric"));
+        made.contains(name).then(|| export.files.root.join(path))
+    };
+    Some(TaskRunner {
+        program: "colmap",
+        variable: "COLMAP",
+        compute: "COLMAP=$program stereo/viewrank/run.sh --rank \"$rank\"".into(),
+        fuse: "COLMAP=$program stereo/viewrank/run.sh --fuse".into(),
+        maps: selection.clusters.iter().map(map).collect(),
+    })
 }
 
-impl Colmap {
-    /// A dense workspace of its own, with the images that take part.
-    fn workspace(
-        &self,
-        selection: &Selection,
-        options: &ExportOptions,
-        refs: References,
-        origin: Vector3<f64>,
-    ) -> Result<FileSet, BackendError> {
-        selection.undistorted_images(self.name())?;
-        let views = match refs {
-            References::All => selection.scene.view_indices().collect(),
-            _ => selection.views(),
-        };
-        let mut files = options.file_set(self, selection);
-        // Points that a single view observes stay: COLMAP takes the depth range of a view from all of its points.
-        add_workspace(self.name(), &mut files, selection, &views, "sparse", 1, origin)?;
-        Ok(files)
-    }
+fn traps(patient: &Patient) -> Vec<Trap> {
+    traps::all(patient)
 }
 
-/// What patch match is to compute: each list in the order of computation.
+fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {
+    let passes = Passes::new(selection, options);
+    passes.names().try_for_each(|name| cfg::check_name(BACKEND.name, name))?;
+    let mut record = ExportRecord::new(&BACKEND, selection, |v| selection.scene.name(v).into());
+    passes.describe(selection, &mut record);
+    let mut files = match (&options.out, &selection.project.dense_workspace) {
+        (None, Some(workspace)) => {
+            record.warnings.extend(traps::rounded(selection.scene));
+            FileSet::new(workspace, BACKEND.name)
+        }
+        _ => {
+            let origin = selection.near_origin().origin;
+            record.moved(origin);
+            own_workspace(selection, options, passes.refs, origin)?
+        }
+    };
+    passes.add_files(selection, &mut files, &mut record);
+    add_lists(passes.lists(max_image_size(selection)), &mut files, &mut record);
+    files.add_text("stereo/viewrank/export.json", record.to_json());
+    Ok(Export { files, record })
+}
+
+/// A dense workspace of its own, with the images that take part.
+fn own_workspace(
+    selection: &Selection,
+    options: &ExportOptions,
+    refs: References,
+    origin: Vector3<f64>,
+) -> Result<FileSet, BackendError> {
+    selection.undistorted_images(BACKEND.name)?;
+    let views = match refs {
+        References::All => selection.scene.view_indices().collect(),
+        _ => selection.views(),
+    };
+    let mut files = options.file_set(&BACKEND, selection);
+    // Points that a single view observes stay: COLMAP takes the depth range of a view from all of its points.
+    add_workspace(BACKEND.name, &mut files, selection, &views, "sparse", 1, origin)?;
+    Ok(files)
+}
+
+/// The problems of patch match, each list in the order of computation.
 struct Passes {
     refs: References,
     geometric: bool,
@@ -174,7 +160,7 @@ impl Passes {
         Self { refs, geometric, first, last }
     }
 
-    /// All names that stand in the lists.
+    /// All names in the lists.
     fn names(&self) -> impl Iterator<Item = &str> {
         let problems = self.first.iter().chain(&self.last);
         problems.flat_map(|problem| std::iter::once(&problem.reference).chain(&problem.sources)).map(String::as_str)
@@ -222,15 +208,15 @@ impl Passes {
     }
 
     /// Why there is no depth map of a key view.
-    fn left_out(&self, cluster: &super::RankedCluster, with_points: &[bool]) -> &'static str {
+    fn left_out(&self, cluster: &RankedCluster, with_points: &[bool]) -> &'static str {
         if !with_points[cluster.key.index()] {
             "it observes no sparse point in front of it, which COLMAP takes the depth range from"
         } else if cluster.partners.is_empty() {
             "it has no partner"
         } else if self.refs == References::Keys {
-            "none of its partners is a key view with a photometric map, which geometric consistency needs"
+            "no partner is a key view with a photometric map, which geometric consistency needs"
         } else {
-            "none of its partners has a photometric map, which geometric consistency needs"
+            "no partner has a photometric map, which geometric consistency needs"
         }
     }
 
@@ -269,7 +255,7 @@ impl Passes {
         for folder in map_folders(self.main_list()) {
             files.add(folder, Contents::Folder);
         }
-        files.add("stereo/viewrank/run.sh", Contents::Script(runner(record, self.geometric).into_bytes()));
+        files.add("stereo/viewrank/run.sh", Contents::Script(script::runner(record, self.geometric).into_bytes()));
     }
 
     /// The depth maps that will be made, and how.
@@ -335,10 +321,8 @@ fn views_with_points(selection: &Selection) -> Vec<bool> {
 /// The chosen clusters as problems, in rank order.
 fn key_problems(selection: &Selection, with_points: &[bool]) -> Vec<Problem> {
     let name = |v: ViewIndex| selection.scene.name(v).to_owned();
-    let problem = |c: &super::RankedCluster| Problem {
-        reference: name(c.key),
-        sources: c.partners.iter().map(|&p| name(p)).collect(),
-    };
+    let problem =
+        |c: &RankedCluster| Problem { reference: name(c.key), sources: c.partners.iter().map(|&p| name(p)).collect() };
     selection.clusters.iter().filter(|c| with_points[c.key.index()] && !c.partners.is_empty()).map(problem).collect()
 }
 
@@ -398,24 +382,3 @@ fn map_folders(problems: &[Problem]) -> Vec<String> {
     let folder = |sub: &&str| kinds.map(|kind| format!("stereo/{kind}/{sub}").trim_end_matches('/').to_owned());
     subfolders.iter().flat_map(folder).collect()
 }
-
-/// `run.sh`: the commands of the record, from the workspace. A single rank can be computed where no map needs another.
-fn runner(record: &ExportRecord, geometric: bool) -> String {
-    let (fusion, maps) = record.commands.split_last().expect("the maps are fused");
-    let compute = |c: &String| c.replacen("colmap patch_match_stereo --workspace_path . --config_path", "compute", 1);
-    let single = |c: &String| compute(c).replacen("stereo/patch-match.cfg", "\"$list\"", 1);
-    let rank = maps.first().filter(|_| !geometric).map(single);
-    let rank = rank.map_or(NO_SINGLE_RANK.into(), |command| SINGLE_RANK.replace("@COMMAND@", &command));
-    let mut script = format!("{RUNNER_HEAD}# {}\n{rank}{WHOLE_RUN}", record.way);
-    maps.iter().for_each(|c| script += &format!("    {}\n", compute(c)));
-    script + "fi\n" + &fusion.replacen("colmap", "\"${COLMAP:-colmap}\"", 1) + "\n"
-}
-
-const RUNNER_HEAD: &str = include_str!("../../../integrations/colmap/run_head.sh");
-const SINGLE_RANK: &str = include_str!("../../../integrations/colmap/run_rank.sh");
-const NO_SINGLE_RANK: &str = r#"if [ "${1:-}" = --rank ]; then
-    echo "error: --rank: geometric depth maps need those of other views" >&2
-    exit 2
-fi
-"#;
-const WHOLE_RUN: &str = include_str!("../../../integrations/colmap/run_whole.sh");

@@ -1,4 +1,4 @@
-//! What of a project COLMAP would stumble over.
+//! Faults of a project that would trip COLMAP.
 
 use super::{cfg, finished};
 use crate::{
@@ -15,7 +15,7 @@ pub fn all(patient: &Patient) -> Vec<Trap> {
     of_model.into_iter().chain([far_away(patient), finished_maps(patient)]).flatten().collect()
 }
 
-/// Maps that nobody noted the lists of.
+/// Maps without a record of their lists.
 fn finished_maps(patient: &Patient) -> Option<Trap> {
     let workspace = patient.project.dense_workspace.as_ref().filter(|folder| !folder.join(finished::MAPS).exists())?;
     let cure = "plan, then stereo/viewrank/run.sh --replace makes those anew that the plan needs".into();
@@ -44,7 +44,7 @@ fn far_away(patient: &Patient) -> Option<Trap> {
     Some(Trap { name: "colmap-far-from-origin", what, cure, views: Vec::new() })
 }
 
-/// Cameras are numbers of 32 bits in patch match and fusion, and so are the points of `fused.ply`.
+/// Cameras in patch match and fusion are f32, and so are the points of `fused.ply`.
 pub fn rounded(scene: &Scene) -> Option<String> {
     selection::rounding(scene).map(|rounding| {
         format!(
@@ -53,7 +53,7 @@ pub fn rounded(scene: &Scene) -> Option<String> {
     })
 }
 
-/// Of two models in a folder COLMAP takes the binary one.
+/// COLMAP prefers the binary of two models in a folder.
 fn text_beside_binary(patient: &Patient) -> Option<Trap> {
     let model = &patient.project.model;
     patient.project.has_other_text_model(patient.scene).then(|| Trap {

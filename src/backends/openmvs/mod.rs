@@ -10,14 +10,14 @@ use serde::Serialize;
 use self::scene::Builder;
 use super::{
     Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, Patient, PlanningNumbers,
-    Selection, TaskRunner, Trap, capped_scale, selection,
+    Selection, TaskRunner, Trap, record::capped_scale, selection,
 };
 use crate::{
     base::shell::quoted_path,
     io::{
         formats::openmvs::Mvs,
         output::Contents,
-        project::{ModelFormat, Project, ProjectKind},
+        project::{ModelFormat, ProjectKind},
     },
     method::confidence::PairConfidence,
     model::{
@@ -29,143 +29,135 @@ use crate::{
 mod neighbours;
 mod scene;
 
-pub struct OpenMvs;
-
 /// Depth maps that must agree on a point of the fused cloud.
 const MAPS_PER_POINT: usize = 2;
-/// Most key views that a key view is compared with in the fusion.
+/// Most key views that the fusion compares a key view with.
 const FUSED_WITH: usize = 24;
 
-/// Of a match by PatchMatch (method 7.2); where it was measured, [`PlanningNumbers::source`] says.
+/// Confidence of a PatchMatch pair (method 7.2), measured as [`PlanningNumbers::source`] says.
 pub(super) const CONFIDENCE: PairConfidence =
     PairConfidence { min_matches: 1, p0: 0.6, cosine_power: 0.0, scale_octaves: None, full_angle_deg: Some(8.0) };
 
-impl Backend for OpenMvs {
-    fn name(&self) -> &'static str {
-        "openmvs"
-    }
+pub(super) const PLANNING: PlanningNumbers = PlanningNumbers {
+    refuses: None,
+    gate: Gate {
+        min_shared_points: 4,
+        min_angle_deg: 5.0,
+        max_angle_deg: 60.0,
+        max_scale_octaves: 1.68,
+        epipole_inside: true,
+    },
+    confidence: CONFIDENCE,
+    support: MAPS_PER_POINT as u32,
+    measured: "valley, 1 more",
+    source: "success of v2.3.0 (CPU) on valley: below 5 degrees 0.09 to 0.36, from 8 to 60 degrees flat, no harm by scale up to \
+             1.2 octaves (method 7.1, 7.2); no cosine of incidence: real maps of valley and boruszyn are then ranked better, and \
+             foreseen better on valley (calibration error 0.02, with it 0.09); \
+             scale 3.2 is OpenMVS's own limit; at least 3 shared points make a neighbour; its rule \
+             that drops neighbours of a low score is switched off in dense.cfg; support 2: the runner fuses with \
+             --number-views-fuse 2",
+};
 
-    fn capabilities(&self) -> Capabilities {
-        Capabilities {
-            partners: Honours::Yes,
-            key_subset: Honours::Yes,
-            order: Honours::Yes,
-            fusion: "run.py fuses the key views' maps where at least two agree",
-            notes: "one small scene per cluster; the order of partners is OpenMVS's own, all of them are used",
-        }
-    }
+pub static BACKEND: Backend = Backend {
+    name: "openmvs",
+    aliases: &["densifypointcloud"],
+    capabilities: Capabilities {
+        partners: Honours::Yes,
+        key_subset: Honours::Yes,
+        order: Honours::Yes,
+        fusion: "run.py fuses the key views' maps where at least two agree",
+        notes: "one small scene per cluster; the order of partners is OpenMVS's own, all of them are used",
+    },
+    planning: PLANNING,
+    options: &["--scene", "--scale"],
+    use_of_views: None,
+    takes_distorted: false,
+    serves: |project| project.kind == ProjectKind::OpenMvs,
+    tasks,
+    traps,
+    export,
+};
 
-    fn planning(&self) -> PlanningNumbers {
-        PlanningNumbers {
-            refuses: None,
-            gate: Gate {
-                min_shared_points: 4,
-                min_angle_deg: 5.0,
-                max_angle_deg: 60.0,
-                max_scale_octaves: 1.68,
-                epipole_inside: true,
-            },
-            confidence: CONFIDENCE,
-            support: MAPS_PER_POINT as u32,
-            measured: "valley, 1 more",
-            source: "success of v2.3.0 (CPU) on valley: below 5 degrees 0.09 to 0.36, from 8 to 60 degrees flat, no harm by scale up to \
-                     1.2 octaves (method 7.1, 7.2); no cosine of incidence: real maps of valley and boruszyn are then ranked better, and \
-                     foreseen better on valley (calibration error 0.02, with it 0.09); \
-                     scale 3.2 is OpenMVS's own limit; at least 3 shared points make a neighbour; its rule \
-                     that drops neighbours of a low score is switched off in dense.cfg; support 2: the runner fuses with \
-                     --number-views-fuse 2",
-        }
-    }
-
-    fn serves(&self, project: &Project) -> bool {
-        project.kind == ProjectKind::OpenMvs
-    }
-
-    fn options(&self) -> &'static [&'static str] {
-        &["--scene", "--scale"]
-    }
-
-    fn tasks(&self, selection: &Selection, export: &Export) -> Option<TaskRunner> {
-        let map = |c: &RankedCluster| {
-            Some(export.files.root.join(format!("depth{:04}.dmap", selection.scene.view(c.key).image_id)))
-        };
-        let command = "\"$python\" run.py --densify \"$program\" --threads \"$threads\"";
-        Some(TaskRunner {
-            program: "DensifyPointCloud",
-            variable: "DENSIFY",
-            compute: format!("{command} --rank \"$rank\""),
-            fuse: format!("{command} --stop-at 0"),
-            maps: selection.clusters.iter().map(map).collect(),
-        })
-    }
-
-    /// Points and cameras of a scene.mvs are numbers of 32 bits.
-    fn traps(&self, patient: &Patient) -> Vec<Trap> {
-        let largest = patient.scene.points.iter().flat_map(|p| p.iter().map(|x| x.abs())).fold(0.0, f64::max);
-        let step = largest * f64::from(f32::EPSILON);
-        let of_openmvs = patient.project.model.format == ModelFormat::OpenMvs;
-        let named = patient.bad_names("openmvs-backslash-name", |name| check_name(self.name(), name));
-        let rounded = patient.scene.median_gsd().filter(|gsd| of_openmvs && step > *gsd);
-        let trap = rounded.map(|gsd| Trap {
-            name: "openmvs-far-from-origin",
-            what: format!(
-                "coordinates up to {largest:.0} in a scene.mvs are rounded to {step:.2} units, and a pixel is {gsd:.3} units: the points \
-                 are ruined"
-            ),
-            cure: "move the origin of the model among the points before it is written as scene.mvs".into(),
-            views: Vec::new(),
-        });
-        let folder = &patient.project.root;
-        let cure =
-            format!("remove them, or let run.py work in a folder of its own: rm {}/depth*.dmap", quoted_path(folder));
-        let is_map = |name: &str| name.starts_with("depth") && name.ends_with(".dmap");
-        let maps = patient.finished_maps("openmvs-existing-dmap-kept", folder, 1, is_map, cure);
-        trap.into_iter().chain(named).chain(maps).collect()
-    }
-
-    fn export(&self, selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {
-        if let Some(scene) = &options.scene {
-            return neighbours::export(selection, options, scene);
-        }
-        check_names(self.name(), selection)?;
-        let images = selection.undistorted_images(self.name())?;
-        let near = selection.near_origin();
-        let selection = &near.selection();
-        let builder = Builder::new(selection);
-        let mut files = options.file_set(self, selection);
-        let mut rows = Vec::new();
-        for (i, cluster) in selection.clusters.iter().enumerate() {
-            let path = format!("clusters/{:04}.mvs", i + 1);
-            let (mvs, range) = builder.cluster(cluster);
-            rows.push(Row {
-                rank: i + 1,
-                scene: path.clone(),
-                key: selection.scene.name(cluster.key).into(),
-                id: selection.scene.view(cluster.key).image_id,
-                partner_ids: cluster.partners.iter().map(|&p| selection.scene.view(p).image_id).collect(),
-                share: cluster.share,
-                depths: [range.least, range.greatest],
-            });
-            files.add(path, Contents::Bytes(mvs.write()));
-        }
-        for view in selection.views() {
-            let name = selection.scene.name(view);
-            files.add(format!("images/{name}"), Contents::Link(images.join(name)));
-        }
-        let (common, overlaps) = common_project(selection);
-        files.add("fuse.mvs", Contents::Bytes(builder.images(&common).write()));
-        let run = Run { clusters: rows, overlaps, maps_per_point: MAPS_PER_POINT, resolution: resolution(selection) };
-        files.add_text("run.json", serde_json::to_string_pretty(&run).expect("string keys and finite numbers") + "\n");
-        files.add_text("dense.cfg", dense_config(selection));
-        files.add("run.py", Contents::Script(include_bytes!("../../../integrations/openmvs/run.py").to_vec()));
-        let mut record = self.record(selection);
-        record.moved(near.origin);
-        files.add_text("export.json", record.to_json());
-        Ok(Export { files, record })
-    }
+fn tasks(selection: &Selection, export: &Export) -> Option<TaskRunner> {
+    let map = |c: &RankedCluster| {
+        Some(export.files.root.join(format!("depth{:04}.dmap", selection.scene.view(c.key).image_id)))
+    };
+    let command = "\"$python\" run.py --densify \"$program\" --threads \"$threads\"";
+    Some(TaskRunner {
+        program: "DensifyPointCloud",
+        variable: "DENSIFY",
+        compute: format!("{command} --rank \"$rank\""),
+        fuse: format!("{command} --stop-at 0"),
+        maps: selection.clusters.iter().map(map).collect(),
+    })
 }
 
-/// Refuses what OpenMVS would look for in another place; `backend` is the one that runs it.
+/// Points and cameras of a scene.mvs are numbers of 32 bits.
+fn traps(patient: &Patient) -> Vec<Trap> {
+    let largest = patient.scene.points.iter().flat_map(|p| p.iter().map(|x| x.abs())).fold(0.0, f64::max);
+    let step = largest * f64::from(f32::EPSILON);
+    let of_openmvs = patient.project.model.format == ModelFormat::OpenMvs;
+    let named = patient.bad_names("openmvs-backslash-name", |name| check_name(BACKEND.name, name));
+    let rounded = patient.scene.median_gsd().filter(|gsd| of_openmvs && step > *gsd);
+    let trap = rounded.map(|gsd| Trap {
+    name: "openmvs-far-from-origin",
+    what: format!(
+        "coordinates up to {largest:.0} in a scene.mvs are rounded to {step:.2} units, and a pixel is {gsd:.3} units: the points \
+         are ruined"
+    ),
+    cure: "move the origin of the model among the points before it is written as scene.mvs".into(),
+    views: Vec::new(),
+});
+    let folder = &patient.project.root;
+    let cure =
+        format!("remove them, or let run.py work in a folder of its own: rm {}/depth*.dmap", quoted_path(folder));
+    let is_map = |name: &str| name.starts_with("depth") && name.ends_with(".dmap");
+    let maps = patient.finished_maps("openmvs-existing-dmap-kept", folder, 1, is_map, cure);
+    trap.into_iter().chain(named).chain(maps).collect()
+}
+
+fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {
+    if let Some(scene) = &options.scene {
+        return neighbours::export(selection, options, scene);
+    }
+    check_names(BACKEND.name, selection)?;
+    let images = selection.undistorted_images(BACKEND.name)?;
+    let near = selection.near_origin();
+    let selection = &near.selection();
+    let builder = Builder::new(selection);
+    let mut files = options.file_set(&BACKEND, selection);
+    let mut rows = Vec::new();
+    for (i, cluster) in selection.clusters.iter().enumerate() {
+        let path = format!("clusters/{:04}.mvs", i + 1);
+        let (mvs, range) = builder.cluster(cluster);
+        rows.push(Row {
+            rank: i + 1,
+            scene: path.clone(),
+            key: selection.scene.name(cluster.key).into(),
+            id: selection.scene.view(cluster.key).image_id,
+            partner_ids: cluster.partners.iter().map(|&p| selection.scene.view(p).image_id).collect(),
+            share: cluster.share,
+            depths: [range.least, range.greatest],
+        });
+        files.add(path, Contents::Bytes(mvs.write()));
+    }
+    for view in selection.views() {
+        let name = selection.scene.name(view);
+        files.add(format!("images/{name}"), Contents::Link(images.join(name)));
+    }
+    let (common, overlaps) = common_project(selection);
+    files.add("fuse.mvs", Contents::Bytes(builder.images(&common).write()));
+    let run = Run { clusters: rows, overlaps, maps_per_point: MAPS_PER_POINT, resolution: resolution(selection) };
+    files.add_text("run.json", serde_json::to_string_pretty(&run).expect("string keys and finite numbers") + "\n");
+    files.add_text("dense.cfg", dense_config(selection));
+    files.add("run.py", Contents::Script(include_bytes!("../../../integrations/openmvs/run.py").to_vec()));
+    let mut record = record_of(selection);
+    record.moved(near.origin);
+    files.add_text("export.json", record.to_json());
+    Ok(Export { files, record })
+}
+
+/// Refuses names that OpenMVS would look for in another place; `backend` is the one that runs it.
 pub fn check_names(backend: &'static str, selection: &Selection) -> Result<(), BackendError> {
     selection.views().into_iter().try_for_each(|view| check_name(backend, selection.scene.name(view)))
 }
@@ -175,22 +167,20 @@ fn check_name(backend: &'static str, name: &str) -> Result<(), BackendError> {
     if name.contains('\\') { Err(BackendError::Name { backend, name: name.into(), why: why() }) } else { Ok(()) }
 }
 
-impl OpenMvs {
-    fn record(&self, selection: &Selection) -> ExportRecord {
-        let mut record =
-            ExportRecord::new(self, selection, |v| format!("depth{:04}.dmap", selection.scene.view(v).image_id));
-        record.made_for = "OpenMVS v2.0 to v2.3 and develop (run with v2.3.0)".into();
-        record.way = "one scene per cluster".into();
-        record.commands = vec!["python3 run.py".into()];
-        record.not_honoured = vec!["the order of the partners of a key view (all of them are used)".into()];
-        record.note_scale(selection, capped_scale(resolution(selection)));
-        record.pixel_shift = -0.5;
-        record.fusion = format!("number-views-fuse {MAPS_PER_POINT}: that many key views must agree on a point");
-        record
-    }
+fn record_of(selection: &Selection) -> ExportRecord {
+    let mut record =
+        ExportRecord::new(&BACKEND, selection, |v| format!("depth{:04}.dmap", selection.scene.view(v).image_id));
+    record.made_for = "OpenMVS v2.0 to v2.3 and develop (run with v2.3.0)".into();
+    record.way = "one scene per cluster".into();
+    record.commands = vec!["python3 run.py".into()];
+    record.not_honoured = vec!["the order of the partners of a key view (all of them are used)".into()];
+    record.note_scale(selection, capped_scale(resolution(selection)));
+    record.pixel_shift = -0.5;
+    record.fusion = format!("number-views-fuse {MAPS_PER_POINT}: that many key views must agree on a point");
+    record
 }
 
-/// A scene of all clusters in the coordinates of the model, with images under other paths: for programs that run OpenMVS themselves.
+/// One scene of all clusters in model coordinates, with other image paths, for programs that run OpenMVS themselves.
 pub(super) fn joint_scene(selection: &Selection, path: impl Fn(&str) -> String) -> Mvs {
     Builder::new(selection).joint(selection, path)
 }
@@ -208,7 +198,7 @@ struct Row {
     depths: [f64; 2],
 }
 
-/// What `run.py` needs to know.
+/// `run.json`, the input of `run.py`.
 #[derive(Serialize)]
 struct Run {
     clusters: Vec<Row>,
@@ -219,7 +209,7 @@ struct Run {
     resolution: u32,
 }
 
-/// The images of the last run: the key views in rank order, and a partner where there is only one; and who overlaps whom.
+/// The images of the fusion (key views in rank order, and a partner if there is one key view only) and their overlaps.
 fn common_project(selection: &Selection) -> (Vec<ViewIndex>, Vec<Vec<usize>>) {
     let mut views: Vec<_> = selection.clusters.iter().map(|c| c.key).collect();
     let keys = views.len();

@@ -1,16 +1,18 @@
-//! The plain list of neighbours for a `scene.mvs` that is there already.
+//! The plain list of neighbours for an existing `scene.mvs`.
 //!
-//! It replaces the neighbours of the listed images and nothing else: other images are computed too, and for the listed ones the search
-//! range is 0.1 to 100 units whatever the scene. So the depths are checked, and on request a copy of the scene is made at a size that
-//! fits; this copy has no points, so that only the listed images can be computed.
+//! It replaces the neighbours of the listed images only: OpenMVS computes the other images too, and searches depths of 0.1 to 100 units for
+//! the listed ones, whatever the scene. So the depths are checked, and on request a copy of the scene is made at a scale that fits,
+//! without points, so that only the listed images can be computed.
 
 use std::path::Path;
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::{OpenMvs, dense_config, resolution};
+use super::{BACKEND, dense_config, resolution};
 use crate::{
-    backends::{BackendError, Export, ExportOptions, ExportRecord, Selection, capped_scale, selection::origin_among},
+    backends::{
+        BackendError, Export, ExportOptions, ExportRecord, Selection, record::capped_scale, selection::origin_among,
+    },
     base::input::{self, FileKind},
     io::{
         formats::openmvs::{Mvs, NO_POSE},
@@ -20,11 +22,11 @@ use crate::{
     model::scene::ViewIndex,
 };
 
-/// Depths that OpenMVS searches for an image with given neighbours.
+/// Depths that OpenMVS searches for an image with given neighbours, scene units.
 const SEARCHED: [f64; 2] = [0.1, 100.0];
 /// Share of the cameras' spread by which distances between cameras of scene and model may differ.
 const SAME_SHAPE: f64 = 0.01;
-/// Where the median depth of the key views goes.
+/// Median depth of the key views in a scaled scene, units.
 const SCALED_DEPTH: f64 = 10.0;
 
 pub fn export(selection: &Selection, options: &ExportOptions, path: &Path) -> Result<Export, BackendError> {
@@ -40,11 +42,11 @@ pub fn export(selection: &Selection, options: &ExportOptions, path: &Path) -> Re
     let scale = if options.scale { SCALED_DEPTH / median(depths.iter().map(|d| d.median)) } else { 1.0 };
     check_depths(&depths, scale, options.scale)?;
 
-    let mut record = ExportRecord::new(&OpenMvs, selection, |v| positions[v.index()].to_string());
+    let mut record = ExportRecord::new(&BACKEND, selection, |v| positions[v.index()].to_string());
     record.made_for = "OpenMVS v2.0 to v2.3 and develop (run with v2.3.0)".into();
     record.pixel_shift = -0.5;
     record.scale = scale;
-    let mut files = options.file_set(&OpenMvs, selection);
+    let mut files = options.file_set(&BACKEND, selection);
     let list = |c: &crate::model::cluster::RankedCluster| {
         let views = std::iter::once(&c.key).chain(&c.partners);
         views.map(|v| positions[v.index()].to_string()).collect::<Vec<_>>().join(" ") + "\n"
@@ -132,11 +134,10 @@ fn pose_of(mvs: &Mvs, position: usize) -> (Matrix3<f64>, Vector3<f64>) {
     (Matrix3::from_row_slice(&camera.r) * pose_r, centre)
 }
 
-/// Units of the scene in one unit of the model, by how far the cameras of both are spread. `of_scene`: the centres of the selection's cameras in
-/// the scene.
+/// Scene units per model unit, from the spread of the cameras in both. `of_scene`: centres of the selection's cameras in the scene.
 ///
 /// # Errors
-/// Cameras that stand in another way than the model's.
+/// Cameras that are placed differently from the model's.
 fn size_of_scene(selection: &Selection, of_scene: &[Vector3<f64>], path: &Path) -> Result<f64, BackendError> {
     let views = selection.views();
     if views.len() < 2 {
@@ -155,12 +156,12 @@ fn size_of_scene(selection: &Selection, of_scene: &[Vector3<f64>], path: &Path) 
     }
     Err(BackendError::Needs {
         backend: "openmvs",
-        what: format!("the cameras of the model, and those of {} stand in another way", path.display()),
+        what: format!("the cameras of the model, and {} has them in other places", path.display()),
         hint: "give a scene made from this model, or leave --scene out".into(),
     })
 }
 
-/// The scene in coordinates that count from `origin`.
+/// Moves the scene's origin to `origin`.
 fn moved(mut mvs: Mvs, origin: Vector3<f64>) -> Mvs {
     for pose in mvs.platforms.iter_mut().flat_map(|platform| &mut platform.poses) {
         pose.c = (Vector3::from(pose.c) - origin).into();
@@ -175,7 +176,7 @@ fn moved(mut mvs: Mvs, origin: Vector3<f64>) -> Mvs {
     mvs
 }
 
-/// Without region of interest the corners are the greatest numbers there are, in the wrong order.
+/// Without a region of interest the corners are the largest floats, in the wrong order.
 fn has_region(mvs: &Mvs) -> bool {
     (0..3).all(|i| mvs.region[9 + i] < mvs.region[12 + i])
 }
@@ -195,7 +196,7 @@ struct Depths {
 }
 
 impl Depths {
-    /// Of the scene's own vertices; of our points, in the size of the scene, where it has none that the image sees.
+    /// Takes the scene's own vertices, or our points scaled to the scene where the image sees no vertex.
     fn of(mvs: &Mvs, position: usize, selection: &Selection, view: ViewIndex, size_of_scene: f64) -> Self {
         let (r, centre) = pose_of(mvs, position);
         let depth = |x: [f32; 3]| (r * (Vector3::from(x.map(f64::from)) - centre)).z;
@@ -243,7 +244,7 @@ fn check_depths(depths: &[Depths], scale: f64, scaled: bool) -> Result<(), Backe
     })
 }
 
-/// The scene, to be read from another folder.
+/// The scene with image paths that hold in any working folder.
 fn with_absolute_paths(mut mvs: Mvs, folder: &Path) -> Mvs {
     let absolute = |name: &mut Vec<u8>| {
         if !name.is_empty() {
@@ -257,7 +258,7 @@ fn with_absolute_paths(mut mvs: Mvs, folder: &Path) -> Mvs {
     mvs
 }
 
-/// The scene at another size, without points.
+/// The scene scaled, without points.
 fn scaled(mut mvs: Mvs, scale: f64) -> Mvs {
     let grow = |values: &mut [f64]| values.iter_mut().for_each(|v| *v *= scale);
     for platform in &mut mvs.platforms {

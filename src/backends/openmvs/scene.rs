@@ -1,4 +1,6 @@
-//! Scenes of OpenMVS made of views of ours.
+//! Builds OpenMVS scenes from our views.
+
+use std::collections::BTreeSet;
 
 use nalgebra::Point3;
 
@@ -14,7 +16,7 @@ use crate::{
 /// A partner needs three shared points to be a neighbour at all, the key view more than three points in total.
 const LEAST_SHARED: usize = 4;
 
-/// What all scenes of an export have in common.
+/// Inputs that all scenes of an export share.
 pub struct Builder<'a> {
     scene: &'a Scene,
     points: ViewPoints,
@@ -82,25 +84,35 @@ impl<'a> Builder<'a> {
         (mvs, range)
     }
 
-    /// One scene for all: a vertex for each point that a key view shares with a partner, seen by these two; images that are no key views
-    /// get a neighbour of score 0, which leaves them out.
+    /// One scene of all clusters in version 6, which has no view scores: a vertex for each point that a key view shares with a partner, seen by
+    /// these two. A partner that isn't a key view is an image of its own for each key view, so that it has a single neighbour and isn't computed.
+    /// An only partner gets one more such image, since OpenMVS asks for two neighbours.
     pub fn joint(&self, selection: &Selection, path: impl Fn(&str) -> String) -> Mvs {
-        let views = selection.keys_first();
-        let mut mvs = self.images(&views);
-        mvs.version = 7;
-        for (image, &view) in mvs.images.iter_mut().zip(&views) {
-            image.name = path(self.scene.name(view)).into_bytes();
-        }
-        mvs.images[selection.clusters.len()..].iter_mut().for_each(|image| image.view_scores = vec![dummy(0.0)]);
-        let index = |view: ViewIndex| views.iter().position(|v| *v == view).unwrap_or_default() as u32;
+        let mut views: Vec<ViewIndex> = selection.clusters.iter().map(|c| c.key).collect();
+        let key_of = |view: ViewIndex| (0..).zip(selection.clusters).find_map(|(i, c)| (c.key == view).then_some(i));
+        let mut pairs: BTreeSet<[u32; 2]> = BTreeSet::new();
         for (key, cluster) in (0..).zip(selection.clusters) {
-            for &partner in &cluster.partners {
-                let mut pair = [key, index(partner)];
-                pair.sort_unstable();
-                let views = pair.map(|image| VertexView { image, confidence: 1.0 });
-                let shared = self.shared(cluster.key, partner);
-                mvs.vertices.extend(shared.iter().map(|(x, _)| self.vertex(x, &views)));
+            let of_keys = cluster.partners.iter().filter_map(|p| key_of(*p));
+            pairs.extend(of_keys.map(|other| [key.min(other), key.max(other)]));
+            let copied = cluster.partners.iter().filter(|p| key_of(**p).is_none());
+            let once_more = cluster.partners.first().filter(|_| cluster.partners.len() == 1);
+            for &partner in copied.chain(once_more) {
+                pairs.insert([key, views.len() as u32]);
+                views.push(partner);
             }
+        }
+        let mut mvs = self.images(&views);
+        let first_free = self.scene.views.iter().map(|view| view.image_id).max().unwrap_or(0).saturating_add(1);
+        for (i, (image, &view)) in mvs.images.iter_mut().zip(&views).enumerate() {
+            image.name = path(self.scene.name(view)).into_bytes();
+            if let Some(copy) = i.checked_sub(selection.clusters.len()) {
+                image.id = first_free.saturating_add(copy as u32);
+            }
+        }
+        for pair in pairs {
+            let shared = self.shared(views[pair[0] as usize], views[pair[1] as usize]);
+            let seen_by = pair.map(|image| VertexView { image, confidence: 1.0 });
+            mvs.vertices.extend(shared.iter().map(|(x, _)| self.vertex(x, &seen_by)));
         }
         mvs
     }

@@ -6,11 +6,13 @@ use super::{
     Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, PlanningNumbers, Selection,
     TaskRunner, place, sure,
 };
-use crate::{base::shell::quoted_path, method::confidence::PairConfidence, model::cluster::Gate};
+use crate::{
+    base::shell::quoted_path,
+    method::confidence::PairConfidence,
+    model::cluster::{Gate, RankedCluster},
+};
 
-pub struct Sgm;
-
-/// What ranks best by real curves (`integrations/sgm/RESULTS.md`).
+/// Ranks best by real curves (`integrations/sgm/RESULTS.md`).
 pub(super) const CONFIDENCE: PairConfidence =
     PairConfidence { min_matches: 2, p0: 0.9, cosine_power: 0.0, scale_octaves: Some(2.0), full_angle_deg: None };
 
@@ -42,62 +44,61 @@ const MATCHER: [(&str, &str); 6] = [
     ("workspace.py", include_str!("../../../integrations/sgm/workspace.py")),
 ];
 
-impl Backend for Sgm {
-    fn name(&self) -> &'static str {
-        "sgm"
-    }
+pub static BACKEND: Backend = Backend {
+    name: "sgm",
+    aliases: &[],
+    capabilities: Capabilities {
+        partners: Honours::Yes,
+        key_subset: Honours::Yes,
+        order: Honours::Yes,
+        fusion: "none; each depth map is checked against its own pairs",
+        notes: "pairs that it refuses are named in its report.json, with the reason",
+    },
+    planning: NUMBERS,
+    options: &[],
+    use_of_views: None,
+    takes_distorted: false,
+    serves: |_| false,
+    tasks,
+    traps: |_| Vec::new(),
+    export,
+};
 
-    fn capabilities(&self) -> Capabilities {
-        Capabilities {
-            partners: Honours::Yes,
-            key_subset: Honours::Yes,
-            order: Honours::Yes,
-            fusion: "none; each depth map is checked against its own pairs",
-            notes: "pairs that it refuses are named in its report.json, with the reason",
-        }
-    }
+fn tasks(selection: &Selection, export: &Export) -> Option<TaskRunner> {
+    let out = selection.project.root.join("sgm");
+    let folder = quoted_path(&out);
+    let command = format!(
+        "\"$python\" \"$program\" match \"$project\" --clusters {} --out {folder} --image-scale {}",
+        quoted_path(&export.files.root.join("clusters.txt")),
+        selection.image_scale
+    );
+    let map = |c: &RankedCluster| Some(out.join(format!("depth_maps/{}.npy", selection.scene.name(c.key))));
+    Some(TaskRunner {
+        program: "sgm.py",
+        variable: "SGM",
+        compute: format!("{command} --cache {folder}/pairs --rank \"$rank\""),
+        fuse: format!("{command} --stop-at 0"),
+        maps: selection.clusters.iter().map(map).collect(),
+    })
+}
 
-    fn planning(&self) -> PlanningNumbers {
-        NUMBERS
+fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {
+    selection.undistorted_images(BACKEND.name)?;
+    let mut record = ExportRecord::new(&BACKEND, selection, |v| selection.scene.name(v).into());
+    record.made_for = "integrations/sgm".into();
+    record.way = "pair files".into();
+    let scale = selection.image_scale;
+    let mut files = options.file_set(&BACKEND, selection);
+    let project = quoted_path(&place::path_from(&files.root, &selection.project.root));
+    record.commands =
+        vec![format!("python3 sgm.py match {project} --clusters clusters.txt --out depth_maps --image-scale {scale}")];
+    record.fusion = "none needed".into();
+    for (name, text) in MATCHER {
+        files.add_text(name, text);
     }
-
-    fn tasks(&self, selection: &Selection, export: &Export) -> Option<TaskRunner> {
-        let out = selection.project.root.join("sgm");
-        let folder = quoted_path(&out);
-        let command = format!(
-            "\"$python\" \"$program\" match \"$project\" --clusters {} --out {folder} --image-scale {}",
-            quoted_path(&export.files.root.join("clusters.txt")),
-            selection.image_scale
-        );
-        let map = |c: &super::RankedCluster| Some(out.join(format!("depth_maps/{}.npy", selection.scene.name(c.key))));
-        Some(TaskRunner {
-            program: "sgm.py",
-            variable: "SGM",
-            compute: format!("{command} --cache {folder}/pairs --rank \"$rank\""),
-            fuse: format!("{command} --stop-at 0"),
-            maps: selection.clusters.iter().map(map).collect(),
-        })
+    for (name, text) in sure::pair_files(BACKEND.name, selection)? {
+        files.add_text(name, text);
     }
-
-    fn export(&self, selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {
-        selection.undistorted_images(self.name())?;
-        let mut record = ExportRecord::new(self, selection, |v| selection.scene.name(v).into());
-        record.made_for = "integrations/sgm".into();
-        record.way = "pair files".into();
-        let scale = selection.image_scale;
-        let mut files = options.file_set(self, selection);
-        let project = quoted_path(&place::path_from(&files.root, &selection.project.root));
-        record.commands = vec![format!(
-            "python3 sgm.py match {project} --clusters clusters.txt --out depth_maps --image-scale {scale}"
-        )];
-        record.fusion = "none needed".into();
-        for (name, text) in MATCHER {
-            files.add_text(name, text);
-        }
-        for (name, text) in sure::pair_files(self.name(), selection)? {
-            files.add_text(name, text);
-        }
-        files.add_text("export.json", record.to_json());
-        Ok(Export { files, record })
-    }
+    files.add_text("export.json", record.to_json());
+    Ok(Export { files, record })
 }

@@ -74,7 +74,7 @@ impl Reduced {
     }
 }
 
-/// What turns inverse depths of a pair into disparities.
+/// Maps inverse depths of a pair to disparities.
 struct Parallax {
     /// Inverse depth of the dominant plane at pixel (u, v): plane . (u, v, 1).
     plane: Vector3<f64>,
@@ -154,7 +154,7 @@ fn median(mut values: Vec<f64>) -> f64 {
     percentile(&values, 50.0)
 }
 
-/// Of ascending values, linear between them.
+/// Quantile of ascending values, linear between them.
 fn percentile(sorted: &[f64], percent: f64) -> f64 {
     let place = percent / 100.0 * (sorted.len() - 1) as f64;
     let (below, above) = (sorted[place.floor() as usize], sorted[place.ceil() as usize]);

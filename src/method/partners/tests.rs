@@ -42,7 +42,7 @@ impl Setting {
         let visibility = visibility::estimate(&scene, &points, &surface, &settings, 3.0, keep, &Unwatched).unwrap();
         let mut target = Target::new(&scene, &surface, &visibility, &TargetSettings::default(), 0.05, 1.0);
         target.accuracy_over_gsd = 0.4;
-        let gate = crate::backends::by_name("sure").unwrap().planning().gate;
+        let gate = crate::backends::by_name("sure").unwrap().planning.gate;
         let candidates =
             candidates(&scene, &points, &PartnerSettings::default(), &Limits::gate(&gate), &Unwatched).unwrap();
         Self { scene, surface, visibility, target, unary: Unary::certain(), candidates }
@@ -114,7 +114,7 @@ fn search_is_never_below_sampled() {
 fn sampled_is_the_optimum_where_it_takes_all() {
     let mut setting = Setting::new();
     let few = PartnerSettings { candidates: 6, ..Default::default() };
-    let gate = crate::backends::by_name("sure").unwrap().planning().gate;
+    let gate = crate::backends::by_name("sure").unwrap().planning.gate;
     setting.candidates =
         candidates(&setting.scene, &setting.scene.view_points(), &few, &Limits::gate(&gate), &Unwatched).unwrap();
     let all_judge = PartnerSettings { triangle_fraction: 1, ..settings(3, PartnerMethod::Sampled) };

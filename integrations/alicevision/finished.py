@@ -1,0 +1,20 @@
+#!/usr/bin/env python3
+"""Writes finished.sfm: keys.sfm with only those views that have a depth map in depthMaps/. Filtering and meshing open the maps of all views."""
+import json
+import os
+import sys
+from pathlib import Path
+
+folder = Path(__file__).resolve().parent
+scene = json.loads((folder / "keys.sfm").read_text(encoding="utf-8"))
+scene["views"] = [view for view in scene["views"] if (folder / f"depthMaps/{view['viewId']}_depthMap.exr").is_file()]
+ids = {view["viewId"] for view in scene["views"]}
+if not ids:
+    sys.exit("error: depthMaps holds no map of a key view")
+scene["poses"] = [pose for pose in scene["poses"] if pose["poseId"] in ids]
+for landmark in scene["structure"]:
+    landmark["observations"] = [seen for seen in landmark["observations"] if seen["observationId"] in ids]
+scene["structure"] = [landmark for landmark in scene["structure"] if len(landmark["observations"]) > 1]
+whole = folder / "finished.sfm.part"
+whole.write_text(json.dumps(scene, indent=1), encoding="utf-8")
+os.replace(whole, folder / "finished.sfm")

@@ -1,0 +1,62 @@
+//! Reasons why a backend's files cannot be made.
+
+use std::path::PathBuf;
+
+use super::BACKENDS;
+use crate::{
+    base::error::Hint,
+    config::UnknownBackend,
+    io::{output::OutputError, project::ProjectError},
+};
+
+/// Why a backend's files cannot be made.
+#[derive(Debug, thiserror::Error)]
+pub enum BackendError {
+    #[error(transparent)]
+    Unknown(#[from] UnknownBackend),
+    #[error("{backend} cannot take the image name \"{name}\": {why}")]
+    Name { backend: &'static str, name: String, why: String },
+    #[error("{backends}: unknown option {option}")]
+    Option { option: &'static str, backends: String },
+    #[error("{backend} needs {what}")]
+    Needs { backend: &'static str, what: String, hint: String },
+    #[error("the export would write {}, which is the project's own", _0.display())]
+    OwnFile(PathBuf),
+    #[error("{} belongs to another model, with which that of the export would be mixed up", _0.display())]
+    OtherModel(PathBuf),
+    #[error("{} holds the export for {backend}", folder.display())]
+    OtherExport { folder: PathBuf, backend: String },
+    #[error(transparent)]
+    Place(#[from] OutputError),
+    #[error(transparent)]
+    Model(Box<ProjectError>),
+}
+
+impl From<ProjectError> for BackendError {
+    fn from(error: ProjectError) -> Self {
+        Self::Model(Box::new(error))
+    }
+}
+
+impl Hint for BackendError {
+    fn hint(&self) -> Option<String> {
+        Some(match self {
+            Self::Unknown(error) => return error.hint(),
+            Self::Name { .. } => "rename the image file and its entry in the model, then plan again".into(),
+            Self::Option { option, .. } => {
+                let takers = BACKENDS.iter().filter(|b| b.options.contains(option)).map(|b| b.name);
+                format!("leave it out; it is for {}", takers.collect::<Vec<_>>().join(", "))
+            }
+            Self::Needs { hint, .. } => hint.clone(),
+            Self::OwnFile(_) => "write to another folder with --out".into(),
+            Self::OtherModel(_) => "write to another folder with --out, or move that model away".into(),
+            Self::OtherExport { .. } => "write to another folder with --out, or remove that one first".into(),
+            Self::Place(error) => return error.hint(),
+            Self::Model(error) => return error.hint(),
+        })
+    }
+
+    fn is_usage(&self) -> bool {
+        matches!(self, Self::Unknown(_) | Self::Option { .. })
+    }
+}

@@ -1,0 +1,189 @@
+//! `export.json`: what an export promises, what it does not honour, and its warnings.
+
+use nalgebra::Vector3;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::{Backend, Selection, by_name};
+use crate::{
+    io::output::FileSet,
+    model::{camera::Camera, cluster::RankedCluster, scene::ViewIndex},
+};
+
+/// The files for a backend, and what to know about them.
+#[derive(Clone, Debug)]
+pub struct Export {
+    pub files: FileSet,
+    /// Also in `files`, as `export.json`.
+    pub record: ExportRecord,
+}
+
+/// Commands, limits and clusters of an export; written beside the files and into the manifest.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct ExportRecord {
+    /// Value of `--backend`.
+    pub backend: String,
+    /// Programs and versions that the files were made for.
+    pub made_for: String,
+    /// Which of several ways was taken.
+    pub way: String,
+    /// Script among the files that runs all `commands`.
+    pub runner: Option<String>,
+    /// Commands to type in the folder of the files, in order.
+    pub commands: Vec<String>,
+    /// Parts of the plan that the backend does not honour.
+    pub not_honoured: Vec<String>,
+    /// Read these before running it.
+    pub warnings: Vec<String>,
+    /// Depth maps of key views that will be computed.
+    pub key_maps: usize,
+    /// Depth maps of other views that this way needs.
+    pub other_maps: usize,
+    /// Factor from scene units to the units of the files.
+    pub scale: f64,
+    /// Added to COLMAP's pixel coordinates (centre of the first pixel 0.5, 0.5) in the files.
+    pub pixel_shift: f64,
+    /// World coordinates of the origin of the files, scene units (f32 loses the decimals of map coordinates).
+    pub origin: [f64; 3],
+    /// Options of the step that joins the depth maps, and why.
+    pub fusion: String,
+    /// The clusters in rank order, as the backend knows them.
+    pub clusters: Vec<ExportedCluster>,
+}
+
+/// A view cluster in an export.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct ExportedCluster {
+    /// From 1.
+    pub rank: usize,
+    pub key: ExportedView,
+    /// Best first.
+    pub partners: Vec<ExportedView>,
+}
+
+/// A view under its names in the model and in the backend's files.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct ExportedView {
+    /// As in the model, relative to the image folder.
+    pub name: String,
+    /// Id of the image in the model.
+    pub image_id: u32,
+    /// Index or name in the backend's files.
+    pub target: String,
+}
+
+impl ExportRecord {
+    /// Starts a record for the selection; `target` names a view in the backend's files.
+    pub(super) fn new(backend: &Backend, selection: &Selection, target: impl Fn(ViewIndex) -> String) -> Self {
+        let view = |v: ViewIndex| ExportedView {
+            name: selection.scene.name(v).into(),
+            image_id: selection.scene.view(v).image_id,
+            target: target(v),
+        };
+        let cluster = |(i, c): (usize, &RankedCluster)| ExportedCluster {
+            rank: i + 1,
+            key: view(c.key),
+            partners: c.partners.iter().map(|&p| view(p)).collect(),
+        };
+        let faults = selection.image_faults.among(&selection.views());
+        Self {
+            backend: backend.name.into(),
+            key_maps: selection.clusters.len(),
+            scale: 1.0,
+            clusters: selection.clusters.iter().enumerate().map(cluster).collect(),
+            warnings: nothing_chosen(selection)
+                .into_iter()
+                .chain(faults.warnings(selection.project, selection.scene))
+                .chain(without_images(selection, &faults.missing))
+                .chain(other_kind(backend, selection))
+                .collect(),
+            ..Self::default()
+        }
+    }
+
+    /// Records the origin of the files, and warns where it is not the world's.
+    pub(super) fn moved(&mut self, origin: Vector3<f64>) {
+        self.origin = origin.into();
+        if origin != Vector3::zeros() {
+            let [x, y, z] = self.origin;
+            self.warnings.push(format!(
+                "the program counts in 32 bits, too coarse for these coordinates: those in its files are less by {x} {y} {z}; add that to what comes out"
+            ));
+        }
+    }
+
+    /// Records the images that are not matched at the planned size; `scale` is the size over the image's that the files ask for.
+    pub(super) fn note_scale(&mut self, selection: &Selection, scale: impl Fn(&Camera) -> f64) {
+        let wanted = selection.image_scale;
+        let scale_of = |view: ViewIndex| scale(selection.scene.camera_of(view));
+        let views = selection.views();
+        let other = |view: &&ViewIndex| (scale_of(**view) / wanted).log2().abs() > 0.01;
+        let others: Vec<ViewIndex> = views.iter().filter(other).copied().collect();
+        let Some(&first) = others.first() else { return };
+        self.not_honoured.push(format!(
+            "image_scale {wanted}: {} of {} images are matched at {:.3} of their size, as {}",
+            others.len(),
+            views.len(),
+            scale_of(first),
+            selection.scene.name(first)
+        ));
+    }
+
+    /// Records that the program's own options choose the size.
+    pub(super) fn note_own_scale(&mut self, selection: &Selection) {
+        if selection.image_scale != 1.0 {
+            let scale = selection.image_scale;
+            self.not_honoured.push(format!("image_scale {scale}: the program's own options choose the size"));
+        }
+    }
+
+    /// The contents of `export.json`.
+    pub(super) fn to_json(&self) -> String {
+        serde_json::to_string_pretty(self).expect("a record has string keys and finite numbers") + "\n"
+    }
+}
+
+/// Warns of view clusters that cannot be computed as planned for want of images; `missing` ascends.
+fn without_images(selection: &Selection, missing: &[ViewIndex]) -> Option<String> {
+    let is_missing = |view: &ViewIndex| missing.binary_search(view).is_ok();
+    let lacks = |c: &RankedCluster| std::iter::once(&c.key).chain(&c.partners).any(is_missing);
+    let ranks = (1..).zip(selection.clusters).filter(|(_, c)| lacks(c)).map(|(rank, _): (usize, _)| rank.to_string());
+    let ranks: Vec<String> = ranks.collect();
+    let some = ranks.iter().take(NAMED_RANKS).cloned().collect::<Vec<_>>().join(", ");
+    let more = if ranks.len() > NAMED_RANKS { ", ..." } else { "" };
+    (!ranks.is_empty())
+        .then(|| format!("view clusters that lack an image, by rank: {some}{more}; they cannot be computed as planned"))
+}
+
+/// Ranks that a warning names.
+const NAMED_RANKS: usize = 10;
+
+/// Warns where there is no view cluster.
+fn nothing_chosen(selection: &Selection) -> Option<String> {
+    let why = || format!("{}/manifest.json says why", selection.project.output_folder().display());
+    selection.clusters.is_empty().then(|| format!("no view cluster is chosen, there is nothing to compute: {}", why()))
+}
+
+/// Warns where the plan was made for a backend that matches differently.
+fn other_kind(backend: &Backend, selection: &Selection) -> Option<String> {
+    let planned_for = by_name(selection.planned_for).ok()?;
+    let (is, was) = (&backend.planning, &planned_for.planning);
+    let differs = is.gate != was.gate || is.confidence != was.confidence || is.support != was.support;
+    let why = match backend.use_of_views {
+        Some(_) => "whose depth maps need other support",
+        None => "which matches other pairs or needs other support",
+    };
+    differs.then(|| {
+        format!(
+            "the plan was made for {}, {why}; one made for this program: viewrank plan {} --backend {}",
+            planned_for.name,
+            selection.project.as_argument(),
+            backend.name
+        )
+    })
+}
+
+/// The scale of images whose long side is capped at the same number for all cameras, pixels.
+pub(super) fn capped_scale(cap: u32) -> impl Fn(&Camera) -> f64 {
+    move |camera| (f64::from(cap) / f64::from(camera.width.max(camera.height))).min(1.0)
+}
