@@ -5,7 +5,7 @@ use std::{fmt, path::PathBuf, str::FromStr};
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::{Deserialize, Serialize};
 
-use crate::io::region::parse_box;
+use crate::io::region_file::parse_box;
 
 /// Region of interest; written as `auto`, as six numbers, or as the path of a file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

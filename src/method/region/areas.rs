@@ -14,7 +14,7 @@ use super::{
 };
 use crate::{
     base::progress::{Cancelled, Watcher},
-    io::region::{Areas, Coordinates, Polygon},
+    io::region_file::{Areas, Coordinates, Polygon},
     method::surface::Surface,
     model::georeference::{Georeference, MapFrame},
 };

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use super::{columns::Rectangle, solid::OpenMesh};
 use crate::{
     base::{error::Hint, progress::Cancelled},
-    io::region::RegionFault,
+    io::region_file::RegionFault,
 };
 
 /// The region cannot be used.

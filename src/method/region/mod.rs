@@ -22,7 +22,7 @@ use self::{areas::MapAreas, solid::Solid};
 use crate::{
     base::progress::{Cancelled, Watcher},
     config::RegionChoice,
-    io::region::{self, Polygon, RegionFile},
+    io::region_file::{self, Polygon, RegionFile},
     method::surface::Surface,
     model::georeference::{Georeference, MapFrame},
 };
@@ -109,7 +109,7 @@ impl Shape {
             RegionChoice::Box(corners) => return Ok(Self::Box(ordered(*corners))),
             RegionChoice::File(path) => path,
         };
-        match region::read(path).map_err(|fault| RegionError::File { path: path.clone(), fault })? {
+        match region_file::read(path).map_err(|fault| RegionError::File { path: path.clone(), fault })? {
             RegionFile::Box(corners) => Ok(Self::Box(ordered(corners))),
             RegionFile::Mesh(mesh) => match Solid::new(&mesh) {
                 Ok(solid) => Ok(Self::Solid(Box::new(solid))),

@@ -116,18 +116,7 @@ fn check_closed(faces: &[[u32; 3]], vertices: &[Point3<f64>]) -> Result<(), Open
 mod tests {
     use proptest::prelude::*;
 
-    use super::*;
-
-    /// A box with outward normals.
-    fn block(low: [f64; 3], high: [f64; 3]) -> Mesh {
-        let corner =
-            |i: usize| Point3::from([0, 1, 2].map(|axis| if i >> axis & 1 == 0 { low[axis] } else { high[axis] }));
-        let quads = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]];
-        Mesh {
-            vertices: (0..8).map(corner).collect(),
-            triangles: quads.iter().flat_map(|&[a, b, c, d]| [[a, b, c], [a, c, d]]).collect(),
-        }
-    }
+    use super::{super::tests::block, *};
 
     /// An octahedron, each triangle split into four `times` times, its vertices moved to the unit sphere.
     fn sphere(times: u32) -> Mesh {
