@@ -6,6 +6,7 @@ use viewrank::internals::{
         Bytes, Fault, alicevision, bundler, colmap::ColmapModel, colmap_bin, colmap_text, nvm, openmvg, openmvs,
         opensfm, sure,
     },
+    region_file::{self, RegionFile},
     scene::Scene,
 };
 
@@ -29,6 +30,18 @@ pub const TARGETS: [&str; 10] = [
 /// Model files of other programs, one fuzz target each.
 pub const FOREIGN: [&str; 7] =
     ["bundle.out", "model.nvm", "sfm_data.json", "reconstruction.json", "scene.sfm", "scene.mvs", "image.ori"];
+
+/// Reads a region; positions and wishes of one that can be read are numbers.
+pub fn read_region(data: &[u8]) {
+    if let Ok(RegionFile::Areas(areas)) = region_file::parse(data) {
+        let rings = areas.areas.iter().flat_map(|area| &area.polygons).flatten();
+        assert!(rings.flatten().flatten().all(|x| x.is_finite()));
+        assert!(areas.areas.iter().all(|area| area.weight >= 0.0 && area.gsd.is_none_or(|gsd| gsd > 0.0)));
+    }
+}
+
+/// A small valid region.
+pub const REGION: &str = r#"{"type":"FeatureCollection","crs":null,"axes":[[1,0,0],[0,1,0],[0,0,1]],"features":[{"type":"Feature","properties":{"weight":0.5,"gsd":0.01},"geometry":{"type":"MultiPolygon","coordinates":[[[[0,0],[9,0],[9,9],[0,0]],[[1,1],[2,1],[2,2],[1,1]]],[[[20,0],[30,0],[30,5]]]]}}]}"#;
 
 /// A small valid model file of another program.
 pub fn foreign_model(name: &str) -> Vec<u8> {

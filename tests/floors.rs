@@ -10,8 +10,18 @@ use std::{
 const FLOORS: [&str; 11] =
     ["base", "model", "io", "config", "method", "plan", "backends", "show", "apps", "daemon", "cli"];
 /// The sections of the method, from the ground up.
-const SECTIONS: [&str; 9] =
-    ["surface", "visibility", "target", "geometry", "confidence", "fulfilment", "partners", "ranking", "synthetic"];
+const SECTIONS: [&str; 10] = [
+    "surface",
+    "visibility",
+    "region",
+    "target",
+    "geometry",
+    "confidence",
+    "fulfilment",
+    "partners",
+    "ranking",
+    "synthetic",
+];
 
 /// The source files under a folder, tests left out.
 fn sources(folder: &Path) -> Vec<PathBuf> {

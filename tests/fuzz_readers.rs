@@ -136,6 +136,13 @@ fn changed_files_of_other_programs_are_errors_or_models() {
 }
 
 #[test]
+fn changed_regions_are_errors_or_regions() {
+    if wanted("region") {
+        fuzz("region", readers::REGION.as_bytes(), true, readers::read_region);
+    }
+}
+
+#[test]
 fn the_valid_model_is_read() {
     for text in [false, true] {
         let files = readers::model(text);

@@ -21,6 +21,8 @@ pub enum FileKind {
     /// An image, a mask or a depth map.
     Picture,
     Mesh,
+    /// Polygons, a box or a closed mesh.
+    Region,
     /// A file of a sparse model.
     Sparse,
     /// A file of viewrank's own.
@@ -32,6 +34,7 @@ impl FileKind {
     pub const fn limit(self) -> u64 {
         match self {
             Self::Settings => 1 << 20,
+            Self::Region => 64 << 20,
             Self::List | Self::Trained => 256 << 20,
             Self::State => 1 << 30,
             Self::Picture => 2 << 30,
@@ -47,6 +50,7 @@ impl FileKind {
             Self::Trained => "a trained model",
             Self::Picture => "an image, a mask or a depth map",
             Self::Mesh => "a mesh",
+            Self::Region => "a region",
             Self::Sparse => "a file of a sparse model",
             Self::State => "a file of viewrank's own",
         }

@@ -17,7 +17,11 @@ use crate::{
     plan::Plan,
     show::{files::PlanFiles, manifest::planned_model, tables},
 };
-use crate::{backends, config::CONFIDENCE_WORDS, show::files::files};
+use crate::{
+    backends,
+    config::{CONFIDENCE_WORDS, RegionChoice},
+    show::files::files,
+};
 use clap::Args;
 
 use super::{Exit, Failure, Format, config, json, print, progress::Progress, summary::Summary, use_threads, warn};
@@ -47,6 +51,15 @@ pub struct Arguments {
     #[arg(long, value_name = "N", help_heading = "What is chosen")]
     points: Option<String>,
 
+    /// Plan for this part of the scene: a file of GeoJSON polygons or a closed PLY mesh,
+    /// a box in the frame of the model, or auto, what the photographs show most densely
+    #[arg(
+        long,
+        value_name = "FILE|X0,Y0,Z0,X1,Y1,Z1|auto",
+        allow_hyphen_values = true,
+        help_heading = "What is wanted"
+    )]
+    region: Option<String>,
     /// Wanted ground sampling distance, model units per pixel [default: from the model]
     #[arg(long, value_name = "L", allow_negative_numbers = true, help_heading = "What is wanted")]
     gsd: Option<f64>,
@@ -154,6 +167,11 @@ impl Arguments {
         typed.set("--target", "cut.target", self.target.clone());
         typed.set("--time", "cut.time", self.time.clone());
         typed.set("--points", "cut.points", self.points.clone());
+        let region = |typed: &String| match RegionChoice::is_file(typed) {
+            true => path(&PathBuf::from(typed)),
+            false => typed.clone(),
+        };
+        typed.set("--region", "region", self.region.as_ref().map(region));
         typed.set("--gsd", "target.gsd", self.gsd);
         typed.set("--accuracy", "target.accuracy", self.accuracy);
         typed.set("--partners", "partners.method", self.partners.clone());

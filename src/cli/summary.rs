@@ -11,7 +11,7 @@ use crate::{
     plan::{Cut, Forecast, Memory, Plan, Timings},
     show::{
         files::PlanFiles,
-        manifest::{Manifest, warnings_with},
+        manifest::{Manifest, RegionSummary, warnings_with},
     },
 };
 use serde::Serialize;
@@ -33,6 +33,8 @@ pub struct Summary<'a> {
     finished: usize,
     /// g_d, scene units per pixel.
     gsd: f64,
+    /// What the plan is for; null: the whole surface.
+    region: Option<&'a RegionSummary>,
     cut: Cut,
     forecast: Forecast,
     /// How many times faster than computing everything, where the time of matching is known.
@@ -76,6 +78,7 @@ impl<'a> Summary<'a> {
             triangles: plan.stages.surface.triangles.len(),
             finished: plan.decision.finished.clusters,
             gsd: plan.stages.settings.target.gsd.unwrap_or(f64::NAN),
+            region: manifest.region.as_ref(),
             cut: plan.decision.cut,
             forecast: plan.decision.forecast,
             speed_up: plan.decision.forecast.speed_up(plan.timings.total()),
@@ -110,8 +113,9 @@ impl<'a> Summary<'a> {
         let length = if self.units == Units::Metric { "m" } else { "units" };
         let on_disk = |size| format!("Tables of up to {size} were kept on disk for want of memory (--max-memory).\n");
         let disk = self.memory.on_disk().map(on_disk).unwrap_or_default();
+        let region = self.region.map(|region| region.words(self.weight) + "\n").unwrap_or_default();
         format!(
-            "{} views, {} sparse points; a surface of {} triangles.\n{disk}Wanted: {} {length} per pixel. Backend: {}{}.\n",
+            "{} views, {} sparse points; a surface of {} triangles.\n{disk}Wanted: {} {length} per pixel. Backend: {}{}.\n{region}",
             grouped(self.views),
             grouped(self.points),
             grouped(self.triangles),
@@ -140,6 +144,9 @@ impl<'a> Summary<'a> {
     /// Words for the weight of the share.
     fn weight(&self) -> &'static str {
         match self.weight {
+            TriangleWeight::Pixels if self.region.is_some() => " inside the region, by pixels",
+            TriangleWeight::Area if self.region.is_some() => " inside the region, by area",
+            TriangleWeight::Count if self.region.is_some() => " inside the region, by triangles",
             TriangleWeight::Pixels => ", by the pixels that show it",
             TriangleWeight::Area => ", by its area",
             TriangleWeight::Count => ", by triangles",

@@ -10,7 +10,7 @@ use etcetera::BaseStrategy;
 use serde::Deserialize;
 use toml::{Table, Value, de::DeTable};
 
-use super::{Key, Settings, keys};
+use super::{Key, RegionChoice, Settings, keys};
 use crate::{
     base::{
         error::Hint,
@@ -205,6 +205,7 @@ fn read(path: &Path) -> Result<Vec<Entry>, ConfigError> {
 fn from_file(key: &str, value: &Value, file: &Path) -> Value {
     let names_file = |text: &&str| match key {
         "surface.mesh" => true,
+        "region" => RegionChoice::is_file(text),
         "confidence.source" => !CONFIDENCE_WORDS.contains(text),
         _ => false,
     };

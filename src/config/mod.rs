@@ -8,6 +8,7 @@
 mod amounts;
 mod catalogue;
 mod layers;
+mod region;
 
 use std::path::PathBuf;
 
@@ -19,6 +20,7 @@ pub use catalogue::{Key, keys};
 pub use layers::{
     CONFIDENCE_WORDS, ConfigError, Configuration, Files, NameOf, Place, Source, Typed, UnknownBackend, user_file,
 };
+pub use region::{RegionChoice, RegionChoiceError};
 
 use crate::model::scene::Units;
 
@@ -40,6 +42,9 @@ pub struct Settings {
     /// Shell command that `viewrank watch` runs once when a project's depth maps reach its target. In the user's own file only.
     #[schemars(extend("userOnly" = true))]
     pub on_target: Option<String>,
+    /// What the plan is for (method 5.7): a file of GeoJSON polygons or a closed PLY mesh, a box "x0,y0,z0,x1,y1,z1" in the frame of the model, or
+    /// "auto", what the photographs show most densely. Everything outside counts nothing. Unset: the whole surface.
+    pub region: Option<RegionChoice>,
     pub target: TargetSettings,
     pub coverage: CoverageSettings,
     pub fulfilment: FulfilmentSettings,
@@ -55,6 +60,11 @@ pub struct Settings {
 }
 
 impl Settings {
+    /// The files beside the model that a plan reads: the mesh and the region.
+    pub fn files_of_plan(&self) -> Vec<PathBuf> {
+        self.surface.mesh.iter().cloned().chain(self.region.as_ref().and_then(RegionChoice::file)).collect()
+    }
+
     /// Returns the settings that affect a plan; the others have their defaults.
     pub fn of_plan(&self) -> Self {
         Self { dispatch: DispatchSettings::default(), on_target: None, ..self.clone() }
@@ -69,6 +79,7 @@ impl Default for Settings {
             seed: 0,
             max_memory: None,
             backends: Vec::new(),
+            region: None,
             target: TargetSettings::default(),
             coverage: CoverageSettings::default(),
             fulfilment: FulfilmentSettings::default(),

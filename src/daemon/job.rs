@@ -168,11 +168,11 @@ type Ended<T> = Result<T, Outcome>;
 impl Planner for PlanJob {
     fn named_files(&self, project: &Path) -> Vec<PathBuf> {
         let settings = self.settings(project).map(|(settings, _)| settings).unwrap_or_default();
-        let model = match settings.confidence.source {
+        let model = match &settings.confidence.source {
             word if CONFIDENCE_WORDS.contains(&word.as_str()) => project.join(PROJECT_MODEL),
             file => file.into(),
         };
-        [Some(model), settings.surface.mesh, user_file()].into_iter().flatten().collect()
+        [Some(model), user_file()].into_iter().flatten().chain(settings.files_of_plan()).collect()
     }
 
     fn has_plan(&self, project: &Path) -> bool {

@@ -5,3 +5,4 @@ pub mod formats;
 pub mod output;
 pub mod ply;
 pub mod project;
+pub mod region_file;

@@ -5,6 +5,7 @@ pub mod fulfilment;
 pub mod geometry;
 pub mod partners;
 pub mod ranking;
+pub mod region;
 pub mod surface;
 #[cfg(any(test, feature = "internals"))]
 pub mod synthetic;

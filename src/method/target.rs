@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicU32, Ordering};
 use crate::{
     base::column,
     config::{TargetMode, TargetSettings},
-    method::{surface::Surface, visibility::Visibility},
+    method::{region::Region, surface::Surface, visibility::Visibility},
     model::scene::{Scene, ViewIndex},
 };
 
@@ -48,6 +48,13 @@ impl Target {
             if wanted.is_finite() && wanted > 0.0 { wanted } else { gsd as f32 }
         };
         Self { mode, gsd: finest.into_iter().map(wanted).collect(), accuracy_over_gsd }
+    }
+
+    /// Replaces g_d where the areas of a region have one of their own (method 5.7).
+    pub fn with_wishes(mut self, region: &Region) -> Self {
+        let wishes = self.gsd.iter_mut().zip(&region.gsd).filter(|(_, wanted)| wanted.is_finite());
+        wishes.for_each(|(gsd, &wanted)| *gsd = wanted);
+        self
     }
 
     /// Wanted accuracy a_d of a triangle, scene units.

@@ -25,6 +25,8 @@ pub enum Reason {
     NotMatchable,
     /// Its gain is 0 or below the cut.
     NoGainLeft,
+    /// All that it could give is outside the region.
+    OutsideRegion,
 }
 
 impl Reason {
@@ -39,6 +41,7 @@ impl Reason {
             Self::TooCoarse => "no view is close enough for the target resolution",
             Self::TooInaccurate => "the triangulation angles are too small for the target accuracy",
             Self::NotMatchable => "the backend cannot match the available pairs",
+            Self::OutsideRegion => "all that it could give is outside the region",
             Self::NoGainLeft => "its gain is zero or below the cut",
         }
     }

@@ -54,6 +54,7 @@ pub fn decide_as(stages: &Stages, finished: Finished, ranking: Ranking, cut: Cut
         candidates: &stages.candidates,
         clusters: &stages.clusters,
         fulfilment: &stages.fulfilment,
+        region: stages.region.as_ref(),
     };
     let views = all_reasons.views(&ranking.order[..cut.clusters], &stages.settings.partners)?;
     let triangle_reasons = all_reasons.triangles();

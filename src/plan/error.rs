@@ -9,7 +9,7 @@ use crate::{
     },
     config::UnknownBackend,
     io::project::ProjectError,
-    method::{confidence::TrainedError, surface::SurfaceError},
+    method::{confidence::TrainedError, region::RegionError, surface::SurfaceError},
 };
 
 /// Planning failed.
@@ -23,6 +23,8 @@ pub enum PlanError {
     NoScale,
     #[error(transparent)]
     Surface(#[from] SurfaceError),
+    #[error(transparent)]
+    Region(RegionError),
     #[error(transparent)]
     Backend(#[from] UnknownBackend),
     #[error(transparent)]
@@ -41,6 +43,15 @@ pub enum PlanError {
     Cancelled(#[from] Cancelled),
 }
 
+impl From<RegionError> for PlanError {
+    fn from(error: RegionError) -> Self {
+        match error {
+            RegionError::Cancelled(cancelled) => Self::Cancelled(cancelled),
+            error => Self::Region(error),
+        }
+    }
+}
+
 impl From<TableError> for PlanError {
     fn from(error: TableError) -> Self {
         match error {
@@ -57,6 +68,7 @@ impl Hint for PlanError {
             Self::NoViews(_) => "run structure from motion first, or choose another model with --model".into(),
             Self::NoScale => "set --gsd, or give a model with points".into(),
             Self::Surface(error) => return error.hint(),
+            Self::Region(error) => return error.hint(),
             Self::Backend(error) => return error.hint(),
             Self::Trained(error) => return error.hint(),
             Self::NoTimes => "time one depth map and set one of the two".into(),

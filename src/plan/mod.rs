@@ -92,6 +92,13 @@ impl Plan {
         self.decision.ranking.order[..self.decision.cut.clusters].iter().map(|&c| &self.stages.clusters[c as usize])
     }
 
+    /// The triangles, of those that count, that no cluster fulfils to a tenth; ascending.
+    pub fn unfulfilled(&self) -> impl Iterator<Item = u32> {
+        let inside = |t: &u32| self.stages.region.as_ref().is_none_or(|region| region.is_inside(*t));
+        let reasons = self.decision.triangle_reasons.iter().zip(0u32..);
+        reasons.filter_map(|(reason, t)| reason.map(|_| t)).filter(inside)
+    }
+
     /// Pixels that the depth map of each cluster will measure, before fusion, in the order of the ranking.
     pub fn points_by_rank(&self) -> Vec<f64> {
         let Decision { ranking, finished, .. } = &self.decision;

@@ -1,5 +1,7 @@
 //! Method 5.5: finds why a view is not chosen, a key view has few partners, or a triangle stays unfulfilled.
 
+use std::borrow::Cow;
+
 use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -10,6 +12,7 @@ use crate::{
     method::{
         fulfilment::{self, ByTriangle, Fulfilment, FulfilmentTable, Model},
         partners::Candidates,
+        region::Region,
     },
     model::{cluster::ViewCluster, reason::Reason, scene::ViewIndex},
 };
@@ -39,6 +42,7 @@ pub(super) struct Reasons<'a> {
     pub candidates: &'a Candidates,
     pub clusters: &'a [ViewCluster],
     pub fulfilment: &'a FulfilmentTable,
+    pub region: Option<&'a Region>,
 }
 
 impl Reasons<'_> {
@@ -96,12 +100,23 @@ impl Reasons<'_> {
             let failures = failures.map(|&t| failure(&fulfilment::value(self.model, *key, partners, t)));
             return most_frequent(failures).unwrap_or(Reason::Hidden);
         }
+        let (triangles, values) = self.inside(triangles, values);
         let own: f64 = values.iter().map(|&f| f64::from(f)).sum();
-        if chosen.most_by_one(triangles, values) >= DUPLICATE * own {
+        if triangles.is_empty() {
+            Reason::OutsideRegion
+        } else if chosen.most_by_one(&triangles, &values) >= DUPLICATE * own {
             Reason::DuplicateOfBetterView
         } else {
             Reason::NoGainLeft
         }
+    }
+
+    /// The part of a row of the table that is inside the region.
+    fn inside<'r>(&self, triangles: &'r [u32], values: &'r [f32]) -> (Cow<'r, [u32]>, Cow<'r, [f32]>) {
+        let Some(region) = self.region else { return (triangles.into(), values.into()) };
+        let inside = triangles.iter().zip(values).filter(|(t, _)| region.is_inside(**t));
+        let (triangles, values): (Vec<u32>, Vec<f32>) = inside.unzip();
+        (triangles.into(), values.into())
     }
 
     /// Per triangle, why no cluster fulfils it to 0.1; `None` where one does.

@@ -1,6 +1,6 @@
 //! Runs the stages of the method before the ranking, and keeps the result of each.
 
-use super::{Matcher, Memory, PlanError, Timings, cut};
+use super::{Matcher, Memory, PlanError, Timings, cut, georeference};
 use crate::{
     base::progress::{Stage, Watcher},
     config::{Settings, Share, TargetMode},
@@ -10,13 +10,15 @@ use crate::{
         fulfilment::{FulfilmentTable, Model, Rule},
         geometry::Geometry,
         partners::{self, Candidates, Limits, PairGeometry},
-        ranking::Objective,
+        ranking::{Objective, SeenPixels},
+        region::{Region, Shape},
         surface::{self, MeshFile, Surface, SurfaceError, SurfaceStats, WantedGsd},
         target::{GSD_MARGIN, Target},
         visibility::{self, Visibility},
     },
     model::{
         cluster::ViewCluster,
+        georeference::MapFrame,
         scene::{Scene, Units, ViewPoints},
     },
 };
@@ -43,6 +45,8 @@ pub struct Stages {
     pub trained: Option<Trained>,
     /// g_d and a_d of each triangle (method 3.6).
     pub target: Target,
+    /// What the plan is for (method 5.7); `None`: the whole surface.
+    pub region: Option<Region>,
     /// What the plan maximises (method 5.1).
     pub objective: Objective,
     pub candidates: Candidates,
@@ -67,6 +71,7 @@ impl Stages {
         let source = Source::new(&settings.confidence.source, project);
         let trained = source.trained(&project.root)?;
         let mut settings = in_force(project, settings, &scene, matcher, &source)?;
+        let shape = shape(project, &scene, &settings)?;
         let mut memory = Memory::before_surface(&scene, &mut settings)?;
         let points = scene.view_points();
         let numbers = &matcher.numbers;
@@ -80,7 +85,9 @@ impl Stages {
         );
         let (seen, candidates) = (seen?, candidates?);
         memory.before_partners(&scene, &seen.surface, &seen.visibility)?;
-        let target = target(&scene, &seen, &settings);
+        let pixels = || SeenPixels::new(&scene, &seen.surface, &seen.visibility).sums().collect();
+        let region = shape.map(|shape| shape.on(&seen.surface, pixels, watcher)).transpose()?;
+        let target = target(&scene, &seen, region.as_ref(), &settings);
         seen.visibility.triangles.release();
         let confidence = Confidence::new(&source, trained.as_ref(), &settings.confidence, &matcher.numbers.confidence);
         confidence.fill_in(&mut settings.confidence);
@@ -92,7 +99,7 @@ impl Stages {
             image_scale: settings.image_scale,
         };
         let support = settings.ranking.support.unwrap_or(matcher.numbers.support);
-        let objective = Objective::new(&geometry, settings.ranking.weight, support);
+        let objective = Objective::new(&geometry, settings.ranking.weight, region.as_ref(), support);
         let (pictures, unary) = timings.time(Stage::Confidence, || {
             let pictures = pictures(project, &scene, &source, trained.as_ref(), watcher)?;
             let unary = match (&trained, confidence) {
@@ -139,6 +146,7 @@ impl Stages {
             confidence,
             trained,
             target,
+            region,
             objective,
             candidates,
             clusters,
@@ -262,8 +270,19 @@ fn visible_surface(
     Ok(VisibleSurface { surface: surface.keep(&seen), stats, visibility: visibility.keep(&seen)?, gsd })
 }
 
-fn target(scene: &Scene, seen: &VisibleSurface, settings: &Settings) -> Target {
-    Target::new(scene, &seen.surface, &seen.visibility, &settings.target, seen.gsd, settings.image_scale)
+fn target(scene: &Scene, seen: &VisibleSurface, region: Option<&Region>, settings: &Settings) -> Target {
+    let target = Target::new(scene, &seen.surface, &seen.visibility, &settings.target, seen.gsd, settings.image_scale);
+    match region {
+        Some(region) => target.with_wishes(region),
+        None => target,
+    }
+}
+
+/// The region that the settings name, before there is a surface.
+fn shape(project: &Project, scene: &Scene, settings: &Settings) -> Result<Option<Shape>, PlanError> {
+    let Some(choice) = &settings.region else { return Ok(None) };
+    let place = georeference(project, scene, &settings.frame);
+    Ok(Some(Shape::read(choice, &place, &MapFrame::new(scene, settings.surface.up))?))
 }
 
 fn rule(settings: &Settings, confidence: Confidence) -> Rule {

@@ -84,10 +84,11 @@ impl MeasuredSurface {
         Self { fulfilment: best.iter().map(|b| b.real).collect(), missing }
     }
 
-    /// Triangles by what is missing; those well done are left out.
-    pub fn counts(&self) -> BTreeMap<Missing, usize> {
+    /// Triangles by what is missing; those well done, and those that don't count, are left out.
+    pub fn counts(&self, counts: impl Fn(usize) -> bool) -> BTreeMap<Missing, usize> {
+        let inside = self.missing.iter().enumerate().filter(|(t, _)| counts(*t)).map(|(_, missing)| missing);
         let mut counts: BTreeMap<Missing, usize> = ALL.iter().map(|&m| (m, 0)).collect();
-        self.missing.iter().flatten().for_each(|&m| *counts.entry(m).or_default() += 1);
+        inside.flatten().for_each(|&m| *counts.entry(m).or_default() += 1);
         counts
     }
 

@@ -34,7 +34,10 @@ use crate::{
         scene::{Units, ViewIndex},
     },
     plan::{self, Cut, Plan},
-    show::pictures::{RAMP, REASON_NUMBERS, footprints, reason_number},
+    show::{
+        manifest::RegionSummary,
+        pictures::{RAMP, REASON_NUMBERS, footprints, reason_number},
+    },
 };
 
 /// Largest number of holes that are listed.
@@ -73,6 +76,8 @@ pub struct Contents {
     views: ViewData,
     ranking: RankingData,
     surface: SurfaceData,
+    /// What the plan is for; absent: the whole surface.
+    region: Option<RegionData>,
     holes: Vec<HoleData>,
     /// Area of all holes, square scene units.
     holes_area: f64,
@@ -142,6 +147,16 @@ struct SurfaceData {
     coarser: bool,
 }
 
+/// The region of the plan. Shares on the page, holes and `area` are those inside.
+#[derive(Serialize)]
+struct RegionData {
+    words: String,
+    /// 1 where a drawn triangle counts, u8.
+    inside: String,
+    /// Border on the drawn surface: u32, 2 vertices per edge.
+    border: String,
+}
+
 #[derive(Serialize)]
 struct HoleData {
     area: f64,
@@ -170,6 +185,7 @@ impl Contents {
         };
         let holes = holes(plan, HOLES);
         let place = plan::georeference(project, &plan.stages.scene, &plan.stages.settings.frame);
+        let summary = RegionSummary::of(plan);
         Ok(Self {
             title: title(&project.root),
             tool: concat!("viewrank ", env!("CARGO_PKG_VERSION")),
@@ -179,7 +195,7 @@ impl Contents {
             wanted_partners: plan.stages.settings.partners.k,
             points: plan.stages.scene.points.len(),
             triangles: plan.stages.surface.triangles.len(),
-            area: (0..plan.stages.surface.triangles.len() as u32).map(|t| plan.stages.surface.area(t)).sum(),
+            area: summary.as_ref().map_or_else(|| whole_area(plan), |region| region.area),
             cut: plan.decision.cut.clusters,
             finished: plan.decision.finished.clusters,
             limits: Limits::new(&plan.decision.cut),
@@ -193,6 +209,11 @@ impl Contents {
             pairs_total: plan.decision.forecast.all_pairs,
             views: ViewData::new(plan, &frame)?,
             ranking: RankingData::new(plan),
+            region: summary.zip(plan.stages.region.as_ref()).map(|(summary, region)| RegionData {
+                words: summary.words(plan.stages.settings.ranking.weight),
+                inside: bytes(&surface.original.iter().map(|&t| u8::from(region.is_inside(t))).collect::<Vec<_>>()),
+                border: bytes(surface.border(|t| region.is_inside(t)).as_flattened()),
+            }),
             surface: SurfaceData::new(plan, &surface, &frame),
             holes: holes.largest.iter().map(|hole| HoleData::new(hole, &frame, &place)).collect(),
             holes_area: holes.area,
@@ -223,6 +244,10 @@ impl Limits {
         let Cut { reachable, fulfilment, fulfilment_bound, .. } = *cut;
         Self { reachable, fulfilment, fulfilment_bound }
     }
+}
+
+fn whole_area(plan: &Plan) -> f64 {
+    (0..plan.stages.surface.triangles.len() as u32).map(|t| plan.stages.surface.area(t)).sum()
 }
 
 /// Name of the folder, with `.` resolved.

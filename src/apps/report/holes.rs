@@ -58,10 +58,9 @@ const LEAST_SHARE: f64 = 0.005;
 /// Places farther from every camera than this multiple of the usual distance (sparse point to the nearest view observing it) are background.
 pub const FAR: f64 = 4.0;
 
-/// Finds the holes of a plan and lists at most the `most` largest near the cameras.
+/// Finds the holes of a plan, of one with a region those inside, and lists at most the `most` largest near the cameras.
 pub fn holes(plan: &Plan, most: usize) -> Holes {
-    let open = plan.decision.triangle_reasons.iter().zip(0u32..).filter_map(|(reason, t)| reason.map(|_| t));
-    let open: Vec<u32> = open.collect();
+    let open: Vec<u32> = plan.unfulfilled().collect();
     let usual = usual_distance(&plan.stages.scene);
     let limit = usual.map_or(f64::INFINITY, |usual| FAR * usual);
     let is_near = |&t: &u32| {

@@ -44,6 +44,17 @@ impl DrawnSurface {
         }
     }
 
+    /// Edges between drawn triangles of which one counts and the other doesn't, as pairs of vertices, ascending.
+    pub fn border(&self, counts: impl Fn(u32) -> bool) -> Vec<[u32; 2]> {
+        let mut edges: Vec<([u32; 2], bool)> = Vec::with_capacity(3 * self.triangles.len());
+        for (&[a, b, c], &t) in self.triangles.iter().zip(&self.original) {
+            edges.extend([[a, b], [b, c], [c, a]].map(|[a, b]| ([a.min(b), a.max(b)], counts(t))));
+        }
+        edges.sort_unstable();
+        let same = edges.chunk_by(|a, b| a.0 == b.0);
+        same.filter(|same| same[0].1 != same[same.len() - 1].1).map(|same| same[0].0).collect()
+    }
+
     fn in_cubes(surface: &Surface, cube: f64) -> Self {
         let mut number = BTreeMap::new();
         let mut sums: Vec<(Vector3<f64>, f64)> = Vec::new();
@@ -102,6 +113,17 @@ mod tests {
         for (t, &original) in coarse.original.iter().enumerate() {
             assert!((drawn.centroid(t as u32) - surface.centroid(original)).norm() < 3.0);
         }
+    }
+
+    #[test]
+    fn the_border_of_a_half_is_the_line_between_the_halves() {
+        let camera = Camera::new(1, CameraModel::Pinhole, 1000, 750, vec![850.0, 850.0, 500.0, 375.0]).unwrap();
+        let surface = Town { boxes: 0, relief: 0.0, edge: 2.0, ..Town::new(camera) }.surface();
+        let drawn = DrawnSurface::new(&surface);
+        let border = drawn.border(|t| surface.centroid(t).x < 4.0);
+        assert_eq!(border.len(), 40, "80 m in steps of 2 m");
+        assert!(border.iter().flatten().all(|&v| (drawn.vertices[v as usize].x - 4.0).abs() < 1e-9));
+        assert!(drawn.border(|_| true).is_empty());
     }
 
     #[test]

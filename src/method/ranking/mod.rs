@@ -13,7 +13,7 @@ pub(crate) use self::reached::Reached;
 pub use self::{
     belief::{Attempt, Beliefs},
     bound::most_of_any,
-    objective::{KEPT, Objective, SINGLE_MAP_CREDIT},
+    objective::{KEPT, Objective, SINGLE_MAP_CREDIT, SeenPixels},
 };
 use crate::{
     base::{

@@ -7,6 +7,7 @@ use std::{
 
 use crate::{
     base::{error::Hint, input},
+    config::Settings,
     io::project::Project,
     model::scene::Scene,
 };
@@ -25,10 +26,11 @@ impl Hint for FingerprintError {
     }
 }
 
-/// Computes the BLAKE3 hash, in hexadecimal, of the model's files, the mesh used as its surface, and the name and size of each registered image.
-pub fn fingerprint(project: &Project, scene: &Scene, mesh: Option<&Path>) -> Result<String, FingerprintError> {
+/// Computes the BLAKE3 hash, in hexadecimal, of the model's files, the mesh and the region that the settings name, and the name and size of each
+/// registered image.
+pub fn fingerprint(project: &Project, scene: &Scene, settings: &Settings) -> Result<String, FingerprintError> {
     let mut hasher = blake3::Hasher::new();
-    for path in project.model_files().into_iter().chain(mesh.map(Path::to_path_buf)) {
+    for path in project.model_files().into_iter().chain(settings.files_of_plan()) {
         let failed = |source| FingerprintError { path: path.clone(), source };
         // Length prefixes keep different lists of files from giving the same bytes.
         let length = fs::metadata(&path).map_err(failed)?.len();

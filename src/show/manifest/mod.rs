@@ -5,12 +5,14 @@
 
 mod check;
 mod fingerprint;
+mod region;
 mod written;
 
 use schemars::{JsonSchema, Schema, schema_for};
 use serde::{Deserialize, Serialize};
 
 pub use fingerprint::{FingerprintError, fingerprint};
+pub use region::RegionSummary;
 pub(crate) use written::{FILE, Recorded, read_own};
 pub use written::{WrittenPlan, WrittenPlanError, planned_backend, planned_model};
 
@@ -50,6 +52,8 @@ pub struct Manifest {
     /// Trained model that predicts success; null if an untrained source does (`settings.confidence.source`).
     pub confidence_model: Option<ConfidenceModel>,
     pub surface: SurfaceSummary,
+    /// Region of interest; null if the plan is for the whole surface.
+    pub region: Option<RegionSummary>,
     /// The whole ranking, best first; the clusters up to `cut` are to be computed.
     pub clusters: Vec<ClusterEntry>,
     /// Position of the cut in the ranking, and its results.
@@ -85,7 +89,7 @@ pub struct Input {
     pub format: String,
     /// Folder of the model, relative to the project folder; "." is the folder itself.
     pub model: String,
-    /// BLAKE3 hash of the model's files and the names and sizes of the registered images; equal for equal input.
+    /// BLAKE3 hash of the model's files, the mesh and the region, and the names and sizes of the registered images; equal for equal input.
     pub fingerprint: String,
     /// Registered images.
     pub views: usize,
@@ -119,7 +123,7 @@ pub struct SurfaceSummary {
     pub triangles: usize,
     /// Square scene units.
     pub area: f64,
-    /// Triangles that no single cluster fulfils to a tenth (best f below 0.1).
+    /// Triangles that no single cluster fulfils to a tenth (best f below 0.1); with a region, those inside.
     pub unfulfilled: usize,
     /// Statistics of its reconstruction.
     pub made: SurfaceStats,
@@ -172,6 +176,7 @@ impl Manifest {
                 distance: plan.stages.pictures.distance,
             }),
             surface: SurfaceSummary::new(plan),
+            region: RegionSummary::of(plan),
             clusters: clusters(plan),
             cut: plan.decision.cut,
             views: plan.stages.scene.view_indices().map(|view| ViewEntry::new(plan, view)).collect(),
@@ -219,7 +224,7 @@ impl Input {
         Ok(Self {
             format: project.model.format.name().into(),
             model,
-            fingerprint: fingerprint(project, &plan.stages.scene, plan.stages.settings.surface.mesh.as_deref())?,
+            fingerprint: fingerprint(project, &plan.stages.scene, &plan.stages.settings)?,
             views: plan.stages.scene.views.len(),
             points: plan.stages.scene.points.len(),
             observations: plan.stages.scene.observations(),
@@ -235,7 +240,7 @@ impl SurfaceSummary {
             vertices: surface.vertices.len(),
             triangles: surface.triangles.len(),
             area: (0..surface.triangles.len() as u32).map(|t| surface.area(t)).sum(),
-            unfulfilled: plan.decision.triangle_reasons.iter().flatten().count(),
+            unfulfilled: plan.unfulfilled().count(),
             made: plan.stages.surface_stats.clone(),
         }
     }

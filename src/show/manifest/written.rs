@@ -151,7 +151,7 @@ impl Recorded {
 
     /// Returns an error if the model or the images have changed since the plan was made.
     pub fn check_input(&self, project: &Project, scene: &Scene) -> Result<(), WrittenPlanError> {
-        let same = fingerprint(project, scene, self.settings.surface.mesh.as_deref())? == self.input.fingerprint;
+        let same = fingerprint(project, scene, &self.settings)? == self.input.fingerprint;
         if same { Ok(()) } else { Err(WrittenPlanError::OtherInput(self.path.clone())) }
     }
 }

@@ -16,6 +16,8 @@ pub struct FulfilmentCurve {
     pub cut: Cut,
     /// Registered views.
     pub views: usize,
+    /// The shares are those inside a region.
+    pub of_region: bool,
 }
 
 impl FulfilmentCurve {
@@ -30,6 +32,7 @@ impl FulfilmentCurve {
             pairs: pairs.collect(),
             cut: plan.decision.cut,
             views: plan.stages.scene.views.len(),
+            of_region: plan.stages.region.is_some(),
         }
     }
 
@@ -42,10 +45,11 @@ impl FulfilmentCurve {
     fn title(&self) -> String {
         match self.at_cut() {
             Some((share, pairs)) => format!(
-                "{} of {} views as key views, {pairs} pairs: {:.1} % of what all depth maps give (predicted)",
+                "{} of {} views as key views, {pairs} pairs: {:.1} % of what all depth maps give{} (predicted)",
                 self.cut.clusters,
                 self.views,
-                share * 100.0
+                share * 100.0,
+                if self.of_region { " inside the region" } else { "" }
             ),
             None => "No view cluster fulfils anything".into(),
         }
@@ -99,7 +103,13 @@ mod tests {
         let share = (1..=1000).map(|n| 1.0 - (-f64::from(n) / 80.0).exp()).collect();
         let cut =
             Cut { clusters: 184, reachable: 0.873, fulfilment: 0.5, fulfilment_bound: 0.52, ..Default::default() };
-        let svg = curve_svg(&FulfilmentCurve { share, pairs: (1..=1000).map(|n| 5 * n).collect(), cut, views: 1236 });
+        let svg = curve_svg(&FulfilmentCurve {
+            share,
+            pairs: (1..=1000).map(|n| 5 * n).collect(),
+            cut,
+            views: 1236,
+            of_region: false,
+        });
         assert!(svg.contains("184 of 1236 views as key views, 920 pairs: 90.0 %"));
         assert!(svg.contains("give 87 % of what is wanted") && svg.contains("more than 4 % higher"));
         assert!(svg.contains(">cut at 184<") && svg.contains(">cut at 920<"));

@@ -4,8 +4,9 @@ use nalgebra::Point3;
 use rayon::prelude::*;
 use serde_json::{Value, json};
 
-use super::footprints;
+use super::{footprints, map::hull};
 use crate::{
+    method::region::Outline,
     model::{
         georeference::{Georeference, MapFrame},
         scene::ViewIndex,
@@ -13,7 +14,7 @@ use crate::{
     plan::Plan,
 };
 
-/// GeoJSON text with two features per view: a point at the camera, and a polygon around the surface that it sees. Coordinates are longitude
+/// GeoJSON text with two features per view: a point at the camera, and a polygon around the surface that it sees; and the region. Coordinates are longitude
 /// and latitude if the model is georeferenced; otherwise they are the model's own, rotated so that the third axis is up, as `crs: null`,
 /// `frame` and `axes` state (a position is `axes` times a point of the model).
 pub fn views_geojson(plan: &Plan, place: &Georeference) -> String {
@@ -45,8 +46,33 @@ pub fn views_geojson(plan: &Plan, place: &Georeference) -> String {
         collection["crs"] = Value::Null;
         collection["axes"] = json!(frame.axes.map(|axis| [axis.x, axis.y, axis.z]));
     }
-    collection["features"] = features.into();
+    let region = plan.stages.region.as_ref().map(|region| {
+        json!({
+            "type": "Feature",
+            "geometry": region_geometry(&region.outline, &frame, &position),
+            "properties": { "what": "region", "kind": region.kind },
+        })
+    });
+    collection["features"] = features.into_iter().chain(region).collect();
     collection.to_string() + "\n"
+}
+
+/// The region on the map, as it was given, or the hull of its corners.
+fn region_geometry(outline: &Outline, frame: &MapFrame, position: impl Fn(&Point3<f64>) -> [f64; 3]) -> Value {
+    let polygons = match outline {
+        Outline::Geodetic(polygons) => json!(polygons),
+        Outline::Polygons(polygons) => {
+            let polygon = |rings: &Vec<Vec<Point3<f64>>>| {
+                json!(rings.iter().map(|ring| ring.iter().map(&position).collect::<Vec<_>>()).collect::<Vec<_>>())
+            };
+            polygons.iter().map(polygon).collect()
+        }
+        Outline::Hull(points) => match hull(points, frame) {
+            corners if corners.len() < 3 => json!([]),
+            corners => json!([[closed(corners.iter().map(position).collect())]]),
+        },
+    };
+    json!({ "type": "MultiPolygon", "coordinates": polygons })
 }
 
 fn closed(mut ring: Vec<[f64; 3]>) -> Vec<[f64; 3]> {

@@ -23,7 +23,14 @@ fn footprint(surface: &Surface, visibility: &Visibility, view: ViewIndex, frame:
         visibility.triangles_seen_by(view).iter().flat_map(|&t| surface.triangles[t as usize]).collect();
     vertices.sort_unstable();
     vertices.dedup();
-    let flat: Vec<[f64; 3]> = vertices.iter().map(|&v| frame.local(&surface.vertices[v as usize])).collect();
+    let points: Vec<Point3<f64>> = vertices.into_iter().map(|v| surface.vertices[v as usize]).collect();
+    hull(&points, frame)
+}
+
+/// Convex hull of points seen from above, in at most as many corners as there are [`DIRECTIONS`]: world coordinates, counter-clockwise, not
+/// closed.
+pub(super) fn hull(points: &[Point3<f64>], frame: &MapFrame) -> Vec<Point3<f64>> {
+    let flat: Vec<[f64; 3]> = points.iter().map(|point| frame.local(point)).collect();
     let farthest = |i: u32| {
         let (sin, cos) = (f64::from(i) * std::f64::consts::TAU / f64::from(DIRECTIONS)).sin_cos();
         let along = |v: &usize| flat[*v][0] * cos + flat[*v][1] * sin;
@@ -36,7 +43,7 @@ fn footprint(surface: &Surface, visibility: &Visibility, view: ViewIndex, frame:
     if corners.len() > 1 && corners.first() == corners.last() {
         corners.pop();
     }
-    corners.into_iter().map(|v| surface.vertices[vertices[v] as usize]).collect()
+    corners.into_iter().map(|i| points[i]).collect()
 }
 
 #[cfg(test)]

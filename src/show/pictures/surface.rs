@@ -57,7 +57,7 @@ pub fn for_each_step(plan: &Plan, mut visit: impl FnMut(usize, u32, f32)) {
 }
 
 /// The reasons in the order of their numbers in the field `reason`; 0 is "fulfilled by some cluster".
-pub const REASON_NUMBERS: [Reason; 9] = [
+pub const REASON_NUMBERS: [Reason; 10] = [
     Reason::NoSharedPoints,
     Reason::RotationOnly,
     Reason::DuplicateOfBetterView,
@@ -67,6 +67,7 @@ pub const REASON_NUMBERS: [Reason; 9] = [
     Reason::TooInaccurate,
     Reason::NotMatchable,
     Reason::NoGainLeft,
+    Reason::OutsideRegion,
 ];
 
 /// The number of a reason, from 1; 0 for `None`.
@@ -79,24 +80,31 @@ pub fn reason_number(reason: Option<Reason>) -> u8 {
 pub const RAMP: [[u8; 3]; 3] = [[200, 72, 44], [236, 208, 108], [38, 122, 158]];
 
 /// The surface at the plan's cut: `quality` (share reached), `chosen_views`, `reason`, and colours from red (nothing) over yellow to
-/// blue (all that can be reached); grey where no view can do anything.
+/// blue (all that can be reached); grey where no view can do anything. With a region, also `region`, the factor on each triangle's weight; colours
+/// outside are pale.
 pub fn surface_ply(plan: &Plan) -> Vec<u8> {
     let states = triangle_states(plan, plan.decision.cut.clusters);
     let share: Vec<f32> = states.iter().map(TriangleState::share).collect();
     let chosen: Vec<f32> = states.iter().map(|s| f32::from(s.chosen_views)).collect();
     let reasons: Vec<u8> = plan.decision.triangle_reasons.iter().map(|&reason| reason_number(reason)).collect();
-    let colours: Vec<[u8; 3]> = states.iter().map(colour).collect();
-    let fields = [
+    let mut colours: Vec<[u8; 3]> = states.iter().map(colour).collect();
+    let region = plan.stages.region.as_ref();
+    if let Some(region) = region {
+        (0..).zip(&mut colours).filter(|(t, _)| !region.is_inside(*t)).for_each(|(_, colour)| *colour = pale(*colour));
+    }
+    let mut fields = vec![
         FaceField::Colour(&colours),
         FaceField::Float("quality", &share),
         FaceField::Float("chosen_views", &chosen),
         FaceField::Byte("reason", &reasons),
     ];
+    fields.extend(region.map(|region| FaceField::Float("region", &region.factors)));
     let mut comments = vec![
         "quality: share of the reachable fulfilment that is reached at the cut".to_string(),
         "chosen_views: chosen key views that fulfil the triangle".to_string(),
         "reason: why no cluster fulfils the triangle to a tenth; 0: one does".to_string(),
     ];
+    comments.extend(region.map(|_| "region: factor on the weight of the triangle; 0 outside".to_string()));
     comments.extend(REASON_NUMBERS.iter().enumerate().map(|(i, r)| format!("reason {}: {}", i + 1, word(*r))));
     ply::write(&plan.stages.surface.vertices, &plan.stages.surface.triangles, &fields, &comments)
 }
@@ -104,6 +112,11 @@ pub fn surface_ply(plan: &Plan) -> Vec<u8> {
 /// The reason as it is written in the manifest.
 fn word(reason: Reason) -> String {
     serde_json::to_value(reason).ok().and_then(|v| v.as_str().map(str::to_owned)).unwrap_or_default()
+}
+
+/// A colour outside the region.
+fn pale(colour: [u8; 3]) -> [u8; 3] {
+    colour.map(|channel| (u16::from(channel) / 4 + 168) as u8)
 }
 
 /// [`RAMP`] interpolated at the share reached; grey if nothing is reachable.

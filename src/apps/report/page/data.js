@@ -44,6 +44,10 @@ const surface = {
   real: data.real ? decode(data.real.triangles, Uint8Array) : null,
 };
 surface.count = surface.triangles.length / 3;
+if (data.region) {
+  data.region.inside = decode(data.region.inside, Uint8Array);
+  data.region.border = decode(data.region.border, Uint32Array);
+}
 const COUNTED = surface.count ? surface.first.length / surface.count : 0;
 const clusters = ranking.keys.length;
 const total = clusters ? ranking.gains.reduce((sum, gain) => sum + gain, 0) : 0;
@@ -135,6 +139,9 @@ function rounded(number) {
   const digits = Math.max(0, 2 - Math.floor(Math.log10(Math.abs(number))));
   return digits > 8 ? number.toPrecision(3) : Number(number.toFixed(digits)).toLocaleString('en', { maximumFractionDigits: digits });
 }
+
+// Follows "what all depth maps give".
+const inRegion = data.region ? ' inside the region' : '';
 
 const unit = data.metric ? 'm' : 'units';
 

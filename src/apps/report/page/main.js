@@ -11,7 +11,7 @@ function drawCut() {
   byId('slider').value = byId('number').value = cut;
   byId('slider').setAttribute('aria-valuetext', `${cut} depth maps, ${percent(shareAt(cut))}`);
   byId('verdict').replaceChildren(make('b', {}, `${grouped.format(cut)} of ${grouped.format(views.count)} views`), ' get a depth map, ',
-    make('b', {}, `${grouped.format(pairsUpTo[cut])} image pairs`), `: ${percent(shareAt(cut))} of what all depth maps give.`);
+    make('b', {}, `${grouped.format(pairsUpTo[cut])} image pairs`), `: ${percent(shareAt(cut))} of what all depth maps give${inRegion}.`);
   for (const button of byId('jumps').children) button.setAttribute('aria-pressed', Number(button.dataset.cut) === cut);
 }
 
@@ -74,6 +74,7 @@ function drawLegends() {
   };
   const cameras = [['key', 'key view'], ['partner', 'partner'], ['unused', 'unused']].map(([status, text]) =>
     make('span', {}, make('i', { class: status === 'unused' ? 'ring' : '', style: `background: var(--${status}); color: var(--${status}); border-radius: 50%` }), text));
+  if (data.region) cameras.unshift(make('span', {}, make('i', { style: 'height: 3px; background: #1d2329' }), 'border of the region'));
   for (const legend of document.querySelectorAll('.legend')) legend.replaceChildren(...lists[state.colour](), ...cameras.map(c => c.cloneNode(true)));
 }
 
@@ -91,6 +92,7 @@ function setUpColours() {
 
 function drawHoles() {
   const area = size => `${rounded(size)} ${unit}²`;
+  const whole = data.region ? 'region' : 'surface';
   const share = data.area > 0 ? percent(data.holes_area / data.area) : percent(0);
   const background = `more than ${data.far} times the usual camera distance of sparse points away from every camera`;
   if (!data.holes.length) {
@@ -105,7 +107,7 @@ function drawHoles() {
     make('td', {}, area(hole.area)), make('td', {}, data.reasons[hole.reason - 1])));
   const reasons = [...new Set(data.holes.map(hole => hole.reason - 1))];
   byId('holes').replaceChildren(
-    make('p', {}, `${share} of the surface (${area(data.holes_area)} of ${area(data.area)}) is fulfilled by less than a tenth by every view cluster`
+    make('p', {}, `${share} of the ${whole} (${area(data.holes_area)} of ${area(data.area)}) is fulfilled by less than a tenth by every view cluster`
       + ` (grey on the map). ${data.far_area > 0 ? `${area(data.far_area)} of that is background, ${background}. ` : ''}`
       + 'The largest holes near the cameras, numbered on the map:'),
     make('table', {}, make('tr', {}, ...['where', 'area', 'reason'].map(text => make('th', {}, text))), ...rows),
@@ -137,6 +139,7 @@ function drawFacts() {
   const left = data.unregistered.length ? `, ${counted(data.unregistered.length, 'image')} without a pose` : '';
   byId('facts').textContent = `${grouped.format(views.count)} views${left}, ${grouped.format(data.points)} sparse points, a surface of ${grouped.format(data.triangles)} triangles;`
     + ` planned for the backend ${data.backend}, ${rounded(data.gsd)} ${unit} per pixel wanted`;
+  if (data.region) byId('facts').after(make('p', {}, data.region.words));
   byId('footer').textContent = `${data.tool}. ${data.surface.coarser ? 'The surface is drawn with fewer triangles than in the plan. ' : ''}`
     + (views.count > data.most_thumbnails ? `Only the first ${data.most_thumbnails} of the ranking have thumbnails. ` : '')
     + (data.finished || data.real ? 'Colours of the surface are predicted unless labelled measured' : 'Predicted before any depth map was computed')

@@ -4,6 +4,8 @@
 let theme = {};
 // Colour of the holes' numbers, which have a white outline in both themes.
 const HOLE = '#a8281a';
+// Colour of the region's border, which has a white outline in both themes.
+const BORDER = '#1d2329';
 // Holes that are numbered whatever their size.
 const NUMBERED = 5;
 
@@ -152,6 +154,7 @@ class Scene {
     const shown = state.hovered >= 0 ? state.hovered : state.selected;
     if (shown >= 0) this.drawFootprint(shown);
     const size = Math.max(1.6, Math.min(4.5, 0.22 * Math.sqrt(this.width * this.height / Math.max(views.count, 1))));
+    this.drawBorder();
     this.drawHoles();
     this.drawCameras(size);
     if (shown >= 0) this.drawCluster(shown, size);
@@ -228,6 +231,21 @@ class Scene {
     context.setLineDash([6, 4]);
     context.stroke();
     context.setLineDash([]);
+  }
+
+  // The border of the region.
+  drawBorder() {
+    if (!data.region) return;
+    const { context } = this, lines = new Path2D(), { border } = data.region;
+    for (let end = 0; end < border.length; end++) {
+      const [x, y] = this.camera.screen(surface.vertices, 3 * border[end], this.width, this.height);
+      if (end % 2) lines.lineTo(x, y); else lines.moveTo(x, y);
+    }
+    for (const [colour, width] of [['#fff', 3], [BORDER, 1.5]]) {
+      context.strokeStyle = colour;
+      context.lineWidth = width;
+      context.stroke(lines);
+    }
   }
 
   // Numbers as in the list, for the first holes, large holes and the selected hole, which also gets a ring.

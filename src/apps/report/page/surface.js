@@ -5,7 +5,7 @@ const NOWHERE = [148, 148, 152];
 const COUNT_COLOURS = [[200, 72, 44], [222, 140, 70], [236, 208, 108], [140, 178, 130], [76, 148, 150], [38, 122, 158]];
 // By number of the reason. Triangles have only four: too few cameras, too coarse, too inaccurate, cannot be matched; colours that the
 // colour-blind can tell apart.
-const REASON_COLOURS = Array(10).fill([150, 150, 150]);
+const REASON_COLOURS = Array(11).fill([150, 150, 150]);
 REASON_COLOURS[0] = [200, 205, 209];
 REASON_COLOURS[4] = [70, 60, 90];
 REASON_COLOURS[6] = [70, 130, 200];
@@ -51,6 +51,13 @@ function colourOf(triangle) {
   return RAMP_TABLE[end > surface.offsets[triangle] ? surface.shares[end - 1] : 0];
 }
 
+// Outside the region, colours are pale: what is added to a quarter of them.
+const OUTSIDE = 168;
+
+function isInside(triangle) {
+  return !data.region || data.region.inside[triangle] === 1;
+}
+
 // Colour of every triangle for the state of the page, 3 bytes each.
 const triangleColours = (() => {
   const colours = new Uint8Array(3 * surface.count);
@@ -61,7 +68,7 @@ const triangleColours = (() => {
     made = wanted;
     const rank = state.selected >= 0 ? views.rank[state.selected] : 0;
     for (let t = 0; t < surface.count; t++) {
-      const colour = colourOf(t), own = rank && improvedBy(t, rank) ? 0.35 : 1;
+      const colour = isInside(t) ? colourOf(t) : colourOf(t).map(value => 0.25 * value + OUTSIDE), own = rank && improvedBy(t, rank) ? 0.35 : 1;
       for (let i = 0; i < 3; i++) colours[3 * t + i] = own * colour[i] + (1 - own) * IMPROVED[i];
     }
     return colours;

@@ -1,0 +1,108 @@
+//! `auto`: the box around what the photographs show most densely.
+//!
+//! The density of a triangle is its pixels in all views over its area: a subject that the cameras go round has a high one, what is behind it or
+//! at the border of a flight a low one. Triangles in descending order of density are cut where their share of the pixels, m, stands out most
+//! from their share of the area, a (largest `m ln(m / a) + (1 - m) ln((1 - m) / (1 - a))`, the statistic of Kulldorff's scan, 1997); those
+//! down to a quarter of that density belong to them. The box holds all but the outermost pixels of these along each axis, and a margin.
+
+use crate::method::surface::Surface;
+
+/// Density that belongs to the core, over that of its sparsest triangle: half the resolution.
+const SURROUNDINGS: f64 = 0.25;
+/// Share of the core's pixels that the box leaves out at each of its six sides, which single stray triangles don't reach.
+const STRAY: f64 = 0.005;
+/// Margin at each side over the length of that side.
+const MARGIN: f64 = 0.05;
+
+/// Corners of the box, world coordinates; `None` where no view shows any area. `pixels`: of each triangle, in all views together.
+pub fn densest(surface: &Surface, pixels: &[f64]) -> Option<[f64; 6]> {
+    let areas: Vec<f64> = (0..surface.triangles.len() as u32).map(|t| surface.area(t)).collect();
+    let density = |t: u32| pixels[t as usize] / areas[t as usize];
+    let mut order: Vec<u32> =
+        (0..areas.len() as u32).filter(|&t| areas[t as usize] > 0.0 && density(t) > 0.0).collect();
+    order.sort_unstable_by(|&a, &b| density(b).total_cmp(&density(a)).then(a.cmp(&b)));
+    let least = SURROUNDINGS * density(*order.get(core(&order, pixels, &areas)?)?);
+    let mut core: Vec<u32> = order.into_iter().take_while(|&t| density(t) >= least).collect();
+    let mut corners = [0.0; 6];
+    for axis in 0..3 {
+        let place = |t: u32| surface.centroid(t)[axis];
+        core.sort_unstable_by(|&a, &b| place(a).total_cmp(&place(b)).then(a.cmp(&b)));
+        let [low, high] = within(&core, pixels).map(place);
+        let margin = MARGIN * (high - low);
+        (corners[axis], corners[axis + 3]) = (low - margin, high + margin);
+    }
+    Some(corners)
+}
+
+/// Position in `order` of the sparsest triangle of the core.
+fn core(order: &[u32], pixels: &[f64], areas: &[f64]) -> Option<usize> {
+    let sum = |of: &[f64]| order.iter().map(|&t| of[t as usize]).sum::<f64>();
+    let [all_pixels, all_area] = [sum(pixels), sum(areas)];
+    let (mut best, mut m, mut a) = ((0.0, order.len().checked_sub(1)?), 0.0, 0.0);
+    for (i, &t) in order.iter().enumerate() {
+        m += pixels[t as usize] / all_pixels;
+        a += areas[t as usize] / all_area;
+        let contrast = m * (m / a).ln() + (1.0 - m) * ((1.0 - m) / (1.0 - a)).ln();
+        // NaN at the end, where both shares are 1.
+        if m < 1.0 && a < 1.0 && contrast > best.0 {
+            best = (contrast, i);
+        }
+    }
+    Some(best.1)
+}
+
+/// The first and the last triangle along the list that are not stray.
+fn within(list: &[u32], pixels: &[f64]) -> [u32; 2] {
+    let stray = STRAY * list.iter().map(|&t| pixels[t as usize]).sum::<f64>();
+    let first = |list: &mut dyn Iterator<Item = &u32>| {
+        let mut sum = 0.0;
+        list.copied().find(|&t| {
+            sum += pixels[t as usize];
+            sum > stray
+        })
+    };
+    let ends = [first(&mut list.iter()), first(&mut list.iter().rev())];
+    ends.map(|end| end.unwrap_or(list[0]))
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::Point3;
+
+    use super::*;
+    use crate::method::surface::SurfaceKind;
+
+    /// Squares of this side along a grid of n x n on the ground, each of two triangles.
+    fn ground(n: u32, side: f64) -> Surface {
+        let vertices = (0..(n + 1) * (n + 1))
+            .map(|i| Point3::new(f64::from(i % (n + 1)) * side, f64::from(i / (n + 1)) * side, 0.0));
+        let square = |i: u32| {
+            let a = i / n * (n + 1) + i % n;
+            [[a, a + 1, a + n + 2], [a, a + n + 2, a + n + 1]]
+        };
+        Surface {
+            kind: SurfaceKind::Mesh,
+            vertices: vertices.collect(),
+            triangles: (0..n * n).flat_map(square).collect(),
+        }
+    }
+
+    #[test]
+    fn a_subject_is_taken_and_stray_triangles_are_not() {
+        let surface = ground(60, 1.0);
+        let subject = |p: Point3<f64>| (20.0..30.0).contains(&p.x) && (35.0..40.0).contains(&p.y);
+        let mut pixels: Vec<f64> = (0..7200).map(|t| if subject(surface.centroid(t)) { 400.0 } else { 4.0 }).collect();
+        pixels[0] = 150.0;
+        let [x0, y0, _, x1, y1, _] = densest(&surface, &pixels).unwrap();
+        assert!((19.0..=20.4).contains(&x0) && (29.6..=31.0).contains(&x1), "{x0} {x1}");
+        assert!((34.0..=35.4).contains(&y0) && (39.6..=41.0).contains(&y1), "{y0} {y1}");
+    }
+
+    #[test]
+    fn where_all_is_shown_alike_all_is_taken() {
+        let surface = ground(40, 0.5);
+        let [x0, y0, _, x1, y1, _] = densest(&surface, &[3.0; 3200]).unwrap();
+        assert!(x0 < 0.3 && y0 < 0.3 && x1 > 19.7 && y1 > 19.7, "{x0} {y0} {x1} {y1}");
+        assert_eq!(densest(&surface, &[0.0; 3200]), None);
+    }
+}

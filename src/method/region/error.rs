@@ -1,0 +1,82 @@
+//! Errors of regions.
+
+use std::path::PathBuf;
+
+use super::{columns::Rectangle, solid::OpenMesh};
+use crate::{
+    base::{error::Hint, progress::Cancelled},
+    io::region_file::RegionFault,
+};
+
+/// The region cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum RegionError {
+    #[error("cannot read the region {}: {fault}", path.display())]
+    File { path: PathBuf, fault: RegionFault },
+    #[error("cannot use the mesh {} as the region: {fault}", path.display())]
+    Mesh { path: PathBuf, fault: OpenMesh },
+    #[error("cannot use the region {}: it is in WGS 84, but the model has no georeference", path.display())]
+    NoGeoreference { path: PathBuf },
+    #[error("cannot use the region {}: {x} {y} is not a longitude and a latitude", path.display())]
+    NotDegrees { path: PathBuf, x: f64, y: f64 },
+    #[error("cannot use the region {}: its axes are not unit vectors", path.display())]
+    Axes { path: PathBuf },
+    #[error("no part of the surface is inside the region: it covers {}, the surface {}", on_map(region, *is_geodetic), on_map(model, *is_geodetic))]
+    OutsideMap { region: Rectangle, model: Rectangle, is_geodetic: bool },
+    #[error(
+        "no part of the surface is inside the region: it covers {}, the surface {}",
+        in_space(region),
+        in_space(model)
+    )]
+    OutsideBox { region: [f64; 6], model: [f64; 6] },
+    #[error("the areas of the region that hold parts of the surface all have the weight 0")]
+    Weightless,
+    #[error(transparent)]
+    Cancelled(#[from] Cancelled),
+}
+
+impl RegionError {
+    pub(super) fn outside_box(region: &[f64], model: &[f64; 6]) -> Self {
+        Self::OutsideBox { region: std::array::from_fn(|i| region[i]), model: *model }
+    }
+}
+
+fn on_map(Rectangle { low, high }: &Rectangle, is_geodetic: bool) -> String {
+    let [first, second] = if is_geodetic { ["longitude", "latitude"] } else { ["x", "y"] };
+    format!("{first} {:.6} to {:.6}, {second} {:.6} to {:.6}", low[0], high[0], low[1], high[1])
+}
+
+fn in_space(corners: &[f64; 6]) -> String {
+    let axis = |(i, name): (usize, &str)| format!("{name} {:.6} to {:.6}", corners[i], corners[i + 3]);
+    ["x", "y", "z"].into_iter().enumerate().map(axis).collect::<Vec<_>>().join(", ")
+}
+
+impl Hint for RegionError {
+    fn hint(&self) -> Option<String> {
+        let hint = match self {
+            Self::File { fault: RegionFault::Read(_), .. } => "check that the file is there and may be read",
+            Self::File { fault: RegionFault::Collection(_), .. } => {
+                "export polygons as GeoJSON in WGS 84 (EPSG:4326), or in model units with \"crs\": null"
+            }
+            Self::File { .. } => "give GeoJSON polygons, a closed PLY mesh, or a box x0,y0,z0,x1,y1,z1",
+            Self::Mesh { .. } => "close its holes, or give a box x0,y0,z0,x1,y1,z1",
+            Self::NoGeoreference { .. } => {
+                "set frame.origin or frame.utm, or draw the polygon in model units with \"crs\": null"
+            }
+            Self::NotDegrees { .. } => {
+                "export it in WGS 84 (EPSG:4326), longitude first; for model units add \"crs\": null to the file"
+            }
+            Self::Axes { .. } => "copy crs and axes from viewrank/views.geojson",
+            Self::OutsideMap { is_geodetic: true, .. } => {
+                "check that the polygon has longitude before latitude, and frame.origin or frame.utm"
+            }
+            Self::OutsideMap { .. } => {
+                "draw the polygon over viewrank/views.geojson; for one in WGS 84 set frame.origin or frame.utm"
+            }
+            Self::OutsideBox { .. } => "give it in the frame and the units of the model",
+            Self::Weightless => "give the areas that count a weight above 0",
+            Self::Cancelled(error) => return error.hint(),
+        };
+        Some(hint.into())
+    }
+}

@@ -1,0 +1,244 @@
+//! Method 5.7: what the plan is for.
+//!
+//! A region is a set of polygons on the map, a box, a closed mesh, or `auto`. Of it the other stages see a factor on the weight of each triangle
+//! and, from polygons, a wanted g_d. A triangle is asked at 16 samples, so that its factor is the share of it that is inside, within a few
+//! per cent of the triangle.
+
+mod areas;
+mod columns;
+mod densest;
+mod error;
+mod polygon;
+mod solid;
+
+use nalgebra::Point3;
+use rayon::prelude::*;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+pub use error::RegionError;
+
+use self::{areas::MapAreas, solid::Solid};
+use crate::{
+    base::progress::{Cancelled, Watcher},
+    config::RegionChoice,
+    io::region_file::{self, Polygon, RegionFile},
+    method::surface::Surface,
+    model::georeference::{Georeference, MapFrame},
+};
+
+/// Triangles between two questions whether to stop.
+const AT_ONCE: usize = 16_384;
+
+/// How a region is given.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum RegionKind {
+    /// GeoJSON.
+    Polygons,
+    Box,
+    /// A closed mesh.
+    Mesh,
+    /// A box around what the photographs show most densely.
+    Auto,
+}
+
+/// What counts of a surface.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Region {
+    pub kind: RegionKind,
+    /// Factor on the weight of each triangle: its share inside, times the weight of the areas there.
+    pub factors: Vec<f32>,
+    /// g_d that the areas want of each triangle, infinite where they want none; empty if none does.
+    pub gsd: Vec<f32>,
+    /// The box; of polygons and meshes that around the triangles inside. Low corner, high corner, world coordinates.
+    pub bounds: [f64; 6],
+    pub outline: Outline,
+}
+
+/// A region for maps.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Outline {
+    /// Polygons in longitude and latitude, degrees.
+    Geodetic(Vec<Polygon>),
+    /// Rings of polygons in world coordinates.
+    Polygons(Vec<Vec<Vec<Point3<f64>>>>),
+    /// The region is the hull of these points, world coordinates, seen from above.
+    Hull(Vec<Point3<f64>>),
+}
+
+impl Region {
+    pub fn is_inside(&self, triangle: u32) -> bool {
+        self.factors[triangle as usize] > 0.0
+    }
+}
+
+/// A region before it is laid over a surface.
+#[derive(Clone, Debug)]
+pub enum Shape {
+    Areas(MapAreas),
+    Solid(Box<Solid>),
+    Box([f64; 6]),
+    Auto,
+}
+
+/// What the region says of a place.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Wish {
+    weight: f64,
+    gsd: Option<f64>,
+}
+
+impl Wish {
+    const INSIDE: Self = Self { weight: 1.0, gsd: None };
+}
+
+/// What the region says of a triangle.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Sampled {
+    is_touched: bool,
+    factor: f32,
+    gsd: f32,
+}
+
+impl Shape {
+    /// Reads the region that the settings name. `frame`: the map on which polygons without a georeference are drawn.
+    pub fn read(choice: &RegionChoice, place: &Georeference, frame: &MapFrame) -> Result<Self, RegionError> {
+        let path = match choice {
+            RegionChoice::Auto => return Ok(Self::Auto),
+            RegionChoice::Box(corners) => return Ok(Self::Box(ordered(*corners))),
+            RegionChoice::File(path) => path,
+        };
+        match region_file::read(path).map_err(|fault| RegionError::File { path: path.clone(), fault })? {
+            RegionFile::Box(corners) => Ok(Self::Box(ordered(corners))),
+            RegionFile::Mesh(mesh) => match Solid::new(&mesh) {
+                Ok(solid) => Ok(Self::Solid(Box::new(solid))),
+                Err(fault) => Err(RegionError::Mesh { path: path.clone(), fault }),
+            },
+            RegionFile::Areas(areas) => Ok(Self::Areas(MapAreas::new(areas, place, frame, path)?)),
+        }
+    }
+
+    /// Lays the region over a surface. `pixels`: of each triangle, in all views together; asked for `auto` only.
+    ///
+    /// # Errors
+    /// No part of the surface counts; cancellation.
+    pub fn on(
+        self,
+        surface: &Surface,
+        pixels: impl FnOnce() -> Vec<f64>,
+        watcher: &dyn Watcher,
+    ) -> Result<Region, RegionError> {
+        let whole = bounds(surface, |_| true);
+        match self {
+            Self::Areas(areas) => {
+                let sampled = areas.sampled(surface, watcher)?;
+                let outside = || areas.outside(surface);
+                region(RegionKind::Polygons, surface, sampled, outside)
+                    .map(|r| Region { outline: areas.outline(), ..r })
+            }
+            Self::Solid(solid) => {
+                let inside = |p: &Point3<f64>| solid.contains(p);
+                let sampled = in_parts(surface, watcher, |t| solid_sample(surface, t, &inside))?;
+                let corners = [solid.low, solid.high].map(|p| [p.x, p.y, p.z]).concat();
+                let outside = || RegionError::outside_box(&corners, &whole);
+                let outline = Outline::Hull(solid.vertices().collect());
+                region(RegionKind::Mesh, surface, sampled, outside).map(|r| Region { outline, ..r })
+            }
+            Self::Box(corners) => boxed(RegionKind::Box, corners, surface, watcher),
+            Self::Auto => {
+                let corners = densest::densest(surface, &pixels()).unwrap_or(whole);
+                boxed(RegionKind::Auto, corners, surface, watcher)
+            }
+        }
+    }
+}
+
+fn boxed(kind: RegionKind, corners: [f64; 6], surface: &Surface, watcher: &dyn Watcher) -> Result<Region, RegionError> {
+    let inside = |p: &Point3<f64>| (0..3).all(|axis| corners[axis] <= p[axis] && p[axis] <= corners[axis + 3]);
+    let sampled = in_parts(surface, watcher, |t| solid_sample(surface, t, &inside))?;
+    let outside = || RegionError::outside_box(&corners, &bounds(surface, |_| true));
+    let found = region(kind, surface, sampled, outside)?;
+    let corner = |i: usize| Point3::from([0, 1, 2].map(|axis| corners[axis + 3 * (i >> axis & 1)]));
+    Ok(Region { bounds: corners, outline: Outline::Hull((0..8).map(corner).collect()), ..found })
+}
+
+/// A region from the samples of its triangles, with the bounds of those inside and an empty outline.
+fn region(
+    kind: RegionKind,
+    surface: &Surface,
+    sampled: Vec<Sampled>,
+    outside: impl FnOnce() -> RegionError,
+) -> Result<Region, RegionError> {
+    if sampled.iter().all(|sample| sample.factor == 0.0) {
+        let is_weightless = sampled.iter().any(|sample| sample.is_touched);
+        return Err(if is_weightless { RegionError::Weightless } else { outside() });
+    }
+    let has_gsd = sampled.iter().any(|sample| sample.gsd.is_finite());
+    Ok(Region {
+        kind,
+        bounds: bounds(surface, |t| sampled[t].factor > 0.0),
+        gsd: if has_gsd { sampled.iter().map(|sample| sample.gsd).collect() } else { Vec::new() },
+        factors: sampled.into_iter().map(|sample| sample.factor).collect(),
+        outline: Outline::Hull(Vec::new()),
+    })
+}
+
+/// Samples of all triangles, in their order.
+fn in_parts(
+    surface: &Surface,
+    watcher: &dyn Watcher,
+    sample: impl Fn(u32) -> Sampled + Sync,
+) -> Result<Vec<Sampled>, Cancelled> {
+    let triangles = surface.triangles.len();
+    let mut all = Vec::with_capacity(triangles);
+    for start in (0..triangles).step_by(AT_ONCE) {
+        watcher.check()?;
+        let end = triangles.min(start + AT_ONCE);
+        all.par_extend((start as u32..end as u32).into_par_iter().map(&sample));
+    }
+    Ok(all)
+}
+
+fn solid_sample(surface: &Surface, triangle: u32, inside: &impl Fn(&Point3<f64>) -> bool) -> Sampled {
+    let [a, b, c] = surface.corners(triangle);
+    let at = |[u, v]: [f64; 2]| a + (b - a) * u + (c - a) * v;
+    sampled(|place| inside(&at(place)).then_some(Wish::INSIDE))
+}
+
+/// Asks at the centroids of the 16 triangles into which the triangle is cut; `at` gets barycentric coordinates of the second and third corner.
+fn sampled(at: impl Fn([f64; 2]) -> Option<Wish>) -> Sampled {
+    const CUTS: u32 = 4;
+    let place = |i: u32, thirds: f64| (f64::from(i) + thirds / 3.0) / f64::from(CUTS);
+    let upright = (0..CUTS).flat_map(|i| (0..CUTS - i).map(move |j| [place(i, 1.0), place(j, 1.0)]));
+    let inverted = (0..CUTS - 1).flat_map(|i| (0..CUTS - 1 - i).map(move |j| [place(i, 2.0), place(j, 2.0)]));
+    let (mut sum, mut gsd, mut is_touched) = (0.0, f64::INFINITY, false);
+    for wish in upright.chain(inverted).filter_map(at) {
+        is_touched = true;
+        sum += wish.weight;
+        gsd = wish.gsd.map_or(gsd, |wanted| gsd.min(wanted));
+    }
+    Sampled { is_touched, factor: (sum / f64::from(CUTS * CUTS)) as f32, gsd: gsd as f32 }
+}
+
+/// Low and high corner of the triangles that count.
+fn bounds(surface: &Surface, counts: impl Fn(usize) -> bool) -> [f64; 6] {
+    let mut bounds =
+        [f64::INFINITY, f64::INFINITY, f64::INFINITY, f64::NEG_INFINITY, f64::NEG_INFINITY, f64::NEG_INFINITY];
+    let inside = surface.triangles.iter().enumerate().filter(|(t, _)| counts(*t));
+    for vertex in inside.flat_map(|(_, corners)| corners).map(|&v| surface.vertices[v as usize]) {
+        for axis in 0..3 {
+            bounds[axis] = bounds[axis].min(vertex[axis]);
+            bounds[axis + 3] = bounds[axis + 3].max(vertex[axis]);
+        }
+    }
+    bounds
+}
+
+/// Any two opposite corners as the low and the high one.
+fn ordered(corners: [f64; 6]) -> [f64; 6] {
+    std::array::from_fn(|i| if i < 3 { corners[i].min(corners[i + 3]) } else { corners[i].max(corners[i - 3]) })
+}
+
+#[cfg(test)]
+mod tests;

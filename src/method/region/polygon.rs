@@ -1,0 +1,166 @@
+//! Point in polygon, exactly: even-odd over the outer ring and the holes, by the signs of adaptive predicates.
+//!
+//! A point on an edge belongs to the polygon on one side of it only, so that neighbours that share the edge hold each point once.
+//! Edges are sorted into horizontal bands: a query looks at those of one band.
+
+use robust::{Coord, orient2d};
+
+use super::columns::Rectangle;
+use crate::base::rows::Offsets;
+
+/// Entries per edge that the bands may have, which keeps long edges from filling many bands.
+const ENTRIES: f64 = 8.0;
+
+/// An edge between two points of the plane.
+pub type Edge = [[f64; 2]; 2];
+
+/// Returns whether the ray from the point in the direction of x crosses the edge. It depends on the set of the two ends, not on their order;
+/// the lower end belongs to the edge, the upper one does not.
+#[inline]
+pub fn crosses([a, b]: Edge, point: [f64; 2]) -> bool {
+    let (low, high) = if a[1] <= b[1] { (a, b) } else { (b, a) };
+    low[1] <= point[1] && point[1] < high[1] && side(low, high, point) > 0.0
+}
+
+/// Positive where the point is on the left of the line from `a` to `b`; the sign is exact.
+#[inline]
+pub fn side(a: [f64; 2], b: [f64; 2], point: [f64; 2]) -> f64 {
+    let [a, b, point] = [a, b, point].map(|[x, y]| Coord { x, y });
+    orient2d(a, b, point)
+}
+
+/// A polygon with its holes, ready to be asked.
+#[derive(Clone, Debug)]
+pub struct PreparedPolygon {
+    pub bounds: Rectangle,
+    edges: Vec<Edge>,
+    bands: usize,
+    offsets: Offsets,
+    /// Indices of edges by band.
+    entries: Vec<u32>,
+}
+
+impl PreparedPolygon {
+    /// `rings`: the outer ring and the holes; the first position may be repeated at the end.
+    pub fn new(rings: &[Vec<[f64; 2]>]) -> Self {
+        let edges = |ring: &Vec<[f64; 2]>| (0..ring.len()).map(|i| [ring[i], ring[(i + 1) % ring.len()]]).collect();
+        // The ray crosses no horizontal edge.
+        let edges: Vec<Edge> = rings.iter().flat_map(|ring| -> Vec<Edge> { edges(ring) }).collect();
+        let edges: Vec<Edge> = edges.into_iter().filter(|[a, b]| a[1] != b[1]).collect();
+        let bounds = Rectangle::around(rings.iter().flatten());
+        let height = bounds.high[1] - bounds.low[1];
+        let climbed: f64 = edges.iter().map(|[a, b]| (b[1] - a[1]).abs()).sum();
+        // Each edge is in the bands that it climbs through, and at most two more.
+        let most = (ENTRIES - 2.0) * edges.len() as f64 * height / climbed;
+        let bands = (edges.len() as f64).min(most).max(1.0) as usize;
+        let mut polygon = Self { bounds, edges, bands, offsets: Offsets::default(), entries: Vec::new() };
+        polygon.fill();
+        polygon
+    }
+
+    fn fill(&mut self) {
+        let bands = |[a, b]: &Edge| self.band(a[1].min(b[1]))..self.band(a[1].max(b[1])) + 1;
+        let mut lengths = vec![0usize; self.bands];
+        self.edges.iter().flat_map(bands).for_each(|band| lengths[band] += 1);
+        let offsets = Offsets::from_lengths(lengths);
+        let mut next = offsets.as_slice().to_vec();
+        let mut entries = vec![0u32; offsets.entries()];
+        for (i, edge) in self.edges.iter().enumerate() {
+            for band in bands(edge) {
+                entries[next[band]] = i as u32;
+                next[band] += 1;
+            }
+        }
+        (self.offsets, self.entries) = (offsets, entries);
+    }
+
+    fn band(&self, y: f64) -> usize {
+        let place = (y - self.bounds.low[1]) / (self.bounds.high[1] - self.bounds.low[1]) * self.bands as f64;
+        (place as usize).min(self.bands - 1)
+    }
+
+    pub fn contains(&self, point: [f64; 2]) -> bool {
+        let Rectangle { low, high } = &self.bounds;
+        if !(0..2).all(|axis| low[axis] <= point[axis] && point[axis] <= high[axis]) {
+            return false;
+        }
+        let band = &self.entries[self.offsets.row(self.band(point[1]))];
+        band.iter().filter(|&&edge| crosses(self.edges[edge as usize], point)).count() % 2 == 1
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    /// Area enclosed by rings that run counter-clockwise, less that of rings that run clockwise.
+    fn area(rings: &[Vec<[f64; 2]>]) -> f64 {
+        let of_ring = |ring: &Vec<[f64; 2]>| -> f64 {
+            (0..ring.len())
+                .map(|i| (ring[i], ring[(i + 1) % ring.len()]))
+                .map(|(a, b)| 0.5 * (a[0] * b[1] - b[0] * a[1]))
+                .sum()
+        };
+        rings.iter().map(of_ring).sum()
+    }
+
+    /// Share of the centres of an n x n grid over the unit square that are inside.
+    fn share(polygon: &PreparedPolygon, n: usize) -> f64 {
+        let at = |i: usize| (i as f64 + 0.5) / n as f64;
+        let inside = (0..n * n).filter(|i| polygon.contains([at(i % n), at(i / n)])).count();
+        inside as f64 / (n * n) as f64
+    }
+
+    fn star(points: usize, radius: impl Fn(usize) -> f64) -> Vec<[f64; 2]> {
+        let corner = |i: usize| {
+            let (sin, cos) = (std::f64::consts::TAU * i as f64 / points as f64).sin_cos();
+            [0.5 + radius(i) * cos, 0.5 + radius(i) * sin]
+        };
+        (0..points).map(corner).collect()
+    }
+
+    #[test]
+    fn the_share_of_samples_inside_is_the_area() {
+        let outer = star(20, |i| if i % 2 == 0 { 0.48 } else { 0.3 });
+        let hole: Vec<[f64; 2]> = star(7, |_| 0.2).into_iter().rev().collect();
+        let mut comb = vec![[0.9, 0.1], [0.9, 0.05], [0.1, 0.05]];
+        comb.extend(
+            (0..16).flat_map(|i| [0.0, 0.05].map(|dx| [0.1 + 0.05 * f64::from(i) + dx, 0.95 - 0.8 * f64::from(i % 2)])),
+        );
+        for rings in [vec![outer.clone()], vec![outer, hole], vec![vec![[0.2, 0.1], [0.9, 0.3], [0.4, 0.8]]]] {
+            let (found, expected) = (share(&PreparedPolygon::new(&rings), 1000), area(&rings));
+            assert!((found - expected).abs() < 1e-3, "{found} {expected}");
+        }
+        let comb = PreparedPolygon::new(&[comb]);
+        assert!(comb.entries.len() as f64 <= ENTRIES * comb.edges.len() as f64, "bounded: {}", comb.entries.len());
+    }
+
+    #[test]
+    fn a_closed_ring_and_an_open_one_are_the_same() {
+        let open = star(5, |_| 0.4);
+        let closed: Vec<[f64; 2]> = open.iter().copied().chain([open[0]]).collect();
+        let [open, closed] = [open, closed].map(|ring| PreparedPolygon::new(&[ring]));
+        assert_eq!(share(&open, 200), share(&closed, 200));
+    }
+
+    proptest! {
+        /// A square cut along any diagonal of a grid: each corner of the grid, many of them on the cut, is in one part.
+        #[test]
+        fn neighbours_share_no_point_and_lose_none(x in 0usize..=20, y in 0usize..=20) {
+            let at = |i: usize| i as f64 * 0.1;
+            let (from, to) = ([at(x), 0.0], [at(y), 2.0]);
+            let left = PreparedPolygon::new(&[vec![[0.0, 0.0], from, to, [0.0, 2.0]]]);
+            let right = PreparedPolygon::new(&[vec![from, [2.0, 0.0], [2.0, 2.0], to]]);
+            let whole = PreparedPolygon::new(&[vec![[0.0, 0.0], [2.0, 0.0], [2.0, 2.0], [0.0, 2.0]]]);
+            for i in 0..=20 {
+                for j in 0..=20 {
+                    let point = [at(i), at(j)];
+                    let parts = u8::from(left.contains(point)) + u8::from(right.contains(point));
+                    prop_assert_eq!(parts, u8::from(whole.contains(point)), "{:?}", point);
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,94 @@
+//! The region of a plan, in the manifest and in words.
+
+use schemars::JsonSchema;
+use serde::Serialize;
+
+use crate::{config::TriangleWeight, method::region::RegionKind, plan::Plan};
+
+/// What the plan is for (method 5.7); shares, fulfilment and cut are those inside.
+#[derive(Clone, Debug, PartialEq, Serialize, JsonSchema)]
+pub struct RegionSummary {
+    /// "polygons", "box", "mesh", or "auto": the box around what the photographs show most densely.
+    pub kind: RegionKind,
+    /// The box; of polygons and meshes that around the triangles inside. Corners x0, y0, z0, x1, y1, z1 in the frame of the model, as `--region`
+    /// takes them.
+    pub bounds: [f64; 6],
+    /// Triangles of which some part counts.
+    pub triangles: usize,
+    /// Their area, square scene units.
+    pub area: f64,
+    /// Their share of the area of the surface, 0 to 1.
+    pub share_of_area: f64,
+    /// Their share of the weight that the whole surface would have without a region, 0 to 1.
+    pub share_of_weight: f64,
+}
+
+impl RegionSummary {
+    /// `None` where the plan is for the whole surface.
+    pub fn of(plan: &Plan) -> Option<Self> {
+        let (region, surface) = (plan.stages.region.as_ref()?, &plan.stages.surface);
+        let all = || 0..surface.triangles.len() as u32;
+        let area: f64 = all().filter(|&t| region.is_inside(t)).map(|t| surface.area(t)).sum();
+        let whole: f64 = all().map(|t| surface.area(t)).sum();
+        Some(Self {
+            kind: region.kind,
+            bounds: region.bounds,
+            triangles: all().filter(|&t| region.is_inside(t)).count(),
+            area,
+            share_of_area: if whole > 0.0 { area / whole } else { 0.0 },
+            share_of_weight: plan.stages.objective.inside,
+        })
+    }
+
+    /// A sentence of one or two lines; of `auto` and of a box it has the corners, which `--region` takes.
+    pub fn words(&self, weight: TriangleWeight) -> String {
+        let corners = self.bounds.map(|x| short(x, &self.bounds)).join(",");
+        let what = match self.kind {
+            RegionKind::Polygons => "polygons".into(),
+            RegionKind::Mesh => "a closed mesh".into(),
+            RegionKind::Box => format!("the box {corners}"),
+            RegionKind::Auto => format!("auto, the box {corners}"),
+        };
+        let [area, weighed] = [self.share_of_area, self.share_of_weight].map(|share| 100.0 * share);
+        match weight {
+            TriangleWeight::Pixels => {
+                format!("Region: {what}.\nIt has {weighed:.1} % of the pixels and {area:.1} % of the surface.")
+            }
+            _ => format!("Region: {what}.\nIt has {area:.1} % of the surface."),
+        }
+    }
+}
+
+/// A coordinate to a thousandth of the shortest side.
+fn short(x: f64, bounds: &[f64; 6]) -> String {
+    let shortest = (0..3).map(|axis| bounds[axis + 3] - bounds[axis]).fold(f64::INFINITY, f64::min);
+    let places = (3.0 - shortest.log10().ceil()).clamp(0.0, 9.0);
+    format!("{x:.0$}", if places.is_nan() { 3 } else { places as usize })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn corners_have_the_digits_that_matter() {
+        let words = |bounds| {
+            let summary = RegionSummary {
+                kind: RegionKind::Auto,
+                bounds,
+                triangles: 1,
+                area: 1.0,
+                share_of_area: 0.01,
+                share_of_weight: 0.5,
+            };
+            summary.words(TriangleWeight::Pixels)
+        };
+        assert!(words([-2.40123, -1.0, 0.9, -1.8, -0.8, 1.61]).contains("auto, the box -2.401,-1.000,0.900,"));
+        assert!(
+            words([-350.2, -180.0, -98.0, 109.0, 171.0, -34.0]).contains("box -350.2,-180.0,-98.0,109.0,171.0,-34.0.")
+        );
+        assert!(
+            words([5e5, 5e6, 0.0, 5e5 + 4e3, 5e6 + 4e3, 4e3]).contains("box 500000,5000000,0,504000,5004000,4000.")
+        );
+    }
+}
