@@ -265,3 +265,29 @@ fn regions_that_cannot_be_used_are_refused_with_a_hint() {
     assert!(code == 1 && stderr.contains("nowhere.geojson") && stderr.contains("\nhint: "), "{stderr}");
     assert!(!root.join("viewrank/manifest.json").exists());
 }
+
+/// Rendered and real scenes that `auto` was judged on (method 5.7).
+#[test]
+#[ignore = "needs VIEWRANK_DATA: statue, room, lewis"]
+fn auto_takes_the_subject() {
+    let data = std::env::var_os("VIEWRANK_DATA").expect("the folder of the sets");
+    // Set, a box that must be inside and one that must hold it: the bust and its pedestal's top; the furniture and the walls; the ground
+    // within 100 m of the cameras and within 600 m.
+    let sets = [
+        ("statue", [-2.33, -1.34, 1.0, -1.86, -0.98, 1.62], [-2.6, -1.7, 0.7, -1.6, -0.6, 1.8]),
+        ("room", [-2.9, -2.4, 0.0, 2.9, 2.4, 1.8], [-3.7, -3.2, -0.5, 3.7, 3.2, 3.2]),
+        ("lewis", [-80.0, -100.0, -95.0, 90.0, 90.0, -40.0], [-650.0, -650.0, -300.0, 650.0, 650.0, 200.0]),
+    ];
+    for (name, inner, outer) in sets {
+        let folder = tempfile::tempdir().unwrap();
+        let model = Path::new(&data).join(name).join("sparse/0");
+        fs::create_dir_all(folder.path().join("sparse/0")).unwrap();
+        for file in ["cameras.bin", "images.bin", "points3D.bin"] {
+            fs::copy(model.join(file), folder.path().join("sparse/0").join(file)).unwrap();
+        }
+        let manifest = planned(folder.path(), &["--region", "auto"]);
+        let bounds: [f64; 6] = serde_json::from_value(manifest["region"]["bounds"].clone()).unwrap();
+        let holds = |a: &[f64; 6], b: &[f64; 6]| (0..3).all(|i| a[i] <= b[i] && b[i + 3] <= a[i + 3]);
+        assert!(holds(&bounds, &inner) && holds(&outer, &bounds), "{name}: {bounds:?}");
+    }
+}
