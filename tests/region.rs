@@ -91,7 +91,8 @@ fn a_surveyors_polygons_weigh_what_is_inside() {
     let bounds: Vec<f64> = serde_json::from_value(region["bounds"].clone()).unwrap();
     let wanted = [-6.0, -6.0, 11.0, 7.0];
     for (found, wanted) in [bounds[0], bounds[1], bounds[3], bounds[4]].iter().zip(wanted) {
-        assert!((found - wanted).abs() < 1.5, "{bounds:?}");
+        // Edges are up to 3.3 m long.
+        assert!((found - wanted).abs() < 3.5, "{bounds:?}");
     }
     assert!(region["share_of_area"].as_f64().unwrap() < 0.5);
     let chosen = |manifest: &Value| manifest["cut"]["clusters"].as_u64().unwrap();
@@ -156,8 +157,11 @@ fn auto_says_what_it_takes_and_is_the_same_on_any_number_of_threads() {
     let (one, four) = (project(), project());
     let by_one = planned(one.path(), &["--region", "auto", "--threads", "1"]);
     let by_four = planned(four.path(), &["--region", "auto", "--threads", "4"]);
-    assert_eq!(by_one, by_four);
-    for name in ["manifest.json", "surface.ply", "views.geojson", "curve.svg"] {
+    // Warnings have the path of the folder.
+    for part in ["region", "clusters", "cut", "views", "surface"] {
+        assert_eq!(by_one[part], by_four[part]);
+    }
+    for name in ["manifest.csv", "surface.ply", "views.geojson", "curve.svg"] {
         let [a, b] = [&one, &four].map(|folder| fs::read(folder.path().join("viewrank").join(name)).unwrap());
         assert!(a == b, "{name}");
     }
@@ -260,4 +264,30 @@ fn regions_that_cannot_be_used_are_refused_with_a_hint() {
     let (code, stderr) = refused(root, "nowhere.geojson");
     assert!(code == 1 && stderr.contains("nowhere.geojson") && stderr.contains("\nhint: "), "{stderr}");
     assert!(!root.join("viewrank/manifest.json").exists());
+}
+
+/// Rendered and real scenes that `auto` was judged on (method 5.7).
+#[test]
+#[ignore = "needs VIEWRANK_DATA: statue, room, lewis"]
+fn auto_takes_the_subject() {
+    let data = std::env::var_os("VIEWRANK_DATA").expect("the folder of the sets");
+    // Set, a box that must be inside and one that must hold it: the bust and its pedestal's top; the furniture and the walls; the ground
+    // within 100 m of the cameras and within 600 m.
+    let sets = [
+        ("statue", [-2.33, -1.34, 1.0, -1.86, -0.98, 1.62], [-2.6, -1.7, 0.7, -1.6, -0.6, 1.8]),
+        ("room", [-2.9, -2.4, 0.0, 2.9, 2.4, 1.8], [-3.7, -3.2, -0.5, 3.7, 3.2, 3.2]),
+        ("lewis", [-80.0, -100.0, -95.0, 90.0, 90.0, -40.0], [-650.0, -650.0, -300.0, 650.0, 650.0, 200.0]),
+    ];
+    for (name, inner, outer) in sets {
+        let folder = tempfile::tempdir().unwrap();
+        let model = Path::new(&data).join(name).join("sparse/0");
+        fs::create_dir_all(folder.path().join("sparse/0")).unwrap();
+        for file in ["cameras.bin", "images.bin", "points3D.bin"] {
+            fs::copy(model.join(file), folder.path().join("sparse/0").join(file)).unwrap();
+        }
+        let manifest = planned(folder.path(), &["--region", "auto"]);
+        let bounds: [f64; 6] = serde_json::from_value(manifest["region"]["bounds"].clone()).unwrap();
+        let holds = |a: &[f64; 6], b: &[f64; 6]| (0..3).all(|i| a[i] <= b[i] && b[i + 3] <= a[i + 3]);
+        assert!(holds(&bounds, &inner) && holds(&outer, &bounds), "{name}: {bounds:?}");
+    }
 }

@@ -195,6 +195,9 @@ fn text(e: &Evaluation, out: &Path) -> String {
     let _ = writeln!(text, "{} depth maps, {truth}", e.key_views.len());
     let _ = writeln!(text, "  completeness {:.1} %{}", 100.0 * e.quality.completeness, e.errors());
     let _ = writeln!(text, "  fulfilment of all: {:.3} predicted, {:.3} real\n", e.predicted, e.real);
+    if e.inside < 1.0 {
+        let _ = writeln!(text, "Fulfilment and shares are those inside the region.\n");
+    }
     let _ = writeln!(text, "predicted share   key views   pairs   real share");
     for gap in &e.gap {
         let (share, real) = (100.0 * gap.share, 100.0 * gap.real);

@@ -69,6 +69,9 @@ impl Hint for Nothing {
     fn hint(&self) -> Option<String> {
         Some(match self {
             Self::Fulfilled { cure: Some(cure), .. } => cure.clone(),
+            Self::Fulfilled { reason: Reason::OutsideRegion, .. } => {
+                "choose a region that the images show, such as --region auto".into()
+            }
             Self::Fulfilled { .. } => "run viewrank doctor; check the masks and --confidence, too".into(),
             Self::Allowed { .. } => "raise the limit".into(),
         })

@@ -26,7 +26,9 @@ pub struct Evaluation {
     pub reference: bool,
     /// Maps that must show a triangle (m, method 5.2).
     pub support: u32,
-    /// Triangles of the surface.
+    /// Share of the weight of the whole surface that is inside the region of the plan, 0 to 1; fulfilment and shares are those inside.
+    pub inside: f64,
+    /// Triangles that count.
     pub triangles: usize,
     /// All depth maps together, per pixel.
     pub quality: QualityRow,
@@ -150,6 +152,7 @@ impl Evaluation {
             version: 1,
             reference: run.has_reference,
             support: objective.support,
+            inside: objective.inside,
             triangles: objective.weights.iter().filter(|&&weight| weight > 0.0).count(),
             quality: (&run.pooled()).into(),
             predicted: predicted.total(),

@@ -36,6 +36,19 @@ pub enum RegionError {
 }
 
 impl RegionError {
+    /// Returns whether the region is where the surface is, but between the samples of its triangles.
+    fn is_too_small(&self) -> bool {
+        match self {
+            Self::OutsideMap { region, model, .. } => {
+                (0..2).all(|axis| model.low[axis] <= region.low[axis] && region.high[axis] <= model.high[axis])
+            }
+            Self::OutsideBox { region, model } => {
+                (0..3).all(|axis| model[axis] <= region[axis] && region[axis + 3] <= model[axis + 3])
+            }
+            _ => false,
+        }
+    }
+
     pub(super) fn outside_box(region: &[f64], model: &[f64; 6]) -> Self {
         Self::OutsideBox { region: std::array::from_fn(|i| region[i]), model: *model }
     }
@@ -54,6 +67,9 @@ fn in_space(corners: &[f64; 6]) -> String {
 impl Hint for RegionError {
     fn hint(&self) -> Option<String> {
         let hint = match self {
+            _ if self.is_too_small() => {
+                "draw it where the surface is and larger than its triangles (viewrank/surface.ply), or ask for a finer --gsd"
+            }
             Self::File { fault: RegionFault::Read(_), .. } => "check that the file is there and may be read",
             Self::File { fault: RegionFault::Collection(_), .. } => {
                 "export polygons as GeoJSON in WGS 84 (EPSG:4326), or in model units with \"crs\": null"

@@ -77,7 +77,8 @@ impl Region {
 #[derive(Clone, Debug)]
 pub enum Shape {
     Areas(MapAreas),
-    Solid(Box<Solid>),
+    /// With its hull seen from above, world coordinates.
+    Solid(Box<Solid>, Vec<Point3<f64>>),
     Box([f64; 6]),
     Auto,
 }
@@ -112,7 +113,10 @@ impl Shape {
         match region_file::read(path).map_err(|fault| RegionError::File { path: path.clone(), fault })? {
             RegionFile::Box(corners) => Ok(Self::Box(ordered(corners))),
             RegionFile::Mesh(mesh) => match Solid::new(&mesh) {
-                Ok(solid) => Ok(Self::Solid(Box::new(solid))),
+                Ok(solid) => {
+                    let hull = frame.hull(&solid.vertices().collect::<Vec<_>>());
+                    Ok(Self::Solid(Box::new(solid), hull))
+                }
                 Err(fault) => Err(RegionError::Mesh { path: path.clone(), fault }),
             },
             RegionFile::Areas(areas) => Ok(Self::Areas(MapAreas::new(areas, place, frame, path)?)),
@@ -137,13 +141,13 @@ impl Shape {
                 region(RegionKind::Polygons, surface, sampled, outside)
                     .map(|r| Region { outline: areas.outline(), ..r })
             }
-            Self::Solid(solid) => {
+            Self::Solid(solid, hull) => {
                 let inside = |p: &Point3<f64>| solid.contains(p);
                 let sampled = in_parts(surface, watcher, |t| solid_sample(surface, t, &inside))?;
                 let corners = [solid.low, solid.high].map(|p| [p.x, p.y, p.z]).concat();
                 let outside = || RegionError::outside_box(&corners, &whole);
-                let outline = Outline::Hull(solid.vertices().collect());
-                region(RegionKind::Mesh, surface, sampled, outside).map(|r| Region { outline, ..r })
+                region(RegionKind::Mesh, surface, sampled, outside)
+                    .map(|r| Region { outline: Outline::Hull(hull), ..r })
             }
             Self::Box(corners) => boxed(RegionKind::Box, corners, surface, watcher),
             Self::Auto => {

@@ -13,6 +13,8 @@ const ALONG: f64 = 0.7;
 /// Cosine of the angle between the mean image top and the world's third axis, above which that axis is up in the images.
 const UPRIGHT: f64 = 0.9;
 
+/// Directions in which the extreme point of a hull is taken; also the largest number of its corners.
+const HULL_DIRECTIONS: u32 = 32;
 /// Cosine of the angle within which the third axis of the model counts as up.
 const NEARLY_UP: f64 = 0.98;
 
@@ -123,6 +125,25 @@ impl MapFrame {
     /// Converts a point from world to frame coordinates, scene units.
     pub fn local(&self, point: &Point3<f64>) -> [f64; 3] {
         self.direction(&(point - self.origin))
+    }
+
+    /// Convex hull of points seen from above, in at most as many corners as there are [`HULL_DIRECTIONS`]: world coordinates, counter-clockwise, not
+    /// closed.
+    pub fn hull(&self, points: &[Point3<f64>]) -> Vec<Point3<f64>> {
+        let flat: Vec<[f64; 3]> = points.iter().map(|point| self.local(point)).collect();
+        let farthest = |i: u32| {
+            let (sin, cos) = (f64::from(i) * std::f64::consts::TAU / f64::from(HULL_DIRECTIONS)).sin_cos();
+            let along = |v: &usize| flat[*v][0] * cos + flat[*v][1] * sin;
+            // Ties go to the point farthest ahead counter-clockwise, so that no corner is on the edge between two others.
+            let ahead = |v: &usize| flat[*v][1] * cos - flat[*v][0] * sin;
+            (0..flat.len()).max_by(|a, b| along(a).total_cmp(&along(b)).then(ahead(a).total_cmp(&ahead(b))))
+        };
+        let mut corners: Vec<usize> = (0..HULL_DIRECTIONS).filter_map(farthest).collect();
+        corners.dedup();
+        if corners.len() > 1 && corners.first() == corners.last() {
+            corners.pop();
+        }
+        corners.into_iter().map(|i| points[i]).collect()
     }
 
     /// Converts a direction from world to frame coordinates.

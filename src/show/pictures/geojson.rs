@@ -4,7 +4,7 @@ use nalgebra::Point3;
 use rayon::prelude::*;
 use serde_json::{Value, json};
 
-use super::{footprints, map::hull};
+use super::footprints;
 use crate::{
     method::region::Outline,
     model::{
@@ -67,7 +67,7 @@ fn region_geometry(outline: &Outline, frame: &MapFrame, position: impl Fn(&Point
             };
             polygons.iter().map(polygon).collect()
         }
-        Outline::Hull(points) => match hull(points, frame) {
+        Outline::Hull(points) => match frame.hull(points) {
             corners if corners.len() < 3 => json!([]),
             corners => json!([[closed(corners.iter().map(position).collect())]]),
         },

@@ -8,9 +8,6 @@ use crate::{
     model::{georeference::MapFrame, scene::ViewIndex},
 };
 
-/// Directions in which the extreme point of a footprint is taken; also the largest number of its corners.
-const DIRECTIONS: u32 = 32;
-
 /// Footprint of each view: the convex hull, seen from above, of the surface that the view sees, as surface points in world coordinates,
 /// counter-clockwise, not closed. Empty if the view sees nothing.
 pub fn footprints(surface: &Surface, visibility: &Visibility, frame: &MapFrame) -> Vec<Vec<Point3<f64>>> {
@@ -24,26 +21,7 @@ fn footprint(surface: &Surface, visibility: &Visibility, view: ViewIndex, frame:
     vertices.sort_unstable();
     vertices.dedup();
     let points: Vec<Point3<f64>> = vertices.into_iter().map(|v| surface.vertices[v as usize]).collect();
-    hull(&points, frame)
-}
-
-/// Convex hull of points seen from above, in at most as many corners as there are [`DIRECTIONS`]: world coordinates, counter-clockwise, not
-/// closed.
-pub(super) fn hull(points: &[Point3<f64>], frame: &MapFrame) -> Vec<Point3<f64>> {
-    let flat: Vec<[f64; 3]> = points.iter().map(|point| frame.local(point)).collect();
-    let farthest = |i: u32| {
-        let (sin, cos) = (f64::from(i) * std::f64::consts::TAU / f64::from(DIRECTIONS)).sin_cos();
-        let along = |v: &usize| flat[*v][0] * cos + flat[*v][1] * sin;
-        // Ties go to the point farthest ahead counter-clockwise, so that no corner is on the edge between two others.
-        let ahead = |v: &usize| flat[*v][1] * cos - flat[*v][0] * sin;
-        (0..flat.len()).max_by(|a, b| along(a).total_cmp(&along(b)).then(ahead(a).total_cmp(&ahead(b))))
-    };
-    let mut corners: Vec<usize> = (0..DIRECTIONS).filter_map(farthest).collect();
-    corners.dedup();
-    if corners.len() > 1 && corners.first() == corners.last() {
-        corners.pop();
-    }
-    corners.into_iter().map(|i| points[i]).collect()
+    frame.hull(&points)
 }
 
 #[cfg(test)]
