@@ -240,3 +240,28 @@ fn what_is_no_file_is_neither_waited_for_nor_read_without_end() {
     }
     assert!(viewrank(&["plan", root, "--quiet"]).status.success());
 }
+
+#[test]
+fn predict_draws_the_key_views_of_a_plan() {
+    let project = project();
+    let manifest = plan(project.path(), &["--confidence", "photometric"]);
+    let out = tempfile::tempdir().unwrap();
+    let run = |options: &[&str]| {
+        viewrank(
+            &[&["predict", project.path().to_str().unwrap(), "--out", out.path().to_str().unwrap()], options].concat(),
+        )
+    };
+    assert_eq!(run(&["--confidence", "proxy"]).status.code(), Some(2));
+    let output = run(&[]);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let chosen = manifest["cut"]["clusters"].as_u64().unwrap() as usize;
+    let pictures =
+        fs::read_dir(out.path()).unwrap().filter(|e| e.as_ref().unwrap().path().extension().unwrap() == "png");
+    assert_eq!(pictures.count(), chosen);
+    let first = manifest["clusters"][0]["key"].as_str().unwrap();
+    let array = fs::read(out.path().join(format!("{first}.npy"))).unwrap();
+    let values: Vec<f32> = npyz::NpyFile::new(&array[..]).unwrap().into_vec().unwrap();
+    let known = || values.iter().filter(|v| !v.is_nan());
+    assert!(known().all(|v| (0.0..=1.0).contains(v)) && known().any(|&v| v > 0.9) && known().any(|&v| v < 0.5));
+    assert!(known().count() > values.len() / 2);
+}

@@ -4,29 +4,35 @@ use std::path::{Path, PathBuf};
 
 use crate::config::CONFIDENCE_WORDS;
 use crate::{
+    apps::replan,
     base::error::Hint,
     io::output::{Contents, Disk, FileSet},
     method::confidence::{self, Image, Predictor, Proxy, Trained, size_for_confidence},
-    show::{pictures::confidence_picture, tables},
+    model::cluster::ViewCluster,
+    show::{
+        pictures::{confidence_picture, expected_success},
+        tables,
+    },
 };
 use clap::Args;
 use rayon::prelude::*;
 
-use super::{Failure, print};
+use super::{Failure, print, progress::Progress};
 
-/// Draw where a backend is expected to succeed, from single images.
+/// Draw where a backend is expected to succeed.
 ///
+/// Of a planned PROJECT: each key view with its partners, by the plan's confidence. Of single images: by a predictor that looks at them alone.
 /// DIR gets NAME.png, the image beside its confidence in colours with a legend, and NAME.npy, the confidence as float32 (rows x columns of a grid
-/// that covers the image).
+/// that covers the image). Grey, or NaN: the view sees no surface there.
 #[derive(Args)]
 pub struct Arguments {
-    #[arg(required = true, value_name = "IMAGE")]
-    images: Vec<PathBuf>,
+    #[arg(required = true, value_name = "PROJECT|IMAGE")]
+    inputs: Vec<PathBuf>,
 
     /// Folder for the pictures
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// Source of confidence: proxy, shipped or a model file [default: shipped if there is one, else proxy]
+    /// Source of confidence of single images: proxy, shipped or a model file [default: shipped if there is one, else proxy]
     #[arg(long, value_name = "SOURCE|FILE")]
     confidence: Option<String>,
     /// Don't list the written files
@@ -34,19 +40,16 @@ pub struct Arguments {
     quiet: bool,
 }
 
+/// Name, PNG and array of a prediction.
+type Prediction = (String, Vec<u8>, Vec<u8>);
+
 pub fn run(arguments: &Arguments) -> Result<(), Failure> {
-    let predictor = predictor(arguments.confidence.as_deref())?;
-    let of_image = |path: &PathBuf| {
-        let image =
-            Image::read(path, size_for_confidence).map_err(|source| Unreadable { path: path.clone(), source })?;
-        let map = predictor.predict(&image).map;
-        let shape = [map.rows as usize, map.columns as usize];
-        let raw = tables::array(&shape, map.values().collect::<Vec<f32>>());
-        Ok::<_, Failure>((name(path), confidence_picture(&image, &map), raw))
+    let predictions = match &arguments.inputs[..] {
+        [project] if project.is_dir() => of_project(project, arguments)?,
+        images => of_images(images, arguments)?,
     };
-    let made: Vec<_> = arguments.images.par_iter().map(of_image).collect::<Result<_, _>>()?;
     let mut files = FileSet::new(&arguments.out, "predict");
-    for (name, picture, raw) in made {
+    for (name, picture, raw) in predictions {
         if files.files.contains_key(&format!("{name}.png")) {
             return Err(Same(name).into());
         }
@@ -58,6 +61,45 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         return Ok(());
     }
     print(&files.files.keys().map(|name| format!("{}\n", arguments.out.join(name).display())).collect::<String>())
+}
+
+/// The chosen key views of the written plan.
+fn of_project(project: &Path, arguments: &Arguments) -> Result<Vec<Prediction>, Failure> {
+    if let Some(source) = &arguments.confidence {
+        return Err(OfPlan(source.clone()).into());
+    }
+    let progress = Progress::new(arguments.quiet);
+    let (project, plan) = replan::as_written(project, &progress)?;
+    progress.finish();
+    let folder = project.images.as_deref().ok_or(NoImages)?;
+    let model = plan.stages.model();
+    let of_view = |cluster: &ViewCluster| {
+        let name = plan.stages.scene.name(cluster.key);
+        let image = read(&folder.join(name))?;
+        let (width, height) = (image.width, image.height);
+        let chances = expected_success(&model, cluster, width, height);
+        let picture = confidence_picture(&image, |x, y| chances[(y * width + x) as usize]);
+        let raw = chances.iter().map(|chance| chance.unwrap_or(f32::NAN));
+        Ok((name.to_owned(), picture, tables::array(&[height as usize, width as usize], raw)))
+    };
+    plan.chosen().collect::<Vec<_>>().into_par_iter().map(of_view).collect()
+}
+
+fn of_images(images: &[PathBuf], arguments: &Arguments) -> Result<Vec<Prediction>, Failure> {
+    let predictor = predictor(arguments.confidence.as_deref())?;
+    let of_image = |path: &PathBuf| {
+        let image = read(path)?;
+        let map = predictor.predict(&image).map;
+        let share = |i: u32, n: u32| (f64::from(i) + 0.5) / f64::from(n);
+        let at = |x, y| Some(map.at(share(x, image.width), share(y, image.height)));
+        let raw = tables::array(&[map.rows as usize, map.columns as usize], map.values().collect::<Vec<f32>>());
+        Ok((name(path), confidence_picture(&image, at), raw))
+    };
+    images.par_iter().map(of_image).collect()
+}
+
+fn read(path: &Path) -> Result<Image, Unreadable> {
+    Image::read(path, size_for_confidence).map_err(|source| Unreadable { path: path.into(), source })
 }
 
 fn predictor(source: Option<&str>) -> Result<Box<dyn Predictor>, Failure> {
@@ -102,6 +144,30 @@ impl Hint for Same {
 
     fn is_usage(&self) -> bool {
         true
+    }
+}
+
+#[derive(Debug, thiserror::Error)]
+#[error("a project's pictures show the confidence that it was planned with, not {0}")]
+struct OfPlan(String);
+
+impl Hint for OfPlan {
+    fn hint(&self) -> Option<String> {
+        Some("leave --confidence out, or give images instead of the project".into())
+    }
+
+    fn is_usage(&self) -> bool {
+        true
+    }
+}
+
+#[derive(Debug, thiserror::Error)]
+#[error("the project has no image folder")]
+struct NoImages;
+
+impl Hint for NoImages {
+    fn hint(&self) -> Option<String> {
+        Some("put the images of the model into PROJECT/images".into())
     }
 }
 

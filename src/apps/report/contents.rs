@@ -15,7 +15,7 @@ use super::{
     holes::{FAR, Hole, advice, holes},
     real::{DepthMapFolders, Real},
     shown::DrawnSurface,
-    thumbnails::{MOST, thumbnails},
+    thumbnails::{MOST, expected, thumbnails},
 };
 use crate::{
     apps::{doctor::partners_in_words, evaluate::EvaluateError},
@@ -88,6 +88,8 @@ pub struct Contents {
     usual_distance: f64,
     real: Option<Real>,
     thumbnails: BTreeMap<u32, String>,
+    /// Where the depth maps of the first chosen key views are expected to succeed, as thumbnails.
+    expected: BTreeMap<u32, String>,
     /// Largest number of thumbnails; with more views, only the first of the ranking have one.
     most_thumbnails: usize,
 }
@@ -222,6 +224,7 @@ impl Contents {
             usual_distance: holes.usual_distance,
             real,
             thumbnails,
+            expected: expected(plan, watcher)?,
             most_thumbnails: MOST,
             ramp: RAMP,
         })

@@ -1,4 +1,4 @@
-//! Thumbnails of the views.
+//! Thumbnails of the views, and of where their depth maps are expected to succeed.
 
 use std::{collections::BTreeMap, path::Path};
 
@@ -9,8 +9,9 @@ use rayon::prelude::*;
 use crate::{
     base::progress::{Cancelled, Watcher},
     method::confidence::Image,
-    model::scene::ViewIndex,
+    model::{cluster::ViewCluster, scene::ViewIndex},
     plan::Plan,
+    show::pictures::{expected_success, in_colour},
 };
 
 /// Largest number of thumbnails, about 3 kB each; with more views, only the first in the ranking get one.
@@ -35,11 +36,33 @@ pub fn thumbnails(plan: &Plan, images: &Path, watcher: &dyn Watcher) -> Result<B
     Ok(all.into_iter().flatten().collect())
 }
 
+/// Largest number of key views with a picture of their expected success.
+const MOST_EXPECTED: usize = 200;
+
+/// The expected success of the first clusters, as JPEG files in base64 by key view.
+pub fn expected(plan: &Plan, watcher: &dyn Watcher) -> Result<BTreeMap<u32, String>, Cancelled> {
+    let model = plan.stages.model();
+    let of_cluster = |cluster: &ViewCluster| {
+        watcher.check()?;
+        let camera = plan.stages.scene.camera_of(cluster.key);
+        let [width, height] = within([camera.width, camera.height], SIDE);
+        let colours = in_colour(&expected_success(&model, cluster, width, height));
+        Ok(encoded(&colours, width, height).map(|jpeg| (cluster.key.0, BASE64_STANDARD.encode(jpeg))))
+    };
+    let clusters: Vec<&ViewCluster> = plan.chosen().take(MOST_EXPECTED).collect();
+    let all: Vec<Option<_>> = clusters.into_par_iter().map(of_cluster).collect::<Result<_, Cancelled>>()?;
+    Ok(all.into_iter().flatten().collect())
+}
+
 fn thumbnail(path: &Path) -> Option<Vec<u8>> {
     let small = Image::read(path, |full| within(full, SIDE)).ok()?;
+    encoded(&small.rgb, small.width, small.height)
+}
+
+fn encoded(rgb: &[u8], width: u32, height: u32) -> Option<Vec<u8>> {
     let mut jpeg = Vec::new();
     let encoder = JpegEncoder::new_with_quality(&mut jpeg, QUALITY);
-    encoder.write_image(&small.rgb, small.width, small.height, ExtendedColorType::Rgb8).ok()?;
+    encoder.write_image(rgb, width, height, ExtendedColorType::Rgb8).ok()?;
     Some(jpeg)
 }
 

@@ -4,11 +4,13 @@ use std::io::Cursor;
 
 use image::{ImageFormat, Rgb, RgbImage};
 
-use crate::method::confidence::{ConfidenceMap, Image};
+use crate::method::confidence::Image;
 
 /// Colours of 0, 1/4, 1/2, 3/4 and 1, dark to light, distinguishable by the colour-blind (five colours of matplotlib's viridis).
 const COLOURS: [[f32; 3]; 5] =
     [[68.0, 1.0, 84.0], [59.0, 82.0, 139.0], [33.0, 145.0, 140.0], [94.0, 201.0, 98.0], [253.0, 231.0, 37.0]];
+/// Colour of pixels without a value.
+const UNKNOWN: Rgb<u8> = Rgb([160; 3]);
 /// Width of the legend, pixels, and of its bar.
 const LEGEND: u32 = 60;
 const BAR: u32 = 16;
@@ -22,22 +24,27 @@ const FIGURES: [(char, [u8; 5]); 4] = [
     ('.', [0b000, 0b000, 0b000, 0b000, 0b010]),
 ];
 
-/// PNG bytes: the image, its confidence in colour at the same scale to the right, then the legend from 1 (top) to 0.
-pub fn confidence_picture(image: &Image, map: &ConfidenceMap) -> Vec<u8> {
+/// PNG bytes: the image, its confidence in colour at the same scale to the right, then the legend from 1 (top) to 0. `at`: the confidence at column and
+/// row of a pixel, grey if `None`.
+pub fn confidence_picture(image: &Image, at: impl Fn(u32, u32) -> Option<f32>) -> Vec<u8> {
     let (width, height) = (image.width, image.height.max(40));
     let mut picture = RgbImage::from_pixel(2 * width + LEGEND, height, Rgb([255; 3]));
     for y in 0..image.height {
         for x in 0..width {
-            let at = 3 * (y as usize * width as usize + x as usize);
-            picture.put_pixel(x, y, Rgb([image.rgb[at], image.rgb[at + 1], image.rgb[at + 2]]));
-            let place = |i: u32, n: u32| (f64::from(i) + 0.5) / f64::from(n);
-            picture.put_pixel(width + x, y, colour(map.at(place(x, width), place(y, image.height))));
+            let first = 3 * (y as usize * width as usize + x as usize);
+            picture.put_pixel(x, y, Rgb([image.rgb[first], image.rgb[first + 1], image.rgb[first + 2]]));
+            picture.put_pixel(width + x, y, at(x, y).map_or(UNKNOWN, colour));
         }
     }
     legend(&mut picture, 2 * width, height);
     let mut bytes = Cursor::new(Vec::new());
     picture.write_to(&mut bytes, ImageFormat::Png).expect("writing to memory does not fail");
     bytes.into_inner()
+}
+
+/// The confidence alone, RGB, 8 bit, row-major; grey where it is `None`.
+pub fn in_colour(values: &[Option<f32>]) -> Vec<u8> {
+    values.iter().flat_map(|value| value.map_or(UNKNOWN, colour).0).collect()
 }
 
 fn colour(value: f32) -> Rgb<u8> {
@@ -78,12 +85,13 @@ mod tests {
     #[test]
     fn shows_the_picture_the_map_and_the_legend() {
         let image = Image { width: 60, height: 50, rgb: vec![90; 3 * 60 * 50], full: [60, 50] };
-        let map = ConfidenceMap::new([2, 1], [0.0, 1.0].into_iter());
-        let picture = image::load_from_memory(&confidence_picture(&image, &map)).unwrap().into_rgb8();
+        let halves = |x, y| (y < 40).then_some(if x < 30 { 0.0 } else { 1.0 });
+        let picture = image::load_from_memory(&confidence_picture(&image, halves)).unwrap().into_rgb8();
         assert_eq!(picture.dimensions(), (180, 50));
         let [low, high] = [COLOURS[0], COLOURS[4]].map(|c| Rgb(c.map(|v| v as u8)));
         assert_eq!(*picture.get_pixel(30, 20), Rgb([90; 3]));
         assert_eq!((*picture.get_pixel(61, 20), *picture.get_pixel(118, 20)), (low, high));
+        assert_eq!(*picture.get_pixel(61, 45), UNKNOWN);
         assert_eq!((*picture.get_pixel(126, 49), *picture.get_pixel(126, 0)), (low, high));
     }
 }

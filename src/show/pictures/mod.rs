@@ -3,13 +3,15 @@
 
 mod confidence;
 mod curve;
+mod expected;
 mod geojson;
 mod map;
 pub mod plot;
 mod surface;
 
-pub use confidence::confidence_picture;
+pub use confidence::{confidence_picture, in_colour};
 pub use curve::{FulfilmentCurve, SHARE_LABEL, curve_svg};
+pub use expected::expected_success;
 pub use geojson::views_geojson;
 pub use map::footprints;
 pub use surface::{RAMP, REASON_NUMBERS, for_each_step, reason_number, surface_ply};

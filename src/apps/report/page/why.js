@@ -31,6 +31,10 @@ function drawWhy() {
   }
   const parts = [];
   if (data.thumbnails[view]) parts.push(make('img', { src: `data:image/jpeg;base64,${data.thumbnails[view]}`, alt: `Thumbnail of ${names[view]}` }));
+  if (data.expected[view]) {
+    parts.push(make('img', { src: `data:image/jpeg;base64,${data.expected[view]}`, alt: `Where the depth map of ${names[view]} is expected to succeed` }));
+    parts.push(make('p', { class: 'note' }, 'Second picture: where its depth map is expected to succeed, from dark (fails) to yellow (succeeds); grey: no surface that it sees.'));
+  }
   const status = statusOf(view, state.cut);
   parts.push(make('p', {}, make('span', { class: `tag ${status}` }, { key: 'key view', partner: 'partner only', unused: 'unused' }[status])));
   parts.push(...(status === 'key' ? whyIn(view) : whyNot(view)));
