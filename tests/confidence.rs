@@ -255,8 +255,8 @@ fn predict_draws_the_key_views_of_a_plan() {
     let output = run(&[]);
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let chosen = manifest["cut"]["clusters"].as_u64().unwrap() as usize;
-    let pictures =
-        fs::read_dir(out.path()).unwrap().filter(|e| e.as_ref().unwrap().path().extension().unwrap() == "png");
+    let is_png = |path: PathBuf| path.extension().is_some_and(|extension| extension == "png");
+    let pictures = fs::read_dir(out.path()).unwrap().filter(|entry| is_png(entry.as_ref().unwrap().path()));
     assert_eq!(pictures.count(), chosen);
     let first = manifest["clusters"][0]["key"].as_str().unwrap();
     let array = fs::read(out.path().join(format!("{first}.npy"))).unwrap();
