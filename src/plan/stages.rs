@@ -26,6 +26,8 @@ use crate::{
 pub struct Stages {
     /// All settings in force, with those chosen from the data or by the backend filled in.
     pub settings: Settings,
+    /// True if `settings.image_scale` is the size that the backend takes by itself.
+    pub own_size: bool,
     /// Name of the backend that the plan is made for.
     pub backend: &'static str,
     pub scene: Scene,
@@ -66,12 +68,13 @@ impl Stages {
     ) -> Result<Self, PlanError> {
         let source = Source::new(&settings.confidence.source, project);
         let trained = source.trained(&project.root)?;
+        let own_size = settings.image_scale.is_none();
         let mut settings = in_force(project, settings, &scene, matcher, &source)?;
         let mut memory = Memory::before_surface(&scene, &mut settings)?;
         let points = scene.view_points();
         let numbers = &matcher.numbers;
         let refuses =
-            |pair: &PairGeometry| numbers.refuses.is_some_and(|refuses| refuses(pair, &points, settings.image_scale));
+            |pair: &PairGeometry| numbers.refuses.is_some_and(|refuses| refuses(pair, &points, settings.image_scale()));
         let limits = Limits { gate: &numbers.gate, refuses: &refuses };
         // Parts of the surface are built by one thread; the others find candidates meanwhile.
         let (seen, candidates) = rayon::join(
@@ -89,7 +92,7 @@ impl Stages {
             surface: &seen.surface,
             visibility: &seen.visibility,
             target: &target,
-            image_scale: settings.image_scale,
+            image_scale: settings.image_scale(),
         };
         let support = settings.ranking.support.unwrap_or(matcher.numbers.support);
         let objective = Objective::new(&geometry, settings.ranking.weight, support);
@@ -128,6 +131,7 @@ impl Stages {
         watcher.check()?;
         Ok(Self {
             backend: matcher.name,
+            own_size,
             surface: seen.surface,
             surface_stats: seen.stats,
             visibility: seen.visibility,
@@ -184,9 +188,10 @@ fn in_force(
     }
     let mut all = settings.clone();
     all.units.get_or_insert(Units::Relative);
+    all.image_scale.get_or_insert_with(|| matcher.image_scale(scene));
     let gsd = match all.target.gsd {
         Some(gsd) => gsd,
-        None => GSD_MARGIN * scene.median_gsd().ok_or(PlanError::NoScale)? / all.image_scale,
+        None => GSD_MARGIN * scene.median_gsd().ok_or(PlanError::NoScale)? / all.image_scale(),
     };
     all.target.accuracy.get_or_insert(gsd);
     all.target.mode = all.target.mode.in_force(settings.target.gsd.or(settings.target.accuracy).is_some());
@@ -259,7 +264,7 @@ fn visible_surface(
 }
 
 fn target(scene: &Scene, seen: &VisibleSurface, settings: &Settings) -> Target {
-    Target::new(scene, &seen.surface, &seen.visibility, &settings.target, seen.gsd, settings.image_scale)
+    Target::new(scene, &seen.surface, &seen.visibility, &settings.target, seen.gsd, settings.image_scale())
 }
 
 fn rule(settings: &Settings, confidence: Confidence) -> Rule {
@@ -267,7 +272,7 @@ fn rule(settings: &Settings, confidence: Confidence) -> Rule {
         alpha: settings.fulfilment.alpha,
         sigma_px: settings.fulfilment.sigma_px,
         min_cameras: settings.coverage.min_cameras,
-        image_scale: settings.image_scale,
+        image_scale: settings.image_scale(),
         confidence,
     }
 }
