@@ -42,7 +42,7 @@ fn main() -> Fallible<()> {
         surface: &stages.surface,
         visibility: &stages.visibility,
         target: &stages.target,
-        image_scale: stages.settings.image_scale,
+        image_scale: stages.settings.image_scale(),
     };
     let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build()?;
     let per_image = |seconds: f64| 1e3 * seconds / paths.len() as f64;

@@ -121,10 +121,11 @@ fn exported(scene: &Scene, backend: &str, path: &str) -> (Vec<u8>, Vector3<f64>)
         scene,
         clusters: &clusters,
         image_scale: 1.0,
+        own_size: false,
         planned_for: backend,
         image_faults,
     };
-    let export = (by_name(backend).unwrap().export)(&selection, &ExportOptions::default()).unwrap();
+    let export = by_name(backend).unwrap().export(&selection, &ExportOptions::default()).unwrap();
     match &export.files.files[path] {
         Contents::Bytes(bytes) => (bytes.clone(), export.record.origin.into()),
         other => panic!("{path} is {other:?}"),

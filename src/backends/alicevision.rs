@@ -38,6 +38,8 @@ pub static BACKEND: Backend = Backend {
     planning: PATCH_MATCH,
     options: &[],
     use_of_views: None,
+    // `--downscale` is 2 by default.
+    own_scale: |_| 0.5,
     takes_distorted: false,
     serves: |_| false,
     tasks: |_, _| None,

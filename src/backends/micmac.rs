@@ -21,6 +21,7 @@ pub static BACKEND: Backend = Backend {
     planning: PATCH_MATCH,
     options: &[],
     use_of_views: None,
+    own_scale: super::full_size,
     takes_distorted: true,
     serves: |_| false,
     tasks: |_, _| None,

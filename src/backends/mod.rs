@@ -11,7 +11,7 @@ use crate::{
     base::progress::Watcher,
     config::{Settings, UnknownBackend},
     io::project::Project,
-    model::cluster::Gate,
+    model::{camera::Camera, cluster::Gate},
     plan::{Matcher, Plan, PlanError, PlanningNumbers},
 };
 
@@ -82,6 +82,8 @@ pub struct Backend {
     pub options: &'static [&'static str],
     /// Verb for the use of the key views where they get no depth maps: "Train on" (6 of 28 images).
     pub use_of_views: Option<&'static str>,
+    /// Size at which it matches the images of a camera by itself, over their own.
+    pub own_scale: fn(&Camera) -> f64,
     /// True if it takes cameras with lens distortion.
     pub takes_distorted: bool,
     /// True if the project is set up for it, so that `plan` writes its files unasked.
@@ -90,8 +92,32 @@ pub struct Backend {
     pub tasks: fn(&Selection, &Export) -> Option<TaskRunner>,
     /// Faults of a project that would trip it whatever is planned, beside distorted cameras.
     pub traps: fn(&Patient) -> Vec<Trap>,
-    /// Makes the files for a selection, without writing them.
-    pub export: fn(&Selection, &ExportOptions) -> Result<Export, BackendError>,
+    export: fn(&Selection, &ExportOptions) -> Result<Export, BackendError>,
+}
+
+impl Backend {
+    /// Makes the files for a selection, at its own image size where the user has set none; writes nothing.
+    ///
+    /// # Errors
+    /// Images, names or cameras that it cannot take, and options that do not fit the project.
+    pub fn export(&self, selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {
+        match selection.own_size {
+            true => {
+                let image_scale = self.matcher().image_scale(selection.scene);
+                (self.export)(&Selection { image_scale, ..*selection }, options)
+            }
+            false => (self.export)(selection, options),
+        }
+    }
+
+    fn matcher(&self) -> Matcher {
+        Matcher { name: self.name, numbers: self.planning, own_scale: self.own_scale }
+    }
+}
+
+/// Size of the matched images of a program that takes them as they are.
+fn full_size(_: &Camera) -> f64 {
+    1.0
 }
 
 /// A name without case, blanks, `-` and `_`.
@@ -147,7 +173,7 @@ pub fn planned_for(project: &Project, settings: &Settings) -> Result<Matcher, Un
         Some(name) => by_name(name)?,
         None => for_project(project),
     };
-    Ok(Matcher { name: backend.name, numbers: backend.planning })
+    Ok(backend.matcher())
 }
 
 /// Plans which views of the project become key views, with which partners, in which order, for the backend that the settings name, else the

@@ -12,6 +12,7 @@ use crate::{
     base::shell::quoted_path,
     io::output::Contents,
     model::{
+        camera::Camera,
         cluster::RankedCluster,
         scene::{PointIndex, Scene, ViewIndex, ViewPoints},
     },
@@ -33,12 +34,19 @@ pub static BACKEND: Backend = Backend {
     planning: PATCH_MATCH,
     options: &[],
     use_of_views: None,
+    own_scale: own_scale,
     takes_distorted: false,
     serves: |_| false,
     tasks: |_, _| None,
     traps,
     export,
 };
+
+/// The first power of two that brings the image to `--max-pixels`, by default 1.5 million.
+fn own_scale(camera: &Camera) -> f64 {
+    let ratio = f64::from(camera.width) * f64::from(camera.height) / 1_500_000.0;
+    (-ratio.log(4.0).ceil().max(0.0)).exp2()
+}
 
 fn traps(patient: &Patient) -> Vec<Trap> {
     let views = patient.project.root.join("views");

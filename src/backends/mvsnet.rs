@@ -53,6 +53,7 @@ pub static MVSNET: Backend = Backend {
     planning: PATCH_MATCH,
     options: &[],
     use_of_views: None,
+    own_scale: super::full_size,
     takes_distorted: false,
     serves: |_| false,
     tasks: |_, _| None,

@@ -8,6 +8,7 @@ use super::{
 use crate::{
     base::shell::quoted_path,
     io::{output::Contents, project::ModelFormat},
+    model::camera::Camera,
 };
 
 /// Environment variables of the commands, which ask for them where they are unset.
@@ -28,12 +29,30 @@ pub static BACKEND: Backend = Backend {
     planning: openmvs::PLANNING,
     options: &[],
     use_of_views: None,
+    own_scale: own_scale,
     takes_distorted: false,
     serves: |_| false,
     tasks: |_, _| None,
     traps,
     export,
 };
+
+/// `get_depthmap_resolution` and `stages/openmvs.py` with the default `--pc-quality medium`: an eighth, more of small images and less of
+/// large ones, by OpenMVS's resolution levels.
+fn own_scale(camera: &Camera) -> f64 {
+    let side = camera.width.max(camera.height);
+    let megapixels = f64::from(camera.width) * f64::from(camera.height) / 1e6;
+    let more = if megapixels < 6.0 {
+        2.0
+    } else if megapixels > 42.0 {
+        0.5
+    } else {
+        1.0
+    };
+    let wanted = (f64::from(side) * 0.125 * more).floor().max(320.0);
+    let level = (f64::from(side) / wanted).log2().round().max(0.0) as u32;
+    openmvs::scale_at(camera, level, [640, side])
+}
 
 fn traps(patient: &Patient) -> Vec<Trap> {
     let root = &patient.project.root;

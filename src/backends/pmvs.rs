@@ -31,6 +31,7 @@ pub static BACKEND: Backend = Backend {
     },
     options: &[],
     use_of_views: None,
+    own_scale: super::full_size,
     takes_distorted: false,
     serves: |_| false,
     tasks: |_, _| None,

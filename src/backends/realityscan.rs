@@ -26,6 +26,7 @@ pub static BACKEND: Backend = Backend {
     planning: ANY_PROGRAM,
     options: &[],
     use_of_views: None,
+    own_scale: super::full_size,
     takes_distorted: true,
     serves: |_| false,
     tasks: |_, _| None,

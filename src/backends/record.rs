@@ -39,6 +39,9 @@ pub struct ExportRecord {
     pub key_maps: usize,
     /// Depth maps of other views that this way needs.
     pub other_maps: usize,
+    /// Size of the matched images over the model's, as planned; by default the program's own.
+    #[serde(default)]
+    pub image_scale: f64,
     /// Factor from scene units to the units of the files.
     pub scale: f64,
     /// Added to COLMAP's pixel coordinates (centre of the first pixel 0.5, 0.5) in the files.
@@ -89,6 +92,7 @@ impl ExportRecord {
         Self {
             backend: backend.name.into(),
             key_maps: selection.clusters.len(),
+            image_scale: selection.image_scale,
             scale: 1.0,
             clusters: selection.clusters.iter().enumerate().map(cluster).collect(),
             warnings: nothing_chosen(selection)
@@ -129,9 +133,9 @@ impl ExportRecord {
         ));
     }
 
-    /// Records that the program's own options choose the size.
+    /// Records that the program's own options choose the size, where the user has.
     pub(super) fn note_own_scale(&mut self, selection: &Selection) {
-        if selection.image_scale != 1.0 {
+        if !selection.own_size && selection.image_scale != 1.0 {
             let scale = selection.image_scale;
             self.not_honoured.push(format!("image_scale {scale}: the program's own options choose the size"));
         }

@@ -26,6 +26,8 @@ pub struct Selection<'a> {
     pub clusters: &'a [RankedCluster],
     /// Size of the matched images over the model's images.
     pub image_scale: f64,
+    /// True if the user has not set `image_scale`: each program takes its own.
+    pub own_size: bool,
     /// Name of the backend that the plan was made for.
     pub planned_for: &'a str,
     /// Faults of the scene's image files.

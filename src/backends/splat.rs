@@ -33,6 +33,7 @@ pub static BACKEND: Backend = Backend {
     planning: ANY_PROGRAM,
     options: &["--refs"],
     use_of_views: Some("Train on"),
+    own_scale: super::full_size,
     takes_distorted: true,
     serves: |_| false,
     tasks: |_, _| None,

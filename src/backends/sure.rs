@@ -49,6 +49,7 @@ pub static BACKEND: Backend = Backend {
     planning: RECTIFYING,
     options: &[],
     use_of_views: None,
+    own_scale: super::full_size,
     takes_distorted: false,
     serves: |project| project.kind == ProjectKind::Sure,
     tasks: |_, _| None,

@@ -118,11 +118,12 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         project: &plan.project,
         scene: &plan.scene,
         clusters: &plan.clusters[..plan.cut_at(arguments.budget, arguments.target)],
-        image_scale: plan.settings.image_scale,
+        image_scale: plan.settings.image_scale(),
+        own_size: plan.own_size,
         planned_for: &plan.backend,
         image_faults: &plan.project.image_faults(&plan.scene),
     };
-    let exported = (backend.export)(&selection, &Default::default())?;
+    let exported = backend.export(&selection, &Default::default())?;
     let dispatch = Dispatch::new(backend, &selection, &exported, plan.finished)?;
     let _held = if arguments.dry_run { None } else { Some(dispatch.hold()?) };
     let tools = arguments.tools(&dispatch, &settings)?;

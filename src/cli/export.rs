@@ -114,7 +114,8 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         project: &plan.project,
         scene: &plan.scene,
         clusters,
-        image_scale: plan.settings.image_scale,
+        image_scale: plan.settings.image_scale(),
+        own_size: plan.own_size,
         planned_for: &plan.backend,
         image_faults: &plan.project.image_faults(&plan.scene),
     };
@@ -170,14 +171,14 @@ impl Arguments {
         let options = self.options(backend, backends);
         let unheeded = self.given().filter(|option| !backend.options.contains(option)).collect();
         let Some(tiles) = tiles else {
-            let export = (backend.export)(selection, &options)?;
+            let export = backend.export(selection, &options)?;
             return Ok(Made { folder: export.files.root.clone(), exports: vec![export], unheeded });
         };
         let own = || selection.project.output_folder().join(format!("{}-tiles", backend.name));
         let folder = options.out.clone().unwrap_or_else(own);
         let export = |(i, clusters): (usize, &Vec<RankedCluster>)| {
             let out = Some(folder.join(format!("tile_{:02}", i + 1)));
-            (backend.export)(&Selection { clusters, ..*selection }, &ExportOptions { out, ..options.clone() })
+            backend.export(&Selection { clusters, ..*selection }, &ExportOptions { out, ..options.clone() })
         };
         let exports = tiles.iter().enumerate().map(export).collect::<Result<_, _>>()?;
         Ok(Made { folder, exports, unheeded })

@@ -135,14 +135,13 @@ mod tests {
             ("partners.draws", 100.0),
             ("partners.triangle_fraction", 10.0),
             ("partners.k", 5.0),
-            ("image_scale", 1.0),
             ("seed", 0.0),
         ];
         for (name, default) in table {
             assert_eq!(find(name).default.as_f64(), Some(default), "{name}");
         }
         let by_data = ["target.gsd", "target.accuracy", "confidence.p0", "confidence.cosine_power"];
-        let by_backend = ["confidence.scale_octaves", "confidence.full_angle", "ranking.support"];
+        let by_backend = ["confidence.scale_octaves", "confidence.full_angle", "ranking.support", "image_scale"];
         for name in by_data.iter().chain(&by_backend) {
             assert!(find(name).default.is_null(), "{name}");
         }

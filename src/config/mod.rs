@@ -30,9 +30,10 @@ use crate::model::scene::Units;
 pub struct Settings {
     /// "metric" if a scene unit is a metre. Unset: "relative", of unknown length.
     pub units: Option<Units>,
-    /// Size of the matched images over the model's images. A higher value matches at finer resolution.
+    /// Size of the matched images over the model's images. A higher value matches at finer resolution. Unset: the size that the backend takes by
+    /// itself.
     #[schemars(range(max = 16), extend("unit" = "matched px per model px", "exclusiveMinimum" = 0))]
-    pub image_scale: f64,
+    pub image_scale: Option<f64>,
     /// Seed of all random choices.
     pub seed: u64,
     /// Memory limit of planning ("8G"): larger surfaces are built in tiles, larger tables kept on disk, the rest refused. Unset: no limit.
@@ -69,13 +70,18 @@ impl Settings {
     pub fn of_plan(&self) -> Self {
         Self { dispatch: DispatchSettings::default(), on_target: None, ..self.clone() }
     }
+
+    /// Returns the size of the matched images over the model's; 1 where neither the user nor a backend has chosen it.
+    pub fn image_scale(&self) -> f64 {
+        self.image_scale.unwrap_or(1.0)
+    }
 }
 
 impl Default for Settings {
     fn default() -> Self {
         Self {
             units: None,
-            image_scale: 1.0,
+            image_scale: None,
             seed: 0,
             max_memory: None,
             backends: Vec::new(),

@@ -4,7 +4,11 @@ use serde::Serialize;
 
 use crate::{
     method::{confidence::PairConfidence, partners::PairGeometry},
-    model::{cluster::Gate, scene::ViewPoints},
+    model::{
+        camera::Camera,
+        cluster::Gate,
+        scene::{Scene, ViewPoints},
+    },
 };
 
 /// Numbers that a backend contributes to planning.
@@ -31,4 +35,14 @@ pub struct Matcher {
     /// Value of `--backend`.
     pub name: &'static str,
     pub numbers: PlanningNumbers,
+    /// Size at which the program matches a camera's images by itself, over their own.
+    pub own_scale: fn(&Camera) -> f64,
+}
+
+impl Matcher {
+    /// Returns the size at which the program matches the largest images of the scene by itself, over their own; 1 without views.
+    pub fn image_scale(&self, scene: &Scene) -> f64 {
+        let cameras = scene.view_indices().map(|view| scene.camera_of(view));
+        cameras.max_by_key(|camera| camera.width.max(camera.height)).map_or(1.0, self.own_scale)
+    }
 }

@@ -28,6 +28,8 @@ use crate::{
 pub struct Stages {
     /// All settings in force, with those chosen from the data or by the backend filled in.
     pub settings: Settings,
+    /// True if `settings.image_scale` is the size that the backend takes by itself.
+    pub own_size: bool,
     /// Name of the backend that the plan is made for.
     pub backend: &'static str,
     pub scene: Scene,
@@ -70,13 +72,14 @@ impl Stages {
     ) -> Result<Self, PlanError> {
         let source = Source::new(&settings.confidence.source, project);
         let trained = source.trained(&project.root)?;
+        let own_size = settings.image_scale.is_none();
         let mut settings = in_force(project, settings, &scene, matcher, &source)?;
         let shape = shape(project, &scene, &settings)?;
         let mut memory = Memory::before_surface(&scene, &mut settings)?;
         let points = scene.view_points();
         let numbers = &matcher.numbers;
         let refuses =
-            |pair: &PairGeometry| numbers.refuses.is_some_and(|refuses| refuses(pair, &points, settings.image_scale));
+            |pair: &PairGeometry| numbers.refuses.is_some_and(|refuses| refuses(pair, &points, settings.image_scale()));
         let limits = Limits { gate: &numbers.gate, refuses: &refuses };
         // Parts of the surface are built by one thread; the others find candidates meanwhile.
         let (seen, candidates) = rayon::join(
@@ -96,7 +99,7 @@ impl Stages {
             surface: &seen.surface,
             visibility: &seen.visibility,
             target: &target,
-            image_scale: settings.image_scale,
+            image_scale: settings.image_scale(),
         };
         let support = settings.ranking.support.unwrap_or(matcher.numbers.support);
         let objective = Objective::new(&geometry, settings.ranking.weight, region.as_ref(), support);
@@ -134,6 +137,7 @@ impl Stages {
         watcher.check()?;
         Ok(Self {
             backend: matcher.name,
+            own_size,
             surface: seen.surface,
             surface_stats: seen.stats,
             visibility: seen.visibility,
@@ -191,9 +195,10 @@ fn in_force(
     }
     let mut all = settings.clone();
     all.units.get_or_insert(Units::Relative);
+    all.image_scale.get_or_insert_with(|| matcher.image_scale(scene));
     let gsd = match all.target.gsd {
         Some(gsd) => gsd,
-        None => GSD_MARGIN * scene.median_gsd().ok_or(PlanError::NoScale)? / all.image_scale,
+        None => GSD_MARGIN * scene.median_gsd().ok_or(PlanError::NoScale)? / all.image_scale(),
     };
     all.target.accuracy.get_or_insert(gsd);
     all.target.mode = all.target.mode.in_force(settings.target.gsd.or(settings.target.accuracy).is_some());
@@ -253,7 +258,7 @@ fn visible_surface(
     let most = memory.most_triangles();
     let (surface, stats) = timings.time(Stage::Surface, || {
         let wanted = match settings.target.mode {
-            TargetMode::Best => WantedGsd::finest(scene, gsd, GSD_MARGIN / settings.image_scale),
+            TargetMode::Best => WantedGsd::finest(scene, gsd, GSD_MARGIN / settings.image_scale()),
             _ => WantedGsd::uniform(gsd),
         };
         surface::build(scene, &wanted, &settings.surface, mesh.as_ref(), most, watcher)
@@ -271,7 +276,8 @@ fn visible_surface(
 }
 
 fn target(scene: &Scene, seen: &VisibleSurface, region: Option<&Region>, settings: &Settings) -> Target {
-    let target = Target::new(scene, &seen.surface, &seen.visibility, &settings.target, seen.gsd, settings.image_scale);
+    let target =
+        Target::new(scene, &seen.surface, &seen.visibility, &settings.target, seen.gsd, settings.image_scale());
     match region {
         Some(region) => target.with_wishes(region),
         None => target,
@@ -290,7 +296,7 @@ fn rule(settings: &Settings, confidence: Confidence) -> Rule {
         alpha: settings.fulfilment.alpha,
         sigma_px: settings.fulfilment.sigma_px,
         min_cameras: settings.coverage.min_cameras,
-        image_scale: settings.image_scale,
+        image_scale: settings.image_scale(),
         confidence,
     }
 }

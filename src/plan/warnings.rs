@@ -40,7 +40,7 @@ pub(super) fn warnings(stages: &Stages, ranking: &Ranking, finished: &Finished) 
 /// Warns of a wanted ground sampling distance far from the images' own, most likely given in another unit.
 pub fn unlikely_gsd(scene: &Scene, settings: &Settings) -> Option<String> {
     let (gsd, target) = (scene.median_gsd()?, settings.target.gsd?);
-    let ratio = target / (gsd / settings.image_scale);
+    let ratio = target / (gsd / settings.image_scale());
     let than = match ratio {
         ratio if ratio < 1.0 / WANTED_RATIO => format!("{:.0} times finer", 1.0 / ratio),
         ratio if ratio > WANTED_RATIO => format!("{ratio:.0} times coarser"),

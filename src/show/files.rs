@@ -66,7 +66,8 @@ pub fn files(plan: &Plan, project: &Project) -> Result<PlanFiles, FilesError> {
         project,
         scene: &plan.stages.scene,
         clusters: &clusters,
-        image_scale: plan.stages.settings.image_scale,
+        image_scale: plan.stages.settings.image_scale(),
+        own_size: plan.stages.own_size,
         planned_for: plan.stages.backend,
         image_faults: &image_faults,
     };
@@ -140,7 +141,7 @@ fn command(export: &Export) -> Option<String> {
 fn exports(selection: &Selection, backends: &[&'static Backend]) -> Result<(Vec<Export>, Vec<String>), BackendError> {
     let (mut exports, mut missing) = (Vec::new(), Vec::new());
     for backend in backends {
-        let checked = (backend.export)(selection, &ExportOptions::default()).and_then(|export| {
+        let checked = backend.export(selection, &ExportOptions::default()).and_then(|export| {
             place::check(&export.files.root, std::slice::from_ref(&export), selection.project).map(|()| export)
         });
         match checked {

@@ -29,6 +29,7 @@ pub struct Fixture {
     pub clusters: Vec<RankedCluster>,
     pub project: Project,
     pub image_scale: f64,
+    pub own_size: bool,
     pub image_faults: ImageFaults,
 }
 
@@ -53,6 +54,7 @@ impl Fixture {
             clusters: Vec::new(),
             project: project(),
             image_scale: 1.0,
+            own_size: false,
             image_faults: ImageFaults::default(),
         };
         fixture.choose(&[12, 3, 30, 24], k);
@@ -103,10 +105,11 @@ impl Fixture {
             scene: &self.scene,
             clusters: &self.clusters,
             image_scale: self.image_scale,
+            own_size: self.own_size,
             planned_for: backend.name,
             image_faults: &self.image_faults,
         };
-        (backend.export)(&selection, options)
+        backend.export(&selection, options)
     }
 
     pub fn export(&self, backend: &str) -> Files {
@@ -238,6 +241,35 @@ fn distorted_images_are_refused_with_the_command_that_makes_them() {
     }
     fixture.project.model.format = ModelFormat::OpenMvs;
     assert!(fixture.export("splat").says("image_undistorter"));
+}
+
+/// The sizes that the programs take without an option, and that of a plan for another program where the user has set none.
+#[test]
+fn without_image_scale_each_program_takes_its_own_size() {
+    let own = |backend: &str, width, height| {
+        let camera = Camera::new(1, CameraModel::Pinhole, width, height, vec![500.0, 500.0, 1.0, 1.0]).unwrap();
+        let size = (by_name(backend).unwrap().own_scale)(&camera) * f64::from(camera.width);
+        size.round() as u32
+    };
+    for (backend, sizes) in [
+        ("openmvs", [(640, 640), (1200, 1200), (1280, 640), (4000, 2000), (8000, 2560)]),
+        ("odm", [(640, 640), (1200, 1200), (1280, 640), (4000, 1000), (8000, 1000)]),
+        ("mve", [(640, 640), (1200, 1200), (1600, 800), (4000, 1000), (8000, 1000)]),
+        ("alicevision", [(640, 320), (1200, 600), (1280, 640), (4000, 2000), (8000, 4000)]),
+        ("colmap", [(640, 640), (1200, 1200), (1280, 1280), (4000, 4000), (8000, 8000)]),
+    ] {
+        for (width, size) in sizes {
+            assert_eq!(own(backend, width, width * 3 / 4), size, "{backend}, {width}");
+        }
+    }
+    let mut fixture = Fixture::new(3);
+    (fixture.image_scale, fixture.own_size) = (0.25, true);
+    let scale = |fixture: &Fixture, backend: &str| fixture.export(backend).0.record.image_scale;
+    assert_eq!((scale(&fixture, "alicevision"), scale(&fixture, "mve")), (0.5, 1.0));
+    assert!(fixture.export("alicevision").0.record.commands[0].contains("--downscale 2"));
+    assert!(!fixture.export("mve").says("image_scale"), "nothing is left out");
+    fixture.own_size = false;
+    assert_eq!((scale(&fixture, "alicevision"), scale(&fixture, "mve")), (0.25, 0.25));
 }
 
 #[test]

@@ -117,7 +117,7 @@ impl Dispatch {
         let task = |(i, cluster): (usize, &RankedCluster)| {
             let map = runner.maps[i].clone()?;
             let key = selection.scene.name(cluster.key);
-            let options = format!("{} {}", backend.name, selection.image_scale);
+            let options = format!("{} {}", backend.name, export.record.image_scale);
             let (marker, id) = (hash([key]), recipe(selection, cluster, &options));
             Some(Task { rank: i + 1, marker, id, map: absolute(&map), key: key.into() })
         };

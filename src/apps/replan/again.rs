@@ -61,6 +61,9 @@ fn predicted(root: &Path, watcher: &dyn Watcher) -> Result<(Project, Plan, Recor
     if settings.backends.is_empty() {
         settings.backends.push(recorded.backend.clone());
     }
+    if recorded.own_size {
+        settings.image_scale = None;
+    }
     // Before the long work, though the model is read twice for it.
     recorded.check_input(&project, &project.read_scene().map_err(WrittenPlanError::from)?)?;
     let plan = backends::plan(&project, &settings, watcher)?;

@@ -60,6 +60,7 @@ pub static BACKEND: Backend = Backend {
     },
     options: &["--refs", "--geometric"],
     use_of_views: None,
+    own_scale: super::full_size,
     takes_distorted: false,
     serves: |project| project.dense_workspace.is_some(),
     tasks,

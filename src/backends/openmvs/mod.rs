@@ -21,6 +21,7 @@ use crate::{
     },
     method::confidence::PairConfidence,
     model::{
+        camera::Camera,
         cluster::{Gate, RankedCluster},
         scene::ViewIndex,
     },
@@ -71,6 +72,7 @@ pub static BACKEND: Backend = Backend {
     planning: PLANNING,
     options: &["--scene", "--scale"],
     use_of_views: None,
+    own_scale: own_scale,
     takes_distorted: false,
     serves: |project| project.kind == ProjectKind::OpenMvs,
     tasks,
@@ -235,6 +237,21 @@ fn dense_config(selection: &Selection) -> String {
     // Neighbours beyond three quarters of the limit would be filtered by angle and scale.
     let views = (selection.most_partners() * 4).div_ceil(3).max(FUSED_WITH * 4 / 3);
     format!("View Min Score = 0\nView Min Score Ratio = 0\nMax Views = {views}\n")
+}
+
+/// Resolution level 1, but neither below 640 nor above 2560 pixels: the defaults of DensifyPointCloud.
+fn own_scale(camera: &Camera) -> f64 {
+    scale_at(camera, 1, OWN_SIZES)
+}
+
+/// Least and greatest long side of OpenMVS's images by default, pixels.
+const OWN_SIZES: [u32; 2] = [640, 2560];
+
+/// Size of the images at a resolution level, over their own. An image that a level would bring below the least size takes the last level above.
+pub(super) fn scale_at(camera: &Camera, level: u32, [least, greatest]: [u32; 2]) -> f64 {
+    let side = camera.width.max(camera.height);
+    let halved = (0..=level).rev().map(|level| side >> level).find(|size| *size >= least).unwrap_or(side);
+    f64::from(halved.min(greatest)) / f64::from(side)
 }
 
 /// Long side of the matched images.

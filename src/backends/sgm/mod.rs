@@ -57,6 +57,7 @@ pub static BACKEND: Backend = Backend {
     planning: NUMBERS,
     options: &[],
     use_of_views: None,
+    own_scale: super::full_size,
     takes_distorted: false,
     serves: |_| false,
     tasks,
@@ -70,7 +71,7 @@ fn tasks(selection: &Selection, export: &Export) -> Option<TaskRunner> {
     let command = format!(
         "\"$python\" \"$program\" match \"$project\" --clusters {} --out {folder} --image-scale {}",
         quoted_path(&export.files.root.join("clusters.txt")),
-        selection.image_scale
+        export.record.image_scale
     );
     let map = |c: &RankedCluster| Some(out.join(format!("depth_maps/{}.npy", selection.scene.name(c.key))));
     Some(TaskRunner {

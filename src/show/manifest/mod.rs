@@ -49,6 +49,8 @@ pub struct Manifest {
     pub backend: String,
     /// All settings in force, nested as in viewrank.toml, with the values that the data or the backend decided.
     pub settings: Settings,
+    /// True if `settings.image_scale` was not set: it is the size that the backend takes by itself.
+    pub own_size: bool,
     /// Trained model that predicts success; null if an untrained source does (`settings.confidence.source`).
     pub confidence_model: Option<ConfidenceModel>,
     pub surface: SurfaceSummary,
@@ -169,6 +171,7 @@ impl Manifest {
             units: plan.stages.settings.units.unwrap_or(Units::Relative),
             backend: plan.stages.backend.into(),
             settings: plan.stages.settings.of_plan(),
+            own_size: plan.stages.own_size,
             confidence_model: plan.stages.trained.as_ref().map(|trained| ConfidenceModel {
                 fingerprint: trained.fingerprint(),
                 backend: trained.backend.clone(),

@@ -28,6 +28,8 @@ pub struct WrittenPlan {
     /// Name of the backend that the plan was made for.
     pub backend: String,
     pub settings: Settings,
+    /// True if `settings.image_scale` is the size that the backend takes by itself.
+    pub own_size: bool,
     /// The whole ranking, best first.
     pub clusters: Vec<RankedCluster>,
     /// Clusters up to the plan's own cut.
@@ -45,6 +47,8 @@ pub(crate) struct Recorded {
     input: Input,
     pub backend: String,
     pub settings: Settings,
+    #[serde(default)]
+    pub own_size: bool,
     /// The whole ranking, best first, but after the finished clusters.
     pub clusters: Vec<ClusterEntry>,
     pub views: Vec<ViewEntry>,
@@ -108,9 +112,9 @@ impl WrittenPlan {
         recorded.check_input(&project, &scene)?;
         let clusters = recorded.ranked(&scene)?;
         let cut = recorded.cut.clusters.min(clusters.len());
-        let (finished, settings) = (recorded.finished(), recorded.settings);
+        let (finished, settings, own_size) = (recorded.finished(), recorded.settings, recorded.own_size);
         let target = settings.cut.target.unwrap_or(Share(recorded.cut.share));
-        Ok(Self { project, backend: recorded.backend, settings, clusters, cut, finished, target, scene })
+        Ok(Self { project, backend: recorded.backend, settings, own_size, clusters, cut, finished, target, scene })
     }
 
     /// Returns the number of clusters up to another cut: the shorter of the budget and the shortest prefix that reaches the share; without
