@@ -33,7 +33,7 @@ pub struct Summary<'a> {
     finished: usize,
     /// g_d, scene units per pixel.
     gsd: f64,
-    /// What the plan is for; null: the whole surface.
+    /// Region of interest; null: the whole surface.
     region: Option<&'a RegionSummary>,
     cut: Cut,
     forecast: Forecast,

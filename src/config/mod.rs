@@ -43,8 +43,8 @@ pub struct Settings {
     /// Shell command that `viewrank watch` runs once when a project's depth maps reach its target. In the user's own file only.
     #[schemars(extend("userOnly" = true))]
     pub on_target: Option<String>,
-    /// What the plan is for (method 5.7): a file of GeoJSON polygons or a closed PLY mesh, a box "x0,y0,z0,x1,y1,z1" in the frame of the model, or
-    /// "auto", what the photographs show most densely. Everything outside counts nothing. Unset: the whole surface.
+    /// Part of the scene that the plan is for (method 5.7): a file of GeoJSON polygons or a closed PLY mesh, a box "x0,y0,z0,x1,y1,z1" in the frame of
+    /// the model, or "auto", the box with the most pixels per area. Nothing outside counts. Unset: the whole surface.
     pub region: Option<RegionChoice>,
     pub target: TargetSettings,
     pub coverage: CoverageSettings,

@@ -1,4 +1,4 @@
-//! `region`: what the plan is for, as it is written on the command line and in `viewrank.toml`.
+//! `region`: the part of the scene that a plan is for, as on the command line and in `viewrank.toml`.
 
 use std::{fmt, path::PathBuf, str::FromStr};
 
@@ -11,7 +11,7 @@ use crate::io::region_file::parse_box;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub enum RegionChoice {
-    /// What the photographs show most densely.
+    /// The box around the places with the most pixels per area.
     Auto,
     /// Two opposite corners of a box along the axes of the model, scene units: `x0,y0,z0,x1,y1,z1`.
     Box([f64; 6]),

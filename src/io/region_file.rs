@@ -1,7 +1,8 @@
 //! Files of regions: GeoJSON polygons (RFC 7946), closed PLY meshes, or the six numbers of a box. The contents tell them apart.
 //!
-//! Of GeoJSON it takes the polygons of features, collections and bare geometries, the properties `weight` and `gsd`, and the member `crs` of
-//! the 2008 draft, which QGIS still writes: WGS 84 or null. Other members are ignored. Holes and several parts are kept; heights are not.
+//! The reader of GeoJSON takes the polygons of features, collections and bare geometries, with their holes and parts but without heights; the
+//! properties `weight` and `gsd`; and the member `crs` of the 2008 specification, which QGIS still writes, if it is WGS 84 or null. It ignores
+//! everything else.
 
 use std::{io, path::Path};
 
@@ -17,7 +18,7 @@ const WEIGHTS: std::ops::RangeInclusive<f64> = 0.0..=1e6;
 /// Range of wanted resolutions, scene units per pixel, which are kept as f32.
 const GSDS: std::ops::RangeInclusive<f64> = 1e-30..=1e30;
 
-/// A region as its file has it.
+/// Contents of the file of a region.
 #[derive(Clone, Debug, PartialEq)]
 pub enum RegionFile {
     Areas(Areas),
@@ -34,7 +35,7 @@ pub struct Areas {
     pub areas: Vec<Area>,
 }
 
-/// What the coordinates of a GeoJSON file are.
+/// Coordinate system of a GeoJSON file.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Coordinates {
     /// The file doesn't say: longitude and latitude, unless the model has no georeference.
@@ -45,7 +46,7 @@ pub enum Coordinates {
     Model { axes: Option<[[f64; 3]; 3]> },
 }
 
-/// A feature with its wishes.
+/// Polygons of a feature and their properties.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Area {
     pub polygons: Vec<Polygon>,
@@ -58,7 +59,7 @@ pub struct Area {
 /// Rings of a polygon, the outer one first, then its holes; the first position may be repeated at the end.
 pub type Polygon = Vec<Vec<[f64; 2]>>;
 
-/// Why a file is no region.
+/// Errors of a region's file.
 #[derive(Debug, thiserror::Error)]
 pub enum RegionFault {
     #[error(transparent)]

@@ -47,7 +47,7 @@ pub struct Stages {
     pub trained: Option<Trained>,
     /// g_d and a_d of each triangle (method 3.6).
     pub target: Target,
-    /// What the plan is for (method 5.7); `None`: the whole surface.
+    /// Region of interest (method 5.7); `None`: the whole surface.
     pub region: Option<Region>,
     /// What the plan maximises (method 5.1).
     pub objective: Objective,

@@ -76,7 +76,7 @@ pub struct Contents {
     views: ViewData,
     ranking: RankingData,
     surface: SurfaceData,
-    /// What the plan is for; absent: the whole surface.
+    /// Region of interest; null: the whole surface.
     region: Option<RegionData>,
     holes: Vec<HoleData>,
     /// Area of all holes, square scene units.

@@ -28,7 +28,7 @@ pub struct MapAreas {
     /// In the order of the file.
     polygons: Vec<PreparedPolygon>,
     rings: Vec<Polygon>,
-    /// Of each polygon.
+    /// By polygon.
     wishes: Vec<Wish>,
     columns: Columns,
     projection: Projection,
@@ -69,7 +69,7 @@ impl Projection {
         }
     }
 
-    /// Of two longitudes, the second one the short way round from the first.
+    /// Moves a position by whole turns of longitude to within half a turn of another.
     fn beside(&self, from: [f64; 2], to: [f64; 2]) -> [f64; 2] {
         match self {
             Self::Geodetic(_) => [to[0] - 360.0 * ((to[0] - from[0]) / 360.0).round(), to[1]],
@@ -107,7 +107,7 @@ impl MapAreas {
         Ok(Self { polygons, rings, wishes, columns, projection })
     }
 
-    /// The wish of the last polygon that holds the place.
+    /// Properties of the last polygon that holds the place.
     fn at(&self, place: [f64; 2]) -> Option<Wish> {
         let holding = self.columns.at(place).iter().rev().find(|&&i| self.polygons[i as usize].contains(place));
         holding.map(|&i| self.wishes[i as usize])

@@ -1,15 +1,15 @@
-//! `auto`: the box around what the photographs show most densely.
+//! `auto`: the box around the places with the most pixels per area.
 //!
 //! The density of a triangle is its pixels in all views over its area: a subject that the cameras go round has a high one, what is behind it or
 //! at the border of a flight a low one. Triangles in descending order of density are cut where their share of the pixels, m, stands out most
-//! from their share of the area, a (largest `m ln(m / a) + (1 - m) ln((1 - m) / (1 - a))`, the statistic of Kulldorff's scan, 1997); those
-//! down to a quarter of that density belong to them. The box holds all but the outermost pixels of these along each axis, and a margin.
+//! from their share of the area, a (largest `m ln(m / a) + (1 - m) ln((1 - m) / (1 - a))`, the statistic of Kulldorff's scan, 1997); triangles
+//! down to a quarter of the density at the cut are taken, too. The box holds all but the outermost pixels of these along each axis, and a margin.
 
 use crate::method::surface::Surface;
 
-/// Density that belongs to the core, over that of its sparsest triangle: half the resolution.
+/// Least density of a triangle that is taken, over that of the sparsest triangle of the core: half the resolution.
 const SURROUNDINGS: f64 = 0.25;
-/// Share of the core's pixels that the box leaves out at each of its six sides, which single stray triangles don't reach.
+/// Share of the pixels that the box leaves out at each of its six sides; a single stray triangle has fewer.
 const STRAY: f64 = 0.005;
 /// Margin at each side over the length of that side.
 const MARGIN: f64 = 0.05;

@@ -1,8 +1,7 @@
-//! Method 5.7: what the plan is for.
+//! Method 5.7: the part of the scene that the plan is for.
 //!
-//! A region is a set of polygons on the map, a box, a closed mesh, or `auto`. Of it the other stages see a factor on the weight of each triangle
-//! and, from polygons, a wanted g_d. A triangle is asked at 16 samples, so that its factor is the share of it that is inside, within a few
-//! per cent of the triangle.
+//! A region is a set of polygons on the map, a box, a closed mesh, or `auto`. The other stages see only a factor on the weight of each triangle
+//! and, from polygons, a wanted g_d. The factor is the mean over 16 samples of the triangle: its share inside, times the weight of the polygons.
 
 mod areas;
 mod columns;
@@ -27,7 +26,7 @@ use crate::{
     model::georeference::{Georeference, MapFrame},
 };
 
-/// Triangles between two questions whether to stop.
+/// Triangles between two calls of the watcher.
 const AT_ONCE: usize = 16_384;
 
 /// How a region is given.
@@ -39,11 +38,11 @@ pub enum RegionKind {
     Box,
     /// A closed mesh.
     Mesh,
-    /// A box around what the photographs show most densely.
+    /// The box around the places with the most pixels per area.
     Auto,
 }
 
-/// What counts of a surface.
+/// Factors and wanted resolutions of the triangles of a surface.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Region {
     pub kind: RegionKind,
@@ -56,7 +55,7 @@ pub struct Region {
     pub outline: Outline,
 }
 
-/// A region for maps.
+/// The region on a map.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Outline {
     /// Polygons in longitude and latitude, degrees.
@@ -83,7 +82,7 @@ pub enum Shape {
     Auto,
 }
 
-/// What the region says of a place.
+/// Properties of the region at a place inside.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Wish {
     weight: f64,
@@ -94,7 +93,7 @@ impl Wish {
     const INSIDE: Self = Self { weight: 1.0, gsd: None };
 }
 
-/// What the region says of a triangle.
+/// Result of the 16 samples of a triangle.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Sampled {
     is_touched: bool,
@@ -210,7 +209,8 @@ fn solid_sample(surface: &Surface, triangle: u32, inside: &impl Fn(&Point3<f64>)
     sampled(|place| inside(&at(place)).then_some(Wish::INSIDE))
 }
 
-/// Asks at the centroids of the 16 triangles into which the triangle is cut; `at` gets barycentric coordinates of the second and third corner.
+/// Samples a triangle at the centroids of the 16 triangles into which it can be cut; `at` gets the barycentric coordinates of the second and third
+/// corner.
 fn sampled(at: impl Fn([f64; 2]) -> Option<Wish>) -> Sampled {
     const CUTS: u32 = 4;
     let place = |i: u32, thirds: f64| (f64::from(i) + thirds / 3.0) / f64::from(CUTS);

@@ -29,7 +29,7 @@ pub fn side(a: [f64; 2], b: [f64; 2], point: [f64; 2]) -> f64 {
     orient2d(a, b, point)
 }
 
-/// A polygon with its holes, ready to be asked.
+/// A polygon with its holes, sorted for queries.
 #[derive(Clone, Debug)]
 pub struct PreparedPolygon {
     pub bounds: Rectangle,

@@ -1,8 +1,8 @@
 //! Point in a closed mesh, exactly: parity of the triangles above the point, by the signs of adaptive predicates.
 //!
 //! The triangles are sorted into vertical columns. A vertical line through an edge or a vertex crosses exactly one of the triangles on each
-//! side of it, because the crossings of an edge are decided for the edge, not for its triangles. Orientation does not matter; of parts that
-//! overlap, what is in an even number of them is outside.
+//! side of it, because the crossings of an edge are decided for the edge, not for its triangles. Orientation does not matter. Where parts overlap, the
+//! inside of an even number of them is outside.
 
 use nalgebra::Point3;
 use robust::{Coord3D, orient3d};
@@ -15,7 +15,7 @@ use crate::io::ply::Mesh;
 
 type Corners = [Point3<f64>; 3];
 
-/// A closed mesh, ready to be asked.
+/// A closed mesh, sorted for queries.
 #[derive(Clone, Debug)]
 pub struct Solid {
     triangles: Vec<Corners>,

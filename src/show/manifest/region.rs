@@ -5,10 +5,10 @@ use serde::Serialize;
 
 use crate::{config::TriangleWeight, method::region::RegionKind, plan::Plan};
 
-/// What the plan is for (method 5.7); shares, fulfilment and cut are those inside.
+/// Part of the scene that the plan is for (method 5.7); shares, fulfilment and cut are those inside.
 #[derive(Clone, Debug, PartialEq, Serialize, JsonSchema)]
 pub struct RegionSummary {
-    /// "polygons", "box", "mesh", or "auto": the box around what the photographs show most densely.
+    /// "polygons", "box", "mesh", or "auto": the box around the places with the most pixels per area.
     pub kind: RegionKind,
     /// The box; of polygons and meshes that around the triangles inside. Corners x0, y0, z0, x1, y1, z1 in the frame of the model, as `--region`
     /// takes them.
