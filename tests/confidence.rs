@@ -96,7 +96,30 @@ fn views_without_a_picture_are_judged_by_their_geometry() {
 fn a_second_plan_reads_no_image() {
     let project = project();
     let first = plan(project.path(), &[]);
-    // Between head and end the images hold no picture now, but nobody can see that without decoding them.
+    // The cache says something else of the last images: the second plan takes its word for it.
+    let cache = project.path().join("viewrank/cache/confidence.maps");
+    let mut maps = fs::read(&cache).unwrap();
+    let end = maps.len() - blake3::OUT_LEN;
+    maps[end - 2000..end].fill(0);
+    let hash = blake3::hash(&maps[..end]);
+    maps[end..].copy_from_slice(hash.as_bytes());
+    fs::write(&cache, &maps).unwrap();
+    assert_ne!(plan(project.path(), &[]), first);
+    assert_eq!(fs::read(&cache).unwrap(), maps);
+    for image in images(project.path()) {
+        fs::write(&image, "no image").unwrap();
+    }
+    let manifest = plan(project.path(), &[]);
+    assert!(warnings(&manifest).contains("no JPEG, PNG or TIFF"), "{}", warnings(&manifest));
+    assert!(warnings(&manifest).contains("25 more images"), "{}", warnings(&manifest));
+}
+
+/// Programs that repair or rotate pictures keep their length and time at will.
+#[cfg(unix)]
+#[test]
+fn an_image_overwritten_with_its_old_length_and_time_is_read_again() {
+    let project = project();
+    let first = plan(project.path(), &[]);
     for image in images(project.path()) {
         let mut bytes = fs::read(&image).unwrap();
         let (head, end) = (bytes.len() / 4, bytes.len() - 2);
@@ -105,14 +128,9 @@ fn a_second_plan_reads_no_image() {
         fs::write(&image, bytes).unwrap();
         fs::OpenOptions::new().write(true).open(&image).unwrap().set_modified(time).unwrap();
     }
-    assert_eq!(plan(project.path(), &[]), first);
-    // Once they are known to have changed, they are read.
-    for image in images(project.path()) {
-        fs::write(&image, "no image").unwrap();
-    }
-    let manifest = plan(project.path(), &[]);
-    assert!(warnings(&manifest).contains("no JPEG, PNG or TIFF"), "{}", warnings(&manifest));
-    assert!(warnings(&manifest).contains("25 more images"), "{}", warnings(&manifest));
+    let second = plan(project.path(), &[]);
+    assert_ne!(second["clusters"], first["clusters"]);
+    assert_ne!(second["input"]["fingerprint"], first["input"]["fingerprint"]);
 }
 
 #[test]

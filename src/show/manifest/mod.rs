@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 
 pub use fingerprint::{FingerprintError, fingerprint};
 pub(crate) use written::{FILE, Recorded, read_own};
-pub use written::{WrittenPlan, WrittenPlanError, planned_backend, planned_model};
+pub use written::{WrittenPlan, WrittenPlanError, planned_backend, planned_model, validate};
 
 use crate::{
     backends::ExportRecord,
@@ -85,7 +85,8 @@ pub struct Input {
     pub format: String,
     /// Folder of the model, relative to the project folder; "." is the folder itself.
     pub model: String,
-    /// BLAKE3 hash of the model's files and the names and sizes of the registered images; equal for equal input.
+    /// BLAKE3 hash of the model's files, the names and sizes of the registered images and, where the confidence reads them, both ends of
+    /// images and masks; equal for equal input.
     pub fingerprint: String,
     /// Registered images.
     pub views: usize,
@@ -219,7 +220,7 @@ impl Input {
         Ok(Self {
             format: project.model.format.name().into(),
             model,
-            fingerprint: fingerprint(project, &plan.stages.scene, plan.stages.settings.surface.mesh.as_deref())?,
+            fingerprint: fingerprint(project, &plan.stages.scene, &plan.stages.settings)?,
             views: plan.stages.scene.views.len(),
             points: plan.stages.scene.points.len(),
             observations: plan.stages.scene.observations(),
