@@ -1,8 +1,11 @@
-//! The fuzz targets of the readers on stable Rust: valid files, changed at random. A short run by default;
+//! The fuzz targets on stable Rust: valid files, changed at random. A short run by default;
 //! VIEWRANK_FUZZ_SECONDS is the time per target, VIEWRANK_FUZZ_TARGET one of them.
 
 #[path = "../fuzz/readers.rs"]
 mod readers;
+
+#[path = "../fuzz/inputs.rs"]
+mod inputs;
 
 use std::{
     panic::catch_unwind,
@@ -11,9 +14,14 @@ use std::{
 
 use rand_core::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
+use serde_json::{Value, json};
 
 /// Changes per target in a normal run.
 const CHANGES: u64 = 3000;
+/// The same of files that take a while to read.
+const FEW_CHANGES: u64 = 300;
+/// Bytes from which a file takes a while.
+const LONG: usize = 1 << 14;
 
 /// Values that break things: counts, ids, floating-point numbers.
 const VALUES: [u64; 14] = [
@@ -92,18 +100,62 @@ fn change(data: &mut Vec<u8>, text: bool, chance: &mut Chance) {
     }
 }
 
+/// Replaces a value somewhere in a JSON text.
+fn change_json(data: &mut Vec<u8>, chance: &mut Chance) {
+    if let Ok(mut json) = serde_json::from_slice::<Value>(data) {
+        change_value(&mut json, chance);
+        *data = json.to_string().into_bytes();
+    }
+}
+
+fn change_value(value: &mut Value, chance: &mut Chance) {
+    let deeper = chance.below(6) > 0;
+    match value {
+        Value::Array(list) if deeper && !list.is_empty() => {
+            let chosen = chance.below(list.len());
+            if chance.below(8) == 0 {
+                let copy = list[chosen].clone();
+                return list.insert(chance.below(list.len()), copy);
+            }
+            change_value(&mut list[chosen], chance);
+        }
+        Value::Object(fields) if deeper && !fields.is_empty() => {
+            let chosen = chance.below(fields.len());
+            change_value(fields.values_mut().nth(chosen).expect("below the length"), chance);
+        }
+        _ => {
+            let numbers = [json!(-1), json!(0), json!(0.5), json!(17), json!(1e300), json!(u64::MAX)];
+            let others = [json!(null), json!(true), json!(""), json!("../x"), json!([]), json!({})];
+            let both = [numbers, others].concat();
+            *value = both[chance.below(both.len())].clone();
+        }
+    }
+}
+
+#[derive(Clone, Copy, PartialEq)]
+enum Grammar {
+    Binary,
+    Text,
+    Json,
+}
+
 /// Changes a valid file again and again and has each change read.
-fn fuzz(target: &str, valid: &[u8], text: bool, read: impl Fn(&[u8]) + std::panic::RefUnwindSafe) {
+fn fuzz(target: &str, valid: &[u8], grammar: Grammar, read: impl Fn(&[u8]) + std::panic::RefUnwindSafe) {
+    let changes = if valid.len() < LONG { CHANGES } else { FEW_CHANGES };
     let seconds = std::env::var("VIEWRANK_FUZZ_SECONDS").ok().and_then(|s| s.parse().ok()).map(Duration::from_secs);
     // The long runs differ from each other.
     let seed = seconds.map_or(1, |_| std::process::id().into());
     let mut chance = Chance(Pcg64Mcg::seed_from_u64(seed));
     let start = Instant::now();
     let mut done = 0u64;
-    while seconds.map_or(done < CHANGES, |seconds| start.elapsed() < seconds) {
+    while seconds.map_or(done < changes, |seconds| start.elapsed() < seconds) {
         let mut data = valid.to_vec();
         for _ in 0..=chance.below(4) {
-            change(&mut data, text, &mut chance);
+            // Bytes last: what isn't JSON any more has no values.
+            match grammar {
+                Grammar::Json if chance.below(4) > 0 => change_json(&mut data, &mut chance),
+                _ => change(&mut data, grammar != Grammar::Binary, &mut chance),
+            }
         }
         if catch_unwind(|| read(&data)).is_err() {
             panic!("{target}: fails with {}", data.escape_ascii());
@@ -123,22 +175,36 @@ fn changed_files_are_errors_or_models() {
         let text = target.ends_with("txt");
         let files = readers::model(text);
         let valid = &files.iter().find(|f| f.0 == target).unwrap().1;
-        fuzz(target, valid, text, |data| readers::replace(target, data, &files));
+        let grammar = if text { Grammar::Text } else { Grammar::Binary };
+        fuzz(target, valid, grammar, |data| readers::replace(target, data, &files));
     }
 }
 
 #[test]
 fn changed_files_of_other_programs_are_errors_or_models() {
     for target in readers::FOREIGN.into_iter().filter(|target| wanted(target)) {
-        let text = target != "scene.mvs";
-        fuzz(target, &readers::foreign_model(target), text, |data| readers::read_foreign(target, data));
+        let grammar = if target == "scene.mvs" { Grammar::Binary } else { Grammar::Text };
+        fuzz(target, &readers::foreign_model(target), grammar, |data| readers::read_foreign(target, data));
+    }
+}
+
+#[test]
+fn changed_inputs_beside_the_model_are_errors_or_consistent() {
+    for (target, valid) in inputs::INPUTS.into_iter().filter(|(target, _)| wanted(target)) {
+        assert!(inputs::read_input(target, valid), "{target}");
+        let grammar = match target {
+            "viewrank.toml" => Grammar::Text,
+            _ if inputs::is_json(target) => Grammar::Json,
+            _ => Grammar::Binary,
+        };
+        fuzz(target, valid, grammar, |data| _ = inputs::read_input(target, data));
     }
 }
 
 #[test]
 fn changed_regions_are_errors_or_regions() {
     if wanted("region") {
-        fuzz("region", readers::REGION.as_bytes(), true, readers::read_region);
+        fuzz("region", readers::REGION.as_bytes(), Grammar::Json, readers::read_region);
     }
 }
 

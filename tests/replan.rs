@@ -379,7 +379,7 @@ fn a_map_that_is_cut_off_says_nothing_about_the_others() {
 }
 
 #[test]
-fn a_manifest_that_contradicts_itself_is_refused_with_its_cluster() {
+fn a_manifest_that_contradicts_itself_is_refused_with_its_field() {
     let planned = Planned::new(&town());
     let root = planned.folder.path();
     let path = root.join("viewrank/manifest.json");
@@ -387,28 +387,39 @@ fn a_manifest_that_contradicts_itself_is_refused_with_its_cluster() {
     WrittenPlan::read(root).unwrap();
     let clusters = written["clusters"].as_array().unwrap();
     let [first, second] = [0, 1].map(|i| clusters[i]["key"].clone());
-    let edits: [(&str, serde_json::Value, &str); 14] = [
-        ("/clusters/1/partners/0", second.clone(), "cluster 2 ("),
-        ("/clusters/1/partners", vec![first.clone(); 5].into(), " twice"),
-        ("/clusters/1/partners/0", "nobody.jpg".into(), "partner nobody.jpg"),
-        ("/clusters/1/key", first, "key view of an earlier cluster"),
-        ("/clusters/1/key", "nobody.jpg".into(), "no view has this name"),
-        ("/clusters/1/rank", (-1).into(), "cluster 2 ("),
-        ("/clusters/1/rank", 3.into(), "its rank is 3"),
-        ("/clusters/1/share", 17.into(), "its share is 17"),
-        ("/clusters/1/gain", (-0.5).into(), "its gain is -0.5"),
-        ("/clusters/1/fulfilment", 0.0.into(), "its fulfilment is 0"),
-        ("/clusters/1/finished", true.into(), "the cluster before is not"),
-        ("/cut/clusters", 1_000_000_000.into(), "the cut has 1000000000"),
-        ("/cut/share", 17.into(), "the share of the cut is 17"),
-        ("/backend", "nobody".into(), "nobody"),
+    let edits: [(&str, serde_json::Value, &str); 23] = [
+        ("/clusters/1/partners/0", second.clone(), "clusters[1].partners: "),
+        ("/clusters/1/partners", vec![first.clone(); 5].into(), "clusters[1].partners: "),
+        ("/clusters/1/partners/0", "nobody.jpg".into(), "clusters[1].partners: "),
+        ("/clusters/1/key", first.clone(), "clusters[1].key: "),
+        ("/clusters/1/key", "nobody.jpg".into(), "clusters[1].key: "),
+        ("/clusters/1/rank", (-1).into(), "clusters[1].rank: "),
+        ("/clusters/1/rank", 3.into(), "clusters[1].rank: "),
+        ("/clusters/1/share", 17.into(), "clusters[1].share: "),
+        ("/clusters/1/share", 0.0.into(), "clusters[1].share: "),
+        ("/clusters/1/share", f64::NAN.into(), "null"),
+        ("/clusters/1/gain", (-0.5).into(), "clusters[1].gain: "),
+        ("/clusters/1/fulfilment", 0.0.into(), "clusters[1].fulfilment: "),
+        ("/clusters/1/finished", true.into(), "clusters[1].finished: "),
+        ("/cut/clusters", 1_000_000_000.into(), "cut.clusters: "),
+        ("/cut/clusters", (-1).into(), "-1"),
+        ("/cut/pairs", 1.into(), "cut.pairs: "),
+        ("/cut/share", 17.into(), "cut.share: "),
+        ("/cut/reachable", (-1).into(), "cut.reachable: "),
+        ("/backend", "nobody".into(), "backend: "),
+        ("/views/1/name", written["views"][0]["name"].clone(), "views[1].name: "),
+        ("/settings/fulfilment/alpha", 17.into(), "settings.fulfilment.alpha"),
+        ("/settings/image_scale", 0.into(), "settings.image_scale"),
+        ("/settings/surface/up", vec![0; 3].into(), "settings.surface.up"),
     ];
     for (place, value, words) in edits {
         let mut edited = written.clone();
         *edited.pointer_mut(place).unwrap() = value;
         fs::write(&path, edited.to_string()).unwrap();
         match WrittenPlan::read(root) {
-            Err(WrittenPlanError::Manifest { what, .. }) => assert!(what.contains(words), "{place}: {what}"),
+            Err(WrittenPlanError::Manifest { what, path: named }) => {
+                assert!(what.contains(words) && named == path, "{place}: {what}");
+            }
             other => panic!("{place}: {:?}", other.map(|plan| plan.clusters)),
         }
         let project = Project::open(root, None).unwrap();

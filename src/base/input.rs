@@ -79,6 +79,22 @@ fn open_with_metadata(path: &Path) -> io::Result<(File, Metadata)> {
     Err(io::Error::new(io::ErrorKind::InvalidInput, format!("not a regular file but {what}: name a file")))
 }
 
+/// Identifies a file beyond length and modification time: when its content or name last changed, in ns since 1970 (no program can
+/// set that time), and its inode. Where the system has neither, the time of modification and 0.
+pub fn identity(metadata: &Metadata) -> (u128, u64) {
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::MetadataExt;
+        let (seconds, ns) = (metadata.ctime().try_into().unwrap_or(0), metadata.ctime_nsec().try_into().unwrap_or(0));
+        (std::time::Duration::new(seconds, ns).as_nanos(), metadata.ino())
+    }
+    #[cfg(not(unix))]
+    {
+        let modified = metadata.modified().unwrap_or(std::time::UNIX_EPOCH);
+        (modified.duration_since(std::time::UNIX_EPOCH).unwrap_or_default().as_nanos(), 0)
+    }
+}
+
 /// Reads a regular file whole, up to the limit of its kind.
 pub fn read(path: &Path, kind: FileKind) -> io::Result<Vec<u8>> {
     read_all(open(path)?, kind)

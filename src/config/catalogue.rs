@@ -5,7 +5,7 @@ use std::sync::LazyLock;
 use schemars::generate::SchemaSettings;
 use serde_json::{Map, Value};
 
-use super::Settings;
+use super::{ConfigError, Configuration, Settings};
 use crate::model::scene::Units;
 
 /// A key of `viewrank.toml`.
@@ -34,6 +34,28 @@ pub fn keys() -> &'static [Key] {
         keys
     });
     &KEYS
+}
+
+impl Settings {
+    /// Checks ranges, and values against each other, of settings that another file than `viewrank.toml` holds.
+    ///
+    /// # Errors
+    /// The first key with its value and why it is refused.
+    pub fn check(&self) -> Result<(), String> {
+        let all = serde_json::to_value(self).expect("settings are JSON");
+        for key in keys() {
+            let value = key.name.split('.').try_fold(&all, |value, part| value.get(part)).unwrap_or(&Value::Null);
+            let numbers = value.as_array().map_or(std::slice::from_ref(value), Vec::as_slice);
+            if numbers.iter().filter_map(Value::as_f64).any(|number| !key.allows(number)) {
+                return Err(format!("{} = {value}: must be {}", key.name, key.range().unwrap_or_default()));
+            }
+        }
+        let together = Configuration { settings: self.clone(), places: Default::default() }.check_together();
+        together.map_err(|error| match error {
+            ConfigError::Value { key, value, why, .. } => format!("{key} = {value}: {why}"),
+            error => error.to_string(),
+        })
+    }
 }
 
 impl Key {

@@ -117,7 +117,7 @@ struct Entry {
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Configuration {
     pub settings: Settings,
-    places: BTreeMap<String, Place>,
+    pub(super) places: BTreeMap<String, Place>,
 }
 
 impl Configuration {
@@ -152,7 +152,7 @@ impl Configuration {
     }
 
     /// Checks that depend on several values or on more than type and range.
-    fn check_together(&self) -> Result<(), ConfigError> {
+    pub(super) fn check_together(&self) -> Result<(), ConfigError> {
         let surface = &self.settings.surface;
         if surface.max_edge_factor < surface.edge_factor {
             let why = format!("must not be below surface.edge_factor, which is {}", surface.edge_factor);

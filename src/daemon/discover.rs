@@ -227,7 +227,7 @@ pub fn is_model_file(name: &str) -> bool {
 pub struct InputFolders {
     /// The project folder and its models.
     pub models: Vec<PathBuf>,
-    /// `images/` and the folders below it; their entries are input, the content of the images is not.
+    /// `images/` and the folders below it.
     pub images: Vec<PathBuf>,
     /// `masks/` and the folders below it.
     pub masks: Vec<PathBuf>,

@@ -1,6 +1,6 @@
 //! Calls that differ between operating systems. All other files of the daemon are portable.
 
-use std::{fs::Metadata, path::Path, process::Command};
+use std::{path::Path, process::Command};
 
 /// Physical memory to assume, in bytes, where the system doesn't report it.
 const ASSUMED_MEMORY: u64 = 8 << 30;
@@ -89,22 +89,6 @@ pub fn shell(command: &str) -> Command {
     let mut shell = Command::new(shell);
     shell.arg(option).arg(command);
     shell
-}
-
-/// Identifies a file beyond length and modification time: when its content or name last changed, in ns since 1970 (no program can
-/// set that time), and its inode. Where the system has neither, the time of modification and 0.
-pub fn identity(metadata: &Metadata) -> (u128, u64) {
-    #[cfg(unix)]
-    {
-        use std::os::unix::fs::MetadataExt;
-        let (seconds, ns) = (metadata.ctime().try_into().unwrap_or(0), metadata.ctime_nsec().try_into().unwrap_or(0));
-        (std::time::Duration::new(seconds, ns).as_nanos(), metadata.ino())
-    }
-    #[cfg(not(unix))]
-    {
-        let modified = metadata.modified().unwrap_or(std::time::UNIX_EPOCH);
-        (modified.duration_since(std::time::UNIX_EPOCH).unwrap_or_default().as_nanos(), 0)
-    }
 }
 
 /// State of the daemon that a supervisor may want to know.

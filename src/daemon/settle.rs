@@ -13,11 +13,8 @@ use std::{
     time::{Duration, Instant, SystemTime, UNIX_EPOCH},
 };
 
-use super::{
-    discover::{self, InputFolders},
-    platform,
-};
-use crate::base::input;
+use super::discover::{self, InputFolders};
+use crate::{base::input, io::project::is_image};
 
 /// Metadata of one file or folder.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -30,18 +27,50 @@ pub struct Entry {
 }
 
 impl Entry {
+    const NONE: Self = Self { length: 0, modified_ns: 0, changed_ns: 0, inode: 0 };
+
     pub(super) fn of(metadata: &fs::Metadata) -> Self {
         let modified = metadata.modified().unwrap_or(UNIX_EPOCH);
         let since = modified.duration_since(UNIX_EPOCH).unwrap_or_default();
         // The modification time of a folder covers its length.
         let length = if metadata.is_dir() { 0 } else { metadata.len() };
-        let (changed_ns, inode) = platform::identity(metadata);
+        let (changed_ns, inode) = input::identity(metadata);
         Self { length, modified_ns: since.as_nanos(), changed_ns, inode }
     }
 
     #[cfg(test)]
     pub(super) fn of_length(length: u64) -> Self {
         Self { length, modified_ns: 0, changed_ns: 0, inode: 0 }
+    }
+}
+
+/// The files of one image folder, as digests: there may be a hundred thousand, and plans compare pictures.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Images {
+    /// Names of all files, and the [`Entry`] of each image.
+    metadata: blake3::Hash,
+    /// The same without what a copy that preserves times changes: inodes and times of change.
+    content: blake3::Hash,
+    /// Latest change of an image, ns since 1970.
+    changed_ns: u128,
+}
+
+impl Images {
+    fn of(folder: &Path) -> io::Result<Self> {
+        let (mut metadata, mut content) = (blake3::Hasher::new(), blake3::Hasher::new());
+        let mut newest = 0;
+        for name in sorted_names(folder)? {
+            let path = folder.join(&name);
+            let found = is_image(&path).then(|| fs::metadata(&path).ok()).flatten().filter(fs::Metadata::is_file);
+            let Entry { length, modified_ns, changed_ns, inode } = found.map_or(Entry::NONE, |found| Entry::of(&found));
+            for hasher in [&mut metadata, &mut content] {
+                hasher.update(name.as_encoded_bytes()).update(&[0]);
+                hasher.update(&length.to_le_bytes()).update(&modified_ns.to_le_bytes());
+            }
+            metadata.update(&changed_ns.to_le_bytes()).update(&inode.to_le_bytes());
+            newest = changed_ns.max(newest);
+        }
+        Ok(Self { metadata: metadata.finalize(), content: content.finalize(), changed_ns: newest })
     }
 }
 
@@ -52,8 +81,8 @@ pub struct Stamp {
     files: BTreeMap<PathBuf, Entry>,
     /// Masks, and files named in the settings.
     beside: BTreeMap<PathBuf, Entry>,
-    /// Image folders: their entries are input, the content of the images is not.
-    folders: BTreeMap<PathBuf, Entry>,
+    /// Image folders and the images in them.
+    folders: BTreeMap<PathBuf, (Entry, Images)>,
     /// Unreadable folders with the error.
     unreadable: BTreeMap<PathBuf, String>,
 }
@@ -68,8 +97,10 @@ impl Stamp {
     pub fn of_folders(folders: &InputFolders) -> Self {
         let mut stamp = Self::default();
         for folder in &folders.images {
-            if let Ok(metadata) = fs::metadata(folder) {
-                stamp.folders.insert(folder.clone(), Entry::of(&metadata));
+            let found = fs::metadata(folder).map(|found| Entry::of(&found));
+            match found.and_then(|entry| Ok((entry, Images::of(folder)?))) {
+                Ok(found) => drop(stamp.folders.insert(folder.clone(), found)),
+                Err(error) => stamp.note_unreadable(folder, &error),
             }
         }
         for folder in &folders.models {
@@ -90,15 +121,19 @@ impl Stamp {
     fn entries(&mut self, folder: &Path, wanted: impl Fn(&OsStr) -> bool) -> Vec<(PathBuf, Entry)> {
         let entries = fs::read_dir(folder).and_then(|entries| entries.collect::<io::Result<Vec<_>>>());
         let entries = entries.unwrap_or_else(|error| {
-            if error.kind() != io::ErrorKind::NotFound {
-                self.unreadable.insert(folder.into(), error.to_string());
-            }
+            self.note_unreadable(folder, &error);
             Vec::new()
         });
         let paths = entries.iter().filter(|entry| wanted(&entry.file_name())).map(fs::DirEntry::path);
         let file =
             |path: PathBuf| fs::metadata(&path).ok().filter(fs::Metadata::is_file).map(|m| (path, Entry::of(&m)));
         paths.filter_map(file).collect()
+    }
+
+    fn note_unreadable(&mut self, folder: &Path, error: &io::Error) {
+        if error.kind() != io::ErrorKind::NotFound {
+            self.unreadable.insert(folder.into(), error.to_string());
+        }
     }
 
     /// Adds those of these files that exist.
@@ -112,7 +147,7 @@ impl Stamp {
         self.files.is_empty()
     }
 
-    /// Returns the first error that keeps the model from being read.
+    /// Returns the first error that keeps the input from being read.
     pub fn read_error(&self) -> Option<String> {
         let (folder, reason) = self.unreadable.first_key_value()?;
         Some(format!("cannot read folder {}: {reason}", folder.display()))
@@ -139,29 +174,15 @@ impl Stamp {
     }
 
     /// Returns since when the input has been as it was at `scanned`, given its last event at `heard`. Changes that raised no event
-    /// are dated by the file system, including `unheard` ones outside the stamp.
-    pub fn same_since(
-        &self,
-        heard: Instant,
-        unheard: Option<Changed>,
-        (scanned, time): (Instant, SystemTime),
-    ) -> Instant {
-        let entries = self.files.values().chain(self.beside.values()).chain(self.folders.values());
-        let newest = entries.map(|entry| entry.changed_ns).chain(unheard.map(|changed| changed.0)).max().unwrap_or(0);
+    /// are dated by the file system.
+    pub fn same_since(&self, heard: Instant, (scanned, time): (Instant, SystemTime)) -> Instant {
+        let files = self.files.values().chain(self.beside.values()).map(|entry| entry.changed_ns);
+        let folders = self.folders.values().map(|(entry, images)| entry.changed_ns.max(images.changed_ns));
+        let newest = files.chain(folders).max().unwrap_or(0);
         let newest = UNIX_EPOCH + Duration::from_nanos(u64::try_from(newest).unwrap_or(u64::MAX));
         let ago = time.duration_since(newest).unwrap_or_default();
         heard.max(scanned.checked_sub(ago).unwrap_or(heard)).min(scanned)
     }
-}
-
-/// Time of a change by the clock of its file system.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub struct Changed(u128);
-
-/// Returns the latest change of any file in these folders. Images may still be written after their folder last changed.
-pub fn newest_entry(folders: &[PathBuf]) -> Option<Changed> {
-    let files = folders.iter().filter_map(|folder| fs::read_dir(folder).ok()).flatten().filter_map(Result::ok);
-    files.filter_map(|file| file.metadata().ok()).map(|metadata| Changed(Entry::of(&metadata).changed_ns)).max()
 }
 
 fn is_input_file(name: &str, with_cloud: bool) -> bool {
@@ -206,8 +227,8 @@ impl<S: PartialEq> Stillness<S> {
     }
 }
 
-/// Hash of a project's input: the content of model files, masks and files named in the settings, the names in the image folders,
-/// and the settings in force.
+/// Hash of a project's input: the content of model files, masks and files named in the settings; the names in the image folders, with
+/// length and modification time of each image; and the settings in force. Images are too large to be hashed whole.
 #[derive(Clone, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(transparent)]
 pub struct Fingerprint(String);
@@ -238,12 +259,8 @@ impl HashCache {
             hasher.update(relative.as_os_str().as_encoded_bytes()).update(&[0]);
             hasher.update(Self::file(cache, path)?.as_bytes());
         }
-        for folder in stamp.folders.keys() {
-            for name in sorted_names(folder)? {
-                hasher.update(name.as_encoded_bytes()).update(&[0]);
-            }
-            hasher.update(&[1]);
-        }
+        // Of the stamp, which is older than anything a plan reads: an image that changes meanwhile differs from it.
+        stamp.folders.values().for_each(|(_, images)| _ = hasher.update(images.content.as_bytes()));
         let is_input = |path: &PathBuf| model.contains(path) || stamp.beside.contains_key(path);
         lock(cache).0.retain(|path, _| !path.starts_with(project) || is_input(path));
         Ok(Fingerprint(hasher.finalize().to_hex().to_string()))
@@ -296,17 +313,15 @@ mod tests {
     fn changes_without_events_include_images_written_after_their_folder_changed() {
         let root = tempfile::tempdir().expect("a temporary folder");
         let images = [root.path().to_path_buf()];
-        assert_eq!(newest_entry(&images), None);
         std::fs::write(root.path().join("a.jpg"), "begun").expect("a file");
-        let begun = newest_entry(&images);
         let folder = std::fs::metadata(root.path()).expect("a folder").modified().expect("a time");
         std::thread::sleep(Duration::from_millis(20));
         std::fs::write(root.path().join("a.jpg"), "more of it").expect("a file");
-        assert!(newest_entry(&images) > begun);
         assert_eq!(std::fs::metadata(root.path()).expect("a folder").modified().expect("a time"), folder);
+        let stamp = Stamp::of_folders(&InputFolders { images: images.into(), ..InputFolders::default() });
         let (scanned, time) = (Instant::now() + Duration::from_secs(7), SystemTime::now() + Duration::from_secs(7));
         let heard = scanned - Duration::from_secs(9);
-        let since = Stamp::default().same_since(heard, newest_entry(&images), (scanned, time));
+        let since = stamp.same_since(heard, (scanned, time));
         assert!(since > scanned - Duration::from_secs(8) && since <= scanned, "not as of the folder's change");
     }
 
@@ -329,14 +344,14 @@ mod tests {
         let stamp = Stamp { files, ..Stamp::default() };
         let (start, second) = (Instant::now() + Duration::from_secs(3600), Duration::from_secs(1));
         let scanned = (start + 10 * second, UNIX_EPOCH + 110 * second);
-        assert_eq!(stamp.same_since(start, None, scanned), start + 7 * second, "written after the last event");
+        assert_eq!(stamp.same_since(start, scanned), start + 7 * second, "written after the last event");
         assert_eq!(
-            stamp.same_since(start + 9 * second, None, scanned),
+            stamp.same_since(start + 9 * second, scanned),
             start + 9 * second,
             "older files that were moved here"
         );
         let earlier = (scanned.0, UNIX_EPOCH + 50 * second);
-        assert_eq!(stamp.same_since(start, None, earlier), scanned.0, "dated by a clock that is ahead");
+        assert_eq!(stamp.same_since(start, earlier), scanned.0, "dated by a clock that is ahead");
     }
 
     #[test]
@@ -392,6 +407,38 @@ mod tests {
         assert_eq!(Stamp::of(root.path(), false), before);
         fs::write(root.path().join("images/left/1.jpg"), "").expect("a file");
         assert_ne!(Stamp::of(root.path(), false), before);
+    }
+
+    #[test]
+    fn an_image_overwritten_in_place_is_another_input_and_a_note_beside_it_is_not() {
+        let root = project();
+        let image = root.path().join("images/left/1.jpg");
+        fs::write(&image, "a picture").expect("a file");
+        fs::write(root.path().join("images/left/notes.txt"), "a note").expect("a file");
+        let cache = Mutex::new(HashCache::default());
+        let input = || {
+            let stamp = Stamp::of(root.path(), false);
+            let print = HashCache::fingerprint(&cache, root.path(), &[], &stamp, b"").expect("readable files");
+            (stamp, print)
+        };
+        let before = input();
+        fs::write(root.path().join("images/left/notes.txt"), "another, longer note").expect("a file");
+        assert_eq!(input(), before);
+        let longer = "another picture";
+        fs::write(&image, longer).expect("a file");
+        let after = input();
+        assert!(after.0 != before.0 && after.1 != before.1);
+        // A copy that preserves times.
+        let time = fs::metadata(&image).and_then(|m| m.modified()).expect("a time");
+        fs::write(root.path().join("new"), longer).expect("a file");
+        fs::File::options()
+            .write(true)
+            .open(root.path().join("new"))
+            .and_then(|f| f.set_modified(time))
+            .expect("a time");
+        fs::rename(root.path().join("new"), &image).expect("a file");
+        let copied = input();
+        assert!(copied.0 != after.0 && copied.1 == after.1);
     }
 
     #[test]

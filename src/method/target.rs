@@ -63,14 +63,17 @@ impl Target {
     }
 }
 
-/// The finest GSD that a view has of each triangle, in pixels of the model's image; infinity where no view has one.
+/// The finest GSD that a view has of each triangle, in pixels of the model's image; infinity where no view has one. A view whose GSD at the
+/// centroid is not positive (the centroid of a large triangle may be behind a camera that sees a corner of it) has none.
 fn finest(scene: &Scene, surface: &Surface, visibility: &Visibility) -> Vec<f32> {
     let finest: Vec<AtomicU32> = surface.triangles.iter().map(|_| AtomicU32::new(f32::INFINITY.to_bits())).collect();
     let look = |&view: &ViewIndex| {
         for &t in visibility.triangles_seen_by(view) {
-            // The bits of numbers that are not negative are ordered as they are, and the least of them does not depend on who comes first.
-            let gsd = (gsd_at(scene, surface, view, t) as f32).max(0.0);
-            finest[t as usize].fetch_min(gsd.to_bits(), Ordering::Relaxed);
+            let gsd = gsd_at(scene, surface, view, t) as f32;
+            if gsd > 0.0 {
+                // The bits of positive numbers are ordered as they are, and the least of them does not depend on who comes first.
+                finest[t as usize].fetch_min(gsd.to_bits(), Ordering::Relaxed);
+            }
         }
     };
     column::read_by_parts(&visibility.views(), look, || visibility.triangles.release());

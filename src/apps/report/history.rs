@@ -6,18 +6,18 @@ use crate::{base::rows::Offsets, plan::Plan, show::pictures};
 /// Clusters per triangle that are counted one by one; the page says "5 or more" beyond.
 pub const COUNTED: usize = 5;
 /// Stands in for the rank of a missing cluster.
-const NEVER: u16 = u16::MAX;
+const NEVER: u32 = u32::MAX;
 
-/// CSR by drawn triangle. Ranks are 1-based; ranks above 65534 are dropped, because they are stored as u16.
+/// CSR by drawn triangle. Ranks are 1-based.
 #[derive(Default)]
 pub struct History {
     pub offsets: Offsets,
     /// Rank of each cluster that increases the fulfilment of the triangle.
-    pub ranks: Vec<u16>,
+    pub ranks: Vec<u32>,
     /// Share of the triangle's reachable fulfilment from that rank on, in 255ths.
     pub shares: Vec<u8>,
     /// Ranks of the first [`COUNTED`] clusters that fulfil the triangle at all.
-    pub first: Vec<u16>,
+    pub first: Vec<u32>,
     /// Fulfilment by all clusters together, in 255ths.
     pub reachable: Vec<u8>,
 }
@@ -26,11 +26,11 @@ impl History {
     pub fn new(plan: &Plan, drawn: &DrawnSurface) -> Self {
         let mut place = vec![u32::MAX; plan.stages.surface.triangles.len()];
         drawn.original.iter().enumerate().for_each(|(i, &t)| place[t as usize] = i as u32);
-        let mut steps: Vec<Vec<(u16, f32)>> = vec![Vec::new(); drawn.original.len()];
-        let mut first: Vec<Vec<u16>> = vec![Vec::with_capacity(COUNTED); drawn.original.len()];
+        let mut steps: Vec<Vec<(u32, f32)>> = vec![Vec::new(); drawn.original.len()];
+        let mut first: Vec<Vec<u32>> = vec![Vec::with_capacity(COUNTED); drawn.original.len()];
         pictures::for_each_step(plan, |rank, triangle, fulfilment| {
             let place = place[triangle as usize] as usize;
-            let Some(rank) = u16::try_from(rank + 1).ok().filter(|&rank| rank != NEVER) else { return };
+            let rank = rank as u32 + 1;
             let (Some(of), Some(counted)) = (steps.get_mut(place), first.get_mut(place)) else { return };
             if counted.len() < COUNTED {
                 counted.push(rank);
@@ -49,7 +49,7 @@ impl History {
     }
 
     /// Adds a triangle; drops steps that round to the same 255th as the step before.
-    fn push(&mut self, steps: &[(u16, f32)]) {
+    fn push(&mut self, steps: &[(u32, f32)]) {
         let reachable = steps.last().map_or(0.0, |&(_, f)| f);
         let (mut before, start) = (0, self.ranks.len());
         for &(rank, fulfilment) in steps {
@@ -77,9 +77,9 @@ mod tests {
     #[test]
     fn steps_end_at_the_whole_and_grow() {
         let mut history = History::default();
-        history.push(&[(1, 0.2), (4, 0.2004), (9, 0.4)]);
+        history.push(&[(1, 0.2), (4, 0.2004), (70_000, 0.4)]);
         history.push(&[]);
-        assert_eq!(history.ranks, [1, 9], "a step of less than a 255th is left out");
+        assert_eq!(history.ranks, [1, 70_000], "a step of less than a 255th is left out");
         assert_eq!(history.shares, [128, 255]);
         assert_eq!((history.offsets, history.reachable), (Offsets::from_lengths([2, 0]), vec![102, 0]));
     }

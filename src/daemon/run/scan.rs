@@ -15,7 +15,7 @@ use crate::{
         Options, Shown,
         discover::{self, InputFolders},
         maps,
-        settle::{Stamp, newest_entry},
+        settle::Stamp,
         state::Tracked,
         watch::Change,
     },
@@ -219,9 +219,7 @@ impl Daemon<'_> {
         let new_watches = self.watches.add(&folders_to_watch(project, &input, map_folders, &named));
         let stamp = Stamp::of_folders(&input).with(&named);
         let scanned = (Instant::now(), SystemTime::now());
-        // Before the first watch there were no events.
-        let unheard = if new_watches { newest_entry(&input.images) } else { None };
-        let since = heard.map_or(now, |heard| stamp.same_since(heard, unheard, scanned));
+        let since = heard.map_or(now, |heard| stamp.same_since(heard, scanned));
         tracked.observe(stamp, since, on_busy);
         match maps {
             Ok(maps) => tracked.observe_maps(maps, now),

@@ -243,7 +243,8 @@ pub(super) fn unregistered(folder: &Path, scene: &Scene) -> Vec<String> {
     left
 }
 
-fn is_image(path: &Path) -> bool {
+/// True for names of image files.
+pub(crate) fn is_image(path: &Path) -> bool {
     let extension = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase());
     extension.is_some_and(|e| EXTENSIONS.contains(&e.as_str()))
 }

@@ -11,6 +11,7 @@ use std::{
 };
 
 pub use files::ColmapFiles;
+pub(crate) use images::is_image;
 pub use images::{ImageFaults, slashes};
 
 use crate::{

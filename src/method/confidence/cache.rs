@@ -15,14 +15,16 @@ use serde::{Deserialize, Serialize};
 use super::{ConfidenceMap, Predicted};
 use crate::base::input::{self, FileKind};
 
-const MAGIC: &[u8] = b"viewrank confidence maps 1\n";
+const MAGIC: &[u8] = b"viewrank confidence maps 2\n";
 
 /// A file as it was seen.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Stamp {
     size: u64,
-    /// Of its last change, since 1970; 0 where that is not known, which no file is taken to be.
+    /// Modification time, since 1970; 0 where that is not known, which no file is taken to be.
     nanoseconds: u64,
+    /// When content or name last changed, since 1970: no program can set it. The modification time on systems without.
+    changed: u64,
     /// BLAKE3 of its contents, hexadecimal.
     content: String,
 }
@@ -33,7 +35,8 @@ impl Stamp {
         let metadata = fs::metadata(path)?;
         let since = metadata.modified().unwrap_or(UNIX_EPOCH).duration_since(SystemTime::UNIX_EPOCH);
         let nanoseconds = since.map_or(0, |since| since.as_nanos() as u64);
-        Ok(Self { size: metadata.len(), nanoseconds, content: String::new() })
+        let changed = input::identity(&metadata).0 as u64;
+        Ok(Self { size: metadata.len(), nanoseconds, changed, content: String::new() })
     }
 
     /// Also with its content.
@@ -41,9 +44,10 @@ impl Stamp {
         Self { content: blake3::hash(bytes).to_string(), ..self }
     }
 
-    /// The same size and time: nobody has written to it.
+    /// The same size and times: nobody has written to it.
     fn is_untouched(&self, now: &Self) -> bool {
-        self.nanoseconds != 0 && (self.size, self.nanoseconds) == (now.size, now.nanoseconds)
+        let of = |stamp: &Self| (stamp.size, stamp.nanoseconds, stamp.changed);
+        self.nanoseconds != 0 && of(self) == of(now)
     }
 }
 
@@ -170,7 +174,7 @@ mod tests {
 
     fn cache() -> Cache {
         let map = ConfidenceMap::new([3, 2], [0.0, 0.2, 0.4, 0.6, 0.8, 1.0].into_iter());
-        let stamp = Stamp { size: 7, nanoseconds: 5, content: "c".into() };
+        let stamp = Stamp { size: 7, nanoseconds: 5, changed: 5, content: "c".into() };
         let inputs = Inputs { image: Some(stamp), mask: None };
         let entry = Entry { inputs, predicted: Predicted { map, distance: 0.5 } };
         Cache::new([("sub/a \u{fc}.jpg".to_string(), entry)].into_iter())
@@ -188,7 +192,7 @@ mod tests {
         let cache = cache();
         let name = "sub/a \u{fc}.jpg";
         let image = |nanoseconds, content: &str| Inputs {
-            image: Some(Stamp { size: 7, nanoseconds, content: content.into() }),
+            image: Some(Stamp { size: 7, nanoseconds: 5, changed: nanoseconds, content: content.into() }),
             mask: None,
         };
         assert!(cache.untouched(name, &image(5, "")).is_some());

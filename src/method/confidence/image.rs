@@ -294,6 +294,30 @@ mod tests {
         );
     }
 
+    /// Made by another program (fixtures/pictures).
+    #[test]
+    fn kinds_of_files_that_readers_trip_over_show_the_same_picture() {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/pictures");
+        let whole = |full| full;
+        let grey = |name: &str| Image::decode_grey(&std::fs::read(folder.join(name)).unwrap(), whole);
+        let (baseline, full) = grey("baseline.jpg").unwrap();
+        assert_eq!(full, [48, 32]);
+        for name in ["progressive.jpg", "grey.jpg", "rotated_by_exif.jpg", "cmyk.jpg", "grey_16_bit.png", "palette.png"]
+        {
+            let (other, full) = grey(name).unwrap();
+            assert_eq!(full, [48, 32], "{name}");
+            let off = baseline.pixels.iter().zip(&other.pixels).map(|(a, b)| u32::from(a.abs_diff(*b)));
+            assert!(off.sum::<u32>() < 8 * 48 * 32, "{name}");
+        }
+        for name in ["baseline.jpg", "progressive.jpg", "rotated_by_exif.jpg", "cmyk.jpg"] {
+            assert_is_ramp(&Image::read(&folder.join(name), whole).unwrap());
+        }
+        // Half a picture is none or a picture of that size, by either decoder.
+        let cut = std::fs::read(folder.join("truncated.jpg")).unwrap();
+        assert!(Image::decode(&cut, whole).is_err());
+        assert!(Image::decode_grey(&cut, whole).is_ok_and(|(cut, _)| cut.pixels.len() == 48 * 32));
+    }
+
     #[test]
     fn a_mask_forbids_black_pixels_alone() {
         let dark = GrayImage::from_fn(40, 20, |x, _| image::Luma([u8::from(x >= 20)]));

@@ -112,6 +112,14 @@ impl Pictures {
         Ok(Some((Grey::new(image.width as usize, image.height as usize, image.pixels), mask)))
     }
 
+    /// Image and mask of a view, whether the image exists or not.
+    pub fn files(&self, name: &str) -> [Option<PathBuf>; 2] {
+        [
+            self.images.as_deref().map(|folder| folder.join(name)),
+            self.masks.as_deref().and_then(|folder| mask_file(folder, name)),
+        ]
+    }
+
     pub fn have_masks(&self) -> bool {
         self.masks.is_some()
     }
@@ -150,18 +158,19 @@ impl Pictures {
 
     fn look_at(&self, scene: &Scene, view: ViewIndex, predictor: Option<&dyn Predictor>, cache: &Cache) -> Looked {
         let name = scene.name(view);
-        let files = Files {
-            image: predictor.and(self.images.as_deref()).map(|folder| folder.join(name)),
-            mask: self.masks.as_deref().and_then(|folder| mask_file(folder, name)),
-        };
-        if let Some(entry) = cache.untouched(name, &files.inputs()) {
+        let [image, mask] = self.files(name);
+        let files = Files { image: image.filter(|_| predictor.is_some()), mask };
+        // Before anything is read: a file that changes meanwhile differs from its stamp and is read again the next time.
+        let seen = files.inputs();
+        if let Some(entry) = cache.untouched(name, &seen) {
             return Looked { entry: Some(entry.clone()), ..Looked::default() };
         }
         let camera = scene.camera_of(view);
-        match files.entry(name, camera, predictor, cache) {
+        match files.entry(seen, name, camera, predictor, cache) {
             Ok(entry) => Looked { new: entry.is_some(), entry, trouble: None },
             Err(trouble) => {
-                let mask_alone = Files { image: None, ..files }.entry(name, camera, None, cache);
+                let mask_alone = Files { image: None, ..files };
+                let mask_alone = mask_alone.entry(mask_alone.inputs(), name, camera, None, cache);
                 Looked { entry: mask_alone.ok().flatten(), new: false, trouble: Some(trouble) }
             }
         }
@@ -208,9 +217,11 @@ impl Files {
         Inputs { image: stamp(&self.image), mask: stamp(&self.mask) }
     }
 
-    /// Reads the files, and predicts unless the cache has files of the same contents. `None`: neither image nor mask.
+    /// Reads the files, which were last `seen` before, and predicts unless the cache has files of the same contents. `None`: neither image
+    /// nor mask.
     fn entry(
         &self,
+        seen: Inputs,
         name: &str,
         camera: &Camera,
         predictor: Option<&dyn Predictor>,
@@ -219,9 +230,8 @@ impl Files {
         let read =
             |path: &Option<PathBuf>| path.as_deref().map(|path| input::read(path, FileKind::Picture)).transpose();
         let (image, mask) = (read(&self.image)?, read(&self.mask)?);
-        let now = self.inputs();
         let with = |stamp: Option<Stamp>, bytes: &Option<Vec<u8>>| Some(stamp?.with_content(bytes.as_deref()?));
-        let inputs = Inputs { image: with(now.image, &image), mask: with(now.mask, &mask) };
+        let inputs = Inputs { image: with(seen.image, &image), mask: with(seen.mask, &mask) };
         if let Some(entry) = cache.same(name, &inputs) {
             return Ok(Some(Entry { inputs, predicted: entry.predicted.clone() }));
         }

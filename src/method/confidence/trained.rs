@@ -102,7 +102,8 @@ impl Trained {
         Self::parse(&bytes, path)
     }
 
-    fn parse(bytes: &[u8], path: &Path) -> Result<Self, TrainedError> {
+    /// Parses and checks the contents of the file at `path`.
+    pub fn parse(bytes: &[u8], path: &Path) -> Result<Self, TrainedError> {
         #[derive(Deserialize)]
         struct Head {
             format: String,

@@ -8,28 +8,33 @@ use crate::{backends, base::error::Hint};
 /// Tolerance for sums of gains, which other programs round differently.
 const ROUNDING: f64 = 1e-6;
 
-/// Returns the first contradiction and the cluster that has it.
+/// Returns the first contradiction, with the field that has it.
 pub(super) fn check(manifest: &Recorded) -> Result<(), String> {
     let known = |backend: &str| {
         let hint = |e: &crate::config::UnknownBackend| e.hint().map_or(String::new(), |hint| format!(" ({hint})"));
         backends::by_name(backend).map(drop).map_err(|error| format!("{error}{}", hint(&error)))
     };
-    known(&manifest.backend)?;
-    manifest.exports.iter().try_for_each(|export| known(&export.backend))?;
-    let names: BTreeSet<&str> = manifest.views.iter().map(|view| view.name.as_str()).collect();
-    if names.len() < manifest.views.len() {
-        return Err("the views list a name twice".into());
+    known(&manifest.backend).map_err(|what| format!("backend: {what}"))?;
+    for (i, export) in manifest.exports.iter().enumerate() {
+        known(&export.backend).map_err(|what| format!("exports[{i}].backend: {what}"))?;
+    }
+    manifest.settings.check().map_err(|what| format!("settings.{what}"))?;
+    let mut names = BTreeSet::new();
+    for (i, view) in manifest.views.iter().enumerate() {
+        if !names.insert(view.name.as_str()) {
+            return Err(format!("views[{i}].name: an earlier view is {}, too", view.name));
+        }
     }
     check_cut(manifest)?;
     let mut keys = BTreeSet::new();
     let mut previous = Previous { fulfilment: 0.0, share: 0.0, finished: true };
     for (i, cluster) in manifest.clusters.iter().enumerate() {
-        let fault = |what: String| format!("cluster {} ({}): {what}", i + 1, cluster.key);
+        let fault = |what: String| format!("clusters[{i}].{what}");
         if cluster.rank != i as i64 + 1 {
-            return Err(fault(format!("its rank is {}", cluster.rank)));
+            return Err(fault(format!("rank: {} instead of {}", cluster.rank, i + 1)));
         }
         if !keys.insert(cluster.key.as_str()) {
-            return Err(fault("it is the key view of an earlier cluster".into()));
+            return Err(fault(format!("key: an earlier cluster has the key view {}, too", cluster.key)));
         }
         check_views(cluster, &names).and_then(|()| previous.check(cluster)).map_err(fault)?;
         previous = Previous { fulfilment: cluster.fulfilment, share: cluster.share, finished: cluster.finished };
@@ -40,32 +45,37 @@ pub(super) fn check(manifest: &Recorded) -> Result<(), String> {
 fn check_cut(manifest: &Recorded) -> Result<(), String> {
     let (cut, all) = (&manifest.cut, manifest.clusters.len());
     if cut.clusters > all {
-        return Err(format!("the cut has {} clusters, the ranking {all}", cut.clusters));
+        return Err(format!("cut.clusters: {}, but the ranking has {all}", cut.clusters));
     }
     let pairs: usize = manifest.clusters[..cut.clusters].iter().map(|cluster| cluster.partners.len()).sum();
     if cut.pairs != pairs {
-        return Err(format!("the cut has {} pairs, its clusters {pairs}", cut.pairs));
+        return Err(format!("cut.pairs: {}, but its clusters have {pairs}", cut.pairs));
     }
-    let shares = [("share", cut.share), ("fulfilment", cut.fulfilment)];
-    let outside = shares.into_iter().find(|(_, value)| !is_share(*value));
-    outside.map_or(Ok(()), |(name, value)| Err(format!("the {name} of the cut is {value}, not within 0 to 1")))
+    let shares = [
+        ("share", cut.share),
+        ("kept", cut.kept),
+        ("reachable", cut.reachable),
+        ("fulfilment", cut.fulfilment),
+        ("fulfilment_bound", cut.fulfilment_bound),
+    ];
+    shares.into_iter().try_for_each(|(name, value)| check_share(value).map_err(|what| format!("cut.{name}: {what}")))
 }
 
 /// Checks that key and partners are views of the model, each at most once.
 fn check_views(cluster: &ClusterEntry, names: &BTreeSet<&str>) -> Result<(), String> {
     let mut seen = BTreeSet::from([cluster.key.as_str()]);
     if !names.contains(cluster.key.as_str()) {
-        return Err("no view has this name".into());
+        return Err(format!("key: no view is {}", cluster.key));
     }
     for partner in &cluster.partners {
         if !names.contains(partner.as_str()) {
-            return Err(format!("no view has the name of its partner {partner}"));
+            return Err(format!("partners: no view is {partner}"));
         }
         if *partner == cluster.key {
-            return Err("it is its own partner".into());
+            return Err(format!("partners: the key view {partner} is its own partner"));
         }
         if !seen.insert(partner) {
-            return Err(format!("it lists the partner {partner} twice"));
+            return Err(format!("partners: {partner} is in the list twice"));
         }
     }
     Ok(())
@@ -82,27 +92,26 @@ impl Previous {
     fn check(&self, cluster: &ClusterEntry) -> Result<(), String> {
         let ClusterEntry { gain, fulfilment, share, finished, .. } = cluster;
         for (name, value) in [("gain", gain), ("fulfilment", fulfilment), ("share", share)] {
-            if !is_share(*value) {
-                return Err(format!("its {name} is {value}, not within 0 to 1"));
-            }
+            check_share(*value).map_err(|what| format!("{name}: {what}"))?;
         }
         if (self.fulfilment + gain - fulfilment).abs() > ROUNDING {
             return Err(format!(
-                "its fulfilment is {fulfilment}, but {} of the cluster before and its gain add up to {}",
+                "fulfilment: {fulfilment}, but {} of the cluster before and the gain add up to {}",
                 self.fulfilment,
                 self.fulfilment + gain
             ));
         }
         if *share < self.share - ROUNDING {
-            return Err(format!("its share is {share}, less than {} of the cluster before", self.share));
+            return Err(format!("share: {share} is less than {} of the cluster before", self.share));
         }
         if *finished && !self.finished {
-            return Err("it is finished, but the cluster before is not".into());
+            return Err("finished: true, but the cluster before is not finished".into());
         }
         Ok(())
     }
 }
 
-fn is_share(value: f64) -> bool {
-    (-ROUNDING..=1.0 + ROUNDING).contains(&value)
+fn check_share(value: f64) -> Result<(), String> {
+    let is_share = (-ROUNDING..=1.0 + ROUNDING).contains(&value);
+    if is_share { Ok(()) } else { Err(format!("{value} is not within 0 to 1")) }
 }

@@ -1,16 +1,24 @@
 //! Fingerprint of a plan's input.
 
 use std::{
-    fs, io,
+    fs,
+    io::{self, Read, Seek, SeekFrom},
     path::{Path, PathBuf},
 };
+
+use rayon::prelude::*;
 
 use crate::{
     base::{error::Hint, input},
     config::Settings,
     io::project::Project,
-    model::scene::Scene,
+    method::confidence::Pictures,
+    model::scene::{Scene, View},
 };
+
+/// Bytes at either end of a picture that the fingerprint covers: headers and, in a compressed picture, what any change to it shifts. Reading
+/// all of ten thousand images would take minutes before each export.
+const END: u64 = 1 << 16;
 
 /// The input cannot be read to compute its fingerprint.
 #[derive(Debug, thiserror::Error)]
@@ -26,8 +34,8 @@ impl Hint for FingerprintError {
     }
 }
 
-/// Computes the BLAKE3 hash, in hexadecimal, of the model's files, the mesh and the region that the settings name, and the name and size of each
-/// registered image.
+/// Computes the BLAKE3 hash, in hexadecimal, of the model's files, the mesh and the region that the settings name, the name and size of each
+/// registered image and, where the confidence source in force reads them, the first and last 64 KiB of images and masks.
 pub fn fingerprint(project: &Project, scene: &Scene, settings: &Settings) -> Result<String, FingerprintError> {
     let mut hasher = blake3::Hasher::new();
     for path in project.model_files().into_iter().chain(settings.files_of_plan()) {
@@ -37,12 +45,42 @@ pub fn fingerprint(project: &Project, scene: &Scene, settings: &Settings) -> Res
         hasher.update(&length.to_le_bytes());
         hasher.update_reader(input::open(&path).map_err(failed)?).map_err(failed)?;
     }
-    for view in &scene.views {
+    let pictures = Pictures::new(project);
+    let (reads_images, reads_masks) = match settings.confidence.source.as_str() {
+        "none" => (false, false),
+        "geometric" => (false, true),
+        _ => (true, true),
+    };
+    let of_view = |view: &View| {
+        let [image, mask] = pictures.files(&view.name);
+        let size = image.as_deref().and_then(size);
+        let read = [image.filter(|_| reads_images), mask.filter(|_| reads_masks)];
+        // A picture that cannot be read is done without.
+        (size, read.map(|path| ends(&path?).ok()))
+    };
+    let of_views: Vec<_> = scene.views.par_iter().map(of_view).collect();
+    for (view, (size, pictures)) in scene.views.iter().zip(of_views) {
         hasher.update(&(view.name.len() as u64).to_le_bytes()).update(view.name.as_bytes());
-        let size = project.images.as_deref().and_then(|images| size(&images.join(&view.name)));
         hasher.update(&size.unwrap_or(u64::MAX).to_le_bytes());
+        for picture in pictures {
+            hasher.update(&picture.map_or([0; blake3::OUT_LEN], |hash| *hash.as_bytes()));
+        }
     }
     Ok(hasher.finalize().to_string())
+}
+
+/// Hash of a file's length and of [`END`] bytes at its beginning and end.
+fn ends(path: &Path) -> io::Result<blake3::Hash> {
+    let mut file = input::open(path)?;
+    let length = file.metadata()?.len();
+    let mut hasher = blake3::Hasher::new();
+    hasher.update(&length.to_le_bytes());
+    io::copy(&mut (&file).take(END), &mut hasher)?;
+    if length > END {
+        file.seek(SeekFrom::Start(END.max(length - END)))?;
+        io::copy(&mut file.take(END), &mut hasher)?;
+    }
+    Ok(hasher.finalize())
 }
 
 fn size(path: &Path) -> Option<u64> {

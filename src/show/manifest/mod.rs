@@ -14,7 +14,7 @@ use serde::{Deserialize, Serialize};
 pub use fingerprint::{FingerprintError, fingerprint};
 pub use region::RegionSummary;
 pub(crate) use written::{FILE, Recorded, read_own};
-pub use written::{WrittenPlan, WrittenPlanError, planned_backend, planned_model};
+pub use written::{WrittenPlan, WrittenPlanError, planned_backend, planned_model, validate};
 
 use crate::{
     backends::ExportRecord,
@@ -91,7 +91,8 @@ pub struct Input {
     pub format: String,
     /// Folder of the model, relative to the project folder; "." is the folder itself.
     pub model: String,
-    /// BLAKE3 hash of the model's files, the mesh and the region, and the names and sizes of the registered images; equal for equal input.
+    /// BLAKE3 hash of the model's files, the mesh and the region, the names and sizes of the registered images and, where the confidence reads them,
+    /// both ends of images and masks; equal for equal input.
     pub fingerprint: String,
     /// Registered images.
     pub views: usize,

@@ -91,6 +91,15 @@ pub(crate) fn read_own(project: &Project, name: &str) -> Result<Vec<u8>, Written
     })
 }
 
+/// Checks the contents of the manifest at `path`, as all that reads one does first: ranks, names, partners, shares, settings and cut must not
+/// contradict each other. Whether the model is still the planned one is not part of it.
+///
+/// # Errors
+/// [`WrittenPlanError::Manifest`] with the first field that does, [`WrittenPlanError::Version`].
+pub fn validate(bytes: &[u8], path: &Path) -> Result<(), WrittenPlanError> {
+    Recorded::parse(bytes, path.into()).map(drop)
+}
+
 /// Returns the name of the backend that the project's plan is for; `None` without a plan.
 pub fn planned_backend(project: &Project) -> Option<String> {
     Recorded::read(project).ok().map(|recorded| recorded.backend)
@@ -141,15 +150,16 @@ impl Recorded {
 
     /// Reads `viewrank/manifest.json` of the project without checking its input.
     pub fn read(project: &Project) -> Result<Self, WrittenPlanError> {
-        let path = project.root.join(FILE);
-        let bytes = read_own(project, FILE)?;
-        let recorded: Self = serde_json::from_slice(&bytes)
-            .map_err(|error| WrittenPlanError::Manifest { path: path.clone(), what: error.to_string() })?;
-        match recorded.version {
-            VERSION => {}
-            version => return Err(WrittenPlanError::Version { path, version }),
+        Self::parse(&read_own(project, FILE)?, project.root.join(FILE))
+    }
+
+    fn parse(bytes: &[u8], path: PathBuf) -> Result<Self, WrittenPlanError> {
+        let refused = |what: String| WrittenPlanError::Manifest { path: path.clone(), what };
+        let recorded: Self = serde_json::from_slice(bytes).map_err(|error| refused(error.to_string()))?;
+        if recorded.version != VERSION {
+            return Err(WrittenPlanError::Version { path, version: recorded.version });
         }
-        check(&recorded).map_err(|what| WrittenPlanError::Manifest { path: path.clone(), what })?;
+        check(&recorded).map_err(refused)?;
         Ok(Self { path, ..recorded })
     }
 

@@ -1,0 +1,115 @@
+//! Fuzz targets of what `evaluate`, `train`, `predict` and `export` read beside a model: depth maps, pictures, trained models, manifests and
+//! settings. None may panic, and what is accepted must be consistent.
+
+use std::path::Path;
+
+use viewrank::{
+    Hint,
+    internals::{
+        backends::canonical_name,
+        confidence::{Image, Mask, Predictor, Trained},
+        config::{Configuration, Files, Typed},
+        depthmaps::{DepthMapFormat, parse},
+    },
+    manifest,
+};
+
+/// Targets with valid contents.
+pub const INPUTS: [(&str, &[u8]); 12] = [
+    ("map.geometric.bin", include_bytes!("../fixtures/depthmaps/depth_maps/IMG_9394.jpg.geometric.bin")),
+    ("map.pfm", include_bytes!("../fixtures/depthmaps/00000003.pfm")),
+    ("map.npy", include_bytes!("../fixtures/depthmaps/IMG_9394.jpg.npy")),
+    ("map.dmb", DMB),
+    ("map.dmap", include_bytes!("../fixtures/depthmaps/depth0040.dmap")),
+    ("baseline.jpg", include_bytes!("../fixtures/pictures/baseline.jpg")),
+    ("progressive.jpg", include_bytes!("../fixtures/pictures/progressive.jpg")),
+    ("cmyk.jpg", include_bytes!("../fixtures/pictures/cmyk.jpg")),
+    ("grey_16_bit.png", include_bytes!("../fixtures/pictures/grey_16_bit.png")),
+    ("trained.model", include_bytes!("../src/method/confidence/shipped.model")),
+    ("manifest.json", MANIFEST),
+    ("viewrank.toml", SETTINGS),
+];
+
+/// 2 x 1 depths: type 1, height 1, width 2, 1 channel.
+const DMB: &[u8] = b"\x01\0\0\0\x01\0\0\0\x02\0\0\0\x01\0\0\0\0\0\x80\x3f\0\0\0\x40";
+
+const SETTINGS: &[u8] =
+    b"image_scale = 0.5\nbackends = [\"colmap\"]\n[target]\ngsd = 0.1\n[cut]\ntarget = \"80%\"\n[surface]\nup = [0, 0, 1]\n[confidence]\nsource = \"none\"\n";
+
+/// Two clusters of two views.
+const MANIFEST: &[u8] =
+    br#"{"version":1,"input":{"model":"sparse/0","fingerprint":"f"},"backend":"sgm","settings":{"image_scale":0.5},
+"clusters":[{"rank":1,"key":"a","partners":["b"],"gain":0.5,"fulfilment":0.5,"share":0.5,"finished":true},
+{"rank":2,"key":"b","partners":["a"],"gain":0.25,"fulfilment":0.75,"share":1,"finished":false}],
+"cut":{"clusters":1,"pairs":1,"share":0.5,"fulfilment":0.5},
+"views":[{"name":"a","status":"key","reason":null},{"name":"b","status":"partner","reason":"no_gain_left"}],
+"outdated":[],"exports":[],"warnings":[]}"#;
+
+/// True for targets of JSON, which have values to change as well as bytes.
+pub fn is_json(target: &str) -> bool {
+    matches!(target, "trained.model" | "manifest.json")
+}
+
+/// Reads `data` as the target is read; true if it is accepted.
+pub fn read_input(target: &str, data: &[u8]) -> bool {
+    match target {
+        "trained.model" => read_trained(data),
+        "manifest.json" => told(manifest::validate(data, Path::new(target))),
+        "viewrank.toml" => read_settings(data),
+        _ if target.starts_with("map.") => read_map(target, data),
+        _ => read_picture(data),
+    }
+}
+
+/// Errors must have something to say.
+fn told<T>(result: Result<T, impl Hint>) -> bool {
+    result.inspect_err(|error| assert!(!error.to_string().is_empty())).is_ok()
+}
+
+fn read_map(target: &str, data: &[u8]) -> bool {
+    let format = match target {
+        "map.geometric.bin" => DepthMapFormat::ColmapGeometric,
+        "map.pfm" => DepthMapFormat::Pfm,
+        "map.npy" => DepthMapFormat::Npy,
+        "map.dmb" => DepthMapFormat::Dmb,
+        _ => DepthMapFormat::OpenMvs,
+    };
+    let Ok(map) = parse(data, format) else { return false };
+    assert_eq!(map.depth.len(), map.width as usize * map.height as usize);
+    assert!(map.depth.iter().all(|z| z.is_finite() && *z >= 0.0));
+    true
+}
+
+fn read_picture(data: &[u8]) -> bool {
+    let half = |[width, height]: [u32; 2]| [width.div_ceil(2), height.div_ceil(2)];
+    if let Ok(mask) = Mask::decode(data) {
+        assert!((0.0..=1.0).contains(&mask.share([3, 2], 2, 1)));
+    }
+    let grey = Image::decode_grey(data, half);
+    if let Ok((grey, full)) = &grey {
+        assert_eq!(([grey.width, grey.height], grey.pixels.len()), (half(*full), (grey.width * grey.height) as usize));
+    }
+    let Ok(image) = Image::decode(data, half) else { return false };
+    assert_eq!(image.rgb.len(), 3 * image.width as usize * image.height as usize);
+    grey.is_ok()
+}
+
+fn read_trained(data: &[u8]) -> bool {
+    let Ok(trained) = Trained::parse(data, Path::new("trained.model")) else { return false };
+    if let Some(picture) = &trained.picture {
+        let image = Image { width: 40, height: 30, rgb: vec![99; 3 * 40 * 30], full: [40, 30] };
+        let predicted = picture.predict(&image);
+        assert!(predicted.map.values().all(|value| (0.0..=1.0).contains(&value)) && !predicted.distance.is_nan());
+    }
+    assert_eq!(Trained::parse(&trained.to_bytes(), Path::new("again")).expect("what was read"), trained);
+    true
+}
+
+fn read_settings(data: &[u8]) -> bool {
+    let file = tempfile::NamedTempFile::new().expect("a temporary file");
+    std::fs::write(file.path(), data).expect("a temporary file");
+    let files = Files { user: None, project: Some(file.path().into()) };
+    let Ok(configuration) = Configuration::load(&files, Typed::default(), canonical_name) else { return false };
+    configuration.settings.check().expect("what is read is within its ranges");
+    true
+}

@@ -1,0 +1,316 @@
+//! What a stranger may plant in a project folder or a watched root, against the program itself: nothing outside is changed, nothing of the user's
+//! is lost, nothing is waited for, and no plan is stale. `tests/output/strangers.rs` and `tests/daemon_loop.rs` have the same for the library, with
+//! every file of ours and every step of a change.
+//!
+//! Tests that need an ordinary user's rights are ignored; run them as one: `cargo test --test attacks -- --include-ignored`.
+#![cfg(unix)]
+
+use std::{
+    fs,
+    os::unix::fs::{PermissionsExt, symlink},
+    path::{Path, PathBuf},
+    process::{Command, Output},
+};
+
+use serde_json::Value;
+use tempfile::TempDir;
+
+/// A root with the precious file of somebody else beside it, and a project in it.
+struct Place {
+    folder: TempDir,
+}
+
+impl Place {
+    fn new() -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let fixture = Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/valley");
+        for part in ["sparse", "images"] {
+            for entry in walkdir::WalkDir::new(fixture.join(part)) {
+                let entry = entry.unwrap();
+                let target = folder.path().join("root/p").join(entry.path().strip_prefix(&fixture).unwrap());
+                if entry.file_type().is_dir() {
+                    fs::create_dir_all(target).unwrap();
+                } else {
+                    fs::copy(entry.path(), target).unwrap();
+                }
+            }
+        }
+        fs::write(folder.path().join("precious.txt"), "precious").unwrap();
+        Self { folder }
+    }
+
+    fn root(&self) -> PathBuf {
+        self.folder.path().join("root")
+    }
+
+    fn project(&self) -> PathBuf {
+        self.root().join("p")
+    }
+
+    fn own(&self, name: &str) -> PathBuf {
+        self.project().join("viewrank").join(name)
+    }
+
+    fn precious(&self) -> PathBuf {
+        self.folder.path().join("precious.txt")
+    }
+
+    fn is_untouched(&self) -> bool {
+        fs::read_to_string(self.precious()).unwrap() == "precious"
+    }
+
+    fn images(&self) -> Vec<PathBuf> {
+        let entries = fs::read_dir(self.project().join("images")).unwrap();
+        let mut images: Vec<PathBuf> = entries.map(|entry| entry.unwrap().path()).collect();
+        images.sort();
+        images
+    }
+
+    /// Plans with the confidence that is quickest.
+    fn plan(&self) -> Output {
+        viewrank(&["plan", path(&self.project()), "--quiet", "--confidence", "geometric"])
+    }
+
+    fn watch(&self) -> Output {
+        viewrank(&["watch", path(&self.root()), "--once", "--settle", "10ms"])
+    }
+
+    fn manifest(&self) -> Value {
+        serde_json::from_slice(&fs::read(self.own("manifest.json")).unwrap()).unwrap()
+    }
+}
+
+fn path(path: &Path) -> &str {
+    path.to_str().unwrap()
+}
+
+/// Runs the program with nobody's own settings. One that waits for ever would be killed, which is a failure without an exit code.
+fn viewrank(arguments: &[&str]) -> Output {
+    let nowhere = Path::new(env!("CARGO_TARGET_TMPDIR"));
+    let mut command = Command::new("timeout");
+    command.args(["--signal=KILL", "300", env!("CARGO_BIN_EXE_viewrank")]).args(arguments);
+    command.env("XDG_CONFIG_HOME", nowhere).output().unwrap()
+}
+
+fn said(output: &Output) -> String {
+    String::from_utf8_lossy(&output.stderr).into_owned()
+}
+
+#[track_caller]
+fn succeeds(output: Output) {
+    assert!(output.status.success(), "{}", said(&output));
+}
+
+/// The error of a call that must end by itself, with an error.
+#[track_caller]
+fn fails(output: Output) -> String {
+    assert!(matches!(output.status.code(), Some(1 | 2)), "{:?}: {}", output.status, said(&output));
+    said(&output)
+}
+
+fn make_pipe(path: &Path) {
+    assert!(Command::new("mkfifo").arg(path).status().unwrap().success());
+}
+
+#[test]
+fn attack_1_the_locks_and_the_output_folder_are_links_out_of_the_root() {
+    let place = Place::new();
+    let own = place.root().join("viewrank");
+    fs::create_dir(&own).unwrap();
+    symlink(place.precious(), own.join("watch.lock")).unwrap();
+    assert!(fails(place.watch()).contains("watch.lock"));
+    fs::remove_dir_all(&own).unwrap();
+    let outside = place.folder.path().join("outside");
+    fs::create_dir(&outside).unwrap();
+    symlink(&outside, &own).unwrap();
+    fails(place.watch());
+    fs::create_dir(place.project().join("viewrank")).unwrap();
+    symlink(outside.join("new"), place.own(".lock")).unwrap();
+    fails(place.plan());
+    assert!(place.is_untouched() && fs::read_dir(outside).unwrap().next().is_none());
+}
+
+#[test]
+fn attack_2_a_planted_journal_removes_nothing_and_is_set_aside() {
+    let place = Place::new();
+    let (notes, image) = (place.project().join("my_notes.txt"), place.images()[0].clone());
+    fs::write(&notes, "notes").unwrap();
+    fs::create_dir(place.project().join("viewrank")).unwrap();
+    let image_name = image.file_name().unwrap().to_str().unwrap();
+    let hash = blake3::hash(b"notes");
+    let journal = format!(
+        r#"{{"direction":"finish","identity":"","change":{{"new_folders":[],"old_folders":[],"steps":[{{"path":"my_notes.txt","new":null,"old":"{hash}"}},{{"path":"images/{image_name}","new":null,"old":null}}]}}}}"#
+    );
+    fs::write(place.own(".journal.json"), &journal).unwrap();
+    assert!(fails(place.plan()).contains("my_notes.txt"));
+    assert_eq!(fs::read_to_string(place.own(".journal.refused-1.json")).unwrap(), journal);
+    succeeds(place.plan());
+    assert!(image.is_file() && fs::read_to_string(notes).unwrap() == "notes");
+}
+
+#[test]
+fn attack_3_settings_name_a_device() {
+    let place = Place::new();
+    for key in ["confidence.source", "surface.mesh"] {
+        fs::write(place.project().join("viewrank.toml"), format!("{key} = \"/dev/zero\"\n")).unwrap();
+        assert!(fails(viewrank(&["plan", path(&place.project()), "--quiet"])).contains("not a regular file"), "{key}");
+    }
+}
+
+#[test]
+fn attack_4_pipes_in_place_of_an_image_and_a_mask_hold_nobody_up() {
+    let place = Place::new();
+    let images = place.images();
+    fs::remove_file(&images[0]).unwrap();
+    make_pipe(&images[0]);
+    let masks = place.project().join("masks");
+    fs::create_dir(&masks).unwrap();
+    make_pipe(&masks.join(format!("{}.png", images[1].file_name().unwrap().to_str().unwrap())));
+    succeeds(place.watch());
+    assert!(place.manifest()["warnings"].to_string().contains("not a regular file"));
+}
+
+#[test]
+fn attack_5_images_overwritten_in_place_are_planned_again_and_once() {
+    let place = Place::new();
+    let fingerprint = || {
+        succeeds(place.watch());
+        place.manifest()["input"]["fingerprint"].clone()
+    };
+    let first = fingerprint();
+    let record = || fs::metadata(place.own("planned_from.json")).unwrap().modified().unwrap();
+    let written = record();
+    assert_eq!((fingerprint(), record()), (first.clone(), written), "after a restart");
+    let other = fs::read(&place.images()[0]).unwrap();
+    place.images().iter().for_each(|image| fs::write(image, &other).unwrap());
+    let second = fingerprint();
+    assert_ne!(second, first);
+    assert_eq!(fingerprint(), second);
+}
+
+#[test]
+fn attack_6_an_edited_manifest_is_used_by_no_command() {
+    let place = Place::new();
+    succeeds(place.plan());
+    let mut edited = place.manifest();
+    let key = edited["clusters"][1]["key"].clone();
+    edited["clusters"][1]["partners"][0] = key;
+    fs::write(place.own("manifest.json"), edited.to_string()).unwrap();
+    let project = place.project();
+    let commands: [&[&str]; 3] = [&["export"], &["dispatch", "--scheduler", "shell"], &["report"]];
+    for command in commands {
+        let error = fails(viewrank(&[command, &[path(&project)]].concat()));
+        assert!(error.contains("manifest.json: clusters[1].partners"), "{command:?}: {error}");
+    }
+}
+
+#[test]
+fn attack_7_a_quoted_key_is_an_unknown_setting() {
+    let place = Place::new();
+    fs::write(place.project().join("viewrank.toml"), "\"partners.k\" = 2\n").unwrap();
+    assert!(fails(place.plan()).contains("unknown setting"));
+}
+
+/// The daemon's and the plan's own files, replaced by what they never are.
+#[test]
+fn tampered_state_of_the_daemon_is_made_again_or_refused() {
+    let place = Place::new();
+    succeeds(place.watch());
+    let good = place.manifest()["clusters"].clone();
+    for name in ["planned_from.json", "progress.json", "planned_views.json", "manifest.json", "cache/confidence.maps"] {
+        for text in ["", "{", "[1e999]", r#"{"fingerprint":7,"files":["/etc/passwd","../../x"]}"#] {
+            let file = place.own(name);
+            fs::create_dir_all(file.parent().unwrap()).unwrap();
+            fs::write(&file, text).unwrap();
+            // So that a current record does not end it before the file is looked at.
+            _ = fs::remove_file(place.own("planned_from.json"));
+            succeeds(place.watch());
+            assert_eq!(place.manifest()["clusters"], good, "{name}: {text}");
+        }
+    }
+    assert!(place.is_untouched());
+}
+
+#[test]
+fn links_and_pipes_in_place_of_state_are_refused_or_replaced_never_followed() {
+    let place = Place::new();
+    succeeds(place.watch());
+    for name in ["planned_from.json", "progress.json", "planned_views.json", "status.json"] {
+        let file = if name == "status.json" { place.root().join("viewrank/status.json") } else { place.own(name) };
+        for plant in [&(|file: &Path| symlink(place.precious(), file).unwrap()) as &dyn Fn(&Path), &make_pipe] {
+            _ = fs::remove_file(&file);
+            plant(&file);
+            let ended = place.watch();
+            assert!(ended.status.code().is_some(), "{name}: {:?}", ended.status);
+            assert!(place.is_untouched(), "{name}");
+            _ = fs::remove_file(&file);
+        }
+        succeeds(place.watch());
+    }
+}
+
+#[test]
+fn links_in_circles_end() {
+    let place = Place::new();
+    symlink(place.root(), place.project().join("images/again")).unwrap();
+    symlink("self", place.project().join("images/self")).unwrap();
+    symlink("../sparse", place.project().join("sparse/more")).unwrap();
+    symlink(place.root(), place.root().join("more")).unwrap();
+    succeeds(place.plan());
+    succeeds(place.watch());
+    succeeds(viewrank(&["watch", path(&place.root()), "--once", "--settle", "10ms", "--follow-links"]));
+}
+
+#[test]
+fn trained_models_that_are_damaged_are_refused() {
+    let place = Place::new();
+    let shipped = Path::new(env!("CARGO_MANIFEST_DIR")).join("src/method/confidence/shipped.model");
+    let good = fs::read_to_string(shipped).unwrap();
+    let damaged = [
+        good[..good.len() / 2].to_owned(),
+        good.replacen("\"version\":2", "\"version\":1", 1),
+        good.replacen("viewrank confidence model", "something else", 1),
+        String::new(),
+    ];
+    let model = place.own("confidence.model");
+    fs::create_dir(place.project().join("viewrank")).unwrap();
+    for text in damaged {
+        fs::write(&model, text).unwrap();
+        let error = fails(viewrank(&["plan", path(&place.project()), "--quiet", "--confidence", "project"]));
+        assert!(error.contains("confidence.model"), "{error}");
+    }
+}
+
+/// Takes the rights away while `act` runs; temporary folders could not be removed otherwise.
+fn without_rights(folder: &Path, mode: u32, act: impl FnOnce()) {
+    fs::set_permissions(folder, fs::Permissions::from_mode(mode)).unwrap();
+    let done = std::panic::catch_unwind(std::panic::AssertUnwindSafe(act));
+    fs::set_permissions(folder, fs::Permissions::from_mode(0o755)).unwrap();
+    done.unwrap();
+}
+
+#[test]
+#[ignore = "needs a user who is not root"]
+fn a_read_only_project_is_refused_before_it_is_planned_and_stays_as_it_is() {
+    let place = Place::new();
+    without_rights(&place.project(), 0o555, || {
+        fails(place.plan());
+        assert!(!place.project().join("viewrank").exists());
+        succeeds(viewrank(&["plan", path(&place.project()), "--quiet", "--dry-run"]));
+    });
+    succeeds(place.plan());
+}
+
+#[test]
+#[ignore = "needs a user who is not root"]
+fn rights_taken_away_lose_no_plan() {
+    let place = Place::new();
+    succeeds(place.plan());
+    let before = fs::read(place.own("manifest.json")).unwrap();
+    fs::write(place.project().join("viewrank.toml"), "partners.k = 3\n").unwrap();
+    without_rights(&place.project().join("viewrank"), 0o555, || _ = fails(place.plan()));
+    without_rights(&place.project().join("sparse"), 0o000, || _ = fails(place.plan()));
+    assert_eq!(fs::read(place.own("manifest.json")).unwrap(), before);
+    succeeds(place.plan());
+    assert_ne!(fs::read(place.own("manifest.json")).unwrap(), before);
+}
