@@ -39,7 +39,7 @@ pub struct Pictures {
     images: Option<PathBuf>,
     /// COLMAP's `mask_path`: `NAME.png` for the image NAME, black where the image may not be used.
     masks: Option<PathBuf>,
-    cache: PathBuf,
+    project: PathBuf,
 }
 
 /// What was seen in the pictures.
@@ -70,7 +70,7 @@ impl Pictures {
         Self {
             images: project.images.clone(),
             masks: masks.into_iter().find(|folder| folder.is_dir()),
-            cache: project.root.join(CACHE),
+            project: project.root.clone(),
         }
     }
 
@@ -121,7 +121,7 @@ impl Pictures {
         watcher: &dyn Watcher,
     ) -> Result<Seen, Cancelled> {
         let fingerprint = predictor.map_or_else(|| "masks alone".into(), |p| p.fingerprint().to_string());
-        let cache = Cache::read(&self.cache, &fingerprint);
+        let cache = Cache::read(&self.project, CACHE, &fingerprint);
         let views: Vec<ViewIndex> = scene.view_indices().collect();
         let done = AtomicU64::new(0);
         watcher.progress(Stage::Confidence, 0, views.len() as u64);
