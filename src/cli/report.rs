@@ -10,11 +10,8 @@ use crate::{
         replan,
         report::{self, Contents, DepthMapFolders},
     },
-    base::{
-        input::{self, FileKind},
-        progress::{Stage, Watcher},
-    },
-    io::output::{Disk, FileSet},
+    base::progress::{Stage, Watcher},
+    io::output::{self, Disk, FileSet},
     show::files::{REPORT_FILE, REPORT_SET},
 };
 use clap::Args;
@@ -47,7 +44,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let progress = Progress::new(arguments.quiet);
     let (project, plan) = replan::as_written(&arguments.project, &progress)?;
     let folders = DepthMapFolders { depth_maps: arguments.depth_maps.clone(), reference: arguments.reference.clone() };
-    let seconds = planning_seconds(&project.output_folder());
+    let seconds = planning_seconds(&project.root);
     let contents = Contents::new(&plan, &project, &folders, seconds, &progress)?;
     progress.progress(Stage::Write, 0, 1);
     let mut files = FileSet::new(&project.root, REPORT_SET);
@@ -63,8 +60,8 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
 }
 
 /// Seconds that planning took, as `viewrank plan` wrote them down.
-fn planning_seconds(folder: &Path) -> Option<f64> {
-    let timings = input::read(&folder.join("timings.json"), FileKind::State).ok()?;
+fn planning_seconds(root: &Path) -> Option<f64> {
+    let timings = output::read_own(root, "viewrank/timings.json").ok()?;
     serde_json::from_slice::<serde_json::Value>(&timings).ok()?["total"].as_f64()
 }
 

@@ -18,11 +18,7 @@ use std::{
 
 use crate::{
     backends::{Backend, Export, Selection, TaskRunner, recipe},
-    base::{
-        error::Hint,
-        input::{self, FileKind},
-        shell::quoted_path,
-    },
+    base::{error::Hint, shell::quoted_path},
     config::{DispatchSettings, Share},
     io::output::{self, Contents, Disk, FileSet, OutputError},
     model::cluster::RankedCluster,
@@ -156,7 +152,7 @@ impl Dispatch {
 
     /// Markers and ranks of an older list, if it is still there.
     fn old_markers(&self, name: &str) -> Vec<(usize, String)> {
-        let text = input::read_text(&self.list_path(name), FileKind::List).unwrap_or_default();
+        let text = self.own_text(&format!("list-{name}.tsv"));
         let entry = |line: &str| {
             let mut fields = line.split('\t');
             Some((fields.next()?.parse().ok()?, fields.next()?.to_owned()))
@@ -174,8 +170,9 @@ impl Dispatch {
         add("fuse.sh", script(include_str!("../../../integrations/slurm/fuse.sh")));
         add("logs", Contents::Folder);
         for old in old_lists {
-            if let Ok(bytes) = input::read(&self.list_path(old), FileKind::List) {
-                add(&format!("list-{old}.tsv"), Contents::Bytes(bytes));
+            let name = format!("list-{old}.tsv");
+            if let Ok(bytes) = self.own(&name) {
+                add(&name, Contents::Bytes(bytes));
             }
         }
         add(&format!("list-{}.tsv", self.list_name()), Contents::Bytes(self.list().into_bytes()));
@@ -206,8 +203,7 @@ impl Dispatch {
 
     /// Is the depth map of the task there, made from this key view and these partners as they lie now, or one that the plan stands around?
     pub fn is_done(&self, task: &Task) -> bool {
-        let noted =
-            || input::read_text(&self.folder.join("done").join(&task.marker), FileKind::Settings).unwrap_or_default();
+        let noted = || self.own_text(&format!("done/{}", task.marker));
         (task.rank <= self.finished || noted().trim() == task.id)
             && fs::metadata(&task.map).is_ok_and(|map| map.len() > 0)
     }
@@ -233,7 +229,17 @@ impl Dispatch {
     /// Was exactly what is done joined already?
     pub fn is_fused(&self) -> bool {
         let done: String = self.tasks.iter().filter(|t| self.is_done(t)).map(|t| format!("{}\n", t.id)).collect();
-        done.is_empty() || input::read_text(&self.folder.join("fused"), FileKind::List).is_ok_and(|fused| fused == done)
+        done.is_empty() || self.own_text("fused") == done
+    }
+
+    /// Reads a file in [`Self::folder`], which viewrank or its scripts wrote: no link is followed.
+    fn own(&self, name: &str) -> Result<Vec<u8>, OutputError> {
+        output::read_own(&self.project, &format!("viewrank/dispatch/{}/{name}", self.backend))
+    }
+
+    /// Returns the text of such a file; empty where there is none.
+    fn own_text(&self, name: &str) -> String {
+        self.own(name).ok().and_then(|bytes| String::from_utf8(bytes).ok()).unwrap_or_default()
     }
 }
 

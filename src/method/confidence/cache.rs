@@ -13,7 +13,7 @@ use std::{
 use serde::{Deserialize, Serialize};
 
 use super::{ConfidenceMap, Predicted};
-use crate::base::input::{self, FileKind};
+use crate::{base::input, io::output};
 
 const MAGIC: &[u8] = b"viewrank confidence maps 2\n";
 
@@ -116,9 +116,9 @@ impl Cache {
         Self { entries: entries.collect() }
     }
 
-    /// Empty where there is no whole file of this predictor.
-    pub fn read(path: &Path, predictor: &str) -> Self {
-        input::read(path, FileKind::State).ok().and_then(|bytes| Self::parse(&bytes, predictor)).unwrap_or_default()
+    /// Reads the project's file `name`; empty where there is no whole file of this predictor.
+    pub fn read(project: &Path, name: &str, predictor: &str) -> Self {
+        output::read_own(project, name).ok().and_then(|bytes| Self::parse(&bytes, predictor)).unwrap_or_default()
     }
 
     /// The entry of a view whose files nobody has written to.

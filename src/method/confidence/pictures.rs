@@ -78,8 +78,8 @@ impl Pictures {
         self.images.is_some()
     }
 
-    pub(super) fn project_file(&self, path: &str) -> PathBuf {
-        self.project.join(path)
+    pub(super) fn project(&self) -> &Path {
+        &self.project
     }
 
     /// Size and time of change of a view's image and mask; `None` where a file's time of change is not known.
@@ -132,7 +132,7 @@ impl Pictures {
         watcher: &dyn Watcher,
     ) -> Result<Seen, Cancelled> {
         let fingerprint = predictor.map_or_else(|| "masks alone".into(), |p| p.fingerprint().to_string());
-        let cache = Cache::read(&self.project_file(CACHE), &fingerprint);
+        let cache = Cache::read(&self.project, CACHE, &fingerprint);
         let views: Vec<ViewIndex> = scene.view_indices().collect();
         let done = AtomicU64::new(0);
         watcher.progress(Stage::Confidence, 0, views.len() as u64);

@@ -56,6 +56,26 @@ impl Setting {
     }
 }
 
+/// The centroid of a large triangle may be behind a camera that sees one of its corners.
+#[test]
+fn a_view_that_has_a_triangle_behind_it_has_no_say_in_its_target() {
+    let mut setting = Setting::pinhole();
+    let turned = ViewIndex(0);
+    let about = nalgebra::Rotation3::from_axis_angle(&Vector3::y_axis(), std::f64::consts::PI);
+    let pose = &mut setting.scene.views[0].cam_from_world;
+    (pose.rotation, pose.translation) = (about * pose.rotation, about * pose.translation);
+    let Setting { scene, surface, visibility, .. } = &setting;
+    let settings = TargetSettings { mode: TargetMode::Best, ..TargetSettings::default() };
+    let of_the_whole = 123.0;
+    let target = Target::new(scene, surface, visibility, &settings, of_the_whole, 1.0);
+    let seen_by = |view: ViewIndex| visibility.triangles_seen_by(view);
+    let others: std::collections::BTreeSet<u32> =
+        scene.view_indices().filter(|view| *view != turned).flat_map(|view| seen_by(view).iter().copied()).collect();
+    let (shared, alone): (Vec<u32>, Vec<u32>) = seen_by(turned).iter().partition(|t| others.contains(t));
+    assert!(!shared.is_empty() && shared.iter().all(|&t| target.gsd[t as usize] < of_the_whole as f32));
+    assert!(alone.iter().all(|&t| target.gsd[t as usize] == of_the_whole as f32));
+}
+
 /// A standard normal number.
 fn normal(random: &mut Pcg64) -> f64 {
     let mut unit = || ((random.next_u64() >> 11) as f64 + 0.5) / (1u64 << 53) as f64;

@@ -12,10 +12,8 @@ use serde::{Deserialize, Serialize};
 
 use super::{super::pictures::Pictures, Agreement, stacks::SPACING};
 use crate::{
-    base::{
-        column::{Column, ColumnBuilder, DiskError},
-        input,
-    },
+    base::column::{Column, ColumnBuilder, DiskError},
+    io::output,
     method::geometry::Geometry,
     model::scene::ViewIndex,
 };
@@ -29,9 +27,9 @@ const LONGEST_HEAD: u64 = 64 << 20;
 /// Values read at once.
 const BLOCK: usize = 1 << 20;
 
-/// Where the table is cached, and everything that it depends on.
+/// The project with the cached table, and everything that the table depends on.
 pub(super) struct Cache {
-    path: PathBuf,
+    project: PathBuf,
     inputs: String,
 }
 
@@ -62,7 +60,7 @@ impl Cache {
             let files = pictures.stamps(geometry.scene.name(view))?;
             hasher.update(&serde_json::to_vec(&files).ok()?);
         }
-        Some(Self { path: pictures.project_file(AGREEMENT_CACHE), inputs: hasher.finalize().to_string() })
+        Some(Self { project: pictures.project().into(), inputs: hasher.finalize().to_string() })
     }
 
     /// Whether each view lacks a picture, the warnings and the values; `None` where the file is not of these inputs.
@@ -94,7 +92,7 @@ impl Cache {
     }
 
     fn open(&self) -> Option<(Head, impl BufRead + use<>)> {
-        let mut file = BufReader::with_capacity(BLOCK, input::open(&self.path).ok()?);
+        let mut file = BufReader::with_capacity(BLOCK, output::open_own(&self.project, AGREEMENT_CACHE).ok()?);
         let mut line = |most| {
             let mut text = String::new();
             file.by_ref().take(most).read_line(&mut text).ok()?;
