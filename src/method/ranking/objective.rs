@@ -27,7 +27,7 @@ pub struct Objective {
     pub weights: Vec<f64>,
     /// Maps that have to agree on a point (m), at least 1.
     pub support: u32,
-    /// Share of the weight of the whole surface, before the factors of the region, that its triangles have; 1 without a region.
+    /// Share of the weight of the whole surface, before the factors of the region, that is inside it; 1 without a region.
     pub inside: f64,
 }
 
@@ -44,7 +44,7 @@ impl Objective {
         };
         let Some(region) = region else { return Self::weighing(raw, support) };
         let all: f64 = raw.iter().sum();
-        let inside: f64 = raw.iter().zip(0..).filter(|&(_, t)| region.is_inside(t)).map(|(w, _)| w).sum();
+        let inside: f64 = raw.iter().zip(&region.covered).map(|(w, &covered)| w * f64::from(covered)).sum();
         raw.iter_mut().zip(&region.factors).for_each(|(w, &factor)| *w *= f64::from(factor));
         Self { inside: if all > 0.0 { inside / all } else { 0.0 }, ..Self::weighing(raw, support) }
     }

@@ -48,6 +48,8 @@ pub struct Region {
     pub kind: RegionKind,
     /// Factor on the weight of each triangle: its share inside, times the weight of the areas there.
     pub factors: Vec<f32>,
+    /// Share of each triangle that is inside and has a weight, 0 to 1.
+    pub covered: Vec<f32>,
     /// g_d that the areas want of each triangle, infinite where they want none; empty if none does.
     pub gsd: Vec<f32>,
     /// The box; of polygons and meshes that around the triangles inside. Low corner, high corner, world coordinates.
@@ -97,6 +99,7 @@ impl Wish {
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Sampled {
     is_touched: bool,
+    covered: f32,
     factor: f32,
     gsd: f32,
 }
@@ -182,6 +185,7 @@ fn region(
         kind,
         bounds: bounds(surface, |t| sampled[t].factor > 0.0),
         gsd: if has_gsd { sampled.iter().map(|sample| sample.gsd).collect() } else { Vec::new() },
+        covered: sampled.iter().map(|sample| sample.covered).collect(),
         factors: sampled.into_iter().map(|sample| sample.factor).collect(),
         outline: Outline::Hull(Vec::new()),
     })
@@ -216,13 +220,16 @@ fn sampled(at: impl Fn([f64; 2]) -> Option<Wish>) -> Sampled {
     let place = |i: u32, thirds: f64| (f64::from(i) + thirds / 3.0) / f64::from(CUTS);
     let upright = (0..CUTS).flat_map(|i| (0..CUTS - i).map(move |j| [place(i, 1.0), place(j, 1.0)]));
     let inverted = (0..CUTS - 1).flat_map(|i| (0..CUTS - 1 - i).map(move |j| [place(i, 2.0), place(j, 2.0)]));
-    let (mut sum, mut gsd, mut is_touched) = (0.0, f64::INFINITY, false);
+    let (mut sum, mut gsd, mut is_touched, mut covered) = (0.0, f64::INFINITY, false, 0u8);
     for wish in upright.chain(inverted).filter_map(at) {
         is_touched = true;
+        covered += u8::from(wish.weight > 0.0);
         sum += wish.weight;
         gsd = wish.gsd.map_or(gsd, |wanted| gsd.min(wanted));
     }
-    Sampled { is_touched, factor: (sum / f64::from(CUTS * CUTS)) as f32, gsd: gsd as f32 }
+    let samples = f64::from(CUTS * CUTS);
+    let covered = (f64::from(covered) / samples) as f32;
+    Sampled { is_touched, covered, factor: (sum / samples) as f32, gsd: gsd as f32 }
 }
 
 /// Low and high corner of the triangles that count.

@@ -13,13 +13,13 @@ pub struct RegionSummary {
     /// The box; of polygons and meshes that around the triangles inside. Corners x0, y0, z0, x1, y1, z1 in the frame of the model, as `--region`
     /// takes them.
     pub bounds: [f64; 6],
-    /// Triangles of which some part counts.
+    /// Triangles that are at least partly inside.
     pub triangles: usize,
-    /// Their area, square scene units.
+    /// Area of the surface inside, square scene units.
     pub area: f64,
-    /// Their share of the area of the surface, 0 to 1.
+    /// Its share of the area of the surface, 0 to 1.
     pub share_of_area: f64,
-    /// Their share of the weight that the whole surface would have without a region, 0 to 1.
+    /// Share inside of the weight that the whole surface would have without a region, 0 to 1.
     pub share_of_weight: f64,
 }
 
@@ -28,7 +28,7 @@ impl RegionSummary {
     pub fn of(plan: &Plan) -> Option<Self> {
         let (region, surface) = (plan.stages.region.as_ref()?, &plan.stages.surface);
         let all = || 0..surface.triangles.len() as u32;
-        let area: f64 = all().filter(|&t| region.is_inside(t)).map(|t| surface.area(t)).sum();
+        let area: f64 = all().map(|t| surface.area(t) * f64::from(region.covered[t as usize])).sum();
         let whole: f64 = all().map(|t| surface.area(t)).sum();
         Some(Self {
             kind: region.kind,
