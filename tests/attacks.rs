@@ -211,42 +211,74 @@ fn attack_7_a_quoted_key_is_an_unknown_setting() {
     assert!(fails(place.plan()).contains("unknown setting"));
 }
 
-/// The daemon's and the plan's own files, replaced by what they never are.
-#[test]
-fn tampered_state_of_the_daemon_is_made_again_or_refused() {
-    let place = Place::new();
-    succeeds(place.watch());
-    let good = place.manifest()["clusters"].clone();
-    for name in ["planned_from.json", "progress.json", "planned_views.json", "manifest.json", "cache/confidence.maps"] {
-        for text in ["", "{", "[1e999]", r#"{"fingerprint":7,"files":["/etc/passwd","../../x"]}"#] {
-            let file = place.own(name);
-            fs::create_dir_all(file.parent().unwrap()).unwrap();
-            fs::write(&file, text).unwrap();
-            // So that a current record does not end it before the file is looked at.
-            _ = fs::remove_file(place.own("planned_from.json"));
-            succeeds(place.watch());
-            assert_eq!(place.manifest()["clusters"], good, "{name}: {text}");
-        }
-    }
-    assert!(place.is_untouched());
+/// Files that the daemon reads back, of the project and of the root.
+fn state(place: &Place) -> Vec<PathBuf> {
+    let own = ["planned_from.json", "progress.json", "planned_views.json", "timings.json", "cache/confidence.maps"];
+    let own = own.map(|name| place.own(name)).to_vec();
+    [own, vec![place.root().join("viewrank/status.json")]].concat()
 }
 
 #[test]
-fn links_and_pipes_in_place_of_state_are_refused_or_replaced_never_followed() {
+fn tampered_state_of_the_daemon_is_made_again() {
     let place = Place::new();
+    fs::write(place.project().join("viewrank.toml"), "confidence.source = \"geometric\"\n").unwrap();
     succeeds(place.watch());
-    for name in ["planned_from.json", "progress.json", "planned_views.json", "status.json"] {
-        let file = if name == "status.json" { place.root().join("viewrank/status.json") } else { place.own(name) };
-        for plant in [&(|file: &Path| symlink(place.precious(), file).unwrap()) as &dyn Fn(&Path), &make_pipe] {
+    let good = place.manifest();
+    for text in ["{", r#"{"fingerprint":"f","clusters":-1,"share":1e999,"files":["/etc/passwd","../../x"]}"#] {
+        for file in state(&place) {
+            fs::create_dir_all(file.parent().unwrap()).unwrap();
+            fs::write(&file, text).unwrap();
+        }
+        fs::write(place.own("manifest.json"), text).unwrap();
+        succeeds(place.watch());
+        assert_eq!(place.manifest(), good, "{text}");
+    }
+}
+
+#[test]
+fn links_and_pipes_in_place_of_state_are_never_followed_nor_waited_for() {
+    let place = Place::new();
+    fs::write(place.project().join("viewrank.toml"), "confidence.source = \"geometric\"\n").unwrap();
+    succeeds(place.watch());
+    for plant in [&(|file: &Path| symlink(place.precious(), file).unwrap()) as &dyn Fn(&Path), &make_pipe] {
+        for file in state(&place) {
+            fs::create_dir_all(file.parent().unwrap()).unwrap();
             _ = fs::remove_file(&file);
             plant(&file);
-            let ended = place.watch();
-            assert!(ended.status.code().is_some(), "{name}: {:?}", ended.status);
-            assert!(place.is_untouched(), "{name}");
-            _ = fs::remove_file(&file);
         }
+        let ended = place.watch();
+        assert!(ended.status.code().is_some(), "{:?}", ended.status);
+        assert!(place.is_untouched());
+        state(&place).iter().for_each(|file| _ = fs::remove_file(file));
         succeeds(place.watch());
     }
+}
+
+#[test]
+fn links_and_pipes_in_place_of_a_dispatchs_state_are_never_followed_nor_waited_for() {
+    let place = Place::new();
+    succeeds(viewrank(&["plan", path(&place.project()), "--quiet", "--confidence", "geometric", "--backend", "sgm"]));
+    let dispatch = || viewrank(&["dispatch", path(&place.project()), "--scheduler", "shell", "--program", "/bin/true"]);
+    succeeds(dispatch());
+    let folder = place.own("dispatch/sgm");
+    let list = fs::read_dir(&folder).unwrap().map(|entry| entry.unwrap().path());
+    let list = list.into_iter().find(|file| file.extension().is_some_and(|ending| ending == "tsv")).unwrap();
+    let text = fs::read_to_string(&list).unwrap();
+    let marker = text.split('\t').nth(1).unwrap();
+    fs::create_dir_all(folder.join("done")).unwrap();
+    for plant in [&(|file: &Path| symlink(place.precious(), file).unwrap()) as &dyn Fn(&Path), &make_pipe] {
+        for name in [&format!("done/{marker}"), "fused", "lock"] {
+            let file = folder.join(name);
+            _ = fs::remove_file(&file);
+            plant(&file);
+            let ended = dispatch();
+            assert_eq!(ended.status.success(), name != "lock", "{name}: {}", said(&ended));
+            assert!(place.is_untouched(), "{name}");
+            fs::remove_file(&file).unwrap();
+        }
+    }
+    succeeds(dispatch());
+    assert_eq!(fs::read_to_string(&list).unwrap(), text);
 }
 
 #[test]
