@@ -19,7 +19,7 @@ map() {
     shift
     rm -rf depthMaps.new
     mkdir depthMaps.new && aliceVision_depthMapEstimation "$@" -o depthMaps.new || return 1
-    [ -e "depthMaps.new/${id}_depthMap.exr" ] && mv depthMaps.new/* depthMaps/
+    [ -e "depthMaps.new/${id}_depthMap.exr" ] && mv depthMaps.new/* depthMaps/ && rmdir depthMaps.new
 }
 # Joins the maps that exist: OPTIONS of the filtering. It writes to an empty folder, since AliceVision takes what it finds there for its own, and
 # what was joined before stays until the new result is complete.

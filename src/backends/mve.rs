@@ -34,7 +34,7 @@ pub static BACKEND: Backend = Backend {
     planning: PATCH_MATCH,
     options: &[],
     use_of_views: None,
-    own_scale: own_scale,
+    own_scale,
     takes_distorted: false,
     serves: |_| false,
     tasks: |_, _| None,

@@ -29,7 +29,7 @@ pub static BACKEND: Backend = Backend {
     planning: openmvs::PLANNING,
     options: &[],
     use_of_views: None,
-    own_scale: own_scale,
+    own_scale,
     takes_distorted: false,
     serves: |_| false,
     tasks: |_, _| None,

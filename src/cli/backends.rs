@@ -44,7 +44,7 @@ impl Entry {
 pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let entries: Vec<Entry> = match &arguments.name {
         Some(name) => vec![Entry::new(backends::by_name(name)?)],
-        None => backends::BACKENDS.iter().map(|b| Entry::new(*b)).collect(),
+        None => backends::BACKENDS.iter().map(|b| Entry::new(b)).collect(),
     };
     match (arguments.format, &arguments.name) {
         (Format::Json, _) => print(&json(&entries)),
@@ -161,7 +161,7 @@ mod tests {
 
     #[test]
     fn everything_fits_into_80_columns() {
-        let entries: Vec<Entry> = backends::BACKENDS.iter().map(|b| Entry::new(*b)).collect();
+        let entries: Vec<Entry> = backends::BACKENDS.iter().map(|b| Entry::new(b)).collect();
         let long = |text: &str| text.lines().find(|line| line.chars().count() > 80).map(str::to_owned);
         assert_eq!(long(&table(&entries)), None);
         assert_eq!(entries.iter().find_map(|entry| long(&details(entry))), None);

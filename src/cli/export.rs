@@ -121,7 +121,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     };
     let tiles = arguments.tiles.map(|count| clusters_by_area(&selection, count as usize));
     // All are made and looked at before any is written: what one of them cannot take stops the others too.
-    let make = |backend: &&Backend| arguments.make(*backend, backends.len(), &selection, tiles.as_deref());
+    let make = |backend: &&Backend| arguments.make(backend, backends.len(), &selection, tiles.as_deref());
     let made: Vec<Made> = backends.iter().map(make).collect::<Result<_, BackendError>>()?;
     made.iter().try_for_each(|made| place::check(&made.folder, &made.exports, &plan.project))?;
     let reports = made.into_iter().map(|made| made.write(&plan.project, tiles.is_some(), arguments.dry_run));

@@ -25,7 +25,7 @@ pub use region::{RegionChoice, RegionChoiceError};
 use crate::model::scene::Units;
 
 /// All settings in force, nested as in `viewrank.toml`.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Settings {
     /// "metric" if a scene unit is a metre. Unset: "relative", of unknown length.
@@ -74,32 +74,6 @@ impl Settings {
     /// Returns the size of the matched images over the model's; 1 where neither the user nor a backend has chosen it.
     pub fn image_scale(&self) -> f64 {
         self.image_scale.unwrap_or(1.0)
-    }
-}
-
-impl Default for Settings {
-    fn default() -> Self {
-        Self {
-            units: None,
-            image_scale: None,
-            seed: 0,
-            max_memory: None,
-            backends: Vec::new(),
-            region: None,
-            target: TargetSettings::default(),
-            coverage: CoverageSettings::default(),
-            fulfilment: FulfilmentSettings::default(),
-            surface: SurfaceSettings::default(),
-            visibility: VisibilitySettings::default(),
-            partners: PartnerSettings::default(),
-            confidence: ConfidenceSettings::default(),
-            ranking: RankingSettings::default(),
-            cut: CutSettings::default(),
-            forecast: ForecastSettings::default(),
-            dispatch: DispatchSettings::default(),
-            on_target: None,
-            frame: FrameSettings::default(),
-        }
     }
 }
 

@@ -246,7 +246,7 @@ fn distorted_images_are_refused_with_the_command_that_makes_them() {
 /// The sizes that the programs take without an option, and that of a plan for another program where the user has set none.
 #[test]
 fn without_image_scale_each_program_takes_its_own_size() {
-    let own = |backend: &str, width, height| {
+    let own = |backend: &str, width: u64, height: u64| {
         let camera = Camera::new(1, CameraModel::Pinhole, width, height, vec![500.0, 500.0, 1.0, 1.0]).unwrap();
         let size = (by_name(backend).unwrap().own_scale)(&camera) * f64::from(camera.width);
         size.round() as u32

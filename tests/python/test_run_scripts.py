@@ -391,7 +391,7 @@ def test_alicevision_tries_every_cluster_and_joins_what_there_is(alice):
     assert done.returncode == 1 and "the fusion failed" in done.stderr and len(calls) == 1 and (alice.folder / "mesh.obj").read_text() == before
 
 
-def test_alicevision_joins_maps_of_this_plan_only(alice):
+def test_alicevision_nmodmap_is_kept(alice):
     """Maps and counts of agreeing views that an older plan left; maps come back when a plan asks for them again."""
     alice.run()
     alice.export(3)

@@ -72,7 +72,7 @@ pub static BACKEND: Backend = Backend {
     planning: PLANNING,
     options: &["--scene", "--scale"],
     use_of_views: None,
-    own_scale: own_scale,
+    own_scale,
     takes_distorted: false,
     serves: |project| project.kind == ProjectKind::OpenMvs,
     tasks,
