@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{PlanError, forecast::Cost};
+use super::{GivenUp, PlanError, forecast::Cost};
 use crate::{config::CutSettings, method::fulfilment::block::Places};
 
 /// Default target: a share of what all clusters together reach.
@@ -29,6 +29,11 @@ pub struct Cut {
     /// No other choice of as many clusters has a larger f_o than this: proven, not measured.
     #[serde(default)]
     pub fulfilment_bound: f64,
+    /// Pairs that are beyond the gate of the backend.
+    #[serde(default)]
+    pub pairs_beyond_gate: usize,
+    #[serde(default)]
+    pub given_up: GivenUp,
 }
 
 /// The shortest of the prefixes that the settings name, but all that is finished.
@@ -57,6 +62,7 @@ pub(super) fn cut(settings: &CutSettings, cost: &Cost, bound: impl Fn(usize) -> 
         reachable: ranking.total_kept(),
         fulfilment: clusters.checked_sub(1).map_or(0.0, |last| ranking.fulfilment[last]),
         fulfilment_bound: bound(clusters),
+        ..Cut::default()
     })
 }
 

@@ -3,12 +3,14 @@
 //! [`Stages::run`] builds the surface, computes visibility, and chooses view clusters; [`decide`] ranks them, cuts the ranking, forecasts
 //! its cost, and gives a reason for everything left out. A [`Plan`] holds both results. This module writes no files.
 
+mod border;
 mod cut;
 mod decision;
 mod error;
 mod finished;
 mod forecast;
 mod georeference;
+mod given_up;
 mod memory;
 mod nothing;
 mod numbers;
@@ -23,6 +25,7 @@ pub use error::PlanError;
 pub use finished::{Finished, Outdated, PlannedView, PlannedViews};
 pub use forecast::Forecast;
 pub use georeference::georeference;
+pub use given_up::GivenUp;
 pub use memory::Memory;
 pub use nothing::Nothing;
 pub use numbers::{Matcher, PlanningNumbers};

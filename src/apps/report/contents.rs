@@ -19,7 +19,6 @@ use super::{
 };
 use crate::{
     apps::{doctor::partners_in_words, evaluate::EvaluateError},
-    backends,
     base::{
         column::DiskError,
         error::Hint,
@@ -29,6 +28,7 @@ use crate::{
     config::ForecastSettings,
     io::project::Project,
     model::{
+        cluster::Gate,
         georeference::{Georeference, MapFrame},
         reason::Reason,
         scene::{Units, ViewIndex},
@@ -278,10 +278,11 @@ impl ViewData {
 fn partners(plan: &Plan) -> BTreeMap<u32, String> {
     let of_pairs = [Reason::NoSharedPoints, Reason::RotationOnly, Reason::NotMatchable];
     let lacks = |view: &ViewIndex| plan.decision.views[view.index()].1.is_some_and(|reason| of_pairs.contains(&reason));
-    let Ok(backend) = backends::by_name(plan.stages.backend) else { return BTreeMap::new() };
+    // In a plan, all limits that some pair exceeds are set.
+    let gate = Gate::OPEN.with(&plan.stages.settings.partners.gate);
     let points = plan.stages.scene.view_points();
     let views: Vec<ViewIndex> = plan.stages.scene.view_indices().filter(lacks).collect();
-    let words = |&view: &ViewIndex| (view.0, partners_in_words(&plan.stages.scene, &points, backend, view));
+    let words = |&view: &ViewIndex| (view.0, partners_in_words(&plan.stages.scene, &points, &gate, view));
     views.par_iter().map(words).collect()
 }
 

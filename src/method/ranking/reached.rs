@@ -51,6 +51,16 @@ impl<'a> Reached<'a> {
         &self.largest[triangle as usize * m..][..m]
     }
 
+    /// Does fusion keep the triangle (method 5.2)?
+    pub(crate) fn is_kept(&self, triangle: u32) -> bool {
+        self.largest(triangle)[0] > KEPT
+    }
+
+    /// Would fusion keep the triangle if another map confirmed the best one?
+    pub(crate) fn is_of_one_map(&self, triangle: u32) -> bool {
+        !self.is_kept(triangle) && self.largest(triangle).last().is_some_and(|&best| best > KEPT)
+    }
+
     /// What the clusters taken are worth at a triangle, 0 to 1.
     pub(crate) fn worth(&self, triangle: u32) -> f32 {
         Objective::worth(self.largest(triangle).iter().copied()) as f32
