@@ -3,6 +3,7 @@
 //! [`Stages::run`] builds the surface, computes visibility, and chooses view clusters; [`decide`] ranks them, cuts the ranking, forecasts
 //! its cost, and gives a reason for everything left out. A [`Plan`] holds both results. This module writes no files.
 
+mod band;
 mod border;
 mod cut;
 mod decision;
@@ -19,6 +20,7 @@ mod stages;
 mod timings;
 mod warnings;
 
+pub use band::Band;
 pub use cut::Cut;
 pub use decision::{Decision, decide, decide_as};
 pub use error::PlanError;

@@ -33,7 +33,7 @@ use crate::{
         reason::Reason,
         scene::{Units, ViewIndex},
     },
-    plan::{self, Cut, Plan},
+    plan::{self, Band, Cut, GivenUp, Plan},
     show::pictures::{RAMP, REASON_NUMBERS, footprints, reason_number},
 };
 
@@ -135,6 +135,9 @@ struct SurfaceData {
     ranks: String,
     shares: String,
     first: String,
+    /// Rank (u16) from which on one map shows the triangle well enough, and from which on fusion keeps it.
+    alone: String,
+    kept: String,
     reachable: String,
     /// Number of the reason + 1, u8; 0 if some cluster fulfils the triangle.
     reason: String,
@@ -216,12 +219,19 @@ struct Limits {
     fulfilment: f64,
     /// Upper bound on f_o of any choice of as many clusters.
     fulfilment_bound: f64,
+    /// Bands in which the measured values are expected.
+    share_band: Band,
+    reachable_band: Band,
+    /// Part that the plan's cut gives up.
+    given_up: GivenUp,
+    pairs_beyond_gate: usize,
 }
 
 impl Limits {
     fn new(cut: &Cut) -> Self {
-        let Cut { reachable, fulfilment, fulfilment_bound, .. } = *cut;
-        Self { reachable, fulfilment, fulfilment_bound }
+        let Cut { reachable, reachable_band, share_band, fulfilment, fulfilment_bound, .. } = *cut;
+        let Cut { given_up, pairs_beyond_gate, .. } = *cut;
+        Self { reachable, reachable_band, share_band, fulfilment, fulfilment_bound, given_up, pairs_beyond_gate }
     }
 }
 
@@ -312,6 +322,8 @@ impl SurfaceData {
             ranks: bytes(&history.ranks),
             shares: bytes(&history.shares),
             first: bytes(&history.first),
+            alone: bytes(&history.alone),
+            kept: bytes(&history.kept),
             reachable: bytes(&history.reachable),
             reason: bytes(&surface.original.iter().map(reason).collect::<Vec<_>>()),
             coarser: surface.triangles.len() < plan.stages.surface.triangles.len(),

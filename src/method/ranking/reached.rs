@@ -51,9 +51,14 @@ impl<'a> Reached<'a> {
         &self.largest[triangle as usize * m..][..m]
     }
 
+    /// The m-th largest f of a triangle, on which m maps agree.
+    pub(crate) fn agreed(&self, triangle: u32) -> f32 {
+        self.largest(triangle)[0]
+    }
+
     /// Does fusion keep the triangle (method 5.2)?
     pub(crate) fn is_kept(&self, triangle: u32) -> bool {
-        self.largest(triangle)[0] > KEPT
+        self.agreed(triangle) > KEPT
     }
 
     /// Would fusion keep the triangle if another map confirmed the best one?
