@@ -9,7 +9,7 @@ use std::{env, error::Error, path::PathBuf};
 
 use viewrank::{
     Unwatched,
-    evaluate::{Evaluation, EvaluationInput, EvaluationOptions, MeasuredClusters, MeasuredSurface},
+    evaluate::{Evaluation, EvaluationInput, EvaluationOptions, MeasuredClusters, MeasuredSurface, SoFar},
     replan,
 };
 
@@ -27,7 +27,8 @@ fn main() -> Result<(), Box<dyn Error>> {
     let input = EvaluationInput { model, clusters: &clusters, depth_maps, reference: None, accuracy };
     let measured = MeasuredClusters::new(&input, &Unwatched)?;
 
-    let options = EvaluationOptions { objective: &plan.stages.objective, baselines: false };
+    let so_far = SoFar::new(&plan.stages, &measured);
+    let options = EvaluationOptions { objective: &plan.stages.objective, so_far, baselines: false };
     let model = plan.stages.model();
     let surface = MeasuredSurface::new(&model, &measured);
     let evaluation = Evaluation::new(&model, &measured, &surface, &options, &Unwatched)?;

@@ -11,6 +11,8 @@ use viewrank::internals::{
     backends,
     camera::{Camera, CameraModel},
     config::Settings,
+    daemon::follow::{self, Progress},
+    evaluate::{EvaluationInput, MeasuredClusters, SoFar},
     files::files,
     formats::{colmap::ColmapModel, colmap_bin},
     fulfilment::FulfilmentTable,
@@ -21,6 +23,7 @@ use viewrank::internals::{
     project::Project,
     ranking,
     replan::{self, Earlier, Maps, as_written, replan},
+    report::{Contents, DepthMapFolders},
     scene::{Scene, ViewIndex},
     synthetic::Town,
     visibility,
@@ -424,5 +427,37 @@ fn a_manifest_that_contradicts_itself_is_refused_with_its_field() {
         }
         let project = Project::open(root, None).unwrap();
         assert!(matches!(Earlier::read(&project), Err(WrittenPlanError::Manifest { .. })), "{place}");
+    }
+}
+
+#[test]
+fn the_same_maps_reach_the_same_share_wherever_it_is_shown() {
+    let planned = Planned::new(&town());
+    // Every third column failed.
+    planned.write_maps(0..6, |column, _| column % 3 > 0);
+    let root = planned.folder.path();
+    let of_plan = planned.again().decision.ranking.share(6);
+    assert!(of_plan > 0.0 && of_plan < 1.0);
+
+    let _ = follow::follow(root, &|_| true, &Unwatched);
+    let of_status = Progress::read(root).unwrap().share.unwrap();
+
+    let (project, plan) = as_written(root, &Unwatched).unwrap();
+    let folders = DepthMapFolders { depth_maps: Some(planned.maps()), reference: None };
+    let contents = Contents::new(&plan, &project, &folders, None, &Unwatched).unwrap();
+    let contents = serde_json::to_value(&contents).unwrap();
+    let of_report = contents["real"]["share"].as_array().unwrap()[5].as_f64().unwrap();
+
+    let clusters: Vec<_> =
+        plan.decision.ranking.order.iter().map(|&c| plan.stages.clusters[c as usize].clone()).collect();
+    let model = plan.stages.model();
+    let maps = planned.maps();
+    let input =
+        EvaluationInput { model, clusters: &clusters, depth_maps: &maps, reference: None, accuracy: f64::INFINITY };
+    let run = MeasuredClusters::new(&input, &Unwatched).unwrap();
+    let of_evaluate = SoFar::new(&plan.stages, &run).share.unwrap();
+
+    for (shown, share) in [("status", of_status), ("report", of_report), ("evaluate", of_evaluate)] {
+        assert!((share - of_plan).abs() < 1e-9, "{shown}: {share}, plan: {of_plan}");
     }
 }

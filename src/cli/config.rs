@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use crate::backends;
 use crate::{
-    config::{Configuration, Files, Key, Source, Typed, keys, user_file},
+    config::{Configuration, Files, Key, Settings, Source, Typed, keys, user_file},
     io::project::ProjectError,
     model::scene::Units,
 };
@@ -48,16 +48,35 @@ fn value_of<'a>(values: &'a Value, key: &Key) -> &'a Value {
     key.name.split('.').fold(values, |value, part| &value[part])
 }
 
+/// Numbers of the backend that the settings name, by key, with its name: they are in force where nothing is set.
+fn of_backend(settings: &Settings) -> Option<(&'static str, Value)> {
+    let backend = backends::by_name(settings.backends.first()?).ok()?;
+    let numbers = &backend.planning;
+    let gate = serde_json::to_value(numbers.gate.settings()).expect("settings are JSON");
+    Some((backend.name, json!({ "partners": { "gate": gate }, "ranking": { "support": numbers.support } })))
+}
+
+/// The backend's number for a key that is not set, and whose it is.
+fn number_of<'a>(of_backend: &'a Option<(&'static str, Value)>, key: &Key) -> Option<(&'a Value, &'static str)> {
+    let (name, numbers) = of_backend.as_ref()?;
+    Some((value_of(numbers, key), *name)).filter(|(value, _)| !value.is_null())
+}
+
 fn as_json(configuration: &Configuration, values: &Value) -> Value {
     let units = configuration.settings.units;
+    let of_backend = of_backend(&configuration.settings);
     let entry = |key: &Key| {
+        let (mut value, mut source) = (value_of(values, key), configuration.source(&key.name).to_string());
+        if let Some((number, backend)) = number_of(&of_backend, key).filter(|_| value.is_null()) {
+            (value, source) = (number, format!("backend {backend}"));
+        }
         json!({
             "key": key.name,
-            "value": value_of(values, key),
+            "value": value,
             "default": key.default,
             "unit": key.unit(units),
             "range": key.range(),
-            "source": configuration.source(&key.name).to_string(),
+            "source": source,
             "doc": key.doc,
         })
     };
@@ -65,6 +84,7 @@ fn as_json(configuration: &Configuration, values: &Value) -> Value {
 }
 
 fn as_toml(configuration: &Configuration, values: &Value) -> String {
+    let of_backend = of_backend(&configuration.settings);
     let mut text = String::new();
     let mut section = "";
     for key in keys() {
@@ -79,7 +99,10 @@ fn as_toml(configuration: &Configuration, values: &Value) -> String {
         // A command of the user's stays a comment, for a project's file must not have one.
         let mark = if value.is_null() || key.user_only { "# " } else { "" };
         text += &match (value.is_null(), configuration.source(&key.name)) {
-            (true, _) => format!("{mark}{name} =\n\n"),
+            (true, _) => match number_of(&of_backend, key) {
+                Some((number, backend)) => format!("{mark}{name} = {number}  # backend {backend}\n\n"),
+                None => format!("{mark}{name} =\n\n"),
+            },
             (false, Source::Default) => format!("{mark}{name} = {value}\n\n"),
             (false, Source::Written(place)) => format!("{mark}{name} = {value}  # {place}\n\n"),
         };
@@ -112,7 +135,6 @@ fn comment(text: &mut String, words: &str) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::Settings;
 
     #[test]
     fn the_user_s_commands_are_printed_as_comments() {

@@ -8,8 +8,8 @@ use std::{
 use crate::apps::replan;
 use crate::{
     apps::evaluate::{
-        self, Compared, Evaluation, EvaluationInput, EvaluationOptions, MeasuredClusters, MeasuredSurface, clusters,
-        orders,
+        self, Compared, Evaluation, EvaluationInput, EvaluationOptions, MeasuredClusters, MeasuredSurface, SoFar,
+        clusters, orders,
     },
     io::{
         output::{Contents, Disk, FileSet},
@@ -97,7 +97,8 @@ fn measure(
     let run = task(plan, &clusters, folder, arguments.reference.as_deref(), progress)?;
     let model = plan.stages.model();
     let reached = MeasuredSurface::new(&model, &run);
-    let how = EvaluationOptions { objective: &plan.stages.objective, baselines: arguments.baselines };
+    let so_far = SoFar::new(&plan.stages, &run);
+    let how = EvaluationOptions { objective: &plan.stages.objective, baselines: arguments.baselines, so_far };
     let evaluation = Evaluation::new(&model, &run, &reached, &how, progress)?;
     let title = project.root.file_name().unwrap_or(project.root.as_os_str()).to_string_lossy();
     let out = arguments.out.clone().unwrap_or_else(|| project.output_folder().join("evaluation"));
@@ -194,10 +195,12 @@ fn text(e: &Evaluation, out: &Path) -> String {
     let truth = if e.reference { "against the reference" } else { "no reference: every depth counts as right" };
     let _ = writeln!(text, "{} depth maps, {truth}", e.key_views.len());
     let _ = writeln!(text, "  completeness {:.1} %{}", 100.0 * e.quality.completeness, e.errors());
-    let _ = writeln!(text, "  fulfilment of all: {:.3} predicted, {:.3} real\n", e.predicted, e.real);
+    let _ = writeln!(text, "  reached: {}", e.reached_in_words());
+    let _ = writeln!(text, "  fulfilment of these: {:.3} predicted, {:.3} real\n", e.predicted, e.real);
     if e.inside < 1.0 {
         let _ = writeln!(text, "Fulfilment and shares are those inside the region.\n");
     }
+    let _ = writeln!(text, "shares of what these depth maps give together");
     let _ = writeln!(text, "predicted share   key views   pairs   real share");
     for gap in &e.gap {
         let (share, real) = (100.0 * gap.share, 100.0 * gap.real);
@@ -226,15 +229,14 @@ fn compared_text(compared: &[Compared]) -> String {
         "clusters of", "key views", "pairs", "completeness", "outliers", "RMSE", "real f_o"
     );
     for row in compared {
+        let [outliers, rmse] = row.quality.errors();
         let _ = writeln!(
             text,
-            "{:17} {:9} {:7} {:11.2} % {:7.2} % {:9.4} {:10.4}",
+            "{:17} {:9} {:7} {:11.2} % {outliers:>9} {rmse:>9} {:10.4}",
             row.name,
             row.clusters,
             row.pairs,
             100.0 * row.quality.completeness,
-            100.0 * row.quality.outliers,
-            row.quality.rmse,
             row.real
         );
     }

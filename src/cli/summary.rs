@@ -8,7 +8,7 @@ use crate::{
     config::TriangleWeight,
     io::project::Project,
     model::scene::Units,
-    plan::{Cut, Forecast, Memory, Plan, Timings},
+    plan::{Band, Cut, Forecast, GivenUp, Memory, Plan, Timings},
     show::{
         files::PlanFiles,
         manifest::{Manifest, RegionSummary, warnings_with},
@@ -133,10 +133,13 @@ impl<'a> Summary<'a> {
             None => format!("Compute {maps} of {all} depth maps, {pairs} image pairs instead of {all_pairs}"),
         };
         format!(
-            "\n{what}:\n{:.1} % of what all of them together would give{}.\n{}{}",
+            "\n{what}:\n{:.1} % of what all of them together would give{}.\nMeasured, it will likely be {}.\n{}{}{}{}",
             self.cut.share * 100.0,
             self.weight(),
+            range(&self.cut.share_band),
             self.certificate(),
+            self.given_up(),
+            self.beyond_gate(),
             self.done()
         )
     }
@@ -155,13 +158,36 @@ impl<'a> Summary<'a> {
 
     /// Formats the share of the target that all depth maps reach, and the proven bound on any better choice of equal length (method 5.2).
     fn certificate(&self) -> String {
-        let Cut { reachable, fulfilment, fulfilment_bound, .. } = self.cut;
-        let all = format!("All together give {:.0} % of what is wanted (predicted).\n", 100.0 * reachable);
+        let Cut { reachable, reachable_band, fulfilment, fulfilment_bound, .. } = self.cut;
+        let band = range(&reachable_band);
+        let all = format!("All together give {:.0} % of what is wanted (likely {band}).\n", 100.0 * reachable);
         if fulfilment > 0.0 {
             let better = 100.0 * (fulfilment_bound / fulfilment - 1.0).max(0.0);
             all + &format!("No choice of as many is more than {better:.0} % better.\n")
         } else {
             all
+        }
+    }
+
+    /// Where the part is that the cut gives up (method 5.3), in shares of what all depth maps give.
+    fn given_up(&self) -> String {
+        let Cut { reachable, given_up: GivenUp { border, inside, single_map }, .. } = self.cut;
+        if border + inside <= 0.0 {
+            return String::new();
+        }
+        let share = |weight: f64| format!("{:.1} %", 100.0 * weight / reachable);
+        let alone = match single_map > 0.0 {
+            true => format!("; {} of it has one map only", share(single_map)),
+            false => String::new(),
+        };
+        format!("Given up: {} at the border, {} inside{alone}.\n", share(border), share(inside))
+    }
+
+    fn beyond_gate(&self) -> String {
+        match self.cut.pairs_beyond_gate {
+            0 => String::new(),
+            1 => "One pair is beyond the gate, for want of a better partner.\n".into(),
+            n => format!("{} pairs are beyond the gate, for want of better partners.\n", grouped(n)),
         }
     }
 
@@ -171,7 +197,7 @@ impl<'a> Summary<'a> {
             n => {
                 let reached = self.manifest.clusters[n - 1].share * 100.0;
                 format!(
-                    "{} of them are finished, the first of the list: they really reach {reached:.1} %.\n",
+                    "{} of them are finished, the first of the list: they really reach {reached:.1} % of that.\n",
                     grouped(n)
                 )
             }
@@ -272,6 +298,11 @@ fn next(project: &Project, plan: &Plan, files: &PlanFiles, dry_run: bool) -> Str
     }
 }
 
+/// "81 to 99 %".
+fn range(band: &Band) -> String {
+    format!("{:.0} to {:.0} %", (100.0 * band.low).floor(), (100.0 * band.high).ceil())
+}
+
 /// 12,345.
 fn grouped(number: usize) -> String {
     let digits = number.to_string();
@@ -312,6 +343,7 @@ mod tests {
     fn numbers_are_written_as_people_read_them() {
         assert_eq!([0, 999, 1000, 1_234_567].map(grouped), ["0", "999", "1,000", "1,234,567"]);
         assert_eq!([0.0123456, 1.0, 12345.6, 0.5].map(rounded), ["0.0123", "1.00", "12346", "0.500"]);
+        assert_eq!(range(&Band { low: 0.8155, high: 1.0 }), "81 to 100 %");
         assert_eq!([12.4, 240.0, 12_000.0].map(duration), ["12 s", "4 min", "3 h 20 min"]);
     }
 }

@@ -158,6 +158,13 @@ impl Configuration {
             let why = format!("must not be below surface.edge_factor, which is {}", surface.edge_factor);
             return Err(self.refuse("surface.max_edge_factor", surface.max_edge_factor, why));
         }
+        let gate = &self.settings.partners.gate;
+        if let (Some(least), Some(most)) = (gate.min_angle, gate.max_angle)
+            && least > most
+        {
+            let why = format!("must not be above partners.gate.max_angle, which is {most}");
+            return Err(self.refuse("partners.gate.min_angle", least, why));
+        }
         if surface.up == Some([0.0; 3]) {
             return Err(self.refuse("surface.up", "0,0,0", "must be a direction".into()));
         }

@@ -274,12 +274,40 @@ pub struct PartnerSettings {
     pub triangle_fraction: u32,
     /// Choice of partners: the paper's random combinations ("sampled"), or local search that starts from the best of them ("search").
     pub method: PartnerMethod,
+    pub gate: GateSettings,
 }
 
 impl Default for PartnerSettings {
     fn default() -> Self {
-        Self { k: 5, candidates: 22, draws: 100, triangle_fraction: 10, method: PartnerMethod::Search }
+        Self {
+            k: 5,
+            candidates: 22,
+            draws: 100,
+            triangle_fraction: 10,
+            method: PartnerMethod::Search,
+            gate: GateSettings::default(),
+        }
     }
+}
+
+/// Method 7.1: pairs beyond these limits are partners only where others are missing. Unset numbers are the backend's.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct GateSettings {
+    /// Least number of sparse points that both views observe. A higher value refuses weakly connected pairs. Unset: the backend's.
+    #[schemars(range(min = 1), extend("unit" = "points"))]
+    pub min_shared_points: Option<u32>,
+    /// Least median triangulation angle at the shared points, degrees. A higher value refuses short baselines. Unset: the backend's.
+    #[schemars(range(min = 0, max = 180), extend("unit" = "degrees"))]
+    pub min_angle: Option<f64>,
+    /// Largest median triangulation angle, degrees. A higher value admits wider baselines. Unset: the backend's.
+    #[schemars(range(min = 0, max = 180), extend("unit" = "degrees"))]
+    pub max_angle: Option<f64>,
+    /// Largest median ratio of the two images' scales, octaves. A higher value admits pairs of different scale. Unset: the backend's.
+    #[schemars(range(min = 0), extend("unit" = "octaves"))]
+    pub max_scale_octaves: Option<f64>,
+    /// True if the centre of one camera may project into the image of the other. Unset: the backend's.
+    pub epipole_inside: Option<bool>,
 }
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]

@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{PlanError, forecast::Cost};
+use super::{Band, GivenUp, PlanError, forecast::Cost};
 use crate::{config::CutSettings, method::fulfilment::block::Places};
 
 /// Default target: a share of what all clusters together reach.
@@ -18,17 +18,28 @@ pub struct Cut {
     pub pairs: usize,
     /// What fusion keeps of them over what it keeps of all clusters (`kept` over `reachable`), 0 to 1.
     pub share: f64,
+    /// Band in which the measured share is expected.
+    #[serde(default)]
+    pub share_band: Band,
     /// Weight of the triangles that fusion keeps of them, over that of the whole surface, 0 to 1.
     #[serde(default)]
     pub kept: f64,
     /// The same of all clusters: what these photographs can give of what is wanted.
     #[serde(default)]
     pub reachable: f64,
+    /// Band in which the measured value of that is expected.
+    #[serde(default)]
+    pub reachable_band: Band,
     /// Their fulfilment f_o, 0 to 1.
     pub fulfilment: f64,
     /// No other choice of as many clusters has a larger f_o than this: proven, not measured.
     #[serde(default)]
     pub fulfilment_bound: f64,
+    /// Pairs that are beyond the gate of the backend.
+    #[serde(default)]
+    pub pairs_beyond_gate: usize,
+    #[serde(default)]
+    pub given_up: GivenUp,
 }
 
 /// The shortest of the prefixes that the settings name, but all that is finished.
@@ -57,6 +68,7 @@ pub(super) fn cut(settings: &CutSettings, cost: &Cost, bound: impl Fn(usize) -> 
         reachable: ranking.total_kept(),
         fulfilment: clusters.checked_sub(1).map_or(0.0, |last| ranking.fulfilment[last]),
         fulfilment_bound: bound(clusters),
+        ..Cut::default()
     })
 }
 

@@ -1,13 +1,15 @@
 //! Ranks the clusters, cuts the ranking, and derives forecast, reasons and warnings.
 
-use super::{Cut, Finished, Forecast, PlanError, Stages, Timings, ViewStatus, cut, forecast, reasons, warnings};
+use super::{
+    Band, Cut, Finished, Forecast, GivenUp, PlanError, Stages, Timings, ViewStatus, cut, forecast, reasons, warnings,
+};
 use crate::{
     base::progress::{Stage, Watcher},
     method::{
         fulfilment::Model,
         ranking::{self, Ranking},
     },
-    model::reason::Reason,
+    model::{cluster::ViewCluster, reason::Reason},
 };
 
 /// The ranking, its cut, the forecast cost, and the reasons for everything left out.
@@ -40,6 +42,14 @@ pub fn decide(
         timings.time(Stage::Ranking, || ranking::rank_after(order, &stages.fulfilment, &stages.objective, watcher))?;
     let bound = |length| ranking::most_of_any(length, &stages.fulfilment, &stages.objective, &ranking.order);
     let cut = cut::cut(&stages.settings.cut, &cost(stages, &stages.model(), &ranking, &finished), bound)?;
+    let reachable_band = Band::of_reachable(stages, &ranking);
+    let cut = Cut {
+        share_band: Band::of_share(stages, cut.share, cut.reachable, &reachable_band),
+        reachable_band,
+        pairs_beyond_gate: pairs_beyond_gate(stages, &ranking.order[..cut.clusters]),
+        given_up: GivenUp::new(stages, &ranking, cut.clusters),
+        ..cut
+    };
     let decision = decide_as(stages, finished, ranking, cut)?;
     watcher.check()?;
     Ok(decision)
@@ -58,8 +68,17 @@ pub fn decide_as(stages: &Stages, finished: Finished, ranking: Ranking, cut: Cut
     };
     let views = all_reasons.views(&ranking.order[..cut.clusters], &stages.settings.partners)?;
     let triangle_reasons = all_reasons.triangles();
-    let warnings = warnings::warnings(stages, &ranking, &finished);
+    let warnings = warnings::warnings(stages, &ranking, &cut.reachable_band, &finished);
     Ok(Decision { ranking, finished, cut, forecast, views, triangle_reasons, warnings })
+}
+
+fn pairs_beyond_gate(stages: &Stages, chosen: &[u32]) -> usize {
+    let beyond = |&cluster: &u32| {
+        let ViewCluster { key, partners } = &stages.clusters[cluster as usize];
+        let beyond = stages.candidates.beyond_gate(*key);
+        partners.iter().filter(|partner| beyond.contains(partner)).count()
+    };
+    chosen.iter().map(beyond).sum()
 }
 
 pub(super) fn cost<'a>(

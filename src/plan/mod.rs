@@ -3,12 +3,15 @@
 //! [`Stages::run`] builds the surface, computes visibility, and chooses view clusters; [`decide`] ranks them, cuts the ranking, forecasts
 //! its cost, and gives a reason for everything left out. A [`Plan`] holds both results. This module writes no files.
 
+mod band;
+mod border;
 mod cut;
 mod decision;
 mod error;
 mod finished;
 mod forecast;
 mod georeference;
+mod given_up;
 mod memory;
 mod nothing;
 mod numbers;
@@ -17,12 +20,14 @@ mod stages;
 mod timings;
 mod warnings;
 
+pub use band::Band;
 pub use cut::Cut;
 pub use decision::{Decision, decide, decide_as};
 pub use error::PlanError;
 pub use finished::{Finished, Outdated, PlannedView, PlannedViews};
 pub use forecast::Forecast;
 pub use georeference::georeference;
+pub use given_up::GivenUp;
 pub use memory::Memory;
 pub use nothing::Nothing;
 pub use numbers::{Matcher, PlanningNumbers};

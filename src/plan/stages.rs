@@ -80,7 +80,8 @@ impl Stages {
         let numbers = &matcher.numbers;
         let refuses =
             |pair: &PairGeometry| numbers.refuses.is_some_and(|refuses| refuses(pair, &points, settings.image_scale()));
-        let limits = Limits { gate: &numbers.gate, refuses: &refuses };
+        let gate = numbers.gate.with(&settings.partners.gate);
+        let limits = Limits { gate: &gate, refuses: &refuses };
         // Parts of the surface are built by one thread; the others find candidates meanwhile.
         let (seen, candidates) = rayon::join(
             || visible_surface(&scene, &points, &settings, watcher, timings, &mut memory),
@@ -204,6 +205,7 @@ fn in_force(
     all.target.mode = all.target.mode.in_force(settings.target.gsd.or(settings.target.accuracy).is_some());
     all.target.gsd = Some(gsd);
     all.partners.candidates = all.partners.candidates.max(all.partners.k);
+    all.partners.gate = matcher.numbers.gate.with(&all.partners.gate).settings();
     all.ranking.support.get_or_insert(matcher.numbers.support);
     all.confidence.source = source.to_string();
     if all.partners.k == 1 {

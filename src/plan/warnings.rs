@@ -1,6 +1,6 @@
 //! Warnings that the user should read before relying on a plan.
 
-use super::{Finished, Stages};
+use super::{Band, Finished, Stages};
 use crate::method::ranking::Ranking;
 use crate::{
     config::{ConfidenceForm, Settings, SurfaceChoice},
@@ -14,12 +14,15 @@ const CONTRADICTIONS: f64 = 0.05;
 const WANTED_RATIO: f64 = 20.0;
 /// Share of what is wanted that all clusters together give, below which the plan says so.
 const LITTLE: f64 = 0.5;
+/// Width of the band of what all clusters give from which on the scene is one that the confidence cannot judge: in a room and around
+/// an object it was wider, over flights at most 0.21, but for an oblique one (0.45).
+const UNSURE: f64 = 0.3;
 /// Eastings of UTM coordinates, metres; a zone is no wider.
 const EASTINGS: std::ops::Range<f64> = 100_000.0..900_000.0;
 /// Depth maps that a warning names.
 const NAMED: usize = 3;
 
-pub(super) fn warnings(stages: &Stages, ranking: &Ranking, finished: &Finished) -> Vec<String> {
+pub(super) fn warnings(stages: &Stages, ranking: &Ranking, reachable: &Band, finished: &Finished) -> Vec<String> {
     let mut warnings: Vec<String> = stages.scene.warnings.iter().map(|warning| warning.text.clone()).collect();
     warnings.extend(stages.pictures.warnings.iter().cloned());
     warnings.extend(unlikely_gsd(&stages.scene, &stages.settings));
@@ -30,6 +33,7 @@ pub(super) fn warnings(stages: &Stages, ranking: &Ranking, finished: &Finished) 
     warnings.extend(without_effect(stages));
     warnings.extend(single_partner(stages));
     warnings.extend(little_fulfilled(ranking));
+    warnings.extend(unsure(stages, reachable));
     warnings.extend(contradictions(stages));
     warnings.extend(outdated(stages, finished));
     warnings.extend(finished.unreadable.iter().cloned());
@@ -142,6 +146,18 @@ fn little_fulfilled(ranking: &Ranking) -> Option<String> {
             "all images together can give only {:.0} % of what is wanted, and shares are of that: surface.ply has the reason of each triangle; \
              more partners (-k) or a coarser --gsd may give more",
             100.0 * given
+        )
+    })
+}
+
+/// Warns where the pictures leave open what can be matched, so that the plan may be far off.
+fn unsure(stages: &Stages, reachable: &Band) -> Option<String> {
+    let looks = matches!(stages.confidence, Confidence::Photometric { .. });
+    (looks && reachable.high - reachable.low > UNSURE).then(|| {
+        format!(
+            "the pictures leave open how much can be matched here: all together may give {:.0} to {:.0} % of what is wanted; plan for the subject              alone (--mesh with its surface), use more partners (-k) or other limits of pairs ([partners.gate]), and plan again with the first              depth maps (--finished)",
+            100.0 * reachable.low,
+            100.0 * reachable.high
         )
     })
 }

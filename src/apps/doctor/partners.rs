@@ -6,10 +6,10 @@ use rayon::prelude::*;
 
 use super::{FEW, Finding, Inputs, Severity, ViewFinding, counted};
 use crate::{
-    backends::Backend,
     base::connected::components,
     method::partners::{Obstacle, PairGeometry, neighbours},
     model::{
+        cluster::Gate,
         reason::Reason,
         scene::{PointIndex, Scene, ViewIndex, ViewPoints},
     },
@@ -51,8 +51,9 @@ struct PartnerCount {
 
 pub fn findings(inputs: &Inputs) -> Vec<Finding> {
     let views: Vec<ViewIndex> = inputs.scene.view_indices().collect();
+    let gate = inputs.backend.planning.gate.with(&inputs.settings.partners.gate);
     let counts: Vec<PartnerCount> =
-        views.par_iter().map(|&view| count_partners(inputs.scene, inputs.points, inputs.backend, view)).collect();
+        views.par_iter().map(|&view| count_partners(inputs.scene, inputs.points, &gate, view)).collect();
     let few = [too_few(inputs, &counts), fewer_than_wanted(inputs, &counts)];
     few.into_iter().flatten().chain(one_position(inputs, &counts)).collect()
 }
@@ -64,17 +65,16 @@ fn least(inputs: &Inputs) -> usize {
 }
 
 /// Describes how many of the views that share points with this one the backend can match, and why it refuses the others.
-pub fn partners_in_words(scene: &Scene, points: &ViewPoints, backend: &Backend, view: ViewIndex) -> String {
-    count_partners(scene, points, backend, view).words()
+pub fn partners_in_words(scene: &Scene, points: &ViewPoints, gate: &Gate, view: ViewIndex) -> String {
+    count_partners(scene, points, gate, view).words()
 }
 
-fn count_partners(scene: &Scene, points: &ViewPoints, backend: &Backend, view: ViewIndex) -> PartnerCount {
+fn count_partners(scene: &Scene, points: &ViewPoints, gate: &Gate, view: ViewIndex) -> PartnerCount {
     let around = neighbours(scene, points, view);
     let pairs: Vec<PairGeometry> =
         around.iter().map(|(other, shared)| PairGeometry::new(scene, view, *other, shared)).collect();
     let (without_baseline, with_baseline): (Vec<_>, Vec<_>) =
         pairs.into_iter().partition(PairGeometry::has_no_baseline);
-    let gate = backend.planning.gate;
     let obstacles: Vec<Obstacle> = with_baseline.iter().filter_map(|pair| gate.obstacle(pair)).collect();
     let mut count = PartnerCount {
         view,

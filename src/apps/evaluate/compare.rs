@@ -92,7 +92,7 @@ pub fn compare(
             name: name.clone(),
             clusters: run.clusters.len(),
             pairs: curve.pairs.last().copied().unwrap_or(0),
-            quality: (&quality).into(),
+            quality: QualityRow::new(&quality, run.has_reference),
             predicted: predicted.total(),
             real: curve.total(),
             curve,

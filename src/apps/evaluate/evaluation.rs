@@ -10,6 +10,7 @@ use super::{
     measure::Quality,
     missing::{MeasuredSurface, Missing},
     run::MeasuredClusters,
+    so_far::SoFar,
 };
 use crate::{
     base::{column::TableError, progress::Watcher},
@@ -35,7 +36,9 @@ pub struct Evaluation {
     /// f_o of all clusters together.
     pub predicted: f64,
     pub real: f64,
-    /// Weight of the triangles that fusion keeps of all clusters together, 0 to 1: what the shares below are of.
+    /// What these maps reach of what all clusters of the plan are expected to give: the share that `status` and `report` show, too.
+    pub reached: SoFar,
+    /// Weight of the triangles that fusion keeps of all clusters with a map, 0 to 1: what the shares below are of.
     pub kept: Kept,
     /// Along the order of the clusters; entry i is after i clusters.
     pub curve: Curves,
@@ -57,25 +60,33 @@ pub struct Evaluation {
 pub struct QualityRow {
     /// Right pixels over the reference's.
     pub completeness: f64,
-    /// Wrong pixels over those that have both depths.
-    pub outliers: f64,
-    /// Of the right pixels, scene units.
-    pub rmse: f64,
+    /// Wrong pixels over those that have both depths; null without a reference.
+    pub outliers: Option<f64>,
+    /// Of the right pixels, scene units; null without a reference.
+    pub rmse: Option<f64>,
     /// Pixels with a depth.
     pub measured: u64,
     /// Pixels with a reference depth.
     pub reference: u64,
 }
 
-impl From<&Quality> for QualityRow {
-    fn from(q: &Quality) -> Self {
+impl QualityRow {
+    /// `has_reference`: were the depths held against others?
+    pub fn new(q: &Quality, has_reference: bool) -> Self {
         Self {
             completeness: q.completeness(),
-            outliers: q.outliers(),
-            rmse: q.rmse(),
+            outliers: (has_reference && q.both > 0).then(|| q.outliers()),
+            rmse: (has_reference && q.right > 0).then(|| q.rmse()),
             measured: q.measured,
             reference: q.reference,
         }
+    }
+
+    /// Outliers and RMSE as they are printed; a dash where they were not measured.
+    pub fn errors(&self) -> [String; 2] {
+        let outliers = self.outliers.map(|share| format!("{:.2} %", 100.0 * share));
+        let rmse = self.rmse.map(|rmse| format!("{rmse:.4}"));
+        [outliers, rmse].map(|text| text.unwrap_or_else(|| "–".into()))
     }
 }
 
@@ -120,17 +131,23 @@ pub struct KeyView {
 /// What to read the curves with.
 pub struct EvaluationOptions<'a> {
     pub objective: &'a Objective,
+    pub so_far: SoFar,
     /// Compare with other orders?
     pub baselines: bool,
 }
 
 impl Evaluation {
-    /// Outliers and RMSE in words that follow the completeness; without a reference nothing is known of either.
+    /// Outliers and RMSE in words that follow the completeness.
     pub fn errors(&self) -> String {
-        match self.reference {
-            true => format!(", outliers {:.2} %, RMSE {:.4} units", 100.0 * self.quality.outliers, self.quality.rmse),
-            false => String::new(),
-        }
+        let [outliers, rmse] = self.quality.errors();
+        let unit = if self.quality.rmse.is_some() { " units" } else { "" };
+        format!(", outliers {outliers}, RMSE {rmse}{unit}")
+    }
+
+    /// The share that is reached, with what it is of.
+    pub fn reached_in_words(&self) -> String {
+        let share = self.reached.share.map_or("–".into(), |share| format!("{:.1} %", 100.0 * share));
+        format!("{share} of what all depth maps of the plan are expected to give")
     }
 
     pub fn new(
@@ -140,7 +157,7 @@ impl Evaluation {
         measure: &EvaluationOptions,
         watcher: &dyn Watcher,
     ) -> Result<Self, TableError> {
-        let EvaluationOptions { objective, baselines } = *measure;
+        let EvaluationOptions { objective, baselines, so_far } = *measure;
         let predicted = Curve::new(&run.predicted, objective, &run.clusters, &run.order);
         let real = run.real_curve(objective, &run.order);
         let names = |views: &[ViewIndex]| views.iter().map(|&v| model.scene.name(v).to_string()).collect();
@@ -154,7 +171,8 @@ impl Evaluation {
             support: objective.support,
             inside: objective.inside,
             triangles: objective.weights.iter().filter(|&&weight| weight > 0.0).count(),
-            quality: (&run.pooled()).into(),
+            quality: QualityRow::new(&run.pooled(), run.has_reference),
+            reached: so_far,
             predicted: predicted.total(),
             real: real.total(),
             kept: Kept { predicted: predicted.total_kept(), real: real.total_kept() },
@@ -199,7 +217,7 @@ fn key_view(model: &Model, run: &MeasuredClusters, cluster: usize) -> KeyView {
         name: model.scene.name(run.clusters[cluster].key).into(),
         partners: names(&run.clusters[cluster].partners),
         matched: names(&run.matched[cluster].partners),
-        quality: (&run.quality[cluster]).into(),
+        quality: QualityRow::new(&run.quality[cluster], run.has_reference),
         predicted: sum(run.predicted.row(cluster).1),
         real: sum(run.real.row(cluster).1),
     }

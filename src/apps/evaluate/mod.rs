@@ -15,6 +15,7 @@ pub mod orders;
 mod page;
 pub mod rules;
 mod run;
+mod so_far;
 pub mod tables;
 
 #[cfg(test)]
@@ -27,3 +28,4 @@ pub use measure::Quality;
 pub use missing::{MeasuredSurface, Missing};
 pub use page::page;
 pub use run::{EvaluateError, EvaluationInput, MeasuredClusters};
+pub use so_far::SoFar;

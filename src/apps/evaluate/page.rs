@@ -21,7 +21,7 @@ pub fn page(evaluation: &Evaluation, title: &str) -> String {
         escape(title)
     );
     html += &summary(evaluation);
-    html += "<h2>Share of what all depth maps give</h2>\n<div class=\"plots\">\n";
+    html += "<h2>Share of what these depth maps give together</h2>\n<div class=\"plots\">\n";
     html += &plots(evaluation);
     html += "</div>\n";
     html += &gap_table(evaluation);
@@ -46,8 +46,9 @@ fn summary(e: &Evaluation) -> String {
         "without a reference, every depth on the surface counts as right"
     };
     let mut html = format!(
-        "<p>{} depth maps, {truth}. Completeness {:.1} %{}. Fulfilment of all clusters: {:.3} predicted, {:.3} real.</p>\n",
+        "<p>{} depth maps, {truth}. They reach {}. Completeness {:.1} %{}. Fulfilment of these clusters: {:.3} predicted, {:.3} real.</p>\n",
         e.key_views.len(),
+        e.reached_in_words(),
         100.0 * e.quality.completeness,
         e.errors(),
         e.predicted,
@@ -100,7 +101,7 @@ fn line(label: &'static str, colour: &'static str, dash: &'static str, x: &[f64]
 
 fn gap_table(e: &Evaluation) -> String {
     let mut html = String::from(
-        "<h2>Prediction</h2>\n<table><tr><th>predicted</th><th>key views</th><th>pairs</th><th>real</th><th>gap, points</th></tr>\n",
+        "<h2>Prediction</h2>\n<p>Shares of what these depth maps give together.</p>\n<table><tr><th>predicted</th><th>key views</th><th>pairs</th><th>real</th><th>gap, points</th></tr>\n",
     );
     for gap in &e.gap {
         let _ = writeln!(
@@ -168,16 +169,15 @@ fn key_view_table(e: &Evaluation) -> String {
 }
 
 fn key_view_row(rank: usize, view: &KeyView) -> String {
+    let [outliers, rmse] = view.quality.errors();
     format!(
-        "<tr><td>{}</td><td>{rank}</td><td title=\"{}\">{} of {}</td><td>{:.1} %</td><td>{:.2} %</td><td>{:.4}</td><td>{:.0}</td>\
+        "<tr><td>{}</td><td>{rank}</td><td title=\"{}\">{} of {}</td><td>{:.1} %</td><td>{outliers}</td><td>{rmse}</td><td>{:.0}</td>\
          <td>{:.0}</td></tr>\n",
         escape(&view.name),
         escape(&view.partners.join(", ")),
         view.matched.len(),
         view.partners.len(),
         100.0 * view.quality.completeness,
-        100.0 * view.quality.outliers,
-        view.quality.rmse,
         view.predicted,
         view.real
     )

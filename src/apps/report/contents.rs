@@ -19,7 +19,6 @@ use super::{
 };
 use crate::{
     apps::{doctor::partners_in_words, evaluate::EvaluateError},
-    backends,
     base::{
         column::DiskError,
         error::Hint,
@@ -29,11 +28,12 @@ use crate::{
     config::ForecastSettings,
     io::project::Project,
     model::{
+        cluster::Gate,
         georeference::{Georeference, MapFrame},
         reason::Reason,
         scene::{Units, ViewIndex},
     },
-    plan::{self, Cut, Plan},
+    plan::{self, Band, Cut, GivenUp, Plan},
     show::{
         manifest::RegionSummary,
         pictures::{RAMP, REASON_NUMBERS, footprints, reason_number},
@@ -142,6 +142,9 @@ struct SurfaceData {
     ranks: String,
     shares: String,
     first: String,
+    /// Rank (u16) from which on one map shows the triangle well enough, and from which on fusion keeps it.
+    alone: String,
+    kept: String,
     reachable: String,
     /// Number of the reason + 1, u8; 0 if some cluster fulfils the triangle.
     reason: String,
@@ -240,12 +243,19 @@ struct Limits {
     fulfilment: f64,
     /// Upper bound on f_o of any choice of as many clusters.
     fulfilment_bound: f64,
+    /// Bands in which the measured values are expected.
+    share_band: Band,
+    reachable_band: Band,
+    /// Part that the plan's cut gives up.
+    given_up: GivenUp,
+    pairs_beyond_gate: usize,
 }
 
 impl Limits {
     fn new(cut: &Cut) -> Self {
-        let Cut { reachable, fulfilment, fulfilment_bound, .. } = *cut;
-        Self { reachable, fulfilment, fulfilment_bound }
+        let Cut { reachable, reachable_band, share_band, fulfilment, fulfilment_bound, .. } = *cut;
+        let Cut { given_up, pairs_beyond_gate, .. } = *cut;
+        Self { reachable, reachable_band, share_band, fulfilment, fulfilment_bound, given_up, pairs_beyond_gate }
     }
 }
 
@@ -306,10 +316,11 @@ impl ViewData {
 fn partners(plan: &Plan) -> BTreeMap<u32, String> {
     let of_pairs = [Reason::NoSharedPoints, Reason::RotationOnly, Reason::NotMatchable];
     let lacks = |view: &ViewIndex| plan.decision.views[view.index()].1.is_some_and(|reason| of_pairs.contains(&reason));
-    let Ok(backend) = backends::by_name(plan.stages.backend) else { return BTreeMap::new() };
+    // In a plan, all limits that some pair exceeds are set.
+    let gate = Gate::OPEN.with(&plan.stages.settings.partners.gate);
     let points = plan.stages.scene.view_points();
     let views: Vec<ViewIndex> = plan.stages.scene.view_indices().filter(lacks).collect();
-    let words = |&view: &ViewIndex| (view.0, partners_in_words(&plan.stages.scene, &points, backend, view));
+    let words = |&view: &ViewIndex| (view.0, partners_in_words(&plan.stages.scene, &points, &gate, view));
     views.par_iter().map(words).collect()
 }
 
@@ -339,6 +350,8 @@ impl SurfaceData {
             ranks: bytes(&history.ranks),
             shares: bytes(&history.shares),
             first: bytes(&history.first),
+            alone: bytes(&history.alone),
+            kept: bytes(&history.kept),
             reachable: bytes(&history.reachable),
             reason: bytes(&surface.original.iter().map(reason).collect::<Vec<_>>()),
             coarser: surface.triangles.len() < plan.stages.surface.triangles.len(),

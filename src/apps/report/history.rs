@@ -1,7 +1,7 @@
 //! Growth of the fulfilment of each drawn triangle along the ranking, so that the page can show any cut.
 
 use super::shown::DrawnSurface;
-use crate::{base::rows::Offsets, plan::Plan, show::pictures};
+use crate::{base::rows::Offsets, method::ranking::Reached, plan::Plan, show::pictures};
 
 /// Clusters per triangle that are counted one by one; the page says "5 or more" beyond.
 pub const COUNTED: usize = 5;
@@ -18,6 +18,9 @@ pub struct History {
     pub shares: Vec<u8>,
     /// Ranks of the first [`COUNTED`] clusters that fulfil the triangle at all.
     pub first: Vec<u32>,
+    /// Rank from which on one map shows the triangle well enough for fusion, and from which on as many do as fusion wants.
+    pub alone: Vec<u32>,
+    pub kept: Vec<u32>,
     /// Fulfilment by all clusters together, in 255ths.
     pub reachable: Vec<u8>,
 }
@@ -39,7 +42,8 @@ impl History {
                 of.push((rank, fulfilment));
             }
         });
-        let mut history = Self::default();
+        let (alone, kept) = confirmed(plan, drawn);
+        let mut history = Self { alone, kept, ..Self::default() };
         for (steps, mut counted) in steps.into_iter().zip(first) {
             counted.resize(COUNTED, NEVER);
             history.first.extend(counted);
@@ -63,6 +67,30 @@ impl History {
         self.reachable.push(in_255ths(reachable));
         self.offsets.push(self.ranks.len() - start);
     }
+}
+
+/// Ranks from which on one map, and as many as fusion wants, show each drawn triangle well enough.
+fn confirmed(plan: &Plan, drawn: &DrawnSurface) -> (Vec<u32>, Vec<u32>) {
+    let mut reached = Reached::new(&plan.stages.objective);
+    let (mut alone, mut kept) = (vec![NEVER; drawn.original.len()], vec![NEVER; drawn.original.len()]);
+    let mut place = vec![u32::MAX; plan.stages.surface.triangles.len()];
+    drawn.original.iter().enumerate().for_each(|(i, &t)| place[t as usize] = i as u32);
+    for (rank, &cluster) in (1..NEVER).zip(&plan.decision.ranking.order) {
+        let row = plan.stages.fulfilment.row(cluster as usize);
+        reached.take(row);
+        for &t in row.0 {
+            let Some(place) = Some(place[t as usize] as usize).filter(|&place| place < alone.len()) else { continue };
+            let is_kept = reached.is_kept(t);
+            if is_kept || reached.is_of_one_map(t) {
+                alone[place] = alone[place].min(rank);
+            }
+            if is_kept {
+                kept[place] = kept[place].min(rank);
+            }
+        }
+    }
+    plan.stages.fulfilment.release();
+    (alone, kept)
 }
 
 /// Quantises a number from 0 to 1 to a byte.

@@ -6,7 +6,7 @@ use serde::Serialize;
 
 use super::{ReportError, bytes, history::in_255ths, shown::DrawnSurface};
 use crate::{
-    apps::evaluate::{EvaluateError, EvaluationInput, MeasuredClusters, MeasuredSurface, curve::Curve, orders},
+    apps::evaluate::{EvaluateError, EvaluationInput, MeasuredClusters, MeasuredSurface, SoFar, curve::Curve, orders},
     base::progress::Watcher,
     io::{
         depthmaps::{self, DepthMapError},
@@ -33,7 +33,7 @@ pub struct Real {
     maps: usize,
     /// Rank (from 1) of each finished cluster.
     ranks: Vec<usize>,
-    /// Measured weight kept by fusion up to that cluster, over what it is predicted to keep of all clusters (method 5.2).
+    /// Measured weight kept by fusion up to that cluster, over what it is expected to keep of all clusters (method 8).
     share: Vec<f64>,
     /// Measured fulfilment of each drawn triangle, in 255ths.
     triangles: String,
@@ -85,6 +85,7 @@ impl Real {
     fn of(plan: &Plan, drawn: &DrawnSurface, run: &MeasuredClusters, clusters: &[ViewCluster], folder: &Path) -> Self {
         let model = plan.stages.model();
         let curve = Curve::new(&run.real, &plan.stages.objective, &run.clusters, &run.order);
+        let so_far = SoFar::new(&plan.stages, run);
         let rank = |&c: &u32| 1 + clusters.iter().take_while(|of| of.key != run.clusters[c as usize].key).count();
         let reached = MeasuredSurface::new(&model, run);
         let shades: Vec<u8> = drawn.original.iter().map(|&t| in_255ths(reached.fulfilment[t as usize])).collect();
@@ -93,7 +94,7 @@ impl Real {
             reference: run.has_reference,
             maps: run.clusters.len(),
             ranks: run.order.iter().map(rank).collect(),
-            share: (1..curve.kept.len()).map(|i| curve.share(i, plan.decision.ranking.total_kept())).collect(),
+            share: (1..curve.kept.len()).map(|i| curve.share(i, so_far.reachable)).collect(),
             triangles: bytes(&shades),
         }
     }

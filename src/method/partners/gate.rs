@@ -1,9 +1,34 @@
 //! Method 7.1: which pairs of views a backend can match at all.
 
 use super::PairGeometry;
-use crate::model::{cluster::Gate, reason::Reason};
+use crate::{
+    config::GateSettings,
+    model::{cluster::Gate, reason::Reason},
+};
 
 impl Gate {
+    /// The gate with the limits that are set in place of its own.
+    pub fn with(self, set: &GateSettings) -> Self {
+        Self {
+            min_shared_points: set.min_shared_points.map_or(self.min_shared_points, |points| points as usize),
+            min_angle_deg: set.min_angle.unwrap_or(self.min_angle_deg),
+            max_angle_deg: set.max_angle.unwrap_or(self.max_angle_deg),
+            max_scale_octaves: set.max_scale_octaves.unwrap_or(self.max_scale_octaves),
+            epipole_inside: set.epipole_inside.unwrap_or(self.epipole_inside),
+        }
+    }
+
+    /// Its limits as settings; a limit that no pair exceeds is unset.
+    pub fn settings(&self) -> GateSettings {
+        GateSettings {
+            min_shared_points: u32::try_from(self.min_shared_points).ok(),
+            min_angle: Some(self.min_angle_deg),
+            max_angle: Some(self.max_angle_deg),
+            max_scale_octaves: Some(self.max_scale_octaves).filter(|octaves| octaves.is_finite()),
+            epipole_inside: Some(self.epipole_inside),
+        }
+    }
+
     /// Why the pair cannot be matched; `None`: it can.
     pub fn refusal(&self, pair: &PairGeometry) -> Option<Reason> {
         match self.obstacle(pair) {
@@ -42,6 +67,15 @@ pub enum Obstacle {
 mod tests {
     use super::*;
     use crate::model::scene::{PointIndex, Scene, ViewIndex};
+
+    #[test]
+    fn limits_that_are_set_take_the_place_of_the_backends() {
+        let gate = Gate { min_angle_deg: 5.0, ..Gate::OPEN };
+        assert_eq!(gate.with(&GateSettings::default()), gate);
+        assert_eq!(Gate::OPEN.with(&gate.settings()), gate, "what is in force is a setting that says the same");
+        let set = GateSettings { min_angle: Some(2.0), max_scale_octaves: Some(1.0), ..GateSettings::default() };
+        assert_eq!(gate.with(&set), Gate { min_angle_deg: 2.0, max_scale_octaves: 1.0, ..gate });
+    }
 
     #[test]
     fn a_gate_refuses_what_is_outside_of_it() {

@@ -1,6 +1,6 @@
 //! What a set of clusters reaches, one cluster at a time.
 
-use super::{KEPT, Objective, SINGLE_MAP_CREDIT};
+use super::{KEPT, Objective};
 
 /// f_o in whole numbers of this part: sums of them are exact, so that gains can be kept up to date by differences, and neither the order of
 /// additions nor the number of threads shows.
@@ -51,6 +51,21 @@ impl<'a> Reached<'a> {
         &self.largest[triangle as usize * m..][..m]
     }
 
+    /// The m-th largest f of a triangle, on which m maps agree.
+    pub(crate) fn agreed(&self, triangle: u32) -> f32 {
+        self.largest(triangle)[0]
+    }
+
+    /// Does fusion keep the triangle (method 5.2)?
+    pub(crate) fn is_kept(&self, triangle: u32) -> bool {
+        self.agreed(triangle) > KEPT
+    }
+
+    /// Would fusion keep the triangle if another map confirmed the best one?
+    pub(crate) fn is_of_one_map(&self, triangle: u32) -> bool {
+        !self.is_kept(triangle) && self.largest(triangle).last().is_some_and(|&best| best > KEPT)
+    }
+
     /// What the clusters taken are worth at a triangle, 0 to 1.
     pub(crate) fn worth(&self, triangle: u32) -> f32 {
         Objective::worth(self.largest(triangle).iter().copied()) as f32
@@ -94,27 +109,6 @@ impl<'a> Reached<'a> {
         if !was_kept && largest[0] > KEPT {
             self.kept += Amount::new(self.objective.weights[triangle as usize], 1.0).0;
         }
-    }
-
-    /// An upper bound on what a cluster adds to f_o as one of any further clusters (method 5.2): whatever set of them comes, it adds no more than
-    /// the sum of its members' bounds.
-    pub(super) fn most_as_one_of_many(&self, (triangles, values): (&[u32], &[f32])) -> f64 {
-        let one = |(&t, &f): (&u32, &f32)| {
-            let largest = self.largest(t);
-            let least = f64::from(largest[0]);
-            let f = f64::from(f).max(least);
-            let more = match largest {
-                [_] => f - least,
-                [_, first] => {
-                    let first = f64::from(*first);
-                    let beyond = 0.5 * (1.0 + SINGLE_MAP_CREDIT) * (f - first).max(0.0);
-                    (f.min(first) - least + beyond) / (1.0 + SINGLE_MAP_CREDIT)
-                }
-                _ => (f - least) / (1.0 + SINGLE_MAP_CREDIT),
-            };
-            self.objective.weights[t as usize] * more
-        };
-        triangles.iter().zip(values).map(one).sum()
     }
 }
 

@@ -141,6 +141,8 @@ pub struct ClusterEntry {
     pub key: String,
     /// Names of the views that the key view is matched against, best first.
     pub partners: Vec<String>,
+    /// Those of them that are beyond the gate (`settings.partners.gate`), taken for want of better ones: matching may well fail there.
+    pub beyond_gate: Vec<String>,
     /// Fulfilment f_o that it adds to the clusters before it.
     pub gain: f64,
     /// Fulfilment f_o of the clusters up to this one, 0 to 1.
@@ -260,8 +262,13 @@ impl ViewEntry {
 fn clusters(plan: &Plan) -> Vec<ClusterEntry> {
     let name = |view: ViewIndex| plan.stages.scene.name(view).to_owned();
     let ranked = plan.ranked().enumerate();
+    let beyond = |of: &RankedCluster| -> Vec<String> {
+        let beyond = plan.stages.candidates.beyond_gate(of.key);
+        of.partners.iter().filter(|partner| beyond.contains(partner)).map(|&partner| name(partner)).collect()
+    };
     let entry = |(i, cluster): (usize, RankedCluster)| ClusterEntry {
         rank: i + 1,
+        beyond_gate: beyond(&cluster),
         key: name(cluster.key),
         partners: cluster.partners.into_iter().map(name).collect(),
         gain: plan.decision.ranking.gains[i],

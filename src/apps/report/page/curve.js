@@ -111,10 +111,15 @@ function setUpCurve() {
 
 // What all depth maps give, and the bound of method 5.2 for the plan's cut.
 function boundText() {
-  const { reachable, fulfilment, fulfilment_bound: bound } = data.limits;
+  const { reachable, reachable_band: band, share_band: share, fulfilment, fulfilment_bound: bound, given_up: lost, pairs_beyond_gate: beyond } = data.limits;
   if (!(fulfilment > 0)) return '';
   const better = Math.max(0, bound / fulfilment - 1);
-  return `All depth maps give ${percent(reachable, 0)} of what is wanted. No other choice of ${grouped.format(data.cut)} has a fulfilment more than ${percent(better, 0)} higher than the plan's.`;
+  const range = ({ low, high }) => `${Math.floor(100 * low)} to ${Math.ceil(100 * high)}\u00a0%`;
+  const part = weight => percent(reachable ? weight / reachable : 0);
+  const givenUp = lost.border + lost.inside > 0
+    ? ` The plan gives up ${part(lost.border)} at the border and ${part(lost.inside)} inside; ${part(lost.single_map)} of it is shown well by one planned map only.` : '';
+  const gate = beyond ? ` ${counted(beyond, 'pair')} of the plan exceed the limits of the backend, for want of better partners.` : '';
+  return `Measured, the plan's share will likely be ${range(share)}. All depth maps give ${percent(reachable, 0)} of what is wanted (likely ${range(band)}).${givenUp}${gate} No other choice of ${grouped.format(data.cut)} has a fulfilment more than ${percent(better, 0)} higher than the plan's.`;
 }
 
 function fillOver() {

@@ -39,6 +39,8 @@ const surface = {
   ranks: decode(data.surface.ranks, Uint32Array),
   shares: decode(data.surface.shares, Uint8Array),
   first: decode(data.surface.first, Uint32Array),
+  alone: decode(data.surface.alone, Uint32Array),
+  kept: decode(data.surface.kept, Uint32Array),
   reachable: decode(data.surface.reachable, Uint8Array),
   reason: decode(data.surface.reason, Uint8Array),
   real: data.real ? decode(data.real.triangles, Uint8Array) : null,

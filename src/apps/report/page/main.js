@@ -4,7 +4,7 @@
 const map = new Scene(byId('map'), new Camera(0, 90), false);
 const turn = new Scene(byId('turn'), new Camera(25, 38), true);
 const scenes = [map, turn];
-const colours = { share: 'share reached', count: 'number of key views', reason: 'reason for holes', ...(data.real ? { real: 'measured fulfilment' } : {}) };
+const colours = { share: 'share reached', count: 'number of key views', maps: 'what fusion keeps', reason: 'reason for holes', ...(data.real ? { real: 'measured fulfilment' } : {}) };
 
 function drawCut() {
   const { cut } = state;
@@ -67,6 +67,7 @@ function drawLegends() {
     share: () => [rampSwatch('0', 'as much as all depth maps give'), swatch(NOWHERE, 'no cluster fulfils it')],
     real: () => [rampSwatch('0', '1, measured'), swatch(NOWHERE, 'no cluster fulfils it')],
     count: () => [...COUNT_COLOURS.map((colour, n) => swatch(colour, n === COUNTED ? `${n} or more` : n)), swatch(NOWHERE, 'no cluster fulfils it')],
+    maps: () => [swatch(MAP_COLOURS[2], 'kept'), swatch(MAP_COLOURS[1], 'one planned map only'), swatch(MAP_COLOURS[0], 'no planned map'), swatch(NOWHERE, 'no cluster fulfils it')],
     reason: () => {
       const used = new Set(surface.reason);
       return [swatch(REASON_COLOURS[0], 'some cluster fulfils it'), ...data.reasons.flatMap((text, i) => used.has(i + 1) ? [swatch(REASON_COLOURS[i + 1], text)] : [])];

@@ -11,6 +11,8 @@ REASON_COLOURS[4] = [70, 60, 90];
 REASON_COLOURS[6] = [70, 130, 200];
 REASON_COLOURS[7] = [240, 205, 60];
 REASON_COLOURS[8] = [200, 70, 40];
+// Not shown well by any planned map, by one that no other confirms, by as many as fusion wants.
+const MAP_COLOURS = [[236, 208, 108], [200, 72, 44], [76, 148, 150]];
 const IMPROVED = [176, 58, 134];
 // Surfaces with fewer triangles are antialiased.
 const SMOOTH = 10000;
@@ -45,6 +47,7 @@ const RAMP_TABLE = Array.from({ length: 256 }, (_, i) => ramp(i / 255));
 function colourOf(triangle) {
   if (state.colour === 'reason') return REASON_COLOURS[surface.reason[triangle]];
   if (surface.reason[triangle]) return NOWHERE;
+  if (state.colour === 'maps') return MAP_COLOURS[(surface.alone[triangle] <= state.cut) + (surface.kept[triangle] <= state.cut)];
   if (state.colour === 'count') return COUNT_COLOURS[chosenViews(triangle, state.cut)];
   if (state.colour === 'real') return RAMP_TABLE[surface.real[triangle]];
   const end = stepsUpTo(triangle, state.cut);

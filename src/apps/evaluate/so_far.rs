@@ -1,0 +1,40 @@
+//! The one definition of how much is reached, with its denominator (method 8).
+
+use serde::Serialize;
+
+use super::run::MeasuredClusters;
+use crate::{
+    method::ranking::{Beliefs, Reached},
+    plan::Stages,
+};
+
+/// What fusion keeps of the finished depth maps, measured, over what it is expected to keep of all.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct SoFar {
+    /// Weight of the triangles that fusion keeps of the finished maps, 0 to 1.
+    pub kept: f64,
+    /// The same of all clusters of the plan: measured where finished, predicted for the others as far as what failed lets it be (method 5.4).
+    pub reachable: f64,
+    /// `kept` over `reachable`; null where nothing can be kept.
+    pub share: Option<f64>,
+}
+
+impl SoFar {
+    /// `stages`: of the plan that the clusters of the run belong to.
+    pub fn new(stages: &Stages, run: &MeasuredClusters) -> Self {
+        let mut beliefs = Beliefs::new(&stages.scene, &stages.surface, &stages.clusters, &stages.fulfilment);
+        let finished = run.clusters.iter().zip(&run.attempts);
+        finished.for_each(|(cluster, attempts)| beliefs.learn(cluster.key, attempts));
+        let mut reached = Reached::new(&stages.objective);
+        (0..run.clusters.len()).for_each(|c| reached.take(run.real.row(c)));
+        let kept = reached.kept();
+        for (c, cluster) in stages.clusters.iter().enumerate() {
+            if run.clusters.binary_search_by_key(&cluster.key, |finished| finished.key).is_err() {
+                let (triangles, believed) = beliefs.row(c);
+                reached.take((triangles, &believed));
+            }
+        }
+        let reachable = reached.kept();
+        Self { kept, reachable, share: (reachable > 0.0).then(|| kept / reachable) }
+    }
+}

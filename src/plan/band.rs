@@ -1,0 +1,69 @@
+//! Method 5.2: how far what is forecast may be from what will be measured.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::Stages;
+use crate::method::{
+    confidence::Confidence,
+    ranking::{Ranking, Reached},
+};
+
+/// Fusion is sure to keep a triangle whose m-th best f is above the first, and may keep one where it is above the second. With these the
+/// measured value was within the band on all data sets that the rule was made from (method 5.2).
+const SURE: f32 = 0.65;
+const POSSIBLE: f32 = 0.15;
+/// Least and largest distance of the share from either end of its band.
+const SHARE: (f64, f64) = (0.05, 0.25);
+/// The same, and how far what can be kept may be below and above the forecast, where confidence does not look at the surface in the pictures:
+/// the largest errors of `geometric` on the same data sets, rounded up.
+const UNSEEN_SHARE: f64 = 0.35;
+const UNSEEN: (f64, f64) = (0.55, 0.05);
+
+/// Range in which a forecast is expected to prove true, 0 to 1.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct Band {
+    /// Lower end.
+    pub low: f64,
+    /// Upper end.
+    pub high: f64,
+}
+
+impl Default for Band {
+    fn default() -> Self {
+        Self { low: 0.0, high: 1.0 }
+    }
+}
+
+impl Band {
+    fn around(value: f64, below: f64, above: f64) -> Self {
+        Self { low: (value - below).max(0.0), high: (value + above).min(1.0) }
+    }
+
+    /// Band of the weight that fusion keeps of all clusters.
+    pub(super) fn of_reachable(stages: &Stages, ranking: &Ranking) -> Self {
+        if !matches!(stages.confidence, Confidence::Photometric { .. }) {
+            return Self::around(ranking.total_kept(), UNSEEN.0, UNSEEN.1);
+        }
+        let mut reached = Reached::new(&stages.objective);
+        ranking.order.iter().for_each(|&c| reached.take(stages.fulfilment.row(c as usize)));
+        stages.fulfilment.release();
+        let above = |least: f32| {
+            let weights = (0..).zip(&stages.objective.weights);
+            weights.filter(|&(t, _)| reached.agreed(t) > least).map(|(_, weight)| weight).sum::<f64>()
+        };
+        Self { low: above(SURE), high: above(POSSIBLE).min(1.0) }
+    }
+
+    /// Band of the share at the cut: the wider, the less sure it is what all clusters give.
+    pub(super) fn of_share(stages: &Stages, share: f64, reachable: f64, of_reachable: &Self) -> Self {
+        let half = match stages.confidence {
+            Confidence::Photometric { .. } if reachable > 0.0 => {
+                (0.5 * (of_reachable.high - of_reachable.low) / reachable).clamp(SHARE.0, SHARE.1)
+            }
+            Confidence::Photometric { .. } => SHARE.1,
+            _ => UNSEEN_SHARE,
+        };
+        Self::around(share, half, half)
+    }
+}
