@@ -19,10 +19,8 @@ impl Rectangle {
     pub fn around<'a>(points: impl IntoIterator<Item = &'a [f64; 2]>) -> Self {
         let mut all = Self { low: [f64::INFINITY; 2], high: [f64::NEG_INFINITY; 2] };
         for point in points {
-            for axis in 0..2 {
-                all.low[axis] = all.low[axis].min(point[axis]);
-                all.high[axis] = all.high[axis].max(point[axis]);
-            }
+            all.low = [0, 1].map(|axis| all.low[axis].min(point[axis]));
+            all.high = [0, 1].map(|axis| all.high[axis].max(point[axis]));
         }
         all
     }

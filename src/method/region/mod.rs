@@ -77,7 +77,7 @@ impl Region {
 /// A region before it is laid over a surface.
 #[derive(Clone, Debug)]
 pub enum Shape {
-    Areas(MapAreas),
+    Areas(Box<MapAreas>),
     /// With its hull seen from above, world coordinates.
     Solid(Box<Solid>, Vec<Point3<f64>>),
     Box([f64; 6]),
@@ -121,7 +121,7 @@ impl Shape {
                 }
                 Err(fault) => Err(RegionError::Mesh { path: path.clone(), fault }),
             },
-            RegionFile::Areas(areas) => Ok(Self::Areas(MapAreas::new(areas, place, frame, path)?)),
+            RegionFile::Areas(areas) => Ok(Self::Areas(Box::new(MapAreas::new(areas, place, frame, path)?))),
         }
     }
 

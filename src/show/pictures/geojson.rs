@@ -49,7 +49,7 @@ pub fn views_geojson(plan: &Plan, place: &Georeference) -> String {
     let region = plan.stages.region.as_ref().map(|region| {
         json!({
             "type": "Feature",
-            "geometry": region_geometry(&region.outline, &frame, &position),
+            "geometry": region_geometry(&region.outline, &frame, position),
             "properties": { "what": "region", "kind": region.kind },
         })
     });

@@ -33,6 +33,14 @@ pub(super) struct Cache {
     inputs: String,
 }
 
+/// The part of a table that is read.
+pub(super) struct Cached {
+    /// By view: whether it lacks a usable picture.
+    pub without: Vec<bool>,
+    pub warnings: Vec<String>,
+    pub values: Column<u8>,
+}
+
 #[derive(Serialize, Deserialize)]
 struct Head {
     /// BLAKE3 of what the table depends on, hexadecimal.
@@ -63,12 +71,12 @@ impl Cache {
         Some(Self { project: pictures.project().into(), inputs: hasher.finalize().to_string() })
     }
 
-    /// Whether each view lacks a picture, the warnings and the values; `None` where the file is not of these inputs.
+    /// The cached table; `None` where the file is not of these inputs.
     pub(super) fn read<'p>(
         &self,
         geometry: &Geometry,
         partners_of: impl Fn(ViewIndex) -> &'p [ViewIndex],
-    ) -> Result<Option<(Vec<bool>, Vec<String>, Column<u8>)>, DiskError> {
+    ) -> Result<Option<Cached>, DiskError> {
         let Some((head, mut rest)) = self.open() else { return Ok(None) };
         let mut without = vec![false; geometry.scene.views.len()];
         for view in head.without {
@@ -88,7 +96,7 @@ impl Cache {
             left -= block.len();
         }
         let is_whole = hasher.finalize().to_string() == head.values && rest.fill_buf().is_ok_and(<[u8]>::is_empty);
-        is_whole.then(|| Ok((without, head.warnings, values.finish()?))).transpose()
+        is_whole.then(|| Ok(Cached { without, warnings: head.warnings, values: values.finish()? })).transpose()
     }
 
     fn open(&self) -> Option<(Head, impl BufRead + use<>)> {

@@ -13,7 +13,7 @@ use std::sync::Arc;
 pub(super) use self::stacks::SPACING;
 pub use self::{cache::AGREEMENT_CACHE, grey::Grey};
 use self::{
-    cache::Cache,
+    cache::{Cache, Cached},
     compare::{compared, samples},
 };
 use super::pictures::{Pictures, picture_warnings};
@@ -110,7 +110,7 @@ impl Agreement {
     ) -> Result<Self, TableError> {
         let cache = Cache::new(geometry, pictures, &partners_of);
         if let Some(cache) = &cache
-            && let Some((without, warnings, values)) = cache.read(geometry, &partners_of)?
+            && let Some(Cached { without, warnings, values }) = cache.read(geometry, &partners_of)?
         {
             let layout = Self::laid_out(geometry, &partners_of, &without);
             return Ok(Self { values: Arc::new(values), warnings, ..layout });
