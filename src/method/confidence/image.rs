@@ -161,7 +161,10 @@ fn jpeg(bytes: &[u8], wanted: &impl Fn([u32; 2]) -> [u32; 2]) -> Result<Image, I
         PixelFormat::L16 => {
             data.chunks_exact(2).flat_map(|v| [(u16::from_ne_bytes([v[0], v[1]]) >> 8) as u8; 3]).collect()
         }
-        PixelFormat::CMYK32 => data.chunks_exact(4).flat_map(|v| [0, 1, 2].map(|c| product(v[c], v[3]))).collect(),
+        // Ink, which the decoder has turned the right way round.
+        PixelFormat::CMYK32 => {
+            data.chunks_exact(4).flat_map(|v| [0, 1, 2].map(|c| product(255 - v[c], 255 - v[3]))).collect()
+        }
     };
     Ok(Image { width: width.into(), height: height.into(), rgb, full })
 }
@@ -365,7 +368,7 @@ mod tests {
     }
 
     #[test]
-    fn cmyk_and_grey_become_rgb() {
+    fn grey_becomes_rgb() {
         let grey: ImageBuffer<image::Luma<u8>, _> = GrayImage::from_pixel(30, 20, image::Luma([90]));
         let image = Image::decode(&encoded(&grey.into(), ImageFormat::Jpeg), size_for_confidence).unwrap();
         assert!(image.rgb.iter().all(|v| v.abs_diff(90) <= 1));
