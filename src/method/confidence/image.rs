@@ -315,10 +315,9 @@ mod tests {
         for name in ["baseline.jpg", "progressive.jpg", "rotated_by_exif.jpg", "cmyk.jpg"] {
             assert_is_ramp(&Image::read(&folder.join(name), whole).unwrap());
         }
-        // Half a picture is none or a picture of that size, by either decoder.
+        // Half a picture is none, by either decoder.
         let cut = std::fs::read(folder.join("truncated.jpg")).unwrap();
-        assert!(Image::decode(&cut, whole).is_err());
-        assert!(Image::decode_grey(&cut, whole).is_ok_and(|(cut, _)| cut.pixels.len() == 48 * 32));
+        assert!(Image::decode(&cut, whole).is_err() && Image::decode_grey(&cut, whole).is_err());
     }
 
     #[test]

@@ -84,7 +84,8 @@ impl<'a> Dual<'a> {
     fn gain(&self, (triangles, values): (&[u32], &[f32])) -> f64 {
         let of = |(prices, share): (&Vec<f32>, f64)| {
             let above = |(&t, &f): (&u32, &f32)| {
-                self.objective.weights[t as usize] * f64::from((f - prices[t as usize]).max(0.0))
+                // In 64 bits, where the difference is exact: rounded down, the bound would be none.
+                self.objective.weights[t as usize] * (f64::from(f) - f64::from(prices[t as usize])).max(0.0)
             };
             share * triangles.iter().zip(values).map(above).sum::<f64>()
         };
