@@ -21,7 +21,7 @@ use super::{Failure, print, progress::Progress};
 /// Write a page about a plan to PROJECT/viewrank/report.html, for any browser.
 ///
 /// Shows the curve, a map, the surface, the ranked views with their reasons and where to fly again, for any cut. The page needs no network.
-/// Run viewrank plan first; a new plan removes the old page. The tables are computed again, which takes as long as planning did.
+/// Run viewrank plan first; a new plan marks the old page as stale. The tables are computed again, which takes as long as planning did.
 #[derive(Args)]
 pub struct Arguments {
     project: PathBuf,

@@ -107,12 +107,20 @@ pub fn files(plan: &Plan, project: &Project) -> Result<PlanFiles, FilesError> {
     Ok(PlanFiles { manifest, sets, outdated_exports, command })
 }
 
-/// An empty set in place of a report that shows another plan, which removes it.
+/// The report of an earlier plan with a note that there is a newer one: a page that is open in a browser survives a reload.
 fn stale_page(project: &Project, manifest: &Manifest) -> Option<FileSet> {
     let earlier = output::read_own(&project.root, manifest::FILE);
     let shows_another = earlier.map_or(true, |earlier| earlier != manifest.to_json().as_bytes());
-    let there = project.root.join(REPORT_FILE).exists();
-    (there && shows_another).then(|| FileSet::new(&project.root, REPORT_SET))
+    if !shows_another || !project.root.join(REPORT_FILE).exists() {
+        return None;
+    }
+    let mut set = FileSet::new(&project.root, REPORT_SET);
+    // A page that cannot be read goes, as it shows another plan.
+    let page = output::read_own(&project.root, REPORT_FILE).ok().and_then(|page| String::from_utf8(page).ok());
+    if let Some(page) = page {
+        set.add_text(REPORT_FILE, page.replacen("<html lang=\"en\">", "<html lang=\"en\" data-stale>", 1));
+    }
+    Some(set)
 }
 
 /// Image measurements cached for the next plan, where there are new ones.

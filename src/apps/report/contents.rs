@@ -12,9 +12,10 @@ use serde::Serialize;
 use super::{
     bytes,
     history::History,
-    holes::{FAR, Hole, advice, holes},
+    holes::{FAR, Hole, holes},
     real::{DepthMapFolders, Real},
     shown::DrawnSurface,
+    subject::Subject,
     thumbnails::{MOST, expected, thumbnails},
 };
 use crate::{
@@ -61,13 +62,14 @@ pub struct Contents {
     /// Clusters at the start of the ranking whose depth maps were finished when it was made; their gains and shares are measured.
     finished: usize,
     limits: Limits,
+    /// Warnings that name what to change.
     warnings: Vec<String>,
+    /// Facts that nothing can be done about, such as what a backend does not honour.
+    notes: Vec<String>,
     unregistered: Vec<String>,
     /// Colours of the surface at shares of 0, 1/2 and 1 of what all clusters give.
     ramp: [[u8; 3]; 3],
     reasons: Vec<&'static str>,
-    /// New images that would fill a hole, per reason.
-    advice: Vec<&'static str>,
     forecast: ForecastSettings,
     /// Seconds that planning took; absent if not recorded.
     planning_seconds: Option<f64>,
@@ -76,6 +78,8 @@ pub struct Contents {
     views: ViewData,
     ranking: RankingData,
     surface: SurfaceData,
+    /// Opposite corners of a box around what counts, which the map shows first.
+    subject: Option<Corners>,
     /// Region of interest; null: the whole surface.
     region: Option<RegionData>,
     holes: Vec<HoleData>,
@@ -92,6 +96,12 @@ pub struct Contents {
     expected: BTreeMap<u32, String>,
     /// Largest number of thumbnails; with more views, only the first of the ranking have one.
     most_thumbnails: usize,
+}
+
+#[derive(Serialize)]
+struct Corners {
+    low: [f64; 3],
+    high: [f64; 3],
 }
 
 #[derive(Serialize)]
@@ -146,6 +156,8 @@ struct SurfaceData {
     alone: String,
     kept: String,
     reachable: String,
+    /// How much an area counts in shares, u8: 255 the most, 0 nothing, one step a 40th of an octave.
+    weights: String,
     /// Number of the reason + 1, u8; 0 if some cluster fulfils the triangle.
     reason: String,
     /// True if the surface is drawn with fewer triangles than in the plan.
@@ -167,6 +179,8 @@ struct HoleData {
     area: f64,
     triangles: usize,
     reason: usize,
+    missing: String,
+    advice: &'static str,
     centre: [f64; 3],
     /// Latitude and longitude, degrees, if the scene is georeferenced.
     place: Option<[f64; 2]>,
@@ -189,6 +203,9 @@ impl Contents {
             None => BTreeMap::new(),
         };
         let holes = holes(plan, HOLES);
+        let needed = plan.stages.settings.coverage.min_cameras;
+        let (warnings, notes) =
+            plan.decision.warnings.iter().cloned().chain(left_out).partition(|text| can_be_changed(text));
         let place = plan::georeference(project, &plan.stages.scene, &plan.stages.settings.frame);
         let summary = RegionSummary::of(plan);
         Ok(Self {
@@ -204,10 +221,10 @@ impl Contents {
             cut: plan.decision.cut.clusters,
             finished: plan.decision.finished.clusters,
             limits: Limits::new(&plan.decision.cut),
-            warnings: plan.decision.warnings.iter().cloned().chain(left_out).collect(),
+            warnings,
+            notes,
             unregistered: plan.stages.scene.unregistered.clone(),
             reasons: REASON_NUMBERS.iter().map(|r| r.words()).collect(),
-            advice: REASON_NUMBERS.iter().map(|&r| advice(r)).collect(),
             forecast: plan.stages.settings.forecast.clone(),
             planning_seconds,
             clusters_total: plan.decision.forecast.all_maps,
@@ -220,7 +237,8 @@ impl Contents {
                 border: bytes(surface.border(|t| region.is_inside(t)).as_flattened()),
             }),
             surface: SurfaceData::new(plan, &surface, &frame),
-            holes: holes.largest.iter().map(|hole| HoleData::new(hole, &frame, &place)).collect(),
+            subject: Subject::new(plan, &frame).map(|Subject { low, high, .. }| Corners { low, high }),
+            holes: holes.largest.iter().map(|hole| HoleData::new(hole, &frame, &place, needed)).collect(),
             holes_area: holes.area,
             far_area: holes.far_area,
             far: FAR,
@@ -257,6 +275,21 @@ impl Limits {
         let Cut { given_up, pairs_beyond_gate, .. } = *cut;
         Self { reachable, reachable_band, share_band, fulfilment, fulfilment_bound, given_up, pairs_beyond_gate }
     }
+}
+
+/// Whether a warning ends with what to do about it, as the house's warnings do: after a semicolon.
+fn can_be_changed(warning: &str) -> bool {
+    warning.contains("; ") && !warning.contains("not honoured: ") && !warning.starts_with("ignored the depth maps")
+}
+
+/// Weight per area of each drawn triangle, in 40ths of an octave below the most, from 255 down; 0 without weight.
+fn weights(plan: &Plan, surface: &DrawnSurface) -> Vec<u8> {
+    let density =
+        |&t: &u32| plan.stages.objective.weights[t as usize] / plan.stages.surface.area(t).max(f64::MIN_POSITIVE);
+    let densities: Vec<f64> = surface.original.iter().map(density).collect();
+    let most = densities.iter().copied().fold(0.0, f64::max);
+    let shade = |&d: &f64| if d > 0.0 { (255.0 + 40.0 * (d / most).log2()).clamp(1.0, 255.0).round() as u8 } else { 0 };
+    densities.iter().map(shade).collect()
 }
 
 fn whole_area(plan: &Plan) -> f64 {
@@ -353,6 +386,7 @@ impl SurfaceData {
             alone: bytes(&history.alone),
             kept: bytes(&history.kept),
             reachable: bytes(&history.reachable),
+            weights: bytes(&weights(plan, surface)),
             reason: bytes(&surface.original.iter().map(reason).collect::<Vec<_>>()),
             coarser: surface.triangles.len() < plan.stages.surface.triangles.len(),
         }
@@ -360,13 +394,15 @@ impl SurfaceData {
 }
 
 impl HoleData {
-    fn new(hole: &Hole, frame: &MapFrame, place: &Georeference) -> Self {
-        let Hole { area, triangles, reason, centre } = hole;
+    fn new(hole: &Hole, frame: &MapFrame, place: &Georeference, needed: u32) -> Self {
+        let Hole { area, triangles, reason, centre, .. } = hole;
         let place = place.geodetic(centre).map(|at| [at.latitude, at.longitude]);
         Self {
             area: *area,
             triangles: *triangles,
             reason: reason_number(Some(*reason)).into(),
+            missing: hole.missing(needed),
+            advice: hole.advice(needed),
             centre: frame.local(centre),
             place,
         }

@@ -9,6 +9,7 @@ mod history;
 mod holes;
 mod real;
 mod shown;
+mod subject;
 mod thumbnails;
 
 use base64::{Engine, prelude::BASE64_STANDARD};

@@ -76,11 +76,11 @@ pub fn reason_number(reason: Option<Reason>) -> u8 {
     position.map_or(0, |i| i as u8 + 1)
 }
 
-/// Colours of a share of 0, 1/2 and 1, distinguishable by the colour-blind: red, yellow, blue.
-pub const RAMP: [[u8; 3]; 3] = [[200, 72, 44], [236, 208, 108], [38, 122, 158]];
+/// Colours of a share of 0, 1/2 and 1, pale yellow over green to dark blue: distinguishable by the colour-blind and in greyscale, ever darker.
+pub const RAMP: [[u8; 3]; 3] = [[250, 226, 158], [96, 160, 152], [16, 80, 136]];
 
-/// The surface at the plan's cut: `quality` (share reached), `chosen_views`, `reason`, and colours from red (nothing) over yellow to
-/// blue (all that can be reached); grey where no view can do anything. With a region, also `region`, the factor on each triangle's weight; colours
+/// The surface at the plan's cut: `quality` (share reached), `chosen_views`, `reason`, and colours from pale yellow (nothing) over
+/// green to dark blue (all that can be reached); red where no view can do anything. With a region, also `region`, the factor on each triangle's weight; colours
 /// outside are pale.
 pub fn surface_ply(plan: &Plan) -> Vec<u8> {
     let states = triangle_states(plan, plan.decision.cut.clusters);
@@ -119,10 +119,10 @@ fn pale(colour: [u8; 3]) -> [u8; 3] {
     colour.map(|channel| (u16::from(channel) / 4 + 168) as u8)
 }
 
-/// [`RAMP`] interpolated at the share reached; grey if nothing is reachable.
+/// [`RAMP`] interpolated at the share reached; red if nothing is reachable.
 fn colour(state: &TriangleState) -> [u8; 3] {
     if state.reachable <= 0.0 {
-        return [150; 3];
+        return [190, 66, 40];
     }
     let share = state.share().clamp(0.0, 1.0) * 2.0;
     let (from, to, t) = if share < 1.0 { (RAMP[0], RAMP[1], share) } else { (RAMP[1], RAMP[2], share - 1.0) };

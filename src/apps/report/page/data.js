@@ -44,6 +44,7 @@ const surface = {
   reachable: decode(data.surface.reachable, Uint8Array),
   reason: decode(data.surface.reason, Uint8Array),
   real: data.real ? decode(data.real.triangles, Uint8Array) : null,
+  weightShade: decode(data.surface.weights, Uint8Array),
 };
 surface.count = surface.triangles.length / 3;
 if (data.region) {

@@ -4,7 +4,7 @@
 const map = new Scene(byId('map'), new Camera(0, 90), false);
 const turn = new Scene(byId('turn'), new Camera(25, 38), true);
 const scenes = [map, turn];
-const colours = { share: 'share reached', count: 'number of key views', maps: 'what fusion keeps', reason: 'reason for holes', ...(data.real ? { real: 'measured fulfilment' } : {}) };
+const colours = { share: 'share reached', count: 'number of key views', maps: 'what fusion keeps', reason: 'reason for holes', weight: 'how much it counts', ...(data.real ? { real: 'measured fulfilment' } : {}) };
 
 function drawCut() {
   const { cut } = state;
@@ -28,6 +28,22 @@ function setUpCut() {
   jump(data.cut, `the plan (${grouped.format(data.cut)})`);
   for (const share of [0.5, 0.7, 0.8, 0.9, 0.95, 1]) jump(cutFor(share), percent(share, 0));
   byId('marks').append(make('option', { value: data.cut }));
+}
+
+// The four numbers of a plan: maps, work, share of what all maps give, and share of what the photographs show.
+function drawNumbers() {
+  const { cut } = state, { reachable, share_band: share, reachable_band: band } = data.limits, planned = cut === data.cut;
+  const range = ({ low, high }) => `${Math.floor(100 * low)} to ${Math.ceil(100 * high)}\u00a0%`;
+  const part = (some, all) => percent(all ? some / all : 0, 0);
+  const numbers = [
+    ['Depth maps', grouped.format(cut), `of ${grouped.format(views.count)} views`],
+    ['Work', timesKnown() ? duration(secondsUpTo(cut)) : grouped.format(pairsUpTo[cut]), timesKnown() ? `of ${duration(secondsUpTo(clusters))} for all`
+      : `image pairs of ${grouped.format(pairsUpTo[clusters])} (${part(pairsUpTo[cut], pairsUpTo[clusters])})`],
+    ['Of what all depth maps give', percent(shareAt(cut)), planned ? `measured, it will likely be ${range(share)}` : 'predicted'],
+    ['Of what the photographs show', percent(shareAt(cut) * reachable, 0), `all depth maps: ${percent(reachable, 0)}${planned ? ` (likely ${range(band)})` : ''}`],
+  ];
+  byId('numbers').replaceChildren(...numbers.map(([what, value, of]) =>
+    make('div', {}, make('dt', {}, what), make('dd', {}, make('b', {}, value), make('small', { class: 'of' }, of)))));
 }
 
 function drawForecast() {
@@ -59,15 +75,20 @@ function setUpForecast() {
     byId(id).addEventListener('input', () => change({ [key]: byId(id).value === '' ? null : Math.max(0, Number(byId(id).value)) }));
   }
   byId('warnings').replaceChildren(...data.warnings.map(text => make('p', {}, text)));
+  byId('notes').classList.toggle('any', data.notes.length > 0);
+  byId('notes').querySelector('ul').replaceChildren(...data.notes.map(text => make('li', {}, text)));
+  byId('cost').open = timesKnown();
 }
 
 function drawLegends() {
   const swatch = (colour, text) => make('span', {}, Object.assign(make('i'), { style: `background: rgb(${colour})` }), text);
+  const striped = () => make('span', {}, make('i', { class: 'hatched' }), 'no cluster fulfils it');
   const lists = {
-    share: () => [rampSwatch('0', 'as much as all depth maps give'), swatch(NOWHERE, 'no cluster fulfils it')],
-    real: () => [rampSwatch('0', '1, measured'), swatch(NOWHERE, 'no cluster fulfils it')],
-    count: () => [...COUNT_COLOURS.map((colour, n) => swatch(colour, n === COUNTED ? `${n} or more` : n)), swatch(NOWHERE, 'no cluster fulfils it')],
-    maps: () => [swatch(MAP_COLOURS[2], 'kept'), swatch(MAP_COLOURS[1], 'one planned map only'), swatch(MAP_COLOURS[0], 'no planned map'), swatch(NOWHERE, 'no cluster fulfils it')],
+    share: () => [rampSwatch('0', 'as much as all depth maps give'), striped()],
+    real: () => [rampSwatch('0', '1, measured'), striped()],
+    count: () => [...COUNT_COLOURS.map((colour, n) => swatch(colour, n === COUNTED ? `${n} or more` : n)), striped()],
+    maps: () => [swatch(MAP_COLOURS[2], 'kept'), swatch(MAP_COLOURS[1], 'one planned map only'), swatch(MAP_COLOURS[0], 'no planned map'), striped()],
+    weight: () => [rampSwatch('little', 'much weight in every share')],
     reason: () => {
       const used = new Set(surface.reason);
       return [swatch(REASON_COLOURS[0], 'some cluster fulfils it'), ...data.reasons.flatMap((text, i) => used.has(i + 1) ? [swatch(REASON_COLOURS[i + 1], text)] : [])];
@@ -98,22 +119,20 @@ function drawHoles() {
   const background = `more than ${data.far} times the usual camera distance of sparse points away from every camera`;
   if (!data.holes.length) {
     byId('holes').replaceChildren(make('p', {}, data.far_area > 0
-      ? `No holes near the cameras: the surface that no view cluster can reconstruct (${share}, grey on the map) is ${background}.`
+      ? `No holes near the cameras: the surface that no view cluster can reconstruct (${share}, striped on the map) is ${background}.`
       : 'No holes: some view cluster can reconstruct every part of the surface.'));
     return;
   }
   const where = (hole, i) => hole.place ? `${i + 1}: ${hole.place.map(degrees => degrees.toFixed(6)).join(', ')}` : `hole ${i + 1}`;
   const rows = data.holes.map((hole, i) => make('tr', {},
     make('td', {}, make('button', { type: 'button', class: 'link', onclick: () => showHole(hole) }, where(hole, i))),
-    make('td', {}, area(hole.area)), make('td', {}, data.reasons[hole.reason - 1])));
-  const reasons = [...new Set(data.holes.map(hole => hole.reason - 1))];
+    make('td', {}, area(hole.area)), make('td', {}, hole.missing), make('td', {}, hole.advice)));
   byId('holes').replaceChildren(
     make('p', {}, `${share} of the ${whole} (${area(data.holes_area)} of ${area(data.area)}) is fulfilled by less than a tenth by every view cluster`
-      + ` (grey on the map). ${data.far_area > 0 ? `${area(data.far_area)} of that is background, ${background}. ` : ''}`
-      + 'The largest holes near the cameras, numbered on the map:'),
-    make('table', {}, make('tr', {}, ...['where', 'area', 'reason'].map(text => make('th', {}, text))), ...rows),
-    make('p', {}, 'New images that would fill them:'), make('ul', {}, ...reasons.map(reason => make('li', {}, `where ${data.reasons[reason]}: ${data.advice[reason]}.`))),
-    make('p', { class: 'note' }, 'Parts of the scene without sparse points have no surface and are not listed.'));
+      + ` (striped on the map). ${data.far_area > 0 ? `${area(data.far_area)} of that is background, ${background}. ` : ''}`
+      + 'The largest holes within the subject, numbered on the map:'),
+    make('table', {}, make('tr', {}, ...['where', 'area', 'what is missing', 'what would fill it'].map(text => make('th', { scope: 'col' }, text))), ...rows),
+    make('p', { class: 'note advice' }, 'Parts of the scene without sparse points have no surface and are not listed.'));
 }
 
 function showHole(hole) {
@@ -150,12 +169,13 @@ function drawFacts() {
 listeners.push(what => {
   const any = (...keys) => keys.some(key => key in what);
   if (any('cut')) drawCut();
-  if (any('cut', 'perPair', 'perMap')) { fillOver(); drawCurve(); drawForecast(); }
+  if (any('cut', 'perPair', 'perMap')) { fillOver(); drawCurve(); drawForecast(); drawNumbers(); remember(); }
   if (any('cut') && byId('which').value !== 'all') filterList();
   if (any('selected')) { if (state.selected >= 0 && !listed.includes(state.selected)) clearFilter(); showInList(); }
   // Screen readers announce a newly selected view, but not its changes with the slider: the verdict is announced then.
   byId('why-box').setAttribute('aria-live', any('selected') && !any('cut') ? 'polite' : 'off');
   if (any('cut', 'selected')) { drawList(); drawWhy(); }
+  if (any('selected', 'colour')) remember();
   if (any('colour')) {
     for (const select of document.querySelectorAll('select.colour')) select.value = state.colour;
     drawLegends();
@@ -178,6 +198,19 @@ function followTheme() {
   for (const scene of scenes) scene.draw();
 }
 
+// The address keeps the cut, the view and the colours, so that they survive a reload after a new plan.
+function remember() {
+  const kept = new URLSearchParams({ ...(state.cut !== data.cut && { cut: state.cut }), ...(state.selected >= 0 && { view: names[state.selected] }),
+    ...(state.colour !== 'share' && { colour: state.colour }) });
+  try { history.replaceState(null, '', kept.size ? `#${kept}` : location.pathname); } catch { /* some browsers refuse it for files */ }
+}
+
+function remembered() {
+  const kept = new URLSearchParams(location.hash.slice(1)), cut = Number(kept.get('cut')) || data.cut;
+  const colour = kept.get('colour');
+  return { cut: Math.min(clusters, Math.max(0, Math.round(cut))), selected: names.indexOf(kept.get('view')), colour: colours[colour] ? colour : 'share' };
+}
+
 followTheme();
 matchMedia('(prefers-color-scheme: dark)').addEventListener('change', followTheme);
 drawFacts();
@@ -189,4 +222,4 @@ setUpList();
 drawHoles();
 drawLegends();
 filterList();
-change({ cut: data.cut, selected: -1 });
+change(remembered());

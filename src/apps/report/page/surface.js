@@ -1,18 +1,19 @@
 // Draws the surface with WebGL, or without it triangle by triangle on a 2D canvas.
 'use strict';
 
-const NOWHERE = [148, 148, 152];
-const COUNT_COLOURS = [[200, 72, 44], [222, 140, 70], [236, 208, 108], [140, 178, 130], [76, 148, 150], [38, 122, 158]];
+// Drawn with dark stripes, which hold in greyscale and for the colour-blind.
+const NOWHERE = [196, 196, 200];
+const COUNT_COLOURS = [[250, 226, 158], [202, 208, 148], [146, 189, 150], [96, 160, 152], [52, 122, 148], [16, 80, 136]];
 // By number of the reason. Triangles have only four: too few cameras, too coarse, too inaccurate, cannot be matched; colours that the
-// colour-blind can tell apart.
+// colour-blind and a greyscale print can tell apart.
 const REASON_COLOURS = Array(11).fill([150, 150, 150]);
-REASON_COLOURS[0] = [200, 205, 209];
-REASON_COLOURS[4] = [70, 60, 90];
-REASON_COLOURS[6] = [70, 130, 200];
-REASON_COLOURS[7] = [240, 205, 60];
-REASON_COLOURS[8] = [200, 70, 40];
+REASON_COLOURS[0] = [238, 240, 242];
+REASON_COLOURS[4] = [52, 40, 84];
+REASON_COLOURS[6] = [104, 164, 226];
+REASON_COLOURS[7] = [242, 206, 70];
+REASON_COLOURS[8] = [190, 66, 40];
 // Not shown well by any planned map, by one that no other confirms, by as many as fusion wants.
-const MAP_COLOURS = [[236, 208, 108], [200, 72, 44], [76, 148, 150]];
+const MAP_COLOURS = [[250, 226, 158], [226, 138, 70], [16, 84, 140]];
 const IMPROVED = [176, 58, 134];
 // Surfaces with fewer triangles are antialiased.
 const SMOOTH = 10000;
@@ -46,6 +47,7 @@ const RAMP_TABLE = Array.from({ length: 256 }, (_, i) => ramp(i / 255));
 
 function colourOf(triangle) {
   if (state.colour === 'reason') return REASON_COLOURS[surface.reason[triangle]];
+  if (state.colour === 'weight') return RAMP_TABLE[surface.weightShade[triangle]];
   if (surface.reason[triangle]) return NOWHERE;
   if (state.colour === 'maps') return MAP_COLOURS[(surface.alone[triangle] <= state.cut) + (surface.kept[triangle] <= state.cut)];
   if (state.colour === 'count') return COUNT_COLOURS[chosenViews(triangle, state.cut)];
@@ -61,9 +63,14 @@ function isInside(triangle) {
   return !data.region || data.region.inside[triangle] === 1;
 }
 
-// Colour of every triangle for the state of the page, 3 bytes each.
+// Stripes mark what no cluster fulfils, where colours show something else than the reason.
+function isStriped(triangle) {
+  return surface.reason[triangle] > 0 && state.colour !== 'reason' && state.colour !== 'weight';
+}
+
+// Colour of every triangle for the state of the page: red, green, blue, and 0 where striped, else 255.
 const triangleColours = (() => {
-  const colours = new Uint8Array(3 * surface.count);
+  const colours = new Uint8Array(4 * surface.count);
   let made = null;
   return () => {
     const wanted = `${state.colour} ${state.cut} ${state.selected}`;
@@ -72,7 +79,8 @@ const triangleColours = (() => {
     const rank = state.selected >= 0 ? views.rank[state.selected] : 0;
     for (let t = 0; t < surface.count; t++) {
       const colour = isInside(t) ? colourOf(t) : colourOf(t).map(value => 0.25 * value + OUTSIDE), own = rank && improvedBy(t, rank) ? 0.35 : 1;
-      for (let i = 0; i < 3; i++) colours[3 * t + i] = own * colour[i] + (1 - own) * IMPROVED[i];
+      for (let i = 0; i < 3; i++) colours[4 * t + i] = own * colour[i] + (1 - own) * IMPROVED[i];
+      colours[4 * t + 3] = isStriped(t) ? 0 : 255;
     }
     return colours;
   };
@@ -113,18 +121,29 @@ function* points() {
   for (let corner = 0; corner < 3 * surface.count; corner++) yield [surface.vertices, 3 * surface.triangles[corner]];
 }
 
+// The initial view: the subject, and of the cameras around it those within half its size.
+function subjectAndCameras() {
+  const { low, high } = data.subject, seen = boxOf(cameras());
+  const room = 0.25 * Math.hypot(...high.map((top, i) => top - low[i]));
+  return { low: low.map((x, i) => Math.max(Math.min(x, seen.low[i]), x - room)), high: high.map((x, i) => Math.min(Math.max(x, seen.high[i]), x + room)) };
+}
+
 // The box enlarged by `room` on every side.
 function padded({ low, high }, room) {
   return { low: low.map(x => x - room), high: high.map(x => x + room), span: Math.hypot(...low.map((x, i) => high[i] - x + 2 * room)) || 1 };
 }
 
-// The initial view: the cameras and the surface near them, without the distant background.
-const bounds = padded(boxOf(cameras()), data.usual_distance), all = boxOf(points());
+const all = boxOf(points()), bounds = data.subject ? padded(subjectAndCameras(), 0) : all;
 
 const VERTEX = `
-  attribute vec3 place; attribute vec3 colour; uniform mat4 view; varying vec3 shade;
+  attribute vec3 place; attribute vec4 colour; uniform mat4 view; varying vec4 shade;
   void main() { gl_Position = view * vec4(place, 1.0); shade = colour; }`;
-const FRAGMENT = 'precision mediump float; varying vec3 shade; void main() { gl_FragColor = vec4(shade, 1.0); }';
+const FRAGMENT = `
+  precision mediump float; varying vec4 shade;
+  void main() {
+    bool dark = shade.a < 0.5 && mod(gl_FragCoord.x + gl_FragCoord.y, 7.0) < 2.5;
+    gl_FragColor = vec4(dark ? 0.35 * shade.rgb : shade.rgb, 1.0);
+  }`;
 
 // Draws the surface with WebGL.
 class GlPainter {
@@ -144,7 +163,7 @@ class GlPainter {
     gl.useProgram(program);
     this.view = gl.getUniformLocation(program, 'view');
     this.bind(program, 'place', this.places(), gl.FLOAT);
-    this.colours = this.bind(program, 'colour', new Uint8Array(9 * surface.count), gl.UNSIGNED_BYTE);
+    this.colours = this.bind(program, 'colour', new Uint8Array(12 * surface.count), gl.UNSIGNED_BYTE, 4);
     gl.enable(gl.DEPTH_TEST);
   }
 
@@ -157,19 +176,19 @@ class GlPainter {
     return places;
   }
 
-  bind(program, name, values, type) {
+  bind(program, name, values, type, size = 3) {
     const { gl } = this, buffer = gl.createBuffer(), at = gl.getAttribLocation(program, name);
     gl.bindBuffer(gl.ARRAY_BUFFER, buffer);
     gl.bufferData(gl.ARRAY_BUFFER, values, gl.DYNAMIC_DRAW);
     gl.enableVertexAttribArray(at);
-    gl.vertexAttribPointer(at, 3, type, type !== gl.FLOAT, 0, 0);
+    gl.vertexAttribPointer(at, size, type, type !== gl.FLOAT, 0, 0);
     return buffer;
   }
 
   paint(colours) {
-    const shaded = new Uint8Array(9 * surface.count);
+    const shaded = new Uint8Array(12 * surface.count);
     for (let t = 0; t < surface.count; t++) {
-      for (let i = 0; i < 9; i++) shaded[9 * t + i] = colours[3 * t + i % 3] * shading[t];
+      for (let i = 0; i < 12; i++) shaded[12 * t + i] = colours[4 * t + i % 4] * (i % 4 < 3 ? shading[t] : 1);
     }
     this.gl.bindBuffer(this.gl.ARRAY_BUFFER, this.colours);
     this.gl.bufferSubData(this.gl.ARRAY_BUFFER, 0, shaded);
@@ -197,6 +216,15 @@ class PlainPainter {
   constructor(canvas) {
     this.context = canvas.getContext('2d');
     this.colours = null;
+    const tile = document.createElement('canvas').getContext('2d');
+    [tile.canvas.width, tile.canvas.height] = [6, 6];
+    tile.fillStyle = `rgb(${NOWHERE})`;
+    tile.fillRect(0, 0, 6, 6);
+    tile.strokeStyle = '#45454b';
+    tile.lineWidth = 2;
+    for (const x of [-6, 0, 6]) { tile.moveTo(x, 6); tile.lineTo(x + 6, 0); }
+    tile.stroke();
+    this.stripes = this.context.createPattern(tile.canvas, 'repeat');
   }
 
   paint(colours) {
@@ -212,8 +240,9 @@ class PlainPainter {
     context.setTransform(ratio, 0, 0, ratio, 0, 0);
     context.clearRect(0, 0, width, height);
     for (const t of order) {
-      const rgb = [0, 1, 2].map(i => Math.round(this.colours[3 * t + i] * shading[t]));
-      context.fillStyle = context.strokeStyle = `rgb(${rgb})`;
+      const rgb = [0, 1, 2].map(i => Math.round(this.colours[4 * t + i] * shading[t]));
+      context.strokeStyle = `rgb(${rgb})`;
+      context.fillStyle = this.colours[4 * t + 3] ? context.strokeStyle : this.stripes;
       context.beginPath();
       for (let i = 0; i < 3; i++) {
         const v = 3 * surface.triangles[3 * t + i];
