@@ -78,10 +78,16 @@ function setUpList() {
   window.addEventListener('beforeprint', fillPrintList);
 }
 
-// The key views up to the cut as a plain table.
+// Key views on the printed list, so that the print fits two sheets.
+const PRINTED = 18;
+
+// The first key views up to the cut as a plain table.
 function fillPrintList() {
-  const head = make('tr', {}, ...['rank', 'adds', 'reached', 'key view', 'partners'].map(text => make('th', {}, text)));
-  const rows = Array.from(ranking.keys.subarray(0, state.cut), (view, i) => make('tr', {},
-    ...[i + 1, gainText(i + 1), percent(shareAt(i + 1)), names[view], Array.from(partnersOf(i + 1), p => names[p]).join(', ')].map(text => make('td', {}, String(text)))));
+  const shown = Math.min(state.cut, PRINTED), partners = rank => Array.from(partnersOf(rank), p => names[p]);
+  const some = list => list.length > 5 ? `${list.slice(0, 5).join(', ')} and ${list.length - 5} more` : list.join(', ');
+  const head = make('tr', {}, ...['rank', 'adds', 'reached', 'key view', 'partners'].map(text => make('th', { scope: 'col' }, text)));
+  const rows = Array.from(ranking.keys.subarray(0, shown), (view, i) => make('tr', {},
+    ...[i + 1, gainText(i + 1), percent(shareAt(i + 1)), names[view], some(partners(i + 1))].map(text => make('td', {}, String(text)))));
+  if (shown < state.cut) rows.push(make('tr', {}, make('td', { colspan: 5 }, `and ${grouped.format(state.cut - shown)} more in viewrank/manifest.csv`)));
   byId('print-list').replaceChildren(head, ...rows);
 }
