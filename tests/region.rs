@@ -101,7 +101,7 @@ fn a_surveyors_polygons_weigh_what_is_inside() {
     assert!(gsd.contains(&0.011) && !gsd.iter().all(|&gsd| gsd == 0.011));
     let surface = fs::read(root.join("viewrank/surface.ply")).unwrap();
     assert!(surface.windows(21).any(|w| w == b"property float region"));
-    let map: Value = serde_json::from_slice(&fs::read(root.join("viewrank/views.geojson")).unwrap()).unwrap();
+    let map: Value = serde_json::from_slice(&fs::read(root.join("viewrank/views_local.json")).unwrap()).unwrap();
     let drawn = map["features"].as_array().unwrap().last().unwrap();
     assert_eq!(drawn["properties"], json!({ "what": "region", "kind": "polygons" }));
     assert_eq!(drawn["geometry"]["coordinates"][0][1], on_earth([-2.0, -2.0, 1.0, 1.0]));
@@ -123,7 +123,7 @@ fn a_polygon_in_model_units_is_a_box_of_all_heights() {
     let boxed = planned(root, &["--region", &format!("{x0},{y0},-1e3,{x1},{y1},1e3")]);
     assert_eq!(boxed["region"]["kind"], "box");
     assert_eq!(ranking(&planned(root, &["--region", &polygon(false)])), ranking(&boxed));
-    let map: Value = serde_json::from_slice(&fs::read(root.join("viewrank/views.geojson")).unwrap()).unwrap();
+    let map: Value = serde_json::from_slice(&fs::read(root.join("viewrank/views_local.json")).unwrap()).unwrap();
     let drawn = &map["features"].as_array().unwrap().last().unwrap()["geometry"]["coordinates"][0][0];
     assert_eq!([&drawn[0][0], &drawn[2][1]], [&json!(x0), &json!(y1)]);
     georeferenced(root, "");
@@ -160,7 +160,7 @@ fn auto_says_what_it_takes_and_is_the_same_on_any_number_of_threads() {
     for part in ["region", "clusters", "cut", "views", "surface"] {
         assert_eq!(by_one[part], by_four[part]);
     }
-    for name in ["manifest.csv", "surface.ply", "views.geojson", "curve.svg"] {
+    for name in ["manifest.csv", "surface.ply", "views_local.json", "curve.svg"] {
         let [a, b] = [&one, &four].map(|folder| fs::read(folder.path().join("viewrank").join(name)).unwrap());
         assert!(a == b, "{name}");
     }

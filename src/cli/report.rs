@@ -20,7 +20,8 @@ use super::{Failure, print, progress::Progress};
 
 /// Write a page about a plan to PROJECT/viewrank/report.html, for any browser.
 ///
-/// Shows the curve, a map, the surface, the ranked views with their reasons and where to fly again, for any cut. The page needs no network.
+/// Shows a map, the curve, the ranked views with their reasons, and where to look again, for any cut. Images to take that would fill the holes are
+/// written to PROJECT/viewrank/flight. The page needs no network.
 /// Run viewrank plan first; a new plan marks the old page as stale. The tables are computed again, which takes as long as planning did.
 #[derive(Args)]
 pub struct Arguments {
@@ -49,6 +50,9 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     progress.progress(Stage::Write, 0, 1);
     let mut files = FileSet::new(&project.root, REPORT_SET);
     files.add_text(REPORT_FILE, report::page(&contents));
+    for (name, text) in &contents.flight_files {
+        files.add_text(format!("viewrank/{name}"), text.clone());
+    }
     files.write(&Disk::REAL)?;
     progress.progress(Stage::Write, 1, 1);
     progress.finish();

@@ -12,7 +12,7 @@ use crate::{
     plan::{self, Nothing, Plan, PlannedViews},
     show::{
         manifest::{self, FingerprintError, Manifest},
-        pictures::{FulfilmentCurve, curve_svg, surface_ply, views_geojson},
+        pictures::{FulfilmentCurve, curve_svg, surface_ply, views_file, views_geojson},
     },
 };
 
@@ -95,7 +95,7 @@ pub fn files(plan: &Plan, project: &Project) -> Result<PlanFiles, FilesError> {
     add("planned_views.json", serde_json::to_string(&planned_views).expect("numbers and texts are JSON") + "\n");
     add("curve.svg", curve_svg(&FulfilmentCurve::predicted(plan)));
     let place = plan::georeference(project, &plan.stages.scene, &plan.stages.settings.frame);
-    add("views.geojson", views_geojson(plan, &place));
+    add(views_file(&place), views_geojson(plan, &place));
     add("timings.json", serde_json::to_string_pretty(&plan.timings).expect("numbers by name are JSON") + "\n");
     own.add("viewrank/surface.ply", Contents::Bytes(surface_ply(plan)));
     let exports = exports.into_iter().map(|export| {

@@ -15,7 +15,11 @@ def planned(viewrank, model, folder, settings=""):
     (folder / "sparse").symlink_to(model)
     (folder / "viewrank.toml").write_text(settings)
     viewrank("plan", folder, "--quiet")
-    return json.loads((folder / "viewrank" / "views.geojson").read_text())
+    found = [folder / "viewrank" / name for name in ("views.geojson", "views_local.json")]
+    [file] = [file for file in found if file.exists()]
+    collection = json.loads(file.read_text())
+    assert (file.name == "views_local.json") == ("crs" in collection) == ("not WGS 84" in collection.get("note", "")), "GIS programs take .geojson for WGS 84"
+    return collection
 
 
 def camera_points(collection):

@@ -57,6 +57,7 @@ pub fn compare(
         one("replan", orders::replan(beliefs, run, objective)),
         one("maxpts", orders::max_points(model.scene, &run.clusters)),
         Order::new("every n-th", &[every_nth(run, objective)], total),
+        one("farthest view", orders::farthest_view(model.scene, &run.clusters)),
         Order::new("random", &random, total),
         one("optimum", orders::greedy(&run.real, objective, watcher)?),
     ])

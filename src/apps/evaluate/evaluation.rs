@@ -144,6 +144,23 @@ impl Evaluation {
         format!(", outliers {outliers}, RMSE {rmse}{unit}")
     }
 
+    /// The fewest depth maps of the order that really give 95 and 90 % of what all give, in a sentence.
+    pub fn enough_in_words(&self) -> String {
+        let maps = self.key_views.len();
+        let enough =
+            |share: f64| self.curve.real.iter().position(|&real| real >= share - 1e-9).filter(|_| self.kept.real > 0.0);
+        match [0.95, 0.9].map(enough) {
+            [Some(most), Some(nearly)] if most < maps => format!(
+                "You could have stopped after {most} of these {maps} depth maps, which give 95 % of what all of them give; {nearly} give 90 %."
+            ),
+            [Some(_), Some(nearly)] if nearly < maps => {
+                format!("All {maps} depth maps were needed for 95 % of what they give; {nearly} give 90 %.")
+            }
+            [Some(_), _] => format!("All {maps} depth maps were needed."),
+            _ => "These depth maps give nothing that fusion keeps.".into(),
+        }
+    }
+
     /// The share that is reached, with what it is of.
     pub fn reached_in_words(&self) -> String {
         let share = self.reached.share.map_or("–".into(), |share| format!("{:.1} %", 100.0 * share));

@@ -1,5 +1,6 @@
 //! Orders of view clusters to compare with the plan's (method 8), all of the same clusters.
 
+use nalgebra::{Point3, Vector3};
 use rand_core::{Rng, SeedableRng};
 use rand_pcg::Pcg64;
 
@@ -97,6 +98,26 @@ pub fn every_nth(clusters: usize, count: usize) -> Vec<u32> {
     (0..count).map(|i| ((2 * i + 1) * clusters / (2 * count)) as u32).collect()
 }
 
+/// `farthest view`: begins with the key view nearest to the middle of all; the next is the one farthest from every taken one; ties by index.
+pub fn farthest_view(scene: &Scene, clusters: &[ViewCluster]) -> Vec<u32> {
+    let centres: Vec<Point3<f64>> = clusters.iter().map(|c| scene.view(c.key).cam_from_world.centre()).collect();
+    let middle = centres.iter().fold(Vector3::zeros(), |sum, c| sum + c.coords) / centres.len().max(1) as f64;
+    let mut order = Vec::with_capacity(centres.len());
+    // First: nearness to the middle. Later: distance from the nearest taken one, -1 where taken.
+    let mut distance: Vec<f64> = centres.iter().map(|c| -(c.coords - middle).norm()).collect();
+    while order.len() < centres.len() {
+        let next = first_largest(distance.iter().copied());
+        let is_first = order.is_empty();
+        for (own, centre) in distance.iter_mut().zip(&centres) {
+            let added = (centre - centres[next]).norm();
+            *own = if is_first { added } else { own.min(added) };
+        }
+        order.push(next as u32);
+        order.iter().for_each(|&taken| distance[taken as usize] = -1.0);
+    }
+    order
+}
+
 /// A random order.
 pub fn random(clusters: usize, seed: u64) -> Vec<u32> {
     let mut order: Vec<u32> = (0..clusters as u32).collect();
@@ -120,7 +141,7 @@ fn first_largest(values: impl Iterator<Item = f64>) -> usize {
 
 #[cfg(test)]
 mod tests {
-    use nalgebra::{Point3, Rotation3, Vector3};
+    use nalgebra::Rotation3;
 
     use super::*;
     use crate::{
@@ -134,6 +155,18 @@ mod tests {
 
     fn even() -> Objective {
         Objective::weighing(vec![1.0; 2], 1)
+    }
+
+    #[test]
+    fn the_farthest_view_is_next() {
+        let mut scene = scene(&[&[0], &[0], &[0], &[0], &[0]]);
+        for (view, x) in scene.views.iter_mut().zip([0.0, 1.0, 2.0, 4.0, 10.0]) {
+            view.cam_from_world.translation.x = -x;
+        }
+        let clusters: Vec<_> = (0..5).map(|v| ViewCluster { key: ViewIndex(v), partners: Vec::new() }).collect();
+        // The middle is at 3.4.
+        assert_eq!(farthest_view(&scene, &clusters), [3, 4, 0, 2, 1]);
+        assert!(farthest_view(&scene, &[]).is_empty());
     }
 
     #[test]

@@ -2,7 +2,10 @@
 
 use std::fmt::Write;
 
-use super::evaluation::{Evaluation, KeyView};
+use super::{
+    baselines::Needed,
+    evaluation::{Evaluation, KeyView},
+};
 use crate::show::pictures::{
     SHARE_LABEL,
     plot::{self, COLOURS, Line, Plot},
@@ -17,51 +20,70 @@ fn escape(text: &str) -> String {
 pub fn page(evaluation: &Evaluation, title: &str) -> String {
     let mut html = format!(
         "<!DOCTYPE html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"><meta name=\"viewport\" content=\"width=device-width\">\
-         <title>Evaluation of {0}</title><style>{STYLE}</style></head><body>\n<h1>Evaluation of {0}</h1>\n",
+         <title>Evaluation of {0}</title><style>{STYLE}</style></head><body><main>\n<h1>Evaluation of {0}</h1>\n",
         escape(title)
     );
     html += &summary(evaluation);
-    html += "<h2>Share of what these depth maps give together</h2>\n<div class=\"plots\">\n";
+    html += "<section><h2>Share of what these depth maps give together</h2>\n<div class=\"plots\">\n";
     html += &plots(evaluation);
-    html += "</div>\n";
+    html += "</div></section>\n";
     html += &gap_table(evaluation);
     if !evaluation.orders.is_empty() {
         html += &order_tables(evaluation);
     }
     html += &missing_table(evaluation);
     html += &key_view_table(evaluation);
-    html + "</body></html>\n"
+    html + "</main></body></html>\n"
 }
 
-const STYLE: &str = "body{font:15px/1.45 system-ui,sans-serif;max-width:72rem;margin:2rem auto;padding:0 1rem;color:#222;\
-     background:#fff}h1{font-size:1.5rem}h2{font-size:1.15rem;margin-top:2rem}table{border-collapse:collapse;margin:.6rem 0}\
-     th,td{padding:.15rem .7rem;text-align:right;border-bottom:1px solid #8883}th:first-child,td:first-child{text-align:left}\
-     .plots{display:flex;flex-wrap:wrap;gap:1rem}svg{max-width:100%;height:auto}\
-     .wide{overflow-x:auto}@media(prefers-color-scheme:dark){body{color:#ddd;background:#181818}svg{background:#fff}}";
+/// The look of the report: cards, large numbers, dark where the reader's system is, wide tables that scroll by themselves.
+const STYLE: &str = ":root{--page:#f6f7f8;--card:#fff;--text:#1d2329;--soft:#5b6670;--line:#d9dee3}\
+     @media(prefers-color-scheme:dark){:root{--page:#14181c;--card:#1d2328;--text:#e4e8eb;--soft:#9aa5ae;--line:#343c43}svg{background:#fff}}\
+     *{box-sizing:border-box}body{font:15px/1.45 system-ui,\"Segoe UI\",sans-serif;margin:0;color:var(--text);background:var(--page)}\
+     main{max-width:1400px;margin:0 auto;padding:0 16px 24px}h1{font-size:1.5rem;margin:16px 0 4px;overflow-wrap:anywhere}\
+     h2{font-size:1.05rem;margin:0 0 8px}section{background:var(--card);border:1px solid var(--line);border-radius:8px;padding:14px;margin-top:14px;overflow-x:auto}\
+     .verdict{font-size:1.1rem;margin:0}.note,dt,dd small{color:var(--soft);font-size:.88rem}\
+     dl{display:grid;grid-template-columns:repeat(auto-fit,minmax(150px,1fr));gap:10px 16px;margin:0}dd{margin:0}dd b{font-size:2rem;line-height:1.1}\
+     dd small{display:block}table{border-collapse:collapse;font-variant-numeric:tabular-nums}\
+     th,td{padding:3px 10px;text-align:right;border-bottom:1px solid var(--line);font-weight:400}th{color:var(--soft)}\
+     th:first-child,td:first-child{text-align:left}.plots{display:flex;flex-wrap:wrap;gap:1rem}svg{max-width:100%;height:auto}\
+     @media print{body{background:#fff;font-size:9.5pt}section{border:0;padding:4px 0;break-inside:avoid;overflow:visible}.keys{break-inside:auto}}";
 
 fn summary(e: &Evaluation) -> String {
-    let truth = if e.reference {
-        "compared with the reference"
-    } else {
-        "without a reference, every depth on the surface counts as right"
-    };
-    let mut html = format!(
-        "<p>{} depth maps, {truth}. They reach {}. Completeness {:.1} %{}. Fulfilment of these clusters: {:.3} predicted, {:.3} real.</p>\n",
-        e.key_views.len(),
-        e.reached_in_words(),
-        100.0 * e.quality.completeness,
-        e.errors(),
-        e.predicted,
-        e.real
-    );
+    let mut html = format!("<p class=\"verdict\">{}</p>\n<section><dl>", e.enough_in_words());
+    let [outliers, rmse] = e.quality.errors();
+    let percent = |share: f64| format!("{:.1} %", 100.0 * share);
+    let completeness =
+        if e.reference { "of the reference's pixels are right" } else { "of the pixels have a depth on the surface" };
+    let numbers = [
+        ("Depth maps", e.key_views.len().to_string(), "measured"),
+        (
+            "Reached",
+            e.reached.share.map_or("–".into(), percent),
+            "of what all depth maps of the plan are expected to give",
+        ),
+        ("Completeness", percent(e.quality.completeness), completeness),
+        ("Outliers", outliers, if e.reference { "against the reference" } else { "not measured without a reference" }),
+        (
+            "RMSE",
+            rmse,
+            if e.reference { "scene units, of the right pixels" } else { "not measured without a reference" },
+        ),
+        ("Fulfilment", format!("{:.3}", e.real), "real"),
+        ("", format!("{:.3}", e.predicted), "predicted"),
+    ];
+    for (what, value, of) in numbers {
+        let _ = write!(html, "<div><dt>{what}</dt><dd><b>{value}</b><small>{of}</small></dd></div>");
+    }
+    html += "</dl>";
     if !e.without_map.is_empty() {
-        let _ = writeln!(
+        let _ = write!(
             html,
-            "<p>{} planned clusters have no depth map; shares refer to the others.</p>",
+            "<p class=\"note\">{} planned clusters have no depth map; shares refer to the others.</p>",
             e.without_map.len()
         );
     }
-    html
+    html + "</section>\n"
 }
 
 fn plots(e: &Evaluation) -> String {
@@ -101,7 +123,7 @@ fn line(label: &'static str, colour: &'static str, dash: &'static str, x: &[f64]
 
 fn gap_table(e: &Evaluation) -> String {
     let mut html = String::from(
-        "<h2>Prediction</h2>\n<p>Shares of what these depth maps give together.</p>\n<table><tr><th>predicted</th><th>key views</th><th>pairs</th><th>real</th><th>gap, points</th></tr>\n",
+        "<section><h2>Prediction</h2>\n<p>Shares of what these depth maps give together.</p>\n<table><tr><th>predicted</th><th>key views</th><th>pairs</th><th>real</th><th>gap, points</th></tr>\n",
     );
     for gap in &e.gap {
         let _ = writeln!(
@@ -114,11 +136,11 @@ fn gap_table(e: &Evaluation) -> String {
             100.0 * (gap.predicted - gap.real)
         );
     }
-    html + "</table>\n"
+    html + "</table></section>\n"
 }
 
 fn order_tables(e: &Evaluation) -> String {
-    let mut html = String::from("<h2>Orders</h2>\n");
+    let mut html = String::from("<section><h2>Orders</h2>\n");
     for (what, pairs) in [("Key views", false), ("Pairs", true)] {
         let _ = write!(
             html,
@@ -126,23 +148,34 @@ fn order_tables(e: &Evaluation) -> String {
         );
         e.orders[0].needed.iter().for_each(|n| html += &format!("<th>{:.0} %</th>", 100.0 * n.share));
         html += "</tr>\n";
-        for order in &e.orders {
-            let _ = write!(html, "<tr><td>{}</td>", escape(order.name));
-            for needed in &order.needed {
-                let value = if pairs { needed.pairs } else { needed.clusters };
-                let digits = usize::from(!order.spread.is_empty());
-                let _ = write!(html, "<td>{value:.digits$}</td>");
-            }
+        for (names, cells) in rows(e, pairs) {
+            let _ = write!(html, "<tr><td>{}</td>", escape(&names.join(", ")));
+            cells.iter().for_each(|cell| html += &format!("<td>{cell}</td>"));
             html += "</tr>\n";
         }
         html += "</table>\n";
     }
-    html
+    html + "</section>\n"
+}
+
+/// The orders with their cells; those with the same cells are one row.
+fn rows(e: &Evaluation, pairs: bool) -> Vec<(Vec<&'static str>, Vec<String>)> {
+    let mut rows: Vec<(Vec<&str>, Vec<String>)> = Vec::new();
+    for order in &e.orders {
+        let digits = usize::from(!order.spread.is_empty());
+        let cell = |needed: &Needed| format!("{:.digits$}", if pairs { needed.pairs } else { needed.clusters });
+        let cells: Vec<String> = order.needed.iter().map(cell).collect();
+        match rows.iter_mut().find(|(_, other)| *other == cells) {
+            Some((names, _)) => names.push(order.name),
+            None => rows.push((vec![order.name], cells)),
+        }
+    }
+    rows
 }
 
 fn missing_table(e: &Evaluation) -> String {
     let mut html = format!(
-        "<h2>Missing fulfilment</h2>\n<p>Triangles with less than half of their fulfilment, of {} in total, coloured in \
+        "<section><h2>Missing fulfilment</h2>\n<p>Triangles with less than half of their fulfilment, of {} in total, coloured in \
          <code>evaluation.ply</code>:</p>\n<table><tr><th>reason</th><th>triangles</th><th>share</th></tr>\n",
         e.triangles
     );
@@ -154,18 +187,18 @@ fn missing_table(e: &Evaluation) -> String {
             100.0 * *count as f64 / e.triangles.max(1) as f64
         );
     }
-    html + "</table>\n"
+    html + "</table></section>\n"
 }
 
 fn key_view_table(e: &Evaluation) -> String {
     let mut html = String::from(
-        "<h2>Key views</h2>\n<div class=\"wide\"><table><tr><th>key view</th><th>rank</th><th>partners matched</th><th>completeness</th>\
+        "<section class=\"keys\"><h2>Key views</h2>\n<table><tr><th>key view</th><th>rank</th><th>partners matched</th><th>completeness</th>\
          <th>outliers</th><th>RMSE</th><th>predicted f</th><th>real f</th></tr>\n",
     );
     for (i, view) in e.key_views.iter().enumerate() {
         html += &key_view_row(i + 1, view);
     }
-    html + "</table></div>\n"
+    html + "</table></section>\n"
 }
 
 fn key_view_row(rank: usize, view: &KeyView) -> String {

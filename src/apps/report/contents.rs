@@ -11,6 +11,7 @@ use serde::Serialize;
 
 use super::{
     bytes,
+    flight::{self, Flight},
     history::History,
     holes::{FAR, Hole, holes},
     real::{DepthMapFolders, Real},
@@ -21,7 +22,7 @@ use super::{
 use crate::{
     apps::{doctor::partners_in_words, evaluate::EvaluateError},
     base::{
-        column::DiskError,
+        column::{DiskError, TableError},
         error::Hint,
         progress::{Cancelled, Watcher},
         rows::Offsets,
@@ -83,6 +84,11 @@ pub struct Contents {
     /// Region of interest; null: the whole surface.
     region: Option<RegionData>,
     holes: Vec<HoleData>,
+    /// Images to take that would fill them.
+    flight: FlightData,
+    /// The same as files below the plan's folder.
+    #[serde(skip)]
+    pub flight_files: Vec<(&'static str, String)>,
     /// Area of all holes, square scene units.
     holes_area: f64,
     /// Area of the holes farther than `far` usual distances from every camera, square scene units.
@@ -203,6 +209,7 @@ impl Contents {
             None => BTreeMap::new(),
         };
         let holes = holes(plan, HOLES);
+        let flight = flight::flight(plan, &holes.largest, watcher)?;
         let needed = plan.stages.settings.coverage.min_cameras;
         let (warnings, notes) =
             plan.decision.warnings.iter().cloned().chain(left_out).partition(|text| can_be_changed(text));
@@ -239,6 +246,8 @@ impl Contents {
             surface: SurfaceData::new(plan, &surface, &frame),
             subject: Subject::new(plan, &frame).map(|Subject { low, high, .. }| Corners { low, high }),
             holes: holes.largest.iter().map(|hole| HoleData::new(hole, &frame, &place, needed)).collect(),
+            flight: FlightData::new(&flight, &frame),
+            flight_files: flight::files(&flight, &holes.largest, &frame, &place, needed),
             holes_area: holes.area,
             far_area: holes.far_area,
             far: FAR,
@@ -393,6 +402,39 @@ impl SurfaceData {
     }
 }
 
+/// Images to take, in the order to fly them.
+#[derive(Serialize)]
+struct FlightData {
+    /// f32, 3 per image.
+    centres: String,
+    /// Viewing directions, f32, 3 per image.
+    directions: String,
+    /// Hole of each, an index.
+    holes: Vec<usize>,
+    /// Ranges over the images of each hole are what its row shows: height above the surface, and overlap, 0 to 1.
+    heights: Vec<f64>,
+    overlaps: Vec<f64>,
+    /// Part of the holes' weight that fusion is expected to keep with them, and with images from all candidate poses; 0 to 1.
+    filled: f64,
+    fillable: f64,
+}
+
+impl FlightData {
+    fn new(flight: &Flight, frame: &MapFrame) -> Self {
+        let all = || flight.waypoints.iter();
+        let directions: Vec<f32> = all().flat_map(|w| frame.direction(&w.direction)).map(|x| x as f32).collect();
+        Self {
+            centres: bytes(&in_frame(frame, all().map(|w| &w.centre))),
+            directions: bytes(&directions),
+            holes: all().map(|w| w.hole).collect(),
+            heights: all().map(|w| w.height).collect(),
+            overlaps: all().map(|w| w.overlap).collect(),
+            filled: flight.filled,
+            fillable: flight.fillable,
+        }
+    }
+}
+
 impl HoleData {
     fn new(hole: &Hole, frame: &MapFrame, place: &Georeference, needed: u32) -> Self {
         let Hole { area, triangles, reason, centre, .. } = hole;
@@ -419,6 +461,8 @@ pub enum ReportError {
     #[error(transparent)]
     Disk(#[from] DiskError),
     #[error(transparent)]
+    Table(#[from] TableError),
+    #[error(transparent)]
     Cancelled(#[from] Cancelled),
 }
 
@@ -428,6 +472,7 @@ impl Hint for ReportError {
             Self::DepthMaps(error) => error.hint(),
             Self::NothingToCompare(_) => Some("name their folder with --depth-maps".into()),
             Self::Disk(error) => error.hint(),
+            Self::Table(error) => error.hint(),
             Self::Cancelled(error) => error.hint(),
         }
     }

@@ -5,6 +5,7 @@
 //! little-endian numbers. The files of `page/` draw it.
 
 mod contents;
+mod flight;
 mod history;
 mod holes;
 mod real;

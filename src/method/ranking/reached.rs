@@ -21,6 +21,7 @@ impl Amount {
 }
 
 /// The m largest f of each triangle over the clusters taken so far, and what they are worth.
+#[derive(Clone)]
 pub(crate) struct Reached<'a> {
     pub(super) objective: &'a Objective,
     /// m for each triangle, ascending.

@@ -82,12 +82,12 @@ impl Hint for RegionError {
             Self::NotDegrees { .. } => {
                 "export it in WGS 84 (EPSG:4326), longitude first; for model units add \"crs\": null to the file"
             }
-            Self::Axes { .. } => "copy crs and axes from viewrank/views.geojson",
+            Self::Axes { .. } => "copy crs and axes from viewrank/views_local.json",
             Self::OutsideMap { is_geodetic: true, .. } => {
                 "check that the polygon has longitude before latitude, and frame.origin or frame.utm"
             }
             Self::OutsideMap { .. } => {
-                "draw the polygon over viewrank/views.geojson; for one in WGS 84 set frame.origin or frame.utm"
+                "draw the polygon over viewrank/views_local.json; for one in WGS 84 set frame.origin or frame.utm"
             }
             Self::OutsideBox { .. } => "give it in the frame and the units of the model",
             Self::Weightless => "give the areas that count a weight above 0",

@@ -1,4 +1,4 @@
-//! `views.geojson`: positions and footprints of the views, for QGIS and other GIS programs (RFC 7946).
+//! `views.geojson`: positions and footprints of the views, for QGIS and other GIS programs (RFC 7946); `views_local.json` without a place on earth.
 
 use nalgebra::Point3;
 use rayon::prelude::*;
@@ -13,6 +13,11 @@ use crate::{
     },
     plan::Plan,
 };
+
+/// Name of the file: GIS programs take every `.geojson` for WGS 84, so that local coordinates have another name.
+pub fn views_file(place: &Georeference) -> &'static str {
+    if *place == Georeference::Local { "views_local.json" } else { "views.geojson" }
+}
 
 /// GeoJSON text with two features per view: a point at the camera, and a polygon around the surface that it sees; and the region. Coordinates are longitude
 /// and latitude if the model is georeferenced; otherwise they are the model's own, rotated so that the third axis is up, as `crs: null`,
@@ -43,6 +48,8 @@ pub fn views_geojson(plan: &Plan, place: &Georeference) -> String {
     let features: Vec<Value> = views.into_par_iter().flat_map_iter(features).collect();
     let mut collection = json!({ "type": "FeatureCollection", "frame": place.words() });
     if local {
+        collection["note"] =
+            json!("local coordinates, not WGS 84: in QGIS, set a custom or engineering CRS for this layer");
         collection["crs"] = Value::Null;
         collection["axes"] = json!(frame.axes.map(|axis| [axis.x, axis.y, axis.z]));
     }

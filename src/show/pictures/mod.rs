@@ -12,6 +12,6 @@ mod surface;
 pub use confidence::{confidence_picture, in_colour};
 pub use curve::{FulfilmentCurve, SHARE_LABEL, curve_svg};
 pub use expected::expected_success;
-pub use geojson::views_geojson;
+pub use geojson::{views_file, views_geojson};
 pub use map::footprints;
 pub use surface::{RAMP, REASON_NUMBERS, for_each_step, reason_number, surface_ply};

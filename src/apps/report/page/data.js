@@ -46,6 +46,12 @@ const surface = {
   real: data.real ? decode(data.real.triangles, Uint8Array) : null,
   weightShade: decode(data.surface.weights, Uint8Array),
 };
+// Images to take.
+const flight = {
+  centres: decode(data.flight.centres, Float32Array),
+  directions: decode(data.flight.directions, Float32Array),
+  count: data.flight.holes.length,
+};
 surface.count = surface.triangles.length / 3;
 if (data.region) {
   data.region.inside = decode(data.region.inside, Uint8Array);

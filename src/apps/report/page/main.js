@@ -96,6 +96,7 @@ function drawLegends() {
   };
   const cameras = [['key', 'key view'], ['partner', 'partner'], ['unused', 'unused']].map(([status, text]) =>
     make('span', {}, make('i', { class: status === 'unused' ? 'ring' : '', style: `background: var(--${status}); color: var(--${status}); border-radius: 50%` }), text));
+  if (flight.count) cameras.push(make('span', {}, make('i', { class: 'ring', style: `color: ${FLIGHT}` }), 'image to take'));
   if (data.region) cameras.unshift(make('span', {}, make('i', { style: 'height: 3px; background: #1d2329' }), 'border of the region'));
   for (const legend of document.querySelectorAll('.legend')) legend.replaceChildren(...lists[state.colour](), ...cameras.map(c => c.cloneNode(true)));
 }
@@ -126,13 +127,32 @@ function drawHoles() {
   const where = (hole, i) => hole.place ? `${i + 1}: ${hole.place.map(degrees => degrees.toFixed(6)).join(', ')}` : `hole ${i + 1}`;
   const rows = data.holes.map((hole, i) => make('tr', {},
     make('td', {}, make('button', { type: 'button', class: 'link', onclick: () => showHole(hole) }, where(hole, i))),
-    make('td', {}, area(hole.area)), make('td', {}, hole.missing), make('td', {}, hole.advice)));
+    make('td', {}, area(hole.area)), make('td', {}, hole.missing), make('td', {}, fillText(hole, i))));
   byId('holes').replaceChildren(
     make('p', {}, `${share} of the ${whole} (${area(data.holes_area)} of ${area(data.area)}) is fulfilled by less than a tenth by every view cluster`
       + ` (striped on the map). ${data.far_area > 0 ? `${area(data.far_area)} of that is background, ${background}. ` : ''}`
       + 'The largest holes within the subject, numbered on the map:'),
     make('table', {}, make('tr', {}, ...['where', 'area', 'what is missing', 'what would fill it'].map(text => make('th', { scope: 'col' }, text))), ...rows),
+    ...flightText(),
     make('p', { class: 'note advice' }, 'Parts of the scene without sparse points have no surface and are not listed.'));
+}
+
+// What would fill a hole: the images planned for it, or advice where none are.
+function fillText(hole, i) {
+  const own = data.flight.holes.flatMap((of, w) => of === i ? [w] : []);
+  if (!own.length) return hole.advice;
+  const range = (values, digits) => {
+    const [low, high] = [Math.min(...values), Math.max(...values)].map(value => digits === 0 ? `${Math.round(100 * value)}` : rounded(value));
+    return low === high ? low : `${low} to ${high}`;
+  };
+  return `${counted(own.length, 'image')}: ${range(own.map(w => data.flight.heights[w]))} ${unit} above, overlap ${range(own.map(w => data.flight.overlaps[w]), 0)}\u00a0%; ${hole.advice}`;
+}
+
+function flightText() {
+  if (!flight.count) return [];
+  const { filled, fillable } = data.flight, files = 'viewrank/flight';
+  return [make('p', {}, make('b', {}, `${counted(flight.count, 'image')} to take`), ` (green rings on the map) would fill ${percent(filled, 0)} of these holes, by weight`,
+    `; with every pose tried, ${percent(fillable, 0)}. Predicted from geometry: texture that nothing can match stays a hole. Waypoints with direction, height and overlap: ${files}.`)];
 }
 
 function showHole(hole) {

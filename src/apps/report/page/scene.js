@@ -6,6 +6,8 @@ let theme = {};
 const HOLE = '#a8281a';
 // Colour of the region's border, which has a white outline in both themes.
 const BORDER = '#1d2329';
+// Colour of images to take, which have a white outline in both themes.
+const FLIGHT = '#127a3d';
 // Holes that are numbered whatever their size.
 const NUMBERED = 5;
 
@@ -156,6 +158,7 @@ class Scene {
     const size = Math.max(1.6, Math.min(4.5, 0.22 * Math.sqrt(this.width * this.height / Math.max(views.count, 1))));
     this.drawBorder();
     this.drawHoles();
+    this.drawFlight(size);
     this.drawCameras(size);
     if (shown >= 0) this.drawCluster(shown, size);
     if (!this.turns) this.drawScale();
@@ -269,6 +272,26 @@ class Scene {
       context.stroke();
     }
     context.textAlign = 'start';
+  }
+
+  // Images to take: rings with a line to where they look.
+  drawFlight(size) {
+    const { context } = this, lines = new Path2D();
+    const reach = 0.25 * data.usual_distance, end = [0, 0, 0];
+    for (let w = 0; w < flight.count; w++) {
+      const [x, y] = this.camera.screen(flight.centres, 3 * w, this.width, this.height);
+      for (let i = 0; i < 3; i++) end[i] = flight.centres[3 * w + i] + reach * flight.directions[3 * w + i];
+      const [ex, ey] = this.camera.screen(end, 0, this.width, this.height);
+      lines.moveTo(x, y);
+      lines.lineTo(ex, ey);
+      lines.moveTo(x + size, y);
+      lines.arc(x, y, size, 0, 7);
+    }
+    for (const [colour, width] of [['#fff', 4], [FLIGHT, 2]]) {
+      context.strokeStyle = colour;
+      context.lineWidth = width;
+      context.stroke(lines);
+    }
   }
 
   drawScale() {

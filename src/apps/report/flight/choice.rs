@@ -1,0 +1,218 @@
+//! Chooses among the candidate poses: the view cluster next that fills most per image still to be taken.
+
+use rayon::prelude::*;
+
+use super::{
+    super::holes::Hole,
+    Flight, Waypoint,
+    candidates::{Candidate, STEP_DEG},
+};
+use crate::{
+    base::{
+        column::{Storage, TableError},
+        progress::Watcher,
+    },
+    method::{
+        confidence::{Agreement, Confidence, Unary},
+        fulfilment::{self, Model, Rule},
+        ranking::{Objective, Reached},
+        visibility::{self, Visibility},
+    },
+    model::{
+        cluster::ViewCluster,
+        georeference::MapFrame,
+        scene::{Scene, View, ViewIndex},
+    },
+    plan::Plan,
+};
+
+/// The choice ends when a further image fills less than this share of what can be filled.
+const LEAST: f64 = 0.004;
+/// The choice ends when this share of what can be filled is.
+const ENOUGH: f64 = 0.97;
+/// Partners of a candidate among the other candidates.
+const NEAREST: usize = 4;
+/// Partners among the images that are there.
+const TAKEN: usize = 3;
+
+/// The existing views that see a hole, then the candidates, as a scene without points.
+struct Extended {
+    scene: Scene,
+    /// Number of existing views in it.
+    taken: usize,
+    visibility: Visibility,
+}
+
+impl Extended {
+    fn new(plan: &Plan, holes: &[Hole], candidates: &[Candidate], watcher: &dyn Watcher) -> Result<Self, TableError> {
+        let stages = &plan.stages;
+        let sees = |v: &ViewIndex| holes.iter().any(|hole| stages.visibility.row(*v, hole.deepest).is_some());
+        let taken = stages.scene.view_indices().filter(sees).map(|v| stages.scene.view(v).clone());
+        let mut views: Vec<View> = taken.collect();
+        let taken = views.len();
+        views.extend(candidates.iter().enumerate().map(|(i, candidate)| View {
+            name: format!("candidate {i}"),
+            image_id: 0,
+            file_position: 0,
+            camera: candidate.camera,
+            cam_from_world: candidate.pose,
+        }));
+        let scene = Scene { cameras: stages.scene.cameras.clone(), views, track_offsets: vec![0], ..Scene::default() };
+        let gsd = stages.settings.target.gsd.unwrap_or(1.0);
+        let visibility = visibility::estimate(
+            &scene,
+            &scene.view_points(),
+            &stages.surface,
+            &stages.settings.visibility,
+            stages.settings.surface.edge_factor * gsd,
+            Storage::Memory,
+            watcher,
+        )?;
+        Ok(Self { scene, taken, visibility })
+    }
+
+    fn is_candidate(&self, view: ViewIndex) -> bool {
+        view.index() >= self.taken
+    }
+}
+
+pub fn choose(
+    plan: &Plan,
+    holes: &[Hole],
+    candidates: &[Candidate],
+    frame: &MapFrame,
+    watcher: &dyn Watcher,
+) -> Result<Flight, TableError> {
+    let stages = &plan.stages;
+    let extended = Extended::new(plan, holes, candidates, watcher)?;
+    let mut raw = vec![0.0; stages.surface.triangles.len()];
+    let members = holes.iter().flat_map(|hole| &hole.members);
+    members.for_each(|&t| raw[t as usize] = stages.objective.weights[t as usize]);
+    let objective = Objective::weighing(raw, stages.objective.support);
+    let (unary, agreement) = (Unary::certain(), Agreement::default());
+    let confidence = match stages.confidence {
+        Confidence::Trained(_) | Confidence::Paper { .. } => Confidence::None,
+        of_pairs => of_pairs,
+    };
+    let model = Model {
+        scene: &extended.scene,
+        visibility: &extended.visibility,
+        unary: &unary,
+        agreement: &agreement,
+        rule: Rule { confidence, ..stages.model().rule },
+        ..stages.model()
+    };
+    let clusters = clusters(&extended, candidates, stages.settings.partners.k as usize);
+    let table = fulfilment::table(&model, &clusters, watcher)?;
+    let mut reached = Reached::new(&objective);
+    (0..stages.clusters.len()).for_each(|c| reached.take(stages.fulfilment.row(c)));
+    let flown = greedy(&extended, &clusters, &table, reached.clone());
+    let (before, mut all) = (reached.kept(), reached.clone());
+    (0..clusters.len()).for_each(|c| all.take(table.row(c)));
+    flown.taken.iter().for_each(|&c| reached.take(table.row(c)));
+    let used: Vec<usize> = (0..candidates.len()).filter(|&i| flown.used[extended.taken + i]).collect();
+    let waypoint = |&i: &usize| Waypoint {
+        centre: candidates[i].centre,
+        direction: candidates[i].direction,
+        hole: candidates[i].hole,
+        height: (candidates[i].centre - candidates[i].target).dot(&frame.axes[2]),
+        distance: (candidates[i].centre - candidates[i].target).norm(),
+        overlap: overlap(plan, &extended, extended.taken + i, &flown.used),
+    };
+    Ok(Flight {
+        waypoints: used.par_iter().map(waypoint).collect(),
+        filled: reached.kept() - before,
+        fillable: all.kept() - before,
+    })
+}
+
+/// Clusters of each candidate with its neighbours, with images that are there, and with both; and of images that are there with candidates.
+fn clusters(extended: &Extended, candidates: &[Candidate], k: usize) -> Vec<ViewCluster> {
+    let of_candidate = |i: usize| {
+        let own = &candidates[i];
+        let angle = |view: usize| {
+            let centre = extended.scene.views[view].cam_from_world.centre();
+            ((centre - own.target).angle(&(own.centre - own.target))).to_degrees()
+        };
+        let fits = |&view: &usize| {
+            let distance = (extended.scene.views[view].cam_from_world.centre() - own.target).norm();
+            let ratio = distance / (own.centre - own.target).norm();
+            view != extended.taken + i && (4.0..=3.0 * STEP_DEG).contains(&angle(view)) && (0.6..1.7).contains(&ratio)
+        };
+        let best = |views: std::ops::Range<usize>, most: usize| {
+            let mut views: Vec<usize> = views.filter(fits).collect();
+            let off = |view: &usize| (angle(*view) - STEP_DEG).abs();
+            views.sort_by(|a, b| off(a).total_cmp(&off(b)).then(a.cmp(b)));
+            views.truncate(most);
+            views.into_iter().map(|v| ViewIndex(v as u32)).collect::<Vec<_>>()
+        };
+        let new = best(extended.taken..extended.scene.views.len(), NEAREST.min(k.max(2)));
+        let taken = best(0..extended.taken, TAKEN.min(k.max(2)));
+        let key = ViewIndex((extended.taken + i) as u32);
+        let mixed: Vec<ViewIndex> = taken.iter().chain(&new).copied().take(k.max(2)).collect();
+        let few: Vec<ViewIndex> = new.iter().copied().take(2).collect();
+        let mut found: Vec<ViewCluster> =
+            [new.clone(), taken.clone(), mixed, few].map(|partners| ViewCluster { key, partners }).to_vec();
+        // An image that is there may get a depth map by the new ones.
+        found.extend(taken.iter().map(|&old| {
+            let partners = std::iter::once(key).chain(new.iter().copied()).take(k.max(2)).collect();
+            ViewCluster { key: old, partners }
+        }));
+        found
+    };
+    let all: Vec<Vec<ViewCluster>> = (0..candidates.len()).into_par_iter().map(of_candidate).collect();
+    all.into_iter().flatten().filter(|cluster| cluster.partners.len() >= 2).collect()
+}
+
+struct Flown {
+    /// Clusters in the order of choice.
+    taken: Vec<usize>,
+    /// Of each view of the extended scene, whether it takes part.
+    used: Vec<bool>,
+}
+
+/// Takes the cluster with the largest gain per new image until little is left; those that need none whenever they gain.
+fn greedy(
+    extended: &Extended,
+    clusters: &[ViewCluster],
+    table: &fulfilment::FulfilmentTable,
+    mut reached: Reached,
+) -> Flown {
+    let mut whole = reached.clone();
+    (0..clusters.len()).for_each(|c| whole.take(table.row(c)));
+    let (start, possible) = (reached.fulfilment(), whole.fulfilment());
+    let mut flown = Flown { taken: Vec::new(), used: vec![false; extended.scene.views.len()] };
+    while reached.fulfilment() - start < ENOUGH * (possible - start) {
+        let cost = |cluster: &ViewCluster| {
+            let members = std::iter::once(&cluster.key).chain(&cluster.partners);
+            members.filter(|v| extended.is_candidate(**v) && !flown.used[v.index()]).count()
+        };
+        let value = |(c, cluster): (usize, &ViewCluster)| {
+            let (gain, images) = (reached.gain(table.row(c)), cost(cluster));
+            (gain / (images as f64).max(0.01), gain, images, c)
+        };
+        let best = clusters.par_iter().enumerate().map(value).max_by(|a, b| a.0.total_cmp(&b.0).then(b.3.cmp(&a.3)));
+        let Some((_, gain, images, cluster)) = best else { break };
+        if gain < LEAST * (possible - start) * (images as f64).max(0.01) {
+            break;
+        }
+        reached.take(table.row(cluster));
+        flown.taken.push(cluster);
+        let chosen = &clusters[cluster];
+        std::iter::once(&chosen.key).chain(&chosen.partners).for_each(|v| flown.used[v.index()] = true);
+    }
+    flown
+}
+
+/// Largest share of the area that the view sees and one other view, planned or taken, sees too.
+fn overlap(plan: &Plan, extended: &Extended, view: usize, used: &[bool]) -> f64 {
+    let area = |triangles: &mut dyn Iterator<Item = u32>| triangles.map(|t| plan.stages.surface.area(t)).sum::<f64>();
+    let own = extended.visibility.triangles_seen_by(ViewIndex(view as u32));
+    let all = area(&mut own.iter().copied());
+    let with = |other: usize| {
+        let other = extended.visibility.triangles_seen_by(ViewIndex(other as u32));
+        area(&mut own.iter().copied().filter(|t| other.binary_search(t).is_ok()))
+    };
+    let others = (0..used.len()).filter(|&v| v != view && (v < extended.taken || used[v]));
+    if all > 0.0 { others.map(with).fold(0.0, f64::max) / all } else { 0.0 }
+}

@@ -1,0 +1,169 @@
+//! The images to take as files: GeoJSON, KML and CSV where the model has a place on earth, else PLY and local JSON.
+
+use std::fmt::Write;
+
+use serde_json::{Value, json};
+
+use super::{super::holes::Hole, Flight, Waypoint};
+use crate::{
+    model::georeference::{Geodetic, Georeference, MapFrame},
+    show::pictures::views_file,
+};
+
+/// File names below the plan's folder, with their text; none without waypoints. `needed`: cameras that must see a place.
+pub fn files(
+    flight: &Flight,
+    holes: &[Hole],
+    frame: &MapFrame,
+    place: &Georeference,
+    needed: u32,
+) -> Vec<(&'static str, String)> {
+    if flight.waypoints.is_empty() {
+        return Vec::new();
+    }
+    let is_local = views_file(place) != "views.geojson";
+    let all: Vec<Described> = flight.waypoints.iter().map(|w| Described::new(w, holes, frame, place, needed)).collect();
+    match is_local {
+        true => vec![("flight/waypoints_local.json", geojson(&all, true)), ("flight/waypoints.ply", ply(flight))],
+        false => vec![
+            ("flight/waypoints.geojson", geojson(&all, false)),
+            ("flight/waypoints.kml", kml(&all)),
+            ("flight/waypoints.csv", csv(&all)),
+        ],
+    }
+}
+
+/// A waypoint in the coordinates of its file.
+struct Described<'a> {
+    waypoint: &'a Waypoint,
+    /// Longitude, latitude and height above the ellipsoid; or x to the right, y up the map and z up, scene units.
+    position: [f64; 3],
+    /// Clockwise from north, or from the map's up, degrees.
+    heading: f64,
+    /// Above the horizon, degrees; -90 straight down.
+    pitch: f64,
+    missing: String,
+}
+
+impl<'a> Described<'a> {
+    fn new(waypoint: &'a Waypoint, holes: &[Hole], frame: &MapFrame, place: &Georeference, needed: u32) -> Self {
+        let ahead = waypoint.centre + waypoint.direction * waypoint.distance;
+        let missing = holes[waypoint.hole].missing(needed);
+        let (position, [east, north, up]) = match (place.geodetic(&waypoint.centre), place.geodetic(&ahead)) {
+            (Some(from), Some(to)) => ([from.longitude, from.latitude, from.height], metres(from, to)),
+            _ => (frame.direction(&waypoint.centre.coords), frame.direction(&waypoint.direction)),
+        };
+        let heading = east.atan2(north).to_degrees().rem_euclid(360.0);
+        Self { waypoint, position, heading, pitch: up.atan2(east.hypot(north)).to_degrees(), missing }
+    }
+
+    fn properties(&self, number: usize) -> Value {
+        json!({
+            "name": format!("{number}"), "hole": self.waypoint.hole + 1, "missing": self.missing,
+            "heading_deg": rounded(self.heading, 1), "pitch_deg": rounded(self.pitch, 1),
+            "height_above_surface": rounded(self.waypoint.height, 3), "distance": rounded(self.waypoint.distance, 3),
+            "overlap": rounded(self.waypoint.overlap, 2),
+        })
+    }
+}
+
+/// East, north and up from one place to another nearby, in the same unit.
+fn metres(from: Geodetic, to: Geodetic) -> [f64; 3] {
+    let local = from.east_north_up().transpose() * (to.to_ecef() - from.to_ecef());
+    [local.x, local.y, local.z]
+}
+
+fn geojson(all: &[Described], local: bool) -> String {
+    let feature = |(i, w): (usize, &Described)| json!({ "type": "Feature", "geometry": { "type": "Point", "coordinates": coordinates(w, local) }, "properties": w.properties(i + 1) });
+    let features: Vec<Value> = all.iter().enumerate().map(feature).collect();
+    let mut collection = json!({ "type": "FeatureCollection", "features": features });
+    if local {
+        collection["note"] = json!("local coordinates as in views_local.json, not WGS 84");
+        collection["crs"] = Value::Null;
+    }
+    collection.to_string() + "\n"
+}
+
+fn coordinates(waypoint: &Described, local: bool) -> [f64; 3] {
+    let digits = if local { [6, 6, 6] } else { [9, 9, 3] };
+    [0, 1, 2].map(|i| rounded(waypoint.position[i], digits[i]))
+}
+
+fn kml(all: &[Described]) -> String {
+    let mut text = String::from(
+        "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n<kml xmlns=\"http://www.opengis.net/kml/2.2\"><Document><name>Images to take</name>\n",
+    );
+    let position = |w: &Described| {
+        let [longitude, latitude, height] = coordinates(w, false);
+        format!("{longitude},{latitude},{height}")
+    };
+    for (i, w) in all.iter().enumerate() {
+        let [longitude, latitude, height] = coordinates(w, false);
+        let _ = writeln!(
+            text,
+            "<Placemark><name>{}</name><description>hole {}: {}; heading {:.1}, pitch {:.1} degrees, {:.1} m above the surface</description>\
+             <Camera><longitude>{longitude}</longitude><latitude>{latitude}</latitude><altitude>{height}</altitude><heading>{:.1}</heading>\
+             <tilt>{:.1}</tilt><altitudeMode>absolute</altitudeMode></Camera>\
+             <Point><altitudeMode>absolute</altitudeMode><coordinates>{}</coordinates></Point></Placemark>",
+            i + 1,
+            w.waypoint.hole + 1,
+            w.missing,
+            w.heading,
+            w.pitch,
+            w.waypoint.height,
+            w.heading,
+            90.0 + w.pitch,
+            position(w)
+        );
+    }
+    let line: Vec<String> = all.iter().map(position).collect();
+    let _ = writeln!(
+        text,
+        "<Placemark><name>route</name><LineString><altitudeMode>absolute</altitudeMode><coordinates>{}</coordinates></LineString></Placemark>",
+        line.join(" ")
+    );
+    text + "</Document></kml>\n"
+}
+
+fn csv(all: &[Described]) -> String {
+    let mut text = String::from(
+        "number,longitude,latitude,height_above_ellipsoid_m,height_above_surface_m,heading_deg,gimbal_pitch_deg,overlap,hole,missing\n",
+    );
+    for (i, w) in all.iter().enumerate() {
+        let [longitude, latitude, height] = coordinates(w, false);
+        let _ = writeln!(
+            text,
+            "{},{longitude:.9},{latitude:.9},{height:.3},{:.2},{:.1},{:.1},{:.2},{},\"{}\"",
+            i + 1,
+            w.waypoint.height,
+            w.heading,
+            w.pitch,
+            w.waypoint.overlap,
+            w.waypoint.hole + 1,
+            w.missing
+        );
+    }
+    text
+}
+
+/// Camera centres in the coordinates of the model, their viewing directions as normals.
+fn ply(flight: &Flight) -> String {
+    let mut text = format!(
+        "ply\nformat ascii 1.0\ncomment images to take, coordinates of the model; normals: viewing directions\nelement vertex {}\n",
+        flight.waypoints.len()
+    );
+    for name in ["x", "y", "z", "nx", "ny", "nz"] {
+        let _ = writeln!(text, "property double {name}");
+    }
+    text += "property int hole\nend_header\n";
+    for w in &flight.waypoints {
+        let (c, d) = (w.centre, w.direction);
+        let _ = writeln!(text, "{:.6} {:.6} {:.6} {:.6} {:.6} {:.6} {}", c.x, c.y, c.z, d.x, d.y, d.z, w.hole + 1);
+    }
+    text
+}
+
+fn rounded(number: f64, digits: i32) -> f64 {
+    let scale = 10f64.powi(digits);
+    (number * scale).round() / scale
+}

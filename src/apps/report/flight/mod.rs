@@ -1,0 +1,69 @@
+//! Plans further images that fill the holes: poses, chosen greedily by the objective of the plan from candidates around each hole.
+//!
+//! What a new image will really match cannot be known before it is taken: success is predicted from geometry alone.
+
+mod candidates;
+mod choice;
+mod files;
+
+use nalgebra::{Point3, Vector3};
+
+use super::holes::Hole;
+use crate::{
+    base::{column::TableError, progress::Watcher},
+    model::georeference::MapFrame,
+    plan::Plan,
+};
+
+pub use files::files;
+
+/// An image to take.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Waypoint {
+    /// World coordinates.
+    pub centre: Point3<f64>,
+    /// Viewing direction, a unit vector in world coordinates.
+    pub direction: Vector3<f64>,
+    /// Hole that it was planned for, an index into the listed holes.
+    pub hole: usize,
+    /// Height above the place that it looks at, scene units.
+    pub height: f64,
+    /// Distance from the place that it looks at, scene units.
+    pub distance: f64,
+    /// Largest share of what it sees, by area, that one other image sees too, planned or taken; 0 to 1.
+    pub overlap: f64,
+}
+
+/// The images to take, in the order to fly them.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Flight {
+    pub waypoints: Vec<Waypoint>,
+    /// Part of the weight of the listed holes that fusion is expected to keep with them, 0 to 1.
+    pub filled: f64,
+    /// The same with an image from every candidate.
+    pub fillable: f64,
+}
+
+/// Plans the images for the holes.
+pub fn flight(plan: &Plan, holes: &[Hole], watcher: &dyn Watcher) -> Result<Flight, TableError> {
+    let frame = MapFrame::new(&plan.stages.scene, plan.stages.settings.surface.up);
+    let poses = candidates::around(plan, holes, &frame);
+    if poses.is_empty() {
+        return Ok(Flight::default());
+    }
+    let mut flight = choice::choose(plan, holes, &poses, &frame, watcher)?;
+    flight.waypoints = in_flying_order(flight.waypoints);
+    Ok(flight)
+}
+
+/// Each waypoint followed by the nearest one left.
+fn in_flying_order(mut left: Vec<Waypoint>) -> Vec<Waypoint> {
+    let mut ordered: Vec<Waypoint> = Vec::with_capacity(left.len());
+    while !left.is_empty() {
+        let from = ordered.last().map(|last| last.centre);
+        let distance = |waypoint: &Waypoint| from.map_or(0.0, |from| (waypoint.centre - from).norm());
+        let next = (0..left.len()).min_by(|&a, &b| distance(&left[a]).total_cmp(&distance(&left[b]))).unwrap_or(0);
+        ordered.push(left.remove(next));
+    }
+    ordered
+}
