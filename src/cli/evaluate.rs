@@ -8,8 +8,8 @@ use std::{
 use crate::apps::replan;
 use crate::{
     apps::evaluate::{
-        self, Compared, Evaluation, EvaluationInput, EvaluationOptions, MeasuredClusters, MeasuredSurface, SoFar,
-        clusters, orders,
+        self, CloudComparison, Compared, Evaluation, EvaluationInput, EvaluationOptions, MeasuredClusters,
+        MeasuredSurface, SoFar, clusters, orders,
     },
     io::{
         output::{Contents, Disk, FileSet},
@@ -37,10 +37,16 @@ pub struct Arguments {
     /// Folder of reference depth maps, such as those with all partners [default: every depth counts as right]
     #[arg(long, value_name = "DIR")]
     reference: Option<PathBuf>,
+    /// Fused cloud of a full run, to compare --cloud with: area, completeness, precision, error (PLY)
+    #[arg(long, value_name = "FILE", requires = "cloud")]
+    reference_cloud: Option<PathBuf>,
+    /// Fused cloud of these depth maps (PLY)
+    #[arg(long, value_name = "FILE", requires_all = ["reference_cloud", "depth_maps"])]
+    cloud: Option<PathBuf>,
     /// File of the view clusters that the maps were made for, in order [default: the plan's]
     #[arg(long, value_name = "FILE", requires = "depth_maps")]
     clusters: Option<PathBuf>,
-    /// Also compare the order with others: nocp, realupdate, replan, maxpts, every n-th, random, optimum
+    /// Also compare the order with others: nocp, realupdate, replan, maxpts, every n-th, farthest view, random, optimum
     #[arg(long, requires = "depth_maps")]
     baselines: bool,
 
@@ -98,7 +104,10 @@ fn measure(
     let model = plan.stages.model();
     let reached = MeasuredSurface::new(&model, &run);
     let so_far = SoFar::new(&plan.stages, &run);
-    let how = EvaluationOptions { objective: &plan.stages.objective, baselines: arguments.baselines, so_far };
+    let gsd = plan.stages.settings.target.gsd.expect("a plan's settings are filled in");
+    let clouds = arguments.cloud.as_ref().zip(arguments.reference_cloud.as_ref());
+    let clouds = clouds.map(|(cloud, reference)| CloudComparison::read(cloud, reference, gsd)).transpose()?;
+    let how = EvaluationOptions { objective: &plan.stages.objective, baselines: arguments.baselines, so_far, clouds };
     let evaluation = Evaluation::new(&model, &run, &reached, &how, progress)?;
     let title = project.root.file_name().unwrap_or(project.root.as_os_str()).to_string_lossy();
     let out = arguments.out.clone().unwrap_or_else(|| project.output_folder().join("evaluation"));
@@ -196,6 +205,17 @@ fn text(e: &Evaluation, out: &Path) -> String {
     let _ = writeln!(text, "{} depth maps, {truth}", e.key_views.len());
     let _ = writeln!(text, "  completeness {:.1} %{}", 100.0 * e.quality.completeness, e.errors());
     let _ = writeln!(text, "  reached: {}", e.reached_in_words());
+    let _ = writeln!(text, "  {}", e.enough_in_words());
+    if let Some(clouds) = &e.clouds {
+        for at in &clouds.within {
+            let (completeness, precision) = (100.0 * at.completeness, 100.0 * at.precision);
+            let _ = writeln!(
+                text,
+                "  fused cloud within {:.0} GSD of the reference: completeness {completeness:.1} %, precision {precision:.1} %",
+                at.gsd
+            );
+        }
+    }
     let _ = writeln!(text, "  fulfilment of these: {:.3} predicted, {:.3} real\n", e.predicted, e.real);
     if e.inside < 1.0 {
         let _ = writeln!(text, "Fulfilment and shares are those inside the region.\n");

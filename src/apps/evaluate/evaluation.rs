@@ -6,6 +6,7 @@ use serde::Serialize;
 
 use super::{
     baselines::{self, Order},
+    clouds::CloudComparison,
     curve::{Curve, SHARES},
     measure::Quality,
     missing::{MeasuredSurface, Missing},
@@ -52,6 +53,8 @@ pub struct Evaluation {
     pub without_map: Vec<String>,
     /// Key views whose depth map was made with other partners than planned.
     pub other_partners: Vec<String>,
+    /// The fused cloud against that of a full run, if both are given.
+    pub clouds: Option<CloudComparison>,
     /// The same clusters in other orders; empty unless asked for.
     pub orders: Vec<Order>,
 }
@@ -132,6 +135,7 @@ pub struct KeyView {
 pub struct EvaluationOptions<'a> {
     pub objective: &'a Objective,
     pub so_far: SoFar,
+    pub clouds: Option<CloudComparison>,
     /// Compare with other orders?
     pub baselines: bool,
 }
@@ -174,7 +178,7 @@ impl Evaluation {
         measure: &EvaluationOptions,
         watcher: &dyn Watcher,
     ) -> Result<Self, TableError> {
-        let EvaluationOptions { objective, baselines, so_far } = *measure;
+        let EvaluationOptions { objective, baselines, so_far, .. } = *measure;
         let predicted = Curve::new(&run.predicted, objective, &run.clusters, &run.order);
         let real = run.real_curve(objective, &run.order);
         let names = |views: &[ViewIndex]| views.iter().map(|&v| model.scene.name(v).to_string()).collect();
@@ -204,6 +208,7 @@ impl Evaluation {
             key_views: run.order.iter().map(|&c| key_view(model, run, c as usize)).collect(),
             without_map: names(&run.without_map),
             other_partners: names(&run.other_partners),
+            clouds: measure.clouds.clone(),
             orders,
         })
     }

@@ -4,6 +4,7 @@
 //! partners were really matched. [`orders`] and [`rules`] are the choices of other authors.
 
 mod baselines;
+mod clouds;
 pub mod clusters;
 mod compare;
 pub mod curve;
@@ -21,6 +22,7 @@ pub mod tables;
 #[cfg(test)]
 mod tests;
 
+pub use clouds::{CloudComparison, Within};
 pub use compare::{Choice, Compared, choices, compare};
 pub use evaluation::{Evaluation, EvaluationOptions};
 pub use matched::{ReportError, tried};

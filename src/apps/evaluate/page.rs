@@ -31,6 +31,7 @@ pub fn page(evaluation: &Evaluation, title: &str) -> String {
     if !evaluation.orders.is_empty() {
         html += &order_tables(evaluation);
     }
+    html += &clouds(evaluation);
     html += &missing_table(evaluation);
     html += &key_view_table(evaluation);
     html + "</main></body></html>\n"
@@ -171,6 +172,33 @@ fn rows(e: &Evaluation, pairs: bool) -> Vec<(Vec<&'static str>, Vec<String>)> {
         }
     }
     rows
+}
+
+/// The fused cloud against that of a full run; nothing without both.
+fn clouds(e: &Evaluation) -> String {
+    let Some(clouds) = &e.clouds else { return String::new() };
+    let percent = |share: f64| format!("{:.1} %", 100.0 * share);
+    let mut html = format!(
+        "<section><h2>Fused cloud against the reference cloud</h2>\n<table><tr><th></th><th>this cloud</th><th>reference</th></tr>\n\
+         <tr><td>points</td><td>{}</td><td>{}</td></tr>\n<tr><td>area, square units</td><td>{:.4}</td><td>{:.4}</td></tr>\n\
+         <tr><td>median error, units</td><td>{}</td><td>–</td></tr></table>\n\
+         <table><tr><th>within</th><th>completeness</th><th>precision</th></tr>\n",
+        clouds.points,
+        clouds.reference_points,
+        clouds.area,
+        clouds.reference_area,
+        clouds.error.map_or("–".into(), |error| format!("{error:.4}")),
+    );
+    for at in &clouds.within {
+        let _ = writeln!(
+            html,
+            "<tr><td>{:.0} GSD</td><td>{}</td><td>{}</td></tr>",
+            at.gsd,
+            percent(at.completeness),
+            percent(at.precision)
+        );
+    }
+    html + "</table></section>\n"
 }
 
 fn missing_table(e: &Evaluation) -> String {

@@ -18,7 +18,10 @@ use crate::{
         error::Hint,
         progress::{Cancelled, Stage, Watcher},
     },
-    io::depthmaps::{self, DepthMapError, DepthMapFile, DepthMapSet},
+    io::{
+        depthmaps::{self, DepthMapError, DepthMapFile, DepthMapSet},
+        ply,
+    },
     method::{
         confidence::Confidence,
         fulfilment::{self, FulfilmentTable, Model},
@@ -247,6 +250,10 @@ pub enum EvaluateError {
     DepthMap(#[from] DepthMapError),
     #[error(transparent)]
     Report(#[from] ReportError),
+    #[error("cannot read cloud {}: {source}", path.display())]
+    CloudFile { path: PathBuf, source: std::io::Error },
+    #[error("cannot read cloud {}: {source}", path.display())]
+    Cloud { path: PathBuf, source: ply::PlyError },
     #[error("none of the view clusters has a depth map in {}", .0.display())]
     NoClusters(PathBuf),
     #[error(transparent)]
@@ -263,6 +270,7 @@ impl Hint for EvaluateError {
             Self::NoClusters(_) => {
                 "give the depth maps of this plan, or the clusters that they were made for with --clusters".into()
             }
+            Self::CloudFile { .. } | Self::Cloud { .. } => "give the fused cloud as a PLY file".into(),
             Self::Cancelled(_) => return None,
             Self::Table(error) => return error.hint(),
         })

@@ -237,7 +237,7 @@ fn the_page_is_whole_and_the_orders_agree_with_plain_sums() {
     let objective = Objective::weighing(vec![1.0; town.surface.triangles.len()], 1);
     let model = town.model();
     let reached = MeasuredSurface::new(&model, &run);
-    let how = EvaluationOptions { objective: &objective, baselines: true, so_far: SoFar::default() };
+    let how = EvaluationOptions { objective: &objective, baselines: true, so_far: SoFar::default(), clouds: None };
     let evaluation = Evaluation::new(&model, &run, &reached, &how, &Unwatched).unwrap();
     let best: f64 = reached.fulfilment.iter().map(|&f| f64::from(f)).sum::<f64>() / objective.weights.len() as f64;
     assert!((evaluation.real - best).abs() < 1e-9);

@@ -2,14 +2,23 @@
 
 use nalgebra::Point3;
 
-use crate::{model::georeference::MapFrame, plan::Plan};
+use crate::{
+    base::progress::Unwatched,
+    method::{
+        ranking::SeenPixels,
+        region::{Region, Shape},
+    },
+    model::georeference::MapFrame,
+    plan::Plan,
+};
 
 /// Weight left out at each end of each axis.
 const TAIL: f64 = 0.01;
 /// Room around, as a share of the box's side.
 const ROOM: f64 = 0.03;
 
-/// A box in the map frame that holds all but the outermost of the surface's weight (method 5.1), of a plan with a region its weight inside.
+/// A box in the map frame that holds all but the outermost of the weight (method 5.1) inside the region; without one, inside the region that
+/// `auto` would be (method 5.7).
 #[derive(Clone, Debug)]
 pub struct Subject<'a> {
     frame: &'a MapFrame,
@@ -20,10 +29,12 @@ pub struct Subject<'a> {
 impl<'a> Subject<'a> {
     /// `None` if nothing has weight.
     pub fn new(plan: &Plan, frame: &'a MapFrame) -> Option<Self> {
+        let dense = densest(plan);
+        let counts = |t: u32| dense.as_ref().is_none_or(|region| region.is_inside(t));
         let weights = plan.stages.objective.weights.iter();
         let places: Vec<([f64; 3], f64)> = (0u32..)
             .zip(weights)
-            .filter(|(_, weight)| **weight > 0.0)
+            .filter(|(t, weight)| **weight > 0.0 && counts(*t))
             .map(|(t, &weight)| (frame.local(&plan.stages.surface.centroid(t)), weight))
             .collect();
         if places.is_empty() {
@@ -38,6 +49,16 @@ impl<'a> Subject<'a> {
         let local = self.frame.local(point);
         (0..3).all(|axis| (self.low[axis]..=self.high[axis]).contains(&local[axis]))
     }
+}
+
+/// The region of `auto`; `None` with a region of the plan's own, whose weights are 0 outside, or if there is none.
+fn densest(plan: &Plan) -> Option<Region> {
+    let stages = &plan.stages;
+    if stages.region.is_some() {
+        return None;
+    }
+    let pixels = || SeenPixels::new(&stages.scene, &stages.surface, &stages.visibility).sums().collect();
+    Shape::Auto.on(&stages.surface, pixels, &Unwatched).ok()
 }
 
 /// The values between which all weight but the tails is, with some room.
