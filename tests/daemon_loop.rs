@@ -455,8 +455,14 @@ impl Real {
 
     /// Runs a daemon once and returns the phase of the project.
     fn once(&self, replan: bool) -> Phase {
-        let planner =
-            PlanJob::new(PlanOptions { on_target: Some("true".into()), replan, cache: 0, follow_links: false });
+        let planner = PlanJob::new(PlanOptions {
+            on_target: Some("true".into()),
+            replan,
+            cache: 0,
+            follow_links: false,
+            roots: Vec::new(),
+            typed: Default::default(),
+        });
         let options = Options { once: true, ..options(&self.root) };
         watch_roots(&options, &planner, &Disk::REAL, |_| {}).expect("the root can be watched");
         read_status(&self.root).expect("a status").status.projects.remove(0).phase
@@ -592,7 +598,14 @@ fn a_later_dense_workspace_gets_its_files_and_removed_files_are_written_again() 
 #[test]
 fn a_removed_output_is_noticed_at_once() {
     let real = Real::new(&town());
-    let planner = PlanJob::new(PlanOptions { on_target: None, replan: false, cache: 0, follow_links: false });
+    let planner = PlanJob::new(PlanOptions {
+        on_target: None,
+        replan: false,
+        cache: 0,
+        follow_links: false,
+        roots: Vec::new(),
+        typed: Default::default(),
+    });
     let file = real.project.join("viewrank/clusters.txt");
     with_daemon(&options(&real.root), &planner, || {
         let is_planned = || {
@@ -636,7 +649,14 @@ fn a_model_behind_a_link_is_planned_only_with_follow_links() {
         phase => panic!("{phase}"),
     }
     assert!(!real.project.join("viewrank/manifest.json").exists());
-    let planner = PlanJob::new(PlanOptions { on_target: None, replan: false, cache: 0, follow_links: false });
+    let planner = PlanJob::new(PlanOptions {
+        on_target: None,
+        replan: false,
+        cache: 0,
+        follow_links: false,
+        roots: Vec::new(),
+        typed: Default::default(),
+    });
     let options = Options { once: true, follow_links: true, ..options(&real.root) };
     let summary = watch_roots(&options, &planner, &Disk::REAL, |_| {}).expect("the root can be watched");
     assert_eq!(summary.planned, 1);

@@ -100,6 +100,7 @@ fn assert_same(a: &Scene, b: &Scene, apart: f64) -> Result<(), TestCaseError> {
 fn project() -> Project {
     Project {
         root: "/nowhere".into(),
+        home: "/nowhere".into(),
         kind: ProjectKind::BareModel,
         model: ModelLocation { format: ModelFormat::OpenMvs, path: "/nowhere/scene.mvs".into(), registered: 0 },
         model_is_named: false,

@@ -21,6 +21,7 @@ mod colmap;
 mod error;
 mod gipuma;
 mod images;
+mod machine;
 mod metashape;
 mod micmac;
 mod mve;
@@ -42,6 +43,7 @@ mod workspace;
 
 pub(crate) use clusters::recipe;
 pub use error::BackendError;
+pub use machine::{Why, by_default, chosen};
 pub use options::{ExportOptions, References};
 pub use record::{Export, ExportRecord, ExportedCluster, ExportedView};
 pub use selection::Selection;
@@ -162,22 +164,13 @@ fn nearest(name: &str) -> Option<&'static str> {
     rated.max_by(|a, b| a.0.total_cmp(&b.0)).filter(|(likeness, _)| *likeness > 0.8).map(|(_, name)| name)
 }
 
-/// The backend that the project is set up for, else SURE.
-pub fn for_project(project: &Project) -> &'static Backend {
-    BACKENDS.iter().copied().find(|b| (b.serves)(project)).unwrap_or(&sure::BACKEND)
-}
-
-/// The backend that the project is planned for: the first of the settings, else the one that the project is set up for.
+/// The backend that the project is planned for: the [chosen] one.
 pub fn planned_for(project: &Project, settings: &Settings) -> Result<Matcher, UnknownBackend> {
-    let backend = match settings.backends.first() {
-        Some(name) => by_name(name)?,
-        None => for_project(project),
-    };
-    Ok(backend.matcher())
+    chosen(project, settings).map(|(backend, _)| backend.matcher())
 }
 
 /// Plans which views of the project become key views, with which partners, in which order, for the backend that the settings name, else the
-/// one that the project is set up for.
+/// default one.
 pub fn plan(project: &Project, settings: &Settings, watcher: &dyn Watcher) -> Result<Plan, PlanError> {
     Plan::new(project, settings, &planned_for(project, settings)?, watcher)
 }

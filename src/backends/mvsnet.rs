@@ -150,7 +150,7 @@ impl Dialect {
         let mut names = String::new();
         for (&i, &view) in lists.numbers.iter().zip(&views) {
             files.add_text(format!("cams/{i:08}_cam.txt"), self.camera(selection, &lists.points, view)?);
-            files.add(format!("images/{i:08}.jpg"), Contents::Link(images.join(selection.scene.name(view))));
+            files.add(format!("images/{i:08}.jpg"), Contents::Link(images.file(selection.scene.name(view))));
             names += &format!("{i}\t{}\n", selection.scene.name(view));
         }
         files.add_text("view_names.txt", names);

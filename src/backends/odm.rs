@@ -82,7 +82,7 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     files.add("openmvs/scene.mvs", Contents::Bytes(mvs.write()));
     for view in selection.views() {
         let name = selection.scene.name(view);
-        files.add(format!("openmvs/images/{name}"), Contents::Link(images.join(name)));
+        files.add(format!("openmvs/images/{name}"), Contents::Link(images.file(name)));
     }
     let mut record =
         ExportRecord::new(&BACKEND, selection, |v| format!("depth{:04}.dmap", selection.scene.view(v).image_id));

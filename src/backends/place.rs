@@ -31,9 +31,9 @@ pub fn folder_of_record(record: &str) -> Option<(&str, bool)> {
 /// The files of exports below one folder, to appear together. Below the project they are a set of the project, so that links stay within it.
 /// A later set of the same folder replaces this one only.
 pub fn set_of_folder(folder: &Path, parts: impl IntoIterator<Item = FileSet>, project: &Project) -> FileSet {
-    let (root, real_folder) = (real(&project.root), real(folder));
+    let (root, real_folder) = (real(&project.home), real(folder));
     let (mut set, base) = match real_folder.strip_prefix(&root) {
-        Ok(inner) => (FileSet::new(&project.root, &set_name(inner)), root),
+        Ok(inner) => (FileSet::new(&project.home, &set_name(inner)), root),
         Err(_) => (FileSet::new(&real_folder, &set_name(Path::new(""))), real_folder.clone()),
     };
     for part in parts {

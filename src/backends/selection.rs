@@ -1,16 +1,13 @@
 //! The input of a backend: the scene and the chosen view clusters in rank order.
 
-use std::{
-    borrow::Cow,
-    path::{Path, PathBuf},
-};
+use std::{borrow::Cow, path::Path};
 
 use nalgebra::Vector3;
 
 use super::BackendError;
 use crate::{
     base::shell::quoted_path,
-    io::project::{ImageFaults, Project},
+    io::project::{ImageFaults, ImageFolder, Project},
     model::{
         cluster::RankedCluster,
         scene::{Scene, ViewIndex, ViewPoints},
@@ -69,13 +66,13 @@ impl Selection<'_> {
     }
 
     /// The folder of the images.
-    pub fn images(&self, backend: &'static str) -> Result<&Path, BackendError> {
+    pub fn images(&self, backend: &'static str) -> Result<&ImageFolder, BackendError> {
         let needs = |what: String, folder: &Path| BackendError::Needs {
             backend,
             what,
             hint: format!("put the images into {}", folder.display()),
         };
-        let Some(folder) = self.project.images.as_deref() else {
+        let Some(folder) = self.project.images.as_ref() else {
             return Err(needs("the images, and there is no image folder".into(), &self.project.root.join("images")));
         };
         let views = self.views();
@@ -87,7 +84,8 @@ impl Selection<'_> {
 
     /// The folder of the images for a command that may run in any folder; the command asks for it where it is unknown.
     pub fn images_in_commands(&self) -> String {
-        let absolute = |folder: &PathBuf| quoted_path(&std::path::absolute(folder).unwrap_or_else(|_| folder.clone()));
+        let absolute =
+            |folder: &ImageFolder| quoted_path(&std::path::absolute(folder).unwrap_or_else(|_| folder.to_path_buf()));
         self.project.images.as_ref().map_or("\"${IMAGES:?folder of the images}\"".into(), absolute)
     }
 
@@ -95,7 +93,7 @@ impl Selection<'_> {
     ///
     /// # Errors
     /// Distorted cameras, with the command that undistorts as the hint; a folder without images.
-    pub fn undistorted_images(&self, backend: &'static str) -> Result<&Path, BackendError> {
+    pub fn undistorted_images(&self, backend: &'static str) -> Result<&ImageFolder, BackendError> {
         let distorted = self.views().into_iter().find(|v| !self.scene.camera_of(*v).is_pinhole());
         let Some(view) = distorted else { return self.images(backend) };
         let camera = self.scene.camera_of(view).model().name();
@@ -106,7 +104,8 @@ impl Selection<'_> {
             None => {
                 let (root, model) = (self.project.as_argument(), &self.project.model);
                 let dense = quoted_path(&self.project.root.join("dense"));
-                let images = self.project.images.clone().unwrap_or_else(|| self.project.root.join("images"));
+                let images = self.project.images.as_ref();
+                let images = images.map_or_else(|| self.project.root.join("images"), |images| images.to_path_buf());
                 let colmap = format!(
                     " (or `colmap image_undistorter --image_path {} --input_path {} --output_path {dense}`)",
                     quoted_path(&images),

@@ -5,6 +5,7 @@ pub mod connected;
 pub mod error;
 pub mod input;
 pub mod large_pages;
+pub mod platform;
 pub mod progress;
 pub mod rows;
 pub mod shell;

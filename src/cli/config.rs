@@ -19,6 +19,7 @@ use super::{COLUMNS, Failure, Format, print};
 #[derive(Args)]
 pub struct Arguments {
     /// Project whose viewrank.toml is read [default: only the user's own settings].
+    #[arg(value_parser = super::arguments::project())]
     project: Option<PathBuf>,
     #[arg(long, value_enum, default_value_t)]
     format: Format,
@@ -40,7 +41,8 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
 
 /// Defaults, the user's file, the project's file, the command line. Wrong settings are a usage error.
 pub fn load(project: Option<&Path>, typed: Typed) -> Result<Configuration, Failure> {
-    let files = Files { user: user_file(), project: project.map(|folder| folder.join("viewrank.toml")) };
+    let project = project.map(|folder| folder.join("viewrank.toml"));
+    let files = Files { user: user_file(), root: None, project };
     Ok(Configuration::load(&files, typed, backends::canonical_name)?)
 }
 
@@ -141,9 +143,12 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let user = folder.path().join("user.toml");
         std::fs::write(&user, "on_target = \"stop\"\nseed = 5\n[dispatch]\nsetup = \"module load colmap\"\n").unwrap();
-        let configuration =
-            Configuration::load(&Files { user: Some(user), project: None }, Typed::default(), backends::canonical_name)
-                .unwrap();
+        let configuration = Configuration::load(
+            &Files { user: Some(user), ..Files::default() },
+            Typed::default(),
+            backends::canonical_name,
+        )
+        .unwrap();
         let values = serde_json::to_value(&configuration.settings).unwrap();
         let text = as_toml(&configuration, &values);
         assert!(
@@ -152,7 +157,7 @@ mod tests {
         let project = folder.path().join("viewrank.toml");
         std::fs::write(&project, &text).unwrap();
         let again = Configuration::load(
-            &Files { user: None, project: Some(project) },
+            &Files { project: Some(project), ..Files::default() },
             Typed::default(),
             backends::canonical_name,
         )
@@ -172,7 +177,7 @@ mod tests {
         let project = folder.path().join("viewrank.toml");
         std::fs::write(&project, &text).unwrap();
         let of_project = Configuration::load(
-            &Files { user: None, project: Some(project) },
+            &Files { project: Some(project), ..Files::default() },
             Typed::default(),
             backends::canonical_name,
         );

@@ -21,6 +21,7 @@ const LISTED: usize = 6;
 /// are a note if other views see their area, a warning from 1 % of the sparse points lost or 10 % of the views, an error from 50 % of either.
 #[derive(Args)]
 pub struct Arguments {
+    #[arg(value_parser = super::arguments::project())]
     project: PathBuf,
 
     /// Backends to check; partners are checked for the first [default: all; partners for the planned one, else the one set up]
@@ -37,8 +38,9 @@ pub struct Arguments {
 }
 
 pub fn run(arguments: &Arguments) -> Result<(), Failure> {
-    let project = Project::open(&arguments.project, arguments.model.as_deref())?;
+    let project = Project::open_or_planned(&arguments.project, arguments.model.as_deref())?;
     let settings = config::load(Some(&project.root), Default::default())?.settings;
+    let project = project.with_images(settings.images.as_deref());
     let wanted = if arguments.backend.is_empty() { &settings.backends } else { &arguments.backend };
     let backends = backends_to_visit(&project, wanted, arguments.backend.is_empty())?;
     let scene = project.read_scene()?;
@@ -59,7 +61,7 @@ fn backends_to_visit(
     let mut visited = backends::by_names(wanted)?;
     if visited.is_empty() {
         let planned = planned_backend(project).and_then(|name| backends::by_name(&name).ok());
-        visited.push(planned.unwrap_or_else(|| backends::for_project(project)));
+        visited.push(planned.unwrap_or_else(|| backends::by_default(project).0));
     }
     let rest = backends::BACKENDS.iter().copied().filter(|_| others);
     for backend in rest {

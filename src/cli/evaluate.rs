@@ -29,6 +29,7 @@ use super::{Failure, Format, json, print, progress::Progress, use_threads, warn}
 /// or integrations/sgm. Writes PROJECT/viewrank/evaluation/: evaluation.html, evaluation.json, evaluation.ply.
 #[derive(Args)]
 pub struct Arguments {
+    #[arg(value_parser = super::arguments::project())]
     project: PathBuf,
 
     /// Folder of the finished depth maps

@@ -18,6 +18,7 @@ const LISTED: usize = 5;
 #[derive(Args)]
 pub struct Arguments {
     /// Project folder, model folder or model file.
+    #[arg(value_parser = super::arguments::project())]
     model: PathBuf,
     /// Sub-model, such as 1 for sparse/1 [default: the one with most registered images].
     #[arg(long = "model", value_name = "N")]
@@ -60,8 +61,9 @@ struct SubModel {
 }
 
 pub fn run(arguments: &Arguments) -> Result<(), Failure> {
-    let project = Project::open(&arguments.model, arguments.sub_model.as_deref())?;
+    let project = Project::open_or_planned(&arguments.model, arguments.sub_model.as_deref())?;
     let settings = config::load(Some(&project.root), Default::default())?.settings;
+    let project = project.with_images(settings.images.as_deref());
     let inspection = Inspection { units: settings.units, ..inspect(&project, &project.read_scene()?) };
     match arguments.format {
         Format::Text => print(&inspection.text()),
@@ -84,7 +86,7 @@ fn inspect(project: &Project, scene: &Scene) -> Inspection {
         format: project.model.format,
         path: project.model.path.clone(),
         kind: project.kind,
-        image_folder: project.images.clone(),
+        image_folder: project.images.as_ref().map(|images| images.to_path_buf()),
         registered: scene.views.len(),
         unregistered: scene.unregistered.clone(),
         cameras: scene.cameras.len(),

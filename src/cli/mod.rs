@@ -3,6 +3,7 @@
 //! Data goes to stdout, everything for people to stderr. A subcommand returns `Result<(), Failure>`; each error of the
 //! library becomes a `Failure` by `?`, which [`main`] prints as `error: ...` and `hint: ...`.
 
+mod arguments;
 mod backends;
 mod completions;
 mod config;
@@ -15,6 +16,7 @@ mod plan;
 mod predict;
 mod progress;
 mod report;
+mod run;
 mod status;
 mod summary;
 mod train;
@@ -27,7 +29,10 @@ use std::{
 };
 
 use crate::base::error::Hint;
-use clap::{Parser, Subcommand};
+use clap::{
+    Parser, Subcommand,
+    builder::styling::{AnsiColor, Style},
+};
 use rayon::ThreadPoolBuilder;
 
 /// Width of text output, characters.
@@ -59,29 +64,44 @@ pub struct Failure {
     pub exit: Exit,
     message: String,
     hint: Option<String>,
+    /// The message is on stderr already.
+    is_printed: bool,
 }
 
 impl Failure {
-    /// A failure whose message is already printed.
-    fn already_printed(exit: Exit) -> Self {
-        Self { exit, message: String::new(), hint: None }
+    fn new(exit: Exit, message: impl Into<String>, hint: impl Into<Option<String>>) -> Self {
+        Self { exit, message: message.into(), hint: hint.into(), is_printed: false }
     }
 
+    /// A failure that the printed result says already.
+    fn already_printed(exit: Exit) -> Self {
+        Self { is_printed: true, ..Self::new(exit, "", None) }
+    }
+
+    /// Prints the error to stderr, and to stdout as JSON where results are JSON.
     pub fn print(&self) {
-        if self.message.is_empty() {
-            return;
+        if !self.is_printed {
+            complain(&format!("{ERROR}error:{ERROR:#} {}", self.message));
+            if let Some(hint) = &self.hint {
+                complain(&format!("{HINT}hint:{HINT:#} {hint}"));
+            }
         }
-        complain(&format!("error: {}", self.message));
-        if let Some(hint) = &self.hint {
-            complain(&format!("hint: {hint}"));
+        if arguments::asks_for_json() && !self.message.is_empty() {
+            let error = serde_json::json!({ "error": self.message, "hint": self.hint, "exit": self.exit as u8 });
+            _ = print(&json(&error));
         }
     }
 }
+
+/// Styles of words on stderr, as clap's.
+const ERROR: Style = AnsiColor::Red.on_default().bold();
+const WARNING: Style = AnsiColor::Yellow.on_default().bold();
+const HINT: Style = AnsiColor::Green.on_default();
 
 impl<E: Hint> From<E> for Failure {
     fn from(error: E) -> Self {
         let exit = if error.is_usage() { Exit::Usage } else { Exit::Failed };
-        Self { exit, message: error.to_string(), hint: error.hint() }
+        Self::new(exit, error.to_string(), error.hint())
     }
 }
 
@@ -90,23 +110,35 @@ fn print(text: &str) -> Result<(), Failure> {
     let mut stdout = std::io::stdout().lock();
     match stdout.write_all(text.as_bytes()).and_then(|()| stdout.flush()) {
         Err(error) if error.kind() != ErrorKind::BrokenPipe => {
-            Err(Failure { exit: Exit::Failed, message: format!("cannot write to stdout: {error}"), hint: None })
+            Err(Failure::new(Exit::Failed, format!("cannot write to stdout: {error}"), None))
         }
         _ => Ok(()),
     }
 }
 
-/// Writes a line to stderr; a closed stderr is not an error.
+/// Writes a line to stderr, with its colours on a terminal only; a closed stderr is not an error.
 fn complain(line: &str) {
-    _ = writeln!(std::io::stderr(), "{line}");
+    _ = writeln!(anstream::stderr(), "{line}");
 }
 
-/// Prints a warning to stderr: wrapped on a terminal, else on a single line.
+/// Prints a warning to stderr.
 fn warn(warning: &str) {
-    match std::io::stderr().is_terminal() {
-        true => complain(wrapped("warning: ", warning).trim_end()),
-        false => complain(&format!("warning: {warning}")),
-    }
+    advise("warning:", WARNING, warning);
+}
+
+/// Prints a fact that explains what follows to stderr.
+fn note(fact: &str) {
+    advise("note:", HINT, fact);
+}
+
+/// Prints a heading and words: wrapped on a terminal, else on a single line.
+fn advise(heading: &str, style: Style, words: &str) {
+    let text = match std::io::stderr().is_terminal() {
+        true => wrapped(&format!("{heading} "), words).trim_end().to_owned(),
+        false => format!("{heading} {words}"),
+    };
+    let words = text.strip_prefix(heading).unwrap_or_default();
+    complain(&format!("{style}{heading}{style:#}{words}"));
 }
 
 /// Wraps `words` after `heading` at [`COLUMNS`]; a longer word stays whole, so that it can be copied.
@@ -164,6 +196,7 @@ struct Arguments {
 #[derive(Subcommand)]
 enum Command {
     Plan(plan::Arguments),
+    Run(run::Arguments),
     Evaluate(evaluate::Arguments),
     Train(train::Arguments),
     Predict(predict::Arguments),
@@ -192,10 +225,11 @@ pub fn main() -> ExitCode {
     }
 }
 
-/// Runs the subcommand. Wrong arguments, `--help` and `--version` end the program inside clap (exit codes 2, 0, 0).
+/// Runs the subcommand.
 fn run() -> Result<(), Failure> {
-    match Arguments::parse().command {
+    match arguments::parse()?.command {
         Command::Plan(arguments) => plan::run(&arguments),
+        Command::Run(arguments) => run::run(&arguments),
         Command::Evaluate(arguments) => evaluate::run(&arguments),
         Command::Train(arguments) => train::run(&arguments),
         Command::Predict(arguments) => predict::run(&arguments),

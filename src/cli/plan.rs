@@ -1,16 +1,20 @@
 //! `viewrank plan`: reads a sparse model, ranks its view clusters, writes the plan.
 
-use std::path::{Path, PathBuf};
+use std::{
+    io::ErrorKind,
+    path::{Path, PathBuf},
+};
 
 use crate::{
     apps::replan::{Earlier, Maps, replan},
     base::{
+        error::Hint,
         progress::{Stage, Watcher},
         shell::quoted_path,
     },
     config::Typed,
     io::{
-        output::{self, Disk, FileSet},
+        output::{self, Disk, FileSet, OutputError},
         ply,
         project::Project,
     },
@@ -33,6 +37,7 @@ use super::{Exit, Failure, Format, config, json, print, progress::Progress, summ
 /// model units, which are metres if viewrank.toml says units = "metric".
 #[derive(Args)]
 pub struct Arguments {
+    #[arg(value_parser = super::arguments::project())]
     project: PathBuf,
 
     /// Matching partners per key view; more give more image pairs to match [default: 5]
@@ -60,12 +65,12 @@ pub struct Arguments {
         help_heading = "What is wanted"
     )]
     region: Option<String>,
-    /// Wanted ground sampling distance, model units per pixel [default: from the model]
+    /// Wanted ground sampling distance, model units per pixel; with units = "metric" also as 2cm [default: from the model]
     #[arg(long, value_name = "L", allow_negative_numbers = true, help_heading = "What is wanted")]
-    gsd: Option<f64>,
-    /// Wanted accuracy of a point, model units [default: as --gsd]
+    gsd: Option<String>,
+    /// Wanted accuracy of a point, as --gsd [default: as --gsd]
     #[arg(long, value_name = "L", allow_negative_numbers = true, help_heading = "What is wanted")]
-    accuracy: Option<f64>,
+    accuracy: Option<String>,
 
     /// Choice of partners: sampled (the paper) or search [default: search]
     #[arg(long, value_name = "METHOD", value_parser = ["sampled", "search"], help_heading = "How")]
@@ -86,12 +91,19 @@ pub struct Arguments {
     /// Use the mesh as it is, neither simplified nor refined
     #[arg(long, requires = "mesh", help_heading = "How")]
     mesh_as_is: bool,
-    /// Write for these backends; the plan is made for the first [default: as the project is set up, else sure]
+    /// Write for these backends; the plan is made for the first [default: as the project is set
+    /// up, else what is installed]
     #[arg(long, value_name = "NAME,...", value_delimiter = ',', help_heading = "How")]
     backend: Option<Vec<String>>,
     /// Sub-model to plan for [default: the one with most images]
     #[arg(long, value_name = "N", help_heading = "How")]
     model: Option<String>,
+    /// Folder to which the image names of the model are relative [default: where they are found]
+    #[arg(long, value_name = "DIR", help_heading = "How")]
+    images: Option<PathBuf>,
+    /// Don't place the model on earth by the GPS positions in its images
+    #[arg(long, help_heading = "How")]
+    no_gps: bool,
     /// Keep the finished depth maps in this folder, made for an earlier plan of PROJECT, and re-rank the rest by their measured quality
     #[arg(long, value_name = "DIR", help_heading = "How")]
     finished: Option<PathBuf>,
@@ -105,6 +117,9 @@ pub struct Arguments {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024), help_heading = "How")]
     threads: Option<u16>,
 
+    /// Write to DIR/viewrank and nothing into PROJECT; DIR then takes the place of PROJECT in later commands
+    #[arg(long, value_name = "DIR", help_heading = "Output")]
+    out: Option<PathBuf>,
     /// Also write all tables of the plan as NumPy files
     #[arg(long, value_name = "DIR", help_heading = "Output")]
     dump_tables: Option<PathBuf>,
@@ -127,19 +142,26 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     if let Some(path) = &arguments.dump_surface {
         output::refuse_to_replace(path)?;
     }
-    let project = Project::open(&arguments.project, arguments.model.as_deref())?;
+    let project = Project::open_or_planned(&arguments.project, arguments.model.as_deref())?;
+    let project = match &arguments.out {
+        Some(out) => project.with_home(out),
+        None => project,
+    };
+    let settings = config::load(Some(&project.root), arguments.typed())?.settings;
+    let project = project.with_images(settings.images.as_deref());
+    refuse_missing_images(&project)?;
     refuse_other_plan(&project)?;
     if !arguments.dry_run {
-        output::refuse_unwritable(&project.output_folder())?;
+        output::refuse_unwritable(&project.output_folder())
+            .map_err(|error| elsewhere(error, project.is_elsewhere(), "plan", &quoted_path(&project.root)))?;
         let dumps = [arguments.dump_tables.as_deref(), arguments.dump_surface.as_deref().and_then(Path::parent)];
         dumps.into_iter().flatten().try_for_each(output::refuse_unwritable)?;
     }
-    let settings = config::load(Some(&project.root), arguments.typed())?.settings;
     let progress = Progress::new(arguments.quiet);
     let mut plan = backends::plan(&project, &settings, &progress)?;
     if let Some(folder) = &arguments.finished {
         if !arguments.dry_run {
-            output::recover(&project.root, &Disk::REAL)?;
+            output::recover(&project.home, &Disk::REAL)?;
         }
         let maps = Maps { folder, ready: &|_| true };
         plan = replan(plan, &Earlier::read(&project)?, &maps, &progress)?.0;
@@ -153,7 +175,45 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         write(arguments, &plan, &files, &progress)?;
     }
     progress.finish();
-    report(arguments, &project, &plan, &files)
+    report(arguments, &project, &plan, &files)?;
+    match &files.not_exported[..] {
+        missing if arguments.backend.is_some() && !missing.is_empty() => Err(NotExported(missing.to_vec()).into()),
+        _ => Ok(()),
+    }
+}
+
+/// Exports that were asked for and not made.
+#[derive(Debug, thiserror::Error)]
+#[error("the plan is complete, but {}", .0.join("; "))]
+struct NotExported(Vec<String>);
+
+impl Hint for NotExported {
+    fn hint(&self) -> Option<String> {
+        None
+    }
+}
+
+/// Refuses a folder of `--images` that is not there.
+fn refuse_missing_images(project: &Project) -> Result<(), Failure> {
+    match &project.images {
+        Some(images) if !images.is_dir() => {
+            Err(Failure::new(Exit::Usage, format!("{}: no such folder of images", images.display()), None))
+        }
+        _ => Ok(()),
+    }
+}
+
+/// The error of a folder that must not be written to, with the way around where no folder was named.
+pub fn elsewhere(error: OutputError, is_named: bool, command: &str, project: &str) -> Failure {
+    let is_denied = matches!(&error, OutputError::Denied { .. })
+        || matches!(&error, OutputError::Io { source, .. } if source.kind() == ErrorKind::ReadOnlyFilesystem);
+    match is_denied && !is_named {
+        true => {
+            let hint = format!("write elsewhere: viewrank {command} {project} --out DIR");
+            Failure::new(Exit::Failed, error.to_string(), hint)
+        }
+        false => error.into(),
+    }
 }
 
 impl Arguments {
@@ -172,8 +232,8 @@ impl Arguments {
             false => typed.clone(),
         };
         typed.set("--region", "region", self.region.as_ref().map(region));
-        typed.set("--gsd", "target.gsd", self.gsd);
-        typed.set("--accuracy", "target.accuracy", self.accuracy);
+        typed.set("--gsd", "target.gsd", self.gsd.clone());
+        typed.set("--accuracy", "target.accuracy", self.accuracy.clone());
         typed.set("--partners", "partners.method", self.partners.clone());
         let source = |typed: &String| match CONFIDENCE_WORDS.contains(&typed.as_str()) {
             true => typed.clone(),
@@ -184,6 +244,8 @@ impl Arguments {
         typed.set("--up", "surface.up", self.up.map(Vec::from));
         typed.set("--mesh", "surface.mesh", self.mesh.as_ref().map(path));
         typed.set("--mesh-as-is", "surface.mesh_as_is", self.mesh_as_is.then_some(true));
+        typed.set("--images", "images", self.images.as_ref().map(path));
+        typed.set("--no-gps", "frame.gps", self.no_gps.then_some(false));
         typed.set("--backend", "backends", self.backend.clone());
         typed.set("--seed", "seed", self.seed);
         typed.set("--max-memory", "max_memory", self.max_memory.clone());
@@ -201,19 +263,19 @@ fn refuse_other_plan(project: &Project) -> Result<(), Failure> {
         true => format!("viewrank plan {}", quoted_path(&project.model.path)),
         false => "put the model into a folder of its own".into(),
     };
-    Err(Failure {
-        exit: Exit::Failed,
-        message: format!(
+    Err(Failure::new(
+        Exit::Failed,
+        format!(
             "{} is the plan of sub-model {}, which one of {} would replace",
             manifest.display(),
             other.name(),
             project.model.name()
         ),
-        hint: Some(format!(
+        format!(
             "to have both: {own} (with a viewrank.toml of its own); to have the new one instead: remove {}",
             quoted_path(&manifest)
-        )),
-    })
+        ),
+    ))
 }
 
 fn direction(text: &str) -> Result<[f64; 3], String> {

@@ -17,7 +17,7 @@ use crate::{
 use clap::Args;
 use rayon::prelude::*;
 
-use super::{Failure, print, progress::Progress};
+use super::{Failure, Format, json, print, progress::Progress};
 
 /// Draw where a backend is expected to succeed.
 ///
@@ -38,6 +38,8 @@ pub struct Arguments {
     /// Don't list the written files
     #[arg(long, short)]
     quiet: bool,
+    #[arg(long, value_enum, default_value_t)]
+    format: Format,
 }
 
 /// Name, PNG and array of a prediction.
@@ -60,6 +62,10 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     if arguments.quiet {
         return Ok(());
     }
+    if arguments.format == Format::Json {
+        let written: Vec<PathBuf> = files.files.keys().map(|name| arguments.out.join(name)).collect();
+        return print(&json(&serde_json::json!({ "files": written })));
+    }
     print(&files.files.keys().map(|name| format!("{}\n", arguments.out.join(name).display())).collect::<String>())
 }
 
@@ -71,11 +77,11 @@ fn of_project(project: &Path, arguments: &Arguments) -> Result<Vec<Prediction>, 
     let progress = Progress::new(arguments.quiet);
     let (project, plan) = replan::as_written(project, &progress)?;
     progress.finish();
-    let folder = project.images.as_deref().ok_or(NoImages)?;
+    let folder = project.images.as_ref().ok_or(NoImages)?;
     let model = plan.stages.model();
     let of_view = |cluster: &ViewCluster| {
         let name = plan.stages.scene.name(cluster.key);
-        let image = read(&folder.join(name))?;
+        let image = read(&folder.file(name))?;
         let (width, height) = (image.width, image.height);
         let chances = expected_success(&model, cluster, width, height);
         let picture = confidence_picture(&image, |x, y| chances[(y * width + x) as usize]);

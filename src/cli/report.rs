@@ -16,7 +16,7 @@ use crate::{
 };
 use clap::Args;
 
-use super::{Failure, print, progress::Progress};
+use super::{Failure, Format, json, print, progress::Progress};
 
 /// Write a page about a plan to PROJECT/viewrank/report.html, for any browser.
 ///
@@ -25,6 +25,7 @@ use super::{Failure, print, progress::Progress};
 /// Run viewrank plan first; a new plan marks the old page as stale. The tables are computed again, which takes as long as planning did.
 #[derive(Args)]
 pub struct Arguments {
+    #[arg(value_parser = super::arguments::project())]
     project: PathBuf,
 
     /// Open the page in the browser
@@ -36,31 +37,62 @@ pub struct Arguments {
     /// Exact or better depth maps to use as reference
     #[arg(long, value_name = "DIR")]
     reference: Option<PathBuf>,
+    /// Folder for the page [default: PROJECT/viewrank]
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
     /// No progress and no summary
     #[arg(long, short)]
     quiet: bool,
+    #[arg(long, value_enum, default_value_t)]
+    format: Format,
 }
 
 pub fn run(arguments: &Arguments) -> Result<(), Failure> {
-    let progress = Progress::new(arguments.quiet);
-    let (project, plan) = replan::as_written(&arguments.project, &progress)?;
+    let progress = Progress::new(arguments.quiet || arguments.format == Format::Json);
     let folders = DepthMapFolders { depth_maps: arguments.depth_maps.clone(), reference: arguments.reference.clone() };
-    let seconds = planning_seconds(&project.root);
-    let contents = Contents::new(&plan, &project, &folders, seconds, &progress)?;
-    progress.progress(Stage::Write, 0, 1);
-    let mut files = FileSet::new(&project.root, REPORT_SET);
-    files.add_text(REPORT_FILE, report::page(&contents));
-    for (name, text) in &contents.flight_files {
-        files.add_text(format!("viewrank/{name}"), text.clone());
-    }
-    files.write(&Disk::REAL)?;
-    progress.progress(Stage::Write, 1, 1);
+    let page = write_to(&arguments.project, arguments.out.as_deref(), &folders, &progress)?;
     progress.finish();
-    let page = project.root.join(REPORT_FILE);
     if arguments.open {
         open(&page)?;
     }
-    if arguments.quiet { Ok(()) } else { print(&format!("{}\n", page.display())) }
+    match arguments.format {
+        Format::Json => print(&json(&serde_json::json!({ "report": page }))),
+        Format::Text if arguments.quiet => Ok(()),
+        Format::Text => print(&format!("{}\n", page.display())),
+    }
+}
+
+/// Writes the page of a project's plan into the project, and returns its path.
+pub fn write(project: &Path, progress: &Progress) -> Result<PathBuf, Failure> {
+    write_to(project, None, &DepthMapFolders::default(), progress)
+}
+
+/// As [`write`], into the folder `out` if there is one.
+fn write_to(
+    project: &Path,
+    out: Option<&Path>,
+    folders: &DepthMapFolders,
+    progress: &Progress,
+) -> Result<PathBuf, Failure> {
+    let (project, plan) = replan::as_written(project, progress)?;
+    let seconds = planning_seconds(&project.home);
+    let (root, name) = match out {
+        Some(folder) => (folder, "report.html"),
+        None => (&*project.home, REPORT_FILE),
+    };
+    output::refuse_unwritable(root)
+        .map_err(|error| super::plan::elsewhere(error, out.is_some(), "report", &project.as_argument()))?;
+    let contents = Contents::new(&plan, &project, folders, seconds, progress)?;
+    progress.progress(Stage::Write, 0, 1);
+    let mut files = FileSet::new(root, REPORT_SET);
+    files.add_text(name, report::page(&contents));
+    let folder = name.strip_suffix("report.html").unwrap_or_default();
+    for (file, text) in &contents.flight_files {
+        files.add_text(format!("{folder}{file}"), text.clone());
+    }
+    files.write(&Disk::REAL)?;
+    progress.progress(Stage::Write, 1, 1);
+    Ok(root.join(name))
 }
 
 /// Seconds that planning took, as `viewrank plan` wrote them down.

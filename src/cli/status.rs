@@ -16,7 +16,7 @@ use crate::{
 };
 use clap::Args;
 
-use super::{Failure, print};
+use super::{Failure, Format, print};
 
 /// Show the state of the projects under a watched folder, even while the daemon is down.
 #[derive(Args)]
@@ -24,10 +24,12 @@ pub struct Arguments {
     /// The watched folder, or any folder below it.
     #[arg(default_value = ".")]
     root: PathBuf,
-    /// Print the status as JSON.
+    /// Print the status as JSON, as --format json.
     #[arg(long)]
     json: bool,
-    /// Keep printing changes (with --json, one line each).
+    #[arg(long, value_enum, default_value_t)]
+    format: Format,
+    /// Keep printing changes (as JSON, one line each).
     #[arg(long)]
     follow: bool,
 }
@@ -41,7 +43,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     loop {
         let line = read_status(&root).filter(|line| last.as_ref() != Some(line));
         if let Some(line) = line {
-            match (arguments.json, arguments.follow) {
+            match (arguments.json || arguments.format == Format::Json, arguments.follow) {
                 (false, _) => print(&as_text(&root, &line))?,
                 (true, false) => print(&format!("{:#}\n", as_json(&root, &line)))?,
                 (true, true) => print(&format!("{}\n", as_json(&root, &line)))?,

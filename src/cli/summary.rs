@@ -7,7 +7,7 @@ use crate::{
     base::shell::{quoted, quoted_path},
     config::TriangleWeight,
     io::project::Project,
-    model::scene::Units,
+    model::{georeference::Georeference, scene::Units},
     plan::{Band, Cut, Forecast, GivenUp, Memory, Plan, Timings},
     show::{
         files::PlanFiles,
@@ -43,6 +43,10 @@ pub struct Summary<'a> {
     written: bool,
     /// Relative to the folders that they are in.
     files: Vec<String>,
+    /// Folder of the images; null: none was found.
+    images: Option<String>,
+    /// Facts about the images in sentences: an unusual place, other names, GPS positions.
+    notes: Vec<String>,
     /// The command that shows the plan.
     #[serde(skip)]
     look: String,
@@ -55,7 +59,7 @@ pub struct Summary<'a> {
     tiles: usize,
     /// Why it is planned for this backend, where nobody said so.
     #[serde(skip)]
-    chosen_for: &'static str,
+    chosen_for: String,
     #[serde(skip)]
     manifest: &'a Manifest,
     /// Weight of triangles in the shares.
@@ -70,7 +74,7 @@ impl<'a> Summary<'a> {
     pub fn new(project: &Project, plan: &'a Plan, files: &'a PlanFiles, dry_run: bool) -> Self {
         let manifest = &files.manifest;
         Self {
-            project: project.root.display().to_string(),
+            project: project.home.display().to_string(),
             backend: plan.stages.backend,
             units: manifest.units,
             views: plan.stages.scene.views.len(),
@@ -85,15 +89,16 @@ impl<'a> Summary<'a> {
             warnings: warnings_with(&files.manifest.warnings, &files.manifest.exports, &files.outdated_exports),
             written: !dry_run,
             files: files.sets.iter().flat_map(|set| set.files.keys().cloned()).collect(),
-            look: format!("viewrank report {} --open", quoted_path(&project.root)),
+            images: project.images.as_ref().map(|images| images.display().to_string()),
+            notes: notes(project, plan, &files.place),
+            look: format!("viewrank report {} --open", quoted_path(&project.home)),
             next: next(project, plan, files, dry_run),
             timings: &plan.timings,
             memory: plan.stages.memory,
             tiles: plan.stages.surface_stats.tiles,
-            chosen_for: match backends::by_name(plan.stages.backend) {
-                _ if !plan.stages.settings.backends.is_empty() => "",
-                Ok(backend) if (backend.serves)(project) => " (as the project is set up)",
-                _ => " (no --backend is named)",
+            chosen_for: match plan.stages.settings.backends.is_empty() {
+                true => format!(" ({})", backends::by_default(project).1.words()),
+                false => String::new(),
             },
             manifest,
             weight: plan.stages.settings.ranking.weight,
@@ -113,9 +118,10 @@ impl<'a> Summary<'a> {
         let length = if self.units == Units::Metric { "m" } else { "units" };
         let on_disk = |size| format!("Tables of up to {size} were kept on disk for want of memory (--max-memory).\n");
         let disk = self.memory.on_disk().map(on_disk).unwrap_or_default();
+        let notes: String = self.notes.iter().map(|note| note.clone() + "\n").collect();
         let region = self.region.map(|region| region.words(self.weight) + "\n").unwrap_or_default();
         format!(
-            "{} views, {} sparse points; a surface of {} triangles.\n{disk}Wanted: {} {length} per pixel. Backend: {}{}.\n{region}",
+            "{} views, {} sparse points; a surface of {} triangles.\n{disk}Wanted: {} {length} per pixel. Backend: {}{}.\n{notes}{region}",
             grouped(self.views),
             grouped(self.points),
             grouped(self.triangles),
@@ -276,6 +282,34 @@ impl<'a> Summary<'a> {
     }
 }
 
+/// What was made of the images that the user may not expect.
+fn notes(project: &Project, plan: &Plan, place: &Georeference) -> Vec<String> {
+    let mut notes = Vec::new();
+    if let Some(images) = &project.images {
+        if images.is_searched {
+            notes.push(format!("The images are in {} (--images names another folder).", images.display()));
+        }
+        let count = images.other_names().count();
+        if let Some((name, file)) = images.other_names().next() {
+            notes.push(format!("{} images have another name there, as {file} for {name}.", grouped(count)));
+        }
+    }
+    let missing = plan.stages.missing_images.len();
+    if missing > 0 {
+        let (it, views) = if missing == 1 { ("is", "view has") } else { ("are", "views have") };
+        notes.push(format!("{} {views} no image and {it} neither matched nor planned.", grouped(missing)));
+    }
+    if let Georeference::Fitted { support, .. } = place {
+        notes.push(format!(
+            "On earth by the GPS of {} of {} images, {} m off in the median (not with --no-gps).",
+            grouped(support.fitting),
+            grouped(support.positions),
+            rounded(support.median)
+        ));
+    }
+    notes
+}
+
 /// The same without `--dry-run`; the first command of a backend whose files were written; else the way to such files.
 fn next(project: &Project, plan: &Plan, files: &PlanFiles, dry_run: bool) -> String {
     let root = project.as_argument();
@@ -291,10 +325,10 @@ fn next(project: &Project, plan: &Plan, files: &PlanFiles, dry_run: bool) -> Str
             format!("put the images into {}, then viewrank plan {root}", quoted_path(&project.root.join("images")))
         }
         None if !takes_distorted && distorted() => {
-            let dense = quoted_path(&project.root.join("dense"));
+            let dense = quoted_path(&project.home.join("dense"));
             format!("viewrank undistort {root} && viewrank plan {dense} --backend {}", plan.stages.backend)
         }
-        None => format!("viewrank export {} --backend {}", quoted_path(&project.root), files.manifest.backend),
+        None => format!("viewrank export {} --backend {}", quoted_path(&project.home), files.manifest.backend),
     }
 }
 
@@ -326,7 +360,7 @@ fn rounded(number: f64) -> String {
 }
 
 /// "3 h 20 min", "4 min", "12 s".
-fn duration(seconds: f64) -> String {
+pub fn duration(seconds: f64) -> String {
     let minutes = (seconds / 60.0).round() as u64;
     match minutes {
         0..2 => format!("{seconds:.0} s"),

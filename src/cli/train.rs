@@ -33,7 +33,7 @@ use super::{Failure, Format, config, json, print, progress::Progress, use_thread
 /// --confidence auto takes.
 #[derive(Args)]
 pub struct Arguments {
-    #[arg(required = true, value_name = "PROJECT")]
+    #[arg(required = true, value_name = "PROJECT", value_parser = super::arguments::project())]
     projects: Vec<PathBuf>,
 
     /// Depth maps to learn from: colmap, openmvs, mvsnet, acmm, sgm, or a folder in each project
@@ -101,11 +101,12 @@ fn refuse_to_replace(out: &Path) -> Result<(), Failure> {
 }
 
 fn prepare(arguments: &Arguments, root: &Path, progress: &Progress) -> Result<Prepared, Failure> {
-    let project = Project::open(root, None)?;
+    let project = Project::open_or_planned(root, None)?;
     let folder = depthmaps::folder_of(&project.root, project.dense_workspace.as_deref(), &arguments.depth_maps);
     let mut typed = Typed::default();
     typed.set("train", "confidence.source", Some("geometric"));
     let mut settings = config::load(Some(&project.root), typed)?.settings;
+    let project = project.with_images(settings.images.as_deref());
     let scene = project.read_scene()?;
     let found = depthmaps::find(&folder, &scene)?.into_complete()?;
     settings.backends = vec![backend(arguments, &found.maps[0].format)];

@@ -5,11 +5,12 @@ use std::path::PathBuf;
 use crate::{
     apps::undistort::{self, Options, Undistorted},
     base::shell::quoted_path,
+    config::Typed,
     io::{output::Disk, project::Project},
 };
 use clap::Args;
 
-use super::{Failure, Format, json, print, progress::Progress};
+use super::{Failure, Format, config, json, print, progress::Progress};
 
 /// Make the undistorted images that most MVS programs need, as a COLMAP dense workspace.
 ///
@@ -17,10 +18,14 @@ use super::{Failure, Format, json, print, progress::Progress};
 /// stopped. Then plan and export the workspace: viewrank plan PROJECT/dense.
 #[derive(Args)]
 pub struct Arguments {
+    #[arg(value_parser = super::arguments::project())]
     project: PathBuf,
     /// Sub-model, such as 1 for sparse/1 [default: the one with most registered images]
     #[arg(long, value_name = "N")]
     model: Option<String>,
+    /// Folder to which the image names of the model are relative [default: where they are found]
+    #[arg(long, value_name = "DIR")]
+    images: Option<PathBuf>,
     /// Folder of the workspace [default: PROJECT/dense]
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
@@ -55,10 +60,12 @@ struct Region([f64; 4]);
 pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     if arguments.min_scale > arguments.max_scale {
         let message = format!("--min-scale {} is above --max-scale {}", arguments.min_scale, arguments.max_scale);
-        return Err(Failure { exit: super::Exit::Usage, message, hint: Some("leave one of them out".into()) });
+        return Err(Failure::new(super::Exit::Usage, message, "leave one of them out".to_owned()));
     }
-    let project = Project::open(&arguments.project, arguments.model.as_deref())?;
-    let out = arguments.out.clone().unwrap_or_else(|| project.root.join("dense"));
+    let project = Project::open_or_planned(&arguments.project, arguments.model.as_deref())?;
+    let images = config::load(Some(&project.root), Typed::default())?.settings.images;
+    let project = project.with_images(arguments.images.as_deref().or(images.as_deref()));
+    let out = arguments.out.clone().unwrap_or_else(|| project.home.join("dense"));
     let progress = Progress::new(arguments.quiet);
     let done = undistort::undistort(&project, &arguments.options(), &out, &Disk::REAL, &progress)?;
     progress.finish();

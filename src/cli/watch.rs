@@ -3,16 +3,15 @@
 use std::{io::IsTerminal, num::NonZeroUsize, path::PathBuf, process, thread, time::Duration};
 
 use crate::{
-    base::error::Hint,
-    config::{self, Bytes},
-    daemon::{Options, PlanJob, PlanOptions, Signal, platform, state::OnBusy, watch_roots},
+    base::{
+        error::Hint,
+        platform::{self, Request},
+    },
+    config::{self, Bytes, Typed},
+    daemon::{Options, PlanJob, PlanOptions, Signal, platform as machine, state::OnBusy, watch_roots},
     io::output::Disk,
 };
 use clap::{Args, ValueEnum, builder::PossibleValue};
-use signal_hook::{
-    consts::{SIGHUP, SIGINT, SIGTERM},
-    iterator::Signals,
-};
 
 use super::Failure;
 
@@ -46,6 +45,15 @@ pub struct Arguments {
     /// Projects to plan at once.
     #[arg(long, default_value = "1", value_name = "N")]
     jobs: NonZeroUsize,
+    /// Backends to plan and write for, over those of the projects' settings.
+    #[arg(long, value_name = "NAME,...", value_delimiter = ',')]
+    backend: Option<Vec<String>>,
+    /// Matching partners per key view, over the projects' settings.
+    #[arg(short, value_name = "N")]
+    k: Option<String>,
+    /// Share of what all view clusters reach to plan for, over the projects' settings.
+    #[arg(long, value_name = "P%")]
+    target: Option<String>,
     /// Memory limit for all plans together, as 4G or 800M [default: half of this machine's memory].
     #[arg(long, value_name = "SIZE")]
     max_memory: Option<Bytes>,
@@ -69,7 +77,7 @@ pub struct Arguments {
     #[arg(long, default_value = "256M", value_name = "SIZE")]
     cache: Bytes,
     /// Format of the log on standard error.
-    #[arg(long, default_value = "text", value_name = "FORMAT")]
+    #[arg(long, visible_alias = "format", default_value = "text", value_name = "FORMAT")]
     log_format: LogFormat,
 }
 
@@ -81,13 +89,15 @@ enum LogFormat {
 
 pub fn run(arguments: Arguments) -> Result<(), Failure> {
     start_log(arguments.log_format);
-    platform::lower_priority();
+    machine::lower_priority();
     let once = arguments.once;
     let on_target = arguments.on_target.clone();
     let planner = PlanJob::new(PlanOptions {
         on_target,
         replan: arguments.replan,
         cache: arguments.cache.0,
+        roots: arguments.roots.clone(),
+        typed: arguments.typed()?,
         follow_links: arguments.follow_links,
     });
     let options = arguments.options();
@@ -99,6 +109,17 @@ pub fn run(arguments: Arguments) -> Result<(), Failure> {
 }
 
 impl Arguments {
+    /// Command-line options as settings, checked before anything is watched.
+    fn typed(&self) -> Result<Typed, Failure> {
+        let mut typed = Typed::default();
+        let k = self.k.as_ref().map(|k| k.parse().map_or_else(|_| toml::Value::from(k.as_str()), toml::Value::Integer));
+        typed.set("--backend", "backends", self.backend.clone());
+        typed.set("-k", "partners.k", k);
+        typed.set("--target", "cut.target", self.target.clone());
+        super::config::load(None, typed.clone())?;
+        Ok(typed)
+    }
+
     fn options(self) -> Options {
         Options {
             roots: self.roots,
@@ -107,7 +128,7 @@ impl Arguments {
             rescan: self.rescan,
             on_busy: self.on_busy,
             jobs: self.jobs.get(),
-            max_memory: self.max_memory.map_or_else(|| platform::machine_memory() / 2, |bytes| bytes.0),
+            max_memory: self.max_memory.map_or_else(|| machine::machine_memory() / 2, |bytes| bytes.0),
             follow_links: self.follow_links,
             once: self.once,
             metrics: self.metrics,
@@ -140,15 +161,11 @@ fn start_log(format: LogFormat) {
 }
 
 fn forward_signals(to_daemon: Box<dyn Fn(Signal) + Send>) {
-    let Ok(mut signals) = Signals::new([SIGTERM, SIGINT, SIGHUP]) else { return };
-    thread::spawn(move || {
-        for signal in signals.forever() {
-            if signal == SIGHUP {
-                to_daemon(Signal::Rescan);
-            } else {
-                to_daemon(Signal::Stop);
-                thread::spawn(end_in_time);
-            }
+    platform::on_signal(move |request| match request {
+        Request::Rescan => to_daemon(Signal::Rescan),
+        Request::Stop => {
+            to_daemon(Signal::Stop);
+            thread::spawn(end_in_time);
         }
     });
 }

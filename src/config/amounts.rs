@@ -24,7 +24,7 @@ impl Budget {
     }
 }
 
-/// A share, 0 to 1; written in per cent.
+/// A share, 0 to 1; written in per cent, and read as `80%`, `80` or `0.8`.
 #[derive(Clone, Copy, Debug, PartialEq, PartialOrd, Serialize, Deserialize)]
 #[serde(try_from = "Written", into = "String")]
 pub struct Share(pub f64);
@@ -64,12 +64,12 @@ pub trait Amount: FromStr<Err = AmountError> + fmt::Display {
 }
 
 impl Amount for Budget {
-    const WANTED: &'static str = "a number of clusters such as 40, or a share of the views such as 5%";
+    const WANTED: &'static str = "a number of clusters such as 40, or a share of the views such as 5% or 0.05";
     const PATTERN: &'static str = r"^[0-9]*[1-9][0-9]*$|^[0-9.]+ ?%$";
 }
 
 impl Amount for Share {
-    const WANTED: &'static str = "a share from 0% to 100% such as 80%";
+    const WANTED: &'static str = "a share from 0% to 100% such as 80% or 0.8";
     const PATTERN: &'static str = "^[0-9.]+ ?%$";
 }
 
@@ -93,10 +93,12 @@ impl FromStr for Budget {
 
     fn from_str(text: &str) -> Result<Self, AmountError> {
         let share = || text.parse().map(Self::Views).map_err(|_| Self::refuse(text));
+        let text_is_share = text.trim().ends_with('%') || text.trim().starts_with(['0', '.']);
         match text.trim().parse() {
             Ok(0) => Err(Self::refuse(text)),
             Ok(clusters) => Ok(Self::Clusters(clusters)),
-            Err(_) => share(),
+            Err(_) if text_is_share => share(),
+            Err(_) => Err(Self::refuse(text)),
         }
     }
 }
@@ -105,8 +107,17 @@ impl FromStr for Share {
     type Err = AmountError;
 
     fn from_str(text: &str) -> Result<Self, AmountError> {
-        let percent = text.trim().strip_suffix('%').and_then(|number| non_negative(number.trim()));
-        percent.filter(|&p| p <= 100.0).map(|p| Self(p / 100.0)).ok_or_else(|| Self::refuse(text))
+        let (number, in_percent) = match text.trim().strip_suffix('%') {
+            Some(number) => (non_negative(number.trim()), true),
+            None => (non_negative(text.trim()), false),
+        };
+        // A bare 1 may be 1 % or all of it.
+        let share = number.and_then(|n| match in_percent {
+            false if n == 1.0 => None,
+            false if n < 1.0 => Some(n),
+            _ => Some(n / 100.0),
+        });
+        share.filter(|share| *share <= 1.0).map(Self).ok_or_else(|| Self::refuse(text))
     }
 }
 
@@ -229,12 +240,13 @@ impl fmt::Display for Bytes {
     }
 }
 
-/// An amount in TOML: a string ("40") or an integer (40).
+/// An amount in TOML: a string ("40") or a number (40, 0.8).
 #[derive(Deserialize)]
 #[serde(untagged)]
 enum Written {
     Text(String),
     Whole(u64),
+    Fraction(f64),
 }
 
 impl Written {
@@ -242,6 +254,7 @@ impl Written {
         match self {
             Self::Text(text) => text,
             Self::Whole(number) => number.to_string(),
+            Self::Fraction(number) => number.to_string(),
         }
     }
 }
@@ -284,7 +297,10 @@ mod tests {
     fn amounts_are_read_as_people_write_them() {
         assert_eq!("40".parse(), Ok(Budget::Clusters(40)));
         assert_eq!("5%".parse(), Ok(Budget::Views(Share(0.05))));
+        assert_eq!("0.05".parse(), Ok(Budget::Views(Share(0.05))));
         assert_eq!("12.5 %".parse(), Ok(Share(0.125)));
+        assert_eq!(["80%", "80", "0.8", ".8"].map(str::parse), [Ok(Share(0.8)); 4]);
+        assert_eq!("0.5%".parse(), Ok(Share(0.005)), "with the sign it is per cent");
         assert_eq!("2h".parse(), Ok(Duration(7200.0)));
         assert_eq!("1d 6h".parse(), Ok(Duration(108_000.0)));
         assert_eq!("1.5min".parse(), Ok(Duration(90.0)));
@@ -298,7 +314,7 @@ mod tests {
     #[test]
     fn malformed_amounts_are_refused() {
         assert!(["", "-3", "4.5", "x", "101%"].iter().all(|text| text.parse::<Budget>().is_err()));
-        assert!(["", "0.8", "80", "1e1%", "-1%", "nan%"].iter().all(|text| text.parse::<Share>().is_err()));
+        assert!(["", "1", "180", "1e1%", "-1%", "nan%", "80 %%"].iter().all(|text| text.parse::<Share>().is_err()));
         assert!(["", "2", "h", "2 weeks", "inf h", "1h30"].iter().all(|text| text.parse::<Duration>().is_err()));
         assert!(["", "M", "5m", "1e9"].iter().all(|text| text.parse::<Count>().is_err()));
         assert!(["", "G", "5X", "-1G", "5GG"].iter().all(|text| text.parse::<Bytes>().is_err()));

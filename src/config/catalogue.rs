@@ -65,6 +65,11 @@ impl Key {
         self.unit.as_ref().map(|unit| unit.replace("length", length))
     }
 
+    /// True for lengths, also those per pixel.
+    pub(super) fn is_length(&self) -> bool {
+        self.unit.as_deref().is_some_and(|unit| unit == "length" || unit == "length/px")
+    }
+
     /// Describes the accepted range in words; `None`: any value.
     pub fn range(&self) -> Option<String> {
         match (self.above, self.min, self.max) {

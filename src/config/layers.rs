@@ -52,6 +52,8 @@ pub const CONFIDENCE_WORDS: [&str; 7] = ["none", "geometric", "photometric", "pr
 #[derive(Clone, Debug, Default)]
 pub struct Files {
     pub user: Option<PathBuf>,
+    /// `viewrank.toml` of a watched folder, for all projects in it.
+    pub root: Option<PathBuf>,
     pub project: Option<PathBuf>,
 }
 
@@ -124,10 +126,13 @@ impl Configuration {
     /// Loads the settings of the files and the command line; `backend` resolves the name of each backend.
     pub fn load(files: &Files, typed: Typed, backend: NameOf) -> Result<Self, ConfigError> {
         let mut entries = files.user.as_deref().map_or(Ok(Vec::new()), read)?;
-        let project = files.project.as_deref().map_or(Ok(Vec::new()), read)?;
-        project.iter().try_for_each(refuse_commands)?;
-        entries.extend(project);
+        for file in [&files.root, &files.project].into_iter().flatten() {
+            let project = read(file)?;
+            project.iter().try_for_each(refuse_commands)?;
+            entries.extend(project);
+        }
         entries.extend(typed.0);
+        convert_lengths(&mut entries)?;
         Self::over_defaults(entries, backend)
     }
 
@@ -184,6 +189,44 @@ impl Configuration {
     }
 }
 
+/// Metres in the units of length that people write behind a number.
+const METRES: [(&str, f64); 5] = [("mm", 0.001), ("cm", 0.01), ("dm", 0.1), ("km", 1000.0), ("m", 1.0)];
+
+/// Replaces lengths with a unit ("2cm") by numbers, metres, where a unit of the model is a metre; the last of `units` holds.
+fn convert_lengths(entries: &mut [Entry]) -> Result<(), ConfigError> {
+    let units = entries.iter().rev().find(|entry| entry.key == "units");
+    let is_metric = units.is_some_and(|entry| entry.value.as_str() == Some("metric"));
+    for entry in entries {
+        let is_length = keys().iter().any(|key| key.name == entry.key && key.is_length());
+        let Some(text) = entry.value.as_str().filter(|_| is_length) else { continue };
+        let refuse = |why: &str| ConfigError::Value {
+            from: Source::Written(entry.place.clone()),
+            key: entry.key.clone(),
+            value: entry.value.to_string(),
+            why: why.into(),
+        };
+        let text = text.trim();
+        let unit = METRES.iter().find_map(|(unit, metres)| Some((text.strip_suffix(unit)?, *metres)));
+        let (number, metres) = unit.unwrap_or((text, 1.0));
+        if number.contains(',') {
+            return Err(refuse("must be a number with a decimal point, as 0.02"));
+        }
+        let number: f64 =
+            number.trim().parse().map_err(|_| refuse("must be a number, in metres also with mm, cm or m"))?;
+        if unit.is_some() && !is_metric {
+            return Err(ConfigError::NotMetric {
+                place: entry.place.clone(),
+                key: entry.key.clone(),
+                value: text.into(),
+            });
+        }
+        // 2 cm are 0.02, not 0.02 plus the rounding of the product.
+        let length = if metres < 1.0 { number / (1.0 / metres).round() } else { number * metres };
+        entry.value = length.into();
+    }
+    Ok(())
+}
+
 /// Reads the entries of a file; empty if it does not exist.
 fn read(path: &Path) -> Result<Vec<Entry>, ConfigError> {
     let text = match input::read_text(path, FileKind::Settings) {
@@ -211,7 +254,7 @@ fn read(path: &Path) -> Result<Vec<Entry>, ConfigError> {
 /// Converts a value of `file`; relative paths are resolved against its folder.
 fn from_file(key: &str, value: &Value, file: &Path) -> Value {
     let names_file = |text: &&str| match key {
-        "surface.mesh" => true,
+        "surface.mesh" | "images" => true,
         "region" => RegionChoice::is_file(text),
         "confidence.source" => !CONFIDENCE_WORDS.contains(text),
         _ => false,
@@ -337,6 +380,8 @@ pub enum ConfigError {
     UserOnly { place: Place, key: String },
     #[error("{place}: {error}")]
     Backend { place: Place, error: UnknownBackend },
+    #[error("{place}: {key} = {value}: the model's unit of length is unknown")]
+    NotMetric { place: Place, key: String, value: String },
     #[error("{from}: {key} = {value}: {why}")]
     Value { from: Source, key: String, value: String, why: String },
 }
@@ -354,6 +399,9 @@ impl Hint for ConfigError {
                 Some(path) => format!("set it in {}, or on the command line", path.display()),
                 None => "set it on the command line".into(),
             },
+            Self::NotMetric { .. } => "write units = \"metric\" into viewrank.toml if a unit of the model is a metre, else give the number in \
+                                       units of the model"
+                .into(),
             Self::Backend { error, .. } => return error.hint(),
             Self::Value { key, .. } => match keys().iter().find(|known| known.name == *key) {
                 Some(known) => format!("{key}: {}", known.doc),
@@ -393,7 +441,7 @@ mod tests {
             Some(path)
         };
         Configuration::load(
-            &Files { user: write("user.toml", user), project: write("project.toml", project) },
+            &Files { user: write("user.toml", user), root: None, project: write("project.toml", project) },
             typed,
             canonical_name,
         )
@@ -439,7 +487,7 @@ mod tests {
     #[test]
     fn nothing_written_is_the_default() {
         assert_eq!(load("", "", Typed::default()).unwrap(), Configuration::default());
-        let none = Files { user: Some("/nowhere/viewrank.toml".into()), project: None };
+        let none = Files { user: Some("/nowhere/viewrank.toml".into()), ..Files::default() };
         assert_eq!(Configuration::load(&none, Typed::default(), canonical_name).unwrap().settings, Settings::default());
     }
 
@@ -461,11 +509,13 @@ mod tests {
         assert_eq!(message("fulfilment.alpha = 1.5"), "project.toml:1: fulfilment.alpha = 1.5: must be 0 to 1");
         assert_eq!(message("target.gsd = -1"), "project.toml:1: target.gsd = -1: must be above 0 (scene units/px)");
         assert_eq!(message("target.gsd = nan"), "project.toml:1: target.gsd = nan: must be above 0 (scene units/px)");
-        assert!(message("target.gsd = \"1 cm\"").ends_with("must be a number"));
+        assert!(message("target.gsd = \"1 cm\"").ends_with("the model's unit of length is unknown"));
+        assert!(message("target.gsd = \"0,02\"").ends_with("must be a number with a decimal point, as 0.02"));
+        assert!(message("target.gsd = \"fine\"").contains("must be a number"));
         assert!(message("partners.k = \"auto\"").ends_with("must be a whole number"));
         assert!(message("ranking.support = 4000000000").contains("must be 1 to 100"));
         assert!(message("partners.method = \"best\"").contains("must be "));
-        assert!(message("cut.target = \"80\"").contains("\"80\" is not a share from 0% to 100%"));
+        assert!(message("cut.target = \"180\"").contains("\"180\" is not a share from 0% to 100%"));
         assert!(message("surface.max_edge_factor = 10").contains("must not be below surface.edge_factor, which is 20"));
         assert!(message("target = 3").contains("target = 3"));
         assert!(message("[target\ngsd = 1").starts_with("project.toml:1: "));
@@ -494,6 +544,36 @@ mod tests {
         let (message, hint) = refused("\nbackends = [\"colmpa\"]");
         assert_eq!(message, "project.toml:2: no backend \"colmpa\"");
         assert!(hint.starts_with("did you mean colmap? take one of sure, "));
+    }
+
+    #[test]
+    fn lengths_have_units_where_the_model_is_metric() {
+        let mut typed = Typed::default();
+        typed.set("--gsd", "target.gsd", Some("2cm"));
+        let settings = load("", "units = \"metric\"\ntarget.accuracy = \"15 mm\"", typed.clone()).unwrap().settings;
+        assert_eq!((settings.target.gsd, settings.target.accuracy), (Some(0.02), Some(0.015)));
+        assert!(matches!(
+            load("units = \"metric\"", "units = \"relative\"", typed),
+            Err(ConfigError::NotMetric { .. })
+        ));
+        assert_eq!(load("", "target.gsd = \"0.5\"", Typed::default()).unwrap().settings.target.gsd, Some(0.5));
+    }
+
+    #[test]
+    fn a_watched_folder_s_settings_are_below_those_of_its_projects() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = |name: &str, text: &str| {
+            fs::write(folder.path().join(name), text).unwrap();
+            Some(folder.path().join(name))
+        };
+        let root = file("root.toml", "partners.k = 4\nseed = 3");
+        let files =
+            Files { user: file("user.toml", "seed = 1"), root, project: file("project.toml", "partners.k = 6") };
+        let settings = Configuration::load(&files, Typed::default(), canonical_name).unwrap().settings;
+        assert_eq!((settings.seed, settings.partners.k), (3, 6));
+        let root = file("root.toml", "on_target = \"rm -r /\"");
+        let refused = Configuration::load(&Files { root, ..files }, Typed::default(), canonical_name);
+        assert!(matches!(refused, Err(ConfigError::UserOnly { .. })));
     }
 
     #[test]

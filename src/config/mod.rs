@@ -38,7 +38,8 @@ pub struct Settings {
     pub seed: u64,
     /// Memory limit of planning ("8G"): larger surfaces are built in tiles, larger tables kept on disk, the rest refused. Unset: no limit.
     pub max_memory: Option<Bytes>,
-    /// Backends to write files for; the plan is made for the first. Empty: the one that the project is set up for, else "sure".
+    /// Backends to write files for; the plan is made for the first. Empty: the one that the project is set up
+    /// for, else OpenMVS or a COLMAP with CUDA if installed, else "sgm".
     pub backends: Vec<String>,
     /// Shell command that `viewrank watch` runs once when a project's depth maps reach its target. In the user's own file only.
     #[schemars(extend("userOnly" = true))]
@@ -46,6 +47,8 @@ pub struct Settings {
     /// Part of the scene that the plan is for (method 5.7): a file of GeoJSON polygons or a closed PLY mesh, a box "x0,y0,z0,x1,y1,z1" in the frame of
     /// the model, or "auto", the box with the most pixels per area. Nothing outside counts. Unset: the whole surface.
     pub region: Option<RegionChoice>,
+    /// Folder to which the image names of the model are relative. Unset: where the images are found.
+    pub images: Option<PathBuf>,
     pub target: TargetSettings,
     pub coverage: CoverageSettings,
     pub fulfilment: FulfilmentSettings,
@@ -477,9 +480,9 @@ impl Default for DispatchSettings {
     }
 }
 
-/// Georeference of the model. Unset: from the files of OpenSfM or OpenDroneMap, or recognised from the size of earth-centred coordinates;
-/// else unknown.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+/// Georeference of the model. Unset: from the files of OpenSfM or OpenDroneMap, or recognised from the size of earth-centred coordinates, or
+/// fitted to the GPS positions in the images; else unknown.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct FrameSettings {
     /// Latitude, longitude (degrees) and height (metres, WGS 84) of the model's origin, where its axes are metres east, north and up.
@@ -488,4 +491,12 @@ pub struct FrameSettings {
     pub utm: Option<String>,
     /// Added to x and y to make them UTM coordinates.
     pub offset: Option<[f64; 2]>,
+    /// Place a model without another georeference by the GPS positions in its images (EXIF), where most of them agree.
+    pub gps: bool,
+}
+
+impl Default for FrameSettings {
+    fn default() -> Self {
+        Self { origin: None, utm: None, offset: None, gps: true }
+    }
 }

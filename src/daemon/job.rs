@@ -151,6 +151,10 @@ pub struct PlanOptions {
     /// Bytes of the plans that are kept in memory while their depth maps come.
     pub cache: u64,
     pub follow_links: bool,
+    /// Watched folders, whose `viewrank.toml` counts for all projects in them.
+    pub roots: Vec<PathBuf>,
+    /// Settings of the command line.
+    pub typed: Typed,
 }
 
 /// The planner of `viewrank watch`: [`plan::plan`], [`replan()`] and [`plan::files`].
@@ -172,7 +176,8 @@ impl Planner for PlanJob {
             word if CONFIDENCE_WORDS.contains(&word.as_str()) => project.join(PROJECT_MODEL),
             file => file.into(),
         };
-        [Some(model), user_file()].into_iter().flatten().chain(settings.files_of_plan()).collect()
+        let files = [Some(model), user_file(), self.root_file(project)];
+        files.into_iter().flatten().chain(settings.files_of_plan()).collect()
     }
 
     fn has_plan(&self, project: &Path) -> bool {
@@ -223,7 +228,7 @@ impl PlanJob {
             return Err(Outcome::Failed { reason, hint });
         }
         let (settings, note) = self.settings(job.project)?;
-        let project = Project::open(job.project, None).map_err(incomplete)?;
+        let project = Project::open(job.project, None).map_err(incomplete)?.with_images(settings.images.as_deref());
         // A dense workspace that appears later gets its files, too.
         let decided_by = (settings.of_plan(), &project.dense_workspace);
         let as_text = serde_json::to_vec(&decided_by).map_err(|_| Outcome::Abandoned)?;
@@ -307,7 +312,8 @@ impl PlanJob {
     /// Returns the plan by prediction alone, from the cache if possible.
     fn plan_again(&self, root: &Path, fingerprint: &Fingerprint, watcher: &JobWatcher) -> Ended<(Project, Plan)> {
         if let Some(plan) = lock(&self.plans).get(root, fingerprint) {
-            return Ok((Project::open(root, None).map_err(failed)?, plan));
+            let images = plan.stages.settings.images.clone();
+            return Ok((Project::open(root, None).map_err(failed)?.with_images(images.as_deref()), plan));
         }
         let (project, plan) = replan::again(root, watcher).map_err(|error| match error {
             AgainError::Written(WrittenPlanError::OtherInput(_)) => Outcome::Abandoned,
@@ -322,7 +328,7 @@ impl PlanJob {
         let command = match &self.options.on_target {
             Some(command) => Some(command.clone()),
             None => match Configuration::load(
-                &Files { user: user_file(), project: None },
+                &Files { user: user_file(), ..Files::default() },
                 Typed::default(),
                 backends::canonical_name,
             ) {
@@ -347,12 +353,21 @@ impl PlanJob {
         }
     }
 
+    /// `viewrank.toml` of the watched folder that a project is in, whether it exists or not; `None` if the project is the folder itself.
+    fn root_file(&self, project: &Path) -> Option<PathBuf> {
+        let roots = self.options.roots.iter().filter_map(|root| root.canonicalize().ok());
+        let root = roots
+            .filter(|root| project.starts_with(root) && project != root)
+            .max_by_key(|root| root.components().count());
+        root.map(|root| root.join("viewrank.toml"))
+    }
+
     /// Returns the project's settings. Where they are invalid now, returns the last valid ones, at least those of its plan, with a note.
     fn settings(&self, project: &Path) -> Ended<(Settings, Option<String>)> {
         let own = project.join("viewrank.toml");
-        let files = Files { user: user_file(), project: Some(own.clone()) };
+        let files = Files { user: user_file(), root: self.root_file(project), project: Some(own.clone()) };
         let loaded = match may_enter(project, &own, self.options.follow_links) {
-            true => Configuration::load(&files, Typed::default(), backends::canonical_name)
+            true => Configuration::load(&files, self.options.typed.clone(), backends::canonical_name)
                 .map_err(|error| (error.to_string(), failed(error))),
             false => {
                 let reason = format!("{} is a symbolic link (--follow-links)", own.display());

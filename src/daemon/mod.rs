@@ -7,6 +7,7 @@
 
 pub mod discover;
 pub mod follow;
+pub mod foreground;
 mod job;
 mod kept;
 mod maps;

@@ -27,6 +27,8 @@ pub enum Reason {
     NoGainLeft,
     /// All that it could give is outside the region.
     OutsideRegion,
+    /// There is no file of its image.
+    NoImage,
 }
 
 impl Reason {
@@ -42,6 +44,7 @@ impl Reason {
             Self::TooInaccurate => "the triangulation angles are too small for the target accuracy",
             Self::NotMatchable => "the backend cannot match the available pairs",
             Self::OutsideRegion => "all that it could give is outside the region",
+            Self::NoImage => "its image is missing",
             Self::NoGainLeft => "its gain is zero or below the cut",
         }
     }

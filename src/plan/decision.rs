@@ -62,6 +62,7 @@ pub fn decide_as(stages: &Stages, finished: Finished, ranking: Ranking, cut: Cut
     let all_reasons = reasons::Reasons {
         model: &model,
         candidates: &stages.candidates,
+        missing_images: &stages.missing_images,
         clusters: &stages.clusters,
         fulfilment: &stages.fulfilment,
         region: stages.region.as_ref(),

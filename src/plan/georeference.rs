@@ -2,21 +2,43 @@
 
 use std::path::Path;
 
+use rayon::prelude::*;
 use serde::Deserialize;
 
 use crate::{
     base::input::{self, FileKind},
     config::FrameSettings,
-    io::project::{ModelFormat, Project},
+    io::{
+        formats::exif,
+        project::{ModelFormat, Project},
+    },
     model::{
         georeference::{Geodetic, Georeference, Zone},
-        scene::Scene,
+        scene::{Scene, View},
     },
 };
 
 /// The georeference of the project's model; [`Georeference::Local`] if unknown.
 pub fn georeference(project: &Project, scene: &Scene, settings: &FrameSettings) -> Georeference {
-    from_settings(settings).or_else(|| from_files(project)).unwrap_or_else(|| Georeference::from_coordinates(scene))
+    let known = from_settings(settings).or_else(|| from_files(project));
+    match known.unwrap_or_else(|| Georeference::from_coordinates(scene)) {
+        Georeference::Local if settings.gps => from_images(project, scene).unwrap_or(Georeference::Local),
+        known => known,
+    }
+}
+
+/// Most images whose positions are read.
+const MOST_POSITIONS: usize = 300;
+
+/// Fits the model to the GPS positions in its images.
+fn from_images(project: &Project, scene: &Scene) -> Option<Georeference> {
+    let folder = project.images.as_ref()?;
+    let step = scene.views.len().div_ceil(MOST_POSITIONS).max(1);
+    let views: Vec<&View> = scene.views.iter().step_by(step).collect();
+    let position =
+        |view: &&View| Some((view.cam_from_world.centre().coords, exif::position(&folder.file(&view.name))?));
+    let (centres, positions): (Vec<_>, Vec<_>) = views.par_iter().filter_map(position).unzip();
+    Georeference::fitted(&centres, &positions)
 }
 
 fn from_settings(settings: &FrameSettings) -> Option<Georeference> {

@@ -40,6 +40,7 @@ const DUPLICATE: f64 = 0.9;
 pub(super) struct Reasons<'a> {
     pub model: &'a Model<'a>,
     pub candidates: &'a Candidates,
+    pub missing_images: &'a [ViewIndex],
     pub clusters: &'a [ViewCluster],
     pub fulfilment: &'a FulfilmentTable,
     pub region: Option<&'a Region>,
@@ -88,7 +89,13 @@ impl Reasons<'_> {
     }
 
     fn no_cluster(&self, view: ViewIndex) -> Reason {
-        if self.model.visibility.triangles_seen_by(view).is_empty() { Reason::Hidden } else { self.main_refusal(view) }
+        if self.missing_images.binary_search(&view).is_ok() {
+            Reason::NoImage
+        } else if self.model.visibility.triangles_seen_by(view).is_empty() {
+            Reason::Hidden
+        } else {
+            self.main_refusal(view)
+        }
     }
 
     /// Why a view with partners is no key view.

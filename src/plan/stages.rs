@@ -19,7 +19,7 @@ use crate::{
     model::{
         cluster::ViewCluster,
         georeference::MapFrame,
-        scene::{Scene, Units, ViewPoints},
+        scene::{Scene, Units, ViewIndex, ViewPoints},
     },
 };
 
@@ -52,6 +52,8 @@ pub struct Stages {
     /// What the plan maximises (method 5.1).
     pub objective: Objective,
     pub candidates: Candidates,
+    /// Views whose images are missing, which are neither key views nor partners; ascending.
+    pub missing_images: Vec<ViewIndex>,
     /// One per view that can be a key view, in the order of the views.
     pub clusters: Vec<ViewCluster>,
     /// f of each cluster: predicted, or measured where the cluster is finished.
@@ -78,8 +80,12 @@ impl Stages {
         let mut memory = Memory::before_surface(&scene, &mut settings)?;
         let points = scene.view_points();
         let numbers = &matcher.numbers;
-        let refuses =
-            |pair: &PairGeometry| numbers.refuses.is_some_and(|refuses| refuses(pair, &points, settings.image_scale()));
+        let missing_images = project.missing_images(&scene);
+        let is_missing = |view: &ViewIndex| missing_images.binary_search(view).is_ok();
+        let refuses = |pair: &PairGeometry| {
+            let lacks_image = [pair.key, pair.partner].iter().any(is_missing);
+            lacks_image || numbers.refuses.is_some_and(|refuses| refuses(pair, &points, settings.image_scale()))
+        };
         let gate = numbers.gate.with(&settings.partners.gate);
         let limits = Limits { gate: &gate, refuses: &refuses };
         // Parts of the surface are built by one thread; the others find candidates meanwhile.
@@ -154,6 +160,7 @@ impl Stages {
             region,
             objective,
             candidates,
+            missing_images,
             clusters,
             fulfilment,
         })

@@ -9,12 +9,15 @@ use crate::{
         project::Project,
     },
     method::confidence,
+    model::georeference::Georeference,
     plan::{self, Nothing, Plan, PlannedViews},
     show::{
         manifest::{self, FingerprintError, Manifest},
         pictures::{FulfilmentCurve, curve_svg, surface_ply, views_file, views_geojson},
     },
 };
+
+use serde_json::json;
 
 /// Path of the report in its project, and the name of its file set. Writing a plan removes the report of any other plan.
 pub const REPORT_FILE: &str = "viewrank/report.html";
@@ -27,6 +30,9 @@ pub struct PlanFiles {
     pub sets: Vec<FileSet>,
     /// Exports of earlier plans that stay in the project, one line each; not part of the plan.
     pub outdated_exports: Vec<String>,
+    pub place: Georeference,
+    /// Backends without files, one line each with the reason.
+    pub not_exported: Vec<String>,
     /// Shell command that runs the first backend on its files.
     pub command: Option<String>,
 }
@@ -71,7 +77,8 @@ pub fn files(plan: &Plan, project: &Project) -> Result<PlanFiles, FilesError> {
         planned_for: plan.stages.backend,
         image_faults: &image_faults,
     };
-    let (exports, mut missing) = exports(&selection, &wanted(plan, project)?)?;
+    let (exports, not_exported) = exports(&selection, &wanted(plan, project)?)?;
+    let mut missing = not_exported.clone();
     let pair_files = backends::pair_files("the list of view clusters", &selection).map(Vec::from);
     let pair_files = pair_files.or_else(|error| match error {
         BackendError::Name { .. } => {
@@ -85,9 +92,13 @@ pub fn files(plan: &Plan, project: &Project) -> Result<PlanFiles, FilesError> {
     manifest.warnings.extend(image_faults.warnings(project, &plan.stages.scene));
     manifest.warnings.extend(missing);
     let command = exports.first().and_then(command);
-    let mut own = FileSet::new(&project.root, "plan");
+    let mut own = FileSet::new(&project.home, "plan");
     let mut add = |name: &str, text: String| own.add_text(format!("viewrank/{name}"), text);
     let stale = stale_page(project, &manifest);
+    if project.is_elsewhere() {
+        let root = std::path::absolute(&project.root).unwrap_or_else(|_| project.root.clone());
+        add("project.json", json!({ "project": root }).to_string() + "\n");
+    }
     add("manifest.json", manifest.to_json());
     add("manifest.csv", manifest.to_csv());
     pair_files.into_iter().for_each(|(name, text)| add(name, text));
@@ -104,19 +115,19 @@ pub fn files(plan: &Plan, project: &Project) -> Result<PlanFiles, FilesError> {
     });
     let sets: Vec<FileSet> = std::iter::once(own).chain(exports).chain(caches(plan, project)).chain(stale).collect();
     let outdated_exports = outdated::exports(plan, project, &sets);
-    Ok(PlanFiles { manifest, sets, outdated_exports, command })
+    Ok(PlanFiles { manifest, sets, outdated_exports, place, not_exported, command })
 }
 
 /// The report of an earlier plan with a note that there is a newer one: a page that is open in a browser survives a reload.
 fn stale_page(project: &Project, manifest: &Manifest) -> Option<FileSet> {
-    let earlier = output::read_own(&project.root, manifest::FILE);
+    let earlier = output::read_own(&project.home, manifest::FILE);
     let shows_another = earlier.map_or(true, |earlier| earlier != manifest.to_json().as_bytes());
-    if !shows_another || !project.root.join(REPORT_FILE).exists() {
+    if !shows_another || !project.home.join(REPORT_FILE).exists() {
         return None;
     }
-    let mut set = FileSet::new(&project.root, REPORT_SET);
+    let mut set = FileSet::new(&project.home, REPORT_SET);
     // A page that cannot be read goes, as it shows another plan.
-    let page = output::read_own(&project.root, REPORT_FILE).ok().and_then(|page| String::from_utf8(page).ok());
+    let page = output::read_own(&project.home, REPORT_FILE).ok().and_then(|page| String::from_utf8(page).ok());
     if let Some(page) = page {
         set.add_text(REPORT_FILE, page.replacen("<html lang=\"en\">", "<html lang=\"en\" data-stale>", 1));
     }
@@ -132,7 +143,7 @@ fn caches(plan: &Plan, project: &Project) -> impl Iterator<Item = FileSet> {
         ("agreement", confidence::AGREEMENT_CACHE, contents)
     });
     maps.into_iter().chain(agreement).map(|(name, path, contents)| {
-        let mut set = FileSet::new(&project.root, name);
+        let mut set = FileSet::new(&project.home, name);
         set.add(path, contents);
         set
     })

@@ -33,8 +33,8 @@ struct View {
 /// One line for each folder in the project with an export of another ranking that `sets` does not replace. Three or more are one line that names the
 /// first and counts the others.
 pub(super) fn exports(plan: &Plan, project: &Project, sets: &[FileSet]) -> Vec<String> {
-    let kept = |path: &String| sets.iter().all(|set| set.root != project.root || !set.files.contains_key(path));
-    let records = recorded(&project.root, "export-").into_iter();
+    let kept = |path: &String| sets.iter().all(|set| set.root != project.home || !set.files.contains_key(path));
+    let records = recorded(&project.home, "export-").into_iter();
     let mut lines: Vec<String> = records.filter(kept).filter_map(|path| line(plan, project, &path)).collect();
     // Tiles of one export share a line.
     lines.dedup();
@@ -47,13 +47,13 @@ pub(super) fn exports(plan: &Plan, project: &Project, sets: &[FileSet]) -> Vec<S
 
 fn line(plan: &Plan, project: &Project, record: &str) -> Option<String> {
     let (folder, in_tiles) = place::folder_of_record(record)?;
-    let exported: Exported = serde_json::from_slice(&read_own(&project.root, record).ok()?).ok()?;
+    let exported: Exported = serde_json::from_slice(&read_own(&project.home, record).ok()?).ok()?;
     let backend = by_name(&exported.backend).ok()?.name;
     if is_part(&exported, plan) {
         return None;
     }
     let tiles = if in_tiles { " --tiles N" } else { "" };
-    let folder = project.root.join(folder);
+    let folder = project.home.join(folder);
     let own = [project.output_folder().join(backend), project.output_folder().join(format!("{backend}-tiles"))];
     let workspace = project.dense_workspace.as_deref().filter(|_| backend == "colmap");
     let is_default = own.contains(&folder) || workspace.is_some_and(|workspace| place::is_same(workspace, &folder));
@@ -61,7 +61,7 @@ fn line(plan: &Plan, project: &Project, record: &str) -> Option<String> {
     Some(format!(
         "{} holds an export of an earlier plan for {backend}; to export this plan: viewrank export {} --backend {backend}{tiles}{out}",
         folder.display(),
-        quoted_path(&project.root)
+        quoted_path(&project.home)
     ))
 }
 

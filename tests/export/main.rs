@@ -125,6 +125,7 @@ impl Fixture {
 pub fn project() -> Project {
     Project {
         root: "/nowhere".into(),
+        home: "/nowhere".into(),
         kind: ProjectKind::BareModel,
         model: ModelLocation { format: ModelFormat::OpenMvs, path: "/nowhere/scene.mvs".into(), registered: 0 },
         model_is_named: false,

@@ -6,6 +6,7 @@
 //! partners, their cameras and poses; so a plan that changes makes only changed clusters anew. Whether work is missing is read from these files alone, [`slurm`]
 //! says what of it is on its way.
 
+pub mod local;
 pub mod slurm;
 
 use std::{
@@ -108,7 +109,7 @@ impl Dispatch {
         export: &Export,
         finished: usize,
     ) -> Result<Self, DispatchError> {
-        let project = absolute(&selection.project.root);
+        let project = absolute(&selection.project.home);
         let runner = (backend.tasks)(selection, export).ok_or(DispatchError::NoTasks(backend.name))?;
         let task = |(i, cluster): (usize, &RankedCluster)| {
             let map = runner.maps[i].clone()?;
@@ -126,6 +127,11 @@ impl Dispatch {
         let brings_program = export.files.files.contains_key(runner.program);
         let exported_program = brings_program.then(|| workplace.join(runner.program));
         Ok(Self { project, backend: backend.name, folder, tasks, finished, workplace, exported_program, runner })
+    }
+
+    /// Folder in which the backend runs.
+    pub fn workplace(&self) -> &Path {
+        &self.workplace
     }
 
     pub fn runner(&self) -> &TaskRunner {

@@ -12,7 +12,7 @@ use std::{
 };
 
 use super::{Dispatch, DispatchError, Task, hash};
-use crate::config::DispatchSettings;
+use crate::{base::platform, config::DispatchSettings};
 
 /// `MaxArraySize` where the queue cannot be asked: SLURM's default.
 const MAX_ARRAY_SIZE: usize = 1001;
@@ -90,8 +90,7 @@ impl Queue {
     /// Asks the queue.
     pub fn read(dispatch: &Dispatch) -> Result<Self, DispatchError> {
         let mut queue = Self::empty(dispatch);
-        // SAFETY: `getuid` takes nothing and cannot fail.
-        let user = unsafe { libc::getuid() }.to_string();
+        let user = platform::user();
         queue.add_jobs(&run(&["squeue", "-h", "-r", "-u", &user, "-o", "%i|%j|%T"].map(String::from))?);
         let configuration = run(&["scontrol", "show", "config"].map(String::from))?;
         let number = |name: &str| -> Option<usize> {

@@ -117,7 +117,7 @@ impl Inputs<'_> {
 
 /// Examines the project: partners for the first of `backends`, traps for all of them.
 pub fn examine(project: &Project, scene: &Scene, settings: &Settings, backends: &[&Backend]) -> Diagnosis {
-    let backend = backends.first().copied().unwrap_or_else(|| backends::for_project(project));
+    let backend = backends.first().copied().unwrap_or_else(|| backends::by_default(project).0);
     let mut findings = match scene.views.is_empty() {
         true => vec![no_views()],
         false => scene_findings(&Inputs {

@@ -51,7 +51,7 @@ fn units(inputs: &Inputs) -> Option<Finding> {
     let claim = match plan::georeference(inputs.project, inputs.scene, &inputs.settings.frame) {
         _ if inputs.settings.units == Some(Units::Metric) => "units = \"metric\"",
         Georeference::EastNorthUp { .. } | Georeference::Utm { .. } => "a georeference in metres",
-        Georeference::Local | Georeference::Ecef => return None,
+        Georeference::Local | Georeference::Ecef | Georeference::Fitted { .. } => return None,
     };
     let gsd = inputs.scene.median_gsd()?;
     let (severity, verdict) = match gsd {

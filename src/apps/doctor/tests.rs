@@ -90,6 +90,7 @@ fn project(format: ModelFormat) -> (TempDir, Project) {
     let model = ModelLocation { format, path: folder.path().join("sparse/0"), registered: 25 };
     fs::create_dir_all(&model.path).unwrap();
     let project = Project {
+        home: folder.path().into(),
         root: folder.path().into(),
         kind: ProjectKind::Colmap,
         model,

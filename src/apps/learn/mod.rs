@@ -3,7 +3,6 @@
 //! Everything that is fitted to the output of something else that was trained (the calibration, the curves that take the picture's promise) sees
 //! predictions for what was left out: one of the [`Parts`] while the others are trained on.
 
-use std::path::PathBuf;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use rand_core::{Rng, SeedableRng};
@@ -38,7 +37,10 @@ use crate::{
         error::Hint,
         progress::{Cancelled, Stage, Watcher},
     },
-    io::depthmaps::{self, DepthMapError, DepthMapFile},
+    io::{
+        depthmaps::{self, DepthMapError, DepthMapFile},
+        project::ImageFolder,
+    },
     method::{fulfilment::Model, partners::Candidates},
     model::{cluster::ViewCluster, scene::ViewIndex},
 };
@@ -61,7 +63,7 @@ pub struct Lesson<'a> {
     /// The partners that were tried.
     pub clusters: Vec<ViewCluster>,
     pub maps: Vec<DepthMapFile>,
-    pub images: Option<PathBuf>,
+    pub images: Option<ImageFolder>,
 }
 
 /// For which backend, and with what.
@@ -228,8 +230,8 @@ impl Lesson<'_> {
     }
 
     fn image(&self, view: ViewIndex) -> Option<Features> {
-        let folder = self.images.as_deref()?;
-        Image::read(&folder.join(self.model.scene.name(view)), size_for_confidence)
+        let folder = self.images.as_ref()?;
+        Image::read(&folder.file(self.model.scene.name(view)), size_for_confidence)
             .ok()
             .map(|image| Features::new(&image))
     }

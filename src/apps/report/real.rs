@@ -102,8 +102,8 @@ impl Real {
 
 /// Folders that may hold depth maps, that of the plan's backend first.
 fn folders_of(plan: &Plan, project: &Project) -> Vec<PathBuf> {
-    let own = depthmaps::folder_of(&project.root, project.dense_workspace.as_deref(), plan.stages.backend);
-    let mut folders = depthmaps::folders(&project.root);
+    let own = depthmaps::folder_of(&project.home, project.dense_workspace.as_deref(), plan.stages.backend);
+    let mut folders = depthmaps::folders(&project.home);
     folders.sort_by_key(|folder| *folder != own);
     folders
 }

@@ -8,6 +8,7 @@ use rayon::prelude::*;
 
 use crate::{
     base::progress::{Cancelled, Watcher},
+    io::project::ImageFolder,
     method::confidence::Image,
     model::{cluster::ViewCluster, scene::ViewIndex},
     plan::Plan,
@@ -21,7 +22,11 @@ const SIDE: u32 = 112;
 const QUALITY: u8 = 55;
 
 /// JPEG files in base64 by view. Views whose image is missing or cannot be read have no entry.
-pub fn thumbnails(plan: &Plan, images: &Path, watcher: &dyn Watcher) -> Result<BTreeMap<u32, String>, Cancelled> {
+pub fn thumbnails(
+    plan: &Plan,
+    images: &ImageFolder,
+    watcher: &dyn Watcher,
+) -> Result<BTreeMap<u32, String>, Cancelled> {
     let in_order = plan.ranked().map(|cluster| cluster.key);
     let views: Vec<ViewIndex> = match plan.stages.scene.views.len() <= MOST {
         true => plan.stages.scene.view_indices().collect(),
@@ -29,7 +34,7 @@ pub fn thumbnails(plan: &Plan, images: &Path, watcher: &dyn Watcher) -> Result<B
     };
     let of_view = |&view: &ViewIndex| {
         watcher.check()?;
-        let small = thumbnail(&images.join(plan.stages.scene.name(view)));
+        let small = thumbnail(&images.file(plan.stages.scene.name(view)));
         Ok(small.map(|jpeg| (view.0, BASE64_STANDARD.encode(jpeg))))
     };
     let all: Vec<Option<(u32, String)>> = views.par_iter().map(of_view).collect::<Result<_, Cancelled>>()?;

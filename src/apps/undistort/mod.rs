@@ -29,7 +29,7 @@ use crate::{
             colmap_bin,
         },
         output::{Contents, Disk, FileSet, OutputError},
-        project::{Project, ProjectError},
+        project::{ImageFolder, Project, ProjectError},
     },
     model::{
         camera::Camera,
@@ -124,7 +124,7 @@ struct Made<'a> {
 struct Job<'a> {
     project: &'a Project,
     scene: &'a Scene,
-    images: &'a Path,
+    images: &'a ImageFolder,
     out: &'a Path,
     /// For each camera of the scene, the undistorted one.
     cameras: Vec<Camera>,
@@ -132,15 +132,15 @@ struct Job<'a> {
 
 impl<'a> Job<'a> {
     fn new(project: &'a Project, scene: &'a Scene, options: &Options, out: &'a Path) -> Result<Self, UndistortError> {
-        let images = project.images.as_deref().ok_or_else(|| UndistortError::NoImages(project.root.clone()))?;
+        let images = project.images.as_ref().ok_or_else(|| UndistortError::NoImages(project.root.clone()))?;
         let same = |a: &Path, b: &Path| a.canonicalize().is_ok_and(|a| b.canonicalize().is_ok_and(|b| a == b));
         if same(images, &out.join("images")) {
-            return Err(UndistortError::OwnImages(images.into()));
+            return Err(UndistortError::OwnImages(images.to_path_buf()));
         }
         let pinhole = |camera: &Camera| match camera.model().focal_length_count() {
             0 => Err(UndistortError::NoPinhole { model: camera.model().name() }),
             _ => camera::undistorted(camera, options)
-                .map_err(|error| UndistortError::Image { path: images.into(), source: error.into() }),
+                .map_err(|error| UndistortError::Image { path: images.to_path_buf(), source: error.into() }),
         };
         let cameras = scene.cameras.iter().map(pinhole).collect::<Result<_, _>>()?;
         Ok(Self { project, scene, images, out, cameras })
@@ -190,7 +190,7 @@ impl<'a> Job<'a> {
     }
 
     fn read(&self, view: ViewIndex) -> Result<Vec<u8>, UndistortError> {
-        let path = self.images.join(self.scene.name(view));
+        let path = self.images.file(self.scene.name(view));
         input::read(&path, FileKind::Picture)
             .map_err(|source| UndistortError::Image { path, source: image::ImageError::IoError(source).into() })
     }
@@ -210,7 +210,7 @@ impl<'a> Job<'a> {
         let image = |&view: &ViewIndex| {
             watcher.check()?;
             let name = self.scene.name(view);
-            let path = self.images.join(name);
+            let path = self.images.file(name);
             let contents = match self.stays(view) {
                 true => Contents::Link(path),
                 false => picture::undistort(&self.read(view)?, name, self.source(view), self.target(view))

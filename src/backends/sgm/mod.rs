@@ -66,7 +66,7 @@ pub static BACKEND: Backend = Backend {
 };
 
 fn tasks(selection: &Selection, export: &Export) -> Option<TaskRunner> {
-    let out = selection.project.root.join("sgm");
+    let out = selection.project.home.join("sgm");
     let folder = quoted_path(&out);
     let command = format!(
         "\"$python\" \"$program\" match \"$project\" --clusters {} --out {folder} --image-scale {}",

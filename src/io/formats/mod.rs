@@ -6,6 +6,7 @@ pub mod bundler;
 pub mod colmap;
 pub mod colmap_bin;
 pub mod colmap_text;
+pub mod exif;
 pub mod foreign;
 pub mod nvm;
 pub mod openmvg;

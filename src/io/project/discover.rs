@@ -11,7 +11,7 @@ use std::{
 use super::{
     ModelFormat, ModelLocation, Project, ProjectError, ProjectKind,
     files::{self, REQUIRED, colmap_file, read},
-    foreign, images,
+    folder, foreign, images,
 };
 use crate::{base::input, io::formats::colmap_text};
 
@@ -42,11 +42,22 @@ pub(super) fn open(path: &Path, wanted: Option<&str>) -> Result<Project, Project
         _ => ProjectKind::BareModel,
     };
     let images = match model.format {
-        ModelFormat::ColmapBinary | ModelFormat::ColmapText => images::find(root, &model.path),
+        ModelFormat::ColmapBinary | ModelFormat::ColmapText => {
+            folder::find(root, &model.path, None, &files::first_names(&model))
+        }
         _ => foreign::read(root, &model).ok().and_then(|read| images::find_by_names(root, &model.path, &read)),
     };
     let model_is_named = wanted.is_some();
-    Ok(Project { root: root.into(), kind, model, model_is_named, other_models, images, dense_workspace })
+    Ok(Project {
+        root: root.into(),
+        home: root.into(),
+        kind,
+        model,
+        model_is_named,
+        other_models,
+        images,
+        dense_workspace,
+    })
 }
 
 /// Finds the COLMAP models in a folder, in `sparse` and in the sub-folders of `sparse`; if there are none, in the folder's own sub-folders.

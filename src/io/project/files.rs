@@ -2,11 +2,12 @@
 
 use std::{
     collections::BTreeSet,
-    io::Read,
+    fs::File,
+    io::{self, BufRead, BufReader, Read},
     path::{Path, PathBuf},
 };
 
-use super::{ModelFormat, ModelLocation, ProjectError};
+use super::{ModelFormat, ModelLocation, ProjectError, images::PROBED};
 use crate::{
     base::{
         input::{self, FileKind},
@@ -36,6 +37,51 @@ pub(super) fn image_names(model: &ModelLocation) -> Option<BTreeSet<String>> {
     let images = read(&colmap_file(&model.path, "images", model.format)).ok()?;
     let is_text = model.format == ModelFormat::ColmapText;
     if is_text { colmap_text::image_names(&images) } else { colmap_bin::image_names(&images) }.ok()
+}
+
+/// Names of the first images of a COLMAP model, by reading little of its file; empty if that fails.
+pub(super) fn first_names(model: &ModelLocation) -> Vec<String> {
+    let file = input::open(&colmap_file(&model.path, "images", model.format));
+    let Ok(file) = file.map(BufReader::new) else { return Vec::new() };
+    match model.format {
+        ModelFormat::ColmapText => names_in_text(file),
+        _ => names_in_binary(file).unwrap_or_default(),
+    }
+}
+
+/// Bytes of a binary record before its name: id, quaternion, translation, camera.
+const BEFORE_NAME: i64 = 4 + 7 * 8 + 4;
+/// Longest name, bytes.
+const LONGEST_NAME: u64 = 4096;
+
+fn names_in_binary(mut file: BufReader<File>) -> io::Result<Vec<String>> {
+    let number = |file: &mut BufReader<File>| {
+        let mut bytes = [0; 8];
+        file.read_exact(&mut bytes).map(|()| u64::from_le_bytes(bytes))
+    };
+    let count = number(&mut file)?;
+    let mut names = Vec::new();
+    for _ in 0..count.min(PROBED as u64) {
+        file.seek_relative(BEFORE_NAME)?;
+        let mut name = Vec::new();
+        (&mut file).take(LONGEST_NAME).read_until(0, &mut name)?;
+        name.pop();
+        names.extend(String::from_utf8(name));
+        let observations = number(&mut file)?;
+        let length = observations.checked_mul(24).and_then(|length| i64::try_from(length).ok());
+        file.seek_relative(length.ok_or(io::ErrorKind::InvalidData)?)?;
+    }
+    Ok(names)
+}
+
+/// Bytes of a text model to search.
+const SEARCHED: u64 = 16 << 20;
+
+fn names_in_text(file: BufReader<File>) -> Vec<String> {
+    let lines = file.take(SEARCHED).lines().map_while(Result::ok).filter(|line| !line.starts_with('#'));
+    let heads = lines.step_by(2).take(PROBED);
+    // ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME; names may have blanks.
+    heads.filter_map(|line| line.trim().splitn(10, ' ').nth(9).map(|name| name.trim().to_owned())).collect()
 }
 
 /// The files of a COLMAP model, in memory.

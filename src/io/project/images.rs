@@ -11,7 +11,7 @@ use image::{ImageFormat, ImageReader};
 use rayon::prelude::*;
 use walkdir::WalkDir;
 
-use super::Project;
+use super::{ImageFolder, Project, folder};
 use crate::{
     base::input::{self, FileKind},
     io::formats::foreign::Foreign,
@@ -22,7 +22,7 @@ use crate::{
 const EXTENSIONS: [&str; 10] = ["jpg", "jpeg", "png", "tif", "tiff", "bmp", "ppm", "pgm", "webp", "jp2"];
 
 /// Number of image names that are tried on a candidate for the image folder.
-const PROBED: usize = 20;
+pub(super) const PROBED: usize = 20;
 
 /// Existing folders to which the model's image names may be relative, best first: the nearest `images`, the image path in the model's
 /// `project.ini`, the project folder and the model's folder.
@@ -33,18 +33,13 @@ pub(super) fn candidates(root: &Path, model: &Path) -> Vec<PathBuf> {
     named.into_iter().chain(bare).flatten().filter(|folder| folder.is_dir()).collect()
 }
 
-/// Finds the image folder of a COLMAP model.
-pub(super) fn find(root: &Path, model: &Path) -> Option<PathBuf> {
-    candidates(root, model).into_iter().find(|folder| folder.as_path() != root && !model.starts_with(folder))
-}
-
-/// Finds the image folder of another program's model: the first candidate that contains one of its images.
-pub(super) fn find_by_names(root: &Path, model: &Path, foreign: &Foreign) -> Option<PathBuf> {
+/// Finds the image folder of another program's model by its images.
+pub(super) fn find_by_names(root: &Path, model: &Path, foreign: &Foreign) -> Option<ImageFolder> {
     let named = foreign.image_folder.as_ref().map(|folder| root.join(folder)).filter(|folder| folder.is_dir());
-    let folders: Vec<PathBuf> = named.into_iter().chain(candidates(root, model)).collect();
-    let names = || foreign.model.images.iter().take(PROBED).map(|image| &*image.name);
-    let holds_one = |folder: &&PathBuf| names().any(|name| folder.join(name).is_file());
-    folders.iter().find(holds_one).or_else(|| folders.iter().find(|folder| folder.ends_with("images"))).cloned()
+    let names: Vec<String> = foreign.model.images.iter().take(PROBED).map(|image| image.name.to_string()).collect();
+    folder::find(root, model, named, &names).filter(|found| {
+        found.is_searched || found.ends_with("images") || names.iter().any(|name| found.join(name).is_file())
+    })
 }
 
 /// Returns `name` if that image exists in one of the folders; otherwise `name` with the extension of an image that exists, if any.
@@ -81,10 +76,10 @@ pub struct ImageFaults {
 
 impl ImageFaults {
     /// Checks the image files of all views, in parallel.
-    pub(super) fn find(folder: &Path, scene: &Scene) -> Self {
+    pub(super) fn find(folder: &ImageFolder, scene: &Scene) -> Self {
         let views: Vec<ViewIndex> = scene.view_indices().collect();
         let check = |view: &ViewIndex| {
-            let (path, view) = (folder.join(scene.name(*view)), *view);
+            let (path, view) = (folder.file(scene.name(*view)), *view);
             let camera = scene.camera_of(view);
             match probe(&path) {
                 Ok(Some(size)) if size != [camera.width, camera.height] => {
@@ -230,14 +225,15 @@ pub(super) fn size_by_header(path: &Path) -> Option<(u32, u32)> {
 
 /// Images of the folder without a view in the scene, sorted; none if the folder has no image of the scene, since a foreign model may name an
 /// unrelated folder.
-pub(super) fn unregistered(folder: &Path, scene: &Scene) -> Vec<String> {
-    if !scene.views.iter().take(PROBED).any(|view| folder.join(&*view.name).is_file()) {
+pub(super) fn unregistered(folder: &ImageFolder, scene: &Scene) -> Vec<String> {
+    if !scene.views.iter().take(PROBED).any(|view| folder.file(&view.name).is_file()) {
         return Vec::new();
     }
-    let registered: HashSet<PathBuf> = scene.views.iter().map(|view| normal(Path::new(&view.name))).collect();
-    let files = WalkDir::new(folder).follow_links(true).into_iter().filter_map(Result::ok);
+    let names = scene.views.iter().map(|view| &*view.name).chain(folder.other_names().map(|(_, file)| file));
+    let registered: HashSet<PathBuf> = names.map(|name| normal(Path::new(name))).collect();
+    let files = WalkDir::new(&**folder).follow_links(true).into_iter().filter_map(Result::ok);
     let images = files.filter(|entry| entry.file_type().is_file() && is_image(entry.path()));
-    let names = images.filter_map(|entry| entry.path().strip_prefix(folder).ok().map(Path::to_path_buf));
+    let names = images.filter_map(|entry| entry.path().strip_prefix(&**folder).ok().map(Path::to_path_buf));
     let mut left: Vec<String> = names.filter(|name| !registered.contains(name)).map(|name| slashes(&name)).collect();
     left.sort_unstable();
     left

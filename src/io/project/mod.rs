@@ -1,7 +1,10 @@
 //! Projects: folders with a sparse model, and where their images and dense workspace are.
 
+mod containing;
 mod discover;
+mod elsewhere;
 mod files;
+mod folder;
 mod foreign;
 mod images;
 
@@ -10,7 +13,11 @@ use std::{
     path::{Path, PathBuf},
 };
 
+use rayon::prelude::*;
+
+pub use containing::containing;
 pub use files::ColmapFiles;
+pub use folder::ImageFolder;
 pub(crate) use images::is_image;
 pub use images::{ImageFaults, slashes};
 
@@ -20,7 +27,7 @@ use crate::{
         shell::{quoted, quoted_path},
     },
     io::formats::{Fault, colmap::ColmapModel},
-    model::scene::{ModelWarning, Scene, WarningKind},
+    model::scene::{ModelWarning, Scene, ViewIndex, WarningKind},
 };
 
 /// Sparse model formats.
@@ -100,6 +107,8 @@ pub enum ProjectKind {
 #[derive(Clone, Debug)]
 pub struct Project {
     pub root: PathBuf,
+    /// Folder with viewrank's output folder: `root`, or another one for a project that must not be written to.
+    pub home: PathBuf,
     pub kind: ProjectKind,
     /// The model to plan for.
     pub model: ModelLocation,
@@ -108,7 +117,7 @@ pub struct Project {
     /// Other sub-models of the project, which are not used.
     pub other_models: Vec<ModelLocation>,
     /// The folder to which image names are relative.
-    pub images: Option<PathBuf>,
+    pub images: Option<ImageFolder>,
     /// The COLMAP dense workspace: `root` itself, `root/dense` or `root/dense/N`.
     pub dense_workspace: Option<PathBuf>,
 }
@@ -123,18 +132,48 @@ impl Project {
         discover::open(path, model)
     }
 
+    /// Opens what a user names: as [`Self::open`], or the folder of a plan that was written elsewhere (`plan --out`).
+    pub fn open_or_planned(path: &Path, model: Option<&str>) -> Result<Self, ProjectError> {
+        match Self::open(path, model) {
+            Err(ProjectError::NoModel { .. }) if elsewhere::project_of(path).is_some() => {
+                let project = elsewhere::project_of(path).unwrap_or_default();
+                Ok(Self::open(&project, model)?.with_home(path))
+            }
+            opened => opened,
+        }
+    }
+
+    /// The same project with the results in another folder; nothing is written to its own. The plan there names the project, so that the
+    /// folder can be opened in its place.
+    pub fn with_home(self, home: &Path) -> Self {
+        let home = std::path::absolute(home).unwrap_or_else(|_| home.into());
+        // A workspace gets the files of its backend, which would be written into the project.
+        Self { home, dense_workspace: None, ..self }
+    }
+
+    /// The same project with its images in this folder; `None`: where they were found.
+    pub fn with_images(self, images: Option<&Path>) -> Self {
+        let images = images.map(ImageFolder::new).or(self.images);
+        Self { images, ..self }
+    }
+
+    /// Returns whether results go to a folder outside the project.
+    pub fn is_elsewhere(&self) -> bool {
+        self.home != self.root
+    }
+
     /// Command line argument for the project: its folder, and `--model` unless the sub-model is the default.
     pub fn as_argument(&self) -> String {
-        let root = quoted_path(&self.root);
+        let root = quoted_path(&self.home);
         match discover::is_first(&self.model, &self.other_models) {
             true => root,
             false => format!("{root} --model {}", quoted(&self.model.name())),
         }
     }
 
-    /// viewrank's output folder: `root/viewrank`.
+    /// viewrank's output folder: `home/viewrank`.
     pub fn output_folder(&self) -> PathBuf {
-        self.root.join("viewrank")
+        self.home.join("viewrank")
     }
 
     /// Reads the model, and adds the images of the image folder that it lacks to `unregistered`.
@@ -150,8 +189,11 @@ impl Project {
         scene.warnings.extend(others.map(|text| ModelWarning::new(WarningKind::OtherModels, text)));
         let workspace = self.other_workspace_warning();
         scene.warnings.extend(workspace.map(|text| ModelWarning::new(WarningKind::OtherWorkspace, text)));
+        if let Some(images) = &self.images {
+            images.resolve(&scene);
+        }
         // If the project folder itself is the image folder, an image in it need not belong to the survey.
-        if let Some(images) = self.images.as_ref().filter(|images| **images != self.root) {
+        if let Some(images) = self.images.as_ref().filter(|images| ***images != *self.root) {
             scene.unregistered.extend(images::unregistered(images, &scene));
             scene.unregistered.sort_unstable();
             scene.unregistered.dedup();
@@ -161,7 +203,16 @@ impl Project {
 
     /// Checks the image files of the scene; finds no faults without an image folder.
     pub fn image_faults(&self, scene: &Scene) -> ImageFaults {
-        self.images.as_deref().map_or_else(ImageFaults::default, |folder| ImageFaults::find(folder, scene))
+        self.images.as_ref().map_or_else(ImageFaults::default, |folder| ImageFaults::find(folder, scene))
+    }
+
+    /// Views without an image file, where there is an image folder with at least one image of the scene.
+    pub fn missing_images(&self, scene: &Scene) -> Vec<ViewIndex> {
+        let Some(folder) = &self.images else { return Vec::new() };
+        let is_missing = |view: &ViewIndex| !folder.file(scene.name(*view)).is_file();
+        let missing: Vec<ViewIndex> =
+            scene.view_indices().collect::<Vec<_>>().into_par_iter().filter(is_missing).collect();
+        if missing.len() == scene.views.len() { Vec::new() } else { missing }
     }
 
     /// Reads the files of a COLMAP model unchanged, to write a part of the model.

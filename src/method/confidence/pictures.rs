@@ -19,7 +19,7 @@ use crate::{
         input::{self, FileKind},
         progress::{Cancelled, Stage, Watcher},
     },
-    io::project::Project,
+    io::project::{ImageFolder, Project},
     model::{
         camera::Camera,
         scene::{Scene, ViewIndex},
@@ -36,7 +36,7 @@ const NAMED: usize = 3;
 /// Where a project has its pictures and masks.
 #[derive(Clone, Debug)]
 pub struct Pictures {
-    images: Option<PathBuf>,
+    images: Option<ImageFolder>,
     /// COLMAP's `mask_path`: `NAME.png` for the image NAME, black where the image may not be used.
     masks: Option<PathBuf>,
     project: PathBuf,
@@ -70,7 +70,7 @@ impl Pictures {
         Self {
             images: project.images.clone(),
             masks: masks.into_iter().find(|folder| folder.is_dir()),
-            project: project.root.clone(),
+            project: project.home.clone(),
         }
     }
 
@@ -84,7 +84,7 @@ impl Pictures {
 
     /// Size and time of change of a view's image and mask; `None` where a file's time of change is not known.
     pub(super) fn stamps(&self, name: &str) -> Option<Inputs> {
-        let image = self.images.as_deref().map(|folder| folder.join(name));
+        let image = self.images.as_ref().map(|folder| folder.file(name));
         let stamps = Files { image, mask: self.masks.as_deref().and_then(|folder| mask_file(folder, name)) }.inputs();
         stamps.are_dated().then_some(stamps)
     }
@@ -102,7 +102,7 @@ impl Pictures {
             let scale = image_scale / SPACING * f64::from(camera.width) / f64::from(width);
             [width, height].map(|side| ((f64::from(side) * scale.min(1.0)).round() as u32).max(2))
         };
-        let (image, full) = Image::decode_grey(&input::read(&folder.join(name), FileKind::Picture)?, wanted)?;
+        let (image, full) = Image::decode_grey(&input::read(&folder.file(name), FileKind::Picture)?, wanted)?;
         check_shape(full, camera)?;
         let mask = self.masks.as_deref().and_then(|folder| mask_file(folder, name));
         let mask = mask.map(|path| Mask::decode(&input::read(&path, FileKind::Picture)?)).transpose()?;
@@ -115,7 +115,7 @@ impl Pictures {
     /// Image and mask of a view, whether the image exists or not.
     pub fn files(&self, name: &str) -> [Option<PathBuf>; 2] {
         [
-            self.images.as_deref().map(|folder| folder.join(name)),
+            self.images.as_ref().map(|folder| folder.file(name)),
             self.masks.as_deref().and_then(|folder| mask_file(folder, name)),
         ]
     }

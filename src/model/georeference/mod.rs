@@ -1,11 +1,13 @@
 //! Georeference of a model on the WGS 84 ellipsoid, and its upright frames.
 
 mod ellipsoid;
+mod fit;
 mod frame;
 
 use nalgebra::{Matrix3, Point3, Vector3};
 
 pub use ellipsoid::{Geodetic, Zone};
+pub use fit::{Fit, fit};
 pub use frame::{MapFrame, UprightFrame, spread};
 
 use super::scene::Scene;
@@ -19,8 +21,21 @@ pub enum Georeference {
     Ecef,
     /// East, north, up of an origin; `origin` and the columns of `axes` are in ECEF coordinates.
     EastNorthUp { origin: Vector3<f64>, axes: Matrix3<f64> },
+    /// Fitted to GPS positions of images: a point x of the model is `origin` + `axes` x in ECEF coordinates; `axes` has the scale.
+    Fitted { origin: Vector3<f64>, axes: Matrix3<f64>, support: Support },
     /// UTM: x + `offset[0]` is the easting, y + `offset[1]` the northing.
     Utm { zone: Zone, offset: [f64; 2] },
+}
+
+/// Images that place a model.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Support {
+    /// Images whose positions fit.
+    pub fitting: usize,
+    /// Images with a position.
+    pub positions: usize,
+    /// Median distance of the fitting positions from the cameras, metres.
+    pub median: f64,
 }
 
 /// Plausible heights of cameras above the ellipsoid, metres.
@@ -39,12 +54,24 @@ impl Georeference {
         Self::EastNorthUp { origin: origin.to_ecef(), axes: origin.east_north_up() }
     }
 
+    /// Places a model by positions of its cameras, given in the same order as `centres`; `None` if they do not agree.
+    pub fn fitted(centres: &[Vector3<f64>], positions: &[Geodetic]) -> Option<Self> {
+        let middle = positions.get(positions.len() / 2)?;
+        let (centre, axes) = (middle.to_ecef(), middle.east_north_up());
+        let local: Vec<Vector3<f64>> = positions.iter().map(|p| axes.transpose() * (p.to_ecef() - centre)).collect();
+        let Fit { similarity, inliers, median } = fit(centres, &local)?;
+        let support = Support { fitting: inliers, positions: positions.len(), median };
+        Some(Self::Fitted { origin: centre + axes * similarity.translation, axes: axes * similarity.linear, support })
+    }
+
     /// Converts a point of the model to geodetic coordinates; `None` for `Local`.
     pub fn geodetic(&self, point: &Point3<f64>) -> Option<Geodetic> {
         match *self {
             Self::Local => None,
             Self::Ecef => Some(Geodetic::from_ecef(&point.coords)),
-            Self::EastNorthUp { origin, axes } => Some(Geodetic::from_ecef(&(origin + axes * point.coords))),
+            Self::EastNorthUp { origin, axes } | Self::Fitted { origin, axes, .. } => {
+                Some(Geodetic::from_ecef(&(origin + axes * point.coords)))
+            }
             Self::Utm { zone, offset } => {
                 Some(Geodetic::from_utm(zone, point.x + offset[0], point.y + offset[1], point.z))
             }
@@ -59,6 +86,7 @@ impl Georeference {
                  (set frame.origin or frame.utm)"
             }
             Self::Ecef => "earth-centred coordinates",
+            Self::Fitted { .. } => "a local frame, placed on earth by the GPS positions of the images",
             Self::EastNorthUp { .. } => "metres east, north and up of an origin",
             Self::Utm { .. } => "UTM coordinates",
         }

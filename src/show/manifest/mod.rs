@@ -73,13 +73,13 @@ pub struct Manifest {
     pub warnings: Vec<String>,
 }
 
-/// Joins the warnings of a plan, `further` ones, and those of its exports with the parts of the plan that they do not honour.
+/// Joins the warnings of a plan, `further` ones, and those of its exports. What a backend does not honour is its nature, not the user's to change:
+/// `viewrank backends` and the records of the exports have it.
 pub fn warnings_with(of_plan: &[String], exports: &[ExportRecord], further: &[String]) -> Vec<String> {
     let mut warnings: Vec<String> = of_plan.iter().chain(further).cloned().collect();
-    for ExportRecord { backend, warnings: own, not_honoured, .. } in exports {
+    for ExportRecord { backend, warnings: own, .. } in exports {
         let own = own.iter().filter(|warning| !of_plan.contains(warning));
         warnings.extend(own.map(|warning| format!("{backend}: {warning}")));
-        warnings.extend(not_honoured.iter().map(|what| format!("{backend}: not honoured: {what}")));
     }
     warnings
 }

@@ -83,7 +83,7 @@ pub(crate) const FILE: &str = "viewrank/manifest.json";
 
 /// Reads a file of the plan that viewrank wrote.
 pub(crate) fn read_own(project: &Project, name: &str) -> Result<Vec<u8>, WrittenPlanError> {
-    output::read_own(&project.root, name).map_err(|error| match error {
+    output::read_own(&project.home, name).map_err(|error| match error {
         OutputError::Io { path, source } | OutputError::Denied { path, source } => {
             WrittenPlanError::Io { path, source }
         }
@@ -139,18 +139,19 @@ impl WrittenPlan {
 impl Recorded {
     /// Opens the project with the model of its plan, and reads the plan.
     pub fn open(root: &Path) -> Result<(Project, Self), WrittenPlanError> {
-        let any_model = Project::open(root, None)?;
+        let any_model = Project::open_or_planned(root, None)?;
         let recorded = Self::read(&any_model)?;
         let project = match recorded.model_name() {
-            Some(name) if any_model.model.name() != name => Project::open(root, Some(&name))?,
+            Some(name) if any_model.model.name() != name => Project::open_or_planned(root, Some(&name))?,
             _ => any_model,
         };
+        let project = project.with_images(recorded.settings.images.as_deref());
         Ok((project, recorded))
     }
 
     /// Reads `viewrank/manifest.json` of the project without checking its input.
     pub fn read(project: &Project) -> Result<Self, WrittenPlanError> {
-        Self::parse(&read_own(project, FILE)?, project.root.join(FILE))
+        Self::parse(&read_own(project, FILE)?, project.home.join(FILE))
     }
 
     fn parse(bytes: &[u8], path: PathBuf) -> Result<Self, WrittenPlanError> {

@@ -57,7 +57,7 @@ pub fn for_each_step(plan: &Plan, mut visit: impl FnMut(usize, u32, f32)) {
 }
 
 /// The reasons in the order of their numbers in the field `reason`; 0 is "fulfilled by some cluster".
-pub const REASON_NUMBERS: [Reason; 10] = [
+pub const REASON_NUMBERS: [Reason; 11] = [
     Reason::NoSharedPoints,
     Reason::RotationOnly,
     Reason::DuplicateOfBetterView,
@@ -68,6 +68,7 @@ pub const REASON_NUMBERS: [Reason; 10] = [
     Reason::NotMatchable,
     Reason::NoGainLeft,
     Reason::OutsideRegion,
+    Reason::NoImage,
 ];
 
 /// The number of a reason, from 1; 0 for `None`.

@@ -1,0 +1,76 @@
+//! Runs the scripts of a dispatch on this machine, one after the other, for `viewrank run`.
+
+use std::{
+    fs::File,
+    io::{self, Read, Seek, SeekFrom},
+    process::{Command, Stdio},
+    sync::atomic::{AtomicBool, Ordering},
+    thread,
+    time::Duration,
+};
+
+use super::{Dispatch, DispatchError, Task};
+use crate::base::platform;
+
+/// Between two looks at a process and at the request to stop.
+const PAUSE: Duration = Duration::from_millis(50);
+/// Bytes of a failed script's output that are kept.
+const TAIL: u64 = 2000;
+
+/// Result of a script.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Ended {
+    Done,
+    /// With the end of what it printed.
+    Failed(String),
+    Stopped,
+}
+
+impl Dispatch {
+    /// Computes the depth map of a task; returns at once where it is there. `threads`: what the backend may use.
+    pub fn compute_here(&self, task: &Task, threads: usize, stop: &AtomicBool) -> Result<Ended, DispatchError> {
+        self.run_here("task.sh", Some(task.rank), threads, stop)
+    }
+
+    /// Joins the depth maps that are there.
+    pub fn fuse_here(&self, threads: usize, stop: &AtomicBool) -> Result<Ended, DispatchError> {
+        self.run_here("fuse.sh", None, threads, stop)
+    }
+
+    fn run_here(
+        &self,
+        script: &str,
+        rank: Option<usize>,
+        threads: usize,
+        stop: &AtomicBool,
+    ) -> Result<Ended, DispatchError> {
+        let failed = |source| DispatchError::Start { program: "sh".into(), source };
+        let mut output = tempfile::tempfile().map_err(failed)?;
+        let copy = |file: &File| file.try_clone().map(Stdio::from).map_err(failed);
+        let mut command = Command::new("sh");
+        command.arg(self.folder.join(script)).args(rank.map(|rank| rank.to_string()));
+        // The scripts take from it what a queue would grant.
+        command.env("SLURM_CPUS_PER_TASK", threads.to_string()).env_remove("SLURM_ARRAY_JOB_ID");
+        command.stdin(Stdio::null()).stdout(copy(&output)?).stderr(copy(&output)?);
+        let mut child = platform::in_own_group(&mut command).spawn().map_err(failed)?;
+        loop {
+            if let Some(status) = child.try_wait().map_err(failed)? {
+                let failed = |_| Ended::Failed(tail(&mut output).unwrap_or_default());
+                return Ok(Some(status).filter(|status| !status.success()).map_or(Ended::Done, failed));
+            }
+            if stop.load(Ordering::Relaxed) {
+                platform::end_group(&mut child);
+                return Ok(Ended::Stopped);
+            }
+            thread::sleep(PAUSE);
+        }
+    }
+}
+
+fn tail(output: &mut File) -> io::Result<String> {
+    let length = output.seek(SeekFrom::End(0))?;
+    output.seek(SeekFrom::Start(length.saturating_sub(TAIL)))?;
+    let mut bytes = Vec::new();
+    output.read_to_end(&mut bytes)?;
+    Ok(String::from_utf8_lossy(&bytes).trim().into())
+}

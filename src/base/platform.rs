@@ -1,0 +1,78 @@
+//! What differs between operating systems below the daemon: signals to stop, groups of processes, the user.
+
+use std::{
+    io,
+    process::{Child, Command},
+    sync::{Arc, atomic::AtomicBool},
+};
+
+/// Sets the flag at Ctrl-C and, where the system has them, at other requests to end. A second Ctrl-C ends the program at once.
+pub fn stop_flag() -> io::Result<Arc<AtomicBool>> {
+    let stop = Arc::new(AtomicBool::new(false));
+    for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
+        // Registered first, it finds the flag as the signal before has left it.
+        signal_hook::flag::register_conditional_shutdown(signal, 130, Arc::clone(&stop))?;
+        signal_hook::flag::register(signal, Arc::clone(&stop))?;
+    }
+    Ok(stop)
+}
+
+/// Request of a signal to a daemon.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Request {
+    Stop,
+    /// SIGHUP, which only Unix has.
+    Rescan,
+}
+
+/// Calls `act` from a thread of its own at each request to stop or to scan again.
+pub fn on_signal(act: impl Fn(Request) + Send + 'static) {
+    #[cfg(unix)]
+    {
+        use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
+        let Ok(mut signals) = signal_hook::iterator::Signals::new([SIGTERM, SIGINT, SIGHUP]) else { return };
+        std::thread::spawn(move || {
+            signals.forever().for_each(|signal| act(if signal == SIGHUP { Request::Rescan } else { Request::Stop }));
+        });
+    }
+    #[cfg(not(unix))]
+    {
+        /// Between two looks at the flag.
+        const PAUSE: std::time::Duration = std::time::Duration::from_millis(100);
+        let Ok(stop) = stop_flag() else { return };
+        std::thread::spawn(move || {
+            while !stop.load(std::sync::atomic::Ordering::Relaxed) {
+                std::thread::sleep(PAUSE);
+            }
+            act(Request::Stop);
+        });
+    }
+}
+
+/// Lets a command start in a group of its own: Ctrl-C in the terminal does not reach it.
+pub fn in_own_group(command: &mut Command) -> &mut Command {
+    #[cfg(unix)]
+    std::os::unix::process::CommandExt::process_group(command, 0);
+    command
+}
+
+/// Ends a child that was started [in its own group](in_own_group) with all its descendants; elsewhere than on Unix the child alone.
+pub fn end_group(child: &mut Child) {
+    #[cfg(unix)]
+    if let Some(group) = i32::try_from(child.id()).ok().and_then(rustix::process::Pid::from_raw) {
+        _ = rustix::process::kill_process_group(group, rustix::process::Signal::TERM);
+    }
+    #[cfg(not(unix))]
+    {
+        _ = child.kill();
+    }
+    _ = child.wait();
+}
+
+/// Number or name of the user who runs this process, as queues take it.
+pub fn user() -> String {
+    #[cfg(unix)]
+    return rustix::process::getuid().as_raw().to_string();
+    #[cfg(not(unix))]
+    std::env::var("USERNAME").unwrap_or_default()
+}

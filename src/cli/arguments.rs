@@ -1,0 +1,181 @@
+//! Parses the command line: what people type instead of a subcommand, an option or a project, and what was meant.
+
+use std::{
+    ffi::OsString,
+    path::{Path, PathBuf},
+    sync::OnceLock,
+};
+
+use clap::{
+    CommandFactory, Parser,
+    builder::{PathBufValueParser, TypedValueParser},
+    error::{ContextKind, ContextValue, Error, ErrorKind},
+};
+
+use super::{Arguments, Exit, Failure};
+use crate::io::project;
+
+/// Words that people type for a subcommand.
+const SUBCOMMANDS: [(&str, &[&str]); 13] = [
+    (
+        "plan",
+        &["rank", "order", "prioritize", "prioritise", "select", "choose", "schedule", "analyze", "analyse", "cluster"],
+    ),
+    (
+        "run",
+        &["match", "densify", "dense", "compute", "start", "reconstruct", "mvs", "stereo", "patch_match_stereo", "go"],
+    ),
+    ("inspect", &["info", "show", "stat", "stats", "print", "model", "list"]),
+    ("doctor", &["check", "validate", "verify", "diagnose", "lint"]),
+    ("config", &["settings", "setting", "configuration", "init", "set"]),
+    ("report", &["html", "page", "view", "open", "plot"]),
+    ("evaluate", &["measure", "eval", "score", "benchmark", "quality"]),
+    ("export", &["write", "convert", "save", "output"]),
+    ("backends", &["programs", "formats", "engines"]),
+    ("undistort", &["rectify", "image_undistorter", "undistorted"]),
+    ("dispatch", &["slurm", "submit", "queue", "sbatch", "parallel"]),
+    ("train", &["learn", "fit"]),
+    ("watch", &["daemon", "monitor", "follow", "serve"]),
+];
+
+/// Words that people type for an option.
+const OPTIONS: [(&str, &[&str]); 12] = [
+    (
+        "--images",
+        &["--image-path", "--image_path", "--image-dir", "--image-folder", "--imgs", "--photos", "--pictures"],
+    ),
+    ("--out", &["--output", "--output-path", "--output_path", "--output-dir", "--dest", "--destination", "-o"]),
+    ("--target", &["--quality", "--share", "--percent", "--goal", "--stop-at", "-t"]),
+    ("--budget", &["--max-views", "--views", "--num-views", "--max-maps", "--limit", "--number", "-n"]),
+    ("--gsd", &["--resolution", "--ground-sampling-distance", "--pixel-size", "--res"]),
+    ("-k", &["--neighbors", "--neighbours", "--num-neighbors", "--partner", "--sources", "--num-sources"]),
+    ("--backend", &["--engine", "--mvs", "--matcher", "--format-for", "--program-name", "-b"]),
+    ("--region", &["--roi", "--aoi", "--bbox", "--box", "--area", "--polygon"]),
+    ("--max-memory", &["--memory", "--mem", "--ram", "-m"]),
+    ("--threads", &["--jobs", "--num-threads", "--num_threads", "--cpus", "-j"]),
+    ("--format json", &["--json", "--as-json"]),
+    ("--dry-run", &["--dryrun", "--no-write", "--simulate", "--pretend"]),
+];
+
+/// Returns whether the command line asks for JSON, however wrong the rest of it is.
+pub fn asks_for_json() -> bool {
+    static JSON: OnceLock<bool> = OnceLock::new();
+    *JSON.get_or_init(|| is_json(&std::env::args().collect::<Vec<_>>()))
+}
+
+fn is_json(typed: &[String]) -> bool {
+    let typed: Vec<&str> = typed.iter().map(String::as_str).take_while(|word| *word != "--").collect();
+    typed.contains(&"--format=json") || typed.windows(2).any(|two| two == ["--format", "json"])
+}
+
+/// Parses the command line; `--help` and `--version` end the program inside clap.
+pub fn parse() -> Result<Arguments, Failure> {
+    parse_from(std::env::args_os().collect()).map_err(|error| {
+        if !error.use_stderr() {
+            error.exit();
+        }
+        _ = error.print();
+        let rendered = error.render().to_string();
+        let message = rendered.lines().next().unwrap_or_default().trim_start_matches("error: ");
+        let tip = rendered.lines().find_map(|line| line.trim().strip_prefix("tip: "));
+        Failure { exit: Exit::Usage, message: message.into(), hint: tip.map(Into::into), is_printed: true }
+    })
+}
+
+fn parse_from(typed: Vec<OsString>) -> Result<Arguments, Error> {
+    Arguments::try_parse_from(&typed).map_err(suggest)
+}
+
+/// Adds what was probably meant.
+fn suggest(mut error: Error) -> Error {
+    let text = |error: &Error, kind| match error.get(kind) {
+        Some(ContextValue::String(text)) => text.clone(),
+        _ => String::new(),
+    };
+    let one = |word: &str| ContextValue::Strings(vec![word.into()]);
+    match error.kind() {
+        ErrorKind::InvalidSubcommand => {
+            let typed = text(&error, ContextKind::InvalidSubcommand);
+            if Path::new(&typed).exists() {
+                let tip = format!("to plan a project: viewrank plan {}", crate::base::shell::quoted(&typed));
+                error.insert(ContextKind::Suggested, ContextValue::StyledStrs(vec![tip.into()]));
+                error.remove(ContextKind::SuggestedSubcommand);
+            } else if let Some(meant) = meant_by(&typed.to_lowercase(), &SUBCOMMANDS) {
+                error.insert(ContextKind::SuggestedSubcommand, one(meant));
+            }
+        }
+        ErrorKind::UnknownArgument => {
+            let typed = text(&error, ContextKind::InvalidArg);
+            let typed = typed.split_once('=').map_or(typed.as_str(), |(name, _)| name).to_lowercase();
+            if let Some(meant) = meant_by(&typed, &OPTIONS).filter(|meant| is_known(meant)) {
+                let tip = format!("the option is {meant}");
+                error.insert(ContextKind::Suggested, ContextValue::StyledStrs(vec![tip.into()]));
+                error.remove(ContextKind::SuggestedArg);
+            }
+        }
+        _ => {}
+    }
+    error
+}
+
+fn meant_by(typed: &str, table: &[(&'static str, &[&str])]) -> Option<&'static str> {
+    table.iter().find(|(_, words)| words.contains(&typed)).map(|(meant, _)| *meant)
+}
+
+/// Returns whether the typed subcommand has this option.
+fn is_known(option: &str) -> bool {
+    let name = option.split(' ').next().unwrap_or_default();
+    let definition = Arguments::command();
+    let Some(typed) = std::env::args().nth(1) else { return false };
+    let Some(subcommand) = definition.find_subcommand(&typed) else { return false };
+    subcommand.get_arguments().any(|argument| {
+        let long = argument.get_long().map(|long| format!("--{long}"));
+        let short = argument.get_short().map(|short| format!("-{short}"));
+        [long, short].into_iter().flatten().any(|known| known == name)
+    })
+}
+
+/// Parses a project, which may be named by a part: a file of its sparse model, its database, `sparse`, `sparse/0` or its images.
+pub fn project() -> impl TypedValueParser<Value = PathBuf> {
+    PathBufValueParser::new().map(|typed| match project::containing(&typed) {
+        Some(project) => {
+            super::note(&format!("{} belongs to the project {}", typed.display(), project.display()));
+            project
+        }
+        None => typed,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_suggested_subcommand_exists_and_no_typed_word_is_one() {
+        let known = Arguments::command();
+        for (meant, words) in SUBCOMMANDS {
+            assert!(known.find_subcommand(meant).is_some(), "{meant}");
+            words.iter().for_each(|word| assert!(known.find_subcommand(word).is_none(), "{word}"));
+        }
+    }
+
+    #[test]
+    fn each_suggested_option_exists_in_plan() {
+        let known = Arguments::command();
+        let plan = known.find_subcommand("plan").unwrap();
+        for (meant, _) in OPTIONS {
+            let name = meant.split(' ').next().unwrap().trim_start_matches('-');
+            let is_meant = |argument: &clap::Arg| {
+                argument.get_long() == Some(name) || argument.get_short().is_some_and(|short| short.to_string() == name)
+            };
+            assert!(plan.get_arguments().any(is_meant), "{meant}");
+        }
+    }
+
+    #[test]
+    fn json_is_asked_for_by_an_option() {
+        let is = |typed: &[&str]| is_json(&typed.iter().map(|word| (*word).to_owned()).collect::<Vec<_>>());
+        assert!(is(&["viewrank", "plan", "--format", "json"]) && is(&["viewrank", "--format=json"]));
+        assert!(!is(&["viewrank", "plan", "--", "--format=json"]) && !is(&["viewrank", "plan", "json"]));
+    }
+}

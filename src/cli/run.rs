@@ -1,0 +1,433 @@
+//! `viewrank run`: plans, matches and fuses a project on this machine, best first, until the target is reached.
+
+use std::{
+    collections::BTreeSet,
+    path::{Path, PathBuf},
+    sync::atomic::{AtomicBool, Ordering},
+    thread,
+    time::{Duration, Instant},
+};
+
+use clap::Args;
+use serde::Serialize;
+
+use super::{Exit, Failure, Format, config, json, note, print, progress::Progress, summary::duration, warn};
+use crate::{
+    apps::{
+        dispatch::{Dispatch, Task, Tools, local::Ended},
+        undistort,
+    },
+    backends::{self, Backend, Selection, place},
+    base::{platform, shell::quoted_path},
+    config::Typed,
+    daemon::{follow, foreground::Foreground, state::Outcome},
+    io::{output::Disk, project::Project},
+    show::manifest::WrittenPlan,
+};
+
+/// A measurement pauses the matching; the next one comes after this multiple of its duration.
+const REST: u32 = 4;
+/// The report takes as long as planning; it is written anew after this multiple of its duration.
+const REPORT_REST: u32 = 20;
+/// Depth maps that fail one after the other before the run ends.
+const FAILURES: usize = 3;
+
+/// Plan a project, compute its depth maps best first until the target is reached, and fuse them.
+///
+/// Undistorts the images where the backend needs that, and matches with the backend that the project is set up for, else with OpenMVS
+/// (DensifyPointCloud) or a COLMAP with CUDA if on the PATH, else with integrations/sgm (Python with numpy, opencv and scipy). Each depth map is
+/// measured; PROJECT/viewrank/report.html shows how far it got. Ctrl-C stops, the same command goes on.
+#[derive(Args)]
+pub struct Arguments {
+    #[arg(value_parser = super::arguments::project())]
+    project: PathBuf,
+
+    /// Backend to match with [default: as the project is set up, else what is installed]
+    #[arg(long, value_name = "NAME")]
+    backend: Option<String>,
+    /// Stop at P % of what all view clusters together reach [default: 90%, or the settings']
+    #[arg(long, value_name = "P%")]
+    target: Option<String>,
+    /// Compute at most N depth maps, or those of P % of the registered views
+    #[arg(long, value_name = "N|P%")]
+    budget: Option<String>,
+    /// Matching partners per key view [default: 5]
+    #[arg(short, value_name = "N")]
+    k: Option<String>,
+    /// Folder to which the image names of the model are relative [default: where they are found]
+    #[arg(long, value_name = "DIR")]
+    images: Option<PathBuf>,
+    /// The backend's program [default: $DENSIFY, $COLMAP, $SGM, else from the PATH]
+    #[arg(long, value_name = "FILE")]
+    program: Option<PathBuf>,
+    /// Threads of the backend [default: all]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    threads: Option<u16>,
+    /// No report page
+    #[arg(long)]
+    no_report: bool,
+    /// Errors only
+    #[arg(long, short)]
+    quiet: bool,
+    #[arg(long, value_enum, default_value_t)]
+    format: Format,
+}
+
+/// JSON output: what is there at the end.
+#[derive(Serialize)]
+struct Summary {
+    project: PathBuf,
+    backend: &'static str,
+    /// Depth maps that are there, and those of the plan.
+    done: usize,
+    tasks: usize,
+    failed: usize,
+    /// Measured share and its target, 0 to 1.
+    share: Option<f64>,
+    target: f64,
+    target_reached: bool,
+    /// Report page; null where none was written.
+    report: Option<PathBuf>,
+}
+
+pub fn run(arguments: &Arguments) -> Result<(), Failure> {
+    let stop = platform::stop_flag().map_err(|error| Failure::new(Exit::Failed, error.to_string(), None))?;
+    let project = Project::open(&arguments.project, None)?;
+    let settings = config::load(Some(&project.root), arguments.typed(None))?.settings;
+    let project = project.with_images(settings.images.as_deref());
+    let (backend, why) = backends::chosen(&project, &settings)?;
+    let say = |text: &str| if arguments.is_silent() { Ok(()) } else { print(text) };
+    say(&format!("Backend: {} ({}).\n", backend.name, why.words()))?;
+    let root = undistorted(arguments, project, backend)?;
+    let foreground = Foreground::new(&root, arguments.typed(Some(backend.name)), &stop);
+    let mut work = Work::new(arguments, backend, &foreground, &stop)?;
+    say(&work.plan_in_words())?;
+    let reached = work.compute()?;
+    work.end(reached)
+}
+
+/// The project with undistorted images, which are made where the backend needs them.
+fn undistorted(arguments: &Arguments, project: Project, backend: &Backend) -> Result<PathBuf, Failure> {
+    let scene = project.read_scene()?;
+    let is_distorted = scene.view_indices().any(|view| !scene.camera_of(view).is_pinhole());
+    if backend.takes_distorted || !is_distorted {
+        return Ok(project.root);
+    }
+    let dense = project.root.join("dense");
+    note(&format!("{} needs undistorted images: {}", backend.name, dense.display()));
+    let progress = Progress::new(arguments.is_silent());
+    undistort::undistort(&project, &undistort::Options::default(), &dense, &Disk::REAL, &progress)?;
+    progress.finish();
+    Ok(dense)
+}
+
+impl Arguments {
+    fn is_silent(&self) -> bool {
+        self.quiet || self.format == Format::Json
+    }
+
+    /// Command-line options as settings; `backend`: the chosen one.
+    fn typed(&self, backend: Option<&str>) -> Typed {
+        let mut typed = Typed::default();
+        let k = self.k.as_ref().map(|k| k.parse().map_or_else(|_| toml::Value::from(k.as_str()), toml::Value::Integer));
+        let backend = backend.map(str::to_owned).or(self.backend.clone());
+        typed.set("--backend", "backends", backend.map(|name| vec![name]));
+        typed.set("--target", "cut.target", self.target.clone());
+        typed.set("--budget", "cut.budget", self.budget.clone());
+        typed.set("-k", "partners.k", k);
+        let images = self.images.as_ref().map(|path| std::path::absolute(path).unwrap_or_else(|_| path.clone()));
+        // An undistorted workspace has its images beside its model.
+        typed.set("--images", "images", images.map(|path| path.to_string_lossy().into_owned()));
+        typed
+    }
+}
+
+/// The planned project with its tasks.
+struct Work<'a> {
+    arguments: &'a Arguments,
+    foreground: &'a Foreground<'a>,
+    stop: &'a AtomicBool,
+    plan: WrittenPlan,
+    backend: &'static Backend,
+    dispatch: Dispatch,
+    _held: std::fs::File,
+    threads: usize,
+    failed: Vec<String>,
+    measured: Pace,
+    reported: Pace,
+}
+
+/// When something that takes time was done last, and how long it took.
+#[derive(Clone, Copy, Default)]
+struct Pace(Option<(Instant, Duration)>);
+
+impl Pace {
+    fn is_due(self, rest: u32) -> bool {
+        self.0.is_none_or(|(ended, took)| ended.elapsed() >= took * rest)
+    }
+
+    fn note(&mut self, began: Instant) {
+        self.0 = Some((Instant::now(), began.elapsed()));
+    }
+}
+
+impl<'a> Work<'a> {
+    fn new(
+        arguments: &'a Arguments,
+        backend: &'static Backend,
+        foreground: &'a Foreground<'a>,
+        stop: &'a AtomicBool,
+    ) -> Result<Self, Failure> {
+        let lines = Lines::new(arguments.is_silent());
+        let outcome = foreground.plan(&|stage, percent| lines.stage(stage, percent));
+        match outcome {
+            Outcome::Planned { note: Some(text), .. } => warn(&text),
+            Outcome::Planned { .. } => {}
+            other => return Err(failure(other, stop, foreground.root())),
+        }
+        let root = foreground.root();
+        let plan = WrittenPlan::read(root)?;
+        let settings = config::load(Some(root), arguments.typed(Some(backend.name)))?.settings.dispatch;
+        let image_faults = plan.project.image_faults(&plan.scene);
+        let selection = Selection {
+            project: &plan.project,
+            scene: &plan.scene,
+            clusters: &plan.clusters[..plan.cut],
+            image_scale: plan.settings.image_scale(),
+            own_size: plan.own_size,
+            planned_for: &plan.backend,
+            image_faults: &image_faults,
+        };
+        let export = backend.export(&selection, &Default::default())?;
+        let dispatch = Dispatch::new(backend, &selection, &export, plan.finished)?;
+        let held = dispatch.hold()?;
+        let tools = Tools::find(&dispatch, arguments.program.as_deref())?;
+        let folder = export.files.root.clone();
+        place::check(&folder, std::slice::from_ref(&export), &plan.project)?;
+        place::set_of_folder(&folder, [export.files], &plan.project).write(&Disk::REAL)?;
+        dispatch.files(&tools, &settings, &BTreeSet::new()).write(&Disk::REAL)?;
+        let cores = || thread::available_parallelism().map_or(1, usize::from);
+        let threads = arguments.threads.map_or_else(cores, usize::from);
+        Ok(Self {
+            arguments,
+            foreground,
+            stop,
+            backend,
+            dispatch,
+            _held: held,
+            threads,
+            failed: Vec::new(),
+            measured: Pace::default(),
+            reported: Pace::default(),
+            plan,
+        })
+    }
+
+    fn plan_in_words(&self) -> String {
+        let (all, tasks) = (self.plan.scene.views.len(), self.dispatch.tasks.len());
+        let done = self.dispatch.finished_maps().count();
+        let done = if done > 0 { format!(", {done} of them there already") } else { String::new() };
+        format!("Computing up to {tasks} of {all} depth maps{done}, until {} of what all give.\n", self.plan.target)
+    }
+
+    /// Computes the depth maps in rank order; true if the target is reached.
+    fn compute(&mut self) -> Result<bool, Failure> {
+        let tasks = self.dispatch.tasks.clone();
+        let missing: Vec<&Task> = tasks.iter().filter(|task| !self.dispatch.is_done(task)).collect();
+        let mut reached = self.measure(missing.is_empty());
+        let (began, mut in_a_row) = (Instant::now(), 0);
+        for (i, task) in missing.iter().enumerate() {
+            if reached {
+                return Ok(true);
+            }
+            let since = Instant::now();
+            let ended = self.dispatch.compute_here(task, self.threads, self.stop)?;
+            if ended == Ended::Stopped || self.stop.load(Ordering::Relaxed) {
+                return Err(self.stopped());
+            }
+            in_a_row = match ended {
+                Ended::Failed(output) => {
+                    warn(&format!("no depth map of {}: {}", task.key, last_line(&output)));
+                    self.failed.push(task.key.clone());
+                    if in_a_row + 1 == FAILURES || missing.len() == 1 {
+                        return Err(self.broken(&output));
+                    }
+                    in_a_row + 1
+                }
+                _ => 0,
+            };
+            reached = self.measure(i + 1 == missing.len());
+            self.report(false);
+            let left = began.elapsed().as_secs_f64() / (i + 1) as f64 * (missing.len() - i - 1) as f64;
+            self.line(task, since.elapsed(), left);
+        }
+        Ok(reached)
+    }
+
+    /// Measures the depth maps that are there, unless the last measurement was a moment ago; true if the target is reached.
+    fn measure(&mut self, is_last: bool) -> bool {
+        let done: BTreeSet<PathBuf> = self.dispatch.finished_maps().map(Path::to_path_buf).collect();
+        if done.is_empty() || !(is_last || self.measured.is_due(REST)) {
+            return false;
+        }
+        let began = Instant::now();
+        let outcome = self.foreground.measure(&|path| done.contains(path));
+        self.measured.note(began);
+        match outcome {
+            Outcome::Followed { reached, .. } => reached,
+            Outcome::Failed { reason, .. } => {
+                warn(&format!("cannot measure the depth maps: {reason}"));
+                false
+            }
+            _ => false,
+        }
+    }
+
+    /// Writes the report page, unless the last one was a moment ago.
+    fn report(&mut self, is_last: bool) {
+        if self.arguments.no_report || !(is_last || self.reported.is_due(REPORT_REST)) {
+            return;
+        }
+        let began = Instant::now();
+        if let Err(failure) = super::report::write(self.foreground.root(), &Progress::new(true)) {
+            warn(&format!("cannot write the report: {}", failure.message));
+        }
+        self.reported.note(began);
+    }
+
+    /// Says how far it got.
+    fn line(&self, task: &Task, took: Duration, left: f64) {
+        if self.arguments.is_silent() {
+            return;
+        }
+        let done = self.dispatch.finished_maps().count();
+        let progress = follow::Progress::read(self.foreground.root()).and_then(|progress| progress.share);
+        let share =
+            progress.map_or(String::new(), |share| format!("  {:5.1} % of {}", 100.0 * share, self.plan.target));
+        let (all, took) = (self.dispatch.tasks.len(), took.as_secs_f64());
+        super::complain(&format!(
+            "{done:4} of {all}{share}  {:<28} {took:6.1} s, at most {} left",
+            task.key,
+            duration(left)
+        ));
+    }
+
+    /// Fuses, writes the report and says what is there.
+    fn end(mut self, reached: bool) -> Result<(), Failure> {
+        match self.dispatch.fuse_here(self.threads, self.stop)? {
+            Ended::Done => {}
+            Ended::Stopped => return Err(self.stopped()),
+            Ended::Failed(output) => {
+                let message = format!("the depth maps are there, but fusing them failed:\n{output}");
+                return Err(Failure::new(Exit::Failed, message, format!("to try again: {}", self.again())));
+            }
+        }
+        self.report(true);
+        let result = self.result(reached);
+        match self.arguments.format {
+            Format::Json => print(&json(&result))?,
+            Format::Text if self.arguments.quiet => {}
+            Format::Text => print(&self.words(&result))?,
+        }
+        match self.failed.len() {
+            0 => Ok(()),
+            failed => {
+                let message = format!("{failed} depth maps could not be computed, the first of {}", self.failed[0]);
+                Err(Failure::new(Exit::Failed, message, format!("to try them again: {}", self.again())))
+            }
+        }
+    }
+
+    fn result(&self, reached: bool) -> Summary {
+        let report = self.foreground.root().join(crate::show::files::REPORT_FILE);
+        Summary {
+            project: self.foreground.root().into(),
+            backend: self.backend.name,
+            done: self.dispatch.finished_maps().count(),
+            tasks: self.dispatch.tasks.len(),
+            failed: self.failed.len(),
+            share: follow::Progress::read(self.foreground.root()).and_then(|progress| progress.share),
+            target: self.plan.target.0,
+            target_reached: reached,
+            report: report.is_file().then_some(report),
+        }
+    }
+
+    fn words(&self, result: &Summary) -> String {
+        let share = result.share.map_or("not measured".into(), |share| format!("{:.1} %", 100.0 * share));
+        let verdict = match result.target_reached {
+            true => "the target is reached".to_owned(),
+            false => format!("the list is done below the target; for more: {} --target 98%", self.again()),
+        };
+        let mut text = format!(
+            "\n{} of {} depth maps: {share} of what all would give, measured; {verdict}.\n",
+            result.done, result.tasks
+        );
+        let fused = self.dispatch.workplace().join("fused.ply");
+        if fused.is_file() {
+            text += &format!("Point cloud: {}\n", fused.display());
+        }
+        if let Some(report) = &result.report {
+            text += &format!("Report: {}\n", report.display());
+        }
+        text
+    }
+
+    /// The command that goes on.
+    fn again(&self) -> String {
+        format!("viewrank run {}", quoted_path(&self.arguments.project))
+    }
+
+    fn stopped(&self) -> Failure {
+        let (done, all) = (self.dispatch.finished_maps().count(), self.dispatch.tasks.len());
+        Failure::new(
+            Exit::Failed,
+            format!("stopped with {done} of {all} depth maps"),
+            format!("to go on: {}", self.again()),
+        )
+    }
+
+    fn broken(&self, output: &str) -> Failure {
+        let message = format!("{} computes no depth maps:\n{output}", self.backend.name);
+        Failure::new(
+            Exit::Failed,
+            message,
+            "check the program with one of its own commands, or take another --backend".to_owned(),
+        )
+    }
+}
+
+/// The failure of a plan that was not made.
+fn failure(outcome: Outcome, stop: &AtomicBool, root: &Path) -> Failure {
+    let again = format!("to go on: viewrank run {}", quoted_path(root));
+    match outcome {
+        Outcome::Failed { reason, hint } => Failure::new(Exit::Failed, reason, hint),
+        Outcome::Incomplete { reason } => Failure::new(Exit::Failed, reason, None),
+        _ if stop.load(Ordering::Relaxed) => Failure::new(Exit::Failed, "stopped while planning", again),
+        _ => Failure::new(Exit::Failed, "the project changed while it was planned", again),
+    }
+}
+
+fn last_line(text: &str) -> &str {
+    text.lines().last().unwrap_or("it failed without a word")
+}
+
+/// The stage of planning, as lines on stderr.
+struct Lines {
+    is_silent: bool,
+    stage: std::sync::Mutex<String>,
+}
+
+impl Lines {
+    fn new(is_silent: bool) -> Self {
+        Self { is_silent, stage: std::sync::Mutex::default() }
+    }
+
+    fn stage(&self, stage: &str, _percent: u8) {
+        let mut last = self.stage.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+        if !self.is_silent && *last != stage {
+            super::complain(&format!("planning: {stage}"));
+            *last = stage.into();
+        }
+    }
+}
