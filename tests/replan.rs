@@ -143,7 +143,8 @@ fn without_failures_the_rest_is_ranked_as_by_prediction_behind_the_real_values()
     };
     let table = FulfilmentTable::new((0..before.stages.clusters.len()).map(expected));
     assert_eq!(again.stages.fulfilment, table);
-    let expected = ranking::rank_after(finished, &table, &before.stages.objective, &Unwatched).unwrap();
+    let finished: Vec<_> = finished.iter().map(|&c| (c, MapScale::Full)).collect();
+    let expected = ranking::rank_after(&finished, &Maps::full_size(&table), &before.stages.objective, &Unwatched).unwrap();
     assert_eq!(again.decision.ranking, expected);
 }
 
@@ -453,7 +454,7 @@ fn the_same_maps_reach_the_same_share_wherever_it_is_shown() {
     let model = plan.stages.model();
     let maps = planned.maps();
     let input =
-        EvaluationInput { model, clusters: &clusters, depth_maps: &maps, reference: None, accuracy: f64::INFINITY };
+        EvaluationInput { model, clusters: &clusters, depth_maps: &maps, reference: None, accuracy: f64::INFINITY, has_half: false };
     let run = MeasuredClusters::new(&input, &Unwatched).unwrap();
     let of_evaluate = SoFar::new(&plan.stages, &run).share.unwrap();
 

@@ -30,6 +30,7 @@ const RECTIFYING: PlanningNumbers = PlanningNumbers {
     },
     confidence: sgm::CONFIDENCE,
     support: 1,
+    work: super::openmvs::WORK,
     measured: "valley (sgm)",
     source: "gate: of rectified pairs, measured on valley against exact depth (method 7.1); confidence: integrations/sgm's, by whose \
              real curves it ranks best (method 7.2's 0.8, a cosine and 0.7 octaves rank worse than none); SURE itself was not \
@@ -51,6 +52,7 @@ pub static BACKEND: Backend = Backend {
     use_of_views: None,
     own_scale: super::full_size,
     takes_distorted: false,
+    mixes_sizes: false,
     serves: |project| project.kind == ProjectKind::Sure,
     tasks: |_, _| None,
     traps,

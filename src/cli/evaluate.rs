@@ -133,7 +133,9 @@ fn task(
     let model = plan.stages.model();
     let gsd = plan.stages.settings.target.gsd.expect("a plan's settings are filled in");
     let accuracy = model.target.accuracy_over_gsd * gsd;
-    Ok(MeasuredClusters::new(&EvaluationInput { model, clusters, depth_maps, reference, accuracy }, progress)?)
+    let has_half = plan.stages.half.is_some();
+    let input = EvaluationInput { model, clusters, depth_maps, reference, accuracy, has_half };
+    Ok(MeasuredClusters::new(&input, progress)?)
 }
 
 fn write_baselines(arguments: &Arguments, plan: &Plan, folder: &Path, progress: &Progress) -> Result<(), Failure> {

@@ -132,5 +132,6 @@ fn task<'a>(
 ) -> EvaluationInput<'a> {
     let model = plan.stages.model();
     let accuracy = model.target.accuracy_over_gsd * plan.stages.settings.target.gsd.unwrap_or(1.0);
-    EvaluationInput { model, clusters, depth_maps, reference: asked.reference.as_deref(), accuracy }
+    let (reference, has_half) = (asked.reference.as_deref(), plan.stages.half.is_some());
+    EvaluationInput { model, clusters, depth_maps, reference, accuracy, has_half }
 }
