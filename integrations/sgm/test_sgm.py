@@ -241,7 +241,7 @@ def test_maps_of_views_that_moved_are_made_anew_unless_the_plan_stands_around_th
     workspace.views[SIDES[0]].t += 0.01
     moved = sgm.made_of(workspace, "key.png", SIDES)
     assert moved != made
-    finished = lambda kept, made: sgm.Report(out, report["settings"], kept).finished("key.png", list(SIDES), made)  # noqa: E731
+    finished = lambda kept, made: sgm.Report(out, report["settings"], kept).finished("key.png", list(SIDES), 1.0, made)  # noqa: E731
     assert [finished(set(), made), finished(set(), moved), finished({"key.png"}, moved)] == [True, False, True]
 
 
@@ -309,7 +309,7 @@ def test_the_manifest_is_read_up_to_its_cut(planes, tmp_path):
     clusters = [{"rank": 1, "key": "key.png", "partners": list(SIDES)}, {"rank": 2, "key": SIDES[0], "partners": ["key.png"]}]
     path = tmp_path / "manifest.json"
     path.write_text(json.dumps({"clusters": clusters, "cut": {"clusters": 1}}))
-    assert sgm.read_clusters(path, Workspace(planes)) == [("key.png", list(SIDES))]
+    assert sgm.read_clusters(path, Workspace(planes)) == [("key.png", list(SIDES), 1.0)]
 
 
 @pytest.mark.parametrize("text", ["", "x", "2 h", "1.5", "-1", "2d"])

@@ -130,12 +130,7 @@ fn task(
     reference: Option<&Path>,
     progress: &Progress,
 ) -> Result<MeasuredClusters, Failure> {
-    let model = plan.stages.model();
-    let gsd = plan.stages.settings.target.gsd.expect("a plan's settings are filled in");
-    let accuracy = model.target.accuracy_over_gsd * gsd;
-    let has_half = plan.stages.half.is_some();
-    let input = EvaluationInput { model, clusters, depth_maps, reference, accuracy, has_half };
-    Ok(MeasuredClusters::new(&input, progress)?)
+    Ok(MeasuredClusters::new(&EvaluationInput::new(&plan.stages, clusters, depth_maps, reference), progress)?)
 }
 
 fn write_baselines(arguments: &Arguments, plan: &Plan, folder: &Path, progress: &Progress) -> Result<(), Failure> {

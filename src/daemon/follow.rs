@@ -267,8 +267,7 @@ fn listed(plan: &Plan, written: &[(ViewIndex, MapScale)]) -> Vec<(u32, MapScale)
     let mut taken = vec![false; plan.stages.clusters.len()];
     order.iter().for_each(|&(c, _)| taken[c as usize] = true);
     order.extend(
-        list.chain(plan.decision.ranking.maps())
-            .filter(|&(c, _)| !std::mem::replace(&mut taken[c as usize], true)),
+        list.chain(plan.decision.ranking.maps()).filter(|&(c, _)| !std::mem::replace(&mut taken[c as usize], true)),
     );
     order
 }

@@ -4,7 +4,10 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::{Band, GivenUp, PlanError, forecast::Cost};
-use crate::{config::{Budget, CutSettings}, method::fulfilment::block::Places};
+use crate::{
+    config::{Budget, CutSettings},
+    method::fulfilment::block::Places,
+};
 
 /// Default target: a share of what all clusters together reach.
 pub(super) const DEFAULT_TARGET: f64 = 0.9;

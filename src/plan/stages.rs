@@ -142,7 +142,9 @@ impl Stages {
             partners::choose(&model, &candidates, &settings.partners, settings.seed, watcher)
         })?;
         let half = match settings.ranking.has_half() {
-            true => Some(timings.time(Stage::Partners, || fulfilment::table(&model.at(MapScale::Half), &clusters, watcher))?),
+            true => Some(
+                timings.time(Stage::Partners, || fulfilment::table(&model.at(MapScale::Half), &clusters, watcher))?,
+            ),
             false => None,
         };
         let per_map = numbers.work;
@@ -260,8 +262,7 @@ fn in_force(
 fn work(scene: &Scene, image_scale: f64, work: WorkPerMap, cluster: &ViewCluster) -> [f64; 2] {
     let camera = scene.camera_of(cluster.key);
     let megapixels = f64::from(camera.width) * f64::from(camera.height) * image_scale.powi(2) / 1e6;
-    [MapScale::Full, MapScale::Half]
-        .map(|scale| work.of(megapixels * scale.factor().powi(2), cluster.partners.len()))
+    [MapScale::Full, MapScale::Half].map(|scale| work.of(megapixels * scale.factor().powi(2), cluster.partners.len()))
 }
 
 /// Reads masks and predicts confidence from the images. Masks apply with every confidence source but `none`.

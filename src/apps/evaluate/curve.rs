@@ -26,10 +26,7 @@ impl Curve {
     }
 
     /// Along maps with these rows of fulfilment and numbers of partners.
-    pub fn of_rows<'r>(
-        objective: &Objective,
-        maps: impl Iterator<Item = ((&'r [u32], &'r [f32]), usize)>,
-    ) -> Self {
+    pub fn of_rows<'r>(objective: &Objective, maps: impl Iterator<Item = ((&'r [u32], &'r [f32]), usize)>) -> Self {
         let (mut reached, mut pairs) = (Reached::new(objective), 0);
         let mut curve = Self::start();
         for (row, partners) in maps {

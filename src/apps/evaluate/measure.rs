@@ -104,7 +104,13 @@ pub fn measure(model: &Model, key: ViewIndex, map: DepthMap, reference: Option<&
         n => right as f32 / n as f32,
     };
     let shares = seen.iter().zip(&counts).map(share).collect();
-    Measured { quality, shares, pixels: counts.into_iter().map(|(pixels, _)| pixels).collect(), width: map.width, ids: map.ids }
+    Measured {
+        quality,
+        shares,
+        pixels: counts.into_iter().map(|(pixels, _)| pixels).collect(),
+        width: map.width,
+        ids: map.ids,
+    }
 }
 
 /// A pixel of a depth map with its reference.

@@ -29,6 +29,7 @@ use crate::{
         cluster::{MapScale, ViewCluster},
         scene::ViewIndex,
     },
+    plan::Stages,
 };
 
 /// Finished view clusters and what really came of them. All tables have a row per cluster.
@@ -143,6 +144,20 @@ impl MeasuredClusters {
     /// The real curve of an order of the clusters.
     pub fn real_curve(&self, objective: &Objective, order: &[u32]) -> Curve {
         Curve::new(&self.real, objective, &self.clusters, order)
+    }
+}
+
+impl<'a> EvaluationInput<'a> {
+    /// Depth maps of clusters of a plan; without references each depth is right.
+    pub fn new(
+        stages: &'a Stages,
+        clusters: &'a [ViewCluster],
+        depth_maps: &'a Path,
+        reference: Option<&'a Path>,
+    ) -> Self {
+        let model = stages.model();
+        let accuracy = model.target.accuracy_over_gsd * stages.settings.target.gsd.unwrap_or(f64::INFINITY);
+        Self { model, clusters, depth_maps, reference, accuracy, has_half: stages.half.is_some() }
     }
 }
 

@@ -138,9 +138,7 @@ fn measure(
     folder: &Path,
     watcher: &dyn Watcher,
 ) -> Result<MeasuredClusters, EvaluateError> {
-    let model = plan.stages.model();
-    let accuracy = model.target.accuracy_over_gsd * plan.stages.settings.target.gsd.unwrap_or(1.0);
-    MeasuredClusters::new(&EvaluationInput { model, clusters, depth_maps: folder, reference: None, accuracy, has_half: plan.stages.half.is_some() }, watcher)
+    MeasuredClusters::new(&EvaluationInput::new(&plan.stages, clusters, folder, None), watcher)
 }
 
 /// Puts the finished clusters in the place of those with the same key view, and ranks all again.

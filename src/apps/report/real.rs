@@ -130,8 +130,5 @@ fn task<'a>(
     depth_maps: &'a Path,
     asked: &'a DepthMapFolders,
 ) -> EvaluationInput<'a> {
-    let model = plan.stages.model();
-    let accuracy = model.target.accuracy_over_gsd * plan.stages.settings.target.gsd.unwrap_or(1.0);
-    let (reference, has_half) = (asked.reference.as_deref(), plan.stages.half.is_some());
-    EvaluationInput { model, clusters, depth_maps, reference, accuracy, has_half }
+    EvaluationInput::new(&plan.stages, clusters, depth_maps, asked.reference.as_deref())
 }

@@ -62,7 +62,7 @@ pub static BACKEND: Backend = Backend {
     use_of_views: None,
     own_scale: super::full_size,
     takes_distorted: false,
-    mixes_sizes: true,
+    mixes_sizes: false,
     serves: |project| project.dense_workspace.is_some(),
     tasks,
     traps,

@@ -20,12 +20,12 @@ use crate::{
         project::{ModelFormat, ProjectKind},
     },
     method::confidence::PairConfidence,
-    plan::WorkPerMap,
     model::{
         camera::Camera,
-        cluster::{Gate, RankedCluster},
+        cluster::{Gate, MapScale, RankedCluster},
         scene::ViewIndex,
     },
+    plan::WorkPerMap,
 };
 
 mod neighbours;
@@ -138,12 +138,15 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     for (i, cluster) in selection.clusters.iter().enumerate() {
         let path = format!("clusters/{:04}.mvs", i + 1);
         let (mvs, range) = builder.cluster(cluster);
+        let camera = selection.scene.camera_of(cluster.key);
         rows.push(Row {
             rank: i + 1,
             scene: path.clone(),
             key: selection.scene.name(cluster.key).into(),
             id: selection.scene.view(cluster.key).image_id,
             partner_ids: cluster.partners.iter().map(|&p| selection.scene.view(p).image_id).collect(),
+            scale: cluster.scale,
+            size: [camera.width, camera.height],
             share: cluster.share,
             depths: [range.least, range.greatest],
         });
@@ -201,6 +204,10 @@ struct Row {
     key: String,
     id: u32,
     partner_ids: Vec<u32>,
+    /// 1, or 0.5 for a map of half the size.
+    scale: MapScale,
+    /// Of the key view's image, pixels.
+    size: [u32; 2],
     share: f64,
     /// Least and greatest depth of the sparse points; OpenMVS searches 0.9 and 1.1 times that.
     depths: [f64; 2],

@@ -66,11 +66,7 @@ impl ByTriangle {
     }
 
     /// The entries of the triangles from the first on that have these offsets.
-    fn entries<'r>(
-        rows: impl Iterator<Item = (&'r [u32], &'r [f32])>,
-        offsets: &[usize],
-        first: u32,
-    ) -> Vec<Entry> {
+    fn entries<'r>(rows: impl Iterator<Item = (&'r [u32], &'r [f32])>, offsets: &[usize], first: u32) -> Vec<Entry> {
         let (start, triangles) = (offsets[0], offsets.len() - 1);
         let mut entries = vec![Entry::zeroed(); offsets[triangles] - start];
         let mut next: Vec<usize> = offsets[..triangles].iter().map(|offset| offset - start).collect();

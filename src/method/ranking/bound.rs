@@ -36,8 +36,7 @@ pub fn most_of_any(length: usize, maps: &Maps, objective: &Objective, ranking: &
     let mut dual = Dual::new(objective, least);
     let (mut step, mut in_vain) = (1.0, 0);
     for _ in 0..ROUNDS {
-        let gains =
-            column::read_by_parts(&all, |&map| dual.gain(maps.row(map), maps.worth(map)), || maps.release());
+        let gains = column::read_by_parts(&all, |&map| dual.gain(maps.row(map), maps.worth(map)), || maps.release());
         let per_work = |map: u32| gains[map as usize] / maps.work(map);
         let mut best = all.clone();
         best.sort_by(|&a, &b| per_work(b).total_cmp(&per_work(a)));

@@ -130,7 +130,18 @@ impl WrittenPlan {
         let work = recorded.clusters.iter().map(|cluster| cluster.work).collect();
         let (finished, settings, own_size) = (recorded.finished(), recorded.settings, recorded.own_size);
         let target = settings.cut.target.unwrap_or(Share(recorded.cut.share));
-        Ok(Self { project, backend: recorded.backend, settings, own_size, clusters, work, cut, finished, target, scene })
+        Ok(Self {
+            project,
+            backend: recorded.backend,
+            settings,
+            own_size,
+            clusters,
+            work,
+            cut,
+            finished,
+            target,
+            scene,
+        })
     }
 
     /// Returns the number of clusters up to another cut: the shorter of the budget and the shortest prefix that reaches the share; without
@@ -209,7 +220,10 @@ impl Recorded {
     pub fn check_ranking(&self, plan: &Plan) -> Result<(), WrittenPlanError> {
         let ranked = self.ranked(&plan.stages.scene)?;
         let same = match self.finished() {
-            0 => plan.ranked().map(|c| (c.key, c.partners, c.scale)).eq(ranked.into_iter().map(|c| (c.key, c.partners, c.scale))),
+            0 => plan
+                .ranked()
+                .map(|c| (c.key, c.partners, c.scale))
+                .eq(ranked.into_iter().map(|c| (c.key, c.partners, c.scale))),
             finished => {
                 let place = |key| plan.stages.clusters.binary_search_by_key(&key, |cluster| cluster.key).ok();
                 let partners = |key| place(key).map(|c| &plan.stages.clusters[c].partners);
