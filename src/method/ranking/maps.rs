@@ -2,6 +2,9 @@
 
 use crate::{base::column::Storage, method::fulfilment::FulfilmentTable, model::cluster::MapScale};
 
+/// Work is compared in whole numbers of this part.
+const WHOLE: f64 = 1e6;
+
 /// Depth maps by index: first those of all clusters at full size, then those of all clusters at half size, where there are any.
 #[derive(Clone, Copy, Debug)]
 pub struct Maps<'a> {
@@ -83,6 +86,11 @@ impl<'a> Maps<'a> {
     pub(super) fn work(&self, map: u32) -> f64 {
         let size = usize::from(map >= self.clusters());
         self.half.map_or(1.0, |half| half.work[self.cluster(map) as usize][size])
+    }
+
+    /// The same in whole numbers, at least 1.
+    pub(super) fn whole_work(&self, map: u32) -> u64 {
+        ((self.work(map) * WHOLE) as u64).max(1)
     }
 
     /// Where tables made from these are kept.

@@ -158,8 +158,10 @@ impl<'a> Greedy<'a> {
     /// The map that gains most for its work, if any gains.
     fn best(&self) -> Option<u32> {
         let better = |&a: &u32, &b: &u32| {
-            let per_work = |gains: &[i64], map: u32| gains[map as usize] as f64 / self.maps.work(map);
-            let by = |gains: &[i64]| per_work(gains, a).total_cmp(&per_work(gains, b));
+            let [of_a, of_b] = [a, b].map(|map| i128::from(self.maps.whole_work(map)));
+            // a's gain over a's work, against b's: exact, so that equal works leave the order by gain.
+            let by =
+                |gains: &[i64]| (i128::from(gains[a as usize]) * of_b).cmp(&(i128::from(gains[b as usize]) * of_a));
             by(&self.gains).then_with(|| by(&self.alone)).then(b.cmp(&a))
         };
         self.left.iter().copied().max_by(better).filter(|&map| self.gains[map as usize] > 0)

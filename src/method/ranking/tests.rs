@@ -50,7 +50,7 @@ fn plain_greedy(table: &FulfilmentTable, objective: &Objective) -> Vec<(u32, i64
     let mut left: Vec<u32> = (0..table.clusters() as u32).collect();
     let mut order = Vec::new();
     loop {
-        let of = |c: u32, reached: &Reached| reached.whole_gain(table.row(c as usize));
+        let of = |c: u32, reached: &Reached| reached.whole_gain(table.row(c as usize), 1.0);
         let rank = |c: u32| (of(c, &reached), of(c, &nothing), std::cmp::Reverse(c));
         let Some(best) = left.iter().copied().max_by_key(|&c| rank(c)).filter(|&c| of(c, &reached) > 0) else {
             return order;
@@ -179,9 +179,11 @@ fn best_afresh(maps: &Maps, taken: &[(u32, MapScale)], objective: &Objective) ->
     let gain = |reached: &Reached, map: u32| reached.whole_gain(maps.row(map), maps.worth(map));
     let left = (0..maps.len()).filter(|&map| taken.iter().all(|&(cluster, _)| cluster != maps.cluster(map)));
     let better = |&a: &u32, &b: &u32| {
-        let of = |reached: &Reached, map: u32| gain(reached, map) as f64 / maps.work(map);
-        let by_gain = of(&reached, a).total_cmp(&of(&reached, b));
-        by_gain.then(of(&nothing, a).total_cmp(&of(&nothing, b))).then(b.cmp(&a))
+        let more = |reached: &Reached| {
+            let of = |map, other| i128::from(gain(reached, map)) * i128::from(maps.whole_work(other));
+            of(a, b).cmp(&of(b, a))
+        };
+        more(&reached).then(more(&nothing)).then(b.cmp(&a))
     };
     let best = left.max_by(better).filter(|&map| gain(&reached, map) > 0)?;
     Some((maps.cluster(best), maps.scale(best)))
