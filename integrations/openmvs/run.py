@@ -349,7 +349,7 @@ def enlarged(path, size):
             plane = memoryview(planes)[at : at + 4 * words * width * height]
             at += len(plane)
             taken = [words * x + word for x in columns for word in range(words)]
-            lines = (array.array("f" if bit == 4 else "I", plane[4 * words * width * y : 4 * words * width * (y + 1)]) for y in range(height))
+            lines = (array.array("f" if bit == 4 else "I", plane[4 * words * width * y : 4 * words * width * (y + 1)].tobytes()) for y in range(height))
             lines = [array.array(line.typecode, [line[x] for x in taken]) for line in lines]
             if bit == 4:
                 lines = [array.array("f", [max(0.0, 1 - 4 * (1 - c)) if c > 0 else c for c in line]) for line in lines]
