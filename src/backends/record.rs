@@ -86,7 +86,7 @@ pub struct ExportedView {
 pub(super) fn at_full_size(selection: &Selection) -> Vec<String> {
     match selection.clusters.iter().filter(|cluster| cluster.scale == MapScale::Half).count() {
         0 => Vec::new(),
-        n => vec![format!("the size of {n} key views, planned at half and matched at full size")],
+        n => vec![format!("the size of {n} key views that are planned at half the size and matched at full size")],
     }
 }
 
