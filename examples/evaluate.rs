@@ -19,12 +19,10 @@ fn main() -> Result<(), Box<dyn Error>> {
 
     // The manifest has no tables, so they are computed again with its settings.
     let (_, plan) = replan::as_written(project, &Unwatched)?;
-    let (model, settings) = (plan.stages.model(), &plan.stages.settings);
     let clusters: Vec<_> = plan.chosen().cloned().collect();
 
-    // Without reference depth maps, every depth counts as correct; `accuracy` is used where a pixel shows no triangle.
-    let accuracy = model.target.accuracy_over_gsd * settings.target.gsd.ok_or("the plan has no GSD")?;
-    let input = EvaluationInput { model, clusters: &clusters, depth_maps, reference: None, accuracy };
+    // Without reference depth maps, every depth counts as correct.
+    let input = EvaluationInput::new(&plan.stages, &clusters, depth_maps, None);
     let measured = MeasuredClusters::new(&input, &Unwatched)?;
 
     let so_far = SoFar::new(&plan.stages, &measured);

@@ -59,19 +59,20 @@ pub use io::{
 pub use method::{
     fulfilment::FulfilmentTable,
     partners::Candidates,
-    ranking::{Objective, Ranking},
+    ranking::{Maps, Objective, Ranking},
     surface::Surface,
     target::Target,
     visibility::Visibility,
 };
 pub use model::{
     camera::Camera,
-    cluster::{RankedCluster, ViewCluster},
+    cluster::{MapScale, RankedCluster, ViewCluster},
     reason::Reason,
     scene::{PointIndex, Pose, Scene, View, ViewIndex},
 };
 pub use plan::{
     Cut, Decision, Finished, Forecast, Matcher, Plan, PlanError, PlanningNumbers, Stages, Timings, ViewStatus,
+    WorkPerMap,
 };
 pub use show::{files, manifest};
 

@@ -10,6 +10,7 @@ use npyz::WriterBuilder;
 use viewrank::internals::{
     backends,
     camera::{Camera, CameraModel},
+    cluster::MapScale,
     config::Settings,
     daemon::follow::{self, Progress},
     evaluate::{EvaluationInput, MeasuredClusters, SoFar},
@@ -143,7 +144,10 @@ fn without_failures_the_rest_is_ranked_as_by_prediction_behind_the_real_values()
     };
     let table = FulfilmentTable::new((0..before.stages.clusters.len()).map(expected));
     assert_eq!(again.stages.fulfilment, table);
-    let expected = ranking::rank_after(finished, &table, &before.stages.objective, &Unwatched).unwrap();
+    let finished: Vec<_> = finished.iter().map(|&c| (c, MapScale::Full)).collect();
+    let expected =
+        ranking::rank_after(&finished, &ranking::Maps::full_size(&table), &before.stages.objective, &Unwatched)
+            .unwrap();
     assert_eq!(again.decision.ranking, expected);
 }
 
@@ -450,11 +454,8 @@ fn the_same_maps_reach_the_same_share_wherever_it_is_shown() {
 
     let clusters: Vec<_> =
         plan.decision.ranking.order.iter().map(|&c| plan.stages.clusters[c as usize].clone()).collect();
-    let model = plan.stages.model();
     let maps = planned.maps();
-    let input =
-        EvaluationInput { model, clusters: &clusters, depth_maps: &maps, reference: None, accuracy: f64::INFINITY };
-    let run = MeasuredClusters::new(&input, &Unwatched).unwrap();
+    let run = MeasuredClusters::new(&EvaluationInput::new(&plan.stages, &clusters, &maps, None), &Unwatched).unwrap();
     let of_evaluate = SoFar::new(&plan.stages, &run).share.unwrap();
 
     for (shown, share) in [("status", of_status), ("report", of_report), ("evaluate", of_evaluate)] {

@@ -5,7 +5,7 @@ use proptest::{collection::vec, prelude::*, sample::Index};
 use viewrank::internals::{
     backends::{ExportOptions, Selection, by_name},
     camera::{Camera, CameraModel},
-    cluster::RankedCluster,
+    cluster::{MapScale, RankedCluster},
     formats::{Bytes, alicevision, colmap::ColmapModel, colmap_bin, colmap_text, openmvs, sure},
     output::Contents,
     project::{ModelFormat, ModelLocation, Project, ProjectKind},
@@ -114,7 +114,7 @@ fn project() -> Project {
 fn exported(scene: &Scene, backend: &str, path: &str) -> (Vec<u8>, Vector3<f64>) {
     let mut views: Vec<ViewIndex> = scene.view_indices().collect();
     let key = views.remove(0);
-    let clusters = [RankedCluster { key, partners: views, share: 1.0 }];
+    let clusters = [RankedCluster { key, partners: views, scale: MapScale::Full, share: 1.0 }];
     let project = project();
     let image_faults = &Default::default();
     let selection = Selection {

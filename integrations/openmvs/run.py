@@ -19,6 +19,7 @@ ranges are read from the .dmap files. fused.ply and fused.mvs are replaced when 
 """
 
 import argparse
+import array
 import contextlib
 import hashlib
 import json
@@ -165,18 +166,38 @@ class Densify:
         self.users = users_options(words, names)
         self.common = {"dense-config-file": "dense.cfg", "verbosity": "1", **({"max-threads": str(threads)} if threads else {}), **wanted}
         shaping = {name: self.users[name] for name in sorted(self.users) if name not in OF_THE_CLOUD | OF_THE_MACHINE}
-        self.options = in_words({**wanted, **shaping})
+        self.of_full_size = {**wanted, **shaping}
+        self.options = in_words(self.of_full_size)
 
-    def make_map(self, folder, scene):
+    def options_of(self, row):
+        """What shapes the map of a row, in words: the options of all with its own resolution."""
+        return in_words({**self.of_full_size, "max-resolution": self.resolution_of(row)})
+
+    def resolution_of(self, row):
+        full = self.of_full_size["max-resolution"]
+        scale = row.get("scale", 1)
+        return full if scale == 1 or not full.isdigit() else str(round(int(full) * scale))
+
+    def size_of(self, size):
+        """Width and height at which images of this size are matched at full size, by the rule of TImage::computeMaxResolution."""
+        level, least, most = (int(self.of_full_size[f"{name}"]) for name in ("resolution-level", "min-resolution", "max-resolution"))
+        side = max(size)
+        while level and side >> level < least:
+            level -= 1
+        scale = min(side >> level, most) / side
+        return [round(length * scale) for length in size]
+
+    def make_map(self, folder, row):
         # No geometric passes: the partners have no maps. Filter 3: speckles and gaps, without the one that needs partners' maps.
         users = {name: value for name, value in self.users.items() if name not in OF_THE_CLOUD}
-        return self.run(folder, scene, f"{folder.name}.mvs", {**self.common, **self.of_maps, **users, "fusion-mode": "1"})
+        options = {**self.common, **self.of_maps, **users, "max-resolution": self.resolution_of(row), "fusion-mode": "1"}
+        return self.run(folder, row["scene"], f"{folder.name}.mvs", options)
 
-    def fuse(self, scene, output, agree):
+    def fuse(self, folder, scene, output, agree):
         # Branch develop keeps only what five maps agree on unless told otherwise.
         ours = {"fusion-filter": "0" if agree in ("0", "1") else "1"} if "--fusion-filter" in self.known else {}
         kept = {"view-neighbors-file": "fuse.txt", "number-views": "0", "geometric-iters": "0", "postprocess-dmaps": "0"}
-        return self.run(HERE, scene, output, {**self.common, "number-views-fuse": agree, **ours, **self.users, **kept})
+        return self.run(folder, scene, output, {**self.common, "number-views-fuse": agree, **ours, **self.users, **kept})
 
     def run(self, folder, scene, output, options):
         # Image names, maps and the files of options are resolved against the folder, and logs are written into it.
@@ -202,7 +223,7 @@ def map_of(row):
 
 def digest_of(row, program):
     """SHA-256 of everything that determines a map: its scene and the options."""
-    return hashlib.sha256((HERE / row["scene"]).read_bytes() + repr(program.options).encode()).hexdigest()
+    return hashlib.sha256((HERE / row["scene"]).read_bytes() + repr(program.options_of(row)).encode()).hexdigest()
 
 
 def compute(row, program, report):
@@ -211,8 +232,8 @@ def compute(row, program, report):
     if report.is_good(row, digest):
         return
     started = time.monotonic()
-    with workplace(row) as folder:
-        done = program.make_map(folder, row["scene"])
+    with workplace(f"{row['id']:04d}") as folder:
+        done = program.make_map(folder, row)
         made = folder / map_of(row).name
         result = {"rank": row["rank"], "key": row["key"], "digest": digest, "seconds": round(time.monotonic() - started, 2), **check(row, made)}
         if not result["problems"]:
@@ -227,10 +248,10 @@ def compute(row, program, report):
 
 
 @contextlib.contextmanager
-def workplace(row):
+def workplace(name):
     """A folder in which all that is here is linked except maps. It goes again, unless a finished map waits there for its place."""
     UNFINISHED.mkdir(exist_ok=True)
-    folder = Path(tempfile.mkdtemp(prefix=f"{row['id']:04d}-", dir=UNFINISHED))
+    folder = Path(tempfile.mkdtemp(prefix=f"{name}-", dir=UNFINISHED))
     try:
         for path in HERE.iterdir():
             if path != UNFINISHED and not re.match(r"depth\d+\.", path.name):
@@ -272,7 +293,7 @@ def check(row, path):
         problems.append(f"depth range {found['range'][0]:g} to {found['range'][1]:g}, but the sparse points have {least:g} to {greatest:g}")
     if found["filled"] < FILLED_LEAST:
         problems.append(f"only {100 * found['filled']:.1f} % of the pixels have a depth")
-    return {"problems": problems, "partner_ids": partners, "filled": round(found["filled"], 4), "range": found["range"], "size": found["size"]}
+    return {"problems": problems, "scale": row.get("scale", 1), "partner_ids": partners, "filled": round(found["filled"], 4), "range": found["range"], "size": found["size"]}
 
 
 def read_map(path):
@@ -304,6 +325,36 @@ def read_head(file):
     if file.tell() + planes * width * height > os.fstat(file.fileno()).st_size:
         raise ValueError("cut off")
     return {"ids": list(ids), "range": [round(least, 6), round(greatest, 6)], "size": [width, height]}
+
+
+def enlarged(path, size):
+    """Bytes of a .dmap with each pixel repeated to a larger size. Its confidences fall as those of a match do whose deviation is twice as large, so that fusion averages finer maps
+    with four times the weight."""
+    with open(path, "rb") as file:
+        head = read_head(file)
+        start, planes = file.tell(), file.read()
+    (width, height), (wide, high) = head["size"], size
+    columns = [min(x * width // wide, width - 1) for x in range(wide)]
+    rows = [min(y * height // high, height - 1) for y in range(high)]
+    with open(path, "rb") as file:
+        before = bytearray(file.read(start))
+    struct.pack_into("<4I", before, 4, wide, high, wide, high)
+    k = struct.unpack_from("<9d", before, start - 168)
+    sx, sy = wide / width, high / height
+    k = [k[0] * sx, k[1] * sx, (k[2] + 0.5) * sx - 0.5, k[3], k[4] * sy, (k[5] + 0.5) * sy - 0.5, *k[6:]]
+    struct.pack_into("<9d", before, start - 168, *k)
+    parts, at = [bytes(before)], 0
+    for bit, words in ((1, 1), (2, 3), (4, 1), (8, 1)):
+        if before[2] & bit:
+            plane = memoryview(planes)[at : at + 4 * words * width * height]
+            at += len(plane)
+            taken = [words * x + word for x in columns for word in range(words)]
+            lines = (array.array("f" if bit == 4 else "I", plane[4 * words * width * y : 4 * words * width * (y + 1)].tobytes()) for y in range(height))
+            lines = [array.array(line.typecode, [line[x] for x in taken]) for line in lines]
+            if bit == 4:
+                lines = [array.array("f", [max(0.0, 1 - 4 * (1 - c)) if c > 0 else c for c in line]) for line in lines]
+            parts += [lines[y].tobytes() for y in rows]
+    return b"".join(parts)
 
 
 def is_whole(path):
@@ -423,16 +474,20 @@ def fuse_maps(run, there, agree, program):
     # A list must not be empty: a map that none overlaps is compared with any image of the scene.
     partners = {i: [o for o in run["overlaps"][i] if o in there] or sorted(there - {i})[:1] or [int(i == 0)] for i in there}
     (HERE / "fuse.txt").write_text("".join(" ".join(map(str, [i, *partners[i]])) + "\n" for i in sorted(there)))
-    (HERE / "fusing.mvs").write_bytes(fusion_scene(run["clusters"], there))
-    try:
-        done = program.fuse("fusing.mvs", "fusing-done.mvs", agree)
-        points = ply_points(HERE / "fusing-done.ply") if done.returncode == 0 else 0
-        for made in HERE.glob("fusing-done.*"):
+    with workplace("fusion") as folder:
+        (folder / "fusing.mvs").write_bytes(fusion_scene(run["clusters"], there))
+        for row in (run["clusters"][i] for i in there):
+            path = map_of(row)
+            if row.get("scale", 1) == 1:
+                (folder / path.name).symlink_to(path)
+            else:
+                # The fusion takes the camera of its own image size for every map, whatever the size of the map.
+                (folder / path.name).write_bytes(enlarged(path, program.size_of(row["size"])))
+        done = program.fuse(folder, "fusing.mvs", "fusing-done.mvs", agree)
+        points = ply_points(folder / "fusing-done.ply") if done.returncode == 0 else 0
+        for made in folder.glob("fusing-done.*"):
             if points:
                 made.replace(HERE / f"fused{made.suffix}")
-    finally:
-        for left in HERE.glob("fusing*"):
-            left.unlink()
     return done, points
 
 

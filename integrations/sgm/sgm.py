@@ -35,19 +35,20 @@ MAX_PARTNERS = 255  # counts are 8 bit
 
 
 def read_clusters(path, workspace):
-    """[(key view, partners)] in rank order from clusters.txt, or from a manifest up to its cut."""
+    """[(key view, partners, size)] in rank order from clusters.txt, with the sizes of sizes.txt beside it, or from a manifest up to its cut."""
     try:
         text = path.read_text(encoding="utf-8", errors="surrogateescape")
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}. Write it with: viewrank plan {workspace.folder}") from error
     rows = manifest_rows(path, text) if path.suffix == ".json" else tabbed_rows(text)
+    sizes = manifest_sizes(text) if path.suffix == ".json" else sizes_beside(path)
     clusters, places = [], {}
     for place, (key, *partners) in rows:
         check_cluster(f"{path}, {place}", key, partners, workspace)
         if key in places:
             raise InputError(f"{path}, {place}: key view {key} is already in {places[key]}")
         places[key] = place
-        clusters.append((key, partners))
+        clusters.append((key, partners, sizes.get(key, 1.0)))
     if not clusters:
         raise InputError(f"{path}: no view cluster in it")
     return clusters
@@ -69,6 +70,22 @@ def manifest_rows(path, text):
         raise InputError(f"{path}: not a manifest of viewrank ({error!r})") from error
 
 
+def manifest_sizes(text):
+    return {c["key"]: c.get("scale", 1.0) for c in json.loads(text)["clusters"]}
+
+
+def sizes_beside(path):
+    """Size over that of the others, by key view; those that are not in sizes.txt have 1."""
+    try:
+        text = path.with_name("sizes.txt").read_text(encoding="utf-8", errors="surrogateescape")
+    except OSError:
+        return {}
+    try:
+        return {key: float(size) for _, (key, size) in tabbed_rows(text)}
+    except ValueError as error:
+        raise InputError(f"{path.with_name('sizes.txt')}: a line is not a key view, a tab and a size ({error})") from error
+
+
 def check_cluster(where, key, partners, workspace):
     for name in (key, *partners):
         if name not in workspace.views:
@@ -81,14 +98,14 @@ def check_cluster(where, key, partners, workspace):
 
 def wanted(args, workspace):
     if args.connected:
-        return [(key, [name for name, _ in workspace.connected(key)[: args.connected]]) for key in workspace.views]
+        return [(key, [name for name, _ in workspace.connected(key)[: args.connected]], 1.0) for key in workspace.views]
     return read_clusters(args.clusters or workspace.folder / "viewrank" / "clusters.txt", workspace)
 
 
 # ---------------------------------------------------------------------------------------------------------- one cluster
 
 
-def compute(pairs, key, partners, out):
+def compute(pairs, key, partners, size, out):
     """Matches and merges one view cluster, writes its maps if `out` is given, and returns its row of the report.
 
     Without the key view's image nothing is written, and the row is {"key", "failed": reason}."""
@@ -99,7 +116,7 @@ def compute(pairs, key, partners, out):
         return {"key": key, "failed": str(error)}
     usable = [pair for pair in found if pair.matched]
     width, height = pairs.workspace.views[key].size
-    row = {"key": key, "width": width, "height": height, "made_of": made_of(pairs.workspace, key, partners), "partners": [partner_row(*p) for p in zip(partners, found, strict=True)]}
+    row = {"key": key, "width": width, "height": height, "size": size, "made_of": made_of(pairs.workspace, key, partners), "partners": [partner_row(*p) for p in zip(partners, found, strict=True)]}
     if out:
         depth, count = np.zeros((height, width), np.float32), np.zeros((height, width), np.uint8)
         if len(usable) >= MIN_AGREE:
@@ -140,11 +157,12 @@ class Report:
             except (OSError, ValueError, KeyError, TypeError):
                 pass
 
-    def finished(self, key, partners, made):
+    def finished(self, key, partners, size, made):
         """Are its maps there, made with these partners, and of views that lie where they do now or in a plan that stands around them?"""
         row = self.rows.get(key)
         there = all((self.out / folder / (key + ".npy")).is_file() for folder in ("depth_maps", "counts"))
         same = row is not None and [p["name"] for p in row["partners"]] == partners
+        same = same and row.get("size", 1.0) == size
         return there and same and (key in self.kept or row.get("made_of") == made)
 
     def begin(self, keys):
@@ -225,11 +243,14 @@ STATE = {}  # of a worker process
 def start_worker(folder, scale, cache, out):
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides
     cv2.setNumThreads(1)
-    STATE.update(pairs=Pairs(Workspace(folder, scale), cache), out=out)
+    STATE.update(folder=folder, scale=scale, cache=cache, out=out, pairs={})
 
 
 def work(cluster):
-    return compute(STATE["pairs"], *cluster, STATE["out"])
+    size = cluster[2]
+    if size not in STATE["pairs"]:
+        STATE["pairs"][size] = Pairs(Workspace(STATE["folder"], STATE["scale"] * size), STATE["cache"])
+    return compute(STATE["pairs"][size], *cluster, STATE["out"])
 
 
 def run(clusters, args, out, stop, done):
@@ -259,9 +280,10 @@ def match(args):
     clusters = of_rank(all_clusters, args.rank) if args.rank is not None else all_clusters[:first]
     settings = {"version": VERSION, "image_scale": args.image_scale, "sigma_px": SIGMA_PX, "min_agree": MIN_AGREE}
     report = Report(args.out, settings, kept_by_plan(workspace), single=args.rank is not None)
-    todo = [c for c in clusters if not report.finished(*c, made_of(workspace, *c))]
-    report.begin(key for key, _ in todo)
-    print(f"{len(clusters)} key views, {len(clusters) - len(todo)} finished before; {sum(len(p) for _, p in todo)} pairs to do", file=sys.stderr)
+    sizes = {size: Workspace(args.workspace, args.image_scale * size) for size in {size for *_, size in clusters}}
+    todo = [c for c in clusters if not report.finished(*c, made_of(sizes[c[2]], *c[:2]))]
+    report.begin(key for key, *_ in todo)
+    print(f"{len(clusters)} key views, {len(clusters) - len(todo)} finished before; {sum(len(p) for _, p, _ in todo)} pairs to do", file=sys.stderr)
     line = Line(len(todo))
 
     def done(row):
@@ -273,7 +295,7 @@ def match(args):
         report.stopped = run(todo, args, args.out, Stop(seconds, args.progress), done)
     finally:
         report.write()
-    print(summary(report, [key for key, _ in all_clusters]), file=sys.stderr)
+    print(summary(report, [key for key, *_ in all_clusters]), file=sys.stderr)
     return line.failed
 
 

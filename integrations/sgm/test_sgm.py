@@ -241,8 +241,26 @@ def test_maps_of_views_that_moved_are_made_anew_unless_the_plan_stands_around_th
     workspace.views[SIDES[0]].t += 0.01
     moved = sgm.made_of(workspace, "key.png", SIDES)
     assert moved != made
-    finished = lambda kept, made: sgm.Report(out, report["settings"], kept).finished("key.png", list(SIDES), made)  # noqa: E731
+    finished = lambda kept, made: sgm.Report(out, report["settings"], kept).finished("key.png", list(SIDES), 1.0, made)  # noqa: E731
     assert [finished(set(), made), finished(set(), moved), finished({"key.png"}, moved)] == [True, False, True]
+
+
+def test_a_key_view_in_sizes_txt_is_matched_at_that_size(planes, tmp_path):
+    out = tmp_path / "out"
+    clusters = write_clusters(tmp_path / "clusters.txt", ("key.png", *SIDES), (SIDES[0], "key.png", SIDES[1]))
+    (tmp_path / "sizes.txt").write_text("key.png\t0.5\n")
+    report = run(planes, out, clusters)
+    full = Workspace(planes).views["key.png"].size
+    half, other = (np.load(out / "depth_maps" / (name + ".npy")) for name in ("key.png", SIDES[0]))
+    assert half.shape == (full[1] // 2, full[0] // 2) and other.shape == full[::-1]
+    assert np.median(half[half > 0]) == pytest.approx(np.median(other[other > 0]), rel=0.05)
+    assert {row["key"]: row["size"] for row in report["clusters"]} == {"key.png": 0.5, SIDES[0]: 1.0}
+    (tmp_path / "sizes.txt").unlink()
+    again = run(planes, out, clusters)
+    assert np.load(out / "depth_maps/key.png.npy").shape == full[::-1] and all(row["size"] == 1.0 for row in again["clusters"])
+    (tmp_path / "sizes.txt").write_text("key.png 0.5\n")
+    with pytest.raises(InputError, match="sizes.txt"):
+        sgm.read_clusters(clusters, Workspace(planes))
 
 
 def test_a_lost_map_or_a_broken_cache_file_is_made_again(planes, tmp_path):
@@ -309,7 +327,7 @@ def test_the_manifest_is_read_up_to_its_cut(planes, tmp_path):
     clusters = [{"rank": 1, "key": "key.png", "partners": list(SIDES)}, {"rank": 2, "key": SIDES[0], "partners": ["key.png"]}]
     path = tmp_path / "manifest.json"
     path.write_text(json.dumps({"clusters": clusters, "cut": {"clusters": 1}}))
-    assert sgm.read_clusters(path, Workspace(planes)) == [("key.png", list(SIDES))]
+    assert sgm.read_clusters(path, Workspace(planes)) == [("key.png", list(SIDES), 1.0)]
 
 
 @pytest.mark.parametrize("text", ["", "x", "2 h", "1.5", "-1", "2d"])

@@ -90,6 +90,8 @@ pub struct Backend {
     pub takes_distorted: bool,
     /// True if the project is set up for it, so that `plan` writes its files unasked.
     pub serves: fn(&Project) -> bool,
+    /// True if its exports match key views at full and at half size, and fuse their depth maps (method 5.8).
+    pub mixes_sizes: bool,
     /// How tasks of a queue compute the clusters of an export with the default options; `None` where only a whole run can.
     pub tasks: fn(&Selection, &Export) -> Option<TaskRunner>,
     /// Faults of a project that would trip it whatever is planned, beside distorted cameras.
@@ -113,7 +115,7 @@ impl Backend {
     }
 
     fn matcher(&self) -> Matcher {
-        Matcher { name: self.name, numbers: self.planning, own_scale: self.own_scale }
+        Matcher { name: self.name, numbers: self.planning, own_scale: self.own_scale, mixes_sizes: self.mixes_sizes }
     }
 }
 
@@ -212,6 +214,7 @@ const PATCH_MATCH: PlanningNumbers = PlanningNumbers {
     },
     confidence: openmvs::CONFIDENCE,
     support: 2,
+    work: openmvs::WORK,
     measured: "no: openmvs's",
     source: "not measured: the numbers of OpenMVS, another PatchMatch (method 7.1, 7.2); support 2: depth maps are joined where they agree",
 };

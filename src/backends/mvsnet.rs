@@ -55,6 +55,7 @@ pub static MVSNET: Backend = Backend {
     use_of_views: None,
     own_scale: super::full_size,
     takes_distorted: false,
+    mixes_sizes: false,
     serves: |_| false,
     tasks: |_, _| None,
     traps,

@@ -7,7 +7,11 @@ use serde::{Deserialize, Serialize};
 use super::{Backend, Selection, by_name};
 use crate::{
     io::output::FileSet,
-    model::{camera::Camera, cluster::RankedCluster, scene::ViewIndex},
+    model::{
+        camera::Camera,
+        cluster::{MapScale, RankedCluster},
+        scene::ViewIndex,
+    },
 };
 
 /// The files for a backend, and what to know about them.
@@ -62,6 +66,9 @@ pub struct ExportedCluster {
     pub key: ExportedView,
     /// Best first.
     pub partners: Vec<ExportedView>,
+    /// Size at which it is matched, over `image_scale`.
+    #[serde(default)]
+    pub scale: MapScale,
 }
 
 /// A view under its names in the model and in the backend's files.
@@ -73,6 +80,14 @@ pub struct ExportedView {
     pub image_id: u32,
     /// Index or name in the backend's files.
     pub target: String,
+}
+
+/// Key views that are planned at half the size, for a program that matches all of them at one.
+pub(super) fn at_full_size(selection: &Selection) -> Vec<String> {
+    match selection.clusters.iter().filter(|cluster| cluster.scale == MapScale::Half).count() {
+        0 => Vec::new(),
+        n => vec![format!("the size of {n} key views that are planned at half the size and matched at full size")],
+    }
 }
 
 impl ExportRecord {
@@ -87,10 +102,12 @@ impl ExportRecord {
             rank: i + 1,
             key: view(c.key),
             partners: c.partners.iter().map(|&p| view(p)).collect(),
+            scale: if backend.mixes_sizes { c.scale } else { MapScale::Full },
         };
         let faults = selection.image_faults.among(&selection.views());
         Self {
             backend: backend.name.into(),
+            not_honoured: if backend.mixes_sizes { Vec::new() } else { at_full_size(selection) },
             key_maps: selection.clusters.len(),
             image_scale: selection.image_scale,
             scale: 1.0,

@@ -14,7 +14,10 @@ use crate::{
         output::{Contents, FileSet},
         project::ProjectKind,
     },
-    model::{cluster::Gate, scene::ViewIndex},
+    model::{
+        cluster::{Gate, MapScale, RankedCluster},
+        scene::ViewIndex,
+    },
 };
 
 /// The numbers of a matcher of rectified pairs (method 7.1 and 7.2).
@@ -30,6 +33,7 @@ const RECTIFYING: PlanningNumbers = PlanningNumbers {
     },
     confidence: sgm::CONFIDENCE,
     support: 1,
+    work: super::openmvs::WORK,
     measured: "valley (sgm)",
     source: "gate: of rectified pairs, measured on valley against exact depth (method 7.1); confidence: integrations/sgm's, by whose \
              real curves it ranks best (method 7.2's 0.8, a cosine and 0.7 octaves rank worse than none); SURE itself was not \
@@ -51,6 +55,7 @@ pub static BACKEND: Backend = Backend {
     use_of_views: None,
     own_scale: super::full_size,
     takes_distorted: false,
+    mixes_sizes: false,
     serves: |project| project.kind == ProjectKind::Sure,
     tasks: |_, _| None,
     traps,
@@ -187,9 +192,18 @@ fn add_lists(files: &mut FileSet, folder: &str, names: &[String], views: &[ViewI
     files.add_text(format!("{folder}baseImages.txt"), keys.collect::<String>());
 }
 
-/// `clusters.txt`, `pairs.txt` and `baseImages.txt` (method 6), for whoever reads them.
-pub fn pair_files(backend: &'static str, selection: &Selection) -> Result<[(&'static str, String); 3], BackendError> {
-    lists_of_pairs(selection, |view| checked_name(backend, selection.scene.name(view)))
+/// `clusters.txt`, `pairs.txt` and `baseImages.txt` (method 6), for whoever reads them; `sizes.txt` where key views are planned at half the size.
+pub fn pair_files(backend: &'static str, selection: &Selection) -> Result<Vec<(&'static str, String)>, BackendError> {
+    let lists = lists_of_pairs(selection, |view| checked_name(backend, selection.scene.name(view)))?;
+    Ok(lists.into_iter().chain(sizes(selection).map(|text| ("sizes.txt", text))).collect())
+}
+
+/// Key views that are matched at another size than the others, each with that size over theirs; `None` where all have one size.
+fn sizes(selection: &Selection) -> Option<String> {
+    let smaller = selection.clusters.iter().filter(|cluster| cluster.scale != MapScale::Full);
+    let line = |c: &RankedCluster| format!("{}\t{}\n", selection.scene.name(c.key), c.scale.factor());
+    let text: String = smaller.map(line).collect();
+    (!text.is_empty()).then_some(text)
 }
 
 fn lists_of_pairs<'a>(

@@ -140,10 +140,7 @@ fn task(
     reference: Option<&Path>,
     progress: &Progress,
 ) -> Result<MeasuredClusters, Failure> {
-    let model = plan.stages.model();
-    let gsd = plan.stages.settings.target.gsd.expect("a plan's settings are filled in");
-    let accuracy = model.target.accuracy_over_gsd * gsd;
-    Ok(MeasuredClusters::new(&EvaluationInput { model, clusters, depth_maps, reference, accuracy }, progress)?)
+    Ok(MeasuredClusters::new(&EvaluationInput::new(&plan.stages, clusters, depth_maps, reference), progress)?)
 }
 
 fn write_baselines(arguments: &Arguments, plan: &Plan, folder: &Path, progress: &Progress) -> Result<(), Failure> {

@@ -43,7 +43,7 @@ pub struct Arguments {
     /// Matching partners per key view; more give more image pairs to match [default: 5]
     #[arg(short, value_name = "N", help_heading = "What is chosen")]
     k: Option<String>,
-    /// Stop after N view clusters, or after P % of the registered views
+    /// Stop after N view clusters, or after P % of the registered views (with --scales, of the work of all)
     #[arg(long, value_name = "N|P%", help_heading = "What is chosen")]
     budget: Option<String>,
     /// Stop at P % of what all view clusters together reach [default: 90%, if no other limit is set]
@@ -72,6 +72,10 @@ pub struct Arguments {
     #[arg(long, value_name = "L", allow_negative_numbers = true, help_heading = "What is wanted")]
     accuracy: Option<String>,
 
+    /// Sizes that a key view may be matched at, over the size of the images: 1 or 1,0.5; with two, each gets the one
+    /// that adds most for its work [default: 1]
+    #[arg(long, value_name = "S,...", value_delimiter = ',', help_heading = "How")]
+    scales: Option<Vec<f64>>,
     /// Choice of partners: sampled (the paper) or search [default: search]
     #[arg(long, value_name = "METHOD", value_parser = ["sampled", "search"], help_heading = "How")]
     partners: Option<String>,
@@ -234,6 +238,7 @@ impl Arguments {
         typed.set("--region", "region", self.region.as_ref().map(region));
         typed.set("--gsd", "target.gsd", self.gsd.clone());
         typed.set("--accuracy", "target.accuracy", self.accuracy.clone());
+        typed.set("--scales", "ranking.scales", self.scales.clone());
         typed.set("--partners", "partners.method", self.partners.clone());
         let source = |typed: &String| match CONFIDENCE_WORDS.contains(&typed.as_str()) {
             true => typed.clone(),

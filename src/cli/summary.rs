@@ -136,6 +136,12 @@ impl<'a> Summary<'a> {
         let [pairs, all_pairs] = [self.cut.pairs, self.forecast.all_pairs].map(grouped);
         let what = match self.use_of_views {
             Some(verb) => format!("{verb} {maps} of {all} images"),
+            None if self.forecast.maps_at_half > 0 => {
+                let [full, half] =
+                    [self.forecast.maps - self.forecast.maps_at_half, self.forecast.maps_at_half].map(grouped);
+                let work = 100.0 * self.forecast.work;
+                format!("Compute {full} depth maps at full and {half} at half size, of {all}: {work:.0} % of the work")
+            }
             None => format!("Compute {maps} of {all} depth maps, {pairs} image pairs instead of {all_pairs}"),
         };
         format!(
@@ -219,8 +225,12 @@ impl<'a> Summary<'a> {
         lengths.sort_unstable();
         lengths.dedup();
         let matched = self.use_of_views.is_none();
-        let mut text =
-            String::from(if matched { "\n  depth maps    pairs    share\n" } else { "\n      images    share\n" });
+        let sizes = self.forecast.maps_at_half > 0;
+        let mut text = String::from(match (matched, sizes) {
+            (true, true) => "\n  depth maps     work    share\n",
+            (true, false) => "\n  depth maps    pairs    share\n",
+            (false, _) => "\n      images    share\n",
+        });
         for length in lengths {
             let pairs: usize = clusters[..length].iter().map(|c| c.partners.len()).sum();
             let quality = clusters[length - 1].share * 100.0;
@@ -230,7 +240,11 @@ impl<'a> Summary<'a> {
                 _ if length == clusters.len() && rest > 0 => format!("  <- {} more would add nothing", grouped(rest)),
                 _ => String::new(),
             };
-            let pairs = if matched { format!(" {:>8}", grouped(pairs)) } else { String::new() };
+            let pairs = match (matched, sizes) {
+                (true, true) => format!(" {:>6.1} %", 100.0 * clusters[length - 1].work),
+                (true, false) => format!(" {:>8}", grouped(pairs)),
+                (false, _) => String::new(),
+            };
             let _ = writeln!(text, "  {:>10}{pairs}  {quality:>5.1} %{mark}", grouped(length));
         }
         let first: Vec<&str> = clusters.iter().take(NAMED.min(self.cut.clusters)).map(|c| c.key.as_str()).collect();

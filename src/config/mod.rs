@@ -22,7 +22,7 @@ pub use layers::{
 };
 pub use region::{RegionChoice, RegionChoiceError};
 
-use crate::model::scene::Units;
+use crate::model::{cluster::MapScale, scene::Units};
 
 /// All settings in force, nested as in `viewrank.toml`.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -375,6 +375,9 @@ pub enum TriangleWeight {
     Count,
 }
 
+/// Default of `ranking.half_worth`, chosen by clouds that OpenMVS fused (method 5.8).
+const HALF_WORTH: f64 = 0.5;
+
 /// Method 5.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
@@ -388,11 +391,31 @@ pub struct RankingSettings {
     /// keeps more maps.
     #[schemars(range(min = 0), extend("unit" = "px"))]
     pub keep_px: f64,
+    /// Sizes that a depth map may be matched at, over `image_scale`: [1], or [1, 0.5], with which each key view gets the size that adds most for its
+    /// work. For backends that can match key views at different sizes.
+    #[schemars(length(min = 1, max = 2))]
+    pub scales: Vec<MapScale>,
+    /// Worth of a depth map of half the size where it fulfils as much as one of full size. A higher value plans more coarse maps.
+    #[schemars(range(min = 0, max = 1))]
+    pub half_worth: f64,
+}
+
+impl RankingSettings {
+    /// Returns true if depth maps may be matched at half the size.
+    pub fn has_half(&self) -> bool {
+        self.scales.contains(&MapScale::Half)
+    }
 }
 
 impl Default for RankingSettings {
     fn default() -> Self {
-        Self { support: None, weight: TriangleWeight::default(), keep_px: 1.0 }
+        Self {
+            support: None,
+            weight: TriangleWeight::default(),
+            keep_px: 1.0,
+            scales: vec![MapScale::Full],
+            half_worth: HALF_WORTH,
+        }
     }
 }
 

@@ -24,7 +24,7 @@ use crate::{
         depthmaps::{self, DepthMapError},
         output::{self, Disk, OutputError},
     },
-    model::scene::ViewIndex,
+    model::{cluster::MapScale, scene::ViewIndex},
     plan::{Decision, Outdated, Plan, Stages},
 };
 
@@ -184,12 +184,13 @@ impl Following<'_> {
             return Ok((self.plan, counted));
         }
         let in_scene = |key| self.plan.stages.scene.find(key);
-        let written: Vec<ViewIndex> = self.earlier.keys().filter_map(in_scene).collect();
+        let written = self.earlier.maps().filter_map(|(key, scale)| Some((in_scene(key)?, scale)));
+        let written: Vec<(ViewIndex, MapScale)> = written.collect();
         let list: Vec<ViewIndex> = self.earlier.list().filter_map(in_scene).collect();
         let target = self.plan.stages.settings.cut.target.map_or(self.plan.decision.cut.share, |share| share.0);
         let maps = Maps { folder: self.folder, ready: &|path| self.files.contains_key(path) };
         let (plan, run) = replan(self.plan, self.earlier, &maps, watcher)?;
-        let order = if self.replan { plan.decision.ranking.order.clone() } else { listed(&plan, &written) };
+        let order = if self.replan { plan.decision.ranking.maps().collect() } else { listed(&plan, &written) };
         let cut = if self.replan { plan.decision.cut.clusters } else { with_finished(&plan, &list) };
         let forecast = Forecast::new(&plan, &order, cut, target);
         let seconds_per_pair = run.as_ref().and_then(|run| seconds_per_pair(&plan, run, self.folder));
@@ -206,7 +207,7 @@ impl Following<'_> {
             share: Some(forecast.share),
             target,
             kept: Some(forecast.kept),
-            reachable: plan.decision.ranking.total_kept(),
+            reachable: plan.decision.ranking.reachable,
             clusters_to_target: forecast.to_target.map(|(clusters, _)| clusters),
             seconds_per_pair,
             seconds_to_target: forecast.to_target.and_then(|(_, pairs)| seconds(pairs)),
@@ -241,7 +242,7 @@ impl Following<'_> {
             done: finished.len(),
             clusters: listed.len(),
             target: settings.cut.target.map_or(cut.share, |share| share.0),
-            reachable: ranking.total_kept(),
+            reachable: ranking.reachable,
             finished,
             note: Some(format!(
                 "counted, not measured: the maps belong to undistorted images, but the model has {model} cameras"
@@ -259,15 +260,14 @@ fn with_finished(plan: &Plan, list: &[ViewIndex]) -> usize {
 }
 
 /// Orders the clusters: finished ones, the rest of the written list, the rest of the ranking.
-fn listed(plan: &Plan, written: &[ViewIndex]) -> Vec<u32> {
-    let mut order = plan.decision.ranking.order[..plan.decision.finished.clusters].to_vec();
+fn listed(plan: &Plan, written: &[(ViewIndex, MapScale)]) -> Vec<(u32, MapScale)> {
+    let mut order: Vec<_> = plan.decision.ranking.maps().take(plan.decision.finished.clusters).collect();
     let place = |key: &ViewIndex| plan.stages.clusters.binary_search_by_key(key, |cluster| cluster.key).ok();
-    let list = written.iter().filter_map(place).map(|c| c as u32);
+    let list = written.iter().filter_map(|(key, scale)| Some((place(key)? as u32, *scale)));
     let mut taken = vec![false; plan.stages.clusters.len()];
-    order.iter().for_each(|&c| taken[c as usize] = true);
+    order.iter().for_each(|&(c, _)| taken[c as usize] = true);
     order.extend(
-        list.chain(plan.decision.ranking.order.iter().copied())
-            .filter(|&c| !std::mem::replace(&mut taken[c as usize], true)),
+        list.chain(plan.decision.ranking.maps()).filter(|&(c, _)| !std::mem::replace(&mut taken[c as usize], true)),
     );
     order
 }
@@ -282,9 +282,11 @@ struct Forecast {
 }
 
 impl Forecast {
-    fn new(plan: &Plan, order: &[u32], cut: usize, target: f64) -> Self {
-        let curve = Curve::new(&plan.stages.fulfilment, &plan.stages.objective, &plan.stages.clusters, order);
-        let (done, total) = (plan.decision.finished.clusters, plan.decision.ranking.total_kept());
+    fn new(plan: &Plan, order: &[(u32, MapScale)], cut: usize, target: f64) -> Self {
+        let (maps, clusters) = (plan.stages.maps(), &plan.stages.clusters);
+        let rows = order.iter().map(|&(c, scale)| (maps.row_at(c, scale), clusters[c as usize].partners.len()));
+        let curve = Curve::of_rows(&plan.stages.objective, rows);
+        let (done, total) = (plan.decision.finished.clusters, plan.decision.ranking.reachable);
         let reached = curve.clusters_for(target * total).filter(|&n| n <= cut.max(done));
         let pairs = |n: usize| curve.pairs[n].saturating_sub(curve.pairs[done]);
         Self {

@@ -1,6 +1,7 @@
 //! View clusters (a key view with the views that it is matched against) and the limits on pairs of views.
 
-use serde::Serialize;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
 
 use super::scene::ViewIndex;
 
@@ -11,12 +12,50 @@ pub struct ViewCluster {
     pub partners: Vec<ViewIndex>,
 }
 
+/// Size at which a depth map is matched, over the size that the plan matches images at.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, JsonSchema)]
+#[serde(try_from = "f64", into = "f64")]
+#[schemars(with = "f64", extend("enum" = [1.0, 0.5]))]
+pub enum MapScale {
+    #[default]
+    Full,
+    Half,
+}
+
+impl MapScale {
+    /// 1 or 0.5.
+    pub fn factor(self) -> f64 {
+        match self {
+            Self::Full => 1.0,
+            Self::Half => 0.5,
+        }
+    }
+}
+
+impl From<MapScale> for f64 {
+    fn from(scale: MapScale) -> Self {
+        scale.factor()
+    }
+}
+
+impl TryFrom<f64> for MapScale {
+    type Error = String;
+
+    fn try_from(factor: f64) -> Result<Self, String> {
+        [Self::Full, Self::Half]
+            .into_iter()
+            .find(|scale| scale.factor() == factor)
+            .ok_or_else(|| format!("{factor} must be 1 or 0.5"))
+    }
+}
+
 /// A view cluster with its place in the ranking.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RankedCluster {
     pub key: ViewIndex,
     /// Best first.
     pub partners: Vec<ViewIndex>,
+    pub scale: MapScale,
     /// Fulfilment of the ranking up to and including this cluster, as a share of the fulfilment of all clusters, 0 to 1.
     pub share: f64,
 }

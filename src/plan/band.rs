@@ -43,11 +43,12 @@ impl Band {
     /// Band of the weight that fusion keeps of all clusters.
     pub(super) fn of_reachable(stages: &Stages, ranking: &Ranking) -> Self {
         if !matches!(stages.confidence, Confidence::Photometric { .. }) {
-            return Self::around(ranking.total_kept(), UNSEEN.0, UNSEEN.1);
+            return Self::around(ranking.reachable, UNSEEN.0, UNSEEN.1);
         }
         let mut reached = Reached::new(&stages.objective);
-        ranking.order.iter().for_each(|&c| reached.take(stages.fulfilment.row(c as usize)));
-        stages.fulfilment.release();
+        let maps = stages.maps();
+        ranking.maps().for_each(|(cluster, scale)| reached.take(maps.row_at(cluster, scale)));
+        maps.release();
         let above = |least: f32| {
             let weights = (0..).zip(&stages.objective.weights);
             weights.filter(|&(t, _)| reached.agreed(t) > least).map(|(_, weight)| weight).sum::<f64>()

@@ -4,7 +4,10 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::{Band, GivenUp, PlanError, forecast::Cost};
-use crate::{config::CutSettings, method::fulfilment::block::Places};
+use crate::{
+    config::{Budget, CutSettings},
+    method::fulfilment::block::Places,
+};
 
 /// Default target: a share of what all clusters together reach.
 pub(super) const DEFAULT_TARGET: f64 = 0.9;
@@ -46,9 +49,14 @@ pub struct Cut {
 pub(super) fn cut(settings: &CutSettings, cost: &Cost, bound: impl Fn(usize) -> f64) -> Result<Cut, PlanError> {
     let ranking = cost.ranking;
     let mut clusters = ranking.order.len();
-    if let Some(budget) = settings.budget {
-        clusters = clusters.min(budget.clusters(cost.model.scene.views.len()));
-    }
+    clusters = match settings.budget {
+        // Where maps differ in work, so does what a share of the views costs.
+        Some(Budget::Views(share)) if cost.stages.half.is_some() => {
+            longest_within(clusters, share.0, |rank| Ok(cost.work(rank)))?
+        }
+        Some(budget) => clusters.min(budget.clusters(cost.model.scene.views.len())),
+        None => clusters,
+    };
     if let Some(target) = settings.target {
         clusters = clusters.min(ranking.length_for_share(target.0));
     }
@@ -65,7 +73,7 @@ pub(super) fn cut(settings: &CutSettings, cost: &Cost, bound: impl Fn(usize) -> 
         pairs: cost.pairs(clusters),
         share: ranking.share(clusters),
         kept: clusters.checked_sub(1).map_or(0.0, |last| ranking.kept[last]),
-        reachable: ranking.total_kept(),
+        reachable: ranking.reachable,
         fulfilment: clusters.checked_sub(1).map_or(0.0, |last| ranking.fulfilment[last]),
         fulfilment_bound: bound(clusters),
         ..Cut::default()

@@ -9,7 +9,10 @@ use crate::{
         fulfilment::Model,
         ranking::{self, Ranking},
     },
-    model::{cluster::ViewCluster, reason::Reason},
+    model::{
+        cluster::{MapScale, ViewCluster},
+        reason::Reason,
+    },
 };
 
 /// The ranking, its cut, the forecast cost, and the reasons for everything left out.
@@ -33,14 +36,14 @@ pub struct Decision {
 pub fn decide(
     stages: &Stages,
     finished: Finished,
-    order: &[u32],
+    order: &[(u32, MapScale)],
     timings: &mut Timings,
     watcher: &dyn Watcher,
 ) -> Result<Decision, PlanError> {
     let finished = Finished { clusters: order.len(), ..finished };
     let ranking =
-        timings.time(Stage::Ranking, || ranking::rank_after(order, &stages.fulfilment, &stages.objective, watcher))?;
-    let bound = |length| ranking::most_of_any(length, &stages.fulfilment, &stages.objective, &ranking.order);
+        timings.time(Stage::Ranking, || ranking::rank_after(order, &stages.maps(), &stages.objective, watcher))?;
+    let bound = |length| ranking::most_of_any(length, &stages.maps(), &stages.objective, &ranking);
     let cut = cut::cut(&stages.settings.cut, &cost(stages, &stages.model(), &ranking, &finished), bound)?;
     let reachable_band = Band::of_reachable(stages, &ranking);
     let cut = Cut {
@@ -89,5 +92,5 @@ pub(super) fn cost<'a>(
     finished: &Finished,
 ) -> forecast::Cost<'a> {
     let settings = &stages.settings.forecast;
-    forecast::Cost { model, clusters: &stages.clusters, ranking, finished: finished.clusters, settings }
+    forecast::Cost { model, stages, ranking, finished: finished.clusters, settings }
 }

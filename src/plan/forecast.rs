@@ -4,6 +4,7 @@ use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::Serialize;
 
+use super::Stages;
 use crate::{
     base::column,
     config::ForecastSettings,
@@ -14,7 +15,7 @@ use crate::{
         },
         ranking::Ranking,
     },
-    model::cluster::ViewCluster,
+    model::cluster::{MapScale, ViewCluster},
 };
 
 /// The backend's work for the plan, with its duration where the times per map or pair are set.
@@ -22,8 +23,12 @@ use crate::{
 pub struct Forecast {
     /// Depth maps of the chosen clusters.
     pub maps: usize,
+    /// Those of them at half the size.
+    pub maps_at_half: usize,
     /// Their (key view, partner) pairs.
     pub pairs: usize,
+    /// Their work over that of all maps at full size, 0 to 1.
+    pub work: f64,
     /// Pixels that these maps will measure, before fusion.
     pub points: u64,
     /// Seconds of matching, without finished maps; absent where `forecast.seconds_per_pair` and `.seconds_per_map` are unset.
@@ -53,8 +58,8 @@ impl Forecast {
 
 /// Computes the cost of a cluster by its rank (from 0).
 pub(super) struct Cost<'a> {
+    pub stages: &'a Stages,
     pub model: &'a Model<'a>,
-    pub clusters: &'a [ViewCluster],
     pub ranking: &'a Ranking,
     /// Number of clusters at the start of the ranking that are done and take no more time.
     pub finished: usize,
@@ -63,7 +68,7 @@ pub(super) struct Cost<'a> {
 
 impl Cost<'_> {
     fn cluster(&self, rank: usize) -> &ViewCluster {
-        &self.clusters[self.ranking.order[rank] as usize]
+        &self.stages.clusters[self.ranking.order[rank] as usize]
     }
 
     /// Number of pairs of the first `clusters` clusters.
@@ -73,7 +78,10 @@ impl Cost<'_> {
 
     /// Seconds of matching; 0 for a finished cluster, `None` where the times are unset.
     pub fn seconds(&self, rank: usize) -> Option<f64> {
-        let one = self.seconds_of(1, self.cluster(rank).partners.len());
+        let (cluster, scale) = (self.ranking.order[rank] as usize, self.ranking.scales[rank]);
+        let [full, half] = self.stages.work[cluster];
+        let size = if scale == MapScale::Half { half / full } else { 1.0 };
+        let one = self.seconds_of(1, self.cluster(rank).partners.len()).map(|seconds| seconds * size);
         if rank < self.finished { one.map(|_| 0.0) } else { one }
     }
 
@@ -83,24 +91,35 @@ impl Cost<'_> {
         self.settings.knows_times().then_some(seconds)
     }
 
+    /// Work of a map over that of all clusters at full size, finished or not.
+    pub fn work(&self, rank: usize) -> f64 {
+        self.stages.share_of_work(self.ranking.order[rank], self.ranking.scales[rank])
+    }
+
     /// Pixels that the depth map will measure.
     pub fn points(&self, rank: usize, places: &mut Places) -> f64 {
-        self.settings.points_per_map.unwrap_or_else(|| expected_pixels(self.model, self.cluster(rank), places))
+        let reduced = self.ranking.scales[rank].factor().powi(2);
+        let of_full_size = self.settings.points_per_map;
+        reduced * of_full_size.unwrap_or_else(|| expected_pixels(self.model, self.cluster(rank), places))
     }
 }
 
 pub(super) fn forecast(cost: &Cost, clusters: usize) -> Forecast {
     let pairs = cost.pairs(clusters);
-    let all_pairs = cost.clusters.iter().map(|cluster| cluster.partners.len()).sum();
+    let clusters_of_all = &cost.stages.clusters;
+    let all_pairs = clusters_of_all.iter().map(|cluster| cluster.partners.len()).sum();
     let points = points(cost, clusters);
+    let half = cost.ranking.scales[..clusters].iter().filter(|&&scale| scale == MapScale::Half).count();
     Forecast {
         maps: clusters,
         pairs,
         points: points.iter().sum::<f64>().round() as u64,
         seconds: (0..clusters).map(|rank| cost.seconds(rank)).sum(),
-        all_maps: cost.clusters.len(),
+        work: (0..clusters).map(|rank| cost.work(rank)).sum(),
+        maps_at_half: half,
+        all_maps: clusters_of_all.len(),
         all_pairs,
-        all_seconds: cost.seconds_of(cost.clusters.len() - cost.finished, all_pairs - cost.pairs(cost.finished)),
+        all_seconds: cost.seconds_of(clusters_of_all.len() - cost.finished, all_pairs - cost.pairs(cost.finished)),
     }
 }
 

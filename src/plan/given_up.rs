@@ -19,14 +19,14 @@ pub struct GivenUp {
 
 impl GivenUp {
     pub(super) fn new(stages: &Stages, ranking: &Ranking, clusters: usize) -> Self {
-        let (objective, table) = (&stages.objective, &stages.fulfilment);
+        let (objective, maps) = (&stages.objective, stages.maps());
         let triangles = 0..objective.weights.len() as u32;
         let mut reached = Reached::new(objective);
-        ranking.order[..clusters].iter().for_each(|&c| reached.take(table.row(c as usize)));
+        ranking.maps().take(clusters).for_each(|(cluster, scale)| reached.take(maps.row_at(cluster, scale)));
         let at_cut: Vec<(bool, bool)> =
             triangles.clone().map(|t| (reached.is_kept(t), reached.is_of_one_map(t))).collect();
-        ranking.order[clusters..].iter().for_each(|&c| reached.take(table.row(c as usize)));
-        table.release();
+        ranking.maps().skip(clusters).for_each(|(cluster, scale)| reached.take(maps.row_at(cluster, scale)));
+        maps.release();
         let border = border(&stages.surface, &stages.visibility, &objective.weights);
         let mut given_up = Self::default();
         for t in triangles.filter(|&t| reached.is_kept(t) && !at_cut[t as usize].0) {

@@ -30,7 +30,7 @@ pub use georeference::georeference;
 pub use given_up::GivenUp;
 pub use memory::Memory;
 pub use nothing::Nothing;
-pub use numbers::{Matcher, PlanningNumbers};
+pub use numbers::{Matcher, PlanningNumbers, WorkPerMap};
 pub use reasons::{Substitute, ViewStatus};
 pub use stages::Stages;
 pub use timings::Timings;
@@ -121,9 +121,9 @@ impl Plan {
     /// The whole ranking, best first.
     pub fn ranked(&self) -> impl ExactSizeIterator<Item = RankedCluster> {
         let ranking = &self.decision.ranking;
-        ranking.order.iter().enumerate().map(|(i, &c)| {
-            let ViewCluster { key, partners } = self.stages.clusters[c as usize].clone();
-            RankedCluster { key, partners, share: ranking.share(i + 1) }
+        (0..ranking.order.len()).map(|i| {
+            let ViewCluster { key, partners } = self.stages.clusters[ranking.order[i] as usize].clone();
+            RankedCluster { key, partners, scale: ranking.scales[i], share: ranking.share(i + 1) }
         })
     }
 }

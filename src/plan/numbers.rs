@@ -23,10 +23,28 @@ pub struct PlanningNumbers {
     pub confidence: PairConfidence,
     /// Number of depth maps that must see a triangle (m, method 5.2).
     pub support: u32,
+    /// Work of a depth map (method 5.8).
+    pub work: WorkPerMap,
     /// Data sets that the numbers were measured on, or the backend that they were taken from; a few words.
     pub measured: &'static str,
     /// Source of the numbers and the gate, with the reason.
     pub source: &'static str,
+}
+
+/// Work of a depth map: `fixed + Mpx (per_map + partners)`, in Mpx matched with one partner.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct WorkPerMap {
+    /// Work that does not depend on the size of the images, such as the start of the program.
+    pub fixed: f64,
+    /// Work that does not depend on the partners, in partners.
+    pub per_map: f64,
+}
+
+impl WorkPerMap {
+    /// `megapixels`: of the matched image.
+    pub fn of(&self, megapixels: f64, partners: usize) -> f64 {
+        self.fixed + megapixels * (self.per_map + partners as f64)
+    }
 }
 
 /// The MVS program that a plan is made for.
@@ -37,6 +55,8 @@ pub struct Matcher {
     pub numbers: PlanningNumbers,
     /// Size at which the program matches a camera's images by itself, over their own.
     pub own_scale: fn(&Camera) -> f64,
+    /// True if it can match key views at different sizes and fuse their depth maps.
+    pub mixes_sizes: bool,
 }
 
 impl Matcher {

@@ -1,23 +1,23 @@
 //! Runs the stages of the method before the ranking, and keeps the result of each.
 
-use super::{Matcher, Memory, PlanError, Timings, cut, georeference};
+use super::{Matcher, Memory, PlanError, Timings, WorkPerMap, cut, georeference};
 use crate::{
     base::progress::{Stage, Watcher},
     config::{Settings, Share, TargetMode},
     io::project::Project,
     method::{
         confidence::{self, Agreement, Confidence, Pictures, Predictor, Proxy, Source, Trained, Unary},
-        fulfilment::{FulfilmentTable, Model, Rule},
+        fulfilment::{self, FulfilmentTable, Model, Rule},
         geometry::Geometry,
         partners::{self, Candidates, Limits, PairGeometry},
-        ranking::{Objective, SeenPixels},
+        ranking::{Maps, Objective, SeenPixels},
         region::{Region, Shape},
         surface::{self, MeshFile, Surface, SurfaceError, SurfaceStats, WantedGsd},
         target::{GSD_MARGIN, Target},
         visibility::{self, Visibility},
     },
     model::{
-        cluster::ViewCluster,
+        cluster::{MapScale, ViewCluster},
         georeference::MapFrame,
         scene::{Scene, Units, ViewIndex, ViewPoints},
     },
@@ -58,6 +58,12 @@ pub struct Stages {
     pub clusters: Vec<ViewCluster>,
     /// f of each cluster: predicted, or measured where the cluster is finished.
     pub fulfilment: FulfilmentTable,
+    /// The same at half the size; `None` where all maps have full size.
+    pub half: Option<FulfilmentTable>,
+    /// Work of each cluster's map at full and at half size, in Mpx matched with one partner (method 5.8).
+    pub work: Vec<[f64; 2]>,
+    /// Numbers of the backend that `work` is made from.
+    pub per_map: WorkPerMap,
     /// Memory forecast before each stage.
     pub memory: Memory,
 }
@@ -141,8 +147,19 @@ impl Stages {
         let (clusters, fulfilment) = timings.time(Stage::Partners, || {
             partners::choose(&model, &candidates, &settings.partners, settings.seed, watcher)
         })?;
+        let half = match settings.ranking.has_half() {
+            true => Some(
+                timings.time(Stage::Partners, || fulfilment::table(&model.at(MapScale::Half), &clusters, watcher))?,
+            ),
+            false => None,
+        };
+        let per_map = numbers.work;
+        let work = clusters.iter().map(|cluster| work(&scene, settings.image_scale(), per_map, cluster)).collect();
         watcher.check()?;
         Ok(Self {
+            half,
+            work,
+            per_map,
             backend: matcher.name,
             own_size,
             surface: seen.surface,
@@ -174,6 +191,26 @@ impl Stages {
         let surface = 24 * self.surface.vertices.len() + 24 * self.surface.triangles.len();
         let scene = 64 * self.scene.points.len() + 24 * self.scene.observations();
         (tables + surface + scene) as u64
+    }
+
+    /// The depth maps to choose from.
+    pub fn maps(&self) -> Maps<'_> {
+        match &self.half {
+            None => Maps::full_size(&self.fulfilment),
+            Some(half) => Maps::of_two_sizes(&self.fulfilment, half, &self.work, self.settings.ranking.half_worth),
+        }
+    }
+
+    /// Work of each cluster's map at full and at half size.
+    pub fn work_of(&self, clusters: &[ViewCluster]) -> Vec<[f64; 2]> {
+        let scale = self.settings.image_scale();
+        clusters.iter().map(|cluster| work(&self.scene, scale, self.per_map, cluster)).collect()
+    }
+
+    /// Work of a cluster's map over that of all clusters at full size.
+    pub fn share_of_work(&self, cluster: u32, scale: MapScale) -> f64 {
+        let all: f64 = self.work.iter().map(|[full, _]| full).sum();
+        self.work[cluster as usize][usize::from(scale == MapScale::Half)] / all
     }
 
     /// The inputs of f, with which any view cluster can be evaluated.
@@ -222,7 +259,17 @@ fn in_force(
     if cut.budget.is_none() && cut.time.is_none() && cut.points.is_none() {
         cut.target.get_or_insert(Share(cut::DEFAULT_TARGET));
     }
+    if !matcher.mixes_sizes {
+        all.ranking.scales = vec![MapScale::Full];
+    }
     Ok(all)
+}
+
+/// Work of a cluster's map at full and at half size.
+fn work(scene: &Scene, image_scale: f64, work: WorkPerMap, cluster: &ViewCluster) -> [f64; 2] {
+    let camera = scene.camera_of(cluster.key);
+    let megapixels = f64::from(camera.width) * f64::from(camera.height) * image_scale.powi(2) / 1e6;
+    [MapScale::Full, MapScale::Half].map(|scale| work.of(megapixels * scale.factor().powi(2), cluster.partners.len()))
 }
 
 /// Reads masks and predicts confidence from the images. Masks apply with every confidence source but `none`.

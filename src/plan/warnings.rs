@@ -140,7 +140,7 @@ fn single_partner(stages: &Stages) -> Option<String> {
 
 /// Warns where all clusters together reach next to nothing: the plan's shares are relative to that.
 fn little_fulfilled(ranking: &Ranking) -> Option<String> {
-    let given = ranking.total_kept();
+    let given = ranking.reachable;
     (!ranking.order.is_empty() && given < LITTLE).then(|| {
         format!(
             "all images together can give only {:.0} % of what is wanted, and shares are of that: surface.ply has the reason of each triangle; \

@@ -79,7 +79,7 @@ pub fn files(plan: &Plan, project: &Project) -> Result<PlanFiles, FilesError> {
     };
     let (exports, not_exported) = exports(&selection, &wanted(plan, project)?)?;
     let mut missing = not_exported.clone();
-    let pair_files = backends::pair_files("the list of view clusters", &selection).map(Vec::from);
+    let pair_files = backends::pair_files("the list of view clusters", &selection);
     let pair_files = pair_files.or_else(|error| match error {
         BackendError::Name { .. } => {
             missing.push(format!("did not write clusters.txt, pairs.txt and baseImages.txt: {error}"));

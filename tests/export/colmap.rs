@@ -5,6 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use viewrank::internals::{
     backends::{BackendError, ExportOptions, References},
     camera::{Camera, CameraModel},
+    cluster::MapScale,
     scene::CameraIndex,
 };
 
@@ -259,6 +260,26 @@ fn matched_size_is_that_of_the_plan() {
     assert!(!fixture.export("colmap").0.record.commands[0].contains("max_image_size"));
     fixture.image_scale = 0.5;
     assert!(fixture.export("colmap").0.record.commands[0].contains("--PatchMatchStereo.max_image_size 320"));
+}
+
+#[test]
+fn key_views_at_half_the_size_are_computed_in_their_turn_at_that_size() {
+    let mut fixture = Fixture::new(3);
+    fixture.clusters[1].scale = MapScale::Half;
+    fixture.clusters[2].scale = MapScale::Half;
+    let files = fixture.export("colmap");
+    let commands = &files.0.record.commands;
+    let size = |command: &String| command.split_once("max_image_size ").map(|(_, size)| size.to_owned());
+    assert_eq!(commands[..3].iter().map(size).collect::<Vec<_>>(), [None, Some("320".into()), None]);
+    let lists = ["0001", "0002", "0003"].map(|n| problems(files.text(&format!("stereo/viewrank/{n}.cfg"))));
+    assert_eq!(lists.concat(), fixture.named(), "in rank order");
+    assert_eq!(problems(files.text("stereo/patch-match.cfg")), fixture.named());
+    let half: Vec<String> = fixture.named()[1..3].iter().map(|(key, _)| key.clone()).collect();
+    assert_eq!(files.lines("stereo/viewrank/half.txt"), half);
+    assert!(files.0.record.not_honoured.iter().all(|what| !what.contains("half")));
+    Workspace::run(&files);
+    let geometric = fixture.export_with("colmap", &options(None, Some(true)));
+    assert!(geometric.says("2 key views that are planned at half the size"));
 }
 
 #[test]

@@ -16,7 +16,7 @@ use std::{collections::BTreeMap, path::PathBuf, sync::OnceLock};
 use viewrank::internals::{
     backends::{BackendError, Export, ExportOptions, Selection, by_name},
     camera::{Camera, CameraModel},
-    cluster::RankedCluster,
+    cluster::{MapScale, RankedCluster},
     output::Contents,
     project::{ImageFaults, ModelFormat, ModelLocation, Project, ProjectKind},
     scene::{Scene, ViewIndex},
@@ -66,6 +66,7 @@ impl Fixture {
         let cluster = |(i, &key): (usize, &u32)| RankedCluster {
             key: ViewIndex(key),
             partners: self.connected(ViewIndex(key)).into_iter().take(k).collect(),
+            scale: MapScale::Full,
             share: (i + 1) as f64 / 10.0,
         };
         self.clusters = keys.iter().enumerate().map(cluster).collect();

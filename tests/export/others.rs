@@ -6,6 +6,7 @@ use quick_xml::events::Event;
 use serde_json::Value;
 use viewrank::internals::{
     backends::{BackendError, ExportOptions},
+    cluster::MapScale,
     scene::ViewIndex,
 };
 
@@ -369,4 +370,18 @@ fn tables_name_every_image() {
     let fixture = Fixture::new(3);
     let names = table(fixture.export("acmm").text("view_names.txt"));
     assert_eq!(names.keys().copied().collect::<Vec<_>>(), (0..names.len()).collect::<Vec<_>>());
+}
+
+#[test]
+fn a_size_that_a_program_cannot_give_a_key_view_is_named() {
+    let mut fixture = Fixture::new(3);
+    fixture.clusters[1].scale = MapScale::Half;
+    assert!(fixture.export("mve").says("key views that are planned at half the size"));
+    let openmvs = fixture.export("openmvs");
+    let scales: Vec<_> =
+        openmvs.json("run.json")["clusters"].as_array().unwrap().iter().map(|c| c["scale"].clone()).collect();
+    assert_eq!(scales, [1.0, 0.5, 1.0, 1.0]);
+    let sgm = fixture.export("sgm");
+    assert_eq!(sgm.text("sizes.txt"), format!("{}\t0.5\n", fixture.named()[1].0));
+    assert!([openmvs, sgm].iter().all(|files| !files.says("planned at half")));
 }

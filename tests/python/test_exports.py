@@ -100,22 +100,24 @@ def test_splat_models_load(export, planned, tmp_path, refs):
     assert {p.name for p in (tmp_path / "images").iterdir()} == names
 
 
-def write_plane_maps(folder, names, plane):
-    """Photometric maps of a horizontal plane, as patch match would leave them (mat.cc: width&height&channels&, plane by plane)."""
+def write_plane_maps(folder, names, plane, reduced=()):
+    """Photometric maps of a horizontal plane, as patch match would leave them (mat.cc: width&height&channels&, plane by plane); half as large for `reduced` names."""
     model = pycolmap.Reconstruction(folder / "sparse")
     for image in model.images.values():
         if image.name not in names:
             continue
         camera, pose = model.cameras[image.camera_id], image.cam_from_world()
-        fx, fy, cx, cy = camera.params
-        x, y = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
+        size = 0.5 if image.name in reduced else 1.0
+        width, height = int(camera.width * size), int(camera.height * size)
+        fx, fy, cx, cy = (size * value for value in camera.params)
+        x, y = np.meshgrid(np.arange(width), np.arange(height))
         rotation = pose.rotation.matrix()
         rays = np.stack([(x - cx) / fx, (y - cy) / fy, np.ones_like(x, float)], -1) @ rotation
         centre = -rotation.T @ pose.translation
         depth = (plane - centre[2]) / rays[..., 2]
         depth[(depth < 0) | (depth > 200)] = 0
         normal = np.broadcast_to((rotation @ [0, 0, 1.0])[:, None, None], (3, *depth.shape))
-        head = f"{camera.width}&{camera.height}&".encode()
+        head = f"{width}&{height}&".encode()
         for kind, planes in (("depth_maps", depth[None]), ("normal_maps", normal)):
             data = head + f"{len(planes)}&".encode() + np.ascontiguousarray(planes, "<f4").tobytes()
             (folder / "stereo" / kind / f"{image.name}.photometric.bin").write_bytes(data)
@@ -160,6 +162,24 @@ def test_colmap_vis_index_not_id(export, planned):
             seen.add(order[position])
     assert at == len(vis) and seen <= set(keys) and len(seen) > len(keys) / 2
     assert not by_id <= set(keys), "taken for ids the numbers name images that were not fused"
+
+
+def test_colmap_fuses_maps_of_two_sizes(export, planned):
+    """A plan with key views at half size needs no more than their maps in the same workspace."""
+    folder = export("colmap")
+    plane = float(np.median([p.xyz[2] for p in pycolmap.Reconstruction(folder / "sparse").points3D.values()]))
+    keys = [key for key, _ in planned[1]]
+    command = json.loads((folder / "stereo/viewrank/export.json").read_text())["commands"][-1].split()
+    counts = []
+    for reduced in (keys[::2], keys):
+        write_plane_maps(folder, keys, plane, reduced)
+        done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stdout + done.stderr
+        head, _, body = (folder / "stereo/viewrank/fused.ply").read_bytes().partition(b"end_header\n")
+        counts.append(int(head.split(b"element vertex ")[1].split()[0]))
+        points = np.frombuffer(body, np.dtype([("x", "<f4", 3), ("n", "<f4", 3), ("c", "u1", 3)]), counts[-1])["x"].astype(float)
+        assert np.abs(points[:, 2] - plane).max() < 0.01 * np.ptp(points[:, 0])
+    assert counts[0] > 1.5 * counts[1] > 1000, "the maps of full size give more points"
 
 
 def image_order(path):

@@ -49,6 +49,9 @@ while words:
 here, scene = Path(options["working-folder"]), options["input-file"]
 data = (here / scene).read_bytes()
 if scene == "fusing.mvs":
+    (home / "fused").mkdir(exist_ok=True)
+    for path in here.glob("*.dmap"):
+        (home / "fused" / path.name).write_bytes(path.read_bytes())
     for key in ("k0", "k1", "k2"):
         at = data.index(b"images/" + key.encode()) + len("images/k0") + 8
         if data[at + 8 : at + 12] != b"\\xff" * 4 and not (here / "images" / key).exists():
@@ -138,6 +141,47 @@ def test_in_rank_order_then_fused_and_resumed(folder):
     assert scenes(calls) == ["clusters/0.mvs", "clusters/1.mvs", "clusters/2.mvs", "fusing.mvs"]
     assert all(not row["problems"] for row in report.values())
     assert scenes(run(folder)[1]) == ["fusing.mvs"]
+
+
+def test_a_map_of_half_the_size_is_fused_at_full_size(folder):
+    """DensifyPointCloud would fuse it with the camera of the full image, without a word."""
+    plan = json.loads((folder / "run.json").read_text())
+    plan["clusters"][1].update(scale=0.5, size=[800, 601])
+    (folder / "run.json").write_text(json.dumps(plan))
+    done, calls, report = run(folder)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert [value(call, "--max-resolution") for call in calls] == ["400", "200", "400", "400"]
+    assert report["k1"]["scale"] == 0.5 and report["k1"]["size"] == [4, 4]
+    made, fused = (folder / "depth0011.dmap").read_bytes(), (folder / "fused/depth0011.dmap").read_bytes()
+    assert struct.unpack_from("<4I", made, 4) == (4, 4, 4, 4) and struct.unpack_from("<4I", fused, 4) == (400, 300, 400, 300)
+    planes = fused[-(400 * 300 * 16) :]
+    assert struct.unpack_from("<120000f", planes) == (150.0,) * 120000 and not any(planes[4 * 400 * 300 :])
+    assert (folder / "fused/depth0010.dmap").read_bytes() == (folder / "depth0010.dmap").read_bytes()
+    assert scenes(run(folder)[1]) == ["fusing.mvs"], "it is kept"
+    plan["clusters"][1]["scale"] = 1
+    (folder / "run.json").write_text(json.dumps(plan))
+    assert scenes(run(folder)[1]) == ["clusters/1.mvs", "fusing.mvs"], "planned at full size now"
+
+
+def test_enlarging_keeps_where_pixels_look_and_lowers_confidence(folder, tmp_path):
+    sys.path.insert(0, str(folder))
+    import run as runner
+
+    k = [500.0, 0, 1.5, 0, 510.0, 1.0, 0, 0, 1]
+    head = b"DR" + bytes([7, 0]) + struct.pack("<4I2f", 4, 3, 4, 3, 1, 9) + struct.pack("<H", 1) + b"a" + struct.pack("<I2I", 2, 10, 1)
+    planes = struct.pack("<12f", *range(1, 13)) + struct.pack("<36f", *range(36)) + struct.pack("<12f", 0, 0.5, 0.9, 0.95, *[1.0] * 8)
+    path = tmp_path / "depth0010.dmap"
+    path.write_bytes(head + struct.pack("<21d", *k, *range(12)) + planes)
+    large = runner.enlarged(path, [8, 6])
+    depths = struct.unpack_from("<48f", large, len(large) - 48 * 20)
+    assert depths[:8] == (1, 1, 2, 2, 3, 3, 4, 4) and depths[8:16] == depths[:8] and depths[40:] == (9, 9, 10, 10, 11, 11, 12, 12)
+    normals = struct.unpack_from("<144f", large, len(large) - 48 * 16)
+    assert normals[:12] == (0, 1, 2, 0, 1, 2, 3, 4, 5, 3, 4, 5)
+    confidences = struct.unpack_from("<8f", large, len(large) - 48 * 4)
+    assert confidences == pytest.approx((0, 0, 0, 0, 0.6, 0.6, 0.8, 0.8))
+    # The ray through the middle of a pixel is that through the corner of its four copies.
+    wide = struct.unpack_from("<9d", large, len(head))
+    assert [(2 * 0 + 0.5 - wide[2]) / wide[0], (2 * 2 + 0.5 - wide[5]) / wide[4]] == pytest.approx([(0 - k[2]) / k[0], (2 - k[5]) / k[4]])
 
 
 def test_openmvs_silent_no_map(folder):

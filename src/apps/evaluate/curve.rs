@@ -22,11 +22,16 @@ pub struct Curve {
 impl Curve {
     /// Along `order` (indices into `clusters` and into the table's rows).
     pub fn new(table: &FulfilmentTable, objective: &Objective, clusters: &[ViewCluster], order: &[u32]) -> Self {
+        Self::of_rows(objective, order.iter().map(|&c| (table.row(c as usize), clusters[c as usize].partners.len())))
+    }
+
+    /// Along maps with these rows of fulfilment and numbers of partners.
+    pub fn of_rows<'r>(objective: &Objective, maps: impl Iterator<Item = ((&'r [u32], &'r [f32]), usize)>) -> Self {
         let (mut reached, mut pairs) = (Reached::new(objective), 0);
         let mut curve = Self::start();
-        for &c in order {
-            reached.take(table.row(c as usize));
-            pairs += clusters[c as usize].partners.len();
+        for (row, partners) in maps {
+            reached.take(row);
+            pairs += partners;
             curve.fulfilment.push(reached.fulfilment());
             curve.kept.push(reached.kept());
             curve.pairs.push(pairs);

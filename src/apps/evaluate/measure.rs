@@ -67,6 +67,8 @@ pub struct Measured {
     pub shares: Vec<f32>,
     /// Pixels of the visible part of each.
     pub pixels: Vec<u32>,
+    /// Width of the map, pixels.
+    pub width: u32,
     /// Ids of the key view and the partners that the map's file names.
     pub ids: Vec<u32>,
 }
@@ -102,7 +104,13 @@ pub fn measure(model: &Model, key: ViewIndex, map: DepthMap, reference: Option<&
         n => right as f32 / n as f32,
     };
     let shares = seen.iter().zip(&counts).map(share).collect();
-    Measured { quality, shares, pixels: counts.into_iter().map(|(pixels, _)| pixels).collect(), ids: map.ids }
+    Measured {
+        quality,
+        shares,
+        pixels: counts.into_iter().map(|(pixels, _)| pixels).collect(),
+        width: map.width,
+        ids: map.ids,
+    }
 }
 
 /// A pixel of a depth map with its reference.

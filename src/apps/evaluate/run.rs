@@ -1,6 +1,7 @@
 //! A folder of finished depth maps of some view clusters, measured.
 
 use std::{
+    f64::consts::FRAC_1_SQRT_2,
     path::{Path, PathBuf},
     sync::atomic::{AtomicU64, Ordering},
 };
@@ -27,7 +28,11 @@ use crate::{
         fulfilment::{self, FulfilmentTable, Model},
         ranking::{Attempt, Objective},
     },
-    model::{cluster::ViewCluster, scene::ViewIndex},
+    model::{
+        cluster::{MapScale, ViewCluster},
+        scene::ViewIndex,
+    },
+    plan::Stages,
 };
 
 /// Finished view clusters and what really came of them. All tables have a row per cluster.
@@ -35,6 +40,8 @@ use crate::{
 pub struct MeasuredClusters {
     /// Those with a depth map, by name of the key view.
     pub clusters: Vec<ViewCluster>,
+    /// Size of each depth map.
+    pub scales: Vec<MapScale>,
     /// The order in which they were to be computed, indices into `clusters`.
     pub order: Vec<u32>,
     /// The same clusters with the partners that were really matched.
@@ -71,6 +78,8 @@ pub struct EvaluationInput<'a> {
     pub reference: Option<&'a Path>,
     /// a_d where a pixel shows no triangle, scene units.
     pub accuracy: f64,
+    /// True if the plan has maps of half the size (`ranking.scales`); otherwise the size of a map does not count.
+    pub has_half: bool,
 }
 
 impl MeasuredClusters {
@@ -141,6 +150,20 @@ impl MeasuredClusters {
     }
 }
 
+impl<'a> EvaluationInput<'a> {
+    /// Depth maps of clusters of a plan; without references each depth is right.
+    pub fn new(
+        stages: &'a Stages,
+        clusters: &'a [ViewCluster],
+        depth_maps: &'a Path,
+        reference: Option<&'a Path>,
+    ) -> Self {
+        let model = stages.model();
+        let accuracy = model.target.accuracy_over_gsd * stages.settings.target.gsd.unwrap_or(f64::INFINITY);
+        Self { model, clusters, depth_maps, reference, accuracy, has_half: stages.half.is_some() }
+    }
+}
+
 impl EvaluationInput<'_> {
     /// `reference`: `Some(None)`: there are references, but none of this view; then nothing in the map is right. A map that cannot be
     /// read, perhaps because it is being written, is an error of its own.
@@ -178,9 +201,11 @@ impl EvaluationInput<'_> {
             matched.map(|(c, m)| matched::really_matched(c, report, &m.ids, scene)).collect();
         let mut certain = self.model;
         certain.rule.confidence = Confidence::None;
-        let attainable = fulfilment::table(&certain, &matched, watcher)?;
-        let predicted = fulfilment::table(&self.model, &clusters, watcher)?;
-        let nocp = fulfilment::table(&certain, &clusters, watcher)?;
+        let scales: Vec<MapScale> = clusters.iter().zip(measured).map(|(c, m)| self.scale(c.key, m)).collect();
+        let table = |model: &Model, clusters: &[ViewCluster]| table_at(model, clusters, &scales, watcher);
+        let attainable = table(&certain, &matched)?;
+        let predicted = table(&self.model, &clusters)?;
+        let nocp = table(&certain, &clusters)?;
         let other_partners = clusters.iter().filter(|c| {
             let tried = report.get(&c.key).map(|r| sorted(&r.tried));
             tried.is_some_and(|tried| tried != sorted(&c.partners))
@@ -196,11 +221,19 @@ impl EvaluationInput<'_> {
             attainable,
             matched,
             clusters,
+            scales,
             order,
             without_map: Vec::new(),
             strangers: Vec::new(),
             unreadable: Vec::new(),
         })
+    }
+
+    /// Half where the map is nearer to that, as a ratio, than to the size of the plan.
+    fn scale(&self, key: ViewIndex, measured: &Measured) -> MapScale {
+        let planned = f64::from(self.model.scene.camera_of(key).width) * self.model.rule.image_scale;
+        let is_half = self.has_half && f64::from(measured.width) < planned * FRAC_1_SQRT_2;
+        if is_half { MapScale::Half } else { MapScale::Full }
     }
 
     /// Attainable fulfilment times the measured share.
@@ -235,6 +268,25 @@ impl EvaluationInput<'_> {
         };
         triangles.iter().zip(values).filter_map(attempt).collect()
     }
+}
+
+/// f of clusters whose maps have these sizes.
+fn table_at(
+    model: &Model,
+    clusters: &[ViewCluster],
+    scales: &[MapScale],
+    watcher: &dyn Watcher,
+) -> Result<FulfilmentTable, TableError> {
+    let full = fulfilment::table(model, clusters, watcher)?;
+    if !scales.contains(&MapScale::Half) {
+        return Ok(full);
+    }
+    let half = fulfilment::table(&model.at(MapScale::Half), clusters, watcher)?;
+    let row = |(cluster, &scale): (usize, &MapScale)| -> Vec<(u32, f32)> {
+        let (triangles, values) = if scale == MapScale::Half { half.row(cluster) } else { full.row(cluster) };
+        triangles.iter().copied().zip(values.iter().copied()).collect()
+    };
+    Ok(FulfilmentTable::new(scales.iter().enumerate().map(row)))
 }
 
 fn sorted(views: &[ViewIndex]) -> Vec<ViewIndex> {

@@ -107,7 +107,14 @@ impl Fixture {
         maps: &Path,
         reference: Option<&Path>,
     ) -> Result<MeasuredClusters, EvaluateError> {
-        let task = EvaluationInput { model: self.model(), clusters, depth_maps: maps, reference, accuracy: GSD };
+        let task = EvaluationInput {
+            model: self.model(),
+            clusters,
+            depth_maps: maps,
+            reference,
+            accuracy: GSD,
+            has_half: false,
+        };
         MeasuredClusters::new(&task, &Unwatched)
     }
 }

@@ -8,7 +8,10 @@ use crate::{
     base::{column::TableError, error::Hint, progress::Watcher},
     io::project::Project,
     method::{fulfilment, ranking::Ranking},
-    model::{cluster::ViewCluster, scene::ViewIndex},
+    model::{
+        cluster::{MapScale, ViewCluster},
+        scene::ViewIndex,
+    },
     show::manifest::{Recorded, WrittenPlanError, warnings_with},
 };
 
@@ -35,13 +38,18 @@ fn with_ranking(plan: Plan, recorded: &Recorded, watcher: &dyn Watcher) -> Resul
     let partners: BTreeMap<_, _> = stages.clusters.iter().map(|c| (c.key, c.partners.clone())).chain(written).collect();
     let clusters: Vec<_> = partners.into_iter().map(|(key, partners)| ViewCluster { key, partners }).collect();
     let fulfilment = fulfilment::table(&stages.model(), &clusters, watcher)?;
-    let stages = Stages { clusters, fulfilment, ..stages };
+    let model = stages.model().at(MapScale::Half);
+    let half = stages.half.as_ref().map(|_| fulfilment::table(&model, &clusters, watcher)).transpose()?;
+    let work = stages.work_of(&clusters);
+    let stages = Stages { clusters, fulfilment, half, work, ..stages };
     let place = |key: &ViewIndex| stages.clusters.binary_search_by_key(key, |cluster| cluster.key).ok();
     let ranking = Ranking {
         order: order.iter().filter_map(place).map(|c| c as u32).collect(),
+        scales: recorded.clusters.iter().map(|cluster| cluster.scale).collect(),
         gains: recorded.clusters.iter().map(|cluster| cluster.gain).collect(),
         fulfilment: recorded.clusters.iter().map(|cluster| cluster.fulfilment).collect(),
         kept: recorded.clusters.iter().map(|cluster| cluster.share * recorded.cut.reachable).collect(),
+        reachable: recorded.cut.reachable,
     };
     let finished =
         Finished { clusters: recorded.finished(), outdated: recorded.outdated.clone(), ..Finished::default() };

@@ -28,8 +28,14 @@ use crate::{
         depthmaps::{self, DepthMap, DepthMapError, DepthMapFile, DepthMapSet},
         project::Project,
     },
-    method::{fulfilment::GrowingTable, ranking::Beliefs},
-    model::{cluster::ViewCluster, scene::ViewIndex},
+    method::{
+        fulfilment::{FulfilmentTable, GrowingTable},
+        ranking::Beliefs,
+    },
+    model::{
+        cluster::{MapScale, ViewCluster},
+        scene::ViewIndex,
+    },
     plan::{Finished, Outdated, Plan, PlanError, PlannedView, PlannedViews, Stages, decide},
     show::manifest::{self, Recorded, WrittenPlanError},
 };
@@ -37,8 +43,8 @@ use crate::{
 /// The plan that finished depth maps were made for.
 #[derive(Debug)]
 pub struct Earlier {
-    /// Key view and partners, by name, best first.
-    clusters: Vec<(String, Vec<String>)>,
+    /// Key view, partners and size, by name, best first.
+    clusters: Vec<(String, Vec<String>, MapScale)>,
     cut: usize,
     outdated: Vec<Outdated>,
     views: PlannedViews,
@@ -52,7 +58,7 @@ impl Earlier {
         let bytes = manifest::read_own(project, "viewrank/planned_views.json")?;
         let views = serde_json::from_slice(&bytes)
             .map_err(|error| WrittenPlanError::Manifest { path, what: error.to_string() })?;
-        let clusters = recorded.clusters.into_iter().map(|c| (c.key, c.partners)).collect();
+        let clusters = recorded.clusters.into_iter().map(|c| (c.key, c.partners, c.scale)).collect();
         Ok(Self { clusters, cut: recorded.cut.clusters, outdated: recorded.outdated, views })
     }
 
@@ -63,7 +69,12 @@ impl Earlier {
 
     /// Names of the key views, best first.
     pub fn keys(&self) -> impl Iterator<Item = &str> {
-        self.clusters.iter().map(|(key, _)| key.as_str())
+        self.clusters.iter().map(|(key, ..)| key.as_str())
+    }
+
+    /// Names of the key views with the size of their maps, best first.
+    pub fn maps(&self) -> impl Iterator<Item = (&str, MapScale)> {
+        self.clusters.iter().map(|(key, _, scale)| (key.as_str(), *scale))
     }
 
     /// What was said before of a depth map that is still the same file.
@@ -127,9 +138,7 @@ fn measure(
     folder: &Path,
     watcher: &dyn Watcher,
 ) -> Result<MeasuredClusters, EvaluateError> {
-    let model = plan.stages.model();
-    let accuracy = model.target.accuracy_over_gsd * plan.stages.settings.target.gsd.unwrap_or(1.0);
-    MeasuredClusters::new(&EvaluationInput { model, clusters, depth_maps: folder, reference: None, accuracy }, watcher)
+    MeasuredClusters::new(&EvaluationInput::new(&plan.stages, clusters, folder, None), watcher)
 }
 
 /// Puts the finished clusters in the place of those with the same key view, and ranks all again.
@@ -154,37 +163,52 @@ fn with_finished(
     stages: Stages,
     run: &MeasuredClusters,
     watcher: &dyn Watcher,
-) -> Result<(Stages, Vec<u32>), PlanError> {
+) -> Result<(Stages, Vec<(u32, MapScale)>), PlanError> {
     stages.memory.before_beliefs(&stages.fulfilment)?;
-    let mut beliefs = Beliefs::new(&stages.scene, &stages.surface, &stages.clusters, &stages.fulfilment);
-    for (cluster, attempts) in run.clusters.iter().zip(&run.attempts) {
-        watcher.check()?;
-        beliefs.learn(cluster.key, attempts);
-    }
     // Of each key view, its place in the run or in the plan.
     let mut rows: BTreeMap<ViewIndex, (Option<usize>, usize)> = BTreeMap::new();
     rows.extend(stages.clusters.iter().enumerate().map(|(c, cluster)| (cluster.key, (None, c))));
     rows.extend(run.clusters.iter().enumerate().map(|(c, cluster)| (cluster.key, (Some(c), c))));
+    let clusters = rows.values().map(|&(finished, at)| match finished {
+        Some(_) => run.clusters[at].clone(),
+        None => stages.clusters[at].clone(),
+    });
+    let clusters: Vec<ViewCluster> = clusters.collect();
+    let rows_of: Vec<(bool, usize)> = rows.values().map(|(finished, at)| (finished.is_some(), *at)).collect();
+    let fulfilment = believed(&stages, &stages.fulfilment, run, &rows_of, watcher)?;
+    let half = stages.half.as_ref().map(|half| believed(&stages, half, run, &rows_of, watcher)).transpose()?;
+    let places: BTreeMap<ViewIndex, u32> = rows.keys().copied().zip(0..).collect();
+    let map = |&c: &u32| (places[&run.clusters[c as usize].key], run.scales[c as usize]);
+    let order = run.order.iter().map(map).collect();
+    let work = stages.work_of(&clusters);
+    Ok((Stages { clusters, fulfilment, half, work, ..stages }, order))
+}
+
+/// The table with the measured rows of what is finished, the others believed as far as these let them be. `rows`: whether finished, with the place in
+/// the run or in the table.
+fn believed(
+    stages: &Stages,
+    predicted: &FulfilmentTable,
+    run: &MeasuredClusters,
+    rows: &[(bool, usize)],
+    watcher: &dyn Watcher,
+) -> Result<FulfilmentTable, PlanError> {
+    let mut beliefs = Beliefs::new(&stages.scene, &stages.surface, &stages.clusters, predicted);
+    for (cluster, attempts) in run.clusters.iter().zip(&run.attempts) {
+        watcher.check()?;
+        beliefs.learn(cluster.key, attempts);
+    }
     let mut table = GrowingTable::beside(&stages.visibility)?;
-    let mut clusters = Vec::with_capacity(rows.len());
-    for (finished, at) in rows.values() {
-        match finished {
-            Some(_) => {
-                let (triangles, values) = run.real.row(*at);
-                table.push(triangles, values)?;
-                clusters.push(run.clusters[*at].clone());
-            }
-            None => {
-                let (triangles, values) = beliefs.row(*at);
-                table.push(triangles, &values)?;
-                clusters.push(stages.clusters[*at].clone());
-            }
+    for &(is_finished, at) in rows {
+        if is_finished {
+            let (triangles, values) = run.real.row(at);
+            table.push(triangles, values)?;
+        } else {
+            let (triangles, values) = beliefs.row(at);
+            table.push(triangles, &values)?;
         }
     }
-    let places: BTreeMap<ViewIndex, u32> = rows.keys().copied().zip(0..).collect();
-    let order: Vec<u32> = run.order.iter().map(|&c| places[&run.clusters[c as usize].key]).collect();
-    let fulfilment = table.finish()?;
-    Ok((Stages { clusters, fulfilment, ..stages }, order))
+    Ok(table.finish()?)
 }
 
 /// What became of a depth map that a cluster of the earlier plan has.
@@ -208,7 +232,7 @@ fn look(plan: &Plan, earlier: &Earlier, maps: &Maps, watcher: &dyn Watcher) -> R
     let unreadable = ready.map(|(_, error)| Found::Unreadable(error.to_string()));
     let file_of: BTreeMap<&str, &DepthMapFile> =
         files.iter().map(|file| (plan.stages.scene.name(file.view), file)).collect();
-    let found = earlier.clusters.par_iter().map(|(key, partners)| {
+    let found = earlier.clusters.par_iter().map(|(key, partners, _)| {
         watcher.check()?;
         let file = file_of.get(key.as_str()).filter(|file| (maps.ready)(&file.path));
         Ok(file.map(|file| Looked { plan, earlier, key, partners, file }.found()))

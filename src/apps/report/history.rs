@@ -75,8 +75,9 @@ fn confirmed(plan: &Plan, drawn: &DrawnSurface) -> (Vec<u32>, Vec<u32>) {
     let (mut alone, mut kept) = (vec![NEVER; drawn.original.len()], vec![NEVER; drawn.original.len()]);
     let mut place = vec![u32::MAX; plan.stages.surface.triangles.len()];
     drawn.original.iter().enumerate().for_each(|(i, &t)| place[t as usize] = i as u32);
-    for (rank, &cluster) in (1..NEVER).zip(&plan.decision.ranking.order) {
-        let row = plan.stages.fulfilment.row(cluster as usize);
+    let maps = plan.stages.maps();
+    for (rank, (cluster, scale)) in (1..NEVER).zip(plan.decision.ranking.maps()) {
+        let row = maps.row_at(cluster, scale);
         reached.take(row);
         for &t in row.0 {
             let Some(place) = Some(place[t as usize] as usize).filter(|&place| place < alone.len()) else { continue };
@@ -89,7 +90,7 @@ fn confirmed(plan: &Plan, drawn: &DrawnSurface) -> (Vec<u32>, Vec<u32>) {
             }
         }
     }
-    plan.stages.fulfilment.release();
+    maps.release();
     (alone, kept)
 }
 

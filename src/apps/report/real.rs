@@ -130,7 +130,5 @@ fn task<'a>(
     depth_maps: &'a Path,
     asked: &'a DepthMapFolders,
 ) -> EvaluationInput<'a> {
-    let model = plan.stages.model();
-    let accuracy = model.target.accuracy_over_gsd * plan.stages.settings.target.gsd.unwrap_or(1.0);
-    EvaluationInput { model, clusters, depth_maps, reference: asked.reference.as_deref(), accuracy }
+    EvaluationInput::new(&plan.stages, clusters, depth_maps, asked.reference.as_deref())
 }

@@ -23,12 +23,17 @@ use self::{
 };
 use super::{
     Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, PATCH_MATCH, Patient,
-    PlanningNumbers, References, Selection, TaskRunner, Trap, record::capped_scale, selection,
+    PlanningNumbers, References, Selection, TaskRunner, Trap,
+    record::{at_full_size, capped_scale},
+    selection,
     workspace::add_workspace,
 };
 use crate::{
     io::output::{Contents, FileSet},
-    model::{cluster::RankedCluster, scene::ViewIndex},
+    model::{
+        cluster::{MapScale, RankedCluster},
+        scene::ViewIndex,
+    },
 };
 
 mod cfg;
@@ -38,6 +43,8 @@ mod traps;
 
 /// Where the cloud goes: `fused.ply` in the workspace itself may be somebody's.
 const FUSED: &str = "stereo/viewrank/fused.ply";
+/// The list that COLMAP takes by default.
+const MAIN_LIST: &str = "stereo/patch-match.cfg";
 /// Key views per batch of a run with geometric consistency.
 const BATCH: usize = 10;
 
@@ -62,6 +69,7 @@ pub static BACKEND: Backend = Backend {
     use_of_views: None,
     own_scale: super::full_size,
     takes_distorted: false,
+    mixes_sizes: true,
     serves: |project| project.dense_workspace.is_some(),
     tasks,
     traps,
@@ -106,7 +114,7 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
         }
     };
     passes.add_files(selection, &mut files, &mut record);
-    add_lists(passes.lists(max_image_size(selection)), &mut files, &mut record);
+    add_lists(passes.lists(|scale| max_image_size(selection, scale)), &mut files, &mut record);
     files.add_text("stereo/viewrank/export.json", record.to_json());
     Ok(Export { files, record })
 }
@@ -137,6 +145,8 @@ struct Passes {
     first: Vec<Problem>,
     /// The last pass: what is fused.
     last: Vec<Problem>,
+    /// References of the last pass that are matched at half the size; none where a map starts from those of others.
+    half: HashSet<String>,
 }
 
 impl Passes {
@@ -158,7 +168,9 @@ impl Passes {
             }
             (true, References::All) => (all.clone(), with_sources_among(&all, &all)),
         };
-        Self { refs, geometric, first, last }
+        let at_half = selection.clusters.iter().filter(|c| !geometric && c.scale == MapScale::Half);
+        let half = at_half.map(|c| selection.scene.name(c.key).to_owned()).collect();
+        Self { refs, geometric, first, last, half }
     }
 
     /// All names in the lists.
@@ -186,6 +198,9 @@ impl Passes {
             if self.geometric { "on" } else { "off" }
         );
         record.not_honoured.push("the order of the partners of a key view".into());
+        if self.geometric {
+            record.not_honoured.extend(at_full_size(selection));
+        }
         record.key_maps = selection.clusters.iter().filter(|c| last.contains(selection.scene.name(c.key))).count();
         record.other_maps = maps - record.key_maps.min(maps);
         record.note_scale(selection, capped_scale(size_cap(selection)));
@@ -227,12 +242,12 @@ impl Passes {
             format!("viewrank, {}: references in rank order, each followed by its partners", record.way),
             format!("patch_match_stereo {}", geometric(self.geometric).trim()),
         ];
-        files.add_text("stereo/patch-match.cfg", cfg::write_patch_match(&heading, self.main_list()));
+        files.add_text(MAIN_LIST, cfg::write_patch_match(&heading, self.main_list()));
         let fused: String = self.last.iter().map(|p| p.reference.clone() + "\n").collect();
         files.add_text("stereo/fusion.cfg", fused);
-        let mut patch_match = |config: &str, options: &str| {
-            let size =
-                max_image_size(selection).map_or(String::new(), |n| format!(" --PatchMatchStereo.max_image_size {n}"));
+        let mut patch_match = |config: &str, options: &str, scale: MapScale| {
+            let size = max_image_size(selection, scale);
+            let size = size.map_or(String::new(), |n| format!(" --PatchMatchStereo.max_image_size {n}"));
             record
                 .commands
                 .push(format!("colmap patch_match_stereo --workspace_path . --config_path {config} {options}{size}"));
@@ -242,13 +257,27 @@ impl Passes {
                 let name = |pass| format!("stereo/viewrank/{:04}-{pass}.cfg", i + 1);
                 if !first.is_empty() {
                     files.add_text(name("photometric"), cfg::write_patch_match(&[], first));
-                    patch_match(&name("photometric"), &(geometric(false) + "--PatchMatchStereo.filter 0"));
+                    patch_match(
+                        &name("photometric"),
+                        &(geometric(false) + "--PatchMatchStereo.filter 0"),
+                        MapScale::Full,
+                    );
                 }
                 files.add_text(name("geometric"), cfg::write_patch_match(&[], last));
-                patch_match(&name("geometric"), geometric(true).trim());
+                patch_match(&name("geometric"), geometric(true).trim(), MapScale::Full);
             }
         } else {
-            patch_match("stereo/patch-match.cfg", &(geometric(false) + "--PatchMatchStereo.filter 1"));
+            let options = geometric(false) + "--PatchMatchStereo.filter 1";
+            for (config, scale, problems) in self.lists_of_one_size() {
+                if config != MAIN_LIST {
+                    files.add_text(config.clone(), cfg::write_patch_match(&[], problems));
+                }
+                patch_match(&config, &options, scale);
+            }
+            if !self.half.is_empty() {
+                let half: String = self.half_in_order().map(|name| format!("{name}\n")).collect();
+                files.add_text("stereo/viewrank/half.txt", half);
+            }
         }
         self.add_fusion(selection, record);
         let ranks: String = selection.clusters.iter().map(|c| format!("{}\n", selection.scene.name(c.key))).collect();
@@ -256,17 +285,38 @@ impl Passes {
         for folder in map_folders(self.main_list()) {
             files.add(folder, Contents::Folder);
         }
-        files.add("stereo/viewrank/run.sh", Contents::Script(script::runner(record, self.geometric).into_bytes()));
+        files.add(
+            "stereo/viewrank/run.sh",
+            Contents::Script(script::runner(record, self.geometric, self.half_size(selection)).into_bytes()),
+        );
     }
 
     /// The depth maps that will be made, and how.
-    fn lists(&self, long_side: Option<u32>) -> Lists {
+    fn lists(&self, long_side: impl Fn(MapScale) -> Option<u32>) -> Lists {
         let maps = |problems: &[Problem], kind: &str, filtered: bool| -> Vec<_> {
-            problems.iter().map(|p| (map_name(&p.reference, kind), Made::new(p, filtered, long_side))).collect()
+            let made = |p: &Problem| {
+                let scale = if self.half.contains(&p.reference) { MapScale::Half } else { MapScale::Full };
+                (map_name(&p.reference, kind), Made::new(p, filtered, long_side(scale)))
+            };
+            problems.iter().map(made).collect()
         };
         let first = maps(&self.first, "photometric", false);
         let last = maps(&self.last, if self.geometric { "geometric" } else { "photometric" }, !self.geometric);
         Lists::new(first.into_iter().chain(last))
+    }
+
+    /// Lists of key views of one size each, in the order of computation, with their paths: the main list where all have full size.
+    fn lists_of_one_size(&self) -> Vec<(String, MapScale, &[Problem])> {
+        let scale = |p: &Problem| if self.half.contains(&p.reference) { MapScale::Half } else { MapScale::Full };
+        if self.half.is_empty() {
+            return vec![(MAIN_LIST.into(), MapScale::Full, &self.last)];
+        }
+        let lists = self.last.chunk_by(|a, b| scale(a) == scale(b)).zip(1..);
+        lists.map(|(list, n)| (format!("stereo/viewrank/{n:04}.cfg"), scale(&list[0]), list)).collect()
+    }
+
+    fn half_in_order(&self) -> impl Iterator<Item = &str> {
+        self.last.iter().map(|p| p.reference.as_str()).filter(|name| self.half.contains(*name))
     }
 
     /// The last pass in pieces of [`BATCH`], each with the photometric maps that it needs and that no earlier piece made.
@@ -279,6 +329,11 @@ impl Passes {
             (self.first.iter().filter(wanted).cloned().collect(), last.to_vec())
         };
         self.last.chunks(BATCH).map(batch).collect()
+    }
+
+    /// Long side of the images that are matched at half the size, where there are any.
+    fn half_size(&self, selection: &Selection) -> Option<u32> {
+        max_image_size(selection, MapScale::Half).filter(|_| !self.half.is_empty())
     }
 
     fn add_fusion(&self, selection: &Selection, record: &mut ExportRecord) {
@@ -364,8 +419,9 @@ fn with_sources_among(problems: &[Problem], among: &[Problem]) -> Vec<Problem> {
 }
 
 /// The long side of the matched images, where it is not that of the images.
-fn max_image_size(selection: &Selection) -> Option<u32> {
-    (selection.image_scale < 1.0).then(|| size_cap(selection))
+fn max_image_size(selection: &Selection, scale: MapScale) -> Option<u32> {
+    let factor = selection.image_scale * scale.factor();
+    (factor < 1.0).then(|| (f64::from(selection.long_side()) * factor).ceil() as u32)
 }
 
 /// Longest side of the matched images, one number for all of them.

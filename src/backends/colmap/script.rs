@@ -3,12 +3,29 @@
 use crate::backends::ExportRecord;
 
 /// `run.sh`: the commands of the record, from the workspace. A single rank can be computed where no map needs another.
-pub fn runner(record: &ExportRecord, geometric: bool) -> String {
+///
+/// `half_size`: long side of the images of key views in `half.txt`.
+pub fn runner(record: &ExportRecord, geometric: bool, half_size: Option<u32>) -> String {
     let (fusion, maps) = record.commands.split_last().expect("the maps are fused");
     let compute = |c: &String| c.replacen("colmap patch_match_stereo --workspace_path . --config_path", "compute", 1);
-    let single = |c: &String| compute(c).replacen("stereo/patch-match.cfg", "\"$list\"", 1);
-    let rank = maps.first().filter(|_| !geometric).map(single);
-    let rank = rank.map_or(NO_SINGLE_RANK.into(), |command| SINGLE_RANK.replace("@COMMAND@", &command));
+    // The command of any list, for the list of a single rank.
+    let single = |c: &String| {
+        let words = compute(c);
+        let (_, options) = words.trim_start_matches("compute ").split_once(' ').unwrap_or_default();
+        format!("compute \"$list\" {options}")
+    };
+    let is_half = |c: &&String| half_size.is_some_and(|size| c.ends_with(&format!("max_image_size {size}")));
+    let of_half = maps.iter().find(is_half).map(single);
+    let of_full = maps.iter().find(|c| !is_half(c)).map(single);
+    let command = match (of_full, of_half) {
+        (Some(full), Some(half)) => {
+            format!(
+                "if grep -qxF -- \"$KEY\" stereo/viewrank/half.txt; then\n        {half}\n    else\n        {full}\n    fi"
+            )
+        }
+        (full, half) => full.or(half).unwrap_or_default(),
+    };
+    let rank = if geometric { NO_SINGLE_RANK.into() } else { SINGLE_RANK.replace("@COMMAND@", &command) };
     let mut script = format!("{RUNNER_HEAD}# {}\n{rank}{WHOLE_RUN}", record.way);
     maps.iter().for_each(|c| script += &format!("    {}\n", compute(c)));
     script + "fi\n" + &fusion.replacen("colmap", "\"${COLMAP:-colmap}\"", 1) + "\n"

@@ -10,6 +10,7 @@ use crate::{
     base::shell::quoted_path,
     method::confidence::PairConfidence,
     model::cluster::{Gate, RankedCluster},
+    plan::WorkPerMap,
 };
 
 /// Ranks best by real curves (`integrations/sgm/RESULTS.md`).
@@ -29,6 +30,7 @@ const NUMBERS: PlanningNumbers = PlanningNumbers {
     refuses: Some(refusal::refuses),
     confidence: CONFIDENCE,
     support: 1,
+    work: WorkPerMap { fixed: 0.0, per_map: 0.2 },
     measured: "valley, 2 more",
     source: "measured with integrations/sgm/measure.py on valley against exact depth, on boruszyn and lewis against the \
              maps of 22 partners; support 1: a depth map is checked against its own pairs",
@@ -59,6 +61,7 @@ pub static BACKEND: Backend = Backend {
     use_of_views: None,
     own_scale: super::full_size,
     takes_distorted: false,
+    mixes_sizes: true,
     serves: |_| false,
     tasks,
     traps: |_| Vec::new(),

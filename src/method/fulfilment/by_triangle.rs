@@ -3,7 +3,7 @@
 use bytemuck::{Pod, Zeroable};
 
 use super::FulfilmentTable;
-use crate::base::column::{self, Column, ColumnBuilder, DiskError};
+use crate::base::column::{self, Column, ColumnBuilder, DiskError, Storage};
 
 /// The clusters of a list that fulfil each triangle (CSR by triangle).
 pub(crate) struct ByTriangle {
@@ -29,32 +29,48 @@ const ENTRIES_AT_ONCE: usize = 1 << 25;
 impl ByTriangle {
     /// The rows of `clusters`, in memory or on disk as the table is.
     pub(crate) fn new(table: &FulfilmentTable, clusters: &[u32], triangles: usize) -> Result<Self, DiskError> {
+        let row = |cluster| table.row(cluster as usize);
+        Self::of_rows(&row, &|| table.release(), table.triangles.kept(), clusters, triangles)
+    }
+
+    /// As [`Self::new`], of rows that may come from several tables; `release` gives back memory that can be read again.
+    pub(crate) fn of_rows<'r>(
+        row: &dyn Fn(u32) -> (&'r [u32], &'r [f32]),
+        release: &dyn Fn(),
+        storage: Storage,
+        clusters: &[u32],
+        triangles: usize,
+    ) -> Result<Self, DiskError> {
         let mut offsets = vec![0; triangles + 1];
-        for (place, &cluster) in clusters.iter().enumerate() {
-            table.row(cluster as usize).0.iter().for_each(|&t| offsets[t as usize + 1] += 1);
-            release_at(place, table);
-        }
+        let rows = || {
+            clusters.iter().enumerate().map(|(place, &cluster)| {
+                if place.is_multiple_of(column::READ_AT_ONCE) {
+                    release();
+                }
+                row(cluster)
+            })
+        };
+        rows().for_each(|(of_cluster, _)| of_cluster.iter().for_each(|&t| offsets[t as usize + 1] += 1));
         (0..triangles).for_each(|t| offsets[t + 1] += offsets[t]);
-        let mut entries = ColumnBuilder::new(table.triangles.kept())?;
+        let mut entries = ColumnBuilder::new(storage)?;
         entries.reserve(offsets[triangles]);
         let mut from = 0;
         while from < triangles {
             // As many triangles as there is room for, but one at least.
             let room = offsets[from] + ENTRIES_AT_ONCE;
             let end = (offsets.partition_point(|&offset| offset <= room) - 1).clamp(from + 1, triangles);
-            entries.extend(&Self::entries(table, clusters, &offsets[from..=end], from as u32))?;
+            entries.extend(&Self::entries(rows(), &offsets[from..=end], from as u32))?;
             from = end;
         }
         Ok(Self { offsets, entries: entries.finish()?, clusters: clusters.len() })
     }
 
     /// The entries of the triangles from the first on that have these offsets.
-    fn entries(table: &FulfilmentTable, clusters: &[u32], offsets: &[usize], first: u32) -> Vec<Entry> {
+    fn entries<'r>(rows: impl Iterator<Item = (&'r [u32], &'r [f32])>, offsets: &[usize], first: u32) -> Vec<Entry> {
         let (start, triangles) = (offsets[0], offsets.len() - 1);
         let mut entries = vec![Entry::zeroed(); offsets[triangles] - start];
         let mut next: Vec<usize> = offsets[..triangles].iter().map(|offset| offset - start).collect();
-        for (place, &cluster) in clusters.iter().enumerate() {
-            let (of_cluster, values) = table.row(cluster as usize);
+        for (place, (of_cluster, values)) in rows.enumerate() {
             let rows = [first, first + triangles as u32].map(|bound| of_cluster.partition_point(|&t| t < bound));
             let rows = rows[0]..rows[1];
             for (&t, &f) in of_cluster[rows.clone()].iter().zip(&values[rows]) {
@@ -62,7 +78,6 @@ impl ByTriangle {
                 entries[*next] = Entry { place: place as u32, f };
                 *next += 1;
             }
-            release_at(place, table);
         }
         entries
     }
@@ -91,11 +106,5 @@ impl ByTriangle {
     /// The most of these fulfilments that a single cluster of the list gives as well.
     pub(crate) fn most_by_one(&self, triangles: &[u32], values: &[f32]) -> f64 {
         self.given_by_each(triangles, values, self.clusters).into_iter().fold(0.0, f64::max)
-    }
-}
-
-fn release_at(place: usize, table: &FulfilmentTable) {
-    if place.is_multiple_of(column::READ_AT_ONCE) {
-        table.release();
     }
 }

@@ -24,7 +24,7 @@ use crate::{
     },
     model::{
         camera::{Camera, CameraModel},
-        cluster::ViewCluster,
+        cluster::{MapScale, ViewCluster},
         scene::{Scene, ViewIndex},
     },
 };
@@ -69,6 +69,12 @@ impl<'a> Model<'a> {
     pub fn geometry(&self) -> Geometry<'a> {
         let Self { scene, surface, visibility, target, .. } = *self;
         Geometry { scene, surface, visibility, target, image_scale: self.rule.image_scale }
+    }
+
+    /// The same with matched images of this size over the plan's.
+    pub(crate) fn at(&self, scale: MapScale) -> Self {
+        let rule = Rule { image_scale: self.rule.image_scale * scale.factor(), ..self.rule };
+        Self { rule, ..*self }
     }
 
     /// Gives back memory that can be read again.

@@ -1,44 +1,71 @@
 //! How far an order can be from the best set of its length.
 
-use super::{Objective, Reached, SINGLE_MAP_CREDIT};
-use crate::{base::column, method::fulfilment::FulfilmentTable};
+use super::{Maps, Objective, Ranking, Reached, SINGLE_MAP_CREDIT};
+use crate::{base::column, model::cluster::MapScale};
 
 /// Rounds in which prices are improved; the bound hardly falls further.
 const ROUNDS: usize = 20;
 /// Rounds without a lower bound after which the steps are halved.
 const PATIENCE: usize = 3;
 
-/// An upper bound on f_o of any `length` clusters; never below what the best of them reach.
+/// An upper bound on f_o of any maps of no more work than the first `length` of the ranking; never below what the best of them reach.
 ///
-/// Any prices at the triangles give one (method 5.2). They start from what the first clusters of `order` reach, and rise where the clusters
+/// Any prices at the triangles give one (method 5.2). They start from what the first maps of the ranking reach, and rise where the maps
 /// that gain most at these prices are more than are needed, and fall where they are fewer.
-pub fn most_of_any(length: usize, table: &FulfilmentTable, objective: &Objective, order: &[u32]) -> f64 {
-    let clusters: Vec<u32> = (0..table.clusters() as u32).collect();
+pub fn most_of_any(length: usize, maps: &Maps, objective: &Objective, ranking: &Ranking) -> f64 {
+    let all: Vec<u32> = (0..maps.len()).collect();
+    let index = |(cluster, scale)| match scale {
+        MapScale::Half if maps.has_half() => cluster + maps.clusters(),
+        _ => cluster,
+    };
+    let order: Vec<u32> = ranking.maps().map(index).collect();
+    let work_of = |maps_taken: &[u32]| maps_taken.iter().map(|&map| maps.work(map)).sum::<f64>();
     let mut reached = Reached::new(objective);
     let (first, others) = order.split_at(length.min(order.len()));
-    first.iter().for_each(|&c| reached.take(table.row(c as usize)));
+    first.iter().for_each(|&map| reached.take_worth(maps.row(map), maps.worth(map)));
     let least: Vec<f32> = (0..objective.weights.len() as u32).map(|t| reached.largest(t)[0]).collect();
     let goal = reached.fulfilment();
-    others.iter().for_each(|&c| reached.take(table.row(c as usize)));
+    // No set of maps is worth more than all clusters at full size.
+    others.iter().for_each(|&map| reached.take(maps.row(maps.cluster(map))));
+    if maps.has_half() {
+        (0..maps.clusters()).for_each(|cluster| reached.take(maps.row(cluster)));
+    }
     let mut bound = reached.fulfilment();
     drop(reached);
+    let limit = if length > order.len() { f64::INFINITY } else { work_of(first) };
     let mut dual = Dual::new(objective, least);
     let (mut step, mut in_vain) = (1.0, 0);
     for _ in 0..ROUNDS {
-        let gains = column::read_by_parts(&clusters, |&c| dual.gain(table.row(c as usize)), || table.release());
-        let mut best = clusters.clone();
-        best.sort_by(|&a, &b| gains[b as usize].total_cmp(&gains[a as usize]));
-        best.truncate(length);
-        let most = dual.paid() + best.iter().map(|&c| gains[c as usize]).sum::<f64>();
+        let gains = column::read_by_parts(&all, |&map| dual.gain(maps.row(map), maps.worth(map)), || maps.release());
+        let per_work = |map: u32| gains[map as usize] / maps.work(map);
+        let mut best = all.clone();
+        best.sort_by(|&a, &b| per_work(b).total_cmp(&per_work(a)));
+        let (whole, part) = within(limit, &best, |map| maps.work(map));
+        let next = best.get(whole).map_or(0.0, |&map| part * gains[map as usize]);
+        best.truncate(whole);
+        let most = dual.paid() + best.iter().map(|&map| gains[map as usize]).sum::<f64>() + next;
         in_vain = if most < bound { 0 } else { in_vain + 1 };
         bound = bound.min(most);
         if in_vain == PATIENCE {
             (step, in_vain) = (0.5 * step, 0);
         }
-        dual.improve(best.iter().map(|&c| table.row(c as usize)), step * (most - goal));
+        dual.improve(best.iter().map(|&map| (maps.row(map), maps.worth(map))), step * (most - goal));
     }
-    table.release();
+    maps.release();
     bound
+}
+
+/// How many of the first maps fit into the work, and the part of the next one that would.
+fn within(limit: f64, maps: &[u32], work: impl Fn(u32) -> f64) -> (usize, f64) {
+    let mut left = limit;
+    for (place, &map) in maps.iter().enumerate() {
+        // Sums of the same terms in another order differ by less.
+        if work(map) > left * (1.0 + 1e-12) {
+            return (place, left / work(map));
+        }
+        left -= work(map);
+    }
+    (maps.len(), 0.0)
 }
 
 /// Prices at each triangle: of each of its m largest f, and of the m-th.
@@ -80,12 +107,12 @@ impl<'a> Dual<'a> {
         self.in_force().map(of).sum()
     }
 
-    /// What a cluster has above the prices.
-    fn gain(&self, (triangles, values): (&[u32], &[f32])) -> f64 {
+    /// What a map has above the prices.
+    fn gain(&self, (triangles, values): (&[u32], &[f32]), worth: f32) -> f64 {
         let of = |(prices, share): (&Vec<f32>, f64)| {
             let above = |(&t, &f): (&u32, &f32)| {
                 // In 64 bits, where the difference is exact: rounded down, the bound would be none.
-                self.objective.weights[t as usize] * (f64::from(f) - f64::from(prices[t as usize])).max(0.0)
+                self.objective.weights[t as usize] * (f64::from(f * worth) - f64::from(prices[t as usize])).max(0.0)
             };
             share * triangles.iter().zip(values).map(above).sum::<f64>()
         };
@@ -94,13 +121,13 @@ impl<'a> Dual<'a> {
 
     /// Moves the prices against the subgradient of the bound, per weight: m less the number of `best` clusters above the price. `gap`: what the
     /// bound is to fall by.
-    fn improve<'t>(&mut self, best: impl Iterator<Item = (&'t [u32], &'t [f32])>, gap: f64) {
+    fn improve<'t>(&mut self, best: impl Iterator<Item = ((&'t [u32], &'t [f32]), f32)>, gap: f64) {
         let weights = &self.objective.weights;
         let mut slopes = self.prices.each_ref().map(|prices| vec![self.objective.support as i32; prices.len()]);
-        for (triangles, values) in best {
+        for ((triangles, values), worth) in best {
             for (slopes, prices) in slopes.iter_mut().zip(&self.prices).filter(|(_, prices)| !prices.is_empty()) {
                 for (&t, &f) in triangles.iter().zip(values) {
-                    slopes[t as usize] -= i32::from(f > prices[t as usize]);
+                    slopes[t as usize] -= i32::from(f * worth > prices[t as usize]);
                 }
             }
         }

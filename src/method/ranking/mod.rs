@@ -5,6 +5,7 @@
 
 mod belief;
 mod bound;
+mod maps;
 mod objective;
 mod reached;
 
@@ -13,6 +14,7 @@ pub(crate) use self::reached::Reached;
 pub use self::{
     belief::{Attempt, Beliefs},
     bound::most_of_any,
+    maps::Maps,
     objective::{KEPT, Objective, SINGLE_MAP_CREDIT, SeenPixels},
 };
 use crate::{
@@ -21,6 +23,7 @@ use crate::{
         progress::{Stage, Watcher},
     },
     method::fulfilment::{ByTriangle, FulfilmentTable},
+    model::cluster::MapScale,
 };
 
 /// Greedy order of the clusters.
@@ -28,116 +31,149 @@ use crate::{
 pub struct Ranking {
     /// Cluster indices (into the plan's clusters), best first; only those with a gain above 0, or finished already.
     pub order: Vec<u32>,
+    /// Size at which each is matched.
+    pub scales: Vec<MapScale>,
     /// Gain of f_o of each, at its time.
     pub gains: Vec<f64>,
     /// f_o of the first i + 1 clusters.
     pub fulfilment: Vec<f64>,
     /// Weight of the triangles that fusion keeps of the first i + 1 clusters, 0 to 1.
     pub kept: Vec<f64>,
+    /// The same of all clusters at full size, ranked or not.
+    pub reachable: f64,
 }
 
 impl Ranking {
-    /// f_o of all clusters together.
+    /// f_o of the whole order.
     pub fn total(&self) -> f64 {
         self.fulfilment.last().copied().unwrap_or(0.0)
-    }
-
-    /// Weight of the triangles that fusion keeps of all clusters together, 0 to 1.
-    pub fn total_kept(&self) -> f64 {
-        self.kept.last().copied().unwrap_or(0.0)
     }
 
     /// What fusion keeps of the first `length` clusters over what it keeps of all, 0 to 1; 0 where it keeps nothing even of all.
     pub fn share(&self, length: usize) -> f64 {
         match length.min(self.kept.len()) {
-            n if n > 0 && self.total_kept() > 0.0 => self.kept[n - 1] / self.total_kept(),
+            n if n > 0 && self.reachable > 0.0 => self.kept[n - 1] / self.reachable,
             _ => 0.0,
         }
     }
 
     /// The fewest clusters with that [`Self::share`]; all of them where fusion keeps nothing.
     pub fn length_for_share(&self, share: f64) -> usize {
-        if self.total_kept() == 0.0 {
+        if self.reachable == 0.0 {
             return self.kept.len();
         }
-        let wanted = share * self.total_kept();
+        let wanted = share * self.reachable;
         (self.kept.partition_point(|&kept| kept < wanted) + 1).min(self.kept.len())
     }
 
-    fn push(&mut self, cluster: u32, gain: i64, reached: &Reached) {
-        self.order.push(cluster);
-        self.gains.push(Amount(gain).value());
-        self.fulfilment.push(reached.fulfilment());
-        self.kept.push(reached.kept());
+    /// Clusters with the size at which they are matched, best first.
+    pub fn maps(&self) -> impl Iterator<Item = (u32, MapScale)> {
+        self.order.iter().copied().zip(self.scales.iter().copied())
     }
 }
 
-/// The greedy order; ties go to the cluster that does more by itself, then to the first, which is that of the first view name.
+/// The greedy order of clusters at full size; ties go to the cluster that does more by itself, then to the first, which is that of the first
+/// view name.
 pub fn rank(table: &FulfilmentTable, objective: &Objective, watcher: &dyn Watcher) -> Result<Ranking, TableError> {
-    rank_after(&[], table, objective, watcher)
+    rank_after(&[], &Maps::full_size(table), objective, watcher)
 }
 
-/// The same behind clusters that are finished: they come first, in their order, whatever they gain (method 5.4).
+/// The greedy order of depth maps, one of each cluster: by gain, or by gain over work where there is a choice of sizes. Behind those that are
+/// finished: they come first, in their order, whatever they gain (method 5.4).
 pub fn rank_after(
-    finished: &[u32],
-    table: &FulfilmentTable,
+    finished: &[(u32, MapScale)],
+    maps: &Maps,
     objective: &Objective,
     watcher: &dyn Watcher,
 ) -> Result<Ranking, TableError> {
-    let mut greedy = Greedy::new(table, objective)?;
+    let mut greedy = Greedy::new(maps, objective)?;
     let mut ranking = Ranking::default();
-    for &cluster in finished {
+    for &(cluster, scale) in finished {
         watcher.check()?;
-        greedy.take(cluster, &mut ranking);
+        // What is finished is measured; its row is the same whatever its size.
+        greedy.take(cluster, scale, &mut ranking);
     }
-    let total = greedy.left.iter().filter(|&&c| greedy.gains[c as usize] > 0).count() as u64;
+    let total = greedy.left.iter().filter(|&&map| greedy.gains[map as usize] > 0).count() as u64;
     watcher.progress(Stage::Ranking, 0, total);
-    while let Some(cluster) = greedy.best() {
+    while let Some(map) = greedy.best() {
         watcher.check()?;
-        greedy.take(cluster, &mut ranking);
+        greedy.take(map, maps.scale(map), &mut ranking);
         let done = (ranking.order.len() - finished.len()) as u64;
         watcher.progress(Stage::Ranking, done.min(total), total);
     }
     watcher.progress(Stage::Ranking, total, total);
+    ranking.reachable = match maps.has_half() {
+        true => kept_of_all(maps, objective),
+        false => ranking.kept.last().copied().unwrap_or(0.0),
+    };
     Ok(ranking)
 }
 
-/// The gain of each cluster that is left, kept up to date: when a triangle is better reached, the gains of all clusters that see it change by
+/// Weight of the triangles that fusion keeps of all clusters at full size.
+fn kept_of_all(maps: &Maps, objective: &Objective) -> f64 {
+    let mut reached = Reached::new(objective);
+    for cluster in 0..maps.clusters() {
+        reached.take(maps.row(cluster));
+        if (cluster as usize).is_multiple_of(column::READ_AT_ONCE) {
+            maps.release();
+        }
+    }
+    reached.kept()
+}
+
+/// The gain of each map that is left, kept up to date: when a triangle is better reached, the gains of all maps that see it change by
 /// whole numbers, so that they stay what a fresh sum would give.
 struct Greedy<'a> {
-    table: &'a FulfilmentTable,
+    maps: &'a Maps<'a>,
     by_triangle: ByTriangle,
+    /// By the worth of the maps.
     reached: Reached<'a>,
-    /// Not taken.
+    /// By their f alone, where these differ: fusion keeps a coarse point, too.
+    fused: Option<Reached<'a>>,
+    /// Of clusters that are not taken.
     left: Vec<u32>,
-    /// By cluster.
+    /// By map.
     gains: Vec<i64>,
-    /// Gain of each cluster where nothing is reached.
+    /// Gain of each map where nothing is reached.
     alone: Vec<i64>,
 }
 
 impl<'a> Greedy<'a> {
-    fn new(table: &'a FulfilmentTable, objective: &'a Objective) -> Result<Self, DiskError> {
-        let left: Vec<u32> = (0..table.clusters() as u32).collect();
-        let by_triangle = ByTriangle::new(table, &left, objective.weights.len())?;
+    fn new(maps: &'a Maps, objective: &'a Objective) -> Result<Self, DiskError> {
+        let left: Vec<u32> = (0..maps.len()).collect();
+        let by_triangle = ByTriangle::of_rows(
+            &|map| maps.row(map),
+            &|| maps.release(),
+            maps.storage(),
+            &left,
+            objective.weights.len(),
+        )?;
         let reached = Reached::new(objective);
-        let gain = |&c: &u32| reached.whole_gain(table.row(c as usize));
-        let gains = column::read_by_parts(&left, gain, || table.release());
-        Ok(Self { table, by_triangle, left, alone: gains.clone(), gains, reached })
+        let gain = |&map: &u32| reached.whole_gain(maps.row(map), maps.worth(map));
+        let gains = column::read_by_parts(&left, gain, || maps.release());
+        let fused = maps.has_half().then(|| Reached::new(objective));
+        Ok(Self { maps, by_triangle, left, alone: gains.clone(), gains, reached, fused })
     }
 
-    /// The cluster that gains most, if any gains.
+    /// The map that gains most for its work, if any gains.
     fn best(&self) -> Option<u32> {
-        let gain = |c: u32| (self.gains[c as usize], self.alone[c as usize], std::cmp::Reverse(c));
-        self.left.iter().copied().max_by_key(|&c| gain(c)).filter(|&c| self.gains[c as usize] > 0)
+        let better = |&a: &u32, &b: &u32| {
+            let [of_a, of_b] = [a, b].map(|map| i128::from(self.maps.whole_work(map)));
+            // a's gain over a's work, against b's: exact, so that equal works leave the order by gain.
+            let by =
+                |gains: &[i64]| (i128::from(gains[a as usize]) * of_b).cmp(&(i128::from(gains[b as usize]) * of_a));
+            by(&self.gains).then_with(|| by(&self.alone)).then(b.cmp(&a))
+        };
+        self.left.iter().copied().max_by(better).filter(|&map| self.gains[map as usize] > 0)
     }
 
-    fn take(&mut self, cluster: u32, ranking: &mut Ranking) {
-        let gain = self.gains[cluster as usize];
-        self.left.retain(|&c| c != cluster);
-        let (triangles, values) = self.table.row(cluster as usize);
+    fn take(&mut self, map: u32, scale: MapScale, ranking: &mut Ranking) {
+        let (gain, worth, cluster) = (self.gains[map as usize], self.maps.worth(map), self.maps.cluster(map));
+        self.left.retain(|&other| self.maps.cluster(other) != cluster);
+        let (triangles, values) = self.maps.row(map);
         let mut before = Vec::with_capacity(self.reached.objective.support as usize);
         for (&t, &f) in triangles.iter().zip(values) {
+            let f = f * worth;
             before.clear();
             before.extend_from_slice(self.reached.largest(t));
             if f <= before[0] {
@@ -145,16 +181,26 @@ impl<'a> Greedy<'a> {
             }
             self.reached.take_at(t, f);
             let now = self.reached.largest(t);
-            for entry in self.by_triangle.row(t).iter().filter(|entry| entry.f > before[0]) {
-                let change = self.reached.gain_at(t, now, entry.f) - self.reached.gain_at(t, &before, entry.f);
-                self.gains[entry.place as usize] += change;
+            for entry in self.by_triangle.row(t) {
+                let other = entry.f * self.maps.worth(entry.place);
+                if other > before[0] {
+                    let change = self.reached.gain_at(t, now, other) - self.reached.gain_at(t, &before, other);
+                    self.gains[entry.place as usize] += change;
+                }
             }
         }
+        if let Some(fused) = &mut self.fused {
+            fused.take((triangles, values));
+        }
         if ranking.order.len().is_multiple_of(column::READ_AT_ONCE) {
-            self.table.release();
+            self.maps.release();
             self.by_triangle.release();
         }
-        ranking.push(cluster, gain, &self.reached);
+        ranking.order.push(cluster);
+        ranking.scales.push(scale);
+        ranking.gains.push(Amount(gain).value());
+        ranking.fulfilment.push(self.reached.fulfilment());
+        ranking.kept.push(self.fused.as_ref().unwrap_or(&self.reached).kept());
     }
 }
 

@@ -50,7 +50,7 @@ fn plain_greedy(table: &FulfilmentTable, objective: &Objective) -> Vec<(u32, i64
     let mut left: Vec<u32> = (0..table.clusters() as u32).collect();
     let mut order = Vec::new();
     loop {
-        let of = |c: u32, reached: &Reached| reached.whole_gain(table.row(c as usize));
+        let of = |c: u32, reached: &Reached| reached.whole_gain(table.row(c as usize), 1.0);
         let rank = |c: u32| (of(c, &reached), of(c, &nothing), std::cmp::Reverse(c));
         let Some(best) = left.iter().copied().max_by_key(|&c| rank(c)).filter(|&c| of(c, &reached) > 0) else {
             return order;
@@ -91,10 +91,13 @@ proptest! {
         let (table, objective) = (FulfilmentTable::new(&rows), even(TRIANGLES, support));
         let whole = rank(&table, &objective, &Unwatched).unwrap();
         for length in 0..=whole.order.len() {
-            prop_assert_eq!(&rank_after(&whole.order[..length], &table, &objective, &Unwatched).unwrap(), &whole);
+            let finished: Vec<_> = whole.maps().take(length).collect();
+            let again = rank_after(&finished, &Maps::full_size(&table), &objective, &Unwatched).unwrap();
+            prop_assert_eq!(&again, &whole);
         }
         let last: Vec<u32> = (0..rows.len() as u32).rev().take(2).collect();
-        let after = rank_after(&last, &table, &objective, &Unwatched).unwrap();
+        let finished: Vec<_> = last.iter().map(|&c| (c, MapScale::Full)).collect();
+        let after = rank_after(&finished, &Maps::full_size(&table), &objective, &Unwatched).unwrap();
         prop_assert_eq!(&after.order[..last.len()], &last[..]);
         prop_assert!((after.total() - whole.total()).abs() < 1e-12);
     }
@@ -111,9 +114,9 @@ proptest! {
     #[test]
     fn no_set_of_clusters_exceeds_the_bound(rows in rows(), support in 1u32..4) {
         let (table, objective) = (FulfilmentTable::new(&rows), even(TRIANGLES, support));
-        let order = rank(&table, &objective, &Unwatched).unwrap().order;
+        let ranking = rank(&table, &objective, &Unwatched).unwrap();
         for (n, optimum) in optima(&rows, support as usize).into_iter().enumerate() {
-            prop_assert!(most_of_any(n, &table, &objective, &order) >= optimum - 1e-12);
+            prop_assert!(most_of_any(n, &Maps::full_size(&table), &objective, &ranking) >= optimum - 1e-12);
         }
     }
 }
@@ -137,7 +140,7 @@ fn a_map_alone_is_not_kept() {
 
 #[test]
 fn the_prefix_for_a_share_is_the_shortest() {
-    let ranking = Ranking { kept: vec![0.5, 0.75, 0.75, 1.0], ..Ranking::default() };
+    let ranking = Ranking { kept: vec![0.5, 0.75, 0.75, 1.0], reachable: 1.0, ..Ranking::default() };
     assert_eq!([0.4, 0.5, 0.6, 0.75, 0.8, 1.0].map(|s| ranking.length_for_share(s)), [1, 1, 2, 2, 4, 4]);
     assert_eq!(Ranking::default().length_for_share(0.9), 0);
     assert_eq!(Ranking::default().share(3), 0.0);
@@ -147,7 +150,7 @@ fn the_prefix_for_a_share_is_the_shortest() {
 fn where_nothing_is_kept_all_are_taken() {
     let rows = [vec![(0, 0.2f32)], vec![(1, 0.1)]];
     let ranking = rank(&FulfilmentTable::new(&rows), &even(2, 1), &Unwatched).unwrap();
-    assert_eq!((ranking.total_kept(), ranking.share(2), ranking.length_for_share(0.5)), (0.0, 0.0, 2));
+    assert_eq!((ranking.reachable, ranking.share(2), ranking.length_for_share(0.5)), (0.0, 0.0, 2));
 }
 
 #[test]
@@ -155,4 +158,81 @@ fn a_gain_of_zero_ends_the_order() {
     let rows = [vec![(0, 0.5f32), (1, 0.5)], vec![(0, 0.5)], vec![(1, 0.25)], vec![]];
     let ranking = rank(&FulfilmentTable::new(&rows), &even(2, 1), &Unwatched).unwrap();
     assert_eq!(ranking.order, [0]);
+}
+
+/// Clusters with f at full and at half size, and the work of each map.
+fn two_sizes() -> impl Strategy<Value = (Vec<Vec<(u32, f32)>>, Vec<Vec<(u32, f32)>>, Vec<[f64; 2]>)> {
+    let work = (1u8..4).prop_map(f64::from).prop_map(|full| [full, 0.25 * full + 0.25]);
+    (rows(), proptest::collection::vec(work, 9)).prop_map(|(full, work)| {
+        let half = full.iter().map(|row| row.iter().map(|&(t, f)| (t, 0.5 * f)).collect()).collect();
+        let work = work[..full.len()].to_vec();
+        (full, half, work)
+    })
+}
+
+/// The map that gains most for its work, with every gain added up afresh; `None` where none gains.
+fn best_afresh(maps: &Maps, taken: &[(u32, MapScale)], objective: &Objective) -> Option<(u32, MapScale)> {
+    let (mut reached, nothing) = (Reached::new(objective), Reached::new(objective));
+    let index =
+        |&(cluster, scale): &(u32, MapScale)| cluster + if scale == MapScale::Half { maps.clusters() } else { 0 };
+    taken.iter().map(index).for_each(|map| reached.take_worth(maps.row(map), maps.worth(map)));
+    let gain = |reached: &Reached, map: u32| reached.whole_gain(maps.row(map), maps.worth(map));
+    let left = (0..maps.len()).filter(|&map| taken.iter().all(|&(cluster, _)| cluster != maps.cluster(map)));
+    let better = |&a: &u32, &b: &u32| {
+        let more = |reached: &Reached| {
+            let of = |map, other| i128::from(gain(reached, map)) * i128::from(maps.whole_work(other));
+            of(a, b).cmp(&of(b, a))
+        };
+        more(&reached).then(more(&nothing)).then(b.cmp(&a))
+    };
+    let best = left.max_by(better).filter(|&map| gain(&reached, map) > 0)?;
+    Some((maps.cluster(best), maps.scale(best)))
+}
+
+proptest! {
+    #[test]
+    fn of_two_sizes_the_one_that_gains_most_for_its_work_is_taken(
+        (full, half, work) in two_sizes(), support in 1u32..3, worth in 0u8..5
+    ) {
+        let (full, half, objective) = (FulfilmentTable::new(&full), FulfilmentTable::new(&half), even(TRIANGLES, support));
+        let maps = Maps::of_two_sizes(&full, &half, &work, f64::from(worth) / 4.0);
+        let ranking = rank_after(&[], &maps, &objective, &Unwatched).unwrap();
+        let order: Vec<_> = ranking.maps().collect();
+        for length in 0..=order.len() {
+            prop_assert_eq!(order.get(length).copied(), best_afresh(&maps, &order[..length], &objective));
+        }
+        // Fusion keeps what enough maps fulfil, whatever a coarse map is worth.
+        let mut fused = Reached::new(&objective);
+        for (&(cluster, scale), &kept) in order.iter().zip(&ranking.kept) {
+            fused.take(maps.row_at(cluster, scale));
+            prop_assert_eq!(fused.kept(), kept);
+        }
+    }
+
+    #[test]
+    fn no_maps_of_two_sizes_exceed_the_bound_for_their_work((full, half, work) in two_sizes(), support in 1u32..3) {
+        prop_assume!(full.len() <= 6);
+        let (worth, objective) = (0.75, even(TRIANGLES, support));
+        let tables = [FulfilmentTable::new(&full), FulfilmentTable::new(&half)];
+        let maps = Maps::of_two_sizes(&tables[0], &tables[1], &work, worth);
+        let ranking = rank_after(&[], &maps, &objective, &Unwatched).unwrap();
+        let bounds: Vec<f64> =
+            (0..=ranking.order.len()).map(|n| most_of_any(n, &maps, &objective, &ranking)).collect();
+        let spent: Vec<f64> = (0..=ranking.order.len())
+            .map(|n| ranking.maps().take(n).map(|(c, s)| work[c as usize][usize::from(s == MapScale::Half)]).sum())
+            .collect();
+        // Each cluster is left out, at full size or at half.
+        for choice in 0..3usize.pow(full.len() as u32) {
+            let sizes = (0..full.len()).map(|c| choice / 3usize.pow(c as u32) % 3);
+            let (mut reached, mut cost) = (Reached::new(&objective), 0.0);
+            for (cluster, size) in sizes.enumerate().filter(|&(_, size)| size < 2) {
+                let map = cluster as u32 + if size == 1 { maps.clusters() } else { 0 };
+                reached.take_worth(maps.row(map), maps.worth(map));
+                cost += work[cluster][size];
+            }
+            for (bound, spent) in bounds.iter().zip(&spent).filter(|(_, spent)| cost <= **spent) {
+                prop_assert!(*bound >= reached.fulfilment() - 1e-9, "{bound} for {spent}, {} for {cost}", reached.fulfilment());
+            }
+        }
+    }
 }

@@ -25,7 +25,7 @@ use crate::{
         surface::{SurfaceKind, SurfaceStats},
     },
     model::{
-        cluster::RankedCluster,
+        cluster::{MapScale, RankedCluster},
         reason::Reason,
         scene::{Units, ViewIndex},
     },
@@ -143,6 +143,10 @@ pub struct ClusterEntry {
     pub partners: Vec<String>,
     /// Those of them that are beyond the gate (`settings.partners.gate`), taken for want of better ones: matching may well fail there.
     pub beyond_gate: Vec<String>,
+    /// Size at which the key view is matched, over `settings.image_scale`: 1 or 0.5.
+    pub scale: MapScale,
+    /// Work of the clusters up to this one, over that of all clusters at full size.
+    pub work: f64,
     /// Fulfilment f_o that it adds to the clusters before it.
     pub gain: f64,
     /// Fulfilment f_o of the clusters up to this one, 0 to 1.
@@ -266,8 +270,15 @@ fn clusters(plan: &Plan) -> Vec<ClusterEntry> {
         let beyond = plan.stages.candidates.beyond_gate(of.key);
         of.partners.iter().filter(|partner| beyond.contains(partner)).map(|&partner| name(partner)).collect()
     };
+    let mut work = 0.0;
+    let mut work_to = |i: usize| {
+        work += plan.stages.share_of_work(plan.decision.ranking.order[i], plan.decision.ranking.scales[i]);
+        work
+    };
     let entry = |(i, cluster): (usize, RankedCluster)| ClusterEntry {
         rank: i + 1,
+        scale: cluster.scale,
+        work: work_to(i),
         beyond_gate: beyond(&cluster),
         key: name(cluster.key),
         partners: cluster.partners.into_iter().map(name).collect(),

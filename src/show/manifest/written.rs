@@ -14,7 +14,7 @@ use crate::{
         project::{Project, ProjectError},
     },
     model::{
-        cluster::RankedCluster,
+        cluster::{MapScale, RankedCluster},
         scene::{Scene, ViewIndex},
     },
     plan::{Cut, Outdated, Plan},
@@ -32,6 +32,8 @@ pub struct WrittenPlan {
     pub own_size: bool,
     /// The whole ranking, best first.
     pub clusters: Vec<RankedCluster>,
+    /// Work of the clusters up to each, over that of all clusters at full size.
+    pub work: Vec<f64>,
     /// Clusters up to the plan's own cut.
     pub cut: usize,
     /// Number of clusters at the start that had a finished depth map when the plan was made, even if their views have moved since.
@@ -72,6 +74,10 @@ pub(crate) struct ClusterEntry {
     pub rank: i64,
     pub key: String,
     pub partners: Vec<String>,
+    #[serde(default)]
+    pub scale: MapScale,
+    #[serde(default)]
+    pub work: f64,
     pub gain: f64,
     pub fulfilment: f64,
     pub share: f64,
@@ -121,16 +127,34 @@ impl WrittenPlan {
         recorded.check_input(&project, &scene)?;
         let clusters = recorded.ranked(&scene)?;
         let cut = recorded.cut.clusters.min(clusters.len());
+        let work = recorded.clusters.iter().map(|cluster| cluster.work).collect();
         let (finished, settings, own_size) = (recorded.finished(), recorded.settings, recorded.own_size);
         let target = settings.cut.target.unwrap_or(Share(recorded.cut.share));
-        Ok(Self { project, backend: recorded.backend, settings, own_size, clusters, cut, finished, target, scene })
+        Ok(Self {
+            project,
+            backend: recorded.backend,
+            settings,
+            own_size,
+            clusters,
+            work,
+            cut,
+            finished,
+            target,
+            scene,
+        })
     }
 
     /// Returns the number of clusters up to another cut: the shorter of the budget and the shortest prefix that reaches the share; without
     /// either, the plan's own cut.
     pub fn cut_at(&self, budget: Option<Budget>, target: Option<Share>) -> usize {
         let all = self.clusters.len();
-        let by_budget = budget.map_or(all, |budget| budget.clusters(self.scene.views.len()));
+        let by_budget = match budget {
+            Some(Budget::Views(share)) if self.settings.ranking.has_half() => {
+                self.work.partition_point(|&work| work <= share.0)
+            }
+            Some(budget) => budget.clusters(self.scene.views.len()),
+            None => all,
+        };
         let by_target = target.map_or(all, |target| self.clusters.partition_point(|c| c.share < target.0) + 1);
         if budget.is_none() && target.is_none() { self.cut } else { all.min(by_budget).min(by_target) }
     }
@@ -182,7 +206,7 @@ impl Recorded {
         let view = |name: &String| scene.find(name).ok_or_else(|| WrittenPlanError::OtherInput(self.path.clone()));
         let cluster = |c: &ClusterEntry| {
             let partners: Result<Vec<ViewIndex>, _> = c.partners.iter().map(view).collect();
-            Ok(RankedCluster { key: view(&c.key)?, partners: partners?, share: c.share })
+            Ok(RankedCluster { key: view(&c.key)?, partners: partners?, scale: c.scale, share: c.share })
         };
         self.clusters.iter().map(cluster).collect()
     }
@@ -197,7 +221,10 @@ impl Recorded {
     pub fn check_ranking(&self, plan: &Plan) -> Result<(), WrittenPlanError> {
         let ranked = self.ranked(&plan.stages.scene)?;
         let same = match self.finished() {
-            0 => plan.ranked().map(|c| (c.key, c.partners)).eq(ranked.into_iter().map(|c| (c.key, c.partners))),
+            0 => plan
+                .ranked()
+                .map(|c| (c.key, c.partners, c.scale))
+                .eq(ranked.into_iter().map(|c| (c.key, c.partners, c.scale))),
             finished => {
                 let place = |key| plan.stages.clusters.binary_search_by_key(&key, |cluster| cluster.key).ok();
                 let partners = |key| place(key).map(|c| &plan.stages.clusters[c].partners);

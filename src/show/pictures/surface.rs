@@ -44,11 +44,12 @@ pub fn triangle_states(plan: &Plan, clusters: usize) -> Vec<TriangleState> {
 /// fulfilment by the clusters up to this one (method 5.2).
 pub fn for_each_step(plan: &Plan, mut visit: impl FnMut(usize, u32, f32)) {
     let mut reached = Reached::new(&plan.stages.objective);
-    for (rank, &cluster) in plan.decision.ranking.order.iter().enumerate() {
+    let maps = plan.stages.maps();
+    for (rank, (cluster, scale)) in plan.decision.ranking.maps().enumerate() {
         if rank.is_multiple_of(column::READ_AT_ONCE) {
-            plan.stages.fulfilment.release();
+            maps.release();
         }
-        let (of_cluster, values) = plan.stages.fulfilment.row(cluster as usize);
+        let (of_cluster, values) = maps.row_at(cluster, scale);
         for (&t, &f) in of_cluster.iter().zip(values) {
             reached.take_at(t, f);
             visit(rank, t, reached.worth(t));

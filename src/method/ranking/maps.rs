@@ -1,0 +1,108 @@
+//! The depth maps to choose from: each cluster at full size, and at half of it where that is asked for (method 5.8).
+
+use crate::{base::column::Storage, method::fulfilment::FulfilmentTable, model::cluster::MapScale};
+
+/// Work is compared in whole numbers of this part.
+const WHOLE: f64 = 1e6;
+
+/// Depth maps by index: first those of all clusters at full size, then those of all clusters at half size, where there are any.
+#[derive(Clone, Copy, Debug)]
+pub struct Maps<'a> {
+    full: &'a FulfilmentTable,
+    half: Option<Half<'a>>,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Half<'a> {
+    table: &'a FulfilmentTable,
+    /// Work of each cluster's map at full and at half size.
+    work: &'a [[f64; 2]],
+    /// Factor of f, 0 to 1.
+    worth: f32,
+}
+
+impl<'a> Maps<'a> {
+    /// Of full size only: all of them count as the same work.
+    pub fn full_size(full: &'a FulfilmentTable) -> Self {
+        Self { full, half: None }
+    }
+
+    /// Of two sizes. `work`: of each cluster's map at full and at half size, in any unit, above 0. `worth`: factor of f in the objective for maps
+    /// of half the size.
+    pub fn of_two_sizes(
+        full: &'a FulfilmentTable,
+        half: &'a FulfilmentTable,
+        work: &'a [[f64; 2]],
+        worth: f64,
+    ) -> Self {
+        Self { full, half: Some(Half { table: half, work, worth: worth as f32 }) }
+    }
+
+    pub(super) fn has_half(&self) -> bool {
+        self.half.is_some()
+    }
+
+    pub(super) fn clusters(&self) -> u32 {
+        self.full.clusters() as u32
+    }
+
+    pub(super) fn len(&self) -> u32 {
+        self.clusters() * if self.has_half() { 2 } else { 1 }
+    }
+
+    pub(super) fn cluster(&self, map: u32) -> u32 {
+        map.checked_sub(self.clusters()).unwrap_or(map)
+    }
+
+    pub(super) fn scale(&self, map: u32) -> MapScale {
+        if map < self.clusters() { MapScale::Full } else { MapScale::Half }
+    }
+
+    /// Triangles of a map, and its f there.
+    pub(super) fn row(&self, map: u32) -> (&'a [u32], &'a [f32]) {
+        match self.half {
+            Some(half) if map >= self.clusters() => half.table.row(self.cluster(map) as usize),
+            _ => self.full.row(map as usize),
+        }
+    }
+
+    /// Row of a cluster at a size; without maps of half the size, that of full size.
+    pub fn row_at(&self, cluster: u32, scale: MapScale) -> (&'a [u32], &'a [f32]) {
+        match (self.half, scale) {
+            (Some(half), MapScale::Half) => half.table.row(cluster as usize),
+            _ => self.full.row(cluster as usize),
+        }
+    }
+
+    /// Factor of f in the objective.
+    pub(super) fn worth(&self, map: u32) -> f32 {
+        match self.half {
+            Some(half) if map >= self.clusters() => half.worth,
+            _ => 1.0,
+        }
+    }
+
+    /// Cost in the order and in the bound.
+    pub(super) fn work(&self, map: u32) -> f64 {
+        let size = usize::from(map >= self.clusters());
+        self.half.map_or(1.0, |half| half.work[self.cluster(map) as usize][size])
+    }
+
+    /// The same in whole numbers, at least 1.
+    pub(super) fn whole_work(&self, map: u32) -> u64 {
+        ((self.work(map) * WHOLE) as u64).max(1)
+    }
+
+    /// Where tables made from these are kept.
+    pub(super) fn storage(&self) -> Storage {
+        self.full.triangles.kept()
+    }
+
+    /// Gives back memory that can be read again.
+    pub fn release(&self) {
+        self.full.release();
+        if let Some(half) = self.half {
+            half.table.release();
+        }
+    }
+}
