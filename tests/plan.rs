@@ -299,7 +299,10 @@ fn a_plan_of_nothing_takes_no_plans_place() {
             &["--confidence", "none", "-k", "2"],
             "use -k 5 or more: coverage.min_cameras wants each place seen by 6 cameras",
         ),
-        (&["--confidence", "geometric", "-k", "1"], "hint: use -k 2 or more: sure needs 2 matches that agree"),
+        (
+            &["--backend", "sgm", "--confidence", "geometric", "-k", "1"],
+            "hint: use -k 2 or more: sgm needs 2 matches that agree",
+        ),
     ] {
         let (code, stderr) = failure(&[&["plan", root], options].concat());
         assert!(code == 1 && stderr.contains(said) && stderr.contains("hint: "), "{stderr}");

@@ -70,7 +70,7 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
         script.line(&format!("back {id} {recipe}"));
         script.cluster(&id, &recipe, &format!("depthMaps/{id}_depthMap.exr"), &[format!("map {id} {options}")]);
         record.commands.push(format!("aliceVision_depthMapEstimation {options} -o depthMaps"));
-        record.not_honoured.extend(dropped_partners(scene, &points, cluster));
+        record.warnings.extend(dropped_partners(scene, &points, cluster));
     }
     let keys: Vec<_> = selection.clusters.iter().map(|c| c.key).collect();
     files.add_text("keys.sfm", scene_file(scene, &keys, &all_landmarks(scene, &selection.is_key())));

@@ -236,7 +236,7 @@ impl Dialect {
             record.not_honoured.push("depth maps of key views only: every view of a cluster gets one".into());
             record.warnings.push("ACMH takes the second GPU and fails where there is one only".into());
             let cut = selection.clusters.iter().filter(|c| c.partners.len() > ACM_PARTNERS);
-            record.not_honoured.extend(
+            record.warnings.extend(
                 cut.map(|c| format!("{}: partners beyond the first {ACM_PARTNERS}", selection.scene.name(c.key))),
             );
         }

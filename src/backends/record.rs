@@ -141,7 +141,7 @@ impl ExportRecord {
         let other = |view: &&ViewIndex| (scale_of(**view) / wanted).log2().abs() > 0.01;
         let others: Vec<ViewIndex> = views.iter().filter(other).copied().collect();
         let Some(&first) = others.first() else { return };
-        self.not_honoured.push(format!(
+        self.warnings.push(format!(
             "image_scale {wanted}: {} of {} images are matched at {:.3} of their size, as {}",
             others.len(),
             views.len(),
@@ -154,7 +154,7 @@ impl ExportRecord {
     pub(super) fn note_own_scale(&mut self, selection: &Selection) {
         if !selection.own_size && selection.image_scale != 1.0 {
             let scale = selection.image_scale;
-            self.not_honoured.push(format!("image_scale {scale}: the program's own options choose the size"));
+            self.warnings.push(format!("image_scale {scale}: the program's own options choose the size"));
         }
     }
 

@@ -9,6 +9,8 @@ use std::{
     path::Path,
 };
 
+use super::platform;
+
 /// The kind of a file that is read whole, which decides how large it may be.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FileKind {
@@ -68,8 +70,7 @@ pub fn open(path: &Path) -> io::Result<File> {
 fn open_with_metadata(path: &Path) -> io::Result<(File, Metadata)> {
     let mut options = File::options();
     options.read(true);
-    #[cfg(unix)]
-    std::os::unix::fs::OpenOptionsExt::custom_flags(&mut options, libc::O_NONBLOCK);
+    platform::never_block(&mut options);
     let file = options.open(path)?;
     let found = file.metadata()?;
     if found.is_file() {
@@ -82,17 +83,10 @@ fn open_with_metadata(path: &Path) -> io::Result<(File, Metadata)> {
 /// Identifies a file beyond length and modification time: when its content or name last changed, in ns since 1970 (no program can
 /// set that time), and its inode. Where the system has neither, the time of modification and 0.
 pub fn identity(metadata: &Metadata) -> (u128, u64) {
-    #[cfg(unix)]
-    {
-        use std::os::unix::fs::MetadataExt;
-        let (seconds, ns) = (metadata.ctime().try_into().unwrap_or(0), metadata.ctime_nsec().try_into().unwrap_or(0));
-        (std::time::Duration::new(seconds, ns).as_nanos(), metadata.ino())
-    }
-    #[cfg(not(unix))]
-    {
+    platform::change_and_inode(metadata).unwrap_or_else(|| {
         let modified = metadata.modified().unwrap_or(std::time::UNIX_EPOCH);
         (modified.duration_since(std::time::UNIX_EPOCH).unwrap_or_default().as_nanos(), 0)
-    }
+    })
 }
 
 /// Reads a regular file whole, up to the limit of its kind.

@@ -1,10 +1,107 @@
-//! What differs between operating systems below the daemon: signals to stop, groups of processes, the user.
+//! What differs between operating systems below the daemon: files and links, signals to stop, groups of processes, the user. Each function has a
+//! plain equivalent for systems other than Unix.
 
 use std::{
+    fs::{Metadata, OpenOptions},
     io,
+    path::Path,
     process::{Child, Command},
     sync::{Arc, atomic::AtomicBool},
 };
+
+/// Lets opening a pipe return at once instead of waiting for its writer.
+pub fn never_block(options: &mut OpenOptions) {
+    #[cfg(unix)]
+    std::os::unix::fs::OpenOptionsExt::custom_flags(options, libc::O_NONBLOCK);
+    let _ = options;
+}
+
+/// As [`never_block`], and lets opening a symbolic link fail; on Windows the link itself is opened, which is no regular file.
+pub fn refuse_links(options: &mut OpenOptions) {
+    #[cfg(unix)]
+    std::os::unix::fs::OpenOptionsExt::custom_flags(options, libc::O_NOFOLLOW | libc::O_NONBLOCK);
+    #[cfg(windows)]
+    {
+        const FILE_FLAG_OPEN_REPARSE_POINT: u32 = 0x0020_0000;
+        std::os::windows::fs::OpenOptionsExt::custom_flags(options, FILE_FLAG_OPEN_REPARSE_POINT);
+    }
+}
+
+/// Lets a new file be executable, as far as the user's mask allows.
+pub fn make_executable(options: &mut OpenOptions) {
+    #[cfg(unix)]
+    std::os::unix::fs::OpenOptionsExt::mode(options, 0o777);
+    let _ = options;
+}
+
+/// Returns whether the owner may execute the file; true where the system has no such permission.
+pub fn is_executable(found: &Metadata) -> bool {
+    #[cfg(unix)]
+    return std::os::unix::fs::PermissionsExt::mode(&found.permissions()) & 0o100 != 0;
+    #[cfg(not(unix))]
+    {
+        let _ = found;
+        true
+    }
+}
+
+/// Number of the file system; 0 where the system does not tell it.
+pub fn file_system(found: &Metadata) -> u64 {
+    #[cfg(unix)]
+    return std::os::unix::fs::MetadataExt::dev(found);
+    #[cfg(not(unix))]
+    {
+        let _ = found;
+        0
+    }
+}
+
+/// Inode number, where the system has them.
+pub fn inode(found: &Metadata) -> Option<u64> {
+    #[cfg(unix)]
+    return Some(std::os::unix::fs::MetadataExt::ino(found));
+    #[cfg(not(unix))]
+    {
+        let _ = found;
+        None
+    }
+}
+
+/// Time of the last change of content or name, ns since 1970, which no program can set, and inode number; `None` where the system has neither.
+pub fn change_and_inode(found: &Metadata) -> Option<(u128, u64)> {
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::MetadataExt;
+        let (seconds, ns) = (found.ctime().try_into().unwrap_or(0), found.ctime_nsec().try_into().unwrap_or(0));
+        Some((std::time::Duration::new(seconds, ns).as_nanos(), found.ino()))
+    }
+    #[cfg(not(unix))]
+    {
+        let _ = found;
+        None
+    }
+}
+
+/// Makes a symbolic link to a file.
+pub fn link_file(target: &Path, at: &Path) -> io::Result<()> {
+    #[cfg(unix)]
+    return std::os::unix::fs::symlink(target, at);
+    #[cfg(windows)]
+    return std::os::windows::fs::symlink_file(target, at);
+    #[cfg(not(any(unix, windows)))]
+    {
+        let _ = (target, at);
+        Err(io::ErrorKind::Unsupported.into())
+    }
+}
+
+/// Syncs the entries of a folder; Windows does so by itself, and opens no folders.
+pub fn sync_folder(folder: &Path) -> io::Result<()> {
+    match cfg!(windows) {
+        true => Ok(()),
+        false => std::fs::File::open(folder)?.sync_all(),
+    }
+}
 
 /// Sets the flag at Ctrl-C and, where the system has them, at other requests to end. A second Ctrl-C ends the program at once.
 pub fn stop_flag() -> io::Result<Arc<AtomicBool>> {

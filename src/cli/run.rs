@@ -35,7 +35,7 @@ const FAILURES: usize = 3;
 /// Plan a project, compute its depth maps best first until the target is reached, and fuse them.
 ///
 /// Undistorts the images where the backend needs that, and matches with the backend that the project is set up for, else with OpenMVS
-/// (DensifyPointCloud) or a COLMAP with CUDA if on the PATH, else with integrations/sgm (Python with numpy, opencv and scipy). Each depth map is
+/// (DensifyPointCloud) or a COLMAP with CUDA if on the PATH, else with integrations/sgm (Python with numpy and opencv). Each depth map is
 /// measured; PROJECT/viewrank/report.html shows how far it got. Ctrl-C stops, the same command goes on.
 #[derive(Args)]
 pub struct Arguments {
@@ -389,11 +389,14 @@ impl<'a> Work<'a> {
 
     fn broken(&self, output: &str) -> Failure {
         let message = format!("{} computes no depth maps:\n{output}", self.backend.name);
-        Failure::new(
-            Exit::Failed,
-            message,
-            "check the program with one of its own commands, or take another --backend".to_owned(),
-        )
+        let hint = match self.backend.name {
+            "sgm" if output.contains("ModuleNotFoundError") => {
+                "name a Python with numpy and opencv in PYTHON: python3 -m venv V && V/bin/pip install numpy \
+                 opencv-python-headless"
+            }
+            _ => "check the program with one of its own commands, or take another --backend",
+        };
+        Failure::new(Exit::Failed, message, hint.to_owned())
     }
 }
 

@@ -209,7 +209,7 @@ impl Passes {
             let key = selection.scene.name(cluster.key);
             if !last.contains(key) {
                 let why = self.left_out(cluster, &with_points);
-                record.not_honoured.push(format!("{key}: {why}, so no depth map"));
+                record.warnings.push(format!("{key}: {why}, so no depth map"));
             }
             let width = |v: &ViewIndex| selection.scene.camera_of(*v).width;
             if cluster.partners.iter().any(|p| width(p) != width(&cluster.partners[0])) {

@@ -7,6 +7,7 @@ use std::{
 };
 
 use super::{OutputError, open};
+use crate::base::platform;
 
 /// A kind of change to the file system.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -92,7 +93,7 @@ impl<'a> Disk<'a> {
     }
 
     pub(super) fn symbolic_link(&self, target: &Path, at: &Path) -> Result<(), OutputError> {
-        self.change(Operation::Link, at, || make_symbolic_link(target, at))
+        self.change(Operation::Link, at, || platform::link_file(target, at))
     }
 
     /// Renames `from` to `to`, replacing it; `Ok(false)` if `from` doesn't exist.
@@ -127,7 +128,7 @@ impl<'a> Disk<'a> {
 
     /// Syncs the directory entries of a folder.
     pub(super) fn sync_folder(&self, path: &Path) -> Result<(), OutputError> {
-        self.change(Operation::Sync, path, || match File::open(path)?.sync_all() {
+        self.change(Operation::Sync, path, || match platform::sync_folder(path) {
             // Some network file systems cannot sync a folder, but keep its changes in order.
             Err(error) if error.kind() == io::ErrorKind::InvalidInput => Ok(()),
             done => done,
@@ -138,21 +139,8 @@ impl<'a> Disk<'a> {
 fn create_new(path: &Path, executable: bool) -> io::Result<File> {
     let mut options = File::options();
     options.write(true).create_new(true);
-    #[cfg(unix)]
     if executable {
-        use std::os::unix::fs::OpenOptionsExt;
-        options.mode(0o777);
+        platform::make_executable(&mut options);
     }
-    let _ = executable;
     options.open(path)
-}
-
-#[cfg(unix)]
-fn make_symbolic_link(target: &Path, at: &Path) -> io::Result<()> {
-    std::os::unix::fs::symlink(target, at)
-}
-
-#[cfg(windows)]
-fn make_symbolic_link(target: &Path, at: &Path) -> io::Result<()> {
-    std::os::windows::fs::symlink_file(target, at)
 }

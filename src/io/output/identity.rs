@@ -11,12 +11,9 @@
 //! same happens at each mount of a file system that invents inodes and times (some FUSE file systems). In all these cases files are kept, never
 //! lost.
 
-use std::{
-    fs::{self, Metadata},
-    io,
-    path::Path,
-    time::UNIX_EPOCH,
-};
+use std::{fs, io, path::Path, time::UNIX_EPOCH};
+
+use crate::base::platform;
 
 /// Identity of a folder: creation time, inode number, or both.
 pub(super) fn identity(folder: &Path) -> io::Result<String> {
@@ -25,16 +22,10 @@ pub(super) fn identity(folder: &Path) -> io::Result<String> {
     let made = made.map(|time| format!("made {}.{:09}", time.as_secs(), time.subsec_nanos()));
     Ok(match made {
         Some(made) if cfg!(target_os = "linux") => made,
-        made => format!("{} {}", made.unwrap_or_default(), inode(&found)),
+        made => format!(
+            "{} {}",
+            made.unwrap_or_default(),
+            platform::inode(&found).map_or(String::new(), |n| format!("inode {n}"))
+        ),
     })
-}
-
-#[cfg(unix)]
-fn inode(found: &Metadata) -> String {
-    format!("inode {}", std::os::unix::fs::MetadataExt::ino(found))
-}
-
-#[cfg(not(unix))]
-fn inode(_: &Metadata) -> String {
-    String::new()
 }

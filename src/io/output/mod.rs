@@ -179,6 +179,8 @@ pub(crate) fn open_lock(root: &Path, name: &str) -> Result<std::fs::File, Output
 fn check_name(name: &str) -> Result<(), OutputError> {
     let plain = Path::new(name).components().all(|part| matches!(part, Component::Normal(_)));
     let canonical = name.split('/').all(|part| !part.is_empty() && part != "." && !part.contains('\0'));
+    // A drive, a stream of a file, another separator: no plain parts there.
+    let plain = plain && !(cfg!(windows) && name.contains([':', '\\']));
     if plain && canonical { Ok(()) } else { Err(OutputError::Name { name: name.into() }) }
 }
 

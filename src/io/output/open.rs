@@ -14,7 +14,10 @@ use std::{
 };
 
 use super::OutputError;
-use crate::base::input::{self, FileKind};
+use crate::base::{
+    input::{self, FileKind},
+    platform,
+};
 
 /// Returns `root/name` with the symbolic links of `root` resolved.
 ///
@@ -62,8 +65,7 @@ pub(super) fn existing(path: &Path) -> io::Result<File> {
 fn regular_file(path: &Path, options: &mut OpenOptions) -> Result<File, OutputError> {
     let foreign = |found: &Metadata| OutputError::Foreign { path: path.into(), what: kind(found) };
     let before = fs::symlink_metadata(path).ok();
-    #[cfg(unix)]
-    std::os::unix::fs::OpenOptionsExt::custom_flags(options, libc::O_NOFOLLOW | libc::O_NONBLOCK);
+    platform::refuse_links(options);
     #[cfg(not(unix))]
     if let Some(found) = before.as_ref().filter(|found| !found.is_file()) {
         return Err(foreign(found));

@@ -12,7 +12,7 @@ use super::{
     record::{self, Record, Records},
     transaction::{Change, Root, Step},
 };
-use crate::base::input;
+use crate::base::{input, platform};
 
 /// Stages the differences between the sets and the files on disk, as one change for all sets.
 pub(super) fn stage(root: &Root, sets: &[&FileSet]) -> Result<(Change, Vec<Written>), OutputError> {
@@ -121,7 +121,10 @@ impl Staging<'_> {
             Contents::Copy(from) => self.copy(from, at),
             Contents::Link(to) => {
                 let link = link_target(to, target, &self.root.path);
-                disk.symbolic_link(&link, at).or_else(|_| self.copy(to, at))
+                let made = disk.symbolic_link(&link, at);
+                // Windows lets administrators alone make symbolic links.
+                let made = if cfg!(windows) { made.or_else(|_| disk.hard_link(to, at)) } else { made };
+                made.or_else(|_| self.copy(to, at))
             }
             Contents::Folder => Ok(()),
         }
@@ -129,7 +132,7 @@ impl Staging<'_> {
 
     fn copy(&self, from: &Path, to: &Path) -> Result<(), OutputError> {
         let source = input::open(from).map_err(|error| OutputError::new(from, error))?;
-        let executable = source.metadata().is_ok_and(|found| is_executable(&found));
+        let executable = source.metadata().is_ok_and(|found| platform::is_executable(&found));
         self.root.disk.write_new(to, source, executable)
     }
 
@@ -178,7 +181,7 @@ impl Staging<'_> {
     fn check_file_system(&self, folder: &Path, found: &Metadata) -> Result<(), OutputError> {
         let staging = self.root.staging();
         let home = fs::metadata(&staging).map_err(|error| OutputError::new(&staging, error))?;
-        if file_system(found) == file_system(&home) {
+        if platform::file_system(found) == platform::file_system(&home) {
             return Ok(());
         }
         Err(OutputError::OtherFileSystem { path: folder.to_path_buf(), staging })
@@ -264,7 +267,7 @@ fn is_same(target: &Path, found: &Metadata, contents: &Contents, root: &Path) ->
         Contents::Bytes(bytes) => is_bytes(target, found, bytes),
         Contents::Table { head, rows } => Ok(found.len() == (head.len() + rows.len()) as u64
             && record::same_contents(head.chain(&rows[..]), open::existing(target)?)?),
-        Contents::Script(bytes) => Ok(is_executable(found) && is_bytes(target, found, bytes)?),
+        Contents::Script(bytes) => Ok(platform::is_executable(found) && is_bytes(target, found, bytes)?),
         Contents::Folder => Ok(found.is_dir()),
     }
 }
@@ -283,26 +286,4 @@ fn link_target(to: &Path, from: &Path, root: &Path) -> PathBuf {
     let (Ok(to), Ok(from)) = (real.strip_prefix(root), from.strip_prefix(root)) else { return real };
     let up = from.components().count() - 1;
     (0..up).map(|_| Path::new("..")).chain([to]).collect()
-}
-
-#[cfg(unix)]
-fn is_executable(found: &Metadata) -> bool {
-    use std::os::unix::fs::PermissionsExt;
-    found.permissions().mode() & 0o100 != 0
-}
-
-#[cfg(not(unix))]
-fn is_executable(_: &Metadata) -> bool {
-    true
-}
-
-#[cfg(unix)]
-fn file_system(found: &Metadata) -> u64 {
-    use std::os::unix::fs::MetadataExt;
-    found.dev()
-}
-
-#[cfg(not(unix))]
-fn file_system(_: &Metadata) -> u64 {
-    0
 }

@@ -1,0 +1,87 @@
+"""viewrank run: one command from a sparse model to depth maps, with the matcher that comes with viewrank and with a program that stands for OpenMVS."""
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+
+import pytest
+
+
+@pytest.fixture
+def valley(fixtures, tmp_path):
+    root = tmp_path / "my valley"
+    shutil.copytree(fixtures / "valley", root, ignore=shutil.ignore_patterns("viewrank"))
+    (root / "viewrank.toml").write_text("image_scale = 0.25\n")
+    return root
+
+
+@pytest.fixture
+def run(viewrank):
+    """Runs `viewrank run` with this Python and nothing else on the PATH but the system's tools."""
+    program = viewrank("--version").args[0]
+    environment = {**{name: value for name, value in os.environ.items() if name not in ("DENSIFY", "COLMAP", "SGM")}, "PYTHON": sys.executable, "PATH": "/usr/bin:/bin"}
+
+    def start(*arguments, **variables):
+        return subprocess.Popen([program, "run", *map(str, arguments)], env={**environment, **variables}, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+    def done(*arguments, expect=0, **variables):
+        process = start(*arguments, **variables)
+        out, err = process.communicate()
+        assert process.returncode == expect, out + err
+        return out, err
+
+    done.start = start
+    return done
+
+
+def test_one_command_plans_matches_and_reports(run, valley):
+    out, err = run(valley, "--backend", "sgm", "--budget", "3", "--no-report", "--format", "json")
+    result = json.loads(out)
+    assert (result["backend"], result["done"], result["tasks"], result["failed"]) == ("sgm", 3, 3, 0) and 0 < result["share"] <= 1
+    maps = {path: path.stat().st_mtime_ns for path in (valley / "sgm/depth_maps").glob("*.npy")}
+    assert len(maps) == 3
+    # Again: nothing is computed twice, and the page is there.
+    out, err = run(valley, "--backend", "sgm", "--budget", "3")
+    assert {path: path.stat().st_mtime_ns for path in (valley / "sgm/depth_maps").glob("*.npy")} == maps
+    assert (valley / "viewrank/report.html").is_file() and "3 of 3 depth maps" in out
+
+
+def test_it_stops_at_the_target(run, valley):
+    result = json.loads(run(valley, "--backend", "sgm", "--target", "60", "--no-report", "--format", "json")[0])
+    assert result["target_reached"] or result["done"] == result["tasks"]
+    assert result["tasks"] < 28
+
+
+def test_ctrl_c_stops_and_the_same_command_goes_on(run, valley):
+    process = run.start(valley, "--backend", "sgm", "--budget", "4", "--no-report")
+    for line in process.stderr:
+        if line.lstrip().startswith("1 of 4"):
+            process.send_signal(signal.SIGINT)
+            break
+    out, err = process.communicate()
+    assert process.returncode == 1 and "stopped with" in err and f"viewrank run '{valley}'" in err
+    kept = {path: path.stat().st_mtime_ns for path in (valley / "sgm/depth_maps").glob("*.npy")}
+    assert kept
+    assert json.loads(run(valley, "--backend", "sgm", "--budget", "4", "--no-report", "--format", "json")[0])["done"] == 4
+    assert all(path.stat().st_mtime_ns == time for path, time in kept.items())
+
+
+def test_the_backend_is_what_the_machine_has_and_the_summary_says_why(run, valley, tmp_path):
+    densify = tmp_path / "bin/DensifyPointCloud"
+    densify.parent.mkdir()
+    densify.write_text("#!/bin/sh\necho no licence >&2\nexit 3\n")
+    densify.chmod(0o755)
+    out, err = run(valley, "--budget", "2", "--no-report", PATH=f"{densify.parent}:/usr/bin:/bin", expect=1)
+    assert f"Backend: openmvs ({densify} is installed)" in out
+    assert "no depth map of" in err
+    assert "no such file" in run(tmp_path / "nowhere", expect=1)[1]
+
+
+def test_a_python_without_the_packages_is_said(run, valley, tmp_path):
+    bare = tmp_path / "python"
+    bare.write_text("#!/bin/sh\necho \"ModuleNotFoundError: No module named 'numpy'\" >&2\nexit 1\n")
+    bare.chmod(0o755)
+    out, err = run(valley, "--backend", "sgm", "--no-report", PYTHON=str(bare), expect=1)
+    assert "sgm computes no depth maps" in err and "PYTHON" in err
