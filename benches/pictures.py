@@ -190,7 +190,7 @@ def screenshot(program, page, out, width, height):
         finally:
             browser.process.terminate()
             browser.process.wait()
-    colours = Image.open(io.BytesIO(picture)).convert("RGB").quantize(96, dither=Image.Dither.NONE)
+    colours = Image.open(io.BytesIO(picture)).convert("RGB").quantize(255, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
     colours.save(out, optimize=True)
 
 

@@ -417,6 +417,8 @@ struct FlightData {
     /// Part of the holes' weight that fusion is expected to keep with them, and with images from all candidate poses; 0 to 1.
     filled: f64,
     fillable: f64,
+    /// Part of the weight of each hole.
+    of_holes: Vec<f64>,
 }
 
 impl FlightData {
@@ -430,6 +432,7 @@ impl FlightData {
             heights: all().map(|w| w.height).collect(),
             overlaps: all().map(|w| w.overlap).collect(),
             filled: flight.filled,
+            of_holes: flight.of_holes.clone(),
             fillable: flight.fillable,
         }
     }

@@ -124,16 +124,14 @@ pub fn holes(plan: &Plan, most: usize) -> Holes {
     let area = |triangles: &[u32]| triangles.iter().map(|&t| plan.stages.surface.area(t)).sum::<f64>();
     let in_subject =
         |t: &u32| subject.as_ref().is_none_or(|subject| subject.contains(&plan.stages.surface.centroid(*t)));
-    let mut largest: Vec<Hole> = regions(plan, &near)
-        .into_iter()
-        .map(|region| hole(plan, region))
-        .filter(|hole| in_subject(&hole.deepest))
-        .collect();
+    let inside: Vec<u32> = near.iter().copied().filter(in_subject).collect();
+    let mut largest: Vec<Hole> = regions(plan, &inside).into_iter().map(|region| hole(plan, region)).collect();
     largest.sort_by(|a, b| b.area.total_cmp(&a.area));
     largest.truncate(most);
     largest.par_iter_mut().for_each(|hole| hole.seen = seen(plan, hole.deepest));
     let (near_area, far_area) = (area(&near), area(&far));
-    let worth_it = largest.partition_point(|hole| hole.area >= LEAST_SHARE * near_area);
+    let least = LEAST_SHARE * area(&inside);
+    let worth_it = largest.partition_point(|hole| hole.area >= least);
     largest.truncate(worth_it);
     Holes { largest, area: near_area + far_area, far_area, usual_distance: usual.unwrap_or_default() }
 }

@@ -119,7 +119,14 @@ pub fn choose(
         distance: (candidates[i].centre - candidates[i].target).norm(),
         overlap: overlap(plan, &extended, extended.taken + i, &flown.used),
     };
+    let of_hole = |hole: &Hole| {
+        let weight = |t: &&u32| objective.weights[**t as usize];
+        let all: f64 = hole.members.iter().map(|t| weight(&t)).sum();
+        let kept: f64 = hole.members.iter().filter(|t| reached.is_kept(**t)).map(|t| weight(&t)).sum();
+        if all > 0.0 { kept / all } else { 0.0 }
+    };
     Ok(Flight {
+        of_holes: holes.iter().map(of_hole).collect(),
         waypoints: used.par_iter().map(waypoint).collect(),
         filled: reached.kept() - before,
         fillable: all.kept() - before,

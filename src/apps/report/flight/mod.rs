@@ -40,7 +40,9 @@ pub struct Flight {
     pub waypoints: Vec<Waypoint>,
     /// Part of the weight of the listed holes that fusion is expected to keep with them, 0 to 1.
     pub filled: f64,
-    /// The same with an image from every candidate.
+    /// Part of the weight of each listed hole, 0 to 1.
+    pub of_holes: Vec<f64>,
+    /// As `filled`, with an image from every candidate.
     pub fillable: f64,
 }
 

@@ -140,12 +140,13 @@ function drawHoles() {
 // What would fill a hole: the images planned for it, or advice where none are.
 function fillText(hole, i) {
   const own = data.flight.holes.flatMap((of, w) => of === i ? [w] : []);
-  if (!own.length) return hole.advice;
+  const filled = data.flight.of_holes[i] || 0;
+  if (!own.length) return filled > 0.5 ? `the images for other holes: they fill ${percent(filled, 0)} of it` : hole.advice;
   const range = (values, digits) => {
     const [low, high] = [Math.min(...values), Math.max(...values)].map(value => digits === 0 ? `${Math.round(100 * value)}` : rounded(value));
     return low === high ? low : `${low} to ${high}`;
   };
-  return `${counted(own.length, 'image')}: ${range(own.map(w => data.flight.heights[w]))} ${unit} above, overlap ${range(own.map(w => data.flight.overlaps[w]), 0)}\u00a0%; ${hole.advice}`;
+  return `${counted(own.length, 'image')}: ${range(own.map(w => data.flight.heights[w]))} ${unit} above, overlap ${range(own.map(w => data.flight.overlaps[w]), 0)}\u00a0%; they fill ${percent(filled, 0)} of it`;
 }
 
 function flightText() {
