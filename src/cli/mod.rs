@@ -22,6 +22,7 @@ mod undistort;
 mod watch;
 
 use std::{
+    ffi::OsString,
     io::{ErrorKind, IsTerminal, Write},
     process::ExitCode,
 };
@@ -183,18 +184,23 @@ enum Command {
 
 /// Runs the program: parses arguments, prints errors, returns the exit code.
 pub fn main() -> ExitCode {
-    match run() {
-        Ok(()) => Exit::Success.into(),
+    run_with(std::env::args_os()).into()
+}
+
+/// Runs the program with these arguments, the first of which is its name, as [`main`] does.
+pub fn run_with(arguments: impl IntoIterator<Item = OsString>) -> Exit {
+    match run(Arguments::parse_from(arguments)) {
+        Ok(()) => Exit::Success,
         Err(failure) => {
             failure.print();
-            failure.exit.into()
+            failure.exit
         }
     }
 }
 
 /// Runs the subcommand. Wrong arguments, `--help` and `--version` end the program inside clap (exit codes 2, 0, 0).
-fn run() -> Result<(), Failure> {
-    match Arguments::parse().command {
+fn run(arguments: Arguments) -> Result<(), Failure> {
+    match arguments.command {
         Command::Plan(arguments) => plan::run(&arguments),
         Command::Evaluate(arguments) => evaluate::run(&arguments),
         Command::Train(arguments) => train::run(&arguments),

@@ -11,6 +11,7 @@ mod evaluation;
 mod matched;
 mod measure;
 mod missing;
+mod of_plan;
 pub mod orders;
 mod page;
 pub mod rules;

@@ -1,5 +1,6 @@
 //! Projects: folders with a sparse model, and where their images and dense workspace are.
 
+mod create;
 mod discover;
 mod files;
 mod foreign;
@@ -10,6 +11,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
+pub use create::CreateError;
 pub use files::ColmapFiles;
 pub(crate) use images::is_image;
 pub use images::{ImageFaults, slashes};
@@ -272,5 +274,16 @@ impl Hint for ProjectError {
 
     fn is_usage(&self) -> bool {
         matches!(self, Self::NoSuchModel { .. })
+    }
+
+    fn path(&self) -> Option<&Path> {
+        match self {
+            Self::NotFound(path) | Self::NoImageList(path) => Some(path),
+            Self::NoModel { path, .. }
+            | Self::IncompleteModel { folder: path, .. }
+            | Self::NoSuchModel { path, .. }
+            | Self::Io { path, .. }
+            | Self::Fault { path, .. } => Some(path),
+        }
     }
 }
