@@ -22,7 +22,9 @@
 //! - [`manifest::WrittenPlan`] reads a written plan, and [`evaluate`] compares it with finished depth maps.
 //! - [`backends`] lists the MVS programs and writes their input files.
 //!
-//! `examples/` has a short program for each: `plan.rs`, `inspect.rs` and `evaluate.rs`.
+//! - [`Scene::from_arrays`] and [`Project::create`] make a project of a model in memory.
+//!
+//! `examples/` has a short program for each: `quickstart.rs`, `plan.rs`, `inspect.rs` and `evaluate.rs`; `python/` has the Python module.
 //!
 //! # Conventions
 //!
@@ -54,7 +56,7 @@ pub use base::{
 pub use config::Settings;
 pub use io::{
     output,
-    project::{Project, ProjectError},
+    project::{CreateError, Project, ProjectError},
 };
 pub use method::{
     fulfilment::FulfilmentTable,
@@ -65,16 +67,17 @@ pub use method::{
     visibility::Visibility,
 };
 pub use model::{
+    arrays::{ArraysError, Intrinsics, SceneArrays},
     camera::Camera,
     cluster::{MapScale, RankedCluster, ViewCluster},
     reason::Reason,
     scene::{PointIndex, Pose, Scene, View, ViewIndex},
 };
 pub use plan::{
-    Cut, Decision, Finished, Forecast, Matcher, Plan, PlanError, PlanningNumbers, Stages, Timings, ViewStatus,
-    WorkPerMap,
+    CurvePoint, Cut, Decision, Finished, Forecast, Matcher, Plan, PlanError, PlanningNumbers, Stages, Timings,
+    ViewStatus, WorkPerMap,
 };
-pub use show::{files, manifest};
+pub use show::{files, manifest, pictures};
 
 /// The modules of all layers, for the tests, benchmarks and fuzz targets of this repository; not part of the public interface.
 #[cfg(feature = "internals")]

@@ -1,6 +1,6 @@
 //! Reasons why a backend's files cannot be made.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use super::BACKENDS;
 use crate::{
@@ -58,5 +58,14 @@ impl Hint for BackendError {
 
     fn is_usage(&self) -> bool {
         matches!(self, Self::Unknown(_) | Self::Option { .. })
+    }
+
+    fn path(&self) -> Option<&Path> {
+        match self {
+            Self::OwnFile(path) | Self::OtherModel(path) | Self::OtherExport { folder: path, .. } => Some(path),
+            Self::Place(error) => error.path(),
+            Self::Model(error) => error.path(),
+            _ => None,
+        }
     }
 }

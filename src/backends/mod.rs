@@ -11,8 +11,8 @@ use crate::{
     base::progress::Watcher,
     config::{Settings, UnknownBackend},
     io::project::Project,
-    model::{camera::Camera, cluster::Gate},
-    plan::{Matcher, Plan, PlanError, PlanningNumbers},
+    model::{camera::Camera, cluster::Gate, scene::Scene},
+    plan::{Matcher, Plan, PlanError, PlanningNumbers, Timings},
 };
 
 mod alicevision;
@@ -175,6 +175,17 @@ pub fn planned_for(project: &Project, settings: &Settings) -> Result<Matcher, Un
 /// default one.
 pub fn plan(project: &Project, settings: &Settings, watcher: &dyn Watcher) -> Result<Plan, PlanError> {
     Plan::new(project, settings, &planned_for(project, settings)?, watcher)
+}
+
+/// As [`plan`], for the scene of the project that was read before.
+pub fn plan_scene(
+    project: &Project,
+    scene: Scene,
+    settings: &Settings,
+    watcher: &dyn Watcher,
+) -> Result<Plan, PlanError> {
+    let matcher = planned_for(project, settings)?;
+    Plan::from_scene(project, scene, settings, &matcher, Timings::start(), watcher)
 }
 
 /// How far a backend does what the plan says.

@@ -69,8 +69,8 @@ fn is_json(typed: &[String]) -> bool {
 }
 
 /// Parses the command line; `--help` and `--version` end the program inside clap.
-pub fn parse() -> Result<Arguments, Failure> {
-    parse_from(std::env::args_os().collect()).map_err(|error| {
+pub fn parse(typed: Vec<OsString>) -> Result<Arguments, Failure> {
+    parse_from(typed).map_err(|error| {
         if !error.use_stderr() {
             error.exit();
         }

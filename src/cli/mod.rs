@@ -24,6 +24,7 @@ mod undistort;
 mod watch;
 
 use std::{
+    ffi::OsString,
     io::{ErrorKind, IsTerminal, Write},
     process::ExitCode,
 };
@@ -216,18 +217,23 @@ enum Command {
 
 /// Runs the program: parses arguments, prints errors, returns the exit code.
 pub fn main() -> ExitCode {
-    match run() {
-        Ok(()) => Exit::Success.into(),
+    run_with(std::env::args_os()).into()
+}
+
+/// Runs the program with these arguments, the first of which is its name, as [`main`] does.
+pub fn run_with(arguments: impl IntoIterator<Item = OsString>) -> Exit {
+    match run(arguments) {
+        Ok(()) => Exit::Success,
         Err(failure) => {
             failure.print();
-            failure.exit.into()
+            failure.exit
         }
     }
 }
 
 /// Runs the subcommand.
-fn run() -> Result<(), Failure> {
-    match arguments::parse()?.command {
+fn run(arguments: impl IntoIterator<Item = OsString>) -> Result<(), Failure> {
+    match arguments::parse(arguments.into_iter().collect())?.command {
         Command::Plan(arguments) => plan::run(&arguments),
         Command::Run(arguments) => run::run(&arguments),
         Command::Evaluate(arguments) => evaluate::run(&arguments),

@@ -413,6 +413,18 @@ impl Hint for ConfigError {
     fn is_usage(&self) -> bool {
         true
     }
+
+    fn path(&self) -> Option<&Path> {
+        match self {
+            Self::Read { path, .. } => Some(path),
+            Self::Syntax { place: Place::File { path, .. }, .. }
+            | Self::UnknownKey { place: Place::File { path, .. }, .. }
+            | Self::UserOnly { place: Place::File { path, .. }, .. }
+            | Self::Backend { place: Place::File { path, .. }, .. }
+            | Self::Value { from: Source::Written(Place::File { path, .. }), .. } => Some(path),
+            _ => None,
+        }
+    }
 }
 
 /// Finds the known key nearest to a misspelt one: similar as a whole, or in its last part.

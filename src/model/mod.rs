@@ -1,5 +1,6 @@
 //! The sparse model: cameras, views, points and tracks, and its georeference.
 
+pub mod arrays;
 pub mod camera;
 pub mod cluster;
 pub mod georeference;

@@ -1,5 +1,7 @@
 //! The errors of planning.
 
+use std::path::Path;
+
 use super::memory;
 use crate::{
     base::{
@@ -92,6 +94,18 @@ impl Hint for PlanError {
             Self::Backend(error) => error.is_usage(),
             Self::Trained(error) => error.is_usage(),
             _ => false,
+        }
+    }
+
+    fn path(&self) -> Option<&Path> {
+        match self {
+            Self::Project(error) => error.path(),
+            Self::NoViews(path) => Some(path),
+            Self::Surface(error) => error.path(),
+            Self::Region(error) => error.path(),
+            Self::Trained(error) => error.path(),
+            Self::Disk(error) => error.path(),
+            _ => None,
         }
     }
 }

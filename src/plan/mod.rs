@@ -5,6 +5,7 @@
 
 mod band;
 mod border;
+mod curve;
 mod cut;
 mod decision;
 mod error;
@@ -21,6 +22,7 @@ mod timings;
 mod warnings;
 
 pub use band::Band;
+pub use curve::CurvePoint;
 pub use cut::Cut;
 pub use decision::{Decision, decide, decide_as};
 pub use error::PlanError;

@@ -1,8 +1,10 @@
 //! The files of a plan: manifest and its table, pair files, pictures, and the files of the backends.
 
+use std::path::Path;
+
 use super::outdated;
 use crate::{
-    backends::{self, Backend, BackendError, Export, ExportOptions, Selection, place},
+    backends::{self, Backend, BackendError, Export, ExportOptions, ExportRecord, Selection, place},
     base::{error::Hint, shell::quoted_path},
     io::{
         output::{self, Contents, FileSet},
@@ -54,6 +56,14 @@ impl Hint for FilesError {
             Self::Backend(error) => error.hint(),
             Self::Input(error) => error.hint(),
             Self::Nothing(error) => error.hint(),
+        }
+    }
+
+    fn path(&self) -> Option<&Path> {
+        match self {
+            Self::Backend(error) => error.path(),
+            Self::Input(error) => error.path(),
+            Self::Nothing(error) => error.path(),
         }
     }
 }
@@ -154,6 +164,34 @@ fn command(export: &Export) -> Option<String> {
     let folder = quoted_path(&export.files.root);
     let runner = export.record.runner.as_ref().map(|runner| format!("./{runner}"));
     Some(format!("cd {folder} && {}", runner.as_ref().or(export.record.commands.first())?))
+}
+
+/// Makes the files of a backend for the first `clusters` clusters of a plan in memory; [`FileSet::write`] writes them.
+///
+/// # Errors
+/// As [`Backend::export`], and a folder that other files need.
+pub fn export(
+    plan: &Plan,
+    project: &Project,
+    backend: &Backend,
+    clusters: usize,
+    options: &ExportOptions,
+) -> Result<(FileSet, ExportRecord), BackendError> {
+    let clusters: Vec<_> = plan.ranked().take(clusters).collect();
+    let image_faults = project.image_faults(&plan.stages.scene);
+    let selection = Selection {
+        project,
+        scene: &plan.stages.scene,
+        clusters: &clusters,
+        image_scale: plan.stages.settings.image_scale(),
+        own_size: plan.stages.own_size,
+        planned_for: plan.stages.backend,
+        image_faults: &image_faults,
+    };
+    let export = backend.export(&selection, options)?;
+    let folder = export.files.root.clone();
+    place::check(&folder, std::slice::from_ref(&export), project)?;
+    Ok((place::set_of_folder(&folder, [export.files], project), export.record))
 }
 
 /// The files of each backend, and a warning for each backend without files: the plan is useful without them.

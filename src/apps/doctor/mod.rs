@@ -15,9 +15,10 @@ use serde::Serialize;
 use crate::{
     backends::{self, Backend, Patient},
     base::shell::quoted_path,
-    config::Settings,
+    config::{Settings, UnknownBackend},
     io::project::{ImageFaults, Project},
     model::scene::{Scene, ViewIndex, ViewPoints},
+    show::manifest::planned_backend,
 };
 
 /// Severity of a finding.
@@ -150,6 +151,29 @@ fn scene_findings(inputs: &Inputs) -> Vec<Finding> {
     findings.extend(sense::of_images(inputs));
     findings.extend(traps(inputs));
     findings
+}
+
+/// The backends to check: those named, else that of the project's plan, else the one that the project is set up for; `others`: and all others.
+/// The first is the one that partners are judged for.
+///
+/// # Errors
+/// An unknown name.
+pub fn backends_to_check(
+    project: &Project,
+    names: &[String],
+    others: bool,
+) -> Result<Vec<&'static Backend>, UnknownBackend> {
+    let mut checked = backends::by_names(names)?;
+    if checked.is_empty() {
+        let planned = planned_backend(project).and_then(|name| backends::by_name(&name).ok());
+        checked.push(planned.unwrap_or_else(|| backends::for_project(project)));
+    }
+    for backend in backends::BACKENDS.iter().copied().filter(|_| others) {
+        if checked.iter().all(|known: &&Backend| known.name != backend.name) {
+            checked.push(backend);
+        }
+    }
+    Ok(checked)
 }
 
 /// Traps of the backends: warnings for the planned backend, notes for the others.

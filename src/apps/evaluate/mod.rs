@@ -12,6 +12,7 @@ mod evaluation;
 mod matched;
 mod measure;
 mod missing;
+mod of_plan;
 pub mod orders;
 mod page;
 pub mod rules;

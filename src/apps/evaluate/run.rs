@@ -327,4 +327,14 @@ impl Hint for EvaluateError {
             Self::Table(error) => return error.hint(),
         })
     }
+
+    fn path(&self) -> Option<&Path> {
+        match self {
+            Self::DepthMap(error) => error.path(),
+            Self::Report(error) => error.path(),
+            Self::NoClusters(path) => Some(path),
+            Self::Cancelled(_) => None,
+            Self::Table(error) => error.path(),
+        }
+    }
 }

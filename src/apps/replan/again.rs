@@ -98,4 +98,12 @@ impl Hint for AgainError {
             Self::Table(error) => error.hint(),
         }
     }
+
+    fn path(&self) -> Option<&Path> {
+        match self {
+            Self::Written(error) => error.path(),
+            Self::Plan(error) => error.path(),
+            Self::Table(error) => error.path(),
+        }
+    }
 }

@@ -479,4 +479,13 @@ impl Hint for ReportError {
             Self::Cancelled(error) => error.hint(),
         }
     }
+
+    fn path(&self) -> Option<&Path> {
+        match self {
+            Self::DepthMaps(error) => error.path(),
+            Self::NothingToCompare(path) => Some(path),
+            Self::Disk(error) => error.path(),
+            Self::Cancelled(_) => None,
+        }
+    }
 }

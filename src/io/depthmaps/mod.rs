@@ -178,6 +178,18 @@ impl Hint for DepthMapError {
         };
         Some(hint.into())
     }
+
+    fn path(&self) -> Option<&Path> {
+        match self {
+            Self::Io { path, .. }
+            | Self::Format { path, .. }
+            | Self::None(path)
+            | Self::Names { path, .. }
+            | Self::Shape { path, .. }
+            | Self::Duplicate { second: path, .. } => Some(path),
+            Self::Distorted { .. } => None,
+        }
+    }
 }
 
 /// A parse result; an error has the byte offset and the problem, the caller adds the path.

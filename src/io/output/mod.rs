@@ -239,4 +239,19 @@ impl Hint for OutputError {
             Self::Interrupted { .. } => "fix the cause and run again: that completes the set".into(),
         })
     }
+
+    fn path(&self) -> Option<&Path> {
+        match self {
+            Self::Name { .. } => None,
+            Self::Escapes { path, .. }
+            | Self::Foreign { path, .. }
+            | Self::InTheWay { path, .. }
+            | Self::OtherFileSystem { path, .. }
+            | Self::Full { path }
+            | Self::Denied { path, .. }
+            | Self::Io { path, .. }
+            | Self::Journal { path, .. } => Some(path),
+            Self::Interrupted { failure, .. } => failure.path(),
+        }
+    }
 }

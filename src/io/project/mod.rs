@@ -1,6 +1,7 @@
 //! Projects: folders with a sparse model, and where their images and dense workspace are.
 
 mod containing;
+mod create;
 mod discover;
 mod elsewhere;
 mod files;
@@ -16,6 +17,7 @@ use std::{
 use rayon::prelude::*;
 
 pub use containing::containing;
+pub use create::CreateError;
 pub use files::ColmapFiles;
 pub use folder::ImageFolder;
 pub(crate) use images::is_image;
@@ -323,5 +325,16 @@ impl Hint for ProjectError {
 
     fn is_usage(&self) -> bool {
         matches!(self, Self::NoSuchModel { .. })
+    }
+
+    fn path(&self) -> Option<&Path> {
+        match self {
+            Self::NotFound(path) | Self::NoImageList(path) => Some(path),
+            Self::NoModel { path, .. }
+            | Self::IncompleteModel { folder: path, .. }
+            | Self::NoSuchModel { path, .. }
+            | Self::Io { path, .. }
+            | Self::Fault { path, .. } => Some(path),
+        }
     }
 }

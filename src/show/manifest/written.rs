@@ -272,4 +272,17 @@ impl Hint for WrittenPlanError {
             Self::Project(error) => error.hint(),
         }
     }
+
+    fn path(&self) -> Option<&Path> {
+        match self {
+            Self::Io { path, .. }
+            | Self::Manifest { path, .. }
+            | Self::Version { path, .. }
+            | Self::OtherInput(path)
+            | Self::OtherPlan(path) => Some(path),
+            Self::Own(error) => error.path(),
+            Self::Input(error) => error.path(),
+            Self::Project(error) => error.path(),
+        }
+    }
 }

@@ -6,6 +6,7 @@ mod curve;
 mod expected;
 mod geojson;
 mod map;
+mod overview;
 pub mod plot;
 mod surface;
 
@@ -14,4 +15,5 @@ pub use curve::{FulfilmentCurve, SHARE_LABEL, curve_svg};
 pub use expected::expected_success;
 pub use geojson::{views_file, views_geojson};
 pub use map::footprints;
-pub use surface::{RAMP, REASON_NUMBERS, for_each_step, reason_number, surface_ply};
+pub use overview::map_svg;
+pub use surface::{RAMP, REASON_NUMBERS, TriangleState, for_each_step, reason_number, surface_ply, triangle_states};

@@ -122,7 +122,7 @@ fn pale(colour: [u8; 3]) -> [u8; 3] {
 }
 
 /// [`RAMP`] interpolated at the share reached; red if nothing is reachable.
-fn colour(state: &TriangleState) -> [u8; 3] {
+pub(super) fn colour(state: &TriangleState) -> [u8; 3] {
     if state.reachable <= 0.0 {
         return [190, 66, 40];
     }

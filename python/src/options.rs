@@ -1,0 +1,123 @@
+//! Keywords of `viewrank.plan` as settings.
+
+use std::path::{Path, PathBuf};
+
+use pyo3::{
+    exceptions::PyTypeError,
+    prelude::*,
+    types::{PyBool, PyDict, PyFloat, PyInt, PySequence, PyString},
+};
+use toml::Value;
+use viewrank::{
+    Settings, backends,
+    config::{CONFIDENCE_WORDS, Configuration, Files, RegionChoice, Typed, user_file},
+};
+
+use crate::failure::Failure;
+
+/// Keywords and the settings that they set; the program has an option `--KEYWORD` for each.
+const KEYWORDS: [(&str, &str); 18] = [
+    ("mesh_as_is", "surface.mesh_as_is"),
+    ("max_memory", "max_memory"),
+    ("confidence", "confidence.source"),
+    ("accuracy", "target.accuracy"),
+    ("partners", "partners.method"),
+    ("backend", "backends"),
+    ("surface", "surface.kind"),
+    ("budget", "cut.budget"),
+    ("target", "cut.target"),
+    ("points", "cut.points"),
+    ("region", "region"),
+    ("mesh", "surface.mesh"),
+    ("seed", "seed"),
+    ("time", "cut.time"),
+    ("gsd", "target.gsd"),
+    ("up", "surface.up"),
+    ("k", "partners.k"),
+    ("model", ""),
+];
+
+/// Replaces the program's options in a hint by keywords: `--gsd` by `gsd=`.
+pub fn as_keywords(hint: &str) -> String {
+    KEYWORDS.iter().fold(hint.to_owned(), |hint, (keyword, _)| {
+        hint.replace(&format!("--{}", keyword.replace('_', "-")), &format!("{keyword}="))
+    })
+}
+
+/// The settings of the user's file, the project's file and the keywords, later ones first.
+pub fn load(root: &Path, typed: Typed) -> Result<Settings, Failure> {
+    let files = Files { user: user_file(), project: Some(root.join("viewrank.toml")) };
+    Ok(Configuration::load(&files, typed, backends::canonical_name)?.settings)
+}
+
+/// Takes the keywords of `plan()`, and a dictionary `settings` of other settings by key.
+pub fn typed(keywords: &Bound<'_, PyDict>) -> PyResult<Typed> {
+    let mut typed = Typed::default();
+    for (name, value) in keywords {
+        let name: String = name.extract()?;
+        if value.is_none() {
+            continue;
+        }
+        if name == "settings" {
+            for (key, value) in value.cast::<PyDict>()? {
+                let key: String = key.extract()?;
+                typed.set("settings", &key, Some(amount(&key, &value)?));
+            }
+            continue;
+        }
+        let known = KEYWORDS.iter().find(|(keyword, key)| *keyword == name && !key.is_empty());
+        let (keyword, key) = known.ok_or_else(|| PyTypeError::new_err(format!("unknown keyword {name}")))?;
+        typed.set(keyword, key, Some(amount(key, &value)?));
+    }
+    Ok(typed)
+}
+
+/// The value of a setting; shares, seconds and boxes in the form in which the program takes them.
+fn amount(key: &str, value: &Bound<'_, PyAny>) -> PyResult<Value> {
+    let number = value.extract::<f64>().ok().filter(|_| !value.is_instance_of::<PyBool>());
+    let is_whole = value.is_instance_of::<PyInt>();
+    let text = match (key, number) {
+        ("cut.target", Some(share)) => Some(format!("{}%", 100.0 * share)),
+        ("cut.budget", Some(share)) if !is_whole => Some(format!("{}%", 100.0 * share)),
+        ("cut.time", Some(seconds)) => Some(format!("{seconds}s")),
+        ("cut.points" | "max_memory", Some(count)) => Some(format!("{count}")),
+        ("region", None) if !value.is_instance_of::<PyString>() => match value.extract::<[f64; 6]>() {
+            Ok(corners) => Some(corners.map(|x| x.to_string()).join(",")),
+            Err(_) => Some(absolute(&value.extract::<PathBuf>()?)),
+        },
+        ("surface.mesh", _) => Some(absolute(&value.extract::<PathBuf>()?)),
+        ("backends", _) if value.is_instance_of::<PyString>() => {
+            return Ok(Value::Array(vec![value.extract::<String>()?.into()]));
+        }
+        _ => None,
+    };
+    let value = text.map_or_else(|| setting(value), |text| Ok(text.into()))?;
+    Ok(match (key, value.as_str()) {
+        ("region", Some(text)) if RegionChoice::is_file(text) => absolute(Path::new(text)).into(),
+        ("confidence.source", Some(text)) if !CONFIDENCE_WORDS.contains(&text) => absolute(Path::new(text)).into(),
+        _ => value,
+    })
+}
+
+fn absolute(path: &Path) -> String {
+    std::path::absolute(path).unwrap_or(path.into()).to_string_lossy().into_owned()
+}
+
+fn setting(value: &Bound<'_, PyAny>) -> PyResult<Value> {
+    if value.is_instance_of::<PyBool>() {
+        return Ok(value.extract::<bool>()?.into());
+    }
+    if let Ok(whole) = value.extract::<i64>() {
+        return Ok(whole.into());
+    }
+    if value.is_instance_of::<PyFloat>() || value.extract::<f64>().is_ok() {
+        return Ok(value.extract::<f64>()?.into());
+    }
+    if let Ok(text) = value.extract::<String>() {
+        return Ok(text.into());
+    }
+    if let Ok(members) = value.cast::<PySequence>() {
+        return members.try_iter()?.map(|member| setting(&member?)).collect::<PyResult<Vec<Value>>>().map(Value::Array);
+    }
+    value.extract::<PathBuf>().map(|path| absolute(&path).into())
+}

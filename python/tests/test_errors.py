@@ -1,0 +1,105 @@
+"""Errors, progress and Ctrl-C."""
+
+import _thread
+import threading
+
+import pytest
+
+import viewrank
+
+
+def test_a_missing_project_is_a_read_error_with_its_path(tmp_path):
+    with pytest.raises(viewrank.ReadError) as raised:
+        viewrank.plan(tmp_path / "missing")
+    assert raised.value.path == tmp_path / "missing" and raised.value.hint
+    assert str(raised.value) == f"{raised.value.message}\nhint: {raised.value.hint}"
+    assert isinstance(raised.value, viewrank.Error)
+
+
+@pytest.mark.parametrize(
+    "keywords",
+    [{"k": 0}, {"target": -0.5}, {"backend": "nothing"}, {"settings": {"partners.kk": 3}}, {"surface": "flat"}, {"time": "2h"}],
+)
+def test_a_wrong_setting_is_a_settings_error(valley, keywords):
+    with pytest.raises(viewrank.SettingsError) as raised:
+        viewrank.plan(valley, **keywords)
+    assert raised.value.hint
+
+
+def test_hints_name_keywords(valley):
+    with pytest.raises(viewrank.SettingsError) as raised:
+        viewrank.plan(valley, model="9")
+    assert "model=" in raised.value.hint and "--model" not in raised.value.hint
+
+
+def test_a_project_without_a_plan_cannot_be_loaded(tmp_path, valley):
+    (tmp_path / "sparse").symlink_to(valley / "sparse")
+    with pytest.raises(viewrank.ReadError) as raised:
+        viewrank.load(tmp_path)
+    assert raised.value.path == tmp_path / "viewrank" / "manifest.json"
+
+
+def test_folders_without_depth_maps_are_an_evaluate_error(plan, tmp_path):
+    with pytest.raises(viewrank.EvaluateError) as raised:
+        viewrank.evaluate(plan, tmp_path)
+    assert raised.value.path == tmp_path
+
+
+def test_progress_comes_in_the_calling_thread_and_ends_each_stage(valley):
+    calls = []
+    caller = threading.get_ident()
+
+    def progress(stage, done, total):
+        assert threading.get_ident() == caller
+        calls.append((stage, done, total))
+
+    viewrank.plan(valley, confidence="geometric", progress=progress)
+    stages = list(dict.fromkeys(stage for stage, _, _ in calls))
+    assert {"surface", "visibility", "partners", "ranking"} <= set(stages)
+    for stage in ("visibility", "ranking"):
+        _, done, total = [call for call in calls if call[0] == stage][-1]
+        assert done == total
+
+
+def test_an_exception_of_the_callback_stops_the_call(valley):
+    class Enough(Exception):
+        pass
+
+    seen = []
+
+    def progress(stage, done, total):
+        seen.append(stage)
+        if stage == "visibility":
+            raise Enough
+
+    with pytest.raises(Enough):
+        viewrank.plan(valley, confidence="geometric", progress=progress)
+    assert "ranking" not in seen
+
+
+def test_control_c_stops_the_call(valley):
+    def progress(stage, done, total):
+        if stage == "surface":
+            _thread.interrupt_main()
+
+    with pytest.raises(KeyboardInterrupt):
+        viewrank.plan(valley, confidence="geometric", progress=progress)
+
+
+def test_other_threads_run_meanwhile(valley):
+    beats = []
+    stop = threading.Event()
+
+    def beat():
+        while not stop.is_set():
+            beats.append(len(beats))
+            stop.wait(0.001)
+
+    thread = threading.Thread(target=beat)
+    thread.start()
+    before = len(beats)
+    viewrank.plan(valley, confidence="geometric")
+    after = len(beats)
+    stop.set()
+    thread.join()
+    assert after > before

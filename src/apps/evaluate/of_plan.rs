@@ -1,0 +1,33 @@
+//! Evaluates the clusters of a plan in memory.
+
+use std::path::Path;
+
+use super::{
+    Evaluation, EvaluationOptions, MeasuredClusters, MeasuredSurface, SoFar, orders,
+    run::{EvaluateError, EvaluationInput},
+};
+use crate::{base::progress::Watcher, plan::Plan};
+
+impl Evaluation {
+    /// Measures the depth maps in `depth_maps` that were made for the plan, against those in `reference` or, without a reference, as if every
+    /// depth were right. `baselines`: also compares the order with others.
+    pub fn of_plan(
+        plan: &Plan,
+        depth_maps: &Path,
+        reference: Option<&Path>,
+        baselines: bool,
+        watcher: &dyn Watcher,
+    ) -> Result<Self, EvaluateError> {
+        let stages = &plan.stages;
+        let model = stages.model();
+        let order = orders::completed(plan.decision.ranking.order.clone(), stages.clusters.len());
+        let clusters: Vec<_> = order.iter().map(|&c| stages.clusters[c as usize].clone()).collect();
+        let accuracy = model.target.accuracy_over_gsd * stages.settings.target.gsd.unwrap_or_default();
+        let input = EvaluationInput { model, clusters: &clusters, depth_maps, reference, accuracy };
+        let measured = MeasuredClusters::new(&input, watcher)?;
+        let surface = MeasuredSurface::new(&model, &measured);
+        let so_far = SoFar::new(stages, &measured);
+        let options = EvaluationOptions { objective: &stages.objective, so_far, baselines };
+        Ok(Self::new(&model, &measured, &surface, &options, watcher)?)
+    }
+}
