@@ -359,3 +359,50 @@ fn a_wanted_resolution_in_another_unit_is_warned_of_and_all_partners_that_are_as
     let manifest = manifest(project.path());
     assert_eq!(manifest["settings"]["partners"]["candidates"], 24);
 }
+
+#[test]
+fn each_key_view_has_one_of_two_sizes_and_budgets_count_work() {
+    let folder = project();
+    let options = ["--backend", "sgm", "-k", "3", "--scales", "1,0.5", "--target", "100%"];
+    let text = plan(folder.path(), &[&options[..], &["--budget", "30%"]].concat());
+    assert!(text.contains(" at half size, of "), "{text}");
+    let wide = manifest(folder.path());
+    let clusters = wide["clusters"].as_array().unwrap();
+    let chosen = wide["cut"]["clusters"].as_u64().unwrap() as usize;
+    let keys: std::collections::BTreeSet<&str> = clusters.iter().map(|c| c["key"].as_str().unwrap()).collect();
+    assert_eq!(keys.len(), clusters.len(), "no view is matched twice");
+    assert!([1.0, 0.5].iter().all(|scale| clusters[..chosen].iter().any(|c| c["scale"] == *scale)));
+    let work: Vec<f64> = clusters.iter().map(|c| c["work"].as_f64().unwrap()).collect();
+    assert!(work[chosen - 1] <= 0.3 && work[chosen] > 0.3, "{work:?}");
+    assert_eq!(wide["forecast"]["work"].as_f64().unwrap(), work[chosen - 1]);
+    let half = clusters[..chosen].iter().filter(|c| c["scale"] == 0.5);
+    assert_eq!(wide["forecast"]["maps_at_half"], half.clone().count());
+    let sizes = fs::read_to_string(folder.path().join("viewrank/sizes.txt")).unwrap();
+    let expected: String = half.map(|c| format!("{}\t0.5\n", c["key"].as_str().unwrap())).collect();
+    assert_eq!(sizes, expected);
+
+    // A shorter plan is the beginning of the longer one.
+    plan(folder.path(), &[&options[..], &["--budget", "15%"]].concat());
+    assert_eq!(manifest(folder.path())["clusters"], wide["clusters"]);
+    let exported = viewrank(&["export", folder.path().to_str().unwrap(), "--backend", "sgm", "--budget", "30%"]);
+    assert!(exported.status.success());
+    let record = fs::read(folder.path().join("viewrank/sgm/export.json")).unwrap();
+    let record: Value = serde_json::from_slice(&record).unwrap();
+    assert_eq!(record["clusters"].as_array().unwrap().len(), chosen, "export counts work, too");
+}
+
+#[test]
+fn a_backend_that_matches_all_at_one_size_says_so() {
+    let folder = project();
+    plan(folder.path(), &["--backend", "mve", "--scales", "1,0.5"]);
+    let manifest = manifest(folder.path());
+    assert_eq!(manifest["settings"]["ranking"]["scales"], serde_json::json!([1.0]));
+    assert!(manifest["clusters"].as_array().unwrap().iter().all(|c| c["scale"] == 1.0));
+    let warnings = manifest["warnings"].as_array().unwrap();
+    assert!(
+        warnings.iter().any(|w| w.as_str().unwrap().contains("mve matches all key views at one size")),
+        "{warnings:?}"
+    );
+    let [error] = [viewrank(&["plan", folder.path().to_str().unwrap(), "--scales", "1,0.25"])];
+    assert_eq!(error.status.code(), Some(2));
+}

@@ -395,7 +395,8 @@ pub struct RankingSettings {
     /// work. For backends that can match key views at different sizes.
     #[schemars(length(min = 1, max = 2))]
     pub scales: Vec<MapScale>,
-    /// Worth of a depth map of half the size where it fulfils as much as one of full size. A higher value plans more coarse maps.
+    /// Part of what a depth map of half the size lacks to one of full size, in resolution and accuracy, that does not count against it: 0 plans by
+    /// what it fulfils, 1 by what it covers. A higher value plans more coarse maps.
     #[schemars(range(min = 0, max = 1))]
     pub half_worth: f64,
 }

@@ -30,6 +30,8 @@ pub struct Stages {
     pub settings: Settings,
     /// True if `settings.image_scale` is the size that the backend takes by itself.
     pub own_size: bool,
+    /// True if maps of half the size were asked for, and the backend has one size only.
+    pub refused_half: bool,
     /// Name of the backend that the plan is made for.
     pub backend: &'static str,
     pub scene: Scene,
@@ -81,6 +83,7 @@ impl Stages {
         let source = Source::new(&settings.confidence.source, project);
         let trained = source.trained(&project.root)?;
         let own_size = settings.image_scale.is_none();
+        let refused_half = settings.ranking.has_half() && !matcher.mixes_sizes;
         let mut settings = in_force(project, settings, &scene, matcher, &source)?;
         let shape = shape(project, &scene, &settings)?;
         let mut memory = Memory::before_surface(&scene, &mut settings)?;
@@ -148,9 +151,9 @@ impl Stages {
             partners::choose(&model, &candidates, &settings.partners, settings.seed, watcher)
         })?;
         let half = match settings.ranking.has_half() {
-            true => Some(
-                timings.time(Stage::Partners, || fulfilment::table(&model.at(MapScale::Half), &clusters, watcher))?,
-            ),
+            true => Some(timings.time(Stage::Partners, || {
+                fulfilment::half_size(&model, &clusters, &fulfilment, settings.ranking.half_worth, watcher)
+            })?),
             false => None,
         };
         let per_map = numbers.work;
@@ -160,6 +163,7 @@ impl Stages {
             half,
             work,
             per_map,
+            refused_half,
             backend: matcher.name,
             own_size,
             surface: seen.surface,
@@ -197,7 +201,7 @@ impl Stages {
     pub fn maps(&self) -> Maps<'_> {
         match &self.half {
             None => Maps::full_size(&self.fulfilment),
-            Some(half) => Maps::of_two_sizes(&self.fulfilment, half, &self.work, self.settings.ranking.half_worth),
+            Some(half) => Maps::of_two_sizes(&self.fulfilment, half, &self.work),
         }
     }
 

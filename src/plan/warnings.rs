@@ -31,6 +31,7 @@ pub(super) fn warnings(stages: &Stages, ranking: &Ranking, reachable: &Band, fin
     warnings.extend(unlike_pictures(stages));
     warnings.extend(other_backend(stages));
     warnings.extend(without_effect(stages));
+    warnings.extend(one_size(stages));
     warnings.extend(single_partner(stages));
     warnings.extend(little_fulfilled(ranking));
     warnings.extend(unsure(stages, reachable));
@@ -65,6 +66,16 @@ fn no_utm_coordinates(stages: &Stages) -> Option<String> {
         format!(
             "frame.utm is {zone}, but a point of the model has an easting of {easting:.0} m, outside every zone; set frame.offset to what must be \
              added to x and y"
+        )
+    })
+}
+
+/// Warns of sizes that the backend cannot choose among.
+fn one_size(stages: &Stages) -> Option<String> {
+    stages.refused_half.then(|| {
+        format!(
+            "{} matches all key views at one size: ranking.scales counts as [1] (openmvs, colmap and sgm can do both)",
+            stages.backend
         )
     })
 }

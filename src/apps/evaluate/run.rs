@@ -78,8 +78,8 @@ pub struct EvaluationInput<'a> {
     pub reference: Option<&'a Path>,
     /// a_d where a pixel shows no triangle, scene units.
     pub accuracy: f64,
-    /// True if the plan has maps of half the size (`ranking.scales`); otherwise the size of a map does not count.
-    pub has_half: bool,
+    /// `ranking.half_worth` where the plan has maps of half the size; `None`: the size of a map does not count.
+    pub half_worth: Option<f64>,
 }
 
 impl MeasuredClusters {
@@ -160,7 +160,14 @@ impl<'a> EvaluationInput<'a> {
     ) -> Self {
         let model = stages.model();
         let accuracy = model.target.accuracy_over_gsd * stages.settings.target.gsd.unwrap_or(f64::INFINITY);
-        Self { model, clusters, depth_maps, reference, accuracy, has_half: stages.half.is_some() }
+        Self {
+            model,
+            clusters,
+            depth_maps,
+            reference,
+            accuracy,
+            half_worth: stages.half.as_ref().map(|_| stages.settings.ranking.half_worth),
+        }
     }
 }
 
@@ -202,7 +209,9 @@ impl EvaluationInput<'_> {
         let mut certain = self.model;
         certain.rule.confidence = Confidence::None;
         let scales: Vec<MapScale> = clusters.iter().zip(measured).map(|(c, m)| self.scale(c.key, m)).collect();
-        let table = |model: &Model, clusters: &[ViewCluster]| table_at(model, clusters, &scales, watcher);
+        let table = |model: &Model, clusters: &[ViewCluster]| {
+            table_at(model, clusters, &scales, self.half_worth.unwrap_or_default(), watcher)
+        };
         let attainable = table(&certain, &matched)?;
         let predicted = table(&self.model, &clusters)?;
         let nocp = table(&certain, &clusters)?;
@@ -232,7 +241,7 @@ impl EvaluationInput<'_> {
     /// Half where the map is nearer to that, as a ratio, than to the size of the plan.
     fn scale(&self, key: ViewIndex, measured: &Measured) -> MapScale {
         let planned = f64::from(self.model.scene.camera_of(key).width) * self.model.rule.image_scale;
-        let is_half = self.has_half && f64::from(measured.width) < planned * FRAC_1_SQRT_2;
+        let is_half = self.half_worth.is_some() && f64::from(measured.width) < planned * FRAC_1_SQRT_2;
         if is_half { MapScale::Half } else { MapScale::Full }
     }
 
@@ -275,13 +284,14 @@ fn table_at(
     model: &Model,
     clusters: &[ViewCluster],
     scales: &[MapScale],
+    half_worth: f64,
     watcher: &dyn Watcher,
 ) -> Result<FulfilmentTable, TableError> {
     let full = fulfilment::table(model, clusters, watcher)?;
     if !scales.contains(&MapScale::Half) {
         return Ok(full);
     }
-    let half = fulfilment::table(&model.at(MapScale::Half), clusters, watcher)?;
+    let half = fulfilment::half_size(model, clusters, &full, half_worth, watcher)?;
     let row = |(cluster, &scale): (usize, &MapScale)| -> Vec<(u32, f32)> {
         let (triangles, values) = if scale == MapScale::Half { half.row(cluster) } else { full.row(cluster) };
         triangles.iter().copied().zip(values.iter().copied()).collect()

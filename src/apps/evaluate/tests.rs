@@ -113,7 +113,7 @@ impl Fixture {
             depth_maps: maps,
             reference,
             accuracy: GSD,
-            has_half: false,
+            half_worth: None,
         };
         MeasuredClusters::new(&task, &Unwatched)
     }

@@ -8,10 +8,7 @@ use crate::{
     base::{column::TableError, error::Hint, progress::Watcher},
     io::project::Project,
     method::{fulfilment, ranking::Ranking},
-    model::{
-        cluster::{MapScale, ViewCluster},
-        scene::ViewIndex,
-    },
+    model::{cluster::ViewCluster, scene::ViewIndex},
     show::manifest::{Recorded, WrittenPlanError, warnings_with},
 };
 
@@ -38,8 +35,13 @@ fn with_ranking(plan: Plan, recorded: &Recorded, watcher: &dyn Watcher) -> Resul
     let partners: BTreeMap<_, _> = stages.clusters.iter().map(|c| (c.key, c.partners.clone())).chain(written).collect();
     let clusters: Vec<_> = partners.into_iter().map(|(key, partners)| ViewCluster { key, partners }).collect();
     let fulfilment = fulfilment::table(&stages.model(), &clusters, watcher)?;
-    let model = stages.model().at(MapScale::Half);
-    let half = stages.half.as_ref().map(|_| fulfilment::table(&model, &clusters, watcher)).transpose()?;
+    let half = match &stages.half {
+        Some(_) => {
+            let worth = stages.settings.ranking.half_worth;
+            Some(fulfilment::half_size(&stages.model(), &clusters, &fulfilment, worth, watcher)?)
+        }
+        None => None,
+    };
     let work = stages.work_of(&clusters);
     let stages = Stages { clusters, fulfilment, half, work, ..stages };
     let place = |key: &ViewIndex| stages.clusters.binary_search_by_key(key, |cluster| cluster.key).ok();

@@ -5,12 +5,14 @@
 
 pub(crate) mod block;
 mod by_triangle;
+mod half_size;
 mod lanes;
 
 use nalgebra::{Matrix3, Point3, Vector2};
 
 use self::block::{Block, Places};
 pub(crate) use self::by_triangle::ByTriangle;
+pub use self::half_size::half_size;
 use crate::method::{geometry::Geometry, target::Target};
 use crate::{
     base::{

@@ -22,7 +22,7 @@ pub fn most_of_any(length: usize, maps: &Maps, objective: &Objective, ranking: &
     let work_of = |maps_taken: &[u32]| maps_taken.iter().map(|&map| maps.work(map)).sum::<f64>();
     let mut reached = Reached::new(objective);
     let (first, others) = order.split_at(length.min(order.len()));
-    first.iter().for_each(|&map| reached.take_worth(maps.row(map), maps.worth(map)));
+    first.iter().for_each(|&map| reached.take(maps.row(map)));
     let least: Vec<f32> = (0..objective.weights.len() as u32).map(|t| reached.largest(t)[0]).collect();
     let goal = reached.fulfilment();
     // No set of maps is worth more than all clusters at full size.
@@ -36,7 +36,7 @@ pub fn most_of_any(length: usize, maps: &Maps, objective: &Objective, ranking: &
     let mut dual = Dual::new(objective, least);
     let (mut step, mut in_vain) = (1.0, 0);
     for _ in 0..ROUNDS {
-        let gains = column::read_by_parts(&all, |&map| dual.gain(maps.row(map), maps.worth(map)), || maps.release());
+        let gains = column::read_by_parts(&all, |&map| dual.gain(maps.row(map)), || maps.release());
         let per_work = |map: u32| gains[map as usize] / maps.work(map);
         let mut best = all.clone();
         best.sort_by(|&a, &b| per_work(b).total_cmp(&per_work(a)));
@@ -49,7 +49,7 @@ pub fn most_of_any(length: usize, maps: &Maps, objective: &Objective, ranking: &
         if in_vain == PATIENCE {
             (step, in_vain) = (0.5 * step, 0);
         }
-        dual.improve(best.iter().map(|&map| (maps.row(map), maps.worth(map))), step * (most - goal));
+        dual.improve(best.iter().map(|&map| maps.row(map)), step * (most - goal));
     }
     maps.release();
     bound
@@ -108,11 +108,11 @@ impl<'a> Dual<'a> {
     }
 
     /// What a map has above the prices.
-    fn gain(&self, (triangles, values): (&[u32], &[f32]), worth: f32) -> f64 {
+    fn gain(&self, (triangles, values): (&[u32], &[f32])) -> f64 {
         let of = |(prices, share): (&Vec<f32>, f64)| {
             let above = |(&t, &f): (&u32, &f32)| {
                 // In 64 bits, where the difference is exact: rounded down, the bound would be none.
-                self.objective.weights[t as usize] * (f64::from(f * worth) - f64::from(prices[t as usize])).max(0.0)
+                self.objective.weights[t as usize] * (f64::from(f) - f64::from(prices[t as usize])).max(0.0)
             };
             share * triangles.iter().zip(values).map(above).sum::<f64>()
         };
@@ -121,13 +121,13 @@ impl<'a> Dual<'a> {
 
     /// Moves the prices against the subgradient of the bound, per weight: m less the number of `best` clusters above the price. `gap`: what the
     /// bound is to fall by.
-    fn improve<'t>(&mut self, best: impl Iterator<Item = ((&'t [u32], &'t [f32]), f32)>, gap: f64) {
+    fn improve<'t>(&mut self, best: impl Iterator<Item = (&'t [u32], &'t [f32])>, gap: f64) {
         let weights = &self.objective.weights;
         let mut slopes = self.prices.each_ref().map(|prices| vec![self.objective.support as i32; prices.len()]);
-        for ((triangles, values), worth) in best {
+        for (triangles, values) in best {
             for (slopes, prices) in slopes.iter_mut().zip(&self.prices).filter(|(_, prices)| !prices.is_empty()) {
                 for (&t, &f) in triangles.iter().zip(values) {
-                    slopes[t as usize] -= i32::from(f * worth > prices[t as usize]);
+                    slopes[t as usize] -= i32::from(f > prices[t as usize]);
                 }
             }
         }

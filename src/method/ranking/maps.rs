@@ -17,8 +17,6 @@ struct Half<'a> {
     table: &'a FulfilmentTable,
     /// Work of each cluster's map at full and at half size.
     work: &'a [[f64; 2]],
-    /// Factor of f, 0 to 1.
-    worth: f32,
 }
 
 impl<'a> Maps<'a> {
@@ -27,15 +25,9 @@ impl<'a> Maps<'a> {
         Self { full, half: None }
     }
 
-    /// Of two sizes. `work`: of each cluster's map at full and at half size, in any unit, above 0. `worth`: factor of f in the objective for maps
-    /// of half the size.
-    pub fn of_two_sizes(
-        full: &'a FulfilmentTable,
-        half: &'a FulfilmentTable,
-        work: &'a [[f64; 2]],
-        worth: f64,
-    ) -> Self {
-        Self { full, half: Some(Half { table: half, work, worth: worth as f32 }) }
+    /// Of two sizes. `work`: of each cluster's map at full and at half size, in any unit, above 0.
+    pub fn of_two_sizes(full: &'a FulfilmentTable, half: &'a FulfilmentTable, work: &'a [[f64; 2]]) -> Self {
+        Self { full, half: Some(Half { table: half, work }) }
     }
 
     pub(super) fn has_half(&self) -> bool {
@@ -71,14 +63,6 @@ impl<'a> Maps<'a> {
         match (self.half, scale) {
             (Some(half), MapScale::Half) => half.table.row(cluster as usize),
             _ => self.full.row(cluster as usize),
-        }
-    }
-
-    /// Factor of f in the objective.
-    pub(super) fn worth(&self, map: u32) -> f32 {
-        match self.half {
-            Some(half) if map >= self.clusters() => half.worth,
-            _ => 1.0,
         }
     }
 

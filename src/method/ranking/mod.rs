@@ -126,10 +126,7 @@ fn kept_of_all(maps: &Maps, objective: &Objective) -> f64 {
 struct Greedy<'a> {
     maps: &'a Maps<'a>,
     by_triangle: ByTriangle,
-    /// By the worth of the maps.
     reached: Reached<'a>,
-    /// By their f alone, where these differ: fusion keeps a coarse point, too.
-    fused: Option<Reached<'a>>,
     /// Of clusters that are not taken.
     left: Vec<u32>,
     /// By map.
@@ -149,10 +146,9 @@ impl<'a> Greedy<'a> {
             objective.weights.len(),
         )?;
         let reached = Reached::new(objective);
-        let gain = |&map: &u32| reached.whole_gain(maps.row(map), maps.worth(map));
+        let gain = |&map: &u32| reached.whole_gain(maps.row(map));
         let gains = column::read_by_parts(&left, gain, || maps.release());
-        let fused = maps.has_half().then(|| Reached::new(objective));
-        Ok(Self { maps, by_triangle, left, alone: gains.clone(), gains, reached, fused })
+        Ok(Self { maps, by_triangle, left, alone: gains.clone(), gains, reached })
     }
 
     /// The map that gains most for its work, if any gains.
@@ -168,12 +164,11 @@ impl<'a> Greedy<'a> {
     }
 
     fn take(&mut self, map: u32, scale: MapScale, ranking: &mut Ranking) {
-        let (gain, worth, cluster) = (self.gains[map as usize], self.maps.worth(map), self.maps.cluster(map));
+        let (gain, cluster) = (self.gains[map as usize], self.maps.cluster(map));
         self.left.retain(|&other| self.maps.cluster(other) != cluster);
         let (triangles, values) = self.maps.row(map);
         let mut before = Vec::with_capacity(self.reached.objective.support as usize);
         for (&t, &f) in triangles.iter().zip(values) {
-            let f = f * worth;
             before.clear();
             before.extend_from_slice(self.reached.largest(t));
             if f <= before[0] {
@@ -181,16 +176,10 @@ impl<'a> Greedy<'a> {
             }
             self.reached.take_at(t, f);
             let now = self.reached.largest(t);
-            for entry in self.by_triangle.row(t) {
-                let other = entry.f * self.maps.worth(entry.place);
-                if other > before[0] {
-                    let change = self.reached.gain_at(t, now, other) - self.reached.gain_at(t, &before, other);
-                    self.gains[entry.place as usize] += change;
-                }
+            for entry in self.by_triangle.row(t).iter().filter(|entry| entry.f > before[0]) {
+                let change = self.reached.gain_at(t, now, entry.f) - self.reached.gain_at(t, &before, entry.f);
+                self.gains[entry.place as usize] += change;
             }
-        }
-        if let Some(fused) = &mut self.fused {
-            fused.take((triangles, values));
         }
         if ranking.order.len().is_multiple_of(column::READ_AT_ONCE) {
             self.maps.release();
@@ -200,7 +189,7 @@ impl<'a> Greedy<'a> {
         ranking.scales.push(scale);
         ranking.gains.push(Amount(gain).value());
         ranking.fulfilment.push(self.reached.fulfilment());
-        ranking.kept.push(self.fused.as_ref().unwrap_or(&self.reached).kept());
+        ranking.kept.push(self.reached.kept());
     }
 }
 

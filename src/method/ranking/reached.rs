@@ -74,12 +74,11 @@ impl<'a> Reached<'a> {
 
     /// How much f_o grows by a cluster with these triangles and f.
     pub(crate) fn gain(&self, row: (&[u32], &[f32])) -> f64 {
-        Amount(self.whole_gain(row, 1.0)).value()
+        Amount(self.whole_gain(row)).value()
     }
 
-    /// `worth`: factor of these f.
-    pub(super) fn whole_gain(&self, (triangles, values): (&[u32], &[f32]), worth: f32) -> i64 {
-        let one = |(&t, &f): (&u32, &f32)| self.gain_at(t, self.largest(t), f * worth);
+    pub(super) fn whole_gain(&self, (triangles, values): (&[u32], &[f32])) -> i64 {
+        let one = |(&t, &f): (&u32, &f32)| self.gain_at(t, self.largest(t), f);
         triangles.iter().zip(values).map(one).sum()
     }
 
@@ -93,13 +92,8 @@ impl<'a> Reached<'a> {
         Amount::new(weight, with(largest, f)).0 - Amount::new(weight, Objective::worth(largest.iter().copied())).0
     }
 
-    pub(crate) fn take(&mut self, row: (&[u32], &[f32])) {
-        self.take_worth(row, 1.0);
-    }
-
-    /// `worth`: factor of these f.
-    pub(super) fn take_worth(&mut self, (triangles, values): (&[u32], &[f32]), worth: f32) {
-        triangles.iter().zip(values).for_each(|(&t, &f)| self.take_at(t, f * worth));
+    pub(crate) fn take(&mut self, (triangles, values): (&[u32], &[f32])) {
+        triangles.iter().zip(values).for_each(|(&t, &f)| self.take_at(t, f));
     }
 
     pub(crate) fn take_at(&mut self, triangle: u32, f: f32) {
