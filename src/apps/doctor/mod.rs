@@ -166,7 +166,7 @@ pub fn backends_to_check(
     let mut checked = backends::by_names(names)?;
     if checked.is_empty() {
         let planned = planned_backend(project).and_then(|name| backends::by_name(&name).ok());
-        checked.push(planned.unwrap_or_else(|| backends::for_project(project)));
+        checked.push(planned.unwrap_or_else(|| backends::by_default(project).0));
     }
     for backend in backends::BACKENDS.iter().copied().filter(|_| others) {
         if checked.iter().all(|known: &&Backend| known.name != backend.name) {

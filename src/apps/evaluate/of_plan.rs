@@ -22,12 +22,11 @@ impl Evaluation {
         let model = stages.model();
         let order = orders::completed(plan.decision.ranking.order.clone(), stages.clusters.len());
         let clusters: Vec<_> = order.iter().map(|&c| stages.clusters[c as usize].clone()).collect();
-        let accuracy = model.target.accuracy_over_gsd * stages.settings.target.gsd.unwrap_or_default();
-        let input = EvaluationInput { model, clusters: &clusters, depth_maps, reference, accuracy };
-        let measured = MeasuredClusters::new(&input, watcher)?;
+        let measured =
+            MeasuredClusters::new(&EvaluationInput::new(stages, &clusters, depth_maps, reference), watcher)?;
         let surface = MeasuredSurface::new(&model, &measured);
         let so_far = SoFar::new(stages, &measured);
-        let options = EvaluationOptions { objective: &stages.objective, so_far, baselines };
+        let options = EvaluationOptions { objective: &stages.objective, so_far, clouds: None, baselines };
         Ok(Self::new(&model, &measured, &surface, &options, watcher)?)
     }
 }

@@ -342,7 +342,7 @@ impl Hint for EvaluateError {
         match self {
             Self::DepthMap(error) => error.path(),
             Self::Report(error) => error.path(),
-            Self::NoClusters(path) => Some(path),
+            Self::NoClusters(path) | Self::CloudFile { path, .. } | Self::Cloud { path, .. } => Some(path),
             Self::Cancelled(_) => None,
             Self::Table(error) => error.path(),
         }

@@ -485,6 +485,7 @@ impl Hint for ReportError {
             Self::DepthMaps(error) => error.path(),
             Self::NothingToCompare(path) => Some(path),
             Self::Disk(error) => error.path(),
+            Self::Table(error) => error.path(),
             Self::Cancelled(_) => None,
         }
     }

@@ -5,7 +5,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use super::{Project, ProjectError};
+use super::{ImageFolder, Project, ProjectError};
 use crate::{
     base::error::Hint,
     io::{
@@ -74,7 +74,7 @@ impl Project {
             files.write(&Disk::REAL)?;
         }
         let project = Self::open(folder, None)?;
-        Ok(Self { images: images.or(project.images.clone()), ..project })
+        Ok(Self { images: images.map(ImageFolder::new).or(project.images.clone()), ..project })
     }
 }
 
