@@ -10,7 +10,7 @@ use std::{collections::BTreeMap, path::Path};
 
 use viewrank::internals::{
     backends,
-    config::{Configuration, Files, Typed},
+    config::{CommandLineSettings, Configuration, Files},
     depthmaps::{self, DepthMap, DepthMapFile},
     evaluate,
     fulfilment::Model,
@@ -36,7 +36,7 @@ fn main() -> Fallible<()> {
     };
     let project = Project::open(Path::new(project), None)?;
     let files = Files { user: None, project: Some(project.root.join("viewrank.toml")) };
-    let mut settings = Configuration::load(&files, Typed::default(), backends::canonical_name)?.settings;
+    let mut settings = Configuration::load(&files, CommandLineSettings::default(), backends::canonical_name)?.settings;
     settings.backends = vec!["sgm".into()];
     settings.confidence.source = "geometric".into();
     let plan = backends::plan(&project, &settings, &Unwatched)?;

@@ -10,7 +10,7 @@ use std::{path::Path, time::Instant};
 use viewrank::internals::{
     backends,
     confidence::{Agreement, Pictures},
-    config::{Configuration, Files, Typed},
+    config::{CommandLineSettings, Configuration, Files},
     geometry::Geometry,
     progress::Unwatched,
     project::Project,
@@ -31,7 +31,7 @@ fn main() -> Fallible<()> {
         _ => return Err("give PROJECT".into()),
     };
     let files = Files { user: None, project: Some(project.root.join("viewrank.toml")) };
-    let mut settings = Configuration::load(&files, Typed::default(), backends::canonical_name)?.settings;
+    let mut settings = Configuration::load(&files, CommandLineSettings::default(), backends::canonical_name)?.settings;
     settings.confidence.source = "geometric".into();
     let plan = backends::plan(&project, &settings, &Unwatched)?;
     let stages = &plan.stages;

@@ -8,7 +8,7 @@ use viewrank::{
     internals::{
         backends::canonical_name,
         confidence::{Image, Mask, Predictor, Trained},
-        config::{Configuration, Files, Typed},
+        config::{CommandLineSettings, Configuration, Files},
         depthmaps::{DepthMapFormat, parse},
     },
     manifest,
@@ -109,7 +109,9 @@ fn read_settings(data: &[u8]) -> bool {
     let file = tempfile::NamedTempFile::new().expect("a temporary file");
     std::fs::write(file.path(), data).expect("a temporary file");
     let files = Files { user: None, project: Some(file.path().into()) };
-    let Ok(configuration) = Configuration::load(&files, Typed::default(), canonical_name) else { return false };
+    let Ok(configuration) = Configuration::load(&files, CommandLineSettings::default(), canonical_name) else {
+        return false;
+    };
     configuration.settings.check().expect("what is read is within its ranges");
     true
 }

@@ -71,7 +71,7 @@ pub use model::{
     scene::{PointIndex, Pose, Scene, View, ViewIndex},
 };
 pub use plan::{
-    Cut, Decision, Finished, Forecast, Matcher, Plan, PlanError, PlanningNumbers, Stages, Timings, ViewStatus,
+    Cut, Decision, FinishedMaps, Forecast, Matcher, Plan, PlanError, PlanningNumbers, Stages, Timings, ViewStatus,
 };
 pub use show::{files, manifest};
 

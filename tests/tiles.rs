@@ -87,7 +87,10 @@ fn tables_on_disk_change_nothing() {
             && disk.stages.memory.disk >= 16 * memory.stages.visibility.triangles.len() as u64
     );
     assert!(disk.stages.memory.peak() <= limit && disk.stages.surface_stats.tiles == 1);
-    assert_eq!([disk.stages.visibility.triangles.kept(), disk.stages.fulfilment.values.kept()], [Storage::Disk; 2]);
+    assert_eq!(
+        [disk.stages.visibility.triangles.storage(), disk.stages.fulfilment.values.storage()],
+        [Storage::Disk; 2]
+    );
     assert_eq!(disk.stages.visibility, memory.stages.visibility);
     assert_eq!((&disk.stages.unary, &disk.stages.fulfilment), (&memory.stages.unary, &memory.stages.fulfilment));
     assert_eq!(

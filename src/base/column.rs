@@ -36,7 +36,7 @@ enum Kept<T> {
 }
 
 impl<T> Column<T> {
-    pub fn kept(&self) -> Storage {
+    pub fn storage(&self) -> Storage {
         match self.0 {
             Kept::Memory(_) => Storage::Memory,
             Kept::Disk(_) => Storage::Disk,
@@ -278,7 +278,7 @@ mod tests {
             prop_assert_eq!(&memory, &disk);
             disk.release();
             prop_assert_eq!(&disk.clone(), &memory);
-            prop_assert_eq!(disk.kept(), if memory.is_empty() { Storage::Memory } else { Storage::Disk });
+            prop_assert_eq!(disk.storage(), if memory.is_empty() { Storage::Memory } else { Storage::Disk });
             prop_assert_eq!((disk.bytes(), memory.bytes()), (0, 4 * memory.len()));
         }
     }

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use crate::backends;
 use crate::{
-    config::{Configuration, Files, Key, Settings, Source, Typed, keys, user_file},
+    config::{CommandLineSettings, Configuration, Files, Key, Settings, Source, keys, user_file},
     io::project::ProjectError,
     model::scene::Units,
 };
@@ -30,7 +30,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     }
     // Of a model's file the settings are beside it.
     let folder = arguments.project.as_deref().map(|p| if p.is_file() { p.parent().unwrap_or(p) } else { p });
-    let configuration = load(folder, Typed::default())?;
+    let configuration = load(folder, CommandLineSettings::default())?;
     let values = serde_json::to_value(&configuration.settings).expect("settings are JSON");
     match arguments.format {
         Format::Text => print(&as_toml(&configuration, &values)),
@@ -39,7 +39,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
 }
 
 /// Defaults, the user's file, the project's file, the command line. Wrong settings are a usage error.
-pub fn load(project: Option<&Path>, typed: Typed) -> Result<Configuration, Failure> {
+pub fn load(project: Option<&Path>, typed: CommandLineSettings) -> Result<Configuration, Failure> {
     let files = Files { user: user_file(), project: project.map(|folder| folder.join("viewrank.toml")) };
     Ok(Configuration::load(&files, typed, backends::canonical_name)?)
 }
@@ -141,9 +141,12 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let user = folder.path().join("user.toml");
         std::fs::write(&user, "on_target = \"stop\"\nseed = 5\n[dispatch]\nsetup = \"module load colmap\"\n").unwrap();
-        let configuration =
-            Configuration::load(&Files { user: Some(user), project: None }, Typed::default(), backends::canonical_name)
-                .unwrap();
+        let configuration = Configuration::load(
+            &Files { user: Some(user), project: None },
+            CommandLineSettings::default(),
+            backends::canonical_name,
+        )
+        .unwrap();
         let values = serde_json::to_value(&configuration.settings).unwrap();
         let text = as_toml(&configuration, &values);
         assert!(
@@ -153,7 +156,7 @@ mod tests {
         std::fs::write(&project, &text).unwrap();
         let again = Configuration::load(
             &Files { user: None, project: Some(project) },
-            Typed::default(),
+            CommandLineSettings::default(),
             backends::canonical_name,
         )
         .unwrap();
@@ -173,7 +176,7 @@ mod tests {
         std::fs::write(&project, &text).unwrap();
         let of_project = Configuration::load(
             &Files { user: None, project: Some(project) },
-            Typed::default(),
+            CommandLineSettings::default(),
             backends::canonical_name,
         );
         assert_eq!(of_project.unwrap().settings, configuration.settings, "and one that a project may have");

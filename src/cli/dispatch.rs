@@ -13,9 +13,9 @@ use crate::{
     },
     backends::{self, Selection, place},
     base::shell::{quoted, quoted_path},
-    config::{Budget, DispatchSettings, Share, Typed},
+    config::{Budget, CommandLineSettings, DispatchSettings, Share},
     daemon::{follow, state::Outcome},
-    io::output::{Contents, Disk, FileSet, Written},
+    io::output::{Contents, Disk, FileSet, WriteReport},
     show::manifest::WrittenPlan,
 };
 use clap::{Args, ValueEnum};
@@ -133,7 +133,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         let export = exported.take().map(|export| export.files);
         let folder = export.as_ref().map(|files| files.root.clone());
         let export = folder.map(|folder| place::set_of_folder(&folder, export, &plan.project));
-        export.map_or(Ok(Written::default()), |set| set.write(&Disk::REAL))?;
+        export.map_or(Ok(WriteReport::default()), |set| set.write(&Disk::REAL))?;
         dispatch.files(&tools, &settings, &queue.lists()).write(&Disk::REAL)?;
         Ok(())
     };
@@ -181,8 +181,8 @@ fn queue_or_empty(dispatch: &Dispatch) -> Queue {
 
 impl Arguments {
     /// Command-line options as settings.
-    fn typed(&self) -> Typed {
-        let mut typed = Typed::default();
+    fn typed(&self) -> CommandLineSettings {
+        let mut typed = CommandLineSettings::default();
         typed.set("--partition", "dispatch.partition", self.partition.clone());
         typed.set("--account", "dispatch.account", self.account.clone());
         typed.set("--qos", "dispatch.qos", self.qos.clone());

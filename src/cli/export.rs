@@ -7,7 +7,7 @@ use crate::{
     backends::{self, Backend, BackendError, Export, ExportOptions, ExportRecord, References, Selection, place},
     config::{Budget, Share},
     io::{
-        output::{Disk, Written},
+        output::{Disk, WriteReport},
         project::Project,
     },
     model::cluster::RankedCluster,
@@ -77,7 +77,7 @@ fn switch(text: &str) -> Result<bool, String> {
 struct Report {
     folder: PathBuf,
     files: usize,
-    written: Written,
+    written: WriteReport,
     /// Given options that the backend does not use.
     unheeded: Vec<&'static str>,
     #[serde(flatten)]
@@ -195,7 +195,7 @@ impl Made {
             sets.push(files);
         }
         let set = place::set_of_folder(&self.folder, sets, project);
-        let written = if dry_run { Written::default() } else { set.write(&Disk::REAL)? };
+        let written = if dry_run { WriteReport::default() } else { set.write(&Disk::REAL)? };
         let what = match tiles.pop() {
             Some(only) if !in_tiles => What::Whole(Box::new(only.record)),
             last => {

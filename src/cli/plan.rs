@@ -8,7 +8,7 @@ use crate::{
         progress::{Stage, Watcher},
         shell::quoted_path,
     },
-    config::Typed,
+    config::CommandLineSettings,
     io::{
         output::{self, Disk, FileSet},
         ply,
@@ -158,8 +158,8 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
 
 impl Arguments {
     /// Command-line options as settings.
-    fn typed(&self) -> Typed {
-        let mut typed = Typed::default();
+    fn typed(&self) -> CommandLineSettings {
+        let mut typed = CommandLineSettings::default();
         let path = |path: &PathBuf| std::path::absolute(path).unwrap_or(path.clone()).to_string_lossy().into_owned();
         let k = self.k.as_ref().map(|k| k.parse().map_or_else(|_| toml::Value::from(k.as_str()), toml::Value::Integer));
         typed.set("-k", "partners.k", k);

@@ -9,7 +9,7 @@ use crate::{
     },
     backends,
     base::shell::quoted_path,
-    config::Typed,
+    config::CommandLineSettings,
     io::{
         depthmaps::{self, DepthMapFormat},
         output::{self, Disk},
@@ -103,7 +103,7 @@ fn refuse_to_replace(out: &Path) -> Result<(), Failure> {
 fn prepare(arguments: &Arguments, root: &Path, progress: &Progress) -> Result<Prepared, Failure> {
     let project = Project::open(root, None)?;
     let folder = depthmaps::folder_of(&project.root, project.dense_workspace.as_deref(), &arguments.depth_maps);
-    let mut typed = Typed::default();
+    let mut typed = CommandLineSettings::default();
     typed.set("train", "confidence.source", Some("geometric"));
     let mut settings = config::load(Some(&project.root), typed)?.settings;
     let scene = project.read_scene()?;

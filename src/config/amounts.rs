@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 /// Length of a plan: a number of view clusters, or a share of the registered views.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(try_from = "Written", into = "String")]
+#[serde(try_from = "RawAmount", into = "String")]
 pub enum Budget {
     Clusters(u64),
     Views(Share),
@@ -26,22 +26,22 @@ impl Budget {
 
 /// A share, 0 to 1; written in per cent.
 #[derive(Clone, Copy, Debug, PartialEq, PartialOrd, Serialize, Deserialize)]
-#[serde(try_from = "Written", into = "String")]
+#[serde(try_from = "RawAmount", into = "String")]
 pub struct Share(pub f64);
 
 /// A length of time in seconds; written in days, hours, minutes, seconds and milliseconds.
 #[derive(Clone, Copy, Debug, PartialEq, PartialOrd, Serialize, Deserialize)]
-#[serde(try_from = "Written", into = "String")]
-pub struct Duration(pub f64);
+#[serde(try_from = "RawAmount", into = "String")]
+pub struct TimeSpan(pub f64);
 
 /// A number of things; suffixes k, M, G for 10^3, 10^6, 10^9.
 #[derive(Clone, Copy, Debug, PartialEq, PartialOrd, Serialize, Deserialize)]
-#[serde(try_from = "Written", into = "String")]
+#[serde(try_from = "RawAmount", into = "String")]
 pub struct Count(pub f64);
 
 /// A memory size in bytes; suffixes K, M, G, T for 1024, 1024^2, 1024^3, 1024^4.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Serialize, Deserialize)]
-#[serde(try_from = "Written", into = "String")]
+#[serde(try_from = "RawAmount", into = "String")]
 pub struct Bytes(pub u64);
 
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -73,7 +73,7 @@ impl Amount for Share {
     const PATTERN: &'static str = "^[0-9.]+ ?%$";
 }
 
-impl Amount for Duration {
+impl Amount for TimeSpan {
     const WANTED: &'static str = "a time such as 2h, 90min, 45s, 500ms or 1d6h";
     const PATTERN: &'static str = "^([0-9.]+ ?(d|h|min|m|s|ms) ?)+$";
 }
@@ -110,7 +110,7 @@ impl FromStr for Share {
     }
 }
 
-impl FromStr for Duration {
+impl FromStr for TimeSpan {
     type Err = AmountError;
 
     fn from_str(text: &str) -> Result<Self, AmountError> {
@@ -195,7 +195,7 @@ impl fmt::Display for Share {
     }
 }
 
-impl fmt::Display for Duration {
+impl fmt::Display for TimeSpan {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
         let mut rest = self.0;
         for unit in ["d", "h", "min"] {
@@ -232,12 +232,12 @@ impl fmt::Display for Bytes {
 /// An amount in TOML: a string ("40") or an integer (40).
 #[derive(Deserialize)]
 #[serde(untagged)]
-enum Written {
+enum RawAmount {
     Text(String),
     Whole(u64),
 }
 
-impl Written {
+impl RawAmount {
     fn text(self) -> String {
         match self {
             Self::Text(text) => text,
@@ -248,10 +248,10 @@ impl Written {
 
 macro_rules! written_as_text {
     ($($amount:ident),*) => {$(
-        impl TryFrom<Written> for $amount {
+        impl TryFrom<RawAmount> for $amount {
             type Error = AmountError;
 
-            fn try_from(written: Written) -> Result<Self, AmountError> {
+            fn try_from(written: RawAmount) -> Result<Self, AmountError> {
                 written.text().parse()
             }
         }
@@ -274,7 +274,7 @@ macro_rules! written_as_text {
     )*};
 }
 
-written_as_text!(Budget, Share, Duration, Count, Bytes);
+written_as_text!(Budget, Share, TimeSpan, Count, Bytes);
 
 #[cfg(test)]
 mod tests {
@@ -285,10 +285,10 @@ mod tests {
         assert_eq!("40".parse(), Ok(Budget::Clusters(40)));
         assert_eq!("5%".parse(), Ok(Budget::Views(Share(0.05))));
         assert_eq!("12.5 %".parse(), Ok(Share(0.125)));
-        assert_eq!("2h".parse(), Ok(Duration(7200.0)));
-        assert_eq!("1d 6h".parse(), Ok(Duration(108_000.0)));
-        assert_eq!("1.5min".parse(), Ok(Duration(90.0)));
-        assert_eq!("1s 500ms".parse(), Ok(Duration(1.5)));
+        assert_eq!("2h".parse(), Ok(TimeSpan(7200.0)));
+        assert_eq!("1d 6h".parse(), Ok(TimeSpan(108_000.0)));
+        assert_eq!("1.5min".parse(), Ok(TimeSpan(90.0)));
+        assert_eq!("1s 500ms".parse(), Ok(TimeSpan(1.5)));
         assert_eq!("50M".parse(), Ok(Count(50e6)));
         assert_eq!("800 k".parse(), Ok(Count(8e5)));
         assert_eq!("1.5G".parse(), Ok(Bytes(3 << 29)));
@@ -299,7 +299,7 @@ mod tests {
     fn malformed_amounts_are_refused() {
         assert!(["", "-3", "4.5", "x", "101%"].iter().all(|text| text.parse::<Budget>().is_err()));
         assert!(["", "0.8", "80", "1e1%", "-1%", "nan%"].iter().all(|text| text.parse::<Share>().is_err()));
-        assert!(["", "2", "h", "2 weeks", "inf h", "1h30"].iter().all(|text| text.parse::<Duration>().is_err()));
+        assert!(["", "2", "h", "2 weeks", "inf h", "1h30"].iter().all(|text| text.parse::<TimeSpan>().is_err()));
         assert!(["", "M", "5m", "1e9"].iter().all(|text| text.parse::<Count>().is_err()));
         assert!(["", "G", "5X", "-1G", "5GG"].iter().all(|text| text.parse::<Bytes>().is_err()));
     }
@@ -310,7 +310,7 @@ mod tests {
             assert_eq!(text.parse::<Budget>().unwrap().to_string(), text);
         }
         for text in ["1d6h", "1min30s", "0s", "2h", "0.5s"] {
-            assert_eq!(text.parse::<Duration>().unwrap().to_string(), text);
+            assert_eq!(text.parse::<TimeSpan>().unwrap().to_string(), text);
         }
         for text in ["50M", "1.5G", "20k", "999"] {
             assert_eq!(text.parse::<Count>().unwrap().to_string(), text);

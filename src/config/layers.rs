@@ -20,7 +20,7 @@ use crate::{
 };
 
 /// Resolves a typed backend name to its canonical name.
-pub type NameOf = fn(&str) -> Result<&'static str, UnknownBackend>;
+pub type BackendLookup = fn(&str) -> Result<&'static str, UnknownBackend>;
 
 /// Unknown backend name.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -62,9 +62,9 @@ pub fn user_file() -> Option<PathBuf> {
 
 /// Settings from the command line: option, key, value.
 #[derive(Clone, Debug, Default)]
-pub struct Typed(Vec<Entry>);
+pub struct CommandLineSettings(Vec<Entry>);
 
-impl Typed {
+impl CommandLineSettings {
     /// Records the value of an option, if given.
     pub fn set(&mut self, option: &'static str, key: &str, value: Option<impl Into<Value>>) {
         if let Some(value) = value {
@@ -122,7 +122,7 @@ pub struct Configuration {
 
 impl Configuration {
     /// Loads the settings of the files and the command line; `backend` resolves the name of each backend.
-    pub fn load(files: &Files, typed: Typed, backend: NameOf) -> Result<Self, ConfigError> {
+    pub fn load(files: &Files, typed: CommandLineSettings, backend: BackendLookup) -> Result<Self, ConfigError> {
         let mut entries = files.user.as_deref().map_or(Ok(Vec::new()), read)?;
         let project = files.project.as_deref().map_or(Ok(Vec::new()), read)?;
         project.iter().try_for_each(refuse_commands)?;
@@ -132,7 +132,7 @@ impl Configuration {
     }
 
     /// Merges entries over the defaults; later ones win.
-    fn over_defaults(entries: Vec<Entry>, backend: NameOf) -> Result<Self, ConfigError> {
+    fn over_defaults(entries: Vec<Entry>, backend: BackendLookup) -> Result<Self, ConfigError> {
         let mut table = Table::new();
         let mut places = BTreeMap::new();
         for entry in entries {
@@ -252,7 +252,7 @@ fn line_of(text: &str, byte: usize) -> usize {
 }
 
 /// Resolves backend names, keeping the order and dropping duplicates.
-fn proper_names(names: &[String], backend: NameOf) -> Result<Vec<String>, UnknownBackend> {
+fn proper_names(names: &[String], backend: BackendLookup) -> Result<Vec<String>, UnknownBackend> {
     let mut proper: Vec<String> = Vec::new();
     for name in names {
         let name = backend(name)?;
@@ -264,7 +264,7 @@ fn proper_names(names: &[String], backend: NameOf) -> Result<Vec<String>, Unknow
 }
 
 /// Checks that the key is known and the value has its type and range.
-fn check(entry: &Entry, backend: NameOf) -> Result<(), ConfigError> {
+fn check(entry: &Entry, backend: BackendLookup) -> Result<(), ConfigError> {
     let refuse = |why: String| ConfigError::Value {
         from: Source::Written(entry.place.clone()),
         key: entry.key.clone(),
@@ -385,7 +385,7 @@ mod tests {
     use crate::model::scene::Units;
 
     /// Loads a user's file, a project's file and command-line options.
-    fn load(user: &str, project: &str, typed: Typed) -> Result<Configuration, ConfigError> {
+    fn load(user: &str, project: &str, typed: CommandLineSettings) -> Result<Configuration, ConfigError> {
         let folder = tempfile::tempdir().unwrap();
         let write = |name: &str, text: &str| {
             let path = folder.path().join(name);
@@ -400,14 +400,14 @@ mod tests {
     }
 
     fn refused(project: &str) -> (String, String) {
-        let error = load("", project, Typed::default()).unwrap_err();
+        let error = load("", project, CommandLineSettings::default()).unwrap_err();
         let message = error.to_string();
         (message[message.find("project.toml").unwrap()..].to_owned(), error.hint().unwrap())
     }
 
     #[test]
     fn each_layer_covers_the_one_before_and_is_named() {
-        let mut typed = Typed::default();
+        let mut typed = CommandLineSettings::default();
         typed.set("--gsd", "target.gsd", Some(0.01));
         typed.set("-k", "partners.k", None::<i64>);
         let user = "units = \"metric\"\n[target]\ngsd = 0.03\naccuracy = 0.05\n";
@@ -428,7 +428,7 @@ mod tests {
         for text in
             ["\"partners.k\" = 2\n", "[partners]\nk = 3\n[\"partners.k\"]\n", "[partners]\n\"k.k\" = 2\n", "'' = 1\n"]
         {
-            let error = load("", text, Typed::default()).unwrap_err();
+            let error = load("", text, CommandLineSettings::default()).unwrap_err();
             assert!(matches!(error, ConfigError::UnknownKey { .. }), "{text}: {error}");
         }
         let (message, hint) = refused("seed = 1\n\"partners.k\" = 2\n");
@@ -438,9 +438,12 @@ mod tests {
 
     #[test]
     fn nothing_written_is_the_default() {
-        assert_eq!(load("", "", Typed::default()).unwrap(), Configuration::default());
+        assert_eq!(load("", "", CommandLineSettings::default()).unwrap(), Configuration::default());
         let none = Files { user: Some("/nowhere/viewrank.toml".into()), project: None };
-        assert_eq!(Configuration::load(&none, Typed::default(), canonical_name).unwrap().settings, Settings::default());
+        assert_eq!(
+            Configuration::load(&none, CommandLineSettings::default(), canonical_name).unwrap().settings,
+            Settings::default()
+        );
     }
 
     #[test]
@@ -475,7 +478,7 @@ mod tests {
     #[test]
     fn a_projects_file_names_no_commands() {
         let user = "on_target = \"touch stop\"\n[dispatch]\nsetup = \"module load colmap\"\n";
-        let both = load(user, "dispatch.partition = \"mvs\"", Typed::default()).unwrap().settings;
+        let both = load(user, "dispatch.partition = \"mvs\"", CommandLineSettings::default()).unwrap().settings;
         assert_eq!(both.on_target.as_deref(), Some("touch stop"));
         assert_eq!(
             (both.dispatch.setup.as_str(), both.dispatch.partition.as_deref()),
@@ -483,13 +486,14 @@ mod tests {
         );
         let refusal = "project.toml:1: dispatch.setup runs commands, so a project's file may not set it";
         assert_eq!(refused("dispatch.setup = \"rm -rf /\"").0, refusal);
-        assert!(load("", "[dispatch]\noptions = [\"--wrap=id\"]", Typed::default()).is_err());
+        assert!(load("", "[dispatch]\noptions = [\"--wrap=id\"]", CommandLineSettings::default()).is_err());
         assert!(refused("\non_target = \"rm -r /\"").0.starts_with("project.toml:2: on_target runs commands"));
     }
 
     #[test]
     fn backends_are_known_by_name() {
-        let named = load("", "backends = [\"COLMAP\", \"meshroom\", \"colmap\"]", Typed::default()).unwrap();
+        let named =
+            load("", "backends = [\"COLMAP\", \"meshroom\", \"colmap\"]", CommandLineSettings::default()).unwrap();
         assert_eq!(named.settings.backends, ["colmap", "alicevision"]);
         let (message, hint) = refused("\nbackends = [\"colmpa\"]");
         assert_eq!(message, "project.toml:2: no backend \"colmpa\"");
@@ -498,7 +502,7 @@ mod tests {
 
     #[test]
     fn amounts_may_be_numbers() {
-        let configuration = load("", "cut.budget = 40", Typed::default()).unwrap();
+        let configuration = load("", "cut.budget = 40", CommandLineSettings::default()).unwrap();
         assert_eq!(configuration.settings.cut.budget, Some(crate::config::Budget::Clusters(40)));
     }
 }

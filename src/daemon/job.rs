@@ -29,13 +29,13 @@ use crate::{
     apps::replan::{self, AgainError, Earlier, Maps, ReplanError, replan},
     backends,
     base::progress::{Stage, Watcher},
-    config::{CONFIDENCE_WORDS, Configuration, Files, Settings, Typed, user_file},
+    config::{CONFIDENCE_WORDS, CommandLineSettings, Configuration, Files, Settings, user_file},
     io::{
         output::{self, Disk, FileSet},
         project::{Project, ProjectError},
     },
     method::confidence::PROJECT_MODEL,
-    plan::{Nothing, Plan, PlanError},
+    plan::{EmptyPlan, Plan, PlanError},
     show::{files, manifest::WrittenPlanError},
 };
 
@@ -250,8 +250,8 @@ impl PlanJob {
         info!(project = %Shown(job.project), "planning");
         let plan = backends::plan(&project, &settings, &JobWatcher::new(job)).map_err(sort_out)?;
         let plan = around_finished(plan, &project, job)?;
-        if let Some(nothing) = Nothing::of(&plan) {
-            return Err(Outcome::Incomplete { reason: nothing.to_string() });
+        if let Some(empty) = EmptyPlan::detect(&plan) {
+            return Err(Outcome::Incomplete { reason: empty.to_string() });
         }
         let (clusters, share) = (plan.decision.cut.clusters, plan.decision.cut.share);
         let record = PlannedFrom::new(&plan, fingerprint.clone(), settings.of_plan());
@@ -323,7 +323,7 @@ impl PlanJob {
             Some(command) => Some(command.clone()),
             None => match Configuration::load(
                 &Files { user: user_file(), project: None },
-                Typed::default(),
+                CommandLineSettings::default(),
                 backends::canonical_name,
             ) {
                 Ok(configuration) => configuration.settings.on_target,
@@ -352,7 +352,7 @@ impl PlanJob {
         let own = project.join("viewrank.toml");
         let files = Files { user: user_file(), project: Some(own.clone()) };
         let loaded = match may_enter(project, &own, self.options.follow_links) {
-            true => Configuration::load(&files, Typed::default(), backends::canonical_name)
+            true => Configuration::load(&files, CommandLineSettings::default(), backends::canonical_name)
                 .map_err(|error| (error.to_string(), failed(error))),
             false => {
                 let reason = format!("{} is a symbolic link (--follow-links)", own.display());

@@ -4,7 +4,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::{Band, GivenUp, PlanError, forecast::Cost};
-use crate::{config::CutSettings, method::fulfilment::block::Places};
+use crate::{config::CutSettings, method::fulfilment::block::BlockSlots};
 
 /// Default target: a share of what all clusters together reach.
 pub(super) const DEFAULT_TARGET: f64 = 0.9;
@@ -56,8 +56,8 @@ pub(super) fn cut(settings: &CutSettings, cost: &Cost, bound: impl Fn(usize) -> 
         clusters = longest_within(clusters, time.0, |rank| cost.seconds(rank).ok_or(PlanError::NoTimes))?;
     }
     if let Some(points) = settings.points {
-        let mut places = Places::new(cost.model);
-        clusters = longest_within(clusters, points.0, |rank| Ok(cost.points(rank, &mut places)))?;
+        let mut slots = BlockSlots::new(cost.model);
+        clusters = longest_within(clusters, points.0, |rank| Ok(cost.points(rank, &mut slots)))?;
     }
     let clusters = clusters.max(cost.finished);
     Ok(Cut {

@@ -41,7 +41,7 @@ pub struct Stages {
     /// How well the pictures of candidate pairs agree, where confidence is photometric.
     pub agreement: Agreement,
     /// What was seen in the pictures.
-    pub pictures: confidence::Seen,
+    pub pictures: confidence::PicturePredictions,
     /// The predictor of matching success.
     pub confidence: Confidence,
     pub trained: Option<Trained>,
@@ -225,7 +225,7 @@ fn pictures(
     source: &Source,
     trained: Option<&Trained>,
     watcher: &dyn Watcher,
-) -> Result<confidence::Seen, PlanError> {
+) -> Result<confidence::PicturePredictions, PlanError> {
     let pictures = Pictures::new(project);
     let predictor: Option<&dyn Predictor> = match (source, trained) {
         (Source::Proxy, _) => Some(&Proxy),
@@ -234,9 +234,9 @@ fn pictures(
     };
     let is_needless = *source == Source::None || predictor.is_none() && !pictures.have_masks();
     if is_needless {
-        return Ok(confidence::Seen { maps: vec![None; scene.views.len()], ..Default::default() });
+        return Ok(confidence::PicturePredictions { maps: vec![None; scene.views.len()], ..Default::default() });
     }
-    Ok(pictures.look(scene, predictor, watcher)?)
+    Ok(pictures.predict(scene, predictor, watcher)?)
 }
 
 /// The surface, reduced to triangles that at least one view sees, with its visibility.

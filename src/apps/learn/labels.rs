@@ -34,7 +34,7 @@ const MOST_OTHERS: usize = 12;
 const MOST_PIXELS: u32 = 40_000;
 
 /// A finished view cluster: the partners that were tried, and its depth map.
-pub struct Finished {
+pub struct LabelledMap {
     pub cluster: ViewCluster,
     pub map: DepthMap,
 }
@@ -56,7 +56,7 @@ pub struct Label {
 pub struct Labelling<'a> {
     pub model: Model<'a>,
     /// By view, where there is one.
-    pub finished: &'a [Option<Finished>],
+    pub finished: &'a [Option<LabelledMap>],
     /// By view: other views that look at the same places, best first.
     pub others: &'a (dyn Fn(ViewIndex) -> Vec<ViewIndex> + Sync),
 }
@@ -65,7 +65,7 @@ pub struct Labelling<'a> {
 struct Other<'a> {
     view: ViewIndex,
     centre: Point3<f64>,
-    finished: &'a Finished,
+    finished: &'a LabelledMap,
 }
 
 impl<'a> Labelling<'a> {
@@ -109,8 +109,8 @@ impl<'a> Labelling<'a> {
     }
 
     /// Depth maps that do not share a pair with this one.
-    fn others_of(&self, key: ViewIndex, own: &Finished) -> Vec<Other<'a>> {
-        let shares_pair = |other: &Finished| {
+    fn others_of(&self, key: ViewIndex, own: &LabelledMap) -> Vec<Other<'a>> {
+        let shares_pair = |other: &LabelledMap| {
             own.cluster.partners.contains(&other.cluster.key) && other.cluster.partners.contains(&key)
         };
         let of = |view: ViewIndex| {
@@ -121,7 +121,7 @@ impl<'a> Labelling<'a> {
     }
 
     /// Success, failure, or nothing to be said.
-    fn judge(&self, pixel: &Pixel, own: &Finished, others: &[Other], covariances: &mut Covariances) -> Option<bool> {
+    fn judge(&self, pixel: &Pixel, own: &LabelledMap, others: &[Other], covariances: &mut Covariances) -> Option<bool> {
         let scene = self.model.scene;
         let pose = &scene.view(pixel.key).cam_from_world;
         let camera = scene.camera_of(pixel.key);
@@ -320,8 +320,8 @@ mod tests {
         let views = scene.views.len() as u32;
         let next = |view: ViewIndex, by: u32| ViewIndex((view.0 + by) % views);
         let cluster = |key| ViewCluster { key, partners: vec![next(key, 1), next(key, 2)] };
-        let finished = |view| Some(Finished { cluster: cluster(view), map: map(&model, view) });
-        let finished: Vec<Option<Finished>> = scene.view_indices().map(finished).collect();
+        let finished = |view| Some(LabelledMap { cluster: cluster(view), map: map(&model, view) });
+        let finished: Vec<Option<LabelledMap>> = scene.view_indices().map(finished).collect();
         let others = |key: ViewIndex| {
             let mut others: Vec<ViewIndex> = scene.view_indices().filter(|v| *v != key).collect();
             let centre = |v: ViewIndex| scene.view(v).cam_from_world.centre();

@@ -20,7 +20,7 @@ pub use self::labels::Label;
 use self::{
     fit::{Curves, PairRow, Row},
     grow::Boosting,
-    labels::{Finished, Labelling},
+    labels::{LabelledMap, Labelling},
     parts::{Parts, Views},
     score::Scores,
 };
@@ -28,7 +28,7 @@ use crate::method::confidence::{
     ConfidenceMap, Constellation, Unary,
     features::{self, Features},
     image::{Image, size_for_confidence},
-    place::{self, Places},
+    place::{self, PlaceFeatures},
     trained::{Measured, Picture, Trained, TrainedOn, VERSION},
     trees::{BINS, Table},
 };
@@ -211,8 +211,8 @@ impl Lesson<'_> {
     }
 
     /// Depth maps by view, thinned out where they are too many.
-    fn finished(&self, watcher: &dyn Watcher) -> Result<Vec<Option<Finished>>, TrainError> {
-        let mut finished: Vec<Option<Finished>> = self.model.scene.views.iter().map(|_| None).collect();
+    fn finished(&self, watcher: &dyn Watcher) -> Result<Vec<Option<LabelledMap>>, TrainError> {
+        let mut finished: Vec<Option<LabelledMap>> = self.model.scene.views.iter().map(|_| None).collect();
         let read = |file: &DepthMapFile| {
             watcher.check()?;
             let map = depthmaps::read_of_view(file, self.model.scene)?;
@@ -222,7 +222,7 @@ impl Lesson<'_> {
         for (file, map) in self.maps.iter().zip(maps) {
             let cluster = self.clusters.iter().find(|c| c.key == file.view);
             let cluster = cluster.ok_or_else(|| TrainError::NoCluster(self.model.scene.name(file.view).into()))?;
-            finished[file.view.index()] = Some(Finished { cluster: cluster.clone(), map });
+            finished[file.view.index()] = Some(LabelledMap { cluster: cluster.clone(), map });
         }
         Ok(finished)
     }
@@ -404,7 +404,7 @@ fn rows(
     for (number, ((lesson, judged), promised)) in lessons.iter().zip(judged).zip(promised).enumerate() {
         let kept_below = (most / counts[parts.scene(number)].max(1) as f64 * f64::from(u32::MAX)) as u32;
         let model = &lesson.model;
-        let places = Places::new(model.geometry(), &model.scene.view_points(), watcher)?;
+        let places = PlaceFeatures::new(model.geometry(), &model.scene.view_points(), watcher)?;
         let of_place = |view: ViewIndex, row: usize| places.numbers(view, row, promised[row]);
         for view in judged {
             let Some(cluster) = lesson.clusters.iter().find(|c| c.key == view.view) else { continue };

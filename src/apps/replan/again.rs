@@ -3,7 +3,7 @@
 use std::{collections::BTreeMap, path::Path};
 
 use crate::backends;
-use crate::plan::{Cut, Decision, Finished, Plan, PlanError, Stages, decide_as};
+use crate::plan::{Cut, Decision, FinishedMaps, Plan, PlanError, Stages, decide_as};
 use crate::{
     base::{column::TableError, error::Hint, progress::Watcher},
     io::project::Project,
@@ -44,7 +44,7 @@ fn with_ranking(plan: Plan, recorded: &Recorded, watcher: &dyn Watcher) -> Resul
         kept: recorded.clusters.iter().map(|cluster| cluster.share * recorded.cut.reachable).collect(),
     };
     let finished =
-        Finished { clusters: recorded.finished(), outdated: recorded.outdated.clone(), ..Finished::default() };
+        FinishedMaps { clusters: recorded.finished(), outdated: recorded.outdated.clone(), ..FinishedMaps::default() };
     let cut = Cut { clusters: recorded.cut.clusters.min(ranking.order.len()), ..recorded.cut };
     let mut decision = decide_as(&stages, finished, ranking, cut)?;
     for written in &recorded.views {

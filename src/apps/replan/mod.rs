@@ -28,9 +28,9 @@ use crate::{
         depthmaps::{self, DepthMap, DepthMapError, DepthMapFile, DepthMapSet},
         project::Project,
     },
-    method::{fulfilment::GrowingTable, ranking::Beliefs},
+    method::{fulfilment::FulfilmentTableBuilder, ranking::Beliefs},
     model::{cluster::ViewCluster, scene::ViewIndex},
-    plan::{Finished, Outdated, Plan, PlanError, PlannedView, PlannedViews, Stages, decide},
+    plan::{FinishedMaps, Outdated, Plan, PlanError, PlannedView, PlannedViews, Stages, decide},
     show::manifest::{self, Recorded, WrittenPlanError},
 };
 
@@ -97,7 +97,7 @@ pub fn replan(
     maps: &Maps,
     watcher: &dyn Watcher,
 ) -> Result<(Plan, Option<MeasuredClusters>), ReplanError> {
-    let (mut clusters, mut finished) = (Vec::new(), Finished::default());
+    let (mut clusters, mut finished) = (Vec::new(), FinishedMaps::default());
     for found in look(&plan, earlier, maps, watcher)? {
         match found {
             Found::Fits { cluster, made_with } => {
@@ -135,7 +135,7 @@ fn measure(
 /// Puts the finished clusters in the place of those with the same key view, and ranks all again.
 fn rank_around(
     plan: Plan,
-    finished: Finished,
+    finished: FinishedMaps,
     run: Option<&MeasuredClusters>,
     watcher: &dyn Watcher,
 ) -> Result<Plan, PlanError> {
@@ -165,7 +165,7 @@ fn with_finished(
     let mut rows: BTreeMap<ViewIndex, (Option<usize>, usize)> = BTreeMap::new();
     rows.extend(stages.clusters.iter().enumerate().map(|(c, cluster)| (cluster.key, (None, c))));
     rows.extend(run.clusters.iter().enumerate().map(|(c, cluster)| (cluster.key, (Some(c), c))));
-    let mut table = GrowingTable::beside(&stages.visibility)?;
+    let mut table = FulfilmentTableBuilder::like(&stages.visibility)?;
     let mut clusters = Vec::with_capacity(rows.len());
     for (finished, at) in rows.values() {
         match finished {
@@ -211,7 +211,7 @@ fn look(plan: &Plan, earlier: &Earlier, maps: &Maps, watcher: &dyn Watcher) -> R
     let found = earlier.clusters.par_iter().map(|(key, partners)| {
         watcher.check()?;
         let file = file_of.get(key.as_str()).filter(|file| (maps.ready)(&file.path));
-        Ok(file.map(|file| Looked { plan, earlier, key, partners, file }.found()))
+        Ok(file.map(|file| MapCheck { plan, earlier, key, partners, file }.found()))
     });
     let found: Vec<Option<Found>> = found.collect::<Result<_, Cancelled>>()?;
     // Views that had no partners in the earlier plan, either: what was said of their maps before still holds.
@@ -229,7 +229,7 @@ fn hash(file: &Path) -> io::Result<String> {
 }
 
 /// A depth map with the cluster that it was made for.
-struct Looked<'a> {
+struct MapCheck<'a> {
     plan: &'a Plan,
     earlier: &'a Earlier,
     key: &'a String,
@@ -237,7 +237,7 @@ struct Looked<'a> {
     file: &'a DepthMapFile,
 }
 
-impl Looked<'_> {
+impl MapCheck<'_> {
     fn found(&self) -> Found {
         let map = match depthmaps::read(&self.file.path, self.file.format) {
             Ok(map) if map.fits(self.plan.stages.scene.camera_of(self.file.view)) => map,

@@ -14,7 +14,7 @@ use walkdir::WalkDir;
 use super::Project;
 use crate::{
     base::input::{self, FileKind},
-    io::formats::foreign::Foreign,
+    io::formats::foreign::ForeignModel,
     model::scene::{Scene, ViewIndex},
 };
 
@@ -39,7 +39,7 @@ pub(super) fn find(root: &Path, model: &Path) -> Option<PathBuf> {
 }
 
 /// Finds the image folder of another program's model: the first candidate that contains one of its images.
-pub(super) fn find_by_names(root: &Path, model: &Path, foreign: &Foreign) -> Option<PathBuf> {
+pub(super) fn find_by_names(root: &Path, model: &Path, foreign: &ForeignModel) -> Option<PathBuf> {
     let named = foreign.image_folder.as_ref().map(|folder| root.join(folder)).filter(|folder| folder.is_dir());
     let folders: Vec<PathBuf> = named.into_iter().chain(candidates(root, model)).collect();
     let names = || foreign.model.images.iter().take(PROBED).map(|image| &*image.name);

@@ -65,7 +65,7 @@ pub fn sum<const N: usize>(curves: &[Curve; N], numbers: &[f32; N]) -> f32 {
 /// What the curves of a pair take: see [`Constellation::numbers`](super::Constellation::numbers).
 pub const PAIR: [Curve; 4] =
     [Curve::flat(0.0, 1.0), Curve::flat(0.0, 1.0), Curve::flat(-2.5, 2.5), Curve::flat(-1.0, 6.5)];
-/// What the curves of a triangle in a view take: see [`Places::numbers`](super::place::Places::numbers).
+/// What the curves of a triangle in a view take: see [`PlaceFeatures::numbers`](super::place::PlaceFeatures::numbers).
 pub const PLACE: [Curve; 9] = [
     Curve::flat(-4.0, 4.0),
     Curve::flat(0.0, 1.0),

@@ -24,7 +24,7 @@ pub use nearby::nearby;
 #[cfg(test)]
 pub use photometric::NO_AGREEMENT;
 pub use photometric::{AGREEMENT_CACHE, Agreement, PairAgreement, Photometric};
-pub use pictures::{CACHE, MASKS, Pictures, Seen};
+pub use pictures::{CACHE, MASKS, PicturePredictions, Pictures};
 pub use proxy::Proxy;
 pub use trained::{Trained, TrainedError, TrainedOn};
 pub use unary::Unary;

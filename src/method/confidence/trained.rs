@@ -12,7 +12,7 @@ use super::{
     curves::{self, PairCurves, PlaceCurves},
     features::{self, Features},
     image::Image,
-    place::{self, Places},
+    place::{self, PlaceFeatures},
     trees::{BINS, Classifier, logistic},
 };
 use crate::{
@@ -153,7 +153,7 @@ impl Trained {
         watcher: &dyn Watcher,
     ) -> Result<Unary, TableError> {
         let promised = Unary::new(geometry.scene, geometry.surface, geometry.visibility, maps, watcher)?;
-        let places = Places::new(*geometry, points, watcher)?;
+        let places = PlaceFeatures::new(*geometry, points, watcher)?;
         let of_view = |_: &mut (), &view: &ViewIndex| {
             watcher.check()?;
             let of_row = |row: usize| {
@@ -165,7 +165,7 @@ impl Trained {
             Ok(geometry.visibility.rows(view).map(of_row).collect::<Vec<_>>())
         };
         let views: Vec<ViewIndex> = geometry.scene.view_indices().collect();
-        let keep = geometry.visibility.triangles.kept();
+        let keep = geometry.visibility.triangles.storage();
         let (mut values, mut partner_odds) = (ColumnBuilder::new(keep)?, ColumnBuilder::new(keep)?);
         column::in_order(
             &views,

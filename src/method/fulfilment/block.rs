@@ -6,7 +6,7 @@ use nalgebra::{Matrix2x3, Matrix3, Vector3};
 pub use super::lanes::LANES;
 use super::{
     Model, density,
-    lanes::{KeyLanes, Lanes, PartnerLanes, Together, Weights, angle_of_chord, exp2, log2},
+    lanes::{ClusterLanes, KeyLanes, Lanes, PartnerLanes, Weights, angle_of_chord, exp2, log2},
 };
 use crate::{
     base::vector::{Work, vectorised},
@@ -18,9 +18,9 @@ use crate::{
 const EMPTY: u32 = u32::MAX;
 
 /// For each triangle its place in the block of the key view at hand; one per thread, used again.
-pub struct Places(Vec<u32>);
+pub struct BlockSlots(Vec<u32>);
 
-impl Places {
+impl BlockSlots {
     pub fn new(model: &Model) -> Self {
         Self(vec![EMPTY; model.surface.triangles.len()])
     }
@@ -74,7 +74,7 @@ impl<'a> Block<'a> {
         key: ViewIndex,
         partners: &'a [ViewIndex],
         is_first: impl Fn(u32) -> bool,
-        places: &mut Places,
+        slots: &mut BlockSlots,
     ) -> Self {
         let rule = &model.rule;
         let seen = model.visibility.triangles_seen_by(key);
@@ -105,7 +105,7 @@ impl<'a> Block<'a> {
             columns: vec![Vec::new(); partners.len()],
         };
         block.place_triangles();
-        block.place_views(&mut places.0);
+        block.place_views(&mut slots.0);
         block
     }
 
@@ -256,9 +256,9 @@ impl<'a> Block<'a> {
     }
 
     #[inline(always)]
-    fn together(&self, set: &[usize], group: usize) -> Together {
+    fn together(&self, set: &[usize], group: usize) -> ClusterLanes {
         // A loop and no iterator adaptor here and below: its closure could be compiled apart, without the instructions that this is about.
-        let mut together = Together::new(&self.keys[group]);
+        let mut together = ClusterLanes::new(&self.keys[group]);
         for &partner in set {
             together = together.with(&self.columns[partner][group]);
         }

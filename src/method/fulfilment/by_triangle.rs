@@ -35,7 +35,7 @@ impl ByTriangle {
             release_at(place, table);
         }
         (0..triangles).for_each(|t| offsets[t + 1] += offsets[t]);
-        let mut entries = ColumnBuilder::new(table.triangles.kept())?;
+        let mut entries = ColumnBuilder::new(table.triangles.storage())?;
         entries.reserve(offsets[triangles]);
         let mut from = 0;
         while from < triangles {

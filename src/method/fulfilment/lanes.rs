@@ -53,7 +53,7 @@ impl PartnerLanes {
 
 /// The sum over the key view and some partners.
 #[derive(Clone, Copy)]
-pub struct Together {
+pub struct ClusterLanes {
     information: [Lanes; 6],
     /// Chances that at least 1, 2 and 3 matches succeed.
     at_least: [Lanes; 3],
@@ -72,7 +72,7 @@ pub struct Weights {
     pub min_matches: u32,
 }
 
-impl Together {
+impl ClusterLanes {
     #[inline(always)]
     pub fn new(key: &KeyLanes) -> Self {
         let [xx, xy, yy] = key.information;
@@ -295,7 +295,7 @@ mod tests {
     #[test]
     fn no_triangle_fulfils_nothing() {
         let weights = Weights { uncertainty: 0.5, min_partners: 0.0, min_matches: 0 };
-        assert_eq!(Together::new(&KeyLanes::EMPTY).value::<f32>(&KeyLanes::EMPTY, &weights), [0.0; LANES]);
-        assert_eq!(Together::new(&KeyLanes::EMPTY).value::<f64>(&KeyLanes::EMPTY, &weights), [0.0; LANES]);
+        assert_eq!(ClusterLanes::new(&KeyLanes::EMPTY).value::<f32>(&KeyLanes::EMPTY, &weights), [0.0; LANES]);
+        assert_eq!(ClusterLanes::new(&KeyLanes::EMPTY).value::<f64>(&KeyLanes::EMPTY, &weights), [0.0; LANES]);
     }
 }

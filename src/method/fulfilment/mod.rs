@@ -9,7 +9,7 @@ mod lanes;
 
 use nalgebra::{Matrix3, Point3, Vector2};
 
-use self::block::{Block, Places};
+use self::block::{Block, BlockSlots};
 pub(crate) use self::by_triangle::ByTriangle;
 use crate::method::{geometry::Geometry, target::Target};
 use crate::{
@@ -133,16 +133,16 @@ impl FulfilmentTable {
 }
 
 /// A table of fulfilment to which clusters are added.
-pub(crate) struct GrowingTable {
+pub(crate) struct FulfilmentTableBuilder {
     offsets: Vec<usize>,
     triangles: ColumnBuilder<u32>,
     values: ColumnBuilder<f32>,
 }
 
-impl GrowingTable {
+impl FulfilmentTableBuilder {
     /// `visibility`: a table that is kept as this one is to be.
-    pub(crate) fn beside(visibility: &Visibility) -> Result<Self, DiskError> {
-        let keep = visibility.triangles.kept();
+    pub(crate) fn like(visibility: &Visibility) -> Result<Self, DiskError> {
+        let keep = visibility.triangles.storage();
         Ok(Self { offsets: vec![0], triangles: ColumnBuilder::new(keep)?, values: ColumnBuilder::new(keep)? })
     }
 
@@ -164,16 +164,16 @@ impl GrowingTable {
 
 /// f of any clusters, in their order.
 pub fn table(model: &Model, clusters: &[ViewCluster], watcher: &dyn Watcher) -> Result<FulfilmentTable, TableError> {
-    let mut table = GrowingTable::beside(model.visibility)?;
-    let of_cluster = |places: &mut Places, cluster: &ViewCluster| {
+    let mut table = FulfilmentTableBuilder::like(model.visibility)?;
+    let of_cluster = |slots: &mut BlockSlots, cluster: &ViewCluster| {
         watcher.check()?;
-        let mut block = Block::new(model, cluster.key, &cluster.partners, |_| false, places);
+        let mut block = Block::new(model, cluster.key, &cluster.partners, |_| false, slots);
         Ok(block.values(&(0..cluster.partners.len()).collect::<Vec<_>>()))
     };
     column::in_order(
         clusters,
         BATCH,
-        || Places::new(model),
+        || BlockSlots::new(model),
         of_cluster,
         |batch, rows| {
             model.release();

@@ -22,8 +22,8 @@ use crate::{
     },
     config::{PartnerMethod, PartnerSettings},
     method::fulfilment::{
-        BATCH, FulfilmentTable, GrowingTable, Model,
-        block::{Block, Places},
+        BATCH, FulfilmentTable, FulfilmentTableBuilder, Model,
+        block::{Block, BlockSlots},
     },
     model::{cluster::ViewCluster, scene::ViewIndex},
 };
@@ -43,19 +43,19 @@ pub fn choose(
         model.scene.view_indices().filter(|&v| !candidates.candidates_of(v).is_empty()).collect();
     let (done, total) = (AtomicU64::new(0), keys.len() as u64);
     watcher.progress(Stage::Partners, 0, total);
-    let choose_one = |places: &mut Places, &key: &ViewIndex| {
+    let choose_one = |slots: &mut BlockSlots, &key: &ViewIndex| {
         watcher.check()?;
         let is_judge = |t: u32| judges[t as usize];
-        let mut block = Block::new(model, key, candidates.candidates_of(key), is_judge, places);
+        let mut block = Block::new(model, key, candidates.candidates_of(key), is_judge, slots);
         let choice = choose_for(&mut block, model, key, candidates.candidates_of(key), settings, seed);
         watcher.progress(Stage::Partners, 1 + done.fetch_add(1, Ordering::Relaxed), total);
         Ok(choice)
     };
-    let (mut clusters, mut table) = (Vec::with_capacity(keys.len()), GrowingTable::beside(model.visibility)?);
+    let (mut clusters, mut table) = (Vec::with_capacity(keys.len()), FulfilmentTableBuilder::like(model.visibility)?);
     column::in_order(
         &keys,
         BATCH,
-        || Places::new(model),
+        || BlockSlots::new(model),
         choose_one,
         |batch, chosen| {
             model.release();

@@ -81,7 +81,8 @@ fn tables_on_disk_hold_what_tables_in_memory_hold() {
     let settings = settings(3, PartnerMethod::Search);
     let (chosen, expected) = (disk.choose(&settings), memory.choose(&settings));
     assert_eq!(chosen, expected);
-    let kept = |s: &Setting, t: &FulfilmentTable| [&s.visibility.triangles, &t.triangles].map(|column| column.kept());
+    let kept =
+        |s: &Setting, t: &FulfilmentTable| [&s.visibility.triangles, &t.triangles].map(|column| column.storage());
     assert_eq!(kept(&disk, &chosen.1), [Storage::Disk; 2]);
     assert_eq!(kept(&memory, &expected.1), [Storage::Memory; 2]);
 }

@@ -85,7 +85,7 @@ impl Visibility {
             kept
         };
         let numbers: Vec<u32> = keep.iter().map(number).collect();
-        let (mut offsets, mut triangles) = (Offsets::default(), ColumnBuilder::new(self.triangles.kept())?);
+        let (mut offsets, mut triangles) = (Offsets::default(), ColumnBuilder::new(self.triangles.storage())?);
         for view in 0..self.offsets.rows() {
             if view.is_multiple_of(column::READ_AT_ONCE) {
                 self.triangles.release();
@@ -104,7 +104,7 @@ impl Visibility {
         start: impl Fn() -> S + Sync + Send,
         of_view: impl Fn(&mut S, ViewIndex) -> Result<Vec<T>, Cancelled> + Sync + Send,
     ) -> Result<Column<T>, TableError> {
-        self.column_kept(self.triangles.kept(), start, of_view)
+        self.column_kept(self.triangles.storage(), start, of_view)
     }
 
     /// The same, kept where `keep` says.
@@ -139,7 +139,7 @@ pub fn estimate(
     keep: Storage,
     watcher: &dyn Watcher,
 ) -> Result<Visibility, TableError> {
-    let stage = Looking::new(scene, surface, settings, edge_length);
+    let stage = Estimator::new(scene, surface, settings, edge_length);
     let observations = Observations::new(scene.points.len());
     let views: Vec<ViewIndex> = scene.view_indices().collect();
     let done = AtomicU64::new(0);
@@ -192,7 +192,7 @@ pub fn front(scene: &Scene, surface: &Surface, view: ViewIndex, width: u32, heig
 }
 
 /// What all views have in common.
-struct Looking<'a> {
+struct Estimator<'a> {
     scene: &'a Scene,
     surface: &'a Surface,
     patches: Patches,
@@ -253,7 +253,7 @@ struct Candidate {
     in_front: u32,
 }
 
-impl<'a> Looking<'a> {
+impl<'a> Estimator<'a> {
     fn new(scene: &'a Scene, surface: &'a Surface, settings: &VisibilitySettings, edge_length: f64) -> Self {
         let length = settings.tolerance_edges * edge_length;
         Self {
