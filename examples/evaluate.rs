@@ -8,8 +8,8 @@
 use std::{env, error::Error, path::PathBuf};
 
 use viewrank::{
-    Unwatched,
-    evaluate::{Evaluation, EvaluationInput, EvaluationOptions, MeasuredClusters, MeasuredSurface, SoFar},
+    NoWatcher,
+    evaluate::{Evaluation, EvaluationInput, EvaluationOptions, MeasuredClusters, MeasuredProgress, MeasuredSurface},
     replan,
 };
 
@@ -18,20 +18,20 @@ fn main() -> Result<(), Box<dyn Error>> {
     let [project, depth_maps] = &arguments[..] else { return Err("usage: evaluate PROJECT DEPTH_MAPS".into()) };
 
     // The manifest has no tables, so they are computed again with its settings.
-    let (_, plan) = replan::as_written(project, &Unwatched)?;
+    let (_, plan) = replan::as_written(project, &NoWatcher)?;
     let (model, settings) = (plan.stages.model(), &plan.stages.settings);
     let clusters: Vec<_> = plan.chosen().cloned().collect();
 
     // Without reference depth maps, every depth counts as correct; `accuracy` is used where a pixel shows no triangle.
     let accuracy = model.target.accuracy_over_gsd * settings.target.gsd.ok_or("the plan has no GSD")?;
     let input = EvaluationInput { model, clusters: &clusters, depth_maps, reference: None, accuracy };
-    let measured = MeasuredClusters::new(&input, &Unwatched)?;
+    let measured = MeasuredClusters::new(&input, &NoWatcher)?;
 
-    let so_far = SoFar::new(&plan.stages, &measured);
+    let so_far = MeasuredProgress::new(&plan.stages, &measured);
     let options = EvaluationOptions { objective: &plan.stages.objective, so_far, baselines: false };
     let model = plan.stages.model();
     let surface = MeasuredSurface::new(&model, &measured);
-    let evaluation = Evaluation::new(&model, &measured, &surface, &options, &Unwatched)?;
+    let evaluation = Evaluation::new(&model, &measured, &surface, &options, &NoWatcher)?;
     let kept = evaluation.kept;
     println!("fulfilment kept by fusion: {:.1} %, forecast {:.1} %", 100.0 * kept.real, 100.0 * kept.predicted);
     println!(

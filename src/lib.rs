@@ -49,7 +49,7 @@ pub use apps::{doctor, evaluate, learn, replan, report};
 pub use backends::plan;
 pub use base::{
     error::Hint,
-    progress::{Cancelled, Stage, Unwatched, Watcher},
+    progress::{Cancelled, NoWatcher, Stage, Watcher},
 };
 pub use config::Settings;
 pub use io::{

@@ -9,7 +9,7 @@ use std::{
 use crate::{
     apps::dispatch::{
         Dispatch, DispatchError, Task, Tools,
-        slurm::{self, Queue, Submission},
+        slurm::{self, SlurmQueue, Submission},
     },
     backends::{self, Selection, place},
     base::shell::{quoted, quoted_path},
@@ -129,7 +129,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let tools = arguments.tools(&dispatch, &settings)?;
     let reached = arguments.target_reached(&plan.project.root, &dispatch)?;
     let mut exported = Some(exported);
-    let mut write = |queue: &Queue| -> Result<(), Failure> {
+    let mut write = |queue: &SlurmQueue| -> Result<(), Failure> {
         let export = exported.take().map(|export| export.files);
         let folder = export.as_ref().map(|files| files.root.clone());
         let export = folder.map(|folder| place::set_of_folder(&folder, export, &plan.project));
@@ -146,7 +146,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         (Scheduler::Shell, dry_run) => {
             if !dry_run {
                 // Tasks of a queue that is there may still read older lists.
-                write(&Queue::read(&dispatch).unwrap_or_else(|_| Queue::empty(&dispatch)))?;
+                write(&SlurmQueue::read(&dispatch).unwrap_or_else(|_| SlurmQueue::empty(&dispatch)))?;
             }
             Submission::default()
         }
@@ -172,10 +172,10 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
 }
 
 /// Reads the state of the queue; empty, with a warning, if the query fails.
-fn queue_or_empty(dispatch: &Dispatch) -> Queue {
-    Queue::read(dispatch).unwrap_or_else(|error| {
+fn queue_or_empty(dispatch: &Dispatch) -> SlurmQueue {
+    SlurmQueue::read(dispatch).unwrap_or_else(|error| {
         warn(&format!("cannot query the queue, assuming it is empty: {error}"));
-        Queue::empty(dispatch)
+        SlurmQueue::empty(dispatch)
     })
 }
 

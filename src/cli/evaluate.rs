@@ -8,8 +8,8 @@ use std::{
 use crate::apps::replan;
 use crate::{
     apps::evaluate::{
-        self, Compared, Evaluation, EvaluationInput, EvaluationOptions, MeasuredClusters, MeasuredSurface, SoFar,
-        clusters, orders,
+        self, Comparison, Evaluation, EvaluationInput, EvaluationOptions, MeasuredClusters, MeasuredProgress,
+        MeasuredSurface, clusters, orders,
     },
     io::{
         output::{Contents, Disk, FileSet},
@@ -97,7 +97,7 @@ fn measure(
     let run = task(plan, &clusters, folder, arguments.reference.as_deref(), progress)?;
     let model = plan.stages.model();
     let reached = MeasuredSurface::new(&model, &run);
-    let so_far = SoFar::new(&plan.stages, &run);
+    let so_far = MeasuredProgress::new(&plan.stages, &run);
     let how = EvaluationOptions { objective: &plan.stages.objective, baselines: arguments.baselines, so_far };
     let evaluation = Evaluation::new(&model, &run, &reached, &how, progress)?;
     let title = project.root.file_name().unwrap_or(project.root.as_os_str()).to_string_lossy();
@@ -223,7 +223,7 @@ fn text(e: &Evaluation, out: &Path) -> String {
     text
 }
 
-fn compared_text(compared: &[Compared]) -> String {
+fn compared_text(compared: &[Comparison]) -> String {
     let mut text = format!(
         "{:17} {:>9} {:>7} {:>13} {:>9} {:>9} {:>10}\n",
         "clusters of", "key views", "pairs", "completeness", "outliers", "RMSE", "real f_o"

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use crate::{
-    apps::replan::{Earlier, Maps, replan},
+    apps::replan::{EarlierPlan, Maps, replan},
     base::{
         progress::{Stage, Watcher},
         shell::quoted_path,
@@ -142,7 +142,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
             output::recover(&project.root, &Disk::REAL)?;
         }
         let maps = Maps { folder, ready: &|_| true };
-        plan = replan(plan, &Earlier::read(&project)?, &maps, &progress)?.0;
+        plan = replan(plan, &EarlierPlan::read(&project)?, &maps, &progress)?.0;
         if plan.decision.finished.clusters == 0 {
             warn(&format!("no depth map in {} fits the plan: nothing is finished", folder.display()));
         }

@@ -7,7 +7,7 @@ use crate::{
     apps::replan,
     base::error::Hint,
     io::output::{Contents, Disk, FileSet},
-    method::confidence::{self, Image, Predictor, Proxy, Trained, size_for_confidence},
+    method::confidence::{self, Image, Predictor, Proxy, TrainedModel, size_for_confidence},
     model::cluster::ViewCluster,
     show::{
         pictures::{confidence_picture, expected_success},
@@ -105,13 +105,13 @@ fn read(path: &Path) -> Result<Image, Unreadable> {
 fn predictor(source: Option<&str>) -> Result<Box<dyn Predictor>, Failure> {
     let trained = match source {
         Some("proxy") => None,
-        None | Some("shipped") => Trained::shipped(),
+        None | Some("shipped") => TrainedModel::shipped(),
         Some(word) if CONFIDENCE_WORDS.contains(&word) => return Err(NoPredictor(word.into()).into()),
-        Some(file) => Some(Trained::read(Path::new(file))?),
+        Some(file) => Some(TrainedModel::read(Path::new(file))?),
     };
     match trained {
         None => Ok(Box::new(Proxy)),
-        Some(Trained { picture: Some(picture), .. }) => Ok(Box::new(picture)),
+        Some(TrainedModel { picture: Some(picture), .. }) => Ok(Box::new(picture)),
         Some(_) => Err(NoPicture.into()),
     }
 }

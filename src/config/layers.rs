@@ -68,14 +68,14 @@ impl CommandLineSettings {
     /// Records the value of an option, if given.
     pub fn set(&mut self, option: &'static str, key: &str, value: Option<impl Into<Value>>) {
         if let Some(value) = value {
-            self.0.push(Entry { key: key.into(), value: value.into(), place: Place::Option(option) });
+            self.0.push(Entry { key: key.into(), value: value.into(), place: SettingLocation::Option(option) });
         }
     }
 }
 
 /// Location of a value: file and line, or option.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Place {
+pub enum SettingLocation {
     File { path: PathBuf, line: usize },
     Option(&'static str),
 }
@@ -84,10 +84,10 @@ pub enum Place {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Source {
     Default,
-    Written(Place),
+    Written(SettingLocation),
 }
 
-impl fmt::Display for Place {
+impl fmt::Display for SettingLocation {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
         match self {
             Self::File { path, line } => write!(f, "{}:{line}", path.display()),
@@ -110,14 +110,14 @@ impl fmt::Display for Source {
 struct Entry {
     key: String,
     value: Value,
-    place: Place,
+    place: SettingLocation,
 }
 
 /// All settings in force, with the origin of each.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Configuration {
     pub settings: Settings,
-    pub(super) places: BTreeMap<String, Place>,
+    pub(super) places: BTreeMap<String, SettingLocation>,
 }
 
 impl Configuration {
@@ -193,13 +193,13 @@ fn read(path: &Path) -> Result<Vec<Entry>, ConfigError> {
     };
     let syntax = |error: toml::de::Error| {
         let line = line_of(&text, error.span().map_or(0, |span| span.start));
-        let place = Place::File { path: path.into(), line };
+        let place = SettingLocation::File { path: path.into(), line };
         ConfigError::Syntax { place, why: error.message().replace('\n', ", ") }
     };
     let values: Value = toml::from_str(&text).map_err(syntax)?;
     let mut entries = Vec::new();
     collect(DeTable::parse(&text).map_err(syntax)?.get_ref(), "", &mut |key, at| {
-        let place = Place::File { path: path.into(), line: line_of(&text, at) };
+        let place = SettingLocation::File { path: path.into(), line: line_of(&text, at) };
         let value = key.split('.').try_fold(&values, |value, part| value.get(part));
         let entry =
             value.map(|value| Entry { key: key.into(), value: from_file(key, value, path), place: place.clone() });
@@ -330,13 +330,13 @@ pub enum ConfigError {
     #[error("{}: {source}", path.display())]
     Read { path: PathBuf, source: io::Error },
     #[error("{place}: {why}")]
-    Syntax { place: Place, why: String },
+    Syntax { place: SettingLocation, why: String },
     #[error("{place}: unknown setting {key}")]
-    UnknownKey { place: Place, key: String },
+    UnknownKey { place: SettingLocation, key: String },
     #[error("{place}: {key} runs commands, so a project's file may not set it")]
-    UserOnly { place: Place, key: String },
+    UserOnly { place: SettingLocation, key: String },
     #[error("{place}: {error}")]
-    Backend { place: Place, error: UnknownBackend },
+    Backend { place: SettingLocation, error: UnknownBackend },
     #[error("{from}: {key} = {value}: {why}")]
     Value { from: Source, key: String, value: String, why: String },
 }

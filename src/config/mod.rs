@@ -18,7 +18,7 @@ use serde::{Deserialize, Serialize};
 pub use amounts::{Amount, AmountError, Budget, Bytes, Count, Share, TimeSpan};
 pub use catalogue::{Key, keys};
 pub use layers::{
-    BackendLookup, CONFIDENCE_WORDS, CommandLineSettings, ConfigError, Configuration, Files, Place, Source,
+    BackendLookup, CONFIDENCE_WORDS, CommandLineSettings, ConfigError, Configuration, Files, SettingLocation, Source,
     UnknownBackend, user_file,
 };
 pub use region::{RegionChoice, RegionChoiceError};

@@ -27,7 +27,7 @@ const MAX_DEPTH: usize = 64;
 
 /// Result of a walk over a folder.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Found {
+pub struct Discovery {
     /// Project folders, sorted.
     pub projects: Vec<PathBuf>,
     /// Folders outside projects in which a project may appear, the root first.
@@ -38,7 +38,7 @@ pub struct Found {
 
 /// Walks a folder that is one of the `roots` or below. Symbolic links are followed only with `follow_links`, after all other folders; no
 /// folder is entered twice. `tick` is called for every folder.
-pub fn walk(folder: &Path, roots: &[PathBuf], follow_links: bool, tick: &dyn Fn()) -> Found {
+pub fn walk(folder: &Path, roots: &[PathBuf], follow_links: bool, tick: &dyn Fn()) -> Discovery {
     let (found, links) = Default::default();
     let mut walk = Walk { roots, follow_links, tick, found, links, entered: HashSet::new() };
     walk.enter(folder.to_path_buf(), 0);
@@ -54,7 +54,7 @@ struct Walk<'a> {
     roots: &'a [PathBuf],
     follow_links: bool,
     tick: &'a dyn Fn(),
-    found: Found,
+    found: Discovery,
     /// Links to folders, still to follow, with their depth.
     links: Vec<(PathBuf, usize)>,
     /// Canonical paths of all folders entered; used only where links are followed.
@@ -99,7 +99,7 @@ impl Walk<'_> {
     }
 }
 
-impl Found {
+impl Discovery {
     fn lengths(&self) -> [usize; 3] {
         [self.projects.len(), self.folders.len(), self.unreadable.len()]
     }

@@ -16,17 +16,17 @@ use serde::{Deserialize, Serialize};
 use tracing::{info, warn};
 
 use super::{
-    Shown,
+    PathDisplay,
     discover::{OUTPUT_FOLDER, is_project, may_enter},
-    follow::{Following, Progress, failed, fullest_folder, outdated_note, progress_file},
-    kept::KeptPlans,
+    follow::{FollowJob, Progress, failed, fullest_folder, outdated_note, progress_file},
+    kept::PlanCache,
     maps::{MapFiles, map_files},
     platform, queue,
     settle::{Fingerprint, HashCache, Stamp, lock},
     state::{OnBusy, Outcome},
 };
 use crate::{
-    apps::replan::{self, AgainError, Earlier, Maps, ReplanError, replan},
+    apps::replan::{self, AgainError, EarlierPlan, Maps, ReplanError, replan},
     backends,
     base::progress::{Stage, Watcher},
     config::{CONFIDENCE_WORDS, CommandLineSettings, Configuration, Files, Settings, user_file},
@@ -156,7 +156,7 @@ pub struct PlanOptions {
 /// The planner of `viewrank watch`: [`plan::plan`], [`replan()`] and [`plan::files`].
 pub struct PlanJob {
     options: PlanOptions,
-    plans: Mutex<KeptPlans>,
+    plans: Mutex<PlanCache>,
     hashes: Mutex<HashCache>,
     /// The last settings of each project that could be read.
     valid_settings: Mutex<BTreeMap<PathBuf, Settings>>,
@@ -196,7 +196,7 @@ impl Planner for PlanJob {
 
 impl PlanJob {
     pub fn new(options: PlanOptions) -> Self {
-        let plans = Mutex::new(KeptPlans::new(options.cache));
+        let plans = Mutex::new(PlanCache::new(options.cache));
         Self { options, plans, hashes: Mutex::default(), valid_settings: Mutex::default() }
     }
 
@@ -247,7 +247,7 @@ impl PlanJob {
                 known,
             });
         }
-        info!(project = %Shown(job.project), "planning");
+        info!(project = %PathDisplay(job.project), "planning");
         let plan = backends::plan(&project, &settings, &JobWatcher::new(job)).map_err(sort_out)?;
         let plan = around_finished(plan, &project, job)?;
         if let Some(empty) = EmptyPlan::detect(&plan) {
@@ -287,9 +287,9 @@ impl PlanJob {
         };
         let watcher = JobWatcher::new(job);
         let (project, plan) = self.plan_again(job.project, &record.fingerprint, &watcher)?;
-        let earlier = Earlier::read(&project).map_err(failed)?;
+        let earlier = EarlierPlan::read(&project).map_err(failed)?;
         let files = job.maps;
-        let following = Following { plan, earlier: &earlier, folder: &folder, files, replan: self.options.replan };
+        let following = FollowJob { plan, earlier: &earlier, folder: &folder, files, replan: self.options.replan };
         let (plan, mut progress) = following.measure(&watcher).map_err(failed)?;
         if self.options.replan {
             write(&plan, &project, PlannedFrom::new(&plan, record.fingerprint, record.settings), job)?;
@@ -341,7 +341,7 @@ impl PlanJob {
                 true
             }
             Err(error) => {
-                warn!(project = %Shown(project), %error, "cannot run the on_target command");
+                warn!(project = %PathDisplay(project), %error, "cannot run the on_target command");
                 false
             }
         }
@@ -379,16 +379,16 @@ impl PlanJob {
 /// Waits for the on_target command and logs its exit status.
 fn wait_for(mut command: Child, project: &Path) {
     match command.wait() {
-        Ok(status) if status.success() => info!(project = %Shown(project), "on_target command succeeded"),
-        Ok(status) => warn!(project = %Shown(project), %status, "on_target command failed"),
-        Err(error) => warn!(project = %Shown(project), %error, "lost track of the on_target command"),
+        Ok(status) if status.success() => info!(project = %PathDisplay(project), "on_target command succeeded"),
+        Ok(status) => warn!(project = %PathDisplay(project), %status, "on_target command failed"),
+        Err(error) => warn!(project = %PathDisplay(project), %error, "lost track of the on_target command"),
     }
 }
 
 /// Returns the plan around the finished depth maps of its predecessor (method 5.4), if there are any.
 fn around_finished(plan: Plan, project: &Project, job: &Job) -> Ended<Plan> {
     let Some(folder) = fullest_folder(job.project, job.maps) else { return Ok(plan) };
-    let earlier = match Earlier::read(project) {
+    let earlier = match EarlierPlan::read(project) {
         Ok(earlier) => earlier,
         Err(WrittenPlanError::Io { source, .. }) if source.kind() != io::ErrorKind::NotFound => {
             return Err(unreadable(source));

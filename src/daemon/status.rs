@@ -15,7 +15,7 @@ use super::{
     DaemonError, discover,
     phase::{Phase, ProjectStatus, Status},
     platform::host,
-    state::Tracked,
+    state::TrackedProject,
 };
 use crate::io::output::{self, Disk, OutputError};
 
@@ -176,7 +176,7 @@ impl StatusFiles {
     }
 
     /// Writes the files that changed, each at most once a second unless this is the `last` call. Failed writes are retried.
-    pub fn publish(&mut self, projects: &BTreeMap<PathBuf, Tracked>, disk: &Disk, now: Instant, last: bool) {
+    pub fn publish(&mut self, projects: &BTreeMap<PathBuf, TrackedProject>, disk: &Disk, now: Instant, last: bool) {
         self.due = None;
         let mut wait = |until: Option<Instant>| self.due = [self.due, until].into_iter().flatten().min();
         for root in &mut self.roots {
@@ -239,7 +239,7 @@ fn write_status(holder: &mut Holder, status: &Status, disk: &Disk) -> Result<(),
 }
 
 impl RootStatus {
-    fn status(&self, projects: &BTreeMap<PathBuf, Tracked>, notices: &[String]) -> Status {
+    fn status(&self, projects: &BTreeMap<PathBuf, TrackedProject>, notices: &[String]) -> Status {
         let mut before = self.written.projects.iter().peekable();
         let lines = projects.values().filter_map(|tracked| {
             let relative = tracked.root.strip_prefix(&self.holder.root).ok()?;
@@ -271,7 +271,7 @@ fn seconds_now() -> u64 {
 }
 
 /// Formats the number of projects by state and the progress of those with depth maps as Prometheus text.
-fn metrics_text(projects: &BTreeMap<PathBuf, Tracked>) -> String {
+fn metrics_text(projects: &BTreeMap<PathBuf, TrackedProject>) -> String {
     let mut counts: BTreeMap<&str, usize> =
         ["waiting", "queued", "planning", "planned", "computing", "reached", "failed"].map(|name| (name, 0)).into();
     let phases: Vec<(&PathBuf, Phase)> = projects.iter().map(|(root, tracked)| (root, tracked.phase())).collect();
@@ -350,7 +350,7 @@ pub fn read_status(root: &Path) -> Option<Line> {
 mod tests {
     use super::*;
 
-    const NONE: &BTreeMap<PathBuf, Tracked> = &BTreeMap::new();
+    const NONE: &BTreeMap<PathBuf, TrackedProject> = &BTreeMap::new();
 
     fn files(roots: &[&tempfile::TempDir], metrics: Option<PathBuf>) -> StatusFiles {
         let take = |root: &&tempfile::TempDir| Holder::take(root.path(), &Disk::REAL).expect("nobody else");

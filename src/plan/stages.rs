@@ -6,12 +6,12 @@ use crate::{
     config::{Settings, Share, TargetMode},
     io::project::Project,
     method::{
-        confidence::{self, Agreement, Confidence, Pictures, Predictor, Proxy, Source, Trained, Unary},
-        fulfilment::{FulfilmentTable, Model, Rule},
+        confidence::{self, Agreement, Confidence, Pictures, Predictor, Proxy, Source, TrainedModel, Unary},
+        fulfilment::{FulfilmentRule, FulfilmentTable, Model},
         geometry::Geometry,
         partners::{self, Candidates, Limits, PairGeometry},
         ranking::{Objective, SeenPixels},
-        region::{Region, Shape},
+        region::{Region, RegionShape},
         surface::{self, MeshFile, Surface, SurfaceError, SurfaceStats, WantedGsd},
         target::{GSD_MARGIN, Target},
         visibility::{self, Visibility},
@@ -44,7 +44,7 @@ pub struct Stages {
     pub pictures: confidence::PicturePredictions,
     /// The predictor of matching success.
     pub confidence: Confidence,
-    pub trained: Option<Trained>,
+    pub trained: Option<TrainedModel>,
     /// g_d and a_d of each triangle (method 3.6).
     pub target: Target,
     /// Region of interest (method 5.7); `None`: the whole surface.
@@ -223,7 +223,7 @@ fn pictures(
     project: &Project,
     scene: &Scene,
     source: &Source,
-    trained: Option<&Trained>,
+    trained: Option<&TrainedModel>,
     watcher: &dyn Watcher,
 ) -> Result<confidence::PicturePredictions, PlanError> {
     let pictures = Pictures::new(project);
@@ -287,14 +287,14 @@ fn target(scene: &Scene, seen: &VisibleSurface, region: Option<&Region>, setting
 }
 
 /// The region that the settings name, before there is a surface.
-fn shape(project: &Project, scene: &Scene, settings: &Settings) -> Result<Option<Shape>, PlanError> {
+fn shape(project: &Project, scene: &Scene, settings: &Settings) -> Result<Option<RegionShape>, PlanError> {
     let Some(choice) = &settings.region else { return Ok(None) };
     let place = georeference(project, scene, &settings.frame);
-    Ok(Some(Shape::read(choice, &place, &MapFrame::new(scene, settings.surface.up))?))
+    Ok(Some(RegionShape::read(choice, &place, &MapFrame::new(scene, settings.surface.up))?))
 }
 
-fn rule(settings: &Settings, confidence: Confidence) -> Rule {
-    Rule {
+fn rule(settings: &Settings, confidence: Confidence) -> FulfilmentRule {
+    FulfilmentRule {
         alpha: settings.fulfilment.alpha,
         sigma_px: settings.fulfilment.sigma_px,
         min_cameras: settings.coverage.min_cameras,

@@ -24,7 +24,7 @@ const BETWEEN_LOOKS: Duration = Duration::from_millis(100);
 
 /// A task that is in the queue.
 #[derive(Clone, Debug, PartialEq, Eq)]
-struct Queued {
+struct QueuedTask {
     /// Of the array.
     job: String,
     list: String,
@@ -34,10 +34,10 @@ struct Queued {
 
 /// What the queue holds of a project.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Queue {
+pub struct SlurmQueue {
     /// Begins the names of the project's jobs.
     prefix: String,
-    tasks: Vec<Queued>,
+    tasks: Vec<QueuedTask>,
     /// Jobs that join the depth maps, and whether they have yet to begin.
     fusions: Vec<(String, bool)>,
     /// Indices of an array go from 1 to this.
@@ -79,7 +79,7 @@ pub struct Submission {
     pub jobs: Vec<String>,
 }
 
-impl Queue {
+impl SlurmQueue {
     /// A queue that holds nothing.
     pub fn empty(dispatch: &Dispatch) -> Self {
         let project = hash([&*dispatch.project.to_string_lossy()]);
@@ -114,7 +114,7 @@ impl Queue {
                     let index = id.split_once('_').and_then(|(job, index)| Some((job, index.parse::<usize>().ok()?)));
                     let (Some((job, index)), Ok(offset)) = (index, offset.parse::<usize>()) else { continue };
                     let (job, list, pending) = (job.into(), list.into(), state == "PENDING");
-                    self.tasks.push(Queued { job, list, rank: offset + index, pending });
+                    self.tasks.push(QueuedTask { job, list, rank: offset + index, pending });
                 }
                 None => {}
             }
@@ -273,11 +273,11 @@ pub fn submit<E: From<DispatchError>>(
     dispatch: &Dispatch,
     settings: &DispatchSettings,
     reached: bool,
-    before_submission: impl FnOnce(&Queue) -> Result<(), E>,
+    before_submission: impl FnOnce(&SlurmQueue) -> Result<(), E>,
 ) -> Result<Submission, E> {
     let mut submission = Submission::default();
     for _ in 0..LOOKS {
-        let queue = Queue::read(dispatch)?;
+        let queue = SlurmQueue::read(dispatch)?;
         // After the queue: what ends in between is then done, not missing.
         let missing: Vec<&Task> = dispatch.tasks.iter().filter(|task| !dispatch.is_done(task)).collect();
         let steps = queue.steps(dispatch, &missing, reached);
@@ -393,12 +393,12 @@ mod tests {
 
     #[test]
     fn only_own_jobs_are_found() {
-        let mut queue = Queue { prefix: "viewrank-sgm-12345678-".into(), ..Queue::default() };
+        let mut queue = SlurmQueue { prefix: "viewrank-sgm-12345678-".into(), ..SlurmQueue::default() };
         queue.add_jobs(
             "17_3|viewrank-sgm-12345678-abcd-1000|RUNNING\n18|viewrank-sgm-12345678-fuse|PENDING\n\
              19_1|viewrank-sgm-87654321-abcd-0|PENDING\nnonsense\n20_[2-5]|viewrank-sgm-12345678-abcd-0|PENDING\n",
         );
-        let found = Queued { job: "17".into(), list: "abcd".into(), rank: 1003, pending: false };
+        let found = QueuedTask { job: "17".into(), list: "abcd".into(), rank: 1003, pending: false };
         assert_eq!((queue.tasks.as_slice(), &queue.pending_jobs()[..]), (&[found][..], &["18".to_string()][..]));
     }
 }

@@ -21,11 +21,11 @@ pub mod tables;
 #[cfg(test)]
 mod tests;
 
-pub use compare::{Choice, Compared, choices, compare};
+pub use compare::{Comparison, RuleClusters, choices, compare};
 pub use evaluation::{Evaluation, EvaluationOptions};
 pub use matched::{ReportError, tried};
 pub use measure::Quality;
 pub use missing::{MeasuredSurface, Missing};
 pub use page::page;
 pub use run::{EvaluateError, EvaluationInput, MeasuredClusters};
-pub use so_far::SoFar;
+pub use so_far::MeasuredProgress;

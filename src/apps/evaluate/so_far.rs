@@ -10,7 +10,7 @@ use crate::{
 
 /// What fusion keeps of the finished depth maps, measured, over what it is expected to keep of all.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
-pub struct SoFar {
+pub struct MeasuredProgress {
     /// Weight of the triangles that fusion keeps of the finished maps, 0 to 1.
     pub kept: f64,
     /// The same of all clusters of the plan: measured where finished, predicted for the others as far as what failed lets it be (method 5.4).
@@ -19,7 +19,7 @@ pub struct SoFar {
     pub share: Option<f64>,
 }
 
-impl SoFar {
+impl MeasuredProgress {
     /// `stages`: of the plan that the clusters of the run belong to.
     pub fn new(stages: &Stages, run: &MeasuredClusters) -> Self {
         let mut beliefs = Beliefs::new(&stages.scene, &stages.surface, &stages.clusters, &stages.fulfilment);

@@ -7,12 +7,12 @@ use npyz::WriterBuilder;
 
 use super::*;
 use crate::{
-    base::{column::Storage, progress::Unwatched},
+    base::{column::Storage, progress::NoWatcher},
     config::{TargetMode, TargetSettings, VisibilitySettings},
     io::depthmaps::DepthMapError,
     method::{
         confidence::{Confidence, NO_AGREEMENT, Unary},
-        fulfilment::{Model, Rule},
+        fulfilment::{FulfilmentRule, Model},
         ranking::Objective,
         surface::Surface,
         synthetic::Town,
@@ -44,7 +44,7 @@ impl Fixture {
         let (scene, surface) = (town.scene(), town.surface());
         let settings = VisibilitySettings::default();
         let visibility =
-            visibility::estimate(&scene, &scene.view_points(), &surface, &settings, 2.0, Storage::Memory, &Unwatched)
+            visibility::estimate(&scene, &scene.view_points(), &surface, &settings, 2.0, Storage::Memory, &NoWatcher)
                 .unwrap();
         let wanted = TargetSettings { gsd: Some(GSD), accuracy: None, mode: TargetMode::Absolute };
         let target = Target::new(&scene, &surface, &visibility, &wanted, GSD, 1.0);
@@ -52,7 +52,13 @@ impl Fixture {
     }
 
     fn model(&self) -> Model<'_> {
-        let rule = Rule { alpha: 0.5, sigma_px: 0.5, min_cameras: 3, image_scale: 1.0, confidence: Confidence::None };
+        let rule = FulfilmentRule {
+            alpha: 0.5,
+            sigma_px: 0.5,
+            min_cameras: 3,
+            image_scale: 1.0,
+            confidence: Confidence::None,
+        };
         Model {
             scene: &self.scene,
             surface: &self.surface,
@@ -108,7 +114,7 @@ impl Fixture {
         reference: Option<&Path>,
     ) -> Result<MeasuredClusters, EvaluateError> {
         let task = EvaluationInput { model: self.model(), clusters, depth_maps: maps, reference, accuracy: GSD };
-        MeasuredClusters::new(&task, &Unwatched)
+        MeasuredClusters::new(&task, &NoWatcher)
     }
 }
 
@@ -237,8 +243,8 @@ fn the_page_is_whole_and_the_orders_agree_with_plain_sums() {
     let objective = Objective::weighing(vec![1.0; town.surface.triangles.len()], 1);
     let model = town.model();
     let reached = MeasuredSurface::new(&model, &run);
-    let how = EvaluationOptions { objective: &objective, baselines: true, so_far: SoFar::default() };
-    let evaluation = Evaluation::new(&model, &run, &reached, &how, &Unwatched).unwrap();
+    let how = EvaluationOptions { objective: &objective, baselines: true, so_far: MeasuredProgress::default() };
+    let evaluation = Evaluation::new(&model, &run, &reached, &how, &NoWatcher).unwrap();
     let best: f64 = reached.fulfilment.iter().map(|&f| f64::from(f)).sum::<f64>() / objective.weights.len() as f64;
     assert!((evaluation.real - best).abs() < 1e-9);
     for order in &evaluation.orders {

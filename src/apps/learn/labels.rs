@@ -252,12 +252,12 @@ impl Covariances {
 mod tests {
     use super::*;
     use crate::{
-        base::progress::Unwatched,
+        base::progress::NoWatcher,
         config::{TargetSettings, VisibilitySettings},
         io::depthmaps::DepthMapFormat,
         method::{
             confidence::{Confidence, NO_AGREEMENT, Unary},
-            fulfilment::Rule,
+            fulfilment::FulfilmentRule,
             synthetic::Town,
             target::Target,
             visibility,
@@ -309,11 +309,17 @@ mod tests {
             &settings,
             4.0,
             crate::base::column::Storage::Memory,
-            &Unwatched,
+            &NoWatcher,
         )
         .unwrap();
         let target = Target::new(&scene, &surface, &visibility, &TargetSettings::default(), 0.3, 0.2);
-        let rule = Rule { alpha: 0.5, sigma_px: 0.5, min_cameras: 2, image_scale: 0.2, confidence: Confidence::None };
+        let rule = FulfilmentRule {
+            alpha: 0.5,
+            sigma_px: 0.5,
+            min_cameras: 2,
+            image_scale: 0.2,
+            confidence: Confidence::None,
+        };
         let (scene, surface, visibility) = (&scene, &surface, &visibility);
         let model =
             Model { scene, surface, visibility, target: &target, unary: &unary, agreement: &NO_AGREEMENT, rule };

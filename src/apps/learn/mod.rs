@@ -18,7 +18,7 @@ mod score;
 
 pub use self::labels::Label;
 use self::{
-    fit::{Curves, PairRow, Row},
+    fit::{FittedCurves, PairRow, TrainingRow},
     grow::Boosting,
     labels::{LabelledMap, Labelling},
     parts::{Parts, Views},
@@ -29,7 +29,7 @@ use crate::method::confidence::{
     features::{self, Features},
     image::{Image, size_for_confidence},
     place::{self, PlaceFeatures},
-    trained::{Measured, Picture, Trained, TrainedOn, VERSION},
+    trained::{PictureModel, TrainedModel, TrainedOn, VERSION, ValidationScores},
     trees::{BINS, Table},
 };
 use crate::{
@@ -54,7 +54,7 @@ const FULL_WEIGHT: f32 = 8.0;
 const MOST_MAP_BYTES: usize = 512 << 20;
 
 /// A project with finished depth maps.
-pub struct Lesson<'a> {
+pub struct TrainingProject<'a> {
     pub name: String,
     pub model: Model<'a>,
     pub candidates: &'a Candidates,
@@ -65,7 +65,7 @@ pub struct Lesson<'a> {
 }
 
 /// For which backend, and with what.
-pub struct Course {
+pub struct TrainingOptions {
     pub backend: String,
     /// Method 3.4.
     pub min_matches: u32,
@@ -80,7 +80,7 @@ struct Pixels {
 }
 
 /// What the labels of one view come to.
-struct Judged {
+struct JudgedView {
     view: ViewIndex,
     part: usize,
     /// Place in the image and success of the drawn pixels.
@@ -90,41 +90,45 @@ struct Judged {
 }
 
 /// Trains on the lessons; the same for any number of threads.
-pub fn train(lessons: &[Lesson], course: &Course, watcher: &dyn Watcher) -> Result<Trained, TrainError> {
-    let parts = Parts::new(&lessons.iter().map(Lesson::views).collect::<Vec<_>>());
+pub fn train(
+    lessons: &[TrainingProject],
+    course: &TrainingOptions,
+    watcher: &dyn Watcher,
+) -> Result<TrainedModel, TrainError> {
+    let parts = Parts::new(&lessons.iter().map(TrainingProject::views).collect::<Vec<_>>());
     let judged = judge(lessons, &parts, course.seed, watcher)?;
     if judged.iter().flatten().all(|view| view.drawn.is_empty()) {
         return Err(TrainError::NothingJudged);
     }
     watcher.progress(Stage::Train, 0, 4);
     let pixels = pixels(lessons, &judged, watcher)?;
-    let pictures = Pictures::train(&pixels, parts.count, course.seed);
+    let pictures = PictureModels::train(&pixels, parts.count, course.seed);
     watcher.progress(Stage::Train, 1, 4);
     let (promised, reach) = promises(lessons, &parts, pictures.as_ref(), watcher)?;
     watcher.progress(Stage::Train, 2, 4);
-    let rows: Vec<(usize, Row)> = rows(lessons, &parts, &judged, &promised, course.seed, watcher)?;
+    let rows: Vec<(usize, TrainingRow)> = rows(lessons, &parts, &judged, &promised, course.seed, watcher)?;
     let without = |part: usize| {
-        let others: Vec<Row> = rows.iter().filter(|(p, _)| *p != part).map(|(_, row)| row.clone()).collect();
-        Curves::fit(&others, course.min_matches)
+        let others: Vec<TrainingRow> = rows.iter().filter(|(p, _)| *p != part).map(|(_, row)| row.clone()).collect();
+        FittedCurves::fit(&others, course.min_matches)
     };
-    let without: Vec<Curves> = (0..parts.count).map(without).collect();
+    let without: Vec<FittedCurves> = (0..parts.count).map(without).collect();
     watcher.progress(Stage::Train, 3, 4);
     let left_out = rows.iter().map(|(part, row)| (without[*part].chance(row), row.success, row.weight));
     let scores = Scores::new(left_out.collect());
-    let all: Vec<Row> = rows.into_iter().map(|(_, row)| row).collect();
-    let curves = Curves::fit(&all, course.min_matches);
+    let all: Vec<TrainingRow> = rows.into_iter().map(|(_, row)| row).collect();
+    let curves = FittedCurves::fit(&all, course.min_matches);
     watcher.progress(Stage::Train, 4, 4);
-    let (format, tool, licence) = Trained::head();
+    let (format, tool, licence) = TrainedModel::head();
     let pixel_scores = pictures.as_ref().map(|p| p.scores.clone()).unwrap_or_default();
-    Ok(Trained {
+    Ok(TrainedModel {
         format,
         version: VERSION,
         tool,
         licence,
         backend: course.backend.clone(),
-        trained_on: lessons.iter().map(Lesson::summary).collect(),
+        trained_on: lessons.iter().map(TrainingProject::summary).collect(),
         seed: course.seed,
-        measured: Measured {
+        measured: ValidationScores {
             triangles: scores.count,
             auc: scores.auc,
             brier: scores.brier,
@@ -135,17 +139,22 @@ pub fn train(lessons: &[Lesson], course: &Course, watcher: &dyn Watcher) -> Resu
         },
         pair: curves.pair,
         place: curves.place,
-        picture: pictures.map(|pictures| Picture { reach, ..pictures.all }),
+        picture: pictures.map(|pictures| PictureModel { reach, ..pictures.all }),
     })
 }
 
 /// The labels of all finished maps, by lesson.
-fn judge(lessons: &[Lesson], parts: &Parts, seed: u64, watcher: &dyn Watcher) -> Result<Vec<Vec<Judged>>, TrainError> {
+fn judge(
+    lessons: &[TrainingProject],
+    parts: &Parts,
+    seed: u64,
+    watcher: &dyn Watcher,
+) -> Result<Vec<Vec<JudgedView>>, TrainError> {
     let total: usize = lessons.iter().map(|l| l.maps.len()).sum();
     let done = AtomicU64::new(0);
     watcher.progress(Stage::Labels, 0, total as u64);
     let tick = || watcher.progress(Stage::Labels, 1 + done.fetch_add(1, Ordering::Relaxed), total as u64);
-    let of_lesson = |(number, lesson): (usize, &Lesson)| {
+    let of_lesson = |(number, lesson): (usize, &TrainingProject)| {
         let part = |view: ViewIndex| parts.of(number, lesson.model.scene, view);
         let maps = lessons.iter().enumerate().filter(|(other, _)| parts.scene(*other) == parts.scene(number));
         let maps: usize = maps.map(|(_, l)| l.maps.len()).sum();
@@ -154,7 +163,7 @@ fn judge(lessons: &[Lesson], parts: &Parts, seed: u64, watcher: &dyn Watcher) ->
     lessons.iter().enumerate().map(of_lesson).collect()
 }
 
-impl Lesson<'_> {
+impl TrainingProject<'_> {
     fn summary(&self) -> TrainedOn {
         TrainedOn { name: self.name.clone(), views: self.model.scene.views.len(), depth_maps: self.maps.len() }
     }
@@ -171,7 +180,7 @@ impl Lesson<'_> {
         seed: u64,
         tick: &(dyn Fn() + Sync),
         watcher: &dyn Watcher,
-    ) -> Result<Vec<Judged>, TrainError> {
+    ) -> Result<Vec<JudgedView>, TrainError> {
         let judge = |map: &DepthMapFile, labels: Vec<Label>| {
             let mut triangles: Vec<(usize, u32, u32)> = Vec::new();
             let mut by_row: Vec<(usize, bool)> = labels.iter().map(|l| (l.row, l.success)).collect();
@@ -189,7 +198,7 @@ impl Lesson<'_> {
                 (label.x, label.y, label.success)
             };
             tick();
-            Judged { view: map.view, part: part(map.view), drawn: (0..draws).map(draw).collect(), triangles }
+            JudgedView { view: map.view, part: part(map.view), drawn: (0..draws).map(draw).collect(), triangles }
         };
         self.for_each_map(judge, watcher)
     }
@@ -236,10 +245,14 @@ impl Lesson<'_> {
 }
 
 /// Features of the drawn pixels of all views that have an image.
-fn pixels(lessons: &[Lesson], judged: &[Vec<Judged>], watcher: &dyn Watcher) -> Result<Vec<Pixels>, Cancelled> {
-    let views: Vec<(&Lesson, &Judged)> =
+fn pixels(
+    lessons: &[TrainingProject],
+    judged: &[Vec<JudgedView>],
+    watcher: &dyn Watcher,
+) -> Result<Vec<Pixels>, Cancelled> {
+    let views: Vec<(&TrainingProject, &JudgedView)> =
         lessons.iter().zip(judged).flat_map(|(l, j)| j.iter().map(move |v| (l, v))).collect();
-    let of_view = |&(lesson, view): &(&Lesson, &Judged)| {
+    let of_view = |&(lesson, view): &(&TrainingProject, &JudgedView)| {
         watcher.check()?;
         let mut pixels = Pixels { part: view.part, features: Vec::new(), success: Vec::new() };
         if let Some(features) = lesson.image(view.view) {
@@ -256,13 +269,13 @@ fn pixels(lessons: &[Lesson], judged: &[Vec<Judged>], watcher: &dyn Watcher) -> 
 }
 
 /// Classifiers of pictures: for each part that of the others, and that of all.
-struct Pictures {
-    without: Vec<Picture>,
-    all: Picture,
+struct PictureModels {
+    without: Vec<PictureModel>,
+    all: PictureModel,
     scores: Scores,
 }
 
-impl Pictures {
+impl PictureModels {
     /// `None` without pictures.
     fn train(pixels: &[Pixels], parts: usize, seed: u64) -> Option<Self> {
         let classify = |wanted: &dyn Fn(usize) -> bool| {
@@ -276,11 +289,11 @@ impl Pictures {
             let how = Boosting { trees: 60, max_depth: 5, learning_rate: 0.12, row_share: 0.5, min_leaf: 30.0 };
             let classifier = how.train(&table, &success, &vec![1.0; success.len()], seed);
             let cumulative = (0..features::COUNT).map(|f| cumulative(table.column(f))).collect();
-            Some(Picture { classifier, calibration: [1.0, 0.0], cumulative, reach: 1.0 })
+            Some(PictureModel { classifier, calibration: [1.0, 0.0], cumulative, reach: 1.0 })
         };
         let mut all = classify(&|_| true)?;
         // The others may all be without a picture.
-        let mut without: Vec<Picture> =
+        let mut without: Vec<PictureModel> =
             (0..parts).map(|part| classify(&|p| p != part).unwrap_or_else(|| all.clone())).collect();
         let trees = best_length(&without, pixels);
         without.iter_mut().chain([&mut all]).for_each(|picture| picture.classifier.trees.truncate(trees));
@@ -299,7 +312,7 @@ impl Pictures {
 }
 
 /// So many trees have the largest likelihood of what was left out; further ones learn what only their own scenes show.
-fn best_length(without: &[Picture], pixels: &[Pixels]) -> usize {
+fn best_length(without: &[PictureModel], pixels: &[Pixels]) -> usize {
     let mut losses = vec![0.0; without.iter().map(|p| p.classifier.trees.len()).max().unwrap_or(0)];
     for p in pixels {
         for (features, &success) in p.features.chunks_exact(features::COUNT).zip(&p.success) {
@@ -346,9 +359,9 @@ fn calibrate(outcomes: &[(f32, bool)]) -> [f32; 2] {
 /// What the picture promises for each row of each lesson's visibility table, by the classifier that has not seen the view (NaN: no picture); and
 /// the distance between an image and all that nineteen of twenty do not exceed.
 fn promises(
-    lessons: &[Lesson],
+    lessons: &[TrainingProject],
     parts: &Parts,
-    pictures: Option<&Pictures>,
+    pictures: Option<&PictureModels>,
     watcher: &dyn Watcher,
 ) -> Result<(Vec<Vec<f32>>, f32), TrainError> {
     let mut promised = Vec::new();
@@ -387,13 +400,13 @@ fn promises(
 
 /// The rows to fit the curves to, each with its part; of each scene as many at most.
 fn rows(
-    lessons: &[Lesson],
+    lessons: &[TrainingProject],
     parts: &Parts,
-    judged: &[Vec<Judged>],
+    judged: &[Vec<JudgedView>],
     promised: &[Vec<f32>],
     seed: u64,
     watcher: &dyn Watcher,
-) -> Result<Vec<(usize, Row)>, TrainError> {
+) -> Result<Vec<(usize, TrainingRow)>, TrainError> {
     let mut counts = vec![0usize; parts.scenes];
     for (lesson, judged) in judged.iter().enumerate() {
         counts[parts.scene(lesson)] += judged.iter().map(|view| view.triangles.len()).sum::<usize>();
@@ -418,7 +431,7 @@ fn rows(
                     let constellation = Constellation::new(&model.geometry(), view.view, partner, triangle);
                     Some(PairRow { numbers: constellation.numbers(), place })
                 };
-                let row = Row {
+                let row = TrainingRow {
                     place: of_place(view.view, row),
                     pairs: cluster.partners.iter().filter_map(pair).collect(),
                     success: right as f32 / pixels as f32,

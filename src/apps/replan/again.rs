@@ -9,7 +9,7 @@ use crate::{
     io::project::Project,
     method::{fulfilment, ranking::Ranking},
     model::{cluster::ViewCluster, scene::ViewIndex},
-    show::manifest::{Recorded, WrittenPlanError, warnings_with},
+    show::manifest::{RecordedPlan, WrittenPlanError, warnings_with},
 };
 
 /// Plans again what `viewrank/manifest.json` of the project says, by the prediction alone (finished depth maps are not looked at).
@@ -27,7 +27,7 @@ pub fn as_written(root: &Path, watcher: &dyn Watcher) -> Result<(Project, Plan),
     Ok((project, Plan { decision: Decision { warnings, ..plan.decision }, ..plan }))
 }
 
-fn with_ranking(plan: Plan, recorded: &Recorded, watcher: &dyn Watcher) -> Result<Plan, AgainError> {
+fn with_ranking(plan: Plan, recorded: &RecordedPlan, watcher: &dyn Watcher) -> Result<Plan, AgainError> {
     let Plan { stages, timings, .. } = plan;
     let ranked = recorded.ranked(&stages.scene)?;
     let order: Vec<ViewIndex> = ranked.iter().map(|cluster| cluster.key).collect();
@@ -55,8 +55,8 @@ fn with_ranking(plan: Plan, recorded: &Recorded, watcher: &dyn Watcher) -> Resul
     Ok(Plan { stages, decision, timings })
 }
 
-fn predicted(root: &Path, watcher: &dyn Watcher) -> Result<(Project, Plan, Recorded), AgainError> {
-    let (project, recorded) = Recorded::open(root)?;
+fn predicted(root: &Path, watcher: &dyn Watcher) -> Result<(Project, Plan, RecordedPlan), AgainError> {
+    let (project, recorded) = RecordedPlan::open(root)?;
     let mut settings = recorded.settings.clone();
     if settings.backends.is_empty() {
         settings.backends.push(recorded.backend.clone());

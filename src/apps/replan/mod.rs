@@ -16,7 +16,7 @@ use std::{
 use rayon::prelude::*;
 
 pub use self::again::{AgainError, again, as_written};
-use self::movement::{Place, movement};
+use self::movement::{MovedView, movement};
 use crate::{
     apps::evaluate::{EvaluateError, EvaluationInput, MeasuredClusters},
     base::{
@@ -31,12 +31,12 @@ use crate::{
     method::{fulfilment::FulfilmentTableBuilder, ranking::Beliefs},
     model::{cluster::ViewCluster, scene::ViewIndex},
     plan::{FinishedMaps, Outdated, Plan, PlanError, PlannedView, PlannedViews, Stages, decide},
-    show::manifest::{self, Recorded, WrittenPlanError},
+    show::manifest::{self, RecordedPlan, WrittenPlanError},
 };
 
 /// The plan that finished depth maps were made for.
 #[derive(Debug)]
-pub struct Earlier {
+pub struct EarlierPlan {
     /// Key view and partners, by name, best first.
     clusters: Vec<(String, Vec<String>)>,
     cut: usize,
@@ -44,10 +44,10 @@ pub struct Earlier {
     views: PlannedViews,
 }
 
-impl Earlier {
+impl EarlierPlan {
     /// From `viewrank/manifest.json` and `planned_views.json` of the project, whether or not the model has changed since.
     pub fn read(project: &Project) -> Result<Self, WrittenPlanError> {
-        let recorded = Recorded::read(project)?;
+        let recorded = RecordedPlan::read(project)?;
         let path = project.output_folder().join("planned_views.json");
         let bytes = manifest::read_own(project, "viewrank/planned_views.json")?;
         let views = serde_json::from_slice(&bytes)
@@ -93,24 +93,24 @@ pub struct Maps<'a> {
 /// Of the finished clusters the partners are those of the earlier plan. `None`: none of the maps could be measured.
 pub fn replan(
     plan: Plan,
-    earlier: &Earlier,
+    earlier: &EarlierPlan,
     maps: &Maps,
     watcher: &dyn Watcher,
 ) -> Result<(Plan, Option<MeasuredClusters>), ReplanError> {
     let (mut clusters, mut finished) = (Vec::new(), FinishedMaps::default());
     for found in look(&plan, earlier, maps, watcher)? {
         match found {
-            Found::Fits { cluster, made_with } => {
+            MapVerdict::Fits { cluster, made_with } => {
                 if let Some(made_with) = made_with {
                     finished.made_with.insert(plan.stages.scene.name(cluster.key).into(), made_with);
                 }
                 clusters.push(cluster);
             }
-            Found::Outdated { outdated, hash } => {
+            MapVerdict::Outdated { outdated, hash } => {
                 finished.outdated_files.insert(outdated.key.clone(), hash);
                 finished.outdated.push(outdated);
             }
-            Found::Unreadable(why) => finished.unreadable.push(why),
+            MapVerdict::Unreadable(why) => finished.unreadable.push(why),
         }
     }
     finished.outdated.sort_by(|a, b| a.key.cmp(&b.key));
@@ -188,7 +188,7 @@ fn with_finished(
 }
 
 /// What became of a depth map that a cluster of the earlier plan has.
-enum Found {
+enum MapVerdict {
     /// `made_with`: the views as they were, where they are elsewhere now.
     Fits {
         cluster: ViewCluster,
@@ -202,10 +202,15 @@ enum Found {
 }
 
 /// The finished clusters of the earlier plan, in its order, and what is wrong with maps of no known view.
-fn look(plan: &Plan, earlier: &Earlier, maps: &Maps, watcher: &dyn Watcher) -> Result<Vec<Found>, ReplanError> {
+fn look(
+    plan: &Plan,
+    earlier: &EarlierPlan,
+    maps: &Maps,
+    watcher: &dyn Watcher,
+) -> Result<Vec<MapVerdict>, ReplanError> {
     let DepthMapSet { maps: files, unreadable, .. } = depthmaps::list(maps.folder, &plan.stages.scene)?;
     let ready = unreadable.into_iter().filter(|(path, _)| (maps.ready)(path));
-    let unreadable = ready.map(|(_, error)| Found::Unreadable(error.to_string()));
+    let unreadable = ready.map(|(_, error)| MapVerdict::Unreadable(error.to_string()));
     let file_of: BTreeMap<&str, &DepthMapFile> =
         files.iter().map(|file| (plan.stages.scene.name(file.view), file)).collect();
     let found = earlier.clusters.par_iter().map(|(key, partners)| {
@@ -213,13 +218,13 @@ fn look(plan: &Plan, earlier: &Earlier, maps: &Maps, watcher: &dyn Watcher) -> R
         let file = file_of.get(key.as_str()).filter(|file| (maps.ready)(&file.path));
         Ok(file.map(|file| MapCheck { plan, earlier, key, partners, file }.found()))
     });
-    let found: Vec<Option<Found>> = found.collect::<Result<_, Cancelled>>()?;
+    let found: Vec<Option<MapVerdict>> = found.collect::<Result<_, Cancelled>>()?;
     // Views that had no partners in the earlier plan, either: what was said of their maps before still holds.
     let keys: BTreeSet<&str> = earlier.keys().collect();
     let beyond = earlier.outdated.iter().filter(|outdated| !keys.contains(outdated.key.as_str()));
     let beyond = beyond.filter_map(|Outdated { key, .. }| {
         let hash = hash(&file_of.get(key.as_str())?.path).ok()?;
-        Some(Found::Outdated { outdated: earlier.outdated(key, &hash)?, hash })
+        Some(MapVerdict::Outdated { outdated: earlier.outdated(key, &hash)?, hash })
     });
     Ok(found.into_iter().flatten().chain(beyond).chain(unreadable).collect())
 }
@@ -231,32 +236,32 @@ fn hash(file: &Path) -> io::Result<String> {
 /// A depth map with the cluster that it was made for.
 struct MapCheck<'a> {
     plan: &'a Plan,
-    earlier: &'a Earlier,
+    earlier: &'a EarlierPlan,
     key: &'a String,
     partners: &'a [String],
     file: &'a DepthMapFile,
 }
 
 impl MapCheck<'_> {
-    fn found(&self) -> Found {
+    fn found(&self) -> MapVerdict {
         let map = match depthmaps::read(&self.file.path, self.file.format) {
             Ok(map) if map.fits(self.plan.stages.scene.camera_of(self.file.view)) => map,
-            Ok(_) => return Found::Unreadable(format!("{}: not of the shape of {}", self.path(), self.key)),
-            Err(error) => return Found::Unreadable(error.to_string()),
+            Ok(_) => return MapVerdict::Unreadable(format!("{}: not of the shape of {}", self.path(), self.key)),
+            Err(error) => return MapVerdict::Unreadable(error.to_string()),
         };
         let hash = match hash(&self.file.path) {
             Ok(hash) => hash,
-            Err(error) => return Found::Unreadable(format!("{}: {error}", self.path())),
+            Err(error) => return MapVerdict::Unreadable(format!("{}: {error}", self.path())),
         };
         if let Some(outdated) = self.earlier.outdated(self.key, &hash) {
-            return Found::Outdated { outdated, hash };
+            return MapVerdict::Outdated { outdated, hash };
         }
         match self.moved(&map) {
             Ok((moved_px, view)) if moved_px > self.plan.stages.settings.ranking.keep_px => {
-                Found::Outdated { outdated: self.outdated(view, Some(moved_px)), hash }
+                MapVerdict::Outdated { outdated: self.outdated(view, Some(moved_px)), hash }
             }
             Ok(_) => self.fits(),
-            Err(view) => Found::Outdated { outdated: self.outdated(view, None), hash },
+            Err(view) => MapVerdict::Outdated { outdated: self.outdated(view, None), hash },
         }
     }
 
@@ -286,18 +291,18 @@ impl MapCheck<'_> {
         Ok(farthest)
     }
 
-    fn place(&self, name: &str) -> Option<Place> {
-        Place::new(self.earlier.then(self.key, name)?, &self.plan.stages.scene, self.plan.stages.scene.find(name)?)
+    fn place(&self, name: &str) -> Option<MovedView> {
+        MovedView::new(self.earlier.then(self.key, name)?, &self.plan.stages.scene, self.plan.stages.scene.find(name)?)
     }
 
-    fn fits(&self) -> Found {
+    fn fits(&self) -> MapVerdict {
         let scene = &self.plan.stages.scene;
         let then = |name: &String| Some((name.clone(), self.earlier.then(self.key, name)?.clone()));
         let made_with: BTreeMap<String, PlannedView> = self.views().filter_map(then).collect();
         let now = |name: &str| scene.find(name).map(|view| PlannedView::new(scene, view));
         let stayed = made_with.iter().all(|(name, then)| now(name).as_ref() == Some(then));
         let partners = self.partners.iter().filter_map(|name| scene.find(name)).collect();
-        Found::Fits {
+        MapVerdict::Fits {
             cluster: ViewCluster { key: self.file.view, partners },
             made_with: (!stayed).then_some(made_with),
         }

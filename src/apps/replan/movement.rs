@@ -21,12 +21,12 @@ const GRID: u32 = 16;
 const SHARE: f64 = 0.9;
 
 /// A view then and now.
-pub(super) struct Place {
+pub(super) struct MovedView {
     then: (Camera, Pose),
     now: (Camera, Pose),
 }
 
-impl Place {
+impl MovedView {
     /// `None` where the record of then is broken.
     pub fn new(then: &PlannedView, scene: &Scene, view: ViewIndex) -> Option<Self> {
         let now = (scene.camera_of(view).clone(), scene.view(view).cam_from_world);
@@ -35,7 +35,7 @@ impl Place {
 }
 
 /// Pixels of the model's image by which the depth map's points moved in the partner's image; 0 where it shows nothing there.
-pub(super) fn movement(map: &DepthMap, key: &Place, partner: &Place) -> f64 {
+pub(super) fn movement(map: &DepthMap, key: &MovedView, partner: &MovedView) -> f64 {
     let (columns, rows) = (GRID.min(map.width), GRID.min(map.height));
     let at = |i: u32, of: u32, all: u32| (2 * i + 1) * all / (2 * of);
     let pixels = (0..rows).flat_map(|j| (0..columns).map(move |i| (i, j)));

@@ -8,7 +8,7 @@ use crate::model::camera::{Camera, CameraError, CameraModel};
 /// The PINHOLE camera that the images of `camera` become: its focal lengths, and a size at which what lies along the borders of the
 /// distorted image (or of the region of interest) comes to lie at its borders.
 pub fn undistorted(camera: &Camera, options: &Options) -> Result<Camera, CameraError> {
-    let region = Region::new(camera, options.roi);
+    let region = CropBox::new(camera, options.roi);
     let (focal, centre) = camera.pinhole_part();
     let mut pinhole = Pinhole {
         size: [region.right - region.left, region.bottom - region.top].map(f64::from),
@@ -35,14 +35,14 @@ pub fn at_size_of(camera: &Camera, source: &Camera) -> Result<Camera, CameraErro
 }
 
 /// The part of the distorted image that is looked at, pixels.
-struct Region {
+struct CropBox {
     left: u32,
     right: u32,
     top: u32,
     bottom: u32,
 }
 
-impl Region {
+impl CropBox {
     /// `roi` is left, top, right, bottom as shares of the sides.
     fn new(camera: &Camera, roi: [f64; 4]) -> Self {
         let at = |share: f64, side: u32| (share * f64::from(side)).round() as u32;

@@ -63,7 +63,7 @@ impl Default for Options {
 
 /// What was done.
 #[derive(Clone, Debug, Default, Serialize)]
-pub struct Undistorted {
+pub struct UndistortReport {
     /// The dense workspace.
     pub folder: PathBuf,
     /// Images in it.
@@ -86,11 +86,11 @@ pub fn undistort(
     out: &Path,
     disk: &Disk,
     watcher: &dyn Watcher,
-) -> Result<Undistorted, UndistortError> {
+) -> Result<UndistortReport, UndistortError> {
     let scene = project.read_scene()?;
-    let job = Job::new(project, &scene, options, out)?;
+    let job = Undistortion::new(project, &scene, options, out)?;
     let batches = job.batches();
-    let mut done = Undistorted { folder: out.into(), images: scene.views.len(), ..Undistorted::default() };
+    let mut done = UndistortReport { folder: out.into(), images: scene.views.len(), ..UndistortReport::default() };
     let mut finished = 0;
     watcher.progress(Stage::Undistort, 0, done.images as u64);
     for (i, views) in batches.iter().enumerate() {
@@ -113,7 +113,7 @@ pub fn undistort(
 
 /// What an image of a batch was made from.
 #[derive(Serialize)]
-struct Made<'a> {
+struct ImageRecipe<'a> {
     name: &'a str,
     /// BLAKE3 of the distorted image.
     image: String,
@@ -121,7 +121,7 @@ struct Made<'a> {
     to: String,
 }
 
-struct Job<'a> {
+struct Undistortion<'a> {
     project: &'a Project,
     scene: &'a Scene,
     images: &'a Path,
@@ -130,7 +130,7 @@ struct Job<'a> {
     cameras: Vec<Camera>,
 }
 
-impl<'a> Job<'a> {
+impl<'a> Undistortion<'a> {
     fn new(project: &'a Project, scene: &'a Scene, options: &Options, out: &'a Path) -> Result<Self, UndistortError> {
         let images = project.images.as_deref().ok_or_else(|| UndistortError::NoImages(project.root.clone()))?;
         let same = |a: &Path, b: &Path| a.canonicalize().is_ok_and(|a| b.canonicalize().is_ok_and(|b| a == b));
@@ -183,9 +183,9 @@ impl<'a> Job<'a> {
             let camera = |c: &Camera| format!("{} {}x{} {:?}", c.model().name(), c.width, c.height, c.params());
             let image = blake3::hash(&self.read(view)?).to_string();
             let (from, to) = (camera(self.source(view)), camera(self.target(view)));
-            Ok(Made { name: self.scene.name(view), image, from, to })
+            Ok(ImageRecipe { name: self.scene.name(view), image, from, to })
         };
-        let made: Vec<Made> = views.par_iter().map(made).collect::<Result<_, UndistortError>>()?;
+        let made: Vec<ImageRecipe> = views.par_iter().map(made).collect::<Result<_, UndistortError>>()?;
         Ok(serde_json::to_string_pretty(&made).expect("strings are JSON") + "\n")
     }
 

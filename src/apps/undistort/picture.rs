@@ -45,12 +45,12 @@ pub fn undistort(bytes: &[u8], name: &str, source: &Camera, target: &Camera) -> 
     if [width, height] != [source.width, source.height] {
         return Err(PictureError::Size { found: [width, height], camera: [source.width, source.height] });
     }
-    let picture = Picture::from(DynamicImage::from_decoder(decoder)?);
+    let picture = Raster::from(DynamicImage::from_decoder(decoder)?);
     picture.warped(source, &at_size_of(target, source)?).resized(target).encoded(format, exif, profile)
 }
 
 /// 8 bits per channel, row-major.
-struct Picture {
+struct Raster {
     width: u32,
     height: u32,
     /// 1 or 3.
@@ -58,7 +58,7 @@ struct Picture {
     values: Vec<u8>,
 }
 
-impl From<DynamicImage> for Picture {
+impl From<DynamicImage> for Raster {
     fn from(image: DynamicImage) -> Self {
         let (width, height) = (image.width(), image.height());
         let grey = !image.color().has_color();
@@ -67,7 +67,7 @@ impl From<DynamicImage> for Picture {
     }
 }
 
-impl Picture {
+impl Raster {
     /// What `target`, a pinhole camera of the same size, would have seen; black where `source` saw nothing.
     fn warped(&self, source: &Camera, target: &Camera) -> Self {
         let (focal, centre) = target.pinhole_part();
@@ -158,14 +158,14 @@ mod tests {
     };
 
     /// A ramp of grey along x of the undistorted image, as a lens with distortion shows it.
-    fn ramp(source: &Camera) -> Picture {
+    fn ramp(source: &Camera) -> Raster {
         let grey = |i: u32| {
             let pixel = Point2::new(f64::from(i % source.width) + 0.5, f64::from(i / source.width) + 0.5);
             let ray = source.ray(&pixel).unwrap();
             (128.0 + 100.0 * ray.x / ray.z).round().clamp(0.0, 255.0) as u8
         };
         let values = (0..source.width * source.height).map(grey).collect();
-        Picture { width: source.width, height: source.height, channels: 1, values }
+        Raster { width: source.width, height: source.height, channels: 1, values }
     }
 
     #[test]

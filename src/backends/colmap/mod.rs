@@ -19,10 +19,10 @@ use nalgebra::Vector3;
 
 use self::{
     cfg::Problem,
-    finished::{Lists, Made, map_name},
+    finished::{MapRecipe, MapRecords, map_name},
 };
 use super::{
-    Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, PATCH_MATCH, Patient,
+    Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord, Honours, PATCH_MATCH,
     PlanningNumbers, References, Selection, TaskRunner, Trap, record::capped_scale, selection,
     workspace::add_workspace,
 };
@@ -85,7 +85,7 @@ fn tasks(selection: &Selection, export: &Export) -> Option<TaskRunner> {
     })
 }
 
-fn traps(patient: &Patient) -> Vec<Trap> {
+fn traps(patient: &ExaminedProject) -> Vec<Trap> {
     traps::all(patient)
 }
 
@@ -260,13 +260,13 @@ impl Passes {
     }
 
     /// The depth maps that will be made, and how.
-    fn lists(&self, long_side: Option<u32>) -> Lists {
+    fn lists(&self, long_side: Option<u32>) -> MapRecords {
         let maps = |problems: &[Problem], kind: &str, filtered: bool| -> Vec<_> {
-            problems.iter().map(|p| (map_name(&p.reference, kind), Made::new(p, filtered, long_side))).collect()
+            problems.iter().map(|p| (map_name(&p.reference, kind), MapRecipe::new(p, filtered, long_side))).collect()
         };
         let first = maps(&self.first, "photometric", false);
         let last = maps(&self.last, if self.geometric { "geometric" } else { "photometric" }, !self.geometric);
-        Lists::new(first.into_iter().chain(last))
+        MapRecords::new(first.into_iter().chain(last))
     }
 
     /// The last pass in pieces of [`BATCH`], each with the photometric maps that it needs and that no earlier piece made.
@@ -299,7 +299,7 @@ impl Passes {
 }
 
 /// Notes the lists and reports the finished maps that don't fit them.
-fn add_lists(mut lists: Lists, files: &mut FileSet, record: &mut ExportRecord) {
+fn add_lists(mut lists: MapRecords, files: &mut FileSet, record: &mut ExportRecord) {
     let stale = lists.follow(&files.root);
     if !stale.is_empty() {
         record.warnings.push(format!(

@@ -26,7 +26,7 @@ pub use photometric::NO_AGREEMENT;
 pub use photometric::{AGREEMENT_CACHE, Agreement, PairAgreement, Photometric};
 pub use pictures::{CACHE, MASKS, PicturePredictions, Pictures};
 pub use proxy::Proxy;
-pub use trained::{Trained, TrainedError, TrainedOn};
+pub use trained::{TrainedError, TrainedModel, TrainedOn};
 pub use unary::Unary;
 
 use std::path::{Path, PathBuf};
@@ -96,7 +96,7 @@ impl ConfidenceMap {
 
 /// What a predictor says of a picture.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Predicted {
+pub struct Prediction {
     pub map: ConfidenceMap,
     /// How unlike the picture is to those that the predictor learnt from: 1 is as unlike as the most unlike of them; 0 where
     /// nothing was learnt.
@@ -108,7 +108,7 @@ pub trait Predictor: Sync {
     /// The same for predictors that say the same of every picture.
     fn fingerprint(&self) -> blake3::Hash;
 
-    fn predict(&self, image: &Image) -> Predicted;
+    fn predict(&self, image: &Image) -> Prediction;
 }
 
 /// Where confidence comes from (`confidence.source`).
@@ -151,12 +151,12 @@ impl Source {
     }
 
     /// The trained model, where it is one.
-    pub fn trained(&self, root: &Path) -> Result<Option<Trained>, TrainedError> {
+    pub fn trained(&self, root: &Path) -> Result<Option<TrainedModel>, TrainedError> {
         match self {
             Self::None | Self::Geometric | Self::Photometric | Self::Proxy => Ok(None),
-            Self::Shipped => Trained::shipped().map(Some).ok_or(TrainedError::NotShipped),
-            Self::Project => Trained::read(&root.join(PROJECT_MODEL)).map(Some),
-            Self::Model(path) => Trained::read(path).map(Some),
+            Self::Shipped => TrainedModel::shipped().map(Some).ok_or(TrainedError::NotShipped),
+            Self::Project => TrainedModel::read(&root.join(PROJECT_MODEL)).map(Some),
+            Self::Model(path) => TrainedModel::read(path).map(Some),
         }
     }
 }
@@ -195,7 +195,7 @@ impl Confidence {
     /// `numbers`: the backend's. A trained model without a picture has no unary confidence for the paper's form.
     pub fn new(
         source: &Source,
-        trained: Option<&Trained>,
+        trained: Option<&TrainedModel>,
         settings: &ConfidenceSettings,
         numbers: &PairConfidence,
     ) -> Self {
@@ -205,8 +205,8 @@ impl Confidence {
             (Source::None, _, _) => Self::None,
             (Source::Photometric, _, _) => Self::Photometric { agreement: Photometric::default(), otherwise: numbers },
             (Source::Proxy, ConfidenceForm::Paper, _) => Self::Paper { min_matches },
-            (_, ConfidenceForm::Paper, Some(Trained { picture: Some(_), .. })) => Self::Paper { min_matches },
-            (_, _, Some(Trained { pair, .. })) => {
+            (_, ConfidenceForm::Paper, Some(TrainedModel { picture: Some(_), .. })) => Self::Paper { min_matches },
+            (_, _, Some(TrainedModel { pair, .. })) => {
                 Self::Trained(PairCurves { min_matches: settings.min_matches.unwrap_or(pair.min_matches), ..*pair })
             }
             _ => Self::Pair(numbers),

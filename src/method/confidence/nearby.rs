@@ -42,7 +42,7 @@ pub(super) struct Nearest {
 
 impl Nearest {
     pub fn new(scene: &Scene, surface: &Surface, watcher: &dyn Watcher) -> Result<Self, Cancelled> {
-        let tree = Tree::new(&scene.points);
+        let tree = KdTree::new(&scene.points);
         watcher.check()?;
         let around = AROUND.min(scene.points.len());
         let mut points = vec![0; around * surface.triangles.len()];
@@ -93,14 +93,14 @@ impl Nearest {
 }
 
 /// A k-d tree without pointers: the middle of each range of `order` parts it, down to [`AROUND`] points.
-struct Tree<'a> {
+struct KdTree<'a> {
     points: &'a [Point3<f64>],
     order: Vec<u32>,
     /// Along which axis the point at the same place of `order` parts its range.
     axes: Vec<u8>,
 }
 
-impl<'a> Tree<'a> {
+impl<'a> KdTree<'a> {
     fn new(points: &'a [Point3<f64>]) -> Self {
         let mut order: Vec<u32> = (0..points.len() as u32).collect();
         let mut axes = vec![0; points.len()];
@@ -168,7 +168,7 @@ mod tests {
 
     use super::*;
     use crate::{
-        base::progress::Unwatched,
+        base::progress::NoWatcher,
         method::synthetic::Town,
         model::camera::{Camera, CameraModel},
     };
@@ -190,7 +190,7 @@ mod tests {
         ) {
             let point = |x: [i8; 3]| Point3::from(x.map(f64::from));
             let (points, to): (Vec<_>, _) = (points.into_iter().map(point).collect(), point(to));
-            prop_assert_eq!(Tree::new(&points).nearest(&to), by_sorting(&points, &to));
+            prop_assert_eq!(KdTree::new(&points).nearest(&to), by_sorting(&points, &to));
         }
     }
 
@@ -215,10 +215,10 @@ mod tests {
             &Default::default(),
             3.0,
             crate::base::column::Storage::Memory,
-            &Unwatched,
+            &NoWatcher,
         )
         .unwrap();
-        let unary = nearby(&scene, &points, &surface, &visibility, &Unwatched).unwrap();
+        let unary = nearby(&scene, &points, &surface, &visibility, &NoWatcher).unwrap();
         let mut row = 0;
         for view in scene.view_indices() {
             for &t in visibility.triangles_seen_by(view) {

@@ -9,7 +9,7 @@ use std::{
 use rayon::prelude::*;
 
 use super::{
-    ConfidenceMap, Predicted, Predictor,
+    ConfidenceMap, Prediction, Predictor,
     cache::{Cache, Entry, Inputs, Stamp},
     image::{Image, ImageError, Mask, size_for_confidence},
     photometric::{Grey, SPACING},
@@ -251,7 +251,7 @@ impl Files {
                 check_shape(image.full, camera)?;
                 Some(predictor.predict(&image))
             }
-            None => mask.as_ref().map(|mask| Predicted { map: ConfidenceMap::certain(mask), distance: 0.0 }),
+            None => mask.as_ref().map(|mask| Prediction { map: ConfidenceMap::certain(mask), distance: 0.0 }),
         };
         if let (Some(predicted), Some(mask)) = (&mut predicted, &mask) {
             check_shape([mask.width, mask.height], camera)?;

@@ -9,7 +9,7 @@ use super::{
     lanes::{ClusterLanes, KeyLanes, Lanes, PartnerLanes, Weights, angle_of_chord, exp2, log2},
 };
 use crate::{
-    base::vector::{Work, vectorised},
+    base::vector::{Kernel, vectorised},
     method::confidence::{Confidence, Constellation, PairAgreement, PairConfidence, PairCurves, trees::logistic},
     model::{camera::Camera, scene::ViewIndex},
 };
@@ -287,7 +287,7 @@ struct Sums<'b, 'a> {
     judges: Judges,
 }
 
-impl Work for Sums<'_, '_> {
+impl Kernel for Sums<'_, '_> {
     type Output = Vec<f64>;
 
     #[inline(always)]
@@ -310,7 +310,7 @@ struct SumsWith<'b, 'a> {
     judges: Judges,
 }
 
-impl Work for SumsWith<'_, '_> {
+impl Kernel for SumsWith<'_, '_> {
     type Output = Vec<f64>;
 
     #[inline(always)]
@@ -340,7 +340,7 @@ struct Values<'b, 'a> {
     set: &'b [usize],
 }
 
-impl Work for Values<'_, '_> {
+impl Kernel for Values<'_, '_> {
     type Output = Vec<[f32; LANES]>;
 
     #[inline(always)]
@@ -417,7 +417,7 @@ struct Column<'b, 'a> {
     column: &'b mut Vec<PartnerLanes>,
 }
 
-impl Work for Column<'_, '_> {
+impl Kernel for Column<'_, '_> {
     type Output = ();
 
     #[inline(always)]

@@ -34,7 +34,7 @@ pub(crate) const BATCH: usize = 64;
 
 /// The numbers of method 3.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Rule {
+pub struct FulfilmentRule {
     /// Weight of resolution against uncertainty, 0 to 1.
     pub alpha: f64,
     /// Standard deviation of a match, pixels of the matched image.
@@ -56,11 +56,11 @@ pub struct Model<'a> {
     pub unary: &'a Unary,
     /// Of the pairs whose pictures were compared.
     pub agreement: &'a Agreement,
-    pub rule: Rule,
+    pub rule: FulfilmentRule,
 }
 
 impl<'a> Model<'a> {
-    pub fn new(geometry: Geometry<'a>, unary: &'a Unary, agreement: &'a Agreement, rule: Rule) -> Self {
+    pub fn new(geometry: Geometry<'a>, unary: &'a Unary, agreement: &'a Agreement, rule: FulfilmentRule) -> Self {
         let Geometry { scene, surface, visibility, target, .. } = geometry;
         Self { scene, surface, visibility, target, unary, agreement, rule }
     }

@@ -132,7 +132,7 @@ pub fn neighbours(scene: &Scene, points: &ViewPoints, view: ViewIndex) -> Vec<(V
 
 /// The candidates of one view.
 #[derive(Default)]
-struct Selected {
+struct CandidateRow {
     views: Vec<ViewIndex>,
     /// How many of the last are beyond the gate.
     beyond: usize,
@@ -146,7 +146,7 @@ fn select(
     key: ViewIndex,
     settings: &PartnerSettings,
     limits: &Limits,
-) -> Selected {
+) -> CandidateRow {
     let pairs: Vec<PairGeometry> =
         neighbours.pairs().map(|(v, shared)| PairGeometry::new(scene, key, v, shared)).collect();
     let (still, moving): (Vec<_>, Vec<_>) = pairs.into_iter().partition(PairGeometry::has_no_baseline);
@@ -154,7 +154,7 @@ fn select(
     let still = still.iter().map(|pair| (pair, Some(Reason::RotationOnly)));
     let mut judged: Vec<_> = moving.iter().zip(verdicts).chain(still).collect();
     judged.sort_by_key(|(pair, _)| (Reverse(pair.shared.len()), pair.partner));
-    let (mut selected, mut unlikely) = (Selected::default(), Vec::new());
+    let (mut selected, mut unlikely) = (CandidateRow::default(), Vec::new());
     for (pair, refusal) in judged {
         match refusal {
             Some(reason) => {
@@ -299,7 +299,7 @@ mod tests {
 
     use super::*;
     use crate::{
-        base::progress::Unwatched,
+        base::progress::NoWatcher,
         method::synthetic::Town,
         model::camera::{Camera, CameraModel},
     };
@@ -311,7 +311,7 @@ mod tests {
 
     fn select_all(scene: &Scene, n: u32, gate: &Gate) -> Candidates {
         let settings = PartnerSettings { candidates: n, ..Default::default() };
-        candidates(scene, &scene.view_points(), &settings, &Limits::gate(gate), &Unwatched).unwrap()
+        candidates(scene, &scene.view_points(), &settings, &Limits::gate(gate), &NoWatcher).unwrap()
     }
 
     fn shared(scene: &Scene, a: ViewIndex, b: ViewIndex) -> usize {

@@ -10,7 +10,7 @@ mod search;
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use self::search::Choice;
+use self::search::PartnerChoice;
 pub use self::{
     candidates::{Candidates, Limits, PairGeometry, candidates, neighbours},
     gate::Obstacle,
@@ -83,7 +83,7 @@ fn choose_for(
     let drawn = sampled::combinations(model.scene, key, n, k, settings.draws as usize, seed);
     let start = sampled::best(block, &drawn);
     let choice = match settings.method {
-        PartnerMethod::Sampled => Choice::new(block, start),
+        PartnerMethod::Sampled => PartnerChoice::new(block, start),
         PartnerMethod::Search => search::search(block, start, n),
     };
     let ordered = search::best_first(block, choice.partners);

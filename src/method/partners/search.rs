@@ -10,14 +10,14 @@ const PLENTY_TO_JUDGE: usize = 1024;
 const TRIES: usize = 3;
 
 /// A set of partners and its f, triangle by triangle.
-pub struct Choice {
+pub struct PartnerChoice {
     pub partners: Vec<usize>,
     /// In the order of the key view's rows.
     pub values: Vec<f32>,
     pub sum: f64,
 }
 
-impl Choice {
+impl PartnerChoice {
     pub fn new(block: &mut Block, partners: Vec<usize>) -> Self {
         let values = block.values(&partners);
         let sum = values.iter().map(|&f| f64::from(f)).sum();
@@ -27,13 +27,13 @@ impl Choice {
 
 /// The best that greedy addition and exchange find, starting from the better of `start` and the greedy set; never below `start` on the
 /// sum over all triangles.
-pub fn search(block: &mut Block, start: Vec<usize>, n: usize) -> Choice {
+pub fn search(block: &mut Block, start: Vec<usize>, n: usize) -> PartnerChoice {
     let k = start.len();
     let judges = judges(block);
     let greedy = greedy(block, n, k, judges);
-    let mut best = Choice::new(block, start);
+    let mut best = PartnerChoice::new(block, start);
     if sorted(&greedy) != sorted(&best.partners) {
-        let other = Choice::new(block, greedy);
+        let other = PartnerChoice::new(block, greedy);
         if other.sum > best.sum {
             best = other;
         }
@@ -64,7 +64,7 @@ pub fn greedy(block: &mut Block, n: usize, k: usize, judges: Judges) -> Vec<usiz
 }
 
 /// The best exchange of one partner by the judging triangles that all triangles confirm.
-fn exchange(block: &mut Block, best: &Choice, n: usize, judges: Judges) -> Option<Choice> {
+fn exchange(block: &mut Block, best: &PartnerChoice, n: usize, judges: Judges) -> Option<PartnerChoice> {
     let now = block.sums(std::slice::from_ref(&best.partners), judges)[0];
     let left: Vec<usize> = (0..n).filter(|p| !best.partners.contains(p)).collect();
     let mut moves = Vec::new();
@@ -77,7 +77,7 @@ fn exchange(block: &mut Block, best: &Choice, n: usize, judges: Judges) -> Optio
     moves.into_iter().take(TRIES).find_map(|(_, out, p)| {
         let mut partners = best.partners.clone();
         partners[out] = p;
-        let other = Choice::new(block, partners);
+        let other = PartnerChoice::new(block, partners);
         (other.sum > best.sum).then_some(other)
     })
 }

@@ -112,18 +112,18 @@ impl Face {
     }
 
     /// A point in camera coordinates on this face.
-    pub fn project(&self, point: &Point3<f64>) -> Projected {
+    pub fn project(&self, point: &Point3<f64>) -> FacePoint {
         self.projected(self.face_from_camera * point.coords)
     }
 
-    fn projected(&self, place: Vector3<f64>) -> Projected {
-        Projected { place, screen: self.pixel(&place).coords.push(place.z.recip()) }
+    fn projected(&self, place: Vector3<f64>) -> FacePoint {
+        FacePoint { place, screen: self.pixel(&place).coords.push(place.z.recip()) }
     }
 }
 
 /// A point on a face.
 #[derive(Clone, Copy, Debug)]
-pub struct Projected {
+pub struct FacePoint {
     /// Face coordinates.
     place: Vector3<f64>,
     /// Pixel x, pixel y and inverse depth; of use only for what lies ahead.
@@ -183,7 +183,7 @@ impl Buffer {
     }
 
     /// Draws a triangle; what is nearer than `near` is cut off. Returns how many pixels it covers.
-    pub fn draw(&mut self, face: &Face, corners: [&Projected; 3], near: f64, triangle: u32) -> u32 {
+    pub fn draw(&mut self, face: &Face, corners: [&FacePoint; 3], near: f64, triangle: u32) -> u32 {
         let (pixels, mut covered) = (&mut self.pixels, 0);
         for_each_pixel(face, corners, near, |at, inverse_depth| {
             let code = u64::from(inverse_depth.to_bits()) << 32 | u64::from(triangle);
@@ -240,7 +240,7 @@ fn inverse_depth(code: u64) -> f32 {
 
 /// Calls `visit` with index and inverse depth of each pixel of the face whose centre the triangle covers.
 #[inline(always)]
-fn for_each_pixel(face: &Face, [a, b, c]: [&Projected; 3], near: f64, mut visit: impl FnMut(usize, f32)) {
+fn for_each_pixel(face: &Face, [a, b, c]: [&FacePoint; 3], near: f64, mut visit: impl FnMut(usize, f32)) {
     match [a, b, c].iter().filter(|p| p.place.z > near).count() {
         3 => fill(face, [a.screen, b.screen, c.screen], &mut visit),
         0 => {}

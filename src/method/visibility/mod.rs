@@ -14,7 +14,7 @@ use bytemuck::Pod;
 use nalgebra::{Point3, Vector3};
 
 use self::{
-    buffer::{Buffer, Face, Projected, Tolerance},
+    buffer::{Buffer, Face, FacePoint, Tolerance},
     patches::{Patch, Patches},
 };
 use crate::{
@@ -144,7 +144,7 @@ pub fn estimate(
     let views: Vec<ViewIndex> = scene.view_indices().collect();
     let done = AtomicU64::new(0);
     watcher.progress(Stage::Visibility, 0, views.len() as u64);
-    let look = |picture: &mut Picture, &view: &ViewIndex| {
+    let look = |picture: &mut RenderedView, &view: &ViewIndex| {
         watcher.check()?;
         stage.draw(view, picture);
         let mut seen: Vec<u32> = stage.visible(view, picture).collect();
@@ -154,7 +154,7 @@ pub fn estimate(
         Ok(seen)
     };
     let (mut offsets, mut triangles) = (Offsets::default(), ColumnBuilder::new(keep)?);
-    column::in_order(&views, column::READ_AT_ONCE, Picture::default, look, |_, rows| {
+    column::in_order(&views, column::READ_AT_ONCE, RenderedView::default, look, |_, rows| {
         for row in rows {
             triangles.extend(&row)?;
             offsets.push(row.len());
@@ -182,7 +182,7 @@ pub fn front(scene: &Scene, surface: &Surface, view: ViewIndex, width: u32, heig
     let pose = &scene.view(view).cam_from_world;
     let vertices: Vec<Point3<f64>> = surface.vertices.iter().map(|v| pose.camera_from_world(v)).collect();
     let near = NEAR_SHARE * vertices.iter().map(|v| v.z.abs()).fold(f64::MIN_POSITIVE, f64::max);
-    let vertices: Vec<Projected> = vertices.iter().map(|v| face.project(v)).collect();
+    let vertices: Vec<FacePoint> = vertices.iter().map(|v| face.project(v)).collect();
     let mut buffer = Buffer::default();
     buffer.clear(&face);
     for (t, corners) in surface.triangles.iter().enumerate() {
@@ -207,19 +207,19 @@ struct Estimator<'a> {
 
 /// The picture of one view; one per thread, used again.
 #[derive(Default)]
-struct Picture {
+struct RenderedView {
     buffers: Vec<Buffer>,
     candidates: Vec<Candidate>,
     /// Vertices of a patch in camera coordinates, and on a face.
     vertices: Vec<Point3<f64>>,
-    projected: Vec<Projected>,
+    projected: Vec<FacePoint>,
     /// Pixels that each triangle of a patch covers.
     covered: Vec<u32>,
     /// For each triangle its place among the candidates, or [`NOTHING`].
     places: Vec<u32>,
 }
 
-impl Picture {
+impl RenderedView {
     /// Counts for each candidate the pixels where it is in front.
     fn count_in_front(&mut self, triangles: usize) {
         self.places.resize(triangles, NOTHING);
@@ -269,7 +269,7 @@ impl<'a> Estimator<'a> {
     }
 
     /// Draws everything in the view's field and collects the triangles that may be visible.
-    fn draw(&self, view: ViewIndex, picture: &mut Picture) {
+    fn draw(&self, view: ViewIndex, picture: &mut RenderedView) {
         let (camera, faces) = self.camera(view);
         let pose = &self.scene.view(view).cam_from_world;
         picture.candidates.clear();
@@ -294,8 +294,8 @@ impl<'a> Estimator<'a> {
     }
 
     /// Draws the triangles of a patch, whose vertices the picture holds, and counts the pixels of each.
-    fn draw_patch(&self, patch: &Patch, faces: &[Face], picture: &mut Picture) {
-        let Picture { buffers, vertices, projected, covered, .. } = picture;
+    fn draw_patch(&self, patch: &Patch, faces: &[Face], picture: &mut RenderedView) {
+        let RenderedView { buffers, vertices, projected, covered, .. } = picture;
         covered.clear();
         covered.resize(patch.len(), 0);
         for (face, buffer) in faces.iter().zip(buffers) {
@@ -321,7 +321,7 @@ impl<'a> Estimator<'a> {
     }
 
     /// The candidates that are not occluded: condition 3.
-    fn visible<'b>(&'b self, view: ViewIndex, picture: &'b Picture) -> impl Iterator<Item = u32> + 'b {
+    fn visible<'b>(&'b self, view: ViewIndex, picture: &'b RenderedView) -> impl Iterator<Item = u32> + 'b {
         let free = move |candidate: &&Candidate| {
             let (samples, free) = if candidate.covered < FEW_PIXELS {
                 self.free_points(view, picture, candidate)
@@ -339,7 +339,7 @@ impl<'a> Estimator<'a> {
 
     /// At least so many pixels of the candidate are free; exactly so many where that decides. Most triangles are in front in most of their
     /// pixels, and need not be looked at again.
-    fn free_pixels(&self, view: ViewIndex, picture: &Picture, candidate: &Candidate) -> u32 {
+    fn free_pixels(&self, view: ViewIndex, picture: &RenderedView, candidate: &Candidate) -> u32 {
         if self.are_enough(candidate.in_front, candidate.covered) {
             return candidate.in_front;
         }
@@ -348,7 +348,7 @@ impl<'a> Estimator<'a> {
     }
 
     /// The centroid and the corners as samples, where they lie in the field.
-    fn free_points(&self, view: ViewIndex, picture: &Picture, candidate: &Candidate) -> (u32, u32) {
+    fn free_points(&self, view: ViewIndex, picture: &RenderedView, candidate: &Candidate) -> (u32, u32) {
         let [a, b, c] = candidate.corners;
         let centroid = Point3::from((a.coords + b.coords + c.coords) / 3.0);
         let (mut samples, mut free) = (0, 0);
@@ -393,7 +393,7 @@ impl<'a> Estimator<'a> {
     }
 
     /// Notes which observed points of the view lie on the surface and which behind it.
-    fn observe(&self, view: ViewIndex, points: &[PointIndex], picture: &Picture, observations: &Observations) {
+    fn observe(&self, view: ViewIndex, points: &[PointIndex], picture: &RenderedView, observations: &Observations) {
         let pose = &self.scene.view(view).cam_from_world;
         for &p in points {
             let point = pose.camera_from_world(&self.scene.points[p.index()]);

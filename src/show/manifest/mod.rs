@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 
 pub use fingerprint::{FingerprintError, fingerprint};
 pub use region::RegionSummary;
-pub(crate) use written::{FILE, Recorded, read_own};
+pub(crate) use written::{FILE, RecordedPlan, read_own};
 pub use written::{WrittenPlan, WrittenPlanError, planned_backend, planned_model, validate};
 
 use crate::{
