@@ -12,7 +12,7 @@ use viewrank::internals::{
     camera::{Camera, CameraModel},
     config::Settings,
     daemon::follow::{self, Progress},
-    evaluate::{EvaluationInput, MeasuredClusters, SoFar},
+    evaluate::{EvaluationInput, MeasuredClusters, MeasuredProgress},
     files::files,
     formats::{colmap::ColmapModel, colmap_bin},
     fulfilment::FulfilmentTable,
@@ -455,7 +455,7 @@ fn the_same_maps_reach_the_same_share_wherever_it_is_shown() {
     let input =
         EvaluationInput { model, clusters: &clusters, depth_maps: &maps, reference: None, accuracy: f64::INFINITY };
     let run = MeasuredClusters::new(&input, &NoWatcher).unwrap();
-    let of_evaluate = SoFar::new(&plan.stages, &run).share.unwrap();
+    let of_evaluate = MeasuredProgress::new(&plan.stages, &run).share.unwrap();
 
     for (shown, share) in [("status", of_status), ("report", of_report), ("evaluate", of_evaluate)] {
         assert!((share - of_plan).abs() < 1e-9, "{shown}: {share}, plan: {of_plan}");
