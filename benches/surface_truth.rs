@@ -85,7 +85,7 @@ fn evaluate(exact: &Exact, settings: &Settings) -> Fallible<()> {
         Storage::Memory,
         &NoWatcher,
     )?;
-    let keep = table.seen(surface.triangles.len());
+    let keep = table.seen_triangles(surface.triangles.len());
     let (surface, table) = (surface.keep(&keep), table.keep(&keep)?);
     let near = distances(&samples(&surface, 0.5 * edge), &exact.mesh, gsd);
     let covered = distances(&exact.visible, &Bvh::new(surface.clone()), gsd);

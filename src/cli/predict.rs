@@ -91,7 +91,7 @@ fn of_images(images: &[PathBuf], arguments: &Arguments) -> Result<Vec<Prediction
         let image = read(path)?;
         let map = predictor.predict(&image).map;
         let share = |i: u32, n: u32| (f64::from(i) + 0.5) / f64::from(n);
-        let at = |x, y| Some(map.at(share(x, image.width), share(y, image.height)));
+        let at = |x, y| Some(map.value_at(share(x, image.width), share(y, image.height)));
         let raw = tables::array(&[map.rows as usize, map.columns as usize], map.values().collect::<Vec<f32>>());
         Ok((name(path), confidence_picture(&image, at), raw))
     };

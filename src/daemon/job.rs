@@ -62,7 +62,7 @@ impl Job<'_> {
 
     /// True if the input is the same as when the job started.
     pub fn is_current(&self) -> bool {
-        Stamp::of(self.project, self.follow_links).with(self.named) == *self.stamp
+        Stamp::read(self.project, self.follow_links).with(self.named) == *self.stamp
     }
 
     /// True if the plan may be written: the job isn't cancelled, and its input is unchanged or the next plan is queued behind it.

@@ -48,7 +48,7 @@ impl Holder {
     /// # Errors
     /// [`DaemonError::Held`] where a daemon holds the root, a folder above it or one in it.
     pub fn take(root: &Path, disk: &Disk) -> Result<Self, DaemonError> {
-        let held = |path: &Path| Some(DaemonError::Held { path: path.into(), holder: Self::of(path)? });
+        let held = |path: &Path| Some(DaemonError::Held { path: path.into(), holder: Self::find(path)? });
         let inside = discover::walk(root, &[root.to_path_buf()], false, &|| {});
         let inside = inside.folders.iter().chain(&inside.projects).map(PathBuf::as_path);
         if let Some(error) = root.ancestors().chain(inside).find_map(held) {
@@ -93,7 +93,7 @@ impl Holder {
     }
 
     /// Returns the name of the daemon that holds the root now.
-    fn of(root: &Path) -> Option<String> {
+    fn find(root: &Path) -> Option<String> {
         let lock = output::open_own(root, LOCK).ok()?;
         let Err(TryLockError::WouldBlock) = lock.try_lock_shared() else { return None };
         let mut name = String::new();
@@ -343,7 +343,7 @@ pub fn status_file(root: &Path) -> PathBuf {
 pub fn read_status(root: &Path) -> Option<Line> {
     let text = output::read_own(root, STATUS).ok()?;
     let status = serde_json::from_slice(&text).ok()?;
-    Some(Line { running: Holder::of(root).is_some(), status })
+    Some(Line { running: Holder::find(root).is_some(), status })
 }
 
 #[cfg(test)]

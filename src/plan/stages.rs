@@ -90,7 +90,7 @@ impl Stages {
         let (seen, candidates) = (seen?, candidates?);
         memory.before_partners(&scene, &seen.surface, &seen.visibility)?;
         let pixels = || SeenPixels::new(&scene, &seen.surface, &seen.visibility).sums().collect();
-        let region = shape.map(|shape| shape.on(&seen.surface, pixels, watcher)).transpose()?;
+        let region = shape.map(|shape| shape.lay_over(&seen.surface, pixels, watcher)).transpose()?;
         let target = target(&scene, &seen, region.as_ref(), &settings);
         seen.visibility.triangles.release();
         let confidence = Confidence::new(&source, trained.as_ref(), &settings.confidence, &matcher.numbers.confidence);
@@ -270,7 +270,7 @@ fn visible_surface(
     let visibility = timings.time(Stage::Visibility, || {
         visibility::estimate(scene, points, &surface, &settings.visibility, edge_length, keep, watcher)
     })?;
-    let seen = visibility.seen(surface.triangles.len());
+    let seen = visibility.seen_triangles(surface.triangles.len());
     if !seen.contains(&true) {
         return Err(SurfaceError::Empty.into());
     }

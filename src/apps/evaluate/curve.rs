@@ -28,7 +28,7 @@ impl ReachCurve {
             reached.take(table.row(c as usize));
             pairs += clusters[c as usize].partners.len();
             curve.fulfilment.push(reached.fulfilment());
-            curve.kept.push(reached.kept());
+            curve.kept.push(reached.kept_weight());
             curve.pairs.push(pairs);
         }
         curve

@@ -27,14 +27,14 @@ impl MeasuredProgress {
         finished.for_each(|(cluster, attempts)| beliefs.learn(cluster.key, attempts));
         let mut reached = Reached::new(&stages.objective);
         (0..run.clusters.len()).for_each(|c| reached.take(run.real.row(c)));
-        let kept = reached.kept();
+        let kept = reached.kept_weight();
         for (c, cluster) in stages.clusters.iter().enumerate() {
             if run.clusters.binary_search_by_key(&cluster.key, |finished| finished.key).is_err() {
                 let (triangles, believed) = beliefs.row(c);
                 reached.take((triangles, &believed));
             }
         }
-        let reachable = reached.kept();
+        let reachable = reached.kept_weight();
         Self { kept, reachable, share: (reachable > 0.0).then(|| kept / reachable) }
     }
 }

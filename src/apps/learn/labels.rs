@@ -144,11 +144,11 @@ impl<'a> Labelling<'a> {
         if depth.is_none() {
             return Some(false);
         }
-        let own_covariance = covariances.of(&self.model, &own.cluster, pixel.triangle);
+        let own_covariance = covariances.get(&self.model, &own.cluster, pixel.triangle);
         let accuracy = self.model.target.accuracy(pixel.triangle);
         let (mut agreeing, mut contradicting) = (0, 0);
         for other in looking {
-            let covariance = own_covariance + covariances.of(&self.model, &other.finished.cluster, pixel.triangle);
+            let covariance = own_covariance + covariances.get(&self.model, &other.finished.cluster, pixel.triangle);
             match self.held_against(other, &point, &covariance, accuracy) {
                 Some(Verdict::Agrees) => agreeing += 1,
                 Some(Verdict::SawThrough) => contradicting += 1,
@@ -236,7 +236,7 @@ struct Covariances(std::collections::HashMap<(ViewIndex, u32), Matrix3<f64>>);
 
 impl Covariances {
     /// Square scene units.
-    fn of(&mut self, model: &Model, cluster: &ViewCluster, triangle: u32) -> Matrix3<f64> {
+    fn get(&mut self, model: &Model, cluster: &ViewCluster, triangle: u32) -> Matrix3<f64> {
         let make = || {
             let seeing = cluster.partners.iter().filter(|&&p| model.visibility.row(p, triangle).is_some());
             let views = seeing.copied().chain([cluster.key]);

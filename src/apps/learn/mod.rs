@@ -155,7 +155,7 @@ fn judge(
     watcher.progress(Stage::Labels, 0, total as u64);
     let tick = || watcher.progress(Stage::Labels, 1 + done.fetch_add(1, Ordering::Relaxed), total as u64);
     let of_lesson = |(number, lesson): (usize, &TrainingProject)| {
-        let part = |view: ViewIndex| parts.of(number, lesson.model.scene, view);
+        let part = |view: ViewIndex| parts.part_of(number, lesson.model.scene, view);
         let maps = lessons.iter().enumerate().filter(|(other, _)| parts.scene(*other) == parts.scene(number));
         let maps: usize = maps.map(|(_, l)| l.maps.len()).sum();
         lesson.judge(&part, MOST_PIXELS / parts.scenes / maps.max(1), seed, &tick, watcher)
@@ -259,7 +259,7 @@ fn pixels(
             for &(x, y, success) in &view.drawn {
                 let at = |share: f32, cells: u32| ((share * cells as f32) as u32).min(cells - 1) as usize;
                 let cell = at(y, features.rows) * features.columns as usize + at(x, features.columns);
-                pixels.features.extend(features.of(cell));
+                pixels.features.extend(features.cell(cell));
                 pixels.success.push(success);
             }
         }
@@ -372,7 +372,7 @@ fn promises(
         let look = |&view: &ViewIndex| {
             watcher.check()?;
             let looked = pictures.zip(lesson.image(view)).map(|(pictures, features)| {
-                let chances = pictures.without[parts.of(number, scene, view)].of_cells(&features).0;
+                let chances = pictures.without[parts.part_of(number, scene, view)].of_cells(&features).0;
                 let map = ConfidenceMap::new([features.columns, features.rows], chances.into_iter());
                 (map, pictures.all.of_cells(&features).1)
             });
@@ -388,7 +388,7 @@ fn promises(
                 .model
                 .visibility
                 .rows(view)
-                .map(|row| if known { unary.at(row) } else { f32::NAN })
+                .map(|row| if known { unary.confidence(row) } else { f32::NAN })
                 .collect::<Vec<_>>()
         };
         promised.push(views.iter().flat_map(of_view).collect());

@@ -54,7 +54,7 @@ impl Parts {
     }
 
     /// The part that a view of the project belongs to, below [`Parts::count`].
-    pub fn of(&self, project: usize, scene: &Scene, view: ViewIndex) -> usize {
+    pub fn part_of(&self, project: usize, scene: &Scene, view: ViewIndex) -> usize {
         match &self.middle {
             Some(middle) => usize::from(scene.name(view) >= middle.as_str()),
             None => self.scene[project] % self.count,
@@ -102,7 +102,7 @@ mod tests {
         let (name, pose) = (wanted.0.name(wanted.1), wanted.0.view(wanted.1).cam_from_world);
         let part = |(number, p): (usize, &Views)| {
             let view = p.scene.find(name).filter(|&v| p.scene.view(v).cam_from_world == pose)?;
-            Some(parts.of(number, p.scene, view))
+            Some(parts.part_of(number, p.scene, view))
         };
         let mut found: Vec<usize> = projects.iter().enumerate().filter_map(part).collect();
         found.dedup();
@@ -124,7 +124,7 @@ mod tests {
             }
             let used = |part| {
                 let mut of = projects.iter().enumerate().flat_map(|(n, p)| p.finished.iter().map(move |&v| (n, p, v)));
-                of.any(|(n, p, v)| parts.of(n, p.scene, v) == part)
+                of.any(|(n, p, v)| parts.part_of(n, p.scene, v) == part)
             };
             assert!(parts.count == 2 && used(0) && used(1));
         }
@@ -135,10 +135,10 @@ mod tests {
         let scenes = [town(100.0), town(120.0), town(140.0)];
         let projects: Vec<Views> = [0, 0, 1, 2, 1].map(|s: usize| views(&scenes[s], None)).into();
         let parts = Parts::new(&projects);
-        let of = |project: usize| parts.of(project, projects[project].scene, ViewIndex(0));
+        let of = |project: usize| parts.part_of(project, projects[project].scene, ViewIndex(0));
         assert_eq!((parts.scenes, parts.count), (3, 3));
         assert_eq!([of(0), of(1), of(2), of(3), of(4)], [0, 0, 1, 2, 1]);
-        assert_eq!(of(0), parts.of(0, &scenes[0], ViewIndex(scenes[0].views.len() as u32 - 1)));
+        assert_eq!(of(0), parts.part_of(0, &scenes[0], ViewIndex(scenes[0].views.len() as u32 - 1)));
         // The same images with other poses.
         let folder = tempfile::tempdir().unwrap();
         let projects = [views(&scenes[0], Some(folder.path())), views(&scenes[1], Some(folder.path()))];

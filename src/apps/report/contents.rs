@@ -190,7 +190,7 @@ impl Contents {
         };
         let holes = holes(plan, HOLES);
         let place = plan::georeference(project, &plan.stages.scene, &plan.stages.settings.frame);
-        let summary = RegionSummary::of(plan);
+        let summary = RegionSummary::from_plan(plan);
         Ok(Self {
             title: title(&project.root),
             tool: concat!("viewrank ", env!("CARGO_PKG_VERSION")),

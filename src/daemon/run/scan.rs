@@ -214,7 +214,7 @@ impl Daemon<'_> {
         let Some(tracked) = self.projects.get_mut(project) else { return };
         let Options { on_busy, follow_links, .. } = *self.options;
         let named = self.planner.named_files(project);
-        let input = InputFolders::of(project, follow_links);
+        let input = InputFolders::find(project, follow_links);
         let (map_folders, maps) = maps::scan(project, follow_links);
         let new_watches = self.watches.add(&folders_to_watch(project, &input, map_folders, &named));
         let stamp = Stamp::of_folders(&input).with(&named);

@@ -7,7 +7,7 @@ fn stamped(bytes: usize) -> (tempfile::TempDir, Stamp) {
     let root = tempfile::tempdir().expect("a temporary folder");
     std::fs::create_dir_all(root.path().join("sparse/0")).expect("a folder");
     std::fs::write(root.path().join("sparse/0/images.bin"), vec![0; bytes]).expect("a file");
-    let stamp = Stamp::of(root.path(), false);
+    let stamp = Stamp::read(root.path(), false);
     (root, stamp)
 }
 

@@ -31,7 +31,7 @@ pub struct Stamp {
 
 impl Stamp {
     /// Size and time of a file, without its content.
-    pub fn of(path: &Path) -> io::Result<Self> {
+    pub fn read(path: &Path) -> io::Result<Self> {
         let metadata = fs::metadata(path)?;
         let since = metadata.modified().unwrap_or(UNIX_EPOCH).duration_since(SystemTime::UNIX_EPOCH);
         let nanoseconds = since.map_or(0, |since| since.as_nanos() as u64);

@@ -45,7 +45,7 @@ impl PiecewiseLinear {
     }
 
     #[inline]
-    pub fn at(&self, x: f32) -> f32 {
+    pub fn value(&self, x: f32) -> f32 {
         let of = |b: Segment| self.values[b.knot] * b.share + self.values[b.knot + 1] * b.next;
         self.between(x).map_or(0.0, of)
     }
@@ -59,7 +59,7 @@ impl PiecewiseLinear {
 /// Sum of the curves.
 #[inline]
 pub fn sum<const N: usize>(curves: &[PiecewiseLinear; N], numbers: &[f32; N]) -> f32 {
-    curves.iter().zip(numbers).map(|(curve, &x)| curve.at(x)).sum()
+    curves.iter().zip(numbers).map(|(curve, &x)| curve.value(x)).sum()
 }
 
 /// What the curves of a pair take: see [`Constellation::numbers`](super::Constellation::numbers).
@@ -130,16 +130,16 @@ mod tests {
         fn a_curve_through_a_line_is_the_line(a in -3.0..3.0f32, b in -3.0..3.0f32, x in -1.0..4.0f32) {
             let mut curve = PiecewiseLinear::flat(-1.0, 4.0);
             curve.values = std::array::from_fn(|i| a + b * (-1.0 + 5.0 * i as f32 / (KNOTS - 1) as f32));
-            prop_assert!((curve.at(x) - (a + b * x)).abs() < 1e-4);
-            prop_assert_eq!(curve.at(100.0), curve.values[KNOTS - 1]);
-            prop_assert_eq!(curve.at(-100.0), curve.values[0]);
+            prop_assert!((curve.value(x) - (a + b * x)).abs() < 1e-4);
+            prop_assert_eq!(curve.value(100.0), curve.values[KNOTS - 1]);
+            prop_assert_eq!(curve.value(-100.0), curve.values[0]);
         }
     }
 
     #[test]
     fn what_is_not_known_says_nothing() {
         let curve = PiecewiseLinear { values: [3.0; KNOTS], ..PiecewiseLinear::flat(0.0, 1.0) };
-        assert_eq!((curve.at(0.3), curve.at(f32::NAN)), (3.0, 0.0));
+        assert_eq!((curve.value(0.3), curve.value(f32::NAN)), (3.0, 0.0));
     }
 
     #[test]

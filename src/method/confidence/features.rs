@@ -63,7 +63,7 @@ impl Features {
     }
 
     /// The numbers of a cell, counted row by row.
-    pub fn of(&self, cell: usize) -> &[f32] {
+    pub fn cell(&self, cell: usize) -> &[f32] {
         &self.values[cell * COUNT..(cell + 1) * COUNT]
     }
 }

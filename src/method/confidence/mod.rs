@@ -69,7 +69,7 @@ impl ConfidenceMap {
     }
 
     /// At a place given as shares of the image's width and height, in [0, 1).
-    pub fn at(&self, x: f64, y: f64) -> f32 {
+    pub fn value_at(&self, x: f64, y: f64) -> f32 {
         let column = ((x * f64::from(self.columns)) as usize).min(self.columns as usize - 1);
         let row = ((y * f64::from(self.rows)) as usize).min(self.rows as usize - 1);
         self.cell(column, row)

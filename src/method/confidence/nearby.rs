@@ -54,7 +54,7 @@ impl Nearest {
     }
 
     /// Nearest first.
-    pub fn of(&self, triangle: u32) -> &[u32] {
+    pub fn points_near(&self, triangle: u32) -> &[u32] {
         &self.points[self.around * triangle as usize..][..self.around]
     }
 
@@ -71,7 +71,7 @@ impl Nearest {
             watcher.check()?;
             points.observed_by(view).iter().for_each(|p| observed[p.index()] = true);
             let of_triangle = |&t: &u32| {
-                let around = self.of(t);
+                let around = self.points_near(t);
                 said(around.iter().filter(|&&p| observed[p as usize]).count() as f32 / around.len() as f32)
             };
             let row: Vec<f32> = visibility.triangles_seen_by(view).iter().map(of_triangle).collect();
@@ -85,7 +85,7 @@ impl Nearest {
     /// without points.
     pub fn spacing_and_roughness(&self, scene: &Scene, surface: &Surface, triangle: u32) -> [f64; 2] {
         let (centroid, normal) = (surface.centroid(triangle), surface.area_normal(triangle).normalize());
-        let around = self.of(triangle);
+        let around = self.points_near(triangle);
         let away = || around.iter().map(|&p| scene.points[p as usize] - centroid);
         let spacing = away().map(|d| d.norm()).sum::<f64>() / around.len() as f64;
         [spacing, away().map(|d| d.dot(&normal).abs()).fold(f64::NAN, f64::max)]
@@ -224,8 +224,8 @@ mod tests {
             for &t in visibility.triangles_seen_by(view) {
                 let around = by_sorting(&scene.points, &surface.centroid(t));
                 let known = around.iter().filter(|&&p| points.observed_by(view).iter().any(|o| o.0 == p)).count();
-                assert_eq!(unary.at(row), 0.5 + known as f32 / 16.0);
-                assert!(view.0 != 0 || unary.at(row) == 0.5);
+                assert_eq!(unary.confidence(row), 0.5 + known as f32 / 16.0);
+                assert!(view.0 != 0 || unary.confidence(row) == 0.5);
                 row += 1;
             }
         }

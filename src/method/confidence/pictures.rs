@@ -222,7 +222,7 @@ struct Files {
 impl Files {
     /// Without their contents.
     fn inputs(&self) -> Inputs {
-        let stamp = |path: &Option<PathBuf>| path.as_deref().and_then(|path| Stamp::of(path).ok());
+        let stamp = |path: &Option<PathBuf>| path.as_deref().and_then(|path| Stamp::read(path).ok());
         Inputs { image: stamp(&self.image), mask: stamp(&self.mask) }
     }
 

@@ -81,7 +81,7 @@ impl Ground {
     fn new(geometry: &Geometry, nearest: &Nearest, tracks: &[[f32; 2]], triangle: u32) -> Self {
         let gsd = f64::from(geometry.target.gsd[triangle as usize]);
         let [spacing, roughness] = nearest.spacing_and_roughness(geometry.scene, geometry.surface, triangle);
-        let around = nearest.of(triangle);
+        let around = nearest.points_near(triangle);
         let mean = |i: usize| around.iter().map(|&p| tracks[p as usize][i]).sum::<f32>() / around.len() as f32;
         Self {
             spacing: (spacing / gsd).log2() as f32,

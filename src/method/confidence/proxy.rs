@@ -56,7 +56,7 @@ mod tests {
         let at = |i: u32| if i % width < width / 2 { grey(i % width, i / width) } else { 120 };
         let rgb = (0..width * height).flat_map(|i| [at(i); 3]).collect();
         let map = Proxy.predict(&Image { width, height, rgb, full: [width, height] }).map;
-        (map.at(0.2, 0.5), map.at(0.8, 0.5))
+        (map.value_at(0.2, 0.5), map.value_at(0.8, 0.5))
     }
 
     fn noise(x: u32, y: u32) -> u32 {

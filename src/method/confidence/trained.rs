@@ -157,7 +157,7 @@ impl TrainedModel {
         let of_view = |_: &mut (), &view: &ViewIndex| {
             watcher.check()?;
             let of_row = |row: usize| {
-                let promise = if maps[view.index()].is_some() { promised.at(row) } else { f32::NAN };
+                let promise = if maps[view.index()].is_some() { promised.confidence(row) } else { f32::NAN };
                 let numbers = places.numbers(view, row, promise);
                 let key = logistic(self.place.bias + curves::sum(&self.place.key, &numbers));
                 (key, curves::sum(&self.place.partner, &numbers))
@@ -202,7 +202,7 @@ impl PictureModel {
         let mut bins = vec![0u8; features::COUNT];
         let mut counts = vec![[0u32; BINS]; features::COUNT];
         let mut of_cell = |cell: usize| {
-            self.classifier.binning.quantise(features.of(cell), &mut bins);
+            self.classifier.binning.quantise(features.cell(cell), &mut bins);
             bins.iter().zip(&mut counts).for_each(|(&bin, counts)| counts[usize::from(bin)] += 1);
             self.calibrated(self.classifier.probability_of_bins(&bins))
         };

@@ -153,7 +153,7 @@ impl<'a> Block<'a> {
             }
             let per_px = model.rule.image_scale / model.rule.sigma_px;
             key.unit[lane] = (model.target.accuracy(t) * length * per_px) as f32;
-            key.measurable[lane] = model.rule.confidence.measurable(model.unary.at(row));
+            key.measurable[lane] = model.rule.confidence.measurable(model.unary.confidence(row));
             let gsd = f64::from(model.target.gsd[t as usize]);
             key.resolution[lane] = (model.rule.alpha * (density(model, self.key, t) * gsd * gsd).min(1.0)) as f32;
         }
@@ -175,7 +175,7 @@ impl<'a> Block<'a> {
                     if trained {
                         means[place as usize] = model.unary.as_partner(row);
                     } else if !own.is_empty() {
-                        means[place as usize] = 0.5 * (own[place as usize] + model.unary.at(row));
+                        means[place as usize] = 0.5 * (own[place as usize] + model.unary.confidence(row));
                     }
                 }
             }
@@ -210,7 +210,7 @@ impl<'a> Block<'a> {
     fn own_unary(&self) -> Vec<f32> {
         let mut own = vec![0.0; self.len() * LANES];
         for (row, &place) in self.model.visibility.rows(self.key).zip(&self.places) {
-            own[place as usize] = self.model.unary.at(row);
+            own[place as usize] = self.model.unary.confidence(row);
         }
         own
     }

@@ -75,7 +75,7 @@ fn tables_on_disk_hold_what_tables_in_memory_hold() {
         let Setting { scene, surface, visibility, .. } = &*setting;
         setting.unary = crate::method::confidence::nearby(scene, &points, surface, visibility, &NoWatcher).unwrap();
     }
-    let seen = disk.visibility.seen(disk.surface.triangles.len());
+    let seen = disk.visibility.seen_triangles(disk.surface.triangles.len());
     assert_eq!(disk.visibility.keep(&seen).unwrap(), memory.visibility.keep(&seen).unwrap());
     assert_eq!((&disk.visibility, &disk.unary), (&memory.visibility, &memory.unary));
     let settings = settings(3, PartnerMethod::Search);

@@ -68,7 +68,7 @@ impl Ranking {
         self.order.push(cluster);
         self.gains.push(Amount(gain).value());
         self.fulfilment.push(reached.fulfilment());
-        self.kept.push(reached.kept());
+        self.kept.push(reached.kept_weight());
     }
 }
 

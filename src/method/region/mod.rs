@@ -129,7 +129,7 @@ impl RegionShape {
     ///
     /// # Errors
     /// No part of the surface counts; cancellation.
-    pub fn on(
+    pub fn lay_over(
         self,
         surface: &Surface,
         pixels: impl FnOnce() -> Vec<f64>,

@@ -44,7 +44,7 @@ impl Site {
 
     fn on(&self, choice: &RegionChoice, place: &Georeference) -> Result<Region, RegionError> {
         let shape = RegionShape::read(choice, place, &MapFrame::new(&self.scene, None))?;
-        shape.on(&self.surface, || vec![1.0; self.surface.triangles.len()], &NoWatcher)
+        shape.lay_over(&self.surface, || vec![1.0; self.surface.triangles.len()], &NoWatcher)
     }
 
     fn with_file(&self, contents: &[u8], place: &Georeference) -> Result<Region, RegionError> {

@@ -76,7 +76,7 @@ impl Rays {
     }
 
     /// The camera centres that the vertex's rays come from.
-    pub fn of(&self, vertex: u32) -> impl Iterator<Item = &Point3<f64>> {
+    pub fn centres(&self, vertex: u32) -> impl Iterator<Item = &Point3<f64>> {
         let range = self.offsets[vertex as usize] as usize..self.offsets[vertex as usize + 1] as usize;
         self.views[range].iter().map(|v| &self.centres[v.index()])
     }
@@ -180,7 +180,7 @@ impl Ballot {
     /// The votes of all rays of one vertex.
     fn cast_rays(&self, delaunay: &Delaunay, rays: &Rays, vertex: u32) {
         let at = delaunay.position(vertex);
-        for centre in rays.of(vertex) {
+        for centre in rays.centres(vertex) {
             let towards = centre - at;
             let length = towards.norm();
             if length == 0.0 {
@@ -275,7 +275,7 @@ fn is_seen(delaunay: &Delaunay, rays: &Rays, triangle: &[u32; 3]) -> bool {
     let [a, b, c] = triangle.map(|v| delaunay.position(v));
     let normal = (b - a).cross(&(c - a)).normalize();
     triangle.iter().zip([a, b, c]).any(|(&v, at)| {
-        rays.of(v).any(|centre| {
+        rays.centres(v).any(|centre| {
             let towards = centre - at;
             normal.dot(&towards) > MIN_FACING_COSINE * towards.norm()
         })

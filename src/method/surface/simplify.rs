@@ -188,7 +188,7 @@ impl EdgeCollapse {
             // An ill-conditioned minimum may lie far away.
             _ => quadric.minimum().filter(|x| (x - middle).norm() <= (p - q).norm()).unwrap_or(middle),
         };
-        (Point3::from(best), quadric.at(&best))
+        (Point3::from(best), quadric.evaluate(&best))
     }
 
     fn try_collapse(&mut self, candidate: Candidate) -> bool {

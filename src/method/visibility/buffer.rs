@@ -30,7 +30,7 @@ pub struct Face {
 impl Face {
     /// One face with the pinhole part of the camera, its long side about `long_side` pixels; faces of a cube for a wide field;
     /// none where no pixel has a ray.
-    pub fn of(camera: &Camera, long_side: u32) -> Vec<Self> {
+    pub fn covering(camera: &Camera, long_side: u32) -> Vec<Self> {
         let focal = camera.mean_focal_length() * f64::from(long_side) / f64::from(camera.width.max(camera.height));
         // Across a field of x/z or y/z.
         let within = |field: f64| focal.min(MOST_SIDES * f64::from(long_side) / field);
@@ -211,7 +211,7 @@ impl Buffer {
 
     /// Triangle and inverse depth in the pixel of a point in camera coordinates, and the point's own inverse depth; `None` outside
     /// the face and where nothing was drawn.
-    pub fn at(&self, face: &Face, point: &Point3<f64>, near: f64) -> Option<(u32, f64, f64)> {
+    pub fn sample(&self, face: &Face, point: &Point3<f64>, near: f64) -> Option<(u32, f64, f64)> {
         let p = face.face_from_camera * point.coords;
         let pixel = (p.z > near).then(|| face.pixel(&p))?;
         let inside = pixel.x >= 0.0 && pixel.y >= 0.0 && pixel.x < face.width as f64 && pixel.y < face.height as f64;

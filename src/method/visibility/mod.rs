@@ -70,7 +70,7 @@ impl Visibility {
     }
 
     /// Is the triangle seen by at least one view?
-    pub fn seen(&self, triangles: usize) -> Vec<bool> {
+    pub fn seen_triangles(&self, triangles: usize) -> Vec<bool> {
         let mut seen = vec![false; triangles];
         self.triangles.by_parts().for_each(|&t| seen[t as usize] = true);
         seen
@@ -166,7 +166,7 @@ pub fn estimate(
 
 /// Most pixels of the picture that is drawn of a view: of all faces of its camera.
 pub fn picture_pixels(scene: &Scene, settings: &VisibilitySettings) -> u64 {
-    let pixels = |camera| Face::of(camera, settings.buffer_px).iter().map(Face::pixels).sum();
+    let pixels = |camera| Face::covering(camera, settings.buffer_px).iter().map(Face::pixels).sum();
     scene.cameras.iter().map(pixels).max().unwrap_or(0)
 }
 
@@ -260,7 +260,7 @@ impl<'a> Estimator<'a> {
             scene,
             surface,
             patches: Patches::new(surface),
-            faces: scene.cameras.iter().map(|c| Face::of(c, settings.buffer_px)).collect(),
+            faces: scene.cameras.iter().map(|c| Face::covering(c, settings.buffer_px)).collect(),
             tolerance: Tolerance { length, depth_share: settings.tolerance_depth },
             near: NEAR_EDGES * edge_length,
             cos2: settings.max_incidence_deg.to_radians().cos().powi(2),
@@ -398,7 +398,7 @@ impl<'a> Estimator<'a> {
         for &p in points {
             let point = pose.camera_from_world(&self.scene.points[p.index()]);
             let mut faces = self.camera(view).1.iter().zip(&picture.buffers);
-            let Some((_, front, own)) = faces.find_map(|(face, buffer)| buffer.at(face, &point, self.near)) else {
+            let Some((_, front, own)) = faces.find_map(|(face, buffer)| buffer.sample(face, &point, self.near)) else {
                 continue;
             };
             if self.tolerance.hides(front, own) {

@@ -182,7 +182,7 @@ impl Manifest {
                 distance: plan.stages.pictures.distance,
             }),
             surface: SurfaceSummary::new(plan),
-            region: RegionSummary::of(plan),
+            region: RegionSummary::from_plan(plan),
             clusters: clusters(plan),
             cut: plan.decision.cut,
             views: plan.stages.scene.view_indices().map(|view| ViewEntry::new(plan, view)).collect(),
