@@ -1,4 +1,4 @@
-//! What the sparse points around a triangle say of it: a view that observes them was matched there before (method 7.2, and 7.3 for trained models).
+//! Evidence of the sparse points around a triangle: a view that observes them was matched there before (method 7.2; 7.3 for trained models).
 
 use nalgebra::Point3;
 use rayon::prelude::*;
@@ -13,12 +13,12 @@ use crate::{
     model::scene::{Scene, ViewIndex, ViewPoints},
 };
 
-/// How many points around a triangle are looked at.
+/// Number of nearest points considered for a triangle.
 const AROUND: usize = 8;
-/// Confidence where a view observes none of them.
+/// Confidence if a view observes none of them.
 const UNOBSERVED: f32 = 0.5;
 
-/// For each row of the visibility table, from 1/2 to 1, the share of the sparse points nearest to the triangle that the view observes.
+/// Weights each row of the visibility table 0.5 to 1 by the share of the sparse points nearest to the triangle that the view observes.
 pub fn nearby(
     scene: &Scene,
     points: &ViewPoints,
@@ -34,7 +34,7 @@ pub fn nearby(
     Ok(Unary { values, ..Unary::certain() })
 }
 
-/// The sparse points nearest to the centroid of each triangle, as many for each.
+/// The sparse points nearest to the centroid of each triangle, the same number for each.
 pub(super) struct Nearest {
     around: usize,
     points: Vec<u32>,
@@ -53,12 +53,12 @@ impl Nearest {
         Ok(Self { around, points })
     }
 
-    /// Nearest first.
+    /// Returns the nearest points, nearest first.
     pub fn points_near(&self, triangle: u32) -> &[u32] {
         &self.points[self.around * triangle as usize..][..self.around]
     }
 
-    /// For each row of the visibility table what `said` makes of the share of them that the view observes; NaN in a scene without points.
+    /// Maps, for each row of the visibility table, the share of the nearest points that the view observes through `said`; NaN in a scene without points.
     pub fn observed(
         &self,
         scene: &Scene,
@@ -81,7 +81,7 @@ impl Nearest {
         visibility.column(|| vec![false; scene.points.len()], of_view)
     }
 
-    /// Mean distance between a triangle's centroid and its points, and the largest between its plane and them, scene units; NaN
+    /// Returns the mean distance of the nearest points from the centroid and their largest distance from the triangle's plane, scene units; NaN
     /// without points.
     pub fn spacing_and_roughness(&self, scene: &Scene, surface: &Surface, triangle: u32) -> [f64; 2] {
         let (centroid, normal) = (surface.centroid(triangle), surface.area_normal(triangle).normalize());
@@ -92,11 +92,11 @@ impl Nearest {
     }
 }
 
-/// A k-d tree without pointers: the middle of each range of `order` parts it, down to [`AROUND`] points.
+/// An implicit k-d tree: the median of each range of `order` splits it, down to leaves of [`AROUND`] points.
 struct KdTree<'a> {
     points: &'a [Point3<f64>],
     order: Vec<u32>,
-    /// Along which axis the point at the same place of `order` parts its range.
+    /// Axis along which the point at the same index of `order` splits its range.
     axes: Vec<u8>,
 }
 
@@ -108,7 +108,7 @@ impl<'a> KdTree<'a> {
         Self { points, order, axes }
     }
 
-    /// The nearest points, nearest first, ties by index.
+    /// Returns the nearest points, nearest first, ties by index.
     fn nearest(&self, to: &Point3<f64>) -> Vec<u32> {
         let mut found = Vec::with_capacity(AROUND + 1);
         self.look(to, 0, self.order.len(), &mut found);
@@ -142,7 +142,7 @@ impl<'a> KdTree<'a> {
     }
 }
 
-/// Orders a range so that its middle parts it along the axis on which it is longest.
+/// Sorts a range so that its median splits it along its longest axis.
 fn part(points: &[Point3<f64>], order: &mut [u32], axes: &mut [u8]) {
     if order.len() <= AROUND {
         return;
@@ -184,7 +184,7 @@ mod tests {
     proptest! {
         #[test]
         fn the_nearest_are_those_that_sorting_finds(
-            // Whole numbers, so that points coincide and distances tie.
+            // Integers, so that points coincide and distances tie.
             points in proptest::collection::vec(proptest::array::uniform3(-4i8..5), 0..200),
             to in proptest::array::uniform3(-6i8..7),
         ) {

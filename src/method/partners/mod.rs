@@ -1,7 +1,7 @@
-//! Method 4: which matching partners each key view gets.
+//! Selection of the matching partners of each key view (method 4).
 //!
-//! [`candidates`] are the views with the most shared sparse points that the backend can match; [`choose`] picks k of them for each
-//! key view, as the paper does ([`sampled`]) or by searching on from there ([`search`]).
+//! [`candidates`] finds the views with the most shared sparse points that the backend can match; [`choose`] selects k of them for each
+//! key view, as in the paper ([`sampled`]) or by a search that continues from there ([`search`]).
 
 mod candidates;
 mod gate;
@@ -28,9 +28,9 @@ use crate::{
     model::{cluster::ViewCluster, scene::ViewIndex},
 };
 
-/// A view cluster for each view that has candidates, in the order of views, and its fulfilment.
+/// Selects a view cluster for each view that has candidates, in the order of views, and computes its fulfilment.
 ///
-/// Where a view has no more than k candidates it gets all of them.
+/// A view with at most k candidates gets all of them.
 pub fn choose(
     model: &Model,
     candidates: &Candidates,

@@ -1,18 +1,18 @@
-//! Beyond the paper: greedy addition and exchange, judged by a part of the triangles and accepted by all of them.
+//! Beyond the paper: greedy addition and exchange, proposed on a subset of the triangles and accepted on all of them.
 
 use crate::method::fulfilment::block::{Block, Judges, LANES};
 
-/// With fewer judging triangles than that all triangles of the view judge.
+/// Minimum number of judging triangles; with fewer, all triangles of the view judge.
 const ENOUGH_TO_JUDGE: usize = 512;
-/// With twice as many or more only some of them do: what the search proposes is decided by all triangles anyway.
+/// From twice this number on, only a sample of them judges: proposals are decided on all triangles anyway.
 const PLENTY_TO_JUDGE: usize = 1024;
-/// Exchanges that are tried on all triangles before the search gives up.
+/// Exchanges tried on all triangles before the search gives up.
 const TRIES: usize = 3;
 
-/// A set of partners and its f, triangle by triangle.
+/// A set of partners, with f of each triangle.
 pub struct PartnerChoice {
     pub partners: Vec<usize>,
-    /// In the order of the key view's rows.
+    /// f, in the order of the key view's rows.
     pub values: Vec<f32>,
     pub sum: f64,
 }
@@ -25,8 +25,8 @@ impl PartnerChoice {
     }
 }
 
-/// The best that greedy addition and exchange find, starting from the better of `start` and the greedy set; never below `start` on the
-/// sum over all triangles.
+/// Returns the best set that greedy addition and exchange find from the better of `start` and the greedy set. Its sum over all triangles is never
+/// below that of `start`.
 pub fn search(block: &mut Block, start: Vec<usize>, n: usize) -> PartnerChoice {
     let k = start.len();
     let judges = judges(block);
@@ -44,13 +44,13 @@ pub fn search(block: &mut Block, start: Vec<usize>, n: usize) -> PartnerChoice {
     best
 }
 
-/// The triangles that the search is judged by.
+/// Returns the triangles that the search is judged by.
 pub fn judges(block: &Block) -> Judges {
     let groups = if block.first() * LANES < ENOUGH_TO_JUDGE { block.len() } else { block.first() };
     Judges { groups, step: (groups * LANES / PLENTY_TO_JUDGE).max(1) }
 }
 
-/// Partners added one by one, each time the one that adds most, ties by shared points.
+/// Adds partners one by one, each time the one with the largest gain, ties by shared points.
 pub fn greedy(block: &mut Block, n: usize, k: usize, judges: Judges) -> Vec<usize> {
     let mut chosen = Vec::with_capacity(k);
     while chosen.len() < k {
@@ -63,7 +63,7 @@ pub fn greedy(block: &mut Block, n: usize, k: usize, judges: Judges) -> Vec<usiz
     chosen
 }
 
-/// The best exchange of one partner by the judging triangles that all triangles confirm.
+/// Returns the best exchange of one partner by the judging triangles that also gains on all triangles.
 fn exchange(block: &mut Block, best: &PartnerChoice, n: usize, judges: Judges) -> Option<PartnerChoice> {
     let now = block.sums(std::slice::from_ref(&best.partners), judges)[0];
     let left: Vec<usize> = (0..n).filter(|p| !best.partners.contains(p)).collect();
@@ -82,7 +82,7 @@ fn exchange(block: &mut Block, best: &PartnerChoice, n: usize, judges: Judges) -
     })
 }
 
-/// The same partners in the order in which each adds most to those before it.
+/// Sorts the partners so that each adds most to those before it.
 pub fn best_first(block: &mut Block, mut partners: Vec<usize>) -> Vec<usize> {
     partners.sort_unstable();
     let judges = judges(block);
