@@ -1,8 +1,8 @@
-//! Fitting the curves of the trained confidence.
+//! Fits the curves of the trained confidence.
 //!
-//! A row is a triangle that a finished view cluster may have measured: how much of it came out right. The chance of that is what the plan
-//! will compute: q(key) · P(at least m of the pairs match), and all curves are fitted together to the likelihood of the rows, so what comes out is
-//! calibrated for whole clusters though no pair is ever observed by itself.
+//! A row is a triangle that a finished view cluster could have measured, with the share of it that succeeded. The predicted probability has the form
+//! that the plan uses: q(key) · P(at least m of the pairs match). All curves are fitted together to the likelihood of the rows, so the result is
+//! calibrated for whole clusters, although single pairs are never observed.
 
 use rayon::prelude::*;
 
@@ -11,30 +11,30 @@ use crate::method::confidence::{
     trees::logistic,
 };
 
-/// Steps of the descent, and the length of the first ones.
+/// Number of gradient steps, and the length of the first ones.
 const STEPS: usize = 200;
 const RATE: f32 = 0.08;
-/// Weight of the squared second differences of a curve, and of its squared values, against the mean loss of a row.
+/// Regularisation: weights of the squared second differences of a curve and of its squared values, against the mean loss of a row.
 const ROUGHNESS: f32 = 2e-4;
 const SIZE: f32 = 2e-5;
-/// Rows whose gradients are summed together.
+/// Rows per partial sum of gradients.
 const CHUNK: usize = 2048;
 
-/// A pair of the row's cluster that sees the triangle.
+/// A pair of the row's cluster whose partner sees the triangle.
 #[derive(Clone, Copy, Debug)]
 pub struct PairRow {
     pub numbers: [f32; PAIR.len()],
-    /// Of the partner's view.
+    /// Features in the partner's view.
     pub place: [f32; PLACE.len()],
 }
 
 /// A triangle of a finished cluster.
 #[derive(Clone, Debug)]
 pub struct TrainingRow {
-    /// Of the key view.
+    /// Features in the key view.
     pub place: [f32; PLACE.len()],
     pub pairs: Vec<PairRow>,
-    /// Share of the triangle's judged pixels that came out right.
+    /// Share of the triangle's judged pixels that succeeded.
     pub success: f32,
     pub weight: f32,
 }
@@ -53,7 +53,7 @@ const BETWEEN: usize = PARTNER + PLACE.len() * KNOTS;
 const COUNT: usize = BETWEEN + PAIR.len() * KNOTS;
 
 impl FittedCurves {
-    /// Chance that the row succeeds.
+    /// Returns the probability that the row succeeds.
     pub fn chance(&self, row: &TrainingRow) -> f32 {
         let q = logistic(self.place.bias + curves::sum(&self.place.key, &row.place));
         let odds = |pair: &PairRow| self.pair.odds(&pair.numbers) + curves::sum(&self.place.partner, &pair.place);
@@ -109,7 +109,7 @@ fn at_least(chances: impl Iterator<Item = f32>, m: usize) -> f32 {
     at_least[m]
 }
 
-/// Sum over the rows of the derivative of the negative log likelihood; in a fixed order.
+/// Returns the gradient of the negative log likelihood, summed over the rows in a fixed order.
 fn gradient(rows: &[TrainingRow], parameters: &[f32], m: usize) -> Vec<f32> {
     let of_chunk = |chunk: &[TrainingRow]| {
         let mut sum = vec![0.0f32; COUNT];
@@ -149,7 +149,7 @@ fn add_row(row: &TrainingRow, parameters: &[f32], m: usize, sum: &mut [f32]) {
     }
 }
 
-/// Sum of the curves whose knots begin at `start`.
+/// Returns the sum of the curves whose knots begin at `start`.
 fn value(curves: &[PiecewiseLinear], numbers: &[f32], parameters: &[f32], start: usize) -> f32 {
     let each = curves.iter().zip(numbers).enumerate();
     each.filter_map(|(i, (curve, &x))| {

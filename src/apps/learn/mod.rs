@@ -1,7 +1,7 @@
-//! Training the confidence on finished depth maps (method 7.3): labels, the picture's classifier, and the curves of pairs and places.
+//! Trains the confidence on finished depth maps (method 7.3): labels, the picture classifier, and the curves of pairs and places.
 //!
-//! Everything that is fitted to the output of something else that was trained (the calibration, the curves that take the picture's promise) sees
-//! predictions for what was left out: one of the [`Parts`] while the others are trained on.
+//! Stages that are fitted to the output of an earlier trained stage (calibration; curves of the picture's prediction) get out-of-sample
+//! predictions: one of the [`Parts`] is predicted by a model trained on the others.
 
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -43,14 +43,14 @@ use crate::{
     model::{cluster::ViewCluster, scene::ViewIndex},
 };
 
-/// Pixels and triangles that are trained on at most.
+/// Limits on the pixels and triangles to train on.
 const MOST_PIXELS: usize = 100_000;
 const MOST_TRIANGLES: usize = 40_000;
-/// Of one image, at most.
+/// Limit per image.
 const MOST_PER_IMAGE: usize = 2000;
-/// Judged pixels from which a triangle counts in full.
+/// Judged pixels from which a triangle has full weight.
 const FULL_WEIGHT: f32 = 8.0;
-/// Memory for depth maps; beyond it only some of their rows and columns are kept.
+/// Memory for depth maps, bytes; beyond it only every n-th row and column is kept.
 const MOST_MAP_BYTES: usize = 512 << 20;
 
 /// A project with finished depth maps.
@@ -58,38 +58,38 @@ pub struct TrainingProject<'a> {
     pub name: String,
     pub model: Model<'a>,
     pub candidates: &'a Candidates,
-    /// The partners that were tried.
+    /// Clusters with the partners that were used.
     pub clusters: Vec<ViewCluster>,
     pub maps: Vec<DepthMapFile>,
     pub images: Option<PathBuf>,
 }
 
-/// For which backend, and with what.
+/// Options of a training.
 pub struct TrainingOptions {
     pub backend: String,
-    /// Method 3.4.
+    /// Minimum number of matches (method 3.4).
     pub min_matches: u32,
     pub seed: u64,
 }
 
-/// A judged pixel: its cell's features and whether it came out right.
+/// Features of the cells of judged pixels, with the outcome.
 struct Pixels {
     part: usize,
     features: Vec<f32>,
     success: Vec<bool>,
 }
 
-/// What the labels of one view come to.
+/// Labels of one view.
 struct JudgedView {
     view: ViewIndex,
     part: usize,
-    /// Place in the image and success of the drawn pixels.
+    /// Position in the image and success of the sampled pixels.
     drawn: Vec<(f32, f32, bool)>,
-    /// Row of the visibility table, judged pixels, those that came out right.
+    /// Row of the visibility table, number of judged pixels, number of successes.
     triangles: Vec<(usize, u32, u32)>,
 }
 
-/// Trains on the lessons; the same for any number of threads.
+/// Trains on the projects; the same result for any number of threads.
 pub fn train(
     lessons: &[TrainingProject],
     course: &TrainingOptions,
@@ -143,7 +143,7 @@ pub fn train(
     })
 }
 
-/// The labels of all finished maps, by lesson.
+/// Labels all finished maps, by project.
 fn judge(
     lessons: &[TrainingProject],
     parts: &Parts,
@@ -203,7 +203,7 @@ impl TrainingProject<'_> {
         self.for_each_map(judge, watcher)
     }
 
-    /// What `look` makes of each finished map and its labels.
+    /// Maps each finished depth map and its labels through `look`.
     pub fn for_each_map<T: Send>(
         &self,
         look: impl Fn(&DepthMapFile, Vec<Label>) -> T + Sync,
@@ -219,7 +219,7 @@ impl TrainingProject<'_> {
         self.maps.par_iter().map(of_map).collect()
     }
 
-    /// Depth maps by view, thinned out where they are too many.
+    /// Reads the depth maps by view, subsampled if they exceed the memory limit.
     fn finished(&self, watcher: &dyn Watcher) -> Result<Vec<Option<LabelledMap>>, TrainError> {
         let mut finished: Vec<Option<LabelledMap>> = self.model.scene.views.iter().map(|_| None).collect();
         let read = |file: &DepthMapFile| {
@@ -244,7 +244,7 @@ impl TrainingProject<'_> {
     }
 }
 
-/// Features of the drawn pixels of all views that have an image.
+/// Computes features of the sampled pixels of all views with an image.
 fn pixels(
     lessons: &[TrainingProject],
     judged: &[Vec<JudgedView>],
@@ -268,7 +268,7 @@ fn pixels(
     views.par_iter().map(of_view).collect()
 }
 
-/// Classifiers of pictures: for each part that of the others, and that of all.
+/// Picture classifiers: for each part the one trained on the others, and the one trained on all.
 struct PictureModels {
     without: Vec<PictureModel>,
     all: PictureModel,
@@ -276,7 +276,7 @@ struct PictureModels {
 }
 
 impl PictureModels {
-    /// `None` without pictures.
+    /// Returns `None` without pictures.
     fn train(pixels: &[Pixels], parts: usize, seed: u64) -> Option<Self> {
         let classify = |wanted: &dyn Fn(usize) -> bool| {
             let chosen: Vec<&Pixels> = pixels.iter().filter(|p| wanted(p.part)).collect();
@@ -311,7 +311,7 @@ impl PictureModels {
     }
 }
 
-/// So many trees have the largest likelihood of what was left out; further ones learn what only their own scenes show.
+/// Number of trees with the largest out-of-sample likelihood; further trees overfit to their scenes.
 fn best_length(without: &[PictureModel], pixels: &[Pixels]) -> usize {
     let mut losses = vec![0.0; without.iter().map(|p| p.classifier.trees.len()).max().unwrap_or(0)];
     for p in pixels {
@@ -325,7 +325,7 @@ fn best_length(without: &[PictureModel], pixels: &[Pixels]) -> usize {
     best.map_or(0, |(tree, _)| tree + 1)
 }
 
-/// Share of the values up to each bin.
+/// Returns the share of the values up to each bin.
 fn cumulative(column: &[u8]) -> Vec<f32> {
     let mut counts = [0u32; BINS];
     column.iter().for_each(|&bin| counts[usize::from(bin)] += 1);
@@ -337,7 +337,7 @@ fn cumulative(column: &[u8]) -> Vec<f32> {
     counts.iter().map(share).collect()
 }
 
-/// Factor and shift of log odds that fit the outcomes best (Platt 1999), by Newton's method.
+/// Fits factor and shift of log odds to the outcomes (Platt 1999), by Newton's method.
 fn calibrate(outcomes: &[(f32, bool)]) -> [f32; 2] {
     let (mut a, mut b) = (1.0f64, 0.0f64);
     for _ in 0..20 {
@@ -356,8 +356,8 @@ fn calibrate(outcomes: &[(f32, bool)]) -> [f32; 2] {
     [a as f32, b as f32]
 }
 
-/// What the picture promises for each row of each lesson's visibility table, by the classifier that has not seen the view (NaN: no picture); and
-/// the distance between an image and all that nineteen of twenty do not exceed.
+/// Predicts each row of each project's visibility table by the classifier that was not trained on the view (NaN: no picture). Also returns the
+/// 95th percentile of the distances between an image and all others.
 fn promises(
     lessons: &[TrainingProject],
     parts: &Parts,
@@ -398,7 +398,7 @@ fn promises(
     Ok((promised, reach))
 }
 
-/// The rows to fit the curves to, each with its part; of each scene as many at most.
+/// Collects the rows for the curves, each with its part; the same limit for each scene.
 fn rows(
     lessons: &[TrainingProject],
     parts: &Parts,
@@ -444,7 +444,7 @@ fn rows(
     Ok(rows)
 }
 
-/// Why nothing could be learnt.
+/// An error of training.
 #[derive(Debug, thiserror::Error)]
 pub enum TrainError {
     #[error(transparent)]

@@ -1,4 +1,4 @@
-//! An existing plan once more, with all its tables: same input and settings, same plan.
+//! Recomputes an existing plan with all its tables: same input and settings, same plan.
 
 use std::{collections::BTreeMap, path::Path};
 
@@ -12,14 +12,14 @@ use crate::{
     show::manifest::{RecordedPlan, WrittenPlanError, warnings_with},
 };
 
-/// Plans again what `viewrank/manifest.json` of the project says, by the prediction alone (finished depth maps are not looked at).
+/// Repeats the plan of the project's `viewrank/manifest.json`, by prediction alone (finished depth maps are ignored).
 pub fn again(root: &Path, watcher: &dyn Watcher) -> Result<(Project, Plan), AgainError> {
     let (project, plan, _) = predicted(root, watcher)?;
     Ok((project, plan))
 }
 
-/// The plan of `viewrank/manifest.json` with the ranking, the cut and the warnings that stand there. Of a plan around finished depth maps gains, shares
-/// and reasons of views are those of the manifest, which are real where finished; fulfilment by triangle is predicted.
+/// Repeats the plan with the ranking, the cut and the warnings of `viewrank/manifest.json`. If that plan was ranked around finished depth maps, gains, shares
+/// and reasons of views come from the manifest, measured where finished; fulfilment by triangle is predicted.
 pub fn as_written(root: &Path, watcher: &dyn Watcher) -> Result<(Project, Plan), AgainError> {
     let (project, plan, recorded) = predicted(root, watcher)?;
     let plan = if recorded.finished() > 0 { with_ranking(plan, &recorded, watcher)? } else { plan };
@@ -71,7 +71,7 @@ fn predicted(root: &Path, watcher: &dyn Watcher) -> Result<(Project, Plan, Recor
     Ok((project, plan, recorded))
 }
 
-/// Why there is no plan to go on with.
+/// An error of repeating a plan.
 #[derive(Debug, thiserror::Error)]
 pub enum AgainError {
     #[error(transparent)]

@@ -1,8 +1,8 @@
-//! Method 5.4: a plan around what is finished. Finished clusters come first, with what they really reach; the rest is ranked again
-//! behind them, with failures remembered ([`Beliefs`]).
+//! Plans around finished depth maps (method 5.4). Finished clusters come first, with their measured fulfilment; the rest is ranked again
+//! after them, with failures taken into account ([`Beliefs`]).
 //!
-//! The depth maps were made for an earlier plan of the project, perhaps of an earlier model: those that still fit ([`movement`]) stay,
-//! the others are named and count for nothing.
+//! The depth maps were made for an earlier plan, possibly of an earlier model: those that still fit ([`movement`]) are kept,
+//! the others are reported and ignored.
 
 mod again;
 mod movement;
@@ -45,7 +45,7 @@ pub struct EarlierPlan {
 }
 
 impl EarlierPlan {
-    /// From `viewrank/manifest.json` and `planned_views.json` of the project, whether or not the model has changed since.
+    /// Reads `viewrank/manifest.json` and `planned_views.json` of the project, whether or not the model has changed since.
     pub fn read(project: &Project) -> Result<Self, WrittenPlanError> {
         let recorded = RecordedPlan::read(project)?;
         let path = project.output_folder().join("planned_views.json");
@@ -56,23 +56,23 @@ impl EarlierPlan {
         Ok(Self { clusters, cut: recorded.cut.clusters, outdated: recorded.outdated, views })
     }
 
-    /// Names of the key views to the cut, best first.
+    /// Returns the names of the key views up to the cut, best first.
     pub fn list(&self) -> impl Iterator<Item = &str> {
         self.keys().take(self.cut)
     }
 
-    /// Names of the key views, best first.
+    /// Returns the names of all key views, best first.
     pub fn keys(&self) -> impl Iterator<Item = &str> {
         self.clusters.iter().map(|(key, _)| key.as_str())
     }
 
-    /// What was said before of a depth map that is still the same file.
+    /// Returns the earlier finding on an outdated depth map that is still the same file.
     fn outdated(&self, key: &str, hash: &str) -> Option<Outdated> {
         let same = self.views.outdated_files.get(key).is_some_and(|known| known == hash);
         self.outdated.iter().find(|outdated| same && outdated.key == key).cloned()
     }
 
-    /// The view as it was when the depth map of `key` was made.
+    /// Returns the view as it was when the depth map of `key` was made.
     fn then(&self, key: &str, view: &str) -> Option<&PlannedView> {
         match self.views.made_with.get(key) {
             Some(views) => views.get(view),
@@ -81,16 +81,16 @@ impl EarlierPlan {
     }
 }
 
-/// Where finished depth maps are.
+/// Location of the finished depth maps.
 pub struct Maps<'a> {
     pub folder: &'a Path,
-    /// Is the file written to its end?
+    /// Returns whether the file is completely written.
     pub ready: &'a (dyn Fn(&Path) -> bool + Sync),
 }
 
-/// Ranks the plan again around the finished depth maps of an earlier plan; the same plan where there are none.
+/// Ranks the plan again around the finished depth maps of an earlier plan; unchanged if there are none.
 ///
-/// Of the finished clusters the partners are those of the earlier plan. `None`: none of the maps could be measured.
+/// Finished clusters have the partners of the earlier plan. `None`: none of the maps could be measured.
 pub fn replan(
     plan: Plan,
     earlier: &EarlierPlan,
@@ -132,7 +132,7 @@ fn measure(
     MeasuredClusters::new(&EvaluationInput { model, clusters, depth_maps: folder, reference: None, accuracy }, watcher)
 }
 
-/// Puts the finished clusters in the place of those with the same key view, and ranks all again.
+/// Replaces the clusters of finished key views and ranks all again.
 fn rank_around(
     plan: Plan,
     finished: FinishedMaps,
@@ -148,8 +148,8 @@ fn rank_around(
     Ok(Plan { stages, decision, timings })
 }
 
-/// The stages with the finished clusters and what they really fulfil, the others believed as far as the finished ones let them be; and the finished
-/// ones in their order.
+/// Returns the stages with the finished clusters and their measured fulfilment, the predictions of the others corrected by the finished ones; and the
+/// indices of the finished clusters, in their order.
 fn with_finished(
     stages: Stages,
     run: &MeasuredClusters,
@@ -187,9 +187,9 @@ fn with_finished(
     Ok((Stages { clusters, fulfilment, ..stages }, order))
 }
 
-/// What became of a depth map that a cluster of the earlier plan has.
+/// Verdict on a depth map of a cluster of the earlier plan.
 enum MapVerdict {
-    /// `made_with`: the views as they were, where they are elsewhere now.
+    /// `made_with`: the earlier views, if any has moved since.
     Fits {
         cluster: ViewCluster,
         made_with: Option<BTreeMap<String, PlannedView>>,
@@ -201,7 +201,7 @@ enum MapVerdict {
     Unreadable(String),
 }
 
-/// The finished clusters of the earlier plan, in its order, and what is wrong with maps of no known view.
+/// Checks the finished clusters of the earlier plan, in its order, and lists unreadable maps.
 fn look(
     plan: &Plan,
     earlier: &EarlierPlan,
@@ -277,7 +277,7 @@ impl MapCheck<'_> {
         Outdated { key: self.key.clone(), view: view.into(), moved_px }
     }
 
-    /// The farthest that any view of the cluster moved, and that view; the view that is gone or of which nothing is known.
+    /// Returns the largest movement of any view of the cluster, with that view; `Err`: a view that is gone or has no record.
     fn moved(&self, map: &DepthMap) -> Result<(f64, &str), &str> {
         let place = |name| self.place(name).ok_or(name);
         let key = place(self.key.as_str())?;
@@ -309,7 +309,7 @@ impl MapCheck<'_> {
     }
 }
 
-/// Why a plan cannot be ranked around its finished depth maps.
+/// An error of ranking a plan around finished depth maps.
 #[derive(Debug, thiserror::Error)]
 pub enum ReplanError {
     #[error(transparent)]

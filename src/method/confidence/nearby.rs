@@ -58,7 +58,7 @@ impl Nearest {
         &self.points[self.around * triangle as usize..][..self.around]
     }
 
-    /// Maps, for each row of the visibility table, the share of the nearest points that the view observes through `said`; NaN in a scene without points.
+    /// Maps, for each row of the visibility table, the share of the nearest points that the view observes through `said`; NaN without points.
     pub fn observed(
         &self,
         scene: &Scene,

@@ -1,9 +1,6 @@
 //! Loops over a block: f summed over the judging triangles for many sets of partners (f32), and f of every triangle (f64).
 
-use super::{
-    super::lanes::LANES,
-    Block, Judges,
-};
+use super::{super::lanes::LANES, Block, Judges};
 use crate::base::vector::Kernel;
 
 pub(super) struct Sums<'b, 'a> {
