@@ -5,7 +5,7 @@
 
 use nalgebra::Point3;
 use std::time::Instant;
-use viewrank::internals::progress::Unwatched;
+use viewrank::internals::progress::NoWatcher;
 use viewrank::internals::surface::delaunay::Delaunay;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
@@ -19,7 +19,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let points: Vec<Point3<f64>> = coordinates.chunks_exact(3).map(|p| Point3::new(p[0], p[1], p[2])).collect();
     drop(coordinates);
     let start = Instant::now();
-    let delaunay = Delaunay::triangulate(&points, &Unwatched)?;
+    let delaunay = Delaunay::triangulate(&points, &NoWatcher)?;
     let seconds = start.elapsed().as_secs_f64();
     let finite = (0..delaunay.cells.len() as u32).filter(|&cell| !delaunay.is_infinite(cell));
     let dimension = delaunay.dimension as usize;

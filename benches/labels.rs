@@ -10,12 +10,12 @@ use std::{collections::BTreeMap, path::Path};
 
 use viewrank::internals::{
     backends,
-    config::{Configuration, Files, Typed},
+    config::{CommandLineSettings, Configuration, Files},
     depthmaps::{self, DepthMap, DepthMapFile},
     evaluate,
     fulfilment::Model,
-    learn::{Label, Lesson},
-    progress::Unwatched,
+    learn::{Label, TrainingProject},
+    progress::NoWatcher,
     project::Project,
 };
 
@@ -36,14 +36,14 @@ fn main() -> Fallible<()> {
     };
     let project = Project::open(Path::new(project), None)?;
     let files = Files { user: None, project: Some(project.root.join("viewrank.toml")) };
-    let mut settings = Configuration::load(&files, Typed::default(), backends::canonical_name)?.settings;
+    let mut settings = Configuration::load(&files, CommandLineSettings::default(), backends::canonical_name)?.settings;
     settings.backends = vec!["sgm".into()];
     settings.confidence.source = "geometric".into();
-    let plan = backends::plan(&project, &settings, &Unwatched)?;
+    let plan = backends::plan(&project, &settings, &NoWatcher)?;
     let clusters = evaluate::clusters::read(Path::new(clusters), &plan.stages.scene)?;
     let found = depthmaps::find(Path::new(maps), &plan.stages.scene)?.into_complete()?;
     let exact = depthmaps::find(Path::new(reference), &plan.stages.scene)?.into_complete()?;
-    let lesson = Lesson {
+    let lesson = TrainingProject {
         name: "labels".into(),
         model: plan.stages.model(),
         candidates: &plan.stages.candidates,
@@ -58,7 +58,7 @@ fn main() -> Fallible<()> {
         Some(count(&lesson.model, file, &map, &exact, &labels))
     };
     let mut all: BTreeMap<&str, [u64; 2]> = BTreeMap::new();
-    for (kind, [labels, right]) in lesson.for_each_map(of_map, &Unwatched)?.into_iter().flatten().flatten() {
+    for (kind, [labels, right]) in lesson.for_each_map(of_map, &NoWatcher)?.into_iter().flatten().flatten() {
         let sum = all.entry(kind).or_default();
         *sum = [sum[0] + labels, sum[1] + right];
     }

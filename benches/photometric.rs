@@ -10,9 +10,9 @@ use std::{path::Path, time::Instant};
 use viewrank::internals::{
     backends,
     confidence::{Agreement, Pictures},
-    config::{Configuration, Files, Typed},
+    config::{CommandLineSettings, Configuration, Files},
     geometry::Geometry,
-    progress::Unwatched,
+    progress::NoWatcher,
     project::Project,
 };
 use zune_jpeg::{
@@ -31,9 +31,9 @@ fn main() -> Fallible<()> {
         _ => return Err("give PROJECT".into()),
     };
     let files = Files { user: None, project: Some(project.root.join("viewrank.toml")) };
-    let mut settings = Configuration::load(&files, Typed::default(), backends::canonical_name)?.settings;
+    let mut settings = Configuration::load(&files, CommandLineSettings::default(), backends::canonical_name)?.settings;
     settings.confidence.source = "geometric".into();
-    let plan = backends::plan(&project, &settings, &Unwatched)?;
+    let plan = backends::plan(&project, &settings, &NoWatcher)?;
     let stages = &plan.stages;
     let images = project.images.clone().ok_or("the project has no images")?;
     let paths: Vec<_> = stages.scene.views.iter().map(|view| images.join(&view.name)).collect();
@@ -51,7 +51,7 @@ fn main() -> Fallible<()> {
     let start = Instant::now();
     let partners = |view| stages.candidates.candidates_of(view);
     let pictures = Pictures::new(&project);
-    let agreement = pool.install(|| Agreement::new(&geometry, &pictures, partners, 1 << 30, &Unwatched))?;
+    let agreement = pool.install(|| Agreement::new(&geometry, &pictures, partners, 1 << 30, &NoWatcher))?;
     let compared = start.elapsed().as_secs_f64();
     if agreement.cache_head.is_none() {
         return Err("the agreement was read from the cache: remove viewrank/cache first".into());

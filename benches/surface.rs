@@ -13,7 +13,7 @@ use std::{
 
 use viewrank::internals::{
     config::SurfaceSettings,
-    progress::Unwatched,
+    progress::NoWatcher,
     project::Project,
     surface::{WantedGsd, carve, clean, cut::minimum_cut, delaunay::Delaunay, points, refine, simplify},
     target::GSD_MARGIN,
@@ -52,13 +52,13 @@ fn time_surface(project: &Path) -> Fallible<f64> {
     let usable = points::usable_points(&scene);
     let positions: Vec<_> = usable.iter().map(|p| scene.points[p.index()]).collect();
     clock.step("points");
-    let delaunay = Delaunay::triangulate(&positions, &Unwatched)?;
+    let delaunay = Delaunay::triangulate(&positions, &NoWatcher)?;
     clock.step(&format!("delaunay, {} cells", delaunay.cells.len()));
     let rays = carve::Rays::choose(&scene, &delaunay, &usable, settings.rays_per_point as usize);
     clock.step(&format!("rays, {}", rays.count()));
-    let capacities = carve::capacities(&delaunay, &rays, &settings, &Unwatched)?;
+    let capacities = carve::capacities(&delaunay, &rays, &settings, &NoWatcher)?;
     clock.step("votes");
-    let outside = minimum_cut(&delaunay.cells, &capacities, &Unwatched)?.outside;
+    let outside = minimum_cut(&delaunay.cells, &capacities, &NoWatcher)?.outside;
     clock.step("cut");
     let raw = carve::surface(&delaunay, &rays, &outside);
     drop((delaunay, rays, capacities, outside));
@@ -68,10 +68,10 @@ fn time_surface(project: &Path) -> Fallible<f64> {
     clock.step("clean");
     let wanted = WantedGsd::finest(&scene, gsd, GSD_MARGIN);
     let shortest = wanted.lengths(&surface.vertices, settings.edge_factor);
-    let surface = simplify::simplify(surface, shortest, &Unwatched)?;
+    let surface = simplify::simplify(surface, shortest, &NoWatcher)?;
     clock.step(&format!("simplify, {}", surface.triangles.len()));
     let longest = wanted.lengths(&surface.vertices, settings.max_edge_factor);
-    let surface = refine::refine(surface, longest, refine::MAX_TRIANGLES, &Unwatched)?;
+    let surface = refine::refine(surface, longest, refine::MAX_TRIANGLES, &NoWatcher)?;
     clock.step(&format!("refine, {}", surface.triangles.len()));
     println!("  raw surface {total:.2} s, whole surface {:.2} s", clock.total);
     Ok(total)

@@ -17,7 +17,7 @@ use viewrank::internals::{
     column::Storage,
     config::Settings,
     ply,
-    progress::Unwatched,
+    progress::NoWatcher,
     project::Project,
     scene::{Scene, ViewIndex},
     surface::{self, Surface, SurfaceKind, WantedGsd, refine::MAX_TRIANGLES},
@@ -73,7 +73,7 @@ fn evaluate(exact: &Exact, settings: &Settings) -> Fallible<()> {
     let gsd = GSD_MARGIN * scene.median_gsd().ok_or("the model has no points")?;
     let start = Instant::now();
     let wanted = WantedGsd::finest(scene, gsd, GSD_MARGIN);
-    let (surface, stats) = surface::build(scene, &wanted, &settings.surface, None, MAX_TRIANGLES, &Unwatched)?;
+    let (surface, stats) = surface::build(scene, &wanted, &settings.surface, None, MAX_TRIANGLES, &NoWatcher)?;
     let seconds = start.elapsed().as_secs_f64();
     let edge = settings.surface.edge_factor * gsd;
     let table = visibility::estimate(
@@ -83,9 +83,9 @@ fn evaluate(exact: &Exact, settings: &Settings) -> Fallible<()> {
         &settings.visibility,
         edge,
         Storage::Memory,
-        &Unwatched,
+        &NoWatcher,
     )?;
-    let keep = table.seen(surface.triangles.len());
+    let keep = table.seen_triangles(surface.triangles.len());
     let (surface, table) = (surface.keep(&keep), table.keep(&keep)?);
     let near = distances(&samples(&surface, 0.5 * edge), &exact.mesh, gsd);
     let covered = distances(&exact.visible, &Bvh::new(surface.clone()), gsd);

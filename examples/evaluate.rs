@@ -8,8 +8,8 @@
 use std::{env, error::Error, path::PathBuf};
 
 use viewrank::{
-    Unwatched,
-    evaluate::{Evaluation, EvaluationInput, EvaluationOptions, MeasuredClusters, MeasuredSurface, SoFar},
+    NoWatcher,
+    evaluate::{Evaluation, EvaluationInput, EvaluationOptions, MeasuredClusters, MeasuredProgress, MeasuredSurface},
     replan,
 };
 
@@ -25,11 +25,11 @@ fn main() -> Result<(), Box<dyn Error>> {
     let input = EvaluationInput::new(&plan.stages, &clusters, depth_maps, None);
     let measured = MeasuredClusters::new(&input, &Unwatched)?;
 
-    let so_far = SoFar::new(&plan.stages, &measured);
+    let so_far = MeasuredProgress::new(&plan.stages, &measured);
     let options = EvaluationOptions { objective: &plan.stages.objective, so_far, baselines: false };
     let model = plan.stages.model();
     let surface = MeasuredSurface::new(&model, &measured);
-    let evaluation = Evaluation::new(&model, &measured, &surface, &options, &Unwatched)?;
+    let evaluation = Evaluation::new(&model, &measured, &surface, &options, &NoWatcher)?;
     let kept = evaluation.kept;
     println!("fulfilment kept by fusion: {:.1} %, forecast {:.1} %", 100.0 * kept.real, 100.0 * kept.predicted);
     println!(

@@ -5,7 +5,7 @@
 
 use std::{env, error::Error, path::PathBuf};
 
-use viewrank::{Project, Settings, Unwatched, files, output};
+use viewrank::{NoWatcher, Project, Settings, files, output};
 
 fn main() -> Result<(), Box<dyn Error>> {
     let folder: PathBuf = env::args_os().nth(1).ok_or("usage: plan PROJECT")?.into();
@@ -13,8 +13,8 @@ fn main() -> Result<(), Box<dyn Error>> {
     // Of several sub-models, `None` selects the one with the most registered images.
     let project = Project::open(&folder, None)?;
 
-    // `Unwatched` neither reports progress nor cancels.
-    let plan = viewrank::plan(&project, &Settings::default(), &Unwatched)?;
+    // `NoWatcher` neither reports progress nor cancels.
+    let plan = viewrank::plan(&project, &Settings::default(), &NoWatcher)?;
 
     // Best first: if matching stops early, the most useful clusters are done.
     let scene = &plan.stages.scene;

@@ -7,8 +7,8 @@ use viewrank::{
     Hint,
     internals::{
         backends::canonical_name,
-        confidence::{Image, Mask, Predictor, Trained},
-        config::{Configuration, Files, Typed},
+        confidence::{Image, Mask, Predictor, TrainedModel},
+        config::{CommandLineSettings, Configuration, Files},
         depthmaps::{DepthMapFormat, parse},
     },
     manifest,
@@ -95,13 +95,13 @@ fn read_picture(data: &[u8]) -> bool {
 }
 
 fn read_trained(data: &[u8]) -> bool {
-    let Ok(trained) = Trained::parse(data, Path::new("trained.model")) else { return false };
+    let Ok(trained) = TrainedModel::parse(data, Path::new("trained.model")) else { return false };
     if let Some(picture) = &trained.picture {
         let image = Image { width: 40, height: 30, rgb: vec![99; 3 * 40 * 30], full: [40, 30] };
         let predicted = picture.predict(&image);
         assert!(predicted.map.values().all(|value| (0.0..=1.0).contains(&value)) && !predicted.distance.is_nan());
     }
-    assert_eq!(Trained::parse(&trained.to_bytes(), Path::new("again")).expect("what was read"), trained);
+    assert_eq!(TrainedModel::parse(&trained.to_bytes(), Path::new("again")).expect("what was read"), trained);
     true
 }
 
@@ -109,7 +109,9 @@ fn read_settings(data: &[u8]) -> bool {
     let file = tempfile::NamedTempFile::new().expect("a temporary file");
     std::fs::write(file.path(), data).expect("a temporary file");
     let files = Files { user: None, project: Some(file.path().into()) };
-    let Ok(configuration) = Configuration::load(&files, Typed::default(), canonical_name) else { return false };
+    let Ok(configuration) = Configuration::load(&files, CommandLineSettings::default(), canonical_name) else {
+        return false;
+    };
     configuration.settings.check().expect("what is read is within its ranges");
     true
 }

@@ -2,12 +2,12 @@
 //! matched, and in which order.
 //!
 //! ```
-//! use viewrank::{Project, Settings, Unwatched};
+//! use viewrank::{Project, Settings, NoWatcher};
 //!
 //! # fn main() -> Result<(), Box<dyn std::error::Error>> {
 //! # let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/fixtures/valley");
 //! let project = Project::open(folder.as_ref(), None)?;
-//! let plan = viewrank::plan(&project, &Settings::default(), &Unwatched)?;
+//! let plan = viewrank::plan(&project, &Settings::default(), &NoWatcher)?;
 //! let keys: Vec<&str> = plan.chosen().map(|cluster| plan.stages.scene.name(cluster.key)).collect();
 //! # assert!(!keys.is_empty());
 //! # Ok(())
@@ -51,7 +51,7 @@ pub use apps::{doctor, evaluate, learn, replan, report};
 pub use backends::plan;
 pub use base::{
     error::Hint,
-    progress::{Cancelled, Stage, Unwatched, Watcher},
+    progress::{Cancelled, NoWatcher, Stage, Watcher},
 };
 pub use config::Settings;
 pub use io::{

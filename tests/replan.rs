@@ -13,17 +13,17 @@ use viewrank::internals::{
     cluster::MapScale,
     config::Settings,
     daemon::follow::{self, Progress},
-    evaluate::{EvaluationInput, MeasuredClusters, SoFar},
+    evaluate::{EvaluationInput, MeasuredClusters, MeasuredProgress},
     files::files,
     formats::{colmap::ColmapModel, colmap_bin},
     fulfilment::FulfilmentTable,
     manifest::{WrittenPlan, WrittenPlanError},
     output::Disk,
     plan::Plan,
-    progress::Unwatched,
+    progress::NoWatcher,
     project::Project,
     ranking,
-    replan::{self, Earlier, Maps, as_written, replan},
+    replan::{self, EarlierPlan, Maps, as_written, replan},
     report::{Contents, DepthMapFolders},
     scene::{Scene, ViewIndex},
     synthetic::Town,
@@ -73,7 +73,7 @@ impl Planned {
         let project = Project::open(self.folder.path(), None).unwrap();
         let maps = Maps { folder: &self.maps(), ready: &|_| true };
         let plan = plan_of(self.folder.path());
-        replan(plan, &Earlier::read(&project).unwrap(), &maps, &Unwatched).unwrap().0
+        replan(plan, &EarlierPlan::read(&project).unwrap(), &maps, &NoWatcher).unwrap().0
     }
 
     fn keys(&self, ranks: std::ops::Range<usize>) -> Vec<&str> {
@@ -92,7 +92,7 @@ fn write_model(project: &Path, scene: &Scene) {
 
 fn plan_of(folder: &Path) -> Plan {
     let settings = Settings { backends: vec!["sgm".into()], ..Settings::default() };
-    backends::plan(&Project::open(folder, None).unwrap(), &settings, &Unwatched).unwrap()
+    backends::plan(&Project::open(folder, None).unwrap(), &settings, &NoWatcher).unwrap()
 }
 
 fn write(plan: &Plan, folder: &Path) {
@@ -211,7 +211,7 @@ fn a_plan_around_finished_maps_is_read_as_it_was_written() {
     write(&again, planned.folder.path());
     let keys = |plan: &Plan| plan.ranked().map(|c| (c.key, c.partners)).collect::<Vec<_>>();
     assert_ne!(keys(&again), keys(&planned.plan));
-    let (_, read) = as_written(planned.folder.path(), &Unwatched).unwrap();
+    let (_, read) = as_written(planned.folder.path(), &NoWatcher).unwrap();
     assert_eq!(keys(&read), keys(&again));
     assert_eq!((read.decision.cut.clusters, read.decision.finished.clusters), (again.decision.cut.clusters, 2));
     assert_eq!(read.decision.views, again.decision.views);
@@ -220,7 +220,7 @@ fn a_plan_around_finished_maps_is_read_as_it_was_written() {
     assert!(near(&read.decision.ranking.gains, &again.decision.ranking.gains));
     assert!(near(&read.decision.ranking.fulfilment, &again.decision.ranking.fulfilment));
     assert_eq!(
-        keys(&replan::again(planned.folder.path(), &Unwatched).unwrap().1),
+        keys(&replan::again(planned.folder.path(), &NoWatcher).unwrap().1),
         keys(&planned.plan),
         "the prediction"
     );
@@ -231,7 +231,7 @@ fn a_plan_around_finished_maps_is_read_as_it_was_written() {
     manifest["clusters"][2]["partners"].as_array_mut().unwrap().pop();
     manifest["cut"]["pairs"] = (manifest["cut"]["pairs"].as_u64().unwrap() - 1).into();
     fs::write(&path, manifest.to_string()).unwrap();
-    let error = as_written(planned.folder.path(), &Unwatched).unwrap_err();
+    let error = as_written(planned.folder.path(), &NoWatcher).unwrap_err();
     assert!(error.to_string().contains("ranks differently"), "{error}");
 }
 
@@ -430,7 +430,7 @@ fn a_manifest_that_contradicts_itself_is_refused_with_its_field() {
             other => panic!("{place}: {:?}", other.map(|plan| plan.clusters)),
         }
         let project = Project::open(root, None).unwrap();
-        assert!(matches!(Earlier::read(&project), Err(WrittenPlanError::Manifest { .. })), "{place}");
+        assert!(matches!(EarlierPlan::read(&project), Err(WrittenPlanError::Manifest { .. })), "{place}");
     }
 }
 
@@ -443,12 +443,12 @@ fn the_same_maps_reach_the_same_share_wherever_it_is_shown() {
     let of_plan = planned.again().decision.ranking.share(3);
     assert!(of_plan > 0.0 && of_plan < 1.0);
 
-    let _ = follow::follow(root, &|_| true, &Unwatched);
+    let _ = follow::follow(root, &|_| true, &NoWatcher);
     let of_status = Progress::read(root).unwrap().share.unwrap();
 
-    let (project, plan) = as_written(root, &Unwatched).unwrap();
+    let (project, plan) = as_written(root, &NoWatcher).unwrap();
     let folders = DepthMapFolders { depth_maps: Some(planned.maps()), reference: None };
-    let contents = Contents::new(&plan, &project, &folders, None, &Unwatched).unwrap();
+    let contents = Contents::new(&plan, &project, &folders, None, &NoWatcher).unwrap();
     let contents = serde_json::to_value(&contents).unwrap();
     let of_report = contents["real"]["share"].as_array().unwrap()[2].as_f64().unwrap();
 

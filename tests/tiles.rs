@@ -7,11 +7,11 @@ use viewrank::internals::{
     camera::{Camera, CameraModel},
     column::Storage,
     config::{Bytes, Settings},
-    evaluate::curve::Curve,
+    evaluate::curve::ReachCurve,
     formats::{colmap::ColmapModel, colmap_bin},
     fulfilment,
     plan::{Plan, PlanError},
-    progress::Unwatched,
+    progress::NoWatcher,
     project::Project,
     synthetic::Town,
 };
@@ -23,13 +23,13 @@ fn fixture() -> Project {
 fn planned(project: &Project, change: impl FnOnce(&mut Settings)) -> Plan {
     let mut settings = Settings { backends: vec!["sgm".into()], ..Settings::default() };
     change(&mut settings);
-    plan(project, &settings, &Unwatched).unwrap()
+    plan(project, &settings, &NoWatcher).unwrap()
 }
 
 /// f_o, on the whole surface, of the first i clusters of the tiled plan.
 fn on_the_whole(whole: &Plan, tiled: &Plan) -> Vec<f64> {
-    let table = fulfilment::table(&whole.stages.model(), &tiled.stages.clusters, &Unwatched).unwrap();
-    Curve::new(&table, &whole.stages.objective, &tiled.stages.clusters, &tiled.decision.ranking.order).fulfilment
+    let table = fulfilment::table(&whole.stages.model(), &tiled.stages.clusters, &NoWatcher).unwrap();
+    ReachCurve::new(&table, &whole.stages.objective, &tiled.stages.clusters, &tiled.decision.ranking.order).fulfilment
 }
 
 /// Most fulfilment that the tiled order lacks at equal length, over what the whole one reaches with all.
@@ -87,7 +87,10 @@ fn tables_on_disk_change_nothing() {
             && disk.stages.memory.disk >= 16 * memory.stages.visibility.triangles.len() as u64
     );
     assert!(disk.stages.memory.peak() <= limit && disk.stages.surface_stats.tiles == 1);
-    assert_eq!([disk.stages.visibility.triangles.kept(), disk.stages.fulfilment.values.kept()], [Storage::Disk; 2]);
+    assert_eq!(
+        [disk.stages.visibility.triangles.storage(), disk.stages.fulfilment.values.storage()],
+        [Storage::Disk; 2]
+    );
     assert_eq!(disk.stages.visibility, memory.stages.visibility);
     assert_eq!((&disk.stages.unary, &disk.stages.fulfilment), (&memory.stages.unary, &memory.stages.fulfilment));
     assert_eq!(
@@ -128,11 +131,11 @@ fn a_survey_in_tiles() {
 fn a_limit_that_is_too_small_is_refused_with_one_that_is_not() {
     use viewrank::internals::error::Hint;
     let settings = Settings { max_memory: Some(Bytes(60 << 20)), ..Settings::default() };
-    let error = plan(&fixture(), &settings, &Unwatched).unwrap_err();
+    let error = plan(&fixture(), &settings, &NoWatcher).unwrap_err();
     let PlanError::Memory { need, .. } = error else { panic!("{error}") };
     assert!(error.hint().unwrap().contains("--max-memory"));
     let enough = Settings { max_memory: Some(Bytes(need + need / 20)), ..Settings::default() };
-    let plan = plan(&fixture(), &enough, &Unwatched).unwrap();
+    let plan = plan(&fixture(), &enough, &NoWatcher).unwrap();
     assert!(plan.stages.memory.peak() <= need + need / 20);
     assert_eq!(plan.stages.settings.max_memory, enough.max_memory);
 }

@@ -13,7 +13,7 @@ use viewrank::internals::{
     camera::Camera,
     config::Settings,
     plan::Plan,
-    progress::Unwatched,
+    progress::NoWatcher,
     project::Project,
     scene::ViewIndex,
     tables,
@@ -81,7 +81,7 @@ fn project() -> TempDir {
     done(&["plan", folder.path().to_str().unwrap(), "--backend", "sgm", "--confidence", "geometric", "--quiet"]);
     let project = Project::open(folder.path(), None).unwrap();
     let settings = Settings { backends: vec!["sgm".into()], ..Settings::default() };
-    let plan = backends::plan(&project, &settings, &Unwatched).unwrap();
+    let plan = backends::plan(&project, &settings, &NoWatcher).unwrap();
     fs::create_dir(folder.path().join("sgm")).unwrap();
     for cluster in &plan.stages.clusters {
         let (width, height) = (200, 150);

@@ -1,8 +1,8 @@
 //! Gipuma: `docs/backends.md` 6. One call per key view; the first image is the key view, the others its partners.
 
 use super::{
-    Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, PATCH_MATCH, Patient, Selection,
-    Trap,
+    Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord, Honours, PATCH_MATCH,
+    Selection, Trap,
     clusters::{ClusterScript, recipe},
     pmvs, selection,
 };
@@ -36,7 +36,7 @@ pub static BACKEND: Backend = Backend {
     export,
 };
 
-fn traps(patient: &Patient) -> Vec<Trap> {
+fn traps(patient: &ExaminedProject) -> Vec<Trap> {
     patient.without_points("gipuma-depth-range-mandatory", "its depth range is not known").into_iter().collect()
 }
 

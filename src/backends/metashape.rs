@@ -4,8 +4,8 @@
 use serde_json::json;
 
 use super::{
-    Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, Patient, PlanningNumbers,
-    Selection, Trap, images::ANY_PROGRAM,
+    Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord, Honours,
+    PlanningNumbers, Selection, Trap, images::ANY_PROGRAM,
 };
 use crate::io::output::Contents;
 
@@ -32,7 +32,7 @@ pub static BACKEND: Backend = Backend {
 };
 
 /// Cameras are found by their labels, which are file names.
-fn traps(patient: &Patient) -> Vec<Trap> {
+fn traps(patient: &ExaminedProject) -> Vec<Trap> {
     let label = |name: &str| name.rsplit('/').next().unwrap_or(name).to_owned();
     patient.same_names("metashape-duplicate-labels", "the same camera label in Metashape", label).into_iter().collect()
 }

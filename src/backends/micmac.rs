@@ -2,8 +2,8 @@
 //! master for Malt GeomImage, one call per key view. Orientations stay those of the user's own `Ori-` folder.
 
 use super::{
-    Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, PATCH_MATCH, Patient, Selection,
-    Trap,
+    Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord, Honours, PATCH_MATCH,
+    Selection, Trap,
     clusters::{ClusterScript, recipe},
 };
 use crate::{base::shell::quoted, io::output::Contents, model::cluster::RankedCluster};
@@ -30,7 +30,7 @@ pub static BACKEND: Backend = Backend {
     export,
 };
 
-fn traps(patient: &Patient) -> Vec<Trap> {
+fn traps(patient: &ExaminedProject) -> Vec<Trap> {
     patient.bad_names("micmac-name", check_name).into_iter().collect()
 }
 

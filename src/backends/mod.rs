@@ -49,7 +49,7 @@ pub use record::{Export, ExportRecord, ExportedCluster, ExportedView};
 pub use selection::Selection;
 pub use sure::pair_files;
 pub use tiles::clusters_by_area;
-pub use traps::{Patient, Trap};
+pub use traps::{ExaminedProject, Trap};
 
 /// Every backend, in the order in which `viewrank backends` lists them.
 pub static BACKENDS: &[&Backend] = &[
@@ -95,7 +95,7 @@ pub struct Backend {
     /// How tasks of a queue compute the clusters of an export with the default options; `None` where only a whole run can.
     pub tasks: fn(&Selection, &Export) -> Option<TaskRunner>,
     /// Faults of a project that would trip it whatever is planned, beside distorted cameras.
-    pub traps: fn(&Patient) -> Vec<Trap>,
+    pub traps: fn(&ExaminedProject) -> Vec<Trap>,
     export: fn(&Selection, &ExportOptions) -> Result<Export, BackendError>,
 }
 

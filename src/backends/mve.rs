@@ -4,8 +4,8 @@
 use std::path::Path;
 
 use super::{
-    Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, PATCH_MATCH, Patient, Selection,
-    Trap,
+    Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord, Honours, PATCH_MATCH,
+    Selection, Trap,
     clusters::{ClusterScript, recipe},
 };
 use crate::{
@@ -49,7 +49,7 @@ fn own_scale(camera: &Camera) -> f64 {
     (-ratio.log(4.0).ceil().max(0.0)).exp2()
 }
 
-fn traps(patient: &Patient) -> Vec<Trap> {
+fn traps(patient: &ExaminedProject) -> Vec<Trap> {
     let views = patient.project.root.join("views");
     let is_map = |name: &str| name.starts_with("depth-L") && name.ends_with(".mvei");
     let cure = format!("export into a folder of its own, or remove them: rm {}/*/depth-L*.mvei", quoted_path(&views));

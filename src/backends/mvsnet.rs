@@ -2,8 +2,8 @@
 //! the readers differ in the depth line of a camera and in which views they expect.
 
 use super::{
-    Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, PATCH_MATCH, Patient, Selection,
-    Trap, selection,
+    Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord, Honours, PATCH_MATCH,
+    Selection, Trap, selection,
 };
 use crate::{
     io::output::Contents,
@@ -133,7 +133,7 @@ const CAPABILITIES: Capabilities = Capabilities {
     notes: "",
 };
 
-fn traps(patient: &Patient) -> Vec<Trap> {
+fn traps(patient: &ExaminedProject) -> Vec<Trap> {
     patient.without_points("mvsnet-depth-range", "its depth line cannot be written").into_iter().collect()
 }
 

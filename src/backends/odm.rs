@@ -2,8 +2,8 @@
 //! partners only, and every other image is too poorly connected to be computed.
 
 use super::{
-    Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, Patient, Selection, Trap,
-    openmvs, selection,
+    Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord, Honours, Selection,
+    Trap, openmvs, selection,
 };
 use crate::{
     base::shell::quoted_path,
@@ -55,7 +55,7 @@ fn own_scale(camera: &Camera) -> f64 {
     openmvs::scale_at(camera, level, [640, side])
 }
 
-fn traps(patient: &Patient) -> Vec<Trap> {
+fn traps(patient: &ExaminedProject) -> Vec<Trap> {
     let root = &patient.project.root;
     let [inside, below] = ["openmvs", "opensfm/undistorted/openmvs"].map(|folder| root.join(folder));
     let folder = if inside.is_dir() { inside } else { below };

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use super::{
-    Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, PATCH_MATCH, Patient,
+    Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord, Honours, PATCH_MATCH,
     PlanningNumbers, Selection, Trap,
 };
 use crate::{
@@ -40,7 +40,7 @@ pub static BACKEND: Backend = Backend {
     export,
 };
 
-fn traps(patient: &Patient) -> Vec<Trap> {
+fn traps(patient: &ExaminedProject) -> Vec<Trap> {
     patient.bad_names("pmvs-extension", extension).into_iter().collect()
 }
 

@@ -4,7 +4,8 @@
 use std::collections::HashMap;
 
 use super::{
-    Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, Patient, Selection, Trap,
+    Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord, Honours, Selection,
+    Trap,
     images::{ANY_PROGRAM, name_lines},
 };
 use crate::{
@@ -35,7 +36,7 @@ pub static BACKEND: Backend = Backend {
     export,
 };
 
-fn traps(patient: &Patient) -> Vec<Trap> {
+fn traps(patient: &ExaminedProject) -> Vec<Trap> {
     let same =
         patient.same_names("realityscan-xmp-same-stem", "the same side file (.xmp)", |name| stem(name).to_owned());
     same.into_iter().chain(poses_beside(patient)).collect()
@@ -77,7 +78,7 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
 }
 
 /// Side files beside the images that hold poses already.
-fn poses_beside(patient: &Patient) -> Option<Trap> {
+fn poses_beside(patient: &ExaminedProject) -> Option<Trap> {
     let images = patient.project.images.as_ref()?;
     let holds_pose = |view: &ViewIndex| {
         let path = images.join(format!("{}.xmp", stem(patient.scene.name(*view))));

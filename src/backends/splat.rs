@@ -7,7 +7,8 @@ use nalgebra::{Matrix3, Matrix4};
 use serde_json::json;
 
 use super::{
-    Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, Patient, Selection, Trap,
+    Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord, Honours, Selection,
+    Trap,
     images::{ANY_PROGRAM, listed_views, name_lines},
     workspace::add_workspace,
 };
@@ -42,7 +43,7 @@ pub static BACKEND: Backend = Backend {
     export,
 };
 
-fn traps(patient: &Patient) -> Vec<Trap> {
+fn traps(patient: &ExaminedProject) -> Vec<Trap> {
     let same = "the same image to gaussian-splatting, which cuts folders and what follows the first dot";
     patient.same_names("splat-duplicate-names", same, |name| short_name(name).to_owned()).into_iter().collect()
 }

@@ -1,8 +1,8 @@
 //! SURE (nFrames): `docs/backends.md` 12. Closed; the files follow the vendor's public pages and three public writers of `.ori`.
 
 use super::{
-    Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, Patient, PlanningNumbers,
-    Selection, Trap,
+    Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord, Honours,
+    PlanningNumbers, Selection, Trap,
     clusters::{ClusterScript, recipe},
     sgm,
 };
@@ -62,7 +62,7 @@ pub static BACKEND: Backend = Backend {
     export,
 };
 
-fn traps(patient: &Patient) -> Vec<Trap> {
+fn traps(patient: &ExaminedProject) -> Vec<Trap> {
     let same =
         patient.same_names("sure-same-stem", "the same image to SURE, which ignores folders and extensions", |name| {
             stem(&name.replace('/', "_")).to_lowercase()

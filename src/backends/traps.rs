@@ -11,7 +11,7 @@ use crate::{
 };
 
 /// The project under examination.
-pub struct Patient<'a> {
+pub struct ExaminedProject<'a> {
     pub project: &'a Project,
     pub scene: &'a Scene,
     pub points: &'a ViewPoints,
@@ -30,7 +30,7 @@ pub struct Trap {
     pub views: Vec<ViewIndex>,
 }
 
-impl Patient<'_> {
+impl ExaminedProject<'_> {
     /// Views whose names `check` refuses.
     pub(super) fn bad_names<T>(
         &self,

@@ -27,34 +27,34 @@ pub enum Storage {
 
 /// A finished column, in memory or on disk; read as a slice.
 #[derive(Clone)]
-pub struct Column<T>(Kept<T>);
+pub struct Column<T>(Backing<T>);
 
 #[derive(Clone)]
-enum Kept<T> {
+enum Backing<T> {
     Memory(Vec<T>),
     Disk(Arc<Mmap>),
 }
 
 impl<T> Column<T> {
-    pub fn kept(&self) -> Storage {
+    pub fn storage(&self) -> Storage {
         match self.0 {
-            Kept::Memory(_) => Storage::Memory,
-            Kept::Disk(_) => Storage::Disk,
+            Backing::Memory(_) => Storage::Memory,
+            Backing::Disk(_) => Storage::Disk,
         }
     }
 
     /// Bytes of heap memory; 0 for a column on disk, whose pages the system may drop.
     pub fn bytes(&self) -> usize {
         match &self.0 {
-            Kept::Memory(list) => size_of_val(&**list),
-            Kept::Disk(_) => 0,
+            Backing::Memory(list) => size_of_val(&**list),
+            Backing::Disk(_) => 0,
         }
     }
 
     /// Releases the resident pages of a column on disk; they are read again on the next access.
     pub fn release(&self) {
         #[cfg(unix)]
-        if let Kept::Disk(map) = &self.0 {
+        if let Backing::Disk(map) = &self.0 {
             // SAFETY: the map is of a file and nothing writes to it, so that its pages come back as they were.
             _ = unsafe { map.unchecked_advise(memmap2::UncheckedAdvice::DontNeed) };
         }
@@ -80,8 +80,8 @@ impl<T: Pod> Deref for Column<T> {
 
     fn deref(&self) -> &[T] {
         match &self.0 {
-            Kept::Memory(list) => list,
-            Kept::Disk(map) => bytemuck::cast_slice(map),
+            Backing::Memory(list) => list,
+            Backing::Disk(map) => bytemuck::cast_slice(map),
         }
     }
 }
@@ -94,7 +94,7 @@ impl<T> Default for Column<T> {
 
 impl<T> From<Vec<T>> for Column<T> {
     fn from(list: Vec<T>) -> Self {
-        Self(Kept::Memory(list))
+        Self(Backing::Memory(list))
     }
 }
 
@@ -117,9 +117,9 @@ impl<T: Pod + PartialEq> PartialEq for Column<T> {
 }
 
 /// A column under construction, append only.
-pub struct ColumnBuilder<T>(Grows<T>);
+pub struct ColumnBuilder<T>(BuilderBacking<T>);
 
-enum Grows<T> {
+enum BuilderBacking<T> {
     Memory(Vec<T>),
     Disk { file: File, folder: PathBuf, is_empty: bool },
 }
@@ -127,19 +127,19 @@ enum Grows<T> {
 impl<T: Pod> ColumnBuilder<T> {
     pub fn new(keep: Storage) -> Result<Self, DiskError> {
         match keep {
-            Storage::Memory => Ok(Self(Grows::Memory(Vec::new()))),
+            Storage::Memory => Ok(Self(BuilderBacking::Memory(Vec::new()))),
             Storage::Disk => Self::in_folder(&folder()),
         }
     }
 
     fn in_folder(folder: &Path) -> Result<Self, DiskError> {
         let file = tempfile::tempfile_in(folder).map_err(|source| DiskError::new(folder, source))?;
-        Ok(Self(Grows::Disk { file, folder: folder.to_path_buf(), is_empty: true }))
+        Ok(Self(BuilderBacking::Disk { file, folder: folder.to_path_buf(), is_empty: true }))
     }
 
     /// Reserves memory for `rows` more rows; does nothing on disk.
     pub fn reserve(&mut self, rows: usize) {
-        if let Grows::Memory(list) = &mut self.0 {
+        if let BuilderBacking::Memory(list) = &mut self.0 {
             list.reserve_exact(rows);
         }
     }
@@ -147,8 +147,8 @@ impl<T: Pod> ColumnBuilder<T> {
     /// Appends rows. Pass many at once: on disk each call is a write.
     pub fn extend(&mut self, rows: &[T]) -> Result<(), DiskError> {
         match &mut self.0 {
-            Grows::Memory(list) => list.extend_from_slice(rows),
-            Grows::Disk { file, folder, is_empty } => {
+            BuilderBacking::Memory(list) => list.extend_from_slice(rows),
+            BuilderBacking::Disk { file, folder, is_empty } => {
                 // Written, not mapped: a full disk is an error here but would be a fatal signal in a mapping.
                 file.write_all(bytemuck::cast_slice(rows)).map_err(|source| DiskError::new(folder, source))?;
                 *is_empty &= rows.is_empty();
@@ -159,15 +159,15 @@ impl<T: Pod> ColumnBuilder<T> {
 
     pub fn finish(self) -> Result<Column<T>, DiskError> {
         match self.0 {
-            Grows::Memory(list) => Ok(list.into()),
+            BuilderBacking::Memory(list) => Ok(list.into()),
             // Some platforms cannot map empty files.
-            Grows::Disk { is_empty: true, .. } => Ok(Column::default()),
-            Grows::Disk { file, folder, .. } => {
+            BuilderBacking::Disk { is_empty: true, .. } => Ok(Column::default()),
+            BuilderBacking::Disk { file, folder, .. } => {
                 // Some file systems report a full disk only on sync.
                 file.sync_data().map_err(|source| DiskError::new(&folder, source))?;
                 // SAFETY: the file has no name, and this is its last handle: nobody writes to it or shortens it.
                 let map = unsafe { Mmap::map(&file) }.map_err(|source| DiskError::new(&folder, source))?;
-                Ok(Column(Kept::Disk(Arc::new(map))))
+                Ok(Column(Backing::Disk(Arc::new(map))))
             }
         }
     }
@@ -278,7 +278,7 @@ mod tests {
             prop_assert_eq!(&memory, &disk);
             disk.release();
             prop_assert_eq!(&disk.clone(), &memory);
-            prop_assert_eq!(disk.kept(), if memory.is_empty() { Storage::Memory } else { Storage::Disk });
+            prop_assert_eq!(disk.storage(), if memory.is_empty() { Storage::Memory } else { Storage::Disk });
             prop_assert_eq!((disk.bytes(), memory.bytes()), (0, 4 * memory.len()));
         }
     }

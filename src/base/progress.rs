@@ -45,8 +45,8 @@ impl crate::base::error::Hint for Cancelled {
 }
 
 /// Watches nothing and never cancels.
-pub struct Unwatched;
+pub struct NoWatcher;
 
-impl Watcher for Unwatched {
+impl Watcher for NoWatcher {
     fn progress(&self, _: Stage, _: u64, _: u64) {}
 }

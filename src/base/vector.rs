@@ -2,7 +2,7 @@
 
 /// An inner loop for [`vectorised`]. Mark `run`, and every function that it calls in its loops, `#[inline(always)]`: only inlined code is compiled
 /// for the vector instructions.
-pub trait Work {
+pub trait Kernel {
     type Output;
 
     fn run(self) -> Self::Output;
@@ -10,15 +10,15 @@ pub trait Work {
 
 /// Runs `work`, compiled for AVX-512 or AVX2 if the processor has it. No operation is fused or reordered, so every variant gives the same bits.
 #[inline(always)]
-pub fn vectorised<R>(work: impl Work<Output = R>) -> R {
+pub fn vectorised<R>(work: impl Kernel<Output = R>) -> R {
     #[cfg(target_arch = "x86_64")]
     {
         #[target_feature(enable = "avx512f,avx512bw,avx512dq,avx512vl")]
-        fn widest<R>(work: impl Work<Output = R>) -> R {
+        fn widest<R>(work: impl Kernel<Output = R>) -> R {
             work.run()
         }
         #[target_feature(enable = "avx2")]
-        fn wide<R>(work: impl Work<Output = R>) -> R {
+        fn wide<R>(work: impl Kernel<Output = R>) -> R {
             work.run()
         }
         let has_all = is_x86_feature_detected!("avx512f")

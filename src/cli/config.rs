@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use crate::backends;
 use crate::{
-    config::{Configuration, Files, Key, Settings, Source, Typed, keys, user_file},
+    config::{CommandLineSettings, Configuration, Files, Key, Settings, Source, keys, user_file},
     io::project::ProjectError,
     model::scene::Units,
 };
@@ -31,7 +31,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     }
     // Of a model's file the settings are beside it.
     let folder = arguments.project.as_deref().map(|p| if p.is_file() { p.parent().unwrap_or(p) } else { p });
-    let configuration = load(folder, Typed::default())?;
+    let configuration = load(folder, CommandLineSettings::default())?;
     let values = serde_json::to_value(&configuration.settings).expect("settings are JSON");
     match arguments.format {
         Format::Text => print(&as_toml(&configuration, &values)),

@@ -9,13 +9,13 @@ use std::{
 use crate::{
     apps::dispatch::{
         Dispatch, DispatchError, Task, Tools,
-        slurm::{self, Queue, Submission},
+        slurm::{self, SlurmQueue, Submission},
     },
     backends::{self, Selection, place},
     base::shell::{quoted, quoted_path},
-    config::{Budget, DispatchSettings, Share, Typed},
+    config::{Budget, CommandLineSettings, DispatchSettings, Share},
     daemon::{follow, state::Outcome},
-    io::output::{Contents, Disk, FileSet, Written},
+    io::output::{Contents, Disk, FileSet, WriteReport},
     show::manifest::WrittenPlan,
 };
 use clap::{Args, ValueEnum};
@@ -130,11 +130,11 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let tools = arguments.tools(&dispatch, &settings)?;
     let reached = arguments.target_reached(&plan.project.root, &dispatch)?;
     let mut exported = Some(exported);
-    let mut write = |queue: &Queue| -> Result<(), Failure> {
+    let mut write = |queue: &SlurmQueue| -> Result<(), Failure> {
         let export = exported.take().map(|export| export.files);
         let folder = export.as_ref().map(|files| files.root.clone());
         let export = folder.map(|folder| place::set_of_folder(&folder, export, &plan.project));
-        export.map_or(Ok(Written::default()), |set| set.write(&Disk::REAL))?;
+        export.map_or(Ok(WriteReport::default()), |set| set.write(&Disk::REAL))?;
         dispatch.files(&tools, &settings, &queue.lists()).write(&Disk::REAL)?;
         Ok(())
     };
@@ -147,7 +147,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         (Scheduler::Shell, dry_run) => {
             if !dry_run {
                 // Tasks of a queue that is there may still read older lists.
-                write(&Queue::read(&dispatch).unwrap_or_else(|_| Queue::empty(&dispatch)))?;
+                write(&SlurmQueue::read(&dispatch).unwrap_or_else(|_| SlurmQueue::empty(&dispatch)))?;
             }
             Submission::default()
         }
@@ -173,17 +173,17 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
 }
 
 /// Reads the state of the queue; empty, with a warning, if the query fails.
-fn queue_or_empty(dispatch: &Dispatch) -> Queue {
-    Queue::read(dispatch).unwrap_or_else(|error| {
+fn queue_or_empty(dispatch: &Dispatch) -> SlurmQueue {
+    SlurmQueue::read(dispatch).unwrap_or_else(|error| {
         warn(&format!("cannot query the queue, assuming it is empty: {error}"));
-        Queue::empty(dispatch)
+        SlurmQueue::empty(dispatch)
     })
 }
 
 impl Arguments {
     /// Command-line options as settings.
-    fn typed(&self) -> Typed {
-        let mut typed = Typed::default();
+    fn typed(&self) -> CommandLineSettings {
+        let mut typed = CommandLineSettings::default();
         typed.set("--partition", "dispatch.partition", self.partition.clone());
         typed.set("--account", "dispatch.account", self.account.clone());
         typed.set("--qos", "dispatch.qos", self.qos.clone());

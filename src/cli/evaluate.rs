@@ -241,7 +241,7 @@ fn text(e: &Evaluation, out: &Path) -> String {
     text
 }
 
-fn compared_text(compared: &[Compared]) -> String {
+fn compared_text(compared: &[Comparison]) -> String {
     let mut text = format!(
         "{:17} {:>9} {:>7} {:>13} {:>9} {:>9} {:>10}\n",
         "clusters of", "key views", "pairs", "completeness", "outliers", "RMSE", "real f_o"

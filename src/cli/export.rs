@@ -7,7 +7,7 @@ use crate::{
     backends::{self, Backend, BackendError, Export, ExportOptions, ExportRecord, References, Selection, place},
     config::{Budget, Share},
     io::{
-        output::{Disk, Written},
+        output::{Disk, WriteReport},
         project::Project,
     },
     model::cluster::RankedCluster,
@@ -78,7 +78,7 @@ fn switch(text: &str) -> Result<bool, String> {
 struct Report {
     folder: PathBuf,
     files: usize,
-    written: Written,
+    written: WriteReport,
     /// Given options that the backend does not use.
     unheeded: Vec<&'static str>,
     #[serde(flatten)]
@@ -101,7 +101,7 @@ struct Tile {
 }
 
 /// Exports to write for a backend: one, or one per tile.
-struct Made {
+struct PreparedExport {
     folder: PathBuf,
     exports: Vec<Export>,
     unheeded: Vec<&'static str>,
@@ -123,7 +123,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let tiles = arguments.tiles.map(|count| clusters_by_area(&selection, count as usize));
     // All are made and looked at before any is written: what one of them cannot take stops the others too.
     let make = |backend: &&Backend| arguments.make(backend, backends.len(), &selection, tiles.as_deref());
-    let made: Vec<Made> = backends.iter().map(make).collect::<Result<_, BackendError>>()?;
+    let made: Vec<PreparedExport> = backends.iter().map(make).collect::<Result<_, BackendError>>()?;
     made.iter().try_for_each(|made| place::check(&made.folder, &made.exports, &plan.project))?;
     let reports = made.into_iter().map(|made| made.write(&plan.project, tiles.is_some(), arguments.dry_run));
     let reports: Vec<Report> = reports.collect::<Result<_, Failure>>()?;
@@ -168,12 +168,12 @@ impl Arguments {
         backends: usize,
         selection: &Selection,
         tiles: Option<&[Vec<RankedCluster>]>,
-    ) -> Result<Made, BackendError> {
+    ) -> Result<PreparedExport, BackendError> {
         let options = self.options(backend, backends);
         let unheeded = self.given().filter(|option| !backend.options.contains(option)).collect();
         let Some(tiles) = tiles else {
             let export = backend.export(selection, &options)?;
-            return Ok(Made { folder: export.files.root.clone(), exports: vec![export], unheeded });
+            return Ok(PreparedExport { folder: export.files.root.clone(), exports: vec![export], unheeded });
         };
         let own = || selection.project.output_folder().join(format!("{}-tiles", backend.name));
         let folder = options.out.clone().unwrap_or_else(own);
@@ -182,11 +182,11 @@ impl Arguments {
             backend.export(&Selection { clusters, ..*selection }, &ExportOptions { out, ..options.clone() })
         };
         let exports = tiles.iter().enumerate().map(export).collect::<Result<_, _>>()?;
-        Ok(Made { folder, exports, unheeded })
+        Ok(PreparedExport { folder, exports, unheeded })
     }
 }
 
-impl Made {
+impl PreparedExport {
     /// Tiles appear together, and those of an earlier export with more of them go.
     fn write(self, project: &Project, in_tiles: bool, dry_run: bool) -> Result<Report, Failure> {
         let mut sets = Vec::new();
@@ -196,7 +196,7 @@ impl Made {
             sets.push(files);
         }
         let set = place::set_of_folder(&self.folder, sets, project);
-        let written = if dry_run { Written::default() } else { set.write(&Disk::REAL)? };
+        let written = if dry_run { WriteReport::default() } else { set.write(&Disk::REAL)? };
         let what = match tiles.pop() {
             Some(only) if !in_tiles => What::Whole(Box::new(only.record)),
             last => {

@@ -6,13 +6,13 @@ use std::{
 };
 
 use crate::{
-    apps::replan::{Earlier, Maps, replan},
+    apps::replan::{EarlierPlan, Maps, replan},
     base::{
         error::Hint,
         progress::{Stage, Watcher},
         shell::quoted_path,
     },
-    config::Typed,
+    config::CommandLineSettings,
     io::{
         output::{self, Disk, FileSet, OutputError},
         ply,
@@ -168,7 +168,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
             output::recover(&project.home, &Disk::REAL)?;
         }
         let maps = Maps { folder, ready: &|_| true };
-        plan = replan(plan, &Earlier::read(&project)?, &maps, &progress)?.0;
+        plan = replan(plan, &EarlierPlan::read(&project)?, &maps, &progress)?.0;
         if plan.decision.finished.clusters == 0 {
             warn(&format!("no depth map in {} fits the plan: nothing is finished", folder.display()));
         }
@@ -222,8 +222,8 @@ pub fn elsewhere(error: OutputError, is_named: bool, command: &str, project: &st
 
 impl Arguments {
     /// Command-line options as settings.
-    fn typed(&self) -> Typed {
-        let mut typed = Typed::default();
+    fn typed(&self) -> CommandLineSettings {
+        let mut typed = CommandLineSettings::default();
         let path = |path: &PathBuf| std::path::absolute(path).unwrap_or(path.clone()).to_string_lossy().into_owned();
         let k = self.k.as_ref().map(|k| k.parse().map_or_else(|_| toml::Value::from(k.as_str()), toml::Value::Integer));
         typed.set("-k", "partners.k", k);

@@ -7,7 +7,7 @@ use crate::{
     apps::replan,
     base::error::Hint,
     io::output::{Contents, Disk, FileSet},
-    method::confidence::{self, Image, Predictor, Proxy, Trained, size_for_confidence},
+    method::confidence::{self, Image, Predictor, Proxy, TrainedModel, size_for_confidence},
     model::cluster::ViewCluster,
     show::{
         pictures::{confidence_picture, expected_success},
@@ -97,7 +97,7 @@ fn of_images(images: &[PathBuf], arguments: &Arguments) -> Result<Vec<Prediction
         let image = read(path)?;
         let map = predictor.predict(&image).map;
         let share = |i: u32, n: u32| (f64::from(i) + 0.5) / f64::from(n);
-        let at = |x, y| Some(map.at(share(x, image.width), share(y, image.height)));
+        let at = |x, y| Some(map.value_at(share(x, image.width), share(y, image.height)));
         let raw = tables::array(&[map.rows as usize, map.columns as usize], map.values().collect::<Vec<f32>>());
         Ok((name(path), confidence_picture(&image, at), raw))
     };
@@ -111,13 +111,13 @@ fn read(path: &Path) -> Result<Image, Unreadable> {
 fn predictor(source: Option<&str>) -> Result<Box<dyn Predictor>, Failure> {
     let trained = match source {
         Some("proxy") => None,
-        None | Some("shipped") => Trained::shipped(),
+        None | Some("shipped") => TrainedModel::shipped(),
         Some(word) if CONFIDENCE_WORDS.contains(&word) => return Err(NoPredictor(word.into()).into()),
-        Some(file) => Some(Trained::read(Path::new(file))?),
+        Some(file) => Some(TrainedModel::read(Path::new(file))?),
     };
     match trained {
         None => Ok(Box::new(Proxy)),
-        Some(Trained { picture: Some(picture), .. }) => Ok(Box::new(picture)),
+        Some(TrainedModel { picture: Some(picture), .. }) => Ok(Box::new(picture)),
         Some(_) => Err(NoPicture.into()),
     }
 }

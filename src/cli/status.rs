@@ -9,7 +9,7 @@ use std::{
 use crate::{
     base::{error::Hint, shell::quoted_path},
     daemon::{
-        Line, Shown,
+        Line, PathDisplay,
         phase::{Phase, ProjectStatus},
         read_status, status_file,
     },
@@ -101,7 +101,7 @@ fn as_text(root: &Path, line: &Line) -> String {
     }
     let width = status.projects.iter().map(|p| p.project.chars().count()).max().unwrap_or(0).min(32);
     for project in &status.projects {
-        let name = Shown(Path::new(&project.project)).to_string();
+        let name = PathDisplay(Path::new(&project.project)).to_string();
         let measuring = if project.measuring { ", being measured" } else { "" };
         text += &format!("  {name:width$}  {}{measuring} ({})\n", project.phase, age(project));
         if let Phase::Failed { hint: Some(hint), .. } = &project.phase {

@@ -5,17 +5,17 @@ use std::path::{Path, PathBuf};
 use crate::{
     apps::{
         evaluate,
-        learn::{self, Course, Lesson},
+        learn::{self, TrainingOptions, TrainingProject},
     },
     backends,
     base::shell::quoted_path,
-    config::Typed,
+    config::CommandLineSettings,
     io::{
         depthmaps::{self, DepthMapFormat},
         output::{self, Disk},
         project::Project,
     },
-    method::confidence::{Trained, TrainedError},
+    method::confidence::{TrainedError, TrainedModel},
     model::cluster::ViewCluster,
     plan::{Plan, Timings},
     show::manifest::WrittenPlan,
@@ -75,9 +75,9 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         arguments.projects.iter().map(|root| prepare(arguments, root, &progress)).collect::<Result<_, _>>()?;
     let name = backend(arguments, &prepared[0].maps.maps[0].format);
     let backend = backends::by_name(&name)?;
-    let lessons: Vec<Lesson> = prepared.iter().map(lesson).collect();
+    let lessons: Vec<TrainingProject> = prepared.iter().map(lesson).collect();
     let min_matches = backend.planning.confidence.min_matches;
-    let course = Course { backend: backend.name.into(), min_matches, seed: arguments.seed };
+    let course = TrainingOptions { backend: backend.name.into(), min_matches, seed: arguments.seed };
     let trained = learn::train(&lessons, &course, &progress)?;
     if let Some(folder) = arguments.out.parent().filter(|folder| !folder.as_os_str().is_empty()) {
         output::make_folder(folder, &Disk::REAL)?;
@@ -93,7 +93,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
 
 /// Refuses to replace any existing file except a model: it is the user's.
 fn refuse_to_replace(out: &Path) -> Result<(), Failure> {
-    let is_other = match Trained::read(out) {
+    let is_other = match TrainedModel::read(out) {
         Ok(_) | Err(TrainedError::Version { .. }) => false,
         Err(_) => out.symlink_metadata().is_ok(),
     };
@@ -103,7 +103,7 @@ fn refuse_to_replace(out: &Path) -> Result<(), Failure> {
 fn prepare(arguments: &Arguments, root: &Path, progress: &Progress) -> Result<Prepared, Failure> {
     let project = Project::open_or_planned(root, None)?;
     let folder = depthmaps::folder_of(&project.root, project.dense_workspace.as_deref(), &arguments.depth_maps);
-    let mut typed = Typed::default();
+    let mut typed = CommandLineSettings::default();
     typed.set("train", "confidence.source", Some("geometric"));
     let mut settings = config::load(Some(&project.root), typed)?.settings;
     let project = project.with_images(settings.images.as_deref());
@@ -119,9 +119,9 @@ fn prepare(arguments: &Arguments, root: &Path, progress: &Progress) -> Result<Pr
     Ok(Prepared { project, plan, maps: found, clusters })
 }
 
-fn lesson(prepared: &Prepared) -> Lesson<'_> {
+fn lesson(prepared: &Prepared) -> TrainingProject<'_> {
     let root = &prepared.project.root;
-    Lesson {
+    TrainingProject {
         name: root.file_name().unwrap_or(root.as_os_str()).to_string_lossy().into_owned(),
         model: prepared.plan.stages.model(),
         candidates: &prepared.plan.stages.candidates,
@@ -142,7 +142,7 @@ fn backend(arguments: &Arguments, format: &DepthMapFormat) -> String {
     arguments.backend.clone().unwrap_or_else(|| by_format.into())
 }
 
-fn text(arguments: &Arguments, trained: &Trained) -> String {
+fn text(arguments: &Arguments, trained: &TrainedModel) -> String {
     let m = &trained.measured;
     let projects = trained.trained_on.len();
     let maps: usize = trained.trained_on.iter().map(|t| t.depth_maps).sum();

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use crate::{
-    apps::undistort::{self, Options, Undistorted},
+    apps::undistort::{self, Options, UndistortReport},
     base::shell::quoted_path,
     config::Typed,
     io::{output::Disk, project::Project},
@@ -84,7 +84,7 @@ impl Arguments {
     }
 }
 
-fn text(done: &Undistorted) -> String {
+fn text(done: &UndistortReport) -> String {
     let folder = done.folder.display();
     let kept = done.kept.iter().map(|kept| format!("kept {kept}: not written by viewrank\n"));
     format!(

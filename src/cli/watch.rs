@@ -185,7 +185,7 @@ fn pause(text: &str) -> Result<Duration, String> {
 
 /// Parses a time as in the settings (`500ms`, `10min`, `1d6h`), at most a year.
 fn duration(text: &str) -> Result<Duration, String> {
-    let amount = text.parse::<config::Duration>().map_err(|error| error.to_string())?;
+    let amount = text.parse::<config::TimeSpan>().map_err(|error| error.to_string())?;
     // Compared before the conversion, which panics on what a clock cannot count.
     if amount.0 > LONGEST.as_secs_f64() { Err("at most 365d".into()) } else { Ok(Duration::from_secs_f64(amount.0)) }
 }

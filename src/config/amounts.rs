@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 /// Length of a plan: a number of view clusters, or a share of the registered views.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(try_from = "Written", into = "String")]
+#[serde(try_from = "RawAmount", into = "String")]
 pub enum Budget {
     Clusters(u64),
     Views(Share),
@@ -26,22 +26,22 @@ impl Budget {
 
 /// A share, 0 to 1; written in per cent, and read as `80%`, `80` or `0.8`.
 #[derive(Clone, Copy, Debug, PartialEq, PartialOrd, Serialize, Deserialize)]
-#[serde(try_from = "Written", into = "String")]
+#[serde(try_from = "RawAmount", into = "String")]
 pub struct Share(pub f64);
 
 /// A length of time in seconds; written in days, hours, minutes, seconds and milliseconds.
 #[derive(Clone, Copy, Debug, PartialEq, PartialOrd, Serialize, Deserialize)]
-#[serde(try_from = "Written", into = "String")]
-pub struct Duration(pub f64);
+#[serde(try_from = "RawAmount", into = "String")]
+pub struct TimeSpan(pub f64);
 
 /// A number of things; suffixes k, M, G for 10^3, 10^6, 10^9.
 #[derive(Clone, Copy, Debug, PartialEq, PartialOrd, Serialize, Deserialize)]
-#[serde(try_from = "Written", into = "String")]
+#[serde(try_from = "RawAmount", into = "String")]
 pub struct Count(pub f64);
 
 /// A memory size in bytes; suffixes K, M, G, T for 1024, 1024^2, 1024^3, 1024^4.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Serialize, Deserialize)]
-#[serde(try_from = "Written", into = "String")]
+#[serde(try_from = "RawAmount", into = "String")]
 pub struct Bytes(pub u64);
 
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -73,7 +73,7 @@ impl Amount for Share {
     const PATTERN: &'static str = "^[0-9.]+ ?%$";
 }
 
-impl Amount for Duration {
+impl Amount for TimeSpan {
     const WANTED: &'static str = "a time such as 2h, 90min, 45s, 500ms or 1d6h";
     const PATTERN: &'static str = "^([0-9.]+ ?(d|h|min|m|s|ms) ?)+$";
 }
@@ -121,7 +121,7 @@ impl FromStr for Share {
     }
 }
 
-impl FromStr for Duration {
+impl FromStr for TimeSpan {
     type Err = AmountError;
 
     fn from_str(text: &str) -> Result<Self, AmountError> {
@@ -206,7 +206,7 @@ impl fmt::Display for Share {
     }
 }
 
-impl fmt::Display for Duration {
+impl fmt::Display for TimeSpan {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
         let mut rest = self.0;
         for unit in ["d", "h", "min"] {
@@ -243,13 +243,13 @@ impl fmt::Display for Bytes {
 /// An amount in TOML: a string ("40") or a number (40, 0.8).
 #[derive(Deserialize)]
 #[serde(untagged)]
-enum Written {
+enum RawAmount {
     Text(String),
     Whole(u64),
     Fraction(f64),
 }
 
-impl Written {
+impl RawAmount {
     fn text(self) -> String {
         match self {
             Self::Text(text) => text,
@@ -261,10 +261,10 @@ impl Written {
 
 macro_rules! written_as_text {
     ($($amount:ident),*) => {$(
-        impl TryFrom<Written> for $amount {
+        impl TryFrom<RawAmount> for $amount {
             type Error = AmountError;
 
-            fn try_from(written: Written) -> Result<Self, AmountError> {
+            fn try_from(written: RawAmount) -> Result<Self, AmountError> {
                 written.text().parse()
             }
         }
@@ -287,7 +287,7 @@ macro_rules! written_as_text {
     )*};
 }
 
-written_as_text!(Budget, Share, Duration, Count, Bytes);
+written_as_text!(Budget, Share, TimeSpan, Count, Bytes);
 
 #[cfg(test)]
 mod tests {
@@ -326,7 +326,7 @@ mod tests {
             assert_eq!(text.parse::<Budget>().unwrap().to_string(), text);
         }
         for text in ["1d6h", "1min30s", "0s", "2h", "0.5s"] {
-            assert_eq!(text.parse::<Duration>().unwrap().to_string(), text);
+            assert_eq!(text.parse::<TimeSpan>().unwrap().to_string(), text);
         }
         for text in ["50M", "1.5G", "20k", "999"] {
             assert_eq!(text.parse::<Count>().unwrap().to_string(), text);

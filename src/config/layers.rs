@@ -20,7 +20,7 @@ use crate::{
 };
 
 /// Resolves a typed backend name to its canonical name.
-pub type NameOf = fn(&str) -> Result<&'static str, UnknownBackend>;
+pub type BackendLookup = fn(&str) -> Result<&'static str, UnknownBackend>;
 
 /// Unknown backend name.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -64,20 +64,20 @@ pub fn user_file() -> Option<PathBuf> {
 
 /// Settings from the command line: option, key, value.
 #[derive(Clone, Debug, Default)]
-pub struct Typed(Vec<Entry>);
+pub struct CommandLineSettings(Vec<Entry>);
 
-impl Typed {
+impl CommandLineSettings {
     /// Records the value of an option, if given.
     pub fn set(&mut self, option: &'static str, key: &str, value: Option<impl Into<Value>>) {
         if let Some(value) = value {
-            self.0.push(Entry { key: key.into(), value: value.into(), place: Place::Option(option) });
+            self.0.push(Entry { key: key.into(), value: value.into(), place: SettingLocation::Option(option) });
         }
     }
 }
 
 /// Location of a value: file and line, or option.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Place {
+pub enum SettingLocation {
     File { path: PathBuf, line: usize },
     Option(&'static str),
 }
@@ -86,10 +86,10 @@ pub enum Place {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Source {
     Default,
-    Written(Place),
+    Written(SettingLocation),
 }
 
-impl fmt::Display for Place {
+impl fmt::Display for SettingLocation {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
         match self {
             Self::File { path, line } => write!(f, "{}:{line}", path.display()),
@@ -112,19 +112,19 @@ impl fmt::Display for Source {
 struct Entry {
     key: String,
     value: Value,
-    place: Place,
+    place: SettingLocation,
 }
 
 /// All settings in force, with the origin of each.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Configuration {
     pub settings: Settings,
-    pub(super) places: BTreeMap<String, Place>,
+    pub(super) places: BTreeMap<String, SettingLocation>,
 }
 
 impl Configuration {
     /// Loads the settings of the files and the command line; `backend` resolves the name of each backend.
-    pub fn load(files: &Files, typed: Typed, backend: NameOf) -> Result<Self, ConfigError> {
+    pub fn load(files: &Files, typed: CommandLineSettings, backend: BackendLookup) -> Result<Self, ConfigError> {
         let mut entries = files.user.as_deref().map_or(Ok(Vec::new()), read)?;
         for file in [&files.root, &files.project].into_iter().flatten() {
             let project = read(file)?;
@@ -137,7 +137,7 @@ impl Configuration {
     }
 
     /// Merges entries over the defaults; later ones win.
-    fn over_defaults(entries: Vec<Entry>, backend: NameOf) -> Result<Self, ConfigError> {
+    fn over_defaults(entries: Vec<Entry>, backend: BackendLookup) -> Result<Self, ConfigError> {
         let mut table = Table::new();
         let mut places = BTreeMap::new();
         for entry in entries {
@@ -236,13 +236,13 @@ fn read(path: &Path) -> Result<Vec<Entry>, ConfigError> {
     };
     let syntax = |error: toml::de::Error| {
         let line = line_of(&text, error.span().map_or(0, |span| span.start));
-        let place = Place::File { path: path.into(), line };
+        let place = SettingLocation::File { path: path.into(), line };
         ConfigError::Syntax { place, why: error.message().replace('\n', ", ") }
     };
     let values: Value = toml::from_str(&text).map_err(syntax)?;
     let mut entries = Vec::new();
     collect(DeTable::parse(&text).map_err(syntax)?.get_ref(), "", &mut |key, at| {
-        let place = Place::File { path: path.into(), line: line_of(&text, at) };
+        let place = SettingLocation::File { path: path.into(), line: line_of(&text, at) };
         let value = key.split('.').try_fold(&values, |value, part| value.get(part));
         let entry =
             value.map(|value| Entry { key: key.into(), value: from_file(key, value, path), place: place.clone() });
@@ -295,7 +295,7 @@ fn line_of(text: &str, byte: usize) -> usize {
 }
 
 /// Resolves backend names, keeping the order and dropping duplicates.
-fn proper_names(names: &[String], backend: NameOf) -> Result<Vec<String>, UnknownBackend> {
+fn proper_names(names: &[String], backend: BackendLookup) -> Result<Vec<String>, UnknownBackend> {
     let mut proper: Vec<String> = Vec::new();
     for name in names {
         let name = backend(name)?;
@@ -307,7 +307,7 @@ fn proper_names(names: &[String], backend: NameOf) -> Result<Vec<String>, Unknow
 }
 
 /// Checks that the key is known and the value has its type and range.
-fn check(entry: &Entry, backend: NameOf) -> Result<(), ConfigError> {
+fn check(entry: &Entry, backend: BackendLookup) -> Result<(), ConfigError> {
     let refuse = |why: String| ConfigError::Value {
         from: Source::Written(entry.place.clone()),
         key: entry.key.clone(),
@@ -373,11 +373,11 @@ pub enum ConfigError {
     #[error("{}: {source}", path.display())]
     Read { path: PathBuf, source: io::Error },
     #[error("{place}: {why}")]
-    Syntax { place: Place, why: String },
+    Syntax { place: SettingLocation, why: String },
     #[error("{place}: unknown setting {key}")]
-    UnknownKey { place: Place, key: String },
+    UnknownKey { place: SettingLocation, key: String },
     #[error("{place}: {key} runs commands, so a project's file may not set it")]
-    UserOnly { place: Place, key: String },
+    UserOnly { place: SettingLocation, key: String },
     #[error("{place}: {error}")]
     Backend { place: Place, error: UnknownBackend },
     #[error("{place}: {key} = {value}: the model's unit of length is unknown")]

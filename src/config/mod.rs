@@ -15,10 +15,11 @@ use std::path::PathBuf;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-pub use amounts::{Amount, AmountError, Budget, Bytes, Count, Duration, Share};
+pub use amounts::{Amount, AmountError, Budget, Bytes, Count, Share, TimeSpan};
 pub use catalogue::{Key, keys};
 pub use layers::{
-    CONFIDENCE_WORDS, ConfigError, Configuration, Files, NameOf, Place, Source, Typed, UnknownBackend, user_file,
+    BackendLookup, CONFIDENCE_WORDS, CommandLineSettings, ConfigError, Configuration, Files, SettingLocation, Source,
+    UnknownBackend, user_file,
 };
 pub use region::{RegionChoice, RegionChoiceError};
 
@@ -429,7 +430,7 @@ pub struct CutSettings {
     /// Share of what all clusters together reach ("80%").
     pub target: Option<Share>,
     /// Forecast time of matching ("2h", "90min", "1d6h").
-    pub time: Option<Duration>,
+    pub time: Option<TimeSpan>,
     /// Forecast points of all depth maps ("50M").
     pub points: Option<Count>,
 }
@@ -467,7 +468,7 @@ pub struct DispatchSettings {
     /// Quality of service.
     pub qos: Option<String>,
     /// Time limit of a depth map ("2h").
-    pub time: Option<Duration>,
+    pub time: Option<TimeSpan>,
     /// Memory of a task ("8G").
     pub memory: Option<Bytes>,
     /// CPUs of a task, and threads of the backend.

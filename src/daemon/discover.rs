@@ -27,7 +27,7 @@ const MAX_DEPTH: usize = 64;
 
 /// Result of a walk over a folder.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Found {
+pub struct Discovery {
     /// Project folders, sorted.
     pub projects: Vec<PathBuf>,
     /// Folders outside projects in which a project may appear, the root first.
@@ -38,7 +38,7 @@ pub struct Found {
 
 /// Walks a folder that is one of the `roots` or below. Symbolic links are followed only with `follow_links`, after all other folders; no
 /// folder is entered twice. `tick` is called for every folder.
-pub fn walk(folder: &Path, roots: &[PathBuf], follow_links: bool, tick: &dyn Fn()) -> Found {
+pub fn walk(folder: &Path, roots: &[PathBuf], follow_links: bool, tick: &dyn Fn()) -> Discovery {
     let (found, links) = Default::default();
     let mut walk = Walk { roots, follow_links, tick, found, links, entered: HashSet::new() };
     walk.enter(folder.to_path_buf(), 0);
@@ -54,7 +54,7 @@ struct Walk<'a> {
     roots: &'a [PathBuf],
     follow_links: bool,
     tick: &'a dyn Fn(),
-    found: Found,
+    found: Discovery,
     /// Links to folders, still to follow, with their depth.
     links: Vec<(PathBuf, usize)>,
     /// Canonical paths of all folders entered; used only where links are followed.
@@ -64,7 +64,7 @@ struct Walk<'a> {
 impl Walk<'_> {
     fn enter(&mut self, folder: PathBuf, depth: usize) {
         (self.tick)();
-        let listing = match Listing::of(&folder) {
+        let listing = match Listing::read(&folder) {
             Ok(listing) => listing,
             Err(error) if error.kind() == io::ErrorKind::NotFound => return,
             Err(error) => return self.found.unreadable.push((folder, error.to_string())),
@@ -99,7 +99,7 @@ impl Walk<'_> {
     }
 }
 
-impl Found {
+impl Discovery {
     fn lengths(&self) -> [usize; 3] {
         [self.projects.len(), self.folders.len(), self.unreadable.len()]
     }
@@ -118,7 +118,7 @@ pub fn is_searched(name: &OsStr) -> bool {
 
 /// True if the names of its files make the folder a project, disregarding projects inside.
 pub fn is_project(folder: &Path, follow_links: bool) -> bool {
-    Listing::of(folder).is_ok_and(|listing| listing.kind(folder, follow_links) != FolderKind::Folder)
+    Listing::read(folder).is_ok_and(|listing| listing.kind(folder, follow_links) != FolderKind::Folder)
 }
 
 /// Kind of a folder by the names of its files.
@@ -140,7 +140,7 @@ struct Listing {
 }
 
 impl Listing {
-    fn of(folder: &Path) -> io::Result<Self> {
+    fn read(folder: &Path) -> io::Result<Self> {
         let mut listing = Self::default();
         for entry in fs::read_dir(folder)? {
             let entry = entry?;
@@ -198,8 +198,8 @@ fn holds_model_below(sparse: &Path, follow_links: bool) -> bool {
         Ok(listing) => listing.model_files() > 0,
         Err(error) => error.kind() != io::ErrorKind::NotFound,
     };
-    let Ok(listing) = Listing::of(sparse) else { return sparse.is_dir() };
-    let in_folder = |name: &OsString| holds_model(Listing::of(&sparse.join(name)));
+    let Ok(listing) = Listing::read(sparse) else { return sparse.is_dir() };
+    let in_folder = |name: &OsString| holds_model(Listing::read(&sparse.join(name)));
     listing.model_files() > 0
         || listing.folders.iter().any(in_folder)
         || listing.links.iter().any(|name| !follow_links || in_folder(name))
@@ -237,7 +237,7 @@ pub struct InputFolders {
 
 impl InputFolders {
     /// Lists the existing input folders. Symbolic links are followed only with `follow_links`.
-    pub fn of(project: &Path, follow_links: bool) -> Self {
+    pub fn find(project: &Path, follow_links: bool) -> Self {
         let mut models = vec![project.to_path_buf()];
         for above in [project.to_path_buf(), project.join(DENSE)] {
             let sparse = above.join("sparse");
@@ -245,7 +245,7 @@ impl InputFolders {
             models.push(sparse);
             models.push(above.join("ori"));
         }
-        let has_orientations = Listing::of(project).is_ok_and(|listing| listing.holds_orientations(project));
+        let has_orientations = Listing::read(project).is_ok_and(|listing| listing.holds_orientations(project));
         let (images, masks) = (folders_at(&project.join("images")), folders_at(&project.join(MASKS)));
         let mut folders = Self { models, images, masks, has_orientations };
         for folders in [&mut folders.models, &mut folders.images, &mut folders.masks] {
@@ -369,7 +369,7 @@ mod tests {
         symlink(outside.path().join("p/sparse/0"), root.path().join("q/sparse/0")).expect("a link");
         let project = root.path().join("q");
         let model = project.join("sparse/0");
-        let models = |follow_links| InputFolders::of(&project, follow_links).models;
+        let models = |follow_links| InputFolders::find(&project, follow_links).models;
         assert!(!models(false).contains(&model) && models(true).contains(&model));
         assert!(models(false).contains(&project.join("sparse/1")));
         symlink(outside.path().join("p/sparse/0/cameras.bin"), project.join("sparse/1/images.bin")).expect("a link");

@@ -16,8 +16,8 @@ use super::{
 use crate::apps::replan;
 use crate::{
     apps::{
-        evaluate::{MeasuredClusters, curve::Curve},
-        replan::{Earlier, Maps, ReplanError, replan},
+        evaluate::{MeasuredClusters, curve::ReachCurve},
+        replan::{EarlierPlan, Maps, ReplanError, replan},
     },
     base::{error::Hint, progress::Watcher},
     io::{
@@ -144,8 +144,8 @@ fn follow_now(root: &Path, counts: &dyn Fn(&Path) -> bool, watcher: &dyn Watcher
     files.retain(|path, _| counts(path));
     let Some(folder) = fullest_folder(root, &files) else { return Ok(Outcome::Abandoned) };
     let (project, plan) = replan::again(root, watcher).map_err(failed)?;
-    let earlier = Earlier::read(&project).map_err(failed)?;
-    let following = Following { plan, earlier: &earlier, folder: &folder, files: &files, replan: false };
+    let earlier = EarlierPlan::read(&project).map_err(failed)?;
+    let following = FollowJob { plan, earlier: &earlier, folder: &folder, files: &files, replan: false };
     let mut progress = following.measure(watcher).map_err(failed)?.1;
     if progress.finished.is_empty() {
         return Ok(Outcome::Abandoned);
@@ -167,17 +167,17 @@ pub(super) fn fullest_folder(root: &Path, files: &MapFiles) -> Option<PathBuf> {
 }
 
 /// A plan and the present depth maps.
-pub(super) struct Following<'a> {
+pub(super) struct FollowJob<'a> {
     /// The plan by prediction alone.
     pub plan: Plan,
-    pub earlier: &'a Earlier,
+    pub earlier: &'a EarlierPlan,
     pub folder: &'a Path,
     pub files: &'a MapFiles,
     /// Rank the rest of the list again.
     pub replan: bool,
 }
 
-impl Following<'_> {
+impl FollowJob<'_> {
     /// Returns the plan around the finished depth maps, and its progress.
     pub fn measure(self, watcher: &dyn Watcher) -> Result<(Plan, Progress), ReplanError> {
         if let Some(counted) = self.count_undistorted()? {

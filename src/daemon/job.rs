@@ -16,26 +16,26 @@ use serde::{Deserialize, Serialize};
 use tracing::{info, warn};
 
 use super::{
-    Shown,
+    PathDisplay,
     discover::{OUTPUT_FOLDER, is_project, may_enter},
-    follow::{Following, Progress, failed, fullest_folder, outdated_note, progress_file},
-    kept::KeptPlans,
+    follow::{FollowJob, Progress, failed, fullest_folder, outdated_note, progress_file},
+    kept::PlanCache,
     maps::{MapFiles, map_files},
     platform, queue,
     settle::{Fingerprint, HashCache, Stamp, lock},
     state::{OnBusy, Outcome},
 };
 use crate::{
-    apps::replan::{self, AgainError, Earlier, Maps, ReplanError, replan},
+    apps::replan::{self, AgainError, EarlierPlan, Maps, ReplanError, replan},
     backends,
     base::progress::{Stage, Watcher},
-    config::{CONFIDENCE_WORDS, Configuration, Files, Settings, Typed, user_file},
+    config::{CONFIDENCE_WORDS, CommandLineSettings, Configuration, Files, Settings, user_file},
     io::{
         output::{self, Disk, FileSet},
         project::{Project, ProjectError},
     },
     method::confidence::PROJECT_MODEL,
-    plan::{Nothing, Plan, PlanError},
+    plan::{EmptyPlan, Plan, PlanError},
     show::{files, manifest::WrittenPlanError},
 };
 
@@ -62,7 +62,7 @@ impl Job<'_> {
 
     /// True if the input is the same as when the job started.
     pub fn is_current(&self) -> bool {
-        Stamp::of(self.project, self.follow_links).with(self.named) == *self.stamp
+        Stamp::read(self.project, self.follow_links).with(self.named) == *self.stamp
     }
 
     /// True if the plan may be written: the job isn't cancelled, and its input is unchanged or the next plan is queued behind it.
@@ -160,7 +160,7 @@ pub struct PlanOptions {
 /// The planner of `viewrank watch`: [`plan::plan`], [`replan()`] and [`plan::files`].
 pub struct PlanJob {
     options: PlanOptions,
-    plans: Mutex<KeptPlans>,
+    plans: Mutex<PlanCache>,
     hashes: Mutex<HashCache>,
     /// The last settings of each project that could be read.
     valid_settings: Mutex<BTreeMap<PathBuf, Settings>>,
@@ -201,7 +201,7 @@ impl Planner for PlanJob {
 
 impl PlanJob {
     pub fn new(options: PlanOptions) -> Self {
-        let plans = Mutex::new(KeptPlans::new(options.cache));
+        let plans = Mutex::new(PlanCache::new(options.cache));
         Self { options, plans, hashes: Mutex::default(), valid_settings: Mutex::default() }
     }
 
@@ -252,11 +252,11 @@ impl PlanJob {
                 known,
             });
         }
-        info!(project = %Shown(job.project), "planning");
+        info!(project = %PathDisplay(job.project), "planning");
         let plan = backends::plan(&project, &settings, &JobWatcher::new(job)).map_err(sort_out)?;
         let plan = around_finished(plan, &project, job)?;
-        if let Some(nothing) = Nothing::of(&plan) {
-            return Err(Outcome::Incomplete { reason: nothing.to_string() });
+        if let Some(empty) = EmptyPlan::detect(&plan) {
+            return Err(Outcome::Incomplete { reason: empty.to_string() });
         }
         let (clusters, share) = (plan.decision.cut.clusters, plan.decision.cut.share);
         let record = PlannedFrom::new(&plan, fingerprint.clone(), settings.of_plan());
@@ -292,9 +292,9 @@ impl PlanJob {
         };
         let watcher = JobWatcher::new(job);
         let (project, plan) = self.plan_again(job.project, &record.fingerprint, &watcher)?;
-        let earlier = Earlier::read(&project).map_err(failed)?;
+        let earlier = EarlierPlan::read(&project).map_err(failed)?;
         let files = job.maps;
-        let following = Following { plan, earlier: &earlier, folder: &folder, files, replan: self.options.replan };
+        let following = FollowJob { plan, earlier: &earlier, folder: &folder, files, replan: self.options.replan };
         let (plan, mut progress) = following.measure(&watcher).map_err(failed)?;
         if self.options.replan {
             write(&plan, &project, PlannedFrom::new(&plan, record.fingerprint, record.settings), job)?;
@@ -347,7 +347,7 @@ impl PlanJob {
                 true
             }
             Err(error) => {
-                warn!(project = %Shown(project), %error, "cannot run the on_target command");
+                warn!(project = %PathDisplay(project), %error, "cannot run the on_target command");
                 false
             }
         }
@@ -394,16 +394,16 @@ impl PlanJob {
 /// Waits for the on_target command and logs its exit status.
 fn wait_for(mut command: Child, project: &Path) {
     match command.wait() {
-        Ok(status) if status.success() => info!(project = %Shown(project), "on_target command succeeded"),
-        Ok(status) => warn!(project = %Shown(project), %status, "on_target command failed"),
-        Err(error) => warn!(project = %Shown(project), %error, "lost track of the on_target command"),
+        Ok(status) if status.success() => info!(project = %PathDisplay(project), "on_target command succeeded"),
+        Ok(status) => warn!(project = %PathDisplay(project), %status, "on_target command failed"),
+        Err(error) => warn!(project = %PathDisplay(project), %error, "lost track of the on_target command"),
     }
 }
 
 /// Returns the plan around the finished depth maps of its predecessor (method 5.4), if there are any.
 fn around_finished(plan: Plan, project: &Project, job: &Job) -> Ended<Plan> {
     let Some(folder) = fullest_folder(job.project, job.maps) else { return Ok(plan) };
-    let earlier = match Earlier::read(project) {
+    let earlier = match EarlierPlan::read(project) {
         Ok(earlier) => earlier,
         Err(WrittenPlanError::Io { source, .. }) if source.kind() != io::ErrorKind::NotFound => {
             return Err(unreadable(source));

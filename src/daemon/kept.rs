@@ -7,20 +7,20 @@ use crate::plan::Plan;
 
 /// The most recently used plans, up to a size.
 #[derive(Debug)]
-pub struct KeptPlans {
+pub struct PlanCache {
     max_bytes: u64,
     /// Least recently used first.
-    plans: Vec<Kept>,
+    plans: Vec<CachedPlan>,
 }
 
 #[derive(Debug)]
-struct Kept {
+struct CachedPlan {
     project: PathBuf,
     fingerprint: Fingerprint,
     plan: Plan,
 }
 
-impl KeptPlans {
+impl PlanCache {
     pub fn new(max_bytes: u64) -> Self {
         Self { max_bytes, plans: Vec::new() }
     }
@@ -41,7 +41,7 @@ impl KeptPlans {
             // Tables on disk would fill it unnoticed.
             return;
         }
-        self.plans.push(Kept { project: project.into(), fingerprint, plan: plan.clone() });
+        self.plans.push(CachedPlan { project: project.into(), fingerprint, plan: plan.clone() });
         while self.plans.iter().map(|kept| kept.plan.stages.bytes()).sum::<u64>() > self.max_bytes {
             self.plans.remove(0);
         }
@@ -58,7 +58,7 @@ mod tests {
     use super::*;
     use crate::backends;
     use crate::{
-        base::progress::Unwatched,
+        base::progress::NoWatcher,
         config::Settings,
         io::{
             formats::{colmap::ColmapModel, colmap_bin},
@@ -78,10 +78,10 @@ mod tests {
             std::fs::write(folder.path().join(name), bytes).expect("a file");
         }
         let project = Project::open(folder.path(), None).expect("a model");
-        let plan = backends::plan(&project, &Settings::default(), &Unwatched).expect("a plan");
+        let plan = backends::plan(&project, &Settings::default(), &NoWatcher).expect("a plan");
         let print = |text: &str| serde_json::from_value::<Fingerprint>(text.into()).expect("a string");
         let [a, b, c] = ["a", "b", "c"].map(Path::new);
-        let mut kept = KeptPlans::new(2 * plan.stages.bytes());
+        let mut kept = PlanCache::new(2 * plan.stages.bytes());
         kept.put(a, print("1"), &plan);
         kept.put(b, print("1"), &plan);
         assert!(kept.get(a, &print("1")).is_some());
@@ -89,6 +89,6 @@ mod tests {
         kept.put(c, print("1"), &plan);
         assert!(kept.get(b, &print("1")).is_none());
         assert!(kept.get(a, &print("1")).is_some() && kept.get(c, &print("1")).is_some());
-        KeptPlans::new(0).put(a, print("1"), &plan);
+        PlanCache::new(0).put(a, print("1"), &plan);
     }
 }

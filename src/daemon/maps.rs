@@ -71,7 +71,7 @@ pub fn scan(project: &Path, follow_links: bool) -> (Vec<PathBuf>, Result<MapFile
                 folders.push(entry.into_path());
             } else if depthmaps::has_depth_map_name(entry.path()) {
                 let metadata = seen(entry.path(), fs::metadata(entry.path())).filter(fs::Metadata::is_file);
-                files.extend(metadata.map(|metadata| (entry.into_path(), Entry::of(&metadata))));
+                files.extend(metadata.map(|metadata| (entry.into_path(), Entry::from_metadata(&metadata))));
             }
         }
     }

@@ -82,9 +82,9 @@ impl Hint for DaemonError {
 }
 
 /// A path to show on one line, with control characters escaped.
-pub struct Shown<'a>(pub &'a Path);
+pub struct PathDisplay<'a>(pub &'a Path);
 
-impl fmt::Display for Shown<'_> {
+impl fmt::Display for PathDisplay<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         self.0.to_string_lossy().chars().try_for_each(|c| match c {
             c if c.is_control() => write!(f, "{}", c.escape_default()),
@@ -99,6 +99,6 @@ mod tests {
 
     #[test]
     fn a_path_with_a_line_break_is_shown_on_one_line() {
-        assert_eq!(Shown(Path::new("/a b/c\nd\x1b[2Jé")).to_string(), "/a b/c\\nd\\u{1b}[2Jé");
+        assert_eq!(PathDisplay(Path::new("/a b/c\nd\x1b[2Jé")).to_string(), "/a b/c\\nd\\u{1b}[2Jé");
     }
 }

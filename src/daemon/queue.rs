@@ -13,7 +13,7 @@ pub fn need(model_bytes: u64) -> u64 {
 /// The running jobs. First come, first served: while a job waits for memory, no later one starts, because small jobs would overtake
 /// a large one forever.
 #[derive(Debug)]
-pub struct Queue {
+pub struct JobQueue {
     jobs: usize,
     max_memory: u64,
     /// Number and memory need in bytes of each job.
@@ -33,7 +33,7 @@ pub enum Full {
     Never { need: u64, max: u64 },
 }
 
-impl Queue {
+impl JobQueue {
     pub fn new(jobs: usize, max_memory: u64) -> Self {
         Self { jobs: jobs.max(1), max_memory, running: Vec::new(), blocked: false }
     }
@@ -75,7 +75,7 @@ mod tests {
 
     #[test]
     fn running_jobs_are_bounded_by_number_and_memory() {
-        let mut queue = Queue::new(2, 100);
+        let mut queue = JobQueue::new(2, 100);
         assert_eq!(queue.admit(1, 60), Ok(()));
         assert_eq!(queue.admit(2, 40), Ok(()));
         assert_eq!(queue.admit(3, 0), Err(Full::Jobs));
@@ -86,7 +86,7 @@ mod tests {
 
     #[test]
     fn small_jobs_do_not_overtake_a_large_one_that_waits_for_memory() {
-        let mut queue = Queue::new(9, 100);
+        let mut queue = JobQueue::new(9, 100);
         let (first, large, never, small) = (1, 2, 3, 4);
         assert_eq!(queue.admit(first, 60), Ok(()));
         queue.begin_round();

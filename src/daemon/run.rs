@@ -16,11 +16,11 @@ use std::{
 use tracing::{info, warn};
 
 use super::{
-    DaemonError, Job, Options, Planner, Shown,
+    DaemonError, Job, Options, PathDisplay, Planner,
     phase::Phase,
     platform::{self, Life, notify_supervisor},
-    queue::{Full, Queue},
-    state::{JobInput, Outcome, Tracked, Work},
+    queue::{Full, JobQueue},
+    state::{JobInput, Outcome, TrackedProject, Work},
     status::{Holder, StatusFiles},
     watch::{Change, Watches},
 };
@@ -123,14 +123,14 @@ pub fn watch_roots(
         sender,
         next_job: 0,
         projects: BTreeMap::new(),
-        queue: Queue::new(options.jobs, options.max_memory),
+        queue: JobQueue::new(options.jobs, options.max_memory),
         scans: Scans::new(Instant::now()),
         stopping: false,
     };
     for root in &daemon.roots {
         match daemon.poll {
-            Some(poll) => info!(root = %Shown(root), "watching, with a scan every {} s", poll.as_secs_f64()),
-            None => info!(root = %Shown(root), "watching for file events"),
+            Some(poll) => info!(root = %PathDisplay(root), "watching, with a scan every {} s", poll.as_secs_f64()),
+            None => info!(root = %PathDisplay(root), "watching for file events"),
         }
     }
     scope(|threads| daemon.run(threads, &events, disk))
@@ -149,8 +149,8 @@ struct Daemon<'a> {
     poll: Option<Duration>,
     sender: Sender<Event>,
     next_job: u64,
-    projects: BTreeMap<PathBuf, Tracked>,
-    queue: Queue,
+    projects: BTreeMap<PathBuf, TrackedProject>,
+    queue: JobQueue,
     scans: Scans,
     stopping: bool,
 }
@@ -199,12 +199,12 @@ impl<'a> Daemon<'a> {
             Event::Finished { project, job, input, outcome } => self.finish(&project, job, input, outcome, now),
             Event::Signal(Signal::Stop) => {
                 self.stopping = true;
-                self.projects.values().for_each(Tracked::cancel);
+                self.projects.values().for_each(TrackedProject::cancel);
                 notify_supervisor(Life::Stopping);
             }
             Event::Signal(Signal::Rescan) => {
                 self.scans.add_everything();
-                self.projects.values_mut().for_each(Tracked::recheck);
+                self.projects.values_mut().for_each(TrackedProject::recheck);
             }
         }
     }
@@ -224,8 +224,8 @@ impl<'a> Daemon<'a> {
         match tracked.result() {
             _ if abandoned => {}
             same if is_unchanged && *same == before => {}
-            Phase::Failed { reason, .. } => warn!(project = %Shown(project), %reason, "failed"),
-            phase => info!(project = %Shown(project), "{phase}"),
+            Phase::Failed { reason, .. } => warn!(project = %PathDisplay(project), %reason, "failed"),
+            phase => info!(project = %PathDisplay(project), "{phase}"),
         }
         // Changes after the job's last scan may have raised no event yet.
         self.scans.add_project(project.into(), now);
@@ -239,7 +239,7 @@ impl<'a> Daemon<'a> {
             return;
         }
         self.projects.values_mut().for_each(|tracked| tracked.wait_for(None));
-        let due = |t: &Tracked| t.due(self.options.settle).filter(|(at, _)| *at <= now);
+        let due = |t: &TrackedProject| t.due(self.options.settle).filter(|(at, _)| *at <= now);
         let waiting = self.projects.values().filter_map(|t| due(t).map(|(at, work)| (at, t.root.clone(), work)));
         let mut waiting: Vec<_> = waiting.collect();
         // Plans before measurements, because backends wait for plans.

@@ -29,7 +29,7 @@ pub struct Entry {
 impl Entry {
     const NONE: Self = Self { length: 0, modified_ns: 0, changed_ns: 0, inode: 0 };
 
-    pub(super) fn of(metadata: &fs::Metadata) -> Self {
+    pub(super) fn from_metadata(metadata: &fs::Metadata) -> Self {
         let modified = metadata.modified().unwrap_or(UNIX_EPOCH);
         let since = modified.duration_since(UNIX_EPOCH).unwrap_or_default();
         // The modification time of a folder covers its length.
@@ -56,13 +56,14 @@ struct Images {
 }
 
 impl Images {
-    fn of(folder: &Path) -> io::Result<Self> {
+    fn list(folder: &Path) -> io::Result<Self> {
         let (mut metadata, mut content) = (blake3::Hasher::new(), blake3::Hasher::new());
         let mut newest = 0;
         for name in sorted_names(folder)? {
             let path = folder.join(&name);
             let found = is_image(&path).then(|| fs::metadata(&path).ok()).flatten().filter(fs::Metadata::is_file);
-            let Entry { length, modified_ns, changed_ns, inode } = found.map_or(Entry::NONE, |found| Entry::of(&found));
+            let Entry { length, modified_ns, changed_ns, inode } =
+                found.map_or(Entry::NONE, |found| Entry::from_metadata(&found));
             for hasher in [&mut metadata, &mut content] {
                 hasher.update(name.as_encoded_bytes()).update(&[0]);
                 hasher.update(&length.to_le_bytes()).update(&modified_ns.to_le_bytes());
@@ -89,16 +90,16 @@ pub struct Stamp {
 
 impl Stamp {
     /// Reads the metadata of a project's input; missing files are left out.
-    pub fn of(project: &Path, follow_links: bool) -> Self {
-        Self::of_folders(&InputFolders::of(project, follow_links))
+    pub fn read(project: &Path, follow_links: bool) -> Self {
+        Self::of_folders(&InputFolders::find(project, follow_links))
     }
 
     /// Reads the metadata of the input in these folders.
     pub fn of_folders(folders: &InputFolders) -> Self {
         let mut stamp = Self::default();
         for folder in &folders.images {
-            let found = fs::metadata(folder).map(|found| Entry::of(&found));
-            match found.and_then(|entry| Ok((entry, Images::of(folder)?))) {
+            let found = fs::metadata(folder).map(|found| Entry::from_metadata(&found));
+            match found.and_then(|entry| Ok((entry, Images::list(folder)?))) {
                 Ok(found) => drop(stamp.folders.insert(folder.clone(), found)),
                 Err(error) => stamp.note_unreadable(folder, &error),
             }
@@ -125,8 +126,9 @@ impl Stamp {
             Vec::new()
         });
         let paths = entries.iter().filter(|entry| wanted(&entry.file_name())).map(fs::DirEntry::path);
-        let file =
-            |path: PathBuf| fs::metadata(&path).ok().filter(fs::Metadata::is_file).map(|m| (path, Entry::of(&m)));
+        let file = |path: PathBuf| {
+            fs::metadata(&path).ok().filter(fs::Metadata::is_file).map(|m| (path, Entry::from_metadata(&m)))
+        };
         paths.filter_map(file).collect()
     }
 
@@ -138,7 +140,7 @@ impl Stamp {
 
     /// Adds those of these files that exist.
     pub fn with(mut self, named: &[PathBuf]) -> Self {
-        let entry = |path: &PathBuf| Some((path.clone(), Entry::of(&fs::metadata(path).ok()?)));
+        let entry = |path: &PathBuf| Some((path.clone(), Entry::from_metadata(&fs::metadata(path).ok()?)));
         self.beside.extend(named.iter().filter_map(entry));
         self
     }
@@ -275,7 +277,7 @@ impl HashCache {
         let named = |error: io::Error| io::Error::new(error.kind(), format!("{}: {error}", path.display()));
         let file = input::open(path).map_err(named)?;
         // Taken before reading, so that a file written meanwhile gets another entry.
-        let entry = Entry::of(&file.metadata().map_err(named)?);
+        let entry = Entry::from_metadata(&file.metadata().map_err(named)?);
         if let Some((_, hash)) = lock(cache).0.get(path).filter(|(known, _)| *known == entry) {
             return Ok(*hash);
         }
@@ -329,11 +331,11 @@ mod tests {
     fn input_has_settled_once_nothing_changed_for_the_settle_time() {
         let root = project();
         let (start, settle) = (Instant::now(), Duration::from_secs(2));
-        let mut still = Stillness::new(Stamp::of(root.path(), false), start);
+        let mut still = Stillness::new(Stamp::read(root.path(), false), start);
         fs::write(root.path().join("sparse/0/cameras.bin"), "longer now").expect("a file");
         let later = start + Duration::from_secs(1);
-        assert!(still.observe(Stamp::of(root.path(), false), later));
-        assert!(!still.observe(Stamp::of(root.path(), false), later + settle));
+        assert!(still.observe(Stamp::read(root.path(), false), later));
+        assert!(!still.observe(Stamp::read(root.path(), false), later + settle));
         assert_eq!(still.settled_at(settle), later + settle);
     }
 
@@ -363,16 +365,16 @@ mod tests {
         let print = |stamp: &Stamp| {
             HashCache::fingerprint(&cache, root.path(), std::slice::from_ref(&path), stamp, b"").expect("readable")
         };
-        let before = Stamp::of(root.path(), false);
+        let before = Stamp::read(root.path(), false);
         let print_before = print(&before);
         // Until the clock of the file system has advanced.
         let end = Instant::now() + Duration::from_secs(10);
-        while Stamp::of(root.path(), false) == before && Instant::now() < end {
+        while Stamp::read(root.path(), false) == before && Instant::now() < end {
             fs::write(&path, "CAMERAS").expect("a file");
             fs::File::options().write(true).open(&path).and_then(|f| f.set_modified(time)).expect("a time");
         }
         assert_eq!(fs::metadata(&path).and_then(|m| m.modified()).expect("a time"), time);
-        assert_ne!(print(&Stamp::of(root.path(), false)), print_before);
+        assert_ne!(print(&Stamp::read(root.path(), false)), print_before);
     }
 
     #[test]
@@ -402,11 +404,11 @@ mod tests {
     #[test]
     fn new_images_are_input_and_outputs_are_not() {
         let root = project();
-        let before = Stamp::of(root.path(), false);
+        let before = Stamp::read(root.path(), false);
         fs::write(root.path().join("viewrank/manifest.json"), "{}").expect("a file");
-        assert_eq!(Stamp::of(root.path(), false), before);
+        assert_eq!(Stamp::read(root.path(), false), before);
         fs::write(root.path().join("images/left/1.jpg"), "").expect("a file");
-        assert_ne!(Stamp::of(root.path(), false), before);
+        assert_ne!(Stamp::read(root.path(), false), before);
     }
 
     #[test]
@@ -417,7 +419,7 @@ mod tests {
         fs::write(root.path().join("images/left/notes.txt"), "a note").expect("a file");
         let cache = Mutex::new(HashCache::default());
         let input = || {
-            let stamp = Stamp::of(root.path(), false);
+            let stamp = Stamp::read(root.path(), false);
             let print = HashCache::fingerprint(&cache, root.path(), &[], &stamp, b"").expect("readable files");
             (stamp, print)
         };
@@ -444,7 +446,7 @@ mod tests {
     #[test]
     fn clouds_are_input_only_next_to_orientations() {
         let root = project();
-        let stamp = || Stamp::of(root.path(), false);
+        let stamp = || Stamp::read(root.path(), false);
         let before = stamp();
         fs::write(root.path().join("scene_dense.ply"), "ply").expect("a file");
         assert_eq!(stamp(), before);
@@ -456,7 +458,7 @@ mod tests {
     fn masks_and_files_named_in_the_settings_are_input() {
         let root = project();
         let mesh = root.path().join("mesh.ply");
-        let stamp = || Stamp::of(root.path(), false).with(std::slice::from_ref(&mesh));
+        let stamp = || Stamp::read(root.path(), false).with(std::slice::from_ref(&mesh));
         let cache = Mutex::new(HashCache::default());
         let print =
             |stamp: Stamp| HashCache::fingerprint(&cache, root.path(), &[], &stamp, b"").expect("readable files");
@@ -481,7 +483,7 @@ mod tests {
         let root = project();
         let cache = Mutex::new(HashCache::default());
         let print = |settings: &[u8]| {
-            let stamp = Stamp::of(root.path(), false);
+            let stamp = Stamp::read(root.path(), false);
             let model = [root.path().join("sparse/0/cameras.bin")];
             HashCache::fingerprint(&cache, root.path(), &model, &stamp, settings).expect("readable files")
         };

@@ -82,7 +82,7 @@ pub enum OnBusy {
 
 /// A project that the daemon tracks.
 #[derive(Debug)]
-pub struct Tracked {
+pub struct TrackedProject {
     pub root: PathBuf,
     /// Result of the last job; shown while `concluded`.
     result: Phase,
@@ -112,7 +112,7 @@ struct Running {
     percent: u8,
 }
 
-impl Tracked {
+impl TrackedProject {
     /// A project that hasn't been scanned yet.
     pub fn new(root: PathBuf, now: Instant) -> Self {
         Self {

@@ -15,7 +15,7 @@ use super::{
     DaemonError, discover,
     phase::{Phase, ProjectStatus, Status},
     platform::host,
-    state::Tracked,
+    state::TrackedProject,
 };
 use crate::io::output::{self, Disk, OutputError};
 
@@ -48,7 +48,7 @@ impl Holder {
     /// # Errors
     /// [`DaemonError::Held`] where a daemon holds the root, a folder above it or one in it.
     pub fn take(root: &Path, disk: &Disk) -> Result<Self, DaemonError> {
-        let held = |path: &Path| Some(DaemonError::Held { path: path.into(), holder: Self::of(path)? });
+        let held = |path: &Path| Some(DaemonError::Held { path: path.into(), holder: Self::find(path)? });
         let inside = discover::walk(root, &[root.to_path_buf()], false, &|| {});
         let inside = inside.folders.iter().chain(&inside.projects).map(PathBuf::as_path);
         if let Some(error) = root.ancestors().chain(inside).find_map(held) {
@@ -93,7 +93,7 @@ impl Holder {
     }
 
     /// Returns the name of the daemon that holds the root now.
-    fn of(root: &Path) -> Option<String> {
+    fn find(root: &Path) -> Option<String> {
         let lock = output::open_own(root, LOCK).ok()?;
         let Err(TryLockError::WouldBlock) = lock.try_lock_shared() else { return None };
         let mut name = String::new();
@@ -176,7 +176,7 @@ impl StatusFiles {
     }
 
     /// Writes the files that changed, each at most once a second unless this is the `last` call. Failed writes are retried.
-    pub fn publish(&mut self, projects: &BTreeMap<PathBuf, Tracked>, disk: &Disk, now: Instant, last: bool) {
+    pub fn publish(&mut self, projects: &BTreeMap<PathBuf, TrackedProject>, disk: &Disk, now: Instant, last: bool) {
         self.due = None;
         let mut wait = |until: Option<Instant>| self.due = [self.due, until].into_iter().flatten().min();
         for root in &mut self.roots {
@@ -239,7 +239,7 @@ fn write_status(holder: &mut Holder, status: &Status, disk: &Disk) -> Result<(),
 }
 
 impl RootStatus {
-    fn status(&self, projects: &BTreeMap<PathBuf, Tracked>, notices: &[String]) -> Status {
+    fn status(&self, projects: &BTreeMap<PathBuf, TrackedProject>, notices: &[String]) -> Status {
         let mut before = self.written.projects.iter().peekable();
         let lines = projects.values().filter_map(|tracked| {
             let relative = tracked.root.strip_prefix(&self.holder.root).ok()?;
@@ -271,7 +271,7 @@ fn seconds_now() -> u64 {
 }
 
 /// Formats the number of projects by state and the progress of those with depth maps as Prometheus text.
-fn metrics_text(projects: &BTreeMap<PathBuf, Tracked>) -> String {
+fn metrics_text(projects: &BTreeMap<PathBuf, TrackedProject>) -> String {
     let mut counts: BTreeMap<&str, usize> =
         ["waiting", "queued", "planning", "planned", "computing", "reached", "failed"].map(|name| (name, 0)).into();
     let phases: Vec<(&PathBuf, Phase)> = projects.iter().map(|(root, tracked)| (root, tracked.phase())).collect();
@@ -343,14 +343,14 @@ pub fn status_file(root: &Path) -> PathBuf {
 pub fn read_status(root: &Path) -> Option<Line> {
     let text = output::read_own(root, STATUS).ok()?;
     let status = serde_json::from_slice(&text).ok()?;
-    Some(Line { running: Holder::of(root).is_some(), status })
+    Some(Line { running: Holder::find(root).is_some(), status })
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    const NONE: &BTreeMap<PathBuf, Tracked> = &BTreeMap::new();
+    const NONE: &BTreeMap<PathBuf, TrackedProject> = &BTreeMap::new();
 
     fn files(roots: &[&tempfile::TempDir], metrics: Option<PathBuf>) -> StatusFiles {
         let take = |root: &&tempfile::TempDir| Holder::take(root.path(), &Disk::REAL).expect("nobody else");

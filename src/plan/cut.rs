@@ -64,8 +64,8 @@ pub(super) fn cut(settings: &CutSettings, cost: &Cost, bound: impl Fn(usize) -> 
         clusters = longest_within(clusters, time.0, |rank| cost.seconds(rank).ok_or(PlanError::NoTimes))?;
     }
     if let Some(points) = settings.points {
-        let mut places = Places::new(cost.model);
-        clusters = longest_within(clusters, points.0, |rank| Ok(cost.points(rank, &mut places)))?;
+        let mut slots = BlockSlots::new(cost.model);
+        clusters = longest_within(clusters, points.0, |rank| Ok(cost.points(rank, &mut slots)))?;
     }
     let clusters = clusters.max(cost.finished);
     Ok(Cut {

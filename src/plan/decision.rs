@@ -1,7 +1,8 @@
 //! Ranks the clusters, cuts the ranking, and derives forecast, reasons and warnings.
 
 use super::{
-    Band, Cut, Finished, Forecast, GivenUp, PlanError, Stages, Timings, ViewStatus, cut, forecast, reasons, warnings,
+    Band, Cut, FinishedMaps, Forecast, GivenUp, PlanError, Stages, Timings, ViewStatus, cut, forecast, reasons,
+    warnings,
 };
 use crate::{
     base::progress::{Stage, Watcher},
@@ -20,7 +21,7 @@ use crate::{
 pub struct Decision {
     pub ranking: Ranking,
     /// The part that is done already; empty in a fresh plan.
-    pub finished: Finished,
+    pub finished: FinishedMaps,
     pub cut: Cut,
     pub forecast: Forecast,
     /// Status and reason of each view.
@@ -40,7 +41,7 @@ pub fn decide(
     timings: &mut Timings,
     watcher: &dyn Watcher,
 ) -> Result<Decision, PlanError> {
-    let finished = Finished { clusters: order.len(), ..finished };
+    let finished = FinishedMaps { clusters: order.len(), ..finished };
     let ranking =
         timings.time(Stage::Ranking, || ranking::rank_after(order, &stages.maps(), &stages.objective, watcher))?;
     let bound = |length| ranking::most_of_any(length, &stages.maps(), &stages.objective, &ranking);
@@ -59,7 +60,7 @@ pub fn decide(
 }
 
 /// Derives forecast, reasons and warnings from a given ranking and cut.
-pub fn decide_as(stages: &Stages, finished: Finished, ranking: Ranking, cut: Cut) -> Result<Decision, PlanError> {
+pub fn decide_as(stages: &Stages, finished: FinishedMaps, ranking: Ranking, cut: Cut) -> Result<Decision, PlanError> {
     let model = stages.model();
     let forecast = forecast::forecast(&cost(stages, &model, &ranking, &finished), cut.clusters);
     let all_reasons = reasons::Reasons {
@@ -89,7 +90,7 @@ pub(super) fn cost<'a>(
     stages: &'a Stages,
     model: &'a Model<'a>,
     ranking: &'a Ranking,
-    finished: &Finished,
+    finished: &FinishedMaps,
 ) -> forecast::Cost<'a> {
     let settings = &stages.settings.forecast;
     forecast::Cost { model, stages, ranking, finished: finished.clusters, settings }

@@ -13,7 +13,7 @@ use crate::model::{
 
 /// The part of a plan that is done.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Finished {
+pub struct FinishedMaps {
     /// Number of clusters at the start of the ranking that have their depth map; their fulfilment is measured, not predicted (method 5.4).
     pub clusters: usize,
     /// Depth maps that no longer fit the model, by key view.
@@ -43,9 +43,9 @@ pub struct PlannedViews {
     pub version: u32,
     /// By name.
     pub views: BTreeMap<String, PlannedView>,
-    /// [`Finished::made_with`].
+    /// [`FinishedMaps::made_with`].
     pub made_with: BTreeMap<String, BTreeMap<String, PlannedView>>,
-    /// [`Finished::outdated_files`].
+    /// [`FinishedMaps::outdated_files`].
     pub outdated_files: BTreeMap<String, String>,
 }
 
@@ -69,7 +69,7 @@ struct PlannedCamera {
 }
 
 impl PlannedViews {
-    pub fn new(scene: &Scene, finished: &Finished) -> Self {
+    pub fn new(scene: &Scene, finished: &FinishedMaps) -> Self {
         let view = |view| (scene.name(view).to_owned(), PlannedView::new(scene, view));
         Self {
             version: 1,

@@ -11,7 +11,7 @@ use crate::{
     method::{
         fulfilment::{
             self, Model,
-            block::{Block, Places},
+            block::{Block, BlockSlots},
         },
         ranking::Ranking,
     },
@@ -125,21 +125,21 @@ pub(super) fn forecast(cost: &Cost, clusters: usize) -> Forecast {
 
 /// Pixels that the depth map of each of the first `clusters` clusters will measure.
 pub(super) fn points(cost: &Cost, clusters: usize) -> Vec<f64> {
-    let places = || Places::new(cost.model);
+    let slots = || BlockSlots::new(cost.model);
     let ranks: Vec<usize> = (0..clusters).collect();
     let mut points = Vec::with_capacity(clusters);
     for batch in ranks.chunks(column::READ_AT_ONCE) {
-        points.par_extend(batch.par_iter().map_init(places, |places, &rank| cost.points(rank, places)));
+        points.par_extend(batch.par_iter().map_init(slots, |slots, &rank| cost.points(rank, slots)));
         cost.model.release();
     }
     points
 }
 
 /// Sums, over the covered triangles, the pixels of the matched image times the chance that they are measured.
-fn expected_pixels(model: &Model, cluster: &ViewCluster, places: &mut Places) -> f64 {
+fn expected_pixels(model: &Model, cluster: &ViewCluster, slots: &mut BlockSlots) -> f64 {
     let (pose, camera) = (&model.scene.view(cluster.key).cam_from_world, model.scene.camera_of(cluster.key));
     let partners: Vec<usize> = (0..cluster.partners.len()).collect();
-    let chances = Block::new(model, cluster.key, &cluster.partners, |_| false, places).chances(&partners);
+    let chances = Block::new(model, cluster.key, &cluster.partners, |_| false, slots).chances(&partners);
     let pixels = |(&triangle, chance): (&u32, f32)| {
         let corners = model.surface.corners(triangle).map(|corner| pose.camera_from_world(&corner));
         if chance > 0.0 { f64::from(chance) * fulfilment::projected_area(camera, &corners) } else { 0.0 }

@@ -8,13 +8,13 @@ mod border;
 mod curve;
 mod cut;
 mod decision;
+mod empty;
 mod error;
 mod finished;
 mod forecast;
 mod georeference;
 mod given_up;
 mod memory;
-mod nothing;
 mod numbers;
 mod reasons;
 mod stages;
@@ -25,8 +25,9 @@ pub use band::Band;
 pub use curve::CurvePoint;
 pub use cut::Cut;
 pub use decision::{Decision, decide, decide_as};
+pub use empty::EmptyPlan;
 pub use error::PlanError;
-pub use finished::{Finished, Outdated, PlannedView, PlannedViews};
+pub use finished::{FinishedMaps, Outdated, PlannedView, PlannedViews};
 pub use forecast::Forecast;
 pub use georeference::georeference;
 pub use given_up::GivenUp;
@@ -89,7 +90,7 @@ impl Plan {
         watcher: &dyn Watcher,
     ) -> Result<Self, PlanError> {
         let stages = Stages::run(project, scene, settings, matcher, &mut timings, watcher)?;
-        let decision = decide(&stages, Finished::default(), &[], &mut timings, watcher)?;
+        let decision = decide(&stages, FinishedMaps::default(), &[], &mut timings, watcher)?;
         timings.end();
         Ok(Self { stages, decision, timings })
     }

@@ -43,10 +43,10 @@ pub struct Stages {
     /// How well the pictures of candidate pairs agree, where confidence is photometric.
     pub agreement: Agreement,
     /// What was seen in the pictures.
-    pub pictures: confidence::Seen,
+    pub pictures: confidence::PicturePredictions,
     /// The predictor of matching success.
     pub confidence: Confidence,
-    pub trained: Option<Trained>,
+    pub trained: Option<TrainedModel>,
     /// g_d and a_d of each triangle (method 3.6).
     pub target: Target,
     /// Region of interest (method 5.7); `None`: the whole surface.
@@ -105,7 +105,7 @@ impl Stages {
         let (seen, candidates) = (seen?, candidates?);
         memory.before_partners(&scene, &seen.surface, &seen.visibility)?;
         let pixels = || SeenPixels::new(&scene, &seen.surface, &seen.visibility).sums().collect();
-        let region = shape.map(|shape| shape.on(&seen.surface, pixels, watcher)).transpose()?;
+        let region = shape.map(|shape| shape.lay_over(&seen.surface, pixels, watcher)).transpose()?;
         let target = target(&scene, &seen, region.as_ref(), &settings);
         seen.visibility.triangles.release();
         let confidence = Confidence::new(&source, trained.as_ref(), &settings.confidence, &matcher.numbers.confidence);
@@ -281,9 +281,9 @@ fn pictures(
     project: &Project,
     scene: &Scene,
     source: &Source,
-    trained: Option<&Trained>,
+    trained: Option<&TrainedModel>,
     watcher: &dyn Watcher,
-) -> Result<confidence::Seen, PlanError> {
+) -> Result<confidence::PicturePredictions, PlanError> {
     let pictures = Pictures::new(project);
     let predictor: Option<&dyn Predictor> = match (source, trained) {
         (Source::Proxy, _) => Some(&Proxy),
@@ -292,9 +292,9 @@ fn pictures(
     };
     let is_needless = *source == Source::None || predictor.is_none() && !pictures.have_masks();
     if is_needless {
-        return Ok(confidence::Seen { maps: vec![None; scene.views.len()], ..Default::default() });
+        return Ok(confidence::PicturePredictions { maps: vec![None; scene.views.len()], ..Default::default() });
     }
-    Ok(pictures.look(scene, predictor, watcher)?)
+    Ok(pictures.predict(scene, predictor, watcher)?)
 }
 
 /// The surface, reduced to triangles that at least one view sees, with its visibility.
@@ -328,7 +328,7 @@ fn visible_surface(
     let visibility = timings.time(Stage::Visibility, || {
         visibility::estimate(scene, points, &surface, &settings.visibility, edge_length, keep, watcher)
     })?;
-    let seen = visibility.seen(surface.triangles.len());
+    let seen = visibility.seen_triangles(surface.triangles.len());
     if !seen.contains(&true) {
         return Err(SurfaceError::Empty.into());
     }
@@ -345,14 +345,14 @@ fn target(scene: &Scene, seen: &VisibleSurface, region: Option<&Region>, setting
 }
 
 /// The region that the settings name, before there is a surface.
-fn shape(project: &Project, scene: &Scene, settings: &Settings) -> Result<Option<Shape>, PlanError> {
+fn shape(project: &Project, scene: &Scene, settings: &Settings) -> Result<Option<RegionShape>, PlanError> {
     let Some(choice) = &settings.region else { return Ok(None) };
     let place = georeference(project, scene, &settings.frame);
-    Ok(Some(Shape::read(choice, &place, &MapFrame::new(scene, settings.surface.up))?))
+    Ok(Some(RegionShape::read(choice, &place, &MapFrame::new(scene, settings.surface.up))?))
 }
 
-fn rule(settings: &Settings, confidence: Confidence) -> Rule {
-    Rule {
+fn rule(settings: &Settings, confidence: Confidence) -> FulfilmentRule {
+    FulfilmentRule {
         alpha: settings.fulfilment.alpha,
         sigma_px: settings.fulfilment.sigma_px,
         min_cameras: settings.coverage.min_cameras,

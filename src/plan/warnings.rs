@@ -1,6 +1,6 @@
 //! Warnings that the user should read before relying on a plan.
 
-use super::{Band, Finished, Stages};
+use super::{Band, FinishedMaps, Stages};
 use crate::method::ranking::Ranking;
 use crate::{
     config::{ConfidenceForm, Settings, SurfaceChoice},
@@ -22,7 +22,7 @@ const EASTINGS: std::ops::Range<f64> = 100_000.0..900_000.0;
 /// Depth maps that a warning names.
 const NAMED: usize = 3;
 
-pub(super) fn warnings(stages: &Stages, ranking: &Ranking, reachable: &Band, finished: &Finished) -> Vec<String> {
+pub(super) fn warnings(stages: &Stages, ranking: &Ranking, reachable: &Band, finished: &FinishedMaps) -> Vec<String> {
     let mut warnings: Vec<String> = stages.scene.warnings.iter().map(|warning| warning.text.clone()).collect();
     warnings.extend(stages.pictures.warnings.iter().cloned());
     warnings.extend(unlikely_gsd(&stages.scene, &stages.settings));
@@ -90,7 +90,7 @@ fn no_3d_surface(stages: &Stages) -> Option<String> {
 }
 
 /// Warns of finished depth maps that must be computed again.
-fn outdated(stages: &Stages, finished: &Finished) -> Option<String> {
+fn outdated(stages: &Stages, finished: &FinishedMaps) -> Option<String> {
     let outdated = &finished.outdated;
     let names: Vec<&str> = outdated.iter().take(NAMED).map(|o| o.key.as_str()).collect();
     let more = if outdated.len() > NAMED { ", ..." } else { "" };

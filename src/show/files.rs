@@ -47,7 +47,7 @@ pub enum FilesError {
     #[error(transparent)]
     Input(#[from] FingerprintError),
     #[error(transparent)]
-    Nothing(#[from] Nothing),
+    EmptyPlan(#[from] EmptyPlan),
 }
 
 impl Hint for FilesError {
@@ -55,7 +55,7 @@ impl Hint for FilesError {
         match self {
             Self::Backend(error) => error.hint(),
             Self::Input(error) => error.hint(),
-            Self::Nothing(error) => error.hint(),
+            Self::EmptyPlan(error) => error.hint(),
         }
     }
 
@@ -73,8 +73,8 @@ impl Hint for FilesError {
 /// # Errors
 /// The plan chooses nothing, a backend cannot take a name, or a mesh can no longer be read.
 pub fn files(plan: &Plan, project: &Project) -> Result<PlanFiles, FilesError> {
-    if let Some(nothing) = Nothing::of(plan) {
-        return Err(nothing.into());
+    if let Some(empty) = EmptyPlan::detect(plan) {
+        return Err(empty.into());
     }
     let clusters: Vec<_> = plan.ranked().take(plan.decision.cut.clusters).collect();
     let image_faults = project.image_faults(&plan.stages.scene);

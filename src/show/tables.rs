@@ -24,7 +24,7 @@ pub fn add(plan: &Plan, files: &mut FileSet) {
     table("weight", array(&[plan.stages.objective.weights.len()], plan.stages.objective.weights.iter().copied()));
     let visible = rows(plan.stages.visibility.offsets.as_slice(), &plan.stages.visibility.triangles);
     table("visible", array(&[plan.stages.visibility.triangles.len(), 2], visible));
-    let unary = (0..plan.stages.visibility.triangles.len()).map(|row| plan.stages.unary.at(row));
+    let unary = (0..plan.stages.visibility.triangles.len()).map(|row| plan.stages.unary.confidence(row));
     table("unary", array(&[plan.stages.visibility.triangles.len()], unary));
     if let Confidence::Trained(_) = plan.stages.confidence {
         table(

@@ -40,7 +40,7 @@ fn set(root: &Path, files: &[(&str, &str)]) -> FileSet {
     set
 }
 
-fn write(root: &Path, files: &[(&str, &str)]) -> viewrank::internals::output::Written {
+fn write(root: &Path, files: &[(&str, &str)]) -> viewrank::internals::output::WriteReport {
     set(root, files).write(&Disk::REAL).unwrap()
 }
 

@@ -1,10 +1,10 @@
-//! The view clusters of a plan as tasks of a queue, one task per rank: what `viewrank dispatch` writes and asks.
+//! The view clusters of a plan as tasks of a queue, one task per rank, for `viewrank dispatch`.
 //!
-//! `PROJECT/viewrank/dispatch/NAME` holds `list-HASH.tsv` (a line per task: rank, marker, id, depth map, key view), `task.sh` and `fuse.sh`
-//! (the scripts of `integrations/slurm` with their head written), `logs/`, and what the scripts note: `done/MARKER` with the id of
-//! the cluster whose depth map lies there, and `fused`, the ids of what was joined last. An id stands for a key view with its
-//! partners, their cameras and poses; so a plan that changes makes only changed clusters anew. Whether work is missing is read from these files alone, [`slurm`]
-//! says what of it is on its way.
+//! `PROJECT/viewrank/dispatch/NAME` holds `list-HASH.tsv` (one line per task: rank, marker, id, depth map, key view), `task.sh` and `fuse.sh`
+//! (the scripts of `integrations/slurm`, with their variables filled in), `logs/`, and the records of the scripts: `done/MARKER` with the id of
+//! the cluster that the depth map was made for, and `fused`, the ids joined last. An id covers a key view with its
+//! partners, their cameras and poses, so a changed plan recomputes only changed clusters. Missing work is derived from these files alone; [`slurm`]
+//! knows which of it is queued.
 
 pub mod local;
 pub mod slurm;
@@ -28,11 +28,11 @@ use crate::{
 /// The depth map of one view cluster.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Task {
-    /// From 1.
+    /// Rank, from 1.
     pub rank: usize,
-    /// Names the key view; no two tasks that run may share it.
+    /// Name of the key view as a file name; two running tasks never share it.
     pub marker: String,
-    /// Of the key view with its partners, as they lie and as they are matched.
+    /// Hash of the key view and its partners, their poses, and how they are matched.
     pub id: String,
     pub map: PathBuf,
     /// Name of the key view.
@@ -44,20 +44,20 @@ pub struct Task {
 pub struct Dispatch {
     pub project: PathBuf,
     pub backend: &'static str,
-    /// Where everything about the tasks lies.
+    /// Folder of the task files.
     pub folder: PathBuf,
-    /// In rank order; clusters of which no depth map can be made have none.
+    /// In rank order; clusters that cannot have a depth map are left out.
     pub tasks: Vec<Task>,
-    /// Depth maps of ranks up to this stay, whoever made them: the plan stands around them.
+    /// Depth maps of ranks up to this stay, whoever made them: the plan was ranked around them.
     finished: usize,
     /// Folder in which the backend runs.
     workplace: PathBuf,
-    /// The backend's program, where the export brings it.
+    /// The backend's program, if the export includes it.
     exported_program: Option<PathBuf>,
     runner: TaskRunner,
 }
 
-/// What the scripts run beside the backend's own runner.
+/// Programs that the scripts need besides the backend's own runner.
 #[derive(Clone, Debug)]
 pub struct Tools {
     pub program: PathBuf,
@@ -65,8 +65,8 @@ pub struct Tools {
 }
 
 impl Tools {
-    /// The program that was named, else the one that the runner's variable names, else the one that comes with the export, else the one on
-    /// the PATH; `PYTHON`, else `python3`.
+    /// Resolves the program: the one given, else the one in the runner's variable, else the one that comes with the export, else the one on
+    /// the PATH. Python: `PYTHON`, else `python3`.
     pub fn find(dispatch: &Dispatch, named: Option<&Path>) -> Result<Self, DispatchError> {
         let runner = &dispatch.runner;
         let variable = env::var_os(runner.variable).map(PathBuf::from);
@@ -79,7 +79,7 @@ impl Tools {
         Ok(Self { program, ..Self::unseen(runner) })
     }
 
-    /// Programs that only the nodes have.
+    /// Programs that exist only on the nodes.
     pub fn unseen(runner: &TaskRunner) -> Self {
         let python = env::var_os("PYTHON").map_or_else(|| "python3".into(), PathBuf::from);
         // Scripts run it from another folder.
@@ -88,7 +88,7 @@ impl Tools {
     }
 }
 
-/// A program by its path, or in the folders of the PATH.
+/// Finds a program by its path or on the PATH.
 fn on_path(program: &Path) -> Option<PathBuf> {
     let file = |path: PathBuf| path.is_file().then(|| absolute(&path));
     if program.components().count() > 1 || program.is_file() {
@@ -102,7 +102,7 @@ fn absolute(path: &Path) -> PathBuf {
 }
 
 impl Dispatch {
-    /// The tasks of an export with the default options; the plan stands around the first `finished` depth maps.
+    /// Returns the tasks of an export with the default options; the plan was ranked around the first `finished` depth maps.
     pub fn new(
         backend: &'static Backend,
         selection: &Selection,
@@ -138,7 +138,7 @@ impl Dispatch {
         &self.runner
     }
 
-    /// The lines of the list. A rank has the same line as long as its cluster is the same.
+    /// Returns the lines of the list. The line of a rank is the same as long as its cluster is.
     fn list(&self) -> String {
         let line = |t: &Task| {
             let key = t.key.replace(char::is_control, " ");
@@ -147,7 +147,7 @@ impl Dispatch {
         self.tasks.iter().map(line).collect()
     }
 
-    /// Names the list: another plan has another.
+    /// Returns the name of the list, which depends on its contents.
     pub fn list_name(&self) -> String {
         hash([self.list().as_str()])[..8].into()
     }
@@ -156,7 +156,7 @@ impl Dispatch {
         self.folder.join(format!("list-{name}.tsv"))
     }
 
-    /// Markers and ranks of an older list, if it is still there.
+    /// Returns the markers and ranks of an older list, if it still exists.
     fn old_markers(&self, name: &str) -> Vec<(usize, String)> {
         let text = self.own_text(&format!("list-{name}.tsv"));
         let entry = |line: &str| {
@@ -166,7 +166,7 @@ impl Dispatch {
         text.lines().filter_map(entry).collect()
     }
 
-    /// List and scripts; older lists that tasks in the queue still read stay.
+    /// Returns list and scripts; older lists that queued tasks still read are kept.
     pub fn files(&self, tools: &Tools, settings: &DispatchSettings, old_lists: &BTreeSet<String>) -> FileSet {
         let mut files = FileSet::new(&self.project, &format!("dispatch-{}", self.backend));
         let mut add = |name: &str, contents| files.add(format!("viewrank/dispatch/{}/{name}", self.backend), contents);
@@ -185,7 +185,7 @@ impl Dispatch {
         files
     }
 
-    /// What the scripts know. They are copied away when they are submitted, so that every path is whole.
+    /// Returns the variables of the scripts. SLURM copies a script when it is submitted, so all paths are absolute.
     fn head(&self, tools: &Tools, settings: &DispatchSettings) -> String {
         let TaskRunner { compute, fuse, .. } = &self.runner;
         let body = |name: &str, command: &str| {
@@ -207,19 +207,19 @@ impl Dispatch {
         )
     }
 
-    /// Is the depth map of the task there, made from this key view and these partners as they lie now, or one that the plan stands around?
+    /// Returns whether the task's depth map exists and was made from this key view and these partners with their current poses, or is one that the plan was ranked around.
     pub fn is_done(&self, task: &Task) -> bool {
         let noted = || self.own_text(&format!("done/{}", task.marker));
         (task.rank <= self.finished || noted().trim() == task.id)
             && fs::metadata(&task.map).is_ok_and(|map| map.len() > 0)
     }
 
-    /// The depth maps of the tasks that are done.
+    /// Returns the depth maps of the finished tasks.
     pub fn finished_maps(&self) -> impl Iterator<Item = &Path> {
         self.tasks.iter().filter(|task| self.is_done(task)).map(|task| &*task.map)
     }
 
-    /// Nobody else submits tasks of this project until the file is dropped.
+    /// Locks the project against other submissions until the file is dropped.
     pub fn hold(&self) -> Result<File, DispatchError> {
         let name = format!("viewrank/dispatch/{}/lock", self.backend);
         let path = output::own_path(&self.project, &name)?;
@@ -232,24 +232,24 @@ impl Dispatch {
         }
     }
 
-    /// Was exactly what is done joined already?
+    /// Returns whether exactly the finished depth maps have been joined already.
     pub fn is_fused(&self) -> bool {
         let done: String = self.tasks.iter().filter(|t| self.is_done(t)).map(|t| format!("{}\n", t.id)).collect();
         done.is_empty() || self.own_text("fused") == done
     }
 
-    /// Reads a file in [`Self::folder`], which viewrank or its scripts wrote: no link is followed.
+    /// Reads a file in [`Self::folder`], written by viewrank or its scripts; links are not followed.
     fn own(&self, name: &str) -> Result<Vec<u8>, OutputError> {
         output::read_own(&self.project, &format!("viewrank/dispatch/{}/{name}", self.backend))
     }
 
-    /// Returns the text of such a file; empty where there is none.
+    /// Returns the text of such a file; empty if it does not exist.
     fn own_text(&self, name: &str) -> String {
         self.own(name).ok().and_then(|bytes| String::from_utf8(bytes).ok()).unwrap_or_default()
     }
 }
 
-/// 16 hexadecimal digits of BLAKE3 over the texts.
+/// Returns 16 hexadecimal digits of BLAKE3 over the texts.
 fn hash<'a>(texts: impl IntoIterator<Item = &'a str>) -> String {
     let mut hasher = blake3::Hasher::new();
     for text in texts {
@@ -258,7 +258,7 @@ fn hash<'a>(texts: impl IntoIterator<Item = &'a str>) -> String {
     hasher.finalize().to_hex()[..16].into()
 }
 
-/// Why clusters cannot be handed to a queue.
+/// An error of handing clusters to a queue.
 #[derive(Debug, thiserror::Error)]
 pub enum DispatchError {
     #[error("{0} cannot compute single view clusters")]

@@ -1,8 +1,8 @@
-//! SLURM as the queue: which tasks are on their way, and what is to be cancelled and submitted.
+//! SLURM as the queue: finds queued tasks and decides which to cancel and submit.
 //!
 //! One job array whose indices are ranks; indices start in ascending order whatever the queue's priorities are. Beyond the
-//! largest index that the queue takes there are further arrays, each after the one before. Jobs are found again by their names, which
-//! hold the project, the list of the tasks and the array's first rank: nothing has to be remembered between calls.
+//! largest index that the queue accepts, further arrays follow, each after the previous one. Jobs are identified by their names, which
+//! hold the project, the list of the tasks and the array's first rank: no state is kept between calls.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -14,35 +14,35 @@ use std::{
 use super::{Dispatch, DispatchError, Task, hash};
 use crate::{base::platform, config::DispatchSettings};
 
-/// `MaxArraySize` where the queue cannot be asked: SLURM's default.
+/// SLURM's default `MaxArraySize`, used if the queue cannot be asked.
 const MAX_ARRAY_SIZE: usize = 1001;
-/// `MaxJobCount` where the queue cannot be asked: SLURM's default.
+/// SLURM's default `MaxJobCount`, used if the queue cannot be asked.
 const MAX_JOB_COUNT: usize = 10_000;
-/// How long cancelled tasks may stay in the queue: so many looks, so long apart.
+/// Wait for cancelled tasks to leave the queue: number of polls, and the time between them.
 const LOOKS: usize = 100;
 const BETWEEN_LOOKS: Duration = Duration::from_millis(100);
 
 /// A task that is in the queue.
 #[derive(Clone, Debug, PartialEq, Eq)]
-struct Queued {
-    /// Of the array.
+struct QueuedTask {
+    /// Job id of the array.
     job: String,
     list: String,
     rank: usize,
     pending: bool,
 }
 
-/// What the queue holds of a project.
+/// The queue's jobs of a project.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Queue {
-    /// Begins the names of the project's jobs.
+pub struct SlurmQueue {
+    /// Prefix of the names of the project's jobs.
     prefix: String,
-    tasks: Vec<Queued>,
-    /// Jobs that join the depth maps, and whether they have yet to begin.
+    tasks: Vec<QueuedTask>,
+    /// Jobs that join the depth maps; true if not yet started.
     fusions: Vec<(String, bool)>,
-    /// Indices of an array go from 1 to this.
+    /// Array indices range from 1 to this.
     max_index: usize,
-    /// Tasks that the queue takes in all.
+    /// Total number of tasks that the queue accepts.
     max_jobs: usize,
 }
 
@@ -53,41 +53,41 @@ struct Array {
     indices: Vec<usize>,
 }
 
-/// One command for the queue.
+/// A command for the queue.
 #[derive(Clone, Debug, PartialEq, Eq)]
 enum Step {
-    /// Those tasks and jobs that have not begun.
+    /// Cancels these tasks and jobs, which have not started.
     Cancel(Vec<String>),
-    /// After the arrays that were submitted before it.
+    /// Submits an array that starts after those submitted before it.
     Array(Array),
-    /// After all arrays, and after these jobs.
+    /// Submits the fusion, after all arrays and after these jobs.
     Fusion(Vec<String>),
 }
 
-/// What was done, or would be.
+/// The commands of a submission, or of a dry run.
 #[derive(Clone, Debug, Default, serde::Serialize)]
 pub struct Submission {
-    /// As typed in a shell.
+    /// Commands as typed in a shell.
     pub commands: Vec<Vec<String>>,
-    /// Ranks that were submitted.
+    /// Ranks submitted now.
     pub ranks: Vec<usize>,
-    /// Ranks that were on their way before.
+    /// Ranks that were queued before.
     pub queued: Vec<usize>,
-    /// How many are missing that the queue had no room for.
+    /// Number of missing ranks that the queue had no room for.
     pub left: usize,
-    /// The arrays and the fusion.
+    /// Job ids of the arrays and the fusion.
     pub jobs: Vec<String>,
 }
 
-impl Queue {
-    /// A queue that holds nothing.
+impl SlurmQueue {
+    /// Returns a queue without jobs.
     pub fn empty(dispatch: &Dispatch) -> Self {
         let project = hash([&*dispatch.project.to_string_lossy()]);
         let prefix = format!("viewrank-{}-{}-", dispatch.backend, &project[..8]);
         Self { prefix, max_index: MAX_ARRAY_SIZE - 1, max_jobs: MAX_JOB_COUNT, ..Self::default() }
     }
 
-    /// Asks the queue.
+    /// Queries the queue.
     pub fn read(dispatch: &Dispatch) -> Result<Self, DispatchError> {
         let mut queue = Self::empty(dispatch);
         let user = platform::user();
@@ -102,7 +102,7 @@ impl Queue {
         Ok(queue)
     }
 
-    /// Lines `JOB_INDEX|NAME|STATE`.
+    /// Parses lines `JOB_INDEX|NAME|STATE`.
     fn add_jobs(&mut self, answer: &str) {
         for line in answer.lines() {
             let mut fields = line.trim().split('|');
@@ -113,19 +113,19 @@ impl Queue {
                     let index = id.split_once('_').and_then(|(job, index)| Some((job, index.parse::<usize>().ok()?)));
                     let (Some((job, index)), Ok(offset)) = (index, offset.parse::<usize>()) else { continue };
                     let (job, list, pending) = (job.into(), list.into(), state == "PENDING");
-                    self.tasks.push(Queued { job, list, rank: offset + index, pending });
+                    self.tasks.push(QueuedTask { job, list, rank: offset + index, pending });
                 }
                 None => {}
             }
         }
     }
 
-    /// The lists that tasks in the queue read.
+    /// Returns the lists that queued tasks read.
     pub fn lists(&self) -> BTreeSet<String> {
         self.tasks.iter().map(|task| task.list.clone()).collect()
     }
 
-    /// Jobs of which something has not begun, each once.
+    /// Returns jobs with tasks that have not started, without duplicates.
     fn pending_jobs(&self) -> Vec<String> {
         let tasks = self.tasks.iter().filter(|task| task.pending).map(|task| &task.job);
         let fusions = self.fusions.iter().filter(|fusion| fusion.1).map(|fusion| &fusion.0);
@@ -136,13 +136,13 @@ impl Queue {
         self.tasks.iter().map(|task| task.job.clone()).collect::<BTreeSet<_>>().into_iter().collect()
     }
 
-    /// Ranks of the current list that are on their way.
+    /// Returns the queued ranks of the current list.
     fn queued(&self, dispatch: &Dispatch) -> BTreeSet<usize> {
         let list = dispatch.list_name();
         self.tasks.iter().filter(|task| task.list == list).map(|task| task.rank).collect()
     }
 
-    /// Key views of other lists that are being computed, by their markers.
+    /// Returns the markers of key views of other lists that are being computed.
     fn busy(&self, dispatch: &Dispatch) -> BTreeSet<String> {
         let current = dispatch.list_name();
         let mut lists: BTreeMap<&str, BTreeSet<usize>> = BTreeMap::new();
@@ -159,12 +159,12 @@ impl Queue {
         lists.into_iter().flat_map(markers).collect()
     }
 
-    /// Tasks that the queue takes beside those that are in it; a fusion has its place, too.
+    /// Returns how many more tasks the queue accepts; one is reserved for the fusion.
     fn room(&self) -> usize {
         self.max_jobs.saturating_sub(self.tasks.len() + self.fusions.len() + 1)
     }
 
-    /// The next commands. Where something has to be cancelled that comes first, alone: the queue is to be read again after it.
+    /// Returns the next commands. A cancellation comes alone: the queue must be read again after it.
     fn steps(&self, dispatch: &Dispatch, missing: &[&Task], reached: bool) -> Vec<Step> {
         let (queued, busy) = (self.queued(dispatch), self.busy(dispatch));
         let is_absent = |task: &&&Task| !queued.contains(&task.rank) && !busy.contains(&task.marker);
@@ -186,7 +186,7 @@ impl Queue {
         steps
     }
 
-    /// What [`submit`] would do now.
+    /// Returns what [`submit`] would do now.
     pub fn rehearse(
         mut self,
         dispatch: &Dispatch,
@@ -265,18 +265,18 @@ impl Step {
     }
 }
 
-/// Submits what is missing and on nobody's way, in rank order, and the fusion after it. Where the target is reached, what waits is cancelled.
+/// Submits the missing tasks that are not queued, in rank order, and the fusion after them. If the target is reached, waiting tasks are cancelled.
 ///
-/// `before_submission` is called when the queue is cleared: it puts the files in place that the tasks read.
+/// `before_submission` is called once obsolete tasks are cancelled: it writes the files that the tasks read.
 pub fn submit<E: From<DispatchError>>(
     dispatch: &Dispatch,
     settings: &DispatchSettings,
     reached: bool,
-    before_submission: impl FnOnce(&Queue) -> Result<(), E>,
+    before_submission: impl FnOnce(&SlurmQueue) -> Result<(), E>,
 ) -> Result<Submission, E> {
     let mut submission = Submission::default();
     for _ in 0..LOOKS {
-        let queue = Queue::read(dispatch)?;
+        let queue = SlurmQueue::read(dispatch)?;
         // After the queue: what ends in between is then done, not missing.
         let missing: Vec<&Task> = dispatch.tasks.iter().filter(|task| !dispatch.is_done(task)).collect();
         let steps = queue.steps(dispatch, &missing, reached);
@@ -306,7 +306,7 @@ pub fn submit<E: From<DispatchError>>(
     Err(DispatchError::Stuck.into())
 }
 
-/// Options for what a task needs that the user said.
+/// Returns the options for the resources that the user set.
 fn resources(settings: &DispatchSettings) -> impl Iterator<Item = String> {
     let DispatchSettings { partition, account, qos, memory, cpus, .. } = settings;
     let named = [("partition", partition), ("account", account), ("qos", qos)];
@@ -315,7 +315,7 @@ fn resources(settings: &DispatchSettings) -> impl Iterator<Item = String> {
     named.into_iter().flatten().chain(memory).chain([format!("--cpus-per-task={cpus}")])
 }
 
-/// Ranks, ascending, as arrays whose indices the queue takes.
+/// Splits ascending ranks into arrays with indices that the queue accepts.
 fn arrays(ranks: &[usize], max_index: usize) -> Vec<Array> {
     let mut arrays: Vec<Array> = Vec::new();
     for rank in ranks {
@@ -329,7 +329,7 @@ fn arrays(ranks: &[usize], max_index: usize) -> Vec<Array> {
 }
 
 impl Array {
-    /// `1-40,45%8`.
+    /// Formats the indices as `1-40,45%8`.
     fn specification(&self, at_once: Option<u32>) -> String {
         let runs = self.indices.chunk_by(|a, b| a + 1 == *b);
         let run = |run: &[usize]| match run {
@@ -392,12 +392,12 @@ mod tests {
 
     #[test]
     fn only_own_jobs_are_found() {
-        let mut queue = Queue { prefix: "viewrank-sgm-12345678-".into(), ..Queue::default() };
+        let mut queue = SlurmQueue { prefix: "viewrank-sgm-12345678-".into(), ..SlurmQueue::default() };
         queue.add_jobs(
             "17_3|viewrank-sgm-12345678-abcd-1000|RUNNING\n18|viewrank-sgm-12345678-fuse|PENDING\n\
              19_1|viewrank-sgm-87654321-abcd-0|PENDING\nnonsense\n20_[2-5]|viewrank-sgm-12345678-abcd-0|PENDING\n",
         );
-        let found = Queued { job: "17".into(), list: "abcd".into(), rank: 1003, pending: false };
+        let found = QueuedTask { job: "17".into(), list: "abcd".into(), rank: 1003, pending: false };
         assert_eq!((queue.tasks.as_slice(), &queue.pending_jobs()[..]), (&[found][..], &["18".to_string()][..]));
     }
 }

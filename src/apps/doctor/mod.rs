@@ -13,7 +13,7 @@ use schemars::JsonSchema;
 use serde::Serialize;
 
 use crate::{
-    backends::{self, Backend, Patient},
+    backends::{self, Backend, ExaminedProject},
     base::shell::quoted_path,
     config::{Settings, UnknownBackend},
     io::project::{ImageFaults, Project},
@@ -178,7 +178,7 @@ pub fn backends_to_check(
 
 /// Traps of the backends: warnings for the planned backend, notes for the others.
 fn traps(inputs: &Inputs) -> Vec<Finding> {
-    let patient = Patient { project: inputs.project, scene: inputs.scene, points: inputs.points };
+    let patient = ExaminedProject { project: inputs.project, scene: inputs.scene, points: inputs.points };
     let mut findings: Vec<Finding> = distorted(inputs).into_iter().collect();
     for backend in inputs.backends {
         let planned = backend.name == inputs.backend.name;

@@ -3,7 +3,7 @@
 use serde::Serialize;
 
 use super::{
-    curve::{Curve, SHARES},
+    curve::{ReachCurve, SHARES},
     orders,
     run::MeasuredClusters,
 };
@@ -17,7 +17,7 @@ use crate::{
 
 /// How many key views and pairs an order needs for a share of what all clusters together really reach.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Needed {
+pub struct RequiredWork {
     pub share: f64,
     pub clusters: f64,
     pub pairs: f64,
@@ -28,7 +28,7 @@ pub struct Needed {
 pub struct Order {
     pub name: &'static str,
     /// At 10, 20, ... 90 %; means over the seeds of `random`.
-    pub needed: Vec<Needed>,
+    pub needed: Vec<RequiredWork>,
     /// Standard deviation of the key views over the seeds; empty for others than `random`.
     pub spread: Vec<f64>,
     /// Weight of the triangles that fusion really keeps after i clusters, from 0; a mean over the seeds of `random`.
@@ -48,7 +48,7 @@ pub fn compare(
     let clusters = run.clusters.len();
     let total = run.real_curve(objective, &run.order).total_kept();
     let one = |name, order: Vec<u32>| Order::new(name, &[run.real_curve(objective, &order)], total);
-    let random: Vec<Curve> =
+    let random: Vec<ReachCurve> =
         (0..orders::RANDOM_SEEDS).map(|seed| run.real_curve(objective, &orders::random(clusters, seed))).collect();
     Ok(vec![
         one("ours", orders::greedy(&run.predicted, objective, watcher)?),
@@ -65,17 +65,17 @@ pub fn compare(
 
 impl Order {
     /// From the curve of the order, or those of several seeds.
-    fn new(name: &'static str, curves: &[Curve], total: f64) -> Self {
+    fn new(name: &'static str, curves: &[ReachCurve], total: f64) -> Self {
         let count = curves.len() as f64;
-        let last = |values: &Curve| values.kept.len() - 1;
-        let clusters_for = |c: &Curve, share: f64| c.clusters_for(share * total).unwrap_or(last(c));
-        let mean = |value: &dyn Fn(&Curve) -> f64| curves.iter().map(value).sum::<f64>() / count;
-        let needed = SHARES.map(|share| Needed {
+        let last = |values: &ReachCurve| values.kept.len() - 1;
+        let clusters_for = |c: &ReachCurve, share: f64| c.clusters_for(share * total).unwrap_or(last(c));
+        let mean = |value: &dyn Fn(&ReachCurve) -> f64| curves.iter().map(value).sum::<f64>() / count;
+        let needed = SHARES.map(|share| RequiredWork {
             share,
             clusters: mean(&|c| clusters_for(c, share) as f64),
             pairs: mean(&|c| c.pairs[clusters_for(c, share)] as f64),
         });
-        let deviation = |needed: &Needed| {
+        let deviation = |needed: &RequiredWork| {
             let squares = mean(&|c| (clusters_for(c, needed.share) as f64 - needed.clusters).powi(2));
             squares.sqrt()
         };
@@ -92,8 +92,8 @@ impl Order {
 }
 
 /// After i clusters: those that are evenly spread when i are taken. What more clusters lose to fewer is not counted against them.
-fn every_nth(run: &MeasuredClusters, objective: &Objective) -> Curve {
-    let mut curve = Curve::start();
+fn every_nth(run: &MeasuredClusters, objective: &Objective) -> ReachCurve {
+    let mut curve = ReachCurve::start();
     for count in 1..=run.clusters.len() {
         let taken = run.real_curve(objective, &orders::every_nth(run.clusters.len(), count));
         let (kept, before) = (taken.total_kept(), curve.total_kept());

@@ -3,7 +3,7 @@
 use serde::Serialize;
 
 use super::{
-    clusters, curve::Curve, evaluation::QualityRow, measure::Quality, orders, rules::RULES, run::MeasuredClusters,
+    clusters, curve::ReachCurve, evaluation::QualityRow, measure::Quality, orders, rules::RULES, run::MeasuredClusters,
 };
 use crate::{
     base::{column::TableError, progress::Watcher},
@@ -14,14 +14,14 @@ use crate::{
 };
 
 /// View clusters to be matched, by the rule that chose them, in the order in which they are to be computed.
-pub struct Choice {
+pub struct RuleClusters {
     pub rule: String,
     pub clusters: Vec<ViewCluster>,
 }
 
 /// Every rule's clusters of k partners for the key views of the plan: `ours` and `ours-nocp` in their own order, others in that of
 /// `maxpts`.
-pub fn choices(plan: &Plan, k: u32, watcher: &dyn Watcher) -> Result<Vec<Choice>, TableError> {
+pub fn choices(plan: &Plan, k: u32, watcher: &dyn Watcher) -> Result<Vec<RuleClusters>, TableError> {
     let model = plan.stages.model();
     let mut certain = model;
     certain.rule.confidence = Confidence::None;
@@ -32,7 +32,7 @@ pub fn choices(plan: &Plan, k: u32, watcher: &dyn Watcher) -> Result<Vec<Choice>
             partners::choose(model, &plan.stages.candidates, &settings, plan.stages.settings.seed, watcher)?;
         let order = orders::greedy(&table, &plan.stages.objective, watcher)?;
         let clusters = order.iter().map(|&c| clusters[c as usize].clone()).collect();
-        choices.push(Choice { rule: rule.into(), clusters });
+        choices.push(RuleClusters { rule: rule.into(), clusters });
     }
     let keys: Vec<ViewIndex> = plan.stages.clusters.iter().map(|c| c.key).collect();
     for rule in RULES {
@@ -40,12 +40,12 @@ pub fn choices(plan: &Plan, k: u32, watcher: &dyn Watcher) -> Result<Vec<Choice>
         let clusters = rule.clusters(&plan.stages.scene, &keys, k as usize);
         let order = orders::max_points(&plan.stages.scene, &clusters);
         let clusters = order.iter().map(|&c| clusters[c as usize].clone()).collect();
-        choices.push(Choice { rule: rule.name.into(), clusters });
+        choices.push(RuleClusters { rule: rule.name.into(), clusters });
     }
     Ok(choices)
 }
 
-impl Choice {
+impl RuleClusters {
     /// Contents of its `clusters.txt`.
     pub fn text(&self, plan: &Plan) -> String {
         clusters::write(&self.clusters, &plan.stages.scene)
@@ -54,7 +54,7 @@ impl Choice {
 
 /// A choice that was matched, among others.
 #[derive(Clone, Debug, Serialize)]
-pub struct Compared {
+pub struct Comparison {
     pub name: String,
     pub clusters: usize,
     pub pairs: usize,
@@ -64,9 +64,9 @@ pub struct Compared {
     pub predicted: f64,
     pub real: f64,
     /// What is really reached after i clusters in the choice's own order, and the pairs so far.
-    pub curve: Curve,
+    pub curve: ReachCurve,
     /// The same in the greedy order on real results.
-    pub optimum: Curve,
+    pub optimum: ReachCurve,
 }
 
 /// Measured runs of several choices side by side, by name.
@@ -74,7 +74,7 @@ pub fn compare(
     plan: &Plan,
     runs: &[(String, MeasuredClusters)],
     watcher: &dyn Watcher,
-) -> Result<Vec<Compared>, TableError> {
+) -> Result<Vec<Comparison>, TableError> {
     let objective = &plan.stages.objective;
     // A view without partners has no map: what its reference shows counts as missing.
     let mut reference = vec![0; plan.stages.scene.views.len()];
@@ -84,11 +84,11 @@ pub fn compare(
         }
     }
     let one = |(name, run): &(String, MeasuredClusters)| {
-        let predicted = Curve::new(&run.predicted, objective, &run.clusters, &run.order);
+        let predicted = ReachCurve::new(&run.predicted, objective, &run.clusters, &run.order);
         let curve = run.real_curve(objective, &run.order);
         let best = orders::greedy(&run.real, objective, watcher)?;
         let quality = Quality { reference: reference.iter().sum(), ..run.pooled() };
-        Ok(Compared {
+        Ok(Comparison {
             name: name.clone(),
             clusters: run.clusters.len(),
             pairs: curve.pairs.last().copied().unwrap_or(0),

@@ -10,7 +10,7 @@ use crate::{
 
 /// What the first i clusters of an order reach, for i = 0, 1, ...; all begin with 0.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
-pub struct Curve {
+pub struct ReachCurve {
     /// f_o (method 5.1).
     pub fulfilment: Vec<f64>,
     /// Weight of the triangles that fusion keeps (method 5.2), 0 to 1: what shares are of.
@@ -19,7 +19,7 @@ pub struct Curve {
     pub pairs: Vec<usize>,
 }
 
-impl Curve {
+impl ReachCurve {
     /// Along `order` (indices into `clusters` and into the table's rows).
     pub fn new(table: &FulfilmentTable, objective: &Objective, clusters: &[ViewCluster], order: &[u32]) -> Self {
         Self::of_rows(objective, order.iter().map(|&c| (table.row(c as usize), clusters[c as usize].partners.len())))
@@ -33,7 +33,7 @@ impl Curve {
             reached.take(row);
             pairs += partners;
             curve.fulfilment.push(reached.fulfilment());
-            curve.kept.push(reached.kept());
+            curve.kept.push(reached.kept_weight());
             curve.pairs.push(pairs);
         }
         curve
@@ -91,7 +91,7 @@ mod tests {
             partners: (0..partners).map(|p| ViewIndex(10 + p)).collect(),
         };
         let clusters = [cluster(0, 2), cluster(1, 3), cluster(2, 4)];
-        let curve = Curve::new(&table, &Objective::weighing(vec![1.0; 2], 1), &clusters, &[1, 0, 2]);
+        let curve = ReachCurve::new(&table, &Objective::weighing(vec![1.0; 2], 1), &clusters, &[1, 0, 2]);
         assert!(curve.fulfilment.iter().zip([0.0, 0.35, 0.6, 1.0]).all(|(f, expected)| (f - expected).abs() < 1e-6));
         assert_eq!(curve.kept, [0.0, 0.5, 0.5, 1.0]);
         assert_eq!(curve.pairs, [0, 3, 5, 9]);

@@ -11,7 +11,7 @@ use super::{
     measure::Quality,
     missing::{MeasuredSurface, Missing},
     run::MeasuredClusters,
-    so_far::SoFar,
+    so_far::MeasuredProgress,
 };
 use crate::{
     base::{column::TableError, progress::Watcher},
@@ -38,11 +38,11 @@ pub struct Evaluation {
     pub predicted: f64,
     pub real: f64,
     /// What these maps reach of what all clusters of the plan are expected to give: the share that `status` and `report` show, too.
-    pub reached: SoFar,
+    pub reached: MeasuredProgress,
     /// Weight of the triangles that fusion keeps of all clusters with a map, 0 to 1: what the shares below are of.
-    pub kept: Kept,
+    pub kept: KeptWeight,
     /// Along the order of the clusters; entry i is after i clusters.
-    pub curve: Curves,
+    pub curve: EvaluationCurves,
     /// The curve read at predicted shares of 10, 20, ... 90 %.
     pub gap: Vec<Gap>,
     /// Triangles that are not well done, by reason.
@@ -94,13 +94,13 @@ impl QualityRow {
 }
 
 #[derive(Clone, Copy, Debug, Serialize)]
-pub struct Kept {
+pub struct KeptWeight {
     pub predicted: f64,
     pub real: f64,
 }
 
 #[derive(Clone, Debug, Serialize)]
-pub struct Curves {
+pub struct EvaluationCurves {
     /// What fusion keeps, as a share of what it keeps of all clusters together.
     pub predicted: Vec<f64>,
     pub real: Vec<f64>,
@@ -196,9 +196,9 @@ impl Evaluation {
             reached: so_far,
             predicted: predicted.total(),
             real: real.total(),
-            kept: Kept { predicted: predicted.total_kept(), real: real.total_kept() },
+            kept: KeptWeight { predicted: predicted.total_kept(), real: real.total_kept() },
             gap: gaps(&predicted, &real),
-            curve: Curves {
+            curve: EvaluationCurves {
                 predicted: shares(&predicted),
                 real: shares(&real),
                 fulfilment: real.fulfilment,
@@ -214,11 +214,11 @@ impl Evaluation {
     }
 }
 
-fn shares(curve: &Curve) -> Vec<f64> {
+fn shares(curve: &ReachCurve) -> Vec<f64> {
     (0..curve.kept.len()).map(|i| curve.share(i, curve.total_kept())).collect()
 }
 
-fn gaps(predicted: &Curve, real: &Curve) -> Vec<Gap> {
+fn gaps(predicted: &ReachCurve, real: &ReachCurve) -> Vec<Gap> {
     let gap = |share: f64| {
         let clusters = predicted.clusters_for(share * predicted.total_kept())?;
         Some(Gap {

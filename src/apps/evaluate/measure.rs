@@ -60,7 +60,7 @@ fn share(part: u64, whole: u64) -> f64 {
 
 /// What a depth map shows.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Measured {
+pub struct MapMeasurement {
     pub quality: Quality,
     /// For each triangle that the key view sees, in the order of the visibility table: share of the pixels of its visible part with
     /// a right depth. A triangle that covers no centre of a pixel is judged by the pixel of its centroid.
@@ -74,7 +74,13 @@ pub struct Measured {
 }
 
 /// `elsewhere`: a_d for pixels that show no triangle, scene units. Without a reference each depth is right.
-pub fn measure(model: &Model, key: ViewIndex, map: DepthMap, reference: Option<&DepthMap>, elsewhere: f64) -> Measured {
+pub fn measure(
+    model: &Model,
+    key: ViewIndex,
+    map: DepthMap,
+    reference: Option<&DepthMap>,
+    elsewhere: f64,
+) -> MapMeasurement {
     let camera = model.scene.camera_of(key);
     let picture = front(model.scene, model.surface, key, map.width, map.height);
     let seen = model.visibility.triangles_seen_by(key);

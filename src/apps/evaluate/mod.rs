@@ -31,4 +31,4 @@ pub use measure::Quality;
 pub use missing::{MeasuredSurface, Missing};
 pub use page::page;
 pub use run::{EvaluateError, EvaluationInput, MeasuredClusters};
-pub use so_far::SoFar;
+pub use so_far::MeasuredProgress;

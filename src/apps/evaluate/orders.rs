@@ -145,7 +145,7 @@ mod tests {
 
     use super::*;
     use crate::{
-        base::progress::Unwatched,
+        base::progress::NoWatcher,
         model::scene::{CameraIndex, Pose, View, ViewIndex},
     };
 
@@ -172,7 +172,7 @@ mod tests {
     #[test]
     fn greedy_ends_with_what_adds_nothing() {
         let table = table(&[&[(0, 0.5)], &[], &[(0, 1.0), (1, 0.1)], &[(0, 0.9)]]);
-        assert_eq!(greedy(&table, &even(), &Unwatched).unwrap(), [2, 0, 1, 3]);
+        assert_eq!(greedy(&table, &even(), &NoWatcher).unwrap(), [2, 0, 1, 3]);
     }
 
     #[test]

@@ -9,9 +9,9 @@ use std::{
 use rayon::prelude::*;
 
 use super::{
-    curve::Curve,
+    curve::ReachCurve,
     matched::{self, Report, ReportError},
-    measure::{Measured, Quality, measure},
+    measure::{MapMeasurement, Quality, measure},
 };
 use crate::{
     base::{
@@ -110,7 +110,7 @@ impl MeasuredClusters {
             watcher.progress(Stage::Evaluate, 1 + done.fetch_add(1, Ordering::Relaxed), found.len() as u64);
             Ok(measured)
         });
-        let tried: Vec<Result<Measured, DepthMapError>> = measured.collect::<Result<_, EvaluateError>>()?;
+        let tried: Vec<Result<MapMeasurement, DepthMapError>> = measured.collect::<Result<_, EvaluateError>>()?;
         let (mut clusters, mut ranks, mut measured, mut broken) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
         for ((cluster, _, rank), tried) in found.into_iter().zip(tried) {
             match tried {
@@ -145,8 +145,8 @@ impl MeasuredClusters {
     }
 
     /// The real curve of an order of the clusters.
-    pub fn real_curve(&self, objective: &Objective, order: &[u32]) -> Curve {
-        Curve::new(&self.real, objective, &self.clusters, order)
+    pub fn real_curve(&self, objective: &Objective, order: &[u32]) -> ReachCurve {
+        ReachCurve::new(&self.real, objective, &self.clusters, order)
     }
 }
 
@@ -179,7 +179,7 @@ impl EvaluationInput<'_> {
         key: ViewIndex,
         map: &DepthMapFile,
         reference: Option<Option<DepthMapFile>>,
-    ) -> Result<Result<Measured, DepthMapError>, EvaluateError> {
+    ) -> Result<Result<MapMeasurement, DepthMapError>, EvaluateError> {
         let scene = self.model.scene;
         let map = match depthmaps::read_of_view(map, scene) {
             Ok(map) => map,
@@ -198,7 +198,7 @@ impl EvaluationInput<'_> {
         &self,
         clusters: Vec<ViewCluster>,
         order: Vec<u32>,
-        measured: &[Measured],
+        measured: &[MapMeasurement],
         report: &Report,
         watcher: &dyn Watcher,
     ) -> Result<MeasuredClusters, EvaluateError> {
@@ -246,7 +246,12 @@ impl EvaluationInput<'_> {
     }
 
     /// Attainable fulfilment times the measured share.
-    fn real(&self, clusters: &[ViewCluster], attainable: &FulfilmentTable, measured: &[Measured]) -> FulfilmentTable {
+    fn real(
+        &self,
+        clusters: &[ViewCluster],
+        attainable: &FulfilmentTable,
+        measured: &[MapMeasurement],
+    ) -> FulfilmentTable {
         let of_cluster = |(c, cluster): (usize, &ViewCluster)| -> Vec<(u32, f32)> {
             let seen = self.model.visibility.triangles_seen_by(cluster.key);
             let share = |t| seen.binary_search(&t).map_or(0.0, |row| measured[c].shares[row]);
@@ -264,7 +269,7 @@ impl EvaluationInput<'_> {
         clusters: &[ViewCluster],
         predicted: &FulfilmentTable,
         nocp: &FulfilmentTable,
-        measured: &[Measured],
+        measured: &[MapMeasurement],
     ) -> Vec<Attempt> {
         let seen = self.model.visibility.triangles_seen_by(clusters[cluster].key);
         let (certain_triangles, certain) = nocp.row(cluster);

@@ -10,7 +10,7 @@ use crate::{
 
 /// What fusion keeps of the finished depth maps, measured, over what it is expected to keep of all.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
-pub struct SoFar {
+pub struct MeasuredProgress {
     /// Weight of the triangles that fusion keeps of the finished maps, 0 to 1.
     pub kept: f64,
     /// The same of all clusters of the plan: measured where finished, predicted for the others as far as what failed lets it be (method 5.4).
@@ -19,7 +19,7 @@ pub struct SoFar {
     pub share: Option<f64>,
 }
 
-impl SoFar {
+impl MeasuredProgress {
     /// `stages`: of the plan that the clusters of the run belong to.
     pub fn new(stages: &Stages, run: &MeasuredClusters) -> Self {
         let mut beliefs = Beliefs::new(&stages.scene, &stages.surface, &stages.clusters, &stages.fulfilment);
@@ -27,14 +27,14 @@ impl SoFar {
         finished.for_each(|(cluster, attempts)| beliefs.learn(cluster.key, attempts));
         let mut reached = Reached::new(&stages.objective);
         (0..run.clusters.len()).for_each(|c| reached.take(run.real.row(c)));
-        let kept = reached.kept();
+        let kept = reached.kept_weight();
         for (c, cluster) in stages.clusters.iter().enumerate() {
             if run.clusters.binary_search_by_key(&cluster.key, |finished| finished.key).is_err() {
                 let (triangles, believed) = beliefs.row(c);
                 reached.take((triangles, &believed));
             }
         }
-        let reachable = reached.kept();
+        let reachable = reached.kept_weight();
         Self { kept, reachable, share: (reachable > 0.0).then(|| kept / reachable) }
     }
 }

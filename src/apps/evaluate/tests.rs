@@ -7,12 +7,12 @@ use npyz::WriterBuilder;
 
 use super::*;
 use crate::{
-    base::{column::Storage, progress::Unwatched},
+    base::{column::Storage, progress::NoWatcher},
     config::{TargetMode, TargetSettings, VisibilitySettings},
     io::depthmaps::DepthMapError,
     method::{
         confidence::{Confidence, NO_AGREEMENT, Unary},
-        fulfilment::{Model, Rule},
+        fulfilment::{FulfilmentRule, Model},
         ranking::Objective,
         surface::Surface,
         synthetic::Town,
@@ -44,7 +44,7 @@ impl Fixture {
         let (scene, surface) = (town.scene(), town.surface());
         let settings = VisibilitySettings::default();
         let visibility =
-            visibility::estimate(&scene, &scene.view_points(), &surface, &settings, 2.0, Storage::Memory, &Unwatched)
+            visibility::estimate(&scene, &scene.view_points(), &surface, &settings, 2.0, Storage::Memory, &NoWatcher)
                 .unwrap();
         let wanted = TargetSettings { gsd: Some(GSD), accuracy: None, mode: TargetMode::Absolute };
         let target = Target::new(&scene, &surface, &visibility, &wanted, GSD, 1.0);
@@ -52,7 +52,13 @@ impl Fixture {
     }
 
     fn model(&self) -> Model<'_> {
-        let rule = Rule { alpha: 0.5, sigma_px: 0.5, min_cameras: 3, image_scale: 1.0, confidence: Confidence::None };
+        let rule = FulfilmentRule {
+            alpha: 0.5,
+            sigma_px: 0.5,
+            min_cameras: 3,
+            image_scale: 1.0,
+            confidence: Confidence::None,
+        };
         Model {
             scene: &self.scene,
             surface: &self.surface,

@@ -1,47 +1,47 @@
-//! Fitting the curves of the trained confidence.
+//! Fits the curves of the trained confidence.
 //!
-//! A row is a triangle that a finished view cluster may have measured: how much of it came out right. The chance of that is what the plan
-//! will compute: q(key) · P(at least m of the pairs match), and all curves are fitted together to the likelihood of the rows, so what comes out is
-//! calibrated for whole clusters though no pair is ever observed by itself.
+//! A row is a triangle that a finished view cluster could have measured, with the share of it that succeeded. The predicted probability has the form
+//! that the plan uses: q(key) · P(at least m of the pairs match). All curves are fitted together to the likelihood of the rows, so the result is
+//! calibrated for whole clusters, although single pairs are never observed.
 
 use rayon::prelude::*;
 
 use crate::method::confidence::{
-    curves::{self, Curve, KNOTS, PAIR, PLACE, PairCurves, PlaceCurves},
+    curves::{self, KNOTS, PAIR, PLACE, PairCurves, PiecewiseLinear, PlaceCurves},
     trees::logistic,
 };
 
-/// Steps of the descent, and the length of the first ones.
+/// Number of gradient steps, and the length of the first ones.
 const STEPS: usize = 200;
 const RATE: f32 = 0.08;
-/// Weight of the squared second differences of a curve, and of its squared values, against the mean loss of a row.
+/// Regularisation: weights of the squared second differences of a curve and of its squared values, against the mean loss of a row.
 const ROUGHNESS: f32 = 2e-4;
 const SIZE: f32 = 2e-5;
-/// Rows whose gradients are summed together.
+/// Rows per partial sum of gradients.
 const CHUNK: usize = 2048;
 
-/// A pair of the row's cluster that sees the triangle.
+/// A pair of the row's cluster whose partner sees the triangle.
 #[derive(Clone, Copy, Debug)]
 pub struct PairRow {
     pub numbers: [f32; PAIR.len()],
-    /// Of the partner's view.
+    /// Features in the partner's view.
     pub place: [f32; PLACE.len()],
 }
 
 /// A triangle of a finished cluster.
 #[derive(Clone, Debug)]
-pub struct Row {
-    /// Of the key view.
+pub struct TrainingRow {
+    /// Features in the key view.
     pub place: [f32; PLACE.len()],
     pub pairs: Vec<PairRow>,
-    /// Share of the triangle's judged pixels that came out right.
+    /// Share of the triangle's judged pixels that succeeded.
     pub success: f32,
     pub weight: f32,
 }
 
 /// All curves.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Curves {
+pub struct FittedCurves {
     pub pair: PairCurves,
     pub place: PlaceCurves,
 }
@@ -52,16 +52,16 @@ const PARTNER: usize = KEY + PLACE.len() * KNOTS;
 const BETWEEN: usize = PARTNER + PLACE.len() * KNOTS;
 const COUNT: usize = BETWEEN + PAIR.len() * KNOTS;
 
-impl Curves {
-    /// Chance that the row succeeds.
-    pub fn chance(&self, row: &Row) -> f32 {
+impl FittedCurves {
+    /// Returns the probability that the row succeeds.
+    pub fn chance(&self, row: &TrainingRow) -> f32 {
         let q = logistic(self.place.bias + curves::sum(&self.place.key, &row.place));
         let odds = |pair: &PairRow| self.pair.odds(&pair.numbers) + curves::sum(&self.place.partner, &pair.place);
         q * at_least(row.pairs.iter().map(|pair| logistic(odds(pair))), self.pair.min_matches as usize)
     }
 
     /// Fits the curves to the likelihood of the rows.
-    pub fn fit(rows: &[Row], min_matches: u32) -> Self {
+    pub fn fit(rows: &[TrainingRow], min_matches: u32) -> Self {
         let total: f32 = rows.iter().map(|row| row.weight).sum::<f32>().max(f32::MIN_POSITIVE);
         let mut parameters = vec![0.0f32; COUNT];
         (parameters[0], parameters[1]) = (2.0, 1.0);
@@ -83,8 +83,10 @@ impl Curves {
     }
 
     fn from_parameters(parameters: &[f32], min_matches: u32) -> Self {
-        let curve =
-            |base: Curve, start: usize| Curve { values: std::array::from_fn(|knot| parameters[start + knot]), ..base };
+        let curve = |base: PiecewiseLinear, start: usize| PiecewiseLinear {
+            values: std::array::from_fn(|knot| parameters[start + knot]),
+            ..base
+        };
         let of_place = |start: usize| std::array::from_fn(|i| curve(PLACE[i], start + i * KNOTS));
         Self {
             pair: PairCurves {
@@ -107,9 +109,9 @@ fn at_least(chances: impl Iterator<Item = f32>, m: usize) -> f32 {
     at_least[m]
 }
 
-/// Sum over the rows of the derivative of the negative log likelihood; in a fixed order.
-fn gradient(rows: &[Row], parameters: &[f32], m: usize) -> Vec<f32> {
-    let of_chunk = |chunk: &[Row]| {
+/// Returns the gradient of the negative log likelihood, summed over the rows in a fixed order.
+fn gradient(rows: &[TrainingRow], parameters: &[f32], m: usize) -> Vec<f32> {
+    let of_chunk = |chunk: &[TrainingRow]| {
         let mut sum = vec![0.0f32; COUNT];
         chunk.iter().for_each(|row| add_row(row, parameters, m, &mut sum));
         sum
@@ -122,7 +124,7 @@ fn gradient(rows: &[Row], parameters: &[f32], m: usize) -> Vec<f32> {
     total
 }
 
-fn add_row(row: &Row, parameters: &[f32], m: usize, sum: &mut [f32]) {
+fn add_row(row: &TrainingRow, parameters: &[f32], m: usize, sum: &mut [f32]) {
     let q = logistic(parameters[0] + value(&PLACE, &row.place, parameters, KEY));
     let odds = |pair: &PairRow| {
         parameters[1]
@@ -147,8 +149,8 @@ fn add_row(row: &Row, parameters: &[f32], m: usize, sum: &mut [f32]) {
     }
 }
 
-/// Sum of the curves whose knots begin at `start`.
-fn value(curves: &[Curve], numbers: &[f32], parameters: &[f32], start: usize) -> f32 {
+/// Returns the sum of the curves whose knots begin at `start`.
+fn value(curves: &[PiecewiseLinear], numbers: &[f32], parameters: &[f32], start: usize) -> f32 {
     let each = curves.iter().zip(numbers).enumerate();
     each.filter_map(|(i, (curve, &x))| {
         let b = curve.between(x)?;
@@ -158,7 +160,7 @@ fn value(curves: &[Curve], numbers: &[f32], parameters: &[f32], start: usize) ->
     .sum()
 }
 
-fn add(curves: &[Curve], numbers: &[f32], slope: f32, sum: &mut [f32], start: usize) {
+fn add(curves: &[PiecewiseLinear], numbers: &[f32], slope: f32, sum: &mut [f32], start: usize) {
     for (i, (curve, &x)) in curves.iter().zip(numbers).enumerate() {
         if let Some(b) = curve.between(x) {
             let knot = start + i * KNOTS + b.knot;
@@ -188,7 +190,7 @@ mod tests {
 
     use super::*;
 
-    fn rows(count: usize, seed: u64) -> (Vec<Row>, Vec<f32>) {
+    fn rows(count: usize, seed: u64) -> (Vec<TrainingRow>, Vec<f32>) {
         let mut random = rand_pcg::Pcg64Mcg::seed_from_u64(seed);
         let mut unit = || (random.next_u32() >> 8) as f32 / (1 << 24) as f32;
         let mut truth = Vec::new();
@@ -204,7 +206,7 @@ mod tests {
             let q = if place[2] > 0.5 { 0.9 } else { 0.3 };
             let chance = q * at_least(pairs.iter().map(|p| p.numbers[0]), 2);
             truth.push(chance);
-            Row { place, pairs, success: f32::from(u8::from(unit() < chance)), weight: 1.0 }
+            TrainingRow { place, pairs, success: f32::from(u8::from(unit() < chance)), weight: 1.0 }
         };
         let rows = (0..count).map(|_| row()).collect();
         (rows, truth)
@@ -212,7 +214,7 @@ mod tests {
 
     #[test]
     fn finds_the_chances_of_pairs_that_are_never_observed_alone() {
-        let curves = Curves::fit(&rows(20_000, 1).0, 2);
+        let curves = FittedCurves::fit(&rows(20_000, 1).0, 2);
         let (rows, truth) = rows(2000, 2);
         let errors = rows.iter().zip(&truth).map(|(row, truth)| (curves.chance(row) - truth).abs());
         let mean = errors.sum::<f32>() / rows.len() as f32;
@@ -226,8 +228,8 @@ mod tests {
         let parameters: Vec<f32> =
             (0..COUNT).map(|_| (random.next_u32() >> 8) as f32 / (1 << 24) as f32 - 0.5).collect();
         let loss = |parameters: &[f32]| -> f64 {
-            let curves = Curves::from_parameters(parameters, 2);
-            let of = |row: &Row| {
+            let curves = FittedCurves::from_parameters(parameters, 2);
+            let of = |row: &TrainingRow| {
                 let f = f64::from(curves.chance(row));
                 -f64::from(row.success) * f.ln() - (1.0 - f64::from(row.success)) * (1.0 - f).ln()
             };

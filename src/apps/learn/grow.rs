@@ -1,4 +1,4 @@
-//! Growing trees from histograms.
+//! Grows decision trees from histograms.
 
 use rand_core::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
@@ -6,26 +6,26 @@ use rayon::prelude::*;
 
 use crate::method::confidence::trees::{BINS, Classifier, Ensemble, Table, Tree, logistic};
 
-/// How one tree grows.
+/// Settings of one tree's growth.
 #[derive(Clone, Copy, Debug)]
 struct Growth {
     max_depth: u32,
-    /// Least sum of h in a leaf.
+    /// Minimum sum of h in a leaf.
     min_weight: f64,
-    /// λ: pulls the values of small leaves to 0.
+    /// λ: shrinks the values of small leaves towards 0.
     shrinkage: f64,
 }
 
-/// Gradient boosting on the logistic loss: each tree mends what the earlier ones left.
+/// Gradient boosting on the logistic loss: each tree fits the residual of the earlier ones.
 #[derive(Clone, Copy, Debug)]
 pub struct Boosting {
     pub trees: usize,
     pub max_depth: u32,
-    /// Share of each tree's values that is taken.
+    /// Learning rate: share of each tree's values that is added.
     pub learning_rate: f64,
-    /// Share of the rows that each tree sees.
+    /// Share of the rows that each tree is grown on.
     pub row_share: f64,
-    /// Least sum of p (1 − p) in a leaf.
+    /// Minimum sum of p (1 − p) in a leaf.
     pub min_leaf: f64,
 }
 
@@ -36,7 +36,7 @@ impl Default for Boosting {
 }
 
 impl Boosting {
-    /// Learns the labels of the rows. `weights` are not negative.
+    /// Trains on the labels of the rows. `weights` are not negative.
     pub fn train(&self, table: &Table, labels: &[bool], weights: &[f32], seed: u64) -> Classifier {
         let growth = Growth { max_depth: self.max_depth, min_weight: self.min_leaf, shrinkage: 1.0 };
         let start = log_odds(labels, weights);
@@ -85,7 +85,7 @@ impl Sums {
     }
 }
 
-/// The best way to divide a node.
+/// A split of a node.
 #[derive(Clone, Copy)]
 struct Split {
     gain: f64,
@@ -117,7 +117,7 @@ impl Growth {
         tree
     }
 
-    /// The split that gains most; ties go to the first feature and the lowest bin.
+    /// Returns the split with the largest gain; ties go to the first feature and the lowest bin.
     fn best_split(
         &self,
         table: &Table,
@@ -172,7 +172,7 @@ fn total(rows: &[u32], gradients: &(dyn Fn(u32) -> (f32, f32) + Sync)) -> Sums {
     })
 }
 
-/// Moves the rows that go left to the front, each side in its order; returns how many they are.
+/// Moves the rows of the left child to the front, each side in its order; returns how many there are.
 fn partition(rows: &mut [u32], goes_left: impl Fn(u32) -> bool) -> usize {
     let right: Vec<u32> = rows.iter().copied().filter(|&row| !goes_left(row)).collect();
     let mut left = 0;

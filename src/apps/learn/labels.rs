@@ -1,9 +1,9 @@
-//! Labels without ground truth (method 7.3): where did the backend succeed, by what other depth maps of the same place say.
+//! Labels without ground truth (method 7.3): success of the backend, judged by other depth maps of the same place.
 //!
 //! A measured pixel is *positive* if enough other depth maps from clearly other viewpoints put the surface at the same place, *negative* if
-//! more of them saw through that place; a pixel without depth is negative where a visible triangle of the surface could have been measured.
-//! Only places that enough others look at are judged at all, so that being judged doesn't depend on the outcome; and only those that enough of the
-//! cluster's partners see (method 3.1), since what no partner shows says nothing of the picture and the plan knows it without a model.
+//! more of them see through it; a pixel without depth is negative if a visible triangle of the surface could have been measured there.
+//! A place is judged only if enough other maps cover it, so that being judged doesn't depend on the outcome, and only if enough of the cluster's
+//! partners see it (method 3.1): without them failure says nothing about the picture, and the plan predicts it without a model.
 
 use nalgebra::{Matrix3, Point2, Point3, Vector3};
 
@@ -16,25 +16,25 @@ use crate::{
     model::{cluster::ViewCluster, scene::ViewIndex},
 };
 
-/// Other depth maps that must agree.
+/// Minimum number of other depth maps that must agree.
 const LEAST_AGREEING: u32 = 2;
-/// Angle between two viewpoints from which their depth maps count as independent, cosine of 5 degrees.
+/// Cosine of the angle between two viewpoints, 5 degrees, from which their depth maps count as independent.
 const COS_APART: f64 = 0.996_194_7;
-/// Agreement is within so many standard deviations, contradiction beyond so many.
+/// Depths agree within the first number of standard deviations and contradict beyond the second.
 const AGREES: f64 = 2.0;
 const CONTRADICTS: f64 = 4.0;
-/// In units of a_d: errors below the first are never held against a depth, maps that differ by more than the second never agree, since what both err by adds to
-/// it (`benches/labels.rs`), and above the third a depth is wrong by method 8.
+/// In units of a_d. Smaller errors than the first never count against a depth; maps that differ by more than the second never agree, because errors that
+/// they share add to it (`benches/labels.rs`); an error above the third is wrong by method 8.
 const LEAST_ERROR: f64 = 1.0;
 const MOST_AGREEING: f64 = 2.5;
 const MOST_ERROR: f64 = 3.0;
-/// Others that are asked at most.
+/// Largest number of other depth maps consulted.
 const MOST_OTHERS: usize = 12;
-/// Pixels of a map that are judged at most.
+/// Largest number of judged pixels per map.
 const MOST_PIXELS: u32 = 40_000;
 
-/// A finished view cluster: the partners that were tried, and its depth map.
-pub struct Finished {
+/// A finished view cluster with its depth map.
+pub struct LabelledMap {
     pub cluster: ViewCluster,
     pub map: DepthMap,
 }
@@ -44,20 +44,20 @@ pub struct Finished {
 pub struct Label {
     /// Row of the key view and the pixel's triangle in the visibility table.
     pub row: usize,
-    /// Place in the image, shares of its width and height.
+    /// Position in the image, as shares of width and height.
     pub x: f32,
     pub y: f32,
     pub success: bool,
-    /// Does the pixel have a depth?
+    /// True if the pixel has a depth.
     pub measured: bool,
 }
 
-/// What the labels of one key view are made from.
+/// Inputs of the labels of one key view.
 pub struct Labelling<'a> {
     pub model: Model<'a>,
-    /// By view, where there is one.
-    pub finished: &'a [Option<Finished>],
-    /// By view: other views that look at the same places, best first.
+    /// Finished clusters by view; `None` without a depth map.
+    pub finished: &'a [Option<LabelledMap>],
+    /// Returns the other views that see the same places as a view, best first.
     pub others: &'a (dyn Fn(ViewIndex) -> Vec<ViewIndex> + Sync),
 }
 
@@ -65,11 +65,11 @@ pub struct Labelling<'a> {
 struct Other<'a> {
     view: ViewIndex,
     centre: Point3<f64>,
-    finished: &'a Finished,
+    finished: &'a LabelledMap,
 }
 
 impl<'a> Labelling<'a> {
-    /// The judged pixels of a key view, row by row.
+    /// Returns the judged pixels of a key view, row by row.
     pub fn labels(&self, key: ViewIndex) -> Vec<Label> {
         let Some(finished) = &self.finished[key.index()] else { return Vec::new() };
         let map = &finished.map;
@@ -102,15 +102,15 @@ impl<'a> Labelling<'a> {
         labels
     }
 
-    /// f_cov of method 3.1.
+    /// Returns whether enough partners see the triangle (f_cov of method 3.1).
     fn is_covered(&self, cluster: &ViewCluster, triangle: u32) -> bool {
         let seeing = cluster.partners.iter().filter(|&&p| self.model.visibility.row(p, triangle).is_some());
         1 + seeing.count() >= self.model.rule.min_cameras as usize
     }
 
-    /// Depth maps that do not share a pair with this one.
-    fn others_of(&self, key: ViewIndex, own: &Finished) -> Vec<Other<'a>> {
-        let shares_pair = |other: &Finished| {
+    /// Returns the depth maps that share no pair with this one.
+    fn others_of(&self, key: ViewIndex, own: &LabelledMap) -> Vec<Other<'a>> {
+        let shares_pair = |other: &LabelledMap| {
             own.cluster.partners.contains(&other.cluster.key) && other.cluster.partners.contains(&key)
         };
         let of = |view: ViewIndex| {
@@ -120,8 +120,8 @@ impl<'a> Labelling<'a> {
         (self.others)(key).into_iter().filter_map(of).take(MOST_OTHERS).collect()
     }
 
-    /// Success, failure, or nothing to be said.
-    fn judge(&self, pixel: &Pixel, own: &Finished, others: &[Other], covariances: &mut Covariances) -> Option<bool> {
+    /// Returns success or failure; `None` if undecided.
+    fn judge(&self, pixel: &Pixel, own: &LabelledMap, others: &[Other], covariances: &mut Covariances) -> Option<bool> {
         let scene = self.model.scene;
         let pose = &scene.view(pixel.key).cam_from_world;
         let camera = scene.camera_of(pixel.key);
@@ -144,11 +144,11 @@ impl<'a> Labelling<'a> {
         if depth.is_none() {
             return Some(false);
         }
-        let own_covariance = covariances.of(&self.model, &own.cluster, pixel.triangle);
+        let own_covariance = covariances.get(&self.model, &own.cluster, pixel.triangle);
         let accuracy = self.model.target.accuracy(pixel.triangle);
         let (mut agreeing, mut contradicting) = (0, 0);
         for other in looking {
-            let covariance = own_covariance + covariances.of(&self.model, &other.finished.cluster, pixel.triangle);
+            let covariance = own_covariance + covariances.get(&self.model, &other.finished.cluster, pixel.triangle);
             match self.held_against(other, &point, &covariance, accuracy) {
                 Some(Verdict::Agrees) => agreeing += 1,
                 Some(Verdict::SawThrough) => contradicting += 1,
@@ -168,7 +168,7 @@ impl<'a> Labelling<'a> {
         distance.is_finite().then(|| centre + towards * distance)
     }
 
-    /// What another depth map says of a point.
+    /// Compares another depth map with a point.
     fn held_against(
         &self,
         other: &Other,
@@ -197,7 +197,7 @@ impl<'a> Labelling<'a> {
     }
 }
 
-/// Depths that differ by more, as a share, are of two surfaces.
+/// Relative difference of depths beyond which they belong to two surfaces.
 const SAME_SURFACE: f64 = 0.02;
 
 enum Verdict {
@@ -213,12 +213,12 @@ struct Pixel<'a> {
     triangle: u32,
 }
 
-/// Every so many rows and columns a pixel is judged.
+/// Returns the step, in rows and columns, between judged pixels.
 fn steps(width: u32, height: u32) -> u32 {
     (1..).find(|step| (width / step) * (height / step) <= MOST_PIXELS).unwrap_or(1)
 }
 
-/// The depths of the pixels around a position.
+/// Returns the depths of the pixels around a position.
 fn around<'a>(
     map: &'a DepthMap,
     camera: &crate::model::camera::Camera,
@@ -230,13 +230,13 @@ fn around<'a>(
     rows.flat_map(move |r| columns.clone().map(move |c| (c, r))).filter_map(|(c, r)| map.depth_at(c, r))
 }
 
-/// Covariances of a cluster's measurements, method 3.3, made where they are asked for.
+/// Covariances of a cluster's measurements (method 3.3), computed on demand.
 #[derive(Default)]
 struct Covariances(std::collections::HashMap<(ViewIndex, u32), Matrix3<f64>>);
 
 impl Covariances {
-    /// Square scene units.
-    fn of(&mut self, model: &Model, cluster: &ViewCluster, triangle: u32) -> Matrix3<f64> {
+    /// Covariance, square scene units.
+    fn get(&mut self, model: &Model, cluster: &ViewCluster, triangle: u32) -> Matrix3<f64> {
         let make = || {
             let seeing = cluster.partners.iter().filter(|&&p| model.visibility.row(p, triangle).is_some());
             let views = seeing.copied().chain([cluster.key]);
@@ -252,12 +252,12 @@ impl Covariances {
 mod tests {
     use super::*;
     use crate::{
-        base::progress::Unwatched,
+        base::progress::NoWatcher,
         config::{TargetSettings, VisibilitySettings},
         io::depthmaps::DepthMapFormat,
         method::{
             confidence::{Confidence, NO_AGREEMENT, Unary},
-            fulfilment::Rule,
+            fulfilment::FulfilmentRule,
             synthetic::Town,
             target::Target,
             visibility,
@@ -309,19 +309,25 @@ mod tests {
             &settings,
             4.0,
             crate::base::column::Storage::Memory,
-            &Unwatched,
+            &NoWatcher,
         )
         .unwrap();
         let target = Target::new(&scene, &surface, &visibility, &TargetSettings::default(), 0.3, 0.2);
-        let rule = Rule { alpha: 0.5, sigma_px: 0.5, min_cameras: 2, image_scale: 0.2, confidence: Confidence::None };
+        let rule = FulfilmentRule {
+            alpha: 0.5,
+            sigma_px: 0.5,
+            min_cameras: 2,
+            image_scale: 0.2,
+            confidence: Confidence::None,
+        };
         let (scene, surface, visibility) = (&scene, &surface, &visibility);
         let model =
             Model { scene, surface, visibility, target: &target, unary: &unary, agreement: &NO_AGREEMENT, rule };
         let views = scene.views.len() as u32;
         let next = |view: ViewIndex, by: u32| ViewIndex((view.0 + by) % views);
         let cluster = |key| ViewCluster { key, partners: vec![next(key, 1), next(key, 2)] };
-        let finished = |view| Some(Finished { cluster: cluster(view), map: map(&model, view) });
-        let finished: Vec<Option<Finished>> = scene.view_indices().map(finished).collect();
+        let finished = |view| Some(LabelledMap { cluster: cluster(view), map: map(&model, view) });
+        let finished: Vec<Option<LabelledMap>> = scene.view_indices().map(finished).collect();
         let others = |key: ViewIndex| {
             let mut others: Vec<ViewIndex> = scene.view_indices().filter(|v| *v != key).collect();
             let centre = |v: ViewIndex| scene.view(v).cam_from_world.centre();

@@ -1,7 +1,7 @@
-//! Training the confidence on finished depth maps (method 7.3): labels, the picture's classifier, and the curves of pairs and places.
+//! Trains the confidence on finished depth maps (method 7.3): labels, the picture classifier, and the curves of pairs and places.
 //!
-//! Everything that is fitted to the output of something else that was trained (the calibration, the curves that take the picture's promise) sees
-//! predictions for what was left out: one of the [`Parts`] while the others are trained on.
+//! Stages that are fitted to the output of an earlier trained stage (calibration; curves of the picture's prediction) get out-of-sample
+//! predictions: one of the [`Parts`] is predicted by a model trained on the others.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -17,9 +17,9 @@ mod score;
 
 pub use self::labels::Label;
 use self::{
-    fit::{Curves, PairRow, Row},
+    fit::{FittedCurves, PairRow, TrainingRow},
     grow::Boosting,
-    labels::{Finished, Labelling},
+    labels::{LabelledMap, Labelling},
     parts::{Parts, Views},
     score::Scores,
 };
@@ -27,8 +27,8 @@ use crate::method::confidence::{
     ConfidenceMap, Constellation, Unary,
     features::{self, Features},
     image::{Image, size_for_confidence},
-    place::{self, Places},
-    trained::{Measured, Picture, Trained, TrainedOn, VERSION},
+    place::{self, PlaceFeatures},
+    trained::{PictureModel, TrainedModel, TrainedOn, VERSION, ValidationScores},
     trees::{BINS, Table},
 };
 use crate::{
@@ -45,88 +45,92 @@ use crate::{
     model::{cluster::ViewCluster, scene::ViewIndex},
 };
 
-/// Pixels and triangles that are trained on at most.
+/// Limits on the pixels and triangles to train on.
 const MOST_PIXELS: usize = 100_000;
 const MOST_TRIANGLES: usize = 40_000;
-/// Of one image, at most.
+/// Limit per image.
 const MOST_PER_IMAGE: usize = 2000;
-/// Judged pixels from which a triangle counts in full.
+/// Judged pixels from which a triangle has full weight.
 const FULL_WEIGHT: f32 = 8.0;
-/// Memory for depth maps; beyond it only some of their rows and columns are kept.
+/// Memory for depth maps, bytes; beyond it only every n-th row and column is kept.
 const MOST_MAP_BYTES: usize = 512 << 20;
 
 /// A project with finished depth maps.
-pub struct Lesson<'a> {
+pub struct TrainingProject<'a> {
     pub name: String,
     pub model: Model<'a>,
     pub candidates: &'a Candidates,
-    /// The partners that were tried.
+    /// Clusters with the partners that were used.
     pub clusters: Vec<ViewCluster>,
     pub maps: Vec<DepthMapFile>,
     pub images: Option<ImageFolder>,
 }
 
-/// For which backend, and with what.
-pub struct Course {
+/// Options of a training.
+pub struct TrainingOptions {
     pub backend: String,
-    /// Method 3.4.
+    /// Minimum number of matches (method 3.4).
     pub min_matches: u32,
     pub seed: u64,
 }
 
-/// A judged pixel: its cell's features and whether it came out right.
+/// Features of the cells of judged pixels, with the outcome.
 struct Pixels {
     part: usize,
     features: Vec<f32>,
     success: Vec<bool>,
 }
 
-/// What the labels of one view come to.
-struct Judged {
+/// Labels of one view.
+struct JudgedView {
     view: ViewIndex,
     part: usize,
-    /// Place in the image and success of the drawn pixels.
+    /// Position in the image and success of the sampled pixels.
     drawn: Vec<(f32, f32, bool)>,
-    /// Row of the visibility table, judged pixels, those that came out right.
+    /// Row of the visibility table, number of judged pixels, number of successes.
     triangles: Vec<(usize, u32, u32)>,
 }
 
-/// Trains on the lessons; the same for any number of threads.
-pub fn train(lessons: &[Lesson], course: &Course, watcher: &dyn Watcher) -> Result<Trained, TrainError> {
-    let parts = Parts::new(&lessons.iter().map(Lesson::views).collect::<Vec<_>>());
+/// Trains on the projects; the same result for any number of threads.
+pub fn train(
+    lessons: &[TrainingProject],
+    course: &TrainingOptions,
+    watcher: &dyn Watcher,
+) -> Result<TrainedModel, TrainError> {
+    let parts = Parts::new(&lessons.iter().map(TrainingProject::views).collect::<Vec<_>>());
     let judged = judge(lessons, &parts, course.seed, watcher)?;
     if judged.iter().flatten().all(|view| view.drawn.is_empty()) {
         return Err(TrainError::NothingJudged);
     }
     watcher.progress(Stage::Train, 0, 4);
     let pixels = pixels(lessons, &judged, watcher)?;
-    let pictures = Pictures::train(&pixels, parts.count, course.seed);
+    let pictures = PictureModels::train(&pixels, parts.count, course.seed);
     watcher.progress(Stage::Train, 1, 4);
     let (promised, reach) = promises(lessons, &parts, pictures.as_ref(), watcher)?;
     watcher.progress(Stage::Train, 2, 4);
-    let rows: Vec<(usize, Row)> = rows(lessons, &parts, &judged, &promised, course.seed, watcher)?;
+    let rows: Vec<(usize, TrainingRow)> = rows(lessons, &parts, &judged, &promised, course.seed, watcher)?;
     let without = |part: usize| {
-        let others: Vec<Row> = rows.iter().filter(|(p, _)| *p != part).map(|(_, row)| row.clone()).collect();
-        Curves::fit(&others, course.min_matches)
+        let others: Vec<TrainingRow> = rows.iter().filter(|(p, _)| *p != part).map(|(_, row)| row.clone()).collect();
+        FittedCurves::fit(&others, course.min_matches)
     };
-    let without: Vec<Curves> = (0..parts.count).map(without).collect();
+    let without: Vec<FittedCurves> = (0..parts.count).map(without).collect();
     watcher.progress(Stage::Train, 3, 4);
     let left_out = rows.iter().map(|(part, row)| (without[*part].chance(row), row.success, row.weight));
     let scores = Scores::new(left_out.collect());
-    let all: Vec<Row> = rows.into_iter().map(|(_, row)| row).collect();
-    let curves = Curves::fit(&all, course.min_matches);
+    let all: Vec<TrainingRow> = rows.into_iter().map(|(_, row)| row).collect();
+    let curves = FittedCurves::fit(&all, course.min_matches);
     watcher.progress(Stage::Train, 4, 4);
-    let (format, tool, licence) = Trained::head();
+    let (format, tool, licence) = TrainedModel::head();
     let pixel_scores = pictures.as_ref().map(|p| p.scores.clone()).unwrap_or_default();
-    Ok(Trained {
+    Ok(TrainedModel {
         format,
         version: VERSION,
         tool,
         licence,
         backend: course.backend.clone(),
-        trained_on: lessons.iter().map(Lesson::summary).collect(),
+        trained_on: lessons.iter().map(TrainingProject::summary).collect(),
         seed: course.seed,
-        measured: Measured {
+        measured: ValidationScores {
             triangles: scores.count,
             auc: scores.auc,
             brier: scores.brier,
@@ -137,18 +141,23 @@ pub fn train(lessons: &[Lesson], course: &Course, watcher: &dyn Watcher) -> Resu
         },
         pair: curves.pair,
         place: curves.place,
-        picture: pictures.map(|pictures| Picture { reach, ..pictures.all }),
+        picture: pictures.map(|pictures| PictureModel { reach, ..pictures.all }),
     })
 }
 
-/// The labels of all finished maps, by lesson.
-fn judge(lessons: &[Lesson], parts: &Parts, seed: u64, watcher: &dyn Watcher) -> Result<Vec<Vec<Judged>>, TrainError> {
+/// Labels all finished maps, by project.
+fn judge(
+    lessons: &[TrainingProject],
+    parts: &Parts,
+    seed: u64,
+    watcher: &dyn Watcher,
+) -> Result<Vec<Vec<JudgedView>>, TrainError> {
     let total: usize = lessons.iter().map(|l| l.maps.len()).sum();
     let done = AtomicU64::new(0);
     watcher.progress(Stage::Labels, 0, total as u64);
     let tick = || watcher.progress(Stage::Labels, 1 + done.fetch_add(1, Ordering::Relaxed), total as u64);
-    let of_lesson = |(number, lesson): (usize, &Lesson)| {
-        let part = |view: ViewIndex| parts.of(number, lesson.model.scene, view);
+    let of_lesson = |(number, lesson): (usize, &TrainingProject)| {
+        let part = |view: ViewIndex| parts.part_of(number, lesson.model.scene, view);
         let maps = lessons.iter().enumerate().filter(|(other, _)| parts.scene(*other) == parts.scene(number));
         let maps: usize = maps.map(|(_, l)| l.maps.len()).sum();
         lesson.judge(&part, MOST_PIXELS / parts.scenes / maps.max(1), seed, &tick, watcher)
@@ -156,7 +165,7 @@ fn judge(lessons: &[Lesson], parts: &Parts, seed: u64, watcher: &dyn Watcher) ->
     lessons.iter().enumerate().map(of_lesson).collect()
 }
 
-impl Lesson<'_> {
+impl TrainingProject<'_> {
     fn summary(&self) -> TrainedOn {
         TrainedOn { name: self.name.clone(), views: self.model.scene.views.len(), depth_maps: self.maps.len() }
     }
@@ -173,7 +182,7 @@ impl Lesson<'_> {
         seed: u64,
         tick: &(dyn Fn() + Sync),
         watcher: &dyn Watcher,
-    ) -> Result<Vec<Judged>, TrainError> {
+    ) -> Result<Vec<JudgedView>, TrainError> {
         let judge = |map: &DepthMapFile, labels: Vec<Label>| {
             let mut triangles: Vec<(usize, u32, u32)> = Vec::new();
             let mut by_row: Vec<(usize, bool)> = labels.iter().map(|l| (l.row, l.success)).collect();
@@ -191,12 +200,12 @@ impl Lesson<'_> {
                 (label.x, label.y, label.success)
             };
             tick();
-            Judged { view: map.view, part: part(map.view), drawn: (0..draws).map(draw).collect(), triangles }
+            JudgedView { view: map.view, part: part(map.view), drawn: (0..draws).map(draw).collect(), triangles }
         };
         self.for_each_map(judge, watcher)
     }
 
-    /// What `look` makes of each finished map and its labels.
+    /// Maps each finished depth map and its labels through `look`.
     pub fn for_each_map<T: Send>(
         &self,
         look: impl Fn(&DepthMapFile, Vec<Label>) -> T + Sync,
@@ -212,9 +221,9 @@ impl Lesson<'_> {
         self.maps.par_iter().map(of_map).collect()
     }
 
-    /// Depth maps by view, thinned out where they are too many.
-    fn finished(&self, watcher: &dyn Watcher) -> Result<Vec<Option<Finished>>, TrainError> {
-        let mut finished: Vec<Option<Finished>> = self.model.scene.views.iter().map(|_| None).collect();
+    /// Reads the depth maps by view, subsampled if they exceed the memory limit.
+    fn finished(&self, watcher: &dyn Watcher) -> Result<Vec<Option<LabelledMap>>, TrainError> {
+        let mut finished: Vec<Option<LabelledMap>> = self.model.scene.views.iter().map(|_| None).collect();
         let read = |file: &DepthMapFile| {
             watcher.check()?;
             let map = depthmaps::read_of_view(file, self.model.scene)?;
@@ -224,7 +233,7 @@ impl Lesson<'_> {
         for (file, map) in self.maps.iter().zip(maps) {
             let cluster = self.clusters.iter().find(|c| c.key == file.view);
             let cluster = cluster.ok_or_else(|| TrainError::NoCluster(self.model.scene.name(file.view).into()))?;
-            finished[file.view.index()] = Some(Finished { cluster: cluster.clone(), map });
+            finished[file.view.index()] = Some(LabelledMap { cluster: cluster.clone(), map });
         }
         Ok(finished)
     }
@@ -237,18 +246,22 @@ impl Lesson<'_> {
     }
 }
 
-/// Features of the drawn pixels of all views that have an image.
-fn pixels(lessons: &[Lesson], judged: &[Vec<Judged>], watcher: &dyn Watcher) -> Result<Vec<Pixels>, Cancelled> {
-    let views: Vec<(&Lesson, &Judged)> =
+/// Computes features of the sampled pixels of all views with an image.
+fn pixels(
+    lessons: &[TrainingProject],
+    judged: &[Vec<JudgedView>],
+    watcher: &dyn Watcher,
+) -> Result<Vec<Pixels>, Cancelled> {
+    let views: Vec<(&TrainingProject, &JudgedView)> =
         lessons.iter().zip(judged).flat_map(|(l, j)| j.iter().map(move |v| (l, v))).collect();
-    let of_view = |&(lesson, view): &(&Lesson, &Judged)| {
+    let of_view = |&(lesson, view): &(&TrainingProject, &JudgedView)| {
         watcher.check()?;
         let mut pixels = Pixels { part: view.part, features: Vec::new(), success: Vec::new() };
         if let Some(features) = lesson.image(view.view) {
             for &(x, y, success) in &view.drawn {
                 let at = |share: f32, cells: u32| ((share * cells as f32) as u32).min(cells - 1) as usize;
                 let cell = at(y, features.rows) * features.columns as usize + at(x, features.columns);
-                pixels.features.extend(features.of(cell));
+                pixels.features.extend(features.cell(cell));
                 pixels.success.push(success);
             }
         }
@@ -257,15 +270,15 @@ fn pixels(lessons: &[Lesson], judged: &[Vec<Judged>], watcher: &dyn Watcher) -> 
     views.par_iter().map(of_view).collect()
 }
 
-/// Classifiers of pictures: for each part that of the others, and that of all.
-struct Pictures {
-    without: Vec<Picture>,
-    all: Picture,
+/// Picture classifiers: for each part the one trained on the others, and the one trained on all.
+struct PictureModels {
+    without: Vec<PictureModel>,
+    all: PictureModel,
     scores: Scores,
 }
 
-impl Pictures {
-    /// `None` without pictures.
+impl PictureModels {
+    /// Returns `None` without pictures.
     fn train(pixels: &[Pixels], parts: usize, seed: u64) -> Option<Self> {
         let classify = |wanted: &dyn Fn(usize) -> bool| {
             let chosen: Vec<&Pixels> = pixels.iter().filter(|p| wanted(p.part)).collect();
@@ -278,11 +291,11 @@ impl Pictures {
             let how = Boosting { trees: 60, max_depth: 5, learning_rate: 0.12, row_share: 0.5, min_leaf: 30.0 };
             let classifier = how.train(&table, &success, &vec![1.0; success.len()], seed);
             let cumulative = (0..features::COUNT).map(|f| cumulative(table.column(f))).collect();
-            Some(Picture { classifier, calibration: [1.0, 0.0], cumulative, reach: 1.0 })
+            Some(PictureModel { classifier, calibration: [1.0, 0.0], cumulative, reach: 1.0 })
         };
         let mut all = classify(&|_| true)?;
         // The others may all be without a picture.
-        let mut without: Vec<Picture> =
+        let mut without: Vec<PictureModel> =
             (0..parts).map(|part| classify(&|p| p != part).unwrap_or_else(|| all.clone())).collect();
         let trees = best_length(&without, pixels);
         without.iter_mut().chain([&mut all]).for_each(|picture| picture.classifier.trees.truncate(trees));
@@ -300,8 +313,8 @@ impl Pictures {
     }
 }
 
-/// So many trees have the largest likelihood of what was left out; further ones learn what only their own scenes show.
-fn best_length(without: &[Picture], pixels: &[Pixels]) -> usize {
+/// Number of trees with the largest out-of-sample likelihood; further trees overfit to their scenes.
+fn best_length(without: &[PictureModel], pixels: &[Pixels]) -> usize {
     let mut losses = vec![0.0; without.iter().map(|p| p.classifier.trees.len()).max().unwrap_or(0)];
     for p in pixels {
         for (features, &success) in p.features.chunks_exact(features::COUNT).zip(&p.success) {
@@ -314,7 +327,7 @@ fn best_length(without: &[Picture], pixels: &[Pixels]) -> usize {
     best.map_or(0, |(tree, _)| tree + 1)
 }
 
-/// Share of the values up to each bin.
+/// Returns the share of the values up to each bin.
 fn cumulative(column: &[u8]) -> Vec<f32> {
     let mut counts = [0u32; BINS];
     column.iter().for_each(|&bin| counts[usize::from(bin)] += 1);
@@ -326,7 +339,7 @@ fn cumulative(column: &[u8]) -> Vec<f32> {
     counts.iter().map(share).collect()
 }
 
-/// Factor and shift of log odds that fit the outcomes best (Platt 1999), by Newton's method.
+/// Fits factor and shift of log odds to the outcomes (Platt 1999), by Newton's method.
 fn calibrate(outcomes: &[(f32, bool)]) -> [f32; 2] {
     let (mut a, mut b) = (1.0f64, 0.0f64);
     for _ in 0..20 {
@@ -345,12 +358,12 @@ fn calibrate(outcomes: &[(f32, bool)]) -> [f32; 2] {
     [a as f32, b as f32]
 }
 
-/// What the picture promises for each row of each lesson's visibility table, by the classifier that has not seen the view (NaN: no picture); and
-/// the distance between an image and all that nineteen of twenty do not exceed.
+/// Predicts each row of each project's visibility table by the classifier that was not trained on the view (NaN: no picture). Also returns the
+/// 95th percentile of the distances between an image and all others.
 fn promises(
-    lessons: &[Lesson],
+    lessons: &[TrainingProject],
     parts: &Parts,
-    pictures: Option<&Pictures>,
+    pictures: Option<&PictureModels>,
     watcher: &dyn Watcher,
 ) -> Result<(Vec<Vec<f32>>, f32), TrainError> {
     let mut promised = Vec::new();
@@ -361,7 +374,7 @@ fn promises(
         let look = |&view: &ViewIndex| {
             watcher.check()?;
             let looked = pictures.zip(lesson.image(view)).map(|(pictures, features)| {
-                let chances = pictures.without[parts.of(number, scene, view)].of_cells(&features).0;
+                let chances = pictures.without[parts.part_of(number, scene, view)].of_cells(&features).0;
                 let map = ConfidenceMap::new([features.columns, features.rows], chances.into_iter());
                 (map, pictures.all.of_cells(&features).1)
             });
@@ -377,7 +390,7 @@ fn promises(
                 .model
                 .visibility
                 .rows(view)
-                .map(|row| if known { unary.at(row) } else { f32::NAN })
+                .map(|row| if known { unary.confidence(row) } else { f32::NAN })
                 .collect::<Vec<_>>()
         };
         promised.push(views.iter().flat_map(of_view).collect());
@@ -387,15 +400,15 @@ fn promises(
     Ok((promised, reach))
 }
 
-/// The rows to fit the curves to, each with its part; of each scene as many at most.
+/// Collects the rows for the curves, each with its part; the same limit for each scene.
 fn rows(
-    lessons: &[Lesson],
+    lessons: &[TrainingProject],
     parts: &Parts,
-    judged: &[Vec<Judged>],
+    judged: &[Vec<JudgedView>],
     promised: &[Vec<f32>],
     seed: u64,
     watcher: &dyn Watcher,
-) -> Result<Vec<(usize, Row)>, TrainError> {
+) -> Result<Vec<(usize, TrainingRow)>, TrainError> {
     let mut counts = vec![0usize; parts.scenes];
     for (lesson, judged) in judged.iter().enumerate() {
         counts[parts.scene(lesson)] += judged.iter().map(|view| view.triangles.len()).sum::<usize>();
@@ -406,7 +419,7 @@ fn rows(
     for (number, ((lesson, judged), promised)) in lessons.iter().zip(judged).zip(promised).enumerate() {
         let kept_below = (most / counts[parts.scene(number)].max(1) as f64 * f64::from(u32::MAX)) as u32;
         let model = &lesson.model;
-        let places = Places::new(model.geometry(), &model.scene.view_points(), watcher)?;
+        let places = PlaceFeatures::new(model.geometry(), &model.scene.view_points(), watcher)?;
         let of_place = |view: ViewIndex, row: usize| places.numbers(view, row, promised[row]);
         for view in judged {
             let Some(cluster) = lesson.clusters.iter().find(|c| c.key == view.view) else { continue };
@@ -420,7 +433,7 @@ fn rows(
                     let constellation = Constellation::new(&model.geometry(), view.view, partner, triangle);
                     Some(PairRow { numbers: constellation.numbers(), place })
                 };
-                let row = Row {
+                let row = TrainingRow {
                     place: of_place(view.view, row),
                     pairs: cluster.partners.iter().filter_map(pair).collect(),
                     success: right as f32 / pixels as f32,
@@ -433,7 +446,7 @@ fn rows(
     Ok(rows)
 }
 
-/// Why nothing could be learnt.
+/// An error of training.
 #[derive(Debug, thiserror::Error)]
 pub enum TrainError {
     #[error(transparent)]

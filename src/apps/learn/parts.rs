@@ -1,28 +1,28 @@
-//! Which views are left out together while something is trained on the others.
+//! Cross-validation: the views that are left out together while training on the others.
 
 use std::path::{Path, PathBuf};
 
 use crate::model::scene::{Scene, ViewIndex};
 
-/// Parts at most; each costs a training.
+/// Largest number of parts; each costs one training.
 const MOST: usize = 4;
 
 /// The views of a project.
 pub(super) struct Views<'a> {
     pub scene: &'a Scene,
     pub images: Option<&'a Path>,
-    /// Those with a depth map.
+    /// Views with a depth map.
     pub finished: Vec<ViewIndex>,
 }
 
-/// Parts of the views that share none: whole scenes, or where there is but one the views before and after the middle one, by name. Projects
-/// that share a view or an image are of one scene, however many times it was computed.
+/// Disjoint parts of the views: whole scenes, or for a single scene the views before and after the middle one, by name. Projects
+/// that share a view or an image belong to one scene.
 pub(super) struct Parts {
     pub count: usize,
     pub scenes: usize,
     /// By project.
     scene: Vec<usize>,
-    /// Of a single scene, the name from which its views are of the second part.
+    /// For a single scene, the name at which its second part begins.
     middle: Option<String>,
 }
 
@@ -48,13 +48,13 @@ impl Parts {
         Self { count: if scenes == 1 { 2 } else { scenes.min(MOST) }, scenes, scene, middle }
     }
 
-    /// Number of the project's scene.
+    /// Index of the project's scene.
     pub fn scene(&self, project: usize) -> usize {
         self.scene[project]
     }
 
-    /// The part that a view of the project belongs to, below [`Parts::count`].
-    pub fn of(&self, project: usize, scene: &Scene, view: ViewIndex) -> usize {
+    /// Returns the part of a project's view, below [`Parts::count`].
+    pub fn part_of(&self, project: usize, scene: &Scene, view: ViewIndex) -> usize {
         match &self.middle {
             Some(middle) => usize::from(scene.name(view) >= middle.as_str()),
             None => self.scene[project] % self.count,
@@ -62,7 +62,7 @@ impl Parts {
     }
 }
 
-/// A view of the same name and pose, or of the same image.
+/// Identity of a view: name and pose, or image.
 fn share_a_view(a: &Scene, b: &Scene, same_folder: bool) -> bool {
     let same = |view: &ViewIndex| {
         let other = b.find(a.name(*view));
@@ -71,7 +71,7 @@ fn share_a_view(a: &Scene, b: &Scene, same_folder: bool) -> bool {
     a.view_indices().any(|view| same(&view))
 }
 
-/// Of the views with a depth map.
+/// Returns the identities of the views with a depth map.
 fn middle(projects: &[Views]) -> String {
     let of = |p: &Views| p.finished.iter().map(|&view| p.scene.name(view).to_owned()).collect::<Vec<_>>();
     let mut names: Vec<String> = projects.iter().flat_map(of).collect();
@@ -97,12 +97,12 @@ mod tests {
         Views { scene, images, finished: scene.view_indices().collect() }
     }
 
-    /// The parts in which a view of that name and pose lies.
+    /// Returns the parts that contain a view of that name and pose.
     fn parts_of(parts: &Parts, projects: &[Views], wanted: (&Scene, ViewIndex)) -> Vec<usize> {
         let (name, pose) = (wanted.0.name(wanted.1), wanted.0.view(wanted.1).cam_from_world);
         let part = |(number, p): (usize, &Views)| {
             let view = p.scene.find(name).filter(|&v| p.scene.view(v).cam_from_world == pose)?;
-            Some(parts.of(number, p.scene, view))
+            Some(parts.part_of(number, p.scene, view))
         };
         let mut found: Vec<usize> = projects.iter().enumerate().filter_map(part).collect();
         found.dedup();
@@ -124,7 +124,7 @@ mod tests {
             }
             let used = |part| {
                 let mut of = projects.iter().enumerate().flat_map(|(n, p)| p.finished.iter().map(move |&v| (n, p, v)));
-                of.any(|(n, p, v)| parts.of(n, p.scene, v) == part)
+                of.any(|(n, p, v)| parts.part_of(n, p.scene, v) == part)
             };
             assert!(parts.count == 2 && used(0) && used(1));
         }
@@ -135,10 +135,10 @@ mod tests {
         let scenes = [town(100.0), town(120.0), town(140.0)];
         let projects: Vec<Views> = [0, 0, 1, 2, 1].map(|s: usize| views(&scenes[s], None)).into();
         let parts = Parts::new(&projects);
-        let of = |project: usize| parts.of(project, projects[project].scene, ViewIndex(0));
+        let of = |project: usize| parts.part_of(project, projects[project].scene, ViewIndex(0));
         assert_eq!((parts.scenes, parts.count), (3, 3));
         assert_eq!([of(0), of(1), of(2), of(3), of(4)], [0, 0, 1, 2, 1]);
-        assert_eq!(of(0), parts.of(0, &scenes[0], ViewIndex(scenes[0].views.len() as u32 - 1)));
+        assert_eq!(of(0), parts.part_of(0, &scenes[0], ViewIndex(scenes[0].views.len() as u32 - 1)));
         // The same images with other poses.
         let folder = tempfile::tempdir().unwrap();
         let projects = [views(&scenes[0], Some(folder.path())), views(&scenes[1], Some(folder.path()))];

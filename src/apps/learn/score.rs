@@ -1,22 +1,22 @@
-//! How good predicted chances are.
+//! Quality measures of predicted probabilities.
 
-/// Ranges of prediction in which predicted and real shares are compared.
+/// Number of equal ranges of prediction for the calibration error.
 const RANGES: usize = 10;
 
-/// Figures of predictions held against outcomes.
+/// Quality of predictions against outcomes.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Scores {
     pub count: usize,
-    /// Area under the ROC curve; an outcome between 0 and 1 counts as that share of a success and the rest of a failure.
+    /// Area under the ROC curve; an outcome between 0 and 1 counts as that share of a success and the rest as a failure.
     pub auc: f64,
     /// Mean squared error.
     pub brier: f64,
-    /// Mean distance between predicted and real shares.
+    /// Mean distance between predicted and observed shares.
     pub calibration_error: f64,
 }
 
 impl Scores {
-    /// Each a prediction, the outcome (0 to 1) and a weight.
+    /// Each entry is a prediction, the outcome (0 to 1) and a weight.
     pub fn new(mut of: Vec<(f32, f32, f32)>) -> Self {
         of.sort_by(|a, b| a.0.total_cmp(&b.0));
         let weight: f64 = of.iter().map(|o| f64::from(o.2)).sum::<f64>().max(f64::MIN_POSITIVE);
@@ -35,7 +35,7 @@ impl Scores {
     }
 }
 
-/// Chance that a success has the larger prediction of a success and a failure; ties count half. `of` ascends.
+/// Returns the probability that a success has a larger prediction than a failure; ties count half. `of` must be ascending.
 fn area(of: &[(f32, f32, f32)]) -> f64 {
     let (mut failures, mut area, mut successes) = (0.0, 0.0, 0.0);
     for tied in of.chunk_by(|a, b| a.0 == b.0) {

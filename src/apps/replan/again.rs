@@ -1,25 +1,25 @@
-//! An existing plan once more, with all its tables: same input and settings, same plan.
+//! Recomputes an existing plan with all its tables: same input and settings, same plan.
 
 use std::{collections::BTreeMap, path::Path};
 
 use crate::backends;
-use crate::plan::{Cut, Decision, Finished, Plan, PlanError, Stages, decide_as};
+use crate::plan::{Cut, Decision, FinishedMaps, Plan, PlanError, Stages, decide_as};
 use crate::{
     base::{column::TableError, error::Hint, progress::Watcher},
     io::project::Project,
     method::{fulfilment, ranking::Ranking},
     model::{cluster::ViewCluster, scene::ViewIndex},
-    show::manifest::{Recorded, WrittenPlanError, warnings_with},
+    show::manifest::{RecordedPlan, WrittenPlanError, warnings_with},
 };
 
-/// Plans again what `viewrank/manifest.json` of the project says, by the prediction alone (finished depth maps are not looked at).
+/// Repeats the plan of the project's `viewrank/manifest.json`, by prediction alone (finished depth maps are ignored).
 pub fn again(root: &Path, watcher: &dyn Watcher) -> Result<(Project, Plan), AgainError> {
     let (project, plan, _) = predicted(root, watcher)?;
     Ok((project, plan))
 }
 
-/// The plan of `viewrank/manifest.json` with the ranking, the cut and the warnings that stand there. Of a plan around finished depth maps gains, shares
-/// and reasons of views are those of the manifest, which are real where finished; fulfilment by triangle is predicted.
+/// Repeats the plan with the ranking, the cut and the warnings of `viewrank/manifest.json`. If that plan was ranked around finished depth maps, gains, shares
+/// and reasons of views come from the manifest, measured where finished; fulfilment by triangle is predicted.
 pub fn as_written(root: &Path, watcher: &dyn Watcher) -> Result<(Project, Plan), AgainError> {
     let (project, plan, recorded) = predicted(root, watcher)?;
     let plan = if recorded.finished() > 0 { with_ranking(plan, &recorded, watcher)? } else { plan };
@@ -27,7 +27,7 @@ pub fn as_written(root: &Path, watcher: &dyn Watcher) -> Result<(Project, Plan),
     Ok((project, Plan { decision: Decision { warnings, ..plan.decision }, ..plan }))
 }
 
-fn with_ranking(plan: Plan, recorded: &Recorded, watcher: &dyn Watcher) -> Result<Plan, AgainError> {
+fn with_ranking(plan: Plan, recorded: &RecordedPlan, watcher: &dyn Watcher) -> Result<Plan, AgainError> {
     let Plan { stages, timings, .. } = plan;
     let ranked = recorded.ranked(&stages.scene)?;
     let order: Vec<ViewIndex> = ranked.iter().map(|cluster| cluster.key).collect();
@@ -54,7 +54,7 @@ fn with_ranking(plan: Plan, recorded: &Recorded, watcher: &dyn Watcher) -> Resul
         reachable: recorded.cut.reachable,
     };
     let finished =
-        Finished { clusters: recorded.finished(), outdated: recorded.outdated.clone(), ..Finished::default() };
+        FinishedMaps { clusters: recorded.finished(), outdated: recorded.outdated.clone(), ..FinishedMaps::default() };
     let cut = Cut { clusters: recorded.cut.clusters.min(ranking.order.len()), ..recorded.cut };
     let mut decision = decide_as(&stages, finished, ranking, cut)?;
     for written in &recorded.views {
@@ -65,8 +65,8 @@ fn with_ranking(plan: Plan, recorded: &Recorded, watcher: &dyn Watcher) -> Resul
     Ok(Plan { stages, decision, timings })
 }
 
-fn predicted(root: &Path, watcher: &dyn Watcher) -> Result<(Project, Plan, Recorded), AgainError> {
-    let (project, recorded) = Recorded::open(root)?;
+fn predicted(root: &Path, watcher: &dyn Watcher) -> Result<(Project, Plan, RecordedPlan), AgainError> {
+    let (project, recorded) = RecordedPlan::open(root)?;
     let mut settings = recorded.settings.clone();
     if settings.backends.is_empty() {
         settings.backends.push(recorded.backend.clone());
@@ -81,7 +81,7 @@ fn predicted(root: &Path, watcher: &dyn Watcher) -> Result<(Project, Plan, Recor
     Ok((project, plan, recorded))
 }
 
-/// Why there is no plan to go on with.
+/// An error of repeating a plan.
 #[derive(Debug, thiserror::Error)]
 pub enum AgainError {
     #[error(transparent)]

@@ -1,8 +1,8 @@
-//! Method 5.4: a plan around what is finished. Finished clusters come first, with what they really reach; the rest is ranked again
-//! behind them, with failures remembered ([`Beliefs`]).
+//! Plans around finished depth maps (method 5.4). Finished clusters come first, with their measured fulfilment; the rest is ranked again
+//! after them, with failures taken into account ([`Beliefs`]).
 //!
-//! The depth maps were made for an earlier plan of the project, perhaps of an earlier model: those that still fit ([`movement`]) stay,
-//! the others are named and count for nothing.
+//! The depth maps were made for an earlier plan, possibly of an earlier model: those that still fit ([`movement`]) are kept,
+//! the others are reported and ignored.
 
 mod again;
 mod movement;
@@ -16,7 +16,7 @@ use std::{
 use rayon::prelude::*;
 
 pub use self::again::{AgainError, again, as_written};
-use self::movement::{Place, movement};
+use self::movement::{MovedView, movement};
 use crate::{
     apps::evaluate::{EvaluateError, EvaluationInput, MeasuredClusters},
     base::{
@@ -50,10 +50,10 @@ pub struct Earlier {
     views: PlannedViews,
 }
 
-impl Earlier {
-    /// From `viewrank/manifest.json` and `planned_views.json` of the project, whether or not the model has changed since.
+impl EarlierPlan {
+    /// Reads `viewrank/manifest.json` and `planned_views.json` of the project, whether or not the model has changed since.
     pub fn read(project: &Project) -> Result<Self, WrittenPlanError> {
-        let recorded = Recorded::read(project)?;
+        let recorded = RecordedPlan::read(project)?;
         let path = project.output_folder().join("planned_views.json");
         let bytes = manifest::read_own(project, "viewrank/planned_views.json")?;
         let views = serde_json::from_slice(&bytes)
@@ -62,12 +62,12 @@ impl Earlier {
         Ok(Self { clusters, cut: recorded.cut.clusters, outdated: recorded.outdated, views })
     }
 
-    /// Names of the key views to the cut, best first.
+    /// Returns the names of the key views up to the cut, best first.
     pub fn list(&self) -> impl Iterator<Item = &str> {
         self.keys().take(self.cut)
     }
 
-    /// Names of the key views, best first.
+    /// Returns the names of all key views, best first.
     pub fn keys(&self) -> impl Iterator<Item = &str> {
         self.clusters.iter().map(|(key, ..)| key.as_str())
     }
@@ -77,13 +77,13 @@ impl Earlier {
         self.clusters.iter().map(|(key, _, scale)| (key.as_str(), *scale))
     }
 
-    /// What was said before of a depth map that is still the same file.
+    /// Returns the earlier finding on an outdated depth map that is still the same file.
     fn outdated(&self, key: &str, hash: &str) -> Option<Outdated> {
         let same = self.views.outdated_files.get(key).is_some_and(|known| known == hash);
         self.outdated.iter().find(|outdated| same && outdated.key == key).cloned()
     }
 
-    /// The view as it was when the depth map of `key` was made.
+    /// Returns the view as it was when the depth map of `key` was made.
     fn then(&self, key: &str, view: &str) -> Option<&PlannedView> {
         match self.views.made_with.get(key) {
             Some(views) => views.get(view),
@@ -92,36 +92,36 @@ impl Earlier {
     }
 }
 
-/// Where finished depth maps are.
+/// Location of the finished depth maps.
 pub struct Maps<'a> {
     pub folder: &'a Path,
-    /// Is the file written to its end?
+    /// Returns whether the file is completely written.
     pub ready: &'a (dyn Fn(&Path) -> bool + Sync),
 }
 
-/// Ranks the plan again around the finished depth maps of an earlier plan; the same plan where there are none.
+/// Ranks the plan again around the finished depth maps of an earlier plan; unchanged if there are none.
 ///
-/// Of the finished clusters the partners are those of the earlier plan. `None`: none of the maps could be measured.
+/// Finished clusters have the partners of the earlier plan. `None`: none of the maps could be measured.
 pub fn replan(
     plan: Plan,
-    earlier: &Earlier,
+    earlier: &EarlierPlan,
     maps: &Maps,
     watcher: &dyn Watcher,
 ) -> Result<(Plan, Option<MeasuredClusters>), ReplanError> {
-    let (mut clusters, mut finished) = (Vec::new(), Finished::default());
+    let (mut clusters, mut finished) = (Vec::new(), FinishedMaps::default());
     for found in look(&plan, earlier, maps, watcher)? {
         match found {
-            Found::Fits { cluster, made_with } => {
+            MapVerdict::Fits { cluster, made_with } => {
                 if let Some(made_with) = made_with {
                     finished.made_with.insert(plan.stages.scene.name(cluster.key).into(), made_with);
                 }
                 clusters.push(cluster);
             }
-            Found::Outdated { outdated, hash } => {
+            MapVerdict::Outdated { outdated, hash } => {
                 finished.outdated_files.insert(outdated.key.clone(), hash);
                 finished.outdated.push(outdated);
             }
-            Found::Unreadable(why) => finished.unreadable.push(why),
+            MapVerdict::Unreadable(why) => finished.unreadable.push(why),
         }
     }
     finished.outdated.sort_by(|a, b| a.key.cmp(&b.key));
@@ -141,10 +141,10 @@ fn measure(
     MeasuredClusters::new(&EvaluationInput::new(&plan.stages, clusters, folder, None), watcher)
 }
 
-/// Puts the finished clusters in the place of those with the same key view, and ranks all again.
+/// Replaces the clusters of finished key views and ranks all again.
 fn rank_around(
     plan: Plan,
-    finished: Finished,
+    finished: FinishedMaps,
     run: Option<&MeasuredClusters>,
     watcher: &dyn Watcher,
 ) -> Result<Plan, PlanError> {
@@ -157,8 +157,8 @@ fn rank_around(
     Ok(Plan { stages, decision, timings })
 }
 
-/// The stages with the finished clusters and what they really fulfil, the others believed as far as the finished ones let them be; and the finished
-/// ones in their order.
+/// Returns the stages with the finished clusters and their measured fulfilment, the predictions of the others corrected by the finished ones; and the
+/// indices of the finished clusters, in their order.
 fn with_finished(
     stages: Stages,
     run: &MeasuredClusters,
@@ -211,9 +211,9 @@ fn believed(
     Ok(table.finish()?)
 }
 
-/// What became of a depth map that a cluster of the earlier plan has.
-enum Found {
-    /// `made_with`: the views as they were, where they are elsewhere now.
+/// Verdict on a depth map of a cluster of the earlier plan.
+enum MapVerdict {
+    /// `made_with`: the earlier views, if any has moved since.
     Fits {
         cluster: ViewCluster,
         made_with: Option<BTreeMap<String, PlannedView>>,
@@ -225,25 +225,30 @@ enum Found {
     Unreadable(String),
 }
 
-/// The finished clusters of the earlier plan, in its order, and what is wrong with maps of no known view.
-fn look(plan: &Plan, earlier: &Earlier, maps: &Maps, watcher: &dyn Watcher) -> Result<Vec<Found>, ReplanError> {
+/// Checks the finished clusters of the earlier plan, in its order, and lists unreadable maps.
+fn look(
+    plan: &Plan,
+    earlier: &EarlierPlan,
+    maps: &Maps,
+    watcher: &dyn Watcher,
+) -> Result<Vec<MapVerdict>, ReplanError> {
     let DepthMapSet { maps: files, unreadable, .. } = depthmaps::list(maps.folder, &plan.stages.scene)?;
     let ready = unreadable.into_iter().filter(|(path, _)| (maps.ready)(path));
-    let unreadable = ready.map(|(_, error)| Found::Unreadable(error.to_string()));
+    let unreadable = ready.map(|(_, error)| MapVerdict::Unreadable(error.to_string()));
     let file_of: BTreeMap<&str, &DepthMapFile> =
         files.iter().map(|file| (plan.stages.scene.name(file.view), file)).collect();
     let found = earlier.clusters.par_iter().map(|(key, partners, _)| {
         watcher.check()?;
         let file = file_of.get(key.as_str()).filter(|file| (maps.ready)(&file.path));
-        Ok(file.map(|file| Looked { plan, earlier, key, partners, file }.found()))
+        Ok(file.map(|file| MapCheck { plan, earlier, key, partners, file }.found()))
     });
-    let found: Vec<Option<Found>> = found.collect::<Result<_, Cancelled>>()?;
+    let found: Vec<Option<MapVerdict>> = found.collect::<Result<_, Cancelled>>()?;
     // Views that had no partners in the earlier plan, either: what was said of their maps before still holds.
     let keys: BTreeSet<&str> = earlier.keys().collect();
     let beyond = earlier.outdated.iter().filter(|outdated| !keys.contains(outdated.key.as_str()));
     let beyond = beyond.filter_map(|Outdated { key, .. }| {
         let hash = hash(&file_of.get(key.as_str())?.path).ok()?;
-        Some(Found::Outdated { outdated: earlier.outdated(key, &hash)?, hash })
+        Some(MapVerdict::Outdated { outdated: earlier.outdated(key, &hash)?, hash })
     });
     Ok(found.into_iter().flatten().chain(beyond).chain(unreadable).collect())
 }
@@ -253,34 +258,34 @@ fn hash(file: &Path) -> io::Result<String> {
 }
 
 /// A depth map with the cluster that it was made for.
-struct Looked<'a> {
+struct MapCheck<'a> {
     plan: &'a Plan,
-    earlier: &'a Earlier,
+    earlier: &'a EarlierPlan,
     key: &'a String,
     partners: &'a [String],
     file: &'a DepthMapFile,
 }
 
-impl Looked<'_> {
-    fn found(&self) -> Found {
+impl MapCheck<'_> {
+    fn found(&self) -> MapVerdict {
         let map = match depthmaps::read(&self.file.path, self.file.format) {
             Ok(map) if map.fits(self.plan.stages.scene.camera_of(self.file.view)) => map,
-            Ok(_) => return Found::Unreadable(format!("{}: not of the shape of {}", self.path(), self.key)),
-            Err(error) => return Found::Unreadable(error.to_string()),
+            Ok(_) => return MapVerdict::Unreadable(format!("{}: not of the shape of {}", self.path(), self.key)),
+            Err(error) => return MapVerdict::Unreadable(error.to_string()),
         };
         let hash = match hash(&self.file.path) {
             Ok(hash) => hash,
-            Err(error) => return Found::Unreadable(format!("{}: {error}", self.path())),
+            Err(error) => return MapVerdict::Unreadable(format!("{}: {error}", self.path())),
         };
         if let Some(outdated) = self.earlier.outdated(self.key, &hash) {
-            return Found::Outdated { outdated, hash };
+            return MapVerdict::Outdated { outdated, hash };
         }
         match self.moved(&map) {
             Ok((moved_px, view)) if moved_px > self.plan.stages.settings.ranking.keep_px => {
-                Found::Outdated { outdated: self.outdated(view, Some(moved_px)), hash }
+                MapVerdict::Outdated { outdated: self.outdated(view, Some(moved_px)), hash }
             }
             Ok(_) => self.fits(),
-            Err(view) => Found::Outdated { outdated: self.outdated(view, None), hash },
+            Err(view) => MapVerdict::Outdated { outdated: self.outdated(view, None), hash },
         }
     }
 
@@ -296,7 +301,7 @@ impl Looked<'_> {
         Outdated { key: self.key.clone(), view: view.into(), moved_px }
     }
 
-    /// The farthest that any view of the cluster moved, and that view; the view that is gone or of which nothing is known.
+    /// Returns the largest movement of any view of the cluster, with that view; `Err`: a view that is gone or has no record.
     fn moved(&self, map: &DepthMap) -> Result<(f64, &str), &str> {
         let place = |name| self.place(name).ok_or(name);
         let key = place(self.key.as_str())?;
@@ -310,25 +315,25 @@ impl Looked<'_> {
         Ok(farthest)
     }
 
-    fn place(&self, name: &str) -> Option<Place> {
-        Place::new(self.earlier.then(self.key, name)?, &self.plan.stages.scene, self.plan.stages.scene.find(name)?)
+    fn place(&self, name: &str) -> Option<MovedView> {
+        MovedView::new(self.earlier.then(self.key, name)?, &self.plan.stages.scene, self.plan.stages.scene.find(name)?)
     }
 
-    fn fits(&self) -> Found {
+    fn fits(&self) -> MapVerdict {
         let scene = &self.plan.stages.scene;
         let then = |name: &String| Some((name.clone(), self.earlier.then(self.key, name)?.clone()));
         let made_with: BTreeMap<String, PlannedView> = self.views().filter_map(then).collect();
         let now = |name: &str| scene.find(name).map(|view| PlannedView::new(scene, view));
         let stayed = made_with.iter().all(|(name, then)| now(name).as_ref() == Some(then));
         let partners = self.partners.iter().filter_map(|name| scene.find(name)).collect();
-        Found::Fits {
+        MapVerdict::Fits {
             cluster: ViewCluster { key: self.file.view, partners },
             made_with: (!stayed).then_some(made_with),
         }
     }
 }
 
-/// Why a plan cannot be ranked around its finished depth maps.
+/// An error of ranking a plan around finished depth maps.
 #[derive(Debug, thiserror::Error)]
 pub enum ReplanError {
     #[error(transparent)]

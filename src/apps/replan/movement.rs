@@ -1,7 +1,7 @@
-//! How far what a depth map shows has moved in the images of its cluster, when the model is another one now.
+//! Movement of a depth map's points in the images of its cluster after the model has changed.
 //!
-//! The depth map is in the frame of its key view and stays there. Its pixels go through the poses and cameras of then, and those of
-//! now, into each partner's image; the distance there says how wrong a match of then is now. A cluster that moved as a whole has not moved
+//! The depth map stays in the frame of its key view. Its pixels are projected into each partner's image through the earlier and the current
+//! poses and cameras; their distance there is the error of an earlier match now. A cluster that moved as a whole has not moved
 //! at all; one whose scale changed has.
 
 use nalgebra::Point2;
@@ -15,27 +15,27 @@ use crate::{
     plan::PlannedView,
 };
 
-/// Pixels of the depth map that are looked at, along its width and height.
+/// Sampled pixels of the depth map, along its width and height.
 const GRID: u32 = 16;
-/// So much of what is looked at moved by no more than what is said; the rest may be wrong depths.
+/// Quantile of the movements that counts; larger ones may come from wrong depths.
 const SHARE: f64 = 0.9;
 
-/// A view then and now.
-pub(super) struct Place {
+/// Camera and pose of a view, earlier and now.
+pub(super) struct MovedView {
     then: (Camera, Pose),
     now: (Camera, Pose),
 }
 
-impl Place {
-    /// `None` where the record of then is broken.
+impl MovedView {
+    /// Returns `None` if the earlier record is broken.
     pub fn new(then: &PlannedView, scene: &Scene, view: ViewIndex) -> Option<Self> {
         let now = (scene.camera_of(view).clone(), scene.view(view).cam_from_world);
         Some(Self { then: then.camera_and_pose()?, now })
     }
 }
 
-/// Pixels of the model's image by which the depth map's points moved in the partner's image; 0 where it shows nothing there.
-pub(super) fn movement(map: &DepthMap, key: &Place, partner: &Place) -> f64 {
+/// Returns the movement of the depth map's points in the partner's image, pixels of the model's image; 0 if it shows none of them.
+pub(super) fn movement(map: &DepthMap, key: &MovedView, partner: &MovedView) -> f64 {
     let (columns, rows) = (GRID.min(map.width), GRID.min(map.height));
     let at = |i: u32, of: u32, all: u32| (2 * i + 1) * all / (2 * of);
     let pixels = (0..rows).flat_map(|j| (0..columns).map(move |i| (i, j)));
@@ -51,7 +51,7 @@ pub(super) fn movement(map: &DepthMap, key: &Place, partner: &Place) -> f64 {
     moved.get(place.min(moved.len().saturating_sub(1))).copied().unwrap_or(0.0)
 }
 
-/// Where a pixel of the depth map appears in the partner's image.
+/// Projects a pixel of the depth map into the partner's image.
 fn shown(map: &DepthMap, pixel: (u32, u32), key: &(Camera, Pose), partner: &(Camera, Pose)) -> Option<Point2<f64>> {
     let depth = map.depth_at(pixel.0, pixel.1)?;
     let ray = key.0.ray(&map.image_position(&key.0, pixel.0, pixel.1))?;

@@ -214,7 +214,7 @@ impl Contents {
         let (warnings, notes) =
             plan.decision.warnings.iter().cloned().chain(left_out).partition(|text| can_be_changed(text));
         let place = plan::georeference(project, &plan.stages.scene, &plan.stages.settings.frame);
-        let summary = RegionSummary::of(plan);
+        let summary = RegionSummary::from_plan(plan);
         Ok(Self {
             title: title(&project.root),
             tool: concat!("viewrank ", env!("CARGO_PKG_VERSION")),

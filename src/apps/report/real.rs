@@ -6,7 +6,9 @@ use serde::Serialize;
 
 use super::{ReportError, bytes, history::in_255ths, shown::DrawnSurface};
 use crate::{
-    apps::evaluate::{EvaluateError, EvaluationInput, MeasuredClusters, MeasuredSurface, SoFar, curve::Curve, orders},
+    apps::evaluate::{
+        EvaluateError, EvaluationInput, MeasuredClusters, MeasuredProgress, MeasuredSurface, curve::ReachCurve, orders,
+    },
     base::progress::Watcher,
     io::{
         depthmaps::{self, DepthMapError},
@@ -84,8 +86,8 @@ impl Real {
 
     fn of(plan: &Plan, drawn: &DrawnSurface, run: &MeasuredClusters, clusters: &[ViewCluster], folder: &Path) -> Self {
         let model = plan.stages.model();
-        let curve = Curve::new(&run.real, &plan.stages.objective, &run.clusters, &run.order);
-        let so_far = SoFar::new(&plan.stages, run);
+        let curve = ReachCurve::new(&run.real, &plan.stages.objective, &run.clusters, &run.order);
+        let so_far = MeasuredProgress::new(&plan.stages, run);
         let rank = |&c: &u32| 1 + clusters.iter().take_while(|of| of.key != run.clusters[c as usize].key).count();
         let reached = MeasuredSurface::new(&model, run);
         let shades: Vec<u8> = drawn.original.iter().map(|&t| in_255ths(reached.fulfilment[t as usize])).collect();

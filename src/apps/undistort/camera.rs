@@ -1,14 +1,14 @@
-//! The camera of an undistorted image, by the rules of COLMAP's `image_undistorter` (image/undistortion.cc).
+//! Camera of an undistorted image, by the rules of COLMAP's `image_undistorter` (image/undistortion.cc).
 
 use nalgebra::Point2;
 
 use super::Options;
 use crate::model::camera::{Camera, CameraError, CameraModel};
 
-/// The PINHOLE camera that the images of `camera` become: its focal lengths, and a size at which what lies along the borders of the
-/// distorted image (or of the region of interest) comes to lie at its borders.
+/// Returns the PINHOLE camera of the undistorted images of `camera`: the same focal lengths, and a size at which the content along the borders of
+/// the distorted image (or of the region of interest) is at the borders of the undistorted one.
 pub fn undistorted(camera: &Camera, options: &Options) -> Result<Camera, CameraError> {
-    let region = Region::new(camera, options.roi);
+    let region = CropBox::new(camera, options.roi);
     let (focal, centre) = camera.pinhole_part();
     let mut pinhole = Pinhole {
         size: [region.right - region.left, region.bottom - region.top].map(f64::from),
@@ -25,7 +25,7 @@ pub fn undistorted(camera: &Camera, options: &Options) -> Result<Camera, CameraE
     pinhole.camera(camera.id)
 }
 
-/// The undistorted camera at the size of the distorted image, where the pixels are looked up before they are brought to size.
+/// Returns the undistorted camera at the size of the distorted image: pixels are looked up at this size, then resized.
 pub fn at_size_of(camera: &Camera, source: &Camera) -> Result<Camera, CameraError> {
     let (focal, centre) = camera.pinhole_part();
     let size = [camera.width, camera.height].map(f64::from);
@@ -34,16 +34,16 @@ pub fn at_size_of(camera: &Camera, source: &Camera) -> Result<Camera, CameraErro
     pinhole.camera(camera.id)
 }
 
-/// The part of the distorted image that is looked at, pixels.
-struct Region {
+/// Region of interest in the distorted image, pixels.
+struct CropBox {
     left: u32,
     right: u32,
     top: u32,
     bottom: u32,
 }
 
-impl Region {
-    /// `roi` is left, top, right, bottom as shares of the sides.
+impl CropBox {
+    /// `roi`: left, top, right, bottom, as shares of the sides.
     fn new(camera: &Camera, roi: [f64; 4]) -> Self {
         let at = |share: f64, side: u32| (share * f64::from(side)).round() as u32;
         let left = at(roi[0], camera.width).min(camera.width - 1);
@@ -53,7 +53,7 @@ impl Region {
         Self { left, right, top, bottom }
     }
 
-    /// Where the borders of the distorted image come to lie: for x, then y, the range of the near and of the far border.
+    /// Projects the borders of the distorted image: for x, then y, the range of the near and of the far border.
     fn borders(&self, camera: &Camera, pinhole: &Pinhole) -> [[Range; 2]; 2] {
         let (width, height) = (f64::from(camera.width), f64::from(camera.height));
         let along = |axis: usize, from: u32, to: u32, pixel: &dyn Fn(f64) -> [f64; 2]| {
@@ -66,7 +66,7 @@ impl Region {
     }
 }
 
-/// The least and the greatest of some coordinates.
+/// Returns the smallest and the largest coordinate.
 struct Range {
     least: f64,
     greatest: f64,
@@ -87,14 +87,14 @@ struct Pinhole {
 }
 
 impl Pinhole {
-    /// Where this camera sees what the distorted camera sees at the pixel; `None` sideways and behind.
+    /// Maps a pixel of the distorted camera to this camera; `None` sideways and behind.
     fn seen(&self, camera: &Camera, pixel: [f64; 2]) -> Option<[f64; 2]> {
         let ray = camera.ray(&Point2::from(pixel))?;
         let seen = [0, 1].map(|i| self.focal[i] * ray[i] / ray.z + self.centre[i]);
         (ray.z > 0.0).then_some(seen)
     }
 
-    /// Grows or shrinks the image, not the focal lengths, between no blank pixels and no lost ones.
+    /// Grows or shrinks the image, at constant focal lengths, between no blank pixels and no lost pixels.
     fn fit(&mut self, borders: &[[Range; 2]; 2], options: &Options) {
         for (i, [near, far]) in borders.iter().enumerate() {
             let (size, centre) = (self.size[i], self.centre[i]);
@@ -132,7 +132,7 @@ mod tests {
         Camera::new(3, CameraModel::SimpleRadial, 600, 400, vec![500.0, 310.0, 190.0, k]).unwrap()
     }
 
-    /// Does the distorted image show what the undistorted one has at the pixel?
+    /// Returns whether the distorted image covers this pixel of the undistorted one.
     fn covered(source: &Camera, camera: &Camera, pixel: [f64; 2]) -> bool {
         let ray = camera.ray(&pixel.into()).unwrap();
         source.project(&ray.into_inner().into()).is_some_and(|p| source.contains(&p))

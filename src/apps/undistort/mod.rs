@@ -1,7 +1,7 @@
-//! Undistorted images for the backends that need them: a COLMAP dense workspace like that of `image_undistorter`.
+//! Undistorts the images for backends that need it: a COLMAP dense workspace like that of `image_undistorter`.
 //!
-//! Images are written in batches, each whole or not at all, with a note of what they were made from, so that a run that was stopped goes on
-//! where it was. The model comes last and goes first: a workspace with a `sparse/` is complete.
+//! Images are written in batches, each completely or not at all, with a record of their inputs, so that an interrupted run resumes.
+//! The model is written last and removed first: a workspace with a `sparse/` is complete.
 
 mod camera;
 mod picture;
@@ -37,12 +37,12 @@ use crate::{
     },
 };
 
-/// What the undistorted images look like; the names and defaults are COLMAP's.
+/// Options of the undistorted images, with COLMAP's names and defaults.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Options {
-    /// 0: no blank pixels; 1: all pixels of the distorted image; between, between.
+    /// 0: no blank pixels; 1: all pixels of the distorted image; values between interpolate.
     pub blank_pixels: f64,
-    /// Least and greatest size over that of the distorted image.
+    /// Smallest and largest size relative to the distorted image.
     pub min_scale: f64,
     pub max_scale: f64,
     /// Longest side, pixels.
@@ -61,22 +61,22 @@ impl Default for Options {
     }
 }
 
-/// What was done.
+/// Result of a run.
 #[derive(Clone, Debug, Default, Serialize)]
-pub struct Undistorted {
+pub struct UndistortReport {
     /// The dense workspace.
     pub folder: PathBuf,
-    /// Images in it.
+    /// Number of images in the workspace.
     pub images: usize,
-    /// Of these, computed by this run; the others were there or are links to images without distortion.
+    /// Number of them computed by this run; the others were there already or are links to images without distortion.
     pub computed: usize,
-    /// Files of somebody else's that were in the way, under the names that they have now.
+    /// New names of the user's files that were in the way.
     pub kept: Vec<String>,
 }
 
-/// Pixels of a batch: what is in memory at a time, up to some twelve bytes for each.
+/// Pixels per batch; up to about twelve bytes of memory each.
 const BATCH_PIXELS: u64 = 100_000_000;
-/// Name of the set that holds the model.
+/// Name of the file set that holds the model.
 const SET: &str = "undistorted";
 
 /// Writes the undistorted images and the model of the project to a dense workspace.
@@ -86,11 +86,11 @@ pub fn undistort(
     out: &Path,
     disk: &Disk,
     watcher: &dyn Watcher,
-) -> Result<Undistorted, UndistortError> {
+) -> Result<UndistortReport, UndistortError> {
     let scene = project.read_scene()?;
-    let job = Job::new(project, &scene, options, out)?;
+    let job = Undistortion::new(project, &scene, options, out)?;
     let batches = job.batches();
-    let mut done = Undistorted { folder: out.into(), images: scene.views.len(), ..Undistorted::default() };
+    let mut done = UndistortReport { folder: out.into(), images: scene.views.len(), ..UndistortReport::default() };
     let mut finished = 0;
     watcher.progress(Stage::Undistort, 0, done.images as u64);
     for (i, views) in batches.iter().enumerate() {
@@ -111,9 +111,9 @@ pub fn undistort(
     Ok(done)
 }
 
-/// What an image of a batch was made from.
+/// Inputs of an undistorted image; the image is recomputed when they change.
 #[derive(Serialize)]
-struct Made<'a> {
+struct ImageRecipe<'a> {
     name: &'a str,
     /// BLAKE3 of the distorted image.
     image: String,
@@ -121,16 +121,16 @@ struct Made<'a> {
     to: String,
 }
 
-struct Job<'a> {
+struct Undistortion<'a> {
     project: &'a Project,
     scene: &'a Scene,
     images: &'a ImageFolder,
     out: &'a Path,
-    /// For each camera of the scene, the undistorted one.
+    /// The undistorted camera of each camera of the scene.
     cameras: Vec<Camera>,
 }
 
-impl<'a> Job<'a> {
+impl<'a> Undistortion<'a> {
     fn new(project: &'a Project, scene: &'a Scene, options: &Options, out: &'a Path) -> Result<Self, UndistortError> {
         let images = project.images.as_ref().ok_or_else(|| UndistortError::NoImages(project.root.clone()))?;
         let same = |a: &Path, b: &Path| a.canonicalize().is_ok_and(|a| b.canonicalize().is_ok_and(|b| a == b));
@@ -154,13 +154,13 @@ impl<'a> Job<'a> {
         &self.cameras[self.scene.view(view).camera.index()]
     }
 
-    /// Is the image right as it is?
+    /// Returns whether the image needs no undistortion.
     fn stays(&self, view: ViewIndex) -> bool {
         let (source, target) = (self.source(view), self.target(view));
         source.is_pinhole() && (source.width, source.height) == (target.width, target.height)
     }
 
-    /// The views in groups of a bounded number of pixels.
+    /// Groups the views into batches of a bounded number of pixels.
     fn batches(&self) -> Vec<Vec<ViewIndex>> {
         let mut batches: Vec<Vec<ViewIndex>> = Vec::new();
         let mut pixels = u64::MAX;
@@ -176,16 +176,16 @@ impl<'a> Job<'a> {
         batches
     }
 
-    /// What a batch is made from.
+    /// Returns the record of a batch's inputs.
     fn note(&self, views: &[ViewIndex], watcher: &dyn Watcher) -> Result<String, UndistortError> {
         let made = |&view: &ViewIndex| {
             watcher.check()?;
             let camera = |c: &Camera| format!("{} {}x{} {:?}", c.model().name(), c.width, c.height, c.params());
             let image = blake3::hash(&self.read(view)?).to_string();
             let (from, to) = (camera(self.source(view)), camera(self.target(view)));
-            Ok(Made { name: self.scene.name(view), image, from, to })
+            Ok(ImageRecipe { name: self.scene.name(view), image, from, to })
         };
-        let made: Vec<Made> = views.par_iter().map(made).collect::<Result<_, UndistortError>>()?;
+        let made: Vec<ImageRecipe> = views.par_iter().map(made).collect::<Result<_, UndistortError>>()?;
         Ok(serde_json::to_string_pretty(&made).expect("strings are JSON") + "\n")
     }
 
@@ -226,13 +226,13 @@ impl<'a> Job<'a> {
         Ok(files)
     }
 
-    /// Takes away what an earlier run with more images left.
+    /// Removes batches that an earlier run with more images wrote.
     fn remove_batches_from(&self, first: usize, disk: &Disk) -> Result<(), OutputError> {
         let mut later = (first..).take_while(|&i| self.out.join(note_path(i)).exists());
         later.try_for_each(|i| FileSet::new(self.out, &set_name(i)).write(disk).map(|_| ()))
     }
 
-    /// Does the model of the workspace follow from the project's as it is now?
+    /// Returns whether the model of the workspace follows from the project's current model.
     fn has_model(&self) -> Result<bool, UndistortError> {
         let files = self.model()?;
         Ok(files.iter().all(|(name, bytes)| {
@@ -246,7 +246,7 @@ impl<'a> Job<'a> {
         Ok(self.project.with_colmap_model(self.scene, write)?.map_err(fault)?)
     }
 
-    /// The model with pinhole cameras, and 2D points where these see them. What a pinhole camera cannot see is no observation any more.
+    /// Returns the model with pinhole cameras. 2D points that these cameras cannot see are dropped, as are their observations.
     fn undistorted<'m>(&self, mut model: ColmapModel<'m>) -> ColmapModel<'m> {
         let target = |id: u32| self.cameras.iter().find(|c| c.id == id);
         let source = |id: u32| self.scene.cameras.iter().find(|c| c.id == id);
@@ -270,7 +270,7 @@ impl<'a> Job<'a> {
         model
     }
 
-    /// Everything but the images: the model, folders for depth maps, and COLMAP's own lists of all images, which a plan replaces.
+    /// Returns all files but the images: the model, folders for depth maps, and COLMAP's own lists of all images, which a plan replaces.
     fn workspace(&self) -> Result<FileSet, UndistortError> {
         let mut files = FileSet::new(self.out, SET);
         for (name, bytes) in self.model()? {
@@ -297,13 +297,13 @@ fn note_path(batch: usize) -> String {
     format!("viewrank/{}.json", set_name(batch))
 }
 
-/// Where the pinhole camera sees what the distorted one sees at the pixel.
+/// Maps a pixel of the distorted camera to the pinhole camera.
 fn seen(from: &Camera, to: &Camera, pixel: [f64; 2]) -> Option<[f64; 2]> {
     let ray = from.ray(&Point2::from(pixel))?;
     to.project(&ray.into_inner().into()).map(Into::into)
 }
 
-/// Why there are no undistorted images, or not all of them; those that are done stay for the next run.
+/// An error of undistortion; images that are finished stay for the next run.
 #[derive(Debug, thiserror::Error)]
 pub enum UndistortError {
     #[error(transparent)]

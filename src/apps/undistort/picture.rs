@@ -1,4 +1,4 @@
-//! One image: decoded, looked up pixel by pixel, brought to size, encoded.
+//! Undistorts one image: decodes, looks up each pixel, resizes, encodes.
 
 use std::{io::Cursor, path::Path};
 
@@ -13,12 +13,12 @@ use rayon::prelude::*;
 use super::camera::at_size_of;
 use crate::model::camera::{Camera, CameraError};
 
-/// Memory that decoding one image may take.
+/// Limit on the memory for decoding one image, bytes.
 const MOST_BYTES: u64 = 4 << 30;
-/// No visible artefacts: what is matched should be what the lens saw.
+/// JPEG quality without visible artefacts: they would be matched, too.
 const JPEG_QUALITY: u8 = 100;
 
-/// Why an image cannot be undistorted.
+/// An error of undistorting an image.
 #[derive(Debug, thiserror::Error)]
 pub enum PictureError {
     #[error("{0}")]
@@ -31,8 +31,8 @@ pub enum PictureError {
     Camera(#[from] CameraError),
 }
 
-/// The file of the undistorted image, in the format that `name` asks for. Grey stays grey, all else becomes RGB, 8 bit; EXIF and colour
-/// profile are kept where the format holds them.
+/// Returns the file of the undistorted image, in the format given by the ending of `name`. Grey stays grey, all else becomes 8-bit RGB; EXIF and
+/// colour profile are kept if the format supports them.
 pub fn undistort(bytes: &[u8], name: &str, source: &Camera, target: &Camera) -> Result<Vec<u8>, PictureError> {
     let format = ImageFormat::from_path(Path::new(name)).map_err(|_| PictureError::Format)?;
     let mut reader = ImageReader::new(Cursor::new(bytes)).with_guessed_format().map_err(image::ImageError::from)?;
@@ -45,20 +45,20 @@ pub fn undistort(bytes: &[u8], name: &str, source: &Camera, target: &Camera) -> 
     if [width, height] != [source.width, source.height] {
         return Err(PictureError::Size { found: [width, height], camera: [source.width, source.height] });
     }
-    let picture = Picture::from(DynamicImage::from_decoder(decoder)?);
+    let picture = Raster::from(DynamicImage::from_decoder(decoder)?);
     picture.warped(source, &at_size_of(target, source)?).resized(target).encoded(format, exif, profile)
 }
 
 /// 8 bits per channel, row-major.
-struct Picture {
+struct Raster {
     width: u32,
     height: u32,
-    /// 1 or 3.
+    /// Number of channels: 1 or 3.
     channels: usize,
     values: Vec<u8>,
 }
 
-impl From<DynamicImage> for Picture {
+impl From<DynamicImage> for Raster {
     fn from(image: DynamicImage) -> Self {
         let (width, height) = (image.width(), image.height());
         let grey = !image.color().has_color();
@@ -67,8 +67,8 @@ impl From<DynamicImage> for Picture {
     }
 }
 
-impl Picture {
-    /// What `target`, a pinhole camera of the same size, would have seen; black where `source` saw nothing.
+impl Raster {
+    /// Resamples the image for `target`, a pinhole camera of the same size; pixels that `source` does not cover are black.
     fn warped(&self, source: &Camera, target: &Camera) -> Self {
         let (focal, centre) = target.pinhole_part();
         let row_length = self.width as usize * self.channels;
@@ -85,7 +85,7 @@ impl Picture {
         Self { values, ..*self }
     }
 
-    /// Bilinear, between the centres of four pixels; leaves `pixel` where one of them is outside.
+    /// Interpolates bilinearly between four pixel centres; leaves `pixel` unchanged if one of them is outside.
     fn interpolate(&self, at: Point2<f64>, pixel: &mut [u8]) {
         let (x, y) = (at.x - 0.5, at.y - 0.5);
         let (left, top) = (x.floor(), y.floor());
@@ -105,7 +105,7 @@ impl Picture {
         }
     }
 
-    /// At the size of the camera: bilinear, over as many pixels as go into one.
+    /// Resizes to the size of the camera: bilinear, with a filter as wide as the reduction.
     fn resized(self, camera: &Camera) -> Self {
         if (self.width, self.height) == (camera.width, camera.height) {
             return self;
@@ -158,14 +158,14 @@ mod tests {
     };
 
     /// A ramp of grey along x of the undistorted image, as a lens with distortion shows it.
-    fn ramp(source: &Camera) -> Picture {
+    fn ramp(source: &Camera) -> Raster {
         let grey = |i: u32| {
             let pixel = Point2::new(f64::from(i % source.width) + 0.5, f64::from(i / source.width) + 0.5);
             let ray = source.ray(&pixel).unwrap();
             (128.0 + 100.0 * ray.x / ray.z).round().clamp(0.0, 255.0) as u8
         };
         let values = (0..source.width * source.height).map(grey).collect();
-        Picture { width: source.width, height: source.height, channels: 1, values }
+        Raster { width: source.width, height: source.height, channels: 1, values }
     }
 
     #[test]

@@ -1,5 +1,5 @@
 //! Finished depth maps in a workspace. COLMAP skips a problem when its files exist, whatever partners they were made with. So `run.sh` puts a
-//! note beside each map when it starts to compute it, which says how ([`Made::recipe`]), and `maps.tsv` says how each map is wanted and how
+//! note beside each map when it starts to compute it, which says how ([`MapRecipe::recipe`]), and `maps.tsv` says how each map is wanted and how
 //! those that were there without a note were made. Times of files decide nothing: a run may outlast the plan that it was started for.
 
 use std::{collections::BTreeMap, path::Path};
@@ -16,7 +16,7 @@ const UNKNOWN: &str = "?";
 
 /// How a depth map was or will be made.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Made {
+pub struct MapRecipe {
     /// Sorted: COLMAP keeps no order.
     sources: Vec<String>,
     /// A photometric map that a geometric pass cannot start from.
@@ -25,7 +25,7 @@ pub struct Made {
     long_side: Option<u32>,
 }
 
-impl Made {
+impl MapRecipe {
     pub fn new(problem: &Problem, filtered: bool, long_side: Option<u32>) -> Self {
         let mut sources = problem.sources.clone();
         sources.sort_unstable();
@@ -42,7 +42,7 @@ impl Made {
 
 /// `maps.tsv`: a line per map of [wanted recipe] TAB [recipe of the map that was there without a note] TAB [path under `stereo/depth_maps`].
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Lists(BTreeMap<String, Entry>);
+pub struct MapRecords(BTreeMap<String, Entry>);
 
 #[derive(Clone, Debug, Default, PartialEq)]
 struct Entry {
@@ -50,9 +50,9 @@ struct Entry {
     made: Option<String>,
 }
 
-impl Lists {
-    pub fn new(wanted: impl IntoIterator<Item = (String, Made)>) -> Self {
-        let entry = |(map, made): (String, Made)| (map, Entry { wanted: Some(made.recipe()), made: None });
+impl MapRecords {
+    pub fn new(wanted: impl IntoIterator<Item = (String, MapRecipe)>) -> Self {
+        let entry = |(map, made): (String, MapRecipe)| (map, Entry { wanted: Some(made.recipe()), made: None });
         Self(wanted.into_iter().map(entry).collect())
     }
 
@@ -63,8 +63,9 @@ impl Lists {
             return Self::read(&text);
         }
         let text = input::read_text(&workspace.join("stereo/patch-match.cfg"), FileKind::List).unwrap_or_default();
-        let kinds =
-            |p: Problem| ["photometric", "geometric"].map(|k| (map_name(&p.reference, k), Made::new(&p, false, None)));
+        let kinds = |p: Problem| {
+            ["photometric", "geometric"].map(|k| (map_name(&p.reference, k), MapRecipe::new(&p, false, None)))
+        };
         Self::new(cfg::read_patch_match(&text).into_iter().flat_map(kinds))
     }
 
@@ -116,13 +117,13 @@ mod tests {
 
     const MAP: &str = "stereo/depth_maps/a.jpg.photometric.bin";
 
-    fn lists(partners: &[&str], filtered: bool) -> Lists {
+    fn lists(partners: &[&str], filtered: bool) -> MapRecords {
         of_size(partners, filtered, None)
     }
 
-    fn of_size(partners: &[&str], filtered: bool, long_side: Option<u32>) -> Lists {
+    fn of_size(partners: &[&str], filtered: bool, long_side: Option<u32>) -> MapRecords {
         let problem = Problem { reference: "a.jpg".into(), sources: partners.iter().map(|&s| s.into()).collect() };
-        Lists::new([(map_name("a.jpg", "photometric"), Made::new(&problem, filtered, long_side))])
+        MapRecords::new([(map_name("a.jpg", "photometric"), MapRecipe::new(&problem, filtered, long_side))])
     }
 
     fn put(workspace: &Path, path: &str, text: &str) {
@@ -132,16 +133,16 @@ mod tests {
     }
 
     /// Writes the lists as an export does; how many finished maps it reports.
-    fn export(workspace: &Path, mut lists: Lists) -> usize {
+    fn export(workspace: &Path, mut lists: MapRecords) -> usize {
         let stale = lists.follow(workspace);
         put(workspace, MAPS, &lists.to_tsv());
-        assert_eq!(Lists::read(&lists.to_tsv()), lists);
+        assert_eq!(MapRecords::read(&lists.to_tsv()), lists);
         stale.len()
     }
 
     /// Decision of `run.sh` before it computes the map.
     fn begin(workspace: &Path) {
-        let lists = Lists::before(workspace);
+        let lists = MapRecords::before(workspace);
         let wanted = lists.0.values().find_map(|entry| entry.wanted.clone()).unwrap();
         put(workspace, &format!("{MAP}.made"), &format!("{wanted}\n"));
     }
@@ -208,7 +209,7 @@ mod tests {
         let at = workspace.path();
         export(at, lists(&["b.jpg"], true));
         put(at, MAP, "");
-        export(at, Lists::default());
+        export(at, MapRecords::default());
         assert_eq!(export(at, lists(&["c.jpg"], true)), 1);
         assert_eq!(export(at, lists(&["b.jpg"], true)), 0);
     }

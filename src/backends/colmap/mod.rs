@@ -19,7 +19,7 @@ use nalgebra::Vector3;
 
 use self::{
     cfg::Problem,
-    finished::{Lists, Made, map_name},
+    finished::{MapRecipe, MapRecords, map_name},
 };
 use super::{
     Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, PATCH_MATCH, Patient,
@@ -93,7 +93,7 @@ fn tasks(selection: &Selection, export: &Export) -> Option<TaskRunner> {
     })
 }
 
-fn traps(patient: &Patient) -> Vec<Trap> {
+fn traps(patient: &ExaminedProject) -> Vec<Trap> {
     traps::all(patient)
 }
 
@@ -302,7 +302,7 @@ impl Passes {
         };
         let first = maps(&self.first, "photometric", false);
         let last = maps(&self.last, if self.geometric { "geometric" } else { "photometric" }, !self.geometric);
-        Lists::new(first.into_iter().chain(last))
+        MapRecords::new(first.into_iter().chain(last))
     }
 
     /// Lists of key views of one size each, in the order of computation, with their paths: the main list where all have full size.
@@ -354,7 +354,7 @@ impl Passes {
 }
 
 /// Notes the lists and reports the finished maps that don't fit them.
-fn add_lists(mut lists: Lists, files: &mut FileSet, record: &mut ExportRecord) {
+fn add_lists(mut lists: MapRecords, files: &mut FileSet, record: &mut ExportRecord) {
     let stale = lists.follow(&files.root);
     if !stale.is_empty() {
         record.warnings.push(format!(

@@ -2,13 +2,13 @@
 
 use super::{cfg, finished};
 use crate::{
-    backends::{Patient, Trap, selection},
+    backends::{ExaminedProject, Trap, selection},
     base::shell::quoted_path,
     io::project::ModelFormat,
     model::scene::Scene,
 };
 
-pub fn all(patient: &Patient) -> Vec<Trap> {
+pub fn all(patient: &ExaminedProject) -> Vec<Trap> {
     let names = patient.bad_names("colmap-name", |name| cfg::check_name("colmap", name));
     let points = patient.without_points("colmap-key-view-without-points", "COLMAP ends the whole run there");
     let of_model = [names, points, blanks_in_text(patient), text_beside_binary(patient), mixed_widths(patient)];
@@ -16,7 +16,7 @@ pub fn all(patient: &Patient) -> Vec<Trap> {
 }
 
 /// Maps without a record of their lists.
-fn finished_maps(patient: &Patient) -> Option<Trap> {
+fn finished_maps(patient: &ExaminedProject) -> Option<Trap> {
     let workspace = patient.project.dense_workspace.as_ref().filter(|folder| !folder.join(finished::MAPS).exists())?;
     let cure = "plan, then stereo/viewrank/run.sh --replace makes those anew that the plan needs".into();
     let folder = workspace.join("stereo/depth_maps");
@@ -24,7 +24,7 @@ fn finished_maps(patient: &Patient) -> Option<Trap> {
 }
 
 /// Text models end the name at its first blank.
-fn blanks_in_text(patient: &Patient) -> Option<Trap> {
+fn blanks_in_text(patient: &ExaminedProject) -> Option<Trap> {
     let text = patient.project.model.format == ModelFormat::ColmapText;
     let views: Vec<_> = patient.scene.view_indices().filter(|&v| text && patient.scene.name(v).contains(' ')).collect();
     let first = patient.scene.name(*views.first()?);
@@ -38,7 +38,7 @@ fn blanks_in_text(patient: &Patient) -> Option<Trap> {
 }
 
 /// In a workspace that is there already, the model is COLMAP's own.
-fn far_away(patient: &Patient) -> Option<Trap> {
+fn far_away(patient: &ExaminedProject) -> Option<Trap> {
     let what = patient.project.dense_workspace.as_ref().and_then(|_| rounded(patient.scene))?;
     let cure = "move the model near its origin (colmap model_transformer) before image_undistorter, or export with --out, which does".into();
     Some(Trap { name: "colmap-far-from-origin", what, cure, views: Vec::new() })
@@ -54,7 +54,7 @@ pub fn rounded(scene: &Scene) -> Option<String> {
 }
 
 /// COLMAP prefers the binary of two models in a folder.
-fn text_beside_binary(patient: &Patient) -> Option<Trap> {
+fn text_beside_binary(patient: &ExaminedProject) -> Option<Trap> {
     let model = &patient.project.model;
     patient.project.has_other_text_model(patient.scene).then(|| Trap {
         name: "colmap-bin-beats-txt",
@@ -71,7 +71,7 @@ fn text_beside_binary(patient: &Patient) -> Option<Trap> {
 }
 
 /// COLMAP 4 copies the sources of a key view to the GPU as if all were as wide as the widest.
-fn mixed_widths(patient: &Patient) -> Option<Trap> {
+fn mixed_widths(patient: &ExaminedProject) -> Option<Trap> {
     let (scene, project) = (patient.scene, patient.project);
     // These formats do not hold the sizes of images: without the images they are guessed.
     if matches!(project.model.format, ModelFormat::Bundler | ModelFormat::Nvm) && project.images.is_none() {

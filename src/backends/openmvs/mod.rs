@@ -9,8 +9,8 @@ use serde::Serialize;
 
 use self::scene::Builder;
 use super::{
-    Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, Patient, PlanningNumbers,
-    Selection, TaskRunner, Trap, record::capped_scale, selection,
+    Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord, Honours,
+    PlanningNumbers, Selection, TaskRunner, Trap, record::capped_scale, selection,
 };
 use crate::{
     base::shell::quoted_path,
@@ -101,7 +101,7 @@ fn tasks(selection: &Selection, export: &Export) -> Option<TaskRunner> {
 }
 
 /// Points and cameras of a scene.mvs are numbers of 32 bits.
-fn traps(patient: &Patient) -> Vec<Trap> {
+fn traps(patient: &ExaminedProject) -> Vec<Trap> {
     let largest = patient.scene.points.iter().flat_map(|p| p.iter().map(|x| x.abs())).fold(0.0, f64::max);
     let step = largest * f64::from(f32::EPSILON);
     let of_openmvs = patient.project.model.format == ModelFormat::OpenMvs;

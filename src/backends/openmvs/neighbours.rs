@@ -37,7 +37,7 @@ pub fn export(selection: &Selection, options: &ExportOptions, path: &Path) -> Re
     let depths: Vec<Depths> = selection
         .clusters
         .iter()
-        .map(|c| Depths::of(&mvs, positions[c.key.index()], selection, c.key, size_of_scene))
+        .map(|c| Depths::new(&mvs, positions[c.key.index()], selection, c.key, size_of_scene))
         .collect();
     let scale = if options.scale { SCALED_DEPTH / median(depths.iter().map(|d| d.median)) } else { 1.0 };
     check_depths(&depths, scale, options.scale)?;
@@ -197,7 +197,7 @@ struct Depths {
 
 impl Depths {
     /// Takes the scene's own vertices, or our points scaled to the scene where the image sees no vertex.
-    fn of(mvs: &Mvs, position: usize, selection: &Selection, view: ViewIndex, size_of_scene: f64) -> Self {
+    fn new(mvs: &Mvs, position: usize, selection: &Selection, view: ViewIndex, size_of_scene: f64) -> Self {
         let (r, centre) = pose_of(mvs, position);
         let depth = |x: [f32; 3]| (r * (Vector3::from(x.map(f64::from)) - centre)).z;
         let seen = mvs.vertices.iter().filter(|v| v.views.iter().any(|s| s.image as usize == position));

@@ -12,11 +12,11 @@ use tracing::info;
 use super::{Daemon, NETWORK_POLL};
 use crate::{
     daemon::{
-        Options, Shown,
+        Options, PathDisplay,
         discover::{self, InputFolders},
         maps,
         settle::Stamp,
-        state::Tracked,
+        state::TrackedProject,
         watch::Change,
     },
     io::depthmaps,
@@ -137,7 +137,7 @@ impl Daemon<'_> {
 
     /// True if a job could start now. All known changes must be scanned before.
     fn is_job_due(&self, now: Instant) -> bool {
-        let due = |tracked: &Tracked| tracked.due(self.options.settle).is_some_and(|(at, _)| at <= now);
+        let due = |tracked: &TrackedProject| tracked.due(self.options.settle).is_some_and(|(at, _)| at <= now);
         self.projects.values().any(|tracked| !tracked.is_queued() && due(tracked))
     }
 
@@ -202,8 +202,8 @@ impl Daemon<'_> {
         gone.iter().for_each(|project| self.forget(project));
         found.retain(|project| !self.projects.contains_key(project));
         for project in &found {
-            info!(project = %Shown(project), "found");
-            self.projects.insert(project.clone(), Tracked::new(project.clone(), now));
+            info!(project = %PathDisplay(project), "found");
+            self.projects.insert(project.clone(), TrackedProject::new(project.clone(), now));
         }
         found
     }
@@ -214,7 +214,7 @@ impl Daemon<'_> {
         let Some(tracked) = self.projects.get_mut(project) else { return };
         let Options { on_busy, follow_links, .. } = *self.options;
         let named = self.planner.named_files(project);
-        let input = InputFolders::of(project, follow_links);
+        let input = InputFolders::find(project, follow_links);
         let (map_folders, maps) = maps::scan(project, follow_links);
         let new_watches = self.watches.add(&folders_to_watch(project, &input, map_folders, &named));
         let stamp = Stamp::of_folders(&input).with(&named);
@@ -237,7 +237,7 @@ impl Daemon<'_> {
 
     /// Drops a project that is gone, or isn't one any more, and cancels its job.
     fn forget(&mut self, project: &Path) {
-        info!(project = %Shown(project), "gone");
+        info!(project = %PathDisplay(project), "gone");
         if let Some(tracked) = self.projects.remove(project) {
             tracked.cancel();
         }

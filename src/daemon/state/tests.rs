@@ -7,7 +7,7 @@ fn stamped(bytes: usize) -> (tempfile::TempDir, Stamp) {
     let root = tempfile::tempdir().expect("a temporary folder");
     std::fs::create_dir_all(root.path().join("sparse/0")).expect("a folder");
     std::fs::write(root.path().join("sparse/0/images.bin"), vec![0; bytes]).expect("a file");
-    let stamp = Stamp::of(root.path(), false);
+    let stamp = Stamp::read(root.path(), false);
     (root, stamp)
 }
 
@@ -25,14 +25,14 @@ fn map(length: u64) -> MapFiles {
 }
 
 /// A project that has been scanned.
-fn tracked(stamp: &Stamp, now: Instant) -> Tracked {
-    let mut project = Tracked::new("p".into(), now);
+fn tracked(stamp: &Stamp, now: Instant) -> TrackedProject {
+    let mut project = TrackedProject::new("p".into(), now);
     project.observe(stamp.clone(), now, OnBusy::Restart);
     project
 }
 
 /// Runs a job from start to end.
-fn run(project: &mut Tracked, work: Work, outcome: Outcome, now: Instant) {
+fn run(project: &mut TrackedProject, work: Work, outcome: Outcome, now: Instant) {
     let input = project.start(7, work, SETTLE, now).0;
     assert!(project.finish(7, input, outcome, now));
 }
@@ -193,7 +193,7 @@ fn maps_newer_than_the_last_measurement_are_counted() {
     run(&mut project, Work::Plan, planned("a"), now);
     project.observe_maps(map(1), now);
     let followed = Outcome::Followed { done: 1, clusters: 3, share: Some(0.5), reached: false, note: None };
-    let unmeasured = |project: &Tracked| match project.phase() {
+    let unmeasured = |project: &TrackedProject| match project.phase() {
         Phase::Computing { unmeasured, .. } => unmeasured,
         phase => panic!("{phase}"),
     };

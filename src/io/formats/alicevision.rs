@@ -14,7 +14,7 @@ use serde::{
 
 use super::{
     Fault, Place, Problem,
-    foreign::{Foreign, camera, json, pose_with_centre, shift},
+    foreign::{ForeignModel, camera, json, pose_with_centre, shift},
 };
 use crate::model::{
     camera::{Camera, CameraModel},
@@ -221,10 +221,10 @@ impl Motion {
     }
 }
 
-pub fn read(bytes: &[u8]) -> Result<Foreign, Fault> {
+pub fn read(bytes: &[u8]) -> Result<ForeignModel, Fault> {
     let data: SfmData = json(bytes)?;
     let version: Vec<u32> = data.version.0.iter().map(|n| n.0).collect();
-    let mut foreign = Foreign::default();
+    let mut foreign = ForeignModel::default();
     for intrinsic in &data.intrinsics.0 {
         let id = intrinsic.intrinsic_id.0;
         let found = intrinsic.camera(&version);
@@ -282,7 +282,7 @@ impl View {
 }
 
 impl Landmark {
-    fn add_to(&self, foreign: &mut Foreign, images: &HashMap<u32, usize>) -> Result<(), Problem> {
+    fn add_to(&self, foreign: &mut ForeignModel, images: &HashMap<u32, usize>) -> Result<(), Problem> {
         let mut observations = Vec::with_capacity(self.observations.0.len());
         for observation in &self.observations.0 {
             if let Some(&image) = images.get(&observation.observation_id.0) {

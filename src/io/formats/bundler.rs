@@ -14,7 +14,7 @@ use nalgebra::{Matrix3, Vector3};
 
 use super::{
     Fault, Place, Problem,
-    foreign::{Foreign, SizeOf, camera, guessed_size, pose},
+    foreign::{ForeignModel, SizeLookup, camera, guessed_size, pose},
     words::{Observation, Words},
 };
 use crate::model::camera::{Camera, CameraModel};
@@ -39,7 +39,7 @@ struct BundlerPoint {
 }
 
 /// Reads `bundle.out` and its image list: one line per image with the name, sometimes followed by two numbers.
-pub fn read(bundle: &[u8], list: &[u8], size_of: SizeOf) -> Result<Foreign, Fault> {
+pub fn read(bundle: &[u8], list: &[u8], size_of: SizeLookup) -> Result<ForeignModel, Fault> {
     let names = names(list)?;
     let mut words = Words::new(bundle);
     if words.line().is_none_or(|line| line != b"# Bundle file v0.3") {
@@ -96,9 +96,9 @@ fn assemble(
     names: &[String],
     cameras: &[BundlerCamera],
     points: &[BundlerPoint],
-    size_of: SizeOf,
-) -> Result<Foreign, Fault> {
-    let mut foreign = Foreign::default();
+    size_of: SizeLookup,
+) -> Result<ForeignModel, Fault> {
+    let mut foreign = ForeignModel::default();
     let mut farthest = vec![[0.0f64; 2]; cameras.len()];
     for &(camera, [x, y]) in points.iter().flat_map(|point| &point.observations) {
         farthest[camera] = [farthest[camera][0].max(x.abs()), farthest[camera][1].max(y.abs())];

@@ -19,7 +19,7 @@ const ROTATION_TOLERANCE: f64 = 1e-3;
 
 /// A model in COLMAP's conventions, with the additional data of its format.
 #[derive(Clone, Debug, Default)]
-pub struct Foreign {
+pub struct ForeignModel {
     pub model: ColmapModel<'static>,
     /// Names of images without a pose.
     pub unregistered: Vec<String>,
@@ -27,7 +27,7 @@ pub struct Foreign {
     pub image_folder: Option<String>,
 }
 
-impl Foreign {
+impl ForeignModel {
     pub fn scene(&self) -> Result<Scene, Fault> {
         let mut scene = self.model.scene()?;
         scene.unregistered = self.unregistered.clone();
@@ -143,7 +143,7 @@ fn simplified(camera: Camera) -> Result<Camera, CameraError> {
 }
 
 /// Returns the width and height of an image by name, for formats that don't store them.
-pub type SizeOf<'a> = &'a dyn Fn(&str) -> Option<(u32, u32)>;
+pub type SizeLookup<'a> = &'a dyn Fn(&str) -> Option<(u32, u32)>;
 
 /// Guesses the width and height of a missing image so that it contains all measured pixels. `farthest`: largest coordinate along each axis,
 /// absolute and relative to the image centre if `from_centre`.

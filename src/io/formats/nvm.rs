@@ -14,7 +14,7 @@ use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
 use super::{
     Fault, Place, Problem,
-    foreign::{Foreign, SizeOf, camera, guessed_size, pose_with_centre},
+    foreign::{ForeignModel, SizeLookup, camera, guessed_size, pose_with_centre},
     words::{Observation, Words, name_and_numbers},
 };
 use crate::model::{
@@ -36,7 +36,7 @@ struct NvmPoint {
     at: Place,
 }
 
-pub fn read(nvm: &[u8], size_of: SizeOf) -> Result<Foreign, Fault> {
+pub fn read(nvm: &[u8], size_of: SizeLookup) -> Result<ForeignModel, Fault> {
     let mut words = Words::new(nvm);
     let head = words.line().and_then(|line| line.strip_prefix(b"NVM_V3"));
     let fixed = head.ok_or_else(|| Words::new(nvm).unexpected("NVM_V3"))?;
@@ -82,8 +82,8 @@ fn point(words: &mut Words, cameras: usize) -> Result<NvmPoint, Fault> {
     Ok(NvmPoint { xyz, colour, observations: words.observations(cameras)?, at })
 }
 
-fn assemble(cameras: &[NvmCamera], points: &[NvmPoint], size_of: SizeOf) -> Result<Foreign, Fault> {
-    let mut foreign = Foreign::default();
+fn assemble(cameras: &[NvmCamera], points: &[NvmPoint], size_of: SizeLookup) -> Result<ForeignModel, Fault> {
+    let mut foreign = ForeignModel::default();
     let observations = || points.iter().flat_map(|point| &point.observations);
     let from_centre = observations().any(|&(_, [x, y])| x < 0.0 || y < 0.0);
     let mut farthest = vec![[0.0f64; 2]; cameras.len()];

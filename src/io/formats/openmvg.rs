@@ -10,7 +10,7 @@ use serde::Deserialize;
 
 use super::{
     Fault, Place, Problem,
-    foreign::{Foreign, camera, json, pose_with_centre, shift},
+    foreign::{ForeignModel, camera, json, pose_with_centre, shift},
 };
 use crate::model::camera::{Camera, CameraModel};
 
@@ -88,10 +88,10 @@ struct Observation {
     x: [f64; 2],
 }
 
-pub fn read(bytes: &[u8]) -> Result<Foreign, Fault> {
+pub fn read(bytes: &[u8]) -> Result<ForeignModel, Fault> {
     let data: SfmData = json(bytes)?;
     let mut foreign =
-        Foreign { image_folder: Some(data.root_path).filter(|path| !path.is_empty()), ..Foreign::default() };
+        ForeignModel { image_folder: Some(data.root_path).filter(|path| !path.is_empty()), ..ForeignModel::default() };
     // cereal writes a type name only at its first occurrence.
     let mut type_names = HashMap::new();
     for Entry { key, value } in &data.intrinsics {

@@ -12,7 +12,7 @@ use serde::Deserialize;
 use super::{
     Fault, Place, Problem,
     colmap::StoredPose,
-    foreign::{Foreign, camera, json},
+    foreign::{ForeignModel, camera, json},
     words::parse,
 };
 use crate::model::{
@@ -79,11 +79,11 @@ struct Point {
 type Observations<'a> = HashMap<&'a [u8], Vec<(usize, [f64; 2])>>;
 
 /// Reads the reconstruction and the tracks; without tracks, points have no observations.
-pub fn read(reconstruction: &[u8], tracks: Option<&[u8]>) -> Result<Foreign, Fault> {
+pub fn read(reconstruction: &[u8], tracks: Option<&[u8]>) -> Result<ForeignModel, Fault> {
     let reconstructions: Vec<Reconstruction> = json(reconstruction)?;
     let all = reconstructions.len();
     let largest = reconstructions.into_iter().rev().max_by_key(|r| r.shots.len());
-    let mut foreign = Foreign::default();
+    let mut foreign = ForeignModel::default();
     let Some(largest) = largest else { return Ok(foreign) };
     if all > 1 {
         let shots = largest.shots.len();
@@ -116,7 +116,7 @@ pub fn read(reconstruction: &[u8], tracks: Option<&[u8]>) -> Result<Foreign, Fau
 }
 
 /// Point ids: those of the file if all are numbers, otherwise 1, 2, ...
-fn add_points(foreign: &mut Foreign, points: &Ordered<Point>, observations: &Observations) {
+fn add_points(foreign: &mut ForeignModel, points: &Ordered<Point>, observations: &Observations) {
     let ids: Option<Vec<u64>> = points.keys().map(|id| id.parse().ok()).collect();
     let mut order: Vec<_> = points
         .iter()

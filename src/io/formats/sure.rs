@@ -11,7 +11,7 @@ use rayon::prelude::*;
 use super::{
     Fault, Place, Problem,
     colmap::{ColmapImage, StoredPose},
-    foreign::{Foreign, camera, pose_with_centre, shift},
+    foreign::{ForeignModel, camera, pose_with_centre, shift},
     words::parse,
 };
 use crate::model::{
@@ -110,8 +110,8 @@ fn distortion(entries: &HashMap<String, Entry>, [fx, fy, cx, cy]: [f64; 4]) -> R
 }
 
 /// Makes a model of oriented images, without points. `name_of` completes image names: the file may omit the extension.
-pub fn model(oriented: Vec<Orientation>, name_of: impl Fn(&str) -> String) -> Foreign {
-    let mut foreign = Foreign::default();
+pub fn model(oriented: Vec<Orientation>, name_of: impl Fn(&str) -> String) -> ForeignModel {
+    let mut foreign = ForeignModel::default();
     for Orientation { image, camera, cam_from_world } in oriented {
         let id = camera.id;
         foreign.model.cameras.push(camera);
@@ -128,7 +128,7 @@ const CLOUD_SAMPLE: usize = 1 << 12;
 
 /// Adds points without tracks: all views into which a point projects are taken to observe it, even if it is hidden there; pixels are the
 /// projections. A huge cloud is subsampled, in the same way at each reading.
-pub fn add_cloud(foreign: &mut Foreign, points: &[Point3<f64>]) {
+pub fn add_cloud(foreign: &mut ForeignModel, points: &[Point3<f64>]) {
     let cameras: HashMap<u32, Camera> = foreign.model.cameras.iter().map(|c| (c.id, c.clone())).collect();
     let poses =
         foreign.model.images.iter().map(|image| Some((image.cam_from_world.pose().ok()?, &cameras[&image.camera_id])));
@@ -174,7 +174,7 @@ fn thinned(points: &[Point3<f64>], most: usize) -> Vec<&Point3<f64>> {
 
 /// Adds the points and measured pixels of another model of the same images. Images are matched by name without extensions and, if that is
 /// unambiguous, without folders: SURE's files may have neither.
-pub fn add_tracks(foreign: &mut Foreign, cloud: &Foreign) -> Result<(), Problem> {
+pub fn add_tracks(foreign: &mut ForeignModel, cloud: &ForeignModel) -> Result<(), Problem> {
     let images = &cloud.model.images;
     let own = positions(foreign, images.iter().map(|image| &*image.name));
     report_unmatched(foreign, cloud, &own)?;
@@ -191,7 +191,7 @@ pub fn add_tracks(foreign: &mut Foreign, cloud: &Foreign) -> Result<(), Problem>
 }
 
 /// Index of the oriented image for each name.
-fn positions<'a>(oriented: &Foreign, names: impl Iterator<Item = &'a str>) -> Vec<Option<usize>> {
+fn positions<'a>(oriented: &ForeignModel, names: impl Iterator<Item = &'a str>) -> Vec<Option<usize>> {
     let stem = |name: &str| {
         let name = name.replace('\\', "/");
         name.rsplit_once('.').map_or(name.as_str(), |(stem, _)| stem).to_lowercase()
@@ -215,7 +215,7 @@ fn positions<'a>(oriented: &Foreign, names: impl Iterator<Item = &'a str>) -> Ve
 }
 
 /// Warns of images without a counterpart; an error if no image has one, since the two models then don't match.
-fn report_unmatched(foreign: &mut Foreign, cloud: &Foreign, own: &[Option<usize>]) -> Result<(), Problem> {
+fn report_unmatched(foreign: &mut ForeignModel, cloud: &ForeignModel, own: &[Option<usize>]) -> Result<(), Problem> {
     let matched: HashSet<usize> = own.iter().flatten().copied().collect();
     let name = |(n, image): (usize, &ColmapImage)| (!matched.contains(&n)).then(|| image.name.to_string());
     let oriented: Vec<String> = foreign.model.images.iter().enumerate().filter_map(name).collect();

@@ -60,7 +60,7 @@ pub struct FileSet {
 
 /// Changes made by writing a set; paths relative to the root.
 #[derive(Clone, Debug, Default, PartialEq, Eq, serde::Serialize)]
-pub struct Written {
+pub struct WriteReport {
     /// New files, and files with new contents.
     pub changed: Vec<String>,
     /// Files of an earlier set that were removed.
@@ -83,14 +83,14 @@ impl FileSet {
     }
 
     /// Writes the set, completely or not at all. Files that already have their contents are not touched.
-    pub fn write(&self, disk: &Disk) -> Result<Written, OutputError> {
+    pub fn write(&self, disk: &Disk) -> Result<WriteReport, OutputError> {
         let mut written = write_all(std::slice::from_ref(self), disk)?;
         Ok(written.pop().unwrap_or_default())
     }
 }
 
 /// Writes all sets; those of one root together or not at all. Roots are written in reverse order of first occurrence.
-pub fn write_all(sets: &[FileSet], disk: &Disk) -> Result<Vec<Written>, OutputError> {
+pub fn write_all(sets: &[FileSet], disk: &Disk) -> Result<Vec<WriteReport>, OutputError> {
     sets.iter().flat_map(|set| set.files.keys()).try_for_each(|path| check_name(path))?;
     let mut roots: Vec<&Path> = Vec::new();
     for set in sets {
@@ -98,7 +98,7 @@ pub fn write_all(sets: &[FileSet], disk: &Disk) -> Result<Vec<Written>, OutputEr
             roots.push(&set.root);
         }
     }
-    let mut written = vec![Written::default(); sets.len()];
+    let mut written = vec![WriteReport::default(); sets.len()];
     for root in roots.into_iter().rev() {
         let (places, own): (Vec<usize>, Vec<&FileSet>) =
             sets.iter().enumerate().filter(|(_, set)| set.root == root).unzip();

@@ -8,14 +8,14 @@ use std::{
 };
 
 use super::{
-    Contents, FileSet, OutputError, Written, open,
+    Contents, FileSet, OutputError, WriteReport, open,
     record::{self, Record, Records},
     transaction::{Change, Root, Step},
 };
 use crate::base::{input, platform};
 
 /// Stages the differences between the sets and the files on disk, as one change for all sets.
-pub(super) fn stage(root: &Root, sets: &[&FileSet]) -> Result<(Change, Vec<Written>), OutputError> {
+pub(super) fn stage(root: &Root, sets: &[&FileSet]) -> Result<(Change, Vec<WriteReport>), OutputError> {
     let records = Records::read(&root.path);
     let wanted: BTreeSet<&str> = sets.iter().flat_map(|set| set.files.keys()).map(String::as_str).collect();
     let mut staging = Staging {
@@ -24,7 +24,7 @@ pub(super) fn stage(root: &Root, sets: &[&FileSet]) -> Result<(Change, Vec<Writt
         wanted: &wanted,
         record: Record::default(),
         change: Change::default(),
-        written: Written::default(),
+        written: WriteReport::default(),
     };
     let written = sets.iter().map(|set| staging.set(set)).collect::<Result<_, _>>()?;
     let mut change = staging.change;
@@ -43,11 +43,11 @@ struct Staging<'a> {
     /// New record of the current set.
     record: Record,
     change: Change,
-    written: Written,
+    written: WriteReport,
 }
 
 impl Staging<'_> {
-    fn set(&mut self, set: &FileSet) -> Result<Written, OutputError> {
+    fn set(&mut self, set: &FileSet) -> Result<WriteReport, OutputError> {
         let earlier = self.records.trusted(&set.name);
         for (path, contents) in &set.files {
             self.file(path, contents)?;

@@ -16,7 +16,7 @@ use std::{
 
 use serde::{Deserialize, Serialize};
 
-use super::{Disk, FileSet, OutputError, Written, found, identity::identity, open::check_links, staging};
+use super::{Disk, FileSet, OutputError, WriteReport, found, identity::identity, open::check_links, staging};
 
 pub(super) const FOLDER: &str = "viewrank";
 pub(super) const STAGING: &str = "viewrank/.staging";
@@ -69,7 +69,7 @@ pub(super) struct Root<'a> {
 }
 
 /// Writes the sets of one root.
-pub(super) fn write(path: &Path, sets: &[&FileSet], disk: &Disk) -> Result<Vec<Written>, OutputError> {
+pub(super) fn write(path: &Path, sets: &[&FileSet], disk: &Disk) -> Result<Vec<WriteReport>, OutputError> {
     let root = Root::open(path, disk)?;
     root.settle()?;
     let staged = root.make_staging().and_then(|()| staging::stage(&root, sets));

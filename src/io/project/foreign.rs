@@ -10,7 +10,8 @@ use crate::{
     base::input,
     io::{
         formats::{
-            Fault, Place, Problem, alicevision, bundler, foreign::Foreign, nvm, openmvg, openmvs::Mvs, opensfm, sure,
+            Fault, Place, Problem, alicevision, bundler, foreign::ForeignModel, nvm, openmvg, openmvs::Mvs, opensfm,
+            sure,
         },
         ply,
     },
@@ -119,7 +120,7 @@ pub(super) fn files(root: &Path, model: &ModelLocation) -> Vec<PathBuf> {
 }
 
 /// Reads the model; its image sizes come from the image files for formats that don't store them.
-pub(super) fn read(root: &Path, model: &ModelLocation) -> Result<Foreign, ProjectError> {
+pub(super) fn read(root: &Path, model: &ModelLocation) -> Result<ForeignModel, ProjectError> {
     let candidates = images::candidates(root, &model.path);
     let size_of = |name: &str| candidates.iter().find_map(|folder| images::size_by_header(&folder.join(name)));
     let at = |path: &Path, fault| ProjectError::Fault { path: path.into(), fault };
@@ -169,7 +170,7 @@ fn sure_cloud(root: &Path) -> Option<(PathBuf, ModelFormat)> {
 }
 
 /// Reads oriented images, and points from an NVM or Bundler file (with tracks) or a PLY file (without).
-fn read_sure(root: &Path, folder: &Path) -> Result<Foreign, ProjectError> {
+fn read_sure(root: &Path, folder: &Path) -> Result<ForeignModel, ProjectError> {
     let mut oriented = Vec::new();
     for (n, path) in orientations(folder).iter().enumerate() {
         let found = sure::read(&files::read(path)?, n as u32 + 1);

@@ -14,7 +14,7 @@ use walkdir::WalkDir;
 use super::{ImageFolder, Project, folder};
 use crate::{
     base::input::{self, FileKind},
-    io::formats::foreign::Foreign,
+    io::formats::foreign::ForeignModel,
     model::scene::{Scene, ViewIndex},
 };
 

@@ -12,7 +12,7 @@ use std::{
 
 use serde::{Deserialize, Serialize};
 
-use super::{ConfidenceMap, Predicted};
+use super::{ConfidenceMap, Prediction};
 use crate::{base::input, io::output};
 
 const MAGIC: &[u8] = b"viewrank confidence maps 2\n";
@@ -31,7 +31,7 @@ pub struct Stamp {
 
 impl Stamp {
     /// Size and time of a file, without its content.
-    pub fn of(path: &Path) -> io::Result<Self> {
+    pub fn read(path: &Path) -> io::Result<Self> {
         let metadata = fs::metadata(path)?;
         let since = metadata.modified().unwrap_or(UNIX_EPOCH).duration_since(SystemTime::UNIX_EPOCH);
         let nanoseconds = since.map_or(0, |since| since.as_nanos() as u64);
@@ -87,7 +87,7 @@ impl Inputs {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Entry {
     pub inputs: Inputs,
-    pub predicted: Predicted,
+    pub predicted: Prediction,
 }
 
 /// Maps of one predictor by view name.
@@ -143,7 +143,7 @@ impl Cache {
             let (map, others) = maps.split_at_checked(cells)?;
             maps = others;
             let map = ConfidenceMap::from_bytes(grid, map.to_vec())?;
-            entries.insert(name, Entry { inputs, predicted: Predicted { map, distance } });
+            entries.insert(name, Entry { inputs, predicted: Prediction { map, distance } });
         }
         (listing.predictor == predictor).then_some(Self { entries })
     }
@@ -176,7 +176,7 @@ mod tests {
         let map = ConfidenceMap::new([3, 2], [0.0, 0.2, 0.4, 0.6, 0.8, 1.0].into_iter());
         let stamp = Stamp { size: 7, nanoseconds: 5, changed: 5, content: "c".into() };
         let inputs = Inputs { image: Some(stamp), mask: None };
-        let entry = Entry { inputs, predicted: Predicted { map, distance: 0.5 } };
+        let entry = Entry { inputs, predicted: Prediction { map, distance: 0.5 } };
         Cache::new([("sub/a \u{fc}.jpg".to_string(), entry)].into_iter())
     }
 

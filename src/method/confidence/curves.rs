@@ -11,7 +11,7 @@ pub const KNOTS: usize = 12;
 /// A function of one number: linear between equally spaced knots, constant beyond the first and the last; 0 where the number is not
 /// known (NaN).
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Curve {
+pub struct PiecewiseLinear {
     /// Place of the first and of the last knot.
     pub low: f32,
     pub high: f32,
@@ -20,20 +20,20 @@ pub struct Curve {
 
 /// A knot with its share, and the share of the next.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Between {
+pub struct Segment {
     pub knot: usize,
     pub share: f32,
     pub next: f32,
 }
 
-impl Curve {
+impl PiecewiseLinear {
     /// 0 everywhere.
     pub const fn flat(low: f32, high: f32) -> Self {
         Self { low, high, values: [0.0; KNOTS] }
     }
 
     #[inline]
-    pub fn between(&self, x: f32) -> Option<Between> {
+    pub fn between(&self, x: f32) -> Option<Segment> {
         let position = (x - self.low) / (self.high - self.low) * (KNOTS - 1) as f32;
         if position.is_nan() {
             return None;
@@ -41,12 +41,12 @@ impl Curve {
         let position = position.clamp(0.0, (KNOTS - 1) as f32);
         let knot = (position as usize).min(KNOTS - 2);
         let next = position - knot as f32;
-        Some(Between { knot, share: 1.0 - next, next })
+        Some(Segment { knot, share: 1.0 - next, next })
     }
 
     #[inline]
-    pub fn at(&self, x: f32) -> f32 {
-        let of = |b: Between| self.values[b.knot] * b.share + self.values[b.knot + 1] * b.next;
+    pub fn value(&self, x: f32) -> f32 {
+        let of = |b: Segment| self.values[b.knot] * b.share + self.values[b.knot + 1] * b.next;
         self.between(x).map_or(0.0, of)
     }
 
@@ -58,24 +58,28 @@ impl Curve {
 
 /// Sum of the curves.
 #[inline]
-pub fn sum<const N: usize>(curves: &[Curve; N], numbers: &[f32; N]) -> f32 {
-    curves.iter().zip(numbers).map(|(curve, &x)| curve.at(x)).sum()
+pub fn sum<const N: usize>(curves: &[PiecewiseLinear; N], numbers: &[f32; N]) -> f32 {
+    curves.iter().zip(numbers).map(|(curve, &x)| curve.value(x)).sum()
 }
 
 /// What the curves of a pair take: see [`Constellation::numbers`](super::Constellation::numbers).
-pub const PAIR: [Curve; 4] =
-    [Curve::flat(0.0, 1.0), Curve::flat(0.0, 1.0), Curve::flat(-2.5, 2.5), Curve::flat(-1.0, 6.5)];
-/// What the curves of a triangle in a view take: see [`Places::numbers`](super::place::Places::numbers).
-pub const PLACE: [Curve; 9] = [
-    Curve::flat(-4.0, 4.0),
-    Curve::flat(0.0, 1.0),
-    Curve::flat(0.0, 1.0),
-    Curve::flat(-0.5, 3.5),
-    Curve::flat(0.0, 1.0),
-    Curve::flat(0.5, 7.0),
-    Curve::flat(0.0, 6.0),
-    Curve::flat(1.0, 5.0),
-    Curve::flat(0.0, 1.5),
+pub const PAIR: [PiecewiseLinear; 4] = [
+    PiecewiseLinear::flat(0.0, 1.0),
+    PiecewiseLinear::flat(0.0, 1.0),
+    PiecewiseLinear::flat(-2.5, 2.5),
+    PiecewiseLinear::flat(-1.0, 6.5),
+];
+/// What the curves of a triangle in a view take: see [`PlaceFeatures::numbers`](super::place::PlaceFeatures::numbers).
+pub const PLACE: [PiecewiseLinear; 9] = [
+    PiecewiseLinear::flat(-4.0, 4.0),
+    PiecewiseLinear::flat(0.0, 1.0),
+    PiecewiseLinear::flat(0.0, 1.0),
+    PiecewiseLinear::flat(-0.5, 3.5),
+    PiecewiseLinear::flat(0.0, 1.0),
+    PiecewiseLinear::flat(0.5, 7.0),
+    PiecewiseLinear::flat(0.0, 6.0),
+    PiecewiseLinear::flat(1.0, 5.0),
+    PiecewiseLinear::flat(0.0, 1.5),
 ];
 
 /// The trained confidence of a pair of views that see a triangle, without what their pictures show.
@@ -84,7 +88,7 @@ pub struct PairCurves {
     /// Matches that must succeed for a pixel (method 3.4), 1 to 3.
     pub min_matches: u32,
     pub bias: f32,
-    pub curves: [Curve; PAIR.len()],
+    pub curves: [PiecewiseLinear; PAIR.len()],
 }
 
 impl PairCurves {
@@ -95,7 +99,9 @@ impl PairCurves {
     }
 
     pub fn is_sound(&self) -> bool {
-        (1..=3).contains(&self.min_matches) && self.bias.is_finite() && self.curves.iter().all(Curve::is_sound)
+        (1..=3).contains(&self.min_matches)
+            && self.bias.is_finite()
+            && self.curves.iter().all(PiecewiseLinear::is_sound)
     }
 }
 
@@ -103,13 +109,13 @@ impl PairCurves {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PlaceCurves {
     pub bias: f32,
-    pub key: [Curve; PLACE.len()],
-    pub partner: [Curve; PLACE.len()],
+    pub key: [PiecewiseLinear; PLACE.len()],
+    pub partner: [PiecewiseLinear; PLACE.len()],
 }
 
 impl PlaceCurves {
     pub fn is_sound(&self) -> bool {
-        self.bias.is_finite() && self.key.iter().chain(&self.partner).all(Curve::is_sound)
+        self.bias.is_finite() && self.key.iter().chain(&self.partner).all(PiecewiseLinear::is_sound)
     }
 }
 
@@ -122,23 +128,23 @@ mod tests {
     proptest! {
         #[test]
         fn a_curve_through_a_line_is_the_line(a in -3.0..3.0f32, b in -3.0..3.0f32, x in -1.0..4.0f32) {
-            let mut curve = Curve::flat(-1.0, 4.0);
+            let mut curve = PiecewiseLinear::flat(-1.0, 4.0);
             curve.values = std::array::from_fn(|i| a + b * (-1.0 + 5.0 * i as f32 / (KNOTS - 1) as f32));
-            prop_assert!((curve.at(x) - (a + b * x)).abs() < 1e-4);
-            prop_assert_eq!(curve.at(100.0), curve.values[KNOTS - 1]);
-            prop_assert_eq!(curve.at(-100.0), curve.values[0]);
+            prop_assert!((curve.value(x) - (a + b * x)).abs() < 1e-4);
+            prop_assert_eq!(curve.value(100.0), curve.values[KNOTS - 1]);
+            prop_assert_eq!(curve.value(-100.0), curve.values[0]);
         }
     }
 
     #[test]
     fn what_is_not_known_says_nothing() {
-        let curve = Curve { values: [3.0; KNOTS], ..Curve::flat(0.0, 1.0) };
-        assert_eq!((curve.at(0.3), curve.at(f32::NAN)), (3.0, 0.0));
+        let curve = PiecewiseLinear { values: [3.0; KNOTS], ..PiecewiseLinear::flat(0.0, 1.0) };
+        assert_eq!((curve.value(0.3), curve.value(f32::NAN)), (3.0, 0.0));
     }
 
     #[test]
     fn broken_curves_are_not_sound() {
-        assert!(Curve::flat(0.0, 1.0).is_sound());
-        assert!(!Curve::flat(1.0, 1.0).is_sound() && !Curve::flat(0.0, f32::NAN).is_sound());
+        assert!(PiecewiseLinear::flat(0.0, 1.0).is_sound());
+        assert!(!PiecewiseLinear::flat(1.0, 1.0).is_sound() && !PiecewiseLinear::flat(0.0, f32::NAN).is_sound());
     }
 }

@@ -35,8 +35,8 @@ impl Features {
         let [columns, rows] = grid(image.width, image.height);
         let colours = Colours::cells(image, [columns, rows]);
         let structure = Structure::cells(image, [columns, rows]);
-        let near = Around::new(&colours, &structure[0], columns as usize, 1);
-        let far = Around::new(&colours, &structure[0], columns as usize, 4);
+        let near = NeighbourhoodFeatures::new(&colours, &structure[0], columns as usize, 1);
+        let far = NeighbourhoodFeatures::new(&colours, &structure[0], columns as usize, 4);
         let likeness = likeness(image, [columns, rows]);
         let mut values = Vec::with_capacity(colours.len() * COUNT);
         for cell in 0..colours.len() {
@@ -63,7 +63,7 @@ impl Features {
     }
 
     /// The numbers of a cell, counted row by row.
-    pub fn of(&self, cell: usize) -> &[f32] {
+    pub fn cell(&self, cell: usize) -> &[f32] {
         &self.values[cell * COUNT..(cell + 1) * COUNT]
     }
 }
@@ -173,14 +173,14 @@ impl Structure {
 }
 
 /// What lies around each cell.
-struct Around {
+struct NeighbourhoodFeatures {
     mean: Vec<[f32; 3]>,
     /// Mean logarithm of the small eigenvalue.
     small: Vec<f32>,
     brightness_spread: Vec<f32>,
 }
 
-impl Around {
+impl NeighbourhoodFeatures {
     /// Within `reach` cells.
     fn new(colours: &[Colours], structure: &[Structure], columns: usize, reach: usize) -> Self {
         let channel = |i: usize| around(&colours.iter().map(|c| c.mean[i]).collect::<Vec<_>>(), columns, reach, mean);

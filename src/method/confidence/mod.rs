@@ -1,7 +1,7 @@
-//! Method 7: where will the backend succeed?
+//! Confidence (method 7): predicts where the backend will succeed.
 //!
-//! Two kinds of knowledge meet in p_i(t), the chance that the pair (key view, partner i) measures triangle t: the picture ([`Unary`]
-//! confidence per view and triangle, from a [`Predictor`]) and the constellation ([`PairConfidence`], which needs no image).
+//! p_i(t), the probability that the pair (key view, partner i) measures triangle t, has two sources: the picture ([`Unary`]
+//! confidence per view and triangle, from a [`Predictor`]) and the geometry of the pair ([`PairConfidence`], which needs no image).
 
 mod cache;
 pub mod curves;
@@ -24,9 +24,9 @@ pub use nearby::nearby;
 #[cfg(test)]
 pub use photometric::NO_AGREEMENT;
 pub use photometric::{AGREEMENT_CACHE, Agreement, PairAgreement, Photometric};
-pub use pictures::{CACHE, MASKS, Pictures, Seen};
+pub use pictures::{CACHE, MASKS, PicturePredictions, Pictures};
 pub use proxy::Proxy;
-pub use trained::{Trained, TrainedError, TrainedOn};
+pub use trained::{TrainedError, TrainedModel, TrainedOn};
 pub use unary::Unary;
 
 use std::path::{Path, PathBuf};
@@ -36,24 +36,24 @@ use crate::{
     io::project::Project,
 };
 
-/// Probability per cell of a grid that covers the image that the backend reconstructs it.
+/// Probability that the backend reconstructs each cell of a grid that covers the image.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ConfidenceMap {
     pub columns: u32,
     pub rows: u32,
-    /// In 255ths, row by row: as they are kept, so that a kept map gives the same plan.
+    /// In 255ths, row by row: the format of the cache, so that a cached map gives the same plan.
     values: Vec<u8>,
 }
 
 impl ConfidenceMap {
-    /// `values`: 0 to 1, row by row, as many as the grid (columns, rows) has cells.
+    /// `values`: 0 to 1, row by row, one per cell of the grid (columns, rows).
     pub fn new(grid: [u32; 2], values: impl Iterator<Item = f32>) -> Self {
         let values: Vec<u8> = values.map(|v| (v.clamp(0.0, 1.0) * 255.0).round() as u8).collect();
         debug_assert_eq!(values.len(), grid[0] as usize * grid[1] as usize);
         Self { columns: grid[0], rows: grid[1], values }
     }
 
-    /// From what [`Self::bytes`] gave; `None` where the number of bytes is wrong.
+    /// Builds a map from the result of [`Self::bytes`]; `None` if the number of bytes is wrong.
     pub(crate) fn from_bytes(grid: [u32; 2], values: Vec<u8>) -> Option<Self> {
         let cells = u64::from(grid[0]) * u64::from(grid[1]);
         (cells > 0 && cells == values.len() as u64).then_some(Self { columns: grid[0], rows: grid[1], values })
@@ -63,13 +63,13 @@ impl ConfidenceMap {
         &self.values
     }
 
-    /// Row by row, 0 to 1.
+    /// Values row by row, 0 to 1.
     pub fn values(&self) -> impl ExactSizeIterator<Item = f32> {
         self.values.iter().map(|&v| f32::from(v) / 255.0)
     }
 
-    /// At a place given as shares of the image's width and height, in [0, 1).
-    pub fn at(&self, x: f64, y: f64) -> f32 {
+    /// Returns the value at a position given as shares of the image's width and height, in [0, 1).
+    pub fn value_at(&self, x: f64, y: f64) -> f32 {
         let column = ((x * f64::from(self.columns)) as usize).min(self.columns as usize - 1);
         let row = ((y * f64::from(self.rows)) as usize).min(self.rows as usize - 1);
         self.cell(column, row)
@@ -79,13 +79,13 @@ impl ConfidenceMap {
         f32::from(self.values[row * self.columns as usize + column]) / 255.0
     }
 
-    /// 1 everywhere, on the grid of an image of the mask's size.
+    /// Returns a map of 1 everywhere, on the grid of an image of the mask's size.
     fn certain(mask: &Mask) -> Self {
         let grid = features::grid(mask.width, mask.height);
         Self { columns: grid[0], rows: grid[1], values: vec![255; grid[0] as usize * grid[1] as usize] }
     }
 
-    /// Less where the mask forbids pixels of the image.
+    /// Scales the values by the share of each cell that the mask allows.
     fn masked(&self, mask: &Mask) -> Self {
         let grid = [self.columns, self.rows];
         let cells = (0..self.rows).flat_map(|row| (0..self.columns).map(move |column| (column, row)));
@@ -94,35 +94,35 @@ impl ConfidenceMap {
     }
 }
 
-/// What a predictor says of a picture.
+/// Output of a predictor for a picture.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Predicted {
+pub struct Prediction {
     pub map: ConfidenceMap,
-    /// How unlike the picture is to those that the predictor learnt from: 1 is as unlike as the most unlike of them; 0 where
-    /// nothing was learnt.
+    /// Dissimilarity to the pictures of the training set: 1 is the most dissimilar of them; 0 if the predictor was
+    /// not trained.
     pub distance: f32,
 }
 
 /// Predicts unary confidence from a picture (method 7.3).
 pub trait Predictor: Sync {
-    /// The same for predictors that say the same of every picture.
+    /// Fingerprint of the predictor: equal for predictors that give the same result for every picture.
     fn fingerprint(&self) -> blake3::Hash;
 
-    fn predict(&self, image: &Image) -> Predicted;
+    fn predict(&self, image: &Image) -> Prediction;
 }
 
-/// Where confidence comes from (`confidence.source`).
+/// Source of confidence (`confidence.source`).
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Source {
     /// f_conf = 1: the paper's NoCP.
     None,
-    /// The constellation and the sparse points around (method 7.2).
+    /// The geometry of the pair and the surrounding sparse points (method 7.2).
     Geometric,
-    /// Whether the pictures agree on the surface (method 7.4).
+    /// Agreement of the pictures on the surface (method 7.4).
     Photometric,
-    /// The constellation and a training-free look at the picture (method 7.3).
+    /// The geometry of the pair and an untrained measure of texture (method 7.3).
     Proxy,
-    /// The model that comes with the program: it learnt from depth maps of `integrations/sgm`.
+    /// The model that comes with the program, trained on depth maps of `integrations/sgm`.
     Shipped,
     /// The model that was trained for the project: [`PROJECT_MODEL`].
     Project,
@@ -130,11 +130,11 @@ pub enum Source {
     Model(PathBuf),
 }
 
-/// Where a project has a model of its own, relative to it.
+/// Path of a project's own model, relative to the project.
 pub const PROJECT_MODEL: &str = "viewrank/confidence.model";
 
 impl Source {
-    /// `auto` is the project's own model if there is one, else `photometric` where there are images, else `geometric`.
+    /// Resolves `auto`: the project's own model if there is one, else `photometric` if there are images, else `geometric`.
     pub fn new(source: &str, project: &Project) -> Self {
         match source {
             "none" => Self::None,
@@ -150,19 +150,19 @@ impl Source {
         }
     }
 
-    /// The trained model, where it is one.
-    pub fn trained(&self, root: &Path) -> Result<Option<Trained>, TrainedError> {
+    /// Returns the trained model of sources that have one.
+    pub fn trained(&self, root: &Path) -> Result<Option<TrainedModel>, TrainedError> {
         match self {
             Self::None | Self::Geometric | Self::Photometric | Self::Proxy => Ok(None),
-            Self::Shipped => Trained::shipped().map(Some).ok_or(TrainedError::NotShipped),
-            Self::Project => Trained::read(&root.join(PROJECT_MODEL)).map(Some),
-            Self::Model(path) => Trained::read(path).map(Some),
+            Self::Shipped => TrainedModel::shipped().map(Some).ok_or(TrainedError::NotShipped),
+            Self::Project => TrainedModel::read(&root.join(PROJECT_MODEL)).map(Some),
+            Self::Model(path) => TrainedModel::read(path).map(Some),
         }
     }
 }
 
 impl std::fmt::Display for Source {
-    /// As it is typed.
+    /// Name as in the settings.
     fn fmt(&self, f: &mut std::fmt::Formatter) -> std::fmt::Result {
         match self {
             Self::None => write!(f, "none"),
@@ -176,26 +176,26 @@ impl std::fmt::Display for Source {
     }
 }
 
-/// What p_i of method 3.4 is.
+/// Form of p_i (method 3.4).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Confidence {
-    /// f_conf = 1 wherever f_cov = 1.
+    /// f_conf = 1 if f_cov = 1.
     None,
     /// Method 7.2 times the mean of the two unary confidences.
     Pair(PairConfidence),
-    /// The mean of the two unary confidences.
+    /// Mean of the two unary confidences.
     Paper { min_matches: u32 },
-    /// Method 7.4 where the pictures of both views are known, else method 7.2 times the mean of the two unary confidences.
+    /// Method 7.4 if the pictures of both views are available, else method 7.2 times the mean of the two unary confidences.
     Photometric { agreement: Photometric, otherwise: PairConfidence },
-    /// Trained: the chance that the key view's place can be measured at all, times that of enough matches.
+    /// Trained: the probability that the key view can measure the triangle at all, times that of enough matches.
     Trained(PairCurves),
 }
 
 impl Confidence {
-    /// `numbers`: the backend's. A trained model without a picture has no unary confidence for the paper's form.
+    /// `numbers`: those of the backend. A trained model without a picture has no unary confidence for the paper's form.
     pub fn new(
         source: &Source,
-        trained: Option<&Trained>,
+        trained: Option<&TrainedModel>,
         settings: &ConfidenceSettings,
         numbers: &PairConfidence,
     ) -> Self {
@@ -205,8 +205,8 @@ impl Confidence {
             (Source::None, _, _) => Self::None,
             (Source::Photometric, _, _) => Self::Photometric { agreement: Photometric::default(), otherwise: numbers },
             (Source::Proxy, ConfidenceForm::Paper, _) => Self::Paper { min_matches },
-            (_, ConfidenceForm::Paper, Some(Trained { picture: Some(_), .. })) => Self::Paper { min_matches },
-            (_, _, Some(Trained { pair, .. })) => {
+            (_, ConfidenceForm::Paper, Some(TrainedModel { picture: Some(_), .. })) => Self::Paper { min_matches },
+            (_, _, Some(TrainedModel { pair, .. })) => {
                 Self::Trained(PairCurves { min_matches: settings.min_matches.unwrap_or(pair.min_matches), ..*pair })
             }
             _ => Self::Pair(numbers),
@@ -215,7 +215,7 @@ impl Confidence {
 }
 
 impl Confidence {
-    /// Puts the numbers that it has into the settings that it heeds.
+    /// Writes the parameters in force into the settings that apply to this form.
     pub fn fill_in(&self, settings: &mut ConfidenceSettings) {
         match self {
             Self::None => {}
@@ -231,7 +231,7 @@ impl Confidence {
         }
     }
 
-    /// Matches that must succeed; 0: none, f_conf is 1.
+    /// Minimum number of successful matches; 0: f_conf is 1.
     pub fn min_matches(&self) -> u32 {
         match self {
             Self::None => 0,
@@ -241,7 +241,7 @@ impl Confidence {
         }
     }
 
-    /// p_i of a partner that sees the triangle, from its constellation with the key view, the key view's [`Unary::at`] and the partner's
+    /// Returns p_i of a partner that sees the triangle, from the geometry of the pair, the key view's [`Unary::confidence`] and the partner's
     /// [`Unary::as_partner`].
     pub fn pair(&self, constellation: &Constellation, key: f64, partner: f64) -> f64 {
         match self {
@@ -254,15 +254,15 @@ impl Confidence {
         }
     }
 
-    /// Chance that the triangle can be measured from the key view at all, from the key view's [`Unary::at`].
+    /// Returns the probability that the key view can measure the triangle at all, from its [`Unary::confidence`].
     pub fn measurable(&self, key: f32) -> f32 {
         if matches!(self, Self::Trained(_)) { key } else { 1.0 }
     }
 
-    /// f_conf of method 3.4: the chance that at least [`Confidence::min_matches`] of independent matches succeed.
+    /// Returns f_conf of method 3.4: the probability that at least [`Confidence::min_matches`] of independent matches succeed.
     ///
-    /// `at_least[m]` is that chance for m among the matches so far. One more match of chance p turns "exactly m - 1" into m; adding
-    /// to the chance of at least m, never taking the difference from 1, keeps small chances exact.
+    /// `at_least[m]` is the probability of m successes among the matches so far. A match of probability p turns "exactly m - 1" into m. Only adding
+    /// to "at least m", never subtracting from 1, keeps small probabilities exact.
     pub fn at_least(&self, matches: impl Iterator<Item = f64>) -> f64 {
         let mut at_least = [1.0, 0.0, 0.0, 0.0];
         for p in matches {
@@ -280,7 +280,7 @@ mod tests {
 
     use super::*;
 
-    /// The paper's alternating sum over the elementary symmetric polynomials.
+    /// The paper's alternating sum over elementary symmetric polynomials.
     fn alternating_sum(p: &[f64]) -> f64 {
         let mut e = vec![0.0; p.len() + 1];
         e[0] = 1.0;
@@ -292,7 +292,7 @@ mod tests {
         (2..e.len()).map(|i| (i as f64 - 1.0) * if i % 2 == 0 { e[i] } else { -e[i] }).sum()
     }
 
-    /// By going through all outcomes.
+    /// Enumerates all outcomes.
     fn by_outcomes(p: &[f64], least: u32) -> f64 {
         let chance = |outcome: u32| {
             let one = |(i, &p): (usize, &f64)| if outcome >> i & 1 == 1 { p } else { 1.0 - p };

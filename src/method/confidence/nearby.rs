@@ -1,4 +1,4 @@
-//! What the sparse points around a triangle say of it: a view that observes them was matched there before (method 7.2, and 7.3 for trained models).
+//! Evidence of the sparse points around a triangle: a view that observes them was matched there before (method 7.2; 7.3 for trained models).
 
 use nalgebra::Point3;
 use rayon::prelude::*;
@@ -13,12 +13,12 @@ use crate::{
     model::scene::{Scene, ViewIndex, ViewPoints},
 };
 
-/// How many points around a triangle are looked at.
+/// Number of nearest points considered for a triangle.
 const AROUND: usize = 8;
-/// Confidence where a view observes none of them.
+/// Confidence if a view observes none of them.
 const UNOBSERVED: f32 = 0.5;
 
-/// For each row of the visibility table, from 1/2 to 1, the share of the sparse points nearest to the triangle that the view observes.
+/// Weights each row of the visibility table 0.5 to 1 by the share of the sparse points nearest to the triangle that the view observes.
 pub fn nearby(
     scene: &Scene,
     points: &ViewPoints,
@@ -34,7 +34,7 @@ pub fn nearby(
     Ok(Unary { values, ..Unary::certain() })
 }
 
-/// The sparse points nearest to the centroid of each triangle, as many for each.
+/// The sparse points nearest to the centroid of each triangle, the same number for each.
 pub(super) struct Nearest {
     around: usize,
     points: Vec<u32>,
@@ -42,7 +42,7 @@ pub(super) struct Nearest {
 
 impl Nearest {
     pub fn new(scene: &Scene, surface: &Surface, watcher: &dyn Watcher) -> Result<Self, Cancelled> {
-        let tree = Tree::new(&scene.points);
+        let tree = KdTree::new(&scene.points);
         watcher.check()?;
         let around = AROUND.min(scene.points.len());
         let mut points = vec![0; around * surface.triangles.len()];
@@ -53,12 +53,12 @@ impl Nearest {
         Ok(Self { around, points })
     }
 
-    /// Nearest first.
-    pub fn of(&self, triangle: u32) -> &[u32] {
+    /// Returns the nearest points, nearest first.
+    pub fn points_near(&self, triangle: u32) -> &[u32] {
         &self.points[self.around * triangle as usize..][..self.around]
     }
 
-    /// For each row of the visibility table what `said` makes of the share of them that the view observes; NaN in a scene without points.
+    /// Maps, for each row of the visibility table, the share of the nearest points that the view observes through `said`; NaN without points.
     pub fn observed(
         &self,
         scene: &Scene,
@@ -71,7 +71,7 @@ impl Nearest {
             watcher.check()?;
             points.observed_by(view).iter().for_each(|p| observed[p.index()] = true);
             let of_triangle = |&t: &u32| {
-                let around = self.of(t);
+                let around = self.points_near(t);
                 said(around.iter().filter(|&&p| observed[p as usize]).count() as f32 / around.len() as f32)
             };
             let row: Vec<f32> = visibility.triangles_seen_by(view).iter().map(of_triangle).collect();
@@ -81,26 +81,26 @@ impl Nearest {
         visibility.column(|| vec![false; scene.points.len()], of_view)
     }
 
-    /// Mean distance between a triangle's centroid and its points, and the largest between its plane and them, scene units; NaN
+    /// Returns the mean distance of the nearest points from the centroid and their largest distance from the triangle's plane, scene units; NaN
     /// without points.
     pub fn spacing_and_roughness(&self, scene: &Scene, surface: &Surface, triangle: u32) -> [f64; 2] {
         let (centroid, normal) = (surface.centroid(triangle), surface.area_normal(triangle).normalize());
-        let around = self.of(triangle);
+        let around = self.points_near(triangle);
         let away = || around.iter().map(|&p| scene.points[p as usize] - centroid);
         let spacing = away().map(|d| d.norm()).sum::<f64>() / around.len() as f64;
         [spacing, away().map(|d| d.dot(&normal).abs()).fold(f64::NAN, f64::max)]
     }
 }
 
-/// A k-d tree without pointers: the middle of each range of `order` parts it, down to [`AROUND`] points.
-struct Tree<'a> {
+/// An implicit k-d tree: the median of each range of `order` splits it, down to leaves of [`AROUND`] points.
+struct KdTree<'a> {
     points: &'a [Point3<f64>],
     order: Vec<u32>,
-    /// Along which axis the point at the same place of `order` parts its range.
+    /// Axis along which the point at the same index of `order` splits its range.
     axes: Vec<u8>,
 }
 
-impl<'a> Tree<'a> {
+impl<'a> KdTree<'a> {
     fn new(points: &'a [Point3<f64>]) -> Self {
         let mut order: Vec<u32> = (0..points.len() as u32).collect();
         let mut axes = vec![0; points.len()];
@@ -108,7 +108,7 @@ impl<'a> Tree<'a> {
         Self { points, order, axes }
     }
 
-    /// The nearest points, nearest first, ties by index.
+    /// Returns the nearest points, nearest first, ties by index.
     fn nearest(&self, to: &Point3<f64>) -> Vec<u32> {
         let mut found = Vec::with_capacity(AROUND + 1);
         self.look(to, 0, self.order.len(), &mut found);
@@ -142,7 +142,7 @@ impl<'a> Tree<'a> {
     }
 }
 
-/// Orders a range so that its middle parts it along the axis on which it is longest.
+/// Sorts a range so that its median splits it along its longest axis.
 fn part(points: &[Point3<f64>], order: &mut [u32], axes: &mut [u8]) {
     if order.len() <= AROUND {
         return;
@@ -168,7 +168,7 @@ mod tests {
 
     use super::*;
     use crate::{
-        base::progress::Unwatched,
+        base::progress::NoWatcher,
         method::synthetic::Town,
         model::camera::{Camera, CameraModel},
     };
@@ -184,13 +184,13 @@ mod tests {
     proptest! {
         #[test]
         fn the_nearest_are_those_that_sorting_finds(
-            // Whole numbers, so that points coincide and distances tie.
+            // Integers, so that points coincide and distances tie.
             points in proptest::collection::vec(proptest::array::uniform3(-4i8..5), 0..200),
             to in proptest::array::uniform3(-6i8..7),
         ) {
             let point = |x: [i8; 3]| Point3::from(x.map(f64::from));
             let (points, to): (Vec<_>, _) = (points.into_iter().map(point).collect(), point(to));
-            prop_assert_eq!(Tree::new(&points).nearest(&to), by_sorting(&points, &to));
+            prop_assert_eq!(KdTree::new(&points).nearest(&to), by_sorting(&points, &to));
         }
     }
 
@@ -215,17 +215,17 @@ mod tests {
             &Default::default(),
             3.0,
             crate::base::column::Storage::Memory,
-            &Unwatched,
+            &NoWatcher,
         )
         .unwrap();
-        let unary = nearby(&scene, &points, &surface, &visibility, &Unwatched).unwrap();
+        let unary = nearby(&scene, &points, &surface, &visibility, &NoWatcher).unwrap();
         let mut row = 0;
         for view in scene.view_indices() {
             for &t in visibility.triangles_seen_by(view) {
                 let around = by_sorting(&scene.points, &surface.centroid(t));
                 let known = around.iter().filter(|&&p| points.observed_by(view).iter().any(|o| o.0 == p)).count();
-                assert_eq!(unary.at(row), 0.5 + known as f32 / 16.0);
-                assert!(view.0 != 0 || unary.at(row) == 0.5);
+                assert_eq!(unary.confidence(row), 0.5 + known as f32 / 16.0);
+                assert!(view.0 != 0 || unary.confidence(row) == 0.5);
                 row += 1;
             }
         }

@@ -1,4 +1,4 @@
-//! Looking at the pictures of a project: reading, predicting, keeping.
+//! Reads a project's pictures and masks, predicts a confidence map for each view, and caches the maps.
 
 use std::{
     io::ErrorKind,
@@ -9,7 +9,7 @@ use std::{
 use rayon::prelude::*;
 
 use super::{
-    ConfidenceMap, Predicted, Predictor,
+    ConfidenceMap, Prediction, Predictor,
     cache::{Cache, Entry, Inputs, Stamp},
     image::{Image, ImageError, Mask, size_for_confidence},
     photometric::{Grey, SPACING},
@@ -42,9 +42,9 @@ pub struct Pictures {
     project: PathBuf,
 }
 
-/// What was seen in the pictures.
+/// The predictions for all pictures of a project, with warnings.
 #[derive(Clone, Debug, Default)]
-pub struct Seen {
+pub struct PicturePredictions {
     /// By view; `None`: it has neither image nor mask.
     pub maps: Vec<Option<ConfidenceMap>>,
     /// Median over the images of how unlike they are to those that the predictor learnt from; `None` without images.
@@ -54,11 +54,11 @@ pub struct Seen {
     pub cache: Option<Vec<u8>>,
 }
 
-/// What became of one view.
+/// The prediction for one view, or why there is none.
 #[derive(Default)]
-struct Looked {
+struct PredictedView {
     entry: Option<Entry>,
-    /// Was it made now, or are its files newer than the cache says?
+    /// The prediction was made now, or its files are newer than the cache says.
     new: bool,
     trouble: Option<ImageError>,
 }
@@ -125,62 +125,71 @@ impl Pictures {
     }
 
     /// Predicts for each view; without a predictor only masks count. An image that is missing or broken is done without.
-    pub fn look(
+    pub fn predict(
         &self,
         scene: &Scene,
         predictor: Option<&dyn Predictor>,
         watcher: &dyn Watcher,
-    ) -> Result<Seen, Cancelled> {
+    ) -> Result<PicturePredictions, Cancelled> {
         let fingerprint = predictor.map_or_else(|| "masks alone".into(), |p| p.fingerprint().to_string());
         let cache = Cache::read(&self.project, CACHE, &fingerprint);
         let views: Vec<ViewIndex> = scene.view_indices().collect();
         let done = AtomicU64::new(0);
         watcher.progress(Stage::Confidence, 0, views.len() as u64);
-        let look = |&view: &ViewIndex| {
+        let predict = |&view: &ViewIndex| {
             watcher.check()?;
-            let looked = self.look_at(scene, view, predictor, &cache);
+            let predictions = self.predict_view(scene, view, predictor, &cache);
             watcher.progress(Stage::Confidence, 1 + done.fetch_add(1, Ordering::Relaxed), views.len() as u64);
-            Ok(looked)
+            Ok(predictions)
         };
-        let looked: Vec<Looked> = views.par_iter().map(look).collect::<Result<_, _>>()?;
-        let mut seen = Seen { warnings: self.warnings(scene, predictor, &looked), ..Seen::default() };
-        let changed = looked.iter().any(|l| l.new);
-        let learnt = looked.iter().filter_map(|l| l.entry.as_ref());
-        seen.distance = median(learnt.filter(|e| e.inputs.image.is_some()).map(|e| e.predicted.distance).collect());
-        seen.maps = looked.iter().map(|l| l.entry.as_ref().map(|entry| entry.predicted.map.clone())).collect();
+        let predictions: Vec<PredictedView> = views.par_iter().map(predict).collect::<Result<_, _>>()?;
+        let mut all = PicturePredictions {
+            warnings: self.warnings(scene, predictor, &predictions),
+            ..PicturePredictions::default()
+        };
+        let changed = predictions.iter().any(|l| l.new);
+        let learnt = predictions.iter().filter_map(|l| l.entry.as_ref());
+        all.distance = median(learnt.filter(|e| e.inputs.image.is_some()).map(|e| e.predicted.distance).collect());
+        all.maps = predictions.iter().map(|l| l.entry.as_ref().map(|entry| entry.predicted.map.clone())).collect();
         if changed {
-            let entries = views.iter().zip(looked);
+            let entries = views.iter().zip(predictions);
             let entries = entries.filter_map(|(&view, l)| Some((scene.name(view).to_owned(), l.entry?)));
-            seen.cache = Some(Cache::new(entries).to_bytes(&fingerprint));
+            all.cache = Some(Cache::new(entries).to_bytes(&fingerprint));
         }
-        Ok(seen)
+        Ok(all)
     }
 
-    fn look_at(&self, scene: &Scene, view: ViewIndex, predictor: Option<&dyn Predictor>, cache: &Cache) -> Looked {
+    fn predict_view(
+        &self,
+        scene: &Scene,
+        view: ViewIndex,
+        predictor: Option<&dyn Predictor>,
+        cache: &Cache,
+    ) -> PredictedView {
         let name = scene.name(view);
         let [image, mask] = self.files(name);
         let files = Files { image: image.filter(|_| predictor.is_some()), mask };
         // Before anything is read: a file that changes meanwhile differs from its stamp and is read again the next time.
         let seen = files.inputs();
         if let Some(entry) = cache.untouched(name, &seen) {
-            return Looked { entry: Some(entry.clone()), ..Looked::default() };
+            return PredictedView { entry: Some(entry.clone()), ..PredictedView::default() };
         }
         let camera = scene.camera_of(view);
         match files.entry(seen, name, camera, predictor, cache) {
-            Ok(entry) => Looked { new: entry.is_some(), entry, trouble: None },
+            Ok(entry) => PredictedView { new: entry.is_some(), entry, trouble: None },
             Err(trouble) => {
                 let mask_alone = Files { image: None, ..files };
                 let mask_alone = mask_alone.entry(mask_alone.inputs(), name, camera, None, cache);
-                Looked { entry: mask_alone.ok().flatten(), new: false, trouble: Some(trouble) }
+                PredictedView { entry: mask_alone.ok().flatten(), new: false, trouble: Some(trouble) }
             }
         }
     }
 
-    fn warnings(&self, scene: &Scene, predictor: Option<&dyn Predictor>, looked: &[Looked]) -> Vec<String> {
+    fn warnings(&self, scene: &Scene, predictor: Option<&dyn Predictor>, predictions: &[PredictedView]) -> Vec<String> {
         if predictor.is_some() && self.images.is_none() {
             return vec!["the project has no image folder: no picture was looked at".into()];
         }
-        let troubles: Vec<Option<&ImageError>> = looked.iter().map(|l| l.trouble.as_ref()).collect();
+        let troubles: Vec<Option<&ImageError>> = predictions.iter().map(|l| l.trouble.as_ref()).collect();
         picture_warnings(scene, &troubles)
     }
 }
@@ -213,7 +222,7 @@ struct Files {
 impl Files {
     /// Without their contents.
     fn inputs(&self) -> Inputs {
-        let stamp = |path: &Option<PathBuf>| path.as_deref().and_then(|path| Stamp::of(path).ok());
+        let stamp = |path: &Option<PathBuf>| path.as_deref().and_then(|path| Stamp::read(path).ok());
         Inputs { image: stamp(&self.image), mask: stamp(&self.mask) }
     }
 
@@ -242,7 +251,7 @@ impl Files {
                 check_shape(image.full, camera)?;
                 Some(predictor.predict(&image))
             }
-            None => mask.as_ref().map(|mask| Predicted { map: ConfidenceMap::certain(mask), distance: 0.0 }),
+            None => mask.as_ref().map(|mask| Prediction { map: ConfidenceMap::certain(mask), distance: 0.0 }),
         };
         if let (Some(predicted), Some(mask)) = (&mut predicted, &mask) {
             check_shape([mask.width, mask.height], camera)?;

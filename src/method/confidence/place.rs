@@ -14,7 +14,7 @@ use crate::{
 };
 
 /// The rows of a model's visibility table, each a triangle where a view sees it.
-pub struct Places<'a> {
+pub struct PlaceFeatures<'a> {
     geometry: Geometry<'a>,
     /// By row: share of the sparse points nearest to the triangle that the view observes.
     observed: Column<f32>,
@@ -34,7 +34,7 @@ struct Ground {
     error: f32,
 }
 
-impl<'a> Places<'a> {
+impl<'a> PlaceFeatures<'a> {
     pub fn new(geometry: Geometry<'a>, points: &ViewPoints, watcher: &dyn Watcher) -> Result<Self, TableError> {
         let nearest = Nearest::new(geometry.scene, geometry.surface, watcher)?;
         let all = (0..geometry.scene.points.len() as u32).into_par_iter();
@@ -81,7 +81,7 @@ impl Ground {
     fn new(geometry: &Geometry, nearest: &Nearest, tracks: &[[f32; 2]], triangle: u32) -> Self {
         let gsd = f64::from(geometry.target.gsd[triangle as usize]);
         let [spacing, roughness] = nearest.spacing_and_roughness(geometry.scene, geometry.surface, triangle);
-        let around = nearest.of(triangle);
+        let around = nearest.points_near(triangle);
         let mean = |i: usize| around.iter().map(|&p| tracks[p as usize][i]).sum::<f32>() / around.len() as f32;
         Self {
             spacing: (spacing / gsd).log2() as f32,

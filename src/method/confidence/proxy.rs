@@ -4,7 +4,7 @@
 //! only where nothing can be matched: from a few times the noise on the confidence is 1.
 
 use super::{
-    ConfidenceMap, Predicted, Predictor,
+    ConfidenceMap, Prediction, Predictor,
     features::{Colours, Structure, grid},
     image::Image,
 };
@@ -23,7 +23,7 @@ impl Predictor for Proxy {
         blake3::hash(&[b"proxy 1", &numbers[..]].concat())
     }
 
-    fn predict(&self, image: &Image) -> Predicted {
+    fn predict(&self, image: &Image) -> Prediction {
         let grid = grid(image.width, image.height);
         let structure = Structure::cells(image, grid);
         let colours = Colours::cells(image, grid);
@@ -37,7 +37,7 @@ impl Predictor for Proxy {
             told_apart(best) * (1.0 - colours.bright - colours.dark).max(0.0)
         };
         let values = colours.iter().enumerate().map(confidence);
-        Predicted { map: ConfidenceMap::new(grid, values), distance: 0.0 }
+        Prediction { map: ConfidenceMap::new(grid, values), distance: 0.0 }
     }
 }
 
@@ -56,7 +56,7 @@ mod tests {
         let at = |i: u32| if i % width < width / 2 { grey(i % width, i / width) } else { 120 };
         let rgb = (0..width * height).flat_map(|i| [at(i); 3]).collect();
         let map = Proxy.predict(&Image { width, height, rgb, full: [width, height] }).map;
-        (map.at(0.2, 0.5), map.at(0.8, 0.5))
+        (map.value_at(0.2, 0.5), map.value_at(0.8, 0.5))
     }
 
     fn noise(x: u32, y: u32) -> u32 {

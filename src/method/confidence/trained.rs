@@ -8,11 +8,11 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 
 use super::{
-    ConfidenceMap, Predicted, Predictor, Unary,
+    ConfidenceMap, Prediction, Predictor, Unary,
     curves::{self, PairCurves, PlaceCurves},
     features::{self, Features},
     image::Image,
-    place::{self, Places},
+    place::{self, PlaceFeatures},
     trees::{BINS, Classifier, logistic},
 };
 use crate::{
@@ -35,7 +35,7 @@ const SHIPPED: &[u8] = include_bytes!("shipped.model");
 
 /// A trained confidence: what it was trained on, and the numbers.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Trained {
+pub struct TrainedModel {
     pub format: String,
     pub version: u32,
     /// Program that wrote it.
@@ -45,11 +45,11 @@ pub struct Trained {
     pub backend: String,
     pub trained_on: Vec<TrainedOn>,
     pub seed: u64,
-    pub measured: Measured,
+    pub measured: ValidationScores,
     pub pair: PairCurves,
     pub place: PlaceCurves,
     /// `None` where there were no pictures.
-    pub picture: Option<Picture>,
+    pub picture: Option<PictureModel>,
 }
 
 /// A project that was trained on.
@@ -65,7 +65,7 @@ pub struct TrainedOn {
 
 /// Figures on views, or where there were several projects on projects, that were left out of the training.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Measured {
+pub struct ValidationScores {
     /// Judged triangles of finished clusters: how many, the area under the ROC curve, mean squared error, and mean distance between predicted
     /// and real shares over ten equal ranges of prediction, weighted by how many fall in.
     pub triangles: usize,
@@ -80,7 +80,7 @@ pub struct Measured {
 
 /// What the picture alone says.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Picture {
+pub struct PictureModel {
     pub classifier: Classifier,
     /// Log odds are multiplied by the first and moved by the second.
     pub calibration: [f32; 2],
@@ -90,7 +90,7 @@ pub struct Picture {
     pub reach: f32,
 }
 
-impl Trained {
+impl TrainedModel {
     /// `None`: this program comes without one.
     pub fn shipped() -> Option<Self> {
         Self::parse(SHIPPED, Path::new("shipped.model")).ok()
@@ -119,7 +119,7 @@ impl Trained {
         }
         let trained: Self = serde_json::from_slice(bytes).map_err(|e| broken(e.to_string()))?;
         let sound =
-            trained.pair.is_sound() && trained.place.is_sound() && trained.picture.iter().all(Picture::is_sound);
+            trained.pair.is_sound() && trained.place.is_sound() && trained.picture.iter().all(PictureModel::is_sound);
         if sound { Ok(trained) } else { Err(broken("its numbers make no sense".into())) }
     }
 
@@ -144,7 +144,7 @@ impl Trained {
         blake3::hash(&self.to_bytes()).to_string()
     }
 
-    /// What each row of the visibility table says as the key view's and as a partner's. `maps`: what [`Picture`] says of each view.
+    /// What each row of the visibility table says as the key view's and as a partner's. `maps`: what [`PictureModel`] says of each view.
     pub fn unary(
         &self,
         geometry: &Geometry,
@@ -153,11 +153,11 @@ impl Trained {
         watcher: &dyn Watcher,
     ) -> Result<Unary, TableError> {
         let promised = Unary::new(geometry.scene, geometry.surface, geometry.visibility, maps, watcher)?;
-        let places = Places::new(*geometry, points, watcher)?;
+        let places = PlaceFeatures::new(*geometry, points, watcher)?;
         let of_view = |_: &mut (), &view: &ViewIndex| {
             watcher.check()?;
             let of_row = |row: usize| {
-                let promise = if maps[view.index()].is_some() { promised.at(row) } else { f32::NAN };
+                let promise = if maps[view.index()].is_some() { promised.confidence(row) } else { f32::NAN };
                 let numbers = places.numbers(view, row, promise);
                 let key = logistic(self.place.bias + curves::sum(&self.place.key, &numbers));
                 (key, curves::sum(&self.place.partner, &numbers))
@@ -165,7 +165,7 @@ impl Trained {
             Ok(geometry.visibility.rows(view).map(of_row).collect::<Vec<_>>())
         };
         let views: Vec<ViewIndex> = geometry.scene.view_indices().collect();
-        let keep = geometry.visibility.triangles.kept();
+        let keep = geometry.visibility.triangles.storage();
         let (mut values, mut partner_odds) = (ColumnBuilder::new(keep)?, ColumnBuilder::new(keep)?);
         column::in_order(
             &views,
@@ -185,7 +185,7 @@ impl Trained {
     }
 }
 
-impl Picture {
+impl PictureModel {
     fn is_sound(&self) -> bool {
         let shares = |bins: &Vec<f32>| bins.len() == BINS && bins.iter().all(|s| s.is_finite());
         self.classifier.is_sound()
@@ -202,7 +202,7 @@ impl Picture {
         let mut bins = vec![0u8; features::COUNT];
         let mut counts = vec![[0u32; BINS]; features::COUNT];
         let mut of_cell = |cell: usize| {
-            self.classifier.binning.quantise(features.of(cell), &mut bins);
+            self.classifier.binning.quantise(features.cell(cell), &mut bins);
             bins.iter().zip(&mut counts).for_each(|(&bin, counts)| counts[usize::from(bin)] += 1);
             self.calibrated(self.classifier.probability_of_bins(&bins))
         };
@@ -228,16 +228,16 @@ impl Picture {
     }
 }
 
-impl Predictor for Picture {
+impl Predictor for PictureModel {
     fn fingerprint(&self) -> blake3::Hash {
         blake3::hash(&serde_json::to_vec(self).expect("finite numbers are JSON"))
     }
 
-    fn predict(&self, image: &Image) -> Predicted {
+    fn predict(&self, image: &Image) -> Prediction {
         let features = Features::new(image);
         let (chances, apart) = self.of_cells(&features);
         let map = ConfidenceMap::new([features.columns, features.rows], chances.into_iter());
-        Predicted { map, distance: apart / self.reach }
+        Prediction { map, distance: apart / self.reach }
     }
 }
 

@@ -31,7 +31,7 @@ impl Unary {
         Self::default()
     }
 
-    pub fn at(&self, row: usize) -> f32 {
+    pub fn confidence(&self, row: usize) -> f32 {
         if self.values.is_empty() { 1.0 } else { self.values[row] }
     }
 
@@ -43,7 +43,9 @@ impl Unary {
         if other.values.is_empty() {
             return Ok(self);
         }
-        let of_view = |_: &mut (), view| Ok(visibility.rows(view).map(|row| self.at(row) * other.at(row)).collect());
+        let of_view = |_: &mut (), view| {
+            Ok(visibility.rows(view).map(|row| self.confidence(row) * other.confidence(row)).collect())
+        };
         Ok(Self { values: visibility.column(|| (), of_view)?, ..Self::certain() })
     }
 
@@ -55,7 +57,7 @@ impl Unary {
 
     /// What the row says of a pair that its view is the partner of: its log odds where the confidence is trained, else its confidence.
     pub fn as_partner(&self, row: usize) -> f32 {
-        if self.partner_odds.is_empty() { self.at(row) } else { self.partner_odds[row] }
+        if self.partner_odds.is_empty() { self.confidence(row) } else { self.partner_odds[row] }
     }
 
     /// The mean of the view's map over each triangle that it sees; 1 in views without a map.

@@ -1,33 +1,33 @@
-//! The table of fulfilment by triangle.
+//! The fulfilment table transposed: by triangle instead of by cluster.
 
 use bytemuck::{Pod, Zeroable};
 
 use super::FulfilmentTable;
 use crate::base::column::{self, Column, ColumnBuilder, DiskError, Storage};
 
-/// The clusters of a list that fulfil each triangle (CSR by triangle).
+/// The clusters of a list that fulfil each triangle; CSR by triangle.
 pub(crate) struct ByTriangle {
-    /// Triangles + 1 entries.
+    /// Start of each triangle's row, and the end of the last: triangles + 1 entries.
     offsets: Vec<usize>,
     entries: Column<Entry>,
-    /// Length of the list.
+    /// Number of clusters in the list.
     clusters: usize,
 }
 
-/// What a cluster does for a triangle.
+/// f of a triangle for one cluster.
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
 #[repr(C)]
 pub(crate) struct Entry {
-    /// Place of the cluster in the list.
+    /// Index of the cluster in the list.
     pub place: u32,
     pub f: f32,
 }
 
-/// Entries that are put in order at a time.
+/// Entries sorted at a time; bounds the memory of the transposition.
 const ENTRIES_AT_ONCE: usize = 1 << 25;
 
 impl ByTriangle {
-    /// The rows of `clusters`, in memory or on disk as the table is.
+    /// Transposes the rows of `clusters`, with the table's storage.
     pub(crate) fn new(table: &FulfilmentTable, clusters: &[u32], triangles: usize) -> Result<Self, DiskError> {
         let row = |cluster| table.row(cluster as usize);
         Self::of_rows(&row, &|| table.release(), table.triangles.kept(), clusters, triangles)
@@ -56,7 +56,7 @@ impl ByTriangle {
         entries.reserve(offsets[triangles]);
         let mut from = 0;
         while from < triangles {
-            // As many triangles as there is room for, but one at least.
+            // At least one triangle, even if its entries exceed the batch.
             let room = offsets[from] + ENTRIES_AT_ONCE;
             let end = (offsets.partition_point(|&offset| offset <= room) - 1).clamp(from + 1, triangles);
             entries.extend(&Self::entries(rows(), &offsets[from..=end], from as u32))?;
@@ -82,17 +82,17 @@ impl ByTriangle {
         entries
     }
 
-    /// The entries of a triangle, in the order of the list.
+    /// Returns the entries of a triangle, in the order of the list.
     pub(crate) fn row(&self, triangle: u32) -> &[Entry] {
         &self.entries[self.offsets[triangle as usize]..self.offsets[triangle as usize + 1]]
     }
 
-    /// Gives back memory that can be read again.
+    /// Lets the operating system drop pages of a table on disk; they are read again when needed.
     pub(crate) fn release(&self) {
         self.entries.release();
     }
 
-    /// How much of these fulfilments each of the first `end` clusters of the list gives as well.
+    /// Returns, for each of the first `end` clusters of the list, the sum of min(its f, f) over the triangles.
     pub(crate) fn given_by_each(&self, triangles: &[u32], values: &[f32], end: usize) -> Vec<f64> {
         let mut given = vec![0.0; end];
         for (&t, &own) in triangles.iter().zip(values) {
@@ -103,7 +103,7 @@ impl ByTriangle {
         given
     }
 
-    /// The most of these fulfilments that a single cluster of the list gives as well.
+    /// Returns the largest such sum that a single cluster of the list reaches.
     pub(crate) fn most_by_one(&self, triangles: &[u32], values: &[f32]) -> f64 {
         self.given_by_each(triangles, values, self.clusters).into_iter().fold(0.0, f64::max)
     }

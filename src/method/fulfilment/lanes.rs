@@ -1,27 +1,27 @@
-//! f for several triangles at once: straight-line arithmetic over small arrays, which the compiler turns into vector instructions.
+//! f of [`LANES`] triangles at once: straight-line arithmetic over small arrays, which the compiler turns into vector instructions.
 //!
-//! The information matrices of a triangle stand in an orthonormal frame whose third axis points to the key view, divided by the
-//! squared length of the key view's Jacobian. There the key view measures nothing along the third axis, and what the partners add along
-//! it, which decides f_unc and is small where angles are small, keeps its relative precision in f32.
+//! Information matrices are expressed in an orthonormal frame whose third axis points to the key view, and divided by the squared
+//! norm of the key view's Jacobian. In this frame the key view measures nothing along the third axis. The partners' contribution along
+//! it decides f_unc and is small at small angles; as a component of its own it keeps its relative precision in f32.
 
 use nalgebra::{RealField, convert};
 
-/// Triangles that are worked on together.
+/// Triangles processed together.
 pub const LANES: usize = 16;
 
-/// A number per triangle.
+/// One number per triangle.
 pub type Lanes = [f32; LANES];
 
-/// What the key view alone says about its triangles.
+/// The key view's contribution to its triangles.
 #[derive(Clone, Copy)]
 pub struct KeyLanes {
-    /// Information of the key view: xx, xy, yy. The trace is 1.
+    /// Information matrix of the key view: xx, xy, yy. Its trace is 1.
     pub information: [Lanes; 3],
     /// a_d over the standard deviation of the key view's best direction: f_unc = min(unit sqrt(smallest eigenvalue), 1).
     pub unit: Lanes,
-    /// alpha f_res.
+    /// alpha * f_res.
     pub resolution: Lanes,
-    /// Chance that the triangle can be measured from the key view at all.
+    /// Probability that the triangle can be measured from the key view at all.
     pub measurable: Lanes,
 }
 
@@ -35,14 +35,14 @@ impl KeyLanes {
     };
 }
 
-/// What one partner adds; all 0 where it does not see the triangle.
+/// A partner's contribution; all 0 for triangles that it does not see.
 #[derive(Clone, Copy)]
 pub struct PartnerLanes {
-    /// xx, xy, yy, xz, yz, zz.
+    /// Information matrix: xx, xy, yy, xz, yz, zz.
     pub information: [Lanes; 6],
-    /// p_i.
+    /// Probability of a match, p_i.
     pub confidence: Lanes,
-    /// 1 or 0.
+    /// 1 if the partner sees the triangle, else 0.
     pub sees: Lanes,
 }
 
@@ -51,28 +51,28 @@ impl PartnerLanes {
     pub const EMPTY: Self = Self { information: [[0.0; LANES]; 6], confidence: [0.0; LANES], sees: [0.0; LANES] };
 }
 
-/// The sum over the key view and some partners.
+/// Sum over the key view and a set of partners.
 #[derive(Clone, Copy)]
-pub struct Together {
+pub struct ClusterLanes {
     information: [Lanes; 6],
-    /// Chances that at least 1, 2 and 3 matches succeed.
+    /// Probabilities that at least 1, 2 and 3 matches succeed.
     at_least: [Lanes; 3],
-    /// Partners that see the triangle.
+    /// Number of partners that see the triangle.
     seeing: Lanes,
 }
 
-/// The numbers of f that are the same for all triangles.
+/// Parameters of f that all triangles share.
 #[derive(Clone, Copy)]
 pub struct Weights {
     /// 1 - alpha.
     pub uncertainty: f32,
-    /// Partners that must see a triangle.
+    /// Minimum number of partners that see a triangle.
     pub min_partners: f32,
-    /// Matches that must succeed; 0: f_conf is 1.
+    /// Minimum number of successful matches; 0: f_conf is 1.
     pub min_matches: u32,
 }
 
-impl Together {
+impl ClusterLanes {
     #[inline(always)]
     pub fn new(key: &KeyLanes) -> Self {
         let [xx, xy, yy] = key.information;
@@ -95,7 +95,7 @@ impl Together {
         self
     }
 
-    /// f_cov f_conf of each triangle: the chance that it is measured, however well.
+    /// Returns f_cov * f_conf of each triangle: the probability that it is measured, well or not.
     #[inline(always)]
     pub fn chance(&self, key: &KeyLanes, weights: &Weights) -> Lanes {
         let mut chance = match weights.min_matches {
@@ -104,7 +104,7 @@ impl Together {
             2 => self.at_least[1],
             _ => self.at_least[2],
         };
-        // Products first and the choice on its own: together they would become a jump for each triangle.
+        // Products first, selection in a loop of its own: merged, they would compile to a branch per triangle.
         for (chance, measurable) in chance.iter_mut().zip(key.measurable) {
             *chance *= measurable;
         }
@@ -114,7 +114,7 @@ impl Together {
         chance
     }
 
-    /// f of each triangle; `T`: f32 to choose by, f64 for what is written.
+    /// Returns f of each triangle. `T`: f32 to choose by, f64 for results.
     #[inline(always)]
     pub fn value<T: RealField + Copy>(&self, key: &KeyLanes, weights: &Weights) -> [T; LANES] {
         let chance = self.chance(key, weights);
@@ -133,7 +133,7 @@ impl Together {
     }
 }
 
-/// cos((acos(r) + 2 pi) / 3) as a polynomial in sqrt(1 - r), in which it is smooth up to the double root at r = 1; error below 1e-10.
+/// Approximates cos((acos(r) + 2 pi) / 3) by a polynomial in sqrt(1 - r), in which it is smooth up to the double root at r = 1; error below 1e-10.
 const COSINE: [f64; 11] = [
     -0.50000000008108,
     -0.40824827654124,
@@ -148,10 +148,10 @@ const COSINE: [f64; 11] = [
     6.4873863514301e-06,
 ];
 
-/// Smallest eigenvalue, at least 0, of a positive semidefinite matrix given by xx, xy, yy, xz, yz, zz, with a trace of at least 1.
+/// Returns the smallest eigenvalue, at least 0, of a positive semidefinite matrix given by xx, xy, yy, xz, yz, zz, with a trace of at least 1.
 ///
-/// In closed form; where it is small against the others that form cancels, and one step of Newton's method from there finds the root of the
-/// characteristic polynomial, whose coefficients do not.
+/// Closed form. Where the eigenvalue is much smaller than the others this form cancels; one Newton step from there finds the root of the
+/// characteristic polynomial, whose coefficients do not cancel.
 #[inline(always)]
 pub fn smallest_eigenvalue<T: RealField + Copy>([xx, xy, yy, xz, yz, zz]: [T; 6]) -> T {
     let c = convert::<f64, T>;
@@ -182,23 +182,23 @@ pub fn smallest_eigenvalue<T: RealField + Copy>([xx, xy, yy, xz, yz, zz]: [T; 6]
 /// log2 of a positive, normal number; absolute error below 1e-7.
 #[inline(always)]
 pub fn log2(x: f32) -> f32 {
-    // A fit, whose first term happens to be near a constant of nature.
+    // A polynomial fit; its first coefficient is close to a mathematical constant by chance.
     #[allow(clippy::approx_constant)]
     const SERIES: [f32; 9] =
         [1.442695, -0.7213475, 0.48091075, -0.36069327, 0.28790326, -0.23916988, 0.21607823, -0.20586188, 0.12310968];
-    // The exponent such that the mantissa lies between sqrt(1/2) and sqrt(2).
+    // Chooses the exponent that puts the mantissa between sqrt(1/2) and sqrt(2).
     let exponent = (x.to_bits() as i32 - 0x3f35_04f3) >> 23;
     let m = f32::from_bits((x.to_bits() as i32 - (exponent << 23)) as u32) - 1.0;
     exponent as f32 + m * SERIES.iter().rev().fold(0.0, |sum, k| sum * m + k)
 }
 
-/// 2^x for x up to 100; relative error below 1e-7, 0 far below.
+/// Returns 2^x for x up to 100; relative error below 1e-7, 0 for x far below 0.
 #[inline(always)]
 pub fn exp2(x: f32) -> f32 {
-    // A fit, as above; all digits of it are written down.
+    // A polynomial fit, as above, with all digits.
     #[allow(clippy::approx_constant, clippy::excessive_precision)]
     const SERIES: [f32; 7] = [1.0, 0.6931472, 0.24022651, 0.055503272, 0.009618057, 0.0013400428, 0.00015461445];
-    /// Adding it rounds to a whole number, which then stands in the lowest bits.
+    /// Adding this constant rounds to an integer, which appears in the lowest bits.
     const ROUND: f32 = 12_582_912.0;
     let x = if x > -125.0 { x } else { -125.0 };
     let whole = x + ROUND;
@@ -207,11 +207,11 @@ pub fn exp2(x: f32) -> f32 {
     power * SERIES.iter().rev().fold(0.0, |sum, k| sum * rest + k)
 }
 
-/// The angle, radians, whose chord on the unit circle has that squared length; relative error below 1e-6.
+/// Returns the angle, radians, from the squared length of its chord on the unit circle; relative error below 1e-6.
 #[inline(always)]
 pub fn angle_of_chord(squared: f32) -> f32 {
     const SERIES: [f32; 6] = [1.0, 0.16666782, 0.07494697, 0.045520636, 0.023994, 0.042417374];
-    // sin^2 of half the angle; beyond 60 degrees through the complement.
+    // From sin^2 of half the angle; beyond 60 degrees from the complement.
     let sin2 = 0.25 * squared;
     let sin2 = if sin2 < 1.0 { sin2 } else { 1.0 };
     let small = sin2 <= 0.25;
@@ -231,7 +231,7 @@ mod tests {
         [m.m11, m.m12, m.m22, m.m13, m.m23, m.m33]
     }
 
-    /// Information of views in directions that lie `spread` around the third axis, at scales of 1/8 to 8, the first along the axis.
+    /// Information of views in directions within `spread` of the third axis, at scales of 1/8 to 8; the first along the axis.
     fn information(views: &[(f64, f64, f64)], spread: f64) -> Matrix3<f64> {
         let of_view = |&(x, y, scale): &(f64, f64, f64)| {
             let d = Vector3::new(spread * x, spread * y, 1.0).normalize();
@@ -251,7 +251,7 @@ mod tests {
             prop_assume!(expected > 1e-9 * matrix.trace());
             let exact = smallest_eigenvalue(components(&matrix));
             prop_assert!((exact / expected - 1.0).abs() < 1e-6, "{exact} {expected}");
-            // Rounded as the columns are: what is written.
+            // Rounded as the columns store it.
             let rounded = components(&matrix).map(|c| f64::from(c as f32));
             let written = smallest_eigenvalue(rounded).sqrt();
             let scale_apart = views.iter().map(|v| v.2).fold(0.0, f64::max) > 0.5;
@@ -263,7 +263,7 @@ mod tests {
 
         #[test]
         fn smallest_eigenvalue_is_a_number(c in proptest::array::uniform6(-3.0..3.0f32)) {
-            // A sum of squares, perhaps singular.
+            // A sum of squares, possibly singular.
             let rows = [[c[0], c[1], c[2]], [c[3], c[4], c[5]]];
             let product = |a: usize, b: usize| rows[0][a] * rows[0][b] + rows[1][a] * rows[1][b];
             let matrix = [product(0, 0) + 1.0, product(0, 1), product(1, 1), product(0, 2), product(1, 2), product(2, 2)];
@@ -295,7 +295,7 @@ mod tests {
     #[test]
     fn no_triangle_fulfils_nothing() {
         let weights = Weights { uncertainty: 0.5, min_partners: 0.0, min_matches: 0 };
-        assert_eq!(Together::new(&KeyLanes::EMPTY).value::<f32>(&KeyLanes::EMPTY, &weights), [0.0; LANES]);
-        assert_eq!(Together::new(&KeyLanes::EMPTY).value::<f64>(&KeyLanes::EMPTY, &weights), [0.0; LANES]);
+        assert_eq!(ClusterLanes::new(&KeyLanes::EMPTY).value::<f32>(&KeyLanes::EMPTY, &weights), [0.0; LANES]);
+        assert_eq!(ClusterLanes::new(&KeyLanes::EMPTY).value::<f64>(&KeyLanes::EMPTY, &weights), [0.0; LANES]);
     }
 }

@@ -1,7 +1,7 @@
-//! Method 3: how well a triangle meets the wanted completeness, resolution and accuracy.
+//! Fulfilment (method 3): how well a cluster meets the wanted completeness, resolution and accuracy on a triangle, 0 to 1.
 //!
-//! `f = (alpha f_res + (1 - alpha) f_unc) f_cov f_conf`, each factor in [0, 1]. [`Model`] is everything that f depends on, [`value`]
-//! its definition in f64, one (cluster, triangle) at a time.
+//! `f = (alpha f_res + (1 - alpha) f_unc) f_cov f_conf`, each factor in [0, 1]. [`Model`] holds all inputs of f; [`value`] is its
+//! definition in f64, for one (cluster, triangle) pair. [`block`] computes the same for many triangles at once.
 
 pub(crate) mod block;
 mod by_triangle;
@@ -10,7 +10,7 @@ mod lanes;
 
 use nalgebra::{Matrix3, Point3, Vector2};
 
-use self::block::{Block, Places};
+use self::block::{Block, BlockSlots};
 pub(crate) use self::by_triangle::ByTriangle;
 pub use self::half_size::half_size;
 use crate::method::{geometry::Geometry, target::Target};
@@ -31,24 +31,24 @@ use crate::{
     },
 };
 
-/// Clusters that are worked on before their rows are put together.
+/// Clusters evaluated in parallel before their rows are appended to the table; bounds the memory of unfinished rows.
 pub(crate) const BATCH: usize = 64;
 
-/// The numbers of method 3.
+/// Parameters of f (method 3).
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Rule {
-    /// Weight of resolution against uncertainty, 0 to 1.
+pub struct FulfilmentRule {
+    /// Weight of resolution against uncertainty, 0 to 1. 1: resolution alone.
     pub alpha: f64,
     /// Standard deviation of a match, pixels of the matched image.
     pub sigma_px: f64,
-    /// Cameras that must see a triangle, the key view included (x).
+    /// Minimum number of cameras that see a triangle, including the key view (x in the paper).
     pub min_cameras: u32,
-    /// Size of the matched images over the model's images.
+    /// Size of the matched images relative to the model's images.
     pub image_scale: f64,
     pub confidence: Confidence,
 }
 
-/// Everything that f depends on.
+/// All inputs of f.
 #[derive(Clone, Copy)]
 pub struct Model<'a> {
     pub scene: &'a Scene,
@@ -56,18 +56,18 @@ pub struct Model<'a> {
     pub visibility: &'a Visibility,
     pub target: &'a Target,
     pub unary: &'a Unary,
-    /// Of the pairs whose pictures were compared.
+    /// Photometric agreement of the pairs whose pictures were compared (method 7.4).
     pub agreement: &'a Agreement,
-    pub rule: Rule,
+    pub rule: FulfilmentRule,
 }
 
 impl<'a> Model<'a> {
-    pub fn new(geometry: Geometry<'a>, unary: &'a Unary, agreement: &'a Agreement, rule: Rule) -> Self {
+    pub fn new(geometry: Geometry<'a>, unary: &'a Unary, agreement: &'a Agreement, rule: FulfilmentRule) -> Self {
         let Geometry { scene, surface, visibility, target, .. } = geometry;
         Self { scene, surface, visibility, target, unary, agreement, rule }
     }
 
-    /// The part of it that confidence is made from.
+    /// Returns the inputs that confidence depends on.
     pub fn geometry(&self) -> Geometry<'a> {
         let Self { scene, surface, visibility, target, .. } = *self;
         Geometry { scene, surface, visibility, target, image_scale: self.rule.image_scale }
@@ -87,32 +87,32 @@ impl<'a> Model<'a> {
     }
 }
 
-/// f of a triangle and its factors.
+/// f of a triangle and its factors, each 0 to 1.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Fulfilment {
-    /// f_cov: 1 where enough cameras see the triangle, else 0.
+    /// f_cov: 1 if enough cameras see the triangle, else 0.
     pub coverage: f64,
-    /// f_res.
+    /// f_res, resolution.
     pub resolution: f64,
-    /// f_unc.
+    /// f_unc, uncertainty.
     pub uncertainty: f64,
-    /// f_conf.
+    /// f_conf, confidence.
     pub confidence: f64,
     pub value: f64,
 }
 
-/// f(t, cluster) of every cluster, CSR by cluster, triangles ascending, only f > 0.
+/// f(t, cluster) of every cluster: sparse table, CSR by cluster, triangles ascending; only entries with f > 0.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct FulfilmentTable {
-    /// Clusters + 1 entries.
+    /// Start of each cluster's row, and the end of the last: clusters + 1 entries.
     pub offsets: Vec<usize>,
     pub triangles: Column<u32>,
-    /// In (0, 1].
+    /// f, in (0, 1].
     pub values: Column<f32>,
 }
 
 impl FulfilmentTable {
-    /// Of clusters with these triangles and their f.
+    /// Builds a table from each cluster's triangles and their f.
     pub fn new<R: AsRef<[(u32, f32)]>>(clusters: impl IntoIterator<Item = R>) -> Self {
         let (mut offsets, mut triangles, mut values) = (vec![0], Vec::new(), Vec::new());
         for row in clusters {
@@ -123,7 +123,7 @@ impl FulfilmentTable {
         Self { offsets, triangles: triangles.into(), values: values.into() }
     }
 
-    /// Gives back memory that can be read again.
+    /// Lets the operating system drop pages of a table on disk; they are read again when needed.
     pub fn release(&self) {
         self.triangles.release();
         self.values.release();
@@ -133,28 +133,28 @@ impl FulfilmentTable {
         self.offsets.len().saturating_sub(1)
     }
 
-    /// Triangles of a cluster and their fulfilment.
+    /// Returns a cluster's triangles and their f.
     pub fn row(&self, cluster: usize) -> (&[u32], &[f32]) {
         let rows = self.offsets[cluster]..self.offsets[cluster + 1];
         (&self.triangles[rows.clone()], &self.values[rows])
     }
 }
 
-/// A table of fulfilment to which clusters are added.
-pub(crate) struct GrowingTable {
+/// An unfinished [`FulfilmentTable`], append only, one cluster at a time.
+pub(crate) struct FulfilmentTableBuilder {
     offsets: Vec<usize>,
     triangles: ColumnBuilder<u32>,
     values: ColumnBuilder<f32>,
 }
 
-impl GrowingTable {
-    /// `visibility`: a table that is kept as this one is to be.
-    pub(crate) fn beside(visibility: &Visibility) -> Result<Self, DiskError> {
-        let keep = visibility.triangles.kept();
+impl FulfilmentTableBuilder {
+    /// Starts an empty table with the storage (memory or disk) of `visibility`.
+    pub(crate) fn like(visibility: &Visibility) -> Result<Self, DiskError> {
+        let keep = visibility.triangles.storage();
         Ok(Self { offsets: vec![0], triangles: ColumnBuilder::new(keep)?, values: ColumnBuilder::new(keep)? })
     }
 
-    /// Adds a cluster with the f of each triangle that its key view sees.
+    /// Appends a cluster, given f of each triangle that its key view sees.
     pub(crate) fn push(&mut self, triangles: &[u32], values: &[f32]) -> Result<(), DiskError> {
         let fulfilled = triangles.iter().zip(values).filter(|(_, f)| **f > 0.0);
         let (triangles, values): (Vec<u32>, Vec<f32>) = fulfilled.unzip();
@@ -170,18 +170,18 @@ impl GrowingTable {
     }
 }
 
-/// f of any clusters, in their order.
+/// Computes f of all clusters, in their order.
 pub fn table(model: &Model, clusters: &[ViewCluster], watcher: &dyn Watcher) -> Result<FulfilmentTable, TableError> {
-    let mut table = GrowingTable::beside(model.visibility)?;
-    let of_cluster = |places: &mut Places, cluster: &ViewCluster| {
+    let mut table = FulfilmentTableBuilder::like(model.visibility)?;
+    let of_cluster = |slots: &mut BlockSlots, cluster: &ViewCluster| {
         watcher.check()?;
-        let mut block = Block::new(model, cluster.key, &cluster.partners, |_| false, places);
+        let mut block = Block::new(model, cluster.key, &cluster.partners, |_| false, slots);
         Ok(block.values(&(0..cluster.partners.len()).collect::<Vec<_>>()))
     };
     column::in_order(
         clusters,
         BATCH,
-        || Places::new(model),
+        || BlockSlots::new(model),
         of_cluster,
         |batch, rows| {
             model.release();
@@ -194,14 +194,14 @@ pub fn table(model: &Model, clusters: &[ViewCluster], watcher: &dyn Watcher) -> 
     Ok(table.finish()?)
 }
 
-/// f of one triangle by one cluster, by the definition; 0 where the key view does not see the triangle.
+/// Returns f of one triangle for one cluster by the definition; 0 if the key view does not see the triangle.
 pub fn value(model: &Model, key: ViewIndex, partners: &[ViewIndex], triangle: u32) -> Fulfilment {
     let Some(success) = Success::new(model, key, partners, triangle) else { return Fulfilment::default() };
     let (rule, gsd) = (&model.rule, f64::from(model.target.gsd[triangle as usize]));
     let resolution = (density(model, key, triangle) * gsd * gsd).min(1.0);
     let views = success.seeing.iter().copied().chain([key]);
     let information = views.map(|view| information(model, view, triangle)).sum::<Matrix3<f64>>();
-    // The largest eigenvalue of the inverse is one over the smallest of the matrix.
+    // The largest eigenvalue of the inverse is the reciprocal of the smallest of the matrix.
     let smallest = information.symmetric_eigenvalues().min().max(0.0);
     let uncertainty = (model.target.accuracy(triangle) * smallest.sqrt()).min(1.0);
     let Success { coverage, confidence, .. } = success;
@@ -209,7 +209,7 @@ pub fn value(model: &Model, key: ViewIndex, partners: &[ViewIndex], triangle: u3
     Fulfilment { coverage, resolution, uncertainty, confidence, value: weighted * coverage * confidence }
 }
 
-/// Which partners see a triangle, and what follows from that.
+/// The partners of a cluster that see a triangle, and the factors of f that follow.
 struct Success {
     seeing: Vec<ViewIndex>,
     coverage: f64,
@@ -217,14 +217,14 @@ struct Success {
 }
 
 impl Success {
-    /// `None` where the key view does not see the triangle.
+    /// Returns `None` if the key view does not see the triangle.
     fn new(model: &Model, key: ViewIndex, partners: &[ViewIndex], triangle: u32) -> Option<Self> {
         let key_row = model.visibility.row(key, triangle)?;
         let rows = partners.iter().filter_map(|&p| Some((p, model.visibility.row(p, triangle)?)));
         let rule = &model.rule;
         let (mut seeing, mut chances) = (Vec::with_capacity(partners.len()), Vec::with_capacity(partners.len()));
         for (view, row) in rows {
-            let (own, other) = (f64::from(model.unary.at(key_row)), f64::from(model.unary.as_partner(row)));
+            let (own, other) = (f64::from(model.unary.confidence(key_row)), f64::from(model.unary.as_partner(row)));
             seeing.push(view);
             let first = model.visibility.rows(key).start;
             let by_geometry =
@@ -238,13 +238,13 @@ impl Success {
             });
         }
         let coverage = if 1 + seeing.len() >= rule.min_cameras as usize { 1.0 } else { 0.0 };
-        let measurable = f64::from(rule.confidence.measurable(model.unary.at(key_row)));
+        let measurable = f64::from(rule.confidence.measurable(model.unary.confidence(key_row)));
         Some(Self { seeing, coverage, confidence: measurable * rule.confidence.at_least(chances.into_iter()) })
     }
 }
 
-/// rho of method 3.2: pixels of the matched image per squared scene unit. The projected area is that of the triangle between the
-/// projected corners; where a corner does not project, the density at the centroid. 0 for a triangle without area.
+/// Returns rho of method 3.2: pixels of the matched image per squared scene unit, from the area of the triangle between its projected corners;
+/// if a corner does not project, the density at the centroid. 0 for a triangle without area.
 fn density(model: &Model, key: ViewIndex, triangle: u32) -> f64 {
     let (camera, pose) = (model.scene.camera_of(key), &model.scene.view(key).cam_from_world);
     let corners = model.surface.corners(triangle).map(|v| pose.camera_from_world(&v));
@@ -254,8 +254,8 @@ fn density(model: &Model, key: ViewIndex, triangle: u32) -> f64 {
     if density.is_finite() { density } else { 0.0 }
 }
 
-/// Area of the triangle between the projections of corners in camera coordinates, square pixels of the model's image; where one of them does
-/// not project, of the projection linearised at the centroid.
+/// Returns the area of the projected triangle, square pixels of the model's image; corners in camera coordinates. If one does not
+/// project, the projection is linearised at the centroid.
 pub(crate) fn projected_area(camera: &Camera, corners: &[Point3<f64>; 3]) -> f64 {
     let pixels = corners.each_ref().map(|p| camera.project(p));
     let edges = match pixels {
@@ -269,7 +269,7 @@ pub(crate) fn projected_area(camera: &Camera, corners: &[Point3<f64>; 3]) -> f64
     0.5 * edges[0].perp(&edges[1]).abs()
 }
 
-/// An edge that crosses the seam of an equirectangular image, the short way round.
+/// Unwraps an edge that crosses the seam of an equirectangular image.
 fn unwrapped(camera: &Camera, edge: Vector2<f64>) -> Vector2<f64> {
     if camera.model() != CameraModel::Equirectangular {
         return edge;
@@ -278,7 +278,7 @@ fn unwrapped(camera: &Camera, edge: Vector2<f64>) -> Vector2<f64> {
     Vector2::new(edge.x - around * (edge.x / around).round(), edge.y)
 }
 
-/// J^T J / sigma_px^2 of method 3.3 at the centroid, in the world frame, per squared scene unit.
+/// Returns J^T J / sigma_px^2 of method 3.3 at the centroid, in the world frame, per squared scene unit.
 pub(crate) fn information(model: &Model, view: ViewIndex, triangle: u32) -> Matrix3<f64> {
     let pose = &model.scene.view(view).cam_from_world;
     let centroid = pose.camera_from_world(&model.surface.centroid(triangle));

@@ -6,12 +6,12 @@ use rand_pcg::Pcg64;
 
 use super::*;
 use crate::{
-    base::{column::Storage, progress::Unwatched},
+    base::{column::Storage, progress::NoWatcher},
     config::{TargetMode, TargetSettings, VisibilitySettings},
     method::{
         confidence::{
             NO_AGREEMENT, PairConfidence, PairCurves,
-            curves::{Curve, PAIR},
+            curves::{PAIR, PiecewiseLinear},
         },
         synthetic::Town,
         visibility,
@@ -35,7 +35,7 @@ impl Setting {
         let (scene, surface) = (town.scene(), town.surface());
         let settings = VisibilitySettings::default();
         let visibility =
-            visibility::estimate(&scene, &scene.view_points(), &surface, &settings, 4.0, Storage::Memory, &Unwatched)
+            visibility::estimate(&scene, &scene.view_points(), &surface, &settings, 4.0, Storage::Memory, &NoWatcher)
                 .unwrap();
         let target = Target::new(&scene, &surface, &visibility, &TargetSettings::default(), 0.05, 1.0);
         Self { scene, surface, visibility, target, unary: Unary::certain() }
@@ -50,7 +50,7 @@ impl Setting {
     }
 
     fn model(&self, confidence: Confidence) -> Model<'_> {
-        let rule = Rule { alpha: 0.5, sigma_px: 0.5, min_cameras: 3, image_scale: 1.0, confidence };
+        let rule = FulfilmentRule { alpha: 0.5, sigma_px: 0.5, min_cameras: 3, image_scale: 1.0, confidence };
         let Self { scene, surface, visibility, target, unary } = self;
         Model { scene, surface, visibility, target, unary, agreement: &NO_AGREEMENT, rule }
     }
@@ -193,7 +193,7 @@ fn a_cluster_without_enough_cameras_fulfils_nothing() {
 fn smaller_images_resolve_less() {
     let setting = Setting::pinhole();
     let full = setting.model(Confidence::None);
-    let half = Model { rule: Rule { image_scale: 0.5, ..full.rule }, ..full };
+    let half = Model { rule: FulfilmentRule { image_scale: 0.5, ..full.rule }, ..full };
     let (key, partners) = (ViewIndex(12), [ViewIndex(11), ViewIndex(17)]);
     let triangle = setting.visibility.triangles_seen_by(key)[40];
     let target = Target { gsd: vec![0.01; setting.surface.triangles.len()], ..setting.target.clone() };
@@ -237,7 +237,8 @@ fn pair_and_paper_confidence_differ_in_p() {
 /// Curves that go up and down.
 fn trained() -> PairCurves {
     let wave = |i: usize, knot: usize| ((3 * i + knot) as f32).sin();
-    let curves = std::array::from_fn(|i| Curve { values: std::array::from_fn(|knot| wave(i, knot)), ..PAIR[i] });
+    let curves =
+        std::array::from_fn(|i| PiecewiseLinear { values: std::array::from_fn(|knot| wave(i, knot)), ..PAIR[i] });
     PairCurves { min_matches: 2, bias: 0.5, curves }
 }
 
@@ -270,7 +271,7 @@ fn the_table_holds_what_the_definition_says() {
             }
             let target = Target { accuracy_over_gsd, ..setting.target.clone() };
             let model = Model { target: &target, ..setting.model(confidence) };
-            let table = table(&model, &clusters, &Unwatched).unwrap();
+            let table = table(&model, &clusters, &NoWatcher).unwrap();
             for (c, cluster) in clusters.iter().enumerate() {
                 let (triangles, values) = table.row(c);
                 for &t in setting.visibility.triangles_seen_by(cluster.key) {

@@ -1,4 +1,4 @@
-//! The candidates of each key view, and why the other views that share points with it are none.
+//! The candidates of each key view, and why other views that share points with it are rejected.
 
 use std::{cmp::Reverse, ops::Range};
 
@@ -18,25 +18,25 @@ use crate::{
     },
 };
 
-/// How two views stand to each other: what a backend needs to say whether it can match them (method 7.1).
+/// Relative geometry of two views: the input of a backend's decision whether it can match them (method 7.1).
 #[derive(Clone, Copy)]
 pub struct PairGeometry<'a> {
     pub scene: &'a Scene,
     pub key: ViewIndex,
     pub partner: ViewIndex,
-    /// Sparse points that both observe, ascending, each once.
+    /// Sparse points that both views observe, ascending, without duplicates.
     pub shared: &'a [PointIndex],
     /// Median triangulation angle at the shared points, degrees.
     pub angle_deg: f64,
     /// Share of the shared points with an angle below 0.5 degrees.
     pub still_share: f64,
-    /// Median over the shared points of the partner's scale over the key view's, octaves; positive: the partner is finer.
+    /// Median over the shared points of the partner's scale relative to the key view's, octaves; positive: the partner is finer.
     pub scale_octaves: f64,
-    /// Does the line through the two centres meet one of the images?
+    /// True if the line through the two centres meets one of the images.
     pub epipole_inside: bool,
 }
 
-/// A pair of views with shared points that is no candidate.
+/// A pair of views with shared points that is not a candidate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Refusal {
     pub partner: ViewIndex,
@@ -48,7 +48,7 @@ pub struct Refusal {
 pub struct Candidates {
     pub offsets: Offsets,
     pub views: Vec<ViewIndex>,
-    /// By view: how many of its last candidates are beyond the backend's gate, taken since there are not enough others.
+    /// By view: number of its last candidates that are beyond the backend's gate, taken because there are not enough others.
     pub beyond: Vec<usize>,
     pub refusal_offsets: Offsets,
     /// Pairs with shared points that were refused, most shared points first, CSR by view.
@@ -60,41 +60,41 @@ impl Candidates {
         &self.views[self.offsets.row(view.index())]
     }
 
-    /// Those of the candidates that are beyond the backend's gate.
+    /// Returns the candidates that are beyond the backend's gate.
     pub fn beyond_gate(&self, view: ViewIndex) -> &[ViewIndex] {
         let candidates = self.candidates_of(view);
         &candidates[candidates.len() - self.beyond[view.index()]..]
     }
 
-    /// Why other views that share points with this one are no candidates.
+    /// Returns the other views that share points with this one but are not candidates, with the reason.
     pub fn refused(&self, view: ViewIndex) -> &[Refusal] {
         &self.refusals[self.refusal_offsets.row(view.index())]
     }
 }
 
-/// Which pairs a backend can match.
+/// The pairs that a backend can match.
 pub struct Limits<'a> {
-    /// Beyond it matching usually fails (method 7.1).
+    /// Limits beyond which matching usually fails (method 7.1).
     pub gate: &'a Gate,
-    /// True for pairs that the program refuses to match at all.
+    /// Returns true for pairs that the program refuses to match at all.
     pub refuses: &'a (dyn Fn(&PairGeometry) -> bool + Sync),
 }
 
 #[cfg(test)]
 impl<'a> Limits<'a> {
-    /// Nothing is refused outright.
+    /// Limits with this gate, for a program that refuses no pair.
     pub fn gate(gate: &'a Gate) -> Self {
         Self { gate, refuses: &|_| false }
     }
 }
 
-/// Below this triangulation angle, degrees, two views stand still at a point.
+/// Triangulation angle, degrees, below which two views count as not moving relative to a point.
 const STILL_DEG: f64 = 0.5;
-/// Two views have no baseline where they stand still at more than this share of the shared points.
+/// Share of the shared points with such an angle above which two views have no baseline.
 const STILL_SHARE: f64 = 0.5;
 
-/// The n views with the most shared points of those that have a baseline and that the backend can match, ties by name; where that leaves
-/// fewer than k, behind them the most connected beyond the gate that the program does not refuse.
+/// Returns for each view the n views with the most shared points that have a baseline and that the backend can match, ties by name. If fewer than
+/// k remain, the best connected views beyond the gate follow, unless the program refuses them.
 pub fn candidates(
     scene: &Scene,
     points: &ViewPoints,
@@ -123,7 +123,7 @@ pub fn candidates(
     Ok(table)
 }
 
-/// The views that share points with one, with those points, most shared points first, ties by name.
+/// Returns the views that share points with one, with those points; most shared points first, ties by name.
 pub fn neighbours(scene: &Scene, points: &ViewPoints, view: ViewIndex) -> Vec<(ViewIndex, Vec<PointIndex>)> {
     let mut neighbours = Neighbours::new(scene);
     neighbours.collect(scene, points, view);
@@ -132,11 +132,11 @@ pub fn neighbours(scene: &Scene, points: &ViewPoints, view: ViewIndex) -> Vec<(V
 
 /// The candidates of one view.
 #[derive(Default)]
-struct Selected {
+struct CandidateRow {
     views: Vec<ViewIndex>,
-    /// How many of the last are beyond the gate.
+    /// Number of views at the end that are beyond the gate.
     beyond: usize,
-    /// What was refused before there were enough of them.
+    /// Pairs refused before there were enough candidates.
     refused: Vec<Refusal>,
 }
 
@@ -146,7 +146,7 @@ fn select(
     key: ViewIndex,
     settings: &PartnerSettings,
     limits: &Limits,
-) -> Selected {
+) -> CandidateRow {
     let pairs: Vec<PairGeometry> =
         neighbours.pairs().map(|(v, shared)| PairGeometry::new(scene, key, v, shared)).collect();
     let (still, moving): (Vec<_>, Vec<_>) = pairs.into_iter().partition(PairGeometry::has_no_baseline);
@@ -154,7 +154,7 @@ fn select(
     let still = still.iter().map(|pair| (pair, Some(Reason::RotationOnly)));
     let mut judged: Vec<_> = moving.iter().zip(verdicts).chain(still).collect();
     judged.sort_by_key(|(pair, _)| (Reverse(pair.shared.len()), pair.partner));
-    let (mut selected, mut unlikely) = (Selected::default(), Vec::new());
+    let (mut selected, mut unlikely) = (CandidateRow::default(), Vec::new());
     for (pair, refusal) in judged {
         match refusal {
             Some(reason) => {
@@ -168,7 +168,7 @@ fn select(
             None => selected.views.push(pair.partner),
         }
     }
-    // The gate is where matching usually fails: rather a partner beyond it than none.
+    // Beyond the gate matching usually fails, but such a partner is better than none.
     let empty = (settings.k as usize).saturating_sub(selected.views.len());
     let filled: Vec<ViewIndex> =
         unlikely.into_iter().filter(|pair| !(limits.refuses)(pair)).take(empty).map(|pair| pair.partner).collect();
@@ -179,7 +179,7 @@ fn select(
 }
 
 impl<'a> PairGeometry<'a> {
-    /// `shared`: the points that both views observe, at least one.
+    /// `shared`: the points that both views observe; at least one.
     pub fn new(scene: &'a Scene, key: ViewIndex, partner: ViewIndex, shared: &'a [PointIndex]) -> Self {
         let centres = [key, partner].map(|v| scene.view(v).cam_from_world.centre());
         let focal = [key, partner].map(|v| scene.camera_of(v).mean_focal_length());
@@ -205,13 +205,13 @@ impl<'a> PairGeometry<'a> {
         }
     }
 
-    /// Do the two views stand at one position (method 4)?
+    /// Returns whether the two views are at the same position (method 4).
     pub fn has_no_baseline(&self) -> bool {
         self.still_share > STILL_SHARE
     }
 }
 
-/// The median of `f` over the values, `f` being monotone; 0 where it is not a number.
+/// Returns the median of the monotone function `f` over the values; 0 if it is NaN.
 fn median_of(values: &mut [f64], f: impl Fn(f64) -> f64) -> f64 {
     let middle = values.len() / 2;
     let (below, &mut upper, _) = values.select_nth_unstable_by(middle, f64::total_cmp);
@@ -223,7 +223,7 @@ fn median_of(values: &mut [f64], f: impl Fn(f64) -> f64) -> f64 {
     if median.is_nan() { 0.0 } else { median }
 }
 
-/// Does the line from the view's centre through a point meet its image, before or behind the camera?
+/// Returns whether the line from the view's centre through a point meets its image, in front of or behind the camera.
 fn meets_image(scene: &Scene, view: ViewIndex, point: &Point3<f64>) -> bool {
     let camera = scene.camera_of(view);
     let direction = scene.view(view).cam_from_world.camera_from_world(point).coords;
@@ -231,16 +231,16 @@ fn meets_image(scene: &Scene, view: ViewIndex, point: &Point3<f64>) -> bool {
     inside(direction) || inside(-direction)
 }
 
-/// The views that share points with a key view, with those points; one per thread, used again.
+/// The views that share points with a key view, with those points; one per thread, reused.
 struct Neighbours {
-    /// Each shared point with a view that observes it too, by point.
+    /// Pairs of a shared point and another view that observes it, by point.
     shared: Vec<(PointIndex, ViewIndex)>,
     /// Most shared points first, ties by name.
     views: Vec<ViewIndex>,
-    /// Range of each of `views` in `points`.
+    /// Range in `points` of each of `views`.
     ranges: Vec<Range<usize>>,
     points: Vec<PointIndex>,
-    /// By view: shared points while counting, then where the next one goes.
+    /// By view: the number of shared points while counting, then the position of the next one.
     counts: Vec<usize>,
 }
 
@@ -272,12 +272,12 @@ impl Neighbours {
         self.views.iter().for_each(|v| self.counts[v.index()] = 0);
     }
 
-    /// Finds the shared points, and the views in the order in which they turn up.
+    /// Collects the shared points, and the views in the order in which they occur.
     fn count(&mut self, scene: &Scene, points: &ViewPoints, key: ViewIndex) {
         self.shared.clear();
         self.views.clear();
         for &point in points.observed_by(key) {
-            // A view that observes the point twice stands twice in a row.
+            // A view that observes the point twice occurs twice in a row.
             let mut last = key;
             for &view in scene.track_views(point) {
                 if view != key && view != last {
@@ -299,7 +299,7 @@ mod tests {
 
     use super::*;
     use crate::{
-        base::progress::Unwatched,
+        base::progress::NoWatcher,
         method::synthetic::Town,
         model::camera::{Camera, CameraModel},
     };
@@ -311,7 +311,7 @@ mod tests {
 
     fn select_all(scene: &Scene, n: u32, gate: &Gate) -> Candidates {
         let settings = PartnerSettings { candidates: n, ..Default::default() };
-        candidates(scene, &scene.view_points(), &settings, &Limits::gate(gate), &Unwatched).unwrap()
+        candidates(scene, &scene.view_points(), &settings, &Limits::gate(gate), &NoWatcher).unwrap()
     }
 
     fn shared(scene: &Scene, a: ViewIndex, b: ViewIndex) -> usize {
@@ -379,7 +379,7 @@ mod tests {
         assert_eq!(ab.epipole_inside, ba.epipole_inside);
     }
 
-    /// Flying straight ahead, looking ahead: the epipole is the middle of both images.
+    /// Flying straight ahead with the camera forward: the epipole is the middle of both images.
     #[test]
     fn forward_motion_has_its_epipole_inside() {
         let mut scene = scene();

@@ -1,4 +1,4 @@
-//! Method 7.1: which pairs of views a backend can match at all.
+//! The gate (method 7.1): limits on pairs of views beyond which a backend usually fails.
 
 use super::PairGeometry;
 use crate::{
@@ -7,7 +7,7 @@ use crate::{
 };
 
 impl Gate {
-    /// The gate with the limits that are set in place of its own.
+    /// Returns the gate with the limits that the settings override.
     pub fn with(self, set: &GateSettings) -> Self {
         Self {
             min_shared_points: set.min_shared_points.map_or(self.min_shared_points, |points| points as usize),
@@ -18,7 +18,7 @@ impl Gate {
         }
     }
 
-    /// Its limits as settings; a limit that no pair exceeds is unset.
+    /// Returns the limits as settings; a limit that no pair exceeds is unset.
     pub fn settings(&self) -> GateSettings {
         GateSettings {
             min_shared_points: u32::try_from(self.min_shared_points).ok(),
@@ -29,7 +29,7 @@ impl Gate {
         }
     }
 
-    /// Why the pair cannot be matched; `None`: it can.
+    /// Returns why the pair cannot be matched; `None` if it can.
     pub fn refusal(&self, pair: &PairGeometry) -> Option<Reason> {
         match self.obstacle(pair) {
             _ if pair.shared.is_empty() => Some(Reason::NoSharedPoints),
@@ -37,7 +37,7 @@ impl Gate {
         }
     }
 
-    /// The first of its limits that the pair exceeds.
+    /// Returns the first limit that the pair exceeds.
     pub fn obstacle(&self, pair: &PairGeometry) -> Option<Obstacle> {
         if pair.shared.len() < self.min_shared_points {
             Some(Obstacle::FewSharedPoints)
@@ -53,7 +53,7 @@ impl Gate {
     }
 }
 
-/// Which limit of a [`Gate`] a pair exceeds.
+/// The limit of a [`Gate`] that a pair exceeds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Obstacle {
     FewSharedPoints,

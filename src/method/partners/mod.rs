@@ -1,7 +1,7 @@
-//! Method 4: which matching partners each key view gets.
+//! Selection of the matching partners of each key view (method 4).
 //!
-//! [`candidates`] are the views with the most shared sparse points that the backend can match; [`choose`] picks k of them for each
-//! key view, as the paper does ([`sampled`]) or by searching on from there ([`search`]).
+//! [`candidates`] finds the views with the most shared sparse points that the backend can match; [`choose`] selects k of them for each
+//! key view, as in the paper ([`sampled`]) or by a search that continues from there ([`search`]).
 
 mod candidates;
 mod gate;
@@ -10,7 +10,7 @@ mod search;
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use self::search::Choice;
+use self::search::PartnerChoice;
 pub use self::{
     candidates::{Candidates, Limits, PairGeometry, candidates, neighbours},
     gate::Obstacle,
@@ -22,15 +22,15 @@ use crate::{
     },
     config::{PartnerMethod, PartnerSettings},
     method::fulfilment::{
-        BATCH, FulfilmentTable, GrowingTable, Model,
-        block::{Block, Places},
+        BATCH, FulfilmentTable, FulfilmentTableBuilder, Model,
+        block::{Block, BlockSlots},
     },
     model::{cluster::ViewCluster, scene::ViewIndex},
 };
 
-/// A view cluster for each view that has candidates, in the order of views, and its fulfilment.
+/// Selects a view cluster for each view that has candidates, in the order of views, and computes its fulfilment.
 ///
-/// Where a view has no more than k candidates it gets all of them.
+/// A view with at most k candidates gets all of them.
 pub fn choose(
     model: &Model,
     candidates: &Candidates,
@@ -43,19 +43,19 @@ pub fn choose(
         model.scene.view_indices().filter(|&v| !candidates.candidates_of(v).is_empty()).collect();
     let (done, total) = (AtomicU64::new(0), keys.len() as u64);
     watcher.progress(Stage::Partners, 0, total);
-    let choose_one = |places: &mut Places, &key: &ViewIndex| {
+    let choose_one = |slots: &mut BlockSlots, &key: &ViewIndex| {
         watcher.check()?;
         let is_judge = |t: u32| judges[t as usize];
-        let mut block = Block::new(model, key, candidates.candidates_of(key), is_judge, places);
+        let mut block = Block::new(model, key, candidates.candidates_of(key), is_judge, slots);
         let choice = choose_for(&mut block, model, key, candidates.candidates_of(key), settings, seed);
         watcher.progress(Stage::Partners, 1 + done.fetch_add(1, Ordering::Relaxed), total);
         Ok(choice)
     };
-    let (mut clusters, mut table) = (Vec::with_capacity(keys.len()), GrowingTable::beside(model.visibility)?);
+    let (mut clusters, mut table) = (Vec::with_capacity(keys.len()), FulfilmentTableBuilder::like(model.visibility)?);
     column::in_order(
         &keys,
         BATCH,
-        || Places::new(model),
+        || BlockSlots::new(model),
         choose_one,
         |batch, chosen| {
             model.release();
@@ -83,7 +83,7 @@ fn choose_for(
     let drawn = sampled::combinations(model.scene, key, n, k, settings.draws as usize, seed);
     let start = sampled::best(block, &drawn);
     let choice = match settings.method {
-        PartnerMethod::Sampled => Choice::new(block, start),
+        PartnerMethod::Sampled => PartnerChoice::new(block, start),
         PartnerMethod::Search => search::search(block, start, n),
     };
     let ordered = search::best_first(block, choice.partners);

@@ -1,4 +1,4 @@
-//! The paper's choice: some combinations of candidates, judged by a part of the triangles.
+//! The paper's selection: a number of combinations of candidates, judged on a subset of the triangles.
 
 use std::collections::HashSet;
 
@@ -10,12 +10,12 @@ use crate::{
     model::scene::{Scene, ViewIndex},
 };
 
-/// T_z: a fixed random `1 / fraction` of all triangles, rounded up; drawn by PCG64 from the seed.
+/// Draws T_z: a fixed random `1 / fraction` of all triangles, rounded up, by PCG64 from the seed.
 pub fn judging_triangles(triangles: usize, fraction: u32, seed: u64) -> Vec<bool> {
     let mut random = Pcg64::seed_from_u64(seed);
     let mut wanted = triangles.div_ceil(fraction.max(1) as usize);
     let mut chosen = vec![false; triangles];
-    // Each triangle is taken with the chance that makes every choice of so many equally likely (Knuth, TAOCP 2, 3.4.2, S).
+    // Selection sampling: every subset of this size is equally likely (Knuth, TAOCP 2, 3.4.2, S).
     for (i, chosen) in chosen.iter_mut().enumerate() {
         if below(&mut random, triangles - i) < wanted {
             *chosen = true;
@@ -25,11 +25,11 @@ pub fn judging_triangles(triangles: usize, fraction: u32, seed: u64) -> Vec<bool
     chosen
 }
 
-/// The combinations of `k` of `n` candidates that are judged for a view, in the order in which they are drawn; candidates within one ascending.
+/// Draws the combinations of `k` of `n` candidates that are judged for a view, in drawing order; candidates within a combination ascend.
 ///
-/// All if there are no more than `draws`; else all of the q most connected, q the largest with C(q, k) at most a quarter of `draws`, and
-/// the rest at random from all n, none twice. The generator is PCG64 seeded by the first 32 bytes of BLAKE3(seed as 8 bytes little-endian, name of the view),
-/// so that one view's draws do not depend on another's.
+/// All combinations if there are at most `draws`. Otherwise all of the q best connected candidates, q the largest with C(q, k) at most `draws` / 4, and
+/// the rest at random from all n, without repetition. PCG64 is seeded by the first 32 bytes of BLAKE3(seed as 8 bytes little-endian, name of the view),
+/// so that the draws of a view are independent of the other views.
 pub fn combinations(scene: &Scene, key: ViewIndex, n: usize, k: usize, draws: usize, seed: u64) -> Vec<Vec<usize>> {
     if count(n, k) <= draws as u128 {
         return all_combinations(n, k);
@@ -48,7 +48,7 @@ pub fn combinations(scene: &Scene, key: ViewIndex, n: usize, k: usize, draws: us
     drawn
 }
 
-/// The combination with the largest sum over the judging triangles, ties by the first drawn.
+/// Returns the combination with the largest sum over the judging triangles; ties go to the first drawn.
 pub fn best(block: &mut Block, combinations: &[Vec<usize>]) -> Vec<usize> {
     let sums = block.sums(combinations, Judges { groups: block.first(), step: 1 });
     let first_best = sums.iter().enumerate().fold(0, |best, (i, sum)| if *sum > sums[best] { i } else { best });
@@ -61,12 +61,12 @@ fn generator(seed: u64, name: &str) -> Pcg64 {
     Pcg64::from_seed(*hash.finalize().as_bytes())
 }
 
-/// A number below `bound`, evenly distributed up to 2^-64.
+/// Returns a number below `bound`, uniformly distributed up to 2^-64.
 fn below(random: &mut Pcg64, bound: usize) -> usize {
     ((u128::from(random.next_u64()) * bound as u128) >> 64) as usize
 }
 
-/// k different numbers below n, ascending, every set equally likely (Floyd).
+/// Draws k different numbers below n, ascending, every set equally likely (Floyd).
 fn draw(random: &mut Pcg64, n: usize, k: usize) -> Vec<usize> {
     let mut chosen = Vec::with_capacity(k);
     for last in n - k..n {
@@ -77,14 +77,14 @@ fn draw(random: &mut Pcg64, n: usize, k: usize) -> Vec<usize> {
     chosen
 }
 
-/// C(n, k), or the largest number there is where it is too large to be counted.
+/// Returns C(n, k), saturating.
 fn count(n: usize, k: usize) -> u128 {
     let Some(others) = n.checked_sub(k) else { return 0 };
     let next = |count: u128, i: usize| Some(count.checked_mul((n - i) as u128)? / (i as u128 + 1));
     (0..k.min(others)).try_fold(1, next).unwrap_or(u128::MAX)
 }
 
-/// In lexicographic order.
+/// Lists the combinations in lexicographic order.
 fn all_combinations(n: usize, k: usize) -> Vec<Vec<usize>> {
     let mut all = vec![(0..k).collect::<Vec<usize>>()];
     while let Some(next) = all.last().and_then(|last| {
@@ -138,7 +138,7 @@ mod tests {
         assert_eq!(drawn, combinations(&scene, ViewIndex(0), 22, 5, 100, 0));
         assert_ne!(drawn[21..], combinations(&scene, ViewIndex(1), 22, 5, 100, 0)[21..]);
         assert_ne!(drawn[21..], combinations(&scene, ViewIndex(0), 22, 5, 100, 1)[21..]);
-        // Not even C(k, k) fits a quarter of three.
+        // Not even C(k, k) = 1 is at most a quarter of three.
         assert_eq!(combinations(&scene, ViewIndex(0), 22, 11, 3, 0).len(), 3);
     }
 

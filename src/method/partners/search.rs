@@ -1,23 +1,23 @@
-//! Beyond the paper: greedy addition and exchange, judged by a part of the triangles and accepted by all of them.
+//! Beyond the paper: greedy addition and exchange, proposed on a subset of the triangles and accepted on all of them.
 
 use crate::method::fulfilment::block::{Block, Judges, LANES};
 
-/// With fewer judging triangles than that all triangles of the view judge.
+/// Minimum number of judging triangles; with fewer, all triangles of the view judge.
 const ENOUGH_TO_JUDGE: usize = 512;
-/// With twice as many or more only some of them do: what the search proposes is decided by all triangles anyway.
+/// From twice this number on, only a sample of them judges: proposals are decided on all triangles anyway.
 const PLENTY_TO_JUDGE: usize = 1024;
-/// Exchanges that are tried on all triangles before the search gives up.
+/// Exchanges tried on all triangles before the search gives up.
 const TRIES: usize = 3;
 
-/// A set of partners and its f, triangle by triangle.
-pub struct Choice {
+/// A set of partners, with f of each triangle.
+pub struct PartnerChoice {
     pub partners: Vec<usize>,
-    /// In the order of the key view's rows.
+    /// f, in the order of the key view's rows.
     pub values: Vec<f32>,
     pub sum: f64,
 }
 
-impl Choice {
+impl PartnerChoice {
     pub fn new(block: &mut Block, partners: Vec<usize>) -> Self {
         let values = block.values(&partners);
         let sum = values.iter().map(|&f| f64::from(f)).sum();
@@ -25,15 +25,15 @@ impl Choice {
     }
 }
 
-/// The best that greedy addition and exchange find, starting from the better of `start` and the greedy set; never below `start` on the
-/// sum over all triangles.
-pub fn search(block: &mut Block, start: Vec<usize>, n: usize) -> Choice {
+/// Returns the best set that greedy addition and exchange find from the better of `start` and the greedy set. Its sum over all triangles is never
+/// below that of `start`.
+pub fn search(block: &mut Block, start: Vec<usize>, n: usize) -> PartnerChoice {
     let k = start.len();
     let judges = judges(block);
     let greedy = greedy(block, n, k, judges);
-    let mut best = Choice::new(block, start);
+    let mut best = PartnerChoice::new(block, start);
     if sorted(&greedy) != sorted(&best.partners) {
-        let other = Choice::new(block, greedy);
+        let other = PartnerChoice::new(block, greedy);
         if other.sum > best.sum {
             best = other;
         }
@@ -44,13 +44,13 @@ pub fn search(block: &mut Block, start: Vec<usize>, n: usize) -> Choice {
     best
 }
 
-/// The triangles that the search is judged by.
+/// Returns the triangles that the search is judged by.
 pub fn judges(block: &Block) -> Judges {
     let groups = if block.first() * LANES < ENOUGH_TO_JUDGE { block.len() } else { block.first() };
     Judges { groups, step: (groups * LANES / PLENTY_TO_JUDGE).max(1) }
 }
 
-/// Partners added one by one, each time the one that adds most, ties by shared points.
+/// Adds partners one by one, each time the one with the largest gain, ties by shared points.
 pub fn greedy(block: &mut Block, n: usize, k: usize, judges: Judges) -> Vec<usize> {
     let mut chosen = Vec::with_capacity(k);
     while chosen.len() < k {
@@ -63,8 +63,8 @@ pub fn greedy(block: &mut Block, n: usize, k: usize, judges: Judges) -> Vec<usiz
     chosen
 }
 
-/// The best exchange of one partner by the judging triangles that all triangles confirm.
-fn exchange(block: &mut Block, best: &Choice, n: usize, judges: Judges) -> Option<Choice> {
+/// Returns the best exchange of one partner by the judging triangles that also gains on all triangles.
+fn exchange(block: &mut Block, best: &PartnerChoice, n: usize, judges: Judges) -> Option<PartnerChoice> {
     let now = block.sums(std::slice::from_ref(&best.partners), judges)[0];
     let left: Vec<usize> = (0..n).filter(|p| !best.partners.contains(p)).collect();
     let mut moves = Vec::new();
@@ -77,12 +77,12 @@ fn exchange(block: &mut Block, best: &Choice, n: usize, judges: Judges) -> Optio
     moves.into_iter().take(TRIES).find_map(|(_, out, p)| {
         let mut partners = best.partners.clone();
         partners[out] = p;
-        let other = Choice::new(block, partners);
+        let other = PartnerChoice::new(block, partners);
         (other.sum > best.sum).then_some(other)
     })
 }
 
-/// The same partners in the order in which each adds most to those before it.
+/// Sorts the partners so that each adds most to those before it.
 pub fn best_first(block: &mut Block, mut partners: Vec<usize>) -> Vec<usize> {
     partners.sort_unstable();
     let judges = judges(block);

@@ -2,11 +2,11 @@
 
 use super::*;
 use crate::{
-    base::{column::Storage, progress::Unwatched},
+    base::{column::Storage, progress::NoWatcher},
     config::{TargetSettings, VisibilitySettings},
     method::{
         confidence::{Confidence, NO_AGREEMENT, PairConfidence, Unary},
-        fulfilment::{self, Rule},
+        fulfilment::{self, FulfilmentRule},
         surface::Surface,
         synthetic::Town,
         target::Target,
@@ -39,12 +39,12 @@ impl Setting {
         let (scene, surface) = (town.scene(), town.surface());
         let points = scene.view_points();
         let settings = VisibilitySettings::default();
-        let visibility = visibility::estimate(&scene, &points, &surface, &settings, 3.0, keep, &Unwatched).unwrap();
+        let visibility = visibility::estimate(&scene, &points, &surface, &settings, 3.0, keep, &NoWatcher).unwrap();
         let mut target = Target::new(&scene, &surface, &visibility, &TargetSettings::default(), 0.05, 1.0);
         target.accuracy_over_gsd = 0.4;
         let gate = crate::backends::by_name("sure").unwrap().planning.gate;
         let candidates =
-            candidates(&scene, &points, &PartnerSettings::default(), &Limits::gate(&gate), &Unwatched).unwrap();
+            candidates(&scene, &points, &PartnerSettings::default(), &Limits::gate(&gate), &NoWatcher).unwrap();
         Self { scene, surface, visibility, target, unary: Unary::certain(), candidates }
     }
 
@@ -57,13 +57,13 @@ impl Setting {
             full_angle_deg: None,
         };
         let confidence = Confidence::Pair(numbers);
-        let rule = Rule { alpha: 0.5, sigma_px: 0.5, min_cameras: 3, image_scale: 1.0, confidence };
+        let rule = FulfilmentRule { alpha: 0.5, sigma_px: 0.5, min_cameras: 3, image_scale: 1.0, confidence };
         let Self { scene, surface, visibility, target, unary, .. } = self;
         Model { scene, surface, visibility, target, unary, agreement: &NO_AGREEMENT, rule }
     }
 
     fn choose(&self, settings: &PartnerSettings) -> (Vec<ViewCluster>, FulfilmentTable) {
-        choose(&self.model(), &self.candidates, settings, 0, &Unwatched).unwrap()
+        choose(&self.model(), &self.candidates, settings, 0, &NoWatcher).unwrap()
     }
 }
 
@@ -73,15 +73,16 @@ fn tables_on_disk_hold_what_tables_in_memory_hold() {
     for setting in [&mut memory, &mut disk] {
         let points = setting.scene.view_points();
         let Setting { scene, surface, visibility, .. } = &*setting;
-        setting.unary = crate::method::confidence::nearby(scene, &points, surface, visibility, &Unwatched).unwrap();
+        setting.unary = crate::method::confidence::nearby(scene, &points, surface, visibility, &NoWatcher).unwrap();
     }
-    let seen = disk.visibility.seen(disk.surface.triangles.len());
+    let seen = disk.visibility.seen_triangles(disk.surface.triangles.len());
     assert_eq!(disk.visibility.keep(&seen).unwrap(), memory.visibility.keep(&seen).unwrap());
     assert_eq!((&disk.visibility, &disk.unary), (&memory.visibility, &memory.unary));
     let settings = settings(3, PartnerMethod::Search);
     let (chosen, expected) = (disk.choose(&settings), memory.choose(&settings));
     assert_eq!(chosen, expected);
-    let kept = |s: &Setting, t: &FulfilmentTable| [&s.visibility.triangles, &t.triangles].map(|column| column.kept());
+    let kept =
+        |s: &Setting, t: &FulfilmentTable| [&s.visibility.triangles, &t.triangles].map(|column| column.storage());
     assert_eq!(kept(&disk, &chosen.1), [Storage::Disk; 2]);
     assert_eq!(kept(&memory, &expected.1), [Storage::Memory; 2]);
 }
@@ -116,7 +117,7 @@ fn sampled_is_the_optimum_where_it_takes_all() {
     let few = PartnerSettings { candidates: 6, ..Default::default() };
     let gate = crate::backends::by_name("sure").unwrap().planning.gate;
     setting.candidates =
-        candidates(&setting.scene, &setting.scene.view_points(), &few, &Limits::gate(&gate), &Unwatched).unwrap();
+        candidates(&setting.scene, &setting.scene.view_points(), &few, &Limits::gate(&gate), &NoWatcher).unwrap();
     let all_judge = PartnerSettings { triangle_fraction: 1, ..settings(3, PartnerMethod::Sampled) };
     let (clusters, table) = setting.choose(&all_judge);
     let (_, searched) = setting.choose(&PartnerSettings { method: PartnerMethod::Search, ..all_judge });
@@ -129,7 +130,7 @@ fn sampled_is_the_optimum_where_it_takes_all() {
                 partners: (0..6).filter(|i| s >> i & 1 == 1).map(|i| of[i]).collect(),
             })
             .collect();
-        let exhaustive = fulfilment::table(&setting.model(), &every, &Unwatched).unwrap();
+        let exhaustive = fulfilment::table(&setting.model(), &every, &NoWatcher).unwrap();
         let optimum = (0..every.len()).map(|e| sum(&exhaustive, e)).fold(0.0, f64::max);
         assert!((sum(&table, c) - optimum).abs() <= 1e-6 * optimum);
         assert!((sum(&searched, c) - optimum).abs() <= 1e-6 * optimum);
@@ -142,7 +143,7 @@ fn the_table_is_that_of_the_clusters() {
     for method in [PartnerMethod::Sampled, PartnerMethod::Search] {
         let (clusters, table) = setting.choose(&settings(4, method));
         assert!(clusters.iter().all(|c| c.partners.len() == 4.min(setting.candidates.candidates_of(c.key).len())));
-        let again = fulfilment::table(&setting.model(), &clusters, &Unwatched).unwrap();
+        let again = fulfilment::table(&setting.model(), &clusters, &NoWatcher).unwrap();
         assert_eq!((&table.offsets, &table.triangles), (&again.offsets, &again.triangles));
         // Partners are added up in another order.
         assert!(table.values.iter().zip(&*again.values).all(|(a, b)| (a - b).abs() <= 1e-6 * b));

@@ -75,10 +75,11 @@ impl<'a> Beliefs<'a> {
     /// Takes in what became of a cluster with this key view.
     pub fn learn(&mut self, key: ViewIndex, attempts: &[Attempt]) {
         for attempt in attempts.iter().filter(|attempt| attempt.promised > 0.0) {
-            let look = Look::new(self.scene, self.surface, key, attempt.triangle);
+            let look = ViewingGeometry::new(self.scene, self.surface, key, attempt.triangle);
             let t = attempt.triangle as usize;
             for &(cluster, entry) in &self.entries[self.offsets[t]..self.offsets[t + 1]] {
-                let other = Look::new(self.scene, self.surface, self.keys[cluster as usize], attempt.triangle);
+                let other =
+                    ViewingGeometry::new(self.scene, self.surface, self.keys[cluster as usize], attempt.triangle);
                 let alike = look.similarity(&other) as f32;
                 self.promised[entry] += alike * attempt.promised;
                 self.kept[entry] += alike * attempt.kept;
@@ -117,14 +118,14 @@ fn by_triangle(table: &FulfilmentTable, triangles: usize) -> (Vec<usize>, Vec<(u
 }
 
 /// How a view looks at a triangle.
-struct Look {
+struct ViewingGeometry {
     /// From the centroid to the camera, of length 1.
     direction: Vector3<f64>,
     /// Scene units per pixel, up to a factor that all views share.
     gsd: f64,
 }
 
-impl Look {
+impl ViewingGeometry {
     fn new(scene: &Scene, surface: &Surface, view: ViewIndex, triangle: u32) -> Self {
         let ray = scene.view(view).cam_from_world.centre() - surface.centroid(triangle);
         let distance = ray.norm();
@@ -191,8 +192,10 @@ mod tests {
         let key = ViewIndex(0);
         let attempt = Attempt::new(0, 1000, 0.9, 0.0);
         beliefs.learn(key, &[attempt]);
-        let own = Look::new(&fixture.scene, &fixture.surface, key, 0);
-        let alike = |c: usize| own.similarity(&Look::new(&fixture.scene, &fixture.surface, fixture.clusters[c].key, 0));
+        let own = ViewingGeometry::new(&fixture.scene, &fixture.surface, key, 0);
+        let alike = |c: usize| {
+            own.similarity(&ViewingGeometry::new(&fixture.scene, &fixture.surface, fixture.clusters[c].key, 0))
+        };
         let mut by_likeness: Vec<usize> = (0..fixture.clusters.len()).collect();
         by_likeness.sort_by(|&a, &b| alike(b).total_cmp(&alike(a)));
         let values: Vec<f32> = by_likeness.iter().map(|&c| beliefs.row(c).1[0]).collect();
@@ -227,7 +230,7 @@ mod tests {
     fn looks_are_alike_by_direction_and_scale() {
         let look = |degrees: f64, gsd: f64| {
             let (sin, cos) = degrees.to_radians().sin_cos();
-            Look { direction: Vector3::new(sin, 0.0, cos), gsd }
+            ViewingGeometry { direction: Vector3::new(sin, 0.0, cos), gsd }
         };
         let e = (-0.5f64).exp();
         assert_eq!(look(0.0, 1.0).similarity(&look(0.0, 1.0)), 1.0);

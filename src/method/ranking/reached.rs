@@ -42,7 +42,7 @@ impl<'a> Reached<'a> {
     }
 
     /// Weight of the triangles that fusion keeps of them, 0 to 1.
-    pub(crate) fn kept(&self) -> f64 {
+    pub(crate) fn kept_weight(&self) -> f64 {
         Amount(self.kept).value()
     }
 

@@ -1,7 +1,7 @@
 use proptest::prelude::*;
 
 use super::*;
-use crate::base::progress::Unwatched;
+use crate::base::progress::NoWatcher;
 
 const TRIANGLES: u32 = 12;
 
@@ -71,7 +71,7 @@ proptest! {
     #[test]
     fn gains_kept_up_to_date_are_fresh_gains(rows in rows(), support in 1u32..4) {
         let (table, objective) = (FulfilmentTable::new(&rows), even(TRIANGLES, support));
-        let ranking = rank(&table, &objective, &Unwatched).unwrap();
+        let ranking = rank(&table, &objective, &NoWatcher).unwrap();
         let plain = plain_greedy(&table, &objective);
         prop_assert_eq!(&ranking.order, &plain.iter().map(|p| p.0).collect::<Vec<_>>());
         prop_assert_eq!(&ranking.gains, &plain.iter().map(|p| Amount(p.1).value()).collect::<Vec<_>>());
@@ -89,7 +89,7 @@ proptest! {
     #[test]
     fn what_is_finished_comes_first_and_the_rest_is_greedy_behind_it(rows in rows(), support in 1u32..4) {
         let (table, objective) = (FulfilmentTable::new(&rows), even(TRIANGLES, support));
-        let whole = rank(&table, &objective, &Unwatched).unwrap();
+        let whole = rank(&table, &objective, &NoWatcher).unwrap();
         for length in 0..=whole.order.len() {
             let finished: Vec<_> = whole.maps().take(length).collect();
             let again = rank_after(&finished, &Maps::full_size(&table), &objective, &Unwatched).unwrap();
@@ -105,7 +105,7 @@ proptest! {
     #[test]
     fn greedy_keeps_its_guarantee(rows in rows(), support in 1u32..4) {
         let objective = even(TRIANGLES, support);
-        let ranking = rank(&FulfilmentTable::new(&rows), &objective, &Unwatched).unwrap();
+        let ranking = rank(&FulfilmentTable::new(&rows), &objective, &NoWatcher).unwrap();
         for (n, optimum) in optima(&rows, support as usize).into_iter().enumerate().skip(1).take(ranking.order.len()) {
             prop_assert!(ranking.fulfilment[n - 1] >= objective.guarantee() * optimum - 1e-12);
         }
@@ -125,7 +125,7 @@ proptest! {
 fn where_fusion_wants_two_maps_the_second_is_worth_more_than_a_first_elsewhere() {
     // Clusters 0 and 1 see the first triangle, 2 the second, less well.
     let rows = [vec![(0, 0.8f32)], vec![(0, 0.8)], vec![(1, 0.7)]];
-    let order = |support| rank(&FulfilmentTable::new(&rows), &even(2, support), &Unwatched).unwrap().order;
+    let order = |support| rank(&FulfilmentTable::new(&rows), &even(2, support), &NoWatcher).unwrap().order;
     assert_eq!(order(1), [0, 2]);
     assert_eq!(order(2), [0, 1, 2]);
 }
@@ -133,7 +133,7 @@ fn where_fusion_wants_two_maps_the_second_is_worth_more_than_a_first_elsewhere()
 #[test]
 fn a_map_alone_is_not_kept() {
     let rows = [vec![(0, 0.8f32)], vec![(1, 0.8)], vec![(0, 0.8)]];
-    let ranking = rank(&FulfilmentTable::new(&rows), &even(2, 2), &Unwatched).unwrap();
+    let ranking = rank(&FulfilmentTable::new(&rows), &even(2, 2), &NoWatcher).unwrap();
     assert_eq!((&ranking.order[..], &ranking.kept[..]), (&[0, 2, 1][..], &[0.0, 0.5, 0.5][..]));
     assert_eq!([0, 1, 2, 3].map(|n| ranking.share(n)), [0.0, 0.0, 1.0, 1.0]);
 }
@@ -156,7 +156,7 @@ fn where_nothing_is_kept_all_are_taken() {
 #[test]
 fn a_gain_of_zero_ends_the_order() {
     let rows = [vec![(0, 0.5f32), (1, 0.5)], vec![(0, 0.5)], vec![(1, 0.25)], vec![]];
-    let ranking = rank(&FulfilmentTable::new(&rows), &even(2, 1), &Unwatched).unwrap();
+    let ranking = rank(&FulfilmentTable::new(&rows), &even(2, 1), &NoWatcher).unwrap();
     assert_eq!(ranking.order, [0]);
 }
 

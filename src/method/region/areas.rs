@@ -6,7 +6,7 @@ use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
 
 use super::{
-    Outline, RegionError, Sampled, Wish,
+    Outline, RegionError, RegionProperties, TriangleSamples,
     columns::{Columns, Rectangle},
     in_parts,
     polygon::PreparedPolygon,
@@ -29,7 +29,7 @@ pub struct MapAreas {
     polygons: Vec<PreparedPolygon>,
     rings: Vec<Polygon>,
     /// By polygon.
-    wishes: Vec<Wish>,
+    wishes: Vec<RegionProperties>,
     columns: Columns,
     projection: Projection,
 }
@@ -62,7 +62,7 @@ impl Projection {
         }
     }
 
-    fn of(&self, point: &Point3<f64>) -> [f64; 2] {
+    fn project(&self, point: &Point3<f64>) -> [f64; 2] {
         match self {
             Self::Geodetic(place) => place.geodetic(point).map_or([f64::NAN; 2], |at| [at.longitude, at.latitude]),
             Self::Axes { axes: [x, y, _], .. } => [x.dot(&point.coords), y.dot(&point.coords)],
@@ -90,10 +90,9 @@ impl Projection {
 impl MapAreas {
     pub fn new(areas: Areas, place: &Georeference, frame: &MapFrame, path: &Path) -> Result<Self, RegionError> {
         let projection = Projection::new(areas.coordinates, place, frame, path)?;
-        let wishes = areas
-            .areas
-            .iter()
-            .flat_map(|area| std::iter::repeat_n(Wish { weight: area.weight, gsd: area.gsd }, area.polygons.len()));
+        let wishes = areas.areas.iter().flat_map(|area| {
+            std::iter::repeat_n(RegionProperties { weight: area.weight, gsd: area.gsd }, area.polygons.len())
+        });
         let wishes = wishes.collect();
         let rings: Vec<Polygon> = areas.areas.into_iter().flat_map(|area| area.polygons).collect();
         if let Projection::Geodetic(_) = projection {
@@ -108,13 +107,13 @@ impl MapAreas {
     }
 
     /// Properties of the last polygon that holds the place.
-    fn at(&self, place: [f64; 2]) -> Option<Wish> {
-        let holding = self.columns.at(place).iter().rev().find(|&&i| self.polygons[i as usize].contains(place));
+    fn at(&self, place: [f64; 2]) -> Option<RegionProperties> {
+        let holding = self.columns.cell(place).iter().rev().find(|&&i| self.polygons[i as usize].contains(place));
         holding.map(|&i| self.wishes[i as usize])
     }
 
-    pub fn sampled(&self, surface: &Surface, watcher: &dyn Watcher) -> Result<Vec<Sampled>, Cancelled> {
-        let vertices: Vec<[f64; 2]> = surface.vertices.par_iter().map(|v| self.projection.of(v)).collect();
+    pub fn sampled(&self, surface: &Surface, watcher: &dyn Watcher) -> Result<Vec<TriangleSamples>, Cancelled> {
+        let vertices: Vec<[f64; 2]> = surface.vertices.par_iter().map(|v| self.projection.project(v)).collect();
         in_parts(surface, watcher, |t| {
             let [a, b, c] = surface.triangles[t as usize].map(|v| vertices[v as usize]);
             let [b, c] = [b, c].map(|corner| self.projection.beside(a, corner));
@@ -124,7 +123,7 @@ impl MapAreas {
     }
 
     pub fn outside(&self, surface: &Surface) -> RegionError {
-        let vertices: Vec<[f64; 2]> = surface.vertices.iter().map(|v| self.projection.of(v)).collect();
+        let vertices: Vec<[f64; 2]> = surface.vertices.iter().map(|v| self.projection.project(v)).collect();
         RegionError::OutsideMap {
             region: Rectangle::around(self.rings.iter().flatten().flatten()),
             model: Rectangle::around(&vertices),

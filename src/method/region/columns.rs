@@ -89,7 +89,7 @@ impl Columns {
     }
 
     /// The rectangles that may hold the point, ascending; none where it is outside all of them.
-    pub fn at(&self, point: [f64; 2]) -> &[u32] {
+    pub fn cell(&self, point: [f64; 2]) -> &[u32] {
         let inside = (0..2).all(|axis| self.all.low[axis] <= point[axis] && point[axis] <= self.all.high[axis]);
         match inside {
             true => &self.entries[self.offsets.row(self.place(point[1], 1) * self.side + self.place(point[0], 0))],
@@ -116,7 +116,7 @@ mod tests {
             let found = Columns::new(&all);
             for point in [[x, y], all[0].low, all[all.len() - 1].high] {
                 let holds = |r: &Rectangle| (0..2).all(|i| r.low[i] <= point[i] && point[i] <= r.high[i]);
-                let list = found.at(point);
+                let list = found.cell(point);
                 prop_assert!(list.is_sorted());
                 prop_assert!((0..all.len()).filter(|&i| holds(&all[i])).all(|i| list.contains(&(i as u32))));
             }

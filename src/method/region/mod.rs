@@ -76,7 +76,7 @@ impl Region {
 
 /// A region before it is laid over a surface.
 #[derive(Clone, Debug)]
-pub enum Shape {
+pub enum RegionShape {
     Areas(Box<MapAreas>),
     /// With its hull seen from above, world coordinates.
     Solid(Box<Solid>, Vec<Point3<f64>>),
@@ -86,25 +86,25 @@ pub enum Shape {
 
 /// Properties of the region at a place inside.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Wish {
+pub struct RegionProperties {
     weight: f64,
     gsd: Option<f64>,
 }
 
-impl Wish {
+impl RegionProperties {
     const INSIDE: Self = Self { weight: 1.0, gsd: None };
 }
 
 /// Result of the 16 samples of a triangle.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Sampled {
+pub struct TriangleSamples {
     is_touched: bool,
     covered: f32,
     factor: f32,
     gsd: f32,
 }
 
-impl Shape {
+impl RegionShape {
     /// Reads the region that the settings name. `frame`: the map on which polygons without a georeference are drawn.
     pub fn read(choice: &RegionChoice, place: &Georeference, frame: &MapFrame) -> Result<Self, RegionError> {
         let path = match choice {
@@ -129,7 +129,7 @@ impl Shape {
     ///
     /// # Errors
     /// No part of the surface counts; cancellation.
-    pub fn on(
+    pub fn lay_over(
         self,
         surface: &Surface,
         pixels: impl FnOnce() -> Vec<f64>,
@@ -173,7 +173,7 @@ fn boxed(kind: RegionKind, corners: [f64; 6], surface: &Surface, watcher: &dyn W
 fn region(
     kind: RegionKind,
     surface: &Surface,
-    sampled: Vec<Sampled>,
+    sampled: Vec<TriangleSamples>,
     outside: impl FnOnce() -> RegionError,
 ) -> Result<Region, RegionError> {
     if sampled.iter().all(|sample| sample.factor == 0.0) {
@@ -195,8 +195,8 @@ fn region(
 fn in_parts(
     surface: &Surface,
     watcher: &dyn Watcher,
-    sample: impl Fn(u32) -> Sampled + Sync,
-) -> Result<Vec<Sampled>, Cancelled> {
+    sample: impl Fn(u32) -> TriangleSamples + Sync,
+) -> Result<Vec<TriangleSamples>, Cancelled> {
     let triangles = surface.triangles.len();
     let mut all = Vec::with_capacity(triangles);
     for start in (0..triangles).step_by(AT_ONCE) {
@@ -207,15 +207,15 @@ fn in_parts(
     Ok(all)
 }
 
-fn solid_sample(surface: &Surface, triangle: u32, inside: &impl Fn(&Point3<f64>) -> bool) -> Sampled {
+fn solid_sample(surface: &Surface, triangle: u32, inside: &impl Fn(&Point3<f64>) -> bool) -> TriangleSamples {
     let [a, b, c] = surface.corners(triangle);
     let at = |[u, v]: [f64; 2]| a + (b - a) * u + (c - a) * v;
-    sampled(|place| inside(&at(place)).then_some(Wish::INSIDE))
+    sampled(|place| inside(&at(place)).then_some(RegionProperties::INSIDE))
 }
 
 /// Samples a triangle at the centroids of the 16 triangles into which it can be cut; `at` gets the barycentric coordinates of the second and third
 /// corner.
-fn sampled(at: impl Fn([f64; 2]) -> Option<Wish>) -> Sampled {
+fn sampled(at: impl Fn([f64; 2]) -> Option<RegionProperties>) -> TriangleSamples {
     const CUTS: u32 = 4;
     let place = |i: u32, thirds: f64| (f64::from(i) + thirds / 3.0) / f64::from(CUTS);
     let upright = (0..CUTS).flat_map(|i| (0..CUTS - i).map(move |j| [place(i, 1.0), place(j, 1.0)]));
@@ -229,7 +229,7 @@ fn sampled(at: impl Fn([f64; 2]) -> Option<Wish>) -> Sampled {
     }
     let samples = f64::from(CUTS * CUTS);
     let covered = (f64::from(covered) / samples) as f32;
-    Sampled { is_touched, covered, factor: (sum / samples) as f32, gsd: gsd as f32 }
+    TriangleSamples { is_touched, covered, factor: (sum / samples) as f32, gsd: gsd as f32 }
 }
 
 /// Low and high corner of the triangles that count.

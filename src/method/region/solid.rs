@@ -62,7 +62,7 @@ impl Solid {
         if !(self.low[2] <= point.z && point.z <= self.high[2]) {
             return false;
         }
-        let above = self.columns.at(flat(*point)).iter().filter(|&&t| is_below(point, &self.triangles[t as usize]));
+        let above = self.columns.cell(flat(*point)).iter().filter(|&&t| is_below(point, &self.triangles[t as usize]));
         above.count() % 2 == 1
     }
 }

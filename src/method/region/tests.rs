@@ -6,7 +6,7 @@ use serde_json::{Value, json};
 
 use super::*;
 use crate::{
-    base::{column::Storage, progress::Unwatched},
+    base::{column::Storage, progress::NoWatcher},
     config::{TargetSettings, TriangleWeight, VisibilitySettings},
     io::ply::{self, Mesh},
     method::{geometry::Geometry, ranking::Objective, synthetic::Town, target::Target, visibility},
@@ -43,8 +43,8 @@ impl Site {
     }
 
     fn on(&self, choice: &RegionChoice, place: &Georeference) -> Result<Region, RegionError> {
-        let shape = Shape::read(choice, place, &MapFrame::new(&self.scene, None))?;
-        shape.on(&self.surface, || vec![1.0; self.surface.triangles.len()], &Unwatched)
+        let shape = RegionShape::read(choice, place, &MapFrame::new(&self.scene, None))?;
+        shape.lay_over(&self.surface, || vec![1.0; self.surface.triangles.len()], &NoWatcher)
     }
 
     fn with_file(&self, contents: &[u8], place: &Georeference) -> Result<Region, RegionError> {
@@ -156,7 +156,7 @@ fn a_region_of_everything_is_no_region() {
     let settings = VisibilitySettings::default();
     let points = site.scene.view_points();
     let visibility =
-        visibility::estimate(&site.scene, &points, &site.surface, &settings, 2.0, Storage::Memory, &Unwatched).unwrap();
+        visibility::estimate(&site.scene, &points, &site.surface, &settings, 2.0, Storage::Memory, &NoWatcher).unwrap();
     let target = Target::new(&site.scene, &site.surface, &visibility, &TargetSettings::default(), 0.05, 1.0);
     let geometry = Geometry {
         scene: &site.scene,

@@ -76,7 +76,7 @@ impl Rays {
     }
 
     /// The camera centres that the vertex's rays come from.
-    pub fn of(&self, vertex: u32) -> impl Iterator<Item = &Point3<f64>> {
+    pub fn centres(&self, vertex: u32) -> impl Iterator<Item = &Point3<f64>> {
         let range = self.offsets[vertex as usize] as usize..self.offsets[vertex as usize + 1] as usize;
         self.views[range].iter().map(|v| &self.centres[v.index()])
     }
@@ -180,7 +180,7 @@ impl Ballot {
     /// The votes of all rays of one vertex.
     fn cast_rays(&self, delaunay: &Delaunay, rays: &Rays, vertex: u32) {
         let at = delaunay.position(vertex);
-        for centre in rays.of(vertex) {
+        for centre in rays.centres(vertex) {
             let towards = centre - at;
             let length = towards.norm();
             if length == 0.0 {
@@ -234,7 +234,7 @@ fn circumcentre(corners: &[Point3<f64>; 4]) -> Point3<f64> {
 }
 
 /// The raw surface, and for each facet whether a ray sees it.
-pub struct Carved {
+pub struct CarvedSurface {
     pub surface: Surface,
     pub seen: Vec<bool>,
 }
@@ -248,14 +248,14 @@ pub fn carve(
     rays: &Rays,
     settings: &SurfaceSettings,
     watcher: &dyn Watcher,
-) -> Result<Carved, Cancelled> {
+) -> Result<CarvedSurface, Cancelled> {
     let capacities = capacities(delaunay, rays, settings, watcher)?;
     let outside = minimum_cut(&delaunay.cells, &capacities, watcher)?.outside;
     Ok(surface(delaunay, rays, &outside))
 }
 
 /// The facets between cells that are outside and cells that are not.
-pub fn surface(delaunay: &Delaunay, rays: &Rays, outside: &[bool]) -> Carved {
+pub fn surface(delaunay: &Delaunay, rays: &Rays, outside: &[bool]) -> CarvedSurface {
     let facets_of = |cell: u32| {
         let is_surface = move |f: &Facet| {
             !outside[cell as usize]
@@ -267,7 +267,7 @@ pub fn surface(delaunay: &Delaunay, rays: &Rays, outside: &[bool]) -> Carved {
     let triangles: Vec<[u32; 3]> = (0..delaunay.cells.len() as u32).flat_map(facets_of).collect();
     let seen = triangles.par_iter().map(|t| is_seen(delaunay, rays, t)).collect();
     let vertices = (0..delaunay.vertex_count() as u32).map(|v| delaunay.position(v)).collect();
-    Carved { surface: Surface { kind: SurfaceKind::Carved, vertices, triangles }, seen }
+    CarvedSurface { surface: Surface { kind: SurfaceKind::Carved, vertices, triangles }, seen }
 }
 
 /// Does a ray reach a corner of the facet from its outer side?
@@ -275,7 +275,7 @@ fn is_seen(delaunay: &Delaunay, rays: &Rays, triangle: &[u32; 3]) -> bool {
     let [a, b, c] = triangle.map(|v| delaunay.position(v));
     let normal = (b - a).cross(&(c - a)).normalize();
     triangle.iter().zip([a, b, c]).any(|(&v, at)| {
-        rays.of(v).any(|centre| {
+        rays.centres(v).any(|centre| {
             let towards = centre - at;
             normal.dot(&towards) > MIN_FACING_COSINE * towards.norm()
         })

@@ -43,7 +43,7 @@ impl Quadric {
         self.c += other.c;
     }
 
-    pub fn at(&self, x: &Vector3<f64>) -> f64 {
+    pub fn evaluate(&self, x: &Vector3<f64>) -> f64 {
         let [xx, xy, xz, yy, yz, zz] = self.a;
         let square = xx * x.x * x.x + yy * x.y * x.y + zz * x.z * x.z;
         let mixed = xy * x.x * x.y + xz * x.x * x.z + yz * x.y * x.z;

@@ -181,13 +181,13 @@ fn middle(a: &Point3<f64>, b: &Point3<f64>) -> Point3<f64> {
 mod tests {
     use super::*;
     use crate::{
-        base::progress::Unwatched,
+        base::progress::NoWatcher,
         method::surface::{manifold::check_manifold, shapes},
     };
 
     fn refine_evenly(surface: Surface, limit: f64, most: u64) -> Result<Surface, RefineError> {
         let limits = vec![limit; surface.vertices.len()];
-        refine(surface, limits, most, &Unwatched)
+        refine(surface, limits, most, &NoWatcher)
     }
 
     /// Area, volume and topology stay; every edge is short; no new vertex lies off the old surface.
@@ -226,7 +226,7 @@ mod tests {
         let surface = shapes::terrain(1, |_, _| 0.0);
         let limits: Vec<f64> = surface.vertices.iter().map(|v| limit(v.x)).collect();
         let expected: f64 = (0..2).map(|t| expected_pieces(&surface, &limits, t)).sum();
-        let refined = refine(surface.clone(), limits, MAX_TRIANGLES, &Unwatched).unwrap();
+        let refined = refine(surface.clone(), limits, MAX_TRIANGLES, &NoWatcher).unwrap();
         for t in 0..refined.triangles.len() as u32 {
             let [a, b, c] = refined.corners(t);
             assert!([(a, b), (b, c), (c, a)].iter().all(|(a, b)| (a - b).norm() < limit((a.x + b.x) / 2.0) + 1e-12));

@@ -29,7 +29,7 @@ const CHECK_INTERVAL: usize = 4096;
 /// Collapses edges until 95 % of them are at least as long as the mean target of their ends or none can be collapsed. `targets`: by vertex, scene
 /// units. The surface must be an oriented manifold with borders, and is one afterwards.
 pub fn simplify(surface: Surface, targets: Vec<f64>, watcher: &dyn Watcher) -> Result<Surface, Cancelled> {
-    let mut mesh = Collapsing::new(surface, targets);
+    let mut mesh = EdgeCollapse::new(surface, targets);
     // A collapse that was refused may be allowed once its neighbourhood has changed, hence rounds.
     while !mesh.is_done() && mesh.collapse_round(watcher)? > 0 {}
     Ok(mesh.finish())
@@ -53,7 +53,7 @@ impl Candidate {
     }
 }
 
-struct Collapsing {
+struct EdgeCollapse {
     /// In coordinates relative to `shift`, so that large offsets cost no digits.
     surface: Surface,
     shift: Vector3<f64>,
@@ -74,7 +74,7 @@ struct Collapsing {
     marks: Marks,
 }
 
-impl Collapsing {
+impl EdgeCollapse {
     fn new(mut surface: Surface, targets: Vec<f64>) -> Self {
         let opposite = opposites(&surface);
         let shift = surface.vertices.first().map_or(Vector3::zeros(), |v| v.coords);
@@ -188,7 +188,7 @@ impl Collapsing {
             // An ill-conditioned minimum may lie far away.
             _ => quadric.minimum().filter(|x| (x - middle).norm() <= (p - q).norm()).unwrap_or(middle),
         };
-        (Point3::from(best), quadric.at(&best))
+        (Point3::from(best), quadric.evaluate(&best))
     }
 
     fn try_collapse(&mut self, candidate: Candidate) -> bool {
@@ -383,13 +383,13 @@ impl Marks {
 mod tests {
     use super::*;
     use crate::{
-        base::progress::Unwatched,
+        base::progress::NoWatcher,
         method::surface::{manifold::check_manifold, shapes},
     };
 
     fn evenly(surface: Surface, target: f64) -> Surface {
         let targets = vec![target; surface.vertices.len()];
-        simplify(surface, targets, &Unwatched).unwrap()
+        simplify(surface, targets, &NoWatcher).unwrap()
     }
 
     fn long_share(surface: &Surface, target: f64) -> f64 {

@@ -5,7 +5,7 @@ use proptest::prelude::*;
 
 use super::{manifold::check_manifold, *};
 use crate::{
-    base::progress::Unwatched,
+    base::progress::NoWatcher,
     method::synthetic::Town,
     model::{
         camera::{Camera, CameraModel},
@@ -100,7 +100,7 @@ fn settings(kind: SurfaceChoice) -> SurfaceSettings {
 }
 
 fn built(shape: &Shape, gsd: f64, kind: SurfaceChoice) -> (Surface, SurfaceStats) {
-    build(&shape.scene(), &WantedGsd::uniform(gsd), &settings(kind), None, refine::MAX_TRIANGLES, &Unwatched).unwrap()
+    build(&shape.scene(), &WantedGsd::uniform(gsd), &settings(kind), None, refine::MAX_TRIANGLES, &NoWatcher).unwrap()
 }
 
 #[test]
@@ -209,7 +209,7 @@ fn few_points_and_lines_are_refused_with_a_cure() {
             &settings(SurfaceChoice::Auto),
             None,
             refine::MAX_TRIANGLES,
-            &Unwatched,
+            &NoWatcher,
         )
         .unwrap_err()
         .to_string()
@@ -271,7 +271,7 @@ fn a_mesh_from_a_file_is_simplified_refined_or_left() {
             &SurfaceSettings::default(),
             Some(&MeshFile { path: path.clone(), as_is }),
             refine::MAX_TRIANGLES,
-            &Unwatched,
+            &NoWatcher,
         )
     };
     let (whole, _) = from(true).unwrap();
@@ -300,7 +300,7 @@ proptest! {
             .map(|&(x, y, z)| (Point3::new(f64::from(x), f64::from(y), f64::from(z)) * scale, Vector3::z()))
             .collect();
         let kind = if carved { SurfaceChoice::Carved } else { SurfaceChoice::Auto };
-        if let Ok((surface, _)) = build(&shape.scene(), &WantedGsd::uniform(0.02 * scale), &settings(kind), None, refine::MAX_TRIANGLES, &Unwatched) {
+        if let Ok((surface, _)) = build(&shape.scene(), &WantedGsd::uniform(0.02 * scale), &settings(kind), None, refine::MAX_TRIANGLES, &NoWatcher) {
             check_manifold(&surface).map_err(|e| TestCaseError::fail(e.to_string()))?;
         }
     }

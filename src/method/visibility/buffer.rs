@@ -1,38 +1,38 @@
-//! A pinhole picture of the surface: for each pixel which triangle is in front, and how far away.
+//! Software depth buffer of pinhole faces: the frontmost triangle and its inverse depth in each pixel.
 
 use nalgebra::{Matrix3, Point2, Point3, Vector2, Vector3};
 
 use crate::model::camera::{Camera, CameraModel};
 
-/// Pixels around the image, so that triangles that reach over its border are sampled too.
+/// Margin around the image, pixels, so that triangles across its border are sampled too.
 const MARGIN: f64 = 8.0;
-/// Beyond this angle from the axis one plane no longer serves and the faces of a cube are taken.
+/// Angle from the axis beyond which the faces of a cube replace a single plane.
 const WIDE: f64 = 60.0;
-/// A face has at most so many times as many pixels along a side as were asked for, however odd the camera's numbers are.
+/// Largest number of pixels along a side, as a multiple of the requested number, whatever the camera's parameters.
 const MOST_SIDES: f64 = 4.0;
-/// Rays per side of the grid by which a camera's field is found.
+/// Rays per side of the grid that measures a camera's field of view.
 const FIELD_SAMPLES: u32 = 33;
 
-/// A pinhole camera that covers a camera's field or a part of it.
+/// A pinhole camera that covers all or part of a camera's field of view.
 #[derive(Clone, Debug)]
 pub struct Face {
     pub face_from_camera: Matrix3<f64>,
     /// Pixels per unit of x/z and y/z.
     focal: Vector2<f64>,
-    /// Pixel of the axis.
+    /// Principal point, pixels.
     axis: Vector2<f64>,
     width: usize,
     height: usize,
-    /// Unit normals of the four sides of the field, pointing inwards.
+    /// Unit normals of the four sides of the frustum, pointing inwards.
     sides: [Vector3<f64>; 4],
 }
 
 impl Face {
-    /// One face with the pinhole part of the camera, its long side about `long_side` pixels; faces of a cube for a wide field;
-    /// none where no pixel has a ray.
-    pub fn of(camera: &Camera, long_side: u32) -> Vec<Self> {
+    /// Returns one face with the camera's pinhole part, its long side about `long_side` pixels; faces of a cube for a wide field of view;
+    /// no face if no pixel has a ray.
+    pub fn covering(camera: &Camera, long_side: u32) -> Vec<Self> {
         let focal = camera.mean_focal_length() * f64::from(long_side) / f64::from(camera.width.max(camera.height));
-        // Across a field of x/z or y/z.
+        // Extent in x/z or y/z.
         let within = |field: f64| focal.min(MOST_SIDES * f64::from(long_side) / field);
         if camera.model() == CameraModel::Equirectangular {
             return CUBE.iter().map(|&[r, d, f]| Self::cube(within(2.0), r, d, f)).collect();
@@ -49,13 +49,13 @@ impl Face {
         }) else {
             return Vec::new();
         };
-        // The border of the field lies between a ray that exists and a neighbour that does not.
+        // The border of the field is between a ray that exists and a neighbour that does not.
         let spare = if missing { (high - low) * (1.5 / f64::from(FIELD_SAMPLES - 1)) } else { Vector2::zeros() };
         let (low, high) = (low - spare, high + spare);
         vec![Self::window(within((high - low).max()), Matrix3::identity(), low, high)]
     }
 
-    /// Exactly the pixels of a pinhole camera's image, reduced or enlarged to `width` x `height`.
+    /// Returns a face with exactly the pixels of a pinhole camera's image, resized to `width` x `height`.
     pub fn pinhole(camera: &Camera, width: u32, height: u32) -> Self {
         let scale =
             Vector2::new(f64::from(width) / f64::from(camera.width), f64::from(height) / f64::from(camera.height));
@@ -70,7 +70,7 @@ impl Face {
         Self::window(focal, Matrix3::from_rows(&[row(right), row(down), row(forward)]), -one, one)
     }
 
-    /// `low` and `high`: the field, in x/z and y/z.
+    /// `low` and `high`: bounds of the field, in x/z and y/z.
     fn window(focal: f64, face_from_camera: Matrix3<f64>, low: Vector2<f64>, high: Vector2<f64>) -> Self {
         let axis = Vector2::from_element(MARGIN) - low * focal;
         let size = (high - low) * focal + Vector2::from_element(2.0 * MARGIN);
@@ -100,37 +100,37 @@ impl Face {
         (self.width * self.height) as u64
     }
 
-    /// May a ball (centre in camera coordinates) be in the field?
+    /// Returns whether a sphere (centre in camera coordinates) may intersect the field.
     pub fn meets(&self, centre: &Point3<f64>, radius: f64) -> bool {
         let centre = self.face_from_camera * centre.coords;
         centre.z > -radius && self.sides.iter().all(|n| n.dot(&centre) >= -radius)
     }
 
-    /// Pixel of a point in face coordinates.
+    /// Projects a point in face coordinates to a pixel.
     fn pixel(&self, p: &Vector3<f64>) -> Point2<f64> {
         Point2::from(p.xy().component_mul(&self.focal) / p.z + self.axis)
     }
 
-    /// A point in camera coordinates on this face.
-    pub fn project(&self, point: &Point3<f64>) -> Projected {
+    /// Projects a point in camera coordinates.
+    pub fn project(&self, point: &Point3<f64>) -> FacePoint {
         self.projected(self.face_from_camera * point.coords)
     }
 
-    fn projected(&self, place: Vector3<f64>) -> Projected {
-        Projected { place, screen: self.pixel(&place).coords.push(place.z.recip()) }
+    fn projected(&self, place: Vector3<f64>) -> FacePoint {
+        FacePoint { place, screen: self.pixel(&place).coords.push(place.z.recip()) }
     }
 }
 
-/// A point on a face.
+/// A point in face coordinates, with its projection.
 #[derive(Clone, Copy, Debug)]
-pub struct Projected {
+pub struct FacePoint {
     /// Face coordinates.
     place: Vector3<f64>,
-    /// Pixel x, pixel y and inverse depth; of use only for what lies ahead.
+    /// Pixel x, pixel y and inverse depth; meaningful only in front of the face.
     screen: Vector3<f64>,
 }
 
-/// Right, down and forward of the faces of a cube in camera coordinates; the one behind is the last.
+/// Right, down and forward axes of the faces of a cube, in camera coordinates; the backward face is last.
 #[rustfmt::skip]
 const CUBE: [[[i8; 3]; 3]; 6] = [
     [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
@@ -141,7 +141,7 @@ const CUBE: [[[i8; 3]; 3]; 6] = [
     [[-1, 0, 0], [0, 1, 0], [0, 0, -1]],
 ];
 
-/// Rays through a grid of pixels up to the border, and whether some pixels have none.
+/// Returns the rays through a grid of pixels up to the border, and whether some pixels have none.
 fn field(camera: &Camera) -> (Vec<Vector3<f64>>, bool) {
     let last = f64::from(FIELD_SAMPLES - 1);
     let at = |i: u32, size: u32| f64::from(i) / last * f64::from(size);
@@ -152,27 +152,27 @@ fn field(camera: &Camera) -> (Vec<Vector3<f64>>, bool) {
     (rays, missing)
 }
 
-/// How far something may be in front of a triangle without hiding it.
+/// Depth by which something may be in front of a triangle without hiding it; the larger of the two.
 #[derive(Clone, Copy, Debug)]
 pub struct Tolerance {
     /// Scene units.
     pub length: f64,
-    /// Share of the depth; the larger of the two counts.
+    /// Share of the depth.
     pub depth_share: f64,
 }
 
 impl Tolerance {
-    /// Is `front` in front of `own` by more than the tolerance? Both are inverse depths.
+    /// Returns whether `front` is in front of `own` by more than the tolerance; both are inverse depths.
     pub fn hides(&self, front: f64, own: f64) -> bool {
         front - own > front * (self.length * own).max(self.depth_share)
     }
 }
 
-/// What is in front in each pixel of a face.
+/// The frontmost triangle in each pixel of a face.
 #[derive(Default)]
 pub struct Buffer {
-    /// Inverse depth (f32) in the upper half, triangle in the lower: the larger number is in front, and of two triangles at one
-    /// depth always the same one, in whatever order they are drawn. 0: nothing.
+    /// Inverse depth (f32) in the upper half, triangle in the lower half: the larger number is in front, and equal depths are decided by the
+    /// triangle, whatever the drawing order. 0: empty.
     pixels: Vec<u64>,
 }
 
@@ -182,8 +182,8 @@ impl Buffer {
         self.pixels.resize(face.width * face.height, 0);
     }
 
-    /// Draws a triangle; what is nearer than `near` is cut off. Returns how many pixels it covers.
-    pub fn draw(&mut self, face: &Face, corners: [&Projected; 3], near: f64, triangle: u32) -> u32 {
+    /// Draws a triangle, clipped at depth `near`. Returns the number of pixels that it covers.
+    pub fn draw(&mut self, face: &Face, corners: [&FacePoint; 3], near: f64, triangle: u32) -> u32 {
         let (pixels, mut covered) = (&mut self.pixels, 0);
         for_each_pixel(face, corners, near, |at, inverse_depth| {
             let code = u64::from(inverse_depth.to_bits()) << 32 | u64::from(triangle);
@@ -193,13 +193,13 @@ impl Buffer {
         covered
     }
 
-    /// The triangle in front in each pixel, row by row; `nothing` where none was drawn.
+    /// Returns the frontmost triangle in each pixel, row by row; `nothing` for empty pixels.
     #[inline(always)]
     pub fn triangles(&self, nothing: u32) -> impl Iterator<Item = u32> {
         self.pixels.iter().map(move |&code| if code == 0 { nothing } else { code as u32 })
     }
 
-    /// How many of the pixels that the triangle, given in camera coordinates, covers have nothing in front by more than the tolerance.
+    /// Counts the pixels covered by the triangle (camera coordinates) in which nothing is in front of it by more than the tolerance.
     pub fn free(&self, face: &Face, corners: &[Point3<f64>; 3], near: f64, tolerance: Tolerance) -> u32 {
         let [a, b, c] = corners.each_ref().map(|corner| face.project(corner));
         let mut free = 0;
@@ -209,9 +209,9 @@ impl Buffer {
         free
     }
 
-    /// Triangle and inverse depth in the pixel of a point in camera coordinates, and the point's own inverse depth; `None` outside
-    /// the face and where nothing was drawn.
-    pub fn at(&self, face: &Face, point: &Point3<f64>, near: f64) -> Option<(u32, f64, f64)> {
+    /// Returns triangle and inverse depth in the pixel of a point in camera coordinates, and the point's own inverse depth; `None` outside
+    /// the face and for empty pixels.
+    pub fn sample(&self, face: &Face, point: &Point3<f64>, near: f64) -> Option<(u32, f64, f64)> {
         let p = face.face_from_camera * point.coords;
         let pixel = (p.z > near).then(|| face.pixel(&p))?;
         let inside = pixel.x >= 0.0 && pixel.y >= 0.0 && pixel.x < face.width as f64 && pixel.y < face.height as f64;
@@ -219,8 +219,8 @@ impl Buffer {
         (code != 0).then(|| (code as u32, inverse_depth(code).into(), p.z.recip()))
     }
 
-    /// The four pixels around a point in camera coordinates: triangle and inverse depth in front (0: none), and the point's own
-    /// inverse depth; `None` where the point is not on the face.
+    /// Returns triangle and inverse depth (0: empty) of the four pixels around a point in camera coordinates, and the point's own
+    /// inverse depth; `None` if the point is not on the face.
     pub fn around(&self, face: &Face, point: &Point3<f64>, near: f64) -> Option<([(u32, f64); 4], f64)> {
         let p = face.face_from_camera * point.coords;
         let corner = (p.z > near).then(|| face.pixel(&p) - Vector2::from_element(0.5))?;
@@ -238,9 +238,9 @@ fn inverse_depth(code: u64) -> f32 {
     f32::from_bits((code >> 32) as u32)
 }
 
-/// Calls `visit` with index and inverse depth of each pixel of the face whose centre the triangle covers.
+/// Calls `visit` with index and inverse depth of each pixel whose centre the triangle covers.
 #[inline(always)]
-fn for_each_pixel(face: &Face, [a, b, c]: [&Projected; 3], near: f64, mut visit: impl FnMut(usize, f32)) {
+fn for_each_pixel(face: &Face, [a, b, c]: [&FacePoint; 3], near: f64, mut visit: impl FnMut(usize, f32)) {
     match [a, b, c].iter().filter(|p| p.place.z > near).count() {
         3 => fill(face, [a.screen, b.screen, c.screen], &mut visit),
         0 => {}
@@ -254,7 +254,7 @@ fn for_each_pixel(face: &Face, [a, b, c]: [&Projected; 3], near: f64, mut visit:
     }
 }
 
-/// The part of a triangle beyond `near`: a polygon of three or four corners.
+/// Clips a triangle at depth `near`; returns a polygon of three or four corners.
 fn clip(triangle: [Vector3<f64>; 3], near: f64) -> ([Vector3<f64>; 4], usize) {
     let mut polygon = [Vector3::new(0.0, 0.0, near); 4];
     let mut n = 0;
@@ -273,16 +273,16 @@ fn clip(triangle: [Vector3<f64>; 3], near: f64) -> ([Vector3<f64>; 4], usize) {
     (polygon, n)
 }
 
-/// The pixels of a triangle whose corners are given as pixel x, y and inverse depth, row by row.
+/// Rasterises a triangle whose corners are given as pixel x, y and inverse depth, row by row.
 #[inline(always)]
 fn fill(face: &Face, [a, b, c]: [Vector3<f64>; 3], visit: &mut impl FnMut(usize, f32)) {
     let area = (b.x - a.x) * (c.y - a.y) - (b.y - a.y) * (c.x - a.x);
     let (low_y, high_y) = (a.y.min(b.y).min(c.y), a.y.max(b.y).max(c.y));
-    // Also false for what is not a number.
+    // Also false for NaN.
     if !(area != 0.0 && high_y >= 0.5 && low_y < face.height as f64) {
         return;
     }
-    // Inverse depth is a plane over the picture. Slivers extrapolate badly, so it is held between the corners'.
+    // Inverse depth is linear in the image. Slivers extrapolate badly, so it is clamped to the range of the corners.
     let by_x = ((b.z - a.z) * (c.y - a.y) - (c.z - a.z) * (b.y - a.y)) / area;
     let by_y = ((c.z - a.z) * (b.x - a.x) - (b.z - a.z) * (c.x - a.x)) / area;
     let (low_z, high_z) = (a.z.min(b.z).min(c.z), a.z.max(b.z).max(c.z));
@@ -305,7 +305,7 @@ fn fill(face: &Face, [a, b, c]: [Vector3<f64>; 3], visit: &mut impl FnMut(usize,
     }
 }
 
-/// The line through an edge, and which side of the triangle it bounds; neither if it is level.
+/// Returns the line through an edge, and the side of the triangle that it bounds; no side if it is level.
 struct Side {
     x: f64,
     y: f64,
@@ -315,7 +315,7 @@ struct Side {
 }
 
 impl Side {
-    /// The triangle lies where (to - from) x (p - from) is not negative.
+    /// The triangle is where (to - from) x (p - from) is not negative.
     fn new(from: &Vector3<f64>, to: &Vector3<f64>) -> Self {
         let rise = to.y - from.y;
         let slope = if rise == 0.0 { 0.0 } else { (to.x - from.x) / rise };
@@ -323,14 +323,14 @@ impl Side {
     }
 }
 
-/// First pixel whose centre is not below `x`, at most `size`.
+/// Returns the first pixel whose centre is not below `x`, at most `size`.
 fn first_centre(x: f64, size: usize) -> usize {
     let x = (x - 0.5).max(0.0).min(size as f64);
     let down = x as usize;
     down + usize::from((down as f64) < x)
 }
 
-/// The pixel behind the last whose centre is not above `x`, at most `size`.
+/// Returns the pixel after the last whose centre is not above `x`, at most `size`.
 fn end_centre(x: f64, size: usize) -> usize {
     let x = (x + 0.5).max(0.0).min(size as f64);
     x as usize

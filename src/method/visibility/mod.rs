@@ -1,9 +1,9 @@
-//! Method 2: which view sees which triangle.
+//! Visibility (method 2): the triangles that each view sees.
 //!
-//! A triangle is visible in a view when its corners and its centroid lie in front of the camera and the centroid projects into the image,
-//! when it faces the camera, and when at least half of its samples have nothing in front by more than a tolerance. The samples are the
-//! pixels of a picture of inverse depth and triangle ([`buffer`]); a triangle that covers fewer than four of them is sampled at its
-//! centroid and corners by rays, against the triangles that the picture shows around them.
+//! A triangle is visible in a view if its corners and centroid are in front of the camera, its centroid projects into the image,
+//! it faces the camera, and at least half of its samples have nothing in front of them by more than a tolerance. Samples are
+//! pixels of a rendered buffer of inverse depth and triangle ([`buffer`]). A triangle that covers fewer than four pixels is sampled at its
+//! centroid and corners by rays instead, against the triangles in the surrounding pixels.
 
 mod buffer;
 mod patches;
@@ -14,7 +14,7 @@ use bytemuck::Pod;
 use nalgebra::{Point3, Vector3};
 
 use self::{
-    buffer::{Buffer, Face, Projected, Tolerance},
+    buffer::{Buffer, Face, FacePoint, Tolerance},
     patches::{Patch, Patches},
 };
 use crate::{
@@ -31,52 +31,52 @@ use crate::{
     },
 };
 
-/// A triangle that covers fewer pixels is sampled by rays (method 2).
+/// Triangles that cover fewer pixels are sampled by rays (method 2).
 const FEW_PIXELS: u32 = 4;
-/// What is nearer to the camera than this many edge lengths is not drawn.
+/// Near plane, edge lengths: nothing closer to the camera is drawn.
 const NEAR_EDGES: f64 = 0.05;
 
-/// The sparse table of (view, triangle), CSR by view, triangles ascending within a view.
+/// Sparse table of (view, triangle) pairs; CSR by view, triangles ascending within a view.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Visibility {
     pub offsets: Offsets,
     /// Triangles, ascending within a view.
     pub triangles: Column<u32>,
-    /// Observations that contradict the table: the view observes a sparse point that lies on the surface in another view of its
-    /// track, but that the surface hides here.
+    /// Number of observations that contradict the table: the surface hides the sparse point in this view, although the point is on the
+    /// surface in another view of its track.
     pub contradictions: u64,
 }
 
 impl Visibility {
-    /// The views, each a row of [`Self::triangles_seen_by`].
+    /// Returns all views; each is a row of [`Self::triangles_seen_by`].
     pub fn views(&self) -> Vec<ViewIndex> {
         (0..self.offsets.rows()).map(|row| ViewIndex(row as u32)).collect()
     }
 
-    /// The triangles that the view sees, ascending.
+    /// Returns the triangles that the view sees, ascending.
     pub fn triangles_seen_by(&self, view: ViewIndex) -> &[u32] {
         &self.triangles[self.rows(view)]
     }
 
-    /// Range of the view's rows; tables beside this one (unary confidence) are indexed by row.
+    /// Returns the range of the view's rows. Tables parallel to this one (such as unary confidence) are indexed by row.
     pub fn rows(&self, view: ViewIndex) -> std::ops::Range<usize> {
         self.offsets.row(view.index())
     }
 
-    /// The row of a triangle in a view, where the view sees it.
+    /// Returns the row of a triangle in a view; `None` if the view does not see it.
     pub fn row(&self, view: ViewIndex, triangle: u32) -> Option<usize> {
         let found = self.triangles_seen_by(view).binary_search(&triangle).ok()?;
         Some(self.rows(view).start + found)
     }
 
-    /// Is the triangle seen by at least one view?
-    pub fn seen(&self, triangles: usize) -> Vec<bool> {
+    /// Returns for each triangle whether any view sees it.
+    pub fn seen_triangles(&self, triangles: usize) -> Vec<bool> {
         let mut seen = vec![false; triangles];
         self.triangles.by_parts().for_each(|&t| seen[t as usize] = true);
         seen
     }
 
-    /// The table for the surface without the triangles where `keep` is false, renumbered as [`Surface::keep`] does.
+    /// Returns the table for the surface without the triangles where `keep` is false, renumbered as by [`Surface::keep`].
     pub fn keep(&self, keep: &[bool]) -> Result<Self, DiskError> {
         let mut next = 0;
         let number = |&k: &bool| {
@@ -85,7 +85,7 @@ impl Visibility {
             kept
         };
         let numbers: Vec<u32> = keep.iter().map(number).collect();
-        let (mut offsets, mut triangles) = (Offsets::default(), ColumnBuilder::new(self.triangles.kept())?);
+        let (mut offsets, mut triangles) = (Offsets::default(), ColumnBuilder::new(self.triangles.storage())?);
         for view in 0..self.offsets.rows() {
             if view.is_multiple_of(column::READ_AT_ONCE) {
                 self.triangles.release();
@@ -98,16 +98,16 @@ impl Visibility {
         Ok(Self { offsets, triangles: triangles.finish()?, contradictions: self.contradictions })
     }
 
-    /// A column beside the table, kept as the table is: what `of_view` says of each row of a view, with `start`'s value for each thread.
+    /// Builds a column parallel to the table, with its storage. `of_view` returns a value for each row of a view; `start` makes the state of a thread.
     pub fn column<T: Pod + Send, S: Send>(
         &self,
         start: impl Fn() -> S + Sync + Send,
         of_view: impl Fn(&mut S, ViewIndex) -> Result<Vec<T>, Cancelled> + Sync + Send,
     ) -> Result<Column<T>, TableError> {
-        self.column_kept(self.triangles.kept(), start, of_view)
+        self.column_kept(self.triangles.storage(), start, of_view)
     }
 
-    /// The same, kept where `keep` says.
+    /// Like [`Self::column`], with the given storage.
     pub fn column_kept<T: Pod + Send, S: Send>(
         &self,
         keep: Storage,
@@ -129,7 +129,7 @@ impl Visibility {
     }
 }
 
-/// Which view sees which triangle. `edge_length` is r g_d, the length below which the surface was simplified; `keep` says where the table lies.
+/// Computes which view sees which triangle. `edge_length`: r g_d, the edge length of the simplified surface, scene units; `keep`: storage of the table.
 pub fn estimate(
     scene: &Scene,
     points: &ViewPoints,
@@ -139,12 +139,12 @@ pub fn estimate(
     keep: Storage,
     watcher: &dyn Watcher,
 ) -> Result<Visibility, TableError> {
-    let stage = Looking::new(scene, surface, settings, edge_length);
+    let stage = Estimator::new(scene, surface, settings, edge_length);
     let observations = Observations::new(scene.points.len());
     let views: Vec<ViewIndex> = scene.view_indices().collect();
     let done = AtomicU64::new(0);
     watcher.progress(Stage::Visibility, 0, views.len() as u64);
-    let look = |picture: &mut Picture, &view: &ViewIndex| {
+    let look = |picture: &mut RenderedView, &view: &ViewIndex| {
         watcher.check()?;
         stage.draw(view, picture);
         let mut seen: Vec<u32> = stage.visible(view, picture).collect();
@@ -154,7 +154,7 @@ pub fn estimate(
         Ok(seen)
     };
     let (mut offsets, mut triangles) = (Offsets::default(), ColumnBuilder::new(keep)?);
-    column::in_order(&views, column::READ_AT_ONCE, Picture::default, look, |_, rows| {
+    column::in_order(&views, column::READ_AT_ONCE, RenderedView::default, look, |_, rows| {
         for row in rows {
             triangles.extend(&row)?;
             offsets.push(row.len());
@@ -164,25 +164,25 @@ pub fn estimate(
     Ok(Visibility { offsets, triangles: triangles.finish()?, contradictions: observations.contradictions() })
 }
 
-/// Most pixels of the picture that is drawn of a view: of all faces of its camera.
+/// Returns the largest number of pixels rendered for a view, over all faces of its camera.
 pub fn picture_pixels(scene: &Scene, settings: &VisibilitySettings) -> u64 {
-    let pixels = |camera| Face::of(camera, settings.buffer_px).iter().map(Face::pixels).sum();
+    let pixels = |camera| Face::covering(camera, settings.buffer_px).iter().map(Face::pixels).sum();
     scene.cameras.iter().map(pixels).max().unwrap_or(0)
 }
 
-/// No triangle, in a picture of triangles.
+/// Marks a pixel without a triangle.
 pub const NOTHING: u32 = u32::MAX;
-/// Closer to a camera than this share of the surface's distance from it nothing is drawn by [`front`].
+/// Near plane of [`front`], as a share of the surface's distance from the camera.
 const NEAR_SHARE: f64 = 1e-4;
 
-/// The triangle in front in each pixel of a pinhole view's image, reduced or enlarged to `width` x `height`; row by row, [`NOTHING`] where
-/// there is none. A pixel shows what is at its centre.
+/// Returns the frontmost triangle in each pixel of a pinhole view's image, resized to `width` x `height`, row by row; [`NOTHING`] for empty
+/// pixels. Sampled at pixel centres.
 pub fn front(scene: &Scene, surface: &Surface, view: ViewIndex, width: u32, height: u32) -> Vec<u32> {
     let face = Face::pinhole(scene.camera_of(view), width, height);
     let pose = &scene.view(view).cam_from_world;
     let vertices: Vec<Point3<f64>> = surface.vertices.iter().map(|v| pose.camera_from_world(v)).collect();
     let near = NEAR_SHARE * vertices.iter().map(|v| v.z.abs()).fold(f64::MIN_POSITIVE, f64::max);
-    let vertices: Vec<Projected> = vertices.iter().map(|v| face.project(v)).collect();
+    let vertices: Vec<FacePoint> = vertices.iter().map(|v| face.project(v)).collect();
     let mut buffer = Buffer::default();
     buffer.clear(&face);
     for (t, corners) in surface.triangles.iter().enumerate() {
@@ -191,43 +191,43 @@ pub fn front(scene: &Scene, surface: &Surface, view: ViewIndex, width: u32, heig
     buffer.triangles(NOTHING).collect()
 }
 
-/// What all views have in common.
-struct Looking<'a> {
+/// The inputs that all views share.
+struct Estimator<'a> {
     scene: &'a Scene,
     surface: &'a Surface,
     patches: Patches,
-    /// By camera.
+    /// Faces of each camera.
     faces: Vec<Vec<Face>>,
     tolerance: Tolerance,
     near: f64,
-    /// Squared cosine of the largest incidence.
+    /// Squared cosine of the largest allowed angle of incidence.
     cos2: f64,
     min_free_share: f64,
 }
 
-/// The picture of one view; one per thread, used again.
+/// Buffers of one view; one per thread, reused.
 #[derive(Default)]
-struct Picture {
+struct RenderedView {
     buffers: Vec<Buffer>,
     candidates: Vec<Candidate>,
-    /// Vertices of a patch in camera coordinates, and on a face.
+    /// Vertices of the current patch in camera coordinates, and on a face.
     vertices: Vec<Point3<f64>>,
-    projected: Vec<Projected>,
-    /// Pixels that each triangle of a patch covers.
+    projected: Vec<FacePoint>,
+    /// Pixels that each triangle of the current patch covers.
     covered: Vec<u32>,
-    /// For each triangle its place among the candidates, or [`NOTHING`].
+    /// Index of each triangle among the candidates, or [`NOTHING`].
     places: Vec<u32>,
 }
 
-impl Picture {
-    /// Counts for each candidate the pixels where it is in front.
+impl RenderedView {
+    /// Counts, for each candidate, the pixels in which it is frontmost.
     fn count_in_front(&mut self, triangles: usize) {
         self.places.resize(triangles, NOTHING);
         for (candidate, place) in self.candidates.iter().zip(0..) {
             self.places[candidate.triangle as usize] = place;
         }
         for buffer in &self.buffers {
-            // Neighbouring pixels mostly show one triangle.
+            // Neighbouring pixels mostly show the same triangle, so its index is looked up once per run.
             let (mut last, mut place) = (NOTHING, NOTHING);
             for triangle in buffer.triangles(NOTHING).filter(|&t| t != NOTHING) {
                 if triangle != last {
@@ -242,25 +242,25 @@ impl Picture {
     }
 }
 
-/// A triangle that faces the camera and has its centroid in the image.
+/// A triangle that faces the camera and whose centroid is in the image.
 struct Candidate {
     triangle: u32,
-    /// Camera coordinates.
+    /// Corners in camera coordinates.
     corners: [Point3<f64>; 3],
-    /// Pixels that it covers.
+    /// Pixels that the triangle covers.
     covered: u32,
-    /// Pixels where it is in front of everything.
+    /// Pixels in which the triangle is frontmost.
     in_front: u32,
 }
 
-impl<'a> Looking<'a> {
+impl<'a> Estimator<'a> {
     fn new(scene: &'a Scene, surface: &'a Surface, settings: &VisibilitySettings, edge_length: f64) -> Self {
         let length = settings.tolerance_edges * edge_length;
         Self {
             scene,
             surface,
             patches: Patches::new(surface),
-            faces: scene.cameras.iter().map(|c| Face::of(c, settings.buffer_px)).collect(),
+            faces: scene.cameras.iter().map(|c| Face::covering(c, settings.buffer_px)).collect(),
             tolerance: Tolerance { length, depth_share: settings.tolerance_depth },
             near: NEAR_EDGES * edge_length,
             cos2: settings.max_incidence_deg.to_radians().cos().powi(2),
@@ -268,8 +268,8 @@ impl<'a> Looking<'a> {
         }
     }
 
-    /// Draws everything in the view's field and collects the triangles that may be visible.
-    fn draw(&self, view: ViewIndex, picture: &mut Picture) {
+    /// Renders everything in the view's field and collects the triangles that may be visible.
+    fn draw(&self, view: ViewIndex, picture: &mut RenderedView) {
         let (camera, faces) = self.camera(view);
         let pose = &self.scene.view(view).cam_from_world;
         picture.candidates.clear();
@@ -293,9 +293,9 @@ impl<'a> Looking<'a> {
         picture.count_in_front(self.surface.triangles.len());
     }
 
-    /// Draws the triangles of a patch, whose vertices the picture holds, and counts the pixels of each.
-    fn draw_patch(&self, patch: &Patch, faces: &[Face], picture: &mut Picture) {
-        let Picture { buffers, vertices, projected, covered, .. } = picture;
+    /// Renders the triangles of a patch, whose vertices are already in `picture`, and counts the pixels of each.
+    fn draw_patch(&self, patch: &Patch, faces: &[Face], picture: &mut RenderedView) {
+        let RenderedView { buffers, vertices, projected, covered, .. } = picture;
         covered.clear();
         covered.resize(patch.len(), 0);
         for (face, buffer) in faces.iter().zip(buffers) {
@@ -307,7 +307,7 @@ impl<'a> Looking<'a> {
         }
     }
 
-    /// Conditions 1 and 2 of method 2; corners in camera coordinates.
+    /// Checks conditions 1 and 2 of method 2; corners in camera coordinates.
     fn may_be_visible(&self, camera: &Camera, [a, b, c]: &[Point3<f64>; 3]) -> bool {
         let everywhere = camera.model() == CameraModel::Equirectangular;
         let centroid = (a.coords + b.coords + c.coords) / 3.0;
@@ -320,8 +320,8 @@ impl<'a> Looking<'a> {
             && camera.project(&centroid.into()).is_some_and(|pixel| camera.contains(&pixel))
     }
 
-    /// The candidates that are not occluded: condition 3.
-    fn visible<'b>(&'b self, view: ViewIndex, picture: &'b Picture) -> impl Iterator<Item = u32> + 'b {
+    /// Returns the candidates that are not occluded (condition 3).
+    fn visible<'b>(&'b self, view: ViewIndex, picture: &'b RenderedView) -> impl Iterator<Item = u32> + 'b {
         let free = move |candidate: &&Candidate| {
             let (samples, free) = if candidate.covered < FEW_PIXELS {
                 self.free_points(view, picture, candidate)
@@ -337,9 +337,9 @@ impl<'a> Looking<'a> {
         f64::from(free) >= self.min_free_share * f64::from(samples)
     }
 
-    /// At least so many pixels of the candidate are free; exactly so many where that decides. Most triangles are in front in most of their
-    /// pixels, and need not be looked at again.
-    fn free_pixels(&self, view: ViewIndex, picture: &Picture, candidate: &Candidate) -> u32 {
+    /// Returns whether enough of the candidate's pixels are free. Counts exactly only if needed: most triangles are frontmost in most of their
+    /// pixels and need no second pass.
+    fn free_pixels(&self, view: ViewIndex, picture: &RenderedView, candidate: &Candidate) -> u32 {
         if self.are_enough(candidate.in_front, candidate.covered) {
             return candidate.in_front;
         }
@@ -347,8 +347,8 @@ impl<'a> Looking<'a> {
         faces.map(|(face, buffer)| buffer.free(face, &candidate.corners, self.near, self.tolerance)).sum()
     }
 
-    /// The centroid and the corners as samples, where they lie in the field.
-    fn free_points(&self, view: ViewIndex, picture: &Picture, candidate: &Candidate) -> (u32, u32) {
+    /// Samples the centroid and the corners, as far as they are in the field.
+    fn free_points(&self, view: ViewIndex, picture: &RenderedView, candidate: &Candidate) -> (u32, u32) {
         let [a, b, c] = candidate.corners;
         let centroid = Point3::from((a.coords + b.coords + c.coords) / 3.0);
         let (mut samples, mut free) = (0, 0);
@@ -363,7 +363,7 @@ impl<'a> Looking<'a> {
         (samples, free)
     }
 
-    /// Is one of the triangles that the picture shows around a point in front of it, by more than the tolerance?
+    /// Returns whether a triangle in the pixels around a point is in front of it by more than the tolerance.
     fn ray_is_blocked(
         &self,
         view: ViewIndex,
@@ -392,13 +392,13 @@ impl<'a> Looking<'a> {
         (&self.scene.cameras[camera], &self.faces[camera])
     }
 
-    /// Notes which observed points of the view lie on the surface and which behind it.
-    fn observe(&self, view: ViewIndex, points: &[PointIndex], picture: &Picture, observations: &Observations) {
+    /// Records which observed points of the view are on the surface and which are behind it.
+    fn observe(&self, view: ViewIndex, points: &[PointIndex], picture: &RenderedView, observations: &Observations) {
         let pose = &self.scene.view(view).cam_from_world;
         for &p in points {
             let point = pose.camera_from_world(&self.scene.points[p.index()]);
             let mut faces = self.camera(view).1.iter().zip(&picture.buffers);
-            let Some((_, front, own)) = faces.find_map(|(face, buffer)| buffer.at(face, &point, self.near)) else {
+            let Some((_, front, own)) = faces.find_map(|(face, buffer)| buffer.sample(face, &point, self.near)) else {
                 continue;
             };
             if self.tolerance.hides(front, own) {
@@ -410,7 +410,7 @@ impl<'a> Looking<'a> {
     }
 }
 
-/// Where along `ray` from the origin it meets a triangle, as a share of the ray; `None` if not.
+/// Intersects a ray from the origin with a triangle. Returns the position along `ray` as a share of its length, `None` if they don't meet.
 fn hit([a, b, c]: &[Point3<f64>; 3], ray: &Vector3<f64>) -> Option<f64> {
     let normal = (b - a).cross(&(c - a));
     let share = normal.dot(&a.coords) / normal.dot(ray);
@@ -419,7 +419,7 @@ fn hit([a, b, c]: &[Point3<f64>; 3], ray: &Vector3<f64>) -> Option<f64> {
     (inside && share > 0.0).then_some(share)
 }
 
-/// By sparse point: does it lie on the surface in some view, and in how many of its views is it hidden?
+/// By sparse point: whether it is on the surface in any view, and the number of its views in which it is hidden.
 struct Observations {
     on_surface: Vec<AtomicBool>,
     hidden: Vec<AtomicU32>,

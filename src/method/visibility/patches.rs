@@ -1,4 +1,4 @@
-//! The surface cut into small patches of neighbouring triangles, so that a view touches only what lies in its field.
+//! The surface divided into small patches of neighbouring triangles, so that each view processes only those in its field.
 
 use std::ops::Range;
 
@@ -6,13 +6,13 @@ use nalgebra::Point3;
 
 use crate::method::surface::Surface;
 
-/// Triangles per patch: few enough to cull tightly, enough to make the culling cheap.
+/// Triangles per patch: few enough to cull tightly, enough to make culling cheap.
 const PATCH_TRIANGLES: usize = 128;
 
-/// Neighbouring triangles with vertices of their own.
+/// Neighbouring triangles, with their own copies of the vertices.
 #[derive(Clone, Debug)]
 pub struct Patch {
-    /// Centre and radius of a ball around it.
+    /// Bounding sphere: centre and radius.
     pub centre: Point3<f64>,
     pub radius: f64,
     vertices: Range<usize>,
@@ -20,19 +20,19 @@ pub struct Patch {
 }
 
 impl Patch {
-    /// Its triangles.
+    /// Range of its triangles.
     pub fn len(&self) -> usize {
         self.triangles.len()
     }
 }
 
-/// All patches of a surface; each triangle belongs to one.
+/// All patches of a surface; each triangle is in one.
 pub struct Patches {
     pub patches: Vec<Patch>,
     vertices: Vec<Point3<f64>>,
-    /// Corners as positions in the patch's vertices.
+    /// Corners, as indices into the patch's vertices.
     corners: Vec<[u16; 3]>,
-    /// Numbers in the surface.
+    /// Indices of the triangles in the surface.
     triangles: Vec<u32>,
 }
 
@@ -56,7 +56,7 @@ impl Patches {
         &self.vertices[patch.vertices.clone()]
     }
 
-    /// Number in the surface and corners of each triangle of the patch.
+    /// Returns each triangle of the patch: its index in the surface, and its corners.
     pub fn triangles(&self, patch: &Patch) -> impl Iterator<Item = (u32, [usize; 3])> {
         let rows = patch.triangles.clone();
         let corners = self.corners[rows.clone()].iter().map(|c| c.map(usize::from));
@@ -80,7 +80,7 @@ impl Patches {
     }
 }
 
-/// The triangles along a Morton curve through their first corners.
+/// Sorts the triangles along a Morton curve through their first corners.
 fn spatial_order(surface: &Surface) -> Vec<u32> {
     let (low, high) = bounds(surface.vertices.iter());
     let longest = (high - low).max().max(f64::MIN_POSITIVE);
@@ -94,7 +94,7 @@ fn spatial_order(surface: &Surface) -> Vec<u32> {
     keyed.into_iter().map(|(_, t)| t).collect()
 }
 
-/// The lowest 21 bits, each followed by two zeros.
+/// Spreads the lowest 21 bits, each followed by two zeros.
 fn spread(x: u64) -> u64 {
     let x = (x | x << 32) & 0x001f_0000_0000_ffff;
     let x = (x | x << 16) & 0x001f_0000_ff00_00ff;

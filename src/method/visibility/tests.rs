@@ -1,7 +1,7 @@
 //! The table against brute force: a ray from the camera to the centroid of each triangle, past all the others.
 
 use super::*;
-use crate::{base::progress::Unwatched, method::synthetic::Town, model::camera::CameraModel};
+use crate::{base::progress::NoWatcher, method::synthetic::Town, model::camera::CameraModel};
 
 fn camera(model: CameraModel, params: &[f64]) -> Camera {
     Camera::new(1, model, 1000, 750, params.to_vec()).unwrap()
@@ -30,7 +30,7 @@ fn agreement(town: &Town, edge_length: f64) -> (f64, f64) {
     let (scene, surface) = (town.scene(), town.surface());
     let settings = VisibilitySettings::default();
     let table =
-        estimate(&scene, &scene.view_points(), &surface, &settings, edge_length, Storage::Memory, &Unwatched).unwrap();
+        estimate(&scene, &scene.view_points(), &surface, &settings, edge_length, Storage::Memory, &NoWatcher).unwrap();
     let (mut both, mut said, mut true_ones) = (0.0, 0.0, 0.0);
     for view in scene.view_indices().step_by(17) {
         for t in 0..surface.triangles.len() as u32 {

@@ -2,14 +2,14 @@
 
 use std::collections::BTreeSet;
 
-use super::written::{ClusterEntry, Recorded};
+use super::written::{ClusterEntry, RecordedPlan};
 use crate::{backends, base::error::Hint};
 
 /// Tolerance for sums of gains, which other programs round differently.
 const ROUNDING: f64 = 1e-6;
 
 /// Returns the first contradiction, with the field that has it.
-pub(super) fn check(manifest: &Recorded) -> Result<(), String> {
+pub(super) fn check(manifest: &RecordedPlan) -> Result<(), String> {
     let known = |backend: &str| {
         let hint = |e: &crate::config::UnknownBackend| e.hint().map_or(String::new(), |hint| format!(" ({hint})"));
         backends::by_name(backend).map(drop).map_err(|error| format!("{error}{}", hint(&error)))
@@ -42,7 +42,7 @@ pub(super) fn check(manifest: &Recorded) -> Result<(), String> {
     Ok(())
 }
 
-fn check_cut(manifest: &Recorded) -> Result<(), String> {
+fn check_cut(manifest: &RecordedPlan) -> Result<(), String> {
     let (cut, all) = (&manifest.cut, manifest.clusters.len());
     if cut.clusters > all {
         return Err(format!("cut.clusters: {}, but the ranking has {all}", cut.clusters));

@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 
 pub use fingerprint::{FingerprintError, fingerprint};
 pub use region::RegionSummary;
-pub(crate) use written::{FILE, Recorded, read_own};
+pub(crate) use written::{FILE, RecordedPlan, read_own};
 pub use written::{WrittenPlan, WrittenPlanError, planned_backend, planned_model, validate};
 
 use crate::{
@@ -186,7 +186,7 @@ impl Manifest {
                 distance: plan.stages.pictures.distance,
             }),
             surface: SurfaceSummary::new(plan),
-            region: RegionSummary::of(plan),
+            region: RegionSummary::from_plan(plan),
             clusters: clusters(plan),
             cut: plan.decision.cut,
             views: plan.stages.scene.view_indices().map(|view| ViewEntry::new(plan, view)).collect(),

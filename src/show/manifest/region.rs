@@ -25,7 +25,7 @@ pub struct RegionSummary {
 
 impl RegionSummary {
     /// `None` where the plan is for the whole surface.
-    pub fn of(plan: &Plan) -> Option<Self> {
+    pub fn from_plan(plan: &Plan) -> Option<Self> {
         let (region, surface) = (plan.stages.region.as_ref()?, &plan.stages.surface);
         let all = || 0..surface.triangles.len() as u32;
         let area: f64 = all().map(|t| surface.area(t) * f64::from(region.covered[t as usize])).sum();

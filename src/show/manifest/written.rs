@@ -44,7 +44,7 @@ pub struct WrittenPlan {
 
 /// The part of a manifest that viewrank reads back; views are names.
 #[derive(Debug, Deserialize)]
-pub(crate) struct Recorded {
+pub(crate) struct RecordedPlan {
     version: u32,
     input: Input,
     pub backend: String,
@@ -103,17 +103,17 @@ pub(crate) fn read_own(project: &Project, name: &str) -> Result<Vec<u8>, Written
 /// # Errors
 /// [`WrittenPlanError::Manifest`] with the first field that does, [`WrittenPlanError::Version`].
 pub fn validate(bytes: &[u8], path: &Path) -> Result<(), WrittenPlanError> {
-    Recorded::parse(bytes, path.into()).map(drop)
+    RecordedPlan::parse(bytes, path.into()).map(drop)
 }
 
 /// Returns the name of the backend that the project's plan is for; `None` without a plan.
 pub fn planned_backend(project: &Project) -> Option<String> {
-    Recorded::read(project).ok().map(|recorded| recorded.backend)
+    RecordedPlan::read(project).ok().map(|recorded| recorded.backend)
 }
 
 /// Returns the name of the sub-model that the project's plan is for; `None` without a plan.
 pub fn planned_model(project: &Project) -> Option<String> {
-    Recorded::read(project).ok()?.model_name()
+    RecordedPlan::read(project).ok()?.model_name()
 }
 
 impl WrittenPlan {
@@ -122,7 +122,7 @@ impl WrittenPlan {
     /// # Errors
     /// The manifest cannot be read, contradicts itself, or belongs to other model files or images.
     pub fn read(root: &Path) -> Result<Self, WrittenPlanError> {
-        let (project, recorded) = Recorded::open(root)?;
+        let (project, recorded) = RecordedPlan::open(root)?;
         let scene = project.read_scene()?;
         recorded.check_input(&project, &scene)?;
         let clusters = recorded.ranked(&scene)?;
@@ -160,7 +160,7 @@ impl WrittenPlan {
     }
 }
 
-impl Recorded {
+impl RecordedPlan {
     /// Opens the project with the model of its plan, and reads the plan.
     pub fn open(root: &Path) -> Result<(Project, Self), WrittenPlanError> {
         let any_model = Project::open_or_planned(root, None)?;
@@ -195,7 +195,7 @@ impl Recorded {
     }
 }
 
-impl Recorded {
+impl RecordedPlan {
     /// Name of the planned sub-model.
     fn model_name(&self) -> Option<String> {
         Path::new(&self.input.model).file_name().map(|name| name.to_string_lossy().into_owned())

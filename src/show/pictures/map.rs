@@ -30,7 +30,7 @@ mod tests {
 
     use super::*;
     use crate::{
-        base::progress::Unwatched,
+        base::progress::NoWatcher,
         config::VisibilitySettings,
         method::{synthetic::Town, visibility},
         model::camera::{Camera, CameraModel},
@@ -49,7 +49,7 @@ mod tests {
             &settings,
             0.5,
             crate::base::column::Storage::Memory,
-            &Unwatched,
+            &NoWatcher,
         )
         .unwrap();
         let frame = MapFrame::new(&scene, None);

@@ -21,7 +21,7 @@ use crate::model::{
 };
 
 /// A rule, as named in `--write-baselines`.
-pub struct Rule {
+pub struct SelectionRule {
     pub name: &'static str,
     /// Who says so.
     pub source: &'static str,
@@ -29,19 +29,19 @@ pub struct Rule {
 }
 
 /// Every rule, in the order of tables.
-pub const RULES: &[Rule] = &[
-    Rule { name: "mindist", source: "k closest camera centres", choose: nearest::closest },
-    Rule { name: "maxcon", source: "k most shared sparse points", choose: nearest::most_connected },
-    Rule { name: "random", source: "k of the 22 most connected views", choose: nearest::random },
-    Rule { name: "goesele", source: "Goesele et al. 2007", choose: goesele::choose },
-    Rule { name: "bailer", source: "Bailer, Finckh, Lensch 2012", choose: bailer::choose },
-    Rule { name: "shen", source: "Shen 2013", choose: shen::choose },
-    Rule { name: "colmap", source: "COLMAP's __auto__ in patch-match.cfg", choose: colmap::choose },
-    Rule { name: "openmvs", source: "OpenMVS 2.3, Scene::SelectNeighborViews", choose: openmvs::choose },
-    Rule { name: "mvsnet", source: "MVSNet's colmap2mvsnet.py", choose: mvsnet::choose },
+pub const RULES: &[SelectionRule] = &[
+    SelectionRule { name: "mindist", source: "k closest camera centres", choose: nearest::closest },
+    SelectionRule { name: "maxcon", source: "k most shared sparse points", choose: nearest::most_connected },
+    SelectionRule { name: "random", source: "k of the 22 most connected views", choose: nearest::random },
+    SelectionRule { name: "goesele", source: "Goesele et al. 2007", choose: goesele::choose },
+    SelectionRule { name: "bailer", source: "Bailer, Finckh, Lensch 2012", choose: bailer::choose },
+    SelectionRule { name: "shen", source: "Shen 2013", choose: shen::choose },
+    SelectionRule { name: "colmap", source: "COLMAP's __auto__ in patch-match.cfg", choose: colmap::choose },
+    SelectionRule { name: "openmvs", source: "OpenMVS 2.3, Scene::SelectNeighborViews", choose: openmvs::choose },
+    SelectionRule { name: "mvsnet", source: "MVSNet's colmap2mvsnet.py", choose: mvsnet::choose },
 ];
 
-impl Rule {
+impl SelectionRule {
     /// At most k partners for each key view, best first; key views for which the rule finds none are left out.
     pub fn clusters(&self, scene: &Scene, keys: &[ViewIndex], k: usize) -> Vec<ViewCluster> {
         let points = scene.view_points();

@@ -27,7 +27,7 @@ fn names(scene: &Scene, views: &[ViewIndex]) -> Vec<String> {
     views.iter().map(|&v| scene.name(v).into()).collect()
 }
 
-fn rule(name: &str) -> &'static Rule {
+fn rule(name: &str) -> &'static SelectionRule {
     RULES.iter().find(|r| r.name == name).unwrap()
 }
 

@@ -8,7 +8,7 @@ use super::{Image, Mvs, NO_POSE};
 use crate::{
     io::formats::{
         Fault, Place, Problem,
-        foreign::{Foreign, SizeOf, camera, pose_with_centre, shift},
+        foreign::{ForeignModel, SizeLookup, camera, pose_with_centre, shift},
     },
     model::{
         camera::{Camera, CameraModel},
@@ -19,8 +19,8 @@ use crate::{
 impl Mvs {
     /// Converts the scene. Image ids are the scene's. Pixels of observations are projections, since the scene has no measured ones. `size_of` is
     /// called for intrinsics without a resolution.
-    pub fn model(&self, size_of: SizeOf) -> Result<Foreign, Fault> {
-        let mut foreign = Foreign::default();
+    pub fn model(&self, size_of: SizeLookup) -> Result<ForeignModel, Fault> {
+        let mut foreign = ForeignModel::default();
         let mut cameras = HashMap::new();
         // Index in the scene's list of images to index in the model.
         let mut calibrated = vec![None; self.images.len()];
@@ -50,7 +50,7 @@ impl Mvs {
         Ok(foreign)
     }
 
-    fn camera_of(&self, image: &Image, id: u32, name: &str, size_of: SizeOf) -> Result<Camera, Fault> {
+    fn camera_of(&self, image: &Image, id: u32, name: &str, size_of: SizeLookup) -> Result<Camera, Fault> {
         let mvs = &self.platforms[image.platform as usize].cameras[image.camera as usize];
         let k = mvs.k;
         let known = (mvs.width > 0 && mvs.height > 0).then_some((mvs.width, mvs.height));
@@ -77,7 +77,7 @@ impl Mvs {
         (rotation, centre)
     }
 
-    fn add_points(&self, foreign: &mut Foreign, calibrated: &[Option<usize>]) -> Result<(), Fault> {
+    fn add_points(&self, foreign: &mut ForeignModel, calibrated: &[Option<usize>]) -> Result<(), Fault> {
         let cameras: HashMap<u32, Camera> = foreign.model.cameras.iter().map(|c| (c.id, c.clone())).collect();
         let mut views = Vec::with_capacity(foreign.model.images.len());
         for image in &foreign.model.images {

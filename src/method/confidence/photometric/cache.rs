@@ -84,7 +84,7 @@ impl Cache {
             *without = true;
         }
         let mut left = Agreement::laid_out(geometry, partners_of, &without).len();
-        let mut values = ColumnBuilder::new(geometry.visibility.triangles.kept())?;
+        let mut values = ColumnBuilder::new(geometry.visibility.triangles.storage())?;
         let (mut hasher, mut block) = (blake3::Hasher::new(), vec![0; BLOCK]);
         while left > 0 {
             let block = &mut block[..left.min(BLOCK)];

@@ -45,7 +45,7 @@ pub(super) fn samples(
     };
     let keep = match visibility.triangles.len() as u64 * STACK as u64 > most_samples {
         true => Storage::Disk,
-        false => visibility.triangles.kept(),
+        false => visibility.triangles.storage(),
     };
     let samples = visibility.column_kept(keep, || (), of_view)?;
     let mut by_view: Vec<Option<ImageError>> = scene.view_indices().map(|_| None).collect();

@@ -1,7 +1,7 @@
-//! Method 7.4: do the pictures agree on the surface? Asked before anything is matched, and nothing is learnt.
+//! Photometric confidence (method 7.4): agreement of the pictures on the surface, computed before anything is matched and without training.
 //!
-//! Each view samples its picture at fixed places of every triangle that it sees. Where the samples of two views correlate, a backend will find the match
-//! too; where they don't (no texture, leaves, gloss, a wrong surface), it won't.
+//! Each view samples its picture at fixed positions of every triangle that it sees. Where the samples of two views correlate, a backend finds the match
+//! too; where they don't (no texture, leaves, gloss, a wrong surface), it does not.
 
 mod cache;
 mod compare;
@@ -26,16 +26,16 @@ use crate::{
     model::scene::ViewIndex,
 };
 
-/// How a correlation becomes a chance (method 7.4); first guesses that held on nine scenes.
+/// Mapping of correlation to probability (method 7.4); initial guesses, confirmed on nine scenes.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct Photometric {
-    /// Chance of a match where the pictures agree.
+    /// Probability of a match where the pictures agree.
     pub p0: f64,
-    /// Correlation from which they do.
+    /// Correlation from which the pictures count as in full agreement.
     pub full: f64,
 }
 
-/// Least share of `p0`, where the pictures don't agree at all: matchers look elsewhere along the ray.
+/// Smallest share of `p0`, for pictures that don't agree at all: matchers also search elsewhere along the ray.
 const LEAST: f64 = 0.02;
 
 impl Default for Photometric {
@@ -45,7 +45,7 @@ impl Default for Photometric {
 }
 
 impl Photometric {
-    /// p_i of a pair at a triangle, 0 to 1: `p0 clip(correlation / full, 0.02, 1)`; 0 where the two pictures don't show a patch of it.
+    /// p_i of a pair at a triangle, 0 to 1: `p0 clip(correlation / full, 0.02, 1)`; 0 if the two pictures show no common patch of it.
     pub fn chance(&self, agreement: u8) -> f64 {
         match correlated(agreement) {
             Some(correlation) => self.p0 * (correlation / self.full).clamp(LEAST, 1.0),
@@ -54,10 +54,10 @@ impl Photometric {
     }
 }
 
-/// Steps of a correlation from 0 to 1.
+/// Quantisation steps of a correlation from 0 to 1.
 const STEPS: f32 = 254.0;
 
-/// 0: not seen by both; else 1 + the correlation in [`STEPS`], 0 if it is negative.
+/// 0: not visible in both; else 1 + the correlation in [`STEPS`], clamped at 0.
 fn packed(correlation: Option<f32>) -> u8 {
     correlation.map_or(0, |correlation| 1 + (correlation.clamp(0.0, 1.0) * STEPS).round() as u8)
 }
@@ -66,41 +66,41 @@ fn correlated(agreement: u8) -> Option<f64> {
     agreement.checked_sub(1).map(|steps| f64::from(steps) / f64::from(STEPS))
 }
 
-/// How well the pictures of pairs of views agree on each triangle that the key view sees.
+/// Agreement of pairs of pictures on each triangle that the key view sees.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Agreement {
-    /// By key view: where its values begin, and its rows of visibility.
+    /// By key view: start of its values, and its rows of visibility.
     keys: Vec<(usize, usize)>,
-    /// Partners of each key view, in the order of their values: CSR by view.
+    /// Partners of each key view, in the order of their values; CSR by view.
     pub offsets: Vec<usize>,
     pub partners: Vec<ViewIndex>,
-    /// By view: whether its picture was compared.
+    /// By view: true if its picture was compared.
     compared: Vec<bool>,
-    /// By key view, by partner, by row of the key view: 0 where the pictures do not both show a patch, else 1 + 254 times the correlation.
+    /// By key view, then partner, then row of the key view: 0 if the pictures share no patch, else 1 + 254 times the correlation.
     pub values: Arc<Column<u8>>,
-    /// Pictures that cannot be used, in words.
+    /// A sentence for each picture that cannot be used.
     pub warnings: Vec<String>,
-    /// The first bytes of [`AGREEMENT_CACHE`], which the values follow; `None` where that file holds this table, or a picture has no time of change.
+    /// Header of [`AGREEMENT_CACHE`], to be followed by the values; `None` if that file already holds this table, or a picture has no modification time.
     pub cache_head: Option<Vec<u8>>,
 }
 
-/// What is known of the pictures of a pair.
+/// Agreement of a pair, or why there is none.
 pub enum PairAgreement<'a> {
-    /// A value for each row of the key view.
+    /// One value for each row of the key view.
     Compared(&'a [u8]),
-    /// The backend is not expected to match the pair, which was not compared: only clusters made elsewhere have such pairs.
+    /// Not compared, because the backend is not expected to match the pair; occurs only in clusters of other origin.
     NoCandidate,
-    /// One of the two has no usable picture.
+    /// One of the two views has no usable picture.
     NoPicture,
 }
 
-/// The table of a plan that compares no pictures.
+/// Returns the table of a plan that compares no pictures.
 #[cfg(test)]
 pub static NO_AGREEMENT: std::sync::LazyLock<Agreement> = std::sync::LazyLock::new(Agreement::default);
 
 impl Agreement {
-    /// Compares the picture of each view with those of its partners, or reads what an earlier plan found in the same pictures on the same surface.
-    /// Views without a usable picture have no values. `most_samples`: bytes of samples that memory may hold; more are kept on disk.
+    /// Compares the picture of each view with those of its partners, or reads the result of an earlier plan for the same pictures and surface.
+    /// Views without a usable picture have no values. `most_samples`: limit on samples in memory, bytes; beyond it they are stored on disk.
     pub fn new<'p>(
         geometry: &Geometry,
         pictures: &Pictures,
@@ -129,7 +129,7 @@ impl Agreement {
         Ok(table)
     }
 
-    /// The table without its values; `without`: by view, whether there is no usable picture.
+    /// Builds a table without values; `without`: by view, true if it has no usable picture.
     fn laid_out<'p>(geometry: &Geometry, partners_of: impl Fn(ViewIndex) -> &'p [ViewIndex], without: &[bool]) -> Self {
         let has_picture = |view: &ViewIndex| !without[view.index()];
         let compared = without.iter().map(|without| !without).collect();
@@ -161,7 +161,7 @@ impl Agreement {
         }
     }
 
-    /// The agreement of a pair on each triangle that the key view sees, in the order of its rows.
+    /// Returns the agreement of a pair on each triangle that the key view sees, in the order of its rows.
     pub fn of_pair(&self, key: ViewIndex, partner: ViewIndex) -> PairAgreement<'_> {
         let is_compared = |view: ViewIndex| self.compared.get(view.index()).is_some_and(|&compared| compared);
         if !is_compared(key) || !is_compared(partner) {
@@ -180,12 +180,12 @@ impl Agreement {
         self.partners.is_empty()
     }
 
-    /// Gives back memory that can be read again.
+    /// Lets the operating system drop pages of a table on disk; they are read again when needed.
     pub fn release(&self) {
         self.values.release();
     }
 
-    /// Bytes that it holds of this process's memory.
+    /// Returns the table's heap memory, bytes.
     pub fn bytes(&self) -> usize {
         self.values.bytes() + 4 * self.partners.len()
     }

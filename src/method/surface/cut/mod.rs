@@ -22,7 +22,7 @@ const STEPS_PER_CHECK: usize = 1 << 15;
 
 /// The cut of least capacity; among several the one with the fewest cells outside.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Cut {
+pub struct MinCut {
     /// Its capacity.
     pub flow: u64,
     /// Per cell: on the source's side?
@@ -47,26 +47,26 @@ pub struct Capacities {
 ///
 /// # Panics
 /// When the two slices differ in length.
-pub fn minimum_cut(cells: &[Cell], capacities: &[Capacities], watcher: &dyn Watcher) -> Result<Cut, Cancelled> {
+pub fn minimum_cut(cells: &[Cell], capacities: &[Capacities], watcher: &dyn Watcher) -> Result<MinCut, Cancelled> {
     assert_eq!(cells.len(), capacities.len(), "one set of capacities per cell");
     let mut search = Search::new(cells, capacities, watcher)?;
     search.run()?;
-    Ok(Cut { flow: search.flow, outside: search.reachable()? })
+    Ok(MinCut { flow: search.flow, outside: search.reachable()? })
 }
 
 /// The two trees; also the index of the residuals that the tree grows along.
 #[derive(Clone, Copy, PartialEq, Eq)]
 #[repr(u8)]
-enum Tree {
+enum SearchTree {
     Source,
     Sink,
     None,
 }
 
-use Tree::{Sink, Source};
+use SearchTree::{Sink, Source};
 
-impl Tree {
-    fn other(self) -> Tree {
+impl SearchTree {
+    fn other(self) -> SearchTree {
         if self == Source { Sink } else { Source }
     }
 }
@@ -85,7 +85,7 @@ struct Node {
     excess: i64,
     /// Distance to the root's terminal in arcs.
     level: u32,
-    tree: Tree,
+    tree: SearchTree,
     /// Slot of the parent, [`ROOT`] or [`ORPHAN`].
     parent: u8,
 }
@@ -103,7 +103,7 @@ struct Search<'a> {
     orphans: Vec<Vec<u32>>,
     orphan_count: usize,
     /// The tree that is growing.
-    growing: Tree,
+    growing: SearchTree,
     /// Nodes touched since the last question to the watcher.
     steps: usize,
 }
@@ -123,9 +123,9 @@ impl<'a> Search<'a> {
             let tree = match excess.signum() {
                 1 => Source,
                 -1 => Sink,
-                _ => Tree::None,
+                _ => SearchTree::None,
             };
-            if tree != Tree::None {
+            if tree != SearchTree::None {
                 frontier[tree as usize].push(index as u32);
             }
             let residual = [own.facets.map(|c| c.min(MAX_CAPACITY)), back];
@@ -173,7 +173,7 @@ impl<'a> Search<'a> {
     }
 
     /// Takes the free neighbours of a frontier node into its tree and pushes flow over arcs that meet the other one.
-    fn scan(&mut self, index: u32, tree: Tree) -> Result<(), Cancelled> {
+    fn scan(&mut self, index: u32, tree: SearchTree) -> Result<(), Cancelled> {
         let level = self.level[tree as usize];
         let mut slot = 0;
         while slot < 4 {
@@ -191,7 +191,7 @@ impl<'a> Search<'a> {
                 self.augment(Facet::new(index, slot), tree)?;
                 continue;
             }
-            if other.tree == Tree::None {
+            if other.tree == SearchTree::None {
                 other.tree = tree;
                 other.level = level;
                 other.parent = beyond.index() as u8;
@@ -203,7 +203,7 @@ impl<'a> Search<'a> {
     }
 
     /// Pushes what the path through an arc between the trees can take; `arc` as seen from its end in `tree`.
-    fn augment(&mut self, arc: Facet, tree: Tree) -> Result<(), Cancelled> {
+    fn augment(&mut self, arc: Facet, tree: SearchTree) -> Result<(), Cancelled> {
         let beyond = self.nodes[arc.cell() as usize].neighbours[arc.index()];
         let amount = self.nodes[arc.cell() as usize].residual[tree as usize][arc.index()]
             .min(self.bottleneck(arc.cell()))
@@ -231,7 +231,7 @@ impl<'a> Search<'a> {
     }
 
     /// Moves flow over an arc that `along` grows along.
-    fn push(&mut self, arc: Facet, along: Tree, amount: u32) {
+    fn push(&mut self, arc: Facet, along: SearchTree, amount: u32) {
         let (there, back) = (along as usize, along.other() as usize);
         let node = &mut self.nodes[arc.cell() as usize];
         node.residual[there][arc.index()] -= amount;
@@ -243,7 +243,7 @@ impl<'a> Search<'a> {
     }
 
     /// Moves flow over the tree's arcs between a node and the terminal; nodes cut off become orphans.
-    fn push_to_root(&mut self, mut index: u32, tree: Tree, amount: u32) {
+    fn push_to_root(&mut self, mut index: u32, tree: SearchTree, amount: u32) {
         loop {
             self.steps += 1;
             let node = &mut self.nodes[index as usize];
@@ -277,7 +277,7 @@ impl<'a> Search<'a> {
     }
 
     /// Finds new places for all orphans, those nearest to the terminal first.
-    fn adopt(&mut self, tree: Tree) -> Result<(), Cancelled> {
+    fn adopt(&mut self, tree: SearchTree) -> Result<(), Cancelled> {
         let mut level = 1;
         while self.orphan_count > 0 {
             while let Some(index) = self.orphans[level].pop() {
@@ -290,7 +290,7 @@ impl<'a> Search<'a> {
         Ok(())
     }
 
-    fn find_parent(&mut self, index: u32, tree: Tree) {
+    fn find_parent(&mut self, index: u32, tree: SearchTree) {
         let node = self.nodes[index as usize];
         let mut lowest = (self.level[tree as usize], ORPHAN);
         for (slot, beyond) in node.neighbours.into_iter().enumerate() {
@@ -312,7 +312,7 @@ impl<'a> Search<'a> {
         let node = &mut self.nodes[index as usize];
         node.parent = parent;
         if parent == ORPHAN {
-            node.tree = Tree::None;
+            node.tree = SearchTree::None;
         } else if below + 1 > node.level {
             node.level = below + 1;
             if node.level == self.level[tree as usize] {

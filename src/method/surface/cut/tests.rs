@@ -1,5 +1,5 @@
 use super::*;
-use crate::base::progress::{Stage, Unwatched};
+use crate::base::progress::{NoWatcher, Stage};
 use crate::method::surface::delaunay::Delaunay;
 use nalgebra::Point3;
 use proptest::prelude::*;
@@ -14,7 +14,7 @@ fn instance(points: usize, density: u64, widest: u64, seed: u64) -> (Vec<Cell>, 
     let mut random = Pcg64Mcg::seed_from_u64(seed);
     let mut below = |bound: u64| random.next_u64() % bound;
     let points: Vec<_> = (0..points).map(|_| Point3::from([(); 3].map(|()| below(1 << 20) as f64))).collect();
-    let cells = Delaunay::triangulate(&points, &Unwatched).expect("random points").cells;
+    let cells = Delaunay::triangulate(&points, &NoWatcher).expect("random points").cells;
     let capacities = cells
         .iter()
         .map(|_| Capacities {
@@ -26,8 +26,8 @@ fn instance(points: usize, density: u64, widest: u64, seed: u64) -> (Vec<Cell>, 
     (cells, capacities)
 }
 
-fn found(cells: &[Cell], capacities: &[Capacities]) -> Cut {
-    minimum_cut(cells, capacities, &Unwatched).expect("not cancelled")
+fn found(cells: &[Cell], capacities: &[Capacities]) -> MinCut {
+    minimum_cut(cells, capacities, &NoWatcher).expect("not cancelled")
 }
 
 /// Dinic's algorithm on a list of arcs with explicit terminals: slow and plain.
@@ -94,13 +94,13 @@ impl Dinic {
         0
     }
 
-    fn cut(mut self) -> Cut {
+    fn cut(mut self) -> MinCut {
         let (source, sink) = (self.out.len() - 2, self.out.len() - 1);
         let mut flow = 0;
         loop {
             let levels = self.levels(source);
             if levels[sink] == usize::MAX {
-                return Cut { flow, outside: levels[..source].iter().map(|&level| level != usize::MAX).collect() };
+                return MinCut { flow, outside: levels[..source].iter().map(|&level| level != usize::MAX).collect() };
             }
             let mut next = vec![0; self.out.len()];
             while let pushed @ 1.. = self.push(source, sink, u64::MAX, &levels, &mut next) {
@@ -143,7 +143,7 @@ fn agrees_with_dinic() {
 #[test]
 fn flow_is_conserved() {
     let (cells, capacities) = instance(400, 20, 200, 9);
-    let mut search = Search::new(&cells, &capacities, &Unwatched).expect("not cancelled");
+    let mut search = Search::new(&cells, &capacities, &NoWatcher).expect("not cancelled");
     search.run().expect("not cancelled");
     let mut terminals = 0;
     for (node, own) in search.nodes.iter().zip(&capacities) {
@@ -165,11 +165,11 @@ fn flow_is_conserved() {
 #[test]
 fn no_evidence_leaves_everything_inside() {
     let (cells, mut capacities) = instance(50, 0, 10, 1);
-    assert_eq!(found(&cells, &capacities), Cut { flow: 0, outside: vec![false; cells.len()] });
+    assert_eq!(found(&cells, &capacities), MinCut { flow: 0, outside: vec![false; cells.len()] });
     capacities[3].source = 5;
     let cut = found(&cells, &capacities);
     assert_eq!((cut.flow, cut.outside[3]), (0, true));
-    assert_eq!(found(&[], &[]), Cut { flow: 0, outside: vec![] });
+    assert_eq!(found(&[], &[]), MinCut { flow: 0, outside: vec![] });
 }
 
 /// The largest capacities neither overflow nor lose anything.

@@ -3,7 +3,7 @@ use super::predicates::{collinear, in_sphere, orient};
 use super::ray::{Crossing, Ray};
 use super::validate::Flaw;
 use super::*;
-use crate::base::progress::Unwatched;
+use crate::base::progress::NoWatcher;
 use proptest::prelude::*;
 use rand_core::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
@@ -12,7 +12,7 @@ use std::collections::BTreeSet;
 use std::sync::atomic::{AtomicU32, Ordering};
 
 fn triangulated(points: &[Point3<f64>]) -> Delaunay {
-    let delaunay = Delaunay::triangulate(points, &Unwatched).expect("valid input");
+    let delaunay = Delaunay::triangulate(points, &NoWatcher).expect("valid input");
     assert_eq!(delaunay.validate(), Ok(()));
     for (point, &vertex) in points.iter().zip(&delaunay.vertex_of_point) {
         let distance = (delaunay.position(vertex) - point).amax();
@@ -153,7 +153,7 @@ fn coordinates_of_any_magnitude() {
         let points: Vec<_> =
             whole_points(50, 1 << 16, 5).iter().map(|p| (p - Point3::new(3e4, 3e4, 3e4)) * scale).collect();
         let points: Vec<_> = points.into_iter().map(Point3::from).collect();
-        let delaunay = Delaunay::triangulate(&points, &Unwatched).expect("finite points");
+        let delaunay = Delaunay::triangulate(&points, &NoWatcher).expect("finite points");
         assert_eq!(delaunay.validate(), Ok(()));
         // Below the smallest step everything falls together.
         assert_eq!(delaunay.dimension, if scale < 1e-309 { Dimension::Zero } else { Dimension::Three }, "{scale}");
@@ -165,7 +165,7 @@ fn refuses_what_is_no_point() {
     for bad in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
         let mut points = whole_points(10, 100, 6);
         points[7].y = bad;
-        let refused = Delaunay::triangulate(&points, &Unwatched);
+        let refused = Delaunay::triangulate(&points, &NoWatcher);
         assert!(matches!(refused, Err(DelaunayError::NotFinite { point: 7 })));
     }
 }
@@ -178,7 +178,7 @@ fn quadratic_size_is_refused() {
     };
     let few = triangulated(&lines(50));
     assert_eq!(few.cells.iter().filter(|cell| cell.vertices[3] != INFINITE).count(), 49 * 49);
-    let refused = Delaunay::triangulate(&lines(1100), &Unwatched);
+    let refused = Delaunay::triangulate(&lines(1100), &NoWatcher);
     assert!(matches!(refused, Err(DelaunayError::TooManyCells { vertices: 2200, .. })));
 }
 

@@ -7,7 +7,7 @@ use crate::{base::error::Hint, model::reason::Reason};
 
 /// The plan chooses no cluster.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum Nothing {
+pub enum EmptyPlan {
     /// No view cluster fulfils anything; `reason` holds for `of` of `views` views, more than any other.
     #[error("no view cluster fulfils anything; most common reason ({of} of {views} views): {}", reason.words())]
     Fulfilled { reason: Reason, of: usize, views: usize, cure: Option<String> },
@@ -16,9 +16,9 @@ pub enum Nothing {
     Allowed { ranked: usize, limits: String },
 }
 
-impl Nothing {
+impl EmptyPlan {
     /// Checks whether the plan chooses nothing; `None` if it chooses at least one cluster.
-    pub fn of(plan: &Plan) -> Option<Self> {
+    pub fn detect(plan: &Plan) -> Option<Self> {
         let ranked = plan.decision.ranking.order.len();
         match plan.decision.cut.clusters {
             0 if ranked == 0 => Some(Self::nothing_fulfilled(plan)),
@@ -65,7 +65,7 @@ fn limits(plan: &Plan) -> String {
     set.into_iter().flatten().collect::<Vec<_>>().join(", ")
 }
 
-impl Hint for Nothing {
+impl Hint for EmptyPlan {
     fn hint(&self) -> Option<String> {
         Some(match self {
             Self::Fulfilled { cure: Some(cure), .. } => cure.clone(),

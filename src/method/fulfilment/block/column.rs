@@ -1,0 +1,145 @@
+//! A partner's column of a block: the information that its pixels add about each triangle, and its pair confidence.
+
+use nalgebra::{Matrix2x3, Matrix3, Vector3};
+
+use super::{
+    super::{
+        Model,
+        lanes::{LANES, Lanes, PartnerLanes},
+    },
+    Block, TriangleLanes, frame,
+    pair_confidence::{geometric, trained},
+};
+use crate::{
+    base::vector::Kernel,
+    method::confidence::Confidence,
+    model::{camera::Camera, scene::ViewIndex},
+};
+
+/// The partner's camera relative to the key view.
+pub(super) struct PartnerView<'a> {
+    camera: &'a Camera,
+    /// Camera from world.
+    rotation: Matrix3<f64>,
+    /// Vector from the key view's centre to the partner's, scene units.
+    baseline: [f64; 3],
+}
+
+impl<'a> PartnerView<'a> {
+    pub(super) fn new(model: &Model<'a>, key: ViewIndex, partner: ViewIndex) -> Self {
+        let [key, pose] = [key, partner].map(|v| model.scene.view(v).cam_from_world);
+        let baseline = pose.centre() - key.centre();
+        Self { camera: model.scene.camera_of(partner), rotation: *pose.rotation.matrix(), baseline: baseline.into() }
+    }
+
+    /// Returns the two rows of the Jacobian in the world frame, pixels of the model's image per scene unit. `rays`: from the partner's centre.
+    #[inline(always)]
+    fn jacobians(&self, rays: &[[f64; LANES]; 3], sees: &[bool; LANES]) -> [[[f64; LANES]; 3]; 2] {
+        if self.camera.is_pinhole() { self.pinhole_jacobians(rays) } else { self.any_jacobians(rays, sees) }
+    }
+
+    #[inline(always)]
+    fn pinhole_jacobians(&self, rays: &[[f64; LANES]; 3]) -> [[[f64; LANES]; 3]; 2] {
+        let (focal, _) = self.camera.pinhole_part();
+        let r = &self.rotation;
+        let mut rows = [[[0.0; LANES]; 3]; 2];
+        for i in 0..LANES {
+            let ray = [rays[0][i], rays[1][i], rays[2][i]];
+            let along = |axis: usize| r[(axis, 0)] * ray[0] + r[(axis, 1)] * ray[1] + r[(axis, 2)] * ray[2];
+            let inverse = 1.0 / along(2);
+            let (x, y) = (along(0) * inverse, along(1) * inverse);
+            for c in 0..3 {
+                rows[0][c][i] = focal.x * inverse * (r[(0, c)] - x * r[(2, c)]);
+                rows[1][c][i] = focal.y * inverse * (r[(1, c)] - y * r[(2, c)]);
+            }
+        }
+        rows
+    }
+
+    fn any_jacobians(&self, rays: &[[f64; LANES]; 3], sees: &[bool; LANES]) -> [[[f64; LANES]; 3]; 2] {
+        let mut rows = [[[0.0; LANES]; 3]; 2];
+        for i in (0..LANES).filter(|&i| sees[i]) {
+            let ray = self.rotation * Vector3::new(rays[0][i], rays[1][i], rays[2][i]);
+            let projected = self.camera.project_with_jacobian(&ray.into());
+            let jacobian = projected.map_or_else(Matrix2x3::zeros, |p| p.1) * self.rotation;
+            for (row, c) in [(0, 0), (0, 1), (0, 2), (1, 0), (1, 1), (1, 2)] {
+                rows[row][c][i] = jacobian[(row, c)];
+            }
+        }
+        rows
+    }
+}
+
+pub(super) struct Column<'b, 'a> {
+    pub(super) block: &'b Block<'a>,
+    pub(super) view: PartnerView<'a>,
+    pub(super) partner: usize,
+    pub(super) groups: usize,
+    /// The groups computed so far; `run` appends.
+    pub(super) column: &'b mut Vec<PartnerLanes>,
+}
+
+impl Kernel for Column<'_, '_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let (sees, unary) = (&self.block.sees[self.partner], &self.block.unary[self.partner]);
+        for group in self.column.len()..self.groups {
+            // Arrays of known length: without bounds checks, the loops over lanes become vector instructions.
+            let sees: &[bool; LANES] = sees[group * LANES..].first_chunk().expect("padded to whole lanes");
+            if !sees.contains(&true) {
+                self.column.push(PartnerLanes::EMPTY);
+                continue;
+            }
+            let unary = unary.get(group * LANES..).and_then(|rest| rest.first_chunk()).unwrap_or(&[1.0; LANES]);
+            self.column.push(self.group(&self.block.triangles[group], sees, unary));
+        }
+    }
+}
+
+impl Column<'_, '_> {
+    #[inline(always)]
+    fn group(&self, triangles: &TriangleLanes, sees: &[bool; LANES], unary: &Lanes) -> PartnerLanes {
+        let mut rays = triangles.ray;
+        for (axis, shift) in rays.iter_mut().zip(self.view.baseline) {
+            axis.iter_mut().for_each(|x| *x -= shift);
+        }
+        let jacobians = self.view.jacobians(&rays, sees);
+        let mut out = PartnerLanes::EMPTY;
+        for i in 0..LANES {
+            let axes = frame([triangles.ray[0][i], triangles.ray[1][i], triangles.ray[2][i]]);
+            let scale = triangles.scale[i];
+            let along = |row: &[[f64; LANES]; 3], axis: &[f64; 3]| {
+                (row[0][i] * axis[0] + row[1][i] * axis[1] + row[2][i] * axis[2]) * scale
+            };
+            let u = [along(&jacobians[0], &axes[0]), along(&jacobians[0], &axes[1]), along(&jacobians[0], &axes[2])];
+            let v = [along(&jacobians[1], &axes[0]), along(&jacobians[1], &axes[1]), along(&jacobians[1], &axes[2])];
+            let product = |a: usize, b: usize| (u[a] * u[b] + v[a] * v[b]) as f32;
+            let values = [product(0, 0), product(0, 1), product(1, 1), product(0, 2), product(1, 2), product(2, 2)];
+            for (component, value) in out.information.iter_mut().zip(values) {
+                component[i] = if sees[i] { value } else { 0.0 };
+            }
+        }
+        let chances = match &self.block.model.rule.confidence {
+            Confidence::None => [1.0; LANES],
+            Confidence::Paper { .. } => [1.0; LANES],
+            Confidence::Photometric { .. } if self.block.agreed[self.partner] => [1.0; LANES],
+            Confidence::Pair(numbers) | Confidence::Photometric { otherwise: numbers, .. } => {
+                geometric(numbers, triangles, &rays)
+            }
+            Confidence::Trained(curves) => trained(curves, triangles, &rays, unary, sees),
+        };
+        let factors =
+            if matches!(self.block.model.rule.confidence, Confidence::Trained(_)) { &[1.0; LANES] } else { unary };
+        // Separate loops: merged, they would compile to a branch per triangle.
+        out.sees = sees.map(|sees| f32::from(u8::from(sees)));
+        for i in 0..LANES {
+            out.confidence[i] = chances[i] * factors[i];
+        }
+        for i in 0..LANES {
+            out.confidence[i] = if out.sees[i] > 0.0 { out.confidence[i] } else { 0.0 };
+        }
+        out
+    }
+}

@@ -1,0 +1,79 @@
+//! Pair confidence (method 7.2 and 7.3) of [`LANES`] triangles at a time.
+
+use nalgebra::Vector3;
+
+use super::{
+    super::lanes::{LANES, Lanes, angle_of_chord, exp2, log2},
+    TriangleLanes,
+};
+use crate::method::confidence::{Constellation, PairConfidence, PairCurves, trees::logistic};
+
+/// Returns [`Confidence::pair`] of a trained confidence. `rays`: from the partner's centre to the centroids; `odds`: the partner's log odds.
+///
+/// [`Confidence::pair`]: crate::method::confidence::Confidence::pair
+pub(super) fn trained(
+    curves: &PairCurves,
+    triangles: &TriangleLanes,
+    rays: &[[f64; LANES]; 3],
+    odds: &[f32],
+    sees: &[bool],
+) -> Lanes {
+    let mut chances = [0.0; LANES];
+    for i in (0..LANES).filter(|&i| sees[i]) {
+        let at = |v: &[[f64; LANES]; 3]| Vector3::new(v[0][i], v[1][i], v[2][i]);
+        let (key, own) = (at(&triangles.ray), at(rays));
+        let normal = triangles.normal.map(|axis| f64::from(axis[i]));
+        let constellation = Constellation {
+            cos_key: f64::from(triangles.cosine[i]),
+            cos_partner: -Vector3::from(normal).dot(&own) / own.norm(),
+            octaves: (own.norm() / key.norm()).log2(),
+            angle_deg: key.angle(&own).to_degrees(),
+        };
+        chances[i] = logistic(curves.odds(&constellation.numbers()) + odds[i]);
+    }
+    chances
+}
+
+/// Returns [`PairConfidence::confidence`], relative error below 1e-6. `rays`: from the partner's centre to the centroids.
+#[inline(always)]
+pub(super) fn geometric(numbers: &PairConfidence, triangles: &TriangleLanes, rays: &[[f64; LANES]; 3]) -> Lanes {
+    let mut chance = [numbers.p0 as f32; LANES];
+    let squared = |v: &[[f64; LANES]; 3], i: usize| v[0][i] * v[0][i] + v[1][i] * v[1][i] + v[2][i] * v[2][i];
+    let (mut cosines, mut ratios, mut chords) = ([0.0f32; LANES], [0.0f32; LANES], [0.0f32; LANES]);
+    for i in 0..LANES {
+        let (key, own) = (squared(&triangles.ray, i), squared(rays, i));
+        let (to_key, to_own) = (1.0 / key.sqrt(), 1.0 / own.sqrt());
+        let (mut dot, mut chord) = (0.0, 0.0);
+        for ((normal, key_ray), ray) in triangles.normal.iter().zip(&triangles.ray).zip(rays) {
+            dot -= f64::from(normal[i]) * ray[i];
+            let apart = key_ray[i] * to_key - ray[i] * to_own;
+            chord += apart * apart;
+        }
+        let cosine = (dot * to_own) as f32;
+        cosines[i] = if cosine < triangles.cosine[i] { cosine } else { triangles.cosine[i] };
+        ratios[i] = (own / key) as f32;
+        chords[i] = chord as f32;
+    }
+    let power = numbers.cosine_power as f32;
+    for i in 0..LANES {
+        // Visible triangles face the camera; the results of the others are discarded.
+        let cosine = if cosines[i] > 1e-6 { cosines[i] } else { 1e-6 };
+        chance[i] *= if power == 1.0 { cosine } else { exp2(power * log2(cosine)) };
+    }
+    if let Some(octaves) = numbers.scale_octaves {
+        // exp(-x^2 / 2) as a power of 2, where x is half the log2 of the squared ratio, divided by `octaves`.
+        let factor = (-0.125 * std::f64::consts::LOG2_E / (octaves * octaves)) as f32;
+        for i in 0..LANES {
+            let twice = log2(if ratios[i] > 1e-30 { ratios[i] } else { 1e-30 });
+            chance[i] *= exp2(factor * twice * twice);
+        }
+    }
+    if let Some(degrees) = numbers.full_angle_deg {
+        let per_full = (1.0 / degrees.to_radians()) as f32;
+        for i in 0..LANES {
+            let share = angle_of_chord(chords[i]) * per_full;
+            chance[i] *= if share < 1.0 { share } else { 1.0 };
+        }
+    }
+    chance.map(|c| if c > 0.0 { if c < 1.0 { c } else { 1.0 } } else { 0.0 })
+}
