@@ -35,7 +35,7 @@ fn main() -> Fallible<()> {
         _ => return Err("give PROJECT DEPTH_MAPS CLUSTERS REFERENCE".into()),
     };
     let project = Project::open(Path::new(project), None)?;
-    let files = Files { user: None, project: Some(project.root.join("viewrank.toml")) };
+    let files = Files { user: None, root: None, project: Some(project.root.join("viewrank.toml")) };
     let mut settings = Configuration::load(&files, CommandLineSettings::default(), backends::canonical_name)?.settings;
     settings.backends = vec!["sgm".into()];
     settings.confidence.source = "geometric".into();

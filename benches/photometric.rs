@@ -30,7 +30,7 @@ fn main() -> Fallible<()> {
         [project] => Project::open(Path::new(project), None)?,
         _ => return Err("give PROJECT".into()),
     };
-    let files = Files { user: None, project: Some(project.root.join("viewrank.toml")) };
+    let files = Files { user: None, root: None, project: Some(project.root.join("viewrank.toml")) };
     let mut settings = Configuration::load(&files, CommandLineSettings::default(), backends::canonical_name)?.settings;
     settings.confidence.source = "geometric".into();
     let plan = backends::plan(&project, &settings, &NoWatcher)?;

@@ -18,15 +18,15 @@ fn main() -> Result<(), Box<dyn Error>> {
     let [project, depth_maps] = &arguments[..] else { return Err("usage: evaluate PROJECT DEPTH_MAPS".into()) };
 
     // The manifest has no tables, so they are computed again with its settings.
-    let (_, plan) = replan::as_written(project, &Unwatched)?;
+    let (_, plan) = replan::as_written(project, &NoWatcher)?;
     let clusters: Vec<_> = plan.chosen().cloned().collect();
 
     // Without reference depth maps, every depth counts as correct.
     let input = EvaluationInput::new(&plan.stages, &clusters, depth_maps, None);
-    let measured = MeasuredClusters::new(&input, &Unwatched)?;
+    let measured = MeasuredClusters::new(&input, &NoWatcher)?;
 
     let so_far = MeasuredProgress::new(&plan.stages, &measured);
-    let options = EvaluationOptions { objective: &plan.stages.objective, so_far, baselines: false };
+    let options = EvaluationOptions { objective: &plan.stages.objective, so_far, clouds: None, baselines: false };
     let model = plan.stages.model();
     let surface = MeasuredSurface::new(&model, &measured);
     let evaluation = Evaluation::new(&model, &measured, &surface, &options, &NoWatcher)?;

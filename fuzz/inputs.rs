@@ -108,7 +108,7 @@ fn read_trained(data: &[u8]) -> bool {
 fn read_settings(data: &[u8]) -> bool {
     let file = tempfile::NamedTempFile::new().expect("a temporary file");
     std::fs::write(file.path(), data).expect("a temporary file");
-    let files = Files { user: None, project: Some(file.path().into()) };
+    let files = Files { user: None, root: None, project: Some(file.path().into()) };
     let Ok(configuration) = Configuration::load(&files, CommandLineSettings::default(), canonical_name) else {
         return false;
     };

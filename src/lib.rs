@@ -74,7 +74,7 @@ pub use model::{
     scene::{PointIndex, Pose, Scene, View, ViewIndex},
 };
 pub use plan::{
-    CurvePoint, Cut, Decision, Finished, Forecast, Matcher, Plan, PlanError, PlanningNumbers, Stages, Timings,
+    CurvePoint, Cut, Decision, FinishedMaps, Forecast, Matcher, Plan, PlanError, PlanningNumbers, Stages, Timings,
     ViewStatus, WorkPerMap,
 };
 pub use show::{files, manifest, pictures};

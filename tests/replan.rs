@@ -146,7 +146,7 @@ fn without_failures_the_rest_is_ranked_as_by_prediction_behind_the_real_values()
     assert_eq!(again.stages.fulfilment, table);
     let finished: Vec<_> = finished.iter().map(|&c| (c, MapScale::Full)).collect();
     let expected =
-        ranking::rank_after(&finished, &ranking::Maps::full_size(&table), &before.stages.objective, &Unwatched)
+        ranking::rank_after(&finished, &ranking::Maps::full_size(&table), &before.stages.objective, &NoWatcher)
             .unwrap();
     assert_eq!(again.decision.ranking, expected);
 }
@@ -455,8 +455,8 @@ fn the_same_maps_reach_the_same_share_wherever_it_is_shown() {
     let clusters: Vec<_> =
         plan.decision.ranking.order.iter().map(|&c| plan.stages.clusters[c as usize].clone()).collect();
     let maps = planned.maps();
-    let run = MeasuredClusters::new(&EvaluationInput::new(&plan.stages, &clusters, &maps, None), &Unwatched).unwrap();
-    let of_evaluate = SoFar::new(&plan.stages, &run).share.unwrap();
+    let run = MeasuredClusters::new(&EvaluationInput::new(&plan.stages, &clusters, &maps, None), &NoWatcher).unwrap();
+    let of_evaluate = MeasuredProgress::new(&plan.stages, &run).share.unwrap();
 
     for (shown, share) in [("status", of_status), ("report", of_report), ("evaluate", of_evaluate)] {
         assert!((share - of_plan).abs() < 1e-9, "{shown}: {share}, plan: {of_plan}");

@@ -49,7 +49,7 @@ impl Model {
     ) -> PyResult<Self> {
         runner.run(py, |_| {
             let project = Project::open(&project, model.as_deref())?;
-            let project = Project { images: images.or(project.images.clone()), ..project };
+            let project = Project { images: images.map(Into::into).or(project.images.clone()), ..project };
             let scene = project.read_scene()?;
             Ok(Self(Arc::new(Held { project, scene, temporary: None })))
         })
@@ -78,7 +78,7 @@ impl Model {
                 output::replace(&path, format!("image_path={}\n", images.display()).as_bytes(), &Disk::REAL)?;
             }
             let project = Project::open(&folder, None)?;
-            let project = Project { images: images.or(project.images.clone()), ..project };
+            let project = Project { images: images.map(Into::into).or(project.images.clone()), ..project };
             let scene = project.read_scene()?;
             Ok(Self(Arc::new(Held { project, scene, temporary })))
         })
@@ -131,7 +131,7 @@ impl Model {
 
     #[getter]
     fn images(&self) -> Option<PathBuf> {
-        self.0.project.images.clone()
+        self.0.project.images.as_ref().map(|folder| folder.to_path_buf())
     }
 
     #[getter]

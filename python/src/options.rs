@@ -10,7 +10,7 @@ use pyo3::{
 use toml::Value;
 use viewrank::{
     Settings, backends,
-    config::{CONFIDENCE_WORDS, Configuration, Files, RegionChoice, Typed, user_file},
+    config::{CONFIDENCE_WORDS, CommandLineSettings, Configuration, Files, RegionChoice, user_file},
 };
 
 use crate::failure::Failure;
@@ -45,14 +45,14 @@ pub fn as_keywords(hint: &str) -> String {
 }
 
 /// The settings of the user's file, the project's file and the keywords, later ones first.
-pub fn load(root: &Path, typed: Typed) -> Result<Settings, Failure> {
-    let files = Files { user: user_file(), project: Some(root.join("viewrank.toml")) };
+pub fn load(root: &Path, typed: CommandLineSettings) -> Result<Settings, Failure> {
+    let files = Files { user: user_file(), root: None, project: Some(root.join("viewrank.toml")) };
     Ok(Configuration::load(&files, typed, backends::canonical_name)?.settings)
 }
 
 /// Takes the keywords of `plan()`, and a dictionary `settings` of other settings by key.
-pub fn typed(keywords: &Bound<'_, PyDict>) -> PyResult<Typed> {
-    let mut typed = Typed::default();
+pub fn typed(keywords: &Bound<'_, PyDict>) -> PyResult<CommandLineSettings> {
+    let mut typed = CommandLineSettings::default();
     for (name, value) in keywords {
         let name: String = name.extract()?;
         if value.is_none() {

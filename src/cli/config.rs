@@ -40,7 +40,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
 }
 
 /// Defaults, the user's file, the project's file, the command line. Wrong settings are a usage error.
-pub fn load(project: Option<&Path>, typed: Typed) -> Result<Configuration, Failure> {
+pub fn load(project: Option<&Path>, typed: CommandLineSettings) -> Result<Configuration, Failure> {
     let project = project.map(|folder| folder.join("viewrank.toml"));
     let files = Files { user: user_file(), root: None, project };
     Ok(Configuration::load(&files, typed, backends::canonical_name)?)
@@ -145,7 +145,7 @@ mod tests {
         std::fs::write(&user, "on_target = \"stop\"\nseed = 5\n[dispatch]\nsetup = \"module load colmap\"\n").unwrap();
         let configuration = Configuration::load(
             &Files { user: Some(user), ..Files::default() },
-            Typed::default(),
+            CommandLineSettings::default(),
             backends::canonical_name,
         )
         .unwrap();
@@ -158,7 +158,7 @@ mod tests {
         std::fs::write(&project, &text).unwrap();
         let again = Configuration::load(
             &Files { project: Some(project), ..Files::default() },
-            Typed::default(),
+            CommandLineSettings::default(),
             backends::canonical_name,
         )
         .unwrap();
@@ -178,7 +178,7 @@ mod tests {
         std::fs::write(&project, &text).unwrap();
         let of_project = Configuration::load(
             &Files { project: Some(project), ..Files::default() },
-            Typed::default(),
+            CommandLineSettings::default(),
             backends::canonical_name,
         );
         assert_eq!(of_project.unwrap().settings, configuration.settings, "and one that a project may have");

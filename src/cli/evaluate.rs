@@ -8,8 +8,8 @@ use std::{
 use crate::apps::replan;
 use crate::{
     apps::evaluate::{
-        self, CloudComparison, Compared, Evaluation, EvaluationInput, EvaluationOptions, MeasuredClusters,
-        MeasuredSurface, SoFar, clusters, orders,
+        self, CloudComparison, Comparison, Evaluation, EvaluationInput, EvaluationOptions, MeasuredClusters,
+        MeasuredProgress, MeasuredSurface, clusters, orders,
     },
     io::{
         output::{Contents, Disk, FileSet},
@@ -104,7 +104,7 @@ fn measure(
     let run = task(plan, &clusters, folder, arguments.reference.as_deref(), progress)?;
     let model = plan.stages.model();
     let reached = MeasuredSurface::new(&model, &run);
-    let so_far = SoFar::new(&plan.stages, &run);
+    let so_far = MeasuredProgress::new(&plan.stages, &run);
     let gsd = plan.stages.settings.target.gsd.expect("a plan's settings are filled in");
     let clouds = arguments.cloud.as_ref().zip(arguments.reference_cloud.as_ref());
     let clouds = clouds.map(|(cloud, reference)| CloudComparison::read(cloud, reference, gsd)).transpose()?;

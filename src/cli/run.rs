@@ -19,7 +19,7 @@ use crate::{
     },
     backends::{self, Backend, Selection, place},
     base::{platform, shell::quoted_path},
-    config::Typed,
+    config::CommandLineSettings,
     daemon::{follow, foreground::Foreground, state::Outcome},
     io::{output::Disk, project::Project},
     show::manifest::WrittenPlan,
@@ -127,8 +127,8 @@ impl Arguments {
     }
 
     /// Command-line options as settings; `backend`: the chosen one.
-    fn typed(&self, backend: Option<&str>) -> Typed {
-        let mut typed = Typed::default();
+    fn typed(&self, backend: Option<&str>) -> CommandLineSettings {
+        let mut typed = CommandLineSettings::default();
         let k = self.k.as_ref().map(|k| k.parse().map_or_else(|_| toml::Value::from(k.as_str()), toml::Value::Integer));
         let backend = backend.map(str::to_owned).or(self.backend.clone());
         typed.set("--backend", "backends", backend.map(|name| vec![name]));

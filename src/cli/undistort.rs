@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use crate::{
     apps::undistort::{self, Options, UndistortReport},
     base::shell::quoted_path,
-    config::Typed,
+    config::CommandLineSettings,
     io::{output::Disk, project::Project},
 };
 use clap::Args;
@@ -63,7 +63,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         return Err(Failure::new(super::Exit::Usage, message, "leave one of them out".to_owned()));
     }
     let project = Project::open_or_planned(&arguments.project, arguments.model.as_deref())?;
-    let images = config::load(Some(&project.root), Typed::default())?.settings.images;
+    let images = config::load(Some(&project.root), CommandLineSettings::default())?.settings.images;
     let project = project.with_images(arguments.images.as_deref().or(images.as_deref()));
     let out = arguments.out.clone().unwrap_or_else(|| project.home.join("dense"));
     let progress = Progress::new(arguments.quiet);

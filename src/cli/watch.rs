@@ -7,7 +7,7 @@ use crate::{
         error::Hint,
         platform::{self, Request},
     },
-    config::{self, Bytes, Typed},
+    config::{self, Bytes, CommandLineSettings},
     daemon::{Options, PlanJob, PlanOptions, Signal, platform as machine, state::OnBusy, watch_roots},
     io::output::Disk,
 };
@@ -110,8 +110,8 @@ pub fn run(arguments: Arguments) -> Result<(), Failure> {
 
 impl Arguments {
     /// Command-line options as settings, checked before anything is watched.
-    fn typed(&self) -> Result<Typed, Failure> {
-        let mut typed = Typed::default();
+    fn typed(&self) -> Result<CommandLineSettings, Failure> {
+        let mut typed = CommandLineSettings::default();
         let k = self.k.as_ref().map(|k| k.parse().map_or_else(|_| toml::Value::from(k.as_str()), toml::Value::Integer));
         typed.set("--backend", "backends", self.backend.clone());
         typed.set("-k", "partners.k", k);

@@ -379,9 +379,9 @@ pub enum ConfigError {
     #[error("{place}: {key} runs commands, so a project's file may not set it")]
     UserOnly { place: SettingLocation, key: String },
     #[error("{place}: {error}")]
-    Backend { place: Place, error: UnknownBackend },
+    Backend { place: SettingLocation, error: UnknownBackend },
     #[error("{place}: {key} = {value}: the model's unit of length is unknown")]
-    NotMetric { place: Place, key: String, value: String },
+    NotMetric { place: SettingLocation, key: String, value: String },
     #[error("{from}: {key} = {value}: {why}")]
     Value { from: Source, key: String, value: String, why: String },
 }
@@ -417,11 +417,11 @@ impl Hint for ConfigError {
     fn path(&self) -> Option<&Path> {
         match self {
             Self::Read { path, .. } => Some(path),
-            Self::Syntax { place: Place::File { path, .. }, .. }
-            | Self::UnknownKey { place: Place::File { path, .. }, .. }
-            | Self::UserOnly { place: Place::File { path, .. }, .. }
-            | Self::Backend { place: Place::File { path, .. }, .. }
-            | Self::Value { from: Source::Written(Place::File { path, .. }), .. } => Some(path),
+            Self::Syntax { place: SettingLocation::File { path, .. }, .. }
+            | Self::UnknownKey { place: SettingLocation::File { path, .. }, .. }
+            | Self::UserOnly { place: SettingLocation::File { path, .. }, .. }
+            | Self::Backend { place: SettingLocation::File { path, .. }, .. }
+            | Self::Value { from: Source::Written(SettingLocation::File { path, .. }), .. } => Some(path),
             _ => None,
         }
     }
@@ -445,7 +445,7 @@ mod tests {
     use crate::model::scene::Units;
 
     /// Loads a user's file, a project's file and command-line options.
-    fn load(user: &str, project: &str, typed: Typed) -> Result<Configuration, ConfigError> {
+    fn load(user: &str, project: &str, typed: CommandLineSettings) -> Result<Configuration, ConfigError> {
         let folder = tempfile::tempdir().unwrap();
         let write = |name: &str, text: &str| {
             let path = folder.path().join(name);
@@ -460,14 +460,14 @@ mod tests {
     }
 
     fn refused(project: &str) -> (String, String) {
-        let error = load("", project, Typed::default()).unwrap_err();
+        let error = load("", project, CommandLineSettings::default()).unwrap_err();
         let message = error.to_string();
         (message[message.find("project.toml").unwrap()..].to_owned(), error.hint().unwrap())
     }
 
     #[test]
     fn each_layer_covers_the_one_before_and_is_named() {
-        let mut typed = Typed::default();
+        let mut typed = CommandLineSettings::default();
         typed.set("--gsd", "target.gsd", Some(0.01));
         typed.set("-k", "partners.k", None::<i64>);
         let user = "units = \"metric\"\n[target]\ngsd = 0.03\naccuracy = 0.05\n";
@@ -488,7 +488,7 @@ mod tests {
         for text in
             ["\"partners.k\" = 2\n", "[partners]\nk = 3\n[\"partners.k\"]\n", "[partners]\n\"k.k\" = 2\n", "'' = 1\n"]
         {
-            let error = load("", text, Typed::default()).unwrap_err();
+            let error = load("", text, CommandLineSettings::default()).unwrap_err();
             assert!(matches!(error, ConfigError::UnknownKey { .. }), "{text}: {error}");
         }
         let (message, hint) = refused("seed = 1\n\"partners.k\" = 2\n");
@@ -498,9 +498,12 @@ mod tests {
 
     #[test]
     fn nothing_written_is_the_default() {
-        assert_eq!(load("", "", Typed::default()).unwrap(), Configuration::default());
+        assert_eq!(load("", "", CommandLineSettings::default()).unwrap(), Configuration::default());
         let none = Files { user: Some("/nowhere/viewrank.toml".into()), ..Files::default() };
-        assert_eq!(Configuration::load(&none, Typed::default(), canonical_name).unwrap().settings, Settings::default());
+        assert_eq!(
+            Configuration::load(&none, CommandLineSettings::default(), canonical_name).unwrap().settings,
+            Settings::default()
+        );
     }
 
     #[test]
@@ -537,7 +540,7 @@ mod tests {
     #[test]
     fn a_projects_file_names_no_commands() {
         let user = "on_target = \"touch stop\"\n[dispatch]\nsetup = \"module load colmap\"\n";
-        let both = load(user, "dispatch.partition = \"mvs\"", Typed::default()).unwrap().settings;
+        let both = load(user, "dispatch.partition = \"mvs\"", CommandLineSettings::default()).unwrap().settings;
         assert_eq!(both.on_target.as_deref(), Some("touch stop"));
         assert_eq!(
             (both.dispatch.setup.as_str(), both.dispatch.partition.as_deref()),
@@ -545,13 +548,14 @@ mod tests {
         );
         let refusal = "project.toml:1: dispatch.setup runs commands, so a project's file may not set it";
         assert_eq!(refused("dispatch.setup = \"rm -rf /\"").0, refusal);
-        assert!(load("", "[dispatch]\noptions = [\"--wrap=id\"]", Typed::default()).is_err());
+        assert!(load("", "[dispatch]\noptions = [\"--wrap=id\"]", CommandLineSettings::default()).is_err());
         assert!(refused("\non_target = \"rm -r /\"").0.starts_with("project.toml:2: on_target runs commands"));
     }
 
     #[test]
     fn backends_are_known_by_name() {
-        let named = load("", "backends = [\"COLMAP\", \"meshroom\", \"colmap\"]", Typed::default()).unwrap();
+        let named =
+            load("", "backends = [\"COLMAP\", \"meshroom\", \"colmap\"]", CommandLineSettings::default()).unwrap();
         assert_eq!(named.settings.backends, ["colmap", "alicevision"]);
         let (message, hint) = refused("\nbackends = [\"colmpa\"]");
         assert_eq!(message, "project.toml:2: no backend \"colmpa\"");
@@ -560,7 +564,7 @@ mod tests {
 
     #[test]
     fn lengths_have_units_where_the_model_is_metric() {
-        let mut typed = Typed::default();
+        let mut typed = CommandLineSettings::default();
         typed.set("--gsd", "target.gsd", Some("2cm"));
         let settings = load("", "units = \"metric\"\ntarget.accuracy = \"15 mm\"", typed.clone()).unwrap().settings;
         assert_eq!((settings.target.gsd, settings.target.accuracy), (Some(0.02), Some(0.015)));
@@ -568,7 +572,10 @@ mod tests {
             load("units = \"metric\"", "units = \"relative\"", typed),
             Err(ConfigError::NotMetric { .. })
         ));
-        assert_eq!(load("", "target.gsd = \"0.5\"", Typed::default()).unwrap().settings.target.gsd, Some(0.5));
+        assert_eq!(
+            load("", "target.gsd = \"0.5\"", CommandLineSettings::default()).unwrap().settings.target.gsd,
+            Some(0.5)
+        );
     }
 
     #[test]
@@ -581,16 +588,16 @@ mod tests {
         let root = file("root.toml", "partners.k = 4\nseed = 3");
         let files =
             Files { user: file("user.toml", "seed = 1"), root, project: file("project.toml", "partners.k = 6") };
-        let settings = Configuration::load(&files, Typed::default(), canonical_name).unwrap().settings;
+        let settings = Configuration::load(&files, CommandLineSettings::default(), canonical_name).unwrap().settings;
         assert_eq!((settings.seed, settings.partners.k), (3, 6));
         let root = file("root.toml", "on_target = \"rm -r /\"");
-        let refused = Configuration::load(&Files { root, ..files }, Typed::default(), canonical_name);
+        let refused = Configuration::load(&Files { root, ..files }, CommandLineSettings::default(), canonical_name);
         assert!(matches!(refused, Err(ConfigError::UserOnly { .. })));
     }
 
     #[test]
     fn amounts_may_be_numbers() {
-        let configuration = load("", "cut.budget = 40", Typed::default()).unwrap();
+        let configuration = load("", "cut.budget = 40", CommandLineSettings::default()).unwrap();
         assert_eq!(configuration.settings.cut.budget, Some(crate::config::Budget::Clusters(40)));
     }
 }

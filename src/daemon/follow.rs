@@ -66,7 +66,7 @@ pub struct Progress {
     pub seconds_left: Option<f64>,
     /// Key views with a finished depth map that counts, in the order of the plan.
     pub finished: Vec<String>,
-    /// Finished depth maps that no longer fit the model; they count for nothing.
+    /// FinishedMaps depth maps that no longer fit the model; they count for nothing.
     pub outdated: Vec<Outdated>,
     /// Reason why something was not measured; null where everything was.
     pub note: Option<String>,
@@ -285,7 +285,7 @@ impl Forecast {
     fn new(plan: &Plan, order: &[(u32, MapScale)], cut: usize, target: f64) -> Self {
         let (maps, clusters) = (plan.stages.maps(), &plan.stages.clusters);
         let rows = order.iter().map(|&(c, scale)| (maps.row_at(c, scale), clusters[c as usize].partners.len()));
-        let curve = Curve::of_rows(&plan.stages.objective, rows);
+        let curve = ReachCurve::of_rows(&plan.stages.objective, rows);
         let (done, total) = (plan.decision.finished.clusters, plan.decision.ranking.reachable);
         let reached = curve.clusters_for(target * total).filter(|&n| n <= cut.max(done));
         let pairs = |n: usize| curve.pairs[n].saturating_sub(curve.pairs[done]);

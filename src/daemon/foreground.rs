@@ -12,7 +12,7 @@ use super::{
     settle::Stamp,
     state::{OnBusy, Outcome},
 };
-use crate::config::Typed;
+use crate::config::CommandLineSettings;
 
 /// Memory for the plan between two measurements, bytes.
 const CACHE: u64 = 4 << 30;
@@ -26,7 +26,7 @@ pub struct Foreground<'a> {
 
 impl<'a> Foreground<'a> {
     /// `typed`: settings of the command line; `stop` cancels what runs.
-    pub fn new(root: &Path, typed: Typed, stop: &'a AtomicBool) -> Self {
+    pub fn new(root: &Path, typed: CommandLineSettings, stop: &'a AtomicBool) -> Self {
         let options =
             PlanOptions { on_target: None, replan: false, cache: CACHE, follow_links: true, roots: Vec::new(), typed };
         let root = root.canonicalize().unwrap_or_else(|_| root.into());
@@ -54,7 +54,7 @@ impl<'a> Foreground<'a> {
         work: fn(&PlanJob, &Job) -> Outcome,
     ) -> Outcome {
         let named = self.planner.named_files(&self.root);
-        let stamp = Stamp::of(&self.root, true).with(&named);
+        let stamp = Stamp::read(&self.root, true).with(&named);
         let mut maps = match map_files(&self.root, true) {
             Ok(maps) => maps,
             Err(error) => return failed(error),

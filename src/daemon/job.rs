@@ -154,7 +154,7 @@ pub struct PlanOptions {
     /// Watched folders, whose `viewrank.toml` counts for all projects in them.
     pub roots: Vec<PathBuf>,
     /// Settings of the command line.
-    pub typed: Typed,
+    pub typed: CommandLineSettings,
 }
 
 /// The planner of `viewrank watch`: [`plan::plan`], [`replan()`] and [`plan::files`].
@@ -329,7 +329,7 @@ impl PlanJob {
             Some(command) => Some(command.clone()),
             None => match Configuration::load(
                 &Files { user: user_file(), ..Files::default() },
-                Typed::default(),
+                CommandLineSettings::default(),
                 backends::canonical_name,
             ) {
                 Ok(configuration) => configuration.settings.on_target,

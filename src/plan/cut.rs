@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use super::{Band, GivenUp, PlanError, forecast::Cost};
 use crate::{
     config::{Budget, CutSettings},
-    method::fulfilment::block::Places,
+    method::fulfilment::block::BlockSlots,
 };
 
 /// Default target: a share of what all clusters together reach.

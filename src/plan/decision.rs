@@ -36,7 +36,7 @@ pub struct Decision {
 /// `finished.clusters` is replaced by the length of `order`.
 pub fn decide(
     stages: &Stages,
-    finished: Finished,
+    finished: FinishedMaps,
     order: &[(u32, MapScale)],
     timings: &mut Timings,
     watcher: &dyn Watcher,

@@ -97,7 +97,7 @@ impl Cost<'_> {
     }
 
     /// Pixels that the depth map will measure.
-    pub fn points(&self, rank: usize, places: &mut Places) -> f64 {
+    pub fn points(&self, rank: usize, places: &mut BlockSlots) -> f64 {
         let reduced = self.ranking.scales[rank].factor().powi(2);
         let of_full_size = self.settings.points_per_map;
         reduced * of_full_size.unwrap_or_else(|| expected_pixels(self.model, self.cluster(rank), places))

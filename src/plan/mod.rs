@@ -32,7 +32,6 @@ pub use forecast::Forecast;
 pub use georeference::georeference;
 pub use given_up::GivenUp;
 pub use memory::Memory;
-pub use nothing::Nothing;
 pub use numbers::{Matcher, PlanningNumbers, WorkPerMap};
 pub use reasons::{Substitute, ViewStatus};
 pub use stages::Stages;

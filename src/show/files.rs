@@ -12,7 +12,7 @@ use crate::{
     },
     method::confidence,
     model::georeference::Georeference,
-    plan::{self, Nothing, Plan, PlannedViews},
+    plan::{self, EmptyPlan, Plan, PlannedViews},
     show::{
         manifest::{self, FingerprintError, Manifest},
         pictures::{FulfilmentCurve, curve_svg, surface_ply, views_file, views_geojson},
@@ -63,7 +63,7 @@ impl Hint for FilesError {
         match self {
             Self::Backend(error) => error.path(),
             Self::Input(error) => error.path(),
-            Self::Nothing(error) => error.path(),
+            Self::EmptyPlan(error) => error.path(),
         }
     }
 }

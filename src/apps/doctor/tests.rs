@@ -309,7 +309,7 @@ fn images_of_another_model() {
     let (folder, mut project) = project(ModelFormat::ColmapBinary);
     let images = folder.path().join("images");
     fs::create_dir(&images).unwrap();
-    project.images = Some(images.clone());
+    project.images = Some(images.clone().into());
     let sure = [backends::by_name("sure").unwrap()];
     let findings = diagnose_project(&project, &healthy(), &Settings::default(), &sure);
     assert_eq!(found(&findings, "missing-images").views.len(), 25);
@@ -326,7 +326,7 @@ fn images_that_cannot_be_read() {
     assert_eq!(found(&of_healthy(&project), "no-images").severity, Severity::Warning);
     let images = folder.path().join("images");
     fs::create_dir(&images).unwrap();
-    project.images = Some(images.clone());
+    project.images = Some(images.clone().into());
     let mut whole = std::io::Cursor::new(Vec::new());
     image::RgbImage::from_fn(1000, 750, |x, y| image::Rgb([x as u8, y as u8, (x * y) as u8]))
         .write_to(&mut whole, image::ImageFormat::Jpeg)

@@ -7,7 +7,7 @@ use serde::Serialize;
 use super::{
     baselines::{self, Order},
     clouds::CloudComparison,
-    curve::{Curve, SHARES},
+    curve::{ReachCurve, SHARES},
     measure::Quality,
     missing::{MeasuredSurface, Missing},
     run::MeasuredClusters,
@@ -134,7 +134,7 @@ pub struct KeyView {
 /// What to read the curves with.
 pub struct EvaluationOptions<'a> {
     pub objective: &'a Objective,
-    pub so_far: SoFar,
+    pub so_far: MeasuredProgress,
     pub clouds: Option<CloudComparison>,
     /// Compare with other orders?
     pub baselines: bool,
@@ -179,7 +179,7 @@ impl Evaluation {
         watcher: &dyn Watcher,
     ) -> Result<Self, TableError> {
         let EvaluationOptions { objective, baselines, so_far, .. } = *measure;
-        let predicted = Curve::new(&run.predicted, objective, &run.clusters, &run.order);
+        let predicted = ReachCurve::new(&run.predicted, objective, &run.clusters, &run.order);
         let real = run.real_curve(objective, &run.order);
         let names = |views: &[ViewIndex]| views.iter().map(|&v| model.scene.name(v).to_string()).collect();
         let orders = match baselines {

@@ -110,7 +110,7 @@ pub fn measure(
         n => right as f32 / n as f32,
     };
     let shares = seen.iter().zip(&counts).map(share).collect();
-    Measured {
+    MapMeasurement {
         quality,
         shares,
         pixels: counts.into_iter().map(|(pixels, _)| pixels).collect(),

@@ -24,7 +24,7 @@ pub mod tables;
 mod tests;
 
 pub use clouds::{CloudComparison, Within};
-pub use compare::{Choice, Compared, choices, compare};
+pub use compare::{Comparison, RuleClusters, choices, compare};
 pub use evaluation::{Evaluation, EvaluationOptions};
 pub use matched::{ReportError, tried};
 pub use measure::Quality;

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use super::{
-    Evaluation, EvaluationOptions, MeasuredClusters, MeasuredSurface, SoFar, orders,
+    Evaluation, EvaluationOptions, MeasuredClusters, MeasuredProgress, MeasuredSurface, orders,
     run::{EvaluateError, EvaluationInput},
 };
 use crate::{base::progress::Watcher, plan::Plan};
@@ -22,10 +22,9 @@ impl Evaluation {
         let model = stages.model();
         let order = orders::completed(plan.decision.ranking.order.clone(), stages.clusters.len());
         let clusters: Vec<_> = order.iter().map(|&c| stages.clusters[c as usize].clone()).collect();
-        let measured =
-            MeasuredClusters::new(&EvaluationInput::new(stages, &clusters, depth_maps, reference), watcher)?;
+        let measured = MeasuredClusters::new(&EvaluationInput::new(stages, &clusters, depth_maps, reference), watcher)?;
         let surface = MeasuredSurface::new(&model, &measured);
-        let so_far = SoFar::new(stages, &measured);
+        let so_far = MeasuredProgress::new(stages, &measured);
         let options = EvaluationOptions { objective: &stages.objective, so_far, clouds: None, baselines };
         Ok(Self::new(&model, &measured, &surface, &options, watcher)?)
     }

@@ -3,7 +3,7 @@
 use std::fmt::Write;
 
 use super::{
-    baselines::Needed,
+    baselines::RequiredWork,
     evaluation::{Evaluation, KeyView},
 };
 use crate::show::pictures::{
@@ -164,7 +164,7 @@ fn rows(e: &Evaluation, pairs: bool) -> Vec<(Vec<&'static str>, Vec<String>)> {
     let mut rows: Vec<(Vec<&str>, Vec<String>)> = Vec::new();
     for order in &e.orders {
         let digits = usize::from(!order.spread.is_empty());
-        let cell = |needed: &Needed| format!("{:.digits$}", if pairs { needed.pairs } else { needed.clusters });
+        let cell = |needed: &RequiredWork| format!("{:.digits$}", if pairs { needed.pairs } else { needed.clusters });
         let cells: Vec<String> = order.needed.iter().map(cell).collect();
         match rows.iter_mut().find(|(_, other)| *other == cells) {
             Some((names, _)) => names.push(order.name),

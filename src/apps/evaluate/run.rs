@@ -239,7 +239,7 @@ impl EvaluationInput<'_> {
     }
 
     /// Half where the map is nearer to that, as a ratio, than to the size of the plan.
-    fn scale(&self, key: ViewIndex, measured: &Measured) -> MapScale {
+    fn scale(&self, key: ViewIndex, measured: &MapMeasurement) -> MapScale {
         let planned = f64::from(self.model.scene.camera_of(key).width) * self.model.rule.image_scale;
         let is_half = self.half_worth.is_some() && f64::from(measured.width) < planned * FRAC_1_SQRT_2;
         if is_half { MapScale::Half } else { MapScale::Full }

@@ -121,7 +121,7 @@ impl Fixture {
             accuracy: GSD,
             half_worth: None,
         };
-        MeasuredClusters::new(&task, &Unwatched)
+        MeasuredClusters::new(&task, &NoWatcher)
     }
 }
 
@@ -250,8 +250,9 @@ fn the_page_is_whole_and_the_orders_agree_with_plain_sums() {
     let objective = Objective::weighing(vec![1.0; town.surface.triangles.len()], 1);
     let model = town.model();
     let reached = MeasuredSurface::new(&model, &run);
-    let how = EvaluationOptions { objective: &objective, baselines: true, so_far: SoFar::default(), clouds: None };
-    let evaluation = Evaluation::new(&model, &run, &reached, &how, &Unwatched).unwrap();
+    let how =
+        EvaluationOptions { objective: &objective, baselines: true, so_far: MeasuredProgress::default(), clouds: None };
+    let evaluation = Evaluation::new(&model, &run, &reached, &how, &NoWatcher).unwrap();
     let best: f64 = reached.fulfilment.iter().map(|&f| f64::from(f)).sum::<f64>() / objective.weights.len() as f64;
     assert!((evaluation.real - best).abs() < 1e-9);
     for order in &evaluation.orders {

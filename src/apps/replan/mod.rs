@@ -1,4 +1,4 @@
-//! Plans around finished depth maps (method 5.4). Finished clusters come first, with their measured fulfilment; the rest is ranked again
+//! Plans around finished depth maps (method 5.4). FinishedMaps clusters come first, with their measured fulfilment; the rest is ranked again
 //! after them, with failures taken into account ([`Beliefs`]).
 //!
 //! The depth maps were made for an earlier plan, possibly of an earlier model: those that still fit ([`movement`]) are kept,
@@ -29,20 +29,20 @@ use crate::{
         project::Project,
     },
     method::{
-        fulfilment::{FulfilmentTable, GrowingTable},
+        fulfilment::{FulfilmentTable, FulfilmentTableBuilder},
         ranking::Beliefs,
     },
     model::{
         cluster::{MapScale, ViewCluster},
         scene::ViewIndex,
     },
-    plan::{Finished, Outdated, Plan, PlanError, PlannedView, PlannedViews, Stages, decide},
-    show::manifest::{self, Recorded, WrittenPlanError},
+    plan::{FinishedMaps, Outdated, Plan, PlanError, PlannedView, PlannedViews, Stages, decide},
+    show::manifest::{self, RecordedPlan, WrittenPlanError},
 };
 
 /// The plan that finished depth maps were made for.
 #[derive(Debug)]
-pub struct Earlier {
+pub struct EarlierPlan {
     /// Key view, partners and size, by name, best first.
     clusters: Vec<(String, Vec<String>, MapScale)>,
     cut: usize,
@@ -101,7 +101,7 @@ pub struct Maps<'a> {
 
 /// Ranks the plan again around the finished depth maps of an earlier plan; unchanged if there are none.
 ///
-/// Finished clusters have the partners of the earlier plan. `None`: none of the maps could be measured.
+/// FinishedMaps clusters have the partners of the earlier plan. `None`: none of the maps could be measured.
 pub fn replan(
     plan: Plan,
     earlier: &EarlierPlan,
@@ -198,7 +198,7 @@ fn believed(
         watcher.check()?;
         beliefs.learn(cluster.key, attempts);
     }
-    let mut table = GrowingTable::beside(&stages.visibility)?;
+    let mut table = FulfilmentTableBuilder::like(&stages.visibility)?;
     for &(is_finished, at) in rows {
         if is_finished {
             let (triangles, values) = run.real.row(at);

@@ -3,10 +3,10 @@
 use nalgebra::Point3;
 
 use crate::{
-    base::progress::Unwatched,
+    base::progress::NoWatcher,
     method::{
         ranking::SeenPixels,
-        region::{Region, Shape},
+        region::{Region, RegionShape},
     },
     model::georeference::MapFrame,
     plan::Plan,
@@ -58,7 +58,7 @@ fn densest(plan: &Plan) -> Option<Region> {
         return None;
     }
     let pixels = || SeenPixels::new(&stages.scene, &stages.surface, &stages.visibility).sums().collect();
-    Shape::Auto.on(&stages.surface, pixels, &Unwatched).ok()
+    RegionShape::Auto.lay_over(&stages.surface, pixels, &NoWatcher).ok()
 }
 
 /// The values between which all weight but the tails is, with some room.

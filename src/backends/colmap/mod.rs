@@ -22,7 +22,7 @@ use self::{
     finished::{MapRecipe, MapRecords, map_name},
 };
 use super::{
-    Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, PATCH_MATCH, Patient,
+    Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord, Honours, PATCH_MATCH,
     PlanningNumbers, References, Selection, TaskRunner, Trap,
     record::{at_full_size, capped_scale},
     selection,
@@ -292,11 +292,11 @@ impl Passes {
     }
 
     /// The depth maps that will be made, and how.
-    fn lists(&self, long_side: impl Fn(MapScale) -> Option<u32>) -> Lists {
+    fn lists(&self, long_side: impl Fn(MapScale) -> Option<u32>) -> MapRecords {
         let maps = |problems: &[Problem], kind: &str, filtered: bool| -> Vec<_> {
             let made = |p: &Problem| {
                 let scale = if self.half.contains(&p.reference) { MapScale::Half } else { MapScale::Full };
-                (map_name(&p.reference, kind), Made::new(p, filtered, long_side(scale)))
+                (map_name(&p.reference, kind), MapRecipe::new(p, filtered, long_side(scale)))
             };
             problems.iter().map(made).collect()
         };
@@ -305,7 +305,7 @@ impl Passes {
         MapRecords::new(first.into_iter().chain(last))
     }
 
-    /// Lists of key views of one size each, in the order of computation, with their paths: the main list where all have full size.
+    /// MapRecords of key views of one size each, in the order of computation, with their paths: the main list where all have full size.
     fn lists_of_one_size(&self) -> Vec<(String, MapScale, &[Problem])> {
         let scale = |p: &Problem| if self.half.contains(&p.reference) { MapScale::Half } else { MapScale::Full };
         if self.half.is_empty() {

@@ -10,12 +10,12 @@ use crate::io::output;
 const PROJECT_FILE: &str = "viewrank/project.json";
 
 #[derive(Deserialize)]
-struct Recorded {
+struct RecordedPlan {
     project: PathBuf,
 }
 
 /// The project of the plan in this folder, if it is another folder.
 pub(super) fn project_of(folder: &Path) -> Option<PathBuf> {
-    let recorded: Recorded = serde_json::from_slice(&output::read_own(folder, PROJECT_FILE).ok()?).ok()?;
+    let recorded: RecordedPlan = serde_json::from_slice(&output::read_own(folder, PROJECT_FILE).ok()?).ok()?;
     Some(recorded.project)
 }

@@ -34,7 +34,7 @@ pub(super) fn candidates(root: &Path, model: &Path) -> Vec<PathBuf> {
 }
 
 /// Finds the image folder of another program's model by its images.
-pub(super) fn find_by_names(root: &Path, model: &Path, foreign: &Foreign) -> Option<ImageFolder> {
+pub(super) fn find_by_names(root: &Path, model: &Path, foreign: &ForeignModel) -> Option<ImageFolder> {
     let named = foreign.image_folder.as_ref().map(|folder| root.join(folder)).filter(|folder| folder.is_dir());
     let names: Vec<String> = foreign.model.images.iter().take(PROBED).map(|image| image.name.to_string()).collect();
     folder::find(root, model, named, &names).filter(|found| {

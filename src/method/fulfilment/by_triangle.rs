@@ -30,7 +30,7 @@ impl ByTriangle {
     /// Transposes the rows of `clusters`, with the table's storage.
     pub(crate) fn new(table: &FulfilmentTable, clusters: &[u32], triangles: usize) -> Result<Self, DiskError> {
         let row = |cluster| table.row(cluster as usize);
-        Self::of_rows(&row, &|| table.release(), table.triangles.kept(), clusters, triangles)
+        Self::of_rows(&row, &|| table.release(), table.triangles.storage(), clusters, triangles)
     }
 
     /// As [`Self::new`], of rows that may come from several tables; `release` gives back memory that can be read again.

@@ -1,6 +1,6 @@
 //! Method 5.8: what a depth map of half the size is worth.
 
-use super::{FulfilmentTable, GrowingTable, Model, table};
+use super::{FulfilmentTable, FulfilmentTableBuilder, Model, table};
 use crate::{
     base::{
         column::{READ_AT_ONCE, TableError},
@@ -18,7 +18,7 @@ pub fn half_size(
     watcher: &dyn Watcher,
 ) -> Result<FulfilmentTable, TableError> {
     let half = table(&model.at(MapScale::Half), clusters, watcher)?;
-    let mut blended = GrowingTable::beside(model.visibility)?;
+    let mut blended = FulfilmentTableBuilder::like(model.visibility)?;
     for cluster in 0..clusters.len() {
         let (triangles, values) = full.row(cluster);
         let mut coarse = half.row(cluster);

@@ -75,7 +75,7 @@ impl<'a> Model<'a> {
 
     /// The same with matched images of this size over the plan's.
     pub(crate) fn at(&self, scale: MapScale) -> Self {
-        let rule = Rule { image_scale: self.rule.image_scale * scale.factor(), ..self.rule };
+        let rule = FulfilmentRule { image_scale: self.rule.image_scale * scale.factor(), ..self.rule };
         Self { rule, ..*self }
     }
 

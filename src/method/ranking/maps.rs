@@ -79,7 +79,7 @@ impl<'a> Maps<'a> {
 
     /// Where tables made from these are kept.
     pub(super) fn storage(&self) -> Storage {
-        self.full.triangles.kept()
+        self.full.triangles.storage()
     }
 
     /// Gives back memory that can be read again.

@@ -118,7 +118,7 @@ fn kept_of_all(maps: &Maps, objective: &Objective) -> f64 {
             maps.release();
         }
     }
-    reached.kept()
+    reached.kept_weight()
 }
 
 /// The gain of each map that is left, kept up to date: when a triangle is better reached, the gains of all maps that see it change by
@@ -189,7 +189,7 @@ impl<'a> Greedy<'a> {
         ranking.scales.push(scale);
         ranking.gains.push(Amount(gain).value());
         ranking.fulfilment.push(self.reached.fulfilment());
-        ranking.kept.push(self.reached.kept());
+        ranking.kept.push(self.reached.kept_weight());
     }
 }
 

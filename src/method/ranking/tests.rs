@@ -92,12 +92,12 @@ proptest! {
         let whole = rank(&table, &objective, &NoWatcher).unwrap();
         for length in 0..=whole.order.len() {
             let finished: Vec<_> = whole.maps().take(length).collect();
-            let again = rank_after(&finished, &Maps::full_size(&table), &objective, &Unwatched).unwrap();
+            let again = rank_after(&finished, &Maps::full_size(&table), &objective, &NoWatcher).unwrap();
             prop_assert_eq!(&again, &whole);
         }
         let last: Vec<u32> = (0..rows.len() as u32).rev().take(2).collect();
         let finished: Vec<_> = last.iter().map(|&c| (c, MapScale::Full)).collect();
-        let after = rank_after(&finished, &Maps::full_size(&table), &objective, &Unwatched).unwrap();
+        let after = rank_after(&finished, &Maps::full_size(&table), &objective, &NoWatcher).unwrap();
         prop_assert_eq!(&after.order[..last.len()], &last[..]);
         prop_assert!((after.total() - whole.total()).abs() < 1e-12);
     }
@@ -114,7 +114,7 @@ proptest! {
     #[test]
     fn no_set_of_clusters_exceeds_the_bound(rows in rows(), support in 1u32..4) {
         let (table, objective) = (FulfilmentTable::new(&rows), even(TRIANGLES, support));
-        let ranking = rank(&table, &objective, &Unwatched).unwrap();
+        let ranking = rank(&table, &objective, &NoWatcher).unwrap();
         for (n, optimum) in optima(&rows, support as usize).into_iter().enumerate() {
             prop_assert!(most_of_any(n, &Maps::full_size(&table), &objective, &ranking) >= optimum - 1e-12);
         }
@@ -149,7 +149,7 @@ fn the_prefix_for_a_share_is_the_shortest() {
 #[test]
 fn where_nothing_is_kept_all_are_taken() {
     let rows = [vec![(0, 0.2f32)], vec![(1, 0.1)]];
-    let ranking = rank(&FulfilmentTable::new(&rows), &even(2, 1), &Unwatched).unwrap();
+    let ranking = rank(&FulfilmentTable::new(&rows), &even(2, 1), &NoWatcher).unwrap();
     assert_eq!((ranking.reachable, ranking.share(2), ranking.length_for_share(0.5)), (0.0, 0.0, 2));
 }
 
@@ -196,7 +196,7 @@ proptest! {
     ) {
         let (full, half, objective) = (FulfilmentTable::new(&full), FulfilmentTable::new(&half), even(TRIANGLES, support));
         let maps = Maps::of_two_sizes(&full, &half, &work);
-        let ranking = rank_after(&[], &maps, &objective, &Unwatched).unwrap();
+        let ranking = rank_after(&[], &maps, &objective, &NoWatcher).unwrap();
         let order: Vec<_> = ranking.maps().collect();
         for length in 0..=order.len() {
             prop_assert_eq!(order.get(length).copied(), best_afresh(&maps, &order[..length], &objective));
@@ -209,7 +209,7 @@ proptest! {
         let objective = even(TRIANGLES, support);
         let tables = [FulfilmentTable::new(&full), FulfilmentTable::new(&half)];
         let maps = Maps::of_two_sizes(&tables[0], &tables[1], &work);
-        let ranking = rank_after(&[], &maps, &objective, &Unwatched).unwrap();
+        let ranking = rank_after(&[], &maps, &objective, &NoWatcher).unwrap();
         let bounds: Vec<f64> =
             (0..=ranking.order.len()).map(|n| most_of_any(n, &maps, &objective, &ranking)).collect();
         let spent: Vec<f64> = (0..=ranking.order.len())

@@ -113,7 +113,7 @@ fn leftover_files() {
     let findings = traps_in(ModelFormat::ColmapBinary, "realityscan", &healthy, |root, project| {
         healthy.views.iter().for_each(|view| write(root.join("images").join(&view.name), ""));
         write(root.join("images/n00.xmp"), poses);
-        project.images = Some(root.join("images"));
+        project.images = Some(root.join("images").into());
     });
     assert_eq!(found(&findings, "realityscan-existing-xmp-poses").views.len(), 1);
 }

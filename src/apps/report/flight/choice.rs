@@ -14,7 +14,7 @@ use crate::{
     },
     method::{
         confidence::{Agreement, Confidence, Unary},
-        fulfilment::{self, Model, Rule},
+        fulfilment::{self, FulfilmentRule, Model},
         ranking::{Objective, Reached},
         visibility::{self, Visibility},
     },
@@ -99,7 +99,7 @@ pub fn choose(
         visibility: &extended.visibility,
         unary: &unary,
         agreement: &agreement,
-        rule: Rule { confidence, ..stages.model().rule },
+        rule: FulfilmentRule { confidence, ..stages.model().rule },
         ..stages.model()
     };
     let clusters = clusters(&extended, candidates, stages.settings.partners.k as usize);
@@ -107,7 +107,7 @@ pub fn choose(
     let mut reached = Reached::new(&objective);
     (0..stages.clusters.len()).for_each(|c| reached.take(stages.fulfilment.row(c)));
     let flown = greedy(&extended, &clusters, &table, reached.clone());
-    let (before, mut all) = (reached.kept(), reached.clone());
+    let (before, mut all) = (reached.kept_weight(), reached.clone());
     (0..clusters.len()).for_each(|c| all.take(table.row(c)));
     flown.taken.iter().for_each(|&c| reached.take(table.row(c)));
     let used: Vec<usize> = (0..candidates.len()).filter(|&i| flown.used[extended.taken + i]).collect();
@@ -128,8 +128,8 @@ pub fn choose(
     Ok(Flight {
         of_holes: holes.iter().map(of_hole).collect(),
         waypoints: used.par_iter().map(waypoint).collect(),
-        filled: reached.kept() - before,
-        fillable: all.kept() - before,
+        filled: reached.kept_weight() - before,
+        fillable: all.kept_weight() - before,
     })
 }
 
