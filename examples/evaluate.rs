@@ -28,7 +28,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let measured = MeasuredClusters::new(&input, &Unwatched)?;
 
     let so_far = SoFar::new(&plan.stages, &measured);
-    let options = EvaluationOptions { objective: &plan.stages.objective, so_far, baselines: false };
+    let options = EvaluationOptions { objective: &plan.stages.objective, so_far, baselines: false, clouds: None };
     let model = plan.stages.model();
     let surface = MeasuredSurface::new(&model, &measured);
     let evaluation = Evaluation::new(&model, &measured, &surface, &options, &Unwatched)?;
