@@ -3,8 +3,8 @@
 
     python3 benches/pictures.py [--viewrank target/release/viewrank] [--browser chromium]
 
-`fill.svg` is the map of a plan filling up view by view, beside its curve; `method.svg` the way from photographs to files; `report.png` and `evaluation.png`
-are screenshots, which need Chromium and the packages websockets and pillow. Without them they stay as they are.
+`fill.svg` is the map of a plan filling up view by view, beside its curve; `method.svg` the way from photographs to files; `report.png` is a
+screenshot, which needs Chromium and the packages websockets and pillow. Without them it stays as it is.
 """
 
 import argparse
