@@ -1,7 +1,11 @@
 """Errors, progress and Ctrl-C."""
 
 import _thread
+import signal
+import subprocess
+import sys
 import threading
+from pathlib import Path
 
 import pytest
 
@@ -84,6 +88,15 @@ def test_control_c_stops_the_call(valley):
 
     with pytest.raises(KeyboardInterrupt):
         viewrank.plan(valley, confidence="geometric", progress=progress)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
+def test_control_c_ends_the_program(valley):
+    command = [str(Path(sys.executable).parent / "viewrank"), "plan", str(valley), "--dry-run"]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as program:
+        assert program.stderr is not None and program.stderr.readline().startswith("reading the model")
+        program.send_signal(signal.SIGINT)
+        assert program.wait() == -signal.SIGINT
 
 
 def test_other_threads_run_meanwhile(valley):

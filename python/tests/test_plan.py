@@ -94,7 +94,7 @@ def test_a_budget_is_a_number_or_a_share(valley):
 
 def test_a_notebook_shows_curve_and_map(plan):
     html = plan._repr_html_()
-    curve, picture = ElementTree.fromstring(html)
+    curve, picture, _ = ElementTree.fromstring(html)
     assert f"cut at {len(plan.clusters)}" in "".join(curve.itertext())
     discs = [mark for mark in picture.iter() if mark.tag.endswith("circle")]
     assert len(discs) == len(plan.names)

@@ -313,7 +313,12 @@ class Plan:
 
     def _repr_html_(self) -> str:
         style = 'style="display:flex;flex-wrap:wrap;gap:12px;align-items:flex-start"'
-        return f"<div {style}>{self._native.curve_svg()}{self._native.map_svg()}</div>"
+        legend = (
+            "Map: orange discs are key views (rank and name on hovering), rings other views. The surface is blue where the chosen depth maps reach "
+            "all that can be reached, yellow half, red nothing; grey where no view reaches anything."
+        )
+        legend = f'<p style="flex-basis:100%;font-size:13px;color:#666;margin:0">{legend}</p>'
+        return f"<div {style}>{self._native.curve_svg()}{self._native.map_svg()}{legend}</div>"
 
 
 def plan(
