@@ -40,10 +40,10 @@ pub(super) const SEARCHED_PATHS: &str =
 pub(super) fn models(root: &Path) -> Vec<ModelLocation> {
     let files = file_names(root);
     let mut models: Vec<ModelLocation> = Vec::new();
-    for (path, format) in MODEL_PATHS {
-        let found: Vec<PathBuf> = match place.strip_prefix('*') {
+    for (pattern, format) in MODEL_PATHS {
+        let found: Vec<PathBuf> = match pattern.strip_prefix('*') {
             Some(ending) => files.iter().filter(|name| name.ends_with(ending)).map(|name| root.join(name)).collect(),
-            None => vec![root.join(place)],
+            None => vec![root.join(pattern)],
         };
         for path in found.into_iter().filter(|path| path.is_file()) {
             if models.iter().all(|model| model.path != path) {
