@@ -131,6 +131,13 @@ fn eventually(what: &str, condition: impl Fn() -> bool) {
     }
 }
 
+/// Adds a project and waits until it is planned. Events come in order and all projects have the same settling time, so everything that happened
+/// before has had its effect then.
+fn wait_until_idle(root: &Path, planner: &Counter) {
+    write_model(&root.join("last"), "last");
+    eventually("the last project", || planner.plans_of(&root.join("last")) == 1);
+}
+
 fn write_model(project: &Path, content: &str) {
     let folder = project.join("sparse/0");
     fs::create_dir_all(&folder).expect("a folder");
@@ -156,9 +163,9 @@ fn existing_and_later_projects_are_planned_once_each() {
         eventually("the late project", || planner.plans_of(&root.join("deep/er/late one")) == 1);
         fs::rename(root.join("early"), root.join("moved")).expect("a move");
         eventually("the moved project", || planner.plans_of(&root.join("moved")) == 1);
-        thread::sleep(Duration::from_millis(500));
+        wait_until_idle(&root, &planner);
     });
-    assert_eq!(summary, Summary { projects: 2, planned: 2, failed: 0, waiting: 0 });
+    assert_eq!(summary, Summary { projects: 3, planned: 3, failed: 0, waiting: 0 }, "with the last one");
     assert!(planner.plans.lock().expect("no panic").values().all(|plans| plans.len() == 1));
 }
 
@@ -172,7 +179,6 @@ fn a_folder_becomes_a_project_when_its_model_comes_last() {
     let planner = Counter::default();
     let summary = with_daemon(&options(&root), &planner, || {
         eventually("the first scan", || read_status(&root).is_some());
-        thread::sleep(Duration::from_millis(300));
         write_model(&root.join("p"), "a");
         eventually("the plan", || planner.plans_of(&root.join("p")) == 1);
         write_model(&root.join("q/dense"), "b");
@@ -209,7 +215,7 @@ fn touching_a_project_or_writing_outputs_plans_nothing() {
         write_model(&root.join("p"), "a");
         fs::create_dir_all(root.join("p/viewrank")).expect("a folder");
         fs::write(root.join("p/viewrank/manifest.json"), "{}").expect("a file");
-        thread::sleep(Duration::from_millis(800));
+        wait_until_idle(&root, &planner);
     });
     assert_eq!(planner.plans_of(&root.join("p")), 1);
 }
@@ -354,7 +360,6 @@ fn a_new_link_is_not_followed() {
         std::os::unix::fs::symlink(elsewhere.join("q"), root.join("link")).expect("a link");
         write_model(&root.join("second"), "a");
         eventually("the second plan", || planner.plans_of(&root.join("second")) == 1);
-        thread::sleep(Duration::from_millis(300));
     });
     assert_eq!((planner.plans_of(&root.join("link")), planner.plans_of(&elsewhere.join("q"))), (0, 0));
 }
@@ -364,10 +369,7 @@ fn a_second_daemon_names_the_holder_of_the_root() {
     let (_guard, root) = root();
     let planner = Counter::default();
     with_daemon(&options(&root), &planner, || {
-        eventually("the first daemon", || {
-            read_status(&root).is_some_and(|line| line.running) || root.join("viewrank/watch.lock").exists()
-        });
-        thread::sleep(Duration::from_millis(100));
+        eventually("the first daemon", || read_status(&root).is_some_and(|line| line.running));
         let second = watch_roots(&options(&root), &planner, &Disk::REAL, |_| {});
         match second {
             Err(DaemonError::Held { holder, .. }) => assert!(holder.contains(&std::process::id().to_string())),

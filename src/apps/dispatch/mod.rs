@@ -207,7 +207,8 @@ impl Dispatch {
         )
     }
 
-    /// Returns whether the task's depth map exists and was made from this key view and these partners with their current poses, or is one that the plan was ranked around.
+    /// Returns whether the task's depth map exists and either was made from this key view and these partners with their current poses, or is one
+    /// that the plan was ranked around.
     pub fn is_done(&self, task: &Task) -> bool {
         let noted = || self.own_text(&format!("done/{}", task.marker));
         (task.rank <= self.finished || noted().trim() == task.id)

@@ -23,8 +23,8 @@ const COS_APART: f64 = 0.996_194_7;
 /// Depths agree within the first number of standard deviations and contradict beyond the second.
 const AGREES: f64 = 2.0;
 const CONTRADICTS: f64 = 4.0;
-/// In units of a_d. Smaller errors than the first never count against a depth; maps that differ by more than the second never agree, because errors that
-/// they share add to it (`benches/labels.rs`); an error above the third is wrong by method 8.
+/// In units of a_d. Smaller errors than the first never count against a depth; maps that differ by more than the second never agree, because shared
+/// errors add to it (`benches/labels.rs`); an error above the third is wrong by method 8.
 const LEAST_ERROR: f64 = 1.0;
 const MOST_AGREEING: f64 = 2.5;
 const MOST_ERROR: f64 = 3.0;

@@ -18,8 +18,8 @@ pub fn again(root: &Path, watcher: &dyn Watcher) -> Result<(Project, Plan), Agai
     Ok((project, plan))
 }
 
-/// Repeats the plan with the ranking, the cut and the warnings of `viewrank/manifest.json`. If that plan was ranked around finished depth maps, gains, shares
-/// and reasons of views come from the manifest, measured where finished; fulfilment by triangle is predicted.
+/// Repeats the plan with the ranking, the cut and the warnings of `viewrank/manifest.json`. If that plan was ranked around finished depth maps,
+/// gains, shares and reasons of views come from the manifest, measured where finished; fulfilment by triangle is predicted.
 pub fn as_written(root: &Path, watcher: &dyn Watcher) -> Result<(Project, Plan), AgainError> {
     let (project, plan, recorded) = predicted(root, watcher)?;
     let plan = if recorded.finished() > 0 { with_ranking(plan, &recorded, watcher)? } else { plan };

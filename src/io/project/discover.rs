@@ -149,7 +149,7 @@ fn choose(
     };
     if models.is_empty() {
         let colmap = "cameras, images and points3D (.bin or .txt) here, in sparse, sparse/*, */ and dense/sparse";
-        let looked_for = format!("{colmap}; {}", foreign::LOOKED_FOR);
+        let looked_for = format!("{colmap}; {}", foreign::SEARCHED_PATHS);
         return Err(ProjectError::NoModel { path: path.into(), looked_for });
     }
     if position == models.len() {

@@ -19,7 +19,7 @@ use crate::{
 };
 
 /// Model files in a project folder, in order of preference.
-const PLACES: [(&str, ModelFormat); 10] = [
+const MODEL_PATHS: [(&str, ModelFormat); 10] = [
     ("scene.mvs", ModelFormat::OpenMvs),
     ("sfm_data.json", ModelFormat::OpenMvg),
     ("reconstruction.json", ModelFormat::OpenSfm),
@@ -33,17 +33,17 @@ const PLACES: [(&str, ModelFormat); 10] = [
 ];
 
 /// Description of these files for the error without any model.
-pub(super) const LOOKED_FOR: &str =
+pub(super) const SEARCHED_PATHS: &str =
     "*.mvs, sfm_data.json, reconstruction.json, *.sfm, *.nvm, *bundle.out, and ori/*.ori";
 
 /// Finds the models of other programs in a folder.
 pub(super) fn models(root: &Path) -> Vec<ModelLocation> {
     let files = file_names(root);
     let mut models: Vec<ModelLocation> = Vec::new();
-    for (place, format) in PLACES {
-        let found: Vec<PathBuf> = match place.strip_prefix('*') {
+    for (pattern, format) in MODEL_PATHS {
+        let found: Vec<PathBuf> = match pattern.strip_prefix('*') {
             Some(ending) => files.iter().filter(|name| name.ends_with(ending)).map(|name| root.join(name)).collect(),
-            None => vec![root.join(place)],
+            None => vec![root.join(pattern)],
         };
         for path in found.into_iter().filter(|path| path.is_file()) {
             if models.iter().all(|model| model.path != path) {

@@ -1,7 +1,7 @@
-//! Confidence maps of earlier runs, so that an image that has not changed is not read again.
+//! Cache of confidence maps, so that unchanged images are not read again.
 //!
-//! One file: a line of magic, a line of JSON that lists the entries, the maps of 1 byte per cell one after the other, and BLAKE3 of everything
-//! before. It is only a cache: a file that is damaged, of another version or of another predictor counts as empty.
+//! File format: a line of magic, a line of JSON that lists the entries, the maps with 1 byte per cell one after the other, and BLAKE3 of everything
+//! before. A file that is damaged, of another version or of another predictor counts as empty: it is only a cache.
 
 use std::{
     collections::BTreeMap,
@@ -17,20 +17,20 @@ use crate::{base::input, io::output};
 
 const MAGIC: &[u8] = b"viewrank confidence maps 2\n";
 
-/// A file as it was seen.
+/// Identity of a file at the time it was read.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Stamp {
     size: u64,
-    /// Modification time, since 1970; 0 where that is not known, which no file is taken to be.
+    /// Modification time since 1970; 0 if unknown, which no file matches.
     nanoseconds: u64,
-    /// When content or name last changed, since 1970: no program can set it. The modification time on systems without.
+    /// Time of the last change to content or name, since 1970, which no program can set; on systems without it, the modification time.
     changed: u64,
-    /// BLAKE3 of its contents, hexadecimal.
+    /// BLAKE3 of the contents, hexadecimal.
     content: String,
 }
 
 impl Stamp {
-    /// Size and time of a file, without its content.
+    /// Reads size and times of a file, not its contents.
     pub fn read(path: &Path) -> io::Result<Self> {
         let metadata = fs::metadata(path)?;
         let since = metadata.modified().unwrap_or(UNIX_EPOCH).duration_since(SystemTime::UNIX_EPOCH);
@@ -39,19 +39,19 @@ impl Stamp {
         Ok(Self { size: metadata.len(), nanoseconds, changed, content: String::new() })
     }
 
-    /// Also with its content.
+    /// Adds the hash of the contents.
     pub fn with_content(self, bytes: &[u8]) -> Self {
         Self { content: blake3::hash(bytes).to_string(), ..self }
     }
 
-    /// The same size and times: nobody has written to it.
+    /// Returns whether size and times are equal: nobody has written to the file.
     fn is_untouched(&self, now: &Self) -> bool {
         let of = |stamp: &Self| (stamp.size, stamp.nanoseconds, stamp.changed);
         self.nanoseconds != 0 && of(self) == of(now)
     }
 }
 
-/// Image and mask of a view; `None`: it has none.
+/// Image and mask of a view; `None` if it has none.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Inputs {
     pub image: Option<Stamp>,
@@ -63,12 +63,12 @@ impl Inputs {
         [(&self.image, &other.image), (&self.mask, &other.mask)]
     }
 
-    /// Whether the file system says when each was changed.
+    /// Returns whether the file system records the time of change of each.
     pub fn are_dated(&self) -> bool {
         [&self.image, &self.mask].into_iter().flatten().all(|stamp| stamp.nanoseconds != 0)
     }
 
-    /// Without looking at contents.
+    /// Compares sizes and times.
     fn are_untouched(&self, now: &Self) -> bool {
         self.each(now).iter().all(|pair| match pair {
             (Some(then), Some(now)) => then.is_untouched(now),
@@ -76,21 +76,21 @@ impl Inputs {
         })
     }
 
-    /// By contents.
+    /// Compares contents.
     fn are_the_same(&self, now: &Self) -> bool {
         let content = |stamp: &Option<Stamp>| stamp.as_ref().map(|s| s.content.clone());
         self.each(now).iter().all(|(then, now)| content(then) == content(now))
     }
 }
 
-/// The map of a view and what it was made from.
+/// The map of a view, with the files it was made from.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Entry {
     pub inputs: Inputs,
     pub predicted: Prediction,
 }
 
-/// Maps of one predictor by view name.
+/// Maps of one predictor, by view name.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Cache {
     entries: BTreeMap<String, Entry>,
@@ -98,7 +98,7 @@ pub struct Cache {
 
 #[derive(Serialize, Deserialize)]
 struct Listing {
-    /// Of the predictor, hexadecimal.
+    /// Fingerprint of the predictor, hexadecimal.
     predictor: String,
     maps: Vec<Listed>,
 }
@@ -116,17 +116,17 @@ impl Cache {
         Self { entries: entries.collect() }
     }
 
-    /// Reads the project's file `name`; empty where there is no whole file of this predictor.
+    /// Reads the project's file `name`; empty if there is no intact file of this predictor.
     pub fn read(project: &Path, name: &str, predictor: &str) -> Self {
         output::read_own(project, name).ok().and_then(|bytes| Self::parse(&bytes, predictor)).unwrap_or_default()
     }
 
-    /// The entry of a view whose files nobody has written to.
+    /// Returns the entry of a view whose files have unchanged sizes and times.
     pub fn untouched(&self, name: &str, now: &Inputs) -> Option<&Entry> {
         self.entries.get(name).filter(|entry| entry.inputs.are_untouched(now))
     }
 
-    /// The entry of a view whose files have the same contents.
+    /// Returns the entry of a view whose files have the same contents.
     pub fn same(&self, name: &str, now: &Inputs) -> Option<&Entry> {
         self.entries.get(name).filter(|entry| entry.inputs.are_the_same(now))
     }
@@ -199,7 +199,7 @@ mod tests {
         assert!(cache.untouched(name, &image(6, "c")).is_none());
         assert!(cache.same(name, &image(6, "c")).is_some());
         assert!(cache.same(name, &image(6, "d")).is_none());
-        // A mask has appeared.
+        // A mask was added.
         let masked = Inputs { mask: image(1, "m").image, ..image(5, "c") };
         assert!(cache.untouched(name, &masked).is_none() && cache.same(name, &masked).is_none());
     }

@@ -1,24 +1,24 @@
-//! Log odds as a sum of curves, each of one number: what the trained confidence of pairs and triangles is made of.
+//! Generalised additive model of the trained confidence: log odds as a sum of piecewise linear functions of one number each.
 //!
-//! A generalised additive model (Hastie and Tibshirani 1986). It is small, quick and smooth, says for each number what it does, and beyond
-//! the numbers that it was trained on stays at the last value.
+//! Hastie and Tibshirani 1986. The model is small, fast and smooth, shows the effect of each number, and extrapolates as a
+//! constant beyond the range of the training data.
 
 use serde::{Deserialize, Serialize};
 
-/// Knots of a curve.
+/// Number of knots.
 pub const KNOTS: usize = 12;
 
-/// A function of one number: linear between equally spaced knots, constant beyond the first and the last; 0 where the number is not
-/// known (NaN).
+/// A function of one number: linear between equally spaced knots, constant beyond the first and the last; 0 for unknown numbers
+/// (NaN).
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PiecewiseLinear {
-    /// Place of the first and of the last knot.
+    /// Position of the first and of the last knot.
     pub low: f32,
     pub high: f32,
     pub values: [f32; KNOTS],
 }
 
-/// A knot with its share, and the share of the next.
+/// A knot with the weights of its value and of the next knot's.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Segment {
     pub knot: usize,
@@ -27,7 +27,7 @@ pub struct Segment {
 }
 
 impl PiecewiseLinear {
-    /// 0 everywhere.
+    /// Returns the function that is 0 everywhere.
     pub const fn flat(low: f32, high: f32) -> Self {
         Self { low, high, values: [0.0; KNOTS] }
     }
@@ -50,26 +50,26 @@ impl PiecewiseLinear {
         self.between(x).map_or(0.0, of)
     }
 
-    /// For curves that come from a file.
+    /// Returns whether the values are finite and the range is not empty; for curves read from a file.
     pub fn is_sound(&self) -> bool {
         self.low < self.high && [self.low, self.high].iter().chain(&self.values).all(|v| v.is_finite())
     }
 }
 
-/// Sum of the curves.
+/// Returns the sum of the curves.
 #[inline]
 pub fn sum<const N: usize>(curves: &[PiecewiseLinear; N], numbers: &[f32; N]) -> f32 {
     curves.iter().zip(numbers).map(|(curve, &x)| curve.value(x)).sum()
 }
 
-/// What the curves of a pair take: see [`Constellation::numbers`](super::Constellation::numbers).
+/// Input ranges of the curves of a pair: see [`Constellation::numbers`](super::Constellation::numbers).
 pub const PAIR: [PiecewiseLinear; 4] = [
     PiecewiseLinear::flat(0.0, 1.0),
     PiecewiseLinear::flat(0.0, 1.0),
     PiecewiseLinear::flat(-2.5, 2.5),
     PiecewiseLinear::flat(-1.0, 6.5),
 ];
-/// What the curves of a triangle in a view take: see [`PlaceFeatures::numbers`](super::place::PlaceFeatures::numbers).
+/// Input ranges of the curves of a triangle in a view: see [`PlaceFeatures::numbers`](super::place::PlaceFeatures::numbers).
 pub const PLACE: [PiecewiseLinear; 9] = [
     PiecewiseLinear::flat(-4.0, 4.0),
     PiecewiseLinear::flat(0.0, 1.0),
@@ -82,17 +82,17 @@ pub const PLACE: [PiecewiseLinear; 9] = [
     PiecewiseLinear::flat(0.0, 1.5),
 ];
 
-/// The trained confidence of a pair of views that see a triangle, without what their pictures show.
+/// The trained confidence of a pair of views at a triangle, without picture features.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PairCurves {
-    /// Matches that must succeed for a pixel (method 3.4), 1 to 3.
+    /// Minimum number of successful matches for a pixel (method 3.4), 1 to 3.
     pub min_matches: u32,
     pub bias: f32,
     pub curves: [PiecewiseLinear; PAIR.len()],
 }
 
 impl PairCurves {
-    /// Log odds of a match.
+    /// Returns the log odds of a match.
     #[inline]
     pub fn odds(&self, numbers: &[f32; PAIR.len()]) -> f32 {
         self.bias + sum(&self.curves, numbers)
@@ -105,7 +105,7 @@ impl PairCurves {
     }
 }
 
-/// What a place contributes: as the key view's, the chance that it can be measured at all; as a partner's, log odds of its match.
+/// Contribution of a place: for the key view, the probability that it can be measured at all; for a partner, log odds of its match.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PlaceCurves {
     pub bias: f32,

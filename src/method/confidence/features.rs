@@ -1,22 +1,22 @@
-//! What a cell of a picture looks like, in numbers (method 7.3): colour, contrast and structure at three scales, what is around it, and how
-//! much it resembles its neighbourhood. No number says where in the picture the cell lies.
+//! Features of the cells of a picture (method 7.3): colour, contrast and structure at three scales, the surrounding cells, and
+//! self-similarity. No feature depends on the position in the picture.
 
 use super::image::{Image, span};
 
 /// Side of a cell, pixels of the reduced picture.
 const CELL: u32 = 8;
-/// Scales at which structure is measured, each half of the one before.
+/// Scales at which structure is measured, each half of the previous one.
 const SCALES: usize = 3;
-/// Shift in pixels of the half-size picture over which a cell is compared with its neighbourhood: one cell.
+/// Offset, pixels of the half-size picture, at which a cell is compared with its neighbourhood: one cell.
 const SHIFT: isize = 4;
-/// A grey value from which a pixel is saturated, and up to which it is black.
+/// Grey value from which a pixel counts as saturated, and up to which it counts as black.
 const SATURATED: u8 = 250;
 const BLACK: u8 = 5;
 
 /// Number of features.
 pub const COUNT: usize = 29;
 
-/// Features of the cells of a picture; the cells cover it.
+/// Features of a grid of cells that covers a picture.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Features {
     pub columns: u32,
@@ -25,7 +25,7 @@ pub struct Features {
     values: Vec<f32>,
 }
 
-/// How many cells cover a picture.
+/// Returns the number of cells that cover a picture: columns, rows.
 pub fn grid(width: u32, height: u32) -> [u32; 2] {
     [width.div_ceil(CELL), height.div_ceil(CELL)]
 }
@@ -62,7 +62,7 @@ impl Features {
         self.columns as usize * self.rows as usize
     }
 
-    /// The numbers of a cell, counted row by row.
+    /// Returns the features of a cell; cells are counted row by row.
     pub fn cell(&self, cell: usize) -> &[f32] {
         &self.values[cell * COUNT..(cell + 1) * COUNT]
     }
@@ -71,11 +71,11 @@ impl Features {
 /// Colour of a cell.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Colours {
-    /// Grey value, red against green and blue against yellow, the latter two over the grey value.
+    /// Grey value, red-green and blue-yellow difference, the latter two relative to the grey value.
     mean: [f32; 3],
     /// Standard deviations of grey value, red minus green, blue minus yellow.
     spread: [f32; 3],
-    /// Shares of the pixels that are saturated and black.
+    /// Shares of saturated and of black pixels.
     pub bright: f32,
     pub dark: f32,
 }
@@ -127,7 +127,7 @@ pub struct Structure {
 }
 
 impl Structure {
-    /// Of each cell at each scale, the finest first.
+    /// Computes the tensor of each cell at each scale, finest first.
     pub fn cells(image: &Image, grid: [u32; 2]) -> [Vec<Self>; SCALES] {
         let mut level = Level::new(image);
         std::array::from_fn(|scale| {
@@ -152,7 +152,7 @@ impl Structure {
         })
     }
 
-    /// Large and small.
+    /// Returns the large and the small eigenvalue.
     pub fn eigenvalues(&self) -> [f32; 2] {
         let (half, apart) = (0.5 * (self.xx + self.yy), (0.5 * (self.xx - self.yy)).hypot(self.xy));
         [half + apart, (half - apart).max(0.0)]
@@ -172,7 +172,7 @@ impl Structure {
     }
 }
 
-/// What lies around each cell.
+/// Features of the cells around each cell.
 struct NeighbourhoodFeatures {
     mean: Vec<[f32; 3]>,
     /// Mean logarithm of the small eigenvalue.
@@ -181,7 +181,7 @@ struct NeighbourhoodFeatures {
 }
 
 impl NeighbourhoodFeatures {
-    /// Within `reach` cells.
+    /// Averages over the cells within `reach`.
     fn new(colours: &[Colours], structure: &[Structure], columns: usize, reach: usize) -> Self {
         let channel = |i: usize| around(&colours.iter().map(|c| c.mean[i]).collect::<Vec<_>>(), columns, reach, mean);
         let [grey, red, blue] = [0, 1, 2].map(channel);
@@ -196,8 +196,8 @@ impl NeighbourhoodFeatures {
     }
 }
 
-/// Least and mean difference between a cell and the picture one cell away in eight directions, over the cell's contrast: small
-/// least differences are repetition or nothing at all.
+/// Minimum and mean difference between a cell and the picture one cell away in eight directions, relative to the cell's contrast. A small
+/// minimum indicates repetition or no texture.
 fn likeness(image: &Image, grid: [u32; 2]) -> Vec<[f32; 2]> {
     let level = Level::new(image).halved();
     let directions = [(-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1)];
@@ -232,7 +232,7 @@ impl Level {
         Self { width: image.width as usize, height: image.height as usize, grey }
     }
 
-    /// Half the size; an odd last row or column is left out, unless it is the only one.
+    /// Halves the size; an odd last row or column is dropped, unless it is the only one.
     fn halved(&self) -> Self {
         let (width, height) = ((self.width / 2).max(1), (self.height / 2).max(1));
         let mut grey = Vec::with_capacity(width * height);
@@ -245,7 +245,7 @@ impl Level {
         Self { width, height, grey }
     }
 
-    /// The pixel, or the nearest of the border.
+    /// Returns the pixel, clamped to the border.
     #[inline]
     fn at(&self, x: isize, y: isize) -> f32 {
         let x = x.clamp(0, self.width as isize - 1) as usize;
@@ -253,7 +253,7 @@ impl Level {
         self.grey[y * self.width + x]
     }
 
-    /// Central differences, grey values per pixel.
+    /// Returns central differences, grey values per pixel.
     #[inline]
     fn gradient(&self, x: usize, y: usize) -> [f32; 2] {
         let (x, y) = (x as isize, y as isize);
@@ -265,12 +265,12 @@ fn grey([r, g, b]: [f32; 3]) -> f32 {
     0.299 * r + 0.587 * g + 0.114 * b
 }
 
-/// Logarithm of something that is not negative, finite at 0.
+/// Returns the logarithm of a non-negative number, finite at 0.
 fn log(value: f32) -> f32 {
     (value + 0.01).log2()
 }
 
-/// `of(columns, rows)` of the pixels of each cell, row by row.
+/// Applies `of(columns, rows)` to the pixels of each cell, row by row.
 fn each_cell<T>(
     width: u32,
     height: u32,
@@ -281,7 +281,7 @@ fn each_cell<T>(
     cells.map(|(column, row)| of(span(width, grid[0], column), span(height, grid[1], row))).collect()
 }
 
-/// `mean` of the cells within `reach` of each cell.
+/// Averages `mean` over the cells within `reach` of each cell.
 fn around<T>(cells: &[T], columns: usize, reach: usize, mean: impl Fn(&mut dyn Iterator<Item = &T>) -> T) -> Vec<T> {
     let rows = cells.len() / columns;
     let of = |cell: usize| {

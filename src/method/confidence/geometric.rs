@@ -1,27 +1,27 @@
-//! Method 7.2: the chance of a match from the constellation of the two views and the triangle. Needs no image. What the sparse points
-//! around say is in [`nearby`](super::nearby()).
+//! Geometric confidence of a pair (method 7.2): probability of a match from the geometry of the two views and the triangle. Needs no image. The
+//! sparse points around contribute in [`nearby`](super::nearby()).
 
 use nalgebra::Point3;
 
 use super::curves::PAIR;
 use crate::{config::ConfidenceSettings, method::geometry::Geometry, model::scene::ViewIndex};
 
-/// The numbers of the geometric confidence (method 7.2); each backend has its own.
+/// Parameters of the geometric confidence (method 7.2); each backend has its own.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct PairConfidence {
-    /// Matches that must succeed for a pixel (method 3.4), 1 to 3.
+    /// Minimum number of successful matches for a pixel (method 3.4), 1 to 3.
     pub min_matches: u32,
     pub p0: f64,
-    /// Power of the smaller cosine of incidence (gamma).
+    /// Exponent of the smaller cosine of incidence (gamma). A higher value penalises slanted views more.
     pub cosine_power: f64,
-    /// Standard deviation of the scale ratio in octaves (s); `None`: scale does no harm.
+    /// Standard deviation of the scale ratio, octaves (s); `None`: scale has no effect.
     pub scale_octaves: Option<f64>,
-    /// Triangulation angle from which a match is as good as any, degrees (a); `None`: any angle.
+    /// Triangulation angle, degrees, from which the angle no longer lowers the probability (a); `None`: it never does.
     pub full_angle_deg: Option<f64>,
 }
 
 impl PairConfidence {
-    /// These numbers with those that the user set in their place.
+    /// Returns these parameters with the user's settings in place of theirs.
     pub fn with(&self, settings: &ConfidenceSettings) -> Self {
         let unless_zero = |set: Option<f64>, own: Option<f64>| match set {
             Some(0.0) => None,
@@ -46,13 +46,13 @@ impl PairConfidence {
     }
 }
 
-/// How key view, partner and triangle lie to each other.
+/// Relative geometry of key view, partner and triangle.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Constellation {
     /// Cosine of the angle between the triangle's normal and the direction to the key view.
     pub cos_key: f64,
     pub cos_partner: f64,
-    /// log2 of the partner's distance over the key view's, centroid to camera centre.
+    /// log2 of the partner's distance relative to the key view's, centroid to camera centre.
     pub octaves: f64,
     /// Angle between the directions from the centroid to the two camera centres, degrees.
     pub angle_deg: f64,
@@ -75,7 +75,7 @@ impl Constellation {
 }
 
 impl Constellation {
-    /// What the curves of a trained pair take: the partner's cosine, the smaller cosine, octaves, log2 of the angle.
+    /// Returns the inputs of the curves of a trained pair: the partner's cosine, the smaller cosine, octaves, log2 of the angle.
     pub fn numbers(&self) -> [f32; PAIR.len()] {
         [self.cos_partner, self.cos_key.min(self.cos_partner), self.octaves, self.angle_deg.log2()].map(|n| n as f32)
     }

@@ -1,6 +1,6 @@
-//! Reduced pictures (method 7.3): JPEG decoded at a fraction of its size, PNG and TIFF whole and then shrunk.
+//! Decodes pictures at reduced size (method 7.3): JPEG at a fraction of its size, PNG and TIFF completely, then reduced.
 //!
-//! Pixels stay where the file has them: an orientation in EXIF is never applied, since poses and observations are those of the file.
+//! Pixels keep their position in the file: EXIF orientation is never applied, because poses and observations refer to the file.
 
 use std::{io::Cursor, path::Path};
 
@@ -13,13 +13,13 @@ use zune_jpeg::{
     zune_core::{bytestream::ZCursor, colorspace::ColorSpace, options::DecoderOptions},
 };
 
-/// A reduced picture has at least so many pixels, unless the file has fewer.
+/// Minimum number of pixels of a reduced picture, unless the file has fewer.
 const LEAST_PIXELS: f64 = 750_000.0;
-/// And at least this share of the file's side.
+/// Minimum side relative to the file's.
 const LEAST_SCALE: f64 = 0.25;
-/// Memory that decoding may take; a 16-bit RGB image of 150 megapixels has 900 MB.
+/// Memory limit for decoding, bytes; a 16-bit RGB image of 150 megapixels has 900 MB.
 const MOST_BYTES: usize = 1 << 30;
-/// Pixels of a JPEG; a progressive one needs up to six bytes for each while it is decoded.
+/// Limit on the pixels of a JPEG; decoding a progressive one takes up to six bytes each.
 const MOST_PIXELS: u64 = 1 << 28;
 
 /// A reduced picture: RGB, 8 bit, row-major.
@@ -33,7 +33,7 @@ pub struct Image {
     pub full: [u32; 2],
 }
 
-/// Why there is no picture.
+/// An image that cannot be decoded or doesn't fit its camera.
 #[derive(Debug, thiserror::Error)]
 pub enum ImageError {
     #[error("{0}")]
@@ -53,12 +53,12 @@ pub enum ImageError {
 }
 
 impl Image {
-    /// Reads an image file and reduces it to the size that is wanted of one of its width and height.
+    /// Reads an image file and reduces it to the size that `wanted` returns for its width and height.
     pub fn read(path: &Path, wanted: impl Fn([u32; 2]) -> [u32; 2]) -> Result<Self, ImageError> {
         Self::decode(&input::read(path, FileKind::Picture)?, wanted)
     }
 
-    /// Decodes the bytes of an image file and reduces it to the size that is wanted of one of its width and height.
+    /// Decodes an image and reduces it to the size that `wanted` returns for its width and height.
     pub fn decode(bytes: &[u8], wanted: impl Fn([u32; 2]) -> [u32; 2]) -> Result<Self, ImageError> {
         let image = match image::guess_format(bytes).map_err(|_| ImageError::Unknown)? {
             ImageFormat::Jpeg => jpeg(bytes, &wanted)?,
@@ -68,7 +68,7 @@ impl Image {
         Ok(image.shrunk(width, height))
     }
 
-    /// Decodes the bytes of an image file to grey levels, reduced to the size that is wanted of one of its width and height, and the size that it had.
+    /// Decodes an image to grey levels, reduced to the size that `wanted` returns for its width and height; also returns its full size.
     pub fn decode_grey(
         bytes: &[u8],
         wanted: impl Fn([u32; 2]) -> [u32; 2],
@@ -90,7 +90,7 @@ impl Image {
         Ok((GreyImage { width, height, pixels: to.into_vec() }, full))
     }
 
-    /// By areas; as it is where it has that size already.
+    /// Reduces by area averaging; unchanged if it has that size already.
     fn shrunk(self, width: u32, height: u32) -> Self {
         if (self.width, self.height) == (width, height) {
             return self;
@@ -111,7 +111,7 @@ pub struct GreyImage {
     pub pixels: Vec<u8>,
 }
 
-/// Luma alone, without the work for colours, where the file has it.
+/// Decodes luma alone if the file stores it, which saves the colour conversion.
 fn jpeg_grey(bytes: &[u8]) -> Result<(Vec<u8>, [u32; 2]), ImageError> {
     let options = DecoderOptions::default()
         .jpeg_set_out_colorspace(ColorSpace::Luma)
@@ -134,14 +134,14 @@ fn jpeg_grey(bytes: &[u8]) -> Result<(Vec<u8>, [u32; 2]), ImageError> {
     }
 }
 
-/// Size of the picture that confidence is read from: three quarters of a megapixel or a quarter of the side, whichever is larger.
+/// Returns the size of the picture that confidence is predicted from: three quarters of a megapixel or a quarter of the side, whichever is larger.
 pub fn size_for_confidence(full: [u32; 2]) -> [u32; 2] {
     let pixels = f64::from(full[0]) * f64::from(full[1]);
     let scale = (LEAST_PIXELS / pixels).sqrt().clamp(LEAST_SCALE, 1.0);
     full.map(|side| ((f64::from(side) * scale).round() as u32).max(1))
 }
 
-/// At the smallest of 1/8, 1/4, 1/2 and 1 that is not below the wanted size.
+/// Decodes at the smallest of 1/8, 1/4, 1/2 and 1 that is not below the wanted size.
 fn jpeg(bytes: &[u8], wanted: &impl Fn([u32; 2]) -> [u32; 2]) -> Result<Image, ImageError> {
     let mut decoder = jpeg_decoder::Decoder::new(bytes);
     decoder.set_max_decoding_buffer_size(MOST_BYTES);
@@ -150,7 +150,7 @@ fn jpeg(bytes: &[u8], wanted: &impl Fn([u32; 2]) -> [u32; 2]) -> Result<Image, I
     if u64::from(full[0]) * u64::from(full[1]) > MOST_PIXELS {
         return Err(ImageError::Large { width: full[0], height: full[1] });
     }
-    // Sides of a JPEG have 16 bits.
+    // The sides of a JPEG are 16-bit numbers.
     let [width, height] = wanted(full).map(|side| side as u16);
     let (width, height) = decoder.scale(width, height)?;
     let data = decoder.decode()?;
@@ -161,7 +161,7 @@ fn jpeg(bytes: &[u8], wanted: &impl Fn([u32; 2]) -> [u32; 2]) -> Result<Image, I
         PixelFormat::L16 => {
             data.chunks_exact(2).flat_map(|v| [(u16::from_ne_bytes([v[0], v[1]]) >> 8) as u8; 3]).collect()
         }
-        // Ink, which the decoder has turned the right way round.
+        // CMYK; the decoder has already inverted it where necessary.
         PixelFormat::CMYK32 => {
             data.chunks_exact(4).flat_map(|v| [0, 1, 2].map(|c| product(255 - v[c], 255 - v[3]))).collect()
         }
@@ -169,7 +169,7 @@ fn jpeg(bytes: &[u8], wanted: &impl Fn([u32; 2]) -> [u32; 2]) -> Result<Image, I
     Ok(Image { width: width.into(), height: height.into(), rgb, full })
 }
 
-/// Of two shares in 255ths.
+/// Multiplies two shares in 255ths.
 fn product(a: u8, b: u8) -> u8 {
     (u16::from(a) * u16::from(b) / 255) as u8
 }
@@ -188,7 +188,7 @@ fn open(bytes: &[u8]) -> Result<image::DynamicImage, ImageError> {
     Ok(reader.decode()?)
 }
 
-/// Where an image may be used, by COLMAP's convention: black pixels of the mask may not.
+/// Mask of an image by COLMAP's convention: black pixels must not be used.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Mask {
     pub width: u32,
@@ -197,22 +197,22 @@ pub struct Mask {
 }
 
 impl Mask {
-    /// Decodes the bytes of a mask.
+    /// Decodes a mask.
     pub fn decode(bytes: &[u8]) -> Result<Self, ImageError> {
-        // 16 bits, so that the darkest grey is not black.
+        // 16 bits, so that the darkest grey is not rounded to black.
         let pixels = open(bytes)?.into_luma16();
         let (width, height) = pixels.dimensions();
         Ok(Self { width, height, usable: pixels.pixels().map(|p| p.0[0] > 0).collect() })
     }
 
-    /// Whether the pixel may be used that shows a place given as shares of the image's width and height.
+    /// Returns whether the pixel at a position, given as shares of width and height, may be used.
     pub fn allows(&self, x: f64, y: f64) -> bool {
         let [column, row] = [(x, self.width), (y, self.height)]
             .map(|(share, side)| ((share * f64::from(side)).max(0.0) as usize).min(side as usize - 1));
         self.usable[row * self.width as usize + column]
     }
 
-    /// Share of the pixels that may be used in a cell of a grid that covers the image.
+    /// Returns the share of usable pixels in a cell of a grid that covers the image.
     pub fn share(&self, grid: [u32; 2], column: u32, row: u32) -> f32 {
         let (columns, rows) = (span(self.width, grid[0], column), span(self.height, grid[1], row));
         let pixels = columns.len() * rows.len();
@@ -224,7 +224,7 @@ impl Mask {
     }
 }
 
-/// The pixels of a cell along one side: `cells` cells cover `length` pixels; at least one.
+/// Returns the pixels of a cell along one side, at least one: `cells` cells cover `length` pixels.
 pub fn span(length: u32, cells: u32, cell: u32) -> std::ops::Range<usize> {
     let at = |i: u32| (u64::from(i) * u64::from(length) / u64::from(cells)) as usize;
     let from = at(cell).min(length as usize - 1);

@@ -26,14 +26,14 @@ use crate::{
     },
 };
 
-/// Folder of masks, in the project or beside its image folder.
+/// Name of the folder of masks, in the project or next to its image folder.
 pub const MASKS: &str = "masks";
-/// Where maps are kept, relative to the project.
+/// Path of the map cache, relative to the project.
 pub const CACHE: &str = "viewrank/cache/confidence.maps";
-/// Images that are named in warnings.
+/// Number of images named in a warning.
 const NAMED: usize = 3;
 
-/// Where a project has its pictures and masks.
+/// Image and mask folders of a project.
 #[derive(Clone, Debug)]
 pub struct Pictures {
     images: Option<ImageFolder>,
@@ -45,12 +45,12 @@ pub struct Pictures {
 /// The predictions for all pictures of a project, with warnings.
 #[derive(Clone, Debug, Default)]
 pub struct PicturePredictions {
-    /// By view; `None`: it has neither image nor mask.
+    /// By view; `None` if it has neither image nor mask.
     pub maps: Vec<Option<ConfidenceMap>>,
-    /// Median over the images of how unlike they are to those that the predictor learnt from; `None` without images.
+    /// Median over the images of their dissimilarity to the predictor's training set; `None` without images.
     pub distance: Option<f32>,
     pub warnings: Vec<String>,
-    /// New contents of [`CACHE`], if they change.
+    /// New contents of [`CACHE`], if changed.
     pub cache: Option<Vec<u8>>,
 }
 
@@ -82,14 +82,14 @@ impl Pictures {
         &self.project
     }
 
-    /// Size and time of change of a view's image and mask; `None` where a file's time of change is not known.
+    /// Returns size and times of a view's image and mask; `None` if the time of change of a file is unknown.
     pub(super) fn stamps(&self, name: &str) -> Option<Inputs> {
         let image = self.images.as_ref().map(|folder| folder.file(name));
         let stamps = Files { image, mask: self.masks.as_deref().and_then(|folder| mask_file(folder, name)) }.inputs();
         stamps.are_dated().then_some(stamps)
     }
 
-    /// The view's picture in grey at half the size at which it is matched, and its mask; `None` without an image folder.
+    /// Returns the view's picture in grey at half the size at which it is matched, and its mask; `None` without an image folder.
     pub(super) fn grey(
         &self,
         scene: &Scene,
@@ -112,7 +112,7 @@ impl Pictures {
         Ok(Some((Grey::new(image.width as usize, image.height as usize, image.pixels), mask)))
     }
 
-    /// Image and mask of a view, whether the image exists or not.
+    /// Returns the paths of a view's image and mask; the image may not exist.
     pub fn files(&self, name: &str) -> [Option<PathBuf>; 2] {
         [
             self.images.as_ref().map(|folder| folder.file(name)),
@@ -124,7 +124,7 @@ impl Pictures {
         self.masks.is_some()
     }
 
-    /// Predicts for each view; without a predictor only masks count. An image that is missing or broken is done without.
+    /// Predicts a map for each view; without a predictor only masks count. Views with a missing or broken image get none, and a warning.
     pub fn predict(
         &self,
         scene: &Scene,
@@ -169,7 +169,7 @@ impl Pictures {
         let name = scene.name(view);
         let [image, mask] = self.files(name);
         let files = Files { image: image.filter(|_| predictor.is_some()), mask };
-        // Before anything is read: a file that changes meanwhile differs from its stamp and is read again the next time.
+        // Taken before anything is read: a file that changes meanwhile differs from its stamp and is read again next time.
         let seen = files.inputs();
         if let Some(entry) = cache.untouched(name, &seen) {
             return PredictedView { entry: Some(entry.clone()), ..PredictedView::default() };
@@ -194,7 +194,7 @@ impl Pictures {
     }
 }
 
-/// The first views whose pictures cannot be used, and how many more there are.
+/// Names the first views whose pictures cannot be used, and counts the rest.
 pub fn picture_warnings<E: std::borrow::Borrow<ImageError>>(scene: &Scene, troubles: &[Option<E>]) -> Vec<String> {
     let troubled = || scene.view_indices().zip(troubles).filter_map(|(view, t)| Some((view, t.as_ref()?.borrow())));
     let what = |trouble: &ImageError| match trouble {
@@ -213,20 +213,20 @@ pub fn picture_warnings<E: std::borrow::Borrow<ImageError>>(scene: &Scene, troub
     warnings
 }
 
-/// What a view is looked at with.
+/// Image and mask of one view.
 struct Files {
     image: Option<PathBuf>,
     mask: Option<PathBuf>,
 }
 
 impl Files {
-    /// Without their contents.
+    /// Stamps without hashes of the contents.
     fn inputs(&self) -> Inputs {
         let stamp = |path: &Option<PathBuf>| path.as_deref().and_then(|path| Stamp::read(path).ok());
         Inputs { image: stamp(&self.image), mask: stamp(&self.mask) }
     }
 
-    /// Reads the files, which were last `seen` before, and predicts unless the cache has files of the same contents. `None`: neither image
+    /// Reads the files, whose stamps were `seen` before, and predicts unless the cache has files with the same contents. `None`: neither image
     /// nor mask.
     fn entry(
         &self,
@@ -261,7 +261,7 @@ impl Files {
     }
 }
 
-/// A reduced copy of the image will do; another shape is another picture.
+/// Reduced copies of the image are accepted; another aspect ratio means another picture.
 fn check_shape([width, height]: [u32; 2], camera: &Camera) -> Result<(), ImageError> {
     let ratio = f64::from(width) * f64::from(camera.height) / (f64::from(height) * f64::from(camera.width));
     let rounding = 1.0 / f64::from(width) + 1.0 / f64::from(height);
@@ -269,7 +269,7 @@ fn check_shape([width, height]: [u32; 2], camera: &Camera) -> Result<(), ImageEr
     if (ratio - 1.0).abs() <= rounding { Ok(()) } else { Err(ImageError::Shape { width, height, camera }) }
 }
 
-/// `NAME.png`; for an image that is a PNG itself, also its own name.
+/// `NAME.png`; for a PNG image also its own name.
 fn mask_file(folder: &Path, name: &str) -> Option<PathBuf> {
     let own = name.to_ascii_lowercase().ends_with(".png").then(|| folder.join(name));
     [Some(folder.join(format!("{name}.png"))), own].into_iter().flatten().find(|path| path.is_file())

@@ -1,5 +1,5 @@
-//! What is known of a triangle where a view sees it, in numbers, for the trained confidence: what its picture promises, what the sparse points
-//! around it say, where in the image it lies and how it is seen.
+//! Features of a triangle in a view, for the trained confidence: prediction of the picture, surrounding sparse points, position in the
+//! image, and viewing geometry.
 
 use rayon::prelude::*;
 
@@ -13,7 +13,7 @@ use crate::{
     model::scene::{PointIndex, Scene, ViewIndex, ViewPoints},
 };
 
-/// The rows of a model's visibility table, each a triangle where a view sees it.
+/// Features of the rows of a visibility table, each a triangle in a view that sees it.
 pub struct PlaceFeatures<'a> {
     geometry: Geometry<'a>,
     /// By row: share of the sparse points nearest to the triangle that the view observes.
@@ -22,15 +22,15 @@ pub struct PlaceFeatures<'a> {
     ground: Vec<Ground>,
 }
 
-/// What the sparse points nearest to a triangle are like; NaN without points.
+/// Statistics of the sparse points nearest to a triangle; NaN without points.
 struct Ground {
-    /// log2 of their mean distance from its centroid over the wanted GSD.
+    /// log2 of their mean distance from its centroid, relative to the wanted GSD.
     spacing: f32,
-    /// log2 of their largest distance from its plane over the wanted GSD, plus 1.
+    /// log2 of (their largest distance from its plane relative to the wanted GSD, plus 1).
     roughness: f32,
     /// Mean log2 of their track lengths.
     track_length: f32,
-    /// Their mean reprojection error, pixels of the model's images.
+    /// Mean reprojection error, pixels of the model's images.
     error: f32,
 }
 
@@ -48,14 +48,14 @@ impl<'a> PlaceFeatures<'a> {
         })
     }
 
-    /// Gives back memory that can be read again.
+    /// Lets the operating system drop pages of a table on disk; they are read again when needed.
     pub fn release(&self) {
         self.observed.release();
     }
 
-    /// Log odds of what the picture promises (NaN: no picture), distance to the border over half of the shorter side, cosine of incidence, log2
-    /// of the view's ground sampling distance over the wanted one, and of the sparse points nearest to the triangle the share that
-    /// the view observes, how far apart they are, how far off its plane, how long their tracks are and how large their errors.
+    /// Returns: log odds of the picture's prediction (NaN: no picture), distance to the border relative to half the shorter side, cosine of incidence,
+    /// log2 of the view's ground sampling distance relative to the wanted one; and of the sparse points nearest to the triangle, the share that
+    /// the view observes, their spacing, roughness, track length and reprojection error.
     pub fn numbers(&self, view: ViewIndex, row: usize, promise: f32) -> [f32; PLACE.len()] {
         let geometry = &self.geometry;
         let triangle = geometry.visibility.triangles[row];
@@ -67,7 +67,7 @@ impl<'a> PlaceFeatures<'a> {
         let border = pixel.x.min(width - pixel.x).min(pixel.y).min(height - pixel.y) / (0.5 * width.min(height));
         let (normal, ray) = (geometry.surface.area_normal(triangle), pose.centre() - centroid);
         let cosine = normal.dot(&ray) / (normal.norm() * ray.norm());
-        // The Jacobian's two singular values are about f / z each.
+        // The two singular values of the Jacobian are about f / z each.
         let gsd = std::f64::consts::SQRT_2 / (jacobian.norm() * geometry.image_scale);
         let wanted = f64::from(geometry.target.gsd[triangle as usize]);
         let Ground { spacing, roughness, track_length, error } = self.ground[triangle as usize];
@@ -92,7 +92,7 @@ impl Ground {
     }
 }
 
-/// log2 of a point's track length and its mean reprojection error.
+/// Returns log2 of a point's track length, and its mean reprojection error, px.
 fn length_and_error(scene: &Scene, point: PointIndex) -> [f32; 2] {
     let track = scene.track(point);
     let length = track.len() as f32;
@@ -100,7 +100,7 @@ fn length_and_error(scene: &Scene, point: PointIndex) -> [f32; 2] {
     [length.log2(), errors.sum::<f32>() / length]
 }
 
-/// Log odds of a probability, finite; NaN stays.
+/// Returns the log odds of a probability, clamped to 0.005 to 0.995; NaN stays.
 pub fn odds_of(probability: f32) -> f32 {
     let p = probability.clamp(0.005, 0.995);
     (p / (1.0 - p)).ln()

@@ -1,7 +1,7 @@
-//! The training-free look at a picture (method 7.3): can a patch be told from its neighbours along any direction?
+//! Untrained measure of texture (method 7.3): whether a patch can be told from its neighbours in every direction.
 //!
-//! The smaller eigenvalue of the structure tensor against that of sensor noise, at the scale where it stands out most. It is meant to take away
-//! only where nothing can be matched: from a few times the noise on the confidence is 1.
+//! Compares the smaller eigenvalue of the structure tensor with that of sensor noise, at the scale of the highest ratio. It lowers confidence
+//! only where nothing can be matched: from a few times the noise on, confidence is 1.
 
 use super::{
     ConfidenceMap, Prediction, Predictor,
@@ -11,7 +11,7 @@ use super::{
 
 /// Standard deviation of the noise of a reduced picture, grey values.
 const NOISE: f32 = 1.0;
-/// Signal over noise (variances) up to which nothing can be told apart, and from which everything can.
+/// Signal-to-noise ratios (variances) up to which confidence is 0, and from which it is 1.
 const NOTHING: f32 = 1.0;
 const EVERYTHING: f32 = 6.0;
 
@@ -41,7 +41,7 @@ impl Predictor for Proxy {
     }
 }
 
-/// From 0 to 1 along the logarithm.
+/// Rises from 0 to 1 with the logarithm.
 fn told_apart(ratio: f32) -> f32 {
     ((ratio / NOTHING).ln() / (EVERYTHING / NOTHING).ln()).clamp(0.0, 1.0)
 }
@@ -50,7 +50,7 @@ fn told_apart(ratio: f32) -> f32 {
 mod tests {
     use super::*;
 
-    /// Left half as the function says, right half blank.
+    /// Left half filled by the function, right half blank.
     fn confidence(grey: impl Fn(u32, u32) -> u8) -> (f32, f32) {
         let (width, height) = (128, 64);
         let at = |i: u32| if i % width < width / 2 { grey(i % width, i / width) } else { 120 };

@@ -1,7 +1,7 @@
 //! The trained confidence and its file (method 7.3).
 //!
-//! The file is JSON: one object that holds everything that a prediction needs and where it comes from. It is looked through before it is used:
-//! whatever stands in it, predicting neither fails nor takes more memory than the file suggests.
+//! The file is JSON: one object with all that a prediction needs and its origin. It is validated before use:
+//! whatever it contains, predicting neither fails nor takes more memory than the size of the file suggests.
 
 use std::path::{Path, PathBuf};
 
@@ -26,72 +26,72 @@ use crate::{
     model::scene::{ViewIndex, ViewPoints},
 };
 
-/// Version of the file; a program reads its own version.
+/// Version of the file format; a program reads only its own version.
 pub const VERSION: u32 = 2;
-/// What the file says it is.
+/// Value of `format`, which identifies the file type.
 const FORMAT: &str = "viewrank confidence model";
 /// The model that comes with the program.
 const SHIPPED: &[u8] = include_bytes!("shipped.model");
 
-/// A trained confidence: what it was trained on, and the numbers.
+/// A trained confidence, with its origin.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TrainedModel {
     pub format: String,
     pub version: u32,
-    /// Program that wrote it.
+    /// Program that wrote the file.
     pub tool: String,
     pub licence: String,
-    /// Name of the backend whose depth maps it learnt from.
+    /// Name of the backend whose depth maps it was trained on.
     pub backend: String,
     pub trained_on: Vec<TrainedOn>,
     pub seed: u64,
     pub measured: ValidationScores,
     pub pair: PairCurves,
     pub place: PlaceCurves,
-    /// `None` where there were no pictures.
+    /// `None` if trained without pictures.
     pub picture: Option<PictureModel>,
 }
 
-/// A project that was trained on.
+/// A training project.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 pub struct TrainedOn {
     /// Name of the project's folder.
     pub name: String,
-    /// Views of its model.
+    /// Number of views of its model.
     pub views: usize,
-    /// Finished depth maps that it learnt from.
+    /// Number of finished depth maps used for training.
     pub depth_maps: usize,
 }
 
-/// Figures on views, or where there were several projects on projects, that were left out of the training.
+/// Out-of-sample scores: on views, or with several projects on projects, left out of the training.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct ValidationScores {
-    /// Judged triangles of finished clusters: how many, the area under the ROC curve, mean squared error, and mean distance between predicted
-    /// and real shares over ten equal ranges of prediction, weighted by how many fall in.
+    /// Judged triangles of finished clusters: their number, the area under the ROC curve, mean squared error, and mean distance between predicted
+    /// and observed shares over ten equal ranges of prediction, weighted by the triangles in each.
     pub triangles: usize,
     pub auc: f64,
     pub brier: f64,
     pub calibration_error: f64,
-    /// The same of single pixels by the picture alone.
+    /// The same for single pixels, predicted from the picture alone.
     pub pixels: usize,
     pub pixel_auc: f64,
     pub pixel_brier: f64,
 }
 
-/// What the picture alone says.
+/// Picture part of the model.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PictureModel {
     pub classifier: Classifier,
-    /// Log odds are multiplied by the first and moved by the second.
+    /// Platt scaling: log odds are multiplied by the first and shifted by the second.
     pub calibration: [f32; 2],
-    /// By feature, by bin: share of the training cells in this bin and those below.
+    /// By feature, then bin: cumulative share of the training cells.
     pub cumulative: Vec<Vec<f32>>,
-    /// Distance of a training image from all of them that nineteen of twenty do not exceed.
+    /// 95th percentile of the distances between a training image and all of them.
     pub reach: f32,
 }
 
 impl TrainedModel {
-    /// `None`: this program comes without one.
+    /// Returns `None` if the program was built without one.
     pub fn shipped() -> Option<Self> {
         Self::parse(SHIPPED, Path::new("shipped.model")).ok()
     }
@@ -123,7 +123,7 @@ impl TrainedModel {
         if sound { Ok(trained) } else { Err(broken("its numbers make no sense".into())) }
     }
 
-    /// The contents of a model file.
+    /// Returns the contents of a model file.
     pub fn to_bytes(&self) -> Vec<u8> {
         let mut bytes = serde_json::to_vec(self).expect("text and finite numbers are JSON");
         bytes.push(b'\n');
@@ -139,12 +139,12 @@ impl TrainedModel {
         )
     }
 
-    /// Hexadecimal; tells models apart.
+    /// Returns a hexadecimal fingerprint of the model.
     pub fn fingerprint(&self) -> String {
         blake3::hash(&self.to_bytes()).to_string()
     }
 
-    /// What each row of the visibility table says as the key view's and as a partner's. `maps`: what [`PictureModel`] says of each view.
+    /// Predicts each row of the visibility table, as the key view's and as a partner's. `maps`: predictions of [`PictureModel`] for each view.
     pub fn unary(
         &self,
         geometry: &Geometry,
@@ -197,7 +197,7 @@ impl PictureModel {
             && self.reach > 0.0
     }
 
-    /// Calibrated probability of each cell, and the distance of the picture from the training cells over none.
+    /// Returns the calibrated probability of each cell, and the distance of the picture from the training cells relative to `reach`.
     pub fn of_cells(&self, features: &Features) -> (Vec<f32>, f32) {
         let mut bins = vec![0u8; features::COUNT];
         let mut counts = vec![[0u32; BINS]; features::COUNT];
@@ -214,7 +214,7 @@ impl PictureModel {
         logistic(self.calibration[0] * place::odds_of(chance) + self.calibration[1])
     }
 
-    /// Mean over the features of the largest difference of the cumulative shares (Kolmogorov and Smirnov's distance).
+    /// Returns the mean over the features of the Kolmogorov-Smirnov distance.
     fn apart(&self, counts: &[[u32; BINS]], cells: usize) -> f32 {
         let of_feature = |(counts, known): (&[u32; BINS], &Vec<f32>)| {
             let mut sum = 0;
@@ -241,7 +241,7 @@ impl Predictor for PictureModel {
     }
 }
 
-/// Why a model cannot be used.
+/// A model that cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum TrainedError {
     #[error("{}: {source}", path.display())]

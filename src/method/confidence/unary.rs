@@ -1,4 +1,4 @@
-//! From confidence per place of a picture to confidence per triangle of a view (method 7.3).
+//! Averages confidence maps of pictures over the triangles that each view sees (method 7.3).
 
 use nalgebra::Point2;
 
@@ -20,13 +20,13 @@ use crate::{
 pub struct Unary {
     /// 0 to 1; empty: 1 everywhere.
     pub values: Column<f32>,
-    /// With a trained confidence: what the view adds to the log odds of a pair as its partner; `values` is then the chance that it can
+    /// For a trained confidence: the view's contribution as a partner to the log odds of a pair; `values` is then the probability that it can
     /// be measured as the key view's. Else empty.
     pub partner_odds: Column<f32>,
 }
 
 impl Unary {
-    /// 1 everywhere: no picture was looked at.
+    /// Returns 1 everywhere: no picture was read.
     pub fn certain() -> Self {
         Self::default()
     }
@@ -35,7 +35,7 @@ impl Unary {
         if self.values.is_empty() { 1.0 } else { self.values[row] }
     }
 
-    /// The product of two that say what pictures and sparse points promise, row by row.
+    /// Returns the row-wise product with another table (of pictures and of sparse points).
     pub fn times(self, other: Self, visibility: &Visibility) -> Result<Self, TableError> {
         if self.values.is_empty() {
             return Ok(other);
@@ -49,18 +49,18 @@ impl Unary {
         Ok(Self { values: visibility.column(|| (), of_view)?, ..Self::certain() })
     }
 
-    /// Gives back memory that can be read again.
+    /// Lets the operating system drop pages of a table on disk; they are read again when needed.
     pub fn release(&self) {
         self.values.release();
         self.partner_odds.release();
     }
 
-    /// What the row says of a pair that its view is the partner of: its log odds where the confidence is trained, else its confidence.
+    /// Returns the row's contribution to a pair whose partner is its view: log odds if the confidence is trained, else confidence.
     pub fn as_partner(&self, row: usize) -> f32 {
         if self.partner_odds.is_empty() { self.confidence(row) } else { self.partner_odds[row] }
     }
 
-    /// The mean of the view's map over each triangle that it sees; 1 in views without a map.
+    /// Averages the view's map over each triangle that it sees; 1 in views without a map.
     pub fn new(
         scene: &Scene,
         surface: &Surface,
@@ -83,7 +83,7 @@ impl Unary {
     }
 }
 
-/// Mean of the cells whose centres lie in the projected triangle; of a triangle that holds none, the cell of its centroid.
+/// Returns the mean of the cells whose centres are in the projected triangle; if there are none, the cell of its centroid.
 fn mean_over(scene: &Scene, surface: &Surface, view: ViewIndex, triangle: u32, map: &ConfidenceMap) -> f32 {
     let (camera, pose) = (scene.camera_of(view), &scene.view(view).cam_from_world);
     let place = |x| camera.project(&pose.camera_from_world(&x)).map(|pixel| in_cells(camera, map, &pixel));
@@ -98,7 +98,7 @@ fn mean_over(scene: &Scene, surface: &Surface, view: ViewIndex, triangle: u32, m
     })
 }
 
-/// A pixel of the camera's image in cells of the map.
+/// Converts a pixel of the camera's image to cells of the map.
 fn in_cells(camera: &Camera, map: &ConfidenceMap, pixel: &Point2<f64>) -> Point2<f64> {
     Point2::new(
         pixel.x / f64::from(camera.width) * f64::from(map.columns),
@@ -107,7 +107,7 @@ fn in_cells(camera: &Camera, map: &ConfidenceMap, pixel: &Point2<f64>) -> Point2
 }
 
 fn cell(position: f64, cells: u32) -> usize {
-    // A cast holds at the ends of its range.
+    // `as` saturates at the ends of the range.
     (position as usize).min(cells as usize - 1)
 }
 

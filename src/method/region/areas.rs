@@ -1,4 +1,4 @@
-//! Polygons laid over a surface as on a map, at all heights.
+//! Polygons projected onto a surface as on a map, at all heights.
 
 use std::path::Path;
 
@@ -19,7 +19,7 @@ use crate::{
     model::georeference::{Georeference, MapFrame},
 };
 
-/// Difference from 1 up to which a vector is a unit vector.
+/// Tolerance of the length of a unit vector.
 const UNIT: f64 = 1e-3;
 
 /// Polygons in the coordinates of their file.
@@ -34,7 +34,7 @@ pub struct MapAreas {
     projection: Projection,
 }
 
-/// From world coordinates to those of the file.
+/// Projection from world coordinates to those of the file.
 #[derive(Clone, Copy, Debug)]
 pub enum Projection {
     /// Longitude and latitude, degrees.
@@ -69,7 +69,7 @@ impl Projection {
         }
     }
 
-    /// Moves a position by whole turns of longitude to within half a turn of another.
+    /// Shifts a position by whole turns of longitude to within half a turn of another.
     fn beside(&self, from: [f64; 2], to: [f64; 2]) -> [f64; 2] {
         match self {
             Self::Geodetic(_) => [to[0] - 360.0 * ((to[0] - from[0]) / 360.0).round(), to[1]],
@@ -106,7 +106,7 @@ impl MapAreas {
         Ok(Self { polygons, rings, wishes, columns, projection })
     }
 
-    /// Properties of the last polygon that holds the place.
+    /// Returns the properties of the last polygon that contains the position.
     fn at(&self, place: [f64; 2]) -> Option<RegionProperties> {
         let holding = self.columns.cell(place).iter().rev().find(|&&i| self.polygons[i as usize].contains(place));
         holding.map(|&i| self.wishes[i as usize])

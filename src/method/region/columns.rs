@@ -1,10 +1,10 @@
-//! Rectangles by place: which of many rectangles in the plane may hold a point.
+//! Spatial index of rectangles: finds those that may contain a point.
 
 use crate::base::rows::Offsets;
 
 /// Largest number of columns along each side.
 const MOST: usize = 1024;
-/// Entries per rectangle beyond which the grid is coarser.
+/// Average number of entries per rectangle beyond which the grid is made coarser.
 const ENTRIES: usize = 16;
 
 /// A rectangle in the plane: low corner, high corner.
@@ -15,7 +15,7 @@ pub struct Rectangle {
 }
 
 impl Rectangle {
-    /// The smallest rectangle around points; empty (low above high) without any.
+    /// Returns the bounding rectangle of points; empty (low above high) without points.
     pub fn around<'a>(points: impl IntoIterator<Item = &'a [f64; 2]>) -> Self {
         let mut all = Self { low: [f64::INFINITY; 2], high: [f64::NEG_INFINITY; 2] };
         for point in points {
@@ -30,11 +30,11 @@ impl Rectangle {
     }
 }
 
-/// A grid of square columns with the rectangles that touch each.
+/// A grid of square columns, each with the rectangles that touch it.
 #[derive(Clone, Debug)]
 pub struct Columns {
     all: Rectangle,
-    /// Columns along each side.
+    /// Number of columns along each side.
     side: usize,
     offsets: Offsets,
     /// Indices of rectangles, ascending in each column.
@@ -75,12 +75,13 @@ impl Columns {
         (self.offsets, self.entries) = (offsets, entries);
     }
 
-    /// Columns along x and y that a rectangle touches.
+    /// Returns the ranges of columns, along x and y, that a rectangle touches.
     fn touched(&self, rectangle: &Rectangle) -> [std::ops::Range<usize>; 2] {
         [0, 1].map(|axis| self.place(rectangle.low[axis], axis)..self.place(rectangle.high[axis], axis) + 1)
     }
 
-    /// Column of a coordinate; the same monotonic function for rectangles and points, so that rounding parts none from its column.
+    /// Returns the column of a coordinate. The function is monotonic and the same for rectangles and points, so rounding
+    /// never separates a point from its rectangles.
     fn place(&self, x: f64, axis: usize) -> usize {
         let extent = self.all.high[axis] - self.all.low[axis];
         let place = (x - self.all.low[axis]) / extent * self.side as f64;
@@ -88,7 +89,7 @@ impl Columns {
         (place as usize).min(self.side - 1)
     }
 
-    /// The rectangles that may hold the point, ascending; none where it is outside all of them.
+    /// Returns the rectangles that may contain the point, ascending; none if it is outside all of them.
     pub fn cell(&self, point: [f64; 2]) -> &[u32] {
         let inside = (0..2).all(|axis| self.all.low[axis] <= point[axis] && point[axis] <= self.all.high[axis]);
         match inside {

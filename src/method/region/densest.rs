@@ -1,20 +1,20 @@
-//! `auto`: the box around the places with the most pixels per area.
+//! `auto`: the box around the part of the surface with the most pixels per area.
 //!
-//! The density of a triangle is its pixels in all views over its area: a subject that the cameras go round has a high one, what is behind it or
-//! at the border of a flight a low one. Triangles in descending order of density are cut where their share of the pixels, m, stands out most
-//! from their share of the area, a (largest `m ln(m / a) + (1 - m) ln((1 - m) / (1 - a))`, the statistic of Kulldorff's scan, 1997); triangles
-//! down to a quarter of the density at the cut are taken, too. The box holds all but the outermost pixels of these along each axis, and a margin.
+//! The density of a triangle is the number of its pixels in all views divided by its area: high for a subject that the cameras surround, low for the
+//! background and the border of a flight. Triangles in descending order of density are cut where their share of the pixels, m, exceeds
+//! their share of the area, a, most significantly (largest `m ln(m / a) + (1 - m) ln((1 - m) / (1 - a))`, the statistic of Kulldorff's scan,
+//! 1997). Triangles down to a quarter of the density at the cut are included. The box holds all but the outermost pixels of these along each axis, plus a margin.
 
 use crate::method::surface::Surface;
 
-/// Least density of a triangle that is taken, over that of the sparsest triangle of the core: half the resolution.
+/// Minimum density of an included triangle, relative to the sparsest triangle of the core: half the resolution.
 const SURROUNDINGS: f64 = 0.25;
-/// Share of the pixels that the box leaves out at each of its six sides; a single stray triangle has fewer.
+/// Share of the pixels that the box excludes at each of its six sides; enough to drop a single stray triangle.
 const STRAY: f64 = 0.005;
-/// Margin at each side over the length of that side.
+/// Margin at each side, relative to the length of that side.
 const MARGIN: f64 = 0.05;
 
-/// Corners of the box, world coordinates; `None` where no view shows any area. `pixels`: of each triangle, in all views together.
+/// Returns the corners of the box, world coordinates; `None` if no view shows any area. `pixels`: number per triangle, over all views.
 pub fn densest(surface: &Surface, pixels: &[f64]) -> Option<[f64; 6]> {
     let areas: Vec<f64> = (0..surface.triangles.len() as u32).map(|t| surface.area(t)).collect();
     let density = |t: u32| pixels[t as usize] / areas[t as usize];
@@ -34,7 +34,7 @@ pub fn densest(surface: &Surface, pixels: &[f64]) -> Option<[f64; 6]> {
     Some(corners)
 }
 
-/// Position in `order` of the sparsest triangle of the core.
+/// Returns the position in `order` of the sparsest triangle of the core.
 fn core(order: &[u32], pixels: &[f64], areas: &[f64]) -> Option<usize> {
     let sum = |of: &[f64]| order.iter().map(|&t| of[t as usize]).sum::<f64>();
     let [all_pixels, all_area] = [sum(pixels), sum(areas)];
@@ -51,7 +51,7 @@ fn core(order: &[u32], pixels: &[f64], areas: &[f64]) -> Option<usize> {
     Some(best.1)
 }
 
-/// The first and the last triangle along the list that are not stray.
+/// Returns the first and the last triangle along the list that are not strays.
 fn within(list: &[u32], pixels: &[f64]) -> [u32; 2] {
     let stray = STRAY * list.iter().map(|&t| pixels[t as usize]).sum::<f64>();
     let first = |list: &mut dyn Iterator<Item = &u32>| {

@@ -1,7 +1,7 @@
-//! Method 5.7: the part of the scene that the plan is for.
+//! Region of interest (method 5.7): the part of the scene that is planned for.
 //!
-//! A region is a set of polygons on the map, a box, a closed mesh, or `auto`. The other stages see only a factor on the weight of each triangle
-//! and, from polygons, a wanted g_d. The factor is the mean over 16 samples of the triangle: its share inside, times the weight of the polygons.
+//! A region is a set of polygons on the map, a box, a closed mesh, or `auto`. The other stages see it only as a factor on the weight of each triangle
+//! and, for polygons, a wanted g_d. The factor is the mean over 16 samples of the triangle: the share inside, times the weight of the polygons.
 
 mod areas;
 mod columns;
@@ -26,19 +26,19 @@ use crate::{
     model::georeference::{Georeference, MapFrame},
 };
 
-/// Triangles between two calls of the watcher.
+/// Triangles between two checks for cancellation.
 const AT_ONCE: usize = 16_384;
 
-/// How a region is given.
+/// Kind of a region.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum RegionKind {
-    /// GeoJSON.
+    /// Polygons from a GeoJSON file.
     Polygons,
     Box,
     /// A closed mesh.
     Mesh,
-    /// The box around the places with the most pixels per area.
+    /// The box around the densest part of the surface.
     Auto,
 }
 
@@ -48,23 +48,23 @@ pub struct Region {
     pub kind: RegionKind,
     /// Factor on the weight of each triangle: its share inside, times the weight of the areas there.
     pub factors: Vec<f32>,
-    /// Share of each triangle that is inside and has a weight, 0 to 1.
+    /// Share of each triangle inside areas of positive weight, 0 to 1.
     pub covered: Vec<f32>,
-    /// g_d that the areas want of each triangle, infinite where they want none; empty if none does.
+    /// g_d that the areas ask for, per triangle, infinite where they ask for none; empty if no area asks for any.
     pub gsd: Vec<f32>,
-    /// The box; of polygons and meshes that around the triangles inside. Low corner, high corner, world coordinates.
+    /// The box; for polygons and meshes the bounds of the triangles inside. Low corner, high corner, world coordinates.
     pub bounds: [f64; 6],
     pub outline: Outline,
 }
 
-/// The region on a map.
+/// Outline of the region on a map.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Outline {
     /// Polygons in longitude and latitude, degrees.
     Geodetic(Vec<Polygon>),
     /// Rings of polygons in world coordinates.
     Polygons(Vec<Vec<Vec<Point3<f64>>>>),
-    /// The region is the hull of these points, world coordinates, seen from above.
+    /// The convex hull, seen from above, of these points in world coordinates.
     Hull(Vec<Point3<f64>>),
 }
 
@@ -74,17 +74,17 @@ impl Region {
     }
 }
 
-/// A region before it is laid over a surface.
+/// A region before it is projected onto a surface.
 #[derive(Clone, Debug)]
 pub enum RegionShape {
     Areas(Box<MapAreas>),
-    /// With its hull seen from above, world coordinates.
+    /// A closed mesh and its hull seen from above, world coordinates.
     Solid(Box<Solid>, Vec<Point3<f64>>),
     Box([f64; 6]),
     Auto,
 }
 
-/// Properties of the region at a place inside.
+/// Properties of the region at a position inside.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RegionProperties {
     weight: f64,
@@ -95,7 +95,7 @@ impl RegionProperties {
     const INSIDE: Self = Self { weight: 1.0, gsd: None };
 }
 
-/// Result of the 16 samples of a triangle.
+/// Mean over the 16 samples of a triangle.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct TriangleSamples {
     is_touched: bool,
@@ -105,7 +105,7 @@ pub struct TriangleSamples {
 }
 
 impl RegionShape {
-    /// Reads the region that the settings name. `frame`: the map on which polygons without a georeference are drawn.
+    /// Reads the region of the settings. `frame`: the map on which polygons without a georeference are drawn.
     pub fn read(choice: &RegionChoice, place: &Georeference, frame: &MapFrame) -> Result<Self, RegionError> {
         let path = match choice {
             RegionChoice::Auto => return Ok(Self::Auto),
@@ -125,7 +125,7 @@ impl RegionShape {
         }
     }
 
-    /// Lays the region over a surface. `pixels`: of each triangle, in all views together; asked for `auto` only.
+    /// Projects the region onto a surface. `pixels`: number per triangle, over all views; called for `auto` only.
     ///
     /// # Errors
     /// No part of the surface counts; cancellation.
@@ -169,7 +169,7 @@ fn boxed(kind: RegionKind, corners: [f64; 6], surface: &Surface, watcher: &dyn W
     Ok(Region { bounds: corners, outline: Outline::Hull((0..8).map(corner).collect()), ..found })
 }
 
-/// A region from the samples of its triangles, with the bounds of those inside and an empty outline.
+/// Builds a region from the samples of its triangles, with the bounds of those inside and an empty outline.
 fn region(
     kind: RegionKind,
     surface: &Surface,
@@ -191,7 +191,7 @@ fn region(
     })
 }
 
-/// Samples of all triangles, in their order.
+/// Samples all triangles, in their order.
 fn in_parts(
     surface: &Surface,
     watcher: &dyn Watcher,
@@ -213,7 +213,7 @@ fn solid_sample(surface: &Surface, triangle: u32, inside: &impl Fn(&Point3<f64>)
     sampled(|place| inside(&at(place)).then_some(RegionProperties::INSIDE))
 }
 
-/// Samples a triangle at the centroids of the 16 triangles into which it can be cut; `at` gets the barycentric coordinates of the second and third
+/// Samples a triangle at the centroids of the 16 triangles of a regular subdivision; `at` gets the barycentric coordinates of the second and third
 /// corner.
 fn sampled(at: impl Fn([f64; 2]) -> Option<RegionProperties>) -> TriangleSamples {
     const CUTS: u32 = 4;
@@ -232,7 +232,7 @@ fn sampled(at: impl Fn([f64; 2]) -> Option<RegionProperties>) -> TriangleSamples
     TriangleSamples { is_touched, covered, factor: (sum / samples) as f32, gsd: gsd as f32 }
 }
 
-/// Low and high corner of the triangles that count.
+/// Returns the low and high corner of the triangles that count.
 fn bounds(surface: &Surface, counts: impl Fn(usize) -> bool) -> [f64; 6] {
     let mut bounds =
         [f64::INFINITY, f64::INFINITY, f64::INFINITY, f64::NEG_INFINITY, f64::NEG_INFINITY, f64::NEG_INFINITY];
@@ -246,7 +246,7 @@ fn bounds(surface: &Surface, counts: impl Fn(usize) -> bool) -> [f64; 6] {
     bounds
 }
 
-/// Any two opposite corners as the low and the high one.
+/// Sorts two opposite corners into the low and the high one.
 fn ordered(corners: [f64; 6]) -> [f64; 6] {
     std::array::from_fn(|i| if i < 3 { corners[i].min(corners[i + 3]) } else { corners[i].max(corners[i - 3]) })
 }

@@ -1,20 +1,20 @@
 //! Point in polygon, exactly: even-odd over the outer ring and the holes, by the signs of adaptive predicates.
 //!
-//! A point on an edge belongs to the polygon on one side of it only, so that neighbours that share the edge hold each point once.
-//! Edges are sorted into horizontal bands: a query looks at those of one band.
+//! A point on a shared edge belongs to exactly one of the two polygons.
+//! Edges are sorted into horizontal bands; a query reads those of one band.
 
 use robust::{Coord, orient2d};
 
 use super::columns::Rectangle;
 use crate::base::rows::Offsets;
 
-/// Entries per edge that the bands may have, which keeps long edges from filling many bands.
+/// Average number of bands per edge; a limit, because long edges would fill many bands.
 const ENTRIES: f64 = 8.0;
 
 /// An edge between two points of the plane.
 pub type Edge = [[f64; 2]; 2];
 
-/// Returns whether the ray from the point in the direction of x crosses the edge. It depends on the set of the two ends, not on their order;
+/// Returns whether the ray from the point in the direction of x crosses the edge. The order of the two ends does not matter;
 /// the lower end belongs to the edge, the upper one does not.
 #[inline]
 pub fn crosses([a, b]: Edge, point: [f64; 2]) -> bool {
@@ -22,14 +22,14 @@ pub fn crosses([a, b]: Edge, point: [f64; 2]) -> bool {
     low[1] <= point[1] && point[1] < high[1] && side(low, high, point) > 0.0
 }
 
-/// Positive where the point is on the left of the line from `a` to `b`; the sign is exact.
+/// Returns a value that is positive if the point is on the left of the line from `a` to `b`; the sign is exact.
 #[inline]
 pub fn side(a: [f64; 2], b: [f64; 2], point: [f64; 2]) -> f64 {
     let [a, b, point] = [a, b, point].map(|[x, y]| Coord { x, y });
     orient2d(a, b, point)
 }
 
-/// A polygon with its holes, sorted for queries.
+/// A polygon with holes, indexed for queries.
 #[derive(Clone, Debug)]
 pub struct PreparedPolygon {
     pub bounds: Rectangle,
@@ -95,7 +95,7 @@ mod tests {
 
     use super::*;
 
-    /// Area enclosed by rings that run counter-clockwise, less that of rings that run clockwise.
+    /// Returns the area enclosed by counter-clockwise rings minus that of clockwise rings.
     fn area(rings: &[Vec<[f64; 2]>]) -> f64 {
         let of_ring = |ring: &Vec<[f64; 2]>| -> f64 {
             (0..ring.len())

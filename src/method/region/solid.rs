@@ -1,8 +1,8 @@
-//! Point in a closed mesh, exactly: parity of the triangles above the point, by the signs of adaptive predicates.
+//! Point in a closed mesh, exactly: parity of the number of triangles above the point, by the signs of adaptive predicates.
 //!
 //! The triangles are sorted into vertical columns. A vertical line through an edge or a vertex crosses exactly one of the triangles on each
-//! side of it, because the crossings of an edge are decided for the edge, not for its triangles. Orientation does not matter. Where parts overlap, the
-//! inside of an even number of them is outside.
+//! side, because the crossing is decided per edge, not per triangle. Orientation does not matter. Where parts overlap, the
+//! interior of an even number of them counts as outside.
 
 use nalgebra::Point3;
 use robust::{Coord3D, orient3d};
@@ -15,7 +15,7 @@ use crate::io::ply::Mesh;
 
 type Corners = [Point3<f64>; 3];
 
-/// A closed mesh, sorted for queries.
+/// A closed mesh, indexed for queries.
 #[derive(Clone, Debug)]
 pub struct Solid {
     triangles: Vec<Corners>,
@@ -38,7 +38,7 @@ impl Solid {
     pub fn new(mesh: &Mesh) -> Result<Self, OpenMesh> {
         let place = merged(&mesh.vertices);
         let faces: Vec<[u32; 3]> = mesh.triangles.iter().map(|t| t.map(|v| place[v as usize])).collect();
-        // Collapsed triangles have no inside; their edges cancel each other.
+        // Degenerate triangles have no inside; their edges cancel each other.
         let faces: Vec<[u32; 3]> = faces.into_iter().filter(|&[a, b, c]| a != b && b != c && c != a).collect();
         if faces.is_empty() {
             return Err(OpenMesh::Empty);
@@ -53,7 +53,7 @@ impl Solid {
         Ok(Self { triangles, columns, low, high })
     }
 
-    /// Corners of all triangles.
+    /// Returns the corners of all triangles.
     pub fn vertices(&self) -> impl Iterator<Item = Point3<f64>> {
         self.triangles.iter().flatten().copied()
     }
@@ -85,9 +85,9 @@ fn is_below(point: &Point3<f64>, corners: &Corners) -> bool {
     if side(a, b, c) > 0.0 { below > 0.0 } else { below < 0.0 }
 }
 
-/// For each vertex the first one at its place: PLY files often repeat vertices for each triangle.
+/// Returns, for each vertex, the first one at its position: PLY files often repeat vertices for each triangle.
 fn merged(vertices: &[Point3<f64>]) -> Vec<u32> {
-    // Adding 0 turns -0 into 0, so that equal places have equal bits.
+    // Adding 0 turns -0 into 0, so that equal positions have equal bits.
     let bits = |v: &Point3<f64>| [v.x, v.y, v.z].map(|x| (x + 0.0).to_bits());
     let mut order: Vec<u32> = (0..vertices.len() as u32).collect();
     order.sort_unstable_by_key(|&v| (bits(&vertices[v as usize]), v));

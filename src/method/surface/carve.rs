@@ -1,8 +1,8 @@
-//! Method 1.2: soft visibility votes of the rays from the cameras to the points, and the facets between what is outside and inside.
+//! Soft visibility votes of the rays from cameras to points, and extraction of the facets between outside and inside (method 1.2).
 //!
 //! Labatut, Pons, Keriven, "Efficient Multi-View Reconstruction of Large-Scale Scenes using Interest Points, Delaunay Triangulation and
 //! Graph Cuts" (2007), with the soft visibility of "Robust and Efficient Surface Reconstruction from Range Data" (2009). Votes are
-//! integers, so that their sum does not depend on the order in which threads cast them.
+//! integers, so their sum does not depend on the order in which threads add them.
 
 use std::sync::atomic::{AtomicU32, Ordering};
 
@@ -21,18 +21,18 @@ use crate::{
     model::scene::{PointIndex, Scene, ViewIndex},
 };
 
-/// Votes of one ray are counted in this many units, fewer where so many rays could overflow 32 bits.
+/// Units of a full vote; fewer where the number of rays could overflow 32 bits.
 const UNITS: f64 = 1024.0;
-/// Beyond this many sigma from its point, a ray's vote is full to less than half a unit.
+/// Distance from the point, in sigma, beyond which a vote is full to less than half a unit.
 const FULL_VOTE_SIGMA: f64 = 4.5;
-/// Vertices that one task takes: about a millisecond.
+/// Vertices per task: about a millisecond of work.
 const CHUNK: usize = 512;
 /// Cosine of the largest angle between a facet's normal and a ray that sees it: 85 degrees, as in method 2.
 const MIN_FACING_COSINE: f64 = 0.087_155_742_747_658_17;
 
-/// The rays that vote: for each vertex the centres of some of the cameras that see it.
+/// The voting rays: for each vertex, the centres of some of the cameras that see it.
 pub struct Rays {
-    /// Vertices + 1 entries.
+    /// Start of each vertex's rays, and the end of the last: vertices + 1 entries.
     offsets: Vec<u32>,
     views: Vec<ViewIndex>,
     /// Camera centre of each view of the scene.
@@ -42,7 +42,7 @@ pub struct Rays {
 }
 
 impl Rays {
-    /// Chooses the rays of each vertex from the tracks of its points: at most `most`, the angular extremes among them.
+    /// Selects the rays of each vertex from the tracks of its points: at most `most`, the angular extremes among them.
     pub fn choose(scene: &Scene, delaunay: &Delaunay, points: &[PointIndex], most: usize) -> Self {
         let centres: Vec<Point3<f64>> = scene.views.iter().map(|v| v.cam_from_world.centre()).collect();
         let focals: Vec<f64> = scene.view_indices().map(|v| scene.camera_of(v).mean_focal_length()).collect();
@@ -75,14 +75,14 @@ impl Rays {
         self.views.len()
     }
 
-    /// The camera centres that the vertex's rays come from.
+    /// Returns the camera centres of the vertex's rays.
     pub fn centres(&self, vertex: u32) -> impl Iterator<Item = &Point3<f64>> {
         let range = self.offsets[vertex as usize] as usize..self.offsets[vertex as usize + 1] as usize;
         self.views[range].iter().map(|v| &self.centres[v.index()])
     }
 }
 
-/// The rays of consecutive vertices.
+/// Rays of consecutive vertices.
 #[derive(Default)]
 struct RayChunk {
     /// End of each vertex's views.
@@ -101,7 +101,7 @@ impl RayChunk {
     }
 }
 
-/// The points of each vertex (CSR), ascending. `points` are those that the triangulation was made from.
+/// Returns the points of each vertex (CSR), ascending. `points`: those that were triangulated.
 fn points_by_vertex(delaunay: &Delaunay, points: &[PointIndex]) -> (Vec<u32>, Vec<PointIndex>) {
     let mut starts = vec![0u32; delaunay.vertex_count() + 1];
     delaunay.vertex_of_point.iter().for_each(|&v| starts[v as usize + 1] += 1);
@@ -117,7 +117,7 @@ fn points_by_vertex(delaunay: &Delaunay, points: &[PointIndex]) -> (Vec<u32>, Ve
     (starts, members)
 }
 
-/// Votes of a cell while they are cast; the layout of [`Capacities`].
+/// Votes of a cell while they are accumulated; same layout as [`Capacities`].
 #[derive(Default)]
 struct Votes {
     facets: [AtomicU32; 4],
@@ -129,7 +129,7 @@ fn cast(vote: &AtomicU32, units: u32) {
     vote.fetch_add(units, Ordering::Relaxed);
 }
 
-/// The capacities of the cells: votes of the rays, and the quality of the facets.
+/// Computes the capacities of the cells: votes of the rays, and quality of the facets.
 ///
 /// # Errors
 /// Cancellation.
@@ -177,7 +177,7 @@ struct Ballot {
 }
 
 impl Ballot {
-    /// The votes of all rays of one vertex.
+    /// Casts all rays of one vertex.
     fn cast_rays(&self, delaunay: &Delaunay, rays: &Rays, vertex: u32) {
         let at = delaunay.position(vertex);
         for centre in rays.centres(vertex) {
@@ -198,7 +198,7 @@ impl Ballot {
         }
     }
 
-    /// Soft visibility at a distance from the ray's point: α (1 − exp(−d² / 2σ²)).
+    /// Returns the soft visibility at a distance from the ray's point: α (1 − exp(−d² / 2σ²)).
     fn vote(&self, distance: f64) -> u32 {
         let sigmas = distance / self.sigma;
         if sigmas > FULL_VOTE_SIGMA {
@@ -208,8 +208,8 @@ impl Ballot {
     }
 }
 
-/// `weight` times 1 − cosine of the angle between each facet and the cell's circumsphere. That of an infinite cell is the plane of its
-/// hull facet (opposite to corner 3), and its other facets stand upright on it.
+/// Returns `weight` times 1 − cosine of the angle between each facet and the cell's circumsphere. For an infinite cell, the sphere is the plane of its
+/// hull facet (opposite to corner 3), and its other facets are perpendicular to it.
 fn quality(delaunay: &Delaunay, cell: u32, weight: f64) -> [u32; 4] {
     if delaunay.is_infinite(cell) {
         return [weight as u32, weight as u32, weight as u32, 0];
@@ -226,20 +226,20 @@ fn quality(delaunay: &Delaunay, cell: u32, weight: f64) -> [u32; 4] {
     })
 }
 
-/// Centre of the sphere through four points.
+/// Returns the centre of the sphere through four points.
 fn circumcentre(corners: &[Point3<f64>; 4]) -> Point3<f64> {
     let [a, b, c] = [1, 2, 3].map(|i| corners[i] - corners[0]);
     let numerator = b.cross(&c) * a.norm_squared() + c.cross(&a) * b.norm_squared() + a.cross(&b) * c.norm_squared();
     corners[0] + numerator / (2.0 * a.dot(&b.cross(&c)))
 }
 
-/// The raw surface, and for each facet whether a ray sees it.
+/// The raw surface, and whether a ray sees each facet.
 pub struct CarvedSurface {
     pub surface: Surface,
     pub seen: Vec<bool>,
 }
 
-/// The facets between outside and inside by the minimum cut, oriented to the outside.
+/// Extracts the facets between outside and inside by the minimum cut, oriented outwards.
 ///
 /// # Errors
 /// Cancellation.
@@ -254,7 +254,7 @@ pub fn carve(
     Ok(surface(delaunay, rays, &outside))
 }
 
-/// The facets between cells that are outside and cells that are not.
+/// Collects the facets between outside and inside cells.
 pub fn surface(delaunay: &Delaunay, rays: &Rays, outside: &[bool]) -> CarvedSurface {
     let facets_of = |cell: u32| {
         let is_surface = move |f: &Facet| {
@@ -270,7 +270,7 @@ pub fn surface(delaunay: &Delaunay, rays: &Rays, outside: &[bool]) -> CarvedSurf
     CarvedSurface { surface: Surface { kind: SurfaceKind::Carved, vertices, triangles }, seen }
 }
 
-/// Does a ray reach a corner of the facet from its outer side?
+/// Returns whether a ray reaches a corner of the facet from its outer side.
 fn is_seen(delaunay: &Delaunay, rays: &Rays, triangle: &[u32; 3]) -> bool {
     let [a, b, c] = triangle.map(|v| delaunay.position(v));
     let normal = (b - a).cross(&(c - a)).normalize();

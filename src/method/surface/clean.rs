@@ -1,4 +1,4 @@
-//! Method 1.4: what is kept of the raw surface, and its repair to an oriented manifold with borders.
+//! Cleans the raw surface (method 1.4) and repairs it to an oriented manifold with borders.
 
 use super::{
     Surface,
@@ -6,14 +6,14 @@ use super::{
 };
 use crate::base::connected::components;
 
-/// Facets with edges longer than this many times the 95th percentile of the edges do not belong to the surface: they span places without
-/// points, and mostly lie off it (`benches/surface_truth.rs`). From 8 down what views see of the truth is lost with them; beyond 25 hardly any go.
+/// Limit on edges, as a multiple of their 95th percentile: facets with longer edges span gaps without points and are
+/// mostly wrong (`benches/surface_truth.rs`). At 8 and below, visible parts of the true surface are lost too; above 25, hardly any facet is removed.
 const LONG_EDGE_FACTOR: f64 = 10.0;
-/// Components with less than this share of the area and fewer than [`SMALL_COMPONENT_TRIANGLES`] go.
+/// Components with a smaller share of the area and fewer than [`SMALL_COMPONENT_TRIANGLES`] are removed.
 const SMALL_COMPONENT_AREA: f64 = 0.001;
 const SMALL_COMPONENT_TRIANGLES: usize = 100;
 
-/// Drops facets that are not `seen` or over-long, makes the rest an oriented manifold and drops its small components.
+/// Drops facets that are not `seen` or too long, repairs the rest to an oriented manifold and drops small components.
 pub fn clean(surface: &Surface, seen: &[bool]) -> Surface {
     let limit = edge_percentile(surface, seen, 0.95).map_or(0.0, |p| LONG_EDGE_FACTOR * p);
     let is_kept = |t: usize| seen[t] && longest_edge(surface, t as u32) <= limit;
@@ -21,15 +21,15 @@ pub fn clean(surface: &Surface, seen: &[bool]) -> Surface {
     drop_small_components(&surface.keep(&keep))
 }
 
-/// The same facets as an oriented manifold with borders: facets that repeat a vertex or a facet go, edges of more than two
-/// facets and vertices of more than one fan are split.
+/// Repairs facets to an oriented manifold with borders: drops facets that repeat a vertex or another facet, splits edges with more than two
+/// facets and vertices with more than one fan.
 pub fn make_manifold(mut surface: Surface) -> Surface {
     surface.triangles.retain(|&[a, b, c]| a != b && b != c && c != a);
     drop_repeated(&mut surface.triangles);
     split_fans(surface)
 }
 
-/// Drops triangles that have the same three vertices as an earlier one, whatever their direction.
+/// Drops triangles with the same three vertices as an earlier one, in any orientation.
 fn drop_repeated(triangles: &mut Vec<[u32; 3]>) {
     let sorted = |t: [u32; 3]| {
         let mut t = t;
@@ -53,7 +53,7 @@ fn longest_edge(surface: &Surface, triangle: u32) -> f64 {
     (b - a).norm().max((c - b).norm()).max((a - c).norm())
 }
 
-/// That percentile (0 to 1) of the sides of the triangles for which `counts`; `None` without triangles.
+/// Returns a percentile (0 to 1) of the edge lengths of the triangles for which `counts`; `None` without triangles.
 fn edge_percentile(surface: &Surface, counts: &[bool], share: f64) -> Option<f64> {
     let sides = |t: usize| {
         let [a, b, c] = surface.corners(t as u32);

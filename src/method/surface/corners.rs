@@ -1,13 +1,13 @@
-//! The corner table of a triangle mesh: which corner faces which across an edge (Rossignac's corner operations).
+//! Corner table of a triangle mesh: pairs of corners that face each other across an edge (Rossignac's corner operations).
 //!
-//! Corner `c = 3 t + i` stands at vertex `triangles[t][i]` and faces the edge from `next(c)` to `prev(c)` in the direction of its
-//! triangle. Two corners face each other when their triangles share that edge with opposite directions; [`BORDER`] where none does.
+//! Corner `c = 3 t + i` is at vertex `triangles[t][i]` and faces the edge from `next(c)` to `prev(c)` in the direction of its
+//! triangle. Two corners face each other if their triangles share that edge in opposite directions; [`BORDER`] if there is none.
 
 use nalgebra::{Point3, Vector3};
 
 use super::Surface;
 
-/// No triangle on the other side of the edge.
+/// Marks an edge without a triangle on the other side.
 pub const BORDER: u32 = u32::MAX;
 
 #[inline]
@@ -25,27 +25,27 @@ pub fn vertex(triangles: &[[u32; 3]], corner: u32) -> u32 {
     triangles[corner as usize / 3][corner as usize % 3]
 }
 
-/// The next corner at the same vertex, counter-clockwise seen from outside; `None` at a border.
+/// Returns the next corner at the same vertex, counter-clockwise seen from outside; `None` at a border.
 #[inline]
 pub fn swing(opposite: &[u32], corner: u32) -> Option<u32> {
     let across = opposite[next(corner) as usize];
     (across != BORDER).then(|| next(across))
 }
 
-/// The next corner at the same vertex, clockwise seen from outside; `None` at a border.
+/// Returns the next corner at the same vertex, clockwise seen from outside; `None` at a border.
 #[inline]
 pub fn unswing(opposite: &[u32], corner: u32) -> Option<u32> {
     let across = opposite[prev(corner) as usize];
     (across != BORDER).then(|| prev(across))
 }
 
-/// The facing corner of each corner. At an edge of more than two triangles those pair that enclose the same inside; what finds
-/// no partner of opposite direction becomes a border. Triangles must have three different vertices.
+/// Returns the facing corner of each corner. At an edge of more than two triangles, those that enclose the same inside are paired; corners
+/// without a partner of opposite direction become a border. Triangles must have three different vertices.
 pub fn opposites(surface: &Surface) -> Vec<u32> {
     pair_edges(surface).0
 }
 
-/// The facing corner of each corner, and for each edge of more than two triangles the corners that face it.
+/// Also returns, for each edge of more than two triangles, the corners that face it.
 fn pair_edges(surface: &Surface) -> (Vec<u32>, Vec<Vec<u32>>) {
     let triangles = &surface.triangles;
     let mut opposite = vec![BORDER; 3 * triangles.len()];
@@ -66,7 +66,7 @@ fn pair_edges(surface: &Surface) -> (Vec<u32>, Vec<Vec<u32>>) {
     (opposite, crowded)
 }
 
-/// All corners grouped by the smaller vertex of the edge that they face (CSR), each behind the larger one.
+/// Groups all corners by the smaller vertex of the edge that they face (CSR), each with the larger one.
 fn corners_by_smaller_end(vertices: usize, triangles: &[[u32; 3]]) -> (Vec<u32>, Vec<(u32, u32)>) {
     let corner_count = 3 * triangles.len() as u32;
     let mut offsets = vec![0u32; vertices + 1];
@@ -94,7 +94,7 @@ fn larger_end(triangles: &[[u32; 3]], corner: u32) -> u32 {
     vertex(triangles, next(corner)).max(vertex(triangles, prev(corner)))
 }
 
-/// Does the triangle run along the facing edge from its smaller to its larger vertex?
+/// Returns whether the triangle runs along the facing edge from its smaller to its larger vertex.
 fn is_forward(triangles: &[[u32; 3]], corner: u32) -> bool {
     vertex(triangles, next(corner)) < vertex(triangles, prev(corner))
 }
@@ -113,8 +113,8 @@ fn pair_edge(surface: &Surface, edge: &[u32], opposite: &mut [u32]) {
     }
 }
 
-/// An edge of more than two triangles: about the edge from its smaller to its larger vertex, the inside lies clockwise of a
-/// forward triangle, so it pairs with the backward triangle that comes before it.
+/// Pairs at an edge of more than two triangles: about the edge from its smaller to its larger vertex, the inside is clockwise of a
+/// forward triangle, which therefore pairs with the backward triangle that precedes it.
 fn pair_crowded_edge(surface: &Surface, edge: &[u32], opposite: &mut [u32]) {
     let triangles = &surface.triangles;
     let from = surface.vertices[smaller_end(triangles, edge[0]) as usize];
@@ -135,16 +135,16 @@ fn pair_crowded_edge(surface: &Surface, edge: &[u32], opposite: &mut [u32]) {
     }
 }
 
-/// Two unit vectors that make a right-handed frame with the axis.
+/// Returns two unit vectors that form a right-handed frame with the axis.
 fn axis_frame(axis: Vector3<f64>) -> [Vector3<f64>; 2] {
     let axis = axis.try_normalize(0.0).unwrap_or(Vector3::z());
     let first = axis.cross(&Vector3::ith(axis.iamin(), 1.0)).normalize();
     [first, axis.cross(&first)]
 }
 
-/// The same triangles as an oriented manifold with borders: each fan of triangles about a vertex has a vertex of its own, and vertices
-/// that no triangle uses go. The first fan, by its smallest corner, comes where the vertex was. Triangles must have three different
-/// vertices, and no two the same three.
+/// Splits vertices so that each fan of triangles has one of its own, and removes unused vertices: an oriented manifold with borders.
+/// The first fan, by its smallest corner, keeps the position of the vertex. Triangles must have three different
+/// vertices, and no two triangles the same three.
 pub fn split_fans(surface: Surface) -> Surface {
     let (mut opposite, crowded) = pair_edges(&surface);
     let Surface { kind, vertices, mut triangles } = surface;
@@ -165,9 +165,9 @@ pub fn split_fans(surface: Surface) -> Surface {
     Surface { kind, vertices, triangles }
 }
 
-/// Where sheets touch along an edge and hang together about both its ends, splitting fans would leave the edge with several triangles of
-/// one direction. Unpairs such edges, which opens their fans: then no fan has two borders of one direction, and triangles that are beside
-/// each other about both ends find each other by their vertices. Says whether there was any.
+/// Where sheets touch along an edge and are connected around both its ends, splitting fans would leave the edge with several triangles of
+/// one direction. Unpairs such edges, which opens their fans; then no fan has two borders of one direction, and triangles adjacent
+/// around both ends are paired by their vertices. Returns whether there were any.
 fn open_doubled_edges(crowded: &[Vec<u32>], owner: &[u32], opposite: &mut [u32]) -> bool {
     let directed = |&c: &u32| (owner[next(c) as usize], owner[prev(c) as usize]);
     let mut has_opened = false;
@@ -182,7 +182,7 @@ fn open_doubled_edges(crowded: &[Vec<u32>], owner: &[u32], opposite: &mut [u32])
     has_opened
 }
 
-/// The fan of each corner, and the smallest corner of each fan.
+/// Returns the fan of each corner, and the smallest corner of each fan.
 fn fans(opposite: &[u32]) -> (Vec<u32>, Vec<u32>) {
     let mut owner = vec![BORDER; opposite.len()];
     let mut first: Vec<u32> = Vec::new();

@@ -1,20 +1,20 @@
-//! The validator that every test of a surface calls: is it an oriented manifold with borders?
+//! Validator for tests of a surface: checks for an oriented manifold with borders.
 
 use std::collections::{HashMap, HashSet};
 
 use super::Surface;
 
-/// What a manifold looks like as a whole.
+/// Global properties of a manifold.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Topology {
     /// Vertices - edges + triangles: 2 for a sphere, 1 for a disc, 0 for a torus or a ring.
     pub euler: i64,
     pub border_edges: usize,
-    /// Parts that no edge joins.
+    /// Number of connected components.
     pub components: usize,
 }
 
-/// Why a surface is not an oriented manifold with borders.
+/// The reason why a surface is not an oriented manifold with borders.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum ManifoldError {
     #[error("triangle {triangle} names vertex {vertex} of {vertices}")]
@@ -29,8 +29,8 @@ pub enum ManifoldError {
     StrayVertex(u32),
 }
 
-/// Checks that each directed edge has one triangle at most, that the triangles about each vertex are one fan, and that each vertex is
-/// finite and used. Slow and obvious: hash tables of edges.
+/// Checks that each directed edge has at most one triangle, that the triangles around each vertex form one fan, and that each vertex is
+/// finite and used. Deliberately simple and slow: hash tables of edges.
 pub fn check_manifold(surface: &Surface) -> Result<Topology, ManifoldError> {
     let vertices = surface.vertices.len();
     let mut edges: HashMap<(u32, u32), usize> = HashMap::new();
@@ -66,7 +66,7 @@ pub fn check_manifold(surface: &Surface) -> Result<Topology, ManifoldError> {
     })
 }
 
-/// Do the directed edges make one open or closed chain?
+/// Returns whether the directed edges form a single open or closed chain.
 fn is_one_chain(link: &[(u32, u32)]) -> bool {
     let next: HashMap<u32, u32> = link.iter().copied().collect();
     let ends: HashSet<u32> = link.iter().map(|e| e.1).collect();

@@ -1,8 +1,8 @@
-//! Method 1: from sparse points to an oriented triangle mesh.
+//! Surface (method 1): from sparse points to an oriented triangle mesh.
 //!
-//! `delaunay` tetrahedralises the points, `carve` casts the rays of the observations through the cells, `cut` separates inside
-//! from outside, `clean` keeps an oriented manifold that views see, `simplify` and `refine` bring its edges to the wanted length;
-//! `terrain` is the 2.5D way for nadir flights, `ply` reads and writes meshes.
+//! `delaunay` tetrahedralises the points, `carve` casts rays from cameras to points through the cells, `cut` separates inside
+//! from outside, `clean` keeps the visible part as an oriented manifold, `simplify` and `refine` adjust the edge lengths to the target;
+//! `terrain` is the 2.5D variant for nadir flights, `ply` reads and writes meshes.
 
 pub mod carve;
 pub mod clean;
@@ -45,16 +45,16 @@ use crate::{
 use delaunay::{Delaunay, DelaunayError, Dimension};
 pub use wanted::WantedGsd;
 
-/// Fewer points than this make a terrain.
+/// With fewer points, a terrain is built.
 const MIN_CARVED_POINTS: usize = 100;
-/// Points whose spread in one direction is below this share of that in another do not spread in it at all.
+/// Ratio of the spreads of the points in two directions below which the smaller one counts as zero.
 const NO_SPREAD: f64 = 1e-6;
-/// A tile takes in the points around it, up to so many of the longest edges away: what lies farther hardly changes the surface inside.
+/// Margin of a tile, as a multiple of the longest edge: points farther away hardly change the surface inside.
 const MARGIN_EDGES: f64 = 10.0;
-/// Steps of [`build`], in each tile, that are reported as progress.
+/// Steps per tile of [`build`] for progress.
 const STEPS: u64 = 6;
 
-/// How the surface was made.
+/// Method by which the surface was made.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum SurfaceKind {
@@ -64,13 +64,13 @@ pub enum SurfaceKind {
     Mesh,
 }
 
-/// An oriented triangle mesh with borders; each edge has at most two triangles, normals point to the outside.
+/// An oriented triangle mesh with borders; each edge has at most two triangles, normals point outwards.
 #[derive(Clone, Debug)]
 pub struct Surface {
     pub kind: SurfaceKind,
-    /// World coordinates, scene units.
+    /// Vertices in world coordinates, scene units.
     pub vertices: Vec<Point3<f64>>,
-    /// Counter-clockwise seen from outside.
+    /// Vertex indices, counter-clockwise seen from outside.
     pub triangles: Vec<[u32; 3]>,
 }
 
@@ -85,7 +85,7 @@ impl Surface {
         Point3::from((a.coords + b.coords + c.coords) / 3.0)
     }
 
-    /// Normal with the length of twice the triangle's area.
+    /// Returns the normal, whose length is twice the triangle's area.
     pub fn area_normal(&self, triangle: u32) -> Vector3<f64> {
         let [a, b, c] = self.corners(triangle);
         (b - a).cross(&(c - a))
@@ -95,8 +95,8 @@ impl Surface {
         0.5 * self.area_normal(triangle).norm()
     }
 
-    /// The surface of the triangles to keep, in their order. Vertices that nothing uses go, and a vertex at which only the dropped
-    /// triangles held two fans together is split, so that the result is a manifold again.
+    /// Returns the surface of the triangles to keep, in their order. Unused vertices are removed, and a vertex whose fans were connected only by
+    /// dropped triangles is split, so that the result is again a manifold.
     pub fn keep(&self, keep: &[bool]) -> Surface {
         let kept = self.triangles.iter().zip(keep).filter_map(|(&t, &k)| k.then_some(t));
         corners::split_fans(Surface { kind: self.kind, vertices: self.vertices.clone(), triangles: kept.collect() })
@@ -104,7 +104,7 @@ impl Surface {
 }
 
 impl Surface {
-    /// Takes another surface in, beside this one.
+    /// Appends another surface.
     fn append(&mut self, other: Surface) {
         let offset = self.vertices.len() as u32;
         self.vertices.extend(other.vertices);
@@ -112,27 +112,27 @@ impl Surface {
     }
 }
 
-/// A mesh from elsewhere in place of a surface from the points.
+/// A mesh that replaces the surface from the points.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct MeshFile {
     /// A PLY file in the frame of the scene.
     pub path: PathBuf,
-    /// Leave it as it is: neither simplified nor refined.
+    /// True: neither simplified nor refined.
     pub as_is: bool,
 }
 
-/// What the surface was made from and what became of it.
+/// Statistics of building the surface.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, JsonSchema)]
 pub struct SurfaceStats {
-    /// Tiles that it was built in; the counts below are sums over them, what lies in two counts twice.
+    /// Number of tiles. The counts below are sums over them, so overlaps count twice.
     pub tiles: usize,
-    /// Sparse points that were used.
+    /// Sparse points used.
     pub points: usize,
-    /// Sparse points that were not: fewer than two views, behind a camera, or a large reprojection error.
+    /// Sparse points rejected: fewer than two views, behind a camera, or a large reprojection error.
     pub points_dropped: usize,
     /// Distinct vertices of the tetrahedralisation.
     pub vertices: usize,
-    /// Tetrahedra, those to the vertex at infinity too.
+    /// Tetrahedra, including those with the vertex at infinity.
     pub cells: usize,
     /// Rays that voted.
     pub rays: usize,
@@ -140,15 +140,15 @@ pub struct SurfaceStats {
     pub sigma: f64,
     /// Triangles of the cut, the terrain or the mesh file.
     pub raw_triangles: usize,
-    /// Left after cleaning (method 1.4).
+    /// Triangles after cleaning (method 1.4).
     pub cleaned_triangles: usize,
-    /// Left after the collapse of short edges (method 1.5).
+    /// Triangles after the collapse of short edges (method 1.5).
     pub simplified_triangles: usize,
     /// Triangles of the surface.
     pub triangles: usize,
 }
 
-/// Why there is no surface.
+/// An error of building a surface.
 #[derive(Debug, thiserror::Error)]
 pub enum SurfaceError {
     #[error(

@@ -1,22 +1,22 @@
-//! Method 1.1: which sparse points make the surface, and how well each is known.
+//! Selects the sparse points of the surface and estimates their uncertainty (method 1.1).
 
 use nalgebra::{Matrix3, Point2, Point3, Vector3};
 use rayon::prelude::*;
 
 use crate::model::scene::{PointIndex, Scene, ViewIndex};
 
-/// A point whose mean reprojection error is above this many pixels goes, unless the model's median is large.
+/// Mean reprojection error, pixels, above which a point is rejected, unless the model's median is large.
 const MAX_ERROR_PX: f64 = 4.0;
-/// A point may have this many times the median error of the points in any case.
+/// Multiple of the model's median error that is accepted in any case.
 const MAX_ERROR_MEDIANS: f64 = 3.0;
-/// A point this many times as far from the middle of the points as the median of them is none of the scene: a match gone wrong near the
-/// horizon fits its rays wherever it lies, and one would spoil the grid of all the others.
+/// Multiple of the median distance from the centre of the points beyond which a point is an outlier: a false match near the
+/// horizon is consistent with its rays at any distance, and one such point would coarsen the grid of all others.
 const MAX_DISTANCE_MEDIANS: f64 = 1000.0;
-/// Standard deviation of an observation of a sparse point: of a feature, not of a match (`fulfilment.sigma_px`).
+/// Standard deviation of an observation of a sparse point, px: of a feature, not of a dense match (`fulfilment.sigma_px`).
 const SIGMA_PX: f64 = 0.5;
 
-/// The sparse points that at least two views observe, that lie in front of all of these, whose mean reprojection error is below the
-/// larger of 4 px and 3 times the median, and that are not out of all proportion to the scene; ascending.
+/// Returns the sparse points that at least two views observe, in front of all of them, whose mean reprojection error is below the
+/// larger of 4 px and 3 times the median, and that are not outliers in distance; ascending.
 pub fn usable_points(scene: &Scene) -> Vec<PointIndex> {
     let errors: Vec<Option<f64>> =
         (0..scene.points.len() as u32).into_par_iter().map(|p| mean_error_px(scene, PointIndex(p))).collect();
@@ -26,7 +26,7 @@ pub fn usable_points(scene: &Scene) -> Vec<PointIndex> {
     near(scene, (0..scene.points.len() as u32).map(PointIndex).filter(is_usable).collect())
 }
 
-/// Those of the points that are not [`MAX_DISTANCE_MEDIANS`] away.
+/// Removes the points farther away than [`MAX_DISTANCE_MEDIANS`].
 pub(super) fn near(scene: &Scene, mut points: Vec<PointIndex>) -> Vec<PointIndex> {
     let along = |axis: usize| upper_median(points.iter().map(|p| scene.points[p.index()][axis]));
     let [Some(x), Some(y), Some(z)] = [0, 1, 2].map(along) else { return points };
@@ -37,14 +37,14 @@ pub(super) fn near(scene: &Scene, mut points: Vec<PointIndex>) -> Vec<PointIndex
     points
 }
 
-/// The middle one of the values, of an even number the upper of the two; `None` of nothing.
+/// Returns the median, for an even number of values the upper of the two; `None` without values.
 pub fn upper_median(values: impl Iterator<Item = f64>) -> Option<f64> {
     let mut values: Vec<f64> = values.collect();
     let middle = values.len() / 2;
     (!values.is_empty()).then(|| *values.select_nth_unstable_by(middle, f64::total_cmp).1)
 }
 
-/// Mean reprojection error of a point over its observations with a known pixel; `None` with fewer than two views, or where a camera
+/// Returns the mean reprojection error of a point over its observations with a known pixel; `None` with fewer than two views, or if a camera
 /// does not project it.
 fn mean_error_px(scene: &Scene, point: PointIndex) -> Option<f64> {
     let track = scene.track(point);
@@ -67,8 +67,8 @@ fn mean_error_px(scene: &Scene, point: PointIndex) -> Option<f64> {
     Some(sum / f64::from(count.max(1)))
 }
 
-/// Standard deviation of a point along the mean ray to the centres of the views that see it, scene units: method 3.3 with
-/// J = f / r across the ray. `None` where the rays are parallel.
+/// Returns the standard deviation of a point along the mean ray to the centres of the views that see it, scene units: method 3.3 with
+/// J = f / r perpendicular to the ray. `None` if the rays are parallel.
 pub fn depth_sigma(point: &Point3<f64>, centres_and_focals: impl Iterator<Item = (Point3<f64>, f64)>) -> Option<f64> {
     let mut information = Matrix3::zeros();
     let mut mean = Vector3::zeros();
@@ -85,7 +85,7 @@ pub fn depth_sigma(point: &Point3<f64>, centres_and_focals: impl Iterator<Item =
     (variance > 0.0 && variance.is_finite()).then(|| variance.sqrt())
 }
 
-/// The views of several points, each once, ascending.
+/// Returns the views of several points, ascending, without duplicates.
 pub fn views_of(scene: &Scene, points: &[PointIndex], views: &mut Vec<ViewIndex>) {
     views.clear();
     points.iter().for_each(|&p| views.extend(scene.track_views(p)));
@@ -93,8 +93,8 @@ pub fn views_of(scene: &Scene, points: &[PointIndex], views: &mut Vec<ViewIndex>
     views.dedup();
 }
 
-/// Keeps at most `most` of the directions: the one farthest from their mean, then each time the one farthest from all that are kept.
-/// Returns their positions in `directions` (unit vectors), in that order.
+/// Keeps at most `most` of the directions: the one farthest from their mean, then repeatedly the one farthest from those kept.
+/// Returns their indices in `directions` (unit vectors), in that order.
 pub fn extremes(directions: &[Vector3<f64>], most: usize) -> Vec<usize> {
     if directions.len() <= most {
         return (0..directions.len()).collect();

@@ -7,9 +7,9 @@ use super::{
     corners::{BORDER, next, prev, vertex},
 };
 
-/// Weight of a border plane over that of a triangle's plane.
+/// Weight of a border plane relative to a triangle's plane.
 const BORDER_WEIGHT: f64 = 10.0;
-/// Weight of the pull to the vertex over that of the planes.
+/// Weight of the pull to the vertex relative to the planes.
 const PULL_WEIGHT: f64 = 1e-3;
 
 /// Σ w (n·x + d)² as xᵀ A x + 2 bᵀ x + c, A symmetric.
@@ -51,7 +51,7 @@ impl Quadric {
         (square + 2.0 * (mixed + linear) + self.c).max(0.0)
     }
 
-    /// Where the quadric is smallest; `None` where it is flat.
+    /// Returns the minimum; `None` if the quadric is flat.
     pub fn minimum(&self) -> Option<Vector3<f64>> {
         let [xx, xy, xz, yy, yz, zz] = self.a;
         let inverse = Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz).try_inverse()?;
@@ -60,8 +60,8 @@ impl Quadric {
     }
 }
 
-/// The quadric of each vertex: the planes of its triangles weighted by a third of their areas, planes upright on its border edges
-/// weighted by the squared length of the edge, and the pull to where the vertex is.
+/// Returns the quadric of each vertex: the planes of its triangles weighted by a third of their areas, planes perpendicular to its border edges
+/// weighted by the squared length of the edge, and the pull to the vertex's position.
 pub fn vertex_quadrics(surface: &Surface, opposite: &[u32]) -> Vec<Quadric> {
     let mut quadrics = vec![Quadric::default(); surface.vertices.len()];
     for (t, corners) in surface.triangles.iter().enumerate() {

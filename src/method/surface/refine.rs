@@ -1,5 +1,5 @@
-//! Method 1.6: splits the edge that is farthest above its limit at its midpoint until every edge is short enough, both triangles at an edge together,
-//! so that no vertex ever lies on another triangle's edge.
+//! Refines the surface (method 1.6): repeatedly splits the edge that exceeds its limit most at its midpoint, with both adjacent triangles,
+//! until every edge is short enough; no vertex is ever on another triangle's edge.
 
 use std::collections::BinaryHeap;
 
@@ -11,14 +11,14 @@ use super::{
 };
 use crate::base::progress::{Cancelled, Watcher};
 
-/// Most triangles that a refinement makes, whatever memory there is.
+/// Largest number of triangles, whatever the memory.
 pub const MAX_TRIANGLES: u64 = 30_000_000;
-/// Memory that each takes while edges are split: corners, vertices and the queue, with room to grow.
+/// Memory per triangle while edges are split, bytes: corners, vertices and the queue, with room to grow.
 pub const TRIANGLE_BYTES: u64 = 120;
-/// Splits between two questions to the watcher, well under 50 ms.
+/// Splits between two checks for cancellation; well under 50 ms.
 const CHECK_INTERVAL: usize = 4096;
 
-/// Why a surface was not refined.
+/// An error of refining a surface.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum RefineError {
     #[error(
@@ -29,7 +29,7 @@ pub enum RefineError {
     Cancelled(#[from] Cancelled),
 }
 
-/// Splits edges until each is shorter than the mean limit of its ends, those farthest above it first; into at most about `most` triangles.
+/// Splits edges until each is shorter than the mean limit of its ends, those that exceed it most first; into at most about `most` triangles.
 /// `limits`: by vertex, scene units, above 0.
 pub fn refine(surface: Surface, limits: Vec<f64>, most: u64, watcher: &dyn Watcher) -> Result<Surface, RefineError> {
     let triangles: f64 = (0..surface.triangles.len() as u32).map(|t| expected_pieces(&surface, &limits, t)).sum();
@@ -48,7 +48,7 @@ pub fn refine(surface: Surface, limits: Vec<f64>, most: u64, watcher: &dyn Watch
     Ok(mesh.surface)
 }
 
-/// About how many triangles with short enough sides the triangle falls into; never under the true count by much.
+/// Estimates the number of triangles with short enough edges that the triangle is split into; never much too low.
 fn expected_pieces(surface: &Surface, limits: &[f64], triangle: u32) -> f64 {
     let [a, b, c] = surface.corners(triangle);
     let longest = (b - a).norm().max((c - b).norm()).max((a - c).norm());
@@ -59,7 +59,7 @@ fn expected_pieces(surface: &Surface, limits: &[f64], triangle: u32) -> f64 {
     1.0 + longest / middle + 8.0 * surface.area(triangle) * per_area
 }
 
-/// An edge that is too long; ordered by its length over its limit, then by the corner that faces it.
+/// An edge that is too long; sorted by its length relative to its limit, then by the corner that faces it.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 struct LongEdge {
     /// Bits of length over limit, ordered like that.
@@ -84,7 +84,7 @@ impl Splitting {
         mesh
     }
 
-    /// Vertices of the edge that the corner faces.
+    /// Returns the vertices of the edge that the corner faces.
     fn edge(&self, corner: u32) -> [usize; 2] {
         [next(corner), prev(corner)].map(|c| vertex(&self.surface.triangles, c) as usize)
     }
@@ -93,7 +93,7 @@ impl Splitting {
         self.edge(corner).map(|v| self.surface.vertices[v])
     }
 
-    /// Mean limit of the ends.
+    /// Returns the mean limit of the ends.
     fn limit(&self, corner: u32) -> f64 {
         let [a, b] = self.edge(corner).map(|v| self.limits[v]);
         (a + b) / 2.0
@@ -104,7 +104,7 @@ impl Splitting {
         LongEdge { excess: ((b - a).norm() / self.limit(corner)).to_bits(), corner }
     }
 
-    /// Queues the edge that the corner faces if it is too long, and its coordinates leave room for a point between its ends.
+    /// Queues the edge that the corner faces if it is too long and there is a representable point between its ends.
     fn push(&mut self, corner: u32) {
         let edge = self.long_edge(corner);
         if f64::from_bits(edge.excess) < 1.0 {

@@ -80,7 +80,7 @@ pub struct Agreement {
     pub values: Arc<Column<u8>>,
     /// A sentence for each picture that cannot be used.
     pub warnings: Vec<String>,
-    /// Header of [`AGREEMENT_CACHE`], to be followed by the values; `None` if that file already holds this table, or a picture has no modification time.
+    /// Header of [`AGREEMENT_CACHE`], to be followed by the values; `None` if that file already holds this table or a picture has no modification time.
     pub cache_head: Option<Vec<u8>>,
 }
 
