@@ -179,13 +179,19 @@ fn a_dense_workspace_does_not_hide_the_model_that_it_was_made_from() {
         std::fs::copy(formats.join("base_colmap38_bin").join(name), root.join("dense/sparse").join(name)).unwrap();
     }
     let dense = Project::open(root, None).unwrap();
-    assert_eq!((dense.model.format, dense.images.unwrap()), (ModelFormat::ColmapBinary, root.join("dense/images")));
+    assert_eq!(
+        (dense.model.format, dense.images.unwrap().to_path_buf()),
+        (ModelFormat::ColmapBinary, root.join("dense/images"))
+    );
     std::fs::copy(formats.join("openmvg/sfm_data.json"), root.join("sfm_data.json")).unwrap();
     let foreign = Project::open(root, None).unwrap();
-    assert_eq!((foreign.model.format, foreign.images.unwrap()), (ModelFormat::OpenMvg, root.join("images")));
+    assert_eq!(
+        (foreign.model.format, foreign.images.unwrap().to_path_buf()),
+        (ModelFormat::OpenMvg, root.join("images"))
+    );
     let of_dense = Project::open(&root.join("dense"), None).unwrap();
     assert_eq!(
-        (of_dense.model.format, of_dense.images.unwrap()),
+        (of_dense.model.format, of_dense.images.unwrap().to_path_buf()),
         (ModelFormat::ColmapBinary, root.join("dense/images"))
     );
 }
