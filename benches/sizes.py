@@ -1,0 +1,170 @@
+#!/usr/bin/env python3
+"""Compares plans with key views at two sizes (method 5.8) with plans at one, by the clouds that OpenMVS fuses.
+
+    benches/sizes.py PROJECT WORK_FOLDER [--image-scale 0.5] [--worth 0.2 0.4 0.6 0.8 1] [--densify DensifyPointCloud] [--viewrank viewrank]
+
+Matches all key views at full and at half size once (CPU seconds of each are printed), then fuses, for half, one and one and a half times the
+work of the default plan: the plan at full size, mixed plans, and the whole plan at half size. The reference is the cloud of all maps at full size:
+
+    area       share of its cells of 2 g_d with a point within 2 g_d
+    right      share of its cells where the median offset of the points from its local plane is at most g_d
+    precision  share of the points within 3 g_d of the reference
+    error      median of those offsets, in g_d
+    work       CPU seconds of the maps over those of all maps at full size
+
+Needs numpy and scipy. Runs resume: maps that are there are kept.
+"""
+
+import argparse
+import json
+import os
+import re
+import resource
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+TIMES = (0.5, 1.0, 1.5)
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("project", type=Path, help="COLMAP project with images/ and sparse/")
+    parser.add_argument("work", type=Path, help="folder for maps and clouds")
+    parser.add_argument("--image-scale", type=float, default=0.5)
+    parser.add_argument("--worth", type=float, nargs="*", default=[0.2, 0.4, 0.6, 0.8, 1.0])
+    parser.add_argument("--densify", default=os.environ.get("DENSIFY", "DensifyPointCloud"))
+    parser.add_argument("--viewrank", default="viewrank")
+    bench = Bench(parser.parse_args())
+    every = bench.plan("--budget", "100%", "--target", "100%")
+    cost = {scale: bench.match(every, scale) for scale in (1.0, 0.5)}
+    print(f"CPU seconds per map: {cost[1.0]:.2f} at full, {cost[0.5]:.2f} at half size")
+    maps = len(every["clusters"])
+    reference = Reference(bench.fuse(every, {1.0}), every["settings"]["target"]["gsd"])
+    default = bench.plan()["cut"]["clusters"]
+    print("plan                     times  full  half  work %  area %  right %  precision %  error")
+
+    def row(name, times, plan, scales=None):
+        chosen = plan["clusters"][: plan["cut"]["clusters"]]
+        sizes = [scales or cluster["scale"] for cluster in chosen]
+        full, half = sizes.count(1.0), sizes.count(0.5)
+        work = 100 * (full * cost[1.0] + half * cost[0.5]) / (maps * cost[1.0])
+        area, right, precision, error = reference.score(bench.fuse(plan, {1.0, 0.5}, scales))
+        print(f"{name:24} {times:5}  {full:4}  {half:4}  {work:6.1f}  {area:6.1f}  {right:7.1f}  {precision:11.1f}  {error:5.3f}", flush=True)
+
+    for times in TIMES:
+        number = max(2, round(default * times))
+        row("full size", times, bench.plan("--budget", str(number), "--target", "100%"))
+        for worth in bench.args.worth:
+            budget = f"{100 * default * times / maps:.2f}%"
+            row(f"two sizes, worth {worth:g}", times, bench.plan("--budget", budget, "--target", "100%", "--scales", "1,0.5", worth=worth))
+        number = min(maps, int(default * times * cost[1.0] / cost[0.5]))
+        row("half size", times, bench.plan("--budget", str(number), "--target", "100%"), 0.5)
+
+
+class Bench:
+    def __init__(self, args):
+        self.args = args
+        self.environment = dict(os.environ, DENSIFY=str(args.densify))
+        self.project = args.work / "project"
+        if not self.project.exists():
+            self.project.mkdir(parents=True)
+            shutil.copytree(args.project / "sparse", self.project / "sparse")
+            (self.project / "images").symlink_to((args.project / "images").resolve())
+
+    def plan(self, *options, worth=0.6):
+        """The manifest of a plan whose export is in the project."""
+        settings = f"image_scale = {self.args.image_scale}\n[ranking]\nhalf_worth = {float(worth)}\n"
+        (self.project / "viewrank.toml").write_text(settings)
+        command = [self.args.viewrank, "plan", self.project, "--backend", "openmvs", "--quiet", *options]
+        subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+        return json.loads((self.project / "viewrank/manifest.json").read_text())
+
+    def export(self, folder, scales=None):
+        """A copy of the export, with all key views at one size if given."""
+        shutil.rmtree(folder, ignore_errors=True)
+        shutil.copytree(self.project / "viewrank/openmvs", folder, symlinks=True)
+        if scales:
+            run = json.loads((folder / "run.json").read_text())
+            for cluster in run["clusters"]:
+                cluster["scale"] = scales
+            (folder / "run.json").write_text(json.dumps(run))
+
+    def maps(self, scale):
+        return self.args.work / f"maps-{scale:g}"
+
+    def match(self, plan, scale):
+        """CPU seconds per map of the size; matches all of them once."""
+        folder, note = self.maps(scale), self.args.work / f"seconds-{scale:g}.json"
+        if not note.exists():
+            if not folder.exists():
+                self.export(folder, scale)
+            before = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime
+            subprocess.run([sys.executable, "run.py", "--no-fusion", "--threads", "1"], cwd=folder, env=self.environment, check=False, stdout=subprocess.DEVNULL)
+            seconds = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime - before
+            note.write_text(json.dumps(seconds / len(plan["clusters"])))
+        return json.loads(note.read_text())
+
+    def fuse(self, plan, sizes, scales=None):
+        """Points of the cloud of the plan's maps, n x 3, of those that were matched above."""
+        folder = self.args.work / "fused"
+        self.export(folder, scales)
+        rows = {scale: {row["key"]: row for row in json.loads((self.maps(scale) / "report.json").read_text())["clusters"]} for scale in sizes}
+        report = []
+        for cluster in json.loads((folder / "run.json").read_text())["clusters"]:
+            row = rows[cluster["scale"]].get(cluster["key"])
+            if row and not row["problems"]:
+                report.append({**row, "rank": cluster["rank"]})
+                shutil.copy(self.maps(cluster["scale"]) / f"depth{cluster['id']:04d}.dmap", folder)
+        (folder / "report.json").write_text(json.dumps({"options": [], "clusters": report, "fusion": None}))
+        subprocess.run([sys.executable, "run.py", "--stop-at", "0", "--threads", "1"], cwd=folder, env=self.environment, check=True, stdout=subprocess.DEVNULL)
+        return read_cloud(folder / "fused.ply")
+
+
+def read_cloud(path):
+    """Positions of OpenMVS's fused.ply, whose records end with two lists: views and their weights."""
+    data = path.read_bytes()
+    start = data.index(b"end_header\n") + 11
+    count = int(re.search(rb"element vertex (\d+)", data[:start])[1])
+    offsets, at = np.empty(count, np.int64), start
+    for i in range(count):
+        offsets[i] = at
+        at += 29 + 8 * data[at + 27]
+    assert at == len(data), "x, y, z, red, green, blue, nx, ny, nz and two lists"
+    records = np.frombuffer(data, np.uint8)[offsets[:, None] + np.arange(12)]
+    return np.ascontiguousarray(records).view("<f4").astype(float)
+
+
+def one_per_cell(points, size):
+    _, first = np.unique(np.floor(points / size).astype(np.int64), axis=0, return_index=True)
+    return points[first]
+
+
+class Reference:
+    def __init__(self, points, gsd):
+        self.gsd, self.points = gsd, one_per_cell(points, gsd)
+        self.tree = cKDTree(self.points)
+        self.cells = one_per_cell(self.points, 2 * gsd)
+        near = self.points[self.tree.query(self.cells, k=12)[1]]
+        self.middles = near.mean(1)
+        self.normals = np.linalg.svd(near - self.middles[:, None], full_matrices=False)[2][:, 2]
+
+    def score(self, cloud):
+        """Area, right, precision in per cent, and the error in g_d."""
+        gsd, cloud = self.gsd, one_per_cell(cloud, self.gsd / 2)
+        tree = cKDTree(cloud)
+        area = (tree.query(self.cells, distance_upper_bound=2 * gsd)[0] <= 2 * gsd).mean()
+        sample = cloud[np.random.default_rng(0).permutation(len(cloud))[:200_000]]
+        precision = (self.tree.query(sample, distance_upper_bound=3 * gsd)[0] <= 3 * gsd).mean()
+        around = tree.query_ball_point(self.cells, 2 * gsd)
+        offset = lambda i, near: abs(np.median((cloud[near] - self.middles[i]) @ self.normals[i])) if near else np.inf  # noqa: E731
+        offsets = np.array([offset(i, near) for i, near in enumerate(around)])
+        return 100 * area, 100 * (offsets <= gsd).mean(), 100 * precision, np.median(offsets[np.isfinite(offsets)]) / gsd
+
+
+if __name__ == "__main__":
+    main()
