@@ -49,6 +49,7 @@ impl Model {
     ) -> PyResult<Self> {
         runner.run(py, |_| {
             let project = Project::open(&project, model.as_deref())?;
+            let images = images.map(|images| std::path::absolute(&images).unwrap_or(images));
             let project = Project { images: images.map(Into::into).or(project.images.clone()), ..project };
             let scene = project.read_scene()?;
             Ok(Self(Arc::new(Held { project, scene, temporary: None })))
@@ -159,7 +160,9 @@ impl Model {
             (0..3).flat_map(row).collect()
         };
         let table: Vec<Vec<f64>> = self.0.scene.views.iter().map(row).collect();
-        let table = if table.is_empty() { return Ok(PyArray2::zeros(py, [0, 12], false)) } else { table };
+        if table.is_empty() {
+            return Ok(PyArray2::zeros(py, [0, 12], false));
+        }
         Ok(PyArray2::from_vec2(py, &table)?)
     }
 

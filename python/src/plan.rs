@@ -42,8 +42,11 @@ impl Planned {
     }
 }
 
+/// Fulfilment by the chosen clusters and by all, and chosen key views, by triangle.
+type States<'py> = (Bound<'py, PyArray1<f32>>, Bound<'py, PyArray1<f32>>, Bound<'py, PyArray1<u16>>);
+
 /// A cluster: key view, partners, gain, share.
-type Ranked = (String, Vec<String>, f64, f64);
+type Ranked = (String, Vec<String>, f64, f64, f64);
 
 #[pymethods]
 impl Plan {
@@ -106,7 +109,7 @@ impl Plan {
         let gains = &self.0.plan.decision.ranking.gains;
         let cluster = |(cluster, gain): (viewrank::RankedCluster, &f64)| {
             let partners = cluster.partners.iter().map(|&view| scene.name(view).to_owned()).collect();
-            (scene.name(cluster.key).to_owned(), partners, *gain, cluster.share)
+            (scene.name(cluster.key).to_owned(), partners, *gain, cluster.share, cluster.scale.factor())
         };
         self.0.plan.ranked().zip(gains).map(cluster).collect()
     }
@@ -140,11 +143,7 @@ impl Plan {
     }
 
     /// Fulfilment of each triangle by the chosen clusters and by all, and the number of chosen key views that fulfil it.
-    fn triangle_states<'py>(
-        &self,
-        py: Python<'py>,
-        clusters: usize,
-    ) -> (Bound<'py, PyArray1<f32>>, Bound<'py, PyArray1<f32>>, Bound<'py, PyArray1<u16>>) {
+    fn triangle_states<'py>(&self, py: Python<'py>, clusters: usize) -> States<'py> {
         let states = py.detach(|| pictures::triangle_states(&self.0.plan, clusters));
         (
             PyArray1::from_iter(py, states.iter().map(|state| state.fulfilment)),

@@ -96,9 +96,9 @@ impl Sheet {
     fn around(points: impl Iterator<Item = [f64; 3]>) -> Option<Self> {
         let (mut low, mut high) = ([f64::MAX; 2], [f64::MIN; 2]);
         for point in points {
-            for axis in 0..2 {
-                low[axis] = low[axis].min(point[axis]);
-                high[axis] = high[axis].max(point[axis]);
+            for (axis, x) in point.into_iter().take(2).enumerate() {
+                low[axis] = low[axis].min(x);
+                high[axis] = high[axis].max(x);
             }
         }
         let sides = [high[0] - low[0], high[1] - low[1]];
