@@ -35,7 +35,7 @@ class Cluster:
     share : float
         What fusion keeps of this cluster and all before it, over what it keeps of all clusters, 0 to 1.
     scale : float
-        Size at which it is matched, over that of the plan: 1 or, with `scales=[1, 0.5]`, 0.5.
+        Size at which it is matched, over that of the plan: 1 or, with `ranking.scales`, 0.5.
     """
 
     key: str
