@@ -13,7 +13,7 @@ REASON_COLOURS[6] = [104, 164, 226];
 REASON_COLOURS[7] = [242, 206, 70];
 REASON_COLOURS[8] = [190, 66, 40];
 // Not shown well by any planned map, by one that no other confirms, by as many as fusion wants.
-const MAP_COLOURS = [[250, 226, 158], [226, 138, 70], [16, 84, 140]];
+const MAP_COLOURS = [[250, 226, 158], [200, 92, 52], [16, 84, 140]];
 const IMPROVED = [176, 58, 134];
 // Surfaces with fewer triangles are antialiased.
 const SMOOTH = 10000;
