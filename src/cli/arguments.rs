@@ -78,7 +78,7 @@ pub fn parse(typed: Vec<OsString>) -> Result<Arguments, Failure> {
         let rendered = error.render().to_string();
         let message = rendered.lines().next().unwrap_or_default().trim_start_matches("error: ");
         let tip = rendered.lines().find_map(|line| line.trim().strip_prefix("tip: "));
-        Failure { exit: Exit::Usage, message: message.into(), hint: tip.map(Into::into), is_printed: true }
+        Failure { is_printed: true, ..Failure::new(Exit::Usage, message, tip.map(String::from)) }
     })
 }
 

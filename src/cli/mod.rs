@@ -67,16 +67,23 @@ pub struct Failure {
     hint: Option<String>,
     /// The message is on stderr already.
     is_printed: bool,
+    /// The result is on stdout already, so that the error must not follow it there.
+    has_result: bool,
 }
 
 impl Failure {
     fn new(exit: Exit, message: impl Into<String>, hint: impl Into<Option<String>>) -> Self {
-        Self { exit, message: message.into(), hint: hint.into(), is_printed: false }
+        Self { exit, message: message.into(), hint: hint.into(), is_printed: false, has_result: false }
     }
 
     /// A failure that the printed result says already.
     fn already_printed(exit: Exit) -> Self {
         Self { is_printed: true, ..Self::new(exit, "", None) }
+    }
+
+    /// A failure behind a result that is printed.
+    fn behind_result(self) -> Self {
+        Self { has_result: true, ..self }
     }
 
     /// Prints the error to stderr, and to stdout as JSON where results are JSON.
@@ -87,7 +94,7 @@ impl Failure {
                 complain(&format!("{HINT}hint:{HINT:#} {hint}"));
             }
         }
-        if arguments::asks_for_json() && !self.message.is_empty() {
+        if arguments::asks_for_json() && !self.message.is_empty() && !self.has_result {
             let error = serde_json::json!({ "error": self.message, "hint": self.hint, "exit": self.exit as u8 });
             _ = print(&json(&error));
         }

@@ -181,7 +181,9 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     progress.finish();
     report(arguments, &project, &plan, &files)?;
     match &files.not_exported[..] {
-        missing if arguments.backend.is_some() && !missing.is_empty() => Err(NotExported(missing.to_vec()).into()),
+        missing if arguments.backend.is_some() && !missing.is_empty() => {
+            Err(Failure::from(NotExported(missing.to_vec())).behind_result())
+        }
         _ => Ok(()),
     }
 }

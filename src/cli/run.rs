@@ -93,13 +93,15 @@ struct Summary {
 pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let stop = platform::stop_flag().map_err(|error| Failure::new(Exit::Failed, error.to_string(), None))?;
     let project = Project::open(&arguments.project, None)?;
-    let settings = config::load(Some(&project.root), arguments.typed(None))?.settings;
+    let settings = config::load(Some(&project.root), arguments.typed(None, true))?.settings;
     let project = project.with_images(settings.images.as_deref());
     let (backend, why) = backends::chosen(&project, &settings)?;
     let say = |text: &str| if arguments.is_silent() { Ok(()) } else { print(text) };
     say(&format!("Backend: {} ({}).\n", backend.name, why.words()))?;
+    let own = project.root.clone();
     let root = undistorted(arguments, project, backend)?;
-    let foreground = Foreground::new(&root, arguments.typed(Some(backend.name)), &stop);
+    let is_own = root == own;
+    let foreground = Foreground::new(&root, arguments.typed(Some(backend.name), is_own), &stop);
     let mut work = Work::new(arguments, backend, &foreground, &stop)?;
     say(&work.plan_in_words())?;
     let reached = work.compute()?;
@@ -126,8 +128,9 @@ impl Arguments {
         self.quiet || self.format == Format::Json
     }
 
-    /// Command-line options as settings; `backend`: the chosen one.
-    fn typed(&self, backend: Option<&str>) -> CommandLineSettings {
+    /// Command-line options as settings; `backend`: the chosen one. An undistorted workspace has its images beside its model, so that `--images`
+    /// is not for it.
+    fn typed(&self, backend: Option<&str>, with_images: bool) -> CommandLineSettings {
         let mut typed = CommandLineSettings::default();
         let k = self.k.as_ref().map(|k| k.parse().map_or_else(|_| toml::Value::from(k.as_str()), toml::Value::Integer));
         let backend = backend.map(str::to_owned).or(self.backend.clone());
@@ -135,8 +138,11 @@ impl Arguments {
         typed.set("--target", "cut.target", self.target.clone());
         typed.set("--budget", "cut.budget", self.budget.clone());
         typed.set("-k", "partners.k", k);
-        let images = self.images.as_ref().map(|path| std::path::absolute(path).unwrap_or_else(|_| path.clone()));
-        // An undistorted workspace has its images beside its model.
+        let images = self
+            .images
+            .as_ref()
+            .filter(|_| with_images)
+            .map(|path| std::path::absolute(path).unwrap_or_else(|_| path.clone()));
         typed.set("--images", "images", images.map(|path| path.to_string_lossy().into_owned()));
         typed
     }
@@ -187,7 +193,7 @@ impl<'a> Work<'a> {
         }
         let root = foreground.root();
         let plan = WrittenPlan::read(root)?;
-        let settings = config::load(Some(root), arguments.typed(Some(backend.name)))?.settings.dispatch;
+        let settings = config::load(Some(root), arguments.typed(Some(backend.name), false))?.settings.dispatch;
         let image_faults = plan.project.image_faults(&plan.scene);
         let selection = Selection {
             project: &plan.project,
@@ -333,7 +339,7 @@ impl<'a> Work<'a> {
             0 => Ok(()),
             failed => {
                 let message = format!("{failed} depth maps could not be computed, the first of {}", self.failed[0]);
-                Err(Failure::new(Exit::Failed, message, format!("to try them again: {}", self.again())))
+                Err(Failure::new(Exit::Failed, message, format!("to try them again: {}", self.again())).behind_result())
             }
         }
     }
