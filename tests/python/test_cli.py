@@ -13,8 +13,7 @@ PLAN = ["--confidence", "none", "--backend", "sgm"]  # quick, and independent of
 def valley(fixtures, tmp_path):
     """A copy of the fixture as COLMAP lays it out."""
     root = tmp_path / "my valley"
-    shutil.copytree(fixtures / "valley/images", root / "images")
-    shutil.copytree(fixtures / "valley/sparse", root / "sparse/0")
+    shutil.copytree(fixtures / "valley", root, ignore=shutil.ignore_patterns("viewrank"))
     (root / "database.db").write_bytes(b"")
     return root
 
