@@ -68,7 +68,11 @@ fn auto_compares_the_pictures_where_there_are_any() {
     assert_eq!(source(&auto("sgm")), "photometric");
     assert_eq!(source(&auto("sure")), "photometric");
     fs::remove_dir_all(project.path().join("images")).unwrap();
-    assert_eq!(source(&auto("sgm")), "geometric");
+    let without =
+        viewrank(&["plan", project.path().to_str().unwrap(), "--confidence", "auto", "--backend", "sgm", "--quiet"]);
+    assert_eq!(without.status.code(), Some(1), "planned, but not exported: the matcher needs the images");
+    let manifest = fs::read(project.path().join("viewrank/manifest.json")).unwrap();
+    assert_eq!(source(&serde_json::from_slice(&manifest).unwrap()), "geometric");
 }
 
 #[test]

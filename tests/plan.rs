@@ -257,7 +257,7 @@ fn wrong_usage_is_2_and_failure_is_1_each_with_a_hint() {
         (vec!["plan", root, "--buget", "1"], 2, "--budget"),
         (vec!["plan", root, "--gsd", "-1"], 2, "must be above 0"),
         (vec!["plan", root, "-k", "0"], 2, "hint: "),
-        (vec!["plan", root, "--target", "80"], 2, "such as 80%"),
+        (vec!["plan", root, "--target", "1"], 2, "such as 80%"),
         (vec!["plan", root, "--backend", "sgmm"], 2, "hint: "),
         (vec!["plan", root, "--model", "7"], 2, "hint: "),
         (vec!["plan", root, "--confidence", "geomtric"], 2, "hint: give none, geometric"),

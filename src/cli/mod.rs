@@ -202,6 +202,8 @@ struct Arguments {
 }
 
 #[derive(Subcommand)]
+// One value per run of the program.
+#[allow(clippy::large_enum_variant)]
 enum Command {
     Plan(plan::Arguments),
     Run(run::Arguments),

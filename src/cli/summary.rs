@@ -121,7 +121,7 @@ impl<'a> Summary<'a> {
         let notes: String = self.notes.iter().map(|note| note.clone() + "\n").collect();
         let region = self.region.map(|region| region.words(self.weight) + "\n").unwrap_or_default();
         format!(
-            "{} views, {} sparse points; a surface of {} triangles.\n{disk}Wanted: {} {length} per pixel. Backend: {}{}.\n{notes}{region}",
+            "{} views, {} sparse points; a surface of {} triangles.\n{disk}Wanted: {} {length} per pixel.\nBackend: {}{}.\n{notes}{region}",
             grouped(self.views),
             grouped(self.points),
             grouped(self.triangles),

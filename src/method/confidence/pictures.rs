@@ -269,10 +269,10 @@ fn check_shape([width, height]: [u32; 2], camera: &Camera) -> Result<(), ImageEr
     if (ratio - 1.0).abs() <= rounding { Ok(()) } else { Err(ImageError::Shape { width, height, camera }) }
 }
 
-/// `NAME.png`; for a PNG image also its own name.
+/// `NAME.png`; for a PNG image also its own name. A pipe or a device is found, too, so that reading it says what is wrong.
 fn mask_file(folder: &Path, name: &str) -> Option<PathBuf> {
     let own = name.to_ascii_lowercase().ends_with(".png").then(|| folder.join(name));
-    [Some(folder.join(format!("{name}.png"))), own].into_iter().flatten().find(|path| path.is_file())
+    [Some(folder.join(format!("{name}.png"))), own].into_iter().flatten().find(|path| path.exists() && !path.is_dir())
 }
 
 fn median(mut values: Vec<f32>) -> Option<f32> {
