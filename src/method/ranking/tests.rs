@@ -160,8 +160,11 @@ fn a_gain_of_zero_ends_the_order() {
     assert_eq!(ranking.order, [0]);
 }
 
+/// A table of fulfilment, row by row: elements and f.
+type Rows = Vec<Vec<(u32, f32)>>;
+
 /// Clusters with f at full and at half size, and the work of each map.
-fn two_sizes() -> impl Strategy<Value = (Vec<Vec<(u32, f32)>>, Vec<Vec<(u32, f32)>>, Vec<[f64; 2]>)> {
+fn two_sizes() -> impl Strategy<Value = (Rows, Rows, Vec<[f64; 2]>)> {
     let work = (1u8..4).prop_map(f64::from).prop_map(|full| [full, 0.25 * full + 0.25]);
     (rows(), proptest::collection::vec(work, 9)).prop_map(|(full, work)| {
         let half = full.iter().map(|row| row.iter().map(|&(t, f)| (t, 0.5 * f)).collect()).collect();
