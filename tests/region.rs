@@ -102,7 +102,7 @@ fn a_surveyors_polygons_weigh_what_is_inside() {
     assert!(gsd.contains(&0.011) && !gsd.iter().all(|&gsd| gsd == 0.011));
     let surface = fs::read(root.join("viewrank/surface.ply")).unwrap();
     assert!(surface.windows(21).any(|w| w == b"property float region"));
-    let map: Value = serde_json::from_slice(&fs::read(root.join("viewrank/views_local.json")).unwrap()).unwrap();
+    let map: Value = serde_json::from_slice(&fs::read(root.join("viewrank/views.geojson")).unwrap()).unwrap();
     let drawn = map["features"].as_array().unwrap().last().unwrap();
     assert_eq!(drawn["properties"], json!({ "what": "region", "kind": "polygons" }));
     assert_eq!(drawn["geometry"]["coordinates"][0][1], on_earth([-2.0, -2.0, 1.0, 1.0]));
