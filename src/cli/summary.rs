@@ -145,15 +145,27 @@ impl<'a> Summary<'a> {
             None => format!("Compute {maps} of {all} depth maps, {pairs} image pairs instead of {all_pairs}"),
         };
         format!(
-            "\n{what}:\n{:.1} % of what all of them together would give{}.\nMeasured, it will likely be {}.\n{}{}{}{}",
+            "\n{what}:\n{:.1} % of what all of them together would give{}.\n{}Measured, it will likely be {}.\n{}{}{}{}",
             self.cut.share * 100.0,
             self.weight(),
+            self.area(),
             range(&self.cut.share_band),
             self.certificate(),
             self.given_up(),
             self.beyond_gate(),
             self.done()
         )
+    }
+
+    /// The share of the fused area, where the headline has another.
+    fn area(&self) -> String {
+        let cluster = self.cut.clusters.checked_sub(1).and_then(|last| self.manifest.clusters.get(last));
+        match cluster {
+            Some(cluster) if self.weight != TriangleWeight::Area && self.use_of_views.is_none() => {
+                format!("The fused cloud will cover {:.0} % of the area of theirs.\n", 100.0 * cluster.area)
+            }
+            _ => String::new(),
+        }
     }
 
     /// Words for the weight of the share.

@@ -51,7 +51,7 @@ pub struct Progress {
     pub share: Option<f64>,
     /// Target of `share`, 0 to 1.
     pub target: f64,
-    /// Weight of the triangles that fusion keeps of the finished depth maps, over that of the whole surface, 0 to 1 (method 5.2); null where they
+    /// Weight that fusion keeps of the finished depth maps, over that of the whole surface, 0 to 1 (method 5.2); null where they
     /// are only counted. Every depth on the surface counts as right.
     pub kept: Option<f64>,
     /// The same expected of all view clusters: real where finished, else predicted, with failures remembered.

@@ -9,12 +9,11 @@ use crate::method::{
     ranking::{Ranking, Reached},
 };
 
-/// Fusion is sure to keep a triangle whose m-th best f is above the first, and may keep one where it is above the second. With these the
+/// How far what fusion keeps may be from its forecast, over the sum of `w f (1 - f)`, which is 0 where each f is certain. With this the
 /// measured value was within the band on all data sets that the rule was made from (method 5.2).
-const SURE: f32 = 0.65;
-const POSSIBLE: f32 = 0.15;
+const SPREAD: f64 = 1.25;
 /// Least and largest distance of the share from either end of its band.
-const SHARE: (f64, f64) = (0.05, 0.25);
+const SHARE: (f64, f64) = (0.08, 0.15);
 /// The same, and how far what can be kept may be below and above the forecast, where confidence does not look at the surface in the pictures:
 /// the largest errors of `geometric` on the same data sets, rounded up.
 const UNSEEN_SHARE: f64 = 0.35;
@@ -49,18 +48,19 @@ impl Band {
         let maps = stages.maps();
         ranking.maps().for_each(|(cluster, scale)| reached.take(maps.row_at(cluster, scale)));
         maps.release();
-        let above = |least: f32| {
-            let weights = (0..).zip(&stages.objective.weights);
-            weights.filter(|&(t, _)| reached.agreed(t) > least).map(|(_, weight)| weight).sum::<f64>()
+        let doubt = |(t, weight): (u32, &f64)| {
+            let f = f64::from(reached.agreed(t));
+            weight * f * (1.0 - f)
         };
-        Self { low: above(SURE), high: above(POSSIBLE).min(1.0) }
+        let spread = SPREAD * (0..).zip(&stages.objective.weights).map(doubt).sum::<f64>();
+        Self::around(ranking.reachable, spread, spread)
     }
 
     /// Band of the share at the cut: the wider, the less sure it is what all clusters give.
     pub(super) fn of_share(stages: &Stages, share: f64, reachable: f64, of_reachable: &Self) -> Self {
         let half = match stages.confidence {
             Confidence::Photometric { .. } if reachable > 0.0 => {
-                (0.5 * (of_reachable.high - of_reachable.low) / reachable).clamp(SHARE.0, SHARE.1)
+                (0.25 * (of_reachable.high - of_reachable.low) / reachable).clamp(SHARE.0, SHARE.1)
             }
             Confidence::Photometric { .. } => SHARE.1,
             _ => UNSEEN_SHARE,

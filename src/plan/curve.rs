@@ -11,7 +11,7 @@ pub struct CurvePoint {
     pub pairs: usize,
     /// What fusion keeps of them over what it keeps of all clusters, 0 to 1.
     pub share: f64,
-    /// Weight of the triangles that fusion keeps of them, over that of the whole surface, 0 to 1.
+    /// Weight that fusion keeps of them, over that of the whole surface, 0 to 1.
     pub kept: f64,
     /// Their fulfilment f_o, 0 to 1.
     pub fulfilment: f64,

@@ -24,7 +24,7 @@ pub struct Cut {
     /// Band in which the measured share is expected.
     #[serde(default)]
     pub share_band: Band,
-    /// Weight of the triangles that fusion keeps of them, over that of the whole surface, 0 to 1.
+    /// Weight that fusion keeps of them, over that of the whole surface, 0 to 1.
     #[serde(default)]
     pub kept: f64,
     /// The same of all clusters: what these photographs can give of what is wanted.

@@ -8,7 +8,7 @@ use crate::{
     base::progress::{Stage, Watcher},
     method::{
         fulfilment::Model,
-        ranking::{self, Ranking},
+        ranking::{self, Objective, Ranking},
     },
     model::{
         cluster::{MapScale, ViewCluster},
@@ -23,6 +23,8 @@ pub struct Decision {
     /// The part that is done already; empty in a fresh plan.
     pub finished: FinishedMaps,
     pub cut: Cut,
+    /// What fusion is expected to keep of the clusters up to each rank over what it keeps of all, by area, 0 to 1.
+    pub area_shares: Vec<f64>,
     pub forecast: Forecast,
     /// Status and reason of each view.
     pub views: Vec<(ViewStatus, Option<Reason>)>,
@@ -71,10 +73,12 @@ pub fn decide_as(stages: &Stages, finished: FinishedMaps, ranking: Ranking, cut:
         fulfilment: &stages.fulfilment,
         region: stages.region.as_ref(),
     };
+    let by_area = Objective::by_area(&stages.surface, stages.region.as_ref(), stages.objective.support);
+    let area_shares = ranking::shares_by(&by_area, &ranking, &stages.maps());
     let views = all_reasons.views(&ranking.order[..cut.clusters], &stages.settings.partners)?;
     let triangle_reasons = all_reasons.triangles();
     let warnings = warnings::warnings(stages, &ranking, &cut.reachable_band, &finished);
-    Ok(Decision { ranking, finished, cut, forecast, views, triangle_reasons, warnings })
+    Ok(Decision { ranking, finished, cut, area_shares, forecast, views, triangle_reasons, warnings })
 }
 
 fn pairs_beyond_gate(stages: &Stages, chosen: &[u32]) -> usize {

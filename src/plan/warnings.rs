@@ -13,10 +13,10 @@ const CONTRADICTIONS: f64 = 0.05;
 /// Ratio, either way, of the wanted to the images' own ground sampling distance beyond which the unit is probably wrong.
 const WANTED_RATIO: f64 = 20.0;
 /// Share of what is wanted that all clusters together give, below which the plan says so.
-const LITTLE: f64 = 0.5;
-/// Width of the band of what all clusters give from which on the scene is one that the confidence cannot judge: in a room and around
-/// an object it was wider, over flights at most 0.21, but for an oblique one (0.45).
-const UNSURE: f64 = 0.3;
+const LITTLE: f64 = 0.4;
+/// Width of the band of what all clusters give, over what they give, from which on the scene is one that the confidence cannot judge: 0.9 to 1.2
+/// in a room, around a bust and over a far oblique view, 0.2 to 0.5 over flights and a relief.
+const UNSURE: f64 = 0.7;
 /// Eastings of UTM coordinates, metres; a zone is no wider.
 const EASTINGS: std::ops::Range<f64> = 100_000.0..900_000.0;
 /// Depth maps that a warning names.
@@ -34,7 +34,7 @@ pub(super) fn warnings(stages: &Stages, ranking: &Ranking, reachable: &Band, fin
     warnings.extend(one_size(stages));
     warnings.extend(single_partner(stages));
     warnings.extend(little_fulfilled(ranking));
-    warnings.extend(unsure(stages, reachable));
+    warnings.extend(unsure(stages, ranking.reachable, reachable));
     warnings.extend(contradictions(stages));
     warnings.extend(outdated(stages, finished));
     warnings.extend(finished.unreadable.iter().cloned());
@@ -162,9 +162,9 @@ fn little_fulfilled(ranking: &Ranking) -> Option<String> {
 }
 
 /// Warns where the pictures leave open what can be matched, so that the plan may be far off.
-fn unsure(stages: &Stages, reachable: &Band) -> Option<String> {
+fn unsure(stages: &Stages, all: f64, reachable: &Band) -> Option<String> {
     let looks = matches!(stages.confidence, Confidence::Photometric { .. });
-    (looks && reachable.high - reachable.low > UNSURE).then(|| {
+    (looks && reachable.high - reachable.low > UNSURE * all).then(|| {
         format!(
             "the pictures leave open how much can be matched here: all together may give {:.0} to {:.0} % of what is wanted; plan for the \
              subject alone (--region), use more partners (-k) or other limits of pairs ([partners.gate]), and plan again with the first \

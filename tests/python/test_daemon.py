@@ -82,12 +82,12 @@ class Daemon:
 
 @pytest.fixture()
 def source(tmp_path):
-    """A project elsewhere, with a few images."""
+    """A project elsewhere, with files in the place of its images."""
     folder = tmp_path / "source"
     SMALL_MODEL(folder / "sparse/0", 0, side=5)
     (folder / "images").mkdir()
-    for name in ("view1.jpg", "view2.jpg"):
-        (folder / "images" / name).write_bytes(bytes(100_000))
+    for view in range(1, 26):
+        (folder / f"images/view{view}.jpg").write_bytes(bytes(10_000))
     return folder
 
 

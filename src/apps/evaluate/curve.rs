@@ -13,7 +13,7 @@ use crate::{
 pub struct ReachCurve {
     /// f_o (method 5.1).
     pub fulfilment: Vec<f64>,
-    /// Weight of the triangles that fusion keeps (method 5.2), 0 to 1: what shares are of.
+    /// Weight that fusion keeps (method 5.2), 0 to 1: what shares are of.
     pub kept: Vec<f64>,
     /// (Key view, partner) pairs.
     pub pairs: Vec<usize>,
@@ -49,7 +49,7 @@ impl ReachCurve {
         self.fulfilment.last().copied().unwrap_or(0.0)
     }
 
-    /// Weight of the triangles that fusion keeps of the whole order, 0 to 1.
+    /// Weight that fusion keeps of the whole order, 0 to 1.
     pub fn total_kept(&self) -> f64 {
         self.kept.last().copied().unwrap_or(0.0)
     }
@@ -93,13 +93,13 @@ mod tests {
         let clusters = [cluster(0, 2), cluster(1, 3), cluster(2, 4)];
         let curve = ReachCurve::new(&table, &Objective::weighing(vec![1.0; 2], 1), &clusters, &[1, 0, 2]);
         assert!(curve.fulfilment.iter().zip([0.0, 0.35, 0.6, 1.0]).all(|(f, expected)| (f - expected).abs() < 1e-6));
-        assert_eq!(curve.kept, [0.0, 0.5, 0.5, 1.0]);
+        assert!(curve.kept.iter().zip([0.0, 0.35, 0.6, 1.0]).all(|(kept, expected)| (kept - expected).abs() < 1e-6));
         assert_eq!(curve.pairs, [0, 3, 5, 9]);
-        assert_eq!(curve.clusters_for(0.5), Some(1));
-        assert_eq!(curve.clusters_for(0.51), Some(3));
+        assert_eq!(curve.clusters_for(0.34), Some(1));
+        assert_eq!(curve.clusters_for(0.36), Some(2));
         assert_eq!(curve.pairs_for(0.76), Some(9));
         assert_eq!(curve.clusters_for(1.01), None);
-        assert_eq!(curve.share(1, 1.0), 0.5);
+        assert_eq!(curve.share(1, 1.0), curve.kept[1]);
         assert_eq!(curve.share(9, 0.0), 0.0);
     }
 }

@@ -39,7 +39,7 @@ pub struct Evaluation {
     pub real: f64,
     /// What these maps reach of what all clusters of the plan are expected to give: the share that `status` and `report` show, too.
     pub reached: MeasuredProgress,
-    /// Weight of the triangles that fusion keeps of all clusters with a map, 0 to 1: what the shares below are of.
+    /// Weight that fusion keeps of all clusters with a map, 0 to 1: what the shares below are of.
     pub kept: KeptWeight,
     /// Along the order of the clusters; entry i is after i clusters.
     pub curve: EvaluationCurves,

@@ -11,7 +11,7 @@ use crate::{
 /// What fusion keeps of the finished depth maps, measured, over what it is expected to keep of all.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct MeasuredProgress {
-    /// Weight of the triangles that fusion keeps of the finished maps, 0 to 1.
+    /// Weight that fusion keeps of the finished maps, 0 to 1.
     pub kept: f64,
     /// The same of all clusters of the plan: measured where finished, predicted for the others as far as what failed lets it be (method 5.4).
     pub reachable: f64,

@@ -158,7 +158,7 @@ struct SurfaceData {
     ranks: String,
     shares: String,
     first: String,
-    /// Rank (u16) from which on one map shows the triangle well enough, and from which on fusion keeps it.
+    /// Rank (u16) from which on one map likely shows the triangle, and from which on fusion likely keeps it.
     alone: String,
     kept: String,
     reachable: String,
@@ -264,7 +264,7 @@ impl Contents {
 /// What limits the plan (method 5.2).
 #[derive(Serialize)]
 struct Limits {
-    /// Weight of the triangles that fusion keeps of all clusters, 0 to 1.
+    /// Weight that fusion keeps of all clusters, 0 to 1.
     reachable: f64,
     /// f_o at the plan's cut, 0 to 1.
     fulfilment: f64,

@@ -7,6 +7,8 @@ use crate::{base::rows::Offsets, method::ranking::Reached, plan::Plan, show::pic
 pub const COUNTED: usize = 5;
 /// Stands in for the rank of a missing cluster.
 const NEVER: u32 = u32::MAX;
+/// f above which a triangle is drawn as shown.
+const LIKELY: f32 = 0.5;
 
 /// CSR by drawn triangle. Ranks are 1-based.
 #[derive(Default)]
@@ -18,7 +20,7 @@ pub struct History {
     pub shares: Vec<u8>,
     /// Ranks of the first [`COUNTED`] clusters that fulfil the triangle at all.
     pub first: Vec<u32>,
-    /// Rank from which on one map shows the triangle well enough for fusion, and from which on as many do as fusion wants.
+    /// Rank from which on one map is likelier than not to show the triangle, and from which on as many are as fusion wants.
     pub alone: Vec<u32>,
     pub kept: Vec<u32>,
     /// Fulfilment by all clusters together, in 255ths.
@@ -69,7 +71,7 @@ impl History {
     }
 }
 
-/// Ranks from which on one map, and as many as fusion wants, show each drawn triangle well enough.
+/// Ranks from which on one map, and as many as fusion wants, are likelier than not to show each drawn triangle.
 fn confirmed(plan: &Plan, drawn: &DrawnSurface) -> (Vec<u32>, Vec<u32>) {
     let mut reached = Reached::new(&plan.stages.objective);
     let (mut alone, mut kept) = (vec![NEVER; drawn.original.len()], vec![NEVER; drawn.original.len()]);
@@ -81,11 +83,10 @@ fn confirmed(plan: &Plan, drawn: &DrawnSurface) -> (Vec<u32>, Vec<u32>) {
         reached.take(row);
         for &t in row.0 {
             let Some(place) = Some(place[t as usize] as usize).filter(|&place| place < alone.len()) else { continue };
-            let is_kept = reached.is_kept(t);
-            if is_kept || reached.is_of_one_map(t) {
+            if reached.best(t) > LIKELY {
                 alone[place] = alone[place].min(rank);
             }
-            if is_kept {
+            if reached.agreed(t) > LIKELY {
                 kept[place] = kept[place].min(rank);
             }
         }

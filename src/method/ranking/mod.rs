@@ -15,7 +15,7 @@ pub use self::{
     belief::{Attempt, Beliefs},
     bound::most_of_any,
     maps::Maps,
-    objective::{KEPT, Objective, SINGLE_MAP_CREDIT, SeenPixels},
+    objective::{Objective, SINGLE_MAP_CREDIT, SeenPixels},
 };
 use crate::{
     base::{
@@ -37,7 +37,7 @@ pub struct Ranking {
     pub gains: Vec<f64>,
     /// f_o of the first i + 1 clusters.
     pub fulfilment: Vec<f64>,
-    /// Weight of the triangles that fusion keeps of the first i + 1 clusters, 0 to 1.
+    /// Weight that fusion keeps of the first i + 1 clusters, 0 to 1.
     pub kept: Vec<f64>,
     /// The same of all clusters at full size, ranked or not.
     pub reachable: f64,
@@ -109,7 +109,22 @@ pub fn rank_after(
     Ok(ranking)
 }
 
-/// Weight of the triangles that fusion keeps of all clusters at full size.
+/// What fusion is expected to keep of each prefix of a ranking over what it keeps of all clusters at full size, by other weights, 0 to 1.
+pub fn shares_by(objective: &Objective, ranking: &Ranking, maps: &Maps) -> Vec<f64> {
+    let mut reached = Reached::new(objective);
+    let mut take = |(i, (cluster, scale)): (usize, (u32, MapScale))| {
+        reached.take(maps.row_at(cluster, scale));
+        if i.is_multiple_of(column::READ_AT_ONCE) {
+            maps.release();
+        }
+        reached.kept_weight()
+    };
+    let kept: Vec<f64> = ranking.maps().enumerate().map(&mut take).collect();
+    let all = if maps.has_half() { kept_of_all(maps, objective) } else { kept.last().copied().unwrap_or(0.0) };
+    kept.into_iter().map(|kept| if all > 0.0 { kept / all } else { 0.0 }).collect()
+}
+
+/// Weight that fusion is expected to keep of all clusters at full size.
 fn kept_of_all(maps: &Maps, objective: &Objective) -> f64 {
     let mut reached = Reached::new(objective);
     for cluster in 0..maps.clusters() {

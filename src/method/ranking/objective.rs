@@ -15,10 +15,6 @@ use crate::{
 /// confirms; from a quarter to seven tenths the fused area hardly differs.
 pub const SINGLE_MAP_CREDIT: f64 = 0.5;
 
-/// Fusion keeps a triangle where its m-th best map fulfils it to more than this: the value at which the forecast is nearest to what the
-/// fused clouds of OpenMVS cover.
-pub const KEPT: f32 = 0.3;
-
 /// What is maximised: `f_o(S) = sum over the triangles of w_t (f_m + e mean(f_1 ... f_{m-1})) / (1 + e)`, f_i being the i-th largest f of the
 /// clusters S at the triangle; for m = 1 the paper's maximum.
 #[derive(Clone, Debug, PartialEq)]
@@ -35,13 +31,23 @@ impl Objective {
     /// Weighs the triangles as the setting says, times the factors of the region. `support`: m; 0 counts as 1.
     pub fn new(geometry: &Geometry, weight: TriangleWeight, region: Option<&Region>, support: u32) -> Self {
         let triangles = 0..geometry.surface.triangles.len() as u32;
-        let mut raw: Vec<f64> = match weight {
+        let raw: Vec<f64> = match weight {
             TriangleWeight::Count => triangles.map(|_| 1.0).collect(),
-            TriangleWeight::Area => triangles.map(|t| geometry.surface.area(t)).collect(),
+            TriangleWeight::Area => return Self::by_area(geometry.surface, region, support),
             TriangleWeight::Pixels => {
                 SeenPixels::new(geometry.scene, geometry.surface, geometry.visibility).means().collect()
             }
         };
+        Self::inside(raw, region, support)
+    }
+
+    /// Weighs the triangles by their areas, times the factors of the region.
+    pub fn by_area(surface: &Surface, region: Option<&Region>, support: u32) -> Self {
+        let areas = (0..surface.triangles.len() as u32).map(|t| surface.area(t)).collect();
+        Self::inside(areas, region, support)
+    }
+
+    fn inside(mut raw: Vec<f64>, region: Option<&Region>, support: u32) -> Self {
         let Some(region) = region else { return Self::weighing(raw, support) };
         let all: f64 = raw.iter().sum();
         let inside: f64 = raw.iter().zip(&region.covered).map(|(w, &covered)| w * f64::from(covered)).sum();

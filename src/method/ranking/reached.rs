@@ -1,12 +1,12 @@
 //! What a set of clusters reaches, one cluster at a time.
 
-use super::{KEPT, Objective};
+use super::Objective;
 
 /// f_o in whole numbers of this part: sums of them are exact, so that gains can be kept up to date by differences, and neither the order of
 /// additions nor the number of threads shows.
 const UNIT: f64 = (1u64 << 60) as f64;
 
-/// A part of f_o, or of the weight that fusion keeps.
+/// A part of f_o, or of the weight that fusion is expected to keep.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct Amount(pub(super) i64);
 
@@ -41,7 +41,7 @@ impl<'a> Reached<'a> {
         Amount(self.fulfilment).value()
     }
 
-    /// Weight of the triangles that fusion keeps of them, 0 to 1.
+    /// Weight that fusion is expected to keep of them, the sum of `w_t f_m`, 0 to 1 (method 5.2).
     pub(crate) fn kept_weight(&self) -> f64 {
         Amount(self.kept).value()
     }
@@ -57,14 +57,9 @@ impl<'a> Reached<'a> {
         self.largest(triangle)[0]
     }
 
-    /// Does fusion keep the triangle (method 5.2)?
-    pub(crate) fn is_kept(&self, triangle: u32) -> bool {
-        self.agreed(triangle) > KEPT
-    }
-
-    /// Would fusion keep the triangle if another map confirmed the best one?
-    pub(crate) fn is_of_one_map(&self, triangle: u32) -> bool {
-        !self.is_kept(triangle) && self.largest(triangle).last().is_some_and(|&best| best > KEPT)
+    /// The largest f of a triangle.
+    pub(crate) fn best(&self, triangle: u32) -> f32 {
+        self.largest(triangle).last().copied().unwrap_or(0.0)
     }
 
     /// What the clusters taken are worth at a triangle, 0 to 1.
@@ -102,14 +97,13 @@ impl<'a> Reached<'a> {
         if place == 0 {
             return;
         }
-        let (gain, was_kept, m) = (self.gain_at(triangle, largest, f), largest[0] > KEPT, largest.len());
+        let (gain, agreed, m) = (self.gain_at(triangle, largest, f), largest[0], largest.len());
         self.fulfilment += gain;
         let largest = &mut self.largest[triangle as usize * m..][..m];
         largest.copy_within(1..place, 0);
         largest[place - 1] = f;
-        if !was_kept && largest[0] > KEPT {
-            self.kept += Amount::new(self.objective.weights[triangle as usize], 1.0).0;
-        }
+        let weight = self.objective.weights[triangle as usize];
+        self.kept += Amount::new(weight, f64::from(largest[0])).0 - Amount::new(weight, f64::from(agreed)).0;
     }
 }
 

@@ -151,8 +151,11 @@ pub struct ClusterEntry {
     pub gain: f64,
     /// Fulfilment f_o of the clusters up to this one, 0 to 1.
     pub fulfilment: f64,
-    /// Weight of the triangles that fusion keeps of the clusters up to this one, over that of all clusters, 0 to 1.
+    /// Weight that fusion keeps of the clusters up to this one, over that of all clusters, 0 to 1.
     pub share: f64,
+    /// The same by area: what the fused cloud of these clusters covers of the fused cloud of all.
+    #[serde(default)]
+    pub area: f64,
     /// True if its depth map is finished; gain and fulfilment are then measured. Finished clusters come first.
     pub finished: bool,
 }
@@ -285,6 +288,7 @@ fn clusters(plan: &Plan) -> Vec<ClusterEntry> {
         gain: plan.decision.ranking.gains[i],
         fulfilment: plan.decision.ranking.fulfilment[i],
         share: cluster.share,
+        area: plan.decision.area_shares[i],
         finished: i < plan.decision.finished.clusters,
     };
     ranked.map(entry).collect()

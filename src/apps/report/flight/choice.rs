@@ -122,7 +122,7 @@ pub fn choose(
     let of_hole = |hole: &Hole| {
         let weight = |t: &&u32| objective.weights[**t as usize];
         let all: f64 = hole.members.iter().map(|t| weight(&t)).sum();
-        let kept: f64 = hole.members.iter().filter(|t| reached.is_kept(**t)).map(|t| weight(&t)).sum();
+        let kept: f64 = hole.members.iter().map(|t| weight(&t) * f64::from(reached.agreed(*t))).sum();
         if all > 0.0 { kept / all } else { 0.0 }
     };
     Ok(Flight {
