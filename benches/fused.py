@@ -1,0 +1,46 @@
+#!/usr/bin/env python3
+"""Compares the forecast of the fused area (`area` of the manifest's clusters) with what OpenMVS fuses of the first key views.
+
+    benches/fused.py PROJECT WORK_FOLDER [--image-scale 0.5] [--densify DensifyPointCloud] [--viewrank viewrank]
+
+Matches all key views once, then fuses the shortest beginnings of the plan with a share of 10, 20 ... 90 %. The reference is the cloud of all maps:
+
+    share      forecast by the pixels that show it, %
+    area       forecast by area, %
+    covered    share of the cells of 2 g_d of the reference with a point within 2 and within 3 g_d, %
+
+Needs numpy and scipy, and resumes as benches/sizes.py does, whose folder of maps it shares.
+"""
+
+import argparse
+import json
+import os
+from pathlib import Path
+
+from scipy.spatial import cKDTree
+from sizes import Bench, Reference, one_per_cell
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("project", type=Path, help="COLMAP project with images/ and sparse/")
+    parser.add_argument("work", type=Path, help="folder for maps and clouds")
+    parser.add_argument("--image-scale", type=float, default=0.5)
+    parser.add_argument("--densify", default=os.environ.get("DENSIFY", "DensifyPointCloud"))
+    parser.add_argument("--viewrank", default="viewrank")
+    bench = Bench(parser.parse_args())
+    every = bench.plan("--budget", "100%", "--target", "100%")
+    bench.match(every, 1.0)
+    reference = Reference(bench.fuse(every, {1.0}), every["settings"]["target"]["gsd"])
+    print("maps  share %  area %  covered 2 g_d %  3 g_d %")
+    lengths = {next(c["rank"] for c in every["clusters"] if c["share"] >= tenth / 10) for tenth in range(1, 10)}
+    for length in sorted(lengths - {1}):
+        bench.plan("--budget", str(length), "--target", "100%")
+        gsd, last = reference.gsd, every["clusters"][length - 1]
+        near, _ = cKDTree(one_per_cell(bench.fuse(every, {1.0}), gsd / 2)).query(reference.cells, distance_upper_bound=3 * gsd)
+        shares = [last["share"], last["area"], (near <= 2 * gsd).mean(), (near <= 3 * gsd).mean()]
+        print(f"{length:4}  {100 * shares[0]:7.1f}  {100 * shares[1]:6.1f}  {100 * shares[2]:15.1f}  {100 * shares[3]:7.1f}", flush=True)
+
+
+if __name__ == "__main__":
+    main()
