@@ -24,6 +24,7 @@ try:
 except ModuleNotFoundError as error:
     sys.exit(f"error: {error}; pip install numpy opencv-python-headless")
 
+from fuse import fuse
 from merge import MIN_AGREE, SIGMA_PX, merge
 from pairs import VERSION, Pairs, made_of, write_whole
 from workspace import InputError, Workspace
@@ -322,6 +323,14 @@ def fill(args):
     return line.failed
 
 
+def join(args):
+    workspace = Workspace(args.workspace, args.image_scale)
+    clusters = wanted(args, workspace)
+    maps, points = fuse({size: Workspace(args.workspace, args.image_scale * size) for size in {1.0} | {size for *_, size in clusters}}, clusters, args.out)
+    print(f"{maps} depth maps, {points:,} points: {args.out / 'fused.ply'}", file=sys.stderr)
+    return 0
+
+
 def interrupt(*_):
     raise KeyboardInterrupt
 
@@ -365,7 +374,7 @@ def summary(report, keys):
 def arguments(argv):
     parser = argparse.ArgumentParser(prog="sgm.py", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     commands = parser.add_subparsers(dest="command", required=True)
-    for name, about in (("match", "depth maps of view clusters"), ("pairs", "only fill the cache of pairs")):
+    for name, about in (("match", "depth maps of view clusters"), ("fuse", "a cloud of the maps that are there, OUT/fused.ply"), ("pairs", "only fill the cache of pairs")):
         p = commands.add_parser(name, help=about)
         p.add_argument("workspace", type=Path, help="undistorted COLMAP workspace: images/ and sparse/ or sparse/0/")
         which = p.add_mutually_exclusive_group()
@@ -374,8 +383,9 @@ def arguments(argv):
         p.add_argument("--cache", type=Path, metavar="DIR", required=name == "pairs", help="keep the maps of single pairs here, and reuse them")
         p.add_argument("--image-scale", type=float, default=1.0, metavar="S", help="size of the matched images over the model's (default 1)")
         p.add_argument("--jobs", type=int, default=1, metavar="N", help="processes (default 1)")
-        if name == "match":
+        if name != "pairs":
             p.add_argument("--out", type=Path, metavar="DIR", required=True)
+        if name == "match":
             p.add_argument("--rank", type=int, metavar="N", help="the N-th cluster alone (for queues)")
             p.add_argument("--stop-at", metavar="N|TIME", help="end after the first N clusters, or start none after a time (90s, 30m, 2h)")
             p.add_argument("--progress", type=Path, metavar="FILE", help="end when this JSON file says \"target_reached\": true")
@@ -389,7 +399,7 @@ def main(argv=None):
     args = arguments(argv)
     signal.signal(signal.SIGTERM, interrupt)  # or the workers would outlive us
     try:
-        failed = match(args) if args.command == "match" else fill(args)
+        failed = {"match": match, "fuse": join, "pairs": fill}[args.command](args)
     except InputError as error:
         sys.exit(f"error: {error}")
     except KeyboardInterrupt:

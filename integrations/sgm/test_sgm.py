@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 import pytest
 
+import fuse
 import rectify
 import sgm
 from merge import merge
@@ -416,3 +417,40 @@ def test_the_fixture_is_measured(tmp_path):
     found = depth[y, x] > 0
     assert (depth > 0).mean() > 0.6 and found.mean() > 0.7
     assert np.median(np.abs(depth[y, x] / z - 1)[found]) < 0.003
+
+
+def test_the_fused_cloud_is_the_plane_in_cells_of_one_pixel(planes, tmp_path):
+    clusters = write_clusters(tmp_path / "clusters.txt", ("key.png", *SIDES), (SIDES[0], "key.png", SIDES[1]), (SIDES[1], "key.png", SIDES[0]))
+    run(planes, tmp_path / "out", clusters, "--stop-at", "2")
+    command = ["fuse", str(planes), "--out", str(tmp_path / "out"), "--clusters", str(clusters)]
+    sgm.main(command)
+    cloud = (tmp_path / "out/fused.ply").read_bytes()
+    vertices = np.frombuffer(cloud[cloud.index(b"end_header\n") + 11 :], fuse.VERTEX)
+    xyz = np.stack([vertices[axis] for axis in "xyz"], 1)
+    gsd = Workspace(planes).gsd()
+    off = np.abs(xyz @ PLANE[0] - PLANE[1]) / np.linalg.norm(PLANE[0])
+    assert np.median(off) < gsd and np.percentile(off, 95) < 4 * gsd
+    cells = np.floor((xyz - np.median(Workspace(planes).xyz, axis=0)) / gsd).astype(int)
+    assert len(np.unique(cells, axis=0)) == len(xyz) > 0.5 * (np.load(tmp_path / "out/depth_maps/key.png.npy") > 0).sum()
+    assert (vertices["red"] == vertices["green"]).all() and vertices["red"].std() > 10, "the texture is grey"
+    sgm.main(command)
+    assert (tmp_path / "out/fused.ply").read_bytes() == cloud
+    with pytest.raises(SystemExit, match="no depth maps of these clusters"):
+        sgm.main([*command[:3], str(tmp_path / "empty"), *command[4:]])
+
+
+def test_sums_over_cells_do_not_depend_on_how_the_points_come(monkeypatch):
+    rng = np.random.default_rng(1)
+    points, colours = rng.uniform(-3, 3, (500, 3)), rng.integers(0, 256, (500, 3)).astype(float)
+    whole = fuse.Cells(np.zeros(3), 0.5)
+    whole.add(points, colours)
+    monkeypatch.setattr(fuse, "PENDING", 20)
+    parts = fuse.Cells(np.zeros(3), 0.5)
+    for part in range(0, 500, 7):
+        parts.add(points[part : part + 7], colours[part : part + 7])
+    one, other = whole.vertices(), parts.vertices()
+    assert all(np.allclose(one[name], other[name], atol=1) for name in one.dtype.names)
+    by_cell = {}
+    for point in points:
+        by_cell.setdefault(tuple(np.floor(point / 0.5)), []).append(point)
+    assert sorted(map(tuple, np.round([np.mean(cell, axis=0) for cell in by_cell.values()], 9))) == sorted(zip(*(np.round(one[axis], 9) for axis in "xyz"), strict=True))

@@ -244,6 +244,8 @@ pub struct TaskRunner {
     pub compute: String,
     /// Joins the depth maps that exist.
     pub fuse: String,
+    /// The cloud that `fuse` makes.
+    pub cloud: PathBuf,
     /// Depth map of each cluster, in rank order; `None` where the cluster cannot have one.
     pub maps: Vec<Option<PathBuf>>,
 }

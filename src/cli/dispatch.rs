@@ -29,6 +29,7 @@ use super::{Failure, Format, config, json, print, progress::Progress, warn};
 /// existing depth maps reach the target. Defaults for the resources of a task come from viewrank.toml, section dispatch.
 #[derive(Args)]
 pub struct Arguments {
+    /// Folder of the project, or its model
     #[arg(value_parser = super::arguments::project())]
     project: PathBuf,
 

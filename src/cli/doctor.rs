@@ -21,6 +21,7 @@ const LISTED: usize = 6;
 /// are a note if other views see their area, a warning from 1 % of the sparse points lost or 10 % of the views, an error from 50 % of either.
 #[derive(Args)]
 pub struct Arguments {
+    /// Folder of the project, or its model
     #[arg(value_parser = super::arguments::project())]
     project: PathBuf,
 

@@ -29,6 +29,7 @@ use super::{Failure, Format, json, print, progress::Progress, use_threads, warn}
 /// or integrations/sgm. Writes PROJECT/viewrank/evaluation/: evaluation.html, evaluation.json, evaluation.ply.
 #[derive(Args)]
 pub struct Arguments {
+    /// Folder of the project, or its model
     #[arg(value_parser = super::arguments::project())]
     project: PathBuf,
 

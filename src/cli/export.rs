@@ -24,6 +24,7 @@ use super::{Failure, Format, json, print};
 /// files go to PROJECT/viewrank/NAME, those for COLMAP into the project's dense workspace where there is one.
 #[derive(Args)]
 pub struct Arguments {
+    /// Folder of the project, or its model
     #[arg(value_parser = super::arguments::project())]
     project: PathBuf,
 

@@ -37,6 +37,7 @@ use super::{Exit, Failure, Format, config, json, print, progress::Progress, summ
 /// model units, which are metres if viewrank.toml says units = "metric".
 #[derive(Args)]
 pub struct Arguments {
+    /// Folder of the project, or its model
     #[arg(value_parser = super::arguments::project())]
     project: PathBuf,
 

@@ -25,6 +25,7 @@ use super::{Failure, Format, json, print, progress::Progress};
 /// Run viewrank plan first; a new plan marks the old page as stale. The tables are computed again, which takes as long as planning did.
 #[derive(Args)]
 pub struct Arguments {
+    /// Folder of the project, or its model
     #[arg(value_parser = super::arguments::project())]
     project: PathBuf,
 

@@ -18,7 +18,10 @@ use crate::{
         undistort,
     },
     backends::{self, Backend, Selection, place},
-    base::{platform, shell::quoted_path},
+    base::{
+        platform,
+        shell::{quoted, quoted_path},
+    },
     config::CommandLineSettings,
     daemon::{follow, foreground::Foreground, state::Outcome},
     io::{output::Disk, project::Project},
@@ -39,6 +42,7 @@ const FAILURES: usize = 3;
 /// measured; PROJECT/viewrank/report.html shows how far it got. Ctrl-C stops, the same command goes on.
 #[derive(Args)]
 pub struct Arguments {
+    /// Folder of the project, or its model
     #[arg(value_parser = super::arguments::project())]
     project: PathBuf,
 
@@ -86,6 +90,8 @@ struct Summary {
     share: Option<f64>,
     target: f64,
     target_reached: bool,
+    /// Point cloud; null where none was made.
+    cloud: Option<PathBuf>,
     /// Report page; null where none was written.
     report: Option<PathBuf>,
 }
@@ -124,6 +130,23 @@ fn undistorted(arguments: &Arguments, project: Project, backend: &Backend) -> Re
 }
 
 impl Arguments {
+    /// The command that goes on with the same choices, to that target.
+    fn again(&self, target: Option<&str>) -> String {
+        let path = |path: &PathBuf| path.display().to_string();
+        let options = [
+            ("--backend", self.backend.clone()),
+            ("--target", target.map(str::to_owned)),
+            ("--budget", self.budget.clone()),
+            ("-k", self.k.clone()),
+            ("--images", self.images.as_ref().map(path)),
+            ("--program", self.program.as_ref().map(path)),
+            ("--threads", self.threads.map(|threads| threads.to_string())),
+        ];
+        let start = format!("viewrank run {}", quoted_path(&self.project));
+        let typed = options.into_iter().filter_map(|(name, value)| Some(format!(" {name} {}", quoted(&value?))));
+        typed.fold(start, |command, option| command + &option)
+    }
+
     fn is_silent(&self) -> bool {
         self.quiet || self.format == Format::Json
     }
@@ -160,6 +183,8 @@ struct Work<'a> {
     threads: usize,
     failed: Vec<String>,
     measured: Pace,
+    /// The measured share of the maps that are there; `None` before they are measured.
+    share: Option<f64>,
     reported: Pace,
 }
 
@@ -189,7 +214,7 @@ impl<'a> Work<'a> {
         match outcome {
             Outcome::Planned { note: Some(text), .. } => warn(&text),
             Outcome::Planned { .. } => {}
-            other => return Err(failure(other, stop, foreground.root())),
+            other => return Err(failure(other, stop, &arguments.again(arguments.target.as_deref()))),
         }
         let root = foreground.root();
         let plan = WrittenPlan::read(root)?;
@@ -224,6 +249,7 @@ impl<'a> Work<'a> {
             threads,
             failed: Vec::new(),
             measured: Pace::default(),
+            share: None,
             reported: Pace::default(),
             plan,
         })
@@ -272,6 +298,7 @@ impl<'a> Work<'a> {
 
     /// Measures the depth maps that are there, unless the last measurement was a moment ago; true if the target is reached.
     fn measure(&mut self, is_last: bool) -> bool {
+        self.share = None;
         let done: BTreeSet<PathBuf> = self.dispatch.finished_maps().map(Path::to_path_buf).collect();
         if done.is_empty() || !(is_last || self.measured.is_due(REST)) {
             return false;
@@ -280,7 +307,10 @@ impl<'a> Work<'a> {
         let outcome = self.foreground.measure(&|path| done.contains(path));
         self.measured.note(began);
         match outcome {
-            Outcome::Followed { reached, .. } => reached,
+            Outcome::Followed { reached, .. } => {
+                self.share = follow::Progress::read(self.foreground.root()).and_then(|progress| progress.share);
+                reached
+            }
             Outcome::Failed { reason, .. } => {
                 warn(&format!("cannot measure the depth maps: {reason}"));
                 false
@@ -307,12 +337,11 @@ impl<'a> Work<'a> {
             return;
         }
         let done = self.dispatch.finished_maps().count();
-        let progress = follow::Progress::read(self.foreground.root()).and_then(|progress| progress.share);
         let share =
-            progress.map_or(String::new(), |share| format!("  {:5.1} % of {}", 100.0 * share, self.plan.target));
+            self.share.map_or_else(String::new, |share| format!("{:5.1} % of {}", 100.0 * share, self.plan.target));
         let (all, took) = (self.dispatch.tasks.len(), took.as_secs_f64());
         super::complain(&format!(
-            "{done:4} of {all}{share}  {:<28} {took:6.1} s, at most {} left",
+            "{done:4} of {all}  {share:<14}  {:<28} {took:6.1} s, at most {} left",
             task.key,
             duration(left)
         ));
@@ -355,6 +384,7 @@ impl<'a> Work<'a> {
             share: follow::Progress::read(self.foreground.root()).and_then(|progress| progress.share),
             target: self.plan.target.0,
             target_reached: reached,
+            cloud: Some(self.dispatch.runner().cloud.clone()).filter(|cloud| cloud.is_file()),
             report: report.is_file().then_some(report),
         }
     }
@@ -363,15 +393,14 @@ impl<'a> Work<'a> {
         let share = result.share.map_or("not measured".into(), |share| format!("{:.1} %", 100.0 * share));
         let verdict = match result.target_reached {
             true => "the target is reached".to_owned(),
-            false => format!("the list is done below the target; for more: {} --target 98%", self.again()),
+            false => format!("the list is done below the target; for more: {}", self.arguments.again(Some("98%"))),
         };
         let mut text = format!(
             "\n{} of {} depth maps: {share} of what all would give, measured; {verdict}.\n",
             result.done, result.tasks
         );
-        let fused = self.dispatch.workplace().join("fused.ply");
-        if fused.is_file() {
-            text += &format!("Point cloud: {}\n", fused.display());
+        if let Some(cloud) = &result.cloud {
+            text += &format!("Point cloud: {}\n", cloud.display());
         }
         if let Some(report) = &result.report {
             text += &format!("Report: {}\n", report.display());
@@ -381,7 +410,7 @@ impl<'a> Work<'a> {
 
     /// The command that goes on.
     fn again(&self) -> String {
-        format!("viewrank run {}", quoted_path(&self.arguments.project))
+        self.arguments.again(self.arguments.target.as_deref())
     }
 
     fn stopped(&self) -> Failure {
@@ -407,8 +436,8 @@ impl<'a> Work<'a> {
 }
 
 /// The failure of a plan that was not made.
-fn failure(outcome: Outcome, stop: &AtomicBool, root: &Path) -> Failure {
-    let again = format!("to go on: viewrank run {}", quoted_path(root));
+fn failure(outcome: Outcome, stop: &AtomicBool, again: &str) -> Failure {
+    let again = format!("to go on: {again}");
     match outcome {
         Outcome::Failed { reason, hint } => Failure::new(Exit::Failed, reason, hint),
         Outcome::Incomplete { reason } => Failure::new(Exit::Failed, reason, None),
@@ -417,8 +446,9 @@ fn failure(outcome: Outcome, stop: &AtomicBool, root: &Path) -> Failure {
     }
 }
 
+/// The last line of a task's output that is not the task's own.
 fn last_line(text: &str) -> &str {
-    text.lines().last().unwrap_or("it failed without a word")
+    text.lines().rfind(|line| !line.starts_with("rank ")).map_or("it failed without a word", str::trim)
 }
 
 /// The stage of planning, as lines on stderr.

@@ -33,6 +33,7 @@ use super::{Failure, Format, config, json, print, progress::Progress, use_thread
 /// --confidence auto takes.
 #[derive(Args)]
 pub struct Arguments {
+    /// Folder of the project, or its model
     #[arg(required = true, value_name = "PROJECT", value_parser = super::arguments::project())]
     projects: Vec<PathBuf>,
 

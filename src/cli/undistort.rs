@@ -18,6 +18,7 @@ use super::{Failure, Format, config, json, print, progress::Progress};
 /// stopped. Then plan and export the workspace: viewrank plan PROJECT/dense.
 #[derive(Args)]
 pub struct Arguments {
+    /// Folder of the project, or its model
     #[arg(value_parser = super::arguments::project())]
     project: PathBuf,
     /// Sub-model, such as 1 for sparse/1 [default: the one with most registered images]

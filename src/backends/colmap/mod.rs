@@ -89,6 +89,7 @@ fn tasks(selection: &Selection, export: &Export) -> Option<TaskRunner> {
         variable: "COLMAP",
         compute: "COLMAP=$program stereo/viewrank/run.sh --rank \"$rank\"".into(),
         fuse: "COLMAP=$program stereo/viewrank/run.sh --fuse".into(),
+        cloud: export.files.root.join(FUSED),
         maps: selection.clusters.iter().map(map).collect(),
     })
 }

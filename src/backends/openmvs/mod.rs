@@ -96,6 +96,7 @@ fn tasks(selection: &Selection, export: &Export) -> Option<TaskRunner> {
         variable: "DENSIFY",
         compute: format!("{command} --rank \"$rank\""),
         fuse: format!("{command} --stop-at 0"),
+        cloud: export.files.root.join("fused.ply"),
         maps: selection.clusters.iter().map(map).collect(),
     })
 }

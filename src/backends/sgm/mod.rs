@@ -37,8 +37,9 @@ const NUMBERS: PlanningNumbers = PlanningNumbers {
 };
 
 /// The matcher itself goes with its lists.
-const MATCHER: [(&str, &str); 6] = [
+const MATCHER: [(&str, &str); 7] = [
     ("sgm.py", include_str!("../../../integrations/sgm/sgm.py")),
+    ("fuse.py", include_str!("../../../integrations/sgm/fuse.py")),
     ("matching.py", include_str!("../../../integrations/sgm/matching.py")),
     ("merge.py", include_str!("../../../integrations/sgm/merge.py")),
     ("pairs.py", include_str!("../../../integrations/sgm/pairs.py")),
@@ -53,7 +54,7 @@ pub static BACKEND: Backend = Backend {
         partners: Honours::Yes,
         key_subset: Honours::Yes,
         order: Honours::Yes,
-        fusion: "none; each depth map is checked against its own pairs",
+        fusion: "sgm.py fuse joins the key views' maps; each is checked against its own pairs alone",
         notes: "pairs that it refuses are named in its report.json, with the reason",
     },
     planning: NUMBERS,
@@ -71,17 +72,20 @@ pub static BACKEND: Backend = Backend {
 fn tasks(selection: &Selection, export: &Export) -> Option<TaskRunner> {
     let out = selection.project.home.join("sgm");
     let folder = quoted_path(&out);
-    let command = format!(
-        "\"$python\" \"$program\" match \"$project\" --clusters {} --out {folder} --image-scale {}",
-        quoted_path(&export.files.root.join("clusters.txt")),
-        export.record.image_scale
-    );
+    let command = |what: &str| {
+        format!(
+            "\"$python\" \"$program\" {what} \"$project\" --clusters {} --out {folder} --image-scale {}",
+            quoted_path(&export.files.root.join("clusters.txt")),
+            export.record.image_scale
+        )
+    };
     let map = |c: &RankedCluster| Some(out.join(format!("depth_maps/{}.npy", selection.scene.name(c.key))));
     Some(TaskRunner {
         program: "sgm.py",
         variable: "SGM",
-        compute: format!("{command} --cache {folder}/pairs --rank \"$rank\""),
-        fuse: format!("{command} --stop-at 0"),
+        compute: format!("{} --cache {folder}/pairs --rank \"$rank\"", command("match")),
+        fuse: format!("{} --stop-at 0 && {}", command("match"), command("fuse")),
+        cloud: out.join("fused.ply"),
         maps: selection.clusters.iter().map(map).collect(),
     })
 }
@@ -94,9 +98,11 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     let scale = selection.image_scale;
     let mut files = options.file_set(&BACKEND, selection);
     let project = quoted_path(&place::path_from(&files.root, &selection.project.root));
-    record.commands =
-        vec![format!("python3 sgm.py match {project} --clusters clusters.txt --out depth_maps --image-scale {scale}")];
-    record.fusion = "none needed".into();
+    let command = |what| {
+        format!("python3 sgm.py {what} {project} --clusters clusters.txt --out depth_maps --image-scale {scale}")
+    };
+    record.commands = vec![command("match"), command("fuse")];
+    record.fusion = "a point per cell of one ground sampling distance, the mean of the depths in it".into();
     for (name, text) in MATCHER {
         files.add_text(name, text);
     }
