@@ -27,9 +27,9 @@ use crate::{
 };
 
 /// The choice ends when a further image fills less than this share of what can be filled.
-const LEAST: f64 = 0.004;
+const LEAST: f64 = 0.01;
 /// The choice ends when this share of what can be filled is.
-const ENOUGH: f64 = 0.97;
+const ENOUGH: f64 = 0.92;
 /// Partners of a candidate among the other candidates.
 const NEAREST: usize = 4;
 /// Partners among the images that are there.
