@@ -18,7 +18,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let [project, depth_maps] = &arguments[..] else { return Err("usage: evaluate PROJECT DEPTH_MAPS".into()) };
 
     // The manifest has no tables, so they are computed again with its settings.
-    let (_, plan) = replan::as_written(project, &NoWatcher)?;
+    let (_, plan, _) = replan::as_written(project, &NoWatcher)?;
     let clusters: Vec<_> = plan.chosen().cloned().collect();
 
     // Without reference depth maps, every depth counts as correct.

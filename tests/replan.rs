@@ -211,7 +211,7 @@ fn a_plan_around_finished_maps_is_read_as_it_was_written() {
     write(&again, planned.folder.path());
     let keys = |plan: &Plan| plan.ranked().map(|c| (c.key, c.partners)).collect::<Vec<_>>();
     assert_ne!(keys(&again), keys(&planned.plan));
-    let (_, read) = as_written(planned.folder.path(), &NoWatcher).unwrap();
+    let (_, read, _) = as_written(planned.folder.path(), &NoWatcher).unwrap();
     assert_eq!(keys(&read), keys(&again));
     assert_eq!((read.decision.cut.clusters, read.decision.finished.clusters), (again.decision.cut.clusters, 2));
     assert_eq!(read.decision.views, again.decision.views);
@@ -446,9 +446,9 @@ fn the_same_maps_reach_the_same_share_wherever_it_is_shown() {
     let _ = follow::follow(root, &|_| true, &NoWatcher);
     let of_status = Progress::read(root).unwrap().share.unwrap();
 
-    let (project, plan) = as_written(root, &NoWatcher).unwrap();
+    let (project, plan, exports) = as_written(root, &NoWatcher).unwrap();
     let folders = DepthMapFolders { depth_maps: Some(planned.maps()), reference: None };
-    let contents = Contents::new(&plan, &project, &folders, None, &NoWatcher).unwrap();
+    let contents = Contents::new(&plan, &project, &exports, &folders, None, &NoWatcher).unwrap();
     let contents = serde_json::to_value(&contents).unwrap();
     let of_report = contents["real"]["share"].as_array().unwrap()[2].as_f64().unwrap();
 

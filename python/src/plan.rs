@@ -9,7 +9,7 @@ use numpy::{PyArray1, PyUntypedArray};
 use pyo3::{prelude::*, types::PyDict};
 use viewrank::{
     Project, backends,
-    backends::{ExportOptions, References},
+    backends::{ExportOptions, ExportRecord, References},
     evaluate::Evaluation,
     files,
     output::{self, Disk, FileSet},
@@ -32,6 +32,8 @@ pub struct Plan(Arc<Planned>);
 struct Planned {
     plan: viewrank::Plan,
     project: Project,
+    /// Exports that the manifest of a written plan records.
+    exports: Vec<ExportRecord>,
     /// The model of a plan that was not read from a folder of the user's; keeps a temporary folder.
     model: Option<Arc<Held>>,
 }
@@ -58,7 +60,7 @@ impl Plan {
         runner.run(py, move |watcher| {
             let settings = options::load(&held.project.root, typed)?;
             let plan = backends::plan_scene(&held.project, held.scene.clone(), &settings, watcher)?;
-            Ok(Self(Arc::new(Planned { plan, project: held.project.clone(), model: Some(held) })))
+            Ok(Self(Arc::new(Planned { plan, project: held.project.clone(), exports: Vec::new(), model: Some(held) })))
         })
     }
 
@@ -66,8 +68,8 @@ impl Plan {
     #[staticmethod]
     fn load(py: Python<'_>, project: PathBuf, runner: Runner) -> PyResult<Self> {
         runner.run(py, |watcher| {
-            let (project, plan) = replan::as_written(&project, watcher)?;
-            Ok(Self(Arc::new(Planned { plan, project, model: None })))
+            let (project, plan, exports) = replan::as_written(&project, watcher)?;
+            Ok(Self(Arc::new(Planned { plan, project, exports, model: None })))
         })
     }
 
@@ -236,9 +238,9 @@ impl Plan {
         runner: Runner,
     ) -> PyResult<PathBuf> {
         runner.run(py, |watcher| {
-            let Planned { plan, project, .. } = &*self.0;
+            let Planned { plan, project, exports, .. } = &*self.0;
             let folders = DepthMapFolders { depth_maps, reference };
-            let contents = Contents::new(plan, project, &folders, Some(plan.timings.total()), watcher)?;
+            let contents = Contents::new(plan, project, exports, &folders, Some(plan.timings.total()), watcher)?;
             let page = report::page(&contents);
             let Some(path) = path else {
                 if self.0.is_temporary() {

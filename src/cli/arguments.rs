@@ -7,7 +7,7 @@ use std::{
 };
 
 use clap::{
-    CommandFactory, Parser,
+    Arg, Command, CommandFactory, FromArgMatches,
     builder::{PathBufValueParser, TypedValueParser},
     error::{ContextKind, ContextValue, Error, ErrorKind},
 };
@@ -83,7 +83,18 @@ pub fn parse(typed: Vec<OsString>) -> Result<Arguments, Failure> {
 }
 
 fn parse_from(typed: Vec<OsString>) -> Result<Arguments, Error> {
-    Arguments::try_parse_from(&typed).map_err(suggest)
+    let mut definition = definition();
+    let mut matches = definition.try_get_matches_from_mut(typed).map_err(suggest)?;
+    Arguments::from_arg_matches_mut(&mut matches).map_err(|error| suggest(error.format(&mut definition)))
+}
+
+/// The command line's definition. A negative number after an option is its value, so that what refuses it names the option.
+fn definition() -> Command {
+    let with_negative = |argument: Arg| match argument.get_action().takes_values() && !argument.is_positional() {
+        true => argument.allow_negative_numbers(true),
+        false => argument,
+    };
+    Arguments::command().mut_subcommands(|subcommand| subcommand.mut_args(with_negative))
 }
 
 /// Adds what was probably meant.
@@ -125,7 +136,7 @@ fn meant_by(typed: &str, table: &[(&'static str, &[&str])]) -> Option<&'static s
 /// Returns whether the typed subcommand has this option.
 fn is_known(option: &str) -> bool {
     let name = option.split(' ').next().unwrap_or_default();
-    let definition = Arguments::command();
+    let definition = definition();
     let Some(typed) = std::env::args().nth(1) else { return false };
     let Some(subcommand) = definition.find_subcommand(&typed) else { return false };
     subcommand.get_arguments().any(|argument| {

@@ -82,7 +82,7 @@ pub struct Arguments {
 pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     use_threads(arguments.threads);
     let progress = Progress::new(arguments.quiet);
-    let (project, plan) = replan::as_written(&arguments.project, &progress)?;
+    let (project, plan, _) = replan::as_written(&arguments.project, &progress)?;
     match (&arguments.write_baselines, &arguments.compare, &arguments.depth_maps) {
         (Some(folder), _, _) => write_baselines(arguments, &plan, folder, &progress),
         (_, Some(folder), _) => compare(arguments, &plan, folder, &progress),

@@ -67,10 +67,10 @@ pub struct Arguments {
     )]
     region: Option<String>,
     /// Wanted ground sampling distance, model units per pixel; with units = "metric" also as 2cm [default: from the model]
-    #[arg(long, value_name = "L", allow_negative_numbers = true, help_heading = "What is wanted")]
+    #[arg(long, value_name = "L", help_heading = "What is wanted")]
     gsd: Option<String>,
     /// Wanted accuracy of a point, as --gsd [default: as --gsd]
-    #[arg(long, value_name = "L", allow_negative_numbers = true, help_heading = "What is wanted")]
+    #[arg(long, value_name = "L", help_heading = "What is wanted")]
     accuracy: Option<String>,
 
     /// Sizes that a key view may be matched at, over the size of the images: 1 or 1,0.5; with two, each gets the one

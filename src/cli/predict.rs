@@ -75,7 +75,7 @@ fn of_project(project: &Path, arguments: &Arguments) -> Result<Vec<Prediction>, 
         return Err(OfPlan(source.clone()).into());
     }
     let progress = Progress::new(arguments.quiet);
-    let (project, plan) = replan::as_written(project, &progress)?;
+    let (project, plan, _) = replan::as_written(project, &progress)?;
     progress.finish();
     let folder = project.images.as_ref().ok_or(NoImages)?;
     let model = plan.stages.model();

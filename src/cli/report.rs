@@ -75,7 +75,7 @@ fn write_to(
     folders: &DepthMapFolders,
     progress: &Progress,
 ) -> Result<PathBuf, Failure> {
-    let (project, plan) = replan::as_written(project, progress)?;
+    let (project, plan, exports) = replan::as_written(project, progress)?;
     let seconds = planning_seconds(&project.home);
     let (root, name) = match out {
         Some(folder) => (folder, "report.html"),
@@ -83,7 +83,7 @@ fn write_to(
     };
     output::refuse_unwritable(root)
         .map_err(|error| super::plan::elsewhere(error, out.is_some(), "report", &project.as_argument()))?;
-    let contents = Contents::new(&plan, &project, folders, seconds, progress)?;
+    let contents = Contents::new(&plan, &project, &exports, folders, seconds, progress)?;
     progress.progress(Stage::Write, 0, 1);
     let mut files = FileSet::new(root, REPORT_SET);
     files.add_text(name, report::page(&contents));

@@ -129,11 +129,6 @@ impl Dispatch {
         Ok(Self { project, backend: backend.name, folder, tasks, finished, workplace, exported_program, runner })
     }
 
-    /// Folder in which the backend runs.
-    pub fn workplace(&self) -> &Path {
-        &self.workplace
-    }
-
     pub fn runner(&self) -> &TaskRunner {
         &self.runner
     }

@@ -2,7 +2,7 @@
 
 use std::{collections::BTreeMap, path::Path};
 
-use crate::backends;
+use crate::backends::{self, ExportRecord};
 use crate::plan::{Cut, Decision, FinishedMaps, Plan, PlanError, Stages, decide_as};
 use crate::{
     base::{column::TableError, error::Hint, progress::Watcher},
@@ -19,12 +19,13 @@ pub fn again(root: &Path, watcher: &dyn Watcher) -> Result<(Project, Plan), Agai
 }
 
 /// Repeats the plan with the ranking, the cut and the warnings of `viewrank/manifest.json`. If that plan was ranked around finished depth maps,
-/// gains, shares and reasons of views come from the manifest, measured where finished; fulfilment by triangle is predicted.
-pub fn as_written(root: &Path, watcher: &dyn Watcher) -> Result<(Project, Plan), AgainError> {
+/// gains, shares and reasons of views come from the manifest, measured where finished; fulfilment by triangle is predicted. The third is the
+/// plan's exports, as the manifest records them.
+pub fn as_written(root: &Path, watcher: &dyn Watcher) -> Result<(Project, Plan, Vec<ExportRecord>), AgainError> {
     let (project, plan, recorded) = predicted(root, watcher)?;
     let plan = if recorded.finished() > 0 { with_ranking(plan, &recorded, watcher)? } else { plan };
     let warnings = warnings_with(&recorded.warnings, &recorded.exports, &[]);
-    Ok((project, Plan { decision: Decision { warnings, ..plan.decision }, ..plan }))
+    Ok((project, Plan { decision: Decision { warnings, ..plan.decision }, ..plan }, recorded.exports))
 }
 
 fn with_ranking(plan: Plan, recorded: &RecordedPlan, watcher: &dyn Watcher) -> Result<Plan, AgainError> {

@@ -21,6 +21,7 @@ use super::{
 };
 use crate::{
     apps::{doctor::partners_in_words, evaluate::EvaluateError},
+    backends::ExportRecord,
     base::{
         column::{DiskError, TableError},
         error::Hint,
@@ -63,9 +64,9 @@ pub struct Contents {
     /// Clusters at the start of the ranking whose depth maps were finished when it was made; their gains and shares are measured.
     finished: usize,
     limits: Limits,
-    /// Warnings that name what to change.
+    /// Warnings of the manifest, and which depth maps cannot be shown.
     warnings: Vec<String>,
-    /// Facts that nothing can be done about, such as what a backend does not honour.
+    /// What the exports do not honour: the backend's nature, not the user's to change.
     notes: Vec<String>,
     unregistered: Vec<String>,
     /// Colours of the surface at shares of 0, 1/2 and 1 of what all clusters give.
@@ -193,10 +194,11 @@ struct HoleData {
 }
 
 impl Contents {
-    /// `planning_seconds`: time that planning took.
+    /// `exports`: those of the plan; `planning_seconds`: time that planning took.
     pub fn new(
         plan: &Plan,
         project: &Project,
+        exports: &[ExportRecord],
         folders: &DepthMapFolders,
         planning_seconds: Option<f64>,
         watcher: &dyn Watcher,
@@ -211,8 +213,6 @@ impl Contents {
         let holes = holes(plan, HOLES);
         let flight = flight::flight(plan, &holes.largest, watcher)?;
         let needed = plan.stages.settings.coverage.min_cameras;
-        let (warnings, notes) =
-            plan.decision.warnings.iter().cloned().chain(left_out).partition(|text| can_be_changed(text));
         let place = plan::georeference(project, &plan.stages.scene, &plan.stages.settings.frame);
         let summary = RegionSummary::from_plan(plan);
         Ok(Self {
@@ -228,8 +228,8 @@ impl Contents {
             cut: plan.decision.cut.clusters,
             finished: plan.decision.finished.clusters,
             limits: Limits::new(&plan.decision.cut),
-            warnings,
-            notes,
+            warnings: plan.decision.warnings.iter().cloned().chain(left_out).collect(),
+            notes: exports.iter().flat_map(not_honoured).collect(),
             unregistered: plan.stages.scene.unregistered.clone(),
             reasons: REASON_NUMBERS.iter().map(|r| r.words()).collect(),
             forecast: plan.stages.settings.forecast.clone(),
@@ -286,9 +286,8 @@ impl Limits {
     }
 }
 
-/// Whether a warning ends with what to do about it, as the house's warnings do: after a semicolon.
-fn can_be_changed(warning: &str) -> bool {
-    warning.contains("; ") && !warning.contains("not honoured: ") && !warning.starts_with("ignored the depth maps")
+fn not_honoured(export: &ExportRecord) -> impl Iterator<Item = String> {
+    export.not_honoured.iter().map(|what| format!("{}: not honoured: {what}", export.backend))
 }
 
 /// Weight per area of each drawn triangle, in 40ths of an octave below the most, from 255 down; 0 without weight.

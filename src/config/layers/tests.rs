@@ -15,7 +15,7 @@ fn load(user: &str, project: &str, typed: CommandLineSettings) -> Result<Configu
         Some(path)
     };
     Configuration::load(
-        &Files { user: write("user.toml", user), project: write("project.toml", project) },
+        &Files { user: write("user.toml", user), root: None, project: write("project.toml", project) },
         typed,
         canonical_name,
     )
@@ -61,7 +61,7 @@ fn a_quoted_name_with_a_dot_is_no_setting() {
 #[test]
 fn nothing_written_is_the_default() {
     assert_eq!(load("", "", CommandLineSettings::default()).unwrap(), Configuration::default());
-    let none = Files { user: Some("/nowhere/viewrank.toml".into()), project: None };
+    let none = Files { user: Some("/nowhere/viewrank.toml".into()), ..Files::default() };
     assert_eq!(
         Configuration::load(&none, CommandLineSettings::default(), canonical_name).unwrap().settings,
         Settings::default()
@@ -86,11 +86,13 @@ fn values_out_of_range_or_type_are_refused() {
     assert_eq!(message("fulfilment.alpha = 1.5"), "project.toml:1: fulfilment.alpha = 1.5: must be 0 to 1");
     assert_eq!(message("target.gsd = -1"), "project.toml:1: target.gsd = -1: must be above 0 (scene units/px)");
     assert_eq!(message("target.gsd = nan"), "project.toml:1: target.gsd = nan: must be above 0 (scene units/px)");
-    assert!(message("target.gsd = \"1 cm\"").ends_with("must be a number"));
+    assert!(message("target.gsd = \"1 cm\"").ends_with("the model's unit of length is unknown"));
+    assert!(message("target.gsd = \"0,02\"").ends_with("must be a number with a decimal point, as 0.02"));
+    assert!(message("target.gsd = \"fine\"").contains("must be a number"));
     assert!(message("partners.k = \"auto\"").ends_with("must be a whole number"));
     assert!(message("ranking.support = 4000000000").contains("must be 1 to 100"));
     assert!(message("partners.method = \"best\"").contains("must be "));
-    assert!(message("cut.target = \"80\"").contains("\"80\" is not a share from 0% to 100%"));
+    assert!(message("cut.target = \"180\"").contains("\"180\" is not a share from 0% to 100%"));
     assert!(message("surface.max_edge_factor = 10").contains("must not be below surface.edge_factor, which is 20"));
     assert!(message("target = 3").contains("target = 3"));
     assert!(message("[target\ngsd = 1").starts_with("project.toml:1: "));
@@ -113,9 +115,38 @@ fn a_projects_file_names_no_commands() {
 fn backends_are_known_by_name() {
     let named = load("", "backends = [\"COLMAP\", \"meshroom\", \"colmap\"]", CommandLineSettings::default()).unwrap();
     assert_eq!(named.settings.backends, ["colmap", "alicevision"]);
-    let error = load("", "\nbackends = [\"colmpa\"]", CommandLineSettings::default()).unwrap_err();
-    let ConfigError::Backend { place: SettingLocation::File { line: 2, .. }, error } = error else { panic!("{error}") };
-    assert_eq!((error.name.as_str(), error.meant), ("colmpa", Some("colmap")));
+    let (message, hint) = refused("\nbackends = [\"colmpa\"]");
+    assert_eq!(message, "project.toml:2: no backend \"colmpa\"");
+    assert!(hint.starts_with("did you mean colmap? take one of sure, "));
+}
+
+#[test]
+fn lengths_have_units_where_the_model_is_metric() {
+    let mut typed = CommandLineSettings::default();
+    typed.set("--gsd", "target.gsd", Some("2cm"));
+    let settings = load("", "units = \"metric\"\ntarget.accuracy = \"15 mm\"", typed.clone()).unwrap().settings;
+    assert_eq!((settings.target.gsd, settings.target.accuracy), (Some(0.02), Some(0.015)));
+    assert!(matches!(load("units = \"metric\"", "units = \"relative\"", typed), Err(ConfigError::NotMetric { .. })));
+    assert_eq!(
+        load("", "target.gsd = \"0.5\"", CommandLineSettings::default()).unwrap().settings.target.gsd,
+        Some(0.5)
+    );
+}
+
+#[test]
+fn a_watched_folder_s_settings_are_below_those_of_its_projects() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = |name: &str, text: &str| {
+        fs::write(folder.path().join(name), text).unwrap();
+        Some(folder.path().join(name))
+    };
+    let root = file("root.toml", "partners.k = 4\nseed = 3");
+    let files = Files { user: file("user.toml", "seed = 1"), root, project: file("project.toml", "partners.k = 6") };
+    let settings = Configuration::load(&files, CommandLineSettings::default(), canonical_name).unwrap().settings;
+    assert_eq!((settings.seed, settings.partners.k), (3, 6));
+    let root = file("root.toml", "on_target = \"rm -r /\"");
+    let refused = Configuration::load(&Files { root, ..files }, CommandLineSettings::default(), canonical_name);
+    assert!(matches!(refused, Err(ConfigError::UserOnly { .. })));
 }
 
 #[test]
