@@ -1,4 +1,4 @@
-//! What is done with plans and projects beside planning.
+//! Uses of plans and projects: everything but planning itself.
 
 pub mod dispatch;
 pub mod doctor;

@@ -92,7 +92,7 @@ pub struct Backend {
     pub serves: fn(&Project) -> bool,
     /// True if its exports match key views at full and at half size, and fuse their depth maps (method 5.8).
     pub mixes_sizes: bool,
-    /// How tasks of a queue compute the clusters of an export with the default options; `None` where only a whole run can.
+    /// Runner for the tasks of a queue, for exports with the default options; `None` if the program can only run as a whole.
     pub tasks: fn(&Selection, &Export) -> Option<TaskRunner>,
     /// Faults of a project that would trip it whatever is planned, beside distorted cameras.
     pub traps: fn(&ExaminedProject) -> Vec<Trap>,
@@ -188,7 +188,7 @@ pub fn plan_scene(
     Plan::from_scene(project, scene, settings, &matcher, Timings::start(), watcher)
 }
 
-/// How far a backend does what the plan says.
+/// Degree to which a backend honours a part of the plan.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Honours {
@@ -198,7 +198,7 @@ pub enum Honours {
     No,
 }
 
-/// How far a backend honours each part of a plan.
+/// Degree to which a backend honours each part of a plan.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct Capabilities {
     /// Exactly the given matching partners.

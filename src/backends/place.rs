@@ -125,7 +125,7 @@ pub(super) fn path_from(folder: &Path, above: &Path) -> PathBuf {
     }
 }
 
-/// Are both the same folder?
+/// Returns whether both are the same folder.
 pub fn is_same(one: &Path, other: &Path) -> bool {
     real(one) == real(other)
 }

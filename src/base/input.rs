@@ -62,7 +62,7 @@ impl FileKind {
 /// Opens a regular file, through links or not.
 ///
 /// # Errors
-/// Of the kind `InvalidInput` where it is something else.
+/// Fails with the kind `InvalidInput` for anything else.
 pub fn open(path: &Path) -> io::Result<File> {
     open_with_metadata(path).map(|(file, _)| file)
 }

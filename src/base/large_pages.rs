@@ -20,7 +20,7 @@ pub fn filled<T: Clone>(elements: usize, with: T) -> Vec<T> {
 /// Asks for large pages behind the room of the list; small lists and systems without them stay as they are.
 #[cfg(target_os = "linux")]
 fn advise<T>(room: &mut Vec<T>) {
-    /// Of a large page on most machines; smaller rooms have none.
+    /// Size of a large page on most machines; smaller allocations don't use them.
     const LARGE: usize = 1 << 21;
     let (start, bytes) = (room.as_mut_ptr() as usize, room.capacity() * size_of::<T>());
     let first = start.next_multiple_of(LARGE);

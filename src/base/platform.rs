@@ -1,4 +1,4 @@
-//! What differs between operating systems below the daemon: files and links, signals to stop, groups of processes, the user. Each function has a
+//! Differences between operating systems below the daemon: files and links, signals to stop, groups of processes, the user. Each function has a
 //! plain equivalent for systems other than Unix.
 
 use std::{
@@ -119,6 +119,7 @@ pub fn stop_flag() -> io::Result<Arc<AtomicBool>> {
 pub enum Request {
     Stop,
     /// SIGHUP, which only Unix has.
+    #[cfg_attr(not(unix), expect(dead_code, reason = "only signals of Unix make it"))]
     Rescan,
 }
 

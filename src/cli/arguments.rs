@@ -1,4 +1,4 @@
-//! Parses the command line: what people type instead of a subcommand, an option or a project, and what was meant.
+//! Parses the command line, and suggests what was meant by near misses of subcommands, options and projects.
 
 use std::{
     ffi::OsString,
@@ -57,7 +57,7 @@ const OPTIONS: [(&str, &[&str]); 12] = [
     ("--dry-run", &["--dryrun", "--no-write", "--simulate", "--pretend"]),
 ];
 
-/// Returns whether the command line asks for JSON, however wrong the rest of it is.
+/// Returns whether the command line asks for JSON, even if the rest of it is invalid.
 pub fn asks_for_json() -> bool {
     static JSON: OnceLock<bool> = OnceLock::new();
     *JSON.get_or_init(|| is_json(&std::env::args().collect::<Vec<_>>()))
@@ -88,7 +88,7 @@ fn parse_from(typed: Vec<OsString>) -> Result<Arguments, Error> {
     Arguments::from_arg_matches_mut(&mut matches).map_err(|error| suggest(error.format(&mut definition)))
 }
 
-/// The command line's definition. A negative number after an option is its value, so that what refuses it names the option.
+/// Returns the definition of the command line. A negative number after an option is its value, so that the error names the option.
 fn definition() -> Command {
     let with_negative = |argument: Arg| match argument.get_action().takes_values() && !argument.is_positional() {
         true => argument.allow_negative_numbers(true),
@@ -97,7 +97,7 @@ fn definition() -> Command {
     Arguments::command().mut_subcommands(|subcommand| subcommand.mut_args(with_negative))
 }
 
-/// Adds what was probably meant.
+/// Adds the probable meaning to an error.
 fn suggest(mut error: Error) -> Error {
     let text = |error: &Error, kind| match error.get(kind) {
         Some(ContextValue::String(text)) => text.clone(),
@@ -146,7 +146,7 @@ fn is_known(option: &str) -> bool {
     })
 }
 
-/// Parses a project, which may be named by a part: a file of its sparse model, its database, `sparse`, `sparse/0` or its images.
+/// Parses a project. A part may name it: a file of its sparse model, its database, `sparse`, `sparse/0` or its images.
 pub fn project() -> impl TypedValueParser<Value = PathBuf> {
     PathBufValueParser::new().map(|typed| match project::containing(&typed) {
         Some(project) => {

@@ -1,4 +1,4 @@
-//! `viewrank backends`: what each MVS program honours of a plan, and what it contributes to planning.
+//! `viewrank backends`: capabilities and planning numbers of each MVS program.
 
 use crate::{
     backends::{self, Backend, Capabilities, Honours},
@@ -137,7 +137,7 @@ fn details(entry: &Entry) -> String {
     text
 }
 
-/// A line that goes on under its value after 80 columns.
+/// A line, wrapped at 80 columns and indented under its value.
 fn wrapped(what: &str, value: &str) -> String {
     const LABEL: usize = 30;
     let mut text = format!("  {what:<28}");

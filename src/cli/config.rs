@@ -29,7 +29,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     if let Some(missing) = arguments.project.as_ref().filter(|project| !project.exists()) {
         return Err(ProjectError::NotFound(missing.clone()).into());
     }
-    // Of a model's file the settings are beside it.
+    // The settings of a model's file are in its folder.
     let folder = arguments.project.as_deref().map(|p| if p.is_file() { p.parent().unwrap_or(p) } else { p });
     let configuration = load(folder, CommandLineSettings::default())?;
     let values = serde_json::to_value(&configuration.settings).expect("settings are JSON");
@@ -50,7 +50,7 @@ fn value_of<'a>(values: &'a Value, key: &Key) -> &'a Value {
     key.name.split('.').fold(values, |value, part| &value[part])
 }
 
-/// Numbers of the backend that the settings name, by key, with its name: they are in force where nothing is set.
+/// Planning numbers of the settings' backend, by key, with its name: defaults of unset settings.
 fn of_backend(settings: &Settings) -> Option<(&'static str, Value)> {
     let backend = backends::by_name(settings.backends.first()?).ok()?;
     let numbers = &backend.planning;
@@ -58,7 +58,7 @@ fn of_backend(settings: &Settings) -> Option<(&'static str, Value)> {
     Some((backend.name, json!({ "partners": { "gate": gate }, "ranking": { "support": numbers.support } })))
 }
 
-/// The backend's number for a key that is not set, and whose it is.
+/// Returns the backend's number for an unset key, and the backend's name.
 fn number_of<'a>(of_backend: &'a Option<(&'static str, Value)>, key: &Key) -> Option<(&'a Value, &'static str)> {
     let (name, numbers) = of_backend.as_ref()?;
     Some((value_of(numbers, key), *name)).filter(|(value, _)| !value.is_null())
@@ -98,7 +98,7 @@ fn as_toml(configuration: &Configuration, values: &Value) -> String {
         comment(&mut text, &key.doc);
         comment(&mut text, &facts(key, configuration.settings.units));
         let value = value_of(values, key);
-        // A command of the user's stays a comment, for a project's file must not have one.
+        // Commands are written as comments: a project's file must not set them.
         let mark = if value.is_null() || key.user_only { "# " } else { "" };
         text += &match (value.is_null(), configuration.source(&key.name)) {
             (true, _) => match number_of(&of_backend, key) {

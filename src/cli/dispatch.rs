@@ -108,7 +108,7 @@ struct Report<'a> {
 }
 
 pub fn run(arguments: &Arguments) -> Result<(), Failure> {
-    // One project, whatever it is called: its jobs are found by its path.
+    // Jobs are found by the project's path, whatever name it was given by.
     let root = arguments.project.canonicalize().unwrap_or_else(|_| arguments.project.clone());
     let plan = WrittenPlan::read(&root)?;
     if let Some(wanted) = arguments.target.filter(|wanted| wanted.0 > plan.target.0) {
@@ -147,7 +147,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         (Scheduler::Slurm, false) => slurm::submit(&dispatch, &settings, reached, write)?,
         (Scheduler::Shell, dry_run) => {
             if !dry_run {
-                // Tasks of a queue that is there may still read older lists.
+                // Queued tasks may still read older lists.
                 write(&SlurmQueue::read(&dispatch).unwrap_or_else(|_| SlurmQueue::empty(&dispatch)))?;
             }
             Submission::default()
@@ -198,7 +198,7 @@ impl Arguments {
         typed
     }
 
-    /// The programs that tasks run; where a dry run or only the nodes can't see them, by their names.
+    /// Returns the programs that tasks run; by name if not found here (dry runs, or only the nodes have them).
     fn tools(&self, dispatch: &Dispatch, settings: &DispatchSettings) -> Result<Tools, DispatchError> {
         match Tools::find(dispatch, self.program.as_deref()) {
             Err(_) if !settings.setup.is_empty() && self.program.is_none() => Ok(Tools::unseen(dispatch.runner())),
@@ -216,7 +216,7 @@ impl Arguments {
             return Ok(follow::target_reached(root));
         }
         let progress = Progress::new(self.format == Format::Json);
-        // Maps of another model, another plan or another program are none of these tasks'.
+        // Maps of another model, plan or program don't belong to these tasks.
         let done: BTreeSet<&Path> = dispatch.finished_maps().collect();
         let outcome = follow::follow(root, &|path| done.contains(path), &progress);
         progress.finish();
@@ -226,7 +226,7 @@ impl Arguments {
                 if let Outcome::Failed { reason, .. } = other {
                     warn(&format!("cannot measure the existing depth maps: {reason}"));
                 }
-                // What it says is of depth maps that are gone, or of another plan: no task may stop for it.
+                // It refers to depth maps that are gone, or to another plan: no task may stop because of it.
                 follow::Progress::remove(root)?;
                 Ok(false)
             }
@@ -234,7 +234,7 @@ impl Arguments {
     }
 }
 
-/// The scripts as they would be written.
+/// Returns the scripts as they would be written.
 fn scripts(files: &FileSet) -> String {
     let mut text = String::new();
     for (path, contents) in &files.files {
@@ -284,7 +284,7 @@ impl Report<'_> {
     }
 }
 
-/// Commands that start the scripts without a queue.
+/// Returns the commands that start the scripts without a queue.
 fn by_hand(dispatch: &Dispatch, at_once: Option<u32>) -> String {
     let script = |name: &str| quoted_path(&dispatch.folder.join(name));
     let (task, fuse) = (script("task.sh"), script("fuse.sh"));

@@ -1,4 +1,4 @@
-//! `viewrank doctor`: what is wrong with a project, in the terminal.
+//! `viewrank doctor`: finds problems of a project.
 
 use std::{fmt::Write, path::PathBuf};
 
@@ -53,7 +53,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     verdict(&diagnosis.findings)
 }
 
-/// Those that are named, else that of the plan that is there, first; and all others, where none was typed.
+/// Returns the typed backends; by default all, that of the existing plan first.
 fn backends_to_visit(
     project: &Project,
     wanted: &[String],

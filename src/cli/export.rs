@@ -80,7 +80,7 @@ struct Report {
     folder: PathBuf,
     files: usize,
     written: WriteReport,
-    /// Given options that the backend does not use.
+    /// Typed options that the backend ignores.
     unheeded: Vec<&'static str>,
     #[serde(flatten)]
     what: What,
@@ -122,7 +122,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         image_faults: &plan.project.image_faults(&plan.scene),
     };
     let tiles = arguments.tiles.map(|count| clusters_by_area(&selection, count as usize));
-    // All are made and looked at before any is written: what one of them cannot take stops the others too.
+    // All exports are built and checked before any is written: an error in one stops the others, too.
     let make = |backend: &&Backend| arguments.make(backend, backends.len(), &selection, tiles.as_deref());
     let made: Vec<PreparedExport> = backends.iter().map(make).collect::<Result<_, BackendError>>()?;
     made.iter().try_for_each(|made| place::check(&made.folder, &made.exports, &plan.project))?;
@@ -147,7 +147,7 @@ impl Arguments {
         Ok(backends)
     }
 
-    /// The options of some backends that were typed.
+    /// Typed options of some backends.
     fn given(&self) -> impl Iterator<Item = &'static str> {
         let all = [
             ("--refs", self.refs.is_some()),
@@ -188,7 +188,7 @@ impl Arguments {
 }
 
 impl PreparedExport {
-    /// Tiles appear together, and those of an earlier export with more of them go.
+    /// Tiles are written together, and surplus tiles of an earlier export are removed.
     fn write(self, project: &Project, in_tiles: bool, dry_run: bool) -> Result<Report, Failure> {
         let mut sets = Vec::new();
         let mut tiles = Vec::new();

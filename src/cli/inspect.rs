@@ -1,4 +1,4 @@
-//! `viewrank inspect`: what a sparse model holds, before anything is planned.
+//! `viewrank inspect`: contents of a sparse model.
 
 use std::{collections::BTreeMap, io::IsTerminal, path::PathBuf};
 
@@ -14,7 +14,7 @@ use super::{Failure, Format, config, json, print, wrapped};
 /// Number of names listed in the text; further ones are only counted.
 const LISTED: usize = 5;
 
-/// Print what a sparse model holds: views, cameras, points, observations, errors, units, sub-models.
+/// Print the contents of a sparse model: views, cameras, points, observations, errors, units, sub-models.
 #[derive(Args)]
 pub struct Arguments {
     /// Project folder, model folder or model file.

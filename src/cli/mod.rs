@@ -65,9 +65,9 @@ pub struct Failure {
     pub exit: Exit,
     message: String,
     hint: Option<String>,
-    /// The message is on stderr already.
+    /// The message has been printed to stderr.
     is_printed: bool,
-    /// The result is on stdout already, so that the error must not follow it there.
+    /// The result has been printed to stdout: no error may follow it there.
     has_result: bool,
 }
 
@@ -76,12 +76,12 @@ impl Failure {
         Self { exit, message: message.into(), hint: hint.into(), is_printed: false, has_result: false }
     }
 
-    /// A failure that the printed result says already.
+    /// Returns a failure that the printed result describes.
     fn already_printed(exit: Exit) -> Self {
         Self { is_printed: true, ..Self::new(exit, "", None) }
     }
 
-    /// A failure behind a result that is printed.
+    /// Returns a failure to be printed after a result.
     fn behind_result(self) -> Self {
         Self { has_result: true, ..self }
     }

@@ -189,7 +189,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     }
 }
 
-/// Exports that were asked for and not made.
+/// Requested exports that were not written.
 #[derive(Debug, thiserror::Error)]
 #[error("the plan is complete, but {}", .0.join("; "))]
 struct NotExported(Vec<String>);
@@ -200,7 +200,7 @@ impl Hint for NotExported {
     }
 }
 
-/// Refuses a folder of `--images` that is not there.
+/// Fails if the folder of `--images` does not exist.
 fn refuse_missing_images(project: &Project) -> Result<(), Failure> {
     match &project.images {
         Some(images) if !images.is_dir() => {
@@ -210,7 +210,7 @@ fn refuse_missing_images(project: &Project) -> Result<(), Failure> {
     }
 }
 
-/// The error of a folder that must not be written to, with the way around where no folder was named.
+/// Adds a way around to the error of an unwritable folder, unless the user chose it.
 pub fn elsewhere(error: OutputError, is_named: bool, command: &str, project: &str) -> Failure {
     let is_denied = matches!(&error, OutputError::Denied { .. })
         || matches!(&error, OutputError::Io { source, .. } if source.kind() == ErrorKind::ReadOnlyFilesystem);
@@ -261,7 +261,7 @@ impl Arguments {
     }
 }
 
-/// A folder holds one plan, and that of another sub-model is not written over.
+/// A folder holds one plan; that of another sub-model is not overwritten.
 fn refuse_other_plan(project: &Project) -> Result<(), Failure> {
     let planned = planned_model(project);
     let other = project.other_models.iter().find(|model| Some(model.name()) == planned);
@@ -294,7 +294,7 @@ fn direction(text: &str) -> Result<[f64; 3], String> {
 
 fn write(arguments: &Arguments, plan: &Plan, files: &PlanFiles, progress: &Progress) -> Result<(), Failure> {
     progress.progress(Stage::Write, 0, 1);
-    // The plan last: where something else cannot be written, it stays as it was.
+    // The plan is written last: if something else fails, it stays unchanged.
     if let Some(folder) = &arguments.dump_tables {
         let mut set = FileSet::new(folder, "tables");
         tables::add(plan, &mut set);

@@ -1,4 +1,4 @@
-//! `viewrank predict`: what the confidence sees in pictures, to look at.
+//! `viewrank predict`: pictures of the predicted success of matching.
 
 use std::path::{Path, PathBuf};
 

@@ -1,4 +1,4 @@
-//! `viewrank report`: the page that shows what a plan sees, what is missing and why.
+//! `viewrank report`: page of a plan, with the gaps and their reasons.
 
 use std::{
     path::{Path, PathBuf},

@@ -30,9 +30,9 @@ use crate::{
 
 /// A measurement pauses the matching; the next one comes after this multiple of its duration.
 const REST: u32 = 4;
-/// The report takes as long as planning; it is written anew after this multiple of its duration.
+/// The report takes as long as planning; it is rewritten after this multiple of its duration.
 const REPORT_REST: u32 = 20;
-/// Depth maps that fail one after the other before the run ends.
+/// Number of consecutive failures that ends the run.
 const FAILURES: usize = 3;
 
 /// Plan a project, compute its depth maps best first until the target is reached, and fuse them.
@@ -77,12 +77,12 @@ pub struct Arguments {
     format: Format,
 }
 
-/// JSON output: what is there at the end.
+/// JSON output: state at the end.
 #[derive(Serialize)]
 struct Summary {
     project: PathBuf,
     backend: &'static str,
-    /// Depth maps that are there, and those of the plan.
+    /// Numbers of finished and planned depth maps.
     done: usize,
     tasks: usize,
     failed: usize,
@@ -90,9 +90,9 @@ struct Summary {
     share: Option<f64>,
     target: f64,
     target_reached: bool,
-    /// Point cloud; null where none was made.
+    /// Point cloud; null if none was made.
     cloud: Option<PathBuf>,
-    /// Report page; null where none was written.
+    /// Report page; null if none was written.
     report: Option<PathBuf>,
 }
 
@@ -114,7 +114,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     work.end(reached)
 }
 
-/// The project with undistorted images, which are made where the backend needs them.
+/// Returns the project with undistorted images, which are made if the backend needs them.
 fn undistorted(arguments: &Arguments, project: Project, backend: &Backend) -> Result<PathBuf, Failure> {
     let scene = project.read_scene()?;
     let is_distorted = scene.view_indices().any(|view| !scene.camera_of(view).is_pinhole());
@@ -130,7 +130,7 @@ fn undistorted(arguments: &Arguments, project: Project, backend: &Backend) -> Re
 }
 
 impl Arguments {
-    /// The command that goes on with the same choices, to that target.
+    /// Returns the command that continues with the same choices, up to that target.
     fn again(&self, target: Option<&str>) -> String {
         let path = |path: &PathBuf| path.display().to_string();
         let options = [
@@ -171,7 +171,7 @@ impl Arguments {
     }
 }
 
-/// The planned project with its tasks.
+/// A planned project with its tasks.
 struct Work<'a> {
     arguments: &'a Arguments,
     foreground: &'a Foreground<'a>,
@@ -183,12 +183,12 @@ struct Work<'a> {
     threads: usize,
     failed: Vec<String>,
     measured: Pace,
-    /// The measured share of the maps that are there; `None` before they are measured.
+    /// Measured share of the finished maps; `None` before the first measurement.
     share: Option<f64>,
     reported: Pace,
 }
 
-/// When something that takes time was done last, and how long it took.
+/// End and duration of the last run of a slow step.
 #[derive(Clone, Copy, Default)]
 struct Pace(Option<(Instant, Duration)>);
 
@@ -296,7 +296,7 @@ impl<'a> Work<'a> {
         Ok(reached)
     }
 
-    /// Measures the depth maps that are there, unless the last measurement was a moment ago; true if the target is reached.
+    /// Measures the finished depth maps, unless the last measurement was recent; true if the target is reached.
     fn measure(&mut self, is_last: bool) -> bool {
         self.share = None;
         let done: BTreeSet<PathBuf> = self.dispatch.finished_maps().map(Path::to_path_buf).collect();
@@ -319,7 +319,7 @@ impl<'a> Work<'a> {
         }
     }
 
-    /// Writes the report page, unless the last one was a moment ago.
+    /// Writes the report page, unless the last one is recent.
     fn report(&mut self, is_last: bool) {
         if self.arguments.no_report || !(is_last || self.reported.is_due(REPORT_REST)) {
             return;
@@ -331,7 +331,7 @@ impl<'a> Work<'a> {
         self.reported.note(began);
     }
 
-    /// Says how far it got.
+    /// Prints the progress.
     fn line(&self, task: &Task, took: Duration, left: f64) {
         if self.arguments.is_silent() {
             return;
@@ -347,7 +347,7 @@ impl<'a> Work<'a> {
         ));
     }
 
-    /// Fuses, writes the report and says what is there.
+    /// Fuses, writes the report and prints the result.
     fn end(mut self, reached: bool) -> Result<(), Failure> {
         match self.dispatch.fuse_here(self.threads, self.stop)? {
             Ended::Done => {}
@@ -408,7 +408,7 @@ impl<'a> Work<'a> {
         text
     }
 
-    /// The command that goes on.
+    /// Returns the command that continues.
     fn again(&self) -> String {
         self.arguments.again(self.arguments.target.as_deref())
     }
@@ -435,7 +435,7 @@ impl<'a> Work<'a> {
     }
 }
 
-/// The failure of a plan that was not made.
+/// Returns the failure of a missing plan.
 fn failure(outcome: Outcome, stop: &AtomicBool, again: &str) -> Failure {
     let again = format!("to go on: {again}");
     match outcome {
@@ -446,12 +446,12 @@ fn failure(outcome: Outcome, stop: &AtomicBool, again: &str) -> Failure {
     }
 }
 
-/// The last line of a task's output that is not the task's own.
+/// Returns the last line of a task's output that the task's script did not print itself.
 fn last_line(text: &str) -> &str {
     text.lines().rfind(|line| !line.starts_with("rank ")).map_or("it failed without a word", str::trim)
 }
 
-/// The stage of planning, as lines on stderr.
+/// Prints stages of planning as lines on stderr.
 struct Lines {
     is_silent: bool,
     stage: std::sync::Mutex<String>,

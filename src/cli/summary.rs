@@ -1,4 +1,4 @@
-//! What a plan comes to, in words that need no knowledge of the method, at 80 columns; the same as JSON for programs.
+//! Summary of a plan, in words that need no knowledge of the method, at 80 columns; as JSON for programs.
 
 use std::fmt::Write;
 
@@ -29,7 +29,7 @@ pub struct Summary<'a> {
     views: usize,
     points: usize,
     triangles: usize,
-    /// Depth maps that are there already and stay in the plan.
+    /// Finished depth maps that stay in the plan.
     finished: usize,
     /// g_d, scene units per pixel.
     gsd: f64,
@@ -37,13 +37,13 @@ pub struct Summary<'a> {
     region: Option<&'a RegionSummary>,
     cut: Cut,
     forecast: Forecast,
-    /// How many times faster than computing everything, where the time of matching is known.
+    /// Speed-up over computing everything, if the time of matching is known.
     speed_up: Option<f64>,
     pub warnings: Vec<String>,
     written: bool,
-    /// Relative to the folders that they are in.
+    /// Paths relative to their folders.
     files: Vec<String>,
-    /// Folder of the images; null: none was found.
+    /// Folder of the images; null if not found.
     images: Option<String>,
     /// Facts about the images in sentences: an unusual place, other names, GPS positions.
     notes: Vec<String>,
@@ -53,11 +53,11 @@ pub struct Summary<'a> {
     /// The command to type next.
     next: String,
     timings: &'a Timings,
-    /// Bytes that each stage was forecast to need, with all that is held by then.
+    /// Forecast memory of each stage, bytes, including what earlier stages keep.
     memory: Memory,
     /// Tiles that the surface was built in.
     tiles: usize,
-    /// Why it is planned for this backend, where nobody said so.
+    /// Reason for the choice of the backend, unless the user chose it.
     #[serde(skip)]
     chosen_for: String,
     #[serde(skip)]
@@ -157,7 +157,7 @@ impl<'a> Summary<'a> {
         )
     }
 
-    /// The share of the fused area, where the headline has another.
+    /// Share of the fused area, unless it is the headline's.
     fn area(&self) -> String {
         let cluster = self.cut.clusters.checked_sub(1).and_then(|last| self.manifest.clusters.get(last));
         match cluster {
@@ -193,7 +193,7 @@ impl<'a> Summary<'a> {
         }
     }
 
-    /// Where the part is that the cut gives up (method 5.3), in shares of what all depth maps give.
+    /// Formats where the cut gives up area (method 5.3), as shares of what all depth maps give.
     fn given_up(&self) -> String {
         let Cut { reachable, given_up: GivenUp { border, inside, single_map }, .. } = self.cut;
         if border + inside <= 0.0 {
@@ -308,7 +308,7 @@ impl<'a> Summary<'a> {
     }
 }
 
-/// What was made of the images that the user may not expect.
+/// Notes on images that may be unexpected: other names, other folders.
 fn notes(project: &Project, plan: &Plan, place: &Georeference) -> Vec<String> {
     let mut notes = Vec::new();
     if let Some(images) = &project.images {
@@ -336,7 +336,7 @@ fn notes(project: &Project, plan: &Plan, place: &Georeference) -> Vec<String> {
     notes
 }
 
-/// The same without `--dry-run`; the first command of a backend whose files were written; else the way to such files.
+/// Returns the same command without `--dry-run`, the first command of a backend whose files were written, or the command that writes such files.
 fn next(project: &Project, plan: &Plan, files: &PlanFiles, dry_run: bool) -> String {
     let root = project.as_argument();
     let distorted = || plan.stages.scene.view_indices().any(|view| !plan.stages.scene.camera_of(view).is_pinhole());

@@ -328,7 +328,7 @@ pub enum ConfidenceForm {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct ConfidenceSettings {
-    /// What predicts success: "photometric" (do the pictures agree on the surface?), "geometric" (angles and scales; needs no image), "none", "proxy",
+    /// Predictor of success: "photometric" (agreement of the pictures on the surface), "geometric" (angles and scales; needs no image), "none", "proxy",
     /// "shipped", "project" or a model file. "auto": the project's own model, else photometric where there are images, else geometric.
     pub source: String,
     /// Probability of each pair ("pair"), or the paper's mean of the two unary confidences ("paper").

@@ -46,7 +46,7 @@ pub struct Progress {
     pub done: usize,
     /// Number of key views up to the plan's cut, plus those beyond it that already have a depth map.
     pub clusters: usize,
-    /// What fusion keeps of all finished depth maps over what it is expected to keep of all clusters (`kept` over `reachable`), 0 to 1;
+    /// Weight that fusion keeps of all finished depth maps over what it is expected to keep of all clusters (`kept` over `reachable`), 0 to 1;
     /// null where they are only counted (`note` says why).
     pub share: Option<f64>,
     /// Target of `share`, 0 to 1.
@@ -66,7 +66,7 @@ pub struct Progress {
     pub seconds_left: Option<f64>,
     /// Key views with a finished depth map that counts, in the order of the plan.
     pub finished: Vec<String>,
-    /// FinishedMaps depth maps that no longer fit the model; they count for nothing.
+    /// Finished depth maps that no longer fit the model; they don't count.
     pub outdated: Vec<Outdated>,
     /// Reason why something was not measured; null where everything was.
     pub note: Option<String>,

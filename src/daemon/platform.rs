@@ -95,7 +95,7 @@ pub fn shell(command: &str) -> Command {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Life {
     Ready,
-    /// The main loop still turns.
+    /// The main loop is alive.
     Alive,
     Stopping,
 }

@@ -76,7 +76,7 @@ impl Supervisor {
         Self { next: Cell::new(Instant::now()) }
     }
 
-    /// Reports, at most every [`WATCHDOG_PAUSE`], that the loop still turns.
+    /// Notifies the supervisor, at most every [`WATCHDOG_PAUSE`], that the loop is alive.
     fn alive(&self) {
         let now = Instant::now();
         if now >= self.next.get() {

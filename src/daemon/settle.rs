@@ -261,7 +261,7 @@ impl HashCache {
             hasher.update(relative.as_os_str().as_encoded_bytes()).update(&[0]);
             hasher.update(Self::file(cache, path)?.as_bytes());
         }
-        // Of the stamp, which is older than anything a plan reads: an image that changes meanwhile differs from it.
+        // From the stamp, which is older than anything a plan reads: an image that changes meanwhile differs from it.
         stamp.folders.values().for_each(|(_, images)| _ = hasher.update(images.content.as_bytes()));
         let is_input = |path: &PathBuf| model.contains(path) || stamp.beside.contains_key(path);
         lock(cache).0.retain(|path, _| !path.starts_with(project) || is_input(path));

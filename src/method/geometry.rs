@@ -1,15 +1,15 @@
-//! What is known of a scene before anything is said of confidence: which view sees which triangle, and what is wanted there.
+//! Geometry of a scene, before confidence: visibility of the triangles and their wanted resolution.
 
 use super::{surface::Surface, target::Target, visibility::Visibility};
 use crate::model::scene::Scene;
 
-/// The scene with its surface, what each view sees of it, and what is wanted of each triangle.
+/// Scene with its surface, its visibility table and the wanted resolution of each triangle.
 #[derive(Clone, Copy)]
 pub struct Geometry<'a> {
     pub scene: &'a Scene,
     pub surface: &'a Surface,
     pub visibility: &'a Visibility,
     pub target: &'a Target,
-    /// Size of the matched images over the model's images.
+    /// Size of the matched images relative to the model's images.
     pub image_scale: f64,
 }

@@ -1,7 +1,7 @@
-//! Small scenes with known answers, for tests and benchmarks: a camera grid over rolling terrain with boxes ("box town").
+//! Small scenes with known answers, for tests and benchmarks: a grid of cameras over rolling terrain with boxes ("box town").
 //!
-//! Metres, z up. Everything is drawn from one seed. The surface is the truth: sparse points lie on it, and a view observes a point
-//! only where the line of sight is free.
+//! Metres, z up. Everything is drawn from one seed. Sparse points are on the exact surface, and a view observes a point only if the line of sight is
+//! free.
 
 use nalgebra::{Matrix3, Point2, Point3, Rotation3, Vector3};
 use rand_core::{Rng, SeedableRng};
@@ -15,10 +15,10 @@ use crate::{
     },
 };
 
-/// What the scene is made of.
+/// Parameters of a scene.
 #[derive(Clone, Debug)]
 pub struct Town {
-    /// Side of the square, metres.
+    /// Side of the square terrain, metres.
     pub side: f64,
     /// Edge of the triangles, metres.
     pub edge: f64,
@@ -35,9 +35,9 @@ pub struct Town {
     /// Tilt of the oblique views, degrees from the vertical; `None`: no oblique views.
     pub tilt: Option<f64>,
     pub camera: Camera,
-    /// Sparse points drawn; some are observed by no view.
+    /// Number of sparse points drawn; some are observed by no view.
     pub points: u32,
-    /// Chance that a view observes a point that it sees.
+    /// Probability that a view observes a point that it sees.
     pub found: f64,
     pub seed: u64,
 }
@@ -61,7 +61,7 @@ impl Town {
         }
     }
 
-    /// Terrain and boxes: oriented manifolds, the boxes apart from the ground that they stand on.
+    /// Returns terrain and boxes as oriented manifolds; the boxes are not connected to the ground.
     pub fn surface(&self) -> Surface {
         let mut surface = Surface { kind: SurfaceKind::Mesh, vertices: Vec::new(), triangles: Vec::new() };
         let half = 0.5 * self.side;
@@ -77,7 +77,7 @@ impl Town {
         surface
     }
 
-    /// The views with the sparse points that they observe.
+    /// Returns the views with the sparse points that they observe.
     pub fn scene(&self) -> Scene {
         let mut random = Pcg64::seed_from_u64(self.seed);
         let mut scene = Scene { cameras: vec![self.camera.clone()], track_offsets: vec![0], ..Default::default() };
@@ -103,12 +103,12 @@ impl Town {
         scene
     }
 
-    /// Height of the ground.
+    /// Returns the height of the ground.
     fn ground(&self, x: f64, y: f64) -> f64 {
         0.5 * self.relief * ((0.11 * x + 0.4).sin() + (0.13 * y).cos() * (0.05 * x).sin())
     }
 
-    /// Height of what one sees from above.
+    /// Returns the height of the topmost surface.
     fn height(&self, x: f64, y: f64) -> f64 {
         let inside = |&(bx, by): &(f64, f64)| (x - bx).abs().max((y - by).abs()) <= 0.5 * self.box_size;
         match self.box_centres().find(inside) {
@@ -147,7 +147,7 @@ impl Town {
             views.push(view(format!("nadir_{i:04}.jpg"), centre, 0.0, 0.0));
         }
         for i in (0..n * n).filter(|_| self.tilt.is_some()) {
-            // Between the nadir views: at their places nothing but a rotation would part the two.
+            // Between the nadir views: at the same position, the two would differ by a rotation only.
             let half = 0.4 * self.side / f64::from(n);
             let centre = Point3::new(at(i % n) + half, at(i / n) + half, self.altitude - f64::from(i % 2));
             let heading = f64::from(i % 4) * std::f64::consts::FRAC_PI_2;
@@ -156,7 +156,7 @@ impl Town {
         views
     }
 
-    /// The pixel of a point, where the view sees it: marching over the heights.
+    /// Returns the pixel of a point if the view sees it, by marching over the heights.
     fn observation(&self, scene: &Scene, view: ViewIndex, point: &Point3<f64>) -> Option<Point2<f64>> {
         let pose = &scene.view(view).cam_from_world;
         let camera = scene.camera_of(view);
@@ -172,7 +172,7 @@ impl Town {
     }
 }
 
-/// A camera at `centre` that looks down, turned by `heading` about the vertical and tilted up from it, radians.
+/// Returns a view from `centre` that looks down, turned by `heading` about the vertical and tilted up from it, radians.
 fn view(name: String, centre: Point3<f64>, heading: f64, tilt: f64) -> View {
     let forward = Vector3::new(heading.sin() * tilt.sin(), heading.cos() * tilt.sin(), -tilt.cos());
     let up = Vector3::new(heading.sin() * tilt.cos(), heading.cos() * tilt.cos(), tilt.sin());
@@ -182,7 +182,7 @@ fn view(name: String, centre: Point3<f64>, heading: f64, tilt: f64) -> View {
     View { name, image_id: 0, file_position: 0, camera: CameraIndex(0), cam_from_world }
 }
 
-/// A grid of triangles over `at(u, v)`, u and v from 0 to 1; counter-clockwise in (u, v).
+/// Adds a grid of triangles over `at(u, v)`, u and v from 0 to 1; counter-clockwise in (u, v).
 fn add_patch(surface: &mut Surface, columns: u32, rows: u32, at: impl Fn(f64, f64) -> Point3<f64>) {
     let first = surface.vertices.len() as u32;
     let number = |column: u32, row: u32| first + row * (columns + 1) + column;
@@ -200,7 +200,7 @@ fn add_patch(surface: &mut Surface, columns: u32, rows: u32, at: impl Fn(f64, f6
     }
 }
 
-/// Evenly distributed in [0, 1).
+/// Returns a number uniformly distributed in [0, 1).
 fn unit(random: &mut Pcg64) -> f64 {
     (random.next_u64() >> 11) as f64 / (1u64 << 53) as f64
 }

@@ -1,4 +1,4 @@
-//! Method 3.6: what is wanted of each triangle.
+//! Wanted resolution and accuracy of each triangle (method 3.6).
 
 use std::sync::atomic::{AtomicU32, Ordering};
 
@@ -9,7 +9,7 @@ use crate::{
     model::scene::{Scene, ViewIndex},
 };
 
-/// How much coarser the wanted resolution is than the one at hand, where it comes from the data.
+/// Ratio of the wanted GSD to the available one, where the wanted one is derived from the data.
 pub const GSD_MARGIN: f64 = 1.25;
 
 /// Wanted ground sampling distance and accuracy of each triangle.
@@ -19,7 +19,7 @@ pub struct Target {
     pub mode: TargetMode,
     /// g_d of each triangle, scene units per pixel of the matched image.
     pub gsd: Vec<f32>,
-    /// a_d over g_d, the same for all triangles.
+    /// a_d over g_d, equal for all triangles.
     pub accuracy_over_gsd: f64,
 }
 
@@ -50,28 +50,28 @@ impl Target {
         Self { mode, gsd: finest.into_iter().map(wanted).collect(), accuracy_over_gsd }
     }
 
-    /// Replaces g_d where the areas of a region have one of their own (method 5.7).
+    /// Replaces g_d where the areas of a region set their own (method 5.7).
     pub fn with_wishes(mut self, region: &Region) -> Self {
         let wishes = self.gsd.iter_mut().zip(&region.gsd).filter(|(_, wanted)| wanted.is_finite());
         wishes.for_each(|(gsd, &wanted)| *gsd = wanted);
         self
     }
 
-    /// Wanted accuracy a_d of a triangle, scene units.
+    /// Returns the wanted accuracy a_d of a triangle, scene units.
     pub fn accuracy(&self, triangle: u32) -> f64 {
         f64::from(self.gsd[triangle as usize]) * self.accuracy_over_gsd
     }
 }
 
-/// The finest GSD that a view has of each triangle, in pixels of the model's image; infinity where no view has one. A view whose GSD at the
-/// centroid is not positive (the centroid of a large triangle may be behind a camera that sees a corner of it) has none.
+/// Returns the finest GSD of each triangle over the views that see it, scene units per pixel of the model's image; infinite without such a view. Views
+/// with a GSD that is not positive don't count: the centroid of a large triangle may be behind a camera that sees a corner of it.
 fn finest(scene: &Scene, surface: &Surface, visibility: &Visibility) -> Vec<f32> {
     let finest: Vec<AtomicU32> = surface.triangles.iter().map(|_| AtomicU32::new(f32::INFINITY.to_bits())).collect();
     let look = |&view: &ViewIndex| {
         for &t in visibility.triangles_seen_by(view) {
             let gsd = gsd_at(scene, surface, view, t) as f32;
             if gsd > 0.0 {
-                // The bits of positive numbers are ordered as they are, and the least of them does not depend on who comes first.
+                // Bits of positive floats are ordered like the floats, and a minimum does not depend on the order of threads.
                 finest[t as usize].fetch_min(gsd.to_bits(), Ordering::Relaxed);
             }
         }
@@ -80,7 +80,7 @@ fn finest(scene: &Scene, surface: &Surface, visibility: &Visibility) -> Vec<f32>
     finest.into_iter().map(|bits| f32::from_bits(bits.into_inner())).collect()
 }
 
-/// Scene units per pixel of the model's image at a triangle's centroid, across the viewing direction.
+/// Returns scene units per pixel of the model's image at a triangle's centroid, across the viewing direction.
 pub(super) fn gsd_at(scene: &Scene, surface: &Surface, view: ViewIndex, triangle: u32) -> f64 {
     let camera = scene.camera_of(view);
     let centroid = scene.view(view).cam_from_world.camera_from_world(&surface.centroid(triangle));

@@ -9,12 +9,12 @@ use crate::method::{
     ranking::{Ranking, Reached},
 };
 
-/// How far what fusion keeps may be from its forecast, over the sum of `w f (1 - f)`, which is 0 where each f is certain. With this the
-/// measured value was within the band on all data sets that the rule was made from (method 5.2).
+/// Half width of the band of the reachable weight, over the sum of `w f (1 - f)`, which is 0 if each f is certain. With this factor, the measured value
+/// was within the band on all data sets that the rule was made from (method 5.2).
 const SPREAD: f64 = 1.25;
-/// Least and largest distance of the share from either end of its band.
+/// Minimum and maximum distance of the share from either end of its band.
 const SHARE: (f64, f64) = (0.08, 0.15);
-/// The same, and how far what can be kept may be below and above the forecast, where confidence does not look at the surface in the pictures:
+/// The same for confidence that does not compare pictures, and the distances of the band's ends below and above the forecast of the reachable weight:
 /// the largest errors of `geometric` on the same data sets, rounded up.
 const UNSEEN_SHARE: f64 = 0.35;
 const UNSEEN: (f64, f64) = (0.55, 0.05);

@@ -26,7 +26,7 @@ pub(super) fn border(surface: &Surface, visibility: &Visibility, weights: &[f64]
     (0..triangles).map(is_border).collect()
 }
 
-/// What the views show, in cells of a grid in its principal plane.
+/// Area that the views show, as cells of a grid in its principal plane.
 struct Site {
     axes: [Vector3<f64>; 2],
     low: Point2<f64>,

@@ -9,7 +9,7 @@ pub struct CurvePoint {
     pub clusters: usize,
     /// Their (key view, partner) pairs.
     pub pairs: usize,
-    /// What fusion keeps of them over what it keeps of all clusters, 0 to 1.
+    /// Weight that fusion keeps of them over that of all clusters, 0 to 1.
     pub share: f64,
     /// Weight that fusion keeps of them, over that of the whole surface, 0 to 1.
     pub kept: f64,

@@ -19,7 +19,7 @@ pub struct Cut {
     pub clusters: usize,
     /// Their (key view, partner) pairs.
     pub pairs: usize,
-    /// What fusion keeps of them over what it keeps of all clusters (`kept` over `reachable`), 0 to 1.
+    /// Weight that fusion keeps of them over that of all clusters (`kept` over `reachable`), 0 to 1.
     pub share: f64,
     /// Band in which the measured share is expected.
     #[serde(default)]

@@ -23,7 +23,7 @@ pub struct Decision {
     /// The part that is done already; empty in a fresh plan.
     pub finished: FinishedMaps,
     pub cut: Cut,
-    /// What fusion is expected to keep of the clusters up to each rank over what it keeps of all, by area, 0 to 1.
+    /// Area that fusion is expected to keep of the clusters up to each rank, over that of all clusters, 0 to 1.
     pub area_shares: Vec<f64>,
     pub forecast: Forecast,
     /// Status and reason of each view.

@@ -42,11 +42,11 @@ const SCENE_PER_OBSERVATION: u64 = 24;
 /// Bytes per row of the visibility table, alone, and with confidence (of a trained model, the largest) and fulfilment.
 const VISIBILITY_ROW: u64 = 4;
 const TABLES_ROW: u64 = 20;
-/// What a picture shows of a row, until pairs are compared: for each candidate a byte is left.
+/// Bytes per row of visibility while pictures are compared; the result has one byte per candidate.
 const SAMPLES_ROW: u64 = 196;
 /// Bytes of these that memory holds: beyond them the system reads them from disk as fast while it has memory to spare.
 const MOST_SAMPLES: u64 = 1 << 30;
-/// Of a triangle while its confidence and its reasons are found: its nearest points, its factors and what is reached of it.
+/// Bytes per triangle for confidence and reasons: its nearest points, its factors and its f so far.
 const PER_TRIANGLE: u64 = 100;
 /// Bytes per triangle and thread: its row in the current view.
 const ROW_INDEX: u64 = 4;
@@ -161,7 +161,7 @@ impl Memory {
         self.limit.map_or(MOST_SAMPLES, |Bytes(limit)| MOST_SAMPLES.min(limit / 8))
     }
 
-    /// Of what is known of points and triangles while partners are chosen.
+    /// Returns the memory of points and triangles while partners are chosen.
     fn outside_tables(&self, points: u64, triangles: u64) -> u64 {
         let threads = rayon::current_num_threads() as u64;
         (PER_POINT + threads * OBSERVED) * points + (PER_TRIANGLE + threads * ROW_INDEX) * triangles

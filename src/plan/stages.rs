@@ -40,9 +40,9 @@ pub struct Stages {
     pub visibility: Visibility,
     /// Unary confidence of each row of `visibility`.
     pub unary: Unary,
-    /// How well the pictures of candidate pairs agree, where confidence is photometric.
+    /// Agreement of the pictures of candidate pairs, if confidence is photometric.
     pub agreement: Agreement,
-    /// What was seen in the pictures.
+    /// Results from the pictures.
     pub pictures: confidence::PicturePredictions,
     /// The predictor of matching success.
     pub confidence: Confidence,
@@ -51,7 +51,7 @@ pub struct Stages {
     pub target: Target,
     /// Region of interest (method 5.7); `None`: the whole surface.
     pub region: Option<Region>,
-    /// What the plan maximises (method 5.1).
+    /// Objective of the plan (method 5.1).
     pub objective: Objective,
     pub candidates: Candidates,
     /// Views whose images are missing, which are neither key views nor partners; ascending.

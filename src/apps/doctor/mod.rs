@@ -33,7 +33,7 @@ pub enum Severity {
     Error,
 }
 
-/// What `viewrank doctor --format json` prints.
+/// Output of `viewrank doctor --format json`.
 #[derive(Clone, Debug, PartialEq, Serialize, JsonSchema)]
 pub struct Diagnosis {
     /// Version of this format.

@@ -15,7 +15,7 @@ use crate::{
     },
 };
 
-/// How many key views and pairs an order needs for a share of what all clusters together really reach.
+/// Key views and pairs that an order needs for a share of the weight that all clusters together really reach.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct RequiredWork {
     pub share: f64,

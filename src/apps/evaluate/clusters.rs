@@ -18,7 +18,7 @@ use crate::{
     },
 };
 
-/// What is wrong with a list of view clusters.
+/// An error in a list of view clusters.
 #[derive(Debug, thiserror::Error)]
 pub enum ClustersError {
     #[error("{}: {source}", path.display())]

@@ -63,7 +63,7 @@ pub struct Comparison {
     /// f_o of all clusters.
     pub predicted: f64,
     pub real: f64,
-    /// What is really reached after i clusters in the choice's own order, and the pairs so far.
+    /// Measured curve of the choice in its own order, and the number of pairs.
     pub curve: ReachCurve,
     /// The same in the greedy order on real results.
     pub optimum: ReachCurve,

@@ -1,4 +1,4 @@
-//! What an order of view clusters reaches, cluster by cluster (method 8).
+//! Measured curve of an order of view clusters (method 8).
 
 use crate::{
     method::{
@@ -8,7 +8,7 @@ use crate::{
     model::cluster::ViewCluster,
 };
 
-/// What the first i clusters of an order reach, for i = 0, 1, ...; all begin with 0.
+/// Results of the first i clusters of an order, for i = 0, 1, ...; all begin with 0.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct ReachCurve {
     /// f_o (method 5.1).
@@ -39,7 +39,7 @@ impl ReachCurve {
         curve
     }
 
-    /// Of no cluster.
+    /// Returns the curve of no cluster.
     pub(super) fn start() -> Self {
         Self { fulfilment: vec![0.0], kept: vec![0.0], pairs: vec![0] }
     }
@@ -65,7 +65,7 @@ impl ReachCurve {
         self.clusters_for(kept).map(|clusters| self.pairs[clusters])
     }
 
-    /// What fusion keeps of the first clusters as a share of `total`; 0 where that is 0.
+    /// Returns the weight that fusion keeps of the first clusters as a share of `total`; 0 if that is 0.
     pub fn share(&self, clusters: usize, total: f64) -> f64 {
         let kept = self.kept[clusters.min(self.kept.len() - 1)];
         if total > 0.0 { kept / total } else { 0.0 }

@@ -37,7 +37,7 @@ pub struct Evaluation {
     /// f_o of all clusters together.
     pub predicted: f64,
     pub real: f64,
-    /// What these maps reach of what all clusters of the plan are expected to give: the share that `status` and `report` show, too.
+    /// Share of what all clusters of the plan are expected to give that these maps reach, as in `status` and `report`.
     pub reached: MeasuredProgress,
     /// Weight that fusion keeps of all clusters with a map, 0 to 1: what the shares below are of.
     pub kept: KeptWeight,
@@ -65,7 +65,7 @@ pub struct QualityRow {
     pub completeness: f64,
     /// Wrong pixels over those that have both depths; null without a reference.
     pub outliers: Option<f64>,
-    /// Of the right pixels, scene units; null without a reference.
+    /// Over the correct pixels, scene units; null without a reference.
     pub rmse: Option<f64>,
     /// Pixels with a depth.
     pub measured: u64,
@@ -101,7 +101,7 @@ pub struct KeptWeight {
 
 #[derive(Clone, Debug, Serialize)]
 pub struct EvaluationCurves {
-    /// What fusion keeps, as a share of what it keeps of all clusters together.
+    /// Weight that fusion keeps, as a share of that of all clusters together.
     pub predicted: Vec<f64>,
     pub real: Vec<f64>,
     /// Real f_o.
@@ -131,12 +131,12 @@ pub struct KeyView {
     pub real: f64,
 }
 
-/// What to read the curves with.
+/// Inputs of an evaluation beside the measured clusters.
 pub struct EvaluationOptions<'a> {
     pub objective: &'a Objective,
     pub so_far: MeasuredProgress,
     pub clouds: Option<CloudComparison>,
-    /// Compare with other orders?
+    /// True: compares with other orders.
     pub baselines: bool,
 }
 

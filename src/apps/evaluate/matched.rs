@@ -28,7 +28,7 @@ pub struct ReportedPartners {
     pub matched: Vec<ViewIndex>,
 }
 
-/// What the reports in a folder of depth maps say, by key view; empty where there is none.
+/// Reports in a folder of depth maps, by key view; empty without reports.
 pub type Report = BTreeMap<ViewIndex, ReportedPartners>;
 
 #[derive(Deserialize)]

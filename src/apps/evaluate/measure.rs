@@ -14,7 +14,7 @@ const RIGHT_WITHIN: f64 = 3.0;
 /// Reference depths that differ by more are of two surfaces, between which nothing is interpolated.
 const SAME_SURFACE: f64 = 0.02;
 
-/// How good the depth map of a key view is, or of several together.
+/// Quality of the depth map of a key view, or of several together.
 #[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
 pub struct Quality {
     /// Pixels with a depth.
@@ -40,7 +40,7 @@ impl Quality {
         share(self.both - self.right, self.both)
     }
 
-    /// Of the right pixels, scene units.
+    /// Over the correct pixels, scene units.
     pub fn rmse(&self) -> f64 {
         if self.right == 0 { 0.0 } else { (self.squares / self.right as f64).sqrt() }
     }
@@ -58,7 +58,7 @@ fn share(part: u64, whole: u64) -> f64 {
     if whole == 0 { 0.0 } else { part as f64 / whole as f64 }
 }
 
-/// What a depth map shows.
+/// Measurement of a depth map.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MapMeasurement {
     pub quality: Quality,

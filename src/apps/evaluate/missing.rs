@@ -1,4 +1,4 @@
-//! What is missing on the surface when the depth maps are there, and why (method 8).
+//! Triangles that finished depth maps don't reach, with reasons (method 8).
 
 use std::collections::BTreeMap;
 

@@ -14,7 +14,7 @@ use crate::{
     model::{cluster::ViewCluster, scene::Scene},
 };
 
-/// How many random orders are drawn.
+/// Number of random orders.
 pub const RANDOM_SEEDS: u64 = 20;
 
 /// The greedy order by a table, then the clusters that add nothing, by index: all clusters, each once.

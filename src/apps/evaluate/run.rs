@@ -55,7 +55,7 @@ pub struct MeasuredClusters {
     pub real: FulfilmentTable,
     /// f of the really matched partners with f_conf = 1: what `real` would be if every pixel were right.
     pub attainable: FulfilmentTable,
-    /// What was promised and kept at each triangle that the key view sees, for [`ranking::Beliefs`](crate::method::ranking::Beliefs).
+    /// Predicted and measured shares at each triangle that the key view sees, for [`ranking::Beliefs`](crate::method::ranking::Beliefs).
     pub attempts: Vec<Vec<Attempt>>,
     /// Were the maps held against references?
     pub has_reference: bool,
@@ -69,7 +69,7 @@ pub struct MeasuredClusters {
     pub unreadable: Vec<String>,
 }
 
-/// What to measure, and against what.
+/// Depth maps to measure, and their reference.
 pub struct EvaluationInput<'a> {
     pub model: Model<'a>,
     /// In the order in which they were to be computed.

@@ -8,7 +8,7 @@ use crate::{
     plan::Stages,
 };
 
-/// What fusion keeps of the finished depth maps, measured, over what it is expected to keep of all.
+/// Measured weight that fusion keeps of the finished depth maps, over what it is expected to keep of all.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct MeasuredProgress {
     /// Weight that fusion keeps of the finished maps, 0 to 1.

@@ -56,7 +56,7 @@ mod tests {
     #[test]
     fn figures_of_four_predictions() {
         let scores = Scores::new(vec![(0.9, 1.0, 1.0), (0.8, 0.0, 1.0), (0.2, 1.0, 1.0), (0.1, 0.0, 1.0)]);
-        // Of the four pairs of success and failure three are in order.
+        // Three of the four pairs of success and failure are in order.
         assert_eq!(scores.auc, 0.75);
         assert!((scores.brier - (0.01 + 0.64 + 0.64 + 0.01) / 4.0).abs() < 1e-6);
         assert!((scores.calibration_error - (0.1 + 0.8 + 0.8 + 0.1) / 4.0).abs() < 1e-6);

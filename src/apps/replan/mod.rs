@@ -165,7 +165,7 @@ fn with_finished(
     watcher: &dyn Watcher,
 ) -> Result<(Stages, Vec<(u32, MapScale)>), PlanError> {
     stages.memory.before_beliefs(&stages.fulfilment)?;
-    // Of each key view, its place in the run or in the plan.
+    // Position of each key view in the run or in the plan.
     let mut rows: BTreeMap<ViewIndex, (Option<usize>, usize)> = BTreeMap::new();
     rows.extend(stages.clusters.iter().enumerate().map(|(c, cluster)| (cluster.key, (None, c))));
     rows.extend(run.clusters.iter().enumerate().map(|(c, cluster)| (cluster.key, (Some(c), c))));

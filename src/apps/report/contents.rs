@@ -66,7 +66,7 @@ pub struct Contents {
     limits: Limits,
     /// Warnings of the manifest, and which depth maps cannot be shown.
     warnings: Vec<String>,
-    /// What the exports do not honour: the backend's nature, not the user's to change.
+    /// Parts of the plan that the exports do not honour. The user cannot change them.
     notes: Vec<String>,
     unregistered: Vec<String>,
     /// Colours of the surface at shares of 0, 1/2 and 1 of what all clusters give.
@@ -163,7 +163,7 @@ struct SurfaceData {
     alone: String,
     kept: String,
     reachable: String,
-    /// How much an area counts in shares, u8: 255 the most, 0 nothing, one step a 40th of an octave.
+    /// Weight per area, u8: 255 is the largest, 0 none, one step is 1/40 octave.
     weights: String,
     /// Number of the reason + 1, u8; 0 if some cluster fulfils the triangle.
     reason: String,
@@ -261,7 +261,7 @@ impl Contents {
     }
 }
 
-/// What limits the plan (method 5.2).
+/// Bounds and bands of the plan (method 5.2).
 #[derive(Serialize)]
 struct Limits {
     /// Weight that fusion keeps of all clusters, 0 to 1.

@@ -56,7 +56,7 @@ const WIDE_DEG: f64 = 5.0;
 const OBLIQUE_DEG: f64 = 60.0;
 
 impl Hole {
-    /// What is missing, in words. `needed`: cameras that must see a place, key view included.
+    /// Returns in words what is missing. `needed`: minimum number of cameras that see a place, key view included.
     pub fn missing(&self, needed: u32) -> String {
         let Seen { views, gsd_ratio, angle_deg, incidence_deg } = self.seen;
         let count = |n: usize| format!("{n} view{}", if n == 1 { "" } else { "s" });

@@ -44,7 +44,7 @@ impl<'a> Subject<'a> {
         Some(Self { frame, low: ranges.map(|r| r[0]), high: ranges.map(|r| r[1]) })
     }
 
-    /// Whether a point of the world is in the box.
+    /// Returns whether a world point is in the box.
     pub fn contains(&self, point: &Point3<f64>) -> bool {
         let local = self.frame.local(point);
         (0..3).all(|axis| (self.low[axis]..=self.high[axis]).contains(&local[axis]))

@@ -14,7 +14,7 @@ pub const MAPS: &str = "stereo/viewrank/maps.tsv";
 const NONE: &str = "-";
 const UNKNOWN: &str = "?";
 
-/// How a depth map was or will be made.
+/// Parameters of a finished or planned depth map.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct MapRecipe {
     /// Sorted: COLMAP keeps no order.

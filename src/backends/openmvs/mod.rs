@@ -207,7 +207,7 @@ struct Row {
     partner_ids: Vec<u32>,
     /// 1, or 0.5 for a map of half the size.
     scale: MapScale,
-    /// Of the key view's image, pixels.
+    /// Size of the key view's image, pixels.
     size: [u32; 2],
     share: f64,
     /// Least and greatest depth of the sparse points; OpenMVS searches 0.9 and 1.1 times that.

@@ -108,7 +108,7 @@ impl Parallax {
         radius * off / (1.0 + off)
     }
 
-    /// Whether a window of disparities that the matcher can search holds enough of the points that both images show.
+    /// Returns whether a window of disparities that the matcher can search contains enough of the points that both images show.
     fn can_be_searched(&self, key: &Reduced, partner: &Reduced, around: impl Iterator<Item = Point3<f64>>) -> bool {
         let in_both = around.filter(|point| partner.shows(point).is_some());
         let mut disparities: Vec<f64> =

@@ -144,7 +144,7 @@ pub(super) fn find(root: &Path, model: &Path, named: Option<PathBuf>, names: &[S
     }
     let searched = searched(root, names).map(|path| ImageFolder { is_searched: true, ..ImageFolder::new(path) });
     let by_place = || usual.iter().find(|folder| !is_own(folder)).map(ImageFolder::new);
-    // Of folders without any of the images the usual one is named, so that they are put there.
+    // If no folder has any of the images, names the usual one, where the user should put them.
     searched.or_else(by_place)
 }
 

@@ -51,7 +51,7 @@ impl Stamp {
     }
 }
 
-/// Image and mask of a view; `None` if it has none.
+/// Image and mask of a view; `None` where it lacks them.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Inputs {
     pub image: Option<Stamp>,

@@ -250,7 +250,7 @@ mod tests {
         bytes.into_inner()
     }
 
-    /// Does the picture show the ramp, within what JPEG loses?
+    /// Returns whether the picture shows the ramp, within JPEG's loss.
     fn assert_is_ramp(image: &Image) {
         for (y, x) in [(0.1, 0.9), (0.5, 0.5), (0.9, 0.2)] {
             let (column, row) = ((x * f64::from(image.width)) as usize, (y * f64::from(image.height)) as usize);

@@ -54,7 +54,7 @@ pub struct PicturePredictions {
     pub cache: Option<Vec<u8>>,
 }
 
-/// The prediction for one view, or why there is none.
+/// Prediction for one view, or the fault of its picture.
 #[derive(Default)]
 struct PredictedView {
     entry: Option<Entry>,

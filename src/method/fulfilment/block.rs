@@ -1,5 +1,5 @@
-//! The triangles that a key view sees, with what each candidate partner adds to them, in dense arrays (partners x triangles): any set of
-//! partners is evaluated by one pass over contiguous memory.
+//! Dense arrays (partners x triangles) of a key view's triangles with the contribution of each candidate partner: any set of partners is evaluated by
+//! one pass over contiguous memory.
 
 mod column;
 mod pair_confidence;
@@ -34,8 +34,8 @@ impl BlockSlots {
     }
 }
 
-/// The triangles that the key view sees, those that choices are judged by first, each part padded to whole [`LANES`]; and what each partner adds.
-/// A triangle's index in these arrays is its slot.
+/// Triangles that the key view sees, the judging ones first, both parts padded to whole [`LANES`], with the contribution of each partner. The index of a
+/// triangle in these arrays is its slot.
 pub struct Block<'a> {
     model: Model<'a>,
     key: ViewIndex,

@@ -33,7 +33,7 @@ impl ByTriangle {
         Self::of_rows(&row, &|| table.release(), table.triangles.storage(), clusters, triangles)
     }
 
-    /// As [`Self::new`], of rows that may come from several tables; `release` gives back memory that can be read again.
+    /// As [`Self::new`], for rows from several tables; `release` lets the operating system drop their pages.
     pub(crate) fn of_rows<'r>(
         row: &dyn Fn(u32) -> (&'r [u32], &'r [f32]),
         release: &dyn Fn(),
@@ -65,7 +65,7 @@ impl ByTriangle {
         Ok(Self { offsets, entries: entries.finish()?, clusters: clusters.len() })
     }
 
-    /// The entries of the triangles from the first on that have these offsets.
+    /// Returns the entries of consecutive triangles with these offsets.
     fn entries<'r>(rows: impl Iterator<Item = (&'r [u32], &'r [f32])>, offsets: &[usize], first: u32) -> Vec<Entry> {
         let (start, triangles) = (offsets[0], offsets.len() - 1);
         let mut entries = vec![Entry::zeroed(); offsets[triangles] - start];

@@ -1,4 +1,4 @@
-//! Method 5.8: what a depth map of half the size is worth.
+//! Fulfilment of half-size depth maps (method 5.8).
 
 use super::{FulfilmentTable, FulfilmentTableBuilder, Model, table};
 use crate::{
@@ -9,7 +9,8 @@ use crate::{
     model::cluster::{MapScale, ViewCluster},
 };
 
-/// f of clusters at half the size: that of its own pixels and deviations, and `worth` (0 to 1) times what it lacks to f at full size, `full`.
+/// Returns f of clusters at half size: f by the half-size pixels and their deviations, plus `worth` (0 to 1) times the difference to f at full size,
+/// `full`.
 pub fn half_size(
     model: &Model,
     clusters: &[ViewCluster],

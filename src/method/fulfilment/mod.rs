@@ -73,13 +73,13 @@ impl<'a> Model<'a> {
         Geometry { scene, surface, visibility, target, image_scale: self.rule.image_scale }
     }
 
-    /// The same with matched images of this size over the plan's.
+    /// Returns the model for matched images of this size relative to the plan's.
     pub(crate) fn at(&self, scale: MapScale) -> Self {
         let rule = FulfilmentRule { image_scale: self.rule.image_scale * scale.factor(), ..self.rule };
         Self { rule, ..*self }
     }
 
-    /// Gives back memory that can be read again.
+    /// Lets the operating system drop pages of tables on disk; they are read again when needed.
     pub(crate) fn release(&self) {
         self.visibility.triangles.release();
         self.unary.release();

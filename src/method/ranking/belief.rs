@@ -1,9 +1,8 @@
-//! Method 5.4: what failed is remembered, so that a triangle is not tried again from next door.
+//! Belief in the prediction after finished depth maps (method 5.4): a triangle that failed is not tried again from a neighbouring view.
 //!
-//! The prediction promises that a cluster measures a share of a triangle's pixels (its f_conf). What of the promises was kept by
-//! finished clusters makes a Beta belief over "can be matched as promised": promised pixels are its trials, kept ones its
-//! successes, each weighted by how alike the views of the two key views are, and [`TRUST`] successes come before any trial. Its
-//! mean multiplies the confidence of what is left. Without a broken promise it is 1.
+//! The prediction says which share of a triangle's pixels a cluster measures (its f_conf). Finished clusters update a Beta distribution over "is matched
+//! as predicted": predicted pixels are trials, measured ones successes, weighted by the similarity of the two key views, with a prior of [`TRUST`]
+//! successes. Its mean multiplies the confidence of the remaining clusters. It is 1 if nothing fell short of the prediction.
 
 use nalgebra::Vector3;
 
@@ -15,28 +14,28 @@ use crate::{
     },
 };
 
-/// Successes that the prediction is credited with beforehand.
+/// Prior: successes before the first trial.
 const TRUST: f32 = 0.3;
-/// Correlation of the pixels of a triangle: however large it is, it counts as no more than 1 / `CORRELATION` trials.
+/// Correlation of the pixels of a triangle: even a large one counts as at most 1 / `CORRELATION` trials.
 const CORRELATION: f32 = 0.2;
-/// Viewing directions so far apart (degrees) count as exp(-1/2) alike.
+/// Angle between viewing directions, degrees, at which similarity is exp(-1/2).
 const DIRECTION_DEG: f64 = 45.0;
-/// Ground sampling distances so far apart (octaves) count as exp(-1/2) alike.
+/// Ratio of ground sampling distances, octaves, at which similarity is exp(-1/2).
 const SCALE_OCTAVES: f64 = 1.5;
 
-/// What a finished cluster came to at one triangle that its key view sees.
+/// Result of a finished cluster at a triangle that its key view sees.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Attempt {
     pub triangle: u32,
-    /// Trials: independent pixels that were to be measured.
+    /// Independent pixels that were predicted to be measured.
     pub promised: f32,
-    /// Those that were.
+    /// Independent pixels that were measured.
     pub kept: f32,
 }
 
 impl Attempt {
-    /// `pixels` that show the triangle, the predicted and the measured share of them, 0 to 1. What is measured beyond the promise makes up
-    /// for nothing elsewhere.
+    /// Builds the result from the number of pixels that show the triangle and the predicted and measured shares of them, 0 to 1. A surplus at one triangle
+    /// does not offset a shortfall at another.
     pub fn new(triangle: u32, pixels: u32, predicted: f32, measured: f32) -> Self {
         let pixels = pixels.max(1) as f32;
         let independent = pixels / (1.0 + (pixels - 1.0) * CORRELATION);
@@ -44,14 +43,14 @@ impl Attempt {
     }
 }
 
-/// A belief for each entry of a table of predicted fulfilment.
+/// Belief for each entry of a table of predicted fulfilment.
 pub struct Beliefs<'a> {
     scene: &'a Scene,
     surface: &'a Surface,
-    /// Of each cluster of the table.
+    /// Views of each cluster of the table.
     keys: Vec<ViewIndex>,
     predicted: &'a FulfilmentTable,
-    /// Entries of the table by triangle, with their cluster: CSR.
+    /// Entries of the table by triangle, with their cluster (CSR).
     offsets: Vec<usize>,
     entries: Vec<(u32, usize)>,
     promised: Vec<f32>,
@@ -59,7 +58,7 @@ pub struct Beliefs<'a> {
 }
 
 impl<'a> Beliefs<'a> {
-    /// `predicted`: a row per cluster.
+    /// Starts with the prior. `predicted`: a row per cluster.
     pub fn new(
         scene: &'a Scene,
         surface: &'a Surface,
@@ -72,7 +71,7 @@ impl<'a> Beliefs<'a> {
         Self { scene, surface, keys, predicted, offsets, entries, promised: none.clone(), kept: none }
     }
 
-    /// Takes in what became of a cluster with this key view.
+    /// Adds the results of a finished cluster with this key view.
     pub fn learn(&mut self, key: ViewIndex, attempts: &[Attempt]) {
         for attempt in attempts.iter().filter(|attempt| attempt.promised > 0.0) {
             let look = ViewingGeometry::new(self.scene, self.surface, key, attempt.triangle);
@@ -87,7 +86,7 @@ impl<'a> Beliefs<'a> {
         }
     }
 
-    /// Triangles of a cluster and what is now expected of it there.
+    /// Returns the triangles of a cluster with its expected f.
     pub fn row(&self, cluster: usize) -> (&'a [u32], Vec<f32>) {
         let (triangles, values) = self.predicted.row(cluster);
         let first = self.predicted.offsets[cluster];
@@ -100,7 +99,7 @@ impl<'a> Beliefs<'a> {
     }
 }
 
-/// The entries of each triangle with their clusters, ascending.
+/// Returns the entries of each triangle with their clusters, ascending.
 fn by_triangle(table: &FulfilmentTable, triangles: usize) -> (Vec<usize>, Vec<(u32, usize)>) {
     let mut offsets = vec![0; triangles + 1];
     table.triangles.iter().for_each(|&t| offsets[t as usize + 1] += 1);
@@ -117,11 +116,11 @@ fn by_triangle(table: &FulfilmentTable, triangles: usize) -> (Vec<usize>, Vec<(u
     (offsets, entries)
 }
 
-/// How a view looks at a triangle.
+/// Direction and scale at which a view sees a triangle.
 struct ViewingGeometry {
-    /// From the centroid to the camera, of length 1.
+    /// Unit vector from the centroid to the camera.
     direction: Vector3<f64>,
-    /// Scene units per pixel, up to a factor that all views share.
+    /// Scene units per pixel, up to a factor common to all views.
     gsd: f64,
 }
 
@@ -132,7 +131,7 @@ impl ViewingGeometry {
         Self { direction: ray / distance, gsd: distance / scene.camera_of(view).mean_focal_length() }
     }
 
-    /// 1 for the same look, falling with the angle between the directions and the octaves between the scales.
+    /// Returns the similarity: 1 if equal, falling with the angle between the directions and the octaves between the scales.
     fn similarity(&self, other: &Self) -> f64 {
         let angle = self.direction.dot(&other.direction).clamp(-1.0, 1.0).acos().to_degrees();
         let octaves = (self.gsd / other.gsd).log2();
@@ -151,7 +150,7 @@ mod tests {
         model::camera::{Camera, CameraModel},
     };
 
-    /// All views see triangle 0; each promises 0.8 there.
+    /// All views see triangle 0, with a prediction of 0.8.
     struct Fixture {
         scene: Scene,
         surface: Surface,

@@ -1,17 +1,17 @@
-//! How far an order can be from the best set of its length.
+//! Upper bound on the best set of clusters, and so on the loss of a ranking.
 
 use super::{Maps, Objective, Ranking, Reached, SINGLE_MAP_CREDIT};
 use crate::{base::column, model::cluster::MapScale};
 
-/// Rounds in which prices are improved; the bound hardly falls further.
+/// Number of subgradient steps; more hardly lower the bound.
 const ROUNDS: usize = 20;
-/// Rounds without a lower bound after which the steps are halved.
+/// Steps without improvement after which the step length is halved.
 const PATIENCE: usize = 3;
 
-/// An upper bound on f_o of any maps of no more work than the first `length` of the ranking; never below what the best of them reach.
+/// Returns an upper bound on f_o of any set of maps that needs no more work than the first `length` of the ranking.
 ///
-/// Any prices at the triangles give one (method 5.2). They start from what the first maps of the ranking reach, and rise where the maps
-/// that gain most at these prices are more than are needed, and fall where they are fewer.
+/// Any prices at the triangles give a bound (Lagrangian dual, method 5.2). They start from f of the ranking's first maps; a subgradient step raises
+/// the price of triangles that the best maps at these prices cover more often than needed, and lowers the others.
 pub fn most_of_any(length: usize, maps: &Maps, objective: &Objective, ranking: &Ranking) -> f64 {
     let all: Vec<u32> = (0..maps.len()).collect();
     let index = |(cluster, scale)| match scale {
@@ -25,7 +25,7 @@ pub fn most_of_any(length: usize, maps: &Maps, objective: &Objective, ranking: &
     first.iter().for_each(|&map| reached.take(maps.row(map)));
     let least: Vec<f32> = (0..objective.weights.len() as u32).map(|t| reached.largest(t)[0]).collect();
     let goal = reached.fulfilment();
-    // No set of maps is worth more than all clusters at full size.
+    // All clusters at full size are an upper bound, too.
     others.iter().for_each(|&map| reached.take(maps.row(maps.cluster(map))));
     if maps.has_half() {
         (0..maps.clusters()).for_each(|cluster| reached.take(maps.row(cluster)));
@@ -55,11 +55,11 @@ pub fn most_of_any(length: usize, maps: &Maps, objective: &Objective, ranking: &
     bound
 }
 
-/// How many of the first maps fit into the work, and the part of the next one that would.
+/// Returns the number of maps that fit into the work, and the fraction of the next one that would.
 fn within(limit: f64, maps: &[u32], work: impl Fn(u32) -> f64) -> (usize, f64) {
     let mut left = limit;
     for (place, &map) in maps.iter().enumerate() {
-        // Sums of the same terms in another order differ by less.
+        // Tolerance for sums of the same terms in another order.
         if work(map) > left * (1.0 + 1e-12) {
             return (place, left / work(map));
         }
@@ -68,14 +68,13 @@ fn within(limit: f64, maps: &[u32], work: impl Fn(u32) -> f64) -> (usize, f64) {
     (maps.len(), 0.0)
 }
 
-/// Prices at each triangle: of each of its m largest f, and of the m-th.
+/// Prices at each triangle: one for each of its m largest f, and one for the m-th.
 ///
-/// The m largest f add up to no more than m p and the sum of max(f - p, 0) over all f, and the m-th is no more than p and an m-th of that sum,
-/// whatever p is.
+/// For every p, the m largest f add up to at most m p + s, and the m-th is at most p + s / m, where s is the sum of max(f - p, 0) over all f.
 struct Dual<'a> {
     objective: &'a Objective,
     prices: [Vec<f32>; 2],
-    /// Weight in f_o of a unit of f above the two prices.
+    /// Returns the weight in f_o of a unit of f above each of the two prices.
     shares: [f64; 2],
 }
 
@@ -97,7 +96,7 @@ impl<'a> Dual<'a> {
         self.prices.iter().zip(self.shares).filter(|(_, share)| *share > 0.0)
     }
 
-    /// What m clusters with these f would pay at each triangle.
+    /// Returns the price that m clusters pay at all triangles together.
     fn paid(&self) -> f64 {
         let m = f64::from(self.objective.support);
         let of = |(prices, share): (&Vec<f32>, f64)| {
@@ -107,11 +106,11 @@ impl<'a> Dual<'a> {
         self.in_force().map(of).sum()
     }
 
-    /// What a map has above the prices.
+    /// Returns the surplus of a map over the prices.
     fn gain(&self, (triangles, values): (&[u32], &[f32])) -> f64 {
         let of = |(prices, share): (&Vec<f32>, f64)| {
             let above = |(&t, &f): (&u32, &f32)| {
-                // In 64 bits, where the difference is exact: rounded down, the bound would be none.
+                // In f64, where the difference is exact; rounded down in f32, it would no longer be a bound.
                 self.objective.weights[t as usize] * (f64::from(f) - f64::from(prices[t as usize])).max(0.0)
             };
             share * triangles.iter().zip(values).map(above).sum::<f64>()
@@ -119,8 +118,8 @@ impl<'a> Dual<'a> {
         self.in_force().map(of).sum()
     }
 
-    /// Moves the prices against the subgradient of the bound, per weight: m less the number of `best` clusters above the price. `gap`: what the
-    /// bound is to fall by.
+    /// Moves the prices against the subgradient of the bound; per unit of weight it is m minus the number of `best` clusters above the price. `gap`:
+    /// target for the decrease of the bound.
     fn improve<'t>(&mut self, best: impl Iterator<Item = (&'t [u32], &'t [f32])>, gap: f64) {
         let weights = &self.objective.weights;
         let mut slopes = self.prices.each_ref().map(|prices| vec![self.objective.support as i32; prices.len()]);

@@ -1,11 +1,11 @@
-//! The depth maps to choose from: each cluster at full size, and at half of it where that is asked for (method 5.8).
+//! Candidate depth maps: each cluster at full size and, if requested, at half size (method 5.8).
 
 use crate::{base::column::Storage, method::fulfilment::FulfilmentTable, model::cluster::MapScale};
 
-/// Work is compared in whole numbers of this part.
+/// Work is compared in integer multiples of this fraction.
 const WHOLE: f64 = 1e6;
 
-/// Depth maps by index: first those of all clusters at full size, then those of all clusters at half size, where there are any.
+/// Depth maps by index: those of all clusters at full size, then, if requested, those of all clusters at half size.
 #[derive(Clone, Copy, Debug)]
 pub struct Maps<'a> {
     full: &'a FulfilmentTable,
@@ -15,17 +15,17 @@ pub struct Maps<'a> {
 #[derive(Clone, Copy, Debug)]
 struct Half<'a> {
     table: &'a FulfilmentTable,
-    /// Work of each cluster's map at full and at half size.
+    /// Work of each cluster's map at full and at half size, in any unit.
     work: &'a [[f64; 2]],
 }
 
 impl<'a> Maps<'a> {
-    /// Of full size only: all of them count as the same work.
+    /// Builds candidates of full size, all of equal work.
     pub fn full_size(full: &'a FulfilmentTable) -> Self {
         Self { full, half: None }
     }
 
-    /// Of two sizes. `work`: of each cluster's map at full and at half size, in any unit, above 0.
+    /// Builds candidates of both sizes. `work`: that of each cluster's map at full and at half size, in any unit, above 0.
     pub fn of_two_sizes(full: &'a FulfilmentTable, half: &'a FulfilmentTable, work: &'a [[f64; 2]]) -> Self {
         Self { full, half: Some(Half { table: half, work }) }
     }
@@ -50,7 +50,7 @@ impl<'a> Maps<'a> {
         if map < self.clusters() { MapScale::Full } else { MapScale::Half }
     }
 
-    /// Triangles of a map, and its f there.
+    /// Returns the triangles of a map with their f.
     pub(super) fn row(&self, map: u32) -> (&'a [u32], &'a [f32]) {
         match self.half {
             Some(half) if map >= self.clusters() => half.table.row(self.cluster(map) as usize),
@@ -58,7 +58,7 @@ impl<'a> Maps<'a> {
         }
     }
 
-    /// Row of a cluster at a size; without maps of half the size, that of full size.
+    /// Returns the row of a cluster at a size; at full size if there are no half-size maps.
     pub fn row_at(&self, cluster: u32, scale: MapScale) -> (&'a [u32], &'a [f32]) {
         match (self.half, scale) {
             (Some(half), MapScale::Half) => half.table.row(cluster as usize),
@@ -66,23 +66,23 @@ impl<'a> Maps<'a> {
         }
     }
 
-    /// Cost in the order and in the bound.
+    /// Returns the cost of a map, in the ranking and in the bound.
     pub(super) fn work(&self, map: u32) -> f64 {
         let size = usize::from(map >= self.clusters());
         self.half.map_or(1.0, |half| half.work[self.cluster(map) as usize][size])
     }
 
-    /// The same in whole numbers, at least 1.
+    /// Returns the cost as an integer, at least 1.
     pub(super) fn whole_work(&self, map: u32) -> u64 {
         ((self.work(map) * WHOLE) as u64).max(1)
     }
 
-    /// Where tables made from these are kept.
+    /// Returns the storage (memory or disk) of tables derived from these.
     pub(super) fn storage(&self) -> Storage {
         self.full.triangles.storage()
     }
 
-    /// Gives back memory that can be read again.
+    /// Lets the operating system drop pages of tables on disk; they are read again when needed.
     pub fn release(&self) {
         self.full.release();
         if let Some(half) = self.half {

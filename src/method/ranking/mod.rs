@@ -1,7 +1,7 @@
-//! Method 5: in which order the view clusters are computed.
+//! Ranking (method 5): the order in which the view clusters are computed.
 //!
-//! Greedy: each time the cluster that adds most to the [`Objective`]. That is monotone, but submodular only where a single map is enough: a map
-//! may be worth more when another has come that it can agree with. Gains are therefore kept up to date, not looked up lazily.
+//! Greedy: the next cluster is the one that adds most to the [`Objective`]. The objective is monotone, but submodular only if a single map is enough:
+//! a map gains worth when another one can confirm it. Gains are therefore kept up to date instead of evaluated lazily.
 
 mod belief;
 mod bound;
@@ -26,30 +26,30 @@ use crate::{
     model::cluster::MapScale,
 };
 
-/// Greedy order of the clusters.
+/// A ranking of view clusters.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Ranking {
-    /// Cluster indices (into the plan's clusters), best first; only those with a gain above 0, or finished already.
+    /// Cluster indices (into the plan's clusters), best first; only finished ones and those with a gain above 0.
     pub order: Vec<u32>,
-    /// Size at which each is matched.
+    /// Size at which each cluster is matched.
     pub scales: Vec<MapScale>,
-    /// Gain of f_o of each, at its time.
+    /// Gain of f_o of each cluster over those before it.
     pub gains: Vec<f64>,
     /// f_o of the first i + 1 clusters.
     pub fulfilment: Vec<f64>,
     /// Weight that fusion keeps of the first i + 1 clusters, 0 to 1.
     pub kept: Vec<f64>,
-    /// The same of all clusters at full size, ranked or not.
+    /// Weight that fusion keeps of all clusters at full size, ranked or not.
     pub reachable: f64,
 }
 
 impl Ranking {
-    /// f_o of the whole order.
+    /// Returns f_o of the whole ranking.
     pub fn total(&self) -> f64 {
         self.fulfilment.last().copied().unwrap_or(0.0)
     }
 
-    /// What fusion keeps of the first `length` clusters over what it keeps of all, 0 to 1; 0 where it keeps nothing even of all.
+    /// Returns the share: weight that fusion keeps of the first `length` clusters over that of all, 0 to 1; 0 if it keeps nothing of all.
     pub fn share(&self, length: usize) -> f64 {
         match length.min(self.kept.len()) {
             n if n > 0 && self.reachable > 0.0 => self.kept[n - 1] / self.reachable,
@@ -57,7 +57,7 @@ impl Ranking {
         }
     }
 
-    /// The fewest clusters with that [`Self::share`]; all of them where fusion keeps nothing.
+    /// Returns the minimum number of clusters with that [`Self::share`]; all of them if fusion keeps nothing.
     pub fn length_for_share(&self, share: f64) -> usize {
         if self.reachable == 0.0 {
             return self.kept.len();
@@ -66,20 +66,19 @@ impl Ranking {
         (self.kept.partition_point(|&kept| kept < wanted) + 1).min(self.kept.len())
     }
 
-    /// Clusters with the size at which they are matched, best first.
+    /// Returns the clusters with the size at which they are matched, best first.
     pub fn maps(&self) -> impl Iterator<Item = (u32, MapScale)> {
         self.order.iter().copied().zip(self.scales.iter().copied())
     }
 }
 
-/// The greedy order of clusters at full size; ties go to the cluster that does more by itself, then to the first, which is that of the first
-/// view name.
+/// Ranks clusters at full size. Ties go to the cluster with the larger f_o by itself, then to the first by view name.
 pub fn rank(table: &FulfilmentTable, objective: &Objective, watcher: &dyn Watcher) -> Result<Ranking, TableError> {
     rank_after(&[], &Maps::full_size(table), objective, watcher)
 }
 
-/// The greedy order of depth maps, one of each cluster: by gain, or by gain over work where there is a choice of sizes. Behind those that are
-/// finished: they come first, in their order, whatever they gain (method 5.4).
+/// Ranks depth maps, one per cluster: by gain, or by gain over work if there is a choice of sizes. Finished maps come first, in the given order,
+/// whatever their gain (method 5.4).
 pub fn rank_after(
     finished: &[(u32, MapScale)],
     maps: &Maps,
@@ -90,7 +89,7 @@ pub fn rank_after(
     let mut ranking = Ranking::default();
     for &(cluster, scale) in finished {
         watcher.check()?;
-        // What is finished is measured; its row is the same whatever its size.
+        // Finished maps are measured: their row does not depend on the size.
         greedy.take(cluster, scale, &mut ranking);
     }
     let total = greedy.left.iter().filter(|&&map| greedy.gains[map as usize] > 0).count() as u64;
@@ -109,7 +108,7 @@ pub fn rank_after(
     Ok(ranking)
 }
 
-/// What fusion is expected to keep of each prefix of a ranking over what it keeps of all clusters at full size, by other weights, 0 to 1.
+/// Returns the share (0 to 1) of each prefix of a ranking under other weights.
 pub fn shares_by(objective: &Objective, ranking: &Ranking, maps: &Maps) -> Vec<f64> {
     let mut reached = Reached::new(objective);
     let mut take = |(i, (cluster, scale)): (usize, (u32, MapScale))| {
@@ -124,7 +123,7 @@ pub fn shares_by(objective: &Objective, ranking: &Ranking, maps: &Maps) -> Vec<f
     kept.into_iter().map(|kept| if all > 0.0 { kept / all } else { 0.0 }).collect()
 }
 
-/// Weight that fusion is expected to keep of all clusters at full size.
+/// Returns the weight that fusion is expected to keep of all clusters at full size.
 fn kept_of_all(maps: &Maps, objective: &Objective) -> f64 {
     let mut reached = Reached::new(objective);
     for cluster in 0..maps.clusters() {
@@ -136,17 +135,17 @@ fn kept_of_all(maps: &Maps, objective: &Objective) -> f64 {
     reached.kept_weight()
 }
 
-/// The gain of each map that is left, kept up to date: when a triangle is better reached, the gains of all maps that see it change by
-/// whole numbers, so that they stay what a fresh sum would give.
+/// Gains of the remaining maps, kept up to date: when f of a triangle rises, the gains of all maps that see it change by integers, and so stay equal
+/// to a fresh sum.
 struct Greedy<'a> {
     maps: &'a Maps<'a>,
     by_triangle: ByTriangle,
     reached: Reached<'a>,
-    /// Of clusters that are not taken.
+    /// Maps of clusters that are not chosen yet.
     left: Vec<u32>,
-    /// By map.
+    /// Gain, by map.
     gains: Vec<i64>,
-    /// Gain of each map where nothing is reached.
+    /// Gain of each map by itself.
     alone: Vec<i64>,
 }
 
@@ -166,11 +165,11 @@ impl<'a> Greedy<'a> {
         Ok(Self { maps, by_triangle, left, alone: gains.clone(), gains, reached })
     }
 
-    /// The map that gains most for its work, if any gains.
+    /// Returns the map with the largest gain per work, if any gains.
     fn best(&self) -> Option<u32> {
         let better = |&a: &u32, &b: &u32| {
             let [of_a, of_b] = [a, b].map(|map| i128::from(self.maps.whole_work(map)));
-            // a's gain over a's work, against b's: exact, so that equal works leave the order by gain.
+            // Compares gain per work by cross multiplication: exact, so that equal work leaves the order by gain.
             let by =
                 |gains: &[i64]| (i128::from(gains[a as usize]) * of_b).cmp(&(i128::from(gains[b as usize]) * of_a));
             by(&self.gains).then_with(|| by(&self.alone)).then(b.cmp(&a))

@@ -1,4 +1,4 @@
-//! Methods 5.1, 5.2 and 5.7: what a triangle counts, and what the depth maps that see it are worth.
+//! The objective (methods 5.1, 5.2 and 5.7): weights of triangles, and the worth of the depth maps that see them.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -11,24 +11,24 @@ use crate::{
     model::scene::{Scene, ViewIndex},
 };
 
-/// What a map alone is worth at a triangle where the backend's fusion wants more (e of method 5.2). A tenth plans maps that no other map
-/// confirms; from a quarter to seven tenths the fused area hardly differs.
+/// Worth of a single map at a triangle where the backend's fusion needs several (e of method 5.2). With 0.1, plans have maps that no other map
+/// confirms; between 0.25 and 0.7, the fused area hardly changes.
 pub const SINGLE_MAP_CREDIT: f64 = 0.5;
 
-/// What is maximised: `f_o(S) = sum over the triangles of w_t (f_m + e mean(f_1 ... f_{m-1})) / (1 + e)`, f_i being the i-th largest f of the
-/// clusters S at the triangle; for m = 1 the paper's maximum.
+/// The function to maximise: `f_o(S)` = sum over triangles of `w_t (f_m + e mean(f_1 ... f_{m-1})) / (1 + e)`, where f_i is the i-th largest f of
+/// the clusters S at the triangle. For m = 1 this is the paper's maximum.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Objective {
-    /// w_t of each triangle; the sum is 1.
+    /// w_t of each triangle; they add up to 1.
     pub weights: Vec<f64>,
-    /// Maps that have to agree on a point (m), at least 1.
+    /// Number of maps that must agree on a point (m), at least 1.
     pub support: u32,
-    /// Share of the weight of the whole surface, before the factors of the region, that is inside it; 1 without a region.
+    /// Share of the surface's weight that is inside the region, before its factors; 1 without a region.
     pub inside: f64,
 }
 
 impl Objective {
-    /// Weighs the triangles as the setting says, times the factors of the region. `support`: m; 0 counts as 1.
+    /// Weights the triangles by the given rule, times the factors of the region. `support`: m; 0 counts as 1.
     pub fn new(geometry: &Geometry, weight: TriangleWeight, region: Option<&Region>, support: u32) -> Self {
         let triangles = 0..geometry.surface.triangles.len() as u32;
         let raw: Vec<f64> = match weight {
@@ -41,7 +41,7 @@ impl Objective {
         Self::inside(raw, region, support)
     }
 
-    /// Weighs the triangles by their areas, times the factors of the region.
+    /// Weights the triangles by area, times the factors of the region.
     pub fn by_area(surface: &Surface, region: Option<&Region>, support: u32) -> Self {
         let areas = (0..surface.triangles.len() as u32).map(|t| surface.area(t)).collect();
         Self::inside(areas, region, support)
@@ -55,14 +55,14 @@ impl Objective {
         Self { inside: if all > 0.0 { inside / all } else { 0.0 }, ..Self::weighing(raw, support) }
     }
 
-    /// `raw`: weights of any sum, none negative.
+    /// Normalises non-negative weights.
     pub fn weighing(raw: Vec<f64>, support: u32) -> Self {
         let sum: f64 = raw.iter().sum();
         let weights = raw.into_iter().map(|w| if sum > 0.0 { w / sum } else { 0.0 }).collect();
         Self { weights, support: support.max(1), inside: 1.0 }
     }
 
-    /// What a triangle's m largest f are worth, 0 to 1; `largest` ascending.
+    /// Returns the worth of a triangle's m largest f, 0 to 1; `largest` ascends.
     pub(super) fn worth(largest: impl ExactSizeIterator<Item = f32>) -> f64 {
         let others = largest.len() - 1;
         let mut largest = largest.map(f64::from);
@@ -73,8 +73,8 @@ impl Objective {
         }
     }
 
-    /// The least share of the best set's f_o that the greedy order reaches, 1 - exp(-g): the sum of the gains of single clusters is at least g
-    /// times the gain of all of them together (method 5.2 has the proof).
+    /// Returns the guarantee of the greedy order: its minimum share of the best set's f_o, 1 - exp(-g), where the gains of single clusters add up to at
+    /// least g times the gain of all of them together (proof in method 5.2).
     pub fn guarantee(&self) -> f64 {
         let credit = match self.support {
             1 => 1.0,
@@ -84,10 +84,10 @@ impl Objective {
     }
 }
 
-/// Pixels of each triangle in the model's images, as far as the views see it.
+/// Number of pixels of each triangle in the model's images, over the views that see it.
 pub struct SeenPixels(Vec<[AtomicU64; 2]>);
 
-/// Pixels are added as whole numbers of these parts, whose sum does not depend on the order in which threads add them.
+/// Pixels are added as integer multiples of this fraction: the sum does not depend on the order in which threads add them.
 const PARTS: f64 = 65_536.0;
 
 impl SeenPixels {
@@ -106,14 +106,14 @@ impl SeenPixels {
         Self(seen)
     }
 
-    /// Sum over the views.
+    /// Returns the sum over the views.
     pub fn sums(self) -> impl Iterator<Item = f64> {
         self.0.into_iter().map(|[sum, _]| sum.into_inner() as f64 / PARTS)
     }
 
-    /// Mean over the views that see the triangle; 0 where none does.
+    /// Returns the mean over the views that see the triangle; 0 if no view does.
     ///
-    /// The mean and not the sum: the sum plans for the middle of a flight, where most views overlap.
+    /// A sum would favour the middle of a flight, where most views overlap.
     fn means(self) -> impl Iterator<Item = f64> {
         self.0.into_iter().map(|[sum, views]| sum.into_inner() as f64 / PARTS / views.into_inner().max(1) as f64)
     }

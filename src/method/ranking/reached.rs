@@ -1,12 +1,12 @@
-//! What a set of clusters reaches, one cluster at a time.
+//! f_o of a growing set of clusters.
 
 use super::Objective;
 
-/// f_o in whole numbers of this part: sums of them are exact, so that gains can be kept up to date by differences, and neither the order of
-/// additions nor the number of threads shows.
+/// f_o is counted in integer multiples of this fraction. Integer sums are exact: gains can be updated by differences, and the result depends neither
+/// on the order of additions nor on the number of threads.
 const UNIT: f64 = (1u64 << 60) as f64;
 
-/// A part of f_o, or of the weight that fusion is expected to keep.
+/// Amount of f_o, or of the weight that fusion is expected to keep.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct Amount(pub(super) i64);
 
@@ -20,11 +20,11 @@ impl Amount {
     }
 }
 
-/// The m largest f of each triangle over the clusters taken so far, and what they are worth.
+/// The m largest f of each triangle over the chosen clusters, and f_o.
 #[derive(Clone)]
 pub(crate) struct Reached<'a> {
     pub(super) objective: &'a Objective,
-    /// m for each triangle, ascending.
+    /// m values per triangle, ascending.
     largest: Vec<f32>,
     fulfilment: i64,
     kept: i64,
@@ -36,38 +36,38 @@ impl<'a> Reached<'a> {
         Self { objective, largest, fulfilment: 0, kept: 0 }
     }
 
-    /// f_o of the clusters taken.
+    /// f_o of the chosen clusters.
     pub(crate) fn fulfilment(&self) -> f64 {
         Amount(self.fulfilment).value()
     }
 
-    /// Weight that fusion is expected to keep of them, the sum of `w_t f_m`, 0 to 1 (method 5.2).
+    /// Weight that fusion is expected to keep of them: the sum of `w_t f_m`, 0 to 1 (method 5.2).
     pub(crate) fn kept_weight(&self) -> f64 {
         Amount(self.kept).value()
     }
 
-    /// The m largest f of a triangle, ascending.
+    /// Returns the m largest f of a triangle, ascending.
     pub(super) fn largest(&self, triangle: u32) -> &[f32] {
         let m = self.objective.support as usize;
         &self.largest[triangle as usize * m..][..m]
     }
 
-    /// The m-th largest f of a triangle, on which m maps agree.
+    /// Returns the m-th largest f of a triangle: m maps agree on it.
     pub(crate) fn agreed(&self, triangle: u32) -> f32 {
         self.largest(triangle)[0]
     }
 
-    /// The largest f of a triangle.
+    /// Returns the largest f of a triangle.
     pub(crate) fn best(&self, triangle: u32) -> f32 {
         self.largest(triangle).last().copied().unwrap_or(0.0)
     }
 
-    /// What the clusters taken are worth at a triangle, 0 to 1.
+    /// Returns the worth of the chosen clusters at a triangle, 0 to 1.
     pub(crate) fn worth(&self, triangle: u32) -> f32 {
         Objective::worth(self.largest(triangle).iter().copied()) as f32
     }
 
-    /// How much f_o grows by a cluster with these triangles and f.
+    /// Returns the gain of f_o by a cluster with these triangles and f.
     pub(crate) fn gain(&self, row: (&[u32], &[f32])) -> f64 {
         Amount(self.whole_gain(row)).value()
     }
@@ -77,7 +77,7 @@ impl<'a> Reached<'a> {
         triangles.iter().zip(values).map(one).sum()
     }
 
-    /// What one more f adds at a triangle with these largest ones.
+    /// Returns the gain of one more f at a triangle with these largest ones.
     #[inline]
     pub(super) fn gain_at(&self, triangle: u32, largest: &[f32], f: f32) -> i64 {
         if f <= largest[0] {
@@ -107,7 +107,7 @@ impl<'a> Reached<'a> {
     }
 }
 
-/// [`Objective::worth`] of the largest f with one more, which exceeds the least of them.
+/// Returns [`Objective::worth`] after adding f, which exceeds the smallest of the largest ones.
 #[inline]
 fn with(largest: &[f32], f: f32) -> f64 {
     match *largest {

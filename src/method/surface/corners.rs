@@ -153,7 +153,7 @@ pub fn split_fans(surface: Surface) -> Surface {
         (owner, first) = fans(&opposite);
     }
     let fan_vertex: Vec<u32> = first.into_iter().map(|c| vertex(&triangles, c)).collect();
-    // Old order of vertices first, so that a mesh without double fans keeps the order that it came in.
+    // Existing vertices come first, so that a mesh without double fans keeps its order.
     let mut order: Vec<u32> = (0..fan_vertex.len() as u32).collect();
     order.sort_by_key(|&f| fan_vertex[f as usize]);
     let mut place = vec![0u32; order.len()];
@@ -225,7 +225,7 @@ mod tests {
         }
     }
 
-    /// Two tetrahedra that touch along one edge: each keeps its own closed surface.
+    /// Two tetrahedra that touch along one edge; each keeps its own closed surface.
     #[test]
     fn solids_that_touch_along_an_edge_come_apart() {
         let points = [[0., 0., 0.], [0., 0., 1.], [1., -0.5, 0.5], [1., 0.5, 0.5], [-1., -0.5, 0.5], [-1., 0.5, 0.5]];
@@ -271,8 +271,8 @@ mod tests {
         surface(&places.iter().map(|p| p.map(f64::from)).collect::<Vec<_>>(), &triangles)
     }
 
-    /// A block with two cubes of its middle floor taken out that touch along an upright edge: about both ends of the edge all four faces
-    /// hang together, by the floors below and above.
+    /// A block without two cubes of its middle layer that touch along a vertical edge: around both ends of the edge, all four faces are connected through
+    /// the layers below and above.
     #[test]
     fn sheets_that_touch_along_an_edge_and_hang_together_at_its_ends_come_apart() {
         let floor = |z: i32| [[0, 0, z], [1, 0, z], [0, 1, z], [1, 1, z]];
@@ -286,7 +286,7 @@ mod tests {
     }
 
     proptest::proptest! {
-        /// Random cubes touch along edges and at corners in every way there is; what goes in comes out, as a closed manifold.
+        /// Random cubes touch along edges and at corners in every possible way; the result is a closed manifold of the same triangles.
         #[test]
         fn whatever_cubes_leave_is_a_manifold(cells in proptest::collection::vec(proptest::bool::ANY, 27)) {
             let places = (0..27).map(|i| [i % 3, i / 3 % 3, i / 9]);

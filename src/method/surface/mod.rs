@@ -210,7 +210,8 @@ impl From<refine::RefineError> for SurfaceError {
     }
 }
 
-/// Builds the surface of the scene, or takes the mesh, with edges as `wanted` and the settings want them, of at most about `most` triangles. What no view sees is yet to be taken away by [`Surface::keep`].
+/// Builds the surface of the scene, or reads the mesh, and adjusts its edges to `wanted` and the settings; at most about `most` triangles. It still has
+/// triangles that no view sees: see [`Surface::keep`].
 ///
 /// # Errors
 /// Too few points, a mesh that cannot be read, a target far too fine, cancellation.
@@ -242,11 +243,11 @@ pub fn build(
     if surface.triangles.is_empty() { Err(SurfaceError::Empty) } else { Ok((surface, stats)) }
 }
 
-/// Steps of one tile among those of all.
+/// Progress of one tile among all.
 struct Steps<'a> {
     before: u64,
     all: u64,
-    /// Triangles that the tile may have.
+    /// Maximum number of triangles of the tile.
     most: u64,
     watcher: &'a dyn Watcher,
 }
@@ -281,7 +282,7 @@ fn read_mesh(file: &MeshFile) -> Result<Surface, SurfaceError> {
     Ok(Surface { kind: SurfaceKind::Mesh, vertices: mesh.vertices, triangles: mesh.triangles })
 }
 
-/// The surface of the sparse points: whole, or tile by tile, each from the points in it and around it, and cut off where the next begins.
+/// Builds the surface of the sparse points: whole, or tile by tile, each from the points in and around it, cropped to the tile.
 fn from_points(
     scene: &Scene,
     wanted: &WantedGsd,
@@ -309,7 +310,7 @@ fn from_points(
         let near = |(_, position): &(&PointIndex, &Point3<f64>)| tile.is_near(position, margin);
         let (points, near): (Vec<PointIndex>, Vec<Point3<f64>>) = points.iter().zip(&positions).filter(near).unzip();
         let surface = match all.surface(&points, &near, stats, &steps) {
-            // The points of a tile may coincide, or lie on a line.
+            // The points of a tile may coincide or be collinear.
             Err(SurfaceError::TooFewPoints { .. } | SurfaceError::Linear) => continue,
             surface => surface?,
         };
@@ -324,7 +325,7 @@ fn from_points(
     merged.ok_or(SurfaceError::Linear)
 }
 
-/// What the tiles of a surface have in common.
+/// Inputs shared by all tiles of a surface.
 struct Part<'a> {
     scene: &'a Scene,
     wanted: &'a WantedGsd,
@@ -334,7 +335,7 @@ struct Part<'a> {
 }
 
 impl Part<'_> {
-    /// The surface of some points, as method 1.7 and 1.8 choose it.
+    /// Builds the surface of some points, in space or as terrain (method 1.7 and 1.8).
     fn surface(
         &self,
         points: &[PointIndex],
@@ -389,7 +390,7 @@ fn carved(
     }
     steps.reached(2);
     let rays = carve::Rays::choose(scene, &delaunay, points, settings.rays_per_point as usize);
-    // Of several tiles the mean, each counting by its vertices.
+    // Mean over the tiles, weighted by vertices.
     let (before, here) = (stats.vertices as f64, delaunay.vertex_count() as f64);
     stats.sigma = if before == 0.0 { rays.sigma } else { (before * stats.sigma + here * rays.sigma) / (before + here) };
     stats.vertices += delaunay.vertex_count();
@@ -402,7 +403,7 @@ fn carved(
     Ok(clean::clean(&raw.surface, &raw.seen))
 }
 
-/// How many different points there are, counted no further than 4.
+/// Returns the number of distinct points, at most 4.
 fn distinct_up_to_four(points: &[Point3<f64>]) -> usize {
     let mut distinct: Vec<&Point3<f64>> = Vec::new();
     for point in points {

@@ -32,7 +32,7 @@ pub(super) fn near(scene: &Scene, mut points: Vec<PointIndex>) -> Vec<PointIndex
     let [Some(x), Some(y), Some(z)] = [0, 1, 2].map(along) else { return points };
     let distance = |p: &PointIndex| (scene.points[p.index()] - Point3::new(x, y, z)).norm();
     let limit = MAX_DISTANCE_MEDIANS * upper_median(points.iter().map(distance)).unwrap_or(0.0);
-    // Where most points are one and the same there is no measure.
+    // If most points coincide, the median distance is 0 and no limit applies.
     points.retain(|p| limit == 0.0 || distance(p) <= limit);
     points
 }
@@ -57,7 +57,7 @@ fn mean_error_px(scene: &Scene, point: PointIndex) -> Option<f64> {
         let x_cam = scene.view(*view).cam_from_world.camera_from_world(&scene.points[point.index()]);
         let camera = scene.camera_of(*view);
         camera.project(&x_cam)?;
-        // Of a picture of all directions the angle counts, across its seam too.
+        // Equirectangular images: the angle counts, also across the seam.
         let error = camera.reprojection_error(&x_cam, &Point2::from(*pixel)).unwrap_or(f64::NAN);
         if error.is_finite() {
             sum += error;

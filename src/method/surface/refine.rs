@@ -190,7 +190,7 @@ mod tests {
         refine(surface, limits, most, &NoWatcher)
     }
 
-    /// Area, volume and topology stay; every edge is short; no new vertex lies off the old surface.
+    /// Area, volume and topology are unchanged, every edge is short, and new vertices are on the old surface.
     #[test]
     fn splits_until_short_and_changes_no_shape() {
         for surface in [shapes::sphere(1), shapes::torus(5), shapes::terrain(2, |x, y| x * y)] {
@@ -219,7 +219,7 @@ mod tests {
         }
     }
 
-    /// Each edge is below the limits of its ends, and no triangle is much smaller than they ask for.
+    /// Each edge is below the limits of its ends, and no triangle is much smaller than needed.
     #[test]
     fn follows_limits_that_differ() {
         let limit = |x: f64| 0.02 + 0.3 * x;

@@ -19,7 +19,7 @@ pub fn terrain(n: u32, height: impl Fn(f64, f64) -> f64) -> Surface {
     Surface { kind: SurfaceKind::Mesh, vertices, triangles }
 }
 
-/// The unit sphere about the origin: an octahedron, each triangle quartered `rounds` times.
+/// The unit sphere about the origin: an octahedron with each triangle quartered `rounds` times.
 pub fn sphere(rounds: u32) -> Surface {
     let axes = [Vector3::x(), Vector3::y(), Vector3::z(), -Vector3::x(), -Vector3::y(), -Vector3::z()];
     let mut vertices: Vec<Point3<f64>> = axes.map(Point3::from).to_vec();

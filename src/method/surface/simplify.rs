@@ -1,8 +1,8 @@
-//! Method 1.5: quadric edge collapse (Garland, Heckbert, "Surface Simplification Using Quadric Error Metrics", 1997).
+//! Quadric edge collapse (method 1.5; Garland, Heckbert, "Surface Simplification Using Quadric Error Metrics", 1997).
 //!
-//! Each vertex carries the quadric of the planes of its triangles, of planes upright on its border edges, and a small pull to where it
-//! is, which keeps the minimum unique on planes and the triangles well shaped. The cheapest edge that is shorter than the limit and
-//! whose collapse keeps manifold, border and orientation goes first, until enough edges are long.
+//! The quadric of a vertex has the planes of its triangles, planes perpendicular to its border edges, and a small pull to its position, which keeps the
+//! minimum unique on planes and the triangles well shaped. The edge of least cost that is shorter than the limit and whose collapse preserves manifold,
+//! border and orientation is collapsed first, until enough edges are long.
 
 use std::cmp::Reverse;
 
@@ -17,27 +17,27 @@ use super::{
 };
 use crate::base::progress::{Cancelled, Watcher};
 
-/// Share of the edges that are to be longer than the target.
+/// Required share of edges longer than the target.
 const LONG_SHARE: f64 = 0.95;
-/// Edges longer than this many targets are never collapsed.
+/// Limit on the length of collapsed edges, multiples of the target.
 const CANDIDATE_FACTOR: f64 = 1.33;
-/// Cosine of the largest turn of a normal in one collapse, 80 degrees.
+/// Cosine of the largest rotation of a normal in one collapse: 80 degrees.
 const MIN_TURN_COSINE: f64 = 0.173_648_177_666_930_33;
-/// Collapses between two questions to the watcher, well under 50 ms.
+/// Collapses between two checks for cancellation; well under 50 ms.
 const CHECK_INTERVAL: usize = 4096;
 
-/// Collapses edges until 95 % of them are at least as long as the mean target of their ends or none can be collapsed. `targets`: by vertex, scene
-/// units. The surface must be an oriented manifold with borders, and is one afterwards.
+/// Collapses edges until 95 % of them are at least as long as the mean target of their ends, or no edge can be collapsed. `targets`: by vertex, scene
+/// units. The surface must be an oriented manifold with borders and remains one.
 pub fn simplify(surface: Surface, targets: Vec<f64>, watcher: &dyn Watcher) -> Result<Surface, Cancelled> {
     let mut mesh = EdgeCollapse::new(surface, targets);
-    // A collapse that was refused may be allowed once its neighbourhood has changed, hence rounds.
+    // A rejected collapse may become valid after its neighbourhood has changed, hence rounds.
     while !mesh.is_done() && mesh.collapse_round(watcher)? > 0 {}
     Ok(mesh.finish())
 }
 
-/// An edge that may be collapsed. Ordered by cost, then by its vertices; stale when the stamps of its vertices have moved on.
+/// Candidate edge, ordered by cost, then vertices; stale if the stamps of its vertices have changed.
 ///
-/// The bits of a cost of at least zero, which are ordered like the cost, then the two vertices, then their stamps: one comparison.
+/// Packs the bits of the non-negative cost, which are ordered like the cost, the two vertices and their stamps: one comparison.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 struct Candidate(u128);
 
@@ -54,18 +54,18 @@ impl Candidate {
 }
 
 struct EdgeCollapse {
-    /// In coordinates relative to `shift`, so that large offsets cost no digits.
+    /// Relative to `shift`, so that large coordinates don't lose digits.
     surface: Surface,
     shift: Vector3<f64>,
     opposite: Vec<u32>,
     quadrics: Vec<Quadric>,
-    /// A corner at each vertex; [`BORDER`] once the vertex is gone.
+    /// A corner at each vertex; [`BORDER`] if the vertex is removed.
     corner_of: Vec<u32>,
     is_border: Vec<bool>,
     is_kept: Vec<bool>,
-    /// Counts the moves of each vertex.
+    /// Number of moves of each vertex.
     stamps: Vec<u32>,
-    /// Of four children each: half as many levels, each a line of the cache.
+    /// A 4-ary heap has half the levels of a binary one, and four children share a cache line.
     queue: QuaternaryHeap<Reverse<Candidate>>,
     /// By vertex.
     targets: Vec<f64>,
@@ -111,7 +111,7 @@ impl EdgeCollapse {
         mesh
     }
 
-    /// One corner for each edge that is left.
+    /// One corner per remaining edge.
     fn edge_corners(&self) -> impl Iterator<Item = u32> + '_ {
         let is_first = |&c: &u32| self.is_kept[c as usize / 3] && c < self.opposite[c as usize];
         (0..self.opposite.len() as u32).filter(is_first)
@@ -129,7 +129,7 @@ impl EdgeCollapse {
         self.surface.vertices[vertex as usize]
     }
 
-    /// Length of the edge between two vertices over its target.
+    /// Returns the length of the edge between two vertices relative to its target.
     fn relative_length(&self, a: u32, b: u32) -> f64 {
         let target = (self.targets[a as usize] + self.targets[b as usize]) / 2.0;
         (self.position(a) - self.position(b)).norm() / target
@@ -142,7 +142,7 @@ impl EdgeCollapse {
         }
     }
 
-    /// Tries every candidate, cheapest first, until enough edges are long. Returns how many collapsed.
+    /// Tries every candidate, cheapest first, until enough edges are long. Returns the number of collapses.
     fn collapse_round(&mut self, watcher: &dyn Watcher) -> Result<usize, Cancelled> {
         let edges: Vec<u32> = self.edge_corners().collect();
         let candidate = |&corner: &u32| self.candidate(self.ends(corner)).map(Reverse);
@@ -161,7 +161,7 @@ impl EdgeCollapse {
         Ok(collapses)
     }
 
-    /// The edge between two vertices, unless it is too long.
+    /// Returns the candidate for the edge between two vertices, unless it is too long.
     fn candidate(&self, (a, b): (u32, u32)) -> Option<Candidate> {
         if self.relative_length(a, b) >= CANDIDATE_FACTOR {
             return None;
@@ -176,7 +176,7 @@ impl EdgeCollapse {
         self.stamps[a as usize].wrapping_add(self.stamps[b as usize])
     }
 
-    /// Where the joined vertex goes, and the quadric error there. A border vertex stays where it is when an inner one joins it.
+    /// Returns the position of the merged vertex and the quadric error there. A border vertex keeps its position if an inner one is merged into it.
     fn placement(&self, a: u32, b: u32) -> (Point3<f64>, f64) {
         let mut quadric = self.quadrics[a as usize];
         quadric.add(&self.quadrics[b as usize]);
@@ -185,7 +185,7 @@ impl EdgeCollapse {
         let best = match (self.is_border[a as usize], self.is_border[b as usize]) {
             (true, false) => p,
             (false, true) => q,
-            // An ill-conditioned minimum may lie far away.
+            // An ill-conditioned minimum may be far away.
             _ => quadric.minimum().filter(|x| (x - middle).norm() <= (p - q).norm()).unwrap_or(middle),
         };
         (Point3::from(best), quadric.evaluate(&best))
@@ -207,7 +207,7 @@ impl EdgeCollapse {
         true
     }
 
-    /// The corners at a vertex, counter-clockwise; from border to border at a border.
+    /// Collects the corners at a vertex, counter-clockwise; from border to border at a border.
     fn ring(&self, vertex: u32) -> Vec<u32> {
         let mut start = self.corner_of[vertex as usize];
         let first = start;
@@ -227,7 +227,7 @@ impl EdgeCollapse {
         ring
     }
 
-    /// A corner that faces the edge from the ring's vertex to the other.
+    /// Returns a corner that faces the edge from the ring's vertex to the other.
     fn corner_facing(&self, ring: &[u32], other: u32) -> Option<u32> {
         let at = |c| vertex(&self.surface.triangles, c);
         ring.iter().find_map(
@@ -237,8 +237,8 @@ impl EdgeCollapse {
         )
     }
 
-    /// The link condition: the two ends have no more in common than the triangles at the edge, where a border counts as a vertex that
-    /// all border vertices share.
+    /// Returns whether the link condition holds: the two ends share only the apexes of the triangles at the edge; the border counts as a vertex that all
+    /// border vertices share.
     fn keeps_manifold(&mut self, corner: u32, rings: &[Vec<u32>; 2]) -> bool {
         let (a, b) = self.ends(corner);
         let across = self.opposite[corner as usize];
@@ -264,7 +264,7 @@ impl EdgeCollapse {
         self.marks.common(&neighbours(&rings[0]), &neighbours(&rings[1])) == sides
     }
 
-    /// Is no normal turned by more than 80 degrees, and no triangle flattened?
+    /// Returns whether no normal rotates by more than 80 degrees and no triangle degenerates.
     fn keeps_orientation(&self, corner: u32, rings: &[Vec<u32>; 2], place: Point3<f64>) -> bool {
         let removed = [corner / 3, self.opposite[corner as usize] / 3];
         let mut left = rings.iter().flatten().filter(|&&c| !removed.contains(&(c / 3)));
@@ -278,7 +278,7 @@ impl EdgeCollapse {
         })
     }
 
-    /// Joins `to` with `from` at the place and takes out the triangles at the edge that the corner faces.
+    /// Merges `from` into `to` at the position and removes the triangles at the edge that the corner faces.
     fn collapse(&mut self, corner: u32, from: u32, to: u32, rings: &[Vec<u32>; 2], place: Point3<f64>) {
         self.count_ring_edges(&rings[0], from, None, -1);
         self.count_ring_edges(&rings[1], to, Some(from), -1);
@@ -308,7 +308,7 @@ impl EdgeCollapse {
         });
     }
 
-    /// Calls for each vertex next to the ring's vertex, once.
+    /// Calls `visit` once for each vertex adjacent to the ring's vertex.
     fn for_ring_neighbours(&mut self, ring: &[u32], mut call: impl FnMut(&mut Self, u32)) {
         for &c in ring {
             call(self, vertex(&self.surface.triangles, next(c)));
@@ -327,7 +327,7 @@ impl EdgeCollapse {
         });
     }
 
-    /// Takes out the triangle of a corner whose facing edge collapses: its two other sides become one.
+    /// Removes the triangle of a corner whose facing edge collapses: its two other sides become one.
     fn take_out(&mut self, corner: u32) {
         let apex = vertex(&self.surface.triangles, corner) as usize;
         let [left, right] = [next(corner), prev(corner)].map(|c| self.opposite[c as usize]);
@@ -348,7 +348,7 @@ impl EdgeCollapse {
     }
 }
 
-/// Marks of vertices that need no clearing.
+/// Marks of vertices that never have to be cleared.
 struct Marks {
     marks: Vec<u32>,
     latest: u32,
@@ -359,7 +359,7 @@ impl Marks {
         Self { marks: vec![0; vertices], latest: 0 }
     }
 
-    /// How many different vertices are in both lists.
+    /// Returns the number of distinct vertices in both lists.
     fn common(&mut self, some: &[u32], others: &[u32]) -> usize {
         if self.latest >= u32::MAX - 2 {
             self.marks.fill(0);
@@ -404,7 +404,7 @@ mod tests {
         let simple = evenly(surface, 0.2);
         assert_eq!(check_manifold(&simple).map(|t| (t.euler, t.border_edges)), Ok((2, 0)));
         assert!(long_share(&simple, 0.2) >= 0.95);
-        // Triangles of side s with their corners on the sphere would lose 3/8 s² of it.
+        // Triangles of side s with corners on the sphere lose 3/8 s² of its volume.
         let loss = 1.0 - shapes::volume(&simple) / volume;
         assert!(loss.abs() < 0.375 * 0.2 * 0.2, "{loss}");
         assert!(simple.vertices.iter().all(|v| (v.coords.norm() - 1.0).abs() < 0.02));
@@ -425,7 +425,7 @@ mod tests {
         assert!((0..simple.triangles.len() as u32).all(|t| simple.area_normal(t).z > 0.0));
     }
 
-    /// A closed tetrahedron and a lone triangle have no edge that can go, however short.
+    /// No edge of a closed tetrahedron or of a single triangle can collapse, however short.
     #[test]
     fn stops_where_nothing_can_be_collapsed() {
         let mut tetrahedron = shapes::sphere(0);

@@ -1,4 +1,4 @@
-//! Method 1.7: a 2.5D surface for nadir flights and flat scenes: the Delaunay triangulation of robust heights over a plane.
+//! 2.5D surface for nadir flights and flat scenes (method 1.7): Delaunay triangulation of robust heights over a plane.
 
 use nalgebra::Point3;
 use spade::{DelaunayTriangulation, HasPosition, Point2, Triangulation};
@@ -6,14 +6,14 @@ use spade::{DelaunayTriangulation, HasPosition, Point2, Triangulation};
 use super::{Surface, SurfaceKind};
 use crate::model::georeference::UprightFrame;
 
-/// Fewer nodes than this and the cells of the height grid are made smaller.
+/// Number of nodes below which the cells of the height grid are halved.
 const ENOUGH_NODES: usize = 100;
-/// Times that the cells may be halved.
+/// Maximum number of halvings.
 const MAX_HALVINGS: u32 = 10;
-/// Times 1.4826 median absolute deviations, a height may differ from its neighbours' median.
+/// Limit on the difference of a height from the median of its neighbours, multiples of 1.4826 median absolute deviations.
 const MAX_DEVIATIONS: f64 = 3.0;
-/// Triangulates robust heights of the points, one for each square of half the edge length (scene units), with normals up. No
-/// triangles where the points lie on a line seen from above.
+/// Triangulates robust heights of the points, one per square of half the edge length (scene units), normals up. No triangles if the points are collinear
+/// seen from above.
 pub fn triangulate(points: &[Point3<f64>], frame: &UprightFrame, edge: f64) -> Surface {
     let local: Vec<[f64; 3]> = points.iter().map(|p| frame.local(p)).collect();
     let mut cell = edge / 2.0;
@@ -33,7 +33,7 @@ pub fn triangulate(points: &[Point3<f64>], frame: &UprightFrame, edge: f64) -> S
     all.keep(&vec![true; all.triangles.len()])
 }
 
-/// For each square of the grid that has points: their mean position and median height. Ordered by square.
+/// Returns mean position and median height of the points in each occupied square of the grid, ordered by square.
 fn median_heights(local: &[[f64; 3]], cell: f64) -> Vec<[f64; 3]> {
     let square = |p: &[f64; 3]| ((p[0] / cell).floor() as i64, (p[1] / cell).floor() as i64);
     let mut sorted: Vec<((i64, i64), [f64; 3])> = local.iter().map(|p| (square(p), *p)).collect();
@@ -48,7 +48,7 @@ fn median_heights(local: &[[f64; 3]], cell: f64) -> Vec<[f64; 3]> {
     sorted.chunk_by(|a, b| a.0 == b.0).map(node).collect()
 }
 
-/// Drops nodes whose height is far from the median of their neighbours', measured by the spread of these and by the edge length.
+/// Drops nodes whose height is far from the median of their neighbours, relative to the spread of these and the edge length.
 fn drop_spikes(nodes: Vec<[f64; 3]>, edge: f64) -> Vec<[f64; 3]> {
     let mesh = delaunay(&nodes);
     let mut keep = vec![true; nodes.len()];
@@ -84,7 +84,7 @@ impl HasPosition for Node {
     }
 }
 
-/// The plane triangulation of the nodes; empty where they lie on a line.
+/// Returns the plane triangulation of the nodes; empty if they are collinear.
 fn delaunay(nodes: &[[f64; 3]]) -> DelaunayTriangulation<Node> {
     let largest = nodes.iter().flat_map(|n| [n[0].abs(), n[1].abs()]).fold(f64::MIN_POSITIVE, f64::max);
     // spade takes coordinates from 2^-142 to 2^201, and zero.

@@ -122,7 +122,7 @@ fn a_block_on_a_field_stands_upright() {
     let (surface, _) = built(&block(), 0.005, SurfaceChoice::Auto);
     assert_eq!(surface.kind, SurfaceKind::Carved);
     check_manifold(&surface).unwrap();
-    // Of the area: roof and field face up, walls sideways, nothing down.
+    // By area: roof and field face up, walls sideways, nothing down.
     let (mut up, mut side, mut down) = (0.0, 0.0, 0.0);
     for t in 0..surface.triangles.len() as u32 {
         let slope = surface.area_normal(t).normalize().z;

@@ -1,4 +1,4 @@
-//! Method 3.6 on the way to a surface: which resolution is wanted where, before any visibility is known.
+//! Wanted resolution in space (method 3.6), for building the surface, before visibility is known.
 
 use nalgebra::Point3;
 use rayon::prelude::*;
@@ -7,24 +7,24 @@ use rstar::{RTree, primitives::GeomWithData};
 use super::points::usable_points;
 use crate::model::scene::{PointIndex, Scene};
 
-/// At most about this many sparse points say what is wanted around them: it changes slowly over a surface.
+/// Approximate maximum number of sparse points that sample the wanted resolution, which changes slowly over a surface.
 const MOST_POINTS: usize = 50_000;
-/// The wanted resolution nowhere differs from the scene's by a larger factor. A single wild point close to a camera would ask for anything.
+/// Largest factor between a local wanted resolution and that of the scene: a single outlier close to a camera could demand any resolution.
 const MOST_OFF: f64 = 32.0;
 
-/// The ground sampling distance that is wanted at each place, scene units per pixel of the matched image; the lengths of edges are multiples of it.
+/// Wanted ground sampling distance as a function of position, scene units per pixel of the matched image. Edge lengths are multiples of it.
 pub struct WantedGsd {
     everywhere: f64,
     points: Option<RTree<GeomWithData<[f64; 3], f64>>>,
 }
 
 impl WantedGsd {
-    /// The same at each place.
+    /// The same everywhere.
     pub fn uniform(gsd: f64) -> Self {
         Self { everywhere: gsd, points: None }
     }
 
-    /// That of the nearest sparse point: `margin` times the finest of the views that observe it. `gsd`: the scene's.
+    /// Takes the GSD of the nearest sparse point: `margin` times the finest of the views that observe it. `gsd`: that of the scene.
     pub fn finest(scene: &Scene, gsd: f64, margin: f64) -> Self {
         let points = usable_points(scene);
         let finest = |&point: &PointIndex| {
@@ -42,12 +42,12 @@ impl WantedGsd {
         Self { everywhere: gsd, points: (!known.is_empty()).then(|| RTree::bulk_load(known)) }
     }
 
-    /// The scene's.
+    /// Returns the GSD of the scene.
     pub fn everywhere(&self) -> f64 {
         self.everywhere
     }
 
-    /// At each of the places, times `factor`.
+    /// Returns the GSD at each position, times `factor`.
     pub fn lengths(&self, places: &[Point3<f64>], factor: f64) -> Vec<f64> {
         let Some(points) = &self.points else { return vec![factor * self.everywhere; places.len()] };
         let wanted = |place: &Point3<f64>| points.nearest_neighbor((*place).into()).map_or(self.everywhere, |p| p.data);

@@ -55,7 +55,7 @@ impl FulfilmentCurve {
         }
     }
 
-    /// What all clusters give, and the bound of method 5.2; empty without a cut.
+    /// Share of all clusters, and the bound of method 5.2; empty without a cut.
     fn subtitle(&self) -> String {
         let Cut { clusters, reachable, fulfilment, fulfilment_bound, .. } = self.cut;
         if fulfilment <= 0.0 {

@@ -85,7 +85,7 @@ impl<'a> Neighbourhood<'a> {
         self.scene.points[point.index()]
     }
 
-    /// How often the view observes the point; a feature may be found twice.
+    /// Number of observations of the point in the view: a feature may be detected twice.
     fn observations(&self, point: PointIndex, view: ViewIndex) -> usize {
         self.scene.track_views(point).iter().filter(|&&v| v == view).count()
     }

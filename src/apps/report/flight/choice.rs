@@ -174,7 +174,7 @@ fn clusters(extended: &Extended, candidates: &[Candidate], k: usize) -> Vec<View
 struct Flown {
     /// Clusters in the order of choice.
     taken: Vec<usize>,
-    /// Of each view of the extended scene, whether it takes part.
+    /// By view of the extended scene: true if it takes part.
     used: Vec<bool>,
 }
 

@@ -1,6 +1,6 @@
 //! Plans further images that fill the holes: poses, chosen greedily by the objective of the plan from candidates around each hole.
 //!
-//! What a new image will really match cannot be known before it is taken: success is predicted from geometry alone.
+//! There are no pictures of planned images yet: success is predicted from geometry alone.
 
 mod candidates;
 mod choice;

@@ -1,4 +1,4 @@
-//! The agreement table of an earlier plan, so that a plan reads no picture that an earlier one has compared on the same surface.
+//! Cache of the agreement table: a plan reads no picture that an earlier plan compared on the same surface.
 //!
 //! One file: a line of magic, a line of JSON, and the values, 1 byte each. A file that is damaged, or was made from other pictures or for another
 //! surface, other cameras or other candidates, counts as absent.
@@ -27,7 +27,7 @@ const LONGEST_HEAD: u64 = 64 << 20;
 /// Values read at once.
 const BLOCK: usize = 1 << 20;
 
-/// The project with the cached table, and everything that the table depends on.
+/// Cached table of a project, with the fingerprint of everything that it depends on.
 pub(super) struct Cache {
     project: PathBuf,
     inputs: String,
@@ -53,7 +53,7 @@ struct Head {
 }
 
 impl Cache {
-    /// `None` where the file system does not say when a picture was changed: nobody could tell a changed one.
+    /// Returns `None` if the file system has no time of change: a changed picture would go unnoticed.
     pub(super) fn new<'p>(
         geometry: &Geometry,
         pictures: &Pictures,
@@ -71,7 +71,7 @@ impl Cache {
         Some(Self { project: pictures.project().into(), inputs: hasher.finalize().to_string() })
     }
 
-    /// The cached table; `None` where the file is not of these inputs.
+    /// Reads the cached table; `None` if the file is of other inputs.
     pub(super) fn read<'p>(
         &self,
         geometry: &Geometry,
@@ -113,7 +113,7 @@ impl Cache {
         (head.inputs == self.inputs).then_some((head, file))
     }
 
-    /// The bytes of the file that come before the values.
+    /// Returns the bytes of the file before the values.
     pub(super) fn head(self, without: &[bool], warnings: &[String], values: &Column<u8>) -> Vec<u8> {
         let mut hasher = blake3::Hasher::new();
         for block in values.chunks(BLOCK) {

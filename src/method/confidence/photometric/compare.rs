@@ -1,4 +1,4 @@
-//! Samples of all pictures, and the agreement of pairs.
+//! Samples all pictures and compares pairs.
 
 use std::sync::{
     Mutex,
@@ -19,7 +19,7 @@ use crate::{
     model::scene::ViewIndex,
 };
 
-/// [`STACK`] numbers for each row of visibility, on disk if they are more than `most_samples` bytes; and why a view has none, by view.
+/// Returns [`STACK`] samples for each row of visibility, on disk beyond `most_samples` bytes, and the fault of each view without samples.
 pub(super) fn samples(
     geometry: &Geometry,
     pictures: &Pictures,
@@ -55,7 +55,7 @@ pub(super) fn samples(
     Ok((samples, by_view))
 }
 
-/// Agreement of the key view with each partner, by partner, by row of the key view.
+/// Returns the agreement of the key view with each partner, by partner, then row of the key view.
 pub(super) fn compared(
     geometry: &Geometry,
     samples: &Column<i8>,

@@ -1,9 +1,9 @@
-//! A grey picture at half, a quarter, ... of its size.
+//! Image pyramid of a grey picture.
 
-/// Grey levels of a picture, row by row, and its pyramid.
+/// Grey picture with its pyramid.
 #[derive(Clone, Debug)]
 pub struct Grey {
-    /// From the largest; each has half the side of the one before.
+    /// Levels, largest first; each has half the side of the one before, grey levels row by row.
     levels: Vec<Level>,
 }
 
@@ -14,11 +14,11 @@ struct Level {
     pixels: Vec<u8>,
 }
 
-/// A pyramid ends where a side would have fewer pixels.
+/// Minimum side of a level, pixels.
 const LEAST_SIDE: usize = 16;
 
 impl Grey {
-    /// `pixels`: width x height grey levels, row by row.
+    /// Builds the pyramid of `pixels`: width x height grey levels, row by row.
     pub fn new(width: usize, height: usize, pixels: Vec<u8>) -> Self {
         let mut levels = vec![Level { width, height, pixels }];
         while let Some(half) = levels.last().and_then(Level::halved) {
@@ -36,8 +36,8 @@ impl Grey {
         self.levels.len()
     }
 
-    /// Grey levels between the pixels of a level along a grid `N x N` around `centre`, with the steps `right` and `down`; all in pixels of the
-    /// largest level, whose first pixel has its centre at (0.5, 0.5). `None` where the grid leaves the picture.
+    /// Samples a level bilinearly on a grid of `N x N` around `centre`, with the steps `right` and `down`; all in pixels of the largest level, whose first
+    /// pixel has its centre at (0.5, 0.5). `None` if the grid leaves the picture.
     pub fn sample<const N: usize>(
         &self,
         level: usize,
@@ -63,7 +63,7 @@ impl Grey {
                 let (a, b) = (j as f32 - middle, i as f32 - middle);
                 let x = centre[0] - 0.5 + a * right[0] + b * down[0];
                 let y = centre[1] - 0.5 + a * right[1] + b * down[1];
-                // Rounding may take a sample at the very edge beyond it by nothing that matters.
+                // Rounding may move a sample at the edge beyond it by a negligible amount.
                 let (column, row) = ((x as usize).min(width - 2), (y as usize).min(height - 2));
                 let (fx, fy) = (x - column as f32, y - row as f32);
                 let upper = &pixels[row * width + column..][..2];
@@ -78,7 +78,7 @@ impl Grey {
 }
 
 impl Level {
-    /// Means of two by two pixels; a last odd row or column is left out.
+    /// Averages 2 x 2 pixels; an odd last row or column is dropped.
     fn halved(&self) -> Option<Self> {
         let (width, height) = (self.width / 2, self.height / 2);
         if width.min(height) < LEAST_SIDE {

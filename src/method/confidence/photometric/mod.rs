@@ -84,7 +84,7 @@ pub struct Agreement {
     pub cache_head: Option<Vec<u8>>,
 }
 
-/// Agreement of a pair, or why there is none.
+/// Agreement of a pair, or the reason for its absence.
 pub enum PairAgreement<'a> {
     /// One value for each row of the key view.
     Compared(&'a [u8]),

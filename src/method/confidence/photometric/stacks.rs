@@ -1,4 +1,4 @@
-//! What a picture shows of a triangle, as numbers whose product is a correlation.
+//! Normalised samples of triangles in a picture: the dot product of two views' samples is their correlation.
 
 use std::sync::atomic::{AtomicI64, AtomicU32, Ordering};
 
@@ -14,23 +14,22 @@ use crate::{
 /// Samples along a side of a patch.
 const SIDE: usize = 7;
 const PATCH: usize = SIDE * SIDE;
-/// Where the patches of a triangle have their centres, as shares of its corners. One patch of 11 x 11 samples predicts less, sixteen of 7 x 7 hardly
-/// more.
+/// Barycentric coordinates of the centres of a triangle's patches. One patch of 11 x 11 samples predicts worse, sixteen of 7 x 7 hardly better.
 const CENTRES: [[f64; 3]; 4] = [
     [1.0 / 3.0, 1.0 / 3.0, 1.0 / 3.0],
     [2.0 / 3.0, 1.0 / 6.0, 1.0 / 6.0],
     [1.0 / 6.0, 2.0 / 3.0, 1.0 / 6.0],
     [1.0 / 6.0, 1.0 / 6.0, 2.0 / 3.0],
 ];
-/// Numbers of a triangle in a view.
+/// Number of samples of a triangle in a view.
 pub const STACK: usize = CENTRES.len() * PATCH;
-/// All numbers of a patch that the picture does not show.
+/// Value of all samples of a patch that the picture does not show.
 pub const NOT_SEEN: i8 = i8::MIN;
-/// A number of 1.
+/// Fixed-point value of 1.
 const ONE: f32 = 127.0;
-/// Samples are this many wanted pixels apart: predicts as well as one pixel, from a picture of half the side.
+/// Distance between samples, wanted pixels: predicts as well as 1, from a picture of half the side.
 pub const SPACING: f64 = 2.0;
-/// Standard deviation of the noise of pictures, grey levels: patches with less contrast correlate little.
+/// Standard deviation of image noise, grey levels: patches with less contrast have little correlation.
 const NOISE: f32 = 2.0;
 
 /// Distance between samples on each triangle, scene units: [`SPACING`] pixels of the matched images in the (geometric) mean of the views that see it.
@@ -39,7 +38,7 @@ pub(super) struct Spacing(Vec<f32>);
 impl Spacing {
     pub(super) fn new(geometry: &Geometry) -> Self {
         let Geometry { scene, surface, visibility, image_scale, .. } = *geometry;
-        // Logarithms in whole numbers of small parts, whose sum does not depend on the order in which threads add them.
+        // Fixed-point logarithms: their sum does not depend on the order in which threads add them.
         const PARTS: f64 = (1u64 << 32) as f64;
         let sums: Vec<(AtomicI64, AtomicU32)> = surface.triangles.iter().map(|_| Default::default()).collect();
         let add = |&view: &ViewIndex| {
@@ -59,7 +58,7 @@ impl Spacing {
     }
 }
 
-/// [`STACK`] numbers for each triangle that the view sees, in the order of its rows.
+/// Returns [`STACK`] samples for each triangle that the view sees, in the order of its rows.
 pub(super) fn stacks(
     geometry: &Geometry,
     spacing: &Spacing,
@@ -106,7 +105,7 @@ impl<'a> Sampler<'a> {
         }
     }
 
-    /// Grey levels of a patch with these steps; through the projection linearised at its centre, which a dozen pixels don't leave.
+    /// Samples a patch with these steps. The projection is linearised at the centre, which is accurate over a dozen pixels.
     fn patch(&self, centre: &Point3<f64>, right: Vector3<f64>, down: Vector3<f64>) -> Option<[[f32; SIDE]; SIDE]> {
         let scene = self.geometry.scene;
         let (camera, pose) = (scene.camera_of(self.view), &scene.view(self.view).cam_from_world);
@@ -122,7 +121,7 @@ impl<'a> Sampler<'a> {
             let pixels = jacobian * (pose.rotation.matrix() * v);
             [pixels.x * self.reduced[0], pixels.y * self.reduced[1]].map(|x| x as f32)
         };
-        // Pixels of the picture between samples if the view looked straight at them: finer views than that are reduced first.
+        // Distance between samples at perpendicular incidence, pixels of the picture; a finer picture is reduced first.
         let apart = right.norm() * camera.mean_focal_length() * self.reduced[0] / camera.depth(&there);
         let level = (apart.log2().round().max(0.0) as usize).min(self.grey.levels() - 1);
         let centre = [pixel.x * self.reduced[0], pixel.y * self.reduced[1]].map(|x| x as f32);
@@ -130,7 +129,7 @@ impl<'a> Sampler<'a> {
     }
 }
 
-/// Deviations from the mean over their norm, which noise is part of.
+/// Subtracts the mean and divides by the norm, noise included.
 fn normalise(samples: &[[f32; SIDE]; SIDE], patch: &mut [i8]) {
     let samples = samples.as_flattened();
     let mean = samples.iter().sum::<f32>() / PATCH as f32;
@@ -141,7 +140,7 @@ fn normalise(samples: &[[f32; SIDE]; SIDE], patch: &mut [i8]) {
     }
 }
 
-/// Mean correlation of the patches that both pictures show, -1 to 1; `None` where there is none.
+/// Returns the mean correlation of the patches that both pictures show, -1 to 1; `None` without such a patch.
 pub(super) fn correlation(a: &[i8], b: &[i8]) -> Option<f32> {
     let (mut sum, mut patches) = (0i32, 0);
     for (a, b) in a.chunks_exact(PATCH).zip(b.chunks_exact(PATCH)) {

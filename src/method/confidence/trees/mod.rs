@@ -17,7 +17,7 @@ pub use table::{BINS, Binning, Table};
 pub struct Tree {
     /// Feature that a node splits by; unused in leaves.
     pub feature: Vec<u16>,
-    /// Rows with a bin up to this one go left.
+    /// Rows with at most this bin go left.
     pub bin: Vec<u8>,
     /// Index of the left child, the right one is next to it; 0: a leaf.
     pub child: Vec<u32>,
@@ -26,7 +26,7 @@ pub struct Tree {
 }
 
 impl Tree {
-    /// The value of the leaf that a row of bins falls into.
+    /// Returns the value of the leaf for a row of bins.
     pub fn value(&self, bins: &[u8]) -> f32 {
         let mut node = 0;
         while self.child[node] != 0 {
@@ -36,7 +36,7 @@ impl Tree {
         self.value[node]
     }
 
-    /// Is it a tree at all, with features below `features`? For trees that come from a file.
+    /// Returns whether this is a valid tree over `features` features; for trees read from a file.
     pub fn is_sound(&self, features: usize) -> bool {
         let nodes = self.child.len();
         let lengths = [self.feature.len(), self.bin.len(), self.value.len()];
@@ -56,13 +56,13 @@ impl Tree {
     }
 }
 
-/// What the values of the trees mean.
+/// Meaning of the trees' values.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Ensemble {
-    /// The mean of the trees is a probability.
+    /// Their mean is a probability.
     Forest,
-    /// The sum of the trees is log odds.
+    /// Their sum is log odds.
     Boosted,
 }
 
@@ -77,14 +77,14 @@ pub struct Classifier {
 }
 
 impl Classifier {
-    /// The probability of the positive class for a row of features.
+    /// Returns the probability of the positive class for a row of features.
     pub fn probability(&self, features: &[f32]) -> f32 {
         let mut bins = vec![0; self.binning.features()];
         self.binning.quantise(features, &mut bins);
         self.probability_of_bins(&bins)
     }
 
-    /// As [`Self::probability`], for a row that is quantised already.
+    /// As [`Self::probability`], for a quantised row.
     pub fn probability_of_bins(&self, bins: &[u8]) -> f32 {
         let sum: f32 = self.trees.iter().map(|tree| tree.value(bins)).sum();
         match self.ensemble {
@@ -93,7 +93,7 @@ impl Classifier {
         }
     }
 
-    /// Log odds after each tree of a boosted ensemble.
+    /// Returns the log odds after each tree of a boosted ensemble.
     pub fn odds_by_tree(&self, features: &[f32]) -> impl Iterator<Item = f32> {
         let mut bins = vec![0; self.binning.features()];
         self.binning.quantise(features, &mut bins);
@@ -103,14 +103,14 @@ impl Classifier {
         })
     }
 
-    /// Can it be used? For classifiers that come from a file.
+    /// Returns whether the classifier is valid; for classifiers read from a file.
     pub fn is_sound(&self) -> bool {
         let features = self.binning.features();
         self.binning.is_sound() && self.start.is_finite() && self.trees.iter().all(|tree| tree.is_sound(features))
     }
 }
 
-/// Probability of log odds.
+/// Converts log odds to a probability.
 pub(crate) fn logistic(odds: f32) -> f32 {
     1.0 / (1.0 + (-odds).exp())
 }

@@ -3,15 +3,15 @@
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-/// Most bins of a feature.
+/// Maximum number of bins per feature.
 pub const BINS: usize = 64;
-/// Rows from which the quantiles of a feature are taken.
+/// Sample size for the quantiles of a feature, rows.
 const SAMPLE: usize = 50_000;
 
-/// Where the bins of each feature end.
+/// Bin boundaries of each feature.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Binning {
-    /// For each feature ascending thresholds, at most `BINS - 1`; a value is in the bin of the first threshold that it doesn't exceed.
+    /// Ascending thresholds per feature, at most `BINS - 1`; a value belongs to the bin of the first threshold that it doesn't exceed.
     thresholds: Vec<Vec<f32>>,
 }
 
@@ -20,14 +20,14 @@ impl Binning {
         self.thresholds.len()
     }
 
-    /// The bin of each feature of a row; NaN counts as the largest.
+    /// Returns the bin of each feature of a row; NaN is in the last one.
     pub fn quantise(&self, features: &[f32], bins: &mut [u8]) {
         for ((bin, thresholds), value) in bins.iter_mut().zip(&self.thresholds).zip(features) {
             *bin = bin_of(thresholds, *value);
         }
     }
 
-    /// Are the thresholds ascending numbers, not too many?
+    /// Returns whether the thresholds ascend and fit into `BINS`.
     pub fn is_sound(&self) -> bool {
         let ascending =
             |t: &Vec<f32>| t.len() < BINS && t.windows(2).all(|w| w[0] < w[1]) && t.iter().all(|v| !v.is_nan());
@@ -38,11 +38,11 @@ impl Binning {
 }
 
 fn bin_of(thresholds: &[f32], value: f32) -> u8 {
-    // `partition_point` asks "above this threshold?"; NaN is above all.
+    // NaN compares as above every threshold.
     thresholds.partition_point(|threshold| value > *threshold || value.is_nan()) as u8
 }
 
-/// Rows of features as bins, one column a feature.
+/// Rows of quantised features, one column per feature.
 pub struct Table {
     pub binning: Binning,
     columns: Vec<Vec<u8>>,
@@ -50,7 +50,7 @@ pub struct Table {
 }
 
 impl Table {
-    /// Takes `value(row, feature)` of all rows; thresholds are quantiles.
+    /// Quantises `value(row, feature)` of all rows by quantiles.
     pub fn new(features: usize, rows: usize, value: impl Fn(usize, usize) -> f32 + Sync) -> Self {
         let quantised: Vec<(Vec<f32>, Vec<u8>)> = (0..features)
             .into_par_iter()
@@ -72,13 +72,13 @@ impl Table {
         &self.columns[feature]
     }
 
-    /// The bins of a row.
+    /// Returns the bins of a row.
     pub fn row(&self, row: usize) -> Vec<u8> {
         self.columns.iter().map(|column| column[row]).collect()
     }
 }
 
-/// At most `BINS - 1` thresholds between equally many values, from an even sample of the rows.
+/// Returns at most `BINS - 1` thresholds at equal quantiles of an evenly spaced sample of the rows.
 fn quantiles(rows: usize, value: impl Fn(usize) -> f32) -> Vec<f32> {
     let step = rows.div_ceil(SAMPLE).max(1);
     let mut values: Vec<f32> = (0..rows).step_by(step).map(value).filter(|v| !v.is_nan()).collect();

@@ -1,12 +1,11 @@
 //! Minimum cut between outside and inside on the graph of cells (method 1.3).
 //!
 //! Incremental breadth-first search (Goldberg, Hed, Kaplan, Tarjan, Werneck: Maximum Flows by Incremental Breadth-First Search,
-//! 2011): two trees of shortest residual paths grow level by level, from the source and to the sink. Where they meet, flow is
-//! pushed; nodes cut off their tree take another parent at their level, or move to the lowest level that has one, or leave.
-//! Every cell has four arcs out and four in, so a node with both is one cache line and no list of children or current arc is kept.
+//! 2011): two trees of shortest residual paths grow level by level, from the source and towards the sink. Where they meet, flow is pushed; orphaned nodes
+//! are adopted by another parent at their level, or move to the lowest level with a parent, or become free. Every cell has four outgoing and four
+//! incoming arcs, so that a node with its arcs is one cache line; neither children nor current arcs are stored.
 //!
-//! Capacities are integers; the result is exact and does not depend on the order of anything. Worst case: n² m; in practice a
-//! few scans per cell.
+//! Capacities are integers, so that the result is exact and deterministic. Worst case: n² m; in practice a few scans per cell.
 
 #[cfg(test)]
 mod tests;
@@ -14,18 +13,18 @@ mod tests;
 use super::delaunay::{Cell, Facet};
 use crate::base::progress::{Cancelled, Watcher};
 
-/// Larger capacities of facets count as this much, so that the residual of two opposite arcs together fits 32 bits.
+/// Upper limit of a facet's capacity: the residuals of two opposite arcs together fit 32 bits.
 pub const MAX_CAPACITY: u32 = u32::MAX / 2;
 
-/// Nodes touched between two questions to the watcher: a few milliseconds.
+/// Nodes visited between two checks for cancellation: a few milliseconds.
 const STEPS_PER_CHECK: usize = 1 << 15;
 
-/// The cut of least capacity; among several the one with the fewest cells outside.
+/// The minimum cut; among several the one with the fewest cells outside.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct MinCut {
     /// Its capacity.
     pub flow: u64,
-    /// Per cell: on the source's side?
+    /// By cell: true on the source's side (outside).
     pub outside: Vec<bool>,
 }
 
@@ -46,7 +45,7 @@ pub struct Capacities {
 /// Cancellation.
 ///
 /// # Panics
-/// When the two slices differ in length.
+/// If the two slices differ in length.
 pub fn minimum_cut(cells: &[Cell], capacities: &[Capacities], watcher: &dyn Watcher) -> Result<MinCut, Cancelled> {
     assert_eq!(cells.len(), capacities.len(), "one set of capacities per cell");
     let mut search = Search::new(cells, capacities, watcher)?;
@@ -54,7 +53,7 @@ pub fn minimum_cut(cells: &[Cell], capacities: &[Capacities], watcher: &dyn Watc
     Ok(MinCut { flow: search.flow, outside: search.reachable()? })
 }
 
-/// The two trees; also the index of the residuals that the tree grows along.
+/// The two trees; also an index of the residuals along which the tree grows.
 #[derive(Clone, Copy, PartialEq, Eq)]
 #[repr(u8)]
 enum SearchTree {
@@ -78,12 +77,12 @@ const ORPHAN: u8 = 5;
 #[derive(Clone, Copy)]
 #[repr(C, align(64))]
 struct Node {
-    /// `[Source]`: what can still flow to each neighbour; `[Sink]`: what can still flow from it.
+    /// `[Source]`: residual capacity to each neighbour; `[Sink]`: residual capacity from it.
     residual: [[u32; 4]; 2],
     neighbours: [Facet; 4],
-    /// What the source can still give, or, negative, the sink take.
+    /// Residual capacity from the source; negative: to the sink.
     excess: i64,
-    /// Distance to the root's terminal in arcs.
+    /// Number of arcs to the terminal.
     level: u32,
     tree: SearchTree,
     /// Slot of the parent, [`ROOT`] or [`ORPHAN`].
@@ -94,17 +93,17 @@ struct Search<'a> {
     watcher: &'a dyn Watcher,
     nodes: Vec<Node>,
     flow: u64,
-    /// Per tree: the nodes of the last complete level, and its number. Entries may be out of date.
+    /// By tree: the nodes of the last complete level, and its number. Entries may be stale.
     frontier: [Vec<u32>; 2],
     level: [u32; 2],
-    /// Nodes of the level that is being made.
+    /// Nodes of the level that is growing.
     next: Vec<u32>,
-    /// Orphans by level, the lowest first.
+    /// Orphans by level, lowest first.
     orphans: Vec<Vec<u32>>,
     orphan_count: usize,
     /// The tree that is growing.
     growing: SearchTree,
-    /// Nodes touched since the last question to the watcher.
+    /// Nodes visited since the last check for cancellation.
     steps: usize,
 }
 
@@ -145,7 +144,7 @@ impl<'a> Search<'a> {
         })
     }
 
-    /// Counts work; asks the watcher where there was enough of it.
+    /// Counts work, and regularly checks for cancellation.
     fn step(&mut self) -> Result<(), Cancelled> {
         self.steps += 1;
         if self.steps < STEPS_PER_CHECK {
@@ -172,7 +171,7 @@ impl<'a> Search<'a> {
         Ok(())
     }
 
-    /// Takes the free neighbours of a frontier node into its tree and pushes flow over arcs that meet the other one.
+    /// Adds the free neighbours of a frontier node to its tree and pushes flow over arcs to the other tree.
     fn scan(&mut self, index: u32, tree: SearchTree) -> Result<(), Cancelled> {
         let level = self.level[tree as usize];
         let mut slot = 0;
@@ -202,7 +201,7 @@ impl<'a> Search<'a> {
         Ok(())
     }
 
-    /// Pushes what the path through an arc between the trees can take; `arc` as seen from its end in `tree`.
+    /// Saturates the path through an arc between the trees; `arc` as seen from its end in `tree`.
     fn augment(&mut self, arc: Facet, tree: SearchTree) -> Result<(), Cancelled> {
         let beyond = self.nodes[arc.cell() as usize].neighbours[arc.index()];
         let amount = self.nodes[arc.cell() as usize].residual[tree as usize][arc.index()]
@@ -216,7 +215,7 @@ impl<'a> Search<'a> {
         self.adopt(tree.other())
     }
 
-    /// The least residual between a node and its terminal.
+    /// Returns the smallest residual between a node and its terminal.
     fn bottleneck(&self, mut index: u32) -> u32 {
         let mut least = u32::MAX;
         loop {
@@ -230,7 +229,7 @@ impl<'a> Search<'a> {
         }
     }
 
-    /// Moves flow over an arc that `along` grows along.
+    /// Pushes flow over an arc in the direction of `along`.
     fn push(&mut self, arc: Facet, along: SearchTree, amount: u32) {
         let (there, back) = (along as usize, along.other() as usize);
         let node = &mut self.nodes[arc.cell() as usize];
@@ -242,7 +241,7 @@ impl<'a> Search<'a> {
         other.residual[there][beyond.index()] += amount;
     }
 
-    /// Moves flow over the tree's arcs between a node and the terminal; nodes cut off become orphans.
+    /// Pushes flow over the tree's arcs between a node and the terminal; disconnected nodes become orphans.
     fn push_to_root(&mut self, mut index: u32, tree: SearchTree, amount: u32) {
         loop {
             self.steps += 1;
@@ -276,7 +275,7 @@ impl<'a> Search<'a> {
         self.orphan_count += 1;
     }
 
-    /// Finds new places for all orphans, those nearest to the terminal first.
+    /// Adopts all orphans, those nearest to the terminal first.
     fn adopt(&mut self, tree: SearchTree) -> Result<(), Cancelled> {
         let mut level = 1;
         while self.orphan_count > 0 {
@@ -331,7 +330,7 @@ impl<'a> Search<'a> {
         }
     }
 
-    /// The cells that the source can still reach.
+    /// Returns the cells that are reachable from the source in the residual graph.
     fn reachable(&mut self) -> Result<Vec<bool>, Cancelled> {
         let mut outside: Vec<bool> = self.nodes.iter().map(|node| node.excess > 0).collect();
         let mut open: Vec<u32> = (0..self.nodes.len() as u32).filter(|&i| outside[i as usize]).collect();

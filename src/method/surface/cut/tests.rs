@@ -110,7 +110,7 @@ impl Dinic {
     }
 }
 
-/// What the cut with these cells outside costs.
+/// Returns the capacity of the cut with these cells outside.
 fn cost(cells: &[Cell], capacities: &[Capacities], outside: &[bool]) -> u64 {
     let mut sum = 0;
     for (index, own) in capacities.iter().enumerate() {
@@ -139,7 +139,7 @@ fn agrees_with_dinic() {
     }
 }
 
-/// What comes into a cell goes out of it, no arc carries more than its capacity, and both ends of an arc say the same.
+/// Checks conservation of flow in each cell, capacities, and agreement of both ends of each arc.
 #[test]
 fn flow_is_conserved() {
     let (cells, capacities) = instance(400, 20, 200, 9);

@@ -1,8 +1,8 @@
-//! The integer grid that the predicates work on.
+//! Integer grid of the predicates.
 //!
-//! 30 bits per axis with one step for all three axes (another step per axis would bend the spheres): 1 µm for a scene of 1 km,
-//! still 1 mm when an outlier lies 1000 km away. The step is a power of two and the origin a multiple of it, so that a coordinate
-//! with few significant bits is not moved at all and a grid point has an exact f64 position.
+//! 30 bits per axis and one step for all three axes (different steps would deform spheres): 1 µm for a scene of 1 km, 1 mm with an outlier at 1000 km.
+//! The step is a power of two and the origin a multiple of it: a coordinate with few significant bits is not moved, and every grid point has an exact
+//! f64 position.
 
 use nalgebra::Point3;
 
@@ -15,7 +15,7 @@ pub(super) const TARGET_RANGE: f64 = (1u64 << 37) as f64;
 /// Smallest binary exponent of a step whose reciprocal is finite.
 const MIN_EXPONENT: i32 = -1000;
 
-/// A distinct point on the grid. `label` numbers the vertices of the cavity during insertion and means nothing else.
+/// A distinct grid point. `label` is scratch space of the insertion: it numbers the vertices of the cavity.
 #[derive(Clone, Copy, Debug, Default)]
 #[repr(C, align(16))]
 pub(super) struct Site {
@@ -39,7 +39,7 @@ pub(super) struct Grid {
 }
 
 impl Grid {
-    /// The finest grid that holds all points; all coordinates must be finite.
+    /// Returns the finest grid that holds all points; all coordinates must be finite.
     pub fn around(points: &[Point3<f64>]) -> Self {
         let mut low = [f64::INFINITY; 3];
         let mut high = [f64::NEG_INFINITY; 3];
@@ -76,8 +76,8 @@ impl Grid {
         )
     }
 
-    /// Vector from a site to any world point in grid units, rounded to integers. A target out of [`TARGET_RANGE`] is pulled in
-    /// along the line; the second value says how much longer the true vector is (1 within the range).
+    /// Returns the vector from a site to a world point in grid units, rounded to integers. A target beyond [`TARGET_RANGE`] is moved towards the site along
+    /// the line; the second value is the ratio of the true length to the returned one (1 within the range).
     pub fn vector(&self, from: &Site, target: &Point3<f64>) -> ([i64; 3], f64) {
         let from = from.coordinates();
         let exact: [f64; 3] =
@@ -88,7 +88,7 @@ impl Grid {
     }
 }
 
-/// The smallest power of two that keeps ± `half` within the range, with room for rounding.
+/// Returns the smallest power of two that keeps ± `half` within the range, with a margin for rounding.
 fn step_for(half: f64) -> f64 {
     let mut exponent = MIN_EXPONENT;
     if half > 0.0 {
@@ -102,6 +102,6 @@ fn step_for(half: f64) -> f64 {
 
 fn round_to(value: f64, step: f64) -> f64 {
     let steps = value / step;
-    // Above 2^52 steps every f64 is a whole number of steps already.
+    // Above 2^52 steps, every f64 is already an integer number of steps.
     if steps.abs() < (1u64 << 52) as f64 { steps.round() * step } else { value }
 }

@@ -1,9 +1,8 @@
-//! Incremental construction (Bowyer 1981, Watson 1981): each vertex removes the cells whose circumspheres hold it and is joined
-//! to the boundary of the cavity.
+//! Incremental construction (Bowyer 1981, Watson 1981): each vertex removes the cells whose circumspheres contain it and is connected to the boundary of
+//! the cavity.
 //!
-//! The cell that holds the vertex is found by walking from the last one made; the cavity is searched breadth first from there.
-//! New cells take the places of removed ones. Inside this file the vertex at infinity is the last site, so that it needs no
-//! case of its own where only numbers count.
+//! A walk from the newest cell finds the cell that contains the vertex; the cavity is searched breadth first from there. New cells reuse the memory of
+//! removed ones. Within this file the vertex at infinity is the last site, which saves special cases.
 
 use super::grid::Site;
 use super::order::{round_from_last, rounds};
@@ -11,22 +10,22 @@ use super::predicates::{collinear, in_sphere, orient};
 use super::{Cell, DelaunayError, Dimension, FACET_VERTICES, Facet};
 use crate::base::progress::{Cancelled, Watcher};
 
-/// Boundary facets up to which the cavity's edges are matched in a table: a closed surface of 2n − 4 triangles has n vertices.
+/// Number of boundary facets up to which the cavity's edges are matched in a table: a closed surface of 2n − 4 triangles has n vertices.
 const TABLE_FACETS: usize = 2 * TABLE_VERTICES - 4;
 const TABLE_VERTICES: usize = 64;
 
-/// New cells between two questions to the watcher: under a millisecond of work.
+/// New cells between two checks for cancellation: under a millisecond of work.
 const CELLS_PER_CHECK: usize = 1 << 12;
 
 /// Facet codes have 30 bits for the cell.
 const MAX_CELLS: usize = 1 << 30;
 
-/// Points of a surface or a volume have six to seven cells each; on pairs of skew curves it can be half their number.
+/// Cells per point allowed: points of a surface or a volume have six to seven, those on pairs of skew curves up to half the number of points.
 const MAX_CELLS_PER_VERTEX: usize = 64;
-/// Below this number of cells nothing is refused.
+/// Number of cells that is always allowed.
 const FREE_CELLS: usize = 1 << 20;
 
-/// What the search for the cavity knows about a cell; `Unseen` between two insertions.
+/// State of a cell in the search for the cavity; `Unseen` between two insertions.
 #[derive(Clone, Copy, PartialEq, Eq)]
 #[repr(u8)]
 enum Mark {
@@ -35,16 +34,16 @@ enum Mark {
     Kept,
 }
 
-/// A triangle of the cavity's boundary, counter-clockwise seen from outside the cavity, and the facet that stays beyond it.
+/// A triangle of the cavity's boundary, counter-clockwise seen from outside the cavity, and the facet on its other side.
 #[derive(Clone, Copy)]
 struct BoundaryFacet {
     vertices: [u32; 3],
     outer: Facet,
 }
 
-/// The cells made so far; `cells` and `marks` go in parallel.
+/// The cells so far; `cells` and `marks` have the same indices.
 pub(super) struct Construction<'a> {
-    /// Distinct sites, and one more for the vertex at infinity.
+    /// Distinct sites, then one for the vertex at infinity.
     sites: &'a mut [Site],
     infinite: u32,
     pub cells: Vec<Cell>,
@@ -59,7 +58,7 @@ pub(super) struct Construction<'a> {
     edge_facets: Box<[[Facet; TABLE_VERTICES]; TABLE_VERTICES]>,
 }
 
-/// Triangulates distinct sites; the last one stands for the vertex at infinity. `None` in place of cells below three dimensions.
+/// Triangulates distinct sites; the last one represents the vertex at infinity. No cells (`None`) below three dimensions.
 pub(super) fn triangulate(
     sites: &mut [Site],
     watcher: &dyn Watcher,
@@ -74,7 +73,7 @@ pub(super) fn triangulate(
     Ok((Dimension::Three, construction.cells, construction.free))
 }
 
-/// Four sites that span space, positively oriented; otherwise the dimension of all sites.
+/// Returns four sites that span space, positively oriented; otherwise the dimension of all sites.
 fn first_simplex(sites: &[Site]) -> Result<[u32; 4], Dimension> {
     if sites.len() < 2 {
         return Err(Dimension::Zero);
@@ -165,7 +164,7 @@ impl<'a> Construction<'a> {
         Ok(())
     }
 
-    /// Visibility walk to the cell that holds the site, or to an infinite cell whose facet has it strictly outside.
+    /// Visibility walk to the cell that contains the site, or to an infinite cell whose facet has it strictly outside.
     fn locate(&self, site: &Site) -> u32 {
         let mut cell = self.last;
         if self.cells[cell as usize].vertices[3] == self.infinite {
@@ -178,7 +177,7 @@ impl<'a> Construction<'a> {
                 return cell;
             }
             let corners = vertices.map(|v| &self.sites[v as usize]);
-            // A start that changes from cell to cell; Delaunay walks end with any (Edelsbrunner 1990).
+            // The first facet varies from cell to cell; in a Delaunay triangulation, the walk ends with any choice (Edelsbrunner 1990).
             let beyond = (0..4).map(|i| (i + cell as usize) & 3).find(|&i| {
                 let [u, v, w] = FACET_VERTICES[i].map(|k| corners[k]);
                 i != entered && orient(u, v, w, site) > 0
@@ -227,13 +226,13 @@ impl<'a> Construction<'a> {
             return in_sphere(corners, site);
         }
         match orient(corners[0], corners[1], corners[2], site) {
-            // In the facet's plane the circle decides, and the finite neighbour's sphere cuts the plane in that circle.
+            // In the facet's plane its circumcircle decides, in which the sphere of the finite neighbour intersects the plane.
             0 => self.in_conflict(neighbours[3].cell(), site),
             side => side > 0,
         }
     }
 
-    /// Makes room for the new cells, or refuses.
+    /// Reserves the new cells, or returns an error if there would be too many.
     fn reserve(&mut self) -> Result<(), DelaunayError> {
         let limit = MAX_CELLS.min(FREE_CELLS.max(MAX_CELLS_PER_VERTEX * self.sites.len()));
         if self.cells.len() + self.boundary.len() > limit {
@@ -250,7 +249,7 @@ impl<'a> Construction<'a> {
         Ok(())
     }
 
-    /// One cell per boundary facet, the new vertex first and, where it is there, the vertex at infinity last.
+    /// Makes one cell per boundary facet: the new vertex first, the vertex at infinity, if any, last.
     fn fill_cavity(&mut self, vertex: u32) {
         let spare = self.removed.split_off(self.boundary.len());
         self.free.extend(spare.iter().inspect(|&&cell| self.marks[cell as usize] = Mark::Unseen));
@@ -271,14 +270,14 @@ impl<'a> Construction<'a> {
         self.last = self.removed[self.removed.len() - 1];
     }
 
-    /// Joins the new cells: the edge from u to v of one boundary facet is the edge from v to u of the next.
+    /// Connects the new cells: the edge from u to v of one boundary facet is the edge from v to u of the next.
     fn match_edges_by_table(&mut self) {
         let mut count = 0;
         for facet in 0..self.boundary.len() {
             let labels = self.boundary[facet].vertices.map(|v| {
                 let site = &mut self.sites[v as usize];
                 let old = site.label as usize;
-                // Labels of earlier insertions are told from this one's by what they point to, so none is ever cleared.
+                // Labels of earlier insertions are recognised by the entry that they point to, so that none has to be cleared.
                 let fresh = old >= count || self.labelled[old & (TABLE_VERTICES - 1)] != v;
                 let label = if fresh { count } else { old } & (TABLE_VERTICES - 1);
                 site.label = label as u32;
@@ -302,7 +301,7 @@ impl<'a> Construction<'a> {
         }
     }
 
-    /// The same for cavities of any size.
+    /// As above, for cavities of any size.
     fn match_edges_by_sorting(&mut self) {
         let mut edges: Vec<(u32, u32, Facet)> = Vec::with_capacity(3 * self.boundary.len());
         for (facet, &cell) in self.boundary.iter().zip(&self.removed) {

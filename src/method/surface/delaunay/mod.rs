@@ -1,11 +1,11 @@
 //! 3D Delaunay triangulation (method 1.1), exact on a grid of 30 bits per axis, and rays through it (method 1.2).
 //!
-//! `grid` snaps the points, `order` sorts them, `predicates` decides signs exactly, `insertion` builds the cells, `ray` walks
-//! through them, `validate` checks all that a triangulation promises.
+//! `grid` snaps the points, `order` sorts them, `predicates` computes signs exactly, `insertion` builds the cells, `ray` walks through them, `validate`
+//! checks the result.
 //!
-//! The result depends on the set of points alone, not on their order: cospherical points are decided by symbolic perturbation.
-//! Expected time is n log n with a small constant for points on surfaces and in volumes; on pairs of skew curves the number of
-//! cells grows with the square, which is refused. Flat input is not an error: see [`Dimension`].
+//! The result depends only on the set of points, not on their order: ties of cospherical points are broken by symbolic perturbation. Expected time is
+//! n log n with a small constant for points on surfaces and in volumes. On pairs of skew curves the number of cells is quadratic, which is an error.
+//! Flat input is not an error: see [`Dimension`].
 
 mod grid;
 mod insertion;
@@ -49,19 +49,19 @@ impl Facet {
     }
 }
 
-/// A tetrahedron, positively oriented: det(b − a, c − a, d − a) > 0; [`INFINITE`] only ever comes last.
+/// A tetrahedron, positively oriented: det(b − a, c − a, d − a) > 0; [`INFINITE`] is always last.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(C, align(32))]
 pub struct Cell {
     pub vertices: [u32; 4],
-    /// `neighbours[i]` is the triangle opposite to corner i as the cell beyond it sees it.
+    /// `neighbours[i]` is the triangle opposite to corner i, as a facet of the cell behind it.
     pub neighbours: [Facet; 4],
 }
 
 /// Dimension of the affine hull of the distinct points. Only [`Dimension::Three`] has cells.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Dimension {
-    /// At most one distinct point.
+    /// No or one distinct point.
     Zero,
     One,
     Two,
@@ -88,7 +88,7 @@ pub enum DelaunayError {
 pub struct Delaunay {
     pub dimension: Dimension,
     pub cells: Vec<Cell>,
-    /// Vertex of each input point; points that fall together on the grid share one.
+    /// Vertex of each input point; points with the same grid point share one.
     pub vertex_of_point: Vec<u32>,
     sites: Vec<Site>,
     grid: Grid,
@@ -123,12 +123,12 @@ impl Delaunay {
         self.sites.len()
     }
 
-    /// World position of a vertex: that of its points to half a [`Delaunay::step`] per axis.
+    /// Returns the world position of a vertex: that of its points within half a [`Delaunay::step`] per axis.
     pub fn position(&self, vertex: u32) -> Point3<f64> {
         self.grid.position(&self.sites[vertex as usize])
     }
 
-    /// Step of the grid in scene units.
+    /// Returns the step of the grid, scene units.
     pub fn step(&self) -> f64 {
         self.grid.step
     }
@@ -138,20 +138,20 @@ impl Delaunay {
         self.cells[cell as usize].vertices[3] == INFINITE
     }
 
-    /// The same triangle as the cell beyond sees it.
+    /// Returns the same triangle as a facet of the cell behind it.
     #[inline]
     pub fn neighbour(&self, facet: Facet) -> Facet {
         self.cells[facet.cell() as usize].neighbours[facet.index()]
     }
 
-    /// Counter-clockwise seen from outside the facet's cell; for facets of infinite cells one may be [`INFINITE`].
+    /// Returns the corners, counter-clockwise seen from outside the facet's cell; one may be [`INFINITE`] in infinite cells.
     pub fn facet_vertices(&self, facet: Facet) -> [u32; 3] {
         FACET_VERTICES[facet.index()].map(|i| self.cells[facet.cell() as usize].vertices[i])
     }
 }
 
-/// The used cells, numbered by their first vertex along the space-filling curve: rays that walk from cell to cell, and the cut, then
-/// find cells near in space near in memory. Names the vertex at infinity.
+/// Renumbers the used cells by their first vertex along the space-filling curve, so that cells near in space are near in memory for rays and the cut.
+/// Replaces the site at infinity by [`INFINITE`].
 fn compact(cells: &[Cell], free: &[u32], infinite: u32) -> Vec<Cell> {
     const UNUSED: u32 = u32::MAX;
     let first = |cell: &Cell| cell.vertices.into_iter().min().expect("a cell has four vertices") as usize;

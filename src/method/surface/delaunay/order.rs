@@ -15,12 +15,12 @@ type Place = u128;
 
 const INDEX_BITS: u32 = 32;
 const KEY_BITS: u32 = 3 * LEVELS;
-/// Bits by which one pass of sorting distributes.
+/// Bits per digit of the radix sort.
 const DIGIT_BITS: u32 = 9;
-/// Places sorted by comparison, and places handled between two questions to the watcher: well under 10 ms.
+/// Number of entries sorted by comparison, and between two checks for cancellation: well under 10 ms.
 const CHUNK: usize = 1 << 15;
 
-/// The distinct grid points along the curve, and for each input point which of them it became.
+/// Distinct grid points along the curve, with the index of each input point among them.
 pub(super) fn sorted_sites(
     points: &[Point3<f64>],
     grid: &Grid,
@@ -51,7 +51,7 @@ pub(super) fn sorted_sites(
     Ok((sites, vertex_of_point))
 }
 
-/// Sorts places that agree in all but the lowest `bits` of their keys: distributes by digits until the parts are small.
+/// Radix sort of entries whose keys differ in the lowest `bits` only; small parts are sorted by comparison.
 fn sort(places: &mut [Place], buffer: &mut [Place], bits: u32, watcher: &dyn Watcher) -> Result<(), Cancelled> {
     watcher.check()?;
     if bits == 0 {
@@ -88,12 +88,12 @@ fn sort(places: &mut [Place], buffer: &mut [Place], bits: u32, watcher: &dyn Wat
     Ok(())
 }
 
-/// Round of a vertex, counted from the last: each round has about eight times as many vertices as the one before.
+/// Returns the round of a vertex, counted from the last; each round has about eight times the vertices of the one before.
 pub(super) fn round_from_last(vertex: u32) -> u32 {
     mix(vertex).trailing_zeros() / 3
 }
 
-/// Number of rounds that `vertices` vertices need.
+/// Returns the number of rounds for `vertices` vertices.
 pub(super) fn rounds(vertices: usize) -> u32 {
     (0..vertices as u32).map(round_from_last).max().map_or(0, |last| last + 1)
 }
@@ -107,7 +107,7 @@ fn mix(mut v: u32) -> u32 {
     v ^ (v >> 16)
 }
 
-/// Digits of the Hilbert curve through the cube of 2^30 steps, coarsest first; equal only for equal sites.
+/// Returns the digits of the Hilbert curve through the cube of 2^30 steps, coarsest first; equal only for equal sites.
 fn hilbert_key(site: &Site) -> Place {
     let [x, y, z] = site.coordinates().map(|v| (v + HALF_RANGE) as u32);
     let mut state = 0;
@@ -162,12 +162,12 @@ const fn gray_inverse(v: usize) -> usize {
     v ^ (v >> 1) ^ (v >> 2)
 }
 
-/// Corner through which the curve enters the sub-cube of a digit.
+/// Returns the corner through which the curve enters the sub-cube of a digit.
 const fn entry_of(digit: usize) -> usize {
     if digit == 0 { 0 } else { gray(2 * ((digit - 1) / 2)) }
 }
 
-/// Axis along which the curve crosses the sub-cube of a digit.
+/// Returns the axis along which the curve crosses the sub-cube of a digit.
 const fn turn_of(digit: usize) -> usize {
     match digit {
         0 => 0,

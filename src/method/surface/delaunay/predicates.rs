@@ -1,8 +1,8 @@
 //! Exact signs of determinants of grid coordinates.
 //!
-//! Differences of coordinates stay below 2^30 (exact in f64), 2 x 2 minors and squared lengths below 2^62 (exact in i64), 3 x 3
-//! minors below 2^93 (exact in i128). f64 decides where the determinant is larger than its error bound, integers where it is not;
-//! the sphere's determinant, below 2^157, is the only one that does not fit a built-in type.
+//! Differences of coordinates are below 2^30 (exact in f64), 2 x 2 minors and squared lengths below 2^62 (exact in i64), 3 x 3 minors below 2^93 (exact in
+//! i128). f64 decides if the determinant exceeds its error bound, integers otherwise; the determinant of the sphere, below 2^157, is the only one that
+//! does not fit a built-in type.
 
 use super::grid::Site;
 use std::cmp::Ordering;
@@ -43,7 +43,7 @@ fn sign(value: i128) -> i32 {
     value.signum() as i32
 }
 
-/// Sign of det(b − a, c − a, d − a): positive where d is on the side to which the normal of the counter-clockwise triangle abc points.
+/// Returns the sign of det(b − a, c − a, d − a): positive if d is on the side of the normal of the counter-clockwise triangle abc.
 #[inline(always)]
 pub(super) fn orient(a: &Site, b: &Site, c: &Site, d: &Site) -> i32 {
     let [ax, ay, az] = difference(a, d);
@@ -66,9 +66,9 @@ fn orient_exact(a: &Site, b: &Site, c: &Site, d: &Site) -> i32 {
     sign(wide_dot(&d, &cross(&b, &c)))
 }
 
-/// Does p lie inside the circumsphere of the positively oriented cell? On the sphere the answer is that of points whose squared
-/// norms are raised by infinitesimals, the larger the later the point comes in lexicographic order: the answers for all cells
-/// fit together, and they do not depend on the order of insertion (Devillers, Teillaud 2003).
+/// Returns whether p is inside the circumsphere of the positively oriented cell. Ties are broken by raising the squared norms of the points by
+/// infinitesimals that grow with lexicographic order: the answers for all cells are consistent and independent of the order of insertion (Devillers,
+/// Teillaud 2003).
 #[inline(always)]
 pub(super) fn in_sphere(cell: [&Site; 4], p: &Site) -> bool {
     let [a, b, c, d] = cell;
@@ -112,7 +112,7 @@ fn in_sphere_exact(cell: [&Site; 4], p: &Site) -> bool {
     }
 }
 
-/// Sign of Σ a b for 0 ≤ a < 2^62 and |b| < 2^93: with b = high · 2^64 + low both sums fit.
+/// Returns the sign of Σ a b for 0 ≤ a < 2^62 and |b| < 2^93: with b = high · 2^64 + low, both sums fit.
 fn sign_of_dot(a: &[i128; 4], b: &[i128; 4]) -> i32 {
     const LOW: i128 = u64::MAX as i128;
     let (mut high, mut low) = (0, 0);
@@ -127,8 +127,8 @@ fn sign_of_dot(a: &[i128; 4], b: &[i128; 4]) -> i32 {
     }
 }
 
-/// Cospherical case: the point with the largest rank decides. Raising p takes it out of the sphere; raising a vertex lifts the
-/// sphere over p when p's barycentric coordinate for that vertex is positive, and lowers it when it is negative.
+/// Cospherical case: the point with the largest rank decides. Raising p moves it out of the sphere; raising a vertex lifts the sphere over p if p's
+/// barycentric coordinate for that vertex is positive, and lowers it if negative.
 fn in_perturbed_sphere(cell: [&Site; 4], p: &Site) -> bool {
     let mut by_rank: [usize; 4] = [0, 1, 2, 3];
     by_rank.sort_unstable_by(|&i, &j| rank(cell[j], cell[i]));
@@ -144,7 +144,7 @@ fn in_perturbed_sphere(cell: [&Site; 4], p: &Site) -> bool {
             sign => return sign > 0,
         }
     }
-    // All four barycentric coordinates zero: cannot be, their sum is 1.
+    // Unreachable: the four barycentric coordinates add up to 1.
     false
 }
 
@@ -152,7 +152,7 @@ fn rank(a: &Site, b: &Site) -> Ordering {
     a.coordinates().cmp(&b.coordinates())
 }
 
-/// Do three sites lie on a line?
+/// Returns whether three sites are collinear.
 pub(super) fn collinear(a: &Site, b: &Site, c: &Site) -> bool {
     cross(&integer_difference(b, a), &integer_difference(c, a)) == [0; 3]
 }

@@ -1,36 +1,36 @@
 //! Rays from a vertex through the cells (method 1.2).
 //!
-//! The target is rounded to the same grid, carried on beyond its range, and each choice of the next facet is the exact sign of
-//! a 3 x 3 determinant. A ray through a vertex or along an edge or facet is decided as if its target were moved by
-//! (ε, ε², ε³): such a ray meets the inside of triangles only, so it always goes on, and never twice through a cell.
+//! The target is rounded to the same grid, extended beyond its range, and each choice of the next facet is the exact sign of a 3 x 3 determinant. A ray
+//! through a vertex or along an edge or facet is treated as if its target were moved by (ε, ε², ε³): a perturbed ray crosses only the interior of
+//! triangles, so the walk never stops early and never enters a cell twice.
 
 use super::grid::Site;
 use super::predicates::{cross, difference, wide_dot};
 use super::{Delaunay, FACET_VERTICES, Facet};
 use nalgebra::Point3;
 
-/// The ray leaves a cell.
+/// Crossing of the ray out of a cell.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Crossing {
-    /// The triangle as the cell that is left has it.
+    /// The triangle, as a facet of the cell that the ray leaves.
     pub facet: Facet,
-    /// Position on the ray: 0 at the vertex, 1 at the target; never decreasing.
+    /// Position on the ray: 0 at the vertex, 1 at the target; non-decreasing.
     pub t: f64,
 }
 
-/// Walks from a vertex to a target, one crossing per step; ends in the cell that holds the target or in an infinite cell.
+/// Walk from a vertex to a target, one crossing per step; ends in the cell that contains the target or in an infinite cell.
 #[derive(Clone, Debug)]
 pub struct Ray<'a> {
     delaunay: &'a Delaunay,
     vertex: u32,
     origin: Site,
-    /// The cell next to the vertex that the ray runs through.
+    /// The first cell: incident to the vertex.
     first: u32,
     cell: u32,
     direction: Direction,
     ended: bool,
     t: f64,
-    /// Where the ray leaves the current cell.
+    /// Exit of the ray from the current cell.
     exit: Exit,
 }
 
@@ -48,7 +48,7 @@ struct Direction {
 /// A corner of a triangle as seen from the ray's vertex, grid units.
 #[derive(Clone, Copy, Debug, Default)]
 struct Corner {
-    /// Whole numbers.
+    /// Integers.
     offset: [f64; 3],
     /// offset × direction.
     moment: [f64; 3],
@@ -60,18 +60,18 @@ struct Corner {
 /// A triangle that the ray crosses, counter-clockwise seen along the ray.
 #[derive(Clone, Copy, Debug, Default)]
 struct Exit {
-    /// Of the facet in the cell that is left.
+    /// Corners of the facet in the cell that the ray leaves.
     index: usize,
     corners: [Corner; 3],
-    /// On which side of the edge opposite to each corner the ray runs; all positive.
+    /// Side of the ray relative to the edge opposite to each corner; all positive.
     sides: [f64; 3],
 }
 
 impl Delaunay {
-    /// The ray from a vertex towards a world point; the target may lie anywhere.
+    /// Starts a ray from a vertex towards any world point.
     ///
     /// # Panics
-    /// Below three dimensions, and for a vertex that is not one.
+    /// Below three dimensions, and if the vertex does not exist.
     pub fn ray(&self, vertex: u32, target: &Point3<f64>) -> Ray<'_> {
         let cell = self.cell_of_vertex[vertex as usize];
         let direction = Direction { exact: [0; 3], rounded: [0.0; 3], error: 0.0, scale: 0.0 };
@@ -84,7 +84,7 @@ impl Delaunay {
 }
 
 impl Ray<'_> {
-    /// Starts again from the same vertex towards another target; quicker than a new ray when the directions are similar.
+    /// Restarts from the same vertex towards another target; faster than a new ray if the directions are similar.
     pub fn aim(&mut self, target: &Point3<f64>) {
         let (direction, stretch) = self.delaunay.grid.vector(&self.origin, target);
         self.direction = Direction::new(direction, stretch);
@@ -96,13 +96,13 @@ impl Ray<'_> {
         }
     }
 
-    /// The current cell: next to the vertex before the first step, with the target or infinite after the last.
+    /// Returns the current cell: incident to the vertex before the first step; it contains the target or is infinite after the last.
     pub fn cell(&self) -> u32 {
         self.cell
     }
 
-    /// Turns about the vertex to the cell that the ray starts in. The link of a vertex is a regular triangulation, so
-    /// that crossing any facet that has the ray beyond it leads there.
+    /// Turns about the vertex to the cell that the ray starts in. The link of a vertex is a regular triangulation, so that crossing any facet with the ray
+    /// behind it leads there.
     fn turn(&mut self) {
         loop {
             let vertices = self.delaunay.cells[self.first as usize].vertices;
@@ -133,7 +133,7 @@ impl Ray<'_> {
         Corner { offset, moment, along: x * dx + y * dy + z * dz, vertex }
     }
 
-    /// In the cell entered through a triangle with corners a, b, c: the fourth corner d takes the place of one of them.
+    /// In the cell entered through a triangle with corners a, b, c, the fourth corner d replaces one of them.
     #[inline]
     fn find_exit(&mut self, entered: Facet) {
         let cell = &self.delaunay.cells[entered.cell() as usize];
@@ -142,8 +142,8 @@ impl Ray<'_> {
         let [a, b, c] = &exit.corners;
         let da = self.direction.side(&d, a);
         let db = self.direction.side(&d, b);
-        // A side is 0 in spite of perturbation only where d and the corner are on one line with the ray's vertex. No triangle
-        // with both is crossed then, and with strict signs none is chosen.
+        // In spite of the perturbation, a side is 0 if d and the corner are collinear with the ray's vertex. The ray crosses no triangle with both then, and
+        // strict signs choose none.
         let left = if da > 0.0 && db < 0.0 {
             (exit.sides[0], exit.sides[1]) = (-db, da);
             2
@@ -190,12 +190,12 @@ impl Iterator for Ray<'_> {
 impl std::iter::FusedIterator for Ray<'_> {}
 
 impl Exit {
-    /// Where the ray crosses the triangle's plane; `None` where it runs within it.
+    /// Returns the position at which the ray crosses the triangle's plane; `None` if it is parallel.
     fn position(&self, direction: &Direction) -> Option<f64> {
         let [a, b, c] = &self.corners;
         let [bc, ca, ab] = self.sides;
         let sum = bc + ca + ab;
-        // Sides are whole numbers but for the perturbed ones, which are next to nothing.
+        // Sides are integers except for the perturbed ones, which are negligible.
         (sum > 0.5).then(|| (bc * a.along + ca * b.along + ab * c.along) / sum * direction.scale)
     }
 }
@@ -209,7 +209,7 @@ impl Direction {
         Direction { exact, rounded, error: 4096.0 * length, scale: 1.0 / (squared * stretch) }
     }
 
-    /// direction · (a × b) with the exact sign, perturbed where it is 0; 0 only where a, b and the ray's vertex are on one line.
+    /// Returns direction · (a × b) with the exact sign, perturbed if it is 0; 0 only if a, b and the ray's vertex are collinear.
     #[inline]
     fn side(&self, a: &Corner, b: &Corner) -> f64 {
         let [x, y, z] = a.offset;

@@ -298,7 +298,7 @@ fn check_ray(delaunay: &Delaunay, vertex: u32, target: &Point3<f64>, ray: &mut R
     crossings
 }
 
-/// How far a point lies beyond the planes of a finite cell.
+/// Returns the distance of a point beyond the planes of a finite cell.
 fn distance_outside(delaunay: &Delaunay, cell: u32, p: &Point3<f64>) -> f64 {
     (0..4)
         .map(|index| {

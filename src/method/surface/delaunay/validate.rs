@@ -1,10 +1,10 @@
-//! Checks of everything that a triangulation promises; slow, for tests and for doubts.
+//! Checks all properties of a triangulation; slow, for tests.
 
 use super::predicates::{in_sphere, orient};
 use super::{Delaunay, Dimension, Facet, INFINITE};
 use std::collections::HashSet;
 
-/// What is wrong with a triangulation.
+/// Defect of a triangulation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Flaw {
     #[error("cell {cell} has a corner twice, a vertex that is not there, or the infinite vertex not last")]
@@ -72,7 +72,7 @@ impl Delaunay {
         if !named || other.cell() == facet.cell() {
             return Err(Flaw::Neighbour(facet));
         }
-        // The same triangle seen from the other side: the corners in the opposite sense.
+        // Seen from the other side, the same triangle has the opposite orientation.
         let [a, b, c] = self.facet_vertices(facet);
         let seen = self.facet_vertices(other);
         if [[a, c, b], [c, b, a], [b, a, c]].contains(&seen) { Ok(()) } else { Err(Flaw::Neighbour(facet)) }
