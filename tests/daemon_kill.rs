@@ -6,7 +6,7 @@ use std::{
     collections::BTreeMap,
     fs,
     path::{Path, PathBuf},
-    process::{Child, Command, Stdio},
+    process::{Command, Stdio},
     thread,
     time::{Duration, Instant, UNIX_EPOCH},
 };
@@ -71,17 +71,18 @@ fn put_maps(project: &Path, keys: &[String]) {
     }
 }
 
-fn daemon(root: &Path, options: &[&str]) -> Child {
+fn daemon(root: &Path, options: &[&str]) -> Command {
     let nowhere = Path::new(env!("CARGO_TARGET_TMPDIR"));
     let mut command = Command::new(env!("CARGO_BIN_EXE_viewrank"));
     command.arg("watch").arg(root).args(["--settle", "30ms", "--jobs", "2", "--replan"]).args(options);
-    command.env("XDG_CONFIG_HOME", nowhere).stderr(Stdio::null()).spawn().expect("the program starts")
+    command.env("XDG_CONFIG_HOME", nowhere).stderr(Stdio::null());
+    command
 }
 
 /// Plans all projects, undisturbed.
 fn finish(root: &Path) {
-    let status = daemon(root, &["--once"]).wait().expect("the program ends");
-    assert!(status.success(), "{status}");
+    let ended = daemon(root, &["--once"]).stderr(Stdio::piped()).output().expect("the program ends");
+    assert!(ended.status.success(), "{}: {}", ended.status, String::from_utf8_lossy(&ended.stderr));
 }
 
 /// Reads all files of the project's output folder, except those that differ from run to run. The project's path in warnings is replaced.
@@ -90,11 +91,14 @@ fn outputs(project: &Path) -> Outputs {
     // A running daemon may remove files during the walk.
     let files = walkdir::WalkDir::new(&folder).into_iter().filter_map(Result::ok);
     let files = files.filter(|e| e.file_type().is_file() && !NOT_COMPARED.iter().any(|name| e.file_name() == *name));
+    // As it is, and as JSON escapes the separators of Windows.
+    let root = project.to_string_lossy();
+    let escaped = root.replace('\\', r"\\");
     let read = |e: walkdir::DirEntry| {
         let name = e.path().strip_prefix(&folder).expect("below the folder").to_path_buf();
         let bytes = fs::read(e.path()).ok()?;
-        let text =
-            String::from_utf8(bytes).map(|text| text.replace(&*project.to_string_lossy(), "PROJECT").into_bytes());
+        let without = |text: String| text.replace(&escaped, "PROJECT").replace(&*root, "PROJECT");
+        let text = String::from_utf8(bytes).map(|text| without(text).into_bytes());
         Some((name, text.unwrap_or_else(|error| error.into_bytes())))
     };
     files.filter_map(read).collect()
@@ -186,7 +190,7 @@ impl Scene {
 
     /// Starts a daemon, changes a project and kills the daemon.
     fn kill_one(&mut self, hits: &mut Hits) {
-        let mut running = daemon(self.root.path(), &[]);
+        let mut running = daemon(self.root.path(), &[]).spawn().expect("the program starts");
         let changed = self.change();
         if self.chance(2) {
             let end = Instant::now() + PATIENCE;

@@ -9,7 +9,7 @@ use super::{
     clusters::{ClusterScript, recipe},
 };
 use crate::{
-    base::shell::quoted_path,
+    base::shell::command_path,
     io::output::Contents,
     model::{
         camera::Camera,
@@ -52,7 +52,7 @@ fn own_scale(camera: &Camera) -> f64 {
 fn traps(patient: &ExaminedProject) -> Vec<Trap> {
     let views = patient.project.root.join("views");
     let is_map = |name: &str| name.starts_with("depth-L") && name.ends_with(".mvei");
-    let cure = format!("export into a folder of its own, or remove them: rm {}/*/depth-L*.mvei", quoted_path(&views));
+    let cure = format!("export into a folder of its own, or remove them: rm {}/*/depth-L*.mvei", command_path(&views));
     let maps = patient.finished_maps("mve-existing-depth-skipped", &views, 2, is_map, cure);
     patient.bad_names("mve-extension", extension).into_iter().chain(maps).collect()
 }

@@ -6,7 +6,7 @@ use super::{
     Trap, openmvs, selection,
 };
 use crate::{
-    base::shell::quoted_path,
+    base::shell::command_path,
     io::{output::Contents, project::ModelFormat},
     model::camera::Camera,
 };
@@ -64,7 +64,7 @@ fn traps(patient: &ExaminedProject) -> Vec<Trap> {
         path.is_file().then(|| Trap {
             name,
             what: format!("{} is there, {what}", path.display()),
-            cure: format!("{cure} {}", quoted_path(path)),
+            cure: format!("{cure} {}", command_path(path)),
             views: Vec::new(),
         })
     };

@@ -133,7 +133,7 @@ pub fn is_same(one: &Path, other: &Path) -> bool {
 /// The path without links and `..`, also of a file that doesn't exist yet.
 fn real(path: &Path) -> PathBuf {
     let absolute = std::path::absolute(path).unwrap_or_else(|_| path.to_path_buf());
-    let there = absolute.ancestors().find_map(|above| Some((above, above.canonicalize().ok()?)));
+    let there = absolute.ancestors().find_map(|above| Some((above, dunce::canonicalize(above).ok()?)));
     let Some((above, mut real)) = there else { return absolute };
     for part in absolute.strip_prefix(above).unwrap_or(Path::new("")).components() {
         match part {
@@ -165,7 +165,7 @@ mod tests {
     #[test]
     fn a_path_is_resolved_before_it_exists() {
         let folder = tempfile::tempdir().unwrap();
-        let home = folder.path().canonicalize().unwrap();
+        let home = dunce::canonicalize(folder.path()).unwrap();
         std::fs::create_dir(home.join("a")).unwrap();
         assert_eq!(real(&home.join("a/new/../b c/d")), home.join("a/b c/d"));
         assert_eq!(real(&home.join("a/../a")), home.join("a"));

@@ -6,7 +6,7 @@ use nalgebra::Vector3;
 
 use super::BackendError;
 use crate::{
-    base::shell::quoted_path,
+    base::shell::command_path,
     io::project::{ImageFaults, ImageFolder, Project},
     model::{
         cluster::RankedCluster,
@@ -85,7 +85,7 @@ impl Selection<'_> {
     /// The folder of the images for a command that may run in any folder; the command asks for it where it is unknown.
     pub fn images_in_commands(&self) -> String {
         let absolute =
-            |folder: &ImageFolder| quoted_path(&std::path::absolute(folder).unwrap_or_else(|_| folder.to_path_buf()));
+            |folder: &ImageFolder| command_path(&std::path::absolute(folder).unwrap_or_else(|_| folder.to_path_buf()));
         self.project.images.as_ref().map_or("\"${IMAGES:?folder of the images}\"".into(), absolute)
     }
 
@@ -99,17 +99,17 @@ impl Selection<'_> {
         let camera = self.scene.camera_of(view).model().name();
         let hint = match &self.project.dense_workspace {
             Some(dense) => {
-                format!("plan and export the undistorted images instead: viewrank plan {}", quoted_path(dense))
+                format!("plan and export the undistorted images instead: viewrank plan {}", command_path(dense))
             }
             None => {
                 let (root, model) = (self.project.as_argument(), &self.project.model);
-                let dense = quoted_path(&self.project.root.join("dense"));
+                let dense = command_path(&self.project.root.join("dense"));
                 let images = self.project.images.as_ref();
                 let images = images.map_or_else(|| self.project.root.join("images"), |images| images.to_path_buf());
                 let colmap = format!(
                     " (or `colmap image_undistorter --image_path {} --input_path {} --output_path {dense}`)",
-                    quoted_path(&images),
-                    quoted_path(&model.path)
+                    command_path(&images),
+                    command_path(&model.path)
                 );
                 let colmap = if model.format.is_colmap() { colmap } else { String::new() };
                 format!("make them with `viewrank undistort {root}`{colmap}, then `viewrank plan {dense}`")

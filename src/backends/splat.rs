@@ -13,7 +13,7 @@ use super::{
     workspace::add_workspace,
 };
 use crate::{
-    base::shell::quoted_path,
+    base::shell::command_path,
     io::output::{Contents, FileSet},
     model::scene::{PointIndex, ViewIndex},
 };
@@ -169,7 +169,7 @@ fn warnings(selection: &Selection, views: &[ViewIndex]) -> Vec<String> {
         warnings.push(format!(
             "the cameras are distorted: gsplat and brush take that, gaussian-splatting stops, and transforms.json is left out; \
              `viewrank undistort {}` makes undistorted images, as does `colmap image_undistorter`",
-            quoted_path(&selection.project.root)
+            command_path(&selection.project.root)
         ));
     }
     let mut by_stem: HashMap<&str, &str> = HashMap::new();

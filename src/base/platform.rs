@@ -56,15 +56,14 @@ pub fn file_system(found: &Metadata) -> u64 {
     }
 }
 
-/// Inode number, where the system has them.
-pub fn inode(found: &Metadata) -> Option<u64> {
+/// Returns the inode number of a folder or, on Windows, its index in its volume.
+pub fn inode(folder: &Path) -> io::Result<u64> {
     #[cfg(unix)]
-    return Some(std::os::unix::fs::MetadataExt::ino(found));
-    #[cfg(not(unix))]
-    {
-        let _ = found;
-        None
-    }
+    return std::fs::metadata(folder).map(|found| std::os::unix::fs::MetadataExt::ino(&found));
+    #[cfg(windows)]
+    return winapi_util::file::information(winapi_util::Handle::from_path_any(folder)?).map(|found| found.file_index());
+    #[cfg(not(any(unix, windows)))]
+    return Err(io::ErrorKind::Unsupported.into());
 }
 
 /// Time of the last change of content or name, ns since 1970, which no program can set, and inode number; `None` where the system has neither.
@@ -82,12 +81,16 @@ pub fn change_and_inode(found: &Metadata) -> Option<(u128, u64)> {
     }
 }
 
-/// Makes a symbolic link to a file.
+/// Makes a symbolic link to a file. Windows lets only administrators and developers do so.
 pub fn link_file(target: &Path, at: &Path) -> io::Result<()> {
     #[cfg(unix)]
     return std::os::unix::fs::symlink(target, at);
     #[cfg(windows)]
-    return std::os::windows::fs::symlink_file(target, at);
+    {
+        std::os::windows::fs::symlink_file(target, at)?;
+        // Wine reports success without making one.
+        std::fs::symlink_metadata(at).map(|_| ())
+    }
     #[cfg(not(any(unix, windows)))]
     {
         let _ = (target, at);
@@ -119,7 +122,7 @@ pub fn stop_flag() -> io::Result<Arc<AtomicBool>> {
 pub enum Request {
     Stop,
     /// SIGHUP, which only Unix has.
-    #[cfg_attr(not(unix), expect(dead_code, reason = "only signals of Unix make it"))]
+    #[cfg_attr(not(unix), allow(dead_code, reason = "only signals of Unix make it"))]
     Rescan,
 }
 

@@ -1,16 +1,40 @@
-//! Quotes words of shell commands.
+//! Quotes words of commands: for scripts, and for commands that the user is shown.
 
 use std::path::Path;
 
-/// Quotes a word for POSIX sh, if it needs quotes.
+/// Quotes a word for a script of POSIX sh, if it needs quotes.
 pub fn quoted(word: &str) -> String {
-    let plain = !word.is_empty() && word.chars().all(|c| c.is_alphanumeric() || "/._-+=:,%@".contains(c));
-    if plain { word.into() } else { format!("'{}'", word.replace('\'', r"'\''")) }
+    if is_plain(word) { word.into() } else { format!("'{}'", word.replace('\'', r"'\''")) }
 }
 
-/// Quotes a path for a command that a user is shown.
+/// Quotes a path for a script of POSIX sh.
 pub fn quoted_path(path: &Path) -> String {
     quoted(&path.display().to_string())
+}
+
+/// Quotes a word for a command that the user types: in sh, on Windows in cmd or PowerShell.
+pub fn command_word(word: &str) -> String {
+    if cfg!(windows) { for_windows(word) } else { quoted(word) }
+}
+
+/// Quotes a path for a command that the user types.
+pub fn command_path(path: &Path) -> String {
+    command_word(&shown_path(path))
+}
+
+/// Returns a path as the system writes it: on Windows, joined paths have both kinds of separators.
+pub fn shown_path(path: &Path) -> String {
+    let path = path.display().to_string();
+    if cfg!(windows) { path.replace('/', r"\") } else { path }
+}
+
+fn for_windows(word: &str) -> String {
+    // Names of files have no double quotes there.
+    if is_plain(&word.replace('\\', "/")) { word.into() } else { format!("\"{word}\"") }
+}
+
+fn is_plain(word: &str) -> bool {
+    !word.is_empty() && word.chars().all(|c| c.is_alphanumeric() || "/._-+=:,%@".contains(c))
 }
 
 #[cfg(test)]
@@ -21,5 +45,11 @@ mod tests {
     fn a_quoted_path_is_one_word() {
         assert_eq!(quoted_path(Path::new("/a b/it's")), r"'/a b/it'\''s'");
         assert_eq!(quoted_path(Path::new("/a-b/c_1.x")), "/a-b/c_1.x");
+    }
+
+    #[test]
+    fn windows_has_other_quotes() {
+        assert_eq!(for_windows(r"C:\it's a\b"), "\"C:\\it's a\\b\"");
+        assert_eq!(for_windows(r"C:\a-b\c_1.x"), r"C:\a-b\c_1.x");
     }
 }

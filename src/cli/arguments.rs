@@ -108,7 +108,7 @@ fn suggest(mut error: Error) -> Error {
         ErrorKind::InvalidSubcommand => {
             let typed = text(&error, ContextKind::InvalidSubcommand);
             if Path::new(&typed).exists() {
-                let tip = format!("to plan a project: viewrank plan {}", crate::base::shell::quoted(&typed));
+                let tip = format!("to plan a project: viewrank plan {}", crate::base::shell::command_word(&typed));
                 error.insert(ContextKind::Suggested, ContextValue::StyledStrs(vec![tip.into()]));
                 error.remove(ContextKind::SuggestedSubcommand);
             } else if let Some(meant) = meant_by(&typed.to_lowercase(), &SUBCOMMANDS) {

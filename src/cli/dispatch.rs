@@ -109,7 +109,7 @@ struct Report<'a> {
 
 pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     // Jobs are found by the project's path, whatever name it was given by.
-    let root = arguments.project.canonicalize().unwrap_or_else(|_| arguments.project.clone());
+    let root = dunce::canonicalize(&arguments.project).unwrap_or_else(|_| arguments.project.clone());
     let plan = WrittenPlan::read(&root)?;
     if let Some(wanted) = arguments.target.filter(|wanted| wanted.0 > plan.target.0) {
         return Err(DispatchError::Target { wanted, planned: plan.target }.into());

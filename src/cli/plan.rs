@@ -10,7 +10,7 @@ use crate::{
     base::{
         error::Hint,
         progress::{Stage, Watcher},
-        shell::quoted_path,
+        shell::command_path,
     },
     config::CommandLineSettings,
     io::{
@@ -158,7 +158,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     refuse_other_plan(&project)?;
     if !arguments.dry_run {
         output::refuse_unwritable(&project.output_folder())
-            .map_err(|error| elsewhere(error, project.is_elsewhere(), "plan", &quoted_path(&project.root)))?;
+            .map_err(|error| elsewhere(error, project.is_elsewhere(), "plan", &command_path(&project.root)))?;
         let dumps = [arguments.dump_tables.as_deref(), arguments.dump_surface.as_deref().and_then(Path::parent)];
         dumps.into_iter().flatten().try_for_each(output::refuse_unwritable)?;
     }
@@ -268,7 +268,7 @@ fn refuse_other_plan(project: &Project) -> Result<(), Failure> {
     let Some(other) = other else { return Ok(()) };
     let manifest = project.output_folder().join("manifest.json");
     let own = match project.model.path.is_dir() {
-        true => format!("viewrank plan {}", quoted_path(&project.model.path)),
+        true => format!("viewrank plan {}", command_path(&project.model.path)),
         false => "put the model into a folder of its own".into(),
     };
     Err(Failure::new(
@@ -281,7 +281,7 @@ fn refuse_other_plan(project: &Project) -> Result<(), Failure> {
         ),
         format!(
             "to have both: {own} (with a viewrank.toml of its own); to have the new one instead: remove {}",
-            quoted_path(&manifest)
+            command_path(&manifest)
         ),
     ))
 }

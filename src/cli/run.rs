@@ -20,7 +20,7 @@ use crate::{
     backends::{self, Backend, Selection, place},
     base::{
         platform,
-        shell::{quoted, quoted_path},
+        shell::{command_path, command_word},
     },
     config::CommandLineSettings,
     daemon::{follow, foreground::Foreground, state::Outcome},
@@ -142,8 +142,8 @@ impl Arguments {
             ("--program", self.program.as_ref().map(path)),
             ("--threads", self.threads.map(|threads| threads.to_string())),
         ];
-        let start = format!("viewrank run {}", quoted_path(&self.project));
-        let typed = options.into_iter().filter_map(|(name, value)| Some(format!(" {name} {}", quoted(&value?))));
+        let start = format!("viewrank run {}", command_path(&self.project));
+        let typed = options.into_iter().filter_map(|(name, value)| Some(format!(" {name} {}", command_word(&value?))));
         typed.fold(start, |command, option| command + &option)
     }
 

@@ -7,7 +7,7 @@ use std::{
 };
 
 use crate::{
-    base::{error::Hint, shell::quoted_path},
+    base::{error::Hint, shell::command_path},
     daemon::{
         Line, PathDisplay,
         phase::{Phase, ProjectStatus},
@@ -59,7 +59,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
 
 /// Finds the nearest folder, from here upwards, that a daemon watched.
 fn watched_root(from: &Path) -> Result<PathBuf, NoStatus> {
-    let absolute = from.canonicalize().unwrap_or_else(|_| from.into());
+    let absolute = dunce::canonicalize(from).unwrap_or_else(|_| from.into());
     let found = absolute.ancestors().find(|folder| status_file(folder).symlink_metadata().is_ok());
     let root = found.ok_or_else(|| NoStatus::NotWatched(from.into()))?;
     read_status(root).map(|_| root.into()).ok_or_else(|| NoStatus::Unreadable(status_file(root)))
@@ -76,7 +76,7 @@ enum NoStatus {
 impl Hint for NoStatus {
     fn hint(&self) -> Option<String> {
         Some(match self {
-            Self::NotWatched(folder) => format!("start one: viewrank watch {}", quoted_path(folder)),
+            Self::NotWatched(folder) => format!("start one: viewrank watch {}", command_path(folder)),
             Self::Unreadable(_) => "let it be read by you; a daemon of this version writes it anew".into(),
         })
     }

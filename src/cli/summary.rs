@@ -1,10 +1,10 @@
 //! Summary of a plan, in words that need no knowledge of the method, at 80 columns; as JSON for programs.
 
-use std::fmt::Write;
+use std::{fmt::Write, path::Path};
 
 use crate::{
     backends,
-    base::shell::{quoted, quoted_path},
+    base::shell::{command_path, command_word, shown_path},
     config::TriangleWeight,
     io::project::Project,
     model::{georeference::Georeference, scene::Units},
@@ -91,7 +91,7 @@ impl<'a> Summary<'a> {
             files: files.sets.iter().flat_map(|set| set.files.keys().cloned()).collect(),
             images: project.images.as_ref().map(|images| images.display().to_string()),
             notes: notes(project, plan, &files.place),
-            look: format!("viewrank report {} --open", quoted_path(&project.home)),
+            look: format!("viewrank report {} --open", command_path(&project.home)),
             next: next(project, plan, files, dry_run),
             timings: &plan.timings,
             memory: plan.stages.memory,
@@ -293,15 +293,18 @@ impl<'a> Summary<'a> {
     }
 
     fn where_to_look(&self) -> String {
-        let folder = format!("{}/viewrank", self.project);
+        let folder = Path::new(&self.project).join("viewrank");
         match self.written {
             true => format!(
-                "\nLook at {folder}/curve.svg and surface.ply.\nOn one page: {}\nNext: {}\n",
-                self.look, self.next
+                "\nLook at {} and surface.ply.\nOn one page: {}\nNext: {}\n",
+                shown_path(&folder.join("curve.svg")),
+                self.look,
+                self.next
             ),
             false => format!(
-                "\nNothing was written (--dry-run). Would be written: {} files, most into {folder}.\nNext: {}\n",
+                "\nNothing was written (--dry-run). Would be written: {} files, most into {}.\nNext: {}\n",
                 self.files.len(),
+                shown_path(&folder),
                 self.next
             ),
         }
@@ -344,17 +347,17 @@ fn next(project: &Project, plan: &Plan, files: &PlanFiles, dry_run: bool) -> Str
     match &files.command {
         _ if dry_run => {
             let typed = std::env::args().skip(1).filter(|argument| argument != "--dry-run");
-            typed.fold("viewrank".into(), |command, argument| command + " " + &quoted(&argument))
+            typed.fold("viewrank".into(), |command, argument| command + " " + &command_word(&argument))
         }
         Some(command) => command.clone(),
         None if project.images.is_none() => {
-            format!("put the images into {}, then viewrank plan {root}", quoted_path(&project.root.join("images")))
+            format!("put the images into {}, then viewrank plan {root}", command_path(&project.root.join("images")))
         }
         None if !takes_distorted && distorted() => {
-            let dense = quoted_path(&project.home.join("dense"));
+            let dense = command_path(&project.home.join("dense"));
             format!("viewrank undistort {root} && viewrank plan {dense} --backend {}", plan.stages.backend)
         }
-        None => format!("viewrank export {} --backend {}", quoted_path(&project.home), files.manifest.backend),
+        None => format!("viewrank export {} --backend {}", command_path(&project.home), files.manifest.backend),
     }
 }
 

@@ -8,7 +8,7 @@ use crate::{
         learn::{self, TrainingOptions, TrainingProject},
     },
     backends,
-    base::shell::quoted_path,
+    base::shell::command_path,
     config::CommandLineSettings,
     io::{
         depthmaps::{self, DepthMapFormat},
@@ -162,7 +162,7 @@ fn text(arguments: &Arguments, trained: &TrainedModel) -> String {
         m.pixels,
         m.pixel_auc,
         m.pixel_brier,
-        quoted_path(&arguments.projects[0]),
+        command_path(&arguments.projects[0]),
         arguments.out.display(),
     )
 }

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use crate::{
     apps::undistort::{self, Options, UndistortReport},
-    base::shell::quoted_path,
+    base::shell::command_path,
     config::CommandLineSettings,
     io::{output::Disk, project::Project},
 };
@@ -93,7 +93,7 @@ fn text(done: &UndistortReport) -> String {
         done.images,
         done.computed,
         kept.collect::<String>(),
-        quoted_path(&done.folder)
+        command_path(&done.folder)
     )
 }
 

@@ -95,7 +95,7 @@ impl Walk<'_> {
     }
 
     fn is_new(&mut self, folder: &Path) -> bool {
-        folder.canonicalize().is_ok_and(|folder| self.entered.insert(folder))
+        dunce::canonicalize(folder).is_ok_and(|folder| self.entered.insert(folder))
     }
 }
 
@@ -278,6 +278,7 @@ fn sub_folders(folder: &Path) -> Vec<PathBuf> {
 
 #[cfg(test)]
 mod tests {
+    #[cfg(unix)]
     use std::os::unix::{ffi::OsStringExt, fs::symlink};
 
     use super::*;
@@ -349,6 +350,7 @@ mod tests {
         assert_eq!(of_roots(&[]), [root.path()], "a scene and its inputs");
     }
 
+    #[cfg(unix)]
     #[test]
     fn a_project_whose_name_is_not_utf_8_is_found() {
         let root = tempfile::tempdir().expect("a temporary folder");
@@ -357,6 +359,7 @@ mod tests {
         assert_eq!(walk(root.path(), &[], false, &|| {}).projects, [project]);
     }
 
+    #[cfg(unix)]
     #[test]
     fn links_out_of_the_root_are_followed_only_when_asked() {
         let outside = tempfile::tempdir().expect("a temporary folder");
@@ -383,6 +386,7 @@ mod tests {
         );
     }
 
+    #[cfg(unix)]
     #[test]
     fn no_folder_is_entered_twice_through_links() {
         let root = tempfile::tempdir().expect("a temporary folder");

@@ -29,7 +29,7 @@ impl<'a> Foreground<'a> {
     pub fn new(root: &Path, typed: CommandLineSettings, stop: &'a AtomicBool) -> Self {
         let options =
             PlanOptions { on_target: None, replan: false, cache: CACHE, follow_links: true, roots: Vec::new(), typed };
-        let root = root.canonicalize().unwrap_or_else(|_| root.into());
+        let root = dunce::canonicalize(root).unwrap_or_else(|_| root.into());
         Self { root, planner: PlanJob::new(options), stop }
     }
 

@@ -355,7 +355,7 @@ impl PlanJob {
 
     /// `viewrank.toml` of the watched folder that a project is in, whether it exists or not; `None` if the project is the folder itself.
     fn root_file(&self, project: &Path) -> Option<PathBuf> {
-        let roots = self.options.roots.iter().filter_map(|root| root.canonicalize().ok());
+        let roots = self.options.roots.iter().filter_map(|root| dunce::canonicalize(root).ok());
         let root = roots
             .filter(|root| project.starts_with(root) && project != root)
             .max_by_key(|root| root.components().count());

@@ -104,7 +104,7 @@ pub fn watch_roots(
     let found = options
         .roots
         .iter()
-        .map(|root| root.canonicalize().map_err(|source| DaemonError::Root { path: root.clone(), source }));
+        .map(|root| dunce::canonicalize(root).map_err(|source| DaemonError::Root { path: root.clone(), source }));
     let mut roots = found.collect::<Result<Vec<_>, _>>()?;
     roots.sort();
     roots.dedup_by(|inner, outer| inner.starts_with(outer));

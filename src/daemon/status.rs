@@ -17,7 +17,10 @@ use super::{
     platform::host,
     state::TrackedProject,
 };
-use crate::io::output::{self, Disk, OutputError};
+use crate::io::{
+    output::{self, Disk, OutputError},
+    project::slashes,
+};
 
 /// Shortest time between two writes of the status.
 const PAUSE: Duration = Duration::from_secs(1);
@@ -243,8 +246,7 @@ impl RootStatus {
         let mut before = self.written.projects.iter().peekable();
         let lines = projects.values().filter_map(|tracked| {
             let relative = tracked.root.strip_prefix(&self.holder.root).ok()?;
-            let project =
-                if relative.as_os_str().is_empty() { ".".into() } else { relative.to_string_lossy().into_owned() };
+            let project = if relative.as_os_str().is_empty() { ".".into() } else { slashes(relative) };
             while before.peek().is_some_and(|b| Path::new(&b.project) < Path::new(&project)) {
                 before.next();
             }

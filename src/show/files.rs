@@ -5,7 +5,7 @@ use std::path::Path;
 use super::outdated;
 use crate::{
     backends::{self, Backend, BackendError, Export, ExportOptions, ExportRecord, Selection, place},
-    base::{error::Hint, shell::quoted_path},
+    base::{error::Hint, shell::command_path},
     io::{
         output::{self, Contents, FileSet},
         project::Project,
@@ -161,7 +161,7 @@ fn caches(plan: &Plan, project: &Project) -> impl Iterator<Item = FileSet> {
 
 /// Shell command that enters the folder of the export and starts its runner, or else its first command.
 fn command(export: &Export) -> Option<String> {
-    let folder = quoted_path(&export.files.root);
+    let folder = command_path(&export.files.root);
     let runner = export.record.runner.as_ref().map(|runner| format!("./{runner}"));
     Some(format!("cd {folder} && {}", runner.as_ref().or(export.record.commands.first())?))
 }

@@ -4,7 +4,7 @@ use serde::Deserialize;
 
 use crate::{
     backends::{by_name, place},
-    base::shell::quoted_path,
+    base::shell::command_path,
     io::{
         output::{FileSet, read_own, recorded},
         project::Project,
@@ -57,11 +57,11 @@ fn line(plan: &Plan, project: &Project, record: &str) -> Option<String> {
     let own = [project.output_folder().join(backend), project.output_folder().join(format!("{backend}-tiles"))];
     let workspace = project.dense_workspace.as_deref().filter(|_| backend == "colmap");
     let is_default = own.contains(&folder) || workspace.is_some_and(|workspace| place::is_same(workspace, &folder));
-    let out = if is_default { String::new() } else { format!(" --out {}", quoted_path(&folder)) };
+    let out = if is_default { String::new() } else { format!(" --out {}", command_path(&folder)) };
     Some(format!(
         "{} holds an export of an earlier plan for {backend}; to export this plan: viewrank export {} --backend {backend}{tiles}{out}",
         folder.display(),
-        quoted_path(&project.home)
+        command_path(&project.home)
     ))
 }
 

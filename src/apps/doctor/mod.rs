@@ -14,7 +14,7 @@ use serde::Serialize;
 
 use crate::{
     backends::{self, Backend, ExaminedProject},
-    base::shell::quoted_path,
+    base::shell::command_path,
     config::{Settings, UnknownBackend},
     io::project::{ImageFaults, Project},
     model::scene::{Scene, ViewIndex, ViewPoints},
@@ -202,9 +202,9 @@ fn distorted(inputs: &Inputs) -> Option<Finding> {
     let of_view = |v: &ViewIndex| !inputs.scene.camera_of(*v).is_pinhole();
     let camera = inputs.scene.camera_of(inputs.scene.view_indices().find(of_view)?).model().name();
     let refuse: Vec<&'static str> = inputs.backends.iter().filter(|b| !b.takes_distorted).map(|b| b.name).collect();
-    let (root, own) = (inputs.project.as_argument(), quoted_path(&inputs.project.root.join("dense")));
+    let (root, own) = (inputs.project.as_argument(), command_path(&inputs.project.root.join("dense")));
     let cure = match &inputs.project.dense_workspace {
-        Some(dense) if *dense != inputs.project.root => format!("viewrank plan {}", quoted_path(dense)),
+        Some(dense) if *dense != inputs.project.root => format!("viewrank plan {}", command_path(dense)),
         _ => format!("viewrank undistort {root}, then viewrank plan {own}"),
     };
     let what = format!("the cameras are {camera}, but these programs need images without lens distortion");

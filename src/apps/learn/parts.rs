@@ -28,7 +28,7 @@ pub(super) struct Parts {
 
 impl Parts {
     pub fn new(projects: &[Views]) -> Self {
-        let folders: Vec<Option<PathBuf>> = projects.iter().map(|p| p.images?.canonicalize().ok()).collect();
+        let folders: Vec<Option<PathBuf>> = projects.iter().map(|p| dunce::canonicalize(p.images?).ok()).collect();
         let mut scene: Vec<usize> = (0..projects.len()).collect();
         for i in 0..projects.len() {
             for j in 0..i {

@@ -306,7 +306,7 @@ fn whole_area(plan: &Plan) -> f64 {
 
 /// Name of the folder, with `.` resolved.
 fn title(root: &Path) -> String {
-    let whole = root.canonicalize().unwrap_or_else(|_| root.into());
+    let whole = dunce::canonicalize(root).unwrap_or_else(|_| root.into());
     whole.file_name().unwrap_or(whole.as_os_str()).to_string_lossy().into_owned()
 }
 

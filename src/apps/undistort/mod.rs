@@ -133,7 +133,8 @@ struct Undistortion<'a> {
 impl<'a> Undistortion<'a> {
     fn new(project: &'a Project, scene: &'a Scene, options: &Options, out: &'a Path) -> Result<Self, UndistortError> {
         let images = project.images.as_ref().ok_or_else(|| UndistortError::NoImages(project.root.clone()))?;
-        let same = |a: &Path, b: &Path| a.canonicalize().is_ok_and(|a| b.canonicalize().is_ok_and(|b| a == b));
+        let same =
+            |a: &Path, b: &Path| dunce::canonicalize(a).is_ok_and(|a| dunce::canonicalize(b).is_ok_and(|b| a == b));
         if same(images, &out.join("images")) {
             return Err(UndistortError::OwnImages(images.to_path_buf()));
         }

@@ -3,7 +3,7 @@
 use super::{cfg, finished};
 use crate::{
     backends::{ExaminedProject, Trap, selection},
-    base::shell::quoted_path,
+    base::shell::command_path,
     io::project::ModelFormat,
     model::scene::Scene,
 };
@@ -64,7 +64,7 @@ fn text_beside_binary(patient: &ExaminedProject) -> Option<Trap> {
         ),
         cure: format!(
             "keep one of the two: (cd {} && rm -f cameras.txt images.txt points3D.txt rigs.txt frames.txt)",
-            quoted_path(&model.path)
+            command_path(&model.path)
         ),
         views: Vec::new(),
     })

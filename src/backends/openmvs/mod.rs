@@ -13,7 +13,7 @@ use super::{
     PlanningNumbers, Selection, TaskRunner, Trap, record::capped_scale, selection,
 };
 use crate::{
-    base::shell::quoted_path,
+    base::shell::command_path,
     io::{
         formats::openmvs::Mvs,
         output::Contents,
@@ -119,7 +119,7 @@ fn traps(patient: &ExaminedProject) -> Vec<Trap> {
 });
     let folder = &patient.project.root;
     let cure =
-        format!("remove them, or let run.py work in a folder of its own: rm {}/depth*.dmap", quoted_path(folder));
+        format!("remove them, or let run.py work in a folder of its own: rm {}/depth*.dmap", command_path(folder));
     let is_map = |name: &str| name.starts_with("depth") && name.ends_with(".dmap");
     let maps = patient.finished_maps("openmvs-existing-dmap-kept", folder, 1, is_map, cure);
     trap.into_iter().chain(named).chain(maps).collect()

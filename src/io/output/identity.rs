@@ -2,8 +2,9 @@
 //! written, and are valid in that folder only.
 //!
 //! The identity is the creation time of the folder, which on Linux neither archives nor copies preserve. On other systems, and on file systems
-//! without creation times, it includes the inode number. It is the same for all users, hosts and containers that see the folder, and needs
-//! neither a secret nor a file elsewhere.
+//! without creation times, it includes the inode number. On Windows it is the index of the folder in its volume alone: programs may set the
+//! creation time, and Wine derives it from times that change. The identity is the same for all users, hosts and containers that see the folder,
+//! and needs neither a secret nor a file elsewhere.
 //!
 //! Limits. This doesn't protect against someone with write access below the root: they can read the identity, and remove files anyway. An inode
 //! number alone could be guessed on a small file system. In a project that was copied or restored from a backup the identity is unknown at first:
@@ -15,17 +16,13 @@ use std::{fs, io, path::Path, time::UNIX_EPOCH};
 
 use crate::base::platform;
 
-/// Identity of a folder: creation time, inode number, or both.
+/// Returns the identity of a folder: creation time, inode number, or both.
 pub(super) fn identity(folder: &Path) -> io::Result<String> {
-    let found = fs::metadata(folder)?;
-    let made = found.created().ok().and_then(|time| time.duration_since(UNIX_EPOCH).ok());
+    let created = fs::metadata(folder)?.created().ok().filter(|_| !cfg!(windows));
+    let made = created.and_then(|time| time.duration_since(UNIX_EPOCH).ok());
     let made = made.map(|time| format!("made {}.{:09}", time.as_secs(), time.subsec_nanos()));
     Ok(match made {
         Some(made) if cfg!(target_os = "linux") => made,
-        made => format!(
-            "{} {}",
-            made.unwrap_or_default(),
-            platform::inode(&found).map_or(String::new(), |n| format!("inode {n}"))
-        ),
+        made => format!("{} inode {}", made.unwrap_or_default(), platform::inode(folder)?),
     })
 }

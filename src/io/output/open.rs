@@ -24,7 +24,7 @@ use crate::base::{
 /// # Errors
 /// If a folder on the path is a link out of the root, or a file.
 pub fn own_path(root: &Path, name: &str) -> Result<PathBuf, OutputError> {
-    let real = root.canonicalize().map_err(|error| OutputError::new(root, error))?;
+    let real = dunce::canonicalize(root).map_err(|error| OutputError::new(root, error))?;
     check_links(&real, name)
 }
 
@@ -93,7 +93,7 @@ pub(super) fn check_links(root: &Path, path: &str) -> Result<PathBuf, OutputErro
     while let Some(part) = parts.next() {
         at.push(part);
         let (Some(_), Ok(found)) = (parts.peek(), fs::symlink_metadata(&at)) else { continue };
-        if found.is_symlink() && !at.canonicalize().is_ok_and(|target| target.starts_with(root)) {
+        if found.is_symlink() && !dunce::canonicalize(&at).is_ok_and(|target| target.starts_with(root)) {
             return Err(OutputError::Escapes { path: at, root: root.to_path_buf() });
         }
         if !at.is_dir() {

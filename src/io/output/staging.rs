@@ -122,7 +122,6 @@ impl Staging<'_> {
             Contents::Link(to) => {
                 let link = link_target(to, target, &self.root.path);
                 let made = disk.symbolic_link(&link, at);
-                // Windows lets administrators alone make symbolic links.
                 let made = if cfg!(windows) { made.or_else(|_| disk.hard_link(to, at)) } else { made };
                 made.or_else(|_| self.copy(to, at))
             }
@@ -279,7 +278,7 @@ fn is_bytes(target: &Path, found: &Metadata, bytes: &[u8]) -> io::Result<bool> {
 /// Target of a link: relative if both ends are below the root, so the project can be moved; otherwise absolute.
 fn link_target(to: &Path, from: &Path, root: &Path) -> PathBuf {
     let absolute = std::path::absolute(to).unwrap_or_else(|_| to.to_path_buf());
-    let real = match (absolute.parent().and_then(|folder| folder.canonicalize().ok()), absolute.file_name()) {
+    let real = match (absolute.parent().and_then(|folder| dunce::canonicalize(folder).ok()), absolute.file_name()) {
         (Some(folder), Some(name)) => folder.join(name),
         _ => absolute,
     };

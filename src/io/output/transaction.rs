@@ -97,7 +97,7 @@ impl<'a> Root<'a> {
     fn open(path: &Path, disk: &'a Disk<'a>) -> Result<Self, OutputError> {
         let failed = |error| OutputError::new(path, error);
         make_folders(&std::path::absolute(path).map_err(failed)?, disk)?;
-        let path = path.canonicalize().map_err(failed)?;
+        let path = dunce::canonicalize(path).map_err(failed)?;
         check_links(&path, LOCK)?;
         disk.make_folder(&path.join(FOLDER))?;
         let lock = disk.lock(&path.join(LOCK))?;

@@ -41,7 +41,8 @@ fn project_above(part: &Path, above: &Path) -> Option<PathBuf> {
         return None;
     }
     let Project { model, .. } = discover::open(above, None).ok()?;
-    let is_same = |a: &Path, b: &Path| a.canonicalize().is_ok_and(|a| b.canonicalize().is_ok_and(|b| a == b));
+    let is_same =
+        |a: &Path, b: &Path| dunce::canonicalize(a).is_ok_and(|a| dunce::canonicalize(b).is_ok_and(|b| a == b));
     let holds_model = is_same(&model.path, part) || model.path.parent().is_some_and(|folder| is_same(folder, part));
     (holds_model || part.ends_with("images")).then(|| above.to_path_buf())
 }

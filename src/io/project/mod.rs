@@ -26,7 +26,7 @@ pub use images::{ImageFaults, slashes};
 use crate::{
     base::{
         error::Hint,
-        shell::{quoted, quoted_path},
+        shell::{command_path, command_word},
     },
     io::formats::{Fault, colmap::ColmapModel},
     model::scene::{ModelWarning, Scene, ViewIndex, WarningKind},
@@ -166,10 +166,10 @@ impl Project {
 
     /// Command line argument for the project: its folder, and `--model` unless the sub-model is the default.
     pub fn as_argument(&self) -> String {
-        let root = quoted_path(&self.home);
+        let root = command_path(&self.home);
         match discover::is_first(&self.model, &self.other_models) {
             true => root,
-            false => format!("{root} --model {}", quoted(&self.model.name())),
+            false => format!("{root} --model {}", command_word(&self.model.name())),
         }
     }
 
@@ -278,7 +278,7 @@ impl Project {
         (!others.is_empty() && !self.model_is_named).then(|| {
             let used = self.model.name();
             let how = match self.model.path.is_dir() {
-                true => format!("`viewrank plan {}` plans another one", quoted_path(&self.other_models[0].path)),
+                true => format!("`viewrank plan {}` plans another one", command_path(&self.other_models[0].path)),
                 false => "choose another one with --model".into(),
             };
             format!(

@@ -7,7 +7,7 @@ use serde::Deserialize;
 use super::{FingerprintError, VERSION, ViewEntry, check::check, fingerprint};
 use crate::{
     backends::ExportRecord,
-    base::{error::Hint, shell::quoted_path},
+    base::{error::Hint, shell::command_path},
     config::{Budget, Settings, Share},
     io::{
         output::{self, OutputError},
@@ -265,7 +265,7 @@ impl Hint for WrittenPlanError {
             | Self::OtherInput(path)
             | Self::OtherPlan(path) => {
                 let root = path.parent().and_then(Path::parent).unwrap_or(Path::new("."));
-                Some(format!("make the plan first: viewrank plan {}", quoted_path(root)))
+                Some(format!("make the plan first: viewrank plan {}", command_path(root)))
             }
             Self::Own(error) => error.hint(),
             Self::Input(error) => error.hint(),
