@@ -1,0 +1,103 @@
+"""Image names that a shell would take for commands, patterns or options, in the exports of all backends: what is written runs nothing but the
+backend's programs, and hands them whole names; or the backend is refused with the name."""
+import json
+import os
+import shlex
+import shutil
+import subprocess
+
+import pycolmap
+import pytest
+
+PROGRAM = os.path.abspath(os.environ.get("VIEWRANK", "target/debug/viewrank"))
+NAMES = ["$(touch pwned).jpg", "`touch pwned`.jpg", "a;touch pwned;.jpg", "a&touch pwned&.jpg", "a|touch pwned.jpg", "it's;touch pwned;'.jpg",
+         "\"touch pwned\".jpg", "-rf.jpg", "--help.jpg", "a b.jpg", "*.jpg", "?.jpg", "~root.jpg", "#a.jpg", "%s.jpg", "a\\b.jpg", "$HOME.jpg", "!x.jpg",
+         "{a,b}.jpg", "<x>.jpg", "ä 名.jpg", "a=b.jpg", "[a].jpg", "(x).jpg", "a,b.jpg", "con.jpg", "{}.jpg", "a\tb.jpg"]
+# Beside the stand-ins, in whose place the programs of the backends are looked for.
+TOOLS = ("sh bash env cd mkdir rm mv cp ln cat sed grep awk cut sort head tail tr test expr basename dirname find touch date sleep flock printf "
+         "seq wc tee true false kill ps ls python3 readlink realpath mktemp xargs comm uniq stat nproc").split()
+STUB = """#!/bin/sh
+{ printf '%s' "${0##*/}"; for word; do printf '\\036%s' "$word"; done; printf '\\035'; } >>"$CALLS"
+"""
+PROGRAMS = ["colmap", "DensifyPointCloud", "ReconstructMesh", "InterfaceCOLMAP", "mm3d", "gipuma", "fusibile", "dmrecon", "scene2pset", "fssrecon",
+            "meshclean", "makescene", "pmvs2", "genOption", "docker", "RealityScan", "metashape", "SURE", "sure", "aliceVision_depthMapEstimation",
+            "aliceVision_depthMapFiltering", "aliceVision_meshing", "aliceVision_prepareDenseScene", "viewrank"]
+
+# Backends whose scripts call programs that have a stand-in.
+CALLED = {"sure", "colmap", "openmvs", "pmvs", "gipuma", "mve", "alicevision"}
+
+
+class Model:
+    """fixtures/valley with other names; those that a backend refuses are replaced by harmless ones."""
+
+    def __init__(self, fixtures, folder):
+        self.folder, self.fixtures, self.names = folder, fixtures, list(NAMES)
+
+    def plan(self, backend):
+        """Plans for the backend; returns the project and the refused names."""
+        refused = []
+        while True:
+            project = self.folder / str(len(refused)) / "$(touch pwned) 'a' project"
+            model = pycolmap.Reconstruction(self.fixtures / "valley/sparse/0")
+            (project / "images").mkdir(parents=True)
+            for image, name in zip(sorted(model.images.values(), key=lambda image: image.name), self.names, strict=True):
+                shutil.copy(self.fixtures / "valley/images" / image.name, project / "images" / name)
+                image.name = name
+            (project / "sparse/0").mkdir(parents=True)
+            model.write_binary(project / "sparse/0")
+            options = ["--backend", backend, "--budget", "100%", "--target", "100%", "--confidence", "none", "--quiet"]
+            done = subprocess.run([PROGRAM, "plan", project, *options], capture_output=True, text=True)
+            if done.returncode == 0:
+                return project, refused
+            named = [name for name in self.names if f'"{name}"' in done.stderr or json.dumps(name) in done.stderr or name in done.stderr]
+            assert done.returncode == 1 and named and named[0] not in refused, done.stderr
+            assert not (project / "viewrank/manifest.json").exists(), "nothing is written"
+            refused.append(max(named, key=len))
+            self.names[self.names.index(refused[-1])] = f"harmless_{len(refused)}.jpg"
+
+
+def backends():
+    listed = json.loads(subprocess.run([PROGRAM, "backends", "--format", "json"], capture_output=True, check=True).stdout)
+    return [backend["name"] for backend in listed]
+
+
+@pytest.fixture
+def machine(tmp_path):
+    """A folder with stand-ins for every program, which write down their words; and the tools that scripts may use."""
+    folder = tmp_path / "bin"
+    folder.mkdir()
+    for name in PROGRAMS:
+        (folder / name).write_text(STUB)
+        (folder / name).chmod(0o755)
+    for name in TOOLS:
+        if found := shutil.which(name):
+            (folder / name).symlink_to(found)
+    return folder
+
+
+def run(command, folder, machine, calls):
+    environment = {"PATH": str(machine), "CALLS": str(calls), "HOME": str(folder)}
+    subprocess.run(["sh", "-c", command], cwd=folder, env=environment, capture_output=True, timeout=60, stdin=subprocess.DEVNULL)
+
+
+@pytest.mark.parametrize("backend", backends())
+def test_names_stay_names(fixtures, machine, tmp_path, backend):
+    project, refused = Model(fixtures, tmp_path / "model").plan(backend)
+    assert len(refused) < len(NAMES), refused
+    (record,) = [path for path in project.rglob("export.json")]
+    root = project if backend == "colmap" and not (project / "viewrank/colmap").exists() else project / "viewrank" / backend
+    calls = tmp_path / "calls"
+    calls.touch()
+    scripts = [f"./{path.relative_to(root)}" for path in root.rglob("*.sh")]
+    for command in [*map(shlex.quote, scripts), *json.loads(record.read_text())["commands"]]:
+        run(command, root, machine, calls)
+    if "dispatch" in subprocess.run([PROGRAM, "dispatch", project, "--scheduler", "shell", "--program", machine / "colmap"], capture_output=True, text=True).stdout:
+        for script in (project / "viewrank/dispatch").rglob("task.sh"):
+            for rank in range(1, len(NAMES) + 1):
+                run(f"sh {shlex.quote(str(script))} {rank}", root, machine, calls)
+    assert not list(tmp_path.rglob("pwned*")), "a name was run"
+    assert calls.stat().st_size or backend not in CALLED
+    words = [word for call in calls.read_text().split("\x1d") for word in call.split("\x1e")[1:]]
+    for word in words:
+        if "touch" in word:
+            assert any(name.rsplit(".", 1)[0] in word for name in NAMES) or "$(touch pwned) 'a' project" in word, word
