@@ -660,6 +660,22 @@ def test_maps_of_undistorted_images_are_counted_where_the_model_is_distorted(roo
         assert daemon.said("p", "failed") == 0
 
 
+def test_a_hundred_thousand_files_take_little_memory_and_are_no_projects(root, config, fixtures):
+    """Half of them as images without a pose, half beside the project."""
+    shutil.copytree(fixtures / "valley/sparse", root / "p/sparse")
+    shutil.copytree(fixtures / "valley/images", root / "p/images")
+    for folder in ("p/images/later", "notes"):
+        (root / folder).mkdir()
+        for number in range(50_000):
+            (root / folder / f"{number:05}.jpg").touch()
+    with Daemon(root, config, "--once") as daemon:
+        _, status, used = os.wait4(daemon.process.pid, 0)
+        daemon.process.returncode = os.waitstatus_to_exitcode(status)
+    assert daemon.process.returncode == 0 and daemon.status("p")["state"] == "planned"
+    assert used.ru_maxrss < 200_000, "kB"
+    assert len(json.loads((root / "p/viewrank/manifest.json").read_text())["unregistered"]) == 50_000
+
+
 def test_the_units_are_right():
     if not shutil.which("systemd-analyze"):
         pytest.skip("no systemd")
