@@ -676,6 +676,29 @@ def test_a_hundred_thousand_files_take_little_memory_and_are_no_projects(root, c
     assert len(json.loads((root / "p/viewrank/manifest.json").read_text())["unregistered"]) == 50_000
 
 
+FAKETIME = next(Path("/usr/lib").glob("*/faketime/libfaketimeMT.so.1"), None)
+
+
+@pytest.mark.skipif(FAKETIME is None, reason="no libfaketime")
+def test_the_clock_may_jump(root, config, fixtures, tmp_path):
+    """A month back while a file is missing, most of a year ahead when it is there again."""
+    shutil.copytree(fixtures / "valley/sparse", root / "p/sparse")
+    clock, images = tmp_path / "clock", root / "p/sparse/0/images.bin"
+    clock.write_text("+0")
+    fake = {"LD_PRELOAD": str(FAKETIME), "FAKETIME_DONT_FAKE_MONOTONIC": "1", "FAKETIME_NO_CACHE": "1", "FAKETIME_TIMESTAMP_FILE": str(clock)}
+    with Daemon(root, config, "--rescan", "2s", settle="300ms", environment=fake) as daemon:
+        daemon.wait(lambda: daemon.status("p").get("state") == "planned", "a plan")
+        clock.write_text("-30d")
+        images.rename(tmp_path / "images.bin")
+        daemon.wait(lambda: daemon.status("p")["state"] == "waiting", "the missing file to be seen")
+        clock.write_text("+300d")
+        (tmp_path / "images.bin").rename(images)
+        (root / "p/viewrank.toml").write_text("partners.k = 3\n")
+        daemon.wait(lambda: daemon.status("p").get("clusters", 0) and daemon.said("p", "planned") > 1, "another plan")
+    manifest = json.loads((root / "p/viewrank/manifest.json").read_text())
+    assert manifest["settings"]["partners"]["k"] == 3
+
+
 def test_the_units_are_right():
     if not shutil.which("systemd-analyze"):
         pytest.skip("no systemd")
