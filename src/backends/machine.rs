@@ -7,7 +7,7 @@ use std::{
 };
 
 use super::{BACKENDS, Backend, colmap, openmvs, sgm};
-use crate::{config::Settings, config::UnknownBackend, io::project::Project};
+use crate::{base::platform, config::Settings, config::UnknownBackend, io::project::Project};
 
 /// Reason for a backend.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -60,10 +60,7 @@ pub fn by_default(project: &Project) -> (&'static Backend, Why) {
 /// A program by the variable that names it, else from the PATH.
 fn installed(variable: &str, program: &str) -> Option<PathBuf> {
     let named = env::var_os(variable).map(PathBuf::from).filter(|path| path.is_file());
-    named.or_else(|| {
-        let name = format!("{program}{}", env::consts::EXE_SUFFIX);
-        env::split_paths(&env::var_os("PATH")?).map(|folder| folder.join(&name)).find(|path| path.is_file())
-    })
+    named.or_else(|| platform::on_path(Path::new(program)))
 }
 
 /// Returns whether this COLMAP can match: its dense stereo needs CUDA, and `colmap help` says whether it has it.

@@ -4,7 +4,7 @@
 use std::{
     fs::{Metadata, OpenOptions},
     io,
-    path::Path,
+    path::{Path, PathBuf},
     process::{Child, Command},
     sync::{Arc, atomic::AtomicBool},
 };
@@ -54,6 +54,17 @@ pub fn file_system(found: &Metadata) -> u64 {
         let _ = found;
         0
     }
+}
+
+/// Finds a program on the PATH, and only there: a file of that name in the current folder may be a stranger's. On Windows, `.exe` may be left out.
+pub fn on_path(program: &Path) -> Option<PathBuf> {
+    let mut names = vec![program.to_path_buf()];
+    if cfg!(windows) && program.extension().is_none() {
+        names.push(program.with_extension("exe"));
+    }
+    let folders = std::env::var_os("PATH")?;
+    let found = std::env::split_paths(&folders).flat_map(|folder| names.iter().map(move |name| folder.join(name)));
+    found.into_iter().find(|path| path.is_file())
 }
 
 /// Returns the inode number of a folder or, on Windows, its index in its volume.

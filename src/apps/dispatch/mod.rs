@@ -19,7 +19,7 @@ use std::{
 
 use crate::{
     backends::{Backend, Export, Selection, TaskRunner, recipe},
-    base::{error::Hint, shell::quoted_path},
+    base::{error::Hint, platform, shell::quoted_path},
     config::{DispatchSettings, Share},
     io::output::{self, Contents, Disk, FileSet, OutputError},
     model::cluster::RankedCluster,
@@ -75,7 +75,9 @@ impl Tools {
             return Ok(Self { program: own.clone(), ..Self::unseen(runner) });
         }
         let wanted = wanted.unwrap_or_else(|| runner.program.into());
-        let program = on_path(&wanted).ok_or(DispatchError::Program { program: wanted, variable: runner.variable })?;
+        let typed = named.filter(|path| path.is_file()).map(absolute);
+        let program = typed.or_else(|| located(&wanted));
+        let program = program.ok_or(DispatchError::Program { program: wanted, variable: runner.variable })?;
         Ok(Self { program, ..Self::unseen(runner) })
     }
 
@@ -88,13 +90,13 @@ impl Tools {
     }
 }
 
-/// Finds a program by its path or on the PATH.
-fn on_path(program: &Path) -> Option<PathBuf> {
-    let file = |path: PathBuf| path.is_file().then(|| absolute(&path));
-    if program.components().count() > 1 || program.is_file() {
-        return file(program.into());
-    }
-    env::split_paths(&env::var_os("PATH")?).find_map(|folder| file(folder.join(program)))
+/// Finds a program by its path, or on the PATH by its name.
+fn located(program: &Path) -> Option<PathBuf> {
+    let found = match program.components().count() {
+        1 => platform::on_path(program)?,
+        _ => program.into(),
+    };
+    found.is_file().then(|| absolute(&found))
 }
 
 fn absolute(path: &Path) -> PathBuf {
@@ -289,6 +291,9 @@ impl Hint for DispatchError {
                 format!("name it with --program or {variable}; where only the nodes have it, see --setup")
             }
             Self::Path(_) => "rename the folder or the image".into(),
+            Self::Start { program, .. } if program == "sh" => {
+                "the scripts need sh; on Windows, put that of Git for Windows on the PATH, or use WSL".into()
+            }
             Self::Start { .. } => "run this where SLURM's commands are, or take --scheduler shell".into(),
             Self::Refused { .. } => "see the queue's message; --dry-run shows all commands".into(),
             Self::Answer { .. } => "look whether that command works by itself".into(),
