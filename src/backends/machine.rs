@@ -59,8 +59,7 @@ pub fn by_default(project: &Project) -> (&'static Backend, Why) {
 
 /// A program by the variable that names it, else from the PATH.
 fn installed(variable: &str, program: &str) -> Option<PathBuf> {
-    let named = env::var_os(variable).map(PathBuf::from).filter(|path| path.is_file());
-    named.or_else(|| platform::on_path(Path::new(program)))
+    platform::located(&env::var_os(variable).map_or_else(|| program.into(), PathBuf::from))
 }
 
 /// Returns whether this COLMAP can match: its dense stereo needs CUDA, and `colmap help` says whether it has it.

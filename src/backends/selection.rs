@@ -6,7 +6,7 @@ use nalgebra::Vector3;
 
 use super::BackendError;
 use crate::{
-    base::shell::command_path,
+    base::shell::{command_path, quoted_path},
     io::project::{ImageFaults, ImageFolder, Project},
     model::{
         cluster::RankedCluster,
@@ -85,7 +85,7 @@ impl Selection<'_> {
     /// The folder of the images for a command that may run in any folder; the command asks for it where it is unknown.
     pub fn images_in_commands(&self) -> String {
         let absolute =
-            |folder: &ImageFolder| command_path(&std::path::absolute(folder).unwrap_or_else(|_| folder.to_path_buf()));
+            |folder: &ImageFolder| quoted_path(&std::path::absolute(folder).unwrap_or_else(|_| folder.to_path_buf()));
         self.project.images.as_ref().map_or("\"${IMAGES:?folder of the images}\"".into(), absolute)
     }
 

@@ -56,23 +56,35 @@ pub fn file_system(found: &Metadata) -> u64 {
     }
 }
 
-/// Finds a program on the PATH, and only there: a file of that name in the current folder may be a stranger's. On Windows, `.exe` may be left out.
-pub fn on_path(program: &Path) -> Option<PathBuf> {
-    let mut names = vec![program.to_path_buf()];
-    if cfg!(windows) && program.extension().is_none() {
-        names.push(program.with_extension("exe"));
+/// Finds a program by its path, or on the PATH by its name.
+pub fn located(program: &Path) -> Option<PathBuf> {
+    match program.components().count() {
+        1 => on_path(program),
+        _ => Some(program.to_path_buf()).filter(|path| path.is_file()),
     }
-    let folders = std::env::var_os("PATH")?;
-    let found = std::env::split_paths(&folders).flat_map(|folder| names.iter().map(move |name| folder.join(name)));
-    found.into_iter().find(|path| path.is_file())
 }
 
-/// Returns the inode number of a folder or, on Windows, its index in its volume.
-pub fn inode(folder: &Path) -> io::Result<u64> {
+/// Finds a program on the PATH, and only there: a file of that name in the current folder may be a stranger's. On Windows, `.exe` may be left out.
+fn on_path(program: &Path) -> Option<PathBuf> {
+    let mut names = vec![program.to_path_buf()];
+    if cfg!(windows) && program.extension().is_none() {
+        names.insert(0, program.with_extension("exe"));
+    }
+    let path = std::env::var_os("PATH")?;
+    // An empty entry is the current folder, too.
+    let folders = std::env::split_paths(&path).filter(|folder| folder.is_absolute());
+    folders.flat_map(|folder| names.iter().map(move |name| folder.join(name))).find(|path| path.is_file())
+}
+
+/// Returns the inode number of a folder or, on Windows, the serial number of its volume and its index there.
+pub fn inode(folder: &Path) -> io::Result<String> {
     #[cfg(unix)]
-    return std::fs::metadata(folder).map(|found| std::os::unix::fs::MetadataExt::ino(&found));
+    return std::fs::metadata(folder).map(|found| std::os::unix::fs::MetadataExt::ino(&found).to_string());
     #[cfg(windows)]
-    return winapi_util::file::information(winapi_util::Handle::from_path_any(folder)?).map(|found| found.file_index());
+    {
+        let found = winapi_util::file::information(winapi_util::Handle::from_path_any(folder)?)?;
+        Ok(format!("{} {}", found.volume_serial_number(), found.file_index()))
+    }
     #[cfg(not(any(unix, windows)))]
     return Err(io::ErrorKind::Unsupported.into());
 }

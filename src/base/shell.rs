@@ -28,9 +28,17 @@ pub fn shown_path(path: &Path) -> String {
     if cfg!(windows) { path.replace('/', r"\") } else { path }
 }
 
+/// Quotes for both cmd and PowerShell; what PowerShell expands between double quotes gets the quotes of PowerShell.
 fn for_windows(word: &str) -> String {
-    // Names of files have no double quotes there.
-    if is_plain(&word.replace('\\', "/")) { word.into() } else { format!("\"{word}\"") }
+    if is_plain(&word.replace('\\', "/")) && !word.contains([',', '%', '@']) {
+        return word.into();
+    }
+    if word.contains(['$', '`']) {
+        return format!("'{}'", word.replace('\'', "''"));
+    }
+    // A backslash before the closing quote would escape it. Names of files have no double quotes.
+    let end = word.len() - word.trim_end_matches('\\').len();
+    format!("\"{word}{}\"", r"\".repeat(end))
 }
 
 fn is_plain(word: &str) -> bool {
@@ -51,5 +59,8 @@ mod tests {
     fn windows_has_other_quotes() {
         assert_eq!(for_windows(r"C:\it's a\b"), "\"C:\\it's a\\b\"");
         assert_eq!(for_windows(r"C:\a-b\c_1.x"), r"C:\a-b\c_1.x");
+        assert_eq!(for_windows(r"C:\my dir\"), r#""C:\my dir\\""#);
+        assert_eq!(for_windows(r"C:\$(it's)"), r"'C:\$(it''s)'");
+        assert_eq!(for_windows("a,b"), "\"a,b\"");
     }
 }

@@ -128,7 +128,7 @@ pub fn files(plan: &Plan, project: &Project) -> Result<PlanFiles, FilesError> {
     Ok(PlanFiles { manifest, sets, outdated_exports, place, not_exported, command })
 }
 
-/// The report of an earlier plan with a note that there is a newer one: a page that is open in a browser survives a reload.
+/// Returns the report of an earlier plan with a note that a newer plan exists, so that a page open in a browser survives a reload.
 fn stale_page(project: &Project, manifest: &Manifest) -> Option<FileSet> {
     let earlier = output::read_own(&project.home, manifest::FILE);
     let shows_another = earlier.map_or(true, |earlier| earlier != manifest.to_json().as_bytes());
@@ -136,7 +136,7 @@ fn stale_page(project: &Project, manifest: &Manifest) -> Option<FileSet> {
         return None;
     }
     let mut set = FileSet::new(&project.home, REPORT_SET);
-    // A page that cannot be read goes, as it shows another plan.
+    // A page that cannot be read is removed, because it shows another plan.
     let page = output::read_own(&project.home, REPORT_FILE).ok().and_then(|page| String::from_utf8(page).ok());
     if let Some(page) = page {
         set.add_text(REPORT_FILE, page.replacen("<html lang=\"en\">", "<html lang=\"en\" data-stale>", 1));
@@ -144,7 +144,7 @@ fn stale_page(project: &Project, manifest: &Manifest) -> Option<FileSet> {
     Some(set)
 }
 
-/// Image measurements cached for the next plan, where there are new ones.
+/// Returns the caches of image measurements for the next plan, if there are new measurements.
 fn caches(plan: &Plan, project: &Project) -> impl Iterator<Item = FileSet> {
     let stages = &plan.stages;
     let maps = stages.pictures.cache.clone().map(|bytes| ("cache", confidence::CACHE, Contents::Bytes(bytes)));
@@ -159,7 +159,7 @@ fn caches(plan: &Plan, project: &Project) -> impl Iterator<Item = FileSet> {
     })
 }
 
-/// Shell command that enters the folder of the export and starts its runner, or else its first command.
+/// Returns the shell command that enters the folder of the export and starts its runner, or else its first command.
 fn command(export: &Export) -> Option<String> {
     let folder = command_path(&export.files.root);
     let runner = export.record.runner.as_ref().map(|runner| format!("./{runner}"));
@@ -194,7 +194,7 @@ pub fn export(
     Ok((place::set_of_folder(&folder, [export.files], project), export.record))
 }
 
-/// The files of each backend, and a warning for each backend without files: the plan is useful without them.
+/// Returns the files of each backend, and a warning for each backend without files: the plan is useful without them.
 fn exports(selection: &Selection, backends: &[&'static Backend]) -> Result<(Vec<Export>, Vec<String>), BackendError> {
     let (mut exports, mut missing) = (Vec::new(), Vec::new());
     for backend in backends {
@@ -220,7 +220,7 @@ fn exports(selection: &Selection, backends: &[&'static Backend]) -> Result<(Vec<
     Ok((exports, missing))
 }
 
-/// The backends in the settings, or else those that the project is set up for.
+/// Returns the backends in the settings, or else those that the project is set up for.
 fn wanted(plan: &Plan, project: &Project) -> Result<Vec<&'static Backend>, BackendError> {
     if plan.stages.settings.backends.is_empty() {
         return Ok(backends::BACKENDS.iter().copied().filter(|backend| (backend.serves)(project)).collect());

@@ -30,8 +30,8 @@ struct View {
     name: String,
 }
 
-/// One line for each folder in the project with an export of another ranking that `sets` does not replace. Three or more are one line that names the
-/// first and counts the others.
+/// Returns one line for each folder in the project with an export of another ranking that `sets` does not replace. Three or more share one line
+/// that names the first and counts the others.
 pub(super) fn exports(plan: &Plan, project: &Project, sets: &[FileSet]) -> Vec<String> {
     let kept = |path: &String| sets.iter().all(|set| set.root != project.home || !set.files.contains_key(path));
     let records = recorded(&project.home, "export-").into_iter();

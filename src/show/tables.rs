@@ -85,7 +85,7 @@ pub(crate) fn add_table(files: &mut FileSet, name: &str, bytes: Vec<u8>) {
     files.add(format!("{name}.npy"), Contents::Bytes(bytes));
 }
 
-/// Pairs (row, column) of all entries of a CSR table, flattened.
+/// Returns the (row, column) pairs of all entries of a CSR table, flattened.
 pub(crate) fn rows<'a>(offsets: &'a [usize], columns: &'a [u32]) -> impl Iterator<Item = u32> + 'a {
     let of_row =
         |row: usize| columns[offsets[row]..offsets[row + 1]].iter().flat_map(move |&column| [row as u32, column]);
@@ -100,7 +100,7 @@ pub(crate) fn offsets(offsets: &[usize]) -> Vec<u8> {
     array(&[offsets.len()], offsets.iter().map(|&o| o as u64))
 }
 
-/// The bytes of a `.npy`, row-major, little-endian.
+/// Returns the bytes of a `.npy` file, row-major, little-endian.
 pub fn array<T: AutoSerialize>(shape: &[usize], values: impl IntoIterator<Item = T>) -> Vec<u8> {
     let shape: Vec<u64> = shape.iter().map(|&n| n as u64).collect();
     let mut bytes = Vec::new();

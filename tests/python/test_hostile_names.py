@@ -1,5 +1,5 @@
 """Image names that a shell would take for commands, patterns or options, in the exports of all backends: what is written runs nothing but the
-backend's programs, and hands them whole names; or the backend is refused with the name."""
+backend's programs; or the backend is refused with the name."""
 import json
 import os
 import shlex
@@ -83,7 +83,8 @@ def run(command, folder, machine, calls):
 @pytest.mark.parametrize("backend", backends())
 def test_names_stay_names(fixtures, machine, tmp_path, backend):
     project, refused = Model(fixtures, tmp_path / "model").plan(backend)
-    assert len(refused) < len(NAMES), refused
+    # MicMac's own patterns are of all these signs.
+    assert len(refused) <= (25 if backend == "micmac" else 5), refused
     (record,) = [path for path in project.rglob("export.json")]
     root = project if backend == "colmap" and not (project / "viewrank/colmap").exists() else project / "viewrank" / backend
     calls = tmp_path / "calls"
@@ -91,7 +92,8 @@ def test_names_stay_names(fixtures, machine, tmp_path, backend):
     scripts = [f"./{path.relative_to(root)}" for path in root.rglob("*.sh")]
     for command in [*map(shlex.quote, scripts), *json.loads(record.read_text())["commands"]]:
         run(command, root, machine, calls)
-    if "dispatch" in subprocess.run([PROGRAM, "dispatch", project, "--scheduler", "shell", "--program", machine / "colmap"], capture_output=True, text=True).stdout:
+    if backend in ("colmap", "openmvs", "sgm"):
+        subprocess.run([PROGRAM, "dispatch", project, "--scheduler", "shell", "--program", machine / "colmap"], capture_output=True, check=True)
         for script in (project / "viewrank/dispatch").rglob("task.sh"):
             for rank in range(1, len(NAMES) + 1):
                 run(f"sh {shlex.quote(str(script))} {rank}", root, machine, calls)

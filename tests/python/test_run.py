@@ -87,13 +87,13 @@ def test_a_python_without_the_packages_is_said(run, valley, tmp_path):
     assert "sgm computes no depth maps" in err and "PYTHON" in err
 
 
-def test_a_program_in_the_current_folder_is_a_stranger_s(run, viewrank, valley):
+def test_a_program_in_the_current_folder_is_not_trusted(run, viewrank, valley):
     """It may have come with the project."""
     for name in ("DensifyPointCloud", "colmap"):
         (valley / name).write_text("#!/bin/sh\ntouch \"$0.ran\"\n")
         (valley / name).chmod(0o755)
     program = os.path.abspath(viewrank("--version").args[0])
-    environment = {name: value for name, value in os.environ.items() if name not in ("DENSIFY", "COLMAP", "SGM")} | {"PATH": "/bin"}
+    environment = {name: value for name, value in os.environ.items() if name not in ("DENSIFY", "COLMAP", "SGM")} | {"PATH": "/bin:"}
     start = lambda *words: subprocess.run([program, *words], cwd=valley, env=environment, capture_output=True, text=True)
     assert "Backend: sgm (no DensifyPointCloud" in start("plan", ".").stdout
     for words in (["run", ".", "--backend", "openmvs"], ["dispatch", ".", "--scheduler", "shell", "--backend", "openmvs"]):

@@ -12,7 +12,7 @@ use std::{
 use super::{Dispatch, DispatchError, Task};
 use crate::base::platform;
 
-/// Between two looks at a process and at the request to stop.
+/// Time between two polls of a process and of the stop flag.
 const PAUSE: Duration = Duration::from_millis(50);
 /// Bytes of a failed script's output that are kept.
 const TAIL: u64 = 2000;
@@ -21,18 +21,18 @@ const TAIL: u64 = 2000;
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Ended {
     Done,
-    /// With the end of what it printed.
+    /// The script failed; holds the end of its output.
     Failed(String),
     Stopped,
 }
 
 impl Dispatch {
-    /// Computes the depth map of a task; returns at once where it is there. `threads`: what the backend may use.
+    /// Computes the depth map of a task; returns at once if it already exists. `threads`: number of threads that the backend may use.
     pub fn compute_here(&self, task: &Task, threads: usize, stop: &AtomicBool) -> Result<Ended, DispatchError> {
         self.run_here("task.sh", Some(task.rank), threads, stop)
     }
 
-    /// Joins the depth maps that are there.
+    /// Fuses the depth maps that exist so far.
     pub fn fuse_here(&self, threads: usize, stop: &AtomicBool) -> Result<Ended, DispatchError> {
         self.run_here("fuse.sh", None, threads, stop)
     }
@@ -49,7 +49,7 @@ impl Dispatch {
         let copy = |file: &File| file.try_clone().map(Stdio::from).map_err(failed);
         let mut command = Command::new("sh");
         command.arg(self.folder.join(script)).args(rank.map(|rank| rank.to_string()));
-        // The scripts take from it what a queue would grant.
+        // The scripts read from it the number of CPUs that a queue would grant.
         command.env("SLURM_CPUS_PER_TASK", threads.to_string()).env_remove("SLURM_ARRAY_JOB_ID");
         command.stdin(Stdio::null()).stdout(copy(&output)?).stderr(copy(&output)?);
         let mut child = platform::in_own_group(&mut command).spawn().map_err(failed)?;

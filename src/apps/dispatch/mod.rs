@@ -48,7 +48,7 @@ pub struct Dispatch {
     pub folder: PathBuf,
     /// In rank order; clusters that cannot have a depth map are left out.
     pub tasks: Vec<Task>,
-    /// Depth maps of ranks up to this stay, whoever made them: the plan was ranked around them.
+    /// Depth maps of ranks up to this one are kept, whoever made them: the plan was ranked around them.
     finished: usize,
     /// Folder in which the backend runs.
     workplace: PathBuf,
@@ -76,7 +76,7 @@ impl Tools {
         }
         let wanted = wanted.unwrap_or_else(|| runner.program.into());
         let typed = named.filter(|path| path.is_file()).map(absolute);
-        let program = typed.or_else(|| located(&wanted));
+        let program = typed.or_else(|| platform::located(&wanted).map(|found| absolute(&found)));
         let program = program.ok_or(DispatchError::Program { program: wanted, variable: runner.variable })?;
         Ok(Self { program, ..Self::unseen(runner) })
     }
@@ -88,15 +88,6 @@ impl Tools {
         let python = if python.components().count() > 1 { absolute(&python) } else { python };
         Self { program: runner.program.into(), python }
     }
-}
-
-/// Finds a program by its path, or on the PATH by its name.
-fn located(program: &Path) -> Option<PathBuf> {
-    let found = match program.components().count() {
-        1 => platform::on_path(program)?,
-        _ => program.into(),
-    };
-    found.is_file().then(|| absolute(&found))
 }
 
 fn absolute(path: &Path) -> PathBuf {
@@ -135,7 +126,7 @@ impl Dispatch {
         &self.runner
     }
 
-    /// Returns the lines of the list. The line of a rank is the same as long as its cluster is.
+    /// Returns the lines of the list. The line of a rank changes only if its cluster does.
     fn list(&self) -> String {
         let line = |t: &Task| {
             let key = t.key.replace(char::is_control, " ");
@@ -163,7 +154,7 @@ impl Dispatch {
         text.lines().filter_map(entry).collect()
     }
 
-    /// Returns list and scripts; older lists that queued tasks still read are kept.
+    /// Returns the list and the scripts; older lists that queued tasks still read are kept.
     pub fn files(&self, tools: &Tools, settings: &DispatchSettings, old_lists: &BTreeSet<String>) -> FileSet {
         let mut files = FileSet::new(&self.project, &format!("dispatch-{}", self.backend));
         let mut add = |name: &str, contents| files.add(format!("viewrank/dispatch/{}/{name}", self.backend), contents);
@@ -225,7 +216,7 @@ impl Dispatch {
         let lock = output::open_lock(&self.project, &name)?;
         match lock.try_lock() {
             Err(TryLockError::WouldBlock) => Err(DispatchError::Busy(self.folder.clone())),
-            // Where there are no locks, nothing can be held.
+            // On a file system without locks, the submission goes ahead unlocked.
             _ => Ok(lock),
         }
     }
@@ -256,7 +247,7 @@ fn hash<'a>(texts: impl IntoIterator<Item = &'a str>) -> String {
     hasher.finalize().to_hex()[..16].into()
 }
 
-/// An error of handing clusters to a queue.
+/// An error in handing clusters to a queue.
 #[derive(Debug, thiserror::Error)]
 pub enum DispatchError {
     #[error("{0} cannot compute single view clusters")]

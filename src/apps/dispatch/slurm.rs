@@ -186,7 +186,7 @@ impl SlurmQueue {
         steps
     }
 
-    /// Returns what [`submit`] would do now.
+    /// Returns the commands that [`submit`] would run now.
     pub fn rehearse(
         mut self,
         dispatch: &Dispatch,
@@ -224,7 +224,7 @@ impl SlurmQueue {
                 command.push(format!("--job-name={}{}-{}", self.prefix, dispatch.list_name(), array.offset));
                 command.push(format!("--array={}", array.specification(settings.at_once)));
                 command.push(format!("--output={folder}/logs/%A_%a.log"));
-                // A node that is lost gives its tasks back to the queue.
+                // The tasks of a failed node go back to the queue.
                 command.extend(["--open-mode=append".into(), "--requeue".into()]);
                 command.extend(settings.time.map(|time| format!("--time={}", (time.0 / 60.0).ceil().max(1.0))));
                 command.extend(settings.gpus.map(|gpus| format!("--gres=gpu:{gpus}")));
@@ -277,7 +277,7 @@ pub fn submit<E: From<DispatchError>>(
     let mut submission = Submission::default();
     for _ in 0..LOOKS {
         let queue = SlurmQueue::read(dispatch)?;
-        // After the queue: what ends in between is then done, not missing.
+        // Checked after the queue: a task that ends in between then counts as done, not as missing.
         let missing: Vec<&Task> = dispatch.tasks.iter().filter(|task| !dispatch.is_done(task)).collect();
         let steps = queue.steps(dispatch, &missing, reached);
         if let [cancel @ Step::Cancel(_)] = &steps[..] {

@@ -1,5 +1,5 @@
-//! Weak or suspicious links between views: a model in parts, far fewer shared points than the overlap suggests, shared points on one side
-//! of the overlap only.
+//! Weak or suspicious links between views: a model in several parts, far fewer shared points than the overlap suggests, shared points on only one
+//! side of the overlap.
 
 use rayon::prelude::*;
 
@@ -16,7 +16,7 @@ const LINK: usize = 15;
 const SAMPLE: usize = 400;
 /// Nearest neighbours examined per view.
 const NEAREST: usize = 6;
-/// Least number of points in an overlap to judge it.
+/// Minimum number of points needed to judge an overlap.
 const ENOUGH: usize = 80;
 /// Cosine of the largest angle between rays at which feature matchers are reliable (25 degrees).
 const SIMILAR: f64 = 0.906;
@@ -90,7 +90,7 @@ impl Overlap {
     }
 }
 
-/// The overlaps of a view with its nearest neighbours of similar direction and scale.
+/// Returns the overlaps of a view with its nearest neighbours of similar direction and scale.
 fn overlaps(inputs: &Inputs, view: ViewIndex) -> (ViewIndex, Vec<Overlap>) {
     let scene = inputs.scene;
     let centre = scene.view(view).cam_from_world.centre();
@@ -149,7 +149,7 @@ fn parts(inputs: &Inputs) -> Option<Finding> {
     };
     let mut components = components(inputs.scene.views.len(), linked);
     components.sort_by_key(|members| (std::cmp::Reverse(members.len()), members[0]));
-    // Single views are reported for too few partners.
+    // Single views are already reported as having too few partners.
     let parts: Vec<&Vec<u32>> = components.iter().filter(|members| members.len() > 1).collect();
     (parts.len() > 1).then(|| {
         let sizes: Vec<String> = parts.iter().take(5).map(|members| members.len().to_string()).collect();

@@ -88,7 +88,7 @@ impl Finding {
 /// Shares below this are a few.
 const FEW: f64 = 0.1;
 
-/// "1 view", "2 views".
+/// Returns the number with its noun, as in "1 view" or "2 views".
 fn counted(number: usize, what: &str) -> String {
     format!("{number} {what}{}", if number == 1 { "" } else { "s" })
 }
@@ -143,7 +143,7 @@ fn no_views() -> Finding {
 fn scene_findings(inputs: &Inputs) -> Vec<Finding> {
     let mut findings = sense::of_model(inputs);
     findings.extend(model::findings(inputs));
-    // Partners and links mean nothing in a model with errors.
+    // In a model with errors, partners and links are meaningless.
     if findings.iter().all(|finding| finding.severity < Severity::Error) {
         findings.extend(partners::findings(inputs));
         findings.extend(links::findings(inputs));
@@ -153,8 +153,8 @@ fn scene_findings(inputs: &Inputs) -> Vec<Finding> {
     findings
 }
 
-/// The backends to check: those named, else that of the project's plan, else the one that the project is set up for; `others`: and all others.
-/// The first is the one that partners are judged for.
+/// Returns the backends to check: those named, else that of the project's plan, else the one that the project is set up for; with `others`, all the
+/// others as well. Partners are judged for the first.
 ///
 /// # Errors
 /// An unknown name.
@@ -176,7 +176,7 @@ pub fn backends_to_check(
     Ok(checked)
 }
 
-/// Traps of the backends: warnings for the planned backend, notes for the others.
+/// Reports the traps of the backends: warnings for the planned backend, notes for the others.
 fn traps(inputs: &Inputs) -> Vec<Finding> {
     let patient = ExaminedProject { project: inputs.project, scene: inputs.scene, points: inputs.points };
     let mut findings: Vec<Finding> = distorted(inputs).into_iter().collect();

@@ -10,7 +10,7 @@ pub fn findings(inputs: &Inputs) -> Vec<Finding> {
     warnings(inputs).into_iter().chain(unregistered(inputs)).chain(no_images(inputs)).collect()
 }
 
-/// Warnings from reading the model, which plans give too.
+/// Returns the warnings from reading the model, which a plan gives too.
 fn warnings(inputs: &Inputs) -> Vec<Finding> {
     let finding = |warning: &ModelWarning| {
         let (severity, check, cure) = match warning.kind {
@@ -33,7 +33,7 @@ fn warnings(inputs: &Inputs) -> Vec<Finding> {
     inputs.scene.warnings.iter().map(finding).collect()
 }
 
-/// Reports sub-models that are not read; copies of the one that is read do no harm.
+/// Reports sub-models that are not read; copies of the one that is read are harmless.
 fn other_models(inputs: &Inputs, what: &str) -> Finding {
     let others = &inputs.project.other_models;
     let copies = inputs.project.copies(inputs.scene);

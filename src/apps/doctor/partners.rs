@@ -15,12 +15,12 @@ use crate::{
     },
 };
 
-/// Share of the sparse points seen only by views without partners: from this share on, the loss exceeds the usual border of a block.
+/// Share of the sparse points seen only by views without partners, at and above which the loss exceeds the usual border of a block.
 const LOST: f64 = 0.01;
-/// From this share of points or views on, there is next to nothing to plan.
+/// Share of points or views at and above which next to nothing is left to plan.
 const MOST: f64 = 0.5;
 
-/// Reason why a pair cannot be matched.
+/// Reason that a pair cannot be matched.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Refusal {
     NoBaseline,
@@ -40,7 +40,7 @@ impl Refusal {
     }
 }
 
-/// Partners of a view, and the reasons of the pairs that were refused.
+/// Partners of a view, and the reasons for which its other pairs were refused.
 struct PartnerCount {
     view: ViewIndex,
     partners: usize,
@@ -58,7 +58,7 @@ pub fn findings(inputs: &Inputs) -> Vec<Finding> {
     few.into_iter().flatten().chain(one_position(inputs, &counts)).collect()
 }
 
-/// Least number of partners with which a key view can fulfil anything.
+/// Returns the minimum number of partners with which a key view can fulfil anything.
 fn least(inputs: &Inputs) -> usize {
     let settings = &inputs.settings;
     settings.coverage.min_cameras.saturating_sub(1).clamp(1, settings.partners.k.max(1)) as usize
@@ -139,7 +139,7 @@ fn too_few(inputs: &Inputs, counts: &[PartnerCount]) -> Option<Finding> {
     })
 }
 
-/// Share of the sparse points that only these views see.
+/// Returns the share of the sparse points that only these views see.
 fn lost_share(inputs: &Inputs, few: &[&PartnerCount]) -> f64 {
     let mut is_lost = vec![false; inputs.scene.views.len()];
     few.iter().for_each(|count| is_lost[count.view.index()] = true);

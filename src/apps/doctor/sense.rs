@@ -22,7 +22,7 @@ const EASTINGS: RangeInclusive<f64> = 1e5..=9e5;
 const NORTHINGS: RangeInclusive<f64> = 0.0..=1e7;
 /// Horizontal field of view of any camera, degrees.
 const FIELD: RangeInclusive<f64> = 0.5..=160.0;
-/// Highest share of a view's points behind the camera that is no finding.
+/// Largest share of a view's points behind the camera that is not reported.
 const BEHIND: f64 = 0.2;
 /// Median reprojection error, pixels, above which intrinsics and images do not match.
 const ERROR_PX: f64 = 4.0;
@@ -35,7 +35,7 @@ pub fn of_images(inputs: &Inputs) -> Vec<Finding> {
     [sizes, missing, unreadable].iter().filter_map(|check| check(inputs)).collect()
 }
 
-/// Reports a model without points that two views see: the surface is built from these (method 1.1).
+/// Reports a model in which no point is seen by two views: the surface is built from such points (method 1.1).
 fn points(inputs: &Inputs) -> Option<Finding> {
     let mut tracks = (0..inputs.scene.points.len() as u32).map(|p| inputs.scene.track_views(PointIndex(p)));
     let is_shared = tracks.any(|views| views.first() != views.last());
@@ -46,7 +46,7 @@ fn points(inputs: &Inputs) -> Option<Finding> {
     })
 }
 
-/// Checks the ground sampling distance where the settings say metres or georeference the model.
+/// Checks the ground sampling distance if the settings give metres as the unit or georeference the model.
 fn units(inputs: &Inputs) -> Option<Finding> {
     let claim = match plan::georeference(inputs.project, inputs.scene, &inputs.settings.frame) {
         _ if inputs.settings.units == Some(Units::Metric) => "units = \"metric\"",
@@ -93,14 +93,14 @@ fn frame(inputs: &Inputs) -> Option<Finding> {
     Some(Finding::new(Severity::Warning, "impossible-frame", what, cure))
 }
 
-/// Compares the wanted ground sampling distance with the images'.
+/// Compares the wanted ground sampling distance with that of the images.
 fn wanted(inputs: &Inputs) -> Option<Finding> {
     let what = unlikely_gsd(inputs.scene, inputs.settings)?;
     let cure = "give --gsd and target.accuracy in units of the model (viewrank inspect shows the median)";
     Some(Finding::new(Severity::Warning, "impossible-target", what, cure))
 }
 
-/// Reports intrinsics that no camera has.
+/// Reports intrinsics that no real camera could have.
 fn cameras(inputs: &Inputs) -> Option<Finding> {
     let wrong = |view: &ViewIndex| {
         let camera = inputs.scene.camera_of(*view);
@@ -143,7 +143,7 @@ fn behind(inputs: &Inputs) -> Option<Finding> {
     })
 }
 
-/// Reports large reprojection errors: an error if in most views, else a warning.
+/// Reports large reprojection errors: as an error if most views have them, else as a warning.
 fn residuals(inputs: &Inputs) -> Option<Finding> {
     let scene = inputs.scene;
     let mut of_view: Vec<Vec<f64>> = vec![Vec::new(); scene.views.len()];

@@ -1,4 +1,4 @@
-//! A broken project for each reason, and a healthy project; `traps` has one for each trap of a backend.
+//! A broken project for each kind of finding, and a healthy one; `traps` has one for each trap of a backend.
 
 use std::fs;
 

@@ -15,7 +15,7 @@ use crate::{
     },
 };
 
-/// Key views and pairs that an order needs for a share of the weight that all clusters together really reach.
+/// Key views and pairs that an order needs to reach a share of the weight that fusion really keeps of all clusters together.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct RequiredWork {
     pub share: f64,
@@ -23,21 +23,21 @@ pub struct RequiredWork {
     pub pairs: f64,
 }
 
-/// An order, by name.
+/// An order of the clusters, with its name and results.
 #[derive(Clone, Debug, Serialize)]
 pub struct Order {
     pub name: &'static str,
-    /// At 10, 20, ... 90 %; means over the seeds of `random`.
+    /// Work needed for 10, 20, ... 90 %; for `random`, the mean over its seeds.
     pub needed: Vec<RequiredWork>,
-    /// Standard deviation of the key views over the seeds; empty for others than `random`.
+    /// Standard deviation, over the seeds, of the number of key views needed; empty except for `random`.
     pub spread: Vec<f64>,
-    /// Weight of the triangles that fusion really keeps after i clusters, from 0; a mean over the seeds of `random`.
+    /// Weight of the triangles that fusion really keeps after i clusters, i = 0, 1, ...; for `random`, the mean over its seeds.
     pub kept: Vec<f64>,
-    /// Pairs after i clusters; a mean over the seeds of `random`.
+    /// Number of pairs after i clusters; for `random`, the mean over its seeds.
     pub pairs: Vec<f64>,
 }
 
-/// Ours (greedy by the prediction) first, the optimum last.
+/// Compares the orders of the clusters: ours (greedy on the prediction) comes first, the optimum last.
 pub fn compare(
     run: &MeasuredClusters,
     model: &Model,
@@ -64,7 +64,7 @@ pub fn compare(
 }
 
 impl Order {
-    /// From the curve of the order, or those of several seeds.
+    /// Summarises the curve of an order, or the curves of several seeds.
     fn new(name: &'static str, curves: &[ReachCurve], total: f64) -> Self {
         let count = curves.len() as f64;
         let last = |values: &ReachCurve| values.kept.len() - 1;
@@ -91,7 +91,8 @@ impl Order {
     }
 }
 
-/// After i clusters: those that are evenly spread when i are taken. What more clusters lose to fewer is not counted against them.
+/// Returns the curve of evenly spread clusters: entry i has a choice of i clusters of its own. Where it keeps less than a smaller choice, the
+/// larger value is carried on.
 fn every_nth(run: &MeasuredClusters, objective: &Objective) -> ReachCurve {
     let mut curve = ReachCurve::start();
     for count in 1..=run.clusters.len() {

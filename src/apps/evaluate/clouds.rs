@@ -12,28 +12,28 @@ use crate::{
     io::ply,
 };
 
-/// A fused cloud against one that counts as complete and right.
+/// Comparison of a fused cloud with a reference that counts as complete and right.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct CloudComparison {
     pub points: usize,
     pub reference_points: usize,
-    /// Area that each covers, square scene units: occupied cubes with an edge of two wanted GSD, a face for each.
+    /// Area that the cloud covers, square scene units: one face for each occupied cube, whose edge is twice the wanted GSD.
     pub area: f64,
     pub reference_area: f64,
-    /// At distances of 2 and 3 wanted GSD.
+    /// Completeness and precision at 2 and 3 times the wanted GSD.
     pub within: Vec<Within>,
-    /// Median distance of the points within 3 GSD of the reference from its nearest point, scene units; null without such points.
+    /// Median distance to the nearest reference point, over the points within 3 GSD of the reference, scene units; null without such points.
     pub error: Option<f64>,
 }
 
-/// Shares of points with a point of the other cloud nearby.
+/// Shares of the points that have a point of the other cloud nearby.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Within {
-    /// Wanted GSD that a point may be away.
+    /// Largest distance to count as nearby, in multiples of the wanted GSD.
     pub gsd: f64,
-    /// Share of the reference's points that have a point.
+    /// Share of the reference's points with a point of the cloud nearby.
     pub completeness: f64,
-    /// Share of the points that have one of the reference.
+    /// Share of the cloud's points with a reference point nearby.
     pub precision: f64,
 }
 
@@ -77,7 +77,7 @@ fn points(path: &Path) -> Result<Vec<Point3<f64>>, EvaluateError> {
     Ok(cloud.vertices)
 }
 
-/// Points by cube.
+/// Points grouped by the cube that holds them.
 struct Cubes<'a> {
     points: &'a [Point3<f64>],
     edge: f64,
@@ -91,7 +91,7 @@ impl<'a> Cubes<'a> {
         Self { points, edge, cubes }
     }
 
-    /// Distance to the nearest point, infinite if it is farther than an edge.
+    /// Returns the distance to the nearest point, or infinity if it is farther than the edge of a cube.
     fn nearest(&self, point: &Point3<f64>) -> f64 {
         let middle = cube(point, self.edge);
         let around = (0..27).map(|i| [i % 3 - 1, i / 3 % 3 - 1, i / 9 - 1]);

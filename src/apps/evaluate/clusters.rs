@@ -1,4 +1,4 @@
-//! `clusters.txt` of other choices, both ways (method 6): a line per cluster, key view, then its partners, separated by tabs.
+//! Reads and writes `clusters.txt`, the clusters of other choices (method 6): one line per cluster, the key view and its partners, separated by tabs.
 
 use std::{
     collections::BTreeSet,
@@ -35,7 +35,7 @@ impl Hint for ClustersError {
     }
 }
 
-/// In the order of the lines.
+/// Reads the clusters of a `clusters.txt`, in the order of its lines.
 pub fn read(path: &Path, scene: &Scene) -> Result<Vec<ViewCluster>, ClustersError> {
     let text =
         input::read_text(path, FileKind::List).map_err(|source| ClustersError::Io { path: path.into(), source })?;
@@ -56,7 +56,7 @@ pub fn read(path: &Path, scene: &Scene) -> Result<Vec<ViewCluster>, ClustersErro
     Ok(clusters)
 }
 
-/// The folders below `folder` that hold a `clusters.txt`, by path.
+/// Returns the folders that contain a `clusters.txt`, `folder` and those below it, sorted by path; an error if there are none.
 pub fn folders(folder: &Path) -> Result<Vec<PathBuf>, ClustersError> {
     let mut found = Vec::new();
     for entry in WalkDir::new(folder).sort_by_file_name() {
@@ -71,7 +71,7 @@ pub fn folders(folder: &Path) -> Result<Vec<PathBuf>, ClustersError> {
     Ok(found)
 }
 
-/// The lines of the clusters.
+/// Returns the text of a `clusters.txt`.
 pub fn write<'a>(clusters: impl IntoIterator<Item = &'a ViewCluster>, scene: &Scene) -> String {
     let line = |cluster: &ViewCluster| {
         let views = std::iter::once(&cluster.key).chain(&cluster.partners);

@@ -1,4 +1,4 @@
-//! The same key views with the partners of other rules: what is to be matched, and what came of it (method 8).
+//! The same key views with the partners of other rules: the clusters to match, and the results once matched (method 8).
 
 use serde::Serialize;
 
@@ -13,14 +13,14 @@ use crate::{
     plan::Plan,
 };
 
-/// View clusters to be matched, by the rule that chose them, in the order in which they are to be computed.
+/// View clusters that one rule chose, in the order in which they are to be computed.
 pub struct RuleClusters {
     pub rule: String,
     pub clusters: Vec<ViewCluster>,
 }
 
-/// Every rule's clusters of k partners for the key views of the plan: `ours` and `ours-nocp` in their own order, others in that of
-/// `maxpts`.
+/// Returns each rule's clusters of k partners for the key views of the plan: `ours` and `ours-nocp` in their own order, the others in the order
+/// of `maxpts`.
 pub fn choices(plan: &Plan, k: u32, watcher: &dyn Watcher) -> Result<Vec<RuleClusters>, TableError> {
     let model = plan.stages.model();
     let mut certain = model;
@@ -46,37 +46,37 @@ pub fn choices(plan: &Plan, k: u32, watcher: &dyn Watcher) -> Result<Vec<RuleClu
 }
 
 impl RuleClusters {
-    /// Contents of its `clusters.txt`.
+    /// Returns the contents of the choice's `clusters.txt`.
     pub fn text(&self, plan: &Plan) -> String {
         clusters::write(&self.clusters, &plan.stages.scene)
     }
 }
 
-/// A choice that was matched, among others.
+/// Results of one matched choice, compared with the others.
 #[derive(Clone, Debug, Serialize)]
 pub struct Comparison {
     pub name: String,
     pub clusters: usize,
     pub pairs: usize,
-    /// Over the reference pixels of all key views that any of the choices has.
+    /// Quality over the reference pixels of all key views that any of the choices has.
     pub quality: QualityRow,
     /// f_o of all clusters.
     pub predicted: f64,
     pub real: f64,
-    /// Measured curve of the choice in its own order, and the number of pairs.
+    /// Measured curve of the choice in its own order.
     pub curve: ReachCurve,
-    /// The same in the greedy order on real results.
+    /// Measured curve in the greedy order on the measured fulfilment.
     pub optimum: ReachCurve,
 }
 
-/// Measured runs of several choices side by side, by name.
+/// Compares the measured runs of several choices, each with its name.
 pub fn compare(
     plan: &Plan,
     runs: &[(String, MeasuredClusters)],
     watcher: &dyn Watcher,
 ) -> Result<Vec<Comparison>, TableError> {
     let objective = &plan.stages.objective;
-    // A view without partners has no map: what its reference shows counts as missing.
+    // A view without partners has no map: all pixels of its reference count as missing.
     let mut reference = vec![0; plan.stages.scene.views.len()];
     for (_, run) in runs {
         for (cluster, quality) in run.clusters.iter().zip(&run.quality) {

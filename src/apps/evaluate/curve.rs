@@ -13,19 +13,19 @@ use crate::{
 pub struct ReachCurve {
     /// f_o (method 5.1).
     pub fulfilment: Vec<f64>,
-    /// Weight that fusion keeps (method 5.2), 0 to 1: what shares are of.
+    /// Weight that fusion keeps (method 5.2), 0 to 1; shares refer to it.
     pub kept: Vec<f64>,
-    /// (Key view, partner) pairs.
+    /// Number of (key view, partner) pairs.
     pub pairs: Vec<usize>,
 }
 
 impl ReachCurve {
-    /// Along `order` (indices into `clusters` and into the table's rows).
+    /// Computes the curve along `order` (indices into `clusters` and into the table's rows).
     pub fn new(table: &FulfilmentTable, objective: &Objective, clusters: &[ViewCluster], order: &[u32]) -> Self {
         Self::of_rows(objective, order.iter().map(|&c| (table.row(c as usize), clusters[c as usize].partners.len())))
     }
 
-    /// Along maps with these rows of fulfilment and numbers of partners.
+    /// Computes the curve along depth maps, each given by its row of fulfilment and its number of partners.
     pub fn of_rows<'r>(objective: &Objective, maps: impl Iterator<Item = ((&'r [u32], &'r [f32]), usize)>) -> Self {
         let (mut reached, mut pairs) = (Reached::new(objective), 0);
         let mut curve = Self::start();
@@ -39,28 +39,28 @@ impl ReachCurve {
         curve
     }
 
-    /// Returns the curve of no cluster.
+    /// Returns the curve before the first cluster.
     pub(super) fn start() -> Self {
         Self { fulfilment: vec![0.0], kept: vec![0.0], pairs: vec![0] }
     }
 
-    /// f_o of the whole order.
+    /// Returns f_o of the whole order.
     pub fn total(&self) -> f64 {
         self.fulfilment.last().copied().unwrap_or(0.0)
     }
 
-    /// Weight that fusion keeps of the whole order, 0 to 1.
+    /// Returns the weight that fusion keeps of the whole order, 0 to 1.
     pub fn total_kept(&self) -> f64 {
         self.kept.last().copied().unwrap_or(0.0)
     }
 
-    /// The fewest first clusters of which fusion keeps that much; `None` where it keeps less of all together.
+    /// Returns the smallest number of first clusters of which fusion keeps at least this weight; `None` if it keeps less of all of them.
     pub fn clusters_for(&self, kept: f64) -> Option<usize> {
         let clusters = self.kept.partition_point(|&k| k < kept - ROUNDING);
         (clusters < self.kept.len()).then_some(clusters)
     }
 
-    /// Pairs of those clusters.
+    /// Returns the number of pairs of those clusters; `None` as in [`Self::clusters_for`].
     pub fn pairs_for(&self, kept: f64) -> Option<usize> {
         self.clusters_for(kept).map(|clusters| self.pairs[clusters])
     }
@@ -72,7 +72,7 @@ impl ReachCurve {
     }
 }
 
-/// Sums of the same terms in another order differ by less.
+/// Tolerance: sums of the same terms in a different order differ by less.
 const ROUNDING: f64 = 1e-9;
 
 /// The shares at which curves are read: 10, 20, ... 90 %.

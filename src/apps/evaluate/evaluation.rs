@@ -1,4 +1,4 @@
-//! The results of an evaluation, as they are written to `evaluation.json` and shown on the page.
+//! The results of an evaluation, as written to `evaluation.json` and shown on the page.
 
 use std::collections::BTreeMap;
 
@@ -24,36 +24,36 @@ use crate::{
 pub struct Evaluation {
     /// Version of this format.
     pub version: u32,
-    /// Were the depths held against a reference? If not, every depth on the surface counts as right.
+    /// True if the depths were compared with a reference; otherwise every depth on the surface counts as right.
     pub reference: bool,
-    /// Maps that must show a triangle (m, method 5.2).
+    /// Number of depth maps that must show a triangle (m, method 5.2).
     pub support: u32,
     /// Share of the weight of the whole surface that is inside the region of the plan, 0 to 1; fulfilment and shares are those inside.
     pub inside: f64,
-    /// Triangles that count.
+    /// Number of triangles with weight.
     pub triangles: usize,
-    /// All depth maps together, per pixel.
+    /// Quality of all depth maps together, per pixel.
     pub quality: QualityRow,
     /// f_o of all clusters together.
     pub predicted: f64,
     pub real: f64,
-    /// Share of what all clusters of the plan are expected to give that these maps reach, as in `status` and `report`.
+    /// Share that these maps reach of the result expected from all clusters of the plan, as in `status` and `report`.
     pub reached: MeasuredProgress,
-    /// Weight that fusion keeps of all clusters with a map, 0 to 1: what the shares below are of.
+    /// Weight that fusion keeps of all clusters with a map, 0 to 1; the shares below refer to it.
     pub kept: KeptWeight,
-    /// Along the order of the clusters; entry i is after i clusters.
+    /// Curves along the order of the clusters; entry i is the result after i clusters.
     pub curve: EvaluationCurves,
-    /// The curve read at predicted shares of 10, 20, ... 90 %.
+    /// Points of the curve at predicted shares of 10, 20, ... 90 %.
     pub gap: Vec<Gap>,
     /// Triangles that are not well done, by reason.
     pub missing: BTreeMap<Missing, usize>,
-    /// In the order of the clusters.
+    /// Results by key view, in the order of the clusters.
     pub key_views: Vec<KeyView>,
-    /// Key views whose depth map isn't there; they take no part in anything above.
+    /// Key views without a depth map; they are excluded from everything above.
     pub without_map: Vec<String>,
     /// Key views whose depth map was made with other partners than planned.
     pub other_partners: Vec<String>,
-    /// The fused cloud against that of a full run, if both are given.
+    /// Comparison of the fused cloud with that of a full run, if both are given.
     pub clouds: Option<CloudComparison>,
     /// The same clusters in other orders; empty unless asked for.
     pub orders: Vec<Order>,
@@ -61,11 +61,11 @@ pub struct Evaluation {
 
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct QualityRow {
-    /// Right pixels over the reference's.
+    /// Number of right pixels over the number of reference pixels.
     pub completeness: f64,
-    /// Wrong pixels over those that have both depths; null without a reference.
+    /// Number of wrong pixels over the number of pixels with both depths; null without a reference.
     pub outliers: Option<f64>,
-    /// Over the correct pixels, scene units; null without a reference.
+    /// Root mean square error of the right pixels, scene units; null without a reference.
     pub rmse: Option<f64>,
     /// Pixels with a depth.
     pub measured: u64,
@@ -74,7 +74,7 @@ pub struct QualityRow {
 }
 
 impl QualityRow {
-    /// `has_reference`: were the depths held against others?
+    /// Computes the row. `has_reference`: true if the depths were compared with reference depths.
     pub fn new(q: &Quality, has_reference: bool) -> Self {
         Self {
             completeness: q.completeness(),
@@ -85,7 +85,7 @@ impl QualityRow {
         }
     }
 
-    /// Outliers and RMSE as they are printed; a dash where they were not measured.
+    /// Returns outliers and RMSE formatted for output; a dash stands for a value that was not measured.
     pub fn errors(&self) -> [String; 2] {
         let outliers = self.outliers.map(|share| format!("{:.2} %", 100.0 * share));
         let rmse = self.rmse.map(|rmse| format!("{rmse:.4}"));
@@ -109,7 +109,7 @@ pub struct EvaluationCurves {
     pub pairs: Vec<usize>,
 }
 
-/// Prediction against reality where the prediction says that a share is reached.
+/// Predicted and measured results at the point where the prediction reaches a given share.
 #[derive(Clone, Debug, Serialize)]
 pub struct Gap {
     pub share: f64,
@@ -123,15 +123,15 @@ pub struct Gap {
 pub struct KeyView {
     pub name: String,
     pub partners: Vec<String>,
-    /// Those of them that the backend really matched.
+    /// The partners that the backend really matched.
     pub matched: Vec<String>,
     pub quality: QualityRow,
-    /// Sums of f over the triangles that it sees, in triangles.
+    /// Sum of the predicted f over the triangles that it sees, in triangles.
     pub predicted: f64,
     pub real: f64,
 }
 
-/// Inputs of an evaluation beside the measured clusters.
+/// Inputs of an evaluation besides the measured clusters.
 pub struct EvaluationOptions<'a> {
     pub objective: &'a Objective,
     pub so_far: MeasuredProgress,
@@ -141,14 +141,14 @@ pub struct EvaluationOptions<'a> {
 }
 
 impl Evaluation {
-    /// Outliers and RMSE in words that follow the completeness.
+    /// Returns outliers and RMSE as text to append to the completeness.
     pub fn errors(&self) -> String {
         let [outliers, rmse] = self.quality.errors();
         let unit = if self.quality.rmse.is_some() { " units" } else { "" };
         format!(", outliers {outliers}, RMSE {rmse}{unit}")
     }
 
-    /// The fewest depth maps of the order that really give 95 and 90 % of what all give, in a sentence.
+    /// Returns a sentence with the smallest numbers of first depth maps that really give 95 and 90 % of the total.
     pub fn enough_in_words(&self) -> String {
         let maps = self.key_views.len();
         let enough =
@@ -165,7 +165,7 @@ impl Evaluation {
         }
     }
 
-    /// The share that is reached, with what it is of.
+    /// Returns the share reached, in words that say what it refers to.
     pub fn reached_in_words(&self) -> String {
         let share = self.reached.share.map_or("–".into(), |share| format!("{:.1} %", 100.0 * share));
         format!("{share} of what all depth maps of the plan are expected to give")

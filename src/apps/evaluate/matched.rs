@@ -1,5 +1,5 @@
-//! With which partners a backend really matched each key view: `report.json` of `integrations/sgm` and what its single tasks noted in
-//! `rows/`, or the ids in OpenMVS's maps.
+//! The partners that a backend really matched with each key view: from `report.json` of `integrations/sgm` and the records of its single tasks in
+//! `rows/`, or from the ids in OpenMVS's maps.
 
 use std::{
     collections::BTreeMap,
@@ -21,7 +21,7 @@ use crate::{
     },
 };
 
-/// A key view's partners by the backend's own word.
+/// A key view's partners as reported by the backend.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ReportedPartners {
     pub tried: Vec<ViewIndex>,
@@ -39,7 +39,7 @@ struct File {
 #[derive(Deserialize)]
 struct Row {
     key: String,
-    /// OpenMVS's runner says the partners by their ids, which its depth maps hold as well.
+    /// Absent in reports of OpenMVS's runner, which name the partners by ids; its depth maps hold these ids too.
     partners: Option<Vec<Partner>>,
 }
 
@@ -63,7 +63,7 @@ impl Hint for ReportError {
     }
 }
 
-/// Names that the scene does not have are left out. The rows of single tasks are newer than `report.json`.
+/// Reads the reports in a folder of depth maps. Names that are not in the scene are left out. Rows of single tasks replace those of `report.json`.
 pub fn read_report(folder: &Path, scene: &Scene) -> Result<Report, ReportError> {
     let mut report = read_file(folder.join("report.json"), scene)?;
     let rows = WalkDir::new(folder.join("rows")).sort_by_file_name().into_iter().filter_map(Result::ok);
@@ -91,8 +91,8 @@ fn read_file(path: PathBuf, scene: &Scene) -> Result<Report, ReportError> {
     Ok(file.clusters.iter().filter_map(entry).collect())
 }
 
-/// The cluster with the partners that were really matched: by the report, else by the ids of its depth map (OpenMVS names images by
-/// the model's image ids; key view first), else all.
+/// Returns the cluster with the partners that were really matched: from the report, else from the ids in its depth map (OpenMVS uses the model's
+/// image ids, key view first), else all partners.
 pub fn really_matched(cluster: &ViewCluster, report: &Report, ids: &[u32], scene: &Scene) -> ViewCluster {
     let partners = match (report.get(&cluster.key), ids) {
         (Some(reported), _) => reported.matched.clone(),
@@ -104,8 +104,8 @@ pub fn really_matched(cluster: &ViewCluster, report: &Report, ids: &[u32], scene
     ViewCluster { key: cluster.key, partners }
 }
 
-/// The partners that were tried for each depth map: by the report, else by the map's ids, else by the clusters of the plan; maps of which
-/// nothing is known are left out.
+/// Returns the partners tried for each depth map: from the report, else from the map's ids, else from the clusters of the plan; maps with no known
+/// partners are left out.
 pub fn tried(
     folder: &Path,
     maps: &[DepthMapFile],

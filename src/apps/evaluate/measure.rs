@@ -1,4 +1,4 @@
-//! A finished depth map against its reference: which pixels are right, and how much of each triangle they show (method 8).
+//! Compares a finished depth map with its reference: the pixels that are right, and the share of each triangle that they show (method 8).
 
 use crate::{
     io::depthmaps::DepthMap,
@@ -9,9 +9,9 @@ use crate::{
     model::{camera::Camera, scene::ViewIndex},
 };
 
-/// A measurement is right within so many a_d of the reference.
+/// Largest error of a right measurement, in multiples of a_d.
 const RIGHT_WITHIN: f64 = 3.0;
-/// Reference depths that differ by more are of two surfaces, between which nothing is interpolated.
+/// Relative difference of reference depths beyond which they belong to two surfaces and are not interpolated.
 const SAME_SURFACE: f64 = 0.02;
 
 /// Quality of the depth map of a key view, or of several together.
@@ -25,22 +25,22 @@ pub struct Quality {
     pub both: u64,
     /// Pixels with both that agree within 3 a_d.
     pub right: u64,
-    /// Sum of the squared errors of those, square scene units.
+    /// Sum of the squared errors of the right pixels, square scene units.
     pub squares: f64,
 }
 
 impl Quality {
-    /// Share of the reference's pixels that are right.
+    /// Returns the share of the reference's pixels that are right.
     pub fn completeness(&self) -> f64 {
         share(self.right, self.reference)
     }
 
-    /// Share of the pixels with both depths that are not right.
+    /// Returns the share of the pixels with both depths that are wrong.
     pub fn outliers(&self) -> f64 {
         share(self.both - self.right, self.both)
     }
 
-    /// Over the correct pixels, scene units.
+    /// Returns the root mean square error of the right pixels, scene units.
     pub fn rmse(&self) -> f64 {
         if self.right == 0 { 0.0 } else { (self.squares / self.right as f64).sqrt() }
     }
@@ -65,15 +65,15 @@ pub struct MapMeasurement {
     /// For each triangle that the key view sees, in the order of the visibility table: share of the pixels of its visible part with
     /// a right depth. A triangle that covers no centre of a pixel is judged by the pixel of its centroid.
     pub shares: Vec<f32>,
-    /// Pixels of the visible part of each.
+    /// Number of pixels of the visible part of each triangle.
     pub pixels: Vec<u32>,
     /// Width of the map, pixels.
     pub width: u32,
-    /// Ids of the key view and the partners that the map's file names.
+    /// Ids of the key view and the partners, as recorded in the map's file.
     pub ids: Vec<u32>,
 }
 
-/// `elsewhere`: a_d for pixels that show no triangle, scene units. Without a reference each depth is right.
+/// Measures a depth map. `elsewhere`: a_d for pixels that show no triangle, scene units. Without a reference, every depth on the surface is right.
 pub fn measure(
     model: &Model,
     key: ViewIndex,
@@ -122,7 +122,7 @@ pub fn measure(
 /// A pixel of a depth map with its reference.
 struct Pixel {
     depth: Option<f64>,
-    /// `None`: no reference is given at all; `Some(None)`: none here.
+    /// Reference depth. `None`: no reference was given; `Some(None)`: the reference has no depth at this pixel.
     reference: Option<Option<f64>>,
     /// Length of the pixel's ray per unit of depth.
     ray: f64,
@@ -147,7 +147,7 @@ impl Pixel {
         }
     }
 
-    /// Counts the pixel and says whether it is right.
+    /// Adds the pixel to `quality`; returns whether it is right.
     fn add_to(&self, quality: &mut Quality, limit: f64) -> bool {
         quality.measured += u64::from(self.depth.is_some());
         let Some(reference) = self.reference else {

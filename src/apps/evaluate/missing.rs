@@ -8,16 +8,16 @@ use crate::{
     method::fulfilment::{self, Model},
 };
 
-/// A triangle is well done from this real fulfilment on.
+/// Minimum measured fulfilment of a triangle that counts as well done.
 const ENOUGH: f32 = 0.5;
 
-/// Why a triangle is not well done.
+/// Reason that a triangle is not well done.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, serde::Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Missing {
     /// No key view with a depth map sees it.
     NoView,
-    /// In no key view that sees it enough partners were matched that see it too.
+    /// No key view that sees it was matched with enough partners that see it too.
     TooFewPartners,
     /// The images are too coarse there.
     TooCoarse,
@@ -31,7 +31,7 @@ const ALL: [Missing; 5] =
     [Missing::NoView, Missing::TooFewPartners, Missing::TooCoarse, Missing::TooInaccurate, Missing::MatchingFailed];
 
 impl Missing {
-    /// In words.
+    /// Returns the reason in words.
     pub fn words(self) -> &'static str {
         match self {
             Self::NoView => "no view: no key view with a depth map sees it",
@@ -52,18 +52,18 @@ impl Missing {
         }
     }
 
-    /// Its number in the field `missing`; 0: well done.
+    /// Returns its number in the field `missing`, where 0 means well done.
     fn number(self) -> u8 {
         self as u8 + 1
     }
 }
 
-/// The surface by what was really reached.
+/// Measured fulfilment of the surface.
 #[derive(Clone, Debug)]
 pub struct MeasuredSurface {
-    /// Best real fulfilment of each triangle.
+    /// Best measured fulfilment of each triangle.
     pub fulfilment: Vec<f32>,
-    /// `None`: at least half fulfilled.
+    /// Reason for each triangle; `None` if it is at least half fulfilled.
     pub missing: Vec<Option<Missing>>,
 }
 
@@ -84,7 +84,7 @@ impl MeasuredSurface {
         Self { fulfilment: best.iter().map(|b| b.real).collect(), missing }
     }
 
-    /// Triangles by what is missing; those well done, and those that don't count, are left out.
+    /// Returns the number of triangles for each reason; well-done triangles and those that don't count are left out.
     pub fn counts(&self, counts: impl Fn(usize) -> bool) -> BTreeMap<Missing, usize> {
         let inside = self.missing.iter().enumerate().filter(|(t, _)| counts(*t)).map(|(_, missing)| missing);
         let mut counts: BTreeMap<Missing, usize> = ALL.iter().map(|&m| (m, 0)).collect();
@@ -92,8 +92,8 @@ impl MeasuredSurface {
         counts
     }
 
-    /// The surface with `quality` (real fulfilment), `missing` (number of the reason) and colours: white to green where it is well done, by
-    /// reason elsewhere.
+    /// Returns the surface as PLY with `quality` (measured fulfilment), `missing` (number of the reason) and colours: white to green where it is well
+    /// done, by reason elsewhere.
     pub fn ply(&self, model: &Model) -> Vec<u8> {
         let numbers: Vec<u8> = self.missing.iter().map(|m| m.map_or(0, Missing::number)).collect();
         let done =
@@ -111,11 +111,11 @@ impl MeasuredSurface {
     }
 }
 
-/// The best that the clusters did for a triangle.
+/// Best results of the clusters for a triangle.
 #[derive(Clone, Copy, Default)]
 struct Best {
     seen: bool,
-    /// The cluster with the largest real, then attainable fulfilment; `None`: f_cov is 0 in all.
+    /// The cluster with the largest measured fulfilment, ties by attainable fulfilment; `None` if f_cov is 0 in all.
     cluster: Option<usize>,
     attainable: f32,
     real: f32,

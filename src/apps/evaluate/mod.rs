@@ -1,4 +1,4 @@
-//! Method 8: what finished depth maps really reach, against what was predicted and against other choices.
+//! Evaluates finished depth maps (method 8): compares the measured fulfilment with the prediction and with other choices.
 //!
 //! [`MeasuredClusters`] holds the measured depth maps of one folder: `measure` compares a map with its reference, `matched` reads which
 //! partners were really matched. [`orders`] and [`rules`] are the choices of other authors.

@@ -17,12 +17,12 @@ use crate::{
 /// Number of random orders.
 pub const RANDOM_SEEDS: u64 = 20;
 
-/// The greedy order by a table, then the clusters that add nothing, by index: all clusters, each once.
+/// Returns the greedy order by a table, followed by the clusters that add nothing, by index; each cluster appears once.
 pub fn greedy(table: &FulfilmentTable, objective: &Objective, watcher: &dyn Watcher) -> Result<Vec<u32>, TableError> {
     Ok(completed(rank(table, objective, watcher)?.order, table.clusters()))
 }
 
-/// An order of some clusters, and behind it the others by index.
+/// Returns the order with the remaining clusters appended by index.
 pub fn completed(order: Vec<u32>, clusters: usize) -> Vec<u32> {
     let mut taken = vec![false; clusters];
     order.iter().for_each(|&c| taken[c as usize] = true);
@@ -30,7 +30,7 @@ pub fn completed(order: Vec<u32>, clusters: usize) -> Vec<u32> {
     order.iter().copied().chain(rest).collect()
 }
 
-/// `realupdate`: the next cluster is the one whose predicted fulfilment exceeds most what is really reached.
+/// Returns the order `realupdate`: next comes the cluster with the largest predicted gain over what was really reached so far.
 pub fn real_update(predicted: &FulfilmentTable, real: &FulfilmentTable, objective: &Objective) -> Vec<u32> {
     let mut reached = Reached::new(objective);
     let mut left: Vec<u32> = (0..predicted.clusters() as u32).collect();
@@ -44,7 +44,7 @@ pub fn real_update(predicted: &FulfilmentTable, real: &FulfilmentTable, objectiv
     order
 }
 
-/// `replan` (method 5.4): as `realupdate`, but what failed is remembered. `beliefs` are of the clusters of the run.
+/// Returns the order `replan` (method 5.4): as `realupdate`, but failures also lower later predictions. `beliefs`: those of the run's clusters.
 pub fn replan(mut beliefs: Beliefs, run: &MeasuredClusters, objective: &Objective) -> Vec<u32> {
     let mut reached = Reached::new(objective);
     let mut left: Vec<u32> = (0..run.clusters.len() as u32).collect();
@@ -62,7 +62,7 @@ pub fn replan(mut beliefs: Beliefs, run: &MeasuredClusters, objective: &Objectiv
     order
 }
 
-/// `maxpts`: the next key view observes the most sparse points that no chosen one observes yet; ties by index.
+/// Returns the order `maxpts`: next comes the key view that observes the most sparse points not yet observed by a chosen one; ties by index.
 pub fn max_points(scene: &Scene, clusters: &[ViewCluster]) -> Vec<u32> {
     let points = scene.view_points();
     let mut cluster_of = vec![None; scene.views.len()];
@@ -93,12 +93,12 @@ pub fn max_points(scene: &Scene, clusters: &[ViewCluster]) -> Vec<u32> {
     order
 }
 
-/// `every n-th`: `count` of `clusters`, evenly spread over the names. Not nested: each count is a choice of its own.
+/// Returns the choice `every n-th`: `count` of `clusters`, evenly spread by name. Choices of different counts are not nested.
 pub fn every_nth(clusters: usize, count: usize) -> Vec<u32> {
     (0..count).map(|i| ((2 * i + 1) * clusters / (2 * count)) as u32).collect()
 }
 
-/// `farthest view`: begins with the key view nearest to the middle of all; the next is the one farthest from every taken one; ties by index.
+/// Returns the order `farthest view`: first the key view nearest to the centroid, then always the one farthest from all those taken; ties by index.
 pub fn farthest_view(scene: &Scene, clusters: &[ViewCluster]) -> Vec<u32> {
     let centres: Vec<Point3<f64>> = clusters.iter().map(|c| scene.view(c.key).cam_from_world.centre()).collect();
     let middle = centres.iter().fold(Vector3::zeros(), |sum, c| sum + c.coords) / centres.len().max(1) as f64;
@@ -118,14 +118,14 @@ pub fn farthest_view(scene: &Scene, clusters: &[ViewCluster]) -> Vec<u32> {
     order
 }
 
-/// A random order.
+/// Returns a random order.
 pub fn random(clusters: usize, seed: u64) -> Vec<u32> {
     let mut order: Vec<u32> = (0..clusters as u32).collect();
     shuffle(&mut order, seed);
     order
 }
 
-/// Fisher-Yates.
+/// Shuffles the values (Fisher-Yates).
 pub(super) fn shuffle<T>(values: &mut [T], seed: u64) {
     let mut generator = Pcg64::seed_from_u64(seed);
     for i in (1..values.len()).rev() {
@@ -134,7 +134,7 @@ pub(super) fn shuffle<T>(values: &mut [T], seed: u64) {
     }
 }
 
-/// Position of the largest value, the first of equals.
+/// Returns the position of the largest value, the first one in a tie.
 fn first_largest(values: impl Iterator<Item = f64>) -> usize {
     values.enumerate().fold((0, f64::NEG_INFINITY), |best, v| if v.1 > best.1 { v } else { best }).0
 }

@@ -37,7 +37,7 @@ pub fn page(evaluation: &Evaluation, title: &str) -> String {
     html + "</main></body></html>\n"
 }
 
-/// The look of the report: cards, large numbers, dark where the reader's system is, wide tables that scroll by themselves.
+/// Style sheet of the page, like the report's: cards, large numbers, dark if the reader's system is, wide tables with scroll bars of their own.
 const STYLE: &str = ":root{--page:#f6f7f8;--card:#fff;--text:#1d2329;--soft:#5b6670;--line:#d9dee3}\
      @media(prefers-color-scheme:dark){:root{--page:#14181c;--card:#1d2328;--text:#e4e8eb;--soft:#9aa5ae;--line:#343c43}svg{background:#fff}}\
      *{box-sizing:border-box}body{font:15px/1.45 system-ui,\"Segoe UI\",sans-serif;margin:0;color:var(--text);background:var(--page)}\
@@ -102,7 +102,7 @@ fn plots(e: &Evaluation) -> String {
             let x = if over_pairs { order.pairs.clone() } else { (0..order.pairs.len()).map(|i| i as f64).collect() };
             let y: Vec<f64> =
                 order.kept.iter().map(|kept| if e.kept.real > 0.0 { kept / e.kept.real } else { 0.0 }).collect();
-            // Colours are used again with dots, except the first, that of the plan.
+            // Colours are reused with dotted lines, except the first, which is the plan's.
             let (round, colour) = ((i - 1) / (COLOURS.len() - 1), 1 + (i - 1) % (COLOURS.len() - 1));
             lines.push(line(order.name, COLOURS[colour], if round == 0 { "" } else { DOTTED }, &x, &y));
         }
@@ -159,7 +159,7 @@ fn order_tables(e: &Evaluation) -> String {
     html + "</section>\n"
 }
 
-/// The orders with their cells; those with the same cells are one row.
+/// Returns the orders with their cells; orders with the same cells share a row.
 fn rows(e: &Evaluation, pairs: bool) -> Vec<(Vec<&'static str>, Vec<String>)> {
     let mut rows: Vec<(Vec<&str>, Vec<String>)> = Vec::new();
     for order in &e.orders {
@@ -174,7 +174,7 @@ fn rows(e: &Evaluation, pairs: bool) -> Vec<(Vec<&'static str>, Vec<String>)> {
     rows
 }
 
-/// The fused cloud against that of a full run; nothing without both.
+/// Returns the comparison of the fused cloud with that of a full run; empty unless both were given.
 fn clouds(e: &Evaluation) -> String {
     let Some(clouds) = &e.clouds else { return String::new() };
     let percent = |share: f64| format!("{:.1} %", 100.0 * share);

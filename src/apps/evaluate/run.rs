@@ -35,10 +35,10 @@ use crate::{
     plan::Stages,
 };
 
-/// Finished view clusters and what really came of them. All tables have a row per cluster.
+/// Finished view clusters with their measured results. All tables have one row per cluster.
 #[derive(Clone, Debug)]
 pub struct MeasuredClusters {
-    /// Those with a depth map, by name of the key view.
+    /// The clusters with a depth map, sorted by key view.
     pub clusters: Vec<ViewCluster>,
     /// Size of each depth map.
     pub scales: Vec<MapScale>,
@@ -47,23 +47,23 @@ pub struct MeasuredClusters {
     /// The same clusters with the partners that were really matched.
     pub matched: Vec<ViewCluster>,
     pub quality: Vec<Quality>,
-    /// As the plan's model has it.
+    /// Fulfilment predicted by the plan's model.
     pub predicted: FulfilmentTable,
-    /// With f_conf = 1.
+    /// Fulfilment predicted with f_conf = 1.
     pub nocp: FulfilmentTable,
-    /// Method 8.
+    /// Measured fulfilment (method 8).
     pub real: FulfilmentTable,
-    /// f of the really matched partners with f_conf = 1: what `real` would be if every pixel were right.
+    /// Fulfilment by the partners that were really matched, with f_conf = 1: the value of `real` if every pixel were right.
     pub attainable: FulfilmentTable,
     /// Predicted and measured shares at each triangle that the key view sees, for [`ranking::Beliefs`](crate::method::ranking::Beliefs).
     pub attempts: Vec<Vec<Attempt>>,
-    /// Were the maps held against references?
+    /// True if the maps were compared with references.
     pub has_reference: bool,
-    /// Key views whose depth map isn't there.
+    /// Key views without a depth map.
     pub without_map: Vec<ViewIndex>,
     /// Key views whose depth map was made with other partners than the clusters have.
     pub other_partners: Vec<ViewIndex>,
-    /// Files that look like depth maps and belong to no view.
+    /// Files that look like depth maps but belong to no view.
     pub strangers: Vec<PathBuf>,
     /// Depth maps that cannot be read and are left out, in sentences.
     pub unreadable: Vec<String>,
@@ -72,13 +72,13 @@ pub struct MeasuredClusters {
 /// Depth maps to measure, and their reference.
 pub struct EvaluationInput<'a> {
     pub model: Model<'a>,
-    /// In the order in which they were to be computed.
+    /// The clusters, in the order in which they were to be computed.
     pub clusters: &'a [ViewCluster],
     pub depth_maps: &'a Path,
     pub reference: Option<&'a Path>,
-    /// a_d where a pixel shows no triangle, scene units.
+    /// a_d for pixels that show no triangle, scene units.
     pub accuracy: f64,
-    /// `ranking.half_worth` where the plan has maps of half the size; `None`: the size of a map does not count.
+    /// `ranking.half_worth` if the plan has maps of half the size; `None` if the size of a map does not matter.
     pub half_worth: Option<f64>,
 }
 
@@ -137,21 +137,21 @@ impl MeasuredClusters {
         })
     }
 
-    /// All clusters together.
+    /// Returns the quality of all clusters together.
     pub fn pooled(&self) -> Quality {
         let mut all = Quality::default();
         self.quality.iter().for_each(|q| all.add(q));
         all
     }
 
-    /// The real curve of an order of the clusters.
+    /// Returns the measured curve of an order of the clusters.
     pub fn real_curve(&self, objective: &Objective, order: &[u32]) -> ReachCurve {
         ReachCurve::new(&self.real, objective, &self.clusters, order)
     }
 }
 
 impl<'a> EvaluationInput<'a> {
-    /// Depth maps of clusters of a plan; without references each depth is right.
+    /// Takes the depth maps of clusters of a plan; without a reference, every depth on the surface counts as right.
     pub fn new(
         stages: &'a Stages,
         clusters: &'a [ViewCluster],
@@ -172,8 +172,8 @@ impl<'a> EvaluationInput<'a> {
 }
 
 impl EvaluationInput<'_> {
-    /// `reference`: `Some(None)`: there are references, but none of this view; then nothing in the map is right. A map that cannot be
-    /// read, perhaps because it is being written, is an error of its own.
+    /// Measures a depth map. `reference` is `Some(None)` if there are references but none for this view: no pixel of the map is then right. The inner
+    /// error is a map that cannot be read, perhaps because it is still being written.
     fn measure(
         &self,
         key: ViewIndex,
@@ -238,14 +238,14 @@ impl EvaluationInput<'_> {
         })
     }
 
-    /// Half where the map is nearer to that, as a ratio, than to the size of the plan.
+    /// Returns the size of a map: half if its width is nearer, as a ratio, to half the planned width than to the planned width.
     fn scale(&self, key: ViewIndex, measured: &MapMeasurement) -> MapScale {
         let planned = f64::from(self.model.scene.camera_of(key).width) * self.model.rule.image_scale;
         let is_half = self.half_worth.is_some() && f64::from(measured.width) < planned * FRAC_1_SQRT_2;
         if is_half { MapScale::Half } else { MapScale::Full }
     }
 
-    /// Attainable fulfilment times the measured share.
+    /// Returns the measured fulfilment: the attainable one times the measured share.
     fn real(
         &self,
         clusters: &[ViewCluster],
@@ -262,7 +262,8 @@ impl EvaluationInput<'_> {
         FulfilmentTable::new(clusters.iter().enumerate().map(of_cluster))
     }
 
-    /// Where a cluster was predicted to fulfil something: the promise is f_conf, the prediction with it over that without.
+    /// Returns the attempts at the triangles that the cluster was predicted to fulfil. The promise is f_conf: the prediction with it over that
+    /// without it.
     fn attempts(
         &self,
         cluster: usize,
@@ -284,7 +285,7 @@ impl EvaluationInput<'_> {
     }
 }
 
-/// f of clusters whose maps have these sizes.
+/// Returns the fulfilment table of clusters whose maps have these sizes.
 fn table_at(
     model: &Model,
     clusters: &[ViewCluster],
@@ -310,7 +311,7 @@ fn sorted(views: &[ViewIndex]) -> Vec<ViewIndex> {
     views
 }
 
-/// Why depth maps can't be measured.
+/// An error of measuring depth maps.
 #[derive(Debug, thiserror::Error)]
 pub enum EvaluateError {
     #[error(transparent)]

@@ -1,4 +1,4 @@
-//! The one definition of how much is reached, with its denominator (method 8).
+//! The single definition of the share reached, with its denominator (method 8).
 
 use serde::Serialize;
 
@@ -8,19 +8,19 @@ use crate::{
     plan::Stages,
 };
 
-/// Measured weight that fusion keeps of the finished depth maps, over what it is expected to keep of all.
+/// Measured weight that fusion keeps of the finished depth maps, over the weight that it is expected to keep of all.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct MeasuredProgress {
     /// Weight that fusion keeps of the finished maps, 0 to 1.
     pub kept: f64,
-    /// The same of all clusters of the plan: measured where finished, predicted for the others as far as what failed lets it be (method 5.4).
+    /// Weight that fusion keeps of all clusters of the plan, 0 to 1: measured if finished, else predicted in the light of failures (method 5.4).
     pub reachable: f64,
     /// `kept` over `reachable`; null where nothing can be kept.
     pub share: Option<f64>,
 }
 
 impl MeasuredProgress {
-    /// `stages`: of the plan that the clusters of the run belong to.
+    /// Computes the progress. `stages`: those of the plan that the run's clusters belong to.
     pub fn new(stages: &Stages, run: &MeasuredClusters) -> Self {
         let mut beliefs = Beliefs::new(&stages.scene, &stages.surface, &stages.clusters, &stages.fulfilment);
         let finished = run.clusters.iter().zip(&run.attempts);

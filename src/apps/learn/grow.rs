@@ -192,7 +192,7 @@ mod tests {
 
     use super::*;
 
-    /// Rows of 6 features of which the first two decide, with a tenth of the labels wrong.
+    /// Returns rows of 6 features, of which the first two decide the label; a tenth of the labels are wrong.
     fn rows(count: usize, seed: u64) -> (Vec<Vec<f32>>, Vec<bool>) {
         let mut random = rand_pcg::Pcg64Mcg::seed_from_u64(seed);
         let mut unit = || (random.next_u32() >> 8) as f32 / (1 << 24) as f32;
@@ -205,7 +205,7 @@ mod tests {
         Table::new(6, features.len(), |row, feature| features[row][feature])
     }
 
-    /// Share of the rows whose side of one half is the label's.
+    /// Returns the share of the rows predicted on the correct side of one half.
     fn accuracy(classifier: &Classifier, seed: u64) -> f64 {
         let (features, labels) = rows(4000, seed);
         let right = features.iter().zip(&labels).filter(|(f, l)| (classifier.probability(f) > 0.5) == **l).count();
@@ -217,7 +217,7 @@ mod tests {
         let (features, labels) = rows(4000, 1);
         let weights = vec![1.0; labels.len()];
         let boosted = Boosting::default().train(&table(&features), &labels, &weights, 7);
-        // Nine tenths is all that there is to learn.
+        // No classifier can do better than nine tenths.
         assert!(accuracy(&boosted, 2) > 0.86, "{}", accuracy(&boosted, 2));
         assert!(boosted.is_sound());
     }

@@ -191,7 +191,7 @@ impl<'a> Labelling<'a> {
         if behind.abs() <= near {
             return Some(Verdict::Agrees);
         }
-        // At the edge of something in front a depth map may be a pixel off.
+        // At an occluding edge, a depth map may be off by a pixel.
         let all_behind = || around(map, camera, &position).all(|z| (z - x_cam.z) * along > far);
         (behind > far && all_behind()).then_some(Verdict::SawThrough)
     }
@@ -268,7 +268,8 @@ mod tests {
     const WIDTH: u32 = 200;
     const HEIGHT: u32 = 150;
 
-    /// Where the made-up maps are wrong: a block that is too near; and without depth: another one. Elsewhere in each view.
+    /// Returns whether the pixel is in a faulty block of the synthetic map, which moves from view to view. `shift` selects the block
+    /// that is too near or the one without depth.
     fn block(view: ViewIndex, column: u32, row: u32, shift: u32) -> bool {
         let (left, top) = (13 * (view.0 + shift) % (WIDTH - 40), 29 * (view.0 + shift) % (HEIGHT - 30));
         (left..left + 40).contains(&column) && (top..top + 30).contains(&row)
@@ -335,7 +336,7 @@ mod tests {
             others
         };
         let labelling = Labelling { model, finished: &finished, others: &others };
-        // By label: how many, and how many are as the maps were made.
+        // For each label: the number of pixels, and of those whose label is correct.
         let mut counts = [[0u32; 2]; 2];
         for key in scene.view_indices() {
             for label in labelling.labels(key) {

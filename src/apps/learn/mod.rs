@@ -294,7 +294,7 @@ impl PictureModels {
             Some(PictureModel { classifier, calibration: [1.0, 0.0], cumulative, reach: 1.0 })
         };
         let mut all = classify(&|_| true)?;
-        // The others may all be without a picture.
+        // Possibly none of the other parts has a picture.
         let mut without: Vec<PictureModel> =
             (0..parts).map(|part| classify(&|p| p != part).unwrap_or_else(|| all.clone())).collect();
         let trees = best_length(&without, pixels);
@@ -313,7 +313,7 @@ impl PictureModels {
     }
 }
 
-/// Number of trees with the largest out-of-sample likelihood; further trees overfit to their scenes.
+/// Returns the number of trees with the largest out-of-sample likelihood; further trees overfit to their scenes.
 fn best_length(without: &[PictureModel], pixels: &[Pixels]) -> usize {
     let mut losses = vec![0.0; without.iter().map(|p| p.classifier.trees.len()).max().unwrap_or(0)];
     for p in pixels {
@@ -343,7 +343,7 @@ fn cumulative(column: &[u8]) -> Vec<f32> {
 fn calibrate(outcomes: &[(f32, bool)]) -> [f32; 2] {
     let (mut a, mut b) = (1.0f64, 0.0f64);
     for _ in 0..20 {
-        // A weak pull to what the classifier says itself keeps the equations regular.
+        // A weak pull towards the classifier's own output keeps the equations regular.
         let (mut ga, mut gb, mut aa, mut ab, mut bb) = (a - 1.0, b, 1.0, 0.0, 1.0);
         for &(chance, success) in outcomes {
             let x = f64::from(place::odds_of(chance));

@@ -48,7 +48,7 @@ impl Parts {
         Self { count: if scenes == 1 { 2 } else { scenes.min(MOST) }, scenes, scene, middle }
     }
 
-    /// Index of the project's scene.
+    /// Returns the index of the project's scene.
     pub fn scene(&self, project: usize) -> usize {
         self.scene[project]
     }
@@ -62,7 +62,7 @@ impl Parts {
     }
 }
 
-/// Identity of a view: name and pose, or image.
+/// Returns whether the scenes share a view: one of the same name, and with the same pose unless the images are in the same folder.
 fn share_a_view(a: &Scene, b: &Scene, same_folder: bool) -> bool {
     let same = |view: &ViewIndex| {
         let other = b.find(a.name(*view));
@@ -71,7 +71,7 @@ fn share_a_view(a: &Scene, b: &Scene, same_folder: bool) -> bool {
     a.view_indices().any(|view| same(&view))
 }
 
-/// Returns the identities of the views with a depth map.
+/// Returns the middle one of the names of the views with a depth map; empty without any.
 fn middle(projects: &[Views]) -> String {
     let of = |p: &Views| p.finished.iter().map(|&view| p.scene.name(view).to_owned()).collect::<Vec<_>>();
     let mut names: Vec<String> = projects.iter().flat_map(of).collect();

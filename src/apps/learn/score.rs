@@ -16,7 +16,7 @@ pub struct Scores {
 }
 
 impl Scores {
-    /// Each entry is a prediction, the outcome (0 to 1) and a weight.
+    /// Computes the scores. Each entry is a prediction, its outcome (0 to 1) and a weight.
     pub fn new(mut of: Vec<(f32, f32, f32)>) -> Self {
         of.sort_by(|a, b| a.0.total_cmp(&b.0));
         let weight: f64 = of.iter().map(|o| f64::from(o.2)).sum::<f64>().max(f64::MIN_POSITIVE);

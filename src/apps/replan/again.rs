@@ -75,7 +75,7 @@ fn predicted(root: &Path, watcher: &dyn Watcher) -> Result<(Project, Plan, Recor
     if recorded.own_size {
         settings.image_scale = None;
     }
-    // Before the long work, though the model is read twice for it.
+    // Checked before the long computation, even though this reads the model twice.
     recorded.check_input(&project, &project.read_scene().map_err(WrittenPlanError::from)?)?;
     let plan = backends::plan(&project, &settings, watcher)?;
     recorded.check_ranking(&plan)?;

@@ -1,4 +1,4 @@
-//! Plans around finished depth maps (method 5.4). FinishedMaps clusters come first, with their measured fulfilment; the rest is ranked again
+//! Plans around finished depth maps (method 5.4). Finished clusters come first, with their measured fulfilment; the rest is ranked again
 //! after them, with failures taken into account ([`Beliefs`]).
 //!
 //! The depth maps were made for an earlier plan, possibly of an earlier model: those that still fit ([`movement`]) are kept,
@@ -72,7 +72,7 @@ impl EarlierPlan {
         self.clusters.iter().map(|(key, ..)| key.as_str())
     }
 
-    /// Names of the key views with the size of their maps, best first.
+    /// Returns the names of the key views with the sizes of their maps, best first.
     pub fn maps(&self) -> impl Iterator<Item = (&str, MapScale)> {
         self.clusters.iter().map(|(key, _, scale)| (key.as_str(), *scale))
     }
@@ -101,7 +101,7 @@ pub struct Maps<'a> {
 
 /// Ranks the plan again around the finished depth maps of an earlier plan; unchanged if there are none.
 ///
-/// FinishedMaps clusters have the partners of the earlier plan. `None`: none of the maps could be measured.
+/// Finished clusters keep the partners of the earlier plan. `None`: none of the maps could be measured.
 pub fn replan(
     plan: Plan,
     earlier: &EarlierPlan,
@@ -157,8 +157,8 @@ fn rank_around(
     Ok(Plan { stages, decision, timings })
 }
 
-/// Returns the stages with the finished clusters and their measured fulfilment, the predictions of the others corrected by the finished ones; and the
-/// indices of the finished clusters, in their order.
+/// Returns the stages with the measured fulfilment of the finished clusters and corrected predictions for the others; and the
+/// indices of the finished clusters, in their order, with the sizes of their maps.
 fn with_finished(
     stages: Stages,
     run: &MeasuredClusters,
@@ -184,8 +184,8 @@ fn with_finished(
     Ok((Stages { clusters, fulfilment, half, work, ..stages }, order))
 }
 
-/// The table with the measured rows of what is finished, the others believed as far as these let them be. `rows`: whether finished, with the place in
-/// the run or in the table.
+/// Returns the table with the measured rows of the finished clusters and the predictions of the others, corrected by what was measured.
+/// `rows`: true for a finished cluster, with its index in the run, else with the index in the table.
 fn believed(
     stages: &Stages,
     predicted: &FulfilmentTable,
@@ -243,7 +243,7 @@ fn look(
         Ok(file.map(|file| MapCheck { plan, earlier, key, partners, file }.found()))
     });
     let found: Vec<Option<MapVerdict>> = found.collect::<Result<_, Cancelled>>()?;
-    // Views that had no partners in the earlier plan, either: what was said of their maps before still holds.
+    // Includes views without partners in the earlier plan: earlier findings on their maps still hold.
     let keys: BTreeSet<&str> = earlier.keys().collect();
     let beyond = earlier.outdated.iter().filter(|outdated| !keys.contains(outdated.key.as_str()));
     let beyond = beyond.filter_map(|Outdated { key, .. }| {

@@ -159,7 +159,7 @@ struct SurfaceData {
     ranks: String,
     shares: String,
     first: String,
-    /// Rank (u16) from which on one map likely shows the triangle, and from which on fusion likely keeps it.
+    /// Rank (u16) from which one map likely shows the triangle, and from which fusion likely keeps it.
     alone: String,
     kept: String,
     reachable: String,
@@ -290,7 +290,7 @@ fn not_honoured(export: &ExportRecord) -> impl Iterator<Item = String> {
     export.not_honoured.iter().map(|what| format!("{}: not honoured: {what}", export.backend))
 }
 
-/// Weight per area of each drawn triangle, in 40ths of an octave below the most, from 255 down; 0 without weight.
+/// Returns the weight per area of each drawn triangle: 255 for the largest, one less per 1/40 octave below it; 0 without weight.
 fn weights(plan: &Plan, surface: &DrawnSurface) -> Vec<u8> {
     let density =
         |&t: &u32| plan.stages.objective.weights[t as usize] / plan.stages.surface.area(t).max(f64::MIN_POSITIVE);
@@ -304,7 +304,7 @@ fn whole_area(plan: &Plan) -> f64 {
     (0..plan.stages.surface.triangles.len() as u32).map(|t| plan.stages.surface.area(t)).sum()
 }
 
-/// Name of the folder, with `.` resolved.
+/// Returns the name of the folder, with `.` resolved.
 fn title(root: &Path) -> String {
     let whole = dunce::canonicalize(root).unwrap_or_else(|_| root.into());
     whole.file_name().unwrap_or(whole.as_os_str()).to_string_lossy().into_owned()

@@ -20,7 +20,7 @@ pub struct History {
     pub shares: Vec<u8>,
     /// Ranks of the first [`COUNTED`] clusters that fulfil the triangle at all.
     pub first: Vec<u32>,
-    /// Rank from which on one map is likelier than not to show the triangle, and from which on as many are as fusion wants.
+    /// Rank from which one map is more likely than not to show the triangle, and rank from which as many maps as fusion needs are.
     pub alone: Vec<u32>,
     pub kept: Vec<u32>,
     /// Fulfilment by all clusters together, in 255ths.
@@ -71,7 +71,7 @@ impl History {
     }
 }
 
-/// Ranks from which on one map, and as many as fusion wants, are likelier than not to show each drawn triangle.
+/// Returns the ranks from which one map, and as many maps as fusion needs, are more likely than not to show each drawn triangle.
 fn confirmed(plan: &Plan, drawn: &DrawnSurface) -> (Vec<u32>, Vec<u32>) {
     let mut reached = Reached::new(&plan.stages.objective);
     let (mut alone, mut kept) = (vec![NEVER; drawn.original.len()], vec![NEVER; drawn.original.len()]);

@@ -56,7 +56,7 @@ const WIDE_DEG: f64 = 5.0;
 const OBLIQUE_DEG: f64 = 60.0;
 
 impl Hole {
-    /// Returns in words what is missing. `needed`: minimum number of cameras that see a place, key view included.
+    /// Returns a description of what is missing. `needed`: minimum number of cameras that see a place, key view included.
     pub fn missing(&self, needed: u32) -> String {
         let Seen { views, gsd_ratio, angle_deg, incidence_deg } = self.seen;
         let count = |n: usize| format!("{n} view{}", if n == 1 { "" } else { "s" });
@@ -78,7 +78,7 @@ impl Hole {
         }
     }
 
-    /// New images that would fill it, in words. `needed`: cameras that must see a place, key view included.
+    /// Returns advice on the new images that would fill it. `needed`: minimum number of cameras that see a place, key view included.
     pub fn advice(&self, needed: u32) -> &'static str {
         let Seen { views, angle_deg, incidence_deg, .. } = self.seen;
         match self.reason {
@@ -136,7 +136,7 @@ pub fn holes(plan: &Plan, most: usize) -> Holes {
     Holes { largest, area: near_area + far_area, far_area, usual_distance: usual.unwrap_or_default() }
 }
 
-/// Median distance of the sparse points from the nearest of their views.
+/// Returns the median distance of the sparse points from the nearest of their views.
 fn usual_distance(scene: &Scene) -> Option<f64> {
     let nearest = |p: u32| {
         let views = scene.track_views[scene.track(PointIndex(p))].iter();
@@ -147,7 +147,7 @@ fn usual_distance(scene: &Scene) -> Option<f64> {
     upper_median((0..scene.points.len() as u32).filter_map(nearest))
 }
 
-/// Connected components of the open triangles by shared edges, ordered by their first triangle. `open` is sorted.
+/// Returns the connected components of the open triangles by shared edges, ordered by their first triangle. `open` must be sorted.
 fn regions(plan: &Plan, open: &[u32]) -> Vec<Vec<u32>> {
     let opposite = opposites(&plan.stages.surface);
     let beside = |i: u32| {
@@ -179,7 +179,7 @@ fn hole(plan: &Plan, region: Vec<u32>) -> Hole {
     }
 }
 
-/// The triangle of the region that is farthest from its rim: rings of triangles are taken off until the last; there, the largest triangle.
+/// Returns the triangle of the region farthest from its rim: peels off rings of triangles and takes the largest triangle of the last one.
 fn deepest(plan: &Plan, region: &[u32]) -> u32 {
     let surface = &plan.stages.surface;
     let mut at: BTreeMap<[u32; 2], Vec<u32>> = BTreeMap::new();

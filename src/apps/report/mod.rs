@@ -33,7 +33,7 @@ const SCRIPT: &str = concat!(
     include_str!("page/main.js"),
 );
 
-/// The whole page.
+/// Returns the whole page.
 pub fn page(contents: &Contents) -> String {
     // "</" would end the script element; JSON allows "<" to be escaped anywhere.
     let data =
@@ -49,7 +49,7 @@ pub fn page(contents: &Contents) -> String {
     page + rest
 }
 
-/// Numbers as base64 of their little-endian bytes.
+/// Returns the little-endian bytes of the numbers in base64.
 fn bytes<T: NoUninit>(values: &[T]) -> String {
     const { assert!(cfg!(target_endian = "little"), "the page reads little-endian numbers") }
     BASE64_STANDARD.encode(bytemuck::cast_slice(values))

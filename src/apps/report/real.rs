@@ -102,7 +102,7 @@ impl Real {
     }
 }
 
-/// Folders that may hold depth maps, that of the plan's backend first.
+/// Returns the folders that may hold depth maps, that of the plan's backend first.
 fn folders_of(plan: &Plan, project: &Project) -> Vec<PathBuf> {
     let own = depthmaps::folder_of(&project.home, project.dense_workspace.as_deref(), plan.stages.backend);
     let mut folders = depthmaps::folders(&project.home);
@@ -120,7 +120,7 @@ fn others_of(plan: &Plan, measured: &Path, folders: &[PathBuf]) -> Vec<String> {
     others.filter(has_maps).map(words).collect()
 }
 
-/// All clusters in rank order, those without predicted gain last.
+/// Returns all clusters in rank order, those without predicted gain last.
 fn in_order(plan: &Plan) -> Vec<ViewCluster> {
     let order = orders::completed(plan.decision.ranking.order.clone(), plan.stages.clusters.len());
     order.iter().map(|&c| plan.stages.clusters[c as usize].clone()).collect()

@@ -44,7 +44,7 @@ impl DrawnSurface {
         }
     }
 
-    /// Edges between drawn triangles of which one counts and the other doesn't, as pairs of vertices, ascending.
+    /// Returns the edges between drawn triangles of which one counts and the other doesn't, as pairs of vertices, ascending.
     pub fn border(&self, counts: impl Fn(u32) -> bool) -> Vec<[u32; 2]> {
         let mut edges: Vec<([u32; 2], bool)> = Vec::with_capacity(3 * self.triangles.len());
         for (&[a, b, c], &t) in self.triangles.iter().zip(&self.original) {

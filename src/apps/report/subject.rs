@@ -14,7 +14,7 @@ use crate::{
 
 /// Weight left out at each end of each axis.
 const TAIL: f64 = 0.01;
-/// Room around, as a share of the box's side.
+/// Margin on each side, as a share of the box's side.
 const ROOM: f64 = 0.03;
 
 /// A box in the map frame that holds all but the outermost of the weight (method 5.1) inside the region; without one, inside the region that
@@ -27,7 +27,7 @@ pub struct Subject<'a> {
 }
 
 impl<'a> Subject<'a> {
-    /// `None` if nothing has weight.
+    /// Returns the box; `None` if nothing has weight.
     pub fn new(plan: &Plan, frame: &'a MapFrame) -> Option<Self> {
         let dense = densest(plan);
         let counts = |t: u32| dense.as_ref().is_none_or(|region| region.is_inside(t));
@@ -61,7 +61,7 @@ fn densest(plan: &Plan) -> Option<Region> {
     RegionShape::Auto.lay_over(&stages.surface, pixels, &NoWatcher).ok()
 }
 
-/// The values between which all weight but the tails is, with some room.
+/// Returns the range of values that holds all weight except the tails, with a margin.
 fn range(mut values: Vec<(f64, f64)>) -> [f64; 2] {
     values.sort_by(|a, b| a.0.total_cmp(&b.0));
     let all: f64 = values.iter().map(|(_, weight)| weight).sum();

@@ -1,4 +1,4 @@
-//! Thumbnails of the views, and of where their depth maps are expected to succeed.
+//! Thumbnails of the views and of the expected success of their depth maps.
 
 use std::{collections::BTreeMap, path::Path};
 
@@ -21,7 +21,7 @@ pub const MOST: usize = 500;
 const SIDE: u32 = 112;
 const QUALITY: u8 = 55;
 
-/// JPEG files in base64 by view. Views whose image is missing or cannot be read have no entry.
+/// Returns JPEG files in base64 by view. Views whose image is missing or cannot be read have no entry.
 pub fn thumbnails(
     plan: &Plan,
     images: &ImageFolder,
@@ -44,7 +44,7 @@ pub fn thumbnails(
 /// Largest number of key views with a picture of their expected success.
 const MOST_EXPECTED: usize = 200;
 
-/// The expected success of the first clusters, as JPEG files in base64 by key view.
+/// Returns the expected success of the first clusters, as JPEG files in base64 by key view.
 pub fn expected(plan: &Plan, watcher: &dyn Watcher) -> Result<BTreeMap<u32, String>, Cancelled> {
     let model = plan.stages.model();
     let of_cluster = |cluster: &ViewCluster| {
@@ -71,7 +71,7 @@ fn encoded(rgb: &[u8], width: u32, height: u32) -> Option<Vec<u8>> {
     Some(jpeg)
 }
 
-/// The size in pixels, reduced so that the longer side is at most `side`.
+/// Returns the size in pixels, reduced so that the longer side is at most `side`.
 fn within([width, height]: [u32; 2], side: u32) -> [u32; 2] {
     let scale = (f64::from(side) / f64::from(width.max(height))).min(1.0);
     [width, height].map(|side| ((f64::from(side) * scale).round() as u32).max(1))

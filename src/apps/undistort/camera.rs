@@ -66,7 +66,7 @@ impl CropBox {
     }
 }
 
-/// Returns the smallest and the largest coordinate.
+/// The smallest and the largest coordinate.
 struct Range {
     least: f64,
     greatest: f64,

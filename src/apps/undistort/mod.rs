@@ -96,7 +96,7 @@ pub fn undistort(
     for (i, views) in batches.iter().enumerate() {
         let note = job.note(views, watcher)?;
         if !job.is_there(i, views, &note) {
-            // A model beside images of other sizes would be believed.
+            // Removes the model first: next to images of other sizes, it would be taken for valid.
             FileSet::new(out, SET).write(disk)?;
             done.kept.extend(job.batch(i, views, note, watcher)?.write(disk)?.kept);
             done.computed += views.iter().filter(|v| !job.stays(**v)).count();

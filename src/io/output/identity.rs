@@ -2,7 +2,7 @@
 //! written, and are valid in that folder only.
 //!
 //! The identity is the creation time of the folder, which on Linux neither archives nor copies preserve. On other systems, and on file systems
-//! without creation times, it includes the inode number. On Windows it is the index of the folder in its volume alone: programs may set the
+//! without creation times, it includes the inode number. On Windows it is the volume and the index of the folder there alone: programs may set the
 //! creation time, and Wine derives it from times that change. The identity is the same for all users, hosts and containers that see the folder,
 //! and needs neither a secret nor a file elsewhere.
 //!
@@ -16,7 +16,7 @@ use std::{fs, io, path::Path, time::UNIX_EPOCH};
 
 use crate::base::platform;
 
-/// Returns the identity of a folder: creation time, inode number, or both.
+/// Returns the identity of a folder: creation time, inode number, or both; on Windows volume and index.
 pub(super) fn identity(folder: &Path) -> io::Result<String> {
     let created = fs::metadata(folder)?.created().ok().filter(|_| !cfg!(windows));
     let made = created.and_then(|time| time.duration_since(UNIX_EPOCH).ok());

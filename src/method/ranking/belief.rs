@@ -47,7 +47,7 @@ impl Attempt {
 pub struct Beliefs<'a> {
     scene: &'a Scene,
     surface: &'a Surface,
-    /// Views of each cluster of the table.
+    /// Key view of each cluster of the table.
     keys: Vec<ViewIndex>,
     predicted: &'a FulfilmentTable,
     /// Entries of the table by triangle, with their cluster (CSR).

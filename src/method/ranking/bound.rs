@@ -74,7 +74,7 @@ fn within(limit: f64, maps: &[u32], work: impl Fn(u32) -> f64) -> (usize, f64) {
 struct Dual<'a> {
     objective: &'a Objective,
     prices: [Vec<f32>; 2],
-    /// Returns the weight in f_o of a unit of f above each of the two prices.
+    /// Weight in f_o of a unit of f above each of the two prices.
     shares: [f64; 2],
 }
 

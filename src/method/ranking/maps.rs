@@ -2,7 +2,7 @@
 
 use crate::{base::column::Storage, method::fulfilment::FulfilmentTable, model::cluster::MapScale};
 
-/// Work is compared in integer multiples of this fraction.
+/// Work is compared in integer multiples of 1 / `WHOLE`.
 const WHOLE: f64 = 1e6;
 
 /// Depth maps by index: those of all clusters at full size, then, if requested, those of all clusters at half size.

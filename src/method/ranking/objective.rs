@@ -87,7 +87,7 @@ impl Objective {
 /// Number of pixels of each triangle in the model's images, over the views that see it.
 pub struct SeenPixels(Vec<[AtomicU64; 2]>);
 
-/// Pixels are added as integer multiples of this fraction: the sum does not depend on the order in which threads add them.
+/// Pixels are added as integer multiples of 1 / `PARTS`: the sum does not depend on the order in which threads add them.
 const PARTS: f64 = 65_536.0;
 
 impl SeenPixels {

@@ -2,8 +2,8 @@
 
 use super::Objective;
 
-/// f_o is counted in integer multiples of this fraction. Integer sums are exact: gains can be updated by differences, and the result depends neither
-/// on the order of additions nor on the number of threads.
+/// f_o is counted in integer multiples of 1 / `UNIT`. Integer sums are exact: gains can be updated by differences, and the result depends neither on
+/// the order of additions nor on the number of threads.
 const UNIT: f64 = (1u64 << 60) as f64;
 
 /// Amount of f_o, or of the weight that fusion is expected to keep.

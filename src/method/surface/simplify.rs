@@ -278,7 +278,7 @@ impl EdgeCollapse {
         })
     }
 
-    /// Merges `from` into `to` at the position and removes the triangles at the edge that the corner faces.
+    /// Merges `to` into `from` at the position and removes the triangles at the edge that the corner faces.
     fn collapse(&mut self, corner: u32, from: u32, to: u32, rings: &[Vec<u32>; 2], place: Point3<f64>) {
         self.count_ring_edges(&rings[0], from, None, -1);
         self.count_ring_edges(&rings[1], to, Some(from), -1);
@@ -308,7 +308,7 @@ impl EdgeCollapse {
         });
     }
 
-    /// Calls `visit` once for each vertex adjacent to the ring's vertex.
+    /// Calls `call` once for each vertex adjacent to the ring's vertex.
     fn for_ring_neighbours(&mut self, ring: &[u32], mut call: impl FnMut(&mut Self, u32)) {
         for &c in ring {
             call(self, vertex(&self.surface.triangles, next(c)));

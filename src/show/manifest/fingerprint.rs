@@ -55,7 +55,7 @@ pub fn fingerprint(project: &Project, scene: &Scene, settings: &Settings) -> Res
         let [image, mask] = pictures.files(&view.name);
         let size = image.as_deref().and_then(size);
         let read = [image.filter(|_| reads_images), mask.filter(|_| reads_masks)];
-        // A picture that cannot be read is done without.
+        // The contents of a picture that cannot be read are left out.
         (size, read.map(|path| ends(&path?).ok()))
     };
     let of_views: Vec<_> = scene.views.par_iter().map(of_view).collect();
@@ -69,7 +69,7 @@ pub fn fingerprint(project: &Project, scene: &Scene, settings: &Settings) -> Res
     Ok(hasher.finalize().to_string())
 }
 
-/// Hash of a file's length and of [`END`] bytes at its beginning and end.
+/// Returns a hash of a file's length and of [`END`] bytes at its beginning and end.
 fn ends(path: &Path) -> io::Result<blake3::Hash> {
     let mut file = input::open(path)?;
     let length = file.metadata()?.len();

@@ -40,7 +40,7 @@ impl RegionSummary {
         })
     }
 
-    /// A sentence of one or two lines; of `auto` and of a box it has the corners, which `--region` takes.
+    /// Returns a description of one or two lines; for `auto` and a box it includes the corners as `--region` takes them.
     pub fn words(&self, weight: TriangleWeight) -> String {
         let corners = self.bounds.map(|x| short(x, &self.bounds)).join(",");
         let what = match self.kind {
@@ -59,7 +59,7 @@ impl RegionSummary {
     }
 }
 
-/// A coordinate to a thousandth of the shortest side.
+/// Formats a coordinate to a thousandth of the shortest side.
 fn short(x: f64, bounds: &[f64; 6]) -> String {
     let shortest = (0..3).map(|axis| bounds[axis + 3] - bounds[axis]).fold(f64::INFINITY, f64::min);
     let places = (3.0 - shortest.log10().ceil()).clamp(0.0, 9.0);

@@ -97,8 +97,8 @@ pub(crate) fn read_own(project: &Project, name: &str) -> Result<Vec<u8>, Written
     })
 }
 
-/// Checks the contents of the manifest at `path`, as all that reads one does first: ranks, names, partners, shares, settings and cut must not
-/// contradict each other. Whether the model is still the planned one is not part of it.
+/// Checks the contents of the manifest at `path`, as every reader does first: ranks, names, partners, shares, settings and cut must not
+/// contradict each other. Does not check that the model is still the planned one.
 ///
 /// # Errors
 /// [`WrittenPlanError::Manifest`] with the first field that does, [`WrittenPlanError::Version`].

@@ -24,8 +24,8 @@ const FIGURES: [(char, [u8; 5]); 4] = [
     ('.', [0b000, 0b000, 0b000, 0b000, 0b010]),
 ];
 
-/// PNG bytes: the image, its confidence in colour at the same scale to the right, then the legend from 1 (top) to 0. `at`: the confidence at column and
-/// row of a pixel, grey if `None`.
+/// Returns a PNG: the image, to its right its confidence in colour at the same scale, then the legend from 1 (top) to 0. `at`: the confidence at a
+/// pixel's column and row; grey if `None`.
 pub fn confidence_picture(image: &Image, at: impl Fn(u32, u32) -> Option<f32>) -> Vec<u8> {
     let (width, height) = (image.width, image.height.max(40));
     let mut picture = RgbImage::from_pixel(2 * width + LEGEND, height, Rgb([255; 3]));
@@ -42,7 +42,7 @@ pub fn confidence_picture(image: &Image, at: impl Fn(u32, u32) -> Option<f32>) -
     bytes.into_inner()
 }
 
-/// The confidence alone, RGB, 8 bit, row-major; grey where it is `None`.
+/// Returns the confidence alone in colour, 8-bit RGB, row-major; grey where it is `None`.
 pub fn in_colour(values: &[Option<f32>]) -> Vec<u8> {
     values.iter().flat_map(|value| value.map_or(UNKNOWN, colour).0).collect()
 }

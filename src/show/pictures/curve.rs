@@ -16,12 +16,12 @@ pub struct FulfilmentCurve {
     pub cut: Cut,
     /// Registered views.
     pub views: usize,
-    /// The shares are those inside a region.
+    /// True if the shares are those inside a region.
     pub of_region: bool,
 }
 
 impl FulfilmentCurve {
-    /// The curve that the plan predicts for its order.
+    /// Returns the curve that the plan predicts for its order.
     pub fn predicted(plan: &Plan) -> Self {
         let pairs = plan.decision.ranking.order.iter().scan(0, |sum, &c| {
             *sum += plan.stages.clusters[c as usize].partners.len();
@@ -36,7 +36,7 @@ impl FulfilmentCurve {
         }
     }
 
-    /// Share and pairs at the cut.
+    /// Returns the share and the number of pairs at the cut.
     fn at_cut(&self) -> Option<(f64, usize)> {
         let last = self.cut.clusters.checked_sub(1)?;
         Some((*self.share.get(last)?, *self.pairs.get(last)?))
@@ -72,7 +72,7 @@ impl FulfilmentCurve {
 const MARGIN: f64 = 6.0;
 const HEADER: f64 = 64.0;
 
-/// Two plots, share over key views and over pairs, with the cut marked.
+/// Returns an SVG of two plots, the share over key views and over pairs, with the cut marked.
 pub fn curve_svg(curve: &FulfilmentCurve) -> String {
     let title = curve.title();
     let mut content = format!(

@@ -1,4 +1,4 @@
-//! Where the depth map of a key view is expected to succeed, over its image.
+//! Expected success of the depth map of a key view, per pixel of its image.
 
 use crate::{
     method::{

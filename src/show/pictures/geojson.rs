@@ -14,7 +14,7 @@ use crate::{
     plan::Plan,
 };
 
-/// Name of the file: GIS programs take every `.geojson` for WGS 84, so that local coordinates have another name.
+/// Returns the name of the file; local coordinates get another name because GIS programs read every `.geojson` as WGS 84.
 pub fn views_file(place: &Georeference) -> &'static str {
     if *place == Georeference::Local { "views_local.json" } else { "views.geojson" }
 }
@@ -64,7 +64,7 @@ pub fn views_geojson(plan: &Plan, place: &Georeference) -> String {
     collection.to_string() + "\n"
 }
 
-/// The region on the map, as it was given, or the hull of its corners.
+/// Returns the region on the map as it was given, or the hull of its corners.
 fn region_geometry(outline: &Outline, frame: &MapFrame, position: impl Fn(&Point3<f64>) -> [f64; 3]) -> Value {
     let polygons = match outline {
         Outline::Geodetic(polygons) => json!(polygons),
@@ -91,7 +91,7 @@ fn polygon(corners: Vec<[f64; 3]>) -> Value {
     json!({ "type": "Polygon", "coordinates": [closed(corners)] })
 }
 
-/// The polygon in longitude and latitude, cut at the 180th meridian if it crosses it, as RFC 7946 (3.1.9) requires.
+/// Returns the polygon in longitude and latitude, cut at the 180th meridian if it crosses it, as RFC 7946 (3.1.9) requires.
 fn polygon_on_the_earth(mut corners: Vec<[f64; 3]>) -> Value {
     // Unwraps longitudes from the first corner, so that none jumps by 360 degrees.
     for i in 1..corners.len() {
@@ -145,7 +145,7 @@ fn properties(plan: &Plan, view: ViewIndex, rank: Option<usize>, what: &str) -> 
     })
 }
 
-/// Rounds to the digits that a survey can have.
+/// Rounds to the number of digits that a survey can resolve.
 fn rounded(number: f64, digits: i32) -> f64 {
     let scale = 10f64.powi(digits);
     (number * scale).round() / scale
@@ -163,7 +163,7 @@ mod tests {
         }
     }
 
-    /// Twice the area, positive where counter-clockwise; and the least and greatest longitude.
+    /// Returns twice the area, positive if counter-clockwise, and the smallest and the largest longitude.
     fn measured(ring: &[[f64; 3]]) -> (f64, f64, f64) {
         assert_eq!(ring.first(), ring.last());
         let area = ring.windows(2).map(|w| w[0][0] * w[1][1] - w[1][0] * w[0][1]).sum();

@@ -45,7 +45,7 @@ pub fn map_svg(plan: &Plan) -> String {
     draw_surface(&mut svg, &sheet, &triangles, &triangle_states(plan, chosen));
     let mut rank = vec![None; views.len()];
     plan.ranked().take(chosen).enumerate().for_each(|(i, cluster)| rank[cluster.key.index()] = Some(i + 1));
-    // The best on top.
+    // Draws the best ones last, on top.
     let mut order: Vec<usize> = (0..views.len()).collect();
     order.sort_by_key(|&v| std::cmp::Reverse(rank[v].unwrap_or(usize::MAX)));
     for v in order {
@@ -60,7 +60,7 @@ pub fn map_svg(plan: &Plan) -> String {
     plot::document(WIDTH, sheet.height, &title, &svg)
 }
 
-/// The state of each cell, summed over the triangles in it; cells without triangles stay white.
+/// Draws the state of each cell, summed over the triangles in it; cells without triangles stay white.
 fn draw_surface(svg: &mut String, sheet: &Sheet, triangles: &[[[f64; 3]; 4]], states: &[TriangleState]) {
     let size = (WIDTH - 2.0 * MARGIN) / (triangles.len() as f64).sqrt().clamp(8.0, CELLS);
     let mut cells = BTreeMap::<(i64, i64), TriangleState>::new();
@@ -83,7 +83,7 @@ fn draw_surface(svg: &mut String, sheet: &Sheet, triangles: &[[[f64; 3]; 4]], st
     }
 }
 
-/// From frame coordinates to pixels.
+/// Maps frame coordinates to pixels.
 struct Sheet {
     low: [f64; 2],
     high: f64,
@@ -92,7 +92,7 @@ struct Sheet {
 }
 
 impl Sheet {
-    /// The sheet that shows all points; `None` without any.
+    /// Returns the sheet that shows all points; `None` without any.
     fn around(points: impl Iterator<Item = [f64; 3]>) -> Option<Self> {
         let (mut low, mut high) = ([f64::MAX; 2], [f64::MIN; 2]);
         for point in points {

@@ -15,7 +15,7 @@ const BOTTOM: f64 = TOP + 240.0;
 const BARE_HEIGHT: f64 = BOTTOM + 54.0;
 const LEGEND_COLUMNS: usize = 2;
 const LEGEND_ROW: f64 = 19.0;
-/// Points of a polyline; more would not be visible at this width.
+/// Approximate number of points of a polyline; more would not be visible at this width.
 const MOST_POINTS: usize = 600;
 /// The cut, not among the [`COLOURS`].
 const CUT: &str = "#d55e00";
@@ -41,14 +41,14 @@ pub struct Plot<'a> {
     pub over: &'a str,
     /// Label of the y axis.
     pub share_of: &'a str,
-    /// More than one line makes a legend.
+    /// Lines of the plot; a legend is drawn if there is more than one.
     pub lines: &'a [Line],
     /// The cut, marked by a dot with dashed lines to both axes.
     pub cut: Option<(f64, f64)>,
 }
 
 impl Plot<'_> {
-    /// Height with the legend, pixels.
+    /// Returns the height with the legend, pixels.
     pub fn height(&self) -> f64 {
         let labels = if self.lines.len() > 1 { self.lines.len() } else { 0 };
         BARE_HEIGHT + LEGEND_ROW * labels.div_ceil(LEGEND_COLUMNS) as f64
@@ -125,7 +125,7 @@ impl Line {
     }
 }
 
-/// Pixels of a point of the plot.
+/// Scale that maps points of the plot to pixels.
 struct Scale {
     /// Right end of the x axis, a multiple of `step`.
     most: f64,
@@ -153,7 +153,7 @@ impl Scale {
     }
 }
 
-/// The label is at the foot of the vertical line, where no curve is, on the side that has room.
+/// Draws the cut, with its label at the foot of the vertical line, clear of the curves, on the side with more room.
 fn draw_cut(svg: &mut String, cut: (f64, f64), scale: &Scale) {
     let (x, y) = scale.at(cut);
     let (label_x, anchor) = if x > (LEFT + RIGHT) / 2.0 { (x - 8.0, "end") } else { (x + 8.0, "start") };
@@ -167,7 +167,7 @@ fn draw_cut(svg: &mut String, cut: (f64, f64), scale: &Scale) {
     );
 }
 
-/// An SVG file or element with a white background. `content`: its elements; `label`: what it shows, for screen readers.
+/// Returns an SVG file or element with a white background. `content`: its elements; `label`: a description for screen readers.
 pub fn document(width: f64, height: f64, label: &str, content: &str) -> String {
     format!(
         "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {width} {height}\" width=\"{width}\" height=\"{height}\" \
@@ -177,20 +177,20 @@ pub fn document(width: f64, height: f64, label: &str, content: &str) -> String {
     )
 }
 
-/// About `MOST_POINTS` evenly spaced indices below `count`, and the last index.
+/// Returns about `MOST_POINTS` evenly spaced indices below `count`, and the last index.
 fn thinned(count: usize) -> impl Iterator<Item = usize> {
     let step = count.div_ceil(MOST_POINTS).max(1);
     (0..count).filter(move |i| i % step == 0 || i + 1 == count)
 }
 
-/// 1, 2 or 5 times a power of ten, at most 6 of which fit.
+/// Returns the distance between ticks: 1, 2 or 5 times a power of ten, so that at most 6 fit.
 fn tick_step(most: f64) -> f64 {
     let rough = (most / 6.0).max(1.0);
     let power = 10f64.powf(rough.log10().floor());
     [1.0, 2.0, 5.0, 10.0].map(|m| m * power).into_iter().find(|s| *s >= rough).unwrap_or(10.0 * power)
 }
 
-/// A round number with at most four digits, as 2000, 20k or 1.2M.
+/// Formats a round number with at most four digits, such as 2000, 20k or 1.2M.
 fn short(tick: f64) -> String {
     match tick {
         1e6.. => format!("{}M", tick / 1e6),

@@ -26,7 +26,7 @@ impl TriangleState {
     }
 }
 
-/// State of every triangle after the first `clusters` of the ranking.
+/// Returns the state of every triangle after the first `clusters` of the ranking.
 pub fn triangle_states(plan: &Plan, clusters: usize) -> Vec<TriangleState> {
     let mut states = vec![TriangleState::default(); plan.stages.surface.triangles.len()];
     for_each_step(plan, |rank, triangle, fulfilment| {
@@ -72,18 +72,18 @@ pub const REASON_NUMBERS: [Reason; 11] = [
     Reason::NoImage,
 ];
 
-/// The number of a reason, from 1; 0 for `None`.
+/// Returns the number of a reason, from 1; 0 for `None`.
 pub fn reason_number(reason: Option<Reason>) -> u8 {
     let position = reason.and_then(|reason| REASON_NUMBERS.iter().position(|&r| r == reason));
     position.map_or(0, |i| i as u8 + 1)
 }
 
-/// Colours of a share of 0, 1/2 and 1, pale yellow over green to dark blue: distinguishable by the colour-blind and in greyscale, ever darker.
+/// Colours of a share of 0, 1/2 and 1, pale yellow through green to dark blue: ever darker, distinguishable by the colour-blind and in greyscale.
 pub const RAMP: [[u8; 3]; 3] = [[250, 226, 158], [96, 160, 152], [16, 80, 136]];
 
-/// The surface at the plan's cut: `quality` (share reached), `chosen_views`, `reason`, and colours from pale yellow (nothing) over
-/// green to dark blue (all that can be reached); red where no view can do anything. With a region, also `region`, the factor on each triangle's weight; colours
-/// outside are pale.
+/// Returns the surface at the plan's cut as PLY: `quality` (share reached), `chosen_views`, `reason`, and colours from pale yellow (nothing)
+/// through green to dark blue (all that can be reached); red where no view can do anything. With a region, also `region`, the factor on each
+/// triangle's weight; colours outside are pale.
 pub fn surface_ply(plan: &Plan) -> Vec<u8> {
     let states = triangle_states(plan, plan.decision.cut.clusters);
     let share: Vec<f32> = states.iter().map(TriangleState::share).collect();
@@ -111,12 +111,12 @@ pub fn surface_ply(plan: &Plan) -> Vec<u8> {
     ply::write(&plan.stages.surface.vertices, &plan.stages.surface.triangles, &fields, &comments)
 }
 
-/// The reason as it is written in the manifest.
+/// Returns the reason as written in the manifest.
 fn word(reason: Reason) -> String {
     serde_json::to_value(reason).ok().and_then(|v| v.as_str().map(str::to_owned)).unwrap_or_default()
 }
 
-/// A colour outside the region.
+/// Returns the paler colour that is used outside the region.
 fn pale(colour: [u8; 3]) -> [u8; 3] {
     colour.map(|channel| (u16::from(channel) / 4 + 168) as u8)
 }

@@ -1,9 +1,9 @@
 //! Bailer, Finckh, Lensch, *Scale Robust Multi View Stereo* (ECCV 2012), view selection.
 //!
 //! Goesele's greedy choice with a milder angle weight, `min(angle / a_max, 1)^1.5` with a_max = 35 degrees towards the key view and 14
-//! degrees among the partners, and a coverage weight, so that points which chosen views cover already count less and the
-//! partners cover the whole image: a point seen by n of the chosen views counts 1 / (1 + n). The text of the paper was not at hand when
-//! this was written: the form of the weights is restated from memory, the coverage weight is the simplest that does what it says.
+//! degrees among the partners, and a coverage weight, so that points already covered by chosen views count less and the
+//! partners cover the whole image: a point seen by n of the chosen views counts 1 / (1 + n). The paper was not at hand when
+//! this was written: the form of the weights is from memory, and the coverage weight is the simplest that has this effect.
 
 use super::Neighbourhood;
 use crate::model::scene::{PointIndex, ViewIndex};

@@ -15,8 +15,8 @@ pub(super) fn choose(hood: &Neighbourhood, k: usize) -> Vec<ViewIndex> {
     })
 }
 
-/// Degrees, ascending: one for each pair of observations of a shared point, and that many shared points COLMAP counts. Angles above 90
-/// degrees are folded (`CalculateTriangulationAngle`).
+/// Returns the triangulation angles, degrees, ascending, one for each pair of observations of a shared point; COLMAP counts as many shared points.
+/// Angles above 90 degrees are folded (`CalculateTriangulationAngle`).
 fn angles(hood: &Neighbourhood, view: ViewIndex, points: &[PointIndex]) -> Vec<f64> {
     let of_point = |&p: &PointIndex| {
         let angle = hood.angle(p, hood.key, view).to_degrees();
@@ -27,7 +27,7 @@ fn angles(hood: &Neighbourhood, view: ViewIndex, points: &[PointIndex]) -> Vec<f
     angles
 }
 
-/// Between its two neighbours (COLMAP 3.8: the nearer one).
+/// Returns the percentile, interpolated between its two neighbours (COLMAP 3.8 takes the nearer one).
 fn percentile(angles: &[f64]) -> f64 {
     let rank = PERCENTILE / 100.0 * (angles.len() - 1) as f64;
     let (low, high) = (angles[rank.floor() as usize], angles[rank.ceil() as usize]);

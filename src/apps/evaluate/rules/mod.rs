@@ -1,4 +1,4 @@
-//! Rules of others by which a key view gets its matching partners (method 8), each as its authors wrote it: one file per family.
+//! Other authors' rules for choosing the matching partners of a key view (method 8), each as published: one file per family.
 //!
 //! All work on the sparse model alone. A rule looks at every view of the model unless its own text says otherwise, knows nothing of
 //! what a backend can match, and may find fewer than k partners.
@@ -23,12 +23,12 @@ use crate::model::{
 /// A rule, as named in `--write-baselines`.
 pub struct SelectionRule {
     pub name: &'static str,
-    /// Who says so.
+    /// The paper or program that the rule comes from.
     pub source: &'static str,
     choose: fn(&Neighbourhood, usize) -> Vec<ViewIndex>,
 }
 
-/// Every rule, in the order of tables.
+/// All rules, in the order in which tables list them.
 pub const RULES: &[SelectionRule] = &[
     SelectionRule { name: "mindist", source: "k closest camera centres", choose: nearest::closest },
     SelectionRule { name: "maxcon", source: "k most shared sparse points", choose: nearest::most_connected },
@@ -42,7 +42,7 @@ pub const RULES: &[SelectionRule] = &[
 ];
 
 impl SelectionRule {
-    /// At most k partners for each key view, best first; key views for which the rule finds none are left out.
+    /// Returns clusters of at most k partners for each key view, best first; key views for which the rule finds none are left out.
     pub fn clusters(&self, scene: &Scene, keys: &[ViewIndex], k: usize) -> Vec<ViewCluster> {
         let points = scene.view_points();
         let cluster = |&key: &ViewIndex| ViewCluster {
@@ -58,7 +58,7 @@ struct Neighbourhood<'a> {
     scene: &'a Scene,
     points: &'a ViewPoints,
     key: ViewIndex,
-    /// Views with shared points, ascending, and those points, ascending.
+    /// Views with shared points, ascending, each with those points, ascending.
     others: Vec<(ViewIndex, Vec<PointIndex>)>,
 }
 
@@ -85,24 +85,24 @@ impl<'a> Neighbourhood<'a> {
         self.scene.points[point.index()]
     }
 
-    /// Number of observations of the point in the view: a feature may be detected twice.
+    /// Returns the number of observations of the point in the view: a feature may be detected twice.
     fn observations(&self, point: PointIndex, view: ViewIndex) -> usize {
         self.scene.track_views(point).iter().filter(|&&v| v == view).count()
     }
 
-    /// Angle at a point between the rays to two views, radians; 0 where a view is at the point.
+    /// Returns the angle at a point between the rays to two views, radians; 0 if a view is at the point.
     fn angle(&self, point: PointIndex, a: ViewIndex, b: ViewIndex) -> f64 {
         let x = self.point(point);
         (self.centre(a) - x).angle(&(self.centre(b) - x))
     }
 
-    /// Size of a pixel of the view at a point: depth over the mean focal length, scene units.
+    /// Returns the size of a pixel of the view at a point: depth over the mean focal length, scene units.
     fn footprint(&self, point: PointIndex, view: ViewIndex) -> f64 {
         let depth = self.scene.view(view).cam_from_world.camera_from_world(&self.point(point)).z;
         depth / self.scene.camera_of(view).mean_focal_length()
     }
 
-    /// The k others of the highest score, ties by name; those that the score refuses are left out.
+    /// Returns the k other views with the highest scores, ties by name; views without a score are left out.
     fn best(&self, k: usize, score: impl Fn(ViewIndex, &[PointIndex]) -> Option<f64>) -> Vec<ViewIndex> {
         let scored = self.others.iter().filter_map(|(view, points)| Some((score(*view, points)?, *view)));
         let mut scored: Vec<(f64, ViewIndex)> = scored.collect();
@@ -110,7 +110,7 @@ impl<'a> Neighbourhood<'a> {
         scored.into_iter().map(|(_, view)| view).take(k).collect()
     }
 
-    /// k others one by one, each time the one of the highest gain above 0 beside those already taken, ties by name.
+    /// Returns up to k other views, chosen one by one: each time the one with the highest positive gain given those already taken, ties by name.
     fn greedy(&self, k: usize, gain: impl Fn(ViewIndex, &[PointIndex], &[ViewIndex]) -> f64) -> Vec<ViewIndex> {
         let mut taken: Vec<ViewIndex> = Vec::new();
         while taken.len() < k {

@@ -20,7 +20,7 @@ pub(super) fn most_connected(hood: &Neighbourhood, k: usize) -> Vec<ViewIndex> {
     hood.best(k, |_, points| Some(points.len() as f64))
 }
 
-/// k of the most connected views by chance; the seed is the key view's index.
+/// Returns k of the most connected views, drawn at random; the seed is the key view's index.
 pub(super) fn random(hood: &Neighbourhood, k: usize) -> Vec<ViewIndex> {
     let mut views = most_connected(hood, RANDOM_AMONG);
     shuffle(&mut views, u64::from(hood.key.0));

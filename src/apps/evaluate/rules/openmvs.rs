@@ -2,8 +2,8 @@
 //!
 //! Score = the larger of the covered area and 0.01, times the sum over shared points of `max(w_angle, 0.1) w_scale`; w_angle is a Gaussian
 //! around 12 degrees of standard deviation 0.38 x 12 degrees below and 0.7 x 12 above; w_scale by r, the view's scale at the point over the other's:
-//! (1.6/r)^2 above 1.6, 1 from 1 to 1.6, r^2 below 1. Views of area below 0.05, mean r outside 0.2 to 3.2 or mean angle outside 3 to 65
-//! degrees go as long as more than 9 are left, the worst score first.
+//! (1.6/r)^2 above 1.6, 1 from 1 to 1.6, r^2 below 1. Views with an area below 0.05, a mean r outside 0.2 to 3.2 or a mean angle outside 3 to 65
+//! degrees are removed, the worst score first, as long as more than 9 are left.
 
 use super::Neighbourhood;
 use crate::model::scene::{PointIndex, ViewIndex};
@@ -38,7 +38,7 @@ pub(super) fn choose(hood: &Neighbourhood, k: usize) -> Vec<ViewIndex> {
     neighbours.into_iter().take(k.min(MAX_VIEWS)).map(|n| n.view).collect()
 }
 
-/// Before the filter, best first.
+/// Returns the neighbours before the filter, best first.
 pub(super) fn neighbours(hood: &Neighbourhood) -> Vec<Neighbour> {
     let mut neighbours: Vec<Neighbour> = hood.others.iter().filter_map(|(v, points)| score(hood, *v, points)).collect();
     neighbours.sort_by(|a, b| b.score.total_cmp(&a.score).then(a.view.cmp(&b.view)));
@@ -69,7 +69,7 @@ fn scale_weight(ratio: f64) -> f64 {
     if ratio > 1.6 { (1.6 / ratio).powi(2) } else { ratio.min(1.0).powi(2) }
 }
 
-/// Share of the cells of the key view's image that hold a shared point which projects into both; `None` where none does.
+/// Returns the share of the cells of the key view's image that hold a shared point projecting into both images; `None` if there is none.
 fn covered_area(hood: &Neighbourhood, view: ViewIndex, points: &[PointIndex]) -> Option<f64> {
     let camera = hood.scene.camera_of(hood.key);
     let mut cells = [false; (CELLS * CELLS) as usize];
@@ -83,7 +83,7 @@ fn covered_area(hood: &Neighbourhood, view: ViewIndex, points: &[PointIndex]) ->
     (covered > 0).then(|| covered as f64 / (CELLS * CELLS))
 }
 
-/// Where the point is in the image, OpenMVS's pixels (the centre of the first is 0, 0); `None` outside.
+/// Returns the point's position in the image in OpenMVS's pixels (the centre of the first is 0, 0); `None` outside.
 fn project(hood: &Neighbourhood, view: ViewIndex, point: PointIndex) -> Option<[f64; 2]> {
     let camera = hood.scene.camera_of(view);
     let pixel = camera.project(&hood.scene.view(view).cam_from_world.camera_from_world(&hood.point(point)))?;

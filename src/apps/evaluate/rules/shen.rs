@@ -1,8 +1,8 @@
 //! Shen, *Accurate Multiple View 3D Reconstruction Using Patch-Based Stereo for Large-Scale Scenes* (IEEE TIP 2013), stereo pair
 //! selection.
 //!
-//! theta: mean angle at the shared points; d: distance of the centres. Wanted are 5 < theta < 60 degrees and 0.05 d_m < d < 2 d_m, d_m the
-//! median of d over the views of such theta; of those the k of the smallest theta d.
+//! theta: mean angle at the shared points; d: distance of the centres. Views must satisfy 5 < theta < 60 degrees and 0.05 d_m < d < 2 d_m, where d_m
+//! is the median of d over the views within the limits of theta; of these, the k with the smallest theta d are chosen.
 
 use super::Neighbourhood;
 use crate::model::scene::{PointIndex, ViewIndex};
@@ -21,7 +21,7 @@ pub(super) fn choose(hood: &Neighbourhood, k: usize) -> Vec<ViewIndex> {
     by_product.into_iter().map(|(_, view)| view).take(k).collect()
 }
 
-/// Degrees.
+/// Returns the mean angle at the shared points, degrees.
 fn mean_angle(hood: &Neighbourhood, view: ViewIndex, points: &[PointIndex]) -> f64 {
     let sum: f64 = points.iter().map(|&p| hood.angle(p, hood.key, view).to_degrees()).sum();
     sum / points.len() as f64

@@ -97,7 +97,7 @@ fn chosen(scene: &Scene, rule_name: &str, k: usize) -> Vec<u32> {
 
 #[test]
 fn greedy_rules_pass_over_a_twin_of_a_partner() {
-    // 1 and 2 stand together and share three points with the key view, 3 stands elsewhere and shares two.
+    // 1 and 2 are at the same position and share three points with the key view; 3 is elsewhere and shares two.
     let scene = row_of_views(&[0.0, 3.0, 3.0, -3.0], &[&[0, 1, 2], &[0, 1, 2, 3], &[0, 1, 2, 3]]);
     assert_eq!(chosen(&scene, "maxcon", 2), [1, 2]);
     assert_eq!(chosen(&scene, "goesele", 2), [1, 3]);

@@ -31,13 +31,13 @@ pub const STEP_DEG: f64 = 14.0;
 const CLEARANCE: f64 = 0.6;
 /// Largest number of places per hole that poses look at.
 const PLACES: usize = 40;
-/// Closer poses with nearly the same direction are one, as a share of the step.
+/// Distance, as a share of the step, within which poses with nearly the same direction are merged.
 const SAME: f64 = 0.4;
-/// Poses look at least this far down, sine: from below, ground is no place to fly.
+/// Smallest sine of the elevation of a pose above its target; lower poses could be below ground.
 const LOWEST: f64 = -0.2;
 
-/// Poses on a grid in front of each hole, facing it, and four around each: from the distance that gives the wanted resolution, in the camera
-/// that took most images, at a safe distance from the surface.
+/// Returns poses on a grid in front of each hole, facing it, with four more around each: at the distance that gives the wanted resolution with the
+/// camera that took the most images, and clear of the surface.
 pub fn around(plan: &Plan, holes: &[Hole], frame: &MapFrame) -> Vec<Candidate> {
     let Some(camera) = usual_camera(plan) else { return Vec::new() };
     let focal = plan.stages.scene.cameras[camera.index()].mean_focal_length();
@@ -69,7 +69,7 @@ pub fn around(plan: &Plan, holes: &[Hole], frame: &MapFrame) -> Vec<Candidate> {
     all
 }
 
-/// The camera of most views, the first of equals.
+/// Returns the camera with the most views, the first one in a tie; `None` if it has no valid focal length.
 fn usual_camera(plan: &Plan) -> Option<CameraIndex> {
     let mut views = vec![0usize; plan.stages.scene.cameras.len()];
     plan.stages.scene.views.iter().for_each(|view| views[view.camera.index()] += 1);
@@ -79,7 +79,7 @@ fn usual_camera(plan: &Plan) -> Option<CameraIndex> {
     has_focal(&plan.stages.scene.cameras[found]).then_some(CameraIndex(found as u32))
 }
 
-/// Places on the hole, the deepest first, at least `step` apart, with the mean normal around each.
+/// Returns places on the hole, the deepest first, at least `step` apart, each with the mean normal around it.
 fn places(surface: &Surface, hole: &Hole, step: f64) -> Vec<(Point3<f64>, Vector3<f64>)> {
     let mut order = vec![hole.deepest];
     order.extend(hole.members.iter().copied().filter(|&t| t != hole.deepest));
@@ -98,7 +98,7 @@ fn places(surface: &Surface, hole: &Hole, step: f64) -> Vec<(Point3<f64>, Vector
     found.iter().filter_map(normal).collect()
 }
 
-/// Directions from a place to its candidates: along its normal, and [`STEP_DEG`] to each of four sides.
+/// Returns the directions from a place to its candidates: along its normal, and tilted by [`STEP_DEG`] to each of four sides.
 fn directions(normal: &Vector3<f64>, up: &Vector3<f64>) -> [Vector3<f64>; 5] {
     let side = normal
         .cross(up)
@@ -109,7 +109,7 @@ fn directions(normal: &Vector3<f64>, up: &Vector3<f64>) -> [Vector3<f64>; 5] {
     [Vector3::zeros(), side, -side, other, -other].map(|aside| (normal + aside * tilt).normalize())
 }
 
-/// The pose at `centre` that looks along `direction`, its image upright, or where it looks straight down, its top towards `ahead`.
+/// Returns the pose at `centre` that looks along `direction` with its image upright, or, if it looks straight down, with the top towards `ahead`.
 fn looking(centre: &Point3<f64>, direction: &Vector3<f64>, up: &Vector3<f64>, ahead: &Vector3<f64>) -> Pose {
     let right = direction.cross(up);
     let right = right.try_normalize(0.3).unwrap_or_else(|| direction.cross(ahead).normalize());

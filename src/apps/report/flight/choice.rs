@@ -1,4 +1,4 @@
-//! Chooses among the candidate poses: the view cluster next that fills most per image still to be taken.
+//! Chooses among the candidate poses: next comes the view cluster that fills the most per image still to be taken.
 
 use rayon::prelude::*;
 
@@ -28,11 +28,11 @@ use crate::{
 
 /// The choice ends when a further image fills less than this share of what can be filled.
 const LEAST: f64 = 0.01;
-/// The choice ends when this share of what can be filled is.
+/// The choice ends once this share of what can be filled has been filled.
 const ENOUGH: f64 = 0.92;
-/// Partners of a candidate among the other candidates.
+/// Largest number of partners of a candidate among the other candidates.
 const NEAREST: usize = 4;
-/// Partners among the images that are there.
+/// Largest number of partners of a candidate among the existing images.
 const TAKEN: usize = 3;
 
 /// The existing views that see a hole, then the candidates, as a scene without points.
@@ -133,7 +133,7 @@ pub fn choose(
     })
 }
 
-/// Clusters of each candidate with its neighbours, with images that are there, and with both; and of images that are there with candidates.
+/// Returns the clusters of each candidate with other candidates, with existing images, and with both; and of existing images with candidates.
 fn clusters(extended: &Extended, candidates: &[Candidate], k: usize) -> Vec<ViewCluster> {
     let of_candidate = |i: usize| {
         let own = &candidates[i];
@@ -160,7 +160,7 @@ fn clusters(extended: &Extended, candidates: &[Candidate], k: usize) -> Vec<View
         let few: Vec<ViewIndex> = new.iter().copied().take(2).collect();
         let mut found: Vec<ViewCluster> =
             [new.clone(), taken.clone(), mixed, few].map(|partners| ViewCluster { key, partners }).to_vec();
-        // An image that is there may get a depth map by the new ones.
+        // The new images may give an existing one a depth map.
         found.extend(taken.iter().map(|&old| {
             let partners = std::iter::once(key).chain(new.iter().copied()).take(k.max(2)).collect();
             ViewCluster { key: old, partners }
@@ -178,7 +178,7 @@ struct Flown {
     used: Vec<bool>,
 }
 
-/// Takes the cluster with the largest gain per new image until little is left; those that need none whenever they gain.
+/// Takes the cluster with the largest gain per new image until little is left to gain; clusters that need no new image cost almost nothing.
 fn greedy(
     extended: &Extended,
     clusters: &[ViewCluster],
@@ -211,7 +211,7 @@ fn greedy(
     flown
 }
 
-/// Largest share of the area that the view sees and one other view, planned or taken, sees too.
+/// Returns the largest share of the area seen by the view that a single other view, planned or existing, sees too.
 fn overlap(plan: &Plan, extended: &Extended, view: usize, used: &[bool]) -> f64 {
     let area = |triangles: &mut dyn Iterator<Item = u32>| triangles.map(|t| plan.stages.surface.area(t)).sum::<f64>();
     let own = extended.visibility.triangles_seen_by(ViewIndex(view as u32));

@@ -58,7 +58,7 @@ pub fn flight(plan: &Plan, holes: &[Hole], watcher: &dyn Watcher) -> Result<Flig
     Ok(flight)
 }
 
-/// Each waypoint followed by the nearest one left.
+/// Returns the waypoints ordered so that each is followed by the nearest one left.
 fn in_flying_order(mut left: Vec<Waypoint>) -> Vec<Waypoint> {
     let mut ordered: Vec<Waypoint> = Vec::with_capacity(left.len());
     while !left.is_empty() {
