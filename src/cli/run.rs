@@ -259,7 +259,8 @@ impl<'a> Work<'a> {
         let (all, tasks) = (self.plan.scene.views.len(), self.dispatch.tasks.len());
         let done = self.dispatch.finished_maps().count();
         let done = if done > 0 { format!(", {done} of them there already") } else { String::new() };
-        format!("Computing up to {tasks} of {all} depth maps{done}, until {} of what all give.\n", self.plan.target)
+        let target = (1000.0 * self.plan.target.0).round() / 10.0;
+        format!("Computing up to {tasks} of {all} depth maps{done}, until {target} % of what all give.\n")
     }
 
     /// Computes the depth maps in rank order; true if the target is reached.
@@ -390,15 +391,18 @@ impl<'a> Work<'a> {
     }
 
     fn words(&self, result: &Summary) -> String {
-        let share = result.share.map_or("not measured".into(), |share| format!("{:.1} %", 100.0 * share));
+        let measured = |share| format!("{:.1} % of what all would give, measured", 100.0 * share);
+        let share = result.share.map_or("their share is not measured".into(), measured);
         let verdict = match result.target_reached {
             true => "the target is reached".to_owned(),
+            false if result.failed > 0 => {
+                let again = self.arguments.again(self.arguments.target.as_deref());
+                format!("{} failed; to try again: {again}", result.failed)
+            }
+            false if self.arguments.budget.is_some() => "the budget is spent; raise --budget for more".to_owned(),
             false => format!("the list is done below the target; for more: {}", self.arguments.again(Some("98%"))),
         };
-        let mut text = format!(
-            "\n{} of {} depth maps: {share} of what all would give, measured; {verdict}.\n",
-            result.done, result.tasks
-        );
+        let mut text = format!("\n{} of {} depth maps: {share}; {verdict}.\n", result.done, result.tasks);
         if let Some(cloud) = &result.cloud {
             text += &format!("Point cloud: {}\n", cloud.display());
         }

@@ -351,7 +351,8 @@ fn next(project: &Project, plan: &Plan, files: &PlanFiles, dry_run: bool) -> Str
         }
         Some(command) => command.clone(),
         None if project.images.is_none() => {
-            format!("put the images into {}, then viewrank plan {root}", command_path(&project.root.join("images")))
+            let images = command_path(&project.root.join("images"));
+            format!("put the images into {images}, then viewrank plan {root} --backend {}", plan.stages.backend)
         }
         None if !takes_distorted && distorted() => {
             let dense = command_path(&project.home.join("dense"));

@@ -69,7 +69,7 @@ impl Amount for Budget {
 }
 
 impl Amount for Share {
-    const WANTED: &'static str = "a share from 0% to 100% such as 80% or 0.8";
+    const WANTED: &'static str = "a share from 0% to 100% such as 80% or 0.8; instead of 1 write 1% or 100%";
     const PATTERN: &'static str = "^[0-9.]+ ?%$";
 }
 

@@ -77,7 +77,7 @@ pub fn decide_as(stages: &Stages, finished: FinishedMaps, ranking: Ranking, cut:
     let area_shares = ranking::shares_by(&by_area, &ranking, &stages.maps());
     let views = all_reasons.views(&ranking.order[..cut.clusters], &stages.settings.partners)?;
     let triangle_reasons = all_reasons.triangles();
-    let warnings = warnings::warnings(stages, &ranking, &cut.reachable_band, &finished);
+    let warnings = warnings::warnings(stages, &ranking, &cut, &finished);
     Ok(Decision { ranking, finished, cut, area_shares, forecast, views, triangle_reasons, warnings })
 }
 

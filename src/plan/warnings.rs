@@ -1,6 +1,6 @@
 //! Warnings that the user should read before relying on a plan.
 
-use super::{Band, FinishedMaps, Stages};
+use super::{Band, Cut, FinishedMaps, Stages};
 use crate::method::ranking::Ranking;
 use crate::{
     config::{ConfidenceForm, Settings, SurfaceChoice},
@@ -22,7 +22,7 @@ const EASTINGS: std::ops::Range<f64> = 100_000.0..900_000.0;
 /// Depth maps that a warning names.
 const NAMED: usize = 3;
 
-pub(super) fn warnings(stages: &Stages, ranking: &Ranking, reachable: &Band, finished: &FinishedMaps) -> Vec<String> {
+pub(super) fn warnings(stages: &Stages, ranking: &Ranking, cut: &Cut, finished: &FinishedMaps) -> Vec<String> {
     let mut warnings: Vec<String> = stages.scene.warnings.iter().map(|warning| warning.text.clone()).collect();
     warnings.extend(stages.pictures.warnings.iter().cloned());
     warnings.extend(unlikely_gsd(&stages.scene, &stages.settings));
@@ -34,7 +34,8 @@ pub(super) fn warnings(stages: &Stages, ranking: &Ranking, reachable: &Band, fin
     warnings.extend(one_size(stages));
     warnings.extend(single_partner(stages));
     warnings.extend(little_fulfilled(ranking));
-    warnings.extend(unsure(stages, ranking.reachable, reachable));
+    warnings.extend(unconfirmed(stages, cut));
+    warnings.extend(unsure(stages, ranking.reachable, &cut.reachable_band));
     warnings.extend(contradictions(stages));
     warnings.extend(outdated(stages, finished));
     warnings.extend(finished.unreadable.iter().cloned());
@@ -157,6 +158,17 @@ fn little_fulfilled(ranking: &Ranking) -> Option<String> {
             "all images together can give only {:.0} % of what is wanted, and shares are of that: surface.ply has the reason of each triangle; \
              more partners (-k) or a coarser --gsd may give more",
             100.0 * given
+        )
+    })
+}
+
+/// Warns of so few maps that the backend's fusion is expected to keep nothing of them.
+fn unconfirmed(stages: &Stages, cut: &Cut) -> Option<String> {
+    let (clusters, support) = (cut.clusters, stages.objective.support as usize);
+    (cut.share <= 0.0 && clusters < support).then(|| {
+        format!(
+            "fusion by {} keeps points that {support} depth maps agree on, and the limits allow {clusters}: nothing will be left; raise the limit",
+            stages.backend
         )
     })
 }

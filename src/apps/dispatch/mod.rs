@@ -279,7 +279,9 @@ impl Hint for DispatchError {
                 "take --backend sgm, openmvs or colmap; or run its own script, see viewrank export".into()
             }
             Self::Program { variable, .. } => {
-                format!("name it with --program or {variable}; where only the nodes have it, see --setup")
+                format!(
+                    "name it with --program or {variable}; where only the nodes of a queue have it, see viewrank dispatch --setup"
+                )
             }
             Self::Path(_) => "rename the folder or the image".into(),
             Self::Start { program, .. } if program == "sh" => {

@@ -59,7 +59,6 @@ if (data.region) {
 }
 const COUNTED = surface.count ? surface.first.length / surface.count : 0;
 const clusters = ranking.keys.length;
-const total = clusters ? ranking.gains.reduce((sum, gain) => sum + gain, 0) : 0;
 
 // Rank (from 1) of the first key view that each view is a partner of.
 const partnerFrom = new Uint32Array(views.count).fill(0xffffffff);
@@ -117,10 +116,10 @@ function percent(share, digits = 1) {
   return `${(100 * share).toFixed(digits)}\u00a0%`;
 }
 
-// Share added by a cluster, with more digits where it is small.
+// Share added by a cluster at its rank, with more digits where it is small. None where another map has to confirm it first.
 function gainText(rank) {
-  const share = total ? ranking.gains[rank - 1] / total : 0;
-  return `+${percent(share, share >= 0.001 ? 2 : 4)}`;
+  const share = shareAt(rank) - shareAt(rank - 1);
+  return `+${percent(share, share >= 0.001 || share <= 0 ? 2 : 4)}`;
 }
 
 function short(number) {

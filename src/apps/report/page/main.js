@@ -38,7 +38,7 @@ function drawNumbers() {
   const numbers = [
     ['Depth maps', grouped.format(cut), `of ${grouped.format(views.count)} views`],
     ['Work', timesKnown() ? duration(secondsUpTo(cut)) : grouped.format(pairsUpTo[cut]), timesKnown() ? `of ${duration(secondsUpTo(clusters))} for all`
-      : `image pairs of ${grouped.format(pairsUpTo[clusters])} (${part(pairsUpTo[cut], pairsUpTo[clusters])})`],
+      : `image pairs of ${grouped.format(data.pairs_total)} (${part(pairsUpTo[cut], data.pairs_total)})`],
     ['Of what all depth maps give', percent(shareAt(cut)), planned ? `measured, it will likely be ${range(share)}` : 'predicted'],
     ['Of what the photographs show', percent(shareAt(cut) * reachable, 0), `all depth maps: ${percent(reachable, 0)}${planned ? ` (likely ${range(band)})` : ''}`],
   ];
