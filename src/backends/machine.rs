@@ -59,7 +59,8 @@ pub fn by_default(project: &Project) -> (&'static Backend, Why) {
 
 /// A program by the variable that names it, else from the PATH.
 fn installed(variable: &str, program: &str) -> Option<PathBuf> {
-    platform::located(&env::var_os(variable).map_or_else(|| program.into(), PathBuf::from))
+    let named = env::var_os(variable).and_then(|named| platform::located(Path::new(&named)));
+    named.or_else(|| platform::located(Path::new(program)))
 }
 
 /// Returns whether this COLMAP can match: its dense stereo needs CUDA, and `colmap help` says whether it has it.

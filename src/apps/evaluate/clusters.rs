@@ -56,7 +56,7 @@ pub fn read(path: &Path, scene: &Scene) -> Result<Vec<ViewCluster>, ClustersErro
     Ok(clusters)
 }
 
-/// Returns the folders that contain a `clusters.txt`, `folder` and those below it, sorted by path; an error if there are none.
+/// Returns the folders that contain a `clusters.txt`, `folder` and those below it, sorted by path; an error if no folder has one.
 pub fn folders(folder: &Path) -> Result<Vec<PathBuf>, ClustersError> {
     let mut found = Vec::new();
     for entry in WalkDir::new(folder).sort_by_file_name() {

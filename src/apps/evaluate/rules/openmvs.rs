@@ -69,7 +69,7 @@ fn scale_weight(ratio: f64) -> f64 {
     if ratio > 1.6 { (1.6 / ratio).powi(2) } else { ratio.min(1.0).powi(2) }
 }
 
-/// Returns the share of the cells of the key view's image that hold a shared point projecting into both images; `None` if there is none.
+/// Returns the share of the cells of the key view's image that hold a shared point projecting into both images; `None` without such a point.
 fn covered_area(hood: &Neighbourhood, view: ViewIndex, points: &[PointIndex]) -> Option<f64> {
     let camera = hood.scene.camera_of(hood.key);
     let mut cells = [false; (CELLS * CELLS) as usize];
