@@ -9,7 +9,7 @@ use std::{path::Path, time::Instant};
 
 use viewrank::internals::{
     backends,
-    confidence::{Agreement, Pictures},
+    confidence::{Agreement, Pictures, ProgramReach},
     config::{CommandLineSettings, Configuration, Files},
     geometry::Geometry,
     progress::NoWatcher,
@@ -51,7 +51,8 @@ fn main() -> Fallible<()> {
     let start = Instant::now();
     let partners = |view| stages.candidates.candidates_of(view);
     let pictures = Pictures::new(&project);
-    let agreement = pool.install(|| Agreement::new(&geometry, &pictures, partners, 1 << 30, &NoWatcher))?;
+    let agreement = pool
+        .install(|| Agreement::new(&geometry, &pictures, partners, &ProgramReach::EVERYTHING, 1 << 30, &NoWatcher))?;
     let compared = start.elapsed().as_secs_f64();
     if agreement.cache_head.is_none() {
         return Err("the agreement was read from the cache: remove viewrank/cache first".into());

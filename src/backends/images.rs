@@ -46,7 +46,7 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
 
 /// For programs that choose pairs themselves: every pair may be tried, and a place should be seen by more than one of the images.
 pub(super) const ANY_PROGRAM: PlanningNumbers = PlanningNumbers {
-    refuses: None,
+    reach: None,
     gate: Gate::OPEN,
     support: 3,
     source: "no gate, since the program pairs images itself; the confidence is that of OpenMVS, not measured here; support 3: the chosen \

@@ -215,7 +215,7 @@ pub struct Capabilities {
 
 /// OpenMVS's numbers, for PatchMatch programs that nobody has measured; `support` 2, since they join depth maps that agree.
 const PATCH_MATCH: PlanningNumbers = PlanningNumbers {
-    refuses: None,
+    reach: None,
     gate: Gate {
         min_shared_points: 1,
         min_angle_deg: 3.0,
@@ -224,6 +224,7 @@ const PATCH_MATCH: PlanningNumbers = PlanningNumbers {
         epipole_inside: true,
     },
     confidence: openmvs::CONFIDENCE,
+    photometric: openmvs::PHOTOMETRIC,
     support: 2,
     work: openmvs::WORK,
     measured: "no: openmvs's",

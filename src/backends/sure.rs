@@ -22,7 +22,7 @@ use crate::{
 
 /// The numbers of a matcher of rectified pairs (method 7.1 and 7.2).
 const RECTIFYING: PlanningNumbers = PlanningNumbers {
-    refuses: None,
+    reach: None,
     // Scale ratio 1.7.
     gate: Gate {
         min_shared_points: 1,
@@ -32,6 +32,7 @@ const RECTIFYING: PlanningNumbers = PlanningNumbers {
         epipole_inside: false,
     },
     confidence: sgm::CONFIDENCE,
+    photometric: sgm::PHOTOMETRIC,
     support: 1,
     work: super::openmvs::WORK,
     measured: "valley (sgm)",

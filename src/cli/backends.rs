@@ -2,6 +2,7 @@
 
 use crate::{
     backends::{self, Backend, Capabilities, Honours},
+    method::confidence::Photometric,
     plan::PlanningNumbers,
 };
 use clap::Args;
@@ -129,6 +130,8 @@ fn details(entry: &Entry) -> String {
         number(p.confidence.full_angle_deg, " degrees"),
     );
     add("geometric confidence", &confidence);
+    let Photometric { agree, differ, full_agreement } = p.photometric;
+    add("photometric", &format!("agree {agree}, differ {differ}, full_agreement {full_agreement}"));
     add("support", &format!("{} {}", p.support, if entry.matches { "depth maps" } else { "images" }));
     add("source", p.source);
     if !entry.options.is_empty() {

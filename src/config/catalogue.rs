@@ -168,7 +168,8 @@ mod tests {
             assert_eq!(find(name).default.as_f64(), Some(default), "{name}");
         }
         let by_data = ["target.gsd", "target.accuracy", "confidence.p0", "confidence.cosine_power"];
-        let by_backend = ["confidence.scale_octaves", "confidence.full_angle", "ranking.support", "image_scale"];
+        let by_backend =
+            ["confidence.scale_octaves", "confidence.full_angle", "confidence.agree", "ranking.support", "image_scale"];
         for name in by_data.iter().chain(&by_backend) {
             assert!(find(name).default.is_null(), "{name}");
         }

@@ -345,6 +345,15 @@ pub struct ConfidenceSettings {
     /// Triangulation angle from which a match has full confidence, degrees (a). A higher value penalises short baselines more; 0: no penalty.
     #[schemars(range(min = 0, max = 180), extend("unit" = "degrees"))]
     pub full_angle: Option<f64>,
+    /// Chance of a match where the two pictures agree on the surface. A higher value expects more of each pair.
+    #[schemars(range(max = 1), extend("exclusiveMinimum" = 0))]
+    pub agree: Option<f64>,
+    /// Chance of a match where they don't. A higher value trusts the pictures less; at most `agree`.
+    #[schemars(range(min = 0, max = 1))]
+    pub differ: Option<f64>,
+    /// Correlation of the two pictures from which they count as in full agreement. A higher value asks for more alike pictures.
+    #[schemars(range(max = 1), extend("exclusiveMinimum" = 0))]
+    pub full_agreement: Option<f64>,
     /// Matches that must succeed for a pixel, 1 to 3. A higher value is stricter.
     #[schemars(range(min = 1, max = 3), extend("unit" = "matches"))]
     pub min_matches: Option<u32>,
@@ -359,6 +368,9 @@ impl Default for ConfidenceSettings {
             cosine_power: None,
             scale_octaves: None,
             full_angle: None,
+            agree: None,
+            differ: None,
+            full_agreement: None,
             min_matches: None,
         }
     }

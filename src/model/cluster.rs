@@ -1,5 +1,6 @@
 //! View clusters (a key view with the views that it is matched against) and the limits on pairs of views.
 
+use nalgebra::Point3;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -58,6 +59,24 @@ pub struct RankedCluster {
     pub scale: MapScale,
     /// Fulfilment of the ranking up to and including this cluster, as a share of the fulfilment of all clusters, 0 to 1.
     pub share: f64,
+}
+
+/// What a program can match of a pair of views, by its own rule (method 7.1).
+pub enum Reach {
+    /// It refuses the pair.
+    Nothing,
+    Everything,
+    /// The points of the scene for which this is true.
+    Part(Box<IsReached>),
+}
+
+/// True for points of the scene that a program can match.
+pub type IsReached = dyn Fn(&Point3<f64>) -> bool + Send + Sync;
+
+impl Reach {
+    pub fn is_nothing(&self) -> bool {
+        matches!(self, Self::Nothing)
+    }
 }
 
 /// Limits on the pairs of views that a backend can match (method 7.1).

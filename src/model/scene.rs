@@ -290,6 +290,15 @@ impl ViewPoints {
     pub fn observed_by(&self, view: ViewIndex) -> &[PointIndex] {
         &self.points[self.offsets.row(view.index())]
     }
+
+    /// Returns the points that both views observe, ascending, without duplicates.
+    pub fn shared(&self, a: ViewIndex, b: ViewIndex) -> Vec<PointIndex> {
+        let other = self.observed_by(b);
+        let mut shared: Vec<PointIndex> = self.observed_by(a).to_vec();
+        shared.retain(|point| other.binary_search(point).is_ok());
+        shared.dedup();
+        shared
+    }
 }
 
 #[cfg(test)]

@@ -3,10 +3,13 @@
 use serde::Serialize;
 
 use crate::{
-    method::{confidence::PairConfidence, partners::PairGeometry},
+    method::{
+        confidence::{PairConfidence, Photometric},
+        partners::PairGeometry,
+    },
     model::{
         camera::Camera,
-        cluster::Gate,
+        cluster::{Gate, Reach},
         scene::{Scene, ViewPoints},
     },
 };
@@ -16,11 +19,13 @@ use crate::{
 pub struct PlanningNumbers {
     /// Method 7.1.
     pub gate: Gate,
-    /// True for pairs that the program refuses outright, by its own rule; images are matched at this share of the model's size.
+    /// What the program can match of a pair, by its own rule, if images are matched at this share of the model's size; `None`: everything.
     #[serde(skip)]
-    pub refuses: Option<fn(&PairGeometry, &ViewPoints, f64) -> bool>,
+    pub reach: Option<fn(&PairGeometry, &ViewPoints, f64) -> Reach>,
     /// Method 7.2.
     pub confidence: PairConfidence,
+    /// Method 7.4.
+    pub photometric: Photometric,
     /// Number of depth maps that must see a triangle (m, method 5.2).
     pub support: u32,
     /// Work of a depth map (method 5.8).

@@ -6,7 +6,9 @@ use crate::{
     config::{Settings, Share, TargetMode},
     io::project::Project,
     method::{
-        confidence::{self, Agreement, Confidence, Pictures, Predictor, Proxy, Source, TrainedModel, Unary},
+        confidence::{
+            self, Agreement, Confidence, Pictures, Predictor, ProgramReach, Proxy, Source, TrainedModel, Unary,
+        },
         fulfilment::{self, FulfilmentRule, FulfilmentTable, Model},
         geometry::Geometry,
         partners::{self, Candidates, Limits, PairGeometry},
@@ -17,7 +19,7 @@ use crate::{
         visibility::{self, Visibility},
     },
     model::{
-        cluster::{MapScale, ViewCluster},
+        cluster::{MapScale, Reach, ViewCluster},
         georeference::MapFrame,
         scene::{Scene, Units, ViewIndex, ViewPoints},
     },
@@ -93,7 +95,7 @@ impl Stages {
         let is_missing = |view: &ViewIndex| missing_images.binary_search(view).is_ok();
         let refuses = |pair: &PairGeometry| {
             let lacks_image = [pair.key, pair.partner].iter().any(is_missing);
-            lacks_image || numbers.refuses.is_some_and(|refuses| refuses(pair, &points, settings.image_scale()))
+            lacks_image || numbers.reach.is_some_and(|reach| reach(pair, &points, settings.image_scale()).is_nothing())
         };
         let gate = numbers.gate.with(&settings.partners.gate);
         let limits = Limits { gate: &gate, refuses: &refuses };
@@ -108,7 +110,8 @@ impl Stages {
         let region = shape.map(|shape| shape.lay_over(&seen.surface, pixels, watcher)).transpose()?;
         let target = target(&scene, &seen, region.as_ref(), &settings);
         seen.visibility.triangles.release();
-        let confidence = Confidence::new(&source, trained.as_ref(), &settings.confidence, &matcher.numbers.confidence);
+        let confidence =
+            Confidence::new(&source, trained.as_ref(), &settings.confidence, &numbers.confidence, &numbers.photometric);
         confidence.fill_in(&mut settings.confidence);
         let geometry = Geometry {
             scene: &scene,
@@ -140,7 +143,15 @@ impl Stages {
             Confidence::Photometric { .. } => {
                 let partners = |view| candidates.candidates_of(view);
                 let most = memory.most_samples();
-                let agreement = Agreement::new(&geometry, &Pictures::new(project), partners, most, watcher)?;
+                let of_pair = |key, partner| match numbers.reach {
+                    Some(reach) => {
+                        let shared = points.shared(key, partner);
+                        reach(&PairGeometry::new(&scene, key, partner, &shared), &points, settings.image_scale())
+                    }
+                    None => Reach::Everything,
+                };
+                let reach = ProgramReach { program: numbers.reach.map(|_| matcher.name), of_pair: &of_pair };
+                let agreement = Agreement::new(&geometry, &Pictures::new(project), partners, &reach, most, watcher)?;
                 pictures.warnings.extend(agreement.warnings.iter().cloned());
                 Ok::<_, PlanError>(agreement)
             }

@@ -128,6 +128,7 @@ fn other_backend(stages: &Stages) -> Option<String> {
 fn without_effect(stages: &Stages) -> Option<String> {
     let set = &stages.settings.confidence;
     let pair = matches!(stages.confidence, Confidence::Pair(_) | Confidence::Photometric { .. });
+    let photometric = matches!(stages.confidence, Confidence::Photometric { .. });
     let paper = matches!(stages.confidence, Confidence::Paper { .. });
     let ignored = [
         ("form", set.form == ConfidenceForm::Paper && !paper),
@@ -135,6 +136,9 @@ fn without_effect(stages: &Stages) -> Option<String> {
         ("cosine_power", set.cosine_power.is_some() && !pair),
         ("scale_octaves", set.scale_octaves.is_some() && !pair),
         ("full_angle", set.full_angle.is_some() && !pair),
+        ("agree", set.agree.is_some() && !photometric),
+        ("differ", set.differ.is_some() && !photometric),
+        ("full_agreement", set.full_agreement.is_some() && !photometric),
         ("min_matches", set.min_matches.is_some() && stages.confidence == Confidence::None),
     ];
     let names: Vec<String> =

@@ -207,7 +207,8 @@ def f_conf(model, tables, key, partners, seen, sees):
         row = np.searchsorted(tables.seen[partner], seen[here])
         if settings["source"] == "photometric" and (agreement := tables.agreement_of(key, partner)) is not None:
             agreed = agreement[here].astype(float)
-            chances[i, here] = np.where(agreed > 0, 0.95 * np.clip((agreed - 1) / 254 / 0.8, 0.02, 1), 0)
+            agree, differ = settings["agree"], settings["differ"]
+            chances[i, here] = np.where(agreed > 0, differ + (agree - differ) * np.minimum((agreed - 1) / 254 / settings["full_agreement"], 1), 0)
             continue
         if "pair_curves" in settings_in_force:
             odds = trained_odds(model, tables, settings_in_force["pair_curves"], key, partner, seen[here])

@@ -1,6 +1,6 @@
 //! The reference matcher of this repository, `integrations/sgm`: semi-global matching along epipolar lines.
 
-mod refusal;
+mod search;
 
 use super::{
     Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, PlanningNumbers, Selection,
@@ -8,7 +8,7 @@ use super::{
 };
 use crate::{
     base::shell::quoted_path,
-    method::confidence::PairConfidence,
+    method::confidence::{PairConfidence, Photometric},
     model::cluster::{Gate, RankedCluster},
     plan::WorkPerMap,
 };
@@ -16,6 +16,9 @@ use crate::{
 /// Ranks best by real curves (`integrations/sgm/RESULTS.md`).
 pub(super) const CONFIDENCE: PairConfidence =
     PairConfidence { min_matches: 2, p0: 0.9, cosine_power: 0.0, scale_octaves: Some(2.0), full_angle_deg: None };
+
+/// By depth maps of seven scenes (method 7.4): semi-global matching also bridges what the pictures do not agree on.
+pub(super) const PHOTOMETRIC: Photometric = Photometric { agree: 0.95, differ: 0.19, full_agreement: 0.9 };
 
 /// It works on a polar grid around the epipole, so neither an epipole in the picture nor a scale ratio hinders it as it does a
 /// matcher that rectifies (`integrations/sgm/README.md` has the tables).
@@ -27,8 +30,9 @@ const NUMBERS: PlanningNumbers = PlanningNumbers {
         max_scale_octaves: 1.6,
         epipole_inside: true,
     },
-    refuses: Some(refusal::refuses),
+    reach: Some(search::reach),
     confidence: CONFIDENCE,
+    photometric: PHOTOMETRIC,
     support: 1,
     work: WorkPerMap { fixed: 0.0, per_map: 0.2 },
     measured: "valley, 2 more",

@@ -23,7 +23,7 @@ pub use image::{Image, ImageError, Mask, size_for_confidence};
 pub use nearby::nearby;
 #[cfg(test)]
 pub use photometric::NO_AGREEMENT;
-pub use photometric::{AGREEMENT_CACHE, Agreement, PairAgreement, Photometric};
+pub use photometric::{AGREEMENT_CACHE, Agreement, PairAgreement, Photometric, ProgramReach};
 pub use pictures::{CACHE, MASKS, PicturePredictions, Pictures};
 pub use proxy::Proxy;
 pub use trained::{TrainedError, TrainedModel, TrainedOn};
@@ -198,12 +198,15 @@ impl Confidence {
         trained: Option<&TrainedModel>,
         settings: &ConfidenceSettings,
         numbers: &PairConfidence,
+        photometric: &Photometric,
     ) -> Self {
         let numbers = numbers.with(settings);
         let min_matches = numbers.min_matches;
         match (source, settings.form, trained) {
             (Source::None, _, _) => Self::None,
-            (Source::Photometric, _, _) => Self::Photometric { agreement: Photometric::default(), otherwise: numbers },
+            (Source::Photometric, _, _) => {
+                Self::Photometric { agreement: photometric.with(settings), otherwise: numbers }
+            }
             (Source::Proxy, ConfidenceForm::Paper, _) => Self::Paper { min_matches },
             (_, ConfidenceForm::Paper, Some(TrainedModel { picture: Some(_), .. })) => Self::Paper { min_matches },
             (_, _, Some(TrainedModel { pair, .. })) => {
@@ -217,6 +220,11 @@ impl Confidence {
 impl Confidence {
     /// Writes the parameters in force into the settings that apply to this form.
     pub fn fill_in(&self, settings: &mut ConfidenceSettings) {
+        if let Self::Photometric { agreement, .. } = self {
+            settings.agree = Some(agreement.agree);
+            settings.differ = Some(agreement.differ);
+            settings.full_agreement = Some(agreement.full_agreement);
+        }
         match self {
             Self::None => {}
             Self::Trained(curves) => settings.min_matches = Some(curves.min_matches),

@@ -76,7 +76,7 @@ impl Candidates {
 pub struct Limits<'a> {
     /// Limits beyond which matching usually fails (method 7.1).
     pub gate: &'a Gate,
-    /// Returns true for pairs that the program refuses to match at all.
+    /// Returns true for pairs that cannot be matched at all: the program refuses them, or an image is missing.
     pub refuses: &'a (dyn Fn(&PairGeometry) -> bool + Sync),
 }
 

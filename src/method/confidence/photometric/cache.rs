@@ -21,7 +21,7 @@ use crate::{
 /// Path of the cache in its project.
 pub const AGREEMENT_CACHE: &str = "viewrank/cache/agreement.table";
 
-const MAGIC: &str = "viewrank agreement 1\n";
+const MAGIC: &str = "viewrank agreement 2\n";
 /// Limit for the line of JSON, bytes: a few per view, and the warnings.
 const LONGEST_HEAD: u64 = 64 << 20;
 /// Values read at once.
@@ -53,13 +53,15 @@ struct Head {
 }
 
 impl Cache {
-    /// Returns `None` if the file system has no time of change: a changed picture would go unnoticed.
+    /// `program`: the one whose reach limits the table. Returns `None` if the file system has no time of change: a changed picture would go unnoticed.
     pub(super) fn new<'p>(
         geometry: &Geometry,
         pictures: &Pictures,
         partners_of: impl Fn(ViewIndex) -> &'p [ViewIndex],
+        program: Option<&str>,
     ) -> Option<Self> {
         let mut hasher = blake3::Hasher::new();
+        hasher.update(&serde_json::to_vec(&program).ok()?);
         hash_geometry(&mut hasher, geometry);
         for view in geometry.scene.view_indices() {
             let partners = partners_of(view);

@@ -7,7 +7,7 @@ use std::sync::{
 
 use super::{
     super::{image::ImageError, pictures::Pictures},
-    packed,
+    ProgramReach, packed,
     stacks::{self, STACK, Spacing, correlation, stacks},
 };
 use crate::{
@@ -16,7 +16,7 @@ use crate::{
         progress::{Stage, Watcher},
     },
     method::geometry::Geometry,
-    model::scene::ViewIndex,
+    model::{cluster::Reach, scene::ViewIndex},
 };
 
 /// Returns [`STACK`] samples for each row of visibility, on disk beyond `most_samples` bytes, and the fault of each view without samples.
@@ -55,12 +55,13 @@ pub(super) fn samples(
     Ok((samples, by_view))
 }
 
-/// Returns the agreement of the key view with each partner, by partner, then row of the key view.
+/// Returns the agreement of the key view with each partner, by partner, then row of the key view; 0 beyond the reach of the program.
 pub(super) fn compared(
     geometry: &Geometry,
     samples: &Column<i8>,
     key: ViewIndex,
     partners: &[ViewIndex],
+    reach: &ProgramReach,
     places: &mut [u32],
 ) -> Vec<u8> {
     let visibility = geometry.visibility;
@@ -68,9 +69,15 @@ pub(super) fn compared(
     seen.iter().enumerate().for_each(|(row, &t)| places[t as usize] = row as u32);
     let mut values = vec![0; partners.len() * seen.len()];
     for (partner, values) in partners.iter().zip(values.chunks_exact_mut(seen.len().max(1))) {
+        let reach = (reach.of_pair)(key, *partner);
+        let is_reached = |t: u32| match &reach {
+            Reach::Nothing => false,
+            Reach::Everything => true,
+            Reach::Part(is_inside) => is_inside(&geometry.surface.centroid(t)),
+        };
         for (row, &t) in visibility.rows(*partner).zip(visibility.triangles_seen_by(*partner)) {
             let place = places[t as usize];
-            if place != u32::MAX {
+            if place != u32::MAX && is_reached(t) {
                 let [a, b] = [own.start + place as usize, row].map(|row| &samples[row * STACK..][..STACK]);
                 values[place as usize] = packed(correlation(a, b));
             }

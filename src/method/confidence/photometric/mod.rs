@@ -22,33 +22,39 @@ use crate::{
         column::{Column, TableError},
         progress::Watcher,
     },
+    config::ConfidenceSettings,
     method::geometry::Geometry,
-    model::scene::ViewIndex,
+    model::{cluster::Reach, scene::ViewIndex},
 };
 
-/// Mapping of correlation to probability (method 7.4); initial guesses, confirmed on nine scenes.
+/// Chance of a match by the correlation of the pictures (method 7.4); each backend has its own.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct Photometric {
-    /// Probability of a match where the pictures agree.
-    pub p0: f64,
-    /// Correlation from which the pictures count as in full agreement.
-    pub full: f64,
-}
-
-/// Smallest share of `p0`, for pictures that don't agree at all: matchers also search elsewhere along the ray.
-const LEAST: f64 = 0.02;
-
-impl Default for Photometric {
-    fn default() -> Self {
-        Self { p0: 0.95, full: 0.8 }
-    }
+    /// Where the pictures agree, 0 to 1.
+    pub agree: f64,
+    /// Where they don't: matchers also search elsewhere along the ray, and smooth over, 0 to `agree`.
+    pub differ: f64,
+    /// Correlation from which the pictures count as in full agreement, above 0, at most 1.
+    pub full_agreement: f64,
 }
 
 impl Photometric {
-    /// p_i of a pair at a triangle, 0 to 1: `p0 clip(correlation / full, 0.02, 1)`; 0 if the two pictures show no common patch of it.
+    /// Returns these parameters with the user's settings in place of theirs.
+    pub fn with(&self, settings: &ConfidenceSettings) -> Self {
+        Self {
+            agree: settings.agree.unwrap_or(self.agree),
+            differ: settings.differ.unwrap_or(self.differ),
+            full_agreement: settings.full_agreement.unwrap_or(self.full_agreement),
+        }
+    }
+
+    /// p_i of a pair at a triangle, 0 to 1: `differ + (agree - differ) min(correlation / full_agreement, 1)`; 0 if the program does not search there, or
+    /// the two pictures show no common patch.
     pub fn chance(&self, agreement: u8) -> f64 {
         match correlated(agreement) {
-            Some(correlation) => self.p0 * (correlation / self.full).clamp(LEAST, 1.0),
+            Some(correlation) => {
+                self.differ + (self.agree - self.differ) * (correlation / self.full_agreement).min(1.0)
+            }
             None => 0.0,
         }
     }
@@ -98,6 +104,19 @@ pub enum PairAgreement<'a> {
 #[cfg(test)]
 pub static NO_AGREEMENT: std::sync::LazyLock<Agreement> = std::sync::LazyLock::new(Agreement::default);
 
+/// What the program can match of each pair, by its own rule.
+pub struct ProgramReach<'a> {
+    /// Name of the program if it has such a rule.
+    pub program: Option<&'static str>,
+    /// By key view and partner.
+    pub of_pair: &'a (dyn Fn(ViewIndex, ViewIndex) -> Reach + Sync),
+}
+
+impl ProgramReach<'_> {
+    /// Programs that match whatever two pictures show.
+    pub const EVERYTHING: ProgramReach<'static> = ProgramReach { program: None, of_pair: &|_, _| Reach::Everything };
+}
+
 impl Agreement {
     /// Compares the picture of each view with those of its partners, or reads the result of an earlier plan for the same pictures and surface.
     /// Views without a usable picture have no values. `most_samples`: limit on samples in memory, bytes; beyond it they are stored on disk.
@@ -105,10 +124,11 @@ impl Agreement {
         geometry: &Geometry,
         pictures: &Pictures,
         partners_of: impl Fn(ViewIndex) -> &'p [ViewIndex] + Sync,
+        reach: &ProgramReach,
         most_samples: u64,
         watcher: &dyn Watcher,
     ) -> Result<Self, TableError> {
-        let cache = Cache::new(geometry, pictures, &partners_of);
+        let cache = Cache::new(geometry, pictures, &partners_of, reach.program);
         if let Some(cache) = &cache
             && let Some(Cached { without, warnings, values }) = cache.read(geometry, &partners_of)?
         {
@@ -121,7 +141,7 @@ impl Agreement {
         let compare = |places: &mut Vec<u32>, key: ViewIndex| {
             watcher.check()?;
             places.resize(geometry.surface.triangles.len(), u32::MAX);
-            Ok(compared(geometry, &samples, key, table.partners_of(key), places))
+            Ok(compared(geometry, &samples, key, table.partners_of(key), reach, places))
         };
         table.values = Arc::new(geometry.visibility.column(Vec::new, compare)?);
         table.warnings = picture_warnings(geometry.scene, &troubles);

@@ -1,13 +1,19 @@
-//! Which pairs `integrations/sgm` refuses: its rule (`rectify.py`), computed from the same sparse points.
+//! What `integrations/sgm` searches of a pair: its rule (`rectify.py`), computed from the same sparse points.
 //!
 //! It brings a pair onto a canvas on which the dominant plane of the shared points does not move, and searches the disparities that the points around
-//! have there. Where they need more than it can search, it does not match: too deep a scene for the baseline.
+//! have there. Where they need more than it can search, it takes the window with most of them; what lies in front of or behind that stays unmatched,
+//! such as the hall around a statue. A pair whose window would have too few is refused.
+
+use std::{cmp::Reverse, ops::Range};
 
 use nalgebra::{Matrix3, Point3, Vector2, Vector3};
 
 use crate::{
     method::partners::PairGeometry,
-    model::scene::{PointIndex, Scene, ViewIndex, ViewPoints},
+    model::{
+        cluster::Reach,
+        scene::{PointIndex, Scene, ViewIndex, ViewPoints},
+    },
 };
 
 /// Sparse points without which neither the plane nor the search range is known.
@@ -24,16 +30,20 @@ const FAR: f64 = 1e6;
 /// Disparities come in groups.
 const GROUP: f64 = 16.0;
 
-/// True where the matcher gives up before it looks at a picture.
-pub fn refuses(pair: &PairGeometry, points: &ViewPoints, image_scale: f64) -> bool {
+/// Returns the points of the scene whose disparity is searched; nothing where the matcher gives up before it looks at a picture.
+pub fn reach(pair: &PairGeometry, points: &ViewPoints, image_scale: f64) -> Reach {
     let [key, partner] = [pair.key, pair.partner].map(|view| Reduced::new(pair.scene, view, image_scale));
     let position = |point: &PointIndex| pair.scene.points[point.index()];
     let shared: Vec<Point3<f64>> = pair.shared.iter().map(position).collect();
-    let Some(parallax) = Parallax::new(&key, &partner, &shared) else { return true };
+    let Some(parallax) = Parallax::new(&key, &partner, &shared) else { return Reach::Nothing };
     let (of_key, of_partner) = (points.observed_by(pair.key), points.observed_by(pair.partner));
     let others = of_partner.iter().filter(|point| of_key.binary_search(point).is_err());
     let around = of_key.iter().chain(others).map(position);
-    !parallax.can_be_searched(&key, &partner, around)
+    let Some(searched) = parallax.searched(&key, &partner, around) else { return Reach::Nothing };
+    Reach::Part(Box::new(move |point| {
+        let (pixel, depth) = key.project(point);
+        depth > 0.0 && searched.contains(&parallax.disparity(pixel, 1.0 / depth))
+    }))
 }
 
 /// A view as it is matched: reduced, the centre of the first pixel at (0, 0).
@@ -108,22 +118,34 @@ impl Parallax {
         radius * off / (1.0 + off)
     }
 
-    /// Returns whether a window of disparities that the matcher can search contains enough of the points that both images show.
-    fn can_be_searched(&self, key: &Reduced, partner: &Reduced, around: impl Iterator<Item = Point3<f64>>) -> bool {
+    /// Returns the disparities that the matcher searches, pixels: those of the points that both images show, with a margin, or the window that it
+    /// can search with most of them; `None` if these are too few.
+    fn searched(
+        &self,
+        key: &Reduced,
+        partner: &Reduced,
+        around: impl Iterator<Item = Point3<f64>>,
+    ) -> Option<Range<f64>> {
         let in_both = around.filter(|point| partner.shows(point).is_some());
         let mut disparities: Vec<f64> =
             in_both.filter_map(|point| key.shows(&point)).map(|(pixel, z)| self.disparity(pixel, 1.0 / z)).collect();
         disparities.sort_unstable_by(f64::total_cmp);
         if disparities.len() < MIN_SHARED {
-            return false;
+            return None;
         }
         let [low, high] = [0.5, 99.5].map(|percent| percentile(&disparities, percent));
         let margin = RANGE_MARGIN * (high - low) + RANGE_PIXELS;
-        let searched = (high + margin).ceil() - (low - margin).floor();
+        let (low, high) = ((low - margin).floor(), (high + margin).ceil());
         let room = GROUP * (MAX_DISPARITIES * key.size.max() / GROUP).round_ties_even();
+        if high - low <= room {
+            return Some(low..low + GROUP * ((high - low) / GROUP).ceil());
+        }
         let held = |(i, d): (usize, &f64)| disparities.partition_point(|x| *x <= d + room - 2.0 * RANGE_PIXELS) - i;
-        let most = || disparities.iter().enumerate().map(held).max().unwrap_or(0);
-        searched <= room || most() as f64 >= MIN_HELD * disparities.len() as f64
+        // Of several windows with as many points the matcher takes the first.
+        let (most, first) =
+            disparities.iter().enumerate().map(|at| (held(at), at.0)).max_by_key(|&(held, i)| (held, Reverse(i)))?;
+        let low = disparities[first].floor() - RANGE_PIXELS;
+        (most as f64 >= MIN_HELD * disparities.len() as f64).then_some(low..low + room)
     }
 }
 
