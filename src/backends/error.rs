@@ -1,4 +1,4 @@
-//! Reasons why a backend's files cannot be made.
+//! Errors of exports.
 
 use std::path::{Path, PathBuf};
 
@@ -9,7 +9,7 @@ use crate::{
     io::{output::OutputError, project::ProjectError},
 };
 
-/// Why a backend's files cannot be made.
+/// Error of an export.
 #[derive(Debug, thiserror::Error)]
 pub enum BackendError {
     #[error(transparent)]

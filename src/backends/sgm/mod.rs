@@ -17,8 +17,8 @@ use crate::{
 pub(super) const CONFIDENCE: PairConfidence =
     PairConfidence { min_matches: 2, p0: 0.9, cosine_power: 0.0, scale_octaves: Some(2.0), full_angle_deg: None };
 
-/// It works on a polar grid around the epipole, so neither an epipole in the picture nor a scale ratio hinders it as it does a
-/// matcher that rectifies (`integrations/sgm/README.md` has the tables).
+/// It works on a polar grid around the epipole, so an epipole in the image or a large scale ratio matters less than for a
+/// matcher that rectifies (tables in `integrations/sgm/README.md`).
 const NUMBERS: PlanningNumbers = PlanningNumbers {
     gate: Gate {
         min_shared_points: 8,
@@ -36,7 +36,7 @@ const NUMBERS: PlanningNumbers = PlanningNumbers {
              maps of 22 partners; support 1: a depth map is checked against its own pairs",
 };
 
-/// The matcher itself goes with its lists.
+/// Scripts of the matcher, exported next to its lists.
 const MATCHER: [(&str, &str); 7] = [
     ("sgm.py", include_str!("../../../integrations/sgm/sgm.py")),
     ("fuse.py", include_str!("../../../integrations/sgm/fuse.py")),
