@@ -1,4 +1,4 @@
-"""What is written for the backends, read by the other side: COLMAP 3.8 and pycolmap, XML and JSON parsers, and small readers after the grammars
+"""Exports, read back by COLMAP 3.8 and pycolmap, XML and JSON parsers, and small readers written from the grammars
 of the programs that cannot be run here."""
 import json
 import shutil
@@ -60,7 +60,7 @@ def test_every_backend_writes_where_it_is_told_to(viewrank, export):
 
 
 def assert_loads(model, names, whole, tmp_path):
-    """Both generations read the model, and it is the part of the whole one that these images see."""
+    """Asserts that both generations of COLMAP read the model, which is the part of the whole one that these images see."""
     reduced = pycolmap.Reconstruction(model)
     assert {image.name for image in reduced.images.values()} == names
     for image in reduced.images.values():
@@ -101,7 +101,7 @@ def test_splat_models_load(export, planned, tmp_path, refs):
 
 
 def write_plane_maps(folder, names, plane, reduced=()):
-    """Photometric maps of a horizontal plane, as patch match would leave them (mat.cc: width&height&channels&, plane by plane); half as large for `reduced` names."""
+    """Writes photometric maps of a horizontal plane in patch match's format (mat.cc: width&height&channels&, plane by plane); half as large for `reduced` names."""
     model = pycolmap.Reconstruction(folder / "sparse")
     for image in model.images.values():
         if image.name not in names:
@@ -124,7 +124,7 @@ def write_plane_maps(folder, names, plane, reduced=()):
 
 
 def test_colmap_vis_index_not_id(export, planned):
-    """COLMAP fuses the key views with the options that are written, and its .vis counts by position in images.bin."""
+    """COLMAP fuses the key views with the written options, and its .vis counts by position in images.bin."""
     clusters = planned[1]
     folder = export("colmap")
     plane = float(np.median([p.xyz[2] for p in pycolmap.Reconstruction(folder / "sparse").points3D.values()]))
@@ -165,7 +165,7 @@ def test_colmap_vis_index_not_id(export, planned):
 
 
 def test_colmap_fuses_maps_of_two_sizes(export, planned):
-    """A plan with key views at half size needs no more than their maps in the same workspace."""
+    """A plan with key views at half size needs only their maps in the same workspace."""
     folder = export("colmap")
     plane = float(np.median([p.xyz[2] for p in pycolmap.Reconstruction(folder / "sparse").points3D.values()]))
     keys = [key for key, _ in planned[1]]
@@ -248,7 +248,7 @@ def test_each_folder_has_an_export_of_its_own(viewrank, own):
     assert f"removed      {len(before - files_of(own / 'one'))} files of an earlier export: one/clusters/0004.mvs" in said
     there = files_of(own / "one")
     refused = viewrank("export", own, "--backend", "mvsnet", "--out", own / "one", expect=1).stderr
-    assert "holds the export for openmvs" in refused and "--out" in refused and files_of(own / "one") == there
+    assert "contains the export for openmvs" in refused and "--out" in refused and files_of(own / "one") == there
 
 
 def test_an_export_of_a_plan_and_one_by_hand_are_the_same_set(viewrank, own):
@@ -270,7 +270,7 @@ def test_a_new_plan_names_the_exports_of_the_old_one(viewrank, own):
     viewrank("export", own, "--backend", "openmvs", "--out", own / "scenes")
     assert "earlier plan" not in viewrank("plan", own, "-k", "4", "--budget", "8", "--quiet").stderr
     said = viewrank("plan", own, "-k", "2", "--quiet").stderr
-    line = next(line for line in said.splitlines() if "scenes holds an export of an earlier plan for openmvs" in line)
+    line = next(line for line in said.splitlines() if "scenes contains an export of an earlier plan for openmvs" in line)
     assert line.endswith(f"viewrank export '{own}' --backend openmvs --out '{own}/scenes'"), line
     assert (own / "scenes/run.json").exists(), "somebody may be computing there"
 
@@ -372,7 +372,7 @@ def test_openmvs_scenes_are_read_by_an_independent_reader(export, planned):
 
 
 def read_cam(path):
-    """The extrinsic, the intrinsic, the depths, as the readers of CasMVSNet and PatchmatchNet take them."""
+    """Returns the extrinsic, the intrinsic and the depths like the readers of CasMVSNet and PatchmatchNet."""
     lines = [line.rstrip() for line in path.read_text().splitlines()]
     matrix = lambda a, b: np.array([[float(x) for x in line.split()] for line in lines[a:b]])
     assert lines[0] == "extrinsic" and lines[6] == "intrinsic"
@@ -494,7 +494,7 @@ def test_micmac_never_deletes_what_it_is_given(export, planned, tmp_path):
 
 
 def test_sure_projects_without_a_cloud_are_planned_on_the_ground(viewrank, export, tmp_path):
-    """Back from the oriented images alone, with the height of the ground."""
+    """Planned from the oriented images alone, with the height of the ground."""
     folder = export("sure")
     project = tmp_path / "without cloud"
     shutil.copytree(folder / "ori", project / "ori")
