@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""What `viewrank watch` costs while it waits, how soon it begins, and whether it grows.
+"""Measures `viewrank watch`: cost while idle, latency, and memory growth.
 
     cargo build --release && python benches/daemon.py [idle] [latency] [soak] [--program FILE]
 
@@ -48,7 +48,7 @@ class Daemon:
         self.log.unlink()
 
     def said(self, word):
-        """Time and project of each line of the log that begins with the word."""
+        """Returns time and project of each log line that begins with the word."""
         records = map(json.loads, self.log.read_text().splitlines())
         said = [r for r in records if r["fields"].get("message", "").startswith(word)]
         return [(datetime.fromisoformat(r["timestamp"]).timestamp(), r["fields"].get("project")) for r in said]
@@ -65,7 +65,7 @@ class Daemon:
         return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
     def sizes(self):
-        """Resident MB, threads, descriptors, watches."""
+        """Returns resident MB, threads, descriptors and watches."""
         proc = Path(f"/proc/{self.process.pid}")
         status = dict(line.split(":", 1) for line in (proc / "status").read_text().splitlines())
         descriptors = list((proc / "fd").iterdir())
@@ -124,7 +124,7 @@ def depth_map(path):
 
 
 def planned_projects(program, root, count):
-    """So many projects that are planned already."""
+    """Makes a number of planned projects."""
     small_model(root / "p0/sparse/0", 0)
     subprocess.run([program, "watch", "--once", root, "--settle", "10ms"], check=True, stderr=subprocess.DEVNULL)
     for i in range(1, count):

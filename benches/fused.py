@@ -3,7 +3,7 @@
 
     benches/fused.py PROJECT WORK_FOLDER [--image-scale 0.5] [--densify DensifyPointCloud] [--viewrank viewrank]
 
-Matches all key views once, then fuses the shortest beginnings of the plan with a share of 10, 20 ... 90 %. The reference is the cloud of all maps:
+Matches all key views once, then fuses the shortest prefixes of the plan with a share of 10, 20 ... 90 %. The reference is the cloud of all maps:
 
     share      forecast by the pixels that show it, %
     area       forecast by area, %

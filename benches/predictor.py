@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""How good the confidence is on scenes that it was not trained on, in every rotation: one command, one table.
+"""Measures the confidence on scenes that it was not trained on, leaving out each in turn.
 
     predictor.py PROJECT=REFERENCE... --viewrank target/release/viewrank --out DIR [--maps sgm|openmvs]
 
@@ -60,7 +60,7 @@ def main():
 
 
 def measure(project, sets, arguments):
-    """Everything about one project with the model of the others."""
+    """Measures one project with the model trained on the others."""
     model = arguments.out / f"without_{project.name}.model"
     others = [p for other in sets if other != project for p in (other, *sorted(other.parent.glob(other.name + ".*")))]
     run(arguments, "train", *others, "--depth-maps", arguments.maps, "--out", model)
@@ -96,13 +96,13 @@ def exact(reference, project, out):
 
 
 def partners_of(project):
-    """By key view, as clusters.txt has them."""
+    """Returns the partners of each key view in clusters.txt."""
     lines = [line.rstrip("\n").split("\t") for line in (project / "clusters.txt").read_text().splitlines()]
     return {line[0]: line[1:] for line in lines if not line[0].startswith("#")}
 
 
 def clusters(project, reference, source, arguments):
-    """f_conf and measured shares of the clusters that the maps were made for, and what `viewrank evaluate` says."""
+    """f_conf and measured shares of the clusters that the maps were made for, and the results of `viewrank evaluate`."""
     tables = arguments.out / "tables"
     run(arguments, "plan", project, "--backend", arguments.maps, "--confidence", source, "-k", 5, "--budget", "100%")
     evaluate = ["evaluate", project, "--depth-maps", project / arguments.maps, "--reference", reference, "--baselines"]
@@ -130,7 +130,7 @@ def scored(result):
 
 
 def adapted(project, others, reference, before, arguments):
-    """The rest of the clusters by the model of the others, and by that of the others and the first maps."""
+    """Scores the remaining clusters by the model of the others, and by that of the others with the first maps."""
     finished = before["order"][: int(np.ceil(ADAPTED * len(before["order"])))]
     folder = arguments.out / "first" / project.name
     maps = folder / "sgm/depth_maps"
@@ -155,14 +155,14 @@ def link(path, target):
 
 
 def needed(result, name):
-    """Key views until each share of the real fulfilment, in that order."""
+    """Returns the number of key views until each share of the real fulfilment, in that order."""
     order = next(o for o in result["orders"] if o["name"] == name)
     clusters = {n["share"]: n["clusters"] for n in order["needed"]}
     return [clusters[share] for share in SHARES]
 
 
 def ratio(read, part, whole):
-    """Of two tables by (cluster, triangle), at the rows that could be fulfilled by the partners that were planned."""
+    """Returns the ratio of two tables by (cluster, triangle), at the rows that the planned partners can fulfil."""
     keys = lambda name: read[name].astype(np.int64) @ np.array([1 << 32, 1])  # noqa: E731
     wanted = keys("real_nocp")
 
@@ -234,7 +234,7 @@ def truth(reference, view):
 
 
 def shown(view, depths, partner, its_depths):
-    """At each fourth pixel: does the partner's image show the place, and by its reference nothing nearer?"""
+    """Returns, at every fourth pixel, whether the partner's image shows the place unoccluded, by its reference depth."""
     v, u = np.mgrid[2 : depths.shape[0] : 4, 2 : depths.shape[1] : 4]
     rays = np.stack([u, v, np.ones_like(u)], -1).reshape(-1, 3) @ np.linalg.inv(view.K).T
     pixels, depth = partner.project((rays * depths[v, u].reshape(-1, 1) - view.t) @ view.R)

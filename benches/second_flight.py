@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Flies what a report asks for: do the planned images fill the holes that a full second flight would fill?
+"""Renders the images that a report plans and measures how much of the holes they fill, compared with a full second flight.
 
     python3 benches/second_flight.py SET WORK_FOLDER [--every 3] [--viewrank target/release/viewrank]
 

@@ -1,6 +1,6 @@
-"""Copies of a survey beside each other: a larger one in a fraction of the time. Reads and writes COLMAP's binary models as of 3.x; needs numpy.
+"""Makes a large survey quickly, as copies of a smaller one side by side. Reads and writes COLMAP's binary models as of 3.x; needs numpy.
 
-No point is seen from two copies; within each all is as in the one.
+No point is seen from two copies; each copy is identical to the original.
 """
 
 import shutil
@@ -28,7 +28,7 @@ def beside_each_other(model, folder, copies):
 
 
 def points_beside(read, path, copies):
-    """How far the copies lie apart, and what the ids of their points and images differ by."""
+    """Spacing of the copies, and offsets of the ids of their points and images."""
     (count,) = struct.unpack_from("<Q", read)
     starts, at = np.empty(count + 1, np.int64), 8
     for i in range(count):
@@ -55,14 +55,14 @@ class Part:
         self.starts = starts[:-1] - starts[0]
 
     def head(self):
-        """Where each byte before a track stands."""
+        """Positions of the bytes before each track."""
         return self.starts[:, None] + np.arange(POINT.itemsize)
 
     def heads(self):
         return self.bytes[self.head()].view(POINT)[:, 0]
 
     def image_bytes(self):
-        """Where the image's id stands in each entry of a track."""
+        """Positions of the image's id in each entry of a track."""
         lengths = self.heads()["length"].astype(np.int64)
         first = np.repeat(self.starts + POINT.itemsize - 8 * (np.cumsum(lengths) - lengths), lengths)
         return (first + 8 * np.arange(len(first)))[:, None] + np.arange(4)

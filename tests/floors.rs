@@ -26,7 +26,8 @@ const SECTIONS: [&str; 10] = [
 /// The source files under a folder, tests left out.
 fn sources(folder: &Path) -> Vec<PathBuf> {
     let files = walkdir::WalkDir::new(folder).sort_by_file_name().into_iter().map(|entry| entry.unwrap().into_path());
-    let is_source = |path: &PathBuf| path.extension().is_some_and(|e| e == "rs") && !path.ends_with("tests.rs");
+    let is_test = |path: &Path| path.ends_with("tests.rs") || path.parent().is_some_and(|p| p.ends_with("tests"));
+    let is_source = |path: &PathBuf| path.extension().is_some_and(|e| e == "rs") && !is_test(path);
     files.filter(is_source).collect()
 }
 

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""How good the maps of sgm.py are, and which pairs it can match.
+"""Measures the maps of sgm.py, and the pairs that it can match.
 
     measure.py maps OUT --workspace WORKSPACE --reference target/data/valley/truth/depth
     measure.py pairs CACHE --workspace WORKSPACE --image-scale 0.5 --reference DIR     which pairs can be matched
@@ -101,7 +101,7 @@ def measure_pairs(args):
 
 
 def pair_row(workspace, pair, key, partner, folder):
-    """Geometry of a pair and what it got right of the surface that both views show."""
+    """Returns the geometry of a pair, and the share of the surface shown by both views that it measured right."""
     a, b = workspace.views[key], workspace.views[partner]
     here, there = (read_reference(folder, v.name) for v in (a, b))
     if here is None or there is None or not np.isfinite(pair.angle):

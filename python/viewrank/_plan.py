@@ -33,7 +33,7 @@ class Cluster:
     gain : float
         What it adds to the fulfilment of all clusters ranked before it, 0 to 1.
     share : float
-        What fusion keeps of this cluster and all before it, over what it keeps of all clusters, 0 to 1.
+        Part that fusion keeps of this cluster and all before it, over that of all clusters, 0 to 1.
     scale : float
         Size at which it is matched, over that of the plan: 1 or, with `ranking.scales`, 0.5.
     """
@@ -47,7 +47,7 @@ class Cluster:
 
 @dataclass(frozen=True)
 class Surface:
-    """The triangle mesh that a plan is made on, and what is reached of it. All arrays are read-only.
+    """The triangle mesh of a plan, with the fulfilment reached on it. All arrays are read-only.
 
     Attributes
     ----------
@@ -203,7 +203,7 @@ class Plan:
 
     @cached_property
     def surface(self) -> Surface:
-        """The surface, and what is reached of it at the cut."""
+        """The surface, with the fulfilment reached at the cut."""
         states = self._native.triangle_states(self.cut["clusters"])
         for state in states:
             state.flags.writeable = False
@@ -369,8 +369,8 @@ def plan(
     points : float or str, optional
         Stop before the forecast number of points exceeds this, such as ``"50M"``.
     region : path, "auto" or sequence of float, optional
-        Plan for this part of the scene: a file of GeoJSON polygons or a closed PLY mesh, a box (x0, y0, z0, x1, y1, z1), or what the photographs
-        show most densely.
+        Plan for this part of the scene: a file of GeoJSON polygons or a closed PLY mesh, a box (x0, y0, z0, x1, y1, z1), or
+        ``"auto"``, the part that the photographs show most densely.
     gsd, accuracy : float, optional
         Wanted ground sampling distance, scene units per pixel, and accuracy of a point, scene units. Default: from the model.
     partners : {"search", "sampled"}, optional
@@ -382,7 +382,7 @@ def plan(
     up : sequence of 3 float, optional
         Up direction of a terrain surface, world coordinates.
     mesh, mesh_as_is
-        PLY file to use as surface, and whether as it is.
+        PLY file to use as surface; True for `mesh_as_is` skips simplification and refinement.
     seed : int, optional
         Seed of all random choices. Default: 0.
     max_memory : int or str, optional

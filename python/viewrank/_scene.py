@@ -221,7 +221,7 @@ def read(
     model : str, optional
         Name of a sub-model. Default: the one with most registered images.
     images : path, optional
-        Image folder, where it is not beside the model.
+        Image folder, if it is not next to the model.
     progress : bool or callable, optional
         See `plan`.
 

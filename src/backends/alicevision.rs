@@ -1,4 +1,4 @@
-//! AliceVision and Meshroom: `docs/backends.md` 8. Read, not run. AliceVision takes lists of neither views nor partners: each cluster becomes a scene
+//! AliceVision and Meshroom: `docs/backends.md` 8. Read, not run. AliceVision reads no lists of views or partners: each cluster becomes a scene
 //! file in which the key view shares landmarks with its partners only, and the key view is named by its position.
 
 use std::{fmt::Write, path::Path};
@@ -18,11 +18,11 @@ use crate::{
     },
 };
 
-/// A view with fewer common landmarks is no neighbour: the count must exceed 20.
+/// Least number of common landmarks of neighbours: AliceVision requires more than 20.
 const LEAST_LANDMARKS: usize = 21;
-/// From COLMAP's pixel coordinates to those of `formats::alicevision`.
+/// Added to COLMAP's pixel coordinates to get those of `formats::alicevision`.
 const PIXEL_SHIFT: f64 = -0.5;
-/// Any sensor width does, as focal lengths are given in its units.
+/// Arbitrary sensor width, since focal lengths are in its units.
 const SENSOR_MM: f64 = 36.0;
 
 pub static BACKEND: Backend = Backend {
@@ -98,7 +98,7 @@ const RUNNER_HEAD: &str = include_str!("../../integrations/alicevision/run_head.
 /// Only key views have maps, and three of them rarely agree.
 const FILTERING: &str = "--minNumOfConsistentCams 1 --minNumOfConsistentCamsWithLowSimilarity 2";
 
-/// Names the partners that share no sparse point with the key view.
+/// Warns of partners that share no sparse point with the key view.
 fn dropped_partners(scene: &Scene, points: &ViewPoints, cluster: &RankedCluster) -> Vec<String> {
     let shared = selection::shared_points(scene, points, cluster.key);
     let key = scene.name(cluster.key);
@@ -111,8 +111,8 @@ fn dropped_partners(scene: &Scene, points: &ViewPoints, cluster: &RankedCluster)
     dropped.collect()
 }
 
-/// Options for the key view, by its position among the views of the file, which count by ascending id. No angle is too small or too large and
-/// no tile chooses for itself, so that every partner counts.
+/// Options for the key view, by its position among the views of the file, which are ordered by ascending id. All angles are admitted
+/// and tiles do not select partners, so that every partner is used.
 fn estimation(selection: &Selection, cluster: &RankedCluster, path: &str) -> String {
     let id = |v: &ViewIndex| selection.scene.view(*v).image_id;
     let position = cluster.partners.iter().filter(|p| id(p) < id(&cluster.key)).count();
@@ -136,10 +136,10 @@ fn image_path(scene: &Scene, view: ViewIndex) -> String {
     format!("images/{}.{extension}", scene.view(view).image_id)
 }
 
-/// A landmark and who observes it.
+/// A landmark and its observers.
 type Landmark = (PointIndex, Vec<ViewIndex>);
 
-/// Key view and partners; a landmark for each point that the key view shares with a partner, repeated where there are too few.
+/// Key view and partners, with a landmark per point that the key view shares with a partner, repeated if too few.
 fn cluster_file(scene: &Scene, points: &ViewPoints, cluster: &RankedCluster) -> String {
     let members: Vec<_> = std::iter::once(cluster.key).chain(cluster.partners.iter().copied()).collect();
     let mut landmarks: Vec<Landmark> = points
@@ -180,7 +180,7 @@ fn scene_file(scene: &Scene, views: &[ViewIndex], landmarks: &[Landmark]) -> Str
         "intrinsics": cameras.iter().map(|&c| intrinsic_entry(scene, c)).collect::<Vec<_>>(),
         "poses": views.iter().map(|&v| pose_entry(scene, v)).collect::<Vec<_>>(),
     });
-    // The landmarks one by one, which all together would take ten times the room of their text.
+    // Written one by one: as JSON values in memory they take ten times the size of their text.
     let mut text = head.to_string();
     text.pop();
     text += ",\"structure\":[";
@@ -233,7 +233,7 @@ fn intrinsic_entry(scene: &Scene, camera: u32) -> Value {
     })
 }
 
-/// The rotation column by column.
+/// Rotation in column-major order.
 fn pose_entry(scene: &Scene, view: ViewIndex) -> Value {
     let pose = &scene.view(view).cam_from_world;
     json!({

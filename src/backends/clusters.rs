@@ -5,28 +5,28 @@ use crate::{base::shell::quoted, io::output::Contents, model::cluster::RankedClu
 
 const HEAD: &str = include_str!("../../integrations/run_clusters.sh");
 
-/// The script while it is written.
+/// A script under construction.
 pub struct ClusterScript(String);
 
 impl ClusterScript {
-    /// `preparation`: lines of sh behind the head.
+    /// `preparation`: lines of sh that follow the head.
     pub fn new(preparation: &str) -> Self {
         Self(format!("{HEAD}{preparation}"))
     }
 
-    /// A cluster: its commands, each if the one before succeeds. `name` is that of a file; `result` is a path that the commands leave.
+    /// Adds a cluster: its commands, each run if the previous one succeeds. `name` is a file name; `result`, the path that the commands create.
     pub fn cluster(&mut self, name: &str, recipe: &str, result: &str, commands: &[String]) {
         let (name, result) = (quoted(name), quoted(result));
         let commands = commands.join(" &&\n        ");
         self.0 += &format!("if begin {name} {recipe} {result}; then\n    {commands}\n    end $?\nfi\n");
     }
 
-    /// Lines of sh as they are.
+    /// Adds lines of sh verbatim.
     pub fn line(&mut self, line: &str) {
         self.0 += &format!("{line}\n");
     }
 
-    /// The script with the commands that join what came out, each if the one before succeeds.
+    /// Returns the script, with the commands that fuse the results, each run if the previous one succeeds.
     pub fn finish(mut self, joining: &[String]) -> Contents {
         if !joining.is_empty() {
             self.0 += &format!("{} ||\n    fail 'the fusion'\n", joining.join(" &&\n    "));
@@ -36,7 +36,7 @@ impl ClusterScript {
     }
 }
 
-/// A word for all that a depth map is made of: views, cameras and poses of key view and partners, and what the program is told (`options`).
+/// Returns the cache key of a depth map: a hash of views, cameras and poses of key view and partners, and of the program's `options`.
 pub fn recipe(selection: &Selection, cluster: &RankedCluster, options: &str) -> String {
     let mut text = options.to_owned();
     for view in std::iter::once(cluster.key).chain(cluster.partners.iter().copied()) {

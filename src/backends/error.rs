@@ -1,4 +1,4 @@
-//! Reasons why a backend's files cannot be made.
+//! Errors of exports.
 
 use std::path::{Path, PathBuf};
 
@@ -9,7 +9,7 @@ use crate::{
     io::{output::OutputError, project::ProjectError},
 };
 
-/// Why a backend's files cannot be made.
+/// Error of an export.
 #[derive(Debug, thiserror::Error)]
 pub enum BackendError {
     #[error(transparent)]
@@ -20,11 +20,11 @@ pub enum BackendError {
     Option { option: &'static str, backends: String },
     #[error("{backend} needs {what}")]
     Needs { backend: &'static str, what: String, hint: String },
-    #[error("the export would write {}, which is the project's own", _0.display())]
+    #[error("cannot export to {}: it belongs to the project", _0.display())]
     OwnFile(PathBuf),
-    #[error("{} belongs to another model, with which that of the export would be mixed up", _0.display())]
+    #[error("cannot export next to {}: it belongs to another model", _0.display())]
     OtherModel(PathBuf),
-    #[error("{} holds the export for {backend}", folder.display())]
+    #[error("{} contains the export for {backend}", folder.display())]
     OtherExport { folder: PathBuf, backend: String },
     #[error(transparent)]
     Place(#[from] OutputError),

@@ -1,4 +1,4 @@
-//! A plain list of images, for any program that can be told which images to take.
+//! A plain list of images, for any program with a choice of images.
 
 use super::{
     Backend, BackendError, Capabilities, Export, ExportOptions, ExportRecord, Honours, PATCH_MATCH, PlanningNumbers,
@@ -44,7 +44,7 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     Ok(Export { files, record })
 }
 
-/// For programs that choose pairs themselves: every pair may be tried, and a place should be seen by more than one of the images.
+/// Numbers for programs that choose pairs themselves: no pair is excluded, and a place should be in several images.
 pub(super) const ANY_PROGRAM: PlanningNumbers = PlanningNumbers {
     reach: None,
     gate: Gate::OPEN,
@@ -54,7 +54,7 @@ pub(super) const ANY_PROGRAM: PlanningNumbers = PlanningNumbers {
     ..PATCH_MATCH
 };
 
-/// The views that a program without partners gets, best first: the key views, and each one's partners after it where asked for.
+/// Returns the views for a program without partner lists, best first: the key views, each followed by its partners if wanted.
 pub(super) fn listed_views(selection: &Selection, refs: Option<References>) -> Vec<ViewIndex> {
     let mut listed = vec![false; selection.scene.views.len()];
     let with_partners = refs.is_some_and(|r| r != References::Keys);

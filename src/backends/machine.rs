@@ -1,4 +1,4 @@
-//! The backend to take where nobody names one: what the project is set up for, else what this machine has.
+//! Default backend: the one that the project is set up for, else an installed one.
 
 use std::{
     env,
@@ -9,7 +9,7 @@ use std::{
 use super::{BACKENDS, Backend, colmap, openmvs, sgm};
 use crate::{base::platform, config::Settings, config::UnknownBackend, io::project::Project};
 
-/// Reason for a backend.
+/// Reason for the choice of a backend.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Why {
     /// The command line or the settings name it.
@@ -23,7 +23,7 @@ pub enum Why {
 }
 
 impl Why {
-    /// A clause that follows the name of the backend.
+    /// Returns the reason as a clause that follows the name of the backend.
     pub fn words(&self) -> String {
         match self {
             Self::Named => "as named".into(),
@@ -34,7 +34,7 @@ impl Why {
     }
 }
 
-/// The backend of the project, and why: the first of the settings, else the one that the project is set up for, else OpenMVS or a COLMAP with CUDA
+/// Returns the backend of the project and the reason: the first of the settings, else the one that the project is set up for, else OpenMVS or a COLMAP with CUDA
 /// on the PATH, else `sgm`.
 pub fn chosen(project: &Project, settings: &Settings) -> Result<(&'static Backend, Why), UnknownBackend> {
     match settings.backends.first() {
@@ -43,7 +43,7 @@ pub fn chosen(project: &Project, settings: &Settings) -> Result<(&'static Backen
     }
 }
 
-/// As [`chosen`] where the settings name none.
+/// Like [`chosen`], for settings that name no backend.
 pub fn by_default(project: &Project) -> (&'static Backend, Why) {
     if let Some(backend) = BACKENDS.iter().copied().find(|backend| (backend.serves)(project)) {
         return (backend, Why::Project);
@@ -57,7 +57,7 @@ pub fn by_default(project: &Project) -> (&'static Backend, Why) {
     }
 }
 
-/// A program by the variable that names it, else from the PATH.
+/// Returns the program that the environment variable names, else the one on the PATH.
 fn installed(variable: &str, program: &str) -> Option<PathBuf> {
     let named = env::var_os(variable).and_then(|named| platform::located(Path::new(&named)));
     named.or_else(|| platform::located(Path::new(program)))

@@ -31,7 +31,7 @@ pub static BACKEND: Backend = Backend {
     export,
 };
 
-/// Cameras are found by their labels, which are file names.
+/// Finds equal file names: they are the labels by which the script finds cameras.
 fn traps(patient: &ExaminedProject) -> Vec<Trap> {
     let label = |name: &str| name.rsplit('/').next().unwrap_or(name).to_owned();
     patient.same_names("metashape-duplicate-labels", "the same camera label in Metashape", label).into_iter().collect()

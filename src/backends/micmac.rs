@@ -66,7 +66,7 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
 }
 
 /// Names are relative to the working folder, a blank separates two of them, and Malt takes them as regular expressions and hands them to a
-/// shell without quotes. What is left needs no escape in XML.
+/// shell without quotes. The remaining characters need no escape in XML.
 fn check_name(name: &str) -> Result<(), BackendError> {
     let why = if name.contains(char::is_whitespace) {
         "a blank separates the two names of a pair"
@@ -91,7 +91,7 @@ fn pair_file(selection: &Selection) -> String {
     xml + "</SauvegardeNamedRel>\n"
 }
 
-/// A single solution with a positive score: it is the one that is taken.
+/// Returns the secondary images as a single solution with a positive score, which Malt then takes.
 fn secondary_images(selection: &Selection, cluster: &RankedCluster) -> String {
     let name = |v| selection.scene.name(v);
     let images: String = cluster.partners.iter().map(|&p| format!("    <Images>{}</Images>\n", name(p))).collect();
@@ -107,7 +107,7 @@ fn masters(selection: &Selection) -> String {
     format!("<?xml version=\"1.0\" ?>\n<ListOfName>\n{}</ListOfName>\n", names.collect::<String>())
 }
 
-/// The script: see its head. Malt takes the pattern of images for the name of the master, so the pattern is the name itself.
+/// Returns the script, described at its head. Malt uses the pattern of images as the name of the master, so the pattern is the name itself.
 fn runner(selection: &Selection) -> Contents {
     let mut script = ClusterScript::new(RUNNER_HEAD);
     for cluster in selection.clusters {

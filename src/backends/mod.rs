@@ -76,34 +76,34 @@ pub static BACKENDS: &[&Backend] = &[
 pub struct Backend {
     /// Value of `--backend`.
     pub name: &'static str,
-    /// Other names that people type, in lower case without blanks, `-` and `_`.
+    /// Other names that users type, in lower case without blanks, `-` and `_`.
     pub aliases: &'static [&'static str],
     pub capabilities: Capabilities,
     pub planning: PlanningNumbers,
-    /// Options of `viewrank export` that it takes beside `--out`, as they are typed.
+    /// Options of `viewrank export` that it accepts besides `--out`, as typed.
     pub options: &'static [&'static str],
-    /// Verb for the use of the key views where they get no depth maps: "Train on" (6 of 28 images).
+    /// Verb for the use of key views by programs without depth maps: "Train on" (6 of 28 images).
     pub use_of_views: Option<&'static str>,
-    /// Size at which it matches the images of a camera by itself, over their own.
+    /// Default size of the matched images of a camera, over their own size.
     pub own_scale: fn(&Camera) -> f64,
-    /// True if it takes cameras with lens distortion.
+    /// True if it supports cameras with lens distortion.
     pub takes_distorted: bool,
-    /// True if the project is set up for it, so that `plan` writes its files unasked.
+    /// True if the project is set up for it; `plan` then writes its files by default.
     pub serves: fn(&Project) -> bool,
     /// True if its exports match key views at full and at half size, and fuse their depth maps (method 5.8).
     pub mixes_sizes: bool,
     /// Runner for the tasks of a queue, for exports with the default options; `None` if the program can only run as a whole.
     pub tasks: fn(&Selection, &Export) -> Option<TaskRunner>,
-    /// Faults of a project that would trip it whatever is planned, beside distorted cameras.
+    /// Faults of a project that break the backend with any plan, besides distorted cameras.
     pub traps: fn(&ExaminedProject) -> Vec<Trap>,
     export: fn(&Selection, &ExportOptions) -> Result<Export, BackendError>,
 }
 
 impl Backend {
-    /// Makes the files for a selection, at its own image size where the user has set none; writes nothing.
+    /// Makes the files for a selection, at the backend's default image size unless the user has set one; writes nothing.
     ///
     /// # Errors
-    /// Images, names or cameras that it cannot take, and options that do not fit the project.
+    /// Fails on unsupported images, names or cameras, and on options that do not fit the project.
     pub fn export(&self, selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {
         match selection.own_size {
             true => {
@@ -119,17 +119,17 @@ impl Backend {
     }
 }
 
-/// Size of the matched images of a program that takes them as they are.
+/// Size of the matched images of a program that does not resize them.
 fn full_size(_: &Camera) -> f64 {
     1.0
 }
 
-/// A name without case, blanks, `-` and `_`.
+/// Normalises a name: lower case without blanks, `-` and `_`.
 fn plain(name: &str) -> String {
     name.chars().filter(|c| !c.is_whitespace() && !"-_".contains(*c)).flat_map(char::to_lowercase).collect()
 }
 
-/// The backend with this name or alias, as typed behind `--backend`.
+/// Returns the backend with this name or alias, as given to `--backend`.
 pub fn by_name(name: &str) -> Result<&'static Backend, UnknownBackend> {
     let wanted = plain(name);
     let meant = |b: &&&Backend| b.name == wanted || b.aliases.contains(&&*wanted);
@@ -140,12 +140,12 @@ pub fn by_name(name: &str) -> Result<&'static Backend, UnknownBackend> {
     })
 }
 
-/// The name of the backend that is meant by `name`; [`Configuration::load`](crate::config::Configuration::load) checks settings with it.
+/// Resolves a name or alias to the backend's name; [`Configuration::load`](crate::config::Configuration::load) checks settings with it.
 pub fn canonical_name(name: &str) -> Result<&'static str, UnknownBackend> {
     by_name(name).map(|backend| backend.name)
 }
 
-/// The backends with these names, in their order, each once.
+/// Returns the backends with these names, in their order, without repetition.
 pub fn by_names(names: &[String]) -> Result<Vec<&'static Backend>, UnknownBackend> {
     let mut backends: Vec<&'static Backend> = Vec::new();
     for name in names {
@@ -157,7 +157,7 @@ pub fn by_names(names: &[String]) -> Result<Vec<&'static Backend>, UnknownBacken
     Ok(backends)
 }
 
-/// The known name most like the one that was typed.
+/// Returns the known name most similar to the given one.
 fn nearest(name: &str) -> Option<&'static str> {
     let wanted = plain(name);
     let others = BACKENDS.iter().flat_map(|b| b.aliases.iter().map(|other| (*other, b.name)));
@@ -166,7 +166,7 @@ fn nearest(name: &str) -> Option<&'static str> {
     rated.max_by(|a, b| a.0.total_cmp(&b.0)).filter(|(likeness, _)| *likeness > 0.8).map(|(_, name)| name)
 }
 
-/// The backend that the project is planned for: the [chosen] one.
+/// Returns the backend that the project is planned for: the [chosen] one.
 pub fn planned_for(project: &Project, settings: &Settings) -> Result<Matcher, UnknownBackend> {
     chosen(project, settings).map(|(backend, _)| backend.matcher())
 }
@@ -177,7 +177,7 @@ pub fn plan(project: &Project, settings: &Settings, watcher: &dyn Watcher) -> Re
     Plan::new(project, settings, &planned_for(project, settings)?, watcher)
 }
 
-/// As [`plan`], for the scene of the project that was read before.
+/// Like [`plan`], for a scene of the project that is already read.
 pub fn plan_scene(
     project: &Project,
     scene: Scene,
@@ -193,7 +193,7 @@ pub fn plan_scene(
 #[serde(rename_all = "lowercase")]
 pub enum Honours {
     Yes,
-    /// In part; [`Capabilities::notes`] says how.
+    /// Partly; [`Capabilities::notes`] says how.
     Partly,
     No,
 }
@@ -207,13 +207,13 @@ pub struct Capabilities {
     pub key_subset: Honours,
     /// Key views in rank order.
     pub order: Honours,
-    /// The step that joins the depth maps, in words.
+    /// Description of the fusion of the depth maps.
     pub fusion: &'static str,
-    /// Limits and conditions, in words.
+    /// Limits and conditions, as text.
     pub notes: &'static str,
 }
 
-/// OpenMVS's numbers, for PatchMatch programs that nobody has measured; `support` 2, since they join depth maps that agree.
+/// OpenMVS's numbers, for PatchMatch programs without measurements; `support` 2, since their fusion keeps depths on which maps agree.
 const PATCH_MATCH: PlanningNumbers = PlanningNumbers {
     reach: None,
     gate: Gate {
@@ -239,15 +239,15 @@ const PATCH_MATCH: PlanningNumbers = PlanningNumbers {
 pub struct TaskRunner {
     /// Name of the program on the PATH.
     pub program: &'static str,
-    /// Environment variable that replaces it by another path.
+    /// Environment variable that overrides the path.
     pub variable: &'static str,
     /// Computes one cluster, and fails unless its depth map is complete. Tasks run it in parallel.
     pub compute: String,
-    /// Joins the depth maps that exist.
+    /// Fuses the existing depth maps.
     pub fuse: String,
-    /// The cloud that `fuse` makes.
+    /// Cloud that `fuse` writes.
     pub cloud: PathBuf,
-    /// Depth map of each cluster, in rank order; `None` where the cluster cannot have one.
+    /// Depth map of each cluster, in rank order; `None` if it cannot be computed.
     pub maps: Vec<Option<PathBuf>>,
 }
 

@@ -1,4 +1,4 @@
-//! MVE's dmrecon: `docs/backends.md` 5. It takes no partner lists but chooses by shared features, so each cluster gets a bundle in which only its
+//! MVE's dmrecon: `docs/backends.md` 5. It reads no partner lists but selects by shared features, so each cluster gets a bundle in which only its
 //! partners share features with the key view. The views share one scene; `run.sh` installs one bundle after the other.
 
 use std::path::Path;
@@ -43,7 +43,7 @@ pub static BACKEND: Backend = Backend {
     export,
 };
 
-/// The first power of two that brings the image to `--max-pixels`, by default 1.5 million.
+/// Smallest power of two that reduces the image to at most `--max-pixels`, 1.5 million by default.
 fn own_scale(camera: &Camera) -> f64 {
     let ratio = f64::from(camera.width) * f64::from(camera.height) / 1_500_000.0;
     (-ratio.log(4.0).ceil().max(0.0)).exp2()
@@ -115,8 +115,8 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
 
 const RUNNER_HEAD: &str = include_str!("../../integrations/mve/run_head.sh");
 
-/// The folder of a view, where its depth map goes: named by the id of the image, which is the same in each plan. MVE's own id, in `meta.ini`,
-/// counts from 0: it refuses large ones.
+/// Folder of a view and its depth map, named by the id of the image, which is the same in each plan. MVE's own id, in `meta.ini`,
+/// counts from 0, since MVE refuses large ones.
 fn folder(scene: &Scene, view: ViewIndex) -> String {
     format!("view_{:08}.mve", scene.view(view).image_id)
 }
@@ -134,7 +134,7 @@ fn extension(name: &str) -> Result<&'static str, BackendError> {
     }
 }
 
-/// Focal length in units of the larger side and principal point in units of each side.
+/// Returns `meta.ini`: focal length in units of the larger side, principal point in units of each side.
 fn meta(scene: &Scene, view: ViewIndex, id: usize) -> String {
     let (camera, pose) = (scene.camera_of(view), &scene.view(view).cam_from_world);
     let (f, c) = camera.pinhole_part();
@@ -154,12 +154,12 @@ fn meta(scene: &Scene, view: ViewIndex, id: usize) -> String {
     )
 }
 
-/// The larger side counts after the pixels' aspect.
+/// Returns the focal length in units of the larger side, measured after applying the pixels' aspect ratio.
 fn focal_length(fx: f64, fy: f64, width: f64, height: f64) -> f64 {
     if width * fy / fx < height { fy / height } else { fx / width }
 }
 
-/// `synth_0.out` in which key view and partners refer to the points that the key view and a partner share; other cameras are zero.
+/// Returns `synth_0.out` with the points that the key view shares with a partner; other cameras are zero.
 fn bundle(scene: &Scene, points: &ViewPoints, cluster: &RankedCluster, ids: &[Option<usize>], views: usize) -> String {
     let members: Vec<ViewIndex> = std::iter::once(cluster.key).chain(cluster.partners.iter().copied()).collect();
     let mut cameras = vec!["0 0 0\n".repeat(5); views];

@@ -1,4 +1,4 @@
-//! MVSNet and what reads its files: `docs/backends.md` 3 and 14. `pair.txt` lists the key views with their partners, `cams/` holds the cameras;
+//! MVSNet and the programs that read its files: `docs/backends.md` 3 and 14. `pair.txt` lists the key views with their partners, `cams/` contains the cameras;
 //! the readers differ in the depth line of a camera and in which views they expect.
 
 use super::{
@@ -19,15 +19,15 @@ struct Dialect {
     backend: &'static Backend,
     made_for: &'static str,
     depths: DepthLine,
-    /// True for ACMM and its like: they look partners up by position and fuse with the maps of all partners, so every image is a problem.
+    /// True for ACMM and its relatives: they look partners up by position and fuse with the maps of all partners, so every image needs a map.
     all_are_problems: bool,
     /// With VIEWS (partners and key view), PARTNERS, WIDTH and HEIGHT (no image is smaller), AGREEING (partners that must agree).
     commands: &'static [&'static str],
-    /// Names and contents of scripts that the commands call.
+    /// Names and contents of the scripts that the commands call.
     scripts: &'static [(&'static str, &'static str)],
 }
 
-/// Last line of a camera file.
+/// Form of the last line of a camera file.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum DepthLine {
     /// Least, interval, number, greatest.
@@ -36,11 +36,11 @@ enum DepthLine {
     Range,
 }
 
-/// Planes between the least and the greatest depth.
+/// Number of planes between the least and the greatest depth.
 const PLANES: u32 = 192;
-/// Partners that must agree on a depth: with the key view, the number of maps that the plan asks for.
+/// Number of partners that must agree on a depth: one less than the plan's support, which includes the key view.
 const AGREEING: u32 = PATCH_MATCH.support - 1;
-/// Most partners of ACMH, ACMM, ACMP and ACMMP: a 32 bit mask.
+/// Largest number of partners of ACMH, ACMM, ACMP and ACMMP, which use a 32-bit mask.
 const ACM_PARTNERS: usize = 32;
 
 pub static MVSNET: Backend = Backend {
@@ -192,7 +192,7 @@ impl Dialect {
     }
 
     fn depth_line(&self, [least, greatest]: [f64; 2]) -> String {
-        // ACMM widens the range itself, to 0.6 and 1.2 times.
+        // ACMM itself widens the range, by factors of 0.6 and 1.2.
         let margin = if self.all_are_problems { 0.0 } else { 0.1 };
         let (least, greatest) = (least * (1.0 - margin), greatest * (1.0 + margin));
         match self.depths {
@@ -247,8 +247,8 @@ impl Dialect {
 /// Key views with their partners (positions in `views`) and the number of points they share.
 struct Lists<'a> {
     views: &'a [ViewIndex],
-    /// Number of each view in the files: its image id, the same in each plan, so that no old map is taken for that of another image;
-    /// its position for programs that demand it.
+    /// Number of each view in the files: its image id, the same in each plan, so that old maps keep their images; its position for
+    /// programs that demand it.
     numbers: Vec<u32>,
     points: ViewPoints,
     rows: Vec<Vec<(u32, u32)>>,
@@ -260,7 +260,7 @@ impl<'a> Lists<'a> {
         let points = scene.view_points();
         let mut index = vec![u32::MAX; scene.views.len()];
         (0..).zip(views).for_each(|(i, v)| index[v.index()] = i);
-        // A score of 0 would drop the partner from ACMM's list.
+        // ACMM drops partners with a score of 0.
         let scored = |shared: &[u32], partners: &mut dyn Iterator<Item = ViewIndex>| {
             partners.map(|p| (index[p.index()], shared[p.index()].max(1))).collect::<Vec<_>>()
         };

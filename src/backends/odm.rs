@@ -11,7 +11,7 @@ use crate::{
     model::camera::Camera,
 };
 
-/// Environment variables of the commands, which ask for them where they are unset.
+/// Environment variables that the commands need; unset, the commands fail and name them.
 const DATASETS: &str = "${DATASETS:?folder of the ODM projects, whole path}";
 const NAME: &str = "${NAME:?name of the ODM project}";
 
@@ -78,7 +78,7 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     openmvs::check_names(BACKEND.name, selection)?;
     let images = selection.undistorted_images(BACKEND.name)?;
     let mut files = options.file_set(&BACKEND, selection);
-    // ODM calls OpenMVS with the working folder openmvs/depthmaps, wherever a container has it.
+    // ODM calls OpenMVS in the working folder openmvs/depthmaps, whose absolute path depends on the container.
     let mvs = openmvs::joint_scene(selection, |name| format!("../images/{name}"));
     files.add("openmvs/scene.mvs", Contents::Bytes(mvs.write()));
     for view in selection.views() {

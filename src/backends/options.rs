@@ -1,4 +1,4 @@
-//! Choices of the user about an export.
+//! The user's options of an export.
 
 use std::path::PathBuf;
 
@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use super::{Backend, Selection};
 use crate::io::output::FileSet;
 
-/// The views that COLMAP makes depth maps of.
+/// Views that get depth maps from COLMAP.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub enum References {
     /// The key views.
@@ -22,10 +22,10 @@ pub enum References {
     All,
 }
 
-/// Choices of the user about an export.
+/// The user's options of an export.
 #[derive(Clone, Debug, Default)]
 pub struct ExportOptions {
-    /// Where the files go; `None`: the backend's own place in the project.
+    /// Output folder; `None`: the backend's default in the project.
     pub out: Option<PathBuf>,
     /// COLMAP; unset: `keys+partners` with geometric consistency, else `keys`.
     pub refs: Option<References>,
@@ -38,7 +38,7 @@ pub struct ExportOptions {
 }
 
 impl ExportOptions {
-    /// An empty set of files for a backend with a folder of its own.
+    /// Returns an empty set of files for a backend with its own folder.
     pub(super) fn file_set(&self, backend: &Backend, selection: &Selection) -> FileSet {
         let own = || selection.project.output_folder().join(backend.name);
         FileSet::new(self.out.clone().unwrap_or_else(own), backend.name)

@@ -1,4 +1,4 @@
-//! Places of exports: one set of files per folder, whoever writes it, and the files that an export must not touch.
+//! Locations of exports: one set of files per folder, and the files that an export must not overwrite.
 
 use std::path::{Component, Path, PathBuf};
 
@@ -17,8 +17,8 @@ use crate::{
 const RECORDS: [&str; 4] =
     ["export.json", "stereo/viewrank/export.json", "tile_01/export.json", "tile_01/stereo/viewrank/export.json"];
 
-/// The folder of the export whose record has this path, relative to the same folder, and whether the export is in tiles; `None` if no
-/// export has its record there.
+/// Returns the folder of the export whose record has this path, relative to the same folder, and whether the export is tiled; `None` if the
+/// path is not that of a record.
 pub fn folder_of_record(record: &str) -> Option<(&str, bool)> {
     let below = |name: &&str| record.strip_suffix(*name).filter(|folder| folder.is_empty() || folder.ends_with('/'));
     let folder = RECORDS[..2].iter().rev().find_map(below)?.trim_end_matches('/');
@@ -28,8 +28,8 @@ pub fn folder_of_record(record: &str) -> Option<(&str, bool)> {
     })
 }
 
-/// The files of exports below one folder, to appear together. Below the project they are a set of the project, so that links stay within it.
-/// A later set of the same folder replaces this one only.
+/// Joins the files of exports below one folder, to be written together. Below the project they form a set of the project, so that links stay within
+/// it. A later set of the same folder replaces only this one.
 pub fn set_of_folder(folder: &Path, parts: impl IntoIterator<Item = FileSet>, project: &Project) -> FileSet {
     let (root, real_folder) = (real(&project.home), real(folder));
     let (mut set, base) = match real_folder.strip_prefix(&root) {
@@ -45,13 +45,13 @@ pub fn set_of_folder(folder: &Path, parts: impl IntoIterator<Item = FileSet>, pr
     set
 }
 
-/// The same for the same folder of a project, and short whatever its depth.
+/// Returns the set's name: determined by the folder, with a fixed length.
 fn set_name(inner: &Path) -> String {
     let hash = blake3::hash(inner.to_string_lossy().as_bytes()).to_hex();
     format!("export-{}", &hash[..16])
 }
 
-/// Refuses a folder that is a file or holds the export for another backend, and files among the project's own.
+/// Refuses a folder that is a file or contains the export for another backend, and output among the project's own files.
 pub fn check(folder: &Path, exports: &[Export], project: &Project) -> Result<(), BackendError> {
     if let Some(file) = folder.ancestors().find(|above| above.is_file()) {
         return Err(OutputError::InTheWay { path: file.to_path_buf(), folder: false }.into());
@@ -72,7 +72,7 @@ pub fn check(folder: &Path, exports: &[Export], project: &Project) -> Result<(),
     Ok(())
 }
 
-/// The backend whose export the folder holds.
+/// Returns the backend of the export in the folder.
 fn earlier_backend(folder: &Path) -> Option<String> {
     #[derive(Deserialize)]
     struct Record {
@@ -83,7 +83,7 @@ fn earlier_backend(folder: &Path) -> Option<String> {
     RECORDS.iter().find_map(read).map(|record| record.backend)
 }
 
-/// Refuses a COLMAP model beside rigs and frames of another one: those that are written have none, and COLMAP 4 would read theirs.
+/// Refuses to write a COLMAP model next to rigs and frames of another one: ours has none, and COLMAP 4 would read the others.
 fn refuse_mixed_models(files: &FileSet) -> Result<(), BackendError> {
     let mut folders = files.files.keys().filter_map(|name| name.strip_suffix("images.bin"));
     let other = |folder: &str| {
@@ -93,14 +93,14 @@ fn refuse_mixed_models(files: &FileSet) -> Result<(), BackendError> {
     folders.find_map(other).map_or(Ok(()), |path| Err(BackendError::OtherModel(path)))
 }
 
-/// Refuses files among the images of the project or in place of its model: links to images would lead in circles there, and the next
-/// plan would read the model of this export.
+/// Refuses output among the images of the project or in place of its model: links to images would be circular, and the next
+/// plan would read the model of the export.
 fn spare_own_files(files: &FileSet, project: &Project) -> Result<(), BackendError> {
     let place = |path: &Path| match (path.parent(), path.file_name()) {
         (Some(folder), Some(name)) => real(folder).join(name),
         _ => real(path),
     };
-    // Images beside everything else of a project do not make all of it a folder of images.
+    // A project folder with images directly in it is not only a folder of images.
     let images = project.images.as_deref().map(real).filter(|images| !real(&project.root).starts_with(images));
     let model: Vec<PathBuf> = project.model_files().iter().map(|file| place(file)).collect();
     let root = real(&files.root);
@@ -115,7 +115,7 @@ fn spare_own_files(files: &FileSet, project: &Project) -> Result<(), BackendErro
     }
 }
 
-/// The relative path from a folder to one above it, so that both can be moved together; the whole path if it isn't above.
+/// Returns the relative path from a folder to an ancestor, so that both can be moved together; the whole path if it isn't an ancestor.
 pub(super) fn path_from(folder: &Path, above: &Path) -> PathBuf {
     let (folder, above) = (real(folder), real(above));
     match folder.strip_prefix(&above) {
@@ -125,12 +125,12 @@ pub(super) fn path_from(folder: &Path, above: &Path) -> PathBuf {
     }
 }
 
-/// Returns whether both are the same folder.
+/// Returns whether both paths name the same folder.
 pub fn is_same(one: &Path, other: &Path) -> bool {
     real(one) == real(other)
 }
 
-/// The path without links and `..`, also of a file that doesn't exist yet.
+/// Resolves links and `..`, also in the path of a file that doesn't exist yet.
 fn real(path: &Path) -> PathBuf {
     let absolute = std::path::absolute(path).unwrap_or_else(|_| path.to_path_buf());
     let there = absolute.ancestors().find_map(|above| Some((above, dunce::canonicalize(above).ok()?)));

@@ -11,7 +11,7 @@ use crate::{
     model::scene::{Scene, ViewIndex},
 };
 
-/// Name of the option file. The plain `viewrank` is the folder of our records, in a folder of one's own.
+/// Name of the option file; `viewrank` itself is the folder of viewrank's records.
 const OPTIONS: &str = "option-viewrank";
 
 pub static BACKEND: Backend = Backend {
@@ -65,7 +65,7 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     record.moved(near.origin);
     record.made_for = "PMVS2 (CMVS-PMVS)".into();
     record.way = "timages, oimages, vis.dat".into();
-    // The folder is put in front of file names as it is: without the slash nothing is found.
+    // PMVS2 concatenates folder and file names: the slash is required.
     record.commands = vec![format!("pmvs2 ./ {OPTIONS}")];
     record.not_honoured = vec!["the rank order".into()];
     record.note_scale(selection, |_| (-level(selection)).exp2());
@@ -74,7 +74,7 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     Ok(Export { files, record })
 }
 
-/// P = K [R | t], row by row, in COLMAP's pixel convention (as COLMAP's own export for PMVS).
+/// Returns P = K [R | t], row major, in COLMAP's pixel convention (as COLMAP's own export for PMVS).
 pub(super) fn projection(scene: &Scene, view: ViewIndex) -> String {
     let pose = &scene.view(view).cam_from_world;
     let (f, c) = scene.camera_of(view).pinhole_part();
@@ -99,7 +99,7 @@ fn extension(name: &str) -> Result<&'static str, BackendError> {
     }
 }
 
-/// Rows count by position: one for each image, also for those without partners of their own.
+/// Returns `vis.dat`: rows are identified by position, one for each image, also for those without partners.
 fn visibility(selection: &Selection, views: &[ViewIndex], index: &[usize]) -> String {
     let mut text = format!("VISDATA\n{}\n", views.len());
     for i in 0..views.len() {
@@ -116,7 +116,7 @@ fn level(selection: &Selection) -> f64 {
     (1.0 / selection.image_scale).log2().round().max(0.0)
 }
 
-/// No comments: one inside a list would end the program.
+/// Returns the option file, without comments: one inside a list would end the program.
 fn option_file(selection: &Selection, views: usize) -> String {
     let keys = selection.clusters.len();
     let list = |range: std::ops::Range<usize>| range.map(|i| format!(" {i}")).collect::<String>();

@@ -1,5 +1,5 @@
-//! RealityScan (RealityCapture): `docs/backends.md` 10, from the vendor's pages; not run. Images can be kept out of meshing, by a side file in
-//! XMP beside the image; nothing else can be said.
+//! RealityScan (RealityCapture): `docs/backends.md` 10, from the vendor's pages; not run. An XMP side file
+//! next to an image can exclude it from meshing; nothing else is configurable.
 
 use std::collections::HashMap;
 
@@ -77,7 +77,7 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     Ok(Export { files, record })
 }
 
-/// Side files beside the images that hold poses already.
+/// Warns of existing side files with poses next to the images.
 fn poses_beside(patient: &ExaminedProject) -> Option<Trap> {
     let images = patient.project.images.as_ref()?;
     let holds_pose = |view: &ViewIndex| {
@@ -94,13 +94,13 @@ fn poses_beside(patient: &ExaminedProject) -> Option<Trap> {
     })
 }
 
-/// Path without the extension.
+/// Returns the path without the extension.
 fn stem(name: &str) -> &str {
     let file = name.rfind('/').map_or(0, |slash| slash + 1);
     name[file..].rfind('.').filter(|&dot| dot > 0).map_or(name, |dot| &name[..file + dot])
 }
 
-/// The switches alone: an attribute of a pose would be taken as one.
+/// Returns a side file with only the switches: RealityScan would interpret further attributes as a pose.
 fn side_file(used: bool) -> String {
     let switch = u8::from(used);
     format!(

@@ -1,4 +1,4 @@
-//! `export.json`: what an export promises, what it does not honour, and its warnings.
+//! `export.json`: contents, limits and warnings of an export.
 
 use nalgebra::Vector3;
 use schemars::JsonSchema;
@@ -14,7 +14,7 @@ use crate::{
     },
 };
 
-/// The files for a backend, and what to know about them.
+/// The files for a backend with their record.
 #[derive(Clone, Debug)]
 pub struct Export {
     pub files: FileSet,
@@ -22,26 +22,26 @@ pub struct Export {
     pub record: ExportRecord,
 }
 
-/// Commands, limits and clusters of an export; written beside the files and into the manifest.
+/// Commands, limits and clusters of an export; written next to the files and into the manifest.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct ExportRecord {
     /// Value of `--backend`.
     pub backend: String,
     /// Programs and versions that the files were made for.
     pub made_for: String,
-    /// Which of several ways was taken.
+    /// Variant of the export, if the backend has several.
     pub way: String,
-    /// Script among the files that runs all `commands`.
+    /// Script in the export that runs all `commands`.
     pub runner: Option<String>,
-    /// Commands to type in the folder of the files, in order.
+    /// Commands to run in the folder of the files, in order.
     pub commands: Vec<String>,
     /// Parts of the plan that the backend does not honour.
     pub not_honoured: Vec<String>,
-    /// Read these before running it.
+    /// Warnings to read before running the program.
     pub warnings: Vec<String>,
     /// Depth maps of key views that will be computed.
     pub key_maps: usize,
-    /// Depth maps of other views that this way needs.
+    /// Depth maps of other views that this variant needs.
     pub other_maps: usize,
     /// Size of the matched images over the model's, as planned; by default the program's own.
     #[serde(default)]
@@ -52,9 +52,9 @@ pub struct ExportRecord {
     pub pixel_shift: f64,
     /// World coordinates of the origin of the files, scene units (f32 loses the decimals of map coordinates).
     pub origin: [f64; 3],
-    /// Options of the step that joins the depth maps, and why.
+    /// Options of the fusion, with reasons.
     pub fusion: String,
-    /// The clusters in rank order, as the backend knows them.
+    /// The clusters in rank order, with the backend's names of views.
     pub clusters: Vec<ExportedCluster>,
 }
 
@@ -82,7 +82,7 @@ pub struct ExportedView {
     pub target: String,
 }
 
-/// Key views that are planned at half the size, for a program that matches all of them at one.
+/// Returns the part of the plan that is not honoured if key views are planned at half the size, for a program that matches all at one size.
 pub(super) fn at_full_size(selection: &Selection) -> Vec<String> {
     match selection.clusters.iter().filter(|cluster| cluster.scale == MapScale::Half).count() {
         0 => Vec::new(),
@@ -122,7 +122,7 @@ impl ExportRecord {
         }
     }
 
-    /// Records the origin of the files, and warns where it is not the world's.
+    /// Records the origin of the files, with a warning if it is not the world's.
     pub(super) fn moved(&mut self, origin: Vector3<f64>) {
         self.origin = origin.into();
         if origin != Vector3::zeros() {
@@ -150,7 +150,7 @@ impl ExportRecord {
         ));
     }
 
-    /// Records that the program's own options choose the size, where the user has.
+    /// Warns that the program's own options determine the size if the user has set one.
     pub(super) fn note_own_scale(&mut self, selection: &Selection) {
         if !selection.own_size && selection.image_scale != 1.0 {
             let scale = selection.image_scale;
@@ -158,13 +158,13 @@ impl ExportRecord {
         }
     }
 
-    /// The contents of `export.json`.
+    /// Returns the contents of `export.json`.
     pub(super) fn to_json(&self) -> String {
         serde_json::to_string_pretty(self).expect("a record has string keys and finite numbers") + "\n"
     }
 }
 
-/// Warns of view clusters that cannot be computed as planned for want of images; `missing` ascends.
+/// Warns of view clusters that cannot be computed as planned because images are missing; `missing` is ascending.
 fn without_images(selection: &Selection, missing: &[ViewIndex]) -> Option<String> {
     let is_missing = |view: &ViewIndex| missing.binary_search(view).is_ok();
     let lacks = |c: &RankedCluster| std::iter::once(&c.key).chain(&c.partners).any(is_missing);
@@ -176,16 +176,16 @@ fn without_images(selection: &Selection, missing: &[ViewIndex]) -> Option<String
         .then(|| format!("view clusters that lack an image, by rank: {some}{more}; they cannot be computed as planned"))
 }
 
-/// Ranks that a warning names.
+/// Largest number of ranks listed in a warning.
 const NAMED_RANKS: usize = 10;
 
-/// Warns where there is no view cluster.
+/// Returns a warning if the selection has no view cluster.
 fn nothing_chosen(selection: &Selection) -> Option<String> {
     let why = || format!("{}/manifest.json says why", selection.project.output_folder().display());
     selection.clusters.is_empty().then(|| format!("no view cluster is chosen, there is nothing to compute: {}", why()))
 }
 
-/// Warns where the plan was made for a backend that matches differently.
+/// Returns a warning if the plan was made for a backend that matches differently.
 fn other_kind(backend: &Backend, selection: &Selection) -> Option<String> {
     let planned_for = by_name(selection.planned_for).ok()?;
     let (is, was) = (&backend.planning, &planned_for.planning);
@@ -204,7 +204,7 @@ fn other_kind(backend: &Backend, selection: &Selection) -> Option<String> {
     })
 }
 
-/// The scale of images whose long side is capped at the same number for all cameras, pixels.
+/// Returns the scale of images whose long side is limited to the same number of pixels for all cameras.
 pub(super) fn capped_scale(cap: u32) -> impl Fn(&Camera) -> f64 {
     move |camera| (f64::from(cap) / f64::from(camera.width.max(camera.height))).min(1.0)
 }

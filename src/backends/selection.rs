@@ -31,11 +31,11 @@ pub struct Selection<'a> {
     pub image_faults: &'a ImageFaults,
 }
 
-/// A selection whose scene is near its origin, for programs that count in f32.
+/// A selection whose scene is near its origin, for programs that compute in f32.
 pub struct NearOrigin<'a> {
     selection: Selection<'a>,
     scene: Cow<'a, Scene>,
-    /// World coordinates of the origin of the scene.
+    /// World coordinates of the new origin.
     pub origin: Vector3<f64>,
 }
 
@@ -46,7 +46,7 @@ impl NearOrigin<'_> {
 }
 
 impl<'a> Selection<'a> {
-    /// Moves the scene near its origin, unless f32 holds its coordinates as they are.
+    /// Moves the scene near its origin, unless f32 represents its coordinates well enough.
     pub fn near_origin(&self) -> NearOrigin<'a> {
         let origin = origin_among(&centres(self.scene), self.scene.median_gsd());
         let moved = origin != Vector3::zeros();
@@ -56,7 +56,7 @@ impl<'a> Selection<'a> {
 }
 
 impl Selection<'_> {
-    /// Every view that takes part, ascending by name.
+    /// Returns all key views and partners, ascending by name.
     pub fn views(&self) -> Vec<ViewIndex> {
         let mut views: Vec<_> =
             self.clusters.iter().flat_map(|c| std::iter::once(c.key).chain(c.partners.iter().copied())).collect();
@@ -65,7 +65,7 @@ impl Selection<'_> {
         views
     }
 
-    /// The folder of the images.
+    /// Returns the folder of the images.
     pub fn images(&self, backend: &'static str) -> Result<&ImageFolder, BackendError> {
         let needs = |what: String, folder: &Path| BackendError::Needs {
             backend,
@@ -82,17 +82,17 @@ impl Selection<'_> {
         Ok(folder)
     }
 
-    /// The folder of the images for a command that may run in any folder; the command asks for it where it is unknown.
+    /// Returns the folder of the images for a command that runs in any folder; if unknown, a shell variable that the command requires.
     pub fn images_in_commands(&self) -> String {
         let absolute =
             |folder: &ImageFolder| quoted_path(&std::path::absolute(folder).unwrap_or_else(|_| folder.to_path_buf()));
         self.project.images.as_ref().map_or("\"${IMAGES:?folder of the images}\"".into(), absolute)
     }
 
-    /// The folder of the images if these are undistorted.
+    /// Returns the folder of the images if these are undistorted.
     ///
     /// # Errors
-    /// Distorted cameras, with the command that undistorts as the hint; a folder without images.
+    /// Fails on distorted cameras, with the command that undistorts as the hint, and on a folder without images.
     pub fn undistorted_images(&self, backend: &'static str) -> Result<&ImageFolder, BackendError> {
         let distorted = self.views().into_iter().find(|v| !self.scene.camera_of(*v).is_pinhole());
         let Some(view) = distorted else { return self.images(backend) };
@@ -122,31 +122,31 @@ impl Selection<'_> {
         })
     }
 
-    /// Every view that takes part: the key views in rank order, then the other partners by name.
+    /// Returns all key views in rank order, then the other partners by name.
     pub fn keys_first(&self) -> Vec<ViewIndex> {
         let is_key = self.is_key();
         let partners = self.views().into_iter().filter(|v| !is_key[v.index()]);
         self.clusters.iter().map(|c| c.key).chain(partners).collect()
     }
 
-    /// For each view of the scene: is it a key view?
+    /// Returns, for each view of the scene, whether it is a key view.
     pub fn is_key(&self) -> Vec<bool> {
         let mut is_key = vec![false; self.scene.views.len()];
         self.clusters.iter().for_each(|c| is_key[c.key.index()] = true);
         is_key
     }
 
-    /// Long side of the largest image that takes part, pixels.
+    /// Returns the long side of the largest image of the clusters, pixels.
     pub fn long_side(&self) -> u32 {
         self.views().into_iter().map(|v| self.scene.camera_of(v)).map(|c| c.width.max(c.height)).max().unwrap_or(0)
     }
 
-    /// The most partners that a cluster has.
+    /// Returns the largest number of partners of a cluster.
     pub fn most_partners(&self) -> usize {
         self.clusters.iter().map(|c| c.partners.len()).max().unwrap_or(0)
     }
 
-    /// Median, over the sparse points that a key view observes, of the number of key views that observe the point.
+    /// Returns the median, over the sparse points that a key view observes, of the number of key views that observe the point.
     pub fn typical_key_views_per_point(&self) -> usize {
         let is_key = self.is_key();
         let mut counts: Vec<usize> = (0..self.scene.points.len() as u32)
@@ -162,10 +162,10 @@ impl Selection<'_> {
     }
 }
 
-/// Smallest step of f32 that is too coarse, pixels on the ground.
+/// Spacing of f32 from which it is too coarse, ground pixels.
 const COARSE_PX: f64 = 0.1;
 
-/// Describes how f32 rounds the coordinates, where it is too coarse for them.
+/// Describes how f32 rounds the coordinates; `None` if it is fine enough.
 pub fn rounding(scene: &Scene) -> Option<String> {
     let gsd = scene.median_gsd();
     let (largest, step) = too_coarse(&centres(scene), gsd)?;
@@ -175,7 +175,7 @@ pub fn rounding(scene: &Scene) -> Option<String> {
     ))
 }
 
-/// The origin for coordinates near these camera centres: their mean in whole units where f32 is too coarse for them, else zero. `gsd`: units per pixel.
+/// Returns the origin for coordinates near these camera centres: their mean in whole units if f32 is too coarse for them, else zero. `gsd`: units per pixel.
 pub fn origin_among(centres: &[Vector3<f64>], gsd: Option<f64>) -> Vector3<f64> {
     match too_coarse(centres, gsd) {
         Some(_) => (centres.iter().sum::<Vector3<f64>>() / centres.len() as f64).map(f64::round),
@@ -183,7 +183,7 @@ pub fn origin_among(centres: &[Vector3<f64>], gsd: Option<f64>) -> Vector3<f64> 
     }
 }
 
-/// The largest coordinate and the step of f32 there, where that is too coarse.
+/// Returns the largest coordinate and the spacing of f32 there; `None` if it is fine enough.
 fn too_coarse(centres: &[Vector3<f64>], gsd: Option<f64>) -> Option<(f64, f64)> {
     let largest = centres.iter().map(|centre| centre.amax()).fold(0.0, f64::max);
     let step = largest * f64::from(f32::EPSILON);
@@ -194,7 +194,7 @@ fn centres(scene: &Scene) -> Vec<Vector3<f64>> {
     scene.views.iter().map(|view| view.cam_from_world.centre().coords).collect()
 }
 
-/// Depths of the points that the view observes, in front of it, ascending, scene units.
+/// Returns the depths of the points that the view observes, in front of it, ascending, scene units.
 pub fn depths(scene: &Scene, points: &ViewPoints, view: ViewIndex) -> Vec<f64> {
     let pose = &scene.view(view).cam_from_world;
     let depth = |&p: &crate::model::scene::PointIndex| pose.camera_from_world(&scene.points[p.index()]).z;
@@ -203,7 +203,7 @@ pub fn depths(scene: &Scene, points: &ViewPoints, view: ViewIndex) -> Vec<f64> {
     depths
 }
 
-/// The 1 % and 99 % quantiles of the depths of the view's sparse points; if it observes none, of all points in front of it.
+/// Returns the 1 % and 99 % quantiles of the depths of the view's sparse points; if it observes none, of all points in front of it.
 pub fn depth_range(scene: &Scene, points: &ViewPoints, view: ViewIndex) -> Option<[f64; 2]> {
     let mut all = depths(scene, points, view);
     if all.is_empty() {
@@ -215,7 +215,7 @@ pub fn depth_range(scene: &Scene, points: &ViewPoints, view: ViewIndex) -> Optio
     Some([at(0.01)?, at(0.99)?])
 }
 
-/// Number of sparse points that each view of the scene shares with `view`; 0 for itself.
+/// Returns the number of sparse points that each view of the scene shares with `view`; 0 for itself.
 pub fn shared_points(scene: &Scene, points: &ViewPoints, view: ViewIndex) -> Vec<u32> {
     let mut shared = vec![0; scene.views.len()];
     for &p in points.observed_by(view) {

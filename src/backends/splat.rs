@@ -74,7 +74,7 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     Ok(Export { files, record })
 }
 
-/// One for each program; gaussian-splatting only where it can be run.
+/// Commands, one for each program; gaussian-splatting only if it supports the images.
 fn commands(selection: &Selection, views: &[ViewIndex]) -> Vec<String> {
     let pinhole = views.iter().all(|&v| selection.scene.camera_of(v).is_pinhole());
     let gsplat = format!(
@@ -87,7 +87,7 @@ fn commands(selection: &Selection, views: &[ViewIndex]) -> Vec<String> {
     [gsplat].into_iter().chain(pinhole.then_some(original)).chain(["brush .".into(), nerfstudio.into()]).collect()
 }
 
-/// nerfstudio's lists. It wants every split as soon as one is there, tests for `validation_list.txt` and opens `val_list.txt`.
+/// Adds nerfstudio's lists. It requires all splits if one exists; it checks for `validation_list.txt` but opens `val_list.txt`.
 fn add_lists(files: &mut FileSet, selection: &Selection, views: &[ViewIndex]) {
     let judged: Vec<ViewIndex> = views.iter().copied().step_by(JUDGED).collect();
     files.add_text("train_list.txt", name_lines(selection, views));
@@ -100,7 +100,7 @@ fn add_lists(files: &mut FileSet, selection: &Selection, views: &[ViewIndex]) {
     }
 }
 
-/// nerfstudio's `transforms.json`: camera to world, with y up and z backward in the camera.
+/// Returns nerfstudio's `transforms.json`: camera to world, with y up and z backward in the camera.
 fn transforms(selection: &Selection, views: &[ViewIndex], judged: &[ViewIndex]) -> serde_json::Value {
     let path = |&v: &ViewIndex| format!("images/{}", selection.scene.name(v));
     let frame = |v: &ViewIndex| {
@@ -134,7 +134,7 @@ fn world_from_nerf_camera(pose: &crate::model::scene::Pose) -> [[f64; 4]; 4] {
     std::array::from_fn(|i| std::array::from_fn(|j| matrix[(i, j)]))
 }
 
-/// The points that at least two of the views observe, as gaussian-splatting writes them once and then keeps: ours is always fresh.
+/// Returns the points that at least two of the views observe, as PLY. Gaussian-splatting writes this file once and never updates it, so we do.
 fn seeds(selection: &Selection, views: &[ViewIndex]) -> Vec<u8> {
     let scene = selection.scene;
     let mut chosen = vec![false; scene.views.len()];
@@ -157,7 +157,7 @@ fn seeds(selection: &Selection, views: &[ViewIndex]) -> Vec<u8> {
     bytes
 }
 
-/// The name of an image in gaussian-splatting.
+/// Returns the name of an image in gaussian-splatting.
 fn short_name(name: &str) -> &str {
     let file = name.rsplit('/').next().unwrap_or(name);
     file.split('.').next().unwrap_or(file)

@@ -20,7 +20,7 @@ use crate::{
     },
 };
 
-/// The numbers of a matcher of rectified pairs (method 7.1 and 7.2).
+/// Numbers of a matcher of rectified pairs (method 7.1 and 7.2).
 const RECTIFYING: PlanningNumbers = PlanningNumbers {
     reach: None,
     // Scale ratio 1.7.
@@ -135,7 +135,7 @@ fn record_of(selection: &Selection, names: &[String]) -> ExportRecord {
     record
 }
 
-/// `run.sh`. Two commands make a cluster.
+/// Returns `run.sh`, with two commands per cluster.
 fn shell_script(selection: &Selection, commands: &[String]) -> Contents {
     let mut script = ClusterScript::new("");
     for (i, (cluster, calls)) in selection.clusters.iter().zip(commands.chunks(2)).enumerate() {
@@ -146,7 +146,7 @@ fn shell_script(selection: &Selection, commands: &[String]) -> Contents {
     script.finish(&[])
 }
 
-/// `run.bat`: every cluster is tried, each time.
+/// Returns `run.bat`, which runs every cluster each time.
 fn batch_script(commands: &[String]) -> String {
     let call = |c: &String| c.replacen("sure", "sure.exe", 1).replace('/', "\\");
     let cluster = |(i, calls): (usize, &[String])| {
@@ -157,7 +157,7 @@ fn batch_script(commands: &[String]) -> String {
     format!("@echo off\r\ncd /d \"%~dp0\"\r\nset failed=0\r\n{clusters}exit /b %failed%\r\n")
 }
 
-/// Names without folders. SURE ignores extensions, so that stems must differ.
+/// Returns names without folders. SURE ignores extensions, so stems must differ.
 fn flat_names(selection: &Selection) -> Result<Vec<String>, BackendError> {
     let mut by_stem: HashMap<String, ViewIndex> = HashMap::new();
     let mut names = vec![String::new(); selection.scene.views.len()];
@@ -183,7 +183,7 @@ fn orientation(selection: &Selection, view: ViewIndex, name: &str) -> String {
     text.expect("`undistorted_images` refuses cameras with distortion")
 }
 
-/// Images and orientations in the same order, which is what makes them belong together; and the base images.
+/// Adds the lists of images and orientations, which SURE associates by their order, and of base images.
 fn add_lists(files: &mut FileSet, folder: &str, names: &[String], views: &[ViewIndex], keys: &[ViewIndex]) {
     let list = |line: &dyn Fn(&str) -> String| views.iter().map(|v| line(&names[v.index()])).collect::<String>();
     let up = "../".repeat(folder.matches('/').count());
@@ -193,13 +193,13 @@ fn add_lists(files: &mut FileSet, folder: &str, names: &[String], views: &[ViewI
     files.add_text(format!("{folder}baseImages.txt"), keys.collect::<String>());
 }
 
-/// `clusters.txt`, `pairs.txt` and `baseImages.txt` (method 6), for whoever reads them; `sizes.txt` where key views are planned at half the size.
+/// `clusters.txt`, `pairs.txt` and `baseImages.txt` (method 6), for other programs, and `sizes.txt` if key views are planned at half the size.
 pub fn pair_files(backend: &'static str, selection: &Selection) -> Result<Vec<(&'static str, String)>, BackendError> {
     let lists = lists_of_pairs(selection, |view| checked_name(backend, selection.scene.name(view)))?;
     Ok(lists.into_iter().chain(sizes(selection).map(|text| ("sizes.txt", text))).collect())
 }
 
-/// Key views that are matched at another size than the others, each with that size over theirs; `None` where all have one size.
+/// Returns `sizes.txt`: the key views whose size differs from the others', each with the ratio of the two; `None` if all have one size.
 fn sizes(selection: &Selection) -> Option<String> {
     let smaller = selection.clusters.iter().filter(|cluster| cluster.scale != MapScale::Full);
     let line = |c: &RankedCluster| format!("{}\t{}\n", selection.scene.name(c.key), c.scale.factor());
@@ -226,7 +226,7 @@ fn lists_of_pairs<'a>(
     Ok([("clusters.txt", clusters), ("pairs.txt", pairs), ("baseImages.txt", keys)])
 }
 
-/// A name that survives in a file of lines with tabs between and `#` comments.
+/// Refuses a name that cannot be written to a tab-separated file with `#` comments.
 fn checked_name<'a>(backend: &'static str, name: &'a str) -> Result<&'a str, BackendError> {
     let why = if name.contains(['\t', '\n', '\r']) {
         "a tab or line break separates entries in the pair files"

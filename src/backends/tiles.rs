@@ -1,4 +1,4 @@
-//! Parts a selection by area, for those who match area by area.
+//! Partition of a selection by area.
 
 use nalgebra::{Point3, Vector3};
 
@@ -8,8 +8,8 @@ use crate::{
     model::{cluster::RankedCluster, scene::ViewIndex},
 };
 
-/// The clusters of a selection in `count` areas of about as many each, in rank order within an area. A cluster belongs to the area of the mean
-/// of the sparse points that its key view observes. There are fewer areas where there are fewer clusters, or several at one place.
+/// Splits the clusters of a selection into `count` areas with about equal numbers, in rank order within an area. A cluster belongs to the area of the
+/// mean of the sparse points that its key view observes. With fewer distinct places there are fewer areas.
 pub fn clusters_by_area(selection: &Selection, count: usize) -> Vec<Vec<RankedCluster>> {
     let points = selection.scene.view_points();
     let home = |key: ViewIndex| {

@@ -1,4 +1,4 @@
-//! Faults of a project that would trip a backend, found before anything is planned, for `viewrank doctor`.
+//! Faults of a project that break a backend, for `viewrank doctor`.
 
 use std::{collections::BTreeMap, path::Path};
 
@@ -17,21 +17,21 @@ pub struct ExaminedProject<'a> {
     pub points: &'a ViewPoints,
 }
 
-/// A fault that would trip a backend.
+/// A fault of a project that breaks a backend.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Trap {
-    /// Stable name, for programs.
+    /// Stable identifier.
     pub name: &'static str,
-    /// The consequence.
+    /// The fault and its consequence.
     pub what: String,
-    /// The cure, as an imperative or a command.
+    /// Remedy: an imperative or a command.
     pub cure: String,
-    /// The views concerned; empty: all of the project.
+    /// Affected views; empty: the whole project.
     pub views: Vec<ViewIndex>,
 }
 
 impl ExaminedProject<'_> {
-    /// Views whose names `check` refuses.
+    /// Finds views whose names `check` refuses.
     pub(super) fn bad_names<T>(
         &self,
         trap: &'static str,
@@ -51,7 +51,7 @@ impl ExaminedProject<'_> {
         })
     }
 
-    /// Finished depth maps below a folder, which the program keeps whatever they were made from.
+    /// Finds finished depth maps below a folder, which the program keeps regardless of their origin.
     pub(super) fn finished_maps(
         &self,
         trap: &'static str,
@@ -73,7 +73,7 @@ impl ExaminedProject<'_> {
         })
     }
 
-    /// Views that the backend cannot tell apart.
+    /// Finds views that the backend cannot distinguish.
     pub(super) fn same_names(&self, trap: &'static str, same: &str, known_by: impl Fn(&str) -> String) -> Option<Trap> {
         let mut by_key: BTreeMap<String, Vec<ViewIndex>> = BTreeMap::new();
         for view in self.scene.view_indices() {
@@ -89,7 +89,7 @@ impl ExaminedProject<'_> {
         })
     }
 
-    /// Views that observe no sparse point in front of them.
+    /// Finds views that observe no sparse point in front of them.
     pub(super) fn without_points(&self, trap: &'static str, so: &str) -> Option<Trap> {
         let none = |v: &ViewIndex| selection::depths(self.scene, self.points, *v).is_empty();
         let views: Vec<ViewIndex> = self.scene.view_indices().filter(none).collect();

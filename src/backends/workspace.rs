@@ -1,4 +1,4 @@
-//! A COLMAP project of some of the views: a reduced model in binary form and the images, as links.
+//! A COLMAP project with a subset of the views: a reduced binary model and links to the images.
 
 use std::collections::HashSet;
 
@@ -14,8 +14,8 @@ use crate::{
     model::scene::ViewIndex,
 };
 
-/// Adds `MODEL/{cameras,images,points3D}.bin` and `images/NAME` for the views, in coordinates that count from `origin`. Points that fewer
-/// than `least_views` of them observe go.
+/// Adds `MODEL/{cameras,images,points3D}.bin` and `images/NAME` for the views, in coordinates relative to `origin`, without points
+/// that fewer than `least_views` of them observe.
 pub fn add_workspace(
     backend: &'static str,
     files: &mut FileSet,
@@ -40,7 +40,7 @@ pub fn add_workspace(
     Ok(())
 }
 
-/// The files of the model reduced to the views. Of a COLMAP model everything else stays as it is, coordinates aside.
+/// Returns the files of the model reduced to the views. Everything else in a COLMAP model except coordinates is kept.
 fn reduced_model(
     selection: &Selection,
     views: &[ViewIndex],

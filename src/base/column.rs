@@ -16,7 +16,7 @@ use rayon::prelude::*;
 
 use crate::base::{error::Hint, progress::Cancelled};
 
-/// Where columns are kept.
+/// Place of the columns: in memory or on disk.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Storage {
     #[default]
@@ -55,7 +55,7 @@ impl<T> Column<T> {
     pub fn release(&self) {
         #[cfg(unix)]
         if let Backing::Disk(map) = &self.0 {
-            // SAFETY: the map is of a file and nothing writes to it, so that its pages come back as they were.
+            // SAFETY: the map is backed by a file that nobody writes to, so its pages are restored unchanged.
             _ = unsafe { map.unchecked_advise(memmap2::UncheckedAdvice::DontNeed) };
         }
     }

@@ -3,15 +3,15 @@
 /// Errors are interface: `Display` says what went wrong and where (file with byte or line, view, setting), its cause included;
 /// `hint` says what to do about it. Only the program prints them, in one place.
 pub trait Hint: std::error::Error {
-    /// A sentence that starts with a verb, or `None` where there is nothing to advise.
+    /// Returns advice, an imperative; `None` if there is none.
     fn hint(&self) -> Option<String>;
 
-    /// The file or folder that the error is about, if it is about one.
+    /// Returns the file or folder that the error concerns, if any.
     fn path(&self) -> Option<&std::path::Path> {
         None
     }
 
-    /// Returns whether an argument or a setting is wrong, so that nothing was tried.
+    /// Returns whether an argument or a setting is wrong (exit code 2).
     fn is_usage(&self) -> bool {
         false
     }

@@ -1,7 +1,7 @@
 //! Opens files that a project or the user names.
 //!
 //! A project may come from a stranger, and its settings name files. Links are followed, for images often live elsewhere, but
-//! only a regular file is read: a pipe would be waited for and a device read without end. Files that are read whole have a size limit.
+//! only a regular file is read: a pipe would block and a device never end. Files that are read whole have a size limit.
 
 use std::{
     fs::{File, Metadata},
@@ -11,7 +11,7 @@ use std::{
 
 use super::platform;
 
-/// The kind of a file that is read whole, which decides how large it may be.
+/// Kind of a file that is read whole; determines its size limit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FileKind {
     /// `viewrank.toml` and notes of a few lines.

@@ -17,7 +17,7 @@ pub fn filled<T: Clone>(elements: usize, with: T) -> Vec<T> {
     list
 }
 
-/// Asks for large pages behind the room of the list; small lists and systems without them stay as they are.
+/// Advises the system to back the list's capacity with huge pages; no effect on small lists or without system support.
 #[cfg(target_os = "linux")]
 fn advise<T>(room: &mut Vec<T>) {
     /// Size of a large page on most machines; smaller allocations don't use them.
@@ -28,7 +28,7 @@ fn advise<T>(room: &mut Vec<T>) {
     else {
         return;
     };
-    // SAFETY: the range lies within the list's own room, and the advice changes nothing of what is in it. That it is not followed does no harm.
+    // SAFETY: the range is within the list's allocation, and the advice does not change its content. The result is ignored: it is only a hint.
     _ = unsafe { libc::madvise(first as *mut libc::c_void, length, libc::MADV_HUGEPAGE) };
 }
 

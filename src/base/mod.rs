@@ -1,4 +1,4 @@
-//! Shared by all layers, dependent on none: errors, progress, large columns, CSR offsets, tiles of space, vectorised loops.
+//! Foundations that all layers share: errors, progress, input files, platform differences, large columns, CSR offsets, tiles of space, vectorised loops.
 
 pub mod column;
 pub mod connected;

@@ -9,14 +9,14 @@ use std::{
     sync::{Arc, atomic::AtomicBool},
 };
 
-/// Lets opening a pipe return at once instead of waiting for its writer.
+/// Sets `O_NONBLOCK`, so that opening a pipe does not wait for its writer.
 pub fn never_block(options: &mut OpenOptions) {
     #[cfg(unix)]
     std::os::unix::fs::OpenOptionsExt::custom_flags(options, libc::O_NONBLOCK);
     let _ = options;
 }
 
-/// As [`never_block`], and lets opening a symbolic link fail; on Windows the link itself is opened, which is no regular file.
+/// Like [`never_block`], and makes opening a symbolic link fail; on Windows the link itself is opened, which is not a regular file.
 pub fn refuse_links(options: &mut OpenOptions) {
     #[cfg(unix)]
     std::os::unix::fs::OpenOptionsExt::custom_flags(options, libc::O_NOFOLLOW | libc::O_NONBLOCK);
@@ -27,7 +27,7 @@ pub fn refuse_links(options: &mut OpenOptions) {
     }
 }
 
-/// Lets a new file be executable, as far as the user's mask allows.
+/// Makes a new file executable, subject to the umask.
 pub fn make_executable(options: &mut OpenOptions) {
     #[cfg(unix)]
     std::os::unix::fs::OpenOptionsExt::mode(options, 0o777);
@@ -45,7 +45,7 @@ pub fn is_executable(found: &Metadata) -> bool {
     }
 }
 
-/// Number of the file system; 0 where the system does not tell it.
+/// Returns the device number of the file system; 0 if unknown.
 pub fn file_system(found: &Metadata) -> u64 {
     #[cfg(unix)]
     return std::os::unix::fs::MetadataExt::dev(found);
@@ -133,7 +133,7 @@ pub fn sync_folder(folder: &Path) -> io::Result<()> {
 pub fn stop_flag() -> io::Result<Arc<AtomicBool>> {
     let stop = Arc::new(AtomicBool::new(false));
     for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
-        // Registered first, it finds the flag as the signal before has left it.
+        // Registered before the handler that sets the flag, so that only a second signal ends the program.
         signal_hook::flag::register_conditional_shutdown(signal, 130, Arc::clone(&stop))?;
         signal_hook::flag::register(signal, Arc::clone(&stop))?;
     }
@@ -161,7 +161,7 @@ pub fn on_signal(act: impl Fn(Request) + Send + 'static) {
     }
     #[cfg(not(unix))]
     {
-        /// Between two looks at the flag.
+        /// Interval of polling the flag.
         const PAUSE: std::time::Duration = std::time::Duration::from_millis(100);
         let Ok(stop) = stop_flag() else { return };
         std::thread::spawn(move || {
@@ -173,7 +173,7 @@ pub fn on_signal(act: impl Fn(Request) + Send + 'static) {
     }
 }
 
-/// Lets a command start in a group of its own: Ctrl-C in the terminal does not reach it.
+/// Starts a command in its own process group, which Ctrl-C in the terminal does not reach.
 pub fn in_own_group(command: &mut Command) -> &mut Command {
     #[cfg(unix)]
     std::os::unix::process::CommandExt::process_group(command, 0);

@@ -1,4 +1,4 @@
-//! Progress and cancellation: how a stage talks to whoever runs it. Terminal bars are in `cli/`, state files in `daemon/`.
+//! Progress and cancellation of a running stage. Terminal bars are in `cli/`, state files in `daemon/`.
 
 /// The stages of a plan, in the order in which they run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, serde::Serialize)]
@@ -17,12 +17,12 @@ pub enum Stage {
     Write,
 }
 
-/// Receives progress and says when to stop. Called from several threads at once.
+/// Receives progress and can cancel the run. Called from several threads at once.
 pub trait Watcher: Sync {
     /// `done` of `total` steps of the stage are finished; a stage starts with 0 and ends with `done == total`.
     fn progress(&self, stage: Stage, done: u64, total: u64);
 
-    /// A stage asks at least every 50 ms of work and returns [`Cancelled`] when true.
+    /// Returns whether to stop. Stages ask at least every 50 ms and then return [`Cancelled`].
     fn cancelled(&self) -> bool {
         false
     }

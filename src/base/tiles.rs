@@ -1,11 +1,11 @@
-//! Space cut into tiles that hold about as many points each.
+//! Partition of space into tiles with about equal numbers of points.
 //!
-//! The box around the points is halved across its longest side, at the median, until no part has too many; the outermost tiles reach to
+//! The bounding box is halved across its longest side, at the median, until each part has few enough; the outermost tiles extend to
 //! infinity, so that every point of space is in exactly one tile.
 
 use nalgebra::Point3;
 
-/// A part of space: `low` belongs to it, `high` does not.
+/// A box, including `low` and excluding `high`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Tile {
     low: [f64; 3],
@@ -25,14 +25,14 @@ impl Tile {
     }
 }
 
-/// Tiles of which none holds more than `most` of the points; where many points coincide it may.
+/// Returns tiles with at most `most` points each, except where more points coincide.
 pub fn split(points: &[Point3<f64>], most: usize) -> Vec<Tile> {
     let mut tiles = Vec::new();
     halve(points.to_vec(), Tile::EVERYTHING, most.max(1), &mut tiles);
     tiles
 }
 
-/// Tiles that hold about as many points each, `count` of them; fewer where there are fewer points, or several at one place.
+/// Returns `count` tiles with about equal numbers of points; fewer if there are fewer distinct points.
 pub fn split_into(points: &[Point3<f64>], count: usize) -> Vec<Tile> {
     let mut tiles = Vec::new();
     part(points.to_vec(), Tile::EVERYTHING, count.clamp(1, points.len().max(1)), &mut tiles);
@@ -48,7 +48,7 @@ fn halve(mut points: Vec<Point3<f64>>, tile: Tile, most: usize, tiles: &mut Vec<
     halve(right, above, most, tiles);
 }
 
-/// Cuts into `count` tiles that hold about as many points.
+/// Cuts into `count` tiles with about equal numbers of points.
 fn part(mut points: Vec<Point3<f64>>, tile: Tile, count: usize, tiles: &mut Vec<Tile>) {
     let few = count / 2;
     let rank = points.len() * few / count;
@@ -59,7 +59,7 @@ fn part(mut points: Vec<Point3<f64>>, tile: Tile, count: usize, tiles: &mut Vec<
     part(right, above, count - few, tiles);
 }
 
-/// The points and the part of the tile on each side.
+/// Returns the points and the part of the tile on each side.
 fn cut_at(points: Vec<Point3<f64>>, tile: Tile, axis: usize, at: f64) -> [(Vec<Point3<f64>>, Tile); 2] {
     let (mut below, mut above) = (tile, tile);
     below.high[axis] = at;
@@ -68,7 +68,7 @@ fn cut_at(points: Vec<Point3<f64>>, tile: Tile, axis: usize, at: f64) -> [(Vec<P
     [(left, below), (right, above)]
 }
 
-/// Where to cut: the axis of the longest side, and the coordinate of that rank there; `None` where no cut parts the points.
+/// Returns the axis of the longest side and the coordinate of that rank along it; `None` if no cut separates the points.
 fn cut(points: &mut [Point3<f64>], rank: usize) -> Option<(usize, f64)> {
     let extent = |axis: usize| {
         let coordinates = || points.iter().map(|point| point[axis]);
@@ -116,7 +116,7 @@ mod tests {
     }
 
     proptest! {
-        /// As many tiles as asked for, and none of them empty or far larger than the others.
+        /// The requested number of tiles, none of them empty or far larger than the others.
         #[test]
         fn as_many_tiles_as_asked_for(places in proptest::collection::hash_set(-900i32..900, 1..60), count in 1usize..12) {
             let points: Vec<_> = places.iter().map(|&x| Point3::new(f64::from(x), f64::from(x % 7), 0.0)).collect();

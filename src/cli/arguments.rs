@@ -1,4 +1,4 @@
-//! Parses the command line, and suggests what was meant by near misses of subcommands, options and projects.
+//! Parses the command line, and suggests corrections of misspelt subcommands, options and projects.
 
 use std::{
     ffi::OsString,
@@ -15,7 +15,7 @@ use clap::{
 use super::{Arguments, Exit, Failure};
 use crate::io::project;
 
-/// Words that people type for a subcommand.
+/// Other words for subcommands.
 const SUBCOMMANDS: [(&str, &[&str]); 13] = [
     (
         "plan",
@@ -38,7 +38,7 @@ const SUBCOMMANDS: [(&str, &[&str]); 13] = [
     ("watch", &["daemon", "monitor", "follow", "serve"]),
 ];
 
-/// Words that people type for an option.
+/// Other words for options.
 const OPTIONS: [(&str, &[&str]); 12] = [
     (
         "--images",

@@ -140,7 +140,7 @@ fn details(entry: &Entry) -> String {
     text
 }
 
-/// A line, wrapped at 80 columns and indented under its value.
+/// Formats a line, wrapped at 80 columns and indented under its value.
 fn wrapped(what: &str, value: &str) -> String {
     const LABEL: usize = 30;
     let mut text = format!("  {what:<28}");

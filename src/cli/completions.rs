@@ -37,7 +37,7 @@ pub fn man(arguments: &ManArguments) -> Result<(), Failure> {
     print(&String::from_utf8_lossy(&page))
 }
 
-/// The definition of the program, or of a subcommand under its full name (`viewrank-plan`, as manual pages are called).
+/// Returns the definition of the program, or of a subcommand under its full name (`viewrank-plan`, the name of its manual page).
 fn definition(subcommand: Option<&str>) -> Result<Command, Failure> {
     let mut program = super::Arguments::command();
     program.build();

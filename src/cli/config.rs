@@ -1,4 +1,4 @@
-//! `viewrank config`: the settings in force, as a file that `viewrank.toml` may become.
+//! `viewrank config`: prints the settings in force as a valid `viewrank.toml`.
 
 use std::path::{Path, PathBuf};
 
@@ -21,6 +21,7 @@ pub struct Arguments {
     /// Project whose viewrank.toml is read [default: only the user's own settings].
     #[arg(value_parser = super::arguments::project())]
     project: Option<PathBuf>,
+    /// Format of the results on stdout
     #[arg(long, value_enum, default_value_t)]
     format: Format,
 }

@@ -23,7 +23,7 @@ use serde::Serialize;
 
 use super::{Failure, Format, config, json, print, progress::Progress, warn};
 
-/// Submit the view clusters of a plan to a queue: a task per depth map, best first, and a task that joins them.
+/// Submit the view clusters of a plan to a queue: a task per depth map, best first, and a task that fuses them.
 ///
 /// Can be run again at any time: finished, queued and running tasks are kept, missing ones submitted again, waiting ones cancelled once the
 /// existing depth maps reach the target. Defaults for the resources of a task come from viewrank.toml, section dispatch.
@@ -50,39 +50,40 @@ pub struct Arguments {
     program: Option<PathBuf>,
 
     /// Partition of the queue
-    #[arg(long, help_heading = "A task")]
+    #[arg(long, help_heading = "Task")]
     partition: Option<String>,
     /// Account to charge
-    #[arg(long, help_heading = "A task")]
+    #[arg(long, help_heading = "Task")]
     account: Option<String>,
     /// Quality of service
-    #[arg(long, help_heading = "A task")]
+    #[arg(long, help_heading = "Task")]
     qos: Option<String>,
     /// Time limit per depth map, such as 2h or 1d6h
-    #[arg(long, value_name = "T", help_heading = "A task")]
+    #[arg(long, value_name = "T", help_heading = "Task")]
     time: Option<String>,
     /// Memory per task, such as 8G
-    #[arg(long, value_name = "SIZE", help_heading = "A task")]
+    #[arg(long, value_name = "SIZE", help_heading = "Task")]
     memory: Option<String>,
     /// CPUs per task, and threads of the backend [default: 1]
-    #[arg(long, value_name = "N", help_heading = "A task")]
+    #[arg(long, value_name = "N", help_heading = "Task")]
     cpus: Option<i64>,
     /// GPUs per task
-    #[arg(long, value_name = "N", help_heading = "A task")]
+    #[arg(long, value_name = "N", help_heading = "Task")]
     gpus: Option<i64>,
     /// Largest number of tasks that run at once [default: the queue's limit]
-    #[arg(long, value_name = "N", help_heading = "A task")]
+    #[arg(long, value_name = "N", help_heading = "Task")]
     at_once: Option<i64>,
     /// Further option of sbatch; repeatable
-    #[arg(long, value_name = "OPTION", allow_hyphen_values = true, help_heading = "A task")]
+    #[arg(long, value_name = "OPTION", allow_hyphen_values = true, help_heading = "Task")]
     option: Vec<String>,
     /// Lines of sh to run at the start of each task, such as "module load colmap"
-    #[arg(long, value_name = "LINES", help_heading = "A task")]
+    #[arg(long, value_name = "LINES", help_heading = "Task")]
     setup: Option<String>,
 
     /// Print the scripts and the commands; write and submit nothing
     #[arg(long, help_heading = "Output")]
     dry_run: bool,
+    /// Format of the results on stdout
     #[arg(long, value_enum, default_value_t, help_heading = "Output")]
     format: Format,
 }
@@ -108,7 +109,7 @@ struct Report<'a> {
 }
 
 pub fn run(arguments: &Arguments) -> Result<(), Failure> {
-    // Jobs are found by the project's path, whatever name it was given by.
+    // Jobs are identified by the project's canonical path.
     let root = dunce::canonicalize(&arguments.project).unwrap_or_else(|_| arguments.project.clone());
     let plan = WrittenPlan::read(&root)?;
     if let Some(wanted) = arguments.target.filter(|wanted| wanted.0 > plan.target.0) {
@@ -226,7 +227,7 @@ impl Arguments {
                 if let Outcome::Failed { reason, .. } = other {
                     warn(&format!("cannot measure the existing depth maps: {reason}"));
                 }
-                // It refers to depth maps that are gone, or to another plan: no task may stop because of it.
+                // It refers to removed depth maps or another plan: no task may stop because of it.
                 follow::Progress::remove(root)?;
                 Ok(false)
             }
@@ -250,7 +251,7 @@ impl Report<'_> {
         let (folder, all) = (self.folder.display(), self.tasks);
         let mut text = format!("{}: {all} view clusters, {} finished; {folder}\n", self.backend, self.done);
         if self.target_reached {
-            text += "  the target is reached by the depth maps that are there: nothing more is started\n";
+            text += "  the existing depth maps reach the target: no more tasks are started\n";
         }
         match arguments.scheduler {
             Scheduler::Shell if self.target_reached => text,

@@ -34,6 +34,7 @@ pub struct Arguments {
     /// List every view, not only the first few
     #[arg(long)]
     all: bool,
+    /// Format of the results on stdout
     #[arg(long, value_enum, default_value_t)]
     format: Format,
 }
@@ -73,7 +74,7 @@ fn backends_to_visit(
     Ok(visited)
 }
 
-/// The exit code by the worst finding.
+/// Returns the exit code of the worst finding.
 fn verdict(findings: &[Finding]) -> Result<(), Failure> {
     let count = |severity| findings.iter().filter(|finding| finding.severity == severity).count();
     let (errors, warnings) = (count(Severity::Error), count(Severity::Warning));

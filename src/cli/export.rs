@@ -47,21 +47,22 @@ pub struct Arguments {
     tiles: Option<u32>,
 
     /// COLMAP: views that get depth maps. Programs without partner lists: views that are listed
-    #[arg(long, value_enum, value_name = "WHICH", help_heading = "Of some backends")]
+    #[arg(long, value_enum, value_name = "WHICH", help_heading = "For some backends")]
     refs: Option<References>,
     /// COLMAP: geometric consistency, which needs depth maps of the partners
-    #[arg(long, value_name = "on|off", value_parser = switch, help_heading = "Of some backends")]
+    #[arg(long, value_name = "on|off", value_parser = switch, help_heading = "For some backends")]
     geometric: Option<bool>,
     /// OpenMVS: the plain list of neighbours for this scene.mvs, instead of a scene per cluster
-    #[arg(long, value_name = "SCENE.mvs", help_heading = "Of some backends")]
+    #[arg(long, value_name = "SCENE.mvs", help_heading = "For some backends")]
     scene: Option<PathBuf>,
     /// OpenMVS with --scene: a copy of the scene at a size that OpenMVS's depth range fits
-    #[arg(long, requires = "scene", help_heading = "Of some backends")]
+    #[arg(long, requires = "scene", help_heading = "For some backends")]
     scale: bool,
 
     /// Print what would be written; write nothing
     #[arg(long, help_heading = "Output")]
     dry_run: bool,
+    /// Format of the results on stdout
     #[arg(long, value_enum, default_value_t, help_heading = "Output")]
     format: Format,
 }

@@ -23,11 +23,12 @@ pub struct Arguments {
     /// Sub-model, such as 1 for sparse/1 [default: the one with most registered images].
     #[arg(long = "model", value_name = "N")]
     sub_model: Option<String>,
+    /// Format of the results on stdout
     #[arg(long, value_enum, default_value_t)]
     format: Format,
 }
 
-/// The model in numbers.
+/// JSON output: numbers of the model.
 #[derive(Serialize)]
 struct Inspection {
     format: ModelFormat,
@@ -137,7 +138,7 @@ impl Inspection {
     }
 }
 
-/// The number of names, and the first of them.
+/// Formats the number of names and the first of them.
 fn list(names: &[String]) -> String {
     match names {
         [] => "0".into(),

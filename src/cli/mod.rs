@@ -1,6 +1,6 @@
 //! The command line: one file per subcommand; arguments and printing, no method.
 //!
-//! Data goes to stdout, everything for people to stderr. A subcommand returns `Result<(), Failure>`; each error of the
+//! Data goes to stdout, messages to stderr. A subcommand returns `Result<(), Failure>`; each error of the
 //! library becomes a `Failure` by `?`, which [`main`] prints as `error: ...` and `hint: ...`.
 
 mod arguments;
@@ -134,7 +134,7 @@ fn warn(warning: &str) {
     advise("warning:", WARNING, warning);
 }
 
-/// Prints a fact that explains what follows to stderr.
+/// Prints an explanation of the following output to stderr.
 fn note(fact: &str) {
     advise("note:", HINT, fact);
 }

@@ -42,84 +42,79 @@ pub struct Arguments {
     project: PathBuf,
 
     /// Matching partners per key view; more give more image pairs to match [default: 5]
-    #[arg(short, value_name = "N", help_heading = "What is chosen")]
+    #[arg(short, value_name = "N", help_heading = "Selection")]
     k: Option<String>,
     /// Stop after N view clusters, or after P % of the registered views (with --scales, of the work of all)
-    #[arg(long, value_name = "N|P%", help_heading = "What is chosen")]
+    #[arg(long, value_name = "N|P%", help_heading = "Selection")]
     budget: Option<String>,
     /// Stop at P % of what all view clusters together reach [default: 90%, if no other limit is set]
-    #[arg(long, value_name = "P%", help_heading = "What is chosen")]
+    #[arg(long, value_name = "P%", help_heading = "Selection")]
     target: Option<String>,
     /// Stop before the forecast time of matching exceeds T, such as 2h or 90min
-    #[arg(long, value_name = "T", help_heading = "What is chosen")]
+    #[arg(long, value_name = "T", help_heading = "Selection")]
     time: Option<String>,
     /// Stop before the forecast number of points exceeds N, such as 50M
-    #[arg(long, value_name = "N", help_heading = "What is chosen")]
+    #[arg(long, value_name = "N", help_heading = "Selection")]
     points: Option<String>,
 
     /// Plan for this part of the scene: a file of GeoJSON polygons or a closed PLY mesh,
-    /// a box in the frame of the model, or auto, what the photographs show most densely
-    #[arg(
-        long,
-        value_name = "FILE|X0,Y0,Z0,X1,Y1,Z1|auto",
-        allow_hyphen_values = true,
-        help_heading = "What is wanted"
-    )]
+    /// a box in the frame of the model, or auto, the part that the photographs show most densely
+    #[arg(long, value_name = "FILE|X0,Y0,Z0,X1,Y1,Z1|auto", allow_hyphen_values = true, help_heading = "Target")]
     region: Option<String>,
     /// Wanted ground sampling distance, model units per pixel; with units = "metric" also as 2cm [default: from the model]
-    #[arg(long, value_name = "L", help_heading = "What is wanted")]
+    #[arg(long, value_name = "L", help_heading = "Target")]
     gsd: Option<String>,
     /// Wanted accuracy of a point, as --gsd [default: as --gsd]
-    #[arg(long, value_name = "L", help_heading = "What is wanted")]
+    #[arg(long, value_name = "L", help_heading = "Target")]
     accuracy: Option<String>,
 
     /// Sizes that a key view may be matched at, over the size of the images: 1 or 1,0.5; with two, each gets the one
     /// that adds most for its work [default: 1]
-    #[arg(long, value_name = "S,...", value_delimiter = ',', help_heading = "How")]
+    #[arg(long, value_name = "S,...", value_delimiter = ',', help_heading = "Method")]
     scales: Option<Vec<f64>>,
     /// Choice of partners: sampled (the paper) or search [default: search]
-    #[arg(long, value_name = "METHOD", value_parser = ["sampled", "search"], help_heading = "How")]
+    #[arg(long, value_name = "METHOD", value_parser = ["sampled", "search"], help_heading = "Method")]
     partners: Option<String>,
     /// Source of confidence: photometric, geometric, none, proxy, shipped, auto or a
     /// model file [default: auto, which is photometric where there are images]
-    #[arg(long, value_name = "SOURCE|FILE", help_heading = "How")]
+    #[arg(long, value_name = "SOURCE|FILE", help_heading = "Method")]
     confidence: Option<String>,
     /// Surface: 3d, terrain (nadir flights) or auto [default: auto]
-    #[arg(long, value_name = "KIND", value_parser = ["3d", "terrain", "auto"], help_heading = "How")]
+    #[arg(long, value_name = "KIND", value_parser = ["3d", "terrain", "auto"], help_heading = "Method")]
     surface: Option<String>,
     /// Up direction of the terrain surface [default: from the cameras]
-    #[arg(long, value_name = "X,Y,Z", value_parser = direction, allow_hyphen_values = true, help_heading = "How")]
+    #[arg(long, value_name = "X,Y,Z", value_parser = direction, allow_hyphen_values = true, help_heading = "Method")]
     up: Option<[f64; 3]>,
     /// Use the surface in this PLY file
-    #[arg(long, value_name = "FILE", help_heading = "How")]
+    #[arg(long, value_name = "FILE", help_heading = "Method")]
     mesh: Option<PathBuf>,
     /// Use the mesh as it is, neither simplified nor refined
-    #[arg(long, requires = "mesh", help_heading = "How")]
+    #[arg(long, requires = "mesh", help_heading = "Method")]
     mesh_as_is: bool,
     /// Write for these backends; the plan is made for the first [default: as the project is set
     /// up, else what is installed]
-    #[arg(long, value_name = "NAME,...", value_delimiter = ',', help_heading = "How")]
+    #[arg(long, value_name = "NAME,...", value_delimiter = ',', help_heading = "Method")]
     backend: Option<Vec<String>>,
     /// Sub-model to plan for [default: the one with most images]
-    #[arg(long, value_name = "N", help_heading = "How")]
+    #[arg(long, value_name = "N", help_heading = "Method")]
     model: Option<String>,
     /// Folder to which the image names of the model are relative [default: where they are found]
-    #[arg(long, value_name = "DIR", help_heading = "How")]
+    #[arg(long, value_name = "DIR", help_heading = "Method")]
     images: Option<PathBuf>,
     /// Don't place the model on earth by the GPS positions in its images
-    #[arg(long, help_heading = "How")]
+    #[arg(long, help_heading = "Method")]
     no_gps: bool,
     /// Keep the finished depth maps in this folder, made for an earlier plan of PROJECT, and re-rank the rest by their measured quality
-    #[arg(long, value_name = "DIR", help_heading = "How")]
+    #[arg(long, value_name = "DIR", help_heading = "Method")]
     finished: Option<PathBuf>,
     /// Seed of all random choices [default: 0]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(i64).range(0..), help_heading = "How")]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(i64).range(0..), help_heading = "Method")]
     seed: Option<i64>,
     /// Memory limit, such as 8G; larger surfaces are built in tiles, larger tables kept on disk [default: no limit]
-    #[arg(long, value_name = "SIZE", help_heading = "How")]
+    #[arg(long, value_name = "SIZE", help_heading = "Method")]
     max_memory: Option<String>,
     /// Threads to use; the plan is the same for any number [default: all]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024), help_heading = "How")]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024), help_heading = "Method")]
     threads: Option<u16>,
 
     /// Write to DIR/viewrank and nothing into PROJECT; DIR then takes the place of PROJECT in later commands
@@ -171,7 +166,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         let maps = Maps { folder, ready: &|_| true };
         plan = replan(plan, &EarlierPlan::read(&project)?, &maps, &progress)?.0;
         if plan.decision.finished.clusters == 0 {
-            warn(&format!("no depth map in {} fits the plan: nothing is finished", folder.display()));
+            warn(&format!("no depth map in {} fits the plan; planning without finished ones", folder.display()));
         }
     }
     let files =

@@ -21,11 +21,12 @@ use super::{Failure, Format, json, print, progress::Progress};
 
 /// Draw where a backend is expected to succeed.
 ///
-/// Of a planned PROJECT: each key view with its partners, by the plan's confidence. Of single images: by a predictor that looks at them alone.
-/// DIR gets NAME.png, the image beside its confidence in colours with a legend, and NAME.npy, the confidence as float32 (rows x columns of a grid
-/// that covers the image). Grey, or NaN: the view sees no surface there.
+/// For a planned PROJECT: each key view with its partners, by the plan's confidence. For single images: a prediction from each image alone.
+/// Writes DIR/NAME.png, the image next to its confidence in colours with a legend, and DIR/NAME.npy, the confidence as float32 (rows x columns of a
+/// grid that covers the image). Grey, or NaN: the view sees no surface there.
 #[derive(Args)]
 pub struct Arguments {
+    /// Folder of a planned project, or images of one folder
     #[arg(required = true, value_name = "PROJECT|IMAGE")]
     inputs: Vec<PathBuf>,
 
@@ -38,6 +39,7 @@ pub struct Arguments {
     /// Don't list the written files
     #[arg(long, short)]
     quiet: bool,
+    /// Format of the results on stdout
     #[arg(long, value_enum, default_value_t)]
     format: Format,
 }
@@ -178,7 +180,7 @@ impl Hint for NoImages {
 }
 
 #[derive(Debug, thiserror::Error)]
-#[error("{0} says nothing of a single picture")]
+#[error("cannot predict single images with {0}")]
 struct NoPredictor(String);
 
 impl Hint for NoPredictor {
@@ -197,7 +199,7 @@ struct NoPicture;
 
 impl Hint for NoPicture {
     fn hint(&self) -> Option<String> {
-        Some("train where the images are there, or take --confidence proxy".into())
+        Some("train with the images present, or pass --confidence proxy".into())
     }
 
     fn is_usage(&self) -> bool {

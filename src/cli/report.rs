@@ -20,7 +20,7 @@ use super::{Failure, Format, json, print, progress::Progress};
 
 /// Write a page about a plan to PROJECT/viewrank/report.html, for any browser.
 ///
-/// Shows a map, the curve, the ranked views with their reasons, and where to look again, for any cut. Images to take that would fill the holes are
+/// Shows a map, the curve, the ranked views with their reasons, and the gaps, for any cut. A flight plan of images that would fill the gaps is
 /// written to PROJECT/viewrank/flight. The page needs no network.
 /// Run viewrank plan first; a new plan marks the old page as stale. The tables are computed again, which takes as long as planning did.
 #[derive(Args)]
@@ -44,6 +44,7 @@ pub struct Arguments {
     /// No progress and no summary
     #[arg(long, short)]
     quiet: bool,
+    /// Format of the results on stdout
     #[arg(long, value_enum, default_value_t)]
     format: Format,
 }
@@ -68,7 +69,7 @@ pub fn write(project: &Path, progress: &Progress) -> Result<PathBuf, Failure> {
     write_to(project, None, &DepthMapFolders::default(), progress)
 }
 
-/// As [`write`], into the folder `out` if there is one.
+/// Like [`write`], into the folder `out` if given.
 fn write_to(
     project: &Path,
     out: Option<&Path>,
@@ -96,13 +97,13 @@ fn write_to(
     Ok(root.join(name))
 }
 
-/// Seconds that planning took, as `viewrank plan` wrote them down.
+/// Returns the seconds that planning took, as `viewrank plan` recorded them.
 fn planning_seconds(root: &Path) -> Option<f64> {
     let timings = output::read_own(root, "viewrank/timings.json").ok()?;
     serde_json::from_slice::<serde_json::Value>(&timings).ok()?["total"].as_f64()
 }
 
-/// Hands the page to the program that the desktop has for it.
+/// Opens the page in the desktop's default program.
 fn open(page: &Path) -> Result<(), NotOpened> {
     let opener = match std::env::consts::OS {
         "macos" => "open",

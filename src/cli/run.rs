@@ -37,9 +37,9 @@ const FAILURES: usize = 3;
 
 /// Plan a project, compute its depth maps best first until the target is reached, and fuse them.
 ///
-/// Undistorts the images where the backend needs that, and matches with the backend that the project is set up for, else with OpenMVS
+/// Undistorts the images if the backend needs that, and matches with the backend that the project is set up for, else with OpenMVS
 /// (DensifyPointCloud) or a COLMAP with CUDA if on the PATH, else with integrations/sgm (Python with numpy and opencv). Each depth map is
-/// measured; PROJECT/viewrank/report.html shows how far it got. Ctrl-C stops, the same command goes on.
+/// measured; PROJECT/viewrank/report.html shows the progress. Ctrl-C stops; the same command resumes.
 #[derive(Args)]
 pub struct Arguments {
     /// Folder of the project, or its model
@@ -73,6 +73,7 @@ pub struct Arguments {
     /// Errors only
     #[arg(long, short)]
     quiet: bool,
+    /// Format of the results on stdout
     #[arg(long, value_enum, default_value_t)]
     format: Format,
 }
@@ -354,7 +355,7 @@ impl<'a> Work<'a> {
             Ended::Done => {}
             Ended::Stopped => return Err(self.stopped()),
             Ended::Failed(output) => {
-                let message = format!("the depth maps are there, but fusing them failed:\n{output}");
+                let message = format!("cannot fuse the depth maps, which are complete:\n{output}");
                 return Err(Failure::new(Exit::Failed, message, format!("to try again: {}", self.again())));
             }
         }

@@ -27,6 +27,7 @@ pub struct Arguments {
     /// Print the status as JSON, as --format json.
     #[arg(long)]
     json: bool,
+    /// Format of the results on stdout
     #[arg(long, value_enum, default_value_t)]
     format: Format,
     /// Keep printing changes (as JSON, one line each).
@@ -77,7 +78,7 @@ impl Hint for NoStatus {
     fn hint(&self) -> Option<String> {
         Some(match self {
             Self::NotWatched(folder) => format!("start one: viewrank watch {}", command_path(folder)),
-            Self::Unreadable(_) => "let it be read by you; a daemon of this version writes it anew".into(),
+            Self::Unreadable(_) => "make it readable, or start a daemon of this version, which rewrites it".into(),
         })
     }
 }

@@ -1,4 +1,4 @@
-//! Summary of a plan, in words that need no knowledge of the method, at 80 columns; as JSON for programs.
+//! Summary of a plan for users who don't know the method, at 80 columns; as JSON for programs.
 
 use std::{fmt::Write, path::Path};
 
@@ -16,9 +16,9 @@ use crate::{
 };
 use serde::Serialize;
 
-/// Shares of the curve that are shown, beside the cut.
+/// Shares of the curve that are shown, besides the cut.
 const STEPS: [f64; 4] = [0.5, 0.7, 0.8, 0.9];
-/// Key views that are named.
+/// Largest number of key views listed by name.
 const NAMED: usize = 3;
 
 #[derive(Serialize)]
@@ -187,13 +187,13 @@ impl<'a> Summary<'a> {
         let all = format!("All together give {:.0} % of what is wanted (likely {band}).\n", 100.0 * reachable);
         if fulfilment > 0.0 {
             let better = 100.0 * (fulfilment_bound / fulfilment - 1.0).max(0.0);
-            all + &format!("No choice of as many is more than {better:.0} % better.\n")
+            all + &format!("No choice of the same length is more than {better:.0} % better.\n")
         } else {
             all
         }
     }
 
-    /// Formats where the cut gives up area (method 5.3), as shares of what all depth maps give.
+    /// Formats the areas that the cut gives up (method 5.3), as shares of what all depth maps give.
     fn given_up(&self) -> String {
         let Cut { reachable, given_up: GivenUp { border, inside, single_map }, .. } = self.cut;
         if border + inside <= 0.0 {
@@ -228,7 +228,7 @@ impl<'a> Summary<'a> {
         }
     }
 
-    /// A few points of the curve.
+    /// Formats a few points of the curve.
     fn curve(&self) -> String {
         let clusters = &self.manifest.clusters;
         let length = |share: f64| clusters.iter().position(|c| c.share >= share).map(|i| i + 1);
@@ -269,7 +269,7 @@ impl<'a> Summary<'a> {
         text
     }
 
-    /// Method 5.6.
+    /// Formats whether planning is worth its time (method 5.6).
     fn worth(&self) -> String {
         let planning = self.timings.total();
         let time = match (self.speed_up, self.forecast.seconds) {
@@ -362,12 +362,12 @@ fn next(project: &Project, plan: &Plan, files: &PlanFiles, dry_run: bool) -> Str
     }
 }
 
-/// "81 to 99 %".
+/// Formats a band as "81 to 99 %".
 fn range(band: &Band) -> String {
     format!("{:.0} to {:.0} %", (100.0 * band.low).floor(), (100.0 * band.high).ceil())
 }
 
-/// 12,345.
+/// Formats an integer as "12,345".
 fn grouped(number: usize) -> String {
     let digits = number.to_string();
     let mut text = String::new();
@@ -380,7 +380,7 @@ fn grouped(number: usize) -> String {
     text
 }
 
-/// Three significant digits.
+/// Formats a number with three significant digits.
 fn rounded(number: f64) -> String {
     if number == 0.0 || !number.is_finite() {
         return number.to_string();
@@ -389,7 +389,7 @@ fn rounded(number: f64) -> String {
     format!("{number:.places$}")
 }
 
-/// "3 h 20 min", "4 min", "12 s".
+/// Formats seconds as "3 h 20 min", "4 min" or "12 s".
 pub fn duration(seconds: f64) -> String {
     let minutes = (seconds / 60.0).round() as u64;
     match minutes {

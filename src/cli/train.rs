@@ -27,7 +27,7 @@ use super::{Failure, Format, config, json, print, progress::Progress, use_thread
 
 /// Train a confidence model on finished depth maps.
 ///
-/// No ground truth is needed: a depth is right where depth maps from other viewpoints agree with it, wrong where they saw through it. The
+/// No ground truth is needed: a depth is right where depth maps from other viewpoints agree with it, wrong where they see through it. The
 /// partners that each map was matched with are those of the matcher's report, of the maps themselves (OpenMVS), or of the
 /// project's plan. Use the model with viewrank plan --confidence MODEL, or write it to PROJECT/viewrank/confidence.model, which
 /// --confidence auto takes.

@@ -47,6 +47,7 @@ pub struct Arguments {
     #[arg(long, value_name = "L,T,R,B", value_parser = region, help_heading = "As in COLMAP")]
     roi: Option<Region>,
 
+    /// Format of the results on stdout
     #[arg(long, value_enum, default_value_t, help_heading = "Output")]
     format: Format,
     /// Print errors only

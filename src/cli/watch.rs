@@ -15,7 +15,7 @@ use clap::{Args, ValueEnum, builder::PossibleValue};
 
 use super::Failure;
 
-/// Between two scans of all projects.
+/// Default interval between scans of all projects.
 const SHORTEST_PAUSE: Duration = Duration::from_millis(10);
 /// Upper limit of every time on the command line.
 const LONGEST: Duration = Duration::from_secs(365 * 24 * 3600);
@@ -30,7 +30,7 @@ pub struct Arguments {
     /// Folders to watch, projects at any depth.
     #[arg(required = true, value_name = "ROOT")]
     roots: Vec<PathBuf>,
-    /// A model is complete when its files have not changed for this time, as 500ms, 2s or 1d6h.
+    /// A model is complete when its files have not changed for this time, such as 500ms, 2s or 1d6h.
     #[arg(long, default_value = "2s", value_parser = duration, value_name = "TIME")]
     settle: Duration,
     /// Scan all folders at this interval instead of waiting for file events [default: 10s on network file systems].
@@ -54,7 +54,7 @@ pub struct Arguments {
     /// Share of what all view clusters reach to plan for, over the projects' settings.
     #[arg(long, value_name = "P%")]
     target: Option<String>,
-    /// Memory limit for all plans together, as 4G or 800M [default: half of this machine's memory].
+    /// Memory limit for all plans together, such as 4G or 800M [default: half of this machine's memory].
     #[arg(long, value_name = "SIZE")]
     max_memory: Option<Bytes>,
     /// Follow symbolic links that lead out of the roots.

@@ -12,15 +12,15 @@ use std::{
     thread,
 };
 
-use serde::{Deserialize, Serialize};
 use tracing::{info, warn};
 
 use super::{
     PathDisplay,
-    discover::{OUTPUT_FOLDER, is_project, may_enter},
+    discover::{is_project, may_enter},
     follow::{FollowJob, Progress, failed, fullest_folder, outdated_note, progress_file},
     kept::PlanCache,
     maps::{MapFiles, map_files},
+    planned_from::{PlannedFrom, RECORD},
     platform, queue,
     settle::{Fingerprint, HashCache, Stamp, lock},
     state::{OnBusy, Outcome},
@@ -31,7 +31,7 @@ use crate::{
     base::progress::{Stage, Watcher},
     config::{CONFIDENCE_WORDS, CommandLineSettings, Configuration, Files, Settings, user_file},
     io::{
-        output::{self, Disk, FileSet},
+        output::{self, Disk},
         project::{Project, ProjectError},
     },
     method::confidence::PROJECT_MODEL,
@@ -106,40 +106,6 @@ pub trait Planner: Sync {
     }
 }
 
-/// Record of the input of a plan, written with it, so that a restarted daemon recognises a current plan.
-const RECORD: &str = "viewrank/planned_from.json";
-
-/// Content of [`RECORD`].
-#[derive(Debug, Serialize, Deserialize)]
-struct PlannedFrom {
-    fingerprint: Fingerprint,
-    clusters: usize,
-    share: f64,
-    /// The plan is around finished depth maps.
-    #[serde(default)]
-    finished: bool,
-    /// Settings without values that the data decide.
-    settings: Settings,
-    /// Files of the plan, relative to the project; if one is gone the plan is made again.
-    #[serde(default)]
-    files: Vec<String>,
-}
-
-impl PlannedFrom {
-    fn new(plan: &Plan, fingerprint: Fingerprint, settings: Settings) -> Self {
-        let finished = plan.decision.finished.clusters > 0 || !plan.decision.finished.outdated.is_empty();
-        let files = Vec::new();
-        Self {
-            fingerprint,
-            clusters: plan.decision.cut.clusters,
-            share: plan.decision.cut.share,
-            finished,
-            settings,
-            files,
-        }
-    }
-}
-
 /// Options of the planner of `viewrank watch`.
 #[derive(Clone, Debug)]
 pub struct PlanOptions {
@@ -166,7 +132,7 @@ pub struct PlanJob {
     valid_settings: Mutex<BTreeMap<PathBuf, Settings>>,
 }
 
-/// Why a job ends early, or how it ended.
+/// Result of a step of a job, or the outcome that ends the job early.
 type Ended<T> = Result<T, Outcome>;
 
 impl Planner for PlanJob {
@@ -181,7 +147,7 @@ impl Planner for PlanJob {
     }
 
     fn has_plan(&self, project: &Path) -> bool {
-        record_of(project).is_some()
+        PlannedFrom::read(project).is_some()
     }
 
     fn plan(&self, job: &Job) -> Outcome {
@@ -208,12 +174,12 @@ impl PlanJob {
     fn try_plan(&self, job: &Job) -> Ended<Outcome> {
         output::recover(job.project, &Disk::REAL).map_err(failed)?;
         let progress = progress_file(job.project);
-        let had_maps = progress.is_file() || record_of(job.project).is_some_and(|record| record.finished);
+        let had_maps = progress.is_file() || PlannedFrom::read(job.project).is_some_and(|record| record.finished);
         if !had_maps || !map_files(job.project, job.follow_links).map_err(failed)?.is_empty() {
             return self.plan_input(job);
         }
         // The depth maps are gone: nothing is finished or reached any more. The progress is removed last, so that the next run completes
-        // one that was killed on the way.
+        // an interrupted one.
         output::own_path(job.project, RECORD)
             .and_then(|record| output::remove(&record, &Disk::REAL))
             .map_err(failed)?;
@@ -239,7 +205,7 @@ impl PlanJob {
         }
         let fingerprint =
             HashCache::fingerprint(&self.hashes, job.project, &model, job.stamp, &as_text).map_err(unreadable)?;
-        if let Some(record) = record_of(job.project).filter(|record| record.fingerprint == fingerprint) {
+        if let Some(record) = PlannedFrom::read(job.project).filter(|record| record.fingerprint == fingerprint) {
             // The last measurement holds until the next one.
             let known = Progress::read(job.project).filter(|progress| progress.done > 0);
             let known = known.map(|progress| Box::new(progress.outcome(note.clone())));
@@ -282,12 +248,12 @@ impl PlanJob {
             let gone = none && progress_file(job.project).is_file();
             return if gone { self.try_plan(job) } else { Err(Outcome::Abandoned) };
         };
-        let record = match record_of(job.project) {
+        let record = match PlannedFrom::read(job.project) {
             Some(record) => record,
             // The plan is gone, or was replaced by hand.
             None => {
                 let planned = self.try_plan(job)?;
-                record_of(job.project).ok_or(planned)?
+                PlannedFrom::read(job.project).ok_or(planned)?
             }
         };
         let watcher = JobWatcher::new(job);
@@ -382,7 +348,7 @@ impl PlanJob {
             }
             Err((error, failure)) => {
                 let known = lock(&self.valid_settings).get(project).cloned();
-                match known.or_else(|| record_of(project).map(|record| record.settings)) {
+                match known.or_else(|| PlannedFrom::read(project).map(|record| record.settings)) {
                     Some(valid) => Ok((valid, Some(format!("{error}; using the last valid settings")))),
                     None => Err(failure),
                 }
@@ -424,7 +390,7 @@ fn around_finished(plan: Plan, project: &Project, job: &Job) -> Ended<Plan> {
 /// Writes the plan, with the record of its input unless that has changed meanwhile.
 fn write(plan: &Plan, project: &Project, mut record: PlannedFrom, job: &Job) -> Ended<()> {
     let mut sets = files::files(plan, project).map_err(failed)?.sets;
-    record.files = sets.iter().flat_map(|set| files_in(set, job.project)).collect();
+    record.list_files(&sets, job.project);
     let record = serde_json::to_string(&record).map_err(|_| Outcome::Abandoned)?;
     if let Some(own) = sets.first_mut().filter(|_| job.is_current()) {
         own.add_text(RECORD, record + "\n");
@@ -434,20 +400,6 @@ fn write(plan: &Plan, project: &Project, mut record: PlannedFrom, job: &Job) -> 
     }
     // The record is in the first set, whose root comes last: without it the plan is made again.
     output::write_all(&sets, &Disk::REAL).map(drop).map_err(failed)
-}
-
-/// Files of a set inside the project, except caches.
-fn files_in(set: &FileSet, project: &Path) -> Vec<String> {
-    let Ok(folder) = set.root.strip_prefix(project) else { return Vec::new() };
-    let inside = set.files.keys().map(|name| folder.join(name)).filter(|name| !name.starts_with("viewrank/cache"));
-    inside.map(|name| name.to_string_lossy().into_owned()).collect()
-}
-
-fn record_of(project: &Path) -> Option<PlannedFrom> {
-    let folder = project.join(OUTPUT_FOLDER);
-    let record: PlannedFrom = serde_json::from_slice(&output::read_own(project, RECORD).ok()?).ok()?;
-    let is_there = |file: &String| project.join(file).exists();
-    (folder.join("manifest.json").is_file() && record.files.iter().all(is_there)).then_some(record)
 }
 
 /// Outcome of a read error. A file that vanishes while it is hashed is a change, which raises its own event.

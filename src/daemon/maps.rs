@@ -86,7 +86,7 @@ pub fn scan(project: &Path, follow_links: bool) -> (Vec<PathBuf>, Result<MapFile
 pub struct Maps {
     /// Each map and since when it has been unchanged.
     seen: BTreeMap<PathBuf, (Entry, Instant)>,
-    /// When a map was last missed.
+    /// Time at which a map was last missing.
     vanished: Option<Instant>,
     /// Maps of the last measurement.
     measured: MapFiles,

@@ -2,8 +2,8 @@
 //!
 //! [`run`] is the main loop. [`watch`] reports file-system events, [`discover`] finds projects, [`settle`] detects input that is still and
 //! new, `maps` lists depth maps, [`state`] is the state machine of a project with its [`phase`], [`queue`] limits the work, `job` plans one
-//! project with the same functions as `viewrank plan`, [`follow`] measures depth maps, `status` writes the status files, [`platform`]
-//! holds what differs between operating systems.
+//! project with the same functions as `viewrank plan`, `planned_from` records its input, [`follow`] measures depth maps, `status` writes the status files, [`platform`]
+//! contains the differences between operating systems.
 
 pub mod discover;
 pub mod follow;
@@ -12,6 +12,7 @@ mod job;
 mod kept;
 mod maps;
 pub mod phase;
+mod planned_from;
 pub mod platform;
 pub mod queue;
 pub mod run;
@@ -56,7 +57,7 @@ pub struct Options {
 /// Errors that stop the daemon. All others concern one project and appear in the status.
 #[derive(Debug, thiserror::Error)]
 pub enum DaemonError {
-    #[error("{}: {source}", path.display())]
+    #[error("cannot watch {}: {source}", path.display())]
     Root { path: PathBuf, source: std::io::Error },
     #[error("{} is already watched by {holder}", path.display())]
     Held { path: PathBuf, holder: String },

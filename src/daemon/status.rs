@@ -60,7 +60,7 @@ impl Holder {
         output::make_own_folder(root, disk)?;
         let failed = |source| DaemonError::Root { path: root.join(LOCK), source };
         let mut lock = output::open_lock(root, LOCK)?;
-        // A process that only asks who holds the root locks it for an instant.
+        // A process that only queries the holder of the root locks it for an instant.
         for _ in 0..TRIES {
             match lock.try_lock() {
                 Err(TryLockError::WouldBlock) => thread::sleep(Duration::from_millis(10)),
@@ -173,7 +173,7 @@ impl StatusFiles {
         self.notices.push(text);
     }
 
-    /// When a delayed change has to be written.
+    /// Returns when a delayed change must be written.
     pub fn due(&self) -> Option<Instant> {
         self.due
     }

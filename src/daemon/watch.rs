@@ -38,7 +38,7 @@ pub struct Watches<T> {
     /// `None` where nothing is watched.
     native: Option<notify::RecommendedWatcher>,
     folders: BTreeSet<PathBuf>,
-    /// Why some or all folders have to be polled.
+    /// Reason for polling some or all folders.
     notice: Option<String>,
 }
 
@@ -48,7 +48,7 @@ impl<T: From<Change> + Send + 'static> Watches<T> {
         Self { changes, native: None, folders: BTreeSet::new(), notice: None }
     }
 
-    /// Drops all watches, so that the next scan sets them anew: events may have been lost, and watches with them. Does nothing once
+    /// Drops all watches, so that the next scan restores them: events may have been lost, and watches with them. Does nothing once
     /// folders are polled.
     pub fn renew(&mut self) {
         if self.needs_polling() {
@@ -89,7 +89,7 @@ impl<T: From<Change> + Send + 'static> Watches<T> {
         }
     }
 
-    /// Forgets the watches at and below a path that was removed, replaced or moved away, so that the next scan sets them anew.
+    /// Forgets the watches at and below a path that was removed, replaced or moved away, so that the next scan restores them.
     pub fn remove(&mut self, path: &Path) {
         // Paths are ordered by their components.
         let from = self.folders.range::<Path, _>((Bound::Included(path), Bound::Unbounded));

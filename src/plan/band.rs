@@ -1,4 +1,4 @@
-//! Method 5.2: how far what is forecast may be from what will be measured.
+//! Method 5.2: expected deviation of measured values from their forecasts.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -19,7 +19,7 @@ const SHARE: (f64, f64) = (0.08, 0.15);
 const UNSEEN_SHARE: f64 = 0.35;
 const UNSEEN: (f64, f64) = (0.55, 0.05);
 
-/// Range in which a forecast is expected to prove true, 0 to 1.
+/// Range in which the measured value is expected, 0 to 1.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Band {
     /// Lower end.
@@ -39,7 +39,7 @@ impl Band {
         Self { low: (value - below).max(0.0), high: (value + above).min(1.0) }
     }
 
-    /// Band of the weight that fusion keeps of all clusters.
+    /// Returns the band of the weight that fusion keeps of all clusters.
     pub(super) fn of_reachable(stages: &Stages, ranking: &Ranking) -> Self {
         if !matches!(stages.confidence, Confidence::Photometric { .. }) {
             return Self::around(ranking.reachable, UNSEEN.0, UNSEEN.1);
@@ -56,7 +56,7 @@ impl Band {
         Self::around(ranking.reachable, spread, spread)
     }
 
-    /// Band of the share at the cut: the wider, the less sure it is what all clusters give.
+    /// Returns the band of the share at the cut, which widens with the uncertainty of what all clusters give.
     pub(super) fn of_share(stages: &Stages, share: f64, reachable: f64, of_reachable: &Self) -> Self {
         let half = match stages.confidence {
             Confidence::Photometric { .. } if reachable > 0.0 => {

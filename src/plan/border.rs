@@ -1,4 +1,4 @@
-//! Method 5.3: which triangles are the border of what the views show.
+//! Method 5.3: triangles at the border of the surveyed site.
 
 use nalgebra::{Matrix3, Point2, Point3, SymmetricEigen, Vector3};
 
@@ -8,7 +8,7 @@ use crate::method::{surface::Surface, visibility::Visibility};
 const BORDER: f64 = 0.1;
 /// Share of the weight that is beyond the site on either side: far background would widen it.
 const BEYOND: f64 = 0.01;
-/// Cells across the width of the site, and the most along it.
+/// Number of cells across the width of the site, and the largest number along it.
 const CELLS: (f64, f64) = (40.0, 4000.0);
 /// A triangle of the border is seen by fewer views than this share of the typical number: the walls of a room are at its outline, too.
 const FEW: f64 = 0.5;
@@ -54,7 +54,7 @@ impl Site {
         if !(width > 0.0 && cell.is_finite()) {
             return None;
         }
-        // A cell around them all, from which the outside is filled.
+        // A frame of one empty cell, from which the outside is filled.
         let [columns, rows] = extents.map(|extent| (extent / cell).ceil() as usize + 2);
         let low = Point2::new(ranges[0][0] - cell, ranges[1][0] - cell);
         let mut site = Self { axes, low, cell, columns, rows, near: Vec::new() };
@@ -64,7 +64,7 @@ impl Site {
         Some(site)
     }
 
-    /// Column and row of a point; `None` outside of the grid.
+    /// Returns column and row of a point; `None` outside of the grid.
     fn cell_of(&self, point: &Point3<f64>) -> Option<(usize, usize)> {
         let [u, v] = self.axes.map(|axis| point.coords.dot(&axis));
         let (column, row) = ((u - self.low.x) / self.cell, (v - self.low.y) / self.cell);
@@ -89,7 +89,7 @@ impl Site {
         }
     }
 
-    /// Empty cells that are connected to the edge of the grid: holes inside are not outside.
+    /// Returns the empty cells that are connected to the edge of the grid: interior holes are not outside.
     fn outside(&self, occupied: &[bool]) -> Vec<bool> {
         let mut outside = vec![false; occupied.len()];
         let mut open = vec![(0, 0)];
@@ -106,7 +106,7 @@ impl Site {
         outside
     }
 
-    /// Cells within `radius` cells of one that is outside.
+    /// Returns the cells within `radius` cells of an outside cell.
     fn near(&self, outside: &[bool], radius: f64) -> Vec<bool> {
         let mut near = outside.to_vec();
         let reach = radius.floor() as isize;
@@ -135,7 +135,7 @@ impl Site {
     }
 }
 
-/// The two directions in which weighted points spread most.
+/// Returns the two principal directions of weighted points.
 fn principal_axes(points: &[Point3<f64>], weights: &[f64]) -> [Vector3<f64>; 2] {
     let all: f64 = weights.iter().sum();
     let sum: Vector3<f64> = points.iter().zip(weights).map(|(p, &w)| p.coords * w).sum();
@@ -151,7 +151,7 @@ fn principal_axes(points: &[Point3<f64>], weights: &[f64]) -> [Vector3<f64>; 2] 
     [eigenvectors.column(order[0]).into(), eigenvectors.column(order[1]).into()]
 }
 
-/// The smallest value up to which that share of the weight is; 0 without values.
+/// Returns the weighted quantile: the smallest value up to which the weight reaches `share`; 0 without values.
 fn quantile(values: impl Iterator<Item = (f64, f64)>, share: f64) -> f64 {
     let mut values: Vec<(f64, f64)> = values.collect();
     values.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.total_cmp(&b.1)));
@@ -169,7 +169,7 @@ mod tests {
     use super::*;
     use crate::method::surface::SurfaceKind;
 
-    /// A field of squares of side 1, `holes` missing.
+    /// A field of squares of side 1, without `holes`.
     fn field(columns: u32, rows: u32, holes: &[(u32, u32)]) -> Surface {
         let vertices =
             (0..=rows).flat_map(|r| (0..=columns).map(move |c| Point3::new(f64::from(c), f64::from(r), 0.0)));

@@ -1,4 +1,4 @@
-//! The ranking as a curve: what each prefix of it gives and costs.
+//! The ranking as a curve: share and cost of each prefix.
 
 use super::{Plan, decision, forecast};
 
@@ -22,7 +22,7 @@ pub struct CurvePoint {
 }
 
 impl Plan {
-    /// The curve of the whole ranking, a point per cluster.
+    /// Returns the curve of the whole ranking, a point per cluster.
     pub fn curve(&self) -> Vec<CurvePoint> {
         let ranking = &self.decision.ranking;
         let (model, points) = (self.stages.model(), self.points_by_rank());

@@ -12,7 +12,7 @@ use crate::{
 /// Default target: a share of what all clusters together reach.
 pub(super) const DEFAULT_TARGET: f64 = 0.9;
 
-/// The part of the ranking to compute.
+/// Part of the ranking to compute.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Cut {
     /// Number of clusters to compute, from the start of the ranking.
@@ -27,7 +27,7 @@ pub struct Cut {
     /// Weight that fusion keeps of them, over that of the whole surface, 0 to 1.
     #[serde(default)]
     pub kept: f64,
-    /// The same of all clusters: what these photographs can give of what is wanted.
+    /// The same for all clusters: the share of the target that these photographs can reach.
     #[serde(default)]
     pub reachable: f64,
     /// Band in which the measured value of that is expected.
@@ -35,7 +35,7 @@ pub struct Cut {
     pub reachable_band: Band,
     /// Their fulfilment f_o, 0 to 1.
     pub fulfilment: f64,
-    /// No other choice of as many clusters has a larger f_o than this: proven, not measured.
+    /// Proven upper bound on f_o of any choice with this number of clusters.
     #[serde(default)]
     pub fulfilment_bound: f64,
     /// Pairs that are beyond the gate of the backend.
@@ -45,12 +45,12 @@ pub struct Cut {
     pub given_up: GivenUp,
 }
 
-/// The shortest of the prefixes that the settings name, but all that is finished.
+/// Cuts at the shortest prefix that the settings allow, but not before the end of the finished clusters.
 pub(super) fn cut(settings: &CutSettings, cost: &Cost, bound: impl Fn(usize) -> f64) -> Result<Cut, PlanError> {
     let ranking = cost.ranking;
     let mut clusters = ranking.order.len();
     clusters = match settings.budget {
-        // Where maps differ in work, so does what a share of the views costs.
+        // If maps differ in work, a share of the views is a share of the work.
         Some(Budget::Views(share)) if cost.stages.half.is_some() => {
             longest_within(clusters, share.0, |rank| Ok(cost.work(rank)))?
         }

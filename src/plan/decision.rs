@@ -20,7 +20,7 @@ use crate::{
 #[derive(Clone, Debug)]
 pub struct Decision {
     pub ranking: Ranking,
-    /// The part that is done already; empty in a fresh plan.
+    /// The finished part; empty in a fresh plan.
     pub finished: FinishedMaps,
     pub cut: Cut,
     /// Area that fusion is expected to keep of the clusters up to each rank, over that of all clusters, 0 to 1.
@@ -28,7 +28,7 @@ pub struct Decision {
     pub forecast: Forecast,
     /// Status and reason of each view.
     pub views: Vec<(ViewStatus, Option<Reason>)>,
-    /// Per triangle, why no cluster fulfils it to 0.1; `None` where one does.
+    /// By triangle, the reason why no cluster fulfils it to 0.1; `None` if one does.
     pub triangle_reasons: Vec<Option<Reason>>,
     pub warnings: Vec<String>,
 }

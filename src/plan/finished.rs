@@ -11,7 +11,7 @@ use crate::model::{
     scene::{Pose, Scene, ViewIndex},
 };
 
-/// The part of a plan that is done.
+/// The finished part of a plan.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct FinishedMaps {
     /// Number of clusters at the start of the ranking that have their depth map; their fulfilment is measured, not predicted (method 5.4).

@@ -1,4 +1,4 @@
-//! Method 5.3: where the part of the surface is that a cut gives up.
+//! Method 5.3: location of the surface that a cut gives up.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -13,7 +13,7 @@ pub struct GivenUp {
     pub border: f64,
     /// Elsewhere.
     pub inside: f64,
-    /// The part of both that one planned map shows but no other confirms, where fusion wants several.
+    /// The part of both that only one planned map shows, while fusion requires several.
     pub single_map: f64,
 }
 

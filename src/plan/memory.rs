@@ -1,9 +1,9 @@
 //! Forecasts the memory of each stage before it runs, and keeps it within a limit.
 //!
-//! A surface of more points than the limit takes is built in tiles, one after the other; tables of visibility, confidence and fulfilment that
-//! don't fit are kept on disk ([`Storage`]), which changes no number. What is left, the scene and what is known of each triangle, has to fit:
-//! where it doesn't, that is said before it is made. The figures per point were measured with `viewrank plan` on `boruszyn` and
-//! `caliterra` (800 and 760 bytes), the rest are sizes of tables and of the threads' pictures.
+//! A surface with more points than the limit permits is built in tiles, one after the other; tables of visibility, confidence and fulfilment that
+//! don't fit are kept on disk ([`Storage`]), without effect on the result. The rest, the scene and the data of each triangle, must fit in memory:
+//! otherwise planning fails before they are built. The figures per point were measured with `viewrank plan` on `boruszyn` and
+//! `caliterra` (800 and 760 bytes), the others are sizes of tables and of the threads' buffers.
 
 use serde::Serialize;
 
@@ -34,7 +34,7 @@ const SURFACE_PER_POINT: u64 = 1000;
 const MESH_PER_POINT: u64 = 48;
 /// Ratio of a tile's points including its margin to its own points, for a tile of the least size.
 const OVERLAP: u64 = 2;
-/// Points per tile at least: smaller tiles are mostly margin, almost four times as many points for one of 10,000 (synth_uav.py, 300 views).
+/// Least number of points per tile: smaller tiles are mostly margin, with almost four times the points for a tile of 10,000 (rendered flight of 300 views).
 const LEAST_TILE: u64 = 60_000;
 /// Bytes of the scene per point and per observation, including the table of each view's points.
 const SCENE_PER_POINT: u64 = 43;
@@ -44,7 +44,7 @@ const VISIBILITY_ROW: u64 = 4;
 const TABLES_ROW: u64 = 20;
 /// Bytes per row of visibility while pictures are compared; the result has one byte per candidate.
 const SAMPLES_ROW: u64 = 196;
-/// Bytes of these that memory holds: beyond them the system reads them from disk as fast while it has memory to spare.
+/// Bytes of these samples that are kept in memory: beyond that, the system's cache of the file is as fast while memory is free.
 const MOST_SAMPLES: u64 = 1 << 30;
 /// Bytes per triangle for confidence and reasons: its nearest points, its factors and its f so far.
 const PER_TRIANGLE: u64 = 100;
@@ -53,7 +53,7 @@ const ROW_INDEX: u64 = 4;
 /// Bytes per sparse point while contradictions and nearest points are computed; and per point and thread, whether it is observed.
 const PER_POINT: u64 = 5;
 const OBSERVED: u64 = 1;
-/// Bytes per row of fulfilment for the belief about it after failures of others.
+/// Bytes per row of fulfilment for its belief, updated by failures of other maps.
 const BELIEF_ROW: u64 = 24;
 /// Samples of views and triangles from which the rows of visibility are estimated.
 const SAMPLED_VIEWS: usize = 32;

@@ -79,7 +79,7 @@ impl Plan {
         Self::from_scene(project, scene, settings, matcher, timings, watcher)
     }
 
-    /// As [`Plan::new`], for a scene of the project that was read before; `timings` continues its measurement.
+    /// Like [`Plan::new`], for a scene that is already read; `timings` continues its measurement.
     pub fn from_scene(
         project: &Project,
         scene: Scene,
@@ -99,7 +99,7 @@ impl Plan {
         self.decision.ranking.order[..self.decision.cut.clusters].iter().map(|&c| &self.stages.clusters[c as usize])
     }
 
-    /// The triangles, of those that count, that no cluster fulfils to a tenth; ascending.
+    /// Triangles with weight that no cluster fulfils to a tenth; ascending.
     pub fn unfulfilled(&self) -> impl Iterator<Item = u32> {
         let inside = |t: &u32| self.stages.region.as_ref().is_none_or(|region| region.is_inside(*t));
         let reasons = self.decision.triangle_reasons.iter().zip(0u32..);

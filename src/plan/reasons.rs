@@ -98,7 +98,7 @@ impl Reasons<'_> {
         }
     }
 
-    /// Why a view with partners is no key view.
+    /// Returns the reason why a view with partners is not a key view.
     fn not_taken(&self, cluster: usize, chosen: &ByTriangle) -> Reason {
         let ViewCluster { key, partners } = &self.clusters[cluster];
         let (triangles, values) = self.fulfilment.row(cluster);

@@ -1,8 +1,8 @@
 //! Runs the stages of the method before the ranking, and keeps the result of each.
 
-use super::{Matcher, Memory, PlanError, Timings, WorkPerMap, cut, georeference};
+use super::{Matcher, Memory, PlanError, PlanningNumbers, Timings, WorkPerMap, cut, georeference};
 use crate::{
-    base::progress::{Stage, Watcher},
+    base::progress::{Cancelled, Stage, Watcher},
     config::{Settings, Share, TargetMode},
     io::project::Project,
     method::{
@@ -32,7 +32,7 @@ pub struct Stages {
     pub settings: Settings,
     /// True if `settings.image_scale` is the size that the backend takes by itself.
     pub own_size: bool,
-    /// True if maps of half the size were asked for, and the backend has one size only.
+    /// True if maps of half the size were requested, but the backend supports only one size.
     pub refused_half: bool,
     /// Name of the backend that the plan is made for.
     pub backend: &'static str,
@@ -92,17 +92,10 @@ impl Stages {
         let points = scene.view_points();
         let numbers = &matcher.numbers;
         let missing_images = project.missing_images(&scene);
-        let is_missing = |view: &ViewIndex| missing_images.binary_search(view).is_ok();
-        let refuses = |pair: &PairGeometry| {
-            let lacks_image = [pair.key, pair.partner].iter().any(is_missing);
-            lacks_image || numbers.reach.is_some_and(|reach| reach(pair, &points, settings.image_scale()).is_nothing())
-        };
-        let gate = numbers.gate.with(&settings.partners.gate);
-        let limits = Limits { gate: &gate, refuses: &refuses };
         // Parts of the surface are built by one thread; the others find candidates meanwhile.
         let (seen, candidates) = rayon::join(
             || visible_surface(&scene, &points, &settings, watcher, timings, &mut memory),
-            || partners::candidates(&scene, &points, &settings.partners, &limits, watcher),
+            || candidates(&scene, &points, &settings, numbers, &missing_images, watcher),
         );
         let (seen, candidates) = (seen?, candidates?);
         memory.before_partners(&scene, &seen.surface, &seen.visibility)?;
@@ -122,41 +115,18 @@ impl Stages {
         };
         let support = settings.ranking.support.unwrap_or(matcher.numbers.support);
         let objective = Objective::new(&geometry, settings.ranking.weight, region.as_ref(), support);
-        let (pictures, unary) = timings.time(Stage::Confidence, || {
+        let (mut pictures, unary) = timings.time(Stage::Confidence, || {
             let pictures = pictures(project, &scene, &source, trained.as_ref(), watcher)?;
-            let unary = match (&trained, confidence) {
-                (Some(trained), Confidence::Trained(_)) => {
-                    trained.unary(&geometry, &points, &pictures.maps, watcher)?
-                }
-                (_, Confidence::Pair(_) | Confidence::Photometric { .. }) => {
-                    confidence::nearby(&scene, &points, &seen.surface, &seen.visibility, watcher)?.times(
-                        Unary::new(&scene, &seen.surface, &seen.visibility, &pictures.maps, watcher)?,
-                        &seen.visibility,
-                    )?
-                }
-                _ => Unary::new(&scene, &seen.surface, &seen.visibility, &pictures.maps, watcher)?,
-            };
+            let unary = unary(&geometry, &points, confidence, trained.as_ref(), &pictures, watcher)?;
             Ok::<_, PlanError>((pictures, unary))
         })?;
-        let mut pictures = pictures;
         let agreement = timings.time(Stage::Confidence, || match confidence {
             Confidence::Photometric { .. } => {
-                let partners = |view| candidates.candidates_of(view);
-                let most = memory.most_samples();
-                let of_pair = |key, partner| match numbers.reach {
-                    Some(reach) => {
-                        let shared = points.shared(key, partner);
-                        reach(&PairGeometry::new(&scene, key, partner, &shared), &points, settings.image_scale())
-                    }
-                    None => Reach::Everything,
-                };
-                let reach = ProgramReach { program: numbers.reach.map(|_| matcher.name), of_pair: &of_pair };
-                let agreement = Agreement::new(&geometry, &Pictures::new(project), partners, &reach, most, watcher)?;
-                pictures.warnings.extend(agreement.warnings.iter().cloned());
-                Ok::<_, PlanError>(agreement)
+                agreement(project, &geometry, &points, &candidates, matcher, memory.most_samples(), watcher)
             }
             _ => Ok(Agreement::default()),
         })?;
+        pictures.warnings.extend(agreement.warnings.iter().cloned());
         let model = Model::new(geometry, &unary, &agreement, rule(&settings, confidence));
         let (clusters, fulfilment) = timings.time(Stage::Partners, || {
             partners::choose(&model, &candidates, &settings.partners, settings.seed, watcher)
@@ -208,7 +178,7 @@ impl Stages {
         (tables + surface + scene) as u64
     }
 
-    /// The depth maps to choose from.
+    /// Returns the depth maps to choose from.
     pub fn maps(&self) -> Maps<'_> {
         match &self.half {
             None => Maps::full_size(&self.fulfilment),
@@ -216,19 +186,19 @@ impl Stages {
         }
     }
 
-    /// Work of each cluster's map at full and at half size.
+    /// Returns the work of each cluster's map at full and at half size.
     pub fn work_of(&self, clusters: &[ViewCluster]) -> Vec<[f64; 2]> {
         let scale = self.settings.image_scale();
         clusters.iter().map(|cluster| work(&self.scene, scale, self.per_map, cluster)).collect()
     }
 
-    /// Work of a cluster's map over that of all clusters at full size.
+    /// Returns the work of a cluster's map over that of all clusters at full size.
     pub fn share_of_work(&self, cluster: u32, scale: MapScale) -> f64 {
         let all: f64 = self.work.iter().map(|[full, _]| full).sum();
         self.work[cluster as usize][usize::from(scale == MapScale::Half)] / all
     }
 
-    /// The inputs of f, with which any view cluster can be evaluated.
+    /// Returns the inputs of f, with which any view cluster can be evaluated.
     pub fn model(&self) -> Model<'_> {
         Model {
             scene: &self.scene,
@@ -280,7 +250,7 @@ fn in_force(
     Ok(all)
 }
 
-/// Work of a cluster's map at full and at half size.
+/// Returns the work of a cluster's map at full and at half size.
 fn work(scene: &Scene, image_scale: f64, work: WorkPerMap, cluster: &ViewCluster) -> [f64; 2] {
     let camera = scene.camera_of(cluster.key);
     let megapixels = f64::from(camera.width) * f64::from(camera.height) * image_scale.powi(2) / 1e6;
@@ -306,6 +276,69 @@ fn pictures(
         return Ok(confidence::PicturePredictions { maps: vec![None; scene.views.len()], ..Default::default() });
     }
     Ok(pictures.predict(scene, predictor, watcher)?)
+}
+
+/// Predicts the unary confidence of each row of the visibility.
+fn unary(
+    geometry: &Geometry,
+    points: &ViewPoints,
+    confidence: Confidence,
+    trained: Option<&TrainedModel>,
+    pictures: &confidence::PicturePredictions,
+    watcher: &dyn Watcher,
+) -> Result<Unary, PlanError> {
+    let Geometry { scene, surface, visibility, .. } = *geometry;
+    if let (Some(trained), Confidence::Trained(_)) = (trained, confidence) {
+        return Ok(trained.unary(geometry, points, &pictures.maps, watcher)?);
+    }
+    let by_pictures = || Unary::new(scene, surface, visibility, &pictures.maps, watcher);
+    match confidence {
+        Confidence::Pair(_) | Confidence::Photometric { .. } => {
+            let nearby = confidence::nearby(scene, points, surface, visibility, watcher)?;
+            Ok(nearby.times(by_pictures()?, visibility)?)
+        }
+        _ => Ok(by_pictures()?),
+    }
+}
+
+/// Compares the pictures of candidate pairs, within what the backend can match of each.
+fn agreement(
+    project: &Project,
+    geometry: &Geometry,
+    points: &ViewPoints,
+    candidates: &Candidates,
+    matcher: &Matcher,
+    most_samples: u64,
+    watcher: &dyn Watcher,
+) -> Result<Agreement, PlanError> {
+    let of_pair = |key, partner| match matcher.numbers.reach {
+        Some(reach) => {
+            let shared = points.shared(key, partner);
+            reach(&PairGeometry::new(geometry.scene, key, partner, &shared), points, geometry.image_scale)
+        }
+        None => Reach::Everything,
+    };
+    let reach = ProgramReach { program: matcher.numbers.reach.map(|_| matcher.name), of_pair: &of_pair };
+    let partners = |view| candidates.candidates_of(view);
+    Ok(Agreement::new(geometry, &Pictures::new(project), partners, &reach, most_samples, watcher)?)
+}
+
+/// Finds the candidate partners of each view within the gate, among pairs that the backend can match and that have images.
+fn candidates(
+    scene: &Scene,
+    points: &ViewPoints,
+    settings: &Settings,
+    numbers: &PlanningNumbers,
+    missing_images: &[ViewIndex],
+    watcher: &dyn Watcher,
+) -> Result<Candidates, Cancelled> {
+    let is_missing = |view: &ViewIndex| missing_images.binary_search(view).is_ok();
+    let refuses = |pair: &PairGeometry| {
+        let lacks_image = [pair.key, pair.partner].iter().any(is_missing);
+        lacks_image || numbers.reach.is_some_and(|reach| reach(pair, points, settings.image_scale()).is_nothing())
+    };
+    let gate = numbers.gate.with(&settings.partners.gate);
+    partners::candidates(scene, points, &settings.partners, &Limits { gate: &gate, refuses: &refuses }, watcher)
 }
 
 /// The surface, reduced to triangles that at least one view sees, with its visibility.
@@ -355,7 +388,7 @@ fn target(scene: &Scene, seen: &VisibleSurface, region: Option<&Region>, setting
     }
 }
 
-/// The region that the settings name, before there is a surface.
+/// Reads the region of the settings, before the surface is built.
 fn shape(project: &Project, scene: &Scene, settings: &Settings) -> Result<Option<RegionShape>, PlanError> {
     let Some(choice) = &settings.region else { return Ok(None) };
     let place = georeference(project, scene, &settings.frame);

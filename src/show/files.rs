@@ -71,7 +71,7 @@ impl Hint for FilesError {
 /// Collects the files of the plan, for [`output::write_all`](crate::io::output::write_all).
 ///
 /// # Errors
-/// The plan chooses nothing, a backend cannot take a name, or a mesh can no longer be read.
+/// Fails if the plan chooses nothing, a backend does not support a name, or a mesh can no longer be read.
 pub fn files(plan: &Plan, project: &Project) -> Result<PlanFiles, FilesError> {
     if let Some(empty) = EmptyPlan::detect(plan) {
         return Err(empty.into());
@@ -169,7 +169,7 @@ fn command(export: &Export) -> Option<String> {
 /// Makes the files of a backend for the first `clusters` clusters of a plan in memory; [`FileSet::write`] writes them.
 ///
 /// # Errors
-/// As [`Backend::export`], and a folder that other files need.
+/// Fails like [`Backend::export`], or if the folder is occupied by other files.
 pub fn export(
     plan: &Plan,
     project: &Project,

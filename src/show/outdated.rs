@@ -59,7 +59,7 @@ fn line(plan: &Plan, project: &Project, record: &str) -> Option<String> {
     let is_default = own.contains(&folder) || workspace.is_some_and(|workspace| place::is_same(workspace, &folder));
     let out = if is_default { String::new() } else { format!(" --out {}", command_path(&folder)) };
     Some(format!(
-        "{} holds an export of an earlier plan for {backend}; to export this plan: viewrank export {} --backend {backend}{tiles}{out}",
+        "{} contains an export of an earlier plan for {backend}; to export this plan: viewrank export {} --backend {backend}{tiles}{out}",
         folder.display(),
         command_path(&project.home)
     ))

@@ -1,5 +1,7 @@
-"""Fixtures of all tests: the program (from VIEWRANK, else the debug build), the small data of the repository, and the data sets."""
+"""Fixtures of all tests: the program (from VIEWRANK, else the debug build), the small data of the repository, the data sets, and an export."""
+import json
 import os
+import shutil
 import subprocess
 from pathlib import Path
 
@@ -38,3 +40,28 @@ def data():
         return root / name
 
     return folder
+
+
+@pytest.fixture(scope="session")
+def planned(viewrank, fixtures, tmp_path_factory):
+    """The fixture's project with a plan, and the plan's clusters by name."""
+    project = tmp_path_factory.mktemp("exports") / "project"
+    shutil.copytree(fixtures / "valley", project)
+    viewrank("plan", project, "-k", "4", "--budget", "8", "--quiet")
+    manifest = json.loads((project / "viewrank/manifest.json").read_text())
+    clusters = [(cluster["key"], cluster["partners"]) for cluster in manifest["clusters"][:8]]
+    assert len(clusters) == 8
+    return project, clusters
+
+
+def names_of(clusters):
+    return {name for key, partners in clusters for name in (key, *partners)}
+
+
+@pytest.fixture
+def export(viewrank, planned, tmp_path):
+    def run(backend, *options):
+        viewrank("export", planned[0], "--backend", backend, "--out", tmp_path / backend, *options)
+        return tmp_path / backend
+
+    return run

@@ -1,4 +1,4 @@
-"""What people type, and what the program makes of it: names of projects, images, amounts, near misses, read-only data, JSON, exit codes."""
+"""The command line: names of projects, images, amounts, misspellings, read-only data, JSON, exit codes."""
 import json
 import os
 import shutil

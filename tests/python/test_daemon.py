@@ -1,6 +1,6 @@
-"""`viewrank watch` among other programs: those that copy models, a backend that makes depth maps, a disk that fills.
+"""`viewrank watch` with other programs: copies of models in progress, a backend that writes depth maps, a full disk.
 
-VIEWRANK_LONG=1 lets integrations/sgm match real images, too (minutes), where otherwise files in the place of its depth maps must do.
+VIEWRANK_LONG=1 also matches real images with integrations/sgm (minutes); otherwise dummy depth maps are used.
 """
 
 import json
@@ -46,14 +46,14 @@ class Daemon:
         self.stop()
 
     def stop(self):
-        """Seconds until it ended."""
+        """Stops the daemon; returns the seconds until it ended."""
         start = time.monotonic()
         self.process.send_signal(signal.SIGTERM)
         self.process.wait(timeout=60)
         return time.monotonic() - start
 
     def said(self, project, word):
-        """How often the log says this word of the project."""
+        """Returns how often the log has this word for the project."""
         records = (json.loads(line)["fields"] for line in self.log.read_text().splitlines())
         path = str(self.root / project)
         return sum(r.get("project") == path and r["message"].startswith(word) for r in records)
@@ -62,7 +62,7 @@ class Daemon:
         return json.loads((self.root / "viewrank/status.json").read_text())["notices"]
 
     def status(self, project):
-        """State and its details; empty before there is any."""
+        """Returns the state and its details; empty before the first status."""
         try:
             status = json.loads((self.root / "viewrank/status.json").read_text())
         except FileNotFoundError:
@@ -82,7 +82,7 @@ class Daemon:
 
 @pytest.fixture()
 def source(tmp_path):
-    """A project elsewhere, with files in the place of its images."""
+    """A project outside the root, with dummy images."""
     folder = tmp_path / "source"
     SMALL_MODEL(folder / "sparse/0", 0, side=5)
     (folder / "images").mkdir()
@@ -93,7 +93,7 @@ def source(tmp_path):
 
 @pytest.fixture()
 def large_source(tmp_path, fixtures):
-    """A project elsewhere that takes seconds to plan."""
+    """A project outside the root that takes seconds to plan."""
     folder = tmp_path / "large"
     shutil.copytree(fixtures / "valley/sparse", folder / "sparse")
     (folder / "viewrank.toml").write_text("visibility.buffer_px = 3000\n")
@@ -153,7 +153,7 @@ def slowly(source, target):
 
 
 def with_pycolmap(source, target):
-    """As a mapper does: the images first, the model when it is done."""
+    """Writes the images first, then the model, like a mapper."""
     shutil.copytree(source / "images", target / "images")
     (target / "sparse/0").mkdir(parents=True)
     pycolmap = pytest.importorskip("pycolmap")
@@ -245,7 +245,7 @@ def small_disk(root):
 
 
 def outputs(project):
-    """What was written, but for hidden files of the program's own."""
+    """Output files, without viewrank's hidden ones."""
     files = (p for p in (project / "viewrank").rglob("*") if p.is_file() and not p.name.startswith("."))
     return {str(p.relative_to(project)): p.read_bytes() for p in files if ".sets" not in p.parts}
 
@@ -289,7 +289,7 @@ def progress(project):
 
 
 def matched_by_sgm(project, clusters):
-    """Depth maps of those lines of clusters.txt by integrations/sgm."""
+    """Matches these lines of clusters.txt with integrations/sgm."""
     pytest.importorskip("cv2")
     listed = project.parent / "matched.txt"
     listed.write_text("".join(f"{line}\n" for line in clusters))
@@ -298,7 +298,7 @@ def matched_by_sgm(project, clusters):
 
 
 def put_in_place(project, clusters):
-    """Files in the place of integrations/sgm's depth maps. Without a reference any depth is right."""
+    """Writes dummy depth maps of integrations/sgm. Without a reference any depth is right."""
     maps = project / "sgm/depth_maps"
     maps.mkdir(parents=True, exist_ok=True)
     depths = numpy.full((150, 200), 40.0, dtype=numpy.float32)
@@ -310,7 +310,7 @@ def put_in_place(project, clusters):
 
 
 class Backend:
-    """A project to be planned, and what makes its depth maps."""
+    """A project, with a function that makes its depth maps."""
 
     def __init__(self, project, match, target):
         self.project, self.match, self.target = project, match, target
@@ -595,7 +595,7 @@ def test_once_says_by_its_exit_code_whether_all_is_planned(root, config):
 
 
 def test_a_supervisor_is_told_and_signals_are_heard(root, config, tmp_path):
-    """The queue of a supervisor holds ten messages or so: a daemon that says more than it must would stop there."""
+    """A supervisor's queue holds about ten messages: a daemon that sends too many would block."""
     SMALL_MODEL(root / "p/sparse/0", 0)
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as supervisor:
         supervisor.bind(str(tmp_path / "notify"))
@@ -683,7 +683,7 @@ FAKETIME = next(Path("/usr/lib").glob("*/faketime/libfaketimeMT.so.1"), None)
 
 @pytest.mark.skipif(FAKETIME is None, reason="no libfaketime")
 def test_the_clock_may_jump(root, config, fixtures, tmp_path):
-    """A month back while a file is missing, most of a year ahead when it is there again."""
+    """Sets the clock back a month while a file is missing, and most of a year ahead when it is back."""
     shutil.copytree(fixtures / "valley/sparse", root / "p/sparse")
     clock, images = tmp_path / "clock", root / "p/sparse/0/images.bin"
     clock.write_text("+0")

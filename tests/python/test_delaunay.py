@@ -29,7 +29,7 @@ def cgal(tmp_path_factory):
 
 
 def cells_of(program, points, folder):
-    """Set of cells, each by its four positions: points at one place are one vertex."""
+    """Returns the set of cells, each given by four positions: coinciding points are one vertex."""
     points.astype("<f8").tofile(folder / "points")
     subprocess.run([program, folder / "points", folder / "cells"], check=True, stdout=subprocess.PIPE)
     return as_set(points, np.fromfile(folder / "cells", "<u4").reshape(-1, 4))
@@ -95,6 +95,6 @@ DEGENERATE = {
 
 @pytest.mark.parametrize("name", DEGENERATE)
 def test_cells_are_those_of_cgal(ours, cgal, tmp_path, name):
-    """Ties too: CGAL perturbs by the same ranks."""
+    """Also for ties: CGAL perturbs by the same ranks."""
     points = DEGENERATE[name](np.random.default_rng(1))
     assert cells_of(ours, points, tmp_path) == cells_of(cgal, points, tmp_path)

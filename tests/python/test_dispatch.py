@@ -43,7 +43,7 @@ if __name__ == "__main__":
 
 
 class Work:
-    """A planned copy of the fixture and what its tasks noted."""
+    """A planned copy of the fixture, with the records of its tasks."""
 
     def __init__(self, folder, viewrank, fixtures, target):
         self.folder, self.viewrank, self.project = folder, viewrank, folder / "my valley"
@@ -61,7 +61,7 @@ class Work:
         return self.project / "viewrank/dispatch/sgm" / name
 
     def calls(self):
-        """(rank, process) of each computation, in the order of their starts."""
+        """Returns (rank, process) of each computation, in the order of their starts."""
         text = (self.folder / "calls").read_text() if (self.folder / "calls").exists() else ""
         return [tuple(map(int, line.split())) for line in text.splitlines()]
 
@@ -167,7 +167,7 @@ def test_maps_of_a_model_that_moved_are_made_anew(work):
 
 
 def test_the_project_by_any_path(work, tmp_path):
-    """Relative, or through a link: the same scripts, which run anywhere."""
+    """A relative path or a link gives the same scripts, which run in any folder."""
     work.dispatch("shell")
     scripts = [work.script(name).read_text() for name in ("task.sh", "fuse.sh")]
     real = work.project
@@ -204,7 +204,7 @@ done
 
 
 def test_colmap_maps_must_be_whole(work):
-    """patch_match_stereo keeps whatever file is there, and writes in place."""
+    """patch_match_stereo keeps existing files, and writes in place."""
     (work.folder / "depth_maps").write_bytes(b"4&3&1&" + bytes(48))
     (work.folder / "normal_maps").write_bytes(b"4&3&3&" + bytes(144))
     program = work.folder / "colmap-program"
@@ -379,7 +379,7 @@ def test_slurm_loses_a_node(work, slurm):
 
 
 def take_away(daemon, process):
-    """Ends a node as the loss of its power would: daemon, step and work."""
+    """Kills a node, like a power failure: daemon, step and work."""
     daemon.kill()
     daemon.wait()
     parents = [process]

@@ -1,4 +1,4 @@
-"""`viewrank doctor` as its users meet it: silent about healthy projects, right about broken ones; 80 columns; exit codes."""
+"""`viewrank doctor`: silent about healthy projects, correct about broken ones; 80 columns; exit codes."""
 import json
 import shutil
 
@@ -65,7 +65,7 @@ def test_settings_that_cannot_be_true(viewrank, fixtures, tmp_path):
 
 
 def test_a_model_that_does_not_lie_on_the_earth_as_it_is_said_to(viewrank, fixtures, tmp_path):
-    """Turned to y down, as COLMAP leaves models, or a thousand times too small."""
+    """A model rotated to y down, as COLMAP leaves it, or a thousand times too small."""
     pycolmap = pytest.importorskip("pycolmap")
     folder = project(fixtures, tmp_path)
     (folder / "viewrank.toml").write_text("frame.origin = [48.0, 16.0, 200.0]\n")

@@ -1,4 +1,4 @@
-"""The whole loop on the fixture: plan, match with integrations/sgm, evaluate; real fulfilment once more by tests/oracle/real.py."""
+"""The whole loop on the fixture: plan, match with integrations/sgm, evaluate; real fulfilment recomputed by tests/oracle/real.py."""
 
 import json
 import shutil

@@ -1,4 +1,4 @@
-"""views.geojson and surface.ply as other programs see them: places on the earth by PROJ, scalar fields by plyfile."""
+"""views.geojson and surface.ply read by other programs: positions checked with PROJ, scalar fields with plyfile."""
 import json
 import shutil
 
@@ -39,7 +39,7 @@ def check_is_geojson(collection):
 
 
 def rings(feature):
-    """Of a footprint, in one part or in two."""
+    """Returns the rings of a footprint, in one part or in two."""
     geometry = feature["geometry"]
     polygons = {"Point": [], "Polygon": [geometry["coordinates"]], "MultiPolygon": geometry["coordinates"]}[geometry["type"]]
     assert all(len(polygon) == 1 for polygon in polygons)
@@ -85,7 +85,7 @@ def test_a_model_of_unknown_place_says_so(viewrank, fixtures, tmp_path):
 
 
 def test_a_turned_model_is_shown_from_above(viewrank, fixtures, tmp_path):
-    """A model lies however structure from motion left it: footprints are as large as in one whose third axis is up."""
+    """Structure from motion leaves models in any orientation: footprints are as large as in one whose third axis is up."""
     pycolmap = pytest.importorskip("pycolmap")
     model = pycolmap.Reconstruction(str(fixtures / "valley" / "sparse" / "0"))
     half = np.sin(np.radians(55))
@@ -151,7 +151,7 @@ def test_utm(viewrank, fixtures, tmp_path, zone, epsg, offset):
 
 
 def test_earth_centred_models_and_the_photographs_places(viewrank, data, tmp_path):
-    """lewis, moved to earth-centred coordinates by its GPS origin: its views lie where the photographs were taken."""
+    """lewis, moved to earth-centred coordinates by its GPS origin: its views are where the photographs were taken."""
     pycolmap = pytest.importorskip("pycolmap")
     rows = [line.split(",") for line in (data("lewis") / "gps.csv").read_text().splitlines()[1:]]
     gps = {row[0]: [float(value) for value in row[1:7]] for row in rows}

@@ -1,5 +1,5 @@
-"""Image names that a shell would take for commands, patterns or options, in the exports of all backends: what is written runs nothing but the
-backend's programs; or the backend is refused with the name."""
+"""Image names that a shell would take for commands, patterns or options, in the exports of all backends: the scripts run only the
+backend's programs, or the export is refused with the name."""
 import json
 import os
 import shlex
@@ -63,7 +63,7 @@ def backends():
 
 @pytest.fixture
 def machine(tmp_path):
-    """A folder with stand-ins for every program, which write down their words; and the tools that scripts may use."""
+    """A folder with stubs of every program, which record their arguments, and the tools that scripts may use."""
     folder = tmp_path / "bin"
     folder.mkdir()
     for name in PROGRAMS:

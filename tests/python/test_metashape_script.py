@@ -1,4 +1,4 @@
-"""integrations/metashape/depth_maps.py with a stand-in for Metashape."""
+"""integrations/metashape/depth_maps.py with a stub of Metashape."""
 
 import json
 import runpy

@@ -1,4 +1,4 @@
-"""integrations/openmvs/run.py with a stand-in for DensifyPointCloud that does what a file tells it to."""
+"""integrations/openmvs/run.py with a stub of DensifyPointCloud that is controlled by a file."""
 
 import json
 import os
@@ -144,7 +144,7 @@ def test_in_rank_order_then_fused_and_resumed(folder):
 
 
 def test_a_map_of_half_the_size_is_fused_at_full_size(folder):
-    """DensifyPointCloud would fuse it with the camera of the full image, without a word."""
+    """DensifyPointCloud would silently fuse it with the camera of the full image."""
     plan = json.loads((folder / "run.json").read_text())
     plan["clusters"][1].update(scale=0.5, size=[800, 601])
     (folder / "run.json").write_text(json.dumps(plan))
@@ -201,7 +201,7 @@ def test_partners_ranges_and_empty_maps_are_checked(folder):
 
 
 def poses(folder):
-    """Of the images of the scene that was fused last."""
+    """Returns the poses of the images of the last fused scene."""
     data = (folder / "fused.mvs").read_bytes()
     return [struct.unpack_from("<I", data, data.index(f"images/k{i}".encode()) + 25)[0] for i in range(3)]
 
@@ -223,7 +223,7 @@ def test_maps_that_are_not_as_planned_are_made_anew_and_not_fused(folder):
 
 
 def test_openmvs_all_images_loaded(folder):
-    """An image that takes no part is not loaded: it costs no memory, and may be missing."""
+    """An unused image is not loaded: it costs no memory, and may be missing."""
     make(folder, k1=[])
     (folder / "images/k1").unlink()
     done, _, _ = run(folder)
@@ -250,7 +250,7 @@ def test_a_fusion_that_fails_leaves_the_one_of_before(folder):
 
 
 def test_openmvs_existing_dmap_kept(folder):
-    """OpenMVS would take the map of other partners for that of these; where theirs fails, that map stays but is not fused."""
+    """OpenMVS would reuse the map of other partners; if the new one fails, the old map stays but is not fused."""
     run(folder)
     before, scene = maps(folder), (folder / "clusters/1.mvs").read_text()
     (folder / "clusters/1.mvs").write_text("other partners")
@@ -300,7 +300,7 @@ def test_options_that_would_take_the_runner_its_files_are_refused(folder, words)
 
 @pytest.mark.parametrize("words", [["--number-views-fuse", "3"], ["--estimate-colors=0"], ["--max-threads", "2"], ["-v", "3"]])
 def test_options_of_the_fusion_leave_the_maps(folder, words):
-    """They are no part of what a map is, whether they are there when it is made or only when it is fused."""
+    """They don't identify a map, whether given when it is made or only when it is fused."""
     run(folder)
     before = maps(folder)
     done, calls, report = run(folder, "--stop-at", "0", "--", *words)
@@ -394,7 +394,7 @@ def test_killed_at_any_step_every_map_is_there_and_known_for_what_it_is(folder, 
 
 @pytest.mark.parametrize("older", ["plan", "options"])
 def test_a_map_of_an_older_plan_is_not_fused(folder, older):
-    """The run ends before it comes to that cluster: the map is there, its row in report.json too."""
+    """The run ends before that cluster: its map and its row in report.json exist."""
     run(folder)
     if older == "plan":
         (folder / "clusters/1.mvs").write_text("other partners")
@@ -424,7 +424,7 @@ def test_openmvs_number_views_1_is_global(folder):
 
 
 def test_openmvs_number_views_1_defeats_score_0(folder):
-    """Also where a cluster has a single partner, whose scene keeps the partner out by a score."""
+    """Also for clusters with a single partner, whose scene excludes the partner by a score."""
     text = (folder / "run.json").read_text().replace("[1, 2]", "[1]")
     (folder / "run.json").write_text(text)
     make(folder, **{f"k{i}": [dict(ids=[10 + i, 1], range=[90, 220], depth=150)] for i in range(3)})

@@ -1,4 +1,4 @@
-"""Photometric confidence once more, written from method 7.4 with OpenCV's filters: pictures are warped to each triangle's plane and correlated."""
+"""Independent photometric confidence, written from method 7.4 with OpenCV's filters: pictures are warped to each triangle's plane and correlated."""
 
 import cv2
 import numpy as np
@@ -28,7 +28,7 @@ def gsd(model, view, points):
 
 
 def patches(model, tables, project, view, triangles, spacing):
-    """For each triangle four patches of 49 normalised samples; nan where the picture does not show one."""
+    """For each triangle four patches of 49 normalised samples; nan if the picture does not show one."""
     image = cv2.imread(str(project / "images" / tables.views[view]["name"]), cv2.IMREAD_GRAYSCALE)
     full = np.array(image.shape[::-1])
     small = np.floor(full * SCALE / 2 + 0.5).astype(int)

@@ -16,7 +16,7 @@ OTHERWISE = {"names/txt", "txt_unnormalised_quaternion"}
 
 @pytest.fixture(scope="session")
 def read(tmp_path_factory):
-    """Names, poses, observations and pixels of a model as viewrank sees them (see examples/scene.rs)."""
+    """Returns names, poses, observations and pixels of a model as viewrank reads them (examples/scene.rs)."""
     subprocess.run(["cargo", "build", "--locked", "--quiet", "--example", "scene"], cwd=ROOT, check=True)
     target = Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target"))
 
@@ -41,7 +41,7 @@ def models(fixtures):
 
 
 def of_set(folder):
-    """Model of the undistorted images, and where there is one that of the images as taken."""
+    """Returns the model of the undistorted images and, if there is one, that of the original images."""
     return [model for model in (folder / "sparse/0", folder / "distorted/sparse/0") if model.is_dir()]
 
 

@@ -1,4 +1,4 @@
-"""Which pairs integrations/sgm refuses is known when it is planned: the matcher's own rule is asked about every pair."""
+"""Planning predicts which pairs integrations/sgm refuses: compared with the matcher's own rule for every pair."""
 
 import shutil
 import sys

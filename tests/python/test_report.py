@@ -53,7 +53,7 @@ def no_complaints(browser):
 
 
 def text(browser, selector):
-    """As it is read: a blank that keeps a line from breaking is a blank."""
+    """Returns the visible text, with no-break spaces as spaces."""
     read = browser.script(f"(element => element.innerText ?? element.textContent)(document.querySelector({json.dumps(selector)}))")
     return read.replace("\u00a0", " ")
 
@@ -95,7 +95,7 @@ def test_everything_is_drawn_and_nothing_juts_out(browser, page, width, dark):
 
 
 def warned(manifest):
-    """What the plan warns of, and what its exports warn of and do not honour."""
+    """Warnings of the plan and its exports, and the parts that the exports do not honour."""
     of_exports = [f"{export['backend']}: {said}" for export in manifest["exports"] for said in
                   [text for text in export["warnings"] if text not in manifest["warnings"]]
                   + [f"not honoured: {what}" for what in export["not_honoured"]]]
@@ -152,7 +152,7 @@ def test_the_states_of_the_views_are_the_manifests(browser, page, manifest):
 
 
 def likest(project, rank, cut):
-    """Rank (from 1) and share of the cluster within the cut that does most of what another one could by itself, the first of equals."""
+    """Returns rank (from 1) and share of the best substitute of a cluster within the cut, the first one in a tie."""
     tables = oracle.Tables(project / "tables")
     own = tables.fulfilment_of(tables.order[rank])
     shares = []
@@ -209,7 +209,7 @@ def test_the_keyboard_reaches_everything(browser, page, manifest):
 
 
 def test_what_is_read_out(browser, page, manifest):
-    """A screen reader hears the verdict while the slider moves, and why a view is in when another one is chosen."""
+    """A screen reader announces the verdict while the slider moves, and the reason of a view when it is selected."""
     browser.open(page, 1280)
     rows = browser.script("Array.from(document.querySelectorAll('#list .row'), row => [row.getAttribute('aria-posinset'), row.getAttribute('aria-setsize')])")
     assert rows and rows == [[str(i + 1), str(len(manifest["views"]))] for i in range(len(rows))]
@@ -274,7 +274,7 @@ def test_the_holes_lead_to_their_places(browser, page, manifest):
 
 
 def test_no_place_to_fly_to_is_in_the_background(viewrank, data, tmp_path):
-    """The hull of `lewis` reaches far beyond what its images are of."""
+    """The hull of `lewis` extends far beyond its subject."""
     pycolmap = pytest.importorskip("pycolmap")
     for folder in ("sparse", "images"):
         (tmp_path / folder).symlink_to(data("lewis") / folder)
@@ -292,7 +292,7 @@ def test_no_place_to_fly_to_is_in_the_background(viewrank, data, tmp_path):
 
 
 def test_the_address_keeps_the_state(browser, page):
-    """A reload, after a new plan or not, shows what was looked at."""
+    """A reload, also after a new plan, restores the view."""
     browser.open(page, 1280)
     assert text(browser, "#stale") and not browser.script("document.getElementById('stale').offsetHeight")
     browser.script("change({ cut: 2, selected: 5, colour: 'count' })")
@@ -341,7 +341,7 @@ def test_a_page_without_webgl(browser, page):
 
 
 def test_names_are_shown_as_they_are(viewrank, fixtures, browser, tmp_path):
-    """A folder may be called what would be markup elsewhere."""
+    """The name of a folder may contain markup."""
     project = tmp_path / "<img src=x onerror=alert(1)>&amp;"
     project.mkdir()
     (project / "sparse").symlink_to(fixtures / "valley" / "sparse")
@@ -364,7 +364,7 @@ def test_names_are_shown_as_they_are(viewrank, fixtures, browser, tmp_path):
 
 @pytest.fixture(scope="module")
 def measured(viewrank, fixtures, tmp_path_factory):
-    """A planned project, and what writes depth maps of the plan's own surface for ranks of its first ranking, their depths times a factor."""
+    """A planned project, and a function that writes depth maps of the plan's own surface for ranks of its first ranking, scaled by a factor."""
     project = tmp_path_factory.mktemp("measured")
     for folder in ("sparse", "images"):
         (project / folder).symlink_to(fixtures / "valley" / folder)
@@ -395,7 +395,7 @@ def reported(viewrank, browser, project, *options):
 
 @pytest.mark.parametrize(("factor", "least", "most"), [(1, 0.75, 1.6), (1.3, 0, 0.1), (0, 0, 0)], ids=["right", "of a wrong scale", "empty"])
 def test_the_real_curve_stands_beside_the_predicted_one(viewrank, browser, measured, tmp_path, factor, least, most):
-    """Held against true depths: the right ones reach what was predicted, those of a wrong scale nothing."""
+    """With true depths as reference, right maps reach the prediction, and maps of a wrong scale reach nothing."""
     project, manifest, write = measured
     ranks = [1, 2, 4]
     write(ranks, factor)
@@ -482,7 +482,7 @@ def test_the_page_in_firefox(page, manifest, tmp_path):
 
 
 def many(data, copies):
-    """What the page knows of a plan, so many times beside each other; the surface of the first twenty."""
+    """The page's data of a plan, repeated side by side; the surface of the first twenty copies."""
     def read(text, kind):
         return np.frombuffer(base64.b64decode(text), kind)
 
@@ -501,7 +501,7 @@ def many(data, copies):
         return written(np.concatenate([[0], np.cumsum(lengths)]), "<u4")
 
     def ranks(values, copy):
-        """Of each rank the copies follow each other; 0 is none, and so is the largest number of 16 bits."""
+        """Copies of a rank are consecutive; 0 and the largest u16 mean none."""
         return np.where((values == 0) | (values == 0xffff), values, (values.astype(int) - 1) * copies + copy + 1)
 
     views, ranking, surface = data["views"], data["ranking"], data["surface"]

@@ -1,4 +1,4 @@
-"""viewrank run: one command from a sparse model to depth maps, with the matcher that comes with viewrank and with a program that stands for OpenMVS."""
+"""viewrank run: one command from a sparse model to depth maps, with the matcher that comes with viewrank and with a stub of OpenMVS."""
 import json
 import os
 import shutil
@@ -98,5 +98,5 @@ def test_a_program_in_the_current_folder_is_not_trusted(run, viewrank, valley):
     assert "Backend: sgm (no DensifyPointCloud" in start("plan", ".").stdout
     for words in (["run", ".", "--backend", "openmvs"], ["dispatch", ".", "--scheduler", "shell", "--backend", "openmvs"]):
         refused = start(*words)
-        assert refused.returncode != 0 and "there is no program DensifyPointCloud" in refused.stderr
+        assert refused.returncode != 0 and "cannot find the program DensifyPointCloud" in refused.stderr
     assert not list(valley.glob("*.ran"))

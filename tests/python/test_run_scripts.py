@@ -1,5 +1,5 @@
-"""The run.sh of exports, with stand-ins for the programs that they call: what is tried after a failure, what a second start computes, and
-what becomes of maps that an older plan left."""
+"""The run.sh of exports, with stubs of the programs that they call: behaviour after a failure, on a second start, and
+with maps of an older plan."""
 import json
 import os
 import shlex
@@ -24,7 +24,7 @@ def plans(viewrank, fixtures, tmp_path_factory):
 
 
 class Work:
-    """An export and the programs beside it. What these do is told by environment variables; `calls.txt` holds what they did."""
+    """An export with stubs next to it, controlled by environment variables; they record their calls in `calls.txt`."""
 
     def __init__(self, viewrank, plans, backend, folder, programs):
         self.viewrank, self.plans, self.backend, self.folder = viewrank, plans, backend, folder / backend
@@ -109,7 +109,7 @@ def colmap(work):
 
 
 def stale(said):
-    """How many finished maps an export reports."""
+    """Returns the number of finished maps that an export reports."""
     return next((int(line.split(" finished depth maps")[0].split()[-1]) for line in said.splitlines() if "finished depth maps were made" in line), 0)
 
 
@@ -136,7 +136,7 @@ def contents(folder):
 @pytest.mark.parametrize("words", [["--replace"], ["--rank", "1"]])
 @pytest.mark.parametrize("how", ["fails", "is killed"])
 def test_a_map_that_is_to_be_replaced_is_there_until_the_other_is(colmap, words, how):
-    """COLMAP fails, or is killed together with the script, before a map is there or in the middle of it."""
+    """COLMAP fails, or is killed together with the script, before or while a map is written."""
     colmap.run(script=RUN)
     colmap.export(3)
     before = contents(colmap.folder / "stereo/depth_maps"), contents(colmap.folder / "stereo/normal_maps")
@@ -154,7 +154,7 @@ def test_a_map_that_is_to_be_replaced_is_there_until_the_other_is(colmap, words,
 
 
 def test_maps_of_a_run_that_outlasts_its_plan_are_known(colmap):
-    """A plan is exported while COLMAP works off the list of the one before."""
+    """A plan is exported while COLMAP processes the list of the previous one."""
     earlier = colmap.partners()
     program = os.environ.get("VIEWRANK", ROOT / "target/debug/viewrank")
     words = [program, "export", colmap.plans[3], "--backend", "colmap", "--out", colmap.folder]

@@ -252,7 +252,7 @@ fn hash<'a>(texts: impl IntoIterator<Item = &'a str>) -> String {
 pub enum DispatchError {
     #[error("{0} cannot compute single view clusters")]
     NoTasks(&'static str),
-    #[error("there is no program {}", program.display())]
+    #[error("cannot find the program {}", program.display())]
     Program { program: PathBuf, variable: &'static str },
     #[error("{}: tabs and line breaks separate the entries of the list", .0.display())]
     Path(PathBuf),
@@ -260,11 +260,11 @@ pub enum DispatchError {
     Start { program: String, source: io::Error },
     #[error("{command} failed: {message}")]
     Refused { command: String, message: String },
-    #[error("{command} answered \"{answer}\", which is not understood")]
+    #[error("cannot parse the answer of {command}: \"{answer}\"")]
     Answer { command: String, answer: String },
-    #[error("tasks that were cancelled stay in the queue")]
+    #[error("cancelled tasks remain in the queue")]
     Stuck,
-    #[error("{}: another viewrank dispatch is at work on it", .0.display())]
+    #[error("cannot dispatch {}: another viewrank dispatch is running on it", .0.display())]
     Busy(PathBuf),
     #[error(transparent)]
     Lock(#[from] OutputError),

@@ -268,7 +268,7 @@ struct Limits {
     reachable: f64,
     /// f_o at the plan's cut, 0 to 1.
     fulfilment: f64,
-    /// Upper bound on f_o of any choice of as many clusters.
+    /// Upper bound on f_o of any choice with the same number of clusters.
     fulfilment_bound: f64,
     /// Bands in which the measured values are expected.
     share_band: Band,

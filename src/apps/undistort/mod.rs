@@ -309,11 +309,11 @@ fn seen(from: &Camera, to: &Camera, pixel: [f64; 2]) -> Option<[f64; 2]> {
 pub enum UndistortError {
     #[error(transparent)]
     Project(#[from] ProjectError),
-    #[error("{}: there is no image folder", .0.display())]
+    #[error("cannot undistort {}: no image folder found", .0.display())]
     NoImages(PathBuf),
-    #[error("{}: these are the images to be undistorted", .0.display())]
+    #[error("cannot write to {}: it contains the images to undistort", .0.display())]
     OwnImages(PathBuf),
-    #[error("a camera of model {model} has no pinhole camera that sees the same")]
+    #[error("cannot undistort {model} cameras to pinhole cameras")]
     NoPinhole { model: &'static str },
     #[error("{}: {source}", path.display())]
     Image { path: PathBuf, source: PictureError },

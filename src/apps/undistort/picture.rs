@@ -25,7 +25,7 @@ pub enum PictureError {
     Broken(#[from] image::ImageError),
     #[error("it is {}x{} pixels, its camera {}x{}", found[0], found[1], camera[0], camera[1])]
     Size { found: [u32; 2], camera: [u32; 2] },
-    #[error("images are written as .jpg, .png and .tif only")]
+    #[error("only .jpg, .png and .tif images can be written")]
     Format,
     #[error(transparent)]
     Camera(#[from] CameraError),

@@ -1,7 +1,7 @@
 //! Grammar of `patch-match.cfg` and `fusion.cfg`, as COLMAP 3.8 to 4.x read them (mvs/patch_match.cc, mvs/fusion.cc).
 //!
-//! `patch-match.cfg`: lines, trimmed; empty ones and those that begin with `#` vanish; what remains are pairs of a reference image
-//! and its sources, `,` or `;` between. There is no escape, and an empty list of sources would shift all later pairs by a line.
+//! `patch-match.cfg`: lines, trimmed; empty ones and those that begin with `#` are skipped; the others are pairs of a reference image
+//! and its sources, separated by `,` or `;`. There is no escape, and an empty list of sources would shift all later pairs by a line.
 
 use crate::backends::BackendError;
 
@@ -12,7 +12,7 @@ pub struct Problem {
     pub sources: Vec<String>,
 }
 
-/// The text of a `patch-match.cfg`; `heading` becomes comment lines.
+/// Returns the text of a `patch-match.cfg`; `heading` becomes comment lines.
 pub fn write_patch_match(heading: &[String], problems: &[Problem]) -> String {
     let mut text: String = heading.iter().map(|line| format!("# {line}\n")).collect();
     for problem in problems {
@@ -22,7 +22,7 @@ pub fn write_patch_match(heading: &[String], problems: &[Problem]) -> String {
     text
 }
 
-/// A `patch-match.cfg` as COLMAP reads it: it drops a last reference without a line of sources.
+/// Parses a `patch-match.cfg` as COLMAP does: a last reference without a line of sources is dropped.
 pub fn read_patch_match(text: &str) -> Vec<Problem> {
     let lines: Vec<&str> = text.lines().map(trim).filter(|l| !l.is_empty() && !l.starts_with('#')).collect();
     let problem = |pair: &[&str]| Problem {
@@ -32,7 +32,7 @@ pub fn read_patch_match(text: &str) -> Vec<Problem> {
     lines.chunks_exact(2).map(problem).collect()
 }
 
-/// Can the name stand in both files, as a reference and as a source?
+/// Refuses a name that cannot be written to both files, as a reference and as a source.
 pub fn check_name(backend: &'static str, name: &str) -> Result<(), BackendError> {
     let why = if name.contains([',', ';']) {
         "`,` and `;` separate names in patch-match.cfg and cannot be escaped"

@@ -1,14 +1,14 @@
-//! Finished depth maps in a workspace. COLMAP skips a problem when its files exist, whatever partners they were made with. So `run.sh` puts a
-//! note beside each map when it starts to compute it, which says how ([`MapRecipe::recipe`]), and `maps.tsv` says how each map is wanted and how
-//! those that were there without a note were made. Times of files decide nothing: a run may outlast the plan that it was started for.
+//! Finished depth maps in a workspace. COLMAP skips a problem when its files exist, even if they were made with other partners. So `run.sh` puts a
+//! note with the recipe ([`MapRecipe::recipe`]) next to each map when it starts to compute it, and `maps.tsv` lists the wanted recipe of each map and
+//! the recipe of existing maps without a note. File times are not used: a run may outlast the plan that it was started for.
 
 use std::{collections::BTreeMap, path::Path};
 
 use super::{cfg, cfg::Problem};
 use crate::base::input::{self, FileKind};
 
-/// Path of the lists in the workspace. Exports put files in place by their names, this one after the lists for COLMAP: a run that begins
-/// meanwhile notes the older one, and its maps are made anew at worst.
+/// Path of the recipes in the workspace. Exports move files into place in the order of their names, this one after the lists for COLMAP: a run that
+/// starts in between notes the older recipe, and at worst its maps are computed again.
 pub const MAPS: &str = "stereo/viewrank/maps.tsv";
 /// Mark of an empty list, and of a map of unknown origin.
 const NONE: &str = "-";
@@ -19,9 +19,9 @@ const UNKNOWN: &str = "?";
 pub struct MapRecipe {
     /// Sorted: COLMAP keeps no order.
     sources: Vec<String>,
-    /// A photometric map that a geometric pass cannot start from.
+    /// True for a photometric map from which a geometric pass cannot start.
     filtered: bool,
-    /// Long side that the images were reduced to (`max_image_size`), pixels; `None`: as they are.
+    /// Long side to which the images were reduced (`max_image_size`), pixels; `None`: not reduced.
     long_side: Option<u32>,
 }
 
@@ -32,7 +32,7 @@ impl MapRecipe {
         Self { sources, filtered, long_side }
     }
 
-    /// A word that is another one for a map that is made otherwise.
+    /// Returns the cache key: maps that are made differently have different keys.
     fn recipe(&self) -> String {
         let size = self.long_side.map_or(NONE.into(), |n| n.to_string());
         let text = format!("{}\n{size}\n{}", self.filtered, self.sources.join("\n"));
@@ -40,7 +40,7 @@ impl MapRecipe {
     }
 }
 
-/// `maps.tsv`: a line per map of [wanted recipe] TAB [recipe of the map that was there without a note] TAB [path under `stereo/depth_maps`].
+/// Content of `maps.tsv`: a line per map with [wanted recipe] TAB [recipe of an existing map without a note] TAB [path under `stereo/depth_maps`].
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct MapRecords(BTreeMap<String, Entry>);
 
@@ -56,7 +56,7 @@ impl MapRecords {
         Self(wanted.into_iter().map(entry).collect())
     }
 
-    /// The lists that the maps of the workspace were made by up to now. Without ours these are the lists of `patch-match.cfg`, run with
+    /// Returns the recipes of the maps of the workspace so far. Without `maps.tsv` these are the lists of `patch-match.cfg`, run with
     /// COLMAP's default options.
     fn before(workspace: &Path) -> Self {
         if let Ok(text) = input::read_text(&workspace.join(MAPS), FileKind::List) {
@@ -79,8 +79,8 @@ impl MapRecords {
         Self(text.lines().filter_map(line).collect())
     }
 
-    /// Takes over what is known of the finished maps of the workspace; returns those that the lists would keep although they were made
-    /// otherwise, or nobody knows how.
+    /// Takes over the known recipes of the finished maps of the workspace; returns the maps that would be kept although their recipes differ or
+    /// are unknown.
     pub fn follow(&mut self, workspace: &Path) -> Vec<String> {
         let before = Self::before(workspace);
         for map in before.0.keys() {
@@ -104,7 +104,7 @@ impl MapRecords {
     }
 }
 
-/// Path of a map under `stereo/depth_maps` and `stereo/normal_maps`.
+/// Returns the path of a map under `stereo/depth_maps` and `stereo/normal_maps`.
 pub fn map_name(image: &str, kind: &str) -> String {
     format!("{image}.{kind}.bin")
 }
@@ -132,7 +132,7 @@ mod tests {
         fs::write(&path, text).unwrap();
     }
 
-    /// Writes the lists as an export does; how many finished maps it reports.
+    /// Writes the lists as an export does; returns the number of finished maps that it reports.
     fn export(workspace: &Path, mut lists: MapRecords) -> usize {
         let stale = lists.follow(workspace);
         put(workspace, MAPS, &lists.to_tsv());

@@ -1,8 +1,8 @@
 //! COLMAP's dense stereo, 3.8 to 4.x: `docs/backends.md` 1.
 //!
-//! `stereo/patch-match.cfg` always runs through with the options at its head, `stereo/viewrank/run.sh` runs all steps. What makes this hard is
+//! `stereo/patch-match.cfg` always runs through with the options at its head, `stereo/viewrank/run.sh` runs all steps. The difficulty is
 //! geometric consistency: it needs the photometric depth maps of every partner, and a partner that isn't a reference image never gets one.
-//! Four ways, by [`ExportOptions::refs`] and [`ExportOptions::geometric`]:
+//! There are four variants, by [`ExportOptions::refs`] and [`ExportOptions::geometric`]:
 //!
 //! | refs | geometric | depth maps |
 //! | --- | --- | --- |
@@ -11,7 +11,7 @@
 //! | keys | on | photometric of the key views, then geometric with those partners that are key views |
 //! | all | on or off | every view: key views first, with exactly their partners |
 //!
-//! With geometric consistency the ranked list is cut into batches, so that a run that is stopped leaves whole results of the best clusters.
+//! With geometric consistency the ranked list is cut into batches, so that an interrupted run leaves complete results of the best clusters.
 
 use std::collections::HashSet;
 
@@ -41,9 +41,9 @@ mod finished;
 mod script;
 mod traps;
 
-/// Where the cloud goes: `fused.ply` in the workspace itself may be somebody's.
+/// Path of the cloud: `fused.ply` in the workspace itself may be the user's.
 const FUSED: &str = "stereo/viewrank/fused.ply";
-/// The list that COLMAP takes by default.
+/// List that COLMAP reads by default.
 const MAIN_LIST: &str = "stereo/patch-match.cfg";
 /// Key views per batch of a run with geometric consistency.
 const BATCH: usize = 10;
@@ -120,7 +120,7 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     Ok(Export { files, record })
 }
 
-/// A dense workspace of its own, with the images that take part.
+/// Adds a separate dense workspace with the images of the clusters.
 fn own_workspace(
     selection: &Selection,
     options: &ExportOptions,
@@ -133,7 +133,7 @@ fn own_workspace(
         _ => selection.views(),
     };
     let mut files = options.file_set(&BACKEND, selection);
-    // Points that a single view observes stay: COLMAP takes the depth range of a view from all of its points.
+    // Points that a single view observes are kept: COLMAP derives the depth range of a view from all of its points.
     add_workspace(BACKEND.name, &mut files, selection, &views, "sparse", 1, origin)?;
     Ok(files)
 }
@@ -142,11 +142,11 @@ fn own_workspace(
 struct Passes {
     refs: References,
     geometric: bool,
-    /// The first, photometric pass where a geometric one follows.
+    /// First, photometric pass, if a geometric one follows.
     first: Vec<Problem>,
-    /// The last pass: what is fused.
+    /// Last pass, whose maps are fused.
     last: Vec<Problem>,
-    /// References of the last pass that are matched at half the size; none where a map starts from those of others.
+    /// References of the last pass that are matched at half the size; empty if maps start from those of others.
     half: HashSet<String>,
 }
 
@@ -174,13 +174,13 @@ impl Passes {
         Self { refs, geometric, first, last, half }
     }
 
-    /// All names in the lists.
+    /// Returns all names in the lists.
     fn names(&self) -> impl Iterator<Item = &str> {
         let problems = self.first.iter().chain(&self.last);
         problems.flat_map(|problem| std::iter::once(&problem.reference).chain(&problem.sources)).map(String::as_str)
     }
 
-    /// The list that runs through with COLMAP's default options, or with `geom_consistency 0` where not geometric.
+    /// Returns a list that can be run with COLMAP's default options, or with `geom_consistency 0` if not geometric.
     fn main_list(&self) -> &[Problem] {
         if self.geometric && self.refs != References::Keys { &self.first } else { &self.last }
     }
@@ -224,7 +224,7 @@ impl Passes {
         }
     }
 
-    /// Why there is no depth map of a key view.
+    /// Returns the reason why a key view gets no depth map.
     fn left_out(&self, cluster: &RankedCluster, with_points: &[bool]) -> &'static str {
         if !with_points[cluster.key.index()] {
             "it observes no sparse point in front of it, which COLMAP takes the depth range from"
@@ -292,7 +292,7 @@ impl Passes {
         );
     }
 
-    /// The depth maps that will be made, and how.
+    /// Returns the recipes of the depth maps.
     fn lists(&self, long_side: impl Fn(MapScale) -> Option<u32>) -> MapRecords {
         let maps = |problems: &[Problem], kind: &str, filtered: bool| -> Vec<_> {
             let made = |p: &Problem| {
@@ -320,7 +320,7 @@ impl Passes {
         self.last.iter().map(|p| p.reference.as_str()).filter(|name| self.half.contains(*name))
     }
 
-    /// The last pass in pieces of [`BATCH`], each with the photometric maps that it needs and that no earlier piece made.
+    /// Splits the last pass into batches of [`BATCH`], each with the photometric maps that it needs and that no earlier batch makes.
     fn batches(&self) -> Vec<(Vec<Problem>, Vec<Problem>)> {
         let mut made = HashSet::new();
         let batch = |last: &[Problem]| {
@@ -332,14 +332,14 @@ impl Passes {
         self.last.chunks(BATCH).map(batch).collect()
     }
 
-    /// Long side of the images that are matched at half the size, where there are any.
+    /// Returns the long side of the images that are matched at half the size, if any.
     fn half_size(&self, selection: &Selection) -> Option<u32> {
         max_image_size(selection, MapScale::Half).filter(|_| !self.half.is_empty())
     }
 
     fn add_fusion(&self, selection: &Selection, record: &mut ExportRecord) {
         let typical = if self.refs == References::All { 5 } else { selection.typical_key_views_per_point() };
-        // A single map has no other that could agree.
+        // With a single map no other can agree.
         let min_pixels = typical.clamp(2, 5).min(self.last.len().max(1));
         let kind = if self.geometric { "geometric" } else { "photometric" };
         record.commands.push(format!(
@@ -369,13 +369,13 @@ fn add_lists(mut lists: MapRecords, files: &mut FileSet, record: &mut ExportReco
     files.add_text(finished::MAPS, lists.to_tsv());
 }
 
-/// For each view: does it observe a sparse point? COLMAP takes the depth range from them and ends the whole run at a view without any.
+/// Returns, for each view, whether it observes a sparse point. COLMAP derives the depth range from these and aborts at a view without any.
 fn views_with_points(selection: &Selection) -> Vec<bool> {
     let points = selection.scene.view_points();
     selection.scene.view_indices().map(|v| !selection::depths(selection.scene, &points, v).is_empty()).collect()
 }
 
-/// The chosen clusters as problems, in rank order.
+/// Returns the chosen clusters as problems, in rank order.
 fn key_problems(selection: &Selection, with_points: &[bool]) -> Vec<Problem> {
     let name = |v: ViewIndex| selection.scene.name(v).to_owned();
     let problem =
@@ -383,7 +383,7 @@ fn key_problems(selection: &Selection, with_points: &[bool]) -> Vec<Problem> {
     selection.clusters.iter().filter(|c| with_points[c.key.index()] && !c.partners.is_empty()).map(problem).collect()
 }
 
-/// Views that aren't key views but need a depth map, by name; their sources are those with most shared points that have maps too.
+/// Returns problems for views that aren't key views but need a depth map, by name; their sources are the views with most shared points that get maps, too.
 fn other_problems(selection: &Selection, refs: References, with_points: &[bool]) -> Vec<Problem> {
     let scene = selection.scene;
     let views = match refs {
@@ -409,7 +409,7 @@ fn other_problems(selection: &Selection, refs: References, with_points: &[bool])
     others.map(problem).filter(|p| !p.sources.is_empty()).collect()
 }
 
-/// The problems with only those sources that are references of `among`; problems without any are left out.
+/// Returns the problems with only those sources that are references of `among`; problems without any are omitted.
 fn with_sources_among(problems: &[Problem], among: &[Problem]) -> Vec<Problem> {
     let references: HashSet<&str> = among.iter().map(|p| p.reference.as_str()).collect();
     let reduced = |p: &Problem| Problem {
@@ -419,18 +419,18 @@ fn with_sources_among(problems: &[Problem], among: &[Problem]) -> Vec<Problem> {
     problems.iter().map(reduced).filter(|p| !p.sources.is_empty()).collect()
 }
 
-/// The long side of the matched images, where it is not that of the images.
+/// Returns the long side of the matched images, if it differs from that of the images.
 fn max_image_size(selection: &Selection, scale: MapScale) -> Option<u32> {
     let factor = selection.image_scale * scale.factor();
     (factor < 1.0).then(|| (f64::from(selection.long_side()) * factor).ceil() as u32)
 }
 
-/// Longest side of the matched images, one number for all of them.
+/// Returns the longest side of the matched images, one number for all of them.
 fn size_cap(selection: &Selection) -> u32 {
     (f64::from(selection.long_side()) * selection.image_scale).ceil() as u32
 }
 
-/// Patch match makes no folders: one for each sub-folder of a name, under each kind of map.
+/// Adds folders, which patch match does not create: one for each sub-folder of a name, under each kind of map.
 fn map_folders(problems: &[Problem]) -> Vec<String> {
     let mut subfolders: Vec<&str> =
         problems.iter().map(|p| p.reference.rsplit_once('/').map_or("", |(folder, _)| folder)).collect();

@@ -2,13 +2,13 @@
 
 use crate::backends::ExportRecord;
 
-/// `run.sh`: the commands of the record, from the workspace. A single rank can be computed where no map needs another.
+/// Returns `run.sh`: the commands of the record, run in the workspace. A single rank can be computed if no map needs another.
 ///
 /// `half_size`: long side of the images of key views in `half.txt`.
 pub fn runner(record: &ExportRecord, geometric: bool, half_size: Option<u32>) -> String {
     let (fusion, maps) = record.commands.split_last().expect("the maps are fused");
     let compute = |c: &String| c.replacen("colmap patch_match_stereo --workspace_path . --config_path", "compute", 1);
-    // The command of any list, for the list of a single rank.
+    // The command for any list, here for that of a single rank.
     let single = |c: &String| {
         let words = compute(c);
         let (_, options) = words.trim_start_matches("compute ").split_once(' ').unwrap_or_default();

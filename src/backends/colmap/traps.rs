@@ -1,4 +1,4 @@
-//! Faults of a project that would trip COLMAP.
+//! Faults of a project that break COLMAP.
 
 use super::{cfg, finished};
 use crate::{
@@ -15,7 +15,7 @@ pub fn all(patient: &ExaminedProject) -> Vec<Trap> {
     of_model.into_iter().chain([far_away(patient), finished_maps(patient)]).flatten().collect()
 }
 
-/// Maps without a record of their lists.
+/// Finds maps without a record of their lists.
 fn finished_maps(patient: &ExaminedProject) -> Option<Trap> {
     let workspace = patient.project.dense_workspace.as_ref().filter(|folder| !folder.join(finished::MAPS).exists())?;
     let cure = "plan, then stereo/viewrank/run.sh --replace makes those anew that the plan needs".into();
@@ -23,7 +23,7 @@ fn finished_maps(patient: &ExaminedProject) -> Option<Trap> {
     patient.finished_maps("colmap-stale-maps-skipped", &folder, 8, |name| name.ends_with(".bin"), cure)
 }
 
-/// Text models end the name at its first blank.
+/// Finds names with blanks, which text models cut at the first blank.
 fn blanks_in_text(patient: &ExaminedProject) -> Option<Trap> {
     let text = patient.project.model.format == ModelFormat::ColmapText;
     let views: Vec<_> = patient.scene.view_indices().filter(|&v| text && patient.scene.name(v).contains(' ')).collect();
@@ -37,7 +37,7 @@ fn blanks_in_text(patient: &ExaminedProject) -> Option<Trap> {
     })
 }
 
-/// In a workspace that is there already, the model is COLMAP's own.
+/// Finds coordinates too large for f32, in existing workspaces only: there the model is COLMAP's own.
 fn far_away(patient: &ExaminedProject) -> Option<Trap> {
     let what = patient.project.dense_workspace.as_ref().and_then(|_| rounded(patient.scene))?;
     let cure = "move the model near its origin (colmap model_transformer) before image_undistorter, or export with --out, which does".into();
@@ -73,7 +73,7 @@ fn text_beside_binary(patient: &ExaminedProject) -> Option<Trap> {
 /// COLMAP 4 copies the sources of a key view to the GPU as if all were as wide as the widest.
 fn mixed_widths(patient: &ExaminedProject) -> Option<Trap> {
     let (scene, project) = (patient.scene, patient.project);
-    // These formats do not hold the sizes of images: without the images they are guessed.
+    // These formats do not store image sizes, which are guessed without the images.
     if matches!(project.model.format, ModelFormat::Bundler | ModelFormat::Nvm) && project.images.is_none() {
         return None;
     }

@@ -1,9 +1,9 @@
 //! OpenMVS's DensifyPointCloud, v2.0 to v2.3 and branch develop: `docs/backends.md` 2.
 //!
-//! There is no list of key views, and a list of neighbours makes the search range 0.1 to 100 units whatever the scene. So each cluster
+//! It reads no list of key views, and a list of neighbours sets the search range to 0.1 to 100 units regardless of the scene. So each cluster
 //! becomes a scene of its own, in which only the key view can be computed and the depth range comes from its sparse points. The scenes share a
-//! folder and the ids of the images, which name the depth maps; a last run joins these in a scene of the key views. `run.py` does all
-//! that and checks each map, since DensifyPointCloud ends with success whatever came out.
+//! folder and the ids of the images, which name the depth maps; a final run fuses these in a scene of the key views. `run.py` does all
+//! that and checks each map, since DensifyPointCloud exits with 0 even on failure.
 
 use serde::Serialize;
 
@@ -33,7 +33,7 @@ mod scene;
 
 /// Depth maps that must agree on a point of the fused cloud.
 const MAPS_PER_POINT: usize = 2;
-/// Most key views that the fusion compares a key view with.
+/// Largest number of key views that fusion compares with a key view.
 const FUSED_WITH: usize = 24;
 
 /// Confidence of a PatchMatch pair (method 7.2), measured as [`PlanningNumbers::source`] says.
@@ -105,7 +105,7 @@ fn tasks(selection: &Selection, export: &Export) -> Option<TaskRunner> {
     })
 }
 
-/// Points and cameras of a scene.mvs are numbers of 32 bits.
+/// Finds coordinates too large for the f32 points and cameras of a scene.mvs.
 fn traps(patient: &ExaminedProject) -> Vec<Trap> {
     let largest = patient.scene.points.iter().flat_map(|p| p.iter().map(|x| x.abs())).fold(0.0, f64::max);
     let step = largest * f64::from(f32::EPSILON);
@@ -173,7 +173,7 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     Ok(Export { files, record })
 }
 
-/// Refuses names that OpenMVS would look for in another place; `backend` is the one that runs it.
+/// Refuses names that OpenMVS would resolve to another path; `backend` is the one that runs it.
 pub fn check_names(backend: &'static str, selection: &Selection) -> Result<(), BackendError> {
     selection.views().into_iter().try_for_each(|view| check_name(backend, selection.scene.name(view)))
 }
@@ -196,7 +196,7 @@ fn record_of(selection: &Selection) -> ExportRecord {
     record
 }
 
-/// One scene of all clusters in model coordinates, with other image paths, for programs that run OpenMVS themselves.
+/// Returns one scene of all clusters in model coordinates, with the given image paths, for programs that run OpenMVS themselves.
 pub(super) fn joint_scene(selection: &Selection, path: impl Fn(&str) -> String) -> Mvs {
     Builder::new(selection).joint(selection, path)
 }
@@ -218,18 +218,18 @@ struct Row {
     depths: [f64; 2],
 }
 
-/// `run.json`, the input of `run.py`.
+/// Content of `run.json`, the input of `run.py`.
 #[derive(Serialize)]
 struct Run {
     clusters: Vec<Row>,
-    /// For each image of `fuse.mvs`, the indices there of the key views that overlap it, best first; empty: no key view.
+    /// For each image of `fuse.mvs`, the indices of the key views that overlap it, best first; empty if it is not a key view.
     overlaps: Vec<Vec<usize>>,
     maps_per_point: usize,
     /// Long side of the matched images, pixels.
     resolution: u32,
 }
 
-/// The images of the fusion (key views in rank order, and a partner if there is one key view only) and their overlaps.
+/// Returns the images of the fusion (key views in rank order, and a partner if there is only one key view) and their overlaps.
 fn common_project(selection: &Selection) -> (Vec<ViewIndex>, Vec<Vec<usize>>) {
     let mut views: Vec<_> = selection.clusters.iter().map(|c| c.key).collect();
     let keys = views.len();
@@ -241,7 +241,7 @@ fn common_project(selection: &Selection) -> (Vec<ViewIndex>, Vec<Vec<usize>>) {
         let shared = selection::shared_points(selection.scene, &points, views[i]);
         let mut others: Vec<_> = (0..views.len()).filter(|&o| o != i).collect();
         others.sort_by_key(|&o| std::cmp::Reverse(shared[views[o].index()]));
-        // A list must not be empty; a view that overlaps nothing is compared with any other.
+        // OpenMVS requires a neighbour: a view without overlap is compared with an arbitrary one.
         let overlapping = others.iter().filter(|&&o| shared[views[o].index()] > 0).count().max(1);
         others.truncate(overlapping.min(FUSED_WITH));
         others
@@ -250,9 +250,9 @@ fn common_project(selection: &Selection) -> (Vec<ViewIndex>, Vec<Vec<usize>>) {
     (views, overlaps)
 }
 
-/// Every partner is used whatever OpenMVS's own score says of it, and no limit cuts a list.
+/// Options with which every partner is used regardless of OpenMVS's score, and no limit cuts a list.
 fn dense_config(selection: &Selection) -> String {
-    // Neighbours beyond three quarters of the limit would be filtered by angle and scale.
+    // OpenMVS filters neighbours beyond three quarters of the limit by angle and scale.
     let views = (selection.most_partners() * 4).div_ceil(3).max(FUSED_WITH * 4 / 3);
     format!("View Min Score = 0\nView Min Score Ratio = 0\nMax Views = {views}\n")
 }
@@ -265,14 +265,14 @@ fn own_scale(camera: &Camera) -> f64 {
 /// Least and greatest long side of OpenMVS's images by default, pixels.
 const OWN_SIZES: [u32; 2] = [640, 2560];
 
-/// Size of the images at a resolution level, over their own. An image that a level would bring below the least size takes the last level above.
+/// Returns the size of the images at a resolution level, over their own size. Levels stop before an image becomes smaller than the least size.
 pub(super) fn scale_at(camera: &Camera, level: u32, [least, greatest]: [u32; 2]) -> f64 {
     let side = camera.width.max(camera.height);
     let halved = (0..=level).rev().map(|level| side >> level).find(|size| *size >= least).unwrap_or(side);
     f64::from(halved.min(greatest)) / f64::from(side)
 }
 
-/// Long side of the matched images.
+/// Returns the long side of the matched images, pixels.
 fn resolution(selection: &Selection) -> u32 {
     (f64::from(selection.long_side()) * selection.image_scale).round() as u32
 }

@@ -1,7 +1,7 @@
 //! The plain list of neighbours for an existing `scene.mvs`.
 //!
-//! It replaces the neighbours of the listed images only: OpenMVS computes the other images too, and searches depths of 0.1 to 100 units for
-//! the listed ones, whatever the scene. So the depths are checked, and on request a copy of the scene is made at a scale that fits,
+//! It replaces only the neighbours of the listed images: OpenMVS computes the other images too, and searches depths of 0.1 to 100 units for
+//! the listed ones, regardless of the scene. So the depths are checked, and on request a copy of the scene is made at a scale that fits,
 //! without points, so that only the listed images can be computed.
 
 use std::path::Path;
@@ -24,7 +24,7 @@ use crate::{
 
 /// Depths that OpenMVS searches for an image with given neighbours, scene units.
 const SEARCHED: [f64; 2] = [0.1, 100.0];
-/// Share of the cameras' spread by which distances between cameras of scene and model may differ.
+/// Tolerance when comparing distances between cameras of scene and model, share of the cameras' spread.
 const SAME_SHAPE: f64 = 0.01;
 /// Median depth of the key views in a scaled scene, units.
 const SCALED_DEPTH: f64 = 10.0;
@@ -59,7 +59,7 @@ pub fn export(selection: &Selection, options: &ExportOptions, path: &Path) -> Re
     let mvs = moved(mvs, origin);
     let mvs = with_absolute_paths(if options.scale { scaled(mvs, scale) } else { mvs }, &folder);
     let scene = mvs.write();
-    // OpenMVS keeps every depth map that it finds in its working folder, whatever that was made from.
+    // OpenMVS keeps every depth map in its working folder, even of other scenes.
     let mut made_from = blake3::Hasher::new();
     made_from.update(&scene).update(lists.as_bytes()).update(&size.to_le_bytes());
     let work = format!("maps-{}", &made_from.finalize().to_hex()[..8]);
@@ -99,8 +99,8 @@ fn read(path: &Path) -> Result<Mvs, BackendError> {
     Ok(Mvs::read(&bytes).map_err(|fault| ProjectError::Fault { path: path.into(), fault })?)
 }
 
-/// For each view of the selection, the position of its image in the scene: of those whose path ends with the view's name the one with the
-/// shortest, for a name may be the end of another's.
+/// Returns, for each view of the selection, the index of its image in the scene: the one with the shortest path that ends with the view's name,
+/// since a name may be the end of another.
 fn positions(selection: &Selection, mvs: &Mvs, path: &Path) -> Result<Vec<usize>, BackendError> {
     let names: Vec<String> =
         mvs.images.iter().map(|image| String::from_utf8_lossy(&image.name).replace('\\', "/")).collect();
@@ -124,7 +124,7 @@ fn positions(selection: &Selection, mvs: &Mvs, path: &Path) -> Result<Vec<usize>
     Ok(positions)
 }
 
-/// Camera centre of an image of the scene, and its rotation from world to camera.
+/// Returns the camera centre of an image of the scene and its rotation from world to camera.
 fn pose_of(mvs: &Mvs, position: usize) -> (Matrix3<f64>, Vector3<f64>) {
     let image = &mvs.images[position];
     let platform = &mvs.platforms[image.platform as usize];
@@ -134,10 +134,10 @@ fn pose_of(mvs: &Mvs, position: usize) -> (Matrix3<f64>, Vector3<f64>) {
     (Matrix3::from_row_slice(&camera.r) * pose_r, centre)
 }
 
-/// Scene units per model unit, from the spread of the cameras in both. `of_scene`: centres of the selection's cameras in the scene.
+/// Returns scene units per model unit, from the spread of the cameras in both. `of_scene`: centres of the selection's cameras in the scene.
 ///
 /// # Errors
-/// Cameras that are placed differently from the model's.
+/// Fails if the cameras are arranged differently from the model's.
 fn size_of_scene(selection: &Selection, of_scene: &[Vector3<f64>], path: &Path) -> Result<f64, BackendError> {
     let views = selection.views();
     if views.len() < 2 {
@@ -176,18 +176,18 @@ fn moved(mut mvs: Mvs, origin: Vector3<f64>) -> Mvs {
     mvs
 }
 
-/// Without a region of interest the corners are the largest floats, in the wrong order.
+/// Returns whether a region of interest is set; otherwise its corners are the largest floats, in inverse order.
 fn has_region(mvs: &Mvs) -> bool {
     (0..3).all(|i| mvs.region[9 + i] < mvs.region[12 + i])
 }
 
-/// Root mean square distance from the middle.
+/// Returns the root mean square distance from the centroid.
 fn spread(centres: &[Vector3<f64>]) -> f64 {
     let middle = centres.iter().sum::<Vector3<f64>>() / centres.len() as f64;
     (centres.iter().map(|c| (c - middle).norm_squared()).sum::<f64>() / centres.len() as f64).sqrt()
 }
 
-/// Depths of the sparse points of a key view, in units of the scene.
+/// Depths of the sparse points of a key view, scene units.
 struct Depths {
     view: String,
     least: f64,
@@ -196,7 +196,7 @@ struct Depths {
 }
 
 impl Depths {
-    /// Takes the scene's own vertices, or our points scaled to the scene where the image sees no vertex.
+    /// Uses the scene's own vertices, or our points scaled to the scene if the image sees no vertex.
     fn new(mvs: &Mvs, position: usize, selection: &Selection, view: ViewIndex, size_of_scene: f64) -> Self {
         let (r, centre) = pose_of(mvs, position);
         let depth = |x: [f32; 3]| (r * (Vector3::from(x.map(f64::from)) - centre)).z;
@@ -244,7 +244,7 @@ fn check_depths(depths: &[Depths], scale: f64, scaled: bool) -> Result<(), Backe
     })
 }
 
-/// The scene with image paths that hold in any working folder.
+/// Returns the scene with image paths that are valid in any working folder.
 fn with_absolute_paths(mut mvs: Mvs, folder: &Path) -> Mvs {
     let absolute = |name: &mut Vec<u8>| {
         if !name.is_empty() {
@@ -258,7 +258,7 @@ fn with_absolute_paths(mut mvs: Mvs, folder: &Path) -> Mvs {
     mvs
 }
 
-/// The scene scaled, without points.
+/// Returns the scaled scene, without points.
 fn scaled(mut mvs: Mvs, scale: f64) -> Mvs {
     let grow = |values: &mut [f64]| values.iter_mut().for_each(|v| *v *= scale);
     for platform in &mut mvs.platforms {

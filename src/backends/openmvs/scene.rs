@@ -13,16 +13,16 @@ use crate::{
     },
 };
 
-/// A partner needs three shared points to be a neighbour at all, the key view more than three points in total.
+/// Least number of vertices per partner: a partner needs three to be a neighbour, the key view more than three in total.
 const LEAST_SHARED: usize = 4;
 
-/// Inputs that all scenes of an export share.
+/// Inputs shared by all scenes of an export.
 pub struct Builder<'a> {
     scene: &'a Scene,
     points: ViewPoints,
 }
 
-/// Depths that a cluster's sparse points have in the key view, scene units.
+/// Depth range of a cluster's sparse points in the key view, scene units.
 pub struct DepthRange {
     pub least: f64,
     pub greatest: f64,
@@ -34,7 +34,7 @@ impl<'a> Builder<'a> {
         Self { scene, points: scene.view_points() }
     }
 
-    /// Images in the order given, without points: what a list of neighbours refers to.
+    /// Returns a scene with the images in the given order, without points; a list of neighbours refers to it.
     pub fn images(&self, views: &[ViewIndex]) -> Mvs {
         let mut mvs = Mvs { version: 6, ..Mvs::default() };
         for &view in views {
@@ -61,8 +61,8 @@ impl<'a> Builder<'a> {
         mvs
     }
 
-    /// A scene in which OpenMVS computes the key view, with all partners, and nothing else: each shared point becomes a vertex per partner
-    /// that only the key view and that partner see, so that a partner has a single neighbour, one less than OpenMVS asks for.
+    /// Returns a scene in which OpenMVS computes only the key view, with all partners: each shared point becomes a vertex per partner
+    /// that only the key view and that partner see, so that a partner has a single neighbour, one less than OpenMVS requires.
     pub fn cluster(&self, cluster: &RankedCluster) -> (Mvs, DepthRange) {
         let views: Vec<_> = std::iter::once(cluster.key).chain(cluster.partners.iter().copied()).collect();
         let mut mvs = self.images(&views);
@@ -77,16 +77,16 @@ impl<'a> Builder<'a> {
             }
         }
         if cluster.partners.len() == 1 {
-            // With two images in the scene one neighbour is enough, for the partner too: a neighbour below any score leaves it out.
+            // With two images in the scene one neighbour suffices, also for the partner: a neighbour with a rejected score excludes it.
             mvs.version = 7;
             mvs.images[1].view_scores = vec![dummy(-1.0)];
         }
         (mvs, range)
     }
 
-    /// One scene of all clusters in version 6, which has no view scores: a vertex for each point that a key view shares with a partner, seen by
+    /// Returns one scene of all clusters in version 6, which has no view scores: a vertex for each point that a key view shares with a partner, seen by
     /// these two. A partner that isn't a key view is an image of its own for each key view, so that it has a single neighbour and isn't computed.
-    /// An only partner gets one more such image, since OpenMVS asks for two neighbours.
+    /// A single partner gets one more such image, since OpenMVS requires two neighbours.
     pub fn joint(&self, selection: &Selection, path: impl Fn(&str) -> String) -> Mvs {
         let mut views: Vec<ViewIndex> = selection.clusters.iter().map(|c| c.key).collect();
         let key_of = |view: ViewIndex| (0..).zip(selection.clusters).find_map(|(i, c)| (c.key == view).then_some(i));
@@ -121,7 +121,7 @@ impl<'a> Builder<'a> {
         Vertex { x: x.cast::<f32>().into(), views: views.to_vec() }
     }
 
-    /// Points in front of both that both observe, with their depths in the first.
+    /// Returns the points that both observe in front of them, with their depths in the first.
     fn shared(&self, key: ViewIndex, partner: ViewIndex) -> Vec<(Point3<f64>, f64)> {
         let depth = |view: ViewIndex, x: &Point3<f64>| self.scene.view(view).cam_from_world.camera_from_world(x).z;
         let other = self.points.observed_by(partner);
@@ -137,12 +137,12 @@ impl<'a> Builder<'a> {
     }
 }
 
-/// A neighbour of a score that OpenMVS passes over; the index must be one of the scene.
+/// A neighbour with a score that OpenMVS rejects; the index must be valid in the scene.
 fn dummy(score: f32) -> ViewScore {
     ViewScore { index: 0, points: 9, scale: 1.0, angle: 0.2, area: 0.5, score }
 }
 
-/// A platform with the one camera of the view; pixel centres are integers in OpenMVS.
+/// Returns a platform with the view's camera; pixel centres are integers in OpenMVS.
 fn platform_of(scene: &Scene, view: ViewIndex) -> Platform {
     let camera = scene.camera_of(view);
     let (f, c) = camera.pinhole_part();

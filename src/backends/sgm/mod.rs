@@ -20,8 +20,8 @@ pub(super) const CONFIDENCE: PairConfidence =
 /// By depth maps of seven scenes (method 7.4): semi-global matching also bridges what the pictures do not agree on.
 pub(super) const PHOTOMETRIC: Photometric = Photometric { agree: 0.95, differ: 0.19, full_agreement: 0.9 };
 
-/// It works on a polar grid around the epipole, so neither an epipole in the picture nor a scale ratio hinders it as it does a
-/// matcher that rectifies (`integrations/sgm/README.md` has the tables).
+/// It works on a polar grid around the epipole, so an epipole in the image or a large scale ratio matters less than for a
+/// matcher that rectifies (tables in `integrations/sgm/README.md`).
 const NUMBERS: PlanningNumbers = PlanningNumbers {
     gate: Gate {
         min_shared_points: 8,
@@ -40,7 +40,7 @@ const NUMBERS: PlanningNumbers = PlanningNumbers {
              maps of 22 partners; support 1: a depth map is checked against its own pairs",
 };
 
-/// The matcher itself goes with its lists.
+/// Scripts of the matcher, exported next to its lists.
 const MATCHER: [(&str, &str); 7] = [
     ("sgm.py", include_str!("../../../integrations/sgm/sgm.py")),
     ("fuse.py", include_str!("../../../integrations/sgm/fuse.py")),

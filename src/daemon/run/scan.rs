@@ -71,7 +71,7 @@ impl Scans {
         self.projects.is_empty() && self.search.is_none() && !self.everything
     }
 
-    /// When the next scan is due.
+    /// Returns when the next scan is due.
     pub fn due(&self) -> Instant {
         self.gather_until.map_or(self.next_full, |until| until.min(self.next_full))
     }

@@ -70,7 +70,7 @@ impl Hint for RegionError {
             _ if self.is_too_small() => {
                 "draw it where the surface is and larger than its triangles (viewrank/surface.ply), or ask for a finer --gsd"
             }
-            Self::File { fault: RegionFault::Read(_), .. } => "check that the file is there and may be read",
+            Self::File { fault: RegionFault::Read(_), .. } => "check that the file exists and is readable",
             Self::File { fault: RegionFault::Collection(_), .. } => {
                 "export polygons as GeoJSON in WGS 84 (EPSG:4326), or in model units with \"crs\": null"
             }

@@ -160,7 +160,7 @@ pub enum SurfaceError {
     Linear,
     #[error("the wanted ground sampling distance is {0}, but must be a positive number")]
     Gsd(f64),
-    #[error("nothing is left of the surface: no view sees any of it")]
+    #[error("cannot use the surface: no view sees any part of it")]
     Empty,
     #[error("{}: {source}", path.display())]
     MeshFile { path: PathBuf, source: std::io::Error },
@@ -180,7 +180,7 @@ impl Hint for SurfaceError {
             Self::TooFewPoints { .. } | Self::Linear => "check the model, or give a surface with --mesh".into(),
             Self::Empty => "check the model and the wanted --gsd, or give a surface with --mesh".into(),
             Self::Gsd(_) => "set target.gsd, or type --gsd".into(),
-            Self::MeshFile { .. } => "check that the file is there and may be read".into(),
+            Self::MeshFile { .. } => "check that the file exists and is readable".into(),
             Self::Mesh { .. } => "give a PLY file of triangles in the frame of the model".into(),
             Self::Delaunay(_) => "check the model: its points cannot be triangulated as they are".into(),
             Self::Refine(refine::RefineError::TooFine { most, .. }) if *most < refine::MAX_TRIANGLES => {

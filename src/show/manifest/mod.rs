@@ -73,8 +73,8 @@ pub struct Manifest {
     pub warnings: Vec<String>,
 }
 
-/// Joins the warnings of a plan, `further` ones, and those of its exports. What a backend does not honour is its nature, not the user's to change:
-/// `viewrank backends` and the records of the exports have it.
+/// Joins the warnings of a plan, `further` ones, and those of its exports. Parts of the plan that a backend does not honour are no warnings, since users cannot change them: they are in
+/// `viewrank backends` and the records of the exports.
 pub fn warnings_with(of_plan: &[String], exports: &[ExportRecord], further: &[String]) -> Vec<String> {
     let mut warnings: Vec<String> = of_plan.iter().chain(further).cloned().collect();
     for ExportRecord { backend, warnings: own, .. } in exports {
@@ -141,7 +141,7 @@ pub struct ClusterEntry {
     pub key: String,
     /// Names of the views that the key view is matched against, best first.
     pub partners: Vec<String>,
-    /// Those of them that are beyond the gate (`settings.partners.gate`), taken for want of better ones: matching may well fail there.
+    /// Those of them that are beyond the gate (`settings.partners.gate`), chosen because there are no better ones; matching them may fail.
     pub beyond_gate: Vec<String>,
     /// Size at which the key view is matched, over `settings.image_scale`: 1 or 0.5.
     pub scale: MapScale,

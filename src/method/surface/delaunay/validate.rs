@@ -7,15 +7,15 @@ use std::collections::HashSet;
 /// Defect of a triangulation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Flaw {
-    #[error("cell {cell} has a corner twice, a vertex that is not there, or the infinite vertex not last")]
+    #[error("cell {cell} repeats a corner, refers to a missing vertex, or has the infinite vertex not last")]
     Corners { cell: u32 },
     #[error("cell {cell} is not positively oriented")]
     Orientation { cell: u32 },
-    #[error("facet {0:?} and its neighbour do not name each other or differ in their corners")]
+    #[error("facet {0:?} and its neighbour do not refer to each other or differ in their corners")]
     Neighbour(Facet),
-    #[error("the sphere of the cell of facet {0:?} holds the corner beyond the facet")]
+    #[error("the circumsphere of the cell of facet {0:?} contains the corner beyond the facet")]
     NotDelaunay(Facet),
-    #[error("vertex {vertex} has no cell, or the cell noted for it is another's")]
+    #[error("vertex {vertex} has no cell, or its recorded cell does not contain it")]
     Vertex { vertex: u32 },
     #[error("vertices − edges + triangles − cells is {0}, not 0")]
     Euler(i64),

@@ -176,7 +176,7 @@ impl TrackedProject {
         }
     }
 
-    /// Returns the next job and when it is due; `None` while one runs or there is nothing to do.
+    /// Returns the next job and when it is due; `None` while one runs or there is no job.
     pub fn due(&self, settle: Duration) -> Option<(Instant, Work)> {
         if self.job.is_some() || self.still.stamp().is_empty() {
             return None;
