@@ -10,7 +10,7 @@ use std::{path::Path, time::Instant};
 use viewrank::internals::{
     backends,
     confidence::{Agreement, Pictures, ProgramReach},
-    config::{CommandLineSettings, Configuration, Files},
+    config::{CommandLineSettings, ConfidenceSource, Configuration, Files},
     geometry::Geometry,
     progress::NoWatcher,
     project::Project,
@@ -32,7 +32,7 @@ fn main() -> Fallible<()> {
     };
     let files = Files { user: None, root: None, project: Some(project.root.join("viewrank.toml")) };
     let mut settings = Configuration::load(&files, CommandLineSettings::default(), backends::canonical_name)?.settings;
-    settings.confidence.source = "geometric".into();
+    settings.confidence.source = ConfidenceSource::Geometric;
     let plan = backends::plan(&project, &settings, &NoWatcher)?;
     let stages = &plan.stages;
     let images = project.images.clone().ok_or("the project has no images")?;

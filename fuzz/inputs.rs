@@ -1,4 +1,4 @@
-//! Fuzz targets of what `evaluate`, `train`, `predict` and `export` read beside a model: depth maps, pictures, trained models, manifests and
+//! Fuzz targets of what `evaluate`, `train`, `predict` and `export` read beside a model: depth maps, pictures, manifests and
 //! settings. None may panic, and what is accepted must be consistent.
 
 use std::path::Path;
@@ -7,7 +7,7 @@ use viewrank::{
     Hint,
     internals::{
         backends::canonical_name,
-        confidence::{Image, Mask, Predictor, TrainedModel},
+        confidence::{Image, image::Mask},
         config::{CommandLineSettings, Configuration, Files},
         depthmaps::{DepthMapFormat, parse},
     },
@@ -15,7 +15,7 @@ use viewrank::{
 };
 
 /// Targets with valid contents.
-pub const INPUTS: [(&str, &[u8]); 12] = [
+pub const INPUTS: [(&str, &[u8]); 11] = [
     ("map.geometric.bin", include_bytes!("../fixtures/depthmaps/depth_maps/IMG_9394.jpg.geometric.bin")),
     ("map.pfm", include_bytes!("../fixtures/depthmaps/00000003.pfm")),
     ("map.npy", include_bytes!("../fixtures/depthmaps/IMG_9394.jpg.npy")),
@@ -25,7 +25,6 @@ pub const INPUTS: [(&str, &[u8]); 12] = [
     ("progressive.jpg", include_bytes!("../fixtures/pictures/progressive.jpg")),
     ("cmyk.jpg", include_bytes!("../fixtures/pictures/cmyk.jpg")),
     ("grey_16_bit.png", include_bytes!("../fixtures/pictures/grey_16_bit.png")),
-    ("trained.model", include_bytes!("../src/method/confidence/shipped.model")),
     ("manifest.json", MANIFEST),
     ("viewrank.toml", SETTINGS),
 ];
@@ -47,13 +46,12 @@ const MANIFEST: &[u8] =
 
 /// True for targets of JSON, which have values to change as well as bytes.
 pub fn is_json(target: &str) -> bool {
-    matches!(target, "trained.model" | "manifest.json")
+    target == "manifest.json"
 }
 
 /// Reads `data` as the target is read; true if it is accepted.
 pub fn read_input(target: &str, data: &[u8]) -> bool {
     match target {
-        "trained.model" => read_trained(data),
         "manifest.json" => told(manifest::validate(data, Path::new(target))),
         "viewrank.toml" => read_settings(data),
         _ if target.starts_with("map.") => read_map(target, data),
@@ -92,17 +90,6 @@ fn read_picture(data: &[u8]) -> bool {
     let Ok(image) = Image::decode(data, half) else { return false };
     assert_eq!(image.rgb.len(), 3 * image.width as usize * image.height as usize);
     grey.is_ok()
-}
-
-fn read_trained(data: &[u8]) -> bool {
-    let Ok(trained) = TrainedModel::parse(data, Path::new("trained.model")) else { return false };
-    if let Some(picture) = &trained.picture {
-        let image = Image { width: 40, height: 30, rgb: vec![99; 3 * 40 * 30], full: [40, 30] };
-        let predicted = picture.predict(&image);
-        assert!(predicted.map.values().all(|value| (0.0..=1.0).contains(&value)) && !predicted.distance.is_nan());
-    }
-    assert_eq!(TrainedModel::parse(&trained.to_bytes(), Path::new("again")).expect("what was read"), trained);
-    true
 }
 
 fn read_settings(data: &[u8]) -> bool {

@@ -296,26 +296,6 @@ fn links_in_circles_end() {
     succeeds(viewrank(&["watch", path(&place.root()), "--once", "--settle", "10ms", "--follow-links"]));
 }
 
-#[test]
-fn trained_models_that_are_damaged_are_refused() {
-    let place = Place::new();
-    let shipped = Path::new(env!("CARGO_MANIFEST_DIR")).join("src/method/confidence/shipped.model");
-    let good = fs::read_to_string(shipped).unwrap();
-    let damaged = [
-        good[..good.len() / 2].to_owned(),
-        good.replacen("\"version\":2", "\"version\":1", 1),
-        good.replacen("viewrank confidence model", "something else", 1),
-        String::new(),
-    ];
-    let model = place.own("confidence.model");
-    fs::create_dir(place.project().join("viewrank")).unwrap();
-    for text in damaged {
-        fs::write(&model, text).unwrap();
-        let error = fails(viewrank(&["plan", path(&place.project()), "--quiet", "--confidence", "project"]));
-        assert!(error.contains("confidence.model"), "{error}");
-    }
-}
-
 /// Takes the rights away while `act` runs; temporary folders could not be removed otherwise.
 fn without_rights(folder: &Path, mode: u32, act: impl FnOnce()) {
     fs::set_permissions(folder, fs::Permissions::from_mode(mode)).unwrap();

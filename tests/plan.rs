@@ -260,7 +260,7 @@ fn wrong_usage_is_2_and_failure_is_1_each_with_a_hint() {
         (vec!["plan", root, "--target", "1"], 2, "such as 80%"),
         (vec!["plan", root, "--backend", "sgmm"], 2, "hint: "),
         (vec!["plan", root, "--model", "7"], 2, "hint: "),
-        (vec!["plan", root, "--confidence", "geomtric"], 2, "hint: give none, geometric"),
+        (vec!["plan", root, "--confidence", "geomtric"], 2, "'geometric'"),
         (vec!["plan", root, "--up", "0,1"], 2, "three numbers"),
         (vec!["plan", "/nowhere/at/all"], 1, "hint: "),
     ] {

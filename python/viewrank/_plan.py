@@ -375,8 +375,8 @@ def plan(
         Wanted ground sampling distance, scene units per pixel, and accuracy of a point, scene units. Default: from the model.
     partners : {"search", "sampled"}, optional
         Choice of partners.
-    confidence : str or path, optional
-        ``"photometric"``, ``"geometric"``, ``"none"``, ``"proxy"``, ``"shipped"``, ``"auto"`` or a model file.
+    confidence : {"photometric", "geometric", "none", "auto"}, optional
+        What predicts success; ``"auto"`` compares the pictures where there are images.
     surface : {"auto", "3d", "terrain"}, optional
         Kind of surface.
     up : sequence of 3 float, optional

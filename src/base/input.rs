@@ -18,8 +18,6 @@ pub enum FileKind {
     Settings,
     /// A list of names, such as `clusters.txt`.
     List,
-    /// A trained model of the confidence.
-    Trained,
     /// An image, a mask or a depth map.
     Picture,
     Mesh,
@@ -37,7 +35,7 @@ impl FileKind {
         match self {
             Self::Settings => 1 << 20,
             Self::Region => 64 << 20,
-            Self::List | Self::Trained => 256 << 20,
+            Self::List => 256 << 20,
             Self::State => 1 << 30,
             Self::Picture => 2 << 30,
             Self::Mesh => 16 << 30,
@@ -49,7 +47,6 @@ impl FileKind {
         match self {
             Self::Settings => "settings",
             Self::List => "a list of names",
-            Self::Trained => "a trained model",
             Self::Picture => "an image, a mask or a depth map",
             Self::Mesh => "a mesh",
             Self::Region => "a region",

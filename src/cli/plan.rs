@@ -21,11 +21,7 @@ use crate::{
     plan::Plan,
     show::{files::PlanFiles, manifest::planned_model, tables},
 };
-use crate::{
-    backends,
-    config::{CONFIDENCE_WORDS, RegionChoice},
-    show::files::files,
-};
+use crate::{backends, config::RegionChoice, show::files::files};
 use clap::Args;
 
 use super::{Exit, Failure, Format, config, json, print, progress::Progress, summary::Summary, use_threads, warn};
@@ -75,9 +71,9 @@ pub struct Arguments {
     /// Choice of partners: sampled (the paper) or search [default: search]
     #[arg(long, value_name = "METHOD", value_parser = ["sampled", "search"], help_heading = "Method")]
     partners: Option<String>,
-    /// Source of confidence: photometric, geometric, none, proxy, shipped, auto or a
-    /// model file [default: auto, which is photometric where there are images]
-    #[arg(long, value_name = "SOURCE|FILE", help_heading = "Method")]
+    /// What predicts success: photometric (agreement of the pictures), geometric, none or auto [default: auto, which is
+    /// photometric where there are images]
+    #[arg(long, value_name = "SOURCE", value_parser = ["photometric", "geometric", "none", "auto"], help_heading = "Method")]
     confidence: Option<String>,
     /// Surface: 3d, terrain (nadir flights) or auto [default: auto]
     #[arg(long, value_name = "KIND", value_parser = ["3d", "terrain", "auto"], help_heading = "Method")]
@@ -238,11 +234,7 @@ impl Arguments {
         typed.set("--accuracy", "target.accuracy", self.accuracy.clone());
         typed.set("--scales", "ranking.scales", self.scales.clone());
         typed.set("--partners", "partners.method", self.partners.clone());
-        let source = |typed: &String| match CONFIDENCE_WORDS.contains(&typed.as_str()) {
-            true => typed.clone(),
-            false => path(&PathBuf::from(typed)),
-        };
-        typed.set("--confidence", "confidence.source", self.confidence.as_ref().map(source));
+        typed.set("--confidence", "confidence.source", self.confidence.clone());
         typed.set("--surface", "surface.kind", self.surface.clone());
         typed.set("--up", "surface.up", self.up.map(Vec::from));
         typed.set("--mesh", "surface.mesh", self.mesh.as_ref().map(path));

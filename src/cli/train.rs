@@ -5,9 +5,9 @@ use std::path::{Path, PathBuf};
 use crate::{
     apps::{
         evaluate,
-        learn::{self, TrainingOptions, TrainingProject},
+        learn::{self, Fitted, Lesson, Numbers},
     },
-    backends,
+    backends::{self, planned_for},
     base::shell::command_path,
     config::CommandLineSettings,
     io::{
@@ -15,22 +15,20 @@ use crate::{
         output::{self, Disk},
         project::Project,
     },
-    method::confidence::{TrainedError, TrainedModel},
-    model::cluster::ViewCluster,
+    model::cluster::{RankedCluster, ViewCluster},
     plan::{Plan, Timings},
     show::manifest::WrittenPlan,
 };
-use crate::{backends::planned_for, model::cluster::RankedCluster};
 use clap::Args;
 
 use super::{Failure, Format, config, json, print, progress::Progress, use_threads};
 
-/// Train a confidence model on finished depth maps.
+/// Fit the confidence to finished depth maps.
 ///
-/// No ground truth is needed: a depth is right where depth maps from other viewpoints agree with it, wrong where they see through it. The
-/// partners that each map was matched with are those of the matcher's report, of the maps themselves (OpenMVS), or of the
-/// project's plan. Use the model with viewrank plan --confidence MODEL, or write it to PROJECT/viewrank/confidence.model, which
-/// --confidence auto takes.
+/// Learns how often the backend matches where the pictures of a pair agree on the surface, where they don't, and how many matches it needs: the settings
+/// confidence.agree, .differ, .full_agreement and .min_matches. No ground truth is needed: what counts is whether a map has a depth. The partners that
+/// each map was matched with are those of the matcher's report, of the maps themselves (OpenMVS), or of the project's plan. Copy the printed lines into
+/// viewrank.toml.
 #[derive(Args)]
 pub struct Arguments {
     /// Folder of the project, or its model
@@ -40,16 +38,13 @@ pub struct Arguments {
     /// Depth maps to learn from: colmap, openmvs, mvsnet, acmm, sgm, or a folder in each project
     #[arg(long, value_name = "KIND|DIR")]
     depth_maps: String,
-    /// Model file to write
-    #[arg(long, value_name = "MODEL")]
-    out: PathBuf,
+    /// File to write the settings to; it must not exist [default: print only]
+    #[arg(long, value_name = "FILE")]
+    out: Option<PathBuf>,
     /// Backend that made the depth maps [default: by their format]
     #[arg(long, value_name = "NAME")]
     backend: Option<String>,
-    /// Seed of all random choices
-    #[arg(long, value_name = "N", default_value_t = 0)]
-    seed: u64,
-    /// Threads to use; the model is the same for any number [default: all]
+    /// Threads to use; the result is the same for any number [default: all]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     threads: Option<u16>,
     /// No progress and no summary
@@ -62,50 +57,41 @@ pub struct Arguments {
 
 /// A planned project with its maps.
 struct Prepared {
-    project: Project,
     plan: Plan,
     maps: depthmaps::DepthMapSet,
     clusters: Vec<ViewCluster>,
 }
 
 pub fn run(arguments: &Arguments) -> Result<(), Failure> {
-    refuse_to_replace(&arguments.out)?;
+    if let Some(out) = &arguments.out {
+        output::refuse_to_replace(out)?;
+    }
     use_threads(arguments.threads);
     let progress = Progress::new(arguments.quiet);
     let prepared: Vec<Prepared> =
         arguments.projects.iter().map(|root| prepare(arguments, root, &progress)).collect::<Result<_, _>>()?;
-    let name = backend(arguments, &prepared[0].maps.maps[0].format);
-    let backend = backends::by_name(&name)?;
-    let lessons: Vec<TrainingProject> = prepared.iter().map(lesson).collect();
-    let min_matches = backend.planning.confidence.min_matches;
-    let course = TrainingOptions { backend: backend.name.into(), min_matches, seed: arguments.seed };
-    let trained = learn::train(&lessons, &course, &progress)?;
-    if let Some(folder) = arguments.out.parent().filter(|folder| !folder.as_os_str().is_empty()) {
-        output::make_folder(folder, &Disk::REAL)?;
+    let backend = backends::by_name(&backend(arguments, &prepared[0].maps.maps[0].format))?;
+    let lessons: Vec<Lesson> = prepared.iter().map(lesson).collect();
+    let numbers = &backend.planning;
+    let before = Numbers { min_matches: numbers.confidence.min_matches, photometric: numbers.photometric };
+    let fitted = learn::train(&lessons, before, &progress)?;
+    let settings = settings(&fitted, backend.name);
+    if let Some(out) = &arguments.out {
+        output::replace(out, settings.as_bytes(), &Disk::REAL)?;
     }
-    output::replace(&arguments.out, &trained.to_bytes(), &Disk::REAL)?;
     progress.finish();
     match arguments.format {
-        Format::Json => print(&json(&trained.measured)),
+        Format::Json => print(&json(&fitted)),
         Format::Text if arguments.quiet => Ok(()),
-        Format::Text => print(&text(arguments, &trained)),
+        Format::Text => print(&text(arguments, &fitted, &settings)),
     }
-}
-
-/// Refuses to replace any existing file except a model: it is the user's.
-fn refuse_to_replace(out: &Path) -> Result<(), Failure> {
-    let is_other = match TrainedModel::read(out) {
-        Ok(_) | Err(TrainedError::Version { .. }) => false,
-        Err(_) => out.symlink_metadata().is_ok(),
-    };
-    if is_other { Ok(output::refuse_to_replace(out)?) } else { Ok(()) }
 }
 
 fn prepare(arguments: &Arguments, root: &Path, progress: &Progress) -> Result<Prepared, Failure> {
     let project = Project::open_or_planned(root, None)?;
     let folder = depthmaps::folder_of(&project.root, project.dense_workspace.as_deref(), &arguments.depth_maps);
     let mut typed = CommandLineSettings::default();
-    typed.set("train", "confidence.source", Some("geometric"));
+    typed.set("train", "confidence.source", Some("photometric"));
     let mut settings = config::load(Some(&project.root), typed)?.settings;
     let project = project.with_images(settings.images.as_deref());
     let scene = project.read_scene()?;
@@ -117,18 +103,14 @@ fn prepare(arguments: &Arguments, root: &Path, progress: &Progress) -> Result<Pr
     let written: Vec<ViewCluster> =
         WrittenPlan::read(root).map(|written| written.clusters.iter().map(ranked).collect()).unwrap_or_default();
     let clusters = evaluate::tried(&folder, &found.maps, &plan.stages.scene, &written)?;
-    Ok(Prepared { project, plan, maps: found, clusters })
+    Ok(Prepared { plan, maps: found, clusters })
 }
 
-fn lesson(prepared: &Prepared) -> TrainingProject<'_> {
-    let root = &prepared.project.root;
-    TrainingProject {
-        name: root.file_name().unwrap_or(root.as_os_str()).to_string_lossy().into_owned(),
+fn lesson(prepared: &Prepared) -> Lesson<'_> {
+    Lesson {
         model: prepared.plan.stages.model(),
-        candidates: &prepared.plan.stages.candidates,
         clusters: prepared.clusters.clone(),
         maps: prepared.maps.maps.clone(),
-        images: prepared.project.images.clone(),
     }
 }
 
@@ -143,26 +125,39 @@ fn backend(arguments: &Arguments, format: &DepthMapFormat) -> String {
     arguments.backend.clone().unwrap_or_else(|| by_format.into())
 }
 
-fn text(arguments: &Arguments, trained: &TrainedModel) -> String {
-    let m = &trained.measured;
-    let projects = trained.trained_on.len();
-    let maps: usize = trained.trained_on.iter().map(|t| t.depth_maps).sum();
+/// The fitted numbers as a settings file.
+fn settings(fitted: &Fitted, backend: &str) -> String {
+    let Numbers { min_matches, photometric } = fitted.numbers;
+    let maps = fitted.depth_maps;
     format!(
-        "Trained on {maps} depth maps of {projects} project{} for {}.\n\n\
-         On scenes (of a single one: views) that were left out, while the others were trained on:\n\
-         {:>10} triangles of view clusters: area under the curve {:.3}, Brier score {:.3}, calibration error {:.3}\n\
-         {:>10} pixels by the picture alone: area under the curve {:.3}, Brier score {:.3}\n\n\
-         Next: viewrank plan {} --confidence {}\n",
-        if projects == 1 { "" } else { "s" },
-        trained.backend,
-        m.triangles,
-        m.auc,
-        m.brier,
-        m.calibration_error,
-        m.pixels,
-        m.pixel_auc,
-        m.pixel_brier,
-        command_path(&arguments.projects[0]),
-        arguments.out.display(),
+        "# Fitted to {maps} depth map{} of {backend} by viewrank train.\n[confidence]\nagree = {}\ndiffer = {}\nfull_agreement = {}\n\
+         min_matches = {min_matches}\n",
+        if maps == 1 { "" } else { "s" },
+        photometric.agree,
+        photometric.differ,
+        photometric.full_agreement,
+    )
+}
+
+fn text(arguments: &Arguments, fitted: &Fitted, settings: &str) -> String {
+    let scores = |name: &str, s: &learn::Scores| {
+        format!("{name:<28} {:>10.3} {:>12.3} {:>18.3}\n", s.auc, s.brier, s.calibration_error)
+    };
+    let left_out = if arguments.projects.len() > 1 { "fitted to the other scenes" } else { "fitted to the other half" };
+    let table = [
+        format!("{:<28} {:>10} {:>12} {:>18}\n", "", "ROC area", "Brier score", "calibration error"),
+        scores("numbers of the backend", &fitted.before),
+        scores(left_out, &fitted.after),
+    ];
+    let (settings_of, project) = match &arguments.out {
+        Some(out) => (format!("{}, for the end of viewrank.toml:", out.display()), &arguments.projects[0]),
+        None => ("For the end of viewrank.toml:".into(), &arguments.projects[0]),
+    };
+    format!(
+        "{} triangles of {} depth maps. How well they are predicted by\n\n{}\n{settings_of}\n\n{settings}\nNext: viewrank plan {}\n",
+        fitted.triangles,
+        fitted.depth_maps,
+        table.concat(),
+        command_path(project),
     )
 }

@@ -11,7 +11,7 @@ mod dispatch;
 mod layers;
 mod region;
 
-use std::path::PathBuf;
+use std::{fmt, path::PathBuf};
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -20,8 +20,8 @@ pub use amounts::{Amount, AmountError, Budget, Bytes, Count, Share, TimeSpan};
 pub use catalogue::{Key, keys};
 pub use dispatch::DispatchSettings;
 pub use layers::{
-    BackendLookup, CONFIDENCE_WORDS, CommandLineSettings, ConfigError, Configuration, Files, SettingLocation, Source,
-    UnknownBackend, user_file,
+    BackendLookup, CommandLineSettings, ConfigError, Configuration, Files, SettingLocation, Source, UnknownBackend,
+    user_file,
 };
 pub use region::{RegionChoice, RegionChoiceError};
 
@@ -318,23 +318,47 @@ pub struct GateSettings {
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
-pub enum ConfidenceForm {
-    /// Probability of each pair (method 7.2 and the trained constellation).
+pub enum ConfidenceSource {
+    /// `photometric` where there are images, else `geometric`.
     #[default]
-    Pair,
-    /// Mean of the two unary confidences (method 3.4).
-    Paper,
+    Auto,
+    /// Agreement of the pictures on the surface (method 7.4).
+    Photometric,
+    /// Angles and scales of the pair, and the sparse points around; needs no image (method 7.2).
+    Geometric,
+    /// Every match succeeds: the paper's NoCP.
+    None,
+}
+
+impl fmt::Display for ConfidenceSource {
+    /// As in the settings.
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        f.write_str(match self {
+            Self::Auto => "auto",
+            Self::Photometric => "photometric",
+            Self::Geometric => "geometric",
+            Self::None => "none",
+        })
+    }
+}
+
+impl ConfidenceSource {
+    /// Resolves `auto`.
+    pub fn in_force(self, has_images: bool) -> Self {
+        match self {
+            Self::Auto if has_images => Self::Photometric,
+            Self::Auto => Self::Geometric,
+            source => source,
+        }
+    }
 }
 
 /// Method 7. Unset numbers are the backend's; in a manifest, numbers that the source of confidence does not use are unset.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct ConfidenceSettings {
-    /// Predictor of success: "photometric" (agreement of the pictures on the surface), "geometric" (angles and scales; needs no image), "none", "proxy",
-    /// "shipped", "project" or a model file. "auto": the project's own model, else photometric where there are images, else geometric.
-    pub source: String,
-    /// Probability of each pair ("pair"), or the paper's mean of the two unary confidences ("paper").
-    pub form: ConfidenceForm,
+    /// What predicts success.
+    pub source: ConfidenceSource,
     /// Probability of a match in the best constellation.
     #[schemars(range(max = 1), extend("exclusiveMinimum" = 0))]
     pub p0: Option<f64>,
@@ -359,23 +383,6 @@ pub struct ConfidenceSettings {
     /// Matches that must succeed for a pixel, 1 to 3. A higher value is stricter.
     #[schemars(range(min = 1, max = 3), extend("unit" = "matches"))]
     pub min_matches: Option<u32>,
-}
-
-impl Default for ConfidenceSettings {
-    fn default() -> Self {
-        Self {
-            source: "auto".into(),
-            form: ConfidenceForm::Pair,
-            p0: None,
-            cosine_power: None,
-            scale_octaves: None,
-            full_angle: None,
-            agree: None,
-            differ: None,
-            full_agreement: None,
-            min_matches: None,
-        }
-    }
 }
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]

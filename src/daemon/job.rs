@@ -29,12 +29,11 @@ use crate::{
     apps::replan::{self, AgainError, EarlierPlan, Maps, ReplanError, replan},
     backends,
     base::progress::{Stage, Watcher},
-    config::{CONFIDENCE_WORDS, CommandLineSettings, Configuration, Files, Settings, user_file},
+    config::{CommandLineSettings, Configuration, Files, Settings, user_file},
     io::{
         output::{self, Disk},
         project::{Project, ProjectError},
     },
-    method::confidence::PROJECT_MODEL,
     plan::{EmptyPlan, Plan, PlanError},
     show::{files, manifest::WrittenPlanError},
 };
@@ -138,11 +137,7 @@ type Ended<T> = Result<T, Outcome>;
 impl Planner for PlanJob {
     fn named_files(&self, project: &Path) -> Vec<PathBuf> {
         let settings = self.settings(project).map(|(settings, _)| settings).unwrap_or_default();
-        let model = match &settings.confidence.source {
-            word if CONFIDENCE_WORDS.contains(&word.as_str()) => project.join(PROJECT_MODEL),
-            file => file.into(),
-        };
-        let files = [Some(model), user_file(), self.root_file(project)];
+        let files = [user_file(), self.root_file(project)];
         files.into_iter().flatten().chain(settings.files_of_plan()).collect()
     }
 

@@ -11,7 +11,7 @@ use crate::{
     },
     config::UnknownBackend,
     io::project::ProjectError,
-    method::{confidence::TrainedError, region::RegionError, surface::SurfaceError},
+    method::{region::RegionError, surface::SurfaceError},
 };
 
 /// Planning failed.
@@ -29,8 +29,6 @@ pub enum PlanError {
     Region(RegionError),
     #[error(transparent)]
     Backend(#[from] UnknownBackend),
-    #[error(transparent)]
-    Trained(#[from] TrainedError),
     #[error("the time limit needs forecast.seconds_per_map or forecast.seconds_per_pair")]
     NoTimes,
     #[error(
@@ -72,7 +70,6 @@ impl Hint for PlanError {
             Self::Surface(error) => return error.hint(),
             Self::Region(error) => return error.hint(),
             Self::Backend(error) => return error.hint(),
-            Self::Trained(error) => return error.hint(),
             Self::NoTimes => "time one depth map and set one of the two".into(),
             Self::Memory { stage: memory::SURFACE, need, .. } => format!(
                 "give --max-memory {} or more; the tables need more, forecast once the surface is built",
@@ -92,7 +89,6 @@ impl Hint for PlanError {
             Self::NoTimes => true,
             Self::Project(error) => error.is_usage(),
             Self::Backend(error) => error.is_usage(),
-            Self::Trained(error) => error.is_usage(),
             _ => false,
         }
     }
@@ -103,7 +99,6 @@ impl Hint for PlanError {
             Self::NoViews(path) => Some(path),
             Self::Surface(error) => error.path(),
             Self::Region(error) => error.path(),
-            Self::Trained(error) => error.path(),
             Self::Disk(error) => error.path(),
             _ => None,
         }

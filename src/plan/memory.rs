@@ -10,7 +10,7 @@ use serde::Serialize;
 use super::PlanError;
 use crate::{
     base::column::{self, Storage},
-    config::{Bytes, Settings, VisibilitySettings},
+    config::{Bytes, ConfidenceSource, Settings, VisibilitySettings},
     method::{
         fulfilment::FulfilmentTable,
         surface::{
@@ -39,7 +39,7 @@ const LEAST_TILE: u64 = 60_000;
 /// Bytes of the scene per point and per observation, including the table of each view's points.
 const SCENE_PER_POINT: u64 = 43;
 const SCENE_PER_OBSERVATION: u64 = 24;
-/// Bytes per row of the visibility table, alone, and with confidence (of a trained model, the largest) and fulfilment.
+/// Bytes per row of the visibility table, alone, and with confidence and fulfilment.
 const VISIBILITY_ROW: u64 = 4;
 const TABLES_ROW: u64 = 20;
 /// Bytes per row of visibility while pictures are compared; the result has one byte per candidate.
@@ -85,7 +85,7 @@ impl Memory {
         let points = scene.points.len() as u64;
         let held = BASE + SCENE_PER_POINT * points + SCENE_PER_OBSERVATION * scene.observations() as u64;
         let limit = settings.max_memory;
-        let compared = settings.confidence.source == "photometric";
+        let compared = settings.confidence.source == ConfidenceSource::Photometric;
         let row = TABLES_ROW + if compared { u64::from(settings.partners.candidates) } else { 0 };
         let samples_row = if compared { SAMPLES_ROW } else { 0 };
         let mut memory = Self { read: held, limit, row, samples_row, ..Self::default() };

@@ -3,12 +3,10 @@
 use super::{Matcher, Memory, PlanError, PlanningNumbers, Timings, WorkPerMap, cut, georeference};
 use crate::{
     base::progress::{Cancelled, Stage, Watcher},
-    config::{Settings, Share, TargetMode},
+    config::{ConfidenceSource, Settings, Share, TargetMode},
     io::project::Project,
     method::{
-        confidence::{
-            self, Agreement, Confidence, Pictures, Predictor, ProgramReach, Proxy, Source, TrainedModel, Unary,
-        },
+        confidence::{self, Agreement, Confidence, Pictures, ProgramReach, Unary},
         fulfilment::{self, FulfilmentRule, FulfilmentTable, Model},
         geometry::Geometry,
         partners::{self, Candidates, Limits, PairGeometry},
@@ -44,11 +42,10 @@ pub struct Stages {
     pub unary: Unary,
     /// Agreement of the pictures of candidate pairs, if confidence is photometric.
     pub agreement: Agreement,
-    /// Results from the pictures.
-    pub pictures: confidence::PicturePredictions,
+    /// A sentence for each picture or mask that cannot be used.
+    pub picture_warnings: Vec<String>,
     /// The predictor of matching success.
     pub confidence: Confidence,
-    pub trained: Option<TrainedModel>,
     /// g_d and a_d of each triangle (method 3.6).
     pub target: Target,
     /// Region of interest (method 5.7); `None`: the whole surface.
@@ -82,11 +79,10 @@ impl Stages {
         timings: &mut Timings,
         watcher: &dyn Watcher,
     ) -> Result<Self, PlanError> {
-        let source = Source::new(&settings.confidence.source, project);
-        let trained = source.trained(&project.root)?;
+        let source = settings.confidence.source.in_force(project.images.is_some());
         let own_size = settings.image_scale.is_none();
         let refused_half = settings.ranking.has_half() && !matcher.mixes_sizes;
-        let mut settings = in_force(project, settings, &scene, matcher, &source)?;
+        let mut settings = in_force(project, settings, &scene, matcher, source)?;
         let shape = shape(project, &scene, &settings)?;
         let mut memory = Memory::before_surface(&scene, &mut settings)?;
         let points = scene.view_points();
@@ -103,8 +99,7 @@ impl Stages {
         let region = shape.map(|shape| shape.lay_over(&seen.surface, pixels, watcher)).transpose()?;
         let target = target(&scene, &seen, region.as_ref(), &settings);
         seen.visibility.triangles.release();
-        let confidence =
-            Confidence::new(&source, trained.as_ref(), &settings.confidence, &numbers.confidence, &numbers.photometric);
+        let confidence = Confidence::new(source, &settings.confidence, &numbers.confidence, &numbers.photometric);
         confidence.fill_in(&mut settings.confidence);
         let geometry = Geometry {
             scene: &scene,
@@ -115,18 +110,16 @@ impl Stages {
         };
         let support = settings.ranking.support.unwrap_or(matcher.numbers.support);
         let objective = Objective::new(&geometry, settings.ranking.weight, region.as_ref(), support);
-        let (mut pictures, unary) = timings.time(Stage::Confidence, || {
-            let pictures = pictures(project, &scene, &source, trained.as_ref(), watcher)?;
-            let unary = unary(&geometry, &points, confidence, trained.as_ref(), &pictures, watcher)?;
-            Ok::<_, PlanError>((pictures, unary))
-        })?;
+        let pictures = Pictures::new(project);
+        let (unary, mut picture_warnings) =
+            timings.time(Stage::Confidence, || unary(&geometry, &points, confidence, &pictures, watcher))?;
         let agreement = timings.time(Stage::Confidence, || match confidence {
             Confidence::Photometric { .. } => {
-                agreement(project, &geometry, &points, &candidates, matcher, memory.most_samples(), watcher)
+                agreement(&pictures, &geometry, &points, &candidates, matcher, memory.most_samples(), watcher)
             }
             _ => Ok(Agreement::default()),
         })?;
-        pictures.warnings.extend(agreement.warnings.iter().cloned());
+        picture_warnings.extend(agreement.warnings.iter().cloned());
         let model = Model::new(geometry, &unary, &agreement, rule(&settings, confidence));
         let (clusters, fulfilment) = timings.time(Stage::Partners, || {
             partners::choose(&model, &candidates, &settings.partners, settings.seed, watcher)
@@ -155,9 +148,8 @@ impl Stages {
             scene,
             unary,
             agreement,
-            pictures,
+            picture_warnings,
             confidence,
-            trained,
             target,
             region,
             objective,
@@ -170,7 +162,7 @@ impl Stages {
 
     /// Approximate memory of the tables, surface and scene, bytes.
     pub fn bytes(&self) -> u64 {
-        let unary = self.unary.values.bytes() + self.unary.partner_odds.bytes();
+        let unary = self.unary.values.bytes();
         let fulfilment = self.fulfilment.triangles.bytes() + self.fulfilment.values.bytes();
         let tables = self.visibility.triangles.bytes() + unary + fulfilment;
         let surface = 24 * self.surface.vertices.len() + 24 * self.surface.triangles.len();
@@ -218,7 +210,7 @@ fn in_force(
     settings: &Settings,
     scene: &Scene,
     matcher: &Matcher,
-    source: &Source,
+    source: ConfidenceSource,
 ) -> Result<Settings, PlanError> {
     if scene.views.is_empty() {
         return Err(PlanError::NoViews(project.model.path.clone()));
@@ -236,7 +228,7 @@ fn in_force(
     all.partners.candidates = all.partners.candidates.max(all.partners.k);
     all.partners.gate = matcher.numbers.gate.with(&all.partners.gate).settings();
     all.ranking.support.get_or_insert(matcher.numbers.support);
-    all.confidence.source = source.to_string();
+    all.confidence.source = source;
     if all.partners.k == 1 {
         all.coverage.min_cameras = 2;
     }
@@ -257,53 +249,32 @@ fn work(scene: &Scene, image_scale: f64, work: WorkPerMap, cluster: &ViewCluster
     [MapScale::Full, MapScale::Half].map(|scale| work.of(megapixels * scale.factor().powi(2), cluster.partners.len()))
 }
 
-/// Reads masks and predicts confidence from the images. Masks apply with every confidence source but `none`.
-fn pictures(
-    project: &Project,
-    scene: &Scene,
-    source: &Source,
-    trained: Option<&TrainedModel>,
-    watcher: &dyn Watcher,
-) -> Result<confidence::PicturePredictions, PlanError> {
-    let pictures = Pictures::new(project);
-    let predictor: Option<&dyn Predictor> = match (source, trained) {
-        (Source::Proxy, _) => Some(&Proxy),
-        (_, Some(trained)) => trained.picture.as_ref().map(|picture| picture as &dyn Predictor),
-        _ => None,
-    };
-    let is_needless = *source == Source::None || predictor.is_none() && !pictures.have_masks();
-    if is_needless {
-        return Ok(confidence::PicturePredictions { maps: vec![None; scene.views.len()], ..Default::default() });
-    }
-    Ok(pictures.predict(scene, predictor, watcher)?)
-}
-
-/// Predicts the unary confidence of each row of the visibility.
+/// Returns the unary confidence of each row of the visibility, and warnings of masks that cannot be used. Where pictures are compared, masks are
+/// applied there.
 fn unary(
     geometry: &Geometry,
     points: &ViewPoints,
     confidence: Confidence,
-    trained: Option<&TrainedModel>,
-    pictures: &confidence::PicturePredictions,
+    pictures: &Pictures,
     watcher: &dyn Watcher,
-) -> Result<Unary, PlanError> {
+) -> Result<(Unary, Vec<String>), PlanError> {
     let Geometry { scene, surface, visibility, .. } = *geometry;
-    if let (Some(trained), Confidence::Trained(_)) = (trained, confidence) {
-        return Ok(trained.unary(geometry, points, &pictures.maps, watcher)?);
-    }
-    let by_pictures = || Unary::new(scene, surface, visibility, &pictures.maps, watcher);
     match confidence {
-        Confidence::Pair(_) | Confidence::Photometric { .. } => {
-            let nearby = confidence::nearby(scene, points, surface, visibility, watcher)?;
-            Ok(nearby.times(by_pictures()?, visibility)?)
+        Confidence::None => Ok((Unary::certain(), Vec::new())),
+        Confidence::Photometric { .. } => {
+            Ok((confidence::nearby(scene, points, surface, visibility, watcher)?, Vec::new()))
         }
-        _ => Ok(by_pictures()?),
+        Confidence::Pair(_) => {
+            let (masks, faults) = Unary::of_masks(geometry, pictures, watcher)?;
+            let nearby = confidence::nearby(scene, points, surface, visibility, watcher)?;
+            Ok((nearby.times(masks, visibility)?, confidence::picture_warnings(scene, &faults)))
+        }
     }
 }
 
 /// Compares the pictures of candidate pairs, within what the backend can match of each.
 fn agreement(
-    project: &Project,
+    pictures: &Pictures,
     geometry: &Geometry,
     points: &ViewPoints,
     candidates: &Candidates,
@@ -320,7 +291,7 @@ fn agreement(
     };
     let reach = ProgramReach { program: matcher.numbers.reach.map(|_| matcher.name), of_pair: &of_pair };
     let partners = |view| candidates.candidates_of(view);
-    Ok(Agreement::new(geometry, &Pictures::new(project), partners, &reach, most_samples, watcher)?)
+    Ok(Agreement::new(geometry, pictures, partners, &reach, most_samples, watcher)?)
 }
 
 /// Finds the candidate partners of each view within the gate, among pairs that the backend can match and that have images.

@@ -3,7 +3,7 @@
 use super::{Band, Cut, FinishedMaps, Stages};
 use crate::method::ranking::Ranking;
 use crate::{
-    config::{ConfidenceForm, Settings, SurfaceChoice},
+    config::{Settings, SurfaceChoice},
     method::{confidence::Confidence, surface::SurfaceKind},
     model::scene::Scene,
 };
@@ -24,12 +24,10 @@ const NAMED: usize = 3;
 
 pub(super) fn warnings(stages: &Stages, ranking: &Ranking, cut: &Cut, finished: &FinishedMaps) -> Vec<String> {
     let mut warnings: Vec<String> = stages.scene.warnings.iter().map(|warning| warning.text.clone()).collect();
-    warnings.extend(stages.pictures.warnings.iter().cloned());
+    warnings.extend(stages.picture_warnings.iter().cloned());
     warnings.extend(unlikely_gsd(&stages.scene, &stages.settings));
     warnings.extend(no_utm_coordinates(stages));
     warnings.extend(no_3d_surface(stages));
-    warnings.extend(unlike_pictures(stages));
-    warnings.extend(other_backend(stages));
     warnings.extend(without_effect(stages));
     warnings.extend(one_size(stages));
     warnings.extend(single_partner(stages));
@@ -106,32 +104,12 @@ fn outdated(stages: &Stages, finished: &FinishedMaps) -> Option<String> {
     })
 }
 
-/// Warns of images unlike those that the trained model has seen.
-fn unlike_pictures(stages: &Stages) -> Option<String> {
-    let distance = stages.pictures.distance.filter(|&distance| distance > 1.0 && stages.trained.is_some())?;
-    Some(format!(
-        "the images are unlike those that the confidence was trained on (distance {distance:.1}, within 1 for 95 % of the training images): \
-         compute some depth maps and train on them (viewrank train), or use --confidence geometric"
-    ))
-}
-
-/// Warns of a model trained on another backend's depth maps.
-fn other_backend(stages: &Stages) -> Option<String> {
-    let trained = stages.trained.as_ref().filter(|trained| trained.backend != stages.backend)?;
-    Some(format!(
-        "the confidence was trained on {} depth maps, but the plan is for {}",
-        trained.backend, stages.backend
-    ))
-}
-
 /// Warns of confidence settings that the confidence source in force ignores.
 fn without_effect(stages: &Stages) -> Option<String> {
     let set = &stages.settings.confidence;
     let pair = matches!(stages.confidence, Confidence::Pair(_) | Confidence::Photometric { .. });
     let photometric = matches!(stages.confidence, Confidence::Photometric { .. });
-    let paper = matches!(stages.confidence, Confidence::Paper { .. });
     let ignored = [
-        ("form", set.form == ConfidenceForm::Paper && !paper),
         ("p0", set.p0.is_some() && !pair),
         ("cosine_power", set.cosine_power.is_some() && !pair),
         ("scale_octaves", set.scale_octaves.is_some() && !pair),
@@ -143,7 +121,7 @@ fn without_effect(stages: &Stages) -> Option<String> {
     ];
     let names: Vec<String> =
         ignored.into_iter().filter(|(_, is)| *is).map(|(name, _)| format!("confidence.{name}")).collect();
-    let source = &set.source;
+    let source = set.source;
     (!names.is_empty())
         .then(|| format!("confidence.source = {source} ignores {}; remove the setting", names.join(", ")))
 }

@@ -123,7 +123,7 @@ pub fn files(plan: &Plan, project: &Project) -> Result<PlanFiles, FilesError> {
         let folder = export.files.root.clone();
         place::set_of_folder(&folder, [export.files], project)
     });
-    let sets: Vec<FileSet> = std::iter::once(own).chain(exports).chain(caches(plan, project)).chain(stale).collect();
+    let sets: Vec<FileSet> = std::iter::once(own).chain(exports).chain(cache(plan, project)).chain(stale).collect();
     let outdated_exports = outdated::exports(plan, project, &sets);
     Ok(PlanFiles { manifest, sets, outdated_exports, place, not_exported, command })
 }
@@ -144,19 +144,13 @@ fn stale_page(project: &Project, manifest: &Manifest) -> Option<FileSet> {
     Some(set)
 }
 
-/// Returns the caches of image measurements for the next plan, if there are new measurements.
-fn caches(plan: &Plan, project: &Project) -> impl Iterator<Item = FileSet> {
-    let stages = &plan.stages;
-    let maps = stages.pictures.cache.clone().map(|bytes| ("cache", confidence::CACHE, Contents::Bytes(bytes)));
-    let agreement = stages.agreement.cache_head.clone().map(|head| {
-        let contents = Contents::Table { head, rows: stages.agreement.values.clone() };
-        ("agreement", confidence::AGREEMENT_CACHE, contents)
-    });
-    maps.into_iter().chain(agreement).map(|(name, path, contents)| {
-        let mut set = FileSet::new(&project.home, name);
-        set.add(path, contents);
-        set
-    })
+/// Returns the cache of compared pictures for the next plan, if pictures were compared now.
+fn cache(plan: &Plan, project: &Project) -> Option<FileSet> {
+    let agreement = &plan.stages.agreement;
+    let mut set = FileSet::new(&project.home, "agreement");
+    let head = agreement.cache_head.clone()?;
+    set.add(confidence::AGREEMENT_CACHE, Contents::Table { head, rows: agreement.values.clone() });
+    Some(set)
 }
 
 /// Returns the shell command that enters the folder of the export and starts its runner, or else its first command.

@@ -26,12 +26,6 @@ pub fn add(plan: &Plan, files: &mut FileSet) {
     table("visible", array(&[plan.stages.visibility.triangles.len(), 2], visible));
     let unary = (0..plan.stages.visibility.triangles.len()).map(|row| plan.stages.unary.confidence(row));
     table("unary", array(&[plan.stages.visibility.triangles.len()], unary));
-    if let Confidence::Trained(_) = plan.stages.confidence {
-        table(
-            "partner_odds",
-            array(&[plan.stages.unary.partner_odds.len()], plan.stages.unary.partner_odds.iter().copied()),
-        );
-    }
     if let Confidence::Photometric { .. } = plan.stages.confidence {
         let agreement = &plan.stages.agreement;
         table("agreement_partners", indices(&agreement.partners));
@@ -74,9 +68,6 @@ fn add_json(plan: &Plan, files: &mut FileSet) {
         "backend": plan.stages.backend,
         "accuracy_over_gsd": plan.stages.target.accuracy_over_gsd,
     });
-    if let Confidence::Trained(curves) = &plan.stages.confidence {
-        settings["in_force"]["pair_curves"] = json!(curves);
-    }
     files.add_text("settings.json", format!("{settings:#}\n"));
 }
 

@@ -134,8 +134,6 @@ class Tables:
         split = np.searchsorted(self.visible[:, 0], np.arange(len(self.views) + 1))
         self.seen = [self.visible[a:b, 1] for a, b in zip(split, split[1:])]
         self.seen_unary = [self.unary[a:b] for a, b in zip(split, split[1:])]
-        if hasattr(self, "partner_odds"):
-            self.seen_odds = [self.partner_odds[a:b] for a, b in zip(split, split[1:])]
 
     def partners_of(self, cluster):
         return self.partners[self.partner_offsets[cluster]:self.partner_offsets[cluster + 1]]
@@ -198,7 +196,7 @@ def f_unc(model, tables, key, partners, seen, sees, accuracy):
 
 def f_conf(model, tables, key, partners, seen, sees):
     """P(at least `min_matches` of the independent matches succeed), by the distribution of their number."""
-    settings, settings_in_force = tables.settings["confidence"], tables.settings["in_force"]
+    settings = tables.settings["confidence"]
     if settings["source"] == "none":
         return np.ones(len(seen))
     chances = np.zeros((len(partners), len(seen)))
@@ -210,20 +208,14 @@ def f_conf(model, tables, key, partners, seen, sees):
             agree, differ = settings["agree"], settings["differ"]
             chances[i, here] = np.where(agreed > 0, differ + (agree - differ) * np.minimum((agreed - 1) / 254 / settings["full_agreement"], 1), 0)
             continue
-        if "pair_curves" in settings_in_force:
-            odds = trained_odds(model, tables, settings_in_force["pair_curves"], key, partner, seen[here])
-            chances[i, here] = 1 / (1 + np.exp(-(odds + tables.seen_odds[partner][row])))
-            continue
         mean = 0.5 * (tables.seen_unary[key][here].astype(float) + tables.seen_unary[partner][row])
-        pair = 1 if settings["form"] == "paper" else geometric(model, tables, settings, key, partner, seen[here])
-        chances[i, here] = mean * pair
+        chances[i, here] = mean * geometric(model, tables, settings, key, partner, seen[here])
     at_most = np.zeros((len(partners) + 1, len(seen)))
     at_most[0] = 1
     for chance in chances:
         at_most[1:] = at_most[1:] * (1 - chance) + at_most[:-1] * chance
         at_most[0] *= 1 - chance
-    enough = at_most[settings["min_matches"]:].sum(axis=0)
-    return enough * tables.seen_unary[key] if "pair_curves" in settings_in_force else enough
+    return at_most[settings["min_matches"]:].sum(axis=0)
 
 
 def geometric(model, tables, settings, key, partner, triangles):
@@ -235,14 +227,6 @@ def geometric(model, tables, settings, key, partner, triangles):
     if settings["full_angle"] > 0:
         p *= np.minimum(angle / settings["full_angle"], 1)
     return p
-
-
-def trained_odds(model, tables, pair, key, partner, triangles):
-    """Log odds of a match by the curves of a trained model, each linear between its knots."""
-    cos_key, cos_partner, octaves, angle = constellation(model, tables, key, partner, triangles)
-    numbers = [cos_partner, np.minimum(cos_key, cos_partner), octaves, np.log2(angle)]
-    knots = [np.linspace(curve["low"], curve["high"], len(curve["values"])) for curve in pair["curves"]]
-    return pair["bias"] + sum(np.interp(x, at, curve["values"]) for x, at, curve in zip(numbers, knots, pair["curves"]))
 
 
 def constellation(model, tables, key, partner, triangles):

@@ -9,7 +9,7 @@ use std::{
 
 use nalgebra::{Matrix3, Point3};
 use viewrank::internals::{
-    camera::{Camera, CameraModel},
+    camera::CameraModel,
     formats::{Problem, alicevision, bundler, nvm, openmvg, openmvs, opensfm},
     project::{ModelFormat, Project, ProjectKind},
     scene::{PointIndex, Scene, ViewIndex},

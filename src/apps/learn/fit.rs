@@ -1,187 +1,140 @@
-//! Fits the curves of the trained confidence.
-//!
-//! A row is a triangle that a finished view cluster could have measured, with the share of it that succeeded. The predicted probability has the form
-//! that the plan uses: q(key) · P(at least m of the pairs match). All curves are fitted together to the likelihood of the rows, so the result is
-//! calibrated for whole clusters, although single pairs are never observed.
+//! Maximum likelihood of the four numbers, by a search on ever finer grids.
 
-use rayon::prelude::*;
+use super::Numbers;
+use crate::method::confidence::{Photometric, at_least};
 
-use crate::method::confidence::{
-    curves::{self, KNOTS, PAIR, PLACE, PairCurves, PiecewiseLinear, PlaceCurves},
-    trees::logistic,
-};
+/// Limits of the predicted chance, so that no single outcome decides.
+const CHANCES: (f64, f64) = (0.001, 0.999);
+/// First step of the search, and the step below which it ends.
+const STEPS: (f64, f64) = (0.16, 0.01);
+/// Ranges of agree, differ and full_agreement.
+const RANGES: [(f64, f64); 3] = [(0.05, 0.99), (0.0, 0.98), (0.2, 1.0)];
 
-/// Number of gradient steps, and the length of the first ones.
-const STEPS: usize = 200;
-const RATE: f32 = 0.08;
-/// Regularisation: weights of the squared second differences of a curve and of its squared values, against the mean loss of a row.
-const ROUGHNESS: f32 = 2e-4;
-const SIZE: f32 = 2e-5;
-/// Rows per partial sum of gradients.
-const CHUNK: usize = 2048;
-
-/// A pair of the row's cluster whose partner sees the triangle.
-#[derive(Clone, Copy, Debug)]
-pub struct PairRow {
-    pub numbers: [f32; PAIR.len()],
-    /// Features in the partner's view.
-    pub place: [f32; PLACE.len()],
+/// What came of the triangles of finished clusters.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) struct Outcomes {
+    /// End of each triangle's pairs.
+    ends: Vec<u32>,
+    /// Agreement of each pair (method 7.4).
+    pairs: Vec<u8>,
+    /// Share of the triangle's pixels with a depth, 0 to 1.
+    shares: Vec<f32>,
+    weights: Vec<f32>,
 }
 
-/// A triangle of a finished cluster.
-#[derive(Clone, Debug)]
-pub struct TrainingRow {
-    /// Features in the key view.
-    pub place: [f32; PLACE.len()],
-    pub pairs: Vec<PairRow>,
-    /// Share of the triangle's judged pixels that succeeded.
-    pub success: f32,
-    pub weight: f32,
-}
-
-/// All curves.
-#[derive(Clone, Debug, PartialEq)]
-pub struct FittedCurves {
-    pub pair: PairCurves,
-    pub place: PlaceCurves,
-}
-
-/// Parameters: bias of q, bias of pairs, then the knots of the key's, the partner's and the pair's curves.
-const KEY: usize = 2;
-const PARTNER: usize = KEY + PLACE.len() * KNOTS;
-const BETWEEN: usize = PARTNER + PLACE.len() * KNOTS;
-const COUNT: usize = BETWEEN + PAIR.len() * KNOTS;
-
-impl FittedCurves {
-    /// Returns the probability that the row succeeds.
-    pub fn chance(&self, row: &TrainingRow) -> f32 {
-        let q = logistic(self.place.bias + curves::sum(&self.place.key, &row.place));
-        let odds = |pair: &PairRow| self.pair.odds(&pair.numbers) + curves::sum(&self.place.partner, &pair.place);
-        q * at_least(row.pairs.iter().map(|pair| logistic(odds(pair))), self.pair.min_matches as usize)
+impl Outcomes {
+    pub fn push(&mut self, pairs: &[u8], share: f32, weight: f32) {
+        self.pairs.extend(pairs);
+        self.ends.push(self.pairs.len() as u32);
+        self.shares.push(share);
+        self.weights.push(weight);
     }
 
-    /// Fits the curves to the likelihood of the rows.
-    pub fn fit(rows: &[TrainingRow], min_matches: u32) -> Self {
-        let total: f32 = rows.iter().map(|row| row.weight).sum::<f32>().max(f32::MIN_POSITIVE);
-        let mut parameters = vec![0.0f32; COUNT];
-        (parameters[0], parameters[1]) = (2.0, 1.0);
-        let (mut first, mut second) = (vec![0.0f32; COUNT], vec![0.0f32; COUNT]);
-        for step in 1..=STEPS {
-            let mut gradient = gradient(rows, &parameters, min_matches as usize);
-            gradient.iter_mut().for_each(|g| *g /= total);
-            add_penalties(&parameters, &mut gradient);
-            // Adam (Kingma, Ba 2015), its rate falling to 0.
-            let rate = RATE * (1.0 - (step - 1) as f32 / STEPS as f32);
-            let (correct1, correct2) = (1.0 - 0.9f32.powi(step as i32), 1.0 - 0.999f32.powi(step as i32));
-            for i in 0..COUNT {
-                first[i] = 0.9 * first[i] + 0.1 * gradient[i];
-                second[i] = 0.999 * second[i] + 0.001 * gradient[i] * gradient[i];
-                parameters[i] -= rate * (first[i] / correct1) / ((second[i] / correct2).sqrt() + 1e-8);
-            }
+    pub fn len(&self) -> usize {
+        self.ends.len()
+    }
+
+    pub fn is_empty(&self) -> bool {
+        self.ends.is_empty()
+    }
+
+    fn each(&self) -> impl Iterator<Item = (&[u8], f32, f32)> {
+        let starts = std::iter::once(0).chain(self.ends.iter().copied());
+        let pairs = starts.zip(&self.ends).map(|(start, &end)| &self.pairs[start as usize..end as usize]);
+        pairs.zip(&self.shares).zip(&self.weights).map(|((pairs, &share), &weight)| (pairs, share, weight))
+    }
+
+    pub fn joined(all: Vec<Self>) -> Self {
+        Self::of(all.iter().flat_map(Self::each))
+    }
+
+    fn of<'a>(triangles: impl Iterator<Item = (&'a [u8], f32, f32)>) -> Self {
+        let mut outcomes = Self::default();
+        triangles.for_each(|(pairs, share, weight)| outcomes.push(pairs, share, weight));
+        outcomes
+    }
+
+    /// Every n-th triangle, at most `most`.
+    pub fn thinned(self, most: usize) -> Self {
+        match self.len().div_ceil(most) {
+            0 | 1 => self,
+            step => Self::of(self.each().step_by(step)),
         }
-        Self::from_parameters(&parameters, min_matches)
     }
 
-    fn from_parameters(parameters: &[f32], min_matches: u32) -> Self {
-        let curve = |base: PiecewiseLinear, start: usize| PiecewiseLinear {
-            values: std::array::from_fn(|knot| parameters[start + knot]),
-            ..base
+    /// The first and the second half.
+    pub fn halves(&self) -> [Self; 2] {
+        let middle = self.len() / 2;
+        [Self::of(self.each().take(middle)), Self::of(self.each().skip(middle))]
+    }
+
+    /// Prediction, share and weight of each triangle.
+    pub fn predicted(&self, numbers: &Numbers) -> Vec<(f32, f32, f32)> {
+        let chances = Chances::new(numbers);
+        self.each().map(|(pairs, share, weight)| (chances.of(pairs) as f32, share, weight)).collect()
+    }
+
+    fn loss(&self, numbers: &Numbers) -> f64 {
+        let chances = Chances::new(numbers);
+        let of = |(pairs, share, weight): (&[u8], f32, f32)| {
+            let (chance, share) = (chances.of(pairs).clamp(CHANCES.0, CHANCES.1), f64::from(share));
+            f64::from(weight) * -(share * chance.ln() + (1.0 - share) * (1.0 - chance).ln())
         };
-        let of_place = |start: usize| std::array::from_fn(|i| curve(PLACE[i], start + i * KNOTS));
-        Self {
-            pair: PairCurves {
-                min_matches,
-                bias: parameters[1],
-                curves: std::array::from_fn(|i| curve(PAIR[i], BETWEEN + i * KNOTS)),
-            },
-            place: PlaceCurves { bias: parameters[0], key: of_place(KEY), partner: of_place(PARTNER) },
-        }
+        let weight: f64 = self.weights.iter().map(|&w| f64::from(w)).sum();
+        self.each().map(of).sum::<f64>() / weight.max(1.0)
     }
 }
 
-fn at_least(chances: impl Iterator<Item = f32>, m: usize) -> f32 {
-    let mut at_least = [1.0f32, 0.0, 0.0, 0.0];
-    for p in chances {
-        for i in (1..4).rev() {
-            at_least[i] += p * (at_least[i - 1] - at_least[i]);
-        }
-    }
-    at_least[m]
+/// p by agreement.
+struct Chances {
+    min_matches: u32,
+    by_agreement: [f64; 256],
 }
 
-/// Returns the gradient of the negative log likelihood, summed over the rows in a fixed order.
-fn gradient(rows: &[TrainingRow], parameters: &[f32], m: usize) -> Vec<f32> {
-    let of_chunk = |chunk: &[TrainingRow]| {
-        let mut sum = vec![0.0f32; COUNT];
-        chunk.iter().for_each(|row| add_row(row, parameters, m, &mut sum));
-        sum
+impl Chances {
+    fn new(numbers: &Numbers) -> Self {
+        let by_agreement = std::array::from_fn(|agreement| numbers.photometric.chance(agreement as u8));
+        Self { min_matches: numbers.min_matches, by_agreement }
+    }
+
+    fn of(&self, pairs: &[u8]) -> f64 {
+        at_least(self.min_matches, pairs.iter().map(|&pair| self.by_agreement[usize::from(pair)]))
+    }
+}
+
+/// Returns the numbers of the largest likelihood; each scene counts the same.
+pub(super) fn fit(scenes: &[&Outcomes]) -> Numbers {
+    let loss = |numbers: &Numbers| scenes.iter().map(|outcomes| outcomes.loss(numbers)).sum::<f64>();
+    let of_matches = |min_matches| search(min_matches, &loss);
+    (1..=3).map(of_matches).min_by(|a, b| a.0.total_cmp(&b.0)).expect("three candidates").1
+}
+
+/// Moves to the best neighbour on a grid of the three numbers, which may trade one for another, as long as the loss falls, then halves the step.
+fn search(min_matches: u32, loss: &dyn Fn(&Numbers) -> f64) -> (f64, Numbers) {
+    let numbers = |[agree, differ, full_agreement]: [f64; 3]| Numbers {
+        min_matches,
+        photometric: Photometric { agree, differ: differ.min(agree), full_agreement },
     };
-    let chunks: Vec<Vec<f32>> = rows.par_chunks(CHUNK).map(of_chunk).collect();
-    let mut total = vec![0.0; COUNT];
-    for chunk in chunks {
-        total.iter_mut().zip(chunk).for_each(|(sum, g)| *sum += g);
-    }
-    total
-}
-
-fn add_row(row: &TrainingRow, parameters: &[f32], m: usize, sum: &mut [f32]) {
-    let q = logistic(parameters[0] + value(&PLACE, &row.place, parameters, KEY));
-    let odds = |pair: &PairRow| {
-        parameters[1]
-            + value(&PAIR, &pair.numbers, parameters, BETWEEN)
-            + value(&PLACE, &pair.place, parameters, PARTNER)
-    };
-    let chances: Vec<f32> = row.pairs.iter().map(|pair| logistic(odds(pair))).collect();
-    let enough = at_least(chances.iter().copied(), m);
-    let f = (q * enough).clamp(1e-4, 1.0 - 1e-4);
-    let by_f = row.weight * ((1.0 - row.success) / (1.0 - f) - row.success / f);
-    let by_q = by_f * enough * q * (1.0 - q);
-    sum[0] += by_q;
-    add(&PLACE, &row.place, by_q, sum, KEY);
-    for (i, (pair, &p)) in row.pairs.iter().zip(&chances).enumerate() {
-        let rest = || chances.iter().enumerate().filter(|(j, _)| *j != i).map(|(_, &p)| p);
-        // One more match decides where exactly m - 1 of the others succeed.
-        let decisive = at_least(rest(), m - 1) - at_least(rest(), m);
-        let by_odds = by_f * q * decisive * p * (1.0 - p);
-        sum[1] += by_odds;
-        add(&PAIR, &pair.numbers, by_odds, sum, BETWEEN);
-        add(&PLACE, &pair.place, by_odds, sum, PARTNER);
-    }
-}
-
-/// Returns the sum of the curves whose knots begin at `start`.
-fn value(curves: &[PiecewiseLinear], numbers: &[f32], parameters: &[f32], start: usize) -> f32 {
-    let each = curves.iter().zip(numbers).enumerate();
-    each.filter_map(|(i, (curve, &x))| {
-        let b = curve.between(x)?;
-        let knot = start + i * KNOTS + b.knot;
-        Some(parameters[knot] * b.share + parameters[knot + 1] * b.next)
-    })
-    .sum()
-}
-
-fn add(curves: &[PiecewiseLinear], numbers: &[f32], slope: f32, sum: &mut [f32], start: usize) {
-    for (i, (curve, &x)) in curves.iter().zip(numbers).enumerate() {
-        if let Some(b) = curve.between(x) {
-            let knot = start + i * KNOTS + b.knot;
-            sum[knot] += slope * b.share;
-            sum[knot + 1] += slope * b.next;
+    let mut at = [0.9, 0.1, 0.8];
+    let mut least = loss(&numbers(at));
+    let mut step = STEPS.0;
+    while step >= STEPS.1 {
+        let moved = |direction: u32, axis: u32| f64::from(direction / 3u32.pow(axis) % 3) - 1.0;
+        let neighbour = |direction: u32| -> [f64; 3] {
+            let along = |axis: usize| at[axis] + step * moved(direction, axis as u32);
+            [0, 1, 2].map(|axis| along(axis).clamp(RANGES[axis].0, RANGES[axis].1))
+        };
+        let around = (0..27).map(neighbour).map(|next| (loss(&numbers(next)), next));
+        let best = around.min_by(|a, b| a.0.total_cmp(&b.0)).expect("27 neighbours");
+        if best.0 < least {
+            (least, at) = best;
+        } else {
+            step /= 2.0;
         }
     }
-}
-
-fn add_penalties(parameters: &[f32], gradient: &mut [f32]) {
-    for curve in (KEY..COUNT).step_by(KNOTS) {
-        for i in curve..curve + KNOTS {
-            gradient[i] += 2.0 * SIZE * parameters[i];
-        }
-        for i in curve + 1..curve + KNOTS - 1 {
-            let bend = parameters[i - 1] - 2.0 * parameters[i] + parameters[i + 1];
-            gradient[i - 1] += 2.0 * ROUGHNESS * bend;
-            gradient[i] -= 4.0 * ROUGHNESS * bend;
-            gradient[i + 1] += 2.0 * ROUGHNESS * bend;
-        }
-    }
+    // Two decimals are what the data can tell.
+    let rounded = numbers(at.map(|x| (100.0 * x).round() / 100.0));
+    (least, rounded)
 }
 
 #[cfg(test)]
@@ -190,74 +143,42 @@ mod tests {
 
     use super::*;
 
-    fn rows(count: usize, seed: u64) -> (Vec<TrainingRow>, Vec<f32>) {
+    /// Triangles whose pixels succeed by these numbers.
+    fn drawn(numbers: &Numbers, count: usize, seed: u64) -> Outcomes {
         let mut random = rand_pcg::Pcg64Mcg::seed_from_u64(seed);
-        let mut unit = || (random.next_u32() >> 8) as f32 / (1 << 24) as f32;
-        let mut truth = Vec::new();
-        let mut row = || {
-            let mut place = [f32::NAN; PLACE.len()];
-            place[2] = unit();
-            let pair = |unit: &mut dyn FnMut() -> f32| {
-                let mut numbers = [f32::NAN; PAIR.len()];
-                numbers[0] = unit();
-                PairRow { numbers, place: [f32::NAN; PLACE.len()] }
-            };
-            let pairs: Vec<PairRow> = (0..4).map(|_| pair(&mut unit)).collect();
-            let q = if place[2] > 0.5 { 0.9 } else { 0.3 };
-            let chance = q * at_least(pairs.iter().map(|p| p.numbers[0]), 2);
-            truth.push(chance);
-            TrainingRow { place, pairs, success: f32::from(u8::from(unit() < chance)), weight: 1.0 }
-        };
-        let rows = (0..count).map(|_| row()).collect();
-        (rows, truth)
+        let chances = Chances::new(numbers);
+        let mut outcomes = Outcomes::default();
+        for _ in 0..count {
+            let pairs: [u8; 5] = std::array::from_fn(|_| (random.next_u32() >> 24) as u8);
+            let success = f64::from(random.next_u32()) / f64::from(u32::MAX) < chances.of(&pairs);
+            outcomes.push(&pairs, f32::from(u8::from(success)), 1.0);
+        }
+        outcomes
     }
 
     #[test]
-    fn finds_the_chances_of_pairs_that_are_never_observed_alone() {
-        let curves = FittedCurves::fit(&rows(20_000, 1).0, 2);
-        let (rows, truth) = rows(2000, 2);
-        let errors = rows.iter().zip(&truth).map(|(row, truth)| (curves.chance(row) - truth).abs());
-        let mean = errors.sum::<f32>() / rows.len() as f32;
-        assert!(mean < 0.03, "{mean}");
-    }
-
-    #[test]
-    fn the_gradient_is_that_of_the_likelihood() {
-        let (rows, _) = rows(50, 3);
-        let mut random = rand_pcg::Pcg64Mcg::seed_from_u64(4);
-        let parameters: Vec<f32> =
-            (0..COUNT).map(|_| (random.next_u32() >> 8) as f32 / (1 << 24) as f32 - 0.5).collect();
-        let loss = |parameters: &[f32]| -> f64 {
-            let curves = FittedCurves::from_parameters(parameters, 2);
-            let of = |row: &TrainingRow| {
-                let f = f64::from(curves.chance(row));
-                -f64::from(row.success) * f.ln() - (1.0 - f64::from(row.success)) * (1.0 - f).ln()
-            };
-            rows.iter().map(of).sum()
-        };
-        let gradient = gradient(&rows, &parameters, 2);
-        for i in [0, 1, KEY + 2 * KNOTS + 3, KEY + 2 * KNOTS + 9, BETWEEN + 2, BETWEEN + 8] {
-            let moved = |by: f32| {
-                let mut moved = parameters.clone();
-                moved[i] += by;
-                loss(&moved)
-            };
-            let numeric = (moved(1e-2) - moved(-1e-2)) / 2e-2;
-            assert!(
-                (numeric - f64::from(gradient[i])).abs() < 1e-2 * numeric.abs().max(1.0),
-                "{i} {numeric} {}",
-                gradient[i]
-            );
+    fn finds_the_numbers_that_outcomes_were_drawn_with() {
+        for (min_matches, agree, differ, full_agreement) in
+            [(1, 0.6, 0.05, 0.7), (2, 0.9, 0.2, 0.9), (3, 0.95, 0.4, 0.6)]
+        {
+            let numbers = Numbers { min_matches, photometric: Photometric { agree, differ, full_agreement } };
+            let fitted = fit(&[&drawn(&numbers, 20_000, 7)]);
+            assert_eq!(fitted.min_matches, min_matches, "{fitted:?}");
+            let (a, b) = (fitted.photometric, numbers.photometric);
+            assert!((a.agree - b.agree).abs() < 0.05 && (a.differ - b.differ).abs() < 0.05, "{fitted:?}");
+            assert!((a.full_agreement - b.full_agreement).abs() < 0.1, "{fitted:?}");
         }
     }
 
     #[test]
-    fn the_same_on_any_number_of_threads() {
-        let (rows, _) = rows(5000, 5);
-        let fit = |threads| {
-            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-            pool.install(|| gradient(&rows, &vec![0.1; COUNT], 2))
-        };
-        assert_eq!(fit(1), fit(3));
+    fn parts_are_all_of_it() {
+        let numbers =
+            Numbers { min_matches: 2, photometric: Photometric { agree: 0.9, differ: 0.1, full_agreement: 0.8 } };
+        let all = drawn(&numbers, 101, 1);
+        let [first, second] = all.halves();
+        assert_eq!((first.len(), second.len()), (50, 51));
+        assert_eq!(Outcomes::joined(vec![first, second]), all);
+        assert_eq!(all.clone().thinned(40).len(), 34);
+        assert_eq!(all.clone().thinned(101), all);
     }
 }

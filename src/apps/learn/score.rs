@@ -4,7 +4,7 @@
 const RANGES: usize = 10;
 
 /// Quality of predictions against outcomes.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq, serde::Serialize)]
 pub struct Scores {
     pub count: usize,
     /// Area under the ROC curve; an outcome between 0 and 1 counts as that share of a success and the rest as a failure.

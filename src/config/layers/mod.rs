@@ -45,9 +45,6 @@ impl Hint for UnknownBackend {
     }
 }
 
-/// Values of `confidence.source` that are not model files.
-pub const CONFIDENCE_WORDS: [&str; 7] = ["none", "geometric", "photometric", "proxy", "auto", "shipped", "project"];
-
 /// Settings files; missing ones are skipped.
 #[derive(Clone, Debug, Default)]
 pub struct Files {
@@ -256,7 +253,6 @@ fn from_file(key: &str, value: &Value, file: &Path) -> Value {
     let names_file = |text: &&str| match key {
         "surface.mesh" | "images" => true,
         "region" => RegionChoice::is_file(text),
-        "confidence.source" => !CONFIDENCE_WORDS.contains(text),
         _ => false,
     };
     match (value.as_str().filter(names_file), file.parent().map(std::path::absolute)) {

@@ -3,7 +3,6 @@
 
 use nalgebra::Point3;
 
-use super::curves::PAIR;
 use crate::{config::ConfidenceSettings, method::geometry::Geometry, model::scene::ViewIndex};
 
 /// Parameters of the geometric confidence (method 7.2); each backend has its own.
@@ -71,13 +70,6 @@ impl Constellation {
             octaves: (to(partner).norm() / to(key).norm()).log2(),
             angle_deg: to(key).angle(&to(partner)).to_degrees(),
         }
-    }
-}
-
-impl Constellation {
-    /// Returns the inputs of the curves of a trained pair: the partner's cosine, the smaller cosine, octaves, log2 of the angle.
-    pub fn numbers(&self) -> [f32; PAIR.len()] {
-        [self.cos_partner, self.cos_key.min(self.cos_partner), self.octaves, self.angle_deg.log2()].map(|n| n as f32)
     }
 }
 

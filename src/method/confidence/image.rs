@@ -1,4 +1,4 @@
-//! Decodes pictures at reduced size (method 7.3): JPEG at a fraction of its size, PNG and TIFF completely, then reduced.
+//! Decodes pictures at reduced size (method 7.4): JPEG at a fraction of its size, PNG and TIFF completely, then reduced.
 //!
 //! Pixels keep their position in the file: EXIF orientation is never applied, because poses and observations refer to the file.
 
@@ -134,8 +134,8 @@ fn jpeg_grey(bytes: &[u8]) -> Result<(Vec<u8>, [u32; 2]), ImageError> {
     }
 }
 
-/// Returns the size of the picture that confidence is predicted from: three quarters of a megapixel or a quarter of the side, whichever is larger.
-pub fn size_for_confidence(full: [u32; 2]) -> [u32; 2] {
+/// Returns the size at which a picture is drawn: three quarters of a megapixel or a quarter of the side, whichever is larger.
+pub fn drawn_size(full: [u32; 2]) -> [u32; 2] {
     let pixels = f64::from(full[0]) * f64::from(full[1]);
     let scale = (LEAST_PIXELS / pixels).sqrt().clamp(LEAST_SCALE, 1.0);
     full.map(|side| ((f64::from(side) * scale).round() as u32).max(1))
@@ -271,7 +271,7 @@ mod tests {
             (&ramp, ImageFormat::Tiff),
             (&deep, ImageFormat::Tiff),
         ] {
-            let image = Image::decode(&encoded(image, format), size_for_confidence).unwrap();
+            let image = Image::decode(&encoded(image, format), drawn_size).unwrap();
             assert_eq!((image.width, image.height, image.full), (1000, 750, [1600, 1200]));
             assert_is_ramp(&image);
         }
@@ -279,10 +279,10 @@ mod tests {
 
     #[test]
     fn large_images_keep_a_quarter_of_their_side_and_small_ones_all() {
-        assert_eq!(size_for_confidence([8000, 6000]), [2000, 1500]);
-        assert_eq!(size_for_confidence([4000, 3000]), [1000, 750]);
-        assert_eq!(size_for_confidence([640, 480]), [640, 480]);
-        assert_eq!(size_for_confidence([100_000, 1]), [100_000, 1]);
+        assert_eq!(drawn_size([8000, 6000]), [2000, 1500]);
+        assert_eq!(drawn_size([4000, 3000]), [1000, 750]);
+        assert_eq!(drawn_size([640, 480]), [640, 480]);
+        assert_eq!(drawn_size([100_000, 1]), [100_000, 1]);
     }
 
     #[test]
@@ -291,10 +291,7 @@ mod tests {
         // APP1 with a TIFF header and one entry: orientation (0x0112), short, 1 value, 6 (turn by 90 degrees).
         let exif = b"\xff\xe1\0\x22Exif\0\0II*\0\x08\0\0\0\x01\0\x12\x01\x03\0\x01\0\0\0\x06\0\0\0\0\0\0\0".to_vec();
         let turned = [&plain[..2], &exif[..], &plain[2..]].concat();
-        assert_eq!(
-            Image::decode(&turned, size_for_confidence).unwrap(),
-            Image::decode(&plain, size_for_confidence).unwrap()
-        );
+        assert_eq!(Image::decode(&turned, drawn_size).unwrap(), Image::decode(&plain, drawn_size).unwrap());
     }
 
     /// Made by another program (fixtures/pictures).
@@ -333,11 +330,11 @@ mod tests {
 
     #[test]
     fn what_is_no_image_is_called_so() {
-        assert!(matches!(Image::decode(b"not an image at all", size_for_confidence), Err(ImageError::Unknown)));
+        assert!(matches!(Image::decode(b"not an image at all", drawn_size), Err(ImageError::Unknown)));
         let cut = &encoded(&ramp(64, 64), ImageFormat::Jpeg)[..300];
-        assert!(matches!(Image::decode(cut, size_for_confidence), Err(ImageError::Jpeg(_))));
+        assert!(matches!(Image::decode(cut, drawn_size), Err(ImageError::Jpeg(_))));
         let cut = &encoded(&ramp(64, 64), ImageFormat::Png)[..300];
-        assert!(matches!(Image::decode(cut, size_for_confidence), Err(ImageError::Other(_))));
+        assert!(matches!(Image::decode(cut, drawn_size), Err(ImageError::Other(_))));
     }
 
     proptest! {
@@ -347,9 +344,9 @@ mod tests {
                 let mut bytes = encoded(&ramp(24, 16), format);
                 let at = at % bytes.len();
                 bytes[at] = byte;
-                let _ = Image::decode(&bytes, size_for_confidence);
+                let _ = Image::decode(&bytes, drawn_size);
                 bytes.truncate(keep);
-                let _ = Image::decode(&bytes, size_for_confidence);
+                let _ = Image::decode(&bytes, drawn_size);
             }
         }
 
@@ -369,7 +366,7 @@ mod tests {
     #[test]
     fn grey_becomes_rgb() {
         let grey: ImageBuffer<image::Luma<u8>, _> = GrayImage::from_pixel(30, 20, image::Luma([90]));
-        let image = Image::decode(&encoded(&grey.into(), ImageFormat::Jpeg), size_for_confidence).unwrap();
+        let image = Image::decode(&encoded(&grey.into(), ImageFormat::Jpeg), drawn_size).unwrap();
         assert!(image.rgb.iter().all(|v| v.abs_diff(90) <= 1));
     }
 }

@@ -1,4 +1,4 @@
-//! Evidence of the sparse points around a triangle: a view that observes them was matched there before (method 7.2; 7.3 for trained models).
+//! Evidence of the sparse points around a triangle: a view that observes them was matched there before (method 7.2).
 
 use nalgebra::Point3;
 use rayon::prelude::*;
@@ -29,19 +29,18 @@ pub fn nearby(
     if scene.points.is_empty() {
         return Ok(Unary::certain());
     }
-    let said = |share| UNOBSERVED + (1.0 - UNOBSERVED) * share;
-    let values = Nearest::new(scene, surface, watcher)?.observed(scene, points, visibility, said, watcher)?;
-    Ok(Unary { values, ..Unary::certain() })
+    let values = Nearest::new(scene, surface, watcher)?.confidence(scene, points, visibility, watcher)?;
+    Ok(Unary { values })
 }
 
 /// The sparse points nearest to the centroid of each triangle, the same number for each.
-pub(super) struct Nearest {
+struct Nearest {
     around: usize,
     points: Vec<u32>,
 }
 
 impl Nearest {
-    pub fn new(scene: &Scene, surface: &Surface, watcher: &dyn Watcher) -> Result<Self, Cancelled> {
+    fn new(scene: &Scene, surface: &Surface, watcher: &dyn Watcher) -> Result<Self, Cancelled> {
         let tree = KdTree::new(&scene.points);
         watcher.check()?;
         let around = AROUND.min(scene.points.len());
@@ -54,17 +53,16 @@ impl Nearest {
     }
 
     /// Returns the nearest points, nearest first.
-    pub fn points_near(&self, triangle: u32) -> &[u32] {
+    fn points_near(&self, triangle: u32) -> &[u32] {
         &self.points[self.around * triangle as usize..][..self.around]
     }
 
-    /// Maps, for each row of the visibility table, the share of the nearest points that the view observes through `said`; NaN without points.
-    pub fn observed(
+    /// Returns, for each row of the visibility table, 0.5 to 1 by the share of the nearest points that the view observes.
+    fn confidence(
         &self,
         scene: &Scene,
         points: &ViewPoints,
         visibility: &Visibility,
-        said: impl Fn(f32) -> f32 + Sync + Send,
         watcher: &dyn Watcher,
     ) -> Result<Column<f32>, TableError> {
         let of_view = |observed: &mut Vec<bool>, view: ViewIndex| {
@@ -72,23 +70,14 @@ impl Nearest {
             points.observed_by(view).iter().for_each(|p| observed[p.index()] = true);
             let of_triangle = |&t: &u32| {
                 let around = self.points_near(t);
-                said(around.iter().filter(|&&p| observed[p as usize]).count() as f32 / around.len() as f32)
+                let share = around.iter().filter(|&&p| observed[p as usize]).count() as f32 / around.len() as f32;
+                UNOBSERVED + (1.0 - UNOBSERVED) * share
             };
             let row: Vec<f32> = visibility.triangles_seen_by(view).iter().map(of_triangle).collect();
             points.observed_by(view).iter().for_each(|p| observed[p.index()] = false);
             Ok(row)
         };
         visibility.column(|| vec![false; scene.points.len()], of_view)
-    }
-
-    /// Returns the mean distance of the nearest points from the centroid and their largest distance from the triangle's plane, scene units; NaN
-    /// without points.
-    pub fn spacing_and_roughness(&self, scene: &Scene, surface: &Surface, triangle: u32) -> [f64; 2] {
-        let (centroid, normal) = (surface.centroid(triangle), surface.area_normal(triangle).normalize());
-        let around = self.points_near(triangle);
-        let away = || around.iter().map(|&p| scene.points[p as usize] - centroid);
-        let spacing = away().map(|d| d.norm()).sum::<f64>() / around.len() as f64;
-        [spacing, away().map(|d| d.dot(&normal).abs()).fold(f64::NAN, f64::max)]
     }
 }
 

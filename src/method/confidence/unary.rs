@@ -1,14 +1,19 @@
-//! Averages confidence maps of pictures over the triangles that each view sees (method 7.3).
+//! Confidence of each view at each triangle that it sees: the sparse points and the mask there (method 7.2).
+
+use std::sync::Mutex;
 
 use nalgebra::Point2;
 
-use super::ConfidenceMap;
+use super::{
+    image::{ImageError, Mask},
+    pictures::Pictures,
+};
 use crate::{
     base::{
         column::{Column, TableError},
         progress::Watcher,
     },
-    method::{surface::Surface, visibility::Visibility},
+    method::{geometry::Geometry, surface::Surface, visibility::Visibility},
     model::{
         camera::Camera,
         scene::{Scene, ViewIndex},
@@ -20,13 +25,10 @@ use crate::{
 pub struct Unary {
     /// 0 to 1; empty: 1 everywhere.
     pub values: Column<f32>,
-    /// For a trained confidence: the view's contribution as a partner to the log odds of a pair; `values` is then the probability that it can
-    /// be measured as the key view's. Else empty.
-    pub partner_odds: Column<f32>,
 }
 
 impl Unary {
-    /// Returns 1 everywhere: no picture was read.
+    /// Returns 1 everywhere.
     pub fn certain() -> Self {
         Self::default()
     }
@@ -35,7 +37,7 @@ impl Unary {
         if self.values.is_empty() { 1.0 } else { self.values[row] }
     }
 
-    /// Returns the row-wise product with another table (of pictures and of sparse points).
+    /// Returns the row-wise product with another table (of masks and of sparse points).
     pub fn times(self, other: Self, visibility: &Visibility) -> Result<Self, TableError> {
         if self.values.is_empty() {
             return Ok(other);
@@ -46,63 +48,89 @@ impl Unary {
         let of_view = |_: &mut (), view| {
             Ok(visibility.rows(view).map(|row| self.confidence(row) * other.confidence(row)).collect())
         };
-        Ok(Self { values: visibility.column(|| (), of_view)?, ..Self::certain() })
+        Ok(Self { values: visibility.column(|| (), of_view)? })
     }
 
     /// Lets the operating system drop pages of a table on disk; they are read again when needed.
     pub fn release(&self) {
         self.values.release();
-        self.partner_odds.release();
     }
 
-    /// Returns the row's contribution to a pair whose partner is its view: log odds if the confidence is trained, else confidence.
-    pub fn as_partner(&self, row: usize) -> f32 {
-        if self.partner_odds.is_empty() { self.confidence(row) } else { self.partner_odds[row] }
-    }
-
-    /// Averages the view's map over each triangle that it sees; 1 in views without a map.
-    pub fn new(
-        scene: &Scene,
-        surface: &Surface,
-        visibility: &Visibility,
-        maps: &[Option<ConfidenceMap>],
+    /// Returns the share of each triangle that the view's mask allows, 1 in views without a mask, and the fault of each mask that cannot be used.
+    pub fn of_masks(
+        geometry: &Geometry,
+        pictures: &Pictures,
         watcher: &dyn Watcher,
-    ) -> Result<Self, TableError> {
-        if maps.iter().all(Option::is_none) {
-            return Ok(Self::certain());
+    ) -> Result<(Self, Vec<Option<ImageError>>), TableError> {
+        let Geometry { scene, surface, visibility, .. } = *geometry;
+        let mut faults: Vec<Option<ImageError>> = scene.view_indices().map(|_| None).collect();
+        if !pictures.have_masks() {
+            return Ok((Self::certain(), faults));
         }
+        let found = Mutex::new(Vec::new());
         let of_view = |_: &mut (), view: ViewIndex| {
             watcher.check()?;
+            let mask = pictures.mask(scene, view).unwrap_or_else(|fault| {
+                found.lock().map(|mut found| found.push((view, fault))).ok();
+                None
+            });
             let triangles = visibility.triangles_seen_by(view);
-            Ok(match &maps[view.index()] {
+            Ok(match mask.map(|mask| UsableShares::new(&mask)) {
                 None => vec![1.0; triangles.len()],
-                Some(map) => triangles.iter().map(|&t| mean_over(scene, surface, view, t, map)).collect(),
+                Some(shares) => triangles.iter().map(|&t| mean_over(scene, surface, view, t, &shares)).collect(),
             })
         };
-        Ok(Self { values: visibility.column(|| (), of_view)?, ..Self::certain() })
+        let values = visibility.column(|| (), of_view)?;
+        for (view, fault) in found.into_inner().unwrap_or_default() {
+            faults[view.index()] = Some(fault);
+        }
+        Ok((Self { values }, faults))
+    }
+}
+
+/// Side of a cell, pixels of the mask.
+const CELL: u32 = 8;
+
+/// Share of usable pixels, 0 to 1, in each cell of a grid that covers a mask.
+struct UsableShares {
+    columns: u32,
+    rows: u32,
+    /// Row by row.
+    values: Vec<f32>,
+}
+
+impl UsableShares {
+    fn new(mask: &Mask) -> Self {
+        let [columns, rows] = [mask.width, mask.height].map(|side| side.div_ceil(CELL));
+        let cells = (0..rows).flat_map(|row| (0..columns).map(move |column| (column, row)));
+        Self { columns, rows, values: cells.map(|(column, row)| mask.share([columns, rows], column, row)).collect() }
+    }
+
+    fn cell(&self, column: usize, row: usize) -> f32 {
+        self.values[row * self.columns as usize + column]
     }
 }
 
 /// Returns the mean of the cells whose centres are in the projected triangle; if there are none, the cell of its centroid.
-fn mean_over(scene: &Scene, surface: &Surface, view: ViewIndex, triangle: u32, map: &ConfidenceMap) -> f32 {
+fn mean_over(scene: &Scene, surface: &Surface, view: ViewIndex, triangle: u32, shares: &UsableShares) -> f32 {
     let (camera, pose) = (scene.camera_of(view), &scene.view(view).cam_from_world);
-    let place = |x| camera.project(&pose.camera_from_world(&x)).map(|pixel| in_cells(camera, map, &pixel));
+    let place = |x| camera.project(&pose.camera_from_world(&x)).map(|pixel| in_cells(camera, shares, &pixel));
     let [a, b, c] = surface.corners(triangle).map(place);
     let inside = match (a, b, c) {
-        (Some(a), Some(b), Some(c)) => mean_inside(map, [a, b, c]),
+        (Some(a), Some(b), Some(c)) => mean_inside(shares, [a, b, c]),
         _ => None,
     };
     inside.unwrap_or_else(|| {
         let centroid = place(surface.centroid(triangle)).unwrap_or_default();
-        map.cell(cell(centroid.x, map.columns), cell(centroid.y, map.rows))
+        shares.cell(cell(centroid.x, shares.columns), cell(centroid.y, shares.rows))
     })
 }
 
-/// Converts a pixel of the camera's image to cells of the map.
-fn in_cells(camera: &Camera, map: &ConfidenceMap, pixel: &Point2<f64>) -> Point2<f64> {
+/// Converts a pixel of the camera's image to cells of the grid.
+fn in_cells(camera: &Camera, shares: &UsableShares, pixel: &Point2<f64>) -> Point2<f64> {
     Point2::new(
-        pixel.x / f64::from(camera.width) * f64::from(map.columns),
-        pixel.y / f64::from(camera.height) * f64::from(map.rows),
+        pixel.x / f64::from(camera.width) * f64::from(shares.columns),
+        pixel.y / f64::from(camera.height) * f64::from(shares.rows),
     )
 }
 
@@ -111,18 +139,18 @@ fn cell(position: f64, cells: u32) -> usize {
     (position as usize).min(cells as usize - 1)
 }
 
-fn mean_inside(map: &ConfidenceMap, corners: [Point2<f64>; 3]) -> Option<f32> {
+fn mean_inside(shares: &UsableShares, corners: [Point2<f64>; 3]) -> Option<f32> {
     let [a, b, c] = corners;
     let range = |low: f64, high: f64, cells: u32| cell(low, cells)..cell(high, cells) + 1;
-    let columns = range(a.x.min(b.x).min(c.x), a.x.max(b.x).max(c.x), map.columns);
-    let rows = range(a.y.min(b.y).min(c.y), a.y.max(b.y).max(c.y), map.rows);
+    let columns = range(a.x.min(b.x).min(c.x), a.x.max(b.x).max(c.x), shares.columns);
+    let rows = range(a.y.min(b.y).min(c.y), a.y.max(b.y).max(c.y), shares.rows);
     let side = |p: Point2<f64>, q: Point2<f64>, x: Point2<f64>| (q - p).perp(&(x - p));
     let (mut sum, mut count) = (0.0, 0u32);
     for (row, column) in rows.flat_map(|row| columns.clone().map(move |column| (row, column))) {
         let x = Point2::new(column as f64 + 0.5, row as f64 + 0.5);
         let sides = [side(a, b, x), side(b, c, x), side(c, a, x)];
         if sides.iter().all(|&s| s >= 0.0) || sides.iter().all(|&s| s <= 0.0) {
-            sum += map.cell(column, row);
+            sum += shares.cell(column, row);
             count += 1;
         }
     }
@@ -135,10 +163,10 @@ mod tests {
 
     use super::*;
 
-    /// A map that grows linearly to the right: its mean over a region is its value at the region's centre.
-    fn ramp(columns: u32, rows: u32) -> ConfidenceMap {
+    /// A grid that grows linearly to the right: its mean over a region is its value at the region's centre.
+    fn ramp(columns: u32, rows: u32) -> UsableShares {
         let value = move |i: u32| (i % columns) as f32 / (columns - 1) as f32;
-        ConfidenceMap::new([columns, rows], (0..columns * rows).map(value))
+        UsableShares { columns, rows, values: (0..columns * rows).map(value).collect() }
     }
 
     proptest! {

@@ -21,18 +21,12 @@ pub struct KeyLanes {
     pub unit: Lanes,
     /// alpha * f_res.
     pub resolution: Lanes,
-    /// Probability that the triangle can be measured from the key view at all.
-    pub measurable: Lanes,
 }
 
 impl KeyLanes {
     /// No triangles: f is 0.
-    pub const EMPTY: Self = Self {
-        information: [[0.5; LANES], [0.0; LANES], [0.5; LANES]],
-        unit: [0.0; LANES],
-        resolution: [0.0; LANES],
-        measurable: [0.0; LANES],
-    };
+    pub const EMPTY: Self =
+        Self { information: [[0.5; LANES], [0.0; LANES], [0.5; LANES]], unit: [0.0; LANES], resolution: [0.0; LANES] };
 }
 
 /// A partner's contribution; all 0 for triangles that it does not see.
@@ -97,17 +91,13 @@ impl ClusterLanes {
 
     /// Returns f_cov * f_conf of each triangle: the probability that it is measured, well or not.
     #[inline(always)]
-    pub fn chance(&self, key: &KeyLanes, weights: &Weights) -> Lanes {
+    pub fn chance(&self, weights: &Weights) -> Lanes {
         let mut chance = match weights.min_matches {
             0 => [1.0; LANES],
             1 => self.at_least[0],
             2 => self.at_least[1],
             _ => self.at_least[2],
         };
-        // Products first, selection in a loop of its own: merged, they would compile to a branch per triangle.
-        for (chance, measurable) in chance.iter_mut().zip(key.measurable) {
-            *chance *= measurable;
-        }
         for (chance, seeing) in chance.iter_mut().zip(self.seeing) {
             *chance = if seeing >= weights.min_partners { *chance } else { 0.0 };
         }
@@ -117,7 +107,7 @@ impl ClusterLanes {
     /// Returns f of each triangle. `T`: f32 to choose by, f64 for results.
     #[inline(always)]
     pub fn value<T: RealField + Copy>(&self, key: &KeyLanes, weights: &Weights) -> [T; LANES] {
-        let chance = self.chance(key, weights);
+        let chance = self.chance(weights);
         let mut f = [T::zero(); LANES];
         for i in 0..LANES {
             let [xx, xy, yy, xz, yz, zz] = &self.information;

@@ -224,7 +224,7 @@ impl Success {
         let rule = &model.rule;
         let (mut seeing, mut chances) = (Vec::with_capacity(partners.len()), Vec::with_capacity(partners.len()));
         for (view, row) in rows {
-            let (own, other) = (f64::from(model.unary.confidence(key_row)), f64::from(model.unary.as_partner(row)));
+            let (own, other) = (f64::from(model.unary.confidence(key_row)), f64::from(model.unary.confidence(row)));
             seeing.push(view);
             let first = model.visibility.rows(key).start;
             let by_geometry =
@@ -238,8 +238,7 @@ impl Success {
             });
         }
         let coverage = if 1 + seeing.len() >= rule.min_cameras as usize { 1.0 } else { 0.0 };
-        let measurable = f64::from(rule.confidence.measurable(model.unary.confidence(key_row)));
-        Some(Self { seeing, coverage, confidence: measurable * rule.confidence.at_least(chances.into_iter()) })
+        Some(Self { seeing, coverage, confidence: rule.confidence.at_least(chances.into_iter()) })
     }
 }
 

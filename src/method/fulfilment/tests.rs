@@ -9,10 +9,7 @@ use crate::{
     base::{column::Storage, progress::NoWatcher},
     config::{TargetMode, TargetSettings, VisibilitySettings},
     method::{
-        confidence::{
-            NO_AGREEMENT, PairConfidence, PairCurves,
-            curves::{PAIR, PiecewiseLinear},
-        },
+        confidence::{Confidence, NO_AGREEMENT, PairConfidence},
         synthetic::Town,
         visibility,
     },
@@ -220,26 +217,17 @@ fn the_best_target_is_reached_by_the_nearest_view() {
 }
 
 #[test]
-fn pair_and_paper_confidence_differ_in_p() {
+fn a_pair_counts_by_its_geometry_and_both_views() {
     let mut setting = Setting::pinhole();
-    setting.unary = Unary { values: vec![0.5; setting.visibility.triangles.len()].into(), ..Unary::certain() };
+    setting.unary = Unary { values: vec![0.5; setting.visibility.triangles.len()].into() };
     let numbers =
         PairConfidence { min_matches: 1, p0: 0.8, cosine_power: 0.0, scale_octaves: None, full_angle_deg: None };
     let (key, partners) = (ViewIndex(12), [ViewIndex(11), ViewIndex(17)]);
     let everyone = |t: &&u32| partners.iter().all(|&p| setting.visibility.row(p, **t).is_some());
     let triangle = *setting.visibility.triangles_seen_by(key).iter().find(everyone).unwrap();
     let confidence = |c: Confidence| value(&setting.model(c), key, &partners, triangle).confidence;
-    assert!((confidence(Confidence::Paper { min_matches: 1 }) - 0.75).abs() < 1e-12);
     assert!((confidence(Confidence::Pair(numbers)) - (1.0 - 0.6 * 0.6)).abs() < 1e-12);
     assert_eq!(confidence(Confidence::None), 1.0);
-}
-
-/// Curves that go up and down.
-fn trained() -> PairCurves {
-    let wave = |i: usize, knot: usize| ((3 * i + knot) as f32).sin();
-    let curves =
-        std::array::from_fn(|i| PiecewiseLinear { values: std::array::from_fn(|knot| wave(i, knot)), ..PAIR[i] });
-    PairCurves { min_matches: 2, bias: 0.5, curves }
 }
 
 /// The written table against the definition, with all kinds of confidence, for every triangle of some clusters.
@@ -252,23 +240,14 @@ fn the_table_holds_what_the_definition_says() {
     let three = PairConfidence { min_matches: 3, ..sure };
     for mut setting in [Setting::pinhole(), Setting::distorted()] {
         let rows = setting.visibility.triangles.len();
-        setting.unary = Unary { values: (0..rows).map(|r| (r % 101) as f32 / 100.0).collect(), ..Unary::certain() };
+        setting.unary = Unary { values: (0..rows).map(|r| (r % 101) as f32 / 100.0).collect() };
         let views = |v: &[u32]| v.iter().map(|&v| ViewIndex(v)).collect::<Vec<_>>();
         let clusters =
             [(12, views(&[11, 13, 7, 17, 37])), (40, views(&[12, 7])), (3, views(&[])), (30, views(&[0, 5, 31, 36]))]
                 .map(|(key, partners)| ViewCluster { key: ViewIndex(key), partners });
-        let confidences = [
-            Confidence::None,
-            Confidence::Pair(sure),
-            Confidence::Pair(patch_match),
-            Confidence::Pair(three),
-            Confidence::Paper { min_matches: 2 },
-            Confidence::Trained(trained()),
-        ];
-        for (confidence, accuracy_over_gsd) in confidences.into_iter().zip([1.0, 0.3, 0.1, 1.0, 0.2, 0.5]) {
-            if matches!(confidence, Confidence::Trained(_)) {
-                setting.unary.partner_odds = (0..rows).map(|r| (r % 37) as f32 / 20.0 - 1.0).collect();
-            }
+        let confidences =
+            [Confidence::None, Confidence::Pair(sure), Confidence::Pair(patch_match), Confidence::Pair(three)];
+        for (confidence, accuracy_over_gsd) in confidences.into_iter().zip([1.0, 0.3, 0.1, 0.5]) {
             let target = Target { accuracy_over_gsd, ..setting.target.clone() };
             let model = Model { target: &target, ..setting.model(confidence) };
             let table = table(&model, &clusters, &NoWatcher).unwrap();

@@ -10,7 +10,7 @@ use rayon::prelude::*;
 
 use crate::{
     base::{error::Hint, input},
-    config::Settings,
+    config::{ConfidenceSource, Settings},
     io::project::Project,
     method::confidence::Pictures,
     model::scene::{Scene, View},
@@ -46,10 +46,10 @@ pub fn fingerprint(project: &Project, scene: &Scene, settings: &Settings) -> Res
         hasher.update_reader(input::open(&path).map_err(failed)?).map_err(failed)?;
     }
     let pictures = Pictures::new(project);
-    let (reads_images, reads_masks) = match settings.confidence.source.as_str() {
-        "none" => (false, false),
-        "geometric" => (false, true),
-        _ => (true, true),
+    let (reads_images, reads_masks) = match settings.confidence.source {
+        ConfidenceSource::None => (false, false),
+        ConfidenceSource::Geometric => (false, true),
+        ConfidenceSource::Photometric | ConfidenceSource::Auto => (true, true),
     };
     let of_view = |view: &View| {
         let [image, mask] = pictures.files(&view.name);

@@ -20,10 +20,7 @@ use crate::{
     backends::ExportRecord,
     config::Settings,
     io::project::Project,
-    method::{
-        confidence::TrainedOn,
-        surface::{SurfaceKind, SurfaceStats},
-    },
+    method::surface::{SurfaceKind, SurfaceStats},
     model::{
         cluster::{MapScale, RankedCluster},
         reason::Reason,
@@ -51,8 +48,6 @@ pub struct Manifest {
     pub settings: Settings,
     /// True if `settings.image_scale` was not set: it is the size that the backend takes by itself.
     pub own_size: bool,
-    /// Trained model that predicts success; null if an untrained source does (`settings.confidence.source`).
-    pub confidence_model: Option<ConfidenceModel>,
     pub surface: SurfaceSummary,
     /// Region of interest; null if the plan is for the whole surface.
     pub region: Option<RegionSummary>,
@@ -100,19 +95,6 @@ pub struct Input {
     pub points: usize,
     /// Observations of sparse points.
     pub observations: usize,
-}
-
-/// A trained confidence.
-#[derive(Clone, Debug, Serialize, JsonSchema)]
-pub struct ConfidenceModel {
-    /// BLAKE3 of the model.
-    pub fingerprint: String,
-    /// Backend whose depth maps it was trained on.
-    pub backend: String,
-    /// Projects that it was trained on.
-    pub trained_on: Vec<TrainedOn>,
-    /// Median distance of the images from the training images; 19 of 20 training images have a distance below 1. Null without images.
-    pub distance: Option<f32>,
 }
 
 /// Surface of the plan.
@@ -182,12 +164,6 @@ impl Manifest {
             backend: plan.stages.backend.into(),
             settings: plan.stages.settings.of_plan(),
             own_size: plan.stages.own_size,
-            confidence_model: plan.stages.trained.as_ref().map(|trained| ConfidenceModel {
-                fingerprint: trained.fingerprint(),
-                backend: trained.backend.clone(),
-                trained_on: trained.trained_on.clone(),
-                distance: plan.stages.pictures.distance,
-            }),
             surface: SurfaceSummary::new(plan),
             region: RegionSummary::from_plan(plan),
             clusters: clusters(plan),

@@ -13,8 +13,8 @@ use crate::{
         progress::Watcher,
     },
     method::{
-        confidence::{Agreement, Confidence, Unary},
-        fulfilment::{self, FulfilmentRule, Model},
+        confidence::{Agreement, Unary},
+        fulfilment::{self, Model},
         ranking::{Objective, Reached},
         visibility::{self, Visibility},
     },
@@ -90,16 +90,11 @@ pub fn choose(
     members.for_each(|&t| raw[t as usize] = stages.objective.weights[t as usize]);
     let objective = Objective::weighing(raw, stages.objective.support);
     let (unary, agreement) = (Unary::certain(), Agreement::default());
-    let confidence = match stages.confidence {
-        Confidence::Trained(_) | Confidence::Paper { .. } => Confidence::None,
-        of_pairs => of_pairs,
-    };
     let model = Model {
         scene: &extended.scene,
         visibility: &extended.visibility,
         unary: &unary,
         agreement: &agreement,
-        rule: FulfilmentRule { confidence, ..stages.model().rule },
         ..stages.model()
     };
     let clusters = clusters(&extended, candidates, stages.settings.partners.k as usize);

@@ -144,7 +144,10 @@ impl Agreement {
             Ok(compared(geometry, &samples, key, table.partners_of(key), reach, places))
         };
         table.values = Arc::new(geometry.visibility.column(Vec::new, compare)?);
-        table.warnings = picture_warnings(geometry.scene, &troubles);
+        table.warnings = match pictures.have_images() {
+            true => picture_warnings(geometry.scene, &troubles),
+            false => vec!["the project has no image folder: no pictures were compared".into()],
+        };
         table.cache_head = cache.map(|cache| cache.head(&without, &table.warnings, &table.values));
         Ok(table)
     }

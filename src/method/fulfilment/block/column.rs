@@ -8,7 +8,7 @@ use super::{
         lanes::{LANES, Lanes, PartnerLanes},
     },
     Block, TriangleLanes, frame,
-    pair_confidence::{geometric, trained},
+    pair_confidence::geometric,
 };
 use crate::{
     base::vector::Kernel,
@@ -123,19 +123,15 @@ impl Column<'_, '_> {
         }
         let chances = match &self.block.model.rule.confidence {
             Confidence::None => [1.0; LANES],
-            Confidence::Paper { .. } => [1.0; LANES],
             Confidence::Photometric { .. } if self.block.agreed[self.partner] => [1.0; LANES],
             Confidence::Pair(numbers) | Confidence::Photometric { otherwise: numbers, .. } => {
                 geometric(numbers, triangles, &rays)
             }
-            Confidence::Trained(curves) => trained(curves, triangles, &rays, unary, sees),
         };
-        let factors =
-            if matches!(self.block.model.rule.confidence, Confidence::Trained(_)) { &[1.0; LANES] } else { unary };
         // Separate loops: merged, they would compile to a branch per triangle.
         out.sees = sees.map(|sees| f32::from(u8::from(sees)));
         for i in 0..LANES {
-            out.confidence[i] = chances[i] * factors[i];
+            out.confidence[i] = chances[i] * unary[i];
         }
         for i in 0..LANES {
             out.confidence[i] = if out.sees[i] > 0.0 { out.confidence[i] } else { 0.0 };

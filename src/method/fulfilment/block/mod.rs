@@ -133,8 +133,7 @@ impl<'a> Block<'a> {
         let model = &self.model;
         let (camera, pose) = (model.scene.camera_of(self.key), &model.scene.view(self.key).cam_from_world);
         let centre = pose.centre();
-        let rows = model.visibility.rows(self.key);
-        for ((row, &t), &slot) in rows.zip(model.visibility.triangles_seen_by(self.key)).zip(&self.slots) {
+        for (&t, &slot) in model.visibility.triangles_seen_by(self.key).iter().zip(&self.slots) {
             let (group, lane) = (slot as usize / LANES, slot as usize % LANES);
             let centroid = model.surface.centroid(t);
             let ray = centroid - centre;
@@ -162,7 +161,6 @@ impl<'a> Block<'a> {
             }
             let per_px = model.rule.image_scale / model.rule.sigma_px;
             key.unit[lane] = (model.target.accuracy(t) * length * per_px) as f32;
-            key.measurable[lane] = model.rule.confidence.measurable(model.unary.confidence(row));
             let gsd = f64::from(model.target.gsd[t as usize]);
             key.resolution[lane] = (model.rule.alpha * (density(model, self.key, t) * gsd * gsd).min(1.0)) as f32;
         }
@@ -173,7 +171,6 @@ impl<'a> Block<'a> {
         let model = &self.model;
         let seen = model.visibility.triangles_seen_by(self.key);
         seen.iter().zip(&self.slots).for_each(|(&t, &slot)| slot_of[t as usize] = slot);
-        let trained = matches!(model.rule.confidence, Confidence::Trained(_));
         let own: Vec<f32> = if model.unary.values.is_empty() { Vec::new() } else { self.own_unary() };
         for (&partner, sees) in self.partners.iter().zip(&mut self.sees) {
             let mut means = vec![0.0; own.len()];
@@ -181,9 +178,7 @@ impl<'a> Block<'a> {
                 let slot = slot_of[t as usize];
                 if slot != EMPTY {
                     sees[slot as usize] = true;
-                    if trained {
-                        means[slot as usize] = model.unary.as_partner(row);
-                    } else if !own.is_empty() {
+                    if !own.is_empty() {
                         means[slot as usize] = 0.5 * (own[slot as usize] + model.unary.confidence(row));
                     }
                 }
@@ -257,7 +252,7 @@ impl<'a> Block<'a> {
     /// Returns f_cov * f_conf of each triangle that the key view sees, in the order of its rows.
     pub fn chances(&mut self, set: &[usize]) -> Vec<f32> {
         set.iter().for_each(|&p| self.extend(p, self.len()));
-        let of_group = |group| self.together(set, group).chance(&self.keys[group], &self.weights);
+        let of_group = |group| self.together(set, group).chance(&self.weights);
         self.by_row(&(0..self.len()).map(of_group).collect::<Vec<_>>())
     }
 

@@ -1,38 +1,10 @@
-//! Pair confidence (method 7.2 and 7.3) of [`LANES`] triangles at a time.
-
-use nalgebra::Vector3;
+//! Pair confidence (method 7.2) of [`LANES`] triangles at a time.
 
 use super::{
     super::lanes::{LANES, Lanes, angle_of_chord, exp2, log2},
     TriangleLanes,
 };
-use crate::method::confidence::{Constellation, PairConfidence, PairCurves, trees::logistic};
-
-/// Returns [`Confidence::pair`] of a trained confidence. `rays`: from the partner's centre to the centroids; `odds`: the partner's log odds.
-///
-/// [`Confidence::pair`]: crate::method::confidence::Confidence::pair
-pub(super) fn trained(
-    curves: &PairCurves,
-    triangles: &TriangleLanes,
-    rays: &[[f64; LANES]; 3],
-    odds: &[f32],
-    sees: &[bool],
-) -> Lanes {
-    let mut chances = [0.0; LANES];
-    for i in (0..LANES).filter(|&i| sees[i]) {
-        let at = |v: &[[f64; LANES]; 3]| Vector3::new(v[0][i], v[1][i], v[2][i]);
-        let (key, own) = (at(&triangles.ray), at(rays));
-        let normal = triangles.normal.map(|axis| f64::from(axis[i]));
-        let constellation = Constellation {
-            cos_key: f64::from(triangles.cosine[i]),
-            cos_partner: -Vector3::from(normal).dot(&own) / own.norm(),
-            octaves: (own.norm() / key.norm()).log2(),
-            angle_deg: key.angle(&own).to_degrees(),
-        };
-        chances[i] = logistic(curves.odds(&constellation.numbers()) + odds[i]);
-    }
-    chances
-}
+use crate::method::confidence::PairConfidence;
 
 /// Returns [`PairConfidence::confidence`], relative error below 1e-6. `rays`: from the partner's centre to the centroids.
 #[inline(always)]
