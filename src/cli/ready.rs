@@ -1,4 +1,4 @@
-//! What `viewrank run` can find out before it plans.
+//! Checks of `viewrank run` before it plans.
 
 use std::path::Path;
 

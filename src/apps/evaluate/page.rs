@@ -89,7 +89,7 @@ fn summary(e: &Evaluation) -> String {
     html + "</section>\n"
 }
 
-/// What curves and tables count: key views, and pairs (true) unless all key views have as many.
+/// Units of curves and tables: key views (false), and pairs (true) unless all key views have as many.
 fn ways(e: &Evaluation) -> &'static [bool] {
     let is_even = e.key_views.windows(2).all(|two| two[0].partners.len() == two[1].partners.len());
     if is_even { &[false] } else { &[false, true] }
