@@ -5,8 +5,8 @@
 
 SET is one that benches.render made with a grid flight (benches/sets.py valley). The first flight is every n-th image of that grid. Its holes
 are the triangles that no view cluster fulfils to a tenth (`reason` in surface.ply). The images of viewrank/flight/waypoints.ply are rendered, added with the
-sparse points that they see, planned and matched whole by integrations/sgm; the rest of the grid likewise. A place in a hole is filled where a depth
-map is within 3 g_d of the exact depth there.
+sparse points that they see, planned and matched whole by integrations/sgm; beginnings of them and the rest of the grid likewise. A place in a hole is
+filled where a depth map is within 3 g_d of the exact depth there.
 
 Needs benches/render/requirements.txt and integrations/sgm/requirements.txt.
 """
@@ -50,10 +50,13 @@ def main():
     places = holes(project / "viewrank/surface.ply")
     planned = experiment.render(waypoints(project / "viewrank/flight/waypoints.ply"))
     rest = [name for name in grid if name not in first]
-    print("flight                  images   filled %")
-    for what, names in (("first", []), ("planned second", planned), ("full second", rest)):
-        filled = experiment.filled(what.replace(" ", "-"), first + names, places)
-        print(f"{what:22}  {len(names):6}  {100 * filled:9.1f}", flush=True)
+    # Beginnings of the planned images, the most useful first.
+    parts = [n for n in (len(rest) * eighths // 8 for eighths in (2, 3, 4)) if n < len(planned)]
+    flights = [("first", []), ("full second", rest), *(("planned", planned[:n]) for n in [*parts, len(planned)])]
+    print("flight       images   filled %")
+    for what, names in flights:
+        filled = experiment.filled(f"{what} {len(names)}".replace(" ", "-"), first + names, places)
+        print(f"{what:12} {len(names):6}  {100 * filled:9.1f}", flush=True)
 
 
 class Experiment:
@@ -144,7 +147,9 @@ class Experiment:
 
 
 def waypoints(path):
+    """Views in order of `rank`, the last column."""
     rows = np.loadtxt(path.read_text().split("end_header\n")[1].splitlines(), ndmin=2)
+    rows = rows[np.argsort(rows[:, -1])]
     views = []
     for i, row in enumerate(rows):
         centre, ahead = row[:3], row[3:6]

@@ -1,12 +1,15 @@
 //! Locations of exports: one set of files per folder, and the files that an export must not overwrite.
 
-use std::path::{Component, Path, PathBuf};
+use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
 
 use super::{BackendError, Export};
 use crate::{
-    base::input::{self, FileKind},
+    base::{
+        input::{self, FileKind},
+        paths::real,
+    },
     io::{
         output::{FileSet, OutputError},
         project::{Project, ProjectError, slashes},
@@ -125,25 +128,6 @@ pub(super) fn path_from(folder: &Path, above: &Path) -> PathBuf {
     }
 }
 
-/// Returns whether both paths name the same folder.
-pub fn is_same(one: &Path, other: &Path) -> bool {
-    real(one) == real(other)
-}
-
-/// Resolves links and `..`, also in the path of a file that doesn't exist yet.
-fn real(path: &Path) -> PathBuf {
-    let absolute = std::path::absolute(path).unwrap_or_else(|_| path.to_path_buf());
-    let there = absolute.ancestors().find_map(|above| Some((above, dunce::canonicalize(above).ok()?)));
-    let Some((above, mut real)) = there else { return absolute };
-    for part in absolute.strip_prefix(above).unwrap_or(Path::new("")).components() {
-        match part {
-            Component::ParentDir => _ = real.pop(),
-            part => real.push(part),
-        }
-    }
-    real
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -159,20 +143,6 @@ mod tests {
             ("viewrank/openmvs/my_export.json", None),
         ] {
             assert_eq!(folder_of_record(record), found, "{record}");
-        }
-    }
-
-    #[test]
-    fn a_path_is_resolved_before_it_exists() {
-        let folder = tempfile::tempdir().unwrap();
-        let home = dunce::canonicalize(folder.path()).unwrap();
-        std::fs::create_dir(home.join("a")).unwrap();
-        assert_eq!(real(&home.join("a/new/../b c/d")), home.join("a/b c/d"));
-        assert_eq!(real(&home.join("a/../a")), home.join("a"));
-        #[cfg(unix)]
-        {
-            std::os::unix::fs::symlink(home.join("a"), home.join("link")).unwrap();
-            assert_eq!(real(&home.join("link/new")), home.join("a/new"));
         }
     }
 }

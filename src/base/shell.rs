@@ -22,6 +22,11 @@ pub fn command_path(path: &Path) -> String {
     command_word(&shown_path(path))
 }
 
+/// Two commands for the user to type; PowerShell has no `&&`.
+pub fn one_after_other(first: &str, second: &str) -> String {
+    format!("{first}{} {second}", if cfg!(windows) { ", then" } else { " &&" })
+}
+
 /// Returns a path as the system writes it: on Windows, joined paths have both kinds of separators.
 pub fn shown_path(path: &Path) -> String {
     let path = path.display().to_string();

@@ -19,7 +19,21 @@ use crate::io::project;
 const SUBCOMMANDS: [(&str, &[&str]); 13] = [
     (
         "plan",
-        &["rank", "order", "prioritize", "prioritise", "select", "choose", "schedule", "analyze", "analyse", "cluster"],
+        &[
+            "rank",
+            "order",
+            "prioritize",
+            "prioritise",
+            "select",
+            "choose",
+            "schedule",
+            "analyze",
+            "analyse",
+            "cluster",
+            "optimize",
+            "optimise",
+            "sort",
+        ],
     ),
     (
         "run",
@@ -46,7 +60,20 @@ const OPTIONS: [(&str, &[&str]); 12] = [
     ),
     ("--out", &["--output", "--output-path", "--output_path", "--output-dir", "--dest", "--destination", "-o"]),
     ("--target", &["--quality", "--share", "--percent", "--goal", "--stop-at", "-t"]),
-    ("--budget", &["--max-views", "--views", "--num-views", "--max-maps", "--limit", "--number", "-n"]),
+    (
+        "--budget",
+        &[
+            "--max-views",
+            "--views",
+            "--num-views",
+            "--max-maps",
+            "--limit",
+            "--number",
+            "--clusters",
+            "--num-clusters",
+            "-n",
+        ],
+    ),
     ("--gsd", &["--resolution", "--ground-sampling-distance", "--pixel-size", "--res"]),
     ("-k", &["--neighbors", "--neighbours", "--num-neighbors", "--partner", "--sources", "--num-sources"]),
     ("--backend", &["--engine", "--mvs", "--matcher", "--format-for", "--program-name", "-b"]),
@@ -55,6 +82,30 @@ const OPTIONS: [(&str, &[&str]); 12] = [
     ("--threads", &["--jobs", "--num-threads", "--num_threads", "--cpus", "-j"]),
     ("--format json", &["--json", "--as-json"]),
     ("--dry-run", &["--dryrun", "--no-write", "--simulate", "--pretend"]),
+];
+
+/// Words that people type where something else than another option is meant.
+const ADVICE: [(&str, &[&str]); 4] = [
+    (
+        "settings are in PROJECT/viewrank.toml; viewrank config PROJECT lists them",
+        &["--config", "--settings", "--set", "--option", "--config-file", "-c"],
+    ),
+    ("write units = \"metric\" into PROJECT/viewrank.toml", &["--units", "--unit", "--metric", "--metres", "--meters"]),
+    (
+        "name the project without an option, as in viewrank plan PROJECT",
+        &[
+            "--project",
+            "--input",
+            "--workspace",
+            "--workspace_path",
+            "--workspace-path",
+            "--path",
+            "--sparse",
+            "-i",
+            "-p",
+        ],
+    ),
+    ("everything is said already; --quiet says less", &["--verbose", "--debug", "-v"]),
 ];
 
 /// Returns whether the command line asks for JSON, even if the rest of it is invalid.
@@ -113,13 +164,16 @@ fn suggest(mut error: Error) -> Error {
                 error.remove(ContextKind::SuggestedSubcommand);
             } else if let Some(meant) = meant_by(&typed.to_lowercase(), &SUBCOMMANDS) {
                 error.insert(ContextKind::SuggestedSubcommand, one(meant));
+            } else if typed == "version" {
+                error.insert(ContextKind::Suggested, ContextValue::StyledStrs(vec!["viewrank --version".into()]));
             }
         }
         ErrorKind::UnknownArgument => {
             let typed = text(&error, ContextKind::InvalidArg);
             let typed = typed.split_once('=').map_or(typed.as_str(), |(name, _)| name).to_lowercase();
-            if let Some(meant) = meant_by(&typed, &OPTIONS).filter(|meant| is_known(meant)) {
-                let tip = format!("the option is {meant}");
+            let option = meant_by(&typed, &OPTIONS).filter(|meant| is_known(meant));
+            let tip = option.map(|meant| format!("the option is {meant}"));
+            if let Some(tip) = tip.or_else(|| meant_by(&typed, &ADVICE).map(str::to_owned)) {
                 error.insert(ContextKind::Suggested, ContextValue::StyledStrs(vec![tip.into()]));
                 error.remove(ContextKind::SuggestedArg);
             }
@@ -146,7 +200,16 @@ fn is_known(option: &str) -> bool {
     })
 }
 
-/// Parses a project. A part may name it: a file of its sparse model, its database, `sparse`, `sparse/0` or its images.
+/// Parses a folder that has to be there.
+pub fn folder() -> impl TypedValueParser<Value = PathBuf> {
+    PathBufValueParser::new().try_map(|typed| match (typed.is_dir(), typed.exists()) {
+        (true, _) => Ok(typed),
+        (false, true) => Err("this is a file; name a folder"),
+        (false, false) => Err("there is no such folder"),
+    })
+}
+
+/// Parses a project. A part may name it: a file of its sparse model, its database, `sparse`, `sparse/0`, its images or its results.
 pub fn project() -> impl TypedValueParser<Value = PathBuf> {
     PathBufValueParser::new().map(|typed| match project::containing(&typed) {
         Some(project) => {

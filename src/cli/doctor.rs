@@ -3,10 +3,9 @@
 use std::{fmt::Write, path::PathBuf};
 
 use crate::{
-    apps::doctor::{self, Finding, Severity, ViewFinding},
-    backends::{self, Backend, BackendError},
+    apps::doctor::{self, Diagnosis, Finding, Severity, ViewFinding},
+    backends::Backend,
     io::project::Project,
-    show::manifest::planned_backend,
 };
 use clap::Args;
 
@@ -44,34 +43,17 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let settings = config::load(Some(&project.root), Default::default())?.settings;
     let project = project.with_images(settings.images.as_deref());
     let wanted = if arguments.backend.is_empty() { &settings.backends } else { &arguments.backend };
-    let backends = backends_to_visit(&project, wanted, arguments.backend.is_empty())?;
+    let backends = doctor::backends_to_check(&project, wanted, arguments.backend.is_empty())?;
     let scene = project.read_scene()?;
     let diagnosis = doctor::examine(&project, &scene, &settings, &backends);
     match arguments.format {
         Format::Json => print(&json(&diagnosis))?,
-        Format::Text => print(&text(&diagnosis.findings, if arguments.all { usize::MAX } else { LISTED }))?,
-    }
-    verdict(&diagnosis.findings)
-}
-
-/// Returns the typed backends; by default all, that of the existing plan first.
-fn backends_to_visit(
-    project: &Project,
-    wanted: &[String],
-    others: bool,
-) -> Result<Vec<&'static Backend>, BackendError> {
-    let mut visited = backends::by_names(wanted)?;
-    if visited.is_empty() {
-        let planned = planned_backend(project).and_then(|name| backends::by_name(&name).ok());
-        visited.push(planned.unwrap_or_else(|| backends::by_default(project).0));
-    }
-    let rest = backends::BACKENDS.iter().copied().filter(|_| others);
-    for backend in rest {
-        if visited.iter().all(|v: &&Backend| v.name != backend.name) {
-            visited.push(backend);
+        Format::Text => {
+            let found = text(&diagnosis.findings, if arguments.all { usize::MAX } else { LISTED });
+            print(&(found + &checked(&diagnosis, &backends)))?;
         }
     }
-    Ok(visited)
+    verdict(&diagnosis.findings)
 }
 
 /// Returns the exit code of the worst finding.
@@ -112,6 +94,20 @@ fn text(findings: &[Finding], listed: usize) -> String {
         text.push('\n');
     }
     text + &counts(findings)
+}
+
+/// Says what was checked.
+fn checked(diagnosis: &Diagnosis, backends: &[&Backend]) -> String {
+    let own = diagnosis.backend;
+    let others: Vec<&str> = backends.iter().map(|backend| backend.name).filter(|name| *name != own).collect();
+    let others = if others.is_empty() { String::new() } else { format!("; traps of {}", others.join(", ")) };
+    let has_errors = diagnosis.findings.iter().any(|finding| finding.severity == Severity::Error);
+    let links = if has_errors { "" } else { " partners of each view, weak links," };
+    let what = format!(
+        "cameras, poses and points of the model, its units,{links} image files and their sizes, traps of {own}, which the project would be \
+         planned for{others}."
+    );
+    wrapped("Checked: ", &what)
 }
 
 /// Counts findings by severity, on one line.

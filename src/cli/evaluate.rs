@@ -9,7 +9,7 @@ use crate::apps::replan;
 use crate::{
     apps::evaluate::{
         self, CloudComparison, Comparison, Evaluation, EvaluationInput, EvaluationOptions, MeasuredClusters,
-        MeasuredProgress, MeasuredSurface, clusters, orders,
+        MeasuredProgress, MeasuredSurface, baselines, clusters, orders,
     },
     io::{
         output::{Contents, Disk, FileSet},
@@ -34,10 +34,10 @@ pub struct Arguments {
     project: PathBuf,
 
     /// Folder of the finished depth maps
-    #[arg(long, value_name = "DIR", required_unless_present_any = ["write_baselines", "compare"])]
+    #[arg(long, value_name = "DIR", value_parser = super::arguments::folder(), required_unless_present_any = ["write_baselines", "compare"])]
     depth_maps: Option<PathBuf>,
     /// Folder of reference depth maps, such as those with all partners [default: every depth counts as right]
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", value_parser = super::arguments::folder())]
     reference: Option<PathBuf>,
     /// Fused cloud of a full run, to compare --cloud with: area, completeness, precision, error (PLY)
     #[arg(long, value_name = "FILE", requires = "cloud")]
@@ -48,6 +48,9 @@ pub struct Arguments {
     /// File of the view clusters that the maps were made for, in order [default: the plan's]
     #[arg(long, value_name = "FILE", requires = "depth_maps")]
     clusters: Option<PathBuf>,
+    /// Folder of depth maps of the same clusters, matched at half the size, to compare with
+    #[arg(long, value_name = "DIR", value_parser = super::arguments::folder(), requires = "depth_maps")]
+    half_size: Option<PathBuf>,
     /// Also compare the order with others: nocp, realupdate, replan, maxpts, every n-th, farthest view, random, optimum
     #[arg(long, requires = "depth_maps")]
     baselines: bool,
@@ -59,7 +62,7 @@ pub struct Arguments {
     #[arg(short, value_name = "K,...", value_delimiter = ',', default_values_t = [2, 3, 5, 11], requires = "write_baselines")]
     k: Vec<u32>,
     /// Compare the folders in DIR that hold a clusters.txt and its depth maps
-    #[arg(long, value_name = "DIR", conflicts_with_all = ["depth_maps", "write_baselines"])]
+    #[arg(long, value_name = "DIR", value_parser = super::arguments::folder(), conflicts_with_all = ["depth_maps", "write_baselines"])]
     compare: Option<PathBuf>,
 
     /// Also write the tables of the plan and of the real fulfilment as NumPy files
@@ -109,7 +112,16 @@ fn measure(
     let gsd = plan.stages.settings.target.gsd.expect("a plan's settings are filled in");
     let clouds = arguments.cloud.as_ref().zip(arguments.reference_cloud.as_ref());
     let clouds = clouds.map(|(cloud, reference)| CloudComparison::read(cloud, reference, gsd)).transpose()?;
-    let how = EvaluationOptions { objective: &plan.stages.objective, baselines: arguments.baselines, so_far, clouds };
+    let reference = arguments.reference.as_deref();
+    let half = |folder: &PathBuf| MeasuredClusters::at_half_size(&plan.stages, &clusters, folder, reference, progress);
+    let half = arguments.half_size.as_ref().map(half).transpose()?;
+    let how = EvaluationOptions {
+        objective: &plan.stages.objective,
+        baselines: arguments.baselines,
+        so_far,
+        clouds,
+        half: half.as_ref(),
+    };
     let evaluation = Evaluation::new(&model, &run, &reached, &how, progress)?;
     let title = project.root.file_name().unwrap_or(project.root.as_os_str()).to_string_lossy();
     let out = arguments.out.clone().unwrap_or_else(|| project.output_folder().join("evaluation"));
@@ -205,6 +217,9 @@ fn text(e: &Evaluation, out: &Path) -> String {
     let _ = writeln!(text, "  completeness {:.1} %{}", 100.0 * e.quality.completeness, e.errors());
     let _ = writeln!(text, "  reached: {}", e.reached_in_words());
     let _ = writeln!(text, "  {}", e.enough_in_words());
+    if let Some(half) = &e.half_size {
+        let _ = writeln!(text, "  {}", half.in_words());
+    }
     if let Some(clouds) = &e.clouds {
         for at in &clouds.within {
             let (completeness, precision) = (100.0 * at.completeness, 100.0 * at.precision);
@@ -221,18 +236,18 @@ fn text(e: &Evaluation, out: &Path) -> String {
     }
     let _ = writeln!(text, "shares of what these depth maps give together");
     let _ = writeln!(text, "predicted share   key views   pairs   real share");
-    for gap in &e.gap {
+    for gap in e.gap.chunk_by(|one, next| one.clusters == next.clusters).filter_map(<[_]>::last) {
         let (share, real) = (100.0 * gap.share, 100.0 * gap.real);
         let _ = writeln!(text, "{share:13.0} % {:11} {:7} {real:10.1} %", gap.clusters, gap.pairs);
     }
     if !e.orders.is_empty() {
-        let _ = write!(text, "\nkey views for    ");
-        e.orders[0].needed.iter().for_each(|n| text += &format!("{:5.0} %", 100.0 * n.share));
-        for order in &e.orders {
-            let _ = write!(text, "\n  {:15}", order.name);
-            order.needed.iter().for_each(|n| text += &format!("{:7.1}", n.clusters));
-        }
+        text += "\nkey views for\n";
+        e.orders[0].needed.iter().for_each(|n| text += &format!("{:4.0} %", 100.0 * n.share));
         text.push('\n');
+        for (names, cells) in baselines::rows(&e.orders, false) {
+            cells.iter().for_each(|cell| text += &format!("{cell:>6}"));
+            let _ = writeln!(text, "  {}", names.join(", "));
+        }
     }
     let _ = writeln!(text, "\nmissing, of {} triangles", e.triangles);
     for (missing, count) in &e.missing {

@@ -15,6 +15,7 @@ mod inspect;
 mod plan;
 mod predict;
 mod progress;
+mod ready;
 mod report;
 mod run;
 mod status;

@@ -12,13 +12,13 @@ use crate::{
         progress::{Stage, Watcher},
         shell::command_path,
     },
-    config::CommandLineSettings,
+    config::{CommandLineSettings, Settings},
     io::{
         output::{self, Disk, FileSet, OutputError},
         ply,
         project::Project,
     },
-    plan::Plan,
+    plan::{Plan, PlanError},
     show::{files::PlanFiles, manifest::planned_model, tables},
 };
 use crate::{backends, config::RegionChoice, show::files::files};
@@ -66,7 +66,7 @@ pub struct Arguments {
 
     /// Sizes that a key view may be matched at, over the size of the images: 1 or 1,0.5; with two, each gets the one
     /// that adds most for its work [default: 1]
-    #[arg(long, value_name = "S,...", value_delimiter = ',', help_heading = "Method")]
+    #[arg(long, value_name = "S,...", value_delimiter = ',', value_parser = scale, help_heading = "Method")]
     scales: Option<Vec<f64>>,
     /// Choice of partners: sampled (the paper) or search [default: search]
     #[arg(long, value_name = "METHOD", value_parser = ["sampled", "search"], help_heading = "Method")]
@@ -101,7 +101,7 @@ pub struct Arguments {
     #[arg(long, help_heading = "Method")]
     no_gps: bool,
     /// Keep the finished depth maps in this folder, made for an earlier plan of PROJECT, and re-rank the rest by their measured quality
-    #[arg(long, value_name = "DIR", help_heading = "Method")]
+    #[arg(long, value_name = "DIR", value_parser = super::arguments::folder(), help_heading = "Method")]
     finished: Option<PathBuf>,
     /// Seed of all random choices [default: 0]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(i64).range(0..), help_heading = "Method")]
@@ -154,7 +154,8 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         dumps.into_iter().flatten().try_for_each(output::refuse_unwritable)?;
     }
     let progress = Progress::new(arguments.quiet);
-    let mut plan = backends::plan(&project, &settings, &progress)?;
+    let mut plan =
+        backends::plan(&project, &settings, &progress).map_err(|error| far_off(error, &project, &settings))?;
     if let Some(folder) = &arguments.finished {
         if !arguments.dry_run {
             output::recover(&project.home, &Disk::REAL)?;
@@ -200,6 +201,26 @@ fn refuse_missing_images(project: &Project) -> Result<(), Failure> {
         _ => Ok(()),
     }
 }
+
+/// Adds the resolution of the model to the error of a surface for which a far coarser or finer one was asked.
+fn far_off(error: PlanError, project: &Project, settings: &Settings) -> Failure {
+    let own = match (&error, settings.target.gsd) {
+        (PlanError::Surface(_), Some(_)) => project.read_scene().ok().and_then(|scene| scene.median_gsd()),
+        _ => None,
+    };
+    match (own, settings.target.gsd) {
+        (Some(own), Some(gsd)) if !(own / FAR_OFF..own * FAR_OFF).contains(&gsd) => {
+            let hint = format!(
+                "--gsd {gsd:.3e} is far from the images' own {own:.3e} model units per pixel: give it in units of the model, or leave it out"
+            );
+            Failure::new(Exit::Failed, error.to_string(), hint)
+        }
+        _ => error.into(),
+    }
+}
+
+/// Ratio of a wanted to the model's own resolution that is probably a mistake.
+const FAR_OFF: f64 = 20.0;
 
 /// Adds a way around to the error of an unwritable folder, unless the user chose it.
 pub fn elsewhere(error: OutputError, is_named: bool, command: &str, project: &str) -> Failure {
@@ -273,6 +294,10 @@ fn refuse_other_plan(project: &Project) -> Result<(), Failure> {
     ))
 }
 
+fn scale(text: &str) -> Result<f64, String> {
+    text.trim().parse().map_err(|_| "a size is 1 or 0.5, as in --scales 1,0.5".into())
+}
+
 fn direction(text: &str) -> Result<[f64; 3], String> {
     let wrong = "three numbers with commas between, such as 0,0,1";
     let numbers: Vec<f64> = text.split(',').map(|n| n.trim().parse().map_err(|_| wrong)).collect::<Result<_, _>>()?;
@@ -306,6 +331,8 @@ fn report(arguments: &Arguments, project: &Project, plan: &Plan, files: &PlanFil
         Format::Text if !arguments.quiet => print(&summary.text())?,
         Format::Text => {}
     }
-    summary.warnings.iter().for_each(|warning| warn(warning));
+    // What the error will say is no warning as well.
+    let is_error = |warning: &&String| arguments.backend.is_some() && files.not_exported.contains(warning);
+    summary.warnings.iter().filter(|warning| !is_error(warning)).for_each(|warning| warn(warning));
     Ok(())
 }

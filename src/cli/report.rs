@@ -33,10 +33,10 @@ pub struct Arguments {
     #[arg(long)]
     open: bool,
     /// Finished depth maps to compare with the prediction [default: where the backends write theirs]
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", value_parser = super::arguments::folder())]
     depth_maps: Option<PathBuf>,
     /// Exact or better depth maps to use as reference
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", value_parser = super::arguments::folder())]
     reference: Option<PathBuf>,
     /// Folder for the page [default: PROJECT/viewrank]
     #[arg(long, value_name = "DIR")]

@@ -11,7 +11,7 @@ use std::{
 use clap::Args;
 use serde::Serialize;
 
-use super::{Exit, Failure, Format, config, json, note, print, progress::Progress, summary::duration, warn};
+use super::{Exit, Failure, Format, config, json, note, print, progress::Progress, ready, summary::duration, warn};
 use crate::{
     apps::{
         dispatch::{Dispatch, Task, Tools, local::Ended},
@@ -106,7 +106,11 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let say = |text: &str| if arguments.is_silent() { Ok(()) } else { print(text) };
     say(&format!("Backend: {} ({}).\n", backend.name, why.words()))?;
     let own = project.root.clone();
-    let root = undistorted(arguments, project, backend)?;
+    let scene = project.read_scene()?;
+    let is_distorted = scene.view_indices().any(|view| !scene.camera_of(view).is_pinhole());
+    ready::check(backend, &project, scene, arguments.program.as_deref())?;
+    let root =
+        if backend.takes_distorted || !is_distorted { project.root } else { undistorted(arguments, project, backend)? };
     let is_own = root == own;
     let foreground = Foreground::new(&root, arguments.typed(Some(backend.name), is_own), &stop);
     let mut work = Work::new(arguments, backend, &foreground, &stop)?;
@@ -115,13 +119,8 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     work.end(reached)
 }
 
-/// Returns the project with undistorted images, which are made if the backend needs them.
+/// Undistorts the images; returns their project.
 fn undistorted(arguments: &Arguments, project: Project, backend: &Backend) -> Result<PathBuf, Failure> {
-    let scene = project.read_scene()?;
-    let is_distorted = scene.view_indices().any(|view| !scene.camera_of(view).is_pinhole());
-    if backend.takes_distorted || !is_distorted {
-        return Ok(project.root);
-    }
     let dense = project.root.join("dense");
     note(&format!("{} needs undistorted images: {}", backend.name, dense.display()));
     let progress = Progress::new(arguments.is_silent());

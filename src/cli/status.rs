@@ -61,6 +61,9 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
 /// Finds the nearest folder, from here upwards, that a daemon watched.
 fn watched_root(from: &Path) -> Result<PathBuf, NoStatus> {
     let absolute = dunce::canonicalize(from).unwrap_or_else(|_| from.into());
+    if !absolute.exists() {
+        return Err(NoStatus::NotFound(from.into()));
+    }
     let found = absolute.ancestors().find(|folder| status_file(folder).symlink_metadata().is_ok());
     let root = found.ok_or_else(|| NoStatus::NotWatched(from.into()))?;
     read_status(root).map(|_| root.into()).ok_or_else(|| NoStatus::Unreadable(status_file(root)))
@@ -68,6 +71,8 @@ fn watched_root(from: &Path) -> Result<PathBuf, NoStatus> {
 
 #[derive(Debug, thiserror::Error)]
 enum NoStatus {
+    #[error("{}: no such folder", .0.display())]
+    NotFound(PathBuf),
     #[error("no daemon has watched {} or a folder above it", .0.display())]
     NotWatched(PathBuf),
     #[error("{} cannot be read, or is no status of this version", .0.display())]
@@ -77,6 +82,7 @@ enum NoStatus {
 impl Hint for NoStatus {
     fn hint(&self) -> Option<String> {
         Some(match self {
+            Self::NotFound(_) => "name the folder that was given to viewrank watch, or a project below it".into(),
             Self::NotWatched(folder) => format!("start one: viewrank watch {}", command_path(folder)),
             Self::Unreadable(_) => "make it readable, or start a daemon of this version, which rewrites it".into(),
         })

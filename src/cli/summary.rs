@@ -4,7 +4,7 @@ use std::{fmt::Write, path::Path};
 
 use crate::{
     backends,
-    base::shell::{command_path, command_word, shown_path},
+    base::shell::{command_path, command_word, one_after_other, shown_path},
     config::TriangleWeight,
     io::project::Project,
     model::{georeference::Georeference, scene::Units},
@@ -323,6 +323,9 @@ fn notes(project: &Project, plan: &Plan, place: &Georeference) -> Vec<String> {
             notes.push(format!("{} images have another name there, as {file} for {name}.", grouped(count)));
         }
     }
+    if project.images.is_none() {
+        notes.push("There are no images: what will match is predicted from geometry alone.".into());
+    }
     let missing = plan.stages.missing_images.len();
     if missing > 0 {
         let (it, views) = if missing == 1 { ("is", "view has") } else { ("are", "views have") };
@@ -356,7 +359,8 @@ fn next(project: &Project, plan: &Plan, files: &PlanFiles, dry_run: bool) -> Str
         }
         None if !takes_distorted && distorted() => {
             let dense = command_path(&project.home.join("dense"));
-            format!("viewrank undistort {root} && viewrank plan {dense} --backend {}", plan.stages.backend)
+            let plan = format!("viewrank plan {dense} --backend {}", plan.stages.backend);
+            one_after_other(&format!("viewrank undistort {root}"), &plan)
         }
         None => format!("viewrank export {} --backend {}", command_path(&project.home), files.manifest.backend),
     }

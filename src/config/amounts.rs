@@ -69,7 +69,7 @@ impl Amount for Budget {
 }
 
 impl Amount for Share {
-    const WANTED: &'static str = "a share from 0% to 100% such as 80% or 0.8; instead of 1 write 1% or 100%";
+    const WANTED: &'static str = "a share above 0% and up to 100% such as 80% or 0.8; instead of 1 write 1% or 100%";
     const PATTERN: &'static str = "^[0-9.]+ ?%$";
 }
 
@@ -117,7 +117,7 @@ impl FromStr for Share {
             false if n < 1.0 => Some(n),
             _ => Some(n / 100.0),
         });
-        share.filter(|share| *share <= 1.0).map(Self).ok_or_else(|| Self::refuse(text))
+        share.filter(|share| *share > 0.0 && *share <= 1.0).map(Self).ok_or_else(|| Self::refuse(text))
     }
 }
 

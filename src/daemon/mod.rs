@@ -70,6 +70,9 @@ pub enum DaemonError {
 impl Hint for DaemonError {
     fn hint(&self) -> Option<String> {
         match self {
+            Self::Root { source, .. } if source.kind() == std::io::ErrorKind::NotFound => {
+                Some("name a folder that exists: the one that holds the projects, or a project itself".into())
+            }
             Self::Root { .. } => Some("choose a folder that you may read and write".into()),
             Self::Held { .. } => Some("use that daemon (see `viewrank status`), or stop it first".into()),
             Self::Metrics(_) => Some("choose a file in a folder that you may write to".into()),

@@ -5,7 +5,10 @@ use std::path::Path;
 use super::outdated;
 use crate::{
     backends::{self, Backend, BackendError, Export, ExportOptions, ExportRecord, Selection, place},
-    base::{error::Hint, shell::command_path},
+    base::{
+        error::Hint,
+        shell::{command_path, one_after_other},
+    },
     io::{
         output::{self, Contents, FileSet},
         project::Project,
@@ -157,7 +160,7 @@ fn cache(plan: &Plan, project: &Project) -> Option<FileSet> {
 fn command(export: &Export) -> Option<String> {
     let folder = command_path(&export.files.root);
     let runner = export.record.runner.as_ref().map(|runner| format!("./{runner}"));
-    Some(format!("cd {folder} && {}", runner.as_ref().or(export.record.commands.first())?))
+    Some(one_after_other(&format!("cd {folder}"), runner.as_ref().or(export.record.commands.first())?))
 }
 
 /// Makes the files of a backend for the first `clusters` clusters of a plan in memory; [`FileSet::write`] writes them.

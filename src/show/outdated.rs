@@ -4,7 +4,7 @@ use serde::Deserialize;
 
 use crate::{
     backends::{by_name, place},
-    base::shell::command_path,
+    base::{paths, shell::command_path},
     io::{
         output::{FileSet, read_own, recorded},
         project::Project,
@@ -56,7 +56,7 @@ fn line(plan: &Plan, project: &Project, record: &str) -> Option<String> {
     let folder = project.home.join(folder);
     let own = [project.output_folder().join(backend), project.output_folder().join(format!("{backend}-tiles"))];
     let workspace = project.dense_workspace.as_deref().filter(|_| backend == "colmap");
-    let is_default = own.contains(&folder) || workspace.is_some_and(|workspace| place::is_same(workspace, &folder));
+    let is_default = own.contains(&folder) || workspace.is_some_and(|workspace| paths::is_same(workspace, &folder));
     let out = if is_default { String::new() } else { format!(" --out {}", command_path(&folder)) };
     Some(format!(
         "{} contains an export of an earlier plan for {backend}; to export this plan: viewrank export {} --backend {backend}{tiles}{out}",

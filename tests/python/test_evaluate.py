@@ -57,6 +57,20 @@ def test_maps_of_other_clusters_are_told(matched, viewrank):
     assert "made with other partners than planned" in done.stderr
 
 
+def test_depth_maps_at_half_the_size_are_a_baseline(matched, viewrank):
+    half = made(matched / "half/depth_maps/x").parent
+    for path in (matched / "maps/depth_maps").glob("*.npy"):
+        np.save(half / path.name, np.load(path)[::2, ::2])
+    command = ("evaluate", matched / "valley", "--depth-maps", matched / "maps", "--out", matched / "against-half", "--half-size")
+    done = viewrank(*command, half.parent)
+    found = json.loads((matched / "against-half/evaluation.json").read_text())["half_size"]
+    assert found["maps"] == len(list(half.glob("*.npy"))) and found["work"] == pytest.approx(0.25)
+    assert 0 < found["share"] < 1 and 0 < found["same_as"] < found["maps"], "coarser maps of the same places are worth less"
+    assert f"the first {found['same_as']} at full size give as much" in done.stdout
+    refused = viewrank(*command, matched / "maps", expect=1)
+    assert "not at half the size" in refused.stderr
+
+
 def write_npy(folder, number, name, ids, depth):
     np.save(made(folder / f"{name}.npy"), depth)
 

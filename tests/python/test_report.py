@@ -424,7 +424,7 @@ def test_depth_maps_that_cannot_be_read_are_named_and_the_others_shown(viewrank,
     write([])
     assert reported(viewrank, browser, project) is None
     assert browser.script("data.warnings") == warned(manifest), "an empty folder is no fault"
-    refused = viewrank("report", project, "--reference", project / "nowhere", expect=1)
+    refused = viewrank("report", project, "--reference", project / "nowhere", expect=2)
     assert "nowhere" in refused.stderr
     refused = viewrank("report", project, "--reference", write([1]), "--depth-maps", project / "images", expect=1)
     assert "no depth maps" in refused.stderr
@@ -458,6 +458,26 @@ def test_a_plan_around_finished_depth_maps_is_the_one_that_is_shown(viewrank, br
     for rank, words in ((1, "Chosen: its depth map is finished"), (4, "Chosen: rank 4 of")):
         browser.script(f"change({{ selected: ranking.keys[{rank - 1}] }})")
         assert words in text(browser, "#why-box")
+
+
+def test_depth_maps_at_half_size_are_shown(viewrank, fixtures, browser, tmp_path):
+    for folder in ("sparse", "images"):
+        (tmp_path / folder).symlink_to(fixtures / "valley" / folder)
+    viewrank("plan", tmp_path, "--backend", "sgm", "--scales", "1,0.5", "--quiet")
+    viewrank("report", tmp_path)
+    plan = json.loads((tmp_path / "viewrank" / "manifest.json").read_text())
+    clusters, cut = plan["clusters"], plan["cut"]["clusters"]
+    half = [cluster["scale"] == 0.5 for cluster in clusters]
+    assert any(half) and not all(half)
+    browser.open(tmp_path / "viewrank" / "report.html", 1280)
+    assert browser.script("Array.from(ranking.keys, (key, i) => isHalf(i + 1))") == half
+    assert browser.script("Array.from(ranking.work)") == pytest.approx([cluster["work"] for cluster in clusters])
+    halves = sum(half[:cut])
+    assert f"{cut - halves} at full and {halves} at half size" in text(browser, "#numbers")
+    assert f"{100 * clusters[cut - 1]['work']:.0f} %" in text(browser, "#numbers")
+    rank = half.index(True) + 1
+    browser.script(f"change({{ cut: {len(clusters)}, selected: ranking.keys[{rank - 1}] }})")
+    assert "key view, half size" in text(browser, "#why-box") and "key view at half size" in text(browser, "#map-box .legend")
 
 
 @pytest.mark.skipif(FIREFOX is None, reason="no firefox")

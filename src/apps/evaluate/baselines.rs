@@ -63,6 +63,21 @@ pub fn compare(
     ])
 }
 
+/// Returns the key views or pairs needed as text, with the names of the orders that need as many; equal rows are one row.
+pub fn rows(orders: &[Order], pairs: bool) -> Vec<(Vec<&'static str>, Vec<String>)> {
+    let mut rows: Vec<(Vec<&str>, Vec<String>)> = Vec::new();
+    for order in orders {
+        let digits = usize::from(!order.spread.is_empty());
+        let cell = |needed: &RequiredWork| format!("{:.digits$}", if pairs { needed.pairs } else { needed.clusters });
+        let cells: Vec<String> = order.needed.iter().map(cell).collect();
+        match rows.iter_mut().find(|(_, other)| *other == cells) {
+            Some((names, _)) => names.push(order.name),
+            None => rows.push((vec![order.name], cells)),
+        }
+    }
+    rows
+}
+
 impl Order {
     /// Summarises the curve of an order, or the curves of several seeds.
     fn new(name: &'static str, curves: &[ReachCurve], total: f64) -> Self {

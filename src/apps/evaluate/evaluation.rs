@@ -8,6 +8,7 @@ use super::{
     baselines::{self, Order},
     clouds::CloudComparison,
     curve::{ReachCurve, SHARES},
+    half_size::HalfSize,
     measure::Quality,
     missing::{MeasuredSurface, Missing},
     run::MeasuredClusters,
@@ -55,6 +56,8 @@ pub struct Evaluation {
     pub other_partners: Vec<String>,
     /// Comparison of the fused cloud with that of a full run, if both are given.
     pub clouds: Option<CloudComparison>,
+    /// The same clusters at half the size, if such depth maps are given.
+    pub half_size: Option<HalfSize>,
     /// The same clusters in other orders; empty unless asked for.
     pub orders: Vec<Order>,
 }
@@ -136,6 +139,8 @@ pub struct EvaluationOptions<'a> {
     pub objective: &'a Objective,
     pub so_far: MeasuredProgress,
     pub clouds: Option<CloudComparison>,
+    /// Depth maps of the same clusters at half the size.
+    pub half: Option<&'a MeasuredClusters>,
     /// True: compares with other orders.
     pub baselines: bool,
 }
@@ -178,7 +183,7 @@ impl Evaluation {
         measure: &EvaluationOptions,
         watcher: &dyn Watcher,
     ) -> Result<Self, TableError> {
-        let EvaluationOptions { objective, baselines, so_far, .. } = *measure;
+        let EvaluationOptions { objective, baselines, so_far, half, .. } = *measure;
         let predicted = ReachCurve::new(&run.predicted, objective, &run.clusters, &run.order);
         let real = run.real_curve(objective, &run.order);
         let names = |views: &[ViewIndex]| views.iter().map(|&v| model.scene.name(v).to_string()).collect();
@@ -197,6 +202,7 @@ impl Evaluation {
             predicted: predicted.total(),
             real: real.total(),
             kept: KeptWeight { predicted: predicted.total_kept(), real: real.total_kept() },
+            half_size: half.map(|half| HalfSize::new(half, &real, objective)),
             gap: gaps(&predicted, &real),
             curve: EvaluationCurves {
                 predicted: shares(&predicted),

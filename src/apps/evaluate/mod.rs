@@ -3,12 +3,13 @@
 //! [`MeasuredClusters`] holds the measured depth maps of one folder: `measure` compares a map with its reference, `matched` reads which
 //! partners were really matched. [`orders`] and [`rules`] are the choices of other authors.
 
-mod baselines;
+pub mod baselines;
 mod clouds;
 pub mod clusters;
 mod compare;
 pub mod curve;
 mod evaluation;
+mod half_size;
 mod matched;
 mod measure;
 mod missing;
@@ -26,6 +27,7 @@ mod tests;
 pub use clouds::{CloudComparison, Within};
 pub use compare::{Comparison, RuleClusters, choices, compare};
 pub use evaluation::{Evaluation, EvaluationOptions};
+pub use half_size::HalfSize;
 pub use matched::{ReportError, tried};
 pub use measure::Quality;
 pub(super) use measure::measure;

@@ -25,7 +25,7 @@ impl Evaluation {
         let measured = MeasuredClusters::new(&EvaluationInput::new(stages, &clusters, depth_maps, reference), watcher)?;
         let surface = MeasuredSurface::new(&model, &measured);
         let so_far = MeasuredProgress::new(stages, &measured);
-        let options = EvaluationOptions { objective: &stages.objective, so_far, clouds: None, baselines };
+        let options = EvaluationOptions { objective: &stages.objective, so_far, clouds: None, half: None, baselines };
         Ok(Self::new(&model, &measured, &surface, &options, watcher)?)
     }
 }

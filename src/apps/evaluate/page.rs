@@ -3,8 +3,9 @@
 use std::fmt::Write;
 
 use super::{
-    baselines::RequiredWork,
+    baselines,
     evaluation::{Evaluation, KeyView},
+    half_size::HalfSize,
 };
 use crate::show::pictures::{
     SHARE_LABEL,
@@ -32,6 +33,7 @@ pub fn page(evaluation: &Evaluation, title: &str) -> String {
         html += &order_tables(evaluation);
     }
     html += &clouds(evaluation);
+    html += &half_size(evaluation);
     html += &missing_table(evaluation);
     html += &key_view_table(evaluation);
     html + "</main></body></html>\n"
@@ -70,8 +72,8 @@ fn summary(e: &Evaluation) -> String {
             rmse,
             if e.reference { "scene units, of the right pixels" } else { "not measured without a reference" },
         ),
-        ("Fulfilment", format!("{:.3}", e.real), "real"),
-        ("", format!("{:.3}", e.predicted), "predicted"),
+        ("Fulfilment, measured", format!("{:.3}", e.real), "of what is wanted"),
+        ("Fulfilment, predicted", format!("{:.3}", e.predicted), "for the same depth maps"),
     ];
     for (what, value, of) in numbers {
         let _ = write!(html, "<div><dt>{what}</dt><dd><b>{value}</b><small>{of}</small></dd></div>");
@@ -87,9 +89,15 @@ fn summary(e: &Evaluation) -> String {
     html + "</section>\n"
 }
 
+/// Units of curves and tables: key views (false), and pairs (true) unless all key views have as many.
+fn ways(e: &Evaluation) -> &'static [bool] {
+    let is_even = e.key_views.windows(2).all(|two| two[0].partners.len() == two[1].partners.len());
+    if is_even { &[false] } else { &[false, true] }
+}
+
 fn plots(e: &Evaluation) -> String {
     let mut html = String::new();
-    for over_pairs in [false, true] {
+    for &over_pairs in ways(e) {
         let x: Vec<f64> = match over_pairs {
             true => e.curve.pairs.iter().map(|&p| p as f64).collect(),
             false => (0..e.curve.real.len()).map(|i| i as f64).collect(),
@@ -126,10 +134,13 @@ fn gap_table(e: &Evaluation) -> String {
     let mut html = String::from(
         "<section><h2>Prediction</h2>\n<p>Shares of what these depth maps give together.</p>\n<table><tr><th>predicted</th><th>key views</th><th>pairs</th><th>real</th><th>gap, points</th></tr>\n",
     );
-    for gap in &e.gap {
+    // Shares that the same depth maps reach are one row.
+    for same in e.gap.chunk_by(|one, next| one.clusters == next.clusters) {
+        let (gap, last) = (&same[0], &same[same.len() - 1]);
+        let up_to = if same.len() > 1 { format!("–{:.0}", 100.0 * last.share) } else { String::new() };
         let _ = writeln!(
             html,
-            "<tr><td>{:.0} %</td><td>{}</td><td>{}</td><td>{:.1} %</td><td>{:+.1}</td></tr>",
+            "<tr><td>{:.0}{up_to} %</td><td>{}</td><td>{}</td><td>{:.1} %</td><td>{:+.1}</td></tr>",
             100.0 * gap.share,
             gap.clusters,
             gap.pairs,
@@ -141,15 +152,16 @@ fn gap_table(e: &Evaluation) -> String {
 }
 
 fn order_tables(e: &Evaluation) -> String {
-    let mut html = String::from("<section><h2>Orders</h2>\n");
-    for (what, pairs) in [("Key views", false), ("Pairs", true)] {
+    let mut html = String::from("<section tabindex=\"0\" aria-label=\"Orders\"><h2>Orders</h2>\n");
+    for &pairs in ways(e) {
+        let what = if pairs { "Pairs" } else { "Key views" };
         let _ = write!(
             html,
             "<p>{what} needed for a share of what all depth maps give (measured):</p>\n<table><tr><th>order</th>"
         );
         e.orders[0].needed.iter().for_each(|n| html += &format!("<th>{:.0} %</th>", 100.0 * n.share));
         html += "</tr>\n";
-        for (names, cells) in rows(e, pairs) {
+        for (names, cells) in baselines::rows(&e.orders, pairs) {
             let _ = write!(html, "<tr><td>{}</td>", escape(&names.join(", ")));
             cells.iter().for_each(|cell| html += &format!("<td>{cell}</td>"));
             html += "</tr>\n";
@@ -157,21 +169,6 @@ fn order_tables(e: &Evaluation) -> String {
         html += "</table>\n";
     }
     html + "</section>\n"
-}
-
-/// Returns the orders with their cells; orders with the same cells share a row.
-fn rows(e: &Evaluation, pairs: bool) -> Vec<(Vec<&'static str>, Vec<String>)> {
-    let mut rows: Vec<(Vec<&str>, Vec<String>)> = Vec::new();
-    for order in &e.orders {
-        let digits = usize::from(!order.spread.is_empty());
-        let cell = |needed: &RequiredWork| format!("{:.digits$}", if pairs { needed.pairs } else { needed.clusters });
-        let cells: Vec<String> = order.needed.iter().map(cell).collect();
-        match rows.iter_mut().find(|(_, other)| *other == cells) {
-            Some((names, _)) => names.push(order.name),
-            None => rows.push((vec![order.name], cells)),
-        }
-    }
-    rows
 }
 
 /// Returns the comparison of the fused cloud with that of a full run; empty unless both were given.
@@ -201,6 +198,12 @@ fn clouds(e: &Evaluation) -> String {
     html + "</table></section>\n"
 }
 
+/// Returns the comparison with all at half the size; empty unless such depth maps were given.
+fn half_size(e: &Evaluation) -> String {
+    let section = |half: &HalfSize| format!("<section><h2>Half the size</h2>\n<p>{}</p></section>\n", half.in_words());
+    e.half_size.as_ref().map(section).unwrap_or_default()
+}
+
 fn missing_table(e: &Evaluation) -> String {
     let mut html = format!(
         "<section><h2>Missing fulfilment</h2>\n<p>Triangles with less than half of their fulfilment, of {} in total, coloured in \
@@ -220,7 +223,7 @@ fn missing_table(e: &Evaluation) -> String {
 
 fn key_view_table(e: &Evaluation) -> String {
     let mut html = String::from(
-        "<section class=\"keys\"><h2>Key views</h2>\n<table><tr><th>key view</th><th>rank</th><th>partners matched</th><th>completeness</th>\
+        "<section class=\"keys\" tabindex=\"0\" aria-label=\"Key views\"><h2>Key views</h2>\n<table><tr><th>key view</th><th>rank</th><th>partners matched</th><th>completeness</th>\
          <th>outliers</th><th>RMSE</th><th>predicted f</th><th>real f</th></tr>\n",
     );
     for (i, view) in e.key_views.iter().enumerate() {

@@ -322,6 +322,8 @@ pub enum EvaluateError {
     CloudFile { path: PathBuf, source: std::io::Error },
     #[error("cannot read cloud {}: {source}", path.display())]
     Cloud { path: PathBuf, source: ply::PlyError },
+    #[error("the depth maps in {} are not at half the size of the plan's", .0.display())]
+    NotHalf(PathBuf),
     #[error("none of the view clusters has a depth map in {}", .0.display())]
     NoClusters(PathBuf),
     #[error(transparent)]
@@ -338,6 +340,7 @@ impl Hint for EvaluateError {
             Self::NoClusters(_) => {
                 "give the depth maps of this plan, or the clusters that they were made for with --clusters".into()
             }
+            Self::NotHalf(_) => "match the same clusters again at half the image size, into another folder".into(),
             Self::CloudFile { .. } | Self::Cloud { .. } => "give the fused cloud as a PLY file".into(),
             Self::Cancelled(_) => return None,
             Self::Table(error) => return error.hint(),
@@ -348,7 +351,9 @@ impl Hint for EvaluateError {
         match self {
             Self::DepthMap(error) => error.path(),
             Self::Report(error) => error.path(),
-            Self::NoClusters(path) | Self::CloudFile { path, .. } | Self::Cloud { path, .. } => Some(path),
+            Self::NoClusters(path) | Self::NotHalf(path) | Self::CloudFile { path, .. } | Self::Cloud { path, .. } => {
+                Some(path)
+            }
             Self::Cancelled(_) => None,
             Self::Table(error) => error.path(),
         }

@@ -14,6 +14,7 @@ use super::{
     flight::{self, Flight},
     history::History,
     holes::{FAR, Hole, holes},
+    ranking::RankingData,
     real::{DepthMapFolders, Real},
     shown::DrawnSurface,
     subject::Subject,
@@ -134,19 +135,6 @@ struct ViewData {
     seen: String,
     /// For views that lack partners: how many they have, and why other views are refused.
     partners: BTreeMap<u32, String>,
-}
-
-#[derive(Serialize)]
-struct RankingData {
-    /// u32.
-    keys: String,
-    /// u32, CSR by rank.
-    partners: String,
-    partner_offsets: String,
-    /// f64 each.
-    gains: String,
-    shares: String,
-    points: String,
 }
 
 #[derive(Serialize)]
@@ -311,7 +299,7 @@ fn title(root: &Path) -> String {
 }
 
 /// CSR offsets as the page reads them: u32 in base64.
-fn offset_bytes(offsets: &Offsets) -> String {
+pub(super) fn offset_bytes(offsets: &Offsets) -> String {
     bytes(&offsets.as_slice().iter().map(|&offset| offset as u32).collect::<Vec<_>>())
 }
 
@@ -363,21 +351,6 @@ fn partners(plan: &Plan) -> BTreeMap<u32, String> {
     let views: Vec<ViewIndex> = plan.stages.scene.view_indices().filter(lacks).collect();
     let words = |&view: &ViewIndex| (view.0, partners_in_words(&plan.stages.scene, &points, &gate, view));
     views.par_iter().map(words).collect()
-}
-
-impl RankingData {
-    fn new(plan: &Plan) -> Self {
-        let numbers = |views: Vec<ViewIndex>| bytes(&views.iter().map(|v| v.0).collect::<Vec<_>>());
-        let shares: Vec<f64> = plan.ranked().map(|cluster| cluster.share).collect();
-        Self {
-            keys: numbers(plan.ranked().map(|cluster| cluster.key).collect()),
-            partner_offsets: offset_bytes(&Offsets::from_lengths(plan.ranked().map(|cluster| cluster.partners.len()))),
-            partners: numbers(plan.ranked().flat_map(|cluster| cluster.partners).collect()),
-            gains: bytes(&plan.decision.ranking.gains),
-            shares: bytes(&shares),
-            points: bytes(&plan.points_by_rank()),
-        }
-    }
 }
 
 impl SurfaceData {

@@ -8,6 +8,7 @@ mod contents;
 mod flight;
 mod history;
 mod holes;
+mod ranking;
 mod real;
 mod shown;
 mod subject;

@@ -21,6 +21,7 @@ use crate::{
     base::{
         error::Hint,
         input::{self, FileKind},
+        paths,
         progress::{Cancelled, Stage, Watcher},
     },
     io::{
@@ -111,6 +112,16 @@ pub fn undistort(
     Ok(done)
 }
 
+/// Returns the scene with the cameras that its undistorted images will have. A camera without a pinhole camera stays.
+pub fn with_undistorted_cameras(mut scene: Scene) -> Scene {
+    for camera in scene.cameras.iter_mut().filter(|camera| camera.model().focal_length_count() > 0) {
+        if let Ok(pinhole) = camera::undistorted(camera, &Options::default()) {
+            *camera = pinhole;
+        }
+    }
+    scene
+}
+
 /// Inputs of an undistorted image; the image is recomputed when they change.
 #[derive(Serialize)]
 struct ImageRecipe<'a> {
@@ -133,9 +144,7 @@ struct Undistortion<'a> {
 impl<'a> Undistortion<'a> {
     fn new(project: &'a Project, scene: &'a Scene, options: &Options, out: &'a Path) -> Result<Self, UndistortError> {
         let images = project.images.as_ref().ok_or_else(|| UndistortError::NoImages(project.root.clone()))?;
-        let same =
-            |a: &Path, b: &Path| dunce::canonicalize(a).is_ok_and(|a| dunce::canonicalize(b).is_ok_and(|b| a == b));
-        if same(images, &out.join("images")) {
+        if paths::is_same(images, &out.join("images")) {
             return Err(UndistortError::OwnImages(images.to_path_buf()));
         }
         let pinhole = |camera: &Camera| match camera.model().focal_length_count() {

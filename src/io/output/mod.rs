@@ -232,6 +232,9 @@ impl Hint for OutputError {
             Self::OtherFileSystem { .. } => "choose a folder on a single file system with --out".into(),
             Self::Full { .. } => "free some space on that disk; nothing was changed".into(),
             Self::Denied { .. } => "get write permission there, or work on a copy; nothing was changed".into(),
+            Self::Io { source, .. } if source.kind() == io::ErrorKind::NotADirectory => {
+                "name a folder, not a file or something below one".into()
+            }
             Self::Io { .. } => "check that the disk is mounted and works; nothing was changed".into(),
             Self::Journal { .. } => {
                 "run again to continue without it; its staged files are kept next to it in .staging.refused-N".into()

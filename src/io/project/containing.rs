@@ -2,25 +2,30 @@
 
 use std::path::{Path, PathBuf};
 
-use super::{Project, discover, files::REQUIRED};
+use super::{Project, discover, files::REQUIRED, images::is_image};
+use crate::base::paths::is_same;
 
 /// Files of a COLMAP model beside those that are required, without their extension.
 const FURTHER: [&str; 2] = ["rigs", "frames"];
 
-/// The project of a file of a COLMAP model, a database, or a folder of sparse models or images; `None` if the path is a project or a model by
-/// itself. A sub-model that is not the one with most images is a project of its own, as is one with results or settings in its folder.
+/// The project of a file of a COLMAP model, a database, an image, a plan, or a folder of sparse models, images or results; `None` if the path is a
+/// project or a model by itself. A sub-model that is not the one with most images is a project of its own, as is one with results or settings in its folder.
 pub fn containing(path: &Path) -> Option<PathBuf> {
     let whole = std::path::absolute(path).ok()?;
     let part = if whole.is_dir() { whole.clone() } else { folder_of_file(&whole)? };
     let found = match part.file_name()?.to_str()? {
         "images" if discover::open(&part, None).is_ok() => None,
+        "viewrank" if discover::open(&part, None).is_err() => {
+            part.parent().filter(|above| discover::open(above, None).is_ok()).map(Path::to_path_buf)
+        }
         "sparse" | "images" => project_above(&part, part.parent()?),
         _ if part.parent().is_some_and(|above| above.ends_with("sparse")) => {
             project_above(&part, part.parent()?.parent()?)
         }
         _ => None,
     };
-    let found = found.or_else(|| (part != whole).then(|| part.clone()))?;
+    let is_model = || part != whole && !is_image(&whole) && !part.ends_with("viewrank");
+    let found = found.or_else(|| is_model().then(|| part.clone()))?;
     // Typed relative, answered relative.
     let levels = whole.components().count() - found.components().count();
     let typed = path.ancestors().nth(levels).filter(|typed| !typed.as_os_str().is_empty());
@@ -33,7 +38,9 @@ fn folder_of_file(path: &Path) -> Option<PathBuf> {
     let is_model = ["bin", "txt"].contains(&extension) && REQUIRED.iter().chain(&FURTHER).any(|name| *name == stem);
     let is_database = extension == "db";
     let folder = path.parent()?;
-    ((is_model || is_database) && folder.is_dir()).then(|| folder.to_path_buf())
+    let is_image = is_image(path) && folder.ends_with("images");
+    let is_plan = folder.ends_with("viewrank") && path.is_file();
+    ((is_model || is_database || is_image || is_plan) && folder.is_dir()).then(|| folder.to_path_buf())
 }
 
 fn project_above(part: &Path, above: &Path) -> Option<PathBuf> {
@@ -41,8 +48,6 @@ fn project_above(part: &Path, above: &Path) -> Option<PathBuf> {
         return None;
     }
     let Project { model, .. } = discover::open(above, None).ok()?;
-    let is_same =
-        |a: &Path, b: &Path| dunce::canonicalize(a).is_ok_and(|a| dunce::canonicalize(b).is_ok_and(|b| a == b));
     let holds_model = is_same(&model.path, part) || model.path.parent().is_some_and(|folder| is_same(folder, part));
     (holds_model || part.ends_with("images")).then(|| above.to_path_buf())
 }
@@ -64,6 +69,8 @@ mod tests {
                 assert_eq!(containing(&part), Some(project.clone()), "{}", part.display());
             }
         }
+        let image = std::fs::read_dir(project.join("images")).unwrap().next().unwrap().unwrap().path();
+        assert_eq!(containing(&image), Some(project.clone()));
         assert_eq!(containing(&project), None);
     }
 
@@ -85,6 +92,10 @@ mod tests {
         assert_eq!(containing(&root.join("sparse/0/points3D.bin")), Some(root.into()));
         assert_eq!(containing(&root.join("database.db")), Some(root.into()));
         assert_eq!(containing(&root.join("sparse/1")), None);
+        std::fs::create_dir(root.join("viewrank")).unwrap();
+        std::fs::write(root.join("viewrank/manifest.json"), "").unwrap();
+        assert_eq!(containing(&root.join("viewrank")), Some(root.into()));
+        assert_eq!(containing(&root.join("viewrank/manifest.json")), Some(root.into()));
         std::fs::create_dir(root.join("sparse/0/viewrank")).unwrap();
         assert_eq!(containing(&root.join("sparse/0")), None);
     }

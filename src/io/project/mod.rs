@@ -312,6 +312,10 @@ impl Hint for ProjectError {
     fn hint(&self) -> Option<String> {
         Some(match self {
             Self::NotFound(_) => "name the project folder, which contains `sparse` and `images`".into(),
+            Self::NoModel { path, .. } if path.is_file() => {
+                "this file is no sparse model, and none is beside it: name the project folder, which contains `sparse`"
+                    .into()
+            }
             Self::NoModel { .. } => "name a folder that contains `sparse`, or the folder of the model itself".into(),
             Self::IncompleteModel { .. } => {
                 "export the model again, with cameras, images and points3D in one format, binary or text".into()

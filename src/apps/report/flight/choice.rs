@@ -28,8 +28,8 @@ use crate::{
 
 /// The choice ends when a further image fills less than this share of what can be filled.
 const LEAST: f64 = 0.01;
-/// The choice ends once this share of what can be filled has been filled.
-const ENOUGH: f64 = 0.92;
+/// The choice ends once this share of what can be filled has been filled: further images fill little each (docs/benchmarks.md, "A second flight").
+const ENOUGH: f64 = 0.85;
 /// Largest number of partners of a candidate among the other candidates.
 const NEAREST: usize = 4;
 /// Largest number of partners of a candidate among the existing images.
@@ -105,8 +105,8 @@ pub fn choose(
     let (before, mut all) = (reached.kept_weight(), reached.clone());
     (0..clusters.len()).for_each(|c| all.take(table.row(c)));
     flown.taken.iter().for_each(|&c| reached.take(table.row(c)));
-    let used: Vec<usize> = (0..candidates.len()).filter(|&i| flown.used[extended.taken + i]).collect();
-    let waypoint = |&i: &usize| Waypoint {
+    let waypoint = |(order, &i): (usize, &usize)| Waypoint {
+        rank: order + 1,
         centre: candidates[i].centre,
         direction: candidates[i].direction,
         hole: candidates[i].hole,
@@ -122,7 +122,7 @@ pub fn choose(
     };
     Ok(Flight {
         of_holes: holes.iter().map(of_hole).collect(),
-        waypoints: used.par_iter().map(waypoint).collect(),
+        waypoints: flown.images.par_iter().enumerate().map(waypoint).collect(),
         filled: reached.kept_weight() - before,
         fillable: all.kept_weight() - before,
     })
@@ -169,6 +169,8 @@ fn clusters(extended: &Extended, candidates: &[Candidate], k: usize) -> Vec<View
 struct Flown {
     /// Clusters in the order of choice.
     taken: Vec<usize>,
+    /// Candidates in the order of choice.
+    images: Vec<usize>,
     /// By view of the extended scene: true if it takes part.
     used: Vec<bool>,
 }
@@ -183,7 +185,7 @@ fn greedy(
     let mut whole = reached.clone();
     (0..clusters.len()).for_each(|c| whole.take(table.row(c)));
     let (start, possible) = (reached.fulfilment(), whole.fulfilment());
-    let mut flown = Flown { taken: Vec::new(), used: vec![false; extended.scene.views.len()] };
+    let mut flown = Flown { taken: Vec::new(), images: Vec::new(), used: vec![false; extended.scene.views.len()] };
     while reached.fulfilment() - start < ENOUGH * (possible - start) {
         let cost = |cluster: &ViewCluster| {
             let members = std::iter::once(&cluster.key).chain(&cluster.partners);
@@ -201,7 +203,12 @@ fn greedy(
         reached.take(table.row(cluster));
         flown.taken.push(cluster);
         let chosen = &clusters[cluster];
-        std::iter::once(&chosen.key).chain(&chosen.partners).for_each(|v| flown.used[v.index()] = true);
+        for view in std::iter::once(&chosen.key).chain(&chosen.partners) {
+            if extended.is_candidate(*view) && !flown.used[view.index()] {
+                flown.images.push(view.index() - extended.taken);
+            }
+            flown.used[view.index()] = true;
+        }
     }
     flown
 }

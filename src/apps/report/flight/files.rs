@@ -59,7 +59,7 @@ impl<'a> Described<'a> {
 
     fn properties(&self, number: usize) -> Value {
         json!({
-            "name": format!("{number}"), "hole": self.waypoint.hole + 1, "missing": self.missing,
+            "name": format!("{number}"), "rank": self.waypoint.rank, "hole": self.waypoint.hole + 1, "missing": self.missing,
             "heading_deg": rounded(self.heading, 1), "pitch_deg": rounded(self.pitch, 1),
             "height_above_surface": rounded(self.waypoint.height, 3), "distance": rounded(self.waypoint.distance, 3),
             "overlap": rounded(self.waypoint.overlap, 2),
@@ -127,20 +127,21 @@ fn kml(all: &[Described]) -> String {
 
 fn csv(all: &[Described]) -> String {
     let mut text = String::from(
-        "number,longitude,latitude,height_above_ellipsoid_m,height_above_surface_m,heading_deg,gimbal_pitch_deg,overlap,hole,missing\n",
+        "number,longitude,latitude,height_above_ellipsoid_m,height_above_surface_m,heading_deg,gimbal_pitch_deg,overlap,hole,missing,rank\n",
     );
     for (i, w) in all.iter().enumerate() {
         let [longitude, latitude, height] = coordinates(w, false);
         let _ = writeln!(
             text,
-            "{},{longitude:.9},{latitude:.9},{height:.3},{:.2},{:.1},{:.1},{:.2},{},\"{}\"",
+            "{},{longitude:.9},{latitude:.9},{height:.3},{:.2},{:.1},{:.1},{:.2},{},\"{}\",{}",
             i + 1,
             w.waypoint.height,
             w.heading,
             w.pitch,
             w.waypoint.overlap,
             w.waypoint.hole + 1,
-            w.missing
+            w.missing,
+            w.waypoint.rank
         );
     }
     text
@@ -155,10 +156,21 @@ fn ply(flight: &Flight) -> String {
     for name in ["x", "y", "z", "nx", "ny", "nz"] {
         let _ = writeln!(text, "property double {name}");
     }
-    text += "property int hole\nend_header\n";
+    text += "property int hole\nproperty int rank\nend_header\n";
     for w in &flight.waypoints {
         let (c, d) = (w.centre, w.direction);
-        let _ = writeln!(text, "{:.6} {:.6} {:.6} {:.6} {:.6} {:.6} {}", c.x, c.y, c.z, d.x, d.y, d.z, w.hole + 1);
+        let _ = writeln!(
+            text,
+            "{:.6} {:.6} {:.6} {:.6} {:.6} {:.6} {} {}",
+            c.x,
+            c.y,
+            c.z,
+            d.x,
+            d.y,
+            d.z,
+            w.hole + 1,
+            w.rank
+        );
     }
     text
 }

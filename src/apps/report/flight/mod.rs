@@ -20,6 +20,8 @@ pub use files::files;
 /// An image to take.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Waypoint {
+    /// Order in which it was chosen, from 1: if only some can be flown, the first ones fill most.
+    pub rank: usize,
     /// World coordinates.
     pub centre: Point3<f64>,
     /// Viewing direction, a unit vector in world coordinates.

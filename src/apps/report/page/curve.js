@@ -7,6 +7,7 @@ const plot = { left: 54, right: 546, top: 28, bottom: 262 };
 const overs = {
   maps: { label: 'depth maps', one: 'depth map', at: cut => cut },
   pairs: { label: 'image pairs', one: 'image pair', at: cut => pairsUpTo[cut] },
+  work: { label: '% of the work', one: '% of the work', at: cut => cut && 100 * ranking.work[cut - 1] },
   time: { label: 'hours of matching', one: 'hour of matching', at: cut => secondsUpTo(cut) / 3600 },
 };
 
@@ -21,7 +22,7 @@ function secondsFor(maps, pairs) {
 // Finished depth maps take no time.
 function secondsUpTo(cut) {
   const done = Math.min(cut, data.finished);
-  return secondsFor(cut - done, pairsUpTo[cut] - pairsUpTo[done]);
+  return secondsFor(fullMapsUpTo[cut] - fullMapsUpTo[done], fullPairsUpTo[cut] - fullPairsUpTo[done]);
 }
 
 function over() {
@@ -124,7 +125,7 @@ function boundText() {
 
 function fillOver() {
   const chosen = byId('over').value || 'maps';
-  const known = Object.keys(overs).filter(key => key !== 'time' || timesKnown());
+  const known = Object.keys(overs).filter(key => (key !== 'time' || timesKnown()) && (key !== 'work' || ranking.work));
   byId('over').replaceChildren(...known.map(key => make('option', { value: key }, overs[key].label)));
   byId('over').value = known.includes(chosen) ? chosen : 'maps';
 }

@@ -31,6 +31,9 @@ const ranking = {
   gains: decode(data.ranking.gains, Float64Array),
   shares: decode(data.ranking.shares, Float64Array),
   points: decode(data.ranking.points, Float64Array),
+  // Null where all depth maps have one size.
+  ofFull: data.ranking.sizes && decode(data.ranking.sizes.of_full, Float64Array),
+  work: data.ranking.sizes && decode(data.ranking.sizes.work, Float64Array),
 };
 const surface = {
   vertices: decode(data.surface.vertices, Float32Array),
@@ -63,11 +66,22 @@ const clusters = ranking.keys.length;
 // Rank (from 1) of the first key view that each view is a partner of.
 const partnerFrom = new Uint32Array(views.count).fill(0xffffffff);
 // Sums over the first i clusters.
-const pairsUpTo = new Float64Array(clusters + 1), pointsUpTo = new Float64Array(clusters + 1);
+const pairsUpTo = new Float64Array(clusters + 1), pointsUpTo = new Float64Array(clusters + 1), halvesUpTo = new Uint32Array(clusters + 1);
+// In depth maps and pairs at full size.
+const fullMapsUpTo = new Float64Array(clusters + 1), fullPairsUpTo = new Float64Array(clusters + 1);
 for (let i = 0; i < clusters; i++) {
   for (const view of partnersOf(i + 1)) partnerFrom[view] = Math.min(partnerFrom[view], i + 1);
-  pairsUpTo[i + 1] = pairsUpTo[i] + ranking.partnerOffsets[i + 1] - ranking.partnerOffsets[i];
+  const pairs = ranking.partnerOffsets[i + 1] - ranking.partnerOffsets[i], ofFull = ranking.ofFull ? ranking.ofFull[i] : 1;
+  pairsUpTo[i + 1] = pairsUpTo[i] + pairs;
+  fullMapsUpTo[i + 1] = fullMapsUpTo[i] + ofFull;
+  fullPairsUpTo[i + 1] = fullPairsUpTo[i] + ofFull * pairs;
+  halvesUpTo[i + 1] = halvesUpTo[i] + (ofFull < 1 ? 1 : 0);
   pointsUpTo[i + 1] = pointsUpTo[i] + ranking.points[i];
+}
+
+// True if the depth map of this rank is computed at half the size.
+function isHalf(rank) {
+  return rank > 0 && halvesUpTo[rank] > halvesUpTo[rank - 1];
 }
 
 function partnersOf(rank) {

@@ -10,7 +10,8 @@ function drawCut() {
   const { cut } = state;
   byId('slider').value = byId('number').value = cut;
   byId('slider').setAttribute('aria-valuetext', `${cut} depth maps, ${percent(shareAt(cut))}`);
-  byId('verdict').replaceChildren(make('b', {}, `${grouped.format(cut)} of ${grouped.format(views.count)} views`), ' get a depth map, ',
+  const halves = halvesUpTo[cut], atHalf = halves ? ` (${grouped.format(halves)} of them at half size)` : '';
+  byId('verdict').replaceChildren(make('b', {}, `${grouped.format(cut)} of ${grouped.format(views.count)} views`), ` get a depth map${atHalf}, `,
     make('b', {}, `${grouped.format(pairsUpTo[cut])} image pairs`), `: ${percent(shareAt(cut))} of what all depth maps give${inRegion}.`);
   for (const button of byId('jumps').children) button.setAttribute('aria-pressed', Number(button.dataset.cut) === cut);
 }
@@ -34,16 +35,22 @@ function setUpCut() {
 function drawNumbers() {
   const { cut } = state, { reachable, share_band: share, reachable_band: band } = data.limits, planned = cut === data.cut;
   const range = ({ low, high }) => `${Math.floor(100 * low)} to ${Math.ceil(100 * high)}\u00a0%`;
-  const part = (some, all) => percent(all ? some / all : 0, 0);
+  const halves = halvesUpTo[cut], sizes = halves ? `, ${grouped.format(cut - halves)} at full and ${grouped.format(halves)} at half size` : '';
   const numbers = [
-    ['Depth maps', grouped.format(cut), `of ${grouped.format(views.count)} views`],
-    ['Work', timesKnown() ? duration(secondsUpTo(cut)) : grouped.format(pairsUpTo[cut]), timesKnown() ? `of ${duration(secondsUpTo(clusters))} for all`
-      : `image pairs of ${grouped.format(data.pairs_total)} (${part(pairsUpTo[cut], data.pairs_total)})`],
+    ['Depth maps', grouped.format(cut), `of ${grouped.format(views.count)} views${sizes}`],
+    ['Work', ...work(cut)],
     ['Of what all depth maps give', percent(shareAt(cut)), planned ? `measured, it will likely be ${range(share)}` : 'predicted'],
     ['Of what the photographs show', percent(shareAt(cut) * reachable, 0), `all depth maps: ${percent(reachable, 0)}${planned ? ` (likely ${range(band)})` : ''}`],
   ];
   byId('numbers').replaceChildren(...numbers.map(([what, value, of]) =>
     make('div', {}, make('dt', {}, what), make('dd', {}, make('b', {}, value), make('small', { class: 'of' }, of)))));
+}
+
+// In time where that is known, else in what is matched.
+function work(cut) {
+  if (timesKnown()) return [duration(secondsUpTo(cut)), `of ${duration(secondsFor(data.clusters_total, data.pairs_total))} for all${ranking.work ? ' at full size' : ''}`];
+  if (ranking.work) return [percent(cut && ranking.work[cut - 1], 0), 'of the work of all depth maps at full size'];
+  return [grouped.format(pairsUpTo[cut]), `image pairs of ${grouped.format(data.pairs_total)} (${percent(data.pairs_total ? pairsUpTo[cut] / data.pairs_total : 0, 0)})`];
 }
 
 function drawForecast() {
@@ -96,6 +103,7 @@ function drawLegends() {
   };
   const cameras = [['key', 'key view'], ['partner', 'partner'], ['unused', 'unused']].map(([status, text]) =>
     make('span', {}, make('i', { class: status === 'unused' ? 'ring' : '', style: `background: var(--${status}); color: var(--${status}); border-radius: 50%` }), text));
+  if (ranking.ofFull) cameras.splice(1, 0, make('span', {}, make('i', { class: 'diamond', style: 'background: var(--key)' }), 'key view at half size'));
   if (flight.count) cameras.push(make('span', {}, make('i', { class: 'ring', style: `color: ${FLIGHT}` }), 'image to take'));
   if (data.region) cameras.unshift(make('span', {}, make('i', { style: 'height: 3px; background: #1d2329' }), 'border of the region'));
   for (const legend of document.querySelectorAll('.legend')) legend.replaceChildren(...lists[state.colour](), ...cameras.map(c => c.cloneNode(true)));

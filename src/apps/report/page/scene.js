@@ -171,7 +171,8 @@ class Scene {
       const status = statusOf(view, state.cut), [x, y] = this.at(view), radius = status === 'key' ? size * 1.35 : size;
       if (x < -9 || y < -9 || x > this.width + 9 || y > this.height + 9) continue;
       paths[status].moveTo(x + radius, y);
-      paths[status].arc(x, y, radius, 0, 7);
+      if (status === 'key' && isHalf(views.rank[view])) diamond(paths.key, x, y, radius);
+      else paths[status].arc(x, y, radius, 0, 7);
     }
     for (const [status, path] of Object.entries(paths)) {
       context.fillStyle = theme[status];
@@ -312,6 +313,16 @@ class Scene {
     context.font = '12px system-ui, sans-serif';
     context.fillText(`${rounded(length)} ${unit}`, 18, this.height - 18);
   }
+}
+
+// A square on its tip: a key view at half the size.
+function diamond(path, x, y, radius) {
+  const reach = 1.25 * radius;
+  path.moveTo(x + reach, y);
+  path.lineTo(x, y + reach);
+  path.lineTo(x - reach, y);
+  path.lineTo(x, y - reach);
+  path.closePath();
 }
 
 // Chosen key views with this partner, best first.

@@ -36,7 +36,7 @@ function drawWhy() {
     parts.push(make('p', { class: 'note' }, 'Second picture: where its depth map is expected to succeed, from dark (fails) to yellow (succeeds); grey: no surface that it sees.'));
   }
   const status = statusOf(view, state.cut);
-  parts.push(make('p', {}, make('span', { class: `tag ${status}` }, { key: 'key view', partner: 'partner only', unused: 'unused' }[status])));
+  parts.push(make('p', {}, make('span', { class: `tag ${status}` }, { key: isHalf(views.rank[view]) ? 'key view, half size' : 'key view', partner: 'partner only', unused: 'unused' }[status])));
   parts.push(...(status === 'key' ? whyIn(view) : whyNot(view)));
   const keys = keysWith(view, state.cut);
   if (keys.length) parts.push(make('p', {}, `${keys.length} chosen key view${keys.length > 1 ? 's are' : ' is'} matched against it:`), viewList(keys));
@@ -52,6 +52,7 @@ function whyIn(view) {
     make('p', { class: 'answer' }, `${why} ${gainText(rank)} of what all depth maps give, from ${percent(shareAt(rank - 1))} to ${percent(shareAt(rank))}.`
       + ' Triangles that it improves are purple on the map.'),
     make('p', {}, `It is matched against ${partners.length} partner${partners.length === 1 ? '' : 's'}, best first:`), viewList(partners)];
+  if (isHalf(rank)) parts.push(make('p', {}, 'At half the size it adds most for its work.'));
   if (partners.length < data.wanted_partners) {
     parts.push(make('p', {}, `Fewer than the ${data.wanted_partners} wanted, because ${reasonOf(view) || 'there are no others'}${pairsOf(view)}.`));
   }

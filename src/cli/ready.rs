@@ -1,0 +1,49 @@
+//! Checks of `viewrank run` before it plans.
+
+use std::path::Path;
+
+use super::Failure;
+use crate::{
+    apps::{
+        dispatch::{Dispatch, Tools},
+        undistort,
+    },
+    backends::{Backend, Selection},
+    io::project::Project,
+    model::{
+        cluster::{MapScale, RankedCluster},
+        scene::Scene,
+    },
+};
+
+/// Fails before planning where matching would fail after it: without images, for a backend that cannot match single clusters, or without its
+/// program. The export of one cluster says which program that is.
+pub fn check(
+    backend: &'static Backend,
+    project: &Project,
+    scene: Scene,
+    program: Option<&Path>,
+) -> Result<(), Failure> {
+    let image_faults = project.image_faults(&scene);
+    let scene = undistort::with_undistorted_cameras(scene);
+    let mut views = scene.view_indices();
+    let (Some(key), Some(partner)) = (views.next(), views.next()) else { return Ok(()) };
+    let cluster = RankedCluster { key, partners: vec![partner], scale: MapScale::Full, share: 1.0 };
+    let selection = Selection {
+        project,
+        scene: &scene,
+        clusters: &[cluster],
+        image_scale: 1.0,
+        own_size: true,
+        planned_for: backend.name,
+        image_faults: &image_faults,
+    };
+    let export = match backend.export(&selection, &Default::default()) {
+        Ok(export) => export,
+        Err(error) if project.images.is_none() => return Err(error.into()),
+        // Of this cluster alone, perhaps.
+        Err(_) => return Ok(()),
+    };
+    Tools::find(&Dispatch::new(backend, &selection, &export, 0)?, program)?;
+    Ok(())
+}
