@@ -1,0 +1,146 @@
+"""Every change of a file in turn fails for want of space, for each command that writes: nothing of the user's is lost, what was written before stays
+whole or is replaced whole, the error names a file and the cause, and the next run is as if nothing had been. And the same on a read-only disk."""
+import os
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+PROGRAM = os.path.abspath(os.environ.get("VIEWRANK", "target/debug/viewrank"))
+# Times, and what depends on them.
+VARYING = {"viewrank/timings.json", "viewrank/report.html", "viewrank/cache/agreement.table"}
+# How many of a command's changes are made to fail; beyond it, as many evenly spread ones. VIEWRANK_LONG: all.
+MOST = 10**6 if os.environ.get("VIEWRANK_LONG") else 12
+
+PLAN = ["plan", "p", "--quiet", "--confidence", "geometric", "--backend", "sgm,openmvs"]
+COMMANDS = {
+    "plan with a region and two sizes": ([], [*PLAN, "--region", "region.geojson", "--scales", "1,0.5"]),
+    "plan over another plan": ([PLAN], [*PLAN, "-k", "3", "--target", "50%"]),
+    "plan that compares photographs": ([], ["plan", "p", "--quiet", "--confidence", "photometric", "--backend", "sgm"]),
+    "report with a flight": ([PLAN, ["report", "p", "--quiet"], [*PLAN, "-k", "3"]], ["report", "p", "--quiet"]),
+    "evaluate": ([PLAN], ["evaluate", "p", "--quiet", "--depth-maps", "maps"]),
+    "train": ([PLAN], ["train", "p", "--quiet", "--depth-maps", "MAPS", "--out", "p/viewrank/confidence.model"]),
+    "predict": ([PLAN], ["predict", "p", "--out", "p/pictures"]),
+    "dispatch": ([PLAN], ["dispatch", "p", "--scheduler", "shell", "--program", "/bin/true", "--backend", "sgm"]),
+    "export in tiles": ([PLAN], ["export", "p", "--backend", "mvsnet", "--tiles", "2"]),
+    "undistort": ([], ["undistort", "p", "--quiet"]),
+}
+
+
+@pytest.fixture(scope="session")
+def shim(tmp_path_factory):
+    if shutil.which("cc") is None or os.uname().sysname != "Linux":
+        pytest.skip("needs cc and Linux")
+    library = tmp_path_factory.mktemp("shim") / "failing_writes.so"
+    subprocess.run(["cc", "-shared", "-fPIC", "-O1", "-o", library, Path(__file__).with_name("failing_writes.c"), "-ldl"], check=True)
+    return library
+
+
+class Place:
+    """A folder with a project p, its depth maps and a region."""
+
+    def __init__(self, fixtures, folder):
+        self.folder = folder
+        shutil.copytree(fixtures / "valley", folder / "p")
+        (folder / "p/notes.txt").write_text("notes")
+        (folder / "p/viewrank").mkdir()
+        (folder / "p/viewrank/clusters.txt").write_text("the user's")
+        region = '{"type": "Polygon", "crs": null, "coordinates": [[[-20, -20], [20, -20], [20, 20], [-20, 20], [-20, -20]]]}'
+        (folder / "region.geojson").write_text(region)
+        (folder / "maps").mkdir()
+        random = np.random.default_rng(0)
+        for image in sorted((folder / "p/images").iterdir()):
+            np.save(folder / f"maps/{image.name}.npy", (20 + random.random((30, 40))).astype(np.float32))
+
+    def run(self, arguments, **environment):
+        arguments = [str(self.folder / "maps") if word == "MAPS" else word for word in arguments]
+        alone = {"XDG_CONFIG_HOME": str(self.folder / "nobody"), **environment}
+        return subprocess.run([PROGRAM, *arguments], cwd=self.folder, env=os.environ | alone, capture_output=True, text=True, timeout=300)
+
+    def files(self):
+        """All files but the bookkeeping, by path."""
+        found = {}
+        for path in sorted((self.folder / "p").rglob("*")):
+            name = str(path.relative_to(self.folder / "p"))
+            # A link to an image is as good as a copy, which takes its place where none can be made.
+            if path.is_file() and not name.startswith("viewrank/.") and "/viewrank/." not in name and name not in VARYING:
+                found[name] = path.read_bytes()
+        return found
+
+
+def is_users(name):
+    return name.startswith(("images/", "sparse/")) or name in ("notes.txt", "README.md")
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_each_write_in_turn(name, shim, fixtures, tmp_path):
+    before, command = COMMANDS[name]
+    first = tmp_path / "first"
+    first.mkdir()
+    place = Place(fixtures, first)
+    for earlier in before:
+        assert place.run(earlier).returncode == 0
+    saved = tmp_path / "saved"
+    shutil.copytree(first, saved, symlinks=True)
+    old = place.files()
+    counted = tmp_path / "count"
+    done = place.run(command, LD_PRELOAD=str(shim), FAULT_ROOT=str(first / "p"), FAULT_COUNT=str(counted))
+    assert done.returncode == 0, done.stderr
+    new, changes = place.files(), int(counted.read_text())
+    assert new != old and changes > 3
+    failed = 0
+    for at in sorted({1 + round(i * (changes - 1) / (min(changes, MOST) - 1)) for i in range(min(changes, MOST))}):
+        # As a disk that stays full, and as an error that passes.
+        for dies in ({"FAULT_DIES": "1"}, {}) if MOST > 100 else ({"FAULT_DIES": "1"},) if at % 2 else ({},):
+            shutil.rmtree(first)
+            shutil.copytree(saved, first, symlinks=True)
+            done = place.run(command, LD_PRELOAD=str(shim), FAULT_ROOT=str(first / "p"), FAULT_AT=str(at), **dies)
+            where = f"change {at} of {changes} {dies}: {done.stderr}"
+            assert done.returncode in (0, 1), where
+            found = place.files()
+            assert all(found.get(file) == content for file, content in old.items() if is_users(file)), where
+            for file in found.keys() & old.keys():
+                assert found[file] in (old[file], new.get(file)), f"{file}: {where}"
+            kept = [content for file, content in found.items() if file.startswith("viewrank/clusters.txt")]
+            assert b"the user's" in kept, where
+            if done.returncode:
+                failed += 1
+                assert "no space left" in done.stderr.lower() and "p/" in done.stderr, where
+            again = place.run(command)
+            assert again.returncode == 0, f"{where} then {again.stderr}"
+            assert {file: found for file, found in place.files().items() if not file.startswith("viewrank/clusters.txt.")} == {
+                file: content for file, content in new.items() if not file.startswith("viewrank/clusters.txt.")
+            }, where
+    assert failed > 2, "some of them matter"
+
+
+READ_ONLY = """set -e
+mount -t tmpfs none "$1"
+cp -a "$2/." "$1"
+mount -o remount,ro "$1"
+shift 2
+cd "$1"
+shift
+"$@"
+"""
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_read_only(name, fixtures, tmp_path):
+    """The disk turns read-only, as after an error of it."""
+    alone = ["unshare", "--mount", "--propagation", "private", "sh", "-c"]
+    if shutil.which("unshare") is None or subprocess.run([*alone, f"mount -t tmpfs none '{tmp_path}'"], capture_output=True).returncode:
+        pytest.skip("needs the right to mount")
+    before, command = COMMANDS[name]
+    home, there = tmp_path / "home", tmp_path / "there"
+    home.mkdir()
+    there.mkdir()
+    place = Place(fixtures, home)
+    for earlier in before:
+        assert place.run(earlier).returncode == 0
+    arguments = [str(there / "maps") if word == "MAPS" else word for word in command]
+    words = [*alone, READ_ONLY, "sh", there, home, there, PROGRAM, *arguments]
+    done = subprocess.run(list(map(str, words)), capture_output=True, text=True, timeout=300)
+    assert done.returncode == 1 and "read-only file system" in done.stderr.lower(), done.stderr
