@@ -26,7 +26,8 @@ fn main() -> Result<(), Box<dyn Error>> {
     let measured = MeasuredClusters::new(&input, &NoWatcher)?;
 
     let so_far = MeasuredProgress::new(&plan.stages, &measured);
-    let options = EvaluationOptions { objective: &plan.stages.objective, so_far, clouds: None, baselines: false };
+    let options =
+        EvaluationOptions { objective: &plan.stages.objective, so_far, clouds: None, half: None, baselines: false };
     let model = plan.stages.model();
     let surface = MeasuredSurface::new(&model, &measured);
     let evaluation = Evaluation::new(&model, &measured, &surface, &options, &NoWatcher)?;
