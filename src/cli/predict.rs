@@ -45,7 +45,7 @@ pub struct Arguments {
 }
 
 /// Name, PNG and array of a prediction.
-type Prediction = (String, Vec<u8>, Vec<u8>);
+type PredictionFiles = (String, Vec<u8>, Vec<u8>);
 
 pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let predictions = match &arguments.inputs[..] {
@@ -72,7 +72,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
 }
 
 /// The chosen key views of the written plan.
-fn of_project(project: &Path, arguments: &Arguments) -> Result<Vec<Prediction>, Failure> {
+fn of_project(project: &Path, arguments: &Arguments) -> Result<Vec<PredictionFiles>, Failure> {
     if let Some(source) = &arguments.confidence {
         return Err(OfPlan(source.clone()).into());
     }
@@ -93,7 +93,7 @@ fn of_project(project: &Path, arguments: &Arguments) -> Result<Vec<Prediction>, 
     plan.chosen().collect::<Vec<_>>().into_par_iter().map(of_view).collect()
 }
 
-fn of_images(images: &[PathBuf], arguments: &Arguments) -> Result<Vec<Prediction>, Failure> {
+fn of_images(images: &[PathBuf], arguments: &Arguments) -> Result<Vec<PredictionFiles>, Failure> {
     let predictor = predictor(arguments.confidence.as_deref())?;
     let of_image = |path: &PathBuf| {
         let image = read(path)?;

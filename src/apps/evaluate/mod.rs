@@ -26,7 +26,7 @@ mod tests;
 pub use clouds::{CloudComparison, Within};
 pub use compare::{Comparison, RuleClusters, choices, compare};
 pub use evaluation::{Evaluation, EvaluationOptions};
-pub use matched::{ReportError, tried};
+pub use matched::{MatcherReportError, tried};
 pub use measure::Quality;
 pub use missing::{MeasuredSurface, Missing};
 pub use page::page;
