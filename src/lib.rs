@@ -21,8 +21,7 @@
 //! - [`files::files`] turns a plan into the files of a project, and [`output::write_all`] writes them, all or none.
 //! - [`manifest::WrittenPlan`] reads a written plan, and [`evaluate`] compares it with finished depth maps.
 //! - [`backends`] lists the MVS programs and writes their input files.
-//!
-//! - [`Scene::from_arrays`] and [`Project::create`] make a project of a model in memory.
+//! - [`Scene::from_arrays`] and [`Project::create`] turn a model in memory into a project.
 //!
 //! `examples/` has a short program for each: `quickstart.rs`, `plan.rs`, `inspect.rs` and `evaluate.rs`; `python/` has the Python module.
 //!
@@ -47,7 +46,7 @@ mod model;
 mod plan;
 mod show;
 
-pub use apps::{doctor, evaluate, learn, replan, report};
+pub use apps::{doctor, evaluate, replan, report};
 pub use backends::plan;
 pub use base::{
     error::Hint,

@@ -23,7 +23,7 @@ use viewrank::internals::{
     progress::NoWatcher,
     project::Project,
     ranking,
-    replan::{self, EarlierPlan, Maps, as_written, replan},
+    replan::{self, EarlierPlan, MapFolder, as_written, replan},
     report::{Contents, DepthMapFolders},
     scene::{Scene, ViewIndex},
     synthetic::Town,
@@ -71,7 +71,7 @@ impl Planned {
     /// The plan of the model that is there now, around the maps.
     fn again(&self) -> Plan {
         let project = Project::open(self.folder.path(), None).unwrap();
-        let maps = Maps { folder: &self.maps(), ready: &|_| true };
+        let maps = MapFolder { folder: &self.maps(), ready: &|_| true };
         let plan = plan_of(self.folder.path());
         replan(plan, &EarlierPlan::read(&project).unwrap(), &maps, &NoWatcher).unwrap().0
     }

@@ -36,7 +36,8 @@ fn on_the_whole(whole: &Plan, tiled: &Plan) -> Vec<f64> {
 fn loss(whole: &Plan, tiled: &Plan) -> f64 {
     let reached = on_the_whole(whole, tiled);
     let lacks = |(i, f): (usize, &f64)| f - reached[(i + 1).min(reached.len() - 1)];
-    whole.decision.ranking.fulfilment.iter().enumerate().map(lacks).fold(0.0, f64::max) / whole.decision.ranking.total()
+    whole.decision.ranking.fulfilment.iter().enumerate().map(lacks).fold(0.0, f64::max)
+        / whole.decision.ranking.fulfilment.last().unwrap()
 }
 
 #[test]

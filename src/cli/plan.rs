@@ -6,7 +6,7 @@ use std::{
 };
 
 use crate::{
-    apps::replan::{EarlierPlan, Maps, replan},
+    apps::replan::{EarlierPlan, MapFolder, replan},
     base::{
         error::Hint,
         progress::{Stage, Watcher},
@@ -160,7 +160,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         if !arguments.dry_run {
             output::recover(&project.home, &Disk::REAL)?;
         }
-        let maps = Maps { folder, ready: &|_| true };
+        let maps = MapFolder { folder, ready: &|_| true };
         plan = replan(plan, &EarlierPlan::read(&project)?, &maps, &progress)?.0;
         if plan.decision.finished.clusters == 0 {
             warn(&format!("no depth map in {} fits the plan; planning without finished ones", folder.display()));
@@ -175,7 +175,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     report(arguments, &project, &plan, &files)?;
     match &files.not_exported[..] {
         missing if arguments.backend.is_some() && !missing.is_empty() => {
-            Err(Failure::from(NotExported(missing.to_vec())).behind_result())
+            Err(Failure::from(ExportFailure(missing.to_vec())).behind_result())
         }
         _ => Ok(()),
     }
@@ -184,9 +184,9 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
 /// Requested exports that were not written.
 #[derive(Debug, thiserror::Error)]
 #[error("the plan is complete, but {}", .0.join("; "))]
-struct NotExported(Vec<String>);
+struct ExportFailure(Vec<String>);
 
-impl Hint for NotExported {
+impl Hint for ExportFailure {
     fn hint(&self) -> Option<String> {
         None
     }

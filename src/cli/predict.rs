@@ -40,7 +40,7 @@ pub struct Arguments {
 }
 
 /// Name, PNG and array of a prediction.
-type Prediction = (String, Vec<u8>, Vec<u8>);
+type PredictionFiles = (String, Vec<u8>, Vec<u8>);
 
 pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let mut files = FileSet::new(&arguments.out, "predict");
@@ -60,7 +60,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
 }
 
 /// The chosen key views of the written plan.
-fn predictions(project: &Path, arguments: &Arguments) -> Result<Vec<Prediction>, Failure> {
+fn predictions(project: &Path, arguments: &Arguments) -> Result<Vec<PredictionFiles>, Failure> {
     let progress = Progress::new(arguments.quiet);
     let (project, plan, _) = replan::as_written(project, &progress)?;
     progress.finish();

@@ -11,7 +11,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 
 pub struct Progress {
     kind: Kind,
-    running: Mutex<Option<Running>>,
+    running: Mutex<Option<RunningStage>>,
 }
 
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -22,7 +22,7 @@ enum Kind {
 }
 
 /// The stage under way.
-struct Running {
+struct RunningStage {
     stage: Stage,
     since: Instant,
     bar: ProgressBar,
@@ -45,12 +45,12 @@ impl Progress {
         }
     }
 
-    fn start(&self, stage: Stage) -> Running {
+    fn start(&self, stage: Stage) -> RunningStage {
         let bar = if self.kind == Kind::Bars { bar(stage) } else { ProgressBar::hidden() };
-        Running { stage, since: Instant::now(), bar }
+        RunningStage { stage, since: Instant::now(), bar }
     }
 
-    fn end(&self, running: &Running) {
+    fn end(&self, running: &RunningStage) {
         running.bar.finish_and_clear();
         if self.kind == Kind::Lines {
             super::complain(&format!("{}: {:.1} s", words(running.stage), running.since.elapsed().as_secs_f64()));

@@ -104,7 +104,7 @@ fn planning_seconds(root: &Path) -> Option<f64> {
 }
 
 /// Opens the page in the desktop's default program.
-fn open(page: &Path) -> Result<(), NotOpened> {
+fn open(page: &Path) -> Result<(), OpenFailure> {
     let opener = match std::env::consts::OS {
         "macos" => "open",
         "windows" => "explorer",
@@ -112,18 +112,18 @@ fn open(page: &Path) -> Result<(), NotOpened> {
     };
     let mut command = Command::new(opener);
     let started = command.arg(page).stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null()).spawn();
-    started.map(|_| ()).map_err(|source| NotOpened { page: page.into(), opener, source })
+    started.map(|_| ()).map_err(|source| OpenFailure { page: page.into(), opener, source })
 }
 
 #[derive(Debug, thiserror::Error)]
 #[error("{} is written, but {opener} does not start: {source}", page.display())]
-struct NotOpened {
+struct OpenFailure {
     page: PathBuf,
     opener: &'static str,
     source: std::io::Error,
 }
 
-impl crate::base::error::Hint for NotOpened {
+impl crate::base::error::Hint for OpenFailure {
     fn hint(&self) -> Option<String> {
         Some("open that file in a browser".into())
     }

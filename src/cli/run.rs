@@ -14,7 +14,7 @@ use serde::Serialize;
 use super::{Exit, Failure, Format, config, json, note, print, progress::Progress, ready, summary::duration, warn};
 use crate::{
     apps::{
-        dispatch::{Dispatch, Task, Tools, local::Ended},
+        dispatch::{Dispatch, Task, Tools, local::ScriptResult},
         undistort,
     },
     backends::{self, Backend, Selection, place},
@@ -80,7 +80,7 @@ pub struct Arguments {
 
 /// JSON output: state at the end.
 #[derive(Serialize)]
-struct Summary {
+struct RunSummary {
     project: PathBuf,
     backend: &'static str,
     /// Numbers of finished and planned depth maps.
@@ -124,7 +124,7 @@ fn undistorted(arguments: &Arguments, project: Project, backend: &Backend) -> Re
     let dense = project.root.join("dense");
     note(&format!("{} needs undistorted images: {}", backend.name, dense.display()));
     let progress = Progress::new(arguments.is_silent());
-    undistort::undistort(&project, &undistort::Options::default(), &dense, &Disk::REAL, &progress)?;
+    undistort::undistort(&project, &undistort::UndistortOptions::default(), &dense, &Disk::REAL, &progress)?;
     progress.finish();
     Ok(dense)
 }
@@ -182,17 +182,17 @@ struct Work<'a> {
     _held: std::fs::File,
     threads: usize,
     failed: Vec<String>,
-    measured: Pace,
+    measured: Throttle,
     /// Measured share of the finished maps; `None` before the first measurement.
     share: Option<f64>,
-    reported: Pace,
+    reported: Throttle,
 }
 
 /// End and duration of the last run of a slow step.
 #[derive(Clone, Copy, Default)]
-struct Pace(Option<(Instant, Duration)>);
+struct Throttle(Option<(Instant, Duration)>);
 
-impl Pace {
+impl Throttle {
     fn is_due(self, rest: u32) -> bool {
         self.0.is_none_or(|(ended, took)| ended.elapsed() >= took * rest)
     }
@@ -248,9 +248,9 @@ impl<'a> Work<'a> {
             _held: held,
             threads,
             failed: Vec::new(),
-            measured: Pace::default(),
+            measured: Throttle::default(),
             share: None,
-            reported: Pace::default(),
+            reported: Throttle::default(),
             plan,
         })
     }
@@ -275,11 +275,11 @@ impl<'a> Work<'a> {
             }
             let since = Instant::now();
             let ended = self.dispatch.compute_here(task, self.threads, self.stop)?;
-            if ended == Ended::Stopped || self.stop.load(Ordering::Relaxed) {
+            if ended == ScriptResult::Stopped || self.stop.load(Ordering::Relaxed) {
                 return Err(self.stopped());
             }
             in_a_row = match ended {
-                Ended::Failed(output) => {
+                ScriptResult::Failed(output) => {
                     warn(&format!("no depth map of {}: {}", task.key, last_line(&output)));
                     self.failed.push(task.key.clone());
                     if in_a_row + 1 == FAILURES || missing.len() == 1 {
@@ -351,9 +351,9 @@ impl<'a> Work<'a> {
     /// Fuses, writes the report and prints the result.
     fn end(mut self, reached: bool) -> Result<(), Failure> {
         match self.dispatch.fuse_here(self.threads, self.stop)? {
-            Ended::Done => {}
-            Ended::Stopped => return Err(self.stopped()),
-            Ended::Failed(output) => {
+            ScriptResult::Done => {}
+            ScriptResult::Stopped => return Err(self.stopped()),
+            ScriptResult::Failed(output) => {
                 let message = format!("cannot fuse the depth maps, which are complete:\n{output}");
                 return Err(Failure::new(Exit::Failed, message, format!("to try again: {}", self.again())));
             }
@@ -374,9 +374,9 @@ impl<'a> Work<'a> {
         }
     }
 
-    fn result(&self, reached: bool) -> Summary {
+    fn result(&self, reached: bool) -> RunSummary {
         let report = self.foreground.root().join(crate::show::files::REPORT_FILE);
-        Summary {
+        RunSummary {
             project: self.foreground.root().into(),
             backend: self.backend.name,
             done: self.dispatch.finished_maps().count(),
@@ -390,7 +390,7 @@ impl<'a> Work<'a> {
         }
     }
 
-    fn words(&self, result: &Summary) -> String {
+    fn words(&self, result: &RunSummary) -> String {
         let measured = |share| format!("{:.1} % of what all would give, measured", 100.0 * share);
         let share = result.share.map_or("their share is not measured".into(), measured);
         let verdict = match result.target_reached {

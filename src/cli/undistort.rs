@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use crate::{
-    apps::undistort::{self, Options, UndistortReport},
+    apps::undistort::{self, UndistortOptions, UndistortReport},
     base::shell::command_path,
     config::CommandLineSettings,
     io::{output::Disk, project::Project},
@@ -45,7 +45,7 @@ pub struct Arguments {
     max_image_size: Option<u32>,
     /// Region of interest: left,top,right,bottom as shares of the sides
     #[arg(long, value_name = "L,T,R,B", value_parser = region, help_heading = "As in COLMAP")]
-    roi: Option<Region>,
+    roi: Option<Roi>,
 
     /// Format of the results on stdout
     #[arg(long, value_enum, default_value_t, help_heading = "Output")]
@@ -57,7 +57,7 @@ pub struct Arguments {
 
 /// Left, top, right, bottom.
 #[derive(Clone, Copy)]
-struct Region([f64; 4]);
+struct Roi([f64; 4]);
 
 pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     if arguments.min_scale > arguments.max_scale {
@@ -79,10 +79,10 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
 }
 
 impl Arguments {
-    fn options(&self) -> Options {
+    fn options(&self) -> UndistortOptions {
         let Self { blank_pixels, min_scale, max_scale, max_image_size, .. } = *self;
-        let roi = self.roi.map_or(Options::default().roi, |region| region.0);
-        Options { blank_pixels, min_scale, max_scale, max_image_size, roi }
+        let roi = self.roi.map_or(UndistortOptions::default().roi, |region| region.0);
+        UndistortOptions { blank_pixels, min_scale, max_scale, max_image_size, roi }
     }
 }
 
@@ -108,9 +108,9 @@ fn factor(text: &str) -> Result<f64, String> {
     if value > 0.0 && value.is_finite() { Ok(value) } else { Err("a number above 0".into()) }
 }
 
-fn region(text: &str) -> Result<Region, String> {
+fn region(text: &str) -> Result<Roi, String> {
     let wrong = || "four numbers from 0 to 1 with commas between, left before right and top before bottom".to_owned();
     let values: Vec<f64> = text.split(',').map(share).collect::<Result<_, _>>().map_err(|_| wrong())?;
     let roi: [f64; 4] = values.try_into().map_err(|_| wrong())?;
-    if roi[0] < roi[2] && roi[1] < roi[3] { Ok(Region(roi)) } else { Err(wrong()) }
+    if roi[0] < roi[2] && roi[1] < roi[3] { Ok(Roi(roi)) } else { Err(wrong()) }
 }

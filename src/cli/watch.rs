@@ -8,7 +8,7 @@ use crate::{
         platform::{self, Request},
     },
     config::{self, Bytes, CommandLineSettings},
-    daemon::{Options, PlanJob, PlanOptions, Signal, platform as machine, state::OnBusy, watch_roots},
+    daemon::{PlanJob, PlanOptions, Signal, WatchOptions, platform as machine, state::OnBusy, watch_roots},
     io::output::Disk,
 };
 use clap::{Args, ValueEnum, builder::PossibleValue};
@@ -103,7 +103,7 @@ pub fn run(arguments: Arguments) -> Result<(), Failure> {
     let options = arguments.options();
     let summary = watch_roots(&options, &planner, &Disk::REAL, forward_signals)?;
     match summary.failed {
-        failed if failed > 0 && once => Err(Failed { failed, projects: summary.projects }.into()),
+        failed if failed > 0 && once => Err(WatchFailure { failed, projects: summary.projects }.into()),
         _ => Ok(()),
     }
 }
@@ -120,8 +120,8 @@ impl Arguments {
         Ok(typed)
     }
 
-    fn options(self) -> Options {
-        Options {
+    fn options(self) -> WatchOptions {
+        WatchOptions {
             roots: self.roots,
             settle: self.settle,
             poll: self.poll,
@@ -138,12 +138,12 @@ impl Arguments {
 
 #[derive(Debug, thiserror::Error)]
 #[error("{failed} of {projects} projects could not be planned")]
-struct Failed {
+struct WatchFailure {
     failed: usize,
     projects: usize,
 }
 
-impl Hint for Failed {
+impl Hint for WatchFailure {
     fn hint(&self) -> Option<String> {
         Some("`viewrank status` says why".into())
     }

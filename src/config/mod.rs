@@ -33,8 +33,8 @@ use crate::model::{cluster::MapScale, scene::Units};
 pub struct Settings {
     /// "metric" if a scene unit is a metre. Unset: "relative", of unknown length.
     pub units: Option<Units>,
-    /// Size of the matched images over the model's images. A higher value matches at finer resolution. Unset: the size that the backend takes by
-    /// itself.
+    /// Size of the matched images over the model's images. A higher value matches at finer resolution. Unset: the
+    /// backend's default.
     #[schemars(range(max = 16), extend("unit" = "matched px per model px", "exclusiveMinimum" = 0))]
     pub image_scale: Option<f64>,
     /// Seed of all random choices.
@@ -67,13 +67,13 @@ pub struct Settings {
 }
 
 impl Settings {
-    /// The files beside the model that a plan reads: the mesh and the region.
+    /// Returns the files besides the model that a plan reads: the mesh and the region.
     pub fn files_of_plan(&self) -> Vec<PathBuf> {
         self.surface.mesh.iter().cloned().chain(self.region.as_ref().and_then(RegionChoice::file)).collect()
     }
 
     /// Returns the settings that affect a plan; the others have their defaults.
-    pub fn of_plan(&self) -> Self {
+    pub fn for_plan(&self) -> Self {
         Self { dispatch: DispatchSettings::default(), on_target: None, ..self.clone() }
     }
 
@@ -174,13 +174,13 @@ pub struct SurfaceSettings {
     /// Refinement: every edge below `max_edge_factor` x g_d (e). A higher value allows longer edges.
     #[schemars(extend("unit" = "g_d", "exclusiveMinimum" = 0))]
     pub max_edge_factor: f64,
-    /// Weight of one ray in the cut (alpha_vis).
+    /// Weight of one ray in the cut (alpha_vis). A higher value follows the rays more closely and smooths less.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub ray_weight: f64,
-    /// Soft visibility: sigma over the median depth uncertainty of the points.
+    /// Soft visibility: sigma over the median depth uncertainty of the points. A higher value tolerates noisier points and loses fine detail.
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub sigma_factor: f64,
-    /// Distance behind a point, in sigma, at which the inside begins (k).
+    /// Distance behind a point, in sigma, at which the inside begins (k). A higher value loses more thin parts.
     #[schemars(extend("unit" = "sigma", "exclusiveMinimum" = 0))]
     pub behind_sigma: f64,
     /// Weight of the facets' quality in the cut (lambda). A higher value gives a smoother surface.
@@ -195,7 +195,8 @@ pub struct SurfaceSettings {
     pub mesh_as_is: bool,
     /// Up direction of the terrain surface, world coordinates. Unset: from the cameras and the points.
     pub up: Option<[f64; 3]>,
-    /// Largest number of points of a tile; a surface with more points is built in overlapping tiles. Unset: as `max_memory` requires, else one tile.
+    /// Largest number of points of a tile; a surface with more points is built in overlapping tiles. A higher value needs more memory. Unset: as
+    /// `max_memory` requires, else one tile.
     #[schemars(range(min = 1), extend("unit" = "points"))]
     pub tile_points: Option<u32>,
 }
@@ -229,10 +230,10 @@ pub struct VisibilitySettings {
     /// Share of a triangle's samples that must be unoccluded. A higher value counts fewer views as seeing it.
     #[schemars(range(min = 0, max = 1))]
     pub min_free_share: f64,
-    /// Tolerance in front of a triangle, in units of `surface.edge_factor` x g_d.
+    /// Tolerance in front of a triangle, in units of `surface.edge_factor` x g_d. A higher value counts fewer triangles as occluded.
     #[schemars(range(min = 0), extend("unit" = "edge_factor x g_d"))]
     pub tolerance_edges: f64,
-    /// Tolerance in front of a triangle, share of the depth; the larger of the two counts.
+    /// Tolerance in front of a triangle, share of the depth; the larger of the two counts. A higher value counts fewer triangles as occluded.
     #[schemars(range(min = 0), extend("unit" = "of the depth"))]
     pub tolerance_depth: f64,
     /// Long side of the id buffer, pixels. A higher value resolves smaller occlusions and takes longer.
@@ -359,7 +360,7 @@ impl ConfidenceSource {
 pub struct ConfidenceSettings {
     /// What predicts success.
     pub source: ConfidenceSource,
-    /// Probability of a match in the best constellation.
+    /// Probability of a match in the best constellation. A higher value expects more matches to succeed.
     #[schemars(range(max = 1), extend("exclusiveMinimum" = 0))]
     pub p0: Option<f64>,
     /// Power of the cosine of incidence (gamma). A higher value penalises oblique views more.
@@ -393,7 +394,7 @@ pub enum TriangleWeight {
     Pixels,
     /// Its area.
     Area,
-    /// The same for every triangle, as in the paper.
+    /// Equal for all triangles, as in the paper.
     Count,
 }
 
@@ -407,18 +408,18 @@ pub struct RankingSettings {
     /// Depth maps that must see a triangle (m, method 5.2). A higher value asks for more overlap. Unset: the backend's.
     #[schemars(range(min = 1, max = 100), extend("unit" = "depth maps"))]
     pub support: Option<u32>,
-    /// Weight of a triangle in the plan: "pixels" favours what the photographs show most of, "area" large surfaces, "count" none.
+    /// Weight of a triangle in the plan: "pixels" favours surfaces that the photographs show in detail, "area" large surfaces, "count" none.
     pub weight: TriangleWeight,
-    /// Largest shift, in any image of its cluster, with which a finished depth map stays in the plan of a changed model. A higher value
+    /// Largest shift, in any image of its cluster, up to which a finished depth map stays in the plan of a changed model. A higher value
     /// keeps more maps.
     #[schemars(range(min = 0), extend("unit" = "px"))]
     pub keep_px: f64,
-    /// Sizes that a depth map may be matched at, over `image_scale`: [1], or [1, 0.5], with which each key view gets the size that adds most for its
+    /// Sizes at which a depth map may be matched, over `image_scale`: [1], or [1, 0.5] to match each key view at the size that adds most for its
     /// work. For backends that can match key views at different sizes.
     #[schemars(length(min = 1, max = 2))]
     pub scales: Vec<MapScale>,
-    /// Part of what a depth map of half the size lacks to one of full size, in resolution and accuracy, that does not count against it: 0 plans by
-    /// what it fulfils, 1 by what it covers. A higher value plans more coarse maps.
+    /// Part of the loss of a half-size depth map, in resolution and accuracy, that does not count: 0 plans by what it fulfils, 1 by what it
+    /// covers. A higher value plans more coarse maps.
     #[schemars(range(min = 0, max = 1))]
     pub half_worth: f64,
 }

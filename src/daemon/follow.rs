@@ -17,7 +17,7 @@ use crate::apps::replan;
 use crate::{
     apps::{
         evaluate::{MeasuredClusters, curve::ReachCurve},
-        replan::{EarlierPlan, Maps, ReplanError, replan},
+        replan::{EarlierPlan, MapFolder, ReplanError, replan},
     },
     base::{error::Hint, progress::Watcher},
     io::{
@@ -25,7 +25,7 @@ use crate::{
         output::{self, Disk, OutputError},
     },
     model::{cluster::MapScale, scene::ViewIndex},
-    plan::{Decision, Outdated, Plan, Stages},
+    plan::{Decision, OutdatedMap, Plan, Stages},
 };
 
 const PROGRESS: &str = "progress.json";
@@ -67,7 +67,7 @@ pub struct Progress {
     /// Key views with a finished depth map that counts, in the order of the plan.
     pub finished: Vec<String>,
     /// Finished depth maps that no longer fit the model; they don't count.
-    pub outdated: Vec<Outdated>,
+    pub outdated: Vec<OutdatedMap>,
     /// Reason why something was not measured; null where everything was.
     pub note: Option<String>,
     /// The command for a reached target (`on_target`) has been started. Its exit status is in the log.
@@ -118,7 +118,7 @@ impl Progress {
 }
 
 /// Returns a note about outdated depth maps, which `file` lists; `None` where there are none.
-pub(super) fn outdated_note(outdated: &[Outdated], file: &str) -> Option<String> {
+pub(super) fn outdated_note(outdated: &[OutdatedMap], file: &str) -> Option<String> {
     let n = outdated.len();
     (n > 0).then(|| format!("{n} finished depth maps no longer fit the model (outdated in {file})"))
 }
@@ -188,11 +188,11 @@ impl FollowJob<'_> {
         let written: Vec<(ViewIndex, MapScale)> = written.collect();
         let list: Vec<ViewIndex> = self.earlier.list().filter_map(in_scene).collect();
         let target = self.plan.stages.settings.cut.target.map_or(self.plan.decision.cut.share, |share| share.0);
-        let maps = Maps { folder: self.folder, ready: &|path| self.files.contains_key(path) };
+        let maps = MapFolder { folder: self.folder, ready: &|path| self.files.contains_key(path) };
         let (plan, run) = replan(self.plan, self.earlier, &maps, watcher)?;
         let order = if self.replan { plan.decision.ranking.maps().collect() } else { listed(&plan, &written) };
         let cut = if self.replan { plan.decision.cut.clusters } else { with_finished(&plan, &list) };
-        let forecast = Forecast::new(&plan, &order, cut, target);
+        let forecast = TargetForecast::new(&plan, &order, cut, target);
         let seconds_per_pair = run.as_ref().and_then(|run| seconds_per_pair(&plan, run, self.folder));
         let seconds = |pairs: usize| seconds_per_pair.map(|seconds| seconds * pairs as f64);
         let name = |&c: &u32| plan.stages.scene.name(plan.stages.clusters[c as usize].key).to_owned();
@@ -273,7 +273,7 @@ fn listed(plan: &Plan, written: &[(ViewIndex, MapScale)]) -> Vec<(u32, MapScale)
 }
 
 /// Forecast along a list whose first clusters are finished.
-struct Forecast {
+struct TargetForecast {
     kept: f64,
     share: f64,
     /// Numbers of clusters and pairs to the target.
@@ -281,7 +281,7 @@ struct Forecast {
     pairs_left: usize,
 }
 
-impl Forecast {
+impl TargetForecast {
     fn new(plan: &Plan, order: &[(u32, MapScale)], cut: usize, target: f64) -> Self {
         let (maps, clusters) = (plan.stages.maps(), &plan.stages.clusters);
         let rows = order.iter().map(|&(c, scale)| (maps.row_at(c, scale), clusters[c as usize].partners.len()));

@@ -26,7 +26,7 @@ use super::{
     state::{OnBusy, Outcome},
 };
 use crate::{
-    apps::replan::{self, AgainError, EarlierPlan, Maps, ReplanError, replan},
+    apps::replan::{self, AgainError, EarlierPlan, MapFolder, ReplanError, replan},
     backends,
     base::progress::{Stage, Watcher},
     config::{CommandLineSettings, Configuration, Files, Settings, user_file},
@@ -132,7 +132,7 @@ pub struct PlanJob {
 }
 
 /// Result of a step of a job, or the outcome that ends the job early.
-type Ended<T> = Result<T, Outcome>;
+type StepResult<T> = Result<T, Outcome>;
 
 impl Planner for PlanJob {
     fn named_files(&self, project: &Path) -> Vec<PathBuf> {
@@ -166,7 +166,7 @@ impl PlanJob {
         Self { options, plans, hashes: Mutex::default(), valid_settings: Mutex::default() }
     }
 
-    fn try_plan(&self, job: &Job) -> Ended<Outcome> {
+    fn try_plan(&self, job: &Job) -> StepResult<Outcome> {
         output::recover(job.project, &Disk::REAL).map_err(failed)?;
         let progress = progress_file(job.project);
         let had_maps = progress.is_file() || PlannedFrom::read(job.project).is_some_and(|record| record.finished);
@@ -183,7 +183,7 @@ impl PlanJob {
         Ok(outcome)
     }
 
-    fn plan_input(&self, job: &Job) -> Ended<Outcome> {
+    fn plan_input(&self, job: &Job) -> StepResult<Outcome> {
         if let Some(reason) = job.stamp.read_error() {
             let hint = Some("make it readable for the user who runs viewrank".into());
             return Err(Outcome::Failed { reason, hint });
@@ -191,7 +191,7 @@ impl PlanJob {
         let (settings, note) = self.settings(job.project)?;
         let project = Project::open(job.project, None).map_err(incomplete)?.with_images(settings.images.as_deref());
         // A dense workspace that appears later gets its files, too.
-        let decided_by = (settings.of_plan(), &project.dense_workspace);
+        let decided_by = (settings.for_plan(), &project.dense_workspace);
         let as_text = serde_json::to_vec(&decided_by).map_err(|_| Outcome::Abandoned)?;
         let model = project.model_files();
         if let Some(file) = model.iter().find(|file| !may_enter(job.project, file, job.follow_links)) {
@@ -220,7 +220,7 @@ impl PlanJob {
             return Err(Outcome::Incomplete { reason: empty.to_string() });
         }
         let (clusters, share) = (plan.decision.cut.clusters, plan.decision.cut.share);
-        let record = PlannedFrom::new(&plan, fingerprint.clone(), settings.of_plan());
+        let record = PlannedFrom::new(&plan, fingerprint.clone(), settings.for_plan());
         if job.is_wanted() {
             Progress::clear_target_reached(job.project).map_err(failed)?;
         }
@@ -235,7 +235,7 @@ impl PlanJob {
         })
     }
 
-    fn try_follow(&self, job: &Job) -> Ended<Outcome> {
+    fn try_follow(&self, job: &Job) -> StepResult<Outcome> {
         output::recover(job.project, &Disk::REAL).map_err(failed)?;
         let Some(folder) = fullest_folder(job.project, job.maps) else {
             // Present maps may not have settled yet.
@@ -271,7 +271,7 @@ impl PlanJob {
     }
 
     /// Returns the plan by prediction alone, from the cache if possible.
-    fn plan_again(&self, root: &Path, fingerprint: &Fingerprint, watcher: &JobWatcher) -> Ended<(Project, Plan)> {
+    fn plan_again(&self, root: &Path, fingerprint: &Fingerprint, watcher: &JobWatcher) -> StepResult<(Project, Plan)> {
         if let Some(plan) = lock(&self.plans).get(root, fingerprint) {
             let images = plan.stages.settings.images.clone();
             return Ok((Project::open(root, None).map_err(failed)?.with_images(images.as_deref()), plan));
@@ -324,7 +324,7 @@ impl PlanJob {
     }
 
     /// Returns the project's settings. Where they are invalid now, returns the last valid ones, at least those of its plan, with a note.
-    fn settings(&self, project: &Path) -> Ended<(Settings, Option<String>)> {
+    fn settings(&self, project: &Path) -> StepResult<(Settings, Option<String>)> {
         let own = project.join("viewrank.toml");
         let files = Files { user: user_file(), root: self.root_file(project), project: Some(own.clone()) };
         let loaded = match may_enter(project, &own, self.options.follow_links) {
@@ -362,7 +362,7 @@ fn wait_for(mut command: Child, project: &Path) {
 }
 
 /// Returns the plan around the finished depth maps of its predecessor (method 5.4), if there are any.
-fn around_finished(plan: Plan, project: &Project, job: &Job) -> Ended<Plan> {
+fn around_finished(plan: Plan, project: &Project, job: &Job) -> StepResult<Plan> {
     let Some(folder) = fullest_folder(job.project, job.maps) else { return Ok(plan) };
     let earlier = match EarlierPlan::read(project) {
         Ok(earlier) => earlier,
@@ -373,7 +373,7 @@ fn around_finished(plan: Plan, project: &Project, job: &Job) -> Ended<Plan> {
         // Without an earlier plan the partners of the maps are unknown.
         Err(_) => return Ok(plan),
     };
-    let maps = Maps { folder: &folder, ready: &|path| job.maps.contains_key(path) };
+    let maps = MapFolder { folder: &folder, ready: &|path| job.maps.contains_key(path) };
     match replan(plan, &earlier, &maps, &JobWatcher::new(job)) {
         Ok((plan, _)) => Ok(plan),
         Err(ReplanError::Plan(error)) => Err(sort_out(error)),
@@ -383,7 +383,7 @@ fn around_finished(plan: Plan, project: &Project, job: &Job) -> Ended<Plan> {
 }
 
 /// Writes the plan, with the record of its input unless that has changed meanwhile.
-fn write(plan: &Plan, project: &Project, mut record: PlannedFrom, job: &Job) -> Ended<()> {
+fn write(plan: &Plan, project: &Project, mut record: PlannedFrom, job: &Job) -> StepResult<()> {
     let mut sets = files::files(plan, project).map_err(failed)?.sets;
     record.list_files(&sets, job.project);
     let record = serde_json::to_string(&record).map_err(|_| Outcome::Abandoned)?;

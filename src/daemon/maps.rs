@@ -83,7 +83,7 @@ pub fn scan(project: &Path, follow_links: bool) -> (Vec<PathBuf>, Result<MapFile
 
 /// History of the depth map files of a project.
 #[derive(Debug, Default)]
-pub struct Maps {
+pub struct MapTracker {
     /// Each map and since when it has been unchanged.
     seen: BTreeMap<PathBuf, (Entry, Instant)>,
     /// Time at which a map was last missing.
@@ -94,7 +94,7 @@ pub struct Maps {
     rest_until: Option<Instant>,
 }
 
-impl Maps {
+impl MapTracker {
     /// Takes a new list of files; true if it differs.
     pub fn observe(&mut self, files: MapFiles, now: Instant) -> bool {
         let same = |(path, entry): (&PathBuf, &Entry)| self.seen.get(path).is_some_and(|(known, _)| known == entry);
@@ -159,7 +159,7 @@ mod tests {
     #[test]
     fn each_map_settles_while_others_are_written() {
         let start = Instant::now();
-        let mut maps = Maps::default();
+        let mut maps = MapTracker::default();
         assert_eq!(maps.due(SETTLE), None);
         maps.observe(files(&[("a", 1)]), start);
         assert_eq!(maps.due(SETTLE), Some(start + SETTLE));
@@ -178,7 +178,7 @@ mod tests {
     #[test]
     fn measuring_takes_at_most_a_quarter_of_the_time() {
         let start = Instant::now();
-        let mut maps = Maps::default();
+        let mut maps = MapTracker::default();
         maps.record_measured(MapFiles::new(), SECOND, start);
         maps.observe(files(&[("a", 1)]), start);
         assert_eq!(maps.due(SETTLE), Some(start + SECOND * 3));

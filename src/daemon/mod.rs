@@ -35,7 +35,7 @@ use crate::{base::error::Hint, io::output::OutputError};
 
 /// Options of `viewrank watch`.
 #[derive(Clone, Debug)]
-pub struct Options {
+pub struct WatchOptions {
     pub roots: Vec<PathBuf>,
     /// A model is complete when its files have not changed for this time.
     pub settle: Duration,

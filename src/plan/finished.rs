@@ -17,7 +17,7 @@ pub struct FinishedMaps {
     /// Number of clusters at the start of the ranking that have their depth map; their fulfilment is measured, not predicted (method 5.4).
     pub clusters: usize,
     /// Depth maps that no longer fit the model, by key view.
-    pub outdated: Vec<Outdated>,
+    pub outdated: Vec<OutdatedMap>,
     /// A sentence for each depth map that cannot be read.
     pub unreadable: Vec<String>,
     /// For depth maps made with an earlier model, the views of their clusters in that model, by key view, then by name.
@@ -28,7 +28,7 @@ pub struct FinishedMaps {
 
 /// A finished depth map whose views have moved since it was made.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
-pub struct Outdated {
+pub struct OutdatedMap {
     /// The key view.
     pub key: String,
     /// The view of its cluster that moved most.

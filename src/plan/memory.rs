@@ -34,7 +34,7 @@ const SURFACE_PER_POINT: u64 = 1000;
 const MESH_PER_POINT: u64 = 48;
 /// Ratio of a tile's points including its margin to its own points, for a tile of the least size.
 const OVERLAP: u64 = 2;
-/// Least number of points per tile: smaller tiles are mostly margin, with almost four times the points for a tile of 10,000 (rendered flight of 300 views).
+/// Least number of points per tile: smaller tiles are mostly margin, with almost four times the points for a tile of 10,000 (survey of 300 views).
 const LEAST_TILE: u64 = 60_000;
 /// Bytes of the scene per point and per observation, including the table of each view's points.
 const SCENE_PER_POINT: u64 = 43;

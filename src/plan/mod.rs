@@ -27,7 +27,7 @@ pub use cut::Cut;
 pub use decision::{Decision, decide, decide_as};
 pub use empty::EmptyPlan;
 pub use error::PlanError;
-pub use finished::{FinishedMaps, Outdated, PlannedView, PlannedViews};
+pub use finished::{FinishedMaps, OutdatedMap, PlannedView, PlannedViews};
 pub use forecast::Forecast;
 pub use georeference::georeference;
 pub use given_up::GivenUp;

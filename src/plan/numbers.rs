@@ -46,8 +46,8 @@ pub struct WorkPerMap {
 }
 
 impl WorkPerMap {
-    /// `megapixels`: of the matched image.
-    pub fn of(&self, megapixels: f64, partners: usize) -> f64 {
+    /// Returns the work of a depth map. `megapixels`: of the matched image.
+    pub fn map_work(&self, megapixels: f64, partners: usize) -> f64 {
         self.fixed + megapixels * (self.per_map + partners as f64)
     }
 }

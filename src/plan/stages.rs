@@ -28,7 +28,7 @@ use crate::{
 pub struct Stages {
     /// All settings in force, with those chosen from the data or by the backend filled in.
     pub settings: Settings,
-    /// True if `settings.image_scale` is the size that the backend takes by itself.
+    /// True if `settings.image_scale` is the backend's default.
     pub own_size: bool,
     /// True if maps of half the size were requested, but the backend supports only one size.
     pub refused_half: bool,
@@ -174,7 +174,7 @@ impl Stages {
     pub fn maps(&self) -> Maps<'_> {
         match &self.half {
             None => Maps::full_size(&self.fulfilment),
-            Some(half) => Maps::of_two_sizes(&self.fulfilment, half, &self.work),
+            Some(half) => Maps::two_sizes(&self.fulfilment, half, &self.work),
         }
     }
 
@@ -246,7 +246,8 @@ fn in_force(
 fn work(scene: &Scene, image_scale: f64, work: WorkPerMap, cluster: &ViewCluster) -> [f64; 2] {
     let camera = scene.camera_of(cluster.key);
     let megapixels = f64::from(camera.width) * f64::from(camera.height) * image_scale.powi(2) / 1e6;
-    [MapScale::Full, MapScale::Half].map(|scale| work.of(megapixels * scale.factor().powi(2), cluster.partners.len()))
+    [MapScale::Full, MapScale::Half]
+        .map(|scale| work.map_work(megapixels * scale.factor().powi(2), cluster.partners.len()))
 }
 
 /// Returns the unary confidence of each row of the visibility, and warnings of masks that cannot be used. Where pictures are compared, masks are

@@ -14,7 +14,7 @@ use crate::{
 
 /// The part of `export.json` that is compared with the plan.
 #[derive(Deserialize)]
-struct Exported {
+struct EarlierExport {
     backend: String,
     clusters: Vec<Cluster>,
 }
@@ -47,7 +47,7 @@ pub(super) fn exports(plan: &Plan, project: &Project, sets: &[FileSet]) -> Vec<S
 
 fn line(plan: &Plan, project: &Project, record: &str) -> Option<String> {
     let (folder, in_tiles) = place::folder_of_record(record)?;
-    let exported: Exported = serde_json::from_slice(&read_own(&project.home, record).ok()?).ok()?;
+    let exported: EarlierExport = serde_json::from_slice(&read_own(&project.home, record).ok()?).ok()?;
     let backend = by_name(&exported.backend).ok()?.name;
     if is_part(&exported, plan) {
         return None;
@@ -66,7 +66,7 @@ fn line(plan: &Plan, project: &Project, record: &str) -> Option<String> {
 }
 
 /// Returns whether the clusters are a subsequence of the plan's ranking.
-fn is_part(exported: &Exported, plan: &Plan) -> bool {
+fn is_part(exported: &EarlierExport, plan: &Plan) -> bool {
     let name = |view| plan.stages.scene.name(view);
     let mut ranked = plan.ranked();
     exported.clusters.iter().all(|cluster| {

@@ -18,10 +18,10 @@ use std::{
 
 use viewrank::internals::{
     daemon::{
-        DaemonError, Job, Options, Planner, Signal,
+        DaemonError, Job, Planner, Signal, WatchOptions,
         phase::Phase,
         read_status,
-        run::Summary,
+        run::WatchSummary,
         settle::HashCache,
         state::{OnBusy, Outcome},
         watch_roots,
@@ -86,8 +86,8 @@ impl Planner for Counter {
     }
 }
 
-fn options(root: &Path) -> Options {
-    Options {
+fn options(root: &Path) -> WatchOptions {
+    WatchOptions {
         roots: vec![root.into()],
         settle: Duration::from_millis(200),
         poll: None,
@@ -102,7 +102,7 @@ fn options(root: &Path) -> Options {
 }
 
 /// Runs the daemon while `script` acts, then stops it.
-fn with_daemon(options: &Options, planner: &dyn Planner, script: impl FnOnce()) -> Summary {
+fn with_daemon(options: &WatchOptions, planner: &dyn Planner, script: impl FnOnce()) -> WatchSummary {
     thread::scope(|threads| {
         let (sender, receiver) = channel::<Box<dyn Fn(Signal) + Send>>();
         let daemon =
@@ -163,7 +163,7 @@ fn existing_and_later_projects_are_planned_once_each() {
         eventually("the moved project", || planner.plans_of(&root.join("moved")) == 1);
         wait_until_idle(&root, &planner);
     });
-    assert_eq!(summary, Summary { projects: 3, planned: 3, failed: 0, waiting: 0 }, "with the last one");
+    assert_eq!(summary, WatchSummary { projects: 3, planned: 3, failed: 0, waiting: 0 }, "with the last one");
     assert!(planner.plans.lock().expect("no panic").values().all(|plans| plans.len() == 1));
 }
 
@@ -184,7 +184,7 @@ fn a_folder_becomes_a_project_when_its_model_comes_last() {
         write_model(&root.join("q"), "c");
         eventually("the plan of the outer one", || planner.plans_of(&root.join("q")) == 1);
     });
-    assert_eq!(summary, Summary { projects: 2, planned: 2, failed: 0, waiting: 0 }, "q/dense belongs to q");
+    assert_eq!(summary, WatchSummary { projects: 2, planned: 2, failed: 0, waiting: 0 }, "q/dense belongs to q");
 }
 
 #[test]
@@ -192,7 +192,7 @@ fn a_slow_writer_delays_the_plan() {
     let (_guard, root) = root();
     let planner = Counter::default();
     // Longer than the pauses of the writer even on a busy machine.
-    let options = Options { settle: Duration::from_secs(3), ..options(&root) };
+    let options = WatchOptions { settle: Duration::from_secs(3), ..options(&root) };
     with_daemon(&options, &planner, || {
         for length in 1..12 {
             write_model(&root.join("slow"), &"x".repeat(length));
@@ -280,7 +280,7 @@ fn the_job_of_a_replaced_folder_is_ignored() {
         eventually("the plan", || planner.plans_of(&root.join("p")) == 1);
         eventually("its status", || state(|phase| matches!(phase, Phase::Planned { .. })));
     });
-    assert_eq!(summary, Summary { projects: 1, planned: 1, failed: 0, waiting: 0 });
+    assert_eq!(summary, WatchSummary { projects: 1, planned: 1, failed: 0, waiting: 0 });
 }
 
 #[test]
@@ -307,7 +307,7 @@ fn files_that_viewrank_writes_where_depth_maps_may_be_trigger_no_scan() {
 fn polling_finds_the_same_changes_as_events() {
     let (_guard, root) = root();
     let planner = Counter::default();
-    let options = Options { poll: Some(Duration::from_millis(100)), ..options(&root) };
+    let options = WatchOptions { poll: Some(Duration::from_millis(100)), ..options(&root) };
     with_daemon(&options, &planner, || {
         write_model(&root.join("p"), "a");
         eventually("the plan", || planner.plans_of(&root.join("p")) == 1);
@@ -322,9 +322,9 @@ fn once_ends_when_nothing_is_left_and_a_failure_affects_no_other_project() {
     write_model(&root.join("good"), "a");
     write_model(&root.join("bad"), "broken");
     let planner = Counter::default();
-    let options = Options { once: true, ..options(&root) };
+    let options = WatchOptions { once: true, ..options(&root) };
     let summary = watch_roots(&options, &planner, &Disk::REAL, |_| {}).expect("the root can be watched");
-    assert_eq!(summary, Summary { projects: 2, planned: 1, failed: 1, waiting: 0 });
+    assert_eq!(summary, WatchSummary { projects: 2, planned: 1, failed: 1, waiting: 0 });
     let line = read_status(&root).expect("a status");
     assert!(!line.running);
     let phases: Vec<_> = line.status.projects.iter().map(|p| (p.project.as_str(), p.phase.to_string())).collect();
@@ -380,8 +380,8 @@ fn make_pipe(path: &Path) {
     assert!(std::process::Command::new("mkfifo").arg(path).status().expect("mkfifo").success());
 }
 
-fn watch_once(root: &Path) -> Result<Summary, DaemonError> {
-    let options = Options { once: true, ..options(root) };
+fn watch_once(root: &Path) -> Result<WatchSummary, DaemonError> {
+    let options = WatchOptions { once: true, ..options(root) };
     watch_roots(&options, &Counter::default(), &Disk::REAL, |_| {})
 }
 

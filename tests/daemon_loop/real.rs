@@ -4,7 +4,7 @@ use std::{fs, path::PathBuf};
 
 use viewrank::internals::{
     camera::{Camera, CameraModel},
-    daemon::{Options, PlanJob, PlanOptions, phase::Phase, read_status, watch_roots},
+    daemon::{PlanJob, PlanOptions, WatchOptions, phase::Phase, read_status, watch_roots},
     formats::{colmap::ColmapModel, colmap_bin},
     output::Disk,
     scene::Scene,
@@ -52,7 +52,7 @@ impl Real {
             roots: Vec::new(),
             typed: Default::default(),
         });
-        let options = Options { once: true, ..options(&self.root) };
+        let options = WatchOptions { once: true, ..options(&self.root) };
         watch_roots(&options, &planner, &Disk::REAL, |_| {}).expect("the root can be watched");
         read_status(&self.root).expect("a status").status.projects.remove(0).phase
     }
@@ -246,7 +246,7 @@ fn a_model_behind_a_link_is_planned_only_with_follow_links() {
         roots: Vec::new(),
         typed: Default::default(),
     });
-    let options = Options { once: true, follow_links: true, ..options(&real.root) };
+    let options = WatchOptions { once: true, follow_links: true, ..options(&real.root) };
     let summary = watch_roots(&options, &planner, &Disk::REAL, |_| {}).expect("the root can be watched");
     assert_eq!(summary.planned, 1);
 }

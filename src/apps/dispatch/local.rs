@@ -19,7 +19,7 @@ const TAIL: u64 = 2000;
 
 /// Result of a script.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Ended {
+pub enum ScriptResult {
     Done,
     /// The script failed; holds the end of its output.
     Failed(String),
@@ -28,12 +28,12 @@ pub enum Ended {
 
 impl Dispatch {
     /// Computes the depth map of a task; returns at once if it already exists. `threads`: number of threads that the backend may use.
-    pub fn compute_here(&self, task: &Task, threads: usize, stop: &AtomicBool) -> Result<Ended, DispatchError> {
+    pub fn compute_here(&self, task: &Task, threads: usize, stop: &AtomicBool) -> Result<ScriptResult, DispatchError> {
         self.run_here("task.sh", Some(task.rank), threads, stop)
     }
 
     /// Fuses the depth maps that exist so far.
-    pub fn fuse_here(&self, threads: usize, stop: &AtomicBool) -> Result<Ended, DispatchError> {
+    pub fn fuse_here(&self, threads: usize, stop: &AtomicBool) -> Result<ScriptResult, DispatchError> {
         self.run_here("fuse.sh", None, threads, stop)
     }
 
@@ -43,7 +43,7 @@ impl Dispatch {
         rank: Option<usize>,
         threads: usize,
         stop: &AtomicBool,
-    ) -> Result<Ended, DispatchError> {
+    ) -> Result<ScriptResult, DispatchError> {
         let failed = |source| DispatchError::Start { program: "sh".into(), source };
         let mut output = tempfile::tempfile().map_err(failed)?;
         let copy = |file: &File| file.try_clone().map(Stdio::from).map_err(failed);
@@ -55,12 +55,12 @@ impl Dispatch {
         let mut child = platform::in_own_group(&mut command).spawn().map_err(failed)?;
         loop {
             if let Some(status) = child.try_wait().map_err(failed)? {
-                let failed = |_| Ended::Failed(tail(&mut output).unwrap_or_default());
-                return Ok(Some(status).filter(|status| !status.success()).map_or(Ended::Done, failed));
+                let failed = |_| ScriptResult::Failed(tail(&mut output).unwrap_or_default());
+                return Ok(Some(status).filter(|status| !status.success()).map_or(ScriptResult::Done, failed));
             }
             if stop.load(Ordering::Relaxed) {
                 platform::end_group(&mut child);
-                return Ok(Ended::Stopped);
+                return Ok(ScriptResult::Stopped);
             }
             thread::sleep(PAUSE);
         }

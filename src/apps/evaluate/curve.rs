@@ -60,11 +60,6 @@ impl ReachCurve {
         (clusters < self.kept.len()).then_some(clusters)
     }
 
-    /// Returns the number of pairs of those clusters; `None` as in [`Self::clusters_for`].
-    pub fn pairs_for(&self, kept: f64) -> Option<usize> {
-        self.clusters_for(kept).map(|clusters| self.pairs[clusters])
-    }
-
     /// Returns the weight that fusion keeps of the first clusters as a share of `total`; 0 if that is 0.
     pub fn share(&self, clusters: usize, total: f64) -> f64 {
         let kept = self.kept[clusters.min(self.kept.len() - 1)];
@@ -84,7 +79,7 @@ mod tests {
     use crate::model::scene::ViewIndex;
 
     #[test]
-    fn counts_clusters_and_pairs_up_to_a_fulfilment() {
+    fn counts_clusters_up_to_a_fulfilment() {
         let table = FulfilmentTable::new([vec![(0, 1.0)], vec![(0, 0.5), (1, 0.2)], vec![(1, 1.0)]]);
         let cluster = |key: u32, partners: u32| ViewCluster {
             key: ViewIndex(key),
@@ -97,7 +92,7 @@ mod tests {
         assert_eq!(curve.pairs, [0, 3, 5, 9]);
         assert_eq!(curve.clusters_for(0.34), Some(1));
         assert_eq!(curve.clusters_for(0.36), Some(2));
-        assert_eq!(curve.pairs_for(0.76), Some(9));
+        assert_eq!(curve.clusters_for(0.76), Some(3));
         assert_eq!(curve.clusters_for(1.01), None);
         assert_eq!(curve.share(1, 1.0), curve.kept[1]);
         assert_eq!(curve.share(9, 0.0), 0.0);

@@ -52,19 +52,19 @@ struct Partner {
 /// A report that can't be read.
 #[derive(Debug, thiserror::Error)]
 #[error("{path}: {what}")]
-pub struct ReportError {
+pub struct MatcherReportError {
     pub path: PathBuf,
     pub what: String,
 }
 
-impl Hint for ReportError {
+impl Hint for MatcherReportError {
     fn hint(&self) -> Option<String> {
         Some("run the matcher again, or take the report away: all partners then count as matched".into())
     }
 }
 
 /// Reads the reports in a folder of depth maps. Names that are not in the scene are left out. Rows of single tasks replace those of `report.json`.
-pub fn read_report(folder: &Path, scene: &Scene) -> Result<Report, ReportError> {
+pub fn read_report(folder: &Path, scene: &Scene) -> Result<Report, MatcherReportError> {
     let mut report = read_file(folder.join("report.json"), scene)?;
     let rows = WalkDir::new(folder.join("rows")).sort_by_file_name().into_iter().filter_map(Result::ok);
     for entry in rows.filter(|entry| entry.path().extension().is_some_and(|extension| extension == "json")) {
@@ -73,14 +73,14 @@ pub fn read_report(folder: &Path, scene: &Scene) -> Result<Report, ReportError> 
     Ok(report)
 }
 
-fn read_file(path: PathBuf, scene: &Scene) -> Result<Report, ReportError> {
+fn read_file(path: PathBuf, scene: &Scene) -> Result<Report, MatcherReportError> {
     let bytes = match input::read(&path, FileKind::State) {
         Ok(bytes) => bytes,
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(Report::new()),
-        Err(error) => return Err(ReportError { path, what: error.to_string() }),
+        Err(error) => return Err(MatcherReportError { path, what: error.to_string() }),
     };
-    let file: File =
-        serde_json::from_slice(&bytes).map_err(|error| ReportError { path: path.clone(), what: error.to_string() })?;
+    let file: File = serde_json::from_slice(&bytes)
+        .map_err(|error| MatcherReportError { path: path.clone(), what: error.to_string() })?;
     let entry = |row: &Row| {
         let all = row.partners.as_ref()?;
         let partners =
@@ -111,7 +111,7 @@ pub fn tried(
     maps: &[DepthMapFile],
     scene: &Scene,
     planned: &[ViewCluster],
-) -> Result<Vec<ViewCluster>, ReportError> {
+) -> Result<Vec<ViewCluster>, MatcherReportError> {
     let report = read_report(folder, scene)?;
     let of = |map: &DepthMapFile| -> Option<ViewCluster> {
         if let Some(reported) = report.get(&map.view) {

@@ -28,7 +28,7 @@ pub use clouds::{CloudComparison, Within};
 pub use compare::{Comparison, RuleClusters, choices, compare};
 pub use evaluation::{Evaluation, EvaluationOptions};
 pub use half_size::HalfSize;
-pub use matched::{ReportError, tried};
+pub use matched::{MatcherReportError, tried};
 pub use measure::Quality;
 pub(super) use measure::measure;
 pub use missing::{MeasuredSurface, Missing};

@@ -10,7 +10,7 @@ use rayon::prelude::*;
 
 use super::{
     curve::ReachCurve,
-    matched::{self, Report, ReportError},
+    matched::{self, MatcherReportError, Report},
     measure::{MapMeasurement, Quality, measure},
 };
 use crate::{
@@ -317,7 +317,7 @@ pub enum EvaluateError {
     #[error(transparent)]
     DepthMap(#[from] DepthMapError),
     #[error(transparent)]
-    Report(#[from] ReportError),
+    Report(#[from] MatcherReportError),
     #[error("cannot read cloud {}: {source}", path.display())]
     CloudFile { path: PathBuf, source: std::io::Error },
     #[error("cannot read cloud {}: {source}", path.display())]

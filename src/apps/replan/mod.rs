@@ -36,7 +36,7 @@ use crate::{
         cluster::{MapScale, ViewCluster},
         scene::ViewIndex,
     },
-    plan::{FinishedMaps, Outdated, Plan, PlanError, PlannedView, PlannedViews, Stages, decide},
+    plan::{FinishedMaps, OutdatedMap, Plan, PlanError, PlannedView, PlannedViews, Stages, decide},
     show::manifest::{self, RecordedPlan, WrittenPlanError},
 };
 
@@ -46,7 +46,7 @@ pub struct EarlierPlan {
     /// Key view, partners and size, by name, best first.
     clusters: Vec<(String, Vec<String>, MapScale)>,
     cut: usize,
-    outdated: Vec<Outdated>,
+    outdated: Vec<OutdatedMap>,
     views: PlannedViews,
 }
 
@@ -78,7 +78,7 @@ impl EarlierPlan {
     }
 
     /// Returns the earlier finding on an outdated depth map that is still the same file.
-    fn outdated(&self, key: &str, hash: &str) -> Option<Outdated> {
+    fn outdated(&self, key: &str, hash: &str) -> Option<OutdatedMap> {
         let same = self.views.outdated_files.get(key).is_some_and(|known| known == hash);
         self.outdated.iter().find(|outdated| same && outdated.key == key).cloned()
     }
@@ -93,7 +93,7 @@ impl EarlierPlan {
 }
 
 /// Location of the finished depth maps.
-pub struct Maps<'a> {
+pub struct MapFolder<'a> {
     pub folder: &'a Path,
     /// Returns whether the file is completely written.
     pub ready: &'a (dyn Fn(&Path) -> bool + Sync),
@@ -105,7 +105,7 @@ pub struct Maps<'a> {
 pub fn replan(
     plan: Plan,
     earlier: &EarlierPlan,
-    maps: &Maps,
+    maps: &MapFolder,
     watcher: &dyn Watcher,
 ) -> Result<(Plan, Option<MeasuredClusters>), ReplanError> {
     let (mut clusters, mut finished) = (Vec::new(), FinishedMaps::default());
@@ -219,7 +219,7 @@ enum MapVerdict {
         made_with: Option<BTreeMap<String, PlannedView>>,
     },
     Outdated {
-        outdated: Outdated,
+        outdated: OutdatedMap,
         hash: String,
     },
     Unreadable(String),
@@ -229,7 +229,7 @@ enum MapVerdict {
 fn look(
     plan: &Plan,
     earlier: &EarlierPlan,
-    maps: &Maps,
+    maps: &MapFolder,
     watcher: &dyn Watcher,
 ) -> Result<Vec<MapVerdict>, ReplanError> {
     let DepthMapSet { maps: files, unreadable, .. } = depthmaps::list(maps.folder, &plan.stages.scene)?;
@@ -246,7 +246,7 @@ fn look(
     // Includes views without partners in the earlier plan: earlier findings on their maps still hold.
     let keys: BTreeSet<&str> = earlier.keys().collect();
     let beyond = earlier.outdated.iter().filter(|outdated| !keys.contains(outdated.key.as_str()));
-    let beyond = beyond.filter_map(|Outdated { key, .. }| {
+    let beyond = beyond.filter_map(|OutdatedMap { key, .. }| {
         let hash = hash(&file_of.get(key.as_str())?.path).ok()?;
         Some(MapVerdict::Outdated { outdated: earlier.outdated(key, &hash)?, hash })
     });
@@ -297,8 +297,8 @@ impl MapCheck<'_> {
         std::iter::once(self.key).chain(self.partners)
     }
 
-    fn outdated(&self, view: &str, moved_px: Option<f64>) -> Outdated {
-        Outdated { key: self.key.clone(), view: view.into(), moved_px }
+    fn outdated(&self, view: &str, moved_px: Option<f64>) -> OutdatedMap {
+        OutdatedMap { key: self.key.clone(), view: view.into(), moved_px }
     }
 
     /// Returns the largest movement of any view of the cluster, with that view; `Err`: a view that is gone or has no record.

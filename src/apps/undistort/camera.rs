@@ -2,12 +2,12 @@
 
 use nalgebra::Point2;
 
-use super::Options;
+use super::UndistortOptions;
 use crate::model::camera::{Camera, CameraError, CameraModel};
 
 /// Returns the PINHOLE camera of the undistorted images of `camera`: the same focal lengths, and a size at which the content along the borders of
 /// the distorted image (or of the region of interest) is at the borders of the undistorted one.
-pub fn undistorted(camera: &Camera, options: &Options) -> Result<Camera, CameraError> {
+pub fn undistorted(camera: &Camera, options: &UndistortOptions) -> Result<Camera, CameraError> {
     let region = CropBox::new(camera, options.roi);
     let (focal, centre) = camera.pinhole_part();
     let mut pinhole = Pinhole {
@@ -15,7 +15,7 @@ pub fn undistorted(camera: &Camera, options: &Options) -> Result<Camera, CameraE
         focal: [focal.x, focal.y],
         centre: [centre.x - f64::from(region.left), centre.y - f64::from(region.top)],
     };
-    if !camera.is_pinhole() || options.roi != Options::WHOLE {
+    if !camera.is_pinhole() || options.roi != UndistortOptions::WHOLE {
         pinhole.fit(&region.borders(camera, &pinhole), options);
     }
     let longest = pinhole.size[0].max(pinhole.size[1]);
@@ -95,7 +95,7 @@ impl Pinhole {
     }
 
     /// Grows or shrinks the image, at constant focal lengths, between no blank pixels and no lost pixels.
-    fn fit(&mut self, borders: &[[Range; 2]; 2], options: &Options) {
+    fn fit(&mut self, borders: &[[Range; 2]; 2], options: &UndistortOptions) {
         for (i, [near, far]) in borders.iter().enumerate() {
             let (size, centre) = (self.size[i], self.centre[i]);
             let rest = size - 0.5 - centre;
@@ -141,7 +141,7 @@ mod tests {
     proptest! {
         #[test]
         fn without_blank_pixels_every_pixel_shows_something(k in -0.25f64..0.25) {
-            let camera = undistorted(&barrel(k), &Options::default()).unwrap();
+            let camera = undistorted(&barrel(k), &UndistortOptions::default()).unwrap();
             let (w, h) = (f64::from(camera.width), f64::from(camera.height));
             for share in 0..=20 {
                 let s = f64::from(share) / 20.0;
@@ -155,7 +155,7 @@ mod tests {
         #[test]
         fn with_all_blank_pixels_nothing_is_lost(k in -0.15f64..0.15) {
             let source = barrel(k);
-            let camera = undistorted(&source, &Options { blank_pixels: 1.0, ..Options::default() }).unwrap();
+            let camera = undistorted(&source, &UndistortOptions { blank_pixels: 1.0, ..UndistortOptions::default() }).unwrap();
             for share in 0..=20 {
                 let s = f64::from(share) / 20.0;
                 for pixel in [[s * 600.0, 2.0], [s * 600.0, 398.0], [2.0, s * 400.0], [598.0, s * 400.0]] {
@@ -170,10 +170,11 @@ mod tests {
     #[test]
     fn a_pinhole_camera_stays_as_it_is() {
         let camera = Camera::new(7, CameraModel::SimplePinhole, 600, 400, vec![500.0, 310.0, 190.0]).unwrap();
-        let same = undistorted(&camera, &Options::default()).unwrap();
+        let same = undistorted(&camera, &UndistortOptions::default()).unwrap();
         assert_eq!(same.params(), [500.0, 500.0, 310.0, 190.0]);
         assert_eq!((same.id, same.width, same.height), (7, 600, 400));
-        let half = undistorted(&camera, &Options { max_image_size: Some(300), ..Options::default() }).unwrap();
+        let half = undistorted(&camera, &UndistortOptions { max_image_size: Some(300), ..UndistortOptions::default() })
+            .unwrap();
         assert_eq!(half.params(), [250.0, 250.0, 155.0, 95.0]);
         assert_eq!((half.width, half.height), (300, 200));
     }
@@ -182,7 +183,8 @@ mod tests {
     fn a_field_of_more_than_180_degrees_is_bounded() {
         let fisheye = Camera::new(1, CameraModel::Fisheye, 600, 600, vec![150.0, 150.0, 300.0, 300.0]).unwrap();
         for blank_pixels in [0.0, 1.0] {
-            let camera = undistorted(&fisheye, &Options { blank_pixels, ..Options::default() }).unwrap();
+            let camera =
+                undistorted(&fisheye, &UndistortOptions { blank_pixels, ..UndistortOptions::default() }).unwrap();
             assert!(camera.width <= 1200 && camera.height <= 1200);
         }
     }

@@ -40,7 +40,7 @@ use crate::{
 
 /// Options of the undistorted images, with COLMAP's names and defaults.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Options {
+pub struct UndistortOptions {
     /// 0: no blank pixels; 1: all pixels of the distorted image; values between interpolate.
     pub blank_pixels: f64,
     /// Smallest and largest size relative to the distorted image.
@@ -52,11 +52,11 @@ pub struct Options {
     pub roi: [f64; 4],
 }
 
-impl Options {
+impl UndistortOptions {
     const WHOLE: [f64; 4] = [0.0, 0.0, 1.0, 1.0];
 }
 
-impl Default for Options {
+impl Default for UndistortOptions {
     fn default() -> Self {
         Self { blank_pixels: 0.0, min_scale: 0.2, max_scale: 2.0, max_image_size: None, roi: Self::WHOLE }
     }
@@ -83,7 +83,7 @@ const SET: &str = "undistorted";
 /// Writes the undistorted images and the model of the project to a dense workspace.
 pub fn undistort(
     project: &Project,
-    options: &Options,
+    options: &UndistortOptions,
     out: &Path,
     disk: &Disk,
     watcher: &dyn Watcher,
@@ -115,7 +115,7 @@ pub fn undistort(
 /// Returns the scene with the cameras that its undistorted images will have. A camera without a pinhole camera stays.
 pub fn with_undistorted_cameras(mut scene: Scene) -> Scene {
     for camera in scene.cameras.iter_mut().filter(|camera| camera.model().focal_length_count() > 0) {
-        if let Ok(pinhole) = camera::undistorted(camera, &Options::default()) {
+        if let Ok(pinhole) = camera::undistorted(camera, &UndistortOptions::default()) {
             *camera = pinhole;
         }
     }
@@ -142,7 +142,12 @@ struct Undistortion<'a> {
 }
 
 impl<'a> Undistortion<'a> {
-    fn new(project: &'a Project, scene: &'a Scene, options: &Options, out: &'a Path) -> Result<Self, UndistortError> {
+    fn new(
+        project: &'a Project,
+        scene: &'a Scene,
+        options: &UndistortOptions,
+        out: &'a Path,
+    ) -> Result<Self, UndistortError> {
         let images = project.images.as_ref().ok_or_else(|| UndistortError::NoImages(project.root.clone()))?;
         if paths::is_same(images, &out.join("images")) {
             return Err(UndistortError::OwnImages(images.to_path_buf()));

@@ -153,7 +153,7 @@ impl Raster {
 mod tests {
     use super::*;
     use crate::{
-        apps::undistort::{Options, camera::undistorted},
+        apps::undistort::{UndistortOptions, camera::undistorted},
         model::camera::CameraModel,
     };
 
@@ -171,7 +171,7 @@ mod tests {
     #[test]
     fn a_straight_ramp_becomes_straight() {
         let source = Camera::new(1, CameraModel::Radial, 320, 240, vec![250.0, 165.0, 117.0, -0.2, 0.05]).unwrap();
-        let target = undistorted(&source, &Options::default()).unwrap();
+        let target = undistorted(&source, &UndistortOptions::default()).unwrap();
         let picture = ramp(&source).warped(&source, &at_size_of(&target, &source).unwrap()).resized(&target);
         assert_eq!((picture.width, picture.height), (target.width, target.height));
         let (focal, centre) = target.pinhole_part();
@@ -189,7 +189,9 @@ mod tests {
         for (name, format) in [("a.png", ImageFormat::Png), ("a.tif", ImageFormat::Tiff), ("a.JPG", ImageFormat::Jpeg)]
         {
             let file = picture.encoded(format, Some(exif.clone()), None).unwrap();
-            let half = undistorted(&camera, &Options { max_image_size: Some(16), ..Options::default() }).unwrap();
+            let half =
+                undistorted(&camera, &UndistortOptions { max_image_size: Some(16), ..UndistortOptions::default() })
+                    .unwrap();
             let small = undistort(&file, name, &camera, &half).unwrap();
             assert_eq!(image::guess_format(&small).unwrap(), format);
             let small = image::load_from_memory(&small).unwrap();

@@ -16,7 +16,7 @@ use std::{
 use tracing::{info, warn};
 
 use super::{
-    DaemonError, Job, Options, PathDisplay, Planner,
+    DaemonError, Job, PathDisplay, Planner, WatchOptions,
     phase::Phase,
     platform::{self, Life, notify_supervisor},
     queue::{Full, JobQueue},
@@ -46,7 +46,7 @@ pub enum Signal {
 
 /// Number of projects by state when the daemon ended.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Summary {
+pub struct WatchSummary {
     pub projects: usize,
     pub planned: usize,
     pub failed: usize,
@@ -86,17 +86,17 @@ impl Supervisor {
     }
 }
 
-/// Watches the roots until stopped or, with [`Options::once`], until nothing is left to plan. `signals` receives a function that sends
+/// Watches the roots until stopped or, with [`WatchOptions::once`], until nothing is left to plan. `signals` receives a function that sends
 /// signals to the daemon from any thread.
 ///
 /// # Errors
 /// Roots that can't be read, written or locked, and metrics that can't be written.
 pub fn watch_roots(
-    options: &Options,
+    options: &WatchOptions,
     planner: &dyn Planner,
     disk: &Disk,
     signals: impl FnOnce(Box<dyn Fn(Signal) + Send>),
-) -> Result<Summary, DaemonError> {
+) -> Result<WatchSummary, DaemonError> {
     let (sender, events) = channel();
     let to_loop = sender.clone();
     // Fails once the loop has ended.
@@ -137,7 +137,7 @@ pub fn watch_roots(
 }
 
 struct Daemon<'a> {
-    options: &'a Options,
+    options: &'a WatchOptions,
     /// Canonical paths.
     roots: Vec<PathBuf>,
     planner: &'a dyn Planner,
@@ -161,7 +161,7 @@ impl<'a> Daemon<'a> {
         threads: &'s Scope<'s, '_>,
         events: &Receiver<Event>,
         disk: &Disk,
-    ) -> Result<Summary, DaemonError>
+    ) -> Result<WatchSummary, DaemonError>
     where
         'a: 's,
     {
@@ -254,7 +254,7 @@ impl<'a> Daemon<'a> {
     where
         'a: 's,
     {
-        let Options { on_busy, follow_links, settle, .. } = *self.options;
+        let WatchOptions { on_busy, follow_links, settle, .. } = *self.options;
         let Some(number) = self.admit(project, work, now) else { return };
         let Some(tracked) = self.projects.get_mut(project) else { return };
         let (input, cancel) = tracked.start(number, work, settle, now);
@@ -315,10 +315,10 @@ impl<'a> Daemon<'a> {
         self.queue.is_idle() && (self.stopping || self.options.once && self.scans.is_empty() && nothing_due())
     }
 
-    fn summary(&self) -> Summary {
+    fn summary(&self) -> WatchSummary {
         let count = |wanted: fn(&Phase) -> bool| self.projects.values().filter(|t| wanted(&t.phase())).count();
         let planned = |p: &Phase| matches!(p, Phase::Planned { .. } | Phase::Computing { .. } | Phase::Reached { .. });
-        Summary {
+        WatchSummary {
             projects: self.projects.len(),
             planned: count(planned),
             failed: count(|p| matches!(p, Phase::Failed { .. })),

@@ -12,7 +12,7 @@ use tracing::info;
 use super::{Daemon, NETWORK_POLL};
 use crate::{
     daemon::{
-        Options, PathDisplay,
+        PathDisplay, WatchOptions,
         discover::{self, InputFolders},
         maps,
         settle::Stamp,
@@ -212,7 +212,7 @@ impl Daemon<'_> {
     fn scan_project(&mut self, project: &Path, heard: Option<Instant>, now: Instant) {
         self.supervisor.alive();
         let Some(tracked) = self.projects.get_mut(project) else { return };
-        let Options { on_busy, follow_links, .. } = *self.options;
+        let WatchOptions { on_busy, follow_links, .. } = *self.options;
         let named = self.planner.named_files(project);
         let input = InputFolders::find(project, follow_links);
         let (map_folders, maps) = maps::scan(project, follow_links);

@@ -10,7 +10,7 @@ use std::{
 };
 
 use super::{
-    maps::{MapFiles, Maps},
+    maps::{MapFiles, MapTracker},
     phase::Phase,
     settle::{Fingerprint, Stamp, Stillness},
 };
@@ -87,12 +87,12 @@ pub struct TrackedProject {
     /// Result of the last job; shown while `concluded`.
     result: Phase,
     still: Stillness<Stamp>,
-    maps: Maps,
+    maps: MapTracker,
     /// The result applies to the current input.
     concluded: bool,
     /// There is a plan for which depth maps may appear.
     planned: bool,
-    job: Option<Running>,
+    job: Option<RunningJob>,
     /// The reason why a job that is due can't start.
     queued: Option<&'static str>,
     failures: u32,
@@ -101,7 +101,7 @@ pub struct TrackedProject {
 
 /// A running job.
 #[derive(Debug)]
-struct Running {
+struct RunningJob {
     number: u64,
     work: Work,
     started: Instant,
@@ -119,7 +119,7 @@ impl TrackedProject {
             root,
             result: waiting(&Stamp::default()),
             still: Stillness::new(Stamp::default(), now),
-            maps: Maps::default(),
+            maps: MapTracker::default(),
             concluded: false,
             planned: false,
             job: None,
@@ -132,7 +132,7 @@ impl TrackedProject {
     /// Current phase to show.
     pub fn phase(&self) -> Phase {
         match (&self.job, self.queued) {
-            (Some(Running { work: Work::Plan, stage, percent, .. }), _) => {
+            (Some(RunningJob { work: Work::Plan, stage, percent, .. }), _) => {
                 Phase::Planning { stage: stage.clone(), percent: *percent }
             }
             // Depth maps still to be measured leave the last result valid.
@@ -220,8 +220,15 @@ impl TrackedProject {
     pub fn start(&mut self, number: u64, work: Work, settle: Duration, now: Instant) -> (JobInput, Arc<AtomicBool>) {
         let cancel = Arc::new(AtomicBool::new(false));
         let stage = "read".into();
-        self.job =
-            Some(Running { number, work, started: now, cancel: cancel.clone(), overtaken: false, stage, percent: 0 });
+        self.job = Some(RunningJob {
+            number,
+            work,
+            started: now,
+            cancel: cancel.clone(),
+            overtaken: false,
+            stage,
+            percent: 0,
+        });
         (JobInput { stamp: self.still.stamp().clone(), maps: self.maps.settled(settle, now) }, cancel)
     }
 

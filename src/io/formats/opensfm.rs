@@ -22,14 +22,14 @@ use crate::model::{
 
 #[derive(Deserialize)]
 struct Reconstruction {
-    cameras: Ordered<OpenSfmCamera>,
-    shots: Ordered<Shot>,
+    cameras: JsonMap<OpenSfmCamera>,
+    shots: JsonMap<Shot>,
     #[serde(default)]
-    points: Ordered<Point>,
+    points: JsonMap<Point>,
 }
 
 /// A JSON object as a map.
-type Ordered<T> = std::collections::BTreeMap<String, T>;
+type JsonMap<T> = std::collections::BTreeMap<String, T>;
 
 #[derive(Deserialize)]
 #[serde(default)]
@@ -116,7 +116,7 @@ pub fn read(reconstruction: &[u8], tracks: Option<&[u8]>) -> Result<ForeignModel
 }
 
 /// Point ids: those of the file if all are numbers, otherwise 1, 2, ...
-fn add_points(foreign: &mut ForeignModel, points: &Ordered<Point>, observations: &Observations) {
+fn add_points(foreign: &mut ForeignModel, points: &JsonMap<Point>, observations: &Observations) {
     let ids: Option<Vec<u64>> = points.keys().map(|id| id.parse().ok()).collect();
     let mut order: Vec<_> = points
         .iter()

@@ -26,7 +26,7 @@ impl<'a> Maps<'a> {
     }
 
     /// Builds candidates of both sizes. `work`: that of each cluster's map at full and at half size, in any unit, above 0.
-    pub fn of_two_sizes(full: &'a FulfilmentTable, half: &'a FulfilmentTable, work: &'a [[f64; 2]]) -> Self {
+    pub fn two_sizes(full: &'a FulfilmentTable, half: &'a FulfilmentTable, work: &'a [[f64; 2]]) -> Self {
         Self { full, half: Some(Half { table: half, work }) }
     }
 

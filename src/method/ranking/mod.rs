@@ -9,7 +9,7 @@ mod maps;
 mod objective;
 mod reached;
 
-use self::reached::Amount;
+use self::reached::FixedPoint;
 pub(crate) use self::reached::Reached;
 pub use self::{
     belief::{Attempt, Beliefs},
@@ -44,11 +44,6 @@ pub struct Ranking {
 }
 
 impl Ranking {
-    /// Returns f_o of the whole ranking.
-    pub fn total(&self) -> f64 {
-        self.fulfilment.last().copied().unwrap_or(0.0)
-    }
-
     /// Returns the share: weight that fusion keeps of the first `length` clusters over that of all, 0 to 1; 0 if it keeps nothing of all.
     pub fn share(&self, length: usize) -> f64 {
         match length.min(self.kept.len()) {
@@ -201,7 +196,7 @@ impl<'a> Greedy<'a> {
         }
         ranking.order.push(cluster);
         ranking.scales.push(scale);
-        ranking.gains.push(Amount(gain).value());
+        ranking.gains.push(FixedPoint(gain).value());
         ranking.fulfilment.push(self.reached.fulfilment());
         ranking.kept.push(self.reached.kept_weight());
     }

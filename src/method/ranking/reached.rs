@@ -8,9 +8,9 @@ const UNIT: f64 = (1u64 << 60) as f64;
 
 /// Amount of f_o, or of the weight that fusion is expected to keep.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
-pub(super) struct Amount(pub(super) i64);
+pub(super) struct FixedPoint(pub(super) i64);
 
-impl Amount {
+impl FixedPoint {
     fn new(weight: f64, worth: f64) -> Self {
         Self((weight * worth * UNIT).round() as i64)
     }
@@ -38,12 +38,12 @@ impl<'a> Reached<'a> {
 
     /// f_o of the chosen clusters.
     pub(crate) fn fulfilment(&self) -> f64 {
-        Amount(self.fulfilment).value()
+        FixedPoint(self.fulfilment).value()
     }
 
     /// Weight that fusion is expected to keep of them: the sum of `w_t f_m`, 0 to 1 (method 5.2).
     pub(crate) fn kept_weight(&self) -> f64 {
-        Amount(self.kept).value()
+        FixedPoint(self.kept).value()
     }
 
     /// Returns the m largest f of a triangle, ascending.
@@ -69,7 +69,7 @@ impl<'a> Reached<'a> {
 
     /// Returns the gain of f_o by a cluster with these triangles and f.
     pub(crate) fn gain(&self, row: (&[u32], &[f32])) -> f64 {
-        Amount(self.whole_gain(row)).value()
+        FixedPoint(self.whole_gain(row)).value()
     }
 
     pub(super) fn whole_gain(&self, (triangles, values): (&[u32], &[f32])) -> i64 {
@@ -84,7 +84,8 @@ impl<'a> Reached<'a> {
             return 0;
         }
         let weight = self.objective.weights[triangle as usize];
-        Amount::new(weight, with(largest, f)).0 - Amount::new(weight, Objective::worth(largest.iter().copied())).0
+        FixedPoint::new(weight, with(largest, f)).0
+            - FixedPoint::new(weight, Objective::worth(largest.iter().copied())).0
     }
 
     pub(crate) fn take(&mut self, (triangles, values): (&[u32], &[f32])) {
@@ -103,7 +104,7 @@ impl<'a> Reached<'a> {
         largest.copy_within(1..place, 0);
         largest[place - 1] = f;
         let weight = self.objective.weights[triangle as usize];
-        self.kept += Amount::new(weight, f64::from(largest[0])).0 - Amount::new(weight, f64::from(agreed)).0;
+        self.kept += FixedPoint::new(weight, f64::from(largest[0])).0 - FixedPoint::new(weight, f64::from(agreed)).0;
     }
 }
 

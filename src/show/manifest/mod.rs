@@ -26,7 +26,7 @@ use crate::{
         reason::Reason,
         scene::{Units, ViewIndex},
     },
-    plan::{Cut, Forecast, Outdated, Plan, ViewStatus},
+    plan::{Cut, Forecast, OutdatedMap, Plan, ViewStatus},
 };
 
 /// Version of the format; readers accept only manifests with this number.
@@ -46,7 +46,7 @@ pub struct Manifest {
     pub backend: String,
     /// All settings in force, nested as in viewrank.toml, with the values that the data or the backend decided.
     pub settings: Settings,
-    /// True if `settings.image_scale` was not set: it is the size that the backend takes by itself.
+    /// True if `settings.image_scale` was not set: it is the backend's default.
     pub own_size: bool,
     pub surface: SurfaceSummary,
     /// Region of interest; null if the plan is for the whole surface.
@@ -60,7 +60,7 @@ pub struct Manifest {
     /// Images without a pose, by name.
     pub unregistered: Vec<String>,
     /// Finished depth maps that no longer fit the model, by key view; they are ignored and must be recomputed.
-    pub outdated: Vec<Outdated>,
+    pub outdated: Vec<OutdatedMap>,
     pub forecast: Forecast,
     /// Files written for each backend, and parts of the plan that it does not honour.
     pub exports: Vec<ExportRecord>,
@@ -162,7 +162,7 @@ impl Manifest {
             input: Input::new(plan, project)?,
             units: plan.stages.settings.units.unwrap_or(Units::Relative),
             backend: plan.stages.backend.into(),
-            settings: plan.stages.settings.of_plan(),
+            settings: plan.stages.settings.for_plan(),
             own_size: plan.stages.own_size,
             surface: SurfaceSummary::new(plan),
             region: RegionSummary::from_plan(plan),

@@ -17,7 +17,7 @@ use crate::{
         cluster::{MapScale, RankedCluster},
         scene::{Scene, ViewIndex},
     },
-    plan::{Cut, Outdated, Plan},
+    plan::{Cut, OutdatedMap, Plan},
 };
 
 /// A written ranking with its project and scene.
@@ -28,7 +28,7 @@ pub struct WrittenPlan {
     /// Name of the backend that the plan was made for.
     pub backend: String,
     pub settings: Settings,
-    /// True if `settings.image_scale` is the size that the backend takes by itself.
+    /// True if `settings.image_scale` is the backend's default.
     pub own_size: bool,
     /// The whole ranking, best first.
     pub clusters: Vec<RankedCluster>,
@@ -54,7 +54,7 @@ pub(crate) struct RecordedPlan {
     /// The whole ranking, best first, but after the finished clusters.
     pub clusters: Vec<ClusterEntry>,
     pub views: Vec<ViewEntry>,
-    pub outdated: Vec<Outdated>,
+    pub outdated: Vec<OutdatedMap>,
     pub cut: Cut,
     pub exports: Vec<ExportRecord>,
     pub warnings: Vec<String>,

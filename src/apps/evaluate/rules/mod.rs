@@ -23,22 +23,20 @@ use crate::model::{
 /// A rule, as named in `--write-baselines`.
 pub struct SelectionRule {
     pub name: &'static str,
-    /// The paper or program that the rule comes from.
-    pub source: &'static str,
     choose: fn(&Neighbourhood, usize) -> Vec<ViewIndex>,
 }
 
 /// All rules, in the order in which tables list them.
 pub const RULES: &[SelectionRule] = &[
-    SelectionRule { name: "mindist", source: "k closest camera centres", choose: nearest::closest },
-    SelectionRule { name: "maxcon", source: "k most shared sparse points", choose: nearest::most_connected },
-    SelectionRule { name: "random", source: "k of the 22 most connected views", choose: nearest::random },
-    SelectionRule { name: "goesele", source: "Goesele et al. 2007", choose: goesele::choose },
-    SelectionRule { name: "bailer", source: "Bailer, Finckh, Lensch 2012", choose: bailer::choose },
-    SelectionRule { name: "shen", source: "Shen 2013", choose: shen::choose },
-    SelectionRule { name: "colmap", source: "COLMAP's __auto__ in patch-match.cfg", choose: colmap::choose },
-    SelectionRule { name: "openmvs", source: "OpenMVS 2.3, Scene::SelectNeighborViews", choose: openmvs::choose },
-    SelectionRule { name: "mvsnet", source: "MVSNet's colmap2mvsnet.py", choose: mvsnet::choose },
+    SelectionRule { name: "mindist", choose: nearest::closest },
+    SelectionRule { name: "maxcon", choose: nearest::most_connected },
+    SelectionRule { name: "random", choose: nearest::random },
+    SelectionRule { name: "goesele", choose: goesele::choose },
+    SelectionRule { name: "bailer", choose: bailer::choose },
+    SelectionRule { name: "shen", choose: shen::choose },
+    SelectionRule { name: "colmap", choose: colmap::choose },
+    SelectionRule { name: "openmvs", choose: openmvs::choose },
+    SelectionRule { name: "mvsnet", choose: mvsnet::choose },
 ];
 
 impl SelectionRule {

@@ -70,7 +70,7 @@ impl<'a> PartnerView<'a> {
     }
 }
 
-pub(super) struct Column<'b, 'a> {
+pub(super) struct ColumnKernel<'b, 'a> {
     pub(super) block: &'b Block<'a>,
     pub(super) view: PartnerView<'a>,
     pub(super) partner: usize,
@@ -79,7 +79,7 @@ pub(super) struct Column<'b, 'a> {
     pub(super) column: &'b mut Vec<PartnerLanes>,
 }
 
-impl Kernel for Column<'_, '_> {
+impl Kernel for ColumnKernel<'_, '_> {
     type Output = ();
 
     #[inline(always)]
@@ -98,7 +98,7 @@ impl Kernel for Column<'_, '_> {
     }
 }
 
-impl Column<'_, '_> {
+impl ColumnKernel<'_, '_> {
     #[inline(always)]
     fn group(&self, triangles: &TriangleLanes, sees: &[bool; LANES], unary: &Lanes) -> PartnerLanes {
         let mut rays = triangles.ray;

@@ -8,7 +8,7 @@ mod sums;
 use nalgebra::{Matrix2x3, Vector3};
 
 use self::{
-    column::{Column, PartnerView},
+    column::{ColumnKernel, PartnerView},
     sums::{Sums, SumsWith, Values},
 };
 pub use super::lanes::LANES;
@@ -225,7 +225,7 @@ impl<'a> Block<'a> {
         if column.len() < groups {
             let view = PartnerView::new(&self.model, self.key, self.partners[partner]);
             column.reserve_exact(self.len() - column.len());
-            vectorised(Column { block: self, view, partner, groups, column: &mut column });
+            vectorised(ColumnKernel { block: self, view, partner, groups, column: &mut column });
         }
         self.columns[partner] = column;
     }
