@@ -116,27 +116,6 @@ impl DepthMap {
         (sx / sy - 1.0).abs() <= rounding
     }
 
-    /// Subsamples the map with the smallest stride at which its depths take at most `bytes`.
-    pub fn subsampled(self, bytes: usize) -> Self {
-        let fits = |step: u32| {
-            (self.width.div_ceil(step) as usize * self.height.div_ceil(step) as usize).saturating_mul(4) <= bytes
-        };
-        let step = (1..self.width.max(self.height)).find(|&step| fits(step)).unwrap_or(self.width.max(self.height));
-        if step == 1 {
-            return self;
-        }
-        // The middle pixel of each block.
-        let positions = |length: u32| (0..length / step).map(move |i| (i * step + step / 2) as usize);
-        let (width, height) = (self.width / step, self.height / step);
-        if width == 0 || height == 0 {
-            return self;
-        }
-        let row = |y: usize| positions(self.width).map(move |x| (x, y));
-        let depth =
-            positions(self.height).flat_map(row).map(|(x, y)| self.depth[y * self.width as usize + x]).collect();
-        Self { format: self.format, width, height, depth, ids: self.ids }
-    }
-
     /// Returns a map of the same size without any depth.
     pub fn without_depths(&self) -> Self {
         Self { depth: vec![0.0; self.depth.len()], ids: Vec::new(), ..*self }

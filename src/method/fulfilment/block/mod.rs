@@ -49,8 +49,7 @@ pub struct Block<'a> {
     keys: Vec<KeyLanes>,
     /// Visibility, by partner, then slot.
     sees: Vec<Vec<bool>>,
-    /// By partner, then slot: mean of the key view's and the partner's unary confidence, 0 to 1, or the partner's log odds if the confidence is
-    /// trained. Empty: 1 everywhere.
+    /// By partner, then slot: mean of the key view's and the partner's unary confidence, 0 to 1. Empty: 1 everywhere.
     unary: Vec<Vec<f32>>,
     /// By partner: true if `unary` holds the probability of a match itself, from comparing pictures (method 7.4).
     agreed: Vec<bool>,
