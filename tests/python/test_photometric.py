@@ -16,9 +16,9 @@ def planned(viewrank, fixtures, tmp_path_factory):
     for part in ("sparse", "images"):
         (project / part).symlink_to(fixtures / "valley" / part)
     (project / "viewrank.toml").write_text(f'image_scale = {SCALE}\n[confidence]\nsource = "photometric"\n')
-    viewrank("plan", project, "--backend", "sgm", "--dump-tables", tables)
+    viewrank("plan", project, "--backend", "colmap", "--dump-tables", tables)
     read = oracle.Tables(tables)
-    read.backend = "sgm"
+    read.backend = "colmap"
     return oracle.Model(fixtures / "valley" / "sparse" / "0"), read, project
 
 

@@ -1,4 +1,4 @@
-"""Planning predicts which pairs integrations/sgm refuses: compared with the matcher's own rule for every pair."""
+"""Planning predicts which pairs integrations/sgm refuses, and which places it searches: compared with the matcher's own rule for every pair."""
 
 import shutil
 import sys
@@ -55,3 +55,28 @@ def test_no_pair_is_planned_that_the_matcher_refuses_and_none_is_left_out_that_i
     assert planned > 50 and left_out == 0
     assert name == "fixture" or refused > 100, "statue has deep scenes"
     shutil.rmtree(tmp_path / "tables")
+
+
+def test_a_place_is_expected_to_match_only_where_the_matcher_looks(viewrank, fixtures, tmp_path):
+    for part in ("sparse", "images"):
+        (tmp_path / part).symlink_to(fixtures / "valley" / part)
+    # Wide pairs too: their parallax is what needs a deep search.
+    (tmp_path / "viewrank.toml").write_text(f"image_scale = {SCALE}\n[partners]\ncandidates = 27\n[partners.gate]\nmax_angle = 180\nmax_scale_octaves = 9\n")
+    viewrank("plan", tmp_path, "--backend", "sgm", "--dump-tables", tmp_path / "tables")
+    tables, workspace = oracle.Tables(tmp_path / "tables"), Workspace(tmp_path, SCALE)
+    names = [view["name"] for view in tables.views]
+    beyond = within = 0
+    for key, own in enumerate(names):
+        for other in tables.candidates_of(key).tolist():
+            a, b = workspace.views[own], workspace.views[names[other]]
+            shared = workspace.xyz[np.intersect1d(a.points, b.points, assume_unique=True)]
+            pair = rectify.rectify(a, b, shared, workspace.xyz[np.union1d(a.points, b.points)])
+            pixels, depth = a.project(tables.centroids[tables.seen[key]])
+            disparity = pair.parallax.disparity(*pixels.T, 1 / depth) - pair.canvas.low
+            searched = (disparity > -1e-6) & (disparity < pair.canvas.count + 1e-6)
+            agreement = tables.agreement_of(key, other)
+            assert not agreement[~searched].any(), f"{own}, {names[other]}: expected to match beyond the window"
+            both = np.isin(tables.seen[key], tables.seen[other])
+            beyond += (both & ~searched).sum()
+            within += (both & searched & (agreement > 0)).sum()
+    assert beyond > 100 and within > beyond, (beyond, within)
