@@ -212,13 +212,8 @@ impl Passes {
                 let why = self.left_out(cluster, &with_points);
                 record.warnings.push(format!("{key}: {why}, so no depth map"));
             }
-            let width = |v: &ViewIndex| selection.scene.camera_of(*v).width;
-            if cluster.partners.iter().any(|p| width(p) != width(&cluster.partners[0])) {
-                record.warnings.push(format!(
-                    "{key}: its partners differ in width; COLMAP 4.0 and later may copy the narrower ones wrongly to the GPU"
-                ));
-            }
         }
+        record.warnings.extend(mixed_widths(selection));
         if self.geometric && self.refs == References::Keys {
             record.not_honoured.push("partners that are no key views take part in the photometric pass only".into());
         }
@@ -367,6 +362,18 @@ fn add_lists(mut lists: MapRecords, files: &mut FileSet, record: &mut ExportReco
         ));
     }
     files.add_text(finished::MAPS, lists.to_tsv());
+}
+
+/// Warns of key views with partners of several widths, as the images of different cameras have.
+fn mixed_widths(selection: &Selection) -> Option<String> {
+    let width = |view: &ViewIndex| selection.scene.camera_of(*view).width;
+    let is_mixed = |cluster: &&RankedCluster| cluster.partners.iter().any(|p| width(p) != width(&cluster.partners[0]));
+    let mixed: Vec<&str> = selection.clusters.iter().filter(is_mixed).map(|c| selection.scene.name(c.key)).collect();
+    let (first, others) = mixed.split_first()?;
+    let others = if others.is_empty() { String::new() } else { format!(" and {} more key views", others.len()) };
+    Some(format!(
+        "{first}{others}: the partners differ in width; COLMAP 4.0 and later may copy the narrower ones wrongly to the GPU"
+    ))
 }
 
 /// Returns, for each view, whether it observes a sparse point. COLMAP derives the depth range from these and aborts at a view without any.
