@@ -29,7 +29,7 @@ use crate::{
 /// The choice ends when a further image fills less than this share of what can be filled.
 const LEAST: f64 = 0.01;
 /// The choice ends once this share of what can be filled has been filled: further images fill little each (docs/benchmarks.md, "A second flight").
-const ENOUGH: f64 = 0.85;
+const ENOUGH: f64 = 0.8;
 /// Largest number of partners of a candidate among the other candidates.
 const NEAREST: usize = 4;
 /// Largest number of partners of a candidate among the existing images.
