@@ -21,7 +21,7 @@ COMMANDS = {
     "plan that compares photographs": ([], ["plan", "p", "--quiet", "--confidence", "photometric", "--backend", "sgm"]),
     "report with a flight": ([PLAN, ["report", "p", "--quiet"], [*PLAN, "-k", "3"]], ["report", "p", "--quiet"]),
     "evaluate": ([PLAN], ["evaluate", "p", "--quiet", "--depth-maps", "maps"]),
-    "train": ([PLAN], ["train", "p", "--quiet", "--depth-maps", "MAPS", "--out", "p/viewrank/confidence.model"]),
+    "train": ([PLAN], ["train", "p", "--quiet", "--depth-maps", "MAPS", "--out", "p/fitted.toml"]),
     "predict": ([PLAN], ["predict", "p", "--out", "p/pictures"]),
     "dispatch": ([PLAN], ["dispatch", "p", "--scheduler", "shell", "--program", "/bin/true", "--backend", "sgm"]),
     "export in tiles": ([PLAN], ["export", "p", "--backend", "mvsnet", "--tiles", "2"]),
