@@ -153,7 +153,8 @@ impl Finished {
         let model = stages.model();
         let reached = MeasuredSurface::new(&model, &run);
         let so_far = MeasuredProgress::new(stages, &run);
-        let options = EvaluationOptions { objective: &stages.objective, baselines: false, so_far, clouds: None };
+        let options =
+            EvaluationOptions { objective: &stages.objective, baselines: false, so_far, clouds: None, half: None };
         let evaluation = Evaluation::new(&model, &run, &reached, &options, &NoWatcher).expect("tables in memory");
         let share = |share: f64| (0.0..=1.0 + 1e-9).contains(&share);
         assert!(evaluation.curve.real.iter().all(|&real| share(real)), "{:?}", evaluation.curve.real);
