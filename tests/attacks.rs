@@ -284,6 +284,44 @@ fn links_and_pipes_in_place_of_a_dispatchs_state_are_never_followed_nor_waited_f
     assert_eq!(fs::read_to_string(&list).unwrap(), text);
 }
 
+/// Each folder of results is checked, not only `viewrank` itself.
+#[test]
+fn no_folder_of_results_is_followed_out_of_the_project() {
+    let place = Place::new();
+    let (outside, project) = (place.folder.path().join("outside"), place.project());
+    fs::create_dir(&outside).unwrap();
+    let maps = place.folder.path().join("maps");
+    fs::create_dir(&maps).unwrap();
+    let is_empty = || fs::read_dir(&outside).unwrap().next().is_none();
+    succeeds(place.plan());
+    let dispatch = ["dispatch", "--scheduler", "shell", "--program", "/bin/true", "--backend", "sgm"];
+    let commands: [(&[&str], &str); 7] = [
+        (&["plan", "--backend", "sgm", "--confidence", "geometric"], "viewrank/sgm"),
+        (&["plan", "--backend", "sgm", "--confidence", "geometric"], "viewrank"),
+        (&["export", "--backend", "openmvs"], "viewrank/openmvs"),
+        (&["export", "--backend", "colmap", "--tiles", "2"], "viewrank/colmap-tiles"),
+        (&dispatch, "viewrank/sgm"),
+        (&["evaluate", "--depth-maps", path(&maps)], "viewrank/evaluation"),
+        (&["undistort"], "dense"),
+    ];
+    for (command, folder) in commands {
+        let at = project.join(folder);
+        let aside = place.folder.path().join("aside");
+        let had = at.exists();
+        if had {
+            fs::rename(&at, &aside).unwrap();
+        }
+        symlink(&outside, &at).unwrap();
+        let error = fails(viewrank(&[command, &[path(&project)]].concat()));
+        assert!(is_empty(), "{command:?} wrote through {folder}");
+        assert!(error.contains(folder), "{command:?}: {error}");
+        fs::remove_file(&at).unwrap();
+        if had {
+            fs::rename(&aside, &at).unwrap();
+        }
+    }
+}
+
 #[test]
 fn links_in_circles_end() {
     let place = Place::new();

@@ -7,8 +7,11 @@ mod readers;
 #[path = "../fuzz/inputs.rs"]
 mod inputs;
 
+#[path = "../fuzz/apps.rs"]
+mod apps;
+
 use std::{
-    panic::catch_unwind,
+    panic::{AssertUnwindSafe, catch_unwind},
     time::{Duration, Instant},
 };
 
@@ -20,11 +23,15 @@ use serde_json::{Value, json};
 const CHANGES: u64 = 3000;
 /// The same of files that take a while to read.
 const FEW_CHANGES: u64 = 300;
+/// The same of whole commands.
+const FEWEST_CHANGES: u64 = 25;
 /// Bytes from which a file takes a while.
 const LONG: usize = 1 << 14;
+/// Bytes that a head may have.
+const HEAD: usize = 256;
 
 /// Values that break things: counts, ids, floating-point numbers.
-const VALUES: [u64; 14] = [
+const VALUES: [u64; 19] = [
     0,
     1,
     2,
@@ -39,6 +46,12 @@ const VALUES: [u64; 14] = [
     0x7ff8_0000_0000_0000,
     0x0000_0000_0000_0001,
     0x7fef_ffff_ffff_ffff,
+    // In f32: infinity, not a number, the largest, the smallest normal, -1.
+    0x7f80_0000,
+    0x7fc0_0000,
+    0x7f7f_ffff,
+    0x0080_0000,
+    0xbf80_0000,
 ];
 const TOKENS: [&str; 16] = [
     "0",
@@ -68,7 +81,9 @@ impl Chance {
 }
 
 fn change(data: &mut Vec<u8>, text: bool, chance: &mut Chance) {
-    let at = chance.below(data.len() + 1);
+    // The head of a long file decides most.
+    let reach = if chance.below(3) == 0 { data.len().min(HEAD) } else { data.len() };
+    let at = chance.below(reach + 1);
     let length = chance.below(64).min(data.len() - at);
     match chance.below(if text { 9 } else { 7 }) {
         0 => data.truncate(at),
@@ -140,9 +155,13 @@ enum Grammar {
 }
 
 /// Changes a valid file again and again and has each change read.
-fn fuzz(target: &str, valid: &[u8], grammar: Grammar, read: impl Fn(&[u8]) + std::panic::RefUnwindSafe) {
+fn fuzz(target: &str, valid: &[u8], grammar: Grammar, read: impl Fn(&[u8])) {
     let is_slow = inputs::INPUTS.iter().any(|(name, _)| *name == target && !name.starts_with("map."));
-    let changes = if is_slow || valid.len() >= LONG { FEW_CHANGES } else { CHANGES };
+    let changes = match () {
+        () if apps::APPS.contains(&target) => FEWEST_CHANGES,
+        () if is_slow || valid.len() >= LONG => FEW_CHANGES,
+        () => CHANGES,
+    };
     let seconds = std::env::var("VIEWRANK_FUZZ_SECONDS").ok().and_then(|s| s.parse().ok()).map(Duration::from_secs);
     // The long runs differ from each other.
     let seed = seconds.map_or(1, |_| std::process::id().into());
@@ -158,7 +177,7 @@ fn fuzz(target: &str, valid: &[u8], grammar: Grammar, read: impl Fn(&[u8]) + std
                 _ => change(&mut data, grammar != Grammar::Binary, &mut chance),
             }
         }
-        if catch_unwind(|| read(&data)).is_err() {
+        if catch_unwind(AssertUnwindSafe(|| read(&data))).is_err() {
             panic!("{target}: fails with {}", data.escape_ascii());
         }
         done += 1;
@@ -199,6 +218,24 @@ fn changed_inputs_beside_the_model_are_errors_or_consistent() {
             _ => Grammar::Binary,
         };
         fuzz(target, valid, grammar, |data| _ = inputs::read_input(target, data));
+    }
+}
+
+#[test]
+fn commands_over_changed_files_end_with_an_error_or_numbers() {
+    if !apps::APPS.iter().any(|target| wanted(target)) {
+        return;
+    }
+    let finished = apps::Finished::new();
+    for target in apps::APPS.into_iter().filter(|target| wanted(target)) {
+        let valid = finished.valid(target);
+        assert!(finished.run(target, &valid), "{target}");
+        let grammar = match target.rsplit('.').next() {
+            Some("report") => Grammar::Json,
+            Some("clusters") => Grammar::Text,
+            _ => Grammar::Binary,
+        };
+        fuzz(target, &valid, grammar, |data| _ = finished.run(target, data));
     }
 }
 

@@ -11,7 +11,7 @@ use crate::{
         paths::real,
     },
     io::{
-        output::{FileSet, OutputError},
+        output::{self, FileSet, OutputError},
         project::{Project, ProjectError, slashes},
     },
 };
@@ -54,8 +54,10 @@ fn set_name(inner: &Path) -> String {
     format!("export-{}", &hash[..16])
 }
 
-/// Refuses a folder that is a file or contains the export for another backend, and output among the project's own files.
+/// Refuses a folder of the project that a link leads out of it, a folder that is a file or contains the export for another backend, and
+/// output among the project's own files.
 pub fn check(folder: &Path, exports: &[Export], project: &Project) -> Result<(), BackendError> {
+    output::refuse_to_leave(&project.home, folder)?;
     if let Some(file) = folder.ancestors().find(|above| above.is_file()) {
         return Err(OutputError::InTheWay { path: file.to_path_buf(), folder: false }.into());
     }

@@ -15,7 +15,7 @@ use crate::{
     base::shell::{quoted, quoted_path},
     config::{Budget, CommandLineSettings, DispatchSettings, Share},
     daemon::{follow, state::Outcome},
-    io::output::{Contents, Disk, FileSet, WriteReport},
+    io::output::{self, Contents, Disk, FileSet, WriteReport},
     show::manifest::WrittenPlan,
 };
 use clap::{Args, ValueEnum};
@@ -127,6 +127,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         image_faults: &plan.project.image_faults(&plan.scene),
     };
     let exported = backend.export(&selection, &Default::default())?;
+    output::refuse_to_leave(&plan.project.home, &exported.files.root)?;
     let dispatch = Dispatch::new(backend, &selection, &exported, plan.finished)?;
     let _held = if arguments.dry_run { None } else { Some(dispatch.hold()?) };
     let tools = arguments.tools(&dispatch, &settings)?;

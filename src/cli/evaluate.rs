@@ -12,7 +12,7 @@ use crate::{
         MeasuredProgress, MeasuredSurface, baselines, clusters, orders,
     },
     io::{
-        output::{Contents, Disk, FileSet},
+        output::{Contents, Disk, FileSet, refuse_to_leave},
         project::Project,
     },
     model::cluster::ViewCluster,
@@ -101,6 +101,8 @@ fn measure(
     folder: &Path,
     progress: &Progress,
 ) -> Result<(), Failure> {
+    let out = arguments.out.clone().unwrap_or_else(|| project.output_folder().join("evaluation"));
+    refuse_to_leave(&project.home, &out)?;
     let clusters = match &arguments.clusters {
         Some(file) => clusters::read(file, &plan.stages.scene)?,
         None => planned(plan),
@@ -124,7 +126,6 @@ fn measure(
     };
     let evaluation = Evaluation::new(&model, &run, &reached, &how, progress)?;
     let title = project.root.file_name().unwrap_or(project.root.as_os_str()).to_string_lossy();
-    let out = arguments.out.clone().unwrap_or_else(|| project.output_folder().join("evaluation"));
     let mut files = FileSet::new(&out, "evaluation");
     files.add_text("evaluation.json", json(&evaluation));
     files.add_text("evaluation.html", evaluate::page(&evaluation, &title));

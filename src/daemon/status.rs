@@ -237,6 +237,7 @@ impl Pace {
 
 fn write_status(holder: &mut Holder, status: &Status, disk: &Disk) -> Result<(), DaemonError> {
     holder.renew(disk)?;
+    output::make_own_folder(&holder.root, disk)?;
     let text = serde_json::to_vec_pretty(status).unwrap_or_default();
     Ok(output::replace(&output::own_path(&holder.root, STATUS)?, &text, disk)?)
 }

@@ -409,7 +409,7 @@ fn a_file_in_place_of_the_lock_is_refused_and_left_unchanged() {
 }
 
 #[test]
-fn neither_status_nor_lock_is_written_outside_the_root() {
+fn neither_status_nor_lock_is_written_through_a_link() {
     let (_elsewhere, outside) = root();
     let (_guard, root) = root();
     std::os::unix::fs::symlink(&outside, root.join("viewrank")).expect("a link");
@@ -417,9 +417,15 @@ fn neither_status_nor_lock_is_written_outside_the_root() {
     assert!(fs::read_dir(&outside).expect("a folder").next().is_none());
 
     fs::remove_file(root.join("viewrank")).expect("a link");
-    fs::create_dir(root.join("outputs")).expect("a folder");
-    std::os::unix::fs::symlink("outputs", root.join("viewrank")).expect("a link");
+    // The folder of somebody else who may write below the same root.
+    fs::create_dir(root.join("theirs")).expect("a folder");
+    fs::write(root.join("theirs/status.json"), "precious").expect("a file");
+    std::os::unix::fs::symlink("theirs", root.join("viewrank")).expect("a link");
+    assert!(matches!(watch_once(&root), Err(DaemonError::Output(OutputError::Foreign { .. }))));
+    assert_eq!(fs::read_to_string(root.join("theirs/status.json")).expect("their file"), "precious");
+    assert_eq!(fs::read_dir(root.join("theirs")).expect("a folder").count(), 1);
+
+    fs::remove_file(root.join("viewrank")).expect("a link");
     watch_once(&root).expect("the root can be watched");
-    assert!(read_status(&root).is_some() && root.join("outputs/status.json").is_file());
     watch_once(&root).expect("a lock of an earlier run may be taken");
 }

@@ -155,6 +155,22 @@ fn a_pipe_in_the_place_of_a_journal_or_a_record_is_not_waited_for() {
 }
 
 #[test]
+fn a_file_of_any_size_in_place_of_ours_is_kept_and_not_read() {
+    let folder = planted(&[]);
+    let root = folder.path();
+    write(root, &[("viewrank/list", "1"), ("viewrank/stale", "1")]);
+    for name in ["viewrank/list", "viewrank/stale"] {
+        fs::File::create(root.join(name)).unwrap().set_len(1 << 42).unwrap();
+    }
+    for _ in 0..2 {
+        let written = write(root, &[("viewrank/list", "2")]);
+        assert!(written.removed.is_empty(), "{written:?}");
+    }
+    let length = |name: &str| fs::metadata(root.join(name)).unwrap().len();
+    assert_eq!(["viewrank/list", "viewrank/list.before-viewrank", "viewrank/stale"].map(length), [1, 1 << 42, 1 << 42]);
+}
+
+#[test]
 fn a_record_that_was_not_written_here_makes_no_file_ours() {
     for identity in ["", "made 0.000000000"] {
         let folder = planted(&[("viewrank/.sets/test.json", &planted_record(identity))]);
@@ -172,6 +188,41 @@ fn a_record_that_was_not_written_here_makes_no_file_ours() {
         ];
         assert_eq!(tree(root), texts(&expected));
     }
+}
+
+/// A planted record cannot make the user's files ours by another way to them.
+#[cfg(unix)]
+#[test]
+fn a_record_that_was_not_written_here_claims_nothing_through_links() {
+    for (link, target, prefix) in [("viewrank", ".", "viewrank"), ("viewrank/sgm", "..", "viewrank/sgm")] {
+        let folder = planted(&[]);
+        let root = folder.path();
+        let at = root.join(link);
+        fs::create_dir_all(at.parent().unwrap()).unwrap();
+        std::os::unix::fs::symlink(target, at).unwrap();
+        let (notes, image) = (hash("notes"), hash("image"));
+        let record = format!(
+            r#"{{"files":{{"{prefix}/my_notes.txt":"{notes}","{prefix}/images/a.jpg":"{image}"}},"folders":[],"identity":""}}"#
+        );
+        fs::create_dir_all(root.join("viewrank/.sets")).unwrap();
+        fs::write(root.join("viewrank/.sets/test.json"), record).unwrap();
+        let written = write(root, &[(&format!("{prefix}/my_notes.txt"), "ours")]);
+        assert!(written.removed.is_empty(), "{written:?}");
+        assert_eq!(fs::read_to_string(root.join("images/a.jpg")).unwrap(), "image");
+        assert_eq!(fs::read_to_string(root.join("my_notes.txt.before-viewrank")).unwrap(), "notes");
+    }
+}
+
+#[cfg(unix)]
+#[test]
+fn a_record_is_not_written_over_a_file_elsewhere() {
+    let folder = planted(&[("settings/test.json", "theirs")]);
+    let root = folder.path();
+    fs::create_dir(root.join("viewrank")).unwrap();
+    std::os::unix::fs::symlink("../settings", root.join("viewrank/.sets")).unwrap();
+    let before = tree(root);
+    assert!(matches!(set(root, &[("a", "a")]).write(&Disk::REAL), Err(OutputError::Foreign { .. })));
+    assert_eq!(tree(root), before);
 }
 
 /// Copies a folder with all that is in it.

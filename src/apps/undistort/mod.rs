@@ -29,7 +29,7 @@ use crate::{
             colmap::{ColmapModel, Point2d},
             colmap_bin,
         },
-        output::{Contents, Disk, FileSet, OutputError},
+        output::{self, Contents, Disk, FileSet, OutputError},
         project::{ImageFolder, Project, ProjectError},
     },
     model::{
@@ -88,6 +88,7 @@ pub fn undistort(
     disk: &Disk,
     watcher: &dyn Watcher,
 ) -> Result<UndistortReport, UndistortError> {
+    output::refuse_to_leave(&project.home, out)?;
     let scene = project.read_scene()?;
     let job = Undistortion::new(project, &scene, options, out)?;
     let batches = job.batches();

@@ -26,7 +26,7 @@ use std::{
 };
 
 pub use disk::{Disk, Operation};
-pub(crate) use open::{open_own, own_path, read_own};
+pub(crate) use open::{open_own, own_path, read_own, refuse_to_leave};
 
 use crate::base::{column::Column, error::Hint};
 
@@ -161,13 +161,17 @@ pub fn make_folder(path: &Path, disk: &Disk) -> Result<(), OutputError> {
     transaction::make_folders(path, disk)
 }
 
-/// Creates the folder `viewrank` below a root.
+/// Creates the folder `viewrank` of a root that others may write to.
 ///
 /// # Errors
-/// [`OutputError::Escapes`] if it is a link out of the root.
+/// [`OutputError::Escapes`], [`OutputError::Foreign`] if it is a link: files that [`replace`] replaces would be somebody's.
 pub(crate) fn make_own_folder(root: &Path, disk: &Disk) -> Result<(), OutputError> {
-    let inside = own_path(root, "viewrank/any")?;
-    disk.make_folder(inside.parent().unwrap_or(root))
+    own_path(root, "viewrank/any")?;
+    let folder = root.join("viewrank");
+    match folder.symlink_metadata() {
+        Ok(found) if found.is_symlink() => Err(OutputError::Foreign { path: folder, what: open::kind(&found) }),
+        _ => disk.make_folder(&folder),
+    }
 }
 
 /// Opens a lock file, creating it if necessary; doesn't lock or change it. Its folder must exist.
@@ -226,7 +230,9 @@ impl Hint for OutputError {
             Self::Name { .. } => {
                 "rename the image in the model: names are relative, without \"..\" or empty parts".into()
             }
-            Self::Escapes { .. } => "replace the link with a folder".into(),
+            Self::Escapes { .. } => {
+                "replace the link with a folder; where there is --out, it can name the link's target".into()
+            }
             Self::Foreign { .. } => "move it away: viewrank creates its own".into(),
             Self::InTheWay { .. } => "move it away, or choose another name".into(),
             Self::OtherFileSystem { .. } => "choose a folder on a single file system with --out".into(),

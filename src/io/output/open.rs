@@ -93,14 +93,44 @@ pub(super) fn check_links(root: &Path, path: &str) -> Result<PathBuf, OutputErro
     while let Some(part) = parts.next() {
         at.push(part);
         let (Some(_), Ok(found)) = (parts.peek(), fs::symlink_metadata(&at)) else { continue };
-        // Of long paths, Windows has one form only.
-        let stays = || Ok::<_, io::Error>(at.canonicalize()?.starts_with(root.canonicalize()?));
-        if found.is_symlink() && !stays().unwrap_or(false) {
-            return Err(OutputError::Escapes { path: at, root: root.to_path_buf() });
-        }
+        refuse_link_out(root, &at, &found)?;
         if !at.is_dir() {
             return Err(OutputError::InTheWay { path: at, folder: false });
         }
     }
     Ok(at)
+}
+
+fn refuse_link_out(root: &Path, at: &Path, found: &Metadata) -> Result<(), OutputError> {
+    // Of long paths, Windows has one form only.
+    let stays = || Ok::<_, io::Error>(at.canonicalize()?.starts_with(root.canonicalize()?));
+    if found.is_symlink() && !stays().unwrap_or(false) {
+        return Err(OutputError::Escapes { path: at.into(), root: root.into() });
+    }
+    Ok(())
+}
+
+/// Checks that a folder whose path lies below `root` lies there through all links. Files written to it as a root of their own are checked
+/// from there on only.
+///
+/// # Errors
+/// [`OutputError::Escapes`] if a link on the way leads out of `root`.
+pub fn refuse_to_leave(root: &Path, folder: &Path) -> Result<(), OutputError> {
+    let absolute = |path: &Path| std::path::absolute(path).unwrap_or_else(|_| path.to_path_buf());
+    let (mut at, folder) = (absolute(root), absolute(folder));
+    let Ok(inner) = folder.strip_prefix(&at) else { return Ok(()) };
+    let root = at.clone();
+    for part in inner.components() {
+        at.push(part);
+        if let Ok(found) = fs::symlink_metadata(&at) {
+            refuse_link_out(&root, &at, &found)?;
+        }
+    }
+    Ok(())
+}
+
+/// Returns whether a folder on the path is a symbolic link.
+pub(super) fn has_links(root: &Path, path: &str) -> bool {
+    let is_link = |folder: &str| fs::symlink_metadata(root.join(folder)).is_ok_and(|found| found.is_symlink());
+    path.match_indices('/').any(|(end, _)| is_link(&path[..end]))
 }

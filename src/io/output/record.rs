@@ -1,22 +1,24 @@
 //! Records of the files that viewrank wrote below a root: one per set, `viewrank/.sets/NAME.json`.
 //!
-//! A record that was not written in this folder (`identity.rs`) is trusted only for files below `viewrank/`. A file elsewhere counts as viewrank's
-//! again once a set contains it with the same contents.
+//! A record that was not written in this folder (`identity.rs`) is trusted only for files below `viewrank/`, and not through links there, which
+//! may lead to the user's folders. A file elsewhere counts as viewrank's again once a set contains it with the same contents.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
     fs,
     io::{self, Read},
-    path::Path,
+    path::{Path, PathBuf},
+    time::UNIX_EPOCH,
 };
 
 use serde::{Deserialize, Serialize};
 
 use super::{OutputError, check_name, identity::identity, open};
+use crate::base::input::{self, FileKind};
 
 /// Folder of the records, relative to the root.
 pub(super) const FOLDER: &str = "viewrank/.sets";
-/// Files with this prefix are always viewrank's.
+/// Files with this prefix are viewrank's, whoever recorded them.
 const OWN: &str = "viewrank/";
 
 /// Files and folders written for a set; paths relative to the root.
@@ -35,6 +37,7 @@ pub(super) struct Record {
 pub(super) struct Records {
     /// By name of the set.
     by_set: BTreeMap<String, Record>,
+    root: PathBuf,
     /// Identity of this folder.
     identity: Option<String>,
 }
@@ -57,17 +60,21 @@ impl Records {
             let sound = record.files.keys().chain(&record.folders).all(|path| check_name(path).is_ok());
             sound.then_some((name, record))
         });
-        Self { by_set: records.collect(), identity: identity(&root.join("viewrank")).ok() }
+        Self { by_set: records.collect(), root: root.into(), identity: identity(&root.join("viewrank")).ok() }
     }
 
     /// The trusted part of the record of a set.
     pub fn trusted(&self, set: &str) -> Record {
         let mut record = self.by_set.get(set).cloned().unwrap_or_default();
         if self.identity.as_ref() != Some(&record.identity) {
-            record.files.retain(|path, _| path.starts_with(OWN));
-            record.folders.retain(|path| path.starts_with(OWN));
+            record.files.retain(|path, _| self.is_own(path));
+            record.folders.retain(|path| self.is_own(path));
         }
         record
+    }
+
+    fn is_own(&self, path: &str) -> bool {
+        path.starts_with(OWN) && !open::has_links(&self.root, path)
     }
 
     /// Paths of the files of sets whose names begin with `prefix`, sorted.
@@ -80,7 +87,7 @@ impl Records {
     /// Returns a claim if the file has the contents that some record lists.
     pub fn claim(&self, root: &Path, path: &str) -> Result<Option<Claim>, OutputError> {
         let Some(hash) = self.recorded_hash(root, path, |_| true)? else { return Ok(None) };
-        let is_trusted = |r: &&Record| path.starts_with(OWN) || self.identity.as_ref() == Some(&r.identity);
+        let is_trusted = |r: &&Record| self.is_own(path) || self.identity.as_ref() == Some(&r.identity);
         let is_ours = self.by_set.values().filter(is_trusted).any(|r| r.files.get(path) == Some(&hash));
         Ok(Some(Claim { hash, is_ours }))
     }
@@ -112,7 +119,8 @@ impl Records {
     }
 }
 
-/// BLAKE3 of the contents of a file or of the target of a symbolic link; `None` if the path is neither.
+/// BLAKE3 of the contents of a file or of the target of a symbolic link; `None` if the path is neither. Of a file larger than any of
+/// viewrank's, which may have a hole of any size, what the file system says about it.
 pub(super) fn hash(path: &Path) -> io::Result<Option<String>> {
     match fs::symlink_metadata(path) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
@@ -120,6 +128,10 @@ pub(super) fn hash(path: &Path) -> io::Result<Option<String>> {
         Ok(found) if found.is_symlink() => {
             let target = fs::read_link(path)?;
             Ok(Some(format!("link:{}", blake3::hash(target.as_os_str().as_encoded_bytes()))))
+        }
+        Ok(found) if found.is_file() && found.len() > FileKind::Sparse.limit() => {
+            let modified = found.modified()?.duration_since(UNIX_EPOCH).unwrap_or_default();
+            Ok(Some(format!("large:{} {} {}", found.len(), modified.as_nanos(), input::identity(&found).1)))
         }
         Ok(found) if found.is_file() => {
             let mut hasher = blake3::Hasher::new();

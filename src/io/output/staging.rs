@@ -224,6 +224,11 @@ impl Staging<'_> {
         }
         let path = format!("{}/{set}.json", record::FOLDER);
         let target = self.root.locate(&path)?;
+        // An earlier record is replaced without being kept: what is in a folder elsewhere is none.
+        let folder = self.root.path.join(record::FOLDER);
+        if let Some(link) = fs::symlink_metadata(&folder).ok().filter(Metadata::is_symlink) {
+            return Err(OutputError::Foreign { path: folder, what: open::kind(&link) });
+        }
         self.missing_folders(&path)?;
         let step = self.change.steps.len();
         let mut text = serde_json::to_vec_pretty(&self.record).expect("strings are JSON");

@@ -1,0 +1,163 @@
+#!/usr/bin/env python3
+"""Mutation tests: do the quick tests notice that the program is wrong?
+
+    tests/mutants.py                 every mutant of tests/mutants.txt, and which survive
+    tests/mutants.py settle ranking  those of these areas
+    tests/mutants.py --list          what would be done
+
+All mutants are put into one copy of the sources (target/mutants), each behind a switch that VIEWRANK_MUTANT turns on, so there is one
+build of the tests and not one for each. A mutant is killed if the tests of its area fail or do not end; it survives if they pass.
+"""
+
+import argparse
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+COPY = ROOT / "target/mutants"
+SWITCH = """
+/// True if this mutant is the one to be tested.
+pub(crate) fn mutant(number: u32) -> bool {
+    static CHOSEN: std::sync::LazyLock<Option<u32>> =
+        std::sync::LazyLock::new(|| std::env::var("VIEWRANK_MUTANT").ok()?.parse().ok());
+    *CHOSEN == Some(number)
+}
+"""
+
+
+class Mutant:
+    def __init__(self, number, area, tests, file, line):
+        before, rest = line.split("«")
+        change, after = rest.split("»")
+        self.old, self.new = (part.strip() for part in re.split(r" ~>(?: |$)", change, maxsplit=1))
+        self.number, self.area, self.tests, self.file = number, area, tests, file
+        self.around = before.strip(), after.strip()
+
+    def __str__(self):
+        return f"{self.number:3} {self.file}: {self.old} ~> {self.new or '(nothing)'}"
+
+    def place(self, text):
+        """Where the old code is, as (start, end); blanks and line breaks count alike."""
+        before, old, after = (r"\s+".join(map(re.escape, part.split())) for part in (self.around[0], self.old, self.around[1]))
+        found = list(re.finditer(rf"{before}\s*({old})\s*{after}", text))
+        if len(found) != 1:
+            sys.exit(f"{self}: {len(found)} such places, not one")
+        return found[0].span(1)
+
+
+def read_list():
+    mutants, area, tests, file = [], None, None, None
+    for line in (ROOT / "tests/mutants.txt").read_text().splitlines():
+        if found := re.fullmatch(r"# (\w+): (--.*)", line):
+            area, tests = found[1], found[2].split()
+        elif line.startswith("@ "):
+            file = line[2:]
+        elif "«" in line and not line.startswith("#"):
+            mutants.append(Mutant(len(mutants) + 1, area, tests, file, line))
+    return mutants
+
+
+def mutated(text, mutants):
+    """The text with every mutant in it, each behind its switch."""
+    places = {}
+    for mutant in mutants:
+        places.setdefault(mutant.place(text), []).append(mutant)
+    ends = sorted(places)
+    for one, other in zip(ends, ends[1:]):
+        if one[1] > other[0]:
+            sys.exit(f"{places[one][0]}\n{places[other][0]}\noverlap")
+    for (start, end), here in sorted(places.items(), reverse=True):
+        code = "".join(f"if crate::mutant({m.number}) {{ {m.new} }} else " for m in here) + f"{{ {text[start:end]} }}"
+        text = text[:start] + (code if here[0].old.endswith(";") else f"({code})") + text[end:]
+    return text
+
+
+def prepare(mutants):
+    """Copies the sources; files that are as they were keep their times, so that builds are incremental."""
+    kept = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, check=True, text=True).stdout
+    by_file = {}
+    for mutant in mutants:
+        by_file.setdefault(mutant.file, []).append(mutant)
+    for name in kept.split("\0"):
+        source, copy = ROOT / name, COPY / name
+        if not name or not source.is_file():
+            continue
+        data = source.read_bytes()
+        if name in by_file:
+            data = mutated(data.decode(), by_file[name]).encode()
+        if name == "src/lib.rs":
+            data += SWITCH.encode()
+        if not copy.is_file() or copy.read_bytes() != data:
+            copy.parent.mkdir(parents=True, exist_ok=True)
+            copy.write_bytes(data)
+            shutil.copymode(source, copy)
+
+
+def build(targets):
+    """Builds the tests; the test programs by target."""
+    command = ["cargo", "test", "--no-run", "--quiet", "--locked", "--message-format=json", *targets]
+    environment = dict(os.environ, CARGO_TARGET_DIR=str(ROOT / "target"), RUSTFLAGS="-Aunused")
+    environment.pop("RUSTFLAGS") if "RUSTFLAGS" not in os.environ else None
+    built = subprocess.run(command, cwd=COPY, env=environment, stdout=subprocess.PIPE, text=True)
+    if built.returncode:
+        for line in built.stdout.splitlines():
+            message = json.loads(line).get("message")
+            if isinstance(message, dict) and message["level"] == "error":
+                print(message["rendered"])
+        sys.exit("the mutants do not compile")
+    messages = map(json.loads, built.stdout.splitlines())
+    return {m["target"]["name"]: m["executable"] for m in messages if m.get("executable")}
+
+
+def run(program, filters, number, seconds):
+    """True if the tests pass; fails what does not end."""
+    environment = dict(os.environ, VIEWRANK_MUTANT=str(number))
+    environment.pop("VIEWRANK_FUZZ_SECONDS", None)
+    try:
+        done = subprocess.run([program, *filters], cwd=COPY, env=environment, capture_output=True, timeout=seconds)
+    except subprocess.TimeoutExpired:
+        return False
+    return done.returncode == 0
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("areas", nargs="*")
+    parser.add_argument("--list", action="store_true")
+    parser.add_argument("--only", type=int, nargs="+", help="these numbers")
+    options = parser.parse_args()
+    every = read_list()
+    mutants = [m for m in every if (not options.areas or m.area in options.areas) and (not options.only or m.number in options.only)]
+    if options.list:
+        print(*mutants, sep="\n")
+        return
+    prepare(every)
+    tests = {tuple(m.tests) for m in mutants}
+    programs = build(sorted({word for words in tests for word in (words[:1] if words[0] == "--lib" else words[:2])}))
+    survivors, limits = [], {}
+    for mutant in mutants:
+        library = mutant.tests[0] == "--lib"
+        program = programs["viewrank" if library else mutant.tests[1]]
+        filters = mutant.tests[1 if library else 2 :]
+        if mutant.area not in limits:
+            start = time.monotonic()
+            if not run(program, filters, 0, 600):
+                sys.exit(f"{mutant.area}: the tests fail without a mutant")
+            limits[mutant.area] = 30 + 10 * (time.monotonic() - start)
+        if run(program, filters, mutant.number, limits[mutant.area]):
+            survivors.append(mutant)
+            print("survives", mutant, flush=True)
+    for area in dict.fromkeys(m.area for m in mutants):
+        all_of, left = (sum(m.area == area for m in group) for group in (mutants, survivors))
+        print(f"{area}: {all_of - left} of {all_of} killed")
+    print(f"all: {len(mutants) - len(survivors)} of {len(mutants)} killed, {1 - len(survivors) / len(mutants):.0%}")
+
+
+if __name__ == "__main__":
+    main()
