@@ -92,7 +92,7 @@ fn values_out_of_range_or_type_are_refused() {
     assert!(message("partners.k = \"auto\"").ends_with("must be a whole number"));
     assert!(message("ranking.support = 4000000000").contains("must be 1 to 100"));
     assert!(message("partners.method = \"best\"").contains("must be "));
-    assert!(message("cut.target = \"180\"").contains("\"180\" is not a share from 0% to 100%"));
+    assert!(message("cut.target = \"180\"").contains("a share above 0% and up to 100%"));
     assert!(message("surface.max_edge_factor = 10").contains("must not be below surface.edge_factor, which is 20"));
     assert!(message("target = 3").contains("target = 3"));
     assert!(message("[target\ngsd = 1").starts_with("project.toml:1: "));
