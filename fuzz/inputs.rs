@@ -15,11 +15,13 @@ use viewrank::{
 };
 
 /// Targets with valid contents.
-pub const INPUTS: [(&str, &[u8]); 11] = [
+pub const INPUTS: [(&str, &[u8]); 13] = [
     ("map.geometric.bin", include_bytes!("../fixtures/depthmaps/depth_maps/IMG_9394.jpg.geometric.bin")),
     ("map.pfm", include_bytes!("../fixtures/depthmaps/00000003.pfm")),
     ("map.npy", include_bytes!("../fixtures/depthmaps/IMG_9394.jpg.npy")),
     ("map.dmb", DMB),
+    ("map.mvei", include_bytes!("../fixtures/depthmaps/view_00000068.mve/depth-L3.mvei")),
+    ("map.exr", include_bytes!("../fixtures/depthmaps/40_depthMap.exr")),
     ("map.dmap", include_bytes!("../fixtures/depthmaps/depth0040.dmap")),
     ("baseline.jpg", include_bytes!("../fixtures/pictures/baseline.jpg")),
     ("progressive.jpg", include_bytes!("../fixtures/pictures/progressive.jpg")),
@@ -70,6 +72,8 @@ fn read_map(target: &str, data: &[u8]) -> bool {
         "map.pfm" => DepthMapFormat::Pfm,
         "map.npy" => DepthMapFormat::Npy,
         "map.dmb" => DepthMapFormat::Dmb,
+        "map.mvei" => DepthMapFormat::Mve,
+        "map.exr" => DepthMapFormat::AliceVision,
         _ => DepthMapFormat::OpenMvs,
     };
     let Ok(map) = parse(data, format) else { return false };

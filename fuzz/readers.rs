@@ -4,7 +4,7 @@
 use viewrank::internals::{
     formats::{
         Bytes, Fault, alicevision, bundler, colmap::ColmapModel, colmap_bin, colmap_text, nvm, openmvg, openmvs,
-        opensfm, sure,
+        opensfm, sure, transforms,
     },
     region_file::{self, RegionFile},
     scene::Scene,
@@ -28,8 +28,16 @@ pub const TARGETS: [&str; 10] = [
 ];
 
 /// Model files of other programs, one fuzz target each.
-pub const FOREIGN: [&str; 7] =
-    ["bundle.out", "model.nvm", "sfm_data.json", "reconstruction.json", "scene.sfm", "scene.mvs", "image.ori"];
+pub const FOREIGN: [&str; 8] = [
+    "bundle.out",
+    "model.nvm",
+    "sfm_data.json",
+    "reconstruction.json",
+    "scene.sfm",
+    "scene.mvs",
+    "image.ori",
+    "transforms.json",
+];
 
 /// Reads a region; positions and wishes of one that can be read are numbers.
 pub fn read_region(data: &[u8]) {
@@ -60,6 +68,9 @@ pub fn foreign_model(name: &str) -> Vec<u8> {
         }
         "scene.sfm" => {
             r#"{"version":["1","2","8"],"views":[{"viewId":"7","poseId":"3","intrinsicId":"1","path":"/d/a.jpg"}],"intrinsics":[{"intrinsicId":"1","width":"100","height":"50","type":"pinhole","distortionType":"radialk3","undistortionType":"none","sensorWidth":"20","focalLength":"18","principalPoint":["-1","1"],"distortionParams":["0.1","0.2","0.3"]}],"poses":[{"poseId":"3","pose":{"transform":{"rotation":["0","1","0","-1","0","0","0","0","1"],"center":["1","2","3"]}}}],"structure":[{"landmarkId":"4","color":["1","2","3"],"X":["0","0","5"],"observations":[{"observationId":"7","x":["10","20"]}]}]}"#
+        }
+        "transforms.json" => {
+            r#"{"w":100,"h":80,"fl_x":90.5,"fl_y":91,"cx":50,"cy":40,"k1":0.01,"camera_model":"OPENCV","frames":[{"file_path":"images/a.jpg","transform_matrix":[[1,0,0,1],[0,-1,0,2],[0,0,-1,3],[0,0,0,1]]},{"file_path":"b.jpg","fl_x":50,"transform_matrix":[[0,1,0,0],[-1,0,0,0],[0,0,1,0]]}],"ply_file_path":"sparse_pc.ply"}"#
         }
         "image.ori" => {
             "$ImageID____(ORI_Ver_1.0)\n\ta.jpg\n$IntOri_SensorSize_____(x|y)____[pixel]\n\t100\t80\n$IntOri_CameraMatrix____(ImageCoordinateSystem)\n\t90 0 49.5\n\t0 90 39.5\n\t0 0 1\n$ExtOri_RotationMatrix____(World->ImageCoordinateSystem)\n\t1 0 0\n\t0 1 0\n\t0 0 1\n$ExtOri_TranslationVector____(WorldCoordinateSystem)\n\t1 2 3\n$IntOri_Distortion_____(Model|ParameterCount|(Parameters))____\n\tNONE 0\n"
@@ -106,6 +117,7 @@ pub fn read_foreign(name: &str, data: &[u8]) {
         "sfm_data.json" => openmvg::read(data),
         "reconstruction.json" => opensfm::read(data, Some(b"a.jpg\t17\t0\t0.1\t0.1\n")),
         "scene.sfm" => alicevision::read(data),
+        "transforms.json" => transforms::read(data, &size, &str::to_owned).map(|(foreign, _)| foreign),
         "image.ori" => sure::read(data, 1).map(|orientation| sure::model(vec![orientation], str::to_owned)),
         _ => openmvs::Mvs::read(data).and_then(|mvs| mvs.model(&size)),
     };

@@ -21,7 +21,8 @@ struct Dialect {
     depths: DepthLine,
     /// True for ACMM and its relatives: they look partners up by position and fuse with the maps of all partners, so every image needs a map.
     all_are_problems: bool,
-    /// With VIEWS (partners and key view), PARTNERS, WIDTH and HEIGHT (no image is smaller), AGREEING (partners that must agree).
+    /// With VIEWS (partners and key view), PARTNERS, WIDTH and HEIGHT (no image is smaller), AGREEING (partners that must agree), SIZE (PatchmatchNet's
+    /// option where images are reduced).
     commands: &'static [&'static str],
     /// Names and contents of the scripts that the commands call.
     scripts: &'static [(&'static str, &'static str)],
@@ -93,10 +94,10 @@ const PATCHMATCHNET_DIALECT: Dialect = Dialect {
     all_are_problems: false,
     commands: &[
         "(here=$PWD && cd \"${PATCHMATCHNET:?its folder}\" && python eval.py --input_folder \"$here\" --output_folder \"$here/depths\" \
-         --checkpoint_path \"${CHECKPOINT:-checkpoints/params_000007.ckpt}\" --num_views PARTNERS --output_type depth)",
+         --checkpoint_path \"${CHECKPOINT:-checkpoints/params_000007.ckpt}\" --num_views PARTNERSSIZE --output_type depth)",
         "python3 finished.py",
         "(here=$PWD && cd \"$PATCHMATCHNET\" && python eval.py --input_folder \"$here/fuse\" --output_folder \"$here/depths\" \
-         --checkpoint_path \"${CHECKPOINT:-checkpoints/params_000007.ckpt}\" --output_type fusion --geo_mask_thres AGREEING)",
+         --checkpoint_path \"${CHECKPOINT:-checkpoints/params_000007.ckpt}\" --output_type fusion --geo_mask_thres AGREEINGSIZE)",
     ],
     scripts: &[("finished.py", include_str!("../../integrations/mvsnet/finished.py"))],
 };
@@ -210,22 +211,24 @@ impl Dialect {
         let most = selection.most_partners();
         record.made_for = self.made_for.into();
         record.way = format!("dialect {}", self.backend.name);
-        let least = |side: fn(&Camera) -> u32| {
-            let sides = lists.views.iter().map(|&v| side(selection.scene.camera_of(v)));
-            (f64::from(sides.min().unwrap_or(0)) * selection.image_scale.min(1.0)) as u32
-        };
+        let sides = |side: fn(&Camera) -> u32| lists.views.iter().map(move |&v| side(selection.scene.camera_of(v)));
+        let scaled = |side: Option<u32>| (f64::from(side.unwrap_or(0)) * selection.image_scale.min(1.0)) as u32;
+        let longest = scaled(sides(|camera| camera.width.max(camera.height)).max());
+        let size = if selection.image_scale < 1.0 { format!(" --image_max_dim {longest}") } else { String::new() };
         let words = [
-            ("VIEWS", most as u32 + 1),
-            ("PARTNERS", most as u32),
-            ("WIDTH", least(|camera| camera.width)),
-            ("HEIGHT", least(|camera| camera.height)),
-            ("AGREEING", AGREEING),
+            ("VIEWS", (most + 1).to_string()),
+            ("PARTNERS", most.to_string()),
+            ("WIDTH", scaled(sides(|camera| camera.width).min()).to_string()),
+            ("HEIGHT", scaled(sides(|camera| camera.height).min()).to_string()),
+            ("AGREEING", AGREEING.to_string()),
+            ("SIZE", size),
         ];
-        let filled = |command: &&str| {
-            words.iter().fold(String::from(*command), |text, (word, number)| text.replace(word, &number.to_string()))
-        };
+        let filled =
+            |command: &&str| words.iter().fold(String::from(*command), |text, (word, with)| text.replace(word, with));
         record.commands = self.commands.iter().map(filled).collect();
-        record.note_own_scale(selection);
+        if !self.commands.iter().any(|command| command.contains("SIZE")) {
+            record.note_own_scale(selection);
+        }
         record.other_maps = lists.rows.len() - selection.clusters.len();
         record.fusion = format!(
             "{AGREEING} agreeing partner (PatchmatchNet: geo_mask_thres, CasMVSNet: thres_view, 5 by default): the plan asks for {} maps of a \

@@ -120,6 +120,9 @@ fn backend(arguments: &Arguments, format: &DepthMapFormat) -> String {
         DepthMapFormat::OpenMvs => "openmvs",
         DepthMapFormat::Pfm => "mvsnet",
         DepthMapFormat::Dmb => "acmm",
+        DepthMapFormat::Gipuma => "gipuma",
+        DepthMapFormat::Mve => "mve",
+        DepthMapFormat::AliceVision => "alicevision",
         DepthMapFormat::Npy => "sgm",
     };
     arguments.backend.clone().unwrap_or_else(|| by_format.into())

@@ -2,6 +2,8 @@
 
 use std::collections::BTreeSet;
 
+use viewrank::internals::depthmaps;
+
 use crate::{Files, Fixture, numbers};
 
 /// Cameras that are there and the references of each feature, as load_photosynther_bundle reads.
@@ -107,17 +109,30 @@ fn mve_order_parallel() {
     assert_eq!(masters, ["0", "1", "2", "3"], "one call per key view keeps the order");
 }
 
-/// Wherever depth maps are looked for, none of MVE's is taken for one of depths along the optical axis.
+/// MVE's maps hold distances from the camera: what is read is the depth along the optical axis.
 #[test]
 fn mve_ray_length_depth() {
     let fixture = Fixture::new(3);
+    let files = fixture.export("mve");
     let folder = tempfile::tempdir().unwrap();
-    for name in fixture.export("mve").names().into_iter().filter_map(|n| n.strip_suffix("meta.ini")) {
-        std::fs::create_dir_all(folder.path().join(name)).unwrap();
-        std::fs::write(folder.path().join(name).join("depth-L0.mvei"), "\u{89}MVE_IMAGE\n").unwrap();
+    // 10 units from the camera everywhere.
+    let mut map = b"\x89MVE_IMAGE\n".to_vec();
+    map.extend([64i32, 48, 1, 9].iter().flat_map(|v| v.to_le_bytes()));
+    map.extend(std::iter::repeat_n(10f32.to_le_bytes(), 64 * 48).flatten());
+    for meta in files.names().into_iter().filter(|name| name.ends_with("meta.ini")) {
+        let path = folder.path().join(meta);
+        std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+        std::fs::write(&path, files.text(meta)).unwrap();
+        std::fs::write(path.with_file_name("depth-L0.mvei"), &map).unwrap();
     }
-    let found = viewrank::internals::depthmaps::find(folder.path(), &fixture.scene);
-    assert!(matches!(found, Err(viewrank::internals::depthmaps::DepthMapError::None(_))), "{found:?}");
+    let found = depthmaps::find(folder.path(), &fixture.scene).unwrap();
+    assert!(found.unassigned.is_empty() && found.maps.len() >= fixture.clusters.len());
+    let file = &found.maps[0];
+    let (camera, z) = (fixture.scene.camera_of(file.view), depthmaps::read_of_view(file, &fixture.scene).unwrap());
+    for (column, row) in [(0, 0), (31, 20), (63, 47)] {
+        let ray = camera.ray(&z.image_position(camera, column, row)).unwrap();
+        assert!((z.depth_at(column, row).unwrap() - 10.0 * ray.z).abs() < 1e-5);
+    }
 }
 
 /// Focal length in units of the larger side, the principal point in units of each side.

@@ -111,6 +111,22 @@ fn mvsnet_geo_threshold() {
     assert!(files.names().contains(&"finished.py") && files.0.record.commands[1].contains("finished.py"));
 }
 
+#[test]
+fn patchmatchnet_reduces_images_as_planned() {
+    let mut fixture = Fixture::new(3);
+    let sizes = |fixture: &Fixture| {
+        let commands = fixture.export("patchmatchnet").0.record.commands;
+        [&commands[0], &commands[2]].map(|c| {
+            c.split("--image_max_dim ").nth(1).map(|n| n.trim_matches(|c: char| !c.is_ascii_digit()).to_string())
+        })
+    };
+    assert_eq!(sizes(&fixture), [None, None]);
+    fixture.image_scale = 0.5;
+    for size in sizes(&fixture) {
+        assert!(size.unwrap().starts_with("320"));
+    }
+}
+
 /// The camera file of the first key view.
 pub fn first_camera(files: &Files) -> &str {
     let number: usize = files.0.record.clusters[0].key.target.parse().unwrap();

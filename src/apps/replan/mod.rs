@@ -268,9 +268,8 @@ struct MapCheck<'a> {
 
 impl MapCheck<'_> {
     fn found(&self) -> MapVerdict {
-        let map = match depthmaps::read(&self.file.path, self.file.format) {
-            Ok(map) if map.fits(self.plan.stages.scene.camera_of(self.file.view)) => map,
-            Ok(_) => return MapVerdict::Unreadable(format!("{}: not of the shape of {}", self.path(), self.key)),
+        let map = match depthmaps::read_of_view(self.file, &self.plan.stages.scene) {
+            Ok(map) => map,
             Err(error) => return MapVerdict::Unreadable(error.to_string()),
         };
         let hash = match hash(&self.file.path) {

@@ -2,16 +2,10 @@
 
 use super::{DepthMap, DepthMapFormat, Parsed, floats, u32_at};
 
-pub(super) fn parse(bytes: &[u8]) -> Parsed<DepthMap> {
+pub(super) fn parse(bytes: &[u8], format: DepthMapFormat) -> Parsed<DepthMap> {
     let (kind, height, width, channels) = (u32_at(bytes, 0)?, u32_at(bytes, 4)?, u32_at(bytes, 8)?, u32_at(bytes, 12)?);
     if kind != 1 || channels != 1 {
         return Err((0, format!("type {kind} with {channels} channels, expected type 1 with 1 channel")));
     }
-    Ok(DepthMap {
-        format: DepthMapFormat::Dmb,
-        width,
-        height,
-        depth: floats(bytes, 16, width, height)?,
-        ids: Vec::new(),
-    })
+    Ok(DepthMap { format, width, height, depth: floats(bytes, 16, width, height)?, ids: Vec::new() })
 }

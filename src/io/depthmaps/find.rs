@@ -1,4 +1,4 @@
-//! Assigns depth map files to views: by name, by number through `view_names.txt`, or by the image path in the file.
+//! Assigns depth map files to views: by name, by number through `view_names.txt`, by the id of the image, or by the name in or beside the file.
 
 use std::{
     collections::BTreeMap,
@@ -20,7 +20,7 @@ const DMAP_HEADER: u64 = 1 << 17;
 /// COLMAP's folder of depth maps in a dense workspace.
 const COLMAP: &str = "stereo/depth_maps";
 /// Programs with a depth map folder of their own name: in the project, in viewrank's output folder or in `export`.
-const BY_NAME: [&str; 5] = ["sgm", "openmvs", "mvsnet", "patchmatchnet", "acmm"];
+const BY_NAME: [&str; 8] = ["sgm", "openmvs", "mvsnet", "patchmatchnet", "acmm", "gipuma", "mve", "alicevision"];
 
 /// A finished depth map of a view.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -162,6 +162,9 @@ fn format_of(path: &Path) -> Option<(DepthMapFormat, u8)> {
     let name = path.file_name()?.to_str()?;
     let in_folder = |word: &str| path.parent().is_some_and(|p| p.components().any(|c| c.as_os_str() == word));
     let is_other_map = in_folder("normal_maps") || in_folder("consistency_graphs") || in_folder("counts");
+    // Where the `run.sh` of an export keeps the maps of other plans, and those that are not finished.
+    let is_set_aside =
+        in_folder("older") || in_folder("scratch") || in_folder("depthMaps.new") || in_folder("filtered.new");
     match name {
         _ if is_other_map => None,
         _ if name.ends_with(".geometric.bin") => Some((DepthMapFormat::ColmapGeometric, 0)),
@@ -169,11 +172,21 @@ fn format_of(path: &Path) -> Option<(DepthMapFormat, u8)> {
         _ if is_dmap(name) && !is_unfinished(path) => Some((DepthMapFormat::OpenMvs, 0)),
         "depths_geom.dmb" => Some((DepthMapFormat::Dmb, 0)),
         "depths.dmb" => Some((DepthMapFormat::Dmb, 1)),
+        "disp.dmb" if !is_set_aside => Some((DepthMapFormat::Gipuma, 0)),
+        _ if name.ends_with("_depthMap.exr") && !is_set_aside => {
+            Some((DepthMapFormat::AliceVision, u8::from(!(in_folder("filtered") || in_folder("DepthMapFilter")))))
+        }
+        _ if name.ends_with(".mvei") && !is_set_aside => Some((DepthMapFormat::Mve, mve_scale(name)?)),
         _ if name.ends_with("_prob.pfm") || in_folder("confidence") => None,
         _ if name.ends_with(".pfm") => Some((DepthMapFormat::Pfm, 0)),
         _ if name.ends_with(".npy") => Some((DepthMapFormat::Npy, 0)),
         _ => None,
     }
+}
+
+/// The scale of `depth-L2.mvei`: images halved twice. MVE keeps confidences (`conf-L2.mvei`) and images beside it.
+fn mve_scale(name: &str) -> Option<u8> {
+    name.strip_prefix("depth-L")?.strip_suffix(".mvei")?.parse().ok()
 }
 
 /// Returns whether `integrations/openmvs/run.py` is still writing the map (`unfinished/0012-NAME/depth0012.dmap`).
@@ -205,7 +218,42 @@ fn view_of(path: &Path, format: DepthMapFormat, numbers: &mut Numbers) -> Result
             let folder = path.parent().and_then(Path::file_name).and_then(|s| s.to_str());
             numbers.view(folder.map(|s| s.trim_start_matches("2333_")))?
         }
+        DepthMapFormat::Gipuma => {
+            // 2, date, time, and the name of the image without its extension, which may have `_` itself; 2, hash and number in an export.
+            let folder = path.parent().and_then(Path::file_name).unwrap_or_default().to_string_lossy();
+            match folder.splitn(4, '_').collect::<Vec<_>>()[..] {
+                [_, _, _, stem] => by_stem(scene, stem),
+                _ => numbers.view(folder.rsplit('_').next())?,
+            }
+        }
+        DepthMapFormat::Mve => {
+            let name = mve_name(path)?;
+            scene.find(&name).or_else(|| by_stem(scene, &name))
+        }
+        DepthMapFormat::AliceVision => {
+            let name = path.file_name().unwrap_or_default().to_string_lossy();
+            let id = name.trim_end_matches("_depthMap.exr").parse::<u32>().ok();
+            let is_it = |&i: &u32| Some(scene.view(ViewIndex(i)).image_id) == id;
+            (0..scene.views.len() as u32).find(is_it).map(ViewIndex)
+        }
     })
+}
+
+/// The name in the `meta.ini` beside a map of MVE: that of the image, or its stem.
+fn mve_name(path: &Path) -> Result<String, DepthMapError> {
+    let meta = path.with_file_name("meta.ini");
+    let text =
+        input::read_text(&meta, FileKind::List).map_err(|source| DepthMapError::Io { path: meta.clone(), source })?;
+    let values = text.lines().filter_map(|line| line.split_once('='));
+    let name = values.filter(|(key, _)| key.trim() == "name").map(|(_, name)| name.trim().to_string()).next();
+    name.ok_or_else(|| DepthMapError::Names { path: meta, what: "no name of the view".into() })
+}
+
+/// The only view whose file name without extension this is.
+fn by_stem(scene: &Scene, stem: &str) -> Option<ViewIndex> {
+    let stem_of = |view: &ViewIndex| Path::new(scene.name(*view)).file_stem() == Some(stem.as_ref());
+    let mut views = (0..scene.views.len() as u32).map(ViewIndex).filter(stem_of);
+    views.next().filter(|_| views.next().is_none())
 }
 
 /// Finds the view whose name is the longest suffix of the path without its extension.
@@ -257,7 +305,9 @@ fn read_view_names(folder: &Path, scene: &Scene) -> Result<BTreeMap<u64, ViewInd
         input::read_text(&path, FileKind::List).map_err(|source| DepthMapError::Io { path: path.clone(), source })?;
     let mut views = BTreeMap::new();
     for (line, content) in text.lines().enumerate().filter(|(_, l)| !l.is_empty() && !l.starts_with('#')) {
-        let entry = content.split_once('\t').and_then(|(n, name)| Some((n.trim().parse().ok()?, name)));
+        // Gipuma's list has the file names of the export: `00000012.jpg`.
+        let number = |text: &str| text.trim().trim_end_matches(".jpg").parse().ok();
+        let entry = content.split_once('\t').and_then(|(n, name)| Some((number(n)?, name)));
         let (number, name) = entry.ok_or_else(|| DepthMapError::Names {
             path: path.clone(),
             what: format!("line {}: expected a number, a tab and an image name", line + 1),

@@ -2,7 +2,9 @@
 
 mod colmap;
 mod dmb;
+mod exr;
 mod find;
+mod mvei;
 mod npy;
 mod openmvs;
 mod pfm;
@@ -37,8 +39,21 @@ pub enum DepthMapFormat {
     Pfm,
     /// `2333_NNNNNNNN/depths.dmb` (ACMH, ACMM, ACMP, ACMMP).
     Dmb,
+    /// `2_TIME_NAME/disp.dmb` (Gipuma).
+    Gipuma,
+    /// `NAME.mve/depth-LN.mvei` (MVE's dmrecon); holds the length of the ray.
+    Mve,
+    /// `ID_depthMap.exr` (AliceVision); holds the length of the ray.
+    AliceVision,
     /// `NAME.npy` (`integrations/sgm`).
     Npy,
+}
+
+impl DepthMapFormat {
+    /// Returns whether the program stores the distance from the camera's centre instead of z.
+    fn holds_ray_length(self) -> bool {
+        matches!(self, Self::Mve | Self::AliceVision)
+    }
 }
 
 /// Depth along the optical axis for each pixel of an image, possibly reduced.
@@ -109,6 +124,22 @@ impl DepthMap {
         }
     }
 
+    /// Turns distances from the centre of a pinhole camera into z, for formats that hold those.
+    fn along_the_axis(mut self, camera: &Camera) -> Self {
+        if self.format.holds_ray_length() {
+            let (sx, sy) = self.pixel_size(camera);
+            let (f, c) = camera.pinhole_part();
+            for (row, depths) in (0..).zip(self.depth.chunks_exact_mut(self.width as usize)) {
+                let y = ((f64::from(row) + 0.5) * sy - c.y) / f.y;
+                for (column, z) in (0u32..).zip(depths) {
+                    let x = ((f64::from(column) + 0.5) * sx - c.x) / f.x;
+                    *z = (f64::from(*z) / (1.0 + x * x + y * y).sqrt()) as f32;
+                }
+            }
+        }
+        self
+    }
+
     /// Returns whether the map has the aspect ratio of the camera's image, up to rounding of its size.
     pub fn fits(&self, camera: &Camera) -> bool {
         let (sx, sy) = self.pixel_size(camera);
@@ -148,9 +179,10 @@ impl Hint for DepthMapError {
             Self::Format { .. } => "compute this depth map again or remove it: it is damaged or still being written",
             Self::None(_) => {
                 "name the folder with COLMAP's stereo/depth_maps, OpenMVS's depthNNNN.dmap, MVSNet's NNNNNNNN.pfm, ACMM's \
-                 2333_NNNNNNNN/depths.dmb, or NAME.npy of integrations/sgm"
+                 2333_NNNNNNNN/depths.dmb, Gipuma's 2_TIME_NAME/disp.dmb, MVE's NAME.mve/depth-LN.mvei, AliceVision's ID_depthMap.exr, or \
+                 NAME.npy of integrations/sgm"
             }
-            Self::Names { .. } => "copy the view_names.txt that `viewrank export` writes next to pair.txt",
+            Self::Names { .. } => "copy the view_names.txt that `viewrank export` writes",
             Self::Duplicate { .. } => "name a folder with the depth maps of one run",
             Self::Distorted { .. } => "use the undistorted workspace in which the depth maps were made",
             Self::Shape { .. } => "use uncropped depth maps of these images",
@@ -174,7 +206,7 @@ impl Hint for DepthMapError {
 /// A parse result; an error has the byte offset and the problem, the caller adds the path.
 type Parsed<T> = Result<T, (usize, String)>;
 
-/// Reads one depth map.
+/// Reads one depth map as the file has it: some formats hold distances from the camera's centre, see [`read_of_view`].
 pub fn read(path: &Path, format: DepthMapFormat) -> Result<DepthMap, DepthMapError> {
     let bytes =
         input::read(path, FileKind::Picture).map_err(|source| DepthMapError::Io { path: path.into(), source })?;
@@ -196,16 +228,18 @@ pub fn read_of_view(file: &DepthMapFile, scene: &Scene) -> Result<DepthMap, Dept
         let (map, image) = ([map.width, map.height], [camera.width, camera.height]);
         return Err(DepthMapError::Shape { path: file.path.clone(), map, view: view(), image });
     }
-    Ok(map)
+    Ok(map.along_the_axis(camera))
 }
 
-/// Parses the bytes of one depth map. Allocates memory proportional to the length of `bytes`.
+/// Parses the bytes of one depth map, with depths as the file has them. Allocates memory proportional to the length of `bytes`.
 pub fn parse(bytes: &[u8], format: DepthMapFormat) -> Parsed<DepthMap> {
     let mut map = match format {
         DepthMapFormat::ColmapGeometric | DepthMapFormat::ColmapPhotometric => colmap::parse(bytes, format),
         DepthMapFormat::OpenMvs => openmvs::parse(bytes),
         DepthMapFormat::Pfm => pfm::parse(bytes),
-        DepthMapFormat::Dmb => dmb::parse(bytes),
+        DepthMapFormat::Dmb | DepthMapFormat::Gipuma => dmb::parse(bytes, format),
+        DepthMapFormat::Mve => mvei::parse(bytes),
+        DepthMapFormat::AliceVision => exr::parse(bytes),
         DepthMapFormat::Npy => npy::parse(bytes),
     }?;
     for z in &mut map.depth {

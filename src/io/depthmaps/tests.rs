@@ -11,13 +11,16 @@ use crate::model::{
     scene::{CameraIndex, Pose, Scene, View, ViewIndex},
 };
 
-const ALL: [DepthMapFormat; 6] = [
+const ALL: [DepthMapFormat; 9] = [
     DepthMapFormat::ColmapGeometric,
     DepthMapFormat::ColmapPhotometric,
     DepthMapFormat::OpenMvs,
     DepthMapFormat::Pfm,
     DepthMapFormat::Dmb,
     DepthMapFormat::Npy,
+    DepthMapFormat::Gipuma,
+    DepthMapFormat::Mve,
+    DepthMapFormat::AliceVision,
 ];
 
 fn fixture(name: &str) -> PathBuf {
@@ -70,6 +73,58 @@ fn reads_dmb() {
     assert_eq!(map.depth, [1.0, 2.0, 3.0, 4.0, 0.0, 0.0]);
     bytes[0] = 2;
     assert!(parse(&bytes, DepthMapFormat::Dmb).unwrap_err().1.contains("type 2"));
+}
+
+const MVEI: &str = "view_00000068.mve/depth-L3.mvei";
+
+#[test]
+fn reads_a_map_written_by_mves_dmrecon() {
+    let map = read(&fixture(MVEI), DepthMapFormat::Mve).unwrap();
+    assert_eq!((map.width, map.height), (75, 57));
+    // Values from an independent reader in Python.
+    assert_eq!(map.depth.iter().filter(|&&z| z > 0.0).count(), 3397);
+    assert_eq!(map.depth_at(37, 28), Some(f64::from(24.718979f32)));
+    assert_eq!(map.depth_at(0, 0), None);
+    let mut colours = std::fs::read(fixture(MVEI)).unwrap();
+    colours[19] = 3;
+    assert!(parse(&colours, DepthMapFormat::Mve).unwrap_err().1.contains("3 channels"));
+}
+
+#[test]
+fn reads_openexr_in_the_ways_that_alicevision_writes_it() {
+    for name in ["40_depthMap.exr", "41_depthMap.exr"] {
+        let map = read(&fixture(name), DepthMapFormat::AliceVision).unwrap();
+        assert_eq!((map.width, map.height), (70, 50));
+        for (row, column) in (0..50).flat_map(|r| (0..70).map(move |c| (r, c))) {
+            let depth = 10.0 + f64::from(row / 5) + f64::from(column / 8) / 8.0;
+            assert_eq!(map.depth_at(column, row), (row % 7 != 0).then_some(depth), "{name}: {row}, {column}");
+        }
+    }
+    // Compression 4 is PIZ: named instead of misread.
+    let mut bytes = std::fs::read(fixture("40_depthMap.exr")).unwrap();
+    let at = bytes.windows(12).position(|w| w == b"compression\0").unwrap() + 12 + 12 + 4;
+    assert_eq!(bytes[at], 2);
+    bytes[at] = 4;
+    assert!(parse(&bytes, DepthMapFormat::AliceVision).unwrap_err().1.contains("compression 4"));
+}
+
+#[test]
+fn distances_from_the_camera_become_depths_along_the_axis() {
+    // A wall at z = 9 before a camera of 12 x 8 pixels, in a map of half the size.
+    let distance = |column: f64, row: f64| {
+        let (x, y) = ((2.0 * column + 1.0 - 6.0) / 10.0, (2.0 * row + 1.0 - 4.0) / 10.0);
+        9.0 * (x * x + y * y + 1.0f64).sqrt() as f32
+    };
+    let distances: Vec<f32> = (0..24).map(|i| distance(f64::from(i % 6), f64::from(i / 6))).collect();
+    let mut bytes = b"\x89MVE_IMAGE\n".to_vec();
+    bytes.extend([6i32, 4, 1, 9].iter().flat_map(|v| v.to_le_bytes()));
+    bytes.extend(floats_le(&distances));
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("depth-L1.mvei");
+    std::fs::write(&path, bytes).unwrap();
+    let file = DepthMapFile { view: ViewIndex(0), path, format: DepthMapFormat::Mve };
+    let map = read_of_view(&file, &scene(&["a.jpg"])).unwrap();
+    assert!(map.depth.iter().all(|z| (z - 9.0).abs() < 1e-5), "{:?}", map.depth);
 }
 
 #[test]
@@ -126,12 +181,15 @@ proptest! {
     }
 
     #[test]
-    fn no_reader_panics_on_a_damaged_file(at in 0usize..240, byte: u8, keep in 0usize..240) {
+    fn no_reader_panics_on_a_damaged_file(at in 0usize..700, byte: u8, keep in 0usize..700) {
         for (name, format) in [
             ("depth_maps/IMG_9394.jpg.geometric.bin", DepthMapFormat::ColmapGeometric),
             ("00000003.pfm", DepthMapFormat::Pfm),
             ("IMG_9394.jpg.npy", DepthMapFormat::Npy),
             ("depth0040.dmap", DepthMapFormat::OpenMvs),
+            (MVEI, DepthMapFormat::Mve),
+            ("40_depthMap.exr", DepthMapFormat::AliceVision),
+            ("41_depthMap.exr", DepthMapFormat::AliceVision),
         ] {
             let mut bytes = std::fs::read(fixture(name)).unwrap();
             let at = at % bytes.len();
@@ -225,6 +283,46 @@ fn numbered_maps_need_the_list_of_names() {
     assert!(matches!(find(folder.path(), &scene), Err(DepthMapError::Names { .. })));
     std::fs::write(folder.path().join("view_names.txt"), "2\ta.jpg\n3\tb.jpg\n").unwrap();
     assert_eq!(found(&find(&folder.path().join("depth_est"), &scene).unwrap()), [(1, DepthMapFormat::Pfm)]);
+}
+
+#[test]
+fn maps_of_mve_gipuma_and_alicevision_are_those_of_the_plan() {
+    let scene = scene(&["flight_1/IMG_9395.jpg", "grid_033.jpg", "zero.jpg"]);
+    let dmb = "00000003.pfm";
+    let folder = folder(&[
+        // MVE: the view is named in meta.ini; the map of the larger scale counts.
+        ("mve/views/view_00000001.mve/meta.ini", "view_00000068.mve/meta.ini"),
+        ("mve/views/view_00000001.mve/depth-L3.mvei", MVEI),
+        ("mve/views/view_00000001.mve/depth-L2.mvei", MVEI),
+        ("mve/views/view_00000001.mve/conf-L2.mvei", MVEI),
+        ("mve/older/view_00000001.maps/depth-L0.mvei", MVEI),
+        // AliceVision: by the id of the image; filtered maps count.
+        ("alicevision/depthMaps/2_depthMap.exr", "40_depthMap.exr"),
+        ("alicevision/filtered/2_depthMap.exr", "41_depthMap.exr"),
+        ("alicevision/depthMaps/2_simMap.exr", "40_depthMap.exr"),
+        // Gipuma: by the name of the image in that of the folder.
+        ("gipuma/results/2_20260101_120000_IMG_9395/disp.dmb", dmb),
+        ("gipuma/older/2_20260101_110000_IMG_9395/disp.dmb", dmb),
+    ]);
+    let views = |name: &str| {
+        let set = find(&folder.path().join(name), &scene).unwrap();
+        assert!(set.unassigned.is_empty() && set.unreadable.is_empty());
+        let path = set.maps[0].path.strip_prefix(folder.path()).unwrap().to_string_lossy().replace('\\', "/");
+        (found(&set), path)
+    };
+    let mve = views("mve");
+    assert_eq!(mve, (vec![(1, DepthMapFormat::Mve)], "mve/views/view_00000001.mve/depth-L2.mvei".into()));
+    let alicevision = views("alicevision");
+    assert_eq!(alicevision, (vec![(2, DepthMapFormat::AliceVision)], "alicevision/filtered/2_depthMap.exr".into()));
+    assert_eq!(views("gipuma").0, [(0, DepthMapFormat::Gipuma)]);
+}
+
+#[test]
+fn the_export_for_gipuma_numbers_its_results() {
+    let scene = scene(&["a.jpg", "b.jpg"]);
+    let folder = folder(&[("results/2_7f3a_00000012/disp.dmb", "00000003.pfm")]);
+    std::fs::write(folder.path().join("view_names.txt"), "00000011.jpg\ta.jpg\n00000012.jpg\tb.jpg\n").unwrap();
+    assert_eq!(found(&find(folder.path(), &scene).unwrap()), [(1, DepthMapFormat::Gipuma)]);
 }
 
 #[test]

@@ -76,8 +76,15 @@ impl ForeignModel {
         self.model.warnings.push(ModelWarning::new(kind, text));
     }
 
-    /// Makes absolute names relative to their common folder, which becomes the image folder.
-    pub(super) fn shorten_names(&mut self) {
+    /// Makes absolute names relative to their common folder, which becomes the image folder. Those of Windows count, too (`C:\photos\a.jpg`).
+    pub(crate) fn shorten_names(&mut self) {
+        let mut drive = false;
+        let all = self.model.images.iter_mut().map(|image| image.name.to_mut()).chain(&mut self.unregistered);
+        for name in all.filter(|name| is_of_windows(name)) {
+            drive = !name.starts_with('\\');
+            let slash = if drive { "/" } else { "" };
+            *name = slash.to_owned() + &name.replace('\\', "/").replacen(':', "", 1);
+        }
         let names =
             || self.model.images.iter().map(|image| &*image.name).chain(self.unregistered.iter().map(String::as_str));
         if !names().any(|name| name.starts_with('/')) {
@@ -92,8 +99,24 @@ impl ForeignModel {
         }
         self.model.images.iter_mut().for_each(|image| _ = image.name.to_mut().drain(..common.len()));
         self.unregistered.iter_mut().for_each(|name| _ = name.drain(..common.len()));
-        self.image_folder = Some(common);
+        // Of several drives, none is left.
+        let is_on_drive = drive && common.len() > 2;
+        self.image_folder = Some(if is_on_drive { format!("{}:{}", &common[1..2], &common[2..]) } else { common });
     }
+}
+
+/// The name, and if it is an absolute path what is left without its first folders: the image may have moved.
+pub(crate) fn last_parts(name: &str) -> Vec<String> {
+    let slashes = if is_of_windows(name) { name.replace('\\', "/") } else { name.to_owned() };
+    let is_absolute = slashes != name || name.starts_with('/');
+    let tails = slashes.match_indices('/').filter(|_| is_absolute).map(|(at, _)| slashes[at + 1..].to_owned());
+    std::iter::once(name.to_owned()).chain(tails).collect()
+}
+
+/// Returns whether a name is an absolute path of Windows: a drive or a server.
+fn is_of_windows(name: &str) -> bool {
+    let drive = name.as_bytes();
+    name.starts_with(r"\\") || matches!(drive, [letter, b':', b'\\' | b'/', ..] if letter.is_ascii_alphabetic())
 }
 
 /// Makes a pose from a rotation matrix (world to camera) and a translation; orthonormalises the rotation.
@@ -160,4 +183,28 @@ pub(super) fn json<'a, T: serde::Deserialize<'a>>(bytes: &'a [u8]) -> Result<T, 
         let place = if error.line() > 0 { Place::Line(error.line() as u64) } else { Place::File };
         Fault::new("", place, Problem::Json(error.to_string()))
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn paths_of_other_machines_are_shortened() {
+        let shortened = |names: &[&str]| {
+            let mut foreign = ForeignModel::default();
+            let pose = || StoredPose { quaternion: [1.0, 0.0, 0.0, 0.0], translation: [0.0; 3] };
+            (1..).zip(names).for_each(|(id, name)| foreign.add_image(id, name.to_string(), 1, pose(), Place::File));
+            foreign.shorten_names();
+            let names: Vec<String> = foreign.model.images.iter().map(|image| image.name.to_string()).collect();
+            (names.join(" "), foreign.image_folder)
+        };
+        let of = |names: &str, folder: &str| (names.to_string(), Some(folder.to_string()));
+        assert_eq!(shortened(&[r"D:\photos\1\a.jpg", "D:/photos/2/b.jpg"]), of("1/a.jpg 2/b.jpg", "D:/photos/"));
+        assert_eq!(shortened(&[r"\\server\photos\a.jpg"]), of("a.jpg", "//server/photos/"));
+        assert_eq!(shortened(&["/home/me/a.jpg", "/home/you/b.jpg"]), of("me/a.jpg you/b.jpg", "/home/"));
+        assert_eq!(shortened(&[r"back\slash.jpg", "c/d.jpg"]), (r"back\slash.jpg c/d.jpg".into(), None));
+        assert_eq!(last_parts(r"D:\p\a.jpg"), [r"D:\p\a.jpg", "p/a.jpg", "a.jpg"]);
+        assert_eq!(last_parts("p/a.jpg"), ["p/a.jpg"]);
+    }
 }

@@ -13,6 +13,7 @@ pub mod openmvg;
 pub mod openmvs;
 pub mod opensfm;
 pub mod sure;
+pub mod transforms;
 mod words;
 
 use std::fmt;

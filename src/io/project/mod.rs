@@ -45,6 +45,8 @@ pub enum ModelFormat {
     AliceVision,
     OpenMvs,
     Sure,
+    /// `transforms.json` (nerfstudio, instant-ngp).
+    Transforms,
 }
 
 impl ModelFormat {
@@ -55,7 +57,7 @@ impl ModelFormat {
 
     /// Returns whether the format stores measured pixels. Without them, observations are placed at the projections of their points.
     pub fn has_pixels(self) -> bool {
-        !matches!(self, Self::OpenMvs | Self::Sure)
+        !matches!(self, Self::OpenMvs | Self::Sure | Self::Transforms)
     }
 
     /// Display name.
@@ -70,6 +72,7 @@ impl ModelFormat {
             Self::AliceVision => "AliceVision",
             Self::OpenMvs => "OpenMVS",
             Self::Sure => "SURE",
+            Self::Transforms => "transforms.json",
         }
     }
 }
