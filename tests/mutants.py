@@ -84,7 +84,8 @@ def prepare(mutants):
     by_file = {}
     for mutant in mutants:
         by_file.setdefault(mutant.file, []).append(mutant)
-    for name in kept.split("\0"):
+    names = set(kept.split("\0"))
+    for name in names:
         source, copy = ROOT / name, COPY / name
         if not name or not source.is_file():
             continue
@@ -97,13 +98,15 @@ def prepare(mutants):
             copy.parent.mkdir(parents=True, exist_ok=True)
             copy.write_bytes(data)
             shutil.copymode(source, copy)
+    for copy in [path for path in COPY.rglob("*") if path.is_file()]:
+        if str(copy.relative_to(COPY)) not in names:
+            copy.unlink()
 
 
 def build(targets):
     """Builds the tests; the test programs by target."""
     command = ["cargo", "test", "--no-run", "--quiet", "--locked", "--message-format=json", *targets]
-    environment = dict(os.environ, CARGO_TARGET_DIR=str(ROOT / "target"), RUSTFLAGS="-Aunused")
-    environment.pop("RUSTFLAGS") if "RUSTFLAGS" not in os.environ else None
+    environment = dict(os.environ, CARGO_TARGET_DIR=str(ROOT / "target"))
     built = subprocess.run(command, cwd=COPY, env=environment, stdout=subprocess.PIPE, text=True)
     if built.returncode:
         for line in built.stdout.splitlines():
