@@ -50,7 +50,7 @@ def row(folder, source, options):
                 return f"| {folder.name} | fitted | – | – | – | – | – |"
             learnt = Path(scratch) / "learnt.toml"
             run(options, "train", *others, "--depth-maps", options.maps, "--backend", options.backend, "--out", learnt, "--quiet")
-            settings.write_text(settings.read_text() + learnt.read_text())
+            settings.write_text(learnt.read_text() + settings.read_text())
         confidence = "photometric" if source == "fitted" else source
         run(options, "plan", project, "--backend", options.backend, "-k", 5, "--confidence", confidence, "--quiet")
         depth, evaluation = tables(project, folder, None, options)

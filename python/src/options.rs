@@ -10,7 +10,7 @@ use pyo3::{
 use toml::Value;
 use viewrank::{
     Settings, backends,
-    config::{CONFIDENCE_WORDS, CommandLineSettings, Configuration, Files, RegionChoice, user_file},
+    config::{CommandLineSettings, Configuration, Files, RegionChoice, user_file},
 };
 
 use crate::failure::Failure;
@@ -94,7 +94,6 @@ fn amount(key: &str, value: &Bound<'_, PyAny>) -> PyResult<Value> {
     let value = text.map_or_else(|| setting(value), |text| Ok(text.into()))?;
     Ok(match (key, value.as_str()) {
         ("region", Some(text)) if RegionChoice::is_file(text) => absolute(Path::new(text)).into(),
-        ("confidence.source", Some(text)) if !CONFIDENCE_WORDS.contains(&text) => absolute(Path::new(text)).into(),
         _ => value,
     })
 }

@@ -334,7 +334,7 @@ def plan(
     gsd: Optional[float] = None,
     accuracy: Optional[float] = None,
     partners: Optional[str] = None,
-    confidence: Optional[PathLike] = None,
+    confidence: Optional[str] = None,
     surface: Optional[str] = None,
     up: Optional[Sequence[float]] = None,
     mesh: Optional[PathLike] = None,

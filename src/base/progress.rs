@@ -12,7 +12,6 @@ pub enum Stage {
     Ranking,
     Evaluate,
     Undistort,
-    Labels,
     Train,
     Write,
 }

@@ -91,8 +91,7 @@ fn words(stage: Stage) -> &'static str {
         Stage::Ranking => "ranking view clusters",
         Stage::Evaluate => "measuring depth maps",
         Stage::Undistort => "undistorting images",
-        Stage::Labels => "comparing depth maps",
-        Stage::Train => "training",
+        Stage::Train => "reading depth maps",
         Stage::Write => "writing",
     }
 }

@@ -133,8 +133,8 @@ fn settings(fitted: &Fitted, backend: &str) -> String {
     let Numbers { min_matches, photometric } = fitted.numbers;
     let maps = fitted.depth_maps;
     format!(
-        "# Fitted to {maps} depth map{} of {backend} by viewrank train.\n[confidence]\nagree = {}\ndiffer = {}\nfull_agreement = {}\n\
-         min_matches = {min_matches}\n",
+        "# Fitted to {maps} depth map{} of {backend} by viewrank train.\nconfidence.agree = {}\nconfidence.differ = {}\n\
+         confidence.full_agreement = {}\nconfidence.min_matches = {min_matches}\n",
         if maps == 1 { "" } else { "s" },
         photometric.agree,
         photometric.differ,
@@ -153,8 +153,8 @@ fn text(arguments: &Arguments, fitted: &Fitted, settings: &str) -> String {
         scores(left_out, &fitted.after),
     ];
     let (settings_of, project) = match &arguments.out {
-        Some(out) => (format!("{}, for the end of viewrank.toml:", out.display()), &arguments.projects[0]),
-        None => ("For the end of viewrank.toml:".into(), &arguments.projects[0]),
+        Some(out) => (format!("{}, for the top of viewrank.toml:", out.display()), &arguments.projects[0]),
+        None => ("For the top of viewrank.toml:".into(), &arguments.projects[0]),
     };
     format!(
         "{} triangles of {} depth maps. How well they are predicted by\n\n{}\n{settings_of}\n\n{settings}\nNext: viewrank plan {}\n",

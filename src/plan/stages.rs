@@ -44,7 +44,7 @@ pub struct Stages {
     pub agreement: Agreement,
     /// A sentence for each picture or mask that cannot be used.
     pub picture_warnings: Vec<String>,
-    /// The predictor of matching success.
+    /// How p_i is predicted (method 3.4).
     pub confidence: Confidence,
     /// g_d and a_d of each triangle (method 3.6).
     pub target: Target,
@@ -250,8 +250,7 @@ fn work(scene: &Scene, image_scale: f64, work: WorkPerMap, cluster: &ViewCluster
         .map(|scale| work.map_work(megapixels * scale.factor().powi(2), cluster.partners.len()))
 }
 
-/// Returns the unary confidence of each row of the visibility, and warnings of masks that cannot be used. Where pictures are compared, masks are
-/// applied there.
+/// Returns the unary confidence of each row of the visibility, and warnings of masks that cannot be used.
 fn unary(
     geometry: &Geometry,
     points: &ViewPoints,
@@ -262,13 +261,15 @@ fn unary(
     let Geometry { scene, surface, visibility, .. } = *geometry;
     match confidence {
         Confidence::None => Ok((Unary::certain(), Vec::new())),
-        Confidence::Photometric { .. } => {
-            Ok((confidence::nearby(scene, points, surface, visibility, watcher)?, Vec::new()))
-        }
-        Confidence::Pair(_) => {
+        Confidence::Pair(_) | Confidence::Photometric { .. } => {
             let (masks, faults) = Unary::of_masks(geometry, pictures, watcher)?;
             let nearby = confidence::nearby(scene, points, surface, visibility, watcher)?;
-            Ok((nearby.times(masks, visibility)?, confidence::picture_warnings(scene, &faults)))
+            let warnings = match confidence {
+                // A mask that cannot be used is named with its picture.
+                Confidence::Photometric { .. } if pictures.have_images() => Vec::new(),
+                _ => confidence::picture_warnings(scene, &faults),
+            };
+            Ok((nearby.times(masks, visibility)?, warnings))
         }
     }
 }

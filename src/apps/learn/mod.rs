@@ -6,6 +6,8 @@
 mod fit;
 mod score;
 
+use std::sync::atomic::{AtomicU64, Ordering};
+
 use rayon::prelude::*;
 
 use self::fit::{Outcomes, fit};
@@ -14,7 +16,7 @@ use super::evaluate::measure;
 use crate::{
     base::{
         error::Hint,
-        progress::{Cancelled, Watcher},
+        progress::{Cancelled, Stage, Watcher},
     },
     io::depthmaps::{self, DepthMapError, DepthMapFile},
     method::{
@@ -24,7 +26,7 @@ use crate::{
     model::{cluster::ViewCluster, scene::ViewIndex},
 };
 
-/// Most triangles of a project that are learnt from, evenly spread over its maps.
+/// About the most triangles of a project that are learnt from, evenly spread over its maps.
 const MOST_TRIANGLES: usize = 40_000;
 /// Pixels from which a triangle has full weight: those of one triangle succeed and fail together.
 const FULL_WEIGHT: f32 = 8.0;
@@ -90,16 +92,18 @@ pub fn train(lessons: &[Lesson], before: Numbers, watcher: &dyn Watcher) -> Resu
 impl Lesson<'_> {
     /// Measures all maps, in the order of the views' names.
     fn outcomes(&self, watcher: &dyn Watcher) -> Result<Outcomes, TrainError> {
+        let (done, total) = (AtomicU64::new(0), self.maps.len() as u64);
         let of_map = |map: &DepthMapFile| {
             watcher.check()?;
+            watcher.progress(Stage::Train, 1 + done.fetch_add(1, Ordering::Relaxed), total);
             let cluster = self.clusters.iter().find(|cluster| cluster.key == map.view);
             let cluster = cluster.ok_or_else(|| TrainError::NoCluster(self.model.scene.name(map.view).into()))?;
-            self.outcomes_of(map, cluster)
+            Ok(self.outcomes_of(map, cluster)?.thinned(MOST_TRIANGLES.div_ceil(self.maps.len())))
         };
         let mut maps: Vec<&DepthMapFile> = self.maps.iter().collect();
         maps.sort_by_key(|map| self.model.scene.name(map.view));
         let each: Vec<Outcomes> = maps.par_iter().map(|map| of_map(map)).collect::<Result<_, TrainError>>()?;
-        Ok(Outcomes::joined(each).thinned(MOST_TRIANGLES))
+        Ok(Outcomes::joined(each))
     }
 
     /// The triangles of a map that enough cameras see, if all their pictures were compared.

@@ -30,7 +30,8 @@ const FAR: f64 = 1e6;
 /// Disparities come in groups.
 const GROUP: f64 = 16.0;
 
-/// Returns the points of the scene whose disparity is searched; nothing where the matcher gives up before it looks at a picture.
+/// Returns the points of the scene whose disparity is searched; nothing where these are too few of the pair's points. Pairs whose pictures
+/// hardly overlap, which the matcher refuses, too, are not foreseen.
 pub fn reach(pair: &PairGeometry, points: &ViewPoints, image_scale: f64) -> Reach {
     let [key, partner] = [pair.key, pair.partner].map(|view| Reduced::new(pair.scene, view, image_scale));
     let position = |point: &PointIndex| pair.scene.points[point.index()];
@@ -140,12 +141,14 @@ impl Parallax {
         if high - low <= room {
             return Some(low..low + GROUP * ((high - low) / GROUP).ceil());
         }
-        let held = |(i, d): (usize, &f64)| disparities.partition_point(|x| *x <= d + room - 2.0 * RANGE_PIXELS) - i;
+        let held = |(i, d): (usize, &f64)| {
+            disparities.partition_point(|x| *x <= d + room - 2.0 * RANGE_PIXELS).saturating_sub(i)
+        };
         // Of several windows with as many points the matcher takes the first.
         let (most, first) =
             disparities.iter().enumerate().map(|at| (held(at), at.0)).max_by_key(|&(held, i)| (held, Reverse(i)))?;
         let low = disparities[first].floor() - RANGE_PIXELS;
-        (most as f64 >= MIN_HELD * disparities.len() as f64).then_some(low..low + room)
+        (most > 0 && most as f64 >= MIN_HELD * disparities.len() as f64).then_some(low..low + room)
     }
 }
 

@@ -15,7 +15,7 @@ use crate::{
     base::column::{Column, ColumnBuilder, DiskError},
     io::output,
     method::geometry::Geometry,
-    model::scene::ViewIndex,
+    model::scene::{Scene, ViewIndex},
 };
 
 /// Path of the cache in its project.
@@ -62,6 +62,9 @@ impl Cache {
     ) -> Option<Self> {
         let mut hasher = blake3::Hasher::new();
         hasher.update(&serde_json::to_vec(&program).ok()?);
+        if program.is_some() {
+            hash_points(&mut hasher, geometry.scene);
+        }
         hash_geometry(&mut hasher, geometry);
         for view in geometry.scene.view_indices() {
             let partners = partners_of(view);
@@ -131,6 +134,13 @@ impl Cache {
         let json = serde_json::to_string(&head).expect("numbers and texts are JSON");
         [MAGIC, &json, "\n"].concat().into_bytes()
     }
+}
+
+/// The sparse points and who observes them, which the reach of a program follows from.
+fn hash_points(hasher: &mut blake3::Hasher, scene: &Scene) {
+    scene.points.iter().flat_map(|point| point.coords.as_slice()).for_each(|x| _ = hasher.update(&x.to_le_bytes()));
+    scene.track_offsets.iter().for_each(|offset| _ = hasher.update(&(*offset as u64).to_le_bytes()));
+    scene.track_views.iter().for_each(|view| _ = hasher.update(&view.0.to_le_bytes()));
 }
 
 /// Surface, visibility, cameras, poses and the size of samples.

@@ -41,9 +41,10 @@ pub struct Photometric {
 impl Photometric {
     /// Returns these parameters with the user's settings in place of theirs.
     pub fn with(&self, settings: &ConfidenceSettings) -> Self {
+        let agree = settings.agree.unwrap_or(self.agree);
         Self {
-            agree: settings.agree.unwrap_or(self.agree),
-            differ: settings.differ.unwrap_or(self.differ),
+            agree,
+            differ: settings.differ.unwrap_or(self.differ).min(agree),
             full_agreement: settings.full_agreement.unwrap_or(self.full_agreement),
         }
     }
