@@ -24,8 +24,9 @@ def net(program):
 
 
 def masks(depths, numbers):
-    """Mean share of the pixels that the fusion keeps, by its own masks."""
-    return np.mean([(cv2.imread(str(depths / f"mask/{number:08}_final.png"), cv2.IMREAD_GRAYSCALE) > 0).mean() for number in numbers])
+    """Mean share of the pixels that the fusion keeps, by its own masks; nothing of a map that it has no partner for."""
+    pictures = [cv2.imread(str(depths / f"mask/{number:08}_final.png"), cv2.IMREAD_GRAYSCALE) for number in numbers]
+    return np.mean([0.0 if picture is None else (picture > 0).mean() for picture in pictures])
 
 
 def write_default(views, source, net, path, folder, keys):
