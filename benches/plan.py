@@ -4,8 +4,11 @@
     cargo build --release && python benches/plan.py [--views 300 1200 5000 10000 50000] [-k 5] [--threads 2] [--max-memory 8G]
 
 Makes the models (benches/aerial; needs numpy), those of more than 10,000 views as copies of that of 10,000 beside each other, in a folder
-that is kept between runs, plans each without images, and prints a table: wall time per view, core time per view of partners and ranking, peak
-memory and its forecast, tiles of the surface, tables on disk. A plan that does not fit --max-memory has a line that says so.
+that is kept between runs, plans each without images, and prints a table: wall time per view by stage, peak memory and its forecast, tiles of the
+surface, tables on disk. A plan that does not fit --max-memory has a line that says so.
+
+--serial plans each once more with one thread, and prints by stage how much of its work only one thread can do: all of it if two threads take as long
+as one, nothing if they take half as long. Candidates are found while the surface is built, so surface, visibility and partners count as one.
 """
 import argparse
 import json
@@ -30,7 +33,10 @@ def main():
           f"{'partners':>9} {'ranking':>8} {'peak MB':>8} {'forecast':>8} {'tiles':>5} {'disk MB':>8} {'key views':>10}")
     for views in arguments.views:
         model = make(arguments, views)
-        row(views, *plan(arguments, model))
+        summary, usage = plan(arguments, model, arguments.threads)
+        row(views, summary, usage)
+        if arguments.serial and summary is not None:
+            serial(*[plan(arguments, model, threads) for threads in ("1", "2")])
 
 
 def parse():
@@ -40,6 +46,7 @@ def parse():
     parser.add_argument("--max-memory", help="as that of viewrank plan")
     parser.add_argument("-k", default="5")
     parser.add_argument("--threads", default="2")
+    parser.add_argument("--serial", action="store_true", help="also print the share of the work that only one thread can do")
     parser.add_argument("--program", type=Path, default=ROOT / "target" / "release" / "viewrank")
     parser.add_argument("--models", type=Path, default=ROOT / "target" / "surveys", help="where models are kept")
     return parser.parse_args()
@@ -57,9 +64,9 @@ def make(arguments, views):
     return folder
 
 
-def plan(arguments, model):
+def plan(arguments, model, threads):
     """The summary of the plan, and the usage of the process."""
-    command = [arguments.program, "plan", model, "-k", arguments.k, "--threads", arguments.threads]
+    command = [arguments.program, "plan", model, "-k", arguments.k, "--threads", threads]
     command += ["--max-memory", arguments.max_memory] if arguments.max_memory else []
     process = subprocess.Popen([*command, "--quiet", "--dry-run", "--format", "json"], stdout=subprocess.PIPE)
     answer = process.stdout.read()
@@ -78,6 +85,19 @@ def row(views, summary, usage):
     print(f"{views:>7} {summary['points']:>9} {summary['timings']['total']:>8.1f} {stage['total']:>8.1f} {stage['read']:>6.1f} "
           f"{stage['surface']:>8.1f} {stage['visibility']:>8.1f} {stage['partners']:>9.2f} {stage['ranking']:>8.2f} "
           f"{usage.ru_maxrss / 1024:>8.0f} {forecast:>8.0f} {summary['tiles']:>5} {disk:>8.0f} {summary['cut']['clusters']:>10}", flush=True)
+
+
+def serial(one, two):
+    """Prints the share of each stage that only one thread can do, from the plans with one and two threads."""
+    together = ("surface", "visibility", "partners")
+    seconds = [summary["timings"] for summary, _ in (one, two)]
+    groups = {"read": ("read",), "surface to partners": together, "confidence": ("confidence",), "ranking": ("ranking",), "all": ("total",)}
+    shares = []
+    for name, stages in groups.items():
+        alone, pair = (sum(timings[stage] for stage in stages) for timings in seconds)
+        # T1 = serial + parallel, T2 = serial + parallel / 2.
+        shares.append(f"{name} {max(0.0, min(1.0, (2 * pair - alone) / max(alone, 1e-9))):.0%} of {alone:.1f} s")
+    print("        serial: " + ", ".join(shares), flush=True)
 
 
 if __name__ == "__main__":

@@ -6,6 +6,7 @@
 use std::ops::Range;
 
 use nalgebra::{Point3, Rotation3, Vector3};
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use crate::{base::rows::Offsets, model::camera::Camera};
@@ -213,16 +214,21 @@ impl Scene {
     /// Median ground sampling distance, scene units per pixel: median over views of (median depth of the observed points) / (mean focal length in
     /// pixels). Points behind a view are left out; `None` if no view observes a point in front of it.
     pub fn median_gsd(&self) -> Option<f64> {
-        let view_points = self.view_points();
-        let gsds = self.view_indices().filter_map(|view| {
+        self.median_gsd_of(&self.view_points())
+    }
+
+    /// As [`Self::median_gsd`], for `view_points` of this scene that are at hand.
+    pub fn median_gsd_of(&self, view_points: &ViewPoints) -> Option<f64> {
+        let of_view = |view: ViewIndex| {
             let pose = &self.view(view).cam_from_world;
             let camera = self.camera_of(view);
             let points = view_points.observed_by(view).iter();
             let depths = points.map(|&p| camera.depth(&pose.camera_from_world(&self.points[p.index()])));
             let depth = median(depths.filter(|&depth| depth > 0.0).collect())?;
             Some(depth / camera.mean_focal_length())
-        });
-        median(gsds.collect())
+        };
+        let views: Vec<ViewIndex> = self.view_indices().collect();
+        median(views.into_par_iter().filter_map(of_view).collect())
     }
 
     /// Returns a copy of the scene whose world origin is at `origin`.

@@ -1,6 +1,7 @@
 //! Method 5.3: triangles at the border of the surveyed site.
 
 use nalgebra::{Matrix3, Point2, Point3, SymmetricEigen, Vector3};
+use rayon::prelude::*;
 
 use crate::method::{surface::Surface, visibility::Visibility};
 
@@ -23,7 +24,7 @@ pub(super) fn border(surface: &Surface, visibility: &Visibility, weights: &[f64]
     let typical = quantile((0..weights.len()).map(|t| (f64::from(views[t]), weights[t])), 0.5);
     let Some(site) = Site::new(surface, weights) else { return vec![false; weights.len()] };
     let is_border = |t: u32| f64::from(views[t as usize]) < FEW * typical && site.is_near_outline(&surface.centroid(t));
-    (0..triangles).map(is_border).collect()
+    (0..triangles).into_par_iter().map(is_border).collect()
 }
 
 /// Area that the views show, as cells of a grid in its principal plane.
@@ -154,7 +155,7 @@ fn principal_axes(points: &[Point3<f64>], weights: &[f64]) -> [Vector3<f64>; 2] 
 /// Returns the weighted quantile: the smallest value up to which the weight reaches `share`; 0 without values.
 fn quantile(values: impl Iterator<Item = (f64, f64)>, share: f64) -> f64 {
     let mut values: Vec<(f64, f64)> = values.collect();
-    values.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.total_cmp(&b.1)));
+    values.par_sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.total_cmp(&b.1)));
     let wanted = share * values.iter().map(|(_, weight)| weight).sum::<f64>();
     let mut sum = 0.0;
     let found = values.iter().find(|(_, weight)| {

@@ -43,17 +43,26 @@ pub fn decide(
     timings: &mut Timings,
     watcher: &dyn Watcher,
 ) -> Result<Decision, PlanError> {
+    timings.time(Stage::Ranking, || rank_and_cut(stages, finished, order, watcher))
+}
+
+fn rank_and_cut(
+    stages: &Stages,
+    finished: FinishedMaps,
+    order: &[(u32, MapScale)],
+    watcher: &dyn Watcher,
+) -> Result<Decision, PlanError> {
     let finished = FinishedMaps { clusters: order.len(), ..finished };
-    let ranking =
-        timings.time(Stage::Ranking, || ranking::rank_after(order, &stages.maps(), &stages.objective, watcher))?;
+    let ranking = ranking::rank_after(order, &stages.maps(), &stages.objective, watcher)?;
     let bound = |length| ranking::most_of_any(length, &stages.maps(), &stages.objective, &ranking);
     let cut = cut::cut(&stages.settings.cut, &cost(stages, &stages.model(), &ranking, &finished), bound)?;
-    let reachable_band = Band::of_reachable(stages, &ranking);
+    let (reachable_band, given_up) =
+        rayon::join(|| Band::of_reachable(stages, &ranking), || GivenUp::new(stages, &ranking, cut.clusters));
     let cut = Cut {
         share_band: Band::of_share(stages, cut.share, cut.reachable, &reachable_band),
         reachable_band,
         pairs_beyond_gate: pairs_beyond_gate(stages, &ranking.order[..cut.clusters]),
-        given_up: GivenUp::new(stages, &ranking, cut.clusters),
+        given_up,
         ..cut
     };
     let decision = decide_as(stages, finished, ranking, cut)?;
@@ -74,9 +83,12 @@ pub fn decide_as(stages: &Stages, finished: FinishedMaps, ranking: Ranking, cut:
         region: stages.region.as_ref(),
     };
     let by_area = Objective::by_area(&stages.surface, stages.region.as_ref(), stages.objective.support);
-    let area_shares = ranking::shares_by(&by_area, &ranking, &stages.maps());
-    let views = all_reasons.views(&ranking.order[..cut.clusters], &stages.settings.partners)?;
-    let triangle_reasons = all_reasons.triangles();
+    // The one takes the clusters in their order, on one thread.
+    let (area_shares, (views, triangle_reasons)) = rayon::join(
+        || ranking::shares_by(&by_area, &ranking, &stages.maps()),
+        || (all_reasons.views(&ranking.order[..cut.clusters], &stages.settings.partners), all_reasons.triangles()),
+    );
+    let views = views?;
     let warnings = warnings::warnings(stages, &ranking, &cut, &finished);
     Ok(Decision { ranking, finished, cut, area_shares, forecast, views, triangle_reasons, warnings })
 }

@@ -2,7 +2,10 @@
 
 use super::{Matcher, Memory, PlanError, PlanningNumbers, Timings, WorkPerMap, cut, georeference};
 use crate::{
-    base::progress::{Cancelled, Stage, Watcher},
+    base::{
+        platform,
+        progress::{Cancelled, Stage, Watcher},
+    },
     config::{ConfidenceSource, Settings, Share, TargetMode},
     io::project::Project,
     method::{
@@ -82,23 +85,32 @@ impl Stages {
         let source = settings.confidence.source.in_force(project.images.is_some());
         let own_size = settings.image_scale.is_none();
         let refused_half = settings.ranking.has_half() && !matcher.mixes_sizes;
-        let mut settings = in_force(project, settings, &scene, matcher, source)?;
-        let shape = shape(project, &scene, &settings)?;
+        let (points, mut settings, shape) = timings.time(Stage::Read, || {
+            let points = scene.view_points();
+            let settings = in_force(project, settings, (&scene, &points), matcher, source)?;
+            let shape = shape(project, &scene, &settings)?;
+            Ok::<_, PlanError>((points, settings, shape))
+        })?;
         let mut memory = Memory::before_surface(&scene, &mut settings)?;
-        let points = scene.view_points();
         let numbers = &matcher.numbers;
         let missing_images = project.missing_images(&scene);
         // Parts of the surface are built by one thread; the others find candidates meanwhile.
-        let (seen, candidates) = rayon::join(
-            || visible_surface(&scene, &points, &settings, watcher, timings, &mut memory),
-            || candidates(&scene, &points, &settings, numbers, &missing_images, watcher),
-        );
+        let (seen, candidates) = timings.time_rest(Stage::Partners, |timings| {
+            rayon::join(
+                || visible_surface(&scene, &points, &settings, watcher, timings, &mut memory),
+                || candidates(&scene, &points, &settings, numbers, &missing_images, watcher),
+            )
+        });
         let (seen, candidates) = (seen?, candidates?);
         memory.before_partners(&scene, &seen.surface, &seen.visibility)?;
         let pixels = || SeenPixels::new(&scene, &seen.surface, &seen.visibility).sums().collect();
-        let region = shape.map(|shape| shape.lay_over(&seen.surface, pixels, watcher)).transpose()?;
-        let target = target(&scene, &seen, region.as_ref(), &settings);
+        let (region, target) = timings.time(Stage::Visibility, || {
+            let region = shape.map(|shape| shape.lay_over(&seen.surface, pixels, watcher)).transpose()?;
+            let target = target(&scene, &seen, region.as_ref(), &settings);
+            Ok::<_, PlanError>((region, target))
+        })?;
         seen.visibility.triangles.release();
+        platform::return_freed_memory();
         let confidence = Confidence::new(source, &settings.confidence, &numbers.confidence, &numbers.photometric);
         confidence.fill_in(&mut settings.confidence);
         let geometry = Geometry {
@@ -109,7 +121,8 @@ impl Stages {
             image_scale: settings.image_scale(),
         };
         let support = settings.ranking.support.unwrap_or(matcher.numbers.support);
-        let objective = Objective::new(&geometry, settings.ranking.weight, region.as_ref(), support);
+        let objective = timings
+            .time(Stage::Visibility, || Objective::new(&geometry, settings.ranking.weight, region.as_ref(), support));
         let pictures = Pictures::new(project);
         let (unary, mut picture_warnings) =
             timings.time(Stage::Confidence, || unary(&geometry, &points, confidence, &pictures, watcher))?;
@@ -130,6 +143,7 @@ impl Stages {
             })?),
             false => None,
         };
+        platform::return_freed_memory();
         let per_map = numbers.work;
         let work = clusters.iter().map(|cluster| work(&scene, settings.image_scale(), per_map, cluster)).collect();
         watcher.check()?;
@@ -208,7 +222,7 @@ impl Stages {
 fn in_force(
     project: &Project,
     settings: &Settings,
-    scene: &Scene,
+    (scene, points): (&Scene, &ViewPoints),
     matcher: &Matcher,
     source: ConfidenceSource,
 ) -> Result<Settings, PlanError> {
@@ -220,7 +234,7 @@ fn in_force(
     all.image_scale.get_or_insert_with(|| matcher.image_scale(scene));
     let gsd = match all.target.gsd {
         Some(gsd) => gsd,
-        None => GSD_MARGIN * scene.median_gsd().ok_or(PlanError::NoScale)? / all.image_scale(),
+        None => GSD_MARGIN * scene.median_gsd_of(points).ok_or(PlanError::NoScale)? / all.image_scale(),
     };
     all.target.accuracy.get_or_insert(gsd);
     all.target.mode = all.target.mode.in_force(settings.target.gsd.or(settings.target.accuracy).is_some());
@@ -340,16 +354,18 @@ fn visible_surface(
         };
         surface::build(scene, &wanted, &settings.surface, mesh.as_ref(), most, watcher)
     })?;
+    platform::return_freed_memory();
     let keep = memory.before_visibility(scene, &surface, &settings.visibility)?;
     let edge_length = settings.surface.edge_factor * gsd;
-    let visibility = timings.time(Stage::Visibility, || {
-        visibility::estimate(scene, points, &surface, &settings.visibility, edge_length, keep, watcher)
-    })?;
-    let seen = visibility.seen_triangles(surface.triangles.len());
-    if !seen.contains(&true) {
-        return Err(SurfaceError::Empty.into());
-    }
-    Ok(VisibleSurface { surface: surface.keep(&seen), stats, visibility: visibility.keep(&seen)?, gsd })
+    timings.time(Stage::Visibility, || {
+        let visibility =
+            visibility::estimate(scene, points, &surface, &settings.visibility, edge_length, keep, watcher)?;
+        let seen = visibility.seen_triangles(surface.triangles.len());
+        if !seen.contains(&true) {
+            return Err(SurfaceError::Empty.into());
+        }
+        Ok(VisibleSurface { surface: surface.keep(&seen), stats, visibility: visibility.keep(&seen)?, gsd })
+    })
 }
 
 fn target(scene: &Scene, seen: &VisibleSurface, region: Option<&Region>, settings: &Settings) -> Target {

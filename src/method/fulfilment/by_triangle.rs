@@ -23,8 +23,8 @@ pub(crate) struct Entry {
     pub f: f32,
 }
 
-/// Entries sorted at a time; bounds the memory of the transposition.
-const ENTRIES_AT_ONCE: usize = 1 << 25;
+/// Entries sorted at a time; bounds the memory of the transposition beside its result.
+const ENTRIES_AT_ONCE: usize = 1 << 22;
 
 impl ByTriangle {
     /// Transposes the rows of `clusters`, with the table's storage.

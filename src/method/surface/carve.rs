@@ -16,7 +16,10 @@ use super::{
     points::{depth_sigma, extremes, upper_median, views_of},
 };
 use crate::{
-    base::progress::{Cancelled, Watcher},
+    base::{
+        platform,
+        progress::{Cancelled, Watcher},
+    },
     config::SurfaceSettings,
     model::scene::{PointIndex, Scene, ViewIndex},
 };
@@ -250,7 +253,10 @@ pub fn carve(
     watcher: &dyn Watcher,
 ) -> Result<CarvedSurface, Cancelled> {
     let capacities = capacities(delaunay, rays, settings, watcher)?;
+    // The cut needs more memory than all before it.
+    platform::return_freed_memory();
     let outside = minimum_cut(&delaunay.cells, &capacities, watcher)?.outside;
+    drop(capacities);
     Ok(surface(delaunay, rays, &outside))
 }
 

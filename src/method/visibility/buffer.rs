@@ -2,7 +2,10 @@
 
 use nalgebra::{Matrix3, Point2, Point3, Vector2, Vector3};
 
-use crate::model::camera::{Camera, CameraModel};
+use crate::{
+    base::vector::{Kernel, vectorised},
+    model::camera::{Camera, CameraModel},
+};
 
 /// Margin around the image, pixels, so that triangles across its border are sampled too.
 const MARGIN: f64 = 8.0;
@@ -182,7 +185,22 @@ impl Buffer {
         self.pixels.resize(face.width * face.height, 0);
     }
 
+    /// Draws triangles, given by their indices and their corners among `points`, clipped at depth `near`; adds to `covered` the number of pixels that
+    /// each covers.
+    pub fn draw_all(
+        &mut self,
+        face: &Face,
+        points: &[FacePoint],
+        near: f64,
+        triangles: &[u32],
+        corners: &[[u16; 3]],
+        covered: &mut [u32],
+    ) {
+        vectorised(Drawing { buffer: self, face, points, near, triangles, corners, covered });
+    }
+
     /// Draws a triangle, clipped at depth `near`. Returns the number of pixels that it covers.
+    #[inline(always)]
     pub fn draw(&mut self, face: &Face, corners: [&FacePoint; 3], near: f64, triangle: u32) -> u32 {
         let (pixels, mut covered) = (&mut self.pixels, 0);
         for_each_pixel(face, corners, near, |at, inverse_depth| {
@@ -231,6 +249,29 @@ impl Buffer {
         let first = inside.then(|| corner.y as usize * face.width + corner.x as usize)?;
         let codes = [first, first + 1, first + face.width, first + face.width + 1].map(|i| self.pixels[i]);
         Some((codes.map(|code| (code as u32, inverse_depth(code).into())), p.z.recip()))
+    }
+}
+
+/// The arguments of [`Buffer::draw_all`].
+struct Drawing<'a> {
+    buffer: &'a mut Buffer,
+    face: &'a Face,
+    points: &'a [FacePoint],
+    near: f64,
+    triangles: &'a [u32],
+    corners: &'a [[u16; 3]],
+    covered: &'a mut [u32],
+}
+
+impl Kernel for Drawing<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        for ((&triangle, &[a, b, c]), covered) in self.triangles.iter().zip(self.corners).zip(self.covered) {
+            let corners = [&self.points[a as usize], &self.points[b as usize], &self.points[c as usize]];
+            *covered += self.buffer.draw(self.face, corners, self.near, triangle);
+        }
     }
 }
 
@@ -286,10 +327,10 @@ fn fill(face: &Face, [a, b, c]: [Vector3<f64>; 3], visit: &mut impl FnMut(usize,
     let by_x = ((b.z - a.z) * (c.y - a.y) - (c.z - a.z) * (b.y - a.y)) / area;
     let by_y = ((c.z - a.z) * (b.x - a.x) - (b.z - a.z) * (c.x - a.x)) / area;
     let (low_z, high_z) = (a.z.min(b.z).min(c.z), a.z.max(b.z).max(c.z));
-    let edges = if area > 0.0 { [(a, b), (b, c), (c, a)] } else { [(b, a), (c, b), (a, c)] };
-    let lines = edges.map(|(from, to)| Side::new(&from, &to));
+    let [d, e, f] = if area > 0.0 { [a, b, c] } else { [c, b, a] };
+    let lines = [Side::new(&d, &e), Side::new(&e, &f), Side::new(&f, &d)];
     for row in first_centre(low_y, face.height)..end_centre(high_y, face.height) {
-        let y = row as f64 + 0.5;
+        let y = f64::from(row) + 0.5;
         let (mut left, mut right) = (f64::NEG_INFINITY, f64::INFINITY);
         for line in &lines {
             let x = line.x + line.slope * (y - line.y);
@@ -299,8 +340,8 @@ fn fill(face: &Face, [a, b, c]: [Vector3<f64>; 3], visit: &mut impl FnMut(usize,
         let first = first_centre(left, face.width);
         let start = a.z + by_y * (y - a.y) + by_x * (0.5 - a.x);
         for column in first..end_centre(right, face.width) {
-            let depth = (start + by_x * column as f64).max(low_z).min(high_z);
-            visit(row * face.width + column, depth as f32);
+            let depth = (start + by_x * f64::from(column)).max(low_z).min(high_z);
+            visit(row as usize * face.width + column as usize, depth as f32);
         }
     }
 }
@@ -316,6 +357,7 @@ struct Side {
 
 impl Side {
     /// The triangle is where (to - from) x (p - from) is not negative.
+    #[inline(always)]
     fn new(from: &Vector3<f64>, to: &Vector3<f64>) -> Self {
         let rise = to.y - from.y;
         let slope = if rise == 0.0 { 0.0 } else { (to.x - from.x) / rise };
@@ -323,15 +365,17 @@ impl Side {
     }
 }
 
-/// Returns the first pixel whose centre is not below `x`, at most `size`.
-fn first_centre(x: f64, size: usize) -> usize {
+/// Returns the first pixel whose centre is not below `x`, at most `size`. Pixels are 32-bit numbers with a sign here: conversions from and to
+/// others take several instructions each.
+#[inline(always)]
+fn first_centre(x: f64, size: usize) -> i32 {
     let x = (x - 0.5).max(0.0).min(size as f64);
-    let down = x as usize;
-    down + usize::from((down as f64) < x)
+    let down = x as i32;
+    down + i32::from(f64::from(down) < x)
 }
 
 /// Returns the pixel after the last whose centre is not above `x`, at most `size`.
-fn end_centre(x: f64, size: usize) -> usize {
-    let x = (x + 0.5).max(0.0).min(size as f64);
-    x as usize
+#[inline(always)]
+fn end_centre(x: f64, size: usize) -> i32 {
+    (x + 0.5).max(0.0).min(size as f64) as i32
 }

@@ -147,8 +147,7 @@ pub fn estimate(
     let look = |picture: &mut RenderedView, &view: &ViewIndex| {
         watcher.check()?;
         stage.draw(view, picture);
-        let mut seen: Vec<u32> = stage.visible(view, picture).collect();
-        seen.sort_unstable();
+        let seen = stage.visible(view, picture);
         stage.observe(view, points.observed_by(view), picture, &observations);
         watcher.progress(Stage::Visibility, 1 + done.fetch_add(1, Ordering::Relaxed), views.len() as u64);
         Ok(seen)
@@ -215,30 +214,21 @@ struct RenderedView {
     projected: Vec<FacePoint>,
     /// Pixels that each triangle of the current patch covers.
     covered: Vec<u32>,
-    /// Index of each triangle among the candidates, or [`NOTHING`].
-    places: Vec<u32>,
+    /// Pixels in which each triangle is frontmost, all 0 between uses.
+    in_front: Vec<u32>,
+    /// A bit for each triangle, all zero between uses.
+    seen: Vec<u64>,
 }
 
 impl RenderedView {
     /// Counts, for each candidate, the pixels in which it is frontmost.
     fn count_in_front(&mut self, triangles: usize) {
-        self.places.resize(triangles, NOTHING);
-        for (candidate, place) in self.candidates.iter().zip(0..) {
-            self.places[candidate.triangle as usize] = place;
-        }
-        for buffer in &self.buffers {
-            // Neighbouring pixels mostly show the same triangle, so its index is looked up once per run.
-            let (mut last, mut place) = (NOTHING, NOTHING);
-            for triangle in buffer.triangles(NOTHING).filter(|&t| t != NOTHING) {
-                if triangle != last {
-                    (last, place) = (triangle, self.places[triangle as usize]);
-                }
-                if place != NOTHING {
-                    self.candidates[place as usize].in_front += 1;
-                }
-            }
-        }
-        self.candidates.iter().for_each(|candidate| self.places[candidate.triangle as usize] = NOTHING);
+        let Self { buffers, candidates, in_front, .. } = self;
+        in_front.resize(triangles, 0);
+        let shown = || buffers.iter().flat_map(|buffer| buffer.triangles(NOTHING)).filter(|&t| t != NOTHING);
+        shown().for_each(|t| in_front[t as usize] += 1);
+        candidates.iter_mut().for_each(|candidate| candidate.in_front = in_front[candidate.triangle as usize]);
+        shown().for_each(|t| in_front[t as usize] = 0);
     }
 }
 
@@ -301,9 +291,8 @@ impl<'a> Estimator<'a> {
         for (face, buffer) in faces.iter().zip(buffers) {
             projected.clear();
             projected.extend(vertices.iter().map(|v| face.project(v)));
-            for ((triangle, corners), covered) in self.patches.triangles(patch).zip(&mut *covered) {
-                *covered += buffer.draw(face, corners.map(|c| &projected[c]), self.near, triangle);
-            }
+            let (triangles, corners) = self.patches.of(patch);
+            buffer.draw_all(face, projected, self.near, triangles, corners, covered);
         }
     }
 
@@ -320,17 +309,25 @@ impl<'a> Estimator<'a> {
             && camera.project(&centroid.into()).is_some_and(|pixel| camera.contains(&pixel))
     }
 
-    /// Returns the candidates that are not occluded (condition 3).
-    fn visible<'b>(&'b self, view: ViewIndex, picture: &'b RenderedView) -> impl Iterator<Item = u32> + 'b {
-        let free = move |candidate: &&Candidate| {
+    /// Returns the candidates that are not occluded (condition 3), ascending.
+    fn visible(&self, view: ViewIndex, picture: &mut RenderedView) -> Vec<u32> {
+        let mut seen = std::mem::take(&mut picture.seen);
+        seen.resize(self.surface.triangles.len().div_ceil(64), 0);
+        let mut count = 0;
+        for candidate in &picture.candidates {
             let (samples, free) = if candidate.covered < FEW_PIXELS {
                 self.free_points(view, picture, candidate)
             } else {
                 (candidate.covered, self.free_pixels(view, picture, candidate))
             };
-            samples > 0 && self.are_enough(free, samples)
-        };
-        picture.candidates.iter().filter(free).map(|candidate| candidate.triangle)
+            if samples > 0 && self.are_enough(free, samples) {
+                seen[candidate.triangle as usize / 64] |= 1 << (candidate.triangle % 64);
+                count += 1;
+            }
+        }
+        let triangles = take_bits(&mut seen, count);
+        picture.seen = seen;
+        triangles
     }
 
     fn are_enough(&self, free: u32, samples: u32) -> bool {
@@ -408,6 +405,19 @@ impl<'a> Estimator<'a> {
             }
         }
     }
+}
+
+/// Returns the places of the bits that are set, ascending, and clears them.
+fn take_bits(words: &mut [u64], count: usize) -> Vec<u32> {
+    let mut places = Vec::with_capacity(count);
+    for (i, word) in (0..).zip(words) {
+        let mut rest = std::mem::take(word);
+        while rest != 0 {
+            places.push(64 * i + rest.trailing_zeros());
+            rest &= rest - 1;
+        }
+    }
+    places
 }
 
 /// Intersects a ray from the origin with a triangle. Returns the position along `ray` as a share of its length, `None` if they don't meet.

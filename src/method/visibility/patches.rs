@@ -63,6 +63,11 @@ impl Patches {
         self.triangles[rows].iter().copied().zip(corners)
     }
 
+    /// Returns the triangles of the patch: their indices in the surface, and their corners.
+    pub fn of(&self, patch: &Patch) -> (&[u32], &[[u16; 3]]) {
+        (&self.triangles[patch.triangles.clone()], &self.corners[patch.triangles.clone()])
+    }
+
     fn add(&mut self, surface: &Surface, chunk: &[u32]) {
         let mut used: Vec<u32> = chunk.iter().flat_map(|&t| surface.triangles[t as usize]).collect();
         used.sort_unstable();

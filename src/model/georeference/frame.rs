@@ -1,6 +1,7 @@
 //! Estimates which way is up in a model; upright frames for terrain surfaces and for maps.
 
 use nalgebra::{Matrix3, Point3, Vector3};
+use rayon::prelude::*;
 
 use crate::model::scene::Scene;
 
@@ -133,12 +134,15 @@ impl MapFrame {
         let flat: Vec<[f64; 3]> = points.iter().map(|point| self.local(point)).collect();
         let farthest = |i: u32| {
             let (sin, cos) = (f64::from(i) * std::f64::consts::TAU / f64::from(HULL_DIRECTIONS)).sin_cos();
-            let along = |v: &usize| flat[*v][0] * cos + flat[*v][1] * sin;
+            let along = |v: usize| (flat[v][0] * cos + flat[v][1] * sin, v);
             // Ties go to the point farthest ahead counter-clockwise, so that no corner is on the edge between two others.
-            let ahead = |v: &usize| flat[*v][1] * cos - flat[*v][0] * sin;
-            (0..flat.len()).max_by(|a, b| along(a).total_cmp(&along(b)).then(ahead(a).total_cmp(&ahead(b))))
+            let ahead = |v: usize| flat[v][1] * cos - flat[v][0] * sin;
+            let farther = |a: &(f64, usize), b: &(f64, usize)| {
+                a.0.total_cmp(&b.0).then_with(|| ahead(a.1).total_cmp(&ahead(b.1)))
+            };
+            (0..flat.len()).map(along).max_by(farther).map(|(_, v)| v)
         };
-        let mut corners: Vec<usize> = (0..HULL_DIRECTIONS).filter_map(farthest).collect();
+        let mut corners: Vec<usize> = (0..HULL_DIRECTIONS).into_par_iter().filter_map(farthest).collect();
         corners.dedup();
         if corners.len() > 1 && corners.first() == corners.last() {
             corners.pop();
