@@ -125,10 +125,16 @@ fn training_is_the_same_on_any_number_of_threads() {
 }
 
 #[test]
-fn without_pictures_there_is_nothing_to_learn() {
+fn a_stale_plan_and_missing_pictures_teach_nothing() {
     let project = project();
+    let refused = || {
+        let output = viewrank(&["train", project.path().to_str().unwrap(), "--depth-maps", "sgm"]);
+        assert_eq!(output.status.code(), Some(1));
+        String::from_utf8(output.stderr).unwrap()
+    };
     fs::remove_dir_all(project.path().join("images")).unwrap();
-    let output = viewrank(&["train", project.path().to_str().unwrap(), "--depth-maps", "sgm"]);
-    assert_eq!(output.status.code(), Some(1));
-    assert!(String::from_utf8_lossy(&output.stderr).contains("hint"));
+    assert!(refused().contains("the model or the images have changed since it was made"));
+    // Without a plan, the settings of the project count, and the partners are unknown.
+    fs::remove_dir_all(project.path().join("viewrank")).unwrap();
+    assert!(refused().contains("hint"));
 }

@@ -15,7 +15,7 @@ import rectify
 from rectify import Parallax, Refused
 from workspace import InputError
 
-VERSION = 1  # raised when the same input gives other maps
+VERSION = 2  # raised when the same input gives other maps
 
 
 @dataclass
@@ -59,19 +59,20 @@ class Pairs:
     def get(self, key, partner):
         a, b = self.workspace.views[key], self.workspace.views[partner]
         shared = self.workspace.xyz[np.intersect1d(a.points, b.points, assume_unique=True)]
-        mark = fingerprint(self.workspace, a, b, shared)
+        around = self.workspace.xyz[np.union1d(a.points, b.points)]
+        mark = fingerprint(self.workspace, a, b, shared, around)
         path = self.cache and self.cache / key / (partner + ".npz")
         found = path and load(path, mark)
         if found:
             return found
         start = time.perf_counter()
-        result = self.match(a, b, shared)
+        result = self.match(a, b, shared, around)
         result.seconds = time.perf_counter() - start
         if path:
             save(path, result, mark)
         return result
 
-    def match(self, a, b, shared):
+    def match(self, a, b, shared, around):
         """The pair, or why it is refused.
 
         Raises InputError where the key view's image cannot be read: no pair of that key view says anything then."""
@@ -79,7 +80,6 @@ class Pairs:
             return PairMap(f"only {len(shared)} shared sparse points, fewer than {rectify.MIN_SHARED}")
         angle, octaves = rectify.geometry(a, b, shared)
         try:
-            around = self.workspace.xyz[np.union1d(a.points, b.points)]
             pair = rectify.rectify(a, b, shared, around)
         except Refused as reason:
             return PairMap(str(reason), angle=angle, octaves=octaves)
@@ -100,9 +100,9 @@ class Pairs:
         return self.images[name]
 
 
-def fingerprint(workspace, a, b, shared):
+def fingerprint(workspace, a, b, shared, around):
     """SHA-256 of everything that the pair's map depends on."""
-    parts = [str(VERSION).encode(), shared.tobytes()]
+    parts = [str(VERSION).encode(), shared.tobytes(), around.tobytes()]
     for v in (a, b):
         parts += [v.K.tobytes(), v.R.tobytes(), v.t.tobytes(), str(v.size).encode()]
         with contextlib.suppress(OSError):

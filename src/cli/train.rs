@@ -1,6 +1,9 @@
 //! `viewrank train`: learns from finished depth maps where a backend succeeds.
 
-use std::path::{Path, PathBuf};
+use std::{
+    io::ErrorKind,
+    path::{Path, PathBuf},
+};
 
 use crate::{
     apps::{
@@ -8,8 +11,8 @@ use crate::{
         learn::{self, Fitted, Lesson, Numbers},
     },
     backends::{self, planned_for},
-    base::shell::command_path,
-    config::CommandLineSettings,
+    base::{error::Hint, shell::command_path},
+    config::{CommandLineSettings, ConfidenceSource},
     io::{
         depthmaps::{self, DepthMapFormat},
         output::{self, Disk},
@@ -17,7 +20,7 @@ use crate::{
     },
     model::cluster::{RankedCluster, ViewCluster},
     plan::{Plan, Timings},
-    show::manifest::WrittenPlan,
+    show::manifest::{WrittenPlan, WrittenPlanError},
 };
 use clap::Args;
 
@@ -57,6 +60,8 @@ pub struct Arguments {
 
 /// A planned project with its maps.
 struct Prepared {
+    /// Name of the backend that made the maps.
+    backend: String,
     plan: Plan,
     maps: depthmaps::DepthMapSet,
     clusters: Vec<ViewCluster>,
@@ -70,7 +75,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let progress = Progress::new(arguments.quiet);
     let prepared: Vec<Prepared> =
         arguments.projects.iter().map(|root| prepare(arguments, root, &progress)).collect::<Result<_, _>>()?;
-    let backend = backends::by_name(&backend(arguments, &prepared[0].maps.maps[0].format))?;
+    let backend = backends::by_name(one_backend(&prepared)?)?;
     let lessons: Vec<Lesson> = prepared.iter().map(lesson).collect();
     let numbers = &backend.planning;
     let before = Numbers { min_matches: numbers.confidence.min_matches, photometric: numbers.photometric };
@@ -87,23 +92,50 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     }
 }
 
+/// Plans the project as its written plan was made, else by its settings, with the confidence that is fitted.
 fn prepare(arguments: &Arguments, root: &Path, progress: &Progress) -> Result<Prepared, Failure> {
-    let project = Project::open_or_planned(root, None)?;
-    let folder = depthmaps::folder_of(&project.root, project.dense_workspace.as_deref(), &arguments.depth_maps);
-    let mut typed = CommandLineSettings::default();
-    typed.set("train", "confidence.source", Some("photometric"));
-    let mut settings = config::load(Some(&project.root), typed)?.settings;
-    let project = project.with_images(settings.images.as_deref());
+    let (project, mut settings, written) = match WrittenPlan::read(root) {
+        Ok(written) => {
+            let ranked = |cluster: &RankedCluster| ViewCluster { key: cluster.key, partners: cluster.partners.clone() };
+            let clusters = written.clusters.iter().map(ranked).collect();
+            (written.project, written.settings, clusters)
+        }
+        Err(WrittenPlanError::Io { source, .. }) if source.kind() == ErrorKind::NotFound => {
+            let project = Project::open_or_planned(root, None)?;
+            let settings = config::load(Some(&project.root), CommandLineSettings::default())?.settings;
+            (project.with_images(settings.images.as_deref()), settings, Vec::new())
+        }
+        Err(error) => return Err(error.into()),
+    };
     let scene = project.read_scene()?;
+    let folder = depthmaps::folder_of(&project.root, project.dense_workspace.as_deref(), &arguments.depth_maps);
     let found = depthmaps::find(&folder, &scene)?.into_complete()?;
-    settings.backends = vec![backend(arguments, &found.maps[0].format)];
+    let backend = backend(arguments, &found.maps[0].format);
+    settings.confidence.source = ConfidenceSource::Photometric;
+    settings.backends = vec![backend.clone()];
     let plan =
         Plan::from_scene(&project, scene, &settings, &planned_for(&project, &settings)?, Timings::start(), progress)?;
-    let ranked = |cluster: &RankedCluster| ViewCluster { key: cluster.key, partners: cluster.partners.clone() };
-    let written: Vec<ViewCluster> =
-        WrittenPlan::read(root).map(|written| written.clusters.iter().map(ranked).collect()).unwrap_or_default();
     let clusters = evaluate::tried(&folder, &found.maps, &plan.stages.scene, &written)?;
-    Ok(Prepared { plan, maps: found, clusters })
+    Ok(Prepared { backend, plan, maps: found, clusters })
+}
+
+/// Numbers are those of one backend.
+fn one_backend(prepared: &[Prepared]) -> Result<&str, MixedBackends> {
+    let first = &prepared[0].backend;
+    match prepared.iter().find(|other| other.backend != *first) {
+        None => Ok(first),
+        Some(other) => Err(MixedBackends([first.clone(), other.backend.clone()])),
+    }
+}
+
+#[derive(Debug, thiserror::Error)]
+#[error("the depth maps are of two backends, {} and {}", .0[0], .0[1])]
+struct MixedBackends([String; 2]);
+
+impl Hint for MixedBackends {
+    fn hint(&self) -> Option<String> {
+        Some("train on the projects of one backend, or name it with --backend".into())
+    }
 }
 
 fn lesson(prepared: &Prepared) -> Lesson<'_> {

@@ -14,7 +14,7 @@ use crate::{
         error::Hint,
         input::{self, FileKind},
     },
-    io::depthmaps::{self, DepthMapFile},
+    io::depthmaps::{self, DepthMapFile, DepthMapFormat},
     model::{
         cluster::ViewCluster,
         scene::{Scene, ViewIndex},
@@ -117,7 +117,10 @@ pub fn tried(
         if let Some(reported) = report.get(&map.view) {
             return Some(ViewCluster { key: map.view, partners: reported.tried.clone() });
         }
-        let ids = depthmaps::read(&map.path, map.format).map(|map| map.ids).unwrap_or_default();
+        let ids = match map.format {
+            DepthMapFormat::OpenMvs => depthmaps::read(&map.path, map.format).map(|map| map.ids).unwrap_or_default(),
+            _ => Vec::new(),
+        };
         let own = planned.iter().find(|c| c.key == map.view).cloned();
         let cluster = own.unwrap_or(ViewCluster { key: map.view, partners: Vec::new() });
         Some(really_matched(&cluster, &report, &ids, scene)).filter(|cluster| !cluster.partners.is_empty())

@@ -44,7 +44,7 @@ impl Outcomes {
         pairs.zip(&self.shares).zip(&self.weights).map(|((pairs, &share), &weight)| (pairs, share, weight))
     }
 
-    pub fn joined(all: Vec<Self>) -> Self {
+    pub fn joined(all: &[Self]) -> Self {
         Self::of(all.iter().flat_map(Self::each))
     }
 
@@ -60,12 +60,6 @@ impl Outcomes {
             0 | 1 => self,
             step => Self::of(self.each().step_by(step)),
         }
-    }
-
-    /// The first and the second half.
-    pub fn halves(&self) -> [Self; 2] {
-        let middle = self.len() / 2;
-        [Self::of(self.each().take(middle)), Self::of(self.each().skip(middle))]
     }
 
     /// Prediction, share and weight of each triangle.
@@ -175,9 +169,10 @@ mod tests {
         let numbers =
             Numbers { min_matches: 2, photometric: Photometric { agree: 0.9, differ: 0.1, full_agreement: 0.8 } };
         let all = drawn(&numbers, 101, 1);
-        let [first, second] = all.halves();
-        assert_eq!((first.len(), second.len()), (50, 51));
-        assert_eq!(Outcomes::joined(vec![first, second]), all);
+        let parts = [drawn(&numbers, 40, 2), all.clone()];
+        let joined = Outcomes::joined(&parts);
+        assert_eq!(joined.len(), 141);
+        assert_eq!(joined.predicted(&numbers)[40..], all.predicted(&numbers));
         assert_eq!(all.clone().thinned(40).len(), 34);
         assert_eq!(all.clone().thinned(101), all);
     }

@@ -57,7 +57,7 @@ pub struct Fitted {
     pub triangles: usize,
     /// How well the numbers before the training predict them.
     pub before: Scores,
-    /// The same for numbers that were fitted without the scene (of a single one: without the half of the views, by name) that they predict.
+    /// The same for numbers that were fitted without the scene (of a single one: without the half of the maps, by name) that they predict.
     pub after: Scores,
 }
 
@@ -66,10 +66,11 @@ pub struct Fitted {
 /// # Errors
 /// A depth map that cannot be read; no triangle whose pictures were compared.
 pub fn train(lessons: &[Lesson], before: Numbers, watcher: &dyn Watcher) -> Result<Fitted, TrainError> {
-    let outcomes: Vec<Outcomes> = lessons.iter().map(|lesson| lesson.outcomes(watcher)).collect::<Result<_, _>>()?;
-    let parts: Vec<Outcomes> = match &outcomes[..] {
-        [single] => single.halves().into(),
-        scenes => scenes.to_vec(),
+    let by_map: Vec<Vec<Outcomes>> = lessons.iter().map(|lesson| lesson.outcomes(watcher)).collect::<Result<_, _>>()?;
+    let outcomes: Vec<Outcomes> = by_map.iter().map(|maps| Outcomes::joined(maps)).collect();
+    let parts: Vec<Outcomes> = match &by_map[..] {
+        [maps] => [&maps[..maps.len() / 2], &maps[maps.len() / 2..]].map(Outcomes::joined).into(),
+        _ => outcomes.clone(),
     };
     if outcomes.iter().all(Outcomes::is_empty) {
         return Err(TrainError::NothingCompared);
@@ -90,8 +91,8 @@ pub fn train(lessons: &[Lesson], before: Numbers, watcher: &dyn Watcher) -> Resu
 }
 
 impl Lesson<'_> {
-    /// Measures all maps, in the order of the views' names.
-    fn outcomes(&self, watcher: &dyn Watcher) -> Result<Outcomes, TrainError> {
+    /// Measures each map, in the order of the views' names.
+    fn outcomes(&self, watcher: &dyn Watcher) -> Result<Vec<Outcomes>, TrainError> {
         let (done, total) = (AtomicU64::new(0), self.maps.len() as u64);
         let of_map = |map: &DepthMapFile| {
             watcher.check()?;
@@ -102,8 +103,7 @@ impl Lesson<'_> {
         };
         let mut maps: Vec<&DepthMapFile> = self.maps.iter().collect();
         maps.sort_by_key(|map| self.model.scene.name(map.view));
-        let each: Vec<Outcomes> = maps.par_iter().map(|map| of_map(map)).collect::<Result<_, TrainError>>()?;
-        Ok(Outcomes::joined(each))
+        maps.par_iter().map(|map| of_map(map)).collect()
     }
 
     /// The triangles of a map that enough cameras see, if all their pictures were compared.

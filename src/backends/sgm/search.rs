@@ -25,13 +25,16 @@ const MIN_HELD: f64 = 0.7;
 /// Added to both ends of the search range: share of it, and pixels.
 const RANGE_MARGIN: f64 = 0.1;
 const RANGE_PIXELS: f64 = 5.0;
+/// Share of the key view that the partner must show.
+const MIN_OVERLAP: f64 = 0.03;
+/// Places of the longer side, and disparities of the search range, at which the matcher looks for what both show.
+const OVERLAP_GRID: (f64, u32) = (64.0, 5);
 /// An epipole farther away than this times its height is put there.
 const FAR: f64 = 1e6;
-/// Disparities come in groups.
+/// Disparities are searched in groups.
 const GROUP: f64 = 16.0;
 
-/// Returns the points of the scene whose disparity is searched; nothing where these are too few of the pair's points. Pairs whose pictures
-/// hardly overlap, which the matcher refuses, too, are not foreseen.
+/// Returns the points of the scene whose disparity is searched; nothing where these are too few of the pair's points, or the pictures hardly overlap.
 pub fn reach(pair: &PairGeometry, points: &ViewPoints, image_scale: f64) -> Reach {
     let [key, partner] = [pair.key, pair.partner].map(|view| Reduced::new(pair.scene, view, image_scale));
     let position = |point: &PointIndex| pair.scene.points[point.index()];
@@ -40,7 +43,10 @@ pub fn reach(pair: &PairGeometry, points: &ViewPoints, image_scale: f64) -> Reac
     let (of_key, of_partner) = (points.observed_by(pair.key), points.observed_by(pair.partner));
     let others = of_partner.iter().filter(|point| of_key.binary_search(point).is_err());
     let around = of_key.iter().chain(others).map(position);
-    let Some(searched) = parallax.searched(&key, &partner, around) else { return Reach::Nothing };
+    let searched =
+        parallax.searched(&key, &partner, around).filter(|searched| parallax.overlap(&key, &partner, searched));
+    let Some(Range { start, end }) = searched else { return Reach::Nothing };
+    let searched = start..start + GROUP * ((end - start) / GROUP).ceil();
     Reach::Part(Box::new(move |point| {
         let (pixel, depth) = key.project(point);
         depth > 0.0 && searched.contains(&parallax.disparity(pixel, 1.0 / depth))
@@ -80,8 +86,11 @@ impl Reduced {
     /// Pixel and depth of a point in front of the view and in its image.
     fn shows(&self, point: &Point3<f64>) -> Option<(Vector2<f64>, f64)> {
         let (pixel, depth) = self.project(point);
-        let inside = |axis: usize| pixel[axis] > -0.5 && pixel[axis] < self.size[axis] - 0.5;
-        (depth > 0.0 && inside(0) && inside(1)).then_some((pixel, depth))
+        (depth > 0.0 && self.holds(&pixel)).then_some((pixel, depth))
+    }
+
+    fn holds(&self, pixel: &Vector2<f64>) -> bool {
+        (0..2).all(|axis| pixel[axis] > -0.5 && pixel[axis] < self.size[axis] - 0.5)
     }
 }
 
@@ -91,6 +100,8 @@ struct Parallax {
     plane: Vector3<f64>,
     epipole: Vector2<f64>,
     gain: f64,
+    /// Pixel of the key view to pixel of the partner, through the plane.
+    homography: Matrix3<f64>,
 }
 
 impl Parallax {
@@ -110,7 +121,9 @@ impl Parallax {
         let plane = planes.into_iter().find(|plane| bend(plane) > 0.1).filter(|_| centre.norm() > 0.0)?;
         let e = -key.intrinsics * centre;
         let height = e.z.abs().max(e.xy().norm() / FAR).copysign(e.z);
-        Some(Self { plane, epipole: e.xy() / height, gain: height / bend(&plane) })
+        let by_plane = rotation + translation * (plane.transpose() * key.intrinsics);
+        let homography = partner.intrinsics * by_plane * key.intrinsics.try_inverse()?;
+        Some(Self { plane, epipole: e.xy() / height, gain: height / bend(&plane), homography })
     }
 
     fn disparity(&self, pixel: Vector2<f64>, inverse: f64) -> f64 {
@@ -119,7 +132,7 @@ impl Parallax {
         radius * off / (1.0 + off)
     }
 
-    /// Returns the disparities that the matcher searches, pixels: those of the points that both images show, with a margin, or the window that it
+    /// Returns the disparities that the matcher is to search, pixels: those of the points that both images show, with a margin, or the window that it
     /// can search with most of them; `None` if these are too few.
     fn searched(
         &self,
@@ -139,7 +152,7 @@ impl Parallax {
         let (low, high) = ((low - margin).floor(), (high + margin).ceil());
         let room = GROUP * (MAX_DISPARITIES * key.size.max() / GROUP).round_ties_even();
         if high - low <= room {
-            return Some(low..low + GROUP * ((high - low) / GROUP).ceil());
+            return Some(low..high);
         }
         let held = |(i, d): (usize, &f64)| {
             disparities.partition_point(|x| *x <= d + room - 2.0 * RANGE_PIXELS).saturating_sub(i)
@@ -149,6 +162,28 @@ impl Parallax {
             disparities.iter().enumerate().map(|at| (held(at), at.0)).max_by_key(|&(held, i)| (held, Reverse(i)))?;
         let low = disparities[first].floor() - RANGE_PIXELS;
         (most > 0 && most as f64 >= MIN_HELD * disparities.len() as f64).then_some(low..low + room)
+    }
+
+    /// True if the partner shows enough of the key view's picture at one of the searched disparities.
+    fn overlap(&self, key: &Reduced, partner: &Reduced, searched: &Range<f64>) -> bool {
+        let step = key.size.max() / OVERLAP_GRID.0;
+        let [columns, rows] = [key.size.x, key.size.y].map(|side| ((side + 0.5) / step).ceil() as usize);
+        let enough = (MIN_OVERLAP * (columns * rows) as f64).ceil() as usize;
+        let (range, parts) = (searched.end - searched.start, f64::from(OVERLAP_GRID.1 - 1));
+        let shown = |place: &usize| {
+            let pixel = Vector2::new((place % columns) as f64, (place / columns) as f64) * step;
+            let offset = pixel.add_scalar(-0.5) - self.epipole;
+            let radius = offset.norm();
+            (0..OVERLAP_GRID.1).any(|part| {
+                let disparity = searched.start + range * f64::from(part) / parts;
+                let carried = self.epipole + offset * ((radius - disparity) / radius.max(1e-9));
+                let there = self.homography * carried.push(1.0);
+                radius > disparity && there.z > 0.0 && partner.holds(&(there.xy() / there.z))
+            })
+        };
+        // Spread over the picture, so that most pairs are decided after a few places.
+        let places = (0..columns).flat_map(|first| (first..columns * rows).step_by(columns));
+        places.filter(shown).take(enough).count() == enough
     }
 }
 

@@ -167,6 +167,13 @@ impl Configuration {
             let why = format!("must not be above partners.gate.max_angle, which is {most}");
             return Err(self.refuse("partners.gate.min_angle", least, why));
         }
+        let confidence = &self.settings.confidence;
+        if let (Some(differ), Some(agree)) = (confidence.differ, confidence.agree)
+            && differ > agree
+        {
+            let why = format!("must not be above confidence.agree, which is {agree}");
+            return Err(self.refuse("confidence.differ", differ, why));
+        }
         if surface.up == Some([0.0; 3]) {
             return Err(self.refuse("surface.up", "0,0,0", "must be a direction".into()));
         }
@@ -425,9 +432,20 @@ impl Hint for ConfigError {
 
 /// Finds the known key nearest to a misspelt one: similar as a whole, or in its last part.
 fn nearest(key: &str) -> Option<&'static str> {
-    let last = |key: &'_ str| key.rsplit('.').next().unwrap_or_default().to_owned();
-    let likeness =
-        |known: &str| strsim::jaro_winkler(known, key).max(0.99 * strsim::jaro_winkler(&last(known), &last(key)));
+    let parts =
+        |key: &'_ str| key.rsplit_once('.').map_or((String::new(), key.into()), |(s, l)| (s.into(), String::from(l)));
+    let (section, last) = parts(key);
+    let is_section = keys().iter().any(|known| parts(&known.name).0 == section);
+    let likeness = |known: &str| {
+        let (of_known, last_of_known) = parts(known);
+        // A section says little of a setting, so that it only counts by its letters.
+        let whole = match section.is_empty() {
+            true => strsim::jaro_winkler(known, key),
+            false => strsim::normalized_damerau_levenshtein(known, key),
+        };
+        let other = if section.is_empty() || !is_section || of_known == section { 0.99 } else { 0.8 };
+        whole.max(other * strsim::jaro_winkler(&last_of_known, &last))
+    };
     let best = keys().iter().max_by(|a, b| likeness(&a.name).total_cmp(&likeness(&b.name)))?;
     (likeness(&best.name) > 0.8).then_some(&best.name)
 }

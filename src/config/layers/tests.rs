@@ -75,6 +75,12 @@ fn unknown_keys_name_the_line_and_the_nearest() {
         ("gsd = 1\n", "project.toml:1: unknown setting gsd", "did you mean target.gsd?"),
         ("[target]\ngds = 1\n", "project.toml:2: unknown setting target.gds", "did you mean target.gsd?"),
         ("xyzzy = 1\n", "project.toml:1: unknown setting xyzzy", "run viewrank config to list all settings"),
+        (
+            "confidence.model = 1\n",
+            "project.toml:1: unknown setting confidence.model",
+            "run viewrank config to list all settings",
+        ),
+        ("confidence.agre = 1\n", "project.toml:1: unknown setting confidence.agre", "did you mean confidence.agree?"),
     ] {
         assert_eq!(refused(text), (message.to_owned(), hint.to_owned()));
     }
@@ -94,6 +100,9 @@ fn values_out_of_range_or_type_are_refused() {
     assert!(message("partners.method = \"best\"").contains("must be "));
     assert!(message("cut.target = \"180\"").contains("a share above 0% and up to 100%"));
     assert!(message("surface.max_edge_factor = 10").contains("must not be below surface.edge_factor, which is 20"));
+    assert!(
+        message("[confidence]\nagree = 0.3\ndiffer = 0.4").contains("must not be above confidence.agree, which is 0.3")
+    );
     assert!(message("target = 3").contains("target = 3"));
     assert!(message("[target\ngsd = 1").starts_with("project.toml:1: "));
     assert!(message("seed = -1").contains("seed = -1"));

@@ -50,6 +50,8 @@ pub enum ImageError {
     Large { width: u32, height: u32 },
     #[error("{width} x {height} pixels, the camera has {} x {}", camera[0], camera[1])]
     Shape { width: u32, height: u32, camera: [u32; 2] },
+    #[error("its mask: {0}")]
+    Mask(Box<ImageError>),
 }
 
 impl Image {

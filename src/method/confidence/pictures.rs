@@ -96,11 +96,11 @@ impl Pictures {
     /// Returns the view's mask; `None` if it has none.
     pub(super) fn mask(&self, scene: &Scene, view: ViewIndex) -> Result<Option<Mask>, ImageError> {
         let path = self.masks.as_deref().and_then(|folder| mask_file(folder, scene.name(view)));
-        let mask = path.map(|path| Mask::decode(&input::read(&path, FileKind::Picture)?)).transpose()?;
-        if let Some(mask) = &mask {
-            check_shape([mask.width, mask.height], scene.camera_of(view))?;
-        }
-        Ok(mask)
+        let read = |path: PathBuf| {
+            let mask = Mask::decode(&input::read(&path, FileKind::Picture)?)?;
+            check_shape([mask.width, mask.height], scene.camera_of(view)).map(|()| mask)
+        };
+        path.map(read).transpose().map_err(|fault| ImageError::Mask(Box::new(fault)))
     }
 
     /// Returns the paths of a view's image and mask; the image may not exist.

@@ -21,7 +21,8 @@ use crate::{
 /// Path of the cache in its project.
 pub const AGREEMENT_CACHE: &str = "viewrank/cache/agreement.table";
 
-const MAGIC: &str = "viewrank agreement 2\n";
+/// Its number is raised when the same input gives another table: by other samples, another comparison, or another rule of a program's reach.
+const MAGIC: &str = "viewrank agreement 3\n";
 /// Limit for the line of JSON, bytes: a few per view, and the warnings.
 const LONGEST_HEAD: u64 = 64 << 20;
 /// Values read at once.
