@@ -45,7 +45,11 @@ pub fn chosen(project: &Project, settings: &Settings) -> Result<(&'static Backen
 
 /// Like [`chosen`], for settings that name no backend.
 pub fn by_default(project: &Project) -> (&'static Backend, Why) {
-    if let Some(backend) = BACKENDS.iter().copied().find(|backend| (backend.serves)(project)) {
+    // A workspace of `viewrank undistort` says that images were distorted, not which program will match them.
+    let is_set_up = |backend: &Backend| {
+        (backend.serves)(project) && !(backend.name == colmap::BACKEND.name && project.has_undistorted_workspace())
+    };
+    if let Some(backend) = BACKENDS.iter().copied().find(|backend| is_set_up(backend)) {
         return (backend, Why::Project);
     }
     if let Some(program) = installed("DENSIFY", "DensifyPointCloud") {
