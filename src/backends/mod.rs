@@ -215,7 +215,7 @@ pub struct Capabilities {
 }
 
 /// By COLMAP's photometric depth maps of a room, the only ones of a PatchMatch on a GPU (method 7.4).
-const BY_COLMAPS_MAPS: Photometric = Photometric { agree: 0.95, differ: 0.02, full_agreement: 0.8 };
+const BY_COLMAPS_MAPS: Photometric = Photometric { agree: 0.95, differ: 0.02, full_agreement: 0.9 };
 
 /// OpenMVS's numbers, for PatchMatch programs without measurements; `support` 2, since their fusion keeps depths on which maps agree.
 const PATCH_MATCH: PlanningNumbers = PlanningNumbers {
