@@ -37,7 +37,7 @@ pub struct Pictures {
 
 /// Size and times of a file, which show a change without reading it.
 #[derive(Serialize)]
-pub(super) struct Stamp {
+pub struct Stamp {
     size: u64,
     /// Modification time, nanoseconds since 1970.
     modified: u64,
@@ -69,7 +69,7 @@ impl Pictures {
     }
 
     /// Returns size and times of a view's image and mask, where they exist; `None` if the time of change of a file is unknown.
-    pub(super) fn stamps(&self, name: &str) -> Option<[Option<Stamp>; 2]> {
+    pub fn stamps(&self, name: &str) -> Option<[Option<Stamp>; 2]> {
         let stamps = self.files(name).map(|path| path.and_then(|path| path.metadata().ok()).map(|m| Stamp::new(&m)));
         stamps.iter().flatten().all(|stamp| stamp.modified != 0).then_some(stamps)
     }
