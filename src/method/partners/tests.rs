@@ -159,3 +159,48 @@ fn threads_do_not_matter() {
     };
     assert_eq!(with(1), with(16));
 }
+
+/// The parts of the search against plain loops over what they choose from; of equal sums, the first counts.
+#[test]
+fn each_part_of_the_search_takes_the_best_of_what_it_looks_at() {
+    let setting = Setting::new();
+    let rule = FulfilmentRule { min_cameras: 2, confidence: Confidence::None, ..setting.model().rule };
+    let model = Model { rule, ..setting.model() };
+    let (mut slots, mut improved) = (BlockSlots::new(&model), 0);
+    for key in setting.scene.view_indices().step_by(5) {
+        let own = setting.candidates.candidates_of(key);
+        if own.len() < 7 {
+            continue;
+        }
+        // Two that are the same.
+        let partners = [own[0], own[3], own[3], own[1], own[2], own[4], own[5], own[6]];
+        let n = partners.len();
+        let mut block = Block::new(&model, key, &partners, |_| true, &mut slots);
+        let judges = search::judges(&block);
+        let single: Vec<f64> = block.sums(&(0..n).map(|p| vec![p]).collect::<Vec<_>>(), judges);
+        let first_best = (0..n).fold(0, |best, p| if single[p] > single[best] { p } else { best });
+        assert_eq!(search::greedy(&mut block, n, 1, judges), [first_best]);
+        assert_eq!(sampled::best(&mut block, &[vec![0, 1], vec![0, 2]]), [0, 1]);
+        assert_eq!(search::best_first(&mut block, vec![2, 1]), [1, 2]);
+        let start = PartnerChoice::new(&mut block, vec![1, 2, 3]);
+        let exchanges: Vec<Vec<usize>> = (0..3)
+            .flat_map(|out| (0..n).map(move |p| (out, p)))
+            .filter(|(_, p)| !start.partners.contains(p))
+            .map(|(out, p)| (0..3).map(|i| if i == out { p } else { start.partners[i] }).collect())
+            .collect();
+        let best_sum = |sets: &[Vec<usize>], block: &mut Block| {
+            sets.iter().map(|set| PartnerChoice::new(block, set.clone()).sum).fold(0.0, f64::max)
+        };
+        let expected = best_sum(&exchanges, &mut block);
+        match search::exchange(&mut block, &start, n, judges) {
+            Some(found) => {
+                assert!((found.sum - expected).abs() <= 1e-5 * expected, "{} {expected}", found.sum);
+                improved += 1;
+            }
+            None => assert!(start.sum >= expected - 1e-5 * expected),
+        }
+        let found = search::search(&mut block, vec![1, 2, 3], n);
+        assert!(found.sum >= expected - 1e-5 * expected, "at least one exchange is made");
+    }
+    assert!(improved > 0);
+}
