@@ -74,7 +74,7 @@ pub fn hole_bytes(file: &File, length: u64) -> u64 {
                 break;
             }
         }
-        return if seek(file, SeekFrom::Start(0)).is_ok() { holes } else { 0 };
+        if seek(file, SeekFrom::Start(0)).is_ok() { holes } else { 0 }
     }
     #[cfg(not(any(target_os = "linux", target_os = "macos")))]
     {

@@ -64,7 +64,7 @@ pub fn greedy(block: &mut Block, n: usize, k: usize, judges: Judges) -> Vec<usiz
 }
 
 /// Returns the best exchange of one partner by the judging triangles that also gains on all triangles.
-pub fn exchange(block: &mut Block, best: &PartnerChoice, n: usize, judges: Judges) -> Option<PartnerChoice> {
+fn exchange(block: &mut Block, best: &PartnerChoice, n: usize, judges: Judges) -> Option<PartnerChoice> {
     let now = block.sums(std::slice::from_ref(&best.partners), judges)[0];
     let left: Vec<usize> = (0..n).filter(|p| !best.partners.contains(p)).collect();
     let mut moves = Vec::new();
