@@ -129,7 +129,7 @@ pub struct Arguments {
     /// Also write the bare surface as a PLY file
     #[arg(long, value_name = "FILE", help_heading = "Output")]
     dump_surface: Option<PathBuf>,
-    /// Also write the page of viewrank report, in a fraction of the time that it takes alone
+    /// Also write the page of viewrank report
     #[arg(long, conflicts_with = "dry_run", help_heading = "Output")]
     report: bool,
     /// Plan, but write nothing

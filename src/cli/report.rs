@@ -27,7 +27,7 @@ use super::{Failure, Format, json, print, progress::Progress};
 ///
 /// Shows a map, the curve, the ranked views with their reasons, and the gaps, for any cut. A flight plan of images that would fill the gaps is
 /// written to PROJECT/viewrank/flight. The page needs no network.
-/// Run viewrank plan first; a new plan marks the old page as stale. The tables are computed again, which takes as long as planning did;
+/// Run viewrank plan first; a new plan marks the old page as stale. Tables that viewrank/cache does not hold are computed again;
 /// viewrank plan --report writes the page without that.
 #[derive(Args)]
 pub struct Arguments {

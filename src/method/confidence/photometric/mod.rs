@@ -227,3 +227,37 @@ impl Agreement {
         self.values.bytes() + 4 * self.partners.len()
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const NUMBERS: Photometric = Photometric { agree: 0.9, differ: 0.2, full_agreement: 0.8 };
+
+    #[test]
+    fn chances_rise_with_the_correlation_up_to_full_agreement() {
+        let chance = |correlation: f32| NUMBERS.chance(packed(Some(correlation)));
+        for (correlation, expected) in [(-1.0, 0.2), (0.0, 0.2), (0.4, 0.55), (0.8, 0.9), (1.0, 0.9)] {
+            assert!((chance(correlation) - expected).abs() < 0.002, "{correlation}: {}", chance(correlation));
+        }
+        assert_eq!(NUMBERS.chance(packed(None)), 0.0);
+    }
+
+    #[test]
+    fn settings_take_the_place_of_the_programs_numbers() {
+        let settings = |agree, differ, full_agreement| ConfidenceSettings {
+            agree,
+            differ,
+            full_agreement,
+            ..ConfidenceSettings::default()
+        };
+        assert_eq!(NUMBERS.with(&settings(None, None, None)), NUMBERS);
+        let all = Photometric { agree: 0.7, differ: 0.1, full_agreement: 0.5 };
+        assert_eq!(NUMBERS.with(&settings(Some(0.7), Some(0.1), Some(0.5))), all);
+        assert_eq!(
+            NUMBERS.with(&settings(Some(0.15), None, None)).differ,
+            0.15,
+            "never above the chance where they agree"
+        );
+    }
+}
