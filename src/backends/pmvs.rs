@@ -8,7 +8,7 @@ use super::{
 };
 use crate::{
     io::output::Contents,
-    model::scene::{Scene, ViewIndex},
+    model::scene::{PointIndex, Scene, ViewIndex},
 };
 
 /// Name of the option file; `viewrank` itself is the folder of viewrank's records.
@@ -18,11 +18,11 @@ pub static BACKEND: Backend = Backend {
     name: "pmvs",
     aliases: &["pmvs2", "cmvs"],
     capabilities: Capabilities {
-        partners: Honours::Yes,
+        partners: Honours::Partly,
         key_subset: Honours::Yes,
         order: Honours::No,
         fusion: "none needed: it makes patches, not depth maps",
-        notes: "patches start in the key views and are matched in their partners; the order of key views is PMVS2's own",
+        notes: "patches start in the key views and are matched in their partners and in other images of the plan that share points; the order of key views is PMVS2's own",
     },
     planning: PlanningNumbers {
         support: 1,
@@ -67,7 +67,10 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     record.way = "timages, oimages, vis.dat".into();
     // PMVS2 concatenates folder and file names: the slash is required.
     record.commands = vec![format!("pmvs2 ./ {OPTIONS}")];
-    record.not_honoured = vec!["the rank order".into()];
+    record.not_honoured = vec![
+        "only the partners: PMVS2 chooses for each patch among all images of the export that share points with its key view".into(),
+        "the rank order".into(),
+    ];
     record.note_scale(selection, |_| (-level(selection)).exp2());
     record.fusion = format!("none; models/{OPTIONS}.ply");
     files.add_text("export.json", record.to_json());
@@ -100,15 +103,38 @@ fn extension(name: &str) -> Result<&'static str, BackendError> {
 }
 
 /// Returns `vis.dat`: rows are identified by position, one for each image, also for those without partners.
+///
+/// Behind a key view's partners stand the other images of the export that observe a point with it. PMVS2 holds them anyway, and chooses the best
+/// of the row for each patch: with the partners alone, patches end where those of another key view should go on.
 fn visibility(selection: &Selection, views: &[ViewIndex], index: &[usize]) -> String {
+    let together = observed_together(selection, views, index);
     let mut text = format!("VISDATA\n{}\n", views.len());
     for i in 0..views.len() {
         let partners = selection.clusters.get(i).map_or(&[][..], |c| &c.partners);
-        text += &format!("{i} {}", partners.len());
-        partners.iter().for_each(|p| text += &format!(" {}", index[p.index()]));
+        let mut row: Vec<usize> = partners.iter().map(|p| index[p.index()]).collect();
+        if let Some(together) = together.get(i) {
+            row.extend((0..views.len()).filter(|&other| together[other] && !partners.contains(&views[other])));
+        }
+        text += &format!("{i} {}", row.len());
+        row.iter().for_each(|other| text += &format!(" {other}"));
         text.push('\n');
     }
     text
+}
+
+/// For each key view, which of the exported images observe a point that it observes.
+fn observed_together(selection: &Selection, views: &[ViewIndex], index: &[usize]) -> Vec<Vec<bool>> {
+    let keys = selection.clusters.len();
+    let mut together = vec![vec![false; views.len()]; keys];
+    for point in 0..selection.scene.points.len() {
+        let track = selection.scene.track_views(PointIndex(point as u32));
+        let exported: Vec<usize> =
+            track.iter().map(|v| (v, index[v.index()])).filter(|&(v, i)| views[i] == *v).map(|(_, i)| i).collect();
+        for &key in exported.iter().filter(|&&i| i < keys) {
+            exported.iter().filter(|&&other| other != key).for_each(|&other| together[key][other] = true);
+        }
+    }
+    together
 }
 
 /// PMVS2 halves images.

@@ -44,7 +44,7 @@ fn pmvs_visdata_row_position() {
     let rows = visibility(files.text("vis.dat"));
     let first: Vec<usize> = files.lines("vis.dat")[2..].iter().map(|l| numbers(l)[0] as usize).collect();
     assert_eq!(first, (0..rows.len()).collect::<Vec<_>>(), "complete and ascending");
-    assert!(rows[..4].iter().all(|row| row.len() == 4) && rows[4..].iter().all(Vec::is_empty));
+    assert!(rows[..4].iter().all(|row| row.len() >= 4) && rows[4..].iter().all(Vec::is_empty));
 }
 
 #[test]
@@ -55,7 +55,31 @@ fn pmvs_visdata_ids() {
     let cameras = files.names().into_iter().filter(|n| n.starts_with("txt/")).count();
     assert!(rows.len() == cameras && rows.iter().flatten().all(|&i| i < cameras), "indices, never image ids");
     let indexed: Vec<usize> = files.0.record.clusters[1].partners.iter().map(|p| p.target.parse().unwrap()).collect();
-    assert_eq!(rows[1], indexed);
+    assert_eq!(rows[1][..indexed.len()], indexed);
+}
+
+#[test]
+fn pmvs_row_goes_on_with_what_shares_points() {
+    let fixture = Fixture::new(4);
+    let files = fixture.export("pmvs");
+    let rows = visibility(files.text("vis.dat"));
+    let clusters = &files.0.record.clusters;
+    let mut names = vec![""; rows.len()];
+    for exported in clusters.iter().flat_map(|c| std::iter::once(&c.key).chain(&c.partners)) {
+        names[exported.target.parse::<usize>().unwrap()] = &exported.name;
+    }
+    let view = |name: &str| fixture.scene.find(name).unwrap();
+    let points = fixture.scene.view_points();
+    for (key, row) in rows[..4].iter().enumerate() {
+        let shares = |&other: &usize| !points.shared(view(names[key]), view(names[other])).is_empty();
+        let (mut listed, partners) = (row.clone(), clusters[key].partners.len());
+        listed[partners..].iter().for_each(|other| assert!(shares(other), "{} {}", names[key], names[*other]));
+        listed.sort_unstable();
+        let wanted: Vec<usize> = (0..rows.len())
+            .filter(|other| row[..partners].contains(other) || (*other != key && shares(other)))
+            .collect();
+        assert_eq!(listed, wanted, "each once");
+    }
 }
 
 #[test]
