@@ -84,9 +84,8 @@ fn views_without_a_picture_are_judged_by_their_geometry() {
     let manifest = plan(project.path(), &["--confidence", "photometric", "--threads", "1"]);
     let named = |image: &Path| warnings(&manifest).contains(image.file_name().unwrap().to_str().unwrap());
     assert!(named(&all[0]) && named(&all[1]) && !named(&all[2]));
-    assert!(
-        warnings(&manifest).contains("there is no such image") && warnings(&manifest).contains("no JPEG, PNG or TIFF")
-    );
+    assert!(warnings(&manifest).contains("1 of 28 images are missing"), "once, with its name");
+    assert!(warnings(&manifest).contains("no JPEG, PNG or TIFF"));
     assert!(manifest["cut"]["reachable"].as_f64().unwrap() > 0.5);
     assert!(plan(project.path(), &["--confidence", "photometric", "--threads", "2"]) == manifest, "on two threads");
 }
