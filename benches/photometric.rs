@@ -48,15 +48,15 @@ fn main() -> Fallible<()> {
     let per_image = |seconds: f64| 1e3 * seconds / paths.len() as f64;
     let [colour, grey] = [ColorSpace::RGB, ColorSpace::Luma].map(|space| decode(&paths, space));
     let ([colour, megapixels], [grey, _]) = (colour?, grey?);
+    if project.home.join("viewrank/cache/agreement.table").exists() {
+        return Err("the agreement would be read from the cache: remove viewrank/cache first".into());
+    }
     let start = Instant::now();
     let partners = |view| stages.candidates.candidates_of(view);
     let pictures = Pictures::new(&project);
     let agreement = pool
         .install(|| Agreement::new(&geometry, &pictures, partners, &ProgramReach::EVERYTHING, 1 << 30, &NoWatcher))?;
     let compared = start.elapsed().as_secs_f64();
-    if agreement.cache_head.is_none() {
-        return Err("the agreement was read from the cache: remove viewrank/cache first".into());
-    }
     let views = paths.len() as f64;
     println!(
         "{views} images of {:.1} Mpx, {:.1} partners each",

@@ -39,7 +39,7 @@ const SETTINGS: &[u8] =
 
 /// Two clusters of two views.
 const MANIFEST: &[u8] =
-    br#"{"version":1,"input":{"model":"sparse/0","fingerprint":"f"},"backend":"sgm","settings":{"image_scale":0.5},
+    br#"{"version":2,"input":{"model":"sparse/0","fingerprint":"f"},"backend":"sgm","settings":{"image_scale":0.5},
 "clusters":[{"rank":1,"key":"a","partners":["b"],"gain":0.5,"fulfilment":0.5,"share":0.5,"finished":true},
 {"rank":2,"key":"b","partners":["a"],"gain":0.25,"fulfilment":0.75,"share":1,"finished":false}],
 "cut":{"clusters":1,"pairs":1,"share":0.5,"fulfilment":0.5},

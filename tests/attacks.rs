@@ -208,6 +208,29 @@ fn attack_6_an_edited_manifest_is_used_by_no_command() {
 }
 
 #[test]
+fn a_plan_of_another_version_says_so_and_is_made_again() {
+    let place = Place::new();
+    succeeds(place.plan());
+    let project = place.project();
+    let good = place.manifest();
+    for version in [1, 3] {
+        // Fields of another version are none of this one.
+        let other = serde_json::json!({"version": version, "input": 1, "order": ["a.jpg"]});
+        fs::write(place.own("manifest.json"), other.to_string()).unwrap();
+        let commands: [&[&str]; 4] =
+            [&["export"], &["dispatch", "--scheduler", "shell"], &["report"], &["predict", "--out", "nowhere"]];
+        for command in commands {
+            let error = fails(viewrank(&[command, &[path(&project)]].concat()));
+            let says = error.contains("written by another version") && error.contains("plan again: viewrank plan");
+            assert!(says, "{command:?}: {error}");
+        }
+        succeeds(place.plan());
+        assert_eq!(place.manifest(), good);
+    }
+    succeeds(viewrank(&["export", path(&project)]));
+}
+
+#[test]
 fn attack_7_a_quoted_key_is_an_unknown_setting() {
     let place = Place::new();
     fs::write(place.project().join("viewrank.toml"), "\"partners.k\" = 2\n").unwrap();
@@ -258,7 +281,7 @@ fn links_and_pipes_in_place_of_state_are_never_followed_nor_waited_for() {
 }
 
 #[test]
-fn links_and_pipes_in_place_of_a_dispatchs_state_are_never_followed_nor_waited_for() {
+fn links_and_pipes_in_place_of_a_dispatchs_state_are_refused() {
     let place = Place::new();
     succeeds(viewrank(&["plan", path(&place.project()), "--quiet", "--confidence", "geometric", "--backend", "sgm"]));
     let dispatch = || viewrank(&["dispatch", path(&place.project()), "--scheduler", "shell", "--program", "/bin/true"]);
@@ -274,9 +297,8 @@ fn links_and_pipes_in_place_of_a_dispatchs_state_are_never_followed_nor_waited_f
             let file = folder.join(name);
             _ = fs::remove_file(&file);
             plant(&file);
-            let ended = dispatch();
-            assert_eq!(ended.status.success(), name != "lock", "{name}: {}", said(&ended));
-            assert!(place.is_untouched(), "{name}");
+            let error = fails(dispatch());
+            assert!(error.contains("in place of a file of viewrank's") && place.is_untouched(), "{name}: {error}");
             fs::remove_file(&file).unwrap();
         }
     }
@@ -366,4 +388,57 @@ fn rights_taken_away_lose_no_plan() {
     assert_eq!(fs::read(place.own("manifest.json")).unwrap(), before);
     succeeds(place.plan());
     assert_ne!(fs::read(place.own("manifest.json")).unwrap(), before);
+}
+
+/// A file that costs its sender nothing and takes minutes to read.
+#[cfg(target_os = "linux")]
+#[test]
+fn files_that_are_mostly_holes_are_read_by_no_command() {
+    let place = Place::new();
+    succeeds(place.plan());
+    let points = place.project().join("sparse/0/points3D.bin");
+    let whole = fs::read(&points).unwrap();
+    fs::File::options().write(true).open(&points).and_then(|file| file.set_len(40 << 30)).unwrap();
+    let commands: [&[&str]; 3] = [&["plan"], &["inspect"], &["export"]];
+    for command in commands {
+        let error = fails(viewrank(&[command, &[path(&place.project())]].concat()));
+        assert!(error.contains("points3D.bin") && error.contains("were never written"), "{command:?}: {error}");
+    }
+    fs::write(&points, whole).unwrap();
+    let name = place.images()[0].file_name().unwrap().to_string_lossy().into_owned();
+    let mask = place.project().join(format!("masks/{name}.png"));
+    fs::create_dir_all(mask.parent().unwrap()).unwrap();
+    fs::File::create(&mask).and_then(|file| file.set_len(1 << 30)).unwrap();
+    succeeds(place.plan());
+    assert!(
+        place.manifest()["warnings"].to_string().contains("were never written"),
+        "{}",
+        place.manifest()["warnings"]
+    );
+}
+
+#[test]
+fn scripts_of_dispatch_wait_for_no_pipe_and_write_through_no_link() {
+    let place = Place::new();
+    let (project, outside) = (place.project(), place.folder.path().join("outside"));
+    fs::create_dir(&outside).unwrap();
+    succeeds(viewrank(&["plan", path(&project), "--quiet", "--confidence", "geometric", "--backend", "sgm"]));
+    let dispatch = || viewrank(&["dispatch", path(&project), "--scheduler", "shell", "--program", "/bin/true"]);
+    for name in ["viewrank/progress.json", "viewrank/dispatch/sgm/fused"] {
+        let at = project.join(name);
+        fs::create_dir_all(at.parent().unwrap()).unwrap();
+        make_pipe(&at);
+        assert!(fails(dispatch()).contains("a pipe or a device in place of a file of viewrank's"), "{name}");
+        fs::remove_file(at).unwrap();
+    }
+    for name in ["viewrank/dispatch/sgm/done", "viewrank/dispatch/sgm/logs", "sgm/depth_maps", "sgm"] {
+        let at = project.join(name);
+        fs::create_dir_all(at.parent().unwrap()).unwrap();
+        _ = fs::remove_dir(&at);
+        symlink(&outside, &at).unwrap();
+        assert!(fails(dispatch()).contains("a symbolic link leads out of"), "{name}");
+        fs::remove_file(&at).unwrap();
+    }
+    assert!(fs::read_dir(outside).unwrap().next().is_none());
+    succeeds(dispatch());
 }

@@ -236,6 +236,33 @@ fn a_plan_around_finished_maps_is_read_as_it_was_written() {
 }
 
 /// The model with a view moved along its image by so many pixels at the ground.
+#[test]
+fn kept_stages_change_nothing_and_hold_predictions() {
+    let planned = Planned::new(&town());
+    planned.write_maps(0..3, |column, _| column > 100);
+    let cache = planned.folder.path().join("viewrank/cache");
+    let kept_files = || {
+        let mut files: Vec<_> = fs::read_dir(&cache).unwrap().map(|entry| entry.unwrap().path()).collect();
+        files.sort();
+        files.into_iter().map(|path| (path.clone(), fs::read(path).unwrap())).collect::<Vec<_>>()
+    };
+    let before = kept_files();
+    let fast = planned.again();
+    assert!(fast.unwritten().is_empty(), "nothing was computed but the ranking");
+    fs::remove_dir_all(&cache).unwrap();
+    let slow = planned.again();
+    let manifest = |plan: &Plan| {
+        let project = Project::open(planned.folder.path(), None).unwrap();
+        files(plan, &project).unwrap().manifest.to_json()
+    };
+    assert_eq!(manifest(&fast), manifest(&slow));
+    assert!(
+        fast.stages.fulfilment == slow.stages.fulfilment && fast.stages.fulfilment != planned.plan.stages.fulfilment
+    );
+    write(&slow, planned.folder.path());
+    assert!(kept_files() == before);
+}
+
 fn shifted(scene: &Scene, name: &str, pixels: f64) -> Scene {
     let mut scene = scene.clone();
     let view = scene.find(name).unwrap();

@@ -1,8 +1,12 @@
 #!/usr/bin/env python3
 """Writes finished.sfm: keys.sfm with only those views that have a depth map in depthMaps/. Filtering and meshing open the maps of all views."""
-import json
 import os
 import sys
+
+# The folder may be a stranger's: a json.py that he put there is not imported.
+sys.path[:] = [path for path in sys.path if os.path.realpath(path) != os.path.dirname(os.path.realpath(__file__))]
+
+import json
 from pathlib import Path
 
 folder = Path(__file__).resolve().parent

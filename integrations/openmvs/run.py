@@ -18,17 +18,22 @@ run that fails or is killed loses none. report.json says for each key view what 
 ranges are read from the .dmap files. fused.ply and fused.mvs are replaced when the fusion has succeeded. Exit code 1: something is not as planned. Needs Python 3.8 and nothing else.
 """
 
+import os
+import sys
+
+if __name__ == "__main__":
+    # The folder may be a stranger's: a json.py that he put there is not imported.
+    sys.path[:] = [path for path in sys.path if os.path.realpath(path) != os.path.dirname(os.path.realpath(__file__))]
+
 import argparse
 import array
 import contextlib
 import hashlib
 import json
-import os
 import re
 import shutil
 import struct
 import subprocess
-import sys
 import tempfile
 import time
 from pathlib import Path
@@ -250,7 +255,7 @@ def compute(row, program, report):
 @contextlib.contextmanager
 def workplace(name):
     """A folder in which all that is here is linked except maps. It goes again, unless a finished map waits there for its place."""
-    UNFINISHED.mkdir(exist_ok=True)
+    make_folder(UNFINISHED)
     folder = Path(tempfile.mkdtemp(prefix=f"{name}-", dir=UNFINISHED))
     try:
         for path in HERE.iterdir():
@@ -473,7 +478,7 @@ def fuse_maps(run, there, agree, program):
     """Exit status of the program, and the number of points of the new fused.ply; with none, the earlier files stay."""
     # A list must not be empty: a map that none overlaps is compared with any image of the scene.
     partners = {i: [o for o in run["overlaps"][i] if o in there] or sorted(there - {i})[:1] or [int(i == 0)] for i in there}
-    (HERE / "fuse.txt").write_text("".join(" ".join(map(str, [i, *partners[i]])) + "\n" for i in sorted(there)))
+    write_new(HERE / "fuse.txt", "".join(" ".join(map(str, [i, *partners[i]])) + "\n" for i in sorted(there)))
     with workplace("fusion") as folder:
         (folder / "fusing.mvs").write_bytes(fusion_scene(run["clusters"], there))
         for row in (run["clusters"][i] for i in there):
@@ -503,10 +508,23 @@ def fusion_scene(rows, there):
 
 
 def write_whole(path, content):
-    path.parent.mkdir(exist_ok=True)
+    make_folder(path.parent)
     draft = path.with_suffix(f".{os.getpid()}.tmp")
-    draft.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+    write_new(draft, json.dumps(content, indent=1) + "\n")
     draft.replace(path)
+
+
+def make_folder(path):
+    if path.is_symlink():
+        sys.exit(f"error: {path}: a symbolic link in place of a folder of run.py's\nhint: move it away")
+    path.mkdir(exist_ok=True)
+
+
+def write_new(path, text):
+    """Writes a file in the place of what was there: a stranger's link is not followed."""
+    path.unlink(missing_ok=True)
+    with open(path, "x", encoding="utf-8") as file:
+        file.write(text)
 
 
 def ply_points(path):

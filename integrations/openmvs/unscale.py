@@ -5,8 +5,12 @@ Binary little-endian PLY; everything else in the file stays as it is.
 """
 
 import os
-import struct
 import sys
+
+# The folder may be a stranger's: a json.py that he put there is not imported.
+sys.path[:] = [path for path in sys.path if os.path.realpath(path) != os.path.dirname(os.path.realpath(__file__))]
+
+import struct
 
 SIZES = {"char": "b", "uchar": "B", "short": "h", "ushort": "H", "int": "i", "uint": "I", "float": "f", "double": "d"}
 SIZES |= {"int8": "b", "uint8": "B", "int16": "h", "uint16": "H", "int32": "i", "uint32": "I", "float32": "f", "float64": "d"}

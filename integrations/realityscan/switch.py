@@ -6,8 +6,12 @@ poses or settings of somebody's: it stays as it is and is named.
 """
 
 import os
-import re
 import sys
+
+# The folder may be a stranger's: a json.py that he put there is not imported.
+sys.path[:] = [path for path in sys.path if os.path.realpath(path) != os.path.dirname(os.path.realpath(__file__))]
+
+import re
 from pathlib import Path
 
 SWITCHES = re.compile(rb'xcr:In(Meshing|Texturing)="[01]"')

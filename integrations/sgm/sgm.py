@@ -8,14 +8,23 @@
     sgm.py pairs WORKSPACE --cache DIR --connected 22      only fill the cache of pairs
 """
 
+import os
+import sys
+
+HERE = os.path.dirname(os.path.realpath(__file__))
+if __name__ == "__main__":
+    # The folder may be a stranger's: a numpy.py that he put there is not imported, here or in processes that this one starts.
+    sys.path[:] = [path for path in sys.path if os.path.realpath(path) != HERE]
+    os.environ["PYTHONSAFEPATH"] = "1"
+
 import argparse
 import concurrent.futures
 import json
 import multiprocessing
 import re
 import signal
-import sys
 import time
+import types
 from pathlib import Path
 
 try:
@@ -24,12 +33,26 @@ try:
 except ModuleNotFoundError as error:
     sys.exit(f"error: {error}; pip install numpy opencv-python-headless")
 
+
+
+def read_module(name):
+    """Imports a module that lies here from its source, whatever lies here compiled."""
+    if name not in sys.modules:
+        path = Path(HERE, f"{name}.py")
+        module = sys.modules[name] = types.ModuleType(name)
+        exec(compile(path.read_text(encoding="utf-8"), path, "exec"), module.__dict__)
+
+
+for name in ("workspace", "rectify", "matching", "merge", "pairs", "fuse"):
+    read_module(name)
+
 from fuse import fuse
 from merge import MIN_AGREE, SIGMA_PX, merge
 from pairs import VERSION, Pairs, made_of, write_whole
 from workspace import InputError, Workspace
 
 MAX_PARTNERS = 255  # counts are 8 bit
+MANIFEST_VERSION = 2  # of manifest.json; the fields of others may mean something else
 
 
 # ------------------------------------------------------------------------------------------------------------ clusters
@@ -41,8 +64,7 @@ def read_clusters(path, workspace):
         text = path.read_text(encoding="utf-8", errors="surrogateescape")
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}. Write it with: viewrank plan {workspace.folder}") from error
-    rows = manifest_rows(path, text) if path.suffix == ".json" else tabbed_rows(text)
-    sizes = manifest_sizes(text) if path.suffix == ".json" else sizes_beside(path)
+    rows, sizes = manifest_clusters(path, text, workspace) if path.suffix == ".json" else (tabbed_rows(text), sizes_beside(path))
     clusters, places = [], {}
     for place, (key, *partners) in rows:
         check_cluster(f"{path}, {place}", key, partners, workspace)
@@ -62,17 +84,17 @@ def tabbed_rows(text):
             yield f"line {number}", line.split("\t")
 
 
-def manifest_rows(path, text):
+def manifest_clusters(path, text, workspace):
+    """Rows as of tabbed_rows up to the manifest's cut, and the size of each key view."""
     try:
         manifest = json.loads(text)
+        if manifest["version"] != MANIFEST_VERSION:
+            raise InputError(f"{path}: written by another version of viewrank. Plan again: viewrank plan {workspace.folder}")
         clusters = manifest["clusters"][: manifest["cut"]["clusters"]]
-        return [(f"rank {c['rank']}", [c["key"], *c["partners"]]) for c in clusters]
-    except (ValueError, KeyError, TypeError) as error:
+        rows = [(f"rank {c['rank']}", [c["key"], *c["partners"]]) for c in clusters]
+        return rows, {c["key"]: c.get("scale", 1.0) for c in clusters}
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise InputError(f"{path}: not a manifest of viewrank ({error!r})") from error
-
-
-def manifest_sizes(text):
-    return {c["key"]: c.get("scale", 1.0) for c in json.loads(text)["clusters"]}
 
 
 def sizes_beside(path):
@@ -274,7 +296,16 @@ def run(clusters, args, out, stop, done):
                 done(future.result())
 
 
+def refuse_links(out):
+    """Links in OUT would lead out of a project, which may be a stranger's."""
+    for folder, names, _ in os.walk(out):
+        for name in names:
+            if os.path.islink(os.path.join(folder, name)):
+                raise InputError(f"{os.path.join(folder, name)}: a symbolic link in place of a folder of sgm.py's. Move it away, or name another --out")
+
+
 def match(args):
+    refuse_links(args.out)
     workspace = Workspace(args.workspace, args.image_scale)
     first, seconds = parse_limit(args.stop_at)
     all_clusters = wanted(args, workspace)
@@ -304,7 +335,7 @@ def kept_by_plan(workspace):
     """Key views whose depth maps the plan stands around: those of views that hardly moved since they were made are as good as new ones."""
     try:
         manifest = json.loads((workspace.folder / "viewrank" / "manifest.json").read_text(encoding="utf-8"))
-        return {cluster["key"] for cluster in manifest["clusters"] if cluster["finished"]}
+        return {cluster["key"] for cluster in manifest["clusters"] if cluster["finished"] and manifest["version"] == MANIFEST_VERSION}
     except (OSError, ValueError, KeyError, TypeError):
         return set()
 
@@ -324,6 +355,7 @@ def fill(args):
 
 
 def join(args):
+    refuse_links(args.out)
     workspace = Workspace(args.workspace, args.image_scale)
     clusters = wanted(args, workspace)
     maps, points = fuse({size: Workspace(args.workspace, args.image_scale * size) for size in {1.0} | {size for *_, size in clusters}}, clusters, args.out)

@@ -4,8 +4,11 @@ The scene is rendered here: textured planes seen by pinhole cameras, so that eve
 """
 
 import json
+import py_compile
 import shutil
 import struct
+import subprocess
+import sys
 from pathlib import Path
 
 import cv2
@@ -327,8 +330,51 @@ def test_single_ranks_side_by_side_become_one_report(planes, tmp_path):
 def test_the_manifest_is_read_up_to_its_cut(planes, tmp_path):
     clusters = [{"rank": 1, "key": "key.png", "partners": list(SIDES)}, {"rank": 2, "key": SIDES[0], "partners": ["key.png"]}]
     path = tmp_path / "manifest.json"
-    path.write_text(json.dumps({"clusters": clusters, "cut": {"clusters": 1}}))
+    path.write_text(json.dumps({"version": sgm.MANIFEST_VERSION, "clusters": clusters, "cut": {"clusters": 1}}))
     assert sgm.read_clusters(path, Workspace(planes)) == [("key.png", list(SIDES), 1.0)]
+
+
+def test_what_a_stranger_put_beside_the_scripts_is_not_run(planes, tmp_path):
+    scripts, trap = tmp_path / "scripts", tmp_path / "trapped"
+    scripts.mkdir()
+    for path in Path(sgm.__file__).parent.glob("*.py"):
+        if not path.name.startswith(("test_", "measure", "experiments")):
+            shutil.copy(path, scripts)
+    code = f"open({str(trap)!r}, 'w').close()"
+    for name in ("argparse", "json", "numpy", "re", "signal", "types", "zipfile", "struct"):
+        (scripts / f"{name}.py").write_text(code)
+    for name in ("cv2", "concurrent", "multiprocessing"):
+        (scripts / name).mkdir()
+        (scripts / name / "__init__.py").write_text(code)
+    (scripts / "__pycache__").mkdir()
+    for name in ("workspace", "pairs", "fuse"):
+        (tmp_path / "trap.py").write_text(code)
+        compiled = scripts / "__pycache__" / f"{name}.{sys.implementation.cache_tag}.pyc"
+        py_compile.compile(tmp_path / "trap.py", compiled, invalidation_mode=py_compile.PycInvalidationMode.UNCHECKED_HASH)
+    clusters = write_clusters(tmp_path / "clusters.txt", ("key.png", *SIDES))
+    command = [sys.executable, "sgm.py", "match", planes, "--out", tmp_path / "out", "--clusters", clusters, "--jobs", "2"]
+    done = subprocess.run(command, cwd=scripts, capture_output=True, text=True)
+    assert done.returncode == 0 and (tmp_path / "out/depth_maps/key.png.npy").is_file(), done.stderr
+    assert not trap.exists()
+
+
+def test_nothing_is_written_through_links(planes, tmp_path):
+    (tmp_path / "elsewhere").mkdir()
+    clusters = write_clusters(tmp_path / "clusters.txt", ("key.png", *SIDES))
+    for name in ("depth_maps", "rows", "pairs/key.png"):
+        out = tmp_path / name.replace("/", "_") / "out"
+        (out / name).parent.mkdir(parents=True)
+        (out / name).symlink_to(tmp_path / "elsewhere")
+        with pytest.raises(SystemExit, match="a symbolic link in place of a folder"):
+            run(planes, out, clusters, "--cache", str(out / "pairs"))
+    assert not list((tmp_path / "elsewhere").iterdir())
+
+
+def test_a_manifest_of_another_version_is_not_read(planes, tmp_path):
+    path = tmp_path / "manifest.json"
+    path.write_text(json.dumps({"version": sgm.MANIFEST_VERSION - 1, "order": ["key.png"]}))
+    with pytest.raises(InputError, match="another version of viewrank. Plan again: viewrank plan"):
+        sgm.read_clusters(path, Workspace(planes))
 
 
 @pytest.mark.parametrize("text", ["", "x", "2 h", "1.5", "-1", "2d"])

@@ -43,6 +43,16 @@ def test_a_project_without_a_plan_cannot_be_loaded(tmp_path, valley):
     assert raised.value.path == tmp_path / "viewrank" / "manifest.json"
 
 
+@pytest.mark.parametrize("version", [1, 3])
+def test_a_plan_of_another_version_says_so(tmp_path, valley, version):
+    (tmp_path / "sparse").symlink_to(valley / "sparse")
+    (tmp_path / "viewrank").mkdir()
+    (tmp_path / "viewrank" / "manifest.json").write_text(f'{{"version": {version}, "order": []}}')
+    with pytest.raises(viewrank.ReadError) as raised:
+        viewrank.load(tmp_path)
+    assert "written by another version" in raised.value.message and "viewrank plan" in raised.value.hint
+
+
 def test_folders_without_depth_maps_are_an_evaluate_error(plan, tmp_path):
     with pytest.raises(viewrank.EvaluateError) as raised:
         viewrank.evaluate(plan, tmp_path)

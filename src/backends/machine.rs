@@ -45,7 +45,11 @@ pub fn chosen(project: &Project, settings: &Settings) -> Result<(&'static Backen
 
 /// Like [`chosen`], for settings that name no backend.
 pub fn by_default(project: &Project) -> (&'static Backend, Why) {
-    if let Some(backend) = BACKENDS.iter().copied().find(|backend| (backend.serves)(project)) {
+    // A workspace of `viewrank undistort` says that images were distorted, not which program will match them.
+    let is_set_up = |backend: &Backend| {
+        (backend.serves)(project) && !(backend.name == colmap::BACKEND.name && project.has_undistorted_workspace())
+    };
+    if let Some(backend) = BACKENDS.iter().copied().find(|backend| is_set_up(backend)) {
         return (backend, Why::Project);
     }
     if let Some(program) = installed("DENSIFY", "DensifyPointCloud") {
@@ -63,9 +67,48 @@ fn installed(variable: &str, program: &str) -> Option<PathBuf> {
     named.or_else(|| platform::located(Path::new(program)))
 }
 
-/// Returns whether this COLMAP can match: its dense stereo needs CUDA, and `colmap help` says whether it has it.
+/// Returns whether this COLMAP can match: its dense stereo needs CUDA.
 fn has_cuda(program: &Path) -> bool {
-    let mut command = Command::new(program);
-    let output = command.arg("help").stdin(Stdio::null()).output();
-    output.is_ok_and(|output| String::from_utf8_lossy(&output.stdout).contains("with CUDA"))
+    help(program).is_some_and(|help| help.contains("with CUDA"))
+}
+
+/// Why a program cannot match on this machine, and what to do.
+pub struct Obstacle {
+    pub what: String,
+    pub cure: &'static str,
+}
+
+/// Returns why the backend's program, or the Python that it needs, cannot match, as far as that can be known before the first map.
+pub fn obstacle(backend: &Backend, program: &Path, python: &Path) -> Option<Obstacle> {
+    if backend.name == colmap::BACKEND.name && help(program)?.contains("without CUDA") {
+        return Some(Obstacle {
+            what: format!("{} was built without CUDA and cannot compute depth maps", program.display()),
+            cure: "name a COLMAP with CUDA with --program, or match with --backend openmvs or --backend sgm",
+        });
+    }
+    let missing = if backend.name == sgm::BACKEND.name { import_error(python)? } else { return None };
+    Some(Obstacle {
+        what: format!("sgm computes no depth maps with {}: {missing}", python.display()),
+        cure: "pip install numpy opencv-python-headless, or name a Python that has them by the variable PYTHON",
+    })
+}
+
+/// Returns what `colmap help` prints, which says how it was built.
+fn help(program: &Path) -> Option<String> {
+    let output = Command::new(program).arg("help").stdin(Stdio::null()).output().ok()?;
+    Some(String::from_utf8_lossy(&output.stdout).into_owned())
+}
+
+/// Returns the last line of the error if this Python does not have the packages of `integrations/sgm`.
+fn import_error(python: &Path) -> Option<String> {
+    let mut command = Command::new(python);
+    let output = command.args(["-c", "import numpy, cv2"]).stdin(Stdio::null()).output();
+    match output {
+        Ok(output) if output.status.success() => None,
+        Ok(output) => {
+            let text = String::from_utf8_lossy(&output.stderr);
+            Some(text.trim_end().lines().last().unwrap_or("it does not start").to_owned())
+        }
+        Err(error) => Some(error.to_string()),
+    }
 }

@@ -11,6 +11,7 @@ use crate::{
     base::progress::Watcher,
     config::{Settings, UnknownBackend},
     io::project::Project,
+    method::confidence::Photometric,
     model::{camera::Camera, cluster::Gate, scene::Scene},
     plan::{Matcher, Plan, PlanError, PlanningNumbers, Timings},
 };
@@ -43,7 +44,7 @@ mod workspace;
 
 pub(crate) use clusters::recipe;
 pub use error::BackendError;
-pub use machine::{Why, by_default, chosen};
+pub use machine::{Obstacle, Why, by_default, chosen, obstacle};
 pub use options::{ExportOptions, References};
 pub use record::{Export, ExportRecord, ExportedCluster, ExportedView};
 pub use selection::Selection;
@@ -213,6 +214,9 @@ pub struct Capabilities {
     pub notes: &'static str,
 }
 
+/// By COLMAP's photometric depth maps of a room, the only ones of a PatchMatch on a GPU (method 7.4).
+const BY_COLMAPS_MAPS: Photometric = Photometric { agree: 0.95, differ: 0.02, full_agreement: 0.9 };
+
 /// OpenMVS's numbers, for PatchMatch programs without measurements; `support` 2, since their fusion keeps depths on which maps agree.
 const PATCH_MATCH: PlanningNumbers = PlanningNumbers {
     reach: None,
@@ -224,7 +228,7 @@ const PATCH_MATCH: PlanningNumbers = PlanningNumbers {
         epipole_inside: true,
     },
     confidence: openmvs::CONFIDENCE,
-    photometric: openmvs::PHOTOMETRIC,
+    photometric: BY_COLMAPS_MAPS,
     support: 2,
     work: openmvs::WORK,
     measured: "no: openmvs's",

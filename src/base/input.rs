@@ -1,7 +1,8 @@
 //! Opens files that a project or the user names.
 //!
 //! A project may come from a stranger, and its settings name files. Links are followed, for images often live elsewhere, but
-//! only a regular file is read: a pipe would block and a device never end. Files that are read whole have a size limit.
+//! only a regular file is read: a pipe would block and a device never end. Files that are read whole have a size limit. A file that is
+//! mostly a hole costs its sender nothing and the reader minutes, so it is refused; so is a download that stopped after its space was reserved.
 
 use std::{
     fs::{File, Metadata},
@@ -56,10 +57,13 @@ impl FileKind {
     }
 }
 
+/// Bytes that the holes of a file may have together.
+const HOLES: u64 = 256 << 20;
+
 /// Opens a regular file, through links or not.
 ///
 /// # Errors
-/// Fails with the kind `InvalidInput` for anything else.
+/// Fails with the kind `InvalidInput` for anything else, with `InvalidData` for a file with holes of more than 256 MiB.
 pub fn open(path: &Path) -> io::Result<File> {
     open_with_metadata(path).map(|(file, _)| file)
 }
@@ -71,10 +75,25 @@ fn open_with_metadata(path: &Path) -> io::Result<(File, Metadata)> {
     let file = options.open(path)?;
     let found = file.metadata()?;
     if found.is_file() {
+        check_holes(&file, found.len())?;
         return Ok((file, found));
     }
     let what = if found.is_dir() { "a folder" } else { "a pipe or a device" };
     Err(io::Error::new(io::ErrorKind::InvalidInput, format!("not a regular file but {what}: name a file")))
+}
+
+/// Returns whether the holes of a file are larger than those of any that somebody wrote.
+pub fn has_large_holes(file: &File, length: u64) -> bool {
+    length > HOLES && platform::hole_bytes(file, length) > HOLES
+}
+
+fn check_holes(file: &File, length: u64) -> io::Result<()> {
+    if !has_large_holes(file, length) {
+        return Ok(());
+    }
+    let holes = platform::hole_bytes(file, length) >> 20;
+    let why = format!("{holes} of its {} MiB were never written: copy the file again", length >> 20);
+    Err(io::Error::new(io::ErrorKind::InvalidData, why))
 }
 
 /// Identifies a file beyond length and modification time: when its content or name last changed, in ns since 1970 (no program can
@@ -144,5 +163,26 @@ mod tests {
         let error = read(file.path(), FileKind::Settings).expect_err("too large");
         assert_eq!(error.kind(), io::ErrorKind::FileTooLarge);
         assert!(error.to_string().contains(" 1 MiB"), "{error}");
+    }
+
+    #[cfg(target_os = "linux")]
+    #[test]
+    fn holes_are_counted_together_and_refused() {
+        use std::os::unix::fs::FileExt;
+        let file = tempfile::NamedTempFile::new().expect("a temporary file");
+        let written = |length: u64, data: &[u8], places: u64| {
+            file.as_file().set_len(0).and_then(|()| file.as_file().set_len(length)).expect("a length");
+            (0..places).for_each(|i| file.as_file().write_all_at(data, i * length / places).expect("data"));
+            open(file.path())
+        };
+        let mut start = [0];
+        let mut just_so = written(HOLES + (1 << 20), &[7; 1 << 20], 1).expect("not mostly holes");
+        just_so.read_exact(&mut start).expect("read from the start");
+        assert_eq!(start, [7]);
+        for places in [0, 1, 64] {
+            let error = written(40 << 30, b"data", places).expect_err("mostly holes");
+            assert_eq!(error.kind(), io::ErrorKind::InvalidData);
+            assert!(error.to_string().contains("of its 40960 MiB were never written"), "{error}");
+        }
     }
 }

@@ -2,7 +2,7 @@
 //! plain equivalent for systems other than Unix.
 
 use std::{
-    fs::{Metadata, OpenOptions},
+    fs::{File, Metadata, OpenOptions},
     io,
     path::{Path, PathBuf},
     process::{Child, Command},
@@ -52,6 +52,33 @@ pub fn file_system(found: &Metadata) -> u64 {
     #[cfg(not(unix))]
     {
         let _ = found;
+        0
+    }
+}
+
+/// Returns the number of bytes in holes of a file, which read as zeros and are stored nowhere, and goes back to its start; 0 where the system
+/// does not tell.
+pub fn hole_bytes(file: &File, length: u64) -> u64 {
+    #[cfg(any(target_os = "linux", target_os = "macos"))]
+    {
+        use rustix::fs::{SeekFrom, seek};
+        // Each piece of data costs the sender a block; beyond these, the rest counts as stored.
+        const PIECES: usize = 1 << 16;
+        let (mut holes, mut at) = (0, 0);
+        for _ in 0..PIECES {
+            let Some(hole) = seek(file, SeekFrom::Hole(at)).ok().filter(|&hole| hole < length) else { break };
+            // No data behind it: it reaches to the end.
+            at = seek(file, SeekFrom::Data(hole)).unwrap_or(length).min(length);
+            holes += at - hole;
+            if at == length {
+                break;
+            }
+        }
+        if seek(file, SeekFrom::Start(0)).is_ok() { holes } else { 0 }
+    }
+    #[cfg(not(any(target_os = "linux", target_os = "macos")))]
+    {
+        let _ = (file, length);
         0
     }
 }

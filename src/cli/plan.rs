@@ -6,7 +6,10 @@ use std::{
 };
 
 use crate::{
-    apps::replan::{EarlierPlan, MapFolder, replan},
+    apps::{
+        replan::{EarlierPlan, MapFolder, replan},
+        report::DepthMapFolders,
+    },
     base::{
         error::Hint,
         progress::{Stage, Watcher},
@@ -19,7 +22,11 @@ use crate::{
         project::Project,
     },
     plan::{Plan, PlanError},
-    show::{files::PlanFiles, manifest::planned_model, tables},
+    show::{
+        files::PlanFiles,
+        manifest::{planned_model, warnings_with},
+        tables,
+    },
 };
 use crate::{backends, config::RegionChoice, show::files::files};
 use clap::Args;
@@ -123,6 +130,9 @@ pub struct Arguments {
     /// Also write the bare surface as a PLY file
     #[arg(long, value_name = "FILE", help_heading = "Output")]
     dump_surface: Option<PathBuf>,
+    /// Also write the page of viewrank report
+    #[arg(long, conflicts_with = "dry_run", help_heading = "Output")]
+    report: bool,
     /// Plan, but write nothing
     #[arg(long, help_heading = "Output")]
     dry_run: bool,
@@ -172,8 +182,15 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     if !arguments.dry_run {
         write(arguments, &plan, &files, &progress)?;
     }
+    let page = match arguments.report {
+        true => Some(page(&project, &mut plan, &files, &progress)?),
+        false => None,
+    };
     progress.finish();
     report(arguments, &project, &plan, &files)?;
+    if let (Some(page), Format::Text, false) = (page, arguments.format, arguments.quiet) {
+        print(&format!("{}\n", page.display()))?;
+    }
     match &files.not_exported[..] {
         missing if arguments.backend.is_some() && !missing.is_empty() => {
             Err(Failure::from(ExportFailure(missing.to_vec())).behind_result())
@@ -323,6 +340,17 @@ fn write(arguments: &Arguments, plan: &Plan, files: &PlanFiles, progress: &Progr
     output::write_all(&files.sets, &Disk::REAL)?;
     progress.progress(Stage::Write, 1, 1);
     Ok(())
+}
+
+/// Writes the report page, and returns its path.
+fn page(project: &Project, plan: &mut Plan, files: &PlanFiles, progress: &Progress) -> Result<PathBuf, Failure> {
+    // What finished depth maps have measured is not on the page, whose surface is predicted throughout.
+    if plan.decision.finished.clusters > 0 {
+        return super::report::write(&project.home, progress);
+    }
+    let exports = &files.manifest.exports;
+    plan.decision.warnings = warnings_with(&plan.decision.warnings, exports, &[]);
+    super::report::write_page(project, plan, exports, None, &DepthMapFolders::default(), progress)
 }
 
 fn report(arguments: &Arguments, project: &Project, plan: &Plan, files: &PlanFiles) -> Result<(), Failure> {

@@ -2,13 +2,13 @@
 
 use std::path::Path;
 
-use super::Failure;
+use super::{Exit, Failure};
 use crate::{
     apps::{
         dispatch::{Dispatch, Tools},
         undistort,
     },
-    backends::{Backend, Selection},
+    backends::{Backend, Obstacle, Selection, obstacle},
     io::project::Project,
     model::{
         cluster::{MapScale, RankedCluster},
@@ -16,8 +16,8 @@ use crate::{
     },
 };
 
-/// Fails before planning where matching would fail after it: without images, for a backend that cannot match single clusters, or without its
-/// program. The export of one cluster says which program that is.
+/// Fails before planning where matching would fail after it: without images, for a backend that cannot match single clusters, without its
+/// program, or with a COLMAP that has no CUDA or a Python that lacks packages. The export of one cluster says which program that is.
 pub fn check(
     backend: &'static Backend,
     project: &Project,
@@ -44,6 +44,9 @@ pub fn check(
         // Of this cluster alone, perhaps.
         Err(_) => return Ok(()),
     };
-    Tools::find(&Dispatch::new(backend, &selection, &export, 0)?, program)?;
-    Ok(())
+    let tools = Tools::find(&Dispatch::new(backend, &selection, &export, 0)?, program)?;
+    match obstacle(backend, &tools.program, &tools.python) {
+        Some(Obstacle { what, cure }) => Err(Failure::new(Exit::Failed, what, cure.to_owned())),
+        None => Ok(()),
+    }
 }

@@ -10,8 +10,13 @@ use crate::{
         replan,
         report::{self, Contents, DepthMapFolders},
     },
+    backends::ExportRecord,
     base::progress::{Stage, Watcher},
-    io::output::{self, Disk, FileSet},
+    io::{
+        output::{self, Disk, FileSet},
+        project::Project,
+    },
+    plan::Plan,
     show::files::{REPORT_FILE, REPORT_SET},
 };
 use clap::Args;
@@ -22,7 +27,8 @@ use super::{Failure, Format, json, print, progress::Progress};
 ///
 /// Shows a map, the curve, the ranked views with their reasons, and the gaps, for any cut. A flight plan of images that would fill the gaps is
 /// written to PROJECT/viewrank/flight. The page needs no network.
-/// Run viewrank plan first; a new plan marks the old page as stale. The tables are computed again, which takes as long as planning did.
+/// Run viewrank plan first; a new plan marks the old page as stale. Tables that viewrank/cache does not hold are computed again;
+/// viewrank plan --report writes the page without that.
 #[derive(Args)]
 pub struct Arguments {
     /// Folder of the project, or its model
@@ -77,6 +83,18 @@ fn write_to(
     progress: &Progress,
 ) -> Result<PathBuf, Failure> {
     let (project, plan, exports) = replan::as_written(project, progress)?;
+    write_page(&project, &plan, &exports, out, folders, progress)
+}
+
+/// Writes the page of a plan that is in memory, with the warnings of its exports, into the project or the folder `out`; returns its path.
+pub fn write_page(
+    project: &Project,
+    plan: &Plan,
+    exports: &[ExportRecord],
+    out: Option<&Path>,
+    folders: &DepthMapFolders,
+    progress: &Progress,
+) -> Result<PathBuf, Failure> {
     let seconds = planning_seconds(&project.home);
     let (root, name) = match out {
         Some(folder) => (folder, "report.html"),
@@ -84,7 +102,7 @@ fn write_to(
     };
     output::refuse_unwritable(root)
         .map_err(|error| super::plan::elsewhere(error, out.is_some(), "report", &project.as_argument()))?;
-    let contents = Contents::new(&plan, &project, &exports, folders, seconds, progress)?;
+    let contents = Contents::new(plan, project, exports, folders, seconds, progress)?;
     progress.progress(Stage::Write, 0, 1);
     let mut files = FileSet::new(root, REPORT_SET);
     files.add_text(name, report::page(&contents));

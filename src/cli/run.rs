@@ -338,8 +338,9 @@ impl<'a> Work<'a> {
             return;
         }
         let done = self.dispatch.finished_maps().count();
-        let share =
-            self.share.map_or_else(String::new, |share| format!("{:5.1} % of {}", 100.0 * share, self.plan.target));
+        let share = self.share.map_or_else(String::new, |share| {
+            format!("{:5.1} % of {:.1} %", 100.0 * share, 100.0 * self.plan.target.0)
+        });
         let (all, took) = (self.dispatch.tasks.len(), took.as_secs_f64());
         super::complain(&format!(
             "{done:4} of {all}  {share:<14}  {:<28} {took:6.1} s, at most {} left",

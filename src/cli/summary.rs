@@ -210,8 +210,8 @@ impl<'a> Summary<'a> {
     fn beyond_gate(&self) -> String {
         match self.cut.pairs_beyond_gate {
             0 => String::new(),
-            1 => "One pair is beyond the gate, for want of a better partner.\n".into(),
-            n => format!("{} pairs are beyond the gate, for want of better partners.\n", grouped(n)),
+            1 => "One pair is beyond the limits of [partners.gate], for want of a better partner.\n".into(),
+            n => format!("{} pairs are beyond the limits of [partners.gate], for want of better ones.\n", grouped(n)),
         }
     }
 

@@ -9,6 +9,7 @@ use crate::{
     config::Settings,
     io::output::{self, FileSet},
     plan::Plan,
+    show::manifest,
 };
 
 /// Path of the record, relative to the project.
@@ -18,6 +19,9 @@ pub const RECORD: &str = "viewrank/planned_from.json";
 #[derive(Debug, Serialize, Deserialize)]
 pub struct PlannedFrom {
     pub fingerprint: Fingerprint,
+    /// Version of the manifest; a plan of another version is made again.
+    #[serde(default)]
+    pub version: u32,
     pub clusters: usize,
     pub share: f64,
     /// True if the plan keeps finished depth maps.
@@ -36,6 +40,7 @@ impl PlannedFrom {
         let finished = plan.decision.finished.clusters > 0 || !plan.decision.finished.outdated.is_empty();
         Self {
             fingerprint,
+            version: manifest::VERSION,
             clusters: plan.decision.cut.clusters,
             share: plan.decision.cut.share,
             finished,
@@ -44,12 +49,12 @@ impl PlannedFrom {
         }
     }
 
-    /// Reads the record of a project's plan; `None` if the record or a file of the plan is missing or unreadable.
+    /// Reads the record of a project's plan; `None` if the record or a file of the plan is missing, unreadable or of another version.
     pub fn read(project: &Path) -> Option<Self> {
         let record: Self = serde_json::from_slice(&output::read_own(project, RECORD).ok()?).ok()?;
         let exists = |file: &String| project.join(file).exists();
         let has_manifest = project.join(OUTPUT_FOLDER).join("manifest.json").is_file();
-        (has_manifest && record.files.iter().all(exists)).then_some(record)
+        (has_manifest && record.version == manifest::VERSION && record.files.iter().all(exists)).then_some(record)
     }
 
     /// Lists the files of the sets that are inside the project, except caches.

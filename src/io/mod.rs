@@ -1,5 +1,6 @@
-//! Files: readers of sparse models, meshes and depth maps, project folders, and atomic writes of sets of files.
+//! Files: readers of sparse models, meshes and depth maps, project folders, their caches, and atomic writes of sets of files.
 
+pub mod cache;
 pub mod depthmaps;
 pub mod formats;
 pub mod output;

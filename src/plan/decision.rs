@@ -53,7 +53,10 @@ fn rank_and_cut(
     watcher: &dyn Watcher,
 ) -> Result<Decision, PlanError> {
     let finished = FinishedMaps { clusters: order.len(), ..finished };
-    let ranking = ranking::rank_after(order, &stages.maps(), &stages.objective, watcher)?;
+    let ranking = match &stages.known_ranking {
+        Some(known) if order.is_empty() => known.clone(),
+        _ => ranking::rank_after(order, &stages.maps(), &stages.objective, watcher)?,
+    };
     let bound = |length| ranking::most_of_any(length, &stages.maps(), &stages.objective, &ranking);
     let cut = cut::cut(&stages.settings.cut, &cost(stages, &stages.model(), &ranking, &finished), bound)?;
     let (reachable_band, given_up) =

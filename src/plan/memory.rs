@@ -140,6 +140,11 @@ impl Memory {
         Ok(Storage::Disk)
     }
 
+    /// Takes visibility that an earlier plan has kept: nothing is drawn.
+    pub(super) fn with_visibility(&mut self, surface: &Surface, visibility: &Visibility) {
+        self.visibility = self.read + bytes(surface) + VISIBILITY_ROW * visibility.triangles.len() as u64;
+    }
+
     /// Forecasts partners and fulfilment from the real number of rows, if the tables are in memory.
     pub(super) fn before_partners(
         &mut self,

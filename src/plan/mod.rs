@@ -14,6 +14,7 @@ mod finished;
 mod forecast;
 mod georeference;
 mod given_up;
+mod kept;
 mod memory;
 mod numbers;
 mod reasons;

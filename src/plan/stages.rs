@@ -1,19 +1,22 @@
 //! Runs the stages of the method before the ranking, and keeps the result of each.
 
-use super::{Matcher, Memory, PlanError, PlanningNumbers, Timings, WorkPerMap, cut, georeference};
+use super::{
+    Matcher, Memory, PlanError, PlanningNumbers, Timings, WorkPerMap, cut, georeference,
+    kept::{self, Inputs, Kept, KeptSurface, Slot, clusters::KeptClusters},
+};
 use crate::{
     base::{
         platform,
         progress::{Cancelled, Stage, Watcher},
     },
     config::{ConfidenceSource, Settings, Share, TargetMode},
-    io::project::Project,
+    io::{cache::CacheFile, project::Project},
     method::{
         confidence::{self, Agreement, Confidence, Pictures, ProgramReach, Unary},
         fulfilment::{self, FulfilmentRule, FulfilmentTable, Model},
         geometry::Geometry,
         partners::{self, Candidates, Limits, PairGeometry},
-        ranking::{Maps, Objective, SeenPixels},
+        ranking::{Maps, Objective, Ranking, SeenPixels},
         region::{Region, RegionShape},
         surface::{self, MeshFile, Surface, SurfaceError, SurfaceStats, WantedGsd},
         target::{GSD_MARGIN, Target},
@@ -68,6 +71,10 @@ pub struct Stages {
     pub work: Vec<[f64; 2]>,
     /// Numbers of the backend that `work` is made from.
     pub per_map: WorkPerMap,
+    /// Ranking of the clusters that an earlier plan has found; `None`: to be made.
+    pub known_ranking: Option<Ranking>,
+    /// Where the results are kept for the next plan.
+    pub kept: Kept,
     /// Memory forecast before each stage.
     pub memory: Memory,
 }
@@ -94,14 +101,15 @@ impl Stages {
         let mut memory = Memory::before_surface(&scene, &mut settings)?;
         let numbers = &matcher.numbers;
         let missing_images = project.missing_images(&scene);
+        let inputs = timings.time(Stage::Read, || Inputs::new(project, &scene));
         // Parts of the surface are built by one thread; the others find candidates meanwhile.
         let (seen, candidates) = timings.time_rest(Stage::Partners, |timings| {
             rayon::join(
-                || visible_surface(&scene, &points, &settings, watcher, timings, &mut memory),
-                || candidates(&scene, &points, &settings, numbers, &missing_images, watcher),
+                || kept_surface((&scene, &points), &settings, &inputs, watcher, timings, &mut memory),
+                || candidates((&scene, &points), &settings, matcher, &missing_images, &inputs, watcher),
             )
         });
-        let (seen, candidates) = (seen?, candidates?);
+        let ((surface_slot, seen), (candidates_slot, candidates)) = (seen?, candidates?);
         memory.before_partners(&scene, &seen.surface, &seen.visibility)?;
         let pixels = || SeenPixels::new(&scene, &seen.surface, &seen.visibility).sums().collect();
         let (region, target) = timings.time(Stage::Visibility, || {
@@ -124,8 +132,9 @@ impl Stages {
         let objective = timings
             .time(Stage::Visibility, || Objective::new(&geometry, settings.ranking.weight, region.as_ref(), support));
         let pictures = Pictures::new(project);
-        let (unary, mut picture_warnings) =
-            timings.time(Stage::Confidence, || unary(&geometry, &points, confidence, &pictures, watcher))?;
+        let unary_file = inputs.unary(&scene, &surface_slot.file, confidence, &pictures);
+        let (unary_slot, (unary, mut picture_warnings)) = timings
+            .time(Stage::Confidence, || unary(unary_file, &geometry, &points, confidence, &pictures, watcher))?;
         let agreement = timings.time(Stage::Confidence, || match confidence {
             Confidence::Photometric { .. } => {
                 agreement(&pictures, &geometry, &points, &candidates, matcher, memory.most_samples(), watcher)
@@ -134,20 +143,29 @@ impl Stages {
         })?;
         picture_warnings.extend(agreement.warnings.iter().cloned());
         let model = Model::new(geometry, &unary, &agreement, rule(&settings, confidence));
-        let (clusters, fulfilment) = timings.time(Stage::Partners, || {
-            partners::choose(&model, &candidates, &settings.partners, settings.seed, watcher)
-        })?;
-        let half = match settings.ranking.has_half() {
-            true => Some(timings.time(Stage::Partners, || {
-                fulfilment::half_size(&model, &clusters, &fulfilment, settings.ranking.half_worth, watcher)
-            })?),
-            false => None,
-        };
+        let from = [&surface_slot.file, &candidates_slot.file, &unary_slot.file];
+        let clusters_file = inputs.clusters(&settings, from, &agreement, &target, &model.rule);
+        let (clusters_slot, (clusters, fulfilment, half)) =
+            timings.time(Stage::Partners, || clusters(clusters_file, &model, &candidates, &settings, watcher))?;
         platform::return_freed_memory();
         let per_map = numbers.work;
-        let work = clusters.iter().map(|cluster| work(&scene, settings.image_scale(), per_map, cluster)).collect();
+        let work: Vec<_> =
+            clusters.iter().map(|cluster| work(&scene, settings.image_scale(), per_map, cluster)).collect();
+        let ranking_file = inputs.ranking(&clusters_slot.file, &objective, &work);
+        let (ranking, known_ranking) =
+            kept::read(ranking_file, |(), bytes| kept::ranking::unpack(bytes, clusters.len()));
         watcher.check()?;
+        let kept = Kept {
+            surface: surface_slot,
+            candidates: candidates_slot,
+            unary: unary_slot,
+            clusters: clusters_slot,
+            ranking,
+            made: None,
+        };
         Ok(Self {
+            known_ranking,
+            kept,
             half,
             work,
             per_map,
@@ -266,15 +284,21 @@ fn work(scene: &Scene, image_scale: f64, work: WorkPerMap, cluster: &ViewCluster
 
 /// Returns the unary confidence of each row of the visibility, and warnings of masks that cannot be used.
 fn unary(
+    file: CacheFile,
     geometry: &Geometry,
     points: &ViewPoints,
     confidence: Confidence,
     pictures: &Pictures,
     watcher: &dyn Watcher,
-) -> Result<(Unary, Vec<String>), PlanError> {
+) -> Result<(Slot, (Unary, Vec<String>)), PlanError> {
     let Geometry { scene, surface, visibility, .. } = *geometry;
-    match confidence {
-        Confidence::None => Ok((Unary::certain(), Vec::new())),
+    let unpack = |warnings, bytes: &[u8]| Some((kept::unary::unpack(bytes, visibility.triangles.len())?, warnings));
+    let (slot, found) = kept::read(file, unpack);
+    if let Some(found) = found {
+        return Ok((slot, found));
+    }
+    let made = match confidence {
+        Confidence::None => (Unary::certain(), Vec::new()),
         Confidence::Pair(_) | Confidence::Photometric { .. } => {
             let (masks, faults) = Unary::of_masks(geometry, pictures, watcher)?;
             let nearby = confidence::nearby(scene, points, surface, visibility, watcher)?;
@@ -283,9 +307,31 @@ fn unary(
                 Confidence::Photometric { .. } if pictures.have_images() => Vec::new(),
                 _ => confidence::picture_warnings(scene, &faults),
             };
-            Ok((nearby.times(masks, visibility)?, warnings))
+            (nearby.times(masks, visibility)?, warnings)
         }
+    };
+    Ok((slot, made))
+}
+
+/// Chooses the clusters, and computes their fulfilment at full and, if there is a choice of sizes, at half size.
+fn clusters(
+    file: CacheFile,
+    model: &Model,
+    candidates: &Candidates,
+    settings: &Settings,
+    watcher: &dyn Watcher,
+) -> Result<(Slot, KeptClusters), PlanError> {
+    let has_half = settings.ranking.has_half();
+    let (slot, found) = kept::read(file, |(), bytes| kept::clusters::unpack(bytes, model.visibility, has_half));
+    if let Some(found) = found {
+        return Ok((slot, found));
     }
+    let (clusters, fulfilment) = partners::choose(model, candidates, &settings.partners, settings.seed, watcher)?;
+    let half = match has_half {
+        true => Some(fulfilment::half_size(model, &clusters, &fulfilment, settings.ranking.half_worth, watcher)?),
+        false => None,
+    };
+    Ok((slot, (clusters, fulfilment, half)))
 }
 
 /// Compares the pictures of candidate pairs, within what the backend can match of each.
@@ -312,20 +358,27 @@ fn agreement(
 
 /// Finds the candidate partners of each view within the gate, among pairs that the backend can match and that have images.
 fn candidates(
-    scene: &Scene,
-    points: &ViewPoints,
+    (scene, points): (&Scene, &ViewPoints),
     settings: &Settings,
-    numbers: &PlanningNumbers,
+    matcher: &Matcher,
     missing_images: &[ViewIndex],
+    inputs: &Inputs,
     watcher: &dyn Watcher,
-) -> Result<Candidates, Cancelled> {
+) -> Result<(Slot, Candidates), Cancelled> {
+    let PlanningNumbers { reach, gate, .. } = matcher.numbers;
+    let gate = gate.with(&settings.partners.gate);
+    let file = inputs.candidates(settings, reach.map(|_| matcher.name), &gate, missing_images);
+    let (slot, found) = kept::read(file, |(), bytes| kept::candidates::unpack(bytes, scene.views.len()));
+    if let Some(found) = found {
+        return Ok((slot, found));
+    }
     let is_missing = |view: &ViewIndex| missing_images.binary_search(view).is_ok();
     let refuses = |pair: &PairGeometry| {
         let lacks_image = [pair.key, pair.partner].iter().any(is_missing);
-        lacks_image || numbers.reach.is_some_and(|reach| reach(pair, points, settings.image_scale()).is_nothing())
+        lacks_image || reach.is_some_and(|reach| reach(pair, points, settings.image_scale()).is_nothing())
     };
-    let gate = numbers.gate.with(&settings.partners.gate);
-    partners::candidates(scene, points, &settings.partners, &Limits { gate: &gate, refuses: &refuses }, watcher)
+    let limits = Limits { gate: &gate, refuses: &refuses };
+    Ok((slot, partners::candidates(scene, points, &settings.partners, &limits, watcher)?))
 }
 
 /// The surface, reduced to triangles that at least one view sees, with its visibility.
@@ -336,15 +389,37 @@ struct VisibleSurface {
     gsd: f64,
 }
 
+/// Returns the surface of an earlier plan, else builds it.
+fn kept_surface(
+    from: (&Scene, &ViewPoints),
+    settings: &Settings,
+    inputs: &Inputs,
+    watcher: &dyn Watcher,
+    timings: &mut Timings,
+    memory: &mut Memory,
+) -> Result<(Slot, VisibleSurface), PlanError> {
+    let gsd = settings.target.gsd.ok_or(PlanError::NoScale)?;
+    let (slot, found) = timings.time(Stage::Surface, || {
+        let file = inputs.surface(settings, memory.most_triangles());
+        kept::read(file, |facts, bytes| KeptSurface::unpack(facts, bytes, from.0.views.len()))
+    });
+    match found {
+        Some(KeptSurface { surface, stats, visibility }) => {
+            memory.with_visibility(&surface, &visibility);
+            Ok((slot, VisibleSurface { surface, stats, visibility, gsd }))
+        }
+        None => Ok((slot, visible_surface(from, gsd, settings, watcher, timings, memory)?)),
+    }
+}
+
 fn visible_surface(
-    scene: &Scene,
-    points: &ViewPoints,
+    (scene, points): (&Scene, &ViewPoints),
+    gsd: f64,
     settings: &Settings,
     watcher: &dyn Watcher,
     timings: &mut Timings,
     memory: &mut Memory,
 ) -> Result<VisibleSurface, PlanError> {
-    let gsd = settings.target.gsd.ok_or(PlanError::NoScale)?;
     let mesh = settings.surface.mesh.clone().map(|path| MeshFile { path, as_is: settings.surface.mesh_as_is });
     let most = memory.most_triangles();
     let (surface, stats) = timings.time(Stage::Surface, || {

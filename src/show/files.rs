@@ -13,7 +13,6 @@ use crate::{
         output::{self, Contents, FileSet},
         project::Project,
     },
-    method::confidence,
     model::georeference::Georeference,
     plan::{self, EmptyPlan, Plan, PlannedViews},
     show::{
@@ -31,7 +30,7 @@ pub const REPORT_SET: &str = "report";
 /// The files to write for a plan.
 pub struct PlanFiles {
     pub manifest: Manifest,
-    /// The plan's own files first, then those of each backend (one set per folder), the cache and outdated sets to remove; all are written together.
+    /// The plan's own files first, then those of each backend (one set per folder), the caches and outdated sets to remove; all are written together.
     pub sets: Vec<FileSet>,
     /// Exports of earlier plans that stay in the project, one line each; not part of the plan.
     pub outdated_exports: Vec<String>,
@@ -126,7 +125,7 @@ pub fn files(plan: &Plan, project: &Project) -> Result<PlanFiles, FilesError> {
         let folder = export.files.root.clone();
         place::set_of_folder(&folder, [export.files], project)
     });
-    let sets: Vec<FileSet> = std::iter::once(own).chain(exports).chain(cache(plan, project)).chain(stale).collect();
+    let sets: Vec<FileSet> = std::iter::once(own).chain(exports).chain(plan.unwritten()).chain(stale).collect();
     let outdated_exports = outdated::exports(plan, project, &sets);
     Ok(PlanFiles { manifest, sets, outdated_exports, place, not_exported, command })
 }
@@ -144,15 +143,6 @@ fn stale_page(project: &Project, manifest: &Manifest) -> Option<FileSet> {
     if let Some(page) = page {
         set.add_text(REPORT_FILE, page.replacen("<html lang=\"en\">", "<html lang=\"en\" data-stale>", 1));
     }
-    Some(set)
-}
-
-/// Returns the cache of compared pictures for the next plan, if pictures were compared now.
-fn cache(plan: &Plan, project: &Project) -> Option<FileSet> {
-    let agreement = &plan.stages.agreement;
-    let mut set = FileSet::new(&project.home, "agreement");
-    let head = agreement.cache_head.clone()?;
-    set.add(confidence::AGREEMENT_CACHE, Contents::Table { head, rows: agreement.values.clone() });
     Some(set)
 }
 

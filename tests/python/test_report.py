@@ -593,10 +593,22 @@ def test_a_report_needs_a_plan_of_the_same_model(viewrank, fixtures, tmp_path):
     model[16] ^= 1
     points.write_bytes(model)
     refused = viewrank("report", tmp_path, expect=1).stderr
-    assert refused.startswith("error: ") and "have changed" in refused and "\nhint: make the plan first: viewrank plan" in refused
+    assert refused.startswith("error: ") and "have changed" in refused and "\nhint: plan again: viewrank plan" in refused
     assert (tmp_path / "viewrank" / "report.html").read_bytes() == first
     viewrank("plan", tmp_path, "--dry-run", "--quiet")
     assert (tmp_path / "viewrank" / "report.html").exists()
     viewrank("plan", tmp_path, "--quiet")
     stale = (tmp_path / "viewrank" / "report.html").read_bytes()
     assert stale == first.replace(b'<html lang="en">', b'<html lang="en" data-stale>', 1) != first, "an open page survives a reload, and says that it is old"
+
+
+def test_a_plan_with_its_page_has_the_page_of_report(viewrank, fixtures, tmp_path):
+    project = tmp_path / "valley"
+    shutil.copytree(fixtures / "valley", project, ignore=shutil.ignore_patterns("viewrank"))
+    done = viewrank("plan", project, "--backend", "sgm", "--report")
+    page = project / "viewrank/report.html"
+    assert done.stdout.rstrip().endswith(str(page))
+    files = [page, *sorted((project / "viewrank/flight").iterdir())]
+    before = [file.read_bytes() for file in files]
+    viewrank("report", project)
+    assert [file.read_bytes() for file in files] == before

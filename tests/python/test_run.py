@@ -79,12 +79,22 @@ def test_the_backend_is_what_the_machine_has_and_the_summary_says_why(run, valle
     assert "no such file" in run(tmp_path / "nowhere", expect=1)[1]
 
 
+def test_a_colmap_without_cuda_is_refused_before_planning(run, valley, tmp_path):
+    colmap = tmp_path / "colmap"
+    colmap.write_text("#!/bin/sh\necho \"$1\" >> \"$0.ran\"\necho '(Commit Unknown on Unknown without CUDA)'\n")
+    colmap.chmod(0o755)
+    out, err = run(valley, "--backend", "colmap", COLMAP=str(colmap), expect=1)
+    assert f"{colmap} was built without CUDA" in err and "--backend sgm" in err
+    assert (tmp_path / "colmap.ran").read_text() == "help\n" and not (valley / "viewrank").exists()
+
+
 def test_a_python_without_the_packages_is_said(run, valley, tmp_path):
     bare = tmp_path / "python"
     bare.write_text("#!/bin/sh\necho \"ModuleNotFoundError: No module named 'numpy'\" >&2\nexit 1\n")
     bare.chmod(0o755)
     out, err = run(valley, "--backend", "sgm", "--no-report", PYTHON=str(bare), expect=1)
-    assert "sgm computes no depth maps" in err and "PYTHON" in err
+    assert "sgm computes no depth maps" in err and "No module named 'numpy'" in err and "PYTHON" in err
+    assert not (valley / "viewrank").exists(), "found out before planning"
 
 
 def test_a_program_in_the_current_folder_is_not_trusted(run, viewrank, valley):

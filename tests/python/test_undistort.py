@@ -134,7 +134,7 @@ def test_goes_on_where_it_was(viewrank, project, tmp_path):
 def test_everything_else_works_on_it(viewrank, project, tmp_path):
     folder = project("SIMPLE_RADIAL", ".jpg")
     viewrank("undistort", folder, "--quiet")
-    viewrank("plan", folder / "dense", "-k", "2", "--quiet")
+    viewrank("plan", folder / "dense", "--backend", "colmap", "-k", "2", "--quiet")
     cfg = (folder / "dense/stereo/patch-match.cfg").read_text()
     assert "viewrank" in cfg and "__auto__" not in cfg
     assert not list((folder / "dense").rglob("*.before-viewrank"))

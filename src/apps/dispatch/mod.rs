@@ -208,8 +208,28 @@ impl Dispatch {
         self.tasks.iter().filter(|task| self.is_done(task)).map(|task| &*task.map)
     }
 
+    /// Refuses a project in which the scripts would read something other than files, for which they would wait, or write through links.
+    fn refuse_strangers(&self) -> Result<(), OutputError> {
+        let own = |name: &str| format!("viewrank/dispatch/{}/{name}", self.backend);
+        let read = ["viewrank/progress.json".into(), own("fused")].into_iter();
+        for name in read.chain(self.tasks.iter().map(|task| own(&format!("done/{}", task.marker)))) {
+            match output::open_own(&self.project, &name) {
+                Err(OutputError::Io { source, .. }) if source.kind() == io::ErrorKind::NotFound => {}
+                found => drop(found?),
+            }
+        }
+        let of_maps: BTreeSet<&Path> = self.tasks.iter().filter_map(|task| task.map.parent()).collect();
+        let written = [self.folder.join("done"), self.folder.join("logs")];
+        written
+            .iter()
+            .map(PathBuf::as_path)
+            .chain(of_maps)
+            .try_for_each(|folder| output::refuse_to_leave(&self.project, folder))
+    }
+
     /// Locks the project against other submissions until the file is dropped.
     pub fn hold(&self) -> Result<File, DispatchError> {
+        self.refuse_strangers()?;
         let name = format!("viewrank/dispatch/{}/lock", self.backend);
         let path = output::own_path(&self.project, &name)?;
         output::make_folder(path.parent().unwrap_or(&self.folder), &Disk::REAL)?;

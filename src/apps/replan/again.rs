@@ -44,7 +44,7 @@ fn with_ranking(plan: Plan, recorded: &RecordedPlan, watcher: &dyn Watcher) -> R
         None => None,
     };
     let work = stages.work_of(&clusters);
-    let stages = Stages { clusters, fulfilment, half, work, ..stages };
+    let stages = Stages { clusters, fulfilment, half, work, known_ranking: None, ..stages };
     let place = |key: &ViewIndex| stages.clusters.binary_search_by_key(key, |cluster| cluster.key).ok();
     let ranking = Ranking {
         order: order.iter().filter_map(place).map(|c| c as u32).collect(),

@@ -143,11 +143,14 @@ fn measure(
 
 /// Replaces the clusters of finished key views and ranks all again.
 fn rank_around(
-    plan: Plan,
+    mut plan: Plan,
     finished: FinishedMaps,
     run: Option<&MeasuredClusters>,
     watcher: &dyn Watcher,
 ) -> Result<Plan, PlanError> {
+    if run.is_some() {
+        plan.keep_predictions();
+    }
     let Plan { mut timings, stages, .. } = plan;
     let (stages, order) = match run {
         Some(run) => with_finished(stages, run, watcher)?,
@@ -181,7 +184,7 @@ fn with_finished(
     let map = |&c: &u32| (places[&run.clusters[c as usize].key], run.scales[c as usize]);
     let order = run.order.iter().map(map).collect();
     let work = stages.work_of(&clusters);
-    Ok((Stages { clusters, fulfilment, half, work, ..stages }, order))
+    Ok((Stages { clusters, fulfilment, half, work, known_ranking: None, ..stages }, order))
 }
 
 /// Returns the table with the measured rows of the finished clusters and the predictions of the others, corrected by what was measured.

@@ -209,9 +209,13 @@ fn dominant_plane(samples: &[(Vector2<f64>, f64)]) -> Option<Vector3<f64>> {
     Some(slopes.push(fit.z - slopes.dot(&centre)))
 }
 
+/// [`percentile`] 50 without sorting.
 fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_unstable_by(f64::total_cmp);
-    percentile(&values, 50.0)
+    let middle = (values.len() - 1) / 2;
+    let is_between = values.len().is_multiple_of(2);
+    let (_, below, above) = values.select_nth_unstable_by(middle, f64::total_cmp);
+    let next = above.iter().copied().min_by(f64::total_cmp).filter(|_| is_between).unwrap_or(*below);
+    *below + 0.5 * (next - *below)
 }
 
 /// Quantile of ascending values, linear between them.

@@ -119,8 +119,8 @@ impl Records {
     }
 }
 
-/// BLAKE3 of the contents of a file or of the target of a symbolic link; `None` if the path is neither. Of a file larger than any of
-/// viewrank's, which may have a hole of any size, what the file system says about it.
+/// BLAKE3 of the contents of a file or of the target of a symbolic link; `None` if the path is neither. Of a file with larger holes or longer than
+/// any of viewrank's, which would take minutes to read, what the file system says about it.
 pub(super) fn hash(path: &Path) -> io::Result<Option<String>> {
     match fs::symlink_metadata(path) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
@@ -129,13 +129,15 @@ pub(super) fn hash(path: &Path) -> io::Result<Option<String>> {
             let target = fs::read_link(path)?;
             Ok(Some(format!("link:{}", blake3::hash(target.as_os_str().as_encoded_bytes()))))
         }
-        Ok(found) if found.is_file() && found.len() > FileKind::Sparse.limit() => {
-            let modified = found.modified()?.duration_since(UNIX_EPOCH).unwrap_or_default();
-            Ok(Some(format!("large:{} {} {}", found.len(), modified.as_nanos(), input::identity(&found).1)))
-        }
         Ok(found) if found.is_file() => {
+            let file = open::existing(path)?;
+            if found.len() > FileKind::Sparse.limit() || input::has_large_holes(&file, found.len()) {
+                let modified = found.modified()?.duration_since(UNIX_EPOCH).unwrap_or_default();
+                let inode = input::identity(&found).1;
+                return Ok(Some(format!("large:{} {} {inode}", found.len(), modified.as_nanos())));
+            }
             let mut hasher = blake3::Hasher::new();
-            hasher.update_reader(open::existing(path)?)?;
+            hasher.update_reader(file)?;
             Ok(Some(hasher.finalize().to_string()))
         }
         Ok(_) => Ok(None),

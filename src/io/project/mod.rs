@@ -188,6 +188,11 @@ impl Project {
         }
     }
 
+    /// Returns whether `viewrank undistort` made the dense workspace.
+    pub fn has_undistorted_workspace(&self) -> bool {
+        self.dense_workspace.as_ref().is_some_and(|dense| dense.join("viewrank/undistorted-0001.json").is_file())
+    }
+
     /// viewrank's output folder: `home/viewrank`.
     pub fn output_folder(&self) -> PathBuf {
         self.home.join("viewrank")

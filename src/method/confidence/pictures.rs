@@ -37,7 +37,7 @@ pub struct Pictures {
 
 /// Size and times of a file, which show a change without reading it.
 #[derive(Serialize)]
-pub(super) struct Stamp {
+pub struct Stamp {
     size: u64,
     /// Modification time, nanoseconds since 1970.
     modified: u64,
@@ -69,7 +69,7 @@ impl Pictures {
     }
 
     /// Returns size and times of a view's image and mask, where they exist; `None` if the time of change of a file is unknown.
-    pub(super) fn stamps(&self, name: &str) -> Option<[Option<Stamp>; 2]> {
+    pub fn stamps(&self, name: &str) -> Option<[Option<Stamp>; 2]> {
         let stamps = self.files(name).map(|path| path.and_then(|path| path.metadata().ok()).map(|m| Stamp::new(&m)));
         stamps.iter().flatten().all(|stamp| stamp.modified != 0).then_some(stamps)
     }
@@ -120,21 +120,19 @@ impl Stamp {
     }
 }
 
-/// Names the first views whose pictures cannot be used, and counts the rest.
+/// Names the first views whose pictures are broken, and counts the rest. Missing images are in the warnings of the project's image files.
 pub fn picture_warnings(scene: &Scene, troubles: &[Option<ImageError>]) -> Vec<String> {
-    let troubled = || scene.view_indices().zip(troubles).filter_map(|(view, t)| Some((view, t.as_ref()?)));
-    let what = |trouble: &ImageError| match trouble {
-        ImageError::Io(error) if error.kind() == ErrorKind::NotFound => "there is no such image".into(),
-        other => other.to_string(),
+    let is_missing =
+        |trouble: &ImageError| matches!(trouble, ImageError::Io(error) if error.kind() == ErrorKind::NotFound);
+    let troubled = || {
+        let found = scene.view_indices().zip(troubles).filter_map(|(view, trouble)| Some((view, trouble.as_ref()?)));
+        found.filter(|(_, trouble)| !is_missing(trouble))
     };
     let named = troubled().take(NAMED);
-    let mut warnings: Vec<String> = named
-        .map(|(view, trouble)| {
-            format!("{}: {}; this view is done without its picture", scene.name(view), what(trouble))
-        })
-        .collect();
+    let mut warnings: Vec<String> =
+        named.map(|(view, trouble)| format!("{}: {trouble}; predicted without its image", scene.name(view))).collect();
     if let Some(others) = troubled().count().checked_sub(NAMED).filter(|&n| n > 0) {
-        warnings.push(format!("{others} more images are missing or broken"));
+        warnings.push(format!("{others} more images are broken"));
     }
     warnings
 }

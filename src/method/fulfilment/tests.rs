@@ -17,6 +17,7 @@ use crate::{
 };
 
 /// A town with its table and everything that f needs.
+#[derive(Clone)]
 struct Setting {
     scene: Scene,
     surface: Surface,
@@ -39,7 +40,7 @@ impl Setting {
     }
 
     fn pinhole() -> Self {
-        Self::new(CameraModel::Pinhole, &[850.0, 850.0, 500.0, 375.0])
+        Self::new(CameraModel::Pinhole, &[850.0, 820.0, 500.0, 375.0])
     }
 
     fn distorted() -> Self {
@@ -47,7 +48,7 @@ impl Setting {
     }
 
     fn model(&self, confidence: Confidence) -> Model<'_> {
-        let rule = FulfilmentRule { alpha: 0.5, sigma_px: 0.5, min_cameras: 3, image_scale: 1.0, confidence };
+        let rule = FulfilmentRule { alpha: 0.4, sigma_px: 0.5, min_cameras: 3, image_scale: 1.0, confidence };
         let Self { scene, surface, visibility, target, unary } = self;
         Model { scene, surface, visibility, target, unary, agreement: &NO_AGREEMENT, rule }
     }
@@ -238,9 +239,12 @@ fn the_table_holds_what_the_definition_says() {
     let patch_match =
         PairConfidence { min_matches: 1, p0: 0.6, cosine_power: 0.5, scale_octaves: None, full_angle_deg: Some(40.0) };
     let three = PairConfidence { min_matches: 3, ..sure };
-    for mut setting in [Setting::pinhole(), Setting::distorted()] {
+    let settings = [Setting::pinhole(), Setting::distorted()].into_iter().flat_map(|setting| {
         let rows = setting.visibility.triangles.len();
-        setting.unary = Unary { values: (0..rows).map(|r| (r % 101) as f32 / 100.0).collect() };
+        let varied = Unary { values: (0..rows).map(|r| (r % 101) as f32 / 100.0).collect() };
+        [Unary::certain(), varied].map(|unary| Setting { unary, ..setting.clone() })
+    });
+    for setting in settings {
         let views = |v: &[u32]| v.iter().map(|&v| ViewIndex(v)).collect::<Vec<_>>();
         let clusters =
             [(12, views(&[11, 13, 7, 17, 37])), (40, views(&[12, 7])), (3, views(&[])), (30, views(&[0, 5, 31, 36]))]
@@ -253,6 +257,7 @@ fn the_table_holds_what_the_definition_says() {
             let table = table(&model, &clusters, &NoWatcher).unwrap();
             for (c, cluster) in clusters.iter().enumerate() {
                 let (triangles, values) = table.row(c);
+                assert!(values.iter().all(|&f| f > 0.0));
                 for &t in setting.visibility.triangles_seen_by(cluster.key) {
                     let expected = value(&model, cluster.key, &cluster.partners, t).value;
                     let ours = triangles.binary_search(&t).map_or(0.0, |i| f64::from(values[i]));
@@ -264,4 +269,44 @@ fn the_table_holds_what_the_definition_says() {
             }
         }
     }
+}
+
+#[test]
+fn half_size_is_worth_its_own_fulfilment_and_a_part_of_the_difference_to_full_size() {
+    let setting = Setting::pinhole();
+    let model = setting.model(Confidence::None);
+    let quarter = Model { rule: FulfilmentRule { image_scale: 0.5, ..model.rule }, ..model };
+    assert_eq!(quarter.at(MapScale::Half).rule.image_scale, 0.25);
+    let clusters = [ViewCluster { key: ViewIndex(12), partners: vec![ViewIndex(11), ViewIndex(13)] }];
+    let full = table(&model, &clusters, &NoWatcher).unwrap();
+    let half = table(&model.at(MapScale::Half), &clusters, &NoWatcher).unwrap();
+    let blended = half_size(&model, &clusters, &full, 0.25, &NoWatcher).unwrap();
+    assert_eq!(blended.triangles, full.triangles);
+    assert_eq!(half.triangles, full.triangles);
+    let values = || full.values.iter().zip(half.values.iter()).zip(blended.values.iter());
+    assert!(values().any(|((fine, coarse), _)| fine - coarse > 0.01), "there is a difference");
+    for ((fine, coarse), found) in values() {
+        assert!((found - (0.75 * coarse + 0.25 * fine)).abs() < 1e-6, "{fine} {coarse} {found}");
+    }
+}
+
+#[test]
+fn a_triangle_without_area_resolves_nothing() {
+    let mut setting = Setting::pinhole();
+    let triangle = setting.visibility.triangles_seen_by(ViewIndex(12))[40];
+    let corners = &mut setting.surface.triangles[triangle as usize];
+    corners[2] = corners[1];
+    assert_eq!(density(&setting.model(Confidence::None), ViewIndex(12), triangle), 0.0);
+}
+
+#[test]
+fn a_cluster_gives_the_smaller_f_of_each_triangle() {
+    let table = FulfilmentTable::new([vec![(0, 0.5f32), (1, 0.2)], vec![(1, 0.9)], vec![(0, 0.1)]]);
+    let by_triangle = ByTriangle::new(&table, &[2, 0, 1], 2).unwrap();
+    let given = |end| by_triangle.given_by_each(&[0, 1], &[0.25, 0.5], end);
+    let is = |found: Vec<f64>, expected: &[f64]| {
+        found.len() == expected.len() && found.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-6)
+    };
+    assert!(is(given(3), &[0.1, 0.45, 0.5]) && is(given(2), &[0.1, 0.45]), "{:?}", given(3));
+    assert!((by_triangle.most_by_one(&[0, 1], &[0.25, 0.5]) - 0.5).abs() < 1e-6);
 }

@@ -353,6 +353,7 @@ mod tests {
             assert_eq!(table.beyond_gate(key), &expected[narrow.len().min(5)..]);
             let wide = |r: &Refusal| angle(r.partner) > 12.0 && r.reason == Reason::NotMatchable;
             assert!(table.refused(key).iter().all(wide));
+            assert!(table.refused(key).iter().all(|r| !expected.contains(&r.partner)), "a candidate is not refused");
         }
         assert!(!table.refusals.is_empty());
     }
@@ -392,6 +393,54 @@ mod tests {
         let aside = Vector3::new(2.0, 0.0, 0.0);
         scene.views[1].cam_from_world.translation = scene.views[0].cam_from_world.translation - aside;
         assert!(!PairGeometry::new(&scene, ViewIndex(0), ViewIndex(1), &points).epipole_inside);
+    }
+
+    /// One of the two images is enough, and so is the line behind its camera.
+    #[test]
+    fn a_view_that_looks_along_the_baseline_has_the_epipole_inside() {
+        let mut scene = scene();
+        let centre = scene.views[0].cam_from_world.centre() + Vector3::new(2.0, 0.0, 0.0);
+        for towards in [-Vector3::x(), Vector3::x()] {
+            let rotation = nalgebra::Rotation3::rotation_between(&towards, &Vector3::z()).unwrap();
+            let pose = &mut scene.views[1].cam_from_world;
+            (pose.rotation, pose.translation) = (rotation, -(rotation * centre.coords));
+            for [key, partner] in [[0, 1], [1, 0]].map(|pair| pair.map(ViewIndex)) {
+                assert!(PairGeometry::new(&scene, key, partner, &[PointIndex(0)]).epipole_inside, "{towards} {key:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_partner_at_half_the_distance_is_an_octave_finer() {
+        let mut scene = scene();
+        let (pose, point) = (scene.views[0].cam_from_world, scene.points[0]);
+        let nearer = nalgebra::center(&pose.centre(), &point);
+        scene.views[1].cam_from_world = pose;
+        scene.views[1].cam_from_world.translation = -(pose.rotation * nearer.coords);
+        let of = |key, partner| PairGeometry::new(&scene, ViewIndex(key), ViewIndex(partner), &[PointIndex(0)]);
+        assert!((of(0, 1).scale_octaves - 1.0).abs() < 1e-9 && (of(1, 0).scale_octaves + 1.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn views_have_no_baseline_where_most_points_stand_still() {
+        let scene = scene();
+        let pair = PairGeometry::new(&scene, ViewIndex(6), ViewIndex(32), &[PointIndex(0)]);
+        let has_none = |still_share| PairGeometry { still_share, ..pair }.has_no_baseline();
+        assert!(!has_none(0.5) && has_none(0.6));
+    }
+
+    #[test]
+    fn a_point_that_a_view_observes_twice_is_shared_once() {
+        let scene = scene();
+        let twice = |views: &[ViewIndex]| views.iter().flat_map(|&v| [v, v]).collect();
+        let doubled = Scene {
+            track_offsets: scene.track_offsets.iter().map(|offset| 2 * offset).collect(),
+            track_views: twice(&scene.track_views),
+            track_pixels: scene.track_pixels.iter().flat_map(|&p| [p, p]).collect(),
+            ..scene.clone()
+        };
+        let of = |scene: &Scene| neighbours(scene, &scene.view_points(), ViewIndex(6));
+        assert_eq!(of(&doubled), of(&scene));
     }
 
     #[test]

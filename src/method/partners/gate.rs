@@ -98,6 +98,13 @@ mod tests {
             epipole_inside: false,
         };
         assert_eq!(gate.refusal(&good), None);
+        for limit in [
+            PairGeometry { angle_deg: 1.0, ..good },
+            PairGeometry { angle_deg: 60.0, ..good },
+            PairGeometry { scale_octaves: 0.5, ..good },
+        ] {
+            assert_eq!(gate.refusal(&limit), None);
+        }
         assert_eq!(gate.refusal(&PairGeometry { shared: &[], ..good }), Some(Reason::NoSharedPoints));
         for bad in [
             PairGeometry { angle_deg: 0.9, ..good },

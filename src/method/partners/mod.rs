@@ -12,7 +12,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use self::search::PartnerChoice;
 pub use self::{
-    candidates::{Candidates, Limits, PairGeometry, candidates, neighbours},
+    candidates::{Candidates, Limits, PairGeometry, Refusal, candidates, neighbours},
     gate::Obstacle,
 };
 use crate::{

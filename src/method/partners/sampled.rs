@@ -138,6 +138,8 @@ mod tests {
         assert_eq!(drawn, combinations(&scene, ViewIndex(0), 22, 5, 100, 0));
         assert_ne!(drawn[21..], combinations(&scene, ViewIndex(1), 22, 5, 100, 0)[21..]);
         assert_ne!(drawn[21..], combinations(&scene, ViewIndex(0), 22, 5, 100, 1)[21..]);
+        // A quarter of 120 is still below C(8, 5).
+        assert_ne!(combinations(&scene, ViewIndex(0), 22, 5, 120, 0)[..56], all_combinations(8, 5));
         // Not even C(k, k) = 1 is at most a quarter of three.
         assert_eq!(combinations(&scene, ViewIndex(0), 22, 11, 3, 0).len(), 3);
     }

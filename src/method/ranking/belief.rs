@@ -174,6 +174,15 @@ mod tests {
     }
 
     #[test]
+    fn pixels_of_a_triangle_are_not_independent() {
+        let promised = |pixels| Attempt::new(0, pixels, 1.0, 1.0).promised;
+        assert_eq!([0, 1, 6].map(promised), [1.0, 1.0, 3.0]);
+        let short = Attempt::new(0, 6, 0.5, 0.25);
+        assert_eq!((short.promised, short.kept), (1.5, 0.75));
+        assert_eq!(Attempt::new(0, 6, 0.25, 0.5).kept, 0.75);
+    }
+
+    #[test]
     fn kept_promises_change_nothing() {
         let fixture = Fixture::new();
         let mut beliefs = fixture.beliefs();

@@ -118,3 +118,24 @@ impl SeenPixels {
         self.0.into_iter().map(|[sum, views]| sum.into_inner() as f64 / PARTS / views.into_inner().max(1) as f64)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::method::region::{Outline, RegionKind};
+
+    #[test]
+    fn what_is_inside_a_region_is_its_share_of_the_weight_whatever_its_factors() {
+        let region = Region {
+            kind: RegionKind::Box,
+            factors: vec![2.0, 1.0, 0.0],
+            covered: vec![1.0, 0.5, 0.0],
+            gsd: Vec::new(),
+            bounds: [0.0; 6],
+            outline: Outline::Hull(Vec::new()),
+        };
+        let objective = Objective::inside(vec![1.0, 3.0, 4.0], Some(&region), 1);
+        assert_eq!((objective.inside, &objective.weights[..]), (2.5 / 8.0, &[0.4, 0.6, 0.0][..]));
+        assert_eq!(Objective::inside(vec![0.0; 3], Some(&region), 1).inside, 0.0);
+    }
+}

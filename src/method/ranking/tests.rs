@@ -150,6 +150,7 @@ fn the_prefix_for_a_share_is_the_shortest() {
     assert_eq!([0.4, 0.5, 0.6, 0.75, 0.8, 1.0].map(|s| ranking.length_for_share(s)), [1, 1, 2, 2, 4, 4]);
     assert_eq!(Ranking::default().length_for_share(0.9), 0);
     assert_eq!(Ranking::default().share(3), 0.0);
+    assert_eq!([0, 1, 2, 4, 9].map(|n| ranking.share(n)), [0.0, 0.5, 0.75, 1.0, 1.0]);
 }
 
 #[test]
@@ -237,5 +238,52 @@ proptest! {
                 prop_assert!(*bound >= reached.fulfilment() - 1e-9, "{bound} for {spent}, {} for {cost}", reached.fulfilment());
             }
         }
+    }
+}
+
+#[test]
+fn shares_of_two_sizes_are_of_all_at_full_size() {
+    let full = FulfilmentTable::new([vec![(0, 0.8f32)], vec![(1, 0.4)]]);
+    let half = FulfilmentTable::new([vec![(0, 0.6f32)], vec![(1, 0.3)]]);
+    // Half size is cheap, so both are taken at half size.
+    let work = [[1.0, 0.1]; 2];
+    let (maps, objective) = (Maps::two_sizes(&full, &half, &work), even(2, 1));
+    let ranking = rank_after(&[], &maps, &objective, &NoWatcher).unwrap();
+    assert_eq!(ranking.scales, [MapScale::Half; 2]);
+    assert!((ranking.reachable - 0.6).abs() < 1e-6);
+    assert!((ranking.share(2) - 0.75).abs() < 1e-6);
+    let shares = shares_by(&Objective::weighing(vec![3.0, 1.0], 1), &ranking, &maps);
+    assert!((shares[0] - 0.6 * 3.0 / 2.8).abs() < 1e-6 && (shares[1] - 0.75).abs() < 1e-6, "{shares:?}");
+    let of_full = shares_by(&objective, &rank(&full, &objective, &NoWatcher).unwrap(), &Maps::full_size(&full));
+    assert!((of_full[0] - 2.0 / 3.0).abs() < 1e-6 && of_full[1] == 1.0, "{of_full:?}");
+    assert!(shares_by(&even(2, 1), &Ranking::default(), &maps).is_empty());
+}
+
+#[test]
+fn the_guarantee_is_the_textbooks_where_one_map_is_enough() {
+    assert!((even(1, 1).guarantee() - (1.0 - (-1f64).exp())).abs() < 1e-12);
+    let credit = SINGLE_MAP_CREDIT / 2.0;
+    assert!((even(1, 3).guarantee() - (1.0 - (-2.0 * credit / (1.0 + credit)).exp())).abs() < 1e-12);
+}
+
+/// The mean excess of the bound over the optimum, over 40 tables of numbers that look random.
+#[test]
+fn the_bound_is_near_the_optimum() {
+    for (support, most) in [(1, 0.02), (2, 0.05), (3, 0.06)] {
+        let (mut excess, mut bounds) = (0.0, 0);
+        for seed in 0..40u32 {
+            let f =
+                |c: u32, t: u32| f32::from(((seed * 31 + c * 17 + t * 29 + c * t * (seed + 3)) % 97 % 9) as u8) / 8.0;
+            let row = |c: u32| (0..TRIANGLES).map(|t| (t, f(c, t) - 0.5)).filter(|entry| entry.1 > 0.0).collect();
+            let rows: Vec<Vec<(u32, f32)>> = (0..8).map(row).collect();
+            let (table, objective) = (FulfilmentTable::new(&rows), even(TRIANGLES, support));
+            let ranking = rank(&table, &objective, &NoWatcher).unwrap();
+            for (n, optimum) in optima(&rows, support as usize).into_iter().enumerate().skip(1).take(6) {
+                excess += most_of_any(n, &Maps::full_size(&table), &objective, &ranking) - optimum;
+                bounds += 1;
+            }
+        }
+        let excess = excess / f64::from(bounds);
+        assert!(excess < most, "support {support}: {excess}");
     }
 }

@@ -13,7 +13,7 @@ use super::{
     sampled,
 };
 use crate::{
-    base::progress::{Cancelled, Watcher},
+    base::progress::Watcher,
     io::region_file::{Areas, Coordinates, Polygon},
     method::surface::Surface,
     model::georeference::{Georeference, MapFrame},
@@ -106,19 +106,23 @@ impl MapAreas {
         Ok(Self { polygons, rings, wishes, columns, projection })
     }
 
-    /// Returns the properties of the last polygon that contains the position.
-    fn at(&self, place: [f64; 2]) -> Option<RegionProperties> {
-        let holding = self.columns.cell(place).iter().rev().find(|&&i| self.polygons[i as usize].contains(place));
+    /// Returns the properties of the last polygon that contains the position. Adds the polygons and edges that it looks at to `looked_at`.
+    fn at(&self, place: [f64; 2], looked_at: &mut u64) -> Option<RegionProperties> {
+        let holds = |&&i: &&u32| {
+            *looked_at += 1;
+            self.polygons[i as usize].contains(place, looked_at)
+        };
+        let holding = self.columns.cell(place).iter().rev().find(holds);
         holding.map(|&i| self.wishes[i as usize])
     }
 
-    pub fn sampled(&self, surface: &Surface, watcher: &dyn Watcher) -> Result<Vec<TriangleSamples>, Cancelled> {
+    pub fn sampled(&self, surface: &Surface, watcher: &dyn Watcher) -> Result<Vec<TriangleSamples>, RegionError> {
         let vertices: Vec<[f64; 2]> = surface.vertices.par_iter().map(|v| self.projection.project(v)).collect();
-        in_parts(surface, watcher, |t| {
+        in_parts(surface, watcher, |t, looked_at| {
             let [a, b, c] = surface.triangles[t as usize].map(|v| vertices[v as usize]);
             let [b, c] = [b, c].map(|corner| self.projection.beside(a, corner));
             let at = |u: f64, v: f64| [0, 1].map(|axis| a[axis] + u * (b[axis] - a[axis]) + v * (c[axis] - a[axis]));
-            sampled(|[u, v]| self.at(self.projection.wrapped(at(u, v))))
+            sampled(|[u, v]| self.at(self.projection.wrapped(at(u, v)), looked_at))
         })
     }
 

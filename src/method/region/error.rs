@@ -31,6 +31,8 @@ pub enum RegionError {
     OutsideBox { region: [f64; 6], model: [f64; 6] },
     #[error("the areas of the region that hold parts of the surface all have the weight 0")]
     Weightless,
+    #[error("the region has too many edges across the surface: finding what is inside would take minutes")]
+    TooIntricate,
     #[error(transparent)]
     Cancelled(#[from] Cancelled),
 }
@@ -91,6 +93,7 @@ impl Hint for RegionError {
             }
             Self::OutsideBox { .. } => "give it in the frame and the units of the model",
             Self::Weightless => "give the areas that count a weight above 0",
+            Self::TooIntricate => "simplify its outline to the detail of the surface: ogr2ogr -simplify",
             Self::Cancelled(error) => return error.hint(),
         };
         Some(hint.into())

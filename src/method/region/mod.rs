@@ -10,6 +10,8 @@ mod error;
 mod polygon;
 mod solid;
 
+use std::sync::atomic::{AtomicU64, Ordering};
+
 use nalgebra::Point3;
 use rayon::prelude::*;
 use schemars::JsonSchema;
@@ -19,7 +21,7 @@ pub use error::RegionError;
 
 use self::{areas::MapAreas, solid::Solid};
 use crate::{
-    base::progress::{Cancelled, Watcher},
+    base::progress::Watcher,
     config::RegionChoice,
     io::region_file::{self, Polygon, RegionFile},
     method::surface::Surface,
@@ -28,6 +30,9 @@ use crate::{
 
 /// Triangles between two checks for cancellation.
 const AT_ONCE: usize = 16_384;
+/// Edges (of a mesh, triangles) of the region that may be looked at in all, and for each triangle of the surface: a hundred times as many as
+/// outlines of towns or coasts need. A comb of some hundred thousand teeth would take minutes.
+const LOOKED_AT: [u64; 2] = [100_000_000, 16_000];
 
 /// Kind of a region.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -144,8 +149,9 @@ impl RegionShape {
                     .map(|r| Region { outline: areas.outline(), ..r })
             }
             Self::Solid(solid, hull) => {
-                let inside = |p: &Point3<f64>| solid.contains(p);
-                let sampled = in_parts(surface, watcher, |t| solid_sample(surface, t, &inside))?;
+                let sampled = in_parts(surface, watcher, |t, looked_at| {
+                    solid_sample(surface, t, |p| solid.contains(p, looked_at))
+                })?;
                 let corners = [solid.low, solid.high].map(|p| [p.x, p.y, p.z]).concat();
                 let outside = || RegionError::outside_box(&corners, &whole);
                 region(RegionKind::Mesh, surface, sampled, outside)
@@ -162,7 +168,7 @@ impl RegionShape {
 
 fn boxed(kind: RegionKind, corners: [f64; 6], surface: &Surface, watcher: &dyn Watcher) -> Result<Region, RegionError> {
     let inside = |p: &Point3<f64>| (0..3).all(|axis| corners[axis] <= p[axis] && p[axis] <= corners[axis + 3]);
-    let sampled = in_parts(surface, watcher, |t| solid_sample(surface, t, &inside))?;
+    let sampled = in_parts(surface, watcher, |t, _| solid_sample(surface, t, inside))?;
     let outside = || RegionError::outside_box(&corners, &bounds(surface, |_| true));
     let found = region(kind, surface, sampled, outside)?;
     let corner = |i: usize| Point3::from([0, 1, 2].map(|axis| corners[axis + 3 * (i >> axis & 1)]));
@@ -191,23 +197,38 @@ fn region(
     })
 }
 
-/// Samples all triangles, in their order.
+/// Samples all triangles, in their order; `sample` adds what it looks at of the region to its second argument.
 fn in_parts(
     surface: &Surface,
     watcher: &dyn Watcher,
-    sample: impl Fn(u32) -> TriangleSamples + Sync,
-) -> Result<Vec<TriangleSamples>, Cancelled> {
+    sample: impl Fn(u32, &mut u64) -> TriangleSamples + Sync,
+) -> Result<Vec<TriangleSamples>, RegionError> {
     let triangles = surface.triangles.len();
+    let most = LOOKED_AT[0] + LOOKED_AT[1] * triangles as u64;
+    let in_all = AtomicU64::new(0);
+    let one = |t: u32| {
+        // The sum doesn't depend on the order, so neither does whether it becomes too large.
+        if in_all.load(Ordering::Relaxed) > most {
+            return TriangleSamples::default();
+        }
+        let mut looked_at = 0;
+        let sampled = sample(t, &mut looked_at);
+        in_all.fetch_add(looked_at, Ordering::Relaxed);
+        sampled
+    };
     let mut all = Vec::with_capacity(triangles);
     for start in (0..triangles).step_by(AT_ONCE) {
         watcher.check()?;
         let end = triangles.min(start + AT_ONCE);
-        all.par_extend((start as u32..end as u32).into_par_iter().map(&sample));
+        all.par_extend((start as u32..end as u32).into_par_iter().map(one));
+        if in_all.load(Ordering::Relaxed) > most {
+            return Err(RegionError::TooIntricate);
+        }
     }
     Ok(all)
 }
 
-fn solid_sample(surface: &Surface, triangle: u32, inside: &impl Fn(&Point3<f64>) -> bool) -> TriangleSamples {
+fn solid_sample(surface: &Surface, triangle: u32, mut inside: impl FnMut(&Point3<f64>) -> bool) -> TriangleSamples {
     let [a, b, c] = surface.corners(triangle);
     let at = |[u, v]: [f64; 2]| a + (b - a) * u + (c - a) * v;
     sampled(|place| inside(&at(place)).then_some(RegionProperties::INSIDE))
@@ -215,7 +236,7 @@ fn solid_sample(surface: &Surface, triangle: u32, inside: &impl Fn(&Point3<f64>)
 
 /// Samples a triangle at the centroids of the 16 triangles of a regular subdivision; `at` gets the barycentric coordinates of the second and third
 /// corner.
-fn sampled(at: impl Fn([f64; 2]) -> Option<RegionProperties>) -> TriangleSamples {
+fn sampled(at: impl FnMut([f64; 2]) -> Option<RegionProperties>) -> TriangleSamples {
     const CUTS: u32 = 4;
     let place = |i: u32, thirds: f64| (f64::from(i) + thirds / 3.0) / f64::from(CUTS);
     let upright = (0..CUTS).flat_map(|i| (0..CUTS - i).map(move |j| [place(i, 1.0), place(j, 1.0)]));

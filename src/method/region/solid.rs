@@ -58,11 +58,14 @@ impl Solid {
         self.triangles.iter().flatten().copied()
     }
 
-    pub fn contains(&self, point: &Point3<f64>) -> bool {
+    /// Adds the number of triangles that it looks at to `looked_at`.
+    pub fn contains(&self, point: &Point3<f64>, looked_at: &mut u64) -> bool {
         if !(self.low[2] <= point.z && point.z <= self.high[2]) {
             return false;
         }
-        let above = self.columns.cell(flat(*point)).iter().filter(|&&t| is_below(point, &self.triangles[t as usize]));
+        let column = self.columns.cell(flat(*point));
+        *looked_at += column.len() as u64;
+        let above = column.iter().filter(|&&t| is_below(point, &self.triangles[t as usize]));
         above.count() % 2 == 1
     }
 }
@@ -150,7 +153,7 @@ mod tests {
         let n = 60;
         let at = |i: usize| 2.0 * (i as f64 + 0.5) / n as f64 - 1.0;
         let points = (0..n * n * n).map(|i| Point3::new(at(i % n), at(i / n % n), at(i / n / n)));
-        let inside = points.filter(|p| solid.contains(p)).count() as f64;
+        let inside = points.filter(|p| solid.contains(p, &mut 0)).count() as f64;
         let volume = 8.0 * inside / (n * n * n) as f64;
         assert!((volume - expected).abs() < 0.01, "{volume} {expected}");
     }
@@ -160,11 +163,17 @@ mod tests {
         // Every sample is straight below vertices and edges.
         let solid = Solid::new(&block([0.0; 3], [2.0; 3])).unwrap();
         for (x, y) in [(0.0, 0.0), (1.0, 1.0), (0.0, 1.0), (1.0, 0.0), (1.5, 1.5)] {
-            assert!(solid.contains(&Point3::new(x, y, 1.0)), "{x} {y}");
-            assert!(!solid.contains(&Point3::new(x, y, -1.0)) && !solid.contains(&Point3::new(x, y, 3.0)), "{x} {y}");
+            assert!(solid.contains(&Point3::new(x, y, 1.0), &mut 0), "{x} {y}");
+            assert!(
+                !solid.contains(&Point3::new(x, y, -1.0), &mut 0) && !solid.contains(&Point3::new(x, y, 3.0), &mut 0),
+                "{x} {y}"
+            );
         }
         let octahedron = Solid::new(&sphere(0)).unwrap();
-        assert!(octahedron.contains(&Point3::origin()) && !octahedron.contains(&Point3::new(0.0, 0.0, -1.5)));
+        assert!(
+            octahedron.contains(&Point3::origin(), &mut 0)
+                && !octahedron.contains(&Point3::new(0.0, 0.0, -1.5), &mut 0)
+        );
     }
 
     #[test]
@@ -184,7 +193,9 @@ mod tests {
         hollow.vertices.extend(inner.vertices);
         hollow.triangles.extend(inner.triangles.iter().map(|t| t.map(|v| v + offset)));
         let solid = Solid::new(&hollow).unwrap();
-        assert!(solid.contains(&Point3::new(0.5, 1.5, 1.5)) && !solid.contains(&Point3::new(1.5, 1.4, 1.6)));
+        assert!(
+            solid.contains(&Point3::new(0.5, 1.5, 1.5), &mut 0) && !solid.contains(&Point3::new(1.5, 1.4, 1.6), &mut 0)
+        );
     }
 
     proptest! {
@@ -195,7 +206,7 @@ mod tests {
             high in proptest::array::uniform3(0.5..2.0f64),
         ) {
             let inside = (0..3).all(|axis| low[axis] < point[axis] && point[axis] < high[axis]);
-            prop_assert_eq!(Solid::new(&block(low, high)).unwrap().contains(&point.into()), inside);
+            prop_assert_eq!(Solid::new(&block(low, high)).unwrap().contains(&point.into(), &mut 0), inside);
         }
     }
 }

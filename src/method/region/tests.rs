@@ -265,3 +265,17 @@ fn a_huge_file_is_not_read() {
     let refused = site.on(&RegionChoice::File(path), &Georeference::Local);
     assert!(matches!(refused, Err(RegionError::File { fault: region_file::RegionFault::Read(_), .. })));
 }
+
+/// All of them would have to be looked at for each sample.
+#[test]
+fn a_comb_or_many_polygons_above_each_other_are_too_intricate() {
+    let (site, local) = (Site::new(), Georeference::Local);
+    let tooth = |i: u32| [[0.0, -40.0], [0.2, 40.0]].map(|[dx, y]| [f64::from(i) * 4e-4 - 40.0 + dx * 1e-3, y]);
+    let comb: Vec<[f64; 2]> = (0..200_000).flat_map(tooth).collect();
+    let square = [[[-40.0, -40.0], [40.0, -40.0], [40.0, 40.0]]];
+    for coordinates in [json!([[comb]]), json!(vec![square; 100_000])] {
+        let polygons = json!({ "type": "MultiPolygon", "coordinates": coordinates, "crs": null });
+        let refused = site.polygons(&polygons, &local);
+        assert!(matches!(refused, Err(RegionError::TooIntricate)), "{refused:?}");
+    }
+}

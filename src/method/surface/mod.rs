@@ -122,7 +122,7 @@ pub struct MeshFile {
 }
 
 /// Statistics of building the surface.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, JsonSchema)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct SurfaceStats {
     /// Number of tiles. The counts below are sums over them, so overlaps count twice.
     pub tiles: usize,

@@ -29,13 +29,15 @@ use crate::{
     plan::{Cut, Forecast, OutdatedMap, Plan, ViewStatus},
 };
 
-/// Version of the format; readers accept only manifests with this number.
-pub(crate) const VERSION: u32 = 1;
+/// Version of the format; readers accept only manifests with this number, and check it before anything else. Raised when an older reader would
+/// misunderstand a manifest or refuse it for another reason.
+pub(crate) const VERSION: u32 = 2;
 
 /// A ranking of view clusters: which key views get depth maps, with which matching partners, in which order.
 #[derive(Clone, Debug, Serialize, JsonSchema)]
 pub struct Manifest {
     /// Version of this format.
+    #[schemars(extend("const" = VERSION))]
     pub version: u32,
     /// Program and version that wrote it.
     pub tool: String,

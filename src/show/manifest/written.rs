@@ -45,7 +45,6 @@ pub struct WrittenPlan {
 /// The part of a manifest that viewrank reads back; views are names.
 #[derive(Debug, Deserialize)]
 pub(crate) struct RecordedPlan {
-    version: u32,
     input: Input,
     pub backend: String,
     pub settings: Settings,
@@ -61,6 +60,12 @@ pub(crate) struct RecordedPlan {
     /// Path of the manifest.
     #[serde(skip)]
     path: PathBuf,
+}
+
+/// What every version of the manifest has.
+#[derive(Debug, Deserialize)]
+struct Versioned {
+    version: u32,
 }
 
 #[derive(Debug, Deserialize)]
@@ -180,10 +185,12 @@ impl RecordedPlan {
 
     fn parse(bytes: &[u8], path: PathBuf) -> Result<Self, WrittenPlanError> {
         let refused = |what: String| WrittenPlanError::Manifest { path: path.clone(), what };
-        let recorded: Self = serde_json::from_slice(bytes).map_err(|error| refused(error.to_string()))?;
-        if recorded.version != VERSION {
-            return Err(WrittenPlanError::Version { path, version: recorded.version });
+        // First, since fields of another version need not be those of this one.
+        let Versioned { version } = serde_json::from_slice(bytes).map_err(|error| refused(error.to_string()))?;
+        if version != VERSION {
+            return Err(WrittenPlanError::Version { path, version });
         }
+        let recorded: Self = serde_json::from_slice(bytes).map_err(|error| refused(error.to_string()))?;
         check(&recorded).map_err(refused)?;
         Ok(Self { path, ..recorded })
     }
@@ -242,7 +249,7 @@ pub enum WrittenPlanError {
     Io { path: PathBuf, source: std::io::Error },
     #[error("cannot use the plan {}: {what}", path.display())]
     Manifest { path: PathBuf, what: String },
-    #[error("cannot use the plan {}: its version is {version}, this program reads {VERSION}", path.display())]
+    #[error("cannot use the plan {}: written by another version of viewrank (its format is {version}, this program reads {VERSION})", path.display())]
     Version { path: PathBuf, version: u32 },
     #[error("cannot use the plan {}: the model or the images have changed since it was made", .0.display())]
     OtherInput(PathBuf),
@@ -256,17 +263,20 @@ pub enum WrittenPlanError {
     Project(#[from] ProjectError),
 }
 
+/// The command that writes the manifest at `path`.
+fn plan_command(path: &Path) -> String {
+    let root = path.parent().and_then(Path::parent).unwrap_or(Path::new("."));
+    format!("viewrank plan {}", command_path(root))
+}
+
 impl Hint for WrittenPlanError {
     fn hint(&self) -> Option<String> {
         match self {
-            Self::Io { path, .. }
-            | Self::Manifest { path, .. }
+            Self::Io { path, .. } => Some(format!("make the plan first: {}", plan_command(path))),
+            Self::Manifest { path, .. }
             | Self::Version { path, .. }
             | Self::OtherInput(path)
-            | Self::OtherPlan(path) => {
-                let root = path.parent().and_then(Path::parent).unwrap_or(Path::new("."));
-                Some(format!("make the plan first: viewrank plan {}", command_path(root)))
-            }
+            | Self::OtherPlan(path) => Some(format!("plan again: {}", plan_command(path))),
             Self::Own(error) => error.hint(),
             Self::Input(error) => error.hint(),
             Self::Project(error) => error.hint(),

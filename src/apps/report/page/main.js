@@ -170,6 +170,7 @@ function showHole(hole) {
     scene.camera.centre = hole.centre.slice();
     const wanted = Math.min(scene.width, scene.height) / Math.max(5 * Math.sqrt(hole.area), 0.12 * bounds.span);
     scene.camera.scale = Math.max(wanted, scene.camera.whole);
+    scene.moved = true;
   }
   change({ colour: 'reason', selected: -1 });
   byId('map-box').scrollIntoView({ block: 'center' });
@@ -224,7 +225,7 @@ function clearFilter() {
 
 function followTheme() {
   readTheme();
-  for (const scene of scenes) scene.draw();
+  for (const scene of scenes) scene.move();
 }
 
 // The address keeps the cut, the view and the colours, so that they survive a reload after a new plan.

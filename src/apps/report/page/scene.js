@@ -10,6 +10,8 @@ const BORDER = '#1d2329';
 const FLIGHT = '#127a3d';
 // Holes that are numbered whatever their size.
 const NUMBERED = 5;
+// More cameras than this are drawn as squares: arcs would take longer than the surface.
+const MANY = 1500;
 
 function readTheme() {
   const style = getComputedStyle(document.documentElement);
@@ -20,11 +22,14 @@ function readTheme() {
 
 class Scene {
   constructor(element, camera, turns) {
-    Object.assign(this, { element, camera, turns, hole: null, asked: false, repaint: true });
+    Object.assign(this, { element, camera, turns, hole: null, asked: false, repaint: true, moved: true, onScreen: true, stale: false });
     [this.canvas, this.marks] = element.querySelectorAll('canvas');
     this.painter = painterFor(this.canvas);
     this.context = this.marks.getContext('2d');
     new ResizeObserver(() => this.resize()).observe(element);
+    // What nobody sees is drawn once it comes into view, or on paper.
+    new IntersectionObserver(entries => this.comesIntoView(entries.at(-1).isIntersecting)).observe(element);
+    window.addEventListener('beforeprint', () => { if (this.stale) this.drawNow(); });
     this.listen();
   }
 
@@ -38,7 +43,12 @@ class Scene {
     this.context.setTransform(ratio, 0, 0, ratio, 0, 0);
     if (first) this.camera.fit(width, height);
     else for (const scale of ['scale', 'whole']) this.camera[scale] *= zoom;
-    this.draw();
+    this.move();
+  }
+
+  comesIntoView(onScreen) {
+    this.onScreen = onScreen;
+    if (onScreen && this.stale) this.draw();
   }
 
   listen() {
@@ -60,7 +70,7 @@ class Scene {
       if (!moved && Math.hypot(dx, dy) < 4) return;
       [from, moved] = [[event.clientX, event.clientY], true];
       if (this.turns && !event.shiftKey) this.camera.turn(-0.4 * dx, 0.4 * dy); else this.camera.pan(dx, dy);
-      this.draw();
+      this.move();
     });
     element.addEventListener('pointerup', event => {
       const box = element.getBoundingClientRect();
@@ -85,8 +95,8 @@ class Scene {
   key(event) {
     const arrows = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
     const arrow = arrows[event.key];
-    if (arrow && event.shiftKey) { this.camera.pan(-40 * arrow[0], -40 * arrow[1]); this.draw(); }
-    else if (arrow && this.turns) { this.camera.turn(8 * arrow[0], -6 * arrow[1]); this.draw(); }
+    if (arrow && event.shiftKey) { this.camera.pan(-40 * arrow[0], -40 * arrow[1]); this.move(); }
+    else if (arrow && this.turns) { this.camera.turn(8 * arrow[0], -6 * arrow[1]); this.move(); }
     else if (arrow) change({ selected: this.next(arrow) });
     else if (event.key === '+' || event.key === '=') this.zoom(1.25);
     else if (event.key === '-') this.zoom(0.8);
@@ -98,7 +108,7 @@ class Scene {
 
   home() {
     this.camera.fit(this.width, this.height);
-    this.draw();
+    this.move();
   }
 
   zoom(factor, x = this.width / 2, y = this.height / 2) {
@@ -106,7 +116,7 @@ class Scene {
     this.camera.pan(-dx, -dy);
     this.camera.scale *= factor;
     this.camera.pan(dx, dy);
-    this.draw();
+    this.move();
   }
 
   at(view) {
@@ -135,19 +145,31 @@ class Scene {
     return best;
   }
 
+  // Draws in the next frame after the camera has moved.
+  move() {
+    this.moved = true;
+    this.draw();
+  }
+
   // Draws in the next frame; `repaint`: triangle colours have changed.
   draw(repaint = false) {
     this.repaint ||= repaint;
-    if (this.asked) return;
+    this.stale = true;
+    if (this.asked || !this.onScreen) return;
     this.asked = true;
     requestAnimationFrame(() => {
       this.asked = false;
-      if (!this.width) return;
-      if (this.repaint) this.painter.paint(triangleColours());
-      this.repaint = false;
-      this.painter.draw(this.camera, this.width, this.height);
-      this.drawMarks();
+      this.drawNow();
     });
+  }
+
+  // The surface only if it has changed: hovering over cameras changes marks alone.
+  drawNow() {
+    if (!this.width) return;
+    if (this.repaint) this.painter.paint(triangleColours());
+    if (this.repaint || this.moved) this.painter.draw(this.camera, this.width, this.height);
+    this.repaint = this.moved = this.stale = false;
+    this.drawMarks();
   }
 
   drawMarks() {
@@ -159,7 +181,7 @@ class Scene {
     this.drawBorder();
     this.drawHoles();
     this.drawFlight(size);
-    this.drawCameras(size);
+    if (views.count > MANY) this.drawSquares(size); else this.drawCameras(size);
     if (shown >= 0) this.drawCluster(shown, size);
     if (!this.turns) this.drawScale();
   }
@@ -183,6 +205,23 @@ class Scene {
         context.strokeStyle = colour;
         context.lineWidth = width;
         context.stroke(path);
+      }
+    }
+  }
+
+  // Like drawCameras, as squares in a white outline.
+  drawSquares(size) {
+    const { context } = this, square = (x, y, half) => context.fillRect(x - half, y - half, 2 * half, 2 * half);
+    const places = { unused: [], partner: [], key: [] };
+    for (let view = 0; view < views.count; view++) {
+      const place = this.at(view);
+      if (place[0] > -9 && place[1] > -9 && place[0] < this.width + 9 && place[1] < this.height + 9) places[statusOf(view, state.cut)].push(place);
+    }
+    for (const [status, list] of Object.entries(places)) {
+      const half = (status === 'key' ? 1.15 : 0.85) * size;
+      for (const [colour, reach] of [['#fff', half + 0.8], [theme[status], half], ...(status === 'unused' ? [['#fff', half - 0.9]] : [])]) {
+        context.fillStyle = colour;
+        for (const [x, y] of list) square(x, y, Math.max(reach, 0.5));
       }
     }
   }

@@ -1,38 +1,25 @@
-//! Cache of the agreement table: a plan reads no picture that an earlier plan compared on the same surface.
+//! Cache of the agreement table: a plan reads no picture that an earlier plan compared on the same surface, with the same cameras and candidates.
 //!
-//! One file: a line of magic, a line of JSON, and the values, 1 byte each. A file that is damaged, or was made from other pictures or for another
-//! surface, other cameras or other candidates, counts as absent.
-
-use std::{
-    io::{BufRead, BufReader, Read},
-    path::PathBuf,
-};
+//! The file's facts are the views without a picture, and its contents the values, 1 byte each.
 
 use serde::{Deserialize, Serialize};
 
 use super::{super::pictures::Pictures, Agreement, stacks::SPACING};
 use crate::{
     base::column::{Column, ColumnBuilder, DiskError},
-    io::output,
+    io::cache::CacheFile,
     method::geometry::Geometry,
     model::scene::{Scene, ViewIndex},
 };
 
 /// Path of the cache in its project.
-pub const AGREEMENT_CACHE: &str = "viewrank/cache/agreement.table";
+const AGREEMENT_CACHE: &str = "viewrank/cache/agreement.table";
 
-/// Its number is raised when the same input gives another table: by other samples, another comparison, or another rule of a program's reach.
-const MAGIC: &str = "viewrank agreement 3\n";
-/// Limit for the line of JSON, bytes: a few per view, and the warnings.
-const LONGEST_HEAD: u64 = 64 << 20;
+/// Raised when the same input gives another table: by other samples, another comparison, or another rule of a program's reach. Not the version of the
+/// program: comparing takes longer than all the rest.
+const VERSION: &str = "agreement 4";
 /// Values read at once.
 const BLOCK: usize = 1 << 20;
-
-/// Cached table of a project, with the fingerprint of everything that it depends on.
-pub(super) struct Cache {
-    project: PathBuf,
-    inputs: String,
-}
 
 /// The part of a table that is read.
 pub(super) struct Cached {
@@ -43,98 +30,71 @@ pub(super) struct Cached {
 }
 
 #[derive(Serialize, Deserialize)]
-struct Head {
-    /// BLAKE3 of what the table depends on, hexadecimal.
-    inputs: String,
-    /// BLAKE3 of the values, hexadecimal.
-    values: String,
+pub(super) struct Facts {
     /// Views without a usable picture, ascending.
-    without: Vec<u32>,
-    warnings: Vec<String>,
+    pub without: Vec<u32>,
+    pub warnings: Vec<String>,
 }
 
-impl Cache {
-    /// `program`: the one whose reach limits the table. Returns `None` if the file system has no time of change: a changed picture would go unnoticed.
-    pub(super) fn new<'p>(
-        geometry: &Geometry,
-        pictures: &Pictures,
-        partners_of: impl Fn(ViewIndex) -> &'p [ViewIndex],
-        program: Option<&str>,
-    ) -> Option<Self> {
-        let mut hasher = blake3::Hasher::new();
-        hasher.update(&serde_json::to_vec(&program).ok()?);
-        if program.is_some() {
-            hash_points(&mut hasher, geometry.scene);
-        }
-        hash_geometry(&mut hasher, geometry);
-        for view in geometry.scene.view_indices() {
-            let partners = partners_of(view);
-            hasher.update(&partners.len().to_le_bytes());
-            partners.iter().for_each(|partner| _ = hasher.update(&partner.0.to_le_bytes()));
-            let files = pictures.stamps(geometry.scene.name(view))?;
-            hasher.update(&serde_json::to_vec(&files).ok()?);
-        }
-        Some(Self { project: pictures.project().into(), inputs: hasher.finalize().to_string() })
-    }
+/// Returns the cache of the table. `program`: the one whose reach limits it.
+pub(super) fn file<'p>(
+    geometry: &Geometry,
+    pictures: &Pictures,
+    partners_of: impl Fn(ViewIndex) -> &'p [ViewIndex],
+    program: Option<&str>,
+) -> CacheFile {
+    let inputs = inputs(geometry, pictures, partners_of, program);
+    CacheFile::new(pictures.project(), AGREEMENT_CACHE, inputs)
+}
 
-    /// Reads the cached table; `None` if the file is of other inputs.
-    pub(super) fn read<'p>(
-        &self,
-        geometry: &Geometry,
-        partners_of: impl Fn(ViewIndex) -> &'p [ViewIndex],
-    ) -> Result<Option<Cached>, DiskError> {
-        let Some((head, mut rest)) = self.open() else { return Ok(None) };
-        let mut without = vec![false; geometry.scene.views.len()];
-        for view in head.without {
-            let Some(without) = without.get_mut(view as usize) else { return Ok(None) };
-            *without = true;
-        }
-        let mut left = Agreement::laid_out(geometry, partners_of, &without).len();
-        let mut values = ColumnBuilder::new(geometry.visibility.triangles.storage())?;
-        let (mut hasher, mut block) = (blake3::Hasher::new(), vec![0; BLOCK]);
-        while left > 0 {
-            let block = &mut block[..left.min(BLOCK)];
-            if rest.read_exact(block).is_err() {
-                return Ok(None);
-            }
-            hasher.update(block);
-            values.extend(block)?;
-            left -= block.len();
-        }
-        let is_whole = hasher.finalize().to_string() == head.values && rest.fill_buf().is_ok_and(<[u8]>::is_empty);
-        is_whole.then(|| Ok(Cached { without, warnings: head.warnings, values: values.finish()? })).transpose()
+/// Returns `None` if the file system has no time of change: a changed picture would go unnoticed.
+fn inputs<'p>(
+    geometry: &Geometry,
+    pictures: &Pictures,
+    partners_of: impl Fn(ViewIndex) -> &'p [ViewIndex],
+    program: Option<&str>,
+) -> Option<blake3::Hasher> {
+    let mut hasher = blake3::Hasher::new();
+    hasher.update(&serde_json::to_vec(&(VERSION, program)).ok()?);
+    if program.is_some() {
+        hash_points(&mut hasher, geometry.scene);
     }
+    hash_geometry(&mut hasher, geometry);
+    for view in geometry.scene.view_indices() {
+        let partners = partners_of(view);
+        hasher.update(&partners.len().to_le_bytes());
+        partners.iter().for_each(|partner| _ = hasher.update(&partner.0.to_le_bytes()));
+        let files = pictures.stamps(geometry.scene.name(view))?;
+        hasher.update(&serde_json::to_vec(&files).ok()?);
+    }
+    Some(hasher)
+}
 
-    fn open(&self) -> Option<(Head, impl BufRead + use<>)> {
-        let mut file = BufReader::with_capacity(BLOCK, output::open_own(&self.project, AGREEMENT_CACHE).ok()?);
-        let mut line = |most| {
-            let mut text = String::new();
-            file.by_ref().take(most).read_line(&mut text).ok()?;
-            Some(text)
-        };
-        if line(MAGIC.len() as u64)? != MAGIC {
-            return None;
-        }
-        let head: Head = serde_json::from_str(&line(LONGEST_HEAD)?).ok()?;
-        (head.inputs == self.inputs).then_some((head, file))
+/// Reads the cached table; `None` if it is of other inputs or damaged.
+pub(super) fn read<'p>(
+    file: &CacheFile,
+    geometry: &Geometry,
+    partners_of: impl Fn(ViewIndex) -> &'p [ViewIndex],
+) -> Result<Option<Cached>, DiskError> {
+    let Some(mut open) = file.open::<Facts>() else { return Ok(None) };
+    let mut without = vec![false; geometry.scene.views.len()];
+    for &view in &open.facts.without {
+        let Some(without) = without.get_mut(view as usize) else { return Ok(None) };
+        *without = true;
     }
-
-    /// Returns the bytes of the file before the values.
-    pub(super) fn head(self, without: &[bool], warnings: &[String], values: &Column<u8>) -> Vec<u8> {
-        let mut hasher = blake3::Hasher::new();
-        for block in values.chunks(BLOCK) {
-            hasher.update(block);
-            values.release();
+    let mut left = Agreement::laid_out(geometry, partners_of, &without).len();
+    let mut values = ColumnBuilder::new(geometry.visibility.triangles.storage())?;
+    let mut block = vec![0; BLOCK];
+    while left > 0 {
+        let block = &mut block[..left.min(BLOCK)];
+        if open.fill(block).is_none() {
+            return Ok(None);
         }
-        let head = Head {
-            inputs: self.inputs,
-            values: hasher.finalize().to_string(),
-            without: (0..).zip(without).filter(|(_, without)| **without).map(|(view, _)| view).collect(),
-            warnings: warnings.to_vec(),
-        };
-        let json = serde_json::to_string(&head).expect("numbers and texts are JSON");
-        [MAGIC, &json, "\n"].concat().into_bytes()
+        values.extend(block)?;
+        left -= block.len();
     }
+    let Some(Facts { warnings, .. }) = open.checked() else { return Ok(None) };
+    Ok(Some(Cached { without, warnings, values: values.finish()? }))
 }
 
 /// The sparse points and who observes them, which the reach of a program follows from.

@@ -125,6 +125,17 @@ mod tests {
         let grey = Grey::new(20, 20, vec![7; 400]);
         assert!(grey.sample::<7>(0, [3.6, 10.0], [1.0, 0.0], [0.0, 1.0]).is_some());
         assert!(grey.sample::<7>(0, [3.4, 10.0], [1.0, 0.0], [0.0, 1.0]).is_none());
+        assert!(grey.sample::<7>(0, [16.4, 16.4], [1.0, 0.0], [0.0, 1.0]).is_some());
+        assert!(grey.sample::<7>(0, [16.6, 10.0], [1.0, 0.0], [0.0, 1.0]).is_none());
+        assert!(grey.sample::<7>(0, [10.0, 3.4], [1.0, 0.0], [0.0, 1.0]).is_none());
+        assert!(grey.sample::<7>(0, [10.0, 16.6], [1.0, 0.0], [0.0, 1.0]).is_none());
         assert!(grey.sample::<7>(0, [f32::NAN, 10.0], [1.0, 0.0], [0.0, 1.0]).is_none());
+    }
+
+    #[test]
+    fn means_are_rounded_to_the_nearest() {
+        // Three of four pixels are 1.
+        let grey = Grey::new(32, 32, (0..32 * 32).map(|i| u8::from(i % 2 == 0 || i / 32 % 2 == 0)).collect());
+        assert_eq!(grey.sample::<3>(1, [16.0, 16.0], [2.0, 0.0], [0.0, 2.0]), Some([[1.0; 3]; 3]));
     }
 }

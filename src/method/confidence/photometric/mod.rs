@@ -10,10 +10,10 @@ mod stacks;
 
 use std::sync::Arc;
 
+pub use self::grey::Grey;
 pub(super) use self::stacks::SPACING;
-pub use self::{cache::AGREEMENT_CACHE, grey::Grey};
 use self::{
-    cache::{Cache, Cached},
+    cache::{Cached, Facts},
     compare::{compared, samples},
 };
 use super::pictures::{Pictures, picture_warnings};
@@ -23,6 +23,7 @@ use crate::{
         progress::Watcher,
     },
     config::ConfidenceSettings,
+    io::{cache::CacheFile, output::FileSet},
     method::geometry::Geometry,
     model::{cluster::Reach, scene::ViewIndex},
 };
@@ -87,8 +88,10 @@ pub struct Agreement {
     pub values: Arc<Column<u8>>,
     /// A sentence for each picture that cannot be used.
     pub warnings: Vec<String>,
-    /// Header of [`AGREEMENT_CACHE`], to be followed by the values; `None` if that file already holds this table or a picture has no modification time.
-    pub cache_head: Option<Vec<u8>>,
+    /// Where the table is kept; `None` if nothing was compared.
+    cache: Option<CacheFile>,
+    /// True if that file already holds this table.
+    is_kept: bool,
 }
 
 /// Agreement of a pair, or the reason for its absence.
@@ -129,12 +132,10 @@ impl Agreement {
         most_samples: u64,
         watcher: &dyn Watcher,
     ) -> Result<Self, TableError> {
-        let cache = Cache::new(geometry, pictures, &partners_of, reach.program);
-        if let Some(cache) = &cache
-            && let Some(Cached { without, warnings, values }) = cache.read(geometry, &partners_of)?
-        {
+        let cache = cache::file(geometry, pictures, &partners_of, reach.program);
+        if let Some(Cached { without, warnings, values }) = cache::read(&cache, geometry, &partners_of)? {
             let layout = Self::laid_out(geometry, &partners_of, &without);
-            return Ok(Self { values: Arc::new(values), warnings, ..layout });
+            return Ok(Self { values: Arc::new(values), warnings, cache: Some(cache), is_kept: true, ..layout });
         }
         let (samples, troubles) = samples(geometry, pictures, most_samples, watcher)?;
         let without: Vec<bool> = troubles.iter().map(|t| t.is_some() || !pictures.have_images()).collect();
@@ -149,8 +150,20 @@ impl Agreement {
             true => picture_warnings(geometry.scene, &troubles),
             false => vec!["the project has no image folder: no pictures were compared".into()],
         };
-        table.cache_head = cache.map(|cache| cache.head(&without, &table.warnings, &table.values));
+        table.cache = Some(cache);
         Ok(table)
+    }
+
+    /// Returns the fingerprint of everything that the table depends on; `None` if a picture has no modification time.
+    pub fn inputs(&self) -> Option<&str> {
+        self.cache.as_ref()?.inputs()
+    }
+
+    /// Returns the cache of the table for the next plan, unless it is there already.
+    pub fn unwritten(&self) -> Option<FileSet> {
+        let file = self.cache.as_ref().filter(|_| !self.is_kept)?;
+        let without = (0..).zip(&self.compared).filter(|(_, compared)| !**compared).map(|(view, _)| view).collect();
+        Some(file.file(&Facts { without, warnings: self.warnings.clone() }, self.values.clone()))
     }
 
     /// Builds a table without values; `without`: by view, true if it has no usable picture.
@@ -212,5 +225,39 @@ impl Agreement {
     /// Returns the table's heap memory, bytes.
     pub fn bytes(&self) -> usize {
         self.values.bytes() + 4 * self.partners.len()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const NUMBERS: Photometric = Photometric { agree: 0.9, differ: 0.2, full_agreement: 0.8 };
+
+    #[test]
+    fn chances_rise_with_the_correlation_up_to_full_agreement() {
+        let chance = |correlation: f32| NUMBERS.chance(packed(Some(correlation)));
+        for (correlation, expected) in [(-1.0, 0.2), (0.0, 0.2), (0.4, 0.55), (0.8, 0.9), (1.0, 0.9)] {
+            assert!((chance(correlation) - expected).abs() < 0.002, "{correlation}: {}", chance(correlation));
+        }
+        assert_eq!(NUMBERS.chance(packed(None)), 0.0);
+    }
+
+    #[test]
+    fn settings_take_the_place_of_the_programs_numbers() {
+        let settings = |agree, differ, full_agreement| ConfidenceSettings {
+            agree,
+            differ,
+            full_agreement,
+            ..ConfidenceSettings::default()
+        };
+        assert_eq!(NUMBERS.with(&settings(None, None, None)), NUMBERS);
+        let all = Photometric { agree: 0.7, differ: 0.1, full_agreement: 0.5 };
+        assert_eq!(NUMBERS.with(&settings(Some(0.7), Some(0.1), Some(0.5))), all);
+        assert_eq!(
+            NUMBERS.with(&settings(Some(0.15), None, None)).differ,
+            0.15,
+            "never above the chance where they agree"
+        );
     }
 }

@@ -187,5 +187,7 @@ mod tests {
         assert_eq!(correlation(&seen, &hidden), None);
         let (both, one) = ([seen.clone(), seen.clone()].concat(), [seen.clone(), hidden].concat());
         assert_eq!(correlation(&both, &one), correlation(&seen, &seen));
+        assert_eq!(correlation(&one, &both), correlation(&seen, &seen));
+        assert_eq!(correlation(&both, &both), correlation(&seen, &seen), "the mean of the patches");
     }
 }

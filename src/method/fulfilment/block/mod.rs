@@ -298,3 +298,21 @@ fn frame(ray: [f64; 3]) -> [[f64; 3]; 3] {
     let b = d[0] * d[1] * a;
     [[1.0 + sign * d[0] * d[0] * a, sign * b, -sign * d[0]], [b, sign + d[1] * d[1] * a, -d[1]], d]
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn frames_are_orthonormal_whatever_the_ray() {
+        for ray in [[0.0, 0.0, 3.0], [0.0, 0.0, -3.0], [1.0, -2.0, 0.5], [0.1, 0.2, -4.0], [5.0, 0.0, 0.0]] {
+            let axes = frame(ray).map(Vector3::from);
+            for (i, a) in axes.iter().enumerate() {
+                for (j, b) in axes.iter().enumerate() {
+                    assert!((a.dot(b) - f64::from(u8::from(i == j))).abs() < 1e-12, "{ray:?} {i} {j}");
+                }
+            }
+            assert!((axes[2] + Vector3::from(ray).normalize()).norm() < 1e-12);
+        }
+    }
+}

@@ -1,0 +1,141 @@
+//! Lists of numbers as bytes, one after the other, for files that only this program reads.
+//!
+//! What is read may be damaged or made up: each list is checked for its length before memory is taken.
+
+use bytemuck::Pod;
+
+/// Lists that are written one after the other.
+#[derive(Default)]
+pub struct Packer(Vec<u8>);
+
+impl Packer {
+    /// Appends a list: its length, then its numbers as they are in memory.
+    pub fn list<T: Pod>(&mut self, numbers: &[T]) {
+        self.0.extend_from_slice(&(numbers.len() as u64).to_le_bytes());
+        self.0.extend_from_slice(bytemuck::cast_slice(numbers));
+    }
+
+    pub fn finish(self) -> Vec<u8> {
+        self.0
+    }
+}
+
+/// Lists that are read in the order in which they were written.
+pub struct Unpacker<'a>(&'a [u8]);
+
+impl<'a> Unpacker<'a> {
+    pub fn new(bytes: &'a [u8]) -> Self {
+        Self(bytes)
+    }
+
+    /// Returns the next list; `None` if there is none.
+    pub fn list<T: Pod>(&mut self) -> Option<Vec<T>> {
+        self.bytes_of(size_of::<T>()).map(bytemuck::pod_collect_to_vec)
+    }
+
+    /// Returns the next list of bytes where it is.
+    pub fn bytes(&mut self) -> Option<&'a [u8]> {
+        self.bytes_of(1)
+    }
+
+    fn bytes_of(&mut self, size: usize) -> Option<&'a [u8]> {
+        let (length, rest) = self.0.split_first_chunk()?;
+        let length = usize::try_from(u64::from_le_bytes(*length)).ok()?.checked_mul(size)?;
+        let (list, rest) = rest.split_at_checked(length)?;
+        self.0 = rest;
+        Some(list)
+    }
+
+    pub fn is_at_end(&self) -> bool {
+        self.0.is_empty()
+    }
+}
+
+/// Appends ascending numbers as gaps of 1 to 5 bytes each, 7 bits per byte, the lowest first.
+pub fn push_gaps(ascending: &[u32], bytes: &mut Vec<u8>) {
+    let mut next = 0;
+    for &number in ascending {
+        let mut gap = number - next;
+        while gap >= 0x80 {
+            bytes.push(gap as u8 | 0x80);
+            gap >>= 7;
+        }
+        bytes.push(gap as u8);
+        next = number + 1;
+    }
+}
+
+/// Reads all numbers of [`push_gaps`]; `None` if one is not below `end` or the bytes are cut off.
+pub fn read_gaps(bytes: &[u8], end: u32) -> Option<Vec<u32>> {
+    let (mut numbers, mut next) = (Vec::with_capacity(bytes.len()), 0u64);
+    let (mut gap, mut shift) = (0u64, 0);
+    for &byte in bytes {
+        gap |= u64::from(byte & 0x7f) << shift;
+        if byte >= 0x80 {
+            shift += 7;
+            if shift > 28 {
+                return None;
+            }
+            continue;
+        }
+        let number = next + gap;
+        if number >= u64::from(end) {
+            return None;
+        }
+        numbers.push(number as u32);
+        (next, gap, shift) = (number + 1, 0, 0);
+    }
+    (shift == 0).then_some(numbers)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeSet;
+
+    use proptest::prelude::*;
+
+    use super::*;
+
+    proptest! {
+        #[test]
+        fn gaps_are_read_as_written(numbers in proptest::collection::btree_set(any::<u32>(), 0..200), near in 0u32..300) {
+            let numbers: BTreeSet<u32> = numbers.into_iter().chain(near..near + 100).filter(|&n| n < u32::MAX).collect();
+            let numbers = Vec::from_iter(numbers);
+            let mut bytes = Vec::new();
+            push_gaps(&numbers, &mut bytes);
+            prop_assert_eq!(read_gaps(&bytes, u32::MAX), Some(numbers.clone()));
+            prop_assert_eq!(read_gaps(&bytes, numbers[numbers.len() - 1]), None);
+        }
+
+        #[test]
+        fn no_bytes_are_read_as_numbers_beyond_the_end(bytes in proptest::collection::vec(any::<u8>(), 0..40), end in 0u32..1000) {
+            let numbers = read_gaps(&bytes, end).unwrap_or_default();
+            prop_assert!(numbers.is_sorted() && numbers.iter().all(|&number| number < end));
+        }
+
+        #[test]
+        fn no_bytes_are_read_as_lists_beyond_their_length(bytes in proptest::collection::vec(any::<u8>(), 0..40)) {
+            let mut lists = Unpacker::new(&bytes);
+            while let Some(list) = lists.list::<u64>() {
+                prop_assert!(8 * list.len() < bytes.len());
+            }
+        }
+    }
+
+    #[test]
+    fn lists_are_read_in_their_order() {
+        let mut packer = Packer::default();
+        packer.list(&[1.5f64, -2.0]);
+        packer.list(&[7u8]);
+        packer.list::<u32>(&[]);
+        let bytes = packer.finish();
+        let mut lists = Unpacker::new(&bytes);
+        assert_eq!(lists.list::<f64>(), Some(vec![1.5, -2.0]));
+        assert_eq!(lists.bytes(), Some(&[7][..]));
+        assert!(!lists.is_at_end());
+        assert_eq!(lists.list::<u32>(), Some(vec![]));
+        assert!(lists.is_at_end() && lists.list::<u32>().is_none());
+        // A length that no memory holds.
+        assert!(Unpacker::new(&[255; 16]).list::<f64>().is_none());
+    }
+}

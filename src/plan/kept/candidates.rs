@@ -1,0 +1,53 @@
+//! The candidate partners, and the pairs that were refused.
+
+use crate::{
+    base::{
+        packed::{Packer, Unpacker},
+        rows::Offsets,
+    },
+    method::partners::{Candidates, Refusal},
+    model::{reason::Reason, scene::ViewIndex},
+};
+
+/// Reasons to refuse a pair, by their number in the file. Another one is packed as a number that is not read.
+const REASONS: [Reason; 2] = [Reason::RotationOnly, Reason::NotMatchable];
+
+pub(super) fn pack(candidates: &Candidates) -> Vec<u8> {
+    let number = |reason| REASONS.iter().position(|&known| known == reason).unwrap_or(REASONS.len()) as u8;
+    let mut packer = Packer::default();
+    pack_rows(&mut packer, &candidates.offsets, candidates.views.iter());
+    packer.list(&candidates.beyond.iter().map(|&beyond| beyond as u32).collect::<Vec<_>>());
+    pack_rows(&mut packer, &candidates.refusal_offsets, candidates.refusals.iter().map(|refusal| &refusal.partner));
+    packer.list(&candidates.refusals.iter().map(|refusal| number(refusal.reason)).collect::<Vec<_>>());
+    packer.finish()
+}
+
+fn pack_rows<'a>(packer: &mut Packer, offsets: &Offsets, views: impl Iterator<Item = &'a ViewIndex>) {
+    packer.list(&(0..offsets.rows()).map(|row| offsets.row(row).len() as u32).collect::<Vec<_>>());
+    packer.list(&views.map(|view| view.0).collect::<Vec<_>>());
+}
+
+/// Unpacks the candidates of a scene with so many views.
+pub fn unpack(bytes: &[u8], count: usize) -> Option<Candidates> {
+    let mut lists = Unpacker::new(bytes);
+    let (offsets, views) = unpack_rows(&mut lists, count)?;
+    let beyond: Vec<usize> = lists.list::<u32>()?.into_iter().map(|beyond| beyond as usize).collect();
+    let (refusal_offsets, refused) = unpack_rows(&mut lists, count)?;
+    let numbers = lists.bytes()?;
+    let fits = beyond.len() == count
+        && (0..count).all(|view| beyond[view] <= offsets.row(view).len())
+        && numbers.len() == refused.len()
+        && lists.is_at_end();
+    let refusal =
+        |(partner, &number): (ViewIndex, &u8)| REASONS.get(number as usize).map(|&reason| Refusal { partner, reason });
+    let refusals = refused.into_iter().zip(numbers).map(refusal).collect::<Option<_>>()?;
+    fits.then_some(Candidates { offsets, views, beyond, refusal_offsets, refusals })
+}
+
+fn unpack_rows(lists: &mut Unpacker, count: usize) -> Option<(Offsets, Vec<ViewIndex>)> {
+    let (lengths, views) = (lists.list::<u32>()?, lists.list::<u32>()?);
+    let offsets = Offsets::from_lengths(lengths.iter().map(|&length| length as usize));
+    let fits = lengths.len() == count && offsets.entries() == views.len();
+    let fits = fits && views.iter().all(|&view| (view as usize) < count);
+    fits.then(|| (offsets, views.into_iter().map(ViewIndex).collect()))
+}

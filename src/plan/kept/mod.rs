@@ -1,0 +1,93 @@
+//! Results of the stages, kept in the project for its next plan: one that changes only the cut, the budget or the region, or that is made around
+//! finished depth maps, ranks again and computes nothing else.
+//!
+//! Each stage has a file in `viewrank/cache` ([`crate::io::cache`]) with the fingerprint of all that the stage reads: the sparse model by content, settings,
+//! the results of earlier stages, and the program itself. Tables that were too large for memory are not kept.
+
+pub(super) mod candidates;
+pub(super) mod clusters;
+mod inputs;
+pub(super) mod ranking;
+mod surface;
+pub(super) mod unary;
+
+use std::sync::Arc;
+
+use serde::{Serialize, de::DeserializeOwned};
+
+pub(super) use self::{inputs::Inputs, surface::KeptSurface};
+use super::Plan;
+use crate::{
+    base::input::FileKind,
+    io::{cache::CacheFile, output::FileSet},
+};
+
+/// The files of the stages.
+#[derive(Clone, Debug)]
+pub struct Kept {
+    pub(super) surface: Slot,
+    pub(super) candidates: Slot,
+    pub(super) unary: Slot,
+    pub(super) clusters: Slot,
+    pub(super) ranking: Slot,
+    /// The files of [`Plan::unwritten`], if made before the predictions were replaced.
+    pub(super) made: Option<Vec<FileSet>>,
+}
+
+/// The file of a stage.
+#[derive(Clone, Debug)]
+pub(super) struct Slot {
+    pub file: CacheFile,
+    /// True if the file holds the result of this plan.
+    pub is_kept: bool,
+}
+
+impl Slot {
+    /// Returns the file's set, unless it is there already.
+    fn set<F: Serialize>(&self, pack: impl FnOnce() -> Option<(F, Vec<u8>)>) -> Option<FileSet> {
+        if self.is_kept {
+            return None;
+        }
+        let packed =
+            self.file.inputs().and_then(|_| pack()).filter(|(_, bytes)| bytes.len() as u64 <= FileKind::State.limit());
+        Some(match packed {
+            Some((facts, bytes)) => self.file.file(&facts, Arc::new(bytes.into())),
+            None => self.file.no_file(),
+        })
+    }
+}
+
+/// Reads what the file holds, if it is of the same inputs and `unpack` makes sense of it.
+pub(super) fn read<F: Serialize + DeserializeOwned, T>(
+    file: CacheFile,
+    unpack: impl FnOnce(F, &[u8]) -> Option<T>,
+) -> (Slot, Option<T>) {
+    let found = file.read().and_then(|(facts, bytes)| unpack(facts, &bytes));
+    (Slot { file, is_kept: found.is_some() }, found)
+}
+
+impl Plan {
+    /// Makes the files of [`Self::unwritten`] now: what finished depth maps show replaces predictions, but the next plan begins with these.
+    pub fn keep_predictions(&mut self) {
+        self.stages.kept.made = Some(self.unwritten());
+    }
+
+    /// Returns the results of stages that the project does not keep yet.
+    pub fn unwritten(&self) -> Vec<FileSet> {
+        let (stages, kept) = (&self.stages, &self.stages.kept);
+        if let Some(made) = &kept.made {
+            return made.clone();
+        }
+        [
+            kept.surface.set(|| surface::pack(stages)),
+            kept.candidates.set(|| Some(((), candidates::pack(&stages.candidates)))),
+            kept.unary.set(|| unary::pack(stages)),
+            kept.clusters.set(|| Some(((), clusters::pack(stages)?))),
+            kept.ranking.set(|| Some(((), ranking::pack(&self.decision.ranking)))),
+        ]
+        .into_iter()
+        .flatten()
+        .chain(stages.agreement.unwritten())
+        .collect()
+    }
+}
