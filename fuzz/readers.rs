@@ -3,8 +3,12 @@
 
 use viewrank::internals::{
     formats::{
-        Bytes, Fault, alicevision, bundler, colmap::ColmapModel, colmap_bin, colmap_text, nvm, openmvg, openmvs,
-        opensfm, sure, transforms,
+        Bytes, Fault, alicevision, blocks, bundler,
+        colmap::ColmapModel,
+        colmap_bin, colmap_text,
+        foreign::ForeignModel,
+        metashape::{self, Frame},
+        micmac, mve, nvm, openmvg, openmvs, opensfm, sure, transforms,
     },
     region_file::{self, RegionFile},
     scene::Scene,
@@ -28,7 +32,7 @@ pub const TARGETS: [&str; 10] = [
 ];
 
 /// Model files of other programs, one fuzz target each.
-pub const FOREIGN: [&str; 8] = [
+pub const FOREIGN: [&str; 13] = [
     "bundle.out",
     "model.nvm",
     "sfm_data.json",
@@ -37,6 +41,11 @@ pub const FOREIGN: [&str; 8] = [
     "scene.mvs",
     "image.ori",
     "transforms.json",
+    "cameras.xml",
+    "block.xml",
+    "synth_0.out",
+    "Orientation-a.jpg.xml",
+    "AutoCal.xml",
 ];
 
 /// Reads a region; positions and wishes of one that can be read are numbers.
@@ -74,6 +83,21 @@ pub fn foreign_model(name: &str) -> Vec<u8> {
         }
         "image.ori" => {
             "$ImageID____(ORI_Ver_1.0)\n\ta.jpg\n$IntOri_SensorSize_____(x|y)____[pixel]\n\t100\t80\n$IntOri_CameraMatrix____(ImageCoordinateSystem)\n\t90 0 49.5\n\t0 90 39.5\n\t0 0 1\n$ExtOri_RotationMatrix____(World->ImageCoordinateSystem)\n\t1 0 0\n\t0 1 0\n\t0 0 1\n$ExtOri_TranslationVector____(WorldCoordinateSystem)\n\t1 2 3\n$IntOri_Distortion_____(Model|ParameterCount|(Parameters))____\n\tNONE 0\n"
+        }
+        "cameras.xml" => {
+            r#"<?xml version="1.0"?><document version="2.0.0"><chunk label="a &amp; b"><sensors><sensor id="0" type="frame"><resolution width="100" height="80"/><calibration type="frame" class="adjusted"><f>90</f><cx>1</cx><b1>0.5</b1><k1>0.1</k1><p1>0.01</p1></calibration></sensor></sensors><components><component id="0"><transform><rotation>1 0 0 0 1 0 0 0 1</rotation><translation>1 2 3</translation><scale>2</scale></transform></component></components><cameras><camera id="0" label="a.jpg" sensor_id="0" component_id="0"><transform>1 0 0 1 0 1 0 2 0 0 1 3 0 0 0 1</transform></camera><group><camera id="1" label="b.jpg" sensor_id="0"/></group></cameras></chunk></document>"#
+        }
+        "block.xml" => {
+            r#"<?xml version="1.0"?><BlocksExchange version="3.2"><SpatialReferenceSystems><SRS><Id>0</Id><Definition>EPSG:2154</Definition></SRS></SpatialReferenceSystems><Block><SRSId>0</SRSId><Photogroups><Photogroup><ImageDimensions><Width>100</Width><Height>80</Height></ImageDimensions><FocalLength>9</FocalLength><SensorSize>10</SensorSize><CameraOrientation>XRightYUp</CameraOrientation><PrincipalPoint><x>50</x><y>40</y></PrincipalPoint><Distortion><K1>0.1</K1><P1>0.01</P1></Distortion><Photo><Id>7</Id><ImagePath>D:\p\a.jpg</ImagePath><Pose><Rotation><M_00>1</M_00><M_01>0</M_01><M_02>0</M_02><M_10>0</M_10><M_11>1</M_11><M_12>0</M_12><M_20>0</M_20><M_21>0</M_21><M_22>1</M_22></Rotation><Center><x>1</x><y>2</y><z>3</z></Center></Pose></Photo></Photogroup></Photogroups><TiePoints><TiePoint><Position><x>1</x><y>2</y><z>9</z></Position><Color><Red>1</Red></Color><Measurement><PhotoId>7</PhotoId><x>10</x><y>20</y></Measurement></TiePoint></TiePoints></Block></BlocksExchange>"#
+        }
+        "Orientation-a.jpg.xml" => {
+            "<?xml version=\"1.0\" ?><ExportAPERO><OrientationConique><TypeProj>eProjStenope</TypeProj><FileInterne>Ori-A/AutoCal.xml</FileInterne><Externe><Centre>1 2 3</Centre><ParamRotation><CodageMatr><L1>0 0 1</L1><L2>1 0 0</L2><L3>0 1 0</L3></CodageMatr></ParamRotation></Externe></OrientationConique></ExportAPERO>"
+        }
+        "AutoCal.xml" => {
+            "<ExportAPERO><CalibrationInternConique><KnownConv>eConvApero_DistM2C</KnownConv><PP>50.5 40</PP><F>90</F><SzIm>100 80</SzIm><CalibDistortion><ModPhgrStd><RadialePart><CDist>51 40</CDist><CoeffDist>1e-6</CoeffDist><CoeffDist>1e-11</CoeffDist></RadialePart><P1>1e-6</P1><b1>1e-4</b1></ModPhgrStd></CalibDistortion></CalibrationInternConique></ExportAPERO>"
+        }
+        "synth_0.out" => {
+            "drews 1.0\n2 1\n0 0 0\n0 0 0\n0 0 0\n0 0 0\n0 0 0\n0.9 0.1 0.2\n1 0 0\n0 1 0\n0 0 1\n0 0 5\n1 2 3\n10 20 30\n2 0 1 0 1 5 0\n"
         }
         _ => return mvs().write(),
     };
@@ -118,6 +142,17 @@ pub fn read_foreign(name: &str, data: &[u8]) {
         "reconstruction.json" => opensfm::read(data, Some(b"a.jpg\t17\t0\t0.1\t0.1\n")),
         "scene.sfm" => alicevision::read(data),
         "transforms.json" => transforms::read(data, &size, &str::to_owned).map(|(foreign, _)| foreign),
+        "cameras.xml" => metashape::read(data, Frame::World, &str::to_owned),
+        "block.xml" => blocks::read(data).map(|mut foreign| {
+            foreign.shorten_names();
+            foreign
+        }),
+        "Orientation-a.jpg.xml" | "AutoCal.xml" => micmac_model(name, data),
+        "synth_0.out" => {
+            let meta = |id: u32| format!("[camera]\nprincipal_point = 0.5 0.5\n[view]\nid = {id}\n");
+            let views = [0, 1].map(|id| mve::View::read(&meta(id), format!("view_000{id}.mve/undistorted.jpg")));
+            mve::read(data, &views.map(|view| view.expect("it has an id")), &size)
+        }
         "image.ori" => sure::read(data, 1).map(|orientation| sure::model(vec![orientation], str::to_owned)),
         _ => openmvs::Mvs::read(data).and_then(|mvs| mvs.model(&size)),
     };
@@ -125,6 +160,14 @@ pub fn read_foreign(name: &str, data: &[u8]) {
         Ok((scene, foreign)) => check(&foreign.model, &scene),
         Err(fault) => assert!(!fault.to_string().is_empty() && !fault.problem.hint().is_empty()),
     }
+}
+
+/// A model of MicMac with the file of that name replaced.
+fn micmac_model(name: &str, data: &[u8]) -> Result<ForeignModel, Fault> {
+    let file = |of: &str| if name == of { data.to_vec() } else { foreign_model(of) };
+    let (camera, _) = micmac::read_calibration(&file("AutoCal.xml"), 1)?;
+    let cam_from_world = micmac::read_orientation(&file("Orientation-a.jpg.xml"))?.cam_from_world;
+    Ok(sure::model(vec![sure::Orientation { image: "a.jpg".into(), camera, cam_from_world }], str::to_owned))
 }
 
 /// A COLMAP model: three images, a rig of two cameras, a third camera, and four points.

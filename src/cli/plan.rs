@@ -36,7 +36,8 @@ use super::{Exit, Failure, Format, config, json, print, progress::Progress, summ
 /// Rank the view clusters of a project and write the plan to PROJECT/viewrank.
 ///
 /// PROJECT is a COLMAP project (sparse/, images/), a dense workspace (sparse/, images/, stereo/), the folder of a sparse model, or a model
-/// (or its folder) of Bundler, VisualSFM (.nvm), OpenMVG, OpenSfM, OpenDroneMap, AliceVision, OpenMVS (.mvs), SURE (.ori) or nerfstudio (transforms.json). Lengths are in
+/// (or its folder) of Bundler, VisualSFM (.nvm), OpenMVG, OpenSfM, OpenDroneMap, AliceVision, OpenMVS (.mvs), SURE (.ori), MVE
+/// (synth_0.out), MicMac (Ori-...), Metashape (cameras.xml), ContextCapture (BlocksExchange XML) or nerfstudio (transforms.json). Lengths are in
 /// model units, which are metres if viewrank.toml says units = "metric".
 #[derive(Args)]
 pub struct Arguments {

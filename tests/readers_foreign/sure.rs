@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use nalgebra::Point3;
 use viewrank::internals::{
     camera::{Camera, CameraModel},
-    formats::sure,
+    formats::{cloud, sure},
     project::{Project, ProjectKind},
     scene::{PointIndex, ViewIndex},
 };
@@ -52,7 +52,7 @@ fn a_huge_cloud_of_a_sure_project_is_thinned() {
         (0..3_000_000).map(|n| Point3::new(f64::from(n % 3) - 1.0, f64::from(n / 3) * 1e-6 - 0.5, 5.0)).collect();
     let read = || {
         let mut foreign = oriented();
-        sure::add_cloud(&mut foreign, &grid);
+        cloud::add_cloud(&mut foreign, &grid);
         foreign.scene().unwrap()
     };
     let scene = read();
@@ -62,7 +62,7 @@ fn a_huge_cloud_of_a_sure_project_is_thinned() {
     let column = |x: f64| scene.points.iter().filter(|p| p.x == x).count() as f64 / scene.points.len() as f64;
     assert!([-1.0, 0.0, 1.0].into_iter().all(|x| (column(x) - 1.0 / 3.0).abs() < 0.01));
     let mut few = oriented();
-    sure::add_cloud(&mut few, &grid[..9]);
+    cloud::add_cloud(&mut few, &grid[..9]);
     assert_eq!(few.scene().unwrap().points, grid[..9]);
 }
 

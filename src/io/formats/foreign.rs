@@ -36,7 +36,7 @@ impl ForeignModel {
     }
 
     /// Adds a view without 2D points.
-    pub(super) fn add_image(&mut self, id: u32, name: String, camera_id: u32, cam_from_world: StoredPose, at: Place) {
+    pub(crate) fn add_image(&mut self, id: u32, name: String, camera_id: u32, cam_from_world: StoredPose, at: Place) {
         let points2d = Cow::Owned(Vec::new());
         self.model.images.push(ColmapImage { id, cam_from_world, camera_id, name: Cow::Owned(name), points2d, at });
     }
@@ -77,7 +77,7 @@ impl ForeignModel {
     }
 
     /// Makes absolute names relative to their common folder, which becomes the image folder. Those of Windows count, too (`C:\photos\a.jpg`).
-    pub(crate) fn shorten_names(&mut self) {
+    pub fn shorten_names(&mut self) {
         let mut drive = false;
         let all = self.model.images.iter_mut().map(|image| image.name.to_mut()).chain(&mut self.unregistered);
         for name in all.filter(|name| is_of_windows(name)) {

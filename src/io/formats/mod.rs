@@ -2,12 +2,17 @@
 //! pixel centre, distortion) don't leave its module.
 
 pub mod alicevision;
+pub mod blocks;
 pub mod bundler;
+pub mod cloud;
 pub mod colmap;
 pub mod colmap_bin;
 pub mod colmap_text;
 pub mod exif;
 pub mod foreign;
+pub mod metashape;
+pub mod micmac;
+pub mod mve;
 pub mod nvm;
 pub mod openmvg;
 pub mod openmvs;
@@ -15,6 +20,7 @@ pub mod opensfm;
 pub mod sure;
 pub mod transforms;
 mod words;
+mod xml;
 
 use std::fmt;
 

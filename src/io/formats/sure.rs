@@ -5,8 +5,7 @@
 
 use std::collections::{HashMap, HashSet};
 
-use nalgebra::{Matrix3, Point3, Vector3};
-use rayon::prelude::*;
+use nalgebra::{Matrix3, Vector3};
 
 use super::{
     Fault, Place, Problem,
@@ -118,58 +117,6 @@ pub fn model(oriented: Vec<Orientation>, name_of: impl Fn(&str) -> String) -> Fo
         foreign.add_image(id, name_of(&image), id, cam_from_world, Place::File);
     }
     foreign
-}
-
-/// Largest number of points used from a cloud without tracks, and largest number of observations made from them.
-const CLOUD_POINTS: usize = 1 << 20;
-const CLOUD_OBSERVATIONS: usize = 20_000_000;
-/// Number of points sampled to estimate how many views a point projects into.
-const CLOUD_SAMPLE: usize = 1 << 12;
-
-/// Adds points without tracks: all views into which a point projects are taken to observe it, even if it is hidden there; pixels are the
-/// projections. A huge cloud is subsampled, in the same way at each reading.
-pub fn add_cloud(foreign: &mut ForeignModel, points: &[Point3<f64>]) {
-    let cameras: HashMap<u32, Camera> = foreign.model.cameras.iter().map(|c| (c.id, c.clone())).collect();
-    let poses =
-        foreign.model.images.iter().map(|image| Some((image.cam_from_world.pose().ok()?, &cameras[&image.camera_id])));
-    let poses: Vec<_> = poses.collect();
-    let seen_by = |x: &&Point3<f64>| -> Vec<(usize, [f64; 2])> {
-        let pixel = |(pose, camera): &(Pose, &Camera)| {
-            camera.project(&pose.camera_from_world(x)).filter(|pixel| camera.contains(pixel))
-        };
-        let views = poses.iter().enumerate();
-        views.filter_map(|(n, view)| view.as_ref().and_then(pixel).map(|p| (n, [p.x, p.y]))).collect()
-    };
-    let sample = thinned(points, CLOUD_SAMPLE);
-    let observed: usize = sample.par_iter().map(|x| seen_by(x).len()).sum();
-    let most = CLOUD_OBSERVATIONS / (observed / sample.len().max(1)).max(1);
-    let used = thinned(points, most.min(CLOUD_POINTS));
-    let tracks: Vec<_> = used.par_iter().map(seen_by).collect();
-    for (n, (x, track)) in used.iter().zip(tracks).enumerate() {
-        foreign.add_point(n as u64 + 1, (**x).into(), [255; 3], track, Place::File);
-    }
-    let text =
-        "the points of the PLY file have no tracks: every view into which a point projects counts as observing it";
-    foreign.warn(WarningKind::Format, text);
-    if used.len() < points.len() {
-        let (all, used) = (points.len(), used.len());
-        let text = format!("the PLY file has {all} points, of which a random {used} are used");
-        foreign.warn(WarningKind::Format, text);
-    }
-}
-
-/// Chooses about `most` points by a hash of their index: with a fixed stride, only some lines of a grid would remain.
-fn thinned(points: &[Point3<f64>], most: usize) -> Vec<&Point3<f64>> {
-    // SplitMix64.
-    let hash = |n: usize| {
-        let z = (n as u64).wrapping_add(1).wrapping_mul(0x9e37_79b9_7f4a_7c15);
-        let z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        let z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ (z >> 31)
-    };
-    let limit = most as f64 / points.len() as f64 * u64::MAX as f64;
-    let all = points.len() <= most;
-    points.iter().enumerate().filter(|(n, _)| all || (hash(*n) as f64) < limit).map(|(_, x)| x).collect()
 }
 
 /// Adds the points and measured pixels of another model of the same images. Images are matched by name without extensions and, if that is

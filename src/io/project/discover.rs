@@ -148,6 +148,10 @@ fn choose(
         Some(wanted) => models.iter().position(|model| model.name() == wanted).unwrap_or(models.len()),
     };
     if models.is_empty() {
+        let root = if path.is_file() { path.parent().unwrap_or(Path::new(".")) } else { path };
+        if let Some(error) = foreign::in_binary(root) {
+            return Err(error);
+        }
         let colmap = "cameras, images and points3D (.bin or .txt) here, in sparse, sparse/*, */ and dense/sparse";
         let looked_for = format!("{colmap}; {}", foreign::SEARCHED_PATHS);
         return Err(ProjectError::NoModel { path: path.into(), looked_for });

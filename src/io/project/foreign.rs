@@ -7,12 +7,13 @@ use std::{
 
 use super::{ModelFormat, ModelLocation, ProjectError, files, images};
 use crate::{
-    base::input,
+    base::input::{self, FileKind},
     io::{
         formats::{
-            Fault, Place, Problem, alicevision, bundler,
+            Fault, Place, Problem, alicevision, blocks, bundler, cloud,
             foreign::{ForeignModel, last_parts},
-            nvm, openmvg,
+            metashape::{self, Frame},
+            micmac, mve, nvm, openmvg,
             openmvs::Mvs,
             opensfm, sure, transforms,
         },
@@ -22,7 +23,7 @@ use crate::{
 };
 
 /// Model files in a project folder, in order of preference.
-const MODEL_PATHS: [(&str, ModelFormat); 11] = [
+const MODEL_PATHS: [(&str, ModelFormat); 12] = [
     ("scene.mvs", ModelFormat::OpenMvs),
     ("sfm_data.json", ModelFormat::OpenMvg),
     ("reconstruction.json", ModelFormat::OpenSfm),
@@ -31,14 +32,39 @@ const MODEL_PATHS: [(&str, ModelFormat); 11] = [
     ("*.sfm", ModelFormat::AliceVision),
     ("*.nvm", ModelFormat::Nvm),
     ("bundle/bundle.out", ModelFormat::Bundler),
+    ("synth_0.out", ModelFormat::Mve),
     ("*bundle.out", ModelFormat::Bundler),
     ("*.out", ModelFormat::Bundler),
     ("transforms.json", ModelFormat::Transforms),
 ];
 
 /// Description of these files for the error without any model.
-pub(super) const SEARCHED_PATHS: &str =
-    "*.mvs, sfm_data.json, reconstruction.json, *.sfm, *.nvm, *bundle.out, transforms.json, and ori/*.ori";
+pub(super) const SEARCHED_PATHS: &str = "*.mvs, sfm_data.json, reconstruction.json, *.sfm, *.nvm, *bundle.out, synth_0.out, transforms.json, *.xml (Metashape, BlocksExchange), \
+     Ori-*/Orientation-*.xml (MicMac), and ori/*.ori";
+
+/// Models in binary formats of their programs: ending, what it is, and how to convert it.
+const BINARY: [(&str, &str, &str); 2] = [
+    (
+        "sfm_data.bin",
+        "OpenMVG's binary sfm_data is not read",
+        "convert it: openMVG_main_ConvertSfM_DataFormat -i sfm_data.bin -o sfm_data.json -V -I -E -S",
+    ),
+    (
+        ".abc",
+        "AliceVision's Alembic files are not read",
+        "convert it: aliceVision_convertSfMFormat --input sfm.abc --output sfm.sfm",
+    ),
+];
+
+/// The fault of a folder whose only model is in a binary format of its program.
+pub(super) fn in_binary(root: &Path) -> Option<ProjectError> {
+    let names = file_names(root);
+    BINARY.iter().find_map(|&(ending, what, hint)| {
+        let name = names.iter().find(|name| name.ends_with(ending))?;
+        let fault = Fault::new("", Place::File, Problem::Unsupported { what: what.into(), hint });
+        Some(ProjectError::Fault { path: root.join(name), fault })
+    })
+}
 
 /// Finds the models of other programs in a folder.
 pub(super) fn models(root: &Path) -> Vec<ModelLocation> {
@@ -55,6 +81,13 @@ pub(super) fn models(root: &Path) -> Vec<ModelLocation> {
             }
         }
     }
+    for path in files.iter().filter(|name| name.ends_with(".xml")).map(|name| root.join(name)) {
+        models.extend(xml_format(&path).map(|format| location(root, format, path)));
+    }
+    let of_micmac = files.iter().filter(|name| name.starts_with("Ori-")).map(|name| root.join(name));
+    for folder in of_micmac.chain([root.into()]).filter(|folder| !oriented_by_micmac(folder).is_empty()) {
+        models.push(location(root, ModelFormat::MicMac, folder));
+    }
     let ori = [root.join("ori"), root.into()].into_iter().find(|folder| !orientations(folder).is_empty());
     if let Some(folder) = ori {
         // NVM and Bundler files next to orientations are their sparse cloud.
@@ -70,7 +103,9 @@ pub(super) fn model_file(path: &Path) -> Option<ModelLocation> {
     let format = match path.extension()?.to_str()? {
         "mvs" => ModelFormat::OpenMvs,
         "nvm" => ModelFormat::Nvm,
+        "out" if path.ends_with("synth_0.out") => ModelFormat::Mve,
         "out" => ModelFormat::Bundler,
+        "xml" => xml_format(path)?,
         "sfm" => ModelFormat::AliceVision,
         "json" => json_format(path)?,
         "ori" => return Some(location(root, ModelFormat::Sure, root.into())),
@@ -83,9 +118,7 @@ fn json_format(path: &Path) -> Option<ModelFormat> {
     if path.file_name()?.to_str()?.starts_with("transforms") {
         return Some(ModelFormat::Transforms);
     }
-    let mut head = Vec::new();
-    input::open(path).and_then(|file| file.take(4096).read_to_end(&mut head)).ok()?;
-    let head = String::from_utf8_lossy(&head);
+    let head = head(path)?;
     if head.contains("\"sfm_data_version\"") {
         Some(ModelFormat::OpenMvg)
     } else if head.trim_start().starts_with('[') {
@@ -93,6 +126,22 @@ fn json_format(path: &Path) -> Option<ModelFormat> {
     } else {
         head.contains("\"version\"").then_some(ModelFormat::AliceVision)
     }
+}
+
+fn xml_format(path: &Path) -> Option<ModelFormat> {
+    let head = head(path)?;
+    if head.contains("<BlocksExchange") {
+        Some(ModelFormat::Blocks)
+    } else {
+        (head.contains("<document") && head.contains("<chunk")).then_some(ModelFormat::Metashape)
+    }
+}
+
+/// The first bytes of a file, as text.
+fn head(path: &Path) -> Option<String> {
+    let mut head = Vec::new();
+    input::open(path).and_then(|file| file.take(4096).read_to_end(&mut head)).ok()?;
+    Some(String::from_utf8_lossy(&head).into_owned())
 }
 
 fn location(root: &Path, format: ModelFormat, path: PathBuf) -> ModelLocation {
@@ -112,11 +161,25 @@ fn orientations(folder: &Path) -> Vec<PathBuf> {
     file_names(folder).iter().filter(|name| name.ends_with(".ori")).map(|name| folder.join(name)).collect()
 }
 
+/// Names of the images that a folder of MicMac orients, and the files.
+fn oriented_by_micmac(folder: &Path) -> Vec<(String, PathBuf)> {
+    let image = |name: &String| {
+        let image = name.strip_prefix("Orientation-")?.strip_suffix(".xml")?;
+        Some((image.to_owned(), folder.join(name)))
+    };
+    file_names(folder).iter().filter_map(image).collect()
+}
+
 /// The existing files of the model.
 pub(super) fn files(root: &Path, model: &ModelLocation) -> Vec<PathBuf> {
     let beside = match model.format {
         ModelFormat::Bundler => bundler_list(&model.path),
         ModelFormat::OpenSfm => Some(model.path.with_file_name("tracks.csv")),
+        ModelFormat::Metashape | ModelFormat::Blocks | ModelFormat::Transforms => cloud_beside(&model.path),
+        ModelFormat::MicMac => {
+            let files = file_names(&model.path).into_iter().filter(|name| name.ends_with(".xml"));
+            return files.map(|name| model.path.join(name)).chain(cloud_beside(&model.path)).collect();
+        }
         ModelFormat::Sure => {
             let cloud = sure_cloud(root).map(|(path, _)| path);
             return orientations(&model.path).into_iter().chain(cloud).collect();
@@ -138,17 +201,18 @@ pub(super) fn read(root: &Path, model: &ModelLocation) -> Result<ForeignModel, P
     if model.format == ModelFormat::Sure {
         return read_sure(root, path);
     }
+    if model.format == ModelFormat::MicMac {
+        return read_micmac(path);
+    }
     let bytes = files::read(path)?;
     let mut foreign = match model.format {
         ModelFormat::Transforms => {
             let spelled = |name: &str| images::with_extension(&candidates, name);
             let (mut foreign, cloud) = transforms::read(&bytes, &size_of, &spelled).map_err(|fault| at(path, fault))?;
-            match cloud.map(|cloud| path.with_file_name(cloud.replace('\\', "/"))).filter(|cloud| cloud.is_file()) {
-                Some(cloud) => sure::add_cloud(&mut foreign, &vertices(&cloud)?),
-                None => foreign.warn(
-                    WarningKind::Damaged,
-                    "no points: transforms.json names no PLY file that is there (ply_file_path)",
-                ),
+            let named =
+                cloud.map(|cloud| path.with_file_name(cloud.replace('\\', "/"))).filter(|cloud| cloud.is_file());
+            if let Some(cloud) = named {
+                cloud::add_cloud(&mut foreign, &vertices(&cloud)?);
             }
             foreign
         }
@@ -164,13 +228,92 @@ pub(super) fn read(root: &Path, model: &ModelLocation) -> Result<ForeignModel, P
             opensfm::read(&bytes, rows.as_deref())
                 .map_err(|fault| at(if fault.file == "tracks" { &tracks } else { path }, fault))?
         }
+        ModelFormat::Metashape => {
+            let spelled = |name: &str| images::with_extension(&candidates, name);
+            let read = |frame| metashape::read(&bytes, frame, &spelled).map_err(|fault| at(path, fault));
+            let (world, chunk) = (read(Frame::World)?, read(Frame::Chunk)?);
+            // Points may be exported in either; they are where the cameras look.
+            let points = cloud_beside(path).map(|cloud| vertices(&cloud)).transpose()?.unwrap_or_default();
+            let seen = |model| cloud::views_per_point(model, &points);
+            if seen(&chunk) > seen(&world) { chunk } else { world }
+        }
+        ModelFormat::Blocks => blocks::read(&bytes).map_err(|fault| at(path, fault))?,
+        ModelFormat::Mve => {
+            let size_of = |name: &str| images::size_by_header(&path.with_file_name("views").join(name));
+            mve::read(&bytes, &mve_views(path), &size_of).map_err(|fault| at(path, fault))?
+        }
         ModelFormat::Nvm => nvm::read(&bytes, &size_of).map_err(|fault| at(path, fault))?,
         ModelFormat::OpenMvg => openmvg::read(&bytes).map_err(|fault| at(path, fault))?,
         ModelFormat::AliceVision => alicevision::read(&bytes).map_err(|fault| at(path, fault))?,
         _ => Mvs::read(&bytes).and_then(|mvs| mvs.model(&size_of)).map_err(|fault| at(path, fault))?,
     };
     foreign.shorten_names();
+    if foreign.model.points.is_empty() {
+        add_cloud_beside(&mut foreign, path)?;
+    }
     Ok(foreign)
+}
+
+/// Reads an `Ori-` folder of MicMac, with the points of a PLY file in the folder of the images (`AperiCloud`).
+fn read_micmac(folder: &Path) -> Result<ForeignModel, ProjectError> {
+    let mut foreign = ForeignModel::default();
+    let mut calibrations: Vec<String> = Vec::new();
+    for (n, (image, path)) in (1..).zip(oriented_by_micmac(folder)) {
+        let at = |path: &Path, fault| ProjectError::Fault { path: path.into(), fault };
+        let oriented = micmac::read_orientation(&files::read(&path)?).map_err(|fault| at(&path, fault))?;
+        let known = calibrations.iter().position(|known| *known == oriented.calibration);
+        let camera_id = known.unwrap_or(calibrations.len()) as u32 + 1;
+        if known.is_none() {
+            let path = folder.join(&oriented.calibration);
+            let read = micmac::read_calibration(&files::read(&path)?, camera_id);
+            let (camera, off) = read.map_err(|fault| at(&path, fault))?;
+            if off > 0.5 {
+                let text = format!("{}: COLMAP's nearest camera is off by up to {off:.1} pixels", oriented.calibration);
+                foreign.warn(WarningKind::Format, text);
+            }
+            foreign.model.cameras.push(camera);
+            calibrations.push(oriented.calibration);
+        }
+        foreign.add_image(n, image, camera_id, oriented.cam_from_world, Place::File);
+    }
+    add_cloud_beside(&mut foreign, folder)?;
+    Ok(foreign)
+}
+
+/// Gives a model without points those of a PLY file beside it.
+fn add_cloud_beside(foreign: &mut ForeignModel, model: &Path) -> Result<(), ProjectError> {
+    let Some(path) = cloud_beside(model) else {
+        let text = "no points: export the tie points or a cloud as PLY, in the coordinates of the cameras, into the folder of the model";
+        foreign.warn(WarningKind::Damaged, text);
+        return Ok(());
+    };
+    let points = vertices(&path)?;
+    let has_both = !points.is_empty() && !foreign.model.images.is_empty();
+    if has_both && cloud::views_per_point(foreign, &points) == 0.0 {
+        let what = "no point lies before any camera: points and cameras are in different coordinates".into();
+        let hint = "export both in the same coordinate system, such as Metashape's Local Coordinates";
+        let fault = Fault::new("", Place::File, Problem::Unsupported { what, hint });
+        return Err(ProjectError::Fault { path, fault });
+    }
+    cloud::add_cloud(foreign, &points);
+    Ok(())
+}
+
+/// The first PLY file in the folder of a model.
+fn cloud_beside(model: &Path) -> Option<PathBuf> {
+    let folder = model.parent()?;
+    file_names(folder).iter().find(|name| name.ends_with(".ply")).map(|name| folder.join(name))
+}
+
+/// The views beside a bundle of MVE, by their `meta.ini` and undistorted image.
+fn mve_views(bundle: &Path) -> Vec<mve::View> {
+    let folder = bundle.with_file_name("views");
+    let view = |name: &String| {
+        let meta = input::read_text(&folder.join(name).join("meta.ini"), FileKind::Settings).ok()?;
+        let image = images::with_extension(std::slice::from_ref(&folder), &format!("{name}/undistorted.jpg"));
+        mve::View::read(&meta, image)
+    };
+    file_names(&folder).iter().filter(|name| name.ends_with(".mve")).filter_map(view).collect()
 }
 
 /// The vertices of a PLY file.
@@ -217,7 +360,7 @@ fn read_sure(root: &Path, folder: &Path) -> Result<ForeignModel, ProjectError> {
                         height of the ground is known, make a ground.ply with integrations/sure/ground.py";
             foreign.warn(WarningKind::Damaged, text)
         }
-        Some((path, ModelFormat::Sure)) => sure::add_cloud(&mut foreign, &vertices(&path)?),
+        Some((path, ModelFormat::Sure)) => cloud::add_cloud(&mut foreign, &vertices(&path)?),
         Some((path, format)) => {
             let cloud = read(root, &ModelLocation { format, path: path.clone(), registered: 0 })?;
             foreign.model.warnings.extend(cloud.model.warnings.iter().cloned());
@@ -229,43 +372,4 @@ fn read_sure(root: &Path, folder: &Path) -> Result<ForeignModel, ProjectError> {
 }
 
 #[cfg(test)]
-mod tests {
-    use std::fs;
-
-    use crate::{io::project::Project, model::camera::CameraModel};
-
-    fn folder(files: &[(&str, &str)]) -> tempfile::TempDir {
-        let folder = tempfile::tempdir().unwrap();
-        for (name, text) in files {
-            let path = folder.path().join(name);
-            fs::create_dir_all(path.parent().unwrap()).unwrap();
-            fs::write(path, text).unwrap();
-        }
-        image::GrayImage::new(200, 100).save(folder.path().join("a.png")).unwrap();
-        folder
-    }
-
-    #[test]
-    fn a_bundle_of_realitycapture_has_paths_of_windows_in_its_list() {
-        let bundle = "# Bundle file v0.3\n1 1\n100 0 0\n1 0 0\n0 1 0\n0 0 1\n0 0 -5\n1 2 3\n10 20 30\n1 0 0 -20 10\n";
-        let folder = folder(&[("bundle.out", bundle), ("imagelist.lst", "C:\\photos\\a.png\r\n")]);
-        let scene = Project::open(folder.path(), None).unwrap().read_scene().unwrap();
-        assert_eq!((scene.views[0].name.as_str(), scene.track_pixels[0]), ("a.png", [80.0, 40.0]));
-    }
-
-    #[test]
-    fn nerfstudio_has_its_points_beside() {
-        let frame = |name: &str, x: f64| {
-            format!(r#"{{"file_path":"{name}","transform_matrix":[[1,0,0,{x}],[0,1,0,0],[0,0,1,9],[0,0,0,1]]}}"#)
-        };
-        let frames = format!(r#""frames":[{},{}]"#, frame("a.png", 0.0), frame("b.png", 1.0));
-        let json = format!(r#"{{"w":200,"h":100,"fl_x":90,"ply_file_path":"sparse_pc.ply",{frames}}}"#);
-        let ply = "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\nend_header\n0 0 0\n1 1 0\n";
-        let folder = folder(&[("transforms.json", &json), ("sparse_pc.ply", ply)]);
-        let scene = Project::open(folder.path(), None).unwrap().read_scene().unwrap();
-        assert_eq!((scene.views.len(), scene.points.len(), scene.track_views.len()), (2, 2, 4));
-        assert_eq!(scene.cameras[0].model(), CameraModel::Pinhole);
-        // The first point lies before the first camera.
-        assert_eq!(scene.track_pixels[0], [100.0, 50.0]);
-    }
-}
+mod tests;

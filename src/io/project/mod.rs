@@ -47,6 +47,14 @@ pub enum ModelFormat {
     Sure,
     /// `transforms.json` (nerfstudio, instant-ngp).
     Transforms,
+    /// Metashape's `cameras.xml`.
+    Metashape,
+    /// BlocksExchange XML (ContextCapture).
+    Blocks,
+    /// MVE's `synth_0.out`.
+    Mve,
+    /// An `Ori-` folder of MicMac.
+    MicMac,
 }
 
 impl ModelFormat {
@@ -57,7 +65,7 @@ impl ModelFormat {
 
     /// Returns whether the format stores measured pixels. Without them, observations are placed at the projections of their points.
     pub fn has_pixels(self) -> bool {
-        !matches!(self, Self::OpenMvs | Self::Sure | Self::Transforms)
+        !matches!(self, Self::OpenMvs | Self::Sure | Self::Transforms | Self::Metashape | Self::Mve | Self::MicMac)
     }
 
     /// Display name.
@@ -73,6 +81,10 @@ impl ModelFormat {
             Self::OpenMvs => "OpenMVS",
             Self::Sure => "SURE",
             Self::Transforms => "transforms.json",
+            Self::Metashape => "Metashape",
+            Self::Blocks => "BlocksExchange",
+            Self::Mve => "MVE",
+            Self::MicMac => "MicMac",
         }
     }
 }
