@@ -128,8 +128,12 @@ fn observed_together(selection: &Selection, views: &[ViewIndex], index: &[usize]
     let mut together = vec![vec![false; views.len()]; keys];
     for point in 0..selection.scene.points.len() {
         let track = selection.scene.track_views(PointIndex(point as u32));
-        let exported: Vec<usize> =
-            track.iter().map(|v| (v, index[v.index()])).filter(|&(v, i)| views[i] == *v).map(|(_, i)| i).collect();
+        let exported: Vec<usize> = track
+            .iter()
+            .map(|v| (v, index[v.index()]))
+            .filter(|&(v, i)| views.get(i) == Some(v))
+            .map(|(_, i)| i)
+            .collect();
         for &key in exported.iter().filter(|&&i| i < keys) {
             exported.iter().filter(|&&other| other != key).for_each(|&other| together[key][other] = true);
         }
