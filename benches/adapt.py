@@ -14,21 +14,16 @@ Each FOLDER is a set as benches/compare.py leaves it. Printed per set, as shares
 Writes nothing but temporary folders.
 """
 
-import argparse
 import json
 import shutil
 import tempfile
 from pathlib import Path
 
-from predictor import copy, run
+from predictor import arguments, copy, run
 
 
 def main():
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folders", nargs="+", type=Path)
-    parser.add_argument("--viewrank", default="viewrank")
-    parser.add_argument("--maps", default="rules/k5/ours", help="folder of depth maps in each FOLDER")
-    parser.add_argument("--backend", default="sgm")
+    parser = arguments(__doc__)
     parser.add_argument("--first", type=int, default=5, help="number of finished maps")
     options = parser.parse_args()
     print("| set | real | forecast | finished | trained | both |\n|---|---|---|---|---|---|")

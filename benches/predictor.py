@@ -28,16 +28,21 @@ SOURCES = ["none", "geometric", "photometric", "fitted"]
 
 
 def main():
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folders", nargs="+", type=Path)
-    parser.add_argument("--viewrank", default="viewrank")
-    parser.add_argument("--maps", default="rules/k5/ours", help="folder of depth maps in each FOLDER")
-    parser.add_argument("--backend", default="sgm")
-    options = parser.parse_args()
+    options = arguments(__doc__).parse_args()
     print("| set | confidence | seen | covered | calibration | key views for 50, 70, 80, 90 % | accurate |\n|---|---|---|---|---|---|---|")
     for folder in options.folders:
         for source in SOURCES:
             print(row(folder, source, options), flush=True)
+
+
+def arguments(text):
+    """The options that say which sets, and what of them."""
+    parser = argparse.ArgumentParser(description=text, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folders", nargs="+", type=Path)
+    parser.add_argument("--viewrank", default="viewrank")
+    parser.add_argument("--maps", default="rules/k5/ours", help="folder of depth maps in each FOLDER")
+    parser.add_argument("--backend", default="sgm")
+    return parser
 
 
 def row(folder, source, options):

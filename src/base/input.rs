@@ -82,16 +82,14 @@ fn open_with_metadata(path: &Path) -> io::Result<(File, Metadata)> {
     Err(io::Error::new(io::ErrorKind::InvalidInput, format!("not a regular file but {what}: name a file")))
 }
 
-/// Returns whether the holes of a file are larger than those of any that somebody wrote.
-pub fn has_large_holes(file: &File, length: u64) -> bool {
-    length > HOLES && platform::hole_bytes(file, length) > HOLES
+/// Returns the bytes in holes of a file, if that is more than in any that somebody wrote.
+pub fn large_holes(file: &File, length: u64) -> Option<u64> {
+    (length > HOLES).then(|| platform::hole_bytes(file, length)).filter(|&holes| holes > HOLES)
 }
 
 fn check_holes(file: &File, length: u64) -> io::Result<()> {
-    if !has_large_holes(file, length) {
-        return Ok(());
-    }
-    let holes = platform::hole_bytes(file, length) >> 20;
+    let Some(holes) = large_holes(file, length) else { return Ok(()) };
+    let holes = holes >> 20;
     let why = format!("{holes} of its {} MiB were never written: copy the file again", length >> 20);
     Err(io::Error::new(io::ErrorKind::InvalidData, why))
 }

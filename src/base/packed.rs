@@ -1,6 +1,6 @@
 //! Lists of numbers as bytes, one after the other, for files that only this program reads.
 //!
-//! What is read may be damaged or made up: each list is checked for its length before memory is taken.
+//! The bytes may be damaged or forged: the length of each list is checked before memory is allocated.
 
 use bytemuck::Pod;
 
@@ -28,7 +28,7 @@ impl<'a> Unpacker<'a> {
         Self(bytes)
     }
 
-    /// Returns the next list; `None` if there is none.
+    /// Returns the next list; `None` at the end or where the bytes are cut off.
     pub fn list<T: Pod>(&mut self) -> Option<Vec<T>> {
         self.bytes_of(size_of::<T>()).map(bytemuck::pod_collect_to_vec)
     }

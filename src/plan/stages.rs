@@ -293,12 +293,8 @@ fn unary(
 ) -> Result<(Slot, (Unary, Vec<String>)), PlanError> {
     let Geometry { scene, surface, visibility, .. } = *geometry;
     let unpack = |warnings, bytes: &[u8]| Some((kept::unary::unpack(bytes, visibility.triangles.len())?, warnings));
-    let (slot, found) = kept::read(file, unpack);
-    if let Some(found) = found {
-        return Ok((slot, found));
-    }
-    let made = match confidence {
-        Confidence::None => (Unary::certain(), Vec::new()),
+    kept::read_or(file, unpack, || match confidence {
+        Confidence::None => Ok((Unary::certain(), Vec::new())),
         Confidence::Pair(_) | Confidence::Photometric { .. } => {
             let (masks, faults) = Unary::of_masks(geometry, pictures, watcher)?;
             let nearby = confidence::nearby(scene, points, surface, visibility, watcher)?;
@@ -307,10 +303,9 @@ fn unary(
                 Confidence::Photometric { .. } if pictures.have_images() => Vec::new(),
                 _ => confidence::picture_warnings(scene, &faults),
             };
-            (nearby.times(masks, visibility)?, warnings)
+            Ok((nearby.times(masks, visibility)?, warnings))
         }
-    };
-    Ok((slot, made))
+    })
 }
 
 /// Chooses the clusters, and computes their fulfilment at full and, if there is a choice of sizes, at half size.
@@ -322,16 +317,15 @@ fn clusters(
     watcher: &dyn Watcher,
 ) -> Result<(Slot, KeptClusters), PlanError> {
     let has_half = settings.ranking.has_half();
-    let (slot, found) = kept::read(file, |(), bytes| kept::clusters::unpack(bytes, model.visibility, has_half));
-    if let Some(found) = found {
-        return Ok((slot, found));
-    }
-    let (clusters, fulfilment) = partners::choose(model, candidates, &settings.partners, settings.seed, watcher)?;
-    let half = match has_half {
-        true => Some(fulfilment::half_size(model, &clusters, &fulfilment, settings.ranking.half_worth, watcher)?),
-        false => None,
-    };
-    Ok((slot, (clusters, fulfilment, half)))
+    let unpack = |(), bytes: &[u8]| kept::clusters::unpack(bytes, model.visibility, has_half);
+    kept::read_or(file, unpack, || {
+        let (clusters, fulfilment) = partners::choose(model, candidates, &settings.partners, settings.seed, watcher)?;
+        let half = match has_half {
+            true => Some(fulfilment::half_size(model, &clusters, &fulfilment, settings.ranking.half_worth, watcher)?),
+            false => None,
+        };
+        Ok((clusters, fulfilment, half))
+    })
 }
 
 /// Compares the pictures of candidate pairs, within what the backend can match of each.
@@ -368,17 +362,14 @@ fn candidates(
     let PlanningNumbers { reach, gate, .. } = matcher.numbers;
     let gate = gate.with(&settings.partners.gate);
     let file = inputs.candidates(settings, reach.map(|_| matcher.name), &gate, missing_images);
-    let (slot, found) = kept::read(file, |(), bytes| kept::candidates::unpack(bytes, scene.views.len()));
-    if let Some(found) = found {
-        return Ok((slot, found));
-    }
+    let unpack = |(), bytes: &[u8]| kept::candidates::unpack(bytes, scene.views.len());
     let is_missing = |view: &ViewIndex| missing_images.binary_search(view).is_ok();
     let refuses = |pair: &PairGeometry| {
         let lacks_image = [pair.key, pair.partner].iter().any(is_missing);
         lacks_image || reach.is_some_and(|reach| reach(pair, points, settings.image_scale()).is_nothing())
     };
     let limits = Limits { gate: &gate, refuses: &refuses };
-    Ok((slot, partners::candidates(scene, points, &settings.partners, &limits, watcher)?))
+    kept::read_or(file, unpack, || partners::candidates(scene, points, &settings.partners, &limits, watcher))
 }
 
 /// The surface, reduced to triangles that at least one view sees, with its visibility.

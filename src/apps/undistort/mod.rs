@@ -30,7 +30,7 @@ use crate::{
             colmap_bin,
         },
         output::{self, Contents, Disk, FileSet, OutputError},
-        project::{ImageFolder, Project, ProjectError},
+        project::{ImageFolder, Project, ProjectError, undistorted_set},
     },
     model::{
         camera::Camera,
@@ -236,7 +236,7 @@ impl<'a> Undistortion<'a> {
             Ok((format!("images/{name}"), contents))
         };
         let images: Vec<_> = views.par_iter().map(image).collect::<Result<_, UndistortError>>()?;
-        let mut files = FileSet::new(self.out, &set_name(batch));
+        let mut files = FileSet::new(self.out, &undistorted_set(1 + batch));
         files.files.extend(images);
         files.add_text(note_path(batch), note);
         Ok(files)
@@ -245,7 +245,7 @@ impl<'a> Undistortion<'a> {
     /// Removes batches that an earlier run with more images wrote.
     fn remove_batches_from(&self, first: usize, disk: &Disk) -> Result<(), OutputError> {
         let mut later = (first..).take_while(|&i| self.out.join(note_path(i)).exists());
-        later.try_for_each(|i| FileSet::new(self.out, &set_name(i)).write(disk).map(|_| ()))
+        later.try_for_each(|i| FileSet::new(self.out, &undistorted_set(1 + i)).write(disk).map(|_| ()))
     }
 
     /// Returns whether the model of the workspace follows from the project's current model.
@@ -305,12 +305,8 @@ impl<'a> Undistortion<'a> {
     }
 }
 
-fn set_name(batch: usize) -> String {
-    format!("{SET}-{:04}", batch + 1)
-}
-
 fn note_path(batch: usize) -> String {
-    format!("viewrank/{}.json", set_name(batch))
+    format!("viewrank/{}.json", undistorted_set(1 + batch))
 }
 
 /// Maps a pixel of the distorted camera to the pinhole camera.

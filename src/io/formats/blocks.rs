@@ -28,12 +28,7 @@ use crate::model::{
 
 /// Reads the first block that has images.
 pub fn read(bytes: &[u8]) -> Result<ForeignModel, Fault> {
-    let mut xml = Xml::new(bytes)?;
-    let root = xml.enter()?;
-    if root.as_ref().is_none_or(|root| root.name != "BlocksExchange") {
-        let found = root.map_or("nothing".into(), |root| format!("<{}>", root.name));
-        return Err(Fault::new("", Place::File, Problem::Syntax { expected: "<BlocksExchange>", found }));
-    }
+    let mut xml = Xml::in_root(bytes, "BlocksExchange", "<BlocksExchange>")?;
     let mut block = Block::default();
     let mut blocks = 0;
     while let Some(entered) = xml.enter()? {
@@ -184,7 +179,7 @@ fn pose_of(rotation: &Element, centre: &Element, axes: Matrix3<f64>) -> Result<S
     pose_with_centre(axes * matrix, centre).map_err(|problem| Fault::new("", rotation.at(), problem))
 }
 
-/// What the photos of a group have in common.
+/// The parameters that all photos of a group share.
 struct Group {
     at: Place,
     parts: HashMap<String, Element>,

@@ -17,7 +17,7 @@ use std::collections::{HashMap, HashSet};
 use nalgebra::{Matrix3, Vector3};
 
 use super::{
-    Fault, Place, Problem,
+    Fault, Problem,
     colmap::StoredPose,
     foreign::{ForeignModel, camera, pose_with_centre},
     xml::{Element, Xml},
@@ -41,12 +41,7 @@ const NEGLIGIBLE_PX: f64 = 0.5;
 
 /// Reads cameras and poses of the first chunk that has any. `spelled` completes labels, which may lack the extension of the image.
 pub fn read(bytes: &[u8], frame: Frame, spelled: &dyn Fn(&str) -> String) -> Result<ForeignModel, Fault> {
-    let mut xml = Xml::new(bytes)?;
-    let root = xml.enter()?;
-    if root.as_ref().is_none_or(|root| root.name != "document") {
-        let found = root.map_or("nothing".into(), |root| format!("<{}>", root.name));
-        return Err(Fault::new("", Place::File, Problem::Syntax { expected: "<document> of Metashape", found }));
-    }
+    let mut xml = Xml::in_root(bytes, "document", "<document> of Metashape")?;
     let mut foreign = ForeignModel::default();
     let mut chunks = 0;
     while let Some(entered) = xml.enter()? {

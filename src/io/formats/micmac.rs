@@ -70,7 +70,7 @@ pub fn read_calibration(bytes: &[u8], id: u32) -> Result<(Camera, f64), Fault> {
     }
     if off.is_nan() || off > MOST_OFF_PX {
         let what =
-            "the distortion of this calibration is none of COLMAP's: its centre is too far from the principal point"
+            "no camera model of COLMAP has the distortion of this calibration: its centre is too far from the principal point"
                 .into();
         let hint = "calibrate with Tapas RadialBasic or FraserBasic, or undistort the images with mm3d Drunk";
         return Err(Fault::new("", root.at(), Problem::Unsupported { what, hint }));

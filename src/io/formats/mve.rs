@@ -24,7 +24,7 @@ use crate::model::{
     scene::WarningKind,
 };
 
-/// What a `meta.ini` says of its view.
+/// Camera of a view, from its `meta.ini`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct View {
     /// Position of its camera in the bundle.

@@ -101,6 +101,18 @@ impl<'a> Xml<'a> {
         Ok(Self { reader, open: 0 })
     }
 
+    /// Walks into the root, which must have this name; `expected` describes it.
+    pub fn in_root(bytes: &'a [u8], name: &str, expected: &'static str) -> Result<Self, Fault> {
+        let mut xml = Self::new(bytes)?;
+        match xml.enter()? {
+            Some(root) if root.name == name => Ok(xml),
+            root => {
+                let found = root.map_or("nothing".into(), |root| format!("<{}>", root.name));
+                Err(Fault::new("", Place::File, Problem::Syntax { expected, found }))
+            }
+        }
+    }
+
     /// Walks into the next child of the element that was entered last, which is returned without what it contains; leaves the element and returns
     /// `None` if there is no other. At first, the root is the only child.
     pub fn enter(&mut self) -> Result<Option<Element>, Fault> {

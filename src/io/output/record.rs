@@ -131,7 +131,7 @@ pub(super) fn hash(path: &Path) -> io::Result<Option<String>> {
         }
         Ok(found) if found.is_file() => {
             let file = open::existing(path)?;
-            if found.len() > FileKind::Sparse.limit() || input::has_large_holes(&file, found.len()) {
+            if found.len() > FileKind::Sparse.limit() || input::large_holes(&file, found.len()).is_some() {
                 let modified = found.modified()?.duration_since(UNIX_EPOCH).unwrap_or_default();
                 let inode = input::identity(&found).1;
                 return Ok(Some(format!("large:{} {} {inode}", found.len(), modified.as_nanos())));

@@ -139,6 +139,11 @@ pub struct Project {
     pub dense_workspace: Option<PathBuf>,
 }
 
+/// Name of the file set of a batch of undistorted images, from 1.
+pub fn undistorted_set(batch: usize) -> String {
+    format!("undistorted-{batch:04}")
+}
+
 impl Project {
     /// Opens a project folder, a model folder or a model file. Of several sub-models it takes the one named by `model`, or the one with the most
     /// registered images, ties by name.
@@ -190,7 +195,9 @@ impl Project {
 
     /// Returns whether `viewrank undistort` made the dense workspace.
     pub fn has_undistorted_workspace(&self) -> bool {
-        self.dense_workspace.as_ref().is_some_and(|dense| dense.join("viewrank/undistorted-0001.json").is_file())
+        self.dense_workspace
+            .as_ref()
+            .is_some_and(|dense| dense.join(format!("viewrank/{}.json", undistorted_set(1))).is_file())
     }
 
     /// viewrank's output folder: `home/viewrank`.

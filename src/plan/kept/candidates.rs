@@ -27,7 +27,7 @@ fn pack_rows<'a>(packer: &mut Packer, offsets: &Offsets, views: impl Iterator<It
     packer.list(&views.map(|view| view.0).collect::<Vec<_>>());
 }
 
-/// Unpacks the candidates of a scene with so many views.
+/// Unpacks candidates. `count`: number of views of the scene.
 pub fn unpack(bytes: &[u8], count: usize) -> Option<Candidates> {
     let mut lists = Unpacker::new(bytes);
     let (offsets, views) = unpack_rows(&mut lists, count)?;

@@ -66,6 +66,18 @@ pub(super) fn read<F: Serialize + DeserializeOwned, T>(
     (Slot { file, is_kept: found.is_some() }, found)
 }
 
+/// Reads what the file holds as [`read`] does, or else makes it.
+pub(super) fn read_or<F: Serialize + DeserializeOwned, T, E>(
+    file: CacheFile,
+    unpack: impl FnOnce(F, &[u8]) -> Option<T>,
+    make: impl FnOnce() -> Result<T, E>,
+) -> Result<(Slot, T), E> {
+    match read(file, unpack) {
+        (slot, Some(found)) => Ok((slot, found)),
+        (slot, None) => Ok((slot, make()?)),
+    }
+}
+
 impl Plan {
     /// Makes the files of [`Self::unwritten`] now: what finished depth maps show replaces predictions, but the next plan begins with these.
     pub fn keep_predictions(&mut self) {

@@ -17,7 +17,7 @@ pub(super) fn pack(ranking: &Ranking) -> Vec<u8> {
     packer.finish()
 }
 
-/// Unpacks a ranking of so many clusters.
+/// Unpacks a ranking. `clusters`: number of clusters that are ranked.
 pub fn unpack(bytes: &[u8], clusters: usize) -> Option<Ranking> {
     let mut lists = Unpacker::new(bytes);
     let order = lists.list::<u32>()?;

@@ -55,7 +55,7 @@ pub(super) fn pack(stages: &Stages) -> Option<(Facts, Vec<u8>)> {
 }
 
 impl KeptSurface {
-    /// Unpacks the surface of a scene with so many views.
+    /// Unpacks surface and visibility. `views`: number of views of the scene.
     pub fn unpack(facts: Facts, bytes: &[u8], views: usize) -> Option<Self> {
         let mut lists = Unpacker::new(bytes);
         let (coordinates, corners) = (lists.list::<f64>()?, lists.list::<u32>()?);

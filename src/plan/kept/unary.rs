@@ -52,7 +52,7 @@ fn with_palette(values: &[f32]) -> Option<(Vec<f32>, Vec<u8>)> {
     Some((palette, places))
 }
 
-/// Unpacks the column of a table of visibility with so many rows.
+/// Unpacks the column. `rows`: number of rows of the visibility table.
 pub fn unpack(bytes: &[u8], rows: usize) -> Option<Unary> {
     let mut lists = Unpacker::new(bytes);
     let palette = lists.list::<f32>()?;

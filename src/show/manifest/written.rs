@@ -62,7 +62,7 @@ pub(crate) struct RecordedPlan {
     path: PathBuf,
 }
 
-/// What every version of the manifest has.
+/// The field that manifests of all versions share.
 #[derive(Debug, Deserialize)]
 struct Versioned {
     version: u32,
