@@ -213,6 +213,24 @@ impl Agreement {
         }
     }
 
+    /// Returns a table of made-up values; `without`: by view, true if it has no usable picture.
+    #[cfg(test)]
+    pub fn made_up<'p>(
+        geometry: &Geometry,
+        partners_of: impl Fn(ViewIndex) -> &'p [ViewIndex],
+        without: &[bool],
+        value: impl Fn(ViewIndex, ViewIndex, u32) -> u8,
+    ) -> Self {
+        let table = Self::laid_out(geometry, partners_of, without);
+        let of_pair = |key: ViewIndex, partner| {
+            geometry.visibility.triangles_seen_by(key).iter().map(move |&t| (key, partner, t))
+        };
+        let pairs = geometry.scene.view_indices().flat_map(|key| table.partners_of(key).iter().map(move |&p| (key, p)));
+        let values: Vec<u8> = pairs.flat_map(|(key, p)| of_pair(key, p)).map(|(key, p, t)| value(key, p, t)).collect();
+        assert_eq!(values.len(), table.len());
+        Self { values: Arc::new(values.into()), ..table }
+    }
+
     pub fn is_empty(&self) -> bool {
         self.partners.is_empty()
     }
