@@ -190,4 +190,21 @@ mod tests {
             assert!(file.read::<u32>().is_none());
         }
     }
+
+    /// Also by those who read it part by part, and know how many bytes there should be.
+    #[test]
+    fn a_longer_file_is_not_believed() {
+        let home = tempfile::tempdir().unwrap();
+        let file = of(home.path(), b"a");
+        write(file.file(&7, Arc::new(vec![1; 50].into())));
+        let facts = || {
+            let mut open = file.open::<u32>().unwrap();
+            open.fill(&mut [0; 50]).unwrap();
+            open.checked()
+        };
+        assert_eq!(facts(), Some(7));
+        let path = home.path().join(PATH);
+        std::fs::write(&path, [std::fs::read(&path).unwrap(), vec![1]].concat()).unwrap();
+        assert_eq!(facts(), None);
+    }
 }

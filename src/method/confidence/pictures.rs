@@ -56,6 +56,11 @@ impl Pictures {
         }
     }
 
+    #[cfg(test)]
+    pub fn without_images(project: &Path) -> Self {
+        Self { images: None, masks: None, project: project.into() }
+    }
+
     pub fn have_images(&self) -> bool {
         self.images.is_some()
     }

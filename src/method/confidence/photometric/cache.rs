@@ -127,3 +127,24 @@ fn hash_geometry(hasher: &mut blake3::Hasher, geometry: &Geometry) {
         visibility.triangles.release();
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::{super::tests::Setting, *};
+
+    #[test]
+    fn other_partners_and_moved_views_have_another_fingerprint() {
+        let folder = tempfile::tempdir().unwrap();
+        let (mut setting, pictures) = (Setting::new(), Pictures::without_images(folder.path()));
+        let fingerprint = |setting: &Setting, partner: u32| {
+            let partners = [ViewIndex(partner)];
+            inputs(&setting.geometry(1.0), &pictures, |_| &partners, None).map(|hasher| hasher.finalize())
+        };
+        let first = fingerprint(&setting, 7);
+        assert!(first.is_some());
+        assert_eq!(first, fingerprint(&setting, 7));
+        assert_ne!(first, fingerprint(&setting, 8));
+        setting.scene.views[3].cam_from_world.translation.x += 1e-9;
+        assert_ne!(first, fingerprint(&setting, 7));
+    }
+}
