@@ -221,9 +221,8 @@ impl Plan {
             }
             let backend = backends::by_name(backend)?;
             let options = ExportOptions { out, refs, geometric, scene, scale };
-            let (files, record) = files::export(&self.0.plan, &self.0.project, backend, clusters, &options)?;
+            let (folder, files, record) = files::export(&self.0.plan, &self.0.project, backend, clusters, &options)?;
             files.write(&Disk::REAL)?;
-            let folder = options.out.unwrap_or_else(|| files.root.clone());
             Ok((folder, Failure::json(&record)?))
         })
     }
