@@ -9,6 +9,7 @@ use std::{cmp::Reverse, ops::Range};
 use nalgebra::{Matrix3, Point3, Vector2, Vector3};
 
 use crate::{
+    base::vector::{Kernel, vectorised},
     method::partners::PairGeometry,
     model::{
         cluster::Reach,
@@ -40,16 +41,17 @@ pub fn reach(pair: &PairGeometry, points: &ViewPoints, image_scale: f64) -> Reac
     let position = |point: &PointIndex| pair.scene.points[point.index()];
     let shared: Vec<Point3<f64>> = pair.shared.iter().map(position).collect();
     let Some(parallax) = Parallax::new(&key, &partner, &shared) else { return Reach::Nothing };
-    let (of_key, of_partner) = (points.observed_by(pair.key), points.observed_by(pair.partner));
-    let others = of_partner.iter().filter(|point| of_key.binary_search(point).is_err());
-    let around = of_key.iter().chain(others).map(position);
+    // Those of the partner that the key view does not observe; all lists ascend.
+    let mut both = pair.shared.iter().peekable();
+    let others = points.observed_by(pair.partner).iter().filter(|point| both.next_if_eq(point).is_none());
+    let around = points.observed_by(pair.key).iter().chain(others).map(position);
     let searched =
         parallax.searched(&key, &partner, around).filter(|searched| parallax.overlap(&key, &partner, searched));
     let Some(Range { start, end }) = searched else { return Reach::Nothing };
     let searched = start..start + GROUP * ((end - start) / GROUP).ceil();
     Reach::Part(Box::new(move |point| {
-        let (pixel, depth) = key.project(point);
-        depth > 0.0 && searched.contains(&parallax.disparity(pixel, 1.0 / depth))
+        let seen = key.project((*point).into());
+        seen[2] > 0.0 && searched.contains(&parallax.disparity(seen))
     }))
 }
 
@@ -77,20 +79,20 @@ impl Reduced {
         }
     }
 
-    /// Pixel and depth.
-    fn project(&self, point: &Point3<f64>) -> (Vector2<f64>, f64) {
-        let there = self.intrinsics * (self.rotation * point.coords + self.translation);
-        (there.xy() / there.z, there.z)
+    /// Pixel x, pixel y and depth; spelt out, as all below that is called in loops, for vector instructions.
+    #[inline(always)]
+    fn project(&self, [x, y, z]: [f64; 3]) -> [f64; 3] {
+        let (r, t, k) = (&self.rotation, &self.translation, &self.intrinsics);
+        let [a, b, depth] = [0, 1, 2].map(|i| r[(i, 0)] * x + r[(i, 1)] * y + r[(i, 2)] * z + t[i]);
+        let (u, v) = (k[(0, 0)] * a + k[(0, 2)] * depth, k[(1, 1)] * b + k[(1, 2)] * depth);
+        [u / depth, v / depth, depth]
     }
 
-    /// Pixel and depth of a point in front of the view and in its image.
-    fn shows(&self, point: &Point3<f64>) -> Option<(Vector2<f64>, f64)> {
-        let (pixel, depth) = self.project(point);
-        (depth > 0.0 && self.holds(&pixel)).then_some((pixel, depth))
-    }
-
-    fn holds(&self, pixel: &Vector2<f64>) -> bool {
-        (0..2).all(|axis| pixel[axis] > -0.5 && pixel[axis] < self.size[axis] - 0.5)
+    /// Returns whether what projects there is in front of the view and in its image.
+    #[inline(always)]
+    fn shows(&self, [u, v, depth]: [f64; 3]) -> bool {
+        let inside = |at: f64, size: f64| (at > -0.5) & (at < size - 0.5);
+        (depth > 0.0) & inside(u, self.size.x) & inside(v, self.size.y)
     }
 }
 
@@ -106,16 +108,16 @@ struct Parallax {
 
 impl Parallax {
     fn new(key: &Reduced, partner: &Reduced, shared: &[Point3<f64>]) -> Option<Self> {
-        let in_front = shared.iter().filter(|point| partner.project(point).1 > 0.0);
-        let samples: Vec<(Vector2<f64>, f64)> =
-            in_front.map(|point| key.project(point)).filter(|(_, z)| *z > 0.0).map(|(p, z)| (p, 1.0 / z)).collect();
+        let in_front = shared.iter().map(|&point| point.into()).filter(|&point| partner.project(point)[2] > 0.0);
+        let seen = in_front.map(|point| key.project(point)).filter(|seen| seen[2] > 0.0);
+        let samples: Vec<(Vector2<f64>, f64)> = seen.map(|[u, v, z]| (Vector2::new(u, v), 1.0 / z)).collect();
         if samples.len() < MIN_SHARED {
             return None;
         }
         let rotation = partner.rotation * key.rotation.transpose();
         let translation = partner.translation - rotation * key.translation;
         let centre = -rotation.transpose() * translation;
-        let level = Vector3::new(0.0, 0.0, median(samples.iter().map(|s| s.1).collect()));
+        let level = Vector3::new(0.0, 0.0, quantile(&mut samples.iter().map(|s| s.1).collect::<Vec<_>>(), 50.0));
         let bend = |plane: &Vector3<f64>| 1.0 - plane.dot(&(key.intrinsics * centre));
         let planes = [dominant_plane(&samples)?, level];
         let plane = planes.into_iter().find(|plane| bend(plane) > 0.1).filter(|_| centre.norm() > 0.0)?;
@@ -126,9 +128,12 @@ impl Parallax {
         Some(Self { plane, epipole: e.xy() / height, gain: height / bend(&plane), homography })
     }
 
-    fn disparity(&self, pixel: Vector2<f64>, inverse: f64) -> f64 {
-        let radius = (pixel - self.epipole).norm();
-        let off = self.gain * (inverse - self.plane.dot(&pixel.push(1.0)));
+    /// Returns the disparity at pixel x, pixel y and depth of the key view.
+    #[inline(always)]
+    fn disparity(&self, [u, v, depth]: [f64; 3]) -> f64 {
+        let (x, y) = (u - self.epipole.x, v - self.epipole.y);
+        let radius = (x * x + y * y).sqrt();
+        let off = self.gain * (1.0 / depth - (self.plane.x * u + self.plane.y * v + self.plane.z));
         radius * off / (1.0 + off)
     }
 
@@ -140,20 +145,18 @@ impl Parallax {
         partner: &Reduced,
         around: impl Iterator<Item = Point3<f64>>,
     ) -> Option<Range<f64>> {
-        let in_both = around.filter(|point| partner.shows(point).is_some());
-        let mut disparities: Vec<f64> =
-            in_both.filter_map(|point| key.shows(&point)).map(|(pixel, z)| self.disparity(pixel, 1.0 / z)).collect();
-        disparities.sort_unstable_by(f64::total_cmp);
+        let mut disparities = vectorised(Disparities { parallax: self, key, partner, around });
         if disparities.len() < MIN_SHARED {
             return None;
         }
-        let [low, high] = [0.5, 99.5].map(|percent| percentile(&disparities, percent));
+        let [low, high] = [0.5, 99.5].map(|percent| quantile(&mut disparities, percent));
         let margin = RANGE_MARGIN * (high - low) + RANGE_PIXELS;
         let (low, high) = ((low - margin).floor(), (high + margin).ceil());
         let room = GROUP * (MAX_DISPARITIES * key.size.max() / GROUP).round_ties_even();
         if high - low <= room {
             return Some(low..high);
         }
+        disparities.sort_unstable_by(f64::total_cmp);
         let held = |(i, d): (usize, &f64)| {
             disparities.partition_point(|x| *x <= d + room - 2.0 * RANGE_PIXELS).saturating_sub(i)
         };
@@ -178,12 +181,52 @@ impl Parallax {
                 let disparity = searched.start + range * f64::from(part) / parts;
                 let carried = self.epipole + offset * ((radius - disparity) / radius.max(1e-9));
                 let there = self.homography * carried.push(1.0);
-                radius > disparity && there.z > 0.0 && partner.holds(&(there.xy() / there.z))
+                radius > disparity && partner.shows([there.x / there.z, there.y / there.z, there.z])
             })
         };
         // Spread over the picture, so that most pairs are decided after a few places.
         let places = (0..columns).flat_map(|first| (first..columns * rows).step_by(columns));
         places.filter(shown).take(enough).count() == enough
+    }
+}
+
+/// Computes the disparities of the points that both images show.
+struct Disparities<'a, I> {
+    parallax: &'a Parallax,
+    key: &'a Reduced,
+    partner: &'a Reduced,
+    around: I,
+}
+
+/// Points that are projected at once.
+const LANES: usize = 64;
+
+impl<I: Iterator<Item = Point3<f64>>> Kernel for Disparities<'_, I> {
+    type Output = Vec<f64>;
+
+    #[inline(always)]
+    fn run(mut self) -> Vec<f64> {
+        let mut all = Vec::with_capacity(self.around.size_hint().0);
+        let mut places = [[0.0; LANES]; 3];
+        loop {
+            let mut count = 0;
+            for (lane, point) in self.around.by_ref().take(LANES).enumerate() {
+                (0..3).for_each(|axis| places[axis][lane] = point[axis]);
+                count = lane + 1;
+            }
+            let (mut disparities, mut shown) = ([0.0; LANES], [false; LANES]);
+            for lane in 0..LANES {
+                let place = [places[0][lane], places[1][lane], places[2][lane]];
+                let seen = self.key.project(place);
+                shown[lane] = self.key.shows(seen) & self.partner.shows(self.partner.project(place));
+                disparities[lane] = self.parallax.disparity(seen);
+            }
+            let both = disparities[..count].iter().zip(&shown);
+            all.extend(both.filter_map(|(disparity, shown)| shown.then_some(*disparity)));
+            if count < LANES {
+                return all;
+            }
+        }
     }
 }
 
@@ -193,34 +236,92 @@ fn dominant_plane(samples: &[(Vector2<f64>, f64)]) -> Option<Vector3<f64>> {
     let centre = samples.iter().map(|s| s.0).sum::<Vector2<f64>>() / count;
     let variance = samples.iter().map(|s| (s.0 - centre).map(|x| x * x)).sum::<Vector2<f64>>() / count;
     let spread = variance.map(|v| v.sqrt() + 1e-9);
-    let rows: Vec<Vector3<f64>> = samples.iter().map(|s| (s.0 - centre).component_div(&spread).push(1.0)).collect();
+    let rows = Rows {
+        x: samples.iter().map(|s| (s.0.x - centre.x) / spread.x).collect(),
+        y: samples.iter().map(|s| (s.0.y - centre.y) / spread.y).collect(),
+        z: samples.iter().map(|s| s.1).collect(),
+    };
     let damping = Matrix3::from_diagonal(&(Vector3::new(0.0025, 0.0025, 0.0) * count));
     let (mut weights, mut fit) = (vec![1.0; samples.len()], Vector3::zeros());
     for _ in 0..20 {
-        let weighted = || rows.iter().zip(samples).zip(&weights);
-        let normal = weighted().map(|((row, _), w)| row * row.transpose() * *w).sum::<Matrix3<f64>>() + damping;
-        let right = weighted().map(|((row, s), w)| row * (w * s.1)).sum::<Vector3<f64>>();
-        fit = normal.lu().solve(&right)?;
-        let residuals: Vec<f64> = rows.iter().zip(samples).map(|(row, s)| (row.dot(&fit) - s.1).abs()).collect();
-        let scale = 1.5 * median(residuals.clone()) + 1e-12;
-        weights = residuals.iter().map(|r| 1.0 / (1.0 + (r / scale).powi(2))).collect();
+        let (normal, right) = rows.normal_equations(&weights);
+        fit = (normal + damping).lu().solve(&right)?;
+        vectorised(Residuals { rows: &rows, fit: fit.into(), residuals: &mut weights });
+        let scale = 1.5 * quantile(&mut weights.clone(), 50.0) + 1e-12;
+        vectorised(Weights { residuals: &mut weights, scale });
     }
     let slopes = fit.xy().component_div(&spread);
     Some(slopes.push(fit.z - slopes.dot(&centre)))
 }
 
-/// [`percentile`] 50 without sorting.
-fn median(mut values: Vec<f64>) -> f64 {
-    let middle = (values.len() - 1) / 2;
-    let is_between = values.len().is_multiple_of(2);
-    let (_, below, above) = values.select_nth_unstable_by(middle, f64::total_cmp);
-    let next = above.iter().copied().min_by(f64::total_cmp).filter(|_| is_between).unwrap_or(*below);
-    *below + 0.5 * (next - *below)
+/// Rows (x, y, 1) of a linear fit, and their right sides z.
+struct Rows {
+    x: Vec<f64>,
+    y: Vec<f64>,
+    z: Vec<f64>,
 }
 
-/// Quantile of ascending values, linear between them.
-fn percentile(sorted: &[f64], percent: f64) -> f64 {
-    let place = percent / 100.0 * (sorted.len() - 1) as f64;
-    let (below, above) = (sorted[place.floor() as usize], sorted[place.ceil() as usize]);
+impl Rows {
+    /// Returns the sums of row . rowᵀ w and of row w z.
+    fn normal_equations(&self, weights: &[f64]) -> (Matrix3<f64>, Vector3<f64>) {
+        let [mut xx, mut xy, mut yy, mut x1, mut y1, mut one, mut xz, mut yz, mut z1] = [0.0; 9];
+        for (((x, y), z), w) in self.x.iter().zip(&self.y).zip(&self.z).zip(weights) {
+            let wz = w * z;
+            xx += x * x * w;
+            xy += x * y * w;
+            yy += y * y * w;
+            x1 += x * w;
+            y1 += y * w;
+            one += w;
+            xz += x * wz;
+            yz += y * wz;
+            z1 += wz;
+        }
+        (Matrix3::new(xx, xy, x1, xy, yy, y1, x1, y1, one), Vector3::new(xz, yz, z1))
+    }
+}
+
+/// Computes the absolute residuals of a fit.
+struct Residuals<'a> {
+    rows: &'a Rows,
+    fit: [f64; 3],
+    residuals: &'a mut [f64],
+}
+
+impl Kernel for Residuals<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let (Rows { x, y, z }, [a, b, c]) = (self.rows, self.fit);
+        for (((residual, x), y), z) in self.residuals.iter_mut().zip(x).zip(y).zip(z) {
+            *residual = (x * a + y * b + c - z).abs();
+        }
+    }
+}
+
+/// Turns residuals into weights.
+struct Weights<'a> {
+    residuals: &'a mut [f64],
+    scale: f64,
+}
+
+impl Kernel for Weights<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        for residual in self.residuals {
+            let off = *residual / self.scale;
+            *residual = 1.0 / (1.0 + off * off);
+        }
+    }
+}
+
+/// Quantile, linear between two values; the values change places.
+fn quantile(values: &mut [f64], percent: f64) -> f64 {
+    let place = percent / 100.0 * (values.len() - 1) as f64;
+    let (_, &mut below, rest) = values.select_nth_unstable_by(place.floor() as usize, f64::total_cmp);
+    let above = rest.iter().copied().min_by(f64::total_cmp).filter(|_| place.fract() > 0.0).unwrap_or(below);
     below + place.fract() * (above - below)
 }

@@ -9,7 +9,7 @@ use crate::{
     base::{column::Storage, progress::NoWatcher},
     config::{TargetMode, TargetSettings, VisibilitySettings},
     method::{
-        confidence::{Confidence, NO_AGREEMENT, PairConfidence},
+        confidence::{Agreement, Confidence, PairAgreement, PairConfidence, Photometric},
         synthetic::Town,
         visibility,
     },
@@ -24,6 +24,7 @@ struct Setting {
     visibility: Visibility,
     target: Target,
     unary: Unary,
+    agreement: Agreement,
 }
 
 impl Setting {
@@ -36,7 +37,24 @@ impl Setting {
             visibility::estimate(&scene, &scene.view_points(), &surface, &settings, 4.0, Storage::Memory, &NoWatcher)
                 .unwrap();
         let target = Target::new(&scene, &surface, &visibility, &TargetSettings::default(), 0.05, 1.0);
-        Self { scene, surface, visibility, target, unary: Unary::certain() }
+        Self { scene, surface, visibility, target, unary: Unary::certain(), agreement: Agreement::default() }
+    }
+
+    /// Views 11 and 36 have no picture, and no view was compared with view 13.
+    fn with_pictures(self) -> Self {
+        let geometry = Geometry {
+            scene: &self.scene,
+            surface: &self.surface,
+            visibility: &self.visibility,
+            target: &self.target,
+            image_scale: 1.0,
+        };
+        let views: Vec<ViewIndex> = self.scene.view_indices().collect();
+        let compared: Vec<ViewIndex> = views.iter().copied().filter(|view| view.0 != 13).collect();
+        let without: Vec<bool> = views.iter().map(|view| [11, 36].contains(&view.0)).collect();
+        let value = |key: ViewIndex, partner: ViewIndex, t: u32| ((7 * key.0 + 31 * partner.0 + 3 * t) % 256) as u8;
+        let agreement = Agreement::made_up(&geometry, |_| &compared, &without, value);
+        Self { agreement, ..self }
     }
 
     fn pinhole() -> Self {
@@ -49,8 +67,8 @@ impl Setting {
 
     fn model(&self, confidence: Confidence) -> Model<'_> {
         let rule = FulfilmentRule { alpha: 0.4, sigma_px: 0.5, min_cameras: 3, image_scale: 1.0, confidence };
-        let Self { scene, surface, visibility, target, unary } = self;
-        Model { scene, surface, visibility, target, unary, agreement: &NO_AGREEMENT, rule }
+        let Self { scene, surface, visibility, target, unary, agreement } = self;
+        Model { scene, surface, visibility, target, unary, agreement, rule }
     }
 }
 
@@ -239,19 +257,27 @@ fn the_table_holds_what_the_definition_says() {
     let patch_match =
         PairConfidence { min_matches: 1, p0: 0.6, cosine_power: 0.5, scale_octaves: None, full_angle_deg: Some(40.0) };
     let three = PairConfidence { min_matches: 3, ..sure };
-    let settings = [Setting::pinhole(), Setting::distorted()].into_iter().flat_map(|setting| {
-        let rows = setting.visibility.triangles.len();
-        let varied = Unary { values: (0..rows).map(|r| (r % 101) as f32 / 100.0).collect() };
-        [Unary::certain(), varied].map(|unary| Setting { unary, ..setting.clone() })
-    });
+    let agreement = Photometric { agree: 0.9, differ: 0.1, full_agreement: 0.7 };
+    let settings =
+        [Setting::pinhole(), Setting::distorted()].map(Setting::with_pictures).into_iter().flat_map(|setting| {
+            let rows = setting.visibility.triangles.len();
+            let varied = Unary { values: (0..rows).map(|r| (r % 101) as f32 / 100.0).collect() };
+            [Unary::certain(), varied].map(|unary| Setting { unary, ..setting.clone() })
+        });
     for setting in settings {
         let views = |v: &[u32]| v.iter().map(|&v| ViewIndex(v)).collect::<Vec<_>>();
         let clusters =
             [(12, views(&[11, 13, 7, 17, 37])), (40, views(&[12, 7])), (3, views(&[])), (30, views(&[0, 5, 31, 36]))]
                 .map(|(key, partners)| ViewCluster { key: ViewIndex(key), partners });
-        let confidences =
-            [Confidence::None, Confidence::Pair(sure), Confidence::Pair(patch_match), Confidence::Pair(three)];
-        for (confidence, accuracy_over_gsd) in confidences.into_iter().zip([1.0, 0.3, 0.1, 0.5]) {
+        let confidences = [
+            Confidence::None,
+            Confidence::Pair(sure),
+            Confidence::Pair(patch_match),
+            Confidence::Pair(three),
+            Confidence::Photometric { agreement, otherwise: sure },
+            Confidence::Photometric { agreement, otherwise: patch_match },
+        ];
+        for (confidence, accuracy_over_gsd) in confidences.into_iter().zip([1.0, 0.3, 0.1, 0.5, 0.3, 1.0]) {
             let target = Target { accuracy_over_gsd, ..setting.target.clone() };
             let model = Model { target: &target, ..setting.model(confidence) };
             let table = table(&model, &clusters, &NoWatcher).unwrap();
@@ -269,6 +295,43 @@ fn the_table_holds_what_the_definition_says() {
             }
         }
     }
+}
+
+/// Without a picture of both views the geometry of the pair counts; a pair that was not compared has no match.
+#[test]
+fn a_pair_counts_by_what_its_pictures_show() {
+    let setting = Setting::pinhole().with_pictures();
+    let agreement = Photometric { agree: 0.9, differ: 0.1, full_agreement: 0.7 };
+    let otherwise =
+        PairConfidence { min_matches: 1, p0: 0.8, cosine_power: 0.0, scale_octaves: None, full_angle_deg: None };
+    let (key, partners) = (ViewIndex(12), [11, 13, 7, 17].map(ViewIndex));
+    let everyone = |t: &u32| partners.iter().all(|&p| setting.visibility.row(p, *t).is_some());
+    let seen = setting.visibility.triangles_seen_by(key);
+    let row = seen.iter().position(everyone).unwrap();
+    let model = setting.model(Confidence::Photometric { agreement, otherwise });
+    let shown = |partner: u32| agreement.chance(((7 * 12 + 31 * partner + 3 * seen[row]) % 256) as u8);
+    for (partner, expected) in partners.into_iter().zip([0.8, 0.0, shown(7), shown(17)]) {
+        let found = value(&model, key, &[partner], seen[row]).confidence;
+        assert!((found - expected).abs() < 1e-6, "{partner:?}: {found} {expected}");
+    }
+    let of_pair = |partner: ViewIndex| setting.agreement.of_pair(key, partner);
+    assert!(matches!(of_pair(partners[0]), PairAgreement::NoPicture));
+    assert!(matches!(setting.agreement.of_pair(partners[0], key), PairAgreement::NoPicture));
+    assert!(matches!(of_pair(partners[1]), PairAgreement::NoCandidate));
+    assert!(matches!(of_pair(partners[3]), PairAgreement::Compared(values) if values.len() == seen.len()));
+}
+
+/// 80 px around, an edge of 4 px over the seam.
+#[test]
+fn a_triangle_on_the_seam_of_a_panorama_has_the_pixels_of_one_elsewhere() {
+    let camera = Camera::new(1, CameraModel::Equirectangular, 80, 40, vec![80.0, 40.0]).unwrap();
+    let at = |degrees: f64, y: f64| {
+        let angle = degrees.to_radians();
+        Point3::new(10.0 * angle.sin(), y, 10.0 * angle.cos())
+    };
+    let across =
+        |middle: f64| projected_area(&camera, &[at(middle - 9.0, 0.0), at(middle + 9.0, 0.0), at(middle, 1.0)]);
+    assert!(across(0.0) > 1.0 && (across(180.0) - across(0.0)).abs() < 1e-9, "{} {}", across(180.0), across(0.0));
 }
 
 #[test]

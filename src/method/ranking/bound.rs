@@ -26,11 +26,15 @@ pub fn most_of_any(length: usize, maps: &Maps, objective: &Objective, ranking: &
     let least: Vec<f32> = (0..objective.weights.len() as u32).map(|t| reached.largest(t)[0]).collect();
     let goal = reached.fulfilment();
     // All clusters at full size are an upper bound, too.
-    others.iter().for_each(|&map| reached.take(maps.row(maps.cluster(map))));
-    if maps.has_half() {
-        (0..maps.clusters()).for_each(|cluster| reached.take(maps.row(cluster)));
-    }
-    let mut bound = reached.fulfilment();
+    let mut bound = match maps.has_half() {
+        true => {
+            others.iter().for_each(|&map| reached.take(maps.row(maps.cluster(map))));
+            (0..maps.clusters()).for_each(|cluster| reached.take(maps.row(cluster)));
+            reached.fulfilment()
+        }
+        // The ranking has taken all of them, in whole numbers, so that no other order gives another sum.
+        false => ranking.fulfilment.last().copied().unwrap_or(0.0),
+    };
     drop(reached);
     let limit = if length > order.len() { f64::INFINITY } else { work_of(first) };
     let mut dual = Dual::new(objective, least);

@@ -86,3 +86,47 @@ pub(super) fn compared(
     seen.iter().for_each(|&t| places[t as usize] = u32::MAX);
     values
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::tests::{Setting, view_that_overlaps};
+    use super::*;
+
+    /// Samples that are the same in all views of a triangle, and differ from those of other triangles.
+    fn textured(geometry: &Geometry) -> Column<i8> {
+        let rows = geometry.scene.view_indices().flat_map(|view| geometry.visibility.triangles_seen_by(view));
+        let sample = |t: u32, i: usize| ((t as usize * 31 + i * i * 17) % 37) as i8 - 18;
+        rows.flat_map(|&t| (0..STACK).map(move |i| sample(t, i))).collect::<Vec<_>>().into()
+    }
+
+    #[test]
+    fn values_are_of_triangles_that_both_see_and_the_program_reaches() {
+        let setting = Setting::new();
+        let geometry = setting.geometry(1.0);
+        let (samples, key, partner) =
+            (textured(&geometry), ViewIndex(12), view_that_overlaps(&geometry, ViewIndex(12)));
+        let mut places = vec![u32::MAX; setting.surface.triangles.len()];
+        let middle = setting.scene.view(key).cam_from_world.centre().x;
+        let part = |_, _| Reach::Part(Box::new(move |point: &nalgebra::Point3<f64>| point.x < middle));
+        let reaches: [&(dyn Fn(ViewIndex, ViewIndex) -> Reach + Sync); 3] =
+            [&|_, _| Reach::Everything, &part, &|_, _| Reach::Nothing];
+        let seen = setting.visibility.triangles_seen_by(key);
+        let counts = reaches.map(|of_pair| {
+            let reach = ProgramReach { program: Some("program"), of_pair };
+            let values = compared(&geometry, &samples, key, &[partner, partner], &reach, &mut places);
+            assert!(places.iter().all(|&place| place == u32::MAX), "left as found");
+            let (first, second) = values.split_at(seen.len());
+            assert_eq!(first, second);
+            for (&t, &value) in seen.iter().zip(first) {
+                let is_reached = match of_pair(key, partner) {
+                    Reach::Nothing => false,
+                    Reach::Everything => true,
+                    Reach::Part(is_inside) => is_inside(&setting.surface.centroid(t)),
+                };
+                assert_eq!(value > 0, is_reached && setting.visibility.row(partner, t).is_some(), "{t}");
+            }
+            first.iter().filter(|&&value| value > 0).count()
+        });
+        assert!(counts[0] > counts[1] && counts[1] > counts[2] && counts[2] == 0, "{counts:?}");
+    }
+}

@@ -213,6 +213,24 @@ impl Agreement {
         }
     }
 
+    /// Returns a table of made-up values; `without`: by view, true if it has no usable picture.
+    #[cfg(test)]
+    pub fn made_up<'p>(
+        geometry: &Geometry,
+        partners_of: impl Fn(ViewIndex) -> &'p [ViewIndex],
+        without: &[bool],
+        value: impl Fn(ViewIndex, ViewIndex, u32) -> u8,
+    ) -> Self {
+        let table = Self::laid_out(geometry, partners_of, without);
+        let of_pair = |key: ViewIndex, partner| {
+            geometry.visibility.triangles_seen_by(key).iter().map(move |&t| (key, partner, t))
+        };
+        let pairs = geometry.scene.view_indices().flat_map(|key| table.partners_of(key).iter().map(move |&p| (key, p)));
+        let values: Vec<u8> = pairs.flat_map(|(key, p)| of_pair(key, p)).map(|(key, p, t)| value(key, p, t)).collect();
+        assert_eq!(values.len(), table.len());
+        Self { values: Arc::new(values.into()), ..table }
+    }
+
     pub fn is_empty(&self) -> bool {
         self.partners.is_empty()
     }
@@ -231,6 +249,53 @@ impl Agreement {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::{
+        base::{column::Storage, progress::NoWatcher},
+        config::{TargetSettings, VisibilitySettings},
+        method::{
+            surface::Surface,
+            synthetic::Town,
+            target::Target,
+            visibility::{self, Visibility},
+        },
+        model::{
+            camera::{Camera, CameraModel},
+            scene::Scene,
+        },
+    };
+
+    /// A town with what its views see.
+    pub struct Setting {
+        pub scene: Scene,
+        pub surface: Surface,
+        pub visibility: Visibility,
+        target: Target,
+    }
+
+    impl Setting {
+        pub fn new() -> Self {
+            let camera = Camera::new(1, CameraModel::Pinhole, 1000, 750, vec![850.0, 850.0, 500.0, 375.0]).unwrap();
+            let town = Town { edge: 4.0, points: 50, ..Town::new(camera) };
+            let (scene, surface, settings) = (town.scene(), town.surface(), VisibilitySettings::default());
+            let points = scene.view_points();
+            let visibility =
+                visibility::estimate(&scene, &points, &surface, &settings, 4.0, Storage::Memory, &NoWatcher).unwrap();
+            let target = Target::new(&scene, &surface, &visibility, &TargetSettings::default(), 0.05, 1.0);
+            Self { scene, surface, visibility, target }
+        }
+
+        pub fn geometry(&self, image_scale: f64) -> Geometry<'_> {
+            let Self { scene, surface, visibility, target } = self;
+            Geometry { scene, surface, visibility, target, image_scale }
+        }
+    }
+
+    /// The view with most triangles in common.
+    pub fn view_that_overlaps(geometry: &Geometry, key: ViewIndex) -> ViewIndex {
+        let seen = geometry.visibility.triangles_seen_by(key);
+        let common = |view: &ViewIndex| seen.iter().filter(|&&t| geometry.visibility.row(*view, t).is_some()).count();
+        geometry.scene.view_indices().filter(|view| *view != key).max_by_key(common).unwrap()
+    }
 
     const NUMBERS: Photometric = Photometric { agree: 0.9, differ: 0.2, full_agreement: 0.8 };
 
