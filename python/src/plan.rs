@@ -248,7 +248,7 @@ impl Plan {
                 let mut files = FileSet::new(&project.root, files::REPORT_SET);
                 files.add_text(files::REPORT_FILE, page);
                 files.write(&Disk::REAL)?;
-                return Ok(project.root.join(files::REPORT_FILE));
+                return Ok(files::report_path(&project.root));
             };
             output::replace(&path, page.as_bytes(), &Disk::REAL)?;
             Ok(path)

@@ -24,7 +24,7 @@ use crate::{
     config::CommandLineSettings,
     daemon::{follow, foreground::Foreground, state::Outcome},
     io::{output::Disk, project::Project},
-    show::manifest::WrittenPlan,
+    show::{files::report_path, manifest::WrittenPlan},
 };
 
 /// A measurement pauses the matching; the next one comes after this multiple of its duration.
@@ -384,7 +384,7 @@ impl<'a> Work<'a> {
     }
 
     fn result(&self, reached: bool) -> RunSummary {
-        let report = self.foreground.root().join(crate::show::files::REPORT_FILE);
+        let report = report_path(self.foreground.root());
         RunSummary {
             project: self.foreground.root().into(),
             backend: self.backend.name,

@@ -27,6 +27,11 @@ use serde_json::json;
 pub const REPORT_FILE: &str = "viewrank/report.html";
 pub const REPORT_SET: &str = "report";
 
+/// Returns the path of the report of a plan in this folder, to be shown.
+pub fn report_path(home: &Path) -> PathBuf {
+    REPORT_FILE.split('/').fold(home.to_path_buf(), |path, name| path.join(name))
+}
+
 /// The files to write for a plan.
 pub struct PlanFiles {
     pub manifest: Manifest,

@@ -294,10 +294,10 @@ impl Project {
         self.other_models.iter().filter(is_copy).collect()
     }
 
-    /// Warns of a dense workspace that was made from another model.
+    /// Warns of a dense workspace that was made from another model, unless nothing is written into the project anyway.
     fn other_workspace_warning(&self) -> Option<String> {
         let others = discover::dense_folders(&self.root, &self.model);
-        let other = others.first().filter(|_| self.dense_workspace.is_none())?;
+        let other = others.first().filter(|_| self.dense_workspace.is_none() && !self.is_elsewhere())?;
         Some(format!(
             "{} lacks images of this model, or its own model cannot be read; viewrank writes nothing into it",
             other.display()
