@@ -77,7 +77,9 @@ fn amount(key: &str, value: &Bound<'_, PyAny>) -> PyResult<Value> {
     let number = value.extract::<f64>().ok().filter(|_| !value.is_instance_of::<PyBool>());
     let is_whole = value.is_instance_of::<PyInt>();
     let text = match (key, number) {
-        ("cut.target", Some(share)) => Some(format!("{}%", 100.0 * share)),
+        // 0.9 is 90 %, 1 is all; 90 is what `--target 90` is.
+        ("cut.target", Some(share)) if share <= 1.0 => Some(format!("{}%", 100.0 * share)),
+        ("cut.target", Some(percent)) => Some(percent.to_string()),
         ("cut.budget", Some(share)) if !is_whole => Some(format!("{}%", 100.0 * share)),
         ("cut.time", Some(seconds)) => Some(format!("{seconds}s")),
         ("cut.points" | "max_memory", Some(count)) => Some(format!("{count}")),

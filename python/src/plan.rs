@@ -221,9 +221,8 @@ impl Plan {
             }
             let backend = backends::by_name(backend)?;
             let options = ExportOptions { out, refs, geometric, scene, scale };
-            let (files, record) = files::export(&self.0.plan, &self.0.project, backend, clusters, &options)?;
+            let (folder, files, record) = files::export(&self.0.plan, &self.0.project, backend, clusters, &options)?;
             files.write(&Disk::REAL)?;
-            let folder = options.out.unwrap_or_else(|| files.root.clone());
             Ok((folder, Failure::json(&record)?))
         })
     }
@@ -249,7 +248,7 @@ impl Plan {
                 let mut files = FileSet::new(&project.root, files::REPORT_SET);
                 files.add_text(files::REPORT_FILE, page);
                 files.write(&Disk::REAL)?;
-                return Ok(project.root.join(files::REPORT_FILE));
+                return Ok(files::report_path(&project.root));
             };
             output::replace(&path, page.as_bytes(), &Disk::REAL)?;
             Ok(path)

@@ -92,6 +92,15 @@ def test_a_budget_is_a_number_or_a_share(valley):
     assert len(by_number.clusters) == len(by_share.clusters) == 7
 
 
+def test_targets_are_shares_or_percentages(valley):
+    chosen = [len(viewrank.plan(valley, confidence="geometric", target=target).clusters) for target in (0.8, 80, 80.0, "80%", "0.8")]
+    assert len(set(chosen)) == 1
+    whole = viewrank.plan(valley, confidence="geometric", target=1)
+    assert whole.clusters == whole.ranking
+    with pytest.raises(viewrank.SettingsError, match="\"180\""):
+        viewrank.plan(valley, target=180)
+
+
 def test_a_notebook_shows_curve_and_map(plan):
     html = plan._repr_html_()
     curve, picture, _ = ElementTree.fromstring(html)
@@ -106,6 +115,12 @@ def test_load_returns_the_written_plan(valley, plan):
     plan.write()
     loaded = viewrank.load(valley)
     assert loaded.ranking == plan.ranking and loaded.backend == "openmvs" and loaded.cut == plan.cut
+
+
+def test_an_export_names_the_folder_that_its_commands_run_in(valley, plan):
+    export = plan.export("openmvs")
+    assert export.folder == valley / "viewrank" / "openmvs"
+    assert (export.folder / export.commands[0].split()[1]).is_file()
 
 
 def test_export_writes_the_files_of_a_backend(plan, tmp_path):

@@ -326,13 +326,13 @@ def plan(
     *,
     backend: Union[str, Sequence[str], None] = None,
     k: Optional[int] = None,
-    target: Optional[float] = None,
+    target: Union[float, str, None] = None,
     budget: Union[int, float, str, None] = None,
     time: Union[float, str, None] = None,
     points: Union[float, str, None] = None,
     region: Union[PathLike, Sequence[float], None] = None,
-    gsd: Optional[float] = None,
-    accuracy: Optional[float] = None,
+    gsd: Union[float, str, None] = None,
+    accuracy: Union[float, str, None] = None,
     partners: Optional[str] = None,
     confidence: Optional[str] = None,
     surface: Optional[str] = None,
@@ -357,11 +357,12 @@ def plan(
     source : path, Scene, pycolmap.Reconstruction or mapping
         The project; a mapping has the arguments of `Scene.from_arrays`.
     backend : str or sequence of str, optional
-        Backends to write for; the plan is made for the first. Default: as the project is set up, else SURE.
+        Backends to write for; the plan is made for the first. Default: as the project is set up, else what is
+        installed.
     k : int, optional
         Matching partners per key view. Default: 5.
-    target : float, optional
-        Stop at this share of what all clusters together reach, 0 to 1. Default: 0.9, if no other limit is set.
+    target : float or str, optional
+        Stop at this share of what all clusters together reach: 0.9, 90 or ``"90%"``; 1 is all. Default: 0.9, if no other limit is set.
     budget : int, float or str, optional
         Stop after this number of clusters, or this share (0 to 1, or ``"5%"``) of the views.
     time : float or str, optional
@@ -371,8 +372,9 @@ def plan(
     region : path, "auto" or sequence of float, optional
         Plan for this part of the scene: a file of GeoJSON polygons or a closed PLY mesh, a box (x0, y0, z0, x1, y1, z1), or
         ``"auto"``, the part that the photographs show most densely.
-    gsd, accuracy : float, optional
-        Wanted ground sampling distance, scene units per pixel, and accuracy of a point, scene units. Default: from the model.
+    gsd, accuracy : float or str, optional
+        Wanted ground sampling distance, scene units per pixel, and accuracy of a point, scene units; ``"2cm"`` where the units are
+        metric. Default: from the model.
     partners : {"search", "sampled"}, optional
         Choice of partners.
     confidence : {"photometric", "geometric", "none", "auto"}, optional

@@ -72,6 +72,17 @@ fn has_cuda(program: &Path) -> bool {
     help(program).is_some_and(|help| help.contains("with CUDA"))
 }
 
+/// Returns whether `viewrank run` would find what it needs to match with this backend.
+pub fn can_match_here(backend: &Backend) -> bool {
+    let python = || env::var_os("PYTHON").map_or_else(|| "python3".into(), PathBuf::from);
+    match backend.name {
+        name if name == openmvs::BACKEND.name => installed("DENSIFY", "DensifyPointCloud").is_some(),
+        name if name == colmap::BACKEND.name => installed("COLMAP", "colmap").is_some_and(|program| has_cuda(&program)),
+        name if name == sgm::BACKEND.name => import_error(&python()).is_none(),
+        _ => false,
+    }
+}
+
 /// Why a program cannot match on this machine, and what to do.
 pub struct Obstacle {
     pub what: String,
@@ -101,8 +112,8 @@ fn help(program: &Path) -> Option<String> {
 
 /// Returns the last line of the error if this Python does not have the packages of `integrations/sgm`.
 fn import_error(python: &Path) -> Option<String> {
-    let mut command = Command::new(python);
-    let output = command.args(["-c", "import numpy, cv2"]).stdin(Stdio::null()).output();
+    let Some(program) = platform::located(python) else { return Some("no such program".into()) };
+    let output = Command::new(program).args(["-c", "import numpy, cv2"]).stdin(Stdio::null()).output();
     match output {
         Ok(output) if output.status.success() => None,
         Ok(output) => {

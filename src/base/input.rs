@@ -103,6 +103,12 @@ pub fn identity(metadata: &Metadata) -> (u128, u64) {
     })
 }
 
+/// The system's error of a walk through folders, without the path that walkdir adds.
+pub fn cause(error: walkdir::Error) -> io::Error {
+    let is_loop = || io::Error::other("a link leads back to a folder above it");
+    error.into_io_error().unwrap_or_else(is_loop)
+}
+
 /// Reads a regular file whole, up to the limit of its kind.
 pub fn read(path: &Path, kind: FileKind) -> io::Result<Vec<u8>> {
     read_all(open(path)?, kind)

@@ -13,7 +13,7 @@ use clap::{
 };
 
 use super::{Arguments, Exit, Failure};
-use crate::io::project;
+use crate::{base::shell::command_word, io::project};
 
 /// Other words for subcommands.
 const SUBCOMMANDS: [(&str, &[&str]); 13] = [
@@ -75,7 +75,7 @@ const OPTIONS: [(&str, &[&str]); 12] = [
         ],
     ),
     ("--gsd", &["--resolution", "--ground-sampling-distance", "--pixel-size", "--res"]),
-    ("-k", &["--neighbors", "--neighbours", "--num-neighbors", "--partner", "--sources", "--num-sources"]),
+    ("-k", &["--k", "--neighbors", "--neighbours", "--num-neighbors", "--partner", "--sources", "--num-sources"]),
     ("--backend", &["--engine", "--mvs", "--matcher", "--format-for", "--program-name", "-b"]),
     ("--region", &["--roi", "--aoi", "--bbox", "--box", "--area", "--polygon"]),
     ("--max-memory", &["--memory", "--mem", "--ram", "-m"]),
@@ -159,7 +159,7 @@ fn suggest(mut error: Error) -> Error {
         ErrorKind::InvalidSubcommand => {
             let typed = text(&error, ContextKind::InvalidSubcommand);
             if Path::new(&typed).exists() {
-                let tip = format!("to plan a project: viewrank plan {}", crate::base::shell::command_word(&typed));
+                let tip = format!("to plan a project: viewrank plan {}", command_word(&typed));
                 error.insert(ContextKind::Suggested, ContextValue::StyledStrs(vec![tip.into()]));
                 error.remove(ContextKind::SuggestedSubcommand);
             } else if let Some(meant) = meant_by(&typed.to_lowercase(), &SUBCOMMANDS) {
@@ -173,7 +173,9 @@ fn suggest(mut error: Error) -> Error {
             let typed = typed.split_once('=').map_or(typed.as_str(), |(name, _)| name).to_lowercase();
             let option = meant_by(&typed, &OPTIONS).filter(|meant| is_known(meant));
             let tip = option.map(|meant| format!("the option is {meant}"));
-            if let Some(tip) = tip.or_else(|| meant_by(&typed, &ADVICE).map(str::to_owned)) {
+            let tip = tip.or_else(|| meant_by(&typed, &ADVICE).map(str::to_owned)).or_else(|| meant_by_word(&typed));
+            let has_none = error.get(ContextKind::SuggestedArg).is_none();
+            if let Some(tip) = tip.or_else(|| has_none.then(options_of_subcommand).flatten()) {
                 error.insert(ContextKind::Suggested, ContextValue::StyledStrs(vec![tip.into()]));
                 error.remove(ContextKind::SuggestedArg);
             }
@@ -187,12 +189,35 @@ fn meant_by(typed: &str, table: &[(&'static str, &[&str])]) -> Option<&'static s
     table.iter().find(|(_, words)| words.contains(&typed)).map(|(meant, _)| *meant)
 }
 
+/// Returns the probable meaning of a word that is no option and that the subcommand has no place for.
+fn meant_by_word(typed: &str) -> Option<String> {
+    if typed.starts_with('-') {
+        return None;
+    }
+    let words: Vec<String> = std::env::args().collect();
+    let last = words.iter().position(|word| word.to_lowercase() == typed)?;
+    let whole = |first: usize| words[first..=last].join(" ");
+    if let Some(path) = (2..last).map(whole).find(|path| Path::new(path).exists()) {
+        return Some(format!("quote a path with blanks: {}", command_word(&path)));
+    }
+    is_known("--depth-maps").then(|| "the folder of depth maps is named by --depth-maps".into())
+}
+
+/// Returns where the options of the typed subcommand are listed.
+fn options_of_subcommand() -> Option<String> {
+    typed_subcommand(&definition())
+        .map(|subcommand| format!("viewrank {} --help lists the options", subcommand.get_name()))
+}
+
+fn typed_subcommand(definition: &Command) -> Option<&Command> {
+    definition.find_subcommand(std::env::args().nth(1)?)
+}
+
 /// Returns whether the typed subcommand has this option.
 fn is_known(option: &str) -> bool {
     let name = option.split(' ').next().unwrap_or_default();
     let definition = definition();
-    let Some(typed) = std::env::args().nth(1) else { return false };
-    let Some(subcommand) = definition.find_subcommand(&typed) else { return false };
+    let Some(subcommand) = typed_subcommand(&definition) else { return false };
     subcommand.get_arguments().any(|argument| {
         let long = argument.get_long().map(|long| format!("--{long}"));
         let short = argument.get_short().map(|short| format!("-{short}"));

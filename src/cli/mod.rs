@@ -12,6 +12,7 @@ mod doctor;
 mod evaluate;
 mod export;
 mod inspect;
+mod next;
 mod plan;
 mod predict;
 mod progress;

@@ -31,7 +31,9 @@ use crate::{
 use crate::{backends, config::RegionChoice, show::files::files};
 use clap::Args;
 
-use super::{Exit, Failure, Format, config, json, print, progress::Progress, summary::Summary, use_threads, warn};
+use super::{
+    Exit, Failure, Format, config, json, next, print, progress::Progress, summary::Summary, use_threads, warn,
+};
 
 /// Rank the view clusters of a project and write the plan to PROJECT/viewrank.
 ///
@@ -285,6 +287,24 @@ impl Arguments {
         typed.set("--max-memory", "max_memory", self.max_memory.clone());
         typed
     }
+
+    /// Returns the `viewrank run` that makes the same plan; `None` if it lacks an option that was typed, or has one backend where more were.
+    fn as_run(&self) -> Option<String> {
+        let has_all = self.typed().are_among(&["--backend", "--target", "--budget", "-k", "--images"]);
+        let is_elsewhere = self.model.is_some() || self.finished.is_some() || self.out.is_some();
+        let backends = self.backend.as_deref().unwrap_or_default();
+        if !has_all || is_elsewhere || backends.len() > 1 {
+            return None;
+        }
+        let options = [
+            ("--backend", backends.first().cloned()),
+            ("--target", self.target.clone()),
+            ("--budget", self.budget.clone()),
+            ("-k", self.k.clone()),
+            ("--images", self.images.as_ref().map(|path| path.display().to_string())),
+        ];
+        Some(next::with_options(format!("viewrank run {}", command_path(&self.project)), options))
+    }
 }
 
 /// A folder holds one plan; that of another sub-model is not overwritten.
@@ -354,7 +374,12 @@ fn page(project: &Project, plan: &mut Plan, files: &PlanFiles, progress: &Progre
 }
 
 fn report(arguments: &Arguments, project: &Project, plan: &Plan, files: &PlanFiles) -> Result<(), Failure> {
-    let summary = Summary::new(project, plan, files, arguments.dry_run);
+    let next = match (arguments.dry_run, arguments.quiet && arguments.format == Format::Text) {
+        (_, true) => String::new(),
+        (true, false) => next::not_dry(),
+        (false, false) => next::next(project, plan, files, arguments.as_run()),
+    };
+    let summary = Summary::new(project, plan, files, arguments.dry_run, next);
     match arguments.format {
         Format::Json => return print(&json(&summary)),
         Format::Text if !arguments.quiet => print(&summary.text())?,

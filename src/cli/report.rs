@@ -17,7 +17,7 @@ use crate::{
         project::Project,
     },
     plan::Plan,
-    show::files::{REPORT_FILE, REPORT_SET},
+    show::files::{REPORT_FILE, REPORT_SET, report_path},
 };
 use clap::Args;
 
@@ -112,7 +112,7 @@ pub fn write_page(
     }
     files.write(&Disk::REAL)?;
     progress.progress(Stage::Write, 1, 1);
-    Ok(root.join(name))
+    Ok(if out.is_some() { root.join(name) } else { report_path(root) })
 }
 
 /// Returns the seconds that planning took, as `viewrank plan` recorded them.

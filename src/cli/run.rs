@@ -11,21 +11,20 @@ use std::{
 use clap::Args;
 use serde::Serialize;
 
-use super::{Exit, Failure, Format, config, json, note, print, progress::Progress, ready, summary::duration, warn};
+use super::{
+    Exit, Failure, Format, config, json, next, note, print, progress::Progress, ready, summary::duration, warn,
+};
 use crate::{
     apps::{
         dispatch::{Dispatch, Task, Tools, local::ScriptResult},
         undistort,
     },
     backends::{self, Backend, Selection, place},
-    base::{
-        platform,
-        shell::{command_path, command_word},
-    },
+    base::{platform, shell::command_path},
     config::CommandLineSettings,
     daemon::{follow, foreground::Foreground, state::Outcome},
     io::{output::Disk, project::Project},
-    show::manifest::WrittenPlan,
+    show::{files::report_path, manifest::WrittenPlan},
 };
 
 /// A measurement pauses the matching; the next one comes after this multiple of its duration.
@@ -87,9 +86,10 @@ struct RunSummary {
     done: usize,
     tasks: usize,
     failed: usize,
-    /// Measured share and its target, 0 to 1.
+    /// Measured share, 0 to 1.
     share: Option<f64>,
-    target: f64,
+    /// Target of the share; null if only other limits were set.
+    target: Option<f64>,
     target_reached: bool,
     /// Point cloud; null if none was made.
     cloud: Option<PathBuf>,
@@ -142,9 +142,7 @@ impl Arguments {
             ("--program", self.program.as_ref().map(path)),
             ("--threads", self.threads.map(|threads| threads.to_string())),
         ];
-        let start = format!("viewrank run {}", command_path(&self.project));
-        let typed = options.into_iter().filter_map(|(name, value)| Some(format!(" {name} {}", command_word(&value?))));
-        typed.fold(start, |command, option| command + &option)
+        next::with_options(format!("viewrank run {}", command_path(&self.project)), options)
     }
 
     fn is_silent(&self) -> bool {
@@ -259,8 +257,19 @@ impl<'a> Work<'a> {
         let (all, tasks) = (self.plan.scene.views.len(), self.dispatch.tasks.len());
         let done = self.dispatch.finished_maps().count();
         let done = if done > 0 { format!(", {done} of them there already") } else { String::new() };
-        let target = (1000.0 * self.plan.target.0).round() / 10.0;
-        format!("Computing up to {tasks} of {all} depth maps{done}, until {target} % of what all give.\n")
+        match (self.target(), &self.arguments.budget) {
+            (Some(target), _) => {
+                let target = (1000.0 * target).round() / 10.0;
+                format!("Computing up to {tasks} of {all} depth maps{done}, until {target} % of what all give.\n")
+            }
+            (None, Some(budget)) => format!("Computing {tasks} of {all} depth maps{done} (--budget {budget}).\n"),
+            (None, None) => format!("Computing {tasks} of {all} depth maps{done}, to the limit of the settings.\n"),
+        }
+    }
+
+    /// Share at which to stop; `None` if only other limits were set, whose maps are all computed.
+    fn target(&self) -> Option<f64> {
+        self.plan.settings.cut.target.map(|target| target.0)
     }
 
     /// Computes the depth maps in rank order; true if the target is reached.
@@ -310,7 +319,7 @@ impl<'a> Work<'a> {
         match outcome {
             Outcome::Followed { reached, .. } => {
                 self.share = follow::Progress::read(self.foreground.root()).and_then(|progress| progress.share);
-                reached
+                reached && self.target().is_some()
             }
             Outcome::Failed { reason, .. } => {
                 warn(&format!("cannot measure the depth maps: {reason}"));
@@ -338,9 +347,8 @@ impl<'a> Work<'a> {
             return;
         }
         let done = self.dispatch.finished_maps().count();
-        let share = self.share.map_or_else(String::new, |share| {
-            format!("{:5.1} % of {:.1} %", 100.0 * share, 100.0 * self.plan.target.0)
-        });
+        let target = self.target().map_or_else(String::new, |target| format!(" of {:.1} %", 100.0 * target));
+        let share = self.share.map_or_else(String::new, |share| format!("{:5.1} %{target}", 100.0 * share));
         let (all, took) = (self.dispatch.tasks.len(), took.as_secs_f64());
         super::complain(&format!(
             "{done:4} of {all}  {share:<14}  {:<28} {took:6.1} s, at most {} left",
@@ -376,7 +384,7 @@ impl<'a> Work<'a> {
     }
 
     fn result(&self, reached: bool) -> RunSummary {
-        let report = self.foreground.root().join(crate::show::files::REPORT_FILE);
+        let report = report_path(self.foreground.root());
         RunSummary {
             project: self.foreground.root().into(),
             backend: self.backend.name,
@@ -384,7 +392,7 @@ impl<'a> Work<'a> {
             tasks: self.dispatch.tasks.len(),
             failed: self.failed.len(),
             share: follow::Progress::read(self.foreground.root()).and_then(|progress| progress.share),
-            target: self.plan.target.0,
+            target: self.target(),
             target_reached: reached,
             cloud: Some(self.dispatch.runner().cloud.clone()).filter(|cloud| cloud.is_file()),
             report: report.is_file().then_some(report),
@@ -400,7 +408,9 @@ impl<'a> Work<'a> {
                 let again = self.arguments.again(self.arguments.target.as_deref());
                 format!("{} failed; to try again: {again}", result.failed)
             }
-            false if self.arguments.budget.is_some() => "the budget is spent; raise --budget for more".to_owned(),
+            false if self.arguments.budget.is_some() || self.target().is_none() => {
+                "the budget is spent; raise --budget for more".to_owned()
+            }
             false => format!("the list is done below the target; for more: {}", self.arguments.again(Some("98%"))),
         };
         let mut text = format!("\n{} of {} depth maps: {share}; {verdict}.\n", result.done, result.tasks);

@@ -4,7 +4,7 @@ use std::{fmt::Write, path::Path};
 
 use crate::{
     backends,
-    base::shell::{command_path, command_word, one_after_other, shown_path},
+    base::shell::{command_path, shown_path},
     config::TriangleWeight,
     io::project::Project,
     model::{georeference::Georeference, scene::Units},
@@ -71,7 +71,8 @@ pub struct Summary<'a> {
 }
 
 impl<'a> Summary<'a> {
-    pub fn new(project: &Project, plan: &'a Plan, files: &'a PlanFiles, dry_run: bool) -> Self {
+    /// `next`: the command to type next.
+    pub fn new(project: &Project, plan: &'a Plan, files: &'a PlanFiles, dry_run: bool, next: String) -> Self {
         let manifest = &files.manifest;
         Self {
             project: project.home.display().to_string(),
@@ -92,7 +93,7 @@ impl<'a> Summary<'a> {
             images: project.images.as_ref().map(|images| images.display().to_string()),
             notes: notes(project, plan, &files.place),
             look: format!("viewrank report {} --open", command_path(&project.home)),
-            next: next(project, plan, files, dry_run),
+            next,
             timings: &plan.timings,
             memory: plan.stages.memory,
             tiles: plan.stages.surface_stats.tiles,
@@ -340,30 +341,6 @@ fn notes(project: &Project, plan: &Plan, place: &Georeference) -> Vec<String> {
         ));
     }
     notes
-}
-
-/// Returns the same command without `--dry-run`, the first command of a backend whose files were written, or the command that writes such files.
-fn next(project: &Project, plan: &Plan, files: &PlanFiles, dry_run: bool) -> String {
-    let root = project.as_argument();
-    let distorted = || plan.stages.scene.view_indices().any(|view| !plan.stages.scene.camera_of(view).is_pinhole());
-    let takes_distorted = backends::by_name(plan.stages.backend).is_ok_and(|backend| backend.takes_distorted);
-    match &files.command {
-        _ if dry_run => {
-            let typed = std::env::args().skip(1).filter(|argument| argument != "--dry-run");
-            typed.fold("viewrank".into(), |command, argument| command + " " + &command_word(&argument))
-        }
-        Some(command) => command.clone(),
-        None if project.images.is_none() => {
-            let images = command_path(&project.root.join("images"));
-            format!("put the images into {images}, then viewrank plan {root} --backend {}", plan.stages.backend)
-        }
-        None if !takes_distorted && distorted() => {
-            let dense = command_path(&project.home.join("dense"));
-            let plan = format!("viewrank plan {dense} --backend {}", plan.stages.backend);
-            one_after_other(&format!("viewrank undistort {root}"), &plan)
-        }
-        None => format!("viewrank export {} --backend {}", command_path(&project.home), files.manifest.backend),
-    }
 }
 
 /// Formats a band as "81 to 99 %".

@@ -21,6 +21,8 @@ pub enum PlanError {
     Project(#[from] ProjectError),
     #[error("{}: the model has no registered image", _0.display())]
     NoViews(std::path::PathBuf),
+    #[error("{}: no image of the model is in this folder, e.g. no {name}", folder.display())]
+    OtherImages { folder: std::path::PathBuf, name: String },
     #[error("cannot derive the ground sampling distance: no view observes a sparse point in front of it")]
     NoScale,
     #[error(transparent)]
@@ -66,11 +68,16 @@ impl Hint for PlanError {
         Some(match self {
             Self::Project(error) => return error.hint(),
             Self::NoViews(_) => "run structure from motion first, or choose another model with --model".into(),
+            Self::OtherImages { name, .. } => {
+                format!("name the folder in which {name} is, by --images or in viewrank.toml")
+            }
             Self::NoScale => "set --gsd, or give a model with points".into(),
             Self::Surface(error) => return error.hint(),
             Self::Region(error) => return error.hint(),
             Self::Backend(error) => return error.hint(),
-            Self::NoTimes => "time one depth map and set one of the two".into(),
+            Self::NoTimes => {
+                "time one depth map, and write its seconds into viewrank.toml: forecast.seconds_per_map = 30".into()
+            }
             Self::Memory { stage: memory::SURFACE, need, .. } => format!(
                 "give --max-memory {} or more; the tables need more, forecast once the surface is built",
                 memory::readable(need + need / 20)
@@ -86,7 +93,7 @@ impl Hint for PlanError {
 
     fn is_usage(&self) -> bool {
         match self {
-            Self::NoTimes => true,
+            Self::NoTimes | Self::OtherImages { .. } => true,
             Self::Project(error) => error.is_usage(),
             Self::Backend(error) => error.is_usage(),
             _ => false,
@@ -96,7 +103,7 @@ impl Hint for PlanError {
     fn path(&self) -> Option<&Path> {
         match self {
             Self::Project(error) => error.path(),
-            Self::NoViews(path) => Some(path),
+            Self::NoViews(path) | Self::OtherImages { folder: path, .. } => Some(path),
             Self::Surface(error) => error.path(),
             Self::Region(error) => error.path(),
             Self::Disk(error) => error.path(),

@@ -98,6 +98,7 @@ impl Stages {
             let shape = shape(project, &scene, &settings)?;
             Ok::<_, PlanError>((points, settings, shape))
         })?;
+        refuse_other_images(project, &scene, &settings)?;
         let mut memory = Memory::before_surface(&scene, &mut settings)?;
         let numbers = &matcher.numbers;
         let missing_images = project.missing_images(&scene);
@@ -233,6 +234,16 @@ impl Stages {
             agreement: &self.agreement,
             rule: rule(&self.settings, self.confidence),
         }
+    }
+}
+
+/// Fails if the settings name a folder of images that has none of the scene.
+fn refuse_other_images(project: &Project, scene: &Scene, settings: &Settings) -> Result<(), PlanError> {
+    match (&project.images, scene.view_indices().next()) {
+        (Some(folder), Some(first)) if settings.images.is_some() && project.has_only_other_images(scene) => {
+            Err(PlanError::OtherImages { folder: folder.to_path_buf(), name: scene.name(first).into() })
+        }
+        _ => Ok(()),
     }
 }
 

@@ -1,6 +1,6 @@
 //! The files of a plan: manifest and its table, pair files, pictures, and the files of the backends.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use super::outdated;
 use crate::{
@@ -26,6 +26,11 @@ use serde_json::json;
 /// Path of the report in its project, and the name of its file set. Writing a plan removes the report of any other plan.
 pub const REPORT_FILE: &str = "viewrank/report.html";
 pub const REPORT_SET: &str = "report";
+
+/// Returns the path of the report of a plan in this folder, to be shown.
+pub fn report_path(home: &Path) -> PathBuf {
+    REPORT_FILE.split('/').fold(home.to_path_buf(), |path, name| path.join(name))
+}
 
 /// The files to write for a plan.
 pub struct PlanFiles {
@@ -153,7 +158,8 @@ fn command(export: &Export) -> Option<String> {
     Some(one_after_other(&format!("cd {folder}"), runner.as_ref().or(export.record.commands.first())?))
 }
 
-/// Makes the files of a backend for the first `clusters` clusters of a plan in memory; [`FileSet::write`] writes them.
+/// Makes the files of a backend for the first `clusters` clusters of a plan in memory; [`FileSet::write`] writes them. Returns the folder of the
+/// export, which is below the root of the files if that is the project, the files, and the record.
 ///
 /// # Errors
 /// Fails like [`Backend::export`], or if the folder is occupied by other files.
@@ -163,7 +169,7 @@ pub fn export(
     backend: &Backend,
     clusters: usize,
     options: &ExportOptions,
-) -> Result<(FileSet, ExportRecord), BackendError> {
+) -> Result<(PathBuf, FileSet, ExportRecord), BackendError> {
     let clusters: Vec<_> = plan.ranked().take(clusters).collect();
     let image_faults = project.image_faults(&plan.stages.scene);
     let selection = Selection {
@@ -178,7 +184,8 @@ pub fn export(
     let export = backend.export(&selection, options)?;
     let folder = export.files.root.clone();
     place::check(&folder, std::slice::from_ref(&export), project)?;
-    Ok((place::set_of_folder(&folder, [export.files], project), export.record))
+    let files = place::set_of_folder(&folder, [export.files], project);
+    Ok((folder, files, export.record))
 }
 
 /// Returns the files of each backend, and a warning for each backend without files: the plan is useful without them.

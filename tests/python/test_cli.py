@@ -56,6 +56,7 @@ NEAR_MISSES = [
     (["plan", "x", "--neighbors", "4"], "-k"), (["plan", "x", "--engine", "colmap"], "--backend"), (["plan", "x", "--roi", "auto"], "--region"),
     (["plan", "x", "--memory", "8G"], "--max-memory"), (["plan", "x", "--jobs", "2"], "--threads"), (["plan", "x", "--json"], "--format json"),
     (["plan", "x", "--dryrun"], "--dry-run"), (["plan", "x", "--traget", "80"], "--target"), (["plan", "x", "--bakend", "sgm"], "--backend"),
+    (["plan", "x", "--k", "5"], "the option is -k"), (["evaluate", "x", "maps"], "--depth-maps"), (["config", "--get", "x"], "viewrank config --help"),
     (["report", "x", "--output", "y"], "--out"), (["watch", "x", "--log-formt", "json"], "--log-format"),
 ]
 
@@ -81,6 +82,36 @@ WRONG = [
 def test_wrong_values_are_named_and_nothing_is_written(viewrank, valley, options, code, phrase):
     assert phrase in viewrank("plan", valley, *options, expect=code).stderr
     assert not (valley / "viewrank").exists()
+
+
+def test_paths_with_blanks_and_quotes(viewrank, valley):
+    spaced = valley.rename(valley.with_name("two words"))
+    first, second = str(spaced).rsplit(" ", 1)
+    assert f"quote a path with blanks: '{spaced}'" in viewrank("plan", first, second, expect=2).stderr
+    for quoted in (f"'{spaced}'", f'"{spaced}"'):
+        assert f"without them it is there: '{spaced}'" in viewrank("plan", quoted, expect=1).stderr
+    assert "name the project folder" in viewrank("plan", "'nowhere'", expect=1).stderr
+
+
+def test_a_folder_of_other_images_is_refused(viewrank, valley, tmp_path):
+    (tmp_path / "empty").mkdir()
+    refused = viewrank("plan", valley, "--images", tmp_path / "empty", expect=2).stderr
+    assert f"{tmp_path / 'empty'}: no image of the model is in this folder" in refused and "--images" in refused
+    assert not (valley / "viewrank").exists()
+
+
+def test_an_export_in_place_of_its_project(viewrank, valley):
+    viewrank("plan", valley, *PLAN, "--quiet")
+    viewrank("export", valley, "--backend", "openmvs,colmap")
+    for name in ("openmvs", "colmap"):
+        done = viewrank("plan", valley / "viewrank" / name, *PLAN, "--dry-run")
+        assert f"belongs to the project {valley}" in done.stderr
+
+
+def test_a_file_means_what_is_beside_it(viewrank, valley):
+    notes = valley.with_name("notes.txt")
+    notes.write_text("")
+    assert "this file is no sparse model, and none is beside it" in viewrank("plan", notes, expect=1).stderr
 
 
 def test_a_project_in_place_of_a_subcommand(viewrank, valley):

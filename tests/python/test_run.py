@@ -40,12 +40,14 @@ def test_one_command_plans_matches_and_reports(run, valley):
     out, err = run(valley, "--backend", "sgm", "--budget", "3", "--no-report", "--format", "json")
     result = json.loads(out)
     assert (result["backend"], result["done"], result["tasks"], result["failed"]) == ("sgm", 3, 3, 0) and 0 < result["share"] <= 1
+    assert result["target"] is None and not result["target_reached"], "three maps were asked for, and no share"
     maps = {path: path.stat().st_mtime_ns for path in (valley / "sgm/depth_maps").glob("*.npy")}
     assert len(maps) == 3
     # Again: nothing is computed twice, and the page is there.
     out, err = run(valley, "--backend", "sgm", "--budget", "3")
     assert {path: path.stat().st_mtime_ns for path in (valley / "sgm/depth_maps").glob("*.npy")} == maps
     assert (valley / "viewrank/report.html").is_file() and "3 of 3 depth maps" in out
+    assert "Computing 3 of 28 depth maps, 3 of them there already (--budget 3)" in out
 
 
 def test_it_stops_at_the_target(run, valley):
@@ -77,6 +79,24 @@ def test_the_backend_is_what_the_machine_has_and_the_summary_says_why(run, valle
     assert f"Backend: openmvs ({densify} is installed)" in out
     assert "no depth map of" in err
     assert "no such file" in run(tmp_path / "nowhere", expect=1)[1]
+
+
+def test_plan_names_run_where_the_program_is(run, viewrank, valley, tmp_path):
+    densify = tmp_path / "bin/DensifyPointCloud"
+    densify.parent.mkdir()
+    densify.write_text("")
+    program = os.path.abspath(viewrank("--version").args[0])
+    environment = {name: value for name, value in os.environ.items() if name not in ("DENSIFY", "COLMAP", "SGM")}
+
+    def following(*options, path):
+        done = subprocess.run([program, "plan", valley, *options], env={**environment, "PYTHON": "nowhere", "PATH": path}, capture_output=True, text=True, check=True)
+        return done.stdout.splitlines()[-1]
+
+    here = f"{densify.parent}:/bin"
+    assert following(path=here) == f"Next: viewrank run '{valley}'"
+    assert following("--target", "80", "-k", "4", path=here) == f"Next: viewrank run '{valley}' --target 80 -k 4"
+    assert following("--surface", "3d", path=here) == f"Next: viewrank export '{valley}' --backend openmvs", "run has no such option"
+    assert following(path="/bin") == f"Next: viewrank export '{valley}' --backend sgm", "without a program and without Python"
 
 
 def test_a_colmap_without_cuda_is_refused_before_planning(run, valley, tmp_path):

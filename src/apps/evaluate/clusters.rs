@@ -60,7 +60,7 @@ pub fn read(path: &Path, scene: &Scene) -> Result<Vec<ViewCluster>, ClustersErro
 pub fn folders(folder: &Path) -> Result<Vec<PathBuf>, ClustersError> {
     let mut found = Vec::new();
     for entry in WalkDir::new(folder).sort_by_file_name() {
-        let entry = entry.map_err(|error| ClustersError::Io { path: folder.into(), source: error.into() })?;
+        let entry = entry.map_err(|e| ClustersError::Io { path: folder.into(), source: input::cause(e) })?;
         if entry.file_name() == "clusters.txt" {
             found.extend(entry.path().parent().map(Path::to_path_buf));
         }

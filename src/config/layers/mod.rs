@@ -70,6 +70,11 @@ impl CommandLineSettings {
             self.0.push(Entry { key: key.into(), value: value.into(), place: SettingLocation::Option(option) });
         }
     }
+
+    /// Returns whether all typed options are among these.
+    pub fn are_among(&self, options: &[&str]) -> bool {
+        self.0.iter().all(|entry| matches!(entry.place, SettingLocation::Option(option) if options.contains(&option)))
+    }
 }
 
 /// Location of a value: file and line, or option.

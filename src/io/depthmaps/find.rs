@@ -115,7 +115,7 @@ pub fn list(folder: &Path, scene: &Scene) -> Result<DepthMapSet, DepthMapError> 
     for entry in WalkDir::new(folder).sort_by_file_name() {
         let entry = match entry {
             Err(error) if error.depth() > 0 && error.io_error().is_some_and(is_gone) => continue,
-            entry => entry.map_err(|e| DepthMapError::Io { path: folder.into(), source: e.into() })?,
+            entry => entry.map_err(|e| DepthMapError::Io { path: folder.into(), source: input::cause(e) })?,
         };
         let path = entry.path();
         let inside = path.strip_prefix(folder).unwrap_or(path);

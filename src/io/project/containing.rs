@@ -2,14 +2,14 @@
 
 use std::path::{Path, PathBuf};
 
-use super::{Project, discover, files::REQUIRED, images::is_image};
+use super::{Project, discover, elsewhere, files::REQUIRED, images::is_image};
 use crate::base::paths::is_same;
 
 /// Files of a COLMAP model beside those that are required, without their extension.
 const FURTHER: [&str; 2] = ["rigs", "frames"];
 
-/// The project of a file of a COLMAP model, a database, an image, a plan, or a folder of sparse models, images or results; `None` if the path is a
-/// project or a model by itself. A sub-model that is not the one with most images is a project of its own, as is one with results or settings in its folder.
+/// The project of a file of a COLMAP model, a database, an image, a plan, or a folder of sparse models, images, results or an export among them; `None`
+/// if the path is a project or a model by itself. A sub-model that is not the one with most images is a project of its own, as is one with results or settings in its folder.
 pub fn containing(path: &Path) -> Option<PathBuf> {
     let whole = std::path::absolute(path).ok()?;
     let part = if whole.is_dir() { whole.clone() } else { folder_of_file(&whole)? };
@@ -17,6 +17,10 @@ pub fn containing(path: &Path) -> Option<PathBuf> {
         "images" if discover::open(&part, None).is_ok() => None,
         "viewrank" if discover::open(&part, None).is_err() => {
             part.parent().filter(|above| discover::open(above, None).is_ok()).map(Path::to_path_buf)
+        }
+        _ if is_export(&part) && part.parent().is_some_and(|above| above.ends_with("viewrank")) => {
+            let home = part.parent()?.parent()?;
+            (discover::open(home, None).is_ok() || elsewhere::project_of(home).is_some()).then(|| home.to_path_buf())
         }
         "sparse" | "images" => project_above(&part, part.parent()?),
         _ if part.parent().is_some_and(|above| above.ends_with("sparse")) => {
@@ -30,6 +34,10 @@ pub fn containing(path: &Path) -> Option<PathBuf> {
     let levels = whole.components().count() - found.components().count();
     let typed = path.ancestors().nth(levels).filter(|typed| !typed.as_os_str().is_empty());
     Some(typed.map_or(found, Path::to_path_buf))
+}
+
+fn is_export(folder: &Path) -> bool {
+    ["export.json", "stereo/viewrank/export.json"].iter().any(|record| folder.join(record).is_file())
 }
 
 /// The folder of a model's file or of a database.
@@ -96,6 +104,9 @@ mod tests {
         std::fs::write(root.join("viewrank/manifest.json"), "").unwrap();
         assert_eq!(containing(&root.join("viewrank")), Some(root.into()));
         assert_eq!(containing(&root.join("viewrank/manifest.json")), Some(root.into()));
+        std::fs::create_dir(root.join("viewrank/openmvs")).unwrap();
+        std::fs::write(root.join("viewrank/openmvs/export.json"), "").unwrap();
+        assert_eq!(containing(&root.join("viewrank/openmvs")), Some(root.into()));
         std::fs::create_dir(root.join("sparse/0/viewrank")).unwrap();
         assert_eq!(containing(&root.join("sparse/0")), None);
     }

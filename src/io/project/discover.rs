@@ -22,7 +22,12 @@ pub(super) fn open(path: &Path, wanted: Option<&str>) -> Result<Project, Project
         return Err(ProjectError::NotFound(path.into()));
     }
     let named = path.is_file().then(|| foreign::model_file(path)).flatten();
-    let colmap = if named.is_some() { Ok(Vec::new()) } else { colmap_models(root) };
+    let colmap = match named {
+        Some(_) => Ok(Vec::new()),
+        // Only what is beside a file is meant by it.
+        None if path.is_file() => colmap_models_here(root),
+        None => colmap_models(root),
+    };
     let found = match colmap {
         Ok(models) if models.is_empty() => match named {
             Some(model) => vec![model],
@@ -62,13 +67,16 @@ pub(super) fn open(path: &Path, wanted: Option<&str>) -> Result<Project, Project
 
 /// Finds the COLMAP models in a folder, in `sparse` and in the sub-folders of `sparse`; if there are none, in the folder's own sub-folders.
 fn colmap_models(root: &Path) -> Result<Vec<ModelLocation>, ProjectError> {
-    let first = colmap_models_among(&[vec![root.into()], with_sub_folders(&root.join("sparse"))].concat());
-    match (first, colmap_models_among(&sub_folders(root))) {
+    match (colmap_models_here(root), colmap_models_among(&sub_folders(root))) {
         (Ok(models), second) if models.is_empty() => second,
         (Err(error), Ok(models)) if models.is_empty() => Err(error),
         (Err(_), Ok(models)) => Ok(models),
         (first, _) => first,
     }
+}
+
+fn colmap_models_here(root: &Path) -> Result<Vec<ModelLocation>, ProjectError> {
+    colmap_models_among(&[vec![root.into()], with_sub_folders(&root.join("sparse"))].concat())
 }
 
 /// Finds the models of other programs; if there are none, those of the dense workspace (which is made from another model).

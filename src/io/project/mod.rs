@@ -235,6 +235,12 @@ impl Project {
         self.images.as_ref().map_or_else(ImageFaults::default, |folder| ImageFaults::find(folder, scene))
     }
 
+    /// Returns whether the image folder, if there is one, has no image of the scene.
+    pub fn has_only_other_images(&self, scene: &Scene) -> bool {
+        let has_image = |folder: &ImageFolder| scene.view_indices().any(|view| folder.file(scene.name(view)).is_file());
+        self.images.as_ref().is_some_and(|folder| !has_image(folder))
+    }
+
     /// Views without an image file, where there is an image folder with at least one image of the scene.
     pub fn missing_images(&self, scene: &Scene) -> Vec<ViewIndex> {
         let Some(folder) = &self.images else { return Vec::new() };
@@ -288,10 +294,10 @@ impl Project {
         self.other_models.iter().filter(is_copy).collect()
     }
 
-    /// Warns of a dense workspace that was made from another model.
+    /// Warns of a dense workspace that was made from another model, unless nothing is written into the project anyway.
     fn other_workspace_warning(&self) -> Option<String> {
         let others = discover::dense_folders(&self.root, &self.model);
-        let other = others.first().filter(|_| self.dense_workspace.is_none())?;
+        let other = others.first().filter(|_| self.dense_workspace.is_none() && !self.is_elsewhere())?;
         Some(format!(
             "{} lacks images of this model, or its own model cannot be read; viewrank writes nothing into it",
             other.display()
@@ -316,6 +322,13 @@ impl Project {
     }
 }
 
+/// Returns the path between quotes that a shell has passed on.
+fn unquoted(path: &Path) -> Option<&Path> {
+    let text = path.to_str()?;
+    let inner = |quote: char| text.strip_prefix(quote)?.strip_suffix(quote);
+    ['"', '\''].into_iter().find_map(inner).map(Path::new)
+}
+
 /// Error of opening a project or reading its model.
 #[derive(Debug, thiserror::Error)]
 pub enum ProjectError {
@@ -338,6 +351,10 @@ pub enum ProjectError {
 impl Hint for ProjectError {
     fn hint(&self) -> Option<String> {
         Some(match self {
+            Self::NotFound(path) if unquoted(path).is_some_and(Path::exists) => {
+                let name = unquoted(path).unwrap_or(path);
+                format!("the quotes became part of the name; without them it is there: {}", command_path(name))
+            }
             Self::NotFound(_) => "name the project folder, which contains `sparse` and `images`".into(),
             Self::NoModel { path, .. } if path.is_file() => {
                 "this file is no sparse model, and none is beside it: name the project folder, which contains `sparse`"

@@ -1,0 +1,44 @@
+//! The command that `viewrank plan` names last.
+
+use crate::{
+    backends,
+    base::shell::{command_path, command_word, one_after_other},
+    io::project::Project,
+    plan::Plan,
+    show::files::PlanFiles,
+};
+
+/// Appends the options that have a value to a command.
+pub fn with_options<const N: usize>(start: String, options: [(&str, Option<String>); N]) -> String {
+    let typed = options.into_iter().filter_map(|(name, value)| Some(format!(" {name} {}", command_word(&value?))));
+    typed.fold(start, |command, option| command + &option)
+}
+
+/// Returns the same command without `--dry-run`.
+pub fn not_dry() -> String {
+    let typed = std::env::args().skip(1).filter(|argument| argument != "--dry-run");
+    typed.fold("viewrank".into(), |command, argument| command + " " + &command_word(&argument))
+}
+
+/// Returns what makes depth maps of a plan: `run` where this machine can match, else the first command of a backend whose files were written, or the
+/// command that writes such files. `run`: the command of `viewrank run` that makes the same plan.
+pub fn next(project: &Project, plan: &Plan, files: &PlanFiles, run: Option<String>) -> String {
+    let root = project.as_argument();
+    let backend = backends::by_name(plan.stages.backend).ok();
+    let can_match = || cfg!(unix) && project.images.is_some() && backend.is_some_and(backends::can_match_here);
+    let distorted = || plan.stages.scene.view_indices().any(|view| !plan.stages.scene.camera_of(view).is_pinhole());
+    match (run.filter(|_| can_match()), &files.command) {
+        (Some(run), _) => run,
+        (None, Some(command)) => command.clone(),
+        (None, None) if project.images.is_none() => {
+            let images = command_path(&project.root.join("images"));
+            format!("put the images into {images}, then viewrank plan {root} --backend {}", plan.stages.backend)
+        }
+        (None, None) if !backend.is_some_and(|backend| backend.takes_distorted) && distorted() => {
+            let dense = command_path(&project.home.join("dense"));
+            let plan = format!("viewrank plan {dense} --backend {}", plan.stages.backend);
+            one_after_other(&format!("viewrank undistort {root}"), &plan)
+        }
+        (None, None) => format!("viewrank export {} --backend {}", command_path(&project.home), files.manifest.backend),
+    }
+}
