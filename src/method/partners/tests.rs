@@ -137,6 +137,40 @@ fn sampled_is_the_optimum_where_it_takes_all() {
     }
 }
 
+/// Greedy addition takes the largest gain each time, and the search ends where no exchange of one partner gains. All triangles judge here.
+#[test]
+fn the_search_takes_what_gains_most() {
+    let setting = Setting::new();
+    let model = setting.model();
+    let (mut slots, k, mut exchanged) = (BlockSlots::new(&model), 3, 0);
+    let has_choice = |key: &ViewIndex| setting.candidates.candidates_of(*key).len() > k;
+    for key in setting.scene.view_indices().filter(has_choice).step_by(3) {
+        let partners = setting.candidates.candidates_of(key);
+        let mut block = Block::new(&model, key, partners, |_| true, &mut slots);
+        let (n, judges) = (partners.len(), search::judges(&block));
+        let total = |block: &mut Block, set: &[usize]| PartnerChoice::new(block, set.to_vec()).sum;
+        let greedy = search::greedy(&mut block, n, k, judges);
+        for length in 0..k {
+            let others = (0..n).filter(|p| !greedy[..length].contains(p));
+            let best = others.map(|p| total(&mut block, &[&greedy[..length], &[p]].concat())).fold(0.0, f64::max);
+            let taken = total(&mut block, &greedy[..=length]);
+            assert!(taken >= best * (1.0 - 1e-5), "{key:?}: {taken} {best}");
+        }
+        let found = search::search(&mut block, (n - k..n).collect(), n);
+        assert!(found.sum >= total(&mut block, &greedy));
+        for (out, p) in
+            (0..k).flat_map(|out| (0..n).map(move |p| (out, p))).filter(|(_, p)| !found.partners.contains(p))
+        {
+            let mut set = found.partners.clone();
+            set[out] = p;
+            let other = total(&mut block, &set);
+            assert!(other <= found.sum * (1.0 + 1e-5), "{key:?}: {other} {}", found.sum);
+        }
+        exchanged += u32::from(!greedy.iter().all(|p| found.partners.contains(p)));
+    }
+    assert!(exchanged > 0);
+}
+
 #[test]
 fn the_table_is_that_of_the_clusters() {
     let setting = Setting::new();
