@@ -4,7 +4,7 @@
     benches/sizes.py PROJECT WORK_FOLDER [--image-scale 0.5] [--worth 0.2 0.4 0.6 0.8 1] [--densify DensifyPointCloud] [--viewrank viewrank]
 
 Matches all key views at full and at half size once (CPU seconds of each are printed), then fuses, for half, one and one and a half times the
-work of the default plan: the plan at full size, mixed plans, and the whole plan at half size. The reference is the cloud of all maps at full size:
+work of the default plan: the plan at full size, mixed plans, the whole plan at half size, and every n-th view at full size. The reference is the cloud of all maps at full size:
 
     area       share of its cells of 2 g_d with a point within 2 g_d
     right      share of its cells where the median offset of the points from its local plane is at most g_d
@@ -48,12 +48,12 @@ def main():
     default = bench.plan()["cut"]["clusters"]
     print("plan                     times  full  half  work %  area %  right %  precision %  error")
 
-    def row(name, times, plan, scales=None):
-        chosen = plan["clusters"][: plan["cut"]["clusters"]]
+    def row(name, times, plan, scales=None, keys=None):
+        chosen = [cluster for cluster in plan["clusters"][: plan["cut"]["clusters"]] if keys is None or cluster["key"] in keys]
         sizes = [scales or cluster["scale"] for cluster in chosen]
         full, half = sizes.count(1.0), sizes.count(0.5)
         work = 100 * (full * cost[1.0] + half * cost[0.5]) / (maps * cost[1.0])
-        area, right, precision, error = reference.score(bench.fuse(plan, {1.0, 0.5}, scales))
+        area, right, precision, error = reference.score(bench.fuse(plan, {1.0, 0.5}, scales, keys))
         print(f"{name:24} {times:5}  {full:4}  {half:4}  {work:6.1f}  {area:6.1f}  {right:7.1f}  {precision:11.1f}  {error:5.3f}", flush=True)
 
     for times in TIMES:
@@ -64,6 +64,9 @@ def main():
             row(f"two sizes, worth {worth:g}", times, bench.plan("--budget", budget, "--target", "100%", "--scales", "1,0.5", worth=worth))
         number = min(maps, int(default * times * cost[1.0] / cost[0.5]))
         row("half size", times, bench.plan("--budget", str(number), "--target", "100%"), 0.5)
+        number, names = max(2, round(default * times)), sorted(cluster["key"] for cluster in every["clusters"])
+        keys = {names[i * maps // number] for i in range(number)}
+        row("every n-th", times, bench.plan("--budget", "100%", "--target", "100%"), keys=keys)
 
 
 class Bench:
@@ -109,15 +112,15 @@ class Bench:
             note.write_text(json.dumps(seconds / len(plan["clusters"])))
         return json.loads(note.read_text())
 
-    def fuse(self, plan, sizes, scales=None):
-        """Points of the cloud of the plan's maps, n x 3, of those that were matched above."""
+    def fuse(self, plan, sizes, scales=None, keys=None):
+        """Points of the cloud of the plan's maps, or of those of some keys, n x 3, of those that were matched above."""
         folder = self.args.work / "fused"
         self.export(folder, scales)
         rows = {scale: {row["key"]: row for row in json.loads((self.maps(scale) / "report.json").read_text())["clusters"]} for scale in sizes}
         report = []
         for cluster in json.loads((folder / "run.json").read_text())["clusters"]:
             row = rows[cluster["scale"]].get(cluster["key"])
-            if row and not row["problems"]:
+            if row and not row["problems"] and (keys is None or cluster["key"] in keys):
                 report.append({**row, "rank": cluster["rank"]})
                 shutil.copy(self.maps(cluster["scale"]) / f"depth{cluster['id']:04d}.dmap", folder)
         (folder / "report.json").write_text(json.dumps({"options": [], "clusters": report, "fusion": None}))
