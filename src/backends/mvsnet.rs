@@ -3,10 +3,11 @@
 
 use super::{
     Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord, Honours, PATCH_MATCH,
-    Selection, Trap, selection,
+    PlanningNumbers, Selection, Trap, selection,
 };
 use crate::{
     io::output::Contents,
+    method::confidence::Photometric,
     model::{
         camera::Camera,
         cluster::RankedCluster,
@@ -41,6 +42,8 @@ enum DepthLine {
 const PLANES: u32 = 192;
 /// Number of partners that must agree on a depth: one less than the plan's support, which includes the key view.
 const AGREEING: u32 = PATCH_MATCH.support - 1;
+/// Largest number of key views whose maps the fusion compares with one: its own lists hold every view that shares points, which takes long.
+const FUSED_WITH: usize = 24;
 /// Largest number of partners of ACMH, ACMM, ACMP and ACMMP, which use a 32-bit mask.
 const ACM_PARTNERS: usize = 32;
 
@@ -82,6 +85,13 @@ pub static PATCHMATCHNET: Backend = Backend {
     capabilities: Capabilities {
         notes: "its own filter opens the maps of all partners: swap in pair_fuse.txt for it",
         ..CAPABILITIES
+    },
+    planning: PlanningNumbers {
+        photometric: Photometric { agree: 0.5, differ: 0.05, full_agreement: 0.9 },
+        measured: "4 sets, 1 more; gate: openmvs's",
+        source: "agreement: what its fusion keeps of 219 maps of 974abc0 (CPU) of boruszyn, lewis, statue and room; valley took no part and is foreseen \
+                 better too (method 7.4); support 2: its fusion wants one other map that agrees; gate: the numbers of OpenMVS (method 7.1)",
+        ..PATCH_MATCH
     },
     export: |selection, options| PATCHMATCHNET_DIALECT.export(selection, options),
     ..MVSNET
@@ -146,9 +156,8 @@ impl Dialect {
         let views = selection.keys_first();
         let lists = Lists::new(self, selection, &views);
         let mut files = options.file_set(self.backend, selection);
-        let keys = selection.clusters.len();
-        files.add_text("pair.txt", lists.text(lists.rows.len(), |_| true));
-        files.add_text("pair_fuse.txt", lists.text(keys, |partner| (partner as usize) < keys));
+        files.add_text("pair.txt", lists.text(&lists.rows));
+        files.add_text("pair_fuse.txt", lists.text(&lists.compared));
         let mut names = String::new();
         for (&i, &view) in lists.numbers.iter().zip(&views) {
             files.add_text(format!("cams/{i:08}_cam.txt"), self.camera(selection, &lists.points, view)?);
@@ -231,8 +240,8 @@ impl Dialect {
         }
         record.other_maps = lists.rows.len() - selection.clusters.len();
         record.fusion = format!(
-            "{AGREEING} agreeing partner (PatchmatchNet: geo_mask_thres, CasMVSNet: thres_view, 5 by default): the plan asks for {} maps of a \
-             place, and the lists in pair_fuse.txt are short",
+            "{AGREEING} agreeing view of pair_fuse.txt (PatchmatchNet: geo_mask_thres, CasMVSNet: thres_view, 5 by default): the plan asks for {} \
+             maps of a place",
             AGREEING + 1
         );
         if self.all_are_problems {
@@ -247,14 +256,17 @@ impl Dialect {
     }
 }
 
-/// Key views with their partners (positions in `views`) and the number of points they share.
+/// Lists of views (positions in `views`) and of the number of points they share with each.
 struct Lists<'a> {
     views: &'a [ViewIndex],
     /// Number of each view in the files: its image id, the same in each plan, so that old maps keep their images; its position for
     /// programs that demand it.
     numbers: Vec<u32>,
     points: ViewPoints,
+    /// Partners of each view that gets a map, key views first.
     rows: Vec<Vec<(u32, u32)>>,
+    /// For each key view those whose maps may confirm its depths: not only partners, since key views are chosen to overlap little.
+    compared: Vec<Vec<(u32, u32)>>,
 }
 
 impl<'a> Lists<'a> {
@@ -271,28 +283,30 @@ impl<'a> Lists<'a> {
             let shared = selection::shared_points(scene, &points, c.key);
             scored(&shared, &mut c.partners.iter().copied())
         };
-        let other_row = |&view: &ViewIndex| {
+        let most_shared = |view: ViewIndex, among: &[ViewIndex], most: usize| {
             let shared = selection::shared_points(scene, &points, view);
-            let mut partners: Vec<_> = views.iter().copied().filter(|v| shared[v.index()] > 0).collect();
-            partners.sort_by_key(|v| std::cmp::Reverse(shared[v.index()]));
-            scored(&shared, &mut partners.into_iter().take(selection.most_partners()))
+            let mut others: Vec<_> = among.iter().copied().filter(|v| shared[v.index()] > 0).collect();
+            others.sort_by_key(|v| std::cmp::Reverse(shared[v.index()]));
+            scored(&shared, &mut others.into_iter().take(most))
         };
+        let keys = &views[..selection.clusters.len()];
+        let other_row = |&view: &ViewIndex| most_shared(view, views, selection.most_partners());
+        let compared = keys.iter().map(|&key| most_shared(key, keys, FUSED_WITH)).collect();
         let mut rows: Vec<_> = selection.clusters.iter().map(key_row).collect();
         if dialect.all_are_problems {
             rows.extend(views[rows.len()..].iter().map(other_row));
             rows.iter_mut().for_each(|row| row.truncate(ACM_PARTNERS));
         }
         let number = |(i, v): (u32, &ViewIndex)| if dialect.all_are_problems { i } else { scene.view(*v).image_id };
-        Self { views, numbers: (0..).zip(views).map(number).collect(), points, rows }
+        Self { views, numbers: (0..).zip(views).map(number).collect(), points, rows, compared }
     }
 
-    /// `pair.txt` of the first `views` views, with the partners that `keep` accepts.
-    fn text(&self, views: usize, keep: impl Fn(u32) -> bool) -> String {
-        let mut text = format!("{views}\n");
-        for (key, row) in self.numbers.iter().zip(&self.rows[..views]) {
-            let kept: Vec<_> = row.iter().filter(|(partner, _)| keep(*partner)).collect();
-            text += &format!("{key}\n{} ", kept.len());
-            kept.iter().for_each(|(partner, score)| text += &format!("{} {score} ", self.numbers[*partner as usize]));
+    /// `pair.txt` with these lists of the first views.
+    fn text(&self, rows: &[Vec<(u32, u32)>]) -> String {
+        let mut text = format!("{}\n", rows.len());
+        for (key, row) in self.numbers.iter().zip(rows) {
+            text += &format!("{key}\n{} ", row.len());
+            row.iter().for_each(|(view, score)| text += &format!("{} {score} ", self.numbers[*view as usize]));
             text.push('\n');
         }
         text

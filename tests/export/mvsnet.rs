@@ -65,6 +65,17 @@ fn mvsnet_key_only_fusion_missing_maps() {
 }
 
 #[test]
+fn mvsnet_key_views_confirm_others_that_are_no_partners() {
+    let mut fixture = Fixture::new(4);
+    let sharing: Vec<u32> = fixture.connected(ViewIndex(12)).iter().map(|view| view.0).collect();
+    fixture.choose(&[12, sharing[0], sharing[1], sharing[2]], 1);
+    let files = fixture.export("patchmatchnet");
+    let names = names_of(&files, &pairs_by_line(files.text("pair_fuse.txt")));
+    let of = |view: u32| fixture.scene.name(ViewIndex(view)).to_string();
+    assert_eq!(names[0], (of(12), sharing[..3].iter().map(|&view| of(view)).collect()), "most shared points first");
+}
+
+#[test]
 fn mvsnet_self_pair() {
     let files = Fixture::new(4).export("mvsnet");
     assert!(pairs_by_word(files.text("pair.txt")).iter().all(|(key, p)| p.iter().all(|(partner, _)| partner != key)));

@@ -140,6 +140,19 @@ impl DepthMap {
         self
     }
 
+    /// Takes out the depths whose confidence, in a file of the same form, is too low.
+    fn keep_confident(&mut self, path: &Path) -> Result<(), DepthMapError> {
+        let confidence = read(path, self.format)?;
+        if (confidence.width, confidence.height) != (self.width, self.height) {
+            let size = |map: &Self| format!("{} x {} pixels", map.width, map.height);
+            let what = format!("{}, but the depth map has {}", size(&confidence), size(self));
+            return Err(DepthMapError::Format { path: path.into(), byte: 0, what });
+        }
+        let pairs = self.depth.iter_mut().zip(&confidence.depth);
+        pairs.filter(|(_, confidence)| **confidence <= LEAST_CONFIDENCE).for_each(|(z, _)| *z = 0.0);
+        Ok(())
+    }
+
     /// Returns whether the map has the aspect ratio of the camera's image, up to rounding of its size.
     pub fn fits(&self, camera: &Camera) -> bool {
         let (sx, sy) = self.pixel_size(camera);
@@ -213,22 +226,34 @@ pub fn read(path: &Path, format: DepthMapFormat) -> Result<DepthMap, DepthMapErr
     parse(&bytes, format).map_err(|(byte, what)| DepthMapError::Format { path: path.into(), byte, what })
 }
 
-/// Reads the depth map of a view of the scene.
+/// Confidence that PatchmatchNet's fusion asks for by default (`--photo_thres`): it drops depths of no more.
+const LEAST_CONFIDENCE: f32 = 0.5;
+
+/// Reads the depth map of a view of the scene. PatchmatchNet gives each pixel a depth; those that it has no confidence in count as none.
 ///
 /// # Errors
-/// As [`read`], and if the view isn't a pinhole view or the map doesn't have the aspect ratio of its image.
+/// As [`read`], and if the view isn't a pinhole view, the map doesn't have the aspect ratio of its image, or its confidences cannot be read.
 pub fn read_of_view(file: &DepthMapFile, scene: &Scene) -> Result<DepthMap, DepthMapError> {
     let camera = scene.camera_of(file.view);
     let view = || scene.name(file.view).to_string();
     if !camera.is_pinhole() {
         return Err(DepthMapError::Distorted { view: view(), model: camera.model().name() });
     }
-    let map = read(&file.path, file.format)?;
+    let mut map = read(&file.path, file.format)?;
+    if let Some(path) = confidences_of(file).filter(|path| path.is_file()) {
+        map.keep_confident(&path)?;
+    }
     if !map.fits(camera) {
         let (map, image) = ([map.width, map.height], [camera.width, camera.height]);
         return Err(DepthMapError::Shape { path: file.path.clone(), map, view: view(), image });
     }
     Ok(map.along_the_axis(camera))
+}
+
+/// Where PatchmatchNet and its relatives write the confidences of a map: `confidence/NNNNNNNN.pfm` beside `depth_est/NNNNNNNN.pfm`.
+fn confidences_of(file: &DepthMapFile) -> Option<PathBuf> {
+    let folder = file.path.parent().filter(|folder| folder.ends_with("depth_est"))?;
+    (file.format == DepthMapFormat::Pfm).then_some(folder.with_file_name("confidence").join(file.path.file_name()?))
 }
 
 /// Parses the bytes of one depth map, with depths as the file has them. Allocates memory proportional to the length of `bytes`.

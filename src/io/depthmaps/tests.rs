@@ -128,6 +128,26 @@ fn distances_from_the_camera_become_depths_along_the_axis() {
 }
 
 #[test]
+fn depths_that_patchmatchnet_has_no_confidence_in_are_none() {
+    let folder = tempfile::tempdir().unwrap();
+    let write = |kind: &str, width: u32, values: &[f32]| {
+        let path = folder.path().join(kind).join("00000003.pfm");
+        std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+        let header = format!("Pf\n{width} {}\n-1.0\n", values.len() / width as usize);
+        std::fs::write(&path, [header.as_bytes(), &floats_le(values)].concat()).unwrap();
+        path
+    };
+    let path = write("depth_est", 3, &[4.0, 5.0, 6.0, 1.0, 2.0, 3.0]);
+    let file = DepthMapFile { view: ViewIndex(0), path, format: DepthMapFormat::Pfm };
+    let depths = || read_of_view(&file, &scene(&["a.jpg"])).map(|map| map.depth);
+    assert_eq!(depths().unwrap(), [1.0, 2.0, 3.0, 4.0, 5.0, 6.0], "no confidences, no holes");
+    write("confidence", 3, &[0.9, 0.1, 0.51, 0.0, 0.6, 0.5]);
+    assert_eq!(depths().unwrap(), [0.0, 2.0, 0.0, 4.0, 0.0, 6.0]);
+    write("confidence", 2, &[0.9; 6]);
+    assert!(depths().unwrap_err().to_string().contains("2 x 3 pixels, but the depth map has 3 x 2 pixels"));
+}
+
+#[test]
 fn reads_big_endian_pfm_from_the_bottom_up() {
     let mut bytes = b"Pf\n2 2\n1.0\n".to_vec();
     bytes.extend([3.0f32, 4.0, 1.0, 2.0].iter().flat_map(|v| v.to_be_bytes()));
