@@ -38,7 +38,7 @@ for key in lists:
     if key in finished and pairs:
         entries.append(f"{key}\n{len(pairs)} {' '.join(' '.join(pair) for pair in pairs)}\n")
 if not entries:
-    sys.exit(f"error: {len(finished)} of {len(lists)} key views have maps in depths/, and no two of them are partners: nothing to join")
+    sys.exit(f"error: {len(finished)} of {len(lists)} key views have maps in depths/, and no two of them share points: nothing to join")
 fuse = folder / "fuse"
 fuse.mkdir(exist_ok=True)
 (fuse / "pair.txt.part").write_text(f"{len(entries)}\n" + "".join(entries))
@@ -46,4 +46,4 @@ os.replace(fuse / "pair.txt.part", fuse / "pair.txt")
 for name in ("cams", "images"):
     if not (fuse / name).exists():
         (fuse / name).symlink_to(f"../{name}")
-print(f"{len(finished)} of {len(lists)} key views have maps, {len(entries)} of them a partner that has one: fuse/pair.txt")
+print(f"{len(finished)} of {len(lists)} key views have maps, {len(entries)} of them another that shows the same: fuse/pair.txt")
