@@ -48,25 +48,26 @@ def main():
     default = bench.plan()["cut"]["clusters"]
     print("plan                     times  full  half  work %  area %  right %  precision %  error")
 
-    def row(name, times, plan, scales=None, keys=None):
-        chosen = [cluster for cluster in plan["clusters"][: plan["cut"]["clusters"]] if keys is None or cluster["key"] in keys]
+    def row(name, times, plan, scales=None):
+        chosen = plan["clusters"][: plan["cut"]["clusters"]]
         sizes = [scales or cluster["scale"] for cluster in chosen]
         full, half = sizes.count(1.0), sizes.count(0.5)
         work = 100 * (full * cost[1.0] + half * cost[0.5]) / (maps * cost[1.0])
-        area, right, precision, error = reference.score(bench.fuse(plan, {1.0, 0.5}, scales, keys))
+        area, right, precision, error = reference.score(bench.fuse(plan, {1.0, 0.5}, scales))
         print(f"{name:24} {times:5}  {full:4}  {half:4}  {work:6.1f}  {area:6.1f}  {right:7.1f}  {precision:11.1f}  {error:5.3f}", flush=True)
 
     for times in TIMES:
-        number = max(2, round(default * times))
-        row("full size", times, bench.plan("--budget", str(number), "--target", "100%"))
+        at_full = max(2, round(default * times))
+        row("full size", times, bench.plan("--budget", str(at_full), "--target", "100%"))
         for worth in bench.args.worth:
             budget = f"{100 * default * times / maps:.2f}%"
             row(f"two sizes, worth {worth:g}", times, bench.plan("--budget", budget, "--target", "100%", "--scales", "1,0.5", worth=worth))
         number = min(maps, int(default * times * cost[1.0] / cost[0.5]))
         row("half size", times, bench.plan("--budget", str(number), "--target", "100%"), 0.5)
-        number, names = max(2, round(default * times)), sorted(cluster["key"] for cluster in every["clusters"])
-        keys = {names[i * maps // number] for i in range(number)}
-        row("every n-th", times, bench.plan("--budget", "100%", "--target", "100%"), keys=keys)
+        names = sorted(cluster["key"] for cluster in every["clusters"])
+        keys = {names[i * maps // at_full] for i in range(at_full)}
+        whole = bench.plan("--budget", "100%", "--target", "100%")
+        row("every n-th", times, {**whole, "clusters": [cluster for cluster in whole["clusters"] if cluster["key"] in keys]})
 
 
 class Bench:
@@ -112,15 +113,15 @@ class Bench:
             note.write_text(json.dumps(seconds / len(plan["clusters"])))
         return json.loads(note.read_text())
 
-    def fuse(self, plan, sizes, scales=None, keys=None):
-        """Points of the cloud of the plan's maps, or of those of some keys, n x 3, of those that were matched above."""
+    def fuse(self, plan, sizes, scales=None):
+        """Points of the cloud of the plan's maps, n x 3, of those that were matched above."""
         folder = self.args.work / "fused"
         self.export(folder, scales)
         rows = {scale: {row["key"]: row for row in json.loads((self.maps(scale) / "report.json").read_text())["clusters"]} for scale in sizes}
-        report = []
+        report, keys = [], {cluster["key"] for cluster in plan["clusters"]}
         for cluster in json.loads((folder / "run.json").read_text())["clusters"]:
             row = rows[cluster["scale"]].get(cluster["key"])
-            if row and not row["problems"] and (keys is None or cluster["key"] in keys):
+            if row and not row["problems"] and cluster["key"] in keys:
                 report.append({**row, "rank": cluster["rank"]})
                 shutil.copy(self.maps(cluster["scale"]) / f"depth{cluster['id']:04d}.dmap", folder)
         (folder / "report.json").write_text(json.dumps({"options": [], "clusters": report, "fusion": None}))

@@ -52,13 +52,27 @@ pub fn by_default(project: &Project) -> (&'static Backend, Why) {
     if let Some(backend) = BACKENDS.iter().copied().find(|backend| is_set_up(backend)) {
         return (backend, Why::Project);
     }
-    if let Some(program) = installed("DENSIFY", "DensifyPointCloud") {
+    if let Some(program) = densify() {
         return (&openmvs::BACKEND, Why::Installed(program));
     }
-    match installed("COLMAP", "colmap").filter(|program| has_cuda(program)) {
+    match colmap_with_cuda() {
         Some(program) => (&colmap::BACKEND, Why::Installed(program)),
         None => (&sgm::BACKEND, Why::NothingElse),
     }
+}
+
+fn densify() -> Option<PathBuf> {
+    installed("DENSIFY", "DensifyPointCloud")
+}
+
+/// Returns COLMAP if it can match: its dense stereo needs CUDA.
+fn colmap_with_cuda() -> Option<PathBuf> {
+    installed("COLMAP", "colmap").filter(|program| help(program).is_some_and(|help| help.contains("with CUDA")))
+}
+
+/// Returns the Python that runs scripts: `PYTHON`, else `python3`.
+pub fn python() -> PathBuf {
+    env::var_os("PYTHON").map_or_else(|| "python3".into(), PathBuf::from)
 }
 
 /// Returns the program that the environment variable names, else the one on the PATH.
@@ -67,17 +81,11 @@ fn installed(variable: &str, program: &str) -> Option<PathBuf> {
     named.or_else(|| platform::located(Path::new(program)))
 }
 
-/// Returns whether this COLMAP can match: its dense stereo needs CUDA.
-fn has_cuda(program: &Path) -> bool {
-    help(program).is_some_and(|help| help.contains("with CUDA"))
-}
-
 /// Returns whether `viewrank run` would find what it needs to match with this backend.
 pub fn can_match_here(backend: &Backend) -> bool {
-    let python = || env::var_os("PYTHON").map_or_else(|| "python3".into(), PathBuf::from);
     match backend.name {
-        name if name == openmvs::BACKEND.name => installed("DENSIFY", "DensifyPointCloud").is_some(),
-        name if name == colmap::BACKEND.name => installed("COLMAP", "colmap").is_some_and(|program| has_cuda(&program)),
+        name if name == openmvs::BACKEND.name => densify().is_some(),
+        name if name == colmap::BACKEND.name => colmap_with_cuda().is_some(),
         name if name == sgm::BACKEND.name => import_error(&python()).is_none(),
         _ => false,
     }

@@ -44,7 +44,7 @@ mod workspace;
 
 pub(crate) use clusters::recipe;
 pub use error::BackendError;
-pub use machine::{Obstacle, Why, by_default, can_match_here, chosen, obstacle};
+pub use machine::{Obstacle, Why, by_default, can_match_here, chosen, obstacle, python};
 pub use options::{ExportOptions, References};
 pub use record::{Export, ExportRecord, ExportedCluster, ExportedView};
 pub use selection::Selection;

@@ -279,20 +279,20 @@ impl<'a> Lists<'a> {
         let scored = |shared: &[u32], partners: &mut dyn Iterator<Item = ViewIndex>| {
             partners.map(|p| (index[p.index()], shared[p.index()].max(1))).collect::<Vec<_>>()
         };
-        let key_row = |c: &RankedCluster| {
-            let shared = selection::shared_points(scene, &points, c.key);
-            scored(&shared, &mut c.partners.iter().copied())
-        };
-        let most_shared = |view: ViewIndex, among: &[ViewIndex], most: usize| {
-            let shared = selection::shared_points(scene, &points, view);
+        let most_shared = |shared: &[u32], among: &[ViewIndex], most: usize| {
             let mut others: Vec<_> = among.iter().copied().filter(|v| shared[v.index()] > 0).collect();
             others.sort_by_key(|v| std::cmp::Reverse(shared[v.index()]));
-            scored(&shared, &mut others.into_iter().take(most))
+            scored(shared, &mut others.into_iter().take(most))
         };
         let keys = &views[..selection.clusters.len()];
-        let other_row = |&view: &ViewIndex| most_shared(view, views, selection.most_partners());
-        let compared = keys.iter().map(|&key| most_shared(key, keys, FUSED_WITH)).collect();
-        let mut rows: Vec<_> = selection.clusters.iter().map(key_row).collect();
+        let key_rows = |c: &RankedCluster| {
+            let shared = selection::shared_points(scene, &points, c.key);
+            (scored(&shared, &mut c.partners.iter().copied()), most_shared(&shared, keys, FUSED_WITH))
+        };
+        let other_row = |&view: &ViewIndex| {
+            most_shared(&selection::shared_points(scene, &points, view), views, selection.most_partners())
+        };
+        let (mut rows, compared): (Vec<_>, Vec<_>) = selection.clusters.iter().map(key_rows).unzip();
         if dialect.all_are_problems {
             rows.extend(views[rows.len()..].iter().map(other_row));
             rows.iter_mut().for_each(|row| row.truncate(ACM_PARTNERS));

@@ -290,12 +290,8 @@ impl Arguments {
 
     /// Returns the `viewrank run` that makes the same plan; `None` if it lacks an option that was typed, or has one backend where more were.
     fn as_run(&self) -> Option<String> {
-        let has_all = self.typed().are_among(&["--backend", "--target", "--budget", "-k", "--images"]);
         let is_elsewhere = self.model.is_some() || self.finished.is_some() || self.out.is_some();
         let backends = self.backend.as_deref().unwrap_or_default();
-        if !has_all || is_elsewhere || backends.len() > 1 {
-            return None;
-        }
         let options = [
             ("--backend", backends.first().cloned()),
             ("--target", self.target.clone()),
@@ -303,7 +299,9 @@ impl Arguments {
             ("-k", self.k.clone()),
             ("--images", self.images.as_ref().map(|path| path.display().to_string())),
         ];
-        Some(next::with_options(format!("viewrank run {}", command_path(&self.project)), options))
+        let has_all = self.typed().are_among(&options.each_ref().map(|(name, _)| *name));
+        let is_possible = has_all && !is_elsewhere && backends.len() <= 1;
+        is_possible.then(|| next::with_options(format!("viewrank run {}", command_path(&self.project)), options))
     }
 }
 

@@ -7,6 +7,16 @@ use nalgebra::{Matrix3, Point2, Point3, Rotation3, Vector3};
 use rand_core::{Rng, SeedableRng};
 use rand_pcg::Pcg64;
 
+#[cfg(test)]
+use crate::{
+    base::{column::Storage, progress::NoWatcher},
+    config::{TargetSettings, VisibilitySettings},
+    method::{
+        geometry::Geometry,
+        target::Target,
+        visibility::{self, Visibility},
+    },
+};
 use crate::{
     method::surface::{Surface, SurfaceKind},
     model::{
@@ -40,6 +50,24 @@ pub struct Town {
     /// Probability that a view observes a point that it sees.
     pub found: f64,
     pub seed: u64,
+}
+
+/// A town, and what its views see.
+#[cfg(test)]
+#[derive(Clone)]
+pub struct SeenTown {
+    pub scene: Scene,
+    pub surface: Surface,
+    pub visibility: Visibility,
+    pub target: Target,
+}
+
+#[cfg(test)]
+impl SeenTown {
+    pub fn geometry(&self, image_scale: f64) -> Geometry<'_> {
+        let Self { scene, surface, visibility, target } = self;
+        Geometry { scene, surface, visibility, target, image_scale }
+    }
 }
 
 impl Town {
@@ -101,6 +129,17 @@ impl Town {
             scene.track_offsets.push(scene.track_views.len());
         }
         scene
+    }
+
+    /// Returns the scene with what its views see.
+    #[cfg(test)]
+    pub fn seen(&self, wanted: &TargetSettings, gsd: f64, keep: Storage) -> SeenTown {
+        let (scene, surface, settings) = (self.scene(), self.surface(), VisibilitySettings::default());
+        let points = scene.view_points();
+        let visibility =
+            visibility::estimate(&scene, &points, &surface, &settings, self.edge, keep, &NoWatcher).unwrap();
+        let target = Target::new(&scene, &surface, &visibility, wanted, gsd, 1.0);
+        SeenTown { scene, surface, visibility, target }
     }
 
     /// Returns the height of the ground.

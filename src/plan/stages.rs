@@ -237,7 +237,7 @@ impl Stages {
     }
 }
 
-/// Fails if the settings name a folder of images that has none of the scene.
+/// Returns an error if the image folder that the user has set holds no image of the scene.
 fn refuse_other_images(project: &Project, scene: &Scene, settings: &Settings) -> Result<(), PlanError> {
     match (&project.images, scene.view_indices().next()) {
         (Some(folder), Some(first)) if settings.images.is_some() && project.has_only_other_images(scene) => {

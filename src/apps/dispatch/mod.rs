@@ -18,7 +18,7 @@ use std::{
 };
 
 use crate::{
-    backends::{Backend, Export, Selection, TaskRunner, recipe},
+    backends::{self, Backend, Export, Selection, TaskRunner, recipe},
     base::{error::Hint, platform, shell::quoted_path},
     config::{DispatchSettings, Share},
     io::output::{self, Contents, Disk, FileSet, OutputError},
@@ -83,7 +83,7 @@ impl Tools {
 
     /// Programs that exist only on the nodes.
     pub fn unseen(runner: &TaskRunner) -> Self {
-        let python = env::var_os("PYTHON").map_or_else(|| "python3".into(), PathBuf::from);
+        let python = backends::python();
         // Scripts run it from another folder.
         let python = if python.components().count() > 1 { absolute(&python) } else { python };
         Self { program: runner.program.into(), python }

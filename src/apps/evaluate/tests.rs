@@ -8,14 +8,14 @@ use npyz::WriterBuilder;
 use super::*;
 use crate::{
     base::{column::Storage, progress::NoWatcher},
-    config::{TargetMode, TargetSettings, VisibilitySettings},
+    config::{TargetMode, TargetSettings},
     io::depthmaps::DepthMapError,
     method::{
         confidence::{Confidence, NO_AGREEMENT, Unary},
         fulfilment::{FulfilmentRule, Model},
         ranking::Objective,
         surface::Surface,
-        synthetic::Town,
+        synthetic::{SeenTown, Town},
         target::Target,
         visibility::{self, Visibility},
     },
@@ -41,13 +41,8 @@ struct Fixture {
 impl Fixture {
     fn new() -> Self {
         let town = Town::new(Camera::new(1, CameraModel::Pinhole, 300, 225, vec![280.0, 280.0, 150.0, 112.5]).unwrap());
-        let (scene, surface) = (town.scene(), town.surface());
-        let settings = VisibilitySettings::default();
-        let visibility =
-            visibility::estimate(&scene, &scene.view_points(), &surface, &settings, 2.0, Storage::Memory, &NoWatcher)
-                .unwrap();
         let wanted = TargetSettings { gsd: Some(GSD), accuracy: None, mode: TargetMode::Absolute };
-        let target = Target::new(&scene, &surface, &visibility, &wanted, GSD, 1.0);
+        let SeenTown { scene, surface, visibility, target } = town.seen(&wanted, GSD, Storage::Memory);
         Self { scene, surface, visibility, target, unary: Unary::certain() }
     }
 

@@ -148,8 +148,10 @@ impl DepthMap {
             let what = format!("{}, but the depth map has {}", size(&confidence), size(self));
             return Err(DepthMapError::Format { path: path.into(), byte: 0, what });
         }
-        let pairs = self.depth.iter_mut().zip(&confidence.depth);
-        pairs.filter(|(_, confidence)| **confidence <= LEAST_CONFIDENCE).for_each(|(z, _)| *z = 0.0);
+        for (z, &confidence) in self.depth.iter_mut().zip(&confidence.depth) {
+            // Not a number is no confidence either.
+            *z = if confidence > LEAST_CONFIDENCE { *z } else { 0.0 };
+        }
         Ok(())
     }
 

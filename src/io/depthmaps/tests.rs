@@ -143,6 +143,8 @@ fn depths_that_patchmatchnet_has_no_confidence_in_are_none() {
     assert_eq!(depths().unwrap(), [1.0, 2.0, 3.0, 4.0, 5.0, 6.0], "no confidences, no holes");
     write("confidence", 3, &[0.9, 0.1, 0.51, 0.0, 0.6, 0.5]);
     assert_eq!(depths().unwrap(), [0.0, 2.0, 0.0, 4.0, 0.0, 6.0]);
+    write("confidence", 3, &[f32::NAN; 6]);
+    assert_eq!(depths().unwrap(), [0.0; 6]);
     write("confidence", 2, &[0.9; 6]);
     assert!(depths().unwrap_err().to_string().contains("2 x 3 pixels, but the depth map has 3 x 2 pixels"));
 }

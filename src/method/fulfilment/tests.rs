@@ -7,11 +7,10 @@ use rand_pcg::Pcg64;
 use super::*;
 use crate::{
     base::{column::Storage, progress::NoWatcher},
-    config::{TargetMode, TargetSettings, VisibilitySettings},
+    config::{TargetMode, TargetSettings},
     method::{
         confidence::{Agreement, Confidence, PairAgreement, PairConfidence, Photometric},
-        synthetic::Town,
-        visibility,
+        synthetic::{SeenTown, Town},
     },
     model::cluster::ViewCluster,
 };
@@ -31,12 +30,8 @@ impl Setting {
     fn new(model: CameraModel, params: &[f64]) -> Self {
         let camera = Camera::new(1, model, 1000, 750, params.to_vec()).unwrap();
         let town = Town { edge: 4.0, points: 50, ..Town::new(camera) };
-        let (scene, surface) = (town.scene(), town.surface());
-        let settings = VisibilitySettings::default();
-        let visibility =
-            visibility::estimate(&scene, &scene.view_points(), &surface, &settings, 4.0, Storage::Memory, &NoWatcher)
-                .unwrap();
-        let target = Target::new(&scene, &surface, &visibility, &TargetSettings::default(), 0.05, 1.0);
+        let SeenTown { scene, surface, visibility, target } =
+            town.seen(&TargetSettings::default(), 0.05, Storage::Memory);
         Self { scene, surface, visibility, target, unary: Unary::certain(), agreement: Agreement::default() }
     }
 

@@ -3,14 +3,14 @@
 use super::*;
 use crate::{
     base::{column::Storage, progress::NoWatcher},
-    config::{TargetSettings, VisibilitySettings},
+    config::TargetSettings,
     method::{
         confidence::{Confidence, NO_AGREEMENT, PairConfidence, Unary},
         fulfilment::{self, FulfilmentRule},
         surface::Surface,
-        synthetic::Town,
+        synthetic::{SeenTown, Town},
         target::Target,
-        visibility::{self, Visibility},
+        visibility::Visibility,
     },
     model::{
         camera::{Camera, CameraModel},
@@ -36,11 +36,8 @@ impl Setting {
     fn kept(keep: Storage) -> Self {
         let camera = Camera::new(1, CameraModel::Pinhole, 1000, 750, vec![850.0, 850.0, 500.0, 375.0]).unwrap();
         let town = Town { edge: 3.0, points: 300, ..Town::new(camera) };
-        let (scene, surface) = (town.scene(), town.surface());
+        let SeenTown { scene, surface, visibility, mut target } = town.seen(&TargetSettings::default(), 0.05, keep);
         let points = scene.view_points();
-        let settings = VisibilitySettings::default();
-        let visibility = visibility::estimate(&scene, &points, &surface, &settings, 3.0, keep, &NoWatcher).unwrap();
-        let mut target = Target::new(&scene, &surface, &visibility, &TargetSettings::default(), 0.05, 1.0);
         target.accuracy_over_gsd = 0.4;
         let gate = crate::backends::by_name("sure").unwrap().planning.gate;
         let candidates =

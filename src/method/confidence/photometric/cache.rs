@@ -130,21 +130,22 @@ fn hash_geometry(hasher: &mut blake3::Hasher, geometry: &Geometry) {
 
 #[cfg(test)]
 mod tests {
-    use super::{super::tests::Setting, *};
+    use super::{super::tests::town, *};
+    use crate::method::synthetic::SeenTown;
 
     #[test]
     fn other_partners_and_moved_views_have_another_fingerprint() {
         let folder = tempfile::tempdir().unwrap();
-        let (mut setting, pictures) = (Setting::new(), Pictures::without_images(folder.path()));
-        let fingerprint = |setting: &Setting, partner: u32| {
+        let (mut town, pictures) = (town(), Pictures::without_images(folder.path()));
+        let fingerprint = |town: &SeenTown, partner: u32| {
             let partners = [ViewIndex(partner)];
-            inputs(&setting.geometry(1.0), &pictures, |_| &partners, None).map(|hasher| hasher.finalize())
+            inputs(&town.geometry(1.0), &pictures, |_| &partners, None).map(|hasher| hasher.finalize())
         };
-        let first = fingerprint(&setting, 7);
+        let first = fingerprint(&town, 7);
         assert!(first.is_some());
-        assert_eq!(first, fingerprint(&setting, 7));
-        assert_ne!(first, fingerprint(&setting, 8));
-        setting.scene.views[3].cam_from_world.translation.x += 1e-9;
-        assert_ne!(first, fingerprint(&setting, 7));
+        assert_eq!(first, fingerprint(&town, 7));
+        assert_ne!(first, fingerprint(&town, 8));
+        town.scene.views[3].cam_from_world.translation.x += 1e-9;
+        assert_ne!(first, fingerprint(&town, 7));
     }
 }

@@ -89,7 +89,7 @@ pub(super) fn compared(
 
 #[cfg(test)]
 mod tests {
-    use super::super::tests::{Setting, view_that_overlaps};
+    use super::super::tests::{town, view_that_overlaps};
     use super::*;
 
     /// Samples that are the same in all views of a triangle, and differ from those of other triangles.
@@ -101,16 +101,16 @@ mod tests {
 
     #[test]
     fn values_are_of_triangles_that_both_see_and_the_program_reaches() {
-        let setting = Setting::new();
-        let geometry = setting.geometry(1.0);
+        let town = town();
+        let geometry = town.geometry(1.0);
         let (samples, key, partner) =
             (textured(&geometry), ViewIndex(12), view_that_overlaps(&geometry, ViewIndex(12)));
-        let mut places = vec![u32::MAX; setting.surface.triangles.len()];
-        let middle = setting.scene.view(key).cam_from_world.centre().x;
+        let mut places = vec![u32::MAX; town.surface.triangles.len()];
+        let middle = town.scene.view(key).cam_from_world.centre().x;
         let part = |_, _| Reach::Part(Box::new(move |point: &nalgebra::Point3<f64>| point.x < middle));
         let reaches: [&(dyn Fn(ViewIndex, ViewIndex) -> Reach + Sync); 3] =
             [&|_, _| Reach::Everything, &part, &|_, _| Reach::Nothing];
-        let seen = setting.visibility.triangles_seen_by(key);
+        let seen = town.visibility.triangles_seen_by(key);
         let counts = reaches.map(|of_pair| {
             let reach = ProgramReach { program: Some("program"), of_pair };
             let values = compared(&geometry, &samples, key, &[partner, partner], &reach, &mut places);
@@ -121,9 +121,9 @@ mod tests {
                 let is_reached = match of_pair(key, partner) {
                     Reach::Nothing => false,
                     Reach::Everything => true,
-                    Reach::Part(is_inside) => is_inside(&setting.surface.centroid(t)),
+                    Reach::Part(is_inside) => is_inside(&town.surface.centroid(t)),
                 };
-                assert_eq!(value > 0, is_reached && setting.visibility.row(partner, t).is_some(), "{t}");
+                assert_eq!(value > 0, is_reached && town.visibility.row(partner, t).is_some(), "{t}");
             }
             first.iter().filter(|&&value| value > 0).count()
         });

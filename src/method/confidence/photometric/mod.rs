@@ -250,44 +250,15 @@ impl Agreement {
 mod tests {
     use super::*;
     use crate::{
-        base::{column::Storage, progress::NoWatcher},
-        config::{TargetSettings, VisibilitySettings},
-        method::{
-            surface::Surface,
-            synthetic::Town,
-            target::Target,
-            visibility::{self, Visibility},
-        },
-        model::{
-            camera::{Camera, CameraModel},
-            scene::Scene,
-        },
+        base::column::Storage,
+        config::TargetSettings,
+        method::synthetic::{SeenTown, Town},
+        model::camera::{Camera, CameraModel},
     };
 
-    /// A town with what its views see.
-    pub struct Setting {
-        pub scene: Scene,
-        pub surface: Surface,
-        pub visibility: Visibility,
-        target: Target,
-    }
-
-    impl Setting {
-        pub fn new() -> Self {
-            let camera = Camera::new(1, CameraModel::Pinhole, 1000, 750, vec![850.0, 850.0, 500.0, 375.0]).unwrap();
-            let town = Town { edge: 4.0, points: 50, ..Town::new(camera) };
-            let (scene, surface, settings) = (town.scene(), town.surface(), VisibilitySettings::default());
-            let points = scene.view_points();
-            let visibility =
-                visibility::estimate(&scene, &points, &surface, &settings, 4.0, Storage::Memory, &NoWatcher).unwrap();
-            let target = Target::new(&scene, &surface, &visibility, &TargetSettings::default(), 0.05, 1.0);
-            Self { scene, surface, visibility, target }
-        }
-
-        pub fn geometry(&self, image_scale: f64) -> Geometry<'_> {
-            let Self { scene, surface, visibility, target } = self;
-            Geometry { scene, surface, visibility, target, image_scale }
-        }
+    pub fn town() -> SeenTown {
+        let camera = Camera::new(1, CameraModel::Pinhole, 1000, 750, vec![850.0, 850.0, 500.0, 375.0]).unwrap();
+        Town { edge: 4.0, points: 50, ..Town::new(camera) }.seen(&TargetSettings::default(), 0.05, Storage::Memory)
     }
 
     /// The view with most triangles in common.

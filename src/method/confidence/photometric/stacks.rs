@@ -154,14 +154,14 @@ pub(super) fn correlation(a: &[i8], b: &[i8]) -> Option<f32> {
 
 #[cfg(test)]
 mod tests {
-    use super::{super::tests::Setting, *};
+    use super::{super::tests::town, *};
 
     /// Smaller images have larger pixels.
     #[test]
     fn samples_are_as_far_apart_as_the_pixels_of_the_matched_image() {
-        let setting = Setting::new();
-        let [full, half] = [1.0, 0.5].map(|scale| Spacing::new(&setting.geometry(scale)).0);
-        let triangle = setting.visibility.triangles_seen_by(ViewIndex(12))[0];
+        let town = town();
+        let [full, half] = [1.0, 0.5].map(|scale| Spacing::new(&town.geometry(scale)).0);
+        let triangle = town.visibility.triangles_seen_by(ViewIndex(12))[0];
         // Forty metres up, 850 px of focal length.
         let expected = SPACING * 40.0 / 850.0;
         let found = f64::from(full[triangle as usize]);
@@ -172,12 +172,12 @@ mod tests {
     /// A chessboard of single pixels is grey where samples are several pixels apart.
     #[test]
     fn a_picture_that_is_finer_than_the_samples_is_reduced_first() {
-        let setting = Setting::new();
-        let geometry = setting.geometry(1.0);
+        let town = town();
+        let geometry = town.geometry(1.0);
         let board = (0..750).flat_map(|y| (0..1000).map(move |x| if (x + y) % 2 == 0 { 0 } else { 255 })).collect();
         let (grey, view) = (Grey::new(1000, 750, board), ViewIndex(12));
         let contrast = |pixels: f32| {
-            let spacing = Spacing(vec![pixels * 40.0 / 850.0; setting.surface.triangles.len()]);
+            let spacing = Spacing(vec![pixels * 40.0 / 850.0; town.surface.triangles.len()]);
             let stacks = stacks(&geometry, &spacing, view, &grey, None);
             let shown = stacks.iter().filter(|&&sample| sample != NOT_SEEN);
             f64::from(shown.clone().map(|sample| sample.unsigned_abs()).map(u32::from).sum::<u32>())
