@@ -1,7 +1,6 @@
 //! Estimates which way is up in a model; upright frames for terrain surfaces and for maps.
 
 use nalgebra::{Matrix3, Point3, Vector3};
-use rayon::prelude::*;
 
 use crate::model::scene::Scene;
 
@@ -16,6 +15,10 @@ const UPRIGHT: f64 = 0.9;
 
 /// Directions in which the extreme point of a hull is taken; also the largest number of its corners.
 const HULL_DIRECTIONS: u32 = 32;
+/// Directions of the polygon within which no corner is looked for.
+const FEW_DIRECTIONS: u32 = 8;
+/// Distance from that polygon's sides, over its size, that counts as inside.
+const INSIDE: f64 = 1e-9;
 /// Cosine of the angle within which the third axis of the model counts as up.
 const NEARLY_UP: f64 = 0.98;
 
@@ -131,27 +134,72 @@ impl MapFrame {
     /// Convex hull of points seen from above, in at most as many corners as there are [`HULL_DIRECTIONS`]: world coordinates, counter-clockwise, not
     /// closed.
     pub fn hull(&self, points: &[Point3<f64>]) -> Vec<Point3<f64>> {
-        let flat: Vec<[f64; 3]> = points.iter().map(|point| self.local(point)).collect();
-        let farthest = |i: u32| {
-            let (sin, cos) = (f64::from(i) * std::f64::consts::TAU / f64::from(HULL_DIRECTIONS)).sin_cos();
-            let along = |v: usize| (flat[v][0] * cos + flat[v][1] * sin, v);
-            // Ties go to the point farthest ahead counter-clockwise, so that no corner is on the edge between two others.
-            let ahead = |v: usize| flat[v][1] * cos - flat[v][0] * sin;
-            let farther = |a: &(f64, usize), b: &(f64, usize)| {
-                a.0.total_cmp(&b.0).then_with(|| ahead(a.1).total_cmp(&ahead(b.1)))
-            };
-            (0..flat.len()).map(along).max_by(farther).map(|(_, v)| v)
-        };
-        let mut corners: Vec<usize> = (0..HULL_DIRECTIONS).into_par_iter().filter_map(farthest).collect();
-        corners.dedup();
-        if corners.len() > 1 && corners.first() == corners.last() {
-            corners.pop();
-        }
-        corners.into_iter().map(|i| points[i]).collect()
+        let flat: Vec<[f64; 2]> = points.iter().map(|point| self.local(point)).map(|[x, y, _]| [x, y]).collect();
+        let all: Vec<usize> = (0..flat.len()).collect();
+        // Most points are well inside the polygon of a few.
+        let few = extremes(&flat, &all, FEW_DIRECTIONS);
+        let outer: Vec<usize> = all.into_iter().filter(|&v| !is_well_inside(&flat, &few, v)).collect();
+        extremes(&flat, &outer, HULL_DIRECTIONS).into_iter().map(|v| points[v]).collect()
     }
 
     /// Converts a direction from world to frame coordinates.
     pub fn direction(&self, direction: &Vector3<f64>) -> [f64; 3] {
         self.axes.map(|axis| axis.dot(direction))
+    }
+}
+
+/// Returns the candidates farthest in evenly spaced directions, counter-clockwise, each once.
+fn extremes(flat: &[[f64; 2]], candidates: &[usize], directions: u32) -> Vec<usize> {
+    let farthest = |i: u32| {
+        let (sin, cos) = (f64::from(i) * std::f64::consts::TAU / f64::from(directions)).sin_cos();
+        let along = |v: usize| flat[v][0] * cos + flat[v][1] * sin;
+        let most = candidates.iter().map(|&v| along(v)).fold(f64::NEG_INFINITY, f64::max);
+        // Ties go to the point farthest ahead counter-clockwise, so that no corner is on the edge between two others.
+        let ahead = |v: usize| flat[v][1] * cos - flat[v][0] * sin;
+        let ties = candidates.iter().copied().filter(|&v| along(v) == most);
+        ties.max_by(|&a, &b| ahead(a).total_cmp(&ahead(b)))
+    };
+    let mut corners: Vec<usize> = (0..directions).filter_map(farthest).collect();
+    corners.dedup();
+    if corners.len() > 1 && corners.first() == corners.last() {
+        corners.pop();
+    }
+    corners
+}
+
+/// Returns true if a point is inside a convex polygon by more than rounding: it is no corner of the hull.
+fn is_well_inside(flat: &[[f64; 2]], polygon: &[usize], point: usize) -> bool {
+    let [x, y] = flat[point];
+    let next = polygon.iter().cycle().skip(1);
+    polygon.len() > 2
+        && polygon.iter().zip(next).all(|(&a, &b)| {
+            let ([ax, ay], [bx, by]) = (flat[a], flat[b]);
+            let ([ex, ey], [px, py]) = ([bx - ax, by - ay], [x - ax, y - ay]);
+            let (left, right) = (ex * py, ey * px);
+            left - right > INSIDE * (left.abs() + right.abs() + ex.abs().max(ey.abs()).powi(2))
+        })
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::{collection::vec, prelude::*};
+
+    use super::*;
+
+    proptest! {
+        #[test]
+        fn no_corner_of_a_hull_is_inside_the_polygon_of_a_few(places in vec((-9i8..9, -9i8..9, 0u8..4), 0..60), turn in 0.0..6.3f64) {
+            let (sin, cos) = f64::sin_cos(turn);
+            let axes = [Vector3::new(cos, sin, 0.0), Vector3::new(-sin, cos, 0.0), Vector3::z()];
+            let frame = MapFrame { origin: Point3::new(4e5, 5e6, 0.0), axes };
+            let points: Vec<Point3<f64>> = places
+                .iter()
+                .map(|&(x, y, z)| frame.origin + Vector3::new(f64::from(x), f64::from(y), f64::from(z)))
+                .collect();
+            let flat: Vec<[f64; 2]> = points.iter().map(|p| frame.local(p)).map(|[x, y, _]| [x, y]).collect();
+            let all: Vec<usize> = (0..points.len()).collect();
+            let expected: Vec<_> = extremes(&flat, &all, HULL_DIRECTIONS).into_iter().map(|v| points[v]).collect();
+            prop_assert_eq!(frame.hull(&points), expected);
+        }
     }
 }

@@ -16,11 +16,16 @@ pub fn footprints(surface: &Surface, visibility: &Visibility, frame: &MapFrame) 
 }
 
 fn footprint(surface: &Surface, visibility: &Visibility, view: ViewIndex, frame: &MapFrame) -> Vec<Point3<f64>> {
-    let mut vertices: Vec<u32> =
-        visibility.triangles_seen_by(view).iter().flat_map(|&t| surface.triangles[t as usize]).collect();
-    vertices.sort_unstable();
-    vertices.dedup();
-    let points: Vec<Point3<f64>> = vertices.into_iter().map(|v| surface.vertices[v as usize]).collect();
+    // A bit per vertex: its triangles are neighbours in the table, but their corners come in no order.
+    let mut seen = vec![0u64; surface.vertices.len().div_ceil(64)];
+    for &t in visibility.triangles_seen_by(view) {
+        surface.triangles[t as usize].iter().for_each(|&v| seen[v as usize / 64] |= 1 << (v % 64));
+    }
+    let in_word = |(word, &bits): (usize, &u64)| {
+        let vertices = move |i: &usize| bits >> i & 1 == 1;
+        (0..64).filter(vertices).map(move |i| surface.vertices[64 * word + i])
+    };
+    let points: Vec<Point3<f64>> = seen.iter().enumerate().filter(|(_, bits)| **bits != 0).flat_map(in_word).collect();
     frame.hull(&points)
 }
 
