@@ -4,7 +4,8 @@
     benches/sizes.py PROJECT WORK_FOLDER [--image-scale 0.5] [--worth 0.2 0.4 0.6 0.8 1] [--densify DensifyPointCloud] [--viewrank viewrank]
 
 Matches all key views at full and at half size once (CPU seconds of each are printed), then fuses, for half, one and one and a half times the
-work of the default plan: the plan at full size, mixed plans, the whole plan at half size, and every n-th view at full size. The reference is the cloud of all maps at full size:
+work of the default plan: the plan at full size, mixed plans, the whole plan at half size, and every n-th view at full size. The reference is the cloud of all maps at full
+size, without points that fewer than three of them agree on:
 
     area       share of its cells of 2 g_d with a point within 2 g_d
     right      share of its cells where the median offset of the points from its local plane is at most g_d
@@ -44,7 +45,7 @@ def main():
     cost = {scale: bench.match(every, scale) for scale in (1.0, 0.5)}
     print(f"CPU seconds per map: {cost[1.0]:.2f} at full, {cost[0.5]:.2f} at half size")
     maps = len(every["clusters"])
-    reference = Reference(bench.fuse(every, {1.0}), every["settings"]["target"]["gsd"])
+    reference = Reference(bench.fuse(every, {1.0}, agreeing=3), every["settings"]["target"]["gsd"])
     default = bench.plan()["cut"]["clusters"]
     print("plan                     times  full  half  work %  area %  right %  precision %  error")
 
@@ -113,8 +114,8 @@ class Bench:
             note.write_text(json.dumps(seconds / len(plan["clusters"])))
         return json.loads(note.read_text())
 
-    def fuse(self, plan, sizes, scales=None):
-        """Points of the cloud of the plan's maps, n x 3, of those that were matched above."""
+    def fuse(self, plan, sizes, scales=None, agreeing=1):
+        """Points of the cloud of the plan's maps, n x 3, of those that were matched above; where so many of them agree."""
         folder = self.args.work / "fused"
         self.export(folder, scales)
         rows = {scale: {row["key"]: row for row in json.loads((self.maps(scale) / "report.json").read_text())["clusters"]} for scale in sizes}
@@ -126,11 +127,11 @@ class Bench:
                 shutil.copy(self.maps(cluster["scale"]) / f"depth{cluster['id']:04d}.dmap", folder)
         (folder / "report.json").write_text(json.dumps({"options": [], "clusters": report, "fusion": None}))
         subprocess.run([sys.executable, "run.py", "--stop-at", "0", "--threads", "1"], cwd=folder, env=self.environment, check=True, stdout=subprocess.DEVNULL)
-        return read_cloud(folder / "fused.ply")
+        return read_cloud(folder / "fused.ply", agreeing)
 
 
-def read_cloud(path):
-    """Positions of OpenMVS's fused.ply, whose records end with two lists: views and their weights."""
+def read_cloud(path, agreeing=1):
+    """Positions of OpenMVS's fused.ply where so many maps agree; its records end with two lists: views and their weights."""
     data = path.read_bytes()
     start = data.index(b"end_header\n") + 11
     count = int(re.search(rb"element vertex (\d+)", data[:start])[1])
@@ -139,7 +140,8 @@ def read_cloud(path):
         offsets[i] = at
         at += 29 + 8 * data[at + 27]
     assert at == len(data), "x, y, z, red, green, blue, nx, ny, nz and two lists"
-    records = np.frombuffer(data, np.uint8)[offsets[:, None] + np.arange(12)]
+    data = np.frombuffer(data, np.uint8)
+    records = data[offsets[data[offsets + 27] >= agreeing, None] + np.arange(12)]
     return np.ascontiguousarray(records).view("<f4").astype(float)
 
 

@@ -22,7 +22,7 @@ use viewrank::internals::{
 };
 
 /// All stages, in the order of the plan.
-const ALL: [&str; 5] = ["surface", "candidates", "confidence", "clusters", "ranking"];
+const ALL: [&str; 6] = ["surface", "shown", "candidates", "confidence", "clusters", "ranking"];
 /// Settings that no plan reads, or that name a folder which the tests lack.
 const NO_PART_OF_A_PLAN: [&str; 2] = ["on_target", "images"];
 
@@ -112,7 +112,7 @@ fn what_touches_only_cut_budget_or_region_computes_at_most_the_ranking() {
     assert_eq!(of("ranking.weight = 'area'"), ["ranking"]);
     assert_eq!(of("fulfilment.alpha = 0.3"), ["clusters", "ranking"]);
     assert_eq!(of("partners.k = 3"), ["candidates", "clusters", "ranking"]);
-    assert_eq!(of("target.gsd = 0.2"), ["surface", "confidence", "clusters", "ranking"]);
+    assert_eq!(of("target.gsd = 0.2"), ["surface", "shown", "confidence", "clusters", "ranking"]);
 }
 
 /// For each setting another value than its default, with what it needs to be in force.
@@ -190,7 +190,7 @@ fn another_mesh_is_another_surface() {
     for from in [0, 5] {
         fs::write(folder.path().join("mesh.ply"), triangles(from)).unwrap();
         let plan = plan(folder.path(), &mesh);
-        assert_eq!(computed(&plan), ["surface", "confidence", "clusters", "ranking"], "from {from}");
+        assert_eq!(computed(&plan), ["surface", "shown", "confidence", "clusters", "ranking"], "from {from}");
         write(&plan, folder.path());
     }
 }

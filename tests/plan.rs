@@ -392,6 +392,38 @@ fn each_key_view_has_one_of_two_sizes_and_budgets_count_work() {
 }
 
 #[test]
+fn work_that_is_left_when_each_view_has_its_map_makes_maps_larger() {
+    let folder = project();
+    let planned = |options: &[&str]| {
+        plan(folder.path(), &[&["--backend", "sgm", "-k", "3", "--scales", "1,0.5"], options].concat());
+        manifest(folder.path())
+    };
+    let chosen = |manifest: &Value| -> std::collections::BTreeMap<String, f64> {
+        let clusters = manifest["clusters"].as_array().unwrap();
+        let chosen = &clusters[..manifest["cut"]["clusters"].as_u64().unwrap() as usize];
+        chosen.iter().map(|c| (c["key"].as_str().unwrap().into(), c["scale"].as_f64().unwrap())).collect()
+    };
+    let number = |manifest: &Value, part: &str, name: &str| manifest[part][name].as_f64().unwrap();
+    let plans = ["75%", "85%", "95%"].map(|budget| planned(&["--target", "100%", "--budget", budget]));
+    for (shorter, longer) in plans.iter().zip(&plans[1..]) {
+        let (less, more) = (chosen(shorter), chosen(longer));
+        assert_eq!(less.keys().collect::<Vec<_>>(), more.keys().collect::<Vec<_>>());
+        assert!(less.iter().all(|(key, scale)| more[key] >= *scale));
+        assert!(number(longer, "cut", "share") > number(shorter, "cut", "share"));
+    }
+    for (manifest, budget) in plans.iter().zip([0.75, 0.85, 0.95]) {
+        let work = number(manifest, "forecast", "work");
+        let largest = 1.0 / number(manifest, "forecast", "all_maps");
+        assert!(work <= budget && work > budget - 2.0 * largest, "{work} of {budget}");
+    }
+    let all = planned(&["--target", "100%"]);
+    assert_eq!(number(&all, "cut", "share"), 1.0);
+    let part = planned(&["--target", "97%"]);
+    let share = number(&part, "cut", "share");
+    assert!((0.97..0.99).contains(&share) && chosen(&part).values().any(|&scale| scale == 0.5), "{share}");
+}
+
+#[test]
 fn a_backend_that_matches_all_at_one_size_says_so() {
     let folder = project();
     plan(folder.path(), &["--backend", "mve", "--scales", "1,0.5"]);

@@ -14,7 +14,7 @@ use crate::{
     method::{
         geometry::Geometry,
         target::Target,
-        visibility::{self, Visibility},
+        visibility::{self, Shown, Visibility},
     },
 };
 use crate::{
@@ -138,7 +138,7 @@ impl Town {
         let points = scene.view_points();
         let visibility =
             visibility::estimate(&scene, &points, &surface, &settings, self.edge, keep, &NoWatcher).unwrap();
-        let target = Target::new(&scene, &surface, &visibility, wanted, gsd, 1.0);
+        let target = Target::new(&Shown::new(&scene, &surface, &visibility), wanted, gsd, 1.0);
         SeenTown { scene, surface, visibility, target }
     }
 

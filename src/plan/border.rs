@@ -3,7 +3,7 @@
 use nalgebra::{Matrix3, Point2, Point3, SymmetricEigen, Vector3};
 use rayon::prelude::*;
 
-use crate::method::{surface::Surface, visibility::Visibility};
+use crate::method::surface::Surface;
 
 /// Width of the border over that of the site.
 const BORDER: f64 = 0.1;
@@ -16,12 +16,12 @@ const FEW: f64 = 0.5;
 /// Largest number of samples along an edge.
 const SAMPLES: usize = 200;
 
-/// True for triangles that are within a tenth of the site's width of its outline, along the principal plane, and that few views see.
-pub(super) fn border(surface: &Surface, visibility: &Visibility, weights: &[f64]) -> Vec<bool> {
+/// True for triangles that are within a tenth of the site's width of its outline, along the principal plane, and that few views see. `views`: number that sees
+/// each triangle.
+pub(super) fn border(surface: &Surface, views: &[u32], weights: &[f64]) -> Vec<bool> {
     let triangles = surface.triangles.len() as u32;
-    let mut views = vec![0u32; weights.len()];
-    visibility.triangles.by_parts().for_each(|&t| views[t as usize] += 1);
-    let typical = quantile((0..weights.len()).map(|t| (f64::from(views[t]), weights[t])), 0.5);
+    let mut counts: Vec<_> = views.iter().copied().map(f64::from).zip(weights.iter().copied()).collect();
+    let typical = quantile(&mut counts, 0.5);
     let Some(site) = Site::new(surface, weights) else { return vec![false; weights.len()] };
     let is_border = |t: u32| f64::from(views[t as usize]) < FEW * typical && site.is_near_outline(&surface.centroid(t));
     (0..triangles).into_par_iter().map(is_border).collect()
@@ -45,8 +45,8 @@ impl Site {
         let centroids: Vec<Point3<f64>> = triangles.clone().map(|t| surface.centroid(t)).collect();
         let axes = principal_axes(&centroids, weights);
         let range = |axis: &Vector3<f64>| {
-            let along = || centroids.iter().zip(weights).map(|(c, &w)| (c.coords.dot(axis), w));
-            [quantile(along(), BEYOND), quantile(along(), 1.0 - BEYOND)]
+            let mut along: Vec<_> = centroids.iter().zip(weights).map(|(c, &w)| (c.coords.dot(axis), w)).collect();
+            [BEYOND, 1.0 - BEYOND].map(|share| quantile(&mut along, share))
         };
         let ranges = [range(&axes[0]), range(&axes[1])];
         let extents = ranges.map(|[low, high]| high - low);
@@ -153,20 +153,25 @@ fn principal_axes(points: &[Point3<f64>], weights: &[f64]) -> [Vector3<f64>; 2] 
 }
 
 /// Returns the weighted quantile: the smallest value up to which the weight reaches `share`; 0 without values.
-fn quantile(values: impl Iterator<Item = (f64, f64)>, share: f64) -> f64 {
-    let mut values: Vec<(f64, f64)> = values.collect();
-    values.par_sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.total_cmp(&b.1)));
-    let wanted = share * values.iter().map(|(_, weight)| weight).sum::<f64>();
-    let mut sum = 0.0;
-    let found = values.iter().find(|(_, weight)| {
-        sum += weight;
-        sum >= wanted
-    });
-    found.or(values.last()).map_or(0.0, |(value, _)| *value)
+fn quantile(values: &mut [(f64, f64)], share: f64) -> f64 {
+    let weight = |values: &[(f64, f64)]| values.iter().map(|(_, weight)| weight).sum::<f64>();
+    let mut wanted = share * weight(values);
+    let mut left = values;
+    while left.len() > 1 {
+        let middle = (left.len() - 1) / 2;
+        let order = |a: &(f64, f64), b: &(f64, f64)| a.0.total_cmp(&b.0).then(a.1.total_cmp(&b.1));
+        left.select_nth_unstable_by(middle, order);
+        let (low, high) = left.split_at_mut(middle + 1);
+        let below = weight(low);
+        (left, wanted) = if below >= wanted { (low, wanted) } else { (high, wanted - below) };
+    }
+    left.first().map_or(0.0, |(value, _)| *value)
 }
 
 #[cfg(test)]
 mod tests {
+    use proptest::{collection::vec, prelude::*};
+
     use super::*;
     use crate::method::surface::SurfaceKind;
 
@@ -200,8 +205,26 @@ mod tests {
 
     #[test]
     fn quantiles_go_by_weight() {
-        let values = [(3.0, 1.0), (1.0, 8.0), (2.0, 1.0)];
-        assert_eq!([0.5, 0.85, 1.0].map(|share| quantile(values.into_iter(), share)), [1.0, 2.0, 3.0]);
-        assert_eq!(quantile(std::iter::empty(), 0.5), 0.0);
+        let mut values = [(3.0, 1.0), (1.0, 8.0), (2.0, 1.0)];
+        assert_eq!([0.5, 0.85, 1.0].map(|share| quantile(&mut values, share)), [1.0, 2.0, 3.0]);
+        assert_eq!(quantile(&mut [], 0.5), 0.0);
+    }
+
+    proptest! {
+        #[test]
+        fn a_quantile_is_the_first_value_in_order_that_reaches_the_share(
+            values in vec((0u8..9, 0u8..4).prop_map(|(value, weight)| (f64::from(value), f64::from(weight))), 1..30),
+            share in (0u8..=8).prop_map(|eighths| f64::from(eighths) / 8.0),
+        ) {
+            let mut sorted = values.clone();
+            sorted.sort_by(|a, b| a.partial_cmp(b).unwrap());
+            let wanted = share * sorted.iter().map(|(_, weight)| weight).sum::<f64>();
+            let mut sum = 0.0;
+            let first = sorted.iter().find(|(_, weight)| {
+                sum += weight;
+                sum >= wanted
+            });
+            prop_assert_eq!(quantile(&mut values.clone(), share), first.unwrap().0);
+        }
     }
 }

@@ -55,7 +55,7 @@ fn rank_and_cut(
     let finished = FinishedMaps { clusters: order.len(), ..finished };
     let ranking = match &stages.known_ranking {
         Some(known) if order.is_empty() => known.clone(),
-        _ => ranking::rank_after(order, &stages.maps(), &stages.objective, watcher)?,
+        _ => rank(stages, &finished, order, watcher)?,
     };
     let bound = |length| ranking::most_of_any(length, &stages.maps(), &stages.objective, &ranking);
     let cut = cut::cut(&stages.settings.cut, &cost(stages, &stages.model(), &ranking, &finished), bound)?;
@@ -73,12 +73,28 @@ fn rank_and_cut(
     Ok(decision)
 }
 
+/// Ranks the clusters; if there is a choice of sizes, and the settings allow more work than a map of each view takes, some have full size instead.
+fn rank(
+    stages: &Stages,
+    finished: &FinishedMaps,
+    order: &[(u32, MapScale)],
+    watcher: &dyn Watcher,
+) -> Result<Ranking, PlanError> {
+    let (maps, objective) = (stages.maps(), &stages.objective);
+    let ranking = ranking::rank_after(order, &maps, objective, watcher)?;
+    match cut::enlarge(&stages.settings.cut, &cost(stages, &stages.model(), &ranking, finished)) {
+        Some(chosen) => Ok(ranking::rank_after(order, &maps.only(&chosen), objective, watcher)?),
+        None => Ok(ranking),
+    }
+}
+
 /// Derives forecast, reasons and warnings from a given ranking and cut.
 pub fn decide_as(stages: &Stages, finished: FinishedMaps, ranking: Ranking, cut: Cut) -> Result<Decision, PlanError> {
     let model = stages.model();
     let forecast = forecast::forecast(&cost(stages, &model, &ranking, &finished), cut.clusters);
     let all_reasons = reasons::Reasons {
         model: &model,
+        viewers: &stages.shown.views,
         candidates: &stages.candidates,
         missing_images: &stages.missing_images,
         clusters: &stages.clusters,

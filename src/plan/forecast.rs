@@ -10,10 +10,11 @@ use crate::{
     config::ForecastSettings,
     method::{
         fulfilment::{
-            self, Model,
+            Model,
             block::{Block, BlockSlots},
         },
         ranking::Ranking,
+        visibility,
     },
     model::cluster::{MapScale, ViewCluster},
 };
@@ -78,11 +79,19 @@ impl Cost<'_> {
 
     /// Seconds of matching; 0 for a finished cluster, `None` where the times are unset.
     pub fn seconds(&self, rank: usize) -> Option<f64> {
-        let (cluster, scale) = (self.ranking.order[rank] as usize, self.ranking.scales[rank]);
-        let [full, half] = self.stages.work[cluster];
-        let size = if scale == MapScale::Half { half / full } else { 1.0 };
-        let one = self.seconds_of(1, self.cluster(rank).partners.len()).map(|seconds| seconds * size);
+        let one = self.seconds_at(rank, self.ranking.scales[rank]);
         if rank < self.finished { one.map(|_| 0.0) } else { one }
+    }
+
+    /// Additional seconds of a half-size map at full size.
+    pub fn seconds_of_enlarging(&self, rank: usize) -> Option<f64> {
+        Some(self.seconds_at(rank, MapScale::Full)? - self.seconds_at(rank, MapScale::Half)?)
+    }
+
+    fn seconds_at(&self, rank: usize, scale: MapScale) -> Option<f64> {
+        let [full, half] = self.stages.work[self.ranking.order[rank] as usize];
+        let size = if scale == MapScale::Half { half / full } else { 1.0 };
+        self.seconds_of(1, self.cluster(rank).partners.len()).map(|seconds| seconds * size)
     }
 
     fn seconds_of(&self, maps: usize, pairs: usize) -> Option<f64> {
@@ -94,6 +103,13 @@ impl Cost<'_> {
     /// Work of a map over that of all clusters at full size, finished or not.
     pub fn work(&self, rank: usize) -> f64 {
         self.stages.share_of_work(self.ranking.order[rank], self.ranking.scales[rank])
+    }
+
+    /// Additional work of a half-size map at full size.
+    pub fn work_of_enlarging(&self, rank: usize) -> f64 {
+        let [full, half] =
+            [MapScale::Full, MapScale::Half].map(|scale| self.stages.share_of_work(self.ranking.order[rank], scale));
+        full - half
     }
 
     /// Pixels that the depth map will measure.
@@ -142,7 +158,7 @@ fn expected_pixels(model: &Model, cluster: &ViewCluster, slots: &mut BlockSlots)
     let chances = Block::new(model, cluster.key, &cluster.partners, |_| false, slots).chances(&partners);
     let pixels = |(&triangle, chance): (&u32, f32)| {
         let corners = model.surface.corners(triangle).map(|corner| pose.camera_from_world(&corner));
-        if chance > 0.0 { f64::from(chance) * fulfilment::projected_area(camera, &corners) } else { 0.0 }
+        if chance > 0.0 { f64::from(chance) * visibility::projected_area(camera, &corners) } else { 0.0 }
     };
     let reduced = model.rule.image_scale.powi(2);
     reduced * model.visibility.triangles_seen_by(cluster.key).iter().zip(chances).map(pixels).sum::<f64>()

@@ -26,7 +26,7 @@ impl GivenUp {
         let at_cut: Vec<(f32, f32)> = triangles.clone().map(|t| (reached.agreed(t), reached.best(t))).collect();
         ranking.maps().skip(clusters).for_each(|(cluster, scale)| reached.take(maps.row_at(cluster, scale)));
         maps.release();
-        let border = border(&stages.surface, &stages.visibility, &objective.weights);
+        let border = border(&stages.surface, &stages.shown.views, &objective.weights);
         let mut given_up = Self::default();
         for t in triangles {
             let (at, weight) = (t as usize, objective.weights[t as usize]);

@@ -39,6 +39,8 @@ const DUPLICATE: f64 = 0.9;
 /// Inputs of the reasons.
 pub(super) struct Reasons<'a> {
     pub model: &'a Model<'a>,
+    /// Number of views that see each triangle.
+    pub viewers: &'a [u32],
     pub candidates: &'a Candidates,
     pub missing_images: &'a [ViewIndex],
     pub clusters: &'a [ViewCluster],
@@ -133,10 +135,8 @@ impl Reasons<'_> {
         for (&t, &f) in self.fulfilment.triangles.by_parts().zip(self.fulfilment.values.by_parts()) {
             best[t as usize] = best[t as usize].max(f);
         }
-        let mut viewers = vec![0u32; triangles];
-        self.model.visibility.triangles.by_parts().for_each(|&t| viewers[t as usize] += 1);
         let is_fulfilled = |t: usize| f64::from(best[t]) >= FULFILLED;
-        let has_few_cameras = |t: usize| viewers[t] < self.model.rule.min_cameras;
+        let has_few_cameras = |t: usize| self.viewers[t] < self.model.rule.min_cameras;
         let nearest = self.nearest_to_success(|t| !is_fulfilled(t) && !has_few_cameras(t));
         let reason = |t: usize| match nearest[t] {
             _ if is_fulfilled(t) => None,

@@ -16,11 +16,11 @@ use crate::{
         fulfilment::{self, FulfilmentRule, FulfilmentTable, Model},
         geometry::Geometry,
         partners::{self, Candidates, Limits, PairGeometry},
-        ranking::{Maps, Objective, Ranking, SeenPixels},
+        ranking::{Maps, Objective, Ranking},
         region::{Region, RegionShape},
         surface::{self, MeshFile, Surface, SurfaceError, SurfaceStats, WantedGsd},
         target::{GSD_MARGIN, Target},
-        visibility::{self, Visibility},
+        visibility::{self, Shown, Visibility},
     },
     model::{
         cluster::{MapScale, Reach, ViewCluster},
@@ -44,6 +44,7 @@ pub struct Stages {
     pub surface: Surface,
     pub surface_stats: SurfaceStats,
     pub visibility: Visibility,
+    pub shown: Shown,
     /// Unary confidence of each row of `visibility`.
     pub unary: Unary,
     /// Agreement of the pictures of candidate pairs, if confidence is photometric.
@@ -112,12 +113,16 @@ impl Stages {
         });
         let ((surface_slot, seen), (candidates_slot, candidates)) = (seen?, candidates?);
         memory.before_partners(&scene, &seen.surface, &seen.visibility)?;
-        let pixels = || SeenPixels::new(&scene, &seen.surface, &seen.visibility).sums().collect();
-        let (region, target) = timings.time(Stage::Visibility, || {
-            let region = shape.map(|shape| shape.lay_over(&seen.surface, pixels, watcher)).transpose()?;
-            let target = target(&scene, &seen, region.as_ref(), &settings);
-            Ok::<_, PlanError>((region, target))
+        let (shown_slot, shown) =
+            timings.time(Stage::Visibility, || shown(inputs.shown(&surface_slot.file), &scene, &seen))?;
+        let region = timings.time(Stage::Visibility, || {
+            shape.map(|shape| shape.lay_over(&seen.surface, &shown.pixels, watcher)).transpose()
         })?;
+        let target = Target::new(&shown, &settings.target, seen.gsd, settings.image_scale());
+        let target = match &region {
+            Some(region) => target.with_wishes(region),
+            None => target,
+        };
         seen.visibility.triangles.release();
         platform::return_freed_memory();
         let confidence = Confidence::new(source, &settings.confidence, &numbers.confidence, &numbers.photometric);
@@ -130,8 +135,7 @@ impl Stages {
             image_scale: settings.image_scale(),
         };
         let support = settings.ranking.support.unwrap_or(matcher.numbers.support);
-        let objective = timings
-            .time(Stage::Visibility, || Objective::new(&geometry, settings.ranking.weight, region.as_ref(), support));
+        let objective = Objective::new(&seen.surface, &shown, settings.ranking.weight, region.as_ref(), support);
         let pictures = Pictures::new(project);
         let unary_file = inputs.unary(&scene, &surface_slot.file, confidence, &pictures);
         let (unary_slot, (unary, mut picture_warnings)) = timings
@@ -152,12 +156,13 @@ impl Stages {
         let per_map = numbers.work;
         let work: Vec<_> =
             clusters.iter().map(|cluster| work(&scene, settings.image_scale(), per_map, cluster)).collect();
-        let ranking_file = inputs.ranking(&clusters_slot.file, &objective, &work);
+        let ranking_file = inputs.ranking(&settings, &clusters_slot.file, &objective, &work);
         let (ranking, known_ranking) =
             kept::read(ranking_file, |(), bytes| kept::ranking::unpack(bytes, clusters.len()));
         watcher.check()?;
         let kept = Kept {
             surface: surface_slot,
+            shown: shown_slot,
             candidates: candidates_slot,
             unary: unary_slot,
             clusters: clusters_slot,
@@ -176,6 +181,7 @@ impl Stages {
             surface: seen.surface,
             surface_stats: seen.stats,
             visibility: seen.visibility,
+            shown,
             memory,
             settings,
             scene,
@@ -445,13 +451,10 @@ fn visible_surface(
     })
 }
 
-fn target(scene: &Scene, seen: &VisibleSurface, region: Option<&Region>, settings: &Settings) -> Target {
-    let target =
-        Target::new(scene, &seen.surface, &seen.visibility, &settings.target, seen.gsd, settings.image_scale());
-    match region {
-        Some(region) => target.with_wishes(region),
-        None => target,
-    }
+/// Returns what the views show of each triangle.
+fn shown(file: CacheFile, scene: &Scene, seen: &VisibleSurface) -> Result<(Slot, Shown), PlanError> {
+    let unpack = |(), bytes: &[u8]| kept::shown::unpack(bytes, seen.surface.triangles.len());
+    kept::read_or(file, unpack, || Ok(Shown::new(scene, &seen.surface, &seen.visibility)))
 }
 
 /// Reads the region of the settings, before the surface is built.

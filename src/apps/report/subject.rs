@@ -4,10 +4,7 @@ use nalgebra::Point3;
 
 use crate::{
     base::progress::NoWatcher,
-    method::{
-        ranking::SeenPixels,
-        region::{Region, RegionShape},
-    },
+    method::region::{Region, RegionShape},
     model::georeference::MapFrame,
     plan::Plan,
 };
@@ -57,8 +54,7 @@ fn densest(plan: &Plan) -> Option<Region> {
     if stages.region.is_some() {
         return None;
     }
-    let pixels = || SeenPixels::new(&stages.scene, &stages.surface, &stages.visibility).sums().collect();
-    RegionShape::Auto.lay_over(&stages.surface, pixels, &NoWatcher).ok()
+    RegionShape::Auto.lay_over(&stages.surface, &stages.shown.pixels, &NoWatcher).ok()
 }
 
 /// Returns the range of values that holds all weight except the tails, with a margin.

@@ -8,7 +8,7 @@ mod by_triangle;
 mod half_size;
 mod lanes;
 
-use nalgebra::{Matrix3, Point3, Vector2};
+use nalgebra::Matrix3;
 
 use self::block::{Block, BlockSlots};
 pub(crate) use self::by_triangle::ByTriangle;
@@ -22,10 +22,9 @@ use crate::{
     method::{
         confidence::{Agreement, Confidence, Constellation, PairAgreement, Unary},
         surface::Surface,
-        visibility::Visibility,
+        visibility::{self, Visibility},
     },
     model::{
-        camera::{Camera, CameraModel},
         cluster::{MapScale, ViewCluster},
         scene::{Scene, ViewIndex},
     },
@@ -248,33 +247,9 @@ fn density(model: &Model, key: ViewIndex, triangle: u32) -> f64 {
     let (camera, pose) = (model.scene.camera_of(key), &model.scene.view(key).cam_from_world);
     let corners = model.surface.corners(triangle).map(|v| pose.camera_from_world(&v));
     let normal = (corners[1] - corners[0]).cross(&(corners[2] - corners[0]));
-    let projected = projected_area(camera, &corners);
+    let projected = visibility::projected_area(camera, &corners);
     let density = 2.0 * projected / normal.norm() * model.rule.image_scale.powi(2);
     if density.is_finite() { density } else { 0.0 }
-}
-
-/// Returns the area of the projected triangle, square pixels of the model's image; corners in camera coordinates. If one does not
-/// project, the projection is linearised at the centroid.
-pub(crate) fn projected_area(camera: &Camera, corners: &[Point3<f64>; 3]) -> f64 {
-    let pixels = corners.each_ref().map(|p| camera.project(p));
-    let edges = match pixels {
-        [Some(a), Some(b), Some(c)] => [b - a, c - a].map(|edge| unwrapped(camera, edge)),
-        _ => {
-            let [a, b, c] = corners.each_ref().map(|p| p.coords);
-            let Some((_, jacobian)) = camera.project_with_jacobian(&((a + b + c) / 3.0).into()) else { return 0.0 };
-            [jacobian * (b - a), jacobian * (c - a)]
-        }
-    };
-    0.5 * edges[0].perp(&edges[1]).abs()
-}
-
-/// Unwraps an edge that crosses the seam of an equirectangular image.
-fn unwrapped(camera: &Camera, edge: Vector2<f64>) -> Vector2<f64> {
-    if camera.model() != CameraModel::Equirectangular {
-        return edge;
-    }
-    let around = camera.pinhole_part().0.x * std::f64::consts::TAU;
-    Vector2::new(edge.x - around * (edge.x / around).round(), edge.y)
 }
 
 /// Returns J^T J / sigma_px^2 of method 3.3 at the centroid, in the world frame, per squared scene unit.

@@ -1,6 +1,6 @@
 //! The definition of f against what it stands for: finite differences, Monte Carlo runs, special cases.
 
-use nalgebra::{DMatrix, DVector, Vector3};
+use nalgebra::{DMatrix, DVector, Point3, Vector2, Vector3};
 use rand_core::{Rng, SeedableRng};
 use rand_pcg::Pcg64;
 
@@ -11,8 +11,12 @@ use crate::{
     method::{
         confidence::{Agreement, Confidence, PairAgreement, PairConfidence, Photometric},
         synthetic::{SeenTown, Town},
+        visibility::Shown,
     },
-    model::cluster::ViewCluster,
+    model::{
+        camera::{Camera, CameraModel},
+        cluster::ViewCluster,
+    },
 };
 
 /// A town with its table and everything that f needs.
@@ -78,7 +82,7 @@ fn a_view_that_has_a_triangle_behind_it_has_no_say_in_its_target() {
     let Setting { scene, surface, visibility, .. } = &setting;
     let settings = TargetSettings { mode: TargetMode::Best, ..TargetSettings::default() };
     let of_the_whole = 123.0;
-    let target = Target::new(scene, surface, visibility, &settings, of_the_whole, 1.0);
+    let target = Target::new(&Shown::new(scene, surface, visibility), &settings, of_the_whole, 1.0);
     let seen_by = |view: ViewIndex| visibility.triangles_seen_by(view);
     let others: std::collections::BTreeSet<u32> =
         scene.view_indices().filter(|view| *view != turned).flat_map(|view| seen_by(view).iter().copied()).collect();
@@ -225,7 +229,8 @@ fn the_best_target_is_reached_by_the_nearest_view() {
     let triangle = seen.min_by(|a, b| nearest(a).total_cmp(&nearest(b))).unwrap();
     assert_eq!(value(&setting.model(Confidence::None), key, &[], triangle).resolution, 1.0);
     let typed = TargetSettings { gsd: Some(0.02), accuracy: Some(0.03), ..Default::default() };
-    let target = Target::new(&setting.scene, &setting.surface, &setting.visibility, &typed, 0.02, 1.0);
+    let shown = Shown::new(&setting.scene, &setting.surface, &setting.visibility);
+    let target = Target::new(&shown, &typed, 0.02, 1.0);
     assert_eq!((target.mode, target.gsd[0]), (TargetMode::Absolute, 0.02));
     assert!((target.accuracy(0) - 0.03).abs() < 1e-8);
 }
@@ -314,19 +319,6 @@ fn a_pair_counts_by_what_its_pictures_show() {
     assert!(matches!(setting.agreement.of_pair(partners[0], key), PairAgreement::NoPicture));
     assert!(matches!(of_pair(partners[1]), PairAgreement::NoCandidate));
     assert!(matches!(of_pair(partners[3]), PairAgreement::Compared(values) if values.len() == seen.len()));
-}
-
-/// 80 px around, an edge of 4 px over the seam.
-#[test]
-fn a_triangle_on_the_seam_of_a_panorama_has_the_pixels_of_one_elsewhere() {
-    let camera = Camera::new(1, CameraModel::Equirectangular, 80, 40, vec![80.0, 40.0]).unwrap();
-    let at = |degrees: f64, y: f64| {
-        let angle = degrees.to_radians();
-        Point3::new(10.0 * angle.sin(), y, 10.0 * angle.cos())
-    };
-    let across =
-        |middle: f64| projected_area(&camera, &[at(middle - 9.0, 0.0), at(middle + 9.0, 0.0), at(middle, 1.0)]);
-    assert!(across(0.0) > 1.0 && (across(180.0) - across(0.0)).abs() < 1e-9, "{} {}", across(180.0), across(0.0));
 }
 
 #[test]

@@ -1,7 +1,7 @@
 //! Upper bound on the best set of clusters, and so on the loss of a ranking.
 
 use super::{Maps, Objective, Ranking, Reached, SINGLE_MAP_CREDIT};
-use crate::{base::column, model::cluster::MapScale};
+use crate::base::column;
 
 /// Number of subgradient steps; more hardly lower the bound.
 const ROUNDS: usize = 20;
@@ -14,11 +14,7 @@ const PATIENCE: usize = 3;
 /// the price of triangles that the best maps at these prices cover more often than needed, and lowers the others.
 pub fn most_of_any(length: usize, maps: &Maps, objective: &Objective, ranking: &Ranking) -> f64 {
     let all: Vec<u32> = (0..maps.len()).collect();
-    let index = |(cluster, scale)| match scale {
-        MapScale::Half if maps.has_half() => cluster + maps.clusters(),
-        _ => cluster,
-    };
-    let order: Vec<u32> = ranking.maps().map(index).collect();
+    let order: Vec<u32> = ranking.maps().map(|(cluster, scale)| maps.index(cluster, scale)).collect();
     let work_of = |maps_taken: &[u32]| maps_taken.iter().map(|&map| maps.work(map)).sum::<f64>();
     let mut reached = Reached::new(objective);
     let (first, others) = order.split_at(length.min(order.len()));

@@ -10,6 +10,8 @@ const WHOLE: f64 = 1e6;
 pub struct Maps<'a> {
     full: &'a FulfilmentTable,
     half: Option<Half<'a>>,
+    /// The maps to choose from; `None`: all.
+    only: Option<&'a [(u32, MapScale)]>,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -22,15 +24,29 @@ struct Half<'a> {
 impl<'a> Maps<'a> {
     /// Builds candidates of full size, all of equal work.
     pub fn full_size(full: &'a FulfilmentTable) -> Self {
-        Self { full, half: None }
+        Self { full, half: None, only: None }
     }
 
     /// Builds candidates of both sizes. `work`: that of each cluster's map at full and at half size, in any unit, above 0.
     pub fn two_sizes(full: &'a FulfilmentTable, half: &'a FulfilmentTable, work: &'a [[f64; 2]]) -> Self {
-        Self { full, half: Some(Half { table: half, work }) }
+        Self { full, half: Some(Half { table: half, work }), only: None }
     }
 
-    pub(super) fn has_half(&self) -> bool {
+    /// Leaves only these to choose from.
+    pub fn only(self, chosen: &'a [(u32, MapScale)]) -> Self {
+        Self { only: Some(chosen), ..self }
+    }
+
+    /// Returns the maps to choose from.
+    pub(super) fn candidates(&self) -> Vec<u32> {
+        match self.only {
+            Some(chosen) => chosen.iter().map(|&(cluster, scale)| self.index(cluster, scale)).collect(),
+            None => (0..self.len()).collect(),
+        }
+    }
+
+    /// Returns true if the maps of a cluster differ by size.
+    pub fn has_half(&self) -> bool {
         self.half.is_some()
     }
 
@@ -48,6 +64,13 @@ impl<'a> Maps<'a> {
 
     pub(super) fn scale(&self, map: u32) -> MapScale {
         if map < self.clusters() { MapScale::Full } else { MapScale::Half }
+    }
+
+    pub(super) fn index(&self, cluster: u32, scale: MapScale) -> u32 {
+        match scale {
+            MapScale::Half if self.has_half() => cluster + self.clusters(),
+            _ => cluster,
+        }
     }
 
     /// Returns the triangles of a map with their f.
@@ -74,7 +97,13 @@ impl<'a> Maps<'a> {
 
     /// Returns the cost as an integer, at least 1.
     pub(super) fn whole_work(&self, map: u32) -> u64 {
-        ((self.work(map) * WHOLE) as u64).max(1)
+        whole(self.work(map))
+    }
+
+    /// Returns the additional cost of a cluster's map at full size as an integer, at least 1.
+    pub(super) fn extra_work(&self, cluster: u32) -> u64 {
+        let work = |scale| self.work(self.index(cluster, scale));
+        whole(work(MapScale::Full) - work(MapScale::Half))
     }
 
     /// Returns the storage (memory or disk) of tables derived from these.
@@ -89,4 +118,8 @@ impl<'a> Maps<'a> {
             half.table.release();
         }
     }
+}
+
+fn whole(work: f64) -> u64 {
+    ((work * WHOLE) as u64).max(1)
 }

@@ -5,6 +5,7 @@
 
 mod belief;
 mod bound;
+mod enlarge;
 mod maps;
 mod objective;
 mod reached;
@@ -14,8 +15,9 @@ pub(crate) use self::reached::Reached;
 pub use self::{
     belief::{Attempt, Beliefs},
     bound::most_of_any,
+    enlarge::enlarge,
     maps::Maps,
-    objective::{Objective, SINGLE_MAP_CREDIT, SeenPixels},
+    objective::{Objective, SINGLE_MAP_CREDIT},
 };
 use crate::{
     base::{
@@ -84,8 +86,7 @@ pub fn rank_after(
     let mut ranking = Ranking::default();
     for &(cluster, scale) in finished {
         watcher.check()?;
-        // Finished maps are measured: their row does not depend on the size.
-        greedy.take(cluster, scale, &mut ranking);
+        greedy.take(maps.index(cluster, scale), scale, &mut ranking);
     }
     let total = greedy.left.iter().filter(|&&map| greedy.gains[map as usize] > 0).count() as u64;
     watcher.progress(Stage::Ranking, 0, total);
@@ -136,7 +137,7 @@ struct Greedy<'a> {
     maps: &'a Maps<'a>,
     by_triangle: ByTriangle,
     reached: Reached<'a>,
-    /// Maps of clusters that are not chosen yet.
+    /// Maps to choose from, of clusters that are not chosen yet.
     left: Vec<u32>,
     /// Gain, by map.
     gains: Vec<i64>,
@@ -146,18 +147,18 @@ struct Greedy<'a> {
 
 impl<'a> Greedy<'a> {
     fn new(maps: &'a Maps, objective: &'a Objective) -> Result<Self, DiskError> {
-        let left: Vec<u32> = (0..maps.len()).collect();
+        let all: Vec<u32> = (0..maps.len()).collect();
         let by_triangle = ByTriangle::of_rows(
             &|map| maps.row(map),
             &|| maps.release(),
             maps.storage(),
-            &left,
+            &all,
             objective.weights.len(),
         )?;
         let reached = Reached::new(objective);
         let gain = |&map: &u32| reached.whole_gain(maps.row(map));
-        let gains = column::read_by_parts(&left, gain, || maps.release());
-        Ok(Self { maps, by_triangle, left, alone: gains.clone(), gains, reached })
+        let gains = column::read_by_parts(&all, gain, || maps.release());
+        Ok(Self { maps, by_triangle, left: maps.candidates(), alone: gains.clone(), gains, reached })
     }
 
     /// Returns the map with the largest gain per work, if any gains.

@@ -1,14 +1,8 @@
 //! The objective (methods 5.1, 5.2 and 5.7): weights of triangles, and the worth of the depth maps that see them.
 
-use std::sync::atomic::{AtomicU64, Ordering};
-
 use crate::{
-    base::column,
     config::TriangleWeight,
-    method::{
-        fulfilment::projected_area, geometry::Geometry, region::Region, surface::Surface, visibility::Visibility,
-    },
-    model::scene::{Scene, ViewIndex},
+    method::{region::Region, surface::Surface, visibility::Shown},
 };
 
 /// Worth of a single map at a triangle where the backend's fusion needs several (e of method 5.2). With 0.1, plans have maps that no other map
@@ -29,14 +23,18 @@ pub struct Objective {
 
 impl Objective {
     /// Weights the triangles by the given rule, times the factors of the region. `support`: m; 0 counts as 1.
-    pub fn new(geometry: &Geometry, weight: TriangleWeight, region: Option<&Region>, support: u32) -> Self {
-        let triangles = 0..geometry.surface.triangles.len() as u32;
+    pub fn new(
+        surface: &Surface,
+        shown: &Shown,
+        weight: TriangleWeight,
+        region: Option<&Region>,
+        support: u32,
+    ) -> Self {
+        let triangles = 0..surface.triangles.len();
         let raw: Vec<f64> = match weight {
             TriangleWeight::Count => triangles.map(|_| 1.0).collect(),
-            TriangleWeight::Area => return Self::by_area(geometry.surface, region, support),
-            TriangleWeight::Pixels => {
-                SeenPixels::new(geometry.scene, geometry.surface, geometry.visibility).means().collect()
-            }
+            TriangleWeight::Area => return Self::by_area(surface, region, support),
+            TriangleWeight::Pixels => triangles.map(|t| shown.mean_pixels(t)).collect(),
         };
         Self::inside(raw, region, support)
     }
@@ -81,41 +79,6 @@ impl Objective {
             m => SINGLE_MAP_CREDIT / f64::from(m - 1),
         };
         1.0 - (-2.0 * credit / (1.0 + credit)).exp()
-    }
-}
-
-/// Number of pixels of each triangle in the model's images, over the views that see it.
-pub struct SeenPixels(Vec<[AtomicU64; 2]>);
-
-/// Pixels are added as integer multiples of 1 / `PARTS`: the sum does not depend on the order in which threads add them.
-const PARTS: f64 = 65_536.0;
-
-impl SeenPixels {
-    pub fn new(scene: &Scene, surface: &Surface, visibility: &Visibility) -> Self {
-        let seen: Vec<[AtomicU64; 2]> = surface.triangles.iter().map(|_| Default::default()).collect();
-        let add = |&view: &ViewIndex| {
-            let (camera, pose) = (scene.camera_of(view), &scene.view(view).cam_from_world);
-            for &t in visibility.triangles_seen_by(view) {
-                let pixels = projected_area(camera, &surface.corners(t).map(|corner| pose.camera_from_world(&corner)));
-                let [sum, views] = &seen[t as usize];
-                sum.fetch_add((pixels.min(1e9) * PARTS) as u64, Ordering::Relaxed);
-                views.fetch_add(1, Ordering::Relaxed);
-            }
-        };
-        column::read_by_parts(&visibility.views(), add, || visibility.triangles.release());
-        Self(seen)
-    }
-
-    /// Returns the sum over the views.
-    pub fn sums(self) -> impl Iterator<Item = f64> {
-        self.0.into_iter().map(|[sum, _]| sum.into_inner() as f64 / PARTS)
-    }
-
-    /// Returns the mean over the views that see the triangle; 0 if no view does.
-    ///
-    /// A sum would favour the middle of a flight, where most views overlap.
-    fn means(self) -> impl Iterator<Item = f64> {
-        self.0.into_iter().map(|[sum, views]| sum.into_inner() as f64 / PARTS / views.into_inner().max(1) as f64)
     }
 }
 

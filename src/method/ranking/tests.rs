@@ -214,6 +214,52 @@ proptest! {
     }
 
     #[test]
+    fn half_size_maps_are_enlarged_by_what_that_adds_for_its_work(
+        (full, half, work) in two_sizes(), support in 1u32..4, finished in 0usize..3, most in 0usize..6
+    ) {
+        let (full, half, objective) = (FulfilmentTable::new(&full), FulfilmentTable::new(&half), even(TRIANGLES, support));
+        let maps = Maps::two_sizes(&full, &half, &work);
+        let ranking = rank_after(&[], &maps, &objective, &NoWatcher).unwrap();
+        let finished = finished.min(ranking.order.len());
+        let value = |chosen: &[(u32, MapScale)]| {
+            let mut reached = Reached::new(&objective);
+            chosen.iter().for_each(|&(cluster, scale)| reached.take(maps.row_at(cluster, scale)));
+            (reached.fulfilment(), reached.kept_weight())
+        };
+        let mut chosen: Vec<_> = ranking.maps().collect();
+        let mut asked = Vec::new();
+        let takes = |rank: usize, kept: f64| {
+            asked.push((rank, kept));
+            asked.len() <= most
+        };
+        let enlarged = enlarge(&ranking, finished, &maps, &objective, takes);
+        prop_assert!(asked.iter().all(|&(rank, _)| rank >= finished && ranking.scales[rank] == MapScale::Half));
+        for &(rank, kept) in asked.iter().take(most) {
+            let before = value(&chosen);
+            prop_assert_eq!(kept, before.1);
+            let per_work = |rank: usize| {
+                let mut with = chosen.clone();
+                with[rank].1 = MapScale::Full;
+                let [full, half] = work[ranking.order[rank] as usize];
+                (value(&with).0 - before.0) / (full - half)
+            };
+            let left = (finished..chosen.len()).filter(|&other| chosen[other].1 == MapScale::Half);
+            let best = left.map(per_work).fold(0.0, f64::max);
+            prop_assert!(per_work(rank) > 0.0);
+            // Where fusion wants several maps, a gain may also rise unseen.
+            prop_assert!(support > 1 || per_work(rank) >= best - 1e-12);
+            chosen[rank].1 = MapScale::Full;
+        }
+        match &enlarged {
+            Some(enlarged) => prop_assert_eq!(enlarged, &chosen),
+            None => prop_assert!(most == 0 || asked.is_empty()),
+        }
+        let again = rank_after(&chosen[..finished], &maps.only(&chosen), &objective, &NoWatcher).unwrap();
+        prop_assert!(again.maps().all(|map| chosen.contains(&map)));
+        prop_assert!((total(&again) - value(&chosen).0).abs() < 1e-12);
+    }
+
+    #[test]
     fn no_maps_of_two_sizes_exceed_the_bound_for_their_work((full, half, work) in two_sizes(), support in 1u32..3) {
         prop_assume!(full.len() <= 6);
         let objective = even(TRIANGLES, support);

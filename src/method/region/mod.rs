@@ -130,16 +130,11 @@ impl RegionShape {
         }
     }
 
-    /// Projects the region onto a surface. `pixels`: number per triangle, over all views; called for `auto` only.
+    /// Projects the region onto a surface. `pixels`: number per triangle, over all views; for `auto` only.
     ///
     /// # Errors
     /// No part of the surface counts; cancellation.
-    pub fn lay_over(
-        self,
-        surface: &Surface,
-        pixels: impl FnOnce() -> Vec<f64>,
-        watcher: &dyn Watcher,
-    ) -> Result<Region, RegionError> {
+    pub fn lay_over(self, surface: &Surface, pixels: &[f64], watcher: &dyn Watcher) -> Result<Region, RegionError> {
         let whole = bounds(surface, |_| true);
         match self {
             Self::Areas(areas) => {
@@ -159,7 +154,7 @@ impl RegionShape {
             }
             Self::Box(corners) => boxed(RegionKind::Box, corners, surface, watcher),
             Self::Auto => {
-                let corners = densest::densest(surface, &pixels()).unwrap_or(whole);
+                let corners = densest::densest(surface, pixels).unwrap_or(whole);
                 boxed(RegionKind::Auto, corners, surface, watcher)
             }
         }

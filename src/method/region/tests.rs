@@ -7,9 +7,14 @@ use serde_json::{Value, json};
 use super::*;
 use crate::{
     base::{column::Storage, progress::NoWatcher},
-    config::{TargetSettings, TriangleWeight, VisibilitySettings},
+    config::{TriangleWeight, VisibilitySettings},
     io::ply::{self, Mesh},
-    method::{geometry::Geometry, ranking::Objective, synthetic::Town, target::Target, visibility},
+    method::{
+        ranking::Objective,
+        synthetic::Town,
+        target::Target,
+        visibility::{self, Shown},
+    },
     model::{
         camera::{Camera, CameraModel},
         georeference::Geodetic,
@@ -44,7 +49,7 @@ impl Site {
 
     fn on(&self, choice: &RegionChoice, place: &Georeference) -> Result<Region, RegionError> {
         let shape = RegionShape::read(choice, place, &MapFrame::new(&self.scene, None))?;
-        shape.lay_over(&self.surface, || vec![1.0; self.surface.triangles.len()], &NoWatcher)
+        shape.lay_over(&self.surface, &vec![1.0; self.surface.triangles.len()], &NoWatcher)
     }
 
     fn with_file(&self, contents: &[u8], place: &Georeference) -> Result<Region, RegionError> {
@@ -157,18 +162,11 @@ fn a_region_of_everything_is_no_region() {
     let points = site.scene.view_points();
     let visibility =
         visibility::estimate(&site.scene, &points, &site.surface, &settings, 2.0, Storage::Memory, &NoWatcher).unwrap();
-    let target = Target::new(&site.scene, &site.surface, &visibility, &TargetSettings::default(), 0.05, 1.0);
-    let geometry = Geometry {
-        scene: &site.scene,
-        surface: &site.surface,
-        visibility: &visibility,
-        target: &target,
-        image_scale: 1.0,
-    };
+    let shown = Shown::new(&site.scene, &site.surface, &visibility);
     let everything = site.on(&RegionChoice::Box([-1e3, -1e3, -1e3, 1e3, 1e3, 1e3]), &Georeference::Local).unwrap();
     let half = site.on(&RegionChoice::Box([0.0, -1e3, -1e3, 1e3, 1e3, 1e3]), &Georeference::Local).unwrap();
     for weight in [TriangleWeight::Pixels, TriangleWeight::Area, TriangleWeight::Count] {
-        let objective = |region| Objective::new(&geometry, weight, region, 2);
+        let objective = |region| Objective::new(&site.surface, &shown, weight, region, 2);
         assert_eq!(objective(Some(&everything)), objective(None));
         let of_half = objective(Some(&half));
         assert!((of_half.inside - 0.5).abs() < 0.03, "{}", of_half.inside);

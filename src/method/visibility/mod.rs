@@ -7,12 +7,15 @@
 
 mod buffer;
 mod patches;
+mod shown;
 
 use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
 
 use bytemuck::Pod;
 use nalgebra::{Point3, Vector3};
 
+pub use self::shown::Shown;
+pub(crate) use self::shown::{gsd_at, projected_area};
 use self::{
     buffer::{Buffer, Face, FacePoint, Tolerance},
     patches::{Patch, Patches},

@@ -90,6 +90,12 @@ impl<'a> Inputs<'a> {
         CacheFile::new(self.home, "viewrank/cache/confidence.table", inputs())
     }
 
+    /// What the views show of the surface.
+    pub fn shown(&self, surface: &CacheFile) -> CacheFile {
+        let inputs = || Some(self.of_results(&[surface.inputs()?]));
+        CacheFile::new(self.home, "viewrank/cache/shown.table", inputs())
+    }
+
     /// The clusters and their fulfilment, made from the results in `from`.
     pub fn clusters(
         &self,
@@ -115,10 +121,18 @@ impl<'a> Inputs<'a> {
     }
 
     /// The ranking without finished depth maps.
-    pub fn ranking(&self, clusters: &CacheFile, objective: &Objective, work: &[[f64; 2]]) -> CacheFile {
+    pub fn ranking(
+        &self,
+        settings: &Settings,
+        clusters: &CacheFile,
+        objective: &Objective,
+        work: &[[f64; 2]],
+    ) -> CacheFile {
         let inputs = || {
             let mut hasher = self.of_results(&[clusters.inputs()?]);
-            add(&mut hasher, &objective.support);
+            // The cut decides on sizes.
+            let limits = settings.ranking.has_half().then_some((&settings.cut, &settings.forecast));
+            add(&mut hasher, &(objective.support, limits));
             Some(add_parts(hasher, &[bytemuck::cast_slice(&objective.weights), bytemuck::cast_slice(work)]))
         };
         CacheFile::new(self.home, "viewrank/cache/ranking.table", inputs())

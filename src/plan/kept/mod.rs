@@ -8,6 +8,7 @@ pub(super) mod candidates;
 pub(super) mod clusters;
 mod inputs;
 pub(super) mod ranking;
+pub(super) mod shown;
 mod surface;
 pub(super) mod unary;
 
@@ -26,6 +27,7 @@ use crate::{
 #[derive(Clone, Debug)]
 pub struct Kept {
     pub(super) surface: Slot,
+    pub(super) shown: Slot,
     pub(super) candidates: Slot,
     pub(super) unary: Slot,
     pub(super) clusters: Slot,
@@ -92,6 +94,7 @@ impl Plan {
         }
         [
             kept.surface.set(|| surface::pack(stages)),
+            kept.shown.set(|| Some(((), shown::pack(&stages.shown)))),
             kept.candidates.set(|| Some(((), candidates::pack(&stages.candidates)))),
             kept.unary.set(|| unary::pack(stages)),
             kept.clusters.set(|| Some(((), clusters::pack(stages)?))),

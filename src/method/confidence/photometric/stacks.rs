@@ -7,7 +7,7 @@ use nalgebra::{Point3, Vector3};
 use super::{super::image::Mask, grey::Grey};
 use crate::{
     base::column,
-    method::{geometry::Geometry, target::gsd_at},
+    method::{geometry::Geometry, visibility::gsd_at},
     model::scene::ViewIndex,
 };
 
