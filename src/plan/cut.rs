@@ -68,7 +68,7 @@ pub(super) fn enlarge(settings: &CutSettings, cost: &Cost) -> Option<Vec<(u32, M
 }
 
 /// Cuts at the shortest prefix that the settings allow, but not before the end of the finished clusters.
-pub(super) fn cut(settings: &CutSettings, cost: &Cost, bound: impl Fn(usize) -> f64) -> Result<Cut, PlanError> {
+pub(super) fn cut(settings: &CutSettings, cost: &Cost) -> Result<Cut, PlanError> {
     let ranking = cost.ranking;
     let mut clusters = ranking.order.len();
     clusters = match settings.budget {
@@ -97,7 +97,6 @@ pub(super) fn cut(settings: &CutSettings, cost: &Cost, bound: impl Fn(usize) -> 
         kept: clusters.checked_sub(1).map_or(0.0, |last| ranking.kept[last]),
         reachable: ranking.reachable,
         fulfilment: clusters.checked_sub(1).map_or(0.0, |last| ranking.fulfilment[last]),
-        fulfilment_bound: bound(clusters),
         ..Cut::default()
     })
 }

@@ -57,11 +57,14 @@ fn rank_and_cut(
         Some(known) if order.is_empty() => known.clone(),
         _ => rank(stages, &finished, order, watcher)?,
     };
-    let bound = |length| ranking::most_of_any(length, &stages.maps(), &stages.objective, &ranking);
-    let cut = cut::cut(&stages.settings.cut, &cost(stages, &stages.model(), &ranking, &finished), bound)?;
-    let (reachable_band, given_up) =
-        rayon::join(|| Band::of_reachable(stages, &ranking), || GivenUp::new(stages, &ranking, cut.clusters));
+    let cut = cut::cut(&stages.settings.cut, &cost(stages, &stages.model(), &ranking, &finished))?;
+    // Band and what is given up take the clusters in their order, on one thread each.
+    let (fulfilment_bound, (reachable_band, given_up)) = rayon::join(
+        || ranking::most_of_any(cut.clusters, &stages.maps(), &stages.objective, &ranking),
+        || rayon::join(|| Band::of_reachable(stages, &ranking), || GivenUp::new(stages, &ranking, cut.clusters)),
+    );
     let cut = Cut {
+        fulfilment_bound,
         share_band: Band::of_share(stages, cut.share, cut.reachable, &reachable_band),
         reachable_band,
         pairs_beyond_gate: pairs_beyond_gate(stages, &ranking.order[..cut.clusters]),
@@ -91,7 +94,6 @@ fn rank(
 /// Derives forecast, reasons and warnings from a given ranking and cut.
 pub fn decide_as(stages: &Stages, finished: FinishedMaps, ranking: Ranking, cut: Cut) -> Result<Decision, PlanError> {
     let model = stages.model();
-    let forecast = forecast::forecast(&cost(stages, &model, &ranking, &finished), cut.clusters);
     let all_reasons = reasons::Reasons {
         model: &model,
         viewers: &stages.shown.views,
@@ -103,9 +105,13 @@ pub fn decide_as(stages: &Stages, finished: FinishedMaps, ranking: Ranking, cut:
     };
     let by_area = Objective::by_area(&stages.surface, stages.region.as_ref(), stages.objective.support);
     // The one takes the clusters in their order, on one thread.
-    let (area_shares, (views, triangle_reasons)) = rayon::join(
+    let (area_shares, (forecast, views, triangle_reasons)) = rayon::join(
         || ranking::shares_by(&by_area, &ranking, &stages.maps()),
-        || (all_reasons.views(&ranking.order[..cut.clusters], &stages.settings.partners), all_reasons.triangles()),
+        || {
+            let forecast = forecast::forecast(&cost(stages, &model, &ranking, &finished), cut.clusters);
+            let views = all_reasons.views(&ranking.order[..cut.clusters], &stages.settings.partners);
+            (forecast, views, all_reasons.triangles())
+        },
     );
     let views = views?;
     let warnings = warnings::warnings(stages, &ranking, &cut, &finished);
