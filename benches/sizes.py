@@ -1,10 +1,11 @@
 #!/usr/bin/env python3
 """Compares plans with key views at two sizes (method 5.8) with plans at one, by the clouds that OpenMVS fuses.
 
-    benches/sizes.py PROJECT WORK_FOLDER [--image-scale 0.5] [--worth 0.2 0.4 0.6 0.8 1] [--densify DensifyPointCloud] [--viewrank viewrank]
+    benches/sizes.py PROJECT WORK_FOLDER [--image-scale 0.5] [--worth 0.6] [--openmvs FOLDER] [--viewrank viewrank]
 
 Matches all key views at full and at half size once (CPU seconds of each are printed), then fuses, for half, one and one and a half times the
-work of the default plan: the plan at full size, mixed plans, the whole plan at half size, and every n-th view at full size. The reference is the cloud of all maps at full
+work of the default plan: the plan at full size, mixed plans, the whole plan at half size, and every n-th view at full size; and once what OpenMVS makes
+by itself of all images at half size, with its own partners, passes and fusion. The reference is the cloud of all maps at full
 size, without points that fewer than three of them agree on:
 
     area       share of its cells of 2 g_d with a point within 2 g_d
@@ -13,7 +14,7 @@ size, without points that fewer than three of them agree on:
     error      median of those offsets, in g_d
     work       CPU seconds of the maps over those of all maps at full size
 
-Needs numpy and scipy. Runs resume: maps that are there are kept.
+Needs numpy and scipy. Runs resume: maps that are there are kept. WORK_FOLDER/rows.json is for sizes_curves.py.
 """
 
 import argparse
@@ -37,8 +38,8 @@ def main():
     parser.add_argument("project", type=Path, help="COLMAP project with images/ and sparse/")
     parser.add_argument("work", type=Path, help="folder for maps and clouds")
     parser.add_argument("--image-scale", type=float, default=0.5)
-    parser.add_argument("--worth", type=float, nargs="*", default=[0.2, 0.4, 0.6, 0.8, 1.0])
-    parser.add_argument("--densify", default=os.environ.get("DENSIFY", "DensifyPointCloud"))
+    parser.add_argument("--worth", type=float, nargs="*", default=[0.6])
+    parser.add_argument("--openmvs", type=Path, default=Path(os.environ.get("OPENMVS_BIN", ".")), help="folder of its programs")
     parser.add_argument("--viewrank", default="viewrank")
     bench = Bench(parser.parse_args())
     every = bench.plan("--budget", "100%", "--target", "100%")
@@ -49,13 +50,19 @@ def main():
     default = bench.plan()["cut"]["clusters"]
     print("plan                     times  full  half  work %  area %  right %  precision %  error")
 
+    rows = []
+
+    def show(name, times, maps, work, scores):
+        rows.append({"plan": name, "times": times, "maps": maps, "work": work, **dict(zip(("area", "right", "precision", "error"), scores))})
+        area, right, precision, error = scores
+        print(f"{name:24} {times:5}  {maps[0]:4}  {maps[1]:4}  {work:6.1f}  {area:6.1f}  {right:7.1f}  {precision:11.1f}  {error:5.3f}", flush=True)
+
     def row(name, times, plan, scales=None):
         chosen = plan["clusters"][: plan["cut"]["clusters"]]
         sizes = [scales or cluster["scale"] for cluster in chosen]
         full, half = sizes.count(1.0), sizes.count(0.5)
         work = 100 * (full * cost[1.0] + half * cost[0.5]) / (maps * cost[1.0])
-        area, right, precision, error = reference.score(bench.fuse(plan, {1.0, 0.5}, scales))
-        print(f"{name:24} {times:5}  {full:4}  {half:4}  {work:6.1f}  {area:6.1f}  {right:7.1f}  {precision:11.1f}  {error:5.3f}", flush=True)
+        show(name, times, (full, half), work, reference.score(bench.fuse(plan, {1.0, 0.5}, scales)))
 
     for times in TIMES:
         at_full = max(2, round(default * times))
@@ -69,12 +76,15 @@ def main():
         keys = {names[i * maps // at_full] for i in range(at_full)}
         whole = bench.plan("--budget", "100%", "--target", "100%")
         row("every n-th", times, {**whole, "clusters": [cluster for cluster in whole["clusters"] if cluster["key"] in keys]})
+    seconds, cloud = bench.plain()
+    show("OpenMVS alone, half size", "", (0, maps), 100 * seconds / (maps * cost[1.0]), reference.score(cloud))
+    (bench.args.work / "rows.json").write_text(json.dumps(rows, indent=1))
 
 
 class Bench:
     def __init__(self, args):
         self.args = args
-        self.environment = dict(os.environ, DENSIFY=str(args.densify))
+        self.programs = args.openmvs.resolve()
         self.project = args.work / "project"
         if not self.project.exists():
             self.project.mkdir(parents=True)
@@ -109,10 +119,33 @@ class Bench:
             if not folder.exists():
                 self.export(folder, scale)
             before = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime
-            subprocess.run([sys.executable, "run.py", "--no-fusion", "--threads", "1"], cwd=folder, env=self.environment, check=False, stdout=subprocess.DEVNULL)
+            self.run(folder, "--no-fusion", check=False)
             seconds = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime - before
             note.write_text(json.dumps(seconds / len(plan["clusters"])))
         return json.loads(note.read_text())
+
+    def run(self, folder, *options, check=True):
+        command = [sys.executable, "run.py", *options, "--threads", "1", "--densify", self.programs / "DensifyPointCloud"]
+        subprocess.run(command, cwd=folder, check=check, stdout=subprocess.DEVNULL)
+
+    def plain(self):
+        """CPU seconds and the cloud of OpenMVS alone on all images at half size."""
+        folder = self.args.work / "plain"
+        note = folder / "seconds.json"
+        if not note.exists():
+            shutil.rmtree(folder, ignore_errors=True)
+            (folder / "colmap").mkdir(parents=True)
+            model = next((self.project / "sparse").rglob("cameras.*")).parent
+            (folder / "colmap/sparse").symlink_to(model.resolve())
+            (folder / "images").symlink_to((self.project / "images").resolve())
+            own = {"cwd": folder, "check": True, "stdout": subprocess.DEVNULL}
+            subprocess.run([self.programs / "InterfaceCOLMAP", "-i", "colmap", "-o", "scene.mvs", "--image-folder", "images/"], **own)
+            level = round(-np.log2(self.args.image_scale / 2))
+            sizes = ["--resolution-level", str(level), "--min-resolution", "0", "--max-resolution", "100000", "--max-threads", "1"]
+            before = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime
+            subprocess.run([self.programs / "DensifyPointCloud", "scene.mvs", *sizes], **own)
+            note.write_text(json.dumps(resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime - before))
+        return json.loads(note.read_text()), read_cloud(folder / "scene_dense.ply")
 
     def fuse(self, plan, sizes, scales=None, agreeing=1):
         """Points of the cloud of the plan's maps, n x 3, of those that were matched above; where so many of them agree."""
@@ -126,7 +159,7 @@ class Bench:
                 report.append({**row, "rank": cluster["rank"]})
                 shutil.copy(self.maps(cluster["scale"]) / f"depth{cluster['id']:04d}.dmap", folder)
         (folder / "report.json").write_text(json.dumps({"options": [], "clusters": report, "fusion": None}))
-        subprocess.run([sys.executable, "run.py", "--stop-at", "0", "--threads", "1"], cwd=folder, env=self.environment, check=True, stdout=subprocess.DEVNULL)
+        self.run(folder, "--stop-at", "0")
         return read_cloud(folder / "fused.ply", agreeing)
 
 
