@@ -1,9 +1,10 @@
 #!/usr/bin/env python3
 """Compares the forecast of the fused area (`area` of the manifest's clusters) with what OpenMVS fuses of the first key views.
 
-    benches/fused.py PROJECT WORK_FOLDER [--image-scale 0.5] [--densify DensifyPointCloud] [--viewrank viewrank]
+    benches/fused.py PROJECT WORK_FOLDER [--image-scale 0.5] [--openmvs FOLDER] [--viewrank viewrank]
 
-Matches all key views once, then fuses the shortest prefixes of the plan with a share of 10, 20 ... 90 %. The reference is the cloud of all maps:
+Matches all key views once, then fuses the shortest prefixes of the plan with a forecast area of 20, 30 ... 90 %. The reference is the cloud of all
+maps, whole, and where at least three of them agree:
 
     share      forecast by the pixels that show it, %
     area       forecast by area, %
@@ -26,20 +27,23 @@ def main():
     parser.add_argument("project", type=Path, help="COLMAP project with images/ and sparse/")
     parser.add_argument("work", type=Path, help="folder for maps and clouds")
     parser.add_argument("--image-scale", type=float, default=0.5)
-    parser.add_argument("--densify", default=os.environ.get("DENSIFY", "DensifyPointCloud"))
+    parser.add_argument("--openmvs", type=Path, default=Path(os.environ.get("OPENMVS_BIN", ".")), help="folder of its programs")
     parser.add_argument("--viewrank", default="viewrank")
     bench = Bench(parser.parse_args())
     every = bench.plan("--budget", "100%", "--target", "100%")
     bench.match(every, 1.0)
-    reference = Reference(bench.fuse(every, {1.0}), every["settings"]["target"]["gsd"])
-    print("maps  share %  area %  covered 2 g_d %  3 g_d %")
-    lengths = {next(c["rank"] for c in every["clusters"] if c["share"] >= tenth / 10) for tenth in range(1, 10)}
-    for length in sorted(lengths - {1}):
+    gsd = every["settings"]["target"]["gsd"]
+    whole, agreed = [Reference(bench.fuse(every, {1.0}, agreeing=maps), gsd) for maps in (1, 3)]
+    print("maps  share %  area %  covered 2 g_d %  3 g_d %  where three agree 2 g_d %  3 g_d %")
+    lengths = {next(c["rank"] for c in every["clusters"] if c["area"] >= tenth / 10) for tenth in range(2, 10)}
+    for length in sorted(lengths):
         bench.plan("--budget", str(length), "--target", "100%")
-        gsd, last = reference.gsd, every["clusters"][length - 1]
-        near, _ = cKDTree(one_per_cell(bench.fuse(every, {1.0}), gsd / 2)).query(reference.cells, distance_upper_bound=3 * gsd)
-        shares = [last["share"], last["area"], (near <= 2 * gsd).mean(), (near <= 3 * gsd).mean()]
-        print(f"{length:4}  {100 * shares[0]:7.1f}  {100 * shares[1]:6.1f}  {100 * shares[2]:15.1f}  {100 * shares[3]:7.1f}", flush=True)
+        tree, last = cKDTree(one_per_cell(bench.fuse(every, {1.0}), gsd / 2)), every["clusters"][length - 1]
+        shares = [last["share"], last["area"]]
+        for reference in (whole, agreed):
+            near, _ = tree.query(reference.cells, distance_upper_bound=3 * gsd)
+            shares += [(near <= 2 * gsd).mean(), (near <= 3 * gsd).mean()]
+        print(f"{length:4}  " + "  ".join(f"{100 * share:{width}.1f}" for share, width in zip(shares, (7, 6, 15, 7, 25, 7))), flush=True)
 
 
 if __name__ == "__main__":
