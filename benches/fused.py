@@ -8,9 +8,9 @@ maps, whole, and where at least three of them agree:
 
     share      forecast by the pixels that show it, %
     area       forecast by area, %
-    covered    share of the cells of 2 g_d of the reference with a point within 2 and within 3 g_d, %
+    covered    cells of the reference (benches/sizes.py) with a point within 3 g_d, by number, which is about by pixels, and by area, %
 
-Needs numpy and scipy, and resumes as benches/sizes.py does, whose folder of maps it shares.
+Needs numpy, scipy and pycolmap, and resumes as benches/sizes.py does, whose folder of maps it shares.
 """
 
 import argparse
@@ -32,18 +32,15 @@ def main():
     bench = Bench(parser.parse_args())
     every = bench.plan("--budget", "100%", "--target", "100%")
     bench.match(every, 1.0)
-    gsd = every["settings"]["target"]["gsd"]
-    whole, agreed = [Reference(bench.fuse(every, {1.0}, agreeing=maps), gsd) for maps in (1, 3)]
-    print("maps  share %  area %  covered 2 g_d %  3 g_d %  where three agree 2 g_d %  3 g_d %")
+    references = [Reference(bench.fuse(every, {1.0}, agreeing=maps), bench) for maps in (1, 3)]
+    print("maps  share %  area %  covered %  by area %  where three agree %  by area %")
     lengths = {next(c["rank"] for c in every["clusters"] if c["area"] >= tenth / 10) for tenth in range(2, 10)}
     for length in sorted(lengths):
         bench.plan("--budget", str(length), "--target", "100%")
-        tree, last = cKDTree(one_per_cell(bench.fuse(every, {1.0}), gsd / 2)), every["clusters"][length - 1]
-        shares = [last["share"], last["area"]]
-        for reference in (whole, agreed):
-            near, _ = tree.query(reference.cells, distance_upper_bound=3 * gsd)
-            shares += [(near <= 2 * gsd).mean(), (near <= 3 * gsd).mean()]
-        print(f"{length:4}  " + "  ".join(f"{100 * share:{width}.1f}" for share, width in zip(shares, (7, 6, 15, 7, 25, 7))), flush=True)
+        cloud, last = bench.fuse(every, {1.0}), every["clusters"][length - 1]
+        tree = cKDTree(one_per_cell(cloud, references[0].gsd.min() / 2))
+        shares = [100 * last["share"], 100 * last["area"]] + [share for reference in references for share in reference.covered(tree, 3)]
+        print(f"{length:4}  " + "  ".join(f"{share:{width}.1f}" for share, width in zip(shares, (7, 6, 9, 9, 19, 9))), flush=True)
 
 
 if __name__ == "__main__":

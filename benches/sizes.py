@@ -6,15 +6,16 @@
 Matches all key views at full and at half size once (CPU seconds of each are printed), then fuses, for half, one and one and a half times the
 work of the default plan: the plan at full size, mixed plans, the whole plan at half size, and every n-th view at full size; and once what OpenMVS makes
 by itself of all images at half size, with its own partners, passes and fusion. The reference is the cloud of all maps at full
-size, without points that fewer than three of them agree on:
+size, without points that fewer than three of them agree on. It is divided into cells of 2 g_d, where g_d is that of the place (method 3.6): 1.25 times the finest GSD of the
+images in which it lies, in steps of octaves; so cells are about equally many pixels:
 
-    area       share of its cells of 2 g_d with a point within 2 g_d
+    covered    share of its cells with a point within 2 g_d
     right      share of its cells where the median offset of the points from its local plane is at most g_d
     precision  share of the points within 3 g_d of the reference
-    error      median of those offsets, in g_d
+    error      median of those offsets over the cells, in g_d
     work       CPU seconds of the maps over those of all maps at full size
 
-Needs numpy and scipy. Runs resume: maps that are there are kept. WORK_FOLDER/rows.json is for sizes_curves.py.
+Needs numpy, scipy and pycolmap. Runs resume: maps that are there are kept. WORK_FOLDER/rows.json is for sizes_curves.py.
 """
 
 import argparse
@@ -28,6 +29,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pycolmap
 from scipy.spatial import cKDTree
 
 TIMES = (0.5, 1.0, 1.5)
@@ -46,16 +48,16 @@ def main():
     cost = {scale: bench.match(every, scale) for scale in (1.0, 0.5)}
     print(f"CPU seconds per map: {cost[1.0]:.2f} at full, {cost[0.5]:.2f} at half size")
     maps = len(every["clusters"])
-    reference = Reference(bench.fuse(every, {1.0}, agreeing=3), every["settings"]["target"]["gsd"])
+    reference = Reference(bench.fuse(every, {1.0}, agreeing=3), bench)
     default = bench.plan()["cut"]["clusters"]
-    print("plan                     times  full  half  work %  area %  right %  precision %  error")
+    print("plan                     times  full  half  work %  covered %  right %  precision %  error")
 
     rows = []
 
     def show(name, times, maps, work, scores):
-        rows.append({"plan": name, "times": times, "maps": maps, "work": work, **dict(zip(("area", "right", "precision", "error"), scores))})
-        area, right, precision, error = scores
-        print(f"{name:24} {times:5}  {maps[0]:4}  {maps[1]:4}  {work:6.1f}  {area:6.1f}  {right:7.1f}  {precision:11.1f}  {error:5.3f}", flush=True)
+        rows.append({"plan": name, "times": times, "maps": maps, "work": work, **dict(zip(("covered", "right", "precision", "error"), scores))})
+        covered, right, precision, error = scores
+        print(f"{name:24} {times:5}  {maps[0]:4}  {maps[1]:4}  {work:6.1f}  {covered:9.1f}  {right:7.1f}  {precision:11.1f}  {error:5.3f}", flush=True)
 
     def row(name, times, plan, scales=None):
         chosen = plan["clusters"][: plan["cut"]["clusters"]]
@@ -90,6 +92,7 @@ class Bench:
             self.project.mkdir(parents=True)
             shutil.copytree(args.project / "sparse", self.project / "sparse")
             (self.project / "images").symlink_to((args.project / "images").resolve())
+        self.model = pycolmap.Reconstruction(next((self.project / "sparse").rglob("cameras.*")).parent)
 
     def plan(self, *options, worth=0.6):
         """The manifest of a plan whose export is in the project."""
@@ -147,6 +150,19 @@ class Bench:
             note.write_text(json.dumps(resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime - before))
         return json.loads(note.read_text()), read_cloud(folder / "scene_dense.ply")
 
+    def wanted_gsd(self, points):
+        """g_d at each point: 1.25 times the finest GSD of the images in which it lies, in pixels of the full size; infinite in none."""
+        finest = np.full(len(points), np.inf)
+        for image in self.model.images.values():
+            camera, pose = self.model.cameras[image.camera_id], image.cam_from_world()
+            seen = points @ pose.rotation.matrix().T + pose.translation
+            matrix = camera.calibration_matrix()
+            with np.errstate(all="ignore"):
+                pixels = seen @ matrix.T[:, :2] / seen[:, 2:]
+            inside = (seen[:, 2] > 0) & (pixels >= 0).all(1) & (pixels < [camera.width, camera.height]).all(1)
+            finest = np.where(inside, np.minimum(finest, seen[:, 2] / matrix[0, 0]), finest)
+        return 1.25 * finest / self.args.image_scale
+
     def fuse(self, plan, sizes, scales=None, agreeing=1):
         """Points of the cloud of the plan's maps, n x 3, of those that were matched above; where so many of them agree."""
         folder = self.args.work / "fused"
@@ -184,25 +200,43 @@ def one_per_cell(points, size):
 
 
 class Reference:
-    def __init__(self, points, gsd):
-        self.gsd, self.points = gsd, one_per_cell(points, gsd)
+    """Cells of a cloud, each with its g_d."""
+
+    def __init__(self, points, bench):
+        gsd = bench.wanted_gsd(points)
+        points, gsd = points[np.isfinite(gsd)], gsd[np.isfinite(gsd)]
+        octaves = np.round(np.log2(gsd)).astype(int)
+        levels = [(2.0**octave, points[octaves == octave]) for octave in np.unique(octaves)]
+        thinned = [(size, one_per_cell(part, size)) for size, part in levels]
+        cells = [(size, one_per_cell(part, 2 * size)) for size, part in thinned]
+        self.points, self.points_gsd = joined(thinned)
+        self.cells, self.gsd = joined(cells)
         self.tree = cKDTree(self.points)
-        self.cells = one_per_cell(self.points, 2 * gsd)
         near = self.points[self.tree.query(self.cells, k=12)[1]]
         self.middles = near.mean(1)
         self.normals = np.linalg.svd(near - self.middles[:, None], full_matrices=False)[2][:, 2]
 
+    def covered(self, tree, times):
+        """Cells with a point within so many g_d over all of them, by number and by area, %."""
+        near = tree.query(self.cells)[0] <= times * self.gsd
+        return 100 * near.mean(), 100 * (self.gsd**2)[near].sum() / (self.gsd**2).sum()
+
     def score(self, cloud):
-        """Area, right, precision in per cent, and the error in g_d."""
-        gsd, cloud = self.gsd, one_per_cell(cloud, self.gsd / 2)
+        """Cells covered, cells right, precision in per cent, and the error in g_d."""
+        cloud = one_per_cell(cloud, self.gsd.min() / 2)
         tree = cKDTree(cloud)
-        area = (tree.query(self.cells, distance_upper_bound=2 * gsd)[0] <= 2 * gsd).mean()
         sample = cloud[np.random.default_rng(0).permutation(len(cloud))[:200_000]]
-        precision = (self.tree.query(sample, distance_upper_bound=3 * gsd)[0] <= 3 * gsd).mean()
-        around = tree.query_ball_point(self.cells, 2 * gsd)
+        distance, nearest = self.tree.query(sample)
+        precision = 100 * (distance <= 3 * self.points_gsd[nearest]).mean()
+        around = tree.query_ball_point(self.cells, 2 * self.gsd)
         offset = lambda i, near: abs(np.median((cloud[near] - self.middles[i]) @ self.normals[i])) if near else np.inf  # noqa: E731
-        offsets = np.array([offset(i, near) for i, near in enumerate(around)])
-        return 100 * area, 100 * (offsets <= gsd).mean(), 100 * precision, np.median(offsets[np.isfinite(offsets)]) / gsd
+        offsets = np.array([offset(i, near) for i, near in enumerate(around)]) / self.gsd
+        return self.covered(tree, 2)[0], 100 * (offsets <= 1).mean(), precision, np.median(offsets[np.isfinite(offsets)])
+
+
+def joined(levels):
+    """Points of all levels, and the size of each one's level."""
+    return np.concatenate([points for _, points in levels]), np.concatenate([np.full(len(points), size) for size, points in levels])
 
 
 if __name__ == "__main__":

@@ -136,7 +136,7 @@ fn changes(folder: &Path) -> BTreeMap<&'static str, String> {
         | confidence.full_angle = 30.0 | confidence.agree = 0.7 | confidence.differ = 0.3 | confidence.full_agreement = 0.5 \
         | confidence.min_matches = 2 | ranking.support = 3 | ranking.weight = 'count' | ranking.keep_px = 3.0 \
         | ranking.scales = [1.0, 0.5] | ranking.half_worth = 0.1; ranking.scales = [1.0, 0.5] | cut.budget = '3' \
-        | cut.target = '50%' | cut.time = '1h'; forecast.seconds_per_pair = 2.0 | cut.points = '1M' \
+        | cut.target = '50%'; ranking.scales = [1.0, 0.5] | cut.time = '1h'; forecast.seconds_per_pair = 2.0 | cut.points = '1M' \
         | forecast.seconds_per_pair = 2.0 | forecast.seconds_per_map = 2.0 | forecast.points_per_map = 2.0 \
         | frame.origin = [50.0, 20.0, 100.0] | frame.utm = '33N' | frame.offset = [1.0, 2.0]; frame.utm = '33N' \
         | frame.gps = false";

@@ -64,7 +64,7 @@ impl Planned {
         for &cluster in &self.plan.decision.ranking.order[ranks] {
             let key = self.plan.stages.clusters[cluster as usize].key;
             let depths = depths(&self.plan, key, &keep);
-            write_map(&self.maps().join(format!("{}.npy", self.plan.stages.scene.name(key))), depths);
+            write_map(&self.maps().join(format!("{}.npy", self.plan.stages.scene.name(key))), [400, 300], depths);
         }
     }
 
@@ -118,13 +118,37 @@ fn depths(plan: &Plan, view: ViewIndex, keep: impl Fn(u32, u32) -> bool) -> Vec<
     front.iter().enumerate().map(depth).collect()
 }
 
-fn write_map(path: &Path, depths: Vec<f32>) {
+fn write_map(path: &Path, [width, height]: [u64; 2], depths: Vec<f32>) {
     let mut bytes = Vec::new();
-    let mut writer =
-        npyz::WriteOptions::new().default_dtype().shape(&[300, 400]).writer(&mut bytes).begin_nd().unwrap();
+    let options = npyz::WriteOptions::new().default_dtype().shape(&[height, width]);
+    let mut writer = options.writer(&mut bytes).begin_nd().unwrap();
     writer.extend(depths).unwrap();
     writer.finish().unwrap();
     fs::write(path, bytes).unwrap();
+}
+
+/// The plan matches all at one size; the maps of another plan had half of it.
+#[test]
+fn finished_maps_at_half_the_size_stay_such_and_are_no_measure_of_what_can_be_reached() {
+    let planned = Planned::new(&town());
+    planned.write_maps(0..3, |_, _| true);
+    let full = planned.again();
+    for key in planned.keys(0..3) {
+        let path = planned.maps().join(format!("{key}.npy"));
+        let map = npyz::NpyFile::new(&*fs::read(&path).unwrap()).unwrap().into_vec::<f32>().unwrap();
+        let half = (0..150 * 200).map(|at| map[2 * (at / 200) * 400 + 2 * (at % 200)]).collect();
+        write_map(&path, [200, 150], half);
+    }
+    let half = planned.again();
+    assert_eq!(half.decision.finished.clusters, 3);
+    let scales = |plan: &Plan| plan.decision.ranking.scales.iter().filter(|&&scale| scale == MapScale::Half).count();
+    assert_eq!((scales(&full), scales(&half)), (0, 3));
+    assert!(half.decision.ranking.scales[..3].iter().all(|&scale| scale == MapScale::Half));
+    let [of_full, of_half] = [&full, &half].map(|plan| &plan.decision.ranking);
+    assert!(of_half.kept[2] < of_full.kept[2], "{} {}", of_half.kept[2], of_full.kept[2]);
+    // What the other views would give is corrected by what was measured, but these three count at full size.
+    assert!(of_half.reachable > 0.98 * planned.plan.decision.ranking.reachable, "{}", of_half.reachable);
+    assert!(of_half.share(of_half.order.len()) < 1.0);
 }
 
 /// The predicted values of a cluster with those of the finished ones replaced, ranked plainly.
@@ -313,7 +337,11 @@ fn maps_whose_views_moved_too_far_are_named_and_the_others_stay() {
     // The outdated maps are still the same files and stay outdated; one made anew is not.
     let anew = with_moved[0];
     let view = planned.plan.stages.scene.find(anew).unwrap();
-    write_map(&planned.maps().join(format!("{anew}.npy")), depths(&planned.plan, view, |column, _| column % 2 == 0));
+    write_map(
+        &planned.maps().join(format!("{anew}.npy")),
+        [400, 300],
+        depths(&planned.plan, view, |column, _| column % 2 == 0),
+    );
     let last = planned.again();
     let named: Vec<&str> = last.decision.finished.outdated.iter().map(|o| o.key.as_str()).collect();
     assert_eq!(named, with_moved[1..]);

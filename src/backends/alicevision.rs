@@ -59,7 +59,7 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     }
     let points = scene.view_points();
     let mut record = ExportRecord::new(&BACKEND, selection, |v| scene.view(v).image_id.to_string());
-    record.not_honoured = vec!["the order of the partners of a key view".into()];
+    record.not_honoured.extend(["the order of the partners of a key view".into()]);
     record.moved(near.origin);
     let mut script = ClusterScript::new(RUNNER_HEAD);
     for (i, cluster) in selection.clusters.iter().enumerate() {

@@ -55,7 +55,7 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     record.made_for = "Metashape 1.6 to 2.x (from its reference; not run)".into();
     record.way = "script, cameras by label".into();
     record.commands = vec!["metashape.sh -r depth_maps.py \"${PSX:?the Metashape project, a .psx file}\"".into()];
-    record.not_honoured = vec!["matching partners (only how many)".into(), "the rank order".into()];
+    record.not_honoured.extend(["matching partners (only how many)".into(), "the rank order".into()]);
     record.note_scale(selection, |_| 1.0 / downscale);
     record.fusion = "buildPointCloud (buildDenseCloud before 2.0)".into();
     files.add_text("export.json", record.to_json());

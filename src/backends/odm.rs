@@ -97,7 +97,7 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     record.runner = Some("run.sh".into());
     let script = format!("#!/bin/sh\nset -eu\ncd \"$(dirname \"$0\")\"\n{}\n", record.commands.join("\n"));
     files.add("run.sh", Contents::Script(script.into_bytes()));
-    record.not_honoured = vec!["the rank order".into(), "partners beyond the fifth (CUDA: eighth)".into()];
+    record.not_honoured.extend(["the rank order".into(), "partners beyond the fifth (CUDA: eighth)".into()]);
     record.note_own_scale(selection);
     record.warnings.extend([
         "ODM must be run the second time without any --rerun, which would delete the scene".into(),

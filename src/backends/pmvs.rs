@@ -67,10 +67,10 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     record.way = "timages, oimages, vis.dat".into();
     // PMVS2 concatenates folder and file names: the slash is required.
     record.commands = vec![format!("pmvs2 ./ {OPTIONS}")];
-    record.not_honoured = vec![
+    record.not_honoured.extend([
         "only the partners: PMVS2 chooses for each patch among all images of the export that share points with its key view".into(),
         "the rank order".into(),
-    ];
+    ]);
     record.note_scale(selection, |_| (-level(selection)).exp2());
     record.fusion = format!("none; models/{OPTIONS}.ply");
     files.add_text("export.json", record.to_json());

@@ -61,11 +61,11 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     record.way = "side files that switch meshing, to lie beside the images before these are added".into();
     files.add("switch.py", Contents::Script(include_bytes!("../../integrations/realityscan/switch.py").to_vec()));
     record.commands = vec![format!("python3 switch.py {}", selection.images_in_commands())];
-    record.not_honoured = vec![
+    record.not_honoured.extend([
         "matching partners".into(),
         "depth maps of key views only: partners take part in meshing as well".into(),
         "the rank order".into(),
-    ];
+    ]);
     record.note_own_scale(selection);
     record.warnings.extend([
         "side files beside the images that hold poses are left as they are, and named: add the two switches to them"

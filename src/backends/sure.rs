@@ -119,10 +119,10 @@ fn record_of(selection: &Selection, names: &[String]) -> ExportRecord {
         ));
         record.commands.push(format!("sure -basepath {folder}"));
     }
-    record.not_honoured = vec![
+    record.not_honoured.extend([
         "partners in a joint project (images.txt, ori.txt, baseImages.txt): no public file names pairs".into(),
         "partners that SURE itself rejects by angle or overlap".into(),
-    ];
+    ]);
     record.warnings.extend([
         "whether the releases of today keep -select and -maxmodels is not publicly documented".into(),
         "pixels that are exactly black count as invalid".into(),

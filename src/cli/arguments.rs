@@ -245,6 +245,11 @@ pub fn project() -> impl TypedValueParser<Value = PathBuf> {
     })
 }
 
+/// Reads one of the sizes that a key view may be matched at.
+pub(super) fn scale(text: &str) -> Result<f64, String> {
+    text.trim().parse().map_err(|_| "a size is 1 or 0.5, as in --scales 1,0.5".into())
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

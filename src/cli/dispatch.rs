@@ -39,7 +39,7 @@ pub struct Arguments {
     /// Backend that computes the depth maps [default: the plan's]
     #[arg(long, value_name = "NAME")]
     backend: Option<String>,
-    /// Take the first N view clusters, or P % of the number of registered views [default: the plan's cut]
+    /// Take the first N view clusters, or P % of the number of registered views (of a plan of two sizes: of the work of all) [default: the plan's cut]
     #[arg(long, value_name = "N|P%")]
     budget: Option<Budget>,
     /// Take the fewest view clusters that reach P % of what all together reach [default: the plan's cut]

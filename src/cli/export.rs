@@ -31,7 +31,7 @@ pub struct Arguments {
     /// Backends to write for [default: the plan's]
     #[arg(long, value_name = "NAME,...", value_delimiter = ',')]
     backend: Vec<String>,
-    /// Take the first N view clusters, or P % of the number of registered views [default: the plan's cut]
+    /// Take the first N view clusters, or P % of the number of registered views (of a plan of two sizes: of the work of all) [default: the plan's cut]
     #[arg(long, value_name = "N|P%")]
     budget: Option<Budget>,
     /// Take the fewest view clusters that reach P % of what all together reach [default: the plan's cut]

@@ -74,9 +74,9 @@ pub struct Arguments {
     #[arg(long, value_name = "L", help_heading = "Target")]
     accuracy: Option<String>,
 
-    /// Sizes that a key view may be matched at, over the size of the images: 1 or 1,0.5; with two, each gets the one
-    /// that adds most for its work [default: 1]
-    #[arg(long, value_name = "S,...", value_delimiter = ',', value_parser = scale, help_heading = "Method")]
+    /// Sizes that a key view may be matched at, over the size of the images: 1 or 1,0.5; with two, each gets one such that the
+    /// plan gives most for its work [default: 1]
+    #[arg(long, value_name = "S,...", value_delimiter = ',', value_parser = super::arguments::scale, help_heading = "Method")]
     scales: Option<Vec<f64>>,
     /// Choice of partners: sampled (the paper) or search [default: search]
     #[arg(long, value_name = "METHOD", value_parser = ["sampled", "search"], help_heading = "Method")]
@@ -328,10 +328,6 @@ fn refuse_other_plan(project: &Project) -> Result<(), Failure> {
             command_path(&manifest)
         ),
     ))
-}
-
-fn scale(text: &str) -> Result<f64, String> {
-    text.trim().parse().map_err(|_| "a size is 1 or 0.5, as in --scales 1,0.5".into())
 }
 
 fn direction(text: &str) -> Result<[f64; 3], String> {

@@ -51,12 +51,15 @@ pub struct Arguments {
     /// Stop at P % of what all view clusters together reach [default: 90%, or the settings']
     #[arg(long, value_name = "P%")]
     target: Option<String>,
-    /// Compute at most N depth maps, or those of P % of the registered views
+    /// Compute at most N depth maps, or those of P % of the registered views (with --scales, of the work of all)
     #[arg(long, value_name = "N|P%")]
     budget: Option<String>,
     /// Matching partners per key view [default: 5]
     #[arg(short, value_name = "N")]
     k: Option<String>,
+    /// Sizes that a key view may be matched at, as in viewrank plan
+    #[arg(long, value_name = "S,...", value_delimiter = ',', value_parser = super::arguments::scale)]
+    scales: Option<Vec<f64>>,
     /// Folder to which the image names of the model are relative [default: where they are found]
     #[arg(long, value_name = "DIR")]
     images: Option<PathBuf>,
@@ -138,6 +141,10 @@ impl Arguments {
             ("--target", target.map(str::to_owned)),
             ("--budget", self.budget.clone()),
             ("-k", self.k.clone()),
+            (
+                "--scales",
+                self.scales.as_ref().map(|scales| scales.iter().map(f64::to_string).collect::<Vec<_>>().join(",")),
+            ),
             ("--images", self.images.as_ref().map(path)),
             ("--program", self.program.as_ref().map(path)),
             ("--threads", self.threads.map(|threads| threads.to_string())),
@@ -159,6 +166,7 @@ impl Arguments {
         typed.set("--target", "cut.target", self.target.clone());
         typed.set("--budget", "cut.budget", self.budget.clone());
         typed.set("-k", "partners.k", k);
+        typed.set("--scales", "ranking.scales", self.scales.clone());
         let images = self
             .images
             .as_ref()

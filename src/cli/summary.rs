@@ -141,7 +141,11 @@ impl<'a> Summary<'a> {
                 let [full, half] =
                     [self.forecast.maps - self.forecast.maps_at_half, self.forecast.maps_at_half].map(grouped);
                 let work = 100.0 * self.forecast.work;
-                format!("Compute {full} depth maps at full and {half} at half size, of {all}: {work:.0} % of the work")
+                let maps = match self.forecast.maps - self.forecast.maps_at_half {
+                    0 => format!("{half} of {all} depth maps, at half size"),
+                    _ => format!("{maps} of {all} depth maps, {full} at full and {half} at half size"),
+                };
+                format!("Compute {maps}, {work:.0} % of the work")
             }
             None => format!("Compute {maps} of {all} depth maps, {pairs} image pairs instead of {all_pairs}"),
         };

@@ -414,7 +414,7 @@ pub struct RankingSettings {
     /// keeps more maps.
     #[schemars(range(min = 0), extend("unit" = "px"))]
     pub keep_px: f64,
-    /// Sizes at which a depth map may be matched, over `image_scale`: [1], or [1, 0.5] to match each key view at the size that adds most for its
+    /// Sizes at which a depth map may be matched, over `image_scale`: [1], or [1, 0.5] to match each key view at the one with which the plan gives most for its
     /// work. For backends that can match key views at different sizes.
     #[schemars(length(min = 1, max = 2))]
     pub scales: Vec<MapScale>,

@@ -187,7 +187,8 @@ impl FollowJob<'_> {
         let written = self.earlier.maps().filter_map(|(key, scale)| Some((in_scene(key)?, scale)));
         let written: Vec<(ViewIndex, MapScale)> = written.collect();
         let list: Vec<ViewIndex> = self.earlier.list().filter_map(in_scene).collect();
-        let target = self.plan.stages.settings.cut.target.map_or(self.plan.decision.cut.share, |share| share.0);
+        let wanted = self.plan.stages.settings.cut.target;
+        let (has_target, target) = (wanted.is_some(), wanted.map_or(self.plan.decision.cut.share, |share| share.0));
         let maps = MapFolder { folder: self.folder, ready: &|path| self.files.contains_key(path) };
         let (plan, run) = replan(self.plan, self.earlier, &maps, watcher)?;
         let order = if self.replan { plan.decision.ranking.maps().collect() } else { listed(&plan, &written) };
@@ -201,7 +202,9 @@ impl FollowJob<'_> {
         let notes = &plan.decision.finished.unreadable;
         let progress = Progress {
             version: 1,
-            target_reached: !finished.is_empty() && forecast.share >= target,
+            // Where only other limits are set, all maps of the list are wanted.
+            target_reached: forecast.share >= target
+                && if has_target { !finished.is_empty() } else { finished.len() >= cut },
             done: finished.len(),
             clusters: cut,
             share: Some(forecast.share),

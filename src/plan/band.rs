@@ -4,9 +4,12 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::Stages;
-use crate::method::{
-    confidence::Confidence,
-    ranking::{Ranking, Reached},
+use crate::{
+    method::{
+        confidence::Confidence,
+        ranking::{Ranking, Reached},
+    },
+    model::cluster::MapScale,
 };
 
 /// Half width of the band of the reachable weight, over the sum of `w f (1 - f)`, which is 0 if each f is certain. With this factor, the measured value
@@ -46,7 +49,7 @@ impl Band {
         }
         let mut reached = Reached::new(&stages.objective);
         let maps = stages.maps();
-        ranking.maps().for_each(|(cluster, scale)| reached.take(maps.row_at(cluster, scale)));
+        (0..maps.clusters()).for_each(|cluster| reached.take(maps.row_at(cluster, MapScale::Full)));
         maps.release();
         let doubt = |(t, weight): (u32, &f64)| {
             let f = f64::from(reached.agreed(t));

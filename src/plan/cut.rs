@@ -6,8 +6,7 @@ use serde::{Deserialize, Serialize};
 use super::{Band, GivenUp, PlanError, forecast::Cost};
 use crate::{
     config::{Budget, CutSettings},
-    method::{fulfilment::block::BlockSlots, ranking},
-    model::cluster::MapScale,
+    method::fulfilment::block::BlockSlots,
 };
 
 /// Default target: a share of what all clusters together reach.
@@ -44,27 +43,6 @@ pub struct Cut {
     pub pairs_beyond_gate: usize,
     #[serde(default)]
     pub given_up: GivenUp,
-}
-
-/// Returns the maps of a ranking of two sizes, some of them at full instead of half size, if all of them together are less than the settings allow
-/// (method 5.8); `None` if there is nothing to change.
-pub(super) fn enlarge(settings: &CutSettings, cost: &Cost) -> Option<Vec<(u32, MapScale)>> {
-    let (ranking, maps) = (cost.ranking, cost.stages.maps());
-    // A number of maps is no limit to their size.
-    if !maps.has_half() || matches!(settings.budget, Some(Budget::Clusters(_))) || settings.points.is_some() {
-        return None;
-    }
-    let all = 0..ranking.order.len();
-    let mut work: f64 = all.clone().map(|rank| cost.work(rank)).sum();
-    let mut seconds: Option<f64> = all.map(|rank| cost.seconds(rank)).sum();
-    let takes = |rank: usize, kept: f64| {
-        work += cost.work_of_enlarging(rank);
-        seconds = seconds.zip(cost.seconds_of_enlarging(rank)).map(|(sum, more)| sum + more);
-        settings.target.is_none_or(|target| kept < target.0 * ranking.reachable)
-            && settings.budget.is_none_or(|budget| matches!(budget, Budget::Views(share) if work <= share.0))
-            && settings.time.zip(seconds).is_none_or(|(time, seconds)| seconds <= time.0)
-    };
-    ranking::enlarge(ranking, cost.finished, &maps, &cost.stages.objective, takes)
 }
 
 /// Cuts at the shortest prefix that the settings allow, but not before the end of the finished clusters.

@@ -1,5 +1,9 @@
 //! Ranks the clusters, cuts the ranking, and derives forecast, reasons and warnings.
 
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use rayon::prelude::*;
+
 use super::{
     Band, Cut, FinishedMaps, Forecast, GivenUp, PlanError, Stages, Timings, ViewStatus, cut, forecast, reasons,
     warnings,
@@ -8,7 +12,7 @@ use crate::{
     base::progress::{Stage, Watcher},
     method::{
         fulfilment::Model,
-        ranking::{self, Objective, Ranking},
+        ranking::{self, Objective, Ranker, Ranking},
     },
     model::{
         cluster::{MapScale, ViewCluster},
@@ -76,18 +80,52 @@ fn rank_and_cut(
     Ok(decision)
 }
 
-/// Ranks the clusters; if there is a choice of sizes, and the settings allow more work than a map of each view takes, some have full size instead.
+/// Ranks the clusters; if there is a choice of sizes, at several prices of work, of which the one counts with which the plan is best at its cut.
 fn rank(
     stages: &Stages,
     finished: &FinishedMaps,
     order: &[(u32, MapScale)],
     watcher: &dyn Watcher,
 ) -> Result<Ranking, PlanError> {
-    let (maps, objective) = (stages.maps(), &stages.objective);
-    let ranking = ranking::rank_after(order, &maps, objective, watcher)?;
-    match cut::enlarge(&stages.settings.cut, &cost(stages, &stages.model(), &ranking, finished)) {
-        Some(chosen) => Ok(ranking::rank_after(order, &maps.only(&chosen), objective, watcher)?),
-        None => Ok(ranking),
+    let maps = stages.maps();
+    let ranker = Ranker::new(&maps, &stages.objective)?;
+    let prices = ranker.prices();
+    if let [price] = prices[..] {
+        return Ok(ranker.rank(order, price, watcher)?);
+    }
+    let ranked = AtomicU64::new(0);
+    watcher.progress(Stage::Ranking, 0, prices.len() as u64);
+    let one = |&price: &f64| {
+        let ranking = ranker.rank(order, price, &Unseen(watcher))?;
+        let worth = worth(stages, &ranking, finished)?;
+        watcher.progress(Stage::Ranking, ranked.fetch_add(1, Ordering::Relaxed) + 1, prices.len() as u64);
+        Ok((worth, ranking))
+    };
+    let rankings: Vec<([f64; 3], Ranking)> = prices.par_iter().map(one).collect::<Result<_, PlanError>>()?;
+    // The first of equals has the lower price.
+    let better = |best: ([f64; 3], Ranking), next: ([f64; 3], Ranking)| if next.0 > best.0 { next } else { best };
+    Ok(rankings.into_iter().reduce(better).map(|(_, ranking)| ranking).unwrap_or_default())
+}
+
+/// What makes a plan better than others, in this order: what fusion keeps up to the target, f_o where there is none, and little work.
+fn worth(stages: &Stages, ranking: &Ranking, finished: &FinishedMaps) -> Result<[f64; 3], PlanError> {
+    let (model, settings) = (stages.model(), &stages.settings.cut);
+    let cost = cost(stages, &model, ranking, finished);
+    let cut = cut::cut(settings, &cost)?;
+    let work: f64 = (0..cut.clusters).map(|rank| cost.work(rank)).sum();
+    let most = settings.target.map_or(0.0, |target| target.0 * ranking.reachable);
+    let fulfilment = if settings.target.is_some_and(|target| target.0 < 1.0) { 0.0 } else { cut.fulfilment };
+    Ok([cut.kept.min(most), fulfilment, -work])
+}
+
+/// Passes on cancellation, but not the progress of one of several rankings.
+struct Unseen<'a>(&'a dyn Watcher);
+
+impl Watcher for Unseen<'_> {
+    fn progress(&self, _: Stage, _: u64, _: u64) {}
+
+    fn cancelled(&self) -> bool {
+        self.0.cancelled()
     }
 }
 

@@ -50,10 +50,13 @@ impl Forecast {
         Some(self.all_seconds? / (self.seconds? + planning))
     }
 
-    /// Seconds per depth map above which planning, `planning` seconds long, saves time; `None` if the plan takes every map.
+    /// Seconds per depth map at full size above which planning, `planning` seconds long, saves time; `None` if the plan takes all of their work.
     pub fn break_even(&self, planning: f64) -> Option<f64> {
-        let saved = self.all_maps.saturating_sub(self.maps);
-        (saved > 0).then(|| planning / saved as f64)
+        let saved = match self.maps_at_half {
+            0 => self.all_maps.saturating_sub(self.maps) as f64,
+            _ => (1.0 - self.work) * self.all_maps as f64,
+        };
+        (saved > 0.0).then(|| planning / saved)
     }
 }
 
@@ -79,19 +82,11 @@ impl Cost<'_> {
 
     /// Seconds of matching; 0 for a finished cluster, `None` where the times are unset.
     pub fn seconds(&self, rank: usize) -> Option<f64> {
-        let one = self.seconds_at(rank, self.ranking.scales[rank]);
-        if rank < self.finished { one.map(|_| 0.0) } else { one }
-    }
-
-    /// Additional seconds of a half-size map at full size.
-    pub fn seconds_of_enlarging(&self, rank: usize) -> Option<f64> {
-        Some(self.seconds_at(rank, MapScale::Full)? - self.seconds_at(rank, MapScale::Half)?)
-    }
-
-    fn seconds_at(&self, rank: usize, scale: MapScale) -> Option<f64> {
-        let [full, half] = self.stages.work[self.ranking.order[rank] as usize];
+        let (cluster, scale) = (self.ranking.order[rank] as usize, self.ranking.scales[rank]);
+        let [full, half] = self.stages.work[cluster];
         let size = if scale == MapScale::Half { half / full } else { 1.0 };
-        self.seconds_of(1, self.cluster(rank).partners.len()).map(|seconds| seconds * size)
+        let one = self.seconds_of(1, self.cluster(rank).partners.len()).map(|seconds| seconds * size);
+        if rank < self.finished { one.map(|_| 0.0) } else { one }
     }
 
     fn seconds_of(&self, maps: usize, pairs: usize) -> Option<f64> {
@@ -103,13 +98,6 @@ impl Cost<'_> {
     /// Work of a map over that of all clusters at full size, finished or not.
     pub fn work(&self, rank: usize) -> f64 {
         self.stages.share_of_work(self.ranking.order[rank], self.ranking.scales[rank])
-    }
-
-    /// Additional work of a half-size map at full size.
-    pub fn work_of_enlarging(&self, rank: usize) -> f64 {
-        let [full, half] =
-            [MapScale::Full, MapScale::Half].map(|scale| self.stages.share_of_work(self.ranking.order[rank], scale));
-        full - half
     }
 
     /// Pixels that the depth map will measure.

@@ -4,7 +4,10 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::{Stages, border::border};
-use crate::method::ranking::{Ranking, Reached};
+use crate::{
+    method::ranking::{Ranking, Reached},
+    model::cluster::MapScale,
+};
 
 /// Weight, over that of the whole surface, that fusion is expected to keep of all clusters, less that of the clusters up to the cut, 0 to 1.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -24,15 +27,25 @@ impl GivenUp {
         let mut reached = Reached::new(objective);
         ranking.maps().take(clusters).for_each(|(cluster, scale)| reached.take(maps.row_at(cluster, scale)));
         let at_cut: Vec<(f32, f32)> = triangles.clone().map(|t| (reached.agreed(t), reached.best(t))).collect();
-        ranking.maps().skip(clusters).for_each(|(cluster, scale)| reached.take(maps.row_at(cluster, scale)));
+        match maps.has_half() {
+            // All at full size.
+            true => {
+                reached = Reached::new(objective);
+                (0..maps.clusters()).for_each(|cluster| reached.take(maps.row_at(cluster, MapScale::Full)));
+            }
+            false => {
+                ranking.maps().skip(clusters).for_each(|(cluster, scale)| reached.take(maps.row_at(cluster, scale)))
+            }
+        }
         maps.release();
         let border = border(&stages.surface, &stages.shown.views, &objective.weights);
         let mut given_up = Self::default();
         for t in triangles {
             let (at, weight) = (t as usize, objective.weights[t as usize]);
             let (all, (agreed, best)) = (reached.agreed(t), at_cut[at]);
-            *if border[at] { &mut given_up.border } else { &mut given_up.inside } += weight * f64::from(all - agreed);
-            given_up.single_map += weight * f64::from(all.min(best) - agreed);
+            let lost = (all - agreed).max(0.0);
+            *if border[at] { &mut given_up.border } else { &mut given_up.inside } += weight * f64::from(lost);
+            given_up.single_map += weight * f64::from(lost.min(best - agreed));
         }
         given_up
     }

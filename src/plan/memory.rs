@@ -46,8 +46,8 @@ const TABLES_ROW: u64 = 20;
 const SAMPLES_ROW: u64 = 196;
 /// Bytes of these samples that are kept in memory: beyond that, the system's cache of the file is as fast while memory is free.
 const MOST_SAMPLES: u64 = 1 << 30;
-/// Bytes per triangle for confidence and reasons: its nearest points, its factors and its f so far.
-const PER_TRIANGLE: u64 = 100;
+/// Bytes per triangle for confidence and reasons: what is shown of it, its nearest points, its factors and its f so far.
+const PER_TRIANGLE: u64 = 116;
 /// Bytes per triangle and thread: its row in the current view.
 const ROW_INDEX: u64 = 4;
 /// Bytes per sparse point while contradictions and nearest points are computed; and per point and thread, whether it is observed.

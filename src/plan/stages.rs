@@ -36,6 +36,8 @@ pub struct Stages {
     pub settings: Settings,
     /// True if `settings.image_scale` is the backend's default.
     pub own_size: bool,
+    /// True if the backend can match key views at different sizes.
+    pub mixes_sizes: bool,
     /// True if maps of half the size were requested, but the backend supports only one size.
     pub refused_half: bool,
     /// Name of the backend that the plan is made for.
@@ -175,6 +177,7 @@ impl Stages {
             half,
             work,
             per_map,
+            mixes_sizes: matcher.mixes_sizes,
             refused_half,
             backend: matcher.name,
             own_size,
@@ -204,7 +207,8 @@ impl Stages {
         let unary = self.unary.values.bytes();
         let fulfilment = self.fulfilment.triangles.bytes() + self.fulfilment.values.bytes();
         let tables = self.visibility.triangles.bytes() + unary + fulfilment;
-        let surface = 24 * self.surface.vertices.len() + 24 * self.surface.triangles.len();
+        // Corners and what is shown of each triangle.
+        let surface = 24 * self.surface.vertices.len() + (12 + 16) * self.surface.triangles.len();
         let scene = 64 * self.scene.points.len() + 24 * self.scene.observations();
         (tables + surface + scene) as u64
     }
@@ -453,7 +457,7 @@ fn visible_surface(
 
 /// Returns what the views show of each triangle.
 fn shown(file: CacheFile, scene: &Scene, seen: &VisibleSurface) -> Result<(Slot, Shown), PlanError> {
-    let unpack = |(), bytes: &[u8]| kept::shown::unpack(bytes, seen.surface.triangles.len());
+    let unpack = |(), bytes: &[u8]| kept::shown::unpack(bytes, scene.views.len(), seen.surface.triangles.len());
     kept::read_or(file, unpack, || Ok(Shown::new(scene, &seen.surface, &seen.visibility)))
 }
 

@@ -78,7 +78,7 @@ pub struct EvaluationInput<'a> {
     pub reference: Option<&'a Path>,
     /// a_d for pixels that show no triangle, scene units.
     pub accuracy: f64,
-    /// `ranking.half_worth` if the plan has maps of half the size; `None` if the size of a map does not matter.
+    /// `ranking.half_worth` if the backend can match key views at half the size; `None` if the size of a map does not matter.
     pub half_worth: Option<f64>,
 }
 
@@ -166,7 +166,7 @@ impl<'a> EvaluationInput<'a> {
             depth_maps,
             reference,
             accuracy,
-            half_worth: stages.half.as_ref().map(|_| stages.settings.ranking.half_worth),
+            half_worth: stages.mixes_sizes.then_some(stages.settings.ranking.half_worth),
         }
     }
 }

@@ -168,18 +168,31 @@ fn with_finished(
     watcher: &dyn Watcher,
 ) -> Result<(Stages, Vec<(u32, MapScale)>), PlanError> {
     stages.memory.before_beliefs(&stages.fulfilment)?;
-    // Position of each key view in the run or in the plan.
-    let mut rows: BTreeMap<ViewIndex, (Option<usize>, usize)> = BTreeMap::new();
-    rows.extend(stages.clusters.iter().enumerate().map(|(c, cluster)| (cluster.key, (None, c))));
-    rows.extend(run.clusters.iter().enumerate().map(|(c, cluster)| (cluster.key, (Some(c), c))));
-    let clusters = rows.values().map(|&(finished, at)| match finished {
-        Some(_) => run.clusters[at].clone(),
-        None => stages.clusters[at].clone(),
-    });
-    let clusters: Vec<ViewCluster> = clusters.collect();
-    let rows_of: Vec<(bool, usize)> = rows.values().map(|(finished, at)| (finished.is_some(), *at)).collect();
-    let fulfilment = believed(&stages, &stages.fulfilment, run, &rows_of, watcher)?;
-    let half = stages.half.as_ref().map(|half| believed(&stages, half, run, &rows_of, watcher)).transpose()?;
+    let mut rows: BTreeMap<ViewIndex, Rows> = BTreeMap::new();
+    for (c, cluster) in stages.clusters.iter().enumerate() {
+        rows.entry(cluster.key).or_default().planned = Some(c);
+    }
+    for (c, cluster) in run.clusters.iter().enumerate() {
+        rows.entry(cluster.key).or_default().finished = Some(c);
+    }
+    let cluster = |rows: &Rows| match (rows.finished, rows.planned) {
+        (Some(c), _) => Some(run.clusters[c].clone()),
+        (None, planned) => planned.map(|c| stages.clusters[c].clone()),
+    };
+    let clusters: Vec<ViewCluster> = rows.values().filter_map(cluster).collect();
+    let rows_of: Vec<Rows> = rows.values().copied().collect();
+    let is_measured = |size| move |c: usize| run.scales[c] == size;
+    let predicted = &stages.fulfilment;
+    let (fulfilment, half) = if stages.half.is_some() || run.scales.contains(&MapScale::Half) {
+        let nothing = FulfilmentTable::new(stages.clusters.iter().map(|_| []));
+        let half = stages.half.as_ref().unwrap_or(&nothing);
+        (
+            believed(&stages, predicted, run, &rows_of, is_measured(MapScale::Full), watcher)?,
+            Some(believed(&stages, half, run, &rows_of, is_measured(MapScale::Half), watcher)?),
+        )
+    } else {
+        (believed(&stages, predicted, run, &rows_of, is_measured(MapScale::Full), watcher)?, None)
+    };
     let places: BTreeMap<ViewIndex, u32> = rows.keys().copied().zip(0..).collect();
     let map = |&c: &u32| (places[&run.clusters[c as usize].key], run.scales[c as usize]);
     let order = run.order.iter().map(map).collect();
@@ -187,13 +200,21 @@ fn with_finished(
     Ok((Stages { clusters, fulfilment, half, work, known_ranking: None, ..stages }, order))
 }
 
-/// Returns the table with the measured rows of the finished clusters and the predictions of the others, corrected by what was measured.
-/// `rows`: true for a finished cluster, with its index in the run, else with the index in the table.
+/// Indices of a key view's cluster in the run and in the plan.
+#[derive(Clone, Copy, Default)]
+struct Rows {
+    finished: Option<usize>,
+    planned: Option<usize>,
+}
+
+/// Returns the table of a size, with the measured rows of the clusters that are finished at it and the predictions of the others, corrected by what was
+/// measured. `is_measured`: whether a cluster of the run is of this size.
 fn believed(
     stages: &Stages,
     predicted: &FulfilmentTable,
     run: &MeasuredClusters,
-    rows: &[(bool, usize)],
+    rows: &[Rows],
+    is_measured: impl Fn(usize) -> bool,
     watcher: &dyn Watcher,
 ) -> Result<FulfilmentTable, PlanError> {
     let mut beliefs = Beliefs::new(&stages.scene, &stages.surface, &stages.clusters, predicted);
@@ -202,13 +223,17 @@ fn believed(
         beliefs.learn(cluster.key, attempts);
     }
     let mut table = FulfilmentTableBuilder::like(&stages.visibility)?;
-    for &(is_finished, at) in rows {
-        if is_finished {
-            let (triangles, values) = run.real.row(at);
-            table.push(triangles, values)?;
-        } else {
-            let (triangles, values) = beliefs.row(at);
-            table.push(triangles, &values)?;
+    for &Rows { finished, planned } in rows {
+        match (finished, planned) {
+            (Some(c), planned) if is_measured(c) || planned.is_none() => {
+                let (triangles, values) = run.real.row(c);
+                table.push(triangles, values)?;
+            }
+            (_, Some(c)) => {
+                let (triangles, values) = beliefs.row(c);
+                table.push(triangles, &values)?;
+            }
+            (_, None) => {}
         }
     }
     Ok(table.finish()?)

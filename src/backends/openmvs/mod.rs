@@ -189,7 +189,7 @@ fn record_of(selection: &Selection) -> ExportRecord {
     record.made_for = "OpenMVS v2.0 to v2.3 and develop (run with v2.3.0)".into();
     record.way = "one scene per cluster".into();
     record.commands = vec!["python3 run.py".into()];
-    record.not_honoured = vec!["the order of the partners of a key view (all of them are used)".into()];
+    record.not_honoured.extend(["the order of the partners of a key view (all of them are used)".into()]);
     record.note_scale(selection, capped_scale(resolution(selection)));
     record.pixel_shift = -0.5;
     record.fusion = format!("number-views-fuse {MAPS_PER_POINT}: that many key views must agree on a point");

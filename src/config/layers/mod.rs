@@ -16,7 +16,7 @@ use crate::{
         error::Hint,
         input::{self, FileKind},
     },
-    model::georeference::Zone,
+    model::{cluster::MapScale, georeference::Zone},
 };
 
 /// Resolves a typed backend name to its canonical name.
@@ -181,6 +181,10 @@ impl Configuration {
         }
         if surface.up == Some([0.0; 3]) {
             return Err(self.refuse("surface.up", "0,0,0", "must be a direction".into()));
+        }
+        if !self.settings.ranking.scales.contains(&MapScale::Full) {
+            let why = "must have 1 among them; to match all images at half the size, halve image_scale".into();
+            return Err(self.refuse("ranking.scales", "0.5", why));
         }
         let frame = &self.settings.frame;
         if let Some([latitude, longitude, _]) = frame.origin.filter(|o| o[0].abs() > 90.0 || o[1].abs() > 360.0) {

@@ -17,16 +17,16 @@ pub fn most_of_any(length: usize, maps: &Maps, objective: &Objective, ranking: &
     let order: Vec<u32> = ranking.maps().map(|(cluster, scale)| maps.index(cluster, scale)).collect();
     let work_of = |maps_taken: &[u32]| maps_taken.iter().map(|&map| maps.work(map)).sum::<f64>();
     let mut reached = Reached::new(objective);
-    let (first, others) = order.split_at(length.min(order.len()));
+    let first = &order[..length.min(order.len())];
     first.iter().for_each(|&map| reached.take(maps.row(map)));
     let least: Vec<f32> = (0..objective.weights.len() as u32).map(|t| reached.largest(t)[0]).collect();
     let goal = reached.fulfilment();
     // All clusters at full size are an upper bound, too.
     let mut bound = match maps.has_half() {
         true => {
-            others.iter().for_each(|&map| reached.take(maps.row(maps.cluster(map))));
-            (0..maps.clusters()).for_each(|cluster| reached.take(maps.row(cluster)));
-            reached.fulfilment()
+            let mut all = Reached::new(objective);
+            (0..maps.clusters()).for_each(|cluster| all.take(maps.row(cluster)));
+            all.fulfilment()
         }
         // The ranking has taken all of them, in whole numbers, so that no other order gives another sum.
         false => ranking.fulfilment.last().copied().unwrap_or(0.0),

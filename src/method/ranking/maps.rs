@@ -2,16 +2,11 @@
 
 use crate::{base::column::Storage, method::fulfilment::FulfilmentTable, model::cluster::MapScale};
 
-/// Work is compared in integer multiples of 1 / `WHOLE`.
-const WHOLE: f64 = 1e6;
-
 /// Depth maps by index: those of all clusters at full size, then, if requested, those of all clusters at half size.
 #[derive(Clone, Copy, Debug)]
 pub struct Maps<'a> {
     full: &'a FulfilmentTable,
     half: Option<Half<'a>>,
-    /// The maps to choose from; `None`: all.
-    only: Option<&'a [(u32, MapScale)]>,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -24,25 +19,12 @@ struct Half<'a> {
 impl<'a> Maps<'a> {
     /// Builds candidates of full size, all of equal work.
     pub fn full_size(full: &'a FulfilmentTable) -> Self {
-        Self { full, half: None, only: None }
+        Self { full, half: None }
     }
 
     /// Builds candidates of both sizes. `work`: that of each cluster's map at full and at half size, in any unit, above 0.
     pub fn two_sizes(full: &'a FulfilmentTable, half: &'a FulfilmentTable, work: &'a [[f64; 2]]) -> Self {
-        Self { full, half: Some(Half { table: half, work }), only: None }
-    }
-
-    /// Leaves only these to choose from.
-    pub fn only(self, chosen: &'a [(u32, MapScale)]) -> Self {
-        Self { only: Some(chosen), ..self }
-    }
-
-    /// Returns the maps to choose from.
-    pub(super) fn candidates(&self) -> Vec<u32> {
-        match self.only {
-            Some(chosen) => chosen.iter().map(|&(cluster, scale)| self.index(cluster, scale)).collect(),
-            None => (0..self.len()).collect(),
-        }
+        Self { full, half: Some(Half { table: half, work }) }
     }
 
     /// Returns true if the maps of a cluster differ by size.
@@ -50,7 +32,7 @@ impl<'a> Maps<'a> {
         self.half.is_some()
     }
 
-    pub(super) fn clusters(&self) -> u32 {
+    pub fn clusters(&self) -> u32 {
         self.full.clusters() as u32
     }
 
@@ -95,17 +77,6 @@ impl<'a> Maps<'a> {
         self.half.map_or(1.0, |half| half.work[self.cluster(map) as usize][size])
     }
 
-    /// Returns the cost as an integer, at least 1.
-    pub(super) fn whole_work(&self, map: u32) -> u64 {
-        whole(self.work(map))
-    }
-
-    /// Returns the additional cost of a cluster's map at full size as an integer, at least 1.
-    pub(super) fn extra_work(&self, cluster: u32) -> u64 {
-        let work = |scale| self.work(self.index(cluster, scale));
-        whole(work(MapScale::Full) - work(MapScale::Half))
-    }
-
     /// Returns the storage (memory or disk) of tables derived from these.
     pub(super) fn storage(&self) -> Storage {
         self.full.triangles.storage()
@@ -118,8 +89,4 @@ impl<'a> Maps<'a> {
             half.table.release();
         }
     }
-}
-
-fn whole(work: f64) -> u64 {
-    ((work * WHOLE) as u64).max(1)
 }

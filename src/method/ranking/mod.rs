@@ -5,28 +5,32 @@
 
 mod belief;
 mod bound;
-mod enlarge;
 mod maps;
 mod objective;
 mod reached;
+
+use std::cmp::Reverse;
 
 use self::reached::FixedPoint;
 pub(crate) use self::reached::Reached;
 pub use self::{
     belief::{Attempt, Beliefs},
     bound::most_of_any,
-    enlarge::enlarge,
     maps::Maps,
     objective::{Objective, SINGLE_MAP_CREDIT},
 };
 use crate::{
     base::{
         column::{self, DiskError, TableError},
-        progress::{Stage, Watcher},
+        progress::{Cancelled, Stage, Watcher},
     },
     method::fulfilment::{ByTriangle, FulfilmentTable},
     model::cluster::MapScale,
 };
+
+/// Prices of work at which maps of two sizes are ranked, besides 0: enough that plans of any length have one that fits them (method 5.8).
+const PRICES: u32 = 30;
+const PRICES_PER_OCTAVE: f64 = 3.0;
 
 /// A ranking of view clusters.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -74,34 +78,14 @@ pub fn rank(table: &FulfilmentTable, objective: &Objective, watcher: &dyn Watche
     rank_after(&[], &Maps::full_size(table), objective, watcher)
 }
 
-/// Ranks depth maps, one per cluster: by gain, or by gain over work if there is a choice of sizes. Finished maps come first, in the given order,
-/// whatever their gain (method 5.4).
+/// Ranks clusters at full size behind finished ones, which come first, in the given order, whatever their gain (method 5.4).
 pub fn rank_after(
     finished: &[(u32, MapScale)],
     maps: &Maps,
     objective: &Objective,
     watcher: &dyn Watcher,
 ) -> Result<Ranking, TableError> {
-    let mut greedy = Greedy::new(maps, objective)?;
-    let mut ranking = Ranking::default();
-    for &(cluster, scale) in finished {
-        watcher.check()?;
-        greedy.take(maps.index(cluster, scale), scale, &mut ranking);
-    }
-    let total = greedy.left.iter().filter(|&&map| greedy.gains[map as usize] > 0).count() as u64;
-    watcher.progress(Stage::Ranking, 0, total);
-    while let Some(map) = greedy.best() {
-        watcher.check()?;
-        greedy.take(map, maps.scale(map), &mut ranking);
-        let done = (ranking.order.len() - finished.len()) as u64;
-        watcher.progress(Stage::Ranking, done.min(total), total);
-    }
-    watcher.progress(Stage::Ranking, total, total);
-    ranking.reachable = match maps.has_half() {
-        true => kept_of_all(maps, objective),
-        false => ranking.kept.last().copied().unwrap_or(0.0),
-    };
-    Ok(ranking)
+    Ok(Ranker::new(maps, objective)?.rank(finished, 0.0, watcher)?)
 }
 
 /// Returns the share (0 to 1) of each prefix of a ranking under other weights.
@@ -131,22 +115,19 @@ fn kept_of_all(maps: &Maps, objective: &Objective) -> f64 {
     reached.kept_weight()
 }
 
-/// Gains of the remaining maps, kept up to date: when f of a triangle rises, the gains of all maps that see it change by integers, and so stay equal
-/// to a fresh sum.
-struct Greedy<'a> {
+/// Ranks depth maps, one per cluster, by gain less a price for their work.
+pub struct Ranker<'a> {
     maps: &'a Maps<'a>,
     by_triangle: ByTriangle,
-    reached: Reached<'a>,
-    /// Maps to choose from, of clusters that are not chosen yet.
-    left: Vec<u32>,
-    /// Gain, by map.
-    gains: Vec<i64>,
+    nothing: Reached<'a>,
     /// Gain of each map by itself.
     alone: Vec<i64>,
+    /// Weight that fusion keeps of all clusters at full size, if that is not what it keeps of all ranked ones.
+    reachable: Option<f64>,
 }
 
-impl<'a> Greedy<'a> {
-    fn new(maps: &'a Maps, objective: &'a Objective) -> Result<Self, DiskError> {
+impl<'a> Ranker<'a> {
+    pub fn new(maps: &'a Maps, objective: &'a Objective) -> Result<Self, DiskError> {
         let all: Vec<u32> = (0..maps.len()).collect();
         let by_triangle = ByTriangle::of_rows(
             &|map| maps.row(map),
@@ -155,28 +136,85 @@ impl<'a> Greedy<'a> {
             &all,
             objective.weights.len(),
         )?;
-        let reached = Reached::new(objective);
-        let gain = |&map: &u32| reached.whole_gain(maps.row(map));
-        let gains = column::read_by_parts(&all, gain, || maps.release());
-        Ok(Self { maps, by_triangle, left: maps.candidates(), alone: gains.clone(), gains, reached })
+        let nothing = Reached::new(objective);
+        let gain = |&map: &u32| nothing.whole_gain(maps.row(map));
+        let alone = column::read_by_parts(&all, gain, || maps.release());
+        let reachable = maps.has_half().then(|| kept_of_all(maps, objective));
+        Ok(Self { maps, by_triangle, nothing, alone, reachable })
     }
 
-    /// Returns the map with the largest gain per work, if any gains.
+    /// Returns prices of a unit of work, f_o, from 0, where all maps have full size, almost to that at which no map is worth its work.
+    pub fn prices(&self) -> Vec<f64> {
+        if !self.maps.has_half() {
+            return vec![0.0];
+        }
+        let worth = |map: u32| FixedPoint(self.alone[map as usize]).value() / self.maps.work(map);
+        let most = (0..self.maps.len()).map(worth).fold(0.0, f64::max);
+        let octaves = |step: u32| f64::from(step) / PRICES_PER_OCTAVE;
+        std::iter::once(0.0).chain((1..=PRICES).map(|step| most * (-octaves(step)).exp2())).collect()
+    }
+
+    /// Ranks the maps at a price per unit of work. Finished maps come first, in the given order, whatever their gain (method 5.4). Ties go to the map
+    /// with the larger gain by itself, then to the first.
+    pub fn rank(&self, finished: &[(u32, MapScale)], price: f64, watcher: &dyn Watcher) -> Result<Ranking, Cancelled> {
+        let mut greedy = Greedy::new(self, price);
+        let mut ranking = Ranking::default();
+        for &(cluster, scale) in finished {
+            watcher.check()?;
+            greedy.take(self.maps.index(cluster, scale), &mut ranking);
+        }
+        let total = greedy.left.iter().filter(|&&map| greedy.gains[map as usize] > 0).count() as u64;
+        watcher.progress(Stage::Ranking, 0, total);
+        while let Some(map) = greedy.best() {
+            watcher.check()?;
+            greedy.take(map, &mut ranking);
+            let done = (ranking.order.len() - finished.len()) as u64;
+            watcher.progress(Stage::Ranking, done.min(total), total);
+        }
+        watcher.progress(Stage::Ranking, total, total);
+        ranking.reachable = self.reachable.unwrap_or_else(|| ranking.kept.last().copied().unwrap_or(0.0));
+        Ok(ranking)
+    }
+}
+
+/// Gains of the remaining maps, kept up to date: when f of a triangle rises, the gains of all maps that see it change by integers, and so stay equal
+/// to a fresh sum.
+struct Greedy<'a> {
+    ranker: &'a Ranker<'a>,
+    reached: Reached<'a>,
+    /// Maps of clusters that are not chosen yet.
+    left: Vec<u32>,
+    /// Gain, by map.
+    gains: Vec<i64>,
+    /// Price of each map's work, in the unit of the gains.
+    costs: Vec<i64>,
+}
+
+impl<'a> Greedy<'a> {
+    fn new(ranker: &'a Ranker, price: f64) -> Self {
+        let all = 0..ranker.maps.len();
+        let cost = |map| FixedPoint::new(price, ranker.maps.work(map)).0;
+        Self {
+            ranker,
+            reached: ranker.nothing.clone(),
+            left: all.clone().collect(),
+            gains: ranker.alone.clone(),
+            costs: all.map(cost).collect(),
+        }
+    }
+
+    /// Returns the map with the largest gain less its price, among those that gain.
     fn best(&self) -> Option<u32> {
-        let better = |&a: &u32, &b: &u32| {
-            let [of_a, of_b] = [a, b].map(|map| i128::from(self.maps.whole_work(map)));
-            // Compares gain per work by cross multiplication: exact, so that equal work leaves the order by gain.
-            let by =
-                |gains: &[i64]| (i128::from(gains[a as usize]) * of_b).cmp(&(i128::from(gains[b as usize]) * of_a));
-            by(&self.gains).then_with(|| by(&self.alone)).then(b.cmp(&a))
-        };
-        self.left.iter().copied().max_by(better).filter(|&map| self.gains[map as usize] > 0)
+        let surplus = |gains: &[i64], map: u32| gains[map as usize] - self.costs[map as usize];
+        let key = |&map: &u32| (surplus(&self.gains, map), surplus(&self.ranker.alone, map), Reverse(map));
+        self.left.iter().copied().filter(|&map| self.gains[map as usize] > 0).max_by_key(key)
     }
 
-    fn take(&mut self, map: u32, scale: MapScale, ranking: &mut Ranking) {
-        let (gain, cluster) = (self.gains[map as usize], self.maps.cluster(map));
-        self.left.retain(|&other| self.maps.cluster(other) != cluster);
-        let (triangles, values) = self.maps.row(map);
+    fn take(&mut self, map: u32, ranking: &mut Ranking) {
+        let Ranker { maps, by_triangle, .. } = self.ranker;
+        let (gain, cluster) = (self.gains[map as usize], maps.cluster(map));
+        self.left.retain(|&other| maps.cluster(other) != cluster);
+        let (triangles, values) = maps.row(map);
         let mut before = Vec::with_capacity(self.reached.objective.support as usize);
         for (&t, &f) in triangles.iter().zip(values) {
             before.clear();
@@ -186,17 +224,17 @@ impl<'a> Greedy<'a> {
             }
             self.reached.take_at(t, f);
             let now = self.reached.largest(t);
-            for entry in self.by_triangle.row(t).iter().filter(|entry| entry.f > before[0]) {
+            for entry in by_triangle.row(t).iter().filter(|entry| entry.f > before[0]) {
                 let change = self.reached.gain_at(t, now, entry.f) - self.reached.gain_at(t, &before, entry.f);
                 self.gains[entry.place as usize] += change;
             }
         }
         if ranking.order.len().is_multiple_of(column::READ_AT_ONCE) {
-            self.maps.release();
-            self.by_triangle.release();
+            maps.release();
+            by_triangle.release();
         }
         ranking.order.push(cluster);
-        ranking.scales.push(scale);
+        ranking.scales.push(maps.scale(map));
         ranking.gains.push(FixedPoint(gain).value());
         ranking.fulfilment.push(self.reached.fulfilment());
         ranking.kept.push(self.reached.kept_weight());

@@ -11,7 +11,7 @@ const UNIT: f64 = (1u64 << 60) as f64;
 pub(super) struct FixedPoint(pub(super) i64);
 
 impl FixedPoint {
-    fn new(weight: f64, worth: f64) -> Self {
+    pub(super) fn new(weight: f64, worth: f64) -> Self {
         Self((weight * worth * UNIT).round() as i64)
     }
 
@@ -90,23 +90,6 @@ impl<'a> Reached<'a> {
 
     pub(crate) fn take(&mut self, (triangles, values): (&[u32], &[f32])) {
         triangles.iter().zip(values).for_each(|(&t, &f)| self.take_at(t, f));
-    }
-
-    /// Returns by how much f_o and the kept weight change with these largest f of a triangle.
-    pub(super) fn change(&self, triangle: u32, largest: &[f32]) -> [i64; 2] {
-        let weight = self.objective.weights[triangle as usize];
-        let worth = |largest: &[f32]| FixedPoint::new(weight, Objective::worth(largest.iter().copied())).0;
-        let kept = |largest: &[f32]| FixedPoint::new(weight, f64::from(largest[0])).0;
-        let before = self.largest(triangle);
-        [worth(largest) - worth(before), kept(largest) - kept(before)]
-    }
-
-    /// Replaces the m largest f of a triangle.
-    pub(super) fn replace(&mut self, triangle: u32, largest: &[f32]) {
-        let [gain, kept] = self.change(triangle, largest);
-        self.fulfilment += gain;
-        self.kept += kept;
-        self.largest[triangle as usize * largest.len()..][..largest.len()].copy_from_slice(largest);
     }
 
     pub(crate) fn take_at(&mut self, triangle: u32, f: f32) {

@@ -180,92 +180,49 @@ fn two_sizes() -> impl Strategy<Value = (Rows, Rows, Vec<[f64; 2]>)> {
     })
 }
 
-/// The map that gains most for its work, with every gain added up afresh; `None` where none gains.
-fn best_afresh(maps: &Maps, taken: &[(u32, MapScale)], objective: &Objective) -> Option<(u32, MapScale)> {
+/// The map with the largest gain less the price of its work, with every gain added up afresh; `None` where none gains.
+fn best_afresh(maps: &Maps, taken: &[(u32, MapScale)], objective: &Objective, price: f64) -> Option<(u32, MapScale)> {
     let (mut reached, nothing) = (Reached::new(objective), Reached::new(objective));
-    let index =
-        |&(cluster, scale): &(u32, MapScale)| cluster + if scale == MapScale::Half { maps.clusters() } else { 0 };
-    taken.iter().map(index).for_each(|map| reached.take(maps.row(map)));
+    taken.iter().for_each(|&(cluster, scale)| reached.take(maps.row_at(cluster, scale)));
+    let cost = |map: u32| FixedPoint::new(price, maps.work(map)).0;
     let gain = |reached: &Reached, map: u32| reached.whole_gain(maps.row(map));
     let left = (0..maps.len()).filter(|&map| taken.iter().all(|&(cluster, _)| cluster != maps.cluster(map)));
-    let better = |&a: &u32, &b: &u32| {
-        let more = |reached: &Reached| {
-            let of = |map, other| i128::from(gain(reached, map)) * i128::from(maps.whole_work(other));
-            of(a, b).cmp(&of(b, a))
-        };
-        more(&reached).then(more(&nothing)).then(b.cmp(&a))
-    };
-    let best = left.max_by(better).filter(|&map| gain(&reached, map) > 0)?;
+    let key = |&map: &u32| (gain(&reached, map) - cost(map), gain(&nothing, map) - cost(map), Reverse(map));
+    let best = left.filter(|&map| gain(&reached, map) > 0).max_by_key(key)?;
     Some((maps.cluster(best), maps.scale(best)))
 }
 
 proptest! {
     #[test]
-    fn of_two_sizes_the_one_that_gains_most_for_its_work_is_taken(
+    fn of_two_sizes_the_one_that_gains_most_over_the_price_of_its_work_is_taken(
         (full, half, work) in two_sizes(), support in 1u32..3
     ) {
         let (full, half, objective) = (FulfilmentTable::new(&full), FulfilmentTable::new(&half), even(TRIANGLES, support));
         let maps = Maps::two_sizes(&full, &half, &work);
-        let ranking = rank_after(&[], &maps, &objective, &NoWatcher).unwrap();
-        let order: Vec<_> = ranking.maps().collect();
-        for length in 0..=order.len() {
-            prop_assert_eq!(order.get(length).copied(), best_afresh(&maps, &order[..length], &objective));
+        let ranker = Ranker::new(&maps, &objective).unwrap();
+        let prices = ranker.prices();
+        for &price in prices.iter().step_by(5) {
+            let order: Vec<_> = ranker.rank(&[], price, &NoWatcher).unwrap().maps().collect();
+            for length in 0..=order.len() {
+                prop_assert_eq!(order.get(length).copied(), best_afresh(&maps, &order[..length], &objective, price));
+            }
         }
+        // Without a price, size counts for nothing.
+        let [free, one_size] = [ranker.rank(&[], prices[0], &NoWatcher).unwrap(), rank(&full, &objective, &NoWatcher).unwrap()];
+        prop_assert_eq!(free.maps().collect::<Vec<_>>(), one_size.maps().collect::<Vec<_>>());
+        prop_assert_eq!((free.kept, free.fulfilment), (one_size.kept, one_size.fulfilment));
     }
 
     #[test]
-    fn half_size_maps_are_enlarged_by_what_that_adds_for_its_work(
-        (full, half, work) in two_sizes(), support in 1u32..4, finished in 0usize..3, most in 0usize..6
+    fn no_maps_of_two_sizes_exceed_the_bound_for_their_work(
+        (full, half, work) in two_sizes(), support in 1u32..3, price in 0usize..20
     ) {
-        let (full, half, objective) = (FulfilmentTable::new(&full), FulfilmentTable::new(&half), even(TRIANGLES, support));
-        let maps = Maps::two_sizes(&full, &half, &work);
-        let ranking = rank_after(&[], &maps, &objective, &NoWatcher).unwrap();
-        let finished = finished.min(ranking.order.len());
-        let value = |chosen: &[(u32, MapScale)]| {
-            let mut reached = Reached::new(&objective);
-            chosen.iter().for_each(|&(cluster, scale)| reached.take(maps.row_at(cluster, scale)));
-            (reached.fulfilment(), reached.kept_weight())
-        };
-        let mut chosen: Vec<_> = ranking.maps().collect();
-        let mut asked = Vec::new();
-        let takes = |rank: usize, kept: f64| {
-            asked.push((rank, kept));
-            asked.len() <= most
-        };
-        let enlarged = enlarge(&ranking, finished, &maps, &objective, takes);
-        prop_assert!(asked.iter().all(|&(rank, _)| rank >= finished && ranking.scales[rank] == MapScale::Half));
-        for &(rank, kept) in asked.iter().take(most) {
-            let before = value(&chosen);
-            prop_assert_eq!(kept, before.1);
-            let per_work = |rank: usize| {
-                let mut with = chosen.clone();
-                with[rank].1 = MapScale::Full;
-                let [full, half] = work[ranking.order[rank] as usize];
-                (value(&with).0 - before.0) / (full - half)
-            };
-            let left = (finished..chosen.len()).filter(|&other| chosen[other].1 == MapScale::Half);
-            let best = left.map(per_work).fold(0.0, f64::max);
-            prop_assert!(per_work(rank) > 0.0);
-            // Where fusion wants several maps, a gain may also rise unseen.
-            prop_assert!(support > 1 || per_work(rank) >= best - 1e-12);
-            chosen[rank].1 = MapScale::Full;
-        }
-        match &enlarged {
-            Some(enlarged) => prop_assert_eq!(enlarged, &chosen),
-            None => prop_assert!(most == 0 || asked.is_empty()),
-        }
-        let again = rank_after(&chosen[..finished], &maps.only(&chosen), &objective, &NoWatcher).unwrap();
-        prop_assert!(again.maps().all(|map| chosen.contains(&map)));
-        prop_assert!((total(&again) - value(&chosen).0).abs() < 1e-12);
-    }
-
-    #[test]
-    fn no_maps_of_two_sizes_exceed_the_bound_for_their_work((full, half, work) in two_sizes(), support in 1u32..3) {
         prop_assume!(full.len() <= 6);
         let objective = even(TRIANGLES, support);
         let tables = [FulfilmentTable::new(&full), FulfilmentTable::new(&half)];
         let maps = Maps::two_sizes(&tables[0], &tables[1], &work);
-        let ranking = rank_after(&[], &maps, &objective, &NoWatcher).unwrap();
+        let ranker = Ranker::new(&maps, &objective).unwrap();
+        let ranking = ranker.rank(&[], ranker.prices()[price], &NoWatcher).unwrap();
         let bounds: Vec<f64> =
             (0..=ranking.order.len()).map(|n| most_of_any(n, &maps, &objective, &ranking)).collect();
         let spent: Vec<f64> = (0..=ranking.order.len())
@@ -294,7 +251,8 @@ fn shares_of_two_sizes_are_of_all_at_full_size() {
     // Half size is cheap, so both are taken at half size.
     let work = [[1.0, 0.1]; 2];
     let (maps, objective) = (Maps::two_sizes(&full, &half, &work), even(2, 1));
-    let ranking = rank_after(&[], &maps, &objective, &NoWatcher).unwrap();
+    let ranker = Ranker::new(&maps, &objective).unwrap();
+    let ranking = ranker.rank(&[], 0.2, &NoWatcher).unwrap();
     assert_eq!(ranking.scales, [MapScale::Half; 2]);
     assert!((ranking.reachable - 0.6).abs() < 1e-6);
     assert!((ranking.share(2) - 0.75).abs() < 1e-6);

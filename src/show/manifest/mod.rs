@@ -188,13 +188,15 @@ impl Manifest {
     pub fn to_csv(&self) -> String {
         let most = self.clusters.iter().map(|cluster| cluster.partners.len()).max().unwrap_or(0);
         let partners = (1..=most).map(|n| format!("partner_{n}"));
-        let fixed = ["rank", "chosen", "key", "gain", "fulfilment", "share"].map(String::from);
+        let fixed = ["rank", "chosen", "key", "scale", "work", "gain", "fulfilment", "share"].map(String::from);
         let mut lines = csv::WriterBuilder::new().from_writer(Vec::new());
         let mut write = |line: Vec<String>| lines.write_record(line).expect("lines of equal length, to memory");
         write(fixed.into_iter().chain(partners).collect());
         for cluster in &self.clusters {
             let chosen = if cluster.rank <= self.cut.clusters { "yes" } else { "no" };
-            let numbers = [cluster.gain, cluster.fulfilment, cluster.share].map(|number| number.to_string());
+            let scale = cluster.scale.factor();
+            let numbers =
+                [scale, cluster.work, cluster.gain, cluster.fulfilment, cluster.share].map(|number| number.to_string());
             let start = [cluster.rank.to_string(), chosen.into(), cluster.key.clone()].into_iter().chain(numbers);
             let empty = std::iter::repeat_n(String::new(), most - cluster.partners.len());
             write(start.chain(cluster.partners.iter().cloned()).chain(empty).collect());
