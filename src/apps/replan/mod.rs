@@ -181,17 +181,17 @@ fn with_finished(
     };
     let clusters: Vec<ViewCluster> = rows.values().filter_map(cluster).collect();
     let rows_of: Vec<Rows> = rows.values().copied().collect();
-    let is_measured = |size| move |c: usize| run.scales[c] == size;
+    let is_full = |c: usize| run.scales[c] == MapScale::Full;
     let predicted = &stages.fulfilment;
     let (fulfilment, half) = if stages.half.is_some() || run.scales.contains(&MapScale::Half) {
         let nothing = FulfilmentTable::new(stages.clusters.iter().map(|_| []));
         let half = stages.half.as_ref().unwrap_or(&nothing);
         (
-            believed(&stages, predicted, run, &rows_of, is_measured(MapScale::Full), watcher)?,
-            Some(believed(&stages, half, run, &rows_of, is_measured(MapScale::Half), watcher)?),
+            believed(&stages, predicted, run, &rows_of, is_full, watcher)?,
+            Some(believed(&stages, half, run, &rows_of, |_| true, watcher)?),
         )
     } else {
-        (believed(&stages, predicted, run, &rows_of, is_measured(MapScale::Full), watcher)?, None)
+        (believed(&stages, predicted, run, &rows_of, is_full, watcher)?, None)
     };
     let places: BTreeMap<ViewIndex, u32> = rows.keys().copied().zip(0..).collect();
     let map = |&c: &u32| (places[&run.clusters[c as usize].key], run.scales[c as usize]);
@@ -207,8 +207,8 @@ struct Rows {
     planned: Option<usize>,
 }
 
-/// Returns the table of a size, with the measured rows of the clusters that are finished at it and the predictions of the others, corrected by what was
-/// measured. `is_measured`: whether a cluster of the run is of this size.
+/// Returns the table of a size, with the measured rows of the clusters that are finished and the predictions of the others, corrected by what was
+/// measured. `is_measured`: whether the map of a cluster of the run stands for this size; where not, it is the least that this size gives.
 fn believed(
     stages: &Stages,
     predicted: &FulfilmentTable,
@@ -229,14 +229,30 @@ fn believed(
                 let (triangles, values) = run.real.row(c);
                 table.push(triangles, values)?;
             }
-            (_, Some(c)) => {
+            (None, Some(c)) => {
                 let (triangles, values) = beliefs.row(c);
                 table.push(triangles, &values)?;
+            }
+            // At full size it would be at least as good.
+            (Some(finished), Some(c)) => {
+                let (triangles, values) = beliefs.row(c);
+                let (triangles, values) = larger((triangles, &values), run.real.row(finished));
+                table.push(&triangles, &values)?;
             }
             (_, None) => {}
         }
     }
     Ok(table.finish()?)
+}
+
+/// Returns the larger f of two rows at each triangle.
+fn larger((triangles, values): (&[u32], &[f32]), other: (&[u32], &[f32])) -> (Vec<u32>, Vec<f32>) {
+    let mut row: BTreeMap<u32, f32> = triangles.iter().copied().zip(values.iter().copied()).collect();
+    for (&t, &f) in other.0.iter().zip(other.1) {
+        let held = row.entry(t).or_default();
+        *held = held.max(f);
+    }
+    row.into_iter().unzip()
 }
 
 /// Verdict on a depth map of a cluster of the earlier plan.
