@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Compares plans with key views at two sizes (method 5.8) with plans at one, by the clouds that OpenMVS fuses.
 
-    benches/sizes.py PROJECT WORK_FOLDER [--image-scale 0.5] [--worth 0.6] [--openmvs FOLDER] [--viewrank viewrank]
+    benches/sizes.py PROJECT WORK_FOLDER [--image-scale 0.5] [--worth 0.8] [--openmvs FOLDER] [--viewrank viewrank]
 
 Matches all key views at full and at half size once (CPU seconds of each are printed), then fuses, for half, one and one and a half times the
 work of the default plan: the plan at full size, mixed plans, the whole plan at half size, and every n-th view at full size; and once what OpenMVS makes
@@ -40,7 +40,7 @@ def main():
     parser.add_argument("project", type=Path, help="COLMAP project with images/ and sparse/")
     parser.add_argument("work", type=Path, help="folder for maps and clouds")
     parser.add_argument("--image-scale", type=float, default=0.5)
-    parser.add_argument("--worth", type=float, nargs="*", default=[0.6])
+    parser.add_argument("--worth", type=float, nargs="*", default=[0.8])
     parser.add_argument("--openmvs", type=Path, default=Path(os.environ.get("OPENMVS_BIN", ".")), help="folder of its programs")
     parser.add_argument("--viewrank", default="viewrank")
     bench = Bench(parser.parse_args())
@@ -94,7 +94,7 @@ class Bench:
             (self.project / "images").symlink_to((args.project / "images").resolve())
         self.model = pycolmap.Reconstruction(next((self.project / "sparse").rglob("cameras.*")).parent)
 
-    def plan(self, *options, worth=0.6):
+    def plan(self, *options, worth=0.8):
         """The manifest of a plan whose export is in the project."""
         settings = f"image_scale = {self.args.image_scale}\n[ranking]\nhalf_worth = {float(worth)}\n"
         (self.project / "viewrank.toml").write_text(settings)

@@ -10,7 +10,7 @@ import json
 import sys
 from pathlib import Path
 
-PLANS = {"two sizes, worth 0.6": ("two sizes", "#0b6e4f"), "full size": ("full size", "#1f5fa8"), "half size": ("half size", "#c26a00"),
+PLANS = {"two sizes, worth 0.8": ("two sizes", "#0b6e4f"), "full size": ("full size", "#1f5fa8"), "half size": ("half size", "#c26a00"),
          "every n-th": ("every n-th, full size", "#8a8f94"), "OpenMVS alone, half size": ("OpenMVS alone, half size", "#b3261e")}
 WIDTH, HEIGHT, LEFT, TOP, GAP = 230, 170, 44, 34, 56
 

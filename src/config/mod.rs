@@ -399,7 +399,7 @@ pub enum TriangleWeight {
 }
 
 /// Default of `ranking.half_worth`, chosen by clouds that OpenMVS fused (method 5.8).
-const HALF_WORTH: f64 = 0.6;
+const HALF_WORTH: f64 = 0.8;
 
 /// Method 5.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
