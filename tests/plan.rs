@@ -416,6 +416,21 @@ fn two_sizes_are_never_worse_than_one() {
 }
 
 #[test]
+fn a_limit_that_is_missed_leaves_what_fits_and_a_list_that_is_too_short_says_so() {
+    let folder = project();
+    let options = ["--backend", "openmvs", "--scales", "1,0.5", "--quiet"];
+    plan(folder.path(), &[&options[..], &["--budget", "2%", "--target", "90%"]].concat());
+    let tight = manifest(folder.path());
+    assert!(tight["cut"]["clusters"].as_u64().unwrap() > 0 && tight["cut"]["share"].as_f64().unwrap() < 0.9);
+    plan(folder.path(), &[&options[..], &["--target", "60%"]].concat());
+    let last = manifest(folder.path())["clusters"].as_array().unwrap().last().unwrap()["share"].as_f64().unwrap();
+    assert!(last < 0.999, "{last}");
+    let exported = viewrank(&["export", folder.path().to_str().unwrap(), "--target", "100%"]);
+    let said = String::from_utf8_lossy(&exported.stderr);
+    assert!(exported.status.success() && said.contains("plan again with --target 100%"), "{said}");
+}
+
+#[test]
 fn a_backend_that_matches_all_at_one_size_says_so() {
     let folder = project();
     plan(folder.path(), &["--backend", "mve", "--scales", "1,0.5"]);

@@ -16,7 +16,7 @@ use crate::{
 use clap::{Args, builder::PossibleValue};
 use serde::Serialize;
 
-use super::{Failure, Format, json, print};
+use super::{Failure, Format, json, print, warn};
 
 /// Write the input files of MVS programs for the chosen view clusters of a plan.
 ///
@@ -113,6 +113,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let plan = WrittenPlan::read(&arguments.project)?;
     let backends = arguments.backends(&plan)?;
     let clusters = &plan.clusters[..plan.cut_at(arguments.budget, arguments.target)];
+    warn_of_end(arguments, &plan, clusters.len());
     let selection = Selection {
         project: &plan.project,
         scene: &plan.scene,
@@ -132,6 +133,18 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     match arguments.format {
         Format::Json => print(&json(&reports)),
         Format::Text => reports.iter().try_for_each(|report| print(&report.text(arguments.dry_run))),
+    }
+}
+
+/// Warns if the list of the plan ends below the wanted share: at two sizes, it is made for the target or budget of the plan.
+fn warn_of_end(arguments: &Arguments, plan: &WrittenPlan, length: usize) {
+    let Some((target, last)) = arguments.target.zip(plan.clusters.last()) else { return };
+    if length == plan.clusters.len() && last.share < target.0 {
+        warn(&format!(
+            "all {length} depth maps of the plan give {:.1} %, less than --target: plan again with --target {}",
+            100.0 * last.share,
+            String::from(target)
+        ));
     }
 }
 

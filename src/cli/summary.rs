@@ -192,7 +192,8 @@ impl<'a> Summary<'a> {
         let all = format!("All together give {:.0} % of what is wanted (likely {band}).\n", 100.0 * reachable);
         if fulfilment > 0.0 {
             let better = 100.0 * (fulfilment_bound / fulfilment - 1.0).max(0.0);
-            all + &format!("No choice of the same length is more than {better:.0} % better.\n")
+            let alike = if self.forecast.maps_at_half > 0 { "work" } else { "length" };
+            all + &format!("No choice of the same {alike} is more than {better:.0} % better.\n")
         } else {
             all
         }

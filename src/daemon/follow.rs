@@ -188,7 +188,7 @@ impl FollowJob<'_> {
         let written: Vec<(ViewIndex, MapScale)> = written.collect();
         let list: Vec<ViewIndex> = self.earlier.list().filter_map(in_scene).collect();
         let wanted = self.plan.stages.settings.cut.target;
-        let (has_target, target) = (wanted.is_some(), wanted.map_or(self.plan.decision.cut.share, |share| share.0));
+        let target = wanted.map_or(self.plan.decision.cut.share, |share| share.0);
         let maps = MapFolder { folder: self.folder, ready: &|path| self.files.contains_key(path) };
         let (plan, run) = replan(self.plan, self.earlier, &maps, watcher)?;
         let order = if self.replan { plan.decision.ranking.maps().collect() } else { listed(&plan, &written) };
@@ -203,8 +203,8 @@ impl FollowJob<'_> {
         let progress = Progress {
             version: 1,
             // Where only other limits are set, all maps of the list are wanted.
-            target_reached: forecast.share >= target
-                && if has_target { !finished.is_empty() } else { finished.len() >= cut },
+            target_reached: !finished.is_empty()
+                && if wanted.is_some() { forecast.share >= target } else { finished.len() >= cut },
             done: finished.len(),
             clusters: cut,
             share: Some(forecast.share),

@@ -35,7 +35,7 @@ pub struct Cut {
     pub reachable_band: Band,
     /// Their fulfilment f_o, 0 to 1.
     pub fulfilment: f64,
-    /// Proven upper bound on f_o of any choice with this number of clusters.
+    /// Proven upper bound on f_o of any choice with this number of clusters; with a choice of sizes, of this work.
     #[serde(default)]
     pub fulfilment_bound: f64,
     /// Pairs that are beyond the gate of the backend.
@@ -51,7 +51,7 @@ pub(super) fn cut(settings: &CutSettings, cost: &Cost) -> Result<Cut, PlanError>
     let mut clusters = ranking.order.len();
     clusters = match settings.budget {
         // If maps differ in work, a share of the views is a share of the work.
-        Some(Budget::Views(share)) if cost.stages.half.is_some() => {
+        Some(Budget::Views(share)) if cost.stages.settings.ranking.has_half() => {
             longest_within(clusters, share.0, |rank| Ok(cost.work(rank)))?
         }
         Some(budget) => clusters.min(budget.clusters(cost.model.scene.views.len())),

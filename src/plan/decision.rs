@@ -80,7 +80,7 @@ fn rank_and_cut(
     Ok(decision)
 }
 
-/// Ranks the clusters; if there is a choice of sizes, at several prices of work, of which the one counts with which the plan is best at its cut.
+/// Ranks the clusters; if there is a choice of sizes, at several prices of work, and returns the ranking that is best at its cut.
 fn rank(
     stages: &Stages,
     finished: &FinishedMaps,
@@ -89,10 +89,10 @@ fn rank(
 ) -> Result<Ranking, PlanError> {
     let maps = stages.maps();
     let ranker = Ranker::new(&maps, &stages.objective)?;
-    let prices = ranker.prices();
-    if let [price] = prices[..] {
-        return Ok(ranker.rank(order, price, watcher)?);
+    if !stages.settings.ranking.has_half() {
+        return Ok(ranker.rank(order, 0.0, watcher)?);
     }
+    let prices = ranker.prices();
     let ranked = AtomicU64::new(0);
     watcher.progress(Stage::Ranking, 0, prices.len() as u64);
     let one = |&price: &f64| {
@@ -102,19 +102,22 @@ fn rank(
         Ok((worth, ranking))
     };
     let rankings: Vec<([f64; 3], Ranking)> = prices.par_iter().map(one).collect::<Result<_, PlanError>>()?;
+    watcher.progress(Stage::Ranking, prices.len() as u64, prices.len() as u64);
     // The first of equals has the lower price.
     let better = |best: ([f64; 3], Ranking), next: ([f64; 3], Ranking)| if next.0 > best.0 { next } else { best };
     Ok(rankings.into_iter().reduce(better).map(|(_, ranking)| ranking).unwrap_or_default())
 }
 
-/// What makes a plan better than others, in this order: what fusion keeps up to the target, f_o where there is none, and little work.
+/// Returns what makes a plan better than others, in this order: what fusion keeps, up to the target; f_o, unless the target is reached; little work.
 fn worth(stages: &Stages, ranking: &Ranking, finished: &FinishedMaps) -> Result<[f64; 3], PlanError> {
     let (model, settings) = (stages.model(), &stages.settings.cut);
     let cost = cost(stages, &model, ranking, finished);
     let cut = cut::cut(settings, &cost)?;
     let work: f64 = (0..cut.clusters).map(|rank| cost.work(rank)).sum();
     let most = settings.target.map_or(0.0, |target| target.0 * ranking.reachable);
-    let fulfilment = if settings.target.is_some_and(|target| target.0 < 1.0) { 0.0 } else { cut.fulfilment };
+    // Where the target is reached, more is of no use.
+    let is_enough = settings.target.is_some_and(|target| target.0 < 1.0) && cut.kept >= most;
+    let fulfilment = if is_enough { 0.0 } else { cut.fulfilment };
     Ok([cut.kept.min(most), fulfilment, -work])
 }
 

@@ -181,17 +181,15 @@ fn with_finished(
     };
     let clusters: Vec<ViewCluster> = rows.values().filter_map(cluster).collect();
     let rows_of: Vec<Rows> = rows.values().copied().collect();
-    let is_full = |c: usize| run.scales[c] == MapScale::Full;
-    let predicted = &stages.fulfilment;
-    let (fulfilment, half) = if stages.half.is_some() || run.scales.contains(&MapScale::Half) {
-        let nothing = FulfilmentTable::new(stages.clusters.iter().map(|_| []));
-        let half = stages.half.as_ref().unwrap_or(&nothing);
-        (
-            believed(&stages, predicted, run, &rows_of, is_full, watcher)?,
-            Some(believed(&stages, half, run, &rows_of, |_| true, watcher)?),
-        )
-    } else {
-        (believed(&stages, predicted, run, &rows_of, is_full, watcher)?, None)
+    let believed = |table, size| believed(&stages, table, size, run, &rows_of, watcher);
+    let fulfilment = believed(&stages.fulfilment, MapScale::Full)?;
+    let half = match &stages.half {
+        Some(half) => Some(believed(half, MapScale::Half)?),
+        None if run.scales.contains(&MapScale::Half) => {
+            let nothing = FulfilmentTable::new(stages.clusters.iter().map(|_| []));
+            Some(believed(&nothing, MapScale::Half)?)
+        }
+        None => None,
     };
     let places: BTreeMap<ViewIndex, u32> = rows.keys().copied().zip(0..).collect();
     let map = |&c: &u32| (places[&run.clusters[c as usize].key], run.scales[c as usize]);
@@ -207,14 +205,14 @@ struct Rows {
     planned: Option<usize>,
 }
 
-/// Returns the table of a size, with the measured rows of the clusters that are finished and the predictions of the others, corrected by what was
-/// measured. `is_measured`: whether the map of a cluster of the run stands for this size; where not, it is the least that this size gives.
+/// Returns the table of a size, with the measured rows of the clusters that are finished at it and the predictions of the others, corrected by what was
+/// measured.
 fn believed(
     stages: &Stages,
     predicted: &FulfilmentTable,
+    size: MapScale,
     run: &MeasuredClusters,
     rows: &[Rows],
-    is_measured: impl Fn(usize) -> bool,
     watcher: &dyn Watcher,
 ) -> Result<FulfilmentTable, PlanError> {
     let mut beliefs = Beliefs::new(&stages.scene, &stages.surface, &stages.clusters, predicted);
@@ -225,21 +223,20 @@ fn believed(
     let mut table = FulfilmentTableBuilder::like(&stages.visibility)?;
     for &Rows { finished, planned } in rows {
         match (finished, planned) {
-            (Some(c), planned) if is_measured(c) || planned.is_none() => {
+            (Some(c), planned) if run.scales[c] == size || planned.is_none() => {
                 let (triangles, values) = run.real.row(c);
                 table.push(triangles, values)?;
             }
-            (None, Some(c)) => {
-                let (triangles, values) = beliefs.row(c);
-                table.push(triangles, &values)?;
-            }
-            // At full size it would be at least as good.
-            (Some(finished), Some(c)) => {
+            // At full size, the map would be at least as good.
+            (Some(finished), Some(c)) if size == MapScale::Full => {
                 let (triangles, values) = beliefs.row(c);
                 let (triangles, values) = larger((triangles, &values), run.real.row(finished));
                 table.push(&triangles, &values)?;
             }
-            (_, None) => {}
+            (_, planned) => {
+                let (triangles, values) = planned.map(|c| beliefs.row(c)).unwrap_or_default();
+                table.push(triangles, &values)?;
+            }
         }
     }
     Ok(table.finish()?)

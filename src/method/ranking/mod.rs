@@ -78,7 +78,7 @@ pub fn rank(table: &FulfilmentTable, objective: &Objective, watcher: &dyn Watche
     rank_after(&[], &Maps::full_size(table), objective, watcher)
 }
 
-/// Ranks clusters at full size behind finished ones, which come first, in the given order, whatever their gain (method 5.4).
+/// Ranks clusters by gain, whatever the work, behind finished ones, which come first, in the given order, whatever their gain (method 5.4).
 pub fn rank_after(
     finished: &[(u32, MapScale)],
     maps: &Maps,
@@ -143,11 +143,9 @@ impl<'a> Ranker<'a> {
         Ok(Self { maps, by_triangle, nothing, alone, reachable })
     }
 
-    /// Returns prices of a unit of work, f_o, from 0, where all maps have full size, almost to that at which no map is worth its work.
+    /// Returns prices of a unit of work, f_o: 0, at which all maps have full size, and falling ones from that at which no map by itself is worth its
+    /// work.
     pub fn prices(&self) -> Vec<f64> {
-        if !self.maps.has_half() {
-            return vec![0.0];
-        }
         let worth = |map: u32| FixedPoint(self.alone[map as usize]).value() / self.maps.work(map);
         let most = (0..self.maps.len()).map(worth).fold(0.0, f64::max);
         let octaves = |step: u32| f64::from(step) / PRICES_PER_OCTAVE;

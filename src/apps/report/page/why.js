@@ -52,7 +52,7 @@ function whyIn(view) {
     make('p', { class: 'answer' }, `${why} ${gainText(rank)} of what all depth maps give, from ${percent(shareAt(rank - 1))} to ${percent(shareAt(rank))}.`
       + ' Triangles that it improves are purple on the map.'),
     make('p', {}, `It is matched against ${partners.length} partner${partners.length === 1 ? '' : 's'}, best first:`), viewList(partners)];
-  if (isHalf(rank)) parts.push(make('p', {}, 'At half the size it adds most for its work.'));
+  if (isHalf(rank)) parts.push(make('p', {}, 'It is matched at half the size, which gives most for the work of the plan.'));
   if (partners.length < data.wanted_partners) {
     parts.push(make('p', {}, `Fewer than the ${data.wanted_partners} wanted, because ${reasonOf(view) || 'there are no others'}${pairsOf(view)}.`));
   }
