@@ -22,7 +22,7 @@ use viewrank::internals::{
     plan::Plan,
     progress::NoWatcher,
     project::Project,
-    ranking,
+    ranking::{Maps, Ranker},
     replan::{self, EarlierPlan, MapFolder, as_written, replan},
     report::{Contents, DepthMapFolders},
     scene::{Scene, ViewIndex},
@@ -169,9 +169,10 @@ fn without_failures_the_rest_is_ranked_as_by_prediction_behind_the_real_values()
     let table = FulfilmentTable::new((0..before.stages.clusters.len()).map(expected));
     assert_eq!(again.stages.fulfilment, table);
     let finished: Vec<_> = finished.iter().map(|&c| (c, MapScale::Full)).collect();
-    let expected =
-        ranking::rank_after(&finished, &ranking::Maps::full_size(&table), &before.stages.objective, &NoWatcher)
-            .unwrap();
+    let expected = Ranker::new(&Maps::full_size(&table), &before.stages.objective)
+        .unwrap()
+        .rank(&finished, 0.0, &NoWatcher)
+        .unwrap();
     assert_eq!(again.decision.ranking, expected);
 }
 

@@ -4,12 +4,9 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::Stages;
-use crate::{
-    method::{
-        confidence::Confidence,
-        ranking::{Ranking, Reached},
-    },
-    model::cluster::MapScale,
+use crate::method::{
+    confidence::Confidence,
+    ranking::{Ranking, Reached},
 };
 
 /// Half width of the band of the reachable weight, over the sum of `w f (1 - f)`, which is 0 if each f is certain. With this factor, the measured value
@@ -47,9 +44,8 @@ impl Band {
         if !matches!(stages.confidence, Confidence::Photometric { .. }) {
             return Self::around(ranking.reachable, UNSEEN.0, UNSEEN.1);
         }
-        let mut reached = Reached::new(&stages.objective);
         let maps = stages.maps();
-        (0..maps.clusters()).for_each(|cluster| reached.take(maps.row_at(cluster, MapScale::Full)));
+        let reached = Reached::by_all(&maps, &stages.objective);
         maps.release();
         let doubt = |(t, weight): (u32, &f64)| {
             let f = f64::from(reached.agreed(t));

@@ -97,9 +97,9 @@ fn rank(
     watcher.progress(Stage::Ranking, 0, prices.len() as u64);
     let one = |&price: &f64| {
         let ranking = ranker.rank(order, price, &Unseen(watcher))?;
-        let worth = worth(stages, &ranking, finished)?;
+        let merit = merit(stages, &ranking, finished)?;
         watcher.progress(Stage::Ranking, ranked.fetch_add(1, Ordering::Relaxed) + 1, prices.len() as u64);
-        Ok((worth, ranking))
+        Ok((merit, ranking))
     };
     let rankings: Vec<([f64; 3], Ranking)> = prices.par_iter().map(one).collect::<Result<_, PlanError>>()?;
     watcher.progress(Stage::Ranking, prices.len() as u64, prices.len() as u64);
@@ -109,7 +109,7 @@ fn rank(
 }
 
 /// Returns what makes a plan better than others, in this order: what fusion keeps, up to the target; f_o, unless the target is reached; little work.
-fn worth(stages: &Stages, ranking: &Ranking, finished: &FinishedMaps) -> Result<[f64; 3], PlanError> {
+fn merit(stages: &Stages, ranking: &Ranking, finished: &FinishedMaps) -> Result<[f64; 3], PlanError> {
     let (model, settings) = (stages.model(), &stages.settings.cut);
     let cost = cost(stages, &model, ranking, finished);
     let cut = cut::cut(settings, &cost)?;

@@ -4,10 +4,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::{Stages, border::border};
-use crate::{
-    method::ranking::{Ranking, Reached},
-    model::cluster::MapScale,
-};
+use crate::method::ranking::{Ranking, Reached};
 
 /// Weight, over that of the whole surface, that fusion is expected to keep of all clusters, less that of the clusters up to the cut, 0 to 1.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -28,11 +25,7 @@ impl GivenUp {
         ranking.maps().take(clusters).for_each(|(cluster, scale)| reached.take(maps.row_at(cluster, scale)));
         let at_cut: Vec<(f32, f32)> = triangles.clone().map(|t| (reached.agreed(t), reached.best(t))).collect();
         match maps.has_half() {
-            // All at full size.
-            true => {
-                reached = Reached::new(objective);
-                (0..maps.clusters()).for_each(|cluster| reached.take(maps.row_at(cluster, MapScale::Full)));
-            }
+            true => reached = Reached::by_all(&maps, objective),
             false => {
                 ranking.maps().skip(clusters).for_each(|(cluster, scale)| reached.take(maps.row_at(cluster, scale)))
             }

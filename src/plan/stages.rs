@@ -455,7 +455,7 @@ fn visible_surface(
     })
 }
 
-/// Returns what the views show of each triangle.
+/// Returns number of views, pixels and finest GSD of each triangle.
 fn shown(file: CacheFile, scene: &Scene, seen: &VisibleSurface) -> Result<(Slot, Shown), PlanError> {
     let unpack = |(), bytes: &[u8]| kept::shown::unpack(bytes, scene.views.len(), seen.surface.triangles.len());
     kept::read_or(file, unpack, || Ok(Shown::new(scene, &seen.surface, &seen.visibility)))

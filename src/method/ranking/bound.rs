@@ -23,11 +23,7 @@ pub fn most_of_any(length: usize, maps: &Maps, objective: &Objective, ranking: &
     let goal = reached.fulfilment();
     // All clusters at full size are an upper bound, too.
     let mut bound = match maps.has_half() {
-        true => {
-            let mut all = Reached::new(objective);
-            (0..maps.clusters()).for_each(|cluster| all.take(maps.row(cluster)));
-            all.fulfilment()
-        }
+        true => Reached::by_all(maps, objective).fulfilment(),
         // The ranking has taken all of them, in whole numbers, so that no other order gives another sum.
         false => ranking.fulfilment.last().copied().unwrap_or(0.0),
     };

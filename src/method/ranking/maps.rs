@@ -32,7 +32,7 @@ impl<'a> Maps<'a> {
         self.half.is_some()
     }
 
-    pub fn clusters(&self) -> u32 {
+    pub(super) fn clusters(&self) -> u32 {
         self.full.clusters() as u32
     }
 

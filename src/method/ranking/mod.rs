@@ -75,17 +75,7 @@ impl Ranking {
 
 /// Ranks clusters at full size. Ties go to the cluster with the larger f_o by itself, then to the first by view name.
 pub fn rank(table: &FulfilmentTable, objective: &Objective, watcher: &dyn Watcher) -> Result<Ranking, TableError> {
-    rank_after(&[], &Maps::full_size(table), objective, watcher)
-}
-
-/// Ranks clusters by gain, whatever the work, behind finished ones, which come first, in the given order, whatever their gain (method 5.4).
-pub fn rank_after(
-    finished: &[(u32, MapScale)],
-    maps: &Maps,
-    objective: &Objective,
-    watcher: &dyn Watcher,
-) -> Result<Ranking, TableError> {
-    Ok(Ranker::new(maps, objective)?.rank(finished, 0.0, watcher)?)
+    Ok(Ranker::new(&Maps::full_size(table), objective)?.rank(&[], 0.0, watcher)?)
 }
 
 /// Returns the share (0 to 1) of each prefix of a ranking under other weights.
@@ -99,20 +89,12 @@ pub fn shares_by(objective: &Objective, ranking: &Ranking, maps: &Maps) -> Vec<f
         reached.kept_weight()
     };
     let kept: Vec<f64> = ranking.maps().enumerate().map(&mut take).collect();
-    let all = if maps.has_half() { kept_of_all(maps, objective) } else { kept.last().copied().unwrap_or(0.0) };
+    let all = if maps.has_half() {
+        Reached::by_all(maps, objective).kept_weight()
+    } else {
+        kept.last().copied().unwrap_or(0.0)
+    };
     kept.into_iter().map(|kept| if all > 0.0 { kept / all } else { 0.0 }).collect()
-}
-
-/// Returns the weight that fusion is expected to keep of all clusters at full size.
-fn kept_of_all(maps: &Maps, objective: &Objective) -> f64 {
-    let mut reached = Reached::new(objective);
-    for cluster in 0..maps.clusters() {
-        reached.take(maps.row(cluster));
-        if (cluster as usize).is_multiple_of(column::READ_AT_ONCE) {
-            maps.release();
-        }
-    }
-    reached.kept_weight()
 }
 
 /// Ranks depth maps, one per cluster, by gain less a price for their work.
@@ -139,7 +121,7 @@ impl<'a> Ranker<'a> {
         let nothing = Reached::new(objective);
         let gain = |&map: &u32| nothing.whole_gain(maps.row(map));
         let alone = column::read_by_parts(&all, gain, || maps.release());
-        let reachable = maps.has_half().then(|| kept_of_all(maps, objective));
+        let reachable = maps.has_half().then(|| Reached::by_all(maps, objective).kept_weight());
         Ok(Self { maps, by_triangle, nothing, alone, reachable })
     }
 

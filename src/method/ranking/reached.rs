@@ -1,6 +1,7 @@
 //! f_o of a growing set of clusters.
 
-use super::Objective;
+use super::{Maps, Objective};
+use crate::base::column;
 
 /// f_o is counted in integer multiples of 1 / `UNIT`. Integer sums are exact: gains can be updated by differences, and the result depends neither on
 /// the order of additions nor on the number of threads.
@@ -34,6 +35,18 @@ impl<'a> Reached<'a> {
     pub(crate) fn new(objective: &'a Objective) -> Self {
         let largest = vec![0.0; objective.support as usize * objective.weights.len()];
         Self { objective, largest, fulfilment: 0, kept: 0 }
+    }
+
+    /// Returns what all clusters at full size reach.
+    pub(crate) fn by_all(maps: &Maps, objective: &'a Objective) -> Self {
+        let mut reached = Self::new(objective);
+        for cluster in 0..maps.clusters() {
+            reached.take(maps.row(cluster));
+            if (cluster as usize).is_multiple_of(column::READ_AT_ONCE) {
+                maps.release();
+            }
+        }
+        reached
     }
 
     /// f_o of the chosen clusters.

@@ -10,6 +10,15 @@ fn even(triangles: u32, support: u32) -> Objective {
     Objective::weighing(vec![1.0; triangles as usize], support)
 }
 
+/// Ranks clusters at full size behind finished ones.
+fn rank_after(table: &FulfilmentTable, finished: &[(u32, MapScale)], objective: &Objective) -> Ranking {
+    Ranker::new(&Maps::full_size(table), objective).unwrap().rank(finished, 0.0, &NoWatcher).unwrap()
+}
+
+fn rank(table: &FulfilmentTable, objective: &Objective) -> Ranking {
+    super::rank(table, objective, &NoWatcher).unwrap()
+}
+
 /// f_o of the whole ranking.
 fn total(ranking: &Ranking) -> f64 {
     ranking.fulfilment.last().copied().unwrap_or(0.0)
@@ -76,7 +85,7 @@ proptest! {
     #[test]
     fn gains_kept_up_to_date_are_fresh_gains(rows in rows(), support in 1u32..4) {
         let (table, objective) = (FulfilmentTable::new(&rows), even(TRIANGLES, support));
-        let ranking = rank(&table, &objective, &NoWatcher).unwrap();
+        let ranking = rank(&table, &objective);
         let plain = plain_greedy(&table, &objective);
         prop_assert_eq!(&ranking.order, &plain.iter().map(|p| p.0).collect::<Vec<_>>());
         prop_assert_eq!(&ranking.gains, &plain.iter().map(|p| FixedPoint(p.1).value()).collect::<Vec<_>>());
@@ -94,15 +103,15 @@ proptest! {
     #[test]
     fn what_is_finished_comes_first_and_the_rest_is_greedy_behind_it(rows in rows(), support in 1u32..4) {
         let (table, objective) = (FulfilmentTable::new(&rows), even(TRIANGLES, support));
-        let whole = rank(&table, &objective, &NoWatcher).unwrap();
+        let whole = rank(&table, &objective);
         for length in 0..=whole.order.len() {
             let finished: Vec<_> = whole.maps().take(length).collect();
-            let again = rank_after(&finished, &Maps::full_size(&table), &objective, &NoWatcher).unwrap();
+            let again = rank_after(&table, &finished, &objective);
             prop_assert_eq!(&again, &whole);
         }
         let last: Vec<u32> = (0..rows.len() as u32).rev().take(2).collect();
         let finished: Vec<_> = last.iter().map(|&c| (c, MapScale::Full)).collect();
-        let after = rank_after(&finished, &Maps::full_size(&table), &objective, &NoWatcher).unwrap();
+        let after = rank_after(&table, &finished, &objective);
         prop_assert_eq!(&after.order[..last.len()], &last[..]);
         prop_assert!((total(&after) - total(&whole)).abs() < 1e-12);
     }
@@ -110,7 +119,7 @@ proptest! {
     #[test]
     fn greedy_keeps_its_guarantee(rows in rows(), support in 1u32..4) {
         let objective = even(TRIANGLES, support);
-        let ranking = rank(&FulfilmentTable::new(&rows), &objective, &NoWatcher).unwrap();
+        let ranking = rank(&FulfilmentTable::new(&rows), &objective);
         for (n, optimum) in optima(&rows, support as usize).into_iter().enumerate().skip(1).take(ranking.order.len()) {
             prop_assert!(ranking.fulfilment[n - 1] >= objective.guarantee() * optimum - 1e-12);
         }
@@ -119,7 +128,7 @@ proptest! {
     #[test]
     fn no_set_of_clusters_exceeds_the_bound(rows in rows(), support in 1u32..4) {
         let (table, objective) = (FulfilmentTable::new(&rows), even(TRIANGLES, support));
-        let ranking = rank(&table, &objective, &NoWatcher).unwrap();
+        let ranking = rank(&table, &objective);
         for (n, optimum) in optima(&rows, support as usize).into_iter().enumerate() {
             prop_assert!(most_of_any(n, &Maps::full_size(&table), &objective, &ranking) >= optimum - 1e-12);
         }
@@ -130,7 +139,7 @@ proptest! {
 fn where_fusion_wants_two_maps_the_second_is_worth_more_than_a_first_elsewhere() {
     // Clusters 0 and 1 see the first triangle, 2 the second, less well.
     let rows = [vec![(0, 0.8f32)], vec![(0, 0.8)], vec![(1, 0.7)]];
-    let order = |support| rank(&FulfilmentTable::new(&rows), &even(2, support), &NoWatcher).unwrap().order;
+    let order = |support| rank(&FulfilmentTable::new(&rows), &even(2, support)).order;
     assert_eq!(order(1), [0, 2]);
     assert_eq!(order(2), [0, 1, 2]);
 }
@@ -138,7 +147,7 @@ fn where_fusion_wants_two_maps_the_second_is_worth_more_than_a_first_elsewhere()
 #[test]
 fn a_map_alone_is_not_kept() {
     let rows = [vec![(0, 0.8f32)], vec![(1, 0.8)], vec![(0, 0.8)]];
-    let ranking = rank(&FulfilmentTable::new(&rows), &even(2, 2), &NoWatcher).unwrap();
+    let ranking = rank(&FulfilmentTable::new(&rows), &even(2, 2));
     assert_eq!(ranking.order, [0, 2, 1]);
     assert!(ranking.kept.iter().zip([0.0, 0.4, 0.4]).all(|(kept, expected)| (kept - expected).abs() < 1e-6));
     assert_eq!([0, 1, 2, 3].map(|n| ranking.share(n)), [0.0, 0.0, 1.0, 1.0]);
@@ -156,14 +165,14 @@ fn the_prefix_for_a_share_is_the_shortest() {
 #[test]
 fn where_nothing_is_kept_all_are_taken() {
     let rows = [vec![(0, 0.2f32)], vec![(1, 0.1)]];
-    let ranking = rank(&FulfilmentTable::new(&rows), &even(2, 2), &NoWatcher).unwrap();
+    let ranking = rank(&FulfilmentTable::new(&rows), &even(2, 2));
     assert_eq!((ranking.reachable, ranking.share(2), ranking.length_for_share(0.5)), (0.0, 0.0, 2));
 }
 
 #[test]
 fn a_gain_of_zero_ends_the_order() {
     let rows = [vec![(0, 0.5f32), (1, 0.5)], vec![(0, 0.5)], vec![(1, 0.25)], vec![]];
-    let ranking = rank(&FulfilmentTable::new(&rows), &even(2, 1), &NoWatcher).unwrap();
+    let ranking = rank(&FulfilmentTable::new(&rows), &even(2, 1));
     assert_eq!(ranking.order, [0]);
 }
 
@@ -208,7 +217,7 @@ proptest! {
             }
         }
         // Without a price, size counts for nothing.
-        let [free, one_size] = [ranker.rank(&[], prices[0], &NoWatcher).unwrap(), rank(&full, &objective, &NoWatcher).unwrap()];
+        let [free, one_size] = [ranker.rank(&[], prices[0], &NoWatcher).unwrap(), rank(&full, &objective)];
         prop_assert_eq!(free.maps().collect::<Vec<_>>(), one_size.maps().collect::<Vec<_>>());
         prop_assert_eq!((free.kept, free.fulfilment), (one_size.kept, one_size.fulfilment));
     }
@@ -258,7 +267,7 @@ fn shares_of_two_sizes_are_of_all_at_full_size() {
     assert!((ranking.share(2) - 0.75).abs() < 1e-6);
     let shares = shares_by(&Objective::weighing(vec![3.0, 1.0], 1), &ranking, &maps);
     assert!((shares[0] - 0.6 * 3.0 / 2.8).abs() < 1e-6 && (shares[1] - 0.75).abs() < 1e-6, "{shares:?}");
-    let of_full = shares_by(&objective, &rank(&full, &objective, &NoWatcher).unwrap(), &Maps::full_size(&full));
+    let of_full = shares_by(&objective, &rank(&full, &objective), &Maps::full_size(&full));
     assert!((of_full[0] - 2.0 / 3.0).abs() < 1e-6 && of_full[1] == 1.0, "{of_full:?}");
     assert!(shares_by(&even(2, 1), &Ranking::default(), &maps).is_empty());
 }
@@ -281,7 +290,7 @@ fn the_bound_is_near_the_optimum() {
             let row = |c: u32| (0..TRIANGLES).map(|t| (t, f(c, t) - 0.5)).filter(|entry| entry.1 > 0.0).collect();
             let rows: Vec<Vec<(u32, f32)>> = (0..8).map(row).collect();
             let (table, objective) = (FulfilmentTable::new(&rows), even(TRIANGLES, support));
-            let ranking = rank(&table, &objective, &NoWatcher).unwrap();
+            let ranking = rank(&table, &objective);
             for (n, optimum) in optima(&rows, support as usize).into_iter().enumerate().skip(1).take(6) {
                 excess += most_of_any(n, &Maps::full_size(&table), &objective, &ranking) - optimum;
                 bounds += 1;

@@ -1,4 +1,4 @@
-//! What the views show of each triangle.
+//! Number of views, pixels and finest GSD of each triangle.
 
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
 
@@ -17,7 +17,7 @@ use crate::{
 /// Pixels are added as integer multiples of 1 / `PARTS`: the sum does not depend on the order in which threads add them.
 const PARTS: f64 = 65_536.0;
 
-/// By triangle, over the views that see it, in pixels of the model's images.
+/// By triangle, over the views that see it; pixels are those of the model's images.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Shown {
     /// Number of views.
@@ -30,6 +30,9 @@ pub struct Shown {
 }
 
 impl Shown {
+    /// Pixels of a triangle in one view that are counted at most.
+    pub const MOST_PIXELS: f64 = 1e9;
+
     pub fn new(scene: &Scene, surface: &Surface, visibility: &Visibility) -> Self {
         let triangles = surface.triangles.len();
         let views: Vec<AtomicU32> = (0..triangles).map(|_| AtomicU32::new(0)).collect();
@@ -42,7 +45,7 @@ impl Shown {
                 let gsd = gsd_at(scene, surface, view, t) as f32;
                 let t = t as usize;
                 views[t].fetch_add(1, Ordering::Relaxed);
-                pixels[t].fetch_add((area.min(1e9) * PARTS) as u64, Ordering::Relaxed);
+                pixels[t].fetch_add((area.min(Self::MOST_PIXELS) * PARTS) as u64, Ordering::Relaxed);
                 if gsd > 0.0 {
                     // Bits of positive floats are ordered like the floats, and a minimum does not depend on the order of threads.
                     finest[t].fetch_min(gsd.to_bits(), Ordering::Relaxed);

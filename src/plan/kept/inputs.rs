@@ -90,7 +90,7 @@ impl<'a> Inputs<'a> {
         CacheFile::new(self.home, "viewrank/cache/confidence.table", inputs())
     }
 
-    /// What the views show of the surface.
+    /// Views, pixels and finest GSD of each triangle.
     pub fn shown(&self, surface: &CacheFile) -> CacheFile {
         let inputs = || Some(self.of_results(&[surface.inputs()?]));
         CacheFile::new(self.home, "viewrank/cache/shown.table", inputs())

@@ -1,4 +1,4 @@
-//! What the views show of each triangle.
+//! Number of views, pixels and finest GSD of each triangle.
 
 use crate::{
     base::packed::{Packer, Unpacker},
@@ -13,16 +13,13 @@ pub(super) fn pack(shown: &Shown) -> Vec<u8> {
     packer.finish()
 }
 
-/// Most pixels of a triangle in a view that are counted ([`Shown::new`]).
-const MOST_PIXELS: f64 = 1e9;
-
-/// Unpacks what so many views show of so many triangles.
+/// Unpacks the figures of the triangles. `views`: number of views of the scene; `triangles`: of its surface.
 pub fn unpack(bytes: &[u8], views: usize, triangles: usize) -> Option<Shown> {
     let mut lists = Unpacker::new(bytes);
     let shown = Shown { views: lists.list()?, pixels: lists.list()?, finest_gsd: lists.list()? };
     let lengths = [shown.views.len(), shown.pixels.len(), shown.finest_gsd.len()];
     let fits = lists.is_at_end() && lengths.iter().all(|&length| length == triangles);
-    let most = MOST_PIXELS * views as f64;
+    let most = Shown::MOST_PIXELS * views as f64;
     let is_possible = shown.views.iter().all(|&number| number as usize <= views)
         && shown.pixels.iter().all(|pixels| (0.0..=most).contains(pixels))
         && shown.finest_gsd.iter().all(|&gsd| gsd > 0.0);
