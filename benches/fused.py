@@ -19,7 +19,7 @@ import os
 from pathlib import Path
 
 from scipy.spatial import cKDTree
-from sizes import Bench, Reference, one_per_cell
+from sizes import OpenMvs, Reference, one_per_cell
 
 
 def main():
@@ -29,15 +29,15 @@ def main():
     parser.add_argument("--image-scale", type=float, default=0.5)
     parser.add_argument("--openmvs", type=Path, default=Path(os.environ.get("OPENMVS_BIN", ".")), help="folder of its programs")
     parser.add_argument("--viewrank", default="viewrank")
-    bench = Bench(parser.parse_args())
+    bench = OpenMvs(parser.parse_args())
     every = bench.plan("--budget", "100%", "--target", "100%")
     bench.match(every, 1.0)
-    references = [Reference(bench.fuse(every, {1.0}, agreeing=maps), bench) for maps in (1, 3)]
+    references = [Reference(bench.fuse(every, 1.0, agreeing=maps), bench) for maps in (1, 3)]
     print("maps  share %  area %  covered %  by area %  where three agree %  by area %")
     lengths = {next(c["rank"] for c in every["clusters"] if c["area"] >= tenth / 10) for tenth in range(2, 10)}
     for length in sorted(lengths):
         bench.plan("--budget", str(length), "--target", "100%")
-        cloud, last = bench.fuse(every, {1.0}), every["clusters"][length - 1]
+        cloud, last = bench.fuse(every, 1.0), every["clusters"][length - 1]
         tree = cKDTree(one_per_cell(cloud, references[0].gsd.min() / 2))
         shares = [100 * last["share"], 100 * last["area"]] + [share for reference in references for share in reference.covered(tree, 3)]
         print(f"{length:4}  " + "  ".join(f"{share:{width}.1f}" for share, width in zip(shares, (7, 6, 9, 9, 19, 9))), flush=True)

@@ -1,12 +1,12 @@
 #!/usr/bin/env python3
-"""Compares plans with key views at two sizes (method 5.8) with plans at one, by the clouds that OpenMVS fuses.
+"""Compares plans with key views at two sizes (method 5.8) with plans at one, by the clouds that OpenMVS or integrations/sgm fuses.
 
-    benches/sizes.py PROJECT WORK_FOLDER [--image-scale 0.5] [--worth 0.8] [--openmvs FOLDER] [--viewrank viewrank]
+    benches/sizes.py PROJECT WORK_FOLDER [--matcher openmvs|sgm] [--image-scale 0.5] [--worth 0.8] [--openmvs FOLDER] [--viewrank viewrank]
 
 Matches all key views at full and at half size once (CPU seconds of each are printed), then fuses, for half, one and one and a half times the
 work of the default plan: the plan at full size, mixed plans, the whole plan at half size, and every n-th view at full size; and once what OpenMVS makes
 by itself of all images at half size, with its own partners, passes and fusion. The reference is the cloud of all maps at full
-size, without points that fewer than three of them agree on. It is divided into cells of 2 g_d, where g_d is that of the place (method 3.6): 1.25 times the finest GSD of the
+size; OpenMVS's without points that fewer than three of them agree on (sgm keeps a depth only where two of its own pairs agree). It is divided into cells of 2 g_d, where g_d is that of the place (method 3.6): 1.25 times the finest GSD of the
 images in which it lies, in steps of octaves; so cells are about equally many pixels:
 
     covered    share of its cells with a point within 2 g_d
@@ -15,7 +15,7 @@ images in which it lies, in steps of octaves; so cells are about equally many pi
     error      median of those offsets over the cells, in g_d
     work       CPU seconds of the maps over those of all maps at full size
 
-Needs numpy, scipy and pycolmap. Runs resume: maps that are there are kept. WORK_FOLDER/rows.json is for sizes_curves.py.
+Needs numpy, scipy and pycolmap, with sgm its requirements. Runs resume: maps that are there are kept. WORK_FOLDER/rows.json is for sizes_curves.py.
 """
 
 import argparse
@@ -39,16 +39,18 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("project", type=Path, help="COLMAP project with images/ and sparse/")
     parser.add_argument("work", type=Path, help="folder for maps and clouds")
+    parser.add_argument("--matcher", choices=("openmvs", "sgm"), default="openmvs")
     parser.add_argument("--image-scale", type=float, default=0.5)
     parser.add_argument("--worth", type=float, nargs="*", default=[0.8])
     parser.add_argument("--openmvs", type=Path, default=Path(os.environ.get("OPENMVS_BIN", ".")), help="folder of its programs")
     parser.add_argument("--viewrank", default="viewrank")
-    bench = Bench(parser.parse_args())
+    args = parser.parse_args()
+    bench = {"openmvs": OpenMvs, "sgm": Sgm}[args.matcher](args)
     every = bench.plan("--budget", "100%", "--target", "100%")
     cost = {scale: bench.match(every, scale) for scale in (1.0, 0.5)}
     print(f"CPU seconds per map: {cost[1.0]:.2f} at full, {cost[0.5]:.2f} at half size")
     maps = len(every["clusters"])
-    reference = Reference(bench.fuse(every, {1.0}, agreeing=3), bench)
+    reference = Reference(bench.reference(every), bench)
     default = bench.plan()["cut"]["clusters"]
     print("plan                     times  full  half  work %  covered %  right %  precision %  error")
 
@@ -64,7 +66,7 @@ def main():
         sizes = [scales or cluster["scale"] for cluster in chosen]
         full, half = sizes.count(1.0), sizes.count(0.5)
         work = 100 * (full * cost[1.0] + half * cost[0.5]) / (maps * cost[1.0])
-        show(name, times, (full, half), work, reference.score(bench.fuse(plan, {1.0, 0.5}, scales)))
+        show(name, times, (full, half), work, reference.score(bench.fuse(plan, scales)))
 
     for times in TIMES:
         at_full = max(2, round(default * times))
@@ -78,15 +80,17 @@ def main():
         keys = {names[i * maps // at_full] for i in range(at_full)}
         whole = bench.plan("--budget", "100%", "--target", "100%")
         row("every n-th", times, {**whole, "clusters": [cluster for cluster in whole["clusters"] if cluster["key"] in keys]})
-    seconds, cloud = bench.plain()
-    show("OpenMVS alone, half size", "", (0, maps), 100 * seconds / (maps * cost[1.0]), reference.score(cloud))
+    if args.matcher == "openmvs":
+        seconds, cloud = bench.alone()
+        show("OpenMVS alone, half size", "", (0, maps), 100 * seconds / (maps * cost[1.0]), reference.score(cloud))
     (bench.args.work / "rows.json").write_text(json.dumps(rows, indent=1))
 
 
 class Bench:
+    """A project whose key views a matcher matches at both sizes."""
+
     def __init__(self, args):
         self.args = args
-        self.programs = args.openmvs.resolve()
         self.project = args.work / "project"
         if not self.project.exists():
             self.project.mkdir(parents=True)
@@ -98,9 +102,41 @@ class Bench:
         """The manifest of a plan whose export is in the project."""
         settings = f"image_scale = {self.args.image_scale}\n[ranking]\nhalf_worth = {float(worth)}\n"
         (self.project / "viewrank.toml").write_text(settings)
-        command = [self.args.viewrank, "plan", self.project, "--backend", "openmvs", "--quiet", *options]
+        command = [self.args.viewrank, "plan", self.project, "--backend", self.args.matcher, "--quiet", *options]
         subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
         return json.loads((self.project / "viewrank/manifest.json").read_text())
+
+    def maps(self, scale):
+        return self.args.work / f"maps-{scale:g}"
+
+    def match(self, plan, scale):
+        """CPU seconds per map of the size; matches all of them once."""
+        note = self.args.work / f"seconds-{scale:g}.json"
+        if not note.exists():
+            before = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime
+            self.match_all(plan, scale)
+            seconds = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime - before
+            note.write_text(json.dumps(seconds / len(plan["clusters"])))
+        return json.loads(note.read_text())
+
+    def wanted_gsd(self, points):
+        """g_d at each point: 1.25 times the finest GSD of the images in which it lies, in pixels of the full size; infinite in none."""
+        finest = np.full(len(points), np.inf)
+        for image in self.model.images.values():
+            camera, pose = self.model.cameras[image.camera_id], image.cam_from_world()
+            seen = points @ pose.rotation.matrix().T + pose.translation
+            matrix = camera.calibration_matrix()
+            with np.errstate(all="ignore"):
+                pixels = seen @ matrix.T[:, :2] / seen[:, 2:]
+            inside = (seen[:, 2] > 0) & (pixels >= 0).all(1) & (pixels < [camera.width, camera.height]).all(1)
+            finest = np.where(inside, np.minimum(finest, seen[:, 2] / matrix[0, 0]), finest)
+        return 1.25 * finest / self.args.image_scale
+
+
+class OpenMvs(Bench):
+    def __init__(self, args):
+        super().__init__(args)
+        self.programs = args.openmvs.resolve()
 
     def export(self, folder, scales=None):
         """A copy of the export, with all key views at one size if given."""
@@ -112,26 +148,17 @@ class Bench:
                 cluster["scale"] = scales
             (folder / "run.json").write_text(json.dumps(run))
 
-    def maps(self, scale):
-        return self.args.work / f"maps-{scale:g}"
-
-    def match(self, plan, scale):
-        """CPU seconds per map of the size; matches all of them once."""
-        folder, note = self.maps(scale), self.args.work / f"seconds-{scale:g}.json"
-        if not note.exists():
-            if not folder.exists():
-                self.export(folder, scale)
-            before = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime
-            self.run(folder, "--no-fusion", check=False)
-            seconds = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime - before
-            note.write_text(json.dumps(seconds / len(plan["clusters"])))
-        return json.loads(note.read_text())
+    def match_all(self, plan, scale):
+        folder = self.maps(scale)
+        if not folder.exists():
+            self.export(folder, scale)
+        self.run(folder, "--no-fusion", check=False)
 
     def run(self, folder, *options, check=True):
         command = [sys.executable, "run.py", *options, "--threads", "1", "--densify", self.programs / "DensifyPointCloud"]
         subprocess.run(command, cwd=folder, check=check, stdout=subprocess.DEVNULL)
 
-    def plain(self):
+    def alone(self):
         """CPU seconds and the cloud of OpenMVS alone on all images at half size."""
         folder = self.args.work / "plain"
         note = folder / "seconds.json"
@@ -150,24 +177,14 @@ class Bench:
             note.write_text(json.dumps(resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime - before))
         return json.loads(note.read_text()), read_cloud(folder / "scene_dense.ply")
 
-    def wanted_gsd(self, points):
-        """g_d at each point: 1.25 times the finest GSD of the images in which it lies, in pixels of the full size; infinite in none."""
-        finest = np.full(len(points), np.inf)
-        for image in self.model.images.values():
-            camera, pose = self.model.cameras[image.camera_id], image.cam_from_world()
-            seen = points @ pose.rotation.matrix().T + pose.translation
-            matrix = camera.calibration_matrix()
-            with np.errstate(all="ignore"):
-                pixels = seen @ matrix.T[:, :2] / seen[:, 2:]
-            inside = (seen[:, 2] > 0) & (pixels >= 0).all(1) & (pixels < [camera.width, camera.height]).all(1)
-            finest = np.where(inside, np.minimum(finest, seen[:, 2] / matrix[0, 0]), finest)
-        return 1.25 * finest / self.args.image_scale
+    def reference(self, every):
+        return self.fuse(every, 1.0, agreeing=3)
 
-    def fuse(self, plan, sizes, scales=None, agreeing=1):
+    def fuse(self, plan, scale=None, agreeing=1):
         """Points of the cloud of the plan's maps, n x 3, of those that were matched above; where so many of them agree."""
         folder = self.args.work / "fused"
-        self.export(folder, scales)
-        rows = {scale: {row["key"]: row for row in json.loads((self.maps(scale) / "report.json").read_text())["clusters"]} for scale in sizes}
+        self.export(folder, scale)
+        rows = {scale: {row["key"]: row for row in json.loads((self.maps(scale) / "report.json").read_text())["clusters"]} for scale in ({scale} if scale else {1.0, 0.5})}
         report, keys = [], {cluster["key"] for cluster in plan["clusters"]}
         for cluster in json.loads((folder / "run.json").read_text())["clusters"]:
             row = rows[cluster["scale"]].get(cluster["key"])
@@ -177,6 +194,36 @@ class Bench:
         (folder / "report.json").write_text(json.dumps({"options": [], "clusters": report, "fusion": None}))
         self.run(folder, "--stop-at", "0")
         return read_cloud(folder / "fused.ply", agreeing)
+
+
+class Sgm(Bench):
+    def run(self, verb, out, plan, scale, *options):
+        """One verb of sgm.py on the clusters of the plan, all at one size if given."""
+        clusters = [{**cluster, "scale": scale or cluster["scale"]} for cluster in plan["clusters"]]
+        manifest = self.args.work / "clusters.json"
+        manifest.write_text(json.dumps({**plan, "clusters": clusters, "cut": {**plan["cut"], "clusters": min(plan["cut"]["clusters"], len(clusters))}}))
+        script = Path(__file__).resolve().parents[1] / "integrations/sgm/sgm.py"
+        command = [sys.executable, script, verb, self.project, "--clusters", manifest, "--out", out, "--image-scale", str(self.args.image_scale), *options]
+        subprocess.run(command, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+
+    def match_all(self, plan, scale):
+        self.run("match", self.maps(scale), plan, scale)
+
+    def reference(self, every):
+        return self.fuse(every, 1.0)
+
+    def fuse(self, plan, scale=None):
+        """Points of the cloud of the plan's maps, n x 3, of those that were matched above."""
+        folder = self.args.work / "fused"
+        shutil.rmtree(folder, ignore_errors=True)
+        for cluster in plan["clusters"][: plan["cut"]["clusters"]]:
+            path = folder / f"depth_maps/{cluster['key']}.npy"
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.symlink_to((self.maps(scale or cluster["scale"]) / f"depth_maps/{cluster['key']}.npy").resolve())
+        self.run("fuse", folder, plan, scale)
+        data = (folder / "fused.ply").read_bytes()
+        record = np.dtype([("position", "<f8", 3), ("colour", "u1", 3)])
+        return np.frombuffer(data[data.index(b"end_header\n") + 11 :], record)["position"].copy()
 
 
 def read_cloud(path, agreeing=1):

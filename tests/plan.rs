@@ -433,13 +433,13 @@ fn a_limit_that_is_missed_leaves_what_fits_and_a_list_that_is_too_short_says_so(
 #[test]
 fn a_backend_that_matches_all_at_one_size_says_so() {
     let folder = project();
-    plan(folder.path(), &["--backend", "mve", "--scales", "1,0.5"]);
+    plan(folder.path(), &["--backend", "alicevision", "--scales", "1,0.5"]);
     let manifest = manifest(folder.path());
     assert_eq!(manifest["settings"]["ranking"]["scales"], serde_json::json!([1.0]));
     assert!(manifest["clusters"].as_array().unwrap().iter().all(|c| c["scale"] == 1.0));
     let warnings = manifest["warnings"].as_array().unwrap();
     assert!(
-        warnings.iter().any(|w| w.as_str().unwrap().contains("mve matches all key views at one size")),
+        warnings.iter().any(|w| w.as_str().unwrap().contains("alicevision matches all key views at one size")),
         "{warnings:?}"
     );
     let [error] = [viewrank(&["plan", folder.path().to_str().unwrap(), "--scales", "1,0.25"])];

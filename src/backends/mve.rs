@@ -14,7 +14,7 @@ use crate::{
     method::confidence::Photometric,
     model::{
         camera::Camera,
-        cluster::RankedCluster,
+        cluster::{MapScale, RankedCluster},
         scene::{PointIndex, Scene, ViewIndex, ViewPoints},
     },
 };
@@ -45,7 +45,7 @@ pub static BACKEND: Backend = Backend {
     use_of_views: None,
     own_scale,
     takes_distorted: false,
-    mixes_sizes: false,
+    mixes_sizes: true,
     serves: |_| false,
     tasks: |_, _| None,
     traps,
@@ -88,7 +88,6 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
             bundle(selection.scene, &points, cluster, &ids, views.len()),
         );
     }
-    let scale = (1.0 / selection.image_scale).log2().round().max(0.0);
     let mut record = ExportRecord::new(&BACKEND, selection, |v| id(v).to_string());
     record.moved(near.origin);
     record.runner = Some("run.sh".into());
@@ -97,32 +96,52 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     let mut script = ClusterScript::new(RUNNER_HEAD);
     for (i, cluster) in selection.clusters.iter().enumerate() {
         let (partners, key) = (cluster.partners.len(), id(cluster.key));
-        let local = partners.min(LOCAL_NEIGHBOURS);
+        let (local, level) = (partners.min(LOCAL_NEIGHBOURS), level(selection, cluster.scale));
         let bundle = format!("{:04}.out", i + 1);
         let choice = format!("--neighbors={partners} --local-neighbors={local}");
-        let options = format!("-s{scale} -m{key} {choice}");
+        let options = format!("-s{level} -m{key} {choice}");
         let folder = folder(selection.scene, cluster.key);
-        let recipe = recipe(selection, cluster, &format!("-s{scale} {choice}"));
-        let result = format!("views/{folder}/depth-L{scale}.mvei");
+        let recipe = recipe(selection, cluster, &format!("-s{level} {choice}"));
+        let result = format!("views/{folder}/depth-L{level}.mvei");
         let name = folder.trim_end_matches(".mve");
         script.line(&format!("back {name} {recipe}"));
         script.cluster(name, &recipe, &result, &[format!("map {folder} {bundle} {options}")]);
         record.commands.push(format!("cp bundles/{bundle} synth_0.out"));
         record.commands.push(format!("dmrecon {options} ."));
     }
-    record.note_scale(selection, |_| (-scale).exp2());
-    let keys: Vec<String> = (0..selection.clusters.len()).map(|i| i.to_string()).collect();
-    record.commands.push(format!("scene2pset -F{scale} -v{} . fused.ply", keys.join(",")));
+    record.note_scale(selection, |_| (-f64::from(level(selection, MapScale::Full))).exp2());
+    let (points, clouds) = joining(selection);
     record.not_honoured.push("that every partner is used: dmrecon chooses among them".into());
-    record.fusion =
-    "depth-L maps hold the length of the ray, not z; scene2pset joins them with confidences and scales; fssrecon fused.ply surface.ply makes the surface"
-        .into();
-    files.add("run.sh", script.finish(&record.commands[record.commands.len() - 1..]));
+    record.fusion = format!(
+        "depth-L maps hold the length of the ray, not z; scene2pset joins them with confidences and scales; fssrecon {} surface.ply makes the surface",
+        clouds.join(" ")
+    );
+    files.add("run.sh", script.finish(&points));
+    record.commands.extend(points);
     files.add_text("export.json", record.to_json());
     Ok(Export { files, record })
 }
 
 const RUNNER_HEAD: &str = include_str!("../../integrations/mve/run_head.sh");
+
+/// Returns the number of times that images are halved.
+fn level(selection: &Selection, scale: MapScale) -> u32 {
+    let full = (1.0 / selection.image_scale).log2().round().max(0.0) as u32;
+    full + u32::from(scale == MapScale::Half)
+}
+
+/// Returns the commands that join the maps of each size, and the files that they make: `scene2pset` takes maps of one size, `fssrecon` any number of point
+/// sets, in which each point has its own scale.
+fn joining(selection: &Selection) -> (Vec<String>, Vec<&'static str>) {
+    let of_size = |(scale, cloud): (MapScale, &'static str)| {
+        // The ids of the key views are their ranks. Without any, scene2pset would take all views.
+        let keys = (0..).zip(selection.clusters).filter(|(_, c)| c.scale == scale);
+        let keys: Vec<String> = keys.map(|(id, _): (usize, _)| id.to_string()).collect();
+        let level = level(selection, scale);
+        (!keys.is_empty()).then(|| (format!("scene2pset -F{level} -v{} . {cloud}", keys.join(",")), cloud))
+    };
+    [(MapScale::Full, "fused.ply"), (MapScale::Half, "fused_half.ply")].into_iter().filter_map(of_size).unzip()
+}
 
 /// Folder of a view and its depth map, named by the id of the image, which is the same in each plan. MVE's own id, in `meta.ini`,
 /// counts from 0, since MVE refuses large ones.

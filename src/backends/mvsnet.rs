@@ -5,12 +5,14 @@ use super::{
     Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord, Honours, PATCH_MATCH,
     PlanningNumbers, Selection, Trap, selection,
 };
+use std::collections::BTreeSet;
+
 use crate::{
-    io::output::Contents,
+    io::output::{Contents, FileSet},
     method::confidence::Photometric,
     model::{
         camera::Camera,
-        cluster::RankedCluster,
+        cluster::{MapScale, RankedCluster},
         scene::{ViewIndex, ViewPoints},
     },
 };
@@ -22,11 +24,19 @@ struct Dialect {
     depths: DepthLine,
     /// True for ACMM and its relatives: they look partners up by position and fuse with the maps of all partners, so every image needs a map.
     all_are_problems: bool,
-    /// With VIEWS (partners and key view), PARTNERS, WIDTH and HEIGHT (no image is smaller), AGREEING (partners that must agree), SIZE (PatchmatchNet's
-    /// option where images are reduced).
+    /// Makes the depth maps of one size. With INPUT (below the folder of the export), VIEWS (partners and key view), PARTNERS, WIDTH and HEIGHT (no image
+    /// is smaller), SIZE (PatchmatchNet's option where images are reduced).
+    depth: &'static str,
+    /// Joins the maps of both sizes; `None` where the program joins those of one size only, by a command of its own.
+    join: Option<Join>,
+}
+
+/// How a program joins depth maps of two sizes.
+struct Join {
+    /// With FUSED (folder of the maps), AGREEING (partners that must agree), SIZE.
     commands: &'static [&'static str],
-    /// Names and contents of the scripts that the commands call.
-    scripts: &'static [(&'static str, &'static str)],
+    /// Name and contents of the script that the commands call.
+    script: (&'static str, &'static str),
 }
 
 /// Form of the last line of a camera file.
@@ -59,7 +69,7 @@ pub static MVSNET: Backend = Backend {
     use_of_views: None,
     own_scale: super::full_size,
     takes_distorted: false,
-    mixes_sizes: false,
+    mixes_sizes: true,
     serves: |_| false,
     tasks: |_, _| None,
     traps,
@@ -71,12 +81,10 @@ const MVSNET_DIALECT: Dialect = Dialect {
     made_for: "MVSNet, CasMVSNet and readers of their four-number depth line",
     depths: DepthLine::Interval,
     all_are_problems: false,
-    commands: &[
-        "(here=$PWD && cd \"${MVSNET:?folder of its test.py}\" && python test.py --dense_folder \"$here\" --view_num VIEWS \
-                 --max_w WIDTH --max_h HEIGHT --interval_scale 1 --pretrained_model_ckpt_path \"${CHECKPOINT:?path of model.ckpt}\" \
-                 --ckpt_step \"${STEP:?its step}\")",
-    ],
-    scripts: &[],
+    depth: "(here=$PWD && cd \"${MVSNET:?folder of its test.py}\" && python test.py --dense_folder \"$hereINPUT\" --view_num VIEWS \
+            --max_w WIDTH --max_h HEIGHT --interval_scale 1 --pretrained_model_ckpt_path \"${CHECKPOINT:?path of model.ckpt}\" \
+            --ckpt_step \"${STEP:?its step}\")",
+    join: None,
 };
 
 pub static PATCHMATCHNET: Backend = Backend {
@@ -102,14 +110,16 @@ const PATCHMATCHNET_DIALECT: Dialect = Dialect {
     made_for: "PatchmatchNet and readers of its two-number depth line",
     depths: DepthLine::Range,
     all_are_problems: false,
-    commands: &[
-        "(here=$PWD && cd \"${PATCHMATCHNET:?its folder}\" && python eval.py --input_folder \"$here\" --output_folder \"$here/depths\" \
-         --checkpoint_path \"${CHECKPOINT:-checkpoints/params_000007.ckpt}\" --num_views PARTNERSSIZE --output_type depth)",
-        "python3 finished.py",
-        "(here=$PWD && cd \"$PATCHMATCHNET\" && python eval.py --input_folder \"$here/fuse\" --output_folder \"$here/depths\" \
-         --checkpoint_path \"${CHECKPOINT:-checkpoints/params_000007.ckpt}\" --output_type fusion --geo_mask_thres AGREEINGSIZE)",
-    ],
-    scripts: &[("finished.py", include_str!("../../integrations/mvsnet/finished.py"))],
+    depth: "(here=$PWD && cd \"${PATCHMATCHNET:?its folder}\" && python eval.py --input_folder \"$hereINPUT\" --output_folder \"$here/depths\" \
+            --checkpoint_path \"${CHECKPOINT:-checkpoints/params_000007.ckpt}\" --num_views PARTNERSSIZE --output_type depth)",
+    join: Some(Join {
+        commands: &[
+            "python3 finished.py",
+            "(here=$PWD && cd \"$PATCHMATCHNET\" && python eval.py --input_folder \"$here/fuse\" --output_folder \"$here/FUSED\" \
+             --checkpoint_path \"${CHECKPOINT:-checkpoints/params_000007.ckpt}\" --output_type fusion --geo_mask_thres AGREEINGSIZE)",
+        ],
+        script: ("finished.py", include_str!("../../integrations/mvsnet/finished.py")),
+    }),
 };
 
 pub static ACMM: Backend = Backend {
@@ -123,6 +133,7 @@ pub static ACMM: Backend = Backend {
                 elsewhere",
         ..CAPABILITIES
     },
+    mixes_sizes: false,
     export: |selection, options| ACMM_DIALECT.export(selection, options),
     ..MVSNET
 };
@@ -132,8 +143,8 @@ const ACMM_DIALECT: Dialect = Dialect {
     made_for: "ACMH, ACMM, ACMP, ACMMP",
     depths: DepthLine::Interval,
     all_are_problems: true,
-    commands: &["\"${ACMM:-ACMM}\" ."],
-    scripts: &[],
+    depth: "\"${ACMM:-ACMM}\" .",
+    join: None,
 };
 
 const CAPABILITIES: Capabilities = Capabilities {
@@ -152,26 +163,69 @@ impl Dialect {
     fn export(&self, selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {
         let near = selection.near_origin();
         let selection = &near.selection();
-        let images = selection.undistorted_images(self.backend.name)?;
         let views = selection.keys_first();
         let lists = Lists::new(self, selection, &views);
         let mut files = options.file_set(self.backend, selection);
-        files.add_text("pair.txt", lists.text(&lists.rows));
-        files.add_text("pair_fuse.txt", lists.text(&lists.compared));
-        let mut names = String::new();
-        for (&i, &view) in lists.numbers.iter().zip(&views) {
-            files.add_text(format!("cams/{i:08}_cam.txt"), self.camera(selection, &lists.points, view)?);
-            files.add(format!("images/{i:08}.jpg"), Contents::Link(images.file(selection.scene.name(view))));
-            names += &format!("{i}\t{}\n", selection.scene.name(view));
+        let all: Vec<usize> = (0..views.len()).collect();
+        let (half, full): (Vec<usize>, Vec<usize>) = all.iter().partition(|&&i| self.is_half(selection, i));
+        files.add_text("pair.txt", lists.pairs(&full));
+        files.add_text("pair_fuse.txt", lists.pairs_to_fuse(if self.join.is_some() { &all } else { &full }));
+        self.add_views(&mut files, "", selection, &lists, &all)?;
+        if !half.is_empty() {
+            self.add_half(&mut files, selection, &lists, &half)?;
         }
-        files.add_text("view_names.txt", names);
-        for (name, script) in self.scripts {
-            files.add(*name, Contents::Script(script.as_bytes().to_vec()));
+        let name = |(number, &view): (&u32, &ViewIndex)| format!("{number}\t{}\n", selection.scene.name(view));
+        files.add_text("view_names.txt", lists.numbers.iter().zip(&views).map(name).collect::<String>());
+        if let Some(Join { script: (name, script), .. }) = self.join {
+            files.add(name, Contents::Script(script.as_bytes().to_vec()));
         }
         let mut record = self.record(selection, &lists);
         record.moved(near.origin);
         files.add_text("export.json", record.to_json());
         Ok(Export { files, record })
+    }
+
+    /// Adds `half/`, the same files for the key views (positions) that are matched at half the size.
+    fn add_half(
+        &self,
+        files: &mut FileSet,
+        selection: &Selection,
+        lists: &Lists,
+        half: &[usize],
+    ) -> Result<(), BackendError> {
+        let clusters = half.iter().map(|&i| &selection.clusters[i]);
+        let members = clusters.flat_map(|c| std::iter::once(c.key).chain(c.partners.iter().copied()));
+        let members: BTreeSet<ViewIndex> = members.collect();
+        let members: Vec<usize> = (0..lists.views.len()).filter(|&i| members.contains(&lists.views[i])).collect();
+        files.add_text("half/pair.txt", lists.pairs(half));
+        match self.join {
+            Some(_) => files.add_text("half/full_sizes.txt", full_sizes(selection, lists)),
+            None => files.add_text("half/pair_fuse.txt", lists.pairs_to_fuse(half)),
+        }
+        self.add_views(files, "half/", selection, lists, &members)
+    }
+
+    /// Returns whether the view of this position, key views first, gets a map of half the size.
+    fn is_half(&self, selection: &Selection, view: usize) -> bool {
+        self.backend.mixes_sizes && selection.clusters.get(view).is_some_and(|c| c.scale == MapScale::Half)
+    }
+
+    /// Adds cameras and images of the views of these positions.
+    fn add_views(
+        &self,
+        files: &mut FileSet,
+        folder: &str,
+        selection: &Selection,
+        lists: &Lists,
+        positions: &[usize],
+    ) -> Result<(), BackendError> {
+        let images = selection.undistorted_images(self.backend.name)?;
+        for &at in positions {
+            let (i, view) = (lists.numbers[at], lists.views[at]);
+            files.add_text(format!("{folder}cams/{i:08}_cam.txt"), self.camera(selection, &lists.points, view)?);
+            files.add(format!("{folder}images/{i:08}.jpg"), Contents::Link(images.file(selection.scene.name(view))));
+        }
+        Ok(())
     }
 
     /// Line 0 `extrinsic`, 1-4 world to camera, 6 `intrinsic`, 7-9 K, 11 depths; lines 5 and 10 are empty.
@@ -217,26 +271,21 @@ impl Dialect {
         let mut numbers = vec![0; selection.scene.views.len()];
         lists.views.iter().zip(&lists.numbers).for_each(|(v, number)| numbers[v.index()] = *number);
         let mut record = ExportRecord::new(self.backend, selection, |v| numbers[v.index()].to_string());
-        let most = selection.most_partners();
         record.made_for = self.made_for.into();
         record.way = format!("dialect {}", self.backend.name);
-        let sides = |side: fn(&Camera) -> u32| lists.views.iter().map(move |&v| side(selection.scene.camera_of(v)));
-        let scaled = |side: Option<u32>| (f64::from(side.unwrap_or(0)) * selection.image_scale.min(1.0)) as u32;
-        let longest = scaled(sides(|camera| camera.width.max(camera.height)).max());
-        let size = if selection.image_scale < 1.0 { format!(" --image_max_dim {longest}") } else { String::new() };
-        let words = [
-            ("VIEWS", (most + 1).to_string()),
-            ("PARTNERS", most.to_string()),
-            ("WIDTH", scaled(sides(|camera| camera.width).min()).to_string()),
-            ("HEIGHT", scaled(sides(|camera| camera.height).min()).to_string()),
-            ("AGREEING", AGREEING.to_string()),
-            ("SIZE", size),
-        ];
-        let filled =
-            |command: &&str| words.iter().fold(String::from(*command), |text, (word, with)| text.replace(word, with));
-        record.commands = self.commands.iter().map(filled).collect();
-        if !self.commands.iter().any(|command| command.contains("SIZE")) {
+        let has_half = (0..selection.clusters.len()).any(|i| self.is_half(selection, i));
+        let has_full = !(0..selection.clusters.len()).all(|i| self.is_half(selection, i)) || !has_half;
+        let depth = |scale| Words::new(selection, lists, scale, has_half).fill(self.depth);
+        record.commands.extend(has_full.then(|| depth(MapScale::Full)));
+        record.commands.extend(has_half.then(|| depth(MapScale::Half)));
+        let words = Words::new(selection, lists, MapScale::Full, has_half);
+        record.commands.extend(self.join.iter().flat_map(|join| join.commands).map(|command| words.fill(command)));
+        if !self.depth.contains("SIZE") {
             record.note_own_scale(selection);
+        }
+        if has_half && self.join.is_none() {
+            let why = "the key views in half/ are matched and joined by themselves: no depth is confirmed by a map of the other size";
+            record.warnings.push(why.into());
         }
         record.other_maps = lists.rows.len() - selection.clusters.len();
         record.fusion = format!(
@@ -253,6 +302,52 @@ impl Dialect {
             );
         }
         record
+    }
+}
+
+/// Returns number, width and height of the maps that the key views have at full size, a line each.
+fn full_sizes(selection: &Selection, lists: &Lists) -> String {
+    let longest = f64::from(longest(selection, lists, selection.image_scale.min(1.0)));
+    let line = |(number, cluster): (&u32, &RankedCluster)| {
+        let camera = selection.scene.camera_of(cluster.key);
+        let scale = (longest / f64::from(camera.width.max(camera.height))).min(1.0);
+        let [width, height] = [camera.width, camera.height].map(|side| (scale * f64::from(side)) as u32);
+        format!("{number} {width} {height}\n")
+    };
+    lists.numbers.iter().zip(selection.clusters).map(line).collect()
+}
+
+/// Returns the longest side of an image that is matched at this size, pixels.
+fn longest(selection: &Selection, lists: &Lists, scale: f64) -> u32 {
+    let cameras = lists.views.iter().map(|&view| selection.scene.camera_of(view));
+    (f64::from(cameras.map(|camera| camera.width.max(camera.height)).max().unwrap_or(0)) * scale) as u32
+}
+
+/// The words of commands with their values.
+struct Words([(&'static str, String); 8]);
+
+impl Words {
+    /// `scale`: size of the depth maps. `mixed`: there are maps of both sizes.
+    fn new(selection: &Selection, lists: &Lists, scale: MapScale, mixed: bool) -> Self {
+        let size = selection.image_scale.min(1.0) * scale.factor();
+        let sides = |side: fn(&Camera) -> u32| lists.views.iter().map(move |&v| side(selection.scene.camera_of(v)));
+        let scaled = |side: Option<u32>| (f64::from(side.unwrap_or(0)) * size) as u32;
+        let most = selection.most_partners();
+        let limit = || format!(" --image_max_dim {}", longest(selection, lists, size));
+        Self([
+            ("INPUT", if scale == MapScale::Half { "/half".into() } else { String::new() }),
+            ("VIEWS", (most + 1).to_string()),
+            ("PARTNERS", most.to_string()),
+            ("WIDTH", scaled(sides(|camera| camera.width).min()).to_string()),
+            ("HEIGHT", scaled(sides(|camera| camera.height).min()).to_string()),
+            ("AGREEING", AGREEING.to_string()),
+            ("SIZE", if size < 1.0 { limit() } else { String::new() }),
+            ("FUSED", if mixed { "fuse" } else { "depths" }.into()),
+        ])
+    }
+
+    fn fill(&self, command: &str) -> String {
+        self.0.iter().fold(command.into(), |text: String, (word, with)| text.replace(word, with))
     }
 }
 
@@ -301,11 +396,22 @@ impl<'a> Lists<'a> {
         Self { views, numbers: (0..).zip(views).map(number).collect(), points, rows, compared }
     }
 
-    /// `pair.txt` with these lists of the first views.
-    fn text(&self, rows: &[Vec<(u32, u32)>]) -> String {
+    /// `pair.txt` with the lists of these key views (positions).
+    fn pairs(&self, keys: &[usize]) -> String {
+        self.text(keys.iter().filter_map(|&i| Some((i, self.rows.get(i)?.clone()))).collect())
+    }
+
+    /// `pair_fuse.txt`: for each of these key views those of them whose maps may confirm its depths.
+    fn pairs_to_fuse(&self, keys: &[usize]) -> String {
+        let chosen: BTreeSet<usize> = keys.iter().copied().collect();
+        let among = |row: &[(u32, u32)]| row.iter().copied().filter(|(v, _)| chosen.contains(&(*v as usize))).collect();
+        self.text(keys.iter().filter_map(|&i| Some((i, among(self.compared.get(i)?)))).collect())
+    }
+
+    fn text(&self, rows: Vec<(usize, Vec<(u32, u32)>)>) -> String {
         let mut text = format!("{}\n", rows.len());
-        for (key, row) in self.numbers.iter().zip(rows) {
-            text += &format!("{key}\n{} ", row.len());
+        for (key, row) in rows {
+            text += &format!("{}\n{} ", self.numbers[key], row.len());
             row.iter().for_each(|(view, score)| text += &format!("{} {score} ", self.numbers[*view as usize]));
             text.push('\n');
         }

@@ -56,7 +56,7 @@ pub static BACKEND: Backend = Backend {
     use_of_views: None,
     own_scale: super::full_size,
     takes_distorted: false,
-    mixes_sizes: false,
+    mixes_sizes: true,
     serves: |project| project.kind == ProjectKind::Sure,
     tasks: |_, _| None,
     traps,
@@ -104,7 +104,7 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
 }
 
 fn record_of(selection: &Selection, names: &[String]) -> ExportRecord {
-    let level = (1.0 / selection.image_scale).log2().round().max(0.0);
+    let full = (1.0 / selection.image_scale).log2().round().max(0.0);
     let mut record = ExportRecord::new(&BACKEND, selection, |v| names[v.index()].clone());
     record.runner = Some("run.sh".into());
     record.made_for = "SURE (from the vendor's public pages and public scripts for SURE 1.2; not run)".into();
@@ -113,6 +113,7 @@ fn record_of(selection: &Selection, names: &[String]) -> ExportRecord {
         let folder = format!("clusters/{:04}", i + 1);
         let lists = format!("-img {folder}/images.txt -ori {folder}/ori.txt -select {folder}/baseImages.txt");
         let partners = cluster.partners.len();
+        let level = full - cluster.scale.factor().log2();
         record.commands.push(format!(
             "sure -basepath {folder} {lists} -fold {} -pyr {level} -maxmodels {partners} -prep",
             partners.clamp(1, 2)
@@ -123,13 +124,16 @@ fn record_of(selection: &Selection, names: &[String]) -> ExportRecord {
         "partners in a joint project (images.txt, ori.txt, baseImages.txt): no public file names pairs".into(),
         "partners that SURE itself rejects by angle or overlap".into(),
     ]);
+    if selection.clusters.iter().any(|cluster| cluster.scale == MapScale::Half) {
+        record.not_honoured.push("sizes in a joint project: -pyr is one for all its images".into());
+    }
     record.warnings.extend([
         "whether the releases of today keep -select and -maxmodels is not publicly documented".into(),
         "pixels that are exactly black count as invalid".into(),
         "lists name files from their own folder on; where a release reads them from elsewhere, make them absolute"
             .into(),
     ]);
-    record.note_scale(selection, |_| (-level).exp2());
+    record.note_scale(selection, |_| (-full).exp2());
     record.pixel_shift = -0.5;
     record.fusion = "each project gives points of its key view; one DSM or mesh run joins them".into();
     record

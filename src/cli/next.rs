@@ -14,6 +14,11 @@ pub fn with_options<const N: usize>(start: String, options: [(&str, Option<Strin
     typed.fold(start, |command, option| command + &option)
 }
 
+/// Returns the value of `--scales`, as it was typed.
+pub fn scales(scales: Option<&[f64]>) -> Option<String> {
+    scales.map(|scales| scales.iter().map(f64::to_string).collect::<Vec<_>>().join(","))
+}
+
 /// Returns the same command without `--dry-run`.
 pub fn not_dry() -> String {
     let typed = std::env::args().skip(1).filter(|argument| argument != "--dry-run");

@@ -297,6 +297,7 @@ impl Arguments {
             ("--target", self.target.clone()),
             ("--budget", self.budget.clone()),
             ("-k", self.k.clone()),
+            ("--scales", next::scales(self.scales.as_deref())),
             ("--images", self.images.as_ref().map(|path| path.display().to_string())),
         ];
         let has_all = self.typed().are_among(&options.each_ref().map(|(name, _)| *name));

@@ -141,10 +141,7 @@ impl Arguments {
             ("--target", target.map(str::to_owned)),
             ("--budget", self.budget.clone()),
             ("-k", self.k.clone()),
-            (
-                "--scales",
-                self.scales.as_ref().map(|scales| scales.iter().map(f64::to_string).collect::<Vec<_>>().join(",")),
-            ),
+            ("--scales", next::scales(self.scales.as_deref())),
             ("--images", self.images.as_ref().map(path)),
             ("--program", self.program.as_ref().map(path)),
             ("--threads", self.threads.map(|threads| threads.to_string())),

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use viewrank::internals::depthmaps;
+use viewrank::{MapScale, internals::depthmaps};
 
 use crate::{Files, Fixture, numbers};
 
@@ -99,6 +99,28 @@ fn mve_scale_in_name() {
     let commands = fixture.export("mve").0.record.commands;
     assert!(commands.iter().filter(|c| c.starts_with("dmrecon")).all(|c| c.contains(" -s1 ")));
     assert!(commands.last().unwrap().contains("-F1 "));
+}
+
+/// Maps of each size are joined by themselves, since `scene2pset` takes one level; `fssrecon` takes both clouds.
+#[test]
+fn mve_levels_of_two_sizes() {
+    let mut fixture = Fixture::new(3);
+    fixture.image_scale = 0.5;
+    fixture.clusters[1].scale = MapScale::Half;
+    fixture.clusters[3].scale = MapScale::Half;
+    let files = fixture.export("mve");
+    let commands = &files.0.record.commands;
+    let levels: Vec<&str> =
+        commands.iter().filter_map(|c| c.strip_prefix("dmrecon ")?.split_whitespace().next()).collect();
+    assert_eq!(levels, ["-s1", "-s2", "-s1", "-s2"]);
+    assert_eq!(commands[8..], ["scene2pset -F1 -v0,2 . fused.ply", "scene2pset -F2 -v1,3 . fused_half.ply"]);
+    let script = files.text("run.sh");
+    assert!(commands[8..].iter().all(|command| script.contains(command)));
+    assert!(files.0.record.fusion.contains("fssrecon fused.ply fused_half.ply surface.ply"));
+    // Without ids scene2pset would take all views.
+    fixture.clusters.iter_mut().for_each(|cluster| cluster.scale = MapScale::Half);
+    let files = fixture.export("mve");
+    assert_eq!(files.0.record.commands[8..], ["scene2pset -F2 -v0,1,2,3 . fused_half.ply"]);
 }
 
 #[test]

@@ -376,7 +376,7 @@ fn tables_name_every_image() {
 fn a_size_that_a_program_cannot_give_a_key_view_is_named() {
     let mut fixture = Fixture::new(3);
     fixture.clusters[1].scale = MapScale::Half;
-    assert!(fixture.export("mve").says("key views that are planned at half the size"));
+    assert!(fixture.export("pmvs").says("key views that are planned at half the size"));
     let openmvs = fixture.export("openmvs");
     let scales: Vec<_> =
         openmvs.json("run.json")["clusters"].as_array().unwrap().iter().map(|c| c["scale"].clone()).collect();

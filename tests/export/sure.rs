@@ -1,6 +1,9 @@
 //! SURE: oriented images, lists, one project per cluster.
 
-use viewrank::internals::{backends::ExportOptions, error::Hint, formats::sure};
+use viewrank::{
+    MapScale,
+    internals::{backends::ExportOptions, error::Hint, formats::sure},
+};
 
 use crate::Fixture;
 
@@ -158,4 +161,16 @@ fn the_batch_file_tries_every_cluster_and_ends_with_what_became_of_them() {
         assert!(otherwise.starts_with("(echo error: ") && otherwise.ends_with(" & set failed=1)"));
     }
     assert_eq!((lines.len(), lines[lines.len() - 1]), (3 + 4 + 1, "exit /b %failed%"));
+}
+
+#[test]
+fn sure_a_pyramid_level_for_each_size() {
+    let mut fixture = Fixture::new(3);
+    fixture.image_scale = 0.5;
+    fixture.clusters[1].scale = MapScale::Half;
+    let files = fixture.export("sure");
+    let levels: Vec<&str> =
+        files.0.record.commands.iter().filter_map(|c| c.split(" -pyr ").nth(1)?.split(' ').next()).collect();
+    assert_eq!(levels, ["1", "2", "1", "1"]);
+    assert!(files.says("sizes in a joint project"));
 }

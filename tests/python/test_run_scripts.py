@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 
 from conftest import ROOT
@@ -14,12 +15,12 @@ from conftest import ROOT
 
 @pytest.fixture(scope="session")
 def plans(viewrank, fixtures, tmp_path_factory):
-    """Two plans of the same views, by the number of partners."""
-    plans = {}
-    for partners in (4, 3):
-        plans[partners] = tmp_path_factory.mktemp("runs") / "project"
-        shutil.copytree(fixtures / "valley", plans[partners])
-        viewrank("plan", plans[partners], "-k", partners, "--budget", "20", "--quiet")
+    """Plans of the same views, by the number of partners; "sizes": with four, at two sizes."""
+    options = {4: ("-k", 4, "--budget", 20), 3: ("-k", 3, "--budget", 20), "sizes": ("-k", 4, "--scales", "1,0.5", "--budget", "40%", "--target", "100%")}
+    plans = {name: tmp_path_factory.mktemp("runs") / "project" for name in options}
+    for name, project in plans.items():
+        shutil.copytree(fixtures / "valley", project)
+        viewrank("plan", project, *options[name], "--quiet")
     return plans
 
 
@@ -42,6 +43,12 @@ class Work:
     def clusters(self):
         (record,) = [path for path in self.folder.rglob("export.json")]
         return json.loads(record.read_text())["clusters"]
+
+    def halves(self):
+        """The key views that are matched at half the size."""
+        halves = {cluster["key"]["target"] for cluster in self.clusters() if cluster["scale"] == 0.5}
+        assert halves and len(halves) < len(self.clusters()), "the plan has both sizes"
+        return halves
 
     def targets(self):
         return [cluster["key"]["target"] for cluster in self.clusters()]
@@ -331,6 +338,17 @@ def test_mve_maps_of_before_are_kept_until_others_are_made(work):
     assert failing in mve.run()[1][:-1] and not list((mve.folder / "older").glob("*.maps"))
 
 
+def test_mve_joins_the_maps_of_each_size(work):
+    mve = work("mve", {"dmrecon": DMRECON, "scene2pset": SCENE2PSET})
+    mve.run()
+    mve.export("sizes")
+    done, calls = mve.run()
+    assert done.returncode == 0, done.stderr
+    names = {cluster["key"]["target"]: cluster["key"]["name"] for cluster in mve.clusters()}
+    halves = {names[target] for target in mve.halves()}
+    assert [set(call.split()[1:]) for call in calls[-2:]] == [set(names.values()) - halves, halves], "each view has one map, of its size"
+
+
 # What is called once per cluster
 
 FAILING = """#!PYTHON
@@ -429,9 +447,9 @@ def test_micmac_tries_every_cluster(work, tmp_path):
 # PatchmatchNet's fusion
 
 
-def pfm(path, width=3, height=2):
+def pfm(path, width=3, height=2, values=None):
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_bytes(f"Pf\n{width} {height}\n-1.000000\n".encode() + bytes(4 * width * height))
+    path.write_bytes(f"Pf\n{width} {height}\n-1.000000\n".encode() + (bytes(4 * width * height) if values is None else values.astype("<f4").tobytes()))
 
 
 def test_patchmatchnet_joins_the_maps_that_are_complete(work):
@@ -460,3 +478,34 @@ def test_patchmatchnet_joins_the_maps_that_are_complete(work):
     confidence.write_bytes(confidence.read_bytes()[:-1])
     left = fused()
     assert lost not in left and all(lost not in partners for partners in left.values()) and set(left) <= set(lists) - {lost}
+
+
+def test_patchmatchnet_fuses_maps_of_half_the_size_in_full_size(work):
+    net = work("patchmatchnet", {})
+    net.export("sizes")
+    sizes = {key: (int(width), int(height)) for key, width, height in map(str.split, (net.folder / "half/full_sizes.txt").read_text().splitlines())}
+    halves = net.halves()
+    assert set(sizes) == set(net.targets())
+    full, half = (next(key for key in net.targets() if (key in halves) == is_half) for is_half in (False, True))
+    maps = {}
+    for key in net.targets():
+        width, height = ((side + 1) // (1 + (key in halves)) for side in sizes[key]) if key in halves else sizes[key]
+        maps[key] = np.arange(width * height, dtype=float).reshape(height, width)
+        for kind in ("depth_est", "confidence"):
+            pfm(net.folder / f"depths/{kind}/{int(key):08}.pfm", width, height, maps[key])
+    for _ in range(2):
+        done = subprocess.run([sys.executable, "finished.py"], cwd=net.folder, capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+        for kind in ("depth_est", "confidence"):
+            copies = {key: net.folder / f"fuse/{kind}/{int(key):08}.pfm" for key in (full, half)}
+            assert copies[full].is_symlink() and copies[full].read_bytes() == (net.folder / f"depths/{kind}/{int(full):08}.pfm").read_bytes()
+            assert not copies[half].is_symlink(), "a copy: the map itself stays as it is"
+            wide, high = sizes[half]
+            head = b"Pf\n%d %d\n-1.000000\n" % (wide, high)
+            data = copies[half].read_bytes()
+            assert data.startswith(head)
+            # Rows of a PFM are stored from the lowest up.
+            large = np.frombuffer(data[len(head) :], "<f4").reshape(high, wide)[::-1]
+            small = maps[half][::-1]
+            for row, column in [(0, 0), (1, 1), (2, 3), (high // 2, wide // 3), (high - 1, wide - 1)]:
+                assert large[row, column] == small[row * len(small) // high, column * small.shape[1] // wide]

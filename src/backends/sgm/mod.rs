@@ -34,7 +34,8 @@ const NUMBERS: PlanningNumbers = PlanningNumbers {
     confidence: CONFIDENCE,
     photometric: PHOTOMETRIC,
     support: 1,
-    work: WorkPerMap { fixed: 0.0, per_map: 0.2 },
+    // By maps of full and half size of six sets (benches/sizes.py --matcher sgm).
+    work: WorkPerMap { fixed: 0.13, per_map: 0.5 },
     measured: "valley, 2 more",
     source: "measured with integrations/sgm/measure.py on valley against exact depth, on boruszyn and lewis against the \
              maps of 22 partners; support 1: a depth map is checked against its own pairs",

@@ -165,6 +165,8 @@ fn format_of(path: &Path) -> Option<(DepthMapFormat, u8)> {
     // Where the `run.sh` of an export keeps the maps of other plans, and those that are not finished.
     let is_set_aside =
         in_folder("older") || in_folder("scratch") || in_folder("depthMaps.new") || in_folder("filtered.new");
+    // Copies that the `finished.py` of an export makes for the fusion.
+    let is_copy = in_folder("fuse");
     match name {
         _ if is_other_map => None,
         _ if name.ends_with(".geometric.bin") => Some((DepthMapFormat::ColmapGeometric, 0)),
@@ -177,7 +179,7 @@ fn format_of(path: &Path) -> Option<(DepthMapFormat, u8)> {
             Some((DepthMapFormat::AliceVision, u8::from(!(in_folder("filtered") || in_folder("DepthMapFilter")))))
         }
         _ if name.ends_with(".mvei") && !is_set_aside => Some((DepthMapFormat::Mve, mve_scale(name)?)),
-        _ if name.ends_with("_prob.pfm") || in_folder("confidence") => None,
+        _ if name.ends_with("_prob.pfm") || in_folder("confidence") || is_copy => None,
         _ if name.ends_with(".pfm") => Some((DepthMapFormat::Pfm, 0)),
         _ if name.ends_with(".npy") => Some((DepthMapFormat::Npy, 0)),
         _ => None,
