@@ -15,13 +15,14 @@ use viewrank::{
 };
 
 /// Targets with valid contents.
-pub const INPUTS: [(&str, &[u8]); 13] = [
+pub const INPUTS: [(&str, &[u8]); 14] = [
     ("map.geometric.bin", include_bytes!("../fixtures/depthmaps/depth_maps/IMG_9394.jpg.geometric.bin")),
     ("map.pfm", include_bytes!("../fixtures/depthmaps/00000003.pfm")),
     ("map.npy", include_bytes!("../fixtures/depthmaps/IMG_9394.jpg.npy")),
     ("map.dmb", DMB),
     ("map.mvei", include_bytes!("../fixtures/depthmaps/view_00000068.mve/depth-L3.mvei")),
     ("map.exr", include_bytes!("../fixtures/depthmaps/40_depthMap.exr")),
+    ("map.nuage.xml", include_bytes!("../fixtures/depthmaps/MM-Malt-Img-IMG_9394/MMLastNuage.xml")),
     ("map.dmap", include_bytes!("../fixtures/depthmaps/depth0040.dmap")),
     ("baseline.jpg", include_bytes!("../fixtures/pictures/baseline.jpg")),
     ("progressive.jpg", include_bytes!("../fixtures/pictures/progressive.jpg")),
@@ -30,6 +31,10 @@ pub const INPUTS: [(&str, &[u8]); 13] = [
     ("manifest.json", MANIFEST),
     ("viewrank.toml", SETTINGS),
 ];
+
+/// The images that the cloud of MicMac describes.
+const DEPTH_IMAGE: &[u8] = include_bytes!("../fixtures/depthmaps/MM-Malt-Img-IMG_9394/Z_Num8_DeZoom1_STD-MALT.tif");
+const MASK: &[u8] = include_bytes!("../fixtures/depthmaps/MM-Malt-Img-IMG_9394/AutoMask_STD-MALT_Num_7.tif");
 
 /// 2 x 1 depths: type 1, height 1, width 2, 1 channel.
 const DMB: &[u8] = b"\x01\0\0\0\x01\0\0\0\x02\0\0\0\x01\0\0\0\0\0\x80\x3f\0\0\0\x40";
@@ -74,9 +79,11 @@ fn read_map(target: &str, data: &[u8]) -> bool {
         "map.dmb" => DepthMapFormat::Dmb,
         "map.mvei" => DepthMapFormat::Mve,
         "map.exr" => DepthMapFormat::AliceVision,
+        "map.nuage.xml" => DepthMapFormat::MicMac,
         _ => DepthMapFormat::OpenMvs,
     };
-    let Ok(map) = parse(data, format) else { return false };
+    let beside = |name: &str| Ok(if name.contains("Mask") { MASK } else { DEPTH_IMAGE }.to_vec());
+    let Ok(map) = parse(data, format, &beside) else { return false };
     assert_eq!(map.depth.len(), map.width as usize * map.height as usize);
     assert!(map.depth.iter().all(|z| z.is_finite() && *z >= 0.0));
     true

@@ -26,7 +26,7 @@ use super::{Failure, Format, json, print, progress::Progress, use_threads, warn}
 /// Measure finished depth maps: quality reached, what is missing and why.
 ///
 /// Needs a plan of PROJECT (viewrank plan). The depth maps are those of COLMAP (stereo/depth_maps), OpenMVS, MVSNet, ACMM,
-/// Gipuma, MVE, AliceVision or integrations/sgm. Writes PROJECT/viewrank/evaluation/: evaluation.html, evaluation.json, evaluation.ply.
+/// Gipuma, MVE, AliceVision, MicMac or integrations/sgm. Writes PROJECT/viewrank/evaluation/: evaluation.html, evaluation.json, evaluation.ply.
 #[derive(Args)]
 pub struct Arguments {
     /// Folder of the project, or its model

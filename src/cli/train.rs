@@ -155,6 +155,7 @@ fn backend(arguments: &Arguments, format: &DepthMapFormat) -> String {
         DepthMapFormat::Gipuma => "gipuma",
         DepthMapFormat::Mve => "mve",
         DepthMapFormat::AliceVision => "alicevision",
+        DepthMapFormat::MicMac => "micmac",
         DepthMapFormat::Npy => "sgm",
     };
     arguments.backend.clone().unwrap_or_else(|| by_format.into())

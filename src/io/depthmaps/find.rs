@@ -8,7 +8,7 @@ use std::{
 
 use walkdir::WalkDir;
 
-use super::{DepthMapError, DepthMapFormat, openmvs};
+use super::{DepthMapError, DepthMapFormat, micmac, openmvs};
 use crate::{
     base::input::{self, FileKind},
     model::scene::{Scene, ViewIndex},
@@ -20,7 +20,8 @@ const DMAP_HEADER: u64 = 1 << 17;
 /// COLMAP's folder of depth maps in a dense workspace.
 const COLMAP: &str = "stereo/depth_maps";
 /// Programs with a depth map folder of their own name: in the project, in viewrank's output folder or in `export`.
-const BY_NAME: [&str; 8] = ["sgm", "openmvs", "mvsnet", "patchmatchnet", "acmm", "gipuma", "mve", "alicevision"];
+const BY_NAME: [&str; 9] =
+    ["sgm", "openmvs", "mvsnet", "patchmatchnet", "acmm", "gipuma", "mve", "alicevision", "micmac"];
 
 /// A finished depth map of a view.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -179,6 +180,7 @@ fn format_of(path: &Path) -> Option<(DepthMapFormat, u8)> {
             Some((DepthMapFormat::AliceVision, u8::from(!(in_folder("filtered") || in_folder("DepthMapFilter")))))
         }
         _ if name.ends_with(".mvei") && !is_set_aside => Some((DepthMapFormat::Mve, mve_scale(name)?)),
+        "MMLastNuage.xml" if !is_set_aside => Some((DepthMapFormat::MicMac, 0)),
         _ if name.ends_with("_prob.pfm") || in_folder("confidence") || is_copy => None,
         _ if name.ends_with(".pfm") => Some((DepthMapFormat::Pfm, 0)),
         _ if name.ends_with(".npy") => Some((DepthMapFormat::Npy, 0)),
@@ -232,6 +234,11 @@ fn view_of(path: &Path, format: DepthMapFormat, numbers: &mut Numbers) -> Result
             let name = mve_name(path)?;
             scene.find(&name).or_else(|| by_stem(scene, &name))
         }
+        DepthMapFormat::MicMac => {
+            let folder = path.parent().and_then(Path::file_name).unwrap_or_default().to_string_lossy();
+            require_matched(path)?;
+            folder.strip_prefix("MM-Malt-Img-").and_then(|stem| by_stem(scene, stem))
+        }
         DepthMapFormat::AliceVision => {
             let name = path.file_name().unwrap_or_default().to_string_lossy();
             let id = name.trim_end_matches("_depthMap.exr").parse::<u32>().ok();
@@ -239,6 +246,18 @@ fn view_of(path: &Path, format: DepthMapFormat, numbers: &mut Numbers) -> Result
             (0..scene.views.len() as u32).find(is_it).map(ViewIndex)
         }
     })
+}
+
+/// Checks that the images of a cloud of MicMac are there: it is described before it is matched.
+fn require_matched(path: &Path) -> Result<(), DepthMapError> {
+    let io = |source| DepthMapError::Io { path: path.into(), source };
+    let bytes = input::read(path, FileKind::List).map_err(io)?;
+    let fault = |byte, what| DepthMapError::Format { path: path.into(), byte, what };
+    let names = micmac::files(&bytes).map_err(|(byte, what)| fault(byte, what))?;
+    match names.into_iter().find(|name| !path.with_file_name(name).is_file()) {
+        Some(name) => Err(fault(0, format!("{name} is missing: the view is still being matched, or failed"))),
+        None => Ok(()),
+    }
 }
 
 /// The name in the `meta.ini` beside a map of MVE: that of the image, or its stem.

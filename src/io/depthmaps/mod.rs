@@ -4,6 +4,7 @@ mod colmap;
 mod dmb;
 mod exr;
 mod find;
+mod micmac;
 mod mvei;
 mod npy;
 mod openmvs;
@@ -45,6 +46,8 @@ pub enum DepthMapFormat {
     Mve,
     /// `ID_depthMap.exr` (AliceVision); holds the length of the ray.
     AliceVision,
+    /// `MM-Malt-Img-STEM/MMLastNuage.xml` and the images that it names (MicMac), of distorted images.
+    MicMac,
     /// `NAME.npy` (`integrations/sgm`).
     Npy,
 }
@@ -53,6 +56,11 @@ impl DepthMapFormat {
     /// Returns whether the program stores the distance from the camera's centre instead of z.
     fn holds_ray_length(self) -> bool {
         matches!(self, Self::Mve | Self::AliceVision)
+    }
+
+    /// Returns whether the program matches images as they were taken, with their distortion.
+    fn takes_distorted(self) -> bool {
+        self == Self::MicMac
     }
 }
 
@@ -194,8 +202,8 @@ impl Hint for DepthMapError {
             Self::Format { .. } => "compute this depth map again or remove it: it is damaged or still being written",
             Self::None(_) => {
                 "name the folder with COLMAP's stereo/depth_maps, OpenMVS's depthNNNN.dmap, MVSNet's NNNNNNNN.pfm, ACMM's \
-                 2333_NNNNNNNN/depths.dmb, Gipuma's 2_TIME_NAME/disp.dmb, MVE's NAME.mve/depth-LN.mvei, AliceVision's ID_depthMap.exr, or \
-                 NAME.npy of integrations/sgm"
+                 2333_NNNNNNNN/depths.dmb, Gipuma's 2_TIME_NAME/disp.dmb, MVE's NAME.mve/depth-LN.mvei, AliceVision's ID_depthMap.exr, \
+                 MicMac's MM-Malt-Img-NAME/MMLastNuage.xml, or NAME.npy of integrations/sgm"
             }
             Self::Names { .. } => "copy the view_names.txt that `viewrank export` writes",
             Self::Duplicate { .. } => "name a folder with the depth maps of one run",
@@ -225,7 +233,8 @@ type Parsed<T> = Result<T, (usize, String)>;
 pub fn read(path: &Path, format: DepthMapFormat) -> Result<DepthMap, DepthMapError> {
     let bytes =
         input::read(path, FileKind::Picture).map_err(|source| DepthMapError::Io { path: path.into(), source })?;
-    parse(&bytes, format).map_err(|(byte, what)| DepthMapError::Format { path: path.into(), byte, what })
+    let beside = |name: &str| input::read(&path.with_file_name(name), FileKind::Picture);
+    parse(&bytes, format, &beside).map_err(|(byte, what)| DepthMapError::Format { path: path.into(), byte, what })
 }
 
 /// Confidence that PatchmatchNet's fusion asks for by default (`--photo_thres`): it drops depths of no more.
@@ -234,11 +243,11 @@ const LEAST_CONFIDENCE: f32 = 0.5;
 /// Reads the depth map of a view of the scene. PatchmatchNet gives each pixel a depth; those that it has no confidence in count as none.
 ///
 /// # Errors
-/// As [`read`], and if the view isn't a pinhole view, the map doesn't have the aspect ratio of its image, or its confidences cannot be read.
+/// As [`read`], and if the view isn't a pinhole view but the program takes undistorted images, the map doesn't have the aspect ratio of its image, or its confidences cannot be read.
 pub fn read_of_view(file: &DepthMapFile, scene: &Scene) -> Result<DepthMap, DepthMapError> {
     let camera = scene.camera_of(file.view);
     let view = || scene.name(file.view).to_string();
-    if !camera.is_pinhole() {
+    if !(camera.is_pinhole() || file.format.takes_distorted()) {
         return Err(DepthMapError::Distorted { view: view(), model: camera.model().name() });
     }
     let mut map = read(&file.path, file.format)?;
@@ -258,8 +267,13 @@ fn confidences_of(file: &DepthMapFile) -> Option<PathBuf> {
     (file.format == DepthMapFormat::Pfm).then_some(folder.with_file_name("confidence").join(file.path.file_name()?))
 }
 
-/// Parses the bytes of one depth map, with depths as the file has them. Allocates memory proportional to the length of `bytes`.
-pub fn parse(bytes: &[u8], format: DepthMapFormat) -> Parsed<DepthMap> {
+/// Parses the bytes of one depth map, with depths as the file has them. `beside` reads another file of its folder. Allocates memory proportional to the
+/// length of the files.
+pub fn parse(
+    bytes: &[u8],
+    format: DepthMapFormat,
+    beside: &dyn Fn(&str) -> std::io::Result<Vec<u8>>,
+) -> Parsed<DepthMap> {
     let mut map = match format {
         DepthMapFormat::ColmapGeometric | DepthMapFormat::ColmapPhotometric => colmap::parse(bytes, format),
         DepthMapFormat::OpenMvs => openmvs::parse(bytes),
@@ -267,6 +281,7 @@ pub fn parse(bytes: &[u8], format: DepthMapFormat) -> Parsed<DepthMap> {
         DepthMapFormat::Dmb | DepthMapFormat::Gipuma => dmb::parse(bytes, format),
         DepthMapFormat::Mve => mvei::parse(bytes),
         DepthMapFormat::AliceVision => exr::parse(bytes),
+        DepthMapFormat::MicMac => micmac::parse(bytes, beside),
         DepthMapFormat::Npy => npy::parse(bytes),
     }?;
     for z in &mut map.depth {

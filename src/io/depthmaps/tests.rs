@@ -11,7 +11,7 @@ use crate::model::{
     scene::{CameraIndex, Pose, Scene, View, ViewIndex},
 };
 
-const ALL: [DepthMapFormat; 9] = [
+const ALL: [DepthMapFormat; 10] = [
     DepthMapFormat::ColmapGeometric,
     DepthMapFormat::ColmapPhotometric,
     DepthMapFormat::OpenMvs,
@@ -21,10 +21,27 @@ const ALL: [DepthMapFormat; 9] = [
     DepthMapFormat::Gipuma,
     DepthMapFormat::Mve,
     DepthMapFormat::AliceVision,
+    DepthMapFormat::MicMac,
 ];
 
 fn fixture(name: &str) -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("fixtures/depthmaps").join(name)
+}
+
+/// Parses bytes with no other file beside them.
+fn parse(bytes: &[u8], format: DepthMapFormat) -> Parsed<DepthMap> {
+    super::parse(bytes, format, &|_| Err(std::io::ErrorKind::NotFound.into()))
+}
+
+const CLOUD: &str = "MM-Malt-Img-IMG_9394/MMLastNuage.xml";
+
+/// Parses the fixture of MicMac, after both changes: to its description, and to the images beside it.
+fn micmac(xml: impl Fn(String) -> String, beside: impl Fn(&str, Vec<u8>) -> Vec<u8>) -> Parsed<DepthMap> {
+    let path = fixture(CLOUD);
+    let text = xml(std::fs::read_to_string(&path).unwrap());
+    super::parse(text.as_bytes(), DepthMapFormat::MicMac, &|name| {
+        Ok(beside(name, std::fs::read(path.with_file_name(name))?))
+    })
 }
 
 fn floats_le(values: &[f32]) -> Vec<u8> {
@@ -106,6 +123,51 @@ fn reads_openexr_in_the_ways_that_alicevision_writes_it() {
     assert_eq!(bytes[at], 2);
     bytes[at] = 4;
     assert!(parse(&bytes, DepthMapFormat::AliceVision).unwrap_err().1.contains("compression 4"));
+}
+
+#[test]
+fn reads_micmacs_inverse_depths_where_the_mask_has_them() {
+    let map = read(&fixture(CLOUD), DepthMapFormat::MicMac).unwrap();
+    let ramp = read(&fixture("00000003.pfm"), DepthMapFormat::Pfm).unwrap();
+    assert_eq!((map.width, map.height), (6, 4));
+    assert!(map.depth.iter().zip(&ramp.depth).all(|(z, expected)| (z - expected).abs() < 1e-5), "{:?}", map.depth);
+    assert_eq!(map.depth_at(2, 1), None, "the mask says so: the depth image has a value there, too");
+    let unchanged = |_: &str, bytes| bytes;
+    let depths = micmac(|xml| xml.replace("<ZIsInverse>true", "<ZIsInverse>false"), unchanged).unwrap();
+    let r = 1.0 / f64::from(map.depth[0]);
+    assert!((f64::from(depths.depth[0]) - r).abs() < 1e-6);
+    for (from, to, said) in [
+        ("<IsSpherik>false", "<IsSpherik>true", "IsSpherik true"),
+        ("eGeomMNTFaisceauIm1PrCh_Px1D", "eGeomMNTFaisceauIm1ZTerrain_Px1D", "ZTerrain"),
+        ("<DirFaisceaux>0 0 -1", "<DirFaisceaux>0 1 0", "Repere="),
+        ("<NbPixel>6 4", "<NbPixel>6 5", "6 x 4 pixels, expected 6 x 5"),
+        ("Z_Num8", "../Z_Num8", "same folder"),
+        ("Z_Num8_DeZoom1_STD-MALT.tif", "AutoMask_STD-MALT_Num_7.tif", "32-bit floats"),
+        ("Z_Num8", "Z_Num9", "Z_Num9_DeZoom1_STD-MALT.tif: "),
+        ("<PN3M_Nuage>", "<PN3M_Other>", "not well-formed"),
+        ("OrigineAlti>", "Other>", "OrigineAlti"),
+    ] {
+        let what = micmac(|xml| xml.replace(from, to), unchanged).unwrap_err().1;
+        assert!(what.contains(said), "{to}: {what}");
+    }
+}
+
+#[test]
+fn micmacs_maps_are_of_distorted_images_and_finished_when_their_images_are_there() {
+    let folder = tempfile::tempdir().unwrap();
+    let inside = folder.path().join("MM-Malt-Img-IMG_9394");
+    std::fs::create_dir(&inside).unwrap();
+    let copy = |name: &str| std::fs::copy(fixture(CLOUD).with_file_name(name), inside.join(name)).unwrap();
+    let mut scene = scene(&["IMG_9394.jpg", "IMG_9395.jpg"]);
+    scene.cameras = vec![Camera::new(1, CameraModel::SimpleRadial, 12, 8, vec![10.0, 6.0, 4.0, 0.01]).unwrap()];
+    copy("MMLastNuage.xml");
+    copy("Z_Num8_DeZoom1_STD-MALT.tif");
+    let set = list(folder.path(), &scene).unwrap();
+    assert!(set.maps.is_empty() && set.unreadable[0].1.to_string().contains("still being matched"));
+    copy("AutoMask_STD-MALT_Num_7.tif");
+    let maps = list(folder.path(), &scene).unwrap().maps;
+    assert_eq!(maps.iter().map(|map| map.view).collect::<Vec<_>>(), [ViewIndex(0)]);
+    assert!(read_of_view(&maps[0], &scene).unwrap().depth_at(0, 0).is_some());
 }
 
 #[test]
@@ -219,6 +281,17 @@ proptest! {
             let _ = parse(&bytes, format);
             bytes.truncate(keep);
             let _ = parse(&bytes, format);
+        }
+        let changed = |mut bytes: Vec<u8>| {
+            let at = at % bytes.len();
+            bytes[at] = byte;
+            bytes
+        };
+        let _ = micmac(|xml| String::from_utf8_lossy(&changed(xml.into())).into_owned(), |_, bytes| bytes);
+        for image in ["Z_", "Auto"] {
+            // Most of a TIFF's head is in the first 250 bytes here.
+            let damaged = |name: &str, bytes| if name.starts_with(image) { changed(bytes) } else { bytes };
+            let _ = micmac(|xml| xml, damaged);
         }
     }
 }

@@ -6,8 +6,8 @@
 //! ```
 //!
 //! Rows of the rotation are those from camera to world; camera axes are as in COLMAP. The distortion (convention `DistM2C`) moves ideal to measured
-//! pixels and is in pixels: p + (p - CDist) (c0 r² + c1 r⁴ + c2 r⁶), then Brown's P1 (of r² + 2x²), P2, and an affinity b1, b2. Which pixel centre
-//! is meant isn't documented; COLMAP's is assumed.
+//! pixels and is in pixels: p + (p - CDist) (c0 r² + c1 r⁴ + c2 r⁶), then Brown's P1 (of r² + 2x²), P2, and an affinity b1, b2. The centre of the
+//! first pixel is (0, 0), by the source (f8fe432).
 
 use nalgebra::{Matrix3, Point3, Vector3};
 
@@ -53,7 +53,8 @@ pub fn read_orientation(bytes: &[u8]) -> Result<Oriented, Fault> {
 pub fn read_calibration(bytes: &[u8], id: u32) -> Result<(Camera, f64), Fault> {
     let root = named(bytes, "CalibrationInternConique")?;
     let part = |name: &'static str| root.child(name).ok_or_else(|| root.lacks(name));
-    let (pp, [focal], [w, h]) = (part("PP")?.numbers::<2>()?, part("F")?.numbers()?, part("SzIm")?.numbers()?);
+    let (pp, [focal], [w, h]) = (part("PP")?.numbers()?, part("F")?.numbers()?, part("SzIm")?.numbers()?);
+    let pp = from_corner(pp);
     let distortion = Distortion::read(&root, pp)?;
     let camera = camera(distortion.camera(id, pp, focal, [w as u64, h as u64]), || "its camera".into())?;
     let mut off = 0.0f64;
@@ -76,6 +77,11 @@ pub fn read_calibration(bytes: &[u8], id: u32) -> Result<(Camera, f64), Fault> {
         return Err(Fault::new("", root.at(), Problem::Unsupported { what, hint }));
     }
     Ok((camera, off))
+}
+
+/// Turns MicMac's pixels, whose first centre is (0, 0), into COLMAP's.
+fn from_corner(pixel: [f64; 2]) -> [f64; 2] {
+    pixel.map(|x| x + 0.5)
 }
 
 /// Error of a camera from which it is refused.
@@ -130,7 +136,7 @@ impl Distortion {
             return if is_none { Ok(distortion) } else { Err(unknown(part.at(), "a distortion model".into())) };
         };
         if let Some(centre) = radial.child("CDist") {
-            distortion.centre = centre.numbers()?;
+            distortion.centre = from_corner(centre.numbers()?);
         }
         for (n, coefficient) in radial.children("CoeffDist").enumerate() {
             let [value] = coefficient.numbers()?;
@@ -218,7 +224,7 @@ mod tests {
         assert!((camera.params()[4] - 0.1).abs() < 1e-12 && off < 1e-6, "{off}");
         // 500 pixels to the right of the centre, moved by 500 * 2.5e-8 * 500².
         let pixel = camera.project(&Point3::new(0.25, 0.0, 1.0)).unwrap();
-        assert!((pixel.x - 1503.125).abs() < 1e-9);
+        assert!((pixel.x - 1503.625).abs() < 1e-9);
         let fraser = "<ModPhgrStd><RadialePart><CDist>1000 700</CDist><CoeffDist>2.5e-8</CoeffDist></RadialePart><P1>1e-7</P1><P2>2e-7</P2></ModPhgrStd>";
         let (camera, off) = read(fraser).unwrap();
         assert!((camera.params()[7] - 2e-4).abs() < 1e-12 && (camera.params()[6] - 4e-4).abs() < 1e-12 && off < 1e-6);

@@ -20,7 +20,7 @@ pub mod opensfm;
 pub mod sure;
 pub mod transforms;
 mod words;
-mod xml;
+pub(super) mod xml;
 
 use std::fmt;
 

@@ -16,7 +16,7 @@ const MOST_ELEMENTS: usize = 1 << 18;
 
 /// An element with all that it contains.
 #[derive(Debug)]
-pub(super) struct Element {
+pub(in crate::io) struct Element {
     pub name: String,
     attributes: Vec<(String, String)>,
     text: String,
@@ -80,7 +80,7 @@ impl Element {
 }
 
 /// The unread part of a file.
-pub(super) struct Xml<'a> {
+pub(in crate::io) struct Xml<'a> {
     reader: Reader<&'a [u8]>,
     open: usize,
 }

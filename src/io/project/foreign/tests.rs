@@ -98,7 +98,7 @@ fn a_folder_of_micmac_has_its_images_and_points_above() {
     for path in [folder.path().to_path_buf(), folder.path().join("Ori-All")] {
         let project = Project::open(&path, None).unwrap();
         let scene = project.read_scene().unwrap();
-        assert_eq!((scene.views[0].name.as_str(), scene.track_pixels[0]), ("a.png", [100.0, 50.0]));
+        assert_eq!((scene.views[0].name.as_str(), scene.track_pixels[0]), ("a.png", [100.5, 50.5]));
         assert!(project.images.is_some());
     }
     let damaged = folder.path().join("Ori-All/AutoCal.xml");
