@@ -1,13 +1,13 @@
 #!/usr/bin/env python3
 """Compares plans with key views at two sizes (method 5.8) with plans at one, by the clouds that OpenMVS or integrations/sgm fuses.
 
-    benches/sizes.py PROJECT WORK_FOLDER [--matcher openmvs|sgm] [--image-scale 0.5] [--worth 0.8] [--openmvs FOLDER] [--viewrank viewrank]
+    benches/sizes.py PROJECT WORK_FOLDER [--matcher openmvs|sgm] [--image-scale 0.5] [--gsd G] [--worth 0.8] [--openmvs FOLDER] [--viewrank viewrank]
 
 Matches all key views at full and at half size once (CPU seconds of each are printed), then fuses, for half, one and one and a half times the
 work of the default plan: the plan at full size, mixed plans, the whole plan at half size, and every n-th view at full size; and once what OpenMVS makes
 by itself of all images at half size, with its own partners, passes and fusion. The reference is the cloud of all maps at full
 size; OpenMVS's without points that fewer than three of them agree on (sgm keeps a depth only where two of its own pairs agree). It is divided into cells of 2 g_d, where g_d is that of the place (method 3.6): 1.25 times the finest GSD of the
-images in which it lies, in steps of octaves; so cells are about equally many pixels:
+images in which it lies, in steps of octaves; so cells are about equally many pixels. With --gsd, plans are made for that wanted GSD, which is g_d everywhere:
 
     covered    share of its cells with a point within 2 g_d
     right      share of its cells where the median offset of the points from its local plane is at most g_d
@@ -41,6 +41,7 @@ def main():
     parser.add_argument("work", type=Path, help="folder for maps and clouds")
     parser.add_argument("--matcher", choices=("openmvs", "sgm"), default="openmvs")
     parser.add_argument("--image-scale", type=float, default=0.5)
+    parser.add_argument("--gsd", type=float, help="wanted GSD, scene units")
     parser.add_argument("--worth", type=float, nargs="*", default=[0.8])
     parser.add_argument("--openmvs", type=Path, default=Path(os.environ.get("OPENMVS_BIN", ".")), help="folder of its programs")
     parser.add_argument("--viewrank", default="viewrank")
@@ -103,6 +104,7 @@ class Bench:
         settings = f"image_scale = {self.args.image_scale}\n[ranking]\nhalf_worth = {float(worth)}\n"
         (self.project / "viewrank.toml").write_text(settings)
         command = [self.args.viewrank, "plan", self.project, "--backend", self.args.matcher, "--quiet", *options]
+        command += ["--gsd", str(self.args.gsd)] if self.args.gsd else []
         subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
         return json.loads((self.project / "viewrank/manifest.json").read_text())
 
@@ -121,6 +123,8 @@ class Bench:
 
     def wanted_gsd(self, points):
         """g_d at each point: 1.25 times the finest GSD of the images in which it lies, in pixels of the full size; infinite in none."""
+        if self.args.gsd:
+            return np.full(len(points), self.args.gsd)
         finest = np.full(len(points), np.inf)
         for image in self.model.images.values():
             camera, pose = self.model.cameras[image.camera_id], image.cam_from_world()

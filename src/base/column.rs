@@ -25,13 +25,13 @@ pub enum Storage {
     Disk,
 }
 
-/// A finished column, in memory or on disk; read as a slice.
+/// A finished column, in memory or on disk; read as a slice. Clones share the rows.
 #[derive(Clone)]
 pub struct Column<T>(Backing<T>);
 
 #[derive(Clone)]
 enum Backing<T> {
-    Memory(Vec<T>),
+    Memory(Arc<Vec<T>>),
     Disk(Arc<Mmap>),
 }
 
@@ -46,7 +46,7 @@ impl<T> Column<T> {
     /// Bytes of heap memory; 0 for a column on disk, whose pages the system may drop.
     pub fn bytes(&self) -> usize {
         match &self.0 {
-            Backing::Memory(list) => size_of_val(&**list),
+            Backing::Memory(list) => size_of_val(&list[..]),
             Backing::Disk(_) => 0,
         }
     }
@@ -94,7 +94,26 @@ impl<T> Default for Column<T> {
 
 impl<T> From<Vec<T>> for Column<T> {
     fn from(list: Vec<T>) -> Self {
-        Self(Backing::Memory(list))
+        Self(Backing::Memory(Arc::new(list)))
+    }
+}
+
+/// A column of any kind of number, for those who write it.
+pub trait Rows: std::fmt::Debug + Send + Sync {
+    /// Returns the rows as they are in memory.
+    fn as_bytes(&self) -> &[u8];
+
+    /// Releases the resident pages of a column on disk.
+    fn release(&self);
+}
+
+impl<T: Pod + std::fmt::Debug + Send + Sync> Rows for Column<T> {
+    fn as_bytes(&self) -> &[u8] {
+        bytemuck::cast_slice(self)
+    }
+
+    fn release(&self) {
+        self.release();
     }
 }
 

@@ -2,21 +2,44 @@
 //!
 //! The bytes may be damaged or forged: the length of each list is checked before memory is allocated.
 
+use std::{fmt::Debug, sync::Arc};
+
 use bytemuck::Pod;
+
+use super::column::{Column, Rows};
+
+/// Packed lists, in parts one after the other.
+pub type Packed = Vec<Arc<dyn Rows>>;
 
 /// Lists that are written one after the other.
 #[derive(Default)]
-pub struct Packer(Vec<u8>);
+pub struct Packer {
+    parts: Packed,
+    /// What follows the parts.
+    bytes: Vec<u8>,
+}
 
 impl Packer {
     /// Appends a list: its length, then its numbers as they are in memory.
     pub fn list<T: Pod>(&mut self, numbers: &[T]) {
-        self.0.extend_from_slice(&(numbers.len() as u64).to_le_bytes());
-        self.0.extend_from_slice(bytemuck::cast_slice(numbers));
+        self.bytes.extend_from_slice(&(numbers.len() as u64).to_le_bytes());
+        self.bytes.extend_from_slice(bytemuck::cast_slice(numbers));
     }
 
-    pub fn finish(self) -> Vec<u8> {
-        self.0
+    /// Appends a column as [`Self::list`] does, without a copy.
+    pub fn column<T: Pod + Debug + Send + Sync>(&mut self, column: &Column<T>) {
+        self.bytes.extend_from_slice(&(column.len() as u64).to_le_bytes());
+        self.end_part();
+        self.parts.push(Arc::new(column.clone()));
+    }
+
+    fn end_part(&mut self) {
+        self.parts.push(Arc::new(Column::from(std::mem::take(&mut self.bytes))));
+    }
+
+    pub fn finish(mut self) -> Packed {
+        self.end_part();
+        self.parts
     }
 }
 
@@ -128,12 +151,15 @@ mod tests {
         packer.list(&[1.5f64, -2.0]);
         packer.list(&[7u8]);
         packer.list::<u32>(&[]);
-        let bytes = packer.finish();
+        packer.column(&Column::from(vec![3.5f32]));
+        packer.list(&[9u8]);
+        let bytes = packer.finish().iter().flat_map(|part| part.as_bytes().to_vec()).collect::<Vec<_>>();
         let mut lists = Unpacker::new(&bytes);
         assert_eq!(lists.list::<f64>(), Some(vec![1.5, -2.0]));
         assert_eq!(lists.bytes(), Some(&[7][..]));
         assert!(!lists.is_at_end());
         assert_eq!(lists.list::<u32>(), Some(vec![]));
+        assert_eq!((lists.list::<f32>(), lists.bytes()), (Some(vec![3.5]), Some(&[9][..])));
         assert!(lists.is_at_end() && lists.list::<u32>().is_none());
         // A length that no memory holds.
         assert!(Unpacker::new(&[255; 16]).list::<f64>().is_none());

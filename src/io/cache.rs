@@ -6,15 +6,14 @@
 use std::{
     io::{BufRead, BufReader, Read},
     path::{Path, PathBuf},
-    sync::Arc,
 };
 
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
 use super::output::{self, Contents, FileSet};
 use crate::base::{
-    column::Column,
     input::{self, FileKind},
+    packed::Packed,
 };
 
 const MAGIC: &str = "viewrank cache 1\n";
@@ -97,12 +96,14 @@ impl CacheFile {
     }
 
     /// Makes the file; if the inputs are not known, as [`Self::no_file`].
-    pub fn file(&self, facts: &impl Serialize, contents: Arc<Column<u8>>) -> FileSet {
+    pub fn file(&self, facts: &impl Serialize, contents: Packed) -> FileSet {
         let Some(inputs) = self.inputs.clone() else { return self.no_file() };
         let mut hasher = hasher_of(facts);
-        for block in contents.chunks(BLOCK) {
-            hasher.update(block);
-            contents.release();
+        for part in &contents {
+            for block in part.as_bytes().chunks(BLOCK) {
+                hasher.update(block);
+                part.release();
+            }
         }
         let head = Head { inputs, hash: hasher.finalize().to_string(), facts };
         let json = serde_json::to_string(&head).expect("numbers and texts are JSON");
@@ -135,10 +136,16 @@ impl<F> OpenCache<F> {
 
 #[cfg(test)]
 mod tests {
+    use std::sync::Arc;
+
     use super::*;
-    use crate::io::output::Disk;
+    use crate::{base::column::Column, io::output::Disk};
 
     const PATH: &str = "viewrank/cache/some.table";
+
+    fn packed(bytes: &[u8]) -> Packed {
+        vec![Arc::new(Column::from(bytes.to_vec()))]
+    }
 
     fn of(home: &Path, input: &[u8]) -> CacheFile {
         let mut inputs = blake3::Hasher::new();
@@ -155,7 +162,7 @@ mod tests {
         let home = tempfile::tempdir().unwrap();
         let file = of(home.path(), b"a");
         assert!(file.read::<u32>().is_none());
-        write(file.file(&7, Arc::new(vec![1, 2, 3].into())));
+        write(file.file(&7, packed(&[1, 2, 3])));
         assert_eq!(file.read::<u32>(), Some((7, vec![1, 2, 3])));
         assert!(of(home.path(), b"b").read::<u32>().is_none());
         assert!(file.read::<String>().is_none(), "other facts");
@@ -166,10 +173,10 @@ mod tests {
     #[test]
     fn nothing_is_kept_for_unknown_inputs() {
         let home = tempfile::tempdir().unwrap();
-        write(of(home.path(), b"a").file(&7, Arc::new(vec![1].into())));
+        write(of(home.path(), b"a").file(&7, packed(&[1])));
         let file = CacheFile::new(home.path(), PATH, None);
         assert!(file.read::<u32>().is_none());
-        write(file.file(&7, Arc::new(vec![1].into())));
+        write(file.file(&7, packed(&[1])));
         assert!(!home.path().join(PATH).exists());
     }
 
@@ -177,7 +184,7 @@ mod tests {
     fn no_changed_byte_is_believed() {
         let home = tempfile::tempdir().unwrap();
         let file = of(home.path(), b"a");
-        write(file.file(&7, Arc::new(vec![1; 50].into())));
+        write(file.file(&7, packed(&[1; 50])));
         let good = std::fs::read(home.path().join(PATH)).unwrap();
         for place in 0..good.len() {
             let mut bad = good.clone();
@@ -196,7 +203,7 @@ mod tests {
     fn a_longer_file_is_not_believed() {
         let home = tempfile::tempdir().unwrap();
         let file = of(home.path(), b"a");
-        write(file.file(&7, Arc::new(vec![1; 50].into())));
+        write(file.file(&7, packed(&[1; 50])));
         let facts = || {
             let mut open = file.open::<u32>().unwrap();
             open.fill(&mut [0; 50]).unwrap();

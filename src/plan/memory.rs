@@ -41,7 +41,7 @@ const SCENE_PER_POINT: u64 = 43;
 const SCENE_PER_OBSERVATION: u64 = 24;
 /// Bytes per row of the visibility table, alone, and with confidence and fulfilment.
 const VISIBILITY_ROW: u64 = 4;
-const TABLES_ROW: u64 = 20;
+const TABLES_ROW: u64 = 17;
 /// Bytes per row of visibility while pictures are compared; the result has one byte per candidate.
 const SAMPLES_ROW: u64 = 196;
 /// Bytes of these samples that are kept in memory: beyond that, the system's cache of the file is as fast while memory is free.

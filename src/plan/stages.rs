@@ -204,9 +204,8 @@ impl Stages {
 
     /// Approximate memory of the tables, surface and scene, bytes.
     pub fn bytes(&self) -> u64 {
-        let unary = self.unary.values.bytes();
         let fulfilment = self.fulfilment.triangles.bytes() + self.fulfilment.values.bytes();
-        let tables = self.visibility.triangles.bytes() + unary + fulfilment;
+        let tables = self.visibility.triangles.bytes() + self.unary.bytes() + fulfilment;
         // Corners and what is shown of each triangle.
         let surface = 24 * self.surface.vertices.len() + (12 + 16) * self.surface.triangles.len();
         let scene = 64 * self.scene.points.len() + 24 * self.scene.observations();
@@ -324,7 +323,7 @@ fn unary(
                 Confidence::Photometric { .. } if pictures.have_images() => Vec::new(),
                 _ => confidence::picture_warnings(scene, &faults),
             };
-            Ok((nearby.times(masks, visibility)?, warnings))
+            Ok((nearby.within(masks), warnings))
         }
     })
 }

@@ -22,22 +22,21 @@ use std::{
     collections::BTreeMap,
     io,
     path::{Component, Path, PathBuf},
-    sync::Arc,
 };
 
 pub use disk::{Disk, Operation};
 pub(crate) use open::{open_own, own_path, read_own, refuse_to_leave};
 
-use crate::base::{column::Column, error::Hint};
+use crate::base::{error::Hint, packed::Packed};
 
 /// Contents of an entry of a [`FileSet`].
 #[derive(Clone, Debug)]
 pub enum Contents {
     Bytes(Vec<u8>),
-    /// `head`, then the rows of a table, which may be larger than memory.
+    /// `head`, then the rows of tables, which may be larger than memory.
     Table {
         head: Vec<u8>,
-        rows: Arc<Column<u8>>,
+        rows: Packed,
     },
     /// As `Bytes`, with the executable bit set (runner scripts).
     Script(Vec<u8>),

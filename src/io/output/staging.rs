@@ -1,7 +1,7 @@
 //! Stages a change: the new files of the sets, the files that they replace, and the stale files to remove.
 
 use std::{
-    collections::BTreeSet,
+    collections::{BTreeSet, VecDeque},
     fs::{self, Metadata},
     io::{self, Read},
     path::{Path, PathBuf},
@@ -12,7 +12,7 @@ use super::{
     record::{self, Record, Records},
     transaction::{Change, Root, Step},
 };
-use crate::base::{input, platform};
+use crate::base::{input, packed::Packed, platform};
 
 /// Stages the differences between the sets and the files on disk, as one change for all sets.
 pub(super) fn stage(root: &Root, sets: &[&FileSet]) -> Result<(Change, Vec<WriteReport>), OutputError> {
@@ -116,7 +116,7 @@ impl Staging<'_> {
         let disk = self.root.disk;
         match contents {
             Contents::Bytes(bytes) => disk.write_new(at, bytes.as_slice(), false),
-            Contents::Table { head, rows } => disk.write_new(at, head.chain(&rows[..]), false),
+            Contents::Table { head, rows } => disk.write_new(at, Parts::new(head, rows), false),
             Contents::Script(bytes) => disk.write_new(at, bytes.as_slice(), true),
             Contents::Copy(from) => self.copy(from, at),
             Contents::Link(to) => {
@@ -254,6 +254,24 @@ fn needed_folders(set: &FileSet) -> BTreeSet<String> {
     ends.flat_map(|p| folders_above(&p).map(String::from).collect::<Vec<_>>()).collect()
 }
 
+/// Parts that are read one after the other.
+struct Parts<'a>(VecDeque<&'a [u8]>);
+
+impl<'a> Parts<'a> {
+    fn new(head: &'a [u8], rows: &'a Packed) -> Self {
+        Self(std::iter::once(head).chain(rows.iter().map(|part| part.as_bytes())).collect())
+    }
+}
+
+impl Read for Parts<'_> {
+    fn read(&mut self, to: &mut [u8]) -> io::Result<usize> {
+        while self.0.front().is_some_and(|part| part.is_empty()) {
+            self.0.pop_front();
+        }
+        self.0.front_mut().map_or(Ok(0), |part| part.read(to))
+    }
+}
+
 /// `a` and `a/b` for `a/b/c`; also `a/b/c` for `a/b/c/`.
 fn folders_above(path: &str) -> impl Iterator<Item = &str> {
     path.match_indices('/').map(|(end, _)| &path[..end])
@@ -269,8 +287,10 @@ fn is_same(target: &Path, found: &Metadata, contents: &Contents, root: &Path) ->
             Ok(source.metadata()?.len() == found.len() && record::same_contents(source, open::existing(target)?)?)
         }
         Contents::Bytes(bytes) => is_bytes(target, found, bytes),
-        Contents::Table { head, rows } => Ok(found.len() == (head.len() + rows.len()) as u64
-            && record::same_contents(head.chain(&rows[..]), open::existing(target)?)?),
+        Contents::Table { head, rows } => {
+            let length = head.len() + rows.iter().map(|part| part.as_bytes().len()).sum::<usize>();
+            Ok(found.len() == length as u64 && record::same_contents(Parts::new(head, rows), open::existing(target)?)?)
+        }
         Contents::Script(bytes) => Ok(platform::is_executable(found) && is_bytes(target, found, bytes)?),
         Contents::Folder => Ok(found.is_dir()),
     }

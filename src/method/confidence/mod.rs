@@ -17,7 +17,7 @@ pub use nearby::nearby;
 pub use photometric::NO_AGREEMENT;
 pub use photometric::{Agreement, PairAgreement, Photometric, ProgramReach};
 pub use pictures::{MASKS, Pictures, picture_warnings};
-pub use unary::Unary;
+pub use unary::{AROUND, Unary};
 
 use crate::config::{ConfidenceSettings, ConfidenceSource};
 

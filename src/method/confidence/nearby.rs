@@ -3,7 +3,7 @@
 use nalgebra::Point3;
 use rayon::prelude::*;
 
-use super::Unary;
+use super::unary::{AROUND, Unary};
 use crate::{
     base::{
         column::{Column, TableError},
@@ -12,11 +12,6 @@ use crate::{
     method::{surface::Surface, visibility::Visibility},
     model::scene::{Scene, ViewIndex, ViewPoints},
 };
-
-/// Number of nearest points considered for a triangle.
-const AROUND: usize = 8;
-/// Confidence if a view observes none of them.
-const UNOBSERVED: f32 = 0.5;
 
 /// Weights each row of the visibility table 0.5 to 1 by the share of the sparse points nearest to the triangle that the view observes.
 pub fn nearby(
@@ -29,8 +24,9 @@ pub fn nearby(
     if scene.points.is_empty() {
         return Ok(Unary::certain());
     }
-    let values = Nearest::new(scene, surface, watcher)?.confidence(scene, points, visibility, watcher)?;
-    Ok(Unary { values })
+    let nearest = Nearest::new(scene, surface, watcher)?;
+    let observed = nearest.observed(scene, points, visibility, watcher)?;
+    Ok(Unary::of_points(observed, nearest.around as u8))
 }
 
 /// The sparse points nearest to the centroid of each triangle, the same number for each.
@@ -57,23 +53,19 @@ impl Nearest {
         &self.points[self.around * triangle as usize..][..self.around]
     }
 
-    /// Returns, for each row of the visibility table, 0.5 to 1 by the share of the nearest points that the view observes.
-    fn confidence(
+    /// Returns, for each row of the visibility table, the number of the nearest points that the view observes.
+    fn observed(
         &self,
         scene: &Scene,
         points: &ViewPoints,
         visibility: &Visibility,
         watcher: &dyn Watcher,
-    ) -> Result<Column<f32>, TableError> {
+    ) -> Result<Column<u8>, TableError> {
         let of_view = |observed: &mut Vec<bool>, view: ViewIndex| {
             watcher.check()?;
             points.observed_by(view).iter().for_each(|p| observed[p.index()] = true);
-            let of_triangle = |&t: &u32| {
-                let around = self.points_near(t);
-                let share = around.iter().filter(|&&p| observed[p as usize]).count() as f32 / around.len() as f32;
-                UNOBSERVED + (1.0 - UNOBSERVED) * share
-            };
-            let row: Vec<f32> = visibility.triangles_seen_by(view).iter().map(of_triangle).collect();
+            let of_triangle = |&t: &u32| self.points_near(t).iter().filter(|&&p| observed[p as usize]).count() as u8;
+            let row: Vec<u8> = visibility.triangles_seen_by(view).iter().map(of_triangle).collect();
             points.observed_by(view).iter().for_each(|p| observed[p.index()] = false);
             Ok(row)
         };
@@ -218,6 +210,6 @@ mod tests {
                 row += 1;
             }
         }
-        assert!(row > 0 && unary.values.len() == row && unary.values.iter().any(|&u| u > 0.9));
+        assert!(row > 0 && unary.columns().0.len() == row && (0..row).any(|row| unary.confidence(row) > 0.9));
     }
 }

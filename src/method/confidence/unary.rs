@@ -1,4 +1,5 @@
-//! Confidence of each view at each triangle that it sees: the sparse points and the mask there (method 7.2).
+//! Confidence of each view at each triangle that it sees: the sparse points and the mask there (method 7.2). The table has as many rows as that of
+//! visibility, so it holds what a row is computed from: a byte for the points, and numbers only where there are masks.
 
 use std::sync::Mutex;
 
@@ -13,18 +14,35 @@ use crate::{
         column::{Column, TableError},
         progress::Watcher,
     },
-    method::{geometry::Geometry, surface::Surface, visibility::Visibility},
+    method::{geometry::Geometry, surface::Surface},
     model::{
         camera::Camera,
         scene::{Scene, ViewIndex},
     },
 };
 
+/// Number of sparse points nearest to a triangle that are considered.
+pub const AROUND: usize = 8;
+/// Confidence if a view observes none of them.
+const UNOBSERVED: f32 = 0.5;
+
 /// Unary confidence of each row of the visibility table.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Unary {
-    /// 0 to 1; empty: 1 everywhere.
-    pub values: Column<f32>,
+    /// Number of the nearest sparse points that the view observes; empty: no influence.
+    observed: Column<u8>,
+    /// Number of the nearest sparse points, 1 to [`AROUND`].
+    around: u8,
+    /// Confidence by that number.
+    levels: [f32; AROUND + 1],
+    /// Share of the triangle that the view's mask allows, 0 to 1; empty: 1 everywhere.
+    allowed: Column<f32>,
+}
+
+impl Default for Unary {
+    fn default() -> Self {
+        Self::of_points(Column::default(), AROUND as u8)
+    }
 }
 
 impl Unary {
@@ -33,39 +51,55 @@ impl Unary {
         Self::default()
     }
 
-    pub fn confidence(&self, row: usize) -> f32 {
-        if self.values.is_empty() { 1.0 } else { self.values[row] }
+    /// Returns 0.5 to 1 by the share of the `around` nearest sparse points that a view observes, at most all of them.
+    pub fn of_points(observed: Column<u8>, around: u8) -> Self {
+        let share = |number: usize| (number as f32 / f32::from(around)).min(1.0);
+        let levels = std::array::from_fn(|number| UNOBSERVED + (1.0 - UNOBSERVED) * share(number));
+        Self { observed, around, levels, allowed: Column::default() }
     }
 
-    /// Returns the row-wise product with another table (of masks and of sparse points).
-    pub fn times(self, other: Self, visibility: &Visibility) -> Result<Self, TableError> {
-        if self.values.is_empty() {
-            return Ok(other);
-        }
-        if other.values.is_empty() {
-            return Ok(self);
-        }
-        let of_view = |_: &mut (), view| {
-            Ok(visibility.rows(view).map(|row| self.confidence(row) * other.confidence(row)).collect())
-        };
-        Ok(Self { values: visibility.column(|| (), of_view)? })
+    /// Returns this confidence times the share that masks allow.
+    pub fn within(self, allowed: Column<f32>) -> Self {
+        Self { allowed, ..self }
+    }
+
+    /// Returns the numbers of observed points, of how many, and the shares that masks allow.
+    pub fn columns(&self) -> (&Column<u8>, u8, &Column<f32>) {
+        (&self.observed, self.around, &self.allowed)
+    }
+
+    /// Returns true if it is 1 everywhere.
+    pub fn is_certain(&self) -> bool {
+        self.observed.is_empty() && self.allowed.is_empty()
+    }
+
+    pub fn confidence(&self, row: usize) -> f32 {
+        let by_points = if self.observed.is_empty() { 1.0 } else { self.levels[usize::from(self.observed[row])] };
+        if self.allowed.is_empty() { by_points } else { by_points * self.allowed[row] }
+    }
+
+    /// Bytes of heap memory.
+    pub fn bytes(&self) -> usize {
+        self.observed.bytes() + self.allowed.bytes()
     }
 
     /// Lets the operating system drop pages of a table on disk; they are read again when needed.
     pub fn release(&self) {
-        self.values.release();
+        self.observed.release();
+        self.allowed.release();
     }
 
-    /// Returns the share of each triangle that the view's mask allows, 1 in views without a mask, and the fault of each mask that cannot be used.
+    /// Returns the share of each triangle that the view's mask allows, 1 in views without a mask (empty if there are no masks), and the fault of each
+    /// mask that cannot be used.
     pub fn of_masks(
         geometry: &Geometry,
         pictures: &Pictures,
         watcher: &dyn Watcher,
-    ) -> Result<(Self, Vec<Option<ImageError>>), TableError> {
+    ) -> Result<(Column<f32>, Vec<Option<ImageError>>), TableError> {
         let Geometry { scene, surface, visibility, .. } = *geometry;
         let mut faults: Vec<Option<ImageError>> = scene.view_indices().map(|_| None).collect();
         if !pictures.have_masks() {
-            return Ok((Self::certain(), faults));
+            return Ok((Column::default(), faults));
         }
         let found = Mutex::new(Vec::new());
         let of_view = |_: &mut (), view: ViewIndex| {
@@ -84,7 +118,7 @@ impl Unary {
         for (view, fault) in found.into_inner().unwrap_or_default() {
             faults[view.index()] = Some(fault);
         }
-        Ok((Self { values }, faults))
+        Ok((values, faults))
     }
 }
 

@@ -238,7 +238,7 @@ fn the_best_target_is_reached_by_the_nearest_view() {
 #[test]
 fn a_pair_counts_by_its_geometry_and_both_views() {
     let mut setting = Setting::pinhole();
-    setting.unary = Unary { values: vec![0.5; setting.visibility.triangles.len()].into() };
+    setting.unary = Unary::certain().within(vec![0.5; setting.visibility.triangles.len()].into());
     let numbers =
         PairConfidence { min_matches: 1, p0: 0.8, cosine_power: 0.0, scale_octaves: None, full_angle_deg: None };
     let (key, partners) = (ViewIndex(12), [ViewIndex(11), ViewIndex(17)]);
@@ -261,7 +261,8 @@ fn the_table_holds_what_the_definition_says() {
     let settings =
         [Setting::pinhole(), Setting::distorted()].map(Setting::with_pictures).into_iter().flat_map(|setting| {
             let rows = setting.visibility.triangles.len();
-            let varied = Unary { values: (0..rows).map(|r| (r % 101) as f32 / 100.0).collect() };
+            let varied = Unary::of_points((0..rows).map(|r| (r % 7) as u8).collect(), 6)
+                .within((0..rows).map(|r| (r % 101) as f32 / 100.0).collect());
             [Unary::certain(), varied].map(|unary| Setting { unary, ..setting.clone() })
         });
     for setting in settings {

@@ -2,7 +2,7 @@
 
 use crate::{
     base::{
-        packed::{Packer, Unpacker},
+        packed::{Packed, Packer, Unpacker},
         rows::Offsets,
     },
     method::partners::{Candidates, Refusal},
@@ -12,7 +12,7 @@ use crate::{
 /// Reasons to refuse a pair, by their number in the file. Another one is packed as a number that is not read.
 const REASONS: [Reason; 2] = [Reason::RotationOnly, Reason::NotMatchable];
 
-pub(super) fn pack(candidates: &Candidates) -> Vec<u8> {
+pub(super) fn pack(candidates: &Candidates) -> Packed {
     let number = |reason| REASONS.iter().position(|&known| known == reason).unwrap_or(REASONS.len()) as u8;
     let mut packer = Packer::default();
     pack_rows(&mut packer, &candidates.offsets, candidates.views.iter());

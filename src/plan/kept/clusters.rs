@@ -3,7 +3,7 @@
 use crate::{
     base::{
         column::Storage,
-        packed::{Packer, Unpacker},
+        packed::{Packed, Packer, Unpacker},
     },
     method::{fulfilment::FulfilmentTable, visibility::Visibility},
     model::{cluster::ViewCluster, scene::ViewIndex},
@@ -13,7 +13,7 @@ use crate::{
 /// Clusters, their fulfilment, and that at half the size.
 pub type KeptClusters = (Vec<ViewCluster>, FulfilmentTable, Option<FulfilmentTable>);
 
-pub(super) fn pack(stages: &Stages) -> Option<Vec<u8>> {
+pub(super) fn pack(stages: &Stages) -> Option<Packed> {
     let Stages { clusters, fulfilment, half, visibility, .. } = stages;
     if visibility.triangles.storage() == Storage::Disk {
         return None;
@@ -50,7 +50,7 @@ fn pack_table(
         fulfilled.next().is_none().then_some(())?;
     }
     packer.list(&bits);
-    packer.list(&table.values);
+    packer.column(&table.values);
     Some(())
 }
 

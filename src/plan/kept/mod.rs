@@ -12,14 +12,12 @@ pub(super) mod shown;
 mod surface;
 pub(super) mod unary;
 
-use std::sync::Arc;
-
 use serde::{Serialize, de::DeserializeOwned};
 
 pub(super) use self::{inputs::Inputs, surface::KeptSurface};
 use super::Plan;
 use crate::{
-    base::input::FileKind,
+    base::{input::FileKind, packed::Packed},
     io::{cache::CacheFile, output::FileSet},
 };
 
@@ -46,14 +44,15 @@ pub(super) struct Slot {
 
 impl Slot {
     /// Returns the file's set, unless it is there already.
-    fn set<F: Serialize>(&self, pack: impl FnOnce() -> Option<(F, Vec<u8>)>) -> Option<FileSet> {
+    fn set<F: Serialize>(&self, pack: impl FnOnce() -> Option<(F, Packed)>) -> Option<FileSet> {
         if self.is_kept {
             return None;
         }
+        let length = |packed: &Packed| packed.iter().map(|part| part.as_bytes().len() as u64).sum::<u64>();
         let packed =
-            self.file.inputs().and_then(|_| pack()).filter(|(_, bytes)| bytes.len() as u64 <= FileKind::State.limit());
+            self.file.inputs().and_then(|_| pack()).filter(|(_, packed)| length(packed) <= FileKind::State.limit());
         Some(match packed {
-            Some((facts, bytes)) => self.file.file(&facts, Arc::new(bytes.into())),
+            Some((facts, packed)) => self.file.file(&facts, packed),
             None => self.file.no_file(),
         })
     }

@@ -1,12 +1,12 @@
 //! The ranking without finished depth maps.
 
 use crate::{
-    base::packed::{Packer, Unpacker},
+    base::packed::{Packed, Packer, Unpacker},
     method::ranking::Ranking,
     model::cluster::MapScale,
 };
 
-pub(super) fn pack(ranking: &Ranking) -> Vec<u8> {
+pub(super) fn pack(ranking: &Ranking) -> Packed {
     let mut packer = Packer::default();
     packer.list(&ranking.order);
     packer.list(&ranking.scales.iter().map(|&scale| u8::from(scale == MapScale::Half)).collect::<Vec<_>>());

@@ -1,11 +1,11 @@
 //! Number of views, pixels and finest GSD of each triangle.
 
 use crate::{
-    base::packed::{Packer, Unpacker},
+    base::packed::{Packed, Packer, Unpacker},
     method::visibility::Shown,
 };
 
-pub(super) fn pack(shown: &Shown) -> Vec<u8> {
+pub(super) fn pack(shown: &Shown) -> Packed {
     let mut packer = Packer::default();
     packer.list(&shown.views);
     packer.list(&shown.pixels);

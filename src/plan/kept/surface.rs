@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use crate::{
     base::{
         column::{Column, Storage},
-        packed::{Packer, Unpacker, push_gaps, read_gaps},
+        packed::{Packed, Packer, Unpacker, push_gaps, read_gaps},
         rows::Offsets,
     },
     method::{
@@ -32,7 +32,7 @@ pub struct KeptSurface {
     pub visibility: Visibility,
 }
 
-pub(super) fn pack(stages: &Stages) -> Option<(Facts, Vec<u8>)> {
+pub(super) fn pack(stages: &Stages) -> Option<(Facts, Packed)> {
     let Stages { surface, visibility, .. } = stages;
     if visibility.triangles.storage() == Storage::Disk {
         return None;

@@ -163,7 +163,7 @@ impl Agreement {
     pub fn unwritten(&self) -> Option<FileSet> {
         let file = self.cache.as_ref().filter(|_| !self.is_kept)?;
         let without = (0..).zip(&self.compared).filter(|(_, compared)| !**compared).map(|(view, _)| view).collect();
-        Some(file.file(&Facts { without, warnings: self.warnings.clone() }, self.values.clone()))
+        Some(file.file(&Facts { without, warnings: self.warnings.clone() }, vec![self.values.clone()]))
     }
 
     /// Builds a table without values; `without`: by view, true if it has no usable picture.

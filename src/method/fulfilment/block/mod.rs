@@ -170,7 +170,7 @@ impl<'a> Block<'a> {
         let model = &self.model;
         let seen = model.visibility.triangles_seen_by(self.key);
         seen.iter().zip(&self.slots).for_each(|(&t, &slot)| slot_of[t as usize] = slot);
-        let own: Vec<f32> = if model.unary.values.is_empty() { Vec::new() } else { self.own_unary() };
+        let own: Vec<f32> = if model.unary.is_certain() { Vec::new() } else { self.own_unary() };
         for (&partner, sees) in self.partners.iter().zip(&mut self.sees) {
             let mut means = vec![0.0; own.len()];
             for (row, &t) in model.visibility.rows(partner).zip(model.visibility.triangles_seen_by(partner)) {
