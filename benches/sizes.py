@@ -184,6 +184,10 @@ class OpenMvs(Bench):
     def reference(self, every):
         return self.fuse(every, 1.0, agreeing=3)
 
+    def references(self, every):
+        """The cloud of all maps, and that where three agree."""
+        return [self.fuse(every, 1.0, agreeing=maps) for maps in (1, 3)]
+
     def fuse(self, plan, scale=None, agreeing=1):
         """Points of the cloud of the plan's maps, n x 3, of those that were matched above; where so many of them agree."""
         folder = self.args.work / "fused"
