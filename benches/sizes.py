@@ -7,7 +7,8 @@ Matches all key views at full and at half size once (CPU seconds of each are pri
 work of the default plan: the plan at full size, mixed plans, the whole plan at half size, and every n-th view at full size; and once what OpenMVS makes
 by itself of all images at half size, with its own partners, passes and fusion. The reference is the cloud of all maps at full
 size; OpenMVS's without points that fewer than three of them agree on (sgm keeps a depth only where two of its own pairs agree). It is divided into cells of 2 g_d, where g_d is that of the place (method 3.6): 1.25 times the finest GSD of the
-images in which it lies, in steps of octaves; so cells are about equally many pixels. With --gsd, plans are made for that wanted GSD, which is g_d everywhere:
+images in which it lies, in steps of octaves; so cells are about equally many pixels. With --gsd, plans are made for that wanted GSD, which is g_d
+everywhere (a work folder of its own: other partners, other maps):
 
     covered    share of its cells with a point within 2 g_d
     right      share of its cells where the median offset of the points from its local plane is at most g_d

@@ -273,11 +273,15 @@ impl Dialect {
         let mut record = ExportRecord::new(self.backend, selection, |v| numbers[v.index()].to_string());
         record.made_for = self.made_for.into();
         record.way = format!("dialect {}", self.backend.name);
-        let has_half = (0..selection.clusters.len()).any(|i| self.is_half(selection, i));
-        let has_full = !(0..selection.clusters.len()).all(|i| self.is_half(selection, i)) || !has_half;
+        let at_half = (0..selection.clusters.len()).filter(|&i| self.is_half(selection, i)).count();
+        let has_half = at_half > 0;
         let depth = |scale| Words::new(selection, lists, scale, has_half).fill(self.depth);
-        record.commands.extend(has_full.then(|| depth(MapScale::Full)));
-        record.commands.extend(has_half.then(|| depth(MapScale::Half)));
+        if at_half < selection.clusters.len() || !has_half {
+            record.commands.push(depth(MapScale::Full));
+        }
+        if has_half {
+            record.commands.push(depth(MapScale::Half));
+        }
         let words = Words::new(selection, lists, MapScale::Full, has_half);
         record.commands.extend(self.join.iter().flat_map(|join| join.commands).map(|command| words.fill(command)));
         if !self.depth.contains("SIZE") {
