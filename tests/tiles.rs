@@ -85,7 +85,7 @@ fn tables_on_disk_change_nothing() {
     let disk = planned(&project, |s| s.max_memory = Some(Bytes(limit)));
     assert!(
         memory.stages.memory.disk == 0
-            && disk.stages.memory.disk >= 16 * memory.stages.visibility.triangles.len() as u64
+            && disk.stages.memory.disk >= 13 * memory.stages.visibility.triangles.len() as u64
     );
     assert!(disk.stages.memory.peak() <= limit && disk.stages.surface_stats.tiles == 1);
     assert_eq!(
