@@ -116,6 +116,9 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
         "depth-L maps hold the length of the ray, not z; scene2pset joins them with confidences and scales; fssrecon {} surface.ply makes the surface",
         clouds.join(" ")
     );
+    for other in CLOUDS.iter().filter(|(_, cloud)| !clouds.contains(cloud)) {
+        script.line(&format!("[ ! -f {0} ] || mv -f {0} older/", other.1));
+    }
     files.add("run.sh", script.finish(&points));
     record.commands.extend(points);
     files.add_text("export.json", record.to_json());
@@ -130,6 +133,9 @@ fn level(selection: &Selection, scale: MapScale) -> u32 {
     full + u32::from(scale == MapScale::Half)
 }
 
+/// The clouds of each size.
+const CLOUDS: [(MapScale, &str); 2] = [(MapScale::Full, "fused.ply"), (MapScale::Half, "fused_half.ply")];
+
 /// Returns the commands that join the maps of each size, and the files that they make: `scene2pset` takes maps of one size, `fssrecon` any number of point
 /// sets, in which each point has its own scale.
 fn joining(selection: &Selection) -> (Vec<String>, Vec<&'static str>) {
@@ -140,7 +146,7 @@ fn joining(selection: &Selection) -> (Vec<String>, Vec<&'static str>) {
         let level = level(selection, scale);
         (!keys.is_empty()).then(|| (format!("scene2pset -F{level} -v{} . {cloud}", keys.join(",")), cloud))
     };
-    [(MapScale::Full, "fused.ply"), (MapScale::Half, "fused_half.ply")].into_iter().filter_map(of_size).unzip()
+    CLOUDS.into_iter().filter_map(of_size).unzip()
 }
 
 /// Folder of a view and its depth map, named by the id of the image, which is the same in each plan. MVE's own id, in `meta.ini`,

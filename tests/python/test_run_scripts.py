@@ -347,6 +347,10 @@ def test_mve_joins_the_maps_of_each_size(work):
     names = {cluster["key"]["target"]: cluster["key"]["name"] for cluster in mve.clusters()}
     halves = {names[target] for target in mve.halves()}
     assert [set(call.split()[1:]) for call in calls[-2:]] == [set(names.values()) - halves, halves], "each view has one map, of its size"
+    (mve.folder / "fused_half.ply").write_text("points")
+    mve.export(4)
+    assert mve.run()[0].returncode == 0
+    assert not (mve.folder / "fused_half.ply").exists() and (mve.folder / "older/fused_half.ply").exists(), "no cloud of another plan beside the new one"
 
 
 # What is called once per cluster

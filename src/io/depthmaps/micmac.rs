@@ -44,8 +44,11 @@ struct Cloud {
 pub(super) fn parse(bytes: &[u8], beside: Beside) -> Parsed<DepthMap> {
     let cloud = cloud(bytes)?;
     let [width, height] = cloud.size;
-    let values = depth_image(&cloud, beside)?;
-    let mask = mask(&cloud, beside)?;
+    let (values, mask) = (depth_image(&cloud, beside)?, mask(&cloud, beside)?);
+    let pixels = width as usize * height as usize;
+    if [values.len(), mask.len()] != [pixels; 2] {
+        return Err((0, format!("{} and {}: expected {pixels} pixels", cloud.image, cloud.mask)));
+    }
     let z = |(v, is_depth): (f32, bool)| {
         let r = cloud.origin + cloud.resolution * f64::from(v);
         let z = if cloud.is_inverse { 1.0 / r } else { r };
@@ -135,7 +138,7 @@ fn file_name(element: &Element, child: &'static str) -> Parsed<String> {
 fn depth_image(cloud: &Cloud, beside: Beside) -> Parsed<Vec<f32>> {
     let name = &cloud.image;
     match decoded(name, cloud.size, 32, beside)? {
-        (DecodingResult::F32(values), _) => Ok(values),
+        (DecodingResult::F32(values), ColorType::Gray(32)) => Ok(values),
         _ => Err((
             0,
             format!("{name}: expected samples of 32-bit floats: it is that of an earlier step or still being computed"),
@@ -150,8 +153,9 @@ fn mask(cloud: &Cloud, beside: Beside) -> Parsed<Vec<bool>> {
     match decoded(name, cloud.size, 1, beside)? {
         // Rows of whole bytes, the first pixel in the highest bit.
         (DecodingResult::U8(rows), ColorType::Gray(1)) => {
-            let bit = |i: usize| rows[i / width * width.div_ceil(8) + i % width / 8] >> (7 - i % width % 8) & 1 == 1;
-            Ok((0..width * height).map(bit).collect())
+            let bit = |row: &[u8], x: usize| row[x / 8] >> (7 - x % 8) & 1 == 1;
+            let rows = rows.chunks_exact(width.div_ceil(8)).take(height);
+            Ok(rows.flat_map(|row| (0..width).map(move |x| bit(row, x))).collect())
         }
         (DecodingResult::U8(values), ColorType::Gray(8)) => Ok(values.into_iter().map(|value| value != 0).collect()),
         (_, kind) => Err((0, format!("{name}: {kind:?}, expected a mask of 1 or 8 bits"))),
