@@ -62,6 +62,7 @@ def main():
     clusters_until = stop_rule(args)
     for row in run["clusters"]:
         report.settle(row)
+    run["clusters"] = [at_full_size(row, program, report) for row in run["clusters"]]
     for row in run["clusters"]:
         if clusters_until(row):
             break
@@ -70,6 +71,15 @@ def main():
     if not args.no_fusion:
         failed |= not fuse(run, program, report)
     sys.exit(1 if failed else 0)
+
+
+def at_full_size(row, program, report):
+    """The row of a key view that is planned at half the size but finished at full size, by an earlier plan: that map is kept. Any other as it is."""
+    full = {**row, "scale": 1}
+    if row.get("scale", 1) == 1 or not report.is_good(full, digest_of(full, program)):
+        return row
+    print(f"{row['rank']:4d} {row['key']}: planned at half the size, kept at full size", flush=True)
+    return full
 
 
 def one(clusters, rank, program, report):

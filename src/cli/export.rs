@@ -136,15 +136,18 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     }
 }
 
-/// Warns if the list of the plan ends below the wanted share: at two sizes, it is made for the target or budget of the plan.
+/// Warns if the list of the plan ends below the wanted share, and of another end than the plan's at two sizes, which are chosen for that.
 fn warn_of_end(arguments: &Arguments, plan: &WrittenPlan, length: usize) {
-    let Some((target, last)) = arguments.target.zip(plan.clusters.last()) else { return };
-    if length == plan.clusters.len() && last.share < target.0 {
+    let wanted = arguments.target.zip(plan.clusters.last());
+    let missed = wanted.filter(|(target, last)| length == plan.clusters.len() && last.share < target.0);
+    if let Some((target, last)) = missed {
         warn(&format!(
             "all {length} depth maps of the plan give {:.1} %, less than --target: plan again with --target {}",
             100.0 * last.share,
             String::from(target)
         ));
+    } else if plan.settings.ranking.has_half() && length != plan.cut {
+        warn("the sizes were chosen for the target or budget of the plan: for another one, plan again with it");
     }
 }
 

@@ -24,6 +24,7 @@ use crate::{
     config::CommandLineSettings,
     daemon::{follow, foreground::Foreground, state::Outcome},
     io::{output::Disk, project::Project},
+    model::cluster::MapScale,
     show::{files::report_path, manifest::WrittenPlan},
 };
 
@@ -261,7 +262,9 @@ impl<'a> Work<'a> {
     fn plan_in_words(&self) -> String {
         let (all, tasks) = (self.plan.scene.views.len(), self.dispatch.tasks.len());
         let done = self.dispatch.finished_maps().count();
-        let done = if done > 0 { format!(", {done} of them there already") } else { String::new() };
+        let half = self.plan.clusters.iter().take(tasks).filter(|cluster| cluster.scale == MapScale::Half).count();
+        let half = if half > 0 { format!(", {half} at half size") } else { String::new() };
+        let done = if done > 0 { format!("{half}, {done} of them there already") } else { half };
         match (self.target(), &self.arguments.budget) {
             (Some(target), _) => {
                 let target = (1000.0 * target).round() / 10.0;

@@ -161,6 +161,11 @@ def test_a_map_of_half_the_size_is_fused_at_full_size(folder):
     plan["clusters"][1]["scale"] = 1
     (folder / "run.json").write_text(json.dumps(plan))
     assert scenes(run(folder)[1]) == ["clusters/1.mvs", "fusing.mvs"], "planned at full size now"
+    plan["clusters"][1]["scale"] = 0.5
+    (folder / "run.json").write_text(json.dumps(plan))
+    done, calls, report = run(folder)
+    assert scenes(calls) == ["fusing.mvs"] and "k1: planned at half the size, kept at full size" in done.stdout, "no finished map is made coarser"
+    assert report["k1"]["scale"] == 1 and (folder / "fused/depth0011.dmap").read_bytes() == (folder / "depth0011.dmap").read_bytes()
 
 
 def test_enlarging_keeps_where_pixels_look_and_lowers_confidence(folder, tmp_path):
