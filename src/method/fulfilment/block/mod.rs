@@ -173,12 +173,13 @@ impl<'a> Block<'a> {
         let own: Vec<f32> = if model.unary.is_certain() { Vec::new() } else { self.own_unary() };
         for (&partner, sees) in self.partners.iter().zip(&mut self.sees) {
             let mut means = vec![0.0; own.len()];
-            for (row, &t) in model.visibility.rows(partner).zip(model.visibility.triangles_seen_by(partner)) {
+            let unary = model.unary.of_rows(model.visibility.rows(partner));
+            for (row, &t) in model.visibility.triangles_seen_by(partner).iter().enumerate() {
                 let slot = slot_of[t as usize];
                 if slot != EMPTY {
                     sees[slot as usize] = true;
                     if !own.is_empty() {
-                        means[slot as usize] = 0.5 * (own[slot as usize] + model.unary.confidence(row));
+                        means[slot as usize] = 0.5 * (own[slot as usize] + unary.confidence(row));
                     }
                 }
             }
@@ -212,8 +213,9 @@ impl<'a> Block<'a> {
 
     fn own_unary(&self) -> Vec<f32> {
         let mut own = vec![0.0; self.len() * LANES];
-        for (row, &slot) in self.model.visibility.rows(self.key).zip(&self.slots) {
-            own[slot as usize] = self.model.unary.confidence(row);
+        let unary = self.model.unary.of_rows(self.model.visibility.rows(self.key));
+        for (row, &slot) in self.slots.iter().enumerate() {
+            own[slot as usize] = unary.confidence(row);
         }
         own
     }
