@@ -27,7 +27,7 @@ struct Dialect {
     /// Makes the depth maps of one size. With INPUT (below the folder of the export), VIEWS (partners and key view), PARTNERS, WIDTH and HEIGHT (no image
     /// is smaller), SIZE (PatchmatchNet's option where images are reduced).
     depth: &'static str,
-    /// Joins the maps of both sizes; `None` where the program joins those of one size only, by a command of its own.
+    /// Joins the maps; `None` where the program does that by a command of its own, of one size only.
     join: Option<Join>,
 }
 
@@ -69,7 +69,7 @@ pub static MVSNET: Backend = Backend {
     use_of_views: None,
     own_scale: super::full_size,
     takes_distorted: false,
-    mixes_sizes: true,
+    mixes_sizes: false,
     serves: |_| false,
     tasks: |_, _| None,
     traps,
@@ -101,6 +101,7 @@ pub static PATCHMATCHNET: Backend = Backend {
                  better too (method 7.4); support 2: its fusion wants one other map that agrees; gate: the numbers of OpenMVS (method 7.1)",
         ..PATCH_MATCH
     },
+    mixes_sizes: true,
     export: |selection, options| PATCHMATCHNET_DIALECT.export(selection, options),
     ..MVSNET
 };
@@ -133,7 +134,6 @@ pub static ACMM: Backend = Backend {
                 elsewhere",
         ..CAPABILITIES
     },
-    mixes_sizes: false,
     export: |selection, options| ACMM_DIALECT.export(selection, options),
     ..MVSNET
 };
@@ -169,7 +169,7 @@ impl Dialect {
         let all: Vec<usize> = (0..views.len()).collect();
         let (half, full): (Vec<usize>, Vec<usize>) = all.iter().partition(|&&i| self.is_half(selection, i));
         files.add_text("pair.txt", lists.pairs(&full));
-        files.add_text("pair_fuse.txt", lists.pairs_to_fuse(if self.join.is_some() { &all } else { &full }));
+        files.add_text("pair_fuse.txt", lists.pairs_to_fuse(&all));
         self.add_views(&mut files, "", selection, &lists, &all)?;
         if !half.is_empty() {
             self.add_half(&mut files, selection, &lists, &half)?;
@@ -198,10 +198,7 @@ impl Dialect {
         let members: BTreeSet<ViewIndex> = members.collect();
         let members: Vec<usize> = (0..lists.views.len()).filter(|&i| members.contains(&lists.views[i])).collect();
         files.add_text("half/pair.txt", lists.pairs(half));
-        match self.join {
-            Some(_) => files.add_text("half/full_sizes.txt", full_sizes(selection, lists)),
-            None => files.add_text("half/pair_fuse.txt", lists.pairs_to_fuse(half)),
-        }
+        files.add_text("half/full_sizes.txt", full_sizes(selection, lists));
         self.add_views(files, "half/", selection, lists, &members)
     }
 
@@ -286,10 +283,6 @@ impl Dialect {
         record.commands.extend(self.join.iter().flat_map(|join| join.commands).map(|command| words.fill(command)));
         if !self.depth.contains("SIZE") {
             record.note_own_scale(selection);
-        }
-        if has_half && self.join.is_none() {
-            let why = "the key views in half/ are matched and joined by themselves: no depth is confirmed by a map of the other size";
-            record.warnings.push(why.into());
         }
         record.other_maps = lists.rows.len() - selection.clusters.len();
         record.fusion = format!(

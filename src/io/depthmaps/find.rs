@@ -167,7 +167,7 @@ fn format_of(path: &Path) -> Option<(DepthMapFormat, u8)> {
     let is_set_aside =
         in_folder("older") || in_folder("scratch") || in_folder("depthMaps.new") || in_folder("filtered.new");
     // Copies that the `finished.py` of an export makes for the fusion.
-    let is_copy = in_folder("fuse");
+    let is_copy = path.parent().is_some_and(|folder| folder.ends_with("fuse/depth_est"));
     match name {
         _ if is_other_map => None,
         _ if name.ends_with(".geometric.bin") => Some((DepthMapFormat::ColmapGeometric, 0)),
@@ -181,8 +181,8 @@ fn format_of(path: &Path) -> Option<(DepthMapFormat, u8)> {
         }
         _ if name.ends_with(".mvei") && !is_set_aside => Some((DepthMapFormat::Mve, mve_scale(name)?)),
         "MMLastNuage.xml" if !is_set_aside => Some((DepthMapFormat::MicMac, 0)),
-        _ if name.ends_with("_prob.pfm") || in_folder("confidence") || is_copy => None,
-        _ if name.ends_with(".pfm") => Some((DepthMapFormat::Pfm, 0)),
+        _ if name.ends_with("_prob.pfm") || in_folder("confidence") => None,
+        _ if name.ends_with(".pfm") && !is_copy => Some((DepthMapFormat::Pfm, 0)),
         _ if name.ends_with(".npy") => Some((DepthMapFormat::Npy, 0)),
         _ => None,
     }

@@ -24,8 +24,8 @@ use crate::io::formats::{
     xml::{Element, Xml},
 };
 
-/// Cosine between DirFaisceaux and the optical axis below which they differ.
-const SAME_DIRECTION: f64 = 1.0 - 1e-6;
+/// Distance from 1 of the product of DirFaisceaux, a unit vector, and the optical axis from which they differ.
+const SAME_DIRECTION: f64 = 1e-6;
 
 /// Reads a file beside the description, by its name.
 pub(super) type Beside<'a> = &'a dyn Fn(&str) -> io::Result<Vec<u8>>;
@@ -81,7 +81,7 @@ fn cloud(bytes: &[u8]) -> Parsed<Cloud> {
     for (row, x) in ["L1", "L2", "L3"].into_iter().zip(direction) {
         cosine += numbers::<3>(matrix, row)?[2] * x;
     }
-    if cosine.is_nan() || cosine < SAME_DIRECTION {
+    if cosine.is_nan() || (cosine - 1.0).abs() > SAME_DIRECTION {
         return Err((0, "depths along another direction than the optical axis: match without Repere=".into()));
     }
     let [origin, resolution] = image.required(["OrigineAlti", "ResolutionAlti"]).map_err(fault)?;
