@@ -96,7 +96,7 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     let mut script = ClusterScript::new(RUNNER_HEAD);
     for (i, cluster) in selection.clusters.iter().enumerate() {
         let (partners, key) = (cluster.partners.len(), id(cluster.key));
-        let (local, level) = (partners.min(LOCAL_NEIGHBOURS), level(selection, cluster.scale));
+        let (local, level) = (partners.min(LOCAL_NEIGHBOURS), selection.pyramid_level(cluster.scale));
         let bundle = format!("{:04}.out", i + 1);
         let choice = format!("--neighbors={partners} --local-neighbors={local}");
         let options = format!("-s{level} -m{key} {choice}");
@@ -109,7 +109,7 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
         record.commands.push(format!("cp bundles/{bundle} synth_0.out"));
         record.commands.push(format!("dmrecon {options} ."));
     }
-    record.note_scale(selection, |_| (-f64::from(level(selection, MapScale::Full))).exp2());
+    record.note_scale(selection, |_| (-f64::from(selection.pyramid_level(MapScale::Full))).exp2());
     let (points, clouds) = joining(selection);
     record.not_honoured.push("that every partner is used: dmrecon chooses among them".into());
     record.fusion = format!(
@@ -127,12 +127,6 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
 
 const RUNNER_HEAD: &str = include_str!("../../integrations/mve/run_head.sh");
 
-/// Returns the number of times that images are halved.
-fn level(selection: &Selection, scale: MapScale) -> u32 {
-    let full = (1.0 / selection.image_scale).log2().round().max(0.0) as u32;
-    full + u32::from(scale == MapScale::Half)
-}
-
 /// The clouds of each size.
 const CLOUDS: [(MapScale, &str); 2] = [(MapScale::Full, "fused.ply"), (MapScale::Half, "fused_half.ply")];
 
@@ -143,7 +137,7 @@ fn joining(selection: &Selection) -> (Vec<String>, Vec<&'static str>) {
         // The ids of the key views are their ranks. Without any, scene2pset would take all views.
         let keys = (0..).zip(selection.clusters).filter(|(_, c)| c.scale == scale);
         let keys: Vec<String> = keys.map(|(id, _): (usize, _)| id.to_string()).collect();
-        let level = level(selection, scale);
+        let level = selection.pyramid_level(scale);
         (!keys.is_empty()).then(|| (format!("scene2pset -F{level} -v{} . {cloud}", keys.join(",")), cloud))
     };
     CLOUDS.into_iter().filter_map(of_size).unzip()

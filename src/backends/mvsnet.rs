@@ -1,12 +1,12 @@
 //! MVSNet and the programs that read its files: `docs/backends.md` 3 and 14. `pair.txt` lists the key views with their partners, `cams/` contains the cameras;
 //! the readers differ in the depth line of a camera and in which views they expect.
 
+use std::collections::BTreeSet;
+
 use super::{
     Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord, Honours, PATCH_MATCH,
     PlanningNumbers, Selection, Trap, selection,
 };
-use std::collections::BTreeSet;
-
 use crate::{
     io::output::{Contents, FileSet},
     method::confidence::Photometric,
@@ -24,14 +24,14 @@ struct Dialect {
     depths: DepthLine,
     /// True for ACMM and its relatives: they look partners up by position and fuse with the maps of all partners, so every image needs a map.
     all_are_problems: bool,
-    /// Makes the depth maps of one size. With INPUT (below the folder of the export), VIEWS (partners and key view), PARTNERS, WIDTH and HEIGHT (no image
+    /// Makes the depth maps of one size. With INPUT (folder of that size below the export), VIEWS (partners and key view), PARTNERS, WIDTH and HEIGHT (no image
     /// is smaller), SIZE (PatchmatchNet's option where images are reduced).
     depth: &'static str,
     /// Joins the maps; `None` where the program does that by a command of its own, of one size only.
     join: Option<Join>,
 }
 
-/// How a program joins depth maps of two sizes.
+/// How a program joins depth maps, of two sizes too.
 struct Join {
     /// With FUSED (folder of the maps), AGREEING (partners that must agree), SIZE.
     commands: &'static [&'static str],
@@ -81,7 +81,7 @@ const MVSNET_DIALECT: Dialect = Dialect {
     made_for: "MVSNet, CasMVSNet and readers of their four-number depth line",
     depths: DepthLine::Interval,
     all_are_problems: false,
-    depth: "(here=$PWD && cd \"${MVSNET:?folder of its test.py}\" && python test.py --dense_folder \"$hereINPUT\" --view_num VIEWS \
+    depth: "(here=$PWD && cd \"${MVSNET:?folder of its test.py}\" && python test.py --dense_folder \"$here\" --view_num VIEWS \
             --max_w WIDTH --max_h HEIGHT --interval_scale 1 --pretrained_model_ckpt_path \"${CHECKPOINT:?path of model.ckpt}\" \
             --ckpt_step \"${STEP:?its step}\")",
     join: None,

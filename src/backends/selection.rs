@@ -9,7 +9,7 @@ use crate::{
     base::shell::{command_path, quoted_path},
     io::project::{ImageFaults, ImageFolder, Project},
     model::{
-        cluster::RankedCluster,
+        cluster::{MapScale, RankedCluster},
         scene::{Scene, ViewIndex, ViewPoints},
     },
 };
@@ -120,6 +120,12 @@ impl Selection<'_> {
             what: format!("undistorted images, but the camera of {} is {camera}", self.scene.name(view)),
             hint,
         })
+    }
+
+    /// Returns the level of an image pyramid, each of half the side of the one before, at which maps of this size are matched.
+    pub fn pyramid_level(&self, scale: MapScale) -> u32 {
+        let full = (1.0 / self.image_scale).log2().round().max(0.0) as u32;
+        full + u32::from(scale == MapScale::Half)
     }
 
     /// Returns all key views in rank order, then the other partners by name.

@@ -104,7 +104,6 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
 }
 
 fn record_of(selection: &Selection, names: &[String]) -> ExportRecord {
-    let full = (1.0 / selection.image_scale).log2().round().max(0.0);
     let mut record = ExportRecord::new(&BACKEND, selection, |v| names[v.index()].clone());
     record.runner = Some("run.sh".into());
     record.made_for = "SURE (from the vendor's public pages and public scripts for SURE 1.2; not run)".into();
@@ -113,7 +112,7 @@ fn record_of(selection: &Selection, names: &[String]) -> ExportRecord {
         let folder = format!("clusters/{:04}", i + 1);
         let lists = format!("-img {folder}/images.txt -ori {folder}/ori.txt -select {folder}/baseImages.txt");
         let partners = cluster.partners.len();
-        let level = full - cluster.scale.factor().log2();
+        let level = selection.pyramid_level(cluster.scale);
         record.commands.push(format!(
             "sure -basepath {folder} {lists} -fold {} -pyr {level} -maxmodels {partners} -prep",
             partners.clamp(1, 2)
@@ -133,7 +132,7 @@ fn record_of(selection: &Selection, names: &[String]) -> ExportRecord {
         "lists name files from their own folder on; where a release reads them from elsewhere, make them absolute"
             .into(),
     ]);
-    record.note_scale(selection, |_| (-full).exp2());
+    record.note_scale(selection, |_| (-f64::from(selection.pyramid_level(MapScale::Full))).exp2());
     record.pixel_shift = -0.5;
     record.fusion = "each project gives points of its key view; one DSM or mesh run joins them".into();
     record

@@ -15,7 +15,7 @@ pub type Packed = Vec<Arc<dyn Rows>>;
 #[derive(Default)]
 pub struct Packer {
     parts: Packed,
-    /// What follows the parts.
+    /// Bytes after the last part.
     bytes: Vec<u8>,
 }
 

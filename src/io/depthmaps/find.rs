@@ -236,8 +236,8 @@ fn view_of(path: &Path, format: DepthMapFormat, numbers: &mut Numbers) -> Result
         }
         DepthMapFormat::MicMac => {
             let folder = path.parent().and_then(Path::file_name).unwrap_or_default().to_string_lossy();
-            require_matched(path)?;
-            folder.strip_prefix("MM-Malt-Img-").and_then(|stem| by_stem(scene, stem))
+            let view = folder.strip_prefix("MM-Malt-Img-").and_then(|stem| by_stem(scene, stem));
+            view.map(|view| require_matched(path).map(|()| view)).transpose()?
         }
         DepthMapFormat::AliceVision => {
             let name = path.file_name().unwrap_or_default().to_string_lossy();

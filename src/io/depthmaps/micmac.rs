@@ -7,18 +7,18 @@
 //! ```
 //!
 //! With v of the depth image (f32), r = OrigineAlti + v ResolutionAlti is 1 / z if ZIsInverse, else z, along DirFaisceaux: by default the optical axis,
-//! the third column of the rotation from camera to world. Every pixel has a value; the mask (1 bit) says which are depths. Maps lie on the image as it
-//! was taken, distorted. With ZoomF = d, pixel x of the map is centred on pixel d x of the image, which is (d - 1) / 2 pixels off what is assumed
+//! the third column of the rotation from camera to world. Every pixel has a value; the 1-bit mask marks the valid ones. Maps are in the geometry of the
+//! original, distorted image. With ZoomF = d, pixel x of the map is centred on pixel d x of the image, which is (d - 1) / 2 pixels off what is assumed
 //! here. Read in the source (f8fe432), not run.
 
-use std::io::{self, Cursor};
+use std::io::Cursor;
 
 use tiff::{
     ColorType,
     decoder::{Decoder, DecodingResult, Limits},
 };
 
-use super::{DepthMap, DepthMapFormat, Parsed};
+use super::{Beside, DepthMap, DepthMapFormat, Parsed};
 use crate::io::formats::{
     Fault, Place, Problem,
     xml::{Element, Xml},
@@ -27,10 +27,7 @@ use crate::io::formats::{
 /// Distance from 1 of the product of DirFaisceaux, a unit vector, and the optical axis from which they differ.
 const SAME_DIRECTION: f64 = 1e-6;
 
-/// Reads a file beside the description, by its name.
-pub(super) type Beside<'a> = &'a dyn Fn(&str) -> io::Result<Vec<u8>>;
-
-/// What `MMLastNuage.xml` says.
+/// The part of `MMLastNuage.xml` from which depths are computed.
 struct Cloud {
     size: [u32; 2],
     /// Names of the depth image and of its mask.
@@ -162,7 +159,7 @@ fn mask(cloud: &Cloud, beside: Beside) -> Parsed<Vec<bool>> {
     }
 }
 
-/// Decodes an uncompressed TIFF of one sample per pixel with at least so many bits.
+/// Decodes an uncompressed TIFF with one sample per pixel, of at least `bits` bits.
 fn decoded(name: &str, size: [u32; 2], bits: u64, beside: Beside) -> Parsed<(DecodingResult, ColorType)> {
     let fault = |what: String| (0, format!("{name}: {what}"));
     let broken = |error: tiff::TiffError| fault(error.to_string());

@@ -229,6 +229,9 @@ impl Hint for DepthMapError {
 /// A parse result; an error has the byte offset and the problem, the caller adds the path.
 type Parsed<T> = Result<T, (usize, String)>;
 
+/// Reads another file of a depth map's folder, by its name.
+pub type Beside<'a> = &'a dyn Fn(&str) -> std::io::Result<Vec<u8>>;
+
 /// Reads one depth map as the file has it: some formats hold distances from the camera's centre, see [`read_of_view`].
 pub fn read(path: &Path, format: DepthMapFormat) -> Result<DepthMap, DepthMapError> {
     let bytes =
@@ -243,7 +246,8 @@ const LEAST_CONFIDENCE: f32 = 0.5;
 /// Reads the depth map of a view of the scene. PatchmatchNet gives each pixel a depth; those that it has no confidence in count as none.
 ///
 /// # Errors
-/// As [`read`], and if the view isn't a pinhole view but the program takes undistorted images, the map doesn't have the aspect ratio of its image, or its confidences cannot be read.
+/// As [`read`], and if the view isn't a pinhole view but the program takes undistorted images, the map doesn't have the aspect ratio of its image, or its
+/// confidences cannot be read.
 pub fn read_of_view(file: &DepthMapFile, scene: &Scene) -> Result<DepthMap, DepthMapError> {
     let camera = scene.camera_of(file.view);
     let view = || scene.name(file.view).to_string();
@@ -269,11 +273,7 @@ fn confidences_of(file: &DepthMapFile) -> Option<PathBuf> {
 
 /// Parses the bytes of one depth map, with depths as the file has them. `beside` reads another file of its folder. Allocates memory proportional to the
 /// length of the files.
-pub fn parse(
-    bytes: &[u8],
-    format: DepthMapFormat,
-    beside: &dyn Fn(&str) -> std::io::Result<Vec<u8>>,
-) -> Parsed<DepthMap> {
+pub fn parse(bytes: &[u8], format: DepthMapFormat, beside: Beside) -> Parsed<DepthMap> {
     let mut map = match format {
         DepthMapFormat::ColmapGeometric | DepthMapFormat::ColmapPhotometric => colmap::parse(bytes, format),
         DepthMapFormat::OpenMvs => openmvs::parse(bytes),
