@@ -1,8 +1,9 @@
 #!/usr/bin/env python3
-"""Writes fuse/pair.txt: pair_fuse.txt with only those key views whose maps in depths/ are complete. The fusion opens the maps of every view in it.
+"""Writes fuse/, what the fusion reads: pair.txt, which is pair_fuse.txt with only those key views whose maps in depths/ are complete (the fusion opens
+the maps of every view in it), cams/, images/, and the maps with their confidences.
 
-Also links cams/ and images/ into fuse/. If half/ has key views that are matched at half the size, the maps and their confidences go there too, in their
-full size: the fusion takes one size for all. Run it again whenever more maps are finished."""
+The fusion takes one size for all: maps of the plan's other size (sizes.txt) are resized, those of any other, of an earlier plan, are left out. Run it
+again whenever more maps are finished."""
 import os
 import sys
 
@@ -24,22 +25,25 @@ def opened(path):
     return file, channels, (width, height)
 
 
-def is_complete(path):
-    """True for a PFM with all its pixels: a run that was stopped may leave half of one."""
+def size_of(path):
+    """Width and height of a PFM with all its pixels, else None: a run that was stopped may leave half of one."""
     try:
         file, channels, (width, height) = opened(path)
         with file:
-            return path.stat().st_size - file.tell() == 4 * channels * width * height
+            is_complete = path.stat().st_size - file.tell() == 4 * channels * width * height
     except (OSError, ValueError):
-        return False
+        return None
+    return (width, height) if is_complete else None
 
 
-def is_finished(view):
-    return all(is_complete(folder / f"depths/{kind}/{int(view):08}.pfm") for kind in ("depth_est", "confidence"))
+def finished_size(view):
+    """Size of the map and the confidence of a key view; None if they are not finished."""
+    map_size, size = (size_of(folder / f"depths/{kind}/{int(view):08}.pfm") for kind in ("depth_est", "confidence"))
+    return size if map_size == size else None
 
 
-def enlarge(path, to, wide, high):
-    """Writes the map with each pixel repeated to a larger size: of one channel, 32-bit floats, the lowest row first."""
+def resize(path, to, wide, high):
+    """Writes the map with the nearest pixel at each place: of one channel, 32-bit floats, the lowest row first."""
     file, _, (width, height) = opened(path)
     with file:
         start = file.tell()
@@ -56,29 +60,41 @@ def enlarge(path, to, wide, high):
     os.replace(f"{to}.part", to)
 
 
-def place(view):
-    """Puts both maps of a key view into fuse/ in their full size, by a link where they have it."""
+def place(view, size):
+    """Puts map and confidence of a key view into fuse/ in the size of the fusion, by a link where they have it."""
     for kind in ("depth_est", "confidence"):
         path, to = (folder / f"{root}/{kind}/{int(view):08}.pfm" for root in ("depths", "fuse"))
-        to.parent.mkdir(exist_ok=True)
-        file, _, size = opened(path)
-        file.close()
-        if size != full_sizes[view]:
-            enlarge(path, to, *full_sizes[view])
-        elif not to.is_symlink():
-            to.unlink(missing_ok=True)
-            to.symlink_to(f"../../depths/{kind}/{path.name}")
+        to.parent.mkdir(parents=True, exist_ok=True)
+        wanted = sizes[view][0]
+        if size == wanted:
+            if not to.is_symlink():
+                to.unlink(missing_ok=True)
+                to.symlink_to(f"../../depths/{kind}/{path.name}")
+            continue
+        if to.is_symlink():
+            to.unlink()
+        is_current = to.exists() and to.stat().st_mtime_ns >= path.stat().st_mtime_ns and size_of(to) == wanted
+        if not is_current:
+            resize(path, to, *wanted)
 
 
-def full_size_lines():
-    path = folder / "half/full_sizes.txt"
-    return path.read_text().splitlines() if path.exists() else []
+def named(views):
+    names = ", ".join(views[:5])
+    return names if len(views) <= 5 else f"{names} and {len(views) - 5} more"
 
 
-full_sizes = {view: (int(width), int(height)) for view, width, height in map(str.split, full_size_lines())}
+# Of each key view the size in which its map is fused, then the other.
+sizes = {}
+for view, *sides in map(str.split, (folder / "sizes.txt").read_text().splitlines()):
+    width, height, *other = map(int, sides)
+    sizes[view] = ((width, height), tuple(other))
 lines = (folder / "pair_fuse.txt").read_text().splitlines()[1:]
 lists = {key: line.split()[1:] for key, line in zip(lines[::2], lines[1::2])}
-finished = {key for key in lists if is_finished(key)}
+found = {key: size for key in lists for size in [finished_size(key)] if size}
+finished = {key: size for key, size in found.items() if size in sizes[key]}
+strange = [key for key in found if key not in finished]
+if strange:
+    print(f"left out: maps that have no size of this plan, of views {named(strange)}; the first commands compute them again", file=sys.stderr)
 entries = []
 for key in lists:
     pairs = [pair for pair in zip(lists[key][::2], lists[key][1::2]) if pair[0] in finished]
@@ -86,13 +102,12 @@ for key in lists:
         entries.append(f"{key}\n{len(pairs)} {' '.join(' '.join(pair) for pair in pairs)}\n")
 if not entries:
     sys.exit(f"error: {len(finished)} of {len(lists)} key views have maps in depths/, and no two of them share points: nothing to join")
+for view, size in finished.items():
+    place(view, size)
 fuse = folder / "fuse"
-fuse.mkdir(exist_ok=True)
-(fuse / "pair.txt.part").write_text(f"{len(entries)}\n" + "".join(entries))
-os.replace(fuse / "pair.txt.part", fuse / "pair.txt")
 for name in ("cams", "images"):
     if not (fuse / name).exists():
         (fuse / name).symlink_to(f"../{name}")
-for view in finished if full_sizes else ():
-    place(view)
+(fuse / "pair.txt.part").write_text(f"{len(entries)}\n" + "".join(entries))
+os.replace(fuse / "pair.txt.part", fuse / "pair.txt")
 print(f"{len(finished)} of {len(lists)} key views have maps, {len(entries)} of them another that shows the same: fuse/pair.txt")

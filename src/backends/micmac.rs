@@ -115,7 +115,7 @@ fn runner(selection: &Selection) -> Contents {
         let call = format!("\"${{MM3D:-mm3d}}\" Malt GeomImage {} viewrank Master=AUTO", quoted(name));
         let recipe = recipe(selection, cluster, "") + "-$orientations";
         let stem = name.rsplit_once('.').map_or(name, |(stem, _)| stem);
-        script.cluster(name, &recipe, &format!("MM-Malt-Img-{stem}"), &[call]);
+        script.cluster(stem, &recipe, &format!("MM-Malt-Img-{stem}"), &[call]);
     }
     script.finish(&[])
 }

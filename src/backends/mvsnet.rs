@@ -33,7 +33,7 @@ struct Dialect {
 
 /// How a program joins depth maps, of two sizes too.
 struct Join {
-    /// With FUSED (folder of the maps), AGREEING (partners that must agree), SIZE.
+    /// With AGREEING (partners that must agree), SIZE. They leave `fuse/fused.ply`.
     commands: &'static [&'static str],
     /// Name and contents of the script that the commands call.
     script: (&'static str, &'static str),
@@ -116,7 +116,7 @@ const PATCHMATCHNET_DIALECT: Dialect = Dialect {
     join: Some(Join {
         commands: &[
             "python3 finished.py",
-            "(here=$PWD && cd \"$PATCHMATCHNET\" && python eval.py --input_folder \"$here/fuse\" --output_folder \"$here/FUSED\" \
+            "(here=$PWD && cd \"$PATCHMATCHNET\" && python eval.py --input_folder \"$here/fuse\" --output_folder \"$here/fuse\" \
              --checkpoint_path \"${CHECKPOINT:-checkpoints/params_000007.ckpt}\" --output_type fusion --geo_mask_thres AGREEINGSIZE)",
         ],
         script: ("finished.py", include_str!("../../integrations/mvsnet/finished.py")),
@@ -177,6 +177,7 @@ impl Dialect {
         let name = |(number, &view): (&u32, &ViewIndex)| format!("{number}\t{}\n", selection.scene.name(view));
         files.add_text("view_names.txt", lists.numbers.iter().zip(&views).map(name).collect::<String>());
         if let Some(Join { script: (name, script), .. }) = self.join {
+            files.add_text("sizes.txt", sizes(selection, &lists, self.fused_at(selection)));
             files.add(name, Contents::Script(script.as_bytes().to_vec()));
         }
         let mut record = self.record(selection, &lists);
@@ -198,13 +199,18 @@ impl Dialect {
         let members: BTreeSet<ViewIndex> = members.collect();
         let members: Vec<usize> = (0..lists.views.len()).filter(|&i| members.contains(&lists.views[i])).collect();
         files.add_text("half/pair.txt", lists.pairs(half));
-        files.add_text("half/full_sizes.txt", full_sizes(selection, lists));
         self.add_views(files, "half/", selection, lists, &members)
     }
 
     /// Returns whether the view of this position, key views first, gets a map of half the size.
     fn is_half(&self, selection: &Selection, view: usize) -> bool {
         self.backend.mixes_sizes && selection.clusters.get(view).is_some_and(|c| c.scale == MapScale::Half)
+    }
+
+    /// Size in which maps of two sizes are joined: the largest that is planned.
+    fn fused_at(&self, selection: &Selection) -> MapScale {
+        let is_any_full = (0..selection.clusters.len()).any(|i| !self.is_half(selection, i));
+        if is_any_full { MapScale::Full } else { MapScale::Half }
     }
 
     /// Adds cameras and images of the views of these positions.
@@ -271,16 +277,15 @@ impl Dialect {
         record.made_for = self.made_for.into();
         record.way = format!("dialect {}", self.backend.name);
         let at_half = (0..selection.clusters.len()).filter(|&i| self.is_half(selection, i)).count();
-        let has_half = at_half > 0;
-        let depth = |scale| Words::new(selection, lists, scale, has_half).fill(self.depth);
-        if at_half < selection.clusters.len() || !has_half {
-            record.commands.push(depth(MapScale::Full));
+        let words = |scale| Words::new(selection, lists, scale);
+        if at_half < selection.clusters.len() || at_half == 0 {
+            record.commands.push(words(MapScale::Full).fill(self.depth));
         }
-        if has_half {
-            record.commands.push(depth(MapScale::Half));
+        if at_half > 0 {
+            record.commands.push(words(MapScale::Half).fill(self.depth));
         }
-        let words = Words::new(selection, lists, MapScale::Full, has_half);
-        record.commands.extend(self.join.iter().flat_map(|join| join.commands).map(|command| words.fill(command)));
+        let fused = words(self.fused_at(selection));
+        record.commands.extend(self.join.iter().flat_map(|join| join.commands).map(|command| fused.fill(command)));
         if !self.depth.contains("SIZE") {
             record.note_own_scale(selection);
         }
@@ -290,6 +295,10 @@ impl Dialect {
              maps of a place",
             AGREEING + 1
         );
+        if self.join.is_some() {
+            record.fusion += "; the cloud is fuse/fused.ply";
+            record.not_honoured.extend(at_another_size(selection, lists));
+        }
         if self.all_are_problems {
             record.not_honoured.push("depth maps of key views only: every view of a cluster gets one".into());
             record.warnings.push("ACMH takes the second GPU and fails where there is one only".into());
@@ -302,16 +311,45 @@ impl Dialect {
     }
 }
 
-/// Returns number, width and height of the maps that the key views have at full size, a line each.
-fn full_sizes(selection: &Selection, lists: &Lists) -> String {
-    let longest = f64::from(longest(selection, lists, selection.image_scale.min(1.0)));
+/// Returns for each key view a line of its number, width and height of its map in the size in which maps are fused, and the same in the other size.
+fn sizes(selection: &Selection, lists: &Lists, fused_at: MapScale) -> String {
+    let scales = match fused_at {
+        MapScale::Full => [MapScale::Full, MapScale::Half],
+        MapScale::Half => [MapScale::Half, MapScale::Full],
+    };
+    let longest = scales.map(|scale| longest(selection, lists, matched_scale(selection, scale)));
     let line = |(number, cluster): (&u32, &RankedCluster)| {
         let camera = selection.scene.camera_of(cluster.key);
-        let scale = (longest / f64::from(camera.width.max(camera.height))).min(1.0);
-        let [width, height] = [camera.width, camera.height].map(|side| (scale * f64::from(side)) as u32);
-        format!("{number} {width} {height}\n")
+        let [[a, b], [c, d]] = longest.map(|longest| reduced(camera, longest));
+        format!("{number} {a} {b} {c} {d}\n")
     };
     lists.numbers.iter().zip(selection.clusters).map(line).collect()
+}
+
+/// Returns width and height of an image of the camera of which PatchmatchNet makes the longest side at most `longest`; it rounds down.
+fn reduced(camera: &Camera, longest: u32) -> [u32; 2] {
+    let scale = (f64::from(longest) / f64::from(camera.width.max(camera.height))).min(1.0);
+    [camera.width, camera.height].map(|side| (scale * f64::from(side)) as u32)
+}
+
+/// Matched size as a part of the image's.
+fn matched_scale(selection: &Selection, scale: MapScale) -> f64 {
+    selection.image_scale.min(1.0) * scale.factor()
+}
+
+/// Says how many key views are not matched at the planned size: the program reduces to one longest side, whatever the image had.
+fn at_another_size(selection: &Selection, lists: &Lists) -> Option<String> {
+    let is_other = |cluster: &&RankedCluster| {
+        let (camera, scale) = (selection.scene.camera_of(cluster.key), matched_scale(selection, cluster.scale));
+        let side = camera.width.max(camera.height);
+        scale < 1.0 && longest(selection, lists, scale).min(side) != (f64::from(side) * scale) as u32
+    };
+    let other = selection.clusters.iter().filter(is_other).count();
+    (other > 0).then(|| {
+        format!(
+            "planned size of {other} maps: images are reduced to one longest side, so smaller ones are reduced less"
+        )
+    })
 }
 
 /// Returns the longest side of an image that is matched at this size, pixels.
@@ -321,12 +359,11 @@ fn longest(selection: &Selection, lists: &Lists, scale: f64) -> u32 {
 }
 
 /// The words of commands with their values.
-struct Words([(&'static str, String); 8]);
+struct Words([(&'static str, String); 7]);
 
 impl Words {
-    /// `scale`: size of the depth maps. `mixed`: there are maps of both sizes.
-    fn new(selection: &Selection, lists: &Lists, scale: MapScale, mixed: bool) -> Self {
-        let size = selection.image_scale.min(1.0) * scale.factor();
+    fn new(selection: &Selection, lists: &Lists, scale: MapScale) -> Self {
+        let size = matched_scale(selection, scale);
         let sides = |side: fn(&Camera) -> u32| lists.views.iter().map(move |&v| side(selection.scene.camera_of(v)));
         let scaled = |side: Option<u32>| (f64::from(side.unwrap_or(0)) * size) as u32;
         let most = selection.most_partners();
@@ -339,7 +376,6 @@ impl Words {
             ("HEIGHT", scaled(sides(|camera| camera.height).min()).to_string()),
             ("AGREEING", AGREEING.to_string()),
             ("SIZE", if size < 1.0 { limit() } else { String::new() }),
-            ("FUSED", if mixed { "fuse" } else { "depths" }.into()),
         ])
     }
 

@@ -232,7 +232,8 @@ impl FollowJob<'_> {
         let Plan { stages: Stages { scene, settings, .. }, decision: Decision { cut, ranking, .. }, .. } = &self.plan;
         let maps = depthmaps::list(self.folder, scene)?.maps;
         let ready: Vec<_> = maps.iter().filter(|map| self.files.contains_key(&map.path)).collect();
-        let Some(distorted) = ready.iter().map(|map| scene.camera_of(map.view)).find(|camera| !camera.is_pinhole())
+        let of_undistorted = ready.iter().filter(|map| !map.format.takes_distorted());
+        let Some(distorted) = of_undistorted.map(|map| scene.camera_of(map.view)).find(|camera| !camera.is_pinhole())
         else {
             return Ok(None);
         };

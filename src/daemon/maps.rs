@@ -69,9 +69,12 @@ pub fn scan(project: &Path, follow_links: bool) -> (Vec<PathBuf>, Result<MapFile
             };
             if entry.file_type().is_dir() {
                 folders.push(entry.into_path());
-            } else if depthmaps::has_depth_map_name(entry.path()) {
-                let metadata = seen(entry.path(), fs::metadata(entry.path())).filter(fs::Metadata::is_file);
-                files.extend(metadata.map(|metadata| (entry.into_path(), Entry::from_metadata(&metadata))));
+            } else {
+                let read = depthmaps::files_of(&place, entry.path());
+                let metadata = |path: &PathBuf| seen(path, fs::metadata(path)).filter(fs::Metadata::is_file);
+                let found: Vec<_> = read.iter().map_while(metadata).collect();
+                let entries = found.iter().map(Entry::from_metadata).reduce(Entry::with);
+                files.extend(entries.map(|entries| (entry.into_path(), entries)));
             }
         }
     }
@@ -228,5 +231,22 @@ mod tests {
         let found = map_files(root.path(), false).expect("readable");
         let names: Vec<_> = found.keys().map(|f| f.strip_prefix(root.path()).expect("below")).collect();
         assert_eq!(names, maps.map(Path::new));
+    }
+
+    #[test]
+    fn a_map_changes_with_what_is_read_beside_it() {
+        // `older` above the project says nothing about its maps.
+        let root = tempfile::tempdir().expect("a temporary folder");
+        let project = root.path().join("older/p");
+        let [map, confidence] =
+            ["depth_est", "confidence"].map(|kind| project.join("mvsnet/depths").join(kind).join("00000001.pfm"));
+        for path in [&map, &confidence] {
+            fs::create_dir_all(path.parent().expect("below the root")).expect("a folder");
+        }
+        fs::write(&map, "").expect("a file");
+        let entry = || map_files(&project, false).expect("readable").remove(&map).expect("the map");
+        let alone = entry();
+        fs::write(&confidence, "1").expect("a file");
+        assert_ne!(entry(), alone);
     }
 }

@@ -38,6 +38,16 @@ impl Entry {
         Self { length, modified_ns: since.as_nanos(), changed_ns, inode }
     }
 
+    /// The entry of two files that are read as one.
+    pub(super) fn with(self, other: Self) -> Self {
+        Self {
+            length: self.length.saturating_add(other.length),
+            modified_ns: self.modified_ns.max(other.modified_ns),
+            changed_ns: self.changed_ns.max(other.changed_ns),
+            inode: self.inode.rotate_left(1) ^ other.inode,
+        }
+    }
+
     #[cfg(test)]
     pub(super) fn of_length(length: u64) -> Self {
         Self { length, modified_ns: 0, changed_ns: 0, inode: 0 }

@@ -1,6 +1,9 @@
 //! MVSNet's family: small readers after the grammars of PatchmatchNet, cascade, MVSNet.
 
-use viewrank::{MapScale, internals::scene::ViewIndex};
+use viewrank::{
+    MapScale,
+    internals::scene::{CameraIndex, ViewIndex},
+};
 
 use crate::{Files, Fixture, numbers, table};
 
@@ -136,6 +139,22 @@ fn patchmatchnet_reduces_images_as_planned() {
     for size in sizes(&fixture) {
         assert!(size.unwrap().starts_with("320"));
     }
+    assert!(!fixture.export("patchmatchnet").says("planned size"));
+}
+
+/// The program has one longest side for all images.
+#[test]
+fn patchmatchnet_reduces_small_images_less() {
+    let mut fixture = Fixture::new(3);
+    fixture.clusters.iter_mut().for_each(|c| c.scale = MapScale::Half);
+    let mut small = fixture.scene.cameras[0].clone();
+    (small.width, small.height) = (401, 300);
+    fixture.scene.cameras.push(small);
+    let key = fixture.clusters[1].key;
+    fixture.scene.views[key.index()].camera = CameraIndex(fixture.scene.cameras.len() as u32 - 1);
+    let net = fixture.export("patchmatchnet");
+    assert!(net.says("planned size of 1 maps"), "{:?}", net.0.record.not_honoured);
+    assert!(net.lines("sizes.txt")[1].ends_with(" 320 239 401 300"), "320 of 401, rounded down");
 }
 
 /// The camera file of the first key view.
@@ -240,8 +259,12 @@ fn mvsnet_a_folder_per_size() {
     assert!(commands[..2].iter().all(|c| c.contains("--output_folder \"$here/depths\"")), "one map of a view");
     assert!(commands[3].contains("--output_folder \"$here/fuse\"") && commands[3].contains("--image_max_dim 320"));
     assert_eq!(pairs_by_line(net.text("pair_fuse.txt")).len(), 4);
-    let sizes = net.lines("half/full_sizes.txt");
-    assert!(sizes.len() == 4 && sizes.iter().all(|line| line.ends_with(" 320 240")), "{sizes:?}");
+    let sizes = net.lines("sizes.txt");
+    assert!(sizes.len() == 4 && sizes.iter().all(|line| line.ends_with(" 320 240 160 120")), "{sizes:?}");
+    fixture.clusters.iter_mut().for_each(|c| c.scale = MapScale::Half);
+    let net = fixture.export("patchmatchnet");
+    assert!(net.lines("sizes.txt")[0].ends_with(" 160 120 320 240"), "half maps alone are joined in their size");
+    assert!(net.0.record.commands[2].contains("--image_max_dim 160"));
     let others = fixture.export("mvsnet");
     assert!(others.says("planned at half the size") && !others.names().contains(&"half/pair.txt"));
 }

@@ -456,24 +456,45 @@ def pfm(path, width=3, height=2, values=None):
     path.write_bytes(f"Pf\n{width} {height}\n-1.000000\n".encode() + (bytes(4 * width * height) if values is None else values.astype("<f4").tobytes()))
 
 
-def test_patchmatchnet_joins_the_maps_that_are_complete(work):
+class Net(Work):
+    """An export for PatchmatchNet with maps as the program writes them."""
+
+    def sizes(self):
+        """Width and height of the map of each key view in the size in which maps are fused, then in the other."""
+        rows = (list(map(int, line.split())) for line in (self.folder / "sizes.txt").read_text().splitlines())
+        return {key: [(a, b), (c, d)] for key, a, b, c, d in rows}
+
+    def maps(self, key, size=None):
+        width, height = size or self.sizes()[key][0]
+        values = np.arange(width * height, dtype=float).reshape(height, width)
+        for kind in ("depth_est", "confidence"):
+            pfm(self.folder / f"depths/{kind}/{key:08}.pfm", width, height, values)
+        return values
+
+    def finished(self):
+        return subprocess.run([sys.executable, "finished.py"], cwd=self.folder, capture_output=True, text=True)
+
+    def lists(self):
+        lines = (self.folder / "fuse/pair.txt").read_text().splitlines()
+        return {int(key): [int(word) for word in line.split()[1::2]] for key, line in zip(lines[1::2], lines[2::2])}
+
+
+def test_patchmatchnet_joins_the_maps_that_are_complete(viewrank, plans, tmp_path):
     """eval.py opens the maps of every view in the list, and ends at the first that is missing."""
-    net = work("patchmatchnet", {})
+    net = Net(viewrank, plans, "patchmatchnet", tmp_path, {})
     keys = [int(target) for target in net.targets()]
 
     def fused():
-        done = subprocess.run([sys.executable, "finished.py"], cwd=net.folder, capture_output=True, text=True)
+        done = net.finished()
         if done.returncode:
             return done.stderr
         lines = (net.folder / "fuse/pair.txt").read_text().splitlines()
-        lists = {int(key): [int(word) for word in line.split()[1::2]] for key, line in zip(lines[1::2], lines[2::2])}
-        assert len(lists) == int(lines[0]) and all(len(line.split()) == 1 + 2 * int(line.split()[0]) for line in lines[2::2])
-        return lists
+        assert len(net.lists()) == int(lines[0]) and all(len(line.split()) == 1 + 2 * int(line.split()[0]) for line in lines[2::2])
+        return net.lists()
 
     assert "nothing to join" in fused()
     for key in keys:
-        pfm(net.folder / f"depths/depth_est/{key:08}.pfm")
-        pfm(net.folder / f"depths/confidence/{key:08}.pfm")
+        net.maps(key)
     lists = fused()
     assert set(lists) <= set(keys) and len(lists) > 2 and all(partner in keys for partners in lists.values() for partner in partners)
     assert (net.folder / "fuse/cams").resolve() == (net.folder / "cams").resolve()
@@ -484,32 +505,57 @@ def test_patchmatchnet_joins_the_maps_that_are_complete(work):
     assert lost not in left and all(lost not in partners for partners in left.values()) and set(left) <= set(lists) - {lost}
 
 
-def test_patchmatchnet_fuses_maps_of_half_the_size_in_full_size(work):
-    net = work("patchmatchnet", {})
+def test_patchmatchnet_fuses_maps_of_half_the_size_in_full_size(viewrank, plans, tmp_path):
+    net = Net(viewrank, plans, "patchmatchnet", tmp_path, {})
     net.export("sizes")
-    sizes = {key: (int(width), int(height)) for key, width, height in map(str.split, (net.folder / "half/full_sizes.txt").read_text().splitlines())}
-    halves = net.halves()
-    assert set(sizes) == set(net.targets())
-    full, half = (next(key for key in net.targets() if (key in halves) == is_half) for is_half in (False, True))
-    maps = {}
-    for key in net.targets():
-        width, height = ((side + 1) // (1 + (key in halves)) for side in sizes[key]) if key in halves else sizes[key]
-        maps[key] = np.arange(width * height, dtype=float).reshape(height, width)
-        for kind in ("depth_est", "confidence"):
-            pfm(net.folder / f"depths/{kind}/{int(key):08}.pfm", width, height, maps[key])
+    sizes, halves = net.sizes(), {int(key) for key in net.halves()}
+    keys = [int(key) for key in net.targets()]
+    assert list(sizes) == keys
+    full, half = (next(key for key in keys if (key in halves) == is_half) for is_half in (False, True))
+    values = {key: net.maps(key, sizes[key][key in halves]) for key in keys}
     for _ in range(2):
-        done = subprocess.run([sys.executable, "finished.py"], cwd=net.folder, capture_output=True, text=True)
-        assert done.returncode == 0, done.stderr
+        done = net.finished()
+        assert done.returncode == 0 and not done.stderr, done.stderr
         for kind in ("depth_est", "confidence"):
-            copies = {key: net.folder / f"fuse/{kind}/{int(key):08}.pfm" for key in (full, half)}
-            assert copies[full].is_symlink() and copies[full].read_bytes() == (net.folder / f"depths/{kind}/{int(full):08}.pfm").read_bytes()
+            copies = {key: net.folder / f"fuse/{kind}/{key:08}.pfm" for key in (full, half)}
+            assert copies[full].is_symlink() and copies[full].read_bytes() == (net.folder / f"depths/{kind}/{full:08}.pfm").read_bytes()
             assert not copies[half].is_symlink(), "a copy: the map itself stays as it is"
-            wide, high = sizes[half]
-            head = b"Pf\n%d %d\n-1.000000\n" % (wide, high)
-            data = copies[half].read_bytes()
-            assert data.startswith(head)
-            # Rows of a PFM are stored from the lowest up.
-            large = np.frombuffer(data[len(head) :], "<f4").reshape(high, wide)[::-1]
-            small = maps[half][::-1]
-            for row, column in [(0, 0), (1, 1), (2, 3), (high // 2, wide // 3), (high - 1, wide - 1)]:
-                assert large[row, column] == small[row * len(small) // high, column * small.shape[1] // wide]
+            assert_resized(copies[half], values[half], sizes[half][0])
+
+
+def assert_resized(path, values, size):
+    """Rows of a PFM are stored from the lowest up."""
+    wide, high = size
+    head = b"Pf\n%d %d\n-1.000000\n" % (wide, high)
+    data = path.read_bytes()
+    assert data.startswith(head)
+    copy = np.frombuffer(data[len(head) :], "<f4").reshape(high, wide)[::-1]
+    there = values[::-1]
+    for row, column in [(0, 0), (1, 1), (2, 3), (high // 2, wide // 3), (high - 1, wide - 1)]:
+        assert copy[row, column] == there[row * len(there) // high, column * there.shape[1] // wide]
+
+
+def test_patchmatchnet_joins_maps_of_an_earlier_plan_that_have_a_size_of_this_one(viewrank, plans, tmp_path):
+    """Whichever of the two the key view has now; others would end the fusion, or be taken for another part of the image."""
+    net = Net(viewrank, plans, "patchmatchnet", tmp_path, {})
+    net.export("sizes")
+    both, keys = net.sizes(), [int(key) for key in net.targets()]
+    values = {key: net.maps(key, both[key][key in keys[::2]]) for key in keys}
+    assert net.finished().returncode == 0
+    everything = net.lists()
+
+    net.export(4)
+    planned, later = net.sizes(), [int(key) for key in net.targets()]
+    stale, *fine = [key for key in later if key in keys and key in everything]
+    net.maps(stale, (7, 5))
+    done = net.finished()
+    assert done.returncode == 0 and str(stale) in done.stderr and "earlier" not in done.stdout
+    assert stale not in net.lists()
+    resized = [key for key in fine if key in keys[::2]]
+    assert resized and planned == {key: both.get(key, planned[key]) for key in planned}
+    for key in resized:
+        assert_resized(net.folder / f"fuse/depth_est/{key:08}.pfm", values[key], planned[key][0])
+
+    net.maps(stale)
+    done = net.finished()
+    assert done.returncode == 0 and not done.stderr and stale in net.lists(), "computed again"

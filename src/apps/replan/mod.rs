@@ -281,21 +281,26 @@ fn look(
     let found = earlier.clusters.par_iter().map(|(key, partners, _)| {
         watcher.check()?;
         let file = file_of.get(key.as_str()).filter(|file| (maps.ready)(&file.path));
-        Ok(file.map(|file| MapCheck { plan, earlier, key, partners, file }.found()))
+        Ok(file.map(|file| MapCheck { plan, earlier, key, partners, file, folder: maps.folder }.found()))
     });
     let found: Vec<Option<MapVerdict>> = found.collect::<Result<_, Cancelled>>()?;
     // Includes views without partners in the earlier plan: earlier findings on their maps still hold.
     let keys: BTreeSet<&str> = earlier.keys().collect();
     let beyond = earlier.outdated.iter().filter(|outdated| !keys.contains(outdated.key.as_str()));
     let beyond = beyond.filter_map(|OutdatedMap { key, .. }| {
-        let hash = hash(&file_of.get(key.as_str())?.path).ok()?;
+        let hash = hash(maps.folder, &file_of.get(key.as_str())?.path).ok()?;
         Some(MapVerdict::Outdated { outdated: earlier.outdated(key, &hash)?, hash })
     });
     Ok(found.into_iter().flatten().chain(beyond).chain(unreadable).collect())
 }
 
-fn hash(file: &Path) -> io::Result<String> {
-    Ok(blake3::hash(&input::read(file, input::FileKind::Picture)?).to_string())
+/// Hash of the files from which a map below `folder` is read.
+fn hash(folder: &Path, map: &Path) -> io::Result<String> {
+    let mut hasher = blake3::Hasher::new();
+    for file in depthmaps::files_of(folder, map).iter().filter(|file| file.is_file()) {
+        hasher.update(&input::read(file, input::FileKind::Picture)?);
+    }
+    Ok(hasher.finalize().to_string())
 }
 
 /// A depth map with the cluster that it was made for.
@@ -305,6 +310,7 @@ struct MapCheck<'a> {
     key: &'a String,
     partners: &'a [String],
     file: &'a DepthMapFile,
+    folder: &'a Path,
 }
 
 impl MapCheck<'_> {
@@ -313,7 +319,7 @@ impl MapCheck<'_> {
             Ok(map) => map,
             Err(error) => return MapVerdict::Unreadable(error.to_string()),
         };
-        let hash = match hash(&self.file.path) {
+        let hash = match hash(self.folder, &self.file.path) {
             Ok(hash) => hash,
             Err(error) => return MapVerdict::Unreadable(format!("{}: {error}", self.path())),
         };

@@ -245,11 +245,11 @@ impl Daemon<'_> {
     }
 }
 
-/// True for a path in the project's output folder that viewrank itself writes. Only files that were removed and depth maps matter there.
+/// True for a path in the project's output folder that viewrank itself writes. Only files that were removed and those of depth maps matter there.
 fn is_own_output(project: &Path, path: &Path, is_gone: bool) -> bool {
     let Ok(inside) = path.strip_prefix(project.join(discover::OUTPUT_FOLDER)) else { return false };
     let is_hidden = inside.components().any(|part| part.as_os_str().as_encoded_bytes().starts_with(b"."));
-    is_hidden || !is_gone && path.extension().is_some() && !depthmaps::has_depth_map_name(path)
+    is_hidden || !is_gone && path.extension().is_some() && !depthmaps::is_of_a_map(inside)
 }
 
 /// Folders whose changes concern the project; `named` are the files that it depends on besides model and images.
@@ -272,6 +272,8 @@ mod tests {
         assert!(own("/p/viewrank/clusters.txt", false) && !own("/p/viewrank/clusters.txt", true));
         assert!(own("/p/viewrank/.staging/clusters.txt", true) && own("/p/viewrank/.lock", false));
         assert!(!own("/p/viewrank/openmvs/depth0001.dmap", false) && !own("/p/viewrank/openmvs", false));
+        assert!(!own("/p/viewrank/micmac/MM-Malt-Img-a/Z_Num8.tif", false), "rewritten after the description");
+        assert!(!own("/p/viewrank/micmac/done/a.b", false) && own("/p/viewrank/micmac/links.tif", false));
         assert!(!own("/p/sparse/0/images.bin", false));
     }
 }

@@ -23,6 +23,9 @@ const COLMAP: &str = "stereo/depth_maps";
 const BY_NAME: [&str; 9] =
     ["sgm", "openmvs", "mvsnet", "patchmatchnet", "acmm", "gipuma", "mve", "alicevision", "micmac"];
 
+/// Begin of the names of MicMac's folders, before that of the image without its extension.
+const MICMAC_FOLDER: &str = "MM-Malt-Img-";
+
 /// A finished depth map of a view.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct DepthMapFile {
@@ -153,9 +156,28 @@ fn duplicate(scene: &Scene, view: ViewIndex, first: &Path, second: &Path) -> Dep
     DepthMapError::Duplicate { view: scene.name(view).into(), first: first.into(), second: second.into() }
 }
 
-/// Returns whether a file has the name of a depth map.
-pub fn has_depth_map_name(path: &Path) -> bool {
+/// Returns whether a file has the name of a depth map, or of what a program writes with one: confidences, MicMac's images, marks of what is finished.
+pub fn is_of_a_map(path: &Path) -> bool {
+    let in_folder = |is_it: fn(&str) -> bool| {
+        path.parent().and_then(Path::file_name).and_then(|name| name.to_str()).is_some_and(is_it)
+    };
+    let has = |extension: &str| path.extension().is_some_and(|e| e == extension);
     format_of(path).is_some()
+        || has("pfm") && in_folder(|name| name == "confidence")
+        || has("tif") && in_folder(|name| name.starts_with(MICMAC_FOLDER))
+        || in_folder(|name| name == "done")
+}
+
+/// Returns the files from which the depth map at this path below `folder` is read, itself first; none if it doesn't have the name of a depth map. Some
+/// may not be there.
+pub fn files_of(folder: &Path, path: &Path) -> Vec<PathBuf> {
+    let Some((format, _)) = format_of(path.strip_prefix(folder).unwrap_or(path)) else { return Vec::new() };
+    let with = |other: Option<PathBuf>| std::iter::once(path.to_path_buf()).chain(other).collect();
+    match format {
+        DepthMapFormat::MicMac => micmac_files(path).unwrap_or_else(|_| with(None)),
+        DepthMapFormat::Pfm => with(super::confidences_of(path)),
+        _ => with(None),
+    }
 }
 
 /// Determines the format from the path below the folder, and the rank among maps of the same view (0 is best).
@@ -236,7 +258,7 @@ fn view_of(path: &Path, format: DepthMapFormat, numbers: &mut Numbers) -> Result
         }
         DepthMapFormat::MicMac => {
             let folder = path.parent().and_then(Path::file_name).unwrap_or_default().to_string_lossy();
-            let view = folder.strip_prefix("MM-Malt-Img-").and_then(|stem| by_stem(scene, stem));
+            let view = folder.strip_prefix(MICMAC_FOLDER).and_then(|stem| by_stem(scene, stem));
             view.map(|view| require_matched(path).map(|()| view)).transpose()?
         }
         DepthMapFormat::AliceVision => {
@@ -248,16 +270,25 @@ fn view_of(path: &Path, format: DepthMapFormat, numbers: &mut Numbers) -> Result
     })
 }
 
-/// Checks that the images of a cloud of MicMac are there: it is described before it is matched.
+/// Checks that MicMac has matched a view: the cloud is described before that, and its depth image rewritten at the end.
 fn require_matched(path: &Path) -> Result<(), DepthMapError> {
-    let io = |source| DepthMapError::Io { path: path.into(), source };
-    let bytes = input::read(path, FileKind::List).map_err(io)?;
-    let fault = |byte, what| DepthMapError::Format { path: path.into(), byte, what };
-    let names = micmac::files(&bytes).map_err(|(byte, what)| fault(byte, what))?;
-    match names.into_iter().find(|name| !path.with_file_name(name).is_file()) {
-        Some(name) => Err(fault(0, format!("{name} is missing: the view is still being matched, or failed"))),
-        None => Ok(()),
-    }
+    let missing = micmac_files(path)?.into_iter().find(|file| !file.is_file());
+    missing.map_or(Ok(()), |file| {
+        let what = format!("{} is missing: the view is still being matched, or failed", file.display());
+        Err(DepthMapError::Format { path: path.into(), byte: 0, what })
+    })
+}
+
+/// Returns the description of a cloud of MicMac, its depth image, its mask, and in an export the mark that `run.sh` sets when the view is finished.
+fn micmac_files(path: &Path) -> Result<Vec<PathBuf>, DepthMapError> {
+    let bytes = input::read(path, FileKind::List).map_err(|source| DepthMapError::Io { path: path.into(), source })?;
+    let [image, mask] = micmac::files(&bytes)
+        .map_err(|(byte, what)| DepthMapError::Format { path: path.into(), byte, what })?
+        .map(|name| path.with_file_name(name));
+    let stem = path.parent().and_then(Path::file_name).and_then(|name| name.to_str()?.strip_prefix(MICMAC_FOLDER));
+    let export = path.ancestors().nth(2).filter(|folder| folder.join("ImSec").is_dir());
+    let mark = export.zip(stem).map(|(export, stem)| export.join("done").join(stem));
+    Ok([Some(path.into()), Some(image), Some(mask), mark].into_iter().flatten().collect())
 }
 
 /// The name in the `meta.ini` beside a map of MVE: that of the image, or its stem.

@@ -24,7 +24,7 @@ use crate::{
     model::{camera::Camera, scene::Scene},
 };
 
-pub use find::{DepthMapFile, DepthMapSet, default_folders, find, folder_of, folders, has_depth_map_name, list};
+pub use find::{DepthMapFile, DepthMapSet, default_folders, files_of, find, folder_of, folders, is_of_a_map, list};
 
 /// Depth map formats.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
@@ -59,7 +59,7 @@ impl DepthMapFormat {
     }
 
     /// Returns whether the program matches images as they were taken, with their distortion.
-    fn takes_distorted(self) -> bool {
+    pub fn takes_distorted(self) -> bool {
         self == Self::MicMac
     }
 }
@@ -199,7 +199,9 @@ impl Hint for DepthMapError {
     fn hint(&self) -> Option<String> {
         let hint = match self {
             Self::Io { .. } => "check that the file exists and is readable",
-            Self::Format { .. } => "compute this depth map again or remove it: it is damaged or still being written",
+            Self::Format { .. } => {
+                "compute this depth map again as the message says, or remove it: it is damaged, still being written, or of a kind that is not read"
+            }
             Self::None(_) => {
                 "name the folder with COLMAP's stereo/depth_maps, OpenMVS's depthNNNN.dmap, MVSNet's NNNNNNNN.pfm, ACMM's \
                  2333_NNNNNNNN/depths.dmb, Gipuma's 2_TIME_NAME/disp.dmb, MVE's NAME.mve/depth-LN.mvei, AliceVision's ID_depthMap.exr, \
@@ -255,7 +257,8 @@ pub fn read_of_view(file: &DepthMapFile, scene: &Scene) -> Result<DepthMap, Dept
         return Err(DepthMapError::Distorted { view: view(), model: camera.model().name() });
     }
     let mut map = read(&file.path, file.format)?;
-    if let Some(path) = confidences_of(file).filter(|path| path.is_file()) {
+    let confidences = (file.format == DepthMapFormat::Pfm).then(|| confidences_of(&file.path)).flatten();
+    if let Some(path) = confidences.filter(|path| path.is_file()) {
         map.keep_confident(&path)?;
     }
     if !map.fits(camera) {
@@ -266,9 +269,9 @@ pub fn read_of_view(file: &DepthMapFile, scene: &Scene) -> Result<DepthMap, Dept
 }
 
 /// Where PatchmatchNet and its relatives write the confidences of a map: `confidence/NNNNNNNN.pfm` beside `depth_est/NNNNNNNN.pfm`.
-fn confidences_of(file: &DepthMapFile) -> Option<PathBuf> {
-    let folder = file.path.parent().filter(|folder| folder.ends_with("depth_est"))?;
-    (file.format == DepthMapFormat::Pfm).then_some(folder.with_file_name("confidence").join(file.path.file_name()?))
+fn confidences_of(map: &Path) -> Option<PathBuf> {
+    let folder = map.parent().filter(|folder| folder.ends_with("depth_est"))?;
+    Some(folder.with_file_name("confidence").join(map.file_name()?))
 }
 
 /// Parses the bytes of one depth map, with depths as the file has them. `beside` reads another file of its folder. Allocates memory proportional to the

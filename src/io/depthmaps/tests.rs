@@ -153,7 +153,7 @@ fn reads_micmacs_inverse_depths_where_the_mask_has_them() {
 }
 
 #[test]
-fn micmacs_maps_are_of_distorted_images_and_finished_when_their_images_are_there() {
+fn micmacs_maps_are_of_distorted_images_and_finished_when_all_is_there() {
     let folder = tempfile::tempdir().unwrap();
     let inside = folder.path().join("MM-Malt-Img-IMG_9394");
     std::fs::create_dir(&inside).unwrap();
@@ -168,6 +168,22 @@ fn micmacs_maps_are_of_distorted_images_and_finished_when_their_images_are_there
     let maps = list(folder.path(), &scene).unwrap().maps;
     assert_eq!(maps.iter().map(|map| map.view).collect::<Vec<_>>(), [ViewIndex(0)]);
     assert!(read_of_view(&maps[0], &scene).unwrap().depth_at(0, 0).is_some());
+    let files = files_of(folder.path(), &inside.join("MMLastNuage.xml"));
+    assert_eq!(
+        files[1..],
+        ["Z_Num8_DeZoom1_STD-MALT.tif", "AutoMask_STD-MALT_Num_7.tif"].map(|name| inside.join(name))
+    );
+    assert!(files.iter().all(|file| is_of_a_map(file.strip_prefix(folder.path()).unwrap())));
+
+    // In an export `run.sh` says what has ended: the depth image is there before that.
+    std::fs::create_dir(folder.path().join("ImSec")).unwrap();
+    let set = list(folder.path(), &scene).unwrap();
+    assert!(set.maps.is_empty() && set.unreadable[0].1.to_string().contains("done/IMG_9394"));
+    std::fs::create_dir(folder.path().join("done")).unwrap();
+    let mark = folder.path().join("done/IMG_9394");
+    std::fs::write(&mark, "").unwrap();
+    assert_eq!(list(folder.path(), &scene).unwrap().maps.len(), 1);
+    assert_eq!(files_of(folder.path(), &inside.join("MMLastNuage.xml")).last(), Some(&mark));
 }
 
 #[test]
