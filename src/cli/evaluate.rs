@@ -205,16 +205,30 @@ fn warnings(evaluation: &Evaluation, run: &MeasuredClusters) {
         let count = evaluation.other_partners.len();
         warn(&format!("{count} depth maps were made with other partners than planned, the first is {view}"));
     }
+    if let Some(view) = evaluation.other_sizes.first() {
+        let count = evaluation.other_sizes.len();
+        warn(&format!(
+            "{count} depth maps have neither the planned size nor half of it, the first is {view}: they count as the nearer one"
+        ));
+    }
     run.unreadable.iter().for_each(|why| warn(&format!("left out: {why}")));
     if let Some(file) = run.strangers.first() {
-        warn(&format!("{} files match no view, the first is {}", run.strangers.len(), file.display()));
+        warn(&format!(
+            "{} depth maps belong to no view of the plan, the first is {}",
+            run.strangers.len(),
+            file.display()
+        ));
     }
 }
 
 fn text(e: &Evaluation, out: &Path) -> String {
     let mut text = String::new();
     let truth = if e.reference { "against the reference" } else { "no reference: every depth counts as right" };
-    let _ = writeln!(text, "{} depth maps, {truth}", e.key_views.len());
+    let maps = match e.at_half_size() {
+        0 => format!("{} depth maps", e.key_views.len()),
+        half => format!("{} depth maps, {half} of them at half the size", e.key_views.len()),
+    };
+    let _ = writeln!(text, "{maps}, {truth}");
     let _ = writeln!(text, "  completeness {:.1} %{}", 100.0 * e.quality.completeness, e.errors());
     let _ = writeln!(text, "  reached: {}", e.reached_in_words());
     let _ = writeln!(text, "  {}", e.enough_in_words());

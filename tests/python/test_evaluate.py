@@ -69,6 +69,26 @@ def test_depth_maps_at_half_the_size_are_a_baseline(matched, viewrank):
     assert f"the first {found['same_as']} at full size give as much" in done.stdout
     refused = viewrank(*command, matched / "maps", expect=1)
     assert "not at half the size" in refused.stderr
+    mixed = made(matched / "mixed/depth_maps/x").parent
+    for i, path in enumerate(sorted(half.glob("*.npy"))):
+        shutil.copy((half if i else matched / "maps/depth_maps") / path.name, mixed)
+    refused = viewrank(*command, mixed.parent, expect=1)
+    assert f"1 of the {found['maps']} depth maps" in refused.stderr
+
+
+def test_maps_of_two_sizes_are_told_apart(matched, viewrank):
+    """Of a backend that mixes them; a size that is neither is named."""
+    mixed = made(matched / "sizes/depth_maps/x").parent
+    paths = sorted((matched / "maps/depth_maps").glob("*.npy"))
+    for step, path in zip([2, 4] + [1] * len(paths), paths):
+        np.save(mixed / path.name, np.load(path)[::step, ::step])
+    out = matched / "two-sizes"
+    done = viewrank("evaluate", matched / "valley", "--depth-maps", mixed.parent, "--out", out)
+    found = json.loads((out / "evaluation.json").read_text())
+    name = {view["name"].rsplit("/")[-1]: view["scale"] for view in found["key_views"]}
+    assert sorted(name.values()) == [0.5, 0.5] + [1] * (len(paths) - 2)
+    assert f"{len(paths)} depth maps, 2 of them at half the size" in done.stdout and "2 at half the size" in (out / "evaluation.html").read_text()
+    assert len(found["other_sizes"]) == 1 and f"the first is {found['other_sizes'][0]}" in done.stderr
 
 
 def write_npy(folder, number, name, ids, depth):

@@ -52,6 +52,8 @@ pub struct Evaluation {
     pub key_views: Vec<KeyView>,
     /// Key views without a depth map; they are excluded from everything above.
     pub without_map: Vec<String>,
+    /// Key views whose depth map has neither the planned size nor half of it; each counts as the nearer one.
+    pub other_sizes: Vec<String>,
     /// Key views whose depth map was made with other partners than planned.
     pub other_partners: Vec<String>,
     /// Comparison of the fused cloud with that of a full run, if both are given.
@@ -125,6 +127,8 @@ pub struct Gap {
 #[derive(Clone, Debug, Serialize)]
 pub struct KeyView {
     pub name: String,
+    /// Size of the depth map: 1 for the planned one, or 0.5.
+    pub scale: f64,
     pub partners: Vec<String>,
     /// The partners that the backend really matched.
     pub matched: Vec<String>,
@@ -170,6 +174,11 @@ impl Evaluation {
         }
     }
 
+    /// Number of depth maps at half the size.
+    pub fn at_half_size(&self) -> usize {
+        self.key_views.iter().filter(|view| view.scale < 1.0).count()
+    }
+
     /// Returns the share reached, in words that say what it refers to.
     pub fn reached_in_words(&self) -> String {
         let share = self.reached.share.map_or("–".into(), |share| format!("{:.1} %", 100.0 * share));
@@ -213,6 +222,7 @@ impl Evaluation {
             missing: reached.counts(|t| objective.weights[t] > 0.0),
             key_views: run.order.iter().map(|&c| key_view(model, run, c as usize)).collect(),
             without_map: names(&run.without_map),
+            other_sizes: names(&run.other_sizes),
             other_partners: names(&run.other_partners),
             clouds: measure.clouds.clone(),
             orders,
@@ -243,6 +253,7 @@ fn key_view(model: &Model, run: &MeasuredClusters, cluster: usize) -> KeyView {
     let sum = |values: &[f32]| values.iter().map(|&f| f64::from(f)).sum();
     KeyView {
         name: model.scene.name(run.clusters[cluster].key).into(),
+        scale: run.scales[cluster].factor(),
         partners: names(&run.clusters[cluster].partners),
         matched: names(&run.matched[cluster].partners),
         quality: QualityRow::new(&run.quality[cluster], run.has_reference),

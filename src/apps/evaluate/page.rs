@@ -58,8 +58,12 @@ fn summary(e: &Evaluation) -> String {
     let percent = |share: f64| format!("{:.1} %", 100.0 * share);
     let completeness =
         if e.reference { "of the reference's pixels are right" } else { "of the pixels have a depth on the surface" };
+    let measured = match e.at_half_size() {
+        0 => "measured".to_owned(),
+        half => format!("measured, {half} at half the size"),
+    };
     let numbers = [
-        ("Depth maps", e.key_views.len().to_string(), "measured"),
+        ("Depth maps", e.key_views.len().to_string(), measured.as_str()),
         (
             "Reached",
             e.reached.share.map_or("–".into(), percent),

@@ -35,6 +35,9 @@ use crate::{
     plan::Stages,
 };
 
+/// Ratio up to which two widths are the same: programs crop images to whole blocks.
+const SAME_SIZE: f64 = 1.15;
+
 /// Finished view clusters with their measured results. All tables have one row per cluster.
 #[derive(Clone, Debug)]
 pub struct MeasuredClusters {
@@ -42,6 +45,8 @@ pub struct MeasuredClusters {
     pub clusters: Vec<ViewCluster>,
     /// Size of each depth map.
     pub scales: Vec<MapScale>,
+    /// Key views whose map has neither the planned size nor half of it; `scales` says which is nearer. Only where the size matters.
+    pub other_sizes: Vec<ViewIndex>,
     /// The order in which they were to be computed, indices into `clusters`.
     pub order: Vec<u32>,
     /// The same clusters with the partners that were really matched.
@@ -208,7 +213,13 @@ impl EvaluationInput<'_> {
             matched.map(|(c, m)| matched::really_matched(c, report, &m.ids, scene)).collect();
         let mut certain = self.model;
         certain.rule.confidence = Confidence::None;
-        let scales: Vec<MapScale> = clusters.iter().zip(measured).map(|(c, m)| self.scale(c.key, m)).collect();
+        let sizes: Vec<f64> = clusters.iter().zip(measured).map(|(c, m)| self.size(c.key, m)).collect();
+        let scales: Vec<MapScale> = sizes.iter().map(|&size| self.scale(size)).collect();
+        let is_other = |size: f64, scale: MapScale| (size / scale.factor()).ln().abs() > SAME_SIZE.ln();
+        let other_sizes =
+            clusters.iter().zip(&sizes).zip(&scales).filter(|((_, size), scale)| is_other(**size, **scale));
+        let other_sizes =
+            if self.half_worth.is_none() { Vec::new() } else { other_sizes.map(|((c, _), _)| c.key).collect() };
         let table = |model: &Model, clusters: &[ViewCluster]| {
             table_at(model, clusters, &scales, self.half_worth.unwrap_or_default(), watcher)
         };
@@ -231,6 +242,7 @@ impl EvaluationInput<'_> {
             matched,
             clusters,
             scales,
+            other_sizes,
             order,
             without_map: Vec::new(),
             strangers: Vec::new(),
@@ -238,11 +250,15 @@ impl EvaluationInput<'_> {
         })
     }
 
-    /// Returns the size of a map: half if its width is nearer, as a ratio, to half the planned width than to the planned width.
-    fn scale(&self, key: ViewIndex, measured: &MapMeasurement) -> MapScale {
+    /// Width of a map over the planned width.
+    fn size(&self, key: ViewIndex, measured: &MapMeasurement) -> f64 {
         let planned = f64::from(self.model.scene.camera_of(key).width) * self.model.rule.image_scale;
-        let is_half = self.half_worth.is_some() && f64::from(measured.width) < planned * FRAC_1_SQRT_2;
-        if is_half { MapScale::Half } else { MapScale::Full }
+        f64::from(measured.width) / planned
+    }
+
+    /// The nearest size of a map, as a ratio.
+    fn scale(&self, size: f64) -> MapScale {
+        if self.half_worth.is_some() && size < FRAC_1_SQRT_2 { MapScale::Half } else { MapScale::Full }
     }
 
     /// Returns the measured fulfilment: the attainable one times the measured share.
@@ -322,8 +338,8 @@ pub enum EvaluateError {
     CloudFile { path: PathBuf, source: std::io::Error },
     #[error("cannot read cloud {}: {source}", path.display())]
     Cloud { path: PathBuf, source: ply::PlyError },
-    #[error("the depth maps in {} are not at half the size of the plan's", .0.display())]
-    NotHalf(PathBuf),
+    #[error("{of} of the {maps} depth maps in {} are not at half the size of the plan's", .path.display())]
+    NotHalf { path: PathBuf, of: usize, maps: usize },
     #[error("none of the view clusters has a depth map in {}", .0.display())]
     NoClusters(PathBuf),
     #[error(transparent)]
@@ -340,7 +356,7 @@ impl Hint for EvaluateError {
             Self::NoClusters(_) => {
                 "give the depth maps of this plan, or the clusters that they were made for with --clusters".into()
             }
-            Self::NotHalf(_) => "match the same clusters again at half the image size, into another folder".into(),
+            Self::NotHalf { .. } => "match the same clusters again at half the image size, into another folder".into(),
             Self::CloudFile { .. } | Self::Cloud { .. } => "give the fused cloud as a PLY file".into(),
             Self::Cancelled(_) => return None,
             Self::Table(error) => return error.hint(),
@@ -351,9 +367,10 @@ impl Hint for EvaluateError {
         match self {
             Self::DepthMap(error) => error.path(),
             Self::Report(error) => error.path(),
-            Self::NoClusters(path) | Self::NotHalf(path) | Self::CloudFile { path, .. } | Self::Cloud { path, .. } => {
-                Some(path)
-            }
+            Self::NoClusters(path)
+            | Self::NotHalf { path, .. }
+            | Self::CloudFile { path, .. }
+            | Self::Cloud { path, .. } => Some(path),
             Self::Cancelled(_) => None,
             Self::Table(error) => error.path(),
         }

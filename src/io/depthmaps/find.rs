@@ -254,7 +254,7 @@ fn view_of(path: &Path, format: DepthMapFormat, numbers: &mut Numbers) -> Result
         }
         DepthMapFormat::Mve => {
             let name = mve_name(path)?;
-            scene.find(&name).or_else(|| by_stem(scene, &name))
+            name.and_then(|name| scene.find(&name).or_else(|| by_stem(scene, &name)))
         }
         DepthMapFormat::MicMac => {
             let folder = path.parent().and_then(Path::file_name).unwrap_or_default().to_string_lossy();
@@ -291,14 +291,17 @@ fn micmac_files(path: &Path) -> Result<Vec<PathBuf>, DepthMapError> {
     Ok([Some(path.into()), Some(image), Some(mask), mark].into_iter().flatten().collect())
 }
 
-/// The name in the `meta.ini` beside a map of MVE: that of the image, or its stem.
-fn mve_name(path: &Path) -> Result<String, DepthMapError> {
+/// The name in the `meta.ini` beside a map of MVE: that of the image, or its stem. `None` without that file: a later export has no such view.
+fn mve_name(path: &Path) -> Result<Option<String>, DepthMapError> {
     let meta = path.with_file_name("meta.ini");
-    let text =
-        input::read_text(&meta, FileKind::List).map_err(|source| DepthMapError::Io { path: meta.clone(), source })?;
+    let text = match input::read_text(&meta, FileKind::List) {
+        Ok(text) => text,
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(None),
+        Err(source) => return Err(DepthMapError::Io { path: meta, source }),
+    };
     let values = text.lines().filter_map(|line| line.split_once('='));
     let name = values.filter(|(key, _)| key.trim() == "name").map(|(_, name)| name.trim().to_string()).next();
-    name.ok_or_else(|| DepthMapError::Names { path: meta, what: "no name of the view".into() })
+    name.map(Some).ok_or_else(|| DepthMapError::Names { path: meta, what: "no name of the view".into() })
 }
 
 /// The only view whose file name without extension this is.
