@@ -38,7 +38,7 @@ fn traps(patient: &ExaminedProject) -> Vec<Trap> {
 }
 
 fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {
-    let downscale = (1.0 / selection.image_scale).log2().round().max(0.0).exp2();
+    let downscale = 1.0 / selection.halved();
     let names = |views: &mut dyn Iterator<Item = crate::model::scene::ViewIndex>| {
         views.map(|v| selection.scene.name(v).to_owned()).collect::<Vec<_>>()
     };

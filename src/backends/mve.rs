@@ -93,13 +93,24 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     record.runner = Some("run.sh".into());
     record.made_for = "MVE (bf2279f)".into();
     record.way = "one bundle per cluster in one scene".into();
+    record.note_scale(selection, |_| selection.halved());
+    record.not_honoured.push("that every partner is used: dmrecon chooses among them".into());
+    let script = runner(selection, &mut record);
+    files.add("run.sh", script);
+    files.add_text("export.json", record.to_json());
+    Ok(Export { files, record })
+}
+
+/// Returns `run.sh`, and adds to the record what it does.
+fn runner(selection: &Selection, record: &mut ExportRecord) -> Contents {
     let mut script = ClusterScript::new(RUNNER_HEAD);
     for (i, cluster) in selection.clusters.iter().enumerate() {
-        let (partners, key) = (cluster.partners.len(), id(cluster.key));
-        let (local, level) = (partners.min(LOCAL_NEIGHBOURS), selection.pyramid_level(cluster.scale));
+        let (partners, level) = (cluster.partners.len(), selection.pyramid_level(cluster.scale));
+        let local = partners.min(LOCAL_NEIGHBOURS);
         let bundle = format!("{:04}.out", i + 1);
         let choice = format!("--neighbors={partners} --local-neighbors={local}");
-        let options = format!("-s{level} -m{key} {choice}");
+        // The id of a key view is its rank.
+        let options = format!("-s{level} -m{i} {choice}");
         let folder = folder(selection.scene, cluster.key);
         let recipe = recipe(selection, cluster, &format!("-s{level} {choice}"));
         let result = format!("views/{folder}/depth-L{level}.mvei");
@@ -109,9 +120,7 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
         record.commands.push(format!("cp bundles/{bundle} synth_0.out"));
         record.commands.push(format!("dmrecon {options} ."));
     }
-    record.note_scale(selection, |_| (-f64::from(selection.pyramid_level(MapScale::Full))).exp2());
     let (points, clouds) = joining(selection);
-    record.not_honoured.push("that every partner is used: dmrecon chooses among them".into());
     record.fusion = format!(
         "depth-L maps hold the length of the ray, not z; scene2pset joins them with confidences and scales; fssrecon {} surface.ply makes the surface",
         clouds.join(" ")
@@ -119,10 +128,8 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
     for other in CLOUDS.iter().filter(|(_, cloud)| !clouds.contains(cloud)) {
         script.line(&format!("[ ! -f {0} ] || mv -f {0} older/", other.1));
     }
-    files.add("run.sh", script.finish(&points));
-    record.commands.extend(points);
-    files.add_text("export.json", record.to_json());
-    Ok(Export { files, record })
+    record.commands.extend(points.iter().cloned());
+    script.finish(&points)
 }
 
 const RUNNER_HEAD: &str = include_str!("../../integrations/mve/run_head.sh");

@@ -8,7 +8,10 @@ use super::{
 };
 use crate::{
     io::output::Contents,
-    model::scene::{PointIndex, Scene, ViewIndex},
+    model::{
+        cluster::MapScale,
+        scene::{PointIndex, Scene, ViewIndex},
+    },
 };
 
 /// Name of the option file; `viewrank` itself is the folder of viewrank's records.
@@ -71,7 +74,7 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
         "only the partners: PMVS2 chooses for each patch among all images of the export that share points with its key view".into(),
         "the rank order".into(),
     ]);
-    record.note_scale(selection, |_| (-level(selection)).exp2());
+    record.note_scale(selection, |_| selection.halved());
     record.fusion = format!("none; models/{OPTIONS}.ply");
     files.add_text("export.json", record.to_json());
     Ok(Export { files, record })
@@ -141,16 +144,11 @@ fn observed_together(selection: &Selection, views: &[ViewIndex], index: &[usize]
     together
 }
 
-/// PMVS2 halves images.
-fn level(selection: &Selection) -> f64 {
-    (1.0 / selection.image_scale).log2().round().max(0.0)
-}
-
 /// Returns the option file, without comments: one inside a list would end the program.
 fn option_file(selection: &Selection, views: usize) -> String {
     let keys = selection.clusters.len();
     let list = |range: std::ops::Range<usize>| range.map(|i| format!(" {i}")).collect::<String>();
-    let level = level(selection);
+    let level = selection.pyramid_level(MapScale::Full);
     let seen_by = (selection.most_partners() + 1).clamp(2, 3);
     format!(
         "timages {keys}{}\noimages {}{}\nuseVisData 1\nlevel {level}\ncsize 2\nthreshold 0.7\nwsize 7\nminImageNum {seen_by}\nCPU 4\n",

@@ -128,6 +128,11 @@ impl Selection<'_> {
         full + u32::from(scale == MapScale::Half)
     }
 
+    /// Matched size of programs that can only halve images, as a part of their size.
+    pub fn halved(&self) -> f64 {
+        (-f64::from(self.pyramid_level(MapScale::Full))).exp2()
+    }
+
     /// Returns all key views in rank order, then the other partners by name.
     pub fn keys_first(&self) -> Vec<ViewIndex> {
         let is_key = self.is_key();

@@ -92,13 +92,13 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
         &selection.views(),
         &selection.clusters.iter().map(|c| c.key).collect::<Vec<_>>(),
     );
-    for (i, cluster) in selection.clusters.iter().enumerate() {
+    for cluster in selection.clusters {
         let views: Vec<_> = std::iter::once(cluster.key).chain(cluster.partners.iter().copied()).collect();
-        add_lists(&mut files, &format!("clusters/{:04}/", i + 1), &names, &views, &[cluster.key]);
+        add_lists(&mut files, &format!("clusters/{}/", project(selection, cluster)), &names, &views, &[cluster.key]);
     }
     let record = record_of(selection, &names);
     files.add("run.sh", shell_script(selection, &record.commands));
-    files.add_text("run.bat", batch_script(&record.commands));
+    files.add_text("run.bat", batch_script(selection, &record.commands));
     files.add_text("export.json", record.to_json());
     Ok(Export { files, record })
 }
@@ -108,13 +108,14 @@ fn record_of(selection: &Selection, names: &[String]) -> ExportRecord {
     record.runner = Some("run.sh".into());
     record.made_for = "SURE (from the vendor's public pages and public scripts for SURE 1.2; not run)".into();
     record.way = "one project per cluster; lists for a joint project beside".into();
-    for (i, cluster) in selection.clusters.iter().enumerate() {
-        let folder = format!("clusters/{:04}", i + 1);
-        let lists = format!("-img {folder}/images.txt -ori {folder}/ori.txt -select {folder}/baseImages.txt");
+    for cluster in selection.clusters {
+        let name = project(selection, cluster);
+        let (folder, lists) = (format!("projects/{name}"), format!("clusters/{name}"));
+        let lists = format!("-img {lists}/images.txt -ori {lists}/ori.txt -select {lists}/baseImages.txt");
         let partners = cluster.partners.len();
         let level = selection.pyramid_level(cluster.scale);
         record.commands.push(format!(
-            "sure -basepath {folder} {lists} -fold {} -pyr {level} -maxmodels {partners} -prep",
+            "mkdir -p {folder} && sure -basepath {folder} {lists} -fold {} -pyr {level} -maxmodels {partners} -prep",
             partners.clamp(1, 2)
         ));
         record.commands.push(format!("sure -basepath {folder}"));
@@ -132,31 +133,42 @@ fn record_of(selection: &Selection, names: &[String]) -> ExportRecord {
         "lists name files from their own folder on; where a release reads them from elsewhere, make them absolute"
             .into(),
     ]);
-    record.note_scale(selection, |_| (-f64::from(selection.pyramid_level(MapScale::Full))).exp2());
+    record.note_scale(selection, |_| selection.halved());
     record.pixel_shift = -0.5;
     record.fusion = "each project gives points of its key view; one DSM or mesh run joins them".into();
     record
 }
 
+/// Name of the project of a cluster: the id of the image, which is the same in each plan.
+fn project(selection: &Selection, cluster: &RankedCluster) -> String {
+    format!("{:08}", selection.scene.view(cluster.key).image_id)
+}
+
 /// Returns `run.sh`, with two commands per cluster.
 fn shell_script(selection: &Selection, commands: &[String]) -> Contents {
-    let mut script = ClusterScript::new("");
-    for (i, (cluster, calls)) in selection.clusters.iter().zip(commands.chunks(2)).enumerate() {
+    let mut script = ClusterScript::new(include_str!("../../integrations/sure/run_head.sh"));
+    for (cluster, calls) in selection.clusters.iter().zip(commands.chunks(2)) {
         let recipe = recipe(selection, cluster, &calls.concat());
-        let calls: Vec<String> = calls.iter().map(|c| c.replacen("sure", "\"${SURE:-sure}\"", 1)).collect();
-        script.cluster(&format!("{:04}", i + 1), &recipe, ".", &calls);
+        let calls: Vec<String> = calls.iter().map(|c| c.replacen("sure ", "\"${SURE:-sure}\" ", 1)).collect();
+        let name = project(selection, cluster);
+        script.cluster(&name, &recipe, &format!("projects/{name}"), &calls);
     }
     script.finish(&[])
 }
 
 /// Returns `run.bat`, which runs every cluster each time.
-fn batch_script(commands: &[String]) -> String {
-    let call = |c: &String| c.replacen("sure", "sure.exe", 1).replace('/', "\\");
-    let cluster = |(i, calls): (usize, &[String])| {
-        let calls = calls.iter().map(call).collect::<Vec<_>>().join(" && ");
-        format!("{calls} || (echo error: {:04} failed & set failed=1)\r\n", i + 1)
+fn batch_script(selection: &Selection, commands: &[String]) -> String {
+    let call = |c: &String| {
+        let c = c.replacen("sure ", "sure.exe ", 1).replace('/', "\\");
+        let Some((folder, call)) = c.split_once(" && ") else { return c };
+        let folder = folder.trim_start_matches("mkdir -p ");
+        format!("(if not exist {folder} mkdir {folder}) && {call}")
     };
-    let clusters: String = commands.chunks(2).enumerate().map(cluster).collect();
+    let cluster = |(cluster, calls): (&RankedCluster, &[String])| {
+        let calls = calls.iter().map(call).collect::<Vec<_>>().join(" && ");
+        format!("{calls} || (echo error: {} failed & set failed=1)\r\n", project(selection, cluster))
+    };
+    let clusters: String = selection.clusters.iter().zip(commands.chunks(2)).map(cluster).collect();
     format!("@echo off\r\ncd /d \"%~dp0\"\r\nset failed=0\r\n{clusters}exit /b %failed%\r\n")
 }
 

@@ -47,10 +47,16 @@ fn sure_ori_folder_exact_count() {
     assert!(files.names().iter().filter(|n| n.starts_with("ori/")).all(|n| n.ends_with(".ori")));
 }
 
+/// The folders of the clusters, in rank order.
+fn folders(fixture: &Fixture) -> Vec<String> {
+    fixture.clusters.iter().map(|c| format!("clusters/{:08}", fixture.scene.view(c.key).image_id)).collect()
+}
+
 #[test]
 fn sure_list_order_is_correspondence() {
-    let files = Fixture::new(3).export("sure");
-    for folder in ["", "clusters/0002/"] {
+    let fixture = Fixture::new(3);
+    let files = fixture.export("sure");
+    for folder in ["", &format!("{}/", folders(&fixture)[1])] {
         let stem = |path: &&str| path.rsplit('/').next().unwrap().rsplit_once('.').unwrap().0.to_owned();
         let images: Vec<String> = files.lines(&format!("{folder}images.txt")).iter().map(stem).collect();
         let orientations: Vec<String> = files.lines(&format!("{folder}ori.txt")).iter().map(stem).collect();
@@ -64,12 +70,14 @@ fn one_project_per_cluster_has_its_images_and_its_base_image_only() {
     let files = fixture.export("sure");
     for (i, (key, partners)) in fixture.named().iter().enumerate() {
         let flat = |name: &String| name.replace('/', "_");
-        let folder = format!("clusters/{:04}", i + 1);
+        let folder = &folders(&fixture)[i];
         let wanted: Vec<String> =
             std::iter::once(key).chain(partners).map(|n| format!("../../images/{}", flat(n))).collect();
         assert_eq!(files.lines(&format!("{folder}/images.txt")), wanted);
         assert_eq!(files.lines(&format!("{folder}/baseImages.txt")), [flat(key).replace(".jpg", "")]);
-        assert!(files.0.record.commands[2 * i].contains(&format!("-basepath {folder} ")));
+        let project = folder.replace("clusters", "projects");
+        let prepare = &files.0.record.commands[2 * i];
+        assert!(prepare.contains(&format!("-basepath {project} ")) && prepare.contains(&format!("-img {folder}/")));
         assert!(files.0.record.commands[2 * i].contains("-maxmodels 3"));
     }
     let keys: Vec<String> = fixture.named().iter().map(|(k, _)| k.replace('/', "_").replace(".jpg", "")).collect();
@@ -155,9 +163,12 @@ fn the_batch_file_tries_every_cluster_and_ends_with_what_became_of_them() {
     assert_eq!(lines[..3], ["@echo off", "cd /d \"%~dp0\"", "set failed=0"]);
     for (i, line) in lines[3..lines.len() - 1].iter().enumerate() {
         let (calls, otherwise) = line.split_once(" || ").unwrap();
-        let folder = format!("clusters\\{:04}", i + 1);
+        let folder = folders(&fixture)[i].replace("clusters/", "projects\\");
         let calls: Vec<&str> = calls.split(" && ").collect();
-        assert!(calls.len() == 2 && calls.iter().all(|c| c.starts_with(&format!("sure.exe -basepath {folder}"))));
+        assert_eq!((calls.len(), calls[0]), (3, &*format!("(if not exist {folder} mkdir {folder})")));
+        assert!(
+            calls[1..].iter().all(|c| c.starts_with(&format!("sure.exe -basepath {folder} ")) || c.ends_with(&folder))
+        );
         assert!(otherwise.starts_with("(echo error: ") && otherwise.ends_with(" & set failed=1)"));
     }
     assert_eq!((lines.len(), lines[lines.len() - 1]), (3 + 4 + 1, "exit /b %failed%"));

@@ -6,6 +6,7 @@ import shlex
 import shutil
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -427,12 +428,27 @@ def test_alicevision_nmodmap_is_kept(alice):
 
 def test_sure_tries_every_cluster(work):
     sure = work("sure", {"sure": FAILING})
-    done, calls = sure.run(FAIL="clusters/0001")
+    first, *others = lists = sorted(path.name for path in (sure.folder / "clusters").iterdir())
+    done, calls = sure.run(FAIL=f"projects/{first}")
     assert done.returncode == 1 and len(calls) == 2 * len(sure.targets()) - 1
     done, calls = sure.run()
-    assert done.returncode == 0 and len(calls) == 2 and "clusters/0001" in calls[0]
-    sure.export(3)
-    assert len(sure.run()[1]) == 2 * len(sure.targets()), "its folders are numbered by rank"
+    assert done.returncode == 0 and len(calls) == 2 and f"projects/{first}" in calls[0]
+    # Products of another size, or of views that are no key views now, are not joined with the new ones.
+    for name in lists:
+        (sure.folder / "projects" / name / "points.las").write_text("full size")
+    sure.export("sizes")
+    planned = {path.name for path in (sure.folder / "clusters").iterdir()}
+    assert 2 * len(planned - set(lists) | {name for name in lists if name in planned and not same(sure, name)}) == len(sure.run()[1])
+    assert {path.name for path in (sure.folder / "projects").iterdir()} == planned and not sure.run()[1]
+    kept = {path.parent.name for path in (sure.folder / "projects").glob("*/points.las")}
+    assert kept and kept == {name for name in lists if name in planned and same(sure, name)}
+    assert {path.parent.name for path in (sure.folder / "older").glob("*/points.las")} == set(lists) - kept
+
+
+def same(sure, name):
+    """Whether the plan still has the project of this name at full size."""
+    (prepare,) = [line for line in (sure.folder / "run.sh").read_text().splitlines() if f"-basepath projects/{name} " in line]
+    return "-pyr 0 " in prepare
 
 
 def test_micmac_tries_every_cluster(work, tmp_path):
@@ -441,7 +457,7 @@ def test_micmac_tries_every_cluster(work, tmp_path):
     (tmp_path / "Ori-a/Orientation-a.xml").write_text("<x/>")
     first = micmac.targets()[0]
     done, calls = micmac.run(tmp_path / "Ori-a", FAIL=first)
-    assert done.returncode == 1 and len(calls) == len(micmac.targets()) and f"{micmac.targets()[0]} failed" in done.stderr
+    assert done.returncode == 1 and len(calls) == len(micmac.targets()) and f"{Path(first).stem} failed" in done.stderr
     done, calls = micmac.run(tmp_path / "Ori-a")
     assert done.returncode == 0 and len(calls) == 1 and first in calls[0]
     (tmp_path / "Ori-a/Orientation-a.xml").write_text("<y/>")
