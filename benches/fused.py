@@ -65,7 +65,7 @@ class Mve(Bench):
 
     def fuse(self, plan, scale):
         """Points of the first maps, n x 3. Key views have the ids 0, 1, ... in the order of the plan that was matched."""
-        folder, cloud = self.maps(scale), (self.args.work / "joined.ply").resolve()
+        folder, cloud = self.maps(scale), (self.work / "joined.ply").resolve()
         (level,) = [command.split()[1] for command in json.loads((folder / "export.json").read_text())["commands"] if command.startswith("scene2pset")]
         ids = ",".join(map(str, range(plan["cut"]["clusters"])))
         command = [self.args.mve.resolve() / "scene2pset", level, f"-v{ids}", ".", cloud]

@@ -8,7 +8,7 @@ work of the default plan: the plan at full size, mixed plans, the whole plan at 
 by itself of all images at half size, with its own partners, passes and fusion. The reference is the cloud of all maps at full
 size; OpenMVS's without points that fewer than three of them agree on (sgm keeps a depth only where two of its own pairs agree). It is divided into cells of 2 g_d, where g_d is that of the place (method 3.6): 1.25 times the finest GSD of the
 images in which it lies, in steps of octaves; so cells are about equally many pixels. With --gsd, plans are made for that wanted GSD, which is g_d
-everywhere (a work folder of its own: other partners, other maps):
+everywhere:
 
     covered    share of its cells with a point within 2 g_d
     right      share of its cells where the median offset of the points from its local plane is at most g_d
@@ -16,7 +16,8 @@ everywhere (a work folder of its own: other partners, other maps):
     error      median of those offsets over the cells, in g_d
     work       CPU seconds of the maps over those of all maps at full size
 
-Needs numpy, scipy and pycolmap, with sgm its requirements. Runs resume: maps that are there are kept. WORK_FOLDER/rows.json is for sizes_curves.py.
+Needs numpy, scipy and pycolmap, with sgm its requirements. Runs resume: each matcher, size and wanted GSD has a folder in WORK_FOLDER, where maps are kept; its
+rows.json is for sizes_curves.py.
 """
 
 import argparse
@@ -39,7 +40,7 @@ TIMES = (0.5, 1.0, 1.5)
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("project", type=Path, help="COLMAP project with images/ and sparse/")
-    parser.add_argument("work", type=Path, help="folder for maps and clouds")
+    parser.add_argument("work", type=Path, metavar="work_folder", help="folder for maps and clouds")
     parser.add_argument("--matcher", choices=("openmvs", "sgm"), default="openmvs")
     parser.add_argument("--image-scale", type=float, default=0.5)
     parser.add_argument("--gsd", type=float, help="wanted GSD, scene units")
@@ -85,7 +86,7 @@ def main():
     if args.matcher == "openmvs":
         seconds, cloud = bench.alone()
         show("OpenMVS alone, half size", "", (0, maps), 100 * seconds / (maps * cost[1.0]), reference.score(cloud))
-    (bench.args.work / "rows.json").write_text(json.dumps(rows, indent=1))
+    (bench.work / "rows.json").write_text(json.dumps(rows, indent=1))
 
 
 class Bench:
@@ -93,7 +94,8 @@ class Bench:
 
     def __init__(self, args):
         self.args = args
-        self.project = args.work / "project"
+        self.work = args.work / "-".join([args.matcher, f"{args.image_scale:g}", *([f"gsd-{args.gsd:g}"] if args.gsd else [])])
+        self.project = self.work / "project"
         if not self.project.exists():
             self.project.mkdir(parents=True)
             shutil.copytree(args.project / "sparse", self.project / "sparse")
@@ -110,11 +112,11 @@ class Bench:
         return json.loads((self.project / "viewrank/manifest.json").read_text())
 
     def maps(self, scale):
-        return self.args.work / f"maps-{scale:g}"
+        return self.work / f"maps-{scale:g}"
 
     def match(self, plan, scale):
         """CPU seconds per map of the size; matches all of them once."""
-        note = self.args.work / f"seconds-{scale:g}.json"
+        note = self.work / f"seconds-{scale:g}.json"
         if not note.exists():
             before = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime
             self.match_all(plan, scale)
@@ -165,7 +167,7 @@ class OpenMvs(Bench):
 
     def alone(self):
         """CPU seconds and the cloud of OpenMVS alone on all images at half size."""
-        folder = self.args.work / "plain"
+        folder = self.work / "plain"
         note = folder / "seconds.json"
         if not note.exists():
             shutil.rmtree(folder, ignore_errors=True)
@@ -182,16 +184,16 @@ class OpenMvs(Bench):
             note.write_text(json.dumps(resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime - before))
         return json.loads(note.read_text()), read_cloud(folder / "scene_dense.ply")
 
-    def reference(self, every):
-        return self.fuse(every, 1.0, agreeing=3)
-
     def references(self, every):
         """The cloud of all maps, and that where three agree."""
         return [self.fuse(every, 1.0, agreeing=maps) for maps in (1, 3)]
 
+    def reference(self, every):
+        return self.fuse(every, 1.0, agreeing=3)
+
     def fuse(self, plan, scale=None, agreeing=1):
         """Points of the cloud of the plan's maps, n x 3, of those that were matched above; where so many of them agree."""
-        folder = self.args.work / "fused"
+        folder = self.work / "fused"
         self.export(folder, scale)
         rows = {scale: {row["key"]: row for row in json.loads((self.maps(scale) / "report.json").read_text())["clusters"]} for scale in ({scale} if scale else {1.0, 0.5})}
         report, keys = [], {cluster["key"] for cluster in plan["clusters"]}
@@ -209,11 +211,13 @@ class Sgm(Bench):
     def run(self, verb, out, plan, scale, *options):
         """One verb of sgm.py on the clusters of the plan, all at one size if given."""
         clusters = [{**cluster, "scale": scale or cluster["scale"]} for cluster in plan["clusters"]]
-        manifest = self.args.work / "clusters.json"
+        manifest = self.work / "clusters.json"
         manifest.write_text(json.dumps({**plan, "clusters": clusters, "cut": {**plan["cut"], "clusters": min(plan["cut"]["clusters"], len(clusters))}}))
         script = Path(__file__).resolve().parents[1] / "integrations/sgm/sgm.py"
         command = [sys.executable, script, verb, self.project, "--clusters", manifest, "--out", out, "--image-scale", str(self.args.image_scale), *options]
-        subprocess.run(command, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        done = subprocess.run(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+        if done.returncode:
+            sys.exit(done.stderr)
 
     def match_all(self, plan, scale):
         self.run("match", self.maps(scale), plan, scale)
@@ -223,7 +227,7 @@ class Sgm(Bench):
 
     def fuse(self, plan, scale=None):
         """Points of the cloud of the plan's maps, n x 3, of those that were matched above."""
-        folder = self.args.work / "fused"
+        folder = self.work / "fused"
         shutil.rmtree(folder, ignore_errors=True)
         for cluster in plan["clusters"][: plan["cut"]["clusters"]]:
             path = folder / f"depth_maps/{cluster['key']}.npy"

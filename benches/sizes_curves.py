@@ -1,9 +1,9 @@
 #!/usr/bin/env python3
 """Draws what benches/sizes.py has measured: cells covered over work, a panel per set.
 
-    benches/sizes_curves.py WORK_FOLDER... > docs/pictures/sizes.svg
+    benches/sizes_curves.py WORK_FOLDER/openmvs-0.5 ... > docs/pictures/sizes.svg
 
-Each folder is named like its set.
+The folders that hold rows.json; each WORK_FOLDER is named like its set.
 """
 
 import json
@@ -19,7 +19,7 @@ def main():
     folders = [Path(folder) for folder in sys.argv[1:]]
     if not folders:
         sys.exit(__doc__)
-    panels = [panel(folder.resolve().name, json.loads((folder / "rows.json").read_text())) for folder in folders]
+    panels = [panel(folder.resolve().parent.name, json.loads((folder / "rows.json").read_text())) for folder in folders]
     columns = min(3, len(panels))
     lines = -(-len(panels) // columns)
     place = lambda i: f"translate({LEFT + i % columns * (WIDTH + GAP)} {TOP + i // columns * (HEIGHT + GAP + 10)})"  # noqa: E731

@@ -15,14 +15,16 @@ use viewrank::{
 };
 
 /// Targets with valid contents.
-pub const INPUTS: [(&str, &[u8]); 14] = [
+pub const INPUTS: [(&str, &[u8]); 16] = [
     ("map.geometric.bin", include_bytes!("../fixtures/depthmaps/depth_maps/IMG_9394.jpg.geometric.bin")),
     ("map.pfm", include_bytes!("../fixtures/depthmaps/00000003.pfm")),
     ("map.npy", include_bytes!("../fixtures/depthmaps/IMG_9394.jpg.npy")),
     ("map.dmb", DMB),
     ("map.mvei", include_bytes!("../fixtures/depthmaps/view_00000068.mve/depth-L3.mvei")),
     ("map.exr", include_bytes!("../fixtures/depthmaps/40_depthMap.exr")),
-    ("map.nuage.xml", include_bytes!("../fixtures/depthmaps/MM-Malt-Img-IMG_9394/MMLastNuage.xml")),
+    ("map.nuage.xml", CLOUD),
+    ("map.nuage.depth.tif", DEPTH_IMAGE),
+    ("map.nuage.mask.tif", MASK),
     ("map.dmap", include_bytes!("../fixtures/depthmaps/depth0040.dmap")),
     ("baseline.jpg", include_bytes!("../fixtures/pictures/baseline.jpg")),
     ("progressive.jpg", include_bytes!("../fixtures/pictures/progressive.jpg")),
@@ -32,7 +34,8 @@ pub const INPUTS: [(&str, &[u8]); 14] = [
     ("viewrank.toml", SETTINGS),
 ];
 
-/// The images that the cloud of MicMac describes.
+/// A cloud of MicMac and the images that it describes.
+const CLOUD: &[u8] = include_bytes!("../fixtures/depthmaps/MM-Malt-Img-IMG_9394/MMLastNuage.xml");
 const DEPTH_IMAGE: &[u8] = include_bytes!("../fixtures/depthmaps/MM-Malt-Img-IMG_9394/Z_Num8_DeZoom1_STD-MALT.tif");
 const MASK: &[u8] = include_bytes!("../fixtures/depthmaps/MM-Malt-Img-IMG_9394/AutoMask_STD-MALT_Num_7.tif");
 
@@ -79,11 +82,16 @@ fn read_map(target: &str, data: &[u8]) -> bool {
         "map.dmb" => DepthMapFormat::Dmb,
         "map.mvei" => DepthMapFormat::Mve,
         "map.exr" => DepthMapFormat::AliceVision,
-        "map.nuage.xml" => DepthMapFormat::MicMac,
+        _ if target.starts_with("map.nuage.") => DepthMapFormat::MicMac,
         _ => DepthMapFormat::OpenMvs,
     };
-    let beside = |name: &str| Ok(if name.contains("Mask") { MASK } else { DEPTH_IMAGE }.to_vec());
-    let Ok(map) = parse(data, format, &beside) else { return false };
+    let file = |name: &str, there| if name == target { data } else { there };
+    let beside = |name: &str| {
+        let is_mask = name.contains("Mask");
+        Ok(if is_mask { file("map.nuage.mask.tif", MASK) } else { file("map.nuage.depth.tif", DEPTH_IMAGE) }.to_vec())
+    };
+    let described = if target.ends_with(".tif") { CLOUD } else { data };
+    let Ok(map) = parse(described, format, &beside) else { return false };
     assert_eq!(map.depth.len(), map.width as usize * map.height as usize);
     assert!(map.depth.iter().all(|z| z.is_finite() && *z >= 0.0));
     true

@@ -82,12 +82,10 @@ pub struct ExportedView {
     pub target: String,
 }
 
-/// Returns the part of the plan that is not honoured if key views are planned at half the size, for a program that matches all at one size.
-pub(super) fn at_full_size(selection: &Selection) -> Vec<String> {
-    match selection.clusters.iter().filter(|cluster| cluster.scale == MapScale::Half).count() {
-        0 => Vec::new(),
-        n => vec![format!("the size of {n} key views that are planned at half the size and matched at full size")],
-    }
+/// Returns a warning if key views are planned at half the size, for a program that matches all at one size.
+pub(super) fn at_full_size(selection: &Selection) -> Option<String> {
+    let half = selection.clusters.iter().filter(|cluster| cluster.scale == MapScale::Half).count();
+    (half > 0).then(|| format!("{half} key views that are planned at half the size are matched at full size"))
 }
 
 impl ExportRecord {
@@ -107,7 +105,6 @@ impl ExportRecord {
         let faults = selection.image_faults.among(&selection.views());
         Self {
             backend: backend.name.into(),
-            not_honoured: if backend.mixes_sizes { Vec::new() } else { at_full_size(selection) },
             key_maps: selection.clusters.len(),
             image_scale: selection.image_scale,
             scale: 1.0,
@@ -117,6 +114,7 @@ impl ExportRecord {
                 .chain(faults.warnings(selection.project, selection.scene))
                 .chain(without_images(selection, &faults.missing))
                 .chain(other_kind(backend, selection))
+                .chain(at_full_size(selection).filter(|_| !backend.mixes_sizes))
                 .collect(),
             ..Self::default()
         }

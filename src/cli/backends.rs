@@ -26,6 +26,8 @@ struct Entry {
     capabilities: Capabilities,
     planning: PlanningNumbers,
     options: &'static [&'static str],
+    /// Sizes of depth maps that it can mix, over that of the plan (`ranking.scales`).
+    scales: &'static [f64],
     #[serde(skip)]
     matches: bool,
 }
@@ -37,6 +39,7 @@ impl Entry {
             capabilities: backend.capabilities,
             planning: backend.planning,
             options: backend.options,
+            scales: if backend.mixes_sizes { &[1.0, 0.5] } else { &[1.0] },
             matches: backend.use_of_views.is_none(),
         }
     }
@@ -111,6 +114,7 @@ fn details(entry: &Entry) -> String {
     add("exactly the given partners", word(c.partners));
     add("only the key views", word(c.key_subset));
     add("rank order", word(c.order));
+    add("scales of depth maps", if entry.scales.len() > 1 { "1 and 0.5 (viewrank plan --scales)" } else { "1" });
     add("fusion", c.fusion);
     add("notes", c.notes);
     let scale = match p.gate.max_scale_octaves {
@@ -132,6 +136,8 @@ fn details(entry: &Entry) -> String {
     add("geometric confidence", &confidence);
     let Photometric { agree, differ, full_agreement } = p.photometric;
     add("photometric", &format!("agree {agree}, differ {differ}, full_agreement {full_agreement}"));
+    let work = format!("{} + Mpx ({} + partners), in Mpx matched with one partner", p.work.fixed, p.work.per_map);
+    add("work of a depth map", &work);
     add("support", &format!("{} {}", p.support, if entry.matches { "depth maps" } else { "images" }));
     add("source", p.source);
     if !entry.options.is_empty() {
@@ -168,6 +174,17 @@ mod tests {
         let long = |text: &str| text.lines().find(|line| line.chars().count() > 80).map(str::to_owned);
         assert_eq!(long(&table(&entries)), None);
         assert_eq!(entries.iter().find_map(|entry| long(&details(entry))), None);
+    }
+
+    #[test]
+    fn the_documentation_names_the_backends_that_mix_sizes() {
+        let numbers = include_str!("../../docs/numbers.md");
+        let (_, list) = numbers.split_once("With `--scales 1,0.5` (backends ").expect("the list");
+        let (list, _) = list.split_once(')').expect("its end");
+        let named: Vec<&str> = list.split('`').skip(1).step_by(2).collect();
+        let mut expected: Vec<&str> = backends::BACKENDS.iter().filter(|b| b.mixes_sizes).map(|b| b.name).collect();
+        expected.sort_by_key(|name| named.iter().position(|n| n == name));
+        assert_eq!(named, expected);
     }
 
     #[test]

@@ -38,7 +38,8 @@ pub struct Arguments {
     #[arg(required = true, value_name = "PROJECT", value_parser = super::arguments::project())]
     projects: Vec<PathBuf>,
 
-    /// Depth maps to learn from: colmap, openmvs, mvsnet, acmm, sgm, or a folder in each project
+    /// Depth maps to learn from: colmap, openmvs, mvsnet, patchmatchnet, acmm, gipuma, mve, alicevision, micmac, sgm, or a folder
+    /// in each project
     #[arg(long, value_name = "KIND|DIR")]
     depth_maps: String,
     /// File to write the settings to; it must not exist [default: print only]

@@ -73,8 +73,7 @@ fn no_utm_coordinates(stages: &Stages) -> Option<String> {
 fn one_size(stages: &Stages) -> Option<String> {
     stages.refused_half.then(|| {
         format!(
-            "{} matches all key views at one size: ranking.scales counts as [1] (openmvs, colmap, sgm, mve, patchmatchnet and sure \
-             can do both)",
+            "{} matches all key views at one size: ranking.scales counts as [1] (`viewrank backends NAME` says which programs match at two)",
             stages.backend
         )
     })

@@ -200,7 +200,7 @@ impl Passes {
         );
         record.not_honoured.push("the order of the partners of a key view".into());
         if self.geometric {
-            record.not_honoured.extend(at_full_size(selection));
+            record.warnings.extend(at_full_size(selection));
         }
         record.key_maps = selection.clusters.iter().filter(|c| last.contains(selection.scene.name(c.key))).count();
         record.other_maps = maps - record.key_maps.min(maps);
