@@ -232,7 +232,8 @@ const PATCH_MATCH: PlanningNumbers = PlanningNumbers {
     support: 2,
     work: openmvs::WORK,
     measured: "no: openmvs's",
-    source: "not measured: the numbers of OpenMVS, another PatchMatch (method 7.1, 7.2); support 2: depth maps are joined where they agree",
+    source: "not measured: gate and geometric confidence of OpenMVS, agreement of COLMAP, other PatchMatches (method 7.1, 7.2, 7.4); support 2: depth \
+             maps are joined where they agree",
 };
 
 /// Commands by which tasks of a queue compute the clusters of an export (`viewrank dispatch`).

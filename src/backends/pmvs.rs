@@ -29,7 +29,7 @@ pub static BACKEND: Backend = Backend {
     },
     planning: PlanningNumbers {
         support: 1,
-        source: "not measured: the numbers of OpenMVS, also a PatchMatch; support 1: patches are not checked against depth maps",
+        source: "not measured: the numbers of OpenMVS and COLMAP, also a PatchMatch; support 1: patches are not checked against depth maps",
         ..PATCH_MATCH
     },
     options: &[],
