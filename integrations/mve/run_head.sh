@@ -22,6 +22,16 @@ back() {
     rm -f "$view"/*-L*
     mkdir -p done && cp "$kept"/*-L* "$view" && cp "$kept/recipe" "done/$1" && rm -rf "$kept"
 }
+for view in views/*.mve; do
+    name=${view#views/} name=${name%.mve}
+    case " $keys " in
+    *" $name "*) continue ;;
+    esac
+    if [ -f "done/$name" ]; then
+        set_aside
+        rm -f "$view"/*-L* "done/$name"
+    fi
+done
 # The depth map of a key view, not the one of before: FOLDER BUNDLE OPTIONS
 map() {
     view=views/$1 bundle=bundles/$2 kept=older/${1%.mve}.maps

@@ -2,14 +2,15 @@
 """Writes fuse/, what the fusion reads: pair.txt, which is pair_fuse.txt with only those key views whose maps in depths/ are complete (the fusion opens
 the maps of every view in it), cams/, images/, and the maps with their confidences.
 
-The fusion takes one size for all: maps of the plan's other size (sizes.txt) are resized, those of any other, of an earlier plan, are left out. Run it
-again whenever more maps are finished."""
+The fusion takes one size for all: maps of the plan's other size (sizes.txt) are resized. Those of any other, of an earlier plan, are left out, and so are
+those whose camera has changed since this script first saw them (fuse/seen.json). Run it again whenever more maps are finished."""
 import os
 import sys
 
 # The folder may be a stranger's: a json.py that he put there is not imported.
 sys.path[:] = [path for path in sys.path if os.path.realpath(path) != os.path.dirname(os.path.realpath(__file__))]
 
+import json
 from array import array
 from pathlib import Path
 
@@ -26,11 +27,11 @@ def opened(path):
 
 
 def size_of(path):
-    """Width and height of a PFM with all its pixels, else None: a run that was stopped may leave half of one."""
+    """Width and height of a PFM of one channel with all its pixels, else None: a run that was stopped may leave half of one."""
     try:
         file, channels, (width, height) = opened(path)
         with file:
-            is_complete = path.stat().st_size - file.tell() == 4 * channels * width * height
+            is_complete = channels == 1 and path.stat().st_size - file.tell() == 4 * width * height
     except (OSError, ValueError):
         return None
     return (width, height) if is_complete else None
@@ -43,7 +44,8 @@ def finished_size(view):
 
 
 def resize(path, to, wide, high):
-    """Writes the map with the nearest pixel at each place: of one channel, 32-bit floats, the lowest row first."""
+    """Writes the map with the nearest pixel at each place, the lowest row first. The copy has the time of the map, by which it is known to be its copy."""
+    times = path.stat()
     file, _, (width, height) = opened(path)
     with file:
         start = file.tell()
@@ -57,7 +59,18 @@ def resize(path, to, wide, high):
         file.write(b"Pf\n%d %d\n%s\n" % (wide, high, scale))
         for row in origins:
             array("f", [rows[row][x] for x in columns]).tofile(file)
+    os.utime(f"{to}.part", ns=(times.st_atime_ns, times.st_mtime_ns))
     os.replace(f"{to}.part", to)
+
+
+def link(to, target):
+    """Links to a folder or file of the export. What somebody else has put there stays."""
+    if to.is_symlink():
+        to.unlink()
+    elif to.is_dir():
+        sys.exit(f"error: {to} is a folder, not the link that this script makes: move it away")
+    to.unlink(missing_ok=True)
+    to.symlink_to(target)
 
 
 def place(view, size):
@@ -67,15 +80,31 @@ def place(view, size):
         to.parent.mkdir(parents=True, exist_ok=True)
         wanted = sizes[view][0]
         if size == wanted:
-            if not to.is_symlink():
-                to.unlink(missing_ok=True)
-                to.symlink_to(f"../../depths/{kind}/{path.name}")
+            link(to, f"../../depths/{kind}/{path.name}")
             continue
         if to.is_symlink():
             to.unlink()
-        is_current = to.exists() and to.stat().st_mtime_ns >= path.stat().st_mtime_ns and size_of(to) == wanted
+        is_current = to.exists() and to.stat().st_mtime_ns == path.stat().st_mtime_ns and size_of(to) == wanted
         if not is_current:
             resize(path, to, *wanted)
+
+
+def seen_now(view):
+    """The time of a map, and the camera that it has now."""
+    camera = (folder / f"cams/{int(view):08}_cam.txt").read_text()
+    return [(folder / f"depths/depth_est/{int(view):08}.pfm").stat().st_mtime_ns, camera]
+
+
+def seen_before():
+    try:
+        return dict(json.loads((fuse / "seen.json").read_text()))
+    except (OSError, ValueError):
+        return {}
+
+
+def write(path, text):
+    Path(f"{path}.part").write_text(text)
+    os.replace(f"{path}.part", path)
 
 
 def named(views):
@@ -83,6 +112,10 @@ def named(views):
     return names if len(views) <= 5 else f"{names} and {len(views) - 5} more"
 
 
+if not (folder / "sizes.txt").exists():
+    sys.exit("error: sizes.txt is missing: export again")
+fuse = folder / "fuse"
+fuse.mkdir(exist_ok=True)
 # Of each key view the size in which its map is fused, then the other.
 sizes = {}
 for view, *sides in map(str.split, (folder / "sizes.txt").read_text().splitlines()):
@@ -91,23 +124,29 @@ for view, *sides in map(str.split, (folder / "sizes.txt").read_text().splitlines
 lines = (folder / "pair_fuse.txt").read_text().splitlines()[1:]
 lists = {key: line.split()[1:] for key, line in zip(lines[::2], lines[1::2])}
 found = {key: size for key in lists for size in [finished_size(key)] if size}
-finished = {key: size for key, size in found.items() if size in sizes[key]}
-strange = [key for key in found if key not in finished]
-if strange:
-    print(f"left out: maps that have no size of this plan, of views {named(strange)}; the first commands compute them again", file=sys.stderr)
+before = seen_before()
+now = {key: seen_now(key) for key in found}
+# Of a map that is the same file as before, the camera of that time.
+seen = {**before, **{key: before[key] if key in before and before[key][0] == now[key][0] else now[key] for key in found}}
+moved = [key for key in found if seen[key] != now[key]]
+strange = [key for key in found if found[key] not in sizes[key]]
+for left_out, what in ((strange, "that have no size of this plan"), (moved, "whose cameras have changed")):
+    if left_out:
+        print(f"left out: maps {what}, of views {named(left_out)}; the first commands compute them again", file=sys.stderr)
+finished = {key: size for key, size in found.items() if key not in strange + moved}
+write(fuse / "seen.json", json.dumps(seen))
 entries = []
 for key in lists:
     pairs = [pair for pair in zip(lists[key][::2], lists[key][1::2]) if pair[0] in finished]
     if key in finished and pairs:
         entries.append(f"{key}\n{len(pairs)} {' '.join(' '.join(pair) for pair in pairs)}\n")
+count = f"{len(finished)} of {len(lists)} key views have maps of this plan"
 if not entries:
-    sys.exit(f"error: {len(finished)} of {len(lists)} key views have maps in depths/, and no two of them share points: nothing to join")
+    sys.exit(f"error: {count} in depths/{', and no two of them share points' if finished else ''}: nothing to join")
 for view, size in finished.items():
     place(view, size)
-fuse = folder / "fuse"
 for name in ("cams", "images"):
-    if not (fuse / name).exists():
-        (fuse / name).symlink_to(f"../{name}")
-(fuse / "pair.txt.part").write_text(f"{len(entries)}\n" + "".join(entries))
-os.replace(fuse / "pair.txt.part", fuse / "pair.txt")
-print(f"{len(finished)} of {len(lists)} key views have maps, {len(entries)} of them another that shows the same: fuse/pair.txt")
+    link(fuse / name, f"../{name}")
+write(fuse / "pair.txt", f"{len(entries)}\n" + "".join(entries))
+resized = sum(size != sizes[view][0] for view, size in finished.items())
+print(f"{count}{f', {resized} of them resized' if resized else ''}; {len(entries)} have another that shows the same: fuse/pair.txt")

@@ -3,6 +3,7 @@
 Maps are added one after the other, so that memory follows the cloud and not the maps.
 """
 
+import sys
 from dataclasses import dataclass
 
 import cv2
@@ -83,21 +84,26 @@ def colours_of(workspace, view, depth):
 
 
 def fuse(workspaces, clusters, out):
-    """Writes OUT/fused.ply of the maps that are there; returns the number of maps and of points. `workspaces`: one for each size."""
+    """Writes OUT/fused.ply of the maps that are there and have their planned size; returns the number of maps and of points. `workspaces`: one for each size."""
     workspace = workspaces[1.0]
     middle = np.median(workspace.xyz, axis=0) if len(workspace.xyz) else np.zeros(3)
-    cells, maps = Cells(middle, workspace.gsd()), 0
+    cells, maps, strange = Cells(middle, workspace.gsd()), 0, []
     for key, _, size in clusters:
         path, view = out / "depth_maps" / f"{key}.npy", workspaces[size].views[key]
         if not path.is_file():
             continue
         depth = np.load(path)
         if depth.shape != view.size[::-1]:
-            raise InputError(f"{path} is {depth.shape[1]} x {depth.shape[0]}, and the key view is matched at {view.size[0]} x {view.size[1]}: give the --image-scale it was made with")
+            strange.append(f"{path} is {depth.shape[1]} x {depth.shape[0]}, and the key view is matched at {view.size[0]} x {view.size[1]}")
+            continue
         cells.add(points_of(view, depth), colours_of(workspace, view, depth))
         maps += 1
+    if strange and not maps:
+        raise InputError(f"{strange[0]}: give the --image-scale it was made with")
     if not maps:
         raise InputError(f"no depth maps of these clusters in {out}: run match first")
+    if strange:
+        print(f"left out {len(strange)} maps of another size: {strange[0]}", file=sys.stderr)
     vertices = cells.vertices()
     write_ply(out / "fused.ply", vertices)
     return maps, len(vertices)

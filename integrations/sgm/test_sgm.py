@@ -465,7 +465,7 @@ def test_the_fixture_is_measured(tmp_path):
     assert np.median(np.abs(depth[y, x] / z - 1)[found]) < 0.003
 
 
-def test_the_fused_cloud_is_the_plane_in_cells_of_one_pixel(planes, tmp_path):
+def test_the_fused_cloud_is_the_plane_in_cells_of_one_pixel(planes, tmp_path, capsys):
     clusters = write_clusters(tmp_path / "clusters.txt", ("key.png", *SIDES), (SIDES[0], "key.png", SIDES[1]), (SIDES[1], "key.png", SIDES[0]))
     run(planes, tmp_path / "out", clusters, "--stop-at", "2")
     command = ["fuse", str(planes), "--out", str(tmp_path / "out"), "--clusters", str(clusters)]
@@ -481,6 +481,11 @@ def test_the_fused_cloud_is_the_plane_in_cells_of_one_pixel(planes, tmp_path):
     assert (vertices["red"] == vertices["green"]).all() and vertices["red"].std() > 10, "the texture is grey"
     sgm.main(command)
     assert (tmp_path / "out/fused.ply").read_bytes() == cloud
+    other = tmp_path / f"out/depth_maps/{SIDES[0]}.npy"
+    np.save(other, np.load(other)[::2, ::2])
+    sgm.main(command)
+    assert "left out 1 maps of another size" in capsys.readouterr().err
+    assert 0 < (tmp_path / "out/fused.ply").stat().st_size < len(cloud)
     with pytest.raises(SystemExit, match="no depth maps of these clusters"):
         sgm.main([*command[:3], str(tmp_path / "empty"), *command[4:]])
 

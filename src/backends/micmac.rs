@@ -1,6 +1,8 @@
 //! MicMac: `docs/backends.md` 7. Read, not run. `pairs.xml` is a pair file for C3DC, PIMs and MMByP; `ImSec/` names the secondary images of each
 //! master for Malt GeomImage, one call per key view. Orientations stay those of the user's own `Ori-` folder.
 
+use std::collections::BTreeMap;
+
 use super::{
     Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord, Honours, PATCH_MATCH,
     Selection, Trap,
@@ -31,13 +33,16 @@ pub static BACKEND: Backend = Backend {
 };
 
 fn traps(patient: &ExaminedProject) -> Vec<Trap> {
-    patient.bad_names("micmac-name", check_name).into_iter().collect()
+    let same = "the same folder to MicMac, which names it without the extension";
+    let same = patient.same_names("micmac-same-stem", same, |name| stem(name).to_owned());
+    patient.bad_names("micmac-name", check_name).into_iter().chain(same).collect()
 }
 
 fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, BackendError> {
     for view in selection.views() {
         check_name(selection.scene.name(view))?;
     }
+    check_stems(selection)?;
     let images = selection.images(BACKEND.name)?;
     let mut files = options.file_set(&BACKEND, selection);
     for view in selection.views() {
@@ -80,6 +85,24 @@ fn check_name(name: &str) -> Result<(), BackendError> {
     Err(BackendError::Name { backend: "micmac", name: name.into(), why: why.into() })
 }
 
+/// Refuses key views that differ in the extension alone: their maps would be in one folder.
+fn check_stems(selection: &Selection) -> Result<(), BackendError> {
+    let mut keys = BTreeMap::new();
+    for cluster in selection.clusters {
+        let name = selection.scene.name(cluster.key);
+        if let Some(other) = keys.insert(stem(name), name) {
+            let why =
+                format!("without the extension, by which MicMac names the folder of a map, it is the same as {other}");
+            return Err(BackendError::Name { backend: "micmac", name: name.into(), why });
+        }
+    }
+    Ok(())
+}
+
+fn stem(name: &str) -> &str {
+    name.rsplit_once('.').map_or(name, |(stem, _)| stem)
+}
+
 fn pair_file(selection: &Selection) -> String {
     let mut xml = String::from("<?xml version=\"1.0\" ?>\n<SauvegardeNamedRel>\n");
     for cluster in selection.clusters {
@@ -114,7 +137,7 @@ fn runner(selection: &Selection) -> Contents {
         let name = selection.scene.name(cluster.key);
         let call = format!("\"${{MM3D:-mm3d}}\" Malt GeomImage {} viewrank Master=AUTO", quoted(name));
         let recipe = recipe(selection, cluster, "") + "-$orientations";
-        let stem = name.rsplit_once('.').map_or(name, |(stem, _)| stem);
+        let stem = stem(name);
         script.cluster(stem, &recipe, &format!("MM-Malt-Img-{stem}"), &[call]);
     }
     script.finish(&[])

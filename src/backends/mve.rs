@@ -103,7 +103,9 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
 
 /// Returns `run.sh`, and adds to the record what it does.
 fn runner(selection: &Selection, record: &mut ExportRecord) -> Contents {
-    let mut script = ClusterScript::new(RUNNER_HEAD);
+    let name = |cluster: &RankedCluster| folder(selection.scene, cluster.key).trim_end_matches(".mve").to_owned();
+    let keys: Vec<String> = selection.clusters.iter().map(name).collect();
+    let mut script = ClusterScript::new(&format!("keys='{}'\n{RUNNER_HEAD}", keys.join(" ")));
     for (i, cluster) in selection.clusters.iter().enumerate() {
         let (partners, level) = (cluster.partners.len(), selection.pyramid_level(cluster.scale));
         let local = partners.min(LOCAL_NEIGHBOURS);
@@ -114,7 +116,7 @@ fn runner(selection: &Selection, record: &mut ExportRecord) -> Contents {
         let folder = folder(selection.scene, cluster.key);
         let recipe = recipe(selection, cluster, &format!("-s{level} {choice}"));
         let result = format!("views/{folder}/depth-L{level}.mvei");
-        let name = folder.trim_end_matches(".mve");
+        let name = &keys[i];
         script.line(&format!("back {name} {recipe}"));
         script.cluster(name, &recipe, &result, &[format!("map {folder} {bundle} {options}")]);
         record.commands.push(format!("cp bundles/{bundle} synth_0.out"));

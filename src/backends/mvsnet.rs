@@ -54,6 +54,8 @@ const PLANES: u32 = 192;
 const AGREEING: u32 = PATCH_MATCH.support - 1;
 /// Largest number of key views whose maps the fusion compares with one: its own lists hold every view that shares points, which takes long.
 const FUSED_WITH: usize = 24;
+/// Script with the commands of a program that joins by one of its own.
+const RUNNER: &str = "run.sh";
 /// Largest number of partners of ACMH, ACMM, ACMP and ACMMP, which use a 32-bit mask.
 const ACM_PARTNERS: usize = 32;
 
@@ -91,7 +93,7 @@ pub static PATCHMATCHNET: Backend = Backend {
     name: "patchmatchnet",
     aliases: &["patchmatch"],
     capabilities: Capabilities {
-        notes: "its own filter opens the maps of all partners: swap in pair_fuse.txt for it",
+        notes: "its own filter opens the maps of all views in its list: finished.py makes fuse/, with those that have one",
         ..CAPABILITIES
     },
     planning: PlanningNumbers {
@@ -174,16 +176,27 @@ impl Dialect {
         if !half.is_empty() {
             self.add_half(&mut files, selection, &lists, &half)?;
         }
-        let name = |(number, &view): (&u32, &ViewIndex)| format!("{number}\t{}\n", selection.scene.name(view));
-        files.add_text("view_names.txt", lists.numbers.iter().zip(&views).map(name).collect::<String>());
+        files.add_text("view_names.txt", self.view_names(selection, &lists));
+        let mut record = self.record(selection, &lists);
         if let Some(Join { script: (name, script), .. }) = self.join {
             files.add_text("sizes.txt", sizes(selection, &lists, self.fused_at(selection)));
             files.add(name, Contents::Script(script.as_bytes().to_vec()));
+            files.add(RUNNER, runner(&record.commands));
+            record.runner = Some(RUNNER.into());
         }
-        let mut record = self.record(selection, &lists);
         record.moved(near.origin);
         files.add_text("export.json", record.to_json());
         Ok(Export { files, record })
+    }
+
+    /// Numbers and names: of all views where the number is the id of the image, since maps of earlier plans may be there.
+    fn view_names(&self, selection: &Selection, lists: &Lists) -> String {
+        let scene = selection.scene;
+        let line = |number: u32, view| format!("{number}\t{}\n", scene.name(view));
+        match self.all_are_problems {
+            true => lists.numbers.iter().zip(lists.views).map(|(&number, &view)| line(number, view)).collect(),
+            false => scene.view_indices().map(|view| line(scene.view(view).image_id, view)).collect(),
+        }
     }
 
     /// Adds `half/`, the same files for the key views (positions) that are matched at half the size.
@@ -311,6 +324,13 @@ impl Dialect {
     }
 }
 
+/// Returns `run.sh`, which makes all maps and joins them.
+fn runner(commands: &[String]) -> Contents {
+    let head = "#!/bin/sh\n# Makes the depth maps and the cloud. Stopped, the last two commands join the maps that are there.\nset -eu\ncd \"$(dirname \"$0\")\"\n";
+    let lines: String = commands.iter().map(|command| format!("{command}\n")).collect();
+    Contents::Script(format!("{head}{lines}").into_bytes())
+}
+
 /// Returns for each key view a line of its number, width and height of its map in the size in which maps are fused, and the same in the other size.
 fn sizes(selection: &Selection, lists: &Lists, fused_at: MapScale) -> String {
     let scales = match fused_at {
@@ -346,9 +366,8 @@ fn at_another_size(selection: &Selection, lists: &Lists) -> Option<String> {
     };
     let other = selection.clusters.iter().filter(is_other).count();
     (other > 0).then(|| {
-        format!(
-            "planned size of {other} maps: images are reduced to one longest side, so smaller ones are reduced less"
-        )
+        let plural = if other == 1 { "" } else { "s" };
+        format!("planned size of {other} map{plural}: images are reduced to one longest side, so smaller ones are reduced less")
     })
 }
 

@@ -146,11 +146,18 @@ fn project(selection: &Selection, cluster: &RankedCluster) -> String {
 
 /// Returns `run.sh`, with two commands per cluster.
 fn shell_script(selection: &Selection, commands: &[String]) -> Contents {
-    let mut script = ClusterScript::new(include_str!("../../integrations/sure/run_head.sh"));
+    let keys: Vec<String> = selection.clusters.iter().map(|cluster| project(selection, cluster)).collect();
+    let head = include_str!("../../integrations/sure/run_head.sh");
+    let mut script = ClusterScript::new(&format!("keys='{}'\n{head}", keys.join(" ")));
     for (cluster, calls) in selection.clusters.iter().zip(commands.chunks(2)) {
         let recipe = recipe(selection, cluster, &calls.concat());
-        let calls: Vec<String> = calls.iter().map(|c| c.replacen("sure ", "\"${SURE:-sure}\" ", 1)).collect();
         let name = project(selection, cluster);
+        let call = |c: &String| {
+            let c = c.replace(&format!("mkdir -p projects/{name}"), "project");
+            c.replacen("sure ", "\"${SURE:-sure}\" ", 1)
+        };
+        let calls: Vec<String> = calls.iter().map(call).collect();
+        script.line(&format!("back {name} {recipe}"));
         script.cluster(&name, &recipe, &format!("projects/{name}"), &calls);
     }
     script.finish(&[])

@@ -114,7 +114,9 @@ fn details(entry: &Entry) -> String {
     add("exactly the given partners", word(c.partners));
     add("only the key views", word(c.key_subset));
     add("rank order", word(c.order));
-    add("scales of depth maps", if entry.scales.len() > 1 { "1 and 0.5 (viewrank plan --scales)" } else { "1" });
+    if entry.matches {
+        add("scales of depth maps", if entry.scales.len() > 1 { "1 and 0.5 (viewrank plan --scales)" } else { "1" });
+    }
     add("fusion", c.fusion);
     add("notes", c.notes);
     let scale = match p.gate.max_scale_octaves {
@@ -137,8 +139,11 @@ fn details(entry: &Entry) -> String {
     let Photometric { agree, differ, full_agreement } = p.photometric;
     add("photometric", &format!("agree {agree}, differ {differ}, full_agreement {full_agreement}"));
     let work = format!("{} + Mpx ({} + partners), in Mpx matched with one partner", p.work.fixed, p.work.per_map);
-    add("work of a depth map", &work);
-    add("support", &format!("{} {}", p.support, if entry.matches { "depth maps" } else { "images" }));
+    if entry.matches {
+        add("work of a depth map", &work);
+    }
+    let of = if entry.matches { "depth map" } else { "image" };
+    add("support", &format!("{} {of}{}", p.support, if p.support == 1 { "" } else { "s" }));
     add("source", p.source);
     if !entry.options.is_empty() {
         add("options of export", &entry.options.join(", "));

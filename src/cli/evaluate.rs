@@ -1,6 +1,7 @@
 //! `viewrank evaluate`: measures finished depth maps against the plan, a reference, and other choices.
 
 use std::{
+    collections::BTreeSet,
     fmt::Write,
     path::{Path, PathBuf},
 };
@@ -15,7 +16,7 @@ use crate::{
         output::{Contents, Disk, FileSet, refuse_to_leave},
         project::Project,
     },
-    model::cluster::ViewCluster,
+    model::{cluster::ViewCluster, scene::ViewIndex},
     plan::Plan,
 };
 use clap::Args;
@@ -137,7 +138,7 @@ fn measure(
         set.write(&Disk::REAL)?;
     }
     progress.finish();
-    warnings(&evaluation, &run);
+    warnings(plan, &evaluation, &run);
     output(arguments, &evaluation, || text(&evaluation, &out))
 }
 
@@ -196,29 +197,38 @@ fn output(arguments: &Arguments, value: &impl Serialize, text: impl Fn() -> Stri
     }
 }
 
-fn warnings(evaluation: &Evaluation, run: &MeasuredClusters) {
-    let missing = evaluation.without_map.len();
+fn warnings(plan: &Plan, evaluation: &Evaluation, run: &MeasuredClusters) {
+    let listed: BTreeSet<ViewIndex> = plan.ranked().take(plan.decision.cut.clusters).map(|c| c.key).collect();
+    let missing = run.without_map.iter().filter(|key| listed.contains(*key)).count();
     if missing > 0 {
-        warn(&format!("{missing} of the clusters have no depth map; shares are relative to the others"));
+        let what = counted(missing, "key view");
+        warn(&format!("{what} of the plan without a depth map; shares are relative to the others"));
+    }
+    let beyond = run.clusters.iter().filter(|cluster| !listed.contains(&cluster.key));
+    let beyond: Vec<&str> = beyond.map(|cluster| plan.stages.scene.name(cluster.key)).collect();
+    if let Some(first) = beyond.first() {
+        let what = counted(beyond.len(), "depth map");
+        warn(&format!(
+            "{what} beyond the plan's list, the first of {first}: they count here, but a cloud of the list lacks them"
+        ));
     }
     if let Some(view) = evaluation.other_partners.first() {
-        let count = evaluation.other_partners.len();
-        warn(&format!("{count} depth maps were made with other partners than planned, the first is {view}"));
+        let what = counted(evaluation.other_partners.len(), "depth map");
+        warn(&format!("{what} made with other partners than planned, the first of {view}"));
     }
     if let Some(view) = evaluation.other_sizes.first() {
-        let count = evaluation.other_sizes.len();
-        warn(&format!(
-            "{count} depth maps have neither the planned size nor half of it, the first is {view}: they count as the nearer one"
-        ));
+        let what = counted(evaluation.other_sizes.len(), "depth map");
+        warn(&format!("{what} of neither the planned size nor half of it, the first of {view}: the nearer one counts"));
     }
     run.unreadable.iter().for_each(|why| warn(&format!("left out: {why}")));
     if let Some(file) = run.strangers.first() {
-        warn(&format!(
-            "{} depth maps belong to no view of the plan, the first is {}",
-            run.strangers.len(),
-            file.display()
-        ));
+        let what = counted(run.strangers.len(), "depth map");
+        warn(&format!("{what} of no view of this model or export, the first is {}", file.display()));
     }
+}
+
+fn counted(number: usize, thing: &str) -> String {
+    format!("{number} {thing}{}", if number == 1 { "" } else { "s" })
 }
 
 fn text(e: &Evaluation, out: &Path) -> String {

@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use crate::backends::clusters_by_area;
 use crate::{
+    apps::dispatch::Dispatch,
     backends::{self, Backend, BackendError, Export, ExportOptions, ExportRecord, References, Selection, place},
     config::{Budget, Share},
     io::{
@@ -111,6 +112,9 @@ struct PreparedExport {
 
 pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let plan = WrittenPlan::read(&arguments.project)?;
+    if !arguments.dry_run && arguments.out.is_none() {
+        Dispatch::refuse_if_at_work(&plan.project)?;
+    }
     let backends = arguments.backends(&plan)?;
     let clusters = &plan.clusters[..plan.cut_at(arguments.budget, arguments.target)];
     warn_of_end(arguments, &plan, clusters.len());

@@ -7,6 +7,7 @@ use std::{
 
 use crate::{
     apps::{
+        dispatch::Dispatch,
         replan::{EarlierPlan, MapFolder, replan},
         report::DepthMapFolders,
     },
@@ -161,6 +162,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     refuse_missing_images(&project)?;
     refuse_other_plan(&project)?;
     if !arguments.dry_run {
+        Dispatch::refuse_if_at_work(&project)?;
         output::refuse_unwritable(&project.output_folder())
             .map_err(|error| elsewhere(error, project.is_elsewhere(), "plan", &command_path(&project.root)))?;
         let dumps = [arguments.dump_tables.as_deref(), arguments.dump_surface.as_deref().and_then(Path::parent)];

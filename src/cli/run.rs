@@ -116,6 +116,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let root =
         if backend.takes_distorted || !is_distorted { project.root } else { undistorted(arguments, project, backend)? };
     let is_own = root == own;
+    Dispatch::refuse_if_at_work(&Project::open(&root, None)?)?;
     let foreground = Foreground::new(&root, arguments.typed(Some(backend.name), is_own), &stop);
     let mut work = Work::new(arguments, backend, &foreground, &stop)?;
     say(&work.plan_in_words())?;

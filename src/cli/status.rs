@@ -83,6 +83,12 @@ impl Hint for NoStatus {
     fn hint(&self) -> Option<String> {
         Some(match self {
             Self::NotFound(_) => "name the folder that was given to viewrank watch, or a project below it".into(),
+            Self::NotWatched(folder) if folder.join("viewrank/progress.json").is_file() => {
+                let project = command_path(folder);
+                format!(
+                    "what its depth maps give: viewrank report {project}; to have it watched: viewrank watch {project}"
+                )
+            }
             Self::NotWatched(folder) => format!("start one: viewrank watch {}", command_path(folder)),
             Self::Unreadable(_) => "make it readable, or start a daemon of this version, which rewrites it".into(),
         })

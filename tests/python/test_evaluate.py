@@ -88,7 +88,7 @@ def test_maps_of_two_sizes_are_told_apart(matched, viewrank):
     name = {view["name"].rsplit("/")[-1]: view["scale"] for view in found["key_views"]}
     assert sorted(name.values()) == [0.5, 0.5] + [1] * (len(paths) - 2)
     assert f"{len(paths)} depth maps, 2 of them at half the size" in done.stdout and "2 at half the size" in (out / "evaluation.html").read_text()
-    assert len(found["other_sizes"]) == 1 and f"the first is {found['other_sizes'][0]}" in done.stderr
+    assert len(found["other_sizes"]) == 1 and f"the first of {found['other_sizes'][0]}" in done.stderr
 
 
 def write_npy(folder, number, name, ids, depth):

@@ -104,8 +104,13 @@ def test_mvsnet_family_is_read(export, planned, dialect):
     names = dict(line.split("\t") for line in (folder / "view_names.txt").read_text().splitlines())
     named = [(names[str(key)], [names[str(p)] for p in partners]) for key, partners in read_pairs(folder / "pair.txt")]
     assert named[: len(clusters)] == clusters
-    assert len(named) == (len(names) if dialect == "acmm" else len(clusters))
     whole = pycolmap.Reconstruction(project / "sparse/0")
+    if dialect == "acmm":
+        assert len(named) == len(names)
+    else:
+        assert len(named) == len(clusters) and set(names.values()) == {image.name for image in whole.images.values()}
+        members = {name for key, partners in clusters for name in (key, *partners)}
+        names = {index: name for index, name in names.items() if name in members}
     images = {image.name: image for image in whole.images.values()}
     for index, name in names.items():
         extrinsic, intrinsic, depths = read_cam(folder / f"cams/{int(index):08}_cam.txt")

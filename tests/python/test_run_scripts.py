@@ -336,7 +336,11 @@ def test_mve_maps_of_before_are_kept_until_others_are_made(work):
     done, calls = mve.run(FAIL=failing)
     assert done.returncode == 0 and failing not in calls[:-1] and failing in calls[-1].split(), "its map of before came back"
     mve.export(3)
-    assert failing in mve.run()[1][:-1] and not list((mve.folder / "older").glob("*.maps"))
+    assert failing in mve.run()[1][:-1]
+    kept = {path.stem for path in (mve.folder / "older").glob("*.maps")}
+    planned = {f"view_{cluster['key']['image_id']:08}" for cluster in mve.clusters()}
+    there = {path.parent.stem for path in (mve.folder / "views").glob("*/depth-L*.mvei")}
+    assert not kept & planned and there == planned, "those of views that are partners now are kept, and not beside the others"
 
 
 def test_mve_joins_the_maps_of_each_size(work):
@@ -442,7 +446,23 @@ def test_sure_tries_every_cluster(work):
     assert {path.name for path in (sure.folder / "projects").iterdir()} == planned and not sure.run()[1]
     kept = {path.parent.name for path in (sure.folder / "projects").glob("*/points.las")}
     assert kept and kept == {name for name in lists if name in planned and same(sure, name)}
-    assert {path.parent.name for path in (sure.folder / "older").glob("*/points.las")} == set(lists) - kept
+    assert {path.parent.name.split("-")[0] for path in (sure.folder / "older").glob("*/points.las")} == set(lists) - kept
+    # The user's own folder stays; what was finished comes back, and a project that failed is not mixed with another.
+    mine = sure.folder / "projects/my_dsm/dsm.tif"
+    mine.parent.mkdir()
+    mine.write_text("mine")
+    sure.export(4)
+    assert not sure.run()[1] and {path.parent.name for path in (sure.folder / "projects").glob("*/points.las")} == set(lists)
+    assert mine.read_text() == "mine"
+    again = next(name for name in lists if name not in kept and name in planned)
+    sure.export("sizes")
+    assert sure.run(FAIL=f"projects/{again}")[0].returncode == 0, "they are all there"
+    (sure.folder / "done" / again).unlink()
+    assert sure.run(FAIL=f"projects/{again}")[0].returncode == 1
+    (sure.folder / "projects" / again / "partial.las").write_text("half size")
+    sure.export(4)
+    assert not sure.run()[1] and not list((sure.folder / "projects").glob("*/partial.las"))
+    assert list((sure.folder / "older").glob(f"{again}-*/partial.las"))
 
 
 def same(sure, name):
@@ -565,7 +585,7 @@ def test_patchmatchnet_joins_maps_of_an_earlier_plan_that_have_a_size_of_this_on
     stale, *fine = [key for key in later if key in keys and key in everything]
     net.maps(stale, (7, 5))
     done = net.finished()
-    assert done.returncode == 0 and str(stale) in done.stderr and "earlier" not in done.stdout
+    assert done.returncode == 0 and f"of views {stale};" in done.stderr
     assert stale not in net.lists()
     resized = [key for key in fine if key in keys[::2]]
     assert resized and planned == {key: both.get(key, planned[key]) for key in planned}
@@ -575,3 +595,22 @@ def test_patchmatchnet_joins_maps_of_an_earlier_plan_that_have_a_size_of_this_on
     net.maps(stale)
     done = net.finished()
     assert done.returncode == 0 and not done.stderr and stale in net.lists(), "computed again"
+
+    # Of another model: the map is the same file, but its camera is not.
+    camera = net.folder / f"cams/{stale:08}_cam.txt"
+    camera.write_text(camera.read_text().replace("extrinsic\n", "extrinsic\n1"))
+    done = net.finished()
+    assert done.returncode == 0 and f"whose cameras have changed, of views {stale};" in done.stderr and stale not in net.lists()
+    path = net.folder / f"depths/depth_est/{stale:08}.pfm"
+    os.utime(path, ns=(0, path.stat().st_mtime_ns + 10**9))
+    assert net.finished().stderr == "" and stale in net.lists(), "computed again"
+
+    # A copy follows its map, whatever time that has.
+    key = resized[0]
+    path = net.folder / f"depths/depth_est/{key:08}.pfm"
+    values[key] += 1
+    size = (values[key].shape[1], values[key].shape[0])
+    pfm(path, *size, values[key])
+    os.utime(path, ns=(0, 10**9))
+    assert net.finished().returncode == 0
+    assert_resized(net.folder / f"fuse/depth_est/{key:08}.pfm", values[key], planned[key][0])

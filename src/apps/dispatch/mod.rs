@@ -18,10 +18,13 @@ use std::{
 };
 
 use crate::{
-    backends::{self, Backend, Export, Selection, TaskRunner, recipe},
+    backends::{self, BACKENDS, Backend, Export, Selection, TaskRunner, recipe},
     base::{error::Hint, platform, shell::quoted_path},
     config::{DispatchSettings, Share},
-    io::output::{self, Contents, Disk, FileSet, OutputError},
+    io::{
+        output::{self, Contents, Disk, FileSet, OutputError},
+        project::Project,
+    },
     model::cluster::RankedCluster,
 };
 
@@ -241,6 +244,24 @@ impl Dispatch {
         }
     }
 
+    /// Fails if a `viewrank run` is at work on the project, whose tasks another plan or export would change under it, or a submission.
+    ///
+    /// # Errors
+    /// [`DispatchError::Busy`].
+    pub fn refuse_if_at_work(project: &Project) -> Result<(), DispatchError> {
+        for backend in BACKENDS {
+            let name = format!("viewrank/dispatch/{}", backend.name);
+            let is_there = output::own_path(&project.home, &name).is_ok_and(|folder| folder.join("lock").is_file());
+            let lock = is_there.then(|| output::open_lock(&project.home, &format!("{name}/lock")));
+            if let Some(Ok(lock)) = lock
+                && matches!(lock.try_lock(), Err(TryLockError::WouldBlock))
+            {
+                return Err(DispatchError::Busy(project.home.join(name)));
+            }
+        }
+        Ok(())
+    }
+
     /// Returns whether exactly the finished depth maps have been joined already.
     pub fn is_fused(&self) -> bool {
         let done: String = self.tasks.iter().filter(|t| self.is_done(t)).map(|t| format!("{}\n", t.id)).collect();
@@ -270,7 +291,7 @@ fn hash<'a>(texts: impl IntoIterator<Item = &'a str>) -> String {
 /// An error in handing clusters to a queue.
 #[derive(Debug, thiserror::Error)]
 pub enum DispatchError {
-    #[error("{0} cannot compute single view clusters")]
+    #[error("viewrank cannot run {0} view by view")]
     NoTasks(&'static str),
     #[error("cannot find the program {}", program.display())]
     Program { program: PathBuf, variable: &'static str },
@@ -284,7 +305,7 @@ pub enum DispatchError {
     Answer { command: String, answer: String },
     #[error("cancelled tasks remain in the queue")]
     Stuck,
-    #[error("cannot dispatch {}: another viewrank dispatch is running on it", .0.display())]
+    #[error("a viewrank run or dispatch is at work in {}", .0.display())]
     Busy(PathBuf),
     #[error(transparent)]
     Lock(#[from] OutputError),
@@ -295,9 +316,9 @@ pub enum DispatchError {
 impl Hint for DispatchError {
     fn hint(&self) -> Option<String> {
         Some(match self {
-            Self::NoTasks(_) => {
-                "take --backend sgm, openmvs or colmap; or run its own script, see viewrank export".into()
-            }
+            Self::NoTasks(name) => format!(
+                "run what `viewrank plan PROJECT --backend {name}` prints, or take --backend sgm, openmvs or colmap"
+            ),
             Self::Program { variable, .. } => {
                 format!(
                     "name it with --program or {variable}; where only the nodes of a queue have it, see viewrank dispatch --setup"
@@ -311,7 +332,7 @@ impl Hint for DispatchError {
             Self::Refused { .. } => "see the queue's message; --dry-run shows all commands".into(),
             Self::Answer { .. } => "look whether that command works by itself".into(),
             Self::Stuck => "look with squeue, then try again".into(),
-            Self::Busy(_) => "wait for it to end".into(),
+            Self::Busy(_) => "wait for it to end, or stop it with Ctrl-C: its command goes on where it was".into(),
             Self::Lock(error) => return error.hint(),
             Self::Target { wanted, .. } => format!("plan again with --target {wanted}"),
         })

@@ -64,7 +64,7 @@ impl MeasuredClusters {
     /// Measures depth maps that were matched at half the size of the plan's.
     ///
     /// # Errors
-    /// As [`Self::new`], and if any of the maps has another size.
+    /// As [`Self::new`], and if any of the maps is nearer to full size.
     pub fn at_half_size(
         stages: &Stages,
         clusters: &[ViewCluster],
@@ -75,10 +75,7 @@ impl MeasuredClusters {
         let half_worth = Some(stages.settings.ranking.half_worth);
         let input = EvaluationInput { half_worth, ..EvaluationInput::new(stages, clusters, depth_maps, reference) };
         let measured = Self::new(&input, watcher)?;
-        let is_other = |c: &usize| {
-            measured.scales[*c] != MapScale::Half || measured.other_sizes.contains(&measured.clusters[*c].key)
-        };
-        match (0..measured.clusters.len()).filter(is_other).count() {
+        match measured.scales.iter().filter(|&&scale| scale != MapScale::Half).count() {
             0 => Ok(measured),
             of => Err(EvaluateError::NotHalf { path: depth_maps.into(), of, maps: measured.clusters.len() }),
         }

@@ -1,5 +1,6 @@
 //! Compares a finished depth map with its reference: the pixels that are right, and the share of each triangle that they show (method 8).
 
+use super::MapSize;
 use crate::{
     io::depthmaps::DepthMap,
     method::{
@@ -67,8 +68,7 @@ pub struct MapMeasurement {
     pub shares: Vec<f32>,
     /// Number of pixels of the visible part of each triangle.
     pub pixels: Vec<u32>,
-    /// Width of the map, pixels.
-    pub width: u32,
+    pub size: MapSize,
     /// Ids of the key view and the partners, as recorded in the map's file.
     pub ids: Vec<u32>,
 }
@@ -82,6 +82,7 @@ pub fn measure(
     elsewhere: f64,
 ) -> MapMeasurement {
     let camera = model.scene.camera_of(key);
+    let size = MapSize::new(model, key, &map);
     let picture = front(model.scene, model.surface, key, map.width, map.height);
     let seen = model.visibility.triangles_seen_by(key);
     let mut quality = Quality::default();
@@ -114,7 +115,7 @@ pub fn measure(
         quality,
         shares,
         pixels: counts.into_iter().map(|(pixels, _)| pixels).collect(),
-        width: map.width,
+        size,
         ids: map.ids,
     }
 }

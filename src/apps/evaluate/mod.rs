@@ -18,6 +18,7 @@ pub mod orders;
 mod page;
 pub mod rules;
 mod run;
+mod size;
 mod so_far;
 pub mod tables;
 
@@ -34,4 +35,5 @@ pub(super) use measure::measure;
 pub use missing::{MeasuredSurface, Missing};
 pub use page::page;
 pub use run::{EvaluateError, EvaluationInput, MeasuredClusters};
+pub use size::MapSize;
 pub use so_far::MeasuredProgress;

@@ -1,7 +1,7 @@
 //! A folder of finished depth maps of some view clusters, measured.
 
 use std::{
-    f64::consts::FRAC_1_SQRT_2,
+    collections::BTreeMap,
     path::{Path, PathBuf},
     sync::atomic::{AtomicU64, Ordering},
 };
@@ -34,9 +34,6 @@ use crate::{
     },
     plan::Stages,
 };
-
-/// Ratio up to which two widths are the same: programs crop images to whole blocks.
-const SAME_SIZE: f64 = 1.15;
 
 /// Finished view clusters with their measured results. All tables have one row per cluster.
 #[derive(Clone, Debug)]
@@ -149,6 +146,21 @@ impl MeasuredClusters {
         all
     }
 
+    /// Returns the fulfilment of a finished cluster at full size: as measured, and where its map has half the size at least what is believed of a map at full
+    /// size.
+    pub fn at_full_size(&self, cluster: usize, (triangles, believed): (&[u32], &[f32])) -> (Vec<u32>, Vec<f32>) {
+        let (own, measured) = self.real.row(cluster);
+        if self.scales[cluster] == MapScale::Full {
+            return (own.to_vec(), measured.to_vec());
+        }
+        let mut row: BTreeMap<u32, f32> = triangles.iter().copied().zip(believed.iter().copied()).collect();
+        for (&t, &f) in own.iter().zip(measured) {
+            let held = row.entry(t).or_default();
+            *held = held.max(f);
+        }
+        row.into_iter().unzip()
+    }
+
     /// Returns the measured curve of an order of the clusters.
     pub fn real_curve(&self, objective: &Objective, order: &[u32]) -> ReachCurve {
         ReachCurve::new(&self.real, objective, &self.clusters, order)
@@ -213,13 +225,11 @@ impl EvaluationInput<'_> {
             matched.map(|(c, m)| matched::really_matched(c, report, &m.ids, scene)).collect();
         let mut certain = self.model;
         certain.rule.confidence = Confidence::None;
-        let sizes: Vec<f64> = clusters.iter().zip(measured).map(|(c, m)| self.size(c.key, m)).collect();
-        let scales: Vec<MapScale> = sizes.iter().map(|&size| self.scale(size)).collect();
-        let is_other = |size: f64, scale: MapScale| (size / scale.factor()).ln().abs() > SAME_SIZE.ln();
-        let other_sizes =
-            clusters.iter().zip(&sizes).zip(&scales).filter(|((_, size), scale)| is_other(**size, **scale));
-        let other_sizes =
-            if self.half_worth.is_none() { Vec::new() } else { other_sizes.map(|((c, _), _)| c.key).collect() };
+        let has_sizes = self.half_worth.is_some();
+        let scale = |m: &MapMeasurement| if has_sizes { m.size.scale } else { MapScale::Full };
+        let scales: Vec<MapScale> = measured.iter().map(scale).collect();
+        let other_sizes = clusters.iter().zip(measured).filter(|(_, m)| has_sizes && !m.size.is_planned);
+        let other_sizes = other_sizes.map(|(c, _)| c.key).collect();
         let table = |model: &Model, clusters: &[ViewCluster]| {
             table_at(model, clusters, &scales, self.half_worth.unwrap_or_default(), watcher)
         };
@@ -248,17 +258,6 @@ impl EvaluationInput<'_> {
             strangers: Vec::new(),
             unreadable: Vec::new(),
         })
-    }
-
-    /// Width of a map over the planned width.
-    fn size(&self, key: ViewIndex, measured: &MapMeasurement) -> f64 {
-        let planned = f64::from(self.model.scene.camera_of(key).width) * self.model.rule.image_scale;
-        f64::from(measured.width) / planned
-    }
-
-    /// The nearest size of a map, as a ratio.
-    fn scale(&self, size: f64) -> MapScale {
-        if self.half_worth.is_some() && size < FRAC_1_SQRT_2 { MapScale::Half } else { MapScale::Full }
     }
 
     /// Returns the measured fulfilment: the attainable one times the measured share.

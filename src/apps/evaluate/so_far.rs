@@ -1,10 +1,13 @@
 //! The single definition of the share reached, with its denominator (method 8).
 
+use std::collections::BTreeMap;
+
 use serde::Serialize;
 
 use super::run::MeasuredClusters;
 use crate::{
     method::ranking::{Beliefs, Reached},
+    model::scene::ViewIndex,
     plan::Stages,
 };
 
@@ -13,7 +16,7 @@ use crate::{
 pub struct MeasuredProgress {
     /// Weight that fusion keeps of the finished maps, 0 to 1.
     pub kept: f64,
-    /// Weight that fusion keeps of all clusters of the plan, 0 to 1: measured if finished, else predicted in the light of failures (method 5.4).
+    /// Weight that fusion keeps of all clusters of the plan at full size, 0 to 1: measured if finished, else predicted in the light of failures (method 5.4).
     pub reachable: f64,
     /// `kept` over `reachable`; null where nothing can be kept.
     pub share: Option<f64>,
@@ -25,16 +28,23 @@ impl MeasuredProgress {
         let mut beliefs = Beliefs::new(&stages.scene, &stages.surface, &stages.clusters, &stages.fulfilment);
         let finished = run.clusters.iter().zip(&run.attempts);
         finished.for_each(|(cluster, attempts)| beliefs.learn(cluster.key, attempts));
-        let mut reached = Reached::new(&stages.objective);
-        (0..run.clusters.len()).for_each(|c| reached.take(run.real.row(c)));
-        let kept = reached.kept_weight();
+        let planned: BTreeMap<ViewIndex, usize> = stages.clusters.iter().map(|cluster| cluster.key).zip(0..).collect();
+        let (mut so_far, mut all) = (Reached::new(&stages.objective), Reached::new(&stages.objective));
+        for (finished, cluster) in run.clusters.iter().enumerate() {
+            so_far.take(run.real.row(finished));
+            // At full size, also where the map has half of it.
+            let (triangles, believed) = planned.get(&cluster.key).map(|&c| beliefs.row(c)).unwrap_or_default();
+            let (triangles, values) = run.at_full_size(finished, (triangles, &believed));
+            all.take((&triangles, &values));
+        }
         for (c, cluster) in stages.clusters.iter().enumerate() {
             if run.clusters.binary_search_by_key(&cluster.key, |finished| finished.key).is_err() {
                 let (triangles, believed) = beliefs.row(c);
-                reached.take((triangles, &believed));
+                all.take((triangles, &believed));
             }
         }
-        let reachable = reached.kept_weight();
+        let kept = so_far.kept_weight();
+        let reachable = all.kept_weight();
         Self { kept, reachable, share: (reachable > 0.0).then(|| kept / reachable) }
     }
 }

@@ -18,7 +18,7 @@ use rayon::prelude::*;
 pub use self::again::{AgainError, again, as_written};
 use self::movement::{MovedView, movement};
 use crate::{
-    apps::evaluate::{EvaluateError, EvaluationInput, MeasuredClusters},
+    apps::evaluate::{EvaluateError, EvaluationInput, MapSize, MeasuredClusters},
     base::{
         error::Hint,
         input,
@@ -227,10 +227,9 @@ fn believed(
                 let (triangles, values) = run.real.row(c);
                 table.push(triangles, values)?;
             }
-            // At full size, the map would be at least as good.
             (Some(finished), Some(c)) if size == MapScale::Full => {
                 let (triangles, values) = beliefs.row(c);
-                let (triangles, values) = larger((triangles, &values), run.real.row(finished));
+                let (triangles, values) = run.at_full_size(finished, (triangles, &values));
                 table.push(&triangles, &values)?;
             }
             (_, planned) => {
@@ -240,16 +239,6 @@ fn believed(
         }
     }
     Ok(table.finish()?)
-}
-
-/// Returns the larger f of two rows at each triangle.
-fn larger((triangles, values): (&[u32], &[f32]), other: (&[u32], &[f32])) -> (Vec<u32>, Vec<f32>) {
-    let mut row: BTreeMap<u32, f32> = triangles.iter().copied().zip(values.iter().copied()).collect();
-    for (&t, &f) in other.0.iter().zip(other.1) {
-        let held = row.entry(t).or_default();
-        *held = held.max(f);
-    }
-    row.into_iter().unzip()
 }
 
 /// Verdict on a depth map of a cluster of the earlier plan.
@@ -281,24 +270,24 @@ fn look(
     let found = earlier.clusters.par_iter().map(|(key, partners, _)| {
         watcher.check()?;
         let file = file_of.get(key.as_str()).filter(|file| (maps.ready)(&file.path));
-        Ok(file.map(|file| MapCheck { plan, earlier, key, partners, file, folder: maps.folder }.found()))
+        Ok(file.map(|file| MapCheck { plan, earlier, key, partners, file }.found()))
     });
     let found: Vec<Option<MapVerdict>> = found.collect::<Result<_, Cancelled>>()?;
     // Includes views without partners in the earlier plan: earlier findings on their maps still hold.
     let keys: BTreeSet<&str> = earlier.keys().collect();
     let beyond = earlier.outdated.iter().filter(|outdated| !keys.contains(outdated.key.as_str()));
     let beyond = beyond.filter_map(|OutdatedMap { key, .. }| {
-        let hash = hash(maps.folder, &file_of.get(key.as_str())?.path).ok()?;
+        let hash = hash(file_of.get(key.as_str())?).ok()?;
         Some(MapVerdict::Outdated { outdated: earlier.outdated(key, &hash)?, hash })
     });
     Ok(found.into_iter().flatten().chain(beyond).chain(unreadable).collect())
 }
 
-/// Hash of the files from which a map below `folder` is read.
-fn hash(folder: &Path, map: &Path) -> io::Result<String> {
+/// Hash of the files that hold the depths of a map.
+fn hash(map: &DepthMapFile) -> io::Result<String> {
     let mut hasher = blake3::Hasher::new();
-    for file in depthmaps::files_of(folder, map).iter().filter(|file| file.is_file()) {
-        hasher.update(&input::read(file, input::FileKind::Picture)?);
+    for file in depthmaps::files_with_depths(map) {
+        hasher.update(&input::read(&file, input::FileKind::Picture)?);
     }
     Ok(hasher.finalize().to_string())
 }
@@ -310,7 +299,6 @@ struct MapCheck<'a> {
     key: &'a String,
     partners: &'a [String],
     file: &'a DepthMapFile,
-    folder: &'a Path,
 }
 
 impl MapCheck<'_> {
@@ -319,7 +307,10 @@ impl MapCheck<'_> {
             Ok(map) => map,
             Err(error) => return MapVerdict::Unreadable(error.to_string()),
         };
-        let hash = match hash(self.folder, &self.file.path) {
+        if let Some(why) = self.other_size(&map) {
+            return MapVerdict::Unreadable(why);
+        }
+        let hash = match hash(self.file) {
             Ok(hash) => hash,
             Err(error) => return MapVerdict::Unreadable(format!("{}: {error}", self.path())),
         };
@@ -333,6 +324,21 @@ impl MapCheck<'_> {
             Ok(_) => self.fits(),
             Err(view) => MapVerdict::Outdated { outdated: self.outdated(view, None), hash },
         }
+    }
+
+    /// Says so where the map has neither of the planned sizes: the backend cannot fuse it with the others, and makes it again.
+    fn other_size(&self, map: &DepthMap) -> Option<String> {
+        let stages = &self.plan.stages;
+        let is_planned = !stages.mixes_sizes || MapSize::new(&stages.model(), self.file.view, map).is_planned;
+        (!is_planned).then(|| {
+            format!(
+                "{}: {} x {} pixels are neither the size that image_scale = {} gives nor half of it, so the map does not count",
+                self.path(),
+                map.width,
+                map.height,
+                stages.settings.image_scale()
+            )
+        })
     }
 
     fn path(&self) -> String {

@@ -123,7 +123,8 @@ pub fn list(folder: &Path, scene: &Scene) -> Result<DepthMapSet, DepthMapError> 
         };
         let path = entry.path();
         let inside = path.strip_prefix(folder).unwrap_or(path);
-        let Some((format, rank)) = format_of(inside).filter(|_| path.is_file()) else { continue };
+        let is_map = path.is_file() && !is_copy(path);
+        let Some((format, rank)) = format_of(inside).filter(|_| is_map) else { continue };
         let view = match view_of(path, format, &mut numbers) {
             Ok(Some(view)) => view,
             Ok(None) => {
@@ -168,16 +169,25 @@ pub fn is_of_a_map(path: &Path) -> bool {
         || in_folder(|name| name == "done")
 }
 
-/// Returns the files from which the depth map at this path below `folder` is read, itself first; none if it doesn't have the name of a depth map. Some
-/// may not be there.
+/// Returns the files that say whether the depth map at this path below `folder` has changed, itself first; none if it doesn't have the name of a depth
+/// map. Some may not be there.
 pub fn files_of(folder: &Path, path: &Path) -> Vec<PathBuf> {
     let Some((format, _)) = format_of(path.strip_prefix(folder).unwrap_or(path)) else { return Vec::new() };
-    let with = |other: Option<PathBuf>| std::iter::once(path.to_path_buf()).chain(other).collect();
+    let itself = std::iter::once(path.to_path_buf());
     match format {
-        DepthMapFormat::MicMac => micmac_files(path).unwrap_or_else(|_| with(None)),
-        DepthMapFormat::Pfm => with(super::confidences_of(path)),
-        _ => with(None),
+        DepthMapFormat::MicMac => match micmac_mark(path) {
+            Some(mark) => itself.chain([mark]).collect(),
+            None => itself.chain(micmac_images(path).into_iter().flatten()).collect(),
+        },
+        DepthMapFormat::Pfm => itself.chain(super::confidences_of(path)).collect(),
+        _ => itself.collect(),
     }
+}
+
+/// Returns the files that hold the depths of a map, by which it is known again.
+pub fn files_with_depths(map: &DepthMapFile) -> Vec<PathBuf> {
+    let images = (map.format == DepthMapFormat::MicMac).then(|| micmac_images(&map.path).ok()).flatten();
+    std::iter::once(map.path.clone()).chain(images.map(|[depths, _]| depths)).collect()
 }
 
 /// Determines the format from the path below the folder, and the rank among maps of the same view (0 is best).
@@ -188,8 +198,6 @@ fn format_of(path: &Path) -> Option<(DepthMapFormat, u8)> {
     // Where the `run.sh` of an export keeps the maps of other plans, and those that are not finished.
     let is_set_aside =
         in_folder("older") || in_folder("scratch") || in_folder("depthMaps.new") || in_folder("filtered.new");
-    // Copies that the `finished.py` of an export makes for the fusion.
-    let is_copy = path.parent().is_some_and(|folder| folder.ends_with("fuse/depth_est"));
     match name {
         _ if is_other_map => None,
         _ if name.ends_with(".geometric.bin") => Some((DepthMapFormat::ColmapGeometric, 0)),
@@ -204,10 +212,16 @@ fn format_of(path: &Path) -> Option<(DepthMapFormat, u8)> {
         _ if name.ends_with(".mvei") && !is_set_aside => Some((DepthMapFormat::Mve, mve_scale(name)?)),
         "MMLastNuage.xml" if !is_set_aside => Some((DepthMapFormat::MicMac, 0)),
         _ if name.ends_with("_prob.pfm") || in_folder("confidence") => None,
-        _ if name.ends_with(".pfm") && !is_copy => Some((DepthMapFormat::Pfm, 0)),
+        _ if name.ends_with(".pfm") && !is_copy(path) => Some((DepthMapFormat::Pfm, 0)),
         _ if name.ends_with(".npy") => Some((DepthMapFormat::Npy, 0)),
         _ => None,
     }
+}
+
+/// Returns whether `finished.py` of an export has made the map for the fusion, with those of half the size enlarged.
+fn is_copy(map: &Path) -> bool {
+    let folder = std::path::absolute(map).unwrap_or_else(|_| map.into());
+    folder.parent().is_some_and(|folder| folder.ends_with("fuse/depth_est"))
 }
 
 /// The scale of `depth-L2.mvei`: images halved twice. MVE keeps confidences (`conf-L2.mvei`) and images beside it.
@@ -272,23 +286,25 @@ fn view_of(path: &Path, format: DepthMapFormat, numbers: &mut Numbers) -> Result
 
 /// Checks that MicMac has matched a view: the cloud is described before that, and its depth image rewritten at the end.
 fn require_matched(path: &Path) -> Result<(), DepthMapError> {
-    let missing = micmac_files(path)?.into_iter().find(|file| !file.is_file());
-    missing.map_or(Ok(()), |file| {
-        let what = format!("{} is missing: the view is still being matched, or failed", file.display());
-        Err(DepthMapError::Format { path: path.into(), byte: 0, what })
-    })
+    let needed = micmac_images(path)?.into_iter().chain(micmac_mark(path));
+    let missing =
+        needed.filter(|file| !file.is_file()).map(|file| DepthMapError::Unmatched { path: path.into(), file });
+    missing.take(1).try_for_each(Err)
 }
 
-/// Returns the description of a cloud of MicMac, its depth image, its mask, and in an export the mark that `run.sh` sets when the view is finished.
-fn micmac_files(path: &Path) -> Result<Vec<PathBuf>, DepthMapError> {
-    let bytes = input::read(path, FileKind::List).map_err(|source| DepthMapError::Io { path: path.into(), source })?;
-    let [image, mask] = micmac::files(&bytes)
-        .map_err(|(byte, what)| DepthMapError::Format { path: path.into(), byte, what })?
-        .map(|name| path.with_file_name(name));
-    let stem = path.parent().and_then(Path::file_name).and_then(|name| name.to_str()?.strip_prefix(MICMAC_FOLDER));
-    let export = path.ancestors().nth(2).filter(|folder| folder.join("ImSec").is_dir());
-    let mark = export.zip(stem).map(|(export, stem)| export.join("done").join(stem));
-    Ok([Some(path.into()), Some(image), Some(mask), mark].into_iter().flatten().collect())
+/// Returns the depth image and the mask that a description of MicMac names.
+fn micmac_images(path: &Path) -> Result<[PathBuf; 2], DepthMapError> {
+    let bytes =
+        input::read(path, FileKind::Settings).map_err(|source| DepthMapError::Io { path: path.into(), source })?;
+    let fault = |(byte, what)| DepthMapError::Format { path: path.into(), byte, what };
+    Ok(micmac::files(&bytes).map_err(fault)?.map(|name| path.with_file_name(name)))
+}
+
+/// Returns the mark that `run.sh` of an export sets when MicMac has finished a view; `None` elsewhere.
+fn micmac_mark(path: &Path) -> Option<PathBuf> {
+    let stem = path.parent()?.file_name()?.to_str()?.strip_prefix(MICMAC_FOLDER)?;
+    let export = path.ancestors().nth(2).filter(|folder| folder.join("ImSec").is_dir())?;
+    Some(export.join("done").join(stem))
 }
 
 /// The name in the `meta.ini` beside a map of MVE: that of the image, or its stem. `None` without that file: a later export has no such view.

@@ -24,7 +24,10 @@ use crate::{
     model::{camera::Camera, scene::Scene},
 };
 
-pub use find::{DepthMapFile, DepthMapSet, default_folders, files_of, find, folder_of, folders, is_of_a_map, list};
+pub use find::{
+    DepthMapFile, DepthMapSet, default_folders, files_of, files_with_depths, find, folder_of, folders, is_of_a_map,
+    list,
+};
 
 /// Depth map formats.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
@@ -183,6 +186,8 @@ pub enum DepthMapError {
     Io { path: PathBuf, source: std::io::Error },
     #[error("{path}: byte {byte}: {what}")]
     Format { path: PathBuf, byte: usize, what: String },
+    #[error("{path}: still being matched, or failed: there is no {}", file.display())]
+    Unmatched { path: PathBuf, file: PathBuf },
     #[error("no depth maps of the plan's views in {0}")]
     None(PathBuf),
     #[error("{path}: {what}")]
@@ -200,8 +205,9 @@ impl Hint for DepthMapError {
         let hint = match self {
             Self::Io { .. } => "check that the file exists and is readable",
             Self::Format { .. } => {
-                "compute this depth map again as the message says, or remove it: it is damaged, still being written, or of a kind that is not read"
+                "compute this depth map again, or remove it: it is damaged, still being written, or of a kind that is not read"
             }
+            Self::Unmatched { .. } => "let the run.sh of the export end: it marks each view that is finished",
             Self::None(_) => {
                 "name the folder with COLMAP's stereo/depth_maps, OpenMVS's depthNNNN.dmap, MVSNet's NNNNNNNN.pfm, ACMM's \
                  2333_NNNNNNNN/depths.dmb, Gipuma's 2_TIME_NAME/disp.dmb, MVE's NAME.mve/depth-LN.mvei, AliceVision's ID_depthMap.exr, \
@@ -219,6 +225,7 @@ impl Hint for DepthMapError {
         match self {
             Self::Io { path, .. }
             | Self::Format { path, .. }
+            | Self::Unmatched { path, .. }
             | Self::None(path)
             | Self::Names { path, .. }
             | Self::Shape { path, .. }

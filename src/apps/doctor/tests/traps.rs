@@ -39,6 +39,7 @@ fn names_that_backends_cannot_take() {
     trapped("sure", &["a/1.jpg", "a_1.tif"], "sure-same-stem");
     trapped("micmac", &["a b.jpg"], "micmac-name");
     trapped("micmac", &["a/b.jpg"], "micmac-name");
+    trapped("micmac", &["a.jpg", "a.png"], "micmac-same-stem");
     trapped("openmvs", &["a\\1.jpg"], "openmvs-backslash-name");
     trapped("mve", &["1.tif"], "mve-extension");
     trapped("pmvs", &["1.webp"], "pmvs-extension");
