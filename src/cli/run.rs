@@ -242,6 +242,12 @@ impl<'a> Work<'a> {
         place::check(&folder, std::slice::from_ref(&export), &plan.project)?;
         place::set_of_folder(&folder, [export.files], &plan.project).write(&Disk::REAL)?;
         dispatch.files(&tools, &settings, &BTreeSet::new()).write(&Disk::REAL)?;
+        let others = dispatch.tasks.iter().filter(|task| !dispatch.is_done(task) && task.map.is_file()).count();
+        if others > 0 {
+            note(&format!(
+                "{others} depth maps that are there have other partners, poses or sizes than planned: made again"
+            ));
+        }
         let cores = || thread::available_parallelism().map_or(1, usize::from);
         let threads = arguments.threads.map_or_else(cores, usize::from);
         Ok(Self {

@@ -35,7 +35,10 @@ use crate::{
         project::{Project, ProjectError},
     },
     plan::{EmptyPlan, Plan, PlanError},
-    show::{files, manifest::WrittenPlanError},
+    show::{
+        files,
+        manifest::{RecordedPlan, WrittenPlanError},
+    },
 };
 
 /// A project to plan or measure.
@@ -220,6 +223,7 @@ impl PlanJob {
             return Err(Outcome::Incomplete { reason: empty.to_string() });
         }
         let (clusters, share) = (plan.decision.cut.clusters, plan.decision.cut.share);
+        let replaced = replaced_by_hand(&plan, &project);
         let record = PlannedFrom::new(&plan, fingerprint.clone(), settings.for_plan());
         if job.is_wanted() {
             Progress::clear_target_reached(job.project).map_err(failed)?;
@@ -229,7 +233,7 @@ impl PlanJob {
             fingerprint,
             clusters,
             share,
-            note: note.or_else(|| outdated_note(&plan.decision.finished.outdated, "manifest.json")),
+            note: note.or_else(|| outdated_note(&plan.decision.finished.outdated, "manifest.json")).or(replaced),
             anew: true,
             known: None,
         })
@@ -395,6 +399,24 @@ fn write(plan: &Plan, project: &Project, mut record: PlannedFrom, job: &Job) -> 
     }
     // The record is in the first set, whose root comes last: without it the plan is made again.
     output::write_all(&sets, &Disk::REAL).map(drop).map_err(failed)
+}
+
+/// Says so if another plan takes the place of one that was made by hand: options that were typed for it are not those of the settings.
+fn replaced_by_hand(plan: &Plan, project: &Project) -> Option<String> {
+    if PlannedFrom::read(&project.home).is_some() {
+        return None;
+    }
+    let earlier = RecordedPlan::read(project).ok()?;
+    let ranked = plan.ranked().take(plan.decision.cut.clusters);
+    let list: Vec<_> = ranked.map(|c| (plan.stages.scene.name(c.key).to_owned(), c.scale)).collect();
+    let before = earlier.clusters.iter().take(earlier.cut.clusters).map(|c| (c.key.clone(), c.scale));
+    let is_same = earlier.backend == plan.stages.backend && before.eq(list);
+    (!is_same).then(|| {
+        format!(
+            "takes the place of a plan made by hand for {} ({} depth maps): lasting options belong into viewrank.toml",
+            earlier.backend, earlier.cut.clusters
+        )
+    })
 }
 
 /// Outcome of a read error. A file that vanishes while it is hashed is a change, which raises its own event.

@@ -1,6 +1,7 @@
 """viewrank run: one command from a sparse model to depth maps, with the matcher that comes with viewrank and with a stub of OpenMVS."""
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -68,6 +69,37 @@ def test_ctrl_c_stops_and_the_same_command_goes_on(run, valley):
     assert kept
     assert json.loads(run(valley, "--backend", "sgm", "--budget", "4", "--no-report", "--format", "json")[0])["done"] == 4
     assert all(path.stat().st_mtime_ns == time for path, time in kept.items())
+
+
+def test_maps_of_another_size_are_made_again(run, valley):
+    """The backend cannot fuse them with the others."""
+    sgm = (valley, "--backend", "sgm", "--no-report", "--budget")
+    run(*sgm, "12")
+    small = {path: path.read_bytes() for path in (valley / "sgm/depth_maps").glob("*.npy")}
+    (valley / "viewrank.toml").write_text("image_scale = 0.35\n")
+    out, err = run(*sgm, "12")
+    assert "Computing 12 of 28 depth maps (--budget 12)" in out, "none of them is there already"
+    assert re.search(r"\d+ depth maps that are there have other partners, poses or sizes than planned: made again", err)
+    large = {path: path.read_bytes() for path in (valley / "sgm/depth_maps").glob("*.npy")}
+    assert sum(large[path] != small.get(path) for path in large) == 12
+    result = json.loads(run(*sgm, "12", "--format", "json")[0])
+    assert (result["done"], result["tasks"]) == (12, 12), "and now they are"
+
+
+def test_no_other_plan_is_made_while_maps_are_computed(run, viewrank, valley):
+    process = run.start(valley, "--backend", "sgm", "--budget", "20", "--no-report")
+    for line in process.stderr:
+        if line.lstrip().startswith("1 of 20"):
+            break
+    before = (valley / "viewrank/manifest.json").read_bytes()
+    for command in (("plan", valley, "--backend", "sgm", "--target", "50"), ("export", valley, "--backend", "sgm")):
+        refused = viewrank(*command, expect=1)
+        assert "at work in" in refused.stderr and "Ctrl-C" in refused.stderr, refused.stderr
+    assert "at work in" in run(valley, "--backend", "sgm", "--budget", "2", expect=1)[1]
+    assert (valley / "viewrank/manifest.json").read_bytes() == before
+    process.send_signal(signal.SIGINT)
+    process.communicate()
+    viewrank("plan", valley, "--backend", "sgm", "--target", "50")
 
 
 def test_the_backend_is_what_the_machine_has_and_the_summary_says_why(run, valley, tmp_path):
