@@ -208,9 +208,7 @@ fn warnings(plan: &Plan, evaluation: &Evaluation, run: &MeasuredClusters) {
     let beyond: Vec<&str> = beyond.map(|cluster| plan.stages.scene.name(cluster.key)).collect();
     if let Some(first) = beyond.first() {
         let what = counted(beyond.len(), "depth map");
-        warn(&format!(
-            "{what} beyond the plan's list, the first of {first}: they count here, but a cloud of the list lacks them"
-        ));
+        warn(&format!("{what} beyond the plan's list, the first of {first}: measured, but not in a cloud of the list"));
     }
     if let Some(view) = evaluation.other_partners.first() {
         let what = counted(evaluation.other_partners.len(), "depth map");

@@ -337,6 +337,9 @@ fn notes(project: &Project, plan: &Plan, place: &Georeference) -> Vec<String> {
         let (it, views) = if missing == 1 { ("is", "view has") } else { ("are", "views have") };
         notes.push(format!("{} {views} no image and {it} neither matched nor planned.", grouped(missing)));
     }
+    if plan.stages.settings.ranking.has_half() && plan.decision.forecast.maps_at_half == 0 {
+        notes.push("Of two sizes, full size alone gives most for this work.".into());
+    }
     if let Georeference::Fitted { support, .. } = place {
         notes.push(format!(
             "On earth by the GPS of {} of {} images, {} m off in the median (not with --no-gps).",

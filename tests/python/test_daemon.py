@@ -660,6 +660,25 @@ def test_maps_of_undistorted_images_are_counted_where_the_model_is_distorted(roo
         assert daemon.said("p", "failed") == 0
 
 
+def test_micmacs_maps_are_measured_where_the_model_is_distorted_once_they_are_marked(root, config, fixtures):
+    """MicMac matches images as they were taken. Its depth image is there before it is finished."""
+    project = root / "p"
+    SMALL_MODEL(project / "sparse/0", 0)
+    (project / "sparse/0/cameras.txt").write_text("1 OPENCV 400 300 320 320 200 150 0.01 0 0 0\n")
+    with Daemon(root, config, settle="100ms") as daemon:
+        daemon.wait_planned("p")
+        key = (project / "viewrank/clusters.txt").read_text().split("\t")[0]
+        export = project / "viewrank/micmac"
+        (export / "ImSec").mkdir(parents=True)
+        shutil.copytree(fixtures / "depthmaps/MM-Malt-Img-IMG_9394", export / f"MM-Malt-Img-{Path(key).stem}")
+        daemon.wait(lambda: daemon.status("p")["state"] != "planned" or "still being matched" in str(daemon.status("p")), "the map to be seen")
+        assert not daemon.status("p").get("done")
+        (export / "done").mkdir()
+        (export / "done" / Path(key).stem).write_text("recipe")
+        daemon.wait(lambda: daemon.status("p").get("done") == 1, "the map to be measured")
+        assert "counted" not in str(daemon.status("p").get("note")) and progress(project)["share"] is not None
+
+
 def test_a_hundred_thousand_files_take_little_memory_and_are_no_projects(root, config, fixtures):
     """Half of them as images without a pose, half beside the project."""
     shutil.copytree(fixtures / "valley/sparse", root / "p/sparse")
