@@ -368,6 +368,7 @@ def measured(viewrank, fixtures, tmp_path_factory):
     project = tmp_path_factory.mktemp("measured")
     for folder in ("sparse", "images"):
         (project / folder).symlink_to(fixtures / "valley" / folder)
+    (project / "viewrank.toml").write_text("image_scale = 0.25\n")
     viewrank("plan", project, "--backend", "sgm", "--quiet")
     model, surface = oracle.Model(fixtures / "valley" / "sparse" / "0"), Surface(project)
     manifest = json.loads((project / "viewrank" / "manifest.json").read_text())
