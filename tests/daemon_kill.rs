@@ -57,11 +57,11 @@ fn put_maps(project: &Path, keys: &[String]) {
         let mut bytes = Vec::new();
         let mut writer = npyz::WriteOptions::new()
             .default_dtype()
-            .shape(&[75, 100])
+            .shape(&[150, 200])
             .writer(&mut bytes)
             .begin_nd()
             .expect("a header");
-        writer.extend((0..75 * 100).map(|at| if at % 2 == 0 { 40.0f32 } else { 0.0 })).expect("depths");
+        writer.extend((0..150 * 200).map(|at| if at % 2 == 0 { 40.0f32 } else { 0.0 })).expect("depths");
         writer.finish().expect("a map");
         let path = folder.join(format!("{key}.npy"));
         fs::write(&path, bytes).expect("a file");

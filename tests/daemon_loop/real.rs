@@ -69,11 +69,11 @@ impl Real {
     /// Writes a depth map of the first key view.
     fn put_map(&self, folder: &str) {
         let key = self.manifest()["clusters"][0]["key"].as_str().expect("a name").to_owned();
-        let header = b"\x93NUMPY\x01\x00\x76\x00{'descr': '<f4', 'fortran_order': False, 'shape': (30, 40), }";
+        let header = b"\x93NUMPY\x01\x00\x76\x00{'descr': '<f4', 'fortran_order': False, 'shape': (150, 200), }";
         let mut bytes = header.to_vec();
         bytes.resize(127, b' ');
         bytes.push(b'\n');
-        bytes.extend((0..30 * 40).flat_map(|_| 40.0f32.to_le_bytes()));
+        bytes.extend((0..150 * 200).flat_map(|_| 40.0f32.to_le_bytes()));
         fs::create_dir_all(self.project.join(folder)).expect("a folder");
         fs::write(self.project.join(folder).join(format!("{key}.npy")), bytes).expect("a file");
     }

@@ -5,7 +5,7 @@ use std::f64::consts::FRAC_1_SQRT_2;
 use crate::{
     io::depthmaps::{DepthMap, DepthMapFormat},
     method::fulfilment::Model,
-    model::{cluster::MapScale, scene::ViewIndex},
+    model::{camera::Camera, cluster::MapScale, scene::ViewIndex},
 };
 
 /// Ratio up to which two widths are the same: programs crop images to whole blocks.
@@ -22,11 +22,49 @@ pub struct MapSize {
 
 impl MapSize {
     pub fn new(model: &Model, key: ViewIndex, map: &DepthMap) -> Self {
-        let planned = f64::from(model.scene.camera_of(key).width) * model.rule.image_scale;
-        let ratio = f64::from(map.width) / planned;
-        let scale = if ratio < FRAC_1_SQRT_2 { MapScale::Half } else { MapScale::Full };
-        // Other programs reduce images to one longest side for all, or only by halves: their maps differ from the plan, and their fusion allows for it.
-        let is_exact = matches!(map.format, DepthMapFormat::OpenMvs | DepthMapFormat::Npy);
-        Self { scale, is_planned: !is_exact || (ratio / scale.factor()).ln().abs() <= SAME_SIZE.ln() }
+        let side = |camera: &Camera| f64::from(camera.width.max(camera.height));
+        let longest = model.scene.cameras.iter().map(side).fold(0.0, f64::max);
+        Self::of(model.scene.camera_of(key), longest, model.rule.image_scale, (map.width, map.format))
+    }
+
+    /// `longest`: the longest side of all images, pixels; `planned`: the matched size over the images'.
+    fn of(camera: &Camera, longest: f64, planned: f64, (width, format): (u32, DepthMapFormat)) -> Self {
+        let ratio = f64::from(width) / f64::from(camera.width);
+        let scale = if ratio < planned * FRAC_1_SQRT_2 { MapScale::Half } else { MapScale::Full };
+        // OpenMVS reduces all images to one longest side, smaller ones less than planned. Other programs reduce them by halves alone, or fuse any size.
+        let side = f64::from(camera.width.max(camera.height));
+        let is_of = |scale: MapScale| {
+            let least = planned * scale.factor();
+            let most = (least * longest / side).min(1.0).max(least);
+            ratio * SAME_SIZE >= least && ratio <= most * SAME_SIZE
+        };
+        let is_exact = matches!(format, DepthMapFormat::OpenMvs | DepthMapFormat::Npy);
+        Self { scale, is_planned: !is_exact || is_of(MapScale::Full) || is_of(MapScale::Half) }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::model::camera::CameraModel;
+
+    #[test]
+    fn maps_of_another_size_are_told_apart() {
+        let camera =
+            |width, height| Camera::new(1, CameraModel::Pinhole, width, height, vec![1e3, 1e3, 1.0, 1.0]).unwrap();
+        let size = |camera: &Camera, width| {
+            let MapSize { scale, is_planned } = MapSize::of(camera, 4000.0, 0.4, (width, DepthMapFormat::OpenMvs));
+            (scale, is_planned)
+        };
+        let large = camera(4000, 3000);
+        assert_eq!([1600, 1599, 800, 804].map(|w| size(&large, w).1), [true; 4]);
+        assert_eq!((size(&large, 1600).0, size(&large, 800).0), (MapScale::Full, MapScale::Half));
+        // image_scale 0.3, 0.5 and 1, and half of 0.3.
+        assert_eq!([1200, 2000, 4000, 600].map(|w| size(&large, w).1), [false; 4]);
+        // To a longest side of 1600 or 800, if that is smaller, and as the plan has it.
+        let upright = camera(1500, 2000);
+        assert_eq!([1200, 600, 300].map(|w| size(&upright, w).1), [true; 3]);
+        assert!(!size(&upright, 1500).1 && !size(&upright, 200).1);
+        assert!(MapSize::of(&large, 4000.0, 0.4, (1200, DepthMapFormat::Mve)).is_planned, "it can only halve images");
     }
 }
