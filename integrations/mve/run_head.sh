@@ -1,11 +1,4 @@
-# What an older plan left has no meta.ini, without which MVE opens no scene.
 mkdir -p older || exit 1
-for view in views/*.mve; do
-    if [ ! -f "$view/meta.ini" ]; then
-        rm -rf "older/${view#views/}"
-        mv "$view" older/ || exit 1
-    fi
-done
 # Finished maps of another recipe are kept in older/ until others are made, since scene2pset joins what is in the view.
 set_aside() {
     view=views/$name.mve kept=older/$name.maps
@@ -22,6 +15,7 @@ back() {
     rm -f "$view"/*-L*
     mkdir -p done && cp "$kept"/*-L* "$view" && cp "$kept/recipe" "done/$1" && rm -rf "$kept"
 }
+# Maps of views that are no key views now.
 for view in views/*.mve; do
     name=${view#views/} name=${name%.mve}
     case " $keys " in
@@ -30,6 +24,13 @@ for view in views/*.mve; do
     if [ -f "done/$name" ]; then
         set_aside
         rm -f "$view"/*-L* "done/$name"
+    fi
+done
+# What an older plan left has no meta.ini, without which MVE opens no scene.
+for view in views/*.mve; do
+    if [ ! -f "$view/meta.ini" ]; then
+        rm -rf "older/${view#views/}"
+        mv "$view" older/ || exit 1
     fi
 done
 # The depth map of a key view, not the one of before: FOLDER BUNDLE OPTIONS

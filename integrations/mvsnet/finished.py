@@ -90,15 +90,16 @@ def place(view, size):
 
 
 def seen_now(view):
-    """The time of a map, and the camera that it has now."""
-    camera = (folder / f"cams/{int(view):08}_cam.txt").read_text()
-    return [(folder / f"depths/depth_est/{int(view):08}.pfm").stat().st_mtime_ns, camera]
+    """The time of a map, and the camera that it has now, without the range of depths."""
+    lines = (folder / f"cams/{int(view):08}_cam.txt").read_text().splitlines()
+    return [(folder / f"depths/depth_est/{int(view):08}.pfm").stat().st_mtime_ns, " ".join(lines[:10])]
 
 
 def seen_before():
     try:
-        return dict(json.loads((fuse / "seen.json").read_text()))
-    except (OSError, ValueError):
+        seen = json.loads((fuse / "seen.json").read_text())
+        return {key: [time, camera] for key, (time, camera) in seen.items()}
+    except (OSError, ValueError, TypeError, AttributeError):
         return {}
 
 

@@ -112,9 +112,6 @@ struct PreparedExport {
 
 pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let plan = WrittenPlan::read(&arguments.project)?;
-    if !arguments.dry_run && arguments.out.is_none() {
-        Dispatch::refuse_if_at_work(&plan.project)?;
-    }
     let backends = arguments.backends(&plan)?;
     let clusters = &plan.clusters[..plan.cut_at(arguments.budget, arguments.target)];
     warn_of_end(arguments, &plan, clusters.len());
@@ -132,6 +129,13 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let make = |backend: &&Backend| arguments.make(backend, backends.len(), &selection, tiles.as_deref());
     let made: Vec<PreparedExport> = backends.iter().map(make).collect::<Result<_, BackendError>>()?;
     made.iter().try_for_each(|made| place::check(&made.folder, &made.exports, &plan.project))?;
+    for (made, backend) in made.iter().zip(&backends).filter(|_| !arguments.dry_run) {
+        // A run works in this folder.
+        let own = std::path::absolute(plan.project.output_folder().join(backend.name));
+        if own.is_ok_and(|own| std::path::absolute(&made.folder).is_ok_and(|folder| folder == own)) {
+            Dispatch::refuse_if_at_work_with(backend, &plan.project)?;
+        }
+    }
     let reports = made.into_iter().map(|made| made.write(&plan.project, tiles.is_some(), arguments.dry_run));
     let reports: Vec<Report> = reports.collect::<Result<_, Failure>>()?;
     match arguments.format {

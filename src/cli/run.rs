@@ -113,10 +113,10 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let scene = project.read_scene()?;
     let is_distorted = scene.view_indices().any(|view| !scene.camera_of(view).is_pinhole());
     ready::check(backend, &project, scene, arguments.program.as_deref())?;
+    Dispatch::refuse_if_at_work(&project)?;
     let root =
         if backend.takes_distorted || !is_distorted { project.root } else { undistorted(arguments, project, backend)? };
     let is_own = root == own;
-    Dispatch::refuse_if_at_work(&Project::open(&root, None)?)?;
     let foreground = Foreground::new(&root, arguments.typed(Some(backend.name), is_own), &stop);
     let mut work = Work::new(arguments, backend, &foreground, &stop)?;
     say(&work.plan_in_words())?;
@@ -127,6 +127,9 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
 /// Undistorts the images; returns their project.
 fn undistorted(arguments: &Arguments, project: Project, backend: &Backend) -> Result<PathBuf, Failure> {
     let dense = project.root.join("dense");
+    if let Ok(earlier) = Project::open(&dense, None) {
+        Dispatch::refuse_if_at_work(&earlier)?;
+    }
     note(&format!("{} needs undistorted images: {}", backend.name, dense.display()));
     let progress = Progress::new(arguments.is_silent());
     undistort::undistort(&project, &undistort::UndistortOptions::default(), &dense, &Disk::REAL, &progress)?;
@@ -244,9 +247,7 @@ impl<'a> Work<'a> {
         dispatch.files(&tools, &settings, &BTreeSet::new()).write(&Disk::REAL)?;
         let others = dispatch.tasks.iter().filter(|task| !dispatch.is_done(task) && task.map.is_file()).count();
         if others > 0 {
-            note(&format!(
-                "{others} depth maps that are there have other partners, poses or sizes than planned: made again"
-            ));
+            note(&format!("{others} depth maps that are there do not count for this plan: made again"));
         }
         let cores = || thread::available_parallelism().map_or(1, usize::from);
         let threads = arguments.threads.map_or_else(cores, usize::from);

@@ -99,6 +99,7 @@ pub fn run(arguments: Arguments) -> Result<(), Failure> {
         roots: arguments.roots.clone(),
         typed: arguments.typed()?,
         follow_links: arguments.follow_links,
+        is_run: false,
     });
     let options = arguments.options();
     let summary = watch_roots(&options, &planner, &Disk::REAL, forward_signals)?;

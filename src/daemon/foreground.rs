@@ -27,8 +27,15 @@ pub struct Foreground<'a> {
 impl<'a> Foreground<'a> {
     /// `typed`: settings of the command line; `stop` cancels what runs.
     pub fn new(root: &Path, typed: CommandLineSettings, stop: &'a AtomicBool) -> Self {
-        let options =
-            PlanOptions { on_target: None, replan: false, cache: CACHE, follow_links: true, roots: Vec::new(), typed };
+        let options = PlanOptions {
+            on_target: None,
+            replan: false,
+            cache: CACHE,
+            follow_links: true,
+            roots: Vec::new(),
+            typed,
+            is_run: true,
+        };
         let root = dunce::canonicalize(root).unwrap_or_else(|_| root.into());
         Self { root, planner: PlanJob::new(options), stop }
     }

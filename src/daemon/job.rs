@@ -26,7 +26,10 @@ use super::{
     state::{OnBusy, Outcome},
 };
 use crate::{
-    apps::replan::{self, AgainError, EarlierPlan, MapFolder, ReplanError, replan},
+    apps::{
+        dispatch::Dispatch,
+        replan::{self, AgainError, EarlierPlan, MapFolder, ReplanError, replan},
+    },
     backends,
     base::progress::{Stage, Watcher},
     config::{CommandLineSettings, Configuration, Files, Settings, user_file},
@@ -123,6 +126,8 @@ pub struct PlanOptions {
     pub roots: Vec<PathBuf>,
     /// Settings of the command line.
     pub typed: CommandLineSettings,
+    /// True in `viewrank run`, false in the daemon, which makes no plan under a run.
+    pub is_run: bool,
 }
 
 /// The planner of `viewrank watch`: [`plan::plan`], [`replan()`] and [`plan::files`].
@@ -171,22 +176,24 @@ impl PlanJob {
 
     fn try_plan(&self, job: &Job) -> StepResult<Outcome> {
         output::recover(job.project, &Disk::REAL).map_err(failed)?;
+        let is_by_hand = !job.project.join(RECORD).exists();
         let progress = progress_file(job.project);
         let had_maps = progress.is_file() || PlannedFrom::read(job.project).is_some_and(|record| record.finished);
         if !had_maps || !map_files(job.project, job.follow_links).map_err(failed)?.is_empty() {
-            return self.plan_input(job);
+            return self.plan_input(job, is_by_hand);
         }
         // The depth maps are gone: nothing is finished or reached any more. The progress is removed last, so that the next run completes
         // an interrupted one.
         output::own_path(job.project, RECORD)
             .and_then(|record| output::remove(&record, &Disk::REAL))
             .map_err(failed)?;
-        let outcome = self.plan_input(job)?;
+        let outcome = self.plan_input(job, is_by_hand)?;
         Progress::remove(job.project).map_err(failed)?;
         Ok(outcome)
     }
 
-    fn plan_input(&self, job: &Job) -> StepResult<Outcome> {
+    /// `is_by_hand`: a plan that is there is not the daemon's.
+    fn plan_input(&self, job: &Job, is_by_hand: bool) -> StepResult<Outcome> {
         if let Some(reason) = job.stamp.read_error() {
             let hint = Some("make it readable for the user who runs viewrank".into());
             return Err(Outcome::Failed { reason, hint });
@@ -216,6 +223,9 @@ impl PlanJob {
                 known,
             });
         }
+        if !self.options.is_run {
+            Dispatch::refuse_if_at_work(&project).map_err(failed)?;
+        }
         info!(project = %PathDisplay(job.project), "planning");
         let plan = backends::plan(&project, &settings, &JobWatcher::new(job)).map_err(sort_out)?;
         let plan = around_finished(plan, &project, job)?;
@@ -223,7 +233,7 @@ impl PlanJob {
             return Err(Outcome::Incomplete { reason: empty.to_string() });
         }
         let (clusters, share) = (plan.decision.cut.clusters, plan.decision.cut.share);
-        let replaced = replaced_by_hand(&plan, &project);
+        let replaced = (is_by_hand && !self.options.is_run).then(|| another_than(&plan, &project)).flatten();
         let record = PlannedFrom::new(&plan, fingerprint.clone(), settings.for_plan());
         if job.is_wanted() {
             Progress::clear_target_reached(job.project).map_err(failed)?;
@@ -401,11 +411,8 @@ fn write(plan: &Plan, project: &Project, mut record: PlannedFrom, job: &Job) -> 
     output::write_all(&sets, &Disk::REAL).map(drop).map_err(failed)
 }
 
-/// Says so if another plan takes the place of one that was made by hand: options that were typed for it are not those of the settings.
-fn replaced_by_hand(plan: &Plan, project: &Project) -> Option<String> {
-    if PlannedFrom::read(&project.home).is_some() {
-        return None;
-    }
+/// Says so if the plan differs from the one made by hand whose place it takes: options that were typed for that are not in the settings.
+fn another_than(plan: &Plan, project: &Project) -> Option<String> {
     let earlier = RecordedPlan::read(project).ok()?;
     let ranked = plan.ranked().take(plan.decision.cut.clusters);
     let list: Vec<_> = ranked.map(|c| (plan.stages.scene.name(c.key).to_owned(), c.scale)).collect();

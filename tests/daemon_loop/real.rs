@@ -51,6 +51,7 @@ impl Real {
             follow_links: false,
             roots: Vec::new(),
             typed: Default::default(),
+            is_run: false,
         });
         let options = WatchOptions { once: true, ..options(&self.root) };
         watch_roots(&options, &planner, &Disk::REAL, |_| {}).expect("the root can be watched");
@@ -194,6 +195,7 @@ fn a_removed_output_is_noticed_at_once() {
         follow_links: false,
         roots: Vec::new(),
         typed: Default::default(),
+        is_run: false,
     });
     let file = real.project.join("viewrank/clusters.txt");
     with_daemon(&options(&real.root), &planner, || {
@@ -245,6 +247,7 @@ fn a_model_behind_a_link_is_planned_only_with_follow_links() {
         follow_links: false,
         roots: Vec::new(),
         typed: Default::default(),
+        is_run: false,
     });
     let options = WatchOptions { once: true, follow_links: true, ..options(&real.root) };
     let summary = watch_roots(&options, &planner, &Disk::REAL, |_| {}).expect("the root can be watched");

@@ -79,7 +79,7 @@ def test_maps_of_another_size_are_made_again(run, valley):
     (valley / "viewrank.toml").write_text("image_scale = 0.35\n")
     out, err = run(*sgm, "12")
     assert "Computing 12 of 28 depth maps (--budget 12)" in out, "none of them is there already"
-    assert re.search(r"\d+ depth maps that are there have other partners, poses or sizes than planned: made again", err)
+    assert re.search(r"\d+ depth maps that are there do not count for this plan: made again", err)
     large = {path: path.read_bytes() for path in (valley / "sgm/depth_maps").glob("*.npy")}
     assert sum(large[path] != small.get(path) for path in large) == 12
     result = json.loads(run(*sgm, "12", "--format", "json")[0])
@@ -87,15 +87,19 @@ def test_maps_of_another_size_are_made_again(run, valley):
 
 
 def test_no_other_plan_is_made_while_maps_are_computed(run, viewrank, valley):
-    process = run.start(valley, "--backend", "sgm", "--budget", "20", "--no-report")
+    (valley / "viewrank.toml").write_text("image_scale = 0.5\n")
+    process = run.start(valley, "--backend", "sgm", "--budget", "28", "--no-report")
     for line in process.stderr:
-        if line.lstrip().startswith("1 of 20"):
+        if line.lstrip().startswith("1 of"):
             break
     before = (valley / "viewrank/manifest.json").read_bytes()
     for command in (("plan", valley, "--backend", "sgm", "--target", "50"), ("export", valley, "--backend", "sgm")):
         refused = viewrank(*command, expect=1)
         assert "at work in" in refused.stderr and "Ctrl-C" in refused.stderr, refused.stderr
     assert "at work in" in run(valley, "--backend", "sgm", "--budget", "2", expect=1)[1]
+    watched = viewrank("watch", valley.parent, "--once", "--settle", "100ms", expect=1)
+    assert "at work in" in watched.stdout + watched.stderr
+    viewrank("export", valley, "--backend", "sgm", "--out", valley.parent / "elsewhere")
     assert (valley / "viewrank/manifest.json").read_bytes() == before
     process.send_signal(signal.SIGINT)
     process.communicate()

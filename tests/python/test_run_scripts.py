@@ -341,6 +341,11 @@ def test_mve_maps_of_before_are_kept_until_others_are_made(work):
     planned = {f"view_{cluster['key']['image_id']:08}" for cluster in mve.clusters()}
     there = {path.parent.stem for path in (mve.folder / "views").glob("*/depth-L*.mvei")}
     assert not kept & planned and there == planned, "those of views that are partners now are kept, and not beside the others"
+    mve.export(3, "--budget", "2")
+    assert mve.run()[0].returncode == 0 and len(list((mve.folder / "views").glob("*/depth-L*.mvei"))) == 2
+    mve.export(3)
+    done, calls = mve.run()
+    assert done.returncode == 0 and len(calls) == 1, "those that no longer were in the plan came back"
 
 
 def test_mve_joins_the_maps_of_each_size(work):
@@ -604,6 +609,11 @@ def test_patchmatchnet_joins_maps_of_an_earlier_plan_that_have_a_size_of_this_on
     path = net.folder / f"depths/depth_est/{stale:08}.pfm"
     os.utime(path, ns=(0, path.stat().st_mtime_ns + 10**9))
     assert net.finished().stderr == "" and stale in net.lists(), "computed again"
+
+    # A list of another form is none.
+    for text in ("5", '{"1": 5}'):
+        (net.folder / "fuse/seen.json").write_text(text)
+        assert net.finished().returncode == 0
 
     # A copy follows its map, whatever time that has.
     key = resized[0]

@@ -244,22 +244,28 @@ impl Dispatch {
         }
     }
 
-    /// Fails if a `viewrank run` is at work on the project, whose tasks another plan or export would change under it, or a submission.
+    /// Fails if a `viewrank run` is at work on the project, whose tasks another plan would change under it, or a submission.
     ///
     /// # Errors
     /// [`DispatchError::Busy`].
     pub fn refuse_if_at_work(project: &Project) -> Result<(), DispatchError> {
-        for backend in BACKENDS {
-            let name = format!("viewrank/dispatch/{}", backend.name);
-            let is_there = output::own_path(&project.home, &name).is_ok_and(|folder| folder.join("lock").is_file());
-            let lock = is_there.then(|| output::open_lock(&project.home, &format!("{name}/lock")));
-            if let Some(Ok(lock)) = lock
-                && matches!(lock.try_lock(), Err(TryLockError::WouldBlock))
-            {
-                return Err(DispatchError::Busy(project.home.join(name)));
+        BACKENDS.iter().try_for_each(|backend| Self::refuse_if_at_work_with(backend, project))
+    }
+
+    /// As [`Self::refuse_if_at_work`], for runs with this backend, which another export of it would change.
+    ///
+    /// # Errors
+    /// [`DispatchError::Busy`].
+    pub fn refuse_if_at_work_with(backend: &Backend, project: &Project) -> Result<(), DispatchError> {
+        let name = format!("viewrank/dispatch/{}", backend.name);
+        let is_there = output::own_path(&project.home, &name).is_ok_and(|folder| folder.join("lock").is_file());
+        let lock = is_there.then(|| output::open_lock(&project.home, &format!("{name}/lock")));
+        match lock {
+            Some(Ok(lock)) if matches!(lock.try_lock(), Err(TryLockError::WouldBlock)) => {
+                Err(DispatchError::Busy(project.home.join(name)))
             }
+            _ => Ok(()),
         }
-        Ok(())
     }
 
     /// Returns whether exactly the finished depth maps have been joined already.

@@ -1,15 +1,13 @@
 //! Size of a finished depth map, for backends that mix two sizes in one plan.
 
-use std::f64::consts::FRAC_1_SQRT_2;
-
 use crate::{
     io::depthmaps::{DepthMap, DepthMapFormat},
     method::fulfilment::Model,
     model::{camera::Camera, cluster::MapScale, scene::ViewIndex},
 };
 
-/// Ratio up to which two widths are the same: programs crop images to whole blocks.
-const SAME_SIZE: f64 = 1.15;
+/// Pixels by which widths of one size differ: programs round in their own ways.
+const ROUNDING: f64 = 1.5;
 
 /// Size of a depth map against the planned one.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -29,15 +27,19 @@ impl MapSize {
 
     /// `longest`: the longest side of all images, pixels; `planned`: the matched size over the images'.
     fn of(camera: &Camera, longest: f64, planned: f64, (width, format): (u32, DepthMapFormat)) -> Self {
-        let ratio = f64::from(width) / f64::from(camera.width);
-        let scale = if ratio < planned * FRAC_1_SQRT_2 { MapScale::Half } else { MapScale::Full };
-        // OpenMVS reduces all images to one longest side, smaller ones less than planned. Other programs reduce them by halves alone, or fuse any size.
-        let side = f64::from(camera.width.max(camera.height));
-        let is_of = |scale: MapScale| {
-            let least = planned * scale.factor();
-            let most = (least * longest / side).min(1.0).max(least);
-            ratio * SAME_SIZE >= least && ratio <= most * SAME_SIZE
+        let (width, full) = (f64::from(width), f64::from(camera.width));
+        let least = |scale: MapScale| planned * scale.factor();
+        // Of the programs that reduce all images to one longest side, smaller ones less than planned.
+        let most = |scale: MapScale| {
+            let is_limited = !matches!(format, DepthMapFormat::Npy | DepthMapFormat::Mve);
+            let limit = least(scale) * longest / f64::from(camera.width.max(camera.height));
+            if is_limited { limit.min(1.0).max(least(scale)) } else { least(scale) }
         };
+        let off = |scale: MapScale| (width / (full * most(scale))).ln().abs();
+        let scale = if off(MapScale::Half) < off(MapScale::Full) { MapScale::Half } else { MapScale::Full };
+        // The images of the plan need not have the longest of all.
+        let is_of = |scale: MapScale| width >= full * least(scale) - ROUNDING && width <= full * most(scale) + ROUNDING;
+        // Other programs only halve images, or fuse any sizes.
         let is_exact = matches!(format, DepthMapFormat::OpenMvs | DepthMapFormat::Npy);
         Self { scale, is_planned: !is_exact || is_of(MapScale::Full) || is_of(MapScale::Half) }
     }
@@ -57,14 +59,18 @@ mod tests {
             (scale, is_planned)
         };
         let large = camera(4000, 3000);
-        assert_eq!([1600, 1599, 800, 804].map(|w| size(&large, w).1), [true; 4]);
+        assert_eq!([1600, 1599, 800, 801].map(|w| size(&large, w).1), [true; 4]);
         assert_eq!((size(&large, 1600).0, size(&large, 800).0), (MapScale::Full, MapScale::Half));
-        // image_scale 0.3, 0.5 and 1, and half of 0.3.
-        assert_eq!([1200, 2000, 4000, 600].map(|w| size(&large, w).1), [false; 4]);
+        // image_scale 0.3, 0.41, 0.5 and 1, and half of 0.3.
+        assert_eq!([1200, 1640, 2000, 4000, 600].map(|w| size(&large, w).1), [false; 5]);
         // To a longest side of 1600 or 800, if that is smaller, and as the plan has it.
         let upright = camera(1500, 2000);
         assert_eq!([1200, 600, 300].map(|w| size(&upright, w).1), [true; 3]);
         assert!(!size(&upright, 1500).1 && !size(&upright, 200).1);
+        assert_eq!((size(&upright, 1200).0, size(&upright, 600).0), (MapScale::Full, MapScale::Half));
+        // sgm reduces each image as planned.
+        let of_sgm = |width| MapSize::of(&upright, 4000.0, 0.4, (width, DepthMapFormat::Npy)).is_planned;
+        assert!(of_sgm(600) && of_sgm(300) && !of_sgm(1200));
         assert!(MapSize::of(&large, 4000.0, 0.4, (1200, DepthMapFormat::Mve)).is_planned, "it can only halve images");
     }
 }
