@@ -64,7 +64,7 @@ def resize(path, to, wide, high):
 
 
 def link(to, target):
-    """Links to a folder or file of the export. What somebody else has put there stays."""
+    """Links to a folder or file of the export, in place of a link or a copy. A folder that somebody else has put there stays."""
     if to.is_symlink():
         to.unlink()
     elif to.is_dir():

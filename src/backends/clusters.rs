@@ -14,6 +14,11 @@ impl ClusterScript {
         Self(format!("{HEAD}{preparation}"))
     }
 
+    /// As [`Self::new`], for a preparation that asks which names (`keys`) the plan has.
+    pub fn of_keys(keys: &[String], preparation: &str) -> Self {
+        Self::new(&format!("keys='{}'\n{preparation}", keys.join(" ")))
+    }
+
     /// Adds a cluster: its commands, each run if the previous one succeeds. `name` is a file name; `result`, the path that the commands create.
     pub fn cluster(&mut self, name: &str, recipe: &str, result: &str, commands: &[String]) {
         let (name, result) = (quoted(name), quoted(result));

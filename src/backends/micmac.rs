@@ -7,6 +7,7 @@ use super::{
     Backend, BackendError, Capabilities, ExaminedProject, Export, ExportOptions, ExportRecord, Honours, PATCH_MATCH,
     Selection, Trap,
     clusters::{ClusterScript, recipe},
+    sure::stem,
 };
 use crate::{base::shell::quoted, io::output::Contents, model::cluster::RankedCluster};
 
@@ -97,10 +98,6 @@ fn check_stems(selection: &Selection) -> Result<(), BackendError> {
         }
     }
     Ok(())
-}
-
-fn stem(name: &str) -> &str {
-    name.rsplit_once('.').map_or(name, |(stem, _)| stem)
 }
 
 fn pair_file(selection: &Selection) -> String {

@@ -105,7 +105,7 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
 fn runner(selection: &Selection, record: &mut ExportRecord) -> Contents {
     let name = |cluster: &RankedCluster| folder(selection.scene, cluster.key).trim_end_matches(".mve").to_owned();
     let keys: Vec<String> = selection.clusters.iter().map(name).collect();
-    let mut script = ClusterScript::new(&format!("keys='{}'\n{RUNNER_HEAD}", keys.join(" ")));
+    let mut script = ClusterScript::of_keys(&keys, RUNNER_HEAD);
     for (i, cluster) in selection.clusters.iter().enumerate() {
         let (partners, level) = (cluster.partners.len(), selection.pyramid_level(cluster.scale));
         let local = partners.min(LOCAL_NEIGHBOURS);

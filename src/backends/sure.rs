@@ -97,8 +97,8 @@ fn export(selection: &Selection, options: &ExportOptions) -> Result<Export, Back
         add_lists(&mut files, &format!("clusters/{}/", project(selection, cluster)), &names, &views, &[cluster.key]);
     }
     let record = record_of(selection, &names);
-    files.add("run.sh", shell_script(selection, &record.commands));
-    files.add_text("run.bat", batch_script(selection, &record.commands));
+    files.add("run.sh", shell_script(selection));
+    files.add_text("run.bat", batch_script(selection));
     files.add_text("export.json", record.to_json());
     Ok(Export { files, record })
 }
@@ -109,16 +109,9 @@ fn record_of(selection: &Selection, names: &[String]) -> ExportRecord {
     record.made_for = "SURE (from the vendor's public pages and public scripts for SURE 1.2; not run)".into();
     record.way = "one project per cluster; lists for a joint project beside".into();
     for cluster in selection.clusters {
+        let [prepare, compute] = calls(selection, cluster, "sure");
         let name = project(selection, cluster);
-        let (folder, lists) = (format!("projects/{name}"), format!("clusters/{name}"));
-        let lists = format!("-img {lists}/images.txt -ori {lists}/ori.txt -select {lists}/baseImages.txt");
-        let partners = cluster.partners.len();
-        let level = selection.pyramid_level(cluster.scale);
-        record.commands.push(format!(
-            "mkdir -p {folder} && sure -basepath {folder} {lists} -fold {} -pyr {level} -maxmodels {partners} -prep",
-            partners.clamp(1, 2)
-        ));
-        record.commands.push(format!("sure -basepath {folder}"));
+        record.commands.extend([format!("mkdir -p projects/{name} && {prepare}"), compute]);
     }
     record.not_honoured.extend([
         "partners in a joint project (images.txt, ori.txt, baseImages.txt): no public file names pairs".into(),
@@ -144,38 +137,41 @@ fn project(selection: &Selection, cluster: &RankedCluster) -> String {
     format!("{:08}", selection.scene.view(cluster.key).image_id)
 }
 
-/// Returns `run.sh`, with two commands per cluster.
-fn shell_script(selection: &Selection, commands: &[String]) -> Contents {
+/// Returns the two calls of the program for a cluster, whose project has a folder already.
+fn calls(selection: &Selection, cluster: &RankedCluster, program: &str) -> [String; 2] {
+    let name = project(selection, cluster);
+    let (folder, lists) = (format!("projects/{name}"), format!("clusters/{name}"));
+    let lists = format!("-img {lists}/images.txt -ori {lists}/ori.txt -select {lists}/baseImages.txt");
+    let (partners, level) = (cluster.partners.len(), selection.pyramid_level(cluster.scale));
+    let fold = partners.clamp(1, 2);
+    [
+        format!("{program} -basepath {folder} {lists} -fold {fold} -pyr {level} -maxmodels {partners} -prep"),
+        format!("{program} -basepath {folder}"),
+    ]
+}
+
+/// Returns `run.sh`, with two calls per cluster.
+fn shell_script(selection: &Selection) -> Contents {
     let keys: Vec<String> = selection.clusters.iter().map(|cluster| project(selection, cluster)).collect();
-    let head = include_str!("../../integrations/sure/run_head.sh");
-    let mut script = ClusterScript::new(&format!("keys='{}'\n{head}", keys.join(" ")));
-    for (cluster, calls) in selection.clusters.iter().zip(commands.chunks(2)) {
-        let recipe = recipe(selection, cluster, &calls.concat());
-        let name = project(selection, cluster);
-        let call = |c: &String| {
-            let c = c.replace(&format!("mkdir -p projects/{name}"), "project");
-            c.replacen("sure ", "\"${SURE:-sure}\" ", 1)
-        };
-        let calls: Vec<String> = calls.iter().map(call).collect();
+    let mut script = ClusterScript::of_keys(&keys, include_str!("../../integrations/sure/run_head.sh"));
+    for (cluster, name) in selection.clusters.iter().zip(&keys) {
+        let [prepare, compute] = calls(selection, cluster, "\"${SURE:-sure}\"");
+        let recipe = recipe(selection, cluster, &format!("{prepare}{compute}"));
         script.line(&format!("back {name} {recipe}"));
-        script.cluster(&name, &recipe, &format!("projects/{name}"), &calls);
+        script.cluster(name, &recipe, &format!("projects/{name}"), &["project".into(), prepare, compute]);
     }
     script.finish(&[])
 }
 
 /// Returns `run.bat`, which runs every cluster each time.
-fn batch_script(selection: &Selection, commands: &[String]) -> String {
-    let call = |c: &String| {
-        let c = c.replacen("sure ", "sure.exe ", 1).replace('/', "\\");
-        let Some((folder, call)) = c.split_once(" && ") else { return c };
-        let folder = folder.trim_start_matches("mkdir -p ");
-        format!("(if not exist {folder} mkdir {folder}) && {call}")
+fn batch_script(selection: &Selection) -> String {
+    let cluster = |cluster: &RankedCluster| {
+        let name = project(selection, cluster);
+        let calls = calls(selection, cluster, "sure.exe").join(" && ").replace('/', "\\");
+        let folder = format!("projects\\{name}");
+        format!("(if not exist {folder} mkdir {folder}) && {calls} || (echo error: {name} failed & set failed=1)\r\n")
     };
-    let cluster = |(cluster, calls): (&RankedCluster, &[String])| {
-        let calls = calls.iter().map(call).collect::<Vec<_>>().join(" && ");
-        format!("{calls} || (echo error: {} failed & set failed=1)\r\n", project(selection, cluster))
-    };
-    let clusters: String = selection.clusters.iter().zip(commands.chunks(2)).map(cluster).collect();
+    let clusters: String = selection.clusters.iter().map(cluster).collect();
     format!("@echo off\r\ncd /d \"%~dp0\"\r\nset failed=0\r\n{clusters}exit /b %failed%\r\n")
 }
 
@@ -195,7 +191,8 @@ fn flat_names(selection: &Selection) -> Result<Vec<String>, BackendError> {
     Ok(names)
 }
 
-fn stem(name: &str) -> &str {
+/// A name without its extension.
+pub(super) fn stem(name: &str) -> &str {
     name.rsplit_once('.').map_or(name, |(stem, _)| stem)
 }
 

@@ -1,6 +1,7 @@
 //! `viewrank backends`: capabilities and planning numbers of each MVS program.
 
 use crate::{
+    apps::doctor::counted,
     backends::{self, Backend, Capabilities, Honours},
     method::confidence::Photometric,
     plan::PlanningNumbers,
@@ -142,8 +143,7 @@ fn details(entry: &Entry) -> String {
     if entry.matches {
         add("work of a depth map", &work);
     }
-    let of = if entry.matches { "depth map" } else { "image" };
-    add("support", &format!("{} {of}{}", p.support, if p.support == 1 { "" } else { "s" }));
+    add("support", &counted(p.support as usize, if entry.matches { "depth map" } else { "image" }));
     add("source", p.source);
     if !entry.options.is_empty() {
         add("options of export", &entry.options.join(", "));

@@ -6,11 +6,14 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use crate::apps::replan;
 use crate::{
-    apps::evaluate::{
-        self, CloudComparison, Comparison, Evaluation, EvaluationInput, EvaluationOptions, MeasuredClusters,
-        MeasuredProgress, MeasuredSurface, baselines, clusters, orders,
+    apps::{
+        doctor::counted,
+        evaluate::{
+            self, CloudComparison, Comparison, Evaluation, EvaluationInput, EvaluationOptions, MeasuredClusters,
+            MeasuredProgress, MeasuredSurface, baselines, clusters, orders,
+        },
+        replan,
     },
     io::{
         output::{Contents, Disk, FileSet, refuse_to_leave},
@@ -223,10 +226,6 @@ fn warnings(plan: &Plan, evaluation: &Evaluation, run: &MeasuredClusters) {
         let what = counted(run.strangers.len(), "depth map");
         warn(&format!("{what} of no view of this model or export, the first is {}", file.display()));
     }
-}
-
-fn counted(number: usize, thing: &str) -> String {
-    format!("{number} {thing}{}", if number == 1 { "" } else { "s" })
 }
 
 fn text(e: &Evaluation, out: &Path) -> String {

@@ -89,7 +89,7 @@ impl Finding {
 const FEW: f64 = 0.1;
 
 /// Returns the number with its noun, as in "1 view" or "2 views".
-fn counted(number: usize, what: &str) -> String {
+pub(crate) fn counted(number: usize, what: &str) -> String {
     format!("{number} {what}{}", if number == 1 { "" } else { "s" })
 }
 

@@ -123,8 +123,8 @@ pub fn list(folder: &Path, scene: &Scene) -> Result<DepthMapSet, DepthMapError> 
         };
         let path = entry.path();
         let inside = path.strip_prefix(folder).unwrap_or(path);
-        let is_map = path.is_file() && !is_copy(path);
-        let Some((format, rank)) = format_of(inside).filter(|_| is_map) else { continue };
+        let is_map = |_: &_| path.is_file() && !is_copy(path);
+        let Some((format, rank)) = format_of(inside).filter(is_map) else { continue };
         let view = match view_of(path, format, &mut numbers) {
             Ok(Some(view)) => view,
             Ok(None) => {
