@@ -108,20 +108,12 @@ pub fn candidates(
         Ok(select(scene, neighbours, key, settings, limits))
     };
     let views: Vec<ViewIndex> = scene.view_indices().collect();
-    // The surface is built meanwhile, whose rays come first: it takes longer, and only one thread can do the rest of it.
-    let beside_surface = rayon::current_num_threads().saturating_sub(1).max(1);
-    let of_part = |part: &[ViewIndex]| {
-        let mut neighbours = Neighbours::new(scene);
-        let one = |&key: &ViewIndex| {
-            rayon::yield_now();
-            of_view(&mut neighbours, key)
-        };
-        part.iter().map(one).collect::<Result<Vec<_>, _>>()
-    };
-    let parts = views.par_chunks(views.len().div_ceil(beside_surface).max(1)).map(of_part);
-    let all = parts.collect::<Result<Vec<_>, _>>()?;
+    let all = views
+        .par_iter()
+        .map_init(|| Neighbours::new(scene), |neighbours, &key| of_view(neighbours, key))
+        .collect::<Result<Vec<_>, _>>()?;
     let mut table = Candidates::default();
-    for selected in all.into_iter().flatten() {
+    for selected in all {
         table.offsets.push(selected.views.len());
         table.views.extend(selected.views);
         table.beyond.push(selected.beyond);
