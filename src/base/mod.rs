@@ -1,9 +1,10 @@
-//! Foundations that all layers share: errors, progress, input files, paths, platform differences, large columns, packed lists, CSR offsets, tiles of space, vectorised loops.
+//! Foundations that all layers share: errors, progress, input files, paths, platform differences, large columns, packed lists, CSR offsets, nearest points, tiles of space, vectorised loops.
 
 pub mod column;
 pub mod connected;
 pub mod error;
 pub mod input;
+pub mod kd_tree;
 pub mod large_pages;
 pub mod packed;
 pub mod paths;

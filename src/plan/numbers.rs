@@ -10,7 +10,7 @@ use crate::{
     model::{
         camera::Camera,
         cluster::{Gate, Reach},
-        scene::{Scene, ViewPoints},
+        scene::{Scene, ViewIndex, ViewPoints},
     },
 };
 
@@ -21,7 +21,7 @@ pub struct PlanningNumbers {
     pub gate: Gate,
     /// What the program can match of a pair, by its own rule, if images are matched at this share of the model's size; `None`: everything.
     #[serde(skip)]
-    pub reach: Option<fn(&PairGeometry, &ViewPoints, f64) -> Reach>,
+    pub reach: Option<ReachRule>,
     /// Method 7.2.
     pub confidence: PairConfidence,
     /// Method 7.4.
@@ -35,6 +35,9 @@ pub struct PlanningNumbers {
     /// Source of the numbers and the gate, with the reason.
     pub source: &'static str,
 }
+
+/// Returns a program's rule for the pairs of a key view, matched at a share of the model's size.
+pub type ReachRule = for<'a> fn(&'a Scene, &'a ViewPoints, ViewIndex, f64) -> Box<dyn Fn(&PairGeometry) -> Reach + 'a>;
 
 /// Work of a depth map: `fixed + Mpx (per_map + partners)`, in Mpx matched with one partner.
 #[derive(Clone, Copy, Debug, Serialize)]

@@ -12,10 +12,10 @@ use crate::{
     config::{ConfidenceSource, Settings, Share, TargetMode},
     io::{cache::CacheFile, project::Project},
     method::{
-        confidence::{self, Agreement, Confidence, Pictures, ProgramReach, Unary},
+        confidence::{self, Agreement, Confidence, Pictures, ProgramReach, ReachOfPartner, Unary},
         fulfilment::{self, FulfilmentRule, FulfilmentTable, Model},
         geometry::Geometry,
-        partners::{self, Candidates, Limits, PairGeometry},
+        partners::{self, CandidateSearch, Candidates, Limits, PairGeometry, Refuses},
         ranking::{Maps, Objective, Ranking},
         region::{Region, RegionShape},
         surface::{self, MeshFile, Surface, SurfaceError, SurfaceStats, WantedGsd},
@@ -106,14 +106,10 @@ impl Stages {
         let numbers = &matcher.numbers;
         let missing_images = project.missing_images(&scene);
         let inputs = timings.time(Stage::Read, || Inputs::new(project, &scene));
-        // Parts of the surface are built by one thread; the others find candidates meanwhile.
-        let (seen, candidates) = timings.time_rest(Stage::Partners, |timings| {
-            rayon::join(
-                || kept_surface((&scene, &points), &settings, &inputs, watcher, timings, &mut memory),
-                || candidates((&scene, &points), &settings, matcher, &missing_images, &inputs, watcher),
-            )
-        });
-        let ((surface_slot, seen), (candidates_slot, candidates)) = (seen?, candidates?);
+        let matching = (matcher, &missing_images[..]);
+        let ((surface_slot, seen), (candidates_slot, candidates)) = timings.time_rest(Stage::Partners, |timings| {
+            surface_and_candidates((&scene, &points), &settings, matching, &inputs, watcher, timings, &mut memory)
+        })?;
         memory.before_partners(&scene, &seen.surface, &seen.visibility)?;
         let (shown_slot, shown) =
             timings.time(Stage::Visibility, || shown(inputs.shown(&surface_slot.file), &scene, &seen))?;
@@ -358,38 +354,59 @@ fn agreement(
     most_samples: u64,
     watcher: &dyn Watcher,
 ) -> Result<Agreement, PlanError> {
-    let of_pair = |key, partner| match matcher.numbers.reach {
-        Some(reach) => {
+    let of_key_view = |key| -> ReachOfPartner {
+        let Some(rule) = matcher.numbers.reach else { return Box::new(|_| Reach::Everything) };
+        let reach = rule(geometry.scene, points, key, geometry.image_scale);
+        Box::new(move |partner| {
             let shared = points.shared(key, partner);
-            reach(&PairGeometry::new(geometry.scene, key, partner, &shared), points, geometry.image_scale)
-        }
-        None => Reach::Everything,
+            reach(&PairGeometry::new(geometry.scene, key, partner, &shared))
+        })
     };
-    let reach = ProgramReach { program: matcher.numbers.reach.map(|_| matcher.name), of_pair: &of_pair };
+    let reach = ProgramReach { program: matcher.numbers.reach.map(|_| matcher.name), of_key_view: &of_key_view };
     let partners = |view| candidates.candidates_of(view);
     Ok(Agreement::new(geometry, pictures, partners, &reach, most_samples, watcher)?)
 }
 
-/// Finds the candidate partners of each view within the gate, among pairs that the backend can match and that have images.
-fn candidates(
-    (scene, points): (&Scene, &ViewPoints),
+/// Returns the surface, and the candidate partners of each view within the gate, among pairs that the backend can match and that have images; those of an
+/// earlier plan if nothing has changed.
+fn surface_and_candidates(
+    from @ (scene, points): (&Scene, &ViewPoints),
     settings: &Settings,
-    matcher: &Matcher,
-    missing_images: &[ViewIndex],
+    (matcher, missing_images): (&Matcher, &[ViewIndex]),
     inputs: &Inputs,
     watcher: &dyn Watcher,
-) -> Result<(Slot, Candidates), Cancelled> {
+    timings: &mut Timings,
+    memory: &mut Memory,
+) -> Result<((Slot, VisibleSurface), (Slot, Candidates)), PlanError> {
     let PlanningNumbers { reach, gate, .. } = matcher.numbers;
     let gate = gate.with(&settings.partners.gate);
     let file = inputs.candidates(settings, reach.map(|_| matcher.name), &gate, missing_images);
-    let unpack = |(), bytes: &[u8]| kept::candidates::unpack(bytes, scene.views.len());
+    let (slot, known) = kept::read(file, |(), bytes| kept::candidates::unpack(bytes, scene.views.len()));
     let is_missing = |view: &ViewIndex| missing_images.binary_search(view).is_ok();
-    let refuses = |pair: &PairGeometry| {
-        let lacks_image = [pair.key, pair.partner].iter().any(is_missing);
-        lacks_image || reach.is_some_and(|reach| reach(pair, points, settings.image_scale()).is_nothing())
+    let refusals_of = |key| -> Refuses {
+        let reach = reach.map(|rule| rule(scene, points, key, settings.image_scale()));
+        Box::new(move |pair| {
+            let lacks_image = [pair.key, pair.partner].iter().any(is_missing);
+            lacks_image || reach.as_ref().is_some_and(|reach| reach(pair).is_nothing())
+        })
     };
-    let limits = Limits { gate: &gate, refuses: &refuses };
-    kept::read_or(file, unpack, || partners::candidates(scene, points, &settings.partners, &limits, watcher))
+    let limits = Limits { gate: &gate, refusals_of: &refusals_of };
+    let search = CandidateSearch::new(scene, points, &settings.partners, &limits, watcher);
+    let mut surface = Err(Cancelled.into());
+    // Parts of the surface are built by one thread, and the others find candidates meanwhile. Started from outside the thread pool, these come after all
+    // that threads have split of the surface, which would wait for them otherwise.
+    rayon::in_place_scope(|jobs| {
+        jobs.spawn(|_| surface = kept_surface(from, settings, inputs, watcher, timings, memory));
+        if known.is_none() {
+            search.start(jobs);
+        }
+    });
+    let surface = surface?;
+    let candidates = match known {
+        Some(candidates) => candidates,
+        None => search.finish()?,
+    };
+    Ok((surface, (slot, candidates)))
 }
 
 /// The surface, reduced to triangles that at least one view sees, with its visibility.

@@ -35,27 +35,40 @@ const FAR: f64 = 1e6;
 /// Disparities are searched in groups.
 const GROUP: f64 = 16.0;
 
-/// Returns the points of the scene whose disparity is searched; nothing where these are too few of the pair's points, or the pictures hardly overlap.
-pub fn reach(pair: &PairGeometry, points: &ViewPoints, image_scale: f64) -> Reach {
-    let [key, partner] = [pair.key, pair.partner].map(|view| Reduced::new(pair.scene, view, image_scale));
-    let position = |point: &PointIndex| pair.scene.points[point.index()];
-    let shared: Vec<Point3<f64>> = pair.shared.iter().map(position).collect();
-    let Some(parallax) = Parallax::new(&key, &partner, &shared) else { return Reach::Nothing };
-    // Those of the partner that the key view does not observe; all lists ascend.
-    let mut both = pair.shared.iter().peekable();
-    let others = points.observed_by(pair.partner).iter().filter(|point| both.next_if_eq(point).is_none());
-    let around = points.observed_by(pair.key).iter().chain(others).map(position);
-    let searched =
-        parallax.searched(&key, &partner, around).filter(|searched| parallax.overlap(&key, &partner, searched));
-    let Some(Range { start, end }) = searched else { return Reach::Nothing };
-    let searched = start..start + GROUP * ((end - start) / GROUP).ceil();
-    Reach::Part(Box::new(move |point| {
-        let seen = key.project((*point).into());
-        seen[2] > 0.0 && searched.contains(&parallax.disparity(seen))
-    }))
+/// Returns what is searched of the pairs of a key view: the points of the scene whose disparity is searched; nothing where these are too few of the
+/// pair's points, or the pictures hardly overlap.
+pub fn reach<'a>(
+    scene: &'a Scene,
+    points: &'a ViewPoints,
+    key: ViewIndex,
+    image_scale: f64,
+) -> Box<dyn Fn(&PairGeometry) -> Reach + 'a> {
+    let reduced = move |view| Reduced::new(scene, view, image_scale);
+    let (key, observed) = (reduced(key), points.observed_by(key));
+    let seen = SeenPoints::new(&key, observed.iter().map(|point| scene.points[point.index()]));
+    Box::new(move |pair| {
+        let partner = reduced(pair.partner);
+        // Those of the partner that the key view does not observe; all lists ascend.
+        let mut both = pair.shared.iter().peekable();
+        let others = points.observed_by(pair.partner).iter().filter(|point| both.next_if_eq(point).is_none());
+        let position = |point: &PointIndex| scene.points[point.index()];
+        let shared = pair.shared.iter().map(position);
+        let searched = Parallax::new(&key, &partner, shared).and_then(|parallax| {
+            let searched = parallax.searched(&key, &partner, &seen, others.map(position))?;
+            parallax.overlap(&key, &partner, &searched).then_some((parallax, searched))
+        });
+        let Some((parallax, Range { start, end })) = searched else { return Reach::Nothing };
+        let searched = start..start + GROUP * ((end - start) / GROUP).ceil();
+        let key = key.clone();
+        Reach::Part(Box::new(move |point| {
+            let seen = key.project((*point).into());
+            seen[2] > 0.0 && searched.contains(&parallax.disparity(seen))
+        }))
+    })
 }
 
 /// A view as it is matched: reduced, the centre of the first pixel at (0, 0).
+#[derive(Clone)]
 struct Reduced {
     size: Vector2<f64>,
     intrinsics: Matrix3<f64>,
@@ -79,20 +92,48 @@ impl Reduced {
         }
     }
 
-    /// Pixel x, pixel y and depth; spelt out, as all below that is called in loops, for vector instructions.
+    /// Pixel x and pixel y, both times depth, and depth; spelt out, as all below that is called in loops, for vector instructions.
     #[inline(always)]
-    fn project(&self, [x, y, z]: [f64; 3]) -> [f64; 3] {
+    fn carry(&self, [x, y, z]: [f64; 3]) -> [f64; 3] {
         let (r, t, k) = (&self.rotation, &self.translation, &self.intrinsics);
         let [a, b, depth] = [0, 1, 2].map(|i| r[(i, 0)] * x + r[(i, 1)] * y + r[(i, 2)] * z + t[i]);
-        let (u, v) = (k[(0, 0)] * a + k[(0, 2)] * depth, k[(1, 1)] * b + k[(1, 2)] * depth);
-        [u / depth, v / depth, depth]
+        [k[(0, 0)] * a + k[(0, 2)] * depth, k[(1, 1)] * b + k[(1, 2)] * depth, depth]
     }
 
-    /// Returns whether what projects there is in front of the view and in its image.
+    /// Pixel x, pixel y and inverse depth.
+    #[inline(always)]
+    fn project(&self, place: [f64; 3]) -> [f64; 3] {
+        let [u, v, depth] = self.carry(place);
+        let inverse = 1.0 / depth;
+        [u * inverse, v * inverse, inverse]
+    }
+
+    /// Returns whether what [`Self::carry`] returns is in front of the view and in its image.
     #[inline(always)]
     fn shows(&self, [u, v, depth]: [f64; 3]) -> bool {
-        let inside = |at: f64, size: f64| (at > -0.5) & (at < size - 0.5);
+        let inside = |at: f64, size: f64| (at > -0.5 * depth) & (at < (size - 0.5) * depth);
         (depth > 0.0) & inside(u, self.size.x) & inside(v, self.size.y)
+    }
+}
+
+/// Points in the image of a key view: their positions, and pixel x, pixel y and inverse depth.
+#[derive(Default)]
+struct SeenPoints {
+    places: [Vec<f64>; 3],
+    seen: [Vec<f64>; 3],
+}
+
+impl SeenPoints {
+    fn new(key: &Reduced, points: impl Iterator<Item = Point3<f64>>) -> Self {
+        let mut all = Self::default();
+        for place in points.map(<[f64; 3]>::from).filter(|&place| key.shows(key.carry(place))) {
+            let seen = key.project(place);
+            (0..3).for_each(|axis| {
+                all.places[axis].push(place[axis]);
+                all.seen[axis].push(seen[axis]);
+            });
+        }
+        all
     }
 }
 
@@ -107,10 +148,10 @@ struct Parallax {
 }
 
 impl Parallax {
-    fn new(key: &Reduced, partner: &Reduced, shared: &[Point3<f64>]) -> Option<Self> {
-        let in_front = shared.iter().map(|&point| point.into()).filter(|&point| partner.project(point)[2] > 0.0);
+    fn new(key: &Reduced, partner: &Reduced, shared: impl Iterator<Item = Point3<f64>>) -> Option<Self> {
+        let in_front = shared.map(<[f64; 3]>::from).filter(|&point| partner.carry(point)[2] > 0.0);
         let seen = in_front.map(|point| key.project(point)).filter(|seen| seen[2] > 0.0);
-        let samples: Vec<(Vector2<f64>, f64)> = seen.map(|[u, v, z]| (Vector2::new(u, v), 1.0 / z)).collect();
+        let samples: Vec<(Vector2<f64>, f64)> = seen.map(|[u, v, inverse]| (Vector2::new(u, v), inverse)).collect();
         if samples.len() < MIN_SHARED {
             return None;
         }
@@ -128,24 +169,25 @@ impl Parallax {
         Some(Self { plane, epipole: e.xy() / height, gain: height / bend(&plane), homography })
     }
 
-    /// Returns the disparity at pixel x, pixel y and depth of the key view.
+    /// Returns the disparity at pixel x, pixel y and inverse depth of the key view.
     #[inline(always)]
-    fn disparity(&self, [u, v, depth]: [f64; 3]) -> f64 {
+    fn disparity(&self, [u, v, inverse]: [f64; 3]) -> f64 {
         let (x, y) = (u - self.epipole.x, v - self.epipole.y);
         let radius = (x * x + y * y).sqrt();
-        let off = self.gain * (1.0 / depth - (self.plane.x * u + self.plane.y * v + self.plane.z));
+        let off = self.gain * (inverse - (self.plane.x * u + self.plane.y * v + self.plane.z));
         radius * off / (1.0 + off)
     }
 
     /// Returns the disparities that the matcher is to search, pixels: those of the points that both images show, with a margin, or the window that it
-    /// can search with most of them; `None` if these are too few.
+    /// can search with most of them; `None` if these are too few. `seen`, `others`: points that the key view observes, and that only the partner does.
     fn searched(
         &self,
         key: &Reduced,
         partner: &Reduced,
-        around: impl Iterator<Item = Point3<f64>>,
+        seen: &SeenPoints,
+        others: impl Iterator<Item = Point3<f64>>,
     ) -> Option<Range<f64>> {
-        let mut disparities = vectorised(Disparities { parallax: self, key, partner, around });
+        let mut disparities = vectorised(Disparities { parallax: self, key, partner, seen, others });
         if disparities.len() < MIN_SHARED {
             return None;
         }
@@ -181,7 +223,7 @@ impl Parallax {
                 let disparity = searched.start + range * f64::from(part) / parts;
                 let carried = self.epipole + offset * ((radius - disparity) / radius.max(1e-9));
                 let there = self.homography * carried.push(1.0);
-                radius > disparity && partner.shows([there.x / there.z, there.y / there.z, there.z])
+                radius > disparity && partner.shows(there.into())
             })
         };
         // Spread over the picture, so that most pairs are decided after a few places.
@@ -195,7 +237,8 @@ struct Disparities<'a, I> {
     parallax: &'a Parallax,
     key: &'a Reduced,
     partner: &'a Reduced,
-    around: I,
+    seen: &'a SeenPoints,
+    others: I,
 }
 
 /// Points that are projected at once.
@@ -206,20 +249,31 @@ impl<I: Iterator<Item = Point3<f64>>> Kernel for Disparities<'_, I> {
 
     #[inline(always)]
     fn run(mut self) -> Vec<f64> {
-        let mut all = Vec::with_capacity(self.around.size_hint().0);
+        let [x, y, z] = &self.seen.places;
+        let [u, v, inverse] = &self.seen.seen;
+        let mut all = Vec::with_capacity(x.len() + self.others.size_hint().1.unwrap_or(0));
+        let (mut disparities, mut shown) = ([0.0; LANES], [false; LANES]);
+        for start in (0..x.len()).step_by(LANES) {
+            let count = LANES.min(x.len() - start);
+            let [x, y, z, u, v, inverse] = [x, y, z, u, v, inverse].map(|list| &list[start..start + count]);
+            for lane in 0..count {
+                shown[lane] = self.partner.shows(self.partner.carry([x[lane], y[lane], z[lane]]));
+                disparities[lane] = self.parallax.disparity([u[lane], v[lane], inverse[lane]]);
+            }
+            let both = disparities[..count].iter().zip(&shown);
+            all.extend(both.filter_map(|(disparity, shown)| shown.then_some(*disparity)));
+        }
         let mut places = [[0.0; LANES]; 3];
         loop {
             let mut count = 0;
-            for (lane, point) in self.around.by_ref().take(LANES).enumerate() {
+            for (lane, point) in self.others.by_ref().take(LANES).enumerate() {
                 (0..3).for_each(|axis| places[axis][lane] = point[axis]);
                 count = lane + 1;
             }
-            let (mut disparities, mut shown) = ([0.0; LANES], [false; LANES]);
             for lane in 0..LANES {
                 let place = [places[0][lane], places[1][lane], places[2][lane]];
-                let seen = self.key.project(place);
-                shown[lane] = self.key.shows(seen) & self.partner.shows(self.partner.project(place));
-                disparities[lane] = self.parallax.disparity(seen);
+                shown[lane] = self.key.shows(self.key.carry(place)) & self.partner.shows(self.partner.carry(place));
+                disparities[lane] = self.parallax.disparity(self.key.project(place));
             }
             let both = disparities[..count].iter().zip(&shown);
             all.extend(both.filter_map(|(disparity, shown)| shown.then_some(*disparity)));

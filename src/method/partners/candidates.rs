@@ -1,9 +1,12 @@
 //! The candidates of each key view, and why other views that share points with it are rejected.
 
-use std::{cmp::Reverse, ops::Range};
+use std::{
+    cmp::Reverse,
+    ops::Range,
+    sync::{Mutex, OnceLock},
+};
 
 use nalgebra::{Point3, Vector3};
-use rayon::prelude::*;
 
 use crate::{
     base::{
@@ -76,15 +79,18 @@ impl Candidates {
 pub struct Limits<'a> {
     /// Limits beyond which matching usually fails (method 7.1).
     pub gate: &'a Gate,
-    /// Returns true for pairs that cannot be matched at all: the program refuses them, or an image is missing.
-    pub refuses: &'a (dyn Fn(&PairGeometry) -> bool + Sync),
+    /// By key view: returns true for pairs that cannot be matched at all: the program refuses them, or an image is missing.
+    pub refusals_of: &'a (dyn Fn(ViewIndex) -> Refuses<'a> + Sync),
 }
+
+/// True for pairs of a key view that cannot be matched at all.
+pub type Refuses<'a> = Box<dyn Fn(&PairGeometry) -> bool + 'a>;
 
 #[cfg(test)]
 impl<'a> Limits<'a> {
     /// Limits with this gate, for a program that refuses no pair.
     pub fn gate(gate: &'a Gate) -> Self {
-        Self { gate, refuses: &|_| false }
+        Self { gate, refusals_of: &|_| Box::new(|_| false) }
     }
 }
 
@@ -93,8 +99,66 @@ const STILL_DEG: f64 = 0.5;
 /// Share of the shared points with such an angle above which two views have no baseline.
 const STILL_SHARE: f64 = 0.5;
 
-/// Returns for each view the n views with the most shared points that have a baseline and that the backend can match, ties by name. If fewer than
-/// k remain, the best connected views beyond the gate follow, unless the program refuses them.
+/// The search for each view's n views with the most shared points that have a baseline and that the backend can match, ties by name. If fewer than k
+/// remain, the best connected views beyond the gate follow, unless the program refuses them.
+pub struct CandidateSearch<'a, 'limits> {
+    scene: &'a Scene,
+    points: &'a ViewPoints,
+    settings: &'a PartnerSettings,
+    limits: &'a Limits<'limits>,
+    watcher: &'a dyn Watcher,
+    /// By view, unset until its job is done.
+    rows: Vec<OnceLock<CandidateRow>>,
+    /// Reused: some as large as the scene has views.
+    resting: Mutex<Vec<Neighbours>>,
+}
+
+impl<'a, 'limits> CandidateSearch<'a, 'limits> {
+    pub fn new(
+        scene: &'a Scene,
+        points: &'a ViewPoints,
+        settings: &'a PartnerSettings,
+        limits: &'a Limits<'limits>,
+        watcher: &'a dyn Watcher,
+    ) -> Self {
+        let rows = scene.views.iter().map(|_| OnceLock::new()).collect();
+        Self { scene, points, settings, limits, watcher, rows, resting: Mutex::default() }
+    }
+
+    /// Starts a job for each view: short ones, between which threads look for work that others split.
+    pub fn start<'jobs>(&'jobs self, jobs: &rayon::Scope<'jobs>) {
+        self.scene.view_indices().for_each(|key| jobs.spawn(move |_| self.find(key)));
+    }
+
+    fn find(&self, key: ViewIndex) {
+        if self.watcher.cancelled() {
+            return;
+        }
+        let rested = self.resting.lock().ok().and_then(|mut resting| resting.pop());
+        let mut neighbours = rested.unwrap_or_else(|| Neighbours::new(self.scene));
+        neighbours.collect(self.scene, self.points, key);
+        let row = select(self.scene, &neighbours, key, self.settings, self.limits);
+        self.rows[key.index()].set(row).ok();
+        self.resting.lock().map(|mut resting| resting.push(neighbours)).ok();
+    }
+
+    /// Returns the candidates, when all jobs are done.
+    pub fn finish(self) -> Result<Candidates, Cancelled> {
+        let mut table = Candidates::default();
+        for row in self.rows {
+            let row = row.into_inner().ok_or(Cancelled)?;
+            table.offsets.push(row.views.len());
+            table.views.extend(row.views);
+            table.beyond.push(row.beyond);
+            table.refusal_offsets.push(row.refused.len());
+            table.refusals.extend(row.refused);
+        }
+        Ok(table)
+    }
+}
+
+/// Finds the candidates of each view.
+#[cfg(test)]
 pub fn candidates(
     scene: &Scene,
     points: &ViewPoints,
@@ -102,25 +166,9 @@ pub fn candidates(
     limits: &Limits,
     watcher: &dyn Watcher,
 ) -> Result<Candidates, Cancelled> {
-    let of_view = |neighbours: &mut Neighbours, key: ViewIndex| {
-        watcher.check()?;
-        neighbours.collect(scene, points, key);
-        Ok(select(scene, neighbours, key, settings, limits))
-    };
-    let views: Vec<ViewIndex> = scene.view_indices().collect();
-    let all = views
-        .par_iter()
-        .map_init(|| Neighbours::new(scene), |neighbours, &key| of_view(neighbours, key))
-        .collect::<Result<Vec<_>, _>>()?;
-    let mut table = Candidates::default();
-    for selected in all {
-        table.offsets.push(selected.views.len());
-        table.views.extend(selected.views);
-        table.beyond.push(selected.beyond);
-        table.refusal_offsets.push(selected.refused.len());
-        table.refusals.extend(selected.refused);
-    }
-    Ok(table)
+    let search = CandidateSearch::new(scene, points, settings, limits, watcher);
+    rayon::scope(|jobs| search.start(jobs));
+    search.finish()
 }
 
 /// Returns the views that share points with one, with those points; most shared points first, ties by name.
@@ -131,7 +179,7 @@ pub fn neighbours(scene: &Scene, points: &ViewPoints, view: ViewIndex) -> Vec<(V
 }
 
 /// The candidates of one view.
-#[derive(Default)]
+#[derive(Debug, Default)]
 struct CandidateRow {
     views: Vec<ViewIndex>,
     /// Number of views at the end that are beyond the gate.
@@ -155,6 +203,7 @@ fn select(
     let mut judged: Vec<_> = moving.iter().zip(verdicts).chain(still).collect();
     judged.sort_by_key(|(pair, _)| (Reverse(pair.shared.len()), pair.partner));
     let (mut selected, mut unlikely) = (CandidateRow::default(), Vec::new());
+    let refuses = (limits.refusals_of)(key);
     for (pair, refusal) in judged {
         match refusal {
             Some(reason) => {
@@ -162,7 +211,7 @@ fn select(
                 unlikely.extend((reason == Reason::NotMatchable).then_some(pair));
             }
             None if selected.views.len() == settings.candidates as usize => break,
-            None if (limits.refuses)(pair) => {
+            None if refuses(pair) => {
                 selected.refused.push(Refusal { partner: pair.partner, reason: Reason::NotMatchable });
             }
             None => selected.views.push(pair.partner),
@@ -171,7 +220,7 @@ fn select(
     // Beyond the gate matching usually fails, but such a partner is better than none.
     let empty = (settings.k as usize).saturating_sub(selected.views.len());
     let filled: Vec<ViewIndex> =
-        unlikely.into_iter().filter(|pair| !(limits.refuses)(pair)).take(empty).map(|pair| pair.partner).collect();
+        unlikely.into_iter().filter(|pair| !refuses(pair)).take(empty).map(|pair| pair.partner).collect();
     selected.beyond = filled.len();
     selected.refused.retain(|refusal| !filled.contains(&refusal.partner));
     selected.views.extend(filled);

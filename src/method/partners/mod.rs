@@ -1,6 +1,6 @@
 //! Selection of the matching partners of each key view (method 4).
 //!
-//! [`candidates`] finds the views with the most shared sparse points that the backend can match; [`choose`] selects k of them for each
+//! [`CandidateSearch`] finds the views with the most shared sparse points that the backend can match; [`choose`] selects k of them for each
 //! key view, as in the paper ([`sampled`]) or by a search that continues from there ([`search`]).
 
 mod candidates;
@@ -12,7 +12,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use self::search::PartnerChoice;
 pub use self::{
-    candidates::{Candidates, Limits, PairGeometry, Refusal, candidates, neighbours},
+    candidates::{CandidateSearch, Candidates, Limits, PairGeometry, Refusal, Refuses, neighbours},
     gate::Obstacle,
 };
 use crate::{

@@ -1,6 +1,6 @@
 //! The choice of partners on the synthetic town.
 
-use super::*;
+use super::{candidates::candidates, *};
 use crate::{
     base::{column::Storage, progress::NoWatcher},
     config::TargetSettings,

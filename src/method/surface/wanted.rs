@@ -2,10 +2,12 @@
 
 use nalgebra::Point3;
 use rayon::prelude::*;
-use rstar::{RTree, primitives::GeomWithData};
 
 use super::points::usable_points;
-use crate::model::scene::{PointIndex, Scene};
+use crate::{
+    base::kd_tree::KdTree,
+    model::scene::{PointIndex, Scene},
+};
 
 /// Approximate maximum number of sparse points that sample the wanted resolution, which changes slowly over a surface.
 const MOST_POINTS: usize = 50_000;
@@ -15,7 +17,13 @@ const MOST_OFF: f64 = 32.0;
 /// Wanted ground sampling distance as a function of position, scene units per pixel of the matched image. Edge lengths are multiples of it.
 pub struct WantedGsd {
     everywhere: f64,
-    points: Option<RTree<GeomWithData<[f64; 3], f64>>>,
+    points: Option<KnownGsd>,
+}
+
+/// Wanted GSD at sparse points.
+struct KnownGsd {
+    points: KdTree,
+    gsd: Vec<f64>,
 }
 
 impl WantedGsd {
@@ -35,11 +43,12 @@ impl WantedGsd {
             };
             let finest = scene.track_views(point).iter().map(of_view).fold(f64::INFINITY, f64::min);
             let wanted = (margin * finest).clamp(gsd / MOST_OFF, gsd * MOST_OFF);
-            (!wanted.is_nan()).then(|| GeomWithData::new(place.into(), wanted))
+            (!wanted.is_nan()).then_some((place, wanted))
         };
         let sample: Vec<_> = points.iter().step_by(points.len().div_ceil(MOST_POINTS).max(1)).collect();
-        let known: Vec<_> = sample.into_par_iter().filter_map(finest).collect();
-        Self { everywhere: gsd, points: (!known.is_empty()).then(|| RTree::bulk_load(known)) }
+        let (places, known): (Vec<_>, Vec<_>) = sample.into_par_iter().filter_map(finest).unzip();
+        let points = (!known.is_empty()).then(|| KnownGsd { points: KdTree::new(&places), gsd: known });
+        Self { everywhere: gsd, points }
     }
 
     /// Returns the GSD of the scene.
@@ -49,8 +58,11 @@ impl WantedGsd {
 
     /// Returns the GSD at each position, times `factor`.
     pub fn lengths(&self, places: &[Point3<f64>], factor: f64) -> Vec<f64> {
-        let Some(points) = &self.points else { return vec![factor * self.everywhere; places.len()] };
-        let wanted = |place: &Point3<f64>| points.nearest_neighbor((*place).into()).map_or(self.everywhere, |p| p.data);
+        let Some(known) = &self.points else { return vec![factor * self.everywhere; places.len()] };
+        let wanted = |place: &Point3<f64>| {
+            let [nearest] = known.points.nearest(place);
+            known.gsd[nearest as usize]
+        };
         places.par_iter().map(|place| factor * wanted(place)).collect()
     }
 }

@@ -68,8 +68,9 @@ pub(super) fn compared(
     let (own, seen) = (visibility.rows(key), visibility.triangles_seen_by(key));
     seen.iter().enumerate().for_each(|(row, &t)| places[t as usize] = row as u32);
     let mut values = vec![0; partners.len() * seen.len()];
+    let reach_of = (reach.of_key_view)(key);
     for (partner, values) in partners.iter().zip(values.chunks_exact_mut(seen.len().max(1))) {
-        let reach = (reach.of_pair)(key, *partner);
+        let reach = reach_of(*partner);
         let is_reached = |t: u32| match &reach {
             Reach::Nothing => false,
             Reach::Everything => true,
@@ -89,7 +90,10 @@ pub(super) fn compared(
 
 #[cfg(test)]
 mod tests {
-    use super::super::tests::{town, view_that_overlaps};
+    use super::super::{
+        ReachOfPartner,
+        tests::{town, view_that_overlaps},
+    };
     use super::*;
 
     /// Samples that are the same in all views of a triangle, and differ from those of other triangles.
@@ -107,18 +111,20 @@ mod tests {
             (textured(&geometry), ViewIndex(12), view_that_overlaps(&geometry, ViewIndex(12)));
         let mut places = vec![u32::MAX; town.surface.triangles.len()];
         let middle = town.scene.view(key).cam_from_world.centre().x;
-        let part = |_, _| Reach::Part(Box::new(move |point: &nalgebra::Point3<f64>| point.x < middle));
-        let reaches: [&(dyn Fn(ViewIndex, ViewIndex) -> Reach + Sync); 3] =
-            [&|_, _| Reach::Everything, &part, &|_, _| Reach::Nothing];
+        let part = move |_| Reach::Part(Box::new(move |point: &nalgebra::Point3<f64>| point.x < middle));
+        // Kept for ever, as the two others are.
+        let of_part = &*Box::leak(Box::new(move |_| -> ReachOfPartner { Box::new(part) }));
+        let reaches: [&(dyn Fn(ViewIndex) -> ReachOfPartner<'static> + Sync); 3] =
+            [&|_| Box::new(|_| Reach::Everything), of_part, &|_| Box::new(|_| Reach::Nothing)];
         let seen = town.visibility.triangles_seen_by(key);
-        let counts = reaches.map(|of_pair| {
-            let reach = ProgramReach { program: Some("program"), of_pair };
+        let counts = reaches.map(|of_key_view| {
+            let reach = ProgramReach { program: Some("program"), of_key_view };
             let values = compared(&geometry, &samples, key, &[partner, partner], &reach, &mut places);
             assert!(places.iter().all(|&place| place == u32::MAX), "left as found");
             let (first, second) = values.split_at(seen.len());
             assert_eq!(first, second);
             for (&t, &value) in seen.iter().zip(first) {
-                let is_reached = match of_pair(key, partner) {
+                let is_reached = match of_key_view(key)(partner) {
                     Reach::Nothing => false,
                     Reach::Everything => true,
                     Reach::Part(is_inside) => is_inside(&town.surface.centroid(t)),

@@ -112,13 +112,17 @@ pub static NO_AGREEMENT: std::sync::LazyLock<Agreement> = std::sync::LazyLock::n
 pub struct ProgramReach<'a> {
     /// Name of the program if it has such a rule.
     pub program: Option<&'static str>,
-    /// By key view and partner.
-    pub of_pair: &'a (dyn Fn(ViewIndex, ViewIndex) -> Reach + Sync),
+    /// By key view.
+    pub of_key_view: &'a (dyn Fn(ViewIndex) -> ReachOfPartner<'a> + Sync),
 }
+
+/// What the program can match of the pair of a key view and a partner.
+pub type ReachOfPartner<'a> = Box<dyn Fn(ViewIndex) -> Reach + 'a>;
 
 impl ProgramReach<'_> {
     /// Programs that match whatever two pictures show.
-    pub const EVERYTHING: ProgramReach<'static> = ProgramReach { program: None, of_pair: &|_, _| Reach::Everything };
+    pub const EVERYTHING: ProgramReach<'static> =
+        ProgramReach { program: None, of_key_view: &|_| Box::new(|_| Reach::Everything) };
 }
 
 impl Agreement {

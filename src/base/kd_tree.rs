@@ -1,0 +1,117 @@
+//! Nearest points by an implicit k-d tree.
+
+use nalgebra::Point3;
+
+/// Points of a part of the tree that is not split.
+const LEAF: usize = 8;
+
+/// Points in the order of the tree: the one in the middle of each range splits the range.
+pub struct KdTree {
+    places: Vec<Point3<f64>>,
+    /// Index of each point in the list that the tree was made of.
+    indices: Vec<u32>,
+    /// Axis along which each point splits its range.
+    axes: Vec<u8>,
+}
+
+impl KdTree {
+    pub fn new(points: &[Point3<f64>]) -> Self {
+        let mut indices: Vec<u32> = (0..points.len() as u32).collect();
+        let mut axes = vec![0; points.len()];
+        split(points, &mut indices, &mut axes);
+        let places = indices.iter().map(|&index| points[index as usize]).collect();
+        Self { places, indices, axes }
+    }
+
+    /// Returns the indices of the N nearest points, nearest first, ties by index; fewer points are followed by `u32::MAX`.
+    pub fn nearest<const N: usize>(&self, to: &Point3<f64>) -> [u32; N] {
+        let mut found = [(f64::INFINITY, u32::MAX); N];
+        self.look(to, 0, self.places.len(), &mut found);
+        found.map(|(_, index)| index)
+    }
+
+    fn look<const N: usize>(&self, to: &Point3<f64>, from: usize, end: usize, found: &mut [(f64, u32); N]) {
+        if end - from <= LEAF {
+            (from..end).for_each(|at| self.offer(to, at, found));
+            return;
+        }
+        let middle = from + (end - from) / 2;
+        let axis = self.axes[middle] as usize;
+        let ahead = to[axis] - self.places[middle][axis];
+        let (near, far) =
+            if ahead < 0.0 { ([from, middle], [middle + 1, end]) } else { ([middle + 1, end], [from, middle]) };
+        self.look(to, near[0], near[1], found);
+        self.offer(to, middle, found);
+        if ahead * ahead <= found[N - 1].0 {
+            self.look(to, far[0], far[1], found);
+        }
+    }
+
+    #[inline]
+    fn offer<const N: usize>(&self, to: &Point3<f64>, at: usize, found: &mut [(f64, u32); N]) {
+        // Distances may be beyond the largest number.
+        let entry = ((self.places[at] - to).norm_squared().min(f64::INFINITY), self.indices[at]);
+        let is_nearer = |other: &(f64, u32)| entry.0 < other.0 || entry.0 == other.0 && entry.1 < other.1;
+        if is_nearer(&found[N - 1]) {
+            let place = found.partition_point(|other| !is_nearer(other));
+            found[place..].rotate_right(1);
+            found[place] = entry;
+        }
+    }
+}
+
+/// Sorts a range so that its median splits it along its longest axis.
+fn split(points: &[Point3<f64>], order: &mut [u32], axes: &mut [u8]) {
+    if order.len() <= LEAF {
+        return;
+    }
+    let length = |axis: usize| {
+        let along = order.iter().map(|&p| points[p as usize][axis]);
+        along.clone().fold(f64::NEG_INFINITY, f64::max) - along.fold(f64::INFINITY, f64::min)
+    };
+    let lengths = [0, 1, 2].map(length);
+    let axis = (0..3).fold(0, |longest, axis| if lengths[axis] > lengths[longest] { axis } else { longest });
+    let middle = order.len() / 2;
+    let along = |p: &u32| points[*p as usize][axis];
+    order.select_nth_unstable_by(middle, |a, b| along(a).total_cmp(&along(b)).then(a.cmp(b)));
+    axes[middle] = axis as u8;
+    let (before, after) = order.split_at_mut(middle);
+    let (axes_before, axes_after) = axes.split_at_mut(middle);
+    rayon::join(|| split(points, before, axes_before), || split(points, &mut after[1..], &mut axes_after[1..]));
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn by_sorting<const N: usize>(points: &[Point3<f64>], to: &Point3<f64>) -> [u32; N] {
+        let mut all: Vec<u32> = (0..points.len() as u32).collect();
+        let far = |p: &u32| (points[*p as usize] - to).norm_squared();
+        all.sort_by(|a, b| far(a).total_cmp(&far(b)).then(a.cmp(b)));
+        all.resize(N, u32::MAX);
+        all.try_into().unwrap()
+    }
+
+    proptest! {
+        #[test]
+        fn the_nearest_are_those_that_sorting_finds(
+            // Integers, so that points coincide and distances tie.
+            points in proptest::collection::vec(proptest::array::uniform3(-4i8..5), 0..200),
+            to in proptest::array::uniform3(-6i8..7),
+        ) {
+            let point = |x: [i8; 3]| Point3::from(x.map(f64::from));
+            let (points, to): (Vec<_>, _) = (points.into_iter().map(point).collect(), point(to));
+            let tree = KdTree::new(&points);
+            prop_assert_eq!(tree.nearest::<8>(&to), by_sorting(&points, &to));
+            prop_assert_eq!(tree.nearest::<1>(&to), by_sorting(&points, &to));
+        }
+    }
+
+    #[test]
+    fn distances_beyond_the_largest_number_are_equal() {
+        let far = [1e200, -1e200].map(|x| Point3::new(x, 0.0, 0.0));
+        assert_eq!(KdTree::new(&far).nearest::<3>(&Point3::origin()), [0, 1, u32::MAX]);
+    }
+}
