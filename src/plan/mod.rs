@@ -33,7 +33,7 @@ pub use forecast::Forecast;
 pub use georeference::georeference;
 pub use given_up::GivenUp;
 pub use memory::Memory;
-pub use numbers::{Matcher, PlanningNumbers, WorkPerMap};
+pub use numbers::{Matcher, PlanningNumbers, ReachOfPair, WorkPerMap};
 pub use reasons::{Substitute, ViewStatus};
 pub use stages::Stages;
 pub use timings::Timings;

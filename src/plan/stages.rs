@@ -306,7 +306,7 @@ fn unary(
     confidence: Confidence,
     pictures: &Pictures,
     watcher: &dyn Watcher,
-) -> Result<(Slot, (Unary, Vec<String>)), PlanError> {
+) -> Result<FromSlot<(Unary, Vec<String>)>, PlanError> {
     let Geometry { scene, surface, visibility, .. } = *geometry;
     let unpack = |warnings, bytes: &[u8]| Some((kept::unary::unpack(bytes, visibility.triangles.len())?, warnings));
     kept::read_or(file, unpack, || match confidence {
@@ -331,7 +331,7 @@ fn clusters(
     candidates: &Candidates,
     settings: &Settings,
     watcher: &dyn Watcher,
-) -> Result<(Slot, KeptClusters), PlanError> {
+) -> Result<FromSlot<KeptClusters>, PlanError> {
     let has_half = settings.ranking.has_half();
     let unpack = |(), bytes: &[u8]| kept::clusters::unpack(bytes, model.visibility, has_half);
     kept::read_or(file, unpack, || {
@@ -377,7 +377,7 @@ fn surface_and_candidates(
     watcher: &dyn Watcher,
     timings: &mut Timings,
     memory: &mut Memory,
-) -> Result<((Slot, VisibleSurface), (Slot, Candidates)), PlanError> {
+) -> Result<(FromSlot<VisibleSurface>, FromSlot<Candidates>), PlanError> {
     let PlanningNumbers { reach, gate, .. } = matcher.numbers;
     let gate = gate.with(&settings.partners.gate);
     let file = inputs.candidates(settings, reach.map(|_| matcher.name), &gate, missing_images);
@@ -409,6 +409,9 @@ fn surface_and_candidates(
     Ok((surface, (slot, candidates)))
 }
 
+/// A result, with the place where it is kept.
+type FromSlot<T> = (Slot, T);
+
 /// The surface, reduced to triangles that at least one view sees, with its visibility.
 struct VisibleSurface {
     surface: Surface,
@@ -425,7 +428,7 @@ fn kept_surface(
     watcher: &dyn Watcher,
     timings: &mut Timings,
     memory: &mut Memory,
-) -> Result<(Slot, VisibleSurface), PlanError> {
+) -> Result<FromSlot<VisibleSurface>, PlanError> {
     let gsd = settings.target.gsd.ok_or(PlanError::NoScale)?;
     let (slot, found) = timings.time(Stage::Surface, || {
         let file = inputs.surface(settings, memory.most_triangles());
@@ -472,7 +475,7 @@ fn visible_surface(
 }
 
 /// Returns number of views, pixels and finest GSD of each triangle.
-fn shown(file: CacheFile, scene: &Scene, seen: &VisibleSurface) -> Result<(Slot, Shown), PlanError> {
+fn shown(file: CacheFile, scene: &Scene, seen: &VisibleSurface) -> Result<FromSlot<Shown>, PlanError> {
     let unpack = |(), bytes: &[u8]| kept::shown::unpack(bytes, scene.views.len(), seen.surface.triangles.len());
     kept::read_or(file, unpack, || Ok(Shown::new(scene, &seen.surface, &seen.visibility)))
 }

@@ -10,11 +10,11 @@ use nalgebra::{Matrix3, Point3, Vector2, Vector3};
 
 use crate::{
     base::vector::{Kernel, vectorised},
-    method::partners::PairGeometry,
     model::{
         cluster::Reach,
         scene::{PointIndex, Scene, ViewIndex, ViewPoints},
     },
+    plan::ReachOfPair,
 };
 
 /// Sparse points without which neither the plane nor the search range is known.
@@ -37,24 +37,17 @@ const GROUP: f64 = 16.0;
 
 /// Returns what is searched of the pairs of a key view: the points of the scene whose disparity is searched; nothing where these are too few of the
 /// pair's points, or the pictures hardly overlap.
-pub fn reach<'a>(
-    scene: &'a Scene,
-    points: &'a ViewPoints,
-    key: ViewIndex,
-    image_scale: f64,
-) -> Box<dyn Fn(&PairGeometry) -> Reach + 'a> {
+pub fn reach<'a>(scene: &'a Scene, points: &'a ViewPoints, key: ViewIndex, image_scale: f64) -> ReachOfPair<'a> {
     let reduced = move |view| Reduced::new(scene, view, image_scale);
     let (key, observed) = (reduced(key), points.observed_by(key));
     let seen = SeenPoints::new(&key, observed.iter().map(|point| scene.points[point.index()]));
     Box::new(move |pair| {
         let partner = reduced(pair.partner);
-        // Those of the partner that the key view does not observe; all lists ascend.
-        let mut both = pair.shared.iter().peekable();
-        let others = points.observed_by(pair.partner).iter().filter(|point| both.next_if_eq(point).is_none());
+        let others = without(points.observed_by(pair.partner), pair.shared);
         let position = |point: &PointIndex| scene.points[point.index()];
         let shared = pair.shared.iter().map(position);
         let searched = Parallax::new(&key, &partner, shared).and_then(|parallax| {
-            let searched = parallax.searched(&key, &partner, &seen, others.map(position))?;
+            let searched = parallax.searched(&key, &partner, &seen, others.iter().map(position))?;
             parallax.overlap(&key, &partner, &searched).then_some((parallax, searched))
         });
         let Some((parallax, Range { start, end })) = searched else { return Reach::Nothing };
@@ -65,6 +58,20 @@ pub fn reach<'a>(
             seen[2] > 0.0 && searched.contains(&parallax.disparity(seen))
         }))
     })
+}
+
+/// Returns the points of a list that are not in a part of it; both ascend.
+fn without(all: &[PointIndex], part: &[PointIndex]) -> Vec<PointIndex> {
+    let (mut rest, mut kept, mut next) = (vec![PointIndex(0); all.len()], 0, 0);
+    for &point in all {
+        // Without a branch for each point, which no processor could predict.
+        let is_next = part.get(next) == Some(&point);
+        rest[kept] = point;
+        kept += usize::from(!is_next);
+        next += usize::from(is_next);
+    }
+    rest.truncate(kept);
+    rest
 }
 
 /// A view as it is matched: reduced, the centre of the first pixel at (0, 0).
@@ -185,7 +192,7 @@ impl Parallax {
         key: &Reduced,
         partner: &Reduced,
         seen: &SeenPoints,
-        others: impl Iterator<Item = Point3<f64>>,
+        others: impl ExactSizeIterator<Item = Point3<f64>>,
     ) -> Option<Range<f64>> {
         let mut disparities = vectorised(Disparities { parallax: self, key, partner, seen, others });
         if disparities.len() < MIN_SHARED {
@@ -244,14 +251,14 @@ struct Disparities<'a, I> {
 /// Points that are projected at once.
 const LANES: usize = 64;
 
-impl<I: Iterator<Item = Point3<f64>>> Kernel for Disparities<'_, I> {
+impl<I: ExactSizeIterator<Item = Point3<f64>>> Kernel for Disparities<'_, I> {
     type Output = Vec<f64>;
 
     #[inline(always)]
     fn run(mut self) -> Vec<f64> {
         let [x, y, z] = &self.seen.places;
         let [u, v, inverse] = &self.seen.seen;
-        let mut all = Vec::with_capacity(x.len() + self.others.size_hint().1.unwrap_or(0));
+        let mut all = Vec::with_capacity(x.len() + self.others.len());
         let (mut disparities, mut shown) = ([0.0; LANES], [false; LANES]);
         for start in (0..x.len()).step_by(LANES) {
             let count = LANES.min(x.len() - start);
@@ -264,11 +271,10 @@ impl<I: Iterator<Item = Point3<f64>>> Kernel for Disparities<'_, I> {
             all.extend(both.filter_map(|(disparity, shown)| shown.then_some(*disparity)));
         }
         let mut places = [[0.0; LANES]; 3];
-        loop {
-            let mut count = 0;
+        while self.others.len() > 0 {
+            let count = LANES.min(self.others.len());
             for (lane, point) in self.others.by_ref().take(LANES).enumerate() {
                 (0..3).for_each(|axis| places[axis][lane] = point[axis]);
-                count = lane + 1;
             }
             for lane in 0..LANES {
                 let place = [places[0][lane], places[1][lane], places[2][lane]];
@@ -277,10 +283,8 @@ impl<I: Iterator<Item = Point3<f64>>> Kernel for Disparities<'_, I> {
             }
             let both = disparities[..count].iter().zip(&shown);
             all.extend(both.filter_map(|(disparity, shown)| shown.then_some(*disparity)));
-            if count < LANES {
-                return all;
-            }
         }
+        all
     }
 }
 

@@ -1,6 +1,7 @@
 //! The fulfilment table transposed: by triangle instead of by cluster.
 
 use bytemuck::{Pod, Zeroable};
+use rayon::prelude::*;
 
 use super::FulfilmentTable;
 use crate::base::column::{self, Column, ColumnBuilder, DiskError, Storage};
@@ -25,6 +26,8 @@ pub(crate) struct Entry {
 
 /// Entries sorted at a time; bounds the memory of the transposition beside its result.
 const ENTRIES_AT_ONCE: usize = 1 << 22;
+/// Triangles whose entries a thread sorts at a time.
+const TRIANGLES_AT_ONCE: usize = 1 << 14;
 
 impl ByTriangle {
     /// Transposes the rows of `clusters`, with the table's storage.
@@ -35,22 +38,19 @@ impl ByTriangle {
 
     /// As [`Self::new`], for rows from several tables; `release` lets the operating system drop their pages.
     pub(crate) fn of_rows<'r>(
-        row: &dyn Fn(u32) -> (&'r [u32], &'r [f32]),
+        row: &(dyn Fn(u32) -> (&'r [u32], &'r [f32]) + Sync),
         release: &dyn Fn(),
         storage: Storage,
         clusters: &[u32],
         triangles: usize,
     ) -> Result<Self, DiskError> {
         let mut offsets = vec![0; triangles + 1];
-        let rows = || {
-            clusters.iter().enumerate().map(|(place, &cluster)| {
-                if place.is_multiple_of(column::READ_AT_ONCE) {
-                    release();
-                }
-                row(cluster)
-            })
-        };
-        rows().for_each(|(of_cluster, _)| of_cluster.iter().for_each(|&t| offsets[t as usize + 1] += 1));
+        for (place, &cluster) in clusters.iter().enumerate() {
+            row(cluster).0.iter().for_each(|&t| offsets[t as usize + 1] += 1);
+            if place.is_multiple_of(column::READ_AT_ONCE) {
+                release();
+            }
+        }
         (0..triangles).for_each(|t| offsets[t + 1] += offsets[t]);
         let mut entries = ColumnBuilder::new(storage)?;
         entries.reserve(offsets[triangles]);
@@ -59,26 +59,43 @@ impl ByTriangle {
             // At least one triangle, even if its entries exceed the batch.
             let room = offsets[from] + ENTRIES_AT_ONCE;
             let end = (offsets.partition_point(|&offset| offset <= room) - 1).clamp(from + 1, triangles);
-            entries.extend(&Self::entries(rows(), &offsets[from..=end], from as u32))?;
+            entries.extend(&Self::entries(row, clusters, &offsets[from..=end], from as u32))?;
+            release();
             from = end;
         }
         Ok(Self { offsets, entries: entries.finish()?, clusters: clusters.len() })
     }
 
     /// Returns the entries of consecutive triangles with these offsets.
-    fn entries<'r>(rows: impl Iterator<Item = (&'r [u32], &'r [f32])>, offsets: &[usize], first: u32) -> Vec<Entry> {
-        let (start, triangles) = (offsets[0], offsets.len() - 1);
-        let mut entries = vec![Entry::zeroed(); offsets[triangles] - start];
-        let mut next: Vec<usize> = offsets[..triangles].iter().map(|offset| offset - start).collect();
-        for (place, (of_cluster, values)) in rows.enumerate() {
-            let rows = [first, first + triangles as u32].map(|bound| of_cluster.partition_point(|&t| t < bound));
-            let rows = rows[0]..rows[1];
-            for (&t, &f) in of_cluster[rows.clone()].iter().zip(&values[rows]) {
-                let next = &mut next[(t - first) as usize];
-                entries[*next] = Entry { place: place as u32, f };
-                *next += 1;
-            }
+    fn entries<'r>(
+        row: &(dyn Fn(u32) -> (&'r [u32], &'r [f32]) + Sync),
+        clusters: &[u32],
+        offsets: &[usize],
+        first: u32,
+    ) -> Vec<Entry> {
+        let triangles = offsets.len() - 1;
+        let mut entries = vec![Entry::zeroed(); offsets[triangles] - offsets[0]];
+        let (mut parts, mut rest) = (Vec::new(), &mut entries[..]);
+        for from in (0..triangles).step_by(TRIANGLES_AT_ONCE) {
+            let end = (from + TRIANGLES_AT_ONCE).min(triangles);
+            let part;
+            (part, rest) = rest.split_at_mut(offsets[end] - offsets[from]);
+            parts.push((first + from as u32, &offsets[from..=end], part));
         }
+        parts.into_par_iter().for_each(|(first, offsets, entries)| {
+            let (start, triangles) = (offsets[0], offsets.len() - 1);
+            let mut next: Vec<usize> = offsets[..triangles].iter().map(|offset| offset - start).collect();
+            for (place, &cluster) in clusters.iter().enumerate() {
+                let (of_cluster, values) = row(cluster);
+                let rows = [first, first + triangles as u32].map(|bound| of_cluster.partition_point(|&t| t < bound));
+                let rows = rows[0]..rows[1];
+                for (&t, &f) in of_cluster[rows.clone()].iter().zip(&values[rows]) {
+                    let next = &mut next[(t - first) as usize];
+                    entries[*next] = Entry { place: place as u32, f };
+                    *next += 1;
+                }
+            }
+        });
         entries
     }
 

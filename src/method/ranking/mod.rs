@@ -9,7 +9,12 @@ mod maps;
 mod objective;
 mod reached;
 
-use std::cmp::Reverse;
+use std::{
+    cmp::Reverse,
+    sync::atomic::{AtomicI64, Ordering},
+};
+
+use rayon::prelude::*;
 
 use self::reached::FixedPoint;
 pub(crate) use self::reached::Reached;
@@ -31,6 +36,8 @@ use crate::{
 /// Prices of work at which maps of two sizes are ranked, besides 0: enough that plans of any length have one that fits them (method 5.8).
 const PRICES: u32 = 30;
 const PRICES_PER_OCTAVE: f64 = 3.0;
+/// Raised triangles that a thread takes: about a tenth of a millisecond of work.
+const TRIANGLES_AT_ONCE: usize = 256;
 
 /// A ranking of view clusters.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -143,7 +150,7 @@ impl<'a> Ranker<'a> {
             watcher.check()?;
             greedy.take(self.maps.index(cluster, scale), &mut ranking);
         }
-        let total = greedy.left.iter().filter(|&&map| greedy.gains[map as usize] > 0).count() as u64;
+        let total = greedy.left.iter().filter(|&&map| greedy.gain(map) > 0).count() as u64;
         watcher.progress(Stage::Ranking, 0, total);
         while let Some(map) = greedy.best() {
             watcher.check()?;
@@ -164,10 +171,18 @@ struct Greedy<'a> {
     reached: Reached<'a>,
     /// Maps of clusters that are not chosen yet.
     left: Vec<u32>,
-    /// Gain, by map.
-    gains: Vec<i64>,
+    /// Gain, by map; several threads change them.
+    gains: Vec<AtomicI64>,
     /// Price of each map's work, in the unit of the gains.
     costs: Vec<i64>,
+}
+
+/// Triangles whose f a map raises.
+#[derive(Default)]
+struct Raised {
+    triangles: Vec<u32>,
+    /// Their m largest f before.
+    before: Vec<f32>,
 }
 
 impl<'a> Greedy<'a> {
@@ -178,37 +193,47 @@ impl<'a> Greedy<'a> {
             ranker,
             reached: ranker.nothing.clone(),
             left: all.clone().collect(),
-            gains: ranker.alone.clone(),
+            gains: ranker.alone.iter().copied().map(AtomicI64::new).collect(),
             costs: all.map(cost).collect(),
         }
     }
 
     /// Returns the map with the largest gain less its price, among those that gain.
     fn best(&self) -> Option<u32> {
-        let surplus = |gains: &[i64], map: u32| gains[map as usize] - self.costs[map as usize];
-        let key = |&map: &u32| (surplus(&self.gains, map), surplus(&self.ranker.alone, map), Reverse(map));
-        self.left.iter().copied().filter(|&map| self.gains[map as usize] > 0).max_by_key(key)
+        let surplus = |gain: i64, map: u32| gain - self.costs[map as usize];
+        let alone = |map: u32| self.ranker.alone[map as usize];
+        let key = |&map: &u32| (surplus(self.gain(map), map), surplus(alone(map), map), Reverse(map));
+        self.left.iter().copied().filter(|&map| self.gain(map) > 0).max_by_key(key)
+    }
+
+    fn gain(&self, map: u32) -> i64 {
+        self.gains[map as usize].load(Ordering::Relaxed)
     }
 
     fn take(&mut self, map: u32, ranking: &mut Ranking) {
         let Ranker { maps, by_triangle, .. } = self.ranker;
-        let (gain, cluster) = (self.gains[map as usize], maps.cluster(map));
+        let (gain, cluster) = (self.gain(map), maps.cluster(map));
         self.left.retain(|&other| maps.cluster(other) != cluster);
         let (triangles, values) = maps.row(map);
-        let mut before = Vec::with_capacity(self.reached.objective.support as usize);
+        let mut raised = Raised::default();
         for (&t, &f) in triangles.iter().zip(values) {
-            before.clear();
-            before.extend_from_slice(self.reached.largest(t));
-            if f <= before[0] {
+            if f <= self.reached.agreed(t) {
                 continue;
             }
+            raised.triangles.push(t);
+            raised.before.extend_from_slice(self.reached.largest(t));
             self.reached.take_at(t, f);
-            let now = self.reached.largest(t);
-            for entry in by_triangle.row(t).iter().filter(|entry| entry.f > before[0]) {
-                let change = self.reached.gain_at(t, now, entry.f) - self.reached.gain_at(t, &before, entry.f);
-                self.gains[entry.place as usize] += change;
-            }
         }
+        let Self { reached, gains, .. } = self;
+        let update = |(&t, before): (&u32, &[f32])| {
+            let [then, now] = [before, reached.largest(t)].map(|largest| reached.gains_at(t, largest));
+            for entry in by_triangle.row(t).iter().filter(|entry| entry.f > before[0]) {
+                gains[entry.place as usize].fetch_add(now(entry.f) - then(entry.f), Ordering::Relaxed);
+            }
+        };
+        let Raised { triangles, before } = &raised;
+        let before = before.par_chunks_exact(reached.objective.support as usize);
+        triangles.par_iter().zip(before).with_min_len(TRIANGLES_AT_ONCE).for_each(update);
         if ranking.order.len().is_multiple_of(column::READ_AT_ONCE) {
             maps.release();
             by_triangle.release();

@@ -13,7 +13,8 @@ pub(super) struct FixedPoint(pub(super) i64);
 
 impl FixedPoint {
     pub(super) fn new(weight: f64, worth: f64) -> Self {
-        Self((weight * worth * UNIT).round() as i64)
+        // As `round` for numbers that are not negative, without a call.
+        Self((weight * worth * UNIT + 0.5) as i64)
     }
 
     pub(super) fn value(self) -> f64 {
@@ -93,12 +94,15 @@ impl<'a> Reached<'a> {
     /// Returns the gain of one more f at a triangle with these largest ones.
     #[inline]
     pub(super) fn gain_at(&self, triangle: u32, largest: &[f32], f: f32) -> i64 {
-        if f <= largest[0] {
-            return 0;
-        }
+        self.gains_at(triangle, largest)(f)
+    }
+
+    /// Returns [`Self::gain_at`] as a function of f.
+    #[inline]
+    pub(super) fn gains_at<'l>(&self, triangle: u32, largest: &'l [f32]) -> impl Fn(f32) -> i64 + use<'l> {
         let weight = self.objective.weights[triangle as usize];
-        FixedPoint::new(weight, with(largest, f)).0
-            - FixedPoint::new(weight, Objective::worth(largest.iter().copied())).0
+        let before = FixedPoint::new(weight, Objective::worth(largest.iter().copied())).0;
+        move |f| if f <= largest[0] { 0 } else { FixedPoint::new(weight, with(largest, f)).0 - before }
     }
 
     pub(crate) fn take(&mut self, (triangles, values): (&[u32], &[f32])) {

@@ -211,6 +211,8 @@ struct Estimator<'a> {
 #[derive(Default)]
 struct RenderedView {
     buffers: Vec<Buffer>,
+    /// Indices of the patches in the field.
+    drawn: Vec<usize>,
     candidates: Vec<Candidate>,
     /// Vertices of the current patch in camera coordinates, and on a face.
     vertices: Vec<Point3<f64>>,
@@ -225,13 +227,15 @@ struct RenderedView {
 
 impl RenderedView {
     /// Counts, for each candidate, the pixels in which it is frontmost.
-    fn count_in_front(&mut self, triangles: usize) {
-        let Self { buffers, candidates, in_front, .. } = self;
-        in_front.resize(triangles, 0);
-        let shown = || buffers.iter().flat_map(|buffer| buffer.triangles(NOTHING)).filter(|&t| t != NOTHING);
-        shown().for_each(|t| in_front[t as usize] += 1);
+    fn count_in_front(&mut self, patches: &Patches) {
+        let Self { buffers, drawn, candidates, in_front, .. } = self;
+        in_front.resize(patches.triangle_count(), 0);
+        let shown = buffers.iter().flat_map(|buffer| buffer.triangles(NOTHING)).filter(|&t| t != NOTHING);
+        shown.for_each(|t| in_front[t as usize] += 1);
         candidates.iter_mut().for_each(|candidate| candidate.in_front = in_front[candidate.triangle as usize]);
-        shown().for_each(|t| in_front[t as usize] = 0);
+        // Drawn triangles are far fewer than pixels.
+        let drawn = drawn.iter().flat_map(|&patch| patches.of(&patches.patches[patch]).0);
+        drawn.for_each(|&t| in_front[t as usize] = 0);
     }
 }
 
@@ -266,13 +270,15 @@ impl<'a> Estimator<'a> {
         let (camera, faces) = self.camera(view);
         let pose = &self.scene.view(view).cam_from_world;
         picture.candidates.clear();
+        picture.drawn.clear();
         picture.buffers.resize_with(faces.len(), Buffer::default);
         picture.buffers.iter_mut().zip(faces).for_each(|(buffer, face)| buffer.clear(face));
-        for patch in &self.patches.patches {
+        for (index, patch) in self.patches.patches.iter().enumerate() {
             let centre = pose.camera_from_world(&patch.centre);
             if !faces.iter().any(|face| face.meets(&centre, patch.radius)) {
                 continue;
             }
+            picture.drawn.push(index);
             picture.vertices.clear();
             picture.vertices.extend(self.patches.vertices(patch).iter().map(|v| pose.camera_from_world(v)));
             self.draw_patch(patch, faces, picture);
@@ -283,7 +289,7 @@ impl<'a> Estimator<'a> {
                 }
             }
         }
-        picture.count_in_front(self.surface.triangles.len());
+        picture.count_in_front(&self.patches);
     }
 
     /// Renders the triangles of a patch, whose vertices are already in `picture`, and counts the pixels of each.

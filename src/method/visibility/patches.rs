@@ -52,6 +52,11 @@ impl Patches {
         all
     }
 
+    /// Number of triangles of all patches.
+    pub fn triangle_count(&self) -> usize {
+        self.triangles.len()
+    }
+
     pub fn vertices(&self, patch: &Patch) -> &[Point3<f64>] {
         &self.vertices[patch.vertices.clone()]
     }
