@@ -58,10 +58,10 @@ fn time_surface(project: &Path) -> Fallible<f64> {
     clock.step(&format!("rays, {}", rays.count()));
     let capacities = carve::capacities(&delaunay, &rays, &settings, &NoWatcher)?;
     clock.step("votes");
-    let outside = minimum_cut(&delaunay.cells, &capacities, &NoWatcher)?.outside;
+    let outside = minimum_cut(&delaunay.cells, capacities, &NoWatcher)?.outside;
     clock.step("cut");
     let raw = carve::surface(&delaunay, &rays, &outside);
-    drop((delaunay, rays, capacities, outside));
+    drop((delaunay, rays, outside));
     clock.step(&format!("facets, {}", raw.surface.triangles.len()));
     let total = clock.total;
     let surface = clean::clean(&raw.surface, &raw.seen);

@@ -42,14 +42,14 @@ impl KdTree {
             if ahead < 0.0 { ([from, middle], [middle + 1, end]) } else { ([middle + 1, end], [from, middle]) };
         self.look(to, near[0], near[1], found);
         self.offer(to, middle, found);
-        if ahead * ahead <= found[N - 1].0 {
+        if found[N - 1].1 == u32::MAX || ahead * ahead <= found[N - 1].0 {
             self.look(to, far[0], far[1], found);
         }
     }
 
     #[inline]
     fn offer<const N: usize>(&self, to: &Point3<f64>, at: usize, found: &mut [(f64, u32); N]) {
-        // Distances may be beyond the largest number.
+        // Not a number counts as infinitely far.
         let entry = ((self.places[at] - to).norm_squared().min(f64::INFINITY), self.indices[at]);
         let is_nearer = |other: &(f64, u32)| entry.0 < other.0 || entry.0 == other.0 && entry.1 < other.1;
         if is_nearer(&found[N - 1]) {
@@ -110,8 +110,11 @@ mod tests {
     }
 
     #[test]
-    fn distances_beyond_the_largest_number_are_equal() {
+    fn distances_that_are_no_numbers_hide_no_points() {
         let far = [1e200, -1e200].map(|x| Point3::new(x, 0.0, 0.0));
         assert_eq!(KdTree::new(&far).nearest::<3>(&Point3::origin()), [0, 1, u32::MAX]);
+        let many: Vec<_> = (0..100).map(|x| Point3::new(f64::from(x), 0.0, 0.0)).collect();
+        let nowhere = Point3::new(f64::NAN, 0.0, 0.0);
+        assert!(KdTree::new(&many).nearest::<100>(&nowhere).iter().all(|&found| found < 100));
     }
 }

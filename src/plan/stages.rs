@@ -29,6 +29,9 @@ use crate::{
     },
 };
 
+/// A result, with the place where it is kept.
+type Slotted<T> = (Slot, T);
+
 /// Results of the stages of the method, up to the view clusters and their fulfilment.
 #[derive(Clone, Debug)]
 pub struct Stages {
@@ -306,7 +309,7 @@ fn unary(
     confidence: Confidence,
     pictures: &Pictures,
     watcher: &dyn Watcher,
-) -> Result<FromSlot<(Unary, Vec<String>)>, PlanError> {
+) -> Result<Slotted<(Unary, Vec<String>)>, PlanError> {
     let Geometry { scene, surface, visibility, .. } = *geometry;
     let unpack = |warnings, bytes: &[u8]| Some((kept::unary::unpack(bytes, visibility.triangles.len())?, warnings));
     kept::read_or(file, unpack, || match confidence {
@@ -331,7 +334,7 @@ fn clusters(
     candidates: &Candidates,
     settings: &Settings,
     watcher: &dyn Watcher,
-) -> Result<FromSlot<KeptClusters>, PlanError> {
+) -> Result<Slotted<KeptClusters>, PlanError> {
     let has_half = settings.ranking.has_half();
     let unpack = |(), bytes: &[u8]| kept::clusters::unpack(bytes, model.visibility, has_half);
     kept::read_or(file, unpack, || {
@@ -377,7 +380,7 @@ fn surface_and_candidates(
     watcher: &dyn Watcher,
     timings: &mut Timings,
     memory: &mut Memory,
-) -> Result<(FromSlot<VisibleSurface>, FromSlot<Candidates>), PlanError> {
+) -> Result<(Slotted<VisibleSurface>, Slotted<Candidates>), PlanError> {
     let PlanningNumbers { reach, gate, .. } = matcher.numbers;
     let gate = gate.with(&settings.partners.gate);
     let file = inputs.candidates(settings, reach.map(|_| matcher.name), &gate, missing_images);
@@ -393,10 +396,10 @@ fn surface_and_candidates(
     let limits = Limits { gate: &gate, refusals_of: &refusals_of };
     let search = CandidateSearch::new(scene, points, &settings.partners, &limits, watcher);
     let mut surface = Err(Cancelled.into());
-    // Parts of the surface are built by one thread, and the others find candidates meanwhile. Started from outside the thread pool, these come after all
-    // that threads have split of the surface, which would wait for them otherwise.
-    rayon::in_place_scope(|jobs| {
-        jobs.spawn(|_| surface = kept_surface(from, settings, inputs, watcher, timings, memory));
+    // Parts of the surface are built by one thread, and the others find candidates meanwhile. Called from outside the thread pool, these jobs wait in its
+    // queue, where threads look only when nothing of the surface is left to share; on a thread of the pool, they merely run beside it.
+    rayon::in_place_scope_fifo(|jobs| {
+        jobs.spawn_fifo(|_| surface = kept_surface(from, settings, inputs, watcher, timings, memory));
         if known.is_none() {
             search.start(jobs);
         }
@@ -408,9 +411,6 @@ fn surface_and_candidates(
     };
     Ok((surface, (slot, candidates)))
 }
-
-/// A result, with the place where it is kept.
-type FromSlot<T> = (Slot, T);
 
 /// The surface, reduced to triangles that at least one view sees, with its visibility.
 struct VisibleSurface {
@@ -428,7 +428,7 @@ fn kept_surface(
     watcher: &dyn Watcher,
     timings: &mut Timings,
     memory: &mut Memory,
-) -> Result<FromSlot<VisibleSurface>, PlanError> {
+) -> Result<Slotted<VisibleSurface>, PlanError> {
     let gsd = settings.target.gsd.ok_or(PlanError::NoScale)?;
     let (slot, found) = timings.time(Stage::Surface, || {
         let file = inputs.surface(settings, memory.most_triangles());
@@ -475,7 +475,7 @@ fn visible_surface(
 }
 
 /// Returns number of views, pixels and finest GSD of each triangle.
-fn shown(file: CacheFile, scene: &Scene, seen: &VisibleSurface) -> Result<FromSlot<Shown>, PlanError> {
+fn shown(file: CacheFile, scene: &Scene, seen: &VisibleSurface) -> Result<Slotted<Shown>, PlanError> {
     let unpack = |(), bytes: &[u8]| kept::shown::unpack(bytes, scene.views.len(), seen.surface.triangles.len());
     kept::read_or(file, unpack, || Ok(Shown::new(scene, &seen.surface, &seen.visibility)))
 }

@@ -64,7 +64,7 @@ pub fn reach<'a>(scene: &'a Scene, points: &'a ViewPoints, key: ViewIndex, image
 fn without(all: &[PointIndex], part: &[PointIndex]) -> Vec<PointIndex> {
     let (mut rest, mut kept, mut next) = (vec![PointIndex(0); all.len()], 0, 0);
     for &point in all {
-        // Without a branch for each point, which no processor could predict.
+        // Without a branch for each point, which would often be mispredicted.
         let is_next = part.get(next) == Some(&point);
         rest[kept] = point;
         kept += usize::from(!is_next);
@@ -156,8 +156,8 @@ struct Parallax {
 
 impl Parallax {
     fn new(key: &Reduced, partner: &Reduced, shared: impl Iterator<Item = Point3<f64>>) -> Option<Self> {
-        let in_front = shared.map(<[f64; 3]>::from).filter(|&point| partner.carry(point)[2] > 0.0);
-        let seen = in_front.map(|point| key.project(point)).filter(|seen| seen[2] > 0.0);
+        let is_in_front = |&point: &[f64; 3]| [key, partner].iter().all(|view| view.carry(point)[2] > 0.0);
+        let seen = shared.map(<[f64; 3]>::from).filter(is_in_front).map(|point| key.project(point));
         let samples: Vec<(Vector2<f64>, f64)> = seen.map(|[u, v, inverse]| (Vector2::new(u, v), inverse)).collect();
         if samples.len() < MIN_SHARED {
             return None;

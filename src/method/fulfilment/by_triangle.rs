@@ -24,10 +24,30 @@ pub(crate) struct Entry {
     pub f: f32,
 }
 
+/// Consecutive triangles whose entries one thread sorts.
+struct Part<'a> {
+    first: u32,
+    /// Place of the next entry of each triangle.
+    next: Vec<usize>,
+    entries: &'a mut [Entry],
+}
+
+impl Part<'_> {
+    fn add(&mut self, place: u32, (triangles, values): (&[u32], &[f32])) {
+        let rows = [self.first, self.first + self.next.len() as u32];
+        let [from, end] = rows.map(|bound| triangles.partition_point(|&t| t < bound));
+        for (&t, &f) in triangles[from..end].iter().zip(&values[from..end]) {
+            let next = &mut self.next[(t - self.first) as usize];
+            self.entries[*next] = Entry { place, f };
+            *next += 1;
+        }
+    }
+}
+
 /// Entries sorted at a time; bounds the memory of the transposition beside its result.
 const ENTRIES_AT_ONCE: usize = 1 << 22;
-/// Triangles whose entries a thread sorts at a time.
-const TRIANGLES_AT_ONCE: usize = 1 << 14;
+/// Triangles whose entries a thread sorts.
+const TRIANGLES_AT_ONCE: usize = if cfg!(test) { 3 } else { 1 << 13 };
 
 impl ByTriangle {
     /// Transposes the rows of `clusters`, with the table's storage.
@@ -59,8 +79,7 @@ impl ByTriangle {
             // At least one triangle, even if its entries exceed the batch.
             let room = offsets[from] + ENTRIES_AT_ONCE;
             let end = (offsets.partition_point(|&offset| offset <= room) - 1).clamp(from + 1, triangles);
-            entries.extend(&Self::entries(row, clusters, &offsets[from..=end], from as u32))?;
-            release();
+            entries.extend(&Self::entries(row, release, clusters, &offsets[from..=end], from as u32))?;
             from = end;
         }
         Ok(Self { offsets, entries: entries.finish()?, clusters: clusters.len() })
@@ -69,6 +88,7 @@ impl ByTriangle {
     /// Returns the entries of consecutive triangles with these offsets.
     fn entries<'r>(
         row: &(dyn Fn(u32) -> (&'r [u32], &'r [f32]) + Sync),
+        release: &dyn Fn(),
         clusters: &[u32],
         offsets: &[usize],
         first: u32,
@@ -78,24 +98,17 @@ impl ByTriangle {
         let (mut parts, mut rest) = (Vec::new(), &mut entries[..]);
         for from in (0..triangles).step_by(TRIANGLES_AT_ONCE) {
             let end = (from + TRIANGLES_AT_ONCE).min(triangles);
-            let part;
-            (part, rest) = rest.split_at_mut(offsets[end] - offsets[from]);
-            parts.push((first + from as u32, &offsets[from..=end], part));
+            let next = offsets[from..end].iter().map(|offset| offset - offsets[from]).collect();
+            let (own, others) = rest.split_at_mut(offsets[end] - offsets[from]);
+            parts.push(Part { first: first + from as u32, next, entries: own });
+            rest = others;
         }
-        parts.into_par_iter().for_each(|(first, offsets, entries)| {
-            let (start, triangles) = (offsets[0], offsets.len() - 1);
-            let mut next: Vec<usize> = offsets[..triangles].iter().map(|offset| offset - start).collect();
-            for (place, &cluster) in clusters.iter().enumerate() {
-                let (of_cluster, values) = row(cluster);
-                let rows = [first, first + triangles as u32].map(|bound| of_cluster.partition_point(|&t| t < bound));
-                let rows = rows[0]..rows[1];
-                for (&t, &f) in of_cluster[rows.clone()].iter().zip(&values[rows]) {
-                    let next = &mut next[(t - first) as usize];
-                    entries[*next] = Entry { place: place as u32, f };
-                    *next += 1;
-                }
-            }
-        });
+        for (start, some) in (0..).step_by(column::READ_AT_ONCE).zip(clusters.chunks(column::READ_AT_ONCE)) {
+            parts.par_iter_mut().for_each(|part| {
+                (start..).zip(some).for_each(|(place, &cluster)| part.add(place, row(cluster)));
+            });
+            release();
+        }
         entries
     }
 

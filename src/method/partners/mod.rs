@@ -5,6 +5,7 @@
 
 mod candidates;
 mod gate;
+mod pair;
 mod sampled;
 mod search;
 
@@ -12,8 +13,9 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use self::search::PartnerChoice;
 pub use self::{
-    candidates::{CandidateSearch, Candidates, Limits, PairGeometry, Refusal, Refuses, neighbours},
+    candidates::{CandidateSearch, Candidates, Limits, Refusal, Refuses, neighbours},
     gate::Obstacle,
+    pair::PairGeometry,
 };
 use crate::{
     base::{

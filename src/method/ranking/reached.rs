@@ -13,7 +13,7 @@ pub(super) struct FixedPoint(pub(super) i64);
 
 impl FixedPoint {
     pub(super) fn new(weight: f64, worth: f64) -> Self {
-        // As `round` for numbers that are not negative, without a call.
+        // Rounds numbers that are not negative, to within 1, without a call.
         Self((weight * worth * UNIT + 0.5) as i64)
     }
 

@@ -255,8 +255,7 @@ pub fn carve(
     let capacities = capacities(delaunay, rays, settings, watcher)?;
     // The cut needs more memory than all before it.
     platform::return_freed_memory();
-    let outside = minimum_cut(&delaunay.cells, &capacities, watcher)?.outside;
-    drop(capacities);
+    let outside = minimum_cut(&delaunay.cells, capacities, watcher)?.outside;
     Ok(surface(delaunay, rays, &outside))
 }
 

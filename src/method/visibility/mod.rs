@@ -233,7 +233,7 @@ impl RenderedView {
         let shown = buffers.iter().flat_map(|buffer| buffer.triangles(NOTHING)).filter(|&t| t != NOTHING);
         shown.for_each(|t| in_front[t as usize] += 1);
         candidates.iter_mut().for_each(|candidate| candidate.in_front = in_front[candidate.triangle as usize]);
-        // Drawn triangles are far fewer than pixels.
+        // Usually far fewer than pixels.
         let drawn = drawn.iter().flat_map(|&patch| patches.of(&patches.patches[patch]).0);
         drawn.for_each(|&t| in_front[t as usize] = 0);
     }

@@ -112,10 +112,9 @@ mod tests {
         let mut places = vec![u32::MAX; town.surface.triangles.len()];
         let middle = town.scene.view(key).cam_from_world.centre().x;
         let part = move |_| Reach::Part(Box::new(move |point: &nalgebra::Point3<f64>| point.x < middle));
-        // Kept for ever, as the two others are.
-        let of_part = &*Box::leak(Box::new(move |_| -> ReachOfPartner { Box::new(part) }));
+        let of_part = move |_| -> ReachOfPartner { Box::new(part) };
         let reaches: [&(dyn Fn(ViewIndex) -> ReachOfPartner<'static> + Sync); 3] =
-            [&|_| Box::new(|_| Reach::Everything), of_part, &|_| Box::new(|_| Reach::Nothing)];
+            [&|_| Box::new(|_| Reach::Everything), &of_part, &|_| Box::new(|_| Reach::Nothing)];
         let seen = town.visibility.triangles_seen_by(key);
         let counts = reaches.map(|of_key_view| {
             let reach = ProgramReach { program: Some("program"), of_key_view };

@@ -109,19 +109,19 @@ pub enum PairAgreement<'a> {
 pub static NO_AGREEMENT: std::sync::LazyLock<Agreement> = std::sync::LazyLock::new(Agreement::default);
 
 /// What the program can match of each pair, by its own rule.
-pub struct ProgramReach<'a> {
+pub struct ProgramReach<'a, 'r> {
     /// Name of the program if it has such a rule.
     pub program: Option<&'static str>,
-    /// By key view.
-    pub of_key_view: &'a (dyn Fn(ViewIndex) -> ReachOfPartner<'a> + Sync),
+    /// Returns what the program can match of the pairs of a key view.
+    pub of_key_view: &'a (dyn Fn(ViewIndex) -> ReachOfPartner<'r> + Sync),
 }
 
-/// What the program can match of the pair of a key view and a partner.
+/// Returns what the program can match of the pair of a key view and this partner.
 pub type ReachOfPartner<'a> = Box<dyn Fn(ViewIndex) -> Reach + 'a>;
 
-impl ProgramReach<'_> {
+impl ProgramReach<'_, '_> {
     /// Programs that match whatever two pictures show.
-    pub const EVERYTHING: ProgramReach<'static> =
+    pub const EVERYTHING: ProgramReach<'static, 'static> =
         ProgramReach { program: None, of_key_view: &|_| Box::new(|_| Reach::Everything) };
 }
 

@@ -12,12 +12,15 @@ mod tests;
 
 use super::delaunay::{Cell, Facet};
 use crate::base::progress::{Cancelled, Watcher};
+use bytemuck::Zeroable;
 
 /// Upper limit of a facet's capacity: the residuals of two opposite arcs together fit 32 bits.
 pub const MAX_CAPACITY: u32 = u32::MAX / 2;
 
 /// Nodes visited between two checks for cancellation: a few milliseconds.
 const STEPS_PER_CHECK: usize = 1 << 15;
+/// Nodes made at a time.
+const BLOCK: usize = 1 << 18;
 
 /// The minimum cut; among several the one with the fewest cells outside.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -39,14 +42,14 @@ pub struct Capacities {
     pub sink: u32,
 }
 
-/// Finds the minimum cut; `capacities[i]` belongs to `cells[i]`.
+/// Finds the minimum cut; `capacities[i]` belongs to `cells[i]`. Their memory is given back as that of the search grows.
 ///
 /// # Errors
 /// Cancellation.
 ///
 /// # Panics
 /// If the two slices differ in length.
-pub fn minimum_cut(cells: &[Cell], capacities: &[Capacities], watcher: &dyn Watcher) -> Result<MinCut, Cancelled> {
+pub fn minimum_cut(cells: &[Cell], capacities: Vec<Capacities>, watcher: &dyn Watcher) -> Result<MinCut, Cancelled> {
     assert_eq!(cells.len(), capacities.len(), "one set of capacities per cell");
     let mut search = Search::new(cells, capacities, watcher)?;
     search.run()?;
@@ -54,7 +57,7 @@ pub fn minimum_cut(cells: &[Cell], capacities: &[Capacities], watcher: &dyn Watc
 }
 
 /// The two trees; also an index of the residuals along which the tree grows.
-#[derive(Clone, Copy, PartialEq, Eq)]
+#[derive(Clone, Copy, PartialEq, Eq, Zeroable)]
 #[repr(u8)]
 enum SearchTree {
     Source,
@@ -74,7 +77,7 @@ impl SearchTree {
 const ROOT: u8 = 4;
 const ORPHAN: u8 = 5;
 
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, Zeroable)]
 #[repr(C, align(64))]
 struct Node {
     /// `[Source]`: residual capacity to each neighbour; `[Sink]`: residual capacity from it.
@@ -87,6 +90,20 @@ struct Node {
     tree: SearchTree,
     /// Slot of the parent, [`ROOT`] or [`ORPHAN`].
     parent: u8,
+}
+
+impl Node {
+    /// A root of a tree, or free; residuals from neighbours are still missing.
+    fn new(cell: &Cell, own: &Capacities) -> Self {
+        let excess = i64::from(own.source) - i64::from(own.sink);
+        let tree = match excess.signum() {
+            1 => Source,
+            -1 => Sink,
+            _ => SearchTree::None,
+        };
+        let residual = [own.facets.map(|c| c.min(MAX_CAPACITY)), [0; 4]];
+        Self { residual, neighbours: cell.neighbours, excess, level: 1, tree, parent: ROOT }
+    }
 }
 
 struct Search<'a> {
@@ -108,27 +125,30 @@ struct Search<'a> {
 }
 
 impl<'a> Search<'a> {
-    fn new(cells: &[Cell], capacities: &[Capacities], watcher: &'a dyn Watcher) -> Result<Self, Cancelled> {
-        let mut flow = 0;
-        let mut nodes = Vec::with_capacity(cells.len());
+    fn new(cells: &[Cell], mut capacities: Vec<Capacities>, watcher: &'a dyn Watcher) -> Result<Self, Cancelled> {
+        let flow = capacities.iter().map(|own| u64::from(own.source.min(own.sink))).sum();
+        let mut nodes: Vec<Node> = bytemuck::zeroed_vec(cells.len());
+        let blocks = || (0..cells.len()).step_by(BLOCK).map(|start| start..(start + BLOCK).min(cells.len()));
+        // From the last on, so that what has become nodes can be cut off the capacities: no more memory than the search needs.
+        for block in blocks().rev() {
+            watcher.check()?;
+            let inputs = cells[block.clone()].iter().zip(&capacities[block.clone()]);
+            nodes[block.clone()].iter_mut().zip(inputs).for_each(|(node, (cell, own))| *node = Node::new(cell, own));
+            capacities.truncate(block.start);
+            capacities.shrink_to_fit();
+        }
         let mut frontier = [Vec::new(), Vec::new()];
-        for (index, (cell, own)) in cells.iter().zip(capacities).enumerate() {
-            if index % STEPS_PER_CHECK == 0 {
-                watcher.check()?;
+        for block in blocks() {
+            watcher.check()?;
+            for index in block {
+                let node = &nodes[index];
+                let (tree, neighbours) = (node.tree, node.neighbours);
+                let from = |f: Facet| nodes[f.cell() as usize].residual[Source as usize][f.index()];
+                nodes[index].residual[Sink as usize] = neighbours.map(from);
+                if tree != SearchTree::None {
+                    frontier[tree as usize].push(index as u32);
+                }
             }
-            let back = cell.neighbours.map(|f| capacities[f.cell() as usize].facets[f.index()].min(MAX_CAPACITY));
-            let excess = i64::from(own.source) - i64::from(own.sink);
-            flow += u64::from(own.source.min(own.sink));
-            let tree = match excess.signum() {
-                1 => Source,
-                -1 => Sink,
-                _ => SearchTree::None,
-            };
-            if tree != SearchTree::None {
-                frontier[tree as usize].push(index as u32);
-            }
-            let residual = [own.facets.map(|c| c.min(MAX_CAPACITY)), back];
-            nodes.push(Node { residual, neighbours: cell.neighbours, excess, level: 1, tree, parent: ROOT });
         }
         Ok(Search {
             watcher,

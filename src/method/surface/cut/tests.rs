@@ -27,7 +27,7 @@ fn instance(points: usize, density: u64, widest: u64, seed: u64) -> (Vec<Cell>, 
 }
 
 fn found(cells: &[Cell], capacities: &[Capacities]) -> MinCut {
-    minimum_cut(cells, capacities, &NoWatcher).expect("not cancelled")
+    minimum_cut(cells, capacities.to_vec(), &NoWatcher).expect("not cancelled")
 }
 
 /// Dinic's algorithm on a list of arcs with explicit terminals: slow and plain.
@@ -143,7 +143,7 @@ fn agrees_with_dinic() {
 #[test]
 fn flow_is_conserved() {
     let (cells, capacities) = instance(400, 20, 200, 9);
-    let mut search = Search::new(&cells, &capacities, &NoWatcher).expect("not cancelled");
+    let mut search = Search::new(&cells, capacities.clone(), &NoWatcher).expect("not cancelled");
     search.run().expect("not cancelled");
     let mut terminals = 0;
     for (node, own) in search.nodes.iter().zip(&capacities) {
@@ -199,7 +199,7 @@ impl Watcher for CancelAfter {
 fn can_be_cancelled() {
     let (cells, capacities) = instance(8000, 30, 300, 3);
     for questions in [1, 2, 3] {
-        assert_eq!(minimum_cut(&cells, &capacities, &CancelAfter(AtomicU32::new(questions))), Err(Cancelled));
+        assert_eq!(minimum_cut(&cells, capacities.clone(), &CancelAfter(AtomicU32::new(questions))), Err(Cancelled));
     }
 }
 

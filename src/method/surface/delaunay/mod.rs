@@ -18,6 +18,7 @@ mod tests;
 mod validate;
 
 use crate::base::progress::{Cancelled, Watcher};
+use bytemuck::Zeroable;
 use grid::{Grid, Site};
 use nalgebra::Point3;
 
@@ -28,7 +29,7 @@ pub const INFINITE: u32 = u32::MAX;
 pub const FACET_VERTICES: [[usize; 3]; 4] = [[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]];
 
 /// One side of a triangle: a cell and the index of the corner opposite to the triangle.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Zeroable)]
 #[repr(transparent)]
 pub struct Facet(pub u32);
 
