@@ -39,7 +39,7 @@ pub struct PlanningNumbers {
 /// Returns a program's rule for the pairs of a key view, matched at a share of the model's size.
 pub type ReachRule = for<'a> fn(&'a Scene, &'a ViewPoints, ViewIndex, f64) -> ReachOfPair<'a>;
 
-/// What a program can match of a pair of the key view.
+/// Returns what a program can match of a pair with the key view.
 pub type ReachOfPair<'a> = Box<dyn Fn(&PairGeometry) -> Reach + 'a>;
 
 /// Work of a depth map: `fixed + Mpx (per_map + partners)`, in Mpx matched with one partner.

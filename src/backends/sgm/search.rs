@@ -99,9 +99,9 @@ impl Reduced {
         }
     }
 
-    /// Pixel x and pixel y, both times depth, and depth; spelt out, as all below that is called in loops, for vector instructions.
+    /// Homogeneous pixel: x and y times depth, and depth; spelt out, as all below that is called in loops, for vector instructions.
     #[inline(always)]
-    fn carry(&self, [x, y, z]: [f64; 3]) -> [f64; 3] {
+    fn homogeneous(&self, [x, y, z]: [f64; 3]) -> [f64; 3] {
         let (r, t, k) = (&self.rotation, &self.translation, &self.intrinsics);
         let [a, b, depth] = [0, 1, 2].map(|i| r[(i, 0)] * x + r[(i, 1)] * y + r[(i, 2)] * z + t[i]);
         [k[(0, 0)] * a + k[(0, 2)] * depth, k[(1, 1)] * b + k[(1, 2)] * depth, depth]
@@ -110,12 +110,12 @@ impl Reduced {
     /// Pixel x, pixel y and inverse depth.
     #[inline(always)]
     fn project(&self, place: [f64; 3]) -> [f64; 3] {
-        let [u, v, depth] = self.carry(place);
+        let [u, v, depth] = self.homogeneous(place);
         let inverse = 1.0 / depth;
         [u * inverse, v * inverse, inverse]
     }
 
-    /// Returns whether what [`Self::carry`] returns is in front of the view and in its image.
+    /// Returns whether a homogeneous pixel is in front of the view and in its image.
     #[inline(always)]
     fn shows(&self, [u, v, depth]: [f64; 3]) -> bool {
         let inside = |at: f64, size: f64| (at > -0.5 * depth) & (at < (size - 0.5) * depth);
@@ -133,7 +133,7 @@ struct SeenPoints {
 impl SeenPoints {
     fn new(key: &Reduced, points: impl Iterator<Item = Point3<f64>>) -> Self {
         let mut all = Self::default();
-        for place in points.map(<[f64; 3]>::from).filter(|&place| key.shows(key.carry(place))) {
+        for place in points.map(<[f64; 3]>::from).filter(|&place| key.shows(key.homogeneous(place))) {
             let seen = key.project(place);
             (0..3).for_each(|axis| {
                 all.places[axis].push(place[axis]);
@@ -156,7 +156,7 @@ struct Parallax {
 
 impl Parallax {
     fn new(key: &Reduced, partner: &Reduced, shared: impl Iterator<Item = Point3<f64>>) -> Option<Self> {
-        let is_in_front = |&point: &[f64; 3]| [key, partner].iter().all(|view| view.carry(point)[2] > 0.0);
+        let is_in_front = |&point: &[f64; 3]| [key, partner].iter().all(|view| view.homogeneous(point)[2] > 0.0);
         let seen = shared.map(<[f64; 3]>::from).filter(is_in_front).map(|point| key.project(point));
         let samples: Vec<(Vector2<f64>, f64)> = seen.map(|[u, v, inverse]| (Vector2::new(u, v), inverse)).collect();
         if samples.len() < MIN_SHARED {
@@ -264,7 +264,7 @@ impl<I: ExactSizeIterator<Item = Point3<f64>>> Kernel for Disparities<'_, I> {
             let count = LANES.min(x.len() - start);
             let [x, y, z, u, v, inverse] = [x, y, z, u, v, inverse].map(|list| &list[start..start + count]);
             for lane in 0..count {
-                shown[lane] = self.partner.shows(self.partner.carry([x[lane], y[lane], z[lane]]));
+                shown[lane] = self.partner.shows(self.partner.homogeneous([x[lane], y[lane], z[lane]]));
                 disparities[lane] = self.parallax.disparity([u[lane], v[lane], inverse[lane]]);
             }
             let both = disparities[..count].iter().zip(&shown);
@@ -278,7 +278,8 @@ impl<I: ExactSizeIterator<Item = Point3<f64>>> Kernel for Disparities<'_, I> {
             }
             for lane in 0..LANES {
                 let place = [places[0][lane], places[1][lane], places[2][lane]];
-                shown[lane] = self.key.shows(self.key.carry(place)) & self.partner.shows(self.partner.carry(place));
+                shown[lane] =
+                    self.key.shows(self.key.homogeneous(place)) & self.partner.shows(self.partner.homogeneous(place));
                 disparities[lane] = self.parallax.disparity(self.key.project(place));
             }
             let both = disparities[..count].iter().zip(&shown);

@@ -268,7 +268,7 @@ impl Neighbours {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use std::collections::HashSet;
 
     use super::*;
@@ -278,7 +278,7 @@ mod tests {
         model::camera::{Camera, CameraModel},
     };
 
-    fn scene() -> Scene {
+    pub fn scene() -> Scene {
         let camera = Camera::new(1, CameraModel::Pinhole, 1000, 750, vec![850.0, 850.0, 500.0, 375.0]).unwrap();
         Town { points: 300, ..Town::new(camera) }.scene()
     }

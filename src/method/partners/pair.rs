@@ -84,16 +84,7 @@ fn meets_image(scene: &Scene, view: ViewIndex, point: &Point3<f64>) -> bool {
 mod tests {
     use std::collections::HashSet;
 
-    use super::*;
-    use crate::{
-        method::synthetic::Town,
-        model::camera::{Camera, CameraModel},
-    };
-
-    fn scene() -> Scene {
-        let camera = Camera::new(1, CameraModel::Pinhole, 1000, 750, vec![850.0, 850.0, 500.0, 375.0]).unwrap();
-        Town { points: 300, ..Town::new(camera) }.scene()
-    }
+    use super::{super::candidates::tests::scene, *};
 
     #[test]
     fn geometry_of_a_pair_is_antisymmetric() {

@@ -42,7 +42,7 @@ pub struct Capacities {
     pub sink: u32,
 }
 
-/// Finds the minimum cut; `capacities[i]` belongs to `cells[i]`. Their memory is given back as that of the search grows.
+/// Finds the minimum cut; `capacities[i]` belongs to `cells[i]`. They are freed while the nodes of the search are made.
 ///
 /// # Errors
 /// Cancellation.
@@ -129,7 +129,7 @@ impl<'a> Search<'a> {
         let flow = capacities.iter().map(|own| u64::from(own.source.min(own.sink))).sum();
         let mut nodes: Vec<Node> = bytemuck::zeroed_vec(cells.len());
         let blocks = || (0..cells.len()).step_by(BLOCK).map(|start| start..(start + BLOCK).min(cells.len()));
-        // From the last on, so that what has become nodes can be cut off the capacities: no more memory than the search needs.
+        // Backwards, so that the capacities of finished nodes can be freed: peak memory stays near that of the search itself.
         for block in blocks().rev() {
             watcher.check()?;
             let inputs = cells[block.clone()].iter().zip(&capacities[block.clone()]);
