@@ -16,6 +16,7 @@ use crate::{
         target::Target,
         visibility::{self, Shown, Visibility},
     },
+    model::camera::CameraModel,
 };
 use crate::{
     method::surface::{Surface, SurfaceKind},
@@ -67,6 +68,14 @@ impl SeenTown {
     pub fn geometry(&self, image_scale: f64) -> Geometry<'_> {
         let Self { scene, surface, visibility, target } = self;
         Geometry { scene, surface, visibility, target, image_scale }
+    }
+}
+
+/// That of most tests: its cameras are pinholes of 1,000 by 750 pixels, 61° wide.
+#[cfg(test)]
+impl Default for Town {
+    fn default() -> Self {
+        Self::new(Camera::new(1, CameraModel::Pinhole, 1000, 750, vec![850.0, 850.0, 500.0, 375.0]).unwrap())
     }
 }
 
@@ -247,16 +256,10 @@ fn unit(random: &mut Pcg64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::model::camera::CameraModel;
-
-    fn town() -> Town {
-        let camera = Camera::new(1, CameraModel::Pinhole, 1000, 750, vec![850.0, 850.0, 500.0, 375.0]).unwrap();
-        Town::new(camera)
-    }
 
     #[test]
     fn triangles_face_outwards() {
-        let town = town();
+        let town = Town::default();
         let surface = town.surface();
         let ground = 2 * (town.side / town.edge).powi(2) as u32;
         assert!((0..ground).all(|t| surface.area_normal(t).z > 0.0));
@@ -272,7 +275,7 @@ mod tests {
 
     #[test]
     fn views_are_sorted_and_look_at_the_town() {
-        let scene = town().scene();
+        let scene = Town::default().scene();
         assert!(scene.views.windows(2).all(|v| v[0].name < v[1].name));
         assert_eq!(scene.views.len(), 50);
         assert!(scene.view(ViewIndex(0)).cam_from_world.viewing_direction().z < -0.999);

@@ -96,15 +96,11 @@ impl DrawnSurface {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{
-        method::synthetic::Town,
-        model::camera::{Camera, CameraModel},
-    };
+    use crate::method::synthetic::Town;
 
     #[test]
     fn a_coarser_surface_keeps_its_place_and_its_size() {
-        let camera = Camera::new(1, CameraModel::Pinhole, 1000, 750, vec![850.0, 850.0, 500.0, 375.0]).unwrap();
-        let surface = Town { boxes: 0, edge: 0.5, ..Town::new(camera) }.surface();
+        let surface = Town { boxes: 0, edge: 0.5, ..Town::default() }.surface();
         let coarse = DrawnSurface::within(&surface, 5000);
         assert!((2500..=5000).contains(&coarse.triangles.len()), "{}", coarse.triangles.len());
         let drawn = Surface { kind: surface.kind, vertices: coarse.vertices, triangles: coarse.triangles };
@@ -117,8 +113,7 @@ mod tests {
 
     #[test]
     fn the_border_of_a_half_is_the_line_between_the_halves() {
-        let camera = Camera::new(1, CameraModel::Pinhole, 1000, 750, vec![850.0, 850.0, 500.0, 375.0]).unwrap();
-        let surface = Town { boxes: 0, relief: 0.0, edge: 2.0, ..Town::new(camera) }.surface();
+        let surface = Town { boxes: 0, relief: 0.0, edge: 2.0, ..Town::default() }.surface();
         let drawn = DrawnSurface::new(&surface);
         let border = drawn.border(|t| surface.centroid(t).x < 4.0);
         assert_eq!(border.len(), 40, "80 m in steps of 2 m");
@@ -128,8 +123,7 @@ mod tests {
 
     #[test]
     fn a_small_surface_is_shown_as_it_is() {
-        let camera = Camera::new(1, CameraModel::Pinhole, 1000, 750, vec![850.0, 850.0, 500.0, 375.0]).unwrap();
-        let surface = Town::new(camera).surface();
+        let surface = Town::default().surface();
         let drawn = DrawnSurface::new(&surface);
         assert_eq!(drawn.triangles, surface.triangles);
         assert!(drawn.original.iter().enumerate().all(|(i, &t)| i == t as usize));

@@ -81,15 +81,11 @@ impl Project {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{
-        method::synthetic::Town,
-        model::camera::{Camera, CameraModel},
-    };
+    use crate::method::synthetic::Town;
 
     #[test]
     fn a_project_of_a_scene_has_its_views_and_its_images() {
-        let camera = Camera::new(1, CameraModel::Pinhole, 1000, 750, vec![850.0, 850.0, 500.0, 375.0]).unwrap();
-        let scene = Town::new(camera).scene();
+        let scene = Town::default().scene();
         let (folder, images) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
         for _ in 0..2 {
             Project::create(folder.path(), &scene, Some(images.path())).unwrap();

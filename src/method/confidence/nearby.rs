@@ -79,11 +79,7 @@ mod tests {
     use nalgebra::Point3;
 
     use super::*;
-    use crate::{
-        base::progress::NoWatcher,
-        method::synthetic::Town,
-        model::camera::{Camera, CameraModel},
-    };
+    use crate::{base::progress::NoWatcher, method::synthetic::Town};
 
     fn by_sorting(points: &[Point3<f64>], to: &Point3<f64>) -> Vec<u32> {
         let mut all: Vec<u32> = (0..points.len() as u32).collect();
@@ -95,8 +91,7 @@ mod tests {
 
     #[test]
     fn confidence_is_the_share_of_observed_points_by_its_definition() {
-        let camera = Camera::new(1, CameraModel::Pinhole, 1000, 750, vec![850.0, 850.0, 500.0, 375.0]).unwrap();
-        let town = Town { edge: 3.0, points: 400, ..Town::new(camera) };
+        let town = Town { edge: 3.0, points: 400, ..Town::default() };
         let (mut scene, surface) = (town.scene(), town.surface());
         // View 0 observes nothing.
         let (mut views, mut offsets) = (Vec::new(), vec![0]);

@@ -268,19 +268,14 @@ impl Neighbours {
 }
 
 #[cfg(test)]
-pub(super) mod tests {
+mod tests {
     use std::collections::HashSet;
 
     use super::*;
-    use crate::{
-        base::progress::NoWatcher,
-        method::synthetic::Town,
-        model::camera::{Camera, CameraModel},
-    };
+    use crate::{base::progress::NoWatcher, method::synthetic::Town};
 
-    pub fn scene() -> Scene {
-        let camera = Camera::new(1, CameraModel::Pinhole, 1000, 750, vec![850.0, 850.0, 500.0, 375.0]).unwrap();
-        Town { points: 300, ..Town::new(camera) }.scene()
+    fn scene() -> Scene {
+        Town { points: 300, ..Town::default() }.scene()
     }
 
     fn select_all(scene: &Scene, n: u32, gate: &Gate) -> Candidates {

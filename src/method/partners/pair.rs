@@ -84,7 +84,12 @@ fn meets_image(scene: &Scene, view: ViewIndex, point: &Point3<f64>) -> bool {
 mod tests {
     use std::collections::HashSet;
 
-    use super::{super::candidates::tests::scene, *};
+    use super::*;
+    use crate::method::synthetic::Town;
+
+    fn scene() -> Scene {
+        Town { points: 300, ..Town::default() }.scene()
+    }
 
     #[test]
     fn geometry_of_a_pair_is_antisymmetric() {

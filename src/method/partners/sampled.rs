@@ -102,14 +102,10 @@ fn all_combinations(n: usize, k: usize) -> Vec<Vec<usize>> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{
-        method::synthetic::Town,
-        model::camera::{Camera, CameraModel},
-    };
+    use crate::method::synthetic::Town;
 
     fn scene() -> Scene {
-        let camera = Camera::new(1, CameraModel::Pinhole, 1000, 750, vec![850.0, 850.0, 500.0, 375.0]).unwrap();
-        Town { points: 1, ..Town::new(camera) }.scene()
+        Town { points: 1, ..Town::default() }.scene()
     }
 
     #[test]

@@ -12,11 +12,7 @@ use crate::{
         target::Target,
         visibility::Visibility,
     },
-    model::{
-        camera::{Camera, CameraModel},
-        cluster::ViewCluster,
-        scene::Scene,
-    },
+    model::{cluster::ViewCluster, scene::Scene},
 };
 
 struct Setting {
@@ -34,8 +30,7 @@ impl Setting {
     }
 
     fn kept(keep: Storage) -> Self {
-        let camera = Camera::new(1, CameraModel::Pinhole, 1000, 750, vec![850.0, 850.0, 500.0, 375.0]).unwrap();
-        let town = Town { edge: 3.0, points: 300, ..Town::new(camera) };
+        let town = Town { edge: 3.0, points: 300, ..Town::default() };
         let SeenTown { scene, surface, visibility, mut target } = town.seen(&TargetSettings::default(), 0.05, keep);
         let points = scene.view_points();
         target.accuracy_over_gsd = 0.4;

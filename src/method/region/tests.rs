@@ -15,18 +15,13 @@ use crate::{
         target::Target,
         visibility::{self, Shown},
     },
-    model::{
-        camera::{Camera, CameraModel},
-        georeference::Geodetic,
-        scene::Scene,
-    },
+    model::{georeference::Geodetic, scene::Scene},
 };
 
 const PLACE: Geodetic = Geodetic { longitude: 13.4, latitude: 52.5, height: 34.0 };
 
 fn town() -> Town {
-    let camera = Camera::new(1, CameraModel::Pinhole, 1000, 750, vec![850.0, 850.0, 500.0, 375.0]).unwrap();
-    Town { boxes: 0, points: 300, ..Town::new(camera) }
+    Town { boxes: 0, points: 300, ..Town::default() }
 }
 
 /// The town's surface, its scene, and a folder for the files of regions.

@@ -113,14 +113,10 @@ mod tests {
     use nalgebra::Rotation3;
 
     use super::*;
-    use crate::{
-        method::synthetic::Town,
-        model::camera::{Camera, CameraModel},
-    };
+    use crate::method::synthetic::Town;
 
     fn town() -> Scene {
-        let camera = Camera::new(1, CameraModel::Pinhole, 1000, 750, vec![850.0, 850.0, 500.0, 375.0]).unwrap();
-        Town { points: 300, ..Town::new(camera) }.scene()
+        Town { points: 300, ..Town::default() }.scene()
     }
 
     /// Rotates and translates a scene.

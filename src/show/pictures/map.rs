@@ -38,13 +38,11 @@ mod tests {
         base::progress::NoWatcher,
         config::VisibilitySettings,
         method::{synthetic::Town, visibility},
-        model::camera::{Camera, CameraModel},
     };
 
     #[test]
     fn the_footprint_of_a_nadir_view_is_the_image_on_the_ground() {
-        let camera = Camera::new(1, CameraModel::Pinhole, 1000, 750, vec![850.0, 850.0, 500.0, 375.0]).unwrap();
-        let town = Town { relief: 0.0, boxes: 0, tilt: None, edge: 0.5, ..Town::new(camera) };
+        let town = Town { relief: 0.0, boxes: 0, tilt: None, edge: 0.5, ..Town::default() };
         let (scene, surface) = (town.scene(), town.surface());
         let settings = VisibilitySettings::default();
         let seen = visibility::estimate(

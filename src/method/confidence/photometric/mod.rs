@@ -257,12 +257,10 @@ mod tests {
         base::column::Storage,
         config::TargetSettings,
         method::synthetic::{SeenTown, Town},
-        model::camera::{Camera, CameraModel},
     };
 
     pub fn town() -> SeenTown {
-        let camera = Camera::new(1, CameraModel::Pinhole, 1000, 750, vec![850.0, 850.0, 500.0, 375.0]).unwrap();
-        Town { edge: 4.0, points: 50, ..Town::new(camera) }.seen(&TargetSettings::default(), 0.05, Storage::Memory)
+        Town { edge: 4.0, points: 50, ..Town::default() }.seen(&TargetSettings::default(), 0.05, Storage::Memory)
     }
 
     /// The view with most triangles in common.
