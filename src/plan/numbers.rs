@@ -37,10 +37,16 @@ pub struct PlanningNumbers {
 }
 
 /// Returns a program's rule for the pairs of a key view, matched at a share of the model's size.
-pub type ReachRule = for<'a> fn(&'a Scene, &'a ViewPoints, ViewIndex, f64) -> ReachOfPair<'a>;
+pub type ReachRule = for<'a> fn(&'a Scene, &'a ViewPoints, ViewIndex, f64) -> Box<dyn ReachOfPair + 'a>;
 
-/// Returns what a program can match of a pair with the key view.
-pub type ReachOfPair<'a> = Box<dyn Fn(&PairGeometry) -> Reach + 'a>;
+/// What a program can match of the pairs of a key view.
+pub trait ReachOfPair {
+    /// Returns what it can match of a pair.
+    fn reach(&self, pair: &PairGeometry) -> Reach;
+
+    /// Returns whether it can match nothing of a pair; faster than [`Self::reach`].
+    fn refuses(&self, pair: &PairGeometry) -> bool;
+}
 
 /// Work of a depth map: `fixed + Mpx (per_map + partners)`, in Mpx matched with one partner.
 #[derive(Clone, Copy, Debug, Serialize)]

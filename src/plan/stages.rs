@@ -362,7 +362,7 @@ fn agreement(
         let reach = rule(geometry.scene, points, key, geometry.image_scale);
         Box::new(move |partner| {
             let shared = points.shared(key, partner);
-            reach(&PairGeometry::new(geometry.scene, key, partner, &shared))
+            reach.reach(&PairGeometry::new(geometry.scene, key, partner, &shared))
         })
     };
     let reach = ProgramReach { program: matcher.numbers.reach.map(|_| matcher.name), of_key_view: &of_key_view };
@@ -390,7 +390,7 @@ fn surface_and_candidates(
         let reach = reach.map(|rule| rule(scene, points, key, settings.image_scale()));
         Box::new(move |pair| {
             let lacks_image = [pair.key, pair.partner].iter().any(is_missing);
-            lacks_image || reach.as_ref().is_some_and(|reach| reach(pair).is_nothing())
+            lacks_image || reach.as_ref().is_some_and(|reach| reach.refuses(pair))
         })
     };
     let limits = Limits { gate: &gate, refusals_of: &refusals_of };

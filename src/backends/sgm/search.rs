@@ -4,12 +4,13 @@
 //! have there. Where they need more than it can search, it takes the window with most of them; what lies in front of or behind that stays unmatched,
 //! such as the hall around a statue. A pair whose window would have too few is refused.
 
-use std::{cmp::Reverse, ops::Range};
+use std::{cell::OnceCell, cmp::Reverse, ops::Range};
 
 use nalgebra::{Matrix3, Point3, Vector2, Vector3};
 
 use crate::{
     base::vector::{Kernel, vectorised},
+    method::partners::PairGeometry,
     model::{
         cluster::Reach,
         scene::{PointIndex, Scene, ViewIndex, ViewPoints},
@@ -30,6 +31,8 @@ const RANGE_PIXELS: f64 = 5.0;
 const MIN_OVERLAP: f64 = 0.03;
 /// Places of the longer side, and disparities of the search range, at which the matcher looks for what both show.
 const OVERLAP_GRID: (f64, u32) = (64.0, 5);
+/// Points of a view, and of a pair, that decide where they leave no doubt.
+const FEW: usize = 96;
 /// An epipole farther away than this times its height is put there.
 const FAR: f64 = 1e6;
 /// Disparities are searched in groups.
@@ -37,27 +40,78 @@ const GROUP: f64 = 16.0;
 
 /// Returns what is searched of the pairs of a key view: the points of the scene whose disparity is searched; nothing where these are too few of the
 /// pair's points, or the pictures hardly overlap.
-pub fn reach<'a>(scene: &'a Scene, points: &'a ViewPoints, key: ViewIndex, image_scale: f64) -> ReachOfPair<'a> {
-    let reduced = move |view| Reduced::new(scene, view, image_scale);
-    let (key, observed) = (reduced(key), points.observed_by(key));
-    let seen = SeenPoints::new(&key, observed.iter().map(|point| scene.points[point.index()]));
-    Box::new(move |pair| {
-        let partner = reduced(pair.partner);
-        let others = without(points.observed_by(pair.partner), pair.shared);
-        let position = |point: &PointIndex| scene.points[point.index()];
-        let shared = pair.shared.iter().map(position);
-        let searched = Parallax::new(&key, &partner, shared).and_then(|parallax| {
-            let searched = parallax.searched(&key, &partner, &seen, others.iter().map(position))?;
-            parallax.overlap(&key, &partner, &searched).then_some((parallax, searched))
-        });
-        let Some((parallax, Range { start, end })) = searched else { return Reach::Nothing };
+pub fn reach<'a>(
+    scene: &'a Scene,
+    points: &'a ViewPoints,
+    key: ViewIndex,
+    image_scale: f64,
+) -> Box<dyn ReachOfPair + 'a> {
+    let (view, observed) = (Reduced::new(scene, key, image_scale), points.observed_by(key));
+    let few = SeenPoints::new(&view, scene, few_of(observed));
+    Box::new(KeyView { scene, points, image_scale, key: view, observed, few, all: OnceCell::new() })
+}
+
+/// A key view with the points that it observes.
+struct KeyView<'a> {
+    scene: &'a Scene,
+    points: &'a ViewPoints,
+    image_scale: f64,
+    key: Reduced,
+    observed: &'a [PointIndex],
+    few: SeenPoints,
+    /// Not needed where a few decide about every pair.
+    all: OnceCell<SeenPoints>,
+}
+
+impl ReachOfPair for KeyView<'_> {
+    fn reach(&self, pair: &PairGeometry) -> Reach {
+        let Some((parallax, Range { start, end })) = self.searched(pair) else { return Reach::Nothing };
         let searched = start..start + GROUP * ((end - start) / GROUP).ceil();
-        let key = key.clone();
+        let key = self.key.clone();
         Reach::Part(Box::new(move |point| {
             let seen = key.project((*point).into());
             seen[2] > 0.0 && searched.contains(&parallax.disparity(seen))
         }))
-    })
+    }
+
+    fn refuses(&self, pair: &PairGeometry) -> bool {
+        !self.clearly_matches(pair) && self.searched(pair).is_none()
+    }
+}
+
+impl KeyView<'_> {
+    /// Returns the disparities that are searched of a pair; `None` if it is refused.
+    fn searched(&self, pair: &PairGeometry) -> Option<(Parallax, Range<f64>)> {
+        let partner = Reduced::new(self.scene, pair.partner, self.image_scale);
+        let others = without(self.points.observed_by(pair.partner), pair.shared);
+        let position = |point: &PointIndex| self.scene.points[point.index()];
+        let parallax = Parallax::new(&self.key, &partner, pair.shared.iter().map(position))?;
+        let seen = self.all.get_or_init(|| SeenPoints::new(&self.key, self.scene, self.observed.iter()));
+        let mut disparities = parallax.disparities(&self.key, &partner, seen, others.iter().map(position));
+        let searched = searched(&mut disparities, &self.key)?;
+        parallax.overlaps(&self.key, &partner, &searched, MIN_OVERLAP).then_some((parallax, searched))
+    }
+
+    /// Returns whether a few points leave no doubt that the pair is not refused: their disparities spread over half of what can be searched at most, and
+    /// the pictures overlap twice as much as they need.
+    fn clearly_matches(&self, pair: &PairGeometry) -> bool {
+        let partner = Reduced::new(self.scene, pair.partner, self.image_scale);
+        let position = |point: &PointIndex| self.scene.points[point.index()];
+        let Some(parallax) = Parallax::new(&self.key, &partner, few_of(pair.shared).map(position)) else {
+            return false;
+        };
+        let others = few_of(self.points.observed_by(pair.partner)).map(position);
+        let disparities = parallax.disparities(&self.key, &partner, &self.few, others);
+        let (low, high) = disparities.iter().fold((f64::MAX, f64::MIN), |(low, high), &d| (low.min(d), high.max(d)));
+        disparities.len() >= MIN_SHARED
+            && high - low <= 0.5 * most_disparities(&self.key)
+            && parallax.overlaps(&self.key, &partner, &(low..high), 2.0 * MIN_OVERLAP)
+    }
+}
+
+/// Returns [`FEW`] of a view's points, or all if there are not more; evenly from the whole list.
+fn few_of(points: &[PointIndex]) -> impl ExactSizeIterator<Item = &PointIndex> {
+    points.iter().step_by(points.len().div_ceil(FEW).max(1))
 }
 
 /// Returns the points of a list that are not in a part of it; both ascend.
@@ -131,9 +185,10 @@ struct SeenPoints {
 }
 
 impl SeenPoints {
-    fn new(key: &Reduced, points: impl Iterator<Item = Point3<f64>>) -> Self {
+    fn new<'p>(key: &Reduced, scene: &Scene, points: impl Iterator<Item = &'p PointIndex>) -> Self {
         let mut all = Self::default();
-        for place in points.map(<[f64; 3]>::from).filter(|&place| key.shows(key.homogeneous(place))) {
+        let places = points.map(|point| <[f64; 3]>::from(scene.points[point.index()]));
+        for place in places.filter(|&place| key.shows(key.homogeneous(place))) {
             let seen = key.project(place);
             (0..3).for_each(|axis| {
                 all.places[axis].push(place[axis]);
@@ -185,42 +240,23 @@ impl Parallax {
         radius * off / (1.0 + off)
     }
 
-    /// Returns the disparities that the matcher is to search, pixels: those of the points that both images show, with a margin, or the window that it
-    /// can search with most of them; `None` if these are too few. `seen`, `others`: points that the key view observes, and that only the partner does.
-    fn searched(
+    /// Returns the disparities of the points that both images show, pixels. `seen`, `others`: points that the key view observes, and that only the
+    /// partner does.
+    fn disparities(
         &self,
         key: &Reduced,
         partner: &Reduced,
         seen: &SeenPoints,
         others: impl ExactSizeIterator<Item = Point3<f64>>,
-    ) -> Option<Range<f64>> {
-        let mut disparities = vectorised(Disparities { parallax: self, key, partner, seen, others });
-        if disparities.len() < MIN_SHARED {
-            return None;
-        }
-        let [low, high] = [0.5, 99.5].map(|percent| quantile(&mut disparities, percent));
-        let margin = RANGE_MARGIN * (high - low) + RANGE_PIXELS;
-        let (low, high) = ((low - margin).floor(), (high + margin).ceil());
-        let room = GROUP * (MAX_DISPARITIES * key.size.max() / GROUP).round_ties_even();
-        if high - low <= room {
-            return Some(low..high);
-        }
-        disparities.sort_unstable_by(f64::total_cmp);
-        let held = |(i, d): (usize, &f64)| {
-            disparities.partition_point(|x| *x <= d + room - 2.0 * RANGE_PIXELS).saturating_sub(i)
-        };
-        // Of several windows with as many points the matcher takes the first.
-        let (most, first) =
-            disparities.iter().enumerate().map(|at| (held(at), at.0)).max_by_key(|&(held, i)| (held, Reverse(i)))?;
-        let low = disparities[first].floor() - RANGE_PIXELS;
-        (most > 0 && most as f64 >= MIN_HELD * disparities.len() as f64).then_some(low..low + room)
+    ) -> Vec<f64> {
+        vectorised(Disparities { parallax: self, key, partner, seen, others })
     }
 
-    /// True if the partner shows enough of the key view's picture at one of the searched disparities.
-    fn overlap(&self, key: &Reduced, partner: &Reduced, searched: &Range<f64>) -> bool {
+    /// Returns whether the partner shows at least this share of the key view's picture at one of the searched disparities.
+    fn overlaps(&self, key: &Reduced, partner: &Reduced, searched: &Range<f64>, share: f64) -> bool {
         let step = key.size.max() / OVERLAP_GRID.0;
         let [columns, rows] = [key.size.x, key.size.y].map(|side| ((side + 0.5) / step).ceil() as usize);
-        let enough = (MIN_OVERLAP * (columns * rows) as f64).ceil() as usize;
+        let enough = (share * (columns * rows) as f64).ceil() as usize;
         let (range, parts) = (searched.end - searched.start, f64::from(OVERLAP_GRID.1 - 1));
         let shown = |place: &usize| {
             let pixel = Vector2::new((place % columns) as f64, (place / columns) as f64) * step;
@@ -237,6 +273,34 @@ impl Parallax {
         let places = (0..columns).flat_map(|first| (first..columns * rows).step_by(columns));
         places.filter(shown).take(enough).count() == enough
     }
+}
+
+/// Returns the number of disparities that the matcher can search.
+fn most_disparities(key: &Reduced) -> f64 {
+    GROUP * (MAX_DISPARITIES * key.size.max() / GROUP).round_ties_even()
+}
+
+/// Returns the disparities that the matcher is to search: those of the points, with a margin, or the window that it can search with most of them; `None`
+/// if these are too few. The disparities change places.
+fn searched(disparities: &mut [f64], key: &Reduced) -> Option<Range<f64>> {
+    if disparities.len() < MIN_SHARED {
+        return None;
+    }
+    let [low, high] = [0.5, 99.5].map(|percent| quantile(disparities, percent));
+    let margin = RANGE_MARGIN * (high - low) + RANGE_PIXELS;
+    let (low, high) = ((low - margin).floor(), (high + margin).ceil());
+    let room = most_disparities(key);
+    if high - low <= room {
+        return Some(low..high);
+    }
+    disparities.sort_unstable_by(f64::total_cmp);
+    let held =
+        |(i, d): (usize, &f64)| disparities.partition_point(|x| *x <= d + room - 2.0 * RANGE_PIXELS).saturating_sub(i);
+    // Of several windows with as many points the matcher takes the first.
+    let (most, first) =
+        disparities.iter().enumerate().map(|at| (held(at), at.0)).max_by_key(|&(held, i)| (held, Reverse(i)))?;
+    let low = disparities[first].floor() - RANGE_PIXELS;
+    (most > 0 && most as f64 >= MIN_HELD * disparities.len() as f64).then_some(low..low + room)
 }
 
 /// Computes the disparities of the points that both images show.
@@ -383,4 +447,41 @@ fn quantile(values: &mut [f64], percent: f64) -> f64 {
     let (_, &mut below, rest) = values.select_nth_unstable_by(place.floor() as usize, f64::total_cmp);
     let above = rest.iter().copied().min_by(f64::total_cmp).filter(|_| place.fract() > 0.0).unwrap_or(below);
     below + place.fract() * (above - below)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{method::partners::neighbours, method::synthetic::Town};
+
+    /// A town; each point on the line to the mean camera, at 1 / (1 + spread x) of its distance, x from 0 to 1.
+    fn scattered(spread: f64) -> Scene {
+        let mut scene = Town::default().scene();
+        let centres = scene.views.iter().map(|view| view.cam_from_world.centre().coords);
+        let middle = Point3::from(centres.sum::<Vector3<f64>>() / scene.views.len() as f64);
+        for (i, point) in scene.points.iter_mut().enumerate() {
+            let nearness = (i as f64 * 0.618).fract();
+            *point = middle + (*point - middle) / (1.0 + spread * nearness);
+        }
+        scene
+    }
+
+    #[test]
+    fn a_pair_is_refused_exactly_where_nothing_of_it_is_reached() {
+        for (spread, expected) in [(0.0, [true, false]), (1.0, [true, true]), (20.0, [true, true])] {
+            let scene = scattered(spread);
+            let points = scene.view_points();
+            let mut found = [0, 0];
+            for key in scene.view_indices() {
+                let rule = reach(&scene, &points, key, 1.0);
+                for (partner, shared) in neighbours(&scene, &points, key) {
+                    let pair = PairGeometry::new(&scene, key, partner, &shared);
+                    let refused = rule.refuses(&pair);
+                    assert_eq!(refused, rule.reach(&pair).is_nothing(), "spread {spread}, {key:?} with {partner:?}");
+                    found[usize::from(refused)] += 1;
+                }
+            }
+            assert_eq!(found.map(|n| n > 100), expected, "matched and refused with spread {spread}: {found:?}");
+        }
+    }
 }

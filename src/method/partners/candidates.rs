@@ -173,32 +173,28 @@ fn select(
     settings: &PartnerSettings,
     limits: &Limits,
 ) -> CandidateRow {
-    let pairs: Vec<PairGeometry> =
-        neighbours.pairs().map(|(v, shared)| PairGeometry::new(scene, key, v, shared)).collect();
-    let (still, moving): (Vec<_>, Vec<_>) = pairs.into_iter().partition(PairGeometry::has_no_baseline);
-    let verdicts = moving.iter().map(|pair| limits.gate.refusal(pair));
-    let still = still.iter().map(|pair| (pair, Some(Reason::RotationOnly)));
-    let mut judged: Vec<_> = moving.iter().zip(verdicts).chain(still).collect();
-    judged.sort_by_key(|(pair, _)| (Reverse(pair.shared.len()), pair.partner));
     let (mut selected, mut unlikely) = (CandidateRow::default(), Vec::new());
     let refuses = (limits.refusals_of)(key);
-    for (pair, refusal) in judged {
+    for (partner, shared) in neighbours.pairs() {
+        let pair = PairGeometry::new(scene, key, partner, shared);
+        let refusal = match pair.has_no_baseline() {
+            true => Some(Reason::RotationOnly),
+            false => limits.gate.refusal(&pair),
+        };
         match refusal {
             Some(reason) => {
-                selected.refused.push(Refusal { partner: pair.partner, reason });
+                selected.refused.push(Refusal { partner, reason });
                 unlikely.extend((reason == Reason::NotMatchable).then_some(pair));
             }
             None if selected.views.len() == settings.candidates as usize => break,
-            None if refuses(pair) => {
-                selected.refused.push(Refusal { partner: pair.partner, reason: Reason::NotMatchable });
-            }
-            None => selected.views.push(pair.partner),
+            None if refuses(&pair) => selected.refused.push(Refusal { partner, reason: Reason::NotMatchable }),
+            None => selected.views.push(partner),
         }
     }
     // Beyond the gate matching usually fails, but such a partner is better than none.
     let empty = (settings.k as usize).saturating_sub(selected.views.len());
     let filled: Vec<ViewIndex> =
-        unlikely.into_iter().filter(|pair| !refuses(pair)).take(empty).map(|pair| pair.partner).collect();
+        unlikely.iter().filter(|pair| !refuses(pair)).take(empty).map(|pair| pair.partner).collect();
     selected.beyond = filled.len();
     selected.refused.retain(|refusal| !filled.contains(&refusal.partner));
     selected.views.extend(filled);

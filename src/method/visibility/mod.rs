@@ -416,8 +416,8 @@ impl<'a> Estimator<'a> {
     }
 }
 
-/// Returns the places of the bits that are set, ascending, and clears them.
-fn take_bits(words: &mut [u64], count: usize) -> Vec<u32> {
+/// Returns the places of the bits that are set, ascending, and clears them. `count`: their number, as far as it is known.
+pub(crate) fn take_bits(words: &mut [u64], count: usize) -> Vec<u32> {
     let mut places = Vec::with_capacity(count);
     for (i, word) in (0..).zip(words) {
         let mut rest = std::mem::take(word);

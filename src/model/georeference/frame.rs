@@ -2,7 +2,10 @@
 
 use nalgebra::{Matrix3, Point3, Vector3};
 
-use crate::model::scene::Scene;
+use crate::{
+    base::vector::{Kernel, vectorised},
+    model::scene::Scene,
+};
 
 /// Largest ratio of the two smaller standard deviations at which the points are flat, so their plane's normal is up.
 const FLAT_RATIO: f64 = 0.3;
@@ -15,10 +18,13 @@ const UPRIGHT: f64 = 0.9;
 
 /// Directions in which the extreme point of a hull is taken; also the largest number of its corners.
 const HULL_DIRECTIONS: u32 = 32;
-/// Directions of the polygon within which no corner is looked for.
+/// Directions of the polygon within which no corner is looked for, and the points that it is made from: one of so many.
 const FEW_DIRECTIONS: u32 = 8;
-/// Distance from that polygon's sides, over its size, that counts as inside.
+const ONE_OF: usize = 8;
+/// Twice the area between a point and a side of that polygon, over the square of its largest coordinate, that counts as inside.
 const INSIDE: f64 = 1e-9;
+/// Points that are compared with the sides at once.
+const LANES: usize = 64;
 /// Cosine of the angle within which the third axis of the model counts as up.
 const NEARLY_UP: f64 = 0.98;
 
@@ -135,10 +141,10 @@ impl MapFrame {
     /// closed.
     pub fn hull(&self, points: &[Point3<f64>]) -> Vec<Point3<f64>> {
         let flat: Vec<[f64; 2]> = points.iter().map(|point| self.local(point)).map(|[x, y, _]| [x, y]).collect();
-        let all: Vec<usize> = (0..flat.len()).collect();
-        // Most points are well inside the polygon of a few.
-        let few = extremes(&flat, &all, FEW_DIRECTIONS);
-        let outer: Vec<usize> = all.into_iter().filter(|&v| !is_well_inside(&flat, &few, v)).collect();
+        // Most points are well inside a polygon of a few.
+        let some: Vec<usize> = (0..flat.len()).step_by(ONE_OF).collect();
+        let few = extremes(&flat, &some, FEW_DIRECTIONS);
+        let outer = vectorised(Outer { flat: &flat, sides: &sides(&flat, &few) });
         extremes(&flat, &outer, HULL_DIRECTIONS).into_iter().map(|v| points[v]).collect()
     }
 
@@ -167,17 +173,43 @@ fn extremes(flat: &[[f64; 2]], candidates: &[usize], directions: u32) -> Vec<usi
     corners
 }
 
-/// Returns true if a point is inside a convex polygon by more than rounding: it is no corner of the hull.
-fn is_well_inside(flat: &[[f64; 2]], polygon: &[usize], point: usize) -> bool {
-    let [x, y] = flat[point];
+/// Returns the sides of a convex polygon as (a, b, c): where `a x + b y > c`, a point is inside by more than rounding, and no corner of the hull. None if
+/// the polygon has no inside.
+fn sides(flat: &[[f64; 2]], polygon: &[usize]) -> Vec<[f64; 3]> {
+    if polygon.len() < 3 {
+        return Vec::new();
+    }
+    let largest = polygon.iter().flat_map(|&v| flat[v]).map(f64::abs).fold(0.0, f64::max);
     let next = polygon.iter().cycle().skip(1);
-    polygon.len() > 2
-        && polygon.iter().zip(next).all(|(&a, &b)| {
-            let ([ax, ay], [bx, by]) = (flat[a], flat[b]);
-            let ([ex, ey], [px, py]) = ([bx - ax, by - ay], [x - ax, y - ay]);
-            let (left, right) = (ex * py, ey * px);
-            left - right > INSIDE * (left.abs() + right.abs() + ex.abs().max(ey.abs()).powi(2))
-        })
+    let side = |(&a, &b): (&usize, &usize)| {
+        let ([ax, ay], [bx, by]) = (flat[a], flat[b]);
+        let (x, y) = (ay - by, bx - ax);
+        [x, y, x * ax + y * ay + INSIDE * largest * largest]
+    };
+    polygon.iter().zip(next).map(side).collect()
+}
+
+/// Finds the points that are not inside all sides.
+struct Outer<'a> {
+    flat: &'a [[f64; 2]],
+    sides: &'a [[f64; 3]],
+}
+
+impl Kernel for Outer<'_> {
+    type Output = Vec<usize>;
+
+    #[inline(always)]
+    fn run(self) -> Vec<usize> {
+        let (mut outer, mut inside) = (Vec::new(), [false; LANES]);
+        for (part, first) in self.flat.chunks(LANES).zip((0..).step_by(LANES)) {
+            inside.fill(!self.sides.is_empty());
+            for [a, b, c] in self.sides {
+                inside.iter_mut().zip(part).for_each(|(inside, [x, y])| *inside &= a * x + b * y > *c);
+            }
+            outer.extend((0..part.len()).filter(|&lane| !inside[lane]).map(|lane| first + lane));
+        }
+        outer
+    }
 }
 
 #[cfg(test)]

@@ -4,7 +4,10 @@ use nalgebra::Point3;
 
 use crate::{
     base::column,
-    method::{surface::Surface, visibility::Visibility},
+    method::{
+        surface::Surface,
+        visibility::{Visibility, take_bits},
+    },
     model::{georeference::MapFrame, scene::ViewIndex},
 };
 
@@ -21,11 +24,7 @@ fn footprint(surface: &Surface, visibility: &Visibility, view: ViewIndex, frame:
     for &t in visibility.triangles_seen_by(view) {
         surface.triangles[t as usize].iter().for_each(|&v| seen[v as usize / 64] |= 1 << (v % 64));
     }
-    let in_word = |(word, &bits): (usize, &u64)| {
-        let vertices = move |i: &usize| bits >> i & 1 == 1;
-        (0..64).filter(vertices).map(move |i| surface.vertices[64 * word + i])
-    };
-    let points: Vec<Point3<f64>> = seen.iter().enumerate().filter(|(_, bits)| **bits != 0).flat_map(in_word).collect();
+    let points: Vec<Point3<f64>> = take_bits(&mut seen, 0).into_iter().map(|v| surface.vertices[v as usize]).collect();
     frame.hull(&points)
 }
 
