@@ -46,6 +46,8 @@ pub struct Stages {
     /// Name of the backend that the plan is made for.
     pub backend: &'static str,
     pub scene: Scene,
+    /// Median ground sampling distance of the model's images, scene units per pixel; `None` without points.
+    pub image_gsd: Option<f64>,
     pub surface: Surface,
     pub surface_stats: SurfaceStats,
     pub visibility: Visibility,
@@ -98,11 +100,12 @@ impl Stages {
         let source = settings.confidence.source.in_force(project.images.is_some());
         let own_size = settings.image_scale.is_none();
         let refused_half = settings.ranking.has_half() && !matcher.mixes_sizes;
-        let (points, mut settings, shape) = timings.time(Stage::Read, || {
+        let (points, image_gsd, mut settings, shape) = timings.time(Stage::Read, || {
             let points = scene.view_points();
-            let settings = in_force(project, settings, (&scene, &points), matcher, source)?;
+            let image_gsd = scene.median_gsd_of(&points);
+            let settings = in_force(project, settings, (&scene, image_gsd), matcher, source)?;
             let shape = shape(project, &scene, &settings)?;
-            Ok::<_, PlanError>((points, settings, shape))
+            Ok::<_, PlanError>((points, image_gsd, settings, shape))
         })?;
         refuse_other_images(project, &scene, &settings)?;
         let mut memory = Memory::before_surface(&scene, &mut settings)?;
@@ -187,6 +190,7 @@ impl Stages {
             memory,
             settings,
             scene,
+            image_gsd,
             unary,
             agreement,
             picture_warnings,
@@ -259,7 +263,7 @@ fn refuse_other_images(project: &Project, scene: &Scene, settings: &Settings) ->
 fn in_force(
     project: &Project,
     settings: &Settings,
-    (scene, points): (&Scene, &ViewPoints),
+    (scene, image_gsd): (&Scene, Option<f64>),
     matcher: &Matcher,
     source: ConfidenceSource,
 ) -> Result<Settings, PlanError> {
@@ -271,7 +275,7 @@ fn in_force(
     all.image_scale.get_or_insert_with(|| matcher.image_scale(scene));
     let gsd = match all.target.gsd {
         Some(gsd) => gsd,
-        None => GSD_MARGIN * scene.median_gsd_of(points).ok_or(PlanError::NoScale)? / all.image_scale(),
+        None => GSD_MARGIN * image_gsd.ok_or(PlanError::NoScale)? / all.image_scale(),
     };
     all.target.accuracy.get_or_insert(gsd);
     all.target.mode = all.target.mode.in_force(settings.target.gsd.or(settings.target.accuracy).is_some());

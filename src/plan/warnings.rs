@@ -5,7 +5,6 @@ use crate::method::ranking::Ranking;
 use crate::{
     config::{Settings, SurfaceChoice},
     method::{confidence::Confidence, surface::SurfaceKind},
-    model::scene::Scene,
 };
 
 /// Share of the observations of a table that may contradict it.
@@ -25,7 +24,7 @@ const NAMED: usize = 3;
 pub(super) fn warnings(stages: &Stages, ranking: &Ranking, cut: &Cut, finished: &FinishedMaps) -> Vec<String> {
     let mut warnings: Vec<String> = stages.scene.warnings.iter().map(|warning| warning.text.clone()).collect();
     warnings.extend(stages.picture_warnings.iter().cloned());
-    warnings.extend(unlikely_gsd(&stages.scene, &stages.settings));
+    warnings.extend(unlikely_gsd(stages.image_gsd, &stages.settings));
     warnings.extend(no_utm_coordinates(stages));
     warnings.extend(no_3d_surface(stages));
     warnings.extend(without_effect(stages));
@@ -41,9 +40,9 @@ pub(super) fn warnings(stages: &Stages, ranking: &Ranking, cut: &Cut, finished: 
     warnings
 }
 
-/// Warns of a wanted ground sampling distance far from the images' own, most likely given in another unit.
-pub fn unlikely_gsd(scene: &Scene, settings: &Settings) -> Option<String> {
-    let (gsd, target) = (scene.median_gsd()?, settings.target.gsd?);
+/// Warns of a wanted ground sampling distance far from the images' own (`image_gsd`), most likely given in another unit.
+pub fn unlikely_gsd(image_gsd: Option<f64>, settings: &Settings) -> Option<String> {
+    let (gsd, target) = (image_gsd?, settings.target.gsd?);
     let ratio = target / (gsd / settings.image_scale());
     let than = match ratio {
         ratio if ratio < 1.0 / WANTED_RATIO => format!("{:.0} times finer", 1.0 / ratio),

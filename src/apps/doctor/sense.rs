@@ -95,7 +95,7 @@ fn frame(inputs: &Inputs) -> Option<Finding> {
 
 /// Compares the wanted ground sampling distance with that of the images.
 fn wanted(inputs: &Inputs) -> Option<Finding> {
-    let what = unlikely_gsd(inputs.scene, inputs.settings)?;
+    let what = unlikely_gsd(inputs.scene.median_gsd(), inputs.settings)?;
     let cure = "give --gsd and target.accuracy in units of the model (viewrank inspect shows the median)";
     Some(Finding::new(Severity::Warning, "impossible-target", what, cure))
 }

@@ -177,6 +177,8 @@ pub struct Buffer {
     /// Inverse depth (f32) in the upper half, triangle in the lower half: the larger number is in front, and equal depths are decided by the
     /// triangle, whatever the drawing order. 0: empty.
     pixels: Vec<u64>,
+    /// Spans of the triangles that are drawn together.
+    spans: Vec<Span>,
 }
 
 impl Buffer {
@@ -185,30 +187,23 @@ impl Buffer {
         self.pixels.resize(face.width * face.height, 0);
     }
 
-    /// Draws triangles, given by their indices and their corners among `points`, clipped at depth `near`; adds to `covered` the number of pixels that
-    /// each covers.
-    pub fn draw_all(
+    /// Draws triangles, given by their numbers and corners, clipped at depth `near`; adds to `covered` the number of pixels that each covers.
+    pub fn draw<'p>(
         &mut self,
         face: &Face,
-        points: &[FacePoint],
         near: f64,
-        triangles: &[u32],
-        corners: &[[u16; 3]],
+        triangles: impl Iterator<Item = (u32, [&'p FacePoint; 3])>,
         covered: &mut [u32],
     ) {
-        vectorised(Drawing { buffer: self, face, points, near, triangles, corners, covered });
-    }
-
-    /// Draws a triangle, clipped at depth `near`. Returns the number of pixels that it covers.
-    #[inline(always)]
-    pub fn draw(&mut self, face: &Face, corners: [&FacePoint; 3], near: f64, triangle: u32) -> u32 {
-        let (pixels, mut covered) = (&mut self.pixels, 0);
-        for_each_pixel(face, corners, near, |at, inverse_depth| {
-            let code = u64::from(inverse_depth.to_bits()) << 32 | u64::from(triangle);
-            pixels[at] = pixels[at].max(code);
-            covered += 1;
-        });
-        covered
+        // First all spans, then their pixels: so the length of a span is known long before it decides where a loop ends.
+        self.spans.clear();
+        for ((triangle, corners), covered) in triangles.zip(covered) {
+            for_each_span(face, corners, near, |span| {
+                *covered += span.pixels();
+                self.spans.push(Span { triangle, ..span });
+            });
+        }
+        vectorised(Frontmost { spans: &self.spans, pixels: &mut self.pixels });
     }
 
     /// Returns the frontmost triangle in each pixel, row by row; `nothing` for empty pixels.
@@ -221,8 +216,11 @@ impl Buffer {
     pub fn free(&self, face: &Face, corners: &[Point3<f64>; 3], near: f64, tolerance: Tolerance) -> u32 {
         let [a, b, c] = corners.each_ref().map(|corner| face.project(corner));
         let mut free = 0;
-        for_each_pixel(face, [&a, &b, &c], near, |at, own| {
-            free += u32::from(!tolerance.hides(inverse_depth(self.pixels[at]).into(), own.into()));
+        for_each_span(face, [&a, &b, &c], near, |span| {
+            for column in span.first..span.end {
+                let front = inverse_depth(self.pixels[span.row as usize + column as usize]);
+                free += u32::from(!tolerance.hides(front.into(), span.inverse_depth(column).into()));
+            }
         });
         free
     }
@@ -252,25 +250,22 @@ impl Buffer {
     }
 }
 
-/// The arguments of [`Buffer::draw_all`].
-struct Drawing<'a> {
-    buffer: &'a mut Buffer,
-    face: &'a Face,
-    points: &'a [FacePoint],
-    near: f64,
-    triangles: &'a [u32],
-    corners: &'a [[u16; 3]],
-    covered: &'a mut [u32],
+/// Puts spans into the pixels where they are in front.
+struct Frontmost<'a> {
+    spans: &'a [Span],
+    pixels: &'a mut [u64],
 }
 
-impl Kernel for Drawing<'_> {
+impl Kernel for Frontmost<'_> {
     type Output = ();
 
     #[inline(always)]
     fn run(self) {
-        for ((&triangle, &[a, b, c]), covered) in self.triangles.iter().zip(self.corners).zip(self.covered) {
-            let corners = [&self.points[a as usize], &self.points[b as usize], &self.points[c as usize]];
-            *covered += self.buffer.draw(self.face, corners, self.near, triangle);
+        for span in self.spans {
+            for column in span.first..span.end {
+                let pixel = &mut self.pixels[span.row as usize + column as usize];
+                *pixel = (*pixel).max(u64::from(span.inverse_depth(column).to_bits()) << 32 | u64::from(span.triangle));
+            }
         }
     }
 }
@@ -279,9 +274,40 @@ fn inverse_depth(code: u64) -> f32 {
     f32::from_bits((code >> 32) as u32)
 }
 
-/// Calls `visit` with index and inverse depth of each pixel whose centre the triangle covers.
+/// Pixels of a row whose centres a triangle covers. Pixels are 32-bit numbers with a sign here: conversions from and to others take several instructions
+/// each.
+#[derive(Clone, Copy, Debug)]
+struct Span {
+    /// Index of the first pixel of the row.
+    row: u32,
+    triangle: u32,
+    /// First column, and the one after the last; not after the first if there is none.
+    first: i32,
+    end: i32,
+    /// Inverse depth of the triangle's plane at column 0, and its change per column.
+    start: f64,
+    by_x: f64,
+    /// Inverse depths of the triangle's corners: least and largest.
+    least: f32,
+    most: f32,
+}
+
+impl Span {
+    #[inline(always)]
+    fn pixels(&self) -> u32 {
+        (self.end - self.first).max(0) as u32
+    }
+
+    /// Slivers extrapolate badly, so it is clamped to the range of the corners.
+    #[inline(always)]
+    fn inverse_depth(&self, column: i32) -> f32 {
+        least(most((self.start + self.by_x * f64::from(column)) as f32, self.least), self.most)
+    }
+}
+
+/// Calls `visit` with the pixels of each row that a triangle, here without its number, covers.
 #[inline(always)]
-fn for_each_pixel(face: &Face, [a, b, c]: [&FacePoint; 3], near: f64, mut visit: impl FnMut(usize, f32)) {
+fn for_each_span(face: &Face, [a, b, c]: [&FacePoint; 3], near: f64, mut visit: impl FnMut(Span)) {
     match [a, b, c].iter().filter(|p| p.place.z > near).count() {
         3 => fill(face, [a.screen, b.screen, c.screen], &mut visit),
         0 => {}
@@ -316,43 +342,48 @@ fn clip(triangle: [Vector3<f64>; 3], near: f64) -> ([Vector3<f64>; 4], usize) {
 
 /// Rasterises a triangle whose corners are given as pixel x, y and inverse depth, row by row.
 #[inline(always)]
-fn fill(face: &Face, [a, b, c]: [Vector3<f64>; 3], visit: &mut impl FnMut(usize, f32)) {
+fn fill(face: &Face, [a, b, c]: [Vector3<f64>; 3], visit: &mut impl FnMut(Span)) {
     let area = (b.x - a.x) * (c.y - a.y) - (b.y - a.y) * (c.x - a.x);
-    let (low_y, high_y) = (a.y.min(b.y).min(c.y), a.y.max(b.y).max(c.y));
+    let (low_y, high_y) = (least(least(a.y, b.y), c.y), most(most(a.y, b.y), c.y));
     // Also false for NaN.
     if !(area != 0.0 && high_y >= 0.5 && low_y < face.height as f64) {
         return;
     }
-    // Inverse depth is linear in the image. Slivers extrapolate badly, so it is clamped to the range of the corners.
+    // Inverse depth is linear in the image.
     let by_x = ((b.z - a.z) * (c.y - a.y) - (c.z - a.z) * (b.y - a.y)) / area;
     let by_y = ((c.z - a.z) * (b.x - a.x) - (b.z - a.z) * (c.x - a.x)) / area;
-    let (low_z, high_z) = (a.z.min(b.z).min(c.z), a.z.max(b.z).max(c.z));
+    let depths = (least(least(a.z, b.z), c.z), most(most(a.z, b.z), c.z));
     let [d, e, f] = if area > 0.0 { [a, b, c] } else { [c, b, a] };
-    let lines = [Side::new(&d, &e), Side::new(&e, &f), Side::new(&f, &d)];
+    let sides = [Side::new(&d, &e), Side::new(&e, &f), Side::new(&f, &d)];
     for row in first_centre(low_y, face.height)..end_centre(high_y, face.height) {
         let y = f64::from(row) + 0.5;
         let (mut left, mut right) = (f64::NEG_INFINITY, f64::INFINITY);
-        for line in &lines {
-            let x = line.x + line.slope * (y - line.y);
-            left = if line.is_left && x > left { x } else { left };
-            right = if line.is_right && x < right { x } else { right };
+        for side in &sides {
+            let along = side.slope * (y - side.y);
+            left = most(side.left + along, left);
+            right = least(side.right + along, right);
         }
-        let first = first_centre(left, face.width);
-        let start = a.z + by_y * (y - a.y) + by_x * (0.5 - a.x);
-        for column in first..end_centre(right, face.width) {
-            let depth = (start + by_x * f64::from(column)).max(low_z).min(high_z);
-            visit(row as usize * face.width + column as usize, depth as f32);
-        }
+        visit(Span {
+            row: row as u32 * face.width as u32,
+            triangle: 0,
+            first: first_centre(left, face.width),
+            end: end_centre(right, face.width),
+            start: a.z + by_y * (y - a.y) + by_x * (0.5 - a.x),
+            by_x,
+            least: depths.0 as f32,
+            most: depths.1 as f32,
+        });
     }
 }
 
-/// Returns the line through an edge, and the side of the triangle that it bounds; no side if it is level.
+/// The line through an edge, as a bound of the triangle's rows.
 struct Side {
-    x: f64,
     y: f64,
+    /// Change of x per row; 0 if the edge is level.
     slope: f64,
-    is_left: bool,
-    is_right: bool,
+    /// x at `y` where the edge bounds rows on that side, else infinitely far outside.
+    left: f64,
+    right: f64,
 }
 
 impl Side {
@@ -360,13 +391,28 @@ impl Side {
     #[inline(always)]
     fn new(from: &Vector3<f64>, to: &Vector3<f64>) -> Self {
         let rise = to.y - from.y;
-        let slope = if rise == 0.0 { 0.0 } else { (to.x - from.x) / rise };
-        Self { x: from.x, y: from.y, slope, is_left: rise < 0.0, is_right: rise > 0.0 }
+        Self {
+            y: from.y,
+            slope: if rise == 0.0 { 0.0 } else { (to.x - from.x) / rise },
+            left: if rise < 0.0 { from.x } else { f64::NEG_INFINITY },
+            right: if rise > 0.0 { from.x } else { f64::INFINITY },
+        }
     }
 }
 
-/// Returns the first pixel whose centre is not below `x`, at most `size`. Pixels are 32-bit numbers with a sign here: conversions from and to
-/// others take several instructions each.
+/// Returns the smaller number, `b` if `a` is none: a single instruction, which [`f64::min`] is not.
+#[inline(always)]
+fn least<T: PartialOrd>(a: T, b: T) -> T {
+    if a < b { a } else { b }
+}
+
+/// Returns the larger number, `b` if `a` is none.
+#[inline(always)]
+fn most<T: PartialOrd>(a: T, b: T) -> T {
+    if a > b { a } else { b }
+}
+
+/// Returns the first pixel whose centre is not below `x`, at most `size`.
 #[inline(always)]
 fn first_centre(x: f64, size: usize) -> i32 {
     let x = (x - 0.5).max(0.0).min(size as f64);

@@ -9,7 +9,10 @@ mod buffer;
 mod patches;
 mod shown;
 
-use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
+use std::{
+    iter,
+    sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering},
+};
 
 use bytemuck::Pod;
 use nalgebra::{Point3, Vector3};
@@ -188,7 +191,8 @@ pub fn front(scene: &Scene, surface: &Surface, view: ViewIndex, width: u32, heig
     let mut buffer = Buffer::default();
     buffer.clear(&face);
     for (t, corners) in surface.triangles.iter().enumerate() {
-        buffer.draw(&face, corners.map(|v| &vertices[v as usize]), near, t as u32);
+        let corners = corners.map(|v| &vertices[v as usize]);
+        buffer.draw(&face, near, iter::once((t as u32, corners)), &mut [0]);
     }
     buffer.triangles(NOTHING).collect()
 }
@@ -300,8 +304,8 @@ impl<'a> Estimator<'a> {
         for (face, buffer) in faces.iter().zip(buffers) {
             projected.clear();
             projected.extend(vertices.iter().map(|v| face.project(v)));
-            let (triangles, corners) = self.patches.of(patch);
-            buffer.draw_all(face, projected, self.near, triangles, corners, covered);
+            let triangles = self.patches.triangles(patch).map(|(t, corners)| (t, corners.map(|c| &projected[c])));
+            buffer.draw(face, self.near, triangles, covered);
         }
     }
 
